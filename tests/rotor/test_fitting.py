@@ -11,7 +11,9 @@ from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
+    Corrections,
     Measurements,
+    fit_picture,
     fit_rotor,
     hover,
     hover_batch,
@@ -139,3 +141,27 @@ def test_a_point_far_from_every_list_is_met():
     table = polar("naca0012")
     more = fitted(table, (0.0, 0.0, 0.3, 0.0, 0.0), float(table.reynolds[10])).cd - table.cd
     assert_allclose(more, np.broadcast_to(np.expm1(0.3) * table.cd[10], more.shape), atol=1e-12)
+
+
+def test_a_tunnel_tells_the_angle_from_the_lift_and_what_hover_is():
+    """A blade set 1.5 degrees steeper with 15 % less lift: in hover alike, not in a tunnel, where thrust ends."""
+    rotor, true = a_propeller("clarky"), Corrections(lift_factor=0.85, drag_factor=1.1)
+    speed, turn = 6000.0 * RPM, math.radians(1.5)
+    climb = np.linspace(2.0, 11.0, 12)
+    out = hover_batch(prepare(rotor, corrections=true), pitch_rad=turn, speed_rad_s=speed, climb_m_s=climb)
+    assert out.thrust_N[0] > 0.0 > out.thrust_N[-1]
+    run = Measurements(np.zeros(12), np.full(12, speed), out.thrust_N, out.torque_Nm, "tunnel", climb)
+    found = fit_rotor(rotor, run, section="known")
+    assert np.abs(found.after).max() < 0.03 < np.abs(found.before).max()
+    assert np.all(found.held_out < 0.03)
+    assert abs(found.change[0] - turn) < 2 * found.std[0] < 0.7 * found.prior_std[0]
+    assert_allclose(found.fit.climb_ratio, climb[[0, -1]] / (0.06 * speed))
+    hovering = hover(prepare(rotor, corrections=true), pitch_rad=turn, speed_rad_s=speed)
+    again = hover(found.rotor, pitch_rad=0.0, speed_rad_s=speed)
+    assert_allclose(
+        [again.thrust_N / hovering.thrust_N, again.torque_Nm / hovering.torque_Nm], 1.0, atol=0.05
+    )
+    at = {"pitch_rad": 0.0, "speed_rad_s": speed}
+    inside, outside = (interval(found.rotor, climb_m_s=v, **at) for v in (5.0, 0.0))
+    assert outside.thrust_share["method"][0] > inside.thrust_share["method"][0] == 0.0
+    assert fit_picture(found).axes[0].get_xlabel().startswith("Advance")

@@ -15,7 +15,7 @@ from mufly.rotor.solid import (
     joined,
     mirrored,
     read_stl,
-    rotor_of_stl,
+    rotor_of_body,
     slice_blade,
     solid_of,
     turned_about_shaft,
@@ -75,7 +75,7 @@ def test_a_body_is_cut_into_the_stations_that_it_was_made_of(rotor, tmp_path, ta
     cut = slice_blade(read_stl(tmp_path / "p.stl"), 0.06 * x)
     assert_allclose([s.chord_m for s in cut], rotor.chord_m(x), rtol=5e-3)
     assert_allclose([s.twist_rad for s in cut], rotor.twist_rad(x), atol=np.radians(0.4))
-    again, notes = rotor_of_stl(tmp_path / "p.stl", folder=tmp_path, blades=3)
+    again, notes = rotor_of_body(tmp_path / "p.stl", folder=tmp_path, blades=3)
     assert_allclose(again.chord_m(x), rotor.chord_m(x), rtol=2e-2)
     assert_allclose(again.twist_rad(x), rotor.twist_rad(x), atol=np.radians(0.7))
     assert (again.blades, len(notes)) == (3, 1)
@@ -89,6 +89,6 @@ def test_what_is_no_body_is_said(rotor, tmp_path):
         read_stl(tmp_path / "a.stl")
     (tmp_path / "b.stl").write_text("solid\n" + "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n" * 3)
     with pytest.raises(InputError, match="no closed sections"):
-        rotor_of_stl(tmp_path / "b.stl", folder=tmp_path)
+        rotor_of_body(tmp_path / "b.stl", folder=tmp_path)
     with pytest.raises(InputError, match="tail"):
         blade_sections(rotor, tail_m=0.01)

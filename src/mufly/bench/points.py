@@ -65,6 +65,8 @@ def read_measurements(
     thrust_in = next((n for n in ("thrust", "thrust_coefficient") if n in table), "thrust")
     torque_in = next((n for n in ("torque", "power", "power_coefficient") if n in table), "")
     table.require((thrust_in,) if speed_rad_s and "speed" not in table else ("speed", thrust_in))
+    if "speed" in table and speed_rad_s is not None:
+        raise table.fault("speed", "is a column of the file", "leave out the speed given beside it")
     if "pitch" in table:
         table.require(("pitch",))
         if pitch_rad is not None:

@@ -46,6 +46,12 @@ BenchPitch = Annotated[
         "Of the blades on the bench, where the file has no column of it: 12, 12deg or 0.2rad.",
     ),
 ]
+BenchSpeed = Annotated[
+    float | None,
+    option(
+        "--rpm RPM", "Of the rotor on the bench, where the file has no column of it, as UIUC's tunnel runs."
+    ),
+]
 FamilyOption = Annotated[
     str,
     option(
@@ -182,7 +188,7 @@ def import_blade(
 
     Examples: mufly rotor import da4002_5x3.75_geom.txt --diameter 5in --airfoil sda1075.dat --out da.toml; mufly rotor
     import 10x7E-PERF.PE0 --out apc.toml; mufly rotor import calipers.csv (r_mm, chord_mm, beta_deg) --blades 2; mufly
-    rotor import blade.stl --out cut.toml (mm; blade along x, shaft along z)
+    rotor import blade.stl --out cut.toml (mm; blade along x, shaft along z; also .step)
     """
     from mufly.errors import InputError
     from mufly.rotor import read_blade, rotor_toml
@@ -196,14 +202,14 @@ def import_blade(
             radius = 0.5 * float(parse_quantity("radius", diameter))
         except InputError as error:
             raise InputError("--diameter", "", error.problem, "write for example 5in or 127mm") from None
-    if blade.suffix.lower() == ".stl":
-        from mufly.rotor.solid import rotor_of_stl
+    if blade.suffix.lower() in (".stl", ".step", ".stp"):
+        from mufly.rotor.solid import rotor_of_body
 
         if out is None:
             raise InputError(
                 "--out", "", "is missing", "a body's sections become files beside the rotor file"
             )
-        r, notes = rotor_of_stl(blade, folder=out.parent, blades=blades, name=name or out.stem)
+        r, notes = rotor_of_body(blade, folder=out.parent, blades=blades, name=name or out.stem)
     else:
         r, notes = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
     if out is not None:
@@ -450,7 +456,14 @@ def _hover_json(
 
 
 def _measured(
-    path: Path, rotor: Rotor, columns: str | None, density: float | None, pitch: str | None, *, quiet: bool
+    path: Path,
+    rotor: Rotor,
+    columns: str | None,
+    density: float | None,
+    pitch: str | None,
+    rpm: float | None,
+    *,
+    quiet: bool,
 ) -> Measurements:
     """Read the points of a bench, and say what the file left to be taken for granted."""
     from mufly.bench import read_measurements
@@ -459,6 +472,7 @@ def _measured(
     bench = read_measurements(
         path, columns=columns, diameter_m=2.0 * float(rotor.radius), density_kg_m3=density,
         pitch_rad=None if pitch is None else angle("--pitch", pitch),
+        speed_rad_s=None if rpm is None else turning("--rpm", rpm),
     )  # fmt: skip
     if density is None and bench.air != Air() and not quiet:
         typer.echo(f"air of {bench.air.density_kg_m3:.4g} kg/m3, as the file says")
@@ -491,6 +505,7 @@ def fit(
     ] = None,
     columns: ColumnsOption = None,
     pitch: BenchPitch = None,
+    rpm: BenchSpeed = None,
     polars: Polars = POLARS,
     out: Annotated[
         Path | None, option("--out FILE.toml", "Write the rotor with its fit, and a picture beside it.")
@@ -512,7 +527,7 @@ def fit(
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
     r = load_rotor(rotor)
-    bench = _measured(measurements, r, columns, density, pitch, quiet=as_json)
+    bench = _measured(measurements, r, columns, density, pitch, rpm, quiet=as_json)
     air = bench.air
     one_of("--section", section, _SECTIONS)
     if point is not None:
@@ -608,6 +623,7 @@ def compare(
     ] = None,
     columns: ColumnsOption = None,
     pitch: BenchPitch = None,
+    rpm: BenchSpeed = None,
     theory: Theory = BEMT,
     as_json: JsonOption = False,
 ) -> None:
@@ -622,7 +638,7 @@ def compare(
     from mufly.rotor import load_rotor
 
     r = load_rotor(rotor)
-    bench = _measured(measurements, r, columns, density, pitch, quiet=as_json)
+    bench = _measured(measurements, r, columns, density, pitch, rpm, quiet=as_json)
     air = bench.air
     settings, stations = theory.wakes()
     if calibrate is not None and theory.method == "wake":

@@ -391,6 +391,8 @@ class Section(NamedTuple):
         Factors on the coefficients.
     thickness : float
         Over chord.
+    edge : float
+        Of the trailing edge's drag (:func:`mufly.rotor.blading.edge_drag`).
     """
 
     first: int
@@ -401,6 +403,7 @@ class Section(NamedTuple):
     lift: float
     drag: float
     thickness: float
+    edge: float
 
 
 class Station(NamedTuple):
@@ -455,7 +458,7 @@ def compressible(alpha: float, mach: float, zero_lift: float) -> float:
 def section_coefficients(
     alpha: float, log_re: float, mach: float, section: Section, polars: PolarStack
 ) -> tuple[float, float]:
-    """Lift and drag coefficient of a section: mixed polars, compressible flow, rotation, calibration.
+    """Lift and drag coefficient of a section: mixed polars, blunt edge, compressible flow, rotation, calibration.
 
     Shocks add Lock's drag, 20 (M - M_cr)^4, M_cr = M_dd - (0.1 / 80)^(1/3), with Korn's drag divergence M_dd = 0.87 -
     t/c - |c_l| / 10 (Mason, AIAA 90-3262, 1990; 0.87: NACA 6 series).
@@ -467,6 +470,8 @@ def section_coefficients(
     if weight > 0.0:
         cl2, cd2 = coefficients(polars, section.second, alpha, log_re)
         cl, cd = cl + weight * (cl2 - cl), cd + weight * (cd2 - cd)
+    if section.edge > 0.0:
+        cd += section.edge / max(cd, 1e-4) ** (1.0 / 3.0)
     if rotation > 0.0:
         fade = min(max((_FADE_TO - abs(alpha)) / (_FADE_TO - _FADE_FROM), 0.0), 1.0)
         if fade > 0.0:
@@ -614,7 +619,10 @@ def solve_cases(
                 zero += weight * (blades.zero_lift_rad[second] - zero)
                 thick = blades.thickness[first]
                 thick += weight * (blades.thickness[second] - thick)
-                section = Section(first, second, weight, zero, rotation, on.lift * share, on.drag, thick)
+                edge = blades.edge_drag[k, i]
+                section = Section(
+                    first, second, weight, zero, rotation, on.lift * share, on.drag, thick, edge
+                )
                 at = Station(r, chord, theta, count, radius, blades.hub_radius_m[k])
                 axial, across, carried = climb, speed * r, climb
                 if meets:

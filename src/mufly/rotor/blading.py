@@ -140,6 +140,22 @@ def rotation_strength(kind: Rotation, chord_over_r: Array) -> Array:
     return np.zeros_like(chord_over_r)
 
 
+def edge_drag(edge_m: float, chord_m: Array) -> Array:
+    """Return c_d of a blunt trailing edge times c_f^(1/3), c_f the drag of the section without it.
+
+    Hoerner (Fluid-Dynamic Drag, 1965, ch. III): air that leaves a blunt edge of thickness h with the boundary layer of
+    the section sucks at its base, in plane flow by C_DB = 0.135 / (c_f c / h)^(1/3) on its own area, so that
+    c_d = 0.135 (h / c)^(4/3) / c_f^(1/3). Towards a pointed tip edges thin out: h / c counts up to a tenth.
+
+    Parameters
+    ----------
+    edge_m : float
+        Thickness h (m).
+    chord_m : (stations,) array
+    """
+    return np.asarray(0.135 * np.minimum(edge_m / chord_m, 0.1) ** (4.0 / 3.0), dtype=np.float64)
+
+
 def zero_lift_angle(table: PolarTable) -> float:
     """Angle of zero lift (rad) of a table at Re 3e5 or its nearest, closest to zero; 0 if there is none.
 
@@ -174,6 +190,8 @@ class Blading:
         What is switched on.
     r_m, dr_m, chord_m, twist_rad, chord_factor, rotation : (n, stations) arrays
         Stations; loss of angle per lift coefficient (rad), strength of the rotation model.
+    edge_drag : (n, stations) array
+        Drag of the trailing edge's base times the third root of the section's drag: :func:`edge_drag`.
     first, second, weight : (n, stations) arrays
         Polars of the stack and their mix.
     polars : PolarStack
@@ -190,6 +208,7 @@ class Blading:
     twist_rad: Array
     chord_factor: Array
     rotation: Array
+    edge_drag: Array
     first: Integers
     second: Integers
     weight: Array
@@ -303,7 +322,7 @@ def prepare(
                 )  # fmt: skip
     tables = [fitted(known[name], *fit) if fit is not None else known[name] for name, fit in keys]
     shape = (len(many), stations)
-    r, dr, chord, twist, e, g, weight = (np.zeros(shape) for _ in range(7))
+    r, dr, chord, twist, e, g, base, weight = (np.zeros(shape) for _ in range(8))
     first, second = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     for k, rotor in enumerate(many):
         big = rotor.radius_m
@@ -317,6 +336,7 @@ def prepare(
         if fixes.lifting_surface:
             e[k] = chord_factor(mid, edges, cut.chord_m / big, rotor.chord_m(edges) / big)
         g[k] = rotation_strength(fixes.rotation, chord[k] / r[k])
+        base[k] = edge_drag(float(rotor.trailing_edge), chord[k])
     stack = stack_polars(tables)
     return Blading(
         rotors=many,
@@ -327,6 +347,7 @@ def prepare(
         twist_rad=twist,
         chord_factor=e,
         rotation=g,
+        edge_drag=base,
         first=first,
         second=second,
         weight=weight,

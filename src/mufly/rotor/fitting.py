@@ -9,10 +9,14 @@ What the drag has more than its polar is thus the same at every Reynolds number:
 blunt edges and separation press on a section, they do not rub on it, and such drag hardly depends on it (Hoerner,
 Fluid-Dynamic Drag, 1965, ch. V). At least 0.3 c_d0 is left. Re_m is the geometric mean of the measured points' Reynolds
 numbers at 0.75 R, the ratio is kept within 0.2 and 5; ``p`` stands for the zero-lift angle, the pitch setting and the
-twist, which no hover can tell apart; ``l`` and ``d`` also for what the method itself gets wrong. With prior deviations
+twist, which no bench can tell apart; ``l`` and ``d`` also for what the method itself gets wrong. With prior deviations
 s the five are found by least squares,
 
-    chi^2 = sum ((T / T_m - 1) / 0.02)^2 + sum ((Q / Q_m - 1) / 0.03)^2 + sum (x / s)^2
+    chi^2 = sum ((T - T_m) / (0.02 T_s))^2 + sum ((Q - Q_m) / (0.03 Q_s))^2 + sum (x / s)^2
+
+T_s, Q_s are the measured T_m, Q_m in hover. In axial flight, where thrust ends at some airspeed, they are at least 0.3
+of the greatest that was measured, brought to the point's speed by its square: what a balance misses there is a share of
+its range. With next to nothing induced where thrust ends, runs in a tunnel tell the angle from the lift.
 
 each time with the deviations of p, l and d as below, and with two and four times these, equally likely (Jeffreys' prior
 of a scale): some blades differ from any list by more than the list's doubts, and a prior that holds a fit off from a
@@ -57,6 +61,8 @@ Array = NDArray[np.float64]
 CHANGES = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
 _SIGMA_THRUST, _SIGMA_TORQUE = 0.02, 0.03  # what a method misses of one point and not of the next
 _WIDER = (1.0, 2.0, 4.0)  # factors on the deviations of pitch, lift and drag
+_LEAST_SIZE = 0.3  # of T_s and Q_s in axial flight, of the greatest
+_STEP = 1e-3  # of the prior deviations, for derivatives
 _KEPT = 0.01  # candidates below this probability are left out of the file
 _SAYS_LITTLE, _TOGETHER = 0.8, 0.9
 
@@ -76,7 +82,9 @@ class RotorFit:
         What the bench cannot tell, in words.
     measured : Measurements
     before, after : (2, n) arrays
-        Thrust and torque over measured ones less one: of the rotor as it was given, and of the fit.
+        Thrust and torque less the measured ones, over ``size``: of the rotor as given, and of the fit.
+    size : (2, n) array
+        T_s (N) and Q_s (N m) of the module: in hover what was measured.
     held_out : (2,) array
         Mean size of that error at points that a fit did not see; nan where there are too few.
     held_out_note : str
@@ -94,6 +102,7 @@ class RotorFit:
     measured: Measurements
     before: Array
     after: Array
+    size: Array
     held_out: Array
     held_out_note: str
     air: Air
@@ -111,8 +120,9 @@ class _Bench:
 
     pitch: Array
     speed: Array
-    thrust: Array
-    torque: Array
+    climb: Array
+    load: Array  # (2, n) thrust, torque
+    size: Array  # (2, n) T_s, Q_s
     air: Air
     reynolds: float
 
@@ -149,7 +159,7 @@ def fit_rotor(
     rotor : Rotor
         As it is believed to be; a fit that it holds already is left out.
     measurements : Measurements
-        The bench.
+        The bench, in hover or along the shaft, as in a tunnel.
     section : 'guessed' or 'known'
         Whether the airfoils of the rotor file are one guess among others, or known.
     family : str
@@ -162,19 +172,14 @@ def fit_rotor(
     Raises
     ------
     InputError
-        If ``section`` is neither, or points were not measured in hover.
+        If ``section`` is neither, or no point has thrust.
     MuflyError
         If no section comes near to the measurements.
     """
     if section not in ("guessed", "known"):
         raise InputError("fit", "section", f"{section!r} is unknown", "use 'guessed' or 'known'")
-    if measurements.axial:
-        raise InputError(
-            measurements.source,
-            "airspeed",
-            "is not 0: sections are fitted to hover",
-            "leave these points out",
-        )
+    if not np.nanmax(measurements.thrust_N) > 0.0:
+        raise InputError(measurements.source, "thrust", "is nowhere above 0", "give points with thrust")
     plain, gas, fixes = (
         rotor.model_copy(update={"fit": None}),
         air or measurements.air,
@@ -182,10 +187,12 @@ def fit_rotor(
     )
     n = measurements.thrust_N.size
     chord = float(rotor.chord_m(0.75))
-    re = 0.75 * rotor.radius_m * chord * measurements.speed_rad_s * gas.density_kg_m3 / gas.viscosity_Pa_s
+    wind = np.hypot(0.75 * rotor.radius_m * measurements.speed_rad_s, measurements.climb_m_s)
+    re = chord * wind * gas.density_kg_m3 / gas.viscosity_Pa_s
+    load = np.stack((measurements.thrust_N, measurements.torque_Nm))
     bench = _Bench(
-        measurements.pitch_rad, measurements.speed_rad_s, measurements.thrust_N, measurements.torque_Nm, gas,
-        float(np.exp(np.mean(np.log(re)))),
+        measurements.pitch_rad, measurements.speed_rad_s, measurements.climb_m_s, load, _sizes(measurements, load),
+        gas, float(np.exp(np.mean(np.log(re)))),
     )  # fmt: skip
     listed = section_weights(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
     wide = _widths(known=section == "known")
@@ -201,7 +208,7 @@ def fit_rotor(
         return _all(prepared, tables, wide, _part(bench, index))
 
     everything = of(np.arange(n))
-    seen, note = _seen(bench.speed)
+    seen, note = _seen(bench)
     held = np.full(2, math.nan)
     if seen.size:
         unseen = np.setdiff1d(np.arange(n), seen)
@@ -230,6 +237,7 @@ def fit_rotor(
         reynolds=bench.reynolds,
         pitch_rad=(float(bench.pitch.min()), float(bench.pitch.max())),
         speed_rad_s=(float(bench.speed.min()), float(bench.speed.max())),
+        climb_ratio=_range(bench.climb / (rotor.radius_m * bench.speed)),
         scatter=_scatter(best),
         candidates=tuple(
             Candidate(
@@ -243,7 +251,7 @@ def fit_rotor(
     return RotorFit(
         fitted_rotor, best.change, sigma, best.wide, correlation,
         _undecided(sigma / best.wide, correlation, weights, everything),
-        measurements, before, best.errors, held, note, gas,
+        measurements, before, best.errors, bench.size, held, note, gas,
     )  # fmt: skip
 
 
@@ -256,17 +264,29 @@ def _widths(known: bool) -> Array:
 
 def _part(bench: _Bench, index: NDArray[np.intp], reynolds: float | None = None) -> _Bench:
     return _Bench(
-        bench.pitch[index], bench.speed[index], bench.thrust[index], bench.torque[index], bench.air,
-        reynolds or bench.reynolds,
+        bench.pitch[index], bench.speed[index], bench.climb[index], bench.load[:, index], bench.size[:, index],
+        bench.air, reynolds or bench.reynolds,
     )  # fmt: skip
 
 
-def _seen(speed: Array) -> tuple[NDArray[np.intp], str]:
+def _range(values: Array) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _sizes(measurements: Measurements, load: Array) -> Array:
+    """T_s and Q_s of the module, (2, n)."""
+    square = np.square(measurements.speed_rad_s)
+    greatest = np.nanmax(np.where(np.isfinite(load), np.abs(load) / square, 0.0), axis=1)
+    least = np.where(measurements.climb_m_s != 0.0, _LEAST_SIZE * greatest[:, None] * square, 0.0)
+    return np.asarray(np.maximum(np.abs(load), least), dtype=np.float64)
+
+
+def _seen(bench: _Bench) -> tuple[NDArray[np.intp], str]:
     """Points that a fit is shown to see how it does at the others."""
-    n = speed.size
+    n = bench.speed.size
     if n < 2:
         return np.array([], dtype=np.intp), "one point alone cannot be checked on another"
-    order = np.argsort(speed, kind="stable")
+    order = np.lexsort((bench.climb, bench.speed))
     if n < 4:
         return order[n // 2 : n // 2 + 1], "fitted to one point, checked on the others"
     return np.sort(order[::2]), "fitted to every other point, checked on those between"
@@ -280,10 +300,12 @@ def _changed(blading: Blading, tables: Mapping[str, PolarTable], change: Array, 
 
 
 def _errors(blading: Blading, tables: Mapping[str, PolarTable], change: Array, bench: _Bench) -> Array:
-    """Errors of thrust and torque, relative, (2, n)."""
+    """Errors of thrust and torque over their sizes, (2, n)."""
     changed = _changed(blading, tables, change, bench.reynolds) if change.any() else blading
-    out = hover_batch(changed, pitch_rad=bench.pitch, speed_rad_s=bench.speed, air=bench.air)
-    return np.stack((out.thrust_N / bench.thrust - 1.0, out.torque_Nm / bench.torque - 1.0))
+    out = hover_batch(
+        changed, pitch_rad=bench.pitch, speed_rad_s=bench.speed, climb_m_s=bench.climb, air=bench.air
+    )
+    return np.asarray((np.stack((out.thrust_N, out.torque_Nm)) - bench.load) / bench.size, dtype=np.float64)
 
 
 def _all(
@@ -293,8 +315,8 @@ def _all(
     bench: _Bench,
 ) -> list[_Found]:
     """Every section fitted, the likeliest first."""
-    size = np.repeat([_SIGMA_THRUST, _SIGMA_TORQUE], bench.thrust.size)
-    known = np.isfinite(np.concatenate((bench.thrust, bench.torque)))
+    size = np.repeat([_SIGMA_THRUST, _SIGMA_TORQUE], bench.speed.size)
+    known = np.isfinite(bench.load.ravel())
     found = []
     widths = [wide * [f, f, f, 1.0, 1.0] for f in _WIDER]
     for (airfoils, share, blading), wide in product(prepared, widths):
@@ -303,9 +325,14 @@ def _all(
             off = _errors(blading, tables, z * wide, bench).ravel() / size
             return np.concatenate((off[known], z))
 
+        def slopes(z: Array, miss: Callable[[Array], Array] = miss) -> Array:
+            # SciPy's steps are shares of z: next to z = 0 they drown in the solver's tolerance.
+            here = miss(z)
+            return np.stack([(miss(z + step) - here) / _STEP for step in _STEP * np.eye(5)], axis=1)
+
         if not np.isfinite(miss(np.zeros(5))).all():
             continue
-        solved = least_squares(miss, np.zeros(5), method="lm", diff_step=np.array([1e-3]), max_nfev=100)
+        solved = least_squares(miss, np.zeros(5), jac=slopes, max_nfev=100)
         jacobian = np.asarray(solved.jac, dtype=np.float64)
         curvature, data = jacobian.T @ jacobian, jacobian[:-5]
         inverse = np.linalg.inv(curvature)

@@ -144,6 +144,9 @@ class SectionFit(Group):
     reynolds: float = Field(description="at which the factors hold", gt=0.0)
     pitch_rad: tuple[float, float] = Field(description="range of pitch that was measured (rad)")
     speed_rad_s: tuple[float, float] = Field(description="range of speed that was measured (rad/s)")
+    climb_ratio: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="range of the airspeed along the shaft over that of the tips"
+    )
     scatter: tuple[float, float] = Field(description="what the fit misses of thrust and torque, relative")
     candidates: tuple[Candidate, ...] = Field(min_length=1)
 
@@ -166,6 +169,9 @@ class Rotor(Group):
     hub_cutout: Quantity = parameter(
         "1", "x0", "radius over R at which the blade begins", at_least=0, below=1
     )  # fmt: skip
+    trailing_edge: Quantity = parameter(
+        "m", "h", "thickness of the trailing edge; 0: as its airfoils have it", at_least=0, absent=0.0
+    )
     blade: Blade
     fit: SectionFit | None = Field(default=None, description="what a bench run said about the sections")
 
@@ -178,6 +184,12 @@ class Rotor(Group):
         if widest > float(self.radius):
             raise _fault(
                 "blade.chord", f"{1e3 * widest:g} mm is more than the radius, {1e3 * float(self.radius):g} mm",
+                "check both, and their units",
+            )  # fmt: skip
+        edge = float(self.trailing_edge)
+        if edge > 0.1 * widest:
+            raise _fault(
+                "trailing_edge", f"{1e3 * edge:g} mm is no edge on a chord of {1e3 * widest:g} mm",
                 "check both, and their units",
             )  # fmt: skip
         if sum(v > float(self.hub_cutout) for v in x) < 1:
@@ -269,7 +281,10 @@ class Rotor(Group):
 
     def toml_tables(self) -> dict[str, Any]:
         """Return the rotor as nested dictionaries with the keys of a rotor file."""
-        return self.model_dump(exclude_none=True)
+        tables = self.model_dump(exclude_none=True)
+        if float(self.trailing_edge) == 0.0:
+            del tables["trailing_edge"]
+        return tables
 
 
 def blade_thickness_m(rotor: Rotor, r_over_R: ArrayLike) -> Array:
@@ -445,6 +460,7 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
         If a key does not exist or a value is impossible.
     """
     tables = rotor.toml_tables()
+    tables.setdefault("trailing_edge", rotor.trailing_edge.model_dump())
     stations = len(rotor.blade.r_over_R.value)
     for key, value in values.items():
         *path, last = key.split(".")
@@ -453,7 +469,8 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
             table = table.get(part) if isinstance(table, dict) else None
         if not isinstance(table, dict) or last not in table:
             known = (
-                "name, blades, radius, hub_cutout, blade.r_over_R, blade.chord, blade.twist, blade.airfoils"
+                "name, blades, radius, hub_cutout, trailing_edge, blade.r_over_R, blade.chord, blade.twist, "
+                "blade.airfoils"
             )
             raise InputError("replace", key, "no such key", f"use one of: {known}")
         if last == "airfoils":

@@ -106,44 +106,46 @@ def stations_picture(result: RotorResult) -> Figure:
 def fit_picture(found: RotorFit) -> Figure:
     """Draw what a bench measured over speed, what was predicted before, and what the fit says with its 90 % interval.
 
-    One colour for each pitch setting.
+    One colour for each pitch setting; of a tunnel over the advance ratio, one for each pitch and speed.
     """
     m = found.measured
     figure = _figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
-    pitches = np.unique(np.round(m.pitch_rad, 6))
-    for k, pitch in enumerate(pitches):
-        here = np.abs(m.pitch_rad - pitch) < 1e-5
-        low, high = m.speed_rad_s[here].min(), m.speed_rad_s[here].max()
-        speed = np.linspace(0.9 * low, 1.1 * high, 25)
+    over_J = 2.0 * math.pi * m.climb_m_s / (2.0 * found.rotor.radius_m * m.speed_rad_s)
+    along = over_J if m.axial else m.speed_rad_s / RPM
+    kinds = np.round(m.pitch_rad, 6), np.round(np.log(m.speed_rad_s) / 0.05) * m.axial
+    groups, member = np.unique(np.stack(kinds), axis=1, return_inverse=True)
+    for k in range(groups.shape[1]):
+        here = np.flatnonzero(member.ravel() == k)
+        pitch, mean_speed = m.pitch_rad[here[0]], float(m.speed_rad_s[here].mean())
+        low, high = along[here].min(), along[here].max()
+        x = np.linspace(low, high, 25) if m.axial else np.linspace(0.9 * low, 1.1 * high, 25)
+        speed = np.full(25, mean_speed) if m.axial else x * RPM
+        climb = x * found.rotor.radius_m * speed / math.pi if m.axial else np.zeros(25)
         band = interval(
-            found.rotor, pitch_rad=pitch, speed_rad_s=speed, air=found.air, n_crit=found.fit.n_crit
-        )
+            found.rotor, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=found.air,
+            n_crit=found.fit.n_crit,
+        )  # fmt: skip
         rows = (
-            (m.thrust_N, found.before[0], band.thrust_N, band.thrust_low_N, band.thrust_high_N, 1.0),
-            (m.torque_Nm, found.before[1], band.torque_Nm, band.torque_low_Nm, band.torque_high_Nm, 1e3),
+            (m.thrust_N, band.thrust_N, band.thrust_low_N, band.thrust_high_N, 1.0),
+            (m.torque_Nm, band.torque_Nm, band.torque_low_Nm, band.torque_high_Nm, 1e3),
         )
-        for ax, (measured, before, mean, below, above, scale) in zip(axes, rows, strict=True):
+        given = np.stack((m.thrust_N, m.torque_Nm)) + found.before * found.size
+        order = here[np.argsort(along[here])]
+        for ax, (measured, mean, below, above, scale), before in zip(axes, rows, given, strict=True):
             colour, first = f"C{k % 10}", k == 0
-            ax.fill_between(speed / RPM, scale * below, scale * above, color=colour, alpha=0.2, lw=0)
-            ax.plot(speed / RPM, scale * mean, color=colour, label="fitted, 90 % interval" if first else None)
-            order = np.argsort(m.speed_rad_s[here])
+            ax.fill_between(x, scale * below, scale * above, color=colour, alpha=0.2, lw=0)
+            ax.plot(x, scale * mean, color=colour, label="fitted, 90 % interval" if first else None)
             ax.plot(
-                m.speed_rad_s[here][order] / RPM, scale * (measured * (1 + before))[here][order], ":", color=colour,
-                marker=".", label="as given" if first else None,
+                along[order], scale * before[order], ":", color=colour, marker=".",
+                label="as given" if first else None,
             )  # fmt: skip
             label = "measured" if first else None
-            ax.plot(
-                m.speed_rad_s[here] / RPM, scale * measured[here], "o", color=colour, mfc="none", label=label
-            )
-            ax.annotate(
-                f"{math.degrees(pitch):.3g}°",
-                (speed[-1] / RPM, scale * mean[-1]),
-                color=colour,
-                fontsize="small",
-            )
+            ax.plot(along[here], scale * measured[here], "o", color=colour, mfc="none", label=label)
+            text = f"{mean_speed / RPM:.0f} rpm" if m.axial else f"{math.degrees(pitch):.3g}°"
+            ax.annotate(text, (x[-1], scale * mean[-1]), color=colour, fontsize="small")
     for ax, label in zip(axes, ("Thrust (N)", "Torque (mN m)"), strict=True):
-        ax.set_xlabel("Speed (rpm)")
+        ax.set_xlabel("Advance ratio V / (n D)" if m.axial else "Speed (rpm)")
         ax.set_ylabel(label)
         ax.margins(x=0.1)
         ax.grid(alpha=0.3)

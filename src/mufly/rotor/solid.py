@@ -21,6 +21,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -254,6 +255,14 @@ def write_stl(path: str | Path, solid: Solid, name: str = "mufly") -> None:
     Path(path).write_bytes(head + struct.pack("<I", corners.shape[0]) + table.tobytes())
 
 
+def _build123d() -> Any:
+    try:
+        import build123d
+    except ImportError as error:
+        raise MuflyError(f"STEP needs build123d ({error}); pip install 'mufly[cad]'") from None
+    return build123d
+
+
 def write_step(path: str | Path, sections: Array) -> None:
     """Write a blade as a STEP file in mm: contours, (stations, points, 3), splined on both sides and lofted.
 
@@ -262,10 +271,7 @@ def write_step(path: str | Path, sections: Array) -> None:
     MuflyError
         If build123d (the extra ``cad``) is not there, or makes no body of them.
     """
-    try:
-        import build123d as cad
-    except ImportError as error:
-        raise MuflyError(f"STEP needs build123d ({error}); pip install 'mufly[cad]'") from None
+    cad = _build123d()
     half = sections.shape[1] // 2
     wires = []
     for ring in _MM * sections:
@@ -279,6 +285,29 @@ def write_step(path: str | Path, sections: Array) -> None:
         raise MuflyError("the stations make no valid body; give fewer stations")
     if not cad.export_step(body, str(path)):
         raise MuflyError(f"{path}: could not be written")
+
+
+def read_step(path: str | Path) -> Array:
+    """Triangles of a STEP file's bodies within 0.01 mm and 0.1 rad: corners, (n, 3, 3) array (m).
+
+    Raises
+    ------
+    MuflyError
+        If build123d (the extra ``cad``) is not there.
+    InputError
+        If the file holds no body.
+    """
+    where, cad = Path(path).name, _build123d()
+    if not Path(path).is_file():
+        raise InputError(where, "", "is not there", "give a STEP file")
+    try:
+        points, faces = cad.import_step(str(path)).tessellate(0.01, 0.1)
+    except Exception as error:  # OCP raises classes of its own
+        raise InputError(where, "", f"cannot be read ({error})", "give a STEP file of a body") from None
+    if not faces:
+        raise InputError(where, "", "holds no body", "give a STEP file of a body")
+    xyz = np.array([(p.X, p.Y, p.Z) for p in points])
+    return np.asarray(xyz[np.array(faces)] / _MM, dtype=np.float64)
 
 
 def read_stl(path: str | Path, unit_m: float = 1e-3) -> Array:
@@ -381,7 +410,7 @@ def _nose_ahead(loop: Array, i: int, j: int) -> float:
     return math.copysign(1.0, -chord[1]) if chord[1] else 0.0
 
 
-def rotor_of_stl(
+def rotor_of_body(
     path: str | Path,
     *,
     stations: int = 15,
@@ -395,10 +424,10 @@ def rotor_of_stl(
     Parameters
     ----------
     path : str or Path
-        STL file; the shaft along z through the origin, thrust upwards.
+        STL or STEP file; the shaft along z through the origin, thrust upwards.
     stations : int
     unit_m : float
-        What one of the file is.
+        What one of an STL file is; a STEP file says it.
     folder : str or Path
         For the contours, ``NAME-K.dat``, to which the rotor refers.
     blades : int, optional
@@ -415,10 +444,11 @@ def rotor_of_stl(
     Raises
     ------
     InputError
-        If the file is no STL, or no plane cuts a closed section.
+        If the file holds no body, or no plane cuts a closed section.
     """
     where, called = Path(path).name, name or Path(path).stem
-    corners = read_stl(path, unit_m)
+    step = Path(path).suffix.lower() in (".step", ".stp")
+    corners = read_step(path) if step else read_stl(path, unit_m)
     radius = float(corners[:, :, 0].max())
     if not radius > 0.0:
         raise InputError(where, "", "has nothing at x > 0", "let the blade lie along x, the shaft along z")

@@ -123,7 +123,8 @@ def interval(
 
     For a rotor that was fitted to a bench (:func:`mufly.rotor.fit_rotor`) it is made of what that left open: the five
     numbers, the sections that would do as well, and the scatter; outside the range that was measured the method's own
-    doubt comes back, wholly 5 degrees of pitch or a factor of two in speed away. Otherwise from the causes above.
+    doubt comes back, wholly 5 degrees of pitch, a factor of two in speed or an airspeed of 0.1 of the tips' away.
+    Otherwise from the causes above.
 
     Parameters
     ----------
@@ -173,7 +174,8 @@ def interval(
             out = hover_batch(blading, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=air)
             return np.stack((out.thrust_N, out.torque_Nm))
 
-        values, parts = _after_bench(rotor, rotor.fit, at, pitch, speed, unsure)
+        ratio = climb / (rotor.radius_m * speed)
+        values, parts = _after_bench(rotor, rotor.fit, at, (pitch, speed, ratio), unsure)
         return _band(values, parts, level)
     nominal = prepare(rotor, n_crit=n_crit, engine=engine, corrections=fixes)
 
@@ -243,9 +245,14 @@ def _band(
 
 
 def _after_bench(
-    rotor: Rotor, fit: SectionFit, at: Callable[[Rotor], Array], pitch: Array, speed: Array, unsure: Doubt
+    rotor: Rotor,
+    fit: SectionFit,
+    at: Callable[[Rotor], Array],
+    points: tuple[Array, Array, Array],
+    unsure: Doubt,
 ) -> tuple[Array, dict[str, Array]]:
     """Prediction of a fitted rotor and the standard deviation that each cause brings, (2, n) each."""
+    pitch, speed, climb = points
     weights = np.array([c.probability for c in fit.candidates])
     means, within = [], []
     for candidate in fit.candidates:
@@ -270,7 +277,8 @@ def _after_bench(
         np.maximum(fit.pitch_rad[0] - pitch, pitch - fit.pitch_rad[1]), 0.0
     ) / math.radians(5.0)
     off_speed = np.maximum(np.maximum(fit.speed_rad_s[0] / speed, speed / fit.speed_rad_s[1]), 1.0)
-    away = np.minimum(np.hypot(off_pitch, np.log2(off_speed)), 1.0)
+    off_climb = np.maximum(np.maximum(fit.climb_ratio[0] - climb, climb - fit.climb_ratio[1]), 0.0) / 0.1
+    away = np.minimum(np.sqrt(off_pitch**2 + np.log2(off_speed) ** 2 + off_climb**2), 1.0)
     value = means[0]
     method = np.array([[unsure.method_thrust], [unsure.method_torque]]) * away * np.abs(value)
     return value, {

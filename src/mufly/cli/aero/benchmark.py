@@ -47,7 +47,10 @@ def benchmark(
             "scored on the rest.",
         ),
     ] = False,
-    n_crit: Annotated[float, option("--n-crit N", "Transition, for bemt and wake.")] = 0.1,
+    n_crit: Annotated[
+        float | None,
+        option("--n-crit N", "Transition, for bemt and wake; default 0.1, and that of the air in tunnels."),
+    ] = None,
     limit: Annotated[float, option("S", "Seconds that a command may take for one rotor.", min=0.1)] = 600.0,
     out: OutOption = None,
     as_json: JsonOption = False,
@@ -191,7 +194,7 @@ def _points_csv(scores: list[Score], path: Path) -> Path:
     return write_csv(path, heads, rows)
 
 
-def _code(text: str, n_crit: float, limit_s: float) -> Code:
+def _code(text: str, n_crit: float | None, limit_s: float) -> Code:
     from mufly.study.benchmark import Code, code_of
 
     name, _, what = text.rpartition("=")

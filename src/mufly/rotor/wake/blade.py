@@ -169,7 +169,8 @@ def _sections(
         zero += weight * (blades.zero_lift_rad[second] - zero)
         thick = blades.thickness[first]
         thick += weight * (blades.thickness[second] - thick)
-        section = Section(first, second, weight, zero, rotation[i], lift, drag, thick)
+        edge = blades.edge_drag[which, i]
+        section = Section(first, second, weight, zero, rotation[i], lift, drag, thick, edge)
         out[i, 0], out[i, 1] = section_coefficients(alpha[i], log_re[i], mach[i], section, blades.polars)
 
 

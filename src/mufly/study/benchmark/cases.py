@@ -17,7 +17,7 @@ all of them on, so each has the place where it is to be had.
 Sections of the propellers are not recorded. What is assumed of each (:data:`SECTIONS`) was written down before any
 result was seen, with one exception: the GWS propellers were at first taken as thin plates like the others (all 17: c_T
 15.6 %, c_P 17.4 %), and then, seeing that the shallowest was far off, as what moulded thermoplastic blades are,
-flat-bottomed.
+flat-bottomed. Trailing edges of moulded, printed and formed blades are taken as :data:`EDGE_M` thick.
 """
 
 from __future__ import annotations
@@ -55,7 +55,13 @@ SECTIONS: dict[str, tuple[str, str, bool]] = {
         True,
     ),  # NACA Report 640: Clark Y, 9 % thick over the outer half
     "apcff": ("APC", "naca4412", False),  # APC's own pages: close to NACA 4412 and Clark Y
-    "apc": ("APC", "naca4412", False),
+    # The same pages: thin electric, slow-fly and multi-rotor blades blend E63 (inboard) with Clark Y (outboard)
+    "apce": ("APC thin", "e63>clarky", False),
+    "apcsf": ("APC thin", "e63>clarky", False),
+    "apcmr": ("APC thin", "e63>clarky", False),
+    # and the others' zero-lift angle is one degree beyond that of NACA 4412 and Clark Y
+    "apc": ("APC", "naca5412", False),
+    "gwssf": ("GWS slow-flyer", "naca5503", False),  # cambered plates
     "gwsdd": ("GWS", "clarky+thick8", False),  # moulded, flat-bottomed; 1 mm on 12 mm of chord
     "gws": ("GWS", "clarky+thick8", False),
     "mi_": ("Micro Invent", "naca5503", False),  # thin sheet or shell, cambered: 5 % camber, 3 % thick
@@ -71,6 +77,8 @@ SECTIONS: dict[str, tuple[str, str, bool]] = {
     ),  # stand-ins of its source: GOE 450, GOE 408 at the two outermost
 }
 _ANY = ("other", "naca4412", False)
+EDGE_M = 3e-4
+"""Trailing edge of propellers: what moulds fill and printers print; judgement, not measured on any."""
 
 SOURCES = {
     "uiuc_micro": "UIUC Propeller Data Site, volume 2: https://m-selig.ae.illinois.edu/props/volume-2/propDB-volume-2.html",
@@ -98,6 +106,8 @@ class RotorCase:
     air : Air
     advancing : tuple of Measurements
         Runs in a tunnel at one speed each, rising in airspeed.
+    turbulence : float
+        Of that tunnel, rms over mean speed. UIUC's is below 0.1 % (Brandt and Selig, AIAA 2011-1255).
     """
 
     name: str
@@ -108,6 +118,7 @@ class RotorCase:
     measured: Measurements
     air: Air = AIR
     advancing: tuple[Measurements, ...] = ()
+    turbulence: float = 0.001
 
 
 def rows_of(path: Path) -> Array:
@@ -179,6 +190,12 @@ def section_of(name: str) -> tuple[str, str, bool]:
     return next((v for k, v in SECTIONS.items() if name.startswith(k)), _ANY)
 
 
+def _named(section: str, x: Array) -> tuple[str, ...]:
+    """Airfoils of stations at r/R; ``a>b`` is a on the inner half and b on the outer."""
+    inner, both, outer = section.partition(">")
+    return tuple(inner if at < 0.5 else outer for at in x) if both else (inner,)
+
+
 def _rotor(
     name: str, blades: int, radius: float, x0: float, x: ArrayLike, c: ArrayLike, deg: ArrayLike, *foils: str
 ) -> Rotor:
@@ -230,7 +247,9 @@ def propellers(folder: Path) -> list[RotorCase]:
         name, radius = row["name"], float(row["diameter_m"]) / 2
         g, m = rows_of(home / row["geometry"]), rows_of(home / f"{name}_static.csv")
         family, section, known = section_of(name)
-        rotor = _rotor(name, int(row["blades"]), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], section)
+        foils = _named(section, g[:, 0])
+        rotor = _rotor(name, int(row["blades"]), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils)
+        rotor = replace_rotor(rotor, {"trailing_edge": EDGE_M}, source="estimated")
         n, d = m[:, 0] / 60, 2 * radius
         rho = AIR.density_kg_m3
         thrust, torque = m[:, 1] * rho * n**2 * d**4, m[:, 2] / (2 * np.pi) * rho * n**2 * d**5
@@ -259,8 +278,11 @@ def uiuc_files(folder: Path) -> Iterator[RotorCase]:
             continue
         diameter = float(size[1]) * (_INCH if float(size[1]) < 30.0 else 1e-3)
         family, section, known = section_of(name)
-        rotor = read_blade(geometry, radius_m=0.5 * diameter, blades=blades, airfoil=section, name=name).rotor
-        rotor = replace_rotor(rotor, {"hub_cutout.value": 0.15})
+        rotor = read_blade(geometry, radius_m=0.5 * diameter, blades=blades, name=name).rotor
+        foils = _named(section, rotor.blade.r_over_R.array())
+        rotor = replace_rotor(
+            rotor, {"hub_cutout": 0.15, "trailing_edge": EDGE_M, "blade.airfoils": foils}, source="estimated"
+        )
         points = [
             read_measurements(run, diameter_m=diameter, density_kg_m3=AIR.density_kg_m3) for run in runs
         ]

@@ -39,7 +39,8 @@ Array = NDArray[np.float64]
 
 Question = dict[str, Any]
 """name, blades, radius_m, hub_radius_m; (stations,) lists r_m, chord_m, twist_rad, airfoils (names); contours (name to
-(n, 2) list, Selig order); (points,) lists pitch_rad, speed_rad_s, climb_m_s (along the shaft);
+(n, 2) list, Selig order); (points,) lists pitch_rad, speed_rad_s, climb_m_s (along the shaft); turbulence of the tunnel
+(rms over mean speed; None in hover);
 density_kg_m3, viscosity_Pa_s, sound_m_s."""
 
 
@@ -61,8 +62,11 @@ class Code:
     slow: bool = False
 
 
-def code_of(text: str, *, n_crit: float = 0.1, limit_s: float = 600.0) -> Code:
+def code_of(text: str, *, n_crit: float | None = None, limit_s: float = 600.0) -> Code:
     """Return the code that a text names: ``[NAME=]WHAT``, WHAT as in the module docstring.
+
+    ``n_crit``: transition of our methods; by default :data:`HOVER_N_CRIT` in hover, where a rotor works in its own wake
+    and in the air that it has stirred, and in a tunnel what the tunnel's turbulence makes it (:func:`mack_n_crit`).
 
     Raises
     ------
@@ -116,15 +120,29 @@ def question_of(case: RotorCase) -> Question:
         "pitch_rad": case.measured.pitch_rad.tolist(),
         "speed_rad_s": case.measured.speed_rad_s.tolist(),
         "climb_m_s": case.measured.climb_m_s.tolist(),
+        "turbulence": case.turbulence if case.measured.axial else None,
         "density_kg_m3": case.air.density_kg_m3,
         "viscosity_Pa_s": case.air.viscosity_Pa_s,
         "sound_m_s": case.air.sound_m_s,
     }
 
 
-def _ours(method: Method, n_crit: float) -> Callable[[RotorCase], Prediction]:
+HOVER_N_CRIT = 0.1
+
+
+def mack_n_crit(turbulence: float) -> float:
+    """n_crit in a stream of a turbulence (rms over mean speed): -8.43 - 2.4 ln Tu (Mack, AGARD R-709, 1984).
+
+    Holds from 0.07 to 2.98 %, where it is 0."""
+    return -8.43 - 2.4 * math.log(min(max(turbulence, 7e-4), 0.0298))
+
+
+def _ours(method: Method, n_crit: float | None) -> Callable[[RotorCase], Prediction]:
     def predict(case: RotorCase) -> Prediction:
-        out = compare(prepare(case.rotor, n_crit=n_crit), case.measured, air=case.air, method=method)
+        chosen = n_crit
+        if chosen is None:
+            chosen = mack_n_crit(case.turbulence) if case.measured.axial else HOVER_N_CRIT
+        out = compare(prepare(case.rotor, n_crit=chosen), case.measured, air=case.air, method=method)
         return Prediction(out.thrust_N, out.torque_Nm, "; ".join(dict.fromkeys(f for f in out.faults if f)))
 
     return predict
