@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.errors import InputError
 from mufly.results import result
 from mufly.rotor.bemt import hover_batch
-from mufly.rotor.blading import Corrections, prepare
+from mufly.rotor.blading import Blading, Corrections, prepare
 from mufly.rotor.families import BETWEEN, DRAG_PER_THICKNESS, ZERO_LIFT_PER_CAMBER, section_weights
 from mufly.rotor.geometry import Candidate, Rotor, SectionFit, replace_rotor
 from mufly.rotor.sections import engines
@@ -179,7 +179,7 @@ def interval(
         return _band(values, parts, level)
     nominal = prepare(rotor, n_crit=n_crit, engine=engine, corrections=fixes)
 
-    def solve(blading=nominal, turned: float = 0.0) -> tuple[Array, Array]:  # type: ignore[no-untyped-def]
+    def solve(blading: Blading = nominal, turned: float = 0.0) -> tuple[Array, Array]:
         out = hover_batch(blading, pitch_rad=pitch + turned, speed_rad_s=speed, climb_m_s=climb, air=air)
         return out.thrust_N, out.torque_Nm
 

@@ -202,7 +202,7 @@ def _sampled(A: Array, B: Array, sample_s: float, late: int) -> tuple[Array, Arr
 
 
 @compiled(error_model="numpy")
-def _deviation(x, hover, height, yaw, off):  # type: ignore[no-untyped-def]
+def _deviation(x: _Floats, hover: _Floats, height: float, yaw: float, off: _Floats) -> None:
     """Write the linear model's states but the charge, as deviations from the hover at the present heading."""
     a = rotation(x[6:10])
     roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
@@ -219,7 +219,21 @@ def _deviation(x, hover, height, yaw, off):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _fly(x, hover, trimmed, gain, added, p, late, dt, steps, height, states, inputs, voltage):  # type: ignore[no-untyped-def]
+def _fly(
+    x: _Floats,
+    hover: _Floats,
+    trimmed: _Floats,
+    gain: _Floats,
+    added: _Floats,
+    p: Any,
+    late: int,
+    dt: float,
+    steps: int,
+    height: float,
+    states: _Floats,
+    inputs: _Floats,
+    voltage: _Floats,
+) -> None:
     n, calm, off, yaw = added.shape[0], np.zeros(3), np.zeros(gain.shape[1]), 0.0
     for k in range(n):
         states[k] = x
@@ -240,7 +254,21 @@ def _fly(x, hover, trimmed, gain, added, p, late, dt, steps, height, states, inp
 
 
 @compiled(parallel=True, error_model="numpy")
-def _fly_all(x, hover, trimmed, gain, added, p, late, dt, steps, height, states, inputs, voltage):  # type: ignore[no-untyped-def]
+def _fly_all(
+    x: _Floats,
+    hover: _Floats,
+    trimmed: _Floats,
+    gain: _Floats,
+    added: _Floats,
+    p: Any,
+    late: int,
+    dt: float,
+    steps: int,
+    height: float,
+    states: _Floats,
+    inputs: _Floats,
+    voltage: _Floats,
+) -> None:
     for b in prange(x.shape[0]):
         one = states[b], inputs[b], voltage[b]
         _fly(x[b], hover, trimmed, gain, added[b], p[b], late, dt, steps, height, *one)

@@ -32,6 +32,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numba import prange
@@ -52,7 +53,7 @@ _LOST = 1e6  # stands for the output of a flight that has diverged
 
 
 @compiled(error_model="numpy")
-def _lag_line(z):  # type: ignore[no-untyped-def]
+def _lag_line(z: float) -> tuple[float, float]:
     """Return ``A, B`` of the module docstring for ``z = h/T``."""
     if z < 0.05:
         m0 = 1.0 - z / 2.0 + z * z / 6.0 - z**3 / 24.0 + z**4 / 120.0
@@ -65,7 +66,9 @@ def _lag_line(z):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _integrate(x, u, p, length, longest, calm, work):  # type: ignore[no-untyped-def]
+def _integrate(
+    x: _Array, u: _Array, p: Any, length: float, longest: float, calm: _Array, work: _Array
+) -> None:
     """Integrate ``x`` in place over ``length`` seconds with the input held."""
     k1, k2, k3, k4, y = work[0], work[1], work[2], work[3], work[4]
     steps = max(1, math.ceil(length / longest - 1e-9))
@@ -106,7 +109,7 @@ def _integrate(x, u, p, length, longest, calm, work):  # type: ignore[no-untyped
 
 
 @compiled(error_model="numpy")
-def _set_attitude(x, roll, pitch, yaw):  # type: ignore[no-untyped-def]
+def _set_attitude(x: _Array, roll: float, pitch: float, yaw: float) -> None:
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
     cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
     cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
@@ -117,7 +120,7 @@ def _set_attitude(x, roll, pitch, yaw):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _observe(x, u, p, codes, last_yaw, y):  # type: ignore[no-untyped-def]
+def _observe(x: _Array, u: _Array, p: Any, codes: NDArray[np.int64], last_yaw: float, y: _Array) -> float:
     """Write the outputs with these codes (positions in ``OUTPUTS``) into ``y``; return the continuous yaw."""
     w, i, j, k = x[6], x[7], x[8], x[9]
     yaw = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
@@ -148,7 +151,21 @@ def _observe(x, u, p, codes, last_yaw, y):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, path, codes, y):  # type: ignore[no-untyped-def]
+def _fly(
+    x: _Array,
+    p: Any,
+    u: _Array,
+    motor_hold: _Array,
+    delay: float,
+    dt: float,
+    longest: float,
+    starts: NDArray[np.int64],
+    motion: _Array,
+    mast: _Array,
+    path: _Array,
+    codes: NDArray[np.int64],
+    y: _Array,
+) -> None:
     n = u.shape[0]
     work = np.empty((5, 21))
     calm = np.zeros(3)
@@ -210,7 +227,21 @@ def _fly(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, path, co
 
 
 @compiled(parallel=True, error_model="numpy")
-def _fly_batch(x, p, u, motor_hold, delay, dt, longest, starts, motion, mast, path, codes, y):  # type: ignore[no-untyped-def]
+def _fly_batch(
+    x: _Array,
+    p: Any,
+    u: _Array,
+    motor_hold: _Array,
+    delay: _Array,
+    dt: float,
+    longest: float,
+    starts: NDArray[np.int64],
+    motion: _Array,
+    mast: _Array,
+    path: _Array,
+    codes: NDArray[np.int64],
+    y: _Array,
+) -> None:
     for b in prange(x.shape[0]):
         _fly(x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], mast, path, codes, y[b])
 

@@ -30,7 +30,7 @@ _contribution = cuda.jit(contribution, device=True)  # type: ignore[no-untyped-c
 
 
 @cuda.jit
-def _induce(points, start, end, strength, core, out):  # type: ignore[no-untyped-def]
+def _induce(points: Array, start: Array, end: Array, strength: Array, core: Array, out: Array) -> None:
     i = cuda.grid(1)  # type: ignore[attr-defined]
     if i >= points.shape[0]:
         return
