@@ -204,12 +204,16 @@ def watched(
 def test_what_is_said_of_sensors_comes_soon_and_once() -> None:
     told = watched(lambda t: "missing" if 1.0 <= t < 3.0 else "fused", 6.0, SensorWatch())
     assert [text for _, text in told] == ["laser ring says nothing: why", "laser ring is used again"]
-    assert told[0][0] == pytest.approx(1.0 + BAD_S, abs=0.02)
+    assert told[0][0] == pytest.approx(1.0 + BAD_S / 4, abs=0.02)  # it has been waited for already
     assert told[1][0] == pytest.approx(3.0 + GOOD_S, abs=0.02)
     # one reading of 15 Hz that does not fit, every second, is no event; one in four is, and only one
     assert not watched(lambda t: "rejected" if t % 1.0 < 0.066 else "fused", 60.0, SensorWatch())
     told = watched(lambda t: "rejected" if t % 0.266 < 0.066 else "fused", 60.0, SensorWatch())
     assert [text for _, text in told] == ["laser ring is not believed: why"]
+    watch, odd = SensorWatch(), (Check("rates", "fused", reason="has spikes", odd=True),)
+    said = [text for _ in range(100) for text, _ in watch.step(odd, 0.005)]
+    assert said == ["gyroscope is used, but something is wrong: has spikes"]
+    assert not watch.calm(odd)
 
 
 def test_smoothing_lets_motion_through_and_spreads_corrections() -> None:

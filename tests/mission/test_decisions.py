@@ -158,6 +158,22 @@ def test_a_take_off_that_hangs_half_way_lands_8_s_and_half_a_climb_late(rig, mor
     assert ("0.60 m high in place of 1.00 m" in s.reason) is (state == "landing")
 
 
+@pytest.mark.parametrize(
+    ("height", "moves", "motors"), [(0.1, 0.0, "off"), (0.1, 0.06, "fly"), (1.0, 0.0, "fly")]
+)
+def test_what_does_not_sink_any_more_lies_on_something(rig, height, moves, motors):
+    """A box, or a floor that is believed to be lower; what sinks, or waits far up to be told to, does not lie."""
+    plan = rig.plan_for(mission_from(TWO))
+    s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
+    s = replace(s, state=State.LANDING, motors="fly", hold=(0.0, 0.0, -0.05 if height < 0.5 else -1.07))
+    for k in range(200):
+        m = replace(measured(0.02 * k, (0.0, 0.0, -0.07 - height)), velocity=np.array([0.0, 0.0, moves]))
+        s, r = step(plan, s, m, Command())
+        if height > 0.5 and s.hold[2] > -0.07 - height + 0.2:
+            break
+    assert r.motors == motors
+
+
 @pytest.mark.parametrize(("rise", "state"), [(0.15, "take-off"), (0.25, "obstacle")])
 def test_a_take_off_gives_way_once_it_is_off_its_legs(rig, rise, state):
     plan = rig.plan_for(mission_from(TWO))

@@ -36,6 +36,8 @@ class Check:
         Since the last measurement that was used (s).
     reason : str
         Why it is so, in plain words; empty while all is well.
+    odd : bool
+        Whether something is wrong with it though it is fused: the reason says what.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Check:
     ratio: float = 0.0
     age_s: float = 0.0
     reason: str = ""
+    odd: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +112,8 @@ _WORDS: Mapping[int, Callable[[float, str], str]] = {
 }
 
 REASONS = len(_WORDS)
+ODD = (g.DOUBLED, g.SPIKES, g.JUMPED, g.STRAINED)
+"""Reasons of sensors that are fused though something is wrong with them; that some clip is usual, and weighed."""
 
 
 class Checks(Sequence[Check]):
@@ -166,7 +171,7 @@ def _check(k: int, row: Sequence[float], dt: float, tick: int) -> Check:
         why = g.FINE if came else g.NOTHING_YET
     return Check(
         CHECKED[k], _STATUS[int(code)], nu, spread, nu / spread if spread > 0.0 else 0.0,
-        (tick - int(used)) * dt, reason(int(why), number, k),
+        (tick - int(used)) * dt, reason(int(why), number, k), code == g.FUSED and int(why) in ODD,
     )  # fmt: skip
 
 

@@ -85,12 +85,15 @@ STUCK = 1e-11
 """Chance that a sonar that works repeats itself for so long."""
 CLEAR = 0.15
 """Height (m) above which no leg touches: what turns it then is in the flight model."""
+LED_SPEED, LED_FORCE, LED_THRUST = 0.3, 0.3, 0.1
+"""What speed (m/s), accelerometers (m/s^2) and thrust (1) may be off by where the height is led away."""
 SUDDEN, MOST_STEPS = 3.0, 8
 """Deviations of the sonar beyond which it is the surface that jumps, over an edge; how often it may."""
 LIFTS, LIFTS_OFF = 1.08, 0.08
 """What rotors lift, of the weight, as the sonar says that it leaves the floor, and what share of it that is off by."""
 _BEAM_GATE = 4.0
-_LEAST_FLOOR = -0.1  # m: a room has nothing below its floor
+LEAST_FLOOR = -0.1
+"""A room has nothing below its floor (m)."""
 
 
 @compiled(error_model="numpy")
@@ -169,6 +172,8 @@ def _reject(m, s, k, innovation, z, count, near):  # type: ignore[no-untyped-def
     else:
         m.agree[k] = 0
         m.since[k] = m.horizon
+    if k != R_SONAR and abs(innovation) > 2.0 * GATE * m.spread[k]:
+        m.doubt[k] += 1.0  # by so much nothing healthy is off, but for a sonar that hears a second surface
     misfits(m, s, k, OFF, innovation)
 
 
@@ -330,6 +335,15 @@ def _repeats(m, s, z, nu):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
+def _led_away(m, nu):  # type: ignore[no-untyped-def]
+    """The height is led away by ``nu``: by a force that is not as it is believed."""
+    loosen(m.ut, m.d, P + 2, nu * nu, m.f)
+    loosen(m.ut, m.d, V + 2, LED_SPEED * LED_SPEED, m.f)
+    loosen(m.ut, m.d, ACCEL + 2, LED_FORCE * LED_FORCE, m.f)
+    loosen(m.ut, m.d, THRUST_, LED_THRUST * LED_THRUST, m.f)
+
+
+@compiled(error_model="numpy")
 def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
     """Height above what lies below; a step that nothing else saw is the floor's."""
     k = R_SONAR
@@ -353,16 +367,21 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
     if _repeats(m, s, z[0], nu):
         flag(m, s, k, FAULTY, STUCK_, z[0])
         return
-    # Always off to the same side: the surface slopes, or the sonar drifts. Either way it is not the height.
+    floor = m.x[16] - nu
+    over = m.edge > 0.0 or abs(m.x[16]) > LOW
+    # Always off to the same side: over an edge it is the surface. Tops are flat, so else it is the height, which a
+    # force carries away that is not as it is believed: the accelerometers' or the model's.
     if abs(ratio) < GATE:
         m.lean += 0.2 * (ratio - m.lean)
     if abs(m.lean) > LEAN:
         m.lean = 0.0
-        m.edge = 1.0
         flag(m, s, k, FUSED, SLOPE, nu)
-    floor = m.x[16] - nu
-    over = m.edge > 0.0 or abs(m.x[16]) > LOW
-    if over and abs(ratio) > SUDDEN and m.steps < MOST_STEPS and floor > _LEAST_FLOOR:
+        if over:
+            m.edge = 1.0
+        else:
+            _led_away(m, nu)
+            _sonar_row(m, s, r)
+    if over and abs(ratio) > SUDDEN and m.steps < MOST_STEPS and floor > LEAST_FLOOR:
         # Over an object it is the surface that jumps.
         m.steps += 1
         m.edge = 1.0
@@ -370,13 +389,17 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
         _sonar_row(m, s, r)
     elif abs(ratio) > GATE:
         _reject(m, s, k, nu, z, 1, 0.02 + 1.5 * s.period[k])
-        step = m.agree[k] >= 2 and floor > _LEAST_FLOOR
+        step = m.agree[k] >= 2 and floor > LEAST_FLOOR
         if step and m.steps >= MOST_STEPS:
             # Step after step: it is not the floor that goes, it is the height.
             loosen(m.ut, m.d, P + 2, nu * nu, m.f)
             loosen(m.ut, m.d, V + 2, 0.1, m.f)
             loosen(m.ut, m.d, THRUST_, 0.01, m.f)
             flag(m, s, k, REJECTED, TAKEN_OVER, nu)
+        elif step and nu > 0.0 and not over:
+            # Lower than the floor nothing lies.
+            _led_away(m, nu)
+            flag(m, s, k, FUSED, SLOPE, nu)
         elif step:
             loosen(m.ut, m.d, FLOOR, nu * nu, m.f)
             m.doubt[k] = 0.0
@@ -390,6 +413,8 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
                 loosen(m.ut, m.d, V + 2, 0.1 + nu * nu, m.f)
             flag(m, s, k, REJECTED, TAKEN_OVER, nu)
         else:
+            if m.agree[k] >= 2:
+                flag(m, s, k, REJECTED, OFF, nu)  # below the room's floor, and not by chance
             return
         _sonar_row(m, s, r)
     _take(m, nu, r_)
@@ -563,7 +588,10 @@ def fuse_rest(m, s, r, count, still, i):  # type: ignore[no-untyped-def]
     _take(m, -m.x[3 + i], 4e-4)
     _of(m, GYRO + i, 1.0)
     calm = s.rest_gyro * s.rest_gyro / count if still else 2.5e-5
-    _take(m, m.sum[i] - m.x[10 + i], calm * 2)
+    off = m.sum[i] - m.x[10 + i]
+    # With its rotors running it may slide and turn on its legs.
+    if still or abs(_ratio(m, off, calm * 2)) < GATE:
+        _take(m, off, calm * 2)
     if still and s.fitted[R_ACCELERATION] > 0:
         turn_matrix(m.x[6:10], r)
         # R^T (-g e_D), and d(R^T u) = R^T (u x t)

@@ -4,7 +4,7 @@
 |---|---|---|
 | no number, or beyond all bounds | at once | one reading |
 | frozen | the same to the last bit, of a sensor that has noise | three readings |
-| doubled | the same to the last bit, sooner than the sensor can measure | two readings; the second ones are left out |
+| doubled | the same to the last bit, sooner than the sensor can measure | two readings; none that repeats is used |
 | late | older than latency and jitter allow | one reading; used as long as the horizon has not passed it |
 | of no time | no age, one of the future, or of more than ten seconds | one reading; never used |
 | silent | nothing for six periods (:data:`Settings.patience`) | that |
@@ -60,14 +60,19 @@ _SPIKE, _ALIKE = 0.12, 0.06  # rad/s within a period, beyond what the model says
 _LARGEST_SHIFT = (
     5.0  # rad/s: no gyroscope is off by more; what jumps on and on follows a model that runs away
 )
+_LINGERS = 0.7  # of what was off in the period before
 _ROUGH = 3.0  # of the mean difference of some 50 ms
 _TURN_OFF = 0.02  # of a difference that is taken for an error of the model's moments
 _SHARE = 0.02  # of clipped samples that is told of
-ADRIFT, ADRIFT_S = 0.1, 3.0
-"""What the gyroscopes' bias may do once they have carried the filter astray (rad/s in a second), and for how long."""
+ADRIFT, ADRIFT_S, ONCE_ADRIFT = 0.1, 3.0, 0.03
+"""What the gyroscopes' bias may do once they have carried the filter astray (rad/s in a second), for how long, and what
+from then on: one that has drifted drifts."""
 ASTRAY_BIAS, ASTRAY_TURN, ASTRAY_SPEED = 0.15, 0.06, 0.3
 """By how much bias (rad/s), attitude (rad) and speed (m/s) may be off by then."""
-_ROTOR_OFF = 0.08  # of the hover speed
+_ROTOR_OFF, _ROTOR_SURE = 0.08, 0.02  # of the hover speed; of one that was off just now
+_ROTOR_LED, _ROTOR_MEAN_S, _ROTOR_KNOWN_S = 0.03, 4.0, 1.0
+"""By what acceleration (of the hover speed, 1/s) the motors' equations may be off more than in the mean over so long
+(s), and how long after lift-off that is known (s); flights in gusts need a fifth."""
 _VOLTS_OFF = 0.6
 
 
@@ -143,8 +148,9 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
             new[k] = 0
             flag(m, s, k, FAULTY, INSANE, 0.0)
         if new[k] == 1 and _repeated(m, s, z, k, start, count):
+            # Nothing new was measured: taken for new it would be the past, believed to be now.
+            new[k] = 0
             if (m.tick - m.came[k]) * s.dt < 0.6 * s.period[k]:
-                new[k] = 0
                 m.twice[k] += 1
                 if m.twice[k] >= 2:
                     flag(m, s, k, m.code[k], DOUBLED, 0.0)
@@ -153,11 +159,14 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
                 m.came[k] = m.tick
                 m.twice[k] = 0
                 if m.same[k] >= 2:
-                    new[k] = 0
                     flag(m, s, k, FAULTY, FROZEN, m.same[k] * s.period[k])
         elif new[k] == 1:
             m.same[k] = 0
-            if s.noisy[k] == 0 and m.came[k] > 0 and (m.tick - m.came[k]) * s.dt < 0.6 * s.period[k]:
+            if (
+                (s.noisy[k] == 0 or k == R_RING)
+                and m.came[k] > 0
+                and (m.tick - m.came[k]) * s.dt < 0.6 * s.period[k]
+            ):
                 new[k] = 0
                 m.twice[k] += 1
                 if m.twice[k] >= 3:
@@ -199,7 +208,7 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy")
 def go_astray(m, s):  # type: ignore[no-untyped-def]
     """Something carries the filter astray that it does not know, most likely the gyroscopes."""
-    if m.adrift == 0:
+    if m.adrift <= 1:
         for k in range(3):
             loosen(m.ut, m.d, GYRO + k, ASTRAY_BIAS * ASTRAY_BIAS, m.f)
             loosen(m.ut, m.d, TURN + k, ASTRAY_TURN * ASTRAY_TURN, m.f)
@@ -213,17 +222,19 @@ def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
     """Put what the model says in the place of a spike of the gyroscopes, and take off a jump; ``m.rates`` are the
     new, ``m.before`` the old."""
     now = (m.tick - 1) % MODELLED
-    worst = 0.0
+    worst, led = 0.0, 0.0
     for k in range(3):
         m.row[k] = m.before[k] + s.dt * m.force[now, 9 + k] + m.turn_off[k]
         off = m.rates[k] - m.row[k]
         worst = max(worst, abs(off))
+        # A spike may come in two steps, of which each would pass.
+        led = max(led, abs(_LINGERS * m.suspect[R_RATES, k] + off))
         # What its moments are off by, in flight and on the legs
         m.turn_off[k] += _TURN_OFF * min(max(off, -_SPIKE), _SPIKE) if m.mode >= LIGHT else 0.0
     # A model that is off again and again cannot tell a spike from a motion.
     most = _SPIKE + _ROUGH * m.rough
     m.rough += 0.1 * (min(worst, _SPIKE) - m.rough)
-    m.adrift = max(m.adrift - 1, 0)
+    m.adrift = max(m.adrift - 1, min(m.adrift, 1))  # once astray, it remembers
     if not flying or s.model == 0:
         m.spikes = 0
         return
@@ -231,7 +242,12 @@ def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
     for k in range(3):
         alike = alike and abs(m.rates[k] - m.spike[k]) < _ALIKE
         m.spike[k] = m.rates[k]
-    if worst < most:
+    fine = max(worst, led) < most
+    for k in range(3):
+        m.suspect[R_RATES, k] *= _LINGERS
+        if fine:
+            m.suspect[R_RATES, k] += m.rates[k] - m.row[k]
+    if fine:
         m.spikes = m.wild = 0
         return
     m.wild += 1
@@ -260,15 +276,31 @@ def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def rotor_fits(m, s, z, start):  # type: ignore[no-untyped-def]
-    """Whether the speeds that are read are those that the motors' equations make."""
-    worst = 0.0
-    for k in range(2):
-        worst = max(worst, abs(z[start + k] - m.rotor[18 + k]) / s.hover[k])
+    """Whether the speeds that are read are those that the motors' equations make.
+
+    What these are off by, an acceleration of each motor, is learnt within a second, and with it a reading that is led
+    away slowly; but in flight it hardly changes. ``m.suspect`` has its mean over some seconds.
+    """
+    worst, away = 0.0, 0.0
+    k = R_ROTOR
+    flown = (m.tick - m.since[R_ACCELERATION]) * s.dt
+    for j in range(2):
+        worst = max(worst, abs(z[start + j] - m.rotor[18 + j]) / s.hover[j])
+        away = max(away, abs(m.motor_off[j] - m.suspect[k, j]) / s.hover[j])
     # On the floor it is the equations that have to learn.
-    if worst > _ROTOR_OFF and m.mode == FLYING:
-        misfits(m, s, R_ROTOR, OFF, worst * s.hover[0])
-        return False
-    fits(m, R_ROTOR)
+    if m.mode == FLYING:
+        if flown > _ROTOR_KNOWN_S and away > _ROTOR_LED:
+            for j in range(2):
+                m.motor_off[j] = m.suspect[k, j]
+            misfits(m, s, k, OFF, worst * s.hover[0])
+            return False
+        if worst > (_ROTOR_SURE if m.doubt[k] > 0.5 else _ROTOR_OFF):
+            misfits(m, s, k, OFF, worst * s.hover[0])
+            return False
+    share = s.period[k] / max(min(flown, _ROTOR_MEAN_S), s.period[k])
+    for j in range(2):
+        m.suspect[k, j] += share * (m.motor_off[j] - m.suspect[k, j])
+    fits(m, k)
     return True
 
 

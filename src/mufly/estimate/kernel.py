@@ -26,6 +26,7 @@ from mufly.compiled import compiled
 from mufly.estimate.factors import carry, loosen, variance, wander
 from mufly.estimate.fusing import (
     CLEAR,
+    LEAST_FLOOR,
     LIFTS_OFF,
     fuse_fix,
     fuse_floor,
@@ -43,9 +44,13 @@ from mufly.estimate.guards import (
     ACTING,
     ADRIFT,
     FAULTY,
+    FINE,
     FUSED,
     LATE,
     MISSING,
+    OFF,
+    ONCE_ADRIFT,
+    REJECTED,
     flag,
     inspect,
     rotor_fits,
@@ -170,8 +175,8 @@ def _mode(m, s, z):  # type: ignore[no-untyped-def]
     off = z[ACTING] + z[ACTING + 1] < 0.02
     # Rotors that lift more than the model says fly sooner, others later.
     doubt = MOST_DOUBT * m.sigma[THRUST_] if s.model > 0 else 0.0
-    # What the sonar says is fresher than the height that is believed.
-    says = m.code[R_SONAR] == FUSED and height < BELIEVED_LOW
+    # What the sonar says is fresher than the height that is believed; but not one that sees below the floor.
+    says = m.code[R_SONAR] == FUSED and height < BELIEVED_LOW and m.x[16] > LEAST_FLOOR
     near = says and m.last[_Z[R_SONAR]] <= s.sonar_min + 0.5 * s.sonar_step
     clear = says and m.last[_Z[R_SONAR]] > s.sonar_min + LIFTED
     rises = 0.0
@@ -340,7 +345,8 @@ def _wander(m, s):  # type: ignore[no-untyped-def]
     m.x[k + 1] = s.start[k + 1] + (m.x[k + 1] - s.start[k + 1]) * s.keep[k]
     q = s.noise[k]
     if k < GYRO + 3 and m.adrift > 0:
-        q += ADRIFT * ADRIFT * (biases * s.dt)
+        may = ADRIFT if m.adrift > 1 else ONCE_ADRIFT
+        q += may * may * (biases * s.dt)
     if q > 0.0:
         wander(m.ut, m.d, k, s.keep[k], q, m.f)
 
@@ -490,6 +496,8 @@ def _scatter(m, s, z):  # type: ignore[no-untyped-def]
             if m.mode == FLYING and settled:
                 apart = abs(mean - m.x[13 + k]) - (ASUNDER + unknown)
                 density += max(apart, 0.0) * max(apart, 0.0)
+                if apart > (m.clipped[0] + m.clipped[1] + m.clipped[2]) * CLIPPED * s.felt_range:
+                    flag(m, s, R_ACCELERATION, REJECTED, OFF, mean - m.x[13 + k])
             density = min(density, 100.0)
             most = max(0.6 if density > m.slow[k] else 0.2, 1.0 / (m.slow_count + 1))
             m.slow_last[k] = mean
@@ -500,6 +508,8 @@ def _scatter(m, s, z):  # type: ignore[no-untyped-def]
                     _doubt_felt(m, s, k)
         m.slow_blocks = 0
         m.slow_count += 1
+        if m.code[R_ACCELERATION] == REJECTED and m.tick >= m.until[R_ACCELERATION]:
+            m.code[R_ACCELERATION], m.why[R_ACCELERATION] = FUSED, FINE
     if m.blocks >= LONGEST:
         span = m.blocks * s.dt
         for k in range(3):

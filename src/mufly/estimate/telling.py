@@ -78,8 +78,11 @@ def tell(m, s, r, a):  # type: ignore[no-untyped-def]
             m.out_rates[k] += s.lag * m.force[m.tick % MODELLED, 9 + k]
     turned(x, s.lag * m.out_rates[0], s.lag * m.out_rates[1], s.lag * m.out_rates[2], True)
     if s.model > 0 and x[16] < LOW:
-        # Legs do not go into the floor on the way either.
-        x[2] = min(x[2], -(max(x[16], 0.0) + s.stands))
+        # Legs do not go into the floor on the way either, nor on.
+        lowest = -(max(x[16], 0.0) + s.stands)
+        if x[2] >= lowest:
+            x[2] = lowest
+            x[5] = min(x[5], 0.0)
     _smooth(m, s)
     _angles(m)
     if much:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.errors import MuflyError
 from mufly.estimate import Check, Estimate
-from mufly.estimate.beliefs import REASONS, reason
+from mufly.estimate.beliefs import ODD, REASONS, reason
 from mufly.estimate.layout import CHECKED
 from mufly.firmware.host import Firmware, FirmwareControllers
 from mufly.firmware.plan import plan_numbers, plan_of, setup_numbers
@@ -151,8 +151,11 @@ class Onboard:
 
     def told_of_sensors(self) -> NDArray[np.int64]:
         """Numbers of the words for what is thought of a sensor, by its number in :mod:`mufly.estimate.guards`; -1 where
-        there are numbers in them."""
-        words = [(reason(why, 1.0, 0), reason(why, 1.0, 0) == reason(why, 2.0, 0)) for why in range(REASONS)]
+        there are numbers in them, or something is to be said."""
+        words = [
+            (reason(why, 1.0, 0), why not in ODD and reason(why, 1.0, 0) == reason(why, 2.0, 0))
+            for why in range(REASONS)
+        ]
         return np.array([self.told.number(text) if plain else -1 for text, plain in words])
 
     @property

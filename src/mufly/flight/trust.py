@@ -22,9 +22,10 @@ the air only, and not against a pilot, who is told and decides.
 What the controllers get moves on smoothly (:class:`Smooth`): a filter corrects itself at every measurement, a few
 millimetres at a time, and heave control answers a step of 1 cm with a fifth of the motors' range.
 
-Something is said of a sensor when it has not been used, or not believed, for most of a quarter of a second, and again
-when it has been fused for a second. A reading that is left out now and then is none of both: a level rises with the
-time that a sensor is not believed and sinks with a tenth of the time that it is.
+Something is said of a sensor when it has not been used, or not believed, for most of a quarter of a second, or is used
+though something is wrong with it, and again when it has been fused for a second. A reading that is left out now and
+then is none of these: a level rises with the time that a sensor is not believed and sinks with a tenth of the time that
+it is.
 """
 
 from __future__ import annotations
@@ -95,6 +96,8 @@ def checks_of(m: Estimate) -> Sequence[Check]:
 def told(check: Check) -> str:
     """A sensor, what is thought of it, and why."""
     state = {"missing": "says nothing", "rejected": "is not believed", "faulty": "is faulty"}
+    if check.odd:
+        state["fused"] = "is used, but something is wrong"
     return f"{sensor_name(check.name)} {state.get(check.status, check.status)}" + (
         f": {check.reason}" if check.reason else ""
     )
@@ -307,7 +310,7 @@ class SensorWatch:
         return (
             not self.told
             and all(level <= 0.0 for level in self._level.values())
-            and all(c.status in ("fused", "waiting") for c in checks)
+            and all(c.status in ("fused", "waiting") and not c.odd for c in checks)
         )
 
     def step(self, checks: Sequence[Check], period_s: float) -> list[tuple[str, str]]:
@@ -315,10 +318,12 @@ class SensorWatch:
         said: list[tuple[str, str]] = []
         for check in checks:
             name = check.name
-            if check.status in ("rejected", "missing", "faulty"):
+            if check.odd or check.status in ("rejected", "missing", "faulty"):
                 self._wrong[name] = check
                 self._good_s[name] = 0.0
-                level = self._level[name] = min(self._level.get(name, 0.0) + period_s, BAD_S + period_s)
+                # What is missing has been waited for already.
+                more = 4.0 * period_s if check.status == "missing" else period_s
+                level = self._level[name] = min(self._level.get(name, 0.0) + more, BAD_S + period_s)
                 if level >= BAD_S and name not in self.told:
                     self.told[name] = check.status
                     said.append((told(check), "warning"))

@@ -122,6 +122,8 @@ RAMP_DOWN_S = 1.0
 
 _SINK_LAG_S = 0.15
 _NEAR_FLOOR_M = 0.1
+_DRIFTS_BELOW_M, _DRIFTS_M_S, _DRIFTING_M_S = 0.6, 0.4, 0.05  # it does not touch down while it drifts
+_STAYS_M = 0.25  # how far it may be above where it is to be while it sinks
 
 HARD_TOUCHDOWN_M_S = 0.3
 """Speed above which a touchdown is called hard (m/s): a fifth above the greatest that a mission may ask for."""
@@ -167,12 +169,16 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
     )
     if above < -0.3:
         wanted = 0.0
+    elif 0.0 < above < _DRIFTS_BELOW_M and m.velocity[0] ** 2 + m.velocity[1] ** 2 > _DRIFTS_M_S**2:
+        wanted = min(wanted, _DRIFTING_M_S)
     ask = min(max((wanted - s.sink) / _SINK_LAG_S, -a), a)
     rate = s.sink_rate + (ask - s.sink_rate) * min(1.0, dt / 0.1)
     speed = s.sink + rate * dt
     depth = s.hold[2] + speed * dt
-    lying = m.position[2] > s.standing[2] - 0.03 and abs(m.velocity[2]) < 0.05
-    still = s.still_s + dt if lying and depth > s.standing[2] + 0.1 else 0.0
+    lying = m.position[2] > s.standing[2] - 0.03 and depth > s.standing[2] + 0.1
+    # What does not follow lies on something, or lower than it believes.
+    lying = lying or depth > m.position[2] + _STAYS_M
+    still = s.still_s + dt if lying and abs(m.velocity[2]) < 0.05 else 0.0
     near = m.position[2] > s.standing[2] - _NEAR_FLOOR_M
     if m.beliefs is not None:  # a filter that does not know of the floor yet goes on falling for a moment
         near = near and m.position[2] < s.standing[2] - LIFT_OFF_M

@@ -68,8 +68,8 @@ static real_t judge_mode(estimator_t *m, const estimator_settings_t *s, const re
     const bool off = (z[ACTING] + z[ACTING + 1]) < REAL(0.02);
     /* Rotors that lift more than the model says fly sooner, others later. */
     const real_t doubt = (s->model > 0) ? (MOST_DOUBT * m->sigma[THRUST_]) : REAL(0.0);
-    /* What the sonar says is fresher than the height that is believed. */
-    const bool says = (m->code[R_SONAR] == FUSED) && (height < BELIEVED_LOW);
+    /* What the sonar says is fresher than the height that is believed; but not one that sees below the floor. */
+    const bool says = (m->code[R_SONAR] == FUSED) && (height < BELIEVED_LOW) && (m->x[16] > LEAST_FLOOR);
     const bool near = says && (m->last[STARTS[R_SONAR]] <= (s->sonar_min + (REAL(0.5) * s->sonar_step)));
     const bool clear = says && (m->last[STARTS[R_SONAR]] > (s->sonar_min + LIFTED));
 
@@ -341,7 +341,8 @@ static void wander(estimator_t *m, const estimator_settings_t *s)
     const int32_t biases = ERRORS - GYRO;
     const int32_t k = GYRO + cycle(m->tick, biases);
     const bool adrift = (k < (GYRO + 3)) && (m->adrift > 0);
-    const real_t q = s->noise[k] + (adrift ? ((ADRIFT * ADRIFT) * ((real_t)biases * s->dt)) : REAL(0.0));
+    const real_t may = (m->adrift > 1) ? ADRIFT : ONCE_ADRIFT;
+    const real_t q = s->noise[k] + (adrift ? ((may * may) * ((real_t)biases * s->dt)) : REAL(0.0));
 
     m->x[k + 1] = s->start[k + 1] + ((m->x[k + 1] - s->start[k + 1]) * s->keep[k]);
     if (q > REAL(0.0)) {
@@ -603,6 +604,9 @@ static void watch_scatter(estimator_t *m, const estimator_settings_t *s, const r
                 const real_t apart = real_abs(mean - m->x[13 + k]) - (ASUNDER + unknown);
 
                 density += real_max(apart, REAL(0.0)) * real_max(apart, REAL(0.0));
+                if (apart > ((((m->clipped[0] + m->clipped[1]) + m->clipped[2]) * CLIPPED) * s->felt_range)) {
+                    flag(m, s, R_ACCELERATION, REJECTED, OFF, mean - m->x[13 + k]);
+                }
             }
             density = real_min(density, REAL(100.0));
             most = real_max((density > m->slow[k]) ? REAL(0.6) : REAL(0.2),
@@ -618,6 +622,10 @@ static void watch_scatter(estimator_t *m, const estimator_settings_t *s, const r
         }
         m->slow_blocks = 0;
         m->slow_count += 1;
+        if ((m->code[R_ACCELERATION] == REJECTED) && (m->tick >= m->until[R_ACCELERATION])) {
+            m->code[R_ACCELERATION] = FUSED;
+            m->why[R_ACCELERATION] = FINE;
+        }
     }
     if (m->blocks >= LONGEST) {
         const real_t span = (real_t)m->blocks * s->dt;
@@ -821,8 +829,13 @@ static void tell(estimator_t *m, const estimator_settings_t *s)
     }
     turned(x, s->lag * m->out_rates[0], s->lag * m->out_rates[1], s->lag * m->out_rates[2], true);
     if ((s->model > 0) && (x[16] < LOW)) {
-        /* Legs do not go into the floor on the way either. */
-        x[2] = real_min(x[2], -(real_max(x[16], REAL(0.0)) + s->stands));
+        /* Legs do not go into the floor on the way either, nor on. */
+        const real_t lowest = -(real_max(x[16], REAL(0.0)) + s->stands);
+
+        if (x[2] >= lowest) {
+            x[2] = lowest;
+            x[5] = real_min(x[5], REAL(0.0));
+        }
     }
     smooth(m, s);
     tell_angles(m);

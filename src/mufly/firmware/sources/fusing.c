@@ -86,6 +86,9 @@ static void turn_away(estimator_t *m, const estimator_settings_t *s, int32_t k, 
         m->agree[k] = 0;
         m->since[k] = m->horizon;
     }
+    if ((k != R_SONAR) && (real_abs(innovation) > ((REAL(2.0) * GATE) * m->spread[k]))) {
+        m->doubt[k] += REAL(1.0); /* by so much nothing healthy is off, but for a sonar that hears a second surface */
+    }
     misfits(m, s, k, OFF, innovation);
 }
 
@@ -266,8 +269,17 @@ static real_t sonar_row(estimator_t *m, const estimator_settings_t *s, real_t r[
     return ((r[6] * at[0]) + (r[7] * at[1])) + (r[8] * at[2]);
 }
 
+/* The height is led away by nu: by a force that is not as it is believed. */
+static void led_away(estimator_t *m, real_t nu)
+{
+    factors_loosen(m, P_ + 2, nu * nu);
+    factors_loosen(m, V_ + 2, LED_SPEED * LED_SPEED);
+    factors_loosen(m, ACCEL + 2, LED_FORCE * LED_FORCE);
+    factors_loosen(m, THRUST_, LED_THRUST * LED_THRUST);
+}
+
 /* A sonar that does not fit: the floor has a step, or the height is wrong. Whether it is taken in after all. */
-static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t nu)
+static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t nu, bool over)
 {
     const int32_t k = R_SONAR;
     bool taken = true;
@@ -283,6 +295,9 @@ static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real
         factors_loosen(m, V_ + 2, REAL(0.1));
         factors_loosen(m, THRUST_, REAL(0.01));
         flag(m, s, k, REJECTED, TAKEN_OVER, nu);
+    } else if (step && (nu > REAL(0.0)) && !over) {
+        led_away(m, nu); /* lower than the floor nothing lies */
+        flag(m, s, k, FUSED, SLOPE, nu);
     } else if (step) {
         factors_loosen(m, FLOOR, nu * nu);
         m->doubt[k] = REAL(0.0);
@@ -297,6 +312,9 @@ static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real
         }
         flag(m, s, k, REJECTED, TAKEN_OVER, nu);
     } else {
+        if (m->agree[k] >= 2) {
+            flag(m, s, k, REJECTED, OFF, nu); /* below the room's floor, and not by chance */
+        }
         taken = false;
     }
     return taken;
@@ -334,6 +352,7 @@ void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1]
     real_t expect;
     real_t nu;
     real_t ratio;
+    bool over;
 
     if ((r[8] < s->sonar_cone) || (z[0] >= s->sonar_max)) {
         return;
@@ -356,24 +375,29 @@ void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1]
         flag(m, s, k, FAULTY, STUCK_, z[0]);
         return;
     }
-    /* Always off to the same side: the surface slopes, or the sonar drifts. Either way it is not the height. */
+    over = (m->edge > REAL(0.0)) || (real_abs(m->x[16]) > LOW);
+    /* Always off to the same side: over an edge it is the surface. Tops are flat, so else it is the height. */
     if (real_abs(ratio) < GATE) {
         m->lean += REAL(0.2) * (ratio - m->lean);
     }
     if (real_abs(m->lean) > LEAN) {
         m->lean = REAL(0.0);
-        m->edge = REAL(1.0);
         flag(m, s, k, FUSED, SLOPE, nu);
+        if (over) {
+            m->edge = REAL(1.0);
+        } else {
+            led_away(m, nu);
+            (void)sonar_row(m, s, r);
+        }
     }
-    if (((m->edge > REAL(0.0)) || (real_abs(m->x[16]) > LOW)) && (real_abs(ratio) > SUDDEN) &&
-        (m->steps < MOST_STEPS) && ((m->x[16] - nu) > LEAST_FLOOR)) {
+    if (over && (real_abs(ratio) > SUDDEN) && (m->steps < MOST_STEPS) && ((m->x[16] - nu) > LEAST_FLOOR)) {
         /* Over an object it is the surface that jumps. */
         m->steps += 1;
         m->edge = REAL(1.0);
         factors_loosen(m, FLOOR, nu * nu);
         (void)sonar_row(m, s, r);
     } else if (real_abs(ratio) > GATE) {
-        if (!sonar_anew(m, s, z, nu)) {
+        if (!sonar_anew(m, s, z, nu, over)) {
             return;
         }
         (void)sonar_row(m, s, r);
@@ -590,11 +614,16 @@ void fuse_force(estimator_t *m, const estimator_settings_t *s, int32_t count, in
 void fuse_rest(estimator_t *m, const estimator_settings_t *s, int32_t count, bool still, int32_t i)
 {
     const real_t calm = still ? ((s->rest_gyro * s->rest_gyro) / (real_t)count) : REAL(2.5e-5);
+    real_t off;
 
     of_state(m, V_ + i, REAL(1.0));
     take(m, -m->x[3 + i], REAL(4e-4));
+    off = m->sum[i] - m->x[10 + i];
     of_state(m, GYRO + i, REAL(1.0));
-    take(m, m->sum[i] - m->x[10 + i], calm * REAL(2.0));
+    /* With its rotors running it may slide and turn on its legs. */
+    if (still || (real_abs(ratio_of(m, off, calm * REAL(2.0))) < GATE)) {
+        take(m, off, calm * REAL(2.0));
+    }
     if (still && (s->fitted[R_ACCELERATION] > 0)) {
         const real_t variance = ((REAL(2.0) * s->rest_felt) * s->rest_felt) / (real_t)count;
         real_t r[9];

@@ -57,8 +57,8 @@ static bool counts(estimator_t *m, const estimator_settings_t *s, const real_t *
     bool usable = true;
 
     if (repeated(m, s, z, k, count)) {
+        usable = false;
         if (early) {
-            usable = false;
             m->twice[k] += 1;
             if (m->twice[k] >= 2) {
                 flag(m, s, k, m->code[k], DOUBLED, REAL(0.0));
@@ -68,13 +68,12 @@ static bool counts(estimator_t *m, const estimator_settings_t *s, const real_t *
             m->came[k] = m->tick;
             m->twice[k] = 0;
             if (m->same[k] >= 2) {
-                usable = false;
                 flag(m, s, k, FAULTY, FROZEN, (real_t)m->same[k] * s->period[k]);
             }
         }
     } else {
         m->same[k] = 0;
-        if ((s->noisy[k] == 0) && (m->came[k] > 0) && early) {
+        if (((s->noisy[k] == 0) || (k == R_RING)) && (m->came[k] > 0) && early) {
             usable = false;
             m->twice[k] += 1;
             if (m->twice[k] >= 3) {
@@ -195,7 +194,7 @@ void inspect(estimator_t *m, const estimator_settings_t *s, real_t z[VALUES], in
 
 void go_astray(estimator_t *m, const estimator_settings_t *s)
 {
-    if (m->adrift == 0) {
+    if (m->adrift <= 1) {
         for (int32_t k = 0; k < 3; k++) {
             factors_loosen(m, GYRO + k, ASTRAY_BIAS * ASTRAY_BIAS);
             factors_loosen(m, TURN + k, ASTRAY_TURN * ASTRAY_TURN);
@@ -210,9 +209,11 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
 {
     const int32_t now = cycle(m->tick - 1, MODELLED);
     real_t worst = REAL(0.0);
+    real_t led = REAL(0.0);
     real_t most;
     bool alike = m->spikes > 0;
     bool small = true;
+    bool fine;
 
     for (int32_t k = 0; k < 3; k++) {
         real_t off;
@@ -220,13 +221,15 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
         m->row[k] = (m->before[k] + (s->dt * m->force[now][9 + k])) + m->turn_off[k];
         off = m->rates[k] - m->row[k];
         worst = real_max(worst, real_abs(off));
+        /* A spike may come in two steps, of which each would pass. */
+        led = real_max(led, real_abs((LINGERS * m->suspect[R_RATES][k]) + off));
         /* What its moments are off by, in flight and on the legs */
         m->turn_off[k] += (m->mode >= LIGHT) ? (TURN_OFF * real_min(real_max(off, -SPIKE), SPIKE)) : REAL(0.0);
     }
     /* A model that is off again and again cannot tell a spike from a motion. */
     most = SPIKE + (ROUGH * m->rough);
     m->rough += REAL(0.1) * (real_min(worst, SPIKE) - m->rough);
-    m->adrift = (m->adrift > 0) ? (m->adrift - 1) : 0;
+    m->adrift = (m->adrift > 1) ? (m->adrift - 1) : m->adrift; /* once astray, it remembers */
     if ((!flying) || (s->model == 0)) {
         m->spikes = 0;
         return;
@@ -235,7 +238,14 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
         alike = alike && (real_abs(m->rates[k] - m->spike[k]) < ALIKE);
         m->spike[k] = m->rates[k];
     }
-    if (worst < most) {
+    fine = real_max(worst, led) < most;
+    for (int32_t k = 0; k < 3; k++) {
+        m->suspect[R_RATES][k] *= LINGERS;
+        if (fine) {
+            m->suspect[R_RATES][k] += m->rates[k] - m->row[k];
+        }
+    }
+    if (fine) {
         m->spikes = 0;
         m->wild = 0;
         return;
@@ -275,20 +285,36 @@ void smooth_rates(estimator_t *m, const estimator_settings_t *s, bool flying)
 
 bool rotor_fits(estimator_t *m, const estimator_settings_t *s, const real_t speed[2])
 {
+    const real_t flown = (real_t)(m->tick - m->since[R_ACCELERATION]) * s->dt;
+    real_t *mean = m->suspect[R_ROTOR]; /* of what the motors' equations are off by */
     real_t worst = REAL(0.0);
-    bool believed = true;
+    real_t away = REAL(0.0);
+    bool led;
+    bool off;
 
     for (int32_t k = 0; k < 2; k++) {
         worst = real_max(worst, real_abs(speed[k] - m->rotor[18 + k]) / s->hover[k]);
+        away = real_max(away, real_abs(m->motor_off[k] - mean[k]) / s->hover[k]);
     }
     /* On the floor it is the equations that have to learn. */
-    if ((worst > ROTOR_OFF) && (m->mode == FLYING)) {
+    led = (m->mode == FLYING) && (flown > ROTOR_KNOWN_S) && (away > ROTOR_LED);
+    off = (m->mode == FLYING) && (worst > ((m->doubt[R_ROTOR] > REAL(0.5)) ? ROTOR_SURE : ROTOR_OFF));
+    if (led || off) {
+        if (led) {
+            m->motor_off[0] = mean[0];
+            m->motor_off[1] = mean[1];
+        }
         misfits(m, s, R_ROTOR, OFF, worst * s->hover[0]);
-        believed = false;
     } else {
+        const real_t period = s->period[R_ROTOR];
+        const real_t share = period / real_max(real_min(flown, ROTOR_MEAN_S), period);
+
+        for (int32_t k = 0; k < 2; k++) {
+            mean[k] += share * (m->motor_off[k] - mean[k]);
+        }
         fits(m, R_ROTOR);
     }
-    return believed;
+    return !(led || off);
 }
 
 bool voltage_fits(estimator_t *m, const estimator_settings_t *s, real_t off)

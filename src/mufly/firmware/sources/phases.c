@@ -6,6 +6,10 @@
 #define OMEGA (REAL(0x1.921fb54442d18p+2) / SWEEP_PERIOD_S)
 #define SINK_LAG_S REAL(0.15)
 #define NEAR_FLOOR_M REAL(0.1)
+#define STAYS_M REAL(0.25)
+#define DRIFTS_BELOW_M REAL(0.6)
+#define DRIFTS_M_S REAL(0.4)
+#define DRIFTING_M_S REAL(0.05)
 #define SLOW_FROM_M REAL(0.4)
 #define HARD_TOUCHDOWN_M_S REAL(0.3)
 #define SETTLE_BEFORE_LANDING_S REAL(2.0)
@@ -306,13 +310,20 @@ static void sink(const plan_t *plan, mission_t *s, const belief_t *m, real_t dt)
                                                           (real_max(REAL(0.0), above - SLOW_FROM_M) * a)));
         if (above < REAL(-0.3)) {
             wanted = REAL(0.0);
+        } else if ((above > REAL(0.0)) && (above < DRIFTS_BELOW_M) &&
+                   (((m->motion.velocity[0] * m->motion.velocity[0]) +
+                     (m->motion.velocity[1] * m->motion.velocity[1])) > (DRIFTS_M_S * DRIFTS_M_S))) {
+            wanted = real_min(wanted, DRIFTING_M_S);
+        } else {
+            /* as fast as it may */
         }
         ask = real_min(real_max((wanted - s->sink) / SINK_LAG_S, -a), a);
         s->sink_rate = s->sink_rate + ((ask - s->sink_rate) * real_min(REAL(1.0), dt / REAL(0.1)));
         s->sink = s->sink + (s->sink_rate * dt);
         s->hold[2] = s->hold[2] + (s->sink * dt);
-        lying = (z > (s->standing[2] - REAL(0.03))) && (real_abs(w) < REAL(0.05));
-        if (lying && (s->hold[2] > (s->standing[2] + REAL(0.1)))) {
+        lying = (z > (s->standing[2] - REAL(0.03))) && (s->hold[2] > (s->standing[2] + REAL(0.1)));
+        lying = lying || (s->hold[2] > (z + STAYS_M)); /* on something, or lower than it believes */
+        if (lying && (real_abs(w) < REAL(0.05))) {
             s->still_s = s->still_s + dt;
         } else {
             s->still_s = REAL(0.0);
