@@ -5,7 +5,8 @@
 First, for each run: the turn of the blade that puts the advance ratio without thrust right (there is next to no induced
 velocity there, so it is an error of geometry, zero-lift angle or of what hangs on the shaft); how steep the thrust then
 falls, and how much power is left without thrust, predicted over measured; and what the same turn does to hover, which
-it has not seen. Then the scores of `mufly rotor benchmark`, each choice by itself.
+it has not seen. Then what a fit to the runs says: its error at tunnel points that it has not seen, and in hover, of
+which it saw nothing. Then the scores of `mufly rotor benchmark`, each choice by itself.
 """
 
 from __future__ import annotations
@@ -103,12 +104,41 @@ def _fitted(cases: list[RotorCase], whole: bool) -> dict[str, Blading]:
     return out
 
 
+def report_fits(cases: list[RotorCase], n_crit: float) -> None:
+    """Sections fitted to runs in the tunnel."""
+    print(
+        "\n| fitted to the tunnel | turn, degrees | held out: thrust, torque | hover: c_T, c_P before | after |"
+    )
+    print("|---|---|---|---|---|")
+    rows = []
+    for case in cases:
+        runs = [
+            np.stack((r.pitch_rad, r.speed_rad_s, r.thrust_N, r.torque_Nm, r.climb_m_s))
+            for r in case.advancing
+        ]
+        pitch, speed, thrust, torque, climb = np.concatenate(runs, axis=1)
+        tunnel = Measurements(pitch, speed, thrust, torque, "tunnel", climb)
+        section = "known" if case.known else "guessed"
+        found = fit_rotor(case.rotor, tunnel, section=section, air=case.air, n_crit=n_crit)
+        errors = []
+        for blading in (prepare(case.rotor), prepare(found.rotor, n_crit=n_crit)):
+            hover = compare(blading, case.measured, air=case.air)
+            errors += [np.abs(hover.thrust_error).mean(), np.abs(hover.torque_error).mean()]
+        rows.append([np.degrees(found.change[0]), *(100 * found.held_out), *(100 * np.array(errors))])
+        t, *e = rows[-1]
+        cells = (f"{a:.1f}, {b:.1f} %" for a, b in zip(e[::2], e[1::2], strict=True))
+        print(f"| {case.name} | {t:+.1f} | " + " | ".join(cells) + " |", flush=True)
+    m = np.mean(np.array(rows)[:, 1:], axis=0)
+    print(f"| all | | {m[0]:.1f}, {m[1]:.1f} % | {m[2]:.1f}, {m[3]:.1f} % | {m[4]:.1f}, {m[5]:.1f} % |")
+
+
 def main() -> None:
     if len(sys.argv) != 2:
         sys.exit(__doc__)
     cases = [case for case in load_cases(Path(sys.argv[1]))[0] if case.advancing]
     for n_crit in (0.1, 8.15):
         report_runs(cases, n_crit)
+    report_fits(cases, 8.15)
     one, whole = _fitted(cases, whole=False), _fitted(cases, whole=True)
     choices = [
         _code("default", lambda c: prepare(c.rotor)),

@@ -21,6 +21,7 @@ from mufly.study.benchmark import (
     table,
 )
 from mufly.study.benchmark.advancing import curve_of
+from mufly.study.benchmark.codes import mack_n_crit
 from mufly.study.benchmark.scores import widening
 
 STATIC = "RPM CT CP\n3000.0 0.10 0.05\n4000.0 0.11 0.05\n5000.0 0.12 0.05\n"
@@ -124,6 +125,10 @@ def test_what_was_answered_is_not_asked_again(data, tmp_path):
     assert_allclose(again[0].thrust_error, first[0].thrust_error)
     run(cases, [mine], points=1, folder=tmp_path)  # another question
     assert len(asked) == 6
+    first, second = (run(cases[:1], [code_of("bemt", n_crit=n)], folder=tmp_path)[0] for n in (0.1, 9.0))
+    assert (
+        abs(first.thrust_error[0] - second.thrust_error[0]) > 0.01
+    )  # nor is another transition taken for the same
 
 
 @pytest.mark.parametrize("text", ["", "nothing", "no.such.module:f", "mufly.rotor:no_such_name", "a b:c"])
@@ -161,6 +166,11 @@ def test_runs_in_a_tunnel(data):
     assert_allclose([score.measured.zero_thrust, score.predicted.zero_thrust], [0.6, 0.7], rtol=1e-3)
     assert_allclose([score.measured.efficiency, score.predicted.efficiency], [0.3, 0.35], rtol=1e-3)
     assert_allclose([score.measured.best_advance, score.predicted.best_advance], [0.3, 0.35], rtol=2e-2)
+    # A tunnel has air of its own; 3 % of turbulence leave no laminar layer.
+    assert_allclose([mack_n_crit(0.001), mack_n_crit(0.0298)], [8.15, 0.0], atol=0.01)
+    codes = [code_of("bemt"), code_of("bemt", n_crit=mack_n_crit(0.001)), code_of("bemt", n_crit=0.1)]
+    own, calm, hovering = (s.predicted.zero_thrust for s in run_advancing(cases, codes))
+    assert own == calm != hovering
     (row,) = advancing_table([score])
     assert_allclose(row.size, [1 / 6] * 3, rtol=2e-2)
     # A run that ends before its greatest efficiency says nothing of it.

@@ -38,10 +38,9 @@ from mufly.units import RPM
 Array = NDArray[np.float64]
 
 Question = dict[str, Any]
-"""name, blades, radius_m, hub_radius_m; (stations,) lists r_m, chord_m, twist_rad, airfoils (names); contours (name to
-(n, 2) list, Selig order); (points,) lists pitch_rad, speed_rad_s, climb_m_s (along the shaft); turbulence of the tunnel
-(rms over mean speed; None in hover);
-density_kg_m3, viscosity_Pa_s, sound_m_s."""
+"""name, blades, radius_m, hub_radius_m, trailing_edge_m; (stations,) lists r_m, chord_m, twist_rad, airfoils (names);
+contours (name to (n, 2) list, Selig order); (points,) lists pitch_rad, speed_rad_s, climb_m_s (along the shaft);
+turbulence of the tunnel (rms over mean speed; None in hover); density_kg_m3, viscosity_Pa_s, sound_m_s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +54,12 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Code:
-    """A name, what predicts, and whether a point takes seconds."""
+    """A name, what predicts, whether a point takes seconds, and what else than the case its answers hang on."""
 
     name: str
     predict: Callable[[RotorCase], Prediction]
     slow: bool = False
+    settings: str = ""
 
 
 def code_of(text: str, *, n_crit: float | None = None, limit_s: float = 600.0) -> Code:
@@ -78,7 +78,8 @@ def code_of(text: str, *, n_crit: float | None = None, limit_s: float = 600.0) -
         name, what = "", text
     what = what.strip()
     if what in ("bemt", "wake"):
-        return Code(name or what, _ours(what, n_crit), slow=what == "wake")  # type: ignore[arg-type]
+        how = f"n_crit {'by the air' if n_crit is None else n_crit}"
+        return Code(name or what, _ours(what, n_crit), what == "wake", how)  # type: ignore[arg-type]
     if "{folder}" in what:
         return Code(name or Path(shlex.split(what)[0]).name, lambda case: _by_command(what, case, limit_s))
     module, colon, function = what.partition(":")
@@ -115,6 +116,7 @@ def question_of(case: RotorCase) -> Question:
         "r_m": (x * r.radius_m).tolist(),
         "chord_m": r.chord_m(x).tolist(),
         "twist_rad": r.twist_rad(x).tolist(),
+        "trailing_edge_m": float(r.trailing_edge),
         "airfoils": [Path(n).stem for n in names],
         "contours": {Path(n).stem: load_airfoil(n).coordinates.tolist() for n in dict.fromkeys(names)},
         "pitch_rad": case.measured.pitch_rad.tolist(),

@@ -110,7 +110,7 @@ def run(
             progress(done, len(codes) * len(cases))
         asked = thinned(case, slow_points if code.slow else points)
         file = None if folder is None else folder / "answers" / code.name / f"{case.name}.json"
-        found = _recall(file, _key(asked)) or _asked(code, asked, file)
+        found = _recall(file, _key(code, asked)) or _asked(code, asked, file)
         m = asked.measured
         scores.append(
             Score(
@@ -132,7 +132,7 @@ def _asked(code: Code, case: RotorCase, file: Path | None) -> Prediction:
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         whole = {
-            "key": _key(case), "thrust_N": found.thrust_N.tolist(), "torque_Nm": found.torque_Nm.tolist(),
+            "key": _key(code, case), "thrust_N": found.thrust_N.tolist(), "torque_Nm": found.torque_Nm.tolist(),
             "fault": found.fault,
         }  # fmt: skip
         part = file.with_suffix(".part")
@@ -141,8 +141,8 @@ def _asked(code: Code, case: RotorCase, file: Path | None) -> Prediction:
     return found
 
 
-def _key(case: RotorCase) -> str:
-    text = json.dumps([__version__, question_of(case)], sort_keys=True)
+def _key(code: Code, case: RotorCase) -> str:
+    text = json.dumps([__version__, code.settings, question_of(case)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
