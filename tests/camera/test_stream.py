@@ -7,6 +7,7 @@ import threading
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from http.client import HTTPResponse
 
 import numpy as np
 import pytest
@@ -24,13 +25,15 @@ def server() -> Iterator[StreamServer]:
         yield one
 
 
-def opened(url: str, **headers: str) -> object:
-    return urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=5)
+def opened(url: str, **headers: str) -> HTTPResponse:
+    answer = urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=5)
+    assert isinstance(answer, HTTPResponse)
+    return answer
 
 
 def test_what_is_published_is_received_with_its_time(server: StreamServer) -> None:
     server.publish(PICTURES[0], 1.25)
-    with opened(server.url) as answer:  # type: ignore[attr-defined]
+    with opened(server.url) as answer:
         boundary = boundary_of(answer.headers["Content-Type"], server.url)
         got = parts(answer, boundary)
         assert next(got) == (PICTURES[0], 1.25)
@@ -74,9 +77,9 @@ def test_pages_pictures_and_strangers(server: StreamServer) -> None:
     with pytest.raises(urllib.error.HTTPError, match="404"):
         opened(f"{base}/picture.jpg")
     server.publish(PICTURES[2], 0.0)
-    with opened(f"{base}/picture.jpg") as answer:  # type: ignore[attr-defined]
+    with opened(f"{base}/picture.jpg") as answer:
         assert answer.read() == PICTURES[2]
-    with opened(f"{base}/") as answer:  # type: ignore[attr-defined]
+    with opened(f"{base}/") as answer:
         assert b"<img src=/stream" in answer.read()
     for headers in (
         {"Host": "rebound.example"},

@@ -4,20 +4,32 @@ from __future__ import annotations
 
 import math
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from mufly.camera import Camera, decode, load_camera, rays
+from mufly.camera import Camera, camera_from, decode, load_camera, rays, read_pictures
 from mufly.dynamics import initial_state
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.flight import Event, fly
 from mufly.flight.camera import CameraSensor, Eye, parse_spoil, sighted
 from mufly.sensors import Reading, Truth
-from mufly.slam import Answer, Frame, Sight, Sketch, features_of, opencv
+from mufly.slam import (
+    Answer,
+    Frame,
+    Sight,
+    Sketch,
+    Slam,
+    features_of,
+    open_pictures,
+    opencv,
+    read_telemetry,
+    run,
+)
 from mufly.slam.vision import pinhole
 from mufly.vehicle import load_vehicle
 from mufly.world import World
@@ -60,16 +72,24 @@ class Watched(CameraSensor):
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[xr.Dataset, list[Event]]:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("camera")
+
+
+@pytest.fixture(scope="module")
+def flown(folder: Path) -> tuple[xr.Dataset, list[Event]]:
     """A hop over a rich floor by a good camera, whose lens is covered on the way."""
     pytest.importorskip("cv2")
-    path = tmp_path_factory.mktemp("camera") / "hop.toml"
+    path = folder / "hop.toml"
     path.write_text(MISSION)
     events: list[Event] = []
     eye = Eye(load_camera("webcam"), spoils=(parse_spoil("covered@8.5s+1s"),))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mufly.flight.flight.CameraSensor", Watched)
-        ds = fly("mufly-1.1", path, sensors="fitted", seed=3, eye=eye, on_event=events.append, brief=True)
+        ds = fly(
+            "mufly-1.1", path, sensors="fitted", seed=3, eye=eye, on_event=events.append, brief=True,
+            path=folder / "flight.mcap",
+        )  # fmt: skip
     return ds, events
 
 
@@ -118,6 +138,27 @@ def test_what_is_seen_is_shown(flown: tuple[xr.Dataset, list[Event]]) -> None:
     covered = [s for s in looked if s.answer is not None and 8.9 < s.answer.time_s < 9.5]
     assert covered[-1].said.startswith("too little of the floor")
     assert np.mean(decode(covered[-1].jpeg)) < 20
+
+
+def test_its_recording_is_looked_at_again(flown: tuple[xr.Dataset, list[Event]], folder: Path) -> None:
+    """Pictures, camera and what was told are in ``camera.mcap``, the truth is in the flight beside it."""
+    kept = read_pictures(folder / "flight.mcap")
+    camera = camera_from(kept.camera, "")
+    assert camera == load_camera("webcam")
+    source = open_pictures(folder, camera)
+    answered = [s for s in SIGHTS if s.answer is not None]
+    assert abs(source.count - len(answered)) < 30  # on their way when it ended
+    frames = [f for f in source.frames() if f.time_s < 8.4]
+    assert frames[-1].told.place is not None
+    assert source.truth is not None
+    found = run(Slam(camera, seed=3), frames)
+    assert len(found.time) > 0.8 * len(frames)
+    truth = np.stack([np.interp(found.time, source.truth[0], c) for c in source.truth[1].T], axis=1)
+    assert np.sqrt(np.mean(np.sum((found.position - truth)[:, :2] ** 2, axis=1))) < 0.06
+    # Without what was told with each picture the state in the recording does.
+    by_state = read_telemetry(folder / "flight.mcap")(np.array([frames[50].time_s]))[0]
+    assert by_state.roll == pytest.approx(frames[50].told.roll, abs=0.02)
+    assert by_state.height_m == pytest.approx(frames[50].told.height_m, abs=0.03)
 
 
 def test_features_lie_where_the_lens_has_them() -> None:

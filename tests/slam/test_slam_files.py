@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from typer.testing import CliRunner
 
-from mufly.camera import encode, load_camera, project
+from mufly.camera import LivePictures, PictureRecorder, StreamServer, encode, load_camera, project
 from mufly.cli import app
 from mufly.errors import InputError
+from mufly.logs import read_recording, write_log
 from mufly.slam import (
+    Frame,
+    Slam,
     board_pictures,
     calibrate,
+    camera_toml,
     evaluate,
     frames,
+    open_live,
     open_pictures,
+    read_telemetry,
     read_trajectory,
     rounds,
+    run,
     write_dataset,
 )
 from mufly.slam.trajectory import Trajectory
@@ -85,6 +98,145 @@ def test_what_is_wrong_is_one_line(layouts: dict[str, Path], tmp_path: Path) -> 
         open_pictures(tmp_path / "nowhere", CAMERA)
     with pytest.raises(InputError, match="is 320 by 10 pixels"):
         list(open_pictures(_named(tmp_path, "3.0.png"), CAMERA, height_m=1.0).frames())
+
+
+def test_a_stream_gives_the_trajectory_that_its_folder_gives(layouts: dict[str, Path]) -> None:
+    """From the renderer over MJPEG to the trajectory; the sender's clock, so that both are the same."""
+    pytest.importorskip("cv2")
+    folder = layouts["mufly"]
+    source = open_pictures(folder, CAMERA)
+    truth = source.truth
+    assert truth is not None
+    start = (*truth[1][0, :2], truth[2][0])
+    direct = run(Slam(CAMERA, start=start), source.frames())
+    with StreamServer() as server, LivePictures(server.url, CAMERA, clock="sender", give_up_s=0.2) as live:
+        frames = open_live(live, read_telemetry(folder / "telemetry.csv")).frames()
+
+        def sent() -> Iterator[Frame]:
+            for k, frame in enumerate(source.frames()):
+                data = (folder / "pictures" / f"{k:06d}.jpg").read_bytes()
+                server.publish(data, frame.time_s)
+                yield next(frames)
+
+        while not server.watchers:
+            time.sleep(0.001)
+        streamed = run(Slam(CAMERA, start=start), sent())
+    assert len(streamed.time) == len(direct.time) > 10
+    assert streamed.time == pytest.approx(direct.time, abs=1e-6)
+    assert streamed.position == pytest.approx(direct.position, abs=1e-9)
+    off = streamed.position[:, :2] - np.stack(
+        [np.interp(streamed.time, truth[0], c) for c in truth[1].T[:2]], axis=1
+    )
+    assert np.abs(off).max() < 0.08
+
+
+def test_pictures_of_a_recording_or_what_is_wrong_with_it(layouts: dict[str, Path], tmp_path: Path) -> None:
+    frames = list(open_pictures(layouts["mufly"], CAMERA).frames())
+    recorder = PictureRecorder(tmp_path / "camera.mcap", camera_toml(CAMERA), 10**18, {"floor": "rich"})
+    for f in frames:
+        recorder.add(f.time_s, encode(f.picture, 95), asdict(f.told))
+    recorder.close()
+    for place in (tmp_path, tmp_path / "camera.mcap"):
+        back = list(open_pictures(place, CAMERA).frames())
+        assert [f.time_s for f in back] == pytest.approx([f.time_s for f in frames], abs=1e-9)
+        assert back[4].told.roll == frames[4].told.roll
+        assert back[4].told.rotor_phase == pytest.approx(frames[4].told.rotor_phase)
+        assert np.abs(back[4].picture.astype(int) - frames[4].picture).mean() < 3
+    whole = (tmp_path / "camera.mcap").read_bytes()
+    (tmp_path / "cut").mkdir()
+    cut = tmp_path / "cut" / "camera.mcap"
+    cut.write_bytes(whole[: len(whole) - 400])
+    assert open_pictures(cut, CAMERA).count == len(frames)  # its index alone is gone
+    cut.write_bytes(whole[:2000])
+    with pytest.raises(InputError, match=r"holds no pictures; give camera\.mcap of a flight on the camera"):
+        open_pictures(cut, CAMERA)
+    cut.write_bytes(b"no such thing")
+    with pytest.raises(InputError, match="is not an MCAP file"):
+        open_pictures(cut, CAMERA)
+    data = encode(np.zeros((240, 320), np.uint8), 80)
+    for times, jpeg, why in (
+        ((0.0, 0.2, 0.1), data, "picture 3: its time, 0.100000 s, is not after 0.200000 s"),
+        ((0.0, 0.1, 0.2), data[:300], r"picture at 0.000 s: is damaged"),
+        ((0.0, 0.1, 0.2), encode(np.zeros((24, 32), np.uint8), 80), "is 32 by 24 pixels"),
+    ):
+        recorder = PictureRecorder(cut, "", 10**18, {})
+        for t in times:
+            recorder.add(t, jpeg, asdict(frames[0].told))
+        recorder.close()
+        with pytest.raises(InputError, match=why):
+            list(open_pictures(cut, CAMERA).frames())
+
+
+def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2")
+    film = tmp_path / "film.avi"
+    out = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"MJPG"), 30, (320, 240))
+    for f in list(open_pictures(layouts["mufly"], CAMERA).frames())[:5]:
+        out.write(cv2.cvtColor(f.picture, cv2.COLOR_GRAY2BGR))
+    out.release()
+    with pytest.raises(
+        InputError, match="does not tell the height above the floor; give --height or --telemetry"
+    ):
+        open_pictures(film, CAMERA)
+    told = read_telemetry(layouts["mufly"] / "telemetry.csv", -100.0)
+    (tmp_path / "film.csv").write_text(
+        "time,frame\n" + "".join(f"{100.1 + 0.04 * k},{k}\n" for k in range(5))
+    )
+    some = list(open_pictures(film, CAMERA, told=told).frames())
+    assert [f.time_s for f in some] == pytest.approx([100.1, 100.14, 100.18, 100.22, 100.26])
+    direct = read_telemetry(layouts["mufly"] / "telemetry.csv")(np.array([0.1, 0.26]))
+    assert [some[k].told.roll for k in (0, 4)] == pytest.approx([t.roll for t in direct])
+    log = tmp_path / "log.mcap"
+    t = np.arange(100.0, 101.0, 0.01)
+    write_log(xr.Dataset(
+        {"estimated_attitude": (("time", "euler"), np.stack([0.1 * (t - 100), 0 * t, 0 * t], axis=1)),
+         "estimated_position": (("time", "axis"), np.stack([t, t, -1.0 - 0 * t], axis=1))},
+        {"time": t, "euler": ["roll", "pitch", "yaw"], "axis": ["N", "E", "D"]},
+    ), log)  # fmt: skip
+    one = list(open_pictures(film, CAMERA, told=read_telemetry(log, 0.0)).frames())[2].told
+    assert (one.roll, one.height_m) == pytest.approx((0.018, 1.0), abs=1e-6)
+    with pytest.raises(InputError, match="give --offset: the recording's clock less the pictures'"):
+        open_pictures(film, CAMERA, told=read_telemetry(log, -50.0))
+    for text, why in (
+        ("1\n2\n3\n", "has 3 times, the video has 5 pictures"), ("1\n2\nx\n4\n5\n", "row 3: 'x' is no time"),
+        ("1\n2\n1.5\n4\n5\n", "row 3: its time, 1.500000 s, is not after"), ("", "holds no times"),
+    ):  # fmt: skip
+        (tmp_path / "film.csv").write_text(text)
+        with pytest.raises(InputError, match=why):
+            open_pictures(film, CAMERA, told=told)
+
+
+def test_what_was_answered_before_a_fault_is_written(layouts: dict[str, Path], tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    folder, out = tmp_path / "damaged", tmp_path / "out"
+    shutil.copytree(layouts["mufly"], folder)
+    last = sorted((folder / "pictures").iterdir())[-2]
+    last.write_bytes(last.read_bytes()[:500])
+    said = CliRunner().invoke(app, ["slam", "run", str(folder), "-o", str(out)])
+    assert isinstance(said.exception, InputError)
+    assert "is damaged" in str(said.exception)
+    for name in ("trajectory.txt", "trajectory.mcap", "trajectory.png"):
+        assert (out / name).stat().st_size > 500, said.output
+    assert len(read_trajectory(out / "trajectory.txt").time) > 8
+    assert float(read_recording(out / "trajectory.mcap")["estimated_position_sigma"].max()) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["/dev/video99", "--camera", "webcam", "--height", "1"], "there is no such device"),
+        (["http://127.0.0.1:9/stream", "--camera", "webcam", "--height", "1"], "refused"),
+        (["http://127.0.0.1:9/stream"], "does not tell of its camera; give --camera"),
+        (["http://127.0.0.1:9/stream", "--camera", "webcam"], "give --height or --telemetry"),
+        (["nowhere"], "no such folder, video or recording"),
+        ([".", "--clock", "mine"], "--clock"),
+        (["FOLDER", "--camera", "webcam"], "camera.toml|is not there|holds no pictures"),
+    ],
+)
+def test_what_is_wrong_with_the_words_is_one_line(words: list[str], why: str, tmp_path: Path) -> None:
+    said = CliRunner().invoke(app, ["slam", "run", *(str(tmp_path) if w == "FOLDER" else w for w in words)])
+    assert isinstance(said.exception, InputError)
+    assert re.search(why, str(said.exception)), said.exception
 
 
 def _named(folder: Path, name: str) -> Path:

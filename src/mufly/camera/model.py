@@ -16,6 +16,7 @@ the axis body z, all turned by ``mount.turn`` about it.
 from __future__ import annotations
 
 import math
+import tomllib
 from importlib import resources
 from pathlib import Path
 
@@ -159,6 +160,21 @@ def load_camera(name_or_path: str | Path) -> Camera:
         If there is none, or something in it is wrong.
     """
     tables, where = read_tables(name_or_path, _BUILTIN, "camera")
+    return validated(Camera, tables, where)
+
+
+def camera_from(text: str, where: str) -> Camera:
+    """Read a camera from the text of its file; ``where`` names it in an error.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(where, "", f"is no TOML ({error})", "give --camera") from error
     return validated(Camera, tables, where)
 
 

@@ -272,7 +272,8 @@ page was closed. With --headless it flies in the terminal, as fast as the machin
 It flies on what its sensors say, as its file has them in \\[sensors] (`mufly sensors show`), after it has stood \
 still on the floor for a second or two; --sensors ideal flies on what is true.
 
-Writes a folder with the recording (flight.mcap; opens in Foxglove and PlotJuggler), summary.json and pictures. \
+Writes a folder with the recording (flight.mcap; opens in Foxglove and PlotJuggler), summary.json and pictures; \
+with --position camera what the camera saw, too (camera.mcap; `mufly slam run` looks at it again). \
 The exit status is 0 only if the mission succeeded.
 
 Examples:
@@ -498,7 +499,8 @@ def fly(
         dataset, heard = found, [] if address is None else sorted(folder.glob("station*.*"))
     else:
         dataset = _fly_in_terminal(terminal, order, ending)
-    summary = _write_results(terminal, dataset, order.mission, [recording, *heard], as_json)
+    kept = [p for p in (recording, folder / "camera.mcap") if p is recording or order.eye is not None]
+    summary = _write_results(terminal, dataset, order.mission, [*kept, *heard], as_json)
     if summary.outcome == "unfinished":
         raise MuflyError(f"the mission was not flown to its end: {summary.reason}")
     if summary.outcome != "succeeded":

@@ -21,13 +21,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.camera import Camera, Motion, Renderer, StreamServer, encode, make_floor
+from mufly.camera import Camera, Motion, PictureRecorder, Renderer, StreamServer, encode, make_floor
 from mufly.dynamics import model_parameters, rotation, standing_height
 from mufly.dynamics.state import hover_speeds
 from mufly.errors import ArgumentError, MuflyError
@@ -41,6 +42,7 @@ from mufly.slam import (
     Sight,
     SlamProcess,
     Telling,
+    camera_toml,
     features_of,
     opencv,
 )
@@ -199,6 +201,7 @@ class CameraSensor(Sensor):
         self.on_sight: Callable[[Sight], None] | None = None
         self._process: SlamProcess | None = None
         self.stream = None if eye.stream is None else StreamServer(*eye.stream)
+        self._record: PictureRecorder | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -225,6 +228,14 @@ class CameraSensor(Sensor):
         if self.stream is not None:
             self.stream.close()
             self.stream = None
+        if self._record is not None:
+            self._record.close()
+
+    def record(self, path: Path, start_ns: int) -> None:
+        """Keep the pictures that are looked at, and what is told with them, from now on; ``start_ns`` is the wall's
+        time (ns since 1970) of the instant 0."""
+        facts = {"floor": self._eye.floor, "seed": str(self._seed), "camera": self._eye.camera.name}
+        self._record = PictureRecorder(path, camera_toml(self._eye.camera), start_ns, facts)
 
     def _end(self) -> None:
         if self._process is not None:
@@ -298,6 +309,8 @@ class CameraSensor(Sensor):
         if self._process is None:
             self._process = SlamProcess(camera, start=self._start, seed=self._seed)
         self._process.send(Frame(t, self.picture, told))
+        if self._record is not None:
+            self._record.add(t, shown, asdict(told))
         self._queue.append((due, shown))
 
     def _motion(self, truth: Truth) -> Motion:
@@ -322,7 +335,7 @@ class CameraSensor(Sensor):
 
     def _shown(self, time_s: float) -> bytes:
         """The picture as a JPEG, sent to who watches; b"" where nobody does."""
-        if self.picture is None or not self._watched:
+        if self.picture is None or not (self._watched or self._record):
             return b""
         jpeg = encode(self.picture, SHOWN_QUALITY)
         if self.stream is not None:

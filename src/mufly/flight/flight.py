@@ -28,6 +28,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.camera import CAMERA_RECORDING
 from mufly.control import FlightController, design
 from mufly.dynamics import (
     DrydenWind,
@@ -219,6 +220,8 @@ class Flight:
             },
             keep=keep,
         )
+        if self.camera is not None and path is not None:
+            self.camera.record(Path(path).with_name(CAMERA_RECORDING), self.recorder.start_time_ns)
         self.records_measured = not brief
         self._write = row_writer(self.recorder, measured=not brief)
         self._write_sensed = sensed_row_writer(self.recorder) if full else None

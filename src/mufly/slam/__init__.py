@@ -5,9 +5,8 @@ from mufly.slam.datasets import PHASE_SIGMA, Path3, Teller, frames, path_of, rou
 from mufly.slam.evaluation import Evaluation, evaluate
 from mufly.slam.frame import Frame, Telling
 from mufly.slam.mapping import Keyframe, Map
-from mufly.slam.process import SlamProcess
-from mufly.slam.readers import Source, open_pictures, read_truth
-from mufly.slam.sight import Counts, Sight, Sketch, features_of, sketched
+from mufly.slam.process import Counts, Sight, Sketch, SlamProcess, features_of, sketched
+from mufly.slam.readers import Source, open_live, open_pictures, read_telemetry, read_truth, standing_at
 from mufly.slam.system import Answer, Slam
 from mufly.slam.trajectory import Trajectory, draw, gathered, read_trajectory, run
 from mufly.slam.vision import opencv
@@ -40,13 +39,16 @@ __all__ = [
     "features_of",
     "frames",
     "gathered",
+    "open_live",
     "open_pictures",
     "opencv",
     "path_of",
+    "read_telemetry",
     "read_trajectory",
     "read_truth",
     "rounds",
     "run",
     "sketched",
+    "standing_at",
     "write_dataset",
 ]

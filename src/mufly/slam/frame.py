@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +57,15 @@ class Telling:
     place: _Array | None = None
     place_sigma: tuple[float, float] = (0.0, 0.0)
     standing: bool = False
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> Telling:
+        """Read what ``dataclasses.asdict`` made of one, once it has been through a file; TypeError if it is none."""
+        values: dict[str, Any] = {
+            k: np.array(v, dtype=np.float64) if isinstance(v, list) else v for k, v in told.items()
+        }
+        place, turn = (float(s) for s in values.get("place_sigma", (0.0, 0.0)))
+        return cls(**{**values, "place_sigma": (place, turn)})
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@
 | euroc | `cam0/data.csv`, `cam0/data/` | `imu0/data.csv` | `state_groundtruth_estimate0/data.csv` |
 | tum | `rgb.txt`, `rgb/` | `accelerometer.txt` | `groundtruth.txt` |
 | plain | pictures whose names are times (s or ns) | | |
+| recording | ``camera.mcap`` of a flight, or any MCAP with such | told with each, or its state | ``flight.mcap`` |
+| video | a file that OpenCV reads; times in a file beside it, or by its rate | a recording that is given | |
 
 In EuRoC's and TUM's files axes are x forward, y left, z up, the world's z is up. Where only an inertial unit was
 there, tilt comes of it by a complementary filter (Mahony, Hamel and Pflimlin 2008, without the bias): gyroscopes,
@@ -17,7 +19,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -25,9 +27,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.camera import Camera, check_size, decode
+from mufly.camera import CAMERA_RECORDING, Camera, LivePictures, check_size, decode, read_pictures
 from mufly.dynamics.state import euler_from_quaternion
 from mufly.errors import InputError
+from mufly.logs import read_log, read_recording
 from mufly.slam.frame import Frame, Telling
 from mufly.slam.vision import opencv
 
@@ -37,6 +40,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mjpg", ".mjpeg")
 _DRAWN_S, _MEAN_S = 2.0, 0.5
 _UNTOLD = math.radians(3.0)  # a vehicle of which nothing is known is level to this
+_NEAR_S = 0.1
 _FLIP = np.array([1.0, -1.0, -1.0])  # x forward, y left, z up to body axes, and back
 
 
@@ -70,20 +74,26 @@ class Source:
 
 
 def open_pictures(
-    place: str | Path, camera: Camera, *, height_m: float | None = None, rate_Hz: float | None = None
-) -> Source:
-    """Open a folder or a video.
+    place: str | Path, camera: Camera, *, height_m: float | None = None, rate_Hz: float | None = None,
+    times: Path | None = None, told: Callable[[_Array], list[Telling]] | None = None,
+) -> Source:  # fmt: skip
+    """Open a folder, a video or a recording.
 
     Parameters
     ----------
     place : str or Path
-        A folder in one of the layouts, or a video file.
+        A folder in one of the layouts, a video file, or a recording with pictures (MCAP), or the folder of one.
     camera : Camera
         That made them.
     height_m : float, optional
         Of the vehicle above the floor, where the files do not tell it.
     rate_Hz : float, optional
         Of a video, where it does not say so itself.
+    times : Path, optional
+        Of a video: a file with the time (s or ns) of each picture, one a row; by default the one of the video's name
+        that ends in ``.csv`` or ``.txt``, if there is one.
+    told : callable, optional
+        What the vehicle told at times (n,), instead of what stands beside the pictures; :func:`read_telemetry`.
 
     Raises
     ------
@@ -91,23 +101,66 @@ def open_pictures(
         If there are no pictures, times do not rise, or the height is not known.
     """
     where = Path(place)
+    if where.is_dir() and (where / CAMERA_RECORDING).is_file():
+        where = where / CAMERA_RECORDING
     if where.is_file():
+        if where.suffix.lower() == ".mcap":
+            return _recording(where, camera, told)
         if where.suffix.lower() not in VIDEOS:
             raise InputError(
-                str(where), "", "is no video", f"give a folder of pictures, or one of {', '.join(VIDEOS)}"
+                str(where),
+                "",
+                "is no video",
+                f"give a folder of pictures, a recording (.mcap), or one of {', '.join(VIDEOS)}",
             )
-        return _video(where, camera, height_m, rate_Hz)
+        return _video(where, camera, rate_Hz, times, told or standing_at(height_m, str(where)))
     if not where.is_dir():
         raise InputError(str(where), "", "no such folder or video", "give one with pictures")
     layout = layout_of(where)
-    names, times, files = _listed(where, layout)
-    told = _told(where, layout, times, height_m)
+    names, at, files = _listed(where, layout)
+    tellings = _told(where, layout, at, height_m) if told is None else told(at)
 
     def frames() -> Iterator[Frame]:
-        for file, t, one in zip(files, times, told, strict=True):
+        for file, t, one in zip(files, at, tellings, strict=True):
             yield Frame(float(t), read_picture(file, camera), one)
 
     return Source(f"{where.name} ({layout})", len(names), read_truth(where), frames)
+
+
+def open_live(live: LivePictures, told: Callable[[_Array], Sequence[Telling | None]]) -> Source:
+    """Return pictures as they come as a source; how many there will be nobody knows.
+
+    Parameters
+    ----------
+    live : LivePictures
+    told : callable
+        Of times (n,): what the vehicle told then, as :func:`standing_at` or :func:`read_telemetry` give it; None:
+        nothing, and the picture is passed over.
+    """
+
+    def frames() -> Iterator[Frame]:
+        for t, picture in live.pictures():
+            if (one := told(np.array([t]))[0]) is not None:
+                yield Frame(t, picture, one)
+
+    return Source(live.name, 0, None, frames)
+
+
+def standing_at(height_m: float | None, where: str) -> Callable[[_Array], list[Telling]]:
+    """Return what is told of a vehicle of which nothing is known but its height: level to 3 degrees.
+
+    Raises
+    ------
+    InputError
+        If that is no height, or none is given.
+    """
+    if height_m is None:
+        raise InputError(
+            where, "", "does not tell the height above the floor", "give --height or --telemetry"
+        )
+    if not 0.02 <= height_m <= 1000.0:
+        raise InputError("--height", "", f"{height_m:g} m is no height", "give it in metres above the floor")
+    return lambda times: [Telling(0.0, 0.0, height_m, tilt_sigma=_UNTOLD, height_sigma=0.02) for _ in times]
 
 
 def layout_of(folder: Path) -> Layout:
@@ -128,16 +181,22 @@ def read_picture(file: Path, camera: Camera) -> NDArray[np.uint8]:
         If there is none, it is damaged, or of another size.
     """
     try:
-        picture = decode(file.read_bytes())
+        data = file.read_bytes()
     except OSError as error:
         raise InputError(
             str(file), "", f"cannot be read ({error.strerror})", "give the folder as it was written"
         ) from error
+    return _decoded(data, camera, str(file))
+
+
+def _decoded(data: bytes, camera: Camera, where: str) -> NDArray[np.uint8]:
+    try:
+        picture = decode(data)
     except ValueError as error:
         raise InputError(
-            str(file), "", f"is damaged: {error}", "take it out of the list, or give another copy"
+            where, "", f"is damaged: {error}", "take it out of the list, or give another copy"
         ) from error
-    check_size(camera, picture.shape, str(file))
+    check_size(camera, picture.shape, where)
     return picture
 
 
@@ -206,6 +265,11 @@ def _listed(folder: Path, layout: Layout) -> tuple[list[str], _Array, list[Path]
         raise InputError(where, "", "holds no pictures", f"give a folder with {', '.join(PICTURES)}")
     if times[0] > 1e12:
         times = times * 1e-9  # nanoseconds
+    _rising(times, names, where)
+    return names, times, [base / n for n in names]
+
+
+def _rising(times: _Array, names: list[str], where: str) -> None:
     back = np.nonzero(np.diff(times) <= 0.0)[0]
     if len(back):
         k = int(back[0]) + 1
@@ -213,7 +277,6 @@ def _listed(folder: Path, layout: Layout) -> tuple[list[str], _Array, list[Path]
             where, names[k], f"its time, {times[k]:.6f} s, is not after {times[k - 1]:.6f} s of the picture before",
             "sort them, or give the right clock",
         )  # fmt: skip
-    return names, times, [base / n for n in names]
 
 
 def _is_number(text: str) -> bool:
@@ -278,16 +341,8 @@ def complementary(t: _Array, rates: _Array, force: _Array) -> tuple[_Array, _Arr
 
 def _heights(folder: Path, times: _Array, height_m: float | None) -> _Array:
     file = folder / "sonar.csv"
-    if height_m is not None:
-        if not 0.02 <= height_m <= 1000.0:
-            raise InputError(
-                "--height", "", f"{height_m:g} m is no height", "give it in metres above the floor"
-            )
-        return np.full(len(times), height_m)
-    if not file.is_file():
-        raise InputError(
-            str(folder), "", "does not tell the height above the floor", "give --height, or add sonar.csv"
-        )
+    if height_m is not None or not file.is_file():
+        return np.array([t.height_m for t in standing_at(height_m, str(folder))(times)])
     rows = [r for r in _rows(file) if _is_number(r[0])]
     if not rows or any(len(r) < 2 or not _is_number(r[1]) for r in rows):
         raise InputError(str(file), "", "has rows that are not two numbers", "write time and distance (s, m)")
@@ -301,6 +356,93 @@ TELEMETRY = (
 )  # fmt: skip
 PHASES = ("rotor_upper_rad", "rotor_lower_rad")
 """Columns of the telemetry that may be there; not wrapped."""
+
+
+def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list[Telling]]:
+    """Return what a vehicle told, as a function of times (n,) of pictures: of a ``telemetry.csv``, or of any recording.
+
+    Parameters
+    ----------
+    file : Path
+        A recording (:func:`mufly.logs.read_log`) needs attitude and position, as estimated, measured or true.
+    offset_s : float
+        Its clock less that of the pictures (s).
+
+    Raises
+    ------
+    InputError
+        If it tells neither, or nothing at the time of a picture.
+    """
+    if file.suffix.lower() == ".csv" and tuple(_rows(file)[0][: len(TELEMETRY)]) == TELEMETRY:
+        return lambda times: _telemetry(file, times + offset_s)
+    a = _table_of(file)
+
+    def told(times: _Array) -> list[Telling]:
+        t = times + offset_s
+        if t[0] < a[0, 0] - _NEAR_S or t[-1] > a[-1, 0] + _NEAR_S:
+            raise InputError(
+                str(file), "", f"is of {a[0, 0]:.3f} to {a[-1, 0]:.3f} s, pictures of {t[0]:.3f} to {t[-1]:.3f} s",
+                "give --offset: the recording's clock less the pictures'",
+            )  # fmt: skip
+        b = np.stack([np.interp(t, a[:, 0], c) for c in a.T], axis=1)
+        return [Telling(r[1], r[2], r[3], r[4:7], r[7:9], None, r[9], r[10]) for r in b]
+
+    return told
+
+
+def _table_of(file: Path) -> _Array:
+    """Columns of :data:`TELEMETRY` (n, 11) out of a recording."""
+    ds = read_log(file)
+
+    def known(what: str, *whose: str) -> _Array | None:
+        there = (ds[f"{who}_{what}"].values.astype(np.float64) for who in whose if f"{who}_{what}" in ds)
+        return next((values for values in there if np.isfinite(values).any()), None)
+
+    who = ("estimated", "measured", "truth")
+    attitude, position = known("attitude", *who), known("position", *who)
+    if attitude is None or position is None:
+        what = "attitude" if attitude is None else "position"
+        raise InputError(str(file), what, "is not told", "give a recording with it, or leave out --telemetry")
+    n = len(attitude)
+    rates, rotors = known("rates", *who), known("rotor_speed", "measured", "truth")
+    tilt, height = known("attitude_sigma", "estimated"), known("position_sigma", "estimated")
+    rows = np.column_stack([
+        ds["time"].values, attitude[:, :2], np.maximum(0.02, -position[:, 2]),
+        np.zeros((n, 3)) if rates is None else rates, np.zeros((n, 2)) if rotors is None else rotors,
+        np.full(n, math.radians(0.5)) if tilt is None else np.maximum(math.radians(0.15), tilt[:, :2].max(axis=1)),
+        np.full(n, 0.02) if height is None else np.maximum(0.006, height[:, 2]),
+    ])  # fmt: skip
+    # Rotor speeds come less often than the rest; where they are not known shaking is averaged, not modelled.
+    for k in range(1, rows.shape[1]):
+        good = np.isfinite(rows[:, k])
+        rows[:, k] = np.interp(rows[:, 0], rows[good, 0], rows[good, k]) if good.any() else 0.0
+    return rows
+
+
+def _recording(path: Path, camera: Camera, told: Callable[[_Array], list[Telling]] | None) -> Source:
+    """Pictures of a flight, with what the vehicle told; where that is not there, by the state in the recording."""
+    kept = read_pictures(path)
+    times = np.array(kept.times)
+    _rising(times, [f"picture {k + 1}" for k in range(len(times))], str(kept.path))
+    if told is None and kept.told:
+        try:
+            tellings = [Telling.of(one) for one in kept.told]
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                str(kept.path), "/camera/told", f"is damaged ({error})", "give --telemetry"
+            ) from None
+    else:
+        tellings = (told or read_telemetry(path))(times)
+    flight, truth = kept.path.with_name("flight.mcap"), None
+    if flight.is_file():
+        ds = read_recording(flight)
+        truth = ds["time"].values, ds["truth_position"].values, ds["truth_attitude"].values[:, 2]
+
+    def frames() -> Iterator[Frame]:
+        for t, jpeg, one in zip(times, kept.jpegs(), tellings, strict=True):
+            yield Frame(float(t), _decoded(jpeg, camera, f"{kept.path}: picture at {t:.3f} s"), one)
+
+    return Source(f"{kept.path.name} (recording)", len(times), truth, frames)
 
 
 def _telemetry(file: Path, times: _Array) -> list[Telling]:
@@ -356,7 +498,10 @@ def read_tum(file: str | Path) -> tuple[_Array, _Array, _Array]:
     return a[:, 0], a[:, 1:4], euler_from_quaternion(a[:, [7, 4, 5, 6]])[:, 2]
 
 
-def _video(file: Path, camera: Camera, height_m: float | None, rate_Hz: float | None) -> Source:
+def _video(
+    file: Path, camera: Camera, rate_Hz: float | None, times: Path | None,
+    told: Callable[[_Array], list[Telling]],
+) -> Source:  # fmt: skip
     cv2 = opencv()
     video = cv2.VideoCapture(str(file))
     if not video.isOpened():
@@ -364,22 +509,56 @@ def _video(file: Path, camera: Camera, height_m: float | None, rate_Hz: float | 
             str(file), "", "cannot be opened as a video", "give a file that OpenCV reads (MJPEG in AVI, MP4)"
         )
     count, rate = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), rate_Hz or float(video.get(cv2.CAP_PROP_FPS))
-    if not 0.1 <= rate <= 1000.0:
-        raise InputError(str(file), "", f"says {rate:g} pictures a second", "give --rate")
-    if height_m is None:
-        raise InputError(str(file), "", "does not tell the height above the floor", "give --height")
-    heights = _heights(file.parent, np.zeros(1), height_m)
+    video.release()
+    names = (times, file.with_suffix(".csv"), file.with_suffix(".txt"))
+    beside = next((f for f in names if f is not None and (f is times or f.is_file())), None)
+    listed = None if beside is None else _times(beside)
+    if listed is None and not 0.1 <= rate <= 1000.0:
+        raise InputError(str(file), "", f"says {rate:g} pictures a second", "give --rate or --times")
+    if listed is not None and count > 0 and len(listed) != count:
+        raise InputError(
+            str(beside),
+            "",
+            f"has {len(listed)} times, the video has {count} pictures",
+            "give one a picture",
+        )
+    clock = np.arange(max(count, 1)) / rate if listed is None else listed
+    tellings = told(clock)
 
     def frames() -> Iterator[Frame]:
         again = cv2.VideoCapture(str(file))
-        k = 0
-        while True:
+        for k in range(len(clock) if count > 0 or listed is not None else 10**9):
             there, picture = again.read()
             if not there:
+                if k < count:
+                    raise InputError(
+                        str(file),
+                        f"picture {k + 1}",
+                        f"cannot be read, {count} were announced",
+                        "give another copy",
+                    )
                 return
             grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
             check_size(camera, grey.shape, str(file))
-            yield Frame(k / rate, grey, Telling(0.0, 0.0, float(heights[0]), tilt_sigma=_UNTOLD))
-            k += 1
+            known = k < len(clock)
+            t = float(clock[k]) if known else k / rate
+            yield Frame(t, grey, tellings[k] if known else told(np.array([t]))[0])
 
-    return Source(file.name, count, None, frames)
+    return Source(file.name, max(count, 0), None, frames)
+
+
+def _times(file: Path) -> _Array:
+    """Times (s) of a video's pictures, one a row; what follows on a row is passed over, so is a row of names."""
+    rows = _rows(file)
+    rows = rows[1:] if rows and not _is_number(rows[0][0].split()[0]) else rows
+    cells = [r[0].split()[0] if r and r[0].split() else "" for r in rows]
+    bad = next((k for k, c in enumerate(cells) if not _is_number(c)), None)
+    if bad is not None or not cells:
+        what = "holds no times" if bad is None else f"{cells[bad][:40]!r} is no time"
+        raise InputError(
+            str(file), "" if bad is None else f"row {bad + 1}", what, "write a time (s or ns) in each row"
+        )
+    times = np.array([float(c) for c in cells])
+    times = times * 1e-9 if times[0] > 1e12 else times
+    _rising(times, [f"row {k + 1}" for k in range(len(times))], str(file))
+    return times

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from mufly.cli.options import Commands, JsonOption, argument, one_of, option
 from mufly.cli.present import (
@@ -16,14 +18,15 @@ from mufly.cli.present import (
     say,
     writing,
 )
-from mufly.errors import InputError
+from mufly.errors import InputError, MuflyError
 
 if TYPE_CHECKING:
     from mufly.camera import Camera
-    from mufly.slam import Evaluation
+    from mufly.slam import Answer, Evaluation, Frame
 
 app = Commands(
-    help="Visual SLAM with a camera that looks down: render data sets, run it over pictures, evaluate, calibrate. "
+    help="Visual SLAM with a camera that looks down: run it over pictures, recorded or as they come, evaluate, "
+    "calibrate; render data sets, and serve them as a stream. "
     "Equations and what it assumes: docs/slam.md.",
     no_args_is_help=True,
 )
@@ -117,13 +120,57 @@ def _boxes(count: int, side: float, seed: int) -> Any:
 @app.command()
 def run(
     place: Annotated[
-        Path, argument("VIDEO|FOLDER", "Pictures: a folder (ours, EuRoC's or TUM's layout) or a video.")
+        str,
+        argument(
+            "PICTURES",
+            "A folder (ours, EuRoC's or TUM's layout), a recording with pictures or its folder, a video, a camera "
+            "(/dev/video0) or an MJPEG stream (http://...).",
+        ),
     ],
     camera: Annotated[
-        str | None, option("--camera NAME|FILE", "That made them; by default camera.toml in the folder.")
+        str | None,
+        option(
+            "--camera NAME|FILE", "That made them; by default camera.toml in the folder or the recording."
+        ),
     ] = None,
     height: _HeightOption = None,
+    telemetry: Annotated[
+        Path | None,
+        option(
+            "--telemetry FILE",
+            "Attitude and height out of this recording (or telemetry.csv), at the pictures' times.",
+        ),
+    ] = None,
+    offset: Annotated[
+        float, option("--offset S", "Of --telemetry: its clock less that of the pictures.")
+    ] = 0.0,
     rate: Annotated[float | None, option("--rate HZ", "Of a video that does not say so itself.")] = None,
+    times: Annotated[
+        Path | None,
+        option(
+            "--times FILE", "Of a video: the time of each picture, one a row; by default NAME.csv beside it."
+        ),
+    ] = None,
+    delay: Annotated[
+        float, option("--delay S", "Of a camera or stream: how much older pictures are than they came.")
+    ] = 0.0,
+    clock: Annotated[
+        str, option("--clock WHICH", "Of a stream: arrival, or sender (its X-Timestamp).")
+    ] = "arrival",
+    link: Annotated[
+        str | None,
+        option(
+            "--link ENDPOINT",
+            "Of a camera or stream: a vehicle's MAVLink (udp:0.0.0.0:14560, serial:DEVICE:BAUD) tells attitude and "
+            "height, and is told VISION_POSITION_ESTIMATE.",
+        ),
+    ] = None,
+    give_up: Annotated[
+        float, option("--give-up S", "Of a camera or stream: it has ended when nothing came for so long.")
+    ] = 10.0,
+    duration: Annotated[
+        float | None, option("--duration S", "Stop after so long; Ctrl-C stops, too.")
+    ] = None,
     floor_map: Annotated[
         Path | None, option("--map FILE", "Find yourself in this map, instead of beginning one.")
     ] = None,
@@ -131,27 +178,100 @@ def run(
     out: Annotated[Path | None, option("--out -o DIR", "Trajectory (TUM's text, MCAP) and pictures.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Go through recorded pictures: where was the vehicle, and how well is that known?
+    """Go through pictures, recorded or as they come: where was the vehicle, and how well is that known?
 
-    With a truth in the folder errors are told, too. Examples: mufly slam run tiles -o result;
-    mufly slam run flight.avi --camera camera.toml --height 1.2
+    With a truth beside them errors are told, too. What was answered before it ends, is stopped or fails is written.
+
+    Examples: mufly slam run tiles -o result; mufly slam run flights/last -o result; mufly slam run film.avi --camera
+    camera.toml --telemetry flight.ulg --offset 12.3; mufly slam run /dev/video0 --camera webcam --height 1.2 -o result;
+    mufly slam run http://127.0.0.1:8090/stream --camera mufly-2.0 --height 1
     """
+    from mufly.camera import LivePictures, is_live, load_camera
+    from mufly.cli.station import Ending
+    from mufly.link import parse_endpoint
+    from mufly.link.companion import CompanionPort
     from mufly.logs import write_log
-    from mufly.slam import Map, Slam, draw, evaluate, open_pictures, opencv, run
+    from mufly.slam import (
+        Map,
+        Slam,
+        draw,
+        evaluate,
+        open_live,
+        open_pictures,
+        opencv,
+        read_telemetry,
+        run,
+        standing_at,
+    )
 
     opencv()
-    lens = _camera_of(place, camera)
-    source = open_pictures(place, lens, height_m=height, rate_Hz=rate)
+    one_of("--clock", clock, ("arrival", "sender"))
+    for name, value, most in (("--give-up", give_up, 3600.0), ("--duration", duration, 1e6)):
+        if value is not None and not 0.0 < value <= most:
+            raise InputError(name, "", f"{value:g} s is out of range", f"give up to {most:g}")
+    if link is not None and not is_live(place):
+        raise InputError(
+            "--link", "", "is for pictures as they come", "give a camera or a stream, or --telemetry"
+        )
+    told = None if telemetry is None else read_telemetry(telemetry, offset)
     check_folder("--out", out)
-    truth = source.truth
-    start = (0.0, 0.0, 0.0) if truth is None else (*truth[1][0, :2], truth[2][0])
-    slam = Slam(lens, None if floor_map is None else Map.load(floor_map), start=start)
-    with progress_bar("pictures", not as_json) as bar:
-        found = run(slam, source.frames(), lambda k, a: None if bar is None else bar(k + 1, source.count))
+    known = None if floor_map is None else Map.load(floor_map)
+    with contextlib.ExitStack() as stack:
+        ending = Ending(patient=False)
+        port: CompanionPort | None = None
+        if is_live(place):
+            if camera is None:
+                raise InputError(place, "", "does not tell of its camera", "give --camera, a name or a file")
+            lens = load_camera(camera)
+            if told is None and link is None:
+                told = standing_at(height, place)
+            if link is not None:
+                port = CompanionPort(parse_endpoint(link, "station"))
+                stack.callback(port.close)
+            live = stack.enter_context(LivePictures(
+                place, lens, delay_s=delay, clock=cast(Any, clock), give_up_s=give_up,
+                say=lambda line: say(line, mark="Note", style="yellow"), opencv=opencv,
+            ))  # fmt: skip
+            source = open_live(live, port.told if port is not None else cast(Any, told))
+        else:
+            lens = _camera_of(Path(place), camera)
+            source = open_pictures(place, lens, height_m=height, rate_Hz=rate, times=times, told=told)
+        truth = source.truth
+        start = (0.0, 0.0, 0.0) if truth is None else (*truth[1][0, :2], truth[2][0])
+        slam = Slam(lens, known, start=start)
+        failed: list[MuflyError] = []
+        bar = stack.enter_context(progress_bar("pictures", not as_json))
+        stack.enter_context(ending)
+        ending.patient = True
+
+        def frames() -> Iterator[Frame]:
+            first = None
+            try:
+                for frame in source.frames():
+                    first = frame.time_s if first is None else first
+                    if ending.asked.is_set() or (duration is not None and frame.time_s - first > duration):
+                        return
+                    yield frame
+            except MuflyError as error:
+                failed.append(error)
+
+        def answered(k: int, a: Answer) -> None:
+            if port is not None:
+                port.say(a)
+            if bar is not None:
+                bar(k + 1, source.count)
+
+        found = run(slam, frames(), answered)
+    if port is not None and not found.pictures and not failed:
+        raise InputError(
+            "--link", str(link), "no vehicle told attitude and height there", "look at both its ends"
+        )
+    if failed and len(found.time) < 3:
+        raise failed[0]
     if len(found.time) < 3:
         why = max(found.reasons, key=lambda k: found.reasons[k], default="there were none")
         raise InputError(
-            str(place),
+            place,
             "",
             f"{len(found.time)} of {found.pictures} pictures were answered: {why}",
             "see docs/slam.md",
@@ -169,19 +289,24 @@ def run(
             found.write(out / "trajectory.txt")
         files += [out / "trajectory.txt", write_log(found.dataset(), out / "trajectory.mcap")]
         files.append(save_picture(draw(found, slam, truth), out, "trajectory"))
+    missed = live.counted.words() if is_live(place) else []
     content = {
-        "pictures": found.pictures, "answered": len(found.time), "not_answered": found.reasons,
+        "pictures": found.pictures, "answered": len(found.time), "not_answered": found.reasons, "missed": missed,
         "keyframes": len(slam.map.keyframes), "closures": sum(e.closes for e in slam.map.edges), "errors": result,
+        "stopped_by": str(failed[0]) if failed else "",
     }  # fmt: skip
 
     def show() -> None:
         say(f"{len(found.time)} of {found.pictures} pictures answered")
         say(f"{content['keyframes']} keyframes, {content['closures']} loops closed")
         say(*(f"  {n} not: {why}" for why, n in sorted(found.reasons.items(), key=lambda r: -r[1])))
+        say(*(f"  {line}" for line in missed))
         if result is not None:
             _print(result)
 
     answer(as_json, lambda: content, show, files)
+    if failed:
+        raise failed[0]
 
 
 @app.command()
@@ -226,14 +351,19 @@ def serve(
 
 
 def _camera_of(place: Path, given: str | None) -> Camera:
-    """The camera of pictures: the one that is given, or that of their folder."""
-    from mufly.camera import load_camera
+    """The camera of pictures: the one that is given, or that of their folder or recording."""
+    from mufly.camera import CAMERA_RECORDING, camera_from, load_camera, read_pictures
 
     if not place.exists():
-        raise InputError(str(place), "", "no such folder or video", "give one with pictures")
-    if given is None and not (place / "camera.toml").is_file():
+        raise InputError(str(place), "", "no such folder, video or recording", "give one with pictures")
+    if given is not None:
+        return load_camera(given)
+    recording = place / CAMERA_RECORDING if place.is_dir() else place
+    if recording.suffix == ".mcap" and recording.is_file() and (text := read_pictures(recording).camera):
+        return camera_from(text, f"{recording}: camera.toml")
+    if not (place / "camera.toml").is_file():
         raise InputError(str(place), "camera.toml", "is not there", "give --camera")
-    return load_camera(given or place / "camera.toml")
+    return load_camera(place / "camera.toml")
 
 
 @app.command()

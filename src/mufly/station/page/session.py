@@ -17,6 +17,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+from mufly.camera import CAMERA_RECORDING
 from mufly.errors import InputError
 from mufly.flight import Parameter
 from mufly.link import SLOW
@@ -303,7 +304,8 @@ def is_flight(folder: Path) -> bool:
 
 
 def _recordings(paths: Iterable[Path]) -> Iterator[Path]:
-    return (p for p in paths if p.suffix.lower() in ENDINGS and p.is_file())
+    # A flight's pictures are no flight.
+    return (p for p in paths if p.suffix.lower() in ENDINGS and p.name != CAMERA_RECORDING and p.is_file())
 
 
 def drawn_world(world: World | None) -> dict[str, Any]:

@@ -1,0 +1,177 @@
+"""Pictures of a flight in a file of their own, ``camera.mcap`` beside ``flight.mcap``: what the ground station got.
+
+Topic ``/camera`` has JPEGs as ``foxglove.CompressedImage`` (Foxglove shows them; JSON, the picture in base64), topic
+``/camera/told`` what the vehicle told with each, the camera's file is an attachment. A chunk a second: a file that was
+cut off is readable up to its last whole second.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from mufly.errors import InputError
+from mufly.logs.mcap import McapFile, read_mcap
+from mufly.logs.recording import json_schema, stamp
+
+NAME = "camera.mcap"
+IMAGE = "foxglove.CompressedImage"
+_CHUNK_S = 1.0
+_TOPICS = ("/camera", "/camera/told")
+_text, _number, _integer = {"type": "string"}, {"type": "number"}, {"type": "integer"}
+_time = json_schema({"sec": _integer, "nsec": _integer}, "time")
+_IMAGE = json_schema(
+    {"timestamp": _time, "frame_id": _text, "data": {**_text, "contentEncoding": "base64"}, "format": _text},
+    IMAGE,
+)
+
+
+class PictureRecorder:
+    """Writes pictures as they come.
+
+    Parameters
+    ----------
+    path : Path
+        Overwritten.
+    camera : str
+        The camera's file.
+    start_ns : int
+        Wall time of the instant 0 (ns since 1970).
+    facts : mapping
+        Names and texts to keep: floor, ...
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+
+    def __init__(self, path: Path, camera: str, start_ns: int, facts: Mapping[str, str]) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._out = path.open("wb")
+        except OSError as error:
+            raise InputError(
+                str(path), "", f"cannot be written ({error.strerror})", "choose another folder"
+            ) from error
+        self._start_ns, self._waiting, self._due_s = start_ns, list[tuple[int, int, bytes]](), -1e9
+        self._file = McapFile(self._out, "mufly")
+        self._file.write_metadata("mufly.camera", {**facts, "start_ns": str(start_ns)})
+        self._file.write_attachment("camera.toml", "text/plain", camera.encode(), start_ns)
+        told = orjson.dumps({"title": "mufly.Told", "type": "object"})
+        self._image = self._file.add_channel(_TOPICS[0], IMAGE, orjson.dumps(_IMAGE))
+        self._told = self._file.add_channel(_TOPICS[1], "mufly.Told", told)
+
+    def add(self, time_s: float, jpeg: bytes, told: Mapping[str, Any]) -> None:
+        """Add a picture, and what was told with it."""
+        if time_s >= self._due_s:
+            self._flush()
+            self._due_s = time_s + _CHUNK_S
+        at = self._start_ns + round(time_s * 1e9)
+        image = {
+            "timestamp": stamp(at),
+            "frame_id": "camera",
+            "data": base64.b64encode(jpeg).decode(),
+            "format": "jpeg",
+        }
+        self._waiting.append((self._image, at, orjson.dumps(image)))
+        self._waiting.append((self._told, at, orjson.dumps(told, option=orjson.OPT_SERIALIZE_NUMPY)))
+
+    def _flush(self) -> None:
+        if self._waiting:
+            self._file.write_chunk(self._waiting)
+            self._waiting = []
+
+    def close(self) -> None:
+        """Write what is left, and the index."""
+        if self._out.closed:
+            return
+        with suppress(OSError):  # a full disk: what is there is readable
+            self._flush()
+            self._file.finish()
+        with suppress(OSError):
+            self._out.close()
+
+
+@dataclass(frozen=True)
+class RecordedPictures:
+    """What a recording has of a camera.
+
+    Attributes
+    ----------
+    path : Path
+    camera : str
+        Its file; "" where it is not there.
+    times : list of float
+        s, on the recording's clock.
+    told : list of dict
+        As they were given to :meth:`PictureRecorder.add`; empty where nothing was.
+    """
+
+    path: Path
+    camera: str
+    times: list[float]
+    told: list[dict[str, Any]]
+    _images: list[bytes]
+
+    def jpegs(self) -> Iterator[bytes]:
+        """Yield the pictures' bytes.
+
+        Raises
+        ------
+        InputError
+            If one of them is no picture message.
+        """
+        for t, content in zip(self.times, self._images, strict=True):
+            try:
+                yield base64.b64decode(orjson.loads(content)["data"])
+            except (ValueError, KeyError, TypeError):
+                raise InputError(
+                    str(self.path),
+                    f"picture at {t:.3f} s",
+                    "is damaged",
+                    "give another copy of the recording",
+                ) from None
+
+
+def read_pictures(path: Path) -> RecordedPictures:
+    """Read the pictures of a recording: ``camera.mcap``, the flight beside it, or any MCAP with a topic of
+    ``foxglove.CompressedImage`` in JSON.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    beside = path.with_name(NAME)
+    contents = read_mcap(path)
+    images = contents.messages.get(_TOPICS[0]) or _found(contents.messages)
+    if not images and path.name != NAME and beside.is_file():
+        path, contents = beside, read_mcap(beside)
+        images = contents.messages.get(_TOPICS[0], [])
+    if not images:
+        raise InputError(
+            str(path), "", "holds no pictures",
+            f"give {NAME} of a flight on the camera (mufly fly --position camera), or one with {IMAGE} in JSON",
+        )  # fmt: skip
+    facts = contents.metadata.get("mufly.camera", {})
+    start_ns = int(facts.get("start_ns", images[0][0]))
+    told = [orjson.loads(c) for _, c in contents.messages.get(_TOPICS[1], [])]
+    count = min(len(images), len(told)) if told else len(images)  # cut off between two
+    camera = contents.attachments.get("camera.toml", b"").decode()
+    times = [(t - start_ns) * 1e-9 for t, _ in images[:count]]
+    return RecordedPictures(path, camera, times, told[:count], [c for _, c in images[:count]])
+
+
+def _found(messages: Mapping[str, list[tuple[int, bytes]]]) -> list[tuple[int, bytes]]:
+    """Messages of the first topic that looks like pictures."""
+    for found in messages.values():
+        if found and b'"data"' in found[0][1] and b'"format"' in found[0][1]:
+            return found
+    return []

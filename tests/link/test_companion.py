@@ -1,0 +1,73 @@
+"""A companion that sees where the vehicle is, against the vehicle: what it hears, and what it tells."""
+
+import math
+
+import numpy as np
+import pytest
+from link_rig import Rig
+
+from mufly.link.codec import Encoder, mavlink
+from mufly.link.companion import Companion
+from mufly.slam import Answer
+
+
+def test_it_hears_tilt_and_height_and_the_vehicle_takes_its_places() -> None:
+    """Both on clocks of their own; what one says reaches the other after 20 ms."""
+    rig = Rig(sensors="fitted", seed=4, outside=True)
+    companion, late_s = Companion(), 0.02
+    ours = lambda: rig.now_s + 1.7e9  # noqa: E731
+    there, back, due_s = [], [], 0.0
+    rig.link.connect(rig.now_s, "slam")
+    while rig.flight.time_s < 4.0:
+        now_s = ours()
+        there += [(now_s + late_s, data) for data in companion.step(now_s)]
+        if now_s >= due_s and companion.telling(now_s - 0.1) is not None:
+            due_s = now_s + 0.05
+            t = rig.flight.truth
+            answer = Answer(now_s, True, "", t.position.copy(), float(t.attitude[2]), 1e-4 * np.eye(4))
+            there.append((now_s + late_s, companion.say(answer)))
+            assert companion.say(Answer(now_s, False, "lost")) is None
+        while there and there[0][0] <= now_s:
+            rig.link.receive(rig.now_s, "slam", there.pop(0)[1])
+        rig.flight.tick()
+        back += [(now_s + late_s, out.data) for out in rig.link.step(rig.now_s) if out.peer == "slam"]
+        while back and back[0][0] <= now_s:
+            companion.receive(now_s, back.pop(0)[1])
+        rig.now_s += rig.flight.period_s
+    assert companion.system == 1
+    assert companion.offset_s == pytest.approx(rig.flight.time_s - ours(), abs=0.006)
+    told = companion.telling(ours() - 0.1)
+    truth = rig.flight.truth
+    assert (told.roll, told.pitch) == pytest.approx(tuple(truth.attitude[:2]), abs=0.02)
+    assert told.height_m == pytest.approx(-truth.position[2], abs=0.03)
+    fix = rig.flight.readings["position_fix"]
+    assert 0.0 < rig.flight.time_s - fix.time_s < 0.09
+    assert np.diag(fix.covariance) == pytest.approx([1e-4] * 4, rel=1e-6)
+    assert not rig.flight.autopilot.not_ready()
+
+
+def test_what_is_old_or_of_another_is_not_told() -> None:
+    companion, encode, other = Companion(), Encoder(1, 1), Encoder(7, 1)
+    beat = mavlink.MAVLink_heartbeat_message(3, 12, 0, 0, 4, 3)
+    assert companion.step(0.0) == []
+    assert companion.telling(0.0) is None
+    companion.receive(0.0, encode(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
+    assert companion.system is None  # a station is no vehicle
+    companion.receive(0.0, encode(beat))
+    assert len(companion.step(0.0)) == 4
+    for k in range(20):
+        now_s = 0.05 * k
+        for source, roll in ((encode, 0.1), (other, 0.5)):
+            message = mavlink.MAVLink_attitude_message(
+                round(1000 * now_s) + 500, roll, 0.0, 0.0, 0.0, 0.0, 0.0
+            )
+            companion.receive(now_s, source(message))
+        height = mavlink.MAVLink_distance_sensor_message(round(1000 * now_s) + 500, 2, 300, 120, 0, 0, 25, 0)
+        companion.receive(now_s, encode(height))
+    assert companion.offset_s == pytest.approx(0.5)
+    told = companion.telling(0.8)
+    assert (told.roll, told.height_m) == pytest.approx((0.1, 1.2))
+    assert companion.telling(1.6) is None
+    assert companion.telling(-1.0) is None
+    lost = Answer(0.8, True, "", np.zeros(3), math.nan, np.eye(4))
+    assert companion.say(lost) is not None
