@@ -14,6 +14,7 @@ from mufly.estimate.beliefs import Beliefs, Check, Checks
 from mufly.estimate.estimate import Estimate, Estimator
 from mufly.estimate.guards import ACTING, CLIPPING, VALUES
 from mufly.estimate.layout import (
+    BLOCK_S,
     CHECKED,
     GYRO,
     R_BATTERY,
@@ -66,6 +67,8 @@ class KalmanEstimator(Estimator):
         Of the filter's numbers; a processor on board has ``numpy.float32``.
     code : "", "c" or "numba"
         What computes it (:mod:`mufly.estimate.native`); what starts sooner by default. ``steps`` says which it is.
+    block_s : float
+        Time over which inputs are averaged (s).
 
     Attributes
     ----------
@@ -75,10 +78,16 @@ class KalmanEstimator(Estimator):
     """
 
     def __init__(
-        self, vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64, code: Code = ""
+        self,
+        vehicle: Vehicle,
+        world: World,
+        rate_Hz: float,
+        kind: Any = np.float64,
+        code: Code = "",
+        block_s: float = BLOCK_S,
     ) -> None:
         self._kind, self._rate = kind, rate_Hz
-        self._settings = filter_settings(vehicle, world, rate_Hz, kind)
+        self._settings = filter_settings(vehicle, world, rate_Hz, kind, block_s)
         self._parameters = model_parameters(vehicle)
         self._fitted = [k for k in range(SENSORS) if self._settings["fitted"][k]]
         self._place = {CHECKED[k]: k for k in self._fitted}

@@ -1,8 +1,10 @@
 """One period of the filter, compiled: readings in, the state of now out, with a bounded amount of work.
 
-The filter itself runs ``delay`` periods behind, far enough that even late readings are known by the time they are due
-(as in the EKF2 of PX4): each waits for the horizon to come to the instant at which it was measured, so readings are
-taken in in the order of their measurement, and none is fused twice or with another's state. What is told is the
+The filter itself runs ``delay`` periods behind, as far as the slowest reading usually takes to come (as in the EKF2 of
+PX4): each waits for the horizon to come to the instant at which it was measured, so readings are taken in in the order
+of their measurement, and none is fused twice or with another's state. One that comes later, by the jitter of a radio
+link, is carried to the next end of a block by speed and turning; were the horizon to wait for all of these, every
+reading would tell of now by as much later. What is told is the
 horizon's state carried on to now through the inputs since, with what the filter believes of biases and wind: what it
 would say had it run without delay on the readings that were due. That goes some blocks a period: it takes about five
 periods to come to now, then the next is on its way; meanwhile the last one is carried on by every period. Both are
@@ -97,6 +99,9 @@ from mufly.estimate.telling import LONGEST, TOLD_EVERY, spread_along, tell
 from mufly.trigonometry import whole
 from mufly.units import GRAVITY
 
+BACK_S = 0.1
+"""How long before the horizon a measurement may have been made: speed and turning carry it there, and what they change
+by meanwhile, 1 m/s^2, moves it by 5 mm."""
 SLOWLY = 32
 """Periods over which the noise of forces at low frequencies is looked at."""
 TELLING, STEPPING, FIXING, RESTING = 3, 2, 4, 3
@@ -149,9 +154,14 @@ def begin(m, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _queue(m, kind, due, ahead, z, start, count):  # type: ignore[no-untyped-def]
-    """Let a measurement wait until the horizon has come to tick ``due``; False if that is over, or no place is left."""
+def _queue(m, s, kind, at, z, start, count):  # type: ignore[no-untyped-def]
+    """Let a measurement of tick ``at`` wait until the horizon has come to it; False if that is over for too long, or
+    no place is left."""
+    due = s.block * whole(at / s.block + 0.5)
     if due <= m.horizon:
+        due = m.horizon + s.block  # by what it moves and turns, the next end of a block will do
+    ahead = (at - due) * s.dt
+    if -ahead > BACK_S:
         return False
     for i in range(WAITING):
         if m.due[i] < 0:
@@ -556,11 +566,7 @@ def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
             continue
         # The state of tick k belongs to k dt - lag.
         at = m.tick + (s.lag - age[kind] - s.latency[kind] * (1 if kind == R_PRESSURE else 0)) / s.dt
-        due = s.block * whole(at / s.block + 0.5)
-        if due == 0:
-            due = s.block  # there is no block before the first
-        count = STARTS[kind + 1] - STARTS[kind]
-        if not _queue(m, kind, due, (at - due) * s.dt, z, STARTS[kind], count):
+        if not _queue(m, s, kind, at, z, STARTS[kind], STARTS[kind + 1] - STARTS[kind]):
             m.late[kind] += 1
             flag(m, s, kind, FAULTY, LATE, age[kind])
     left = s.work - (TELLING if m.tick % TOLD_EVERY == 0 else 0)

@@ -88,6 +88,7 @@ BLOCK_S = 0.02
 right to 1e-4 in it."""
 KEPT = 40  # blocks of input that are remembered
 LAG = 4  # blocks by which the filter may be behind when much has come at once
+REACH = KEPT - 2 * LAG  # blocks by which the horizon may be behind now
 INPUTS = 22
 """Numbers of a block, means of its periods: rates, felt force, force of the rotors, rest of the model's, its slope over
 the velocity through the air, share of the accelerometer, density of the noise (three each); and the mode of its last
@@ -199,7 +200,9 @@ _CALM_S = 5.0  # errors of the ring stay for as long as it hovers, or so
 _TURN_S = 1.5  # turns go the same way for about as long
 
 
-def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64) -> np.void:
+def filter_settings(
+    vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64, block_s: float = BLOCK_S
+) -> np.void:
     """Return what the filter knows of a vehicle: its table ``sensors``, its dimensions, the walls of the room.
 
     Parameters
@@ -211,6 +214,8 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         Of the flight software (Hz).
     kind : type
         Of the numbers.
+    block_s : float
+        Time over which inputs are averaged (s).
     """
     sensing = vehicle.sensors or Sensing()
     s = np.zeros((), settings_type(kind))
@@ -346,7 +351,7 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         bound[R_BATTERY] = 5 * float(vehicle.battery.nominal_voltage)
     if (fix := sensing.position_fix) is not None:
         fitted[R_FIX], period[R_FIX], latency[R_FIX] = 1, float(fix.period), float(fix.latency)
-        delay_s = max(delay_s, float(fix.latency) + 4 * float(fix.jitter) + dt)
+        delay_s = max(delay_s, float(fix.latency))
         s["fix_variance"], s["heading_variance"] = float(fix.noise) ** 2, float(fix.heading_noise) ** 2
         sigma[FIX : FIX + 3], sigma[HEADING] = float(fix.wander), float(fix.heading_wander)
         tau[FIX : FIX + 4] = float(fix.wander_time)
@@ -354,7 +359,7 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
         noisy[R_FIX] = float(fix.noise) > 0
         slack[R_FIX] = 6 * float(fix.jitter) + dt
     # What moves steps by blocks; of the biases one a period, in turn.
-    block = max(1, round(BLOCK_S / dt))
+    block = max(1, round(block_s / dt))
     span = np.where(np.arange(ERRORS) < GYRO, block * dt, (ERRORS - GYRO) * dt)
     keep = np.exp(-span / tau)
     s["block"], s["work"] = block, max(WORK, math.ceil(4 * WORK / block))
@@ -363,8 +368,8 @@ def filter_settings(vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = 
     s["fitted"], s["period"], s["latency"], s["bound"], s["every"] = fitted, period, latency, bound, every
     s["slack"], s["noisy"] = slack, noisy
     s["patience"] = np.maximum(6 * period, 3.5 * dt)
-    # A measurement counts at the nearest end of a block.
-    s["delay"] = min(math.ceil(delay_s / dt) + block // 2 + 1, (KEPT - 2 * LAG) * block)
+    # What comes later than usual is carried to the horizon; all that is fresher would wait for it.
+    s["delay"] = min(round(delay_s / dt), REACH * block)
     return cast(np.void, s[()])
 
 

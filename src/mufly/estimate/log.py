@@ -32,7 +32,7 @@ from scipy.optimize import minimize
 from mufly.errors import InputError
 from mufly.estimate.estimate import Estimate
 from mufly.estimate.fitted import KalmanEstimator
-from mufly.estimate.layout import ACCEL, GYRO, HEADING, KEPT, R_FIX, STATES, TURN, P, V
+from mufly.estimate.layout import ACCEL, BLOCK_S, GYRO, HEADING, R_FIX, REACH, STATES, TURN, P, V
 from mufly.estimate.nees import normalised
 from mufly.results import result
 from mufly.sensors import Reading, Readings
@@ -281,10 +281,12 @@ def _estimator(log: InertialLog, aids: Aids, noise: Noise) -> KalmanEstimator:
     """The filter without a rotor model, where and how it stands or flies at the beginning."""
     step = log.step_s
     late = float(np.max(aids.came_s - aids.taken_s, initial=0.0))
-    if late > (KEPT - 12) * step:
+    # A row a block where that reaches back far enough: no processor is short of time here.
+    rows = max(1, math.ceil(late / step / REACH - 1e-9))
+    if rows > max(1, round(BLOCK_S / step)):
         raise InputError(
-            "--aid-delay", f"{late:.3g} s", f"is more than {KEPT - 12} rows of {1e3 * step:.3g} ms, as far as the "
-            "filter reaches back", "give a lower --rate",
+            "--aid-delay", f"{late:.3g} s", f"is more than {REACH * max(BLOCK_S, step):.2g} s, as far as the filter "
+            "reaches back", "give aids that come sooner, or a lower --rate",
         )  # fmt: skip
     v = load_vehicle("mufly-2.0")
     standard = "sensors.imu.", "sensors.position_fix."
@@ -302,7 +304,7 @@ def _estimator(log: InertialLog, aids: Aids, noise: Noise) -> KalmanEstimator:
     assert v.sensors is not None
     only = {name: None for name in type(v.sensors).model_fields if name not in ("imu", "position_fix")}
     v = v.model_copy(update={"sensors": v.sensors.model_copy(update=only)})
-    e = KalmanEstimator(v, World(), 1.0 / step)
+    e = KalmanEstimator(v, World(), 1.0 / step, block_s=rows * step)
     s: Any = e._settings.copy()
     s["model"] = 0
     s["stands"] = -1e6  # no floor: nobody knows where it is

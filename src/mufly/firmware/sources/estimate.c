@@ -37,12 +37,17 @@ void estimator_begin(estimator_t *m, const estimator_settings_t *s)
     }
 }
 
-/* Let a measurement wait until the horizon has come to tick `due`; false if that is over, or no place is left. */
-static bool queue(estimator_t *m, int32_t kind, int32_t due, real_t ahead, const real_t *z)
+/* Let a measurement of tick `at` wait until the horizon has come to it; false if that is over for too long, or no place
+ * is left. */
+static bool queue(estimator_t *m, const estimator_settings_t *s, int32_t kind, real_t at, const real_t *z)
 {
+    const int32_t nearest = s->block * real_whole((at / (real_t)s->block) + REAL(0.5));
+    /* By what it moves and turns, the next end of a block will do. */
+    const int32_t due = (nearest <= m->horizon) ? (m->horizon + s->block) : nearest;
+    const real_t ahead = (at - (real_t)due) * s->dt;
     bool waits = false;
 
-    if (due > m->horizon) {
+    if (!(-ahead > BACK_S)) {
         for (int32_t i = 0; (i < WAITING) && !waits; i++) {
             if (m->due[i] < 0) {
                 waits = true;
@@ -853,10 +858,8 @@ static void let_wait(estimator_t *m, const estimator_settings_t *s, const real_t
             /* The state of tick k belongs to k dt - lag. */
             const real_t settling = (kind == R_PRESSURE) ? s->latency[kind] : REAL(0.0);
             const real_t at = (real_t)m->tick + (((s->lag - age[kind]) - settling) / s->dt);
-            const int32_t nearest = s->block * real_whole((at / (real_t)s->block) + REAL(0.5));
-            const int32_t due = (nearest == 0) ? s->block : nearest; /* there is no block before the first */
 
-            if (!queue(m, kind, due, (at - (real_t)due) * s->dt, &z[STARTS[kind]])) {
+            if (!queue(m, s, kind, at, &z[STARTS[kind]])) {
                 m->late[kind] += 1;
                 flag(m, s, kind, FAULTY, LATE, age[kind]);
             }
