@@ -133,6 +133,16 @@ class Disc:
     speed_rad_s: float
     since: int = 0
 
+    def scaled(self, ratio: float) -> Disc:
+        """These loads times a ratio."""
+        return replace(
+            self,
+            thrust_N_m=tuple(ratio * x for x in self.thrust_N_m),
+            torque_Nm_m=tuple(ratio * x for x in self.torque_Nm_m),
+            thrust_N=ratio * self.thrust_N,
+            torque_Nm=ratio * self.torque_Nm,
+        )
+
     def off(self, other: Disc) -> float:
         """By how much another disc's thrust or torque differs, of this one's: the greater of the two."""
         return max(
@@ -182,7 +192,7 @@ def put_disc(folder: Path, mesh: PolyMesh, point: Point, disc: Disc) -> None:
     Raises
     ------
     MuflyError
-        If the plane cuts no cells.
+        If the plane cuts no cells, or the loads nearly cancel along the blade.
     """
     cells, area = disc_cells(mesh, point.other_m, point.radius_m)
     if not area.sum() > 0.0:
@@ -196,8 +206,18 @@ def put_disc(folder: Path, mesh: PolyMesh, point: Point, disc: Disc) -> None:
     # Cells are no rings: their sum is brought to the rotor's.
     at = np.hypot(mesh.centres[cells, 0], mesh.centres[cells, 1])
     share = point.density_kg_m3 * point.blades**2 * 0.5 * at * area / (2.0 * math.pi)
-    lift *= disc.thrust_N / float(share @ np.interp(at, r, lift))
-    drag *= -disc.torque_Nm / float((share * at) @ np.interp(at, r, drag))
+    part = np.array(
+        [
+            disc.thrust_N / float(share @ np.interp(at, r, lift)),
+            -disc.torque_Nm / float((share * at) @ np.interp(at, r, drag)),
+        ]
+    )
+    if not np.all((part > 0.5) & (part < 2.0)):
+        raise MuflyError(
+            f"{folder}: the other rotor's loads nearly cancel along its blades (thrust {disc.thrust_N:.3g} N, torque "
+            f"{disc.torque_Nm:.3g} N m): as a disc of force they are not to be told"
+        )
+    lift, drag = part[0] * lift, part[1] * drag
     blade = "\n".join(f"        (at{i} ({x:.9g} 0 1))" for i, x in enumerate(r))
     profiles = "\n".join(
         f"        at{i} {{ type lookup; data ((-180 {d:.9g} {c:.9g}) (180 {d:.9g} {c:.9g})); }}"

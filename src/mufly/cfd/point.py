@@ -195,8 +195,6 @@ class MeanPair:
     ----------
     upper, lower : Solution
         Each in the frame of its own, in which it turns about +z.
-    rounds : int
-        How often both were solved.
     settled : bool
         Whether both stand, and neither would change the other any more.
     between_m_s : (2,) array
@@ -206,7 +204,6 @@ class MeanPair:
 
     upper: Solution
     lower: Solution
-    rounds: int
     settled: bool
     between_m_s: Array
 
@@ -221,6 +218,8 @@ class MeanPair:
         return self.lower.verdict.torque_Nm / self.upper.verdict.torque_Nm
 
 
+PAIR = ("upper", "lower")
+"""The two cases of a pair."""
 ROUNDS, SAME = 6, 0.01
 """Of a pair: how often the rotors take turns at most, and the change of thrust or torque that is none."""
 
@@ -234,6 +233,7 @@ def solve_pair(
     gap_m: float,
     lower_pitch_rad: float | None = None,
     lower_speed_rad_s: float | None = None,
+    neighbour: Path | None = None,
     cores: int = 1,
     progress: Callable[[Progress], None] | None = None,
     **given: Any,
@@ -254,6 +254,8 @@ def solve_pair(
         Between the discs.
     lower_pitch_rad, lower_speed_rad_s : float, optional
         Of the lower one; default: as the upper.
+    neighbour : Path, optional
+        A solved pair of other speeds or pitch settings to start from.
     cores, progress, given
         As for :func:`solve_point`.
 
@@ -261,8 +263,6 @@ def solve_pair(
     ------
     InputError
         If the rotors would meet, or blade elements find no first guess.
-
-    Thesis: Fig. 3.43.
     """
     pitches = (pitch_rad, pitch_rad if lower_pitch_rad is None else lower_pitch_rad)
     speeds = (speed_rad_s, speed_rad_s if lower_speed_rad_s is None else lower_speed_rad_s)
@@ -276,19 +276,21 @@ def solve_pair(
     guess = solve(
         System.coaxial(ready, ready, spacing_m=gap_m), Condition(pitches, speeds, None, climb, air), "bemt"
     )
-    names = ("upper", "lower")
+    if not guess.converged:
+        raise MuflyError(f"the pair has no first guess by blade elements: {guess.message}")
     settings = list(zip(pitches, speeds, strict=True))
     loads = [_disc(beside(one, "bemt"), *at) for one, at in zip(guess.rotors, settings, strict=True)]
-    for i, name in enumerate(names):
+    for i, name in enumerate(PAIR):
+        if neighbour is not None:
+            before = read_solution(neighbour / name)
+            ratio = (speeds[i] / before.point.speed_rad_s) ** 2
+            loads[i] = _disc(before, *settings[i]).scaled(ratio)
         if read_disc(folder / name) is not None and max(times(folder / name), default=0) >= LEAST:
             loads[i] = _disc(read_solution(folder / name), *settings[i])
-    found: list[Solution | None] = [None, None]
     meshes: dict[str, PolyMesh] = {}
-    count, agreed = 0, False
-    while not agreed and count < ROUNDS:
-        count += 1
-        for i, name in enumerate(names):
-            place, theta, speed = folder / name, *settings[i]
+    for _ in range(ROUNDS):
+        for i, name in enumerate(PAIR):
+            place, (theta, speed) = folder / name, settings[i]
             if name not in meshes:
                 save_case(
                     place,
@@ -296,6 +298,7 @@ def solve_pair(
                     pitch_rad=theta,
                     speed_rad_s=speed,
                     other_m=(-gap_m, gap_m)[i],
+                    neighbour=None if neighbour is None else neighbour / name,
                     cores=cores,
                     **given,
                 )
@@ -304,20 +307,36 @@ def solve_pair(
             if stands is None or stands.off(loads[1 - i]) > SAME:
                 stands = replace(loads[1 - i], since=max(times(place), default=0))
                 put_disc(place, meshes[name], read_point(place), stands)
-            run_case(place, cores=cores, progress=progress, most=MOST + stands.since)
-            found[i] = one = read_solution(place, meshes[name])
-            loads[i] = _disc(one, theta, speed)
-            if one.verdict.what == "diverged":
+            verdict = run_case(place, cores=cores, progress=progress, most=MOST + stands.since)
+            if verdict.what == "diverged":
                 raise MuflyError(f"{place}: the {name} rotor's solution diverged; see its log")
-        standing = [read_disc(folder / name) for name in names]
-        agreed = all(one is not None and one.off(loads[1 - i]) <= SAME for i, one in enumerate(standing))
-    upper, lower = found
-    assert upper is not None
-    assert lower is not None
+            loads[i] = _disc(read_solution(place, meshes[name]), theta, speed)
+        if _agreed(folder, loads):
+            break
+    return read_pair(folder)
+
+
+def read_pair(folder: Path) -> MeanPair:
+    """Read a pair that :func:`solve_pair` solved.
+
+    Raises
+    ------
+    InputError
+        If one of its cases holds no solution.
+    """
+    upper, lower = (read_solution(folder / name) for name in PAIR)
+    loads = [_disc(one, one.point.pitch_rad, one.point.speed_rad_s) for one in (upper, lower)]
     between = np.array(
-        [_down(folder / n, meshes[n], h) for n, h in zip(names, (-0.5 * gap_m, 0.5 * gap_m), strict=True)]
+        [_down(folder / n, 0.5 * s.point.other_m) for n, s in zip(PAIR, (upper, lower), strict=True)]
     )
-    return MeanPair(upper, lower, count, agreed and upper.verdict.settled and lower.verdict.settled, between)
+    stands = upper.verdict.settled and lower.verdict.settled
+    return MeanPair(upper, lower, stands and _agreed(folder, loads), between)
+
+
+def _agreed(folder: Path, loads: Sequence[Disc]) -> bool:
+    """Whether each rotor's case has the loads of the other one."""
+    standing = [read_disc(folder / name) for name in PAIR]
+    return all(one is not None and one.off(loads[1 - i]) <= SAME for i, one in enumerate(standing))
 
 
 def _disc(loads: Beside | Solution, pitch_rad: float, speed_rad_s: float) -> Disc:
@@ -325,9 +344,9 @@ def _disc(loads: Beside | Solution, pitch_rad: float, speed_rad_s: float) -> Dis
     return Disc(r, t, q, float(loads.thrust_N), float(loads.torque_Nm), pitch_rad, speed_rad_s)
 
 
-def _down(folder: Path, mesh: PolyMesh, height_m: float) -> float:
+def _down(folder: Path, height_m: float) -> float:
     """Mean velocity (m/s) down through a level plane within R."""
-    point = read_point(folder)
+    point, mesh = read_point(folder), read_poly_mesh(folder)
     speed = -read_field(folder / str(times(folder)[-1]) / "U", mesh.cells)[:, 2]
     cells, area = disc_cells(mesh, height_m, point.radius_m)
     return float(speed[cells] @ area / area.sum())

@@ -19,7 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
-from mufly.rotor import Blading, Condition, Method, Result, System, load_rotor, prepare, solve
+from mufly.rotor import Air, Blading, Condition, Method, Result, System, load_rotor, prepare, solve
 from mufly.rotor.wake import WakeSettings
 from mufly.study.sweeps import Progress
 from mufly.thesis.claims import CLAIMS, TABLE_3_4_VALUES, Verdict
@@ -146,6 +146,26 @@ def equal_speeds(
         for field, values in single.items():
             values.append(float(getattr(alone.rotors[0], field)) if alone.converged else math.nan)
     return both.assign({f"single_{k}": ("rpm", v, {"units": _FIELDS[k]}) for k, v in single.items()})
+
+
+OUR_PAIR: dict[int, dict[str, tuple[float, float]]] = {
+    5000: {"upper": (0.1745, 2.051e-3), "lower": (0.1034, 1.675e-3), "single": (0.1820, 2.091e-3)},
+}
+"""docs/cfd.md: each rotor beside the other's mean, laminar, coarse, settled; by rpm: thrust (N), torque (N m)."""
+
+
+def equal_speeds_by_cfd() -> xr.Dataset:
+    """What docs/cfd.md states of the pair, in the form of :func:`equal_speeds`."""
+    rpm, air, R = sorted(OUR_PAIR), Air(), _blade().radius_m
+    out: dict[str, NDArray[np.float64]] = {}
+    for who in ("upper", "lower", "single"):
+        loads = np.array([OUR_PAIR[n][who] for n in rpm])
+        whole = air.density_kg_m3 * math.pi * R**2 * (np.array(rpm) * RPM * R) ** 2
+        out |= {f"{who}_thrust_N": loads[:, 0], f"{who}_torque_Nm": loads[:, 1]}
+        out |= {f"{who}_c_T": loads[:, 0] / whole, f"{who}_c_Q": loads[:, 1] / (whole * R)}
+    data = xr.Dataset({k: ("rpm", v) for k, v in out.items()}, coords={"rpm": rpm}, attrs={"model": "cfd"})
+    data["fault"] = ("rpm", np.full(len(rpm), "", dtype=str))
+    return data
 
 
 def one_speed_kept(

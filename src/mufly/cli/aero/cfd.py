@@ -157,12 +157,12 @@ def run(
         "lower_speed_rad_s": None if lower_rpm is None else turning("--lower-rpm", lower_rpm),
     }
     if gap and not frozen:
-        if save_only or start is not None:
+        if save_only:
             raise InputError(
                 "--gap", f"{gap:g}", "takes turns between two cases that are run", "add --frozen, or run it"
             )
         with _telling(not as_json) as tell:
-            pair = solve_pair(out, r, progress=tell, **second, **given)
+            pair = solve_pair(out, r, neighbour=start, progress=tell, **second, **given)
         _tell_pair(out, r, pair, as_json)
         return
     good = save_case(out, r, neighbour=start, **second, **given)
@@ -335,17 +335,21 @@ def show(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a case's last state is worth: verdict, loads, y+, beside blade elements and wake.
+    """Say what a case's last state (or a pair's) is worth: verdict, loads, y+, beside blade elements and wake.
 
     The blades, with pressure and friction, are written as VTP and glTF into the case's results.
     Example: mufly cfd show case
     """
-    from mufly.cfd import read_point
+    from mufly.cfd import read_pair, read_point
     from mufly.rotor import builtin_rotors, load_rotor
 
-    name = rotor or read_point(case).rotor
+    both = (case / "upper" / "mufly.json").is_file()
+    name = rotor or read_point(case / "upper" if both else case).rotor
     known = load_rotor(name) if rotor is not None or name in builtin_rotors() else None
-    _tell(case, known, as_json)
+    if both:
+        _tell_pair(case, known, read_pair(case), as_json)
+    else:
+        _tell(case, known, as_json)
 
 
 @app.command()
@@ -417,7 +421,7 @@ def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
     answer(as_json, content, show, files)
 
 
-def _tell_pair(folder: Path, rotor: Rotor, pair: MeanPair, as_json: bool) -> None:
+def _tell_pair(folder: Path, rotor: Rotor | None, pair: MeanPair, as_json: bool) -> None:
     """Print both rotors of a pair, each beside the other's mean, and what they are to each other."""
     from mufly.cfd import pair_picture
 
@@ -431,8 +435,8 @@ def _tell_pair(folder: Path, rotor: Rotor, pair: MeanPair, as_json: bool) -> Non
         _show_ratios(ratios)
         up, low = pair.between_m_s
         console().print(
-            f"After {pair.rounds} rounds; half way between the discs the air goes down at {up:.2f} m/s under the upper "
-            f"rotor's blades and at {low:.2f} m/s in the lower one's case.",
+            f"Half way between the discs the air goes down at {up:.2f} m/s under the upper rotor's blades and at "
+            f"{low:.2f} m/s in the lower one's case.",
             highlight=False,
         )
         if not pair.settled:
@@ -441,7 +445,7 @@ def _tell_pair(folder: Path, rotor: Rotor, pair: MeanPair, as_json: bool) -> Non
     answer(
         as_json,
         lambda: {
-            "settled": pair.settled, "rounds": pair.rounds, "thrust_ratio": pair.thrust_ratio,
+            "settled": pair.settled, "thrust_ratio": pair.thrust_ratio,
             "torque_ratio": pair.torque_ratio, "between_m_s": pair.between_m_s, "upper": reports[0][0](),
             "lower": reports[1][0](),
         },
