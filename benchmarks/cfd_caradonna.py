@@ -1,10 +1,14 @@
-"""Caradonna and Tung's rotor by CFD, beside the lift of its five stations and the pressures at one.
+"""Caradonna and Tung's rotor by CFD, beside the lift of its five stations and the suction at one.
 
 F. X. Caradonna, C. Tung, *Experimental and Analytical Studies of a Model Helicopter Rotor in Hover*, NASA TM-81232
-(1981): two untwisted blades, NACA 0012, radius 1.143 m, chord 190.5 mm; 8 degrees, 1 250 rpm, tip at Mach 0.439. Appendix A,
-Table 17, as transcribed by github.com/mcroomp/dynbem from the report's scans; its lift agrees to 2 % with what others
-read off the report's Fig. 14, but at 0.96 R, where that gives 0.274. CFD is incompressible: its coefficients are
-given as they are and after Prandtl and Glauert, over sqrt(1 - M^2) with the station's Mach number.
+(1981): two untwisted blades, NACA 0012, radius 1.143 m, chord 190.5 mm; 8 degrees, 1 250 rpm, tip at Mach 0.439.
+Appendix A, Table 17, as transcribed by github.com/mcroomp/dynbem from the report's scans. Its lift agrees to 2 % with
+what others read off the report's Fig. 14, but at 0.96 R (0.274). Of its pressures the upper side at 0.68 R is taken,
+which goes with that lift. At 0.80 R the upper side alone would give 0.48 where the table has 0.289, and the
+lower sides change sign and power of ten from tap to tap: damaged in transcription, not used.
+
+CFD is incompressible: its coefficients are given as they are and after Prandtl and Glauert, over sqrt(1 - M^2) with the
+station's Mach number.
 
     python benchmarks/cfd_caradonna.py DIR [--model k-epsilon] [--mesh coarse] [--most 2800]
 
@@ -20,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mufly.cfd import read_poly_mesh, read_solution, run_case, save_case
+from mufly.cfd import PolyMesh, Solution, read_poly_mesh, read_solution, run_case, save_case
 from mufly.rotor import load_rotor
 from mufly.units import RPM
 
@@ -40,14 +44,14 @@ RADIUS_M, CHORD_M, PITCH_DEG, SPEED_RPM, MACH = 1.143, 0.1905, 8.0, 1250.0, 0.43
 C_T = 0.00459
 LIFT = {0.50: 0.2343, 0.68: 0.2815, 0.80: 0.2886, 0.89: 0.3143, 0.96: 0.2883}
 """Measured lift coefficients, by r/R, over the pressure of Omega r."""
-STATION = 0.80
+STATION = 0.68
 UPPER = (
-    (0.04, -1.1101), (0.17, -0.8487), (0.21, -0.7487), (0.25, -0.7081), (0.34, -0.6539), (0.40, -0.5539),
-    (0.44, -0.4739), (0.50, -0.4239), (0.55, -0.3839), (0.60, -0.3389), (0.65, -0.2689), (0.70, -0.2389),
-    (0.75, -0.1779), (0.80, -0.1499), (0.85, -0.1299), (0.90, -0.0979), (0.95, -0.0765),
+    (0.02, -0.9426), (0.04, -0.9820), (0.10, -0.7745), (0.15, -0.7345), (0.20, -0.6845), (0.23, -0.6445),
+    (0.28, -0.5845), (0.33, -0.4801), (0.39, -0.4051), (0.44, -0.3401), (0.49, -0.3051), (0.54, -0.2651),
+    (0.59, -0.2151), (0.63, -0.1681), (0.68, -0.1401), (0.73, -0.1121), (0.77, -0.0891), (0.82, -0.0781),
+    (0.86, -0.0571), (0.91, -0.0461),
 )  # fmt: skip
-LOWER = ((0.03, -0.0584), (0.14, 0.0137), (0.49, 0.0155), (0.74, 0.0135), (0.90, -0.0704))
-"""Measured pressure coefficients at 0.80 R, by x/c; the three taps within 0.02 chords of the nose are left out."""
+"""Measured pressure coefficients of the upper side at 0.68 R, by x/c."""
 
 
 def main() -> None:
@@ -82,30 +86,39 @@ def main() -> None:
         told = ours / math.sqrt(1.0 - (MACH * x) ** 2)
         print(f"{x:.2f}  {measured:.4f}         {ours:.4f} {100 * (ours / measured - 1):+5.1f} %  {told:.4f} "
               f"{100 * (told / measured - 1):+5.1f} %")  # fmt: skip
-    faces = mesh.patch("blade")
-    strip = int(np.argmin(np.abs(found.r_m - STATION * RADIUS_M)))
-    of = mesh.strip[mesh.owner[faces]] == strip
-    centre, up = mesh.face_centres[faces][of], mesh.face_areas[faces][of, 2] < 0.0
-    along = 0.25 + (centre[:, 0] * math.cos(p.pitch_rad) - centre[:, 2] * math.sin(p.pitch_rad)) / CHORD_M
-    c_p = found.pressure_Pa[of] / (0.5 * p.density_kg_m3 * (p.speed_rad_s * found.r_m[strip]) ** 2)
+    taps = np.array(UPPER)
+    at = STATION * RADIUS_M
+    after = int(np.searchsorted(found.r_m, at))
+    share = (at - found.r_m[after - 1]) / (found.r_m[after] - found.r_m[after - 1])
+    x = np.linspace(0.005, 0.995, 100)
+    c_p = (1.0 - share) * _upper(found, mesh, after - 1, x) + share * _upper(found, mesh, after, x)
     told = c_p / math.sqrt(1.0 - (MACH * STATION) ** 2)
+    for name, values in (("CFD", c_p), ("with Prandtl and Glauert", told)):
+        off = np.interp(taps[:, 0], x, values) - taps[:, 1]
+        print(f"upper side at {STATION} R, {name}: off by {off.mean():+.3f} in the mean, rms "
+              f"{np.sqrt((off**2).mean()):.3f}, at most {off[np.abs(off).argmax()]:+.3f} at x/c "
+              f"{taps[np.abs(off).argmax(), 0]:.2f}")  # fmt: skip
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
     axes = figure.subplots()
-    for side, measured, colour, name in ((up, UPPER, "C0", "upper side"), (~up, LOWER, "C3", "lower side")):
-        order = np.argsort(along[side])
-        x, y = along[side][order], told[side][order]
-        tap = np.array(measured)
-        off = np.interp(tap[:, 0], x, y) - tap[:, 1]
-        print(f"pressure at {found.r_m[strip] / RADIUS_M:.3f} R, {name}: off by {off.mean():+.3f} in the mean, "
-              f"rms {np.sqrt((off**2).mean()):.3f}, at most {off[np.abs(off).argmax()]:+.3f} at x/c "
-              f"{tap[np.abs(off).argmax(), 0]:.2f}")  # fmt: skip
-        axes.plot(x, y, "-", color=colour, label=f"CFD, {name}")
-        axes.plot(*tap.T, "o", color=colour, mfc="none", label=f"measured, {name}")
-    axes.set(xlabel="x / chord", ylabel="pressure coefficient", xlim=(-0.02, 1.02), ylim=(1.0, -1.6),
-             title=f"Caradonna and Tung, 8°, 0.8 R ({p.model}, {p.level} mesh: {verdict.what})")  # fmt: skip
+    axes.plot(x, c_p, "--", color="C0", label="CFD, incompressible")
+    axes.plot(x, told, "-", color="C0", label="CFD with Prandtl and Glauert")
+    axes.plot(*taps.T, "o", color="C3", mfc="none", label="measured (NASA TM-81232, Table 17)")
+    axes.set(xlabel="x / chord", ylabel="pressure coefficient of the upper side", xlim=(0.0, 1.0), ylim=(0.2, -1.1),
+             title=f"Caradonna and Tung, 8°, {STATION} R ({p.model}, {p.level} mesh: {verdict.what})")  # fmt: skip
     axes.legend()
     axes.grid(alpha=0.3)
-    figure.savefig(given.folder / "pressure-0.80R.png", dpi=120)
+    figure.savefig(given.folder / "pressure.png", dpi=120)
+
+
+def _upper(found: Solution, mesh: PolyMesh, strip: int, x: np.ndarray) -> np.ndarray:
+    """Pressure coefficient of the upper side of one strip, by x/c."""
+    faces, p = mesh.patch("blade"), found.point
+    of = (mesh.strip[mesh.owner[faces]] == strip) & (mesh.face_areas[faces][:, 2] < 0.0)
+    centre = mesh.face_centres[faces][of]
+    along = 0.25 + (centre[:, 0] * math.cos(p.pitch_rad) - centre[:, 2] * math.sin(p.pitch_rad)) / CHORD_M
+    c_p = found.pressure_Pa[of] / (0.5 * p.density_kg_m3 * (p.speed_rad_s * found.r_m[strip]) ** 2)
+    order = np.argsort(along)
+    return np.interp(x, along[order], c_p[order])
 
 
 if __name__ == "__main__":
