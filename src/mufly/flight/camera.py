@@ -283,6 +283,8 @@ class CameraSensor(Sensor):
             self._rng.uniform() < float(camera.radio.loss),
             abs(float(self._rng.standard_normal())),
         )
+        if self._process is None:  # while it stands, so that no flight waits until it can look
+            self._process = SlamProcess(camera, start=self._start, seed=self._seed)
         told = self._telling(truth)
         if told is None:
             return
@@ -306,8 +308,7 @@ class CameraSensor(Sensor):
         shown = self._shown(t)
         if lost:
             return
-        if self._process is None:
-            self._process = SlamProcess(camera, start=self._start, seed=self._seed)
+        assert self._process is not None
         self._process.send(Frame(t, self.picture, told))
         if self._record is not None:
             self._record.add(t, shown, asdict(told))

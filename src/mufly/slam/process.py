@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from mufly.camera import Camera, project
 from mufly.errors import MuflyError
-from mufly.slam.frame import Frame
+from mufly.slam.frame import Frame, Telling
 from mufly.slam.mapping import Map
 from mufly.slam.system import Answer, Slam
 from mufly.slam.vision import opencv, pinhole
@@ -113,7 +113,7 @@ def features_of(camera: Camera, answer: Answer) -> NDArray[np.float32]:
 
 
 class SlamProcess:
-    """Looks at pictures elsewhere.
+    """Looks at pictures elsewhere; made once the other process can, after a few seconds where nothing is compiled.
 
     Parameters
     ----------
@@ -146,6 +146,7 @@ class SlamProcess:
         )  # fmt: skip
         self.sketch, self.work_s = Sketch(), 0.0
         self._send((camera, tuple(start), seed))
+        self._answer()  # it can look now
 
     def _send(self, message: Any) -> None:
         assert self._process.stdin is not None
@@ -173,14 +174,17 @@ class SlamProcess:
         MuflyError
             If the process has ended.
         """
-        assert self._process.stdout is not None
-        try:
-            answer, sketch, self.work_s = pickle.load(self._process.stdout)
-        except (EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
-            raise MuflyError(f"the process that looks at pictures has ended ({error})") from error
+        answer, sketch, self.work_s = self._answer()
         assert isinstance(answer, Answer)
         self.sketch = sketch or self.sketch
         return answer
+
+    def _answer(self) -> Any:
+        assert self._process.stdout is not None
+        try:
+            return pickle.load(self._process.stdout)
+        except (EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
+            raise MuflyError(f"the process that looks at pictures has ended ({error})") from error
 
     def close(self) -> None:
         """End it."""
@@ -204,7 +208,10 @@ def look() -> None:
     sys.stdout = sys.stderr
     with suppress(EOFError, OSError):
         camera, start, seed = pickle.load(pictures)
+        _warm_up(camera)
         slam = Slam(camera, start=start, seed=seed)
+        pickle.dump("ready", answers, pickle.HIGHEST_PROTOCOL)
+        answers.flush()
         told = None
         while True:
             frame = pickle.load(pictures)
@@ -215,3 +222,13 @@ def look() -> None:
             told = slam.map.solution
             pickle.dump((answer, sketch, work_s), answers, pickle.HIGHEST_PROTOCOL)
             answers.flush()
+
+
+def _warm_up(camera: Camera) -> None:
+    """Load and compile what looking takes, before anybody waits for an answer in flight."""
+    slam = Slam(camera)
+    rows, columns = camera.sensor.height, camera.sensor.width
+    rough = np.random.default_rng(0).integers(0, 256, (rows // 4 + 2, columns // 4 + 2), dtype=np.uint8)
+    picture = np.ascontiguousarray(rough.repeat(4, axis=0).repeat(4, axis=1)[:rows, :columns])
+    for k in range(2):
+        slam.step(Frame(k * float(camera.sensor.period), picture, Telling(0.0, 0.0, 1.0)))

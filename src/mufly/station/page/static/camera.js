@@ -118,9 +118,9 @@ export function mount(element) {
     ctx.textAlign = "left";
     ctx.fillText(`${number(step, step < 1 ? 1 : 0)} m`, 6, h - 10);
     ctx.textAlign = "right";
-    ctx.fillText("north up; ■ keyframe", w - 4, h - 6);
+    ctx.fillText("north up; ■ keyframe", w - 4, 12);
     ctx.fillStyle = colours.reference;
-    if (map.ties.some((t) => t[2])) ctx.fillText("— loop closed", w - 4, h - 18);
+    if (map.ties.some((t) => t[2])) ctx.fillText("— loop closed", w - 4, 24);
   }
 
   const panel = live.panel({ sections: ["camera"] }, (f) => {
