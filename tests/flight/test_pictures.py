@@ -83,10 +83,10 @@ def test_the_bands_follow_the_states(data, flight):
     figure = draw_position(data)
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == [name for name in STATE_COLOURS if name in flight.states]
-    bands = list(figure.axes[0].patches)
-    edges = [band.get_x() for band in bands]
+    (bands,) = figure.axes[0].collections
+    edges = [path.vertices[0, 0] for path in bands.get_paths()]
     assert edges == pytest.approx([0.0, *(e.time_s for e in flight.events[1:])], abs=0.021)
-    assert len({band.get_facecolor() for band in bands}) == len(legend)
+    assert len({tuple(colour) for colour in bands.get_facecolor()}) == len(legend)
 
 
 def test_height_is_drawn_upwards(data):

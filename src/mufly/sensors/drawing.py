@@ -20,12 +20,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numba
 import numpy as np
 from llvmlite import ir
-from numba import types
+from llvmlite.binding import add_symbol
+from numba import carray, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from mufly.calling import lent
 from mufly.compiled import compiled
 
 
@@ -90,17 +93,32 @@ def _pair(a, b):  # type: ignore[no-untyped-def]
     return first if x > 0.0 else -first, second if y > 0.0 else -second
 
 
-@compiled(error_model="numpy")
-def normals(source, out):  # type: ignore[no-untyped-def]
-    """Fill an array (n,) with the next unit normal numbers of a source."""
-    start, half = source[0], out.size // 2
-    source[0] = start + np.uint64(out.size + out.size % 2) * _GROWS
+# Every sensor draws: vector registers make this long, so it is compiled once and called by its name.
+_pointer: Any = types.CPointer
+_FILLS = types.void(_pointer(types.uint64), _pointer(types.float64), types.int64)
+
+
+@numba.cfunc(_FILLS, cache=True, error_model="numpy")
+def _fill(source, numbers, size):  # type: ignore[no-untyped-def]
+    counter, out = carray(source, 1), carray(numbers, size)
+    start, half = counter[0], size // 2
+    counter[0] = start + np.uint64(size + size % 2) * _GROWS
     for i in range(half):
         at = start + np.uint64(2 * i) * _GROWS
         out[i], out[half + i] = _pair(_even(at), _even(at + _GROWS))
-    if out.size % 2:
+    if size % 2:
         at = start + np.uint64(2 * half) * _GROWS
         out[2 * half] = _pair(_even(at), _even(at + _GROWS))[0]
+
+
+add_symbol("mufly_normals", _fill.address)
+_by_name: Any = types.ExternalFunction("mufly_normals", _FILLS)
+
+
+@compiled(error_model="numpy")
+def normals(source, out):  # type: ignore[no-untyped-def]
+    """Fill an array (n,) with the next unit normal numbers of a source."""
+    _by_name(lent(source).ctypes, lent(out).ctypes, out.size)
 
 
 @compiled(error_model="numpy")

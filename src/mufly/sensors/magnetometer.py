@@ -28,7 +28,7 @@ _Array = NDArray[np.float64]
 _FEATURES = 64
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", inline="always")
 def _disturbed(x, waves, shifts, strength, field):  # type: ignore[no-untyped-def]
     """Add to a field (3,) what the surroundings make of it at a place.
 
@@ -51,7 +51,8 @@ def _field(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyp
         parts  # earth's field, hard iron, field of an ampere (3 each), strength, noise (T)
     )
     there, n, turn = np.empty(3), np.empty(3), rotation(x[6:10])
-    there[:] = numbers[0:3]
+    for j in range(3):  # an assignment to a slice compiles the message that two shapes differ: 2 s
+        there[j] = numbers[j]
     _disturbed(x, waves, shifts, numbers[9], there)
     normals(source, n)
     row[STANDS] = 1.0

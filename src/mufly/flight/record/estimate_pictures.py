@@ -28,6 +28,7 @@ from mufly.flight.record.pictures import (
     SKY,
     STYLE,
     VERMILION,
+    bands,
     state_handles,
     stretches,
     tint,
@@ -88,13 +89,13 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
     panels: Any = figure.subplots(len(_PANELS), 2, sharex=True)
     figure.subplots_adjust(left=0.065, right=0.985, top=0.945, bottom=0.035, hspace=0.34, wspace=0.13)
     time, good = dataset["time"].values, _flown(dataset)
+    states = [(time[a], time[b], tint(state)) for state, a, b in stretches(dataset)]
     for (name, k, heading, factor, measured), (left, right) in zip(_PANELS, panels, strict=True):
         estimate = factor * dataset[f"estimated_{name}"].values[:, k]
         sigma = abs(factor) * dataset[f"estimated_{name}_sigma"].values[:, k]
         truth = factor * dataset[f"truth_{name}"].values[:, k]
         for ax in (left, right):
-            for state, first, last in stretches(dataset):  # at the top: the bands need the rest
-                ax.axvspan(time[first], time[last], ymin=0.93, color=tint(state), lw=0, zorder=0)
+            bands(ax, states, low=0.93)  # at the top: the bands of the estimate need the rest
         if measured is not None:
             which, part = measured
             when = dataset[f"measured_{which}_time"].values
@@ -217,10 +218,16 @@ def draw_checks(dataset: xr.Dataset) -> Figure:
     for name, ax in zip(names, panels, strict=False):
         code, ratio = dataset[f"status_{name}"].values, dataset[f"innovation_{name}"].values
         edges = [0, *(np.flatnonzero(code[1:] != code[:-1]) + 1), len(code)]
-        for a, b in pairwise(edges):
-            if np.isfinite(code[a]):
-                shade = STATUS_COLOURS[STATUSES[int(code[a])]]
-                ax.axvspan(time[a], time[b - 1] + step, ymin=0.0, ymax=0.09, color=shade, lw=0)
+        shades = [STATUS_COLOURS[status] for status in STATUSES]
+        bands(
+            ax,
+            [
+                (time[a], time[b - 1] + step, shades[int(code[a])])
+                for a, b in pairwise(edges)
+                if np.isfinite(code[a])
+            ],
+            high=0.09,
+        )
         new = np.concatenate(([True], ratio[1:] != ratio[:-1])) & np.isfinite(ratio)
         for k, status in enumerate(STATUSES):
             mine = new & (code == k)

@@ -18,6 +18,7 @@ import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -46,6 +47,7 @@ STYLE: Any = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
     "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # else every draw looks for ticks that a title could hit
     "axes.labelsize": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -190,8 +192,7 @@ def _lines(
     The height of the panel covers at least ``span``, so that noise does not look like motion.
     """
     time = dataset.time.values
-    for state, first, last in stretches(dataset):
-        ax.axvspan(time[first], time[last], color=tint(state), lw=0, zorder=0)
+    bands(ax, [(time[a], time[b], tint(state)) for state, a, b in stretches(dataset)])
     for k, (label, colour) in enumerate(zip(labels, colours, strict=False)):
         ax.plot(time, values[:, k], color=colour, label=label, zorder=3)
         if reference is not None:
@@ -325,6 +326,14 @@ def stretches(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
     """(state, first, last) of every stretch of one state; ``last`` belongs to the next stretch too."""
     last = len(dataset.mission_state) - 1
     return [(name, a, min(b, last)) for name, a, b in runs(dataset)]
+
+
+def bands(ax: Any, spans: Sequence[tuple[float, float, Any]], low: float = 0.0, high: float = 1.0) -> None:
+    """Draw spans of time, each with its colour, over a part of the panel's height, as one thing: hundreds are many."""
+    corners = [[(a, low), (a, high), (b, high), (b, low)] for a, b, _ in spans]
+    where, colours = ax.get_xaxis_transform(), [c for _, _, c in spans]
+    drawn = PolyCollection(corners, facecolors=colours, lw=0, zorder=0, transform=where, antialiased=False)
+    ax.add_collection(drawn, autolim=False)
 
 
 def colour(state: str) -> str:
