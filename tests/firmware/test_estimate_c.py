@@ -34,6 +34,7 @@ FAULTS = (
     "sonar.stuck=1.0@4s accelerometer.clip=12@5s ring.doubled@3s battery.jump@4s magnetometer.insane@5s",
     "position.late@4s pressure.drift@4s gyro.insane@6s+0.5s ring.outliers@3s gyro.outliers@7s sonar.outliers@5s",
     "position.drift=0.3@4s magnetometer.jump@4s pressure.jump@5s rotor_speed.jump@5s sonar.drift@4s",
+    "accelerometer.drift=2@4s",
 )
 
 
@@ -81,17 +82,42 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
     """All that the filter holds, not only what it tells; with what goes wrong with sensors."""
     c, python = (estimator(vehicle, code) for code in ("c", "numba"))
     assert (c.steps.name, python.steps.name) == ("C", "Numba")
+    disowned = 0
     for k, (r, a) in enumerate(felt(faults)):
         told, right = c.update(r, a), python.update(r, a)
         assert told.valid == right.valid
         assert c.memory["out"].tobytes() == python.memory["out"].tobytes(), k
+        disowned += int(c.memory["disowned"])
         if k % 25 == 0:
             assert same(c._box, python._box), k
     assert same(c._box, python._box)
+    assert (disowned > 0) == faults.startswith("accelerometer.drift")  # forces apart by six deviations
     if not faults:
         assert c.memory["mode"] == 3  # it flew
         c.memory["x"][16] += 1e-15
         assert not same(c._box, python._box)  # the comparison can fail
+
+
+@needs_cc
+@pytest.mark.parametrize("settings", [{"model": 0}, {"model": 0, "fitted": 1}, {"fitted": 2}, {"fitted": 3}])
+def test_a_vehicle_with_less_on_board_is_the_same(
+    vehicle: Vehicle, felt: Callable[[str], list[tuple[Readings, np.ndarray]]], settings: dict[str, int]
+) -> None:
+    """Without a model of its rotors; with the inertial unit alone, with every second sensor, with all but that unit."""
+    c, python = (estimator(vehicle, code) for code in ("c", "numba"))
+    places = np.arange(c._settings["fitted"].size)
+    there = {1: places < 2, 2: places % 2 == 0, 3: places >= 2}
+    for e in (c, python):
+        has = e._settings.copy()
+        has["model"] = settings.get("model", 1)
+        if "fitted" in settings:
+            has["fitted"][:] *= there[settings["fitted"]]
+        e.use(has)
+    for k, (r, a) in enumerate(felt("sonar.jump=0.3@5s")[::2]):
+        told, right = c.update(r, a), python.update(r, a)
+        assert told.valid == right.valid
+        assert c.memory["out"].tobytes() == python.memory["out"].tobytes(), k
+    assert same(c._box, python._box)
 
 
 def streams(vehicle: Vehicle, felt) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
