@@ -16,7 +16,7 @@ from typing import Any
 
 import orjson
 
-from mufly.errors import InputError
+from mufly.errors import InputError, MuflyError
 from mufly.logs.mcap import McapFile, read_mcap
 from mufly.logs.recording import json_schema, stamp
 
@@ -61,6 +61,7 @@ class PictureRecorder:
                 str(path), "", f"cannot be written ({error.strerror})", "choose another folder"
             ) from error
         self._start_ns, self._waiting, self._due_s = start_ns, list[tuple[int, int, bytes]](), -1e9
+        self._path = path
         self._file = McapFile(self._out, "mufly")
         self._file.write_metadata("mufly.camera", {**facts, "start_ns": str(start_ns)})
         self._file.write_attachment("camera.toml", "text/plain", camera.encode(), start_ns)
@@ -69,7 +70,7 @@ class PictureRecorder:
         self._told = self._file.add_channel(_TOPICS[1], "mufly.Told", told)
 
     def add(self, time_s: float, jpeg: bytes, told: Mapping[str, Any]) -> None:
-        """Add a picture, and what was told with it."""
+        """Add a picture, and what was told with it; MuflyError if the disk takes no more."""
         if time_s >= self._due_s:
             self._flush()
             self._due_s = time_s + _CHUNK_S
@@ -84,15 +85,19 @@ class PictureRecorder:
         self._waiting.append((self._told, at, orjson.dumps(told, option=orjson.OPT_SERIALIZE_NUMPY)))
 
     def _flush(self) -> None:
-        if self._waiting:
+        if not self._waiting:
+            return
+        try:
             self._file.write_chunk(self._waiting)
-            self._waiting = []
+        except OSError as error:
+            raise MuflyError(f"{self._path}: pictures cannot be written ({error.strerror})") from error
+        self._waiting = []
 
     def close(self) -> None:
         """Write what is left, and the index."""
         if self._out.closed:
             return
-        with suppress(OSError):  # a full disk: what is there is readable
+        with suppress(OSError, MuflyError):  # a full disk: what is there is readable
             self._flush()
             self._file.finish()
         with suppress(OSError):

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 from mufly.results import result
 
 _Array = NDArray[np.float64]
+_OF_DAY_S = 1e6
+"""Times beyond count from 1970; they are drawn from the first on."""
 
 
 @result(eq=False, picture="mufly.slam.trajectory:draw")
@@ -125,6 +127,7 @@ def draw(
     from matplotlib.figure import Figure
 
     t, x = trajectory.time, trajectory.position
+    since = float(t[0]) if len(t) and t[0] > _OF_DAY_S else 0.0
     figure = Figure(figsize=(11, 5.5), layout="constrained")
     left, right = figure.subplots(1, 2)
     if truth is not None:
@@ -147,9 +150,11 @@ def draw(
         colour = f"C{k}"
         if truth is not None:
             off = x[:, k] - np.interp(t, truth[0], truth[1][:, k])
-            right.plot(t, 100 * off, color=colour, lw=1, label=f"error {name}")
-        right.fill_between(t, -200 * deviation[:, k], 200 * deviation[:, k], color=colour, alpha=0.15, lw=0)
-    right.set(xlabel="time (s)", ylabel="cm", title="errors, and twice the deviation told")
-    if truth is not None:
-        right.legend(loc="best", fontsize=8)
+            right.plot(t - since, 100 * off, color=colour, lw=1, label=f"error {name}")
+        label = f"deviation told {name}" if truth is None else None
+        band = 200 * deviation[:, k]
+        right.fill_between(t - since, -band, band, color=colour, alpha=0.15, lw=0, label=label)
+    what = "twice the deviation told" if truth is None else "errors, and twice the deviation told"
+    right.set(xlabel="time since the first (s)" if since else "time (s)", ylabel="cm", title=what)
+    right.legend(loc="best", fontsize=8)
     return figure

@@ -107,7 +107,7 @@ export function mount(element) {
       ctx.stroke();
       arrow(ctx, [x, y], now.heading, colours.accent, true);
     }
-    const step = niceStep(w / scale, 3);
+    const step = niceStep(w / scale, 6);
     ctx.strokeStyle = colours.dim;
     ctx.lineWidth = 1;
     ctx.beginPath();
