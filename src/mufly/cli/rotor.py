@@ -180,6 +180,13 @@ def import_blade(
     airfoil: Annotated[
         str | None, option("NAME", "Airfoil of the whole blade, instead of the file's.")
     ] = None,
+    trailing_edge: Annotated[
+        str | None,
+        option(
+            "--trailing-edge LENGTH",
+            "Its thickness, as 0.3mm; as the airfoils have it where it is not given.",
+        ),
+    ] = None,
     name: Annotated[str | None, option("NAME", "Name of the rotor.")] = None,
     out: Annotated[Path | None, option("--out FILE.toml", "Write the rotor file.")] = None,
     as_json: JsonOption = False,
@@ -191,17 +198,19 @@ def import_blade(
     rotor import blade.stl --out cut.toml (mm; blade along x, shaft along z; also .step)
     """
     from mufly.errors import InputError
-    from mufly.rotor import read_blade, rotor_toml
+    from mufly.rotor import read_blade, replace_rotor, rotor_toml
     from mufly.study import parse_quantity
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
-    radius = None
-    if diameter is not None:
+
+    def length(option: str, text: str, example: str) -> float:
         try:
-            radius = 0.5 * float(parse_quantity("radius", diameter))
+            return float(parse_quantity("radius", text))
         except InputError as error:
-            raise InputError("--diameter", "", error.problem, "write for example 5in or 127mm") from None
+            raise InputError(option, "", error.problem, f"write for example {example}") from None
+
+    radius = None if diameter is None else 0.5 * length("--diameter", diameter, "5in or 127mm")
     if blade.suffix.lower() in (".stl", ".step", ".stp"):
         from mufly.rotor.solid import rotor_of_body
 
@@ -212,6 +221,9 @@ def import_blade(
         r, notes = rotor_of_body(blade, folder=out.parent, blades=blades, name=name or out.stem)
     else:
         r, notes = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
+    if trailing_edge is not None:
+        edge = length("--trailing-edge", trailing_edge, "0.3mm")
+        r = replace_rotor(r, {"trailing_edge": edge}, source="measured")
     if out is not None:
         with writing(out):
             out.write_text(rotor_toml(r), encoding="utf-8")
