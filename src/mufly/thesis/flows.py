@@ -148,7 +148,8 @@ def domain_and_mesh(progress: Progress | None = None, case: Path | None = None) 
     axes.grid(alpha=0.3)
     note = (
         "the fine mesh still drifts by 0.5 % in 400 iterations; cases of one's own: `mufly cfd study mesh --out DIR`, "
-        "then `mufly thesis run fig-3.22 --case DIR`; the domain, 1.5 times as far each way, moves thrust by 0.1 %"
+        "then `mufly thesis run fig-3.22 --case DIR`; each limit of the domain 1.5 times as far, alone or all at once, "
+        "moves thrust by 0.1 % at most"
     )
     return Found(verdicts, drawn, note=note, lacking="" if verdicts else "CFD")
 
