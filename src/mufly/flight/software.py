@@ -11,9 +11,9 @@ spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at
 fly         heave-yaw controller; from 2 cm above the floor, or once it turns on its legs, also roll-pitch and,
             every n-th step, position
 ramp_down   after touchdown motor inputs fall to zero
-blind       the estimate is lost: servos at trim, the mean of the last seconds, which the stabiliser bar makes a
-            level attitude, and motor voltages around those of the last second that keep to a rate of descent while
-            the height is known all the same, else a little below them, until the floor has come
+blind       the estimate is lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
+            voltages around those of the last second that keep to a rate of descent while the height is known all
+            the same, else a little below them, until the floor has come
 =========== =========================================================================================
 
 Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
@@ -75,7 +75,7 @@ LOST_S = 0.5
 STEP_MOTOR, STEP_SERVO = 0.1, 0.2
 """How far an input moves in a period at most, on an estimate: twice what flights in gusts need (quantile 0.999)."""
 
-_LEARN_S, _LEVEL_S = 1.0, 4.0
+_LEARN_S = 1.0
 _VOLTS_S = 0.5  # in which the battery's reading counts while the rotors speed up, on an estimate
 
 
@@ -133,8 +133,6 @@ class FlightSoftware:
         self._given = Actuators.idle()
         # Motor voltages, averaged over the last second of flight.
         self._held_up: _Array = np.zeros(2)
-        # Servo inputs, averaged over some seconds: what held it level in the air that moves.
-        self._held_level: _Array = np.zeros(2)
         self._trusts_until_s = 0.0
         self._volts = 0.0
 
@@ -356,7 +354,7 @@ class FlightSoftware:
         else:
             share = sink_share(height, float(told.velocity[2])) if knows else SINK_SHARE
             self._motor_input = sink(self._held_up, share, left_s, w.good.battery_voltage)
-        return Actuators(self._motor_input, self._held_level if left_s > 0.0 else np.zeros(2))
+        return Actuators(self._motor_input, np.zeros(2))
 
     def _height(self, m: Estimate) -> float:
         return float(self.mission_state.standing[2] - m.position[2])
@@ -377,7 +375,6 @@ class FlightSoftware:
             self._lifted = False
             self._oscillations, self.oscillation = OscillationWatch(), None
             self._held_up = self._controller.motor_trim * self._controller.voltage_V
-            self._held_level = np.zeros(2)
         elif motors == "spin_up":
             self._held_up, self._lifted = np.zeros(2), False
         self._motors, self._since_s = motors, m.time_s
@@ -418,9 +415,6 @@ class FlightSoftware:
         if self._late_s == 0.0:
             blend = self._every * self._period_s / _LEARN_S
             self._held_up += blend * (actuators.motor_input * m.battery_voltage - self._held_up)
-            self._held_level = self._held_level + _LEARN_S / _LEVEL_S * blend * (
-                actuators.servo_input - self._held_level
-            )
             self._look_for_oscillations(actuators, r, m.time_s)
         return actuators
 

@@ -8,7 +8,6 @@
 #define STEP_MOTOR REAL(0.1)
 #define STEP_SERVO REAL(0.2)
 #define LEARN_S REAL(1.0)
-#define LEVEL_S REAL(4.0)
 #define VOLTS_S REAL(0.5) /* in which the battery's reading counts while the rotors speed up */
 #define TOUCHES_M REAL(0.03) /* height from which it counts as down */
 
@@ -101,7 +100,6 @@ void software_start(const setup_t *setup, software_t *s)
     smooth_start(&s->smooth);
     idle(&s->given);
     pair(REAL(0.0), REAL(0.0), s->held_up);
-    pair(REAL(0.0), REAL(0.0), s->held_level);
     s->trusts_until_s = REAL(0.0);
     s->volts = REAL(0.0);
     position_start(&s->controllers.position);
@@ -231,13 +229,12 @@ static void sink_blindly(const setup_t *setup, software_t *s, const belief_t *to
         s->reference.motors = MOTORS_OFF;
         s->motors = MOTORS_OFF;
         pair(REAL(0.0), REAL(0.0), s->motor_input);
-        pair(REAL(0.0), REAL(0.0), out->servo_input);
     } else {
-        pair(s->held_level[0], s->held_level[1], out->servo_input);
         failsafe_sink(s->held_up, knows ? failsafe_sink_share(height, told->motion.velocity[2]) : SINK_SHARE, left_s,
                       good->motion.voltage, s->motor_input);
     }
     pair(s->motor_input[0], s->motor_input[1], out->motor_input);
+    pair(REAL(0.0), REAL(0.0), out->servo_input);
 }
 
 /* Engage or release the controllers without a bump. */
@@ -249,7 +246,6 @@ static void change_over(const setup_t *setup, software_t *s, int32_t motors, con
         oscillations_start(&s->oscillations);
         s->oscillation.there = false;
         pair(setup->hover_V[0], setup->hover_V[1], s->held_up);
-        pair(REAL(0.0), REAL(0.0), s->held_level);
     } else if (motors == MOTORS_SPIN_UP) {
         pair(REAL(0.0), REAL(0.0), s->held_up);
         s->lifted = false;
@@ -337,7 +333,6 @@ static void fly(const setup_t *setup, software_t *s, const belief_t *m, actuator
 
         for (int32_t i = 0; i < 2; i++) {
             s->held_up[i] += blend * ((out->motor_input[i] * m->motion.voltage) - s->held_up[i]);
-            s->held_level[i] += ((LEARN_S / LEVEL_S) * blend) * (out->servo_input[i] - s->held_level[i]);
         }
         look_for_oscillations(s, out, m->time_s);
     }

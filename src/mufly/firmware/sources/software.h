@@ -38,7 +38,6 @@ typedef struct {
     smooth_t smooth;
     actuators_t given;
     real_t held_up[2]; /* motor voltages, averaged over the last second of flight */
-    real_t held_level[2]; /* servo inputs, averaged over some seconds */
     real_t volts; /* of the battery, while the rotors speed up */
     real_t trusts_until_s; /* on a blind way down: until when a height that is still known counts */
 } software_t;
