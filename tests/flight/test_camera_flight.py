@@ -14,7 +14,8 @@ import xarray as xr
 from mufly.camera import Camera, camera_from, decode, load_camera, rays, read_pictures
 from mufly.dynamics import initial_state
 from mufly.errors import MuflyError
-from mufly.estimate import Estimate
+from mufly.estimate import Estimate, KalmanEstimator
+from mufly.estimate.layout import FIX
 from mufly.flight import Event, fly
 from mufly.flight.camera import CameraSensor, Eye, parse_spoil, sighted
 from mufly.sensors import Reading, Truth
@@ -167,6 +168,32 @@ def test_features_lie_where_the_lens_has_them() -> None:
     focal, middle = pinhole(camera)
     answer = Answer(0.0, True, pixels=focal * seen + middle)
     assert features_of(camera, answer) == pytest.approx(np.array([[40, 30], [250, 180]]), abs=1e-3)
+
+
+def test_what_the_map_is_unsure_of_wanders_in_the_filter() -> None:
+    """Not noise: fifteen a second of that would be known to a quarter of it at once."""
+    camera = load_camera("mufly-2.0")
+    filter_ = KalmanEstimator(sighted(load_vehicle("mufly-1.1"), camera), World(), 250.0)
+    filter_.by_covariance, filter_.wander_s = True, 3.0
+    settings = filter_.steps.settings
+    of_file = float(settings["fix_variance"])
+
+    def hear(time_s: float, sigma: float) -> tuple[float, float]:
+        fix = Reading(np.zeros(4), time_s, True, np.diag([sigma**2] * 4))
+        filter_.hear({"position_fix": fix}, time_s + 0.2)
+        return math.sqrt(settings["fix_variance"]), float(settings["sigma"][FIX])
+
+    assert hear(1.0, 0.02) == pytest.approx((math.sqrt(of_file), 0.03))
+    noise, wander = hear(6.0, 0.3)  # found again after five seconds, where it believes to be
+    assert wander == pytest.approx(0.3)
+    assert noise > 2.0
+    for k in range(1, 300):
+        noise, _ = hear(6.0 + 0.066 * k, 0.3)
+    assert noise < 0.02
+    assert hear(30.0, 0.02) == pytest.approx((math.sqrt(of_file), 0.03))
+    hear(31.0, 0.3)
+    filter_.reset()
+    assert float(settings["fix_variance"]) == of_file
 
 
 def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,9 @@ from mufly.estimate.guards import ACTING, CLIPPING, VALUES
 from mufly.estimate.layout import (
     BLOCK_S,
     CHECKED,
+    FIX,
     GYRO,
+    HEADING,
     R_BATTERY,
     R_FIX,
     R_PRESSURE,
@@ -73,8 +75,13 @@ class KalmanEstimator(Estimator):
     Attributes
     ----------
     by_covariance : bool
-        Whether position fixes that come with a covariance are taken for as good as that says, white noise each; the
-        wandering of all stays as the vehicle's file has it.
+        Whether position fixes that come with a covariance are taken for as good as that says.
+    wander_s : float
+        Over which errors of such fixes hang together; 0: not at all, each is white noise, and the wandering of all
+        stays as the vehicle's file has it. Else they wander by as much as the covariance says, where that is more than
+        the file does (a map that has drifted is off by the same for long), and noise stays as in the file. A bias that
+        the filter holds for small gets as large but over that time; until then the rest r of the variance is told as
+        noise that is worth as much over long, of variance r (1 + 2 wander_s / period).
     """
 
     def __init__(
@@ -101,19 +108,25 @@ class KalmanEstimator(Estimator):
         self._z = np.zeros(VALUES, self._kind)
         self._new, self._age = np.zeros(SENSORS, np.int32), np.zeros(SENSORS, self._kind)
         self._code: Code = code
-        self.by_covariance = False
+        self.by_covariance, self.wander_s = False, 0.0
         self.use(self._settings)
 
     def use(self, settings: Any) -> None:
         """Take other settings (:func:`mufly.estimate.layout.filter_settings`), and start anew."""
         self._settings = settings
-        self._by_file = {name: float(settings[name]) for name in ("fix_variance", "heading_variance")}
+        self._by_file = {
+            name: np.array(settings[name])
+            for name in ("fix_variance", "heading_variance", "sigma", "noise", "keep")
+        }
         self.steps = steps(settings, self._parameters, self._z, self._new, self._age, self._code)
         self.reset()
 
     def reset(self) -> None:
         for row in (self._box, self._z, self._new, self._age):
             row.view(np.uint8)[:] = 0
+        for name, own in self._by_file.items():
+            self.steps.settings[name] = own
+        self._wander = self._wants = self._by_file["sigma"][FIX : HEADING + 1] ** 2
         self.steps.begin(self._box)
         self._periods = 0
         self._last: dict[str, Reading] = {}
@@ -206,14 +219,30 @@ class KalmanEstimator(Estimator):
             z[start] = r.value - STANDARD_PRESSURE_PA
         else:
             if k == R_FIX and self.by_covariance:
-                self._weigh(r.covariance)
+                self._weigh(r, 0.0 if before is None else r.time_s - before.time_s)
             z[start : start + WIDTHS[k]] = r.value
 
-    def _weigh(self, covariance: _Array | None) -> None:
+    def _weigh(self, fix: Reading, since_s: float) -> None:
         """Take a fix for as good as it says that it is, or else as the vehicle's file says."""
-        for name, which in (("fix_variance", slice(0, 3)), ("heading_variance", slice(3, 4))):
-            own = self._by_file[name] if covariance is None else np.diag(covariance)[which].max()
-            self.steps.settings[name] = own
+        s, file, four = self.steps.settings, self._by_file, slice(FIX, HEADING + 1)
+        noise = np.array([file["fix_variance"], file["heading_variance"]])
+        own = None if fix.covariance is None else np.diag(fix.covariance)
+        wander = file["sigma"][four] ** 2
+        if own is not None and self.wander_s > 0.0:
+            # What the filter's bias may be off by by now
+            grown = 1.0 - math.exp(-2.0 * since_s / self.wander_s)
+            self._wander = self._wander + grown * (self._wants - self._wander)
+            self._wants = wander = np.maximum(wander, own)
+            self._wander = np.minimum(self._wander, wander)
+            rest = np.maximum(own - self._wander, 0.0) * (
+                1.0 + 2.0 * self.wander_s / float(s["period"][R_FIX])
+            )
+            noise += [rest[:3].max(), rest[3]]
+        elif own is not None:
+            noise = np.array([own[:3].max(), own[3]])
+        s["fix_variance"], s["heading_variance"] = noise
+        s["sigma"][four] = np.sqrt(wander)
+        s["noise"][four] = wander * (1.0 - file["keep"][four] ** 2)
 
     # What others do who lay readings into the row themselves
 

@@ -68,7 +68,9 @@ _TILT_TIME_S, _HEIGHT_TIME_S = 20.0, 2.0
 """Over which the filter's errors of tilt and height hang together: in three flights tilts were off by 0.12 degrees on
 average over ten seconds, and went by 0.05 around that (s)."""
 KNOWN_M = 0.2
-"""A place that is known less well is not sent: the filter would take it for as good as any (m)."""
+"""A place from outside that is known less well is refused (m)."""
+_SENT_M = 0.6
+"""A place of its own that is known less well is not sent: a mission would land for that (m)."""
 
 
 @dataclass(frozen=True)
@@ -181,6 +183,8 @@ class CameraSensor(Sensor):
         The latest that came, trusted or not.
     picture : (rows, columns) uint8 array or None
         The latest.
+    wander_s : float
+        Over which errors of its fixes hang together.
     on_sight : callable or None
         Told of every picture that was looked at (:class:`mufly.slam.Sight`); with it pictures are made on the floor,
         too, which nobody looks at.
@@ -197,6 +201,7 @@ class CameraSensor(Sensor):
         self._hover = float(np.mean(hover_speeds(model_parameters(vehicle))))
         self._floor = make_floor(eye.floor, seed, shadows=eye.shadows)
         self._fixes = told_errors(eye.camera)
+        self.wander_s = float(self._fixes.wander_time)
         self.believe: Callable[[], tuple[Estimate | None, float]] = lambda: (None, math.nan)
         self.on_sight: Callable[[Sight], None] | None = None
         self._process: SlamProcess | None = None
@@ -414,6 +419,6 @@ class CameraSensor(Sensor):
 def _sure(answer: Answer) -> Answer:
     """The answer, not trusted where it is not sure enough."""
     sigma = math.sqrt(max(float(answer.covariance[0, 0]), float(answer.covariance[1, 1])))
-    if not answer.trusted or sigma <= KNOWN_M:
+    if not answer.trusted or sigma <= _SENT_M:
         return answer
     return replace(answer, trusted=False, reason=f"its place is known to {sigma:.2f} m only")

@@ -186,8 +186,9 @@ class Flight:
         self.estimator = estimator
         if self.camera is not None:
             self.camera.believe = self._believed
-        if outside and isinstance(estimator, KalmanEstimator):
+        if fixes is not None and isinstance(estimator, KalmanEstimator):
             estimator.by_covariance = True
+            estimator.wander_s = 0.0 if self.camera is None else self.camera.wander_s
         self.lacking = (
             f"{vehicle.name} has no table [sensors]: it flies on what is true"
             if sensors == "fitted" and not sensed

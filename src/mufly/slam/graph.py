@@ -112,10 +112,13 @@ class Known:
     tilt_white: _Array
 
 
-def hangs(elapsed_s: float, sigma: float, time_s: float, white: float = 0.0) -> tuple[float, float]:
-    """Return r and the variance of the noise by which two errors hang together, as above."""
-    keep = math.exp(-elapsed_s / time_s) if elapsed_s >= 0.0 else 0.0
-    return keep, max(sigma**2 * (1.0 - keep**2) + (1.0 + keep**2) * white**2, 1e-12)
+def hangs(
+    elapsed_s: float, before: float, sigma: float, time_s: float, white: float = 0.0
+) -> tuple[float, float]:
+    """Return r and the variance of the noise by which two errors hang together, as above; of deviations ``before`` and
+    ``sigma``: what is known better now is not off by what it was then."""
+    keep = math.exp(-elapsed_s / time_s) * min(1.0, sigma / before) if elapsed_s >= 0.0 else 0.0
+    return keep, max(sigma**2 - keep**2 * before**2, 1e-12) + (1.0 + keep**2) * white**2
 
 
 def relation(a: _Array, b: _Array) -> _Array:
@@ -193,8 +196,9 @@ def solve_graph(nodes: _Array, edges: list[Edge], known: Known, start_sigma: tup
     chain = np.zeros((n, 2, 3))
     for k in range(n):
         since = known.time_s[k] - known.time_s[k - 1] if k else math.inf
-        tilt = hangs(since, known.tilt_sigma[k], known.tilt_time_s[k], known.tilt_white[k])
-        height = hangs(since, known.height_sigma[k], known.height_time_s[k])
+        last, tilts, heights = max(k - 1, 0), known.tilt_sigma, known.height_sigma
+        tilt = hangs(since, tilts[last], tilts[k], known.tilt_time_s[k], known.tilt_white[k])
+        height = hangs(since, heights[last], heights[k], known.height_time_s[k])
         chain[k] = np.array([tilt, tilt, height]).T
     chi2 = np.zeros(len(edges))
     for turn in range(_ROUNDS):

@@ -148,10 +148,12 @@ class Map:
     ) -> tuple[_Array, _Array, _Array]:
         """Return what a picture's tilt (rad) and sonar (ln h) are off by as far as the newest keyframe knows, and how
         these three hang together with that: :func:`mufly.slam.graph.hangs`, which takes ``tilt`` and ``height``."""
-        since = time_s - self.keyframes[-1].time_s if self.keyframes else math.inf
-        of_tilt = hangs(since, *tilt)
-        keep, noise = np.array([of_tilt, of_tilt, hangs(since, *height)]).T
-        return keep * (self.nodes[-1, 4:] if self.keyframes else 0.0), keep, noise
+        last = self.keyframes[-1] if self.keyframes else None
+        since = math.inf if last is None else time_s - last.time_s
+        of_tilt = hangs(since, tilt[0] if last is None else last.tilt_sigma, *tilt)
+        of_height = hangs(since, height[0] if last is None else last.height_sigma, *height)
+        keep, noise = np.array([of_tilt, of_tilt, of_height]).T
+        return keep * (0.0 if last is None else self.nodes[-1, 4:]), keep, noise
 
     def belief(self, k: int, keep: _Array, noise: _Array) -> _Array:
         """Return the covariance of node ``k``, of the error of its tilt and of a picture's tilt and sonar (9, 9)."""

@@ -1,4 +1,5 @@
-"""Where was this seen before? A picture looked for in all of the map, by ORB (Rublee et al. 2011).
+"""Where was this seen before? A picture looked for near a place by correlation, in all of the map by ORB (Rublee et al.
+2011).
 
 Words that have one clear counterpart in a keyframe are put to the two-point solution of :mod:`pose`; the keyframe that
 most of them agree on is the place, unless another has nearly as many: a floor of tiles has no answer.
@@ -19,6 +20,8 @@ from mufly.slam.vision import Straightener, opencv
 _Array = NDArray[np.float64]
 ENOUGH = 14
 """Points that have to agree, at least."""
+ALIKE = 0.75
+"""Height of the second peak of the correlation over the first from which a place could be another one."""
 
 
 def recognised(
@@ -86,3 +89,51 @@ def recognised(
         if apart and other > 0.6 * count:
             return None
     return k, node
+
+
+def correlated(seen: Any, picture: Any, reach: float) -> _Array | None:
+    """Return by how many pixels (2,) a keyframe's picture, warped to where it should be seen from, is shifted against a
+    picture: where small ones correlate most. None if they do not, or at another place within reach nearly as much.
+
+    Parameters
+    ----------
+    seen, picture : (rows, columns) uint8 arrays
+        The first is black where the keyframe does not reach.
+    reach : float
+        Pixels; at most half of a picture is looked at.
+    """
+    cv2 = opencv()
+    size = (picture.shape[1], picture.shape[0])
+    small = (size[0] // 4, size[1] // 4)
+    a = cv2.resize(seen, small, interpolation=cv2.INTER_AREA).astype(np.float32)
+    b = cv2.resize(picture, small, interpolation=cv2.INTER_AREA).astype(np.float32)
+    b -= cv2.GaussianBlur(b, (0, 0), 8)
+    inside = (a > 0).astype(np.float32)
+    mean = cv2.GaussianBlur(a, (0, 0), 8) / np.maximum(cv2.GaussianBlur(inside, (0, 0), 8), 0.05)
+    a = (a - mean) * inside
+    most = (small[0] // 2, small[1] // 2)
+    padded = cv2.copyMakeBorder(
+        a, most[1] // 2, most[1] // 2, most[0] // 2, most[0] // 2, cv2.BORDER_CONSTANT
+    )
+    mask = cv2.copyMakeBorder(
+        inside, most[1] // 2, most[1] // 2, most[0] // 2, most[0] // 2, cv2.BORDER_CONSTANT
+    )
+    # Of the middle of the picture, shifted by up to half of it
+    top, left = small[1] // 4, small[0] // 4
+    template = b[top : top + most[1], left : left + most[0]]
+    score = cv2.matchTemplate(padded, template, cv2.TM_CCOEFF_NORMED)
+    share = cv2.matchTemplate(mask, np.ones_like(template), cv2.TM_CCORR) / template.size
+    score[(share < 0.5) | ~np.isfinite(score)] = -1.0
+    middle = np.array([top + most[1] // 2, left + most[0] // 2])
+    rows, columns = np.indices(score.shape)
+    off = np.hypot(rows - middle[0], columns - middle[1]) * 4.0
+    score[off > reach] = -1.0
+    best = np.unravel_index(int(np.argmax(score)), score.shape)
+    peak = float(score[best])
+    if peak < 0.35:
+        return None
+    away = np.hypot(rows - best[0], columns - best[1])
+    rest = score[away > 4.0]
+    if len(rest) and float(rest.max()) > ALIKE * peak:
+        return None
+    return np.array([(best[1] - middle[1]) * 4.0, (best[0] - middle[0]) * 4.0])

@@ -30,8 +30,8 @@ from mufly.slam.frame import Frame
 from mufly.slam.graph import Edge, placed, relation, slopes_of
 from mufly.slam.mapping import Keyframe, Map, composed, overlap
 from mufly.slam.pose import POSE, SHAKES, Pose, View, bent, level, slopes, solve, two_points
-from mufly.slam.recognition import ENOUGH, recognised
-from mufly.slam.vision import Straightener, corners, on, opencv, overlaid, tracked, warped
+from mufly.slam.recognition import ENOUGH, correlated, recognised
+from mufly.slam.vision import Straightener, as_bright, corners, on, overlaid, tracked, warped
 
 _Array = NDArray[np.float64]
 CORRELATION = 0.5
@@ -41,11 +41,12 @@ NEW_BELOW = 0.55  # share of floor that a keyframe has to see of the picture
 CLOSE_ABOVE, CLOSE_EVERY = 0.4, 8
 CLOSURE_CHI2 = 28.0  # of eight numbers: one true closure in 2000 is turned away
 _MAY_BE = 2.5  # deviations within which a keyframe is looked for
-ALIKE = 0.75
-"""Height of the second peak of the correlation over the first from which a place could be another one."""
 INFLATE = 3.0
 """Of variances of all points together over those of each, as errors of neighbouring points hang together. Chosen on
 twelve floors (docs/slam.md): edges against the truth, with true tilts given, ask for 3.9, answers for less."""
+_WHITE, _MOST_WHITE = 248, 0.02
+"""Grey, and share of a picture that may be whiter for it to become a keyframe: a camera that was covered sees too
+bright for half a second, and what was white then has no corners."""
 _SWERVE = 1.0  # m/s^2 that are not foreseen
 _LOST_S, _SEEK_EVERY = 0.7, 4
 _AGREE = 3
@@ -188,10 +189,9 @@ class Slam:
             return self._seek(frame, view, picture, "not found in the map yet")
         elapsed = frame.time_s - self._last_s
         node = self._reckon(frame, view, elapsed)
-        self._spread = 0.02 * elapsed + 0.5 * _SWERVE * elapsed**2
         pixels_off = self._spread / view.height * view.focal
         match = None
-        for k in self._references(node):
+        for k in self._references(node, elapsed > _LOST_S):
             match = self._match(k, view, picture, node, coarse=pixels_off > 12.0)
             if match is not None:
                 break
@@ -242,6 +242,13 @@ class Slam:
         )
 
     def _reckon(self, frame: Frame, view: View, elapsed: float) -> _Array:
+        """Where it should be, and in ``_spread`` how well that is known (m): by itself, or after a while without an
+        answer by what the vehicle believes, if it tells."""
+        if elapsed > _LOST_S and frame.told.place is not None:
+            n, e, heading = frame.told.place
+            self._spread = 0.05 + 2.0 * frame.told.place_sigma[0]
+            return self._seven(self._believed(view, n, e, heading))[:4]
+        self._spread = 0.02 * elapsed + 0.5 * _SWERVE * elapsed**2
         _, q, r = frame.told.rates
         turning = (q * math.sin(view.roll) + r * math.cos(view.roll)) / math.cos(view.pitch)
         speed = self._velocity if frame.told.velocity is None else frame.told.velocity[:2]
@@ -249,9 +256,13 @@ class Slam:
             [*(self._node[:2] + speed * elapsed), self._node[2] + turning * elapsed, math.log(view.height)]
         )
 
-    def _references(self, node: _Array) -> list[int]:
-        """Keyframes to look at it from: that of before, if another is not much better."""
-        near = {self._reference, *self.map.neighbours(self._reference)}
+    def _references(self, node: _Array, lost: bool) -> list[int]:
+        """Keyframes to look at it from: that of before, if another is not much better; all, if it was lost."""
+        near = (
+            range(len(self.map.keyframes))
+            if lost
+            else {self._reference, *self.map.neighbours(self._reference)}
+        )
         share = {k: overlap(self.map.nodes[k], node, self._wide, self._high) for k in near}
         share[self._reference] += 0.1
         ordered = sorted(share, key=lambda k: -share[k])
@@ -270,7 +281,7 @@ class Slam:
             shift = math.hypot(*(found[:2] - node[:2])) / view.height * view.focal
             node = found
         homography = self._homography(k, view, node)
-        template, covered = overlaid(keyframe.picture, homography, picture)
+        template, covered = overlaid(as_bright(keyframe.picture, picture), homography, picture)
         h = np.column_stack([keyframe.pixels, np.ones(len(keyframe.pixels))]) @ homography.T
         there = h[:, :2] / h[:, 2:]
         use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & on(covered, there))[0]
@@ -326,50 +337,13 @@ class Slam:
 
     def _coarse(self, k: int, view: View, picture: Any, node: _Array, reach: float) -> _Array | None:
         """Where it is by the correlation of small pictures, within a reach (m); None if that is not told apart."""
-        cv2 = opencv()
-        size = self._straight.size
-        seen = warped(self.map.keyframes[k].picture, self._homography(k, view, node), size)
-        small = (size[0] // 4, size[1] // 4)
-        a = cv2.resize(seen, small, interpolation=cv2.INTER_AREA).astype(np.float32)
-        b = cv2.resize(picture, small, interpolation=cv2.INTER_AREA).astype(np.float32)
-        b -= cv2.GaussianBlur(b, (0, 0), 8)
-        inside = (a > 0).astype(np.float32)
-        mean = cv2.GaussianBlur(a, (0, 0), 8) / np.maximum(cv2.GaussianBlur(inside, (0, 0), 8), 0.05)
-        a = (a - mean) * inside
-        most = (small[0] // 2, small[1] // 2)
-        padded = cv2.copyMakeBorder(
-            a, most[1] // 2, most[1] // 2, most[0] // 2, most[0] // 2, cv2.BORDER_CONSTANT
-        )
-        mask = cv2.copyMakeBorder(
-            inside, most[1] // 2, most[1] // 2, most[0] // 2, most[0] // 2, cv2.BORDER_CONSTANT
-        )
-        # Of the middle of the picture, shifted by up to half of it
-        top, left = small[1] // 4, small[0] // 4
-        template = b[top : top + most[1], left : left + most[0]]
-        score = cv2.matchTemplate(padded, template, cv2.TM_CCOEFF_NORMED)
-        share = cv2.matchTemplate(mask, np.ones_like(template), cv2.TM_CCORR) / template.size
-        score[(share < 0.5) | ~np.isfinite(score)] = -1.0
-        middle = np.array([top + most[1] // 2, left + most[0] // 2])
-        rows, columns = np.indices(score.shape)
-        off = np.hypot(rows - middle[0], columns - middle[1]) * 4.0
-        reach_pixels = max(10.0, reach / view.height * view.focal)
-        score[off > reach_pixels] = -1.0
-        best = np.unravel_index(int(np.argmax(score)), score.shape)
-        peak = float(score[best])
-        if peak < 0.35:
-            return None
-        away = np.hypot(rows - best[0], columns - best[1])
-        rest = score[away > 4.0]
-        if len(rest) and float(rest.max()) > ALIKE * peak:
+        seen = warped(self.map.keyframes[k].picture, self._homography(k, view, node), self._straight.size)
+        pixel = correlated(seen, picture, max(10.0, reach / view.height * view.focal))
+        if pixel is None:
             return None
         # What is seen at x now is where the warped keyframe has it shifted: the camera has moved by as much over
         # the floor.
-        pixel = np.array([(best[1] - middle[1]) * 4.0, (best[0] - middle[0]) * 4.0])
-        d = (
-            level(view, None, node[2])
-            @ self._axes
-            @ np.array([pixel[0] / view.focal, pixel[1] / view.focal, 0.0])
-        )
+        d = level(view, None, node[2]) @ self._axes @ np.append(pixel / view.focal, 0.0)
         return node + np.array([d[0] * view.height, d[1] * view.height, 0.0, 0.0])
 
     def _distrust(self, match: _Match | None, view: View, node: _Array) -> str:
@@ -445,7 +419,7 @@ class Slam:
 
     def _keyframe(self, frame: Frame, view: View, picture: Any, pose: Pose, sigma: float) -> Keyframe | None:
         pixels = corners(picture, self._straight.seen)
-        if len(pixels) < ENOUGH:
+        if len(pixels) < ENOUGH or np.mean(picture > _WHITE) > _MOST_WHITE:
             return None
         seconds = self._straight.seconds(pixels)
         turn = _unheaded(level(view, pose.x[4:6], pose.x[3]), pose.x[3])
@@ -466,7 +440,7 @@ class Slam:
         pose = self._believed(view, n, e, heading)
         keyframe = self._keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms))
         if keyframe is None:
-            return Answer(frame.time_s, False, "no corners on the floor to begin a map with")
+            return Answer(frame.time_s, False, "no corners on the floor to begin a map with, or too bright")
         self._reference = self.map.add(keyframe, self._seven(pose), [])
         self._node = self.map.nodes[self._reference, :4].copy()
         self._last_s = frame.time_s
@@ -520,7 +494,7 @@ class Slam:
         pose = self._believed(view, n, e, heading)
         keyframe = self._keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms))
         if keyframe is None:
-            return Answer(frame.time_s, False, "no corners on the floor")
+            return Answer(frame.time_s, False, "no corners on the floor, or too bright")
         place, turn = frame.told.place_sigma
         last, second = self._reference, len(self.map.keyframes)
         node, before = self._seven(pose), self.map.nodes[last]

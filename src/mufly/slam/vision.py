@@ -120,6 +120,13 @@ def warped(picture: _Picture, homography: _Array, size: tuple[int, int]) -> _Pic
     return cv2.warpPerspective(picture, homography, size, flags=cv2.INTER_LINEAR)
 
 
+def as_bright(picture: _Picture, other: _Picture) -> _Picture:
+    """Return a picture as bright on average as another one: exposures change, and the tracker takes greys as they
+    are."""
+    ratio = float(other.mean()) / max(float(picture.mean()), 1.0)
+    return opencv().convertScaleAbs(picture, alpha=ratio) if abs(ratio - 1.0) > 0.03 else picture
+
+
 def overlaid(picture: _Picture, homography: _Array, over: _Picture) -> tuple[_Picture, _Picture]:
     """Return a picture as it would be seen from elsewhere, and where it reaches by a patch and more (else 0).
 
