@@ -321,7 +321,7 @@ def serve(
     """Send recorded pictures as an MJPEG stream, each at its time, once somebody looks.
 
     For trying programs that take a camera's stream: browsers, OpenCV (VideoCapture("http://127.0.0.1:8090/stream")),
-    `mufly slam live`. Example: mufly slam render -o rich; mufly slam serve rich
+    `mufly slam run`. Example: mufly slam render -o rich; mufly slam serve rich
     """
     import time
 
