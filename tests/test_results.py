@@ -98,7 +98,7 @@ def test_a_result_of_the_package_prints_with_units() -> None:
 
 # Dataclasses that public functions return and that are no answers: what goes in, what runs, what is sent over a wire.
 _NO_RESULTS = {
-    "camera": "Floor",  # made to be rendered
+    "camera": "Floor RecordedPictures",  # made to be rendered, or looked at
     "cfd": "Form Mesh Point PolyMesh",  # shapes and cases; mesh_picture draws them
     "estimate": "Estimate Watch",  # of one instant, a thousand times a second
     "identify": "Columns Free",
@@ -111,7 +111,7 @@ _NO_RESULTS = {
     "rotor": "Blading",
     "bench": "Column",
     "sensors": "Fault Readings Truth",
-    "slam": "Frame Motion Path3 Source",  # what goes in
+    "slam": "Frame Motion Path3 Sketch Source Telling",  # what goes in; a map as the page draws it
     "station": "",
     "study": "Condition Limit System",
     "thesis": "Item",

@@ -28,12 +28,14 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 
+_Array = NDArray[np.float64]
+
 MOVING = 9
 _TINY = 1e-20
 
 
 @compiled(error_model="numpy")
-def expected(ut, d, at, h, terms, f):  # type: ignore[no-untyped-def]
+def expected(ut: _Array, d: _Array, at: NDArray[np.int32], h: _Array, terms: int, f: _Array) -> float:
     """Write f = U^T h and return h P h^T; ``h[t]`` belongs to state ``at[t]``, and there are so many terms."""
     spread = 0.0
     for j in range(d.shape[0]):
@@ -46,7 +48,7 @@ def expected(ut, d, at, h, terms, f):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def observe(ut, d, f, r, gain):  # type: ignore[no-untyped-def]
+def observe(ut: _Array, d: _Array, f: _Array, r: float, gain: _Array) -> None:
     """Take a measurement of variance ``r`` in, with ``f`` of :func:`expected`; write its gain."""
     n = d.shape[0]
     a = r
@@ -66,7 +68,7 @@ def observe(ut, d, f, r, gain):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def carry(ut, d, span, transition, q, w, v):  # type: ignore[no-untyped-def]
+def carry(ut: _Array, d: _Array, span: float, transition: _Array, q: _Array, w: _Array, v: _Array) -> None:
     """Step the moving states in time.
 
     Parameters
@@ -118,7 +120,7 @@ def carry(ut, d, span, transition, q, w, v):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def carry_column(u, span, a, out):  # type: ignore[no-untyped-def]
+def carry_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
     """Write the first nine of the errors ``u`` (n,) after a step; ``out`` may be ``u``."""
     g_x, g_y, g_z = u[9], u[10], u[11]
     r_x = a[0] * g_x + a[1] * g_y + a[2] * g_z
@@ -146,7 +148,7 @@ def carry_column(u, span, a, out):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _carry_moving(u, span, a):  # type: ignore[no-untyped-def]
+def _carry_moving(u: _Array, span: float, a: _Array) -> None:
     """As :func:`carry_column`, in place, of a column of what moves: no bias stands in it yet."""
     n, e, o = u[3], u[4], u[5]
     x = a[18] * n + a[19] * e + a[20] * o
@@ -164,7 +166,7 @@ def _carry_moving(u, span, a):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def wander(ut, d, j, keep, q, v):  # type: ignore[no-untyped-def]
+def wander(ut: _Array, d: _Array, j: int, keep: float, q: float, v: _Array) -> None:
     """Step one bias in time: x' = keep x + w, variance ``q`` of w; ``v`` (n,) is for work."""
     for k in range(j + 1, d.shape[0]):
         ut[k, j] *= keep
@@ -179,7 +181,7 @@ def wander(ut, d, j, keep, q, v):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _add(ut, d, last, c, v):  # type: ignore[no-untyped-def]
+def _add(ut: _Array, d: _Array, last: int, c: float, v: _Array) -> None:
     """P + c v v^T, ``v`` zero behind ``last``; factor by factor from there (Agee and Turner 1972); ``v`` is used up."""
     for k in range(last, -1, -1):
         old = d[k]
@@ -195,7 +197,7 @@ def _add(ut, d, last, c, v):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def loosen(ut, d, j, variance, v):  # type: ignore[no-untyped-def]
+def loosen(ut: _Array, d: _Array, j: int, variance: float, v: _Array) -> None:
     """Add a variance to state ``j``: something may have happened to it.
 
     ``v`` (n,) is for work.
@@ -207,7 +209,7 @@ def loosen(ut, d, j, variance, v):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def variance(ut, d, i):  # type: ignore[no-untyped-def]
+def variance(ut: _Array, d: _Array, i: int) -> float:
     """Return the variance of a state."""
     s = d[i]
     for k in range(i + 1, d.shape[0]):

@@ -18,6 +18,10 @@ holds on.
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.estimate.factors import expected, loosen, observe
@@ -70,6 +74,8 @@ from mufly.estimate.motion import turn_matrix, turned
 from mufly.trigonometry import direction, wrapped
 from mufly.units import GRAVITY
 
+_Array = NDArray[np.float64]
+
 GATE = 5.0
 """Standard deviations: one healthy reading in two million is turned away."""
 LEAN = 2.2
@@ -97,7 +103,7 @@ LEAST_FLOOR = -0.1
 
 
 @compiled(error_model="numpy")
-def _of(m, i, h):  # type: ignore[no-untyped-def]
+def _of(m: Any, i: int, h: float) -> None:
     """A measurement of ``h`` times state ``i``."""
     m.terms = 1
     m.at[0] = i
@@ -105,7 +111,7 @@ def _of(m, i, h):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _and(m, i, h):  # type: ignore[no-untyped-def]
+def _and(m: Any, i: int, h: float) -> None:
     """... and of ``h`` times state ``i``."""
     m.at[m.terms] = i
     m.h[m.terms] = h
@@ -113,7 +119,7 @@ def _and(m, i, h):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _correct(m, innovation):  # type: ignore[no-untyped-def]
+def _correct(m: Any, innovation: float) -> None:
     """Move the state by the gain, and what that is carried on to."""
     for i in range(ERRORS):
         m.gain[i] *= innovation
@@ -123,7 +129,7 @@ def _correct(m, innovation):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _move(x, by, span, push):  # type: ignore[no-untyped-def]
+def _move(x: _Array, by: _Array, span: float, push: _Array) -> None:
     """Move a state by errors that it had a span (s) ago, since when ``push`` has changed its velocity (behind the third
     number; but for gravity)."""
     v_x = by[3] + (by[7] * push[5] - by[8] * push[4] if span > 0.0 else 0.0)
@@ -141,7 +147,7 @@ def _move(x, by, span, push):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _take(m, innovation, r):  # type: ignore[no-untyped-def]
+def _take(m: Any, innovation: float, r: float) -> None:
     """Take a measurement in, whatever it says; its row is in ``m.h``."""
     expected(m.ut, m.d, m.at, m.h, m.terms, m.f)
     observe(m.ut, m.d, m.f, r, m.gain)
@@ -149,19 +155,19 @@ def _take(m, innovation, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _ratio(m, innovation, r):  # type: ignore[no-untyped-def]
+def _ratio(m: Any, innovation: float, r: float) -> float:
     """Innovation over what is expected of it."""
     return innovation / math.sqrt(expected(m.ut, m.d, m.at, m.h, m.terms, m.f) + r)
 
 
 @compiled(error_model="numpy")
-def _note(m, k, innovation, ratio):  # type: ignore[no-untyped-def]
+def _note(m: Any, k: int, innovation: float, ratio: float) -> None:
     m.innovation[k] = innovation
     m.spread[k] = abs(innovation / ratio) if ratio != 0.0 else 0.0
 
 
 @compiled(error_model="numpy")
-def _reject(m, s, k, innovation, z, count, near):  # type: ignore[no-untyped-def]
+def _reject(m: Any, s: Any, k: int, innovation: float, z: _Array, count: int, near: float) -> None:
     """Note that a reading does not fit; that it says nearly what the one before said is counted in ``m.agree``."""
     alike = m.rejected[k] > 0
     for j in range(count):
@@ -178,13 +184,13 @@ def _reject(m, s, k, innovation, z, count, near):  # type: ignore[no-untyped-def
 
 
 @compiled(error_model="numpy")
-def _taken_over(m, s, k):  # type: ignore[no-untyped-def]
+def _taken_over(m: Any, s: Any, k: int) -> bool:
     """Whether a reading that does not fit has agreed with itself for long enough."""
     return m.agree[k] >= 3 and (m.horizon - m.since[k]) * s.dt >= _AGREE_S
 
 
 @compiled(error_model="numpy")
-def _fix_row(m, i):  # type: ignore[no-untyped-def]
+def _fix_row(m: Any, i: int) -> None:
     if i < 3:
         _of(m, P + i, 1.0)
         _and(m, FIX + i, 1.0)
@@ -194,7 +200,7 @@ def _fix_row(m, i):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _fix_innovation(m, z, i, ahead):  # type: ignore[no-untyped-def]
+def _fix_innovation(m: Any, z: _Array, i: int, ahead: float) -> float:
     x = m.x
     if i < 3:
         return z[i] - x[i] - ahead * x[3 + i] - x[17 + i]
@@ -204,13 +210,13 @@ def _fix_innovation(m, z, i, ahead):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def height_over(x, s):  # type: ignore[no-untyped-def]
+def height_over(x: _Array, s: Any) -> float:
     """How high the legs are above what lies below (m); that is not lower than the floor, whatever the sonar says."""
     return -x[2] - max(x[16], 0.0) - s.stands
 
 
 @compiled(error_model="numpy")
-def _out_of_range(m, s, i):  # type: ignore[no-untyped-def]
+def _out_of_range(m: Any, s: Any, i: int) -> float:
     """What a component of the fix is believed to be off by, over the most that its model allows.
 
     A wandering of deviation sigma is believed to be off by 5 sigma once in two million times its correlation's time.
@@ -221,7 +227,7 @@ def _out_of_range(m, s, i):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _sonar_holds(m, s):  # type: ignore[no-untyped-def]
+def _sonar_holds(m: Any, s: Any) -> bool:
     """Whether the sonar tells the height, over a floor that is known."""
     k = R_SONAR
     fresh = m.used[k] > 0 and (m.tick - m.used[k]) * s.dt < 0.3
@@ -229,7 +235,7 @@ def _sonar_holds(m, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _agrees_down(m, s, z, ahead):  # type: ignore[no-untyped-def]
+def _agrees_down(m: Any, s: Any, z: _Array, ahead: float) -> bool:
     """Whether fix and sonar agree on the height; if not, what they are apart by is kept in ``m.suspect[R_FIX, 3]``.
 
     Which of them is wrong nobody knows: pressure wanders by as much. The height goes on by the sonar, and what they
@@ -249,7 +255,7 @@ def _agrees_down(m, s, z, ahead):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fuse_fix(m, s, z, ahead):  # type: ignore[no-untyped-def]
+def fuse_fix(m: Any, s: Any, z: _Array, ahead: float) -> None:
     """Position and heading; no height where that is not the sonar's."""
     k, worst, at = R_FIX, 0.0, 0.0
     down = _agrees_down(m, s, z, ahead)
@@ -302,7 +308,7 @@ def fuse_fix(m, s, z, ahead):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _sonar_row(m, s, r):  # type: ignore[no-untyped-def]
+def _sonar_row(m: Any, s: Any, r: _Array) -> float:
     turn_matrix(m.x[6:10], r)
     _of(m, P + 2, -1.0)
     _and(m, FLOOR, -1.0)
@@ -316,7 +322,7 @@ def _sonar_row(m, s, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _repeats(m, s, z, nu):  # type: ignore[no-untyped-def]
+def _repeats(m: Any, s: Any, z: float, nu: float) -> bool:
     """Whether the sonar repeats itself for longer than its noise and the vehicle's moving allow.
 
     A reading in steps of h is the one before with a chance of about h / (sqrt(2 pi) sigma) exp(-nu^2 / (2 sigma^2)),
@@ -335,7 +341,7 @@ def _repeats(m, s, z, nu):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _led_away(m, nu):  # type: ignore[no-untyped-def]
+def _led_away(m: Any, nu: float) -> None:
     """The height is led away by ``nu``: by a force that is not as it is believed."""
     loosen(m.ut, m.d, P + 2, nu * nu, m.f)
     loosen(m.ut, m.d, V + 2, LED_SPEED * LED_SPEED, m.f)
@@ -344,7 +350,7 @@ def _led_away(m, nu):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
+def fuse_sonar(m: Any, s: Any, z: _Array, ahead: float, r: _Array) -> None:
     """Height above what lies below; a step that nothing else saw is the floor's."""
     k = R_SONAR
     down = _sonar_row(m, s, r)
@@ -422,14 +428,14 @@ def fuse_sonar(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def settle_floor(m):  # type: ignore[no-untyped-def]
+def settle_floor(m: Any) -> None:
     """Back at about the height of the floor it is most likely the floor, and that one is known."""
     _of(m, FLOOR, 1.0)
     _take(m, -m.x[16], 2.5e-5)
 
 
 @compiled(error_model="numpy")
-def fuse_lift(m, lift):  # type: ignore[no-untyped-def]
+def fuse_lift(m: Any, lift: float) -> None:
     """Leaving the floor the rotors lift the weight and what it rises by: the thrust's scale, where the model lifts so
     much (of the weight)."""
     scale = LIFTS / lift
@@ -439,7 +445,7 @@ def fuse_lift(m, lift):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fuse_floor(m, s):  # type: ignore[no-untyped-def]
+def fuse_floor(m: Any, s: Any) -> bool:
     """Legs do not go into what lies below: where they are believed to be there, they stand on it. Whether they were.
 
     The sonar is too near to tell, the rotors lift less than the weight, and nothing else says that it does not fall.
@@ -458,7 +464,7 @@ def fuse_floor(m, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fuse_ring(m, s, z, ahead, r, most):  # type: ignore[no-untyped-def]
+def fuse_ring(m: Any, s: Any, z: _Array, ahead: float, r: _Array, most: int) -> bool:
     """Distances to the walls of the room, beam by beam, ``most`` at a time; returns whether that was all."""
     k = R_RING
     turn_matrix(m.x[6:10], r)
@@ -515,7 +521,7 @@ def fuse_ring(m, s, z, ahead, r, most):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fuse_pressure(m, s, z, ahead):  # type: ignore[no-untyped-def]
+def fuse_pressure(m: Any, s: Any, z: _Array, ahead: float) -> None:
     """Pressure less the standard one and what the rotors add."""
     k = R_PRESSURE
     _of(m, P + 2, s.pressure_slope)
@@ -534,7 +540,7 @@ def fuse_pressure(m, s, z, ahead):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fuse_magnet(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
+def fuse_magnet(m: Any, s: Any, z: _Array, ahead: float, r: _Array) -> None:
     """Heading by the field's direction."""
     k = R_MAGNET
     turn_matrix(m.x[6:10], r)
@@ -558,7 +564,7 @@ def fuse_magnet(m, s, z, ahead, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fuse_force(m, s, r, count, i):  # type: ignore[no-untyped-def]
+def fuse_force(m: Any, s: Any, r: _Array, count: int, i: int) -> None:
     """Accelerometers less model along an axis, mean over so many periods: of biases, thrust, wind and velocity."""
     turn_matrix(m.x[6:10], r)
     slope = m.lever[i, 1]
@@ -581,7 +587,7 @@ def fuse_force(m, s, r, count, i):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fuse_rest(m, s, r, count, still, i):  # type: ignore[no-untyped-def]
+def fuse_rest(m: Any, s: Any, r: _Array, count: int, still: bool, i: int) -> None:
     """Standing: no velocity, no turning along an axis; and with the motors off accelerometers that feel gravity
     alone."""
     _of(m, V + i, 1.0)

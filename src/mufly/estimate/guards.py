@@ -20,6 +20,10 @@ once they come to :data:`ALARM` (:data:`SONAR_ALARM` for the sonar: four within 
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.estimate.factors import loosen
@@ -40,6 +44,8 @@ from mufly.estimate.layout import (
     TURN,
     V,
 )
+
+_Array = NDArray[np.float64]
 
 ACTING = STARTS[-1]
 CLIPPING = ACTING + 4
@@ -77,7 +83,7 @@ _VOLTS_OFF = 0.6
 
 
 @compiled(error_model="numpy")
-def flag(m, s, k, code, why, number):  # type: ignore[no-untyped-def]
+def flag(m: Any, s: Any, k: int, code: int, why: int, number: float) -> None:
     """Note what is wrong with a sensor, for a while."""
     m.code[k] = code
     m.why[k] = why
@@ -86,7 +92,7 @@ def flag(m, s, k, code, why, number):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def fits(m, k):  # type: ignore[no-untyped-def]
+def fits(m: Any, k: int) -> None:
     """A reading has been used."""
     m.used[k] = m.tick
     m.rejected[k] = 0
@@ -100,7 +106,7 @@ def fits(m, k):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def misfits(m, s, k, why, number):  # type: ignore[no-untyped-def]
+def misfits(m: Any, s: Any, k: int, why: int, number: float) -> None:
     """A reading does not fit."""
     m.rejected[k] += 1
     m.doubt[k] += 1.0
@@ -109,7 +115,7 @@ def misfits(m, s, k, why, number):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _repeated(m, s, z, k, start, count):  # type: ignore[no-untyped-def]
+def _repeated(m: Any, s: Any, z: _Array, k: int, start: int, count: int) -> bool:
     """Whether a reading is the one before to the last bit, and that cannot be."""
     if s.noisy[k] == 0 or m.came[k] == 0:
         return False
@@ -124,7 +130,7 @@ def _repeated(m, s, z, k, start, count):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
+def inspect(m: Any, s: Any, z: _Array, new: NDArray[np.int32], age: _Array) -> None:
     """Judge what has come; what is unusable is marked in ``new`` as not new and replaced by what came before."""
     for k in range(SENSORS):
         if s.fitted[k] == 0:
@@ -206,7 +212,7 @@ def inspect(m, s, z, new, age):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def go_astray(m, s):  # type: ignore[no-untyped-def]
+def go_astray(m: Any, s: Any) -> None:
     """Something carries the filter astray that it does not know, most likely the gyroscopes."""
     if m.adrift <= 1:
         for k in range(3):
@@ -218,7 +224,7 @@ def go_astray(m, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
+def smooth_rates(m: Any, s: Any, flying: bool) -> None:
     """Put what the model says in the place of a spike of the gyroscopes, and take off a jump; ``m.rates`` are the
     new, ``m.before`` the old."""
     now = (m.tick - 1) % MODELLED
@@ -275,7 +281,7 @@ def smooth_rates(m, s, flying):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def rotor_fits(m, s, z, start):  # type: ignore[no-untyped-def]
+def rotor_fits(m: Any, s: Any, z: _Array, start: int) -> bool:
     """Whether the speeds that are read are those that the motors' equations make.
 
     What these are off by, an acceleration of each motor, is learnt within a second, and with it a reading that is led
@@ -305,7 +311,7 @@ def rotor_fits(m, s, z, start):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def voltage_fits(m, s, off):  # type: ignore[no-untyped-def]
+def voltage_fits(m: Any, s: Any, off: float) -> bool:
     """Whether the voltage is what the battery's model has."""
     if abs(off) > _VOLTS_OFF and m.tick * s.dt > 1.0:
         misfits(m, s, R_BATTERY, OFF, off)
@@ -315,7 +321,7 @@ def voltage_fits(m, s, off):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def felt_fits(m, s, nu, variance, known, i):  # type: ignore[no-untyped-def]
+def felt_fits(m: Any, s: Any, nu: float, variance: float, known: float, i: int) -> None:
     """Mean of accelerometers less model over some 0.4 s against what is expected of it; ``nu`` of axis ``i`` of a
     block, ``variance`` of its noise and ``known`` of what is known of it before."""
     m.drift[i] += 0.1 * (nu - m.drift[i])

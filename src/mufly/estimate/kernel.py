@@ -23,6 +23,10 @@ The inertial unit's filter makes it late by ``lag``: states belong to ``lag`` be
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.estimate.factors import carry, loosen, variance, wander
@@ -99,6 +103,8 @@ from mufly.estimate.telling import LONGEST, TOLD_EVERY, spread_along, tell
 from mufly.trigonometry import whole
 from mufly.units import GRAVITY
 
+_Array = NDArray[np.float64]
+
 BACK_S = 0.1
 """How long before the horizon a measurement may have been made: speed and turning carry it there, and what they change
 by meanwhile, 1 m/s^2, moves it by 5 mm."""
@@ -135,7 +141,7 @@ _Z = STARTS
 
 
 @compiled(error_model="numpy")
-def begin(m, s):  # type: ignore[no-untyped-def]
+def begin(m: Any, s: Any) -> None:
     """Forget everything."""
     for i in range(STATES):
         m.x[i] = m.way[i] = m.come[i] = s.start[i]
@@ -154,7 +160,7 @@ def begin(m, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _queue(m, s, kind, at, z, start, count):  # type: ignore[no-untyped-def]
+def _queue(m: Any, s: Any, kind: int, at: float, z: _Array, start: int, count: int) -> bool:
     """Let a measurement of tick ``at`` wait until the horizon has come to it; False if that is over for too long, or
     no place is left."""
     due = s.block * whole(at / s.block + 0.5)
@@ -175,7 +181,7 @@ def _queue(m, s, kind, at, z, start, count):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _mode(m, s, z):  # type: ignore[no-untyped-def]
+def _mode(m: Any, s: Any, z: _Array) -> float:
     """Whether it stands, flies or is about to: by what the rotors lift and how high it is.
 
     Returns what the model lifts (of the weight) in the period in which the sonar says that it leaves the floor, else 0.
@@ -214,7 +220,7 @@ def _mode(m, s, z):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _lightness(m, force):  # type: ignore[no-untyped-def]
+def _lightness(m: Any, force: float) -> float:
     """On the legs, or just off them: density of what the force may be off by that rotors (``force`` of the model, m/s^2
     down) and legs make, the less the farther the rotors are from lifting the weight."""
     spread = LEAST_SPREAD if m.low == 1 else max(m.sigma[THRUST_] * -force, LEAST_SPREAD)
@@ -224,7 +230,7 @@ def _lightness(m, force):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
+def _force(m: Any, s: Any, p: Any, z: _Array, new: NDArray[np.int32], r: _Array) -> float:
     """What acted over the period that has just ended: a row of inputs. Returns what :func:`_mode` does."""
     now = m.tick % MODELLED
     for j in range(4):
@@ -302,7 +308,7 @@ def _force(m, s, p, z, new, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _pass_edge(m, s, span):  # type: ignore[no-untyped-def]
+def _pass_edge(m: Any, s: Any, span: float) -> None:
     """Over an edge that the sonar's cone has met what is nearest moves along an arc; it is passed as one flies on."""
     away = max(-m.x[2] - m.x[16], 0.1)
     speed = math.sqrt(m.x[3] * m.x[3] + m.x[4] * m.x[4])
@@ -315,7 +321,7 @@ def _pass_edge(m, s, span):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
+def _advance(m: Any, s: Any, r: _Array, a: _Array) -> None:
     """Bring the horizon a block on."""
     span = s.block * s.dt
     e = m.inputs[m.horizon // s.block % KEPT]
@@ -348,7 +354,7 @@ def _advance(m, s, r, a):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _wander(m, s):  # type: ignore[no-untyped-def]
+def _wander(m: Any, s: Any) -> None:
     """Step one bias, whose turn it is."""
     biases = ERRORS - GYRO
     k = GYRO + m.tick % biases
@@ -362,7 +368,7 @@ def _wander(m, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _measured(m, s, r, left):  # type: ignore[no-untyped-def]
+def _measured(m: Any, s: Any, r: _Array, left: int) -> int:
     """Take in the next measurement that is due at the horizon, if any; return what it cost, 0 if there is no time."""
     behind = m.tick - s.delay - m.horizon >= LAG * s.block
     i = -1
@@ -401,7 +407,7 @@ def _measured(m, s, r, left):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _means(m, s):  # type: ignore[no-untyped-def]
+def _means(m: Any, s: Any) -> None:
     """What was felt and made since forces were compared last."""
     e = m.inputs[(m.horizon // s.block - 1) % KEPT]
     n = m.felt_count // s.block
@@ -417,7 +423,7 @@ def _means(m, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _task(m, s, r, a, left):  # type: ignore[no-untyped-def]
+def _task(m: Any, s: Any, r: _Array, a: _Array, left: int) -> int:
     """Do what is next at the horizon if it costs no more than ``left``; return the cost, 0 if nothing was done."""
     cost = _measured(m, s, r, left)
     if cost >= 0:
@@ -468,7 +474,7 @@ def _task(m, s, r, a, left):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _doubt_felt(m, s, k):  # type: ignore[no-untyped-def]
+def _doubt_felt(m: Any, s: Any, k: int) -> None:
     """What is known of the accelerometers' noise now holds for what the horizon has not come to yet, too."""
     for at in range(m.horizon, m.tick, s.block):
         e = m.inputs[at // s.block % KEPT]
@@ -480,7 +486,7 @@ def _doubt_felt(m, s, k):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _scatter(m, s, z):  # type: ignore[no-untyped-def]
+def _scatter(m: Any, s: Any, z: _Array) -> None:
     """How much the accelerometers scatter about the model: means over blocks, which a shaking leaves something in, and
     means with weights that rise and fall, which it leaves nothing in: what stays of it in the velocity."""
     row = m.now
@@ -534,7 +540,7 @@ def _scatter(m, s, z):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def step(m, s, p, z, new, age):  # type: ignore[no-untyped-def]
+def step(m: Any, s: Any, p: Any, z: _Array, new: NDArray[np.int32], age: _Array) -> bool:
     """One period.
 
     Parameters

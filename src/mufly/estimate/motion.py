@@ -24,6 +24,10 @@ taken as diagonal: drag along one axis comes from the speed along it).
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.dynamics import battery_state
@@ -31,16 +35,28 @@ from mufly.dynamics.model import _clip, derivative_tilted
 from mufly.trigonometry import sine_cosine
 from mufly.units import GRAVITY
 
+_Array = NDArray[np.float64]
+
 _SLOPE_STEP = 0.05  # m/s, for the slope of drag
 
 
 @compiled(error_model="numpy", inline="never")
-def _model(x, u, still, p, sin_a, cos_a, sin_b, cos_b, dx):  # type: ignore[no-untyped-def]
+def _model(
+    x: _Array,
+    u: _Array,
+    still: _Array,
+    p: Any,
+    sin_a: float,
+    cos_a: float,
+    sin_b: float,
+    cos_b: float,
+    dx: _Array,
+) -> None:
     derivative_tilted(x, u, still, p, sin_a, cos_a, sin_b, cos_b, False, dx)
 
 
 @compiled(error_model="numpy")
-def model_force(m, s, p, air, out):  # type: ignore[no-untyped-def]
+def model_force(m: Any, s: Any, p: Any, air: _Array, out: _Array) -> None:
     """Carry what the rotors remember on by a period, and write the force that they and the air make.
 
     Parameters
@@ -103,13 +119,13 @@ def model_force(m, s, p, air, out):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def terminal_voltage_believed(m, p):  # type: ignore[no-untyped-def]
+def terminal_voltage_believed(m: Any, p: Any) -> float:
     """Voltage (V) that the battery model has at the believed charge and speeds."""
     return battery_state(m.rotor, m.acting[0], m.acting[1], p)[0]
 
 
 @compiled(error_model="numpy")
-def turn_matrix(q, r):  # type: ignore[no-untyped-def]
+def turn_matrix(q: _Array, r: _Array) -> None:
     """Write the matrix (9 numbers, by rows) that turns body vectors into N-E-D; ``q`` (4,) w x y z."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     r[0], r[1], r[2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
@@ -118,7 +134,7 @@ def turn_matrix(q, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def turned(x, t_x, t_y, t_z, own):  # type: ignore[no-untyped-def]
+def turned(x: _Array, t_x: float, t_y: float, t_z: float, own: bool) -> None:
     """Turn the attitude in the state ``x`` by a small turn (rad), about body axes if ``own``, else about N, E, D."""
     square = t_x * t_x + t_y * t_y + t_z * t_z
     c = 1.0 - square / 8.0 + square * square / 384.0
@@ -139,7 +155,7 @@ def turned(x, t_x, t_y, t_z, own):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def advance_state(x, e, dt, r, a):  # type: ignore[no-untyped-def]
+def advance_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None:
     """Carry the state ``x`` on by a period of inputs ``e``.
 
     ``r`` (9,) is left with the attitude in its middle, ``a`` (6,) with the acceleration but for gravity, N-E-D, and the
@@ -170,7 +186,7 @@ def advance_state(x, e, dt, r, a):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def transition(e, span, r, push, out):  # type: ignore[no-untyped-def]
+def transition(e: _Array, span: float, r: _Array, push: _Array, out: _Array) -> None:
     """Write how position, velocity and attitude depend on errors after a step.
 
     With the turn t about N, E, D, in its middle less what the gyroscopes' bias does to it, and u = R^T (v - wind):

@@ -6,6 +6,10 @@ How the horizon is carried on, and why not all of it in every period, is told in
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.estimate.factors import carry_column, variance
@@ -13,6 +17,8 @@ from mufly.estimate.layout import ERRORS, FLYING, KEPT, LOW, MODELLED, R_FIX, ST
 from mufly.estimate.motion import advance_state, transition, turned
 from mufly.trigonometry import direction, sine_cosine, whole
 from mufly.units import GRAVITY
+
+_Array = NDArray[np.float64]
 
 LONGEST = 8
 """Periods over which forces are compared."""
@@ -23,7 +29,7 @@ JUMP, SLIP_S = 0.05, 0.4
 
 
 @compiled(error_model="numpy")
-def spread_along(r, k, e):  # type: ignore[no-untyped-def]
+def spread_along(r: _Array, k: int, e: _Array) -> float:
     """Density of the velocity's noise along an axis of N-E-D."""
     spread = 0.0
     for i in range(3):
@@ -32,7 +38,7 @@ def spread_along(r, k, e):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _carry_on(m, s, r, a):  # type: ignore[no-untyped-def]
+def _carry_on(m: Any, s: Any, r: _Array, a: _Array) -> None:
     """Carry the horizon's state on towards now, some blocks a period; ``m.come`` is at now."""
     for _ in range(s.work):
         e = m.inputs[m.way_tick // s.block % KEPT]
@@ -59,7 +65,7 @@ def _carry_on(m, s, r, a):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def tell(m, s, r, a):  # type: ignore[no-untyped-def]
+def tell(m: Any, s: Any, r: _Array, a: _Array) -> None:
     """Tell the state of now; now and then its covariance too."""
     _carry_on(m, s, r, a)
     x = m.out
@@ -90,7 +96,7 @@ def tell(m, s, r, a):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _angles(m):  # type: ignore[no-untyped-def]
+def _angles(m: Any) -> None:
     """Roll, pitch and yaw of the attitude that is told."""
     w, x, y, z = m.out[6], m.out[7], m.out[8], m.out[9]
     sine = min(max(2 * (w * y - z * x), -1.0), 1.0)
@@ -101,7 +107,7 @@ def _angles(m):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _smooth(m, s):  # type: ignore[no-untyped-def]
+def _smooth(m: Any, s: Any) -> None:
     """Let what is told follow a jump of the state within a second, so that none goes to the actuators."""
     x = m.out
     for k in range(3):
@@ -114,7 +120,7 @@ def _smooth(m, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _told_errors(m, s, r):  # type: ignore[no-untyped-def]
+def _told_errors(m: Any, s: Any, r: _Array) -> None:
     """Covariance of what moves over the delay, F P F^T + Q, in one step by the mean acceleration on the way."""
     span = m.span
     for k in range(3):
@@ -142,7 +148,7 @@ def _told_errors(m, s, r):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _tell_covariance(m):  # type: ignore[no-untyped-def]
+def _tell_covariance(m: Any) -> None:
     """What is told of the errors, of the attitude as roll, pitch and yaw."""
     for i in range(9):
         for j in range(i):

@@ -31,6 +31,8 @@ from numpy.typing import NDArray
 from mufly.calling import lent
 from mufly.compiled import compiled
 
+_Array = NDArray[np.float64]
+
 
 def source_of(rng: np.random.Generator) -> NDArray[np.uint64]:
     """Return what compiled functions draw from (1,), which ``rng`` draws: other for each that is asked for."""
@@ -63,7 +65,7 @@ _C2, _C4, _C6, _C8, _C10, _C12, _C14 = (
 
 
 @compiled(error_model="numpy")
-def _even(counter):  # type: ignore[no-untyped-def]
+def _even(counter: np.uint64) -> float:
     """A number from 1 to 2, of a counter."""
     z = (counter ^ (counter >> _30)) * _FIRST
     z = (z ^ (z >> _27)) * _SECOND
@@ -71,7 +73,7 @@ def _even(counter):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _pair(a, b):  # type: ignore[no-untyped-def]
+def _pair(a: float, b: float) -> tuple[float, float]:
     """Two normal numbers of two even ones from 1 to 2."""
     bits = _bits(2.0 - a)  # above 0, up to 1
     power = _number(_WHOLE | (bits >> _52)) - 4503599627371519.0  # 2^52 + 1023
@@ -116,13 +118,13 @@ _by_name: Any = types.ExternalFunction("mufly_normals", _FILLS)
 
 
 @compiled(error_model="numpy")
-def normals(source, out):  # type: ignore[no-untyped-def]
+def normals(source: NDArray[np.uint64], out: _Array) -> None:
     """Fill an array (n,) with the next unit normal numbers of a source."""
     _by_name(lent(source).ctypes, lent(out).ctypes, out.size)
 
 
 @compiled(error_model="numpy")
-def uniforms(source, out):  # type: ignore[no-untyped-def]
+def uniforms(source: NDArray[np.uint64], out: _Array) -> None:
     """Fill an array (n,) with the next numbers of a source, even from 0 to 1 (1 excluded)."""
     start = source[0]
     source[0] = start + np.uint64(out.size) * _GROWS

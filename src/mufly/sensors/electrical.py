@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.sensors.drawing import normals
@@ -23,9 +24,19 @@ from mufly.sensors.readings import Truth
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import BatteryMonitor, RotorSpeed
 
+_Array = NDArray[np.float64]
+
 
 @compiled(error_model="numpy")
-def _speeds(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+def _speeds(
+    t: float,
+    x: _Array,
+    attitude: _Array,
+    supply: _Array,
+    source: NDArray[np.uint64],
+    parts: tuple[_Array],
+    row: _Array,
+) -> float:
     (numbers,) = parts  # scales of both, noise (rad/s)
     n = np.empty(2)
     normals(source, n)
@@ -52,7 +63,15 @@ class BackEmfSensor(Periodic):
 
 
 @compiled(error_model="numpy")
-def _battery(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+def _battery(
+    t: float,
+    x: _Array,
+    attitude: _Array,
+    supply: _Array,
+    source: NDArray[np.uint64],
+    parts: tuple[_Array],
+    row: _Array,
+) -> float:
     (numbers,) = parts  # noise and step of the voltage, scale and noise of the current
     n = np.empty(2)
     normals(source, n)

@@ -198,18 +198,18 @@ def _axes(rng: np.random.Generator, scale: float, misalignment: float) -> _Array
 
 
 @compiled(error_model="numpy")
-def _exaggerated(speed, natural, damping):  # type: ignore[no-untyped-def]
+def _exaggerated(speed: float, natural: float, damping: float) -> float:
     x = speed / natural
     return 1.0 / math.sqrt((1.0 - x * x) ** 2 + (2.0 * damping * x) ** 2)
 
 
 @compiled(error_model="numpy")
-def _warmth(t, numbers):  # type: ignore[no-untyped-def]
+def _warmth(t: float, numbers: _Array) -> float:
     return numbers[8] * (1.0 - math.exp(-t / numbers[9]))
 
 
 @compiled(error_model="numpy")
-def _felt_force(was, now, elapsed, place, force):  # type: ignore[no-untyped-def]
+def _felt_force(was: _Array, now: _Array, elapsed: float, place: _Array, force: _Array) -> None:
     """Specific force at the element (m/s^2), as the mean of a period, into ``force``."""
     turn = rotation(now[6:10])
     px, py, pz = (now[10] - was[10]) / elapsed, (now[11] - was[11]) / elapsed, (now[12] - was[12]) / elapsed
@@ -223,10 +223,31 @@ def _felt_force(was, now, elapsed, place, force):  # type: ignore[no-untyped-def
 
 
 @compiled(error_model="numpy")
-def imu_period(  # type: ignore[no-untyped-def]
-    was, now, elapsed, t, normal, numbers, place, axes, feigned, directions, phases, heat, switched_on, drift,
-    white, limit, coefficients, azimuth, wander, memory, force, out, clipped,
-):  # fmt: skip
+def imu_period(
+    was: _Array,
+    now: _Array,
+    elapsed: float,
+    t: float,
+    normal: _Array,
+    numbers: _Array,
+    place: _Array,
+    axes: _Array,
+    feigned: _Array,
+    directions: _Array,
+    phases: _Array,
+    heat: _Array,
+    switched_on: _Array,
+    drift: _Array,
+    white: _Array,
+    limit: _Array,
+    coefficients: _Array,
+    azimuth: _Array,
+    wander: _Array,
+    memory: _Array,
+    force: _Array,
+    out: _Array,
+    clipped: _Array,
+) -> None:
     """Shake, sense, clip and filter over a period that ends at ``t`` (s).
 
     ``azimuth``, ``wander``, and ``memory`` (6, 2) of the filter stay.

@@ -29,7 +29,7 @@ _FEATURES = 64
 
 
 @compiled(error_model="numpy", inline="always")
-def _disturbed(x, waves, shifts, strength, field):  # type: ignore[no-untyped-def]
+def _disturbed(x: _Array, waves: _Array, shifts: _Array, strength: float, field: _Array) -> None:
     """Add to a field (3,) what the surroundings make of it at a place.
 
     ``shifts`` (n, 3, 2) are sines and cosines of the shifts, so that a wave's phase is looked up once, not thrice.
@@ -46,7 +46,15 @@ def _disturbed(x, waves, shifts, strength, field):  # type: ignore[no-untyped-de
 
 
 @compiled(error_model="numpy")
-def _field(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+def _field(
+    t: float,
+    x: _Array,
+    attitude: _Array,
+    supply: _Array,
+    source: NDArray[np.uint64],
+    parts: tuple[_Array, _Array, _Array],
+    row: _Array,
+) -> float:
     numbers, waves, shifts = (
         parts  # earth's field, hard iron, field of an ampere (3 each), strength, noise (T)
     )

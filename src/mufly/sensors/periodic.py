@@ -32,7 +32,7 @@ _ROOM = 8  # measurements on their way beyond those that are expected
 
 
 @compiled(error_model="numpy")
-def is_due(t, clock):  # type: ignore[no-untyped-def]
+def is_due(t: float, clock: _Array) -> bool:
     """Whether it measures at a time (s); its clock is set to the next.
 
     Measurements keep to their own clock, however coarse the periods of the flight software are.
@@ -45,7 +45,7 @@ def is_due(t, clock):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def say(t, wait, clock, counts, rows):  # type: ignore[no-untyped-def]
+def say(t: float, wait: float, clock: _Array, counts: NDArray[np.int64], rows: _Array) -> bool:
     """Whether something is said at a time (s), which then stands in the first of ``rows``.
 
     A measurement that takes ``wait`` (s) stands in the row after those on their way; of all that come at once the last
@@ -160,7 +160,7 @@ class Periodic(Sensor):
 
 
 @compiled(error_model="numpy")
-def wander(t, sigma, time_s, memory, source):  # type: ignore[no-untyped-def]
+def wander(t: float, sigma: _Array, time_s: float, memory: _Array, source: NDArray[np.uint64]) -> None:
     """Let errors wander to a time (s)."""
     elapsed = 0.0 if math.isnan(memory[0]) else max(0.0, t - memory[0])
     memory[0] = t

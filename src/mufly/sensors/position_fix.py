@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.sensors.drawing import normals, uniforms
@@ -23,9 +24,19 @@ from mufly.sensors.readings import Truth
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import PositionFix
 
+_Array = NDArray[np.float64]
+
 
 @compiled(error_model="numpy")
-def _fix(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+def _fix(
+    t: float,
+    x: _Array,
+    attitude: _Array,
+    supply: _Array,
+    source: NDArray[np.uint64],
+    parts: tuple[_Array, _Array, _Array],
+    row: _Array,
+) -> float:
     numbers, sigma, memory = parts  # dropout, jitter, latency (s), time of wandering (s), white noise (4)
     share, late, n = np.empty(1), np.empty(1), np.empty(4)
     uniforms(source, share)

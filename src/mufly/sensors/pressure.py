@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.sensors.drawing import normals
@@ -24,11 +25,21 @@ from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import Pressure
 
+_Array = NDArray[np.float64]
+
 STANDARD_PRESSURE_PA = 101_325.0
 
 
 @compiled(error_model="numpy")
-def _pressure(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+def _pressure(
+    t: float,
+    x: _Array,
+    attitude: _Array,
+    supply: _Array,
+    source: NDArray[np.uint64],
+    parts: tuple[_Array, _Array, _Array, _Array],
+    row: _Array,
+) -> float:
     # noise, delay, time of wandering, weight of the air (N/m3), share of the loading, its slopes over speeds squared;
     # what is felt, and when it was (s)
     numbers, sigma, memory, felt = parts

@@ -275,7 +275,16 @@ def ideal_ranges(
 
 
 @compiled(error_model="numpy")
-def see(x, directions, least, most, boxes, cylinders, limits, out):  # type: ignore[no-untyped-def]
+def see(
+    x: _Array,
+    directions: _Array,
+    least: float,
+    most: float,
+    boxes: _Array,
+    cylinders: _Array,
+    limits: _Array,
+    out: _Array,
+) -> None:
     """Distances to the nearest surface along beams of the body (n, 3) into ``out`` (n,), held within least and most."""
     turn = rotation(x[6:10])
     for k in range(directions.shape[0]):

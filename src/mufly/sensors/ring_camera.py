@@ -21,6 +21,7 @@ Thesis: Fig. 2.7.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,7 @@ _MARGIN = 1.25  # rows reach this much above the elevation of the shortest dista
 
 
 @compiled(error_model="numpy")
-def _sort(a, lanes):  # type: ignore[no-untyped-def]
+def _sort(a: _Array, lanes: int) -> None:
     """Sort many columns at once: ``a`` (rows * lanes,), a row after the other, each lane for itself.
 
     By exchanges that do not depend on the numbers (Batcher's, as Knuth, The Art of Computer Programming 3, 5.2.2 M), so
@@ -71,7 +72,17 @@ def _sort(a, lanes):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _decode(seen, order, distance, across, light, weight, offset, numbers, told):  # type: ignore[no-untyped-def]
+def _decode(
+    seen: _Array,
+    order: _Array,
+    distance: _Array,
+    across: _Array,
+    light: _Array,
+    weight: _Array,
+    offset: _Array,
+    numbers: _Array,
+    told: _Array,
+) -> None:
     """Put the spots into a picture of noise and find them again.
 
     Parameters
@@ -140,7 +151,15 @@ def _decode(seen, order, distance, across, light, weight, offset, numbers, told)
 
 
 @compiled(error_model="numpy")
-def _seen(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+def _seen(
+    t: float,
+    x: _Array,
+    attitude: _Array,
+    supply: _Array,
+    source: NDArray[np.uint64],
+    parts: tuple[Any, ...],
+    row: _Array,
+) -> float:
     limits, numbers, directions, boxes, cylinders, walls, across, light, weight, offset, work, pictures = (
         parts
     )

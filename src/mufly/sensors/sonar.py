@@ -36,7 +36,9 @@ _RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, rays
 
 
 @compiled(error_model="numpy")
-def _way(x, place, rays, upright, boxes, cylinders, limits):  # type: ignore[no-untyped-def]
+def _way(
+    x: _Array, place: _Array, rays: _Array, upright: float, boxes: _Array, cylinders: _Array, limits: _Array
+) -> float:
     """Distance from the element to the nearest surface in the cone (m); ``upright`` is the cosine of its half angle."""
     turn, here = rotation(x[6:10]), np.empty(3)
     for j in range(3):
@@ -54,7 +56,15 @@ def _way(x, place, rays, upright, boxes, cylinders, limits):  # type: ignore[no-
 
 
 @compiled(error_model="numpy")
-def _echo(t, x, attitude, supply, source, parts, row):  # type: ignore[no-untyped-def]
+def _echo(
+    t: float,
+    x: _Array,
+    attitude: _Array,
+    supply: _Array,
+    source: NDArray[np.uint64],
+    parts: tuple[_Array, _Array, _Array, _Array, _Array, _Array],
+    row: _Array,
+) -> float:
     numbers, place, rays, boxes, cylinders, limits = parts
     noise, dropout, multipath, longest, least, step = (
         numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5],

@@ -57,7 +57,9 @@ def asked_of(sensors: Mapping[int, Sensor]) -> tuple[_Array, NDArray[np.uint8], 
 
 
 @compiled(error_model="numpy")
-def _said(t, wait, clock, counts, rows, told):  # type: ignore[no-untyped-def]
+def _said(
+    t: float, wait: float, clock: _Array, counts: NDArray[np.int64], rows: _Array, told: _Array
+) -> bool:
     """Whether something is said, which then stands in ``told``, too."""
     if not say(t, wait, clock, counts, rows):
         return False
@@ -67,7 +69,16 @@ def _said(t, wait, clock, counts, rows, told):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def ask(t, x, attitude, supply, quiet, came, told, all_parts):  # type: ignore[no-untyped-def]
+def ask(
+    t: float,
+    x: _Array,
+    attitude: _Array,
+    supply: _Array,
+    quiet: _Array,
+    came: NDArray[np.uint8],
+    told: _Array,
+    all_parts: tuple[Any, ...],
+) -> float:
     """Ask those sensors whose time has come (s); return until when none of them surely says anything new.
 
     Parameters

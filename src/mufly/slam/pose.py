@@ -273,7 +273,7 @@ def solve(
 
 
 @compiled(error_model="numpy")
-def _attitude(roll, pitch, heading, tilt_x, tilt_y):  # type: ignore[no-untyped-def]
+def _attitude(roll: float, pitch: float, heading: float, tilt_x: float, tilt_y: float) -> _Array:
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     c, s = math.cos(heading), math.sin(heading)
     tilt_n, tilt_e = c * tilt_x - s * tilt_y, s * tilt_x + c * tilt_y
@@ -295,10 +295,28 @@ def _attitude(roll, pitch, heading, tilt_x, tilt_y):  # type: ignore[no-untyped-
 
 
 @compiled(error_model="numpy")
-def _solve(  # type: ignore[no-untyped-def]
-    x, focal, axes, roll, pitch, rates, velocity, rotor, phase, known, prior, points, bend, pixels, seconds, sigma,
-    normal, off, weight, rounds,
-):  # fmt: skip
+def _solve(
+    x: _Array,
+    focal: float,
+    axes: _Array,
+    roll: float,
+    pitch: float,
+    rates: _Array,
+    velocity: _Array,
+    rotor: _Array,
+    phase: _Array,
+    known: _Array,
+    prior: _Array,
+    points: _Array,
+    bend: _Array,
+    pixels: _Array,
+    seconds: _Array,
+    sigma: _Array,
+    normal: _Array,
+    off: _Array,
+    weight: _Array,
+    rounds: int,
+) -> None:
     size, n = len(x), len(points)
     shakes = size > 8
     row = np.zeros((2, size))

@@ -189,14 +189,23 @@ def tracked(
 
 
 @compiled(error_model="numpy")
-def _grey(a, x, y):  # type: ignore[no-untyped-def]
+def _grey(a: NDArray[np.uint8], x: float, y: float) -> float:
     i, j = math.floor(y), math.floor(x)
     u, v = y - i, x - j
     return (1 - u) * ((1 - v) * a[i, j] + v * a[i, j + 1]) + u * ((1 - v) * a[i + 1, j] + v * a[i + 1, j + 1])
 
 
 @compiled(error_model="numpy")
-def compare(template, picture, points, there, found, smooth, correlation, sigma):  # type: ignore[no-untyped-def]
+def compare(
+    template: NDArray[np.uint8],
+    picture: NDArray[np.uint8],
+    points: _Array,
+    there: _Array,
+    found: NDArray[np.uint8],
+    smooth: float,
+    correlation: _Array,
+    sigma: _Array,
+) -> None:
     """Correlation of patches around points of a template and of a picture, and how well their shift is known."""
     high, wide = picture.shape
     n = 2 * _PATCH + 1

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mufly.calling import call_at, lent
 from mufly.compiled import compiled
@@ -32,6 +36,8 @@ from mufly.sensors.periodic import STANDS, TAKEN, VALUES
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 from mufly.sensors.readings import see
 from mufly.sensors.together import ask
+
+_Array = NDArray[np.float64]
 
 MOST = 1024
 """Periods of one call at most."""
@@ -70,7 +76,19 @@ _PLACES = (R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_BATTERY, R_FIX)
 
 
 @compiled(error_model="numpy")
-def _lay(t, came, told, z, new, age, fitted, taken, pictures, used, ranges):  # type: ignore[no-untyped-def]
+def _lay(
+    t: float,
+    came: NDArray[np.uint8],
+    told: _Array,
+    z: _Array,
+    new: NDArray[np.int32],
+    age: _Array,
+    fitted: NDArray[np.uint8],
+    taken: _Array,
+    pictures: _Array,
+    used: NDArray[np.int64],
+    ranges: _Array,
+) -> bool:
     """Lay what sensors said into the filter's row (:meth:`KalmanEstimator.hear`); whether it was a picture."""
     seen = False
     for k in range(7):
@@ -102,7 +120,16 @@ def _lay(t, came, told, z, new, age, fitted, taken, pictures, used, ranges):  # 
 
 
 @compiled(error_model="numpy")
-def _show(memory, fitted, calm, texts, before, row, said, at):  # type: ignore[no-untyped-def]
+def _show(
+    memory: tuple[Any, ...],
+    fitted: NDArray[np.uint8],
+    calm: int,
+    texts: NDArray[np.int64],
+    before: _Array,
+    row: _Array,
+    said: NDArray[np.int32],
+    at: NDArray[np.int64],
+) -> bool:
     """Write what is told every so often into a row and the record of C; whether that needs no words of Python.
 
     ``texts`` are the numbers of the words for a reason, or -1 where there is a number in them; ``calm``: nothing is
@@ -136,7 +163,7 @@ def _show(memory, fitted, calm, texts, before, row, said, at):  # type: ignore[n
 
 
 @compiled(error_model="numpy")
-def _put(row, at, values):  # type: ignore[no-untyped-def]
+def _put(row: _Array, at: int, values: _Array) -> int:
     """Put numbers into a row from a place on; return the place after them.
 
     (An assignment to a slice compiles the message that two shapes differ, with all that strings need: 2 s.)
@@ -147,10 +174,30 @@ def _put(row, at, values):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def go_on(  # type: ignore[no-untyped-def]
-    c, f, x, parameters, wind, supply, attitude, packed, acting, software, belief, out, at, to, log, seen, ring,
-    filtered, imu, asked, shown, heard,
-):  # fmt: skip
+def go_on(
+    c: NDArray[np.int64],
+    f: _Array,
+    x: _Array,
+    parameters: Any,
+    wind: _Array,
+    supply: _Array,
+    attitude: _Array,
+    packed: tuple[int, bool, _Array, _Array, _Array],
+    acting: _Array,
+    software: tuple[_Array, NDArray[np.int32], NDArray[np.uint8]],
+    belief: tuple[_Array, NDArray[np.int32], NDArray[np.uint8]],
+    out: _Array,
+    at: NDArray[np.int64],
+    to: NDArray[np.int64],
+    log: _Array,
+    seen: _Array,
+    ring: Any,
+    filtered: Any,
+    imu: Any,
+    asked: Any,
+    shown: _Array,
+    heard: _Array,
+) -> int:
     """Advance until something is due that Python does; return what.
 
     Parameters
