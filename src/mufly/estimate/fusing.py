@@ -375,14 +375,15 @@ def fuse_sonar(m: Any, s: Any, z: _Array, ahead: float, r: _Array) -> None:
         return
     floor = m.x[16] - nu
     over = m.edge > 0.0 or abs(m.x[16]) > LOW
-    # Always off to the same side: over an edge it is the surface. Tops are flat, so else it is the height, which a
-    # force carries away that is not as it is believed: the accelerometers' or the model's.
+    # Always off to the same side: over an edge it is the surface, and nearer may be an object that comes into the cone
+    # from the side. Below the floor lies nothing, so else it is the height, which a force carries away that is not as
+    # it is believed: the accelerometers' or the model's.
     if abs(ratio) < GATE:
         m.lean += 0.2 * (ratio - m.lean)
     if abs(m.lean) > LEAN:
         m.lean = 0.0
         flag(m, s, k, FUSED, SLOPE, nu)
-        if over:
+        if over or nu < 0.0:
             m.edge = 1.0
         else:
             _led_away(m, nu)

@@ -383,7 +383,7 @@ void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1]
     if (real_abs(m->lean) > LEAN) {
         m->lean = REAL(0.0);
         flag(m, s, k, FUSED, SLOPE, nu);
-        if (over) {
+        if (over || (nu < REAL(0.0))) {
             m->edge = REAL(1.0);
         } else {
             led_away(m, nu);
