@@ -15,7 +15,10 @@ def test_it_hears_tilt_and_height_and_the_vehicle_takes_its_places() -> None:
     """Both on clocks of their own; what one says reaches the other after 20 ms."""
     rig = Rig(sensors="fitted", seed=4, outside=True)
     companion, late_s = Companion(), 0.02
-    ours = lambda: rig.now_s + 1.7e9  # noqa: E731
+
+    def ours() -> float:
+        return rig.now_s + 1.7e9
+
     there, back, due_s = [], [], 0.0
     rig.link.connect(rig.now_s, "slam")
     while rig.flight.time_s < 4.0:

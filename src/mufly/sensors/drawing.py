@@ -24,8 +24,9 @@ import numba
 import numpy as np
 from llvmlite import ir
 from llvmlite.binding import add_symbol
-from numba import carray, types  # type: ignore[attr-defined]
+from numba import types
 from numba.extending import intrinsic
+from numba.np.numpy_support import carray
 from numpy.typing import NDArray
 
 from mufly.calling import lent
@@ -101,7 +102,7 @@ _FILLS = types.void(_pointer(types.uint64), _pointer(types.float64), types.int64
 
 
 @numba.cfunc(_FILLS, cache=True, error_model="numpy")
-def _fill(source, numbers, size):  # type: ignore[no-untyped-def]
+def _fill(source: Any, numbers: Any, size: int) -> None:
     counter, out = carray(source, 1), carray(numbers, size)
     start, half = counter[0], size // 2
     counter[0] = start + np.uint64(size + size % 2) * _GROWS

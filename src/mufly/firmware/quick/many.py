@@ -310,18 +310,20 @@ class Many:
         flight, filtered = self._flight, self._filter
         assert filtered is not None
         now = flight.plant.time_s
-        quiet, asked = self._asked[0], []
+        quiet, asked, times = self._asked[0], [], []
         for k, one in self._places.items():
             lent = not any(t.start_s <= now < t.stop_s for t in one.faults)
-            quiet[k] = one.sensor.quiet_s if lent else math.inf  # type: ignore[attr-defined]
-            asked += [one] if lent else []
+            assert isinstance(one.sensor, Periodic)
+            quiet[k] = one.sensor.quiet_s if lent else math.inf
+            if lent:
+                asked.append(one)
+                times.append(int(one.sensor.counts[TIMES_SAID]))
         self._wakes = [math.inf if one in asked else _wakes(one, now) for one in self._faulty]
         self._said, self._seen = [None] * len(self._faulty), filtered.ranges  # others may have asked since
         self._f[F_WAKE_S] = min(self._wakes, default=math.inf)
         self._f[F_ASK_S] = -math.inf
         filtered.lend(self._taken, self._pictures, self._beams)
-        self._times = [int(one.sensor.counts[TIMES_SAID]) for one in asked]  # type: ignore[attr-defined]
-        self._lent = asked
+        self._times, self._lent = times, asked
         # Where others were told since, the row before is not what was told last.
         if self._thought is not filtered.checks:
             self._shown[0] = math.nan

@@ -79,7 +79,8 @@ def code_of(text: str, *, n_crit: float | None = None, limit_s: float = 600.0) -
     what = what.strip()
     if what in ("bemt", "wake"):
         how = f"n_crit {'by the air' if n_crit is None else n_crit}"
-        return Code(name or what, _ours(what, n_crit), what == "wake", how)  # type: ignore[arg-type]
+        method: Method = "wake" if what == "wake" else "bemt"
+        return Code(name or what, _ours(method, n_crit), what == "wake", how)
     if "{folder}" in what:
         return Code(name or Path(shlex.split(what)[0]).name, lambda case: _by_command(what, case, limit_s))
     module, colon, function = what.partition(":")
