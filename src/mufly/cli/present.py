@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from mufly.identify import Estimate
 
 Row = Sequence[str]
+_ROOM_FOR_TEXT = 26  # columns: with less, a last column of words stands below its row
 
 
 def console(*, stderr: bool = False) -> Console:
@@ -55,23 +56,45 @@ def print_json(content: Any) -> None:
 def print_table(
     heads: Sequence[str], rows: Iterable[Row], *, title: str = "", text: Sequence[int] = (0,)
 ) -> None:
-    """Print a table; columns whose numbers are in ``text`` are text, the others numbers."""
+    """Print a table; columns whose numbers are in ``text`` are text, the others numbers.
+
+    A last column of text for which a narrow terminal has no room stands under its row.
+    """
+    from rich.padding import Padding
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(
-        box=None, header_style="bold", title=title or None, title_justify="left", title_style="bold",
-        show_header=any(heads),
-    )  # fmt: skip
-    rows = list(rows)
-    for k, head in enumerate(heads):
-        # Heads may be folded, numbers not: half a number is a wrong one.
-        words = [len(word) for row in rows for word in Text.from_markup(row[k]).plain.split()]
-        whole = 0 if k in text else max(words, default=0)
-        table.add_column(head, justify="left" if k in text else "right", overflow="fold", min_width=whole)
-    for row in rows:
-        table.add_row(*row)
-    console().print(table, highlight=False)
+    marked = [[Text.from_markup(cell) for cell in row] for row in rows]
+    # Heads may be folded, numbers and keys not: half a number is a wrong one.
+    words = [
+        max((len(w) for row in marked for w in row[k].plain.split()), default=0) for k in range(len(heads))
+    ]
+    cells = [max((len(row[k]) for row in marked), default=0) for k in range(len(heads))]
+    heading = [max(map(len, head.split()), default=0) for head in heads]
+    last = len(heads) - 1
+    taken = sum(max(w, h) + 2 for w, h in zip(cells[:last], heading[:last], strict=True))
+    below = last in text and console().width - _ROOM_FOR_TEXT < taken <= console().width
+    shown = last if below else len(heads)
+
+    def table(members: Sequence[Sequence[Text]], *, head: bool) -> Table:
+        made = Table(
+            box=None, header_style="bold", title=title if head and title else None, title_justify="left",
+            title_style="bold", show_header=head and any(heads),
+        )  # fmt: skip
+        for k, name in enumerate(heads[:shown]):
+            made.add_column(
+                name, justify="left" if k in text else "right", overflow="fold",
+                width=max(cells[k], heading[k]) if below else None,
+                min_width=0 if k in text and (k == last or words[k] > _ROOM_FOR_TEXT) else words[k],
+            )  # fmt: skip
+        for row in members:
+            made.add_row(*row[:shown])
+        return made
+
+    out = console()
+    out.print(table([] if below else marked, head=True), highlight=False)
+    for row in marked if below else ():
+        out.print(table([row], head=False), Padding(row[last], (0, 0, 0, 5)), highlight=False)
 
 
 @dataclass(frozen=True)

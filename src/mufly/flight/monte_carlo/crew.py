@@ -30,7 +30,7 @@ from typing import Any, Literal
 
 import cma
 import numpy as np
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from threadpoolctl import threadpool_limits
 
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.flight.monte_carlo.campaign import Campaign, Case, Flown, fly_case

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from threadpoolctl import threadpool_limits
 
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.flight.doubts import above_noise, held_in_words, notes_of

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import least_squares
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from threadpoolctl import threadpool_limits
 
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.linear.structure import Coordinates, Structure, responses, scaled, simulate_linear

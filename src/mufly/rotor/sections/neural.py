@@ -36,7 +36,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import comb
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from threadpoolctl import threadpool_limits
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.sections.airfoil import Airfoil
