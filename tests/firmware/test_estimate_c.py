@@ -11,6 +11,8 @@ import pytest
 from mufly.control import design
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator, native
+from mufly.estimate.factors import loosen, variance
+from mufly.estimate.layout import FLOOR, R_RING
 from mufly.estimate.native import Code
 from mufly.estimate.records import PYTHON_ALONE
 from mufly.flight import Flight
@@ -118,6 +120,41 @@ def test_a_vehicle_with_less_on_board_is_the_same(
         assert told.valid == right.valid
         assert c.memory["out"].tobytes() == python.memory["out"].tobytes(), k
     assert same(c._box, python._box)
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("floor_m", "sigma_m", "settles"), [(0.01, 0.03, True), (0.045, 0.012, False), (0.01, 0.005, False)]
+)
+def test_a_floor_that_may_be_the_room_s_is_taken_for_it_in_both(
+    vehicle, felt, floor_m, sigma_m, settles
+) -> None:
+    """Past an edge, with the sonar silent: what is known to lie higher stays so, what is known well is left alone."""
+    c, python = (estimator(vehicle, code) for code in ("c", "numba"))
+    for k, (r, a) in enumerate(felt("sonar.dropout@7s")[:1640]):
+        for e in (c, python):
+            m = e.memory
+            if k == 1600:
+                assert m["edge"] == 0.0
+                m["x"][16] = floor_m
+                less = sigma_m**2 - variance(m["ut"], m["d"], FLOOR)
+                loosen(m["ut"], m["d"], FLOOR, less, m["f"])
+                assert variance(m["ut"], m["d"], FLOOR) == pytest.approx(sigma_m**2)
+            e.update(r, a)
+    assert same(c._box, python._box)
+    assert (abs(c.memory["x"][16]) < 0.2 * floor_m) == settles
+
+
+@needs_cc
+def test_lasers_of_who_believes_to_be_outside_of_the_room_meet_no_wall_in_both(vehicle, felt) -> None:
+    c, python = (estimator(vehicle, code) for code in ("c", "numba"))
+    for k, (r, a) in enumerate(felt("position.dropout@7s")[:1700]):
+        for e in (c, python):
+            if k == 1500:
+                e.memory["x"][:2] = 40.0, 40.0
+            e.update(r, a)
+    assert same(c._box, python._box)
+    assert c.memory["code"][R_RING] != 1  # FUSED
 
 
 def streams(vehicle: Vehicle, felt) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

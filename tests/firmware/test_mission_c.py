@@ -273,7 +273,7 @@ class StandIn:
         self.status = dict.fromkeys(CHECKED, "fused")
         self.shake = 0.0
         self.broken = ""
-        self.ceiling, self.held, self.drops = math.inf, False, False
+        self.ceiling, self.held, self.drops, self.sinks = math.inf, False, False, False
         self.last: Estimate | None = None
 
     def follow(self, software: FlightSoftware, dt: float) -> None:
@@ -301,8 +301,9 @@ class StandIn:
         u = self.rng.uniform
         noise = np.array([u(-1e-3, 1e-3) for _ in range(3)])
         attitude = np.array([u(-0.05, 0.05) + self.tilt, u(-0.05, 0.05), self.psi])
+        sinks = np.array([0.0, 0.0, 0.2 * self.sinks])
         m = Estimate(
-            self.t, self.x + noise, self.v.copy(), attitude, 10 * noise, self.beams.copy(), self.volts
+            self.t, self.x + noise, self.v + sinks, attitude, 10 * noise, self.beams.copy(), self.volts
         )
         if self.broken == "frozen" and self.last is not None:
             return replace(self.last, time_s=self.t)
@@ -400,7 +401,7 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
         v.t += 0.2
     elif kind.startswith("ceiling"):
         v.ceiling = float(kind.split()[1])
-    elif kind in ("held", "drops"):
+    elif kind in ("held", "drops", "sinks"):
         setattr(v, kind, True)
     elif kind == "shut in":
         v.beams = np.full(8, 0.33)
@@ -479,6 +480,12 @@ STORIES = (
     (SQUARE, False, [*FLIES, "waypoint", "held", *["wait"] * 14], "MISSED_USERS"),
     (SQUARE, False, [*FLIES, "home", "held", *["wait"] * 14], "MISSED_HOME"),
     (SQUARE, False, [*FLIES, "land", "drops", "wait", "wait"], "LAND_EARLY HARD_TOUCHDOWN"),
+    (
+        SQUARE,
+        False,
+        [*FLIES, "sinks & land", *["wait"] * 8],
+        "LAND_SIGNAL",
+    ),  # it believes to sink, and lies on the floor
     (SQUARE, False, [*FLIES, "battery", "sticks", "wait"], "RC_ON"),
     (SCANNED, False, [*FLIES, "shut in", *["wait"] * 8], "BLOCKED"),
     (SCANNED, False, [*UP, "turn 0.5", "wait"], "TURNING"),

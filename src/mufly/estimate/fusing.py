@@ -403,8 +403,8 @@ def fuse_sonar(m: Any, s: Any, z: _Array, ahead: float, r: _Array) -> None:
             loosen(m.ut, m.d, V + 2, 0.1, m.f)
             loosen(m.ut, m.d, THRUST_, 0.01, m.f)
             flag(m, s, k, REJECTED, TAKEN_OVER, nu)
-        elif step and nu > 0.0 and not over:
-            # Lower than the floor nothing lies.
+        elif step and nu > 0.0:
+            # Lower than the floor nothing lies; over an edge it was the surface that jumped.
             _led_away(m, nu)
             flag(m, s, k, FUSED, SLOPE, nu)
         elif step:

@@ -279,7 +279,7 @@ static void led_away(estimator_t *m, real_t nu)
 }
 
 /* A sonar that does not fit: the floor has a step, or the height is wrong. Whether it is taken in after all. */
-static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t nu, bool over)
+static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t nu)
 {
     const int32_t k = R_SONAR;
     bool taken = true;
@@ -295,8 +295,8 @@ static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real
         factors_loosen(m, V_ + 2, REAL(0.1));
         factors_loosen(m, THRUST_, REAL(0.01));
         flag(m, s, k, REJECTED, TAKEN_OVER, nu);
-    } else if (step && (nu > REAL(0.0)) && !over) {
-        led_away(m, nu); /* lower than the floor nothing lies */
+    } else if (step && (nu > REAL(0.0))) {
+        led_away(m, nu); /* lower than the floor nothing lies; over an edge it was the surface that jumped */
         flag(m, s, k, FUSED, SLOPE, nu);
     } else if (step) {
         factors_loosen(m, FLOOR, nu * nu);
@@ -397,7 +397,7 @@ void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1]
         factors_loosen(m, FLOOR, nu * nu);
         (void)sonar_row(m, s, r);
     } else if (real_abs(ratio) > GATE) {
-        if (!sonar_anew(m, s, z, nu, over)) {
+        if (!sonar_anew(m, s, z, nu)) {
             return;
         }
         (void)sonar_row(m, s, r);
