@@ -252,7 +252,9 @@ def test_what_the_servos_did_not_do_goes_back_to_the_controller(controller: Flig
     wanted = g["C"] @ state + g["D"] @ e + g["trim"]
     assert np.abs(wanted).max() > 1.0
     excess = servo - wanted
-    np.testing.assert_allclose(new, g["A"] @ state + g["B"] @ e + g["M"] @ excess, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        new, state + g["F"] @ state + g["B"] @ e + g["M"] @ excess, rtol=1e-9, atol=1e-12
+    )
     assert np.abs(g["M"] @ excess).max() > 1e-3
 
 
@@ -266,7 +268,7 @@ def test_tilt_beyond_the_limit_goes_back_to_the_controller(controller: FlightCon
     assert np.linalg.norm(wanted) > g["tilt_limit"]
     assert np.linalg.norm(tilt) == pytest.approx(float(g["tilt_limit"]))
     np.testing.assert_allclose(
-        new, g["A"] @ state + g["B"] @ e + g["M"] @ (tilt - wanted), rtol=1e-9, atol=1e-12
+        new, state + g["F"] @ state + g["B"] @ e + g["M"] @ (tilt - wanted), rtol=1e-9, atol=1e-12
     )
 
 

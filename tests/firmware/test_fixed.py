@@ -75,7 +75,7 @@ def test_what_has_no_bound_is_refused(made) -> None:
     """Without an anti-windup the integrators' states grow for ever while the actuators saturate."""
     _, controller, _ = made
     gains = copied(controller.heave_yaw_gains)
-    gains["A"][0, 0] = 1.0
+    gains["F"][0, 0] = 0.0
     gains["M"][:] = 0.0
     with pytest.raises(MuflyError, match="no bound"):
         whole("heave_yaw", gains)

@@ -1,7 +1,10 @@
 """The control law that runs on board: pure functions of gains, state, reference and measurement, one call a period.
 
-Each controller is ``u = C x + D e``, ``x+ = A x + B e + M (sat(u) - u)``; what M is:
-:mod:`mufly.control.implementation`.
+Each controller is ``u = C x + D e``, ``x+ = x + F x + B e + M (sat(u) - u)`` with ``F = A - I``; what M is:
+:mod:`mufly.control.implementation`. Slow states and integrators change by little in a period: a sum that begins with
+them would round what they change by to their own last digit, in single precision to a few thousandths of it, period
+by period to the same side. Where that tells at an actuator, in heave-yaw, what the addition drops is kept and comes
+with the next one (compensated summation; Kahan, Comm. ACM 8, 1965), of the filtered references as well.
 
 Heave-yaw. The reference passes a second-order filter whose acceleration and speed are limited to what the motors can
 give, so that a step does not rail them. A reference that comes with its rate and stays within the limits passes
@@ -25,9 +28,9 @@ that is the same, since the controller treats both directions alike; but here it
 which does not turn with the fuselage, and climb does not leak into the horizontal axes.
 
 Gains are NumPy records, padded with zero states to a fixed order: that makes the compiled law the same for every
-vehicle, and Numba reads ``gains.A`` as fast as a C struct. Units SI and radians, motor inputs 0..1 as (upper, lower),
+vehicle, and Numba reads ``gains.F`` as fast as a C struct. Units SI and radians, motor inputs 0..1 as (upper, lower),
 servo inputs -1..1. The states of the law are flat arrays; that of heave-yaw holds, behind the controller's own, the
-filtered references, the origins of height and heading, and the filtered battery voltage.
+filtered references, the origins of height and heading, the filtered battery voltage, and what additions dropped.
 
 The law starts without a bump, whatever the actuators do at the moment: the controller's first state is the one whose
 output is the present input and which moves least from there: least squares of ``(I - A) x - B e`` subject to ``C x +
@@ -73,7 +76,7 @@ def _share(rate: float, whole: float) -> float:
 def _output(g: Any, x: Array, e: Array, u: Array) -> None:
     for i in range(u.shape[0]):
         s = 0.0
-        for j in range(g.A.shape[0]):
+        for j in range(g.F.shape[0]):
             s += g.C[i, j] * x[j]
         for j in range(e.shape[0]):
             s += g.D[i, j] * e[j]
@@ -81,22 +84,36 @@ def _output(g: Any, x: Array, e: Array, u: Array) -> None:
 
 
 @compiled
+def _change(g: Any, i: int, x: Array, e: Array, excess: Array) -> float:
+    """By what state ``i`` changes in a period."""
+    s = 0.0
+    for j in range(g.F.shape[0]):
+        s += g.F[i, j] * x[j]
+    for j in range(e.shape[0]):
+        s += g.B[i, j] * e[j]
+    for j in range(excess.shape[0]):
+        s += g.M[i, j] * excess[j]
+    return s
+
+
+@compiled
 def _advance(g: Any, x: Array, e: Array, excess: Array, new: Array) -> None:
-    n = g.A.shape[0]
-    for i in range(n):
-        s = 0.0
-        for j in range(n):
-            s += g.A[i, j] * x[j]
-        for j in range(e.shape[0]):
-            s += g.B[i, j] * e[j]
-        for j in range(excess.shape[0]):
-            s += g.M[i, j] * excess[j]
-        new[i] = s
+    for i in range(g.F.shape[0]):
+        new[i] = x[i] + _change(g, i, x, e, excess)
+
+
+@compiled
+def _added(value: float, change: float, dropped: float) -> tuple[float, float]:
+    """Sum, and what it drops now, which is added the next time."""
+    more = change + dropped
+    total = value + more
+    return total, more - (total - value)
 
 
 @compiled
 def _shape(
     value: float,
+    dropped: float,
     rate: float,
     target: float,
     target_rate: float,
@@ -104,7 +121,7 @@ def _shape(
     acceleration: float,
     speed: float,
     period: float,
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """One step of the reference filter: critically damped near the target, on a braking parabola far from it."""
     gap = target - value
     # Speed at which half the acceleration still brakes in time; linear near the target.
@@ -115,7 +132,8 @@ def _shape(
         wanted = math.copysign(math.sqrt(2.0 * braking * (abs(gap) - 0.5 * linear)), gap)
     wanted = _clip(wanted + target_rate, -speed, speed)
     rate += period * _clip(2.0 * bandwidth * (wanted - rate), -acceleration, acceleration)
-    return value + period * rate, rate
+    value, dropped = _added(value, period * rate, dropped)
+    return value, dropped, rate
 
 
 @compiled
@@ -129,14 +147,14 @@ def heave_wait(gains: Any, state: Array, z: float) -> Array:
     Parameters
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
-    state : (17,) array
+    state : (29,) array
         From ``heave_yaw_initial`` or the previous step; not changed.
     z : float
         Measured (m).
 
     Returns
     -------
-    (17,) array
+    (29,) array
     """
     trails = z - state[SHAPED_Z]
     left = 1.0 - abs(trails) / gains.heave_slack
@@ -147,6 +165,7 @@ def heave_wait(gains: Any, state: Array, z: float) -> Array:
     new = state.copy()
     if left < 0.0:
         new[SHAPED_Z] = z - math.copysign(gains.heave_slack, trails)
+        new[DROPPED_Z] = 0.0
     less = _clip(away - fastest, 0.0, 2.0 * gains.heave_acceleration * gains.period)
     new[SHAPED_W] += -less if trails < 0.0 else less
     return new
@@ -161,7 +180,7 @@ def heave_yaw_step(
     Parameters
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
-    state : (17,) array
+    state : (29,) array
         From ``heave_yaw_initial`` or the previous call; not changed.
     reference : (4,) array
         z (m, down), psi (rad, continuous), and their rates (m/s, rad/s; zero is allowed).
@@ -174,12 +193,13 @@ def heave_yaw_step(
     -------
     motor_input : (2,) array
         Upper, lower; 0..1.
-    state : (17,) array
+    state : (29,) array
     """
     new = np.empty(HEAVE_YAW_STATE)
     new[ORIGIN_Z], new[ORIGIN_PSI] = state[ORIGIN_Z], state[ORIGIN_PSI]
-    new[SHAPED_Z], new[SHAPED_W] = _shape(
+    new[SHAPED_Z], new[DROPPED_Z], new[SHAPED_W] = _shape(
         state[SHAPED_Z],
+        state[DROPPED_Z],
         state[SHAPED_W],
         reference[0],
         reference[2],
@@ -188,8 +208,9 @@ def heave_yaw_step(
         gains.heave_speed,
         gains.period,
     )
-    new[SHAPED_PSI], new[SHAPED_R] = _shape(
+    new[SHAPED_PSI], new[DROPPED_PSI], new[SHAPED_R] = _shape(
         state[SHAPED_PSI],
+        state[DROPPED_PSI],
         state[SHAPED_R],
         reference[1],
         reference[3],
@@ -217,7 +238,8 @@ def heave_yaw_step(
     mean = _clip(0.5 * (upper + lower), abs(half), top - abs(half))
     excess = np.empty(2)
     excess[0], excess[1] = mean - half - lower, mean + half - upper
-    _advance(gains, state, e, excess, new)
+    for i in range(HEAVE_YAW_ORDER):
+        new[i], new[DROPPED + i] = _added(state[i], _change(gains, i, state, e, excess), state[DROPPED + i])
     motor_input = np.empty(2)
     # top - |half| + |half| may be a little more than top: rounding.
     motor_input[0] = _clip((mean + half) / top, 0.0, 1.0)
@@ -318,7 +340,7 @@ _f8 = np.float64
 
 def _matrices(order: int, inputs: int, outputs: int) -> list[tuple[str, type, tuple[int, ...]]]:
     return [
-        ("A", _f8, (order, order)),
+        ("F", _f8, (order, order)),
         ("B", _f8, (order, inputs)),
         ("C", _f8, (outputs, order)),
         ("D", _f8, (outputs, inputs)),
@@ -363,11 +385,13 @@ POSITION_GAINS = np.dtype(
         *((name, _f8) for name in ("position_gain", "speed_limit", "tilt_limit", "gravity")),
     ]
 )
-# State of heave-yaw behind the controller's own: filtered references, origins, filtered voltage.
-SHAPED_Z, SHAPED_W, SHAPED_PSI, SHAPED_R, ORIGIN_Z, ORIGIN_PSI, VOLTAGE = range(
-    HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 7
+# State of heave-yaw behind the controller's own: filtered references, origins, filtered voltage, what was dropped of
+# the controller's own and of the references.
+SHAPED_Z, SHAPED_W, SHAPED_PSI, SHAPED_R, ORIGIN_Z, ORIGIN_PSI, VOLTAGE, DROPPED = range(
+    HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 8
 )
-HEAVE_YAW_STATE = HEAVE_YAW_ORDER + 7
+DROPPED_Z, DROPPED_PSI = DROPPED + HEAVE_YAW_ORDER, DROPPED + HEAVE_YAW_ORDER + 1
+HEAVE_YAW_STATE = DROPPED_PSI + 1
 
 
 def pack(dtype: np.dtype, controller: DiscreteController, **values: object) -> np.void:
@@ -386,7 +410,9 @@ def pack(dtype: np.dtype, controller: DiscreteController, **values: object) -> n
             f"control law: a controller of order {n} with {controller.B.shape[1]} inputs does not fit a record of "
             f"order {order} with {inputs}; reduce it further"
         )
-    record["A"][:n, :n], record["B"][:n], record["C"][:, :n] = controller.A, controller.B, controller.C
+    record["F"] = -np.eye(order)
+    record["F"][:n, :n] += controller.A
+    record["B"][:n], record["C"][:, :n] = controller.B, controller.C
     record["D"], record["M"][:n] = controller.D, controller.M
     record["E"][:n], record["U"][:n] = _start(controller)
     for name, value in values.items():
@@ -397,23 +423,23 @@ def pack(dtype: np.dtype, controller: DiscreteController, **values: object) -> n
 def _start(controller: DiscreteController) -> tuple[Array, Array]:
     """E, U: the state ``E e + U output`` gives ``output`` at input ``e`` and moves least from there.
 
-    Lagrange: ``F = I - A``, minimise |F x - B e|^2 subject to C x = output - D e::
+    Lagrange: ``G = I - A``, minimise |G x - B e|^2 subject to C x = output - D e::
 
-        [F'F  C'] [x]   [F'B e         ]
+        [G'G  C'] [x]   [G'B e         ]
         [C    0 ] [l] = [output - D e  ]
     """
     A, B, C, D = controller.A, controller.B, controller.C, controller.D
     n, m = A.shape[0], C.shape[0]
-    F = np.eye(n) - A
-    system = np.block([[F.T @ F, C.T], [C, np.zeros((m, m))]])
+    G = np.eye(n) - A
+    system = np.block([[G.T @ G, C.T], [C, np.zeros((m, m))]])
     solved = np.linalg.pinv(system, rcond=np.finfo(float).eps * (n + m))[:n]
-    E: Array = solved[:, :n] @ F.T @ B - solved[:, n:] @ D
+    E: Array = solved[:, :n] @ G.T @ B - solved[:, n:] @ D
     return E, solved[:, n:]
 
 
 @compiled
 def _at_rest(g: Any, e: Array, output: Array, x: Array) -> None:
-    for i in range(g.A.shape[0]):
+    for i in range(g.F.shape[0]):
         s = 0.0
         for j in range(e.shape[0]):
             s += g.E[i, j] * e[j]
@@ -438,11 +464,11 @@ def heave_yaw_initial(gains: Any, measurement: Array, motor_input: Array, voltag
 
     Returns
     -------
-    (17,) array
+    (29,) array
         State for the first ``heave_yaw_step``; with the reference at the measurement its output is ``motor_input``.
     """
     believed = _clip(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
-    e, output, state = np.zeros(5), np.empty(2), np.empty(HEAVE_YAW_STATE)
+    e, output, state = np.zeros(5), np.empty(2), np.zeros(HEAVE_YAW_STATE)
     e[4] = -measurement[2]
     for i in range(2):  # lower, upper
         output[i] = motor_input[1 - i] * believed / gains.design_voltage - gains.trim[i]
@@ -485,4 +511,4 @@ def position_initial(gains: np.void) -> Array:
     -------
     (6,) array
     """
-    return np.zeros(gains["A"].shape[0])
+    return np.zeros(gains["F"].shape[0])

@@ -15,7 +15,7 @@ void position_step(const position_gains_t *g, position_state_t *state, const pat
     real_t wanted[2];
     real_t e[VELOCITY_ERRORS];
     real_t excess[2];
-    real_t next[VELOCITY_ORDER];
+    real_t change[VELOCITY_ORDER];
     real_t speed;
     real_t phi;
     real_t theta;
@@ -49,9 +49,9 @@ void position_step(const position_gains_t *g, position_state_t *state, const pat
     cosine = factor * cosine;
     tilt[0] = (cosine * phi) + (sine * theta);
     tilt[1] = (cosine * theta) - (sine * phi);
-    linear_advance(VELOCITY_ORDER, VELOCITY_ERRORS, &g->A[0][0], &g->B[0][0], &g->M[0][0], state->x, e, excess,
-                   next);
+    linear_change(VELOCITY_ORDER, VELOCITY_ERRORS, &g->F[0][0], &g->B[0][0], &g->M[0][0], state->x, e, excess,
+                  change);
     for (int32_t i = 0; i < VELOCITY_ORDER; i++) {
-        state->x[i] = next[i];
+        state->x[i] += change[i];
     }
 }

@@ -8,7 +8,7 @@
 #define VELOCITY_ERRORS 2
 
 typedef struct {
-    real_t A[VELOCITY_ORDER][VELOCITY_ORDER];
+    real_t F[VELOCITY_ORDER][VELOCITY_ORDER];
     real_t B[VELOCITY_ORDER][VELOCITY_ERRORS];
     real_t C[2][VELOCITY_ORDER];
     real_t D[2][VELOCITY_ERRORS];

@@ -3,9 +3,19 @@
 #include "linear.h"
 #include "mixer.h"
 
+/* value += change; what the sum drops is added the next time. */
+static void add(real_t *value, real_t *dropped, real_t change)
+{
+    const real_t more = change + *dropped;
+    const real_t total = *value + more;
+
+    *dropped = more - (total - *value);
+    *value = total;
+}
+
 /* A reference filter: critically damped near the target, on a braking parabola far from it. */
-static void shape(real_t *value, real_t *rate, real_t target, real_t target_rate, real_t bandwidth,
-                  real_t acceleration, real_t speed, real_t period)
+static void shape(real_t *value, real_t *dropped, real_t *rate, real_t target, real_t target_rate,
+                  real_t bandwidth, real_t acceleration, real_t speed, real_t period)
 {
     const real_t gap = target - *value;
     const real_t braking = REAL(0.5) * acceleration; /* half the acceleration still brakes in time */
@@ -18,7 +28,7 @@ static void shape(real_t *value, real_t *rate, real_t target, real_t target_rate
     }
     wanted = real_clip(wanted + target_rate, -speed, speed);
     *rate += period * real_clip((REAL(2.0) * bandwidth) * (wanted - *rate), -acceleration, acceleration);
-    *value += period * *rate;
+    add(value, dropped, period * *rate);
 }
 
 /* What of a rate goes the way of whole, and no further. */
@@ -44,6 +54,11 @@ void heave_yaw_start(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const
         u[i] = ((motor_input[1 - i] * volts) / g->design_voltage) - g->trim[i];
     }
     linear_start(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->E[0][0], &g->U[0][0], e, u, state->x);
+    for (int32_t i = 0; i < HEAVE_YAW_ORDER; i++) {
+        state->dropped[i] = REAL(0.0);
+    }
+    state->dropped_z = REAL(0.0);
+    state->dropped_psi = REAL(0.0);
     state->shaped_z = measured[0];
     state->shaped_w = REAL(0.0);
     state->shaped_psi = measured[1];
@@ -62,6 +77,7 @@ void heave_wait(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z)
 
     if (left < REAL(0.0)) {
         state->shaped_z = z - real_with_sign(g->heave_slack, trails);
+        state->dropped_z = REAL(0.0);
     }
     if ((left < REAL(0.0)) || (away > fastest)) {
         const real_t brake = (REAL(2.0) * g->heave_acceleration) * g->period;
@@ -77,14 +93,14 @@ void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const 
     real_t e[HEAVE_YAW_ERRORS];
     real_t u[PAIR];
     real_t excess[PAIR];
-    real_t next[HEAVE_YAW_ORDER];
+    real_t change[HEAVE_YAW_ORDER];
     real_t top;
     real_t half;
     real_t mean;
 
-    shape(&state->shaped_z, &state->shaped_w, reference[0], reference[2], g->heave_bandwidth,
+    shape(&state->shaped_z, &state->dropped_z, &state->shaped_w, reference[0], reference[2], g->heave_bandwidth,
           g->heave_acceleration, g->heave_speed, g->period);
-    shape(&state->shaped_psi, &state->shaped_r, reference[1], reference[3], g->yaw_bandwidth,
+    shape(&state->shaped_psi, &state->dropped_psi, &state->shaped_r, reference[1], reference[3], g->yaw_bandwidth,
           g->yaw_acceleration, g->yaw_rate, g->period);
     state->voltage += g->voltage_blend * (believed(g, voltage) - state->voltage);
     top = state->voltage / g->design_voltage;
@@ -101,10 +117,10 @@ void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const 
     mixer_share(u, top, &mean, &half);
     excess[0] = (mean - half) - u[0];
     excess[1] = (mean + half) - u[1];
-    linear_advance(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->A[0][0], &g->B[0][0], &g->M[0][0], state->x, e, excess,
-                   next);
+    linear_change(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->F[0][0], &g->B[0][0], &g->M[0][0], state->x, e, excess,
+                  change);
     for (int32_t i = 0; i < HEAVE_YAW_ORDER; i++) {
-        state->x[i] = next[i];
+        add(&state->x[i], &state->dropped[i], change[i]);
     }
     /* top - |half| + |half| may be a little more than top: rounding. */
     motor_input[0] = real_clip((mean + half) / top, REAL(0.0), REAL(1.0));
@@ -128,7 +144,7 @@ void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, con
 {
     real_t e[ROLL_PITCH_ERRORS];
     real_t excess[PAIR];
-    real_t next[ROLL_PITCH_ORDER];
+    real_t change[ROLL_PITCH_ORDER];
 
     for (int32_t i = 0; i < PAIR; i++) {
         e[i] = real_clip(reference[i], -g->tilt_limit, g->tilt_limit) - measured[i];
@@ -140,9 +156,9 @@ void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, con
         servo_input[i] = real_clip(wanted, REAL(-1.0), REAL(1.0));
         excess[i] = servo_input[i] - wanted;
     }
-    linear_advance(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->A[0][0], &g->B[0][0], &g->M[0][0], state->x, e,
-                   excess, next);
+    linear_change(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->F[0][0], &g->B[0][0], &g->M[0][0], state->x, e, excess,
+                  change);
     for (int32_t i = 0; i < ROLL_PITCH_ORDER; i++) {
-        state->x[i] = next[i];
+        state->x[i] += change[i];
     }
 }

@@ -1,6 +1,6 @@
 /* The control law: heave-yaw and roll-pitch by H-infinity, as designed; what it does and why: law.py of mufly.control.
  *
- * A controller is  u = C x + D e,  x+ = A x + B e + M (sat(u) - u);  it starts at  x = E e + U u.
+ * A controller is  u = C x + D e,  x+ = x + F x + B e + M (sat(u) - u);  it starts at  x = E e + U u.
  * Units SI and radians; motor inputs 0..1 as (upper, lower), servo inputs -1..1. State belongs to the caller. */
 #ifndef MUFLY_LAW_H
 #define MUFLY_LAW_H
@@ -14,7 +14,7 @@
 #define PAIR 2 /* both motors, both servos */
 
 typedef struct {
-    real_t A[HEAVE_YAW_ORDER][HEAVE_YAW_ORDER];
+    real_t F[HEAVE_YAW_ORDER][HEAVE_YAW_ORDER];
     real_t B[HEAVE_YAW_ORDER][HEAVE_YAW_ERRORS];
     real_t C[PAIR][HEAVE_YAW_ORDER];
     real_t D[PAIR][HEAVE_YAW_ERRORS];
@@ -41,10 +41,12 @@ typedef struct {
     real_t shaped_z, shaped_w, shaped_psi, shaped_r; /* filtered references and their rates */
     real_t origin_z, origin_psi;                     /* where it was engaged */
     real_t voltage;                                  /* of the battery, filtered */
+    real_t dropped[HEAVE_YAW_ORDER];                 /* what additions to x dropped, and to the references */
+    real_t dropped_z, dropped_psi;
 } heave_yaw_state_t;
 
 typedef struct {
-    real_t A[ROLL_PITCH_ORDER][ROLL_PITCH_ORDER];
+    real_t F[ROLL_PITCH_ORDER][ROLL_PITCH_ORDER];
     real_t B[ROLL_PITCH_ORDER][ROLL_PITCH_ERRORS];
     real_t C[PAIR][ROLL_PITCH_ORDER];
     real_t D[PAIR][ROLL_PITCH_ERRORS];

@@ -18,12 +18,12 @@ void linear_output(int32_t n, int32_t m, const real_t C[], const real_t D[], con
     }
 }
 
-void linear_advance(int32_t n, int32_t m, const real_t A[], const real_t B[], const real_t M[], const real_t x[],
-                    const real_t e[], const real_t excess[OUTPUTS], real_t next[])
+void linear_change(int32_t n, int32_t m, const real_t F[], const real_t B[], const real_t M[], const real_t x[],
+                   const real_t e[], const real_t excess[OUTPUTS], real_t change[])
 {
     for (int32_t i = 0; i < n; i++) {
-        const real_t driven = add_row(add_row(REAL(0.0), n, &A[i * n], x), m, &B[i * m], e);
-        next[i] = add_row(driven, OUTPUTS, &M[i * OUTPUTS], excess);
+        const real_t driven = add_row(add_row(REAL(0.0), n, &F[i * n], x), m, &B[i * m], e);
+        change[i] = add_row(driven, OUTPUTS, &M[i * OUTPUTS], excess);
     }
 }
 

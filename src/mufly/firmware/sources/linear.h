@@ -10,9 +10,9 @@
 void linear_output(int32_t n, int32_t m, const real_t C[], const real_t D[], const real_t x[], const real_t e[],
                    real_t u[OUTPUTS]);
 
-/* x+ = A x + B e + M excess, into next, which is another place than x */
-void linear_advance(int32_t n, int32_t m, const real_t A[], const real_t B[], const real_t M[], const real_t x[],
-                    const real_t e[], const real_t excess[OUTPUTS], real_t next[]);
+/* F x + B e + M excess, by which x changes in a period; into change, which is another place than x */
+void linear_change(int32_t n, int32_t m, const real_t F[], const real_t B[], const real_t M[], const real_t x[],
+                   const real_t e[], const real_t excess[OUTPUTS], real_t change[]);
 
 /* x = E e + U u */
 void linear_start(int32_t n, int32_t m, const real_t E[], const real_t U[], const real_t e[],
