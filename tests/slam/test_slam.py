@@ -12,7 +12,8 @@ from mufly.camera import body_from_camera, load_camera, make_floor
 from mufly.errors import InputError
 from mufly.slam import Slam, evaluate, frames, rounds, run
 from mufly.slam.graph import Edge, Known, relation, slopes_of, solve_graph
-from mufly.slam.pose import View, level, slopes, solve, two_points
+from mufly.slam.mapping import unexplained
+from mufly.slam.pose import View, bent, level, slopes, solve, two_points
 
 TILT = math.radians(0.5)
 
@@ -122,6 +123,19 @@ def test_a_graph_closes_its_loop_and_shrugs_off_a_wrong_closure() -> None:
     assert np.abs(borne.nodes - closed.nodes)[:, :2].max() < 0.05
     off = (open_.nodes - true)[-1, :4]
     assert off @ np.linalg.solve(open_.covariance([24])[:4, :4], off) < 20
+
+
+def test_what_pose_and_tilts_explain_is_not_the_floors_shape() -> None:
+    rng = np.random.default_rng(5)
+    own, seen, noise = 0.4 * rng.standard_normal((3, 160)).view(np.complex128)
+    weight = rng.uniform(0.5, 2.0, 80)
+    turns = bent(own) @ [0.004, -0.002] + bent(seen) @ [-0.003, 0.001]
+    pose = 0.01 - 0.02j + (0.003 + 0.005j) * own + turns[:, 0] + 1j * turns[:, 1]
+    assert np.abs(unexplained(pose, own, seen, weight)).max() < 1e-12
+    left = unexplained(pose + noise, own, seen, weight)
+    assert left == pytest.approx(unexplained(noise, own, seen, weight), abs=1e-12)
+    assert abs(np.sum(weight**2 * left)) < 1e-9
+    assert 0.8 < np.linalg.norm(left) / np.linalg.norm(noise) < 1.0  # eight of 160 numbers are gone
 
 
 def test_the_slopes_of_a_relation() -> None:

@@ -245,6 +245,27 @@ def composed(a: _Array, b: _Array) -> _Array:
     )
 
 
+def unexplained(
+    off: NDArray[np.complex128], own: NDArray[np.complex128], seen: NDArray[np.complex128], weight: _Array
+) -> NDArray[np.complex128]:
+    """Return what points are off by (n,) less what a place, heading, height and both tilts would make of it.
+
+    Parameters
+    ----------
+    off : (n,) complex array
+    own, seen : (n,) complex arrays
+        Slopes of the points from the keyframe, and from the picture.
+    weight : (n,) array
+    """
+    one = np.ones_like(own)
+    turns = [q[:, 0] + 1j * q[:, 1] for s in (own, seen) for q in np.moveaxis(bent(s), 2, 0)]
+    basis = np.stack([one, 1j * one, own, 1j * own, *turns], axis=1)
+    w = np.concatenate([weight, weight])
+    of = np.vstack([basis.real, basis.imag]) * w[:, None]
+    fit = np.linalg.lstsq(of, np.concatenate([off.real, off.imag]) * w, rcond=1e-6)[0]
+    return np.asarray(off - basis @ fit, np.complex128)
+
+
 def overlap(a: _Array, b: _Array, wide: float, high: float) -> float:
     """Return about which share of the floor that node ``b`` sees node ``a`` sees too, both level; less where they are
     turned or apart in height. ``wide`` and ``high`` are the picture's sides over the focal length."""

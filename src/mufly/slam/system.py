@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from mufly.camera import Camera, body_from_camera, check_size
 from mufly.slam.frame import Frame
 from mufly.slam.graph import Edge, placed, relation, slopes_of
-from mufly.slam.mapping import Keyframe, Map, composed, overlap
+from mufly.slam.mapping import Keyframe, Map, composed, overlap, unexplained
 from mufly.slam.pose import POSE, SHAKES, Pose, View, bent, level, slopes, solve, two_points
 from mufly.slam.recognition import ENOUGH, correlated, recognised
 from mufly.slam.vision import Straightener, as_bright, corners, on, overlaid, tracked, warped
@@ -145,12 +145,11 @@ class Slam:
         self._rng = np.random.default_rng(seed)
         size, focal = self._straight.size, self._straight.focal
         self._wide, self._high = size[0] / focal, size[1] / focal
-        rolls = float(camera.shutter.readout) > 0.005
+        self._rolls = float(camera.shutter.readout) > 0.005
         shaking = float(camera.quality.shaking)
-        self._shake_sigma = 0.5 * shaking if rolls else 0.0
-        self._shake_rms = shaking / math.sqrt(2.0)
+        self._shake_sigma, self._shake_rms = 0.5 * shaking, shaking / math.sqrt(2.0)
         self._shakes, self._shaken = np.zeros(SHAKES), 0  # amplitudes as learnt, from so many pictures
-        self._shake_tilt = 0.0 if rolls else self._shake_rms / focal
+        self._shake_tilt = 0.0
         self._reference = -1
         self._node = np.zeros(4)  # where it was last
         self._velocity = np.zeros(2)
@@ -160,7 +159,8 @@ class Slam:
         self._spread = 0.0  # of the place that is reckoned (m)
         self._count = self._tried = 0
         self._found: list[tuple[float, _Array]] = []
-        self._vain: dict[int, int] = {}  # how often a loop to a keyframe was tried in vain
+        # How often a loop to a keyframe was tried in vain, and how much floor it seemed to share at the last time
+        self._vain: dict[int, tuple[int, float]] = {}
         self._trial = 0  # pictures seen against a keyframe that was begun anew; 0: there is none
         self.picture: NDArray[np.uint8] | None = None
         self.closes = True  # whether loops are closed
@@ -212,6 +212,9 @@ class Slam:
 
     def _view(self, frame: Frame) -> View:
         told = frame.told
+        # Where all rows are taken at once, shaking is a tilt like another one, and only its phase tells it apart.
+        modelled = bool(told.rotor_speed.any()) and (self._rolls or told.rotor_phase is not None)
+        self._shake_tilt = 0.0 if self._rolls or modelled else self._shake_rms / self._straight.focal
         view = View(
             self._straight.focal,
             self._axes,
@@ -221,7 +224,7 @@ class Slam:
             np.zeros(3),
             1.0,
             told.height_sigma,
-            self._shake_sigma if told.rotor_speed.any() else 0.0,
+            self._shake_sigma if modelled else 0.0,
             told.rotor_speed,
         )
         if told.rotor_phase is not None:
@@ -407,6 +410,9 @@ class Slam:
         tilt = self.map.nodes[match.keyframe, 4:6] + match.pose.x[6:8] - keyframe.tilt
         move = bent(keyframe.slopes[match.which]) @ tilt
         to_keyframe = to_keyframe - (move[:, 0] + 1j * move[:, 1])
+        # What tilt and sonar were told wrong by, and pose and tilts took no part of, is not the floor's shape.
+        own = keyframe.slopes[match.which]
+        to_keyframe = own + unexplained(to_keyframe - own, own, seen, 1.0 / match.sigma)
         keyframe.refine(match.which, to_keyframe, (match.sigma * ratio / view.focal) ** 2 + 1e-12, view.focal)
 
     def _slopes(self, view: View, pose: Pose, pixels: _Array, seconds: _Array) -> NDArray[np.complex128]:
@@ -575,13 +581,15 @@ class Slam:
             sigma = math.sqrt(np.linalg.eigvalsh(self.map.covariance_between(k, here)[:2, :2])[-1])
             t[:2] *= max(0.0, 1.0 - _MAY_BE * sigma / max(way, 1e-9))
             node = composed(self.map.nodes[k], t)
-            share = overlap(self.map.nodes[k], node, self._wide, self._high)
-            if share > CLOSE_ABOVE:
-                may.append((self._vain.get(k, 0), -share, k, node, h * sigma))
+            if overlap(self.map.nodes[k], node, self._wide, self._high) > CLOSE_ABOVE:
+                share = overlap(self.map.nodes[k], self._node, self._wide, self._high)
+                tries, before = self._vain.get(k, (0, 0.0))
+                may.append((-round(share - before, 1), tries, -share, k, node, h * sigma))
         if not may:
             return made, False
-        _, _, k, node, sigma = min(may, key=lambda m: m[:2])
-        self._vain[k] = self._vain.get(k, 0) + 1
+        # First what has come into sight most since it was tried
+        _, tries, share, k, node, sigma = min(may, key=lambda m: m[:3])
+        self._vain[k] = (tries + 1, -share)
         return self._tie(k, frame, view, picture, match, made, node, sigma)
 
     def _tie(
