@@ -157,6 +157,8 @@ QUANTITIES: tuple[Quantity, ...] = (
     *_raw("battery_voltage", None, "V", "battery voltage as its monitor tells it"),
     *_raw("battery_current", None, "A", "battery current as its monitor tells it"),
     *_raw("position_fix", "fix", "m", "position and heading (rad) as fixed from outside"),
+    Quantity("measured_position_fix_variance", "/measured", "position_fix_variance", "fix", "m^2",
+             "of the position fix, by itself, where it told one (heading: rad^2)", "sensors"),
     Quantity("estimated_position", "/estimated", "position", "axis", "m", "position as estimated on board",
              "sensors station", (Wire("LOCAL_POSITION_NED", "x y z", "m"),)),
     Quantity("estimated_velocity", "/estimated", "velocity", "axis", "m/s", "velocity as estimated on board",

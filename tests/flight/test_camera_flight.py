@@ -16,8 +16,9 @@ from mufly.dynamics import initial_state
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, KalmanEstimator
 from mufly.estimate.layout import FIX
-from mufly.flight import Event, fly
+from mufly.flight import Event, fly, read_recording, replay
 from mufly.flight.camera import CameraSensor, Eye, parse_spoil, sighted
+from mufly.mission import load_mission
 from mufly.sensors import Reading, Truth
 from mufly.slam import (
     Answer,
@@ -88,7 +89,7 @@ def flown(folder: Path) -> tuple[xr.Dataset, list[Event]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mufly.flight.flight.CameraSensor", Watched)
         ds = fly(
-            "mufly-1.1", path, sensors="fitted", seed=3, eye=eye, on_event=events.append, brief=True,
+            "mufly-1.1", path, sensors="fitted", seed=3, eye=eye, on_event=events.append,
             path=folder / "flight.mcap",
         )  # fmt: skip
     return ds, events
@@ -136,8 +137,11 @@ def test_what_is_seen_is_shown(flown: tuple[xr.Dataset, list[Event]]) -> None:
     for drawn in (nodes[:, :2], good.path):
         off = np.hypot(*(drawn[:, None] - true[None, ::20]).T).min(axis=0)
         assert off.max() < 0.2
+    assert all(s.stands for s in on_floor)
+    assert looked[-1].stands  # it has landed, and nothing is wrong with that
     covered = [s for s in looked if s.answer is not None and 8.9 < s.answer.time_s < 9.5]
     assert covered[-1].said.startswith("too little of the floor")
+    assert not covered[-1].stands
     assert np.mean(decode(covered[-1].jpeg)) < 20
 
 
@@ -160,6 +164,25 @@ def test_its_recording_is_looked_at_again(flown: tuple[xr.Dataset, list[Event]],
     by_state = read_telemetry(folder / "flight.mcap")(np.array([frames[50].time_s]))[0]
     assert by_state.roll == pytest.approx(frames[50].told.roll, abs=0.02)
     assert by_state.height_m == pytest.approx(frames[50].told.height_m, abs=0.03)
+
+
+def test_its_recording_gives_the_same_estimate_again(
+    flown: tuple[xr.Dataset, list[Event]], folder: Path
+) -> None:
+    """To the bit: each fix is weighed by the covariance that it had in flight, which the file keeps."""
+    data = read_recording(folder / "flight.mcap")
+    came = np.isfinite(data.measured_position_fix_time.values)
+    kept = data.measured_position_fix_variance.values
+    assert np.isfinite(kept[came]).all()
+    assert np.isnan(kept[~came]).all()
+    assert kept[came].max() > 4 * kept[came].min()
+    vehicle = sighted(load_vehicle("mufly-1.1"), load_camera("webcam"))
+    again = replay(
+        data, KalmanEstimator(vehicle, load_mission(folder / "hop.toml").world, data.attrs["rate_Hz"])
+    )
+    assert (np.array([e.position for e in again]) == data.estimated_position.values).all()
+    sigma = np.sqrt([e.covariance.diagonal()[:3] for e in again])
+    assert (sigma == data.estimated_position_sigma.values).all()
 
 
 def test_features_lie_where_the_lens_has_them() -> None:

@@ -61,6 +61,8 @@ SPOILS: Mapping[str, str] = {
 ANSWER_S, SILENT_S, BACK_S = 0.066, 0.5, 1.0
 """Between two answers that are sent; without any, until that is told; with some again, until that is told (s)."""
 _STANDS_NOISE_M = 0.002
+_LANDED_M = 0.2
+"""Height as believed, below which one that flew and whose sonar says its least has landed: sonars fail in the air."""
 SHOWN_QUALITY = 85
 """Of the JPEG of pictures that are shown; they have been through the radio's before."""
 PATH_STEP_M, MOST_PATH = 0.03, 1500
@@ -293,7 +295,7 @@ class CameraSensor(Sensor):
         told = self._telling(truth)
         if told is None:
             return
-        self._stood = told.standing
+        self._stood = told.standing and (not self._begun or told.height_m < _LANDED_M)
         if "unplugged" in active:
             return
         light = 0.0 if "covered" in active else (0.01 if "dark" in active else 1.0)
@@ -333,7 +335,7 @@ class CameraSensor(Sensor):
         self.picture = self._floor_view.render(motion, light)
         shown = self._shown(motion.time_s)
         if self.on_sight is not None:
-            self.on_sight(Sight(motion.time_s, shown, counts=self._counts()))
+            self.on_sight(Sight(motion.time_s, shown, stands=True, counts=self._counts()))
 
     @property
     def _watched(self) -> bool:
@@ -412,7 +414,7 @@ class CameraSensor(Sensor):
         return Sight(
             answer.time_s, jpeg, answer, features_of(self._eye.camera, answer),
             self._last_s - answer.time_s, self._process.work_s, self._wrong, self._counts(), self._process.sketch,
-            np.array(path, np.float32).reshape(-1, 2),
+            np.array(path, np.float32).reshape(-1, 2), self._stood,
         )  # fmt: skip
 
 

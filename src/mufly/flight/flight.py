@@ -45,7 +45,7 @@ from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.outside import OutsideFixes
 from mufly.flight.plant import Plant, row_writer
 from mufly.flight.record.recorder import Recorder
-from mufly.flight.sensed import sensed_row_writer
+from mufly.flight.sensed import FIX_WANDER_S, sensed_row_writer
 from mufly.flight.software import Computing, FlightSoftware
 from mufly.flight.state import FlightState
 from mufly.logs.mcap import Event, standard_layout
@@ -186,9 +186,11 @@ class Flight:
         self.estimator = estimator
         if self.camera is not None:
             self.camera.believe = self._believed
+        weighed: dict[str, float] = {}
         if fixes is not None and isinstance(estimator, KalmanEstimator):
             estimator.by_covariance = True
             estimator.wander_s = 0.0 if self.camera is None else self.camera.wander_s
+            weighed = {FIX_WANDER_S: estimator.wander_s}
         self.lacking = (
             f"{vehicle.name} has no table [sensors]: it flies on what is true"
             if sensors == "fitted" and not sensed
@@ -209,6 +211,7 @@ class Flight:
                 **({} if designed_for is None else {"designed_for": designed_for.name}),
                 **({"sensors": "fitted", "faults": [str(f) for f in faults]} if sensed else {}),
                 **({"position": "link"} if outside else {}),
+                **weighed,
                 **({} if eye is None else {"camera": eye.camera.name, "camera_floor": eye.floor}),
                 "version": __version__,
             },

@@ -2,7 +2,8 @@
 
 A row for every period of the flight software. A reading stands in the row in which it came, with the time at which it
 was measured and whether the sensor stood by it; where nothing new came it is NaN. So a recording holds all that an
-estimator was told, and running it again over the recording (:func:`replay`) gives the same estimate to the bit.
+estimator was told, and running it again over the recording (:func:`replay`) gives the same estimate to the bit. Of the
+covariance that a position fix may come with, variances are kept: an estimator asks for no more.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.estimate import Estimate, Estimator
+from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.flight.controllers import Actuators
 from mufly.flight.plant import blank_row, common_writer
 from mufly.flight.record.recorder import Recorder
@@ -23,8 +24,12 @@ from mufly.quantities import CHECKED, STATUSES
 from mufly.sensors import READINGS, Reading, Readings, Truth
 
 _Array = NDArray[np.float64]
+FIX_WANDER_S = "fix_wander_s"
+"""Attribute of a recording whose filter took fixes for as good as their covariance says: over how long their errors
+hang together (s), :attr:`mufly.estimate.KalmanEstimator.wander_s`."""
 _CODES = {status: float(k) for k, status in enumerate(STATUSES)}
 _UNTIMED = ("clipping", "temperature")  # of the inertial unit: its accelerations tell the time
+_FIX, _VARIANCE = "position_fix", "measured_position_fix_variance"
 _MOTION = ("position", "velocity", "attitude", "rates")
 _BELIEFS = ("gyro_bias", "accelerometer_bias", "floor_height", "fix_bias", "wind", "thrust_scale")
 
@@ -44,8 +49,9 @@ def sensed_row_writer(
         for name in READINGS
         if name not in _UNTIMED
     }
+    variance = part[_VARIANCE]
     before: dict[str, Reading] = {}
-    raw = row[_span(recorder, [f"measured_{name}" for name in READINGS], timed)]
+    raw = row[_span(recorder, [*(f"measured_{name}" for name in READINGS), _VARIANCE], timed)]
 
     def write(
         truth: Truth,
@@ -65,6 +71,8 @@ def sensed_row_writer(
                 if name in timed:
                     when, valid = timed[name]
                     when[0], valid[0] = reading.time_s, reading.valid
+                if reading.covariance is not None and name == _FIX:
+                    variance[:] = reading.covariance.diagonal()
         put(estimate)
         part["range"][:] = estimate.ranges
         recorder.append(row, state)
@@ -118,17 +126,25 @@ def readings_of(dataset: xr.Dataset) -> Iterator[tuple[Readings, _Array]]:
     }
     inputs = np.hstack([dataset["motor_input"].values, dataset["servo_input"].values])
     came = {name: np.isfinite(when) for name, (_, when, _) in columns.items()}
+    # Recordings of before have none
+    told = dataset[_VARIANCE].values if _VARIANCE in dataset else np.full((len(time), 4), math.nan)
     latest: dict[str, Reading] = {}
     for k, t in enumerate(time.tolist()):
         for name, (value, when, valid) in columns.items():
             if came[name][k]:
                 one = value[k].copy() if value.ndim == 2 else float(value[k])
-                latest[name] = Reading(one, float(when[k]), bool(valid[k]))
+                weighed = name == _FIX and bool(np.isfinite(told[k]).all())
+                latest[name] = Reading(
+                    one, float(when[k]), bool(valid[k]), np.diag(told[k]) if weighed else None
+                )
         yield Readings(t, dict(latest)), inputs[k - 1] if k else np.zeros(4)
 
 
 def replay(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate]:
-    """Return what an estimator makes of the readings of a recording, row by row."""
+    """Return what an estimator makes of the readings of a recording, row by row; it weighs fixes as the one that flew
+    did."""
+    if isinstance(estimator, KalmanEstimator) and FIX_WANDER_S in dataset.attrs:
+        estimator.by_covariance, estimator.wander_s = True, float(dataset.attrs[FIX_WANDER_S])
     estimator.reset()
     return [estimator.update(readings, acting) for readings, acting in readings_of(dataset)]
 

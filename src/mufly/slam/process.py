@@ -86,6 +86,8 @@ class Sight:
     sketch : Sketch
     path : (n, 2) float array
         N, E (m) of the answers so far, thinned.
+    stands : bool
+        It is on the floor, where nobody asks for a position.
     """
 
     time_s: float
@@ -98,6 +100,7 @@ class Sight:
     counts: Counts = field(default_factory=Counts)
     sketch: Sketch = field(default_factory=Sketch)
     path: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    stands: bool = False
 
 
 def sketched(floor_map: Map) -> Sketch:

@@ -109,7 +109,7 @@ def encode_sight(sight: Sight) -> dict[str, Any]:
     """Return a picture with its features, and what SLAM says of it and of itself."""
     answer, counts = sight.answer, sight.counts
     out: dict[str, Any] = {
-        "t": sight.time_s, "jpeg": b64encode(sight.jpeg).decode(), "said": sight.said,
+        "t": sight.time_s, "jpeg": b64encode(sight.jpeg).decode(), "said": sight.said, "stands": sight.stands,
         "taken": counts.taken, "lost": counts.lost, "answered": counts.answered, "trusted": counts.trusted,
         "keyframes": len(sight.sketch.keyframes), "closures": int(sight.sketch.ties[:, 2].sum()),
     }  # fmt: skip

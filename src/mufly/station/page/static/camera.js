@@ -35,8 +35,8 @@ export function mount(element) {
     const late = now && s ? s.time_s - now.t : 0;
     let said = "No picture yet", state = "open";
     if (now && late > LATE_S + (now.latency_s || 0)) [said, state] = [`No picture for ${number(late, 1)} s`, "bad"];
+    else if (now?.stands) said = now.features === undefined ? "It stands: nobody looks yet" : "It has landed: no position is asked for";
     else if (now?.said) [said, state] = [`No position: ${now.said}`, "bad"];
-    else if (now && now.features === undefined) said = "It stands: nobody looks yet";
     else if (now && !now.trusted_now) [said, state] = [`No position: ${now.reason}`, "bad"];
     else if (now) [said, state] = ["It sees where it is", "good"];
     put(head, said);
