@@ -115,8 +115,7 @@ class KalmanEstimator(Estimator):
         """Take other settings (:func:`mufly.estimate.layout.filter_settings`), and start anew."""
         self._settings = settings
         self._by_file = {
-            name: np.array(settings[name])
-            for name in ("fix_variance", "heading_variance", "sigma", "noise", "keep")
+            name: np.array(settings[name]) for name in ("fix_variance", "heading_variance", "sigma")
         }
         self.steps = steps(settings, self._parameters, self._z, self._new, self._age, self._code)
         self.reset()
@@ -242,7 +241,6 @@ class KalmanEstimator(Estimator):
             noise = np.array([own[:3].max(), own[3]])
         s["fix_variance"], s["heading_variance"] = noise
         s["sigma"][four] = np.sqrt(wander)
-        s["noise"][four] = wander * (1.0 - file["keep"][four] ** 2)
 
     # What others do who lay readings into the row themselves
 

@@ -15,7 +15,8 @@ of one to the end of the next; a measurement counts at the nearest of them, carr
 turning (10 ms at most). Between two steps of the horizon there is time for what is due: in every period as much as
 ``work`` allows, counted in scalar measurements (:func:`_task`), so that no period takes much longer than another. If
 more comes than there is time for the horizon falls behind, and from :data:`mufly.estimate.layout.LAG` blocks on what
-is due is left out. Biases step one a period, in turn.
+is due is left out. Biases step one a period, in turn; what the fix is off by, which tells of nothing but fixes,
+steps when one is used, by the time since the last.
 
 The inertial unit's filter makes it late by ``lag``: states belong to ``lag`` before their tick.
 """
@@ -66,9 +67,11 @@ from mufly.estimate.guards import (
 from mufly.estimate.layout import (
     EDGE_S,
     ERRORS,
+    FIX,
     FLOOR,
     FLYING,
     GYRO,
+    HEADING,
     INPUTS,
     KEPT,
     LAG,
@@ -89,6 +92,7 @@ from mufly.estimate.layout import (
     STARTS,
     STATES,
     THRUST_,
+    TURNS,
     WAITING,
     P,
 )
@@ -110,9 +114,9 @@ BACK_S = 0.1
 by meanwhile, 1 m/s^2, moves it by 5 mm."""
 SLOWLY = 32
 """Periods over which the noise of forces at low frequencies is looked at."""
-TELLING, STEPPING, FIXING, RESTING = 3, 2, 4, 3
-"""What a covariance that is told costs, a step of the horizon, a fix, and an axis on the floor, in scalar
-measurements."""
+TELLING, STEPPING, WANDERING, FIXING, RESTING = 3, 2, 1, 4, 3
+"""What a covariance that is told costs, a step of the horizon, one of what the fix is off by, a fix, and an axis on the
+floor, in scalar measurements."""
 EDGES, MEANS, AXES, LEGS, DONE = 1, 2, 3, 6, 7
 """Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
 _ALIGNED_S = 0.8
@@ -355,16 +359,35 @@ def _advance(m: Any, s: Any, r: _Array, a: _Array) -> None:
 
 @compiled(error_model="numpy")
 def _wander(m: Any, s: Any) -> None:
-    """Step one bias, whose turn it is."""
-    biases = ERRORS - GYRO
-    k = GYRO + m.tick % biases
+    """Step one bias, whose turn it is; those of the fix have none."""
+    k = GYRO + m.tick % TURNS
+    if k >= FIX:
+        k += HEADING + 1 - FIX
     m.x[k + 1] = s.start[k + 1] + (m.x[k + 1] - s.start[k + 1]) * s.keep[k]
     q = s.noise[k]
     if k < GYRO + 3 and m.adrift > 0:
         may = ADRIFT if m.adrift > 1 else ONCE_ADRIFT
-        q += may * may * (biases * s.dt)
+        q += may * may * (TURNS * s.dt)
     if q > 0.0:
         wander(m.ut, m.d, k, s.keep[k], q, m.f)
+
+
+@compiled(error_model="numpy")
+def _wander_fix(m: Any, s: Any) -> None:
+    """Step what the fix is off by to the horizon, N and E by the same time, which turns would not."""
+    for k in range(FIX, HEADING + 1):
+        keep, by = 1.0, s.keep[k]
+        blocks = (m.horizon - m.wandered) // s.block
+        while blocks > 0:
+            if blocks % 2 == 1:
+                keep *= by
+            by *= by
+            blocks //= 2
+        m.x[k + 1] *= keep
+        q = s.sigma[k] * s.sigma[k] * (1.0 - keep * keep)
+        if q > 0.0:
+            wander(m.ut, m.d, k, keep, q, m.f)
+    m.wandered = m.horizon
 
 
 @compiled(error_model="numpy")
@@ -384,13 +407,16 @@ def _measured(m: Any, s: Any, r: _Array, left: int) -> int:
         kind, z, ahead = m.what[i], m.value[i], m.ahead[i]
         cost = 1
         if kind == R_FIX:
-            cost = FIXING
+            cost = WANDERING if m.wandered < m.horizon else FIXING
         elif kind == R_RING:
             cost = max(min(s.beams - m.beam, left), 1)
         if cost > left:
             return 0
         done = True
-        if kind == R_FIX:
+        if kind == R_FIX and m.wandered < m.horizon:
+            _wander_fix(m, s)
+            done = False
+        elif kind == R_FIX:
             fuse_fix(m, s, z, ahead)
         elif kind == R_SONAR:
             fuse_sonar(m, s, z, ahead, r)

@@ -68,6 +68,9 @@ P, V, TURN, GYRO, ACCEL, FLOOR, FIX, HEADING, WIND, THRUST_, PRESSURE_, MAGNET_ 
     24,
 )
 
+TURNS = ERRORS - GYRO - 4
+"""Periods in which each bias steps once, but for those of the fix, which step with it."""
+
 CHECKED = (
     "acceleration", "rates", "ground_distance", "ranges", "pressure", "magnetic_field", "rotor_speed",
     "position_fix", "battery_voltage",
@@ -107,7 +110,7 @@ def memory_type(kind: Any = np.float64, kept: int = KEPT, waiting: int = WAITING
     return np.dtype([
         # The filter at the horizon
         ("x", kind, (STATES,)), ("ut", kind, (n, n)), ("d", kind, (n,)),
-        ("horizon", i4), ("stage", i4), ("beam", i4), ("seen", i4), ("fitting", i4), ("spin", kind),
+        ("horizon", i4), ("wandered", i4), ("stage", i4), ("beam", i4), ("seen", i4), ("fitting", i4), ("spin", kind),
         # Inputs, by their block modulo KEPT, and those of the last period
         ("inputs", kind, (kept, INPUTS)), ("now", kind, (INPUTS,)), ("tick", i4), ("rates", kind, (3,)),
         # The rotor model: state of the flight model in body axes, forces of the last periods
@@ -358,9 +361,10 @@ def filter_settings(
         bound[R_FIX] = 1e4
         noisy[R_FIX] = float(fix.noise) > 0
         slack[R_FIX] = 6 * float(fix.jitter) + dt
-    # What moves steps by blocks; of the biases one a period, in turn.
+    # What moves steps by blocks, what the fix is off by so many of them; of other biases one a period, in turn.
     block = max(1, round(block_s / dt))
-    span = np.where(np.arange(ERRORS) < GYRO, block * dt, (ERRORS - GYRO) * dt)
+    state = np.arange(ERRORS)
+    span = np.where((state < GYRO) | ((state >= FIX) & (state <= HEADING)), block * dt, TURNS * dt)
     keep = np.exp(-span / tau)
     s["block"], s["work"] = block, max(WORK, math.ceil(4 * WORK / block))
     s["start"], s["sigma"], s["keep"] = start, sigma, keep

@@ -340,19 +340,42 @@ static void advance(estimator_t *m, const estimator_settings_t *s)
     m->felt_count += s->block;
 }
 
-/* Step one bias, whose turn it is. */
+/* Step one bias, whose turn it is; those of the fix have none. */
 static void wander(estimator_t *m, const estimator_settings_t *s)
 {
-    const int32_t biases = ERRORS - GYRO;
-    const int32_t k = GYRO + cycle(m->tick, biases);
+    const int32_t turn = GYRO + cycle(m->tick, TURNS);
+    const int32_t k = (turn >= FIX) ? (turn + ((HEADING + 1) - FIX)) : turn;
     const bool adrift = (k < (GYRO + 3)) && (m->adrift > 0);
     const real_t may = (m->adrift > 1) ? ADRIFT : ONCE_ADRIFT;
-    const real_t q = s->noise[k] + (adrift ? ((may * may) * ((real_t)biases * s->dt)) : REAL(0.0));
+    const real_t q = s->noise[k] + (adrift ? ((may * may) * ((real_t)TURNS * s->dt)) : REAL(0.0));
 
     m->x[k + 1] = s->start[k + 1] + ((m->x[k + 1] - s->start[k + 1]) * s->keep[k]);
     if (q > REAL(0.0)) {
         factors_wander(m, k, s->keep[k], q);
     }
+}
+
+/* Step what the fix is off by to the horizon, N and E by the same time, which turns would not. */
+static void wander_fix(estimator_t *m, const estimator_settings_t *s)
+{
+    for (int32_t k = FIX; k <= HEADING; k++) {
+        real_t keep = REAL(1.0);
+        real_t by = s->keep[k];
+        real_t q;
+
+        for (int32_t blocks = (m->horizon - m->wandered) / s->block; blocks > 0; blocks /= 2) {
+            if ((blocks % 2) == 1) {
+                keep *= by;
+            }
+            by *= by;
+        }
+        m->x[k + 1] *= keep;
+        q = (s->sigma[k] * s->sigma[k]) * (REAL(1.0) - (keep * keep));
+        if (q > REAL(0.0)) {
+            factors_wander(m, k, keep, q);
+        }
+    }
+    m->wandered = m->horizon;
 }
 
 /* What a measurement costs, in scalar ones; of the ring so many beams as there is time for. */
@@ -362,7 +385,7 @@ static int32_t cost_of(const estimator_t *m, const estimator_settings_t *s, int3
     int32_t cost = 1;
 
     if (kind == R_FIX) {
-        cost = FIXING;
+        cost = (m->wandered < m->horizon) ? WANDERING : FIXING;
     } else if (kind == R_RING) {
         cost = (beams < left) ? beams : left;
         cost = (cost > 1) ? cost : 1;
@@ -381,7 +404,12 @@ static bool fuse_one(estimator_t *m, const estimator_settings_t *s, int32_t i, i
 
     switch (m->what[i]) {
     case R_FIX:
-        fuse_fix(m, s, z, ahead);
+        if (m->wandered < m->horizon) {
+            wander_fix(m, s);
+            all = false;
+        } else {
+            fuse_fix(m, s, z, ahead);
+        }
         break;
     case R_SONAR:
         fuse_sonar(m, s, z, ahead);
