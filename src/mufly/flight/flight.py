@@ -216,7 +216,9 @@ class Flight:
                 "version": __version__,
             },
             layout=standard_layout(vehicle.range_ring.count, sensors=full),
-            attachments={"vehicle.toml": vehicle_toml(vehicle), "mission.toml": dump_mission(mission)},
+            attachments={}
+            if path is None
+            else {"vehicle.toml": vehicle_toml(vehicle), "mission.toml": dump_mission(mission)},
             scene_view={
                 "world": mission.world,
                 "waypoints": [w.position_m for w in mission.waypoint],

@@ -10,6 +10,7 @@ and within the tolerance of where it was to land.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import math
@@ -23,7 +24,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from mufly.control import FlightController, design
 from mufly.errors import ArgumentError, InputError, MuflyError
@@ -322,7 +323,7 @@ def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
         "values": case.values,
     }
     try:
-        with threadpool_limits(1):  # the last bits of a design are not to depend on the number of cores
+        with _pools().limit(limits=1):  # the last bits of a design are not to depend on the number of cores
             data = fly(
                 campaign.drawn(case), campaign.mission,
                 controller=campaign.controller, designed_for=None if campaign.redesign else campaign.vehicle,
@@ -336,6 +337,12 @@ def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
     except Exception as error:  # a fault of the program; the others fly on
         return Flown(**same, success=False, reason=f"raised {type(error).__name__}: {error}", told="")
     return judged(data, campaign.mission, campaign.tolerance_m, nees=heard.nees, **same)
+
+
+@functools.cache
+def _pools() -> Any:
+    """The libraries that compute in threads, looked for once: that takes a fortieth of a flight."""
+    return ThreadpoolController()
 
 
 class _Heard:

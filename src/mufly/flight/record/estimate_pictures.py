@@ -25,6 +25,7 @@ from mufly.flight.record.pictures import (
     GREEN,
     GREY,
     ORANGE,
+    QUICKLY,
     SKY,
     STYLE,
     VERMILION,
@@ -72,7 +73,7 @@ def draw_belief(dataset: xr.Dataset, folder: str | Path, *, dpi: int = 110) -> l
     with mpl.rc_context(STYLE):
         figures = draw_estimate(dataset), draw_checks(dataset), draw_way(dataset)
         for path, figure in zip(paths, figures, strict=True):
-            figure.savefig(path, dpi=dpi)
+            figure.savefig(path, dpi=dpi, **QUICKLY["png"])
     return paths
 
 

