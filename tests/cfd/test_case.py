@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import shutil
 from dataclasses import replace
@@ -314,6 +315,29 @@ def test_without_openfoam_one_line_says_how_to_get_it(monkeypatch: pytest.Monkey
         hover("naca0012-r60-c20", pitch="12", rpm=5000.0, theory=Theory(method="cfd"))
     with pytest.raises(InputError, match="give --pitch and --rpm"):
         hover("naca0012-r60-c20", pitch="12", thrust=0.2, theory=Theory(method="cfd"))
+
+
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="there is no /dev/full")
+def test_a_full_disk_or_a_second_run_is_said_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import fcntl
+
+    case = tmp_path / "case"
+    write_case(case, mesh(), POINT, state={"U": np.zeros((mesh().cells, 3))})
+    solver = tmp_path / "simpleFoam"
+    solver.write_text("#!/bin/sh\necho Time = 1\n", encoding="utf-8")
+    solver.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    log = case / "log.simpleFoam"
+    with log.open("a", encoding="utf-8") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(MuflyError, match="another run is at this case"):
+            run_case(case)
+    log.unlink()
+    log.symlink_to("/dev/full")
+    with pytest.raises(MuflyError, match=r"No space left on device.*: make room.* the same command again"):
+        run_case(case)
 
 
 needs_openfoam = pytest.mark.skipif(

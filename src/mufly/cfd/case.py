@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -131,6 +132,14 @@ class Point:
         return {"blade": self.speed_rad_s} | ({LOWER: -self.lower_rad_s} if self.gap_m else {})
 
     @property
+    def form(self) -> str:
+        """What stands on the blades beyond the rotor file: tip, hub, flap; empty for none."""
+        words = [self.tip] if self.tip != "square" else []
+        words += [f"hub {1e3 * self.hub_m:g} mm"] if self.hub_m else []
+        words += [f"Gurney flap {100 * self.gurney:g} %"] if self.gurney else []
+        return ", ".join(words)
+
+    @property
     def air(self) -> Air:
         """The air."""
         return Air(self.density_kg_m3, self.viscosity_Pa_s)
@@ -162,6 +171,8 @@ def write_case(
         If it cannot be written.
     """
     try:
+        for part in folder.glob("processor[0-9]*"):  # of what was there before
+            shutil.rmtree(part)
         write_poly_mesh(mesh, folder)
         for name, text in _texts(point, cores).items():
             file = folder / name
@@ -275,7 +286,7 @@ def _schemes(upwind: bool) -> str:
 
 _SOLUTION = """solvers
 {
-    p { solver GAMG; smoother GaussSeidel; tolerance 1e-9; relTol 0.05; nPreSweeps 0; nPostSweeps 2; maxIter 50; }
+    p { solver GAMG; smoother GaussSeidel; tolerance 1e-9; relTol 0.01; nPreSweeps 0; nPostSweeps 2; maxIter 50; }
     "(U|k|epsilon|omega)" { solver smoothSolver; smoother symGaussSeidel; tolerance 1e-10; relTol 0.1; maxIter 10; }
     Phi { solver GAMG; smoother GaussSeidel; tolerance 1e-8; relTol 0.01; }
 }

@@ -111,7 +111,12 @@ def loads_picture(solution: Solution, others: Sequence[Beside] = ()) -> Figure:
         ax.set(xlabel="radius (mm)", ylabel=label, ylim=(low - 0.1 * room, high + 0.25 * room))
     axes[0].legend()
     p = solution.point
-    figure.suptitle(f"{p.rotor}, {np.degrees(p.pitch_rad):.3g}°, {p.speed_rad_s / RPM:.0f} rpm")
+    title = f"{p.rotor}, {np.degrees(p.pitch_rad):.3g}°, {p.speed_rad_s / RPM:.0f} rpm"
+    if p.form:
+        title += f", with {p.form}" + (" (the others: plain blade)" if others else "")
+    if not solution.verdict.settled:
+        title += f"\nnot settled ({solution.verdict.what})"
+    figure.suptitle(title)
     return figure
 
 
@@ -135,7 +140,7 @@ def pair_picture(pair: MeanPair) -> Figure:
 
 
 def history_picture(history: Array) -> Figure:
-    """Thrust and torque over the iterations."""
+    """Thrust and torque over the iterations, near what they end at: false plateaus lie 3 to 4 % below."""
     figure = _figure(7.0, 4.0)
     axes = figure.subplots(2, 1, sharex=True)
     for ax, column, label, factor in zip(
@@ -143,7 +148,8 @@ def history_picture(history: Array) -> Figure:
     ):
         ax.plot(history[:, 0], factor * history[:, column])
         last = factor * float(history[-1, column])
-        ax.set_ylim(*sorted((0.6 * last, 1.4 * last)))
+        ax.set_ylim(*sorted((0.85 * last, 1.15 * last)))
         ax.set_ylabel(label)
+        ax.grid(alpha=0.3)
     axes[1].set_xlabel("iteration")
     return figure

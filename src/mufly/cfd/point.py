@@ -16,7 +16,7 @@ from mufly.cfd.mesh import Domain, blade_height, blade_mesh
 from mufly.cfd.pair import Disc, disc_cells, pair_mesh, put_disc, read_disc
 from mufly.cfd.polymesh import PolyMesh, Quality, poly_mesh, quality, read_poly_mesh
 from mufly.cfd.results import Solution, read_field, read_solution, scaled_state
-from mufly.cfd.run import MOST, Progress, run_case, times
+from mufly.cfd.run import MOST, Progress, parts, run_case, times
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
 from mufly.rotor import Air, Condition, Rotor, RotorResult, System, hover, prepare, solve
@@ -103,7 +103,7 @@ def save_case(
             f"{found.skewness:.2g}, smallest cell {found.smallest_volume_m3:.2g} m3",
             "change pitch, twist or cut-out a little, or the level of the mesh",
         )  # fmt: skip
-    if (folder / "mufly.json").is_file() and max(times(folder), default=0) > 0:
+    if (folder / "mufly.json").is_file() and max(times(folder) + parts(folder), default=0) > 0:
         if read_point(folder) != point:
             raise InputError(
                 "--out",

@@ -29,6 +29,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,11 @@ from mufly.cfd.case import EVERY, LOADS, Point, read_point, set_phase
 from mufly.cfd.pair import read_disc
 from mufly.errors import MuflyError
 from mufly.results import result
+
+try:
+    import fcntl
+except ImportError:  # where OpenFOAM does not run either
+    fcntl = None  # type: ignore[assignment]
 
 Array = NDArray[np.float64]
 
@@ -145,6 +151,12 @@ def times(folder: Path) -> list[int]:
     return sorted(found)
 
 
+def parts(folder: Path) -> list[int]:
+    """Iterations whose state stands whole in every part of a run of several cores, rising."""
+    of = [set(times(place)) for place in folder.glob("processor[0-9]*")]
+    return sorted(set.intersection(*of)) if of else []
+
+
 def _whole(file: Path) -> bool:
     """Whether a field's file has its end: a full disk or a kill leaves it cut short."""
     try:
@@ -178,22 +190,65 @@ def run_case(
     Raises
     ------
     MuflyError
-        If there is no solver, or it fails; the message holds what it said first.
+        If there is no solver, it fails (the message holds what it said first), the disk is full, or another run is at
+        this case.
 
     Thesis: Sec. 3.3.3.
     """
     find_solver()
     point = _point(folder)
-    while True:
-        done = (times(folder) or [0])[-1]
-        verdict = min((judge(folder, patch=name) for name in point.rotors), key=lambda v: v.settled)
-        if verdict.settled or done >= most or verdict.what == "diverged":
-            return verdict
-        end = point.upwind if done < point.upwind else min(most, max(point.least, done + WINDOW))
-        end = EVERY * math.ceil(end / EVERY)  # its last state is to be written
-        set_phase(folder, upwind=done < point.upwind, end=end)
-        _forget(folder, done)
-        _stretch(folder, point, done, end, cores, progress)
+    verdict, done = _stands(folder, point)
+    if _over(verdict, done, most):
+        return verdict
+    try:
+        with (folder / _LOG).open("a", encoding="utf-8") as log:
+            _hold(log, folder)
+            _gather(folder, done)
+            verdict, done = _stands(folder, point)
+            while not _over(verdict, done, most):
+                end = point.upwind if done < point.upwind else min(most, max(point.least, done + WINDOW))
+                end = EVERY * math.ceil(end / EVERY)  # its last state is to be written
+                set_phase(folder, upwind=done < point.upwind, end=end)
+                _forget(folder, done)
+                _stretch(folder, log, done, end, cores, progress)
+                verdict, done = _stands(folder, point)
+    except BrokenPipeError:
+        raise  # whoever was told of the progress is gone
+    except OSError as error:
+        raise MuflyError(
+            f"{error.filename or folder}: cannot be written ({error.strerror}): make room; what was written stands, "
+            "give the same command again to go on"
+        ) from error
+    return verdict
+
+
+def _stands(folder: Path, point: Point) -> tuple[Verdict, int]:
+    """The worse of the rotors' verdicts, and the last state."""
+    done = (times(folder) or [0])[-1]
+    return min((judge(folder, patch=name) for name in point.rotors), key=lambda v: v.settled), done
+
+
+def _over(verdict: Verdict, done: int, most: int) -> bool:
+    return verdict.settled or done >= most or verdict.what == "diverged"
+
+
+def _hold(log: IO[str], folder: Path) -> None:
+    """Keep a second run away from a case as long as this one has its log open; a killed one lets go of it."""
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise MuflyError(
+            f"{folder}: another run is at this case: wait for it, or give another --out"
+        ) from error
+
+
+def _gather(folder: Path, done: int) -> None:
+    """Put together the last state that a run of several cores left in its parts when it was killed."""
+    last = max(parts(folder), default=0)
+    if last > done:
+        _once(folder, ("reconstructPar", "-time", str(last)), environment())
 
 
 def _forget(folder: Path, after: int) -> None:
@@ -205,7 +260,7 @@ def _forget(folder: Path, after: int) -> None:
 
 
 def _stretch(
-    folder: Path, point: Point, done: int, end: int, cores: int, progress: Callable[[Progress], None] | None
+    folder: Path, log: IO[str], done: int, end: int, cores: int, progress: Callable[[Progress], None] | None
 ) -> None:
     env = environment()
     if cores > 1:
@@ -224,37 +279,37 @@ def _stretch(
     began = time.monotonic()
     residuals: dict[str, float] = {}
     iteration, continuity = done, math.nan
-    with (folder / _LOG).open("a", encoding="utf-8") as log:
-        process = subprocess.Popen(
-            command,
-            cwd=folder,
-            env=env,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-        )
-        assert process.stdout is not None
-        try:
-            for line in process.stdout:
-                log.write(line)
-                if line.startswith("Time = "):
-                    iteration = int(float(line.split()[2]))
-                elif found := _RESIDUAL.search(line):
-                    residuals[found[1]] = float(found[2])
-                elif found := _CONTINUITY.search(line):
-                    continuity = float(found[1])
-                elif line.startswith("ExecutionTime") and progress is not None:
-                    loads = history(folder, last=1)
-                    spent = time.monotonic() - began
-                    left = spent / max(iteration - done, 1) * (end - iteration)
-                    thrust, torque = (loads[-1, 1], loads[-1, 2]) if len(loads) else (math.nan, math.nan)
-                    progress(Progress(iteration, thrust, torque, dict(residuals), continuity, left))
-        except BaseException:
-            process.terminate()
-            process.wait()
-            raise
-        status = process.wait()
+    process = subprocess.Popen(
+        command,
+        cwd=folder,
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+    )
+    assert process.stdout is not None
+    try:
+        for line in process.stdout:
+            log.write(line)
+            if line.startswith("Time = "):
+                iteration = int(float(line.split()[2]))
+            elif found := _RESIDUAL.search(line):
+                residuals[found[1]] = float(found[2])
+            elif found := _CONTINUITY.search(line):
+                continuity = float(found[1])
+            elif line.startswith("ExecutionTime") and progress is not None:
+                loads = history(folder, last=1)
+                spent = time.monotonic() - began
+                left = spent / max(iteration - done, 1) * (end - iteration)
+                thrust, torque = (loads[-1, 1], loads[-1, 2]) if len(loads) else (math.nan, math.nan)
+                progress(Progress(iteration, thrust, torque, dict(residuals), continuity, left))
+    except BaseException:
+        process.terminate()
+        process.wait()
+        raise
+    status = process.wait()
+    log.flush()
     if status:
         if iteration > done and "Floating point" in _tail(folder / _LOG):
             return  # judged as diverged

@@ -582,13 +582,8 @@ def _show(found: Solution, others: list[Any], p: Point, what: str) -> None:
         f"{p.level} mesh, {v.iterations} iterations: {v.what}",
         highlight=False,
     )
-    form = [p.tip] if p.tip != "square" else []
-    form += [f"hub {1e3 * p.hub_m:g} mm"] if p.hub_m else []
-    form += [f"Gurney flap {100 * p.gurney:g} %"] if p.gurney else []
-    if form:
-        c.print(
-            f"With {', '.join(form)}; blade elements and wake know the plain blade only.", highlight=False
-        )
+    if p.form:
+        c.print(f"With {p.form}; blade elements and wake know the plain blade only.", highlight=False)
     rows = [("cfd", f"{v.thrust_N:.4f}", f"{1e3 * v.torque_Nm:.4f}", "", "")]
     rows += [
         (o.method, f"{o.thrust_N:.4f}", f"{1e3 * o.torque_Nm:.4f}", f"{100 * (v.thrust_N / o.thrust_N - 1):+.1f} %",
