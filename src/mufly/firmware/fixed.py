@@ -256,7 +256,7 @@ def whole(name: str, gains: np.void, form: str = "modal", delta: bool = True) ->
         If there is no bound, or it does not fit.
     """
     F, B, C, D, M, E, U = (np.array(gains[k]) for k in "FBCDMEU")
-    A = F + np.eye(len(F))
+    A: Array = F + np.eye(len(F))
     errors, most = np.array(ERRORS[name]), np.full(2, ACTUATION[name])
     if form == "balanced":
         A, B, C, M, E, U = _balanced(A, B, C, D, M, E, U, errors, most)
