@@ -82,6 +82,8 @@ LEAN = 2.2
 """Mean of five ratios or so of the sonar: six and a half deviations."""
 STRAIN = 11.0
 """Mean square of the worst of the fix's four ratios over half a second; 2.4 is usual."""
+LED_AWAY = 5.0
+"""... from which on a fix that does not fit is no fix that jumps."""
 _AGREE_S = 1.0
 RANGE = 5.0
 """Deviations of a wandering beyond which it is no wandering."""
@@ -269,7 +271,9 @@ def fuse_fix(m: Any, s: Any, z: _Array, ahead: float) -> None:
         if abs(ratio) > abs(worst):
             worst, at = ratio, nu
     _note(m, k, at, worst)
-    if abs(worst) > GATE:
+    # Off by more and more, it is not a fix that jumps: the filter is led away.
+    led = m.strain > LED_AWAY and GATE < abs(worst) < 2.0 * GATE
+    if abs(worst) > GATE and not led:
         _reject(m, s, k, at, z, 3, 2.0 * s.period[k] + 8 * math.sqrt(s.fix_variance) + 0.05)
         if not _taken_over(m, s, k):
             return
@@ -289,7 +293,7 @@ def fuse_fix(m: Any, s: Any, z: _Array, ahead: float) -> None:
     # Off by much again and again: something carries the filter astray that it does not know, as gyroscopes that drift.
     m.strain += 0.15 * (worst * worst - m.strain)
     out = max(_out_of_range(m, s, 0), _out_of_range(m, s, 1), _out_of_range(m, s, 3))
-    if m.strain > STRAIN or out > 1.0:
+    if led or m.strain > STRAIN or out > 1.0:
         go_astray(m, s)
         flag(m, s, k, FUSED, STRAINED, at)
     for i in range(4):

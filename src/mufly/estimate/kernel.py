@@ -121,7 +121,7 @@ EDGES, MEANS, AXES, LEGS, DONE = 1, 2, 3, 6, 7
 """Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
 _ALIGNED_S = 0.8
 _BLIND_S = 0.1  # without gyroscopes
-BLIND_TURN = 0.01
+BLIND_TURN = 0.002
 """Density of the turning (rad^2/s) that is not known without them: the stabiliser bar keeps the rotors level."""
 MOST_DOUBT = 2.5
 """Deviations of the thrust's scale by which lift-off may come sooner or later."""
@@ -586,7 +586,13 @@ def step(m: Any, s: Any, p: Any, z: _Array, new: NDArray[np.int32], age: _Array)
     r, a = m.attitude, m.push
     for k in range(3):
         m.before[k] = m.rates[k]
-        m.rates[k] = z[_Z[R_RATES] + k] - m.shift[k] if m.code[R_RATES] < MISSING else m.out[10 + k]
+        if m.code[R_RATES] < MISSING:
+            m.rates[k] = z[_Z[R_RATES] + k] - m.shift[k]
+        elif s.model > 0 and m.mode >= LIGHT:
+            # What the model turns: the bar holds it to the rotors, so it does not drift but about the mast.
+            m.rates[k] = m.before[k] + s.dt * m.force[(m.tick - 1) % MODELLED, 9 + k] + m.turn_off[k]
+        else:
+            m.rates[k] = m.out[10 + k]
     # A floor below the room's, or a fix that is apart from the sonar: the height is off by as much
     doubt = m.suspect[R_FIX, 3] - min(m.out[16], 0.0)
     smooth_rates(m, s, m.mode == FLYING and height_over(m.out, s) > CLEAR + doubt)
@@ -615,7 +621,8 @@ def step(m: Any, s: Any, p: Any, z: _Array, new: NDArray[np.int32], age: _Array)
     found = s.fitted[R_FIX] == 0 or m.aligned > 0
     if m.lifted == 0 and found and (m.standing * s.dt >= _ALIGNED_S or m.tick * s.dt > 3.0):
         m.lifted = 1
-    seen = m.code[R_RATES] < MISSING or (m.tick - m.used[R_RATES]) * s.dt < _BLIND_S
+    turns = s.model > 0 and m.mode >= LIGHT
+    seen = m.code[R_RATES] < MISSING or turns or (m.tick - m.used[R_RATES]) * s.dt < _BLIND_S
     for k in range(3):
         # Nonsense may have the model run away: what no gyroscope could say is no estimate.
         if not abs(m.out_rates[k]) < 2.0 * s.bound[R_RATES]:

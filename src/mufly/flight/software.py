@@ -38,7 +38,7 @@ from mufly.control import FlightController
 from mufly.estimate import Estimate, Watch, watch
 from mufly.flight.controllers import Actuators, Controllers, able
 from mufly.flight.oscillation import Oscillation, OscillationWatch, steered
-from mufly.flight.trust import HEIGHT_M, Doubts, Smooth
+from mufly.flight.trust import HEIGHT_M, Doubts, Smooth, turns_unfelt
 from mufly.mission import (
     NO_SIGNAL,
     RAMP_DOWN_S,
@@ -71,6 +71,9 @@ _Array = NDArray[np.floating[Any]]
 
 LOST_S = 0.5
 """How long a measurement may be missing or frozen in flight (s)."""
+
+DOWN_SHARE = 0.8
+"""How much of the motors' running down is left out where it is known to be down."""
 
 STEP_MOTOR, STEP_SERVO = 0.1, 0.2
 """How far an input moves in a period at most, on an estimate: twice what flights in gusts need (quantile 0.999)."""
@@ -312,7 +315,7 @@ class FlightSoftware:
             self._doubts, self._held, self._waits = Doubts(stood=float(stood)), False, False
             return ""
         before, now = self._doubts.now, self._doubts.step(m)
-        if now.demand == "sink":
+        if now.demand == "sink" or (now.demand == "land" and turns_unfelt(m) and self._height(m) < TOUCHES_M):
             return now.why
         if (
             now.demand == "hold"
@@ -346,6 +349,8 @@ class FlightSoftware:
         knows = self._lifted and now < self._trusts_until_s and TOUCHES_M < height < math.inf
         if knows:  # should that end, it goes on from here
             self._since_s = now + self._way_down_s(height)
+        elif height <= TOUCHES_M:  # it is down: on its legs nothing holds a rotor that still lifts
+            self._since_s = min(self._since_s, now - DOWN_SHARE * RAMP_DOWN_S)
         left_s = self._since_s + RAMP_DOWN_S - now
         if left_s <= 0.0:
             self.mission_state = down_blind(self.mission_state, now)

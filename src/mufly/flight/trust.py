@@ -8,15 +8,16 @@ horizontal position uncertain by more than 0.25 m the mission waits in a hover; 
 ... by more than 0.6 m, or waiting for 10 s       it lands where it is
 height uncertain by more than 0.3 m for 0.3 s     it lands
 roll or pitch uncertain by more than 8 degrees,   it sinks with its servos at trim, which the stabiliser bar makes a
-gyroscopes gone for 0.1 s, or two of fix, sonar   level attitude
-and compass not believed for 0.15 s at once
-heading uncertain by more than 30 degrees, or     it lands
-a bias of the gyroscopes that they cannot have
+or two of fix, sonar and compass not believed     level attitude
+for 0.15 s at once
+heading uncertain by more than 30 degrees, or     it lands; without gyroscopes on the rates of turn of the rotor
+a bias of the gyroscopes that they cannot have,   model, and 3 cm above the floor its servos go to trim and its
+or gyroscopes gone for 0.1 s                      motors run down
 ================================================ ===================================================================
 
 Uncertainties are standard deviations, that of the position beyond the one with which it stood on the floor. Besides
-them what is thought of sensors decides in two cases: without rates of turn an attitude is known for no
-longer, and where two that know nothing of each other contradict, it is the attitude between them that is wrong. In
+them what is thought of sensors decides in two cases: without gyroscopes the attitude is what a model says, and
+where two that know nothing of each other contradict, it is the attitude between them that is wrong. In
 the air only, and not against a pilot, who is told and decides.
 
 What the controllers get moves on smoothly (:class:`Smooth`): a filter corrects itself at every measurement, a few
@@ -91,6 +92,11 @@ def sensor_name(reading: str) -> str:
 def checks_of(m: Estimate) -> Sequence[Check]:
     """Return what the estimator thinks of its sensors; nothing where it is told the truth."""
     return () if m.beliefs is None else m.beliefs.checks
+
+
+def turns_unfelt(m: Estimate) -> bool:
+    """Whether the rates of turn are those of the rotor model, as its gyroscopes say nothing that can be right."""
+    return any(c.name == "rates" and c.status in ("missing", "faulty", "rejected") for c in checks_of(m))
 
 
 def told(check: Check) -> str:
@@ -175,9 +181,9 @@ class Doubts:
         elif math.isnan(self._height_s):
             self._height_s = t
         found = judge(m, self.stood, height_counts=t - self._height_s >= HEIGHT_S)
-        upside = self._contradicted(m)
-        if upside and found.demand != "sink":
-            found = Doubt("sink", upside)
+        apart = self._contradicted(m)
+        if apart.demand and found.demand != "sink":
+            found = apart
         if self.now.demand in ("land", "sink"):
             return self.now if found.demand != "sink" else self._say(found)
         if found.demand in ("land", "sink"):
@@ -198,22 +204,22 @@ class Doubts:
             return self._say(Doubt("land", f"{found.why or self.now.why}, for {WAIT_S:g} s"))
         return self.now
 
-    def _contradicted(self, m: Estimate) -> str:
-        """Why the attitude cannot be right, from what is thought of sensors; "" if it can."""
+    def _contradicted(self, m: Estimate) -> Doubt:
+        """What is thought of sensors that an attitude depends on: it cannot be right, or is told by the model."""
         for c in checks_of(m):
             bad = c.status in (("missing", "faulty") if c.name == "rates" else ("rejected",))
             if not bad:
                 self._wrong_s.pop(c.name, None)
             elif c.name == "rates" or c.name in _APART:
                 self._wrong_s.setdefault(c.name, m.time_s)
-        checks = {c.name: c for c in checks_of(m)}
         lasting = {n: m.time_s - since for n, since in self._wrong_s.items()}
-        if lasting.get("rates", 0.0) > GONE_S:
-            return told(checks["rates"])
         against = [n for n in _APART if lasting.get(n, 0.0) > CONTRADICTED_S]
         if len(against) > 1:
-            return f"attitude contradicted by {' and '.join(sensor_name(n) for n in against)}"
-        return ""
+            why = f"attitude contradicted by {' and '.join(sensor_name(n) for n in against)}"
+            return Doubt("sink", why)
+        if lasting.get("rates", 0.0) > GONE_S:
+            return Doubt("land", next(told(c) for c in checks_of(m) if c.name == "rates"))
+        return NO_DOUBT
 
     def _say(self, found: Doubt) -> Doubt:
         self.now = found

@@ -122,7 +122,7 @@ RAMP_DOWN_S = 1.0
 
 _SINK_LAG_S = 0.15
 _NEAR_FLOOR_M = 0.1
-_DRIFTS_BELOW_M, _DRIFTS_M_S, _DRIFTING_M_S = 0.6, 0.4, 0.05  # it does not touch down while it drifts
+_DRIFTS_BELOW_M, _DRIFTS_M_S, _DRIFTING_M_S = 0.6, 0.3, 0.05  # it does not touch down while it drifts
 _STAYS_M = 0.25  # how far it may be above where it is to be while it sinks
 
 HARD_TOUCHDOWN_M_S = 0.3

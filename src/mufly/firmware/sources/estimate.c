@@ -902,13 +902,22 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
     real_t rises;
     int32_t left;
     bool found;
+    bool turns;
     bool seen;
 
     m->tick += 1;
     inspect(m, s, z, fresh, age);
     for (int32_t k = 0; k < 3; k++) {
         m->before[k] = m->rates[k];
-        m->rates[k] = (m->code[R_RATES] < MISSING) ? (z[STARTS[R_RATES] + k] - m->shift[k]) : m->out[10 + k];
+        if (m->code[R_RATES] < MISSING) {
+            m->rates[k] = z[STARTS[R_RATES] + k] - m->shift[k];
+        } else if ((s->model > 0) && (m->mode >= LIGHT)) {
+            /* What the model turns: the bar holds it to the rotors, so it does not drift but about the mast. */
+            m->rates[k] =
+                (m->before[k] + (s->dt * m->force[(m->tick - 1) % MODELLED][9 + k])) + m->turn_off[k];
+        } else {
+            m->rates[k] = m->out[10 + k];
+        }
     }
     /* A floor below the room's, or a fix that is apart from the sonar: the height is off by as much. */
     doubt = m->suspect[R_FIX][3] - real_min(m->out[16], REAL(0.0));
@@ -935,7 +944,8 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
         ((((real_t)m->standing * s->dt) >= ALIGNED_S) || (((real_t)m->tick * s->dt) > REAL(3.0)))) {
         m->lifted = 1;
     }
-    seen = (m->code[R_RATES] < MISSING) || (((real_t)(m->tick - m->used[R_RATES]) * s->dt) < BLIND_S);
+    turns = (s->model > 0) && (m->mode >= LIGHT);
+    seen = (m->code[R_RATES] < MISSING) || turns || (((real_t)(m->tick - m->used[R_RATES]) * s->dt) < BLIND_S);
     for (int32_t k = 0; k < 3; k++) {
         /* Nonsense may have the model run away: what no gyroscope could say is no estimate. */
         if (!(real_abs(m->out_rates[k]) < (REAL(2.0) * s->bound[R_RATES]))) {

@@ -199,6 +199,7 @@ void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], 
     real_t worst = REAL(0.0);
     real_t at = REAL(0.0);
     real_t out;
+    bool led;
 
     for (int32_t i = 0; i < 4; i++) {
         real_t nu;
@@ -216,7 +217,9 @@ void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], 
         }
     }
     note(m, k, at, worst);
-    if (real_abs(worst) > GATE) {
+    /* Off by more and more, it is not a fix that jumps: the filter is led away. */
+    led = (m->strain > LED_AWAY) && (real_abs(worst) > GATE) && (real_abs(worst) < (REAL(2.0) * GATE));
+    if ((real_abs(worst) > GATE) && !led) {
         turn_away(m, s, k, at, z, 3,
                   ((REAL(2.0) * s->period[k]) + (REAL(8.0) * real_sqrt(s->fix_variance))) + REAL(0.05));
         if (!taken_over(m, s, k)) {
@@ -228,7 +231,7 @@ void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], 
     /* Off by much again and again: something carries the filter astray that it does not know. */
     m->strain += REAL(0.15) * ((worst * worst) - m->strain);
     out = real_max(real_max(out_of_range(m, s, 0), out_of_range(m, s, 1)), out_of_range(m, s, 3));
-    if ((m->strain > STRAIN) || (out > REAL(1.0))) {
+    if (led || (m->strain > STRAIN) || (out > REAL(1.0))) {
         go_astray(m, s);
         flag(m, s, k, FUSED, STRAINED, at);
     }

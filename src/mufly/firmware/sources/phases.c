@@ -8,7 +8,7 @@
 #define NEAR_FLOOR_M REAL(0.1)
 #define STAYS_M REAL(0.25)
 #define DRIFTS_BELOW_M REAL(0.6)
-#define DRIFTS_M_S REAL(0.4)
+#define DRIFTS_M_S REAL(0.3)
 #define DRIFTING_M_S REAL(0.05)
 #define SLOW_FROM_M REAL(0.4)
 #define HARD_TOUCHDOWN_M_S REAL(0.3)

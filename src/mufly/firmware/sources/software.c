@@ -10,6 +10,7 @@
 #define LEARN_S REAL(1.0)
 #define VOLTS_S REAL(0.5) /* in which the battery's reading counts while the rotors speed up */
 #define TOUCHES_M REAL(0.03) /* height from which it counts as down */
+#define DOWN_SHARE REAL(0.8) /* of the motors' running down that is left out where it is known to be down */
 
 static void pair(real_t a, real_t b, real_t out[2])
 {
@@ -165,7 +166,9 @@ static bool doubted(const setup_t *setup, software_t *s, const belief_t *m)
         const bool can_wait =
             (x->state == STATE_WAYPOINT) || (x->state == STATE_OBSTACLE) || (x->state == STATE_HOVER);
 
-        if (now->demand == DEMAND_SINK) {
+        if ((now->demand == DEMAND_SINK) ||
+            ((now->demand == DEMAND_LAND) && turns_unfelt(m) &&
+             ((x->standing[2] - m->motion.position[2]) < TOUCHES_M))) {
             sinks = true;
         } else if ((now->demand == DEMAND_HOLD) && !s->holds && can_wait) {
             wait_here(setup, s);
@@ -206,6 +209,7 @@ static void sink_blindly(const setup_t *setup, software_t *s, const belief_t *to
     real_t height;
     real_t left_s;
     bool knows = height_known(s, told, &height);
+    bool down;
 
     if (s->motors != MOTORS_BLIND) {
         s->motors = MOTORS_BLIND;
@@ -219,9 +223,14 @@ static void sink_blindly(const setup_t *setup, software_t *s, const belief_t *to
         pair(REAL(0.0), REAL(0.0), s->tilt);
         no_command(&s->command);
     }
+    down = knows && (height <= TOUCHES_M);
     knows = s->lifted && (now < s->trusts_until_s) && knows && (height > TOUCHES_M);
     if (knows) { /* should that end, it goes on from here */
         s->since_s = now + failsafe_way_down_s(height, gravity);
+    } else if (down) { /* on its legs nothing holds a rotor that still lifts */
+        s->since_s = real_min(s->since_s, now - (DOWN_SHARE * RAMP_DOWN_S));
+    } else {
+        /* it comes down by the time that takes */
     }
     left_s = (s->since_s + RAMP_DOWN_S) - now;
     if (left_s <= REAL(0.0)) {

@@ -277,11 +277,22 @@ static doubt_t judge(const belief_t *m, real_t stood, bool height_counts)
     return found;
 }
 
-/* Why the attitude cannot be right, from what is thought of sensors; SAY_NOTHING if it can. */
-static message_t contradicted(doubts_t *d, const belief_t *m)
+bool turns_unfelt(const belief_t *m)
 {
-    message_t why = say(SAY_NOTHING);
+    const int32_t status = m->checks[BELIEF_RATES].status;
+
+    return (status == BELIEF_MISSING) || (status == BELIEF_FAULTY) || (status == BELIEF_REJECTED);
+}
+
+/* What is thought of sensors that an attitude depends on: it cannot be right, or is told by the model. */
+static doubt_t contradicted(doubts_t *d, const belief_t *m)
+{
+    message_t both = say(SAY_CONTRADICTED);
+    doubt_t found;
     int32_t against = 0;
+
+    found.demand = DEMAND_NONE;
+    found.why = say(SAY_NOTHING);
 
     for (int32_t k = 0; k < BELIEF_SENSORS; k++) {
         const int32_t status = m->checks[k].status;
@@ -298,25 +309,25 @@ static message_t contradicted(doubts_t *d, const belief_t *m)
             /* as before */
         }
     }
-    if (d->wrong[BELIEF_RATES] && ((m->time_s - d->wrong_s[BELIEF_RATES]) > GONE_S)) {
-        why = say(SAY_GIVEN);
-        name_sensor(&why, BELIEF_RATES, &m->checks[BELIEF_RATES]);
-    } else {
-        message_t both = say(SAY_CONTRADICTED);
+    for (int32_t i = 0; i < APART; i++) {
+        const int32_t k = apart[i];
 
-        for (int32_t i = 0; i < APART; i++) {
-            const int32_t k = apart[i];
-
-            if (d->wrong[k] && ((m->time_s - d->wrong_s[k]) > CONTRADICTED_S)) {
-                name_sensor(&both, k, &m->checks[k]);
-                against++;
-            }
-        }
-        if (against > 1) {
-            why = both;
+        if (d->wrong[k] && ((m->time_s - d->wrong_s[k]) > CONTRADICTED_S)) {
+            name_sensor(&both, k, &m->checks[k]);
+            against++;
         }
     }
-    return why;
+    if (against > 1) {
+        found.demand = DEMAND_SINK;
+        found.why = both;
+    } else if (d->wrong[BELIEF_RATES] && ((m->time_s - d->wrong_s[BELIEF_RATES]) > GONE_S)) {
+        found.demand = DEMAND_LAND;
+        found.why = say(SAY_GIVEN);
+        name_sensor(&found.why, BELIEF_RATES, &m->checks[BELIEF_RATES]);
+    } else {
+        /* nothing of the kind */
+    }
+    return found;
 }
 
 bool doubts_step(doubts_t *d, const belief_t *m)
@@ -325,14 +336,13 @@ bool doubts_step(doubts_t *d, const belief_t *m)
     const bool high = real_sqrt(m->position_variance[2]) > HEIGHT_M;
     const real_t high_s = d->high ? d->high_s : t;
     doubt_t found = judge(m, d->stood, high && ((t - high_s) >= HEIGHT_S));
-    const message_t upside = contradicted(d, m);
+    const doubt_t contrary = contradicted(d, m);
     bool said = false;
 
     d->high = high;
     d->high_s = high_s;
-    if ((upside.code != SAY_NOTHING) && (found.demand != DEMAND_SINK)) {
-        found.demand = DEMAND_SINK;
-        found.why = upside;
+    if ((contrary.demand != DEMAND_NONE) && (found.demand != DEMAND_SINK)) {
+        found = contrary;
     }
     if (d->now.demand == DEMAND_LAND) {
         said = found.demand == DEMAND_SINK;

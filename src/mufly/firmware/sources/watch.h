@@ -56,6 +56,9 @@ typedef struct {
     real_t high_s;
 } doubts_t;
 
+/* Whether the rates of turn are those of the rotor model, as gyroscopes say nothing that can be right. */
+bool turns_unfelt(const belief_t *m);
+
 void doubts_start(doubts_t *d, real_t stood);
 
 /* Judge an estimate in the air; true if what is doubted has been said anew. */
