@@ -149,9 +149,10 @@ def equal_speeds(
 
 
 OUR_PAIR: dict[int, dict[str, tuple[float, float]]] = {
-    5000: {"upper": (0.1745, 2.051e-3), "lower": (0.1034, 1.675e-3), "single": (0.1820, 2.091e-3)},
+    5000: {"upper": (0.1834, 2.100e-3), "lower": (0.0974, 1.665e-3), "single": (0.1814, 2.107e-3)},
+    7000: {"upper": (0.3601, 3.984e-3), "lower": (0.1906, 3.096e-3), "single": (0.3575, 4.005e-3)},
 }
-"""docs/cfd.md: each rotor beside the other's mean, laminar, coarse, settled; by rpm: thrust (N), torque (N m)."""
+"""docs/cfd.md: beside the other's mean, laminar, coarse, hub of 6 mm, settled; by rpm: thrust (N), torque (N m)."""
 
 
 def equal_speeds_by_cfd() -> xr.Dataset:

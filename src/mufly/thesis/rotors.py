@@ -411,7 +411,7 @@ def gurney(progress: Progress | None = None) -> Found:
                 "%",
                 reason="ours is per shaft power, at 16 degrees; a flap adds torque as it adds thrust (docs/cfd.md)",
             ),
-            "CFD, laminar, coarse (docs/cfd.md)",
+            "CFD, laminar, medium mesh (docs/cfd.md)",
             f"{form_gain('gurney 1 %'):+.1f} % of T^1.5/P at 1 %, 16 degrees, 5 000 rpm",
             bool(15 <= form_gain("gurney 1 %") <= 22),
             "15 to 22 %",

@@ -376,7 +376,7 @@ def compare(
             names = list(values[0][1])
             rows = [
                 (
-                    Path(c.case).name,
+                    Path(c.case).name + (f" ({c.point.form})" if c.point.form else ""),
                     f"{math.degrees(c.point.pitch_rad):.4g}°, {c.point.speed_rad_s / RPM:.0f}",
                     c.verdict.what,
                     f"{ours:.4g}",
