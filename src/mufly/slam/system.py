@@ -36,6 +36,8 @@ from mufly.slam.vision import Straightener, as_bright, corners, on, overlaid, tr
 _Array = NDArray[np.float64]
 CORRELATION = 0.5
 LEAST_M = 0.1  # height of the camera from which a map begins
+TOO_NEAR = "too near to the floor"
+"""Why there is no answer before."""
 FEW = 30  # points that agree, below which a new keyframe may see more
 NEW_BELOW = 0.55  # share of floor that a keyframe has to see of the picture
 CLOSE_ABOVE, CLOSE_EVERY = 0.4, 8
@@ -47,6 +49,7 @@ twelve floors (docs/slam.md): edges against the truth, with true tilts given, as
 _WHITE, _MOST_WHITE = 248, 0.02
 """Grey, and share of a picture that may be whiter for it to become a keyframe: a camera that was covered sees too
 bright for half a second, and what was white then has no corners."""
+_STRAY = 5.0  # pixels that a point may be off for no reason
 _SWERVE = 1.0  # m/s^2 that are not foreseen
 _LOST_S, _SEEK_EVERY = 0.7, 4
 _AGREE = 3
@@ -290,9 +293,14 @@ class Slam:
         use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & on(covered, there))[0]
         if len(use) < ENOUGH:
             return None
+        tilts = self.map.belief(k, *self._hangs)[4:8, 4:8][np.ix_([2, 3, 0, 1], [2, 3, 0, 1])]
         seen, correlation, sigma = tracked(template, picture, there[use], straight.smooth)
         good = (correlation > CORRELATION) & (sigma < 1.5)
         good &= on(straight.seen, seen)
+        # Who was found further away than all that is unknown has found its like: on tiles the next one's
+        unsure = 0.0 if coarse else self._spread / view.height * view.focal
+        tilted = view.focal * math.sqrt(tilts[0, 0] + tilts[2, 2])
+        good &= np.hypot(*(seen - there[use]).T) < _STRAY + 4.0 * unsure + 3.0 * (self._shake_rms + tilted)
         if good.sum() < ENOUGH:
             return None
         use, seen, sigma = use[good], seen[good], sigma[good]
@@ -310,7 +318,6 @@ class Slam:
             return None
         begin = np.array([node[0], node[1], view.height, node[2]])
         bend = self.map.bend(k)[use]
-        tilts = self.map.belief(k, *self._hangs)[4:8, 4:8][np.ix_([2, 3, 0, 1], [2, 3, 0, 1])]
         pose = solve(view, begin, points[fits], bend[fits], tilts, pixels[fits], seconds[fits], sigma[fits])
         if pose.inliers.sum() < ENOUGH:
             return None
@@ -439,7 +446,7 @@ class Slam:
     def _begin(self, frame: Frame, view: View, picture: Any) -> Answer:
         """The first keyframe: here the map begins."""
         if view.height < LEAST_M:
-            return Answer(frame.time_s, False, "too near to the floor")
+            return Answer(frame.time_s, False, TOO_NEAR)
         if frame.told.place is not None:
             self.map.start, self.map.start_sigma = frame.told.place, frame.told.place_sigma
         n, e, heading = self.map.start
