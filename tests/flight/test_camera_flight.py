@@ -17,7 +17,8 @@ from mufly.errors import MuflyError
 from mufly.estimate import Estimate, KalmanEstimator
 from mufly.estimate.layout import FIX
 from mufly.flight import Event, fly, read_recording, replay
-from mufly.flight.camera import CameraSensor, Eye, parse_spoil, sighted
+from mufly.flight.camera import CameraSensor, Eye, sighted
+from mufly.flight.film import parse_spoil
 from mufly.mission import load_mission
 from mufly.sensors import Reading, Truth
 from mufly.slam import (

@@ -43,6 +43,14 @@ def test_it_hears_tilt_and_height_and_the_vehicle_takes_its_places() -> None:
     truth = rig.flight.truth
     assert (told.roll, told.pitch) == pytest.approx(tuple(truth.attitude[:2]), abs=0.02)
     assert told.height_m == pytest.approx(-truth.position[2], abs=0.03)
+    assert told.place == pytest.approx([*truth.position[:2], truth.attitude[2]], abs=0.05)
+    assert told.velocity == pytest.approx(truth.velocity, abs=0.05)
+    assert 0.0 < told.place_sigma[0] < 0.1
+    stood = companion.stands(1.0, told)
+    assert stood.trusted
+    assert np.append(stood.position, stood.heading) == pytest.approx(
+        np.append(truth.position, truth.attitude[2]), abs=0.1
+    )
     fix = rig.flight.readings["position_fix"]
     assert 0.0 < rig.flight.time_s - fix.time_s < 0.09
     assert np.diag(fix.covariance) == pytest.approx([1e-4] * 4, rel=1e-6)
@@ -57,7 +65,7 @@ def test_what_is_old_or_of_another_is_not_told() -> None:
     companion.receive(0.0, encode(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
     assert companion.system is None  # a station is no vehicle
     companion.receive(0.0, encode(beat))
-    assert len(companion.step(0.0)) == 4
+    assert len(companion.step(0.0)) == 5
     for k in range(20):
         now_s = 0.05 * k
         for source, roll in ((encode, 0.1), (other, 0.5)):
@@ -72,5 +80,19 @@ def test_what_is_old_or_of_another_is_not_told() -> None:
     assert (told.roll, told.height_m) == pytest.approx((0.1, 1.2))
     assert companion.telling(1.6) is None
     assert companion.telling(-1.0) is None
+    companion.receive(1.0, encode(mavlink.MAVLink_raw_rpm_message(1, -4200.0)))
+    assert companion.telling(0.8).rotor_speed == pytest.approx([0.0, 2 * math.pi * 70])
     lost = Answer(0.8, True, "", np.zeros(3), math.nan, np.eye(4))
     assert companion.say(lost) is not None
+
+
+def test_a_clock_that_is_set_is_followed() -> None:
+    """A vehicle that is simulated gives up time where its machine is too slow."""
+    companion, encode = Companion(), Encoder(1, 1)
+    companion.receive(0.0, encode(mavlink.MAVLink_heartbeat_message(3, 12, 0, 0, 4, 3)))
+    for k, (theirs_s, way_s) in enumerate(((7.0, 0.004), (7.0, 0.04), (6.0, 0.05), (6.0, 0.03))):
+        sent_s = 1.0 + k
+        there_s = sent_s + 0.5 * way_s + theirs_s
+        message = mavlink.MAVLink_timesync_message(round(1e9 * there_s), round(1e9 * sent_s))
+        companion.receive(sent_s + way_s, encode(message))
+        assert companion.offset_s == pytest.approx(theirs_s, abs=1e-6)

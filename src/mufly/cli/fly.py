@@ -299,29 +299,29 @@ Examples:
 def _eye(
     position: str, sensors: str, camera: str, floor: str, faults: Sequence[str] | None, stream: str
 ) -> Eye | None:
-    """What ``--position camera`` and its options say; None without it."""
+    """What ``--position`` and the options of a camera say; None where there is no camera."""
     one_of("--position", position, ("fix", "camera", "link"))
     if position == "link" and sensors == "ideal":
         raise InputError("--position", "", "what is true needs no fixes", "leave out --sensors ideal")
-    if position != "camera":
-        for name, given in (
-            ("--camera", camera),
-            ("--floor", floor),
-            ("--camera-fault", faults),
-            ("--stream", stream),
-        ):
-            if given:
-                raise InputError(
-                    name, "", "there is no camera without --position camera", "add it, or leave this out"
-                )
+    # Behind a link somebody else looks at the pictures, if they are sent.
+    lacking = {"fix": "there is no camera without --position camera", "camera": ""}.get(
+        position, "" if stream else "nobody sees its pictures without --stream"
+    )
+    given = {"--camera": camera, "--floor": floor, "--camera-fault": faults, "--stream": stream}
+    for name, one in given.items():
+        if one and lacking:
+            raise InputError(name, "", lacking, "add it, or leave this out")
+    if position != "camera" and not stream:
         return None
     if sensors == "ideal":
         raise InputError("--position", "", "what is true needs no camera", "leave out --sensors ideal")
     from mufly.camera import FLOORS, load_camera, parse_address
-    from mufly.flight.camera import Eye, parse_spoil
+    from mufly.flight.camera import Eye
+    from mufly.flight.film import parse_spoil
     from mufly.slam import opencv
 
-    opencv()
+    if position == "camera":
+        opencv()
     one_of("--floor", floor or "rich", FLOORS)
     return Eye(
         load_camera(camera or "mufly-2.0"),
@@ -368,9 +368,9 @@ def fly(
         ),
     ] = "fix",
     camera: Annotated[
-        str, option("--camera NAME|FILE", "Of --position camera: mufly-2.0, webcam, worst or a file.")
+        str, option("--camera NAME|FILE", "Of its camera: mufly-2.0, webcam, worst or a file.")
     ] = "",
-    floor: Annotated[str, option("--floor KIND", "Of --position camera: rich, poor, tiles or plain.")] = "",
+    floor: Annotated[str, option("--floor KIND", "Below its camera: rich, poor, tiles or plain.")] = "",
     camera_fault: Annotated[
         list[str] | None,
         option(
@@ -382,7 +382,8 @@ def fly(
         str,
         option(
             "--stream [HOST:]PORT",
-            "Of --position camera: send its pictures as MJPEG, for browsers and OpenCV, at http://HOST:PORT/stream.",
+            "Of --position camera or link: send its camera's pictures as MJPEG, for browsers, OpenCV and "
+            "mufly slam run, at http://HOST:PORT/stream.",
         ),
     ] = "",
     realtime: Annotated[bool, option("--realtime", "Keep pace with the clock.")] = False,
@@ -443,7 +444,7 @@ def fly(
         raise InputError(
             "--position", "", "nobody could send a position", "add --link, as --link udpin:127.0.0.1:14560"
         )
-    if order.eye is not None:
+    if order.eye is not None and not order.outside:
         from mufly.flight.camera import sighted
 
         sighted(order.vehicle, order.eye.camera)
@@ -499,7 +500,8 @@ def fly(
         dataset, heard = found, [] if address is None else sorted(folder.glob("station*.*"))
     else:
         dataset = _fly_in_terminal(terminal, order, ending)
-    kept = [p for p in (recording, folder / "camera.mcap") if p is recording or order.eye is not None]
+    seen = order.eye is not None and not order.outside
+    kept = [p for p in (recording, folder / "camera.mcap") if p is recording or seen]
     summary = _write_results(terminal, dataset, order.mission, [*kept, *heard], as_json)
     if summary.outcome == "unfinished":
         raise MuflyError(f"the mission was not flown to its end: {summary.reason}")

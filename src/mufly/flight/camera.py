@@ -29,10 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera import Camera, Motion, PictureRecorder, Renderer, StreamServer, encode, make_floor
-from mufly.dynamics import model_parameters, rotation, standing_height
-from mufly.dynamics.state import hover_speeds
-from mufly.errors import ArgumentError, MuflyError
+from mufly.dynamics import standing_height
+from mufly.errors import MuflyError
 from mufly.estimate import Estimate
+from mufly.flight.film import SHOWN_QUALITY, Film, Spoil, Stream
 from mufly.sensors import Reading, Sensor, Truth
 from mufly.slam import (
     PHASE_SIGMA,
@@ -52,19 +52,11 @@ from mufly.vehicle.sensing import PositionFix
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-SPOILS: Mapping[str, str] = {
-    "covered": "the lens is covered: pictures are black",
-    "dark": "the light is off: a hundredth of it is left",
-    "unplugged": "no pictures come",
-}
-"""What can go wrong with the camera."""
 ANSWER_S, SILENT_S, BACK_S = 0.066, 0.5, 1.0
 """Between two answers that are sent; without any, until that is told; with some again, until that is told (s)."""
 _STANDS_NOISE_M = 0.002
 _LANDED_M = 0.2
 """Height as believed, below which one that flew and whose sonar says its least has landed: sonars fail in the air."""
-SHOWN_QUALITY = 85
-"""Of the JPEG of pictures that are shown; they have been through the radio's before."""
 PATH_STEP_M, MOST_PATH = 0.03, 1500
 _TILT_TIME_S, _HEIGHT_TIME_S = 20.0, 2.0
 """Over which the filter's errors of tilt and height hang together: in three flights tilts were off by 0.12 degrees on
@@ -73,37 +65,6 @@ KNOWN_M = 0.2
 """A place from outside that is known less well is refused (m)."""
 _SENT_M = 0.6
 """A place of its own that is known less well is not sent: a mission would land for that (m)."""
-
-
-@dataclass(frozen=True)
-class Spoil:
-    """What goes wrong with the camera, and when (s)."""
-
-    kind: str
-    start_s: float = 0.0
-    stop_s: float = math.inf
-
-
-def parse_spoil(text: str) -> Spoil:
-    """Return what ``"covered@20s+5s"`` says; start and duration may be left out.
-
-    Raises
-    ------
-    InputError
-        If it is none of :data:`SPOILS`.
-    """
-    kind, _, when = text.strip().partition("@")
-    start, _, span = when.partition("+")
-    try:
-        begin = float(start.removesuffix("s")) if start else 0.0
-        end = begin + float(span.removesuffix("s")) if span else math.inf
-        if kind not in SPOILS or not 0.0 <= begin < end:
-            raise ValueError
-    except ValueError:
-        raise ArgumentError(
-            "camera_fault", text, "is none", f"write KIND@STARTs+DURATIONs, kinds: {', '.join(SPOILS)}"
-        ) from None
-    return Spoil(kind, begin, end)
 
 
 @dataclass(frozen=True)
@@ -130,6 +91,20 @@ class Eye:
     spoils: tuple[Spoil, ...] = ()
     on_answer: Callable[[Answer], None] | None = None
     stream: tuple[str, int] | None = None
+
+
+def filmed(eye: Eye, vehicle: Vehicle, world: World, seed: int) -> Film:
+    """Return the camera of a flight."""
+    return Film(
+        eye.camera, make_floor(eye.floor, seed, shadows=eye.shadows), vehicle, world, seed, eye.spoils
+    )
+
+
+def streamed(eye: Eye, vehicle: Vehicle, world: World, seed: int) -> Stream | None:
+    """Return what sends the pictures of a flight that another program looks at; None where they are sent nowhere."""
+    return (
+        None if eye.stream is None else Stream(filmed(eye, vehicle, world, seed), StreamServer(*eye.stream))
+    )
 
 
 def told_errors(camera: Camera) -> PositionFix:
@@ -196,12 +171,11 @@ class CameraSensor(Sensor):
         self, eye: Eye, vehicle: Vehicle, world: World, start: tuple[float, float, float], seed: int
     ) -> None:
         opencv()  # say at once what is missing
-        self._eye, self._start, self._seed, self._world = eye, start, seed, world
+        self._eye, self._start, self._seed = eye, start, seed
         sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
         self._least_m = 0.0 if sonar is None else float(sonar.min_range) + 0.5 * float(sonar.resolution)
         self._stands_m = standing_height(vehicle)
-        self._hover = float(np.mean(hover_speeds(model_parameters(vehicle))))
-        self._floor = make_floor(eye.floor, seed, shadows=eye.shadows)
+        self._film = filmed(eye, vehicle, world, seed)
         self._fixes = told_errors(eye.camera)
         self.wander_s = float(self._fixes.wander_time)
         self.believe: Callable[[], tuple[Estimate | None, float]] = lambda: (None, math.nan)
@@ -214,8 +188,7 @@ class CameraSensor(Sensor):
     def reset(self) -> None:
         self._end()
         self._rng = np.random.default_rng([self._seed, 91])
-        self._renderer = Renderer(self._eye.camera, self._floor, self._world, seed=self._seed)
-        self._phase, self._last_s, self._due_s = np.zeros(2), math.nan, -math.inf
+        self._film.reset()
         self._scale = 1.0 + 0.01 * float(self._rng.standard_normal())
         self._offset = self._rng.uniform(0.0, 2 * math.pi, 2)
         # When due; what is known without looking, or the picture as it is shown
@@ -254,12 +227,7 @@ class CameraSensor(Sensor):
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t = truth.time_s
-        if not math.isnan(self._last_s):
-            self._phase = np.mod(self._phase + truth.rotor_speed * (t - self._last_s), 2 * math.pi)
-        self._last_s = t
-        if t >= self._due_s - 1e-9:
-            period = float(self._eye.camera.sensor.period)
-            self._due_s = (t if t - self._due_s > period else self._due_s) + period
+        if self._film.due(truth):
             self._take(truth)
         while self._queue and self._queue[0][0] <= t + 1e-9:
             self._receive(self._queue.pop(0)[1])
@@ -267,7 +235,7 @@ class CameraSensor(Sensor):
 
     def news(self) -> str:
         """What there is to be told: that it has given no position for a while, and why, or that it does again."""
-        t = self._last_s
+        t = self._film.last_s
         if not self._wrong and t - self._trusted_s > SILENT_S and not self._stood:
             late = self.answer is None or t - self.answer.time_s > SILENT_S + float(
                 self._eye.camera.radio.latency
@@ -285,7 +253,6 @@ class CameraSensor(Sensor):
     def _take(self, truth: Truth) -> None:
         """Take a picture and send it."""
         t, camera = truth.time_s, self._eye.camera
-        active = {s.kind for s in self._eye.spoils if s.start_s <= t < s.stop_s}
         lost, jitter = (
             self._rng.uniform() < float(camera.radio.loss),
             abs(float(self._rng.standard_normal())),
@@ -296,9 +263,9 @@ class CameraSensor(Sensor):
         if told is None:
             return
         self._stood = told.standing and (not self._begun or told.height_m < _LANDED_M)
-        if "unplugged" in active:
+        light = self._film.light(t)
+        if light is None:
             return
-        light = 0.0 if "covered" in active else (0.01 if "dark" in active else 1.0)
         # They come back in the order in which they were sent.
         due = t + float(camera.radio.latency)
         due = max(due + float(camera.radio.jitter) * jitter, self._queue[-1][0] if self._queue else 0.0)
@@ -306,10 +273,10 @@ class CameraSensor(Sensor):
             if not lost:
                 self._queue.append((due, self._stands(t)))
             if self._watched:
-                self._show_floor(self._motion(truth), light)
+                self._show_floor(self._film.motion(truth), light)
             return
         self._begun = True
-        self.picture = self._renderer.render(self._motion(truth), light)
+        self.picture = self._film.renderer.render(self._film.motion(truth), light)
         self.taken += 1
         self.lost += bool(lost)
         shown = self._shown(t)
@@ -321,17 +288,10 @@ class CameraSensor(Sensor):
             self._record.add(t, shown, asdict(told))
         self._queue.append((due, shown))
 
-    def _motion(self, truth: Truth) -> Motion:
-        share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
-        return Motion(
-            truth.time_s, truth.position.copy(), truth.velocity.copy(), rotation(truth.state[6:10]),
-            truth.rates.copy(), truth.rotor_speed.copy(), self._phase.copy(), share,
-        )  # fmt: skip
-
     def _show_floor(self, motion: Motion, light: float) -> None:
         """A picture for those who watch: by chance of its own, so that a flight is the same with and without them."""
         if self._floor_view is None:
-            self._floor_view = Renderer(self._eye.camera, self._floor, self._world, seed=self._seed)
+            self._floor_view = self._film.another()
         self.picture = self._floor_view.render(motion, light)
         shown = self._shown(motion.time_s)
         if self.on_sight is not None:
@@ -378,7 +338,7 @@ class CameraSensor(Sensor):
         heading = math.sqrt(max(float(sigma[8]) ** 2 - float(self._fixes.heading_wander) ** 2, 0.005**2))
         return Telling(
             roll, pitch, max(0.02, -float(x[2])), estimate.rates.copy(), self._scale * truth.rotor_speed,
-            self._phase + self._offset + PHASE_SIGMA * self._rng.standard_normal(2),
+            self._film.phase + self._offset + PHASE_SIGMA * self._rng.standard_normal(2),
             tilt_sigma=max(math.radians(0.15), float(max(sigma[6:8]))), height_sigma=max(0.006, float(sigma[2])),
             tilt_time_s=_TILT_TIME_S, height_time_s=_HEIGHT_TIME_S,
             velocity=estimate.velocity.copy(), standing=not sonar > self._least_m,
@@ -398,7 +358,7 @@ class CameraSensor(Sensor):
         if self._eye.on_answer is not None:
             self._eye.on_answer(known)
         if known.trusted:
-            self._trusted_s = self._last_s
+            self._trusted_s = self._film.last_s
         last = self._fix.get("position_fix")
         if known.trusted and (last is None or known.time_s - last.time_s > ANSWER_S - 1e-3):
             place = np.append(known.position, known.heading)
@@ -413,7 +373,7 @@ class CameraSensor(Sensor):
                 del path[::2]
         return Sight(
             answer.time_s, jpeg, answer, features_of(self._eye.camera, answer),
-            self._last_s - answer.time_s, self._process.work_s, self._wrong, self._counts(), self._process.sketch,
+            self._film.last_s - answer.time_s, self._process.work_s, self._wrong, self._counts(), self._process.sketch,
             np.array(path, np.float32).reshape(-1, 2), self._stood,
         )  # fmt: skip
 

@@ -40,7 +40,7 @@ from mufly.dynamics import (
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator, fitted_estimator
 from mufly.flight.autopilot import Autopilot
-from mufly.flight.camera import CameraSensor, Eye, sighted
+from mufly.flight.camera import CameraSensor, Eye, sighted, streamed
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.outside import OutsideFixes
 from mufly.flight.plant import Plant, row_writer
@@ -108,7 +108,8 @@ class Flight:
     eye : Eye, optional
         Fly on pictures (:mod:`mufly.flight.camera`) instead of the statistical position fix; on fitted sensors only.
     outside : bool
-        Fly on fixes that somebody gives to :attr:`outside_fixes`, by a link for instance; on fitted sensors only.
+        Fly on fixes that somebody gives to :attr:`outside_fixes`, by a link for instance; on fitted sensors only. With
+        ``eye`` as well its pictures are sent to ``eye.stream``, for somebody who makes fixes of them.
 
     Raises
     ------
@@ -142,10 +143,11 @@ class Flight:
     ) -> None:
         vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
-        if outside and (sensors != "fitted" or eye is not None):
-            what = "pictures give the position already" if eye is not None else "it flies on what is true"
-            raise InputError("outside", "", what, "fly on fitted sensors, without a camera")
-        if eye is not None:
+        if outside and sensors != "fitted":
+            raise InputError("outside", "", "it flies on what is true", "fly on fitted sensors")
+        if outside and eye is not None and eye.stream is None:
+            raise InputError("eye", "stream", "nobody sees its pictures", "say where they are to be sent")
+        if eye is not None and not outside:
             if sensors != "fitted":
                 raise InputError("eye", "", "pictures are nothing for ideal sensors", "fly on fitted sensors")
             vehicle = sighted(vehicle, eye.camera)
@@ -173,8 +175,13 @@ class Flight:
         self.plant = Plant(vehicle, mission.world, air, controller.rate_Hz, self._start)
         self.look = max(1, round(controller.rate_Hz / RING_HZ))
         start = (*mission.start_m, math.radians(mission.start_heading_deg))
-        self.camera = None if eye is None else CameraSensor(eye, vehicle, mission.world, start, seed)
-        self.outside_fixes = OutsideFixes(vehicle) if outside else None
+        self.camera: CameraSensor | None = None
+        self.outside_fixes: OutsideFixes | None = None
+        if outside:
+            stream = None if eye is None else streamed(eye, vehicle, mission.world, seed)
+            self.outside_fixes = OutsideFixes(vehicle, stream)
+        elif eye is not None:
+            self.camera = CameraSensor(eye, vehicle, mission.world, start, seed)
         fixes = self.camera or self.outside_fixes
         self.sensors = _sensors(sensors, vehicle, mission, self.look, seed, faults, fixes)
         sensed = self.sensed = isinstance(self.sensors, FittedSensors)
@@ -419,8 +426,7 @@ class Flight:
         if self._finished:
             return
         self._finished = True
-        if self.camera is not None:
-            self.camera.close()
+        self._close_eyes()
         if outcome is None:
             outcome, reason = self.judge()
         self.recorder.finish(outcome, reason, mission_flown=self._mission_flown, **attributes)
@@ -445,9 +451,13 @@ class Flight:
             self.close()
         else:
             self._finished = True
-            if self.camera is not None:
-                self.camera.close()
+            self._close_eyes()
             self.recorder.__exit__(kind, error, trace)
+
+    def _close_eyes(self) -> None:
+        for one in (self.camera, self.outside_fixes):
+            if one is not None:
+                one.close()
 
 
 def _sensors(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
 from mufly.flight.camera import KNOWN_M
+from mufly.flight.film import Stream
 from mufly.sensors import Reading, Sensor, Truth
 from mufly.vehicle import Vehicle
 
@@ -34,6 +35,8 @@ class OutsideFixes(Sensor):
     Parameters
     ----------
     vehicle : Vehicle
+    stream : Stream, optional
+        Its camera, for whoever tells it where it is.
 
     Raises
     ------
@@ -41,16 +44,19 @@ class OutsideFixes(Sensor):
         If the vehicle has no sensors that a filter could fly on, or its file no word about fixes.
     """
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, stream: Stream | None = None) -> None:
         sensors = vehicle.sensors
         if sensors is None or sensors.imu is None or sensors.position_fix is None:
             raise MuflyError(
                 f"{vehicle.name} has no inertial unit, or no table sensors.position_fix: a fix from outside would help "
                 "nobody"
             )
+        self._stream = stream
         self.reset()
 
     def reset(self) -> None:
+        if self._stream is not None:
+            self._stream.reset()
         self._said: dict[str, Reading] = {}
         self._last_s = -math.inf
 
@@ -58,7 +64,14 @@ class OutsideFixes(Sensor):
         return {"position_fix": np.append(truth.position, truth.attitude[2])}
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
+        if self._stream is not None:
+            self._stream.look(truth)
         return self._said
+
+    def close(self) -> None:
+        """End the stream."""
+        if self._stream is not None:
+            self._stream.close()
 
     def give(self, now_s: float, time_s: float, place: _Array, covariance: _Array | None) -> str:
         """Take a fix.

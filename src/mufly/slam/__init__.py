@@ -7,7 +7,7 @@ from mufly.slam.frame import Frame, Telling
 from mufly.slam.mapping import Keyframe, Map
 from mufly.slam.process import Counts, Sight, Sketch, SlamProcess, features_of, sketched
 from mufly.slam.readers import Source, open_live, open_pictures, read_telemetry, read_truth, standing_at
-from mufly.slam.system import Answer, Slam
+from mufly.slam.system import TOO_NEAR, Answer, Slam
 from mufly.slam.trajectory import Trajectory, draw, gathered, read_trajectory, run
 from mufly.slam.vision import opencv
 from mufly.slam.writers import LAYOUTS, camera_toml, write_dataset
@@ -15,6 +15,7 @@ from mufly.slam.writers import LAYOUTS, camera_toml, write_dataset
 __all__ = [
     "LAYOUTS",
     "PHASE_SIGMA",
+    "TOO_NEAR",
     "Answer",
     "Calibration",
     "Counts",

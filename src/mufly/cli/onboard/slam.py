@@ -192,6 +192,7 @@ def run(
     from mufly.link.companion import CompanionPort
     from mufly.logs import write_log
     from mufly.slam import (
+        TOO_NEAR,
         Map,
         Slam,
         draw,
@@ -227,6 +228,7 @@ def run(
                 told = standing_at(height, place)
             if link is not None:
                 port = CompanionPort(parse_endpoint(link, "station"))
+                port.companion.stamped = clock == "sender"
                 stack.callback(port.close)
             live = stack.enter_context(LivePictures(
                 place, lens, delay_s=delay, clock=cast(Any, clock), give_up_s=give_up,
@@ -244,6 +246,8 @@ def run(
         stack.enter_context(ending)
         ending.patient = True
 
+        seen: list[Frame] = []
+
         def frames() -> Iterator[Frame]:
             first = None
             try:
@@ -251,13 +255,14 @@ def run(
                     first = frame.time_s if first is None else first
                     if ending.asked.is_set() or (duration is not None and frame.time_s - first > duration):
                         return
+                    seen[:] = [frame]
                     yield frame
             except MuflyError as error:
                 failed.append(error)
 
         def answered(k: int, a: Answer) -> None:
             if port is not None:
-                port.say(a)
+                port.say(port.companion.stands(a.time_s, seen[0].told) if a.reason == TOO_NEAR else a)
             if bar is not None:
                 bar(k + 1, source.count)
 
