@@ -43,7 +43,9 @@ TurbulenceOption = Annotated[str, option("--model NAME", "'laminar', 'k-epsilon'
 TipOption = Annotated[
     str, option("--tip NAME", "The blades' tip: 'round', 'swept', 'winglet-up', ... (docs/cfd.md).")
 ]
-HubOption = Annotated[float, option("--hub MM", "Radius of a hub with grips; 0 for none.", min=0.0)]
+HubOption = Annotated[
+    float, option("--hub MM", "Radius of a hub with grips; 0 for none, which may slosh.", min=0.0)
+]
 GurneyOption = Annotated[
     float, option("--gurney PERCENT", "Height of a plate below the trailing edge, of the chord.", min=0.0)
 ]
@@ -200,6 +202,9 @@ def sweep(
     density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
     model: TurbulenceOption = "laminar",
     level: MeshOption = "medium",
+    tip: TipOption = "square",
+    hub: HubOption = 0.0,
+    gurney: GurneyOption = 0.0,
     out: Annotated[
         Path, option("--out DIR", "A folder for each speed in it; what is solved there is kept.")
     ] = Path("sweep"),
@@ -210,7 +215,7 @@ def sweep(
 
     Example: mufly cfd sweep naca0012-r60-c20 --pitch 12 --rpm 5000,6000,7000 --mesh coarse --out sweep
     """
-    from mufly.cfd import LEVELS, MODELS, find_solver
+    from mufly.cfd import LEVELS, MODELS, TIPS, find_solver
     from mufly.cfd import sweep as sweep_speeds
     from mufly.errors import InputError
     from mufly.rotor import Air, load_rotor
@@ -218,6 +223,7 @@ def sweep(
 
     one_of("--model", model, MODELS)
     one_of("--mesh", level, LEVELS)
+    one_of("--tip", tip, TIPS)
     try:
         speeds = [turning("--rpm", float(text)) for text in rpm.split(",")]
     except ValueError:
@@ -228,7 +234,8 @@ def sweep(
     with _telling(not as_json) as tell:
         found = sweep_speeds(
             out, load_rotor(rotor), speeds, cores=cores, progress=tell, pitch_rad=angle("--pitch", pitch),
-            air=Air(density_kg_m3=density), model=model, level=level,
+            air=Air(density_kg_m3=density), model=model, level=level, tip=tip, hub_m=1e-3 * hub,
+            gurney=0.01 * gurney,
         )  # fmt: skip
     heads = ("rpm", "thrust_N", "torque_Nm", "c_T", "c_Q", "figure_of_merit", "verdict")
     rows = [
