@@ -246,6 +246,21 @@ def test_what_grows_slowly_is_noticed_before_it_does_harm(
     assert any(c.name == name and c.status == status and word in c.reason for _, c in said), said[:3]
 
 
+def test_without_gyroscopes_the_rotor_model_tells_the_turning(vehicle: Vehicle, flown, felt) -> None:
+    """The bar holds the fuselage to the rotors, so what the model integrates does not run away."""
+    _, told = run(vehicle, felt(10_007, "gyro.freeze@11s"), flown[1])
+    off = [
+        (m.attitude - t.attitude, m.rates - t.rates, m.valid)
+        for m, t in zip(told, flown[0], strict=False)
+        if 11.0 < t.time_s < 14.0 and t.position[2] < -0.2
+    ]
+    attitude, rates = (np.array([o[k] for o in off]) for k in (0, 1))
+    assert len(off) > 100
+    assert all(o[2] for o in off)
+    assert np.degrees(np.sqrt((attitude[:, :2] ** 2).mean())) < 2.5
+    assert np.sqrt((rates[:, :2] ** 2).mean()) < 0.15
+
+
 def test_legs_do_not_go_into_the_floor(vehicle: Vehicle, flown, felt) -> None:
     """Rotors that lift less than the weight make no fall where it stands, before lift-off as after touchdown."""
     _, told = run(vehicle, felt(10_000), flown[1])

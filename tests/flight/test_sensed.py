@@ -253,7 +253,7 @@ def test_statuses_and_readings_have_one_list() -> None:
     assert set(CHECKED) <= set(READINGS)
 
 
-def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down_at_once(doubting) -> None:
+def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down(doubting) -> None:
     flight, teller, _ = doubting
     teller.doubt = {"position_fix": "rejected"}  # one alone may be wrong itself
     run(flight, 0.5)
@@ -267,7 +267,26 @@ def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down_at_once
     doubts = Doubts()
     for k in range(8):
         doubts.step(believing(still(0.02 * k), rates="missing"))
-    assert doubts.now == ("sink", "gyroscope says nothing: so it is")
+    assert doubts.now == ("land", "gyroscope says nothing: so it is")
+    doubts.step(believing(still(0.2), rates="missing", tilt=0.3))
+    assert doubts.now.demand == "sink"
+
+
+def test_without_gyroscopes_it_lands_and_lets_go_above_the_floor(doubting) -> None:
+    flight, teller, _ = doubting
+    teller.doubt = {"rates": "missing"}
+    run(flight, 0.2)
+    assert (flight.status.state, flight.status.motors) == ("landing", "fly")
+    stands = flight.autopilot.software.mission_state.standing[2]
+    while flight.status.motors == "fly" and flight.time_s < 30.0:
+        flight.tick()
+    assert flight.status.motors == "blind"
+    assert 0.0 < stands - flight.plant.state[2] < 0.035
+    assert flight.plant.truth.velocity[2] < 0.5
+    run(flight, 1.0)  # on legs that stand nothing lifts any more
+    assert flight.status.motors == "off"
+    assert not flight.plant.crashed
+    assert abs(flight.plant.truth.attitude[:2]).max() < 0.02
 
 
 @pytest.fixture(scope="module")
