@@ -106,6 +106,9 @@ def surface_of(blading: Blading, which: int, pitch_rad: float, speed_rad_s: floa
 
     tangent = back(theta)
     width = np.diff(edges) * big
+    quarter = on_axis(edges)
+    tail = quarter + 0.75 * edge_chord[:, None] * back(edge_theta)
+    tail[0] = quarter[0]  # the air leaves over the root's edge: that is a trailing edge, too
     return Surface(
         blades=rotor.blades,
         radius_m=big,
@@ -117,8 +120,8 @@ def surface_of(blading: Blading, which: int, pitch_rad: float, speed_rad_s: floa
         control_m=on_axis(mid) + 0.5 * chord[:, None] * tangent,
         normal=np.stack([np.zeros_like(theta), -np.sin(theta), np.cos(theta)], axis=1),
         tangent=tangent,
-        edge_quarter_m=on_axis(edges),
-        edge_tail_m=on_axis(edges) + 0.75 * edge_chord[:, None] * back(edge_theta),
+        edge_quarter_m=quarter,
+        edge_tail_m=tail,
         edge_chord_m=edge_chord,
         spacing_m=np.concatenate([width[:1], 0.5 * (width[1:] + width[:-1]), width[-1:]]),
     )
