@@ -25,7 +25,7 @@ from mufly.rotor.wake.kernel import induce, influence, segments_of
 
 RPM = np.pi / 30
 PITCH = np.radians(14)
-COARSE = WakeSettings(step_deg=30.0, turns=2.0, far_turns=5.0, phases=3, tolerance=5e-3)
+COARSE = WakeSettings(chord_deg=15.0, turns=2.0, far_turns=5.0, phases=3, tolerance=5e-3)
 
 
 @pytest.fixture(scope="module")
@@ -77,12 +77,19 @@ def test_a_ring_blows_along_its_axis():
     np.testing.assert_allclose(v[:, :2], 0.0, atol=1e-12)
 
 
-def test_a_core_is_vatistas_vortex():
+def test_a_core_is_that_of_a_thick_vortex():
     core = 0.1
     segments = _line([[0, 0, -1e3], [0, 0, 1e3]], core)
     r = np.array([0.01, 0.1, 0.5])
     v = induce(np.column_stack([r, 0 * r, 0 * r]), segments)[:, 1]
-    np.testing.assert_allclose(v, r / (2 * np.pi * np.sqrt(core**4 + r**4)), rtol=1e-6)
+    s2 = (1.1 * core) ** 2
+    np.testing.assert_allclose(v, r * (r**2 + 2 * s2) / (r**2 + s2) ** 2 / (2 * np.pi), rtol=1e-6)
+    # Against the integral over the line, from a point beside one end.
+    x = np.linspace(0.0, 1.0, 4001)
+    d2 = (0.3 - x) ** 2 + 0.05**2
+    law = np.trapezoid(0.05 * (d2 + 2.5 * s2) / (d2 + s2) ** 2.5, x) / (4 * np.pi)
+    one = induce(np.array([[0.05, 0.0, 0.3]]), _line([[0, 0, 0], [0, 0, 1]], core))
+    assert one[0, 1] == pytest.approx(law, rel=1e-6)
 
 
 def test_a_vortex_does_not_move_points_on_its_own_line():
@@ -151,7 +158,7 @@ def test_loads_are_the_sum_of_the_stations(single):
 def test_the_wake_contracts(single):
     tip = single.wakes[0].paths_m[-3]  # just inboard of the outermost, which winds around it
     radius = np.hypot(tip[:, 0], tip[:, 1]) / single.wakes[0].surface.radius_m
-    turn = 1 + round(2 * np.pi / np.radians(COARSE.step_deg))
+    turn = 1 + round(2 * np.pi / np.radians(COARSE.chord_deg))
     assert 0.6 < np.mean(radius[turn : 2 * turn]) < 0.95
 
 

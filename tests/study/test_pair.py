@@ -39,7 +39,7 @@ from mufly.study import (
 
 RPM = math.pi / 30.0
 PITCH = math.radians(14.0)
-COARSE = WakeSettings(step_deg=30.0, turns=2.0, far_turns=6.0, tolerance=0.01)
+COARSE = WakeSettings(chord_deg=15.0, turns=2.0, far_turns=6.0, tolerance=0.01)
 AT = {"upper_speed": 6000 * RPM, "lower_speed": 6600 * RPM}
 
 

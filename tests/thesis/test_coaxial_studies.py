@@ -11,7 +11,7 @@ from mufly.thesis import coaxial, pictures, studies
 from mufly.thesis import coaxial as coaxial_verdicts
 from mufly.thesis.claims import TABLE_3_4_VALUES
 
-COARSE = WakeSettings(step_deg=30, turns=2, far_turns=5, phases=2, core_limit=0.4)
+COARSE = WakeSettings(chord_deg=15, turns=2, far_turns=5, phases=2, core_limit=0.4)
 
 
 @pytest.fixture(scope="module")

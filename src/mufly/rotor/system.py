@@ -253,7 +253,9 @@ class WakeSettings:
     model : 'free' or 'prescribed'
         Free: the vortices go where the air takes them. Prescribed: Landgrebe's measured shape.
     step_deg : float
-        Azimuth between the points of a filament.
+        Azimuth between the points of a filament that are moved.
+    chord_deg : float
+        Azimuth of the straight pieces that induce velocities, on the arcs between those points.
     turns, far_turns : float
         Turns of free wake, and of helices below it.
     far_step_deg : float
@@ -283,7 +285,8 @@ class WakeSettings:
     """
 
     model: Literal["free", "prescribed"] = "free"
-    step_deg: float = 15.0
+    step_deg: float = 30.0
+    chord_deg: float = 5.0
     turns: float = 4.0
     far_turns: float = 10.0
     far_step_deg: float = 30.0
@@ -306,6 +309,7 @@ class WakeSettings:
         coarse = "too coarse a wake; "
         for key, low, high, remedy in (
             ("step_deg", 1.0, 30.0, coarse + "give 1 to 30 degrees"),
+            ("chord_deg", 1.0, 30.0, coarse + "give 1 to 30 degrees"),
             ("turns", 1.5, 40.0, coarse + "give 1.5 to 40 turns"),
             ("far_turns", 0.0, 100.0, "give 0 to 100 turns"),
             ("far_step_deg", 1.0, 45.0, coarse + "give 1 to 45 degrees"),
@@ -375,7 +379,9 @@ class Wake:
     circulation_m2_s : (n,) array
         Of the panels.
     free_points : int
-        Points that are free (the first ones after the quarter chord line).
+        Points of a filament that were moved, from the trailing edge on.
+    chords : int
+        Pieces of ``paths_m`` from one of them to the next.
     """
 
     placed: Placed
@@ -386,6 +392,7 @@ class Wake:
     core_m: Array
     circulation_m2_s: Array
     free_points: int
+    chords: int = 1
 
 
 @result(eq=False, picture="mufly.rotor.pictures:result_picture")

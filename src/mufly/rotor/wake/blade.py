@@ -15,6 +15,11 @@ to the trailing edge and on into the wake. The flow is looked at in two places (
   vortices feel rho W x Gamma too as far as they lie on the chord: small, but the inflow past the tip gives the side
   edge of a wide blade a few per cent of the lift, and without it the wake carries more momentum than the loads say.
 
+The wind of the turning blade crosses the side edges: behind the quarter chord it comes in over the tip and leaves over
+the root. What leaves is not turned round the edge (Kutta): the root is a trailing edge, and its vortex goes with the
+wind from the quarter chord on, without a force. A lattice whose root vortex is held on the blade to the tail gets a
+downward force there that no blade has: on c/R = 1/3 a fifth of the thrust of the inner half.
+
 Frame: z up along the shaft, the blade on the x axis and moving towards y, the wake behind it.
 
 Shape of a rotor's wake: where its vortices lie before they are freed, how they go on below, how they spread.
@@ -35,6 +40,10 @@ the others form the sheet and contract like the tip vortex. In climb the speed o
 
 **Far wake**: below the last free point every filament goes on as a helix, its radius settling to the mean of its last
 turn and its pitch that of its last turn. Where it ends, several radii below, is a matter of the convergence study.
+
+**Chords.** A filament is moved at points 30 degrees apart, and stands for the velocities as chords of 5 degrees on the
+arcs between them. With chords from point to point a vortex lacks what its own bend and its neighbours' induce nearby,
+an error of the first order in the step: docs/wake.md.
 
 **Core** (r_c0 a tenth of the chord; Squire's growth with Bhagwat and Leishman's a1, J. Am. Helicopter Soc. 47, 2002)::
 
@@ -353,9 +362,11 @@ def prescribed(
 
 
 def extended(
-    surface: Surface, free: Array, age: Array, far_turns: float, far_step_rad: float
+    surface: Surface, free: Array, age: Array, far_turns: float, far_step_rad: float, parts: int = 1
 ) -> tuple[Array, Array]:
     """The whole filaments: from the quarter chord line through the free wake to the end of the far wake.
+
+    ``parts``: chords for every arc between points of the free wake.
 
     Returns
     -------
@@ -375,8 +386,25 @@ def extended(
     r = r_mean[:, None] + (r_last - r_mean)[:, None] * np.exp(-beyond)
     angle = np.arctan2(last[:, 1], last[:, 0])[:, None] - beyond
     far = np.stack([r * np.cos(angle), r * np.sin(angle), last[:, 2, None] + pitch[:, None] * beyond], axis=2)
-    paths = np.concatenate([surface.edge_quarter_m[:, None], free, far], axis=1)
-    return paths, np.concatenate([[0.0], age, age[-1] + beyond])
+    fine, fine_age = rounded(free, age, parts)
+    paths = np.concatenate([surface.edge_quarter_m[:, None], fine, far], axis=1)
+    return paths, np.concatenate([[0.0], fine_age, age[-1] + beyond])
+
+
+def rounded(free: Array, age: Array, parts: int) -> tuple[Array, Array]:
+    """Filaments and ages with ``parts`` chords for every arc from one point that is moved to the next.
+
+    Between points the place in a frame that turns with the age, where it hardly moves, is taken to change evenly: exact
+    for a helix.
+    """
+    if parts < 2:
+        return free, age
+    step = age[1] - age[0]
+    weight = np.arange(parts) / parts
+    here, there = free[:, :-1], turned(free[:, 1:], step)
+    pieces = [turned(here + w * (there - here), -w * step) for w in weight]
+    ages = np.append((age[:-1, None] + step * weight).ravel(), age[-1])
+    return np.concatenate([np.stack(pieces, axis=2).reshape(len(free), -1, 3), free[:, -1:]], axis=1), ages
 
 
 def core_radii(

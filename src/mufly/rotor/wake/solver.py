@@ -91,7 +91,7 @@ def first_shape(units: Sequence[Unit], start: Result | None, climb: float) -> No
         s = unit.surface
         known = start.wakes[k] if start is not None and k < len(start.wakes) else None
         if known is not None and known.free_points == unit.age.size and len(known.paths_m) == len(unit.free):
-            free = known.paths_m[:, 1 : 1 + unit.age.size].copy()
+            free = known.paths_m[:, 1 : 2 + known.chords * (known.free_points - 1) : known.chords].copy()
             free[..., 1] *= unit.placed.hand
             free[..., 2] -= known.placed.height_m
             unit.free = free * (s.radius_m / known.surface.radius_m)
@@ -291,6 +291,7 @@ class Unit:
 
             self.induce = induce_gpu
         self.age = ages_of(settings.turns, math.radians(settings.step_deg))
+        self.parts = max(round(settings.step_deg / settings.chord_deg), 1)
         self.free = np.empty((n + 1, self.age.size, 3))
         ground = math.inf if settings.ground_m is None else settings.ground_m
         self.floor = -(ground + placed.height_m)
@@ -328,7 +329,12 @@ class Unit:
     def lay_out(self, settings: WakeSettings, viscosity: float) -> None:
         """Whole filaments with cores, and the segments that everybody feels, for the present circulation."""
         self.paths, self.path_age = extended(
-            self.surface, self.free, self.age, settings.far_turns, math.radians(settings.far_step_deg)
+            self.surface,
+            self.free,
+            self.age,
+            settings.far_turns,
+            math.radians(settings.far_step_deg),
+            self.parts,
         )
         self.paths = self.above_ground(self.paths)
         self.refresh(settings, viscosity)
@@ -455,4 +461,5 @@ def wake_of(unit: Unit) -> Wake:
         core_m=unit.core,
         circulation_m2_s=unit.state.circulation,
         free_points=unit.age.size,
+        chords=unit.parts,
     )
