@@ -17,7 +17,7 @@ runner = CliRunner()
 RPM = math.pi / 30.0
 COARSE = [
     part
-    for text in ("step_deg=30", "turns=2", "far_turns=6", "stations=10", "tolerance=0.01")
+    for text in ("chord_deg=15", "turns=2", "far_turns=6", "stations=10", "tolerance=0.01")
     for part in ("--wake-set", text)
 ]
 
@@ -53,7 +53,7 @@ def test_hover_by_the_wake_prints_json_and_writes_pictures(tmp_path) -> None:
         lower["thrust_N"] / alone["thrust_N"] - 1
     )
     assert answer["wake"]["converged"]
-    assert answer["wake"]["settings"]["step_deg"] == 30
+    assert answer["wake"]["settings"]["chord_deg"] == 15
     for name in ("loads.png", "history.png", "wake.png", "air.png", "air-instant.png", "history.csv"):
         assert str(tmp_path / name) in answer["files"]
         assert (tmp_path / name).stat().st_size > 1000

@@ -348,7 +348,7 @@ def command(name: str, words: str, *, quick: bool = False) -> None:
     case(f"json.{name}", quick=quick)(lambda: answer(*words.split()))
 
 
-COARSE = "--wake-set step_deg=30 --wake-set turns=2 --wake-set far_turns=6 --wake-set stations=10 " \
+COARSE = "--wake-set chord_deg=15 --wake-set turns=2 --wake-set far_turns=6 --wake-set stations=10 " \
     "--wake-set tolerance=0.01"  # fmt: skip
 POINT = "--pitch 12 --rpm 5000"
 
@@ -567,7 +567,7 @@ def bladed(name: str, **options: Any) -> Any:
     return api("prepare")(api("load_rotor")(name), **options)
 
 
-COARSE_WAKE = {"step_deg": 30.0, "turns": 2.0, "far_turns": 6.0, "tolerance": 0.01}
+COARSE_WAKE = {"chord_deg": 15.0, "turns": 2.0, "far_turns": 6.0, "tolerance": 0.01}
 
 
 def solved(solution: Any) -> Any:

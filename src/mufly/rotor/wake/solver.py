@@ -51,8 +51,11 @@ Array = NDArray[np.float64]
 _MEMORY = 10
 _CORE_LIMITS = (0.15, 0.25, 0.35)  # R; the next one is tried where a wake does not settle
 _PAIR_CORE_LIMITS = (0.2, 0.3, 0.4)
+_WINDOW = 30  # iterations over which a wake that wanders is averaged
+_WANDER = 0.02  # of the loads; a wake that moves them by more winds up
 _DAMPING_RAD = 4.0 * math.pi
 _THICK, _THINNING = 0.4, 15.0  # core limit (R) at first; iterations in which it fades
+_LOOSE = 2.0  # times the residual that a wake which wanders may have
 _LAG = 3  # iterations between updates of what the other rotor does to the wake's points; it changes slowly
 _USUAL = 0.06  # c_T over solidity, before anything is known
 _ROLLS = 0.05  # R: height above the ground below which no vortex comes
@@ -228,14 +231,20 @@ def _attempt(
         message = _diverged(history, how)
         if message:
             break
-        converged = (
-            turn > 3.0 * _THINNING * (start is None)
-            and residual <= how.residual
-            and _steady(history, how.tolerance)
-        )
-        if converged:
-            message = f"converged after {turn + 1} iterations, core limit {limit:g} R"
-            break
+        if turn > 3.0 * _THINNING * (start is None):
+            converged = residual <= how.residual and _steady(history, how.tolerance)
+            if converged:
+                message = f"converged after {turn + 1} iterations, core limit {limit:g} R"
+                break
+            from_here = history[round(3.0 * _THINNING) * (start is None) :]
+            converged = residual <= _LOOSE * how.residual and _steady_in_the_mean(from_here, how.tolerance)
+            if converged:
+                wander = 100.0 * _spread(history, 2 * _WINDOW)
+                message = (
+                    f"converged in the mean after {turn + 1} iterations, loads wander by {wander:.2f} %, "
+                    f"core limit {limit:g} R"
+                )
+                break
         for unit in units:
             unit.free = unit.next
     else:
@@ -259,15 +268,30 @@ def _attempt(
     )
 
 
-def _spread(history: list[list[float]]) -> float:
+def _spread(history: list[list[float]], memory: int = _MEMORY) -> float:
     """Greatest change of a thrust or torque over the last iterations, over the mean's size."""
-    last = np.array(history[-_MEMORY:])[:, 1:]
+    last = np.array(history[-memory:])[:, 1:]
     middle = np.abs(last.mean(axis=0)) + 1e-3 * np.abs(last).max() + 1e-300
     return float(np.max((last.max(axis=0) - last.min(axis=0)) / middle))
 
 
 def _steady(history: list[list[float]], tolerance: float) -> bool:
     return len(history) >= _MEMORY and _spread(history) <= tolerance
+
+
+def _steady_in_the_mean(history: list[list[float]], tolerance: float) -> bool:
+    """True if the wake only wanders: two windows have the same means, the loads of now are those means.
+
+    Old vortices pair and part for ever, in a real wake as in this one; the loads of each iteration then lie about means
+    that do not depend on how far points go in an iteration.
+    """
+    if len(history) < 2 * _WINDOW or _spread(history, 2 * _WINDOW) > _WANDER:
+        return False
+    last = np.array(history[-2 * _WINDOW :])[:, 1:]
+    mean = last.mean(axis=0)
+    size = np.abs(mean) + 1e-3 * np.abs(last).max() + 1e-300
+    apart = np.abs(last[:_WINDOW].mean(axis=0) - last[_WINDOW:].mean(axis=0)) / size
+    return bool(np.all(apart <= tolerance) and np.all(np.abs(last[-1] - mean) <= 0.5 * tolerance * size))
 
 
 def _diverged(history: list[list[float]], how: WakeSettings) -> str:
