@@ -16,9 +16,10 @@ from mufly.dynamics import initial_state
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, KalmanEstimator
 from mufly.estimate.layout import FIX
-from mufly.flight import Event, fly, read_recording, replay
-from mufly.flight.camera import CameraSensor, Eye, sighted
-from mufly.flight.film import parse_spoil
+from mufly.flight import Event, Flight, fly, read_recording, replay
+from mufly.flight.camera import CameraSensor, Eye, filmed, sighted
+from mufly.flight.film import Stream, parse_spoil
+from mufly.flight.outside import OutsideFixes
 from mufly.mission import load_mission
 from mufly.sensors import Reading, Truth
 from mufly.slam import (
@@ -276,3 +277,34 @@ def test_who_wants_a_camera_gets_one_line_without_opencv(monkeypatch: pytest.Mon
         opencv.cache_clear()
     with pytest.raises(MuflyError, match="pictures are nothing for ideal sensors"):
         fly("mufly-1.1", eye=Eye(load_camera("webcam")))
+
+
+def test_a_flight_on_places_from_outside_sends_its_pictures() -> None:
+    """Stamped by the vehicle's clock, so that whoever finds places in them need not guess it."""
+    sent: list[tuple[float, np.ndarray]] = []
+
+    class Server:
+        def publish(self, jpeg: bytes, time_s: float) -> None:
+            sent.append((time_s, decode(jpeg)))
+
+        def close(self) -> None:
+            sent.clear()
+
+    vehicle, eye = (
+        load_vehicle("mufly-1.1"),
+        Eye(load_camera("webcam"), spoils=(parse_spoil("unplugged@0.5s"),)),
+    )
+    stream: Any = Stream(filmed(eye, vehicle, World(), 1), Server())  # type: ignore[arg-type]
+    sensor = OutsideFixes(vehicle, stream)
+    state = initial_state(position=(0.2, -0.1, -0.8), rotor_speed=(380.0, 420.0))
+    for k in range(200):
+        assert not sensor.read(Truth(k * 0.005, k, state, np.zeros(3), np.zeros(3), 11.0, 5.0))
+    times = np.array([t for t, _ in sent])
+    assert 13 <= len(sent) <= 16  # thirty a second, half a second long
+    assert np.diff(times) == pytest.approx(1 / 30, abs=0.006)
+    assert sent[-1][1].shape == (240, 320)
+    assert sent[-1][1].std() > 10
+    sensor.close()
+    assert not sent
+    with pytest.raises(MuflyError, match="nobody sees its pictures"):
+        Flight(vehicle, "demonstration", eye=eye, outside=True, sensors="fitted")
