@@ -12,7 +12,7 @@ from mufly.control import design
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator, native
 from mufly.estimate.factors import loosen, variance
-from mufly.estimate.layout import FLOOR, R_RING
+from mufly.estimate.layout import FLOOR, R_FIX, R_RING, R_SONAR
 from mufly.estimate.native import Code
 from mufly.estimate.records import PYTHON_ALONE
 from mufly.flight import Flight
@@ -155,6 +155,36 @@ def test_lasers_of_who_believes_to_be_outside_of_the_room_meet_no_wall_in_both(v
             e.update(r, a)
     assert same(c._box, python._box)
     assert c.memory["code"][R_RING] != 1  # FUSED
+
+
+@needs_cc
+def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
+    """Heights, speeds, modes, doubts, offsets and ages as no flight has them together."""
+    c, python = (estimator(vehicle, code) for code in ("c", "numba"))
+    rng = np.random.default_rng(8)
+    modes = set()
+    with np.errstate(all="ignore"):
+        for k, (r, a) in enumerate(felt("gyro.dropout@6s+0.5s")):
+            if k % 8 == 7:
+                x = np.zeros(c.memory["x"].size)
+                x[0:3] = rng.normal(0.0, [2.0, 2.0, 0.1]) * (rng.random(3) < 0.3)
+                x[5] = rng.normal(0.0, 0.5) * (rng.random() < 0.3)
+                x[16] = rng.normal(0.0, 0.1) * (rng.random() < 0.3)
+                shift = rng.normal(0.0, 4.0, 3) * (rng.random() < 0.2)
+                mode, sensor, code = rng.integers(0, 4), rng.integers(0, R_RING + 1), rng.integers(0, 5)
+                edge, apart, ago = rng.choice([0.0, 0.5]), rng.choice([0.0, 0.3]), rng.integers(0, 200)
+                for e in (c, python):
+                    m = e.memory
+                    m["x"][:] += x
+                    m["shift"][:] += shift
+                    m["mode"], m["edge"], m["suspect"][R_FIX, 3] = mode, edge, apart
+                    m["code"][sensor], m["used"][R_SONAR] = code, max(int(m["tick"]) - int(ago), 0)
+            told, right = c.update(r, a), python.update(r, a)
+            assert told.valid == right.valid
+            assert c.memory["out"].tobytes() == python.memory["out"].tobytes(), k
+            modes.add(int(c.memory["mode"]))
+    assert same(c._box, python._box)
+    assert modes == {0, 1, 2, 3}
 
 
 def streams(vehicle: Vehicle, felt) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -301,7 +301,7 @@ class StandIn:
         u = self.rng.uniform
         noise = np.array([u(-1e-3, 1e-3) for _ in range(3)])
         attitude = np.array([u(-0.05, 0.05) + self.tilt, u(-0.05, 0.05), self.psi])
-        sinks = np.array([0.0, 0.0, 0.2 * self.sinks])
+        sinks = np.array([0.0, 0.0, 0.5 * self.sinks])
         m = Estimate(
             self.t, self.x + noise, self.v + sinks, attitude, 10 * noise, self.beams.copy(), self.volts
         )
@@ -477,6 +477,7 @@ STORIES = (
     (SQUARE, False, ["ceiling 0.05", *FLIES], "TAKE_OFF_FAILED"),
     (SQUARE, False, ["ceiling 0.5", *FLIES, "wait", "wait"], "TAKE_OFF_SHORT"),
     (SQUARE, False, [*FLIES, "held", *["wait"] * 12], "MISSED"),
+    (SQUARE, False, [*FLIES, "sinks", *["wait"] * 12], "MISSED"),  # it is there, and believes to be too fast
     (SQUARE, False, [*FLIES, "waypoint", "held", *["wait"] * 14], "MISSED_USERS"),
     (SQUARE, False, [*FLIES, "home", "held", *["wait"] * 14], "MISSED_HOME"),
     (SQUARE, False, [*FLIES, "land", "drops", "wait", "wait"], "LAND_EARLY HARD_TOUCHDOWN"),

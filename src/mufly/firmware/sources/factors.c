@@ -240,10 +240,10 @@ static void straighten(estimator_t *m)
     real_t w[3][6];
     real_t size[3];
 
-    for (int32_t k = 0; k < 3; k++) {
-        for (int32_t i = 0; i < 6; i++) {
-            w[k][i] = m->ut[V_ + k][i];
-        }
+    for (int32_t i = 0; i < 6; i++) {
+        w[0][i] = m->ut[V_][i];
+        w[1][i] = m->ut[V_ + 1][i];
+        w[2][i] = m->ut[V_ + 2][i];
     }
     for (int32_t j = 5; j >= V_; j--) {
         real_t total = REAL(0.0);
