@@ -271,8 +271,9 @@ def fuse_fix(m: Any, s: Any, z: _Array, ahead: float) -> None:
         if abs(ratio) > abs(worst):
             worst, at = ratio, nu
     _note(m, k, at, worst)
-    # Off by more and more, it is not a fix that jumps: the filter is led away.
-    led = m.strain > LED_AWAY and GATE < abs(worst) < 2.0 * GATE
+    # Off by more and more, it is not a fix that jumps: the filter is led away. Without a rotor model its
+    # deviations are a guess, and a record whose axes are wrong would be followed from fix to fix.
+    led = s.model > 0 and m.strain > LED_AWAY and GATE < abs(worst) < 2.0 * GATE
     if abs(worst) > GATE and not led:
         _reject(m, s, k, at, z, 3, 2.0 * s.period[k] + 8 * math.sqrt(s.fix_variance) + 0.05)
         if not _taken_over(m, s, k):

@@ -218,7 +218,8 @@ void fuse_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], 
     }
     note(m, k, at, worst);
     /* Off by more and more, it is not a fix that jumps: the filter is led away. */
-    led = (m->strain > LED_AWAY) && (real_abs(worst) > GATE) && (real_abs(worst) < (REAL(2.0) * GATE));
+    led = (s->model > 0) && (m->strain > LED_AWAY) && (real_abs(worst) > GATE) &&
+          (real_abs(worst) < (REAL(2.0) * GATE));
     if ((real_abs(worst) > GATE) && !led) {
         turn_away(m, s, k, at, z, 3,
                   ((REAL(2.0) * s->period[k]) + (REAL(8.0) * real_sqrt(s->fix_variance))) + REAL(0.05));
