@@ -5,7 +5,17 @@ from mufly.cfd.comparison import Compared, compare
 from mufly.cfd.form import TIPS, Form, Hub, Tip, named_form
 from mufly.cfd.mesh import LEVELS, Domain, Mesh, blade_mesh
 from mufly.cfd.mesh_error import Convergence, convergence, mesh_study
-from mufly.cfd.pictures import history_picture, loads_picture, mesh_picture, pair_picture, pressure_picture
+from mufly.cfd.pictures import (
+    friction_picture,
+    history_picture,
+    loads_picture,
+    mesh_picture,
+    pair_picture,
+    pressure_picture,
+    vortices_picture,
+    vorticity_picture,
+    wake_picture,
+)
 from mufly.cfd.point import (
     Beside,
     MeanPair,
@@ -19,11 +29,20 @@ from mufly.cfd.point import (
     sweep,
 )
 from mufly.cfd.polymesh import PolyMesh, Quality, poly_mesh, quality, read_poly_mesh, write_poly_mesh
-from mufly.cfd.results import Solution, read_solution
+from mufly.cfd.results import (
+    Flow,
+    Probe,
+    Solution,
+    WakeProfile,
+    read_flow,
+    read_solution,
+    velocity_gradient,
+    wake_profile,
+)
 from mufly.cfd.run import Progress, Verdict, find_solver, history, judge, judged, run_case
 from mufly.cfd.sections import Counts
 from mufly.cfd.start import slipstream
-from mufly.cfd.surfaces import blade_surface, pressure_colours, write_glb, write_vtp
+from mufly.cfd.surfaces import blade_surface, colours_of, iso_surface, vortex_surface, write_glb, write_vtp
 
 __all__ = [
     "LEVELS",
@@ -34,25 +53,31 @@ __all__ = [
     "Convergence",
     "Counts",
     "Domain",
+    "Flow",
     "Form",
     "Hub",
     "MeanPair",
     "Mesh",
     "Point",
     "PolyMesh",
+    "Probe",
     "Progress",
     "Quality",
     "Solution",
     "Tip",
     "Verdict",
+    "WakeProfile",
     "beside",
     "blade_mesh",
     "blade_surface",
+    "colours_of",
     "compare",
     "convergence",
     "find_solver",
+    "friction_picture",
     "history",
     "history_picture",
+    "iso_surface",
     "judge",
     "judged",
     "loads_picture",
@@ -61,9 +86,9 @@ __all__ = [
     "named_form",
     "pair_picture",
     "poly_mesh",
-    "pressure_colours",
     "pressure_picture",
     "quality",
+    "read_flow",
     "read_pair",
     "read_point",
     "read_poly_mesh",
@@ -76,6 +101,12 @@ __all__ = [
     "study",
     "study_cases",
     "sweep",
+    "velocity_gradient",
+    "vortex_surface",
+    "vortices_picture",
+    "vorticity_picture",
+    "wake_picture",
+    "wake_profile",
     "write_case",
     "write_glb",
     "write_poly_mesh",

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.cfd.case import Point
 from mufly.cfd.point import Beside, MeanPair
 from mufly.cfd.polymesh import PolyMesh
-from mufly.cfd.results import Solution
+from mufly.cfd.results import Flow, Probe, Solution, WakeProfile
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -152,4 +153,141 @@ def history_picture(history: Array) -> Figure:
         ax.set_ylabel(label)
         ax.grid(alpha=0.3)
     axes[1].set_xlabel("iteration")
+    return figure
+
+
+def friction_picture(mesh: PolyMesh, solution: Solution) -> Figure:
+    """Skin-friction lines on the blade's upper and lower side, seen from above, with where they run forwards.
+
+    They follow the shear stress that the air puts on the wall. Where it runs aft they run aft; at a separation lines
+    from both sides run together.
+    """
+    from matplotlib.tri import LinearTriInterpolator, Triangulation
+
+    figure = _figure(9.0, 6.0)
+    faces = mesh.patch("blade")
+    sense = np.sign(solution.point.speed_rad_s)
+    centre, normal = 1e3 * mesh.face_centres[faces], mesh.face_areas[faces]
+    flat = np.abs(normal[:, 2]) > 0.3 * np.linalg.norm(
+        normal, axis=1
+    )  # neither caps nor the blunt trailing edge
+    axes = figure.subplots(2, 1, sharex=True)
+    low, high = 1e3 * mesh.edges_m[0], 1e3 * mesh.edges_m[-1]
+    for ax, side, title in zip(
+        axes, (normal[:, 2] < 0, normal[:, 2] > 0), ("Upper side", "Lower side"), strict=True
+    ):
+        k = side & flat & (centre[:, 1] > low) & (centre[:, 1] < high)
+        r, aft = centre[k, 1], sense * centre[k, 0]
+        along, back = solution.friction_Pa[k, 1], sense * solution.friction_Pa[k, 0]
+        grid = Triangulation(r, aft)
+        # A concave outline is not part of the blade: no face is that long.
+        x, y = r[grid.triangles], aft[grid.triangles]
+        grid.set_mask(np.maximum(np.ptp(x, axis=1), np.ptp(y, axis=1)) > 0.25 * (high - low))
+        rr, aa = np.meshgrid(np.linspace(r.min(), r.max(), 240), np.linspace(aft.min(), aft.max(), 120))
+        t_r, t_a = (LinearTriInterpolator(grid, v)(rr, aa) for v in (along, back))
+        ax.contourf(rr, aa, t_a, levels=[-1e9, 0.0], colors=["#f4b6a6"])
+        ax.contour(rr, aa, t_a, levels=[0.0], colors="#c0392b", linewidths=1.0)
+        size = np.ma.hypot(t_r, t_a)
+        # Cut high: the nose would take all of the scale.
+        shown = np.ma.minimum(size, np.percentile(size.compressed(), 95))
+        lines = ax.streamplot(
+            rr, aa, t_r, t_a, color=shown, cmap="viridis", density=(2.2, 1.1), linewidth=0.8, arrowsize=0.7,
+            broken_streamlines=True,
+        )  # fmt: skip
+        ax.set_aspect("equal")
+        ax.set(title=title, ylabel="aft (mm)")
+        figure.colorbar(lines.lines, ax=ax, label="stress (Pa)")
+    axes[1].set_xlabel("radius (mm); red: the air rubs towards the nose")
+    return figure
+
+
+def vorticity_picture(mesh: PolyMesh, flow: Flow, point: Point) -> Figure:
+    """Vorticity around the shaft in planes through it, at the blade and behind it."""
+    figure = _figure(10.0, 6.5)
+    radius, probe = point.radius_m, Probe(mesh, flow)
+    sense = np.sign(point.speed_rad_s)
+    r, z = np.linspace(0.0, 1.4, 211), np.linspace(-1.2, 0.35, 233)
+    rr, zz = np.meshgrid(r, z)
+    axes = figure.subplots(2, 3, sharex=True, sharey=True).ravel()
+    for ax, behind in zip(axes, BEHIND_DEG, strict=True):
+        psi = np.full(rr.size, 0.5 * np.pi - sense * np.radians(behind))
+        spin = probe.cylindrical(radius * rr.ravel(), psi, radius * zz.ravel())[1][:, 1]
+        image = ax.pcolormesh(
+            rr, zz, spin.reshape(rr.shape) / abs(point.speed_rad_s), cmap="RdBu_r", vmin=-6.0, vmax=6.0,
+            shading="nearest", rasterized=True,
+        )  # fmt: skip
+        ax.axhline(0.0, color="0.4", lw=0.5, ls=":")
+        ax.set_aspect("equal")
+        ax.set_title(f"{behind}° behind a blade" if behind else "at the blade", fontsize="medium")
+    for ax in axes[3:]:
+        ax.set_xlabel("radius / R")
+    for ax in axes[::3]:
+        ax.set_ylabel("height / R")
+    figure.colorbar(
+        image, ax=list(axes), label="vorticity around the shaft / rotor speed", extend="both", shrink=0.8
+    )
+    return figure
+
+
+BEHIND_DEG = (0, 15, 30, 60, 90, 150)
+"""Planes of the picture of vorticity, degrees behind a blade."""
+
+
+def vortices_picture(
+    surface: tuple[Array, NDArray[np.int64], dict[str, NDArray]], mesh: PolyMesh, point: Point
+) -> Figure:
+    """The vortices' surfaces in space, with the blades; coloured by the velocity down."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LightSource, Normalize
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    points, triangles, data = surface
+    figure = _figure(8.0, 6.5)
+    axes = figure.add_subplot(projection="3d")
+    walls = mesh.points[mesh.faces[mesh.patch("blade")]]
+    for i in range(mesh.blades):
+        c, s = np.cos(2 * np.pi * i / mesh.blades), np.sin(2 * np.pi * i / mesh.blades)
+        turned = walls @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        axes.add_collection3d(Poly3DCollection(list(turned / point.radius_m), facecolors="0.35"))
+    corner = points[triangles] / point.radius_m
+    down = data["down_m_s"]
+    scale = Normalize(*np.percentile(down, (2, 98))) if len(down) else Normalize(0.0, 1.0)
+    if len(triangles):
+        colours = colormaps["viridis"](scale(down))[:, :3]
+        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        light = 0.55 + 0.45 * np.clip(normal @ LightSource(300, 50).direction, 0.0, 1.0)
+        axes.add_collection3d(Poly3DCollection(list(corner), facecolors=colours * light[:, None]))
+    axes.set(
+        xlim=(-1.2, 1.2),
+        ylim=(-1.2, 1.2),
+        zlim=(-1.5, 0.4),
+        xlabel="x / R",
+        ylabel="y / R",
+        zlabel="height / R",
+    )
+    axes.set_box_aspect((2.4, 2.4, 1.9))
+    axes.view_init(elev=22.0, azim=-35.0)
+    figure.colorbar(ScalarMappable(scale, "viridis"), ax=axes, label="velocity down (m/s)", shrink=0.6)
+    return figure
+
+
+def wake_picture(wake: WakeProfile) -> Figure:
+    """Mean velocity around the shaft under the disc, over radius, beside momentum theory's."""
+    figure = _figure(9.0, 4.0)
+    axes = figure.subplots(1, 2)
+    for i, h in enumerate(wake.below_m):
+        (line,) = axes[0].plot(1e3 * wake.r_m, wake.down_m_s[i], label=f"{1e3 * h:.3g} mm below")
+        edge = 1e3 * wake.edge_m[i]
+        axes[0].plot([0.0, edge, edge], [wake.mean_m_s[i]] * 2 + [0.0], ":", color=line.get_color(), lw=1.2)
+        axes[1].plot(1e3 * wake.r_m, wake.swirl_m_s[i], color=line.get_color())
+    axes[0].plot([], [], ":", color="0.4", label="momentum theory")
+    axes[0].set(ylabel="velocity down (m/s)")
+    axes[1].set(ylabel="velocity around, with the rotor (m/s)")
+    for ax in axes:
+        ax.set(xlabel="radius (mm)")
+        ax.grid(alpha=0.3)
+    axes[0].legend(loc="upper right")
+    figure.suptitle("Under the disc, mean around the shaft")
     return figure

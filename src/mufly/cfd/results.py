@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from mufly.cfd.case import Point, read_point
 from mufly.cfd.pair import read_disc
@@ -176,6 +177,186 @@ def carried(
         float(-share @ (swirl * axial)) / torque_Nm,
         float(share @ (pressure[k] + axial * (axial + point.climb_m_s))) / thrust_N,
     )
+
+
+@result(eq=False)
+class Flow:
+    """The air around a solved rotor.
+
+    Attributes
+    ----------
+    velocity_m_s : (cells, 3) array
+        Absolute; with an oncoming stream in climb and descent.
+    gradient_1_s : (cells, 3, 3) array
+        Of the velocity; ``[:, i, j]`` is the derivative of component j along axis i.
+    """
+
+    velocity_m_s: Array
+    gradient_1_s: Array
+
+    @property
+    def vorticity_1_s(self) -> Array:
+        """Curl of the velocity; (cells, 3)."""
+        g = self.gradient_1_s
+        return np.stack((g[:, 1, 2] - g[:, 2, 1], g[:, 2, 0] - g[:, 0, 2], g[:, 0, 1] - g[:, 1, 0]), axis=-1)
+
+    @property
+    def q_1_s2(self) -> Array:
+        """Half of spin squared less strain squared, above 0 in a vortex's core but not in a shear layer; (cells,).
+
+        Source: Hunt, Wray and Moin, Center for Turbulence Research CTR-S88, 1988.
+        """
+        g = self.gradient_1_s
+        return -0.5 * np.einsum("cij,cji->c", g, g) + 0.5 * np.trace(g, axis1=1, axis2=2) ** 2
+
+
+def read_flow(folder: Path, mesh: PolyMesh) -> Flow:
+    """Read the velocity of a case's last state, with its gradient.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it is cut short.
+    """
+    at = [t for t in times(folder) if t > 0]
+    if not at:
+        raise InputError(str(folder), "", "holds no solution", "run it first: mufly cfd run")
+    velocity = read_field(folder / str(at[-1]) / "U", mesh.cells)
+    return Flow(velocity, velocity_gradient(mesh, velocity, read_point(folder).rotors))
+
+
+def velocity_gradient(mesh: PolyMesh, velocity: Array, walls: dict[str, float]) -> Array:
+    """Gradient of the velocity in the cells, by least squares over the neighbours: exact where it is constant.
+
+    Neighbours count by one over their distance squared. Across the periodic planes they are the other plane's, turned
+    by one sector; a wall counts with its own speed (no slip).
+
+    Parameters
+    ----------
+    mesh : PolyMesh
+    velocity : (cells, 3) array
+        m/s.
+    walls : dict of float
+        Speed (rad/s) of the walls by patch.
+
+    Returns
+    -------
+    (cells, 3, 3) array
+        1/s; ``[:, i, j]`` is the derivative of component j along axis i.
+    """
+    inside = len(mesh.neighbour)
+    a, b = mesh.owner[:inside], mesh.neighbour
+    cells, offset, change = [a, b], [mesh.centres[b] - mesh.centres[a]] * 2, [velocity[b] - velocity[a]] * 2
+    left, right = (mesh.owner[mesh.patch(name)] for name in ("sector_left", "sector_right"))
+    for here, there, sense in ((left, right, 1.0), (right, left, -1.0)):
+        turn = _turned(sense * 2.0 * math.pi / mesh.blades)
+        cells.append(here)
+        offset.append(mesh.centres[there] @ turn - mesh.centres[here])
+        change.append(velocity[there] @ turn - velocity[here])
+    for name, speed in walls.items():
+        faces = mesh.patch(name)
+        here, centre = mesh.owner[faces], mesh.face_centres[faces]
+        wall = speed * np.stack((-centre[:, 1], centre[:, 0], np.zeros(len(centre))), axis=-1)
+        cells.append(here)
+        offset.append(centre - mesh.centres[here])
+        change.append(wall - velocity[here])
+    normal, moment = np.zeros((mesh.cells, 3, 3)), np.zeros((mesh.cells, 3, 3))
+    for c, d, u in zip(cells, offset, change, strict=True):
+        weight = 1.0 / np.einsum("fi,fi->f", d, d)
+        for i in range(3):
+            for j in range(3):
+                normal[:, i, j] += np.bincount(c, weight * d[:, i] * d[:, j], mesh.cells)
+                moment[:, i, j] += np.bincount(c, weight * d[:, i] * u[:, j], mesh.cells)
+    found: Array = np.linalg.solve(normal, moment)
+    return found
+
+
+def _turned(angle_rad: float) -> Array:
+    """Matrix that turns rows of vectors about z: ``v @ matrix``."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+class Probe:
+    """Velocity and vorticity anywhere: those of the cell whose centre is nearest, the velocity with its gradient."""
+
+    def __init__(self, mesh: PolyMesh, flow: Flow) -> None:
+        self._mesh, self._flow, self._tree = mesh, flow, cKDTree(mesh.centres)
+
+    def cylindrical(self, r_m: Array, azimuth_rad: Array, z_m: Array) -> tuple[Array, Array]:
+        """Velocity (m/s) and vorticity (1/s) outwards, around and up, at points given by radius, azimuth and height.
+
+        The blade lies at an azimuth of pi/2; it repeats every sector. Returns two (points, 3) arrays.
+        """
+        sector = 2.0 * math.pi / self._mesh.blades
+        into = (azimuth_rad - 0.5 * math.pi + 0.5 * sector) % sector + 0.5 * math.pi - 0.5 * sector
+        c, s = np.cos(into), np.sin(into)
+        at = np.stack((r_m * c, r_m * s, z_m), axis=-1)
+        cell = self._tree.query(at)[1]
+        away = at - self._mesh.centres[cell]
+        u = self._flow.velocity_m_s[cell] + np.einsum("pi,pij->pj", away, self._flow.gradient_1_s[cell])
+        both = []
+        for v in (u, self._flow.vorticity_1_s[cell]):
+            both.append(np.stack((v[:, 0] * c + v[:, 1] * s, v[:, 1] * c - v[:, 0] * s, v[:, 2]), axis=-1))
+        return both[0], both[1]
+
+
+WAKE_AT = (0.25, 0.5, 1.0)
+"""Distances below the disc, in radii, at which the wake's velocity is told."""
+
+
+@result(eq=False, picture="mufly.cfd.pictures:wake_picture")
+class WakeProfile:
+    """Mean velocity around the shaft in level planes under the disc.
+
+    Attributes
+    ----------
+    below_m : (planes,) array
+    r_m : (radii,) array
+    down_m_s, swirl_m_s : (planes, radii) arrays
+        Downwards, and around with the rotor.
+    edge_m, mean_m_s : (planes,) arrays
+        Radius and velocity of momentum theory's stream tube there: the disc's induced velocity v from the thrust, at a
+        distance h grown to v (1 + h / sqrt(h^2 + R^2)) as under a cylinder of vortices.
+    """
+
+    below_m: Array
+    r_m: Array
+    down_m_s: Array
+    swirl_m_s: Array
+    edge_m: Array
+    mean_m_s: Array
+
+
+def wake_profile(
+    mesh: PolyMesh, flow: Flow, point: Point, thrust_N: float, *, below: tuple[float, ...] = WAKE_AT
+) -> WakeProfile:
+    """Average the velocity over a sector, 40 radii to 1.4 R and 72 azimuths a plane.
+
+    Parameters
+    ----------
+    mesh : PolyMesh
+    flow : Flow
+    point : Point
+    thrust_N : float
+        Of the whole rotor, for momentum theory.
+    below : tuple of float
+        Distances under the disc in radii.
+    """
+    radius, probe = point.radius_m, Probe(mesh, flow)
+    h = radius * np.array(below)
+    r = radius * 1.4 * (np.arange(40) + 0.5) / 40
+    around = 2.0 * math.pi / mesh.blades * (np.arange(72) + 0.5) / 72
+    z, rr, psi = (x.ravel() for x in np.meshgrid(-h, r, around, indexing="ij"))
+    u = probe.cylindrical(rr, psi, z)[0].reshape(len(h), len(r), len(around), 3).mean(axis=2)
+    w = point.climb_m_s
+    # T = 2 rho A (w + v) v
+    whole = w * w + 2.0 * max(thrust_N, 0.0) / (point.density_kg_m3 * math.pi * radius**2)
+    v = 0.5 * (math.sqrt(whole) - w)
+    speed = w + v * (1.0 + h / np.hypot(h, radius))
+    edge = radius * np.sqrt(np.clip((w + v) / np.maximum(speed, 1e-12), 0.0, None))
+    sense = math.copysign(1.0, point.speed_rad_s)
+    return WakeProfile(h, r, -u[..., 2], sense * u[..., 1], edge, speed)
 
 
 _POWERS = {"U": 1, "p": 2, "phi": 1, "k": 2, "epsilon": 3, "omega": 1, "nut": 1}

@@ -18,9 +18,11 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from mufly.cfd.case import Point
 from mufly.cfd.polymesh import PolyMesh
-from mufly.cfd.results import Solution
+from mufly.cfd.results import Flow, Solution
 from mufly.errors import InputError
 
 Array = NDArray[np.float64]
@@ -57,6 +59,122 @@ def blade_surface(mesh: PolyMesh, solution: Solution) -> tuple[Array, Index, dic
         "yplus": np.tile(solution.yplus, n), "blade": np.repeat(np.arange(n), len(faces)),
     }  # fmt: skip
     return np.concatenate(points), np.concatenate(rings), data
+
+
+def point_values(mesh: PolyMesh, values: Array) -> Array:
+    """Values of the cells brought to the points, by one over the distance; the same on both periodic planes."""
+    total, weight = np.zeros(len(mesh.points)), np.zeros(len(mesh.points))
+    inside = len(mesh.neighbour)
+    for faces, cells in ((mesh.faces, mesh.owner), (mesh.faces[:inside], mesh.neighbour)):
+        near = 1.0 / np.linalg.norm(mesh.points[faces] - mesh.centres[cells][:, None], axis=-1)
+        total += np.bincount(faces.ravel(), (near * values[cells][:, None]).ravel(), len(total))
+        weight += np.bincount(faces.ravel(), near.ravel(), len(total))
+    left = mesh.faces[mesh.patch("sector_left")]
+    right = mesh.faces[mesh.patch("sector_right")][:, [0, 3, 2, 1]]  # it runs the other way round
+    pairs = np.unique(np.stack((left.ravel(), right.ravel()), axis=-1), axis=0)
+    for sums in (total, weight):
+        both = sums[pairs].sum(axis=1)
+        sums[pairs[:, 0]], sums[pairs[:, 1]] = both, both
+    return total / np.maximum(weight, 1e-300)
+
+
+def iso_surface(
+    mesh: PolyMesh, values: Array, level: float, *, within_m: float = math.inf
+) -> tuple[Array, Index]:
+    """Surface on which a quantity of the cells has a value, by marching through tetrahedra, without gaps.
+
+    Every cell is cut into 24 tetrahedra, from its centre and the centres of its faces to their edges, in which the
+    quantity is linear; points have the cells' mean around them (:func:`point_values`). Source: Doi and Koide, IEICE
+    Transactions E74-D, 1991.
+
+    Parameters
+    ----------
+    mesh : PolyMesh
+    values : (cells,) array
+    level : float
+    within_m : float
+        Cells whose centre is further from the hub's are left out.
+
+    Returns
+    -------
+    points : (points, 3) array
+        m.
+    triangles : (triangles, 3) array
+        Anticlockwise seen from where the quantity is lower. Each has points of its own.
+    """
+    at_points = point_values(mesh, values)
+    inside = len(mesh.neighbour)
+    faces = np.concatenate((mesh.faces, mesh.faces[:inside]))
+    cell = np.concatenate((mesh.owner, mesh.neighbour))
+    # Only cells whose values lie on both sides are cut.
+    low, high = values.copy(), values.copy()
+    np.minimum.at(low, cell, at_points[faces].min(axis=1))
+    np.maximum.at(high, cell, at_points[faces].max(axis=1))
+    wanted = (low < level) & (high > level) & (np.linalg.norm(mesh.centres, axis=1) < within_m)
+    faces, cell = faces[wanted[cell]], cell[wanted[cell]]
+    corner, value = mesh.points[faces], at_points[faces]
+    n = 4 * len(faces)
+    place, scalar = np.empty((len(faces), 4, 4, 3)), np.empty((len(faces), 4, 4))
+    place[:, :, 0], scalar[:, :, 0] = mesh.centres[cell][:, None], values[cell][:, None]
+    place[:, :, 1], scalar[:, :, 1] = corner.mean(axis=1)[:, None], value.mean(axis=1)[:, None]
+    place[:, :, 2], scalar[:, :, 2] = corner, value
+    place[:, :, 3], scalar[:, :, 3] = np.roll(corner, -1, axis=1), np.roll(value, -1, axis=1)
+    place, scalar = place.reshape(n, 4, 3), scalar.reshape(n, 4)
+    order = np.argsort(-scalar, axis=1)  # the highest first
+    place, scalar = np.take_along_axis(place, order[..., None], 1), np.take_along_axis(scalar, order, 1)
+    above = (scalar > level).sum(axis=1)
+
+    # Which edges a tetrahedron is cut on, by how many of its corners lie above.
+    cuts = {1: [(0, 1, 0, 2, 0, 3)], 2: [(0, 2, 0, 3, 1, 2), (0, 3, 1, 3, 1, 2)], 3: [(0, 3, 1, 3, 2, 3)]}
+    parts = []
+    for count, triangles in cuts.items():
+        p, s = place[above == count], scalar[above == count]
+        down = p[:, count:].mean(axis=1) - p[:, :count].mean(axis=1)
+        for ends in triangles:
+            one = []
+            for a, b in zip(ends[::2], ends[1::2], strict=True):
+                share = (s[:, a] - level) / (s[:, a] - s[:, b])
+                one.append(p[:, a] + share[:, None] * (p[:, b] - p[:, a]))
+            t = np.stack(one, axis=1)
+            normal = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
+            wrong = np.einsum("ti,ti->t", normal, down) < 0.0
+            t[wrong] = t[wrong][:, ::-1]
+            parts.append(t[np.linalg.norm(normal, axis=1) > 0.0])
+    found = np.concatenate(parts)
+    return found.reshape(-1, 3), np.arange(3 * len(found)).reshape(-1, 3)
+
+
+VORTEX = 0.3
+"""Level of Q, over the rotor speed squared, of the surfaces that show vortices."""
+
+
+def vortex_surface(mesh: PolyMesh, flow: Flow, point: Point) -> tuple[Array, Index, dict[str, NDArray]]:
+    """Vortices of all blades within 2 R: surfaces of :data:`VORTEX`.
+
+    Returns
+    -------
+    points : (points, 3) array
+        m.
+    triangles : (triangles, 3) array
+    data : dict of (triangles,) arrays
+        ``vorticity_1_s`` (its magnitude) and ``down_m_s``, of the cell whose centre is nearest, and ``blade``.
+    """
+    level = VORTEX * max(abs(speed) for speed in point.rotors.values()) ** 2
+    points, triangles = iso_surface(mesh, flow.q_1_s2, level, within_m=2.0 * point.radius_m)
+    cell = (
+        cKDTree(mesh.centres).query(points[triangles].mean(axis=1))[1] if len(triangles) else np.empty(0, int)
+    )
+    spin = np.linalg.norm(flow.vorticity_1_s, axis=1)[cell]
+    n, around = mesh.blades, []
+    for i in range(n):
+        c, s = math.cos(2.0 * math.pi * i / n), math.sin(2.0 * math.pi * i / n)
+        around.append(points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+    rings = [triangles + i * len(points) for i in range(n)]
+    data: dict[str, NDArray] = {
+        "vorticity_1_s": np.tile(spin, n), "down_m_s": np.tile(-flow.velocity_m_s[cell, 2], n),
+        "blade": np.repeat(np.arange(n), len(triangles)),
+    }  # fmt: skip
+    return np.concatenate(around), np.concatenate(rings), data
 
 
 def write_vtp(file: Path, points: Array, faces: Index, data: Mapping[str, NDArray]) -> Path:
@@ -112,14 +230,14 @@ def write_vtp(file: Path, points: Array, faces: Index, data: Mapping[str, NDArra
 def write_glb(
     file: Path, points: Array, faces: Index, colours: NDArray[np.uint8], name: str = "rotor"
 ) -> Path:
-    """Write quadrilaterals, each in its own colour, as a binary glTF.
+    """Write quadrilaterals or triangles, each in its own colour, as a binary glTF.
 
     Parameters
     ----------
     file : Path
     points : (points, 3) array
         m, z up.
-    faces : (faces, 4) array
+    faces : (faces, 4) or (faces, 3) array
         Anticlockwise from outside.
     colours : (faces, 3) array of uint8
         Red, green, blue, linear.
@@ -131,16 +249,17 @@ def write_glb(
         If it cannot be written.
     """
     corner = points[faces][..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])  # z up becomes y up
-    normal = np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1])
+    each = faces.shape[1]
+    normal = np.cross(corner[:, 2] - corner[:, 0], corner[:, -1] - corner[:, 1])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     position = corner.reshape(-1, 3).astype("<f4")
-    first = 4 * np.arange(len(faces), dtype="<u4")[:, None]
+    first = each * np.arange(len(faces), dtype="<u4")[:, None]
     paint = np.full((len(faces), 4), 255, dtype=np.uint8)
     paint[:, :3] = colours
     arrays = [
-        (position, 5126, "VEC3"), (np.repeat(normal, 4, axis=0).astype("<f4"), 5126, "VEC3"),
-        (np.repeat(paint, 4, axis=0), 5121, "VEC4"),
-        ((first + np.array([0, 1, 2, 0, 2, 3], dtype="<u4")).astype("<u4").ravel(), 5125, "SCALAR"),
+        (position, 5126, "VEC3"), (np.repeat(normal, each, axis=0).astype("<f4"), 5126, "VEC3"),
+        (np.repeat(paint, each, axis=0), 5121, "VEC4"),
+        ((first + np.array([0, 1, 2, 0, 2, 3][: 3 * each - 6], dtype="<u4")).astype("<u4").ravel(), 5125, "SCALAR"),
     ]  # fmt: skip
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
@@ -181,12 +300,12 @@ def write_glb(
     )
 
 
-def pressure_colours(pressure_Pa: Array) -> NDArray[np.uint8]:
-    """Colours of pressures, of the 1st to the 99th percentile; (faces, 3) array, linear as glTF wants them."""
+def colours_of(values: Array) -> NDArray[np.uint8]:
+    """Colours of values, of the 1st to the 99th percentile; (faces, 3) array, linear as glTF wants them."""
     from matplotlib import colormaps
 
-    low, high = np.percentile(pressure_Pa, (1, 99))
-    shown = colormaps["viridis"]((pressure_Pa - low) / max(high - low, 1e-300))[:, :3]
+    low, high = np.percentile(values, (1, 99)) if len(values) else (0.0, 1.0)
+    shown = colormaps["viridis"]((values - low) / max(high - low, 1e-300))[:, :3]
     return np.round(255.0 * np.clip(shown, 0.0, 1.0) ** 2.2).astype(np.uint8)
 
 

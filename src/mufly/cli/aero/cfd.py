@@ -470,13 +470,20 @@ def _report(
     """Write a solution's tables and pictures; what to say of it, as data and as print, the files, others' results."""
     from mufly.cfd import (
         blade_surface,
+        colours_of,
+        friction_picture,
         history,
         history_picture,
         loads_picture,
-        pressure_colours,
         pressure_picture,
+        read_flow,
         read_poly_mesh,
         read_solution,
+        vortex_surface,
+        vortices_picture,
+        vorticity_picture,
+        wake_picture,
+        wake_profile,
         write_glb,
         write_vtp,
     )
@@ -501,7 +508,25 @@ def _report(
         save_picture(pressure_picture(poly, found), place, "pressure"),
         save_picture(history_picture(past), place, "history"),
         write_vtp(place / "blades.vtp", points, faces, data),
-        write_glb(place / "blades.glb", points, faces, pressure_colours(data["pressure_Pa"]), found.point.rotor),
+        write_glb(place / "blades.glb", points, faces, colours_of(data["pressure_Pa"]), found.point.rotor),
+    ]  # fmt: skip
+    flow = read_flow(folder, poly)
+    wake = wake_profile(poly, flow, found.point, found.thrust_N + (0.0 if low is None else low.thrust_N))
+    vortices = vortex_surface(poly, flow, found.point)
+    files += [
+        save_picture(friction_picture(poly, found), place, "friction"),
+        save_picture(vorticity_picture(poly, flow, found.point), place, "vorticity"),
+        save_picture(vortices_picture(vortices, poly, found.point), place, "vortices"),
+        save_picture(wake_picture(wake), place, "wake"),
+        write_vtp(place / "vortices.vtp", *vortices),
+        write_glb(
+            place / "vortices.glb", *vortices[:2], colours_of(vortices[2]["down_m_s"]), found.point.rotor
+        ),
+        write_csv(
+            place / "wake.csv", ("below_m", "r_m", "down_m_s", "swirl_m_s"),
+            ((h, *row) for h, down, swirl in zip(wake.below_m, wake.down_m_s, wake.swirl_m_s, strict=True)
+             for row in zip(wake.r_m, down, swirl, strict=True)),
+        ),
     ]  # fmt: skip
 
     def content() -> dict[str, Any]:
