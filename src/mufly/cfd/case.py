@@ -6,7 +6,8 @@ reference frame), around it in a frame at rest. Dictionaries are those of OpenFO
 
 =============  =================================================================================================
 blade          no slip, turning with the frame
-top, side      total pressure of the oncoming air, w^2 / 2 (hover: 0): it comes as it likes, on the side with w along it
+top, side      total pressure of the oncoming air, w^2 / 2 (hover: 0): it comes as it likes; in climb and descent the
+               side has pressure 0, and air comes in there with w along it
 bottom         pressure 0; what comes back comes with w
 in descent     top and bottom change places: the oncoming air's total pressure below, pressure 0 above
 sector         cyclic by rotation
@@ -356,9 +357,11 @@ def _free(climb_m_s: float) -> tuple[dict[str, str], dict[str, str]]:
     total = f"type totalPressure; p0 uniform {0.5 * climb_m_s**2:.10g}; value uniform 0;"
     none = "type fixedValue; value uniform 0;"
     before, behind = ("top", "bottom") if climb_m_s >= 0.0 else ("bottom", "top")
+    # Where air goes out, a total pressure is the static one. Along the side it goes in here and out there, and would
+    # meet 0 and w^2 / 2 by turns: in climb the side has the static pressure, 0.
     return (
         {before: comes, "side": along if climb_m_s else comes, behind: leaves},
-        {before: total, "side": total, behind: none},
+        {before: total, "side": none if climb_m_s else total, behind: none},
     )
 
 
