@@ -27,9 +27,23 @@ def sources() -> list[tuple[Path, ast.Module]]:
     return trees()
 
 
+def done_without(tree: ast.AST) -> set[ast.AST]:
+    """Imports that may fail: ``except ImportError`` says what is done without them."""
+    tries = (node for node in ast.walk(tree) if isinstance(node, ast.Try))
+    return {
+        line
+        for node in tries
+        if any(isinstance(h.type, ast.Name) and h.type.id == "ImportError" for h in node.handlers)
+        for line in node.body
+    }
+
+
 def only_posix(tree: ast.AST) -> list[str]:
     found = []
+    spared = done_without(tree)
     for node in ast.walk(tree):
+        if node in spared:
+            continue
         if isinstance(node, ast.Import):
             found += [a.name for a in node.names if a.name.split(".")[0] in _MODULES]
         elif isinstance(node, ast.ImportFrom) and node.module in _MODULES:

@@ -267,7 +267,7 @@ def velocity_gradient(mesh: PolyMesh, velocity: Array, walls: dict[str, float]) 
             for j in range(3):
                 normal[:, i, j] += np.bincount(c, weight * d[:, i] * d[:, j], mesh.cells)
                 moment[:, i, j] += np.bincount(c, weight * d[:, i] * u[:, j], mesh.cells)
-    found: Array = np.linalg.solve(normal, moment)
+    found: Array = np.asarray(np.linalg.solve(normal, moment), dtype=np.float64)
     return found
 
 

@@ -119,16 +119,20 @@ def iso_surface(
     place[:, :, 1], scalar[:, :, 1] = corner.mean(axis=1)[:, None], value.mean(axis=1)[:, None]
     place[:, :, 2], scalar[:, :, 2] = corner, value
     place[:, :, 3], scalar[:, :, 3] = np.roll(corner, -1, axis=1), np.roll(value, -1, axis=1)
-    place, scalar = place.reshape(n, 4, 3), scalar.reshape(n, 4)
-    order = np.argsort(-scalar, axis=1)  # the highest first
-    place, scalar = np.take_along_axis(place, order[..., None], 1), np.take_along_axis(scalar, order, 1)
-    above = (scalar > level).sum(axis=1)
+    four: Array = place.reshape(n, 4, 3)
+    four_values: Array = scalar.reshape(n, 4)
+    order = np.argsort(-four_values, axis=1)  # the highest first
+    four, four_values = (
+        np.take_along_axis(four, order[..., None], 1),
+        np.take_along_axis(four_values, order, 1),
+    )
+    above = (four_values > level).sum(axis=1)
 
     # Which edges a tetrahedron is cut on, by how many of its corners lie above.
     cuts = {1: [(0, 1, 0, 2, 0, 3)], 2: [(0, 2, 0, 3, 1, 2), (0, 3, 1, 3, 1, 2)], 3: [(0, 3, 1, 3, 2, 3)]}
     parts = []
     for count, triangles in cuts.items():
-        p, s = place[above == count], scalar[above == count]
+        p, s = four[above == count], four_values[above == count]
         down = p[:, count:].mean(axis=1) - p[:, :count].mean(axis=1)
         for ends in triangles:
             one = []
