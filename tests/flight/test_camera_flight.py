@@ -294,7 +294,8 @@ def test_a_flight_on_places_from_outside_sends_its_pictures() -> None:
         load_vehicle("mufly-1.1"),
         Eye(load_camera("webcam"), spoils=(parse_spoil("unplugged@0.5s"),)),
     )
-    stream: Any = Stream(filmed(eye, vehicle, World(), 1), Server())  # type: ignore[arg-type]
+    server: Any = Server()
+    stream: Any = Stream(filmed(eye, vehicle, World(), 1), server)
     sensor = OutsideFixes(vehicle, stream)
     state = initial_state(position=(0.2, -0.1, -0.8), rotor_speed=(380.0, 420.0))
     for k in range(200):

@@ -39,11 +39,6 @@ from mufly.cfd.pair import read_disc
 from mufly.errors import MuflyError
 from mufly.results import result
 
-try:
-    import fcntl
-except ImportError:  # where OpenFOAM does not run either
-    fcntl = None  # type: ignore[assignment]
-
 Array = NDArray[np.float64]
 
 MOST, WINDOW = 2800, 400
@@ -234,10 +229,12 @@ def _over(verdict: Verdict, done: int, most: int) -> bool:
 
 def _hold(log: IO[str], folder: Path) -> None:
     """Keep a second run away from a case as long as this one has its log open; a killed one lets go of it."""
-    if fcntl is None:
+    try:
+        from fcntl import LOCK_EX, LOCK_NB, flock
+    except ImportError:  # where OpenFOAM does not run either
         return
     try:
-        fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        flock(log, LOCK_EX | LOCK_NB)
     except BlockingIOError as error:
         raise MuflyError(
             f"{folder}: another run is at this case: wait for it, or give another --out"
