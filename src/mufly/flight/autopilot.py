@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -62,7 +62,8 @@ _IDLE = Actuators.idle()
 class Autopilot:
     """The flight software of one vehicle, armed and commanded.
 
-    ``listeners`` are called with every event as it happens; ``crashed`` is set by a simulation that knows.
+    ``listeners`` are called with every event as it happens; ``crashed`` is set by a simulation that knows; ``excused``
+    tells which sensors may be silent now: nothing is said of these.
 
     Parameters
     ----------
@@ -89,6 +90,7 @@ class Autopilot:
     ) -> None:
         self.software = software(vehicle, controller, mission)
         self.listeners: list[Callable[[Event], None]] = []
+        self.excused: Callable[[], Collection[str]] = lambda: ()
         self.hover_A = hover_current_A(vehicle)
         self._capacity_Ah = float(vehicle.battery.capacity) / 3600.0
         self._radius_m = float(vehicle.rotors.radius)
@@ -151,7 +153,7 @@ class Autopilot:
         due = software.due
         actuators = software.step(estimate, self._wanted() if due or self._command.stop else NO_SIGNAL)
         if estimate.beliefs is not None:
-            for text, level in self._sensors.step(estimate.beliefs.checks, self._period_s):
+            for text, level in self._sensors.step(estimate.beliefs.checks, self._period_s, self.excused()):
                 self.note(text, level)
         if due:
             if software.logged != self._logged:

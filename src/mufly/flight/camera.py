@@ -55,7 +55,7 @@ _Array = NDArray[np.float64]
 ANSWER_S, SILENT_S, BACK_S = 0.066, 0.5, 1.0
 """Between two answers that are sent; without any, until that is told; with some again, until that is told (s)."""
 _STANDS_NOISE_M = 0.002
-_LANDED_M = 0.2
+LANDED_M = 0.2
 """Height as believed, below which one that flew and whose sonar says its least has landed: sonars fail in the air."""
 PATH_STEP_M, MOST_PATH = 0.03, 1500
 _TILT_TIME_S, _HEIGHT_TIME_S = 20.0, 2.0
@@ -139,6 +139,12 @@ def sighted(vehicle: Vehicle, camera: Camera) -> Vehicle:
     return vehicle.model_copy(update={"sensors": sensors})
 
 
+def least_height(vehicle: Vehicle) -> float:
+    """Return up to which reading the sonar says no more than the least that it can (m)."""
+    sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
+    return 0.0 if sonar is None else float(sonar.min_range) + 0.5 * float(sonar.resolution)
+
+
 class CameraSensor(Sensor):
     """Reads ``position_fix`` (4,): N, E, D (m) and heading (rad), from pictures.
 
@@ -172,8 +178,7 @@ class CameraSensor(Sensor):
     ) -> None:
         opencv()  # say at once what is missing
         self._eye, self._start, self._seed = eye, start, seed
-        sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
-        self._least_m = 0.0 if sonar is None else float(sonar.min_range) + 0.5 * float(sonar.resolution)
+        self._least_m = least_height(vehicle)
         self._stands_m = standing_height(vehicle)
         self._film = filmed(eye, vehicle, world, seed)
         self._fixes = told_errors(eye.camera)
@@ -262,7 +267,7 @@ class CameraSensor(Sensor):
         told = self._telling(truth)
         if told is None:
             return
-        self._stood = told.standing and (not self._begun or told.height_m < _LANDED_M)
+        self._stood = told.standing and (not self._begun or told.height_m < LANDED_M)
         light = self._film.light(t)
         if light is None:
             return

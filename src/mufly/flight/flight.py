@@ -40,7 +40,7 @@ from mufly.dynamics import (
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator, fitted_estimator
 from mufly.flight.autopilot import Autopilot
-from mufly.flight.camera import CameraSensor, Eye, sighted, streamed
+from mufly.flight.camera import LANDED_M, CameraSensor, Eye, least_height, sighted, streamed
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.outside import OutsideFixes
 from mufly.flight.plant import Plant, row_writer
@@ -49,7 +49,7 @@ from mufly.flight.sensed import FIX_WANDER_S, sensed_row_writer
 from mufly.flight.software import Computing, FlightSoftware
 from mufly.flight.state import FlightState
 from mufly.logs.mcap import Event, standard_layout
-from mufly.mission import Mission, MissionEstimate, dump_mission, load_mission, preflight
+from mufly.mission import Mission, MissionEstimate, State, dump_mission, load_mission, preflight
 from mufly.sensors import Fault, FittedSensors, Readings, Sensors, Truth, fitted_sensors, ideal_sensors
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 from mufly.version import __version__
@@ -175,6 +175,7 @@ class Flight:
         self.plant = Plant(vehicle, mission.world, air, controller.rate_Hz, self._start)
         self.look = max(1, round(controller.rate_Hz / RING_HZ))
         start = (*mission.start_m, math.radians(mission.start_heading_deg))
+        self._least_m = least_height(vehicle)
         self.camera: CameraSensor | None = None
         self.outside_fixes: OutsideFixes | None = None
         if outside:
@@ -193,6 +194,8 @@ class Flight:
         self.estimator = estimator
         if self.camera is not None:
             self.camera.believe = self._believed
+        if fixes is not None:
+            self.autopilot.excused = self._blinded
         weighed: dict[str, float] = {}
         if fixes is not None and isinstance(estimator, KalmanEstimator):
             estimator.by_covariance = True
@@ -257,7 +260,7 @@ class Flight:
         self.plant.collide()
         self._measure(np.zeros(4))
         self.autopilot.observe(self._estimate)
-        self.fresh = True
+        self.fresh, self._rests = True, False
 
     def _measure(self, acted: NDArray[np.floating[Any]]) -> None:
         """From the truth of this instant to what the vehicle believes of it; it knows what acted until now."""
@@ -271,6 +274,16 @@ class Flight:
             return None, math.nan
         sonar = self.readings.latest.get("ground_distance")
         return self._estimate, math.nan if sonar is None else float(sonar.value)
+
+    def _blinded(self) -> tuple[str, ...]:
+        """What sees nothing now, as it should: a camera that looks down, from when legs touch the floor in a landing
+        until the sonar sees it go up again. Pictures are told apart down to some 3 cm above the floor."""
+        m, sonar = self._believed()
+        if sonar > self._least_m:
+            self._rests = False
+        elif m is not None and self.autopilot.software.state == State.LANDING:
+            self._rests = self._rests or -float(m.position[2]) < LANDED_M
+        return ("position_fix",) if self._rests else ()
 
     @property
     def truth(self) -> Truth:

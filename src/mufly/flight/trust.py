@@ -32,7 +32,7 @@ it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -319,11 +319,16 @@ class SensorWatch:
             and all(c.status in ("fused", "waiting") and not c.odd for c in checks)
         )
 
-    def step(self, checks: Sequence[Check], period_s: float) -> list[tuple[str, str]]:
-        """Return (text, level) of what has changed, a period later."""
+    def step(
+        self, checks: Sequence[Check], period_s: float, excused: Collection[str] = ()
+    ) -> list[tuple[str, str]]:
+        """Return (text, level) of what has changed, a period later; of those that are ``excused`` nothing is said
+        when they are missing."""
         said: list[tuple[str, str]] = []
         for check in checks:
             name = check.name
+            if check.status == "missing" and name in excused:
+                continue
             if check.odd or check.status in ("rejected", "missing", "faulty"):
                 self._wrong[name] = check
                 self._good_s[name] = 0.0

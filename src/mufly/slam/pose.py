@@ -48,6 +48,7 @@ _Array = NDArray[np.float64]
 POSE = 8  # N, E, h, heading; errors of the tilt about x and y of the heading; of the keyframe's about its own
 SHAKES = 8  # for each rotor cosine and sine along x, then along y
 _ROUNDS = 6
+_LEAST_HEIGHT = 0.1  # of what the sonar says: two points of one place show none
 _CAUCHY = 2.0  # residuals, in deviations, whose weight is half
 
 
@@ -203,9 +204,9 @@ def two_points(
     with np.errstate(all="ignore"):
         scale = np.where(np.abs(apart) > 0.05, (places[first] - places[second]) / apart, np.nan)
     h = np.abs(scale)
-    off = 4.0 * math.hypot(height_sigma, 0.03 * height)
-    scale = scale[np.abs(h - height) < off]
-    i = first[np.abs(h - height) < off]
+    # Near the floor, where the height is known to a quarter of itself or worse, no height at all would pass.
+    may = (np.abs(h - height) < 4.0 * math.hypot(height_sigma, 0.03 * height)) & (h > _LEAST_HEIGHT * height)
+    scale, i = scale[may], first[may]
     if not len(scale):
         return 0j, height, 0.0, np.zeros(n, bool)
     c = places[i] - scale * slopes[i]
