@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
-from mufly.estimate.factors import expected, loosen, observe
+from mufly.estimate.factors import expected, loosen, observe, variance
 from mufly.estimate.guards import (
     AWAY,
     FAULTY,
@@ -471,11 +471,20 @@ def fuse_floor(m: Any, s: Any) -> bool:
 
 @compiled(error_model="numpy")
 def fuse_ring(m: Any, s: Any, z: _Array, ahead: float, r: _Array, most: int) -> bool:
-    """Distances to the walls of the room, beam by beam, ``most`` at a time; returns whether that was all."""
+    """Distances to the walls of the room, beam by beam, ``most`` at a time; returns whether that was all.
+
+    What a beam is off by is mostly constant (docs/estimation.md), so no number of readings tells of a position more
+    than J, the sum of h^2 / C over the beams. Of that a picture brings what has been lost since the one before:
+    J - 1 / P. Each beam has its share of it, which is a variance of C J / (J - 1 / P) beside what scatters.
+    """
     k = R_RING
     turn_matrix(m.x[6:10], r)
     if m.beam == 0:
         m.seen = m.fitting = 0
+        for i in range(2):
+            told = m.told_most[i] * variance(m.ut, m.d, P + i)
+            m.told_share[i] = 1.0 - 1.0 / told if told > 1.0 else 0.0
+            m.told_most[i] = 0.0
     last = min(m.beam + most, s.beams)
     for b in range(m.beam, last):
         if not (0.0 < z[b] < 0.995 * s.ring_max):
@@ -492,28 +501,26 @@ def fuse_ring(m: Any, s: Any, z: _Array, ahead: float, r: _Array, most: int) -> 
                 far = (plane - (m.x[i] + ahead * m.x[3 + i])) / u
                 if 0.0 < far < best:
                     best, axis, along = far, i, u
-        if axis < 0 or best > 1.1 * s.ring_max:
+        if axis < 0 or axis == 2 or best > 1.1 * s.ring_max:
             continue
-        # l = (c - p_i) / u_i, and u turns with the body: du = t x u
-        _of(m, P + axis, -1.0 / along)
-        c = -best / along
-        if axis == 0:
-            _and(m, TURN + 1, c * d)
-            _and(m, TURN + 2, -c * e)
-        elif axis == 1:
-            _and(m, TURN + 2, c * n)
-            _and(m, TURN, -c * d)
-        else:
-            _and(m, TURN, c * e)
-            _and(m, TURN + 1, -c * n)
-        slope = (best * best + s.ring_baseline * s.ring_baseline) / s.ring_baseline * s.ring_slope
+        # l = (c - p_i) / u_i; of the heading they tell nothing, it is one more constant: du = t x u
+        h = -1.0 / along
+        across = h * best * (e if axis == 0 else n) * m.sigma[TURN + 2]
+        slope = best * best + s.ring_baseline * s.ring_baseline
+        lasts = slope * slope * s.ring_lasts + across * across
+        scatters = slope * best * best
+        scatters *= scatters * s.ring_scatters
+        _of(m, P + axis, h)
         nu = z[b] - best
-        ratio = _ratio(m, nu, slope * slope)
+        ratio = _ratio(m, nu, scatters + lasts)
         if abs(ratio) < _BEAM_GATE:
             _note(m, k, nu, ratio)
-            _take(m, nu, slope * slope)
             m.fitting += 1
-            turn_matrix(m.x[6:10], r)
+            m.told_most[axis] += h * h / lasts
+            if m.told_share[axis] > 0.0:
+                observe(m.ut, m.d, m.f, scatters + lasts / m.told_share[axis], m.gain)
+                _correct(m, nu)
+                turn_matrix(m.x[6:10], r)
     m.beam = last
     if last < s.beams:
         return False
@@ -581,12 +588,12 @@ def fuse_force(m: Any, s: Any, r: _Array, count: int, i: int) -> None:
     _and(m, WIND, -slope * r[i])
     _and(m, WIND + 1, -slope * r[3 + i])
     nu = m.felt[i] - m.modelled[i] - m.x[13 + i]
-    variance = m.lever[i, 2] / (count * s.dt)
+    r_ = m.lever[i, 2] / (count * s.dt)
     known = expected(m.ut, m.d, m.at, m.h, m.terms, m.f)
-    ratio = nu / math.sqrt(known + variance)
-    felt_fits(m, s, nu, variance, known, i)
+    ratio = nu / math.sqrt(known + r_)
+    felt_fits(m, s, nu, r_, known, i)
     if abs(ratio) < GATE and m.disowned == 0:
-        _take(m, nu, variance)
+        _take(m, nu, r_)
     if i == 0 or abs(ratio) > m.lever[0, 3]:
         _note(m, R_ACCELERATION, nu, ratio)
         m.lever[0, 3] = abs(ratio)
@@ -611,6 +618,6 @@ def fuse_rest(m: Any, s: Any, r: _Array, count: int, still: bool, i: int) -> Non
         _and(m, TURN, -r[3 + i] * GRAVITY)
         _and(m, TURN + 1, r[i] * GRAVITY)
         nu = m.felt[i] + GRAVITY * r[6 + i] - m.x[13 + i]
-        variance = 2 * s.rest_felt * s.rest_felt / count
-        if abs(_ratio(m, nu, variance)) < 2 * GATE:
-            _take(m, nu, variance)
+        r_ = 2 * s.rest_felt * s.rest_felt / count
+        if abs(_ratio(m, nu, r_)) < 2 * GATE:
+            _take(m, nu, r_)

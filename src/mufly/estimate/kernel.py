@@ -368,6 +368,8 @@ def _wander(m: Any, s: Any) -> None:
     if k < GYRO + 3 and m.adrift > 0:
         may = ADRIFT if m.adrift > 1 else ONCE_ADRIFT
         q += may * may * (TURNS * s.dt)
+    elif k == FLOOR:
+        q *= math.sqrt(m.x[3] * m.x[3] + m.x[4] * m.x[4])  # another floor lies elsewhere, not later
     if q > 0.0:
         wander(m.ut, m.d, k, s.keep[k], q, m.f)
 

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from mufly.dynamics import GRAVITY, model_parameters, standing_height
 from mufly.dynamics.state import hover_speeds
 from mufly.sensors import beam_directions, earth_field
+from mufly.sensors.ring_camera import MARGIN
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import Sensing
 from mufly.world import World
@@ -111,6 +112,7 @@ def memory_type(kind: Any = np.float64, kept: int = KEPT, waiting: int = WAITING
         # The filter at the horizon
         ("x", kind, (STATES,)), ("ut", kind, (n, n)), ("d", kind, (n,)),
         ("horizon", i4), ("wandered", i4), ("stage", i4), ("beam", i4), ("seen", i4), ("fitting", i4), ("spin", kind),
+        ("told_most", kind, (2,)), ("told_share", kind, (2,)),
         # Inputs, by their block modulo KEPT, and those of the last period
         ("inputs", kind, (kept, INPUTS)), ("now", kind, (INPUTS,)), ("tick", i4), ("rates", kind, (3,)),
         # The rotor model: state of the flight model in body axes, forces of the last periods
@@ -167,7 +169,8 @@ _NUMBERS: dict[str, Any] = {
     "sonar_place": (3,), "sonar_variance": (), "sonar_step": (), "sonar_cone": (), "sonar_min": (), "sonar_max": (),
     "sonar_arc": (), "sonar_reach": (),
     "fix_variance": (), "heading_variance": (),
-    "beams": "i", "beam": (BEAMS, 3), "ring_max": (), "ring_slope": (), "ring_baseline": (), "walls": (6,),
+    "beams": "i", "beam": (BEAMS, 3), "ring_max": (), "ring_lasts": (), "ring_scatters": (), "ring_baseline": (),
+    "walls": (6,),
     "pressure_variance": (), "pressure_slope": (), "pressure_thrust": (2,),
     "magnet_variance": (), "earth": (3,), "rotor_gain": (), "rotor_drift": (), "place": (3,),
 }  # fmt: skip
@@ -195,11 +198,12 @@ MOTOR_CURRENT = 2.0  # of both motors in a hover (A)
 EDGE_S, LOW, SETTLED = 3.0, 0.05, 0.01
 """An edge in the sonar's cone counts for this long (s) where it is not flown over sooner; what is lower is the floor
 (m), and known to be once its height is uncertain by more than the last (m)."""
-FLOOR_WANDER = 5e-4  # m/sqrt(s): floors are not quite flat
+FLOOR_WANDER = 5e-4  # of the way over it (m/sqrt(m)): floors are not quite flat
+FLOOR_START = 1e-4  # m: where it stands is D = 0, by definition
 LEVEL = math.radians(0.12)  # how level it stands on the floor
 PLACE_M = 5.0  # where it stands before anything is heard
 TURN_RAD = 2 * math.pi
-_CALM_S = 5.0  # errors of the ring stay for as long as it hovers, or so
+_LEAST_BEAM = 1e-4  # 1/m: what a wall is off by, 0.1 mm at 1 m, where beams have no error
 _TURN_S = 1.5  # turns go the same way for about as long
 
 
@@ -232,7 +236,7 @@ def filter_settings(
     start[2] = -stands
     sigma[P : P + 2], sigma[P + 2], sigma[V : V + 3] = PLACE_M, 3e-3, 0.01
     sigma[TURN : TURN + 2], sigma[TURN + 2] = LEVEL, math.pi
-    sigma[FLOOR], walk[FLOOR] = 2e-3, FLOOR_WANDER
+    sigma[FLOOR], walk[FLOOR] = FLOOR_START, FLOOR_WANDER  # the last times the root of the speed
     sigma[WIND : WIND + 2], tau[WIND : WIND + 2] = WIND_SPEED
     sigma[THRUST_], walk[THRUST_] = THRUST_ERROR, THRUST_WALK
     walk[P : P + 3] = 1e-4
@@ -303,10 +307,17 @@ def filter_settings(
         pick = beams_used(len(directions))
         s["beams"], s["beam"][:count] = count, directions[pick]
         s["ring_max"], s["ring_baseline"] = float(ring.max_range), float(ring.baseline)
-        row = 1.25 * math.atan(float(ring.baseline) / float(ring.min_range)) / ring.radial_pixels
-        # What calibration left stays: as many readings as fall into its time count as one.
-        together = np.maximum(1.0, 2 * _CALM_S / float(ring.period))
-        s["ring_slope"] = row * math.sqrt(float(ring.calibration) ** 2 * float(together) + 0.1**2)
+        # An error of so many rows is one of (l^2 + b^2) / b of their angle. What calibration left of a beam lasts.
+        # Noise of one in each pixel moves the centroid of a spot by so many rows at 1 m (docs/estimation.md).
+        row = MARGIN * math.atan(float(ring.baseline) / float(ring.min_range)) / ring.radial_pixels
+        row /= float(ring.baseline)
+        blur = float(ring.blur)
+        reach = max(1, math.ceil(1.5 * blur))
+        columns = math.sqrt(math.sqrt(math.pi) * blur)
+        rows = math.sqrt(reach * (reach + 1) * (2 * reach + 1) / 3)
+        rows /= float(ring.brightness) * columns * math.sqrt(2 * math.pi) * blur
+        s["ring_lasts"] = max(row * float(ring.calibration), _LEAST_BEAM) ** 2
+        s["ring_scatters"] = (row * rows) ** 2
         bound[R_RING] = 1.01 * max(float(vehicle.range_ring.max_range), float(ring.max_range))
         noisy[R_RING] = 1
     north, east, up = ((-1e6, 1e6), (-1e6, 1e6), -1e6)

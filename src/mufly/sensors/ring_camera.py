@@ -39,7 +39,7 @@ _Array = NDArray[np.float64]
 THRESHOLD = 5.0
 """A spot has to stand this many standard deviations above the noise: one false spot in some million windows."""
 _WIDE = 3.0  # columns on either side that the decoder looks at, in radii of a spot
-_MARGIN = 1.25  # rows reach this much above the elevation of the shortest distance
+MARGIN = 1.25  # rows reach this much above the elevation of the shortest distance
 
 
 @compiled(error_model="numpy")
@@ -188,7 +188,7 @@ class RingCamera(Periodic):
         self._baseline, self._blur = float(c.baseline), float(c.blur)
         self._nearest, self._farthest = float(c.min_range), float(c.max_range)
         self._nothing = float(vehicle.range_ring.max_range)
-        self._top = _MARGIN * math.atan(self._baseline / self._nearest)
+        self._top = MARGIN * math.atan(self._baseline / self._nearest)
         self._row = self._top / c.radial_pixels  # elevation of a row
         column = 2 * math.pi / c.angular_pixels
         self._centres = np.mod(beam_angles(vehicle), 2 * math.pi) / column  # of the beams, in columns

@@ -347,8 +347,11 @@ static void wander(estimator_t *m, const estimator_settings_t *s)
     const int32_t k = (turn >= FIX) ? (turn + ((HEADING + 1) - FIX)) : turn;
     const bool adrift = (k < (GYRO + 3)) && (m->adrift > 0);
     const real_t may = (m->adrift > 1) ? ADRIFT : ONCE_ADRIFT;
-    const real_t q = s->noise[k] + (adrift ? ((may * may) * ((real_t)TURNS * s->dt)) : REAL(0.0));
+    real_t q = s->noise[k] + (adrift ? ((may * may) * ((real_t)TURNS * s->dt)) : REAL(0.0));
 
+    if (k == FLOOR) {
+        q *= real_sqrt((m->x[3] * m->x[3]) + (m->x[4] * m->x[4])); /* another floor lies elsewhere, not later */
+    }
     m->x[k + 1] = s->start[k + 1] + ((m->x[k + 1] - s->start[k + 1]) * s->keep[k]);
     if (q > REAL(0.0)) {
         factors_wander(m, k, s->keep[k], q);

@@ -478,6 +478,13 @@ bool fuse_ring(estimator_t *m, const estimator_settings_t *s, const real_t z[BEA
     if (m->beam == 0) {
         m->seen = 0;
         m->fitting = 0;
+        /* no number of readings tells more than `told_most`: of that a picture brings what has been lost since */
+        for (int32_t i = 0; i < 2; i++) {
+            const real_t told = m->told_most[i] * factors_variance(m, P_ + i);
+
+            m->told_share[i] = (told > REAL(1.0)) ? (REAL(1.0) - (REAL(1.0) / told)) : REAL(0.0);
+            m->told_most[i] = REAL(0.0);
+        }
     }
     for (int32_t b = m->beam; b < last_beam; b++) {
         const real_t *beam = s->beam[b];
@@ -493,25 +500,27 @@ bool fuse_ring(estimator_t *m, const estimator_settings_t *s, const real_t z[BEA
             u[i] = ((r[3 * i] * beam[0]) + (r[(3 * i) + 1] * beam[1])) + (r[(3 * i) + 2] * beam[2]);
         }
         best = nearest_wall(m, s, ahead, u, &axis);
-        if ((axis >= 0) && !(best > (REAL(1.1) * s->ring_max))) {
-            /* l = (c - p_i) / u_i, and u turns with the body: du = t x u */
-            const real_t c = -best / u[axis];
-            const int32_t next = (axis + 1) % 3;
-            const int32_t last = (axis + 2) % 3;
-            const real_t slope =
-                (((best * best) + (s->ring_baseline * s->ring_baseline)) / s->ring_baseline) * s->ring_slope;
+        if ((axis >= 0) && (axis != 2) && !(best > (REAL(1.1) * s->ring_max))) {
+            /* l = (c - p_i) / u_i; of the heading they tell nothing, it is one more constant: du = t x u */
+            const real_t h = REAL(-1.0) / u[axis];
+            const real_t across = ((h * best) * ((axis == 0) ? u[1] : u[0])) * m->sigma[TURN + 2];
+            const real_t slope = (best * best) + (s->ring_baseline * s->ring_baseline);
+            const real_t lasts = ((slope * slope) * s->ring_lasts) + (across * across);
+            const real_t away = (slope * best) * best;
+            const real_t scatters = away * (away * s->ring_scatters);
             const real_t nu = z[b] - best;
             real_t ratio;
 
-            of_state(m, P_ + axis, REAL(-1.0) / u[axis]);
-            and_state(m, TURN + next, c * u[last]);
-            and_state(m, TURN + last, -c * u[next]);
-            ratio = ratio_of(m, nu, slope * slope);
+            of_state(m, P_ + axis, h);
+            ratio = ratio_of(m, nu, scatters + lasts);
             if (real_abs(ratio) < BEAM_GATE) {
                 note(m, k, nu, ratio);
-                take_expected(m, nu, slope * slope);
                 m->fitting += 1;
-                turn_matrix(&m->x[6], r);
+                m->told_most[axis] += (h * h) / lasts;
+                if (m->told_share[axis] > REAL(0.0)) {
+                    take_expected(m, nu, scatters + (lasts / m->told_share[axis]));
+                    turn_matrix(&m->x[6], r);
+                }
             }
         }
     }
