@@ -254,6 +254,12 @@ def report(what: str, found: dict[str, dict[str, Any]]) -> None:
         fine = [r["outcome"] == "succeeded" for r in rows]
         print("noticed within 0.5 s", share(told_))
         print("down safely", share([r["safe"] for r in rows]))
+        said = [r["safe"] and r["noticed_s"] is not None for r in rows]
+        print(
+            "noticed within 0.5 s, or down safely and told why",
+            share([a or b for a, b in zip(told_, said, strict=True)]),
+        )
+        print("never told, down safely", share([r["safe"] and r["noticed_s"] is None for r in rows]))
         print("mission flown to its end", share(fine))
         print("finite inputs", share([r["finite"] for r in rows]))
         for k, r in good.items():

@@ -395,7 +395,9 @@ class FlightSoftware:
             hover_V = self._controller.motor_trim * self._controller.voltage_V
             self._motor_input = spin_up(hover_V, elapsed, self._volts)
         elif motors == "ramp_down":
-            self._motor_input = ramp_down(self._released, elapsed)
+            known = m.beliefs is None  # else it may slide, and a rotor that still lifts tips it over
+            ahead = 0.0 if known else DOWN_SHARE * RAMP_DOWN_S
+            self._motor_input = ramp_down(self._released, elapsed + ahead)
         else:
             self._motor_input = np.zeros(2)
         self._tilt = np.zeros(2)

@@ -120,10 +120,12 @@ def reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Re
 RAMP_DOWN_S = 1.0
 """Time that the rotors take to stop after touchdown (s)."""
 
-_SINK_LAG_S = 0.15
+_SINK_LAG_S, _STILL_S = 0.15, 0.3
 _NEAR_FLOOR_M = 0.1
 _DRIFTS_BELOW_M, _DRIFTS_M_S, _DRIFTING_M_S = 0.6, 0.3, 0.05  # it does not touch down while it drifts
 _STAYS_M = 0.25  # how far it may be above where it is to be while it sinks
+_STANDS_M, _PRESSED_M, _PRESSED_S = 0.02, 0.03, 0.05  # on an estimate: lower than, told to be lower by, for
+_KNOWN_M = 0.05  # ... whose height is this certain (standard deviation)
 
 HARD_TOUCHDOWN_M_S = 0.3
 """Speed above which a touchdown is called hard (m/s): a fifth above the greatest that a mission may ask for."""
@@ -155,7 +157,13 @@ def land(s: MissionState, why: str, *, level: str = "info") -> MissionState:
 
 
 def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Sink, slower before the floor, and go on below it until the legs carry the weight; then stop the rotors."""
+    """Sink, slower before the floor, and go on below it until the legs carry the weight; then stop the rotors.
+
+    On an estimate whose height is certain they stop as soon as it stands 3 cm higher than it is told to, within 2 cm
+    of the floor: it may drift, unknown to itself, and a controller that steers on after a place that is not there
+    lifts it over the leg that rubs. With friction mu, a centre of mass h above the floor and legs l aside a slide does
+    not tip it while mu h < l, but for what the rotors add: so they are not to lift while it slides.
+    """
     if s.motors == "ramp_down":
         if s.clock_s < RAMP_DOWN_S:
             return s
@@ -178,7 +186,10 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
     lying = m.position[2] > s.standing[2] - 0.03 and depth > s.standing[2] + 0.1
     # What does not follow lies on something, or lower than it believes.
     lying = lying or depth > m.position[2] + _STAYS_M
-    still = s.still_s + dt if lying and abs(m.velocity[2]) < 0.05 else 0.0
+    # Who does not know how fast it drifts must not steer with a leg on the floor.
+    stands = m.beliefs is not None and m.position[2] > s.standing[2] - _STANDS_M
+    stands = stands and depth > m.position[2] + _PRESSED_M and bool(m.covariance[2, 2] < _KNOWN_M * _KNOWN_M)
+    still = s.still_s + dt if stands or (lying and abs(m.velocity[2]) < 0.05) else 0.0
     near = m.position[2] > s.standing[2] - _NEAR_FLOOR_M
     if m.beliefs is not None:  # a filter that does not know of the floor yet goes on falling for a moment
         near = near and m.position[2] < s.standing[2] - LIFT_OFF_M
@@ -186,7 +197,8 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
     s = replace(
         s, hold=(s.hold[0], s.hold[1], depth), sink=speed, sink_rate=rate, still_s=still, impact=impact
     )
-    return replace(_touched_down(s), motors="ramp_down", clock_s=0.0) if still > 0.3 else s
+    lasts = _PRESSED_S if stands else _STILL_S
+    return replace(_touched_down(s), motors="ramp_down", clock_s=0.0) if still > lasts else s
 
 
 def _touched_down(s: MissionState) -> MissionState:

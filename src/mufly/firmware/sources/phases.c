@@ -7,6 +7,11 @@
 #define SINK_LAG_S REAL(0.15)
 #define NEAR_FLOOR_M REAL(0.1)
 #define STAYS_M REAL(0.25)
+#define STILL_S REAL(0.3)
+#define STANDS_M REAL(0.02) /* on an estimate: lower than, */
+#define PRESSED_M REAL(0.03) /* told to be lower by, */
+#define PRESSED_S REAL(0.05) /* for, */
+#define KNOWN_M REAL(0.05)   /* its height as certain (standard deviation) */
 #define DRIFTS_BELOW_M REAL(0.6)
 #define DRIFTS_M_S REAL(0.3)
 #define DRIFTING_M_S REAL(0.05)
@@ -293,6 +298,7 @@ static void sink(const plan_t *plan, mission_t *s, const belief_t *m, real_t dt)
     real_t wanted;
     real_t ask;
     bool lying;
+    bool stands;
     bool near;
 
     if (s->motors == MOTORS_RAMP_DOWN) {
@@ -323,7 +329,10 @@ static void sink(const plan_t *plan, mission_t *s, const belief_t *m, real_t dt)
         s->hold[2] = s->hold[2] + (s->sink * dt);
         lying = (z > (s->standing[2] - REAL(0.03))) && (s->hold[2] > (s->standing[2] + REAL(0.1)));
         lying = lying || (s->hold[2] > (z + STAYS_M)); /* on something, or lower than it believes */
-        if (lying && (real_abs(w) < REAL(0.05))) {
+        /* Who does not know how fast it drifts must not steer with a leg on the floor. */
+        stands = m->judged && (z > (s->standing[2] - STANDS_M)) && (s->hold[2] > (z + PRESSED_M)) &&
+                 (m->position_variance[2] < (KNOWN_M * KNOWN_M));
+        if (stands || (lying && (real_abs(w) < REAL(0.05)))) {
             s->still_s = s->still_s + dt;
         } else {
             s->still_s = REAL(0.0);
@@ -335,7 +344,7 @@ static void sink(const plan_t *plan, mission_t *s, const belief_t *m, real_t dt)
         if (near) {
             s->impact = real_max(s->impact, w);
         }
-        if (s->still_s > REAL(0.3)) {
+        if (s->still_s > (stands ? PRESSED_S : STILL_S)) {
             touched_down(s);
         }
     }

@@ -279,7 +279,8 @@ static void on_the_floor(const setup_t *setup, software_t *s, const belief_t *m,
     if (s->motors == MOTORS_SPIN_UP) {
         failsafe_spin_up(setup->hover_V, elapsed, s->volts, s->motor_input);
     } else if (s->motors == MOTORS_RAMP_DOWN) {
-        failsafe_ramp_down(s->released, elapsed, s->motor_input);
+        /* It may slide where it goes by an estimate, and a rotor that still lifts tips it over. */
+        failsafe_ramp_down(s->released, m->judged ? (elapsed + (DOWN_SHARE * RAMP_DOWN_S)) : elapsed, s->motor_input);
     } else {
         pair(REAL(0.0), REAL(0.0), s->motor_input);
     }
