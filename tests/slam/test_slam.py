@@ -103,12 +103,12 @@ def test_two_points_of_one_place_are_no_height_of_zero() -> None:
     """On the floor the height is known to less than itself, and words of ORB may speak of one place twice."""
     rng = np.random.default_rng(2)
     m = rng.uniform(-0.6, 0.6, 60) + 1j * rng.uniform(-0.5, 0.5, 60)
-    places = 0.05 * m
+    places: np.ndarray = 0.05 * m
     places[::3] = places[0]
     _, h, _, fits = two_points(places, m, np.full(60, 0.004), 0.05, 0.02, rng)
     assert h == pytest.approx(0.05)
     assert fits.sum() >= 40
-    assert not two_points(np.full(60, 1j), m, np.full(60, 0.004), 0.05, 0.02, rng)[3].any()
+    assert not two_points(0.0 * m, m, np.full(60, 0.004), 0.05, 0.02, rng)[3].any()
 
 
 def test_a_graph_closes_its_loop_and_shrugs_off_a_wrong_closure() -> None:

@@ -69,6 +69,7 @@ def test_layouts_say_the_same(layouts: dict[str, Path]) -> None:
             abs(a.told.roll - b.told.roll) + abs(a.told.pitch - b.told.pitch)
             for a, b in zip(theirs, ours, strict=True)
         ]
+        assert [b.told.height_m for b in theirs] == pytest.approx([b.told.height_m for b in ours], abs=0.01)
         assert max(off) < 0.09  # an inertial unit that tilts and accelerates feels both
 
 

@@ -347,6 +347,11 @@ def _heights(folder: Path, times: _Array, height_m: float | None) -> _Array:
     if not rows or any(len(r) < 2 or not _is_number(r[1]) for r in rows):
         raise InputError(str(file), "", "has rows that are not two numbers", "write time and distance (s, m)")
     a = np.array([[float(r[0]), float(r[1])] for r in rows])
+    if len(times) and (times[-1] < a[0, 0] or times[0] > a[-1, 0]):
+        raise InputError(
+            str(file), "time_s", f"goes from {a[0, 0]:.9g} to {a[-1, 0]:.9g} s, pictures from {times[0]:.9g} s on",
+            "give it the clock of the pictures (s), or leave it out and give --height",
+        )  # fmt: skip
     return np.interp(times, a[:, 0], a[:, 1])
 
 

@@ -76,9 +76,12 @@ def write_dataset(
             )
             if frame.time_s > last + 0.05:
                 last = frame.time_s
-                sonar.append((frame.time_s, round(t.height_m, 2)))
+                clock = (
+                    f"{ns // 10**9}.{ns % 10**9 // 1000:06d}" if layout == "euroc" else f"{frame.time_s:.6f}"
+                )
+                sonar.append(f"{clock},{t.height_m:.2f}")
             on_picture(k)
-    _csv(folder / "sonar.csv", ("time_s", "distance_m"), sonar)
+    (folder / "sonar.csv").write_text("\n".join(["time_s,distance_m", *sonar]) + "\n", encoding="utf-8")
     if layout == "mufly":
         lines = ["time_s,file", *(f"{t},{name}" for t, name, _ in listed)]
         (folder / "pictures.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
