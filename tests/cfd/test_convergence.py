@@ -1,13 +1,27 @@
-"""Order and grid convergence index."""
+"""Order and grid convergence index; thrust over the climb."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
-from mufly.cfd import convergence, mesh_study
+from mufly.cfd import (
+    Point,
+    Solution,
+    convergence,
+    inflow,
+    inflow_picture,
+    mesh_study,
+    sweep_climb,
+)
 from mufly.errors import InputError
+from mufly.rotor import load_rotor
+from mufly.vehicle import load_map
 
 
 @pytest.mark.parametrize("order", [1.0, 1.7, 2.0])
@@ -38,3 +52,45 @@ def test_answers_that_swing_or_stand_are_marked() -> None:
         convergence("x", [1000, 1000, 4000], [1.0, 1.1, 1.05])
     with pytest.raises(InputError, match="no case of mufly cfd"):
         mesh_study([Path("nowhere")] * 3)
+
+
+def solved(climb: float, thrust: float) -> Solution:
+    """What a solved case would say of its point and thrust."""
+    point = Point(
+        "naca0012-r60-c20", 2, 0.06, math.radians(12), 500.0, climb, "laminar", "tiny", 1.2, 1.81e-5, 2.3
+    )
+    return cast(
+        Solution, SimpleNamespace(point=point, verdict=SimpleNamespace(thrust_N=thrust, settled=True))
+    )
+
+
+def test_thrust_over_the_climb_is_laid_beside_the_flight_models_map() -> None:
+    flight = load_map("walkera-5g6-bemt")
+    found = inflow(
+        [solved(1.0, 0.12), solved(-1.0, 0.16), solved(0.0, 0.15), solved(90.0, 0.01)], None, flight
+    )
+    assert found.climb_m_s.tolist() == [-1.0, 0.0, 1.0, 90.0]
+    assert found.c_T[1] == pytest.approx(0.15 / (1.2 * math.pi * 0.06**2 * (500.0 * 0.06) ** 2))
+    assert found.slope(found.c_T, 1.0) == pytest.approx(-0.04 / 0.15 / 2.0)
+    assert math.isnan(found.slope(found.c_T, 0.5))
+    less, hover, more, beyond = found.map_part
+    assert less > hover == 1.0 > more
+    assert math.isnan(beyond)
+    assert inflow_picture(found).axes[0].get_xlabel().startswith("climb")
+    faster = replace(solved(1.0, 0.2).point, speed_rad_s=600.0)
+    other = cast(Solution, SimpleNamespace(point=faster, verdict=None))
+    with pytest.raises(InputError, match="speed_rad_s: differs"):
+        inflow([solved(0.0, 0.15), other], None, flight)
+
+
+def test_a_descent_that_is_too_fast_is_refused_before_anything_is_solved(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="climb: is -5 m/s"):
+        sweep_climb(
+            tmp_path,
+            load_rotor("naca0012-r60-c20"),
+            [0.0, -5.0],
+            pitch_rad=0.2,
+            speed_rad_s=500.0,
+            level="tiny",
+        )
+    assert not list(tmp_path.iterdir())

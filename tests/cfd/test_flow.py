@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
-from mufly.cfd import Point, PolyMesh, blade_mesh, iso_surface, poly_mesh, velocity_gradient, wake_profile
+from mufly.cfd import (
+    Point,
+    PolyMesh,
+    Probe,
+    Solution,
+    blade_mesh,
+    friction_picture,
+    iso_surface,
+    named_form,
+    poly_mesh,
+    velocity_gradient,
+    vortex_surface,
+    wake_profile,
+)
 from mufly.cfd.results import Flow
 from mufly.rotor import load_rotor
 from mufly.units import RPM
@@ -44,10 +60,35 @@ def test_a_surface_of_a_bell_around_the_hub_is_a_sphere_without_gaps_looking_out
     r = np.linalg.norm(points, axis=1)
     # Points have the mean of cells around them, which here grow from 5 to 40 mm: exact in the middle, not below.
     assert np.median(r) == pytest.approx(radius, rel=0.01)
+    # Neighbours share their points: an edge is of two triangles, but where the surface meets the periodic plane.
+    ends = np.sort(np.concatenate((triangles[:, :2], triangles[:, 1:], triangles[:, ::2])), axis=1)
+    edges, count = np.unique(ends, axis=0, return_counts=True)
+    assert count.max() == 2
+    assert np.abs(points[edges[count == 1]][..., 1]).max() < 1e-9
+    assert len(points) < 0.6 * len(triangles)
     # It ends in the periodic plane y = 0 only: without gaps its areas sum to the cut's, which looks along y.
     area = 0.5 * np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]).sum(axis=0)
     assert area[[0, 2]] == pytest.approx(0.0, abs=1e-9)
     assert area[1] == pytest.approx(math.pi * radius**2, rel=0.2)
+
+
+def test_a_vortex_is_shown_till_it_is_spread_over_half_a_chord_whatever_the_speed() -> None:
+    m = mesh()
+    c, radius = m.centres, POINT.radius_m
+    away = np.hypot(c[:, 1] - radius, c[:, 2] + 0.5 * radius)  # along x, off the blade
+
+    def shown(core_m: float, speed: float) -> int:
+        point = replace(POINT, speed_rad_s=speed * POINT.speed_rad_s)
+        spin = 0.3 * 0.02 * radius * point.speed_rad_s / (math.pi * core_m**2)
+        q = np.where(away < 2.0 * radius, 0.25 * spin**2 * np.exp(-2.0 * (away / core_m) ** 2), 0.0)
+        gradient = np.zeros((m.cells, 3, 3))  # a spin about x with just this Q
+        gradient[:, 1, 2], gradient[:, 2, 1] = np.sqrt(q), -np.sqrt(q)
+        return len(vortex_surface(m, Flow(np.zeros((m.cells, 3)), gradient), point)[1])
+
+    thin = shown(0.008, 1.0)
+    assert thin > 0
+    assert shown(0.008, 2.0) == thin
+    assert shown(0.012, 1.0) == 0
 
 
 def test_even_air_down_and_around_is_told_as_it_is_beside_momentum_theory() -> None:
@@ -59,3 +100,20 @@ def test_even_air_down_and_around_is_told_as_it_is_beside_momentum_theory() -> N
     disc = math.pi * POINT.radius_m**2
     induced = math.sqrt(0.15 / (2.0 * POINT.density_kg_m3 * disc))
     assert found.mean_m_s * math.pi * found.edge_m**2 == pytest.approx(induced * disc)
+
+
+def test_what_lies_in_the_blade_or_the_hub_is_told_from_air() -> None:
+    m = poly_mesh(
+        blade_mesh(
+            load_rotor("naca0012-r60-c20"), math.radians(12), level="tiny", form=named_form("square", 6e-3)
+        )
+    )
+    probe = Probe(m, Flow(np.zeros((m.cells, 3)), np.zeros((m.cells, 3, 3))))
+    r = np.array([0.03, 0.003, 0.03, 0.03, 0.003, 0.015])
+    around = 0.5 * math.pi + np.array([0.0, 1.0, 0.0, 1.5, 1.0, -1.5])
+    z = np.array([0.0, 0.0, 0.01, 0.0, 0.02, 0.006])
+    assert probe.solid(r, around, z, ["blade"]).tolist() == [True, True, False, False, False, False]
+    # Friction lines are the blade's; the hub's faces are not on its plan.
+    solved = SimpleNamespace(point=POINT, friction_Pa=m.face_centres[m.patch("blade")])
+    drawn = friction_picture(m, cast(Solution, solved))
+    assert drawn.axes[0].get_xlim()[0] > 6.0

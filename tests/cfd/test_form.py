@@ -175,9 +175,9 @@ def test_a_vtp_holds_what_was_given(tmp_path: Path) -> None:
         block = base64.b64decode(appended[at : at + 4 * math.ceil((8 + size) / 3)])
         return np.frombuffer(block[8 : 8 + size], dtype=kind)
 
-    assert np.array_equal(values("Points", "<f8").reshape(-1, 3), POINTS)
-    assert np.array_equal(values("connectivity", "<i8").reshape(-1, 4), FACES)
-    assert np.array_equal(values("offsets", "<i8"), [4, 8])
+    assert np.array_equal(values("Points", "<f4").reshape(-1, 3), POINTS)
+    assert np.array_equal(values("connectivity", "<i4").reshape(-1, 4), FACES)
+    assert np.array_equal(values("offsets", "<i4"), [4, 8])
     assert np.array_equal(values("shear", "<f8").reshape(-1, 3), shear)
     with pytest.raises(InputError, match="cannot be written"):
         write_vtp(tmp_path / "a.vtp" / "b.vtp", POINTS, FACES, {})

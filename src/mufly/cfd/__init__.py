@@ -1,13 +1,14 @@
 """What would a Navier-Stokes solver say? Meshes of a rotor's sector, OpenFOAM cases, runs, results."""
 
 from mufly.cfd.case import MODELS, Point, read_point, write_case
-from mufly.cfd.comparison import Compared, compare
+from mufly.cfd.comparison import Compared, Inflow, compare, inflow
 from mufly.cfd.form import TIPS, Form, Hub, Tip, named_form
 from mufly.cfd.mesh import LEVELS, Domain, Mesh, blade_mesh
 from mufly.cfd.mesh_error import Convergence, convergence, mesh_study
 from mufly.cfd.pictures import (
     friction_picture,
     history_picture,
+    inflow_picture,
     loads_picture,
     mesh_picture,
     pair_picture,
@@ -27,6 +28,7 @@ from mufly.cfd.point import (
     study,
     study_cases,
     sweep,
+    sweep_climb,
 )
 from mufly.cfd.polymesh import PolyMesh, Quality, poly_mesh, quality, read_poly_mesh, write_poly_mesh
 from mufly.cfd.results import (
@@ -42,7 +44,15 @@ from mufly.cfd.results import (
 from mufly.cfd.run import Progress, Verdict, find_solver, history, judge, judged, run_case
 from mufly.cfd.sections import Counts
 from mufly.cfd.start import slipstream
-from mufly.cfd.surfaces import blade_surface, colours_of, iso_surface, vortex_surface, write_glb, write_vtp
+from mufly.cfd.surfaces import (
+    at_corners,
+    blade_surface,
+    colours_of,
+    iso_surface,
+    vortex_surface,
+    write_glb,
+    write_vtp,
+)
 
 __all__ = [
     "LEVELS",
@@ -56,6 +66,7 @@ __all__ = [
     "Flow",
     "Form",
     "Hub",
+    "Inflow",
     "MeanPair",
     "Mesh",
     "Point",
@@ -67,6 +78,7 @@ __all__ = [
     "Tip",
     "Verdict",
     "WakeProfile",
+    "at_corners",
     "beside",
     "blade_mesh",
     "blade_surface",
@@ -77,6 +89,8 @@ __all__ = [
     "friction_picture",
     "history",
     "history_picture",
+    "inflow",
+    "inflow_picture",
     "iso_surface",
     "judge",
     "judged",
@@ -101,6 +115,7 @@ __all__ = [
     "study",
     "study_cases",
     "sweep",
+    "sweep_climb",
     "velocity_gradient",
     "vortex_surface",
     "vortices_picture",

@@ -1,4 +1,4 @@
-"""Solved cases beside a table of measurements and of others' computations."""
+"""Solved cases beside a table of measurements and of others' computations, and over the inflow beside other methods."""
 
 from __future__ import annotations
 
@@ -7,11 +7,20 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mufly.cfd.case import Point, read_point
+from mufly.cfd.results import Solution
 from mufly.cfd.run import Verdict, judge
-from mufly.errors import InputError
+from mufly.errors import InputError, MuflyError
 from mufly.results import result
+from mufly.rotor import Condition, Method, Rotor, System, prepare, solve
+from mufly.rotor.maps import at
 from mufly.units import RPM
+from mufly.vehicle import CoefficientMap
+
+Array = NDArray[np.float64]
 
 
 @result
@@ -84,3 +93,92 @@ def compare(table: Path, cases: Sequence[Path]) -> list[Compared]:
         ]
         out.append(Compared(str(case), point, verdict, beside[0], beside[1]))
     return out
+
+
+@result(eq=False, picture="mufly.cfd.pictures:inflow_picture")
+class Inflow:
+    """Thrust over the climb, each as a part of the same method's thrust in hover.
+
+    Attributes
+    ----------
+    solutions : tuple of Solution
+        One a climb, rising; what has not settled is among them.
+    climb_m_s : (points,) array
+    c_T : (points,) array
+        Of the solutions: means of the last iterations.
+    others : dict of (points,) arrays
+        Coefficient by blade elements (``bemt``) and vortex wake (``wake``) at the same climbs; nan where there is none.
+    map_name : str
+        The flight model's coefficient map.
+    map_part : (points,) array
+        What it makes of the upper rotor's thrust in hover at the same climb over tip speed, at equal speeds; nan
+        beyond its edges.
+    """
+
+    solutions: tuple[Solution, ...]
+    climb_m_s: Array
+    c_T: Array
+    others: dict[str, Array]
+    map_name: str
+    map_part: Array
+
+    def slope(self, values: Array, reach_m_s: float) -> float:
+        """Part of the thrust in hover that 1 m/s of climb adds, from -reach to reach (m/s); nan if not told."""
+        at_zero, ends = np.flatnonzero(self.climb_m_s == 0.0), []
+        for climb in (-reach_m_s, reach_m_s):
+            ends.append(np.flatnonzero(np.abs(self.climb_m_s - climb) < 1e-9))
+        if not (at_zero.size and ends[0].size and ends[1].size):
+            return math.nan
+        return float((values[ends[1][0]] - values[ends[0][0]]) / values[at_zero[0]] / (2.0 * reach_m_s))
+
+
+def inflow(solutions: Sequence[Solution], rotor: Rotor | None, flight: CoefficientMap) -> Inflow:
+    """Lay solutions of one rotor at several climbs beside other methods and the flight model's map.
+
+    Parameters
+    ----------
+    solutions : sequence of Solution
+        Alike but for the climb.
+    rotor : Rotor, optional
+        Whose loads blade elements and the wake shall tell; without it they are left out.
+    flight : CoefficientMap
+
+    Raises
+    ------
+    InputError
+        If they differ in more than the climb.
+
+    Thesis: Fig. 4.2.
+    """
+    found = sorted(solutions, key=lambda s: s.point.climb_m_s)
+    first = found[0].point
+    for name in ("rotor", "pitch_rad", "speed_rad_s", "model", "level", "form"):
+        for s in found[1:]:
+            if getattr(s.point, name) != getattr(first, name):
+                raise InputError(
+                    "climb", name, "differs between the cases", "give cases that differ in the climb only"
+                )
+    climb = np.array([s.point.climb_m_s for s in found])
+    scale = first.density_kg_m3 * math.pi * first.radius_m**4 * first.speed_rad_s**2
+    others = {}
+    if rotor is not None:
+        system = System.single(prepare(rotor))
+        methods: tuple[Method, ...] = ("bemt", "wake")
+        for method in methods:
+            values = others.setdefault(method, np.full(len(climb), math.nan))
+            for i, w in enumerate(climb):
+                at_point = Condition(first.pitch_rad, first.speed_rad_s, None, float(w), first.air)
+                try:
+                    told = solve(system, at_point, method)
+                except MuflyError:
+                    continue
+                if told.converged:
+                    values[i] = told.rotors[0].thrust_N / scale
+    tip = abs(first.speed_rad_s) * first.radius_m
+    mean = float(np.mean(flight.tables().mean_speed_rad_s))
+    thrust, outside = at(flight, mean, 1.0, climb / tip)
+    hover = at(flight, mean, 1.0, 0.0)[0][..., 0]
+    part = np.where(outside, math.nan, thrust[:, 0] / hover)
+    return Inflow(
+        tuple(found), climb, np.array([s.verdict.thrust_N for s in found]) / scale, others, flight.name, part
+    )

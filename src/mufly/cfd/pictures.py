@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.cfd.case import Point
+from mufly.cfd.comparison import Inflow
 from mufly.cfd.point import Beside, MeanPair
 from mufly.cfd.polymesh import PolyMesh
 from mufly.cfd.results import Flow, Probe, Solution, WakeProfile
@@ -140,6 +141,41 @@ def pair_picture(pair: MeanPair) -> Figure:
     return figure
 
 
+def inflow_picture(found: Inflow) -> Figure:
+    """Thrust coefficient over the climb, and each method's as a part of its own in hover beside the flight model's map.
+
+    Thesis: Fig. 4.2.
+    """
+    figure = _figure(10.0, 4.4)
+    axes = figure.subplots(1, 2)
+    w, hover = found.climb_m_s, np.flatnonzero(found.climb_m_s == 0.0)
+    settled = np.array([s.verdict.settled for s in found.solutions])
+    rows = [(found.c_T, f"CFD, {found.solutions[0].point.model}", "o-")]
+    rows += [(values, _METHODS.get(name, name), ".-") for name, values in found.others.items()]
+    for values, name, style in rows:
+        axes[0].plot(w, values, style, label=name)
+        if hover.size:
+            axes[1].plot(w, 100.0 * (values / values[hover[0]] - 1.0), style, label=name)
+    if not settled.all():
+        axes[0].plot(w[~settled], found.c_T[~settled], "x", ms=10, color="#c0392b", label="not settled")
+    axes[0].set(ylabel="c_T", ylim=(0.0, None))
+    axes[1].plot(
+        w,
+        100.0 * (found.map_part - 1.0),
+        "--",
+        color="0.3",
+        label=f"flight model's map\n{found.map_name}, upper rotor",
+    )
+    axes[1].set(ylabel="thrust, change from hover (%)")
+    for ax in axes:
+        ax.set_xlabel("climb (m/s); below 0 descent")
+        ax.grid(alpha=0.3)
+        ax.legend(fontsize="small")
+    p = found.solutions[0].point
+    figure.suptitle(f"{p.rotor}, {np.degrees(p.pitch_rad):.3g}°, {abs(p.speed_rad_s) / RPM:.0f} rpm")
+    return figure
+
+
 def history_picture(history: Array) -> Figure:
     """Thrust and torque over the iterations, near what they end at: false plateaus lie 3 to 4 % below."""
     figure = _figure(7.0, 4.0)
@@ -162,7 +198,8 @@ def friction_picture(mesh: PolyMesh, solution: Solution) -> Figure:
     They follow the shear stress that the air puts on the wall. Where it runs aft they run aft; at a separation lines
     from both sides run together.
     """
-    from matplotlib.tri import LinearTriInterpolator, Triangulation
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.spatial import cKDTree
 
     figure = _figure(9.0, 6.0)
     faces = mesh.patch("blade")
@@ -171,20 +208,22 @@ def friction_picture(mesh: PolyMesh, solution: Solution) -> Figure:
     flat = np.abs(normal[:, 2]) > 0.3 * np.linalg.norm(
         normal, axis=1
     )  # neither caps nor the blunt trailing edge
+    of_blade = mesh.strip[mesh.owner[faces]] >= 0  # no hub
     axes = figure.subplots(2, 1, sharex=True)
-    low, high = 1e3 * mesh.edges_m[0], 1e3 * mesh.edges_m[-1]
     for ax, side, title in zip(
         axes, (normal[:, 2] < 0, normal[:, 2] > 0), ("Upper side", "Lower side"), strict=True
     ):
-        k = side & flat & (centre[:, 1] > low) & (centre[:, 1] < high)
-        r, aft = centre[k, 1], sense * centre[k, 0]
-        along, back = solution.friction_Pa[k, 1], sense * solution.friction_Pa[k, 0]
-        grid = Triangulation(r, aft)
-        # A concave outline is not part of the blade: no face is that long.
-        x, y = r[grid.triangles], aft[grid.triangles]
-        grid.set_mask(np.maximum(np.ptp(x, axis=1), np.ptp(y, axis=1)) > 0.25 * (high - low))
-        rr, aa = np.meshgrid(np.linspace(r.min(), r.max(), 240), np.linspace(aft.min(), aft.max(), 120))
-        t_r, t_a = (LinearTriInterpolator(grid, v)(rr, aa) for v in (along, back))
+        k = side & flat & of_blade
+        place = np.column_stack((centre[k, 1], sense * centre[k, 0]))
+        stress = np.column_stack((solution.friction_Pa[k, 1], sense * solution.friction_Pa[k, 0]))
+        ends = [np.linspace(*np.sort(place, axis=0)[[0, -1], i], n) for i, n in enumerate((240, 120))]
+        rr, aa = np.meshgrid(*ends)
+        at = np.stack((rr, aa), axis=-1)
+        found = LinearNDInterpolator(place, stress)(at)
+        # Between the arms of a concave outline there is no blade: nothing on one lies that far from a face's centre.
+        far = 0.75e3 * np.diff(mesh.edges_m).max()
+        beyond = np.isnan(found[..., 0]) | (cKDTree(place).query(at)[0] > far)
+        t_r, t_a = (np.ma.masked_array(found[..., i], beyond) for i in (0, 1))
         ax.contourf(rr, aa, t_a, levels=[-1e9, 0.0], colors=["#f4b6a6"])
         ax.contour(rr, aa, t_a, levels=[0.0], colors="#c0392b", linewidths=1.0)
         size = np.ma.hypot(t_r, t_a)
@@ -211,7 +250,9 @@ def vorticity_picture(mesh: PolyMesh, flow: Flow, point: Point) -> Figure:
     axes = figure.subplots(2, 3, sharex=True, sharey=True).ravel()
     for ax, behind in zip(axes, BEHIND_DEG, strict=True):
         psi = np.full(rr.size, 0.5 * np.pi - sense * np.radians(behind))
-        spin = probe.cylindrical(radius * rr.ravel(), psi, radius * zz.ravel())[1][:, 1]
+        at = (radius * rr.ravel(), psi, radius * zz.ravel())
+        spin = np.ma.masked_array(probe.cylindrical(*at)[1][:, 1], probe.solid(*at, point.rotors))
+        ax.set_facecolor("0.35")  # blade and hub
         image = ax.pcolormesh(
             rr, zz, spin.reshape(rr.shape) / abs(point.speed_rad_s), cmap="RdBu_r", vmin=-6.0, vmax=6.0,
             shading="nearest", rasterized=True,
@@ -259,15 +300,13 @@ def vortices_picture(
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         light = 0.55 + 0.45 * np.clip(normal @ LightSource(300, 50).direction, 0.0, 1.0)
         axes.add_collection3d(Poly3DCollection(list(corner), facecolors=colours * light[:, None]))
+    # As far up and down as there is something to see.
+    height = np.append(corner[..., 2], 0.0)
+    low, high = min(-0.3, float(height.min()) - 0.05), max(0.3, float(height.max()) + 0.05)
     axes.set(
-        xlim=(-1.2, 1.2),
-        ylim=(-1.2, 1.2),
-        zlim=(-1.5, 0.4),
-        xlabel="x / R",
-        ylabel="y / R",
-        zlabel="height / R",
-    )
-    axes.set_box_aspect((2.4, 2.4, 1.9))
+        xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), zlim=(low, high), xlabel="x / R", ylabel="y / R", zlabel="height / R"
+    )  # fmt: skip
+    axes.set_box_aspect((2.4, 2.4, high - low), zoom=1.15)
     axes.view_init(elev=22.0, azim=-35.0)
     figure.colorbar(ScalarMappable(scale, "viridis"), ax=axes, label="velocity down (m/s)", shrink=0.6)
     return figure
@@ -275,7 +314,7 @@ def vortices_picture(
 
 def wake_picture(wake: WakeProfile) -> Figure:
     """Mean velocity around the shaft under the disc, over radius, beside momentum theory's."""
-    figure = _figure(9.0, 4.0)
+    figure = _figure(9.0, 4.4)
     axes = figure.subplots(1, 2)
     for i, h in enumerate(wake.below_m):
         (line,) = axes[0].plot(1e3 * wake.r_m, wake.down_m_s[i], label=f"{1e3 * h:.3g} mm below")
@@ -288,6 +327,8 @@ def wake_picture(wake: WakeProfile) -> Figure:
     for ax in axes:
         ax.set(xlabel="radius (mm)")
         ax.grid(alpha=0.3)
-    axes[0].legend(loc="upper right")
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(wake.below_m) + 1
+    )
     figure.suptitle("Under the disc, mean around the shaft")
     return figure

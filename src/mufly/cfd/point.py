@@ -187,6 +187,38 @@ def sweep(
     return out
 
 
+def sweep_climb(
+    folder: Path,
+    rotor: Rotor,
+    climbs_m_s: Sequence[float],
+    *,
+    cores: int = 1,
+    progress: Callable[[Progress], None] | None = None,
+    **given: Any,
+) -> list[Solution]:
+    """Solve several climbs at one speed, each from its own start; those that are solved are kept.
+
+    Parameters
+    ----------
+    folder : Path
+        Each climb gets a folder in it, ``climb-0.5``; descent ``climb--0.5``.
+    rotor : Rotor
+    climbs_m_s : sequence of float
+    cores, progress, given
+        As for :func:`solve_point`.
+
+    Raises
+    ------
+    InputError
+        If the rotor descends too fast; before anything is solved.
+    """
+    # The fastest descent comes first, as it may be refused.
+    return [
+        solve_point(folder / f"climb-{w:g}", rotor, climb_m_s=w, cores=cores, progress=progress, **given)
+        for w in sorted(set(climbs_m_s))
+    ]
+
+
 @result(eq=False, picture="mufly.cfd.pictures:pair_picture")
 class MeanPair:
     """Two rotors that turn against each other, each beside the other's mean around the shaft.

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import field
 from pathlib import Path
 
@@ -288,10 +289,7 @@ class Probe:
 
         The blade lies at an azimuth of pi/2; it repeats every sector. Returns two (points, 3) arrays.
         """
-        sector = 2.0 * math.pi / self._mesh.blades
-        into = (azimuth_rad - 0.5 * math.pi + 0.5 * sector) % sector + 0.5 * math.pi - 0.5 * sector
-        c, s = np.cos(into), np.sin(into)
-        at = np.stack((r_m * c, r_m * s, z_m), axis=-1)
+        at, c, s = self._into_sector(r_m, azimuth_rad, z_m)
         cell = self._tree.query(at)[1]
         away = at - self._mesh.centres[cell]
         u = self._flow.velocity_m_s[cell] + np.einsum("pi,pij->pj", away, self._flow.gradient_1_s[cell])
@@ -299,6 +297,23 @@ class Probe:
         for v in (u, self._flow.vorticity_1_s[cell]):
             both.append(np.stack((v[:, 0] * c + v[:, 1] * s, v[:, 1] * c - v[:, 0] * s, v[:, 2]), axis=-1))
         return both[0], both[1]
+
+    def solid(self, r_m: Array, azimuth_rad: Array, z_m: Array, walls: Iterable[str]) -> NDArray[np.bool_]:
+        """Whether points lie in a blade or the hub: behind the nearest wall, which is nearer than any cell."""
+        at = self._into_sector(r_m, azimuth_rad, z_m)[0]
+        faces = np.concatenate([np.arange(len(self._mesh.faces))[self._mesh.patch(name)] for name in walls])
+        away, nearest = cKDTree(self._mesh.face_centres[faces]).query(at)
+        near = faces[nearest]
+        # Area vectors leave the air.
+        behind = np.einsum("pi,pi->p", at - self._mesh.face_centres[near], self._mesh.face_areas[near]) > 0.0
+        return np.asarray(behind & (away < self._tree.query(at)[0]))
+
+    def _into_sector(self, r_m: Array, azimuth_rad: Array, z_m: Array) -> tuple[Array, Array, Array]:
+        """Points turned into the mesh's sector, and cosine and sine of their azimuths there."""
+        sector = 2.0 * math.pi / self._mesh.blades
+        into = (azimuth_rad - 0.5 * math.pi + 0.5 * sector) % sector + 0.5 * math.pi - 0.5 * sector
+        c, s = np.cos(into), np.sin(into)
+        return np.stack((r_m * c, r_m * s, z_m), axis=-1), c, s
 
 
 WAKE_AT = (0.25, 0.5, 1.0)
@@ -339,7 +354,7 @@ def wake_profile(
     flow : Flow
     point : Point
     thrust_N : float
-        Of the whole rotor, for momentum theory.
+        Of the whole rotor, for momentum theory; of a pair both rotors'.
     below : tuple of float
         Distances under the disc in radii.
     """

@@ -27,7 +27,7 @@ from mufly.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-_TYPES = {"float64": "Float64", "int64": "Int64", "int32": "Int32"}
+_TYPES = {"float64": "Float64", "float32": "Float32", "int64": "Int64", "int32": "Int32", "uint8": "UInt8"}
 
 
 def blade_surface(mesh: PolyMesh, solution: Solution) -> tuple[Array, Index, dict[str, NDArray]]:
@@ -79,7 +79,7 @@ def point_values(mesh: PolyMesh, values: Array) -> Array:
 
 
 def iso_surface(
-    mesh: PolyMesh, values: Array, level: float, *, within_m: float = math.inf
+    mesh: PolyMesh, values: Array, level: float, *, among: NDArray[np.bool_] | None = None
 ) -> tuple[Array, Index]:
     """Surface on which a quantity of the cells has a value, by marching through tetrahedra, without gaps.
 
@@ -92,15 +92,16 @@ def iso_surface(
     mesh : PolyMesh
     values : (cells,) array
     level : float
-    within_m : float
-        Cells whose centre is further from the hub's are left out.
+    among : (cells,) array of bool, optional
+        The cells that are looked at; default: all.
 
     Returns
     -------
     points : (points, 3) array
         m.
     triangles : (triangles, 3) array
-        Anticlockwise seen from where the quantity is lower. Each has points of its own.
+        Anticlockwise seen from where the quantity is lower. Neighbours share their points, so where the surface does
+        not leave the cells every edge is one of two triangles.
     """
     at_points = point_values(mesh, values)
     inside = len(mesh.neighbour)
@@ -110,7 +111,9 @@ def iso_surface(
     low, high = values.copy(), values.copy()
     np.minimum.at(low, cell, at_points[faces].min(axis=1))
     np.maximum.at(high, cell, at_points[faces].max(axis=1))
-    wanted = (low < level) & (high > level) & (np.linalg.norm(mesh.centres, axis=1) < within_m)
+    wanted = (low < level) & (high > level)
+    if among is not None:
+        wanted &= among
     faces, cell = faces[wanted[cell]], cell[wanted[cell]]
     corner, value = mesh.points[faces], at_points[faces]
     n = 4 * len(faces)
@@ -144,16 +147,39 @@ def iso_surface(
             wrong = np.einsum("ti,ti->t", normal, down) < 0.0
             t[wrong] = t[wrong][:, ::-1]
             parts.append(t[np.linalg.norm(normal, axis=1) > 0.0])
-    found = np.concatenate(parts)
-    return found.reshape(-1, 3), np.arange(3 * len(found)).reshape(-1, 3)
+    return _welded(np.concatenate(parts))
 
 
-VORTEX = 0.3
-"""Level of Q, over the rotor speed squared, of the surfaces that show vortices."""
+_SAME = 1e-6
+"""Points nearer than that to each other, of the largest coordinate, are one."""
+
+
+def _welded(triangles: Array) -> tuple[Array, Index]:
+    """Points and indices of (triangles, 3, 3) corners; a triangle that shrinks to less than three points is dropped."""
+    corners = triangles.reshape(-1, 3)
+    if not len(corners):
+        return corners, np.empty((0, 3), dtype=np.int64)
+    key = np.round(corners / (_SAME * float(np.abs(corners).max()))).astype(np.int64)
+    _, first, of = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    index = of.reshape(-1, 3)
+    a, b, c = index.T
+    return corners[first], index[(a != b) & (b != c) & (c != a)]
+
+
+VORTEX = 0.03
+"""Level of Q, over (tip speed / chord) squared, of the surfaces that show vortices.
+
+A vortex of circulation G spread evenly over a core of radius a turns with a vorticity w = G / (pi a^2), and
+Q = w^2 / 4 in it. A blade at a lift coefficient of 0.6 sheds G = 0.3 c V: with this level its tip vortex is shown until
+it is spread over half a chord, a = 0.52 c.
+"""
 
 
 def vortex_surface(mesh: PolyMesh, flow: Flow, point: Point) -> tuple[Array, Index, dict[str, NDArray]]:
-    """Vortices of all blades within 2 R: surfaces of :data:`VORTEX`.
+    """Vortices of all blades within 2 R: surfaces of :data:`VORTEX`, outside the blades' boundary layer.
+
+    Cells nearer to a wall than a laminar boundary layer is thick at the tip's tail, 5 c / sqrt(V c / nu), are left out:
+    their Q is friction's. Source: Blasius, in Schlichting, Boundary-Layer Theory, 1979, ch. VII.
 
     Returns
     -------
@@ -163,8 +189,12 @@ def vortex_surface(mesh: PolyMesh, flow: Flow, point: Point) -> tuple[Array, Ind
     data : dict of (triangles,) arrays
         ``vorticity_1_s`` (its magnitude) and ``down_m_s``, of the cell whose centre is nearest, and ``blade``.
     """
-    level = VORTEX * max(abs(speed) for speed in point.rotors.values()) ** 2
-    points, triangles = iso_surface(mesh, flow.q_1_s2, level, within_m=2.0 * point.radius_m)
+    speed, chord = point.radius_m * max(abs(speed) for speed in point.rotors.values()), _chord(mesh)
+    wall = np.concatenate([mesh.face_centres[mesh.patch(name)] for name in point.rotors])
+    layer = 5.0 * chord / math.sqrt(speed * chord / point.nu)
+    among = np.linalg.norm(mesh.centres, axis=1) < 2.0 * point.radius_m
+    among &= cKDTree(wall).query(mesh.centres, distance_upper_bound=layer)[0] > layer
+    points, triangles = iso_surface(mesh, flow.q_1_s2, VORTEX * (speed / chord) ** 2, among=among)
     cell = (
         cKDTree(mesh.centres).query(points[triangles].mean(axis=1))[1] if len(triangles) else np.empty(0, int)
     )
@@ -175,14 +205,32 @@ def vortex_surface(mesh: PolyMesh, flow: Flow, point: Point) -> tuple[Array, Ind
         around.append(points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
     rings = [triangles + i * len(points) for i in range(n)]
     data: dict[str, NDArray] = {
-        "vorticity_1_s": np.tile(spin, n), "down_m_s": np.tile(-flow.velocity_m_s[cell, 2], n),
-        "blade": np.repeat(np.arange(n), len(triangles)),
-    }  # fmt: skip
+        "vorticity_1_s": np.tile(spin, n).astype(np.float32),
+        "down_m_s": np.tile(-flow.velocity_m_s[cell, 2], n).astype(np.float32),
+        "blade": np.repeat(np.arange(n, dtype=np.uint8), len(triangles)),
+    }
     return np.concatenate(around), np.concatenate(rings), data
 
 
+def _chord(mesh: PolyMesh) -> float:
+    """The blade's chord (m) in the middle of its strips: half of the wall's area per span."""
+    faces = mesh.patch("blade")
+    strip, width = mesh.strip[mesh.owner[faces]], np.diff(mesh.edges_m)
+    area = np.linalg.norm(mesh.face_areas[faces], axis=1)
+    own = (strip >= 0) & (strip < len(width))
+    return float(np.median(np.bincount(strip[own], area[own], len(width)) / (2.0 * width)))
+
+
+def at_corners(points: Array, faces: Index, values: NDArray) -> Array:
+    """Mean at each point of the values (faces,) around it; (points,) array."""
+    each = faces.shape[1]
+    count = np.bincount(faces.ravel(), minlength=len(points))
+    total = np.bincount(faces.ravel(), np.repeat(values, each), len(points))
+    return np.asarray(total / np.maximum(count, 1), dtype=np.float64)
+
+
 def write_vtp(file: Path, points: Array, faces: Index, data: Mapping[str, NDArray]) -> Path:
-    """Write polygons with data on their faces.
+    """Write polygons with data on their faces; points in single precision.
 
     Parameters
     ----------
@@ -216,9 +264,9 @@ def write_vtp(file: Path, points: Array, faces: Index, data: Mapping[str, NDArra
 
     each = faces.shape[1]
     parts = [
-        "<Points>" + array("Points", np.asarray(points, dtype=np.float64)) + "</Points>",
-        "<Polys>" + array("connectivity", faces.astype(np.int64).ravel())
-        + array("offsets", each * np.arange(1, len(faces) + 1, dtype=np.int64)) + "</Polys>",
+        "<Points>" + array("Points", np.asarray(points, dtype=np.float32)) + "</Points>",
+        "<Polys>" + array("connectivity", faces.astype(np.int32).ravel())
+        + array("offsets", each * np.arange(1, len(faces) + 1, dtype=np.int32)) + "</Polys>",
         "<CellData>" + "".join(array(name, values) for name, values in data.items()) + "</CellData>",
     ]  # fmt: skip
     text = (
@@ -232,9 +280,15 @@ def write_vtp(file: Path, points: Array, faces: Index, data: Mapping[str, NDArra
 
 
 def write_glb(
-    file: Path, points: Array, faces: Index, colours: NDArray[np.uint8], name: str = "rotor"
+    file: Path,
+    points: Array,
+    faces: Index,
+    colours: NDArray[np.uint8],
+    name: str = "rotor",
+    *,
+    shared: bool = False,
 ) -> Path:
-    """Write quadrilaterals or triangles, each in its own colour, as a binary glTF.
+    """Write quadrilaterals or triangles as a binary glTF, each in its own colour or with colours of its points.
 
     Parameters
     ----------
@@ -244,46 +298,61 @@ def write_glb(
     faces : (faces, 4) or (faces, 3) array
         Anticlockwise from outside.
     colours : (faces, 3) array of uint8
-        Red, green, blue, linear.
+        Red, green, blue, linear; with ``shared`` (points, 3).
     name : str
+    shared : bool
+        The points have the colours and neighbours share them, which takes a fifth of the room; there are no normals,
+        and a viewer shades every face evenly.
 
     Raises
     ------
     InputError
         If it cannot be written.
     """
-    corner = points[faces][..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])  # z up becomes y up
     each = faces.shape[1]
-    normal = np.cross(corner[:, 2] - corner[:, 0], corner[:, -1] - corner[:, 1])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    position = corner.reshape(-1, 3).astype("<f4")
-    first = each * np.arange(len(faces), dtype="<u4")[:, None]
-    paint = np.full((len(faces), 4), 255, dtype=np.uint8)
+    turned = points[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])  # z up becomes y up
+    corner = turned[faces]
+    position = (turned if shared else corner.reshape(-1, 3)).astype("<f4")
+    ring = [0, 1, 2, 0, 2, 3][: 3 * each - 6]
+    index = faces[:, ring] if shared else each * np.arange(len(faces))[:, None] + np.array(ring)
+    paint = np.full((len(colours), 4), 255, dtype=np.uint8)
     paint[:, :3] = colours
-    arrays = [
-        (position, 5126, "VEC3"), (np.repeat(normal, each, axis=0).astype("<f4"), 5126, "VEC3"),
-        (np.repeat(paint, each, axis=0), 5121, "VEC4"),
-        ((first + np.array([0, 1, 2, 0, 2, 3][: 3 * each - 6], dtype="<u4")).astype("<u4").ravel(), 5125, "SCALAR"),
-    ]  # fmt: skip
+    arrays = {"POSITION": (position, 5126, "VEC3")}
+    if not shared:
+        normal = np.cross(corner[:, 2] - corner[:, 0], corner[:, -1] - corner[:, 1])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        arrays["NORMAL"] = (np.repeat(normal, each, axis=0).astype("<f4"), 5126, "VEC3")
+    arrays["COLOR_0"] = (paint if shared else np.repeat(paint, each, axis=0), 5121, "VEC4")
+    arrays["indices"] = (index.astype("<u4").ravel(), 5125, "SCALAR")
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
     at = 0
-    for i, (values, kind, shape) in enumerate(arrays):
+    for what, (values, kind, shape) in arrays.items():
         size = values.nbytes
         views.append(
-            {"buffer": 0, "byteOffset": at, "byteLength": size, "target": 34963 if i == 3 else 34962}
+            {
+                "buffer": 0,
+                "byteOffset": at,
+                "byteLength": size,
+                "target": 34963 if what == "indices" else 34962,
+            }
         )
         accessors.append(
-            {"bufferView": i, "componentType": kind, "count": len(values), "type": shape}
-            | ({"normalized": True} if i == 2 else {})
-            | ({"min": position.min(axis=0).tolist(), "max": position.max(axis=0).tolist()} if i == 0 else {})
+            {"bufferView": len(accessors), "componentType": kind, "count": len(values), "type": shape}
+            | ({"normalized": True} if what == "COLOR_0" else {})
+            | (
+                {"min": position.min(axis=0).tolist(), "max": position.max(axis=0).tolist()}
+                if what == "POSITION" and len(position)
+                else {}
+            )
         )
         at += size
     tree = {
         "asset": {"version": "2.0", "generator": "mufly"},
         "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, "name": name}],
         "meshes": [{"name": name, "primitives": [
-            {"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3, "material": 0}
+            {"attributes": {k: i for i, k in enumerate(arrays) if k != "indices"},
+             "indices": len(arrays) - 1, "material": 0}
         ]}],
         "materials": [{
             "doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}
@@ -292,7 +361,9 @@ def write_glb(
     }  # fmt: skip
     text = json.dumps(tree, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    body = b"".join(values.tobytes() for values, _, _ in arrays)  # every part is a multiple of 4 long
+    body = b"".join(
+        values.tobytes() for values, _, _ in arrays.values()
+    )  # every part is a multiple of 4 long
     head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(body))
     return _write(
         file,

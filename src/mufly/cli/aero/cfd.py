@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from mufly.cli.aero.cfd_report import tell_case, tell_inflow, tell_pair
 from mufly.cli.options import (
     Commands,
     JsonOption,
@@ -23,9 +23,7 @@ from mufly.cli.options import (
 from mufly.cli.present import answer, console, print_table, save_picture, show_lines, write_csv
 
 if TYPE_CHECKING:
-    from mufly.cfd import MeanPair, Point, Progress, Solution
-    from mufly.cfd.pair import Disc
-    from mufly.rotor import Rotor
+    from mufly.cfd import Progress
 
 app = Commands(
     help="Navier-Stokes answers for a rotor in hover or climb, by OpenFOAM; what stands and what not: docs/cfd.md.",
@@ -52,6 +50,19 @@ GurneyOption = Annotated[
 CaseOption = Annotated[
     Path, option("--out DIR", "The case: its folder; a run that was stopped goes on there.")
 ]
+
+
+SPEEDS = "5000,6000,7000"
+
+
+def _numbers(key: str, text: str, example: str) -> list[float]:
+    """Numbers of a list with commas."""
+    from mufly.errors import InputError
+
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(key, "", f"{text!r} is no list of numbers", f"write for example {example}") from None
 
 
 @app.command()
@@ -165,7 +176,7 @@ def run(
             )
         with _telling(not as_json) as tell:
             pair = solve_pair(out, r, neighbour=start, progress=tell, **second, **given)
-        _tell_pair(out, r, pair, as_json)
+        tell_pair(out, r, pair, as_json)
         return
     good = save_case(out, r, neighbour=start, **second, **given)
     if save_only:
@@ -173,7 +184,7 @@ def run(
         return
     with _telling(not as_json) as tell:
         run_case(out, cores=cores, progress=tell)
-    _tell(out, r, as_json)
+    tell_case(out, r, as_json)
 
 
 @contextmanager
@@ -198,24 +209,31 @@ def _telling(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
 def sweep(
     rotor: RotorArgument = "naca0012-r60-c20",
     pitch: PitchOption = "12",
-    rpm: Annotated[str, option("--rpm RPM,RPM", "Rotor speeds, best from low to high.")] = "5000,6000,7000",
+    rpm: Annotated[str, option("--rpm RPM,RPM", "Rotor speeds, best from low to high.")] = SPEEDS,
     density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
     model: TurbulenceOption = "laminar",
     level: MeshOption = "medium",
     tip: TipOption = "square",
     hub: HubOption = 0.0,
     gurney: GurneyOption = 0.0,
+    climb: Annotated[
+        str | None,
+        option("--climb M/S,M/S", "Climbs (below 0 descent) at the first speed, in place of speeds."),
+    ] = None,
     out: Annotated[
-        Path, option("--out DIR", "A folder for each speed in it; what is solved there is kept.")
+        Path, option("--out DIR", "A folder for each point in it; what is solved there is kept.")
     ] = Path("sweep"),
     cores: Annotated[int, option("N", "Processes of the solver.", min=1, max=256)] = 1,
     as_json: JsonOption = False,
 ) -> None:
-    """Solve several speeds, each but the first started from its neighbour's solution, scaled.
+    """Solve several speeds, each but the first started from its neighbour's solution, scaled; or several climbs.
 
+    With --climb one speed is solved at each climb, from its own start, and the thrust over the climb is drawn beside
+    blade elements, wake and the flight model's coefficient map. `mufly cfd show sweep` tells that again.
     Example: mufly cfd sweep naca0012-r60-c20 --pitch 12 --rpm 5000,6000,7000 --mesh coarse --out sweep
+    Example: mufly cfd sweep naca0012-r60-c20 --pitch 12 --rpm 5000 --climb -1,0,1 --mesh coarse --out climbs
     """
-    from mufly.cfd import LEVELS, MODELS, TIPS, find_solver
+    from mufly.cfd import LEVELS, MODELS, TIPS, find_solver, sweep_climb
     from mufly.cfd import sweep as sweep_speeds
     from mufly.errors import InputError
     from mufly.rotor import Air, load_rotor
@@ -224,19 +242,23 @@ def sweep(
     one_of("--model", model, MODELS)
     one_of("--mesh", level, LEVELS)
     one_of("--tip", tip, TIPS)
-    try:
-        speeds = [turning("--rpm", float(text)) for text in rpm.split(",")]
-    except ValueError:
-        raise InputError(
-            "--rpm", "", f"{rpm!r} is no list of speeds", "write for example 5000,6000,7000"
-        ) from None
+    speeds = [turning("--rpm", value) for value in _numbers("--rpm", rpm, "5000,6000,7000")]
+    climbs = None if climb is None else _numbers("--climb", climb, "-0.5,0,0.5,1")
+    if climbs is not None and len(speeds) > 1 and rpm != SPEEDS:
+        raise InputError("--climb", "", f"goes with one speed, and --rpm is {rpm}", "give one speed")
     find_solver()
+    r = load_rotor(rotor)
+    given: dict[str, Any] = {
+        "pitch_rad": angle("--pitch", pitch), "air": Air(density_kg_m3=density), "model": model, "level": level,
+        "tip": tip, "hub_m": 1e-3 * hub, "gurney": 0.01 * gurney, "cores": cores,
+    }  # fmt: skip
     with _telling(not as_json) as tell:
-        found = sweep_speeds(
-            out, load_rotor(rotor), speeds, cores=cores, progress=tell, pitch_rad=angle("--pitch", pitch),
-            air=Air(density_kg_m3=density), model=model, level=level, tip=tip, hub_m=1e-3 * hub,
-            gurney=0.01 * gurney,
-        )  # fmt: skip
+        if climbs is not None:
+            tell_inflow(
+                out, r, sweep_climb(out, r, climbs, speed_rad_s=speeds[0], progress=tell, **given), as_json
+            )
+            return
+        found = sweep_speeds(out, r, speeds, progress=tell, **given)
     heads = ("rpm", "thrust_N", "torque_Nm", "c_T", "c_Q", "figure_of_merit", "verdict")
     rows = [
         (
@@ -344,19 +366,23 @@ def show(
 ) -> None:
     """Say what a case's last state (or a pair's) is worth: verdict, loads, y+, beside blade elements and wake.
 
+    Of a folder of climbs that `mufly cfd sweep --climb` wrote: the thrust over the climb. No solver is needed.
     The blades, with pressure and friction, are written as VTP and glTF into the case's results.
     Example: mufly cfd show case
     """
-    from mufly.cfd import read_pair, read_point
+    from mufly.cfd import read_pair, read_point, read_solution
     from mufly.rotor import builtin_rotors, load_rotor
 
     both = (case / "upper" / "mufly.json").is_file()
-    name = rotor or read_point(case / "upper" if both else case).rotor
+    climbs = [file.parent for file in sorted(case.glob("climb-*/mufly.json"))]
+    name = rotor or read_point(case / "upper" if both else (climbs or [case])[0]).rotor
     known = load_rotor(name) if rotor is not None or name in builtin_rotors() else None
-    if both:
-        _tell_pair(case, known, read_pair(case), as_json)
+    if climbs:
+        tell_inflow(case, known, [read_solution(place) for place in climbs], as_json)
+    elif both:
+        tell_pair(case, known, read_pair(case), as_json)
     else:
-        _tell(case, known, as_json)
+        tell_case(case, known, as_json)
 
 
 @app.command()
@@ -420,224 +446,3 @@ def convergence_of(
         print_table(("", *names, "last step", "order", "limit", "index", ""), rows, text=(0, 8))
 
     answer(as_json, lambda: {c.name: c for c in found}, show)
-
-
-def _tell(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
-    """Print a solution, and write its tables and pictures into the case."""
-    content, show, files, _ = _report(folder, rotor)
-    answer(as_json, content, show, files)
-
-
-def _tell_pair(folder: Path, rotor: Rotor | None, pair: MeanPair, as_json: bool) -> None:
-    """Print both rotors of a pair, each beside the other's mean, and what they are to each other."""
-    from mufly.cfd import pair_picture
-
-    reports = [_report(folder / name, rotor) for name in ("upper", "lower")]
-    files = [save_picture(pair_picture(pair), folder, "pair"), *reports[0][2], *reports[1][2]]
-    ratios = [("cfd", pair.upper.verdict, pair.lower.verdict), *_both(reports[0][3], reports[1][3])]
-
-    def show() -> None:
-        for report in reports:
-            report[1]()
-        _show_ratios(ratios)
-        up, low = pair.between_m_s
-        console().print(
-            f"Half way between the discs the air goes down at {up:.2f} m/s under the upper rotor's blades and at "
-            f"{low:.2f} m/s in the lower one's case.",
-            highlight=False,
-        )
-        if not pair.settled:
-            console().print("Not settled: do not rely on these numbers.", style="yellow", highlight=False)
-
-    answer(
-        as_json,
-        lambda: {
-            "settled": pair.settled, "thrust_ratio": pair.thrust_ratio,
-            "torque_ratio": pair.torque_ratio, "between_m_s": pair.between_m_s, "upper": reports[0][0](),
-            "lower": reports[1][0](),
-        },
-        show, files,
-    )  # fmt: skip
-
-
-def _both(upper: list[Any], lower: list[Any]) -> list[tuple[str, Any, Any]]:
-    return [(a.method, a, b) for a, b in zip(upper, lower, strict=False)]
-
-
-def _report(
-    folder: Path, rotor: Rotor | None
-) -> tuple[Callable[[], dict[str, Any]], Callable[[], None], list[Path], list[Any]]:
-    """Write a solution's tables and pictures; what to say of it, as data and as print, the files, others' results."""
-    from mufly.cfd import (
-        blade_surface,
-        colours_of,
-        friction_picture,
-        history,
-        history_picture,
-        loads_picture,
-        pressure_picture,
-        read_flow,
-        read_poly_mesh,
-        read_solution,
-        vortex_surface,
-        vortices_picture,
-        vorticity_picture,
-        wake_picture,
-        wake_profile,
-        write_glb,
-        write_vtp,
-    )
-    from mufly.cfd.pair import read_disc
-
-    poly = read_poly_mesh(folder)
-    found = read_solution(folder, poly)
-    below = found.point.other_m > 0.0
-    others = [] if rotor is None else _others(rotor, found, read_disc(folder), int(below))
-    low = read_solution(folder, poly, patch="blade_lower") if found.point.gap_m else None
-    others_low = [] if rotor is None or low is None else _others(rotor, found, None, 1)
-    place = folder / "results"
-    past = history(folder)
-    points, faces, data = blade_surface(poly, found)
-    files = [
-        write_csv(place / "history.csv", ("iteration", "thrust_N", "torque_Nm"), past),
-        write_csv(
-            place / "loads.csv", ("r_m", "dr_m", "thrust_N_m", "torque_Nm_m", "reversed_share"),
-            zip(found.r_m, found.dr_m, found.thrust_N_m, found.torque_Nm_m, found.reversed_share, strict=True),
-        ),
-        save_picture(loads_picture(found, others), place, "loads"),
-        save_picture(pressure_picture(poly, found), place, "pressure"),
-        save_picture(history_picture(past), place, "history"),
-        write_vtp(place / "blades.vtp", points, faces, data),
-        write_glb(place / "blades.glb", points, faces, colours_of(data["pressure_Pa"]), found.point.rotor),
-    ]  # fmt: skip
-    flow = read_flow(folder, poly)
-    wake = wake_profile(poly, flow, found.point, found.thrust_N + (0.0 if low is None else low.thrust_N))
-    vortices = vortex_surface(poly, flow, found.point)
-    files += [
-        save_picture(friction_picture(poly, found), place, "friction"),
-        save_picture(vorticity_picture(poly, flow, found.point), place, "vorticity"),
-        save_picture(vortices_picture(vortices, poly, found.point), place, "vortices"),
-        save_picture(wake_picture(wake), place, "wake"),
-        write_vtp(place / "vortices.vtp", *vortices),
-        write_glb(
-            place / "vortices.glb", *vortices[:2], colours_of(vortices[2]["down_m_s"]), found.point.rotor
-        ),
-        write_csv(
-            place / "wake.csv", ("below_m", "r_m", "down_m_s", "swirl_m_s"),
-            ((h, *row) for h, down, swirl in zip(wake.below_m, wake.down_m_s, wake.swirl_m_s, strict=True)
-             for row in zip(wake.r_m, down, swirl, strict=True)),
-        ),
-    ]  # fmt: skip
-
-    def content() -> dict[str, Any]:
-        import numpy as np
-
-        kept = ("thrust_N", "torque_Nm", "power_W", "c_T", "c_Q", "figure_of_merit", "friction_torque", "r_m", "dr_m",
-                "thrust_N_m", "torque_Nm_m", "reversed_share")  # fmt: skip
-        return {
-            "point": vars(found.point), "verdict": found.verdict, **{k: getattr(found, k) for k in kept},
-            "eddy_ratio": found.eddy_ratio, "wake_torque": found.wake_torque, "wake_thrust": found.wake_thrust,
-            "yplus_largest": float(found.yplus.max()), "yplus_median": float(np.median(found.yplus)),
-            "beside": {o.method: {"thrust_N": o.thrust_N, "torque_Nm": o.torque_Nm} for o in others},
-            **({"lower": {"verdict": low.verdict, **{k: getattr(low, k) for k in kept}}} if low is not None else {}),
-        }  # fmt: skip
-
-    def show() -> None:
-        _show(
-            found,
-            others,
-            found.point,
-            {-1: "upper rotor: ", 0: "", 1: "lower rotor: "}[_sign(found.point.other_m)],
-        )
-        if low is not None:
-            under = replace(low.point, pitch_rad=low.point.lower_pitch_rad, speed_rad_s=low.point.lower_rad_s)
-            _show(low, others_low, under, "lower rotor: ")
-            _show_ratios([("cfd", found.verdict, low.verdict), *_both(others, others_low)])
-
-    return content, show, files, others
-
-
-def _sign(x: float) -> int:
-    return (x > 0.0) - (x < 0.0)
-
-
-def _show_ratios(pairs: list[tuple[str, Any, Any]]) -> None:
-    """The lower rotor of a pair beside the upper one, by every method."""
-    rows = [
-        (name, f"{low.thrust_N / up.thrust_N:.3f}", f"{low.torque_Nm / up.torque_Nm:.3f}")
-        for name, up, low in pairs
-    ]
-    print_table(("lower over upper rotor", "thrust", "torque"), rows)
-
-
-def _others(rotor: Rotor, found: Solution, other: Disc | None = None, which: int = 0) -> list[Any]:
-    """Blade elements and the wake at the same point; of a pair the upper rotor, or with ``which`` 1 the lower.
-
-    ``other``: the other rotor of a pair that is solved by turns.
-    """
-    from mufly.cfd import beside
-    from mufly.errors import MuflyError
-    from mufly.rotor import Condition, System, prepare, solve
-
-    p = found.point
-    system, pitch, speed = System.single(prepare(rotor)), p.pitch_rad, p.speed_rad_s
-    condition = Condition(pitch, speed, None, p.climb_m_s, p.air)
-    if p.gap_m:
-        system = System.coaxial(prepare(rotor), prepare(rotor), spacing_m=p.gap_m)
-        condition = Condition((pitch, p.lower_pitch_rad), (speed, p.lower_rad_s), None, p.climb_m_s, p.air)
-    elif other is not None:
-        system = System.coaxial(prepare(rotor), prepare(rotor), spacing_m=abs(p.other_m))
-        both = [(pitch, speed), (other.pitch_rad, other.speed_rad_s)]
-        pitches, speeds = zip(*(both[::-1] if which else both), strict=True)
-        condition = Condition(pitches, speeds, None, p.climb_m_s, p.air)
-    out = []
-    for method in ("bemt", "wake"):
-        try:
-            result = solve(system, condition, method)
-        except MuflyError:
-            continue
-        if result.converged:
-            out.append(beside(result.rotors[which], method))
-    return out
-
-
-def _show(found: Solution, others: list[Any], p: Point, what: str) -> None:
-    import numpy as np
-
-    from mufly.units import RPM
-
-    v = found.verdict
-    c = console()
-    c.print(
-        f"{what}[bold]{p.rotor}[/bold]  {math.degrees(p.pitch_rad):.4g}°, "
-        f"{p.speed_rad_s / RPM:.0f} rpm, {p.model}, "
-        f"{p.level} mesh, {v.iterations} iterations: {v.what}",
-        highlight=False,
-    )
-    if p.form:
-        c.print(f"With {p.form}; blade elements and wake know the plain blade only.", highlight=False)
-    rows = [("cfd", f"{v.thrust_N:.4f}", f"{1e3 * v.torque_Nm:.4f}", "", "")]
-    rows += [
-        (o.method, f"{o.thrust_N:.4f}", f"{1e3 * o.torque_Nm:.4f}", f"{100 * (v.thrust_N / o.thrust_N - 1):+.1f} %",
-         f"{100 * (v.torque_Nm / o.torque_Nm - 1):+.1f} %")
-        for o in others
-    ]  # fmt: skip
-    print_table(("", "thrust (N)", "torque (mN m)", "cfd against it: thrust", "torque"), rows)
-    c.print(
-        f"Drift {100 * v.drift:.2g} % and swing {100 * v.swing:.2g} % in the last 400 iterations, outflow "
-        f"{1e3 * v.outflow_m3_s:.3g} l/s at the bottom, continuity {v.leak:.1e}; friction is "
-        f"{100 * found.friction_torque:.0f} % of the torque; y+ up to {found.yplus.max():.2g}, median "
-        f"{np.median(found.yplus):.2g}; figure of merit {found.figure_of_merit:.3f}"
-        + (
-            f"; the air below carries {100 * found.wake_torque:.0f} % of the torque, "
-            f"{100 * found.wake_thrust:.0f} % of the thrust"
-            if np.isfinite(found.wake_torque)
-            else ""
-        )
-        + (f"; turbulent over molecular viscosity up to {found.eddy_ratio:.3g}" if found.eddy_ratio else ""),
-        highlight=False,
-    )
-    left = 100 * float(np.average(found.reversed_share, weights=found.dr_m))
-    c.print(f"The flow has left {left:.0f} % of the upper side (friction towards the nose).", highlight=False)
-    if not v.settled:
-        c.print(f"Not settled ({v.what}): do not rely on these numbers.", style="yellow", highlight=False)
