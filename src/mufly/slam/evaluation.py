@@ -79,11 +79,9 @@ def evaluate(
     flat = np.hypot(off[:, 0], off[:, 1])
     way = float(np.hypot(*np.diff(true[:, :2], axis=0).T).sum())
     nees = within = math.nan
-    if covariance is not None:
-        e = np.column_stack([off, turned])
-        p = covariance[inside]
-        found = p[:, 0, 0] > _TOLD_M**2
-        e, p = e[found], p[found]
+    found = inside if covariance is None else inside & (covariance[:, 0, 0] > _TOLD_M**2)
+    if covariance is not None and found.any():
+        e, p = np.column_stack([off, turned])[found[inside]], covariance[found]
         each = np.einsum("ni,ni->n", e, np.linalg.solve(p, e[..., None])[..., 0])
         nees, within = float(each.mean() / 4), float((each < CHI2_95).mean())
     count = len(time) if pictures is None else pictures
