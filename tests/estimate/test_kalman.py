@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from mufly.control import design
 from mufly.estimate import Check, Estimate
 from mufly.estimate.fitted import KalmanEstimator
+from mufly.estimate.layout import TURN
 from mufly.estimate.nees import Consistency, consistency
 from mufly.flight import Flight
 from mufly.mission import mission_from
-from mufly.sensors import Reading, Readings, Truth, fitted_sensors, parse_fault
+from mufly.sensors import Reading, Readings, Truth, beam_directions, fitted_sensors, parse_fault
 from mufly.vehicle import Vehicle, load_vehicle, replace
-from mufly.world import World
+from mufly.world import Room, World
 
 HOP = mission_from(
     {
@@ -109,6 +110,37 @@ def test_lasers_that_see_no_wall_never_count_as_used(vehicle: Vehicle, flown, fe
     _, told = run(vehicle, felt(10_000), flown[1])
     made = {(c.status, c.reason) for e in told[100:] for c in e.beliefs.checks if c.name == "ranges"}
     assert made == {("waiting", "sees no wall: all are too far")}
+
+
+def test_beams_that_are_wrong_alike_do_not_grow_true_by_being_many(vehicle: Vehicle) -> None:
+    """Standing between walls: place is the mean of what facing beams say, as good as calibration, not better later."""
+    room = World(room=Room(north=(-1.2, 1.2), east=(-1.2, 1.2), height=3.0))
+    estimator = KalmanEstimator(vehicle, room, 200.0)
+    ways = beam_directions(vehicle)
+    known = estimator._settings.copy()
+    known["sigma"][TURN + 2] = 0.01  # beams at a slant tell no place where the heading is not known
+    estimator.use(known)
+    ring = 1.2 / np.abs(ways[:, :2]).max(axis=1)
+    ring[ways[:, 0].argmax()] += 0.02
+    assert vehicle.sensors is not None
+    camera = vehicle.sensors.ring_camera
+    assert camera is not None
+    base = float(camera.baseline)
+    row = 1.25 * math.atan(base / float(camera.min_range)) / camera.radial_pixels
+    n, e = ways[np.abs(ways[:, 0]) > 0.9, :2].T
+    lasts = n * ((1.2 / n) ** 2 + base**2) / base * row * float(camera.calibration)
+    heading = 0.0
+    for k in range(1200):
+        t = 0.005 * k
+        ranges = Reading(ring + 1e-6 * math.sin(k), 0.04 * (k // 8))
+        told = estimator.update(Readings(t, {"ranges": ranges}))
+        if k in {399, 1199}:
+            assert told.covariance[8, 8] >= heading
+            heading = told.covariance[8, 8]
+            constant = lasts**2 + (1.2 * e / n) ** 2 * heading
+            # Told of now: what the 0.2 s since the horizon add is in it.
+            assert 1.0 <= told.covariance[0, 0] * np.sum(1.0 / constant) < 1.4
+            assert told.position[:2] == pytest.approx([-0.02 / n.size, 0.0], abs=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.92, 1.08])
