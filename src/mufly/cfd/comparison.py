@@ -160,7 +160,7 @@ def inflow(solutions: Sequence[Solution], rotor: Rotor | None, flight: Coefficie
                 )
     climb = np.array([s.point.climb_m_s for s in found])
     scale = first.density_kg_m3 * math.pi * first.radius_m**4 * first.speed_rad_s**2
-    others = {}
+    others: dict[str, Array] = {}
     if rotor is not None:
         system = System.single(prepare(rotor))
         methods: tuple[Method, ...] = ("bemt", "wake")

@@ -216,8 +216,8 @@ def friction_picture(mesh: PolyMesh, solution: Solution) -> Figure:
         k = side & flat & of_blade
         place = np.column_stack((centre[k, 1], sense * centre[k, 0]))
         stress = np.column_stack((solution.friction_Pa[k, 1], sense * solution.friction_Pa[k, 0]))
-        ends = [np.linspace(*np.sort(place, axis=0)[[0, -1], i], n) for i, n in enumerate((240, 120))]
-        rr, aa = np.meshgrid(*ends)
+        (r0, a0), (r1, a1) = place.min(axis=0), place.max(axis=0)
+        rr, aa = np.meshgrid(np.linspace(r0, r1, 240), np.linspace(a0, a1, 120))
         at = np.stack((rr, aa), axis=-1)
         found = LinearNDInterpolator(place, stress)(at)
         # Between the arms of a concave outline there is no blade: nothing on one lies that far from a face's centre.
