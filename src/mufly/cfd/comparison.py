@@ -147,8 +147,6 @@ def inflow(solutions: Sequence[Solution], rotor: Rotor | None, flight: Coefficie
     ------
     InputError
         If they differ in more than the climb.
-
-    Thesis: Fig. 4.2.
     """
     found = sorted(solutions, key=lambda s: s.point.climb_m_s)
     first = found[0].point

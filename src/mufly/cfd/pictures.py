@@ -144,7 +144,7 @@ def pair_picture(pair: MeanPair) -> Figure:
 def inflow_picture(found: Inflow) -> Figure:
     """Thrust coefficient over the climb, and each method's as a part of its own in hover beside the flight model's map.
 
-    Thesis: Fig. 4.2.
+    As Fig. 4.2 of the dissertation draws them (:func:`mufly.thesis.rotors.inflow` judges it).
     """
     figure = _figure(10.0, 4.4)
     axes = figure.subplots(1, 2)
