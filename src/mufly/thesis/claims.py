@@ -194,7 +194,7 @@ _CLAIMS: dict[str, Claim] = {
 _TUNING = (
     "polars, the unstated hub cut-out (here 0.15 R) and the tuning, which is not printed (docs/studies.md)"
 )
-_WAKES = "our wakes take more from the lower rotor; with torques balanced they agree (docs/wake.md)"
+_WAKES = "our wakes take more from the lower rotor: they lack drag's swirl, their stream has a sharp edge (docs/wake.md)"
 _REASONS = {
     "gear-thrust": "it holds at 6.4 V, the voltage of a used battery (docs/thesis-errata.md, points 6 and 22)",
     "coefficients-torque": "the corrections for a short blade move with the Reynolds number",
@@ -214,7 +214,7 @@ _REASONS = {
     "coax-pitch-power": "the printed torque is above its own bench's (docs/thesis-errata.md, point 26)",
     "coax-lower-speed": "a lower rotor that windmills in the upper one's wake has no wake that settles (docs/wake.md)",
     "coax-pitch-speed": "both are computed, and no bench decides; ours wants more speed at more pitch (docs/wake.md)",
-    "coax-spacing": "our wakes change by 15 %; blade elements let the upper wake grow stronger with the distance",
+    "coax-spacing": "most of it between 1 and 2 cm; blade elements let the upper wake grow stronger with the distance",
 }
 CLAIMS: dict[str, Claim] = {
     key: replace(

@@ -54,10 +54,18 @@ def alone(model: str = "free") -> Result:
 
 
 def tip_path(solution: Result, rotor: int = 0) -> tuple[Array, Array]:
-    """Radius over R and height (m, above the rotor's disc) of the outermost filament, over its points."""
+    """Radius over R and height (m, above the rotor's disc) of the tip vortex, over its points.
+
+    Its middle: all that the blade sheds outboard of its greatest circulation rolls up into it, and the outermost filament
+    goes round in there.
+    """
     wake = solution.wakes[rotor]
-    path = wake.paths_m[-1]
-    return np.hypot(path[:, 0], path[:, 1]) / wake.surface.radius_m, path[:, 2] - wake.placed.height_m
+    begin = int(np.argmax(np.abs(wake.circulation_m2_s))) + 1
+    share = np.abs(wake.strength_m2_s[begin:])
+    paths = wake.paths_m[begin:]
+    radius = np.hypot(paths[..., 0], paths[..., 1]) / wake.surface.radius_m
+    middle = np.average(radius, axis=0, weights=share), np.average(paths[..., 2], axis=0, weights=share)
+    return middle[0], middle[1] - wake.placed.height_m
 
 
 def pair_of_wakes(progress: Progress | None = None) -> Found:
