@@ -56,8 +56,8 @@ def alone(model: str = "free") -> Result:
 def tip_path(solution: Result, rotor: int = 0) -> tuple[Array, Array]:
     """Radius over R and height (m, above the rotor's disc) of the tip vortex, over its points.
 
-    Its middle: all that the blade sheds outboard of its greatest circulation rolls up into it, and the outermost filament
-    goes round in there.
+    Its middle: all that the blade sheds outboard of its greatest circulation rolls up into it, and the outermost
+    filament goes round in there.
     """
     wake = solution.wakes[rotor]
     begin = int(np.argmax(np.abs(wake.circulation_m2_s))) + 1
