@@ -194,7 +194,9 @@ _CLAIMS: dict[str, Claim] = {
 _TUNING = (
     "polars, the unstated hub cut-out (here 0.15 R) and the tuning, which is not printed (docs/studies.md)"
 )
-_WAKES = "our wakes take more from the lower rotor: they lack drag's swirl, their stream has a sharp edge (docs/wake.md)"
+_WAKES = (
+    "our wakes take more from the lower rotor: no swirl from drag, a stream with a sharp edge (docs/wake.md)"
+)
 _REASONS = {
     "gear-thrust": "it holds at 6.4 V, the voltage of a used battery (docs/thesis-errata.md, points 6 and 22)",
     "coefficients-torque": "the corrections for a short blade move with the Reynolds number",
