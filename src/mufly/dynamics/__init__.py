@@ -10,7 +10,7 @@ from mufly.dynamics.linearisation import (
     submodel,
     trim,
 )
-from mufly.dynamics.model import battery_state, derivative, lowest_point, standing_height
+from mufly.dynamics.model import battery_state, derivative, lowest_point, standing_attitude, standing_height
 from mufly.dynamics.similarity import similar_vehicle
 from mufly.dynamics.simulation import (
     DEFAULT_STEP_S,
@@ -67,6 +67,7 @@ __all__ = [
     "rotation",
     "similar_vehicle",
     "simulate",
+    "standing_attitude",
     "standing_height",
     "state_dataset",
     "submodel",

@@ -434,12 +434,36 @@ def lowest_point(x: _Array, p: Any) -> tuple[float, int]:
     return depth, index
 
 
+def _down_when_standing(vehicle: Vehicle) -> NDArray[np.float64]:
+    """Return which way is down in body axes (3,) when it stands: square to the plane of its legs' tips.
+
+    Tips that lie in no plane (to 0.01 mm) rock; which of them carry nobody knows, and it is taken to stand upright.
+    """
+    legs = vehicle.contact.legs.array()
+    if np.ptp(legs[:, 2]) == 0.0:
+        return np.array([0.0, 0.0, 1.0])
+    normal = np.linalg.svd(legs - legs.mean(axis=0))[2][2]
+    if np.ptp(legs @ normal) > 1e-5 or abs(normal[2]) < 0.5:
+        return np.array([0.0, 0.0, 1.0])
+    return np.asarray(normal * np.sign(normal[2]))
+
+
+def standing_attitude(vehicle: Vehicle) -> tuple[float, float]:
+    """Return roll and pitch (rad) with which the vehicle stands on a level floor: legs of unlike length lean it.
+
+    With the tips in a plane square to ``n`` (body axes, down) it stands so that ``n`` is down, the third row of the
+    rotation to the earth's axes: ``n = (-sin theta, sin phi cos theta, cos phi cos theta)``. Own derivation.
+    """
+    n = _down_when_standing(vehicle)
+    return math.atan2(n[1], n[2]), -math.asin(n[0])
+
+
 def standing_height(vehicle: Vehicle) -> float:
     """Return the height (m) of the centre of gravity when the vehicle stands still with its rotors at rest.
 
     The weight is taken to be shared equally by the legs that reach lowest.
     """
-    z: NDArray[np.float64] = vehicle.contact.legs.array()[:, 2]
+    z: NDArray[np.float64] = vehicle.contact.legs.array() @ _down_when_standing(vehicle)
     lowest = float(z.max())
     carrying = int(np.sum(z > lowest - 1e-6))
     return lowest - float(vehicle.body.mass) * GRAVITY / (carrying * float(vehicle.contact.stiffness))

@@ -33,7 +33,7 @@ from mufly.dynamics.state import hover_speeds
 from mufly.sensors import beam_directions, earth_field
 from mufly.sensors.ring_camera import MARGIN
 from mufly.vehicle import Vehicle
-from mufly.vehicle.sensing import Sensing
+from mufly.vehicle.sensing import LEVEL_RAD, Sensing
 from mufly.world import World
 
 ERROR_STATES: tuple[str, ...] = (
@@ -200,7 +200,6 @@ EDGE_S, LOW, SETTLED = 3.0, 0.05, 0.01
 (m), and known to be once its height is uncertain by more than the last (m)."""
 FLOOR_WANDER = 5e-4  # of the way over it (m/sqrt(m)): floors are not quite flat
 FLOOR_START = 1e-4  # m: where it stands is D = 0, by definition
-LEVEL = math.radians(0.12)  # how level it stands on the floor
 PLACE_M = 5.0  # where it stands before anything is heard
 TURN_RAD = 2 * math.pi
 _LEAST_BEAM = 1e-4  # 1/m: what a wall is off by, 0.1 mm at 1 m, where beams have no error
@@ -235,13 +234,14 @@ def filter_settings(
     stands = standing_height(vehicle)
     start[2] = -stands
     sigma[P : P + 2], sigma[P + 2], sigma[V : V + 3] = PLACE_M, 3e-3, 0.01
-    sigma[TURN : TURN + 2], sigma[TURN + 2] = LEVEL, math.pi
+    level = LEVEL_RAD if sensing.imu is None else float(sensing.imu.level)
+    sigma[TURN : TURN + 2], sigma[TURN + 2] = level, math.pi
     sigma[FLOOR], walk[FLOOR] = FLOOR_START, FLOOR_WANDER  # the last times the root of the speed
     sigma[WIND : WIND + 2], tau[WIND : WIND + 2] = WIND_SPEED
     sigma[THRUST_], walk[THRUST_] = THRUST_ERROR, THRUST_WALK
     walk[P : P + 3] = 1e-4
     s["dt"] = dt
-    s["stands"], s["weight"], s["level"] = stands, p["mass"] * GRAVITY, LEVEL
+    s["stands"], s["weight"], s["level"] = stands, p["mass"] * GRAVITY, level
     s["thrust"] = p["thrust_up"], p["thrust_dw"]
     s["hover"] = hover_speeds(p)
     swash = float(p["swash_rate"]) * dt
@@ -341,15 +341,15 @@ def filter_settings(
         every[R_MAGNET] = max(1, round(0.1 / float(compass.period)))
         noisy[R_MAGNET] = float(compass.noise) > 0
         s["earth"] = earth_field(float(compass.field), float(compass.inclination))
-        level = max(float(s["earth"][0]), 1e-9)
+        field = max(float(s["earth"][0]), 1e-9)
         # Heave control swings the current by half of a hover's, and its field with it
         swing = 0.5 * MOTOR_CURRENT * float(compass.motor_field)
-        s["magnet_variance"] = (math.hypot(float(compass.noise), swing) / level) ** 2
+        s["magnet_variance"] = (math.hypot(float(compass.noise), swing) / field) ** 2
         current = float(vehicle.battery.electronics_current) + MOTOR_CURRENT
         wrong = math.hypot(
             float(compass.distortion), float(compass.hard_iron), float(compass.motor_field) * current
         )
-        sigma[MAGNET_], tau[MAGNET_] = min(wrong / level, 2.0), float(compass.distortion_length) / 0.3
+        sigma[MAGNET_], tau[MAGNET_] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
         bound[R_MAGNET] = 1e-3
     if (rotor := sensing.rotor_speed) is not None:
         fitted[R_ROTOR], period[R_ROTOR] = 1, float(rotor.period)

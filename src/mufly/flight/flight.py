@@ -35,6 +35,7 @@ from mufly.dynamics import (
     initial_state,
     model_air,
     outside_model,
+    standing_attitude,
     standing_height,
 )
 from mufly.errors import InputError
@@ -50,7 +51,16 @@ from mufly.flight.software import Computing, FlightSoftware
 from mufly.flight.state import FlightState
 from mufly.logs.mcap import Event, standard_layout
 from mufly.mission import Mission, MissionEstimate, State, dump_mission, load_mission, preflight
-from mufly.sensors import Fault, FittedSensors, Readings, Sensors, Truth, fitted_sensors, ideal_sensors
+from mufly.sensors import (
+    Fault,
+    FittedSensors,
+    Readings,
+    Sensors,
+    Truth,
+    fitted_sensors,
+    ideal_sensors,
+    leaning,
+)
 from mufly.vehicle import Vehicle, load_vehicle, vehicle_toml
 from mufly.version import __version__
 
@@ -168,11 +178,12 @@ class Flight:
                 )
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
         self.outside = outside_model(vehicle, steady, gust)
+        unit = leaning(vehicle, seed=seed) if sensors == "fitted" else vehicle
         self._start = initial_state(
-            position=(*mission.start_m, -standing_height(vehicle)),
-            attitude=(0.0, 0.0, math.radians(mission.start_heading_deg)),
+            position=(*mission.start_m, -standing_height(unit)),
+            attitude=(*standing_attitude(unit), math.radians(mission.start_heading_deg)),
         )
-        self.plant = Plant(vehicle, mission.world, air, controller.rate_Hz, self._start)
+        self.plant = Plant(unit, mission.world, air, controller.rate_Hz, self._start)
         self.look = max(1, round(controller.rate_Hz / RING_HZ))
         start = (*mission.start_m, math.radians(mission.start_heading_deg))
         self._least_m = least_height(vehicle)

@@ -22,7 +22,7 @@ from mufly.sensors.readings import (
 )
 from mufly.sensors.ring_camera import RingCamera
 from mufly.sensors.sonar import UltrasonicSensor
-from mufly.sensors.suite import FITTED, FittedSensors, check_faults, fitted_sensors
+from mufly.sensors.suite import FITTED, FittedSensors, check_faults, fitted_sensors, leaning
 
 __all__ = [
     "FITTED",
@@ -52,6 +52,7 @@ __all__ = [
     "fitted_sensors",
     "ideal_ranges",
     "ideal_sensors",
+    "leaning",
     "nearest_turn",
     "parse_fault",
 ]

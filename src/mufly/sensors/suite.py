@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mufly.dynamics import quaternion_from_euler, rotation
 from mufly.errors import InputError
 from mufly.sensors.electrical import BackEmfSensor, BatterySensor
 from mufly.sensors.faults import Fault, Faulty
@@ -134,6 +135,30 @@ def fitted_sensors(
     for fault in faults:
         fitted.inject(fault)
     return fitted
+
+
+def leaning(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
+    """Return the unit of a vehicle that a seed draws as it stands: not quite level, as far as its file allows.
+
+    What is taken for level while it stands and is calibrated (``sensors.imu.level``) never is: legs are of unlike
+    length, floors slope. Roll and pitch are drawn for it, and the plane of its legs' tips is turned about the centre
+    of gravity by that, so that :func:`mufly.dynamics.standing_attitude` is what was drawn, before a flight and after.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    seed : int
+        Same seed, same legs; other sensors' errors stay as they are with or without.
+    """
+    if vehicle.sensors is None or vehicle.sensors.imu is None or float(vehicle.sensors.imu.level) == 0.0:
+        return vehicle
+    own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2 * len(FITTED),)))
+    roll, pitch = float(vehicle.sensors.imu.level) * own.standard_normal(2)
+    legs = vehicle.contact.legs.array() @ rotation(quaternion_from_euler(roll, pitch, 0.0))
+    tips = vehicle.contact.legs.model_copy(
+        update={"value": tuple((float(x), float(y), float(z)) for x, y, z in legs)}
+    )
+    return vehicle.model_copy(update={"contact": vehicle.contact.model_copy(update={"legs": tips})})
 
 
 def _make(name: str, table: Any, vehicle: Vehicle, world: World, rng: np.random.Generator) -> Sensor:

@@ -6,6 +6,8 @@ sensor that a vehicle of a gram to 100 kg might carry and of errors with which i
 
 from __future__ import annotations
 
+import math
+
 from pydantic import Field, model_validator
 
 from mufly.tables import fault
@@ -28,6 +30,10 @@ class Vibration(Group):
         "rad/s", "w_r", "resonance of the board on its mounting", at_least=1, at_most=1e6
     )
     damping: Quantity = parameter("1", "zeta_r", "damping ratio of that resonance", at_least=0.001, at_most=2)
+
+
+LEVEL_RAD = math.radians(0.12)
+"""How level a helicopter stands on the floor where its file does not say (0.2 mm under a leg of 0.1 m)."""
 
 
 class Imu(Group):
@@ -83,6 +89,14 @@ class Imu(Group):
     )
     place: Points = parameter(
         "m", "r_imu", "one point: where the element sits, in body axes", at_least=-10, at_most=10
+    )
+    level: Quantity = parameter(
+        "rad",
+        "s_level",
+        "how level it stands where it is calibrated, about x and about y, one sigma",
+        at_least=0,
+        at_most=0.2,
+        absent=LEVEL_RAD,
     )
     vibration: Vibration
 

@@ -1,0 +1,69 @@
+"""How level a helicopter stands: legs of unlike length, what truth shows of them, and what the filter is told."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mufly.dynamics import quaternion_from_euler, rotation, standing_attitude, standing_height
+from mufly.estimate.layout import filter_settings
+from mufly.flight import Flight
+from mufly.sensors import leaning
+from mufly.vehicle import load_vehicle, replace
+from mufly.world import World
+
+VEHICLE = load_vehicle("mufly-2.0")
+
+
+def legs(vehicle, tips):
+    kept = vehicle.contact.legs.model_copy(update={"value": tuple(map(tuple, np.asarray(tips).tolist()))})
+    return vehicle.model_copy(update={"contact": vehicle.contact.model_copy(update={"legs": kept})})
+
+
+def test_legs_of_one_length_stand_upright():
+    assert standing_attitude(VEHICLE) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.02, 0.0), (0.0, -0.03), (0.1, 0.2)])
+def test_turned_legs_stand_as_they_are_turned(roll, pitch):
+    turned = legs(VEHICLE, VEHICLE.contact.legs.array() @ rotation(quaternion_from_euler(roll, pitch, 0.0)))
+    assert standing_attitude(turned) == pytest.approx((roll, pitch), abs=1e-12)
+    assert standing_height(turned) == pytest.approx(standing_height(VEHICLE), abs=1e-12)
+
+
+def test_tips_in_no_plane_are_taken_to_stand_upright():
+    tips = VEHICLE.contact.legs.array()
+    tips[0, 2] += 1e-3
+    assert standing_attitude(legs(VEHICLE, tips)) == (0.0, 0.0)
+
+
+def test_units_stand_as_level_as_the_file_says():
+    stood = np.array([standing_attitude(leaning(VEHICLE, seed=k)) for k in range(400)])
+    told = float(VEHICLE.sensors.imu.level)
+    assert told == pytest.approx(math.radians(0.12))
+    assert stood.std(axis=0) == pytest.approx([told, told], rel=0.1)
+    assert np.abs(stood.mean(axis=0)).max() < 3 * told / math.sqrt(400)
+    exact = replace(VEHICLE, {"sensors.imu.level": 0.0})
+    assert leaning(exact, seed=3) is exact
+
+
+def test_it_stands_still_as_it_leans_and_the_filter_does_not_know():
+    lean = standing_attitude(leaning(VEHICLE, seed=5))
+    with Flight(VEHICLE, "demonstration", seed=5, sensors="fitted", keep=False) as flight:
+        stands = []
+        for _ in range(400):
+            flight.tick()
+            stands.append(flight.status.truth)
+        estimate = flight.status.estimate
+    for before, after in pairwise(stands):
+        assert np.abs(after.attitude - before.attitude).max() < 1e-6
+    assert stands[-1].attitude[:2] == pytest.approx(lean, abs=2e-5)
+    assert filter_settings(VEHICLE, World(), 200.0)["level"] == float(VEHICLE.sensors.imu.level)
+    assert np.abs(estimate.attitude[:2]).max() < 0.5 * np.abs(lean).max()
+
+
+def test_ideal_flights_stand_upright():
+    with Flight(VEHICLE, "demonstration", seed=5, keep=False) as flight:
+        flight.tick()
+        assert not flight.status.truth.attitude[:2].any()
