@@ -1,12 +1,12 @@
 """How good the estimator is, and whether it knows: a mission flown on ideal sensors, felt by many units.
 
-    python benchmarks/estimation.py nees --seeds 100 [--scenario NAME] [--first 0]
+    python benchmarks/estimation.py nees --seeds 100 [--scenario NAME] [--first 0] [--level]
     python benchmarks/estimation.py cost
     python benchmarks/estimation.py single
     python benchmarks/estimation.py nanobench --folder FOLDER
 
 The wind is the same for all seeds; how level a unit stands, its sensors and their errors are not. So the estimator is
-judged without the control loop.
+judged without the control loop. With --level all units stand level to the last bit, and the filter is not told.
 """
 
 from __future__ import annotations
@@ -117,9 +117,11 @@ def drawn(vehicle: Vehicle, what: str, seed: int) -> Vehicle:
             continue
 
 
-def felt(vehicle: Vehicle, mission: Mission, seed: int, scenario: Scenario) -> Consistency:
+def felt(vehicle: Vehicle, mission: Mission, seed: int, scenario: Scenario, level: bool) -> Consistency:
     """One unit on its flight: it stands as level as it does, and may be off the model."""
-    true = leaning(drawn(vehicle, scenario.off, seed) if scenario.off else vehicle, seed=seed)
+    true = drawn(vehicle, scenario.off, seed) if scenario.off else vehicle
+    if not level:
+        true = leaning(true, seed=seed)
     flight = flown(true, mission, seed if scenario.off else 77, vehicle)
     faults = [parse_fault(f) for f in scenario.faults]
     sensors = fitted_sensors(true, mission.world, seed=seed, faults=faults)
@@ -158,7 +160,7 @@ def nees(asked: argparse.Namespace) -> None:
             continue
         vehicle, mission = vehicle_of(scenario), mission_from(scenario.mission)
         seeds = range(asked.first, asked.first + asked.seeds)
-        all_ = [felt(vehicle, mission, k, scenario) for k in seeds]
+        all_ = [felt(vehicle, mission, k, scenario, asked.level) for k in seeds]
         print(f"{name:18s}" + Consistency.merged(all_).row(), flush=True)
 
 
@@ -222,5 +224,6 @@ if __name__ == "__main__":
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--scenario", default="")
     parser.add_argument("--folder", default=".")
+    parser.add_argument("--level", action="store_true", help="units that stand level to the last bit")
     given = parser.parse_args()
     {"nees": nees, "cost": cost, "single": single, "nanobench": nanobench}[given.what](given)
