@@ -608,7 +608,9 @@ def step(m: Any, s: Any, p: Any, z: _Array, new: NDArray[np.int32], age: _Array)
         at = m.tick + (s.lag - age[kind] - s.latency[kind] * (1 if kind == R_PRESSURE else 0)) / s.dt
         if not _queue(m, s, kind, at, z, STARTS[kind], STARTS[kind + 1] - STARTS[kind]):
             m.late[kind] += 1
-            flag(m, s, kind, FAULTY, LATE, age[kind])
+            # One alone is no fault: jitter has a longer tail than the horizon waits for.
+            if (m.tick - m.used[kind]) * s.dt > s.patience[kind]:
+                flag(m, s, kind, FAULTY, LATE, age[kind])
     left = s.work - (TELLING if m.tick % TOLD_EVERY == 0 else 0)
     _wander(m, s)
     if rises > 0.0 and m.sigma[THRUST_] > LIFTS_OFF:

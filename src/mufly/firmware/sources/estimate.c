@@ -892,7 +892,10 @@ static void let_wait(estimator_t *m, const estimator_settings_t *s, const real_t
 
             if (!queue(m, s, kind, at, &z[STARTS[kind]])) {
                 m->late[kind] += 1;
-                flag(m, s, kind, FAULTY, LATE, age[kind]);
+                /* One alone is no fault: jitter has a longer tail than the horizon waits for. */
+                if (((real_t)(m->tick - m->used[kind]) * s->dt) > s->patience[kind]) {
+                    flag(m, s, kind, FAULTY, LATE, age[kind]);
+                }
             }
         }
     }
