@@ -86,9 +86,9 @@ LED_AWAY = 5.0
 """... from which on a fix that does not fit is no fix that jumps."""
 _AGREE_S = 1.0
 RANGE = 5.5
-"""Deviations a of a wandering beyond which it is no wandering. One of time constant tau goes beyond them, to either side,
-2 a phi(a) / tau times a second (phi: normal density; Pickands, 1969): three axes with tau of 2 s do
-so 0.06 times in ten hours (5: 0.8 times, and once it was seen)."""
+"""Deviations a of a wandering beyond which it is no wandering. One of time constant tau goes beyond them, to either
+side, 2 a phi(a) / tau times a second (phi: normal density; Pickands, 1969): three axes with tau of 2 s do so 0.06 times
+in ten hours (5: 0.8 times, and once it was seen)."""
 GYRO_RANGE = 8.0
 """Deviations of the gyroscopes' bias at the start beyond which they cannot be flown on for long."""
 STUCK = 1e-11
