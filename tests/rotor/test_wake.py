@@ -271,6 +271,13 @@ def test_the_lower_rotor_works_in_the_upper_ones_stream(pair, single):
     assert np.all(lower.alpha_rad[2:-2] < upper.alpha_rad[2:-2])
 
 
+def test_the_upper_rotors_root_vortex_goes_down_the_shaft(blading):
+    # Where nothing holds it, it goes up through the disc with these settings, and the upper thrust has two values.
+    both = two(blading, (6000 * RPM, 6000 * RPM), settings=replace(COARSE, phases=6))
+    for wake in both.wakes:
+        assert np.all(wake.paths_m[0, :, 2] < wake.placed.height_m + 1e-3)
+
+
 def test_it_does_not_matter_which_rotor_is_named_first_or_turns_which_way(blading, pair):
     turned = solve_wake(
         [

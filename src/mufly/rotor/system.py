@@ -266,7 +266,8 @@ class WakeSettings:
         Core radius of an old wake over R. By default 0.15 for one rotor and 0.2 for two, and more, in two steps, where
         the wake does not settle with it; the solution's settings and message say which.
     phases : int
-        Relative azimuths over which two rotors' influence on each other is averaged.
+        Relative azimuths over which two rotors' influence on each other is averaged; one that does not go into the
+        points of a turn, or all points of a wake keep meeting the other in the same places.
     relaxation : float
         Part of the way that the points go in one iteration; less with age, by 1 / (1 + zeta / (4 pi)): what is wrong
         above adds up below.
@@ -292,7 +293,7 @@ class WakeSettings:
     far_step_deg: float = 30.0
     core: float = 0.1
     core_limit: float | None = None
-    phases: int = 6
+    phases: int = 7
     relaxation: float = 0.35
     tolerance: float = 1e-3
     residual: float = 0.05
