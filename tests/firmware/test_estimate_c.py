@@ -115,7 +115,7 @@ def test_a_vehicle_with_less_on_board_is_the_same(
         if "fitted" in settings:
             has["fitted"][:] *= there[settings["fitted"]]
         e.use(has)
-    for k, (r, a) in enumerate(felt("sonar.jump=0.3@5s")[::2]):
+    for k, (r, a) in enumerate(felt("sonar.jump=0.3@5s gyro.dropout@7s+0.5s")[::2]):
         told, right = c.update(r, a), python.update(r, a)
         assert told.valid == right.valid
         assert c.memory["out"].tobytes() == python.memory["out"].tobytes(), k

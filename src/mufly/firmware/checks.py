@@ -33,7 +33,7 @@ from mufly.firmware.onboard import SoftwareBeside, software_beside
 from mufly.firmware.tables import export
 from mufly.flight import fly
 from mufly.flight.controllers import Actuators, Controllers
-from mufly.mission import load_mission
+from mufly.mission import load_mission, mission_from
 from mufly.results import result
 from mufly.sensors import Readings
 from mufly.sensors.faults import Fault, parse_fault
@@ -105,6 +105,17 @@ WHOLE_NUMBERS = Arithmetic(
 
 _ROOM = World(room=Room((-1.2, 1.2), (-1.2, 1.2), 3.0))
 """Of the estimator's self-test: all beams of the ring see a wall, which costs most."""
+_MISSION: dict[str, Any] = {
+    "name": "curves",
+    "avoidance": {"scan": True},
+    "path": {"kind": "spline"},
+    "waypoint": [
+        {"position_m": [1.0, 0.0, -1.0]},
+        {"position_m": [2.0, 1.0, -1.5], "speed_m_s": 0.3},
+        {"position_m": [1.0, 2.0, -1.0]},
+    ],
+}
+"""Of the flight's: curves, looking around, and walls until all is remembered that can be, which costs most."""
 _TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
 
 
@@ -354,7 +365,7 @@ def pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 120.0
     with tempfile.TemporaryDirectory(prefix="mufly-pil-") as temporary:
         folder = Path(temporary) / "fw"
         controller = design(vehicle)
-        export(controller, folder, vehicle, _ROOM, load_mission("demonstration"))
+        export(controller, folder, vehicle, _ROOM, mission_from(_MISSION))
         if fixed_point:
             export_fixed(controller, folder)
         objects = {cpu: objects_for(folder, how, cpu) for cpu in {cpu for cpu, _ in how.boards.values()}}

@@ -44,8 +44,8 @@ def export(
     """Write the flight software of a vehicle as C99, with Makefile, CMake file, self-tests and a README.
 
     The algorithms are the same for every vehicle; tables.c, estimate_tables.c and plan.c hold the numbers of vehicle
-    and mission. With --fixed-point also the control
-    law in whole numbers (folder fixed/): says what it costs, and why nothing in it overflows.
+    and mission. With --fixed-point also the control law in whole numbers (folder fixed/): says what it costs, and why
+    nothing in it overflows.
 
     Example: mufly firmware export --vehicle mine.toml --mission m.toml --out fw, then make -C fw check
     """

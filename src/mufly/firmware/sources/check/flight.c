@@ -5,9 +5,9 @@
 #include "platform.h"
 #include "software.h"
 
-#define PERIODS 8000
+#define PERIODS 16000
 #define LINES 40
-#define ALONE 5000 /* so long it flies its mission undisturbed */
+#define ALONE 8400 /* so long it flies its mission undisturbed */
 
 static int32_t one_of(int32_t count)
 {
