@@ -145,16 +145,43 @@ def test_a_floor_that_may_be_the_room_s_is_taken_for_it_in_both(
     assert (abs(c.memory["x"][16]) < 0.2 * floor_m) == settles
 
 
+def told(r: Readings, name: str, value: np.ndarray) -> Readings:
+    """With another value of a sensor."""
+    return Readings(time_s=r.time_s, latest={**r.latest, name: r.latest[name]._replace(value=value)})
+
+
 @needs_cc
 def test_lasers_of_who_believes_to_be_outside_of_the_room_meet_no_wall_in_both(vehicle, felt) -> None:
     c, python = (estimator(vehicle, code) for code in ("c", "numba"))
     for k, (r, a) in enumerate(felt("position.dropout@7s")[:1700]):
+        near = told(r, "ranges", np.ones_like(r.latest["ranges"].value))
         for e in (c, python):
             if k == 1500:
                 e.memory["x"][:2] = 40.0, 40.0
-            e.update(r, a)
+            if k == 1600:  # lies on its side: what its beams meet first is the floor
+                e.memory["x"][6:10] = np.cos(0.7), np.sin(0.7), 0.0, 0.0
+            e.update(near if k >= 1500 else r, a)
     assert same(c._box, python._box)
+    assert c.memory["seen"] == len(near.latest["ranges"].value)
     assert c.memory["code"][R_RING] != 1  # FUSED
+
+
+@needs_cc
+@pytest.mark.parametrize("remembers", [True, False])
+def test_a_fix_apart_from_the_sonar_in_height_is_told_in_both(vehicle, felt, remembers) -> None:
+    """By what it is believed to be off by, or by what it says for a second."""
+    c, python = (estimator(vehicle, code) for code in ("c", "numba"))
+    most = 0.0
+    for k, (r, a) in enumerate(felt("")[:1700]):
+        if not remembers and k >= 1200:
+            r = told(r, "position_fix", r.latest["position_fix"].value - np.array([0.0, 0.0, 0.8, 0.0]))
+        for e in (c, python):
+            if remembers and k == 1500:
+                e.memory["x"][19] = 2.0
+            e.update(r, a)
+        most = max(most, c.memory["suspect"][R_FIX, 3])
+    assert same(c._box, python._box)
+    assert most > (0.0 if remembers else 0.5)
 
 
 @needs_cc

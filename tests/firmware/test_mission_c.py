@@ -487,7 +487,12 @@ STORIES = (
         [*FLIES, "sinks & land", *["wait"] * 8],
         "LAND_SIGNAL",
     ),  # it believes to sink, and lies on the floor
-    (SQUARE, True, [*FLIES, "spread height 0.1", "land", *["wait"] * 2], "LAND_SIGNAL TOUCHDOWN"),  # down, as far as it knows
+    (
+        SQUARE,
+        True,
+        [*FLIES, "spread height 0.1", "land", *["wait"] * 2],
+        "LAND_SIGNAL TOUCHDOWN",
+    ),  # down, as far as it knows
     (SQUARE, False, [*FLIES, "battery", "sticks", "wait"], "RC_ON"),
     (SCANNED, False, [*FLIES, "shut in", *["wait"] * 8], "BLOCKED"),
     (SCANNED, False, [*UP, "turn 0.5", "wait"], "TURNING"),
