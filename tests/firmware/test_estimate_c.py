@@ -154,7 +154,7 @@ def told(r: Readings, name: str, value: np.ndarray) -> Readings:
 def test_lasers_of_who_believes_to_be_outside_of_the_room_meet_no_wall_in_both(vehicle, felt) -> None:
     c, python = (estimator(vehicle, code) for code in ("c", "numba"))
     for k, (r, a) in enumerate(felt("position.dropout@7s")[:1700]):
-        near = told(r, "ranges", np.ones_like(r.latest["ranges"].value))
+        near = told(r, "ranges", 1.0 + 0.01 * np.sin(k + np.arange(r.latest["ranges"].value.size)))
         for e in (c, python):
             if k == 1500:
                 e.memory["x"][:2] = 40.0, 40.0
