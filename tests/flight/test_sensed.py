@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.control import FlightController, design
+from mufly.dynamics import standing_attitude
 from mufly.errors import InputError
 from mufly.estimate import ERROR_STATES, Beliefs, Check, Estimate, Estimator, fitted_estimator
 from mufly.flight import Flight, believed, fly, read_recording, replay
@@ -18,7 +19,7 @@ from mufly.flight.trust import BAD_S, GOOD_S, Doubts, SensorWatch, Smooth, judge
 from mufly.identify.record import record_from
 from mufly.mission import dump_mission, mission_from
 from mufly.quantities import CHECKED, STATUSES
-from mufly.sensors import READINGS, Reading, Readings, Sensors, Truth, parse_fault
+from mufly.sensors import READINGS, Reading, Readings, Sensors, Truth, leaning, parse_fault
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World
 
@@ -307,6 +308,9 @@ def test_a_hop_on_sensors_succeeds_and_shows_what_it_believed(sensed) -> None:
     assert data.attrs["faults"] == ["sonar.dropout@9s+1s"]
     off = (data.estimated_position - data.truth_position).values
     assert np.abs(off).max() < 0.25
+    lean = standing_attitude(leaning(load_vehicle("mufly-1.1"), seed=10_000))
+    for row in (0, -1):  # as its legs hold it, before the flight and after
+        np.testing.assert_allclose(data.truth_attitude.values[row, :2], lean, atol=3e-4)
     texts = [str(t) for t in data.event_text.values]
     assert texts.count("sonar is used again") == 1
     noticed = next(
