@@ -219,7 +219,8 @@ def _attempt(
                 v = unit.velocity(points)
                 if unit.from_others is not None:
                     v += unit.from_others
-                    _down_the_shaft(v.reshape(unit.free.shape))
+                    if unit.thrust > 0.0:  # else its coils blow the other way
+                        _down_the_shaft(v.reshape(unit.free.shape))
                 aim, far_off = _convected(unit, v.reshape(unit.free.shape), climb_m_s)
                 aim = unit.above_ground(aim)
                 part = how.relaxation / (1.0 + unit.age / (_DAMPING_RAD))
