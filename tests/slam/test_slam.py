@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,12 @@ import pytest
 from mufly.camera import body_from_camera, load_camera, make_floor
 from mufly.errors import InputError
 from mufly.slam import Slam, evaluate, frames, rounds, run
+from mufly.slam.frame import Telling, Way
 from mufly.slam.graph import Edge, Known, relation, slopes_of, solve_graph
 from mufly.slam.mapping import unexplained
 from mufly.slam.pose import View, bent, level, slopes, solve, two_points
+from mufly.slam.recognition import told_apart
+from mufly.slam.vision import repeats
 
 TILT = math.radians(0.5)
 
@@ -208,3 +212,68 @@ def test_what_it_cannot_see_it_does_not_answer() -> None:
     with pytest.raises(InputError, match="is 100 by 80 pixels, the camera file says 320 by 240"):
         slam.step(type(f)(99.0, np.zeros((80, 100), np.uint8), f.told))
     assert not slam.step(made[0][0]).trusted  # older than the last
+
+
+def test_the_way_since_an_answer_is_added_up_from_told_velocities() -> None:
+    """Picture by picture, some lost: a way that speeds up evenly comes out exactly, and is known to s_v t."""
+    v, a = np.array([0.3, -0.1, 0.0]), np.array([0.8, 0.5, 0.0])
+    way = Way(0.0, Telling(0.0, 0.0, 1.0, velocity=v))
+    silent = Way(0.0, Telling(0.0, 0.0, 1.0))
+    for t in (0.03, 0.06, 0.13, 0.16, 0.2):
+        told = Telling(0.0, 0.0, 1.0, np.array([0.0, 0.0, 2.0 * t]), velocity=v + a * t, velocity_sigma=0.05)
+        way, silent = way.to(t, told), silent.to(t, replace(told, velocity=None))
+    moved, sigma_m = way.reckoned(np.zeros(2))
+    assert moved == pytest.approx([*(v * 0.2 + 0.5 * a * 0.04)[:2], 0.04])
+    assert 0.05 * 0.2 < sigma_m < 0.05 * 0.2 + 0.003
+    # Without a told velocity: that of the answers before, and all that is not foreseen
+    moved, sigma_m = silent.reckoned(v[:2])
+    assert moved[:2] == pytest.approx(v[:2] * 0.2)
+    assert sigma_m == pytest.approx(0.02 * 0.2 + 0.5 * 0.04)
+    assert not silent.to(0.23, told).complete  # a velocity that comes late says nothing of before
+
+
+def test_what_repeats_is_told_apart_only_by_a_way_that_is_known() -> None:
+    pytest.importorskip("cv2")
+    one = np.random.default_rng(6).normal(120, 40, (8, 8)).clip(0, 255).repeat(4, axis=0).repeat(4, axis=1)
+    tiles = np.tile(one, (8, 10))[:240, :320].astype(np.uint8)
+    found = repeats(tiles)
+    assert np.hypot(*found.T).min() == pytest.approx(32.0)
+    rough = np.random.default_rng(7).normal(120, 40, (60, 80)).clip(0, 255).astype(np.uint8)
+    assert not len(repeats(rough.repeat(4, axis=0).repeat(4, axis=1)))
+    tile = 0.256 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    assert told_apart(np.zeros(2), tile, 0.06)
+    assert not told_apart(np.zeros(2), tile, 0.08)
+    assert told_apart(np.array([0.05, 0.05]), tile, 0.04)
+    assert not told_apart(np.array([0.13, 0.0]), tile, 0.001)
+    assert told_apart(np.array([0.5, 0.0]), tile[:0], 1.0)  # nothing looks alike
+
+
+@pytest.mark.parametrize("floor", ["tiles", "rich"])
+def test_over_tiles_only_the_way_since_tells_which_tile_it_is(floor: str) -> None:
+    """0.4 s without a picture: told rightly, the place is found at once; told 0.3 m/s wrongly, half a tile by then,
+    the next tile is refused and it begins anew where it believes to be; a floor that repeats nothing is found."""
+    pytest.importorskip("cv2")
+    lens, _, made = _flown("webcam", floor, 75, speed_m_s=0.8)
+    nothing = np.full_like(made[0][0].picture, 6)
+    gap = range(50, 62)
+    headings = [math.atan2(m.attitude[1, 0], m.attitude[0, 0]) for _, m in made]
+    for wrong in (0.0, 0.3):
+        slam = Slam(lens, start=(*made[0][1].position[:2], headings[0]))
+        answers = []
+        for k, (f, m) in enumerate(made):
+            faster = wrong * (k >= gap[0])
+            # The place that it believes goes wrong with the velocity, as the filter's does.
+            lag = faster * (f.time_s - made[gap[0]][0].time_s)
+            told = replace(
+                f.told, velocity=m.velocity + np.array([faster, 0.0, 0.0]), velocity_sigma=0.1,
+                place=np.array([m.position[0] + lag, m.position[1], headings[k]]), place_sigma=(0.05, 0.01),
+            )  # fmt: skip
+            answers.append(slam.step(replace(f, picture=nothing if k in gap else f.picture, told=told)))
+        after = next(k for k in range(gap[-1] + 1, len(made)) if answers[k].trusted)
+        off = np.hypot(*(answers[after].position - made[after][1].position)[:2])
+        if wrong and floor == "tiles":  # later, but not never; as wrong as told, not by a tile
+            assert "the floor repeats every 0.2" in answers[gap[-1] + 1].reason
+            assert 0.1 < off < 0.2
+        else:
+            assert after == gap[-1] + 1
+            assert off < 0.03

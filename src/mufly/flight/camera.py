@@ -348,7 +348,7 @@ class CameraSensor(Sensor):
             tilt_time_s=_TILT_TIME_S, height_time_s=_HEIGHT_TIME_S,
             velocity=estimate.velocity.copy(), standing=not sonar > self._least_m,
             place=np.array([x[0] + bias[0], x[1] + bias[1], yaw + bias[3]]),
-            place_sigma=(place, heading),
+            place_sigma=(place, heading), velocity_sigma=max(0.01, float(max(sigma[3:5]))),
         )  # fmt: skip
 
     def _receive(self, known: Answer | bytes) -> None:

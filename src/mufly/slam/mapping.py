@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.slam.graph import DIM, Edge, Known, Solution, hangs, relation, slopes_of_edge, solve_graph
 from mufly.slam.pose import bent
+from mufly.slam.vision import repeats
 
 _Array = NDArray[np.float64]
 FORMAT = 2
@@ -66,6 +67,7 @@ class Keyframe:
     tilt_time_s: float
     tilt_white: float
     described: Any = field(default=None, repr=False)
+    repeats: Any = field(default=None, repr=False)
 
     def refine(
         self, which: NDArray[np.intp], seen: NDArray[np.complex128], variance: _Array, focal: float
@@ -181,6 +183,16 @@ class Map:
         """How the points of a keyframe move (n, 2, 2) with the error of its tilt (m/rad)."""
         c, s, h = math.cos(self.nodes[k, 2]), math.sin(self.nodes[k, 2]), math.exp(self.nodes[k, 3])
         return h * np.array([[c, -s], [s, c]]) @ bent(self.keyframes[k].slopes)
+
+    def alike(self, k: int, focal: float) -> _Array:
+        """By how much N and E (n, 2) what a keyframe sees repeats, either way (m)."""
+        f = self.keyframes[k]
+        if f.repeats is None:
+            f.repeats = repeats(f.picture)
+        m = f.repeats / focal @ f.turn[:2, :2].T
+        c, s, h = math.cos(self.nodes[k, 2]), math.sin(self.nodes[k, 2]), math.exp(self.nodes[k, 3])
+        way = h * m @ np.array([[c, s], [-s, c]])
+        return np.concatenate([way, -way])
 
     def save(self, path: str | Path) -> None:
         """Write it to a file (a zip of NumPy arrays)."""

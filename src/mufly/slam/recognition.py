@@ -15,20 +15,23 @@ from numpy.typing import NDArray
 
 from mufly.slam.mapping import Map
 from mufly.slam.pose import View, level, slopes, two_points
-from mufly.slam.vision import Straightener, opencv
+from mufly.slam.vision import Straightener, opencv, repeats
 
 _Array = NDArray[np.float64]
 ENOUGH = 14
 """Points that have to agree, at least."""
 ALIKE = 0.75
 """Height of the second peak of the correlation over the first from which a place could be another one."""
+DOUBT = 1e-3
+"""Of an answer: how likely it may be that the true place is another one that looks alike."""
 
 
 def recognised(
     floor_map: Map, known: int, view: View, picture: Any, straight: Straightener, shake_rms: float,
     rng: np.random.Generator,
 ) -> tuple[int, _Array] | None:  # fmt: skip
-    """Return the keyframe and node that ORB's matches speak for, if no other place does nearly as much.
+    """Return the keyframe and node that ORB's matches speak for, if no other place does nearly as much and the picture
+    repeats nothing.
 
     Parameters
     ----------
@@ -44,6 +47,8 @@ def recognised(
     rng : numpy.random.Generator
         Of the points drawn by chance.
     """
+    if len(repeats(picture)):  # the words of one tile are those of each
+        return None
     cv2 = opencv()
     orb = cv2.ORB_create(nfeatures=400, scaleFactor=1.3, nlevels=4, fastThreshold=7)
     points, words = orb.detectAndCompute(picture, None)
@@ -137,3 +142,18 @@ def correlated(seen: Any, picture: Any, reach: float) -> _Array | None:
     if len(rest) and float(rest.max()) > ALIKE * peak:
         return None
     return np.array([(best[1] - middle[1]) * 4.0, (best[0] - middle[0]) * 4.0])
+
+
+def told_apart(off: _Array, alike: _Array, sigma: float) -> bool:
+    """Return whether a place is the one that it seems, where others look alike.
+
+    It is found ``off`` (2,) from where it was reckoned to be, to ``sigma`` along an axis; places as far from it as
+    ``alike`` (n, 2) says look the same. A Gaussian of what was reckoned says how likely each is against it,
+
+        p_k / p = exp(-(|off + alike_k|^2 - |off|^2) / (2 sigma^2)),
+
+    which has to be less than :data:`DOUBT` for all: from the right place (off = 0) as long as sigma is less than
+    0.27 of the way to the next, and never from one that is off by half of that.
+    """
+    further = ((off + alike) ** 2).sum(axis=1) - (off**2).sum()
+    return bool((further > -2.0 * math.log(DOUBT) * sigma**2).all())

@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera import Camera, body_from_camera, check_size
-from mufly.slam.frame import Frame
+from mufly.slam.frame import Frame, Way
 from mufly.slam.graph import Edge, placed, relation, slopes_of
 from mufly.slam.mapping import Keyframe, Map, composed, overlap, unexplained
 from mufly.slam.pose import POSE, SHAKES, Pose, View, bent, level, slopes, solve, two_points
-from mufly.slam.recognition import ENOUGH, correlated, recognised
+from mufly.slam.recognition import ENOUGH, correlated, recognised, told_apart
 from mufly.slam.vision import Straightener, as_bright, corners, on, overlaid, tracked, warped
 
 _Array = NDArray[np.float64]
@@ -50,7 +50,8 @@ _WHITE, _MOST_WHITE = 248, 0.02
 """Grey, and share of a picture that may be whiter for it to become a keyframe: a camera that was covered sees too
 bright for half a second, and what was white then has no corners."""
 _STRAY = 5.0  # pixels that a point may be off for no reason
-_SWERVE = 1.0  # m/s^2 that are not foreseen
+_TURNED = 0.005
+"""Of the height: what tilts told wrong move a place by from picture to picture (docs/slam.md has it measured)."""
 _LOST_S, _SEEK_EVERY = 0.7, 4
 _AGREE = 3
 _SHAKES_GAIN, _SHAKES_LEARNT, _SHAKES_LEFT = 0.02, 150, 0.3
@@ -158,7 +159,8 @@ class Slam:
         self._velocity = np.zeros(2)
         # What tilt and sonar are off by, and how that hangs together with the newest keyframe's
         self._off, self._hangs = np.zeros(3), [np.zeros(3), np.ones(3)]
-        self._last_s = self._frame_s = math.nan
+        self._way: Way | None = None  # since then
+        self._frame_s = math.nan
         self._spread = 0.0  # of the place that is reckoned (m)
         self._count = self._tried = 0
         self._found: list[tuple[float, _Array]] = []
@@ -188,10 +190,11 @@ class Slam:
         view = self._view(frame)
         if not self.map.keyframes:
             return self._begin(frame, view, picture)
-        if math.isnan(self._last_s):
+        if self._way is None:
             return self._seek(frame, view, picture, "not found in the map yet")
-        elapsed = frame.time_s - self._last_s
-        node = self._reckon(frame, view, elapsed)
+        self._way = self._way.to(frame.time_s, frame.told)
+        elapsed = self._way.since_s
+        node = self._reckon(frame, view, self._way)
         pixels_off = self._spread / view.height * view.focal
         match = None
         for k in self._references(node, elapsed > _LOST_S):
@@ -247,20 +250,16 @@ class Slam:
             velocity=velocity, height=max(0.05, told.height_m - float((turn @ self._mount)[2]))
         )
 
-    def _reckon(self, frame: Frame, view: View, elapsed: float) -> _Array:
-        """Where it should be, and in ``_spread`` how well that is known (m): by itself, or after a while without an
-        answer by what the vehicle believes, if it tells."""
-        if elapsed > _LOST_S and frame.told.place is not None:
+    def _reckon(self, frame: Frame, view: View, way: Way) -> _Array:
+        """Where it should be, and in ``_spread`` how well that is known (m): by the way since the last answer, or after
+        a while without one by what the vehicle believes, if it tells and that is known better."""
+        moved, self._spread = way.reckoned(self._velocity)
+        believed = 0.05 + 2.0 * frame.told.place_sigma[0]
+        if way.since_s > _LOST_S and frame.told.place is not None and believed < self._spread:
             n, e, heading = frame.told.place
-            self._spread = 0.05 + 2.0 * frame.told.place_sigma[0]
+            self._spread = believed
             return self._seven(self._believed(view, n, e, heading))[:4]
-        self._spread = 0.02 * elapsed + 0.5 * _SWERVE * elapsed**2
-        _, q, r = frame.told.rates
-        turning = (q * math.sin(view.roll) + r * math.cos(view.roll)) / math.cos(view.pitch)
-        speed = self._velocity if frame.told.velocity is None else frame.told.velocity[:2]
-        return np.array(
-            [*(self._node[:2] + speed * elapsed), self._node[2] + turning * elapsed, math.log(view.height)]
-        )
+        return np.append(self._node[:3] + moved, math.log(view.height))
 
     def _references(self, node: _Array, lost: bool) -> list[int]:
         """Keyframes to look at it from: that of before, if another is not much better; all, if it was lost."""
@@ -294,13 +293,13 @@ class Slam:
         if len(use) < ENOUGH:
             return None
         tilts = self.map.belief(k, *self._hangs)[4:8, 4:8][np.ix_([2, 3, 0, 1], [2, 3, 0, 1])]
-        seen, correlation, sigma = tracked(template, picture, there[use], straight.smooth)
-        good = (correlation > CORRELATION) & (sigma < 1.5)
-        good &= on(straight.seen, seen)
         # Who was found further away than all that is unknown has found its like: on tiles the next one's
         unsure = 0.0 if coarse else self._spread / view.height * view.focal
         tilted = view.focal * math.sqrt(tilts[0, 0] + tilts[2, 2])
-        good &= np.hypot(*(seen - there[use]).T) < _STRAY + 4.0 * unsure + 3.0 * (self._shake_rms + tilted)
+        reach = _STRAY + 4.0 * unsure + 3.0 * (self._shake_rms + tilted)
+        seen, correlation, sigma = tracked(template, picture, there[use], straight.smooth, reach)
+        good = (correlation > CORRELATION) & (sigma < 1.5)
+        good &= on(straight.seen, seen) & (np.hypot(*(seen - there[use]).T) < reach)
         if good.sum() < ENOUGH:
             return None
         use, seen, sigma = use[good], seen[good], sigma[good]
@@ -368,22 +367,30 @@ class Slam:
         sigma = math.sqrt(max(pose.covariance[0, 0], pose.covariance[1, 1]))
         if sigma > 0.1 + 0.03 * view.height:
             return "the place is not known well enough"
-        off = math.hypot(pose.x[0] - node[0], pose.x[1] - node[1])
+        way = pose.x[:2] - node[:2]
+        off = math.hypot(*way)
         if off > 4.0 * (self._spread + sigma) + 0.08 * view.height:
             return f"{off:.2f} m off from where it should be"
+        if self._way is None or not self._way.complete or self._way.told.place is None:
+            return ""  # nothing tells places apart that look alike, and nothing could be begun anew
+        alike = self.map.alike(match.keyframe, view.focal)
+        unsure = math.hypot(self._spread, math.sqrt(2.0) * sigma, _TURNED * view.height)
+        if not told_apart(way, alike, unsure):
+            nearest = np.hypot(*alike.T).min()
+            return f"the floor repeats every {nearest:.2f} m, and {off:.2f} m off it may be another place"
         return ""
 
     # ------------------------------------------------------------------ what is made of it
 
     def _accept(self, frame: Frame, view: View, picture: Any, match: _Match) -> Answer:
-        elapsed = frame.time_s - self._last_s
-        node = match.node
+        assert self._way is not None
+        elapsed, node = self._way.since_s, match.node
         if 0.0 < elapsed < 0.5:
             gain = min(1.0, 3.0 * elapsed)
             self._velocity = self._velocity + gain * ((node[:2] - self._node[:2]) / elapsed - self._velocity)
         else:
             self._velocity = np.zeros(2)
-        self._node, self._last_s, self._reference = node, frame.time_s, match.keyframe
+        self._node, self._way, self._reference = node, Way(frame.time_s, frame.told), match.keyframe
         self._found = []
         self._refine(view, match)
         made = closed = False
@@ -456,7 +463,7 @@ class Slam:
             return Answer(frame.time_s, False, "no corners on the floor to begin a map with, or too bright")
         self._reference = self.map.add(keyframe, self._seven(pose), [])
         self._node = self.map.nodes[self._reference, :4].copy()
-        self._last_s = frame.time_s
+        self._way = Way(frame.time_s, frame.told)
         nobody = np.zeros(0, np.intp)
         match = _Match(0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0, 0.0)
         answer = self._answer(frame, view, match, True, False)
@@ -490,7 +497,7 @@ class Slam:
             return self._accept(frame, view, picture, found)
         self._trial += 1
         if self._trial <= (_AGREE if self._young else _LONG):
-            self._node, self._last_s = match.node, frame.time_s
+            self._node, self._way = match.node, Way(frame.time_s, frame.told)
             self._refine(view, match)
             return Answer(frame.time_s, False, "begun anew, to be confirmed")
         self._trial = 0
@@ -518,9 +525,8 @@ class Slam:
             np.diag(np.concatenate([off**-2, np.zeros(4)])),
         )  # fmt: skip
         self._reference = self.map.add(keyframe, node, [edge])
-        self._node, self._last_s, self._trial = (
-            self.map.nodes[self._reference, :4].copy(), frame.time_s, 1,
-        )  # fmt: skip
+        self._node, self._way = self.map.nodes[self._reference, :4].copy(), Way(frame.time_s, frame.told)
+        self._trial = 1
         return Answer(frame.time_s, False, why)
 
     def _believed(self, view: View, n: float, e: float, heading: float) -> Pose:
@@ -679,7 +685,7 @@ class Slam:
         if self._trial > 0:
             self.map.drop_last()
             self._trial = 0
-        self._last_s, self._velocity, self._node = frame.time_s, np.zeros(2), here
+        self._way, self._velocity, self._node = Way(frame.time_s, frame.told), np.zeros(2), here
         return match
 
 

@@ -29,6 +29,8 @@ CELL = 20
 """Of the uniform grid (pixels): one corner each."""
 MARGIN = 14  # pixels at the border in which nothing is sought
 WINDOW = 21
+REPEATS = 0.5
+"""Correlation of a picture with itself, shifted, from which it repeats."""
 _PATCH = 10  # half of a patch that is compared
 
 
@@ -151,6 +153,22 @@ def overlaid(picture: _Picture, homography: _Array, over: _Picture) -> tuple[_Pi
     return out, cv2.erode(reach, np.ones((2 * MARGIN - 1, 2 * MARGIN - 1), np.uint8)) & edge
 
 
+def repeats(picture: Any) -> _Array:
+    """Return the shifts (n, 2) by which a picture repeats, in pixels: peaks of its correlation with itself, its middle
+    over all of it and a quarter beyond, but for the one in the middle. None (0, 2) where nothing does."""
+    cv2 = opencv()
+    small = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA).astype(np.float32)
+    small -= cv2.GaussianBlur(small, (0, 0), 10)  # vignette and shadows are like themselves everywhere
+    high, wide = small.shape
+    top, left = high // 4, wide // 4
+    wider = cv2.copyMakeBorder(small, top, top, left, left, cv2.BORDER_CONSTANT, value=0.0)
+    score = cv2.matchTemplate(wider, small[top : high - top, left : wide - left], cv2.TM_CCOEFF_NORMED)
+    peak = (score == cv2.dilate(score, np.ones((7, 7), np.uint8))) & (score > REPEATS)
+    rows, columns = np.nonzero(peak)
+    shift = 2.0 * np.stack([columns - 2 * left, rows - 2 * top], axis=1)
+    return np.asarray(shift[np.abs(shift).max(axis=1) > 8.0], np.float64)
+
+
 def on(mask: _Picture, pixels: _Array) -> NDArray[np.bool_]:
     """Return which pixels (n, 2) lie in a mask."""
     high, wide = mask.shape
@@ -161,10 +179,18 @@ def on(mask: _Picture, pixels: _Array) -> NDArray[np.bool_]:
     return out
 
 
+def _levels(reach: float) -> int:
+    return min(3, max(1, math.ceil(math.log2(reach / (WINDOW // 2)))))
+
+
 def tracked(
-    template: _Picture, picture: _Picture, points: _Array, smooth: float, levels: int = 3
+    template: _Picture, picture: _Picture, points: _Array, smooth: float, reach: float
 ) -> tuple[_Array, _Array, _Array]:
     """Follow points (n, 2) of a template into a picture, both smoothed by so much.
+
+    Nothing is sought further away than ``reach`` (pixels): the pyramid has as many levels as half a window needs to
+    span that. Windows of more see vignette and shadows rather than the floor, and go with those: over tiles to the
+    next one.
 
     Returns
     -------
@@ -179,7 +205,7 @@ def tracked(
     to = from_.copy()
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
     there, found, _ = cv2.calcOpticalFlowPyrLK(
-        template, picture, from_, to, winSize=(WINDOW, WINDOW), maxLevel=levels, criteria=stop,
+        template, picture, from_, to, winSize=(WINDOW, WINDOW), maxLevel=_levels(reach), criteria=stop,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
     there = there.reshape(-1, 2).astype(np.float64)
