@@ -92,6 +92,13 @@ def test_columns_are_mapped(tmp_path):
         read_bench(path, columns="RPM")
 
 
+def test_a_last_line_that_is_cut_is_left_out_and_told(tmp_path):
+    with pytest.warns(match="line 3, the last, is cut short"):
+        table = read_bench(write(tmp_path, "RPM,T(N),Q(Nm)\n1000,0.1,0.01\n2000,0.2"))
+    assert table["thrust"].tolist() == [0.1]
+    assert any("line 3" in note for note in table.notes)
+
+
 @pytest.mark.parametrize(
     ("text", "what"),
     [

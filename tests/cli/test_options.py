@@ -1,7 +1,8 @@
 """What a library says of its arguments, the command line says of its options."""
 
 import re
-from typing import Annotated
+from collections.abc import Iterator
+from typing import Annotated, Any
 
 import pytest
 import typer
@@ -85,3 +86,20 @@ def test_absurd_numbers_are_refused_by_the_name_of_their_option(command: str, tm
             assert name in said, f"{command} {name}={value}: {said}"
             assert "\n" not in said or result.exit_code == 2  # the parser's own words are framed
     assert not any(tmp_path.iterdir())
+
+
+def test_no_help_loses_what_stands_in_brackets() -> None:
+    """Rich takes ``[cad]`` for a style and leaves it out, unless it is written ``\\[cad]``."""
+
+    def helps(command: Any) -> Iterator[str]:
+        yield command.help or ""
+        yield from (getattr(p, "help", None) or "" for p in command.params)
+        for inner in getattr(command, "commands", {}).values():
+            yield from helps(inner)
+
+    from rich.text import Text
+
+    for text in helps(typer.main.get_command(mufly)):
+        shown, asked = Text.from_markup(text).plain, re.findall(r"\[[a-z_.]+\]", text)
+        styles = [tag for tag in asked if tag not in shown]
+        assert set(styles) <= {"[bold]", "[dim]"}, styles

@@ -176,6 +176,13 @@ def test_parameters_are_listed_with_units() -> None:
         (("sweep", "--vary", "pitch=6deg", "--set", "speed=5000rpm", "--plot", "beauty"), "is no result"),
         (("rank", "--set", "pitch=6deg"), "holds what a ranking varies"),
         (("compare", "naca0012-r60-c20", "nothing.csv"), "cannot be read"),
+        (("hover", "--pitch", "12", "--rpm", "5000", "--section", "guessed"), "add --band"),
+        (
+            ("hover", "--pitch", "12", "--rpm", "5000", "--band", "0.9", "--family", "apc"),
+            "add --section guessed",
+        ),
+        (("export", "naca0012-r60-c20", "x.stl", "--whole", "--hub", "80"), "is not inside a rotor of 60 mm"),
+        (("export", "naca0012-r60-c20", "x.stl", "--pitch", "400"), "is out of range"),
     ],
 )
 def test_faults_are_one_clear_line(arguments: tuple[str, ...], message: str) -> None:

@@ -80,6 +80,15 @@ def test_calipers_in_inches_with_sections_and_commas(tmp_path):
     assert (r.blades, r.airfoil_names()) == (4, ("clarky", "naca4412"))
 
 
+def test_inches_at_a_names_end_and_an_airfoil_of_ones_own(tmp_path):
+    path = written(tmp_path, "i.csv", "r_in,chord_in,beta_deg\n0.5,0.6,20\n2.5,0.3,6\n")
+    r, notes = read_blade(path, blades=2, airfoil="clarky")
+    assert_allclose((r.radius_m, r.chord_m(1.0)), (0.0635, 0.3 * 0.0254))
+    assert not any("names none" in note for note in notes)
+    with pytest.raises(InputError, match="nosuchfoil: no such airfoil"):
+        read_blade(path, airfoil="nosuchfoil")
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [

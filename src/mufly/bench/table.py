@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +26,11 @@ from mufly.tables import text_columns
 from mufly.units import conversion, known_unit
 
 Array = NDArray[np.float64]
+
+
+class CutShort(UserWarning):
+    """A file's last line ends before its last cell."""
+
 
 _CONSTANT = 1e-3  # spread over size below which a channel counts as constant
 
@@ -131,6 +137,11 @@ def read_bench(path: str | Path, *, columns: str | None = None) -> BenchTable:
             where, "", f"no column is understood ({', '.join(written)})", "name quantity and unit, as torque_mNm, or "
             "map them with columns=OLD=NEW"
         )  # fmt: skip
+    if len(numbered) > 1 and len(numbered[-1][1]) < min(len(written), *(len(c) for _, c in numbered[:-1])):
+        # Its last number may have lost digits, which nobody can see.
+        cut = f"line {numbered[-1][0]}, the last, is cut short and left out"
+        warnings.warn(f"{where}: {cut}", CutShort, stacklevel=2)
+        notes, numbered = [*notes, cut], numbered[:-1]
     rows = [cells for _, cells in numbered]
     line = np.array([i for i, _ in numbered], dtype=np.int64)
     data: dict[str, Array] = {}

@@ -567,6 +567,8 @@ def _write_results(
     terminal: Console, dataset: xr.Dataset, mission: Mission, recordings: list[Path], as_json: bool
 ) -> Summary:
     """Write summary and pictures beside the recordings, and print what they say."""
+    from rich.markup import escape
+
     import mufly.flight as flight
 
     folder, waypoints = recordings[0].parent, [w.position_m for w in mission.waypoint]
@@ -588,7 +590,7 @@ def _write_results(
     else:
         _print_result(terminal, summary)
         names = ", ".join(p.name for p in (*recordings, folder / "summary.json", *pictures))
-        terminal.print(f"Written to [bold]{folder}[/bold]: {names}")
+        terminal.print(f"Written to [bold]{escape(str(folder))}[/bold]: {names}", highlight=False)
     return summary
 
 

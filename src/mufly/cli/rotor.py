@@ -28,7 +28,16 @@ from mufly.cli.options import (
     turning,
     wake_progress,
 )
-from mufly.cli.present import console, print_json, print_table, progress_bar, save_picture, write_csv, writing
+from mufly.cli.present import (
+    console,
+    print_json,
+    print_table,
+    progress_bar,
+    save_picture,
+    tell_files,
+    write_csv,
+)
+from mufly.cli.present import writing as writing_file
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -225,7 +234,7 @@ def import_blade(
         edge = length("--trailing-edge", trailing_edge, "0.3mm")
         r = replace_rotor(r, {"trailing_edge": edge}, source="measured")
     if out is not None:
-        with writing(out):
+        with writing_file(out):
             out.write_text(rotor_toml(r), encoding="utf-8")
     if as_json:
         print_json({"name": r.name, **_geometry(r), "airfoils": r.airfoil_names(), "notes": notes})
@@ -238,7 +247,10 @@ def import_blade(
     )
     for note in notes:
         c.print(f"Note: {note}", style="yellow", highlight=False)
-    c.print(f"Written: {out}" if out is not None else "Nothing written; add --out FILE.toml")
+    if out is None:
+        c.print("Nothing written; add --out FILE.toml")
+    else:
+        tell_files([out])
 
 
 @app.command()
@@ -318,6 +330,10 @@ def hover(
             "--band", "", "is the interval of blade element theory", "leave --method wake or --band out"
         )
     one_of("--section", section, _BAND_SECTIONS)
+    if section != "known" and band is None:
+        raise InputError("--section", section, "changes an interval only", "add --band 0.9")
+    if family and section != "guessed":
+        raise InputError("--family", family, "says what a guessed section may be", "add --section guessed")
     r, d, air = load_rotor(rotor), drive_or_none(drive), Air(density_kg_m3=density)
     blading = theory.blading(r, count)
     theta = angle("--pitch", pitch) if pitch is not None else None
@@ -383,7 +399,7 @@ def hover(
         ("thrust", f"{result.thrust_N:.4g} N{reach[0]}"),
         ("torque", f"{result.torque_Nm:.4g} N m{reach[1]}"),
         ("power at the rotor", f"{result.power_W:.4g} W"),
-        ("figure of merit", f"{result.figure_of_merit:.3f}"),
+        *([("figure of merit", f"{result.figure_of_merit:.3f}")] if climb == 0.0 else []),
         ("c_T, c_Q", f"{result.c_T:.5f}, {result.c_Q:.6f}"),
     ]
     if climb > 0.0:
@@ -420,8 +436,7 @@ def hover(
             f"* beyond what the polar's engine computed; such sections carry {result.outside_share:.0%} of the thrust.",
             style="yellow",
         )
-    for file in files:
-        c.print(f"Written: {file}")
+    tell_files(files)
 
 
 def _line(name: str, line: int, bench: Measurements) -> int:
@@ -552,7 +567,7 @@ def fit(
         )  # fmt: skip
     files = []
     if out is not None:
-        with writing(out):
+        with writing_file(out):
             out.write_text(rotor_toml(found.rotor), encoding="utf-8")
         files = [out, save_picture(fit_picture(found), out.parent, out.stem)]
     if as_json:
@@ -598,8 +613,7 @@ def fit(
             (found.held_out_note, *(_mean_error(e) for e in found.held_out)),
         ],
     )
-    for file in files:
-        c.print(f"Written: {file}")
+    tell_files(files)
 
 
 def _mean_error(errors: Any) -> str:

@@ -42,6 +42,7 @@ _LENGTH = {"radius": ("r", "radius", "station"), "chord": ("c", "chord")}
 _ANGLE, _FOIL = ("beta", "twist", "angle", "pitch", "theta"), ("airfoil", "section")
 _INCH = 0.0254
 _STAND_IN = "naca4412"
+_NO_FOIL = f"airfoil {_STAND_IN}"
 _LEAST_CHORD = 1e-3  # of the radius
 
 
@@ -90,6 +91,9 @@ def read_blade(
     radius = radius_m or radius
     if airfoil is not None:
         foils = [airfoil]
+        notes = [n for n in notes if not n.startswith(_NO_FOIL)]
+    for foil in dict.fromkeys(foils):
+        load_airfoil(foil)
     keep = (r <= radius * (1 + 1e-6)) & (chord > _LEAST_CHORD * radius)
     if not keep.all():
         notes.append(f"{int((~keep).sum())} station(s) beyond the tip or without chord left out")
@@ -139,6 +143,8 @@ def _table(path: str | Path, radius_m: float | None, notes: list[str]) -> _Stati
     ] = {}  # quantity: column, and what one of it is in SI (R for ratios: below 0)
     for k, header in enumerate(headers):
         stem, unit = split_header(header)
+        if not unit and stem.lower().endswith(("_in", "_inch")):
+            stem, unit = stem.rpartition("_")[0], "in"  # elsewhere "in" at a name's end is what goes in
         low, whole = stem.lower(), header.lower()
         for quantity in ("radius", "chord"):
             if whole in _OVER_R[quantity]:
@@ -170,7 +176,7 @@ def _table(path: str | Path, radius_m: float | None, notes: list[str]) -> _Stati
         foils = [cells[known["airfoil"][0]] for _, cells in rows]
     else:
         foils = [_STAND_IN]
-        notes.append(f"airfoil {_STAND_IN}, since the file names none; `mufly rotor fit` asks a bench for it")
+        notes.append(f"{_NO_FOIL}, since the file names none; `mufly rotor fit` asks a bench for it")
     return r, chord, twist, foils, radius_m or float(r.max(initial=0.0)), None
 
 
@@ -237,7 +243,7 @@ def _apc(path: Path, notes: list[str]) -> _Stations:
                 f"{1e3 * to_m:.1f} mm"
             )
     else:
-        notes.append(f"airfoil {_STAND_IN}, since the file names none")
+        notes.append(f"{_NO_FOIL}, since the file names none")
     chord, twist = _INCH * data[:, names.index("CHORD")], np.radians(data[:, names.index("TWIST")])
     whole = _INCH * float(radius[1])
     if whole < float(r.max()) <= whole + 0.005 * _INCH:

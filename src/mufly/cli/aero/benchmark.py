@@ -15,9 +15,11 @@ from mufly.cli.present import (
     print_table,
     progress_bar,
     save_picture,
+    tell_files,
     write_csv,
 )
 from mufly.cli.rotor import app as rotor_commands
+from mufly.errors import MuflyError
 
 if TYPE_CHECKING:
     from mufly.study.benchmark import AdvancingRow, AdvancingScore, Code, Prediction, RotorCase, Row, Score
@@ -107,8 +109,10 @@ def benchmark(
         c.print(text, style="yellow", highlight=False)
     for text in missing:
         c.print(f"not in {data}: {text}", style="dim", highlight=False)
-    for file in files:
-        c.print(f"Written: {file}", highlight=False)
+    tell_files(files)
+    silent = sorted({r.code for r in rows} - {r.code for r in rows if r.without < r.points})
+    if silent:
+        raise MuflyError(f"{', '.join(silent)}: has no answer for any point; see the lines above")
 
 
 _HEADS = (

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from mufly.cli.options import JsonOption, RotorArgument, argument, option
-from mufly.cli.present import console, print_json, write_csv, writing
+from mufly.cli.present import console, print_json, tell_files, write_csv, writing
 
 _KINDS = (".stl", ".step", ".stp", ".csv")
 
@@ -31,7 +31,7 @@ def export(
     """Write a blade as a closed body (STL in mm, STEP), or its stations as a table.
 
     The blade lies along x, its nose towards y, the shaft along z. STL is checked: every edge belongs to two triangles.
-    STEP needs `pip install 'mufly[cad]'`. Examples: mufly rotor export naca0012-r60-c20 blade.stl --tail 0.4; mufly
+    STEP needs `pip install 'mufly\\[cad]'`. Examples: mufly rotor export naca0012-r60-c20 blade.stl --tail 0.4; mufly
     rotor export naca0012-r60-c20 rotor.stl --whole --hub 6 --bore 1
     """
     import numpy as np
@@ -43,6 +43,12 @@ def export(
     r, kind = load_rotor(rotor), out.suffix.lower()
     if kind not in _KINDS:
         raise InputError("FILE", str(out), "is of no kind known here", f"let it end with {', '.join(_KINDS)}")
+    if not hub < 1e3 * r.radius_m:
+        raise InputError(
+            "--hub", f"{hub:g} mm", f"is not inside a rotor of {1e3 * r.radius_m:g} mm", "give less"
+        )
+    if not abs(pitch) <= 90.0:
+        raise InputError("--pitch", f"{pitch:g} deg", "is out of range", "give -90 to 90 deg")
     if hub > 0.0 and not bore < hub:
         raise InputError("--bore", f"{bore:g} mm", f"does not fit in a hub of {hub:g} mm", "give less")
     if hub > 0.0 and not whole:
@@ -94,4 +100,4 @@ def export(
             + ("; bodies overlap where they meet, as slicers allow" if hub > 0.0 else ""),
             highlight=False,
         )
-    c.print(f"Written: {out}")
+    tell_files([out])

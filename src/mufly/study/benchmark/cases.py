@@ -89,6 +89,8 @@ SOURCES = {
 }
 """What of the folder is where to be had."""
 
+_FETCH = f"fetch measurements, as {SOURCES['uiuc_micro']}, and name theirs"
+
 
 @dataclass(frozen=True)
 class RotorCase:
@@ -157,7 +159,7 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
             "--data",
             str(folder),
             "is no folder",
-            f"fetch measurements, as {SOURCES['uiuc_micro']}, and name theirs",
+            _FETCH,
         )
     readers: dict[str, Callable[[Path], list[RotorCase]]] = {
         "thesis_table_3_2.csv": lambda f: [table_3_2(f)],
@@ -178,10 +180,10 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
     chosen = [c for c in cases if not words or any(w in f"{c.name} {c.group}".lower() for w in words)]
     chosen = [replace(c, advancing=tuple(runs_in_tunnel(folder, c))) for c in chosen]
     if not chosen:
-        names = ", ".join(sorted({c.group for c in cases})) or "nothing"
-        raise InputError(
-            "--only" if cases else "--data", only or str(folder), f"has {names}", "choose of these"
-        )
+        if not cases:
+            raise InputError("--data", str(folder), "holds no measurements that are known here", _FETCH)
+        names = ", ".join(sorted({c.group for c in cases}))
+        raise InputError("--only", only, "is in the name of no rotor and of no group", f"choose of {names}")
     return chosen, missing
 
 
