@@ -397,3 +397,9 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
         save_case(tmp_path / "other", rotor, **given, tip="plate-up", neighbour=tmp_path)
     with pytest.raises(InputError, match="differs in speed, pitch setting or tip only"):
         save_case(tmp_path / "other", rotor, **given, model="sst", neighbour=tmp_path)
+
+
+def test_tips_near_the_speed_of_sound_are_refused():
+    at = ("r", 2, 0.06, 0.2, 1e5, 0.0, "laminar", "tiny", 1.2, 1.8e-5, 1.0)
+    with pytest.raises(InputError, match=r"954930 rpm moves the tips at Mach 17; stay below 0.7"):
+        Point(*at)

@@ -38,7 +38,9 @@ from mufly.cfd.mesh import Domain
 from mufly.cfd.polymesh import LOWER, PolyMesh, foam_header, write_poly_mesh
 from mufly.cfd.start import slipstream
 from mufly.errors import InputError
-from mufly.rotor import Air
+from mufly.rotor import Air, tip_mach
+from mufly.rotor.system import HIGHEST_MACH
+from mufly.units import RPM
 
 Array = NDArray[np.float64]
 
@@ -126,6 +128,11 @@ class Point:
         for speed in (self.speed_rad_s, self.lower_rad_s if self.gap_m else 1.0):
             if not 0.0 < speed < math.inf:
                 raise InputError("cfd", "speed", f"is {speed:g} rad/s", "give a number above 0")
+            if (mach := tip_mach(self.radius_m, speed)) >= HIGHEST_MACH:
+                raise InputError(
+                    "cfd", "speed", f"{speed / RPM:.6g} rpm moves the tips at Mach {mach:.2g}",
+                    f"stay below {HIGHEST_MACH:g}: the air is taken for incompressible",
+                )  # fmt: skip
 
     @property
     def rotors(self) -> dict[str, float]:

@@ -36,8 +36,8 @@ from mufly.cli.present import (
     save_picture,
     tell_files,
     write_csv,
+    writing,
 )
-from mufly.cli.present import writing as writing_file
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -234,7 +234,7 @@ def import_blade(
         edge = length("--trailing-edge", trailing_edge, "0.3mm")
         r = replace_rotor(r, {"trailing_edge": edge}, source="measured")
     if out is not None:
-        with writing_file(out):
+        with writing(out):
             out.write_text(rotor_toml(r), encoding="utf-8")
     if as_json:
         print_json({"name": r.name, **_geometry(r), "airfoils": r.airfoil_names(), "notes": notes})
@@ -567,7 +567,7 @@ def fit(
         )  # fmt: skip
     files = []
     if out is not None:
-        with writing_file(out):
+        with writing(out):
             out.write_text(rotor_toml(found.rotor), encoding="utf-8")
         files = [out, save_picture(fit_picture(found), out.parent, out.stem)]
     if as_json:

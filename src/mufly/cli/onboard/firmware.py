@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -71,7 +72,8 @@ def export(
         _print_fixed(helicopter, controller, law)
     tell_files([out])
     say(
-        f"{len(files)} files for {controller.vehicle_name}: try `make -C {out} check`, read {out / 'README.md'}."
+        f"{len(files)} files for {controller.vehicle_name}: try `make -C {shlex.quote(str(out))} check`, "
+        f"read {out / 'README.md'}."
     )
 
 
