@@ -6,10 +6,10 @@ kept in the repository.
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import inspect
 import re
-import sys
 import types
 import typing
 from collections.abc import Iterator
@@ -260,4 +260,6 @@ def _key(name: str, field: FieldInfo, extra: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    write(Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parent / "reference"))
+    asked = argparse.ArgumentParser(description="Write the reference of commands and functions.")
+    asked.add_argument("folder", nargs="?", type=Path, default=Path(__file__).parent / "reference")
+    write(asked.parse_args().folder)

@@ -72,6 +72,10 @@ def compare(table: Path, cases: Sequence[Path]) -> list[Compared]:
         point = read_point(case)
         pitch, rpm = math.degrees(point.pitch_rad), point.speed_rad_s / RPM
         verdict = judge(case)
+        if verdict.what == "not begun":
+            raise InputError(
+                str(case), "", "has not been run", "run it first: `mufly cfd run --out` its folder"
+            )
         for i, row in enumerate(rows):
             try:
                 values = {k: float(v) for k, v in row.items() if k and v}

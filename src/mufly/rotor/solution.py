@@ -355,10 +355,12 @@ def solve_thrust(
         cross = np.flatnonzero((short[:-1] <= 0.0) & (short[1:] >= 0.0))
         if cross.size == 0:
             key, unit = ("speed", "rad/s") if by_speed else ("pitch", "rad")
-            reached = float(short.max() + thrust_N)
+            least, most = float(short.min() + thrust_N), float(short.max() + thrust_N)
+            below = thrust_N < least
             raise InputError(
-                "rotor", "thrust", f"{thrust_N:g} N is out of reach: at most {reached:.4g} N",
-                f"ask for less, or widen the {key} limits ({low:g} to {high:g} {unit})",
+                "rotor", "thrust",
+                f"{thrust_N:g} N is out of reach: at {'least' if below else 'most'} {least if below else most:.4g} N",
+                f"ask for {'more' if below else 'less'}, or widen the {key} limits ({low:g} to {high:g} {unit})",
             )  # fmt: skip
         i = int(cross[0])
         if grid[i + 1] - grid[i] <= 1e-12 * max(abs(grid[i]), 1e-3):

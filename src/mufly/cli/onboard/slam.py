@@ -366,6 +366,8 @@ def _camera_of(place: Path, given: str | None) -> Camera:
     recording = place / CAMERA_RECORDING if place.is_dir() else place
     if recording.suffix == ".mcap" and recording.is_file() and (text := read_pictures(recording).camera):
         return camera_from(text, f"{recording}: camera.toml")
+    if place.is_dir() and not any(place.iterdir()):
+        raise InputError(str(place), "", "is empty", "give a folder with pictures, a video or a recording")
     if not (place / "camera.toml").is_file():
         raise InputError(str(place), "camera.toml", "is not there", "give --camera")
     return load_camera(place / "camera.toml")
