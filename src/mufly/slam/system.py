@@ -297,7 +297,9 @@ class Slam:
         unsure = 0.0 if coarse else self._spread / view.height * view.focal
         tilted = view.focal * math.sqrt(tilts[0, 0] + tilts[2, 2])
         reach = _STRAY + 4.0 * unsure + 3.0 * (self._shake_rms + tilted)
-        seen, correlation, sigma = tracked(template, picture, there[use], straight.smooth, reach)
+        # A floor that repeats nothing is seen best by all that a picture holds.
+        looked = reach if len(self.map.alike(k, view.focal)) else math.inf
+        seen, correlation, sigma = tracked(template, picture, there[use], straight.smooth, looked)
         good = (correlation > CORRELATION) & (sigma < 1.5)
         good &= on(straight.seen, seen) & (np.hypot(*(seen - there[use]).T) < reach)
         if good.sum() < ENOUGH:

@@ -180,7 +180,7 @@ def on(mask: _Picture, pixels: _Array) -> NDArray[np.bool_]:
 
 
 def _levels(reach: float) -> int:
-    return min(3, max(1, math.ceil(math.log2(reach / (WINDOW // 2)))))
+    return 3 if math.isinf(reach) else min(3, max(1, math.ceil(math.log2(reach / (WINDOW // 2)))))
 
 
 def tracked(
