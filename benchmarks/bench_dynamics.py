@@ -28,7 +28,6 @@ from numba import njit, prange
 from scipy.integrate import solve_ivp
 
 import mufly
-from mufly.drive import armature_current, rotor_acceleration, terminal_voltage
 from mufly.dynamics import (
     PARAMETERS,
     advance,
@@ -78,16 +77,16 @@ for _name in ("add", "radd", "sub", "rsub", "mul", "rmul", "truediv", "rtruediv"
 
 def source_with(replacements: dict[str, object], parameters: object) -> Callable[..., None]:
     """The model's own Python source, with other functions under the names that it calls."""
-    scope = {**vars(model_source), **replacements}
+    functions = {k: f for k, f in vars(model_source).items() if hasattr(f, "py_func")}
+    constants: dict[str, object] = {}  # of the other modules that functions come from
+    for f in functions.values():
+        constants |= f.py_func.__globals__
+    scope = {**constants, **vars(model_source), **replacements}
 
     def from_source(dispatcher: object) -> types.FunctionType:
         return types.FunctionType(dispatcher.py_func.__code__, scope)
 
-    scope["_clip"] = from_source(model_source._clip)
-    scope["terminal_voltage"] = from_source(terminal_voltage)
-    scope["armature_current"] = from_source(armature_current)
-    scope["rotor_acceleration"] = from_source(rotor_acceleration)
-    scope["battery_state"] = from_source(model_source.battery_state)
+    scope |= {k: from_source(f) for k, f in functions.items() if k not in replacements}
     run = from_source(derivative)
     return lambda x, u, wind, dx: run(x, u, wind, parameters, dx)
 
