@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
@@ -41,8 +41,6 @@ from mufly.cli.present import (
 from mufly.units import RPM
 
 if TYPE_CHECKING:
-    from typing import Literal
-
     from mufly.drive import OperatingPoint
     from mufly.rotor import Band, Measurements, Rotor, RotorResult
     from mufly.rotor.uncertainty import Known
@@ -224,9 +222,7 @@ def import_blade(
         from mufly.rotor.solid import rotor_of_body
 
         if out is None:
-            raise InputError(
-                "--out", "", "is missing", "a body's sections become files beside the rotor file"
-            )
+            raise InputError("--out", "", "is missing", "give one: a body's sections are written beside it")
         r, notes = rotor_of_body(blade, folder=out.parent, blades=blades, name=name or out.stem)
     else:
         r, notes = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
@@ -248,9 +244,8 @@ def import_blade(
     for note in notes:
         c.print(f"Note: {note}", style="yellow", highlight=False)
     if out is None:
-        c.print("Nothing written; add --out FILE.toml")
-    else:
-        tell_files([out])
+        return c.print("Nothing written; add --out FILE.toml")
+    tell_files([out])
 
 
 @app.command()
@@ -326,9 +321,7 @@ def hover(
         return
     settings, count = theory.wakes()
     if band is not None and theory.method == "wake":
-        raise InputError(
-            "--band", "", "is the interval of blade element theory", "leave --method wake or --band out"
-        )
+        raise InputError("--band", "", "is of blade element theory", "leave --method wake or --band out")
     one_of("--section", section, _BAND_SECTIONS)
     if section != "known" and band is None:
         raise InputError("--section", section, "changes an interval only", "add --band 0.9")

@@ -10,7 +10,14 @@ from mufly.dynamics.linearisation import (
     submodel,
     trim,
 )
-from mufly.dynamics.model import battery_state, derivative, lowest_point, standing_attitude, standing_height
+from mufly.dynamics.model import (
+    battery_state,
+    derivative,
+    lowest_point,
+    standing_attitude,
+    standing_height,
+    standing_state,
+)
 from mufly.dynamics.similarity import similar_vehicle
 from mufly.dynamics.simulation import (
     DEFAULT_STEP_S,
@@ -69,6 +76,7 @@ __all__ = [
     "simulate",
     "standing_attitude",
     "standing_height",
+    "standing_state",
     "state_dataset",
     "submodel",
     "trim",

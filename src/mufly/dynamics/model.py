@@ -71,7 +71,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.drive.train import armature_current, interpolate, rotor_acceleration, terminal_voltage
-from mufly.dynamics.state import rotation
+from mufly.dynamics.state import initial_state, rotation
 from mufly.rotor.maps import at
 from mufly.rotor.maps import interpolate as maps_interpolate
 from mufly.units import GRAVITY
@@ -467,3 +467,13 @@ def standing_height(vehicle: Vehicle) -> float:
     lowest = float(z.max())
     carrying = int(np.sum(z > lowest - 1e-6))
     return lowest - float(vehicle.body.mass) * GRAVITY / (carrying * float(vehicle.contact.stiffness))
+
+
+def standing_state(
+    vehicle: Vehicle, north_east_m: tuple[float, float], heading_rad: float
+) -> NDArray[np.float64]:
+    """Return the state (21,) in which the vehicle stands still on the floor with its rotors at rest."""
+    return initial_state(
+        position=(*north_east_m, -standing_height(vehicle)),
+        attitude=(*standing_attitude(vehicle), heading_rad),
+    )

@@ -30,14 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.camera import CAMERA_RECORDING
 from mufly.control import FlightController, design
-from mufly.dynamics import (
-    DrydenWind,
-    initial_state,
-    model_air,
-    outside_model,
-    standing_attitude,
-    standing_height,
-)
+from mufly.dynamics import DrydenWind, model_air, outside_model, standing_state
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator, fitted_estimator
 from mufly.flight.autopilot import Autopilot
@@ -179,10 +172,7 @@ class Flight:
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
         self.outside = outside_model(vehicle, steady, gust)
         unit = leaning(vehicle, seed=seed) if sensors == "fitted" else vehicle
-        self._start = initial_state(
-            position=(*mission.start_m, -standing_height(unit)),
-            attitude=(*standing_attitude(unit), math.radians(mission.start_heading_deg)),
-        )
+        self._start = standing_state(unit, mission.start_m, math.radians(mission.start_heading_deg))
         self.plant = Plant(unit, mission.world, air, controller.rate_Hz, self._start)
         self.look = max(1, round(controller.rate_Hz / RING_HZ))
         start = (*mission.start_m, math.radians(mission.start_heading_deg))
