@@ -14,7 +14,7 @@ The rotor stood on a shaft with a hub, whose size is not in the tables: a cylind
 (``--hub 0``) swirl that gathers on the axis is drawn down through the gap between the roots every 1 200 iterations,
 and thrust jumps by 5 % each time: that never settles.
 
-    python benchmarks/cfd_caradonna.py DIR [--model k-epsilon] [--mesh coarse] [--hub 0.1] [--most 2800]
+    python benchmarks/cfd_caradonna.py DIR [--model k-epsilon] [--mesh coarse] [--hub 0.1] [--pitch 8] [--most 2800]
 
 DIR holds the case; what was begun there goes on.
 """
@@ -45,9 +45,12 @@ twist = { value = [0, 0], unit = "deg", source = "measured" }
 airfoils = ["naca0012"]
 """
 RADIUS_M, CHORD_M, PITCH_DEG, SPEED_RPM, MACH = 1.143, 0.1905, 8.0, 1250.0, 0.439
-C_T = 0.00459
-LIFT = {0.50: 0.2343, 0.68: 0.2815, 0.80: 0.2886, 0.89: 0.3143, 0.96: 0.2883}
-"""Measured lift coefficients, by r/R, over the pressure of Omega r."""
+C_T = {5.0: 0.00213, 8.0: 0.00459}
+LIFT = {
+    5.0: {0.50: 0.1070, 0.68: 0.1241, 0.80: 0.1517, 0.89: 0.1181, 0.96: 0.1519},  # Table 10
+    8.0: {0.50: 0.2343, 0.68: 0.2815, 0.80: 0.2886, 0.89: 0.3143, 0.96: 0.2883},
+}
+"""Measured lift coefficients, by pitch (degrees) and r/R, over the pressure of Omega r."""
 STATION = 0.68
 UPPER = (
     (0.02, -0.9426), (0.04, -0.9820), (0.10, -0.7745), (0.15, -0.7345), (0.20, -0.6845), (0.23, -0.6445),
@@ -66,31 +69,35 @@ def main() -> None:
     parser.add_argument("--mesh", default="coarse")
     parser.add_argument("--hub", type=float, default=0.1, help="its radius over R; 0 for none")
     parser.add_argument("--most", type=int, default=2800)
+    parser.add_argument("--pitch", type=float, default=PITCH_DEG, choices=tuple(C_T), help="degrees")
     given = parser.parse_args()
     file = given.folder / "caradonna-tung.toml"
     given.folder.mkdir(parents=True, exist_ok=True)
     file.write_text(ROTOR, encoding="utf-8")
-    case = given.folder / f"{given.model}-{given.mesh}{'' if given.hub else '-no-hub'}"
+    turned = "" if given.pitch == PITCH_DEG else f"-{given.pitch:g}"
+    case = given.folder / f"{given.model}-{given.mesh}{'' if given.hub else '-no-hub'}{turned}"
     save_case(
-        case, load_rotor(str(file)), pitch_rad=math.radians(PITCH_DEG), speed_rad_s=SPEED_RPM * RPM, model=given.model,
-        level=given.mesh, hub_m=given.hub * RADIUS_M,
+        case, load_rotor(str(file)), pitch_rad=math.radians(given.pitch), speed_rad_s=SPEED_RPM * RPM,
+        model=given.model, level=given.mesh, hub_m=given.hub * RADIUS_M,
     )  # fmt: skip
     verdict = run_case(case, most=given.most)
     mesh = read_poly_mesh(case)
     found = read_solution(case, mesh)
     p = found.point
     whole = p.density_kg_m3 * math.pi * RADIUS_M**2 * (p.speed_rad_s * RADIUS_M) ** 2
-    c_T = verdict.thrust_N / whole
+    c_T, known = verdict.thrust_N / whole, C_T[given.pitch]
     print(f"{verdict.what} after {verdict.iterations} iterations (drift {100 * verdict.drift:.2f} %, swing "
-          f"{100 * verdict.swing:.2f} %): c_T {c_T:.5f}, {100 * (c_T / C_T - 1):+.1f} % of {C_T}; the wake carries "
+          f"{100 * verdict.swing:.2f} %): c_T {c_T:.5f}, {100 * (c_T / known - 1):+.1f} % of {known}; the wake carries "
           f"{100 * found.wake_torque:.0f} % of the torque")  # fmt: skip
     print("r/R   c_l measured   CFD            with Prandtl and Glauert")
-    for x, measured in LIFT.items():
+    for x, measured in LIFT[given.pitch].items():
         of = 0.5 * p.density_kg_m3 * (p.speed_rad_s * x * RADIUS_M) ** 2 * CHORD_M * p.blades
         ours = float(np.interp(x * RADIUS_M, found.r_m, found.thrust_N_m)) / of
         told = ours / math.sqrt(1.0 - (MACH * x) ** 2)
         print(f"{x:.2f}  {measured:.4f}         {ours:.4f} {100 * (ours / measured - 1):+5.1f} %  {told:.4f} "
               f"{100 * (told / measured - 1):+5.1f} %")  # fmt: skip
+    if given.pitch != PITCH_DEG:
+        return
     taps = np.array(UPPER)
     at = STATION * RADIUS_M
     after = int(np.searchsorted(found.r_m, at))

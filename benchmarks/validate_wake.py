@@ -165,9 +165,39 @@ def report_momentum() -> None:
     )
 
 
+def report_stations() -> None:
+    """Caradonna and Tung: thrust as the report can have had it, from five stations, beside the whole blade's."""
+    case = next(c for c in others() if c.name == "caradonna-tung")
+    at, m, air = np.array([0.5, 0.68, 0.8, 0.89, 0.96]), case.measured, case.air
+    measured = {5: (0.1070, 0.1241, 0.1517, 0.1181, 0.1519), 8: (0.2343, 0.2815, 0.2886, 0.3143, 0.2883)}
+
+    def from_stations(cl: np.ndarray) -> float:
+        """c_T over solidity / 2: straight lines in c_l r^2, 0 at 0.2 R and at the tip."""
+        return float(np.trapezoid([0, *(cl * at**2), 0], [0.2, *at, 1.0]))
+
+    rows = []
+    for pitch, speed, thrust in zip(m.pitch_rad, m.speed_rad_s, m.thrust_N, strict=True):
+        found = solve(System.single(blading_of(case)), Condition(float(pitch), float(speed), air=air), "wake")
+        r, big = found.rotors[0], case.rotor.radius_m
+        q = 0.5 * air.density_kg_m3 * (speed * r.r_m) ** 2 * r.chord_m
+        cl = np.interp(at, r.r_m / big, r.dT_N / r.dr_m / q / case.rotor.blades)
+        ct = thrust / (air.density_kg_m3 * np.pi * big**4 * speed**2)
+        half = case.rotor.blades * float(r.chord_m[0]) / (2 * np.pi * big)
+        told = measured.get(round(float(np.degrees(pitch))))
+        rows.append([
+            f"{np.degrees(pitch):.0f}", percent(r.thrust_N, thrust), percent(half * from_stations(cl), ct),
+            percent(half * from_stations(np.array(told)), ct) if told else "",
+            *(f"{v:.3f}" for v in cl),
+        ])  # fmt: skip
+    table(
+        "Caradonna and Tung: deviation from the published c_T, %; lift coefficients of the wake",
+        ["pitch", "whole blade", "five stations", "the measured five", *(f"{x:g} R" for x in at)], rows,
+    )  # fmt: skip
+
+
 def main() -> None:
     """Print the tables."""
-    args = arguments(__doc__, ("table", "others", "propellers", "momentum"))
+    args = arguments(__doc__, ("table", "others", "stations", "propellers", "momentum"))
     if not DATA.is_dir():
         sys.exit(
             "validate_wake: the measurements (../shared/data/aero) are not here; nothing to compare with"
@@ -177,6 +207,8 @@ def main() -> None:
         report_table_3_2(solver)
     if "others" in args.parts:
         report_others(solver)
+    if "stations" in args.parts:
+        report_stations()
     if "propellers" in args.parts:
         report_propellers(solver)
     if "momentum" in args.parts:
