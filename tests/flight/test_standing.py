@@ -8,9 +8,10 @@ import pytest
 
 from mufly.dynamics import initial_state, quaternion_from_euler, rotation, standing_attitude, standing_height
 from mufly.estimate import fitted_estimator
-from mufly.estimate.layout import filter_settings
+from mufly.estimate.layout import ACCEL, filter_settings
 from mufly.flight import Flight
 from mufly.sensors import Truth, fitted_sensors, leaning
+from mufly.units import GRAVITY
 from mufly.vehicle import load_vehicle, replace
 from mufly.world import World
 
@@ -60,8 +61,11 @@ def test_it_stands_still_as_it_leans_and_the_filter_does_not_know():
     for before, after in pairwise(stands):
         assert np.abs(after.attitude - before.attitude).max() < 1e-6
     assert stands[-1].attitude[:2] == pytest.approx(lean, abs=2e-5)
-    assert filter_settings(VEHICLE, World(), 200.0)["level"] == float(VEHICLE.sensors.imu.level)
-    assert np.abs(estimate.attitude[:2]).max() < 0.5 * np.abs(lean).max()
+    told = filter_settings(VEHICLE, World(), 200.0)
+    level, bias = told["level"], told["sigma"][ACCEL] / GRAVITY
+    assert level == float(VEHICLE.sensors.imu.level)
+    # Of what accelerometers say, bias and lean in one, it takes for lean what is to be expected of that.
+    assert np.abs(estimate.attitude[:2]).max() < 3.0 * level**2 / np.hypot(level, bias)
 
 
 def test_ideal_flights_stand_upright():
@@ -71,7 +75,7 @@ def test_ideal_flights_stand_upright():
 
 
 def test_a_tilt_on_the_floor_is_off_by_the_lean_and_told_to_be() -> None:
-    """Told 0.102 degrees of 0.12 after 1.5 s: the filter is too sure on its legs (docs/estimation.md)."""
+    """The floor alone knows how it leans: that it does not move, however long, tells nothing of the tilt."""
     filter_, off, told = fitted_estimator(VEHICLE, World(), 200.0), [], []
     for seed in range(16):
         unit = leaning(VEHICLE, seed=seed)
@@ -88,5 +92,5 @@ def test_a_tilt_on_the_floor_is_off_by_the_lean_and_told_to_be() -> None:
     leans = np.array([standing_attitude(leaning(VEHICLE, seed=k)) for k in range(16)])
     # Its accelerometers' biases, 0.63 degrees, move it by 3.5 % of that, 0.18 of the lean
     assert np.corrcoef(np.ravel(off), -np.ravel(leans))[0, 1] > 0.85
-    assert 0.8 < np.sqrt(np.mean(told)) / float(VEHICLE.sensors.imu.level) < 1.05
-    assert 0.7 < np.mean(np.square(off) / told) < 2.0
+    assert 0.98 < np.sqrt(np.mean(told)) / float(VEHICLE.sensors.imu.level) < 1.05
+    assert 0.5 < np.mean(np.square(off) / told) < 1.6

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from mufly.compiled import compiled
 from mufly.dynamics import battery_state
 from mufly.dynamics.model import _clip, derivative_tilted
+from mufly.estimate.layout import RUNNING
 from mufly.trigonometry import sine_cosine
 from mufly.units import GRAVITY
 
@@ -194,6 +195,8 @@ def transition(e: _Array, span: float, r: _Array, push: _Array, out: _Array) -> 
         dv' = t x a - R W db_a + R (1 - W) (f_0 dk + J R^T (dv - dw)),     dt' = -R db_w,     dp' = dv
 
     What attitude does to the drag through R^T is left out: it is J |u| / g of what it does to gravity, some percent.
+    On its legs the floor pushes, straight up however it is tilted: a = (0, 0, -g), which no error of the attitude
+    turns, so t x a is none. (With it "it does not move" would tell of the tilt, which the floor alone knows.)
 
     Parameters
     ----------
@@ -218,7 +221,7 @@ def transition(e: _Array, span: float, r: _Array, push: _Array, out: _Array) -> 
             out[9 + 3 * i + j] = -own * e[15 + j]
             k_ += own * ((1 - e[15 + j]) * e[6 + j])
         out[27 + i] = k_
-        out[30 + i] = span * push[i]
+        out[30 + i] = 0.0 if e[21] <= RUNNING else span * push[i]
     for i in range(3):
         for j in range(i, 3):
             s = 0.0

@@ -113,6 +113,7 @@ void transition_of(const real_t e[INPUTS], real_t span, const real_t r[9], const
 {
     const real_t rest[3] = {REAL(1.0) - e[15], REAL(1.0) - e[16], REAL(1.0) - e[17]};
     const real_t slope[3] = {rest[0] * e[12], rest[1] * e[13], rest[2] * e[14]};
+    const bool stands = (int32_t)e[21] <= RUNNING;
 
     for (int32_t i = 0; i < 3; i++) {
         real_t thrust = REAL(0.0);
@@ -125,7 +126,7 @@ void transition_of(const real_t e[INPUTS], real_t span, const real_t r[9], const
             thrust += own * (rest[j] * e[6 + j]);
         }
         out[27 + i] = thrust;
-        out[30 + i] = span * a[i];
+        out[30 + i] = stands ? REAL(0.0) : (span * a[i]); /* the floor pushes up however it is tilted */
     }
     for (int32_t i = 0; i < 3; i++) {
         for (int32_t j = i; j < 3; j++) {
