@@ -500,6 +500,11 @@ def fly(
         dataset, heard = found, [] if address is None else sorted(folder.glob("station*.*"))
     else:
         dataset = _fly_in_terminal(terminal, order, ending)
+    ended_s = float(dataset["time"][-1])
+    say(
+        *(f"{f} never came: the flight ended at {ended_s:.1f} s" for f in faults if f.start_s > ended_s),
+        mark="Warning", style="yellow",
+    )  # fmt: skip
     seen = order.eye is not None and not order.outside
     kept = [p for p in (recording, folder / "camera.mcap") if p is recording or seen]
     summary = _write_results(terminal, dataset, order.mission, [*kept, *heard], as_json)

@@ -30,7 +30,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.results import result
 from mufly.rotor.bemt import hover_batch
 from mufly.rotor.blading import Blading, Corrections, prepare
@@ -151,8 +151,9 @@ def interval(
         If the level, section or family is none of these, or the section is 'measured' and the rotor was never fitted.
     """
     if level not in _SIGMAS:
-        raise InputError(
-            "uncertainty", "level", f"is {level:g}", f"choose one of {', '.join(map(str, _SIGMAS))}"
+        known = ", ".join(map(str, _SIGMAS))
+        raise ArgumentError(
+            "band", f"{level:g}", "is no share an interval is known for", f"choose one of {known}"
         )
     if section not in SECTIONS:
         raise InputError(

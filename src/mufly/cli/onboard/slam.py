@@ -385,10 +385,10 @@ def evaluate(
     from mufly.slam import evaluate, read_trajectory, read_truth
     from mufly.slam.readers import read_tum
 
+    one = read_trajectory(trajectory)
     true = read_truth(truth) if truth.is_dir() else read_tum(truth)
     if true is None:
         raise InputError(str(truth), "", "holds no truth", "give a folder with truth.txt, or a trajectory")
-    one = read_trajectory(trajectory)
     covariance = one.covariance if np.isfinite(one.covariance).all() else None
     result = evaluate(one.time, one.position, one.heading, covariance, *true)
     answer(as_json, lambda: {"errors": result}, lambda: _print(result))
