@@ -15,6 +15,7 @@ from mufly.estimate.factors import (
     variance,
     wander,
 )
+from mufly.estimate.layout import FLYING, RUNNING
 from mufly.estimate.motion import advance_state, transition, turned
 
 N = 25
@@ -30,6 +31,7 @@ def _step(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Inputs of a block and a state with any attitude."""
     e = rng.standard_normal(22)
     e[15:18] = rng.uniform(0, 1, 3)
+    e[21] = FLYING
     x = rng.standard_normal(26)
     x[6:10] /= np.linalg.norm(x[6:10])
     return e, x
@@ -70,6 +72,11 @@ def test_errors_move_as_states_do() -> None:
             column = error / 1e-6
             carry_column(column, SPAN, a, column)
             assert np.allclose(column[:9], right[:9], atol=2e-4), j
+        # On its legs what the floor pushes does not turn with the attitude.
+        e[21] = RUNNING
+        transition(e, SPAN, r, push, a)
+        assert push.any()
+        assert not a[30:].any()
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])

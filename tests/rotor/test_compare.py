@@ -175,7 +175,7 @@ def test_interval_holds_the_prediction_and_grows_with_doubt():
         interval(rotor, section="measured", **kw)
     with pytest.raises(InputError, match="family"):
         interval(rotor, section="guessed", family="paper", **kw)
-    with pytest.raises(InputError, match="level"):
+    with pytest.raises(InputError, match="band"):
         interval(rotor, level=0.7, **kw)
 
 
