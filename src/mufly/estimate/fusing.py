@@ -95,8 +95,9 @@ STUCK = 1e-11
 """Chance that a sonar that works repeats itself for so long."""
 CLEAR = 0.15
 """Height (m) above which no leg touches: what turns it then is in the flight model."""
-LED_SPEED, LED_FORCE, LED_THRUST = 0.3, 0.3, 0.1
-"""What speed (m/s), accelerometers (m/s^2) and thrust (1) may be off by where the height is led away."""
+LED_SPEED, LED_FORCE, LED_THRUST, LED_S = 0.3, 0.3, 0.1, 1.0
+"""What speed (m/s), accelerometers (m/s^2) and thrust (1) may be off by where the height is led away
+again within ``LED_S`` (s)."""
 SUDDEN, MOST_STEPS = 3.0, 8
 """Deviations of the sonar beyond which it is the surface that jumps, over an edge; how often it may."""
 LIFTS, LIFTS_OFF = 1.08, 0.08
@@ -348,9 +349,17 @@ def _repeats(m: Any, s: Any, z: float, nu: float) -> bool:
 
 
 @compiled(error_model="numpy")
-def _led_away(m: Any, nu: float) -> None:
-    """The height is led away by ``nu``: by a force that is not as it is believed."""
+def _led_away(m: Any, s: Any, nu: float) -> None:
+    """The height is led away by ``nu``.
+
+    A wall beside it may have done so, whose foot in the sonar's cone was taken for the floor: then the height is off,
+    and that is all. If it is off again soon, a force leads it that is not as it is believed.
+    """
     loosen(m.ut, m.d, P + 2, nu * nu, m.f)
+    before = m.suspect[R_SONAR, 3]
+    m.suspect[R_SONAR, 3] = m.horizon
+    if not (before > 0.0 and (m.horizon - before) * s.dt < LED_S):
+        return
     loosen(m.ut, m.d, V + 2, LED_SPEED * LED_SPEED, m.f)
     loosen(m.ut, m.d, ACCEL + 2, LED_FORCE * LED_FORCE, m.f)
     loosen(m.ut, m.d, THRUST_, LED_THRUST * LED_THRUST, m.f)
@@ -393,7 +402,7 @@ def fuse_sonar(m: Any, s: Any, z: _Array, ahead: float, r: _Array) -> None:
         if over or nu < 0.0:
             m.edge = 1.0
         else:
-            _led_away(m, nu)
+            _led_away(m, s, nu)
             _sonar_row(m, s, r)
     if over and abs(ratio) > SUDDEN and m.steps < MOST_STEPS and floor > LEAST_FLOOR:
         # Over an object it is the surface that jumps.
@@ -412,7 +421,7 @@ def fuse_sonar(m: Any, s: Any, z: _Array, ahead: float, r: _Array) -> None:
             flag(m, s, k, REJECTED, TAKEN_OVER, nu)
         elif step and nu > 0.0:
             # Lower than the floor nothing lies; over an edge it was the surface that jumped.
-            _led_away(m, nu)
+            _led_away(m, s, nu)
             flag(m, s, k, FUSED, SLOPE, nu)
         elif step:
             loosen(m.ut, m.d, FLOOR, nu * nu, m.f)

@@ -273,10 +273,16 @@ static real_t sonar_row(estimator_t *m, const estimator_settings_t *s, real_t r[
     return ((r[6] * at[0]) + (r[7] * at[1])) + (r[8] * at[2]);
 }
 
-/* The height is led away by nu: by a force that is not as it is believed. */
-static void led_away(estimator_t *m, real_t nu)
+/* The height is led away by nu, and if again within a while by a force that is not as it is believed. */
+static void led_away(estimator_t *m, const estimator_settings_t *s, real_t nu)
 {
-    factors_loosen(m, P_ + 2, nu * nu);
+    const real_t before = m->suspect[R_SONAR][3];
+
+    factors_loosen(m, P_ + 2, nu * nu); /* the foot of a wall in the cone may have been taken for the floor */
+    m->suspect[R_SONAR][3] = (real_t)m->horizon;
+    if (!((before > REAL(0.0)) && ((((real_t)m->horizon - before) * s->dt) < LED_S))) {
+        return;
+    }
     factors_loosen(m, V_ + 2, LED_SPEED * LED_SPEED);
     factors_loosen(m, ACCEL + 2, LED_FORCE * LED_FORCE);
     factors_loosen(m, THRUST_, LED_THRUST * LED_THRUST);
@@ -300,7 +306,7 @@ static bool sonar_anew(estimator_t *m, const estimator_settings_t *s, const real
         factors_loosen(m, THRUST_, REAL(0.01));
         flag(m, s, k, REJECTED, TAKEN_OVER, nu);
     } else if (step && (nu > REAL(0.0))) {
-        led_away(m, nu); /* lower than the floor nothing lies; over an edge it was the surface that jumped */
+        led_away(m, s, nu); /* lower than the floor nothing lies; over an edge it was the surface that jumped */
         flag(m, s, k, FUSED, SLOPE, nu);
     } else if (step) {
         factors_loosen(m, FLOOR, nu * nu);
@@ -390,7 +396,7 @@ void fuse_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1]
         if (over || (nu < REAL(0.0))) {
             m->edge = REAL(1.0);
         } else {
-            led_away(m, nu);
+            led_away(m, s, nu);
             (void)sonar_row(m, s, r);
         }
     }
