@@ -293,6 +293,32 @@ def test_without_gyroscopes_the_rotor_model_tells_the_turning(vehicle: Vehicle, 
     assert np.sqrt((rates[:, :2] ** 2).mean()) < 0.15
 
 
+def test_the_foot_of_a_wall_in_the_sonars_cone_is_no_climb(vehicle: Vehicle, flown, felt) -> None:
+    """Now nearer than the floor and now not: four times in half a second it was taken for an unknown force."""
+
+    def beside_a_wall(r: Readings, nearer_m: float) -> Readings:
+        heard = r.latest.get("ground_distance")
+        if heard is None:
+            return r
+        return Readings(
+            r.time_s, {**r.latest, "ground_distance": heard._replace(value=heard.value - nearer_m)}
+        )
+
+    readings = felt(10_000)
+    for seconds, foot_m in ((0.3, 0.06), (0.3, 0.09), (0.2, 0.06), (0.5, 0.05)):
+        heard = []
+        for r in readings:
+            since = math.fmod(max(r.time_s - AIR_S, 0.0), seconds + 0.15)
+            heard.append(beside_a_wall(r, foot_m * since / seconds if since < seconds else 0.0))
+        _, told = run(vehicle, heard, flown[1])
+        after = [k for k, r in enumerate(readings) if r.time_s > AIR_S]
+        off = [told[k].velocity[2] - flown[0][k].velocity[2] for k in after]
+        assert (
+            max(map(abs, off)) < 0.7
+        )  # 0.57, 0.06, 0.20 and 0.30; as a force each time 1.03, 0.06, 1.05 and 0.74
+        assert not any(c.name == "rates" and c.reason for e in told for c in e.beliefs.checks)
+
+
 def test_legs_do_not_go_into_the_floor(vehicle: Vehicle, flown, felt) -> None:
     """Rotors that lift less than the weight make no fall where it stands, before lift-off as after touchdown."""
     _, told = run(vehicle, felt(10_000), flown[1])
