@@ -7,7 +7,7 @@ name, several with commas.
 
 A number is frozen with nine digits and, where it stands in an array, with a hash of the array's bytes: a difference in
 the last bits alone is told as such ("last bits"), and is a difference all the same. ``tests/net/test_net.py`` runs the
-quick cases, to six digits, so that it holds on other processors too.
+quick cases, to five digits, so that it holds on other processors too (a polar's last digits are theirs: 1e-6 of c_l).
 
 When an answer changes on purpose: ``freeze --only CASE``, with the reason in the commit.
 """
@@ -617,7 +617,7 @@ def _bemt_single() -> Any:
         blades = bladed(name)
         out[name] = fields(api("hover")(blades, pitch_rad=0.2, speed_rad_s=480.0))
         out[f"{name} climbing"] = fields(
-            api("hover")(blades, pitch_rad=0.2, speed_rad_s=480.0, climb_m_s=1.5)
+            api("hover")(blades, pitch_rad=0.2, speed_rad_s=480.0, climb_m_s=1.0)
         )
         out[f"{name} at thrust"] = fields(api("solve_thrust")(blades, thrust_N=0.2, pitch_rad=0.22))
         batch = api("hover_batch")(blades, pitch_rad=[0.1, 0.2, 0.3], speed_rad_s=[400.0, 500.0, 600.0])
