@@ -12,6 +12,7 @@ import pytest
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, Condition, System, hover, load_rotor, prepare, solve
+from mufly.rotor.tubes import contraction
 from mufly.rotor.wake import (
     Placed,
     WakeSettings,
@@ -22,6 +23,7 @@ from mufly.rotor.wake import (
 )
 from mufly.rotor.wake.blade import ages_of, core_radii, extended, prescribed, surface_of
 from mufly.rotor.wake.kernel import induce, influence, segments_of
+from mufly.rotor.wake.solver import Unit, drag_swirl, first_shape, from_other
 
 RPM = np.pi / 30
 PITCH = np.radians(14)
@@ -288,6 +290,36 @@ def test_it_does_not_matter_which_rotor_is_named_first_or_turns_which_way(bladin
     )
     assert turned.rotors[0].thrust_N == pytest.approx(pair.rotors[1].thrust_N, rel=0.01)
     assert turned.rotors[1].thrust_N == pytest.approx(pair.rotors[0].thrust_N, rel=0.01)
+
+
+def test_the_lower_rotor_meets_all_the_turning_that_profile_drag_gave_the_upper_ones_stream(pair):
+    upper = pair.rotors[0]
+    units = [Unit(wake.placed, pair.settings) for wake in pair.wakes]
+    first_shape(units, pair, 0.0)
+    rho = pair.air.density_kg_m3
+    for unit in units:
+        unit.lay_out(pair.settings, pair.air.viscosity_Pa_s / rho)
+    ways = [(units[1], units[0]), (units[0], units[1])]
+    below, above = (drag_swirl(*way, 0.0, rho, pair.settings.phases) for way in ways)
+    assert not above.any()
+    s, state = units[0].surface, units[0].state
+    r, n = s.quarter_m[:, 0], s.chord_m.size
+    drag = 0.5 * rho * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.theta_rad - state.alpha_rad)
+    torque = s.blades * float(np.sum(drag * r * s.width_m))
+    assert 0.2 * upper.torque_Nm < torque < 0.45 * upper.torque_Nm
+    # What passes the lower disc in a second takes as much along, and turns against the lower rotor.
+    through = sum(from_other(units[0], u, s.quarter_m, pair.settings.phases)[:, 2] for u in units)
+    narrow = contraction(units[0].placed.height_m - units[1].placed.height_m, s.radius_m)
+    at = units[1].surface.quarter_m[:, 0]
+    against = -below[n : 2 * n, 1]
+    down = np.interp(at / narrow, r, -through) / narrow**2
+    moment = rho * float(np.sum(against * at * down * 2 * np.pi * at * units[1].surface.width_m))
+    assert moment == pytest.approx(torque, rel=0.05)
+    assert (against[at < 0.95 * narrow * s.radius_m] > 0.0).all()
+    assert (against[at > 1.1 * narrow * s.radius_m] == 0.0).all()
+    # Without drag there is none.
+    units[0].state = replace(state, cd=0.0 * state.cd)
+    assert not drag_swirl(units[1], units[0], 0.0, rho, pair.settings.phases).any()
 
 
 def test_passing_blades_average_to_the_mean_loads(pair):

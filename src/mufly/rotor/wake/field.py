@@ -21,7 +21,7 @@ from mufly.results import result
 from mufly.rotor.system import Result, Wake, WakeSettings
 from mufly.rotor.wake.blade import turned
 from mufly.rotor.wake.kernel import induce
-from mufly.rotor.wake.solver import Unit, first_shape, from_other_at, solve_blade, vortices_of
+from mufly.rotor.wake.solver import Unit, drag_swirl, first_shape, from_other_at, solve_blade, vortices_of
 
 Array = NDArray[np.float64]
 
@@ -190,9 +190,13 @@ def blade_passing(solution: Result, *, points: int = 24) -> BladePassing:
     circulation = [unit.state for unit in units]
     blades = units[0].surface.blades
     azimuth = np.arange(points) * 2.0 * math.pi / blades / points
+    swirls = [drag_swirl(a, b, climb, air.density_kg_m3, settings.phases) for a, b in (units, units[::-1])]
     thrust, torque = np.empty((2, points)), np.empty((2, points))
     for i, angle in enumerate(azimuth):
-        winds = [from_other_at(a, b, a.sensors, float(angle)) for a, b in (units, units[::-1])]
+        winds = [
+            from_other_at(a, b, a.sensors, float(angle)) + swirl
+            for (a, b), swirl in zip((units, units[::-1]), swirls, strict=True)
+        ]
         for k, unit in enumerate(units):
             unit.state = circulation[k]
             solve_blade(unit, winds[k], air, climb, settings)

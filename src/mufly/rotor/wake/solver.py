@@ -11,8 +11,9 @@ rotor are one blade seen N times.
 
 Two rotors: each wake stands still in its own rotor's frame only, so what one rotor induces at the other's blades and
 wake is averaged over their relative azimuth; over a revolution the blades see just that. What the passing of blades
-adds to the mean is :func:`mufly.rotor.wake.field.blade_passing`. A rotor that turns clockwise is solved as its mirror
-image.
+adds to the mean is :func:`mufly.rotor.wake.field.blade_passing`. The lower one meets the turning that profile drag
+left in the stream above it as well (:func:`drag_swirl`), which no vortex carries. A rotor that turns clockwise is
+solved as its mirror image.
 
 Cost of an iteration: (points of one blade) x (segments of all blades), quadratic in the number of wake elements.
 
@@ -30,6 +31,7 @@ from numpy.typing import NDArray
 
 from mufly.rotor.bemt import result_of
 from mufly.rotor.system import Air, Placed, Result, RotorResult, Surface, Wake, WakeSettings, check_rotors
+from mufly.rotor.tubes import contraction
 from mufly.rotor.wake.blade import (
     BladeState,
     ages_of,
@@ -57,6 +59,10 @@ _DAMPING_RAD = 4.0 * math.pi
 _THICK, _THINNING = 0.4, 15.0  # core limit (R) at first; iterations in which it fades
 _LOOSE = 2.0  # times the residual that a wake which wanders may have
 _LAG = 3  # iterations between updates of what the other rotor does to the wake's points; it changes slowly
+_LEAST_STREAM = (
+    0.2  # of the greatest axial velocity through a disc: what takes profile drag's turning down at least
+)
+_SWIRL_STEP = 0.3  # of the way to what it would be, every _LAG iterations
 _USUAL = 0.06  # c_T over solidity, before anything is known
 _ROLLS = 0.05  # R: height above the ground below which no vortex comes
 _MEAN_CHORD = math.radians(15.0)  # of a wake whose mean over azimuths is wanted
@@ -104,7 +110,12 @@ def first_shape(units: Sequence[Unit], start: Result | None, climb: float) -> No
     for k, unit in enumerate(units):
         s = unit.surface
         known = start.wakes[k] if start is not None and k < len(start.wakes) else None
-        if known is not None and known.free_points == unit.age.size and len(known.paths_m) == len(unit.free):
+        if (
+            start is not None
+            and known is not None
+            and known.paths_m.shape[0] == len(unit.free)
+            and (known.free_points == unit.age.size)
+        ):
             free = known.paths_m[:, 1 : 2 + known.chords * (known.free_points - 1) : known.chords].copy()
             free[..., 1] *= unit.placed.hand
             free[..., 2] -= known.placed.height_m
@@ -112,7 +123,11 @@ def first_shape(units: Sequence[Unit], start: Result | None, climb: float) -> No
             gamma = known.circulation_m2_s * (
                 s.speed_rad_s * s.radius_m**2 / (known.surface.speed_rad_s * known.surface.radius_m**2)
             )
-            unit.state = BladeState(gamma, gamma, gamma, gamma, gamma, True)
+            was = start.rotors[k]
+            faster = s.speed_rad_s * s.radius_m / (known.surface.speed_rad_s * known.surface.radius_m)
+            nu = start.air.viscosity_Pa_s / start.air.density_kg_m3
+            speed = faster * nu * was.reynolds / known.surface.chord_m
+            unit.state = BladeState(gamma, was.alpha_rad, was.cl, was.cd, speed, True)
             unit.free[:, 0] = s.edge_tail_m
         else:
             sigma = s.blades * float(np.sum(s.chord_m * s.width_m)) / (math.pi * s.radius_m**2)
@@ -207,6 +222,11 @@ def _attempt(
             for source in units:
                 if source is not unit and source.state is not None:
                     others += from_other(unit, source, unit.sensors, how.phases)
+                    if turn % _LAG == 0:
+                        left = drag_swirl(unit, source, climb_m_s, gas.density_kg_m3, how.phases)
+                        # Slowly, or it chases a wake that is still moving.
+                        unit.swirl += (_SWIRL_STEP if unit.swirl.any() else 1.0) * (left - unit.swirl)
+                    others += unit.swirl
             solve_blade(unit, others, gas, climb_m_s, how)
             unit.refresh(now, nu)
         residuals = []
@@ -342,6 +362,7 @@ class Unit:
         self.wind_quarter = np.zeros((n, 3))
         self.next = self.free
         self.from_others: Array | None = None  # velocity at the free points
+        self.swirl = np.zeros_like(self.sensors)  # of the other rotor's profile drag
         self.thrust, self.torque = 0.0, 0.0
         self.dT, self.dQ = np.zeros(n), np.zeros(n)
 
@@ -456,6 +477,43 @@ def from_other(target: Unit, source: Unit, points: Array, phases: int) -> Array:
     for k in range(phases):
         total += from_other_at(target, source, points, (k + 0.5) * step, few=True)
     return total / phases
+
+
+def drag_swirl(target: Unit, source: Unit, climb: float, density: float, phases: int) -> Array:
+    """Velocity at a rotor's sensors by the turning that the profile drag of the one above gave to its stream (m/s).
+
+    Vortices carry only the turning that comes with lift. The torque of N blades' profile drag is angular momentum of
+    the air as well, annulus by annulus of the disc, with v the axial velocity through it (mean over azimuths):
+
+        rho v 2 pi r dr  r u = N rho/2 W^2 c c_d cos(phi) r dr                (moment of momentum; own derivation)
+
+    On its way down r u stays, and r becomes s r with the stream (:func:`mufly.rotor.tubes.contraction`). Outside the
+    stream and above the disc there is none; nor does it mix.
+    """
+    u = np.zeros_like(target.sensors)
+    state, above = source.state, source.placed.height_m - target.placed.height_m
+    if state is None or above <= 0.0:
+        return u
+    s = source.surface
+    through = from_other(source, source, s.quarter_m, phases)[:, 2] - climb
+    if target.state is not None:
+        through += from_other(source, target, s.quarter_m, phases)[:, 2]
+    # Where hardly anything goes through, as at the root, nothing takes it down: it stays there.
+    down = np.maximum(-through, _LEAST_STREAM * float(np.max(np.abs(through))) + 1e-9)
+    r = np.hypot(s.quarter_m[:, 0], s.quarter_m[:, 1])
+    pull = 0.5 * density * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.theta_rad - state.alpha_rad)
+    moment = s.blades * pull / (2.0 * math.pi * density * down)  # r u, m^2/s
+    narrow = contraction(above, s.radius_m)
+    x, y = target.sensors[:, 0], target.sensors[:, 1]
+    at = np.hypot(x, y)
+    width = np.interp(at, target.surface.quarter_m[:, 0], target.surface.width_m)
+    inside = np.clip(
+        (narrow * s.radius_m - at) / width + 0.5, 0.0, 1.0
+    )  # of a panel across the edge its part
+    turning = inside * np.interp(at / narrow, r, moment, left=0.0) / at**2
+    turning *= target.placed.hand * source.placed.hand
+    u[:, 0], u[:, 1] = -turning * y, turning * x
+    return u
 
 
 def solve_blade(unit: Unit, others: Array, air: Air, climb: float, settings: WakeSettings) -> None:
