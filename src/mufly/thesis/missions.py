@@ -26,6 +26,7 @@ from mufly.mission import (
     mission_from,
     spline,
     step,
+    watch_out,
 )
 from mufly.mission.avoidance import repulsion, ring
 from mufly.sensors import beam_angles
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 RING = ring(8, math.pi / 8, 1.5)
 _DT = 0.02
+_LOOKS = 3  # of the flight software between two steps of the machine, a beam each
 
 # Fig. 6.15's arrows: from, to -> the condition written at it.
 ARROWS: dict[tuple[str, str], str] = {
@@ -84,6 +86,8 @@ def _walk(
     entered = [(0.0, str(state.state))]
     for k in range(int(limit_s / _DT)):
         t = k * _DT
+        for part in range(1, _LOOKS + 1):
+            state = watch_out(plan, state, measure(t), part, _LOOKS)
         state, wanted = step(plan, state, measure(t), signals(t, state) if signals else Command(start=k == 5))
         if str(state.state) != entered[-1][1]:
             entered.append((t, str(state.state)))
