@@ -300,7 +300,7 @@ def test_the_lower_rotor_meets_all_the_turning_that_profile_drag_gave_the_upper_
     for unit in units:
         unit.lay_out(pair.settings, pair.air.viscosity_Pa_s / rho)
     ways = [(units[1], units[0]), (units[0], units[1])]
-    below, above = (drag_swirl(*way, 0.0, rho, pair.settings.phases) for way in ways)
+    below, above = (drag_swirl(*way, 0.0, pair.settings.phases) for way in ways)
     assert not above.any()
     s, state = units[0].surface, units[0].state
     r, n = s.quarter_m[:, 0], s.chord_m.size
@@ -319,7 +319,7 @@ def test_the_lower_rotor_meets_all_the_turning_that_profile_drag_gave_the_upper_
     assert (against[at > 1.1 * narrow * s.radius_m] == 0.0).all()
     # Without drag there is none.
     units[0].state = replace(state, cd=0.0 * state.cd)
-    assert not drag_swirl(units[1], units[0], 0.0, rho, pair.settings.phases).any()
+    assert not drag_swirl(units[1], units[0], 0.0, pair.settings.phases).any()
 
 
 def test_passing_blades_average_to_the_mean_loads(pair):

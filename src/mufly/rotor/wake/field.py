@@ -190,7 +190,7 @@ def blade_passing(solution: Result, *, points: int = 24) -> BladePassing:
     circulation = [unit.state for unit in units]
     blades = units[0].surface.blades
     azimuth = np.arange(points) * 2.0 * math.pi / blades / points
-    swirls = [drag_swirl(a, b, climb, air.density_kg_m3, settings.phases) for a, b in (units, units[::-1])]
+    swirls = [drag_swirl(a, b, climb, settings.phases) for a, b in (units, units[::-1])]
     thrust, torque = np.empty((2, points)), np.empty((2, points))
     for i, angle in enumerate(azimuth):
         winds = [

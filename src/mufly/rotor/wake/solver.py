@@ -59,9 +59,7 @@ _DAMPING_RAD = 4.0 * math.pi
 _THICK, _THINNING = 0.4, 15.0  # core limit (R) at first; iterations in which it fades
 _LOOSE = 2.0  # times the residual that a wake which wanders may have
 _LAG = 3  # iterations between updates of what the other rotor does to the wake's points; it changes slowly
-_LEAST_STREAM = (
-    0.2  # of the greatest axial velocity through a disc: what takes profile drag's turning down at least
-)
+_LEAST_STREAM = 0.2  # of the greatest axial velocity through a disc: at least this takes drag's turning down
 _SWIRL_STEP = 0.3  # of the way to what it would be, every _LAG iterations
 _USUAL = 0.06  # c_T over solidity, before anything is known
 _ROLLS = 0.05  # R: height above the ground below which no vortex comes
@@ -223,7 +221,7 @@ def _attempt(
                 if source is not unit and source.state is not None:
                     others += from_other(unit, source, unit.sensors, how.phases)
                     if turn % _LAG == 0:
-                        left = drag_swirl(unit, source, climb_m_s, gas.density_kg_m3, how.phases)
+                        left = drag_swirl(unit, source, climb_m_s, how.phases)
                         # Slowly, or it chases a wake that is still moving.
                         unit.swirl += (_SWIRL_STEP if unit.swirl.any() else 1.0) * (left - unit.swirl)
                     others += unit.swirl
@@ -479,7 +477,7 @@ def from_other(target: Unit, source: Unit, points: Array, phases: int) -> Array:
     return total / phases
 
 
-def drag_swirl(target: Unit, source: Unit, climb: float, density: float, phases: int) -> Array:
+def drag_swirl(target: Unit, source: Unit, climb: float, phases: int) -> Array:
     """Velocity at a rotor's sensors by the turning that the profile drag of the one above gave to its stream (m/s).
 
     Vortices carry only the turning that comes with lift. The torque of N blades' profile drag is angular momentum of
@@ -501,15 +499,14 @@ def drag_swirl(target: Unit, source: Unit, climb: float, density: float, phases:
     # Where hardly anything goes through, as at the root, nothing takes it down: it stays there.
     down = np.maximum(-through, _LEAST_STREAM * float(np.max(np.abs(through))) + 1e-9)
     r = np.hypot(s.quarter_m[:, 0], s.quarter_m[:, 1])
-    pull = 0.5 * density * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.theta_rad - state.alpha_rad)
-    moment = s.blades * pull / (2.0 * math.pi * density * down)  # r u, m^2/s
+    pull = 0.5 * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.theta_rad - state.alpha_rad)  # over rho
+    moment = s.blades * pull / (2.0 * math.pi * down)  # r u, m^2/s
     narrow = contraction(above, s.radius_m)
     x, y = target.sensors[:, 0], target.sensors[:, 1]
     at = np.hypot(x, y)
     width = np.interp(at, target.surface.quarter_m[:, 0], target.surface.width_m)
-    inside = np.clip(
-        (narrow * s.radius_m - at) / width + 0.5, 0.0, 1.0
-    )  # of a panel across the edge its part
+    # Of a panel across the stream's edge its part
+    inside = np.clip((narrow * s.radius_m - at) / width + 0.5, 0.0, 1.0)
     turning = inside * np.interp(at / narrow, r, moment, left=0.0) / at**2
     turning *= target.placed.hand * source.placed.hand
     u[:, 0], u[:, 1] = -turning * y, turning * x
