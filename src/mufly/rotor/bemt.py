@@ -236,7 +236,26 @@ def result_of(
     )
 
 
-def induced_velocities(
+_LEAST_STREAM = 0.2  # of the greatest axial velocity through a disc: at least this takes drag's turning down
+
+
+def drag_turning(pull_N_m: Array, down_m_s: Array, density_kg_m3: float) -> Array:
+    """Moment of momentum r u (m^2/s) that the profile drag of a rotor's blades gives to its stream, (stations,).
+
+    Vortices carry only the turning that comes with lift. The torque of N blades' profile drag is angular momentum of
+    the air as well, annulus by annulus of the disc, with v the axial velocity down through it (mean over azimuths) and
+    the pull of all blades D' = N rho/2 W^2 c c_d cos(phi):
+
+        rho v 2 pi r dr  r u = D' r dr                                        (moment of momentum; own derivation)
+
+    Where hardly anything goes through, as at the root, nothing takes it down: it stays there.
+    """
+    least = _LEAST_STREAM * float(np.max(np.abs(down_m_s))) + 1e-9
+    turning: Array = pull_N_m / (2.0 * math.pi * density_kg_m3 * np.maximum(down_m_s, least))
+    return turning
+
+
+def stream_of(
     blading: Blading,
     *,
     pitch_rad: float,
@@ -246,11 +265,22 @@ def induced_velocities(
     stream: tuple[Array, Array, Array],
     which: int = 0,
 ) -> tuple[Array, Array, Array]:
-    """Axial and tangential velocity (m/s) that a rotor induces at its stations, and F; quick, for iterations."""
+    """What a rotor gives to the air at its stations; quick, for iterations.
+
+    Axial velocity at the blades (m/s), loss factor F, and moment of momentum r u of the stream below (m^2/s): of lift
+    twice the mean velocity F u_t in the disc, of profile drag :func:`drag_turning`; none without swirl.
+    """
     pitch, speed, climb = (np.array([float(v)]) for v in (pitch_rad, speed_rad_s, climb_m_s))
     _, stations = _solve(blading, which, pitch, speed, climb, air, True, np.stack(stream, axis=-1)[None])
-    inflow, swirl, loss = (stations[0, :, FIELDS.index(f)] for f in ("inflow_m_s", "swirl_m_s", "loss"))
-    return inflow, swirl, loss
+    at = dict(zip(FIELDS, stations[0].T, strict=True))
+    inflow, loss = at["inflow_m_s"], at["loss"]
+    turning = 2.0 * loss * at["swirl_m_s"] * blading.r_m[which]
+    if blading.corrections.swirl:
+        r, dr = blading.r_m[which], blading.dr_m[which]
+        force = np.hypot(at["dT_N"], at["dQ_Nm"] / r) / np.hypot(at["cl"], at["cd"])  # of a coefficient of 1
+        pull = force / dr * at["cd"] * np.cos(at["phi_rad"])
+        turning += drag_turning(pull, climb_m_s + stream[0] + loss * inflow, air.density_kg_m3)
+    return inflow, loss, turning
 
 
 def hover_batch(

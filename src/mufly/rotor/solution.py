@@ -13,8 +13,9 @@ at its disc. On a disc of radius R with induced velocity v, such a tube moves th
 
 and continuity moves the stream surface from r to r / sqrt(k). So, with h the distance between two discs:
 
-* The lower rotor meets, inside R / sqrt(k(h)), the upper one's stream: down k v_u, and round 2 u_t,u sqrt(k) (angular
-  momentum, twice the swirl in the disc), against its own motion if it turns the other way. Outside it meets still air.
+* The lower rotor meets, inside R / sqrt(k(h)), the upper one's stream: down k v_u, and round with the moment of
+  momentum that lift and profile drag gave it (:func:`mufly.rotor.bemt.stream_of`), against its own motion if it turns
+  the other way. Outside it meets still air.
 * The upper rotor meets k(-h) v_l of the lower one, over its whole disc as the stream widens upwards; swirl does not
   reach up.
 
@@ -33,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.bemt import hover, hover_batch, induced_velocities
+from mufly.rotor.bemt import hover, hover_batch, stream_of
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.system import (
@@ -50,7 +51,7 @@ from mufly.rotor.system import (
     warn_of_mach,
     warn_of_vortex_ring,
 )
-from mufly.rotor.tubes import solve_tubes, tube_speed
+from mufly.rotor.tubes import meets_turning, solve_tubes, tube_speed
 from mufly.rotor.wake.solver import solve_wake
 from mufly.units import RPM
 
@@ -207,13 +208,14 @@ def _each(name: str, value: Each, count: int) -> tuple[float | None, ...]:
 # Blade elements: rotors at a point
 
 
-def _ways(source: Placed, target: Placed, k: float) -> tuple[Array, Array]:
-    """Matrices that carry induced axial, tangential velocities to another's stations, where the stream is k as fast.
+def _way(source: Placed, target: Placed) -> Array:
+    """Matrix that carries axial velocities induced by a rotor to another's stations, (stations, stations).
 
-    Shape (stations, stations) each. A station across the edge of the stream gets the part that lies inside.
+    A station across the edge of the stream gets the part that lies inside.
     """
     r_m, disc_radius = source.blading.r_m[source.which], source.blading.rotors[source.which].radius_m
     at_r, at_dr = target.blading.r_m[target.which], target.blading.dr_m[target.which]
+    k = tube_speed(source.height_m - target.height_m, disc_radius)
     shrink = 1.0 / math.sqrt(k)
     inside = np.clip((disc_radius * shrink - at_r) / at_dr + 0.5, 0.0, 1.0)
     place = np.interp(at_r / shrink, r_m, np.arange(r_m.size, dtype=np.float64))
@@ -221,7 +223,7 @@ def _ways(source: Placed, target: Placed, k: float) -> tuple[Array, Array]:
     part, row = place - first, np.arange(at_r.size)
     read = np.zeros((at_r.size, r_m.size))
     read[row, first], read[row, first + 1] = inside * (1.0 - part), inside * part
-    return k * read, -source.hand * target.hand * 2.0 / shrink * read
+    return k * read
 
 
 def _bemt(
@@ -241,34 +243,26 @@ def _bemt(
     ]
     if len(rotors) == 1:
         return Result((hover(rotors[0].blading, **at[0]),), rotors, climb_m_s, air, "bemt")  # type: ignore[arg-type]
-    radius = [p.blading.rotors[p.which].radius_m for p in rotors]
-    k = [
-        [tube_speed(a.height_m - b.height_m, big) for b in rotors]
-        for a, big in zip(rotors, radius, strict=True)
-    ]
-    ways = {
-        (a, b): _ways(p, q, k[a][b]) for a, p in enumerate(rotors) for b, q in enumerate(rotors) if a != b
-    }
+    ways = {(a, b): _way(p, q) for a, p in enumerate(rotors) for b, q in enumerate(rotors) if a != b}
     stations = [p.blading.r_m.shape[1] for p in rotors]
     cuts = np.cumsum(stations[:-1])[:-1]
 
     def turn_of_all(x: Array) -> tuple[Array, list[tuple[Array, Array]], float]:
         """Solve from the top in the inflow ``x`` from below: what it becomes, what each rotor meets, size of all."""
         met: list[tuple[Array, Array]] = []
-        induced: list[tuple[Array, Array]] = []
+        given: list[tuple[Array, Array, Array]] = []
         for b, p in enumerate(rotors):
             axial = np.split(x, cuts)[b] if b < len(stations) - 1 else np.zeros(stations[b])
             around = np.zeros(stations[b])
             for a in range(b):
-                down, swirl = ways[a, b]
-                axial, around = axial + down @ induced[a][0], around + swirl @ induced[a][1]
+                axial = axial + ways[a, b] @ given[a][0]
+                around = around + meets_turning(rotors[a], given[a][2], p)
             met.append((axial, around))
-            induced.append(induced_velocities(p.blading, **at[b], stream=(*met[b], met[b][0]))[:2])  # type: ignore[arg-type]
+            given.append(stream_of(p.blading, **at[b], stream=(*met[b], met[b][0])))  # type: ignore[arg-type]
         pulled = [
-            sum(ways[b, a][0] @ induced[b][0] for b in range(a + 1, len(rotors)))
-            for a in range(len(rotors) - 1)
+            sum(ways[b, a] @ given[b][0] for b in range(a + 1, len(rotors))) for a in range(len(rotors) - 1)
         ]
-        return np.concatenate(pulled), met, sum(float(np.max(np.abs(v[0]))) for v in induced)
+        return np.concatenate(pulled), met, sum(float(np.max(np.abs(v[0]))) for v in given)
 
     x = np.zeros(sum(stations[:-1]))
     if start is not None and [v.size for v in start.from_below_m_s] == stations[:-1]:

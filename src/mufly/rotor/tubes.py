@@ -21,13 +21,17 @@ step of the tube changes to D p, p = w_0 / (w_0 + w); where w < 0 (the tube ling
 want of theory. w_0 is the axial velocity of the rotor's own tubes there (mean of both sides) and of climb; w that of
 the other rotor's tubes and of the change p - 1 of its own. Each tube is cut into cells, each with its own p.
 
+**Rolled up.** What leaves a blade outside the greatest velocity of its stream rolls up into the tip vortex within a
+fraction of a turn: those tubes go together, with the mean of w_0 and of w weighted by their strength. The root vortex,
+which by itself would stand or rise, goes with the sheet beside it, as in the vortex wake.
+
 **What a blade meets**: the field of the other rotor's tubes at its disc and that of the change of its own; below an
-upper rotor also that one's swirl, 2 F u_t / s at s r. Its own tubes as they would be alone are in the momentum
-balance.
+upper rotor also the turning of that one's stream, by lift and by profile drag (:func:`mufly.rotor.bemt.stream_of`): r u
+stays on the way down, r becomes s r. Its own tubes as they would be alone are in the momentum balance.
 
 So the upper rotor hardly feels the lower one, as is measured: what the lower adds at the upper disc is nearly what
 the upper wake, carried away faster, no longer induces. No constant is fitted. Left out: the passing of blades, the
-roll-up of tip vortices, mixing, and the lower rotor's pull on the contraction of the upper wake.
+way of the tip vortex to its place, mixing, and the lower rotor's pull on the contraction of the upper wake.
 """
 
 from __future__ import annotations
@@ -42,7 +46,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.bemt import hover, induced_velocities
+from mufly.rotor.bemt import hover, stream_of
 from mufly.rotor.system import Air, Placed, Result, WakeSettings
 
 Array = NDArray[np.float64]
@@ -160,18 +164,46 @@ def _steps(p: Placed, inflow: Array, loss: Array) -> Array:
     return np.concatenate(([-mean[0]], mean[:-1] - mean[1:], [mean[-1]]))
 
 
-def _swirl(source: Placed, found: tuple[Array, Array, Array], target: Placed) -> Array:
-    """Tangential velocity that a rotor's stream has at the stations of the one below it, against that one's motion.
+def _together(steps: Array) -> Array:
+    """Matrix, (tubes, tubes), from the velocities at which tubes would go to those at which they go; see above."""
+    count, tip = steps.size, 0
+    while tip < count and steps[count - 1 - tip] * steps[-1] > 0.0:
+        tip += 1
+    out = np.eye(count)
+    if tip > 1:
+        out[-tip:, -tip:] = steps[-tip:] / steps[-tip:].sum()
+    if tip < count - 1:
+        out[0, :2] = 0.0, 1.0
+    return out
 
-    A station across the edge of the stream gets the part that lies inside.
+
+def turning_below(
+    source: tuple[Array, Array], radius_m: float, distance_m: float, at_m: Array, width_m: Array
+) -> Array:
+    """Velocity round the shaft (m/s) that a rotor's stream has at panels at a distance below its disc.
+
+    Parameters
+    ----------
+    source : ((stations,), (stations,)) arrays
+        Radii of its stations (m), moment of momentum r u that the stream takes from there (m^2/s). r u stays on the
+        way down, r becomes s r; inside its blades' roots there is none, nor does it mix.
+    radius_m, distance_m : float
+        Of its disc; below it.
+    at_m, width_m : (panels,) arrays
+        A panel across the edge of the stream gets the part that lies inside.
     """
-    radius = source.blading.rotors[source.which].radius_m
+    s = contraction(distance_m, radius_m)
+    inside = np.clip((s * radius_m - at_m) / width_m + 0.5, 0.0, 1.0)
+    around: Array = inside * np.interp(at_m / s, *source, left=0.0) / at_m
+    return around
+
+
+def meets_turning(source: Placed, turning: Array, target: Placed) -> Array:
+    """Tangential velocity at the stations of a rotor that stands in another's stream, against its motion (m/s)."""
     r, dr = target.blading.r_m[target.which], target.blading.dr_m[target.which]
-    s = contraction(source.height_m - target.height_m, radius)
-    inside = np.clip((radius * s - r) / dr + 0.5, 0.0, 1.0)
-    _, swirl, loss = found
-    around = np.interp(r / s, source.blading.r_m[source.which], swirl * loss)
-    return -source.hand * target.hand * inside * 2.0 * around / s
+    radius, apart = source.blading.rotors[source.which].radius_m, source.height_m - target.height_m
+    u = turning_below((source.blading.r_m[source.which], turning), radius, apart, r, dr)
+    return -source.hand * target.hand * u
 
 
 def solve_tubes(
@@ -225,16 +257,17 @@ def solve_tubes(
         swirl = np.zeros(stations[0])
         for k, (p, stream) in enumerate(zip(rotors, streams, strict=True)):
             if k:
-                swirl = _swirl(rotors[0], found[0], p)
+                swirl = meets_turning(rotors[0], found[0][2], p)
             met_by.append((stream, swirl, np.zeros_like(stream)))
-            found.append(induced_velocities(p.blading, **at[k], stream=met_by[k]))
-        steps = [np.repeat(_steps(p, u, loss), cells) for p, (u, _, loss) in zip(rotors, found, strict=True)]
+            found.append(stream_of(p.blading, **at[k], stream=met_by[k]))
+        steps = [np.repeat(_steps(p, u, loss), cells) for p, (u, loss, _) in zip(rotors, found, strict=True)]
         thinned = []
         for k, share in enumerate((p0, p1)):
-            alone = np.abs(own[k][1] @ steps[k] + climb_m_s)
+            together = np.kron(_together(steps[k][::cells]), np.eye(cells))
+            alone = together @ (own[k][1] @ steps[k] + climb_m_s)
             alone = np.hypot(alone, _LEAST * float(np.max(alone)) + 1e-9)
             w = other[k][1] @ (steps[1 - k] * (p1, p0)[k]) + own[k][1] @ (steps[k] * (share - 1.0))
-            ratio = w / alone
+            ratio = together @ w / alone
             thinned.append(np.where(ratio > 0.0, 1.0 / (1.0 + np.maximum(ratio, 0.0)), 1.0 - ratio))
         met = [
             other[k][0] @ (steps[1 - k] * thinned[1 - k]) + own[k][0] @ (steps[k] * (thinned[k] - 1.0))
@@ -247,7 +280,7 @@ def solve_tubes(
     misses: list[Array] = []
     for turn in range(1, _TURNS + 1):
         miss = turn_of_all(x) - x
-        size = sum(float(np.max(np.abs(u * loss))) for u, _, loss in found)
+        size = sum(float(np.max(np.abs(u * loss))) for u, loss, _ in found)
         far_off = float(np.max(np.abs(miss[: cuts[1]]))) / max(size, 1e-12)
         if progress is not None:
             progress(turn, far_off, math.nan)

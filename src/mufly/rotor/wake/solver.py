@@ -29,9 +29,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.rotor.bemt import result_of
+from mufly.rotor.bemt import drag_turning, result_of
 from mufly.rotor.system import Air, Placed, Result, RotorResult, Surface, Wake, WakeSettings, check_rotors
-from mufly.rotor.tubes import contraction
+from mufly.rotor.tubes import turning_below
 from mufly.rotor.wake.blade import (
     BladeState,
     ages_of,
@@ -59,7 +59,6 @@ _DAMPING_RAD = 4.0 * math.pi
 _THICK, _THINNING = 0.4, 15.0  # core limit (R) at first; iterations in which it fades
 _LOOSE = 2.0  # times the residual that a wake which wanders may have
 _LAG = 3  # iterations between updates of what the other rotor does to the wake's points; it changes slowly
-_LEAST_STREAM = 0.2  # of the greatest axial velocity through a disc: at least this takes drag's turning down
 _SWIRL_STEP = 0.3  # of the way to what it would be, every _LAG iterations
 _USUAL = 0.06  # c_T over solidity, before anything is known
 _ROLLS = 0.05  # R: height above the ground below which no vortex comes
@@ -480,13 +479,8 @@ def from_other(target: Unit, source: Unit, points: Array, phases: int) -> Array:
 def drag_swirl(target: Unit, source: Unit, climb: float, phases: int) -> Array:
     """Velocity at a rotor's sensors by the turning that the profile drag of the one above gave to its stream (m/s).
 
-    Vortices carry only the turning that comes with lift. The torque of N blades' profile drag is angular momentum of
-    the air as well, annulus by annulus of the disc, with v the axial velocity through it (mean over azimuths):
-
-        rho v 2 pi r dr  r u = N rho/2 W^2 c c_d cos(phi) r dr                (moment of momentum; own derivation)
-
-    On its way down r u stays, and r becomes s r with the stream (:func:`mufly.rotor.tubes.contraction`). Outside the
-    stream and above the disc there is none; nor does it mix.
+    Vortices carry only the turning that comes with lift; this is :func:`mufly.rotor.bemt.drag_turning`, on its way
+    down as :func:`mufly.rotor.tubes.turning_below` says. Above the disc there is none.
     """
     u = np.zeros_like(target.sensors)
     state, above = source.state, source.placed.height_m - target.placed.height_m
@@ -496,18 +490,13 @@ def drag_swirl(target: Unit, source: Unit, climb: float, phases: int) -> Array:
     through = from_other(source, source, s.quarter_m, phases)[:, 2] - climb
     if target.state is not None:
         through += from_other(source, target, s.quarter_m, phases)[:, 2]
-    # Where hardly anything goes through, as at the root, nothing takes it down: it stays there.
-    down = np.maximum(-through, _LEAST_STREAM * float(np.max(np.abs(through))) + 1e-9)
+    pull = 0.5 * s.blades * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.theta_rad - state.alpha_rad)
+    moment = drag_turning(pull, -through, 1.0)  # pull over the density
     r = np.hypot(s.quarter_m[:, 0], s.quarter_m[:, 1])
-    pull = 0.5 * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.theta_rad - state.alpha_rad)  # over rho
-    moment = s.blades * pull / (2.0 * math.pi * down)  # r u, m^2/s
-    narrow = contraction(above, s.radius_m)
     x, y = target.sensors[:, 0], target.sensors[:, 1]
     at = np.hypot(x, y)
     width = np.interp(at, target.surface.quarter_m[:, 0], target.surface.width_m)
-    # Of a panel across the stream's edge its part
-    inside = np.clip((narrow * s.radius_m - at) / width + 0.5, 0.0, 1.0)
-    turning = inside * np.interp(at / narrow, r, moment, left=0.0) / at**2
+    turning = turning_below((r, moment), s.radius_m, above, at, width) / at
     turning *= target.placed.hand * source.placed.hand
     u[:, 0], u[:, 1] = -turning * y, turning * x
     return u
