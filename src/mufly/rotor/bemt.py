@@ -272,13 +272,12 @@ def stream_of(
     """
     pitch, speed, climb = (np.array([float(v)]) for v in (pitch_rad, speed_rad_s, climb_m_s))
     _, stations = _solve(blading, which, pitch, speed, climb, air, True, np.stack(stream, axis=-1)[None])
-    at = dict(zip(FIELDS, stations[0].T, strict=True))
-    inflow, loss = at["inflow_m_s"], at["loss"]
-    turning = 2.0 * loss * at["swirl_m_s"] * blading.r_m[which]
+    _, phi, inflow, swirl, cl, cd, _, loss, thrust, torque = stations[0].T
+    turning = 2.0 * loss * swirl * blading.r_m[which]
     if blading.corrections.swirl:
         r, dr = blading.r_m[which], blading.dr_m[which]
-        force = np.hypot(at["dT_N"], at["dQ_Nm"] / r) / np.hypot(at["cl"], at["cd"])  # of a coefficient of 1
-        pull = force / dr * at["cd"] * np.cos(at["phi_rad"])
+        force = np.hypot(thrust, torque / r) / np.hypot(cl, cd)  # of a coefficient of 1
+        pull = force / dr * cd * np.cos(phi)
         turning += drag_turning(pull, climb_m_s + stream[0] + loss * inflow, air.density_kg_m3)
     return inflow, loss, turning
 

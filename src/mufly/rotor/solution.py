@@ -265,8 +265,8 @@ def _bemt(
         return np.concatenate(pulled), met, sum(float(np.max(np.abs(v[0]))) for v in given)
 
     x = np.zeros(sum(stations[:-1]))
-    if start is not None and [v.size for v in start.from_below_m_s] == stations[:-1]:
-        x = np.concatenate(start.from_below_m_s)
+    if start is not None and [v.size for v in start.streams] == stations[:-1]:
+        x = np.concatenate(start.streams)
     last_step, last_image = np.empty(0), np.empty(0)
     for turn in range(1, _TURNS + 1):
         image, met, size = turn_of_all(x)

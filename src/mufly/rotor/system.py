@@ -414,8 +414,9 @@ class Result:
         How it converged, or why not.
     iterations : int
         How often the rotors were solved in turn; iterations of the wake.
-    from_below_m_s : tuple of (stations,) arrays
-        By blade elements: axial velocity that each rotor but the last gets from those below it.
+    streams : tuple of arrays
+        What blade elements settled at, to start from again. Method bemt: axial velocity (m/s) that each rotor but the
+        last gets from those below it, (stations,) each. Tubes: that at both discs, then p of the cells of both wakes.
     wakes : tuple of Wake
         Of each rotor, if that was the method, as what follows.
     settings : WakeSettings or None
@@ -434,7 +435,7 @@ class Result:
     converged: bool = True
     message: str = ""
     iterations: int = 1
-    from_below_m_s: tuple[Array, ...] = ()
+    streams: tuple[Array, ...] = ()
     wakes: tuple[Wake, ...] = ()
     settings: WakeSettings | None = None
     residual: float = math.nan

@@ -156,11 +156,9 @@ def _edges_m(p: Placed) -> Array:
     return radius - np.concatenate((np.cumsum(p.blading.dr_m[p.which][::-1])[::-1], [0.0]))
 
 
-def _steps(p: Placed, inflow: Array, loss: Array) -> Array:
-    """D of the module docstring."""
-    r, dr = p.blading.r_m[p.which], p.blading.dr_m[p.which]
-    edges, area = tube_edges(r.size), r * dr
-    mean = np.add.reduceat(inflow * loss * area, edges[:-1]) / np.add.reduceat(area, edges[:-1])
+def _steps(area: Array, first: NDArray[np.int64], inflow: Array, loss: Array) -> Array:
+    """D of the module docstring; the annuli's ``area``, and the ``first`` one within each tube."""
+    mean = np.add.reduceat(inflow * loss * area, first) / np.add.reduceat(area, first)
     return np.concatenate(([-mean[0]], mean[:-1] - mean[1:], [mean[-1]]))
 
 
@@ -246,6 +244,10 @@ def solve_tubes(
     stations = [p.blading.r_m.shape[1] for p in rotors]
     sizes = [*stations, *(w[1].shape[0] for w in own)]
     cuts, cells = np.cumsum(sizes)[:-1], _STARTS.size
+    annuli = [
+        (p.blading.r_m[p.which] * p.blading.dr_m[p.which], tube_edges(n)[:-1])
+        for p, n in zip(rotors, stations, strict=True)
+    ]
     found: list[tuple[Array, Array, Array]] = []
     met_by: list[tuple[Array, Array, Array]] = []
 
@@ -260,14 +262,15 @@ def solve_tubes(
                 swirl = meets_turning(rotors[0], found[0][2], p)
             met_by.append((stream, swirl, np.zeros_like(stream)))
             found.append(stream_of(p.blading, **at[k], stream=met_by[k]))
-        steps = [np.repeat(_steps(p, u, loss), cells) for p, (u, loss, _) in zip(rotors, found, strict=True)]
+        bare = [_steps(*a, u, loss) for a, (u, loss, _) in zip(annuli, found, strict=True)]
+        steps = [np.repeat(s, cells) for s in bare]
         thinned = []
         for k, share in enumerate((p0, p1)):
-            together = np.kron(_together(steps[k][::cells]), np.eye(cells))
-            alone = together @ (own[k][1] @ steps[k] + climb_m_s)
+            together = _together(bare[k])
+            alone = (together @ (own[k][1] @ steps[k] + climb_m_s).reshape(-1, cells)).ravel()
             alone = np.hypot(alone, _LEAST * float(np.max(alone)) + 1e-9)
             w = other[k][1] @ (steps[1 - k] * (p1, p0)[k]) + own[k][1] @ (steps[k] * (share - 1.0))
-            ratio = together @ w / alone
+            ratio = (together @ w.reshape(-1, cells)).ravel() / alone
             thinned.append(np.where(ratio > 0.0, 1.0 / (1.0 + np.maximum(ratio, 0.0)), 1.0 - ratio))
         met = [
             other[k][0] @ (steps[1 - k] * thinned[1 - k]) + own[k][0] @ (steps[k] * (thinned[k] - 1.0))
@@ -276,6 +279,8 @@ def solve_tubes(
         return np.concatenate((*met, *thinned))
 
     x = np.concatenate((np.zeros(sum(stations)), np.ones(sum(sizes[2:]))))
+    if start is not None and [v.size for v in start.streams] == sizes:
+        x = np.concatenate(start.streams)
     points: list[Array] = []
     misses: list[Array] = []
     for turn in range(1, _TURNS + 1):
@@ -288,7 +293,7 @@ def solve_tubes(
             both = (hover(p.blading, **a, stream=m) for p, a, m in zip(rotors, at, met_by, strict=True))
             return Result(
                 tuple(both), rotors, climb_m_s, air, "tubes", True, f"settled in {turn} turns", turn,
-                (x[: cuts[0]].copy(),),
+                tuple(np.split(x, cuts)),
             )  # fmt: skip
         # Anderson's acceleration.
         points, misses = [*points[-_MEMORY + 1 :], x], [*misses[-_MEMORY + 1 :], miss]
