@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -208,10 +207,7 @@ def report_fits(cases: list[RotorCase]) -> None:
         m, n = case.measured, case.measured.thrust_N.size
         row = [case.name]
         for key, seen in (("one point", np.array([n // 2])), ("every other", np.arange(0, n, 2))):
-            part = replace(
-                m, pitch_rad=m.pitch_rad[seen], speed_rad_s=m.speed_rad_s[seen], thrust_N=m.thrust_N[seen],
-                torque_Nm=m.torque_Nm[seen],
-            )  # fmt: skip
+            part = m.part(seen)
             found = fit_rotor(case.rotor, part, section="known" if case.known else "guessed", air=case.air)
             rest = np.setdiff1d(np.arange(n), seen)
             thrust, torque = m.thrust_N[rest], m.torque_Nm[rest]

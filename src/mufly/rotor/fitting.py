@@ -37,7 +37,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -318,41 +317,44 @@ def _all(
     size = np.repeat([_SIGMA_THRUST, _SIGMA_TORQUE], bench.speed.size)
     known = np.isfinite(bench.load.ravel())
     found = []
-    ended: dict[int, Array] = {}
     widths = [wide * [f, f, f, 1.0, 1.0] for f in _WIDER]
-    for (airfoils, share, blading), wide in product(prepared, widths):
+    for airfoils, share, blading in prepared:
+        ended: Array | None = None
+        for wide in widths:
 
-        def miss(z: Array, blading: Blading = blading, wide: Array = wide) -> Array:
-            off = _errors(blading, tables, z * wide, bench).ravel() / size
-            return np.concatenate((off[known], z))
+            def miss(z: Array, blading: Blading = blading, wide: Array = wide) -> Array:
+                off = _errors(blading, tables, z * wide, bench).ravel() / size
+                return np.concatenate((off[known], z))
 
-        def slopes(z: Array, miss: Callable[[Array], Array] = miss) -> Array:
-            # SciPy's steps are shares of z: next to z = 0 they drown in the solver's tolerance.
-            here = miss(z)
-            return np.stack([(miss(z + step) - here) / _STEP for step in _STEP * np.eye(5)], axis=1)
+            def slopes(z: Array, miss: Callable[[Array], Array] = miss) -> Array:
+                # SciPy's steps are shares of z: next to z = 0 they drown in the solver's tolerance.
+                here = miss(z)
+                return np.stack([(miss(z + step) - here) / _STEP for step in _STEP * np.eye(5)], axis=1)
 
-        if not np.isfinite(miss(np.zeros(5))).all():
-            continue
-        solved = least_squares(miss, np.zeros(5), jac=slopes, max_nfev=100)
-        # Near stall there may be two valleys, and the last digits of a polar, which differ between processors, decide
-        # which one is met: so also from where the width before ended.
-        if (before := ended.get(id(blading))) is not None:
-            again = least_squares(miss, before / wide, jac=slopes, max_nfev=100)
-            solved = again if again.cost < solved.cost else solved
-        ended[id(blading)] = solved.x * wide
-        jacobian = np.asarray(solved.jac, dtype=np.float64)
-        curvature, data = jacobian.T @ jacobian, jacobian[:-5]
-        inverse = np.linalg.inv(curvature)
-        freedom = float(known.sum() - np.trace(inverse @ data.T @ data))
-        chi2 = float(np.sum(solved.fun[:-5] ** 2))
-        birge = max(1.0, chi2 / freedom) if freedom > 0.5 else 1.0
-        evidence = math.log(share / len(widths)) - solved.cost - 0.5 * float(np.linalg.slogdet(curvature)[1])
-        found.append(
-            _Found(
-                evidence, airfoils, solved.x * wide, birge * inverse * np.outer(wide, wide),
-                _errors(blading, tables, solved.x * wide, bench), freedom, wide,
+            if not np.isfinite(miss(np.zeros(5))).all():
+                continue
+            solved = least_squares(miss, np.zeros(5), jac=slopes, max_nfev=100)
+            # Near stall there may be two valleys, and the last digits of a polar, other on each processor, decide
+            # which one is met: so also from where the width before ended.
+            if ended is not None:
+                again = least_squares(miss, ended / wide, jac=slopes, max_nfev=100)
+                solved = again if again.cost < solved.cost else solved
+            ended = solved.x * wide
+            jacobian = np.asarray(solved.jac, dtype=np.float64)
+            curvature, data = jacobian.T @ jacobian, jacobian[:-5]
+            inverse = np.linalg.inv(curvature)
+            freedom = float(known.sum() - np.trace(inverse @ data.T @ data))
+            chi2 = float(np.sum(solved.fun[:-5] ** 2))
+            birge = max(1.0, chi2 / freedom) if freedom > 0.5 else 1.0
+            evidence = (
+                math.log(share / len(widths)) - solved.cost - 0.5 * float(np.linalg.slogdet(curvature)[1])
             )
-        )  # fmt: skip
+            found.append(
+                _Found(
+                    evidence, airfoils, solved.x * wide, birge * inverse * np.outer(wide, wide),
+                    _errors(blading, tables, solved.x * wide, bench), freedom, wide,
+                )
+            )  # fmt: skip
     found.sort(key=lambda f: -f.evidence)
     if not found or not np.nanmean(np.abs(found[0].errors[0])) < 0.25:
         raise MuflyError(
