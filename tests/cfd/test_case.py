@@ -9,10 +9,12 @@ import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from mufly.cfd import (
     MODELS,
@@ -34,6 +36,8 @@ from mufly.cfd import (
 from mufly.cfd.results import carried, read_field, scaled_state
 from mufly.cfd.run import history, times
 from mufly.cfd.start import ring_velocity
+from mufly.cli import app
+from mufly.cli.aero import cfd_report
 from mufly.cli.options import Theory
 from mufly.cli.rotor import hover
 from mufly.errors import InputError, MuflyError
@@ -403,3 +407,13 @@ def test_tips_near_the_speed_of_sound_are_refused():
     at = ("r", 2, 0.06, 0.2, 1e5, 0.0, "laminar", "tiny", 1.2, 1.8e-5, 1.0)
     with pytest.raises(InputError, match=r"954930 rpm moves the tips at Mach 17; stay below 0.7"):
         Point(*at)
+
+
+@pytest.mark.parametrize("settled", [True, False])
+def test_an_answer_that_did_not_settle_ends_with_status_1(tmp_path, monkeypatch, settled):
+    said = {"verdict": SimpleNamespace(settled=settled)}
+    for name in ("find_solver", "save_case", "run_case"):
+        monkeypatch.setattr(f"mufly.cfd.{name}", lambda *a, **k: None)
+    monkeypatch.setattr(cfd_report, "_report", lambda *a: (lambda: said, lambda: None, [], []))
+    status = CliRunner().invoke(app, ["cfd", "run", "--out", str(tmp_path / "case")]).exit_code
+    assert status == (0 if settled else 1)

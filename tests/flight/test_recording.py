@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.flight import Recorder
-from mufly.logs import Layout, McapFile, events_of, read_recording, standard_layout, to_csv, to_dataset
+from mufly.logs import (
+    Layout,
+    LogWarning,
+    McapFile,
+    events_of,
+    read_recording,
+    standard_layout,
+    to_csv,
+    to_dataset,
+)
 from mufly.quantities import kept_by
 
 
@@ -111,7 +120,8 @@ def test_a_chunk_whose_kind_is_damaged_ends_what_is_read_instead_of_leaving_a_ga
         length = int.from_bytes(data[place + 1 : place + 9], "little")
         if data[place + 9 + length : place + 10 + length] == b"\x07":  # a chunk, which its index follows
             path.write_bytes(data[:place] + b"\x07" + data[place + 1 :])
-            back = read_recording(path)
+            with pytest.warns(LogWarning, match=r"bad\.mcap: is damaged, cut off or still being written"):
+                back = read_recording(path)
             assert 20 <= back.sizes["time"] < len(short_flight.rows)
             assert back.attrs["complete"] is False
             np.testing.assert_array_equal(back.time, short_flight.rows[: back.sizes["time"], 0])

@@ -501,6 +501,8 @@ def fly(
     else:
         dataset = _fly_in_terminal(terminal, order, ending)
     ended_s = float(dataset["time"][-1])
+    acted = [f for f in faults if f.start_s <= ended_s]
+    say(*(f"{f} acted; what the software noticed of it is among its events" for f in acted), mark="Fault")
     say(
         *(f"{f} never came: the flight ended at {ended_s:.1f} s" for f in faults if f.start_s > ended_s),
         mark="Warning", style="yellow",

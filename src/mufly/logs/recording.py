@@ -12,6 +12,7 @@ mission and events go into the file; other text does not. Other people's MCAP fi
 
 from __future__ import annotations
 
+import warnings
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.logs.mcap import Event, Layout, McapContents, McapFile, events_of, plain, read_mcap, to_dataset
-from mufly.logs.topics import RawLog, RawTable, foreign_stamps, wall_time
+from mufly.logs.topics import LogWarning, RawLog, RawTable, foreign_stamps, wall_time
 from mufly.quantities import LABELS, SOURCES, Quantity, kept_by
 
 FORMAT = 1
@@ -51,7 +52,8 @@ def read_recording(path: str | Path) -> xr.Dataset:
     -------
     xarray.Dataset
         As :func:`to_dataset` makes it. ``attrs["complete"]`` is False when the file ends before its end mark
-        or holds a damaged chunk; everything up to the last whole chunk (at most one second is lost) is there.
+        or holds a damaged chunk, and a :class:`mufly.logs.LogWarning` says so; everything up to the last whole chunk
+        (at most one second is lost) is there.
 
     Raises
     ------
@@ -85,6 +87,9 @@ def recording_of(contents: McapContents, where: str) -> xr.Dataset:
     rows, states = _rows(contents, layout)
     if not states:
         raise InputError(where, "", "holds no rows", "the flight ended before its first row was on disk")
+    if not attributes["complete"]:
+        note = f"is damaged, cut off or still being written; what is whole, to {rows[-1, 0]:g} s, is here"
+        warnings.warn(f"{Path(where).name}: {note}", LogWarning, stacklevel=3)
     return to_dataset(rows, states, layout, attributes=attributes, events=_events(contents))
 
 

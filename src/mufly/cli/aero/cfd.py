@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
 from mufly.cli.aero.cfd_report import tell_case, tell_inflow, tell_pair
 from mufly.cli.options import (
     Commands,
@@ -146,7 +148,7 @@ def run(
 
     What was stopped or killed goes on when the same command is given again. The case is an ordinary one of OpenFOAM:
     its Allrun runs it without mufly. With --gap a second rotor turns the other way below; each is solved beside the
-    other's mean around the shaft, in turns.
+    other's mean around the shaft, in turns. An answer that did not settle is told, and ends with status 1.
     Example: mufly cfd run naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out case
     """
     from mufly.cfd import LEVELS, MODELS, TIPS, find_solver, run_case, save_case, solve_pair
@@ -176,15 +178,16 @@ def run(
             )
         with _telling(not as_json) as tell:
             pair = solve_pair(out, r, neighbour=start, progress=tell, **second, **given)
-        tell_pair(out, r, pair, as_json)
-        return
+        settled = tell_pair(out, r, pair, as_json)
+        raise typer.Exit(int(not settled))
     good = save_case(out, r, neighbour=start, **second, **given)
     if save_only:
         answer(as_json, lambda: {"quality": good}, lambda: None, [out])
         return
     with _telling(not as_json) as tell:
         run_case(out, cores=cores, progress=tell)
-    tell_case(out, r, as_json)
+    if not tell_case(out, r, as_json):
+        raise typer.Exit(1)
 
 
 @contextmanager

@@ -16,14 +16,16 @@ if TYPE_CHECKING:
     from mufly.rotor import Rotor
 
 
-def tell_case(folder: Path, rotor: Rotor | None, as_json: bool) -> None:
-    """Print a solution, and write its tables and pictures into the case."""
+def tell_case(folder: Path, rotor: Rotor | None, as_json: bool) -> bool:
+    """Print a solution, and write its tables and pictures into the case; whether it is settled."""
     content, show, files, _ = _report(folder, rotor)
     answer(as_json, content, show, files)
+    said = content()
+    return all(rotor["verdict"].settled for rotor in (said, said.get("lower", said)))
 
 
-def tell_pair(folder: Path, rotor: Rotor | None, pair: MeanPair, as_json: bool) -> None:
-    """Print both rotors of a pair, each beside the other's mean, and what they are to each other."""
+def tell_pair(folder: Path, rotor: Rotor | None, pair: MeanPair, as_json: bool) -> bool:
+    """Print both rotors of a pair, each beside the other's mean, and what they are to each other; whether settled."""
     from mufly.cfd import pair_picture
 
     reports = [_report(folder / name, rotor) for name in ("upper", "lower")]
@@ -52,6 +54,7 @@ def tell_pair(folder: Path, rotor: Rotor | None, pair: MeanPair, as_json: bool) 
         },
         show, files,
     )  # fmt: skip
+    return pair.settled
 
 
 def tell_inflow(folder: Path, rotor: Rotor | None, solutions: list[Solution], as_json: bool) -> None:
