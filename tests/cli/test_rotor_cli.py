@@ -48,6 +48,12 @@ def test_show_gives_geometry_and_reynolds_numbers(tmp_path) -> None:
     assert "aspect ratio 2.55" in output("show", "naca0012-r60-c20")
 
 
+def test_show_prints_a_file_that_is_the_same_rotor(tmp_path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text(output("show", "walkera-5g6", "--toml"))
+    assert output("show", str(mine), "--json") == output("show", "walkera-5g6", "--json")
+
+
 def test_hover_prints_the_named_fields(tmp_path) -> None:
     answer = json.loads(
         output(

@@ -112,6 +112,9 @@ def show(
     rpm: Annotated[float, option("RPM", "Speed for the Reynolds numbers.")] = 5000.0,
     out: OutOption = None,
     as_json: JsonOption = False,
+    toml: Annotated[
+        bool, option("--toml", "Print the whole file: a rotor of your own starts from it.")
+    ] = False,
 ) -> None:
     """Show a rotor's geometry: solidity, aspect ratio, thickness, Reynolds numbers.
 
@@ -120,10 +123,13 @@ def show(
     """
     import numpy as np
 
-    from mufly.rotor import Air, blade_picture, blade_thickness_m, load_rotor
+    from mufly.rotor import Air, blade_picture, blade_thickness_m, load_rotor, rotor_toml
 
     speed = turning("--rpm", rpm)
     r, air = load_rotor(rotor), Air()
+    if toml:
+        print(rotor_toml(r), end="")
+        return
     x = np.unique(np.concatenate(([float(r.hub_cutout)], r.blade.r_over_R.array(), [0.25, 0.5, 0.75, 1.0])))
     x = x[x >= float(r.hub_cutout)]
     chord, twist, thick = r.chord_m(x), r.twist_rad(x), blade_thickness_m(r, x)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -111,6 +112,7 @@ def kept_flights(
         one = there.get((name, seed))
         if one is None:
             one = fly(name, seed)
+            gc.collect()  # a flight's recording hangs in a ring of few, great objects: 5 MB each until someone looks
             if keep is not None:
                 with keep.open("a", encoding="utf-8") as file:
                     file.write(json.dumps({"asked": name, **plain(one)}) + "\n")

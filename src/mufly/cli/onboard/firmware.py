@@ -71,6 +71,12 @@ def export(
     if law is not None:
         _print_fixed(helicopter, controller, law)
     tell_files([out])
+    if helicopter.sensors is None:
+        say(
+            f"{helicopter.name} has no table [sensors]: the estimator in these files believes no sensor; give it the "
+            "position and attitude it flies on, or add the table (docs/sensors.md).",
+            mark="Warning", style="yellow",
+        )  # fmt: skip
     say(
         f"{len(files)} files for {controller.vehicle_name}: try `make -C {shlex.quote(str(out))} check`, "
         f"read {out / 'README.md'}."
