@@ -24,7 +24,7 @@ from mufly.rotor import (
 from mufly.rotor.bemt import drag_turning, stream_of
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 from mufly.rotor.system import SOUND_M_S
-from mufly.rotor.tubes import tube_speed, tube_velocity, turning_below
+from mufly.rotor.tubes import tube_speed, tube_velocity, turning_reading
 
 R, SPEED, PITCH = 0.06, 600.0, 0.25
 
@@ -88,7 +88,7 @@ def test_what_turns_the_stream_is_the_torque_of_the_blades():
     still = stream_of(blading(Corrections(swirl=False)), **at, stream=(nothing, nothing, nothing))[2]
     assert not still.any()
     # On its way down the stream keeps its moment of momentum, and so its torque, within a narrower edge.
-    below = turning_below((alone.r_m, turning), R, 0.03, alone.r_m, alone.dr_m)
+    below = turning_reading(alone.r_m, R, 0.03, alone.r_m, alone.dr_m) @ turning
     s = 1.0 / math.sqrt(tube_speed(0.03, R))
     inside, outside = alone.r_m < s * R - alone.dr_m, alone.r_m > s * R + alone.dr_m
     kept = np.interp(alone.r_m / s, alone.r_m, turning)

@@ -264,21 +264,25 @@ def stream_of(
     air: Air,
     stream: tuple[Array, Array, Array],
     which: int = 0,
+    turns: bool = True,
 ) -> tuple[Array, Array, Array]:
     """What a rotor gives to the air at its stations; quick, for iterations.
 
     Axial velocity at the blades (m/s), loss factor F, and moment of momentum r u of the stream below (m^2/s): of lift
-    twice the mean velocity F u_t in the disc, of profile drag :func:`drag_turning`; none without swirl.
+    twice the mean velocity F u_t in the disc, of profile drag :func:`drag_turning`; none without swirl, nor
+    without ``turns``, which spares what nobody below meets.
     """
     pitch, speed, climb = (np.array([float(v)]) for v in (pitch_rad, speed_rad_s, climb_m_s))
     _, stations = _solve(blading, which, pitch, speed, climb, air, True, np.stack(stream, axis=-1)[None])
     _, phi, inflow, swirl, cl, cd, _, loss, thrust, torque = stations[0].T
-    turning = 2.0 * loss * swirl * blading.r_m[which]
-    if blading.corrections.swirl:
+    turning = np.zeros_like(inflow)
+    if turns and blading.corrections.swirl:
         r, dr = blading.r_m[which], blading.dr_m[which]
         force = np.hypot(thrust, torque / r) / np.hypot(cl, cd)  # of a coefficient of 1
         pull = force / dr * cd * np.cos(phi)
-        turning += drag_turning(pull, climb_m_s + stream[0] + loss * inflow, air.density_kg_m3)
+        turning = 2.0 * loss * swirl * r + drag_turning(
+            pull, climb_m_s + stream[0] + loss * inflow, air.density_kg_m3
+        )
     return inflow, loss, turning
 
 

@@ -51,7 +51,7 @@ from mufly.rotor.system import (
     warn_of_mach,
     warn_of_vortex_ring,
 )
-from mufly.rotor.tubes import meets_turning, solve_tubes, tube_speed
+from mufly.rotor.tubes import meets_turning, solve_tubes, stream_reading, tube_speed
 from mufly.rotor.wake.solver import solve_wake
 from mufly.units import RPM
 
@@ -209,21 +209,11 @@ def _each(name: str, value: Each, count: int) -> tuple[float | None, ...]:
 
 
 def _way(source: Placed, target: Placed) -> Array:
-    """Matrix that carries axial velocities induced by a rotor to another's stations, (stations, stations).
-
-    A station across the edge of the stream gets the part that lies inside.
-    """
-    r_m, disc_radius = source.blading.r_m[source.which], source.blading.rotors[source.which].radius_m
+    """Matrix that carries axial velocities induced by a rotor to another's stations, (stations, stations)."""
+    disc_radius = source.blading.rotors[source.which].radius_m
     at_r, at_dr = target.blading.r_m[target.which], target.blading.dr_m[target.which]
     k = tube_speed(source.height_m - target.height_m, disc_radius)
-    shrink = 1.0 / math.sqrt(k)
-    inside = np.clip((disc_radius * shrink - at_r) / at_dr + 0.5, 0.0, 1.0)
-    place = np.interp(at_r / shrink, r_m, np.arange(r_m.size, dtype=np.float64))
-    first = np.minimum(place.astype(np.int64), r_m.size - 2)
-    part, row = place - first, np.arange(at_r.size)
-    read = np.zeros((at_r.size, r_m.size))
-    read[row, first], read[row, first + 1] = inside * (1.0 - part), inside * part
-    return k * read
+    return k * stream_reading(source.blading.r_m[source.which], disc_radius, 1.0 / math.sqrt(k), at_r, at_dr)
 
 
 def _bemt(
@@ -231,7 +221,7 @@ def _bemt(
     progress: Progress | None,
 ) -> Result:  # fmt: skip
     """Solve rotors in their places by blade elements; the method is that of the module docstring."""
-    at = [
+    at: list[dict[str, Any]] = [
         {
             "pitch_rad": p.pitch_rad,
             "speed_rad_s": p.speed_rad_s,
@@ -242,8 +232,9 @@ def _bemt(
         for p in rotors
     ]
     if len(rotors) == 1:
-        return Result((hover(rotors[0].blading, **at[0]),), rotors, climb_m_s, air, "bemt")  # type: ignore[arg-type]
+        return Result((hover(rotors[0].blading, **at[0]),), rotors, climb_m_s, air, "bemt")
     ways = {(a, b): _way(p, q) for a, p in enumerate(rotors) for b, q in enumerate(rotors) if a != b}
+    turned = {(a, b): meets_turning(rotors[a], p) for b, p in enumerate(rotors) for a in range(b)}
     stations = [p.blading.r_m.shape[1] for p in rotors]
     cuts = np.cumsum(stations[:-1])[:-1]
 
@@ -256,9 +247,11 @@ def _bemt(
             around = np.zeros(stations[b])
             for a in range(b):
                 axial = axial + ways[a, b] @ given[a][0]
-                around = around + meets_turning(rotors[a], given[a][2], p)
+                around = around + turned[a, b] @ given[a][2]
             met.append((axial, around))
-            given.append(stream_of(p.blading, **at[b], stream=(*met[b], met[b][0])))  # type: ignore[arg-type]
+            given.append(
+                stream_of(p.blading, **at[b], stream=(*met[b], met[b][0]), turns=b < len(rotors) - 1)
+            )
         pulled = [
             sum(ways[b, a] @ given[b][0] for b in range(a + 1, len(rotors))) for a in range(len(rotors) - 1)
         ]
@@ -287,7 +280,7 @@ def _bemt(
             f"coaxial: the two rotors do not settle at {climb_m_s:g} m/s climb; "
             f"the inflow still changes by {np.max(np.abs(step)) / size:.1e} of itself a turn"
         )
-    found = tuple(hover(p.blading, **a, stream=(*m, m[0])) for p, a, m in zip(rotors, at, met, strict=True))  # type: ignore[arg-type]
+    found = tuple(hover(p.blading, **a, stream=(*m, m[0])) for p, a, m in zip(rotors, at, met, strict=True))
     return Result(
         found,
         rotors,

@@ -175,33 +175,43 @@ def _together(steps: Array) -> Array:
     return out
 
 
-def turning_below(
-    source: tuple[Array, Array], radius_m: float, distance_m: float, at_m: Array, width_m: Array
-) -> Array:
-    """Velocity round the shaft (m/s) that a rotor's stream has at panels at a distance below its disc.
+def stream_reading(r_m: Array, edge_m: float, narrow: float, at_m: Array, width_m: Array) -> Array:
+    """Matrix, (panels, stations), from what a rotor gives its stream to what panels find in it elsewhere.
 
     Parameters
     ----------
-    source : ((stations,), (stations,)) arrays
-        Radii of its stations (m), moment of momentum r u that the stream takes from there (m^2/s). r u stays on the
-        way down, r becomes s r; inside its blades' roots there is none, nor does it mix.
-    radius_m, distance_m : float
-        Of its disc; below it.
+    r_m : (stations,) array
+        Radii of the rotor's stations, over which it is linear.
+    edge_m, narrow : float
+        Radius of its disc; s, what becomes of a radius on the way.
     at_m, width_m : (panels,) arrays
-        A panel across the edge of the stream gets the part that lies inside.
+        Radii and widths of the panels; one across the edge of the stream gets the part that lies inside.
     """
-    s = contraction(distance_m, radius_m)
-    inside = np.clip((s * radius_m - at_m) / width_m + 0.5, 0.0, 1.0)
-    around: Array = inside * np.interp(at_m / s, *source, left=0.0) / at_m
-    return around
+    inside = np.clip((narrow * edge_m - at_m) / width_m + 0.5, 0.0, 1.0)
+    place = np.interp(at_m / narrow, r_m, np.arange(r_m.size, dtype=np.float64))
+    first = np.minimum(place.astype(np.int64), r_m.size - 2)
+    part, row = place - first, np.arange(at_m.size)
+    read = np.zeros((at_m.size, r_m.size))
+    read[row, first], read[row, first + 1] = inside * (1.0 - part), inside * part
+    return read
 
 
-def meets_turning(source: Placed, turning: Array, target: Placed) -> Array:
-    """Tangential velocity at the stations of a rotor that stands in another's stream, against its motion (m/s)."""
+def turning_reading(r_m: Array, edge_m: float, distance_m: float, at_m: Array, width_m: Array) -> Array:
+    """The same from moment of momentum r u (m^2/s) to u (m/s) at a distance below the disc.
+
+    r u stays on the way down, r becomes s r; inside the blades' roots there is none, nor does it mix.
+    """
+    s = contraction(distance_m, edge_m)
+    read = stream_reading(r_m, edge_m, s, at_m, width_m)
+    out: Array = read * ((at_m >= s * r_m[0]) / at_m)[:, None]
+    return out
+
+
+def meets_turning(source: Placed, target: Placed) -> Array:
+    """Matrix from the moment of momentum of a rotor's stream to the velocity against the motion of one below it."""
     r, dr = target.blading.r_m[target.which], target.blading.dr_m[target.which]
-    radius, apart = source.blading.rotors[source.which].radius_m, source.height_m - target.height_m
-    u = turning_below((source.blading.r_m[source.which], turning), radius, apart, r, dr)
-    return -source.hand * target.hand * u
+    edge, apart = source.blading.rotors[source.which].radius_m, source.height_m - target.height_m
+    return -source.hand * target.hand * turning_reading(source.blading.r_m[source.which], edge, apart, r, dr)
 
 
 def solve_tubes(
@@ -248,6 +258,7 @@ def solve_tubes(
         (p.blading.r_m[p.which] * p.blading.dr_m[p.which], tube_edges(n)[:-1])
         for p, n in zip(rotors, stations, strict=True)
     ]
+    turned = meets_turning(*rotors)
     found: list[tuple[Array, Array, Array]] = []
     met_by: list[tuple[Array, Array, Array]] = []
 
@@ -259,9 +270,9 @@ def solve_tubes(
         swirl = np.zeros(stations[0])
         for k, (p, stream) in enumerate(zip(rotors, streams, strict=True)):
             if k:
-                swirl = meets_turning(rotors[0], found[0][2], p)
+                swirl = turned @ found[0][2]
             met_by.append((stream, swirl, np.zeros_like(stream)))
-            found.append(stream_of(p.blading, **at[k], stream=met_by[k]))
+            found.append(stream_of(p.blading, **at[k], stream=met_by[k], turns=k == 0))
         bare = [_steps(*a, u, loss) for a, (u, loss, _) in zip(annuli, found, strict=True)]
         steps = [np.repeat(s, cells) for s in bare]
         thinned = []

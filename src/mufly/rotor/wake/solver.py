@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from mufly.rotor.bemt import drag_turning, result_of
 from mufly.rotor.system import Air, Placed, Result, RotorResult, Surface, Wake, WakeSettings, check_rotors
-from mufly.rotor.tubes import turning_below
+from mufly.rotor.tubes import turning_reading
 from mufly.rotor.wake.blade import (
     BladeState,
     ages_of,
@@ -480,7 +480,7 @@ def drag_swirl(target: Unit, source: Unit, climb: float, phases: int) -> Array:
     """Velocity at a rotor's sensors by the turning that the profile drag of the one above gave to its stream (m/s).
 
     Vortices carry only the turning that comes with lift; this is :func:`mufly.rotor.bemt.drag_turning`, on its way
-    down as :func:`mufly.rotor.tubes.turning_below` says. Above the disc there is none.
+    down as :func:`mufly.rotor.tubes.turning_reading` says. Above the disc there is none.
     """
     u = np.zeros_like(target.sensors)
     state, above = source.state, source.placed.height_m - target.placed.height_m
@@ -496,7 +496,7 @@ def drag_swirl(target: Unit, source: Unit, climb: float, phases: int) -> Array:
     x, y = target.sensors[:, 0], target.sensors[:, 1]
     at = np.hypot(x, y)
     width = np.interp(at, target.surface.quarter_m[:, 0], target.surface.width_m)
-    turning = turning_below((r, moment), s.radius_m, above, at, width) / at
+    turning = turning_reading(r, s.radius_m, above, at, width) @ moment / at
     turning *= target.placed.hand * source.placed.hand
     u[:, 0], u[:, 1] = -turning * y, turning * x
     return u
