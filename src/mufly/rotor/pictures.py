@@ -71,6 +71,20 @@ def blade_picture(rotor: Rotor) -> Figure:
     return figure
 
 
+_END = 0.03  # R: of each end of a blade the mean is drawn
+
+
+def _per_radius(result: RotorResult, load: Array) -> Array:
+    """A load over the radius; a side edge's force, all in a wake's outermost panel, as the mean of the blade's end."""
+    out: Array = load / result.dr_m
+    length = _END * (result.r_m[-1] + 0.5 * result.dr_m[-1])
+    for order in (slice(None), slice(None, None, -1)):
+        across = np.cumsum(result.dr_m[order])
+        n = int(np.searchsorted(across, length * (1.0 - 1e-9))) + 1
+        out[order][:n] = load[order][:n].sum() / across[n - 1]
+    return out
+
+
 def stations_picture(result: RotorResult) -> Figure:
     """Draw angle of attack, inflow, lift coefficient and Reynolds number along the blade, and thrust per radius."""
     r = 1e3 * result.r_m
@@ -80,7 +94,7 @@ def stations_picture(result: RotorResult) -> Figure:
         ("Lift coefficient", result.cl),
         ("Drag coefficient", result.cd),
         ("Reynolds number", result.reynolds),
-        ("Thrust per radius (N/m)", result.dT_N / result.dr_m),
+        ("Thrust per radius (N/m)", _per_radius(result, result.dT_N)),
     )
     figure = _figure(9.0, 6.0)
     grid = figure.subplots(2, 3, sharex=True)
@@ -449,8 +463,8 @@ def rotor_loads_picture(
         ("Swirl (m/s)", lambda r: r.swirl_m_s),
         ("Angle of attack (deg)", lambda r: np.degrees(r.alpha_rad)),
         ("Lift coefficient", lambda r: r.cl),
-        ("Thrust per radius (N/m)", lambda r: r.dT_N / r.dr_m),
-        ("Torque per radius (N m/m)", lambda r: r.dQ_Nm / r.dr_m),
+        ("Thrust per radius (N/m)", lambda r: _per_radius(r, r.dT_N)),
+        ("Torque per radius (N m/m)", lambda r: _per_radius(r, r.dQ_Nm)),
     )
     grid = figure.subplots(2, 3, sharex=True)
     for axes, (label, of) in zip(grid.flat, panels, strict=True):
