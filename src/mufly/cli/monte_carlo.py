@@ -306,7 +306,7 @@ def _finish(
         if len(commands) > _SHOWN:
             say(f"and {len(commands) - _SHOWN} more, in {out / 'commands.txt'}")
     if recordings:
-        say(f"{len(recordings)} recordings beside them (flight.mcap)")
+        say(f"Recorded already: {len(recordings)} (flight.mcap in their folders).")
     tell_files(files)
 
 
