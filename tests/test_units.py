@@ -95,3 +95,36 @@ def test_a_message_tells_columns_with_their_factors():
     assert told_by("ATTITUDE")[0] == ("roll", "estimated_attitude_roll", 1.0)
     assert told_by("RAW_RPM")[1] == ("frequency", "measured_rotor_speed_lower", math.pi / 30)
     assert told_by("RC_CHANNELS")[7][:2] == ("chan8_raw", "pilot_input_8")
+
+
+@pytest.mark.parametrize(
+    ("spelt", "unit", "si", "one"),
+    [
+        ("lbf", "lbf", "N", 4.4482216), ("ozf", "ozf", "N", 0.27801385), ("mg", "mgf", "N", 9.80665e-6),
+        ("in-lbf", "lbf in", "N m", 0.11298483), ("lb·in", "lbf in", "N m", 0.11298483),
+        ("IN_LB", "lbf in", "N m", 0.11298483), ("ozf-in", "ozf in", "N m", 7.0615518e-3),
+        ("in oz", "ozf in", "N m", 7.0615518e-3), ("ft-lbf", "lbf ft", "N m", 1.3558179),
+        ("kg-cm", "kgf cm", "N m", 0.0980665), ("kgf.cm", "kgf cm", "N m", 0.0980665),
+        ("g*cm", "gf cm", "N m", 9.80665e-5),
+        ("kgf m", "kgf m", "N m", 9.80665), ("n·mm", "N mm", "N m", 1e-3), ("mph", "mph", "m/s", 0.44704),
+        ("slug/ft^3", "slug/ft3", "kg/m3", 515.37882), ("psi", "psi", "Pa", 6894.7573),
+        ("inHg", "inHg", "Pa", 3386.3886),
+        ("°F", "degF", "K", 255.92777), ("deg C", "degC", "K", 274.15), ("r/min", "rpm", "rad/s", math.pi / 30),
+        ("1/s", "rps", "rad/s", 2 * math.pi), ("degree s-1", "deg/s", "rad/s", math.pi / 180),
+        ("m s**-2", "m/s^2", "m/s^2", 1),
+        ("kg m⁻³", "kg/m3", "kg/m3", 1), ("µNm", "uN m", "N m", 1e-6), ("G", "gee", "m/s^2", 9.80665),
+    ],
+)  # fmt: skip
+def test_units_of_the_field_are_known_in_their_usual_spellings(spelt, unit, si, one):
+    assert known_unit(spelt, si) == unit
+    reached, factor, offset = conversion(spelt, si)
+    assert (reached, factor + offset) == (si, pytest.approx(one))
+
+
+@pytest.mark.parametrize("other", ["S", "M", "furlong", "N/A", "G", "MHz", "millipascals of mercury"])
+def test_a_capital_of_another_meaning_is_no_unit(other):
+    assert known_unit(other) == ""
+
+
+def test_a_unit_that_capitals_leave_open_is_unknown():
+    assert (known_unit("mPa", "Pa"), known_unit("MPa", "Pa"), known_unit("MPA", "Pa")) == ("mPa", "MPa", "")

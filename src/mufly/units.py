@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import cache
 from math import pi
 
 from mufly.errors import InputError
@@ -23,68 +24,168 @@ RPM = pi / 30.0
 """One revolution a minute in rad/s."""
 
 _G, _TURN, _FT, _INCH = STANDARD_GRAVITY_M_S2, 2 * pi, 0.3048, 0.0254
+_LB = 0.45359237  # kg, the international pound (1959)
+_OZ = _LB / 16
+_MMHG = 133.322387415  # Pa, conventional millimetre of mercury
 # SI unit: the units that lead to it, with factor and offset.
 _TABLE: dict[str, dict[str, tuple[float, float]]] = {
-    "s": {"s": (1, 0), "ms": (1e-3, 0), "us": (1e-6, 0), "ns": (1e-9, 0), "min": (60, 0), "h": (3600, 0)},
-    "rad": {"rad": (1, 0), "deg": (pi / 180, 0), "mrad": (1e-3, 0), "cdeg": (pi / 18000, 0), "rev": (_TURN, 0)},
+    "s": {
+        "s": (1, 0), "ms": (1e-3, 0), "us": (1e-6, 0), "ns": (1e-9, 0), "min": (60, 0), "h": (3600, 0),
+        "day": (86_400, 0),
+    },
+    "rad": {
+        "rad": (1, 0), "deg": (pi / 180, 0), "mrad": (1e-3, 0), "cdeg": (pi / 18000, 0), "rev": (_TURN, 0),
+        "ddeg": (pi / 1800, 0), "degE7": (pi / 180 * 1e-7, 0),
+    },
     "rad/s": {
         "rad/s": (1, 0), "rpm": (RPM, 0), "deg/s": (pi / 180, 0), "rps": (_TURN, 0), "Hz": (_TURN, 0),
-        "krpm": (_TURN * 1000 / 60, 0), "mrad/s": (1e-3, 0), "cdeg/s": (pi / 18000, 0),
+        "krpm": (_TURN * 1000 / 60, 0), "mrad/s": (1e-3, 0), "cdeg/s": (pi / 18000, 0), "ddeg/s": (pi / 1800, 0),
     },
+    "1/s": {"1/s": (1, 0)},
     "rad/s^2": {"rad/s^2": (1, 0), "deg/s^2": (pi / 180, 0)},
     "m": {
         "m": (1, 0), "cm": (1e-2, 0), "mm": (1e-3, 0), "dm": (0.1, 0), "km": (1e3, 0), "ft": (_FT, 0),
-        "in": (_INCH, 0),
+        "in": (_INCH, 0), "um": (1e-6, 0), "yd": (3 * _FT, 0), "mi": (5280 * _FT, 0), "nmi": (1852, 0),
     },
-    "m2": {"m2": (1, 0), "cm2": (1e-4, 0), "mm2": (1e-6, 0)},
+    "m2": {"m2": (1, 0), "cm2": (1e-4, 0), "mm2": (1e-6, 0), "in2": (_INCH**2, 0), "ft2": (_FT**2, 0)},
+    "m3": {"m3": (1, 0), "cm3": (1e-6, 0), "mm3": (1e-9, 0), "l": (1e-3, 0), "in3": (_INCH**3, 0)},
     "m/s": {
         "m/s": (1, 0), "dm/s": (0.1, 0), "cm/s": (1e-2, 0), "mm/s": (1e-3, 0), "km/h": (1 / 3.6, 0),
-        "ft/s": (_FT, 0), "kn": (1852 / 3600, 0),
+        "ft/s": (_FT, 0), "kn": (1852 / 3600, 0), "mph": (5280 * _FT / 3600, 0), "ft/min": (_FT / 60, 0),
+        "in/s": (_INCH, 0), "m/min": (1 / 60, 0),
     },
-    "m/s^2": {"m/s^2": (1, 0), "cm/s^2": (1e-2, 0), "mm/s^2": (1e-3, 0), "gee": (_G, 0), "mgee": (_G / 1000, 0)},
-    "V": {"V": (1, 0), "mV": (1e-3, 0), "cV": (1e-2, 0)},
-    "A": {"A": (1, 0), "mA": (1e-3, 0), "cA": (1e-2, 0)},
+    "m/s^2": {
+        "m/s^2": (1, 0), "cm/s^2": (1e-2, 0), "mm/s^2": (1e-3, 0), "gee": (_G, 0), "mgee": (_G / 1000, 0),
+        "ugee": (_G * 1e-6, 0), "ft/s^2": (_FT, 0),
+    },
+    "V": {"V": (1, 0), "mV": (1e-3, 0), "cV": (1e-2, 0), "uV": (1e-6, 0), "kV": (1e3, 0)},
+    "A": {"A": (1, 0), "mA": (1e-3, 0), "cA": (1e-2, 0), "uA": (1e-6, 0)},
     "A s": {"A s": (1, 0), "A h": (3600, 0), "mA h": (3.6, 0)},
-    "ohm": {"ohm": (1, 0), "mohm": (1e-3, 0)},
+    "ohm": {"ohm": (1, 0), "mohm": (1e-3, 0), "kohm": (1e3, 0), "Mohm": (1e6, 0)},
+    "H": {"H": (1, 0), "mH": (1e-3, 0), "uH": (1e-6, 0)},
     "V s": {"V s": (1, 0), "mV s": (1e-3, 0)},
-    "W": {"W": (1, 0), "mW": (1e-3, 0), "kW": (1e3, 0)},
-    "N": {"N": (1, 0), "mN": (1e-3, 0), "kN": (1e3, 0), "gf": (_G / 1000, 0), "kgf": (_G, 0)},
-    "N m": {"N m": (1, 0), "mN m": (1e-3, 0), "uN m": (1e-6, 0), "N mm": (1e-3, 0), "N cm": (1e-2, 0)},
-    "N m/A": {"N m/A": (1, 0), "mN m/A": (1e-3, 0)},
+    "W": {"W": (1, 0), "mW": (1e-3, 0), "kW": (1e3, 0), "hp": (550 * _FT * _LB * _G, 0)},
+    "J": {"J": (1, 0), "mJ": (1e-3, 0), "kJ": (1e3, 0), "W h": (3600, 0), "mW h": (3.6, 0)},
+    "N": {
+        "N": (1, 0), "mN": (1e-3, 0), "kN": (1e3, 0), "gf": (_G / 1000, 0), "kgf": (_G, 0), "uN": (1e-6, 0),
+        "cN": (1e-2, 0), "mgf": (_G * 1e-6, 0), "lbf": (_LB * _G, 0), "ozf": (_OZ * _G, 0), "dyn": (1e-5, 0),
+    },
+    "N m": {
+        "N m": (1, 0), "mN m": (1e-3, 0), "uN m": (1e-6, 0), "N mm": (1e-3, 0), "N cm": (1e-2, 0),
+        "cN m": (1e-2, 0), "mN mm": (1e-6, 0), "kN m": (1e3, 0), "kgf m": (_G, 0), "kgf cm": (_G * 1e-2, 0),
+        "kgf mm": (_G * 1e-3, 0), "gf m": (_G * 1e-3, 0), "gf cm": (_G * 1e-5, 0), "gf mm": (_G * 1e-6, 0),
+        "lbf ft": (_LB * _G * _FT, 0), "lbf in": (_LB * _G * _INCH, 0), "ozf in": (_OZ * _G * _INCH, 0),
+        "ozf ft": (_OZ * _G * _FT, 0), "dyn cm": (1e-7, 0),
+    },
+    "N m/A": {"N m/A": (1, 0), "mN m/A": (1e-3, 0), "ozf in/A": (_OZ * _G * _INCH, 0)},
     "N m s": {"N m s": (1, 0), "mN m s": (1e-3, 0), "uN m s": (1e-6, 0)},
     "N s/m": {"N s/m": (1, 0)},
-    "N/m": {"N/m": (1, 0)},
-    "kg": {"kg": (1, 0), "g": (1e-3, 0)},
-    "kg m2": {"kg m2": (1, 0), "g cm2": (1e-7, 0)},
-    "kg/m3": {"kg/m3": (1, 0)},
-    "Pa": {"Pa": (1, 0), "hPa": (100, 0), "mbar": (100, 0), "kPa": (1e3, 0), "bar": (1e5, 0)},
+    "N/m": {"N/m": (1, 0), "N/mm": (1e3, 0)},
+    "kg": {"kg": (1, 0), "g": (1e-3, 0), "mg": (1e-6, 0), "lb": (_LB, 0), "oz": (_OZ, 0)},
+    "kg m2": {"kg m2": (1, 0), "g cm2": (1e-7, 0), "g mm2": (1e-9, 0), "kg cm2": (1e-4, 0), "kg mm2": (1e-6, 0)},
+    "kg/m3": {
+        "kg/m3": (1, 0), "g/m3": (1e-3, 0), "g/cm3": (1e3, 0), "g/l": (1, 0), "slug/ft3": (_LB * _G / _FT**4, 0),
+        "lb/ft3": (_LB / _FT**3, 0),
+    },
+    "Pa": {
+        "Pa": (1, 0), "hPa": (100, 0), "mbar": (100, 0), "kPa": (1e3, 0), "bar": (1e5, 0), "MPa": (1e6, 0),
+        "mPa": (1e-3, 0), "psi": (_LB * _G / _INCH**2, 0), "psf": (_LB * _G / _FT**2, 0), "inHg": (25.4 * _MMHG, 0),
+        "mmHg": (_MMHG, 0), "torr": (101_325 / 760, 0), "atm": (101_325, 0), "inH2O": (25.4 * _G, 0),
+        "mmH2O": (_G, 0),
+    },
     "Pa s": {"Pa s": (1, 0), "uPa s": (1e-6, 0)},
-    "K": {"K": (1, 0), "degC": (1, 273.15), "cdegC": (0.01, 273.15)},
-    "T": {"T": (1, 0), "mT": (1e-3, 0), "uT": (1e-6, 0), "gauss": (1e-4, 0), "mgauss": (1e-7, 0)},
+    "m2/s": {"m2/s": (1, 0), "mm2/s": (1e-6, 0)},
+    "K": {
+        "K": (1, 0), "degC": (1, 273.15), "cdegC": (0.01, 273.15), "ddegC": (0.1, 273.15),
+        "degF": (5 / 9, 273.15 - 32 * 5 / 9), "degR": (5 / 9, 0), "mK": (1e-3, 0),
+    },
+    "T": {
+        "T": (1, 0), "mT": (1e-3, 0), "uT": (1e-6, 0), "gauss": (1e-4, 0), "mgauss": (1e-7, 0), "nT": (1e-9, 0),
+    },
     "T/A": {"T/A": (1, 0), "uT/A": (1e-6, 0)},
     "m/s^2/sqrt(Hz)": {"m/s^2/sqrt(Hz)": (1, 0), "ugee/sqrt(Hz)": (_G * 1e-6, 0)},
     "rad/s/sqrt(Hz)": {"rad/s/sqrt(Hz)": (1, 0), "deg/s/sqrt(Hz)": (pi / 180, 0)},
     "rad/s/(m/s^2)": {"rad/s/(m/s^2)": (1, 0), "deg/s/gee": (pi / 180 / _G, 0)},
     "m/s^2/K": {"m/s^2/K": (1, 0), "mgee/K": (_G * 1e-3, 0)},
     "rad/s/K": {"rad/s/K": (1, 0), "deg/s/K": (pi / 180, 0)},
-    "1": {"1": (1, 0), "%": (1e-2, 0), "d%": (1e-3, 0), "c%": (1e-4, 0)},
+    "1": {"1": (1, 0), "%": (1e-2, 0), "d%": (1e-3, 0), "c%": (1e-4, 0), "permille": (1e-3, 0)},
 }  # fmt: skip
 _BY_UNIT = {u: (si, float(f), float(o)) for si, units in _TABLE.items() for u, (f, o) in units.items()}
-_SPELLINGS = {
-    "°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "sec": "s", "second": "s",
-    "seconds": "s", "µs": "us", "μs": "us", "usec": "us", "msec": "ms", "micros": "us", "millis": "ms",
-    "dps": "deg/s", "°/s": "deg/s", "degps": "deg/s", "deg/sec": "deg/s", "rad/sec": "rad/s", "rads": "rad/s",
-    "radps": "rad/s", "rpm": "rpm", "RPM": "rpm", "1/min": "rpm", "1/s": "rad/s", "mps": "m/s", "m/sec": "m/s",
-    "m/s/s": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m/s**2": "m/s^2", "mps2": "m/s^2", "mG": "mgee",
-    "rad/s/s": "rad/s^2", "rad/s2": "rad/s^2", "rad/s²": "rad/s^2", "deg/s2": "deg/s^2", "Nm": "N m",
-    "N*m": "N m", "N.m": "N m", "N·m": "N m", "mNm": "mN m", "mN*m": "mN m", "Nmm": "N mm", "Ncm": "N cm",
-    "uNm": "uN m", "µNm": "uN m", "gram": "g", "grams": "g", "°C": "degC", "C": "degC", "percent": "%",
-    "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "metre": "m", "meter": "m",
-    "metres": "m", "meters": "m", "-": "1", "none": "1", "norm": "1", "hz": "Hz", "kmh": "km/h", "kph": "km/h",
-    "knots": "kn", "kt": "kn",
+# How a unit or a factor of one is written, beside powers, signs of products and "per", which _canonical settles.
+_SPELT = {
+    "s": "sec secs second seconds", "ms": "msec msecs millis millisec millisecond milliseconds",
+    "us": "usec usecs micros microsec microsecond microseconds", "ns": "nsec nsecs nanos nanosecond nanoseconds",
+    "min": "mins minute minutes", "h": "hr hrs hour hours", "day": "days",
+    "deg": "\u00b0 \u00ba degree degrees degs", "rad": "radian radians", "cdeg": "centideg centidegree centidegrees",
+    "ddeg": "decideg decidegree decidegrees", "rev": "revs revolution revolutions turn turns",
+    "rad/s": "rads radps", "deg/s": "dps degps", "cdeg/s": "cdps",
+    "rpm": "RPM Rpm 1/min /min r/min U/min tr/min rot/min rev/min", "rps": "RPS r/s U/s rot/s rev/s",
+    "Hz": "hz hertz Hertz",
+    "m": "metre meter metres meters", "cm": "centimetre centimeter centimetres centimeters",
+    "mm": "millimetre millimeter millimetres millimeters", "km": "kilometre kilometer kilometres kilometers",
+    "um": "micron microns", "ft": "foot feet", "in": "inch inches", "yd": "yard yards", "mi": "mile miles",
+    "cm3": "cc ccm", "l": "L litre liter litres liters",
+    "m/s": "mps", "km/h": "kmh kph", "kn": "knot knots kt kts", "mph": "mi/h", "ft/s": "fps", "ft/min": "fpm",
+    "m/s^2": "mps2", "mgee": "mG",
+    "V": "volt volts", "mV": "millivolt millivolts", "A": "amp amps ampere amperes", "mA": "milliamp milliamps",
+    "A s": "As", "A h": "Ah", "mA h": "mAh", "ohm": "ohms Ohm Ohms \u2126 \u03a9", "mohm": "mOhm m\u2126 m\u03a9",
+    "kohm": "kOhm k\u2126 k\u03a9", "V s": "Vs", "W": "watt watts", "kW": "kilowatt kilowatts", "hp": "HP horsepower",
+    "J": "joule joules", "W h": "Wh", "mW h": "mWh",
+    "N": "newton newtons", "mN": "millinewton millinewtons", "gf": "gramforce pond p", "kgf": "kp kilopond",
+    "lbf": "lbsf", "N m": "Nm", "mN m": "mNm", "uN m": "uNm", "N mm": "Nmm", "N cm": "Ncm", "cN m": "cNm",
+    "kN m": "kNm", "mN mm": "mNmm", "kgf m": "kgm kgfm", "kgf cm": "kgcm kgfcm", "gf cm": "gcm gfcm", "gf m": "gfm",
+    "lbf ft": "ftlb ftlbf ftlbs lbft lbfft", "lbf in": "inlb inlbf inlbs lbin lbfin", "ozf in": "inoz inozf ozin ozfin",
+    "ozf ft": "ozft ozfft", "N m s": "Nms", "Pa s": "Pas",
+    "kg": "kilogram kilograms kgs", "g": "gram grams gr gm", "mg": "milligram milligrams", "lb": "lbs lbm pound pounds",
+    "oz": "ounce ounces", "slug/ft3": "slugs/ft3", "Pa": "pascal pascals", "mbar": "mb millibar millibars",
+    "psi": "psia psig lb/in2 lbf/in2", "psf": "lb/ft2 lbf/ft2", "inHg": "inhg", "mmHg": "mmhg", "torr": "Torr",
+    "degC": "C \u00b0C \u00baC \u2103 celsius Celsius", "degF": "F \u00b0F \u00baF \u2109 fahrenheit Fahrenheit",
+    "degR": "\u00b0R rankine Rankine", "K": "kelvin Kelvin degK \u00b0K", "T": "tesla", "uT": "microtesla",
+    "gauss": "Gauss Gs", "mgauss": "mGauss milligauss", "%": "percent pct", "permille": "\u2030",
+    "1": "- none norm unitless dimensionless",
 }  # fmt: skip
-# What load cells and accelerometers call by the name of a mass, or of nothing.
-_INSTEAD = {("N", "g"): "gf", ("N", "kg"): "kgf", ("m/s^2", "g"): "gee"}
+_SPELLINGS = {word: unit for unit, words in _SPELT.items() for word in words.split()}
+_CHARACTERS = str.maketrans("\u00b5\u03bc\u00b2\u00b3\u00b9\u207b\u00b7\u22c5\u00d7\u2212", "uu231-***-")
+_FACTOR = re.compile(r"(?P<name>[^\d^]+?)\^?(?P<power>-?\d+)?")
+_PRODUCT = re.compile(r"\s*\*\s*|\.(?=[A-Za-z])|(?<=[A-Za-z])-(?=[A-Za-z])|\s+")
+_TEMPERATURE = re.compile(r"^(?:°|deg(?:ree)?s?)[ _-]?([CF]|[Cc]elsius|[Ff]ahrenheit)$")
+_FORCES = {"kg": "kgf", "g": "gf", "mg": "mgf", "lb": "lbf", "oz": "ozf"}
+
+
+def _canonical(text: str) -> str:
+    """A unit of several factors as the table writes it, or one that comes near: ``"m s-2"`` is ``"m/s^2"``."""
+    text = _TEMPERATURE.sub(r"\1", text).replace("**", "^").replace(" per ", "/").replace("_per_", "/")
+    over: list[str] = []
+    under: list[tuple[str, int]] = []
+    for k, part in enumerate(text.split("/")):
+        for factor in _PRODUCT.split(part.strip(" ()")):
+            match = _FACTOR.fullmatch(factor)
+            if match is None:
+                if factor != "1" or k:
+                    return ""
+                continue
+            name, power = _SPELLINGS.get(match["name"], match["name"]), int(match["power"] or 1)
+            power = -power if k else power
+            if power < 0:
+                same = next((i for i, (n, _) in enumerate(under) if n == name), None)
+                if same is None:
+                    under.append((name, -power))
+                else:
+                    under[same] = name, under[same][1] - power
+            else:
+                over.append(name if power == 1 else f"{name}{power}")
+    if len(over) == 2:  # a torque: its force first, masses for weights
+        over = over if over[1] in _TABLE["m"] else over[::-1]
+        over = [_FORCES.get(over[0], over[0]), over[1]] if over[1] in _TABLE["m"] else over[::-1]
+    below = [n if p == 1 else f"{n}^{p}" if n == "s" else f"{n}{p}" for n, p in under]
+    return "/".join([" ".join(over) or "1", *below])
+
+
+# A unit that another quantity gives its name to: load cells weigh in grams, accelerometers in those of the earth, and
+# what turns so many times a second makes so many revolutions.
+_INSTEAD = {("N", mass): force for mass, force in _FORCES.items()} | {
+    ("m/s^2", "g"): "gee", ("m/s^2", "mg"): "mgee", ("rad/s", "1/s"): "rps",
+}  # fmt: skip
 # As suffix of a name, "gyro_x_deg_s". A lone N is no unit behind position or velocity: there it is north.
 _SUFFIXES = {
     "rad_s2": "rad/s^2", "deg_s2": "deg/s^2", "rad_s": "rad/s", "deg_s": "deg/s", "m_s2": "m/s^2", "m_s": "m/s",
@@ -97,24 +198,34 @@ _BRACKETS = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _INDEX = re.compile(r"\d+")
 
 
+@cache
 def known_unit(text: str, wanted: str | None = None) -> str:
     """Return a unit as this package writes it, ``""`` for one that it does not know.
 
-    With the unit ``wanted`` that it must lead to, capitals do not matter, ``_`` may stand for ``/``, and what load
-    cells give in grams is a force.
+    Powers, products and quotients are written in any of the usual ways: ``"m s-2"``, ``"m/s**2"``, ``"in-lbf"``. With
+    the unit ``wanted`` that it must lead to, capitals do not matter, ``_`` may stand for ``/``, a mass is the force
+    that load cells mean by it, and ``1/s`` of a speed are revolutions.
     """
-    unit = " ".join(text.split())
+    unit = " ".join(text.translate(_CHARACTERS).split())
     if wanted is None:
-        unit = _SPELLINGS.get(unit, unit)
-        if unit not in _BY_UNIT:
-            low = unit.lower()
-            unit = _SPELLINGS.get(low, low)
-        return unit if unit in _BY_UNIT else ""
-    here = _TABLE[_BY_UNIT[wanted][0]]
-    found = {known.lower(): known for known in here}
-    found |= {spelling.lower(): known for spelling, known in _SPELLINGS.items() if known in here}
+        for spelling in (unit, _canonical(unit), unit.lower() if len(unit) > 1 else ""):
+            known = _SPELLINGS.get(spelling, spelling)
+            if known in _BY_UNIT:
+                return known
+        return ""
+    si = _BY_UNIT[wanted][0]
+    for spelling in (unit, unit.lower()):
+        for written in (spelling, spelling.replace("_", "/"), spelling.replace("_", " ")):
+            known = known_unit(written)
+            known = _INSTEAD.get((si, known), known)
+            if known in _TABLE[si]:
+                return known
+    here = [(spelling.lower(), known) for spelling, known in _SPELLINGS.items() if known in _TABLE[si]]
+    here += [(known.lower(), known) for known in _TABLE[si]]
     low = unit.lower()
-    return found.get(low) or found.get(low.replace("_", "/")) or _INSTEAD.get((wanted, low), "")
+    spellings = {low, low.replace("_", "/"), _canonical(low), _canonical(low.replace("_", " "))}
+    found = {known for spelling, known in here if spelling in spellings}
+    return found.pop() if len(found) == 1 else ""
 
 
 def conversion(unit: str, wanted: str | None = None) -> tuple[str, float, float]:
@@ -139,16 +250,17 @@ def conversion(unit: str, wanted: str | None = None) -> tuple[str, float, float]
         If the unit is unknown, or of another dimension than the one wanted. A mass in grams becomes a force, as on
         load cells, when newtons are wanted; a lone ``g`` becomes the gravity of the earth when m/s^2 is.
     """
-    here = known_unit(unit)
-    here = _INSTEAD.get((wanted or "", here), here)
+    there = "" if wanted is None else known_unit(wanted)
+    goal = _BY_UNIT[there][0] if there else ""
+    here = (known_unit(unit, goal) if goal else "") or known_unit(unit)
     if not here:
-        raise InputError("unit", unit, "is unknown", f"use one of: {', '.join(_BY_UNIT)}")
+        remedy = f"use one of: {', '.join(_TABLE[goal] if goal else _TABLE)}"
+        raise InputError("unit", unit, "is unknown", remedy)
     si, factor, offset = _BY_UNIT[here]
     if wanted is None or wanted == si:
         return si, factor, offset
-    there = known_unit(wanted)
-    if not there or _BY_UNIT[there][0] != si:
-        others = ", ".join(next((u for s, u in _TABLE.items() if wanted in u or s == wanted), {wanted: 0}))
+    if goal != si:
+        others = ", ".join(_TABLE[goal] if goal else _TABLE)
         raise InputError("unit", unit, f"cannot become {wanted}", f"use one of: {others}")
     _, scale, shift = _BY_UNIT[there]
     return there, factor / scale, (offset - shift) / scale

@@ -60,7 +60,7 @@ FAULTS = [
     ("mass = 0.095", "mass =", "body.mass", "no unit"),
     ('mass = { value = -1, unit = "kg", source = "measured" }', "mass =", "body.mass", "at least 0.001"),
     ('mass = { value = nan, unit = "kg", source = "measured" }', "mass =", "body.mass", "not possible"),
-    ('mass = { value = 95, unit = "lb", source = "measured" }', "mass =", "body.mass", "use one of: kg, g"),
+    ('mass = { value = 95, unit = "stone", source = "measured" }', "mass =", "body.mass", "use one of: kg, g"),
     ('mass = { value = "x", unit = "kg", source = "measured" }', "mass =", "body.mass", "not a number"),
     ('mass = { value = 0.095, unit = "kg", source = "guess" }', "mass =", "body.mass.source", "guess"),
     ('mass = { value = 0.085, unit = "kg", source = "measured" }', "mass =", "mass_budget", "add up to 95.0 g"),
