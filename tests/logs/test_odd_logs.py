@@ -101,7 +101,7 @@ def test_rates_are_in_what_the_version_or_the_gyroscope_says(write, make_datafla
 def test_what_cannot_be_understood_is_examined_all_the_same_and_named(write):
     rows = "".join(f"{0.1 * k:.1f},{k}\n" for k in range(50))
     report = examine(write(f"t_s,battery_voltage [rad]\n{rows}".encode(), "a.csv"))
-    assert report.notes == ["battery_voltage: the unit 'rad' cannot become V; use one of: V, mV, cV"]
+    assert report.notes == ["battery_voltage: the unit 'rad' cannot become V; use one of: V, mV, cV, uV, kV"]
     assert report.signals == []
     assert [c.samples for c in report.clocks.values()] == [50]
 
