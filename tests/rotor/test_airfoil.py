@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from mufly.errors import InputError
 from mufly.rotor import database_airfoils, load_airfoil
 from mufly.rotor.sections.airfoil import naca, sides
+from mufly.rotor.sections.contour_file import SectionWarning
 
 
 def mean_line(digits, n=4001):
@@ -137,10 +138,111 @@ def test_selig_lednicer_and_reversed_files_agree(tmp_path):
     blocks = f"a wing\n  40.  40.\n\n{rows(upper)}\n\n{rows(lower)}\n"
     lednicer = load_airfoil(written(tmp_path, blocks, "lednicer.dat"))
     backwards = load_airfoil(written(tmp_path, rows(contour[::-1]), "reversed.dat"))
-    in_mm = load_airfoil(written(tmp_path, rows(contour * 20.0), "mm.dat"))
+    with pytest.warns(SectionWarning, match="scaled by 0.05"):
+        in_mm = load_airfoil(written(tmp_path, rows(contour * 20.0), "mm.dat"))
     for other in (lednicer, backwards, in_mm):
         assert np.allclose(other.coordinates, selig.coordinates, atol=2e-6)
     assert selig.name == "selig"
+
+
+def turned(points, degrees):
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return points @ np.array([[c, s], [-s, c]])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda p: p + np.array([0.25, 0.1]), "moved by (-0.25, -0.1) chords"),
+        (lambda p: p * 80.0 + [-20.0, 5.0], "scaled by 0.0125"),
+        (lambda p: 100.0 * p, "scaled by 0.01"),
+        (lambda p: turned(p, -10.0), "turned by"),
+        (lambda p: turned(p, 12.0) + np.array([0.4, -0.3]), "turned by"),
+        (lambda p: p * [-1.0, 1.0], "mirrored"),
+        (lambda p: 0.06 * (p * [-1.0, 1.0] + [0.25, 0.03]), "mirrored"),
+    ],
+)
+def test_a_contour_anywhere_in_the_plane_is_put_on_its_chord_and_said(tmp_path, change, words):
+    path = written(tmp_path, f"a wing\n{rows(change(naca('4412', 40)))}\n")
+    with pytest.warns(SectionWarning) as told:
+        section = load_airfoil(path)
+    assert len(told) == 1
+    assert "wing.dat" in str(told[0].message)
+    assert words in str(told[0].message)
+    assert words in section.source
+    assert section.camber == pytest.approx(0.04, abs=6e-4)
+    assert section.thickness_ratio == pytest.approx(0.12, abs=1e-3)
+    assert np.ptp(section.coordinates[:, 0]) == pytest.approx(1.0)
+
+
+def test_a_flat_underside_keeps_the_frame_of_its_catalogue_and_its_tilt_is_said(tmp_path):
+    """Catalogues lay flat undersides along x: up to 3.9 degrees among UIUC's."""
+    pivot = turned(naca("4412", 40), -3.0)
+    with pytest.warns(SectionWarning, match=r"stands \+3.0 degrees to the x axis"):
+        section = load_airfoil(written(tmp_path, rows(pivot - [0.0, pivot[0, 1]])))
+    assert section.camber == pytest.approx(0.04 + 0.6 * math.sin(math.radians(3.0)), abs=3e-3)
+
+
+def test_orders_of_other_programs_agree(tmp_path):
+    """From the nose around, both sides from the nose without counts, doubled points, closed or not, flat in 3-D."""
+    contour = naca("4412", 40)
+    selig = load_airfoil(written(tmp_path, rows(contour), "selig.dat")).coordinates
+    upper, lower = contour[:40][::-1], contour[39:]
+    sharp = np.concatenate((contour, contour[:1]))
+    around = np.concatenate((contour[39:], contour[:40]))  # nose, lower side, upper side, nose
+    for k, points in enumerate((around, around[:-1], around[::-1], np.concatenate((upper, lower)),
+                                np.repeat(contour, 2, axis=0))):  # fmt: skip
+        section = load_airfoil(written(tmp_path, f"made\n{rows(points)}\n", f"{k}.dat"))
+        assert section.camber == pytest.approx(0.04, abs=2e-4), k
+        assert np.allclose(section.coordinates[[0, 39, -1]], selig[[0, 39, -1]], atol=3e-3), k
+    closed = load_airfoil(written(tmp_path, rows(np.roll(sharp[:-1], 30, axis=0)), "rolled.dat"))
+    assert closed.camber == pytest.approx(0.04, abs=2e-4)
+    flat = "\n".join(f"{x:.6f} {y:.6f} 0.0" for x, y in contour)
+    assert np.allclose(load_airfoil(written(tmp_path, flat, "cad.dat")).coordinates, selig, atol=2e-6)
+
+
+def fortran(points):
+    return "\n".join(f"{x * 10:.6f}D-01 {y * 100:.6f}d-2" for x, y in points)
+
+
+def commas(points, between="\t", end="\n"):
+    return end.join(f"{x:.6f}{between}{y:.6f}".replace(".", ",") for x, y in points)
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        ("\ufeff" + rows(naca("4412", 40))).encode(),
+        ("\ufeffNACA 4412\n" + rows(naca("4412", 40))).encode("utf-16-le"),
+        rows(naca("4412", 40)).replace("\n", "\r").encode(),
+        rows(naca("4412", 40)).replace("\n", "\r\n").encode(),
+        b"NACA 4412\n" + commas(naca("4412", 40)).encode(),
+        commas(naca("4412", 40), ";", "\r\n").encode(),
+        commas(naca("4412", 40), "  ").encode(),
+        commas(naca("4412", 40), ", ").encode(),
+        b"NACA 4412\n" + rows(naca("4412", 40)).replace("  ", ", ").encode(),
+        b"NACA 4412 \xb0\n" + fortran(naca("4412", 40)).encode(),
+    ],
+    ids=[
+        "bom",
+        "utf-16",
+        "cr",
+        "crlf",
+        "comma-tab",
+        "comma-semicolon",
+        "comma-blank",
+        "comma-comma",
+        "csv",
+        "fortran",
+    ],
+)
+def test_text_of_other_machines_keeps_every_point(tmp_path, raw):
+    path = tmp_path / "wing.dat"
+    path.write_bytes(raw)
+    section = load_airfoil(path)
+    assert len(section.coordinates) == 79
+    assert np.allclose(section.coordinates[[0, -1]], naca("4412", 40)[[0, -1]], atol=4e-4)
+    assert section.camber == pytest.approx(0.04, abs=2e-4)
 
 
 FIGURE_EIGHT = naca("0012", 40) * [1, 1]
@@ -157,7 +259,10 @@ FIGURE_EIGHT[60:, 1] *= -2.5
         (naca("0012", 40) * [0, 1], "same x"),
         (np.zeros((0, 2)), "0 points are too few"),
         (naca("0012", 40) * [1, 1e-4], "encloses"),
-        (np.where(np.arange(79)[:, None] == 5, np.nan, naca("0012", 40)), "not a number"),
+        (
+            np.where(np.arange(79)[:, None] == 5, np.nan, naca("0012", 40)),
+            "line 7: a coordinate is not a number",
+        ),
     ],
 )
 def test_unsound_contours_are_refused(tmp_path, points, words):

@@ -1,0 +1,304 @@
+"""Coordinate files of airfoils, and the conditions of a sound contour.
+
+Two orders are in use. Selig's: one list from the tail over the upper side to the nose and back along the lower side.
+Lednicer's: a line with the two counts, then the upper and the lower side, each from nose to tail; the counts may be
+missing. A closed line that begins elsewhere is turned to begin at the tail. Titles before and remarks behind the
+coordinates are passed over. Text is UTF-8 or UTF-16; numbers may have decimal commas or Fortran's exponents (1.0D-3). A
+sound contour has points enough, closes at the tail (up to a blunt base), encloses an area and does not cross itself.
+
+A file of one's own may stand anywhere in the plane. With p_t the middle of the tail, p_n the point furthest from it
+(nose), c their distance and the tilt of the chord line, nose up, a = atan2(y_n - y_t, x_t - x_n):
+
+* both ends off the x axis by more than :data:`_OFF_AXIS` c: the contour is moved so that one of them lies on the axis;
+* abs(a) > :data:`_TILTED`: the contour is turned about its nose by a, so that the chord line is the x axis. Below, the
+  frame of the file stays, as flat undersides of catalogues (up to 3.9 degrees) are meant to lie along x;
+* always: x is shifted and both are scaled so that x runs from 0 to 1.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.tables import decoded
+
+Array = NDArray[np.float64]
+
+
+class SectionWarning(UserWarning):
+    """A section's data is used in another way than it is written."""
+
+
+_FEWEST = 20
+_WIDEST_TAIL = 0.12  # of chord; a contour whose ends lie further apart is not closed
+_OFF_AXIS = 2e-3  # of chord
+_RESCALED = 0.02  # of chord: of a smaller change of scale nobody is told
+_TILTED = math.radians(4.0)
+_LEVEL = math.radians(0.6)  # the tail, a sharper point than the nose, then says where the axis lies
+_NAMED_TILT = math.radians(1.5)  # of which a user is told
+_NEAR_END, _SQUARE = 0.05, 1e-3  # of chord: where nose and tail differ; between the corners of a blunt tail
+_FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
+
+
+def read_contour(path: Path) -> Array:
+    """Read a coordinate file whose frame is that of the catalogue.
+
+    Returns
+    -------
+    (n, 2) array
+        Chord one, Selig order, as :func:`checked_contour` leaves it.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or holds no sound contour.
+    """
+    where = str(path)
+    return checked_contour(_from_tail(_read_points(path, where), where), where)
+
+
+def read_own_contour(path: Path) -> tuple[Array, str]:
+    """Read a coordinate file that may stand anywhere in the plane; warn where it was moved or turned.
+
+    Returns
+    -------
+    contour : (n, 2) array
+        Chord one, Selig order.
+    words : str
+        How the contour was moved, turned or scaled; empty where it was not.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or holds no sound contour.
+    """
+    where = str(path)
+    contour, words = placed_contour(_from_tail(_read_points(path, where), where))
+    checked = checked_contour(contour, where)
+    if words:
+        warnings.warn(f"{path.name}: {words}", SectionWarning, stacklevel=2)
+    return checked, words
+
+
+def placed_contour(contour: Array) -> tuple[Array, str]:
+    """Move, turn and mirror a contour until its chord line is along x, as the module's docstring says.
+
+    Parameters
+    ----------
+    contour : (n, 2) array
+        Starting and ending at the tail.
+
+    Returns
+    -------
+    placed : (n, 2) array
+    words : str
+        Empty where the contour has its place.
+    """
+    if len(contour) < 3 or not (np.all(np.isfinite(contour)) and np.ptp(contour[:, 0]) > 0.0):
+        return contour, ""
+    done = []
+    tail = 0.5 * (contour[0] + contour[-1])
+    nose = contour[int(np.argmax(np.hypot(*(contour - tail).T)))]
+    if nose[0] - tail[0] > abs(nose[1] - tail[1]):  # tail on the left
+        contour, nose, tail = contour * [-1.0, 1.0], nose * [-1.0, 1.0], tail * [-1.0, 1.0]
+        done.append("mirrored, as its nose is at the greater x")
+    chord = float(np.hypot(*(tail - nose)))
+    tilt = math.atan2(nose[1] - tail[1], tail[0] - nose[0])
+    end = tail if abs(tilt) < _LEVEL else nose
+    up = -float(end[1]) if min(abs(nose[1]), abs(tail[1])) > _OFF_AXIS * chord else 0.0
+    if abs(tilt) > _TILTED:
+        c, s = math.cos(tilt), math.sin(tilt)
+        contour = nose + (contour - nose) @ np.array([[c, s], [-s, c]])
+        done.append(f"turned by {math.degrees(tilt):+.2f} degrees onto its chord line")
+    if up:
+        contour = contour + np.array([0.0, up])
+    low, size = float(contour[:, 0].min()), float(np.ptp(contour[:, 0]))
+    if up or abs(low) > _OFF_AXIS * size:
+        done.append(f"moved by ({-low / size + 0.0:.3g}, {up / size:.3g}) chords")
+    if abs(size - 1.0) > _RESCALED:
+        done.append(f"scaled by {1.0 / size:.3g}")
+    words = f"the contour was {', '.join(done)}: x now runs from 0 to 1" if done else ""
+    if _NAMED_TILT < abs(tilt) <= _TILTED:
+        words += f"{'; ' if words else ''}its chord line stands {math.degrees(tilt):+.1f} degrees to the x axis, from "
+        words += "which the angle of attack counts"
+    return contour, words
+
+
+def _read_points(path: Path, where: str) -> list[tuple[int, list[float]]]:
+    """Points with their lines: two numbers each, or three with the same third."""
+    try:
+        lines = decoded(path.read_bytes()).splitlines()
+    except OSError as error:
+        raise InputError(where, "", f"cannot be read ({error})", "give a text file of coordinates") from error
+    points: list[tuple[int, list[float]]] = []
+    odd: tuple[int, str] | None = None  # a line after the first point that is none itself
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        numbers = _numbers(line)
+        if len(numbers) not in (2, 3) or (points and len(numbers) != len(points[0][1])):
+            odd = odd or ((number, line.strip()) if points else None)
+        elif odd is not None:
+            raise InputError(where, f"line {odd[0]}", f"{odd[1]!r} is no point", "give x and y on each line")
+        else:
+            points.append((number, numbers))
+    for number, numbers in points:
+        if not all(map(math.isfinite, numbers)):
+            raise InputError(
+                where, f"line {number}", "a coordinate is not a number", "give finite coordinates"
+            )
+        if len(numbers) == 3 and numbers[2] != points[0][1][2]:
+            raise InputError(
+                where, f"line {number}", "has three coordinates", "give x and y of a flat section"
+            )
+    return [(number, numbers[:2]) for number, numbers in points]
+
+
+def _numbers(line: str) -> list[float]:
+    """The numbers of a line, none if one of its words is no number."""
+    words = [w.rstrip(",;") for w in line.replace(";", " ").split()]
+    decimal = "." not in line and len(words) > 1 and any("," in w for w in words)  # 0,25 0,1
+    words = (
+        [w.replace(",", ".") for w in words] if decimal else line.replace(",", " ").replace(";", " ").split()
+    )
+    try:
+        return [float(w) for w in words]
+    except ValueError:
+        pass
+    try:
+        return [float(_FORTRAN.sub("e", w)) for w in words]
+    except ValueError:
+        return []
+
+
+def _from_tail(points: list[tuple[int, list[float]]], where: str) -> Array:
+    """Contour (n, 2) in any scale, from the tail around to the tail, whatever the order of the file."""
+    contour = np.array([p for _, p in points], dtype=np.float64).reshape(-1, 2)
+    if len(contour) < 3:
+        return contour
+    counts = contour[0]
+    if counts.min() > 1.5 and np.allclose(counts, np.round(counts), atol=1e-3):
+        if len(contour) - 1 == round(float(counts.sum())):
+            return _from_lednicer(contour[1:], round(float(counts[0])))
+        if contour[1:].max() < 0.5 * counts.max():  # no point of a contour in this scale
+            raise InputError(
+                where, "", f"announces {counts[0]:g} + {counts[1]:g} points and has {len(contour) - 1}",
+                "correct the counts",
+            )  # fmt: skip
+    low, size = float(contour[:, 0].min()), float(np.ptp(contour[:, 0]))
+    if not size > 0:
+        return contour
+    x = (contour[:, 0] - low) / size
+    back = np.flatnonzero((x[:-1] > 0.9) & (x[1:] < 0.1))
+    if x[0] < 0.1 and back.size == 1:
+        return _from_lednicer(contour, int(back[0]) + 1)
+    gap = float(np.hypot(*(contour[0] - contour[-1]))) / size
+    if gap > _WIDEST_TAIL or x[0] > 0.9:
+        return contour
+    # A closed line that begins elsewhere, or at a tail that lies at the least x.
+    ring = contour[:-1] if gap < 1e-9 else contour
+    x = x[: len(ring)]
+    if _thickness_near(ring, x < _NEAR_END) < 0.5 * _thickness_near(ring, x > 1.0 - _NEAR_END):
+        x = 1.0 - x
+    tail = int(np.argmax(x))
+    ring, x = np.roll(ring, -tail, axis=0), np.roll(x, -tail)
+    if x[-1] > 1.0 - _SQUARE:  # a blunt tail, begun at its second corner
+        return ring
+    if x[1] > 1.0 - _SQUARE:
+        return np.roll(ring, -1, axis=0)
+    return np.concatenate((ring, ring[:1]))
+
+
+def _thickness_near(ring: Array, end: NDArray[np.bool_]) -> float:
+    return float(np.ptp(ring[end, 1])) if np.count_nonzero(end) > 1 else math.inf
+
+
+def _from_lednicer(table: Array, n_upper: int) -> Array:
+    """Lednicer: upper and lower side, each from nose to tail."""
+    upper, lower = table[:n_upper], table[n_upper:]
+    first = 1 if len(lower) and len(upper) and np.allclose(lower[0], upper[0], atol=1e-6) else 0
+    return np.concatenate((upper[::-1], lower[first:]))
+
+
+def checked_contour(contour: Array, where: str) -> Array:
+    """Bring a contour to chord one in Selig order, or say what is wrong with it.
+
+    Parameters
+    ----------
+    contour : (n, 2) array
+        Any scale and either direction of travel, starting at the tail.
+    where : str
+        What an error calls the place.
+
+    Raises
+    ------
+    InputError
+        If points are too few or not finite, or the contour is open, flat or crosses itself.
+    """
+    if len(contour) and not np.all(np.isfinite(contour)):
+        raise InputError(where, "", "a coordinate is not a number", "give finite coordinates")
+    if len(contour) > 1:
+        step = np.linalg.norm(np.diff(contour, axis=0), axis=1)
+        contour = contour[np.concatenate(([True], step > 1e-9))]
+    if len(contour) < _FEWEST:
+        raise InputError(
+            where, "", f"{len(contour)} points are too few for a contour",
+            f"give at least {_FEWEST} lines of x and y",
+        )  # fmt: skip
+    low, chord = contour[:, 0].min(), np.ptp(contour[:, 0])
+    if not chord > 0:
+        raise InputError(where, "", "all points have the same x", "give x from 0 (nose) to 1 (tail)")
+    contour = (contour - [low, 0.0]) / chord
+    nose = int(np.argmin(contour[:, 0]))
+    gap = float(np.linalg.norm(contour[0] - contour[-1]))
+    if gap > _WIDEST_TAIL or min(contour[0, 0], contour[-1, 0]) < 0.9:
+        raise InputError(
+            where, "", f"the contour is open: its ends are {gap:.3g} chords apart",
+            "list points from the tail over the nose back to the tail",
+        )  # fmt: skip
+    if nose in (0, len(contour) - 1):
+        raise InputError(where, "", "the contour has only one side", "give upper and lower side")
+    x, y = contour.T
+    area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    if area < 0:  # lower side first
+        contour = contour[::-1]
+    crossing = _first_crossing(contour)
+    if crossing is not None:
+        i, j = crossing
+        raise InputError(
+            where, "", f"the contour crosses itself near x = {contour[i, 0]:.3f} (points {i + 1} and {j + 1})",
+            "correct or remove those points",
+        )  # fmt: skip
+    if not abs(area) > 1e-3:
+        raise InputError(
+            where, "", f"the contour encloses {abs(area):.2g} chord^2", "give a section with thickness"
+        )
+    return np.ascontiguousarray(contour)
+
+
+def _first_crossing(contour: Array) -> tuple[int, int] | None:
+    """First pair of segments that cross, by the signs of the four triangles that their ends span."""
+    p, d = contour[:-1], np.diff(contour, axis=0)
+    q = contour[1:]
+
+    def cross(ax: Array, ay: Array, bx: Array, by: Array) -> Array:
+        return ax * by - ay * bx
+
+    def side(point: Array) -> Array:
+        """Side of each segment (row) on which each point (column) lies."""
+        return cross(
+            d[:, None, 0], d[:, None, 1], point[None, :, 0] - p[:, None, 0], point[None, :, 1] - p[:, None, 1]
+        )
+
+    parts = side(p) * side(q) < -1e-18
+    hit = np.triu(parts & parts.T, k=2)
+    if not hit.any():
+        return None
+    i, j = np.argwhere(hit)[0]
+    return int(i), int(j)
