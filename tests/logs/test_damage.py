@@ -1,14 +1,18 @@
 """Whatever bytes a file holds: it is read as far as it is sound, or refused in one line. No other exception."""
 
+import json
+import struct
 import warnings
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, Writer
 
 from mufly.errors import InputError
-from mufly.logs import FORMATS, LogWarning, examine, read_log, write_log
+from mufly.logs import FORMATS, LogWarning, examine, read_log, read_raw, read_recording, write_log
 
 
 def survives(path):
@@ -89,3 +93,169 @@ def test_text_of_any_kind_is_read_or_refused(tmp_path):
     for _ in range(150):
         path.write_text("".join(rng.choice(letters, size=rng.integers(3, 200))))
         survives(path)
+
+
+def foreign_mcap(path, compression=CompressionType.NONE, **options):
+    """600 messages, 10 ms apart, in chunks of some 50; the numbers of each tell where it stood."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=compression, chunk_size=4096, **options)
+        writer.start(library="of somebody else")
+        schema = writer.register_schema("imu", "jsonschema", b"{}")
+        channel = writer.register_channel("/imu", "json", schema)
+        for k in range(600):
+            at = 1_700_000_000_000_000_000 + 10_000_000 * k
+            writer.add_message(channel, at, json.dumps({"roll": k / 7, "seq": k}).encode(), at, k)
+        writer.finish()
+    return bytearray(path.read_bytes())
+
+
+def records_of(content):
+    """Offset, opcode and length of every record beside the chunks."""
+    at = 8
+    while at + 9 <= len(content) - 8:
+        opcode, length = struct.unpack_from("<BQ", content, at)
+        yield at, opcode, length
+        at += 9 + length
+
+
+def imu(path, content):
+    path.write_bytes(content)
+    raw = read_raw(path)
+    seq = raw["/imu"].fields["seq"]
+    assert (raw["/imu"].fields["roll"] == seq / 7).all()
+    return raw, seq
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_a_damaged_chunk_costs_its_own_messages_alone(tmp_path, compression):
+    content = foreign_mcap(tmp_path / "a.mcap", compression)
+    chunks = [(at, length) for at, opcode, length in records_of(content) if opcode == Opcode.CHUNK]
+    raw, seq = imu(tmp_path / "a.mcap", content)
+    assert raw.complete
+    assert len(seq) == 600
+    at, length = chunks[3]
+    content[at + 9 + length // 2 : at + 9 + length // 2 + 8] = b"\xff" * 8
+    raw, seq = imu(tmp_path / "a.mcap", content)
+    gone = np.setdiff1d(np.arange(600), seq)
+    assert 40 < len(gone) < 70
+    assert np.ptp(gone) == len(gone) - 1
+    (said,) = raw.describe_damage()
+    assert f"{len(gone)} messages from {gone[0] / 100:.2f} to {gone[-1] / 100:.2f} s are missing" in said
+    assert f"{len(seq)} of 600 messages are here" in said
+    content[at + 1 : at + 9] = b"\xff" * 8  # its length leads nowhere: the index knows the next
+    assert np.array_equal(imu(tmp_path / "a.mcap", content)[1], seq)
+    content = content[: chunks[8][0]]  # no index any more: the next chunk is found by its looks
+    raw, seq = imu(tmp_path / "a.mcap", content)
+    assert not raw.complete
+    assert np.array_equal(np.setdiff1d(np.arange(seq[-1] + 1), seq), gone)
+
+
+def test_records_outside_chunks_are_found_again(tmp_path):
+    content = foreign_mcap(tmp_path / "a.mcap", use_chunking=False)
+    places = [at for at, opcode, _ in records_of(content) if opcode == Opcode.MESSAGE]
+    content[places[100] + 1 : places[100] + 9] = b"\xff" * 8
+    content[places[200] + 40] = 0xFF  # its text is no JSON any more
+    raw, seq = imu(tmp_path / "a.mcap", content)
+    assert np.setdiff1d(np.arange(600), seq).tolist() == [100, 200]
+    assert "599 of 600 messages are here" in raw.damage
+    assert raw.notes == ("/imu: 1 of 599 messages are no JSON, left out",)
+
+
+def test_an_index_that_is_damaged_costs_nothing(tmp_path):
+    whole = foreign_mcap(tmp_path / "a.mcap")
+    summary = [(at, length) for at, opcode, length in records_of(whole) if opcode == Opcode.CHUNK_INDEX]
+    for offset in (9, 20, 1):
+        content = whole.copy()
+        content[summary[2][0] + offset] ^= 0xFF
+        raw, seq = imu(tmp_path / "a.mcap", content)
+        assert len(seq) == 600
+        assert raw.damage == "the index at its end is damaged"
+    content = whole.copy()
+    at = next(at for at, opcode, _ in records_of(whole) if opcode == Opcode.DATA_END)
+    content[at] = 0  # the record between data and index
+    raw, seq = imu(tmp_path / "a.mcap", content)
+    assert len(seq) == 600
+    assert f"damaged bytes at byte {at} (13 bytes)" in raw.damage
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_a_cut_chunk_keeps_the_messages_before_the_cut(tmp_path, compression):
+    content = foreign_mcap(tmp_path / "a.mcap", compression)
+    chunks = [(at, length) for at, opcode, length in records_of(content) if opcode == Opcode.CHUNK]
+    at, length = chunks[5]
+    before = len(imu(tmp_path / "a.mcap", content[:at])[1])
+    raw, seq = imu(tmp_path / "a.mcap", content[: at + 9 + length * 2 // 3])
+    assert np.array_equal(seq, np.arange(len(seq)))
+    assert f"the file ends inside a chunk of {9 + length} bytes" in raw.damage
+    assert "it has no end mark" in raw.damage
+    if compression is CompressionType.NONE:
+        assert len(seq) > before + 20
+        assert f"of which {len(seq) - before} messages are kept" in raw.damage
+
+
+def test_what_stands_behind_the_end_mark_is_told(tmp_path):
+    content = foreign_mcap(tmp_path / "a.mcap")
+    for behind in (bytes(5000), b"garbage"):
+        raw, seq = imu(tmp_path / "a.mcap", content + behind)
+        assert len(seq) == 600
+        assert raw.damage == f"{len(behind)} bytes behind its end mark are none of it"
+    raw, seq = imu(tmp_path / "a.mcap", content[:30_000] + bytes(len(content) - 30_000))
+    assert not raw.complete
+    assert 200 < len(seq) < 400
+
+
+def test_a_packing_that_is_not_known_is_refused_by_its_name(tmp_path):
+    content = foreign_mcap(tmp_path / "a.mcap", CompressionType.ZSTD)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content.replace(b"\x04\x00\x00\x00zstd", b"\x04\x00\x00\x00lzma"))
+    with pytest.raises(
+        InputError, match="packed by 'lzma', which is not read here; repack it: mcap compress"
+    ):
+        read_raw(path)
+
+
+def test_a_recording_cut_at_any_byte_of_its_last_block_keeps_every_whole_row(
+    tmp_path, make_signals, monkeypatch
+):
+    monkeypatch.setattr("mufly.logs.recording._BLOCK_ROWS", 50)
+    data = make_signals(n=60).drop_vars(["flap", "measured_rates"])
+    path = tmp_path / "flight.mcap"
+    content = write_log(data, path).read_bytes()
+    chunks = [at for at, opcode, _ in records_of(content) if opcode == Opcode.CHUNK]
+    assert len(chunks) == 2
+    for end in [*range(chunks[-1], len(content), 37), *range(len(content) - 40, len(content))]:
+        path.write_bytes(content[:end])
+        with pytest.warns(LogWarning, match=r"is damaged, cut off or still being written.*no end mark"):
+            back = read_recording(path)
+        n = back.sizes["time"]
+        assert n >= 50
+        assert back.attrs["complete"] is False
+        assert np.array_equal(back.measured_attitude, data.measured_attitude[:n])
+    damaged = bytearray(content)
+    damaged[chunks[0] + 500] ^= 1
+    path.write_bytes(damaged)
+    with pytest.warns(LogWarning, match=r"messages from 0\.00 to 0\.98 s are missing"):
+        back = read_recording(path)
+    assert back.time.values.tolist() == data.time.values[50:].tolist()
+    assert np.array_equal(back.motor_input, data.motor_input[50:])
+
+
+@pytest.fixture(scope="session")
+def whole_files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mcap")
+    return [foreign_mcap(folder / "a.mcap", compression) for compression in CompressionType]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_no_damage_to_a_chunk_makes_wrong_numbers(tmp_path_factory, whole_files, draw):
+    path = tmp_path_factory.getbasetemp() / "damaged.mcap"
+    content = whole_files[draw.draw(st.integers(0, 2))].copy()
+    chunks = [(at, length) for at, opcode, length in records_of(content) if opcode == Opcode.CHUNK]
+    at, length = draw.draw(st.sampled_from(chunks))
+    start = draw.draw(st.integers(at, at + 8 + length))
+    for k in range(start, min(start + draw.draw(st.integers(1, 9)), at + 9 + length)):
+        content[k] ^= draw.draw(st.integers(1, 255))
+    raw, seq = imu(path, content)
+    assert len(seq) > 530
+    assert not raw.complete or len(seq) == 600

@@ -167,7 +167,11 @@ def read_pictures(path: Path) -> RecordedPictures:
         )  # fmt: skip
     facts = contents.metadata.get("mufly.camera", {})
     start_ns = int(facts.get("start_ns", images[0][0]))
-    told = [orjson.loads(c) for _, c in contents.messages.get(_TOPICS[1], [])]
+    tellings = contents.messages.get(_TOPICS[1], [])
+    if tellings and not contents.complete:  # a picture and what was told with it have one time
+        both = {t for t, _ in images} & {t for t, _ in tellings}
+        images, tellings = ([m for m in kind if m[0] in both] for kind in (images, tellings))
+    told = [orjson.loads(c) for _, c in tellings]
     count = min(len(images), len(told)) if told else len(images)  # cut off between two
     camera = contents.attachments.get("camera.toml", b"").decode()
     times = [(t - start_ns) * 1e-9 for t, _ in images[:count]]

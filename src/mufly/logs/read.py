@@ -276,7 +276,7 @@ def read_log(
             raise InputError(str(path), "", "holds no signal with a name of ours", remedy)
         data = put_together(found_channels, rate_hz, notes)
         data.attrs |= {"start_time": raw.start_time, "complete": raw.complete}
-        notes += [] if raw.complete else ["the file is damaged or cut off; what could be read is here"]
+        notes += raw.describe_damage()
     data.attrs |= {"source": Path(path).name, "format": kind, "notes": notes}
     for note in notes:
         warnings.warn(f"{Path(path).name}: {note}", LogWarning, stacklevel=2)

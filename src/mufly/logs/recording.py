@@ -52,8 +52,8 @@ def read_recording(path: str | Path) -> xr.Dataset:
     -------
     xarray.Dataset
         As :func:`to_dataset` makes it. ``attrs["complete"]`` is False when the file ends before its end mark
-        or holds a damaged chunk, and a :class:`mufly.logs.LogWarning` says so; everything up to the last whole chunk
-        (at most one second is lost) is there.
+        or holds a damaged chunk, and a :class:`mufly.logs.LogWarning` says what is missing; every row that is whole
+        is there (of a file that was cut off at most the last second is lost).
 
     Raises
     ------
@@ -88,8 +88,11 @@ def recording_of(contents: McapContents, where: str) -> xr.Dataset:
     if not states:
         raise InputError(where, "", "holds no rows", "the flight ended before its first row was on disk")
     if not attributes["complete"]:
+        damage = contents.describe_damage(int(attributes.get("start_time_ns", 0)))
         note = f"is damaged, cut off or still being written; what is whole, to {rows[-1, 0]:g} s, is here"
-        warnings.warn(f"{Path(where).name}: {note}", LogWarning, stacklevel=3)
+        warnings.warn(
+            f"{Path(where).name}: {note}{f' ({damage})' if damage else ''}", LogWarning, stacklevel=3
+        )
     return to_dataset(rows, states, layout, attributes=attributes, events=_events(contents))
 
 
@@ -112,11 +115,14 @@ def _attributes(texts: Mapping[str, str]) -> dict[str, Any]:
 
 def _rows(contents: McapContents, layout: Layout) -> tuple[NDArray[np.float64], list[str]]:
     """Put the messages of all topics side by side again; every topic has one message a row."""
-    clock = [orjson.loads(data) for _, data in contents.messages.get(CLOCK_TOPIC, [])]
+    found = {t: contents.messages.get(t, []) for t in (CLOCK_TOPIC, *layout.topics)}
+    if not contents.complete:
+        found = _whole_rows(found)
+    clock = [orjson.loads(data) for _, data in found[CLOCK_TOPIC]]
     n = len(clock)
     table: list[list[list[float | None]]] = [[[entry["time"]] for entry in clock]]
     for topic, quantities in layout.topics.items():
-        messages = contents.messages.get(topic, [])
+        messages = found[topic]
         n = min(n, len(messages))
         fields = [(q.field, q.dim) for q in quantities]
         part: list[list[float | None]] = []
@@ -133,6 +139,13 @@ def _rows(contents: McapContents, layout: Layout) -> tuple[NDArray[np.float64], 
         table.append(part)
     blocks = [np.array(part[:n], dtype=np.float64) for part in table if n]  # None becomes NaN
     return np.hstack(blocks) if n else np.empty((0, layout.width)), [entry["state"] for entry in clock[:n]]
+
+
+def _whole_rows(found: dict[str, list[tuple[int, bytes]]]) -> dict[str, list[tuple[int, bytes]]]:
+    """Messages of those rows of which every topic has one; those of a row have one time."""
+    times = [{t for t, _ in messages} for messages in found.values()]
+    whole = set.intersection(*times) if times else set()
+    return {topic: [m for m in messages if m[0] in whole] for topic, messages in found.items()}
 
 
 def _events(contents: McapContents) -> list[Event]:
@@ -419,7 +432,11 @@ def raw_mcap(contents: McapContents, where: str) -> RawLog:
     """
     ours = is_recording(contents)
     if not any(contents.messages.values()):
-        raise InputError(where, "", "holds no messages", "the recording ended before its first second")
+        damage = contents.describe_damage()
+        raise InputError(
+            where, "", f"holds no messages{f' that can be read ({damage})' if damage else ''}",
+            "give another copy of the file" if contents.lost else "the recording ended before its first second",
+        )  # fmt: skip
     times = {k: np.array([t for t, _ in m], dtype=np.float64) / 1e9 for k, m in contents.messages.items()}
     foreign, strange = foreign_stamps(times)
     zero = min(
@@ -427,24 +444,28 @@ def raw_mcap(contents: McapContents, where: str) -> RawLog:
     )
     units = _units(contents) if ours else {}
     tables: dict[str, RawTable] = {}
-    unread = []
-    for topic, messages in contents.messages.items():
-        if not messages or (ours and topic in _NO_SIGNALS):
+    unread, notes = [], []
+    for topic, written in contents.messages.items():
+        if not written or (ours and topic in _NO_SIGNALS):
             continue
-        try:
-            rows = [dict(_leaves(orjson.loads(data))) for _, data in messages]
-        except orjson.JSONDecodeError:
+        kept, rows = _json_rows([content for _, content in written])
+        if not rows:
             unread.append(topic)
             continue
-        time = (np.array([t for t, _ in messages], dtype=np.int64) - zero) / 1e9
-        time[foreign[topic]] = np.nan
+        if len(rows) < len(written):
+            notes.append(
+                f"{topic}: {len(written) - len(rows)} of {len(written)} messages are no JSON, left out"
+            )
+        time = (np.array([written[k][0] for k in kept], dtype=np.int64) - zero) / 1e9
+        time[foreign[topic][kept]] = np.nan
         names = dict.fromkeys(name for row in rows for name in row)
         fields = {name: _values([row.get(name) for row in rows]) for name in names}
         tables[topic] = RawTable(topic, time, fields, units.get(topic, {}))
     if not tables:
         problem = f"holds no JSON messages (topics: {', '.join(unread) or 'none'})"
         raise InputError(where, "", problem, "convert its messages to JSON first")
-    notes = [f"topics in another encoding than JSON are left out: {', '.join(unread)}"] if unread else []
+    if unread:
+        notes.append(f"topics in another encoding than JSON are left out: {', '.join(unread)}")
     notes += [w for w in strange if w.partition(": ")[0] in tables]
     return RawLog(
         path=where,
@@ -455,7 +476,31 @@ def raw_mcap(contents: McapContents, where: str) -> RawLog:
         info={"recorded by": "mufly"} if ours else {},
         complete=contents.complete,
         notes=tuple(notes),
+        damage=contents.describe_damage(zero),
     )
+
+
+_TRIED = 20
+
+
+def _json_rows(contents: list[bytes]) -> tuple[Sequence[int], list[dict[str, Any]]]:
+    """Return which messages are JSON, and their numbers; none if of a sample most are not."""
+    try:
+        return range(len(contents)), [dict(_leaves(orjson.loads(data))) for data in contents]
+    except orjson.JSONDecodeError:
+        sample = contents[:: 1 + len(contents) // _TRIED]
+        if sum(map(_is_json, sample)) < len(sample) / 2:
+            return (), []
+        kept = [k for k, data in enumerate(contents) if _is_json(data)]
+        return kept, [dict(_leaves(orjson.loads(contents[k]))) for k in kept]
+
+
+def _is_json(data: bytes) -> bool:
+    try:
+        orjson.loads(data)
+    except orjson.JSONDecodeError:
+        return False
+    return True
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:

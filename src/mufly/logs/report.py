@@ -60,7 +60,7 @@ class LogReport:
 
     def faults(self) -> list[str]:
         """Everything that is wrong, a sentence each."""
-        out = [] if self.raw.complete else ["the file is damaged or cut off; what could be read is here"]
+        out = self.raw.describe_damage()
         if self.raw.dropouts:
             lost = sum(d for _, d in self.raw.dropouts)
             times = "once" if len(self.raw.dropouts) == 1 else f"{len(self.raw.dropouts)} times"

@@ -81,6 +81,8 @@ class RawLog(Mapping[str, RawTable]):
         Where the logger itself says that it lost data.
     complete : bool
         Whether the file ends as it should, without damage.
+    damage : str
+        Of a file that does not: what is missing, in words, as far as it can be told.
     notes : tuple of str
         What the reader repaired or guessed, in words.
     """
@@ -94,6 +96,7 @@ class RawLog(Mapping[str, RawTable]):
     dropouts: tuple[tuple[float, float], ...] = ()
     complete: bool = True
     notes: tuple[str, ...] = ()
+    damage: str = ""
 
     def __getitem__(self, topic: str) -> RawTable:
         return self.tables[topic]
@@ -103,6 +106,11 @@ class RawLog(Mapping[str, RawTable]):
 
     def __len__(self) -> int:
         return len(self.tables)
+
+    def describe_damage(self) -> list[str]:
+        """Return a sentence that says that the file is damaged and what is missing; none for a whole file."""
+        what = f": {self.damage}" if self.damage else ""
+        return [] if self.complete else [f"the file is damaged or cut off{what}; what is whole is here"]
 
     @property
     def span(self) -> tuple[float, float]:

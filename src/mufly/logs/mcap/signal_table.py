@@ -1,0 +1,306 @@
+"""Signals on one clock: which column of a row holds what, a dataset's components as plain columns, and back.
+
+A flight is a row of float64 values every sampling instant: column 0 is the time (s), the others are the quantities
+of :mod:`mufly.quantities` in their order. The writer, the schemas inside the file, the reader, the CSV header and
+``docs/recordings.md`` follow a :class:`Layout`; a file carries its own copy, so that it stays readable when the
+table grows.
+
+As a plain column a component is called ``variable_label`` (``measured_attitude_roll``). What columns alone cannot
+say (the dataset's attributes, events, labels of a user's own dimensions) travels as one JSON text where the format
+has room for it.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import orjson
+import xarray as xr
+from numpy.typing import NDArray
+
+from mufly.logs.topics import Channel
+from mufly.quantities import LABELS, Quantity, kept_by, quantity_named
+
+_TOLD = ("name", "topic", "field", "dim", "units", "long_name")  # what a file says of a quantity
+_TIME = {"units": "s", "long_name": "time"}
+_EVENT = ("event_time", "event_state", "event_text", "event_level")
+
+
+class Event(NamedTuple):
+    """Something that happened: time (s), mission state entered or held, text, level (info, warning, error)."""
+
+    time_s: float
+    state: str
+    text: str
+    level: str = "info"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which column of a row holds what.
+
+    Attributes
+    ----------
+    quantities : tuple of Quantity
+        In the order of the columns; those of one topic stand together.
+    beams : int
+        Number of range beams.
+    other_labels : tuple of (dim, labels)
+        Labels of dimensions that :mod:`mufly.quantities` does not have, in recordings made from other people's logs.
+    """
+
+    quantities: tuple[Quantity, ...]
+    beams: int
+    other_labels: tuple[tuple[str, tuple[str, ...] | tuple[int, ...]], ...] = ()
+
+    def __post_init__(self) -> None:
+        if list(self.topics) != [topic for topic, _ in groupby(q.topic for q in self.quantities)]:
+            raise ValueError("the quantities of a topic must stand together")
+
+    def labels(self, quantity: Quantity) -> tuple[str, ...] | tuple[int, ...]:
+        """Labels along the quantity's dimension; empty for a scalar."""
+        if quantity.dim is None:
+            return ()
+        if quantity.dim == "beam":
+            return tuple(range(self.beams))
+        return dict(self.other_labels).get(quantity.dim) or LABELS[quantity.dim]
+
+    @cached_property
+    def columns(self) -> dict[str, slice]:
+        """Columns of each variable in a row, ``{"truth_position": slice(1, 4), ...}``; time is column 0."""
+        found: dict[str, slice] = {}
+        first = 1
+        for quantity in self.quantities:
+            width = len(self.labels(quantity)) if quantity.dim else 1
+            found[quantity.name] = slice(first, first + width)
+            first += width
+        return found
+
+    @cached_property
+    def width(self) -> int:
+        """Number of columns of a row, the time included."""
+        return max((part.stop for part in self.columns.values()), default=1)
+
+    @cached_property
+    def topics(self) -> dict[str, tuple[Quantity, ...]]:
+        """The quantities of each topic, in order."""
+        names = dict.fromkeys(quantity.topic for quantity in self.quantities)
+        return {name: tuple(q for q in self.quantities if q.topic == name) for name in names}
+
+    def to_json(self) -> str:
+        """Text form, kept inside every recording."""
+        content: dict[str, object] = {
+            "beams": self.beams,
+            "quantities": [{k: getattr(q, k) for k in _TOLD} for q in self.quantities],
+        }
+        if self.other_labels:
+            content["labels"] = dict(self.other_labels)
+        return orjson.dumps(content).decode()
+
+    @classmethod
+    def from_json(cls, text: str) -> Layout:
+        """Inverse of :meth:`to_json`."""
+        content = orjson.loads(text)
+        others = tuple((dim, tuple(labels)) for dim, labels in content.get("labels", {}).items())
+        return cls(tuple(Quantity(**q) for q in content["quantities"]), int(content["beams"]), others)
+
+
+def standard_layout(beams: int = 8, *, sensors: bool = False) -> Layout:
+    """Layout of the rows of a flight with ``beams`` range beams, on ideal sensors or on its own."""
+    return Layout(kept_by("flight", "sensors") if sensors else kept_by("flight"), beams)
+
+
+def to_dataset(
+    rows: NDArray[np.float64],
+    states: Sequence[str],
+    layout: Layout,
+    *,
+    attributes: Mapping[str, Any] | None = None,
+    events: Sequence[Event] = (),
+) -> xr.Dataset:
+    """Give the columns of a flight their names.
+
+    Parameters
+    ----------
+    rows : (n, layout.width) array
+        One row an instant; column 0 is the time (s).
+    states : sequence of n str
+        Mission state at each instant.
+    layout : Layout
+        Which column is what.
+    attributes : mapping, optional
+        Attributes of the dataset (vehicle, mission, seed, ...).
+    events : sequence of Event, optional
+        Become ``event_time``, ``event_state``, ``event_text``, ``event_level`` over the dimension ``event``.
+
+    Returns
+    -------
+    xarray.Dataset
+        Coordinate ``time`` (s); every variable has ``units`` and ``long_name``.
+    """
+    coords: dict[str, Any] = {"time": ("time", rows[:, 0].copy(), _TIME)}
+    variables: dict[str, Any] = {}
+    for quantity in layout.quantities:
+        block = rows[:, layout.columns[quantity.name]].copy()
+        attrs = {"units": quantity.units, "long_name": quantity.long_name}
+        if quantity.dim is None:
+            variables[quantity.name] = ("time", block[:, 0], attrs)
+        else:
+            coords[quantity.dim] = list(layout.labels(quantity))
+            variables[quantity.name] = (("time", quantity.dim), block, attrs)
+    variables["mission_state"] = ("time", np.array(states, dtype=str), {"long_name": "state of the mission"})
+    parts = zip(*events, strict=True) if events else [()] * len(_EVENT)
+    variables |= {name: _event_part(name, values) for name, values in zip(_EVENT, parts, strict=True)}
+    return xr.Dataset(variables, coords, dict(attributes or {}))
+
+
+def _event_part(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
+    if name == "event_time":
+        attrs = {"units": "s", "long_name": "time of the event"}
+        return "event", np.array(values, dtype=np.float64), attrs
+    return "event", np.array(values, dtype=str)
+
+
+def events_of(dataset: xr.Dataset) -> list[Event]:
+    """The events of a recording, in order of time."""
+    parts = (dataset[name].values.tolist() for name in _EVENT)
+    return [Event(*values) for values in zip(*parts, strict=True)]
+
+
+def columns_of(dataset: xr.Dataset) -> list[Channel]:
+    """Return the components of every variable over time, in order."""
+    time = dataset["time"].values
+    out = []
+    # Variables, not arrays: to make an array of each of n, xarray looks through all n coordinates anew.
+    for key in dataset.data_vars:
+        name, variable = str(key), dataset.variables[key]
+        units = str(variable.attrs.get("units", "1"))
+        if "time" not in variable.dims or variable.ndim > 2:
+            continue
+        if variable.ndim == 1:
+            out.append(Channel(name, units, time, variable.values))
+            continue
+        dim = next(d for d in variable.dims if d != "time")
+        block = variable.transpose("time", dim).values
+        for k, label in enumerate(dataset[dim].values.tolist()):
+            out.append(Channel(f"{name}.{label}", units, time, block[:, k]))
+    return out
+
+
+def dataset_of(time: NDArray[np.float64], channels: Sequence[Channel]) -> xr.Dataset:
+    """Put channels whose values are on one clock together as a dataset; components that are missing are NaN.
+
+    Parameters
+    ----------
+    time : (n,) array
+        s.
+    channels : sequence of Channel
+        With n values each; their own clocks do not matter.
+    """
+    coords: dict[str, Any] = {"time": ("time", time, _TIME)}
+    variables: dict[str, Any] = {}
+    groups: dict[str, list[Channel]] = {}
+    for channel in channels:
+        groups.setdefault(channel.variable, []).append(channel)
+    # Variables that count their channels share that dimension, so it is as long as the longest of them.
+    counted: dict[str, list[int]] = {}
+    for name, group in groups.items():
+        known = quantity_named(name)
+        if known is not None and known.dim and not known.labels:
+            counted.setdefault(known.dim, []).extend(int(str(c.label)) for c in group)
+    for name, group in groups.items():
+        known, values = quantity_named(name), group[0].values
+        attrs = {} if values.dtype.kind in "US" else {"units": group[0].units}
+        attrs["long_name"] = known.long_name if known else name.replace("_", " ")
+        if known is None or known.dim is None:
+            variables[name] = ("time", values, attrs)
+            continue
+        labels: tuple[Any, ...] = known.labels or tuple(sorted(set(counted[known.dim])))
+        coords[known.dim] = list(labels)
+        found = {c.label: c.values for c in group}
+        missing = np.full(len(time), np.nan)
+        block = np.column_stack([found.get(str(k), missing) for k in labels])
+        variables[name] = (("time", known.dim), block, attrs)
+    return xr.Dataset(variables, coords)
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON can hold it."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return value.item()
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+def describe(dataset: xr.Dataset) -> str:
+    """Return as JSON what the columns do not say, for :func:`restore`."""
+    variables = {}
+    for key, variable in dataset.data_vars.items():
+        if "time" in variable.dims and variable.ndim <= 2:
+            dim = next((str(d) for d in variable.dims if d != "time"), None)
+            labels = None if dim is None else plain(variable[dim].values)
+            variables[str(key)] = {"dim": dim, "labels": labels, "attrs": plain(variable.attrs)}
+    events = {str(k): plain(v.values) for k, v in dataset.data_vars.items() if v.dims == ("event",)}
+    content = {"variables": variables, "events": events, "attributes": plain(dataset.attrs)}
+    return json.dumps(content)
+
+
+def restore(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], description: str) -> xr.Dataset:
+    """Inverse of :func:`columns_of` and :func:`describe`.
+
+    Raises
+    ------
+    KeyError, ValueError, TypeError
+        If columns and description do not belong together.
+    """
+    content = json.loads(description)
+    coords: dict[str, Any] = {"time": ("time", time, _TIME)}
+    variables: dict[str, Any] = {}
+    for name, about in content["variables"].items():
+        dim, labels, attrs = about["dim"], about["labels"], about["attrs"]
+        if dim is None:
+            variables[name] = ("time", columns[name], attrs)
+            continue
+        known = LABELS.get(dim)
+        coords[dim] = list(known) if known and list(map(str, known)) == list(map(str, labels)) else labels
+        block = np.column_stack([columns[f"{name}_{label}"] for label in labels])
+        variables[name] = (("time", dim), block, attrs)
+    for name, values in content["events"].items():
+        variables[name] = _event_part(name, values)
+    return xr.Dataset(variables, coords, content["attributes"])
+
+
+def to_csv(dataset: xr.Dataset, path: str | Path) -> Path:
+    """Write a recording as one comma-separated table, one row an instant.
+
+    The header names variable, label and unit, ``truth_position_N [m]``; a pure number has no unit. Values are
+    written with as many digits as bring back the same float64; NaN is an empty cell.
+
+    Returns
+    -------
+    Path
+        The file written.
+    """
+    channels = [Channel("time", "s", dataset["time"].values, dataset["time"].values), *columns_of(dataset)]
+    header = [c.column + (f" [{c.units}]" if c.units != "1" else "") for c in channels]
+    columns = [c.values.tolist() for c in channels]
+    target = Path(path)
+    with target.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(header)
+        # A value that differs from itself is NaN.
+        writer.writerows(["" if v != v else v for v in row] for row in zip(*columns, strict=True))
+    return target
