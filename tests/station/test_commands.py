@@ -7,7 +7,7 @@ import pytest
 
 from mufly.link import Command, Origin, mavlink
 from mufly.station import Outcome, autopilots
-from mufly.station.autopilots import commands_of, firmware_of, mode_words
+from mufly.station.autopilots import commands_of, firmware_of
 from mufly.station.commands import (
     PROGRESS_S,
     REASON_S,
@@ -17,6 +17,7 @@ from mufly.station.commands import (
     RemoteCommands,
     StatusTexts,
 )
+from mufly.vehicle_types import mode_words
 
 LAND = Command(21)
 
@@ -153,7 +154,10 @@ def test_every_autopilot_is_asked_in_its_own_way():
         (12, 2, 0, ""),
         (3, 2, 8, "mode 8"),  # a number that it gave up
         (3, 4, 5, "loiter"),
-        (3, 1, 5, "mode 5"),  # of an aeroplane, which means something else
+        (3, 1, 5, "fly by wire A"),  # of an aeroplane
+        (3, 10, 4, "hold"),
+        (3, 12, 19, "manual"),
+        (3, 0, 5, "mode 5"),
         (18, 2, 5, "mode 5"),
     ],
 )

@@ -63,6 +63,87 @@ def test_ground_stations_and_peripherals_are_no_vehicles():
     assert link.vehicles == []
 
 
+def heartbeat(kind, autopilot, component, system=1):
+    message = mavlink.MAVLink_heartbeat_message(kind, autopilot, 128, 0, 4, 3)
+    return Encoder(system, component)(message)
+
+
+@pytest.mark.parametrize(
+    ("kind", "autopilot", "component"),
+    [
+        (18, 0, 191),  # a companion computer that calls its autopilot GENERIC
+        (18, 3, 191),
+        (26, 0, 154),
+        (0, 0, 154),  # a gimbal of no type
+        (30, 0, 100),
+        (5, 3, 1),  # an antenna tracker with ArduPilot
+        (27, 0, 156),
+        (36, 0, 180),
+        (37, 0, 161),
+        (6, 3, 190),
+    ],
+)
+def test_equipment_that_speaks_first_is_never_the_vehicle(kind, autopilot, component):
+    notices = []
+    link = GroundLink(on_notice=notices.append)
+    for k in range(80):
+        now = 0.1 * k
+        if k % 5 == 0:
+            link.receive(now, "a", heartbeat(kind, autopilot, component, 1 if component != 1 else 2))
+        link.step(now)
+    assert link.vehicles == []
+    assert len(notices) == (kind != 6)
+    link.receive(9.0, "a", heartbeat(2, 12, 1))
+    (vehicle,) = link.vehicles
+    assert (vehicle.system, vehicle.component, vehicle.telemetry.vehicle_type) == (1, 1, 2)
+
+
+def test_the_autopilot_takes_over_from_a_companion_that_calls_itself_a_quadrotor():
+    mock = MockVehicle(parameters={"A": (1.0, 9)})
+    world = World(mock)
+    world.station.receive(world.t, "peer 0", heartbeat(2, 3, 191))
+    (vehicle,) = world.seen
+    assert vehicle.component == 191
+    early = vehicle.arm()
+    vehicle.telemetry.clock.stamp(9_000_000, world.t)  # the companion's clock is hours ahead
+    world.run(8.0, lambda: ready(vehicle))
+    assert world.seen == [vehicle]
+    assert (vehicle.component, vehicle.firmware) == (1, "PX4")
+    assert early.outcome is Outcome.TIMED_OUT
+    assert any("component 1 is the autopilot" in m.text for m in vehicle.messages)
+    assert vehicle.parameters["A"].value == 1.0
+    assert world.answer(vehicle.arm())[0] == "accepted"
+    assert {m.target_component for m in mock.commands} == {1}
+    world.run(1.0)
+    times, _ = vehicle.history.window(100.0)
+    assert times[-1] - times[0] < 60.0
+    world.station.receive(world.t, "peer 0", heartbeat(2, 3, 191))  # the companion goes on
+    assert vehicle.component == 1
+
+
+def test_equipment_with_the_vehicles_own_numbers_does_not_disarm_it():
+    mock = MockVehicle()
+    mock.armed, mock.custom_mode = True, 4 << 16 | 4 << 24
+    world = World(mock)
+    vehicle = met(world)
+    idle = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+    world.station.receive(world.t, "peer 0", Encoder(1, 1)(idle))
+    assert (vehicle.telemetry.armed, vehicle.telemetry.mode) == (True, "mission")
+    assert vehicle.telemetry.vehicle_type == 13
+
+
+def test_a_vehicle_whose_companion_goes_on_is_lost_all_the_same():
+    mock = MockVehicle()
+    world = World(mock)
+    vehicle = met(world)
+    world.down[0].cut = True
+    for _ in range(8):
+        world.run(0.5)
+        world.station.receive(world.t, "peer 0", heartbeat(18, 0, 191))
+    assert not vehicle.snapshot.connected
+    assert "is not heard any more" in vehicle.messages[-1].text
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_all_parameters_come_over_a_link_that_loses_three_of_ten(seed):
     parameters = {f"P{k}": (k / 8.0, 9) for k in range(120)}

@@ -10,10 +10,10 @@ import pytest
 from mufly.link import STATES, mavlink
 from mufly.quantities import told_by
 from mufly.station import History
-from mufly.station.autopilots import mode_words
 from mufly.station.commands import StatusTexts
 from mufly.station.history import HOLD_S
 from mufly.station.telemetry import PLAIN, Telemetry, VehicleClock
+from mufly.vehicle_types import mode_words
 
 
 def sent(message):

@@ -1,4 +1,4 @@
-"""How the autopilots that people have want to be asked, and what their flight modes are called.
+"""How the autopilots that people have want to be asked.
 
 MAVLink has one command for most things, but autopilots differ in how they want to be asked: a mufly vehicle takes
 metres in LOCAL_NED and needs no modes; PX4 and ArduPilot fly by modes (DO_SET_MODE), ArduPilot takes points in its
@@ -12,12 +12,10 @@ from typing import Literal
 
 from mufly.link.codec import Origin
 from mufly.link.commands import FORCE, Command
+from mufly.vehicle_types import ARDUPILOT, PX4
 
-PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
 NAN = math.nan
 LOCAL_NED, GLOBAL = 1, 0  # MAV_FRAME
-_CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG
-_ROTORCRAFT = (2, 3, 4, 13, 14, 15, 29, 35, 43)  # MAV_TYPE
 
 Firmware = Literal["mufly", "PX4", "ArduPilot", "other"]
 
@@ -118,44 +116,3 @@ def inject_failure(unit: int, kind: int, amount: float = NAN, duration_s: float 
 def message_interval(number: int, rate_Hz: float) -> Command:
     """SET_MESSAGE_INTERVAL; a rate of 0 is never."""
     return _command(511, number, 1e6 / rate_Hz if rate_Hz > 0 else -1.0)
-
-
-def _numbered(words: str) -> dict[int, str]:
-    """Number -> word, of words in the order of their numbers from 0; "-" stands for none."""
-    return {k: word for k, word in enumerate(words.split(", ")) if word != "-"}
-
-
-# PX4, src/modules/commander/px4_custom_mode.h
-_PX4_MAIN = _numbered(
-    "-, manual, altitude control, position control, -, acro, offboard, stabilised, rattitude, simple, termination"
-)
-_PX4_AUTO = _numbered(
-    "-, ready, take-off, hold, mission, return, landing, -, follow me, precision landing, transition"
-)
-# ArduPilot, ArduCopter/mode.h: multicopters and helicopters
-_COPTER = _numbered(
-    "stabilise, acro, altitude hold, auto, guided, loiter, return, circle, -, landing, -, drift, -, sport, flip, "
-    "autotune, position hold, brake, throw, avoid aircraft, guided without GPS, smart return, flow hold, follow, "
-    "zigzag, system identification, autorotation, auto return, turtle"
-)
-
-
-def mode_words(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: int) -> str:
-    """Return the flight mode of a HEARTBEAT in words; "" where the autopilot has none that we know.
-
-    Parameters
-    ----------
-    autopilot, vehicle_type : int
-        MAV_AUTOPILOT, MAV_TYPE.
-    base_mode, custom_mode : int
-    """
-    if not base_mode & _CUSTOM_MODE_ENABLED:
-        return ""
-    if autopilot == PX4:
-        main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
-        if main == 4:
-            return _PX4_AUTO.get(sub, f"auto {sub}")
-        return _PX4_MAIN.get(main, f"mode {main}") if main else ""
-    if autopilot == ARDUPILOT and vehicle_type in _ROTORCRAFT:
-        return _COPTER.get(custom_mode, f"mode {custom_mode}")
-    return f"mode {custom_mode}"

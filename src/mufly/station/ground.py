@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import os
 import time
 from collections import deque
@@ -23,21 +24,22 @@ from mufly.link.codec import Codec, Encoder, MavMessage, Outgoing, mavlink
 from mufly.link.ports import Endpoint, Port, open_port, parse_endpoint
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import LOST_S, RemoteVehicle
+from mufly.vehicle_types import is_vehicle, type_words, vehicle_rank
 
 HEARTBEAT_S = 1.0
 MOST_VEHICLES = 32
-_NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
 _WINDOW_S = 1.0
 _LOG = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
 class _Heard:
-    """A vehicle, the peer that it is heard from, and what was counted of it when."""
+    """A vehicle, the peer that it is heard from, how surely it is one, and what was counted of it when."""
 
     vehicle: RemoteVehicle
     peer: Hashable
     heard_s: float
+    rank: int
     messages: int = 0
     counted: tuple[float, int, int, int] = (0.0, 0, 0, 0)
     faults: set[str] = field(default_factory=set)
@@ -46,9 +48,11 @@ class _Heard:
 class GroundLink:
     """A station's end of one link: it hears all vehicles there, keeps them apart, and speaks to each.
 
-    A vehicle is whoever sends a heartbeat of an autopilot; it is known by its system number and the address it is
-    heard from. When a vehicle that was lost is heard again under the same number, from another address too, it is the
-    same one.
+    A vehicle is a component whose heartbeat :func:`mufly.vehicle_types.is_vehicle` takes for one; a companion computer,
+    a camera or an antenna tracker is none, however early and often it speaks. A vehicle is known by its system number
+    and the address it is heard from. Where another component of the system called itself a vehicle first, the autopilot
+    (component 1) takes over when it is heard. When a vehicle that was lost is heard again under the same number, from
+    another address too, it is the same one.
 
     Parameters
     ----------
@@ -64,6 +68,8 @@ class GroundLink:
         Given every packet that came in or goes out, for a log.
     on_fault : callable, optional
         Told in words when the handling of one vehicle failed; the others go on.
+    on_notice : callable, optional
+        Told in words of a system of which only equipment is heard, no vehicle.
     """
 
     def __init__(
@@ -75,10 +81,13 @@ class GroundLink:
         on_vehicle: Callable[[RemoteVehicle], None] | None = None,
         on_packet: Callable[[bytes], None] | None = None,
         on_fault: Callable[[str], None] | None = None,
+        on_notice: Callable[[str], None] | None = None,
     ) -> None:
         self.us, self.rate_Hz = us, rate_Hz
         self._color = color or (lambda: len(self._heard))
         self._on_vehicle, self._on_packet, self._on_fault = on_vehicle, on_packet, on_fault
+        self._on_notice = on_notice
+        self._equipment: dict[tuple[Hashable, int], tuple[float, str]] = {}
         self._codec = Codec()
         self._heard: dict[tuple[Hashable, int], _Heard] = {}
         self._encoders: dict[Hashable, Encoder] = {}
@@ -97,8 +106,9 @@ class GroundLink:
             heard = self._sender(now_s, peer, message)
             if heard is None:
                 continue
-            heard.heard_s = now_s
-            heard.messages += 1
+            if message.get_srcComponent() == heard.vehicle.component:
+                heard.heard_s = now_s
+                heard.messages += 1
             try:
                 heard.vehicle.handle(now_s, message)
             except Exception as error:  # one vehicle's fault must not silence the others
@@ -114,6 +124,7 @@ class GroundLink:
             Whom the port can reach: they get our heartbeat, so that a vehicle that waits to be called answers.
         """
         out = self._heartbeats(now_s, peers)
+        self._tell_equipment(now_s)
         for heard in self._heard.values():
             self._count(now_s, heard)
             try:
@@ -146,14 +157,23 @@ class GroundLink:
         return Outgoing(peer, data)
 
     def _sender(self, now_s: float, peer: Hashable, message: MavMessage) -> _Heard | None:
-        """The vehicle that sent a message; one that is new if the message is a heartbeat of an autopilot."""
+        """The vehicle of the system that sent a message; a new one if the message is a vehicle's heartbeat."""
         system = message.get_srcSystem()
         heard = self._heard.get((peer, system))
-        if heard is not None or message.get_type() != "HEARTBEAT":
+        if message.get_type() != "HEARTBEAT" or not system:
             return heard
-        if message.autopilot == _NO_AUTOPILOT or message.type == mavlink.MAV_TYPE_GCS or not system:
-            return None
         component = message.get_srcComponent()
+        rank = vehicle_rank(message.type, message.autopilot, component)
+        if heard is not None:
+            if rank > heard.rank and component != heard.vehicle.component:
+                heard.vehicle.change_component(component)
+            heard.rank = max(rank, heard.rank)
+            return heard
+        if not is_vehicle(message.type, message.autopilot, component):
+            if message.type != mavlink.MAV_TYPE_GCS and len(self._equipment) < MOST_VEHICLES:
+                what = f"{type_words(message.type) or 'equipment'} (component {component})"
+                self._equipment.setdefault((peer, system), (now_s, what))
+            return None
         for key, lost in list(self._heard.items()):
             same = key[1] == system and lost.vehicle.component == component
             if same and now_s - lost.heard_s >= LOST_S:
@@ -165,10 +185,18 @@ class GroundLink:
         if len(self._heard) >= MOST_VEHICLES:
             return None
         vehicle = RemoteVehicle(system, component, us=self.us, color=self._color(), rate_Hz=self.rate_Hz)
-        new = self._heard[peer, system] = _Heard(vehicle, peer, now_s)
+        new = self._heard[peer, system] = _Heard(vehicle, peer, now_s, rank)
         if self._on_vehicle is not None:
             self._on_vehicle(vehicle)
         return new
+
+    def _tell_equipment(self, now_s: float) -> None:
+        """Tell once of each system that speaks for a while without a vehicle in it."""
+        for (peer, system), (since_s, what) in self._equipment.items():
+            if since_s + LOST_S < now_s < math.inf and (peer, system) not in self._heard:
+                self._equipment[peer, system] = (math.inf, what)
+                if self._on_notice is not None:
+                    self._on_notice(f"system {system}: only its {what} is heard, no autopilot of a vehicle")
 
     def _count(self, now_s: float, heard: _Heard) -> None:
         """Tell a vehicle how good its link was over the last second."""
@@ -349,6 +377,7 @@ class Station:
             on_vehicle=self._new_vehicle,
             on_packet=self.recorder.packet,
             on_fault=self._notice,
+            on_notice=self._notice,
         )
 
     def _new_vehicle(self, vehicle: RemoteVehicle) -> None:

@@ -24,19 +24,18 @@ from mufly.link.missions import items_of as items_of_mission
 from mufly.link.parameters import LINK_PARAMETERS
 from mufly.mission import Mission, load_mission
 from mufly.station import autopilots
-from mufly.station.autopilots import ARDUPILOT, PX4, commands_of
+from mufly.station.autopilots import commands_of
 from mufly.station.checks import Surroundings, judge
 from mufly.station.commands import Chain, OperatorControl, RemoteCommands, StatusTexts
 from mufly.station.history import Check, History, Message, MissionRow, Outcome, Request, Snapshot
 from mufly.station.sticks import PilotSticks
 from mufly.station.telemetry import Telemetry
 from mufly.station.transfers import RemoteMission, RemoteParameters, items_of, rows_of
+from mufly.vehicle_types import ARDUPILOT, PX4, is_vehicle, type_words
 
 LOST_S = 3.0
 """A vehicle that was silent for so long is lost (s)."""
 
-_TYPES = {1: "aeroplane", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 10: "rover", 12: "submarine",
-          13: "hexarotor", 14: "octorotor"}  # fmt: skip
 _NO_MISSION = 65535  # MISSION_CURRENT.total
 _Link = Callable[[], Request | None]
 
@@ -76,19 +75,15 @@ class RemoteVehicle:
         color: int = 0,
         rate_Hz: float = 100.0,
     ) -> None:
-        self.system, self.component, self.color = system, component, color
-        self.us = us
-        target = (system, component)
+        self.system, self.color = system, color
+        self.us, self._asked_rate_Hz = us, rate_Hz
         self.history = History()
         self.telemetry = Telemetry(self.history)
         self.texts = StatusTexts()
-        self.commands = RemoteCommands(self.texts, target)
-        self.transfers = RemoteMission(self.texts, target)
-        self._parameters = RemoteParameters(self.texts, target)
+        self._address(component)
         self._control = OperatorControl(system, us)
         self.sticks = PilotSticks(system)
         self._by_hand = False
-        self._connection = Connection(self.commands, self._parameters, self.transfers, rate_Hz)
         self.surroundings = Surroundings()
         self.on_mark: Callable[[str], bool] | None = None
         self._chains: list[Chain] = []
@@ -98,6 +93,15 @@ class RemoteVehicle:
         self._loss, self._rate_Hz = math.nan, math.nan
         self._reached = -1
         self._rows: tuple[object, list[MissionRow]] = (None, [])
+
+    def _address(self, component: int) -> None:
+        """Speak to a component of the system."""
+        self.component = component
+        target = (self.system, component)
+        self.commands = RemoteCommands(self.texts, target)
+        self.transfers = RemoteMission(self.texts, target)
+        self._parameters = RemoteParameters(self.texts, target)
+        self._connection = Connection(self.commands, self._parameters, self.transfers, self._asked_rate_Hz)
 
     # What it is and tells
 
@@ -115,7 +119,7 @@ class RemoteVehicle:
     def name(self) -> str:
         """What to call it: "mufly, system 1"."""
         maker = self.firmware if self.firmware != "other" else "vehicle"
-        what = "" if self._connection.ours else _TYPES.get(self.telemetry.vehicle_type, "")
+        what = "" if self._connection.ours else type_words(self.telemetry.vehicle_type)
         return f"{f'{maker} {what}'.strip()}, system {self.system}"
 
     @property
@@ -363,15 +367,16 @@ class RemoteVehicle:
         message : pymavlink message
         """
         self._now_s = max(self._now_s, now_s)
-        self._heard_s = now_s
-        if getattr(message, "target_system", 0) not in (0, self.us[0]):
-            return
-        name = message.get_type()
+        name, component = message.get_type(), message.get_srcComponent()
         if name == "STATUSTEXT":
             self.texts.handle(now_s, self.telemetry.time_s, message)
-            return
-        if message.get_srcComponent() != self.component:
+        if component != self.component:
             return  # of a camera, a gimbal, a companion computer
+        self._heard_s = now_s
+        if name == "STATUSTEXT" or getattr(message, "target_system", 0) not in (0, self.us[0]):
+            return
+        if name == "HEARTBEAT" and not is_vehicle(message.type, message.autopilot, component):
+            return  # equipment that was given the vehicle's numbers
         self.telemetry.handle(now_s, message)
         if name == "COMMAND_ACK":
             self.commands.handle(now_s, message)
@@ -409,6 +414,26 @@ class RemoteVehicle:
         """Take how good the link is: share of packets lost, messages a second."""
         self._loss, self._rate_Hz = loss, rate_Hz
         self.telemetry.note_link(now_s, loss, rate_Hz)
+
+    def change_component(self, component: int) -> None:
+        """Take another component of the system for the vehicle: its autopilot, which spoke later than another.
+
+        Parameters
+        ----------
+        component : int
+            MAV_COMPONENT; commands, parameters and mission go there from now on.
+        """
+        text = (
+            f"component {component} is the autopilot of system {self.system}, not component {self.component}"
+        )
+        for chain in self._chains:
+            chain.request.end(Outcome.REFUSED, text)
+        for part in (self.commands, self._parameters, self.transfers):
+            part.give_up(text)
+        self.telemetry.change_speaker()
+        self._reached = -1
+        self._address(component)
+        self.note("warning", text)
 
     def moved(self) -> None:
         """Note that it is heard from another address, where it knows nothing of our wishes."""

@@ -22,8 +22,8 @@ from mufly.link.codec import MavMessage, Origin
 from mufly.link.estimates import CHECKS
 from mufly.link.telemetry import REAL_TIME_FACTOR, SLIPS, STATES
 from mufly.quantities import CHECKED, kept_by, told_by
-from mufly.station.autopilots import mode_words
 from mufly.station.history import SLOW_HOLD_S, History, Present, unknown
+from mufly.vehicle_types import mode_words
 
 ROW_S = 0.009
 """Stamps closer than this stand in one row, whose time is the first of them (s): what a vehicle sends at one rate may
@@ -189,6 +189,12 @@ class Telemetry:
             self._swept_s = now_s
             if "ranges" in self._present.forget(now_s):
                 self.ranges = Ranges()
+
+    def change_speaker(self) -> None:
+        """Note that another component, with a clock of its own, speaks from now on; the history goes on."""
+        self.clock.change_clock()
+        self._stamps.clear()
+        self.mission_current, self.mission_state, self.commander = None, 0, None
 
     def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
         """Put the quality of the link among the signals."""
@@ -568,6 +574,7 @@ class VehicleClock:
         self.restarts = 0
         self._offset_s = 0.0
         self._heard_s = math.nan
+        self._changed = False
         self._backward: list[float] = []
         self._marks: deque[tuple[float, float]] = deque(maxlen=_MARKS)  # when a stamp came, and its age then
         self._marked_s = -math.inf
@@ -590,6 +597,8 @@ class VehicleClock:
         own_s = boot_ms / 1e3
         if math.isnan(self.time_s):
             return self._forward(own_s, now_s)
+        if self._changed:
+            return self._begin_again(own_s, now_s)
         newest_s = self.time_s - self._offset_s
         if newest_s > _WRAP_S - _NEAR_S and own_s < _NEAR_S:
             self._offset_s += _WRAP_S
@@ -641,6 +650,15 @@ class VehicleClock:
         if len(self._backward) < _SURE or self._backward[-1] == self._backward[0]:
             return math.nan
         self.restarts += 1
+        return self._begin_again(own_s, now_s)
+
+    def change_clock(self) -> None:
+        """Tie the next stamp anew, as it belongs to another clock."""
+        self._changed = True
+
+    def _begin_again(self, own_s: float, now_s: float) -> float:
+        """Go on from where it was, by as much as passed here meanwhile."""
+        self._changed = False
         self._marks.clear()
         self._marked_s = -math.inf
         self._offset_s = self.time_s + max(now_s - self._heard_s, 1e-3) - own_s

@@ -260,7 +260,36 @@ def test_a_file_of_parameters_comes_back_whole() -> None:
     }
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", "A,b\n", "one two three\n"])
+def test_comments_behind_values_and_read_only_marks_are_no_part_of_them() -> None:
+    text = (
+        "\ufeffMNT1_TYPE        1           # Servo\n"
+        "RC6_OPTION,212  # Mount1 Roll, 3\n"
+        "FRAME_CLASS 2 @READONLY\n"
+        "FS_THR=0.5 @readonly # as shipped\n"
+        "LOG_BITMASK 0x1F // all\n"
+        "  # a note\n"
+        "COMPASS_USE\t1;on\n"
+        "1\t1\tA\t3\t6  # from a ground station\n"
+    )
+    assert read_parameter_file(text, "x.parm") == {
+        "MNT1_TYPE": 1, "RC6_OPTION": 212, "FRAME_CLASS": 2, "FS_THR": 0.5, "LOG_BITMASK": 31, "COMPASS_USE": 1, "A": 3,
+    }  # fmt: skip
+
+
+def test_parameters_of_a_gimbal_do_not_replace_those_of_the_vehicle() -> None:
+    rows = "1\t1\tGAIN\t0.2\t9\n1\t154\tGAIN\t0.7\t9\n1\t154\tPAN\t2\t9\n"
+    assert read_parameter_file(rows, "x.params") == {"GAIN": 0.2}
+    assert read_parameter_file(rows, "x.params", 154) == {"GAIN": 0.7, "PAN": 2}
+    with pytest.raises(InputError, match="of component 154, none of component 1"):
+        read_parameter_file("1 154 GAIN 0.7 9\n", "x.params")
+    with pytest.raises(InputError, match=r"line 2.*GAIN is 0.3 here and 0.2 in line 1"):
+        read_parameter_file("GAIN,0.2\nGAIN,0.3\n", "x.param")
+    assert parameter_file({"GAIN": Parameter("GAIN", 0.2)}, 1, 154).splitlines()[1].startswith("1\t154\tGAIN")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "# nothing\n", "A,b\n", "one two three\n", "A # 3\n", "A 3 @WRITABLE\n"]
+)
 def test_a_file_that_is_none_is_refused_with_its_line(text: str) -> None:
     with pytest.raises(InputError):
         read_parameter_file(text, "x.params")

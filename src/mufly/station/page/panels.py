@@ -21,9 +21,10 @@ from mufly.mission import Mission, dump_mission, mission_from
 from mufly.sensors import TARGETS
 from mufly.station.history import Outcome, Request
 from mufly.station.page.drafts import kept_back, of_vehicle
-from mufly.station.page.session import View, parameter_file, read_parameter_file
+from mufly.station.page.session import Source, View, parameter_file, read_parameter_file
 from mufly.station.remote import RemoteVehicle
 from mufly.station.transfers import refused
+from mufly.vehicle_types import AUTOPILOT_COMPONENT
 
 STATIC = Path(__file__).parent / "static"
 MOST_BYTES, MOST_RECORDING_BYTES = 2_000_000, 1_000_000_000
@@ -357,18 +358,22 @@ def parameter_drawer(view: View) -> Callable[[], None]:
             refuse(why)
         refresh()
 
+    def component_of(vehicle: Source | None) -> int:
+        return vehicle.component if isinstance(vehicle, RemoteVehicle) else AUTOPILOT_COMPONENT
+
     def save() -> None:
         vehicle = view.vehicle()
         if vehicle is None or not vehicle.parameters:
             refuse("there are no parameters to save")
             return
-        text = parameter_file(vehicle.parameters, vehicle.system)
+        text = parameter_file(vehicle.parameters, vehicle.system, component_of(vehicle))
         ui.download.content(text, f"{vehicle.name.split(',')[0].replace(' ', '-')}.params")
 
     async def load(e: UploadEventArguments) -> None:
         vehicle = view.vehicle()
         try:
-            values = read_parameter_file((await e.file.read()).decode(), e.file.name)
+            text = (await e.file.read()).decode()
+            values = read_parameter_file(text, e.file.name, component_of(vehicle))
         except (MuflyError, ValueError) as error:
             refuse(str(error))
             return
@@ -393,7 +398,7 @@ def parameter_drawer(view: View) -> Callable[[], None]:
         undo = button("↶ Undo", lambda: step("undo"), test="undo")
         redo = button("↷ Redo", lambda: step("redo"), test="redo")
         button("Fetch", fetch, title="fetch all parameters again")
-        pick("Load…", ".params,.param,.txt", load, "parameter-file")
+        pick("Load…", ".params,.param,.parm,.txt", load, "parameter-file")
         button("Save", save, title="save all parameters as a file")
     table = Panel("parameters").on("write", edited)
     shown: list[object] = [None]

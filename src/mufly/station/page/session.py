@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -28,6 +29,7 @@ from mufly.station.page.drafts import Sketch
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import Recording, Replay
+from mufly.vehicle_types import AUTOPILOT_COMPONENT
 from mufly.world import World
 
 ENDINGS = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
@@ -461,8 +463,10 @@ class ParameterSheet:
         return change.name, change.after
 
 
-def parameter_file(parameters: Mapping[str, Parameter], system: int) -> str:
-    """Return parameters as the text of a file."""
+def parameter_file(
+    parameters: Mapping[str, Parameter], system: int, component: int = AUTOPILOT_COMPONENT
+) -> str:
+    """Return parameters of a component as the text of a file."""
     lines = ["# Vehicle-Id Component-Id Name Value Type, as QGroundControl and mufly write them"]
     for name in sorted(parameters):
         p = parameters[name]
@@ -470,29 +474,60 @@ def parameter_file(parameters: Mapping[str, Parameter], system: int) -> str:
             lines.append(f"# {name} is {p.value}: not a number that could be written again")
             continue
         value, kind = (f"{round(p.value)}", INT32) if p.whole else (f"{p.value:.9g}", REAL32)
-        lines.append(f"{system}\t1\t{name}\t{value}\t{kind}")
+        lines.append(f"{system}\t{component}\t{name}\t{value}\t{kind}")
     return "\n".join(lines) + "\n"
 
 
-def read_parameter_file(text: str, where: str) -> dict[str, float]:
-    """Read a file of parameters.
+_COMMENT = re.compile(r"\s*(?:#|//|;).*$")
+_READ_ONLY = re.compile(r"\s+@READONLY\s*$", re.IGNORECASE)
+
+
+def read_parameter_file(text: str, where: str, component: int = AUTOPILOT_COMPONENT) -> dict[str, float]:
+    """Read a file of parameters: name and value a line, or the five columns of QGroundControl.
+
+    A comment may stand behind a value (``#``, ``//`` or ``;``), as may ``@READONLY``, with which ArduPilot marks what
+    its firmware does not let a user change. Of a file with the parameters of several components those of one are read.
+
+    Parameters
+    ----------
+    text : str
+        Content of the file: ``.params`` (QGroundControl), ``.param`` or ``.parm`` (Mission Planner, ArduPilot).
+    where : str
+        Its name, for errors.
+    component : int
+        MAV_COMPONENT whose parameters are wanted; lines of name and value belong to any.
 
     Raises
     ------
     InputError
-        Naming the line that is no parameter.
+        Naming the line that is no parameter, that gives one a second value, or the components of a file without
+        parameters of the wanted one.
     """
     out: dict[str, float] = {}
-    for k, line in enumerate(map(str.strip, text.splitlines()), 1):
-        if not line or line.startswith(("#", "//")):
+    lines: dict[str, int] = {}
+    others: set[str] = set()
+    for k, whole in enumerate(text.removeprefix("\ufeff").splitlines(), 1):
+        line = _READ_ONLY.sub("", _COMMENT.sub("", whole)).strip()
+        if not line:
             continue
         parts = line.replace(",", " ").replace("=", " ").split()
-        name, value = parts[2:4] if len(parts) == 5 else (parts[0], parts[1] if len(parts) == 2 else "")
+        named = len(parts) == 5 and parts[0].isdigit() and parts[1].isdigit()
+        name, value = parts[2:4] if named else (parts[0], parts[1] if len(parts) == 2 else "")
         try:
-            out[name] = float(value)
+            number = float(int(value, 16)) if value.lower().startswith("0x") else float(value)
         except ValueError:
             remedy = "write NAME,value or the lines that QGroundControl writes"
-            raise InputError(where, f"line {k}", f"{line[:60]!r} is no parameter", remedy) from None
+            raise InputError(where, f"line {k}", f"{whole.strip()[:60]!r} is no parameter", remedy) from None
+        if named and int(parts[1]) != component:
+            others.add(parts[1])
+            continue
+        if out.setdefault(name, number) != number:
+            problem = f"{name} is {number:g} here and {out[name]:g} in line {lines[name]}"
+            raise InputError(where, f"line {k}", problem, "leave one of the two lines")
+        lines.setdefault(name, k)
+    if not out and others:
+        problem = f"holds parameters of component {', '.join(sorted(others))}, none of component {component}"
+        raise InputError(where, "", problem, "choose the file of the autopilot")
     if not out:
         raise InputError(where, "", "holds no parameters", "choose another file")
     return out

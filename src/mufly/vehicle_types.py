@@ -1,0 +1,156 @@
+"""Speakers of MAVLink: which of them is a vehicle, and the words for types of vehicle and flight modes.
+
+On one link speak vehicles, their equipment (companion computers, cameras, gimbals, radios, ...), antenna trackers and
+ground stations. A HEARTBEAT names its sender by ``type`` (MAV_TYPE), ``autopilot`` (MAV_AUTOPILOT) and the component
+number of the packet (MAV_COMPONENT); an autopilot is component 1 by convention. Many companions and gimbals call their
+autopilot GENERIC instead of INVALID, so the autopilot alone does not decide. Sources: mavlink.io, "Heartbeat/Connection
+Protocol" and the enumerations of common.xml; flight modes: ArduPilot's ``mode.h`` of each vehicle and PX4's
+``px4_custom_mode.h``.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
+PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
+_NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
+_TRACKER, _GENERIC = 5, 0
+
+VEHICLE_WORDS: dict[int, str] = {
+    1: "aeroplane", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 7: "airship", 8: "balloon", 9: "rocket",
+    10: "rover", 11: "boat", 12: "submarine", 13: "hexarotor", 14: "octorotor", 15: "tricopter", 16: "ornithopter",
+    17: "kite", 19: "VTOL", 20: "VTOL", 21: "VTOL", 22: "VTOL", 23: "VTOL", 24: "VTOL", 25: "VTOL", 28: "parafoil",
+    29: "dodecarotor", 35: "decarotor", 43: "multirotor", 45: "spacecraft", 46: "quadruped", 47: "gyrodyne",
+}  # fmt: skip
+"""MAV_TYPE of what flies, drives, swims or walks."""
+EQUIPMENT_WORDS: dict[int, str] = {
+    5: "antenna tracker", 6: "ground station", 18: "companion computer", 26: "gimbal", 27: "ADSB receiver",
+    30: "camera", 31: "charging station", 32: "FLARM receiver", 33: "servo", 34: "Open Drone ID", 36: "battery",
+    37: "parachute", 38: "logger", 39: "OSD", 40: "IMU", 41: "GPS receiver", 42: "winch", 44: "illuminator",
+    48: "gripper",
+}  # fmt: skip
+"""MAV_TYPE of what is no vehicle."""
+# MAV_COMPONENT of cameras, servos, gimbals, peripherals, batteries, computers, sensors, bridges.
+_EQUIPMENT_COMPONENTS = (*range(100, 106), *range(140, 200), *range(200, 251))
+
+
+def vehicle_rank(vehicle_type: int, autopilot: int, component: int) -> int:
+    """Return how surely the sender of a HEARTBEAT is a vehicle; of several senders the highest rank is the vehicle.
+
+    Parameters
+    ----------
+    vehicle_type, autopilot, component : int
+        MAV_TYPE, MAV_AUTOPILOT, and the component number of the packet.
+
+    Returns
+    -------
+    int
+        3: the autopilot of a vehicle (component 1). 2: another component that calls itself a vehicle. 1: an antenna
+        tracker, which is no vehicle but has an autopilot. 0: equipment or a ground station.
+
+    Examples
+    --------
+    >>> vehicle_rank(2, 12, 1), vehicle_rank(18, 0, 191), vehicle_rank(5, 3, 1)
+    (3, 0, 1)
+    """
+    if vehicle_type == _TRACKER:
+        return 0 if autopilot == _NO_AUTOPILOT else 1
+    if vehicle_type in EQUIPMENT_WORDS or autopilot == _NO_AUTOPILOT:
+        return 0
+    if component == AUTOPILOT_COMPONENT:
+        return 3
+    if vehicle_type not in VEHICLE_WORDS and component in _EQUIPMENT_COMPONENTS:
+        return 0
+    return 2
+
+
+def is_vehicle(vehicle_type: int, autopilot: int, component: int) -> bool:
+    """Whether the sender of a HEARTBEAT may be shown and commanded as a vehicle (see :func:`vehicle_rank`)."""
+    return vehicle_rank(vehicle_type, autopilot, component) >= 2
+
+
+def type_words(vehicle_type: int) -> str:
+    """Return a MAV_TYPE in words; "" for the generic one and those that are unknown here."""
+    return VEHICLE_WORDS.get(vehicle_type) or EQUIPMENT_WORDS.get(vehicle_type, "")
+
+
+ModeFamily = Literal["copter", "plane", "rover", "submarine", "tracker", "airship", ""]
+"""ArduPilot's firmwares, each with flight modes of its own."""
+_FAMILY_OF_TYPE: dict[int, ModeFamily] = {
+    **dict.fromkeys((2, 3, 4, 13, 14, 15, 29, 35, 43), "copter"),
+    **dict.fromkeys((1, 16, 19, 20, 21, 22, 23, 24, 25, 28), "plane"),
+    **dict.fromkeys((10, 11), "rover"),
+    12: "submarine",
+    _TRACKER: "tracker",
+    7: "airship",
+}
+
+
+def _numbered(words: str) -> dict[int, str]:
+    """Number -> word, of words in the order of their numbers from 0; "-" stands for none."""
+    return {k: word for k, word in enumerate(words.split(", ")) if word != "-"}
+
+
+_PX4_MAIN = _numbered(
+    "-, manual, altitude control, position control, -, acro, offboard, stabilised, rattitude, simple, termination"
+)
+_PX4_AUTO = _numbered(
+    "-, ready, take-off, hold, mission, return, landing, -, follow me, precision landing, transition"
+)
+_ARDUPILOT: dict[ModeFamily, dict[int, str]] = {
+    "copter": _numbered(
+        "stabilise, acro, altitude hold, auto, guided, loiter, return, circle, -, landing, -, drift, -, sport, flip, "
+        "autotune, position hold, brake, throw, avoid aircraft, guided without GPS, smart return, flow hold, follow, "
+        "zigzag, system identification, autorotation, auto return, turtle"
+    ),
+    "plane": _numbered(
+        "manual, circle, stabilise, training, acro, fly by wire A, fly by wire B, cruise, autotune, -, auto, return, "
+        "loiter, take-off, avoid aircraft, guided, initialising, Q stabilise, Q hover, Q loiter, Q landing, Q return, "
+        "Q autotune, Q acro, thermal, loiter to Q landing, auto landing"
+    ),
+    "rover": _numbered(
+        "manual, acro, -, steering, hold, loiter, follow, simple, dock, circle, auto, return, smart return, -, -, "
+        "guided, initialising"
+    ),
+    "submarine": _numbered(
+        "stabilise, acro, altitude hold, auto, guided, -, -, circle, -, surface, -, -, -, -, -, -, position hold, -, "
+        "-, manual, motor detection, surface tracking"
+    ),
+    "tracker": _numbered(
+        "manual, stop, scan, servo test, guided, -, -, -, -, -, auto, -, -, -, -, -, initialising"
+    ),
+    "airship": _numbered("landing, manual, velocity, loiter, return"),
+}
+_CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG
+
+
+def ardupilot_mode(family: ModeFamily, number: int) -> str:
+    """Return ArduPilot's flight mode in words, ``"mode 8"`` where the firmware has none of that number.
+
+    Examples
+    --------
+    >>> ardupilot_mode("copter", 5), ardupilot_mode("plane", 5), ardupilot_mode("", 5)
+    ('loiter', 'fly by wire A', 'mode 5')
+    """
+    return _ARDUPILOT.get(family, {}).get(number, f"mode {number}")
+
+
+def mode_words(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: int) -> str:
+    """Return the flight mode of a HEARTBEAT in words; "" where the autopilot has none.
+
+    Parameters
+    ----------
+    autopilot, vehicle_type : int
+        MAV_AUTOPILOT, MAV_TYPE.
+    base_mode, custom_mode : int
+    """
+    if not base_mode & _CUSTOM_MODE_ENABLED:
+        return ""
+    if autopilot == PX4:
+        main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+        if main == 4:
+            return _PX4_AUTO.get(sub, f"auto {sub}")
+        return _PX4_MAIN.get(main, f"mode {main}") if main else ""
+    family = _FAMILY_OF_TYPE.get(vehicle_type, "") if autopilot == ARDUPILOT else ""
+    return ardupilot_mode(family, custom_mode)
