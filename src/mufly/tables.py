@@ -91,6 +91,7 @@ _GROUPED = {
     d: re.compile(rf"[+-]?[1-9]\d{{0,2}}([{o}{_GROUPS}]\d{{3}})+([{d}]\d*)?") for d, o in _OTHER.items()
 }
 _PLAIN = {d: re.compile(rf"[+-]?(\d+[{d}]?\d*|[{d}]\d+)(e[+-]?\d+)?", re.IGNORECASE) for d in _OTHER}
+_FORTRAN = re.compile(r"([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]?\d+)")  # double precision: 1.0D-03
 _CELLS_LOOKED_AT = 20_000
 
 
@@ -117,13 +118,17 @@ def cells_of(line: str, separator: str) -> list[str]:
 
 
 def plain_number(cell: str, decimal: str) -> str:
-    """Return a cell's number as Python writes one: thousands not grouped, with a point; other cells as they are."""
+    """Return a cell's number as Python writes one: thousands not grouped, with a point, an e for Fortran's D.
+
+    Other cells stay as they are.
+    """
     text = re.sub(f"[{_OTHER[decimal]}{_GROUPS}]", "", cell) if _GROUPED[decimal].fullmatch(cell) else cell
     text = text.replace(",", ".") if decimal == "," else text
     try:
         float(text)
     except ValueError:
-        return cell
+        fortran = _FORTRAN.fullmatch(text)
+        return cell if fortran is None else f"{fortran[1]}e{fortran[2]}"
     return text
 
 

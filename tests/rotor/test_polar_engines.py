@@ -1,6 +1,7 @@
 """NeuralFoil in batches, the extension to the full circle, user tables and the cache."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -8,7 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import load_airfoil, lookup, outside, polar, polars
+from mufly.rotor import (
+    Condition,
+    RotorWarning,
+    System,
+    hover_batch,
+    load_airfoil,
+    lookup,
+    make_rotor,
+    outside,
+    polar,
+    polars,
+    prepare,
+    solve,
+)
 from mufly.rotor.sections import neural, section
 from mufly.rotor.sections.engines import REYNOLDS
 from mufly.rotor.sections.polar_table import ALPHA_GRID, extend, plate_drag
@@ -323,3 +337,126 @@ def test_user_table_faults_are_named(tmp_path, text, words):
         polar(path)
     assert words in str(fault.value)
     assert str(path) in str(fault.value)
+
+
+# -- polars of other programs; numbers made up ----------------------------------------------------------------------
+
+ANGLES = range(-4, 9, 2)
+
+
+def made_up(alpha, re=5e4):
+    return 0.2 + 0.1 * alpha, 0.02 * (5e4 / re) ** 0.5 + 2e-4 * alpha**2
+
+
+def table(header, *, scale=1.0, res=(5e4,), form="{a:g},{cl:.4f},{cd:.5f}", end="\n"):
+    lines = [header]
+    for re in res:
+        lines += [form.format(a=a * scale, cl=made_up(a, re)[0], cd=made_up(a, re)[1], re=re) for a in ANGLES]
+    return end.join(lines)
+
+
+XFOIL = """
+       XFOIL         Version 6.99
+
+ Calculated polar for: NACA 4412
+
+ 1 1 Reynolds number fixed          Mach number fixed
+
+ xtrf =   1.000 (top)        1.000 (bottom)
+ Mach =   0.000     Re =     0.050 e 6     Ncrit =   9.000
+
+"""
+XFOIL_ROW = "{a:8.3f} {cl:8.4f} {cd:9.5f}   0.00800  -0.0500  0.9000  1.0000"
+AERODYN = """! ------------ AirfoilInfo v1.01.x Input File ----------------------------------
+"DEFAULT"     InterpOrd         ! Interpolation order
+          1   NumTabs           ! Number of airfoil tables in this file.
+! ------------------------------------------------------------------------------
+! data for table 1
+       0.05   Re                ! Reynolds number in millions
+          0   Ctrl              ! Control setting
+         -2   alpha0            ! 0-lift angle of attack, depends on airfoil.
+          7   NumAlf            ! Number of data lines in the following table
+"""
+AERODYN_ROW = "  {a:9.4f}  {cl:9.5f}  {cd:9.5f}  -0.05"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "re"),
+    [
+        ("a.csv", table("alpha,CL,CD,Cm,Re", form="{a:g},{cl:.4f},{cd:.5f},-0.05,{re:g}"), 5e4),
+        ("a.csv", table("Alpha (rad);Cl;Cd", scale=math.pi / 180, form="{a:.6f};{cl:.4f};{cd:.5f}"), 0),
+        ("a.csv", table("alpha_rad,cl,cd", scale=math.pi / 180, form="{a:.6f},{cl:.4f},{cd:.5f}"), 0),
+        ("a.csv", table("alpha_deg,cl,cd,Re (millions)", form="{a:g},{cl:.4f},{cd:.5f},0.05"), 5e4),
+        ("a.csv", table("alpha_deg,cl,cd,re_1e6", form="{a:g},{cl:.4f},{cd:.5f},0.05"), 5e4),
+        ("a.csv", table("alpha_deg\tcl\tcd", form="{a:g}\t{cl:.4f}\t{cd:.5f}", end="\r").replace(".", ","), 0),
+        ("a.pol", XFOIL + table("   alpha    CL        CD       CDp       CM     Top_Xtr  Bot_Xtr\n"
+                                "  ------ -------- --------- ---------", form=XFOIL_ROW), 5e4),
+        ("a.txt", XFOIL.replace("XFOIL         Version", "xflr5 v") + table(
+            "  alpha     CL        CD       CDp       Cm    Top Xtr Bot Xtr\n  ------- -------- ---------",
+            form=XFOIL_ROW), 5e4),
+        ("a.csv", "Xfoil polar. Reynolds number fixed. Mach number fixed\nPolar key,xf-naca4412-50000\nAirfoil,naca4412"
+         "\nReynolds number,50000\nNcrit,9\n\n" + table("Alpha,Cl,Cd,Cdp,Cm,Top_Xtr,Bot_Xtr",
+                                                       form="{a:g},{cl:.4f},{cd:.5f},0.008,-0.05,0.9,1.0"), 5e4),
+        ("a.dat", AERODYN + table("!    Alpha      Cl      Cd        Cm\n!    (deg)      (-)     (-)       (-)",
+                                  form=AERODYN_ROW), 5e4),
+        ("a.dat", AERODYN + table("!    Alpha      Cl      Cd        Cm", form=AERODYN_ROW).replace("\n", "\r\n"), 5e4),
+    ],
+    ids=["csv", "rad-header", "rad-suffix", "millions", "1e6", "commas-cr",
+         "xfoil", "xflr5", "airfoiltools", "aerodyn", "aerodyn-crlf"],
+)  # fmt: skip
+def test_polars_of_other_programs(tmp_path, name, text, re):
+    path = tmp_path / name
+    path.write_bytes(text.encode())
+    t = polar(path)
+    cl, cd = lookup(t, np.deg2rad(list(ANGLES)), re or 5e4)
+    assert np.allclose(cl, [made_up(a)[0] for a in ANGLES], atol=1e-4)
+    assert np.allclose(cd, [made_up(a)[1] for a in ANGLES], atol=1e-5)
+    assert outside(t, 0.0, 5e4).tolist() == 0
+    assert outside(t, 0.0, 1e5).tolist() == (2 if re else 0)
+
+
+@pytest.mark.parametrize("raw", ["utf-16", "utf-8-sig"])
+def test_polars_in_other_codes(tmp_path, raw):
+    path = tmp_path / "a.csv"
+    path.write_bytes(table("alpha_deg,cl,cd").replace("-4", "-4.0D0", 1).encode(raw))
+    assert lookup(polar(path), math.radians(-4.0), 1e4)[0] == pytest.approx(-0.2)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (table("alpha_deg,cl,cd,reynolds", form="{a:g},{cl:.4f},{cd:.5f},0.05"), "0.05 is no Reynolds number"),
+        (table("alpha_deg,cl,cd,re (bananas)", form="{a:g},{cl:.4f},{cd:.5f},1"), "has the unit 'bananas'"),
+        (table("alpha,cl,cd", scale=math.pi / 180, form="{a:.6f},{cl:.4f},{cd:.5f}"), "degrees or radians"),
+        (table("alpha_deg,cl,cd", scale=math.pi / 180, form="{a:.6f},{cl:.4f},{cd:.5f}"), "a degree"),
+        (table("alpha (mm),cl,cd"), "has the unit 'mm'"),
+        (table("alpha_deg,cl,cd,CL", form="{a:g},{cl:.4f},{cd:.5f},1"), "is cl again"),
+        (table("alpha_deg,cl,cd").replace("2,0.4000", "2"), "line 5: 2 cells"),
+        (table("alpha_deg,cl,cd").replace("0.4000", "nan"), "line 5: cl 'nan' is no number"),
+        (table("alpha_rad,cl,cd"), "give -180 to 180"),
+    ],
+)  # fmt: skip
+def test_units_of_a_polar_that_are_in_doubt_are_asked_for(tmp_path, text, words):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as fault:
+        polar(path)
+    assert words in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_a_blade_beyond_the_reynolds_numbers_of_its_polar_is_told(tmp_path):
+    path = tmp_path / "low.csv"
+    path.write_text(table("alpha_deg,cl,cd,re", res=(1e3, 5e3), form="{a:g},{cl:.4f},{cd:.5f},{re:g}"))
+    rotor = make_rotor(name="r", radius_m=0.06, chord_m=0.02, airfoils=str(path))
+    at = {"pitch_rad": 0.2, "speed_rad_s": 500.0}
+    with pytest.warns(
+        RotorWarning, match=r"0.75 R, 3.0[34]e\+04, is beyond that of its polar, 1e\+03 to 5e\+03"
+    ):
+        hover_batch(prepare(rotor), **at)
+    with pytest.warns(RotorWarning, match="beyond that of its polar"):
+        solve(System.single(prepare(rotor)), Condition(*at.values()), "bemt")
+    path.write_text(table("alpha_deg,cl,cd,re", res=(1e3, 5e5), form="{a:g},{cl:.4f},{cd:.5f},{re:g}"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        hover_batch(prepare(rotor), **at)

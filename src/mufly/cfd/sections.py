@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mufly.errors import InputError
-from mufly.rotor import Airfoil, load_airfoil
+from mufly.rotor import Airfoil, is_polar_file, load_airfoil
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -453,7 +453,7 @@ def thickness_check(airfoil_name: str) -> Any:
     InputError
         If it is a table of coefficients.
     """
-    if airfoil_name.lower().endswith(".csv"):
+    if is_polar_file(airfoil_name):
         raise InputError(
             airfoil_name, "", "is a table of coefficients, without a contour to mesh",
             "give the rotor an airfoil by name or as a .dat file",

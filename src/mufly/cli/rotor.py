@@ -432,7 +432,8 @@ def hover(
     )
     if result.outside_share > 0:
         c.print(
-            f"* beyond what the polar's engine computed; such sections carry {result.outside_share:.0%} of the thrust.",
+            f"* beyond the angles or Reynolds numbers of the polar; such sections carry {result.outside_share:.0%} of "
+            "the thrust.",
             style="yellow",
         )
     tell_files(files)

@@ -36,6 +36,7 @@ from mufly.rotor.pictures import (
 )
 from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoil
 from mufly.rotor.sections.engines import polar, polars
+from mufly.rotor.sections.polar_file import is_polar_file
 from mufly.rotor.sections.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
 from mufly.rotor.solution import FASTEST_TIP_M_S, METHODS, solve, solve_thrust
 from mufly.rotor.system import (
@@ -92,6 +93,7 @@ __all__ = [
     "hover",
     "hover_batch",
     "interval",
+    "is_polar_file",
     "load_airfoil",
     "load_rotor",
     "lookup",

@@ -35,6 +35,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -48,7 +49,7 @@ from mufly.results import result
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.sections.polar_table import PolarStack, coefficients, outside_of
-from mufly.rotor.system import Air, Placed, RotorResult, tip_mach, warn_of_mach
+from mufly.rotor.system import Air, Placed, RotorResult, RotorWarning, tip_mach, warn_of_mach
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -145,6 +146,40 @@ def _outside(blading: Blading, which: int, alpha: Array, reynolds: Array) -> NDA
     first, second = outside_of(blading.polars, both, alpha, reynolds)
     flags: NDArray[np.uint8] = first * (weight < 1.0) | second * (weight > 0.0)
     return flags
+
+
+_CHARACTERISTIC = 0.75  # r/R at which a blade's Reynolds number is told
+
+
+def warn_of_reynolds(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLike, air: Air) -> None:
+    """Give a :class:`RotorWarning` where a blade at 0.75 R turns beyond the Reynolds numbers of its polar.
+
+    Parameters
+    ----------
+    blading : Blading
+    which : array_like of int
+        Rotor of each point.
+    speed_rad_s : array_like
+    air : Air
+    """
+    rotors = np.arange(len(blading.rotors))
+    station = np.argmin(np.abs(blading.r_m - _CHARACTERISTIC * blading.radius_m[:, None]), axis=1)
+    size = blading.r_m[rotors, station] * blading.chord_m[rotors, station]
+    speed = np.asarray(speed_rad_s, dtype=np.float64)
+    reynolds = size[np.asarray(which)] * speed * air.density_kg_m3 / air.viscosity_Pa_s
+    spans = np.exp(blading.polars.log_reynolds_range[blading.first[rotors, station]])
+    low, high = spans[np.asarray(which)].T.reshape(2, *reynolds.shape)
+    beyond = np.flatnonzero((reynolds < low) | (reynolds > high))
+    if beyond.size:
+        least, most = float(reynolds.flat[beyond].min()), float(reynolds.flat[beyond].max())
+        at = f"{least:.3g}" if most < 1.005 * least else f"{least:.3g} to {most:.3g}"
+        lowest, highest = float(low.flat[beyond[0]]), float(high.flat[beyond[0]])
+        table = f"{lowest:.3g}" if highest < 1.005 * lowest else f"{lowest:.3g} to {highest:.3g}"
+        warnings.warn(
+            f"the Reynolds number at {_CHARACTERISTIC:g} R, {at}, is beyond that of its polar, {table}: the "
+            "coefficients are those of the polar's edge",
+            RotorWarning, stacklevel=3,
+        )  # fmt: skip
 
 
 def hover(
@@ -329,6 +364,7 @@ def hover_batch(
     radius = blading.radius_m[index]
     if index.size:
         warn_of_mach(tip_mach(1.0, float(np.max(radius * speed)), gas))
+        warn_of_reynolds(blading, index, speed, gas)
     area = math.pi * radius**2
     power = torque * speed
     scale = gas.density_kg_m3 * area * radius**2 * speed**2

@@ -33,6 +33,7 @@ from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
 from mufly.rotor.sections.airfoil import load_airfoil
+from mufly.rotor.sections.polar_file import is_polar_file
 from mufly.tables import builtin_names, read_tables, validated
 from mufly.vehicle.quantity import Group, Quantity, Source, parameter
 
@@ -310,10 +311,7 @@ def blade_thickness_m(rotor: Rotor, r_over_R: ArrayLike) -> Array:
     """
     s = rotor.sections(r_over_R)
     ratio = np.array(
-        [
-            math.nan if name.lower().endswith(".csv") else load_airfoil(name).thickness_ratio
-            for name in s.names
-        ]
+        [math.nan if is_polar_file(name) else load_airfoil(name).thickness_ratio for name in s.names]
     )
     return s.chord_m * ((1.0 - s.weight) * ratio[s.first] + s.weight * ratio[s.second])
 
@@ -358,7 +356,7 @@ def load_rotor(name_or_path: str | Path) -> Rotor:
 def _beside(folder: Path, name: Any) -> Any:
     if (
         isinstance(name, str)
-        and name.lower().endswith((".dat", ".txt", ".csv"))
+        and name.lower().endswith((".dat", ".txt", ".csv", ".pol", ".plr", ".polar"))
         and (folder / name).is_file()
     ):
         return str(folder / name)

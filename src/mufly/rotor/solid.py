@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.geometry import Rotor, make_rotor
 from mufly.rotor.sections.airfoil import load_airfoil, sides
+from mufly.rotor.sections.polar_file import is_polar_file
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -125,7 +126,7 @@ def blade_sections(
     cut = rotor.sections(x)
     shapes = []
     for name in cut.names:
-        if name.lower().endswith(".csv"):
+        if is_polar_file(name):
             raise InputError(
                 name, "", "is a table of coefficients, no contour", "name an airfoil or a .dat file"
             )

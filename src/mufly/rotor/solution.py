@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.bemt import hover, hover_batch, stream_of
+from mufly.rotor.bemt import hover, hover_batch, stream_of, warn_of_reynolds
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.system import (
@@ -146,6 +146,7 @@ def solve(
                     "stay below 1, better below 0.7: no theory here knows of shocks",
                 )  # fmt: skip
             warn_of_mach(mach)
+            warn_of_reynolds(blading, which, given, condition.air)
     found = _answer(system, condition, method, pitch, speed, settings, start, progress)
     area = system.bladings[0].rotors[system.which[0]].disc_area_m2
     warn_of_vortex_ring(condition.climb_m_s, found.thrust_N, area, condition.air)

@@ -41,6 +41,7 @@ from mufly.rotor import (
     Rotor,
     System,
     blade_picture,
+    is_polar_file,
     load_airfoil,
     replace_rotor,
     rotor_loads_picture,
@@ -233,7 +234,7 @@ STEP_PITCH = np.radians(np.arange(2.0, 26.1, 0.25))
 
 @lru_cache(maxsize=4096)
 def _thickness_ratio(name: str) -> float:
-    return math.nan if name.lower().endswith(".csv") else load_airfoil(name).thickness_ratio
+    return math.nan if is_polar_file(name) else load_airfoil(name).thickness_ratio
 
 
 def least_thickness_m(rotor: Rotor) -> float:

@@ -28,8 +28,9 @@ from mufly.errors import InputError, MuflyError
 from mufly.rotor.sections import neural
 from mufly.rotor.sections import section as cache
 from mufly.rotor.sections.airfoil import Airfoil, load_airfoil
+from mufly.rotor.sections.polar_file import is_polar_file, read_polar_file
 from mufly.rotor.sections.polar_table import ASPECT_RATIO, PolarTable, extend
-from mufly.rotor.sections.section import SectionData, cache_folder, read_polar_csv
+from mufly.rotor.sections.section import SectionData, cache_folder
 
 Engine = Literal["neuralfoil", "xfoil", "table"]
 
@@ -51,8 +52,8 @@ def polar(
     Parameters
     ----------
     airfoil : str, Path or Airfoil
-        What :func:`mufly.rotor.load_airfoil` takes. A CSV file (columns alpha_deg, cl, cd, and if known cm and
-        reynolds) is read as a table, whatever the engine.
+        What :func:`mufly.rotor.load_airfoil` takes. A file of coefficients (columns alpha_deg, cl, cd, and if
+        known cm and reynolds; XFOIL's, XFLR5's, Airfoil Tools', AeroDyn's) is read as a table, whatever the engine.
     n_crit : float
         Amplification exponent at transition, 0 to 18. The default suits a vibrating rotor in its own wake
         (thesis, Table 3.1); 9 is a quiet wind tunnel. Without meaning for a table.
@@ -116,8 +117,8 @@ def polars(
     for item in airfoils:
         name = item.name if isinstance(item, Airfoil) else str(item)
         try:
-            if engine == "table" or (not isinstance(item, Airfoil) and name.lower().endswith(".csv")):
-                tables[name] = read_polar_csv(name)
+            if engine == "table" or (not isinstance(item, Airfoil) and is_polar_file(name)):
+                tables[name] = read_polar_file(name)
                 continue
             section = item if isinstance(item, Airfoil) else load_airfoil(item)
             which = (neural.neuralfoil_version(), model) if engine == "neuralfoil" else ("xfoil", SETTINGS)
