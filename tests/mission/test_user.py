@@ -8,8 +8,8 @@ import pytest
 
 from mufly.estimate import Estimate
 from mufly.mission import SPIN_UP_S, Command, SetPoint, State, begin, load_mission, mission_from, step
-from mufly.mission.schema import homeward
 from mufly.mission.state import LOG_KEPT
+from mufly.mission.timing import homeward
 
 SQUARE = load_mission("demonstration")
 HOP = mission_from(

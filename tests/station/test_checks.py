@@ -10,12 +10,15 @@ import pytest
 from mock_vehicle import MockVehicle, World
 
 from mufly.estimate import Estimate
+from mufly.flight import Parameter
 from mufly.link import items_of as items_of_mission
 from mufly.link import mavlink
-from mufly.mission import mission_from
+from mufly.link.mission_transfer import Item
+from mufly.mission import expected_timing, load_mission, mission_from
 from mufly.station import History, MissionRow, Snapshot
-from mufly.station.checks import Surroundings, flight_time, judge
+from mufly.station.checks import Surroundings, judge
 from mufly.station.commands import StatusTexts
+from mufly.station.endurance import planned_flight
 from mufly.station.telemetry import Telemetry
 from mufly.station.transfers import RemoteMission, RemoteParameters, items_of, rows_of, same_mission
 
@@ -87,7 +90,7 @@ def test_a_mission_that_takes_longer_than_the_battery_lasts(world):
     rows = [MissionRow("take off", (0, 0, -1.0)), MissionRow("waypoint", (10.0, 0.0, -1.0), wait_s=5.0)]
     world.answer(world.seen[0].upload_mission(rows))
     assert check(world, "time to fly").ok is None
-    for left_s, ok in ((60, True), (20, False)):
+    for left_s, ok in ((90, True), (35, False)):
         say(
             world,
             mavlink.MAVLink_battery_status_message(0, 0, 0, 0, [7400] + [65535] * 9, 0, 0, 0, 80, left_s),
@@ -95,17 +98,50 @@ def test_a_mission_that_takes_longer_than_the_battery_lasts(world):
         assert check(world, "time to fly").ok is ok
 
 
-def test_the_time_of_a_mission_is_that_of_its_ways_climbs_and_waits():
-    rows = [
-        MissionRow("take off", (0.0, 0.0, -1.0), wait_s=1.5),
-        MissionRow("waypoint", (3.0, 4.0, -1.0), wait_s=2.0),
-        MissionRow("speed", text="0.25 m/s"),
-        MissionRow("waypoint", (3.0, 5.0, -2.0)),
-        MissionRow("land", (3.0, 5.0, 0.0)),
-    ]
-    climbs = (1.0 + 1.0 + 2.0) / 0.4
-    assert flight_time(rows, 0.5) == pytest.approx(5.0 / 0.5 + 1.0 / 0.25 + climbs + 3.5)
-    assert flight_time([]) == 0.0
+def limits_told(vehicle_limits):
+    """Parameters of a vehicle of mufly, as a station knows them."""
+    return {name: Parameter(name, value) for name, value in vehicle_limits.items()}
+
+
+def test_the_check_reckons_as_mission_check_does():
+    """Whatever of a mission its items carry, and with the mission file that the vehicle was started with, all of it."""
+    for tables in (
+        {"waypoint": [{"position_m": [2.0, 1.0, -1.5], "wait_s": 3.0}, {"position_m": [0.0, 1.0, -1.0]}]},
+        {"waypoint": [{"position_m": [3.0, 0.0, -1.0]}], "at_end": "return", "path": {"kind": "spline"}},
+        load_mission("box-on-leg").model_dump(exclude_none=True),
+    ):
+        mission = mission_from({"name": "m", **tables})
+        items = items_of_mission(mission).items
+        lim = {"LIM_SPEED": mission.limits.speed_m_s, "LIM_CLIMB": mission.limits.climb_m_s}
+        at = replace(Estimate(), position=np.array([*mission.start_m, 0.0]), attitude=np.zeros(3))
+        plan = planned_flight(items, Snapshot(estimate=at), limits_told(lim), base=mission)
+        assert plan.needed_s == pytest.approx(expected_timing(mission).landed_s, abs=0.1)
+        assert plan.assumed == ""
+
+
+def test_a_mission_under_way_needs_what_is_left_of_it():
+    mission = mission_from({"waypoint": [{"position_m": [4.0, 0.0, -1.0]}, {"position_m": [0.0, 0.0, -1.0]}]})
+    items = items_of_mission(mission).items
+    timing = expected_timing(mission)
+    for row, gone in ((1, timing.up_s), (2, timing.legs[0].left_s), (3, timing.legs[1].left_s)):
+        s = Snapshot(flying=True, mission_running=True, mission_row=row)
+        assert planned_flight(items, s, {}, base=mission).needed_s == pytest.approx(timing.landed_s - gone)
+
+
+def test_another_autopilots_mission_is_reckoned_with_its_own_speeds():
+    """PX4 tells them in m/s, ArduPilot in cm/s; where none is told, what is assumed is said."""
+    way = [Item(0, 3, 22, x=470000000, y=80000000, z=10.0), Item(1, 3, 16, x=470010000, y=80000000, z=10.0),
+           Item(2, 3, 82, x=470010000, y=80010000, z=10.0), Item(3, 3, 21, x=470010000, y=80010000)]  # fmt: skip
+    s = Snapshot()
+    px4 = planned_flight(way, s, limits_told({"MPC_XY_CRUISE": 5.0, "MPC_ACC_HOR": 3.0}))
+    ardupilot = planned_flight(way, s, limits_told({"WPNAV_SPEED": 500.0, "WPNAV_ACCEL": 300.0}))
+    assert px4.needed_s == pytest.approx(ardupilot.needed_s)
+    assert px4.assumed == ""
+    length = 111.2 + 76.0
+    assert length / 5.0 < px4.needed_s - 60.0 < length / 5.0 + 25.0  # 10 m up and down at 0.5 and 0.4 m/s
+    unknown = planned_flight(way, s, {})
+    assert unknown.assumed == "0.6 m/s assumed"
+    assert unknown.needed_s > length / 0.6
 
 
 def test_disk_and_recorder_are_looked_at(world):
@@ -170,9 +206,14 @@ WAY = [MissionRow("take off", (0, 0, -2.0)), MissionRow("waypoint", (10.0, 0, -1
         ("level and still", {"estimate": {"velocity": np.array([0.05, 0.05, 0.05])}}, True, "0.09 m/s"),
         ("level and still", {"estimate": {"velocity": np.array([0.0, 0.08, 0.08])}}, False, "0.11 m/s"),
         ("level and still", {"flying": True}, None, "in flight"),
-        # 2 m up, 1 m down at 0.4 m/s, 10 m at 0.5 m/s, 3 s of waiting: 30.5 s, and a fifth of the battery is left.
-        ("time to fly", {"rows": WAY, "battery_left_s": 38.2}, True, "about 30 s, battery 38 s"),
-        ("time to fly", {"rows": WAY, "battery_left_s": 38.0}, False, "about 30 s"),
+        # Up 2 m, down 1 m, 10 m at 0.6 m/s, 5.5 s of waiting, down: 45 s, and a fifth of the battery is left.
+        (
+            "time to fly",
+            {"rows": WAY, "battery_left_s": 57.5},
+            True,
+            "about 0:45 (0.6 m/s assumed), battery 0:58",
+        ),
+        ("time to fly", {"rows": WAY, "battery_left_s": 55.0}, False, "20% has to be left; charge it"),
         ("time to fly", {"rows": WAY}, None, "the battery's time is not told"),
         ("time to fly", {}, None, "no mission"),
         ("disk", {"around": Surroundings(free_bytes=200e6)}, True, "0.2 GB free"),

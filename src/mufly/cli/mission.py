@@ -44,12 +44,12 @@ def list_missions(as_json: JsonOption = False) -> None:
 
 @app.command()
 def show(mission: _Mission = "demonstration", as_json: JsonOption = False, toml: _Toml = False) -> None:
-    """Show the waypoints of a mission, how long the way is, and when each is reckoned to be reached.
+    """Show the waypoints of a mission, how long the way is, and when each is expected to be reached.
 
-    Times are those of the reference trajectories, with one second for settling at each waypoint; \
-going around an obstacle takes longer.
+    Times count from the start signal: rotors speeding up, reference trajectories, settling at each waypoint, waits, \
+and the way around obstacles that the file names.
     """
-    from mufly.mission import dump_mission, load_mission
+    from mufly.mission import dump_mission, expected_timing, load_mission
 
     m = load_mission(mission)
     if toml:
@@ -89,6 +89,8 @@ going around an obstacle takes longer.
         say(f"In the world: {', '.join([*obstacles, *(['a room'] if m.room else [])])}.")
     end = {"land": "lands there", "hover": "hovers there", "return": "returns and lands"}[m.at_end]
     how = "scanning for obstacles" if m.scans else "avoiding obstacles" if m.avoidance.enabled else "blindly"
+    timing = expected_timing(m)
+    say(f"It has landed after about {timing.landed_s:.0f} s, {timing.path_m:.1f} m.")
     say(
         f"Way: {m.path.kind}, at most {m.trajectory_limits.speed:g} m/s, {how}; at the end it {end}.",
         style="dim",
@@ -115,11 +117,14 @@ def _rows(m: Mission) -> list[dict[str, Any]]:
 @app.command()
 def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: JsonOption = False) -> None:
     """Check a mission file, and whether the vehicle's battery lasts for it. Exit status 1 and the reason if not."""
+    from mufly.control import design
+    from mufly.flight import able
     from mufly.mission import load_mission, preflight
     from mufly.vehicle import load_vehicle
 
     m, v = load_mission(mission), load_vehicle(vehicle)
-    estimate = preflight(v, m, vehicle_file=vehicle, mission_file=mission)
+    preflight(v, m, vehicle_file=vehicle, mission_file=mission)  # before the design, which takes longer
+    estimate = preflight(v, m, vehicle_file=vehicle, mission_file=mission, able=able(design(v)))
     if as_json:
         print_json(
             {

@@ -1,7 +1,7 @@
 """All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
 
 from mufly.flight.autopilot import Autopilot
-from mufly.flight.controllers import Actuators, Controllers
+from mufly.flight.controllers import Actuators, Controllers, able
 from mufly.flight.flight import ALIGNED_WITHIN_S, Flight, Progress, fly
 from mufly.flight.parameters import Parameter
 from mufly.flight.plant import Demand, Plant, respond
@@ -43,6 +43,7 @@ __all__ = [
     "SensorLog",
     "SetPoint",
     "Summary",
+    "able",
     "believed",
     "draw_belief",
     "draw_checks",

@@ -116,6 +116,7 @@ def mission_fault(
     Parameters
     ----------
     mission : Mission
+        As it is flown (:func:`mufly.mission.slowed`).
     standing : (2,) tuple
         N, E (m).
     heading : float

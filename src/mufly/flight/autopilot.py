@@ -571,7 +571,8 @@ class Autopilot:
         m = self._estimate
         known = m is not None and bool(np.isfinite(m.position).all())
         n, e = (float(m.position[0]), float(m.position[1])) if m is not None and known else mission.start_m
-        fault = self._fault_of(mission, (n, e), float(m.attitude[2]) if m is not None and known else 0.0)
+        heading = float(m.attitude[2]) if m is not None and known else 0.0
+        fault = self._fault_of(software.flown(mission), (n, e), heading)
         if fault:
             return never(fault)
         try:

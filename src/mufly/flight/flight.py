@@ -572,7 +572,7 @@ def fly(
     if not isinstance(mission, Mission):
         mission = load_mission(mission)
     # What the vehicle is taken for decides whether it may fly; whether it can is seen.
-    expected = preflight(vehicle if designed_for is None else designed_for, mission)
+    preflight(vehicle if designed_for is None else designed_for, mission)
     with Flight(
         vehicle,
         mission,
@@ -594,6 +594,9 @@ def fly(
         for line in filter(None, (flight.outside, flight.lacking)):
             flight.note(line, "warning")
         slower = flight.autopilot.software.slower
+        expected = preflight(
+            vehicle if designed_for is None else designed_for, flight.autopilot.software.plan.mission
+        )
         if slower:
             flight.note(f"slower than asked, as the controllers can: {slower}", "warning")
         wall_s = _run(

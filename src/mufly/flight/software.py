@@ -156,6 +156,10 @@ class FlightSoftware:
         self.plan = prepare(flown, self._vehicle)
         self.asked, self.slower = mission, slower
 
+    def flown(self, mission: Mission) -> Mission:
+        """A mission as it would be flown: no faster than the controllers can follow."""
+        return slowed(mission, able(self._controller))[0]
+
     def load(self, mission: Mission) -> None:
         """Take another mission, from its first waypoint on, when it is started.
 

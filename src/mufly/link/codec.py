@@ -399,7 +399,7 @@ class TextPieces:
 # ============= ==================== =============================================================================
 
 
-ABOVE_SEA, ABOVE_ORIGIN = (0, 5), (3, 6)
+ABOVE_SEA, ABOVE_ORIGIN, ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)
 """Values of MAV_FRAME on the globe, with altitude above the sea, and above the origin."""
 _A = 6_378_137.0
 _E2 = 6.694379990141e-3

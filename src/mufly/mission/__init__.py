@@ -16,7 +16,6 @@ from mufly.mission.machine import go_on, pause, step, stop_at_once, watch_out, w
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
 from mufly.mission.phases import (
     HARD_TOUCHDOWN_M_S,
-    RAMP_DOWN_S,
     blind,
     come_down,
     down_blind,
@@ -28,10 +27,8 @@ from mufly.mission.schema import (
     GREATEST_WIND_M_S,
     LOWEST_M,
     SPIN_UP_S,
-    Leg,
     Mission,
     Waypoint,
-    legs,
     limits_of_file,
 )
 from mufly.mission.state import (
@@ -54,6 +51,7 @@ from mufly.mission.state import (
     never,
     prepare,
 )
+from mufly.mission.timing import RAMP_DOWN_S, Leg, MissionTiming, expected_timing, landing_time, legs
 from mufly.mission.trajectory import Limits, Spline, Trajectory, curved, spline, straight
 from mufly.mission.words import Words
 
@@ -80,6 +78,7 @@ __all__ = [
     "MissionEstimate",
     "MissionPlan",
     "MissionState",
+    "MissionTiming",
     "Reference",
     "SetPoint",
     "Spline",
@@ -96,8 +95,10 @@ __all__ = [
     "curved",
     "down_blind",
     "dump_mission",
+    "expected_timing",
     "fault_of",
     "go_on",
+    "landing_time",
     "later",
     "legs",
     "lifted_off",

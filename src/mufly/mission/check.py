@@ -18,17 +18,9 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
-from mufly.mission.schema import (
-    LOWEST_M,
-    SETTLE_S,
-    SLOW_FROM_M,
-    SPIN_UP_S,
-    Mission,
-    homeward,
-    legs,
-    limits_of_file,
-)
+from mufly.mission.schema import LOWEST_M, Mission, limits_of_file
 from mufly.mission.state import prepare
+from mufly.mission.timing import expected_timing, homeward, landing_time, legs, take_off_time
 from mufly.mission.trajectory import Limits
 from mufly.results import result
 from mufly.tables import builtin_names, read_tables, toml_value, validated
@@ -168,7 +160,7 @@ class MissionEstimate:
     Attributes
     ----------
     duration_s : float
-        From the start signal to touchdown (s).
+        From the start signal until it has landed, rotors at rest (s).
     path_m : float
         Length of the reference from lift-off to touchdown (m).
     charge_Ah, fraction : float
@@ -208,31 +200,25 @@ def check_mission(
         Naming the height of take-off or the first waypoint, its wait or the landing that the charge does not reach.
     """
     where = where or mission.name
-    limits = mission.trajectory_limits
     lasts = 3600.0 * mission.battery.usable * capacity_Ah / hover_current_A
     remedy = (
         f"the battery lasts {lasts:.0f} s ({mission.battery.usable:.0%} of {capacity_Ah * 1000:.0f} mA h at "
         f"{hover_current_A:.1f} A): "
     )
 
-    def down(height: float) -> float:
-        slow = min(height, SLOW_FROM_M)
-        return (height - slow) / limits.descent + slow / mission.limits.touchdown_m_s + 2.0
-
-    height = mission.take_off.height_m
-    up = SPIN_UP_S + height / limits.climb
-    if up + down(height) > lasts:
+    timing = expected_timing(mission)
+    height, up = mission.take_off.height_m, take_off_time(mission)
+    least = up + landing_time(height, mission)
+    if least > lasts:
         raise InputError(
             where,
             "take_off.height_m",
-            f"{height:g} m is out of reach: up and down takes {_seconds(up + down(height))}",
+            f"{height:g} m is out of reach: up and down takes {_seconds(least)}",
             remedy + "take off lower",
         )
-    length = height
-    time = up
-    for leg, waypoint in zip(legs(mission), mission.waypoint, strict=True):
+    for leg, waypoint in zip(timing.legs, mission.waypoint, strict=True):
         key = f"waypoint[{leg.number}]"
-        landing = down(-waypoint.position_m[2])
+        landing = landing_time(-waypoint.position_m[2], mission)
         rise = abs(waypoint.position_m[2] - leg.trajectory.start[2])
         if leg.reached_s + landing > lasts:
             vertical = rise > leg.trajectory.way.way
@@ -252,18 +238,12 @@ def check_mission(
                 f"{_seconds(leg.left_s + landing)}",
                 remedy + "wait less",
             )
-        time = leg.left_s + landing
-        length += leg.length_m
-    back = homeward(mission)
-    if back is not None:
-        time += back.duration_s + SETTLE_S
-        length += back.way.way
-        if time > lasts:
-            problem = f'"return" is out of reach: the mission and the way home take {_seconds(time)}'
-            raise InputError(where, "at_end", problem, remedy + 'end with "land", or fly less far')
-    length -= mission.waypoint[-1].position_m[2]
+    time = timing.landed_s
+    if time > lasts:
+        problem = f'"return" is out of reach: the mission and the way home take {_seconds(time)}'
+        raise InputError(where, "at_end", problem, remedy + 'end with "land", or fly less far')
     charge = time * hover_current_A / 3600.0
-    return MissionEstimate(time, length, charge, charge / capacity_Ah)
+    return MissionEstimate(time, timing.path_m, charge, charge / capacity_Ah)
 
 
 def _seconds(t: float) -> str:
@@ -345,7 +325,12 @@ def dump_mission(mission: Mission) -> str:
 
 
 def preflight(
-    vehicle: Vehicle, mission: Mission, *, vehicle_file: str = "", mission_file: str = ""
+    vehicle: Vehicle,
+    mission: Mission,
+    *,
+    vehicle_file: str = "",
+    mission_file: str = "",
+    able: Limits | None = None,
 ) -> MissionEstimate:
     """Check that the vehicle hovers, that the mission suits it and that its battery lasts.
 
@@ -356,6 +341,8 @@ def preflight(
         Checked, as `load_mission` returns it.
     vehicle_file, mission_file : str
         What an error calls them; their names by default.
+    able : Limits, optional
+        What the vehicle's controllers can follow (:func:`mufly.flight.able`): the mission is flown no faster.
 
     Returns
     -------
@@ -377,6 +364,8 @@ def preflight(
     except InputError as error:
         raise error.at(where) from None
     capacity_Ah = float(vehicle.battery.capacity) / 3600.0
+    if able is not None:
+        mission, _ = slowed(mission, able)
     return check_mission(mission, hover_current_A=current, capacity_Ah=capacity_Ah, where=where)
 
 

@@ -64,6 +64,7 @@ from mufly.mission.state import (
     may,
     rest,
 )
+from mufly.mission.timing import LOOK_AROUND_S
 from mufly.mission.trajectory import Trajectory, Triple, shorter_way_round, stop, straight
 from mufly.mission.words import Words
 from mufly.trigonometry import length
@@ -73,7 +74,6 @@ _TIPPED = math.radians(60.0)
 _LOW_FOR_S = 1.0
 _VOLTAGE_LAG_S = 0.5
 _GATE_HEIGHT_M, _GATE_HEADING = 0.1, math.radians(8.0)
-_LOOK_AROUND_S = 3.0
 
 _PHASES = {
     State.INIT: phases.stand,
@@ -173,7 +173,7 @@ def _sense(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Missio
             clock = gate
     volts = s.battery_V + (m.battery_voltage - s.battery_V) * min(1.0, dt / _VOLTAGE_LAG_S)
     swinging = s.swing
-    swinging = min(_LOOK_AROUND_S, swinging + dt) if scanning(plan, s) else max(0.0, min(1.0, swinging) - dt)
+    swinging = min(LOOK_AROUND_S, swinging + dt) if scanning(plan, s) else max(0.0, min(1.0, swinging) - dt)
     return replace(
         s,
         time_s=m.time_s,
@@ -192,7 +192,7 @@ def _gate_open(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory)
     return (
         abs(m.position[2] - at.position[2]) < _GATE_HEIGHT_M
         and abs(m.attitude[2] - at.heading - angle) < _GATE_HEADING + abs(angle)
-        and (not plan.scan or s.resumed or way.way.way == 0.0 or s.swing >= _LOOK_AROUND_S)
+        and (not plan.scan or s.resumed or way.way.way == 0.0 or s.swing >= LOOK_AROUND_S)
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from mufly.estimate import Estimate
 from mufly.mission.avoidance import blocked
 from mufly.mission.detour import BRAKE_M_S2, begin_detour, go_round
-from mufly.mission.schema import LOWEST_M, SLOW_FROM_M, SPIN_UP_S, leg_trajectory
+from mufly.mission.schema import LOWEST_M, SPIN_UP_S, leg_trajectory
 from mufly.mission.state import (
     Command,
     MissionPlan,
@@ -28,6 +28,7 @@ from mufly.mission.state import (
     log,
     rest,
 )
+from mufly.mission.timing import RAMP_DOWN_S, SINK_LAG_S, landing_rate
 from mufly.mission.trajectory import Point, Stop, Trajectory, Triple, stop, straight
 from mufly.mission.words import Words
 from mufly.trigonometry import length, sine_cosine
@@ -117,10 +118,7 @@ def reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Re
 # Down to the floor: a landing, and the way down when the estimate is lost
 
 
-RAMP_DOWN_S = 1.0
-"""Time that the rotors take to stop after touchdown (s)."""
-
-_SINK_LAG_S, _STILL_S = 0.15, 0.3
+_STILL_S = 0.3
 _NEAR_FLOOR_M = 0.1
 _DRIFTS_BELOW_M, _DRIFTS_M_S, _DRIFTING_M_S = 0.6, 0.3, 0.05  # it does not touch down while it drifts
 _STAYS_M = 0.25  # how far it may be above where it is to be while it sinks
@@ -171,15 +169,12 @@ def sink(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionS
     q = plan.mission.limits
     a = q.climb_acceleration_m_s2
     above = s.standing[2] - s.hold[2]
-    # v^2 = v1^2 + 2 (a/2) h: half the acceleration brings it from descent to touchdown speed where that begins.
-    wanted = min(
-        q.descent_m_s, math.sqrt(q.touchdown_m_s * q.touchdown_m_s + max(0.0, above - SLOW_FROM_M) * a)
-    )
+    wanted = landing_rate(above, q.descent_m_s, q.touchdown_m_s, a)
     if above < -0.3:
         wanted = 0.0
     elif 0.0 < above < _DRIFTS_BELOW_M and m.velocity[0] ** 2 + m.velocity[1] ** 2 > _DRIFTS_M_S**2:
         wanted = min(wanted, _DRIFTING_M_S)
-    ask = min(max((wanted - s.sink) / _SINK_LAG_S, -a), a)
+    ask = min(max((wanted - s.sink) / SINK_LAG_S, -a), a)
     rate = s.sink_rate + (ask - s.sink_rate) * min(1.0, dt / 0.1)
     speed = s.sink + rate * dt
     depth = s.hold[2] + speed * dt

@@ -7,7 +7,6 @@ unit. `docs/missions.md` explains each one; a test holds that page and these mod
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -255,7 +254,7 @@ def limits_of_file(q: TrajectoryLimits) -> dict[str, float]:
 
 
 # ----------------------------------------------------------------------------
-# The legs of a mission: which trajectory leads to which waypoint, and when.
+# The legs of a mission: which trajectory leads to which waypoint.
 
 
 SPIN_UP_S = 3.0
@@ -263,9 +262,6 @@ SPIN_UP_S = 3.0
 
 SLOW_FROM_M = 0.4
 """Height (m) below which a landing goes at the touchdown speed."""
-
-SETTLE_S = 1.0
-"""What settling at each waypoint is reckoned to take on top of its reference (s)."""
 
 
 def leg_trajectory(
@@ -314,41 +310,3 @@ def leg_trajectory(
 def above_start(mission: Mission) -> NDArray[np.float64]:
     """Where the take-off ends, N, E, D (m)."""
     return np.array([*mission.start_m, -mission.take_off.height_m])
-
-
-def homeward(mission: Mission) -> Trajectory | None:
-    """The way back from the last waypoint to above the start, as planned, where the mission ends with one."""
-    if mission.at_end != "return" or not mission.waypoint:
-        return None
-    last = mission.waypoint[-1].position_m
-    goal = (*mission.start_m, last[2])
-    return straight(last, goal, 0.0, mission.trajectory_limits)
-
-
-@dataclass(frozen=True, slots=True)
-class Leg:
-    """One waypoint in the plan: its trajectory and when the wait there is over (s since the start signal)."""
-
-    number: int
-    trajectory: Trajectory
-    length_m: float
-    reached_s: float
-    left_s: float
-
-
-def legs(mission: Mission) -> list[Leg]:
-    """The planned legs, one a waypoint, with the times at which they are flown."""
-    limits = mission.trajectory_limits
-    position, heading = above_start(mission), math.radians(mission.start_heading_deg)
-    standing = np.array([*mission.start_m, 0.0])
-    time = SPIN_UP_S + straight(standing, position, heading, limits).duration_s + SETTLE_S
-    time += mission.take_off.wait_s
-    plan = []
-    for i, waypoint in enumerate(mission.waypoint):
-        way = leg_trajectory(mission, i, position, heading)
-        reached = time + way.duration_s + SETTLE_S
-        time = reached + waypoint.wait_s
-        length = abs(way.goal[2] - way.start[2]) + way.way.way if way.curve is None else way.way.way
-        plan.append(Leg(i + 1, way, length, reached, time))
-        position, heading = np.array(waypoint.position_m), heading + way.turn
-    return plan

@@ -9,15 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from mufly.link.mission_transfer import Item
+from mufly.mission import Mission
+from mufly.station.autopilots import ARDUPILOT
 from mufly.station.commands import StatusTexts
-from mufly.station.history import Check, MissionRow, Snapshot
+from mufly.station.endurance import planned_flight
+from mufly.station.history import Check, Snapshot, clock
 from mufly.station.telemetry import EstimatorStatus, Telemetry
-from mufly.station.transfers import RemoteMission, RemoteParameters, rows_of, same_mission
+from mufly.station.transfers import RemoteMission, RemoteParameters, same_mission
 
 LOSS_MOST = 0.1
 CHARGE_LEAST = 0.3
@@ -27,7 +29,6 @@ RESERVE = 0.2
 """Share of the battery that a mission must leave."""
 DISK_LEAST_BYTES = 200e6
 OWN_CHECKS = "vehicle's own checks"
-_SPEED_M_S, _CLIMB_M_S = 0.5, 0.4
 _PREARM = 268435456  # MAV_SYS_STATUS_PREARM_CHECK
 
 _Judged = tuple[bool | None, str]
@@ -45,11 +46,14 @@ class Surroundings:
         Room on the disk it writes to; NaN where unknown.
     shown : tuple of Item or None
         The mission that the page shows, to be compared with what the vehicle holds.
+    base : Mission or None
+        The mission file that the vehicle was started with, where the station knows it: for what items do not carry.
     """
 
     recording: bool | None = None
     free_bytes: float = math.nan
     shown: tuple[Item, ...] | None = None
+    base: Mission | None = None
 
 
 def judge(
@@ -71,36 +75,12 @@ def judge(
         "position": _position(s),
         **({} if told.estimator is None else {"estimator": _estimator(told.estimator)}),
         "mission": _mission(mission.items, around.shown),
-        "time to fly": _endurance(s, rows_of(mission.items or (), told.origin), parameters),
+        "time to fly": _endurance(s, told, mission.items or (), parameters, around.base),
         "parameters": _parameters(parameters),
         "recording": _recording(around.recording),
         "disk": _disk(around.free_bytes),
     }
     return [Check(name, *answer) for name, answer in judged.items()]
-
-
-def flight_time(rows: Sequence[MissionRow], speed_m_s: float = _SPEED_M_S) -> float:
-    """Return about how long a mission takes (s): level ways at a speed, climbs at 0.4 m/s, and the waits."""
-    speed, total = speed_m_s, 0.0
-    flown = []
-    for row in rows:
-        if row.action == "speed":
-            speed = next((float(w) for w in row.text.split() if _is_number(w)), speed_m_s)
-        elif all(map(math.isfinite, row.position)):
-            flown.append((row, speed if speed > 0 else speed_m_s))
-    for (before, _), (row, pace) in pairwise(flown):
-        total += math.dist(before.position[:2], row.position[:2]) / pace
-        total += abs(before.position[2] - row.position[2]) / _CLIMB_M_S + row.wait_s
-    if flown:
-        total += abs(flown[0][0].position[2]) / _CLIMB_M_S + flown[0][0].wait_s
-    return total
-
-
-def _is_number(word: str) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
 
 
 def _heard(s: Snapshot) -> _Judged:
@@ -183,15 +163,20 @@ def _mission(held: tuple[Item, ...] | None, shown: tuple[Item, ...] | None) -> _
     return True, f"{len(held)} items in the vehicle" if held else "none"
 
 
-def _endurance(s: Snapshot, rows: list[MissionRow], parameters: RemoteParameters) -> _Judged:
-    speed = parameters.table.get("LIM_SPEED")
-    needed = flight_time(rows, speed.value if speed is not None and speed.value > 0 else _SPEED_M_S)
-    if not needed:
+def _endurance(
+    s: Snapshot, told: Telemetry, items: Sequence[Item], parameters: RemoteParameters, base: Mission | None
+) -> _Judged:
+    own = items[1:] if told.autopilot == ARDUPILOT else items  # its first is its home
+    plan = planned_flight(own, s, parameters.table, origin=told.origin, base=base)
+    if plan is None:
         return None, "no mission"
+    words = f"mission about {clock(plan.needed_s)}" + (f" ({plan.assumed})" if plan.assumed else "")
     if math.isnan(s.battery_left_s):
-        return None, f"mission about {needed:.0f} s; the battery's time is not told"
-    enough = needed <= (1.0 - RESERVE) * s.battery_left_s
-    return enough, f"mission about {needed:.0f} s, battery {s.battery_left_s:.0f} s"
+        return None, f"{words}; the battery's time is not told"
+    words += f", battery {clock(s.battery_left_s)}"
+    if plan.needed_s <= (1.0 - RESERVE) * s.battery_left_s:
+        return True, words
+    return False, f"{words}: {RESERVE:.0%} has to be left; charge it, or fly a shorter mission"
 
 
 def _parameters(parameters: RemoteParameters) -> _Judged:

@@ -122,6 +122,14 @@ class Snapshot(FlightState):
         )
 
 
+def clock(seconds: float) -> str:
+    """Return a time as minutes and seconds: "1:18"; "-" where it is not known."""
+    if not math.isfinite(seconds):
+        return "-"
+    whole = max(0, math.floor(seconds + 0.5))
+    return f"{whole // 60}:{whole % 60:02d}"
+
+
 @dataclass(frozen=True, slots=True)
 class Message:
     """One line of the message log; ``level`` is "info", "warning" or "error", as in a recording's events."""

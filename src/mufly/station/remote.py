@@ -330,6 +330,11 @@ class RemoteVehicle:
         """Say which mission the page shows, for the check that the vehicle holds the same."""
         self.surroundings.shown = None if mission is None else tuple(items_of_mission(mission).items)
 
+    def started_with(self, mission: Mission) -> None:
+        """Say with which mission file it was started: limits, path and obstacles stay those of that file."""
+        self.surroundings.base = mission
+        self.show_mission(mission)
+
     def mark(self, text: str) -> Request:
         """Put a mark into the recording, and among the messages."""
         request = Request(f"mark: {text}")

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 from mufly.errors import InputError
 from mufly.flight import Parameter
-from mufly.link.codec import MavMessage, Origin, mavlink
+from mufly.link.codec import ABOVE_ORIGIN, ABOVE_SEA, ABOVE_TERRAIN, MavMessage, Origin, mavlink
 from mufly.link.mission_transfer import (
     GIVE_UP_S,
     Ack,
@@ -58,9 +58,14 @@ _OTHERS = {
     112: "wait",
     177: "jump",
 }
-_HOLDS = (WAYPOINT, 19, 82, 93, 112)
+DELAYS = (93, 112)
+"""NAV_DELAY and CONDITION_DELAY: waits that have no place."""
+_PLACED = (WAYPOINT, TAKE_OFF, LAND, 17, 18, 19, 82)
+_HOLDS = (WAYPOINT, 19, 82, *DELAYS)
 _COMMANDS = {action: command for command, action in _ACTIONS.items()}
-_GLOBAL = {0: 0, 5: 0, 3: 1, 6: 1, 10: 1, 11: 1}  # MAV_FRAME: 0 height over the sea, 1 over home
+_HEADED = (WAYPOINT, TAKE_OFF, LAND, 17)
+"""Commands whose parameter 4 is a heading (deg; NaN: none). Of NAV_LOITER_TIME and NAV_LOITER_TURNS it is none."""
+_LOCAL_ENU = 4
 _NOT_GIVEN = 2**31 - 1
 _NOWHERE = (math.nan, math.nan, math.nan)
 _NUMBER = re.compile(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?")
@@ -132,14 +137,16 @@ def _row(item: Item, origin: Origin | None, reached: bool) -> MissionRow:
         return MissionRow(action, reached=reached, text=OWN_SPEED if speed == -2.0 else f"{speed:g} m/s")
     if command == HEADING:
         return MissionRow(action, heading_rad=math.radians(item.params[0]), reached=reached)
-    if item.frame == LOCAL_NED and command in (*_ACTIONS, *_OTHERS) and command != RETURN:
+    if item.frame == LOCAL_NED and command in _PLACED:
         position = (item.x / 1e4, item.y / 1e4, item.z)
-    elif item.frame in _GLOBAL and item.x != _NOT_GIVEN:
+    elif item.frame == _LOCAL_ENU and command in _PLACED:
+        position = (item.y / 1e4, item.x / 1e4, -item.z)
+    elif item.frame in (*ABOVE_SEA, *ABOVE_ORIGIN, *ABOVE_TERRAIN) and item.x != _NOT_GIVEN:
         position, text = _from_global(item, origin)
     elif command not in _ACTIONS:
         text = " ".join(f"{p:g}" for p in (*item.params, item.x, item.y, item.z))
     wait_s = item.params[0] if command in _HOLDS and math.isfinite(item.params[0]) else 0.0
-    heading = math.radians(item.params[3]) if command in (WAYPOINT, TAKE_OFF, LAND) else math.nan
+    heading = math.radians(item.params[3]) if command in _HEADED else math.nan
     return MissionRow(action, position, heading, wait_s, reached, text)
 
 
@@ -147,10 +154,13 @@ def _from_global(item: Item, origin: Origin | None) -> tuple[tuple[float, float,
     latitude, longitude = item.x / 1e7, item.y / 1e7
     if (item.x, item.y) == (0, 0):
         return _NOWHERE, ""
+    over_terrain = item.frame in ABOVE_TERRAIN
+    height = f"{item.z:g} m above the terrain" if over_terrain else f"{item.z:g} m"
     if origin is None:
-        return _NOWHERE, f"{latitude:.6f} {longitude:.6f} deg, {item.z:g} m"
-    north, east, down = origin.to_local(latitude, longitude, item.z)
-    return (north, east, -item.z if _GLOBAL[item.frame] else down), ""
+        return _NOWHERE, f"{latitude:.6f} {longitude:.6f} deg, {height}"
+    north, east, down = origin.to_local(latitude, longitude, item.z, item.frame)
+    # How high the terrain lies above the origin nobody here knows.
+    return (north, east, math.nan if over_terrain else down), height if over_terrain else ""
 
 
 def same_mission(a: Sequence[Item], b: Sequence[Item]) -> bool:

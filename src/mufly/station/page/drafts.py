@@ -22,7 +22,7 @@ from mufly.errors import InputError
 from mufly.link.codec import Origin
 from mufly.link.mission_transfer import Item
 from mufly.link.missions import Refusal, plan_of
-from mufly.mission import Mission, Waypoint, check_geometry, check_mission
+from mufly.mission import Limits, Mission, Waypoint, check_geometry, check_mission, slowed
 from mufly.mission.check import MissionEstimate
 from mufly.tables import validated
 
@@ -256,7 +256,9 @@ class Verdict:
     estimate: MissionEstimate | None = None
 
 
-def judge(mission: Mission, battery: tuple[float, float] | None = None) -> Verdict:
+def judge(
+    mission: Mission, battery: tuple[float, float] | None = None, able: Limits | None = None
+) -> Verdict:
     """Check a mission as the command line checks its file.
 
     Parameters
@@ -264,12 +266,15 @@ def judge(mission: Mission, battery: tuple[float, float] | None = None) -> Verdi
     mission : Mission
     battery : (hover_current_A, capacity_Ah), optional
         Of the vehicle, where it is known: then the charge has to last.
+    able : Limits, optional
+        What the vehicle's controllers can follow, where it is known: it flies no faster.
     """
     try:
         check_geometry(mission, mission.name or WHERE)
         current_A, capacity_Ah = battery or (1.0, math.inf)
+        flown = mission if able is None else slowed(mission, able)[0]
         estimate = check_mission(
-            mission, hover_current_A=current_A, capacity_Ah=capacity_Ah, where=mission.name or WHERE
+            flown, hover_current_A=current_A, capacity_Ah=capacity_Ah, where=mission.name or WHERE
         )
     except InputError as error:
         return Verdict(f"{error.key}: {error.problem}; {error.remedy}", row_of(error.key, mission))
@@ -316,7 +321,7 @@ class Sketch:
             self.draft = draft
             self.version += 1
 
-    async def check(self, battery: tuple[float, float] | None) -> Verdict:
+    async def check(self, battery: tuple[float, float] | None, able: Limits | None = None) -> Verdict:
         """Judge the draft, unless that is under way; what changes meanwhile is judged after it."""
         while self._judging:
             await asyncio.sleep(0.02)
@@ -324,7 +329,7 @@ class Sketch:
         try:
             while self.verdict is None:
                 mission = self.draft.mission
-                verdict = await asyncio.to_thread(judge, mission, battery)
+                verdict = await asyncio.to_thread(judge, mission, battery, able)
                 if mission is self.draft.mission:
                     self.verdict = verdict
                     self.version += 1

@@ -10,7 +10,8 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import InputError
-from mufly.mission import Mission, dump_mission
+from mufly.mission import Limits, Mission, dump_mission
+from mufly.station.endurance import told_ability
 from mufly.station.page import panels
 from mufly.station.page.drafts import Draft, Sketch, Verdict, edited, of_vehicle, opened, shown
 from mufly.station.page.session import View, drawn_world
@@ -38,6 +39,11 @@ class MissionEditor:
     @property
     def _sketch(self) -> Sketch:
         return self._view.session.sketch
+
+    def _able(self) -> Limits | None:
+        """What the controllers of the selected vehicle can follow, where it tells."""
+        vehicle = self._view.aircraft()
+        return None if vehicle is None else told_ability(vehicle.parameters)
 
     def _may_not(self) -> str:
         return "" if self._view.has_controls else "another window has the controls and edits the mission"
@@ -90,7 +96,7 @@ class MissionEditor:
 
     async def _checked(self) -> Verdict:
         self.refresh()
-        verdict = await self._sketch.check(self._view.session.battery)
+        verdict = await self._sketch.check(self._view.session.battery, self._able())
         self.refresh()
         return verdict
 
