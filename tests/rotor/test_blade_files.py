@@ -80,6 +80,39 @@ def test_calipers_in_inches_with_sections_and_commas(tmp_path):
     assert (r.blades, r.airfoil_names()) == (4, ("clarky", "naca4412"))
 
 
+@pytest.mark.parametrize(
+    ("header", "rows"),
+    [
+        ("r_mm,chord_mm,twist_rad", ("10,10,0.5236", "60,6,0.1745329")),
+        ("r [m],c [m],theta (rad)", ("0.010,0.010,0.5236", "0.060,0.006,0.1745329")),
+        ("r_mm,chord_mm,twist", ("60,6,10", "10,10,30")),
+        ("r_mm,chord_mm,twist (°)", ("1.0D1,1.0D+01,3.0D1", "6.0d1,6.0D+00,1.0D+01")),
+        ("radius (cm);chord (in);beta (mrad)", ("1;0,393701;523,6", "6;0,23622;174,53")),
+    ],
+)
+def test_units_and_directions_of_a_table(tmp_path, header, rows):
+    path = tmp_path / "t.csv"
+    for raw in ("\n".join((header, *rows)).encode(), "\r".join((header, *rows)).encode("utf-16")):
+        path.write_bytes(raw)
+        r, notes = read_blade(path, blades=2, airfoil="naca4412")
+        assert_allclose(r.radius_m, 0.06)
+        assert_allclose(r.chord_m([1 / 6, 1.0]), [0.010, 0.006], rtol=1e-5)
+        assert_allclose(r.twist_rad([1 / 6, 1.0]), [math.pi / 6, math.pi / 18], rtol=1e-4)
+        assert any("from tip to hub" in note for note in notes) == rows[0].startswith("60")
+
+
+def test_an_untwisted_blade_needs_no_unit_and_shares_in_per_cent_are_refused(tmp_path):
+    r, _ = read_blade(written(tmp_path, "u.csv", "r_mm,chord_mm,beta\n10,2,0\n20,2,0\n"))
+    assert float(r.twist_rad(0.75)) == 0.0
+    text = "r/R,c/R,beta\n15,16,30\n100,8,10\n"
+    with pytest.raises(InputError, match="r/R: reaches 100: no share of the radius"):
+        read_blade(written(tmp_path, "p.csv", text), radius_m=0.06)
+    with pytest.raises(InputError, match="c/R: reaches 16: no share of the radius"):
+        read_blade(
+            written(tmp_path, "p.csv", text.replace("15,", "0.15,").replace("100,", "1,")), radius_m=0.06
+        )
+
+
 def test_inches_at_a_names_end_and_an_airfoil_of_ones_own(tmp_path):
     path = written(tmp_path, "i.csv", "r_in,chord_in,beta_deg\n0.5,0.6,20\n2.5,0.3,6\n")
     r, notes = read_blade(path, blades=2, airfoil="clarky")
@@ -97,7 +130,18 @@ def test_inches_at_a_names_end_and_an_airfoil_of_ones_own(tmp_path):
         ("a.csv", "r_mm,chord_mm\n10,2\n20,2\n", "twist: is not among the columns"),
         ("a.csv", "r_mm,chord_mm,beta\n10,2,x\n20,2,3\n", "line 2, beta: 'x' is no number"),
         ("a.csv", "r_mm,chord_mm,beta\n10,2,3\n", "fewer than two stations"),
-        ("a.csv", "r_mm,chord_mm,beta\n20,2,3\n10,2,3\n", "not beyond|hub to tip"),
+        ("a.csv", "r_mm,chord_mm,beta\n10,2,3\n20,2,3\n15,2,3\n", "not beyond|hub to tip"),
+        ("a.csv", "r_mm,chord_mm,beta\n10,2,0.5\n20,2,0.2\n", "beta: goes from 0.2 to 0.5 without a unit"),
+        (
+            "a.csv",
+            "r_mm;chord_mm;angle\n10;2;-0,1\n20;2;-0,3\n",
+            "angle: goes from -0.3 to 0.3 without a unit",
+        ),
+        ("a.csv", "r_mm,chord_mm,pitch (in)\n10,2,4\n20,2,4\n", r"pitch \(in\): has the unit 'in'"),
+        ("a.csv", "r_mm,chord_mm,twist [grad]\n10,2,4\n20,2,4\n", "has the unit 'grad'"),
+        ("a.csv", "r_mm,chord_mm,beta\n0.01,0.002,30\n0.06,0.002,10\n", "the radius would be 0.06 mm"),
+        ("a.csv", "r_mm,chord_mm,beta\n10,2,nan\n20,2,3\n", "line 2, beta: 'nan' is no number"),
+        ("a.csv", "r_mm,chord_mm,beta\n10,2,30\n20,10\n", "line 3, beta: is missing"),
         ("a.PE0", "STATION CHORD\n1 2\n", "no RADIUS"),
         ("a.PE0", APC.format(rake="RAKE", inch="", zero=""), "10 numbers"),
     ],

@@ -5,7 +5,9 @@ import struct
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from typer.testing import CliRunner
 
+from mufly.cli import app
 from mufly.errors import InputError
 from mufly.rotor import load_rotor, make_rotor
 from mufly.rotor.sections.airfoil import load_airfoil
@@ -81,6 +83,30 @@ def test_a_body_is_cut_into_the_stations_that_it_was_made_of(rotor, tmp_path, ta
     assert (again.blades, len(notes)) == (3, 1)
     camber = load_airfoil(again.blade.airfoils[5]).camber
     assert_allclose(camber, load_airfoil("clarky").camber, atol=5e-3)
+
+
+@pytest.mark.parametrize(("unit_m", "unit"), [(1.0, "m"), (0.0254, "in"), (1e-6, "um")])
+def test_a_body_in_another_unit_than_mm_is_asked_for_its_unit(rotor, tmp_path, unit_m, unit):
+    """STL files know no unit: in mm these rotors would have radii of 0.06 mm, 2.4 mm and 60 m."""
+    body = solid_of(blade_sections(rotor))
+    write_stl(tmp_path / "p.stl", type(body)(body.points_m * 1e-3 / unit_m, body.triangles))
+    with pytest.raises(InputError, match=rf"is not known: p.stl reaches .* as unit={unit} \(R 60 mm"):
+        rotor_of_body(tmp_path / "p.stl", folder=tmp_path)
+    found, _ = rotor_of_body(tmp_path / "p.stl", folder=tmp_path, unit_m=unit_m)
+    assert found.radius_m == pytest.approx(0.06, rel=1e-3)
+
+
+def test_the_command_that_imports_a_body_takes_its_unit(rotor, tmp_path):
+    body = solid_of(blade_sections(rotor))
+    write_stl(tmp_path / "p.stl", type(body)(body.points_m * 1e-3, body.triangles))
+    run = ["rotor", "import", str(tmp_path / "p.stl"), "--out", str(tmp_path / "p.toml")]
+    fault = CliRunner().invoke(app, run).exception
+    assert isinstance(fault, InputError)
+    assert "--unit m (R 60 mm)" in str(fault)
+    assert CliRunner().invoke(app, [*run, "--unit", "m"]).exit_code == 0
+    assert load_rotor(tmp_path / "p.toml").radius_m == pytest.approx(0.06, rel=1e-3)
+    wrong = CliRunner().invoke(app, [*run, "--unit", "bananas"]).exception
+    assert "'bananas' is no length" in str(wrong)
 
 
 def test_what_is_no_body_is_said(rotor, tmp_path):

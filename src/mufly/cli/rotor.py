@@ -38,7 +38,7 @@ from mufly.cli.present import (
     write_csv,
     writing,
 )
-from mufly.units import RPM
+from mufly.units import RPM, units_of
 
 if TYPE_CHECKING:
     from mufly.drive import OperatingPoint
@@ -200,6 +200,9 @@ def import_blade(
             "Its thickness, as 0.3mm; as the airfoils have it where it is not given.",
         ),
     ] = None,
+    unit: Annotated[
+        str | None, option("NAME", "Of an STL file, which knows none: mm (as taken without it), m, cm, in.")
+    ] = None,
     name: Annotated[str | None, option("NAME", "Name of the rotor.")] = None,
     out: Annotated[Path | None, option("--out FILE.toml", "Write the rotor file.")] = None,
     as_json: JsonOption = False,
@@ -208,7 +211,7 @@ def import_blade(
 
     Examples: mufly rotor import da4002_5x3.75_geom.txt --diameter 5in --airfoil sda1075.dat --out da.toml; mufly rotor
     import 10x7E-PERF.PE0 --out apc.toml; mufly rotor import calipers.csv (r_mm, chord_mm, beta_deg) --blades 2; mufly
-    rotor import blade.stl --out cut.toml (mm; blade along x, shaft along z; also .step)
+    rotor import blade.stl --unit mm --out cut.toml (blade along x, shaft along z; also .step)
     """
     from mufly.errors import InputError
     from mufly.rotor import read_blade, replace_rotor, rotor_toml
@@ -224,12 +227,20 @@ def import_blade(
             raise InputError(option, "", error.problem, f"write for example {example}") from None
 
     radius = None if diameter is None else 0.5 * length("--diameter", diameter, "5in or 127mm")
+    if unit is not None and (unit not in units_of("m") or blade.suffix.lower() != ".stl"):
+        problem, remedy = f"{unit!r} is no length", f"use one of: {', '.join(units_of('m'))}"
+        if blade.suffix.lower() != ".stl":
+            problem, remedy = "is of STL files", f"leave it out: {blade.name} has units of its own"
+        raise InputError("--unit", "", problem, remedy)
     if blade.suffix.lower() in (".stl", ".step", ".stp"):
         from mufly.rotor.solid import rotor_of_body
 
         if out is None:
             raise InputError("--out", "", "is missing", "give one: a body's sections are written beside it")
-        r, notes = rotor_of_body(blade, folder=out.parent, blades=blades, name=name or out.stem)
+        r, notes = rotor_of_body(
+            blade, folder=out.parent, blades=blades, name=name or out.stem,
+            unit_m=None if unit is None else units_of("m")[unit],
+        )  # fmt: skip
     else:
         r, notes = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
     if trailing_edge is not None:

@@ -1,7 +1,8 @@
 """Blades as others write them down: tables of radius, chord and angle, UIUC's and APC's own files.
 
 A table is any text that :func:`mufly.tables.text_columns` reads. A column is known by its name, its unit stands in the
-header; a length without one is refused, an angle without one is in degrees.
+header; a length without one is refused. Angles without one are in degrees, unless all could be radians: then the unit
+is asked for. Stations run from hub to tip or from tip to hub.
 
 =======  =====================================================================================================
 radius   ``r/R``, ``r_over_R``, ``x``; or a length: ``r_mm``, ``radius (in)``, ``station``
@@ -33,7 +34,7 @@ from mufly.errors import ArgumentError, InputError
 from mufly.rotor.geometry import Rotor, rotor_from
 from mufly.rotor.sections.airfoil import load_airfoil
 from mufly.tables import text_columns
-from mufly.units import conversion, split_header, units_of
+from mufly.units import conversion, known_unit, split_header, units_of
 
 Array = NDArray[np.float64]
 
@@ -43,6 +44,9 @@ _ANGLE, _FOIL = ("beta", "twist", "angle", "pitch", "theta"), ("airfoil", "secti
 _INCH = 0.0254
 _STAND_IN = "naca4412"
 _NO_FOIL = f"airfoil {_STAND_IN}"
+_DOUBTFUL_DEG = 1.6  # angles all below are radians as likely as degrees
+_MOST_SHARE = 1.5  # of the radius
+_LEAST_RADIUS = 5e-3  # m
 _LEAST_CHORD = 1e-3  # of the radius
 
 
@@ -89,6 +93,13 @@ def read_blade(
     else:
         r, chord, twist, foils, radius, count = _table(path, radius_m, notes)
     radius = radius_m or radius
+    if radius < _LEAST_RADIUS:
+        raise InputError(
+            where, "", f"the radius would be {1e3 * radius:.3g} mm", "correct the unit of the radii"
+        )  # fmt: skip
+    if r.size > 1 and np.all(np.diff(r) < 0.0):
+        r, chord, twist, foils = r[::-1], chord[::-1], twist[::-1], foils[::-1]
+        notes.append("the stations run from tip to hub and were turned round")
     if airfoil is not None:
         foils = [airfoil]
         notes = [n for n in notes if not n.startswith(_NO_FOIL)]
@@ -155,6 +166,10 @@ def _table(path: str | Path, radius_m: float | None, notes: list[str]) -> _Stati
                     raise InputError(where, header, said, f"name a length's, as {stem}_mm or {stem} (in)")
                 known.setdefault(quantity, (k, conversion(unit, "m")[1]))
         if low in _ANGLE or whole in _ANGLE:
+            if unit and not known_unit(unit, "rad"):
+                raise InputError(
+                    where, header, f"has the unit {unit!r}", f"give an angle, as {stem}_deg or {stem}_rad"
+                )
             known.setdefault("twist", (k, conversion(unit or "deg", "rad")[1]))
         if whole in _FOIL:
             known.setdefault("airfoil", (k, 1.0))
@@ -172,16 +187,46 @@ def _table(path: str | Path, radius_m: float | None, notes: list[str]) -> _Stati
         return np.array([scale * _number(where, n, cells, index, headers) for n, cells in rows])
 
     r, chord, twist = column("radius"), column("chord"), column("twist")
+    _check_columns(where, {q: headers[k] for q, (k, _) in known.items()}, known, r, chord, twist, radius_m)
     if "airfoil" in known:
-        foils = [cells[known["airfoil"][0]] for _, cells in rows]
+        foils = [_cell(where, n, cells, known["airfoil"][0], headers) for n, cells in rows]
     else:
         foils = [_STAND_IN]
         notes.append(f"{_NO_FOIL}, since the file names none; `mufly rotor fit` asks a bench for it")
     return r, chord, twist, foils, radius_m or float(r.max(initial=0.0)), None
 
 
+def _check_columns(
+    where: str, header: dict[str, str], known: dict[str, tuple[int, float]], r: Array, chord: Array, twist: Array,
+    radius_m: float | None,
+) -> None:  # fmt: skip
+    """Refuse angles that may be radians, and shares of the radius above one, as in per cent."""
+    widest = float(np.max(np.abs(np.degrees(twist)), initial=0.0))
+    if not split_header(header["twist"])[1] and 0.0 < widest <= _DOUBTFUL_DEG:
+        least = float(np.min(np.degrees(twist)))
+        raise InputError(
+            where, header["twist"], f"goes from {least:.4g} to {widest:.4g} without a unit: degrees or radians?",
+            "name the column twist_rad or twist_deg",
+        )  # fmt: skip
+    for quantity, values in (("radius", r), ("chord", chord)):
+        share = float(np.max(values, initial=0.0)) / (radius_m or math.nan)
+        if known[quantity][1] < 0.0 and share > _MOST_SHARE:
+            raise InputError(
+                where, header[quantity], f"reaches {share:.4g}: no share of the radius", "write 0.15 for 15 %"
+            )
+
+
+def _cell(where: str, line: int, cells: list[str], index: int, headers: list[str]) -> str:
+    if index >= len(cells):
+        raise InputError(
+            where, f"line {line}, {headers[index]}", f"is missing: {len(cells)} cells, the header has {len(headers)}",
+            "fill the line up",
+        )  # fmt: skip
+    return cells[index]
+
+
 def _number(where: str, line: int, cells: list[str], index: int, headers: list[str]) -> float:
-    cell = cells[index] if index < len(cells) else ""
+    cell = _cell(where, line, cells, index, headers)
     try:
         value = float(cell)
     except ValueError:

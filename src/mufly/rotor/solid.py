@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import InputError, MuflyError
+from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.rotor.geometry import Rotor, make_rotor
 from mufly.rotor.sections.airfoil import load_airfoil, sides
 from mufly.rotor.sections.polar_file import is_polar_file
@@ -37,6 +37,8 @@ Integers = NDArray[np.int64]
 _PER_SIDE = 40
 _ALONG = 60
 _MM = 1e3
+_LEAST_RADIUS, _MOST_RADIUS = 8e-3, 5.0  # m, between which mm are taken on trust
+_UNITS = {"m": 1.0, "in": 0.0254, "cm": 0.01, "mm": 1e-3, "um": 1e-6}
 _END, _ALIKE = 0.15, 0.25  # of the chord; of the thickness there
 # Of the chord: longest blunt tail, and how far its corners lie apart along the chord.
 _BLUNT, _SQUARE = 0.1, 2e-3
@@ -415,7 +417,7 @@ def rotor_of_body(
     path: str | Path,
     *,
     stations: int = 15,
-    unit_m: float = 1e-3,
+    unit_m: float | None = None,
     folder: str | Path,
     blades: int | None = None,
     name: str = "",
@@ -427,8 +429,8 @@ def rotor_of_body(
     path : str or Path
         STL or STEP file; the shaft along z through the origin, thrust upwards.
     stations : int
-    unit_m : float
-        What one of an STL file is; a STEP file says it.
+    unit_m : float, optional
+        Length of 1 in an STL file (m); a STEP file says it. Default: mm, if the radius is then that of a rotor.
     folder : str or Path
         For the contours, ``NAME-K.dat``, to which the rotor refers.
     blades : int, optional
@@ -449,7 +451,7 @@ def rotor_of_body(
     """
     where, called = Path(path).name, name or Path(path).stem
     step = Path(path).suffix.lower() in (".step", ".stp")
-    corners = read_step(path) if step else read_stl(path, unit_m)
+    corners = read_step(path) if step else read_stl(path, unit_m or 1.0 / _MM)
     radius = float(corners[:, :, 0].max())
     if not radius > 0.0:
         raise InputError(where, "", "has nothing at x > 0", "let the blade lie along x, the shaft along z")
@@ -458,9 +460,16 @@ def rotor_of_body(
     # The blade: where the section's nose and tail lie in front of and behind x, from the innermost such radius on.
     good = [s for s in found.values() if s.chord_m < 0.6 * radius and float(np.ptp(s.contour[:, 1])) < 0.5]
     if len(good) < 4:
-        raise InputError(
-            where, "", "cuts into no closed sections along x", "give one closed blade along x, in mm"
-        )
+        raise InputError(where, "", "cuts into no closed sections along x", "give one closed blade along x")
+    if unit_m is None and not step and not _LEAST_RADIUS <= radius <= _MOST_RADIUS:
+        written = _MM * radius
+        likely = [
+            f"{u} (R {_MM * f * written:.4g} mm)" for u, f in _UNITS.items() if 0.01 < f * written < 0.7
+        ]
+        raise ArgumentError(
+            "unit", "", f"is not known: {where} reaches {written:.4g} along x, in mm no rotor's radius",
+            f"say what one of it is, as unit={' or '.join(likely) or 'mm'}",
+        )  # fmt: skip
     first = good[0].r_m
     wanted = first + (0.995 * radius - first) * 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, stations)))
     cut = slice_blade(corners, wanted)
