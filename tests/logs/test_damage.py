@@ -259,3 +259,129 @@ def test_no_damage_to_a_chunk_makes_wrong_numbers(tmp_path_factory, whole_files,
     raw, seq = imu(path, content)
     assert len(seq) > 530
     assert not raw.complete or len(seq) == 600
+
+
+def ulog_message(kind, body):
+    return struct.pack("<HB", len(body), ord(kind)) + body
+
+
+def ulog_parts(n=300):
+    """Header and definitions of a log of PX4, and its messages: two topics, text and drop-outs among them."""
+    head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000) + ulog_message("B", bytes(40))
+    head += ulog_message("F", b"att:uint64_t timestamp;float[2] q;char[4] name;uint8_t[4] _padding0;")
+    head += ulog_message("F", b"bat:uint64_t timestamp;float v;")
+    head += ulog_message("P", b"\x0afloat MC_P" + b"\x00\x00\x80\x3f")
+    out = []
+    for k in range(n):
+        stamp = 1000 + 10_000 * k
+        if k == 0:
+            out += [
+                ulog_message("A", b"\0" + struct.pack("<H", i) + t) for i, t in enumerate((b"att", b"bat"))
+            ]
+        out.append(ulog_message("D", struct.pack("<HQff4s", 0, stamp, k, -k, b"abc")))
+        if k % 5 == 0:
+            out.append(ulog_message("D", struct.pack("<HQf", 1, stamp, 7.0 + k)))
+        if k % 100 == 50:
+            out += [
+                ulog_message("O", struct.pack("<H", 30)),
+                ulog_message("L", b"6" + stamp.to_bytes(8, "little") + b"hi"),
+            ]
+    return head, out
+
+
+def read_att(path, content):
+    path.write_bytes(content)
+    raw = read_raw(path)
+    q = raw["att"].fields["q[0]"]
+    assert raw["att"].time == pytest.approx(q / 100)
+    assert (raw["att"].fields["q[1]"] == -q).all()
+    return raw, q
+
+
+def test_a_ulog_cut_anywhere_says_so(tmp_path):
+    head, messages = ulog_parts()
+    path, whole = tmp_path / "a.ulg", head + b"".join(messages)
+    raw, q = read_att(path, whole)
+    assert raw.complete
+    assert len(q) == 300
+    assert raw["att"].fields["name"][7] == "abc"
+    assert raw.info["parameters"] == {"MC_P": 1.0}
+    assert [(round(t, 2), d) for t, d in raw.dropouts] == [(0.5, 0.03), (1.5, 0.03), (2.5, 0.03)]
+    assert [text for _, _, text in raw.messages] == ["hi"] * 3
+    raw, q = read_att(path, whole[:-5])
+    assert not raw.complete
+    assert len(q) == 299
+    size = len(messages[-1])
+    words = (
+        f"it ends inside a message at byte {len(whole) - size}, {size - 5} of {size} bytes of it are there"
+    )
+    assert raw.describe_damage() == [f"the file is damaged or cut off: {words}; what is whole is here"]
+    assert read_att(path, whole[: -size + 2])[0].damage.startswith("it ends inside a message's head")
+    assert read_att(path, whole + bytes(4000))[0].damage == f"4000 bytes from byte {len(whole)} on are zero"
+    assert not read_att(path, whole + b"garbage")[0].complete
+    for end, why in (
+        (10, "cut in its header, 10 of 16 bytes"),
+        (100, "without data .it ends inside a message at byte"),
+    ):
+        path.write_bytes(whole[:end])
+        with pytest.raises(InputError, match=why):
+            read_raw(path)
+
+
+def test_data_appended_to_a_ulog_are_found_behind_what_the_crash_cut(tmp_path):
+    head, messages = ulog_parts(100)
+    whole = head + b"".join(messages)
+    cut = len(whole) - 9
+    flags = ulog_message("B", bytes(8) + b"\x01" + bytes(7) + struct.pack("<QQQ", cut, 0, 0))
+    more = ulog_message("M", b"\0\x12char[3] hardfault" + b"abc")
+    more += b"".join(
+        ulog_message("D", struct.pack("<HQff4s", 0, 1000 + 10_000 * k, k, -k, b"")) for k in (200, 201)
+    )
+    content = head[:16] + flags + head[16 + len(flags) :] + b"".join(messages)
+    raw, q = read_att(tmp_path / "a.ulg", content[:cut] + more)
+    assert q[-3:].tolist() == [98, 200, 201]
+    assert raw.damage == f"logging stopped inside a message at byte {cut}, behind which data were appended"
+    flags = ulog_message("B", bytes(8) + b"\x02" + bytes(31))
+    (tmp_path / "a.ulg").write_bytes(content[:16] + flags + content[16 + len(flags) :])
+    with pytest.raises(InputError, match="incompatible flags"):
+        read_raw(tmp_path / "a.ulg")
+
+
+def test_damage_to_a_ulog_costs_what_it_touches(tmp_path):
+    head, messages = ulog_parts()
+    rng = np.random.default_rng(4)
+    starts = np.cumsum([len(head), *(len(m) for m in messages)])[:-1]
+    for trial in range(120):
+        content = bytearray(head + b"".join(messages))
+        k = int(rng.integers(5, len(messages) - 5))
+        for place in starts[k] + rng.choice(5, size=rng.integers(1, 5), replace=False):
+            content[place] ^= int(rng.integers(1, 256))
+        raw, q = read_att(tmp_path / "a.ulg", content)
+        assert len(q) + len(raw["bat"].time) + len(raw.dropouts) + len(raw.messages) >= 366 - 5, trial
+        assert raw.damage or "of types that are not known here" in raw.notes[0], trial
+    content = bytearray(head + b"".join(messages))
+    content[starts[40] : starts[240]] = rng.bytes(int(starts[240] - starts[40]))
+    raw, q = read_att(tmp_path / "a.ulg", content)
+    assert len(q) > 110
+    assert f"{starts[240] - starts[40]} bytes at byte {starts[40]} are no whole message" in raw.damage
+    broken = bytearray(head)  # a format is damaged: its topic is lost, the other stays
+    broken[head.index(b"bat:")] = 0xFF
+    raw, q = read_att(tmp_path / "a.ulg", bytes(broken) + b"".join(messages))
+    assert len(q) == 300
+    assert "60 messages are of topics that nothing describes any more" in raw.damage
+
+
+def test_our_own_ulog_tells_how_many_rows_are_missing(tmp_path, make_signals):
+    path = write_log(make_signals(n=80), tmp_path / "a.ulg")
+    content = path.read_bytes()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LogWarning)
+        read_log(path)
+    row = content.index(b"D\0\0", content.index(b"mufly_dataset"))
+    size = 3 + struct.unpack_from("<H", content, row - 2)[0]
+    path.write_bytes(content[: row - 2 + 20 * size])  # between two messages
+    raw = read_raw(path)
+    assert not raw.complete
+    assert raw.damage == "20 of 80 rows are here"
+    with pytest.warns(LogWarning, match="20 of 80 rows are here"):
+        assert read_log(path).sizes["time"] == 20

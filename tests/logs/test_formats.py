@@ -261,6 +261,23 @@ def test_the_px4_sample_has_attitude_from_the_quaternion():
 
 
 @needs_sample
+def test_every_field_of_the_px4_sample_is_what_pyulog_gives():
+    from pyulog import ULog
+
+    raw, log = read_raw(SAMPLE), ULog(str(SAMPLE))
+    assert raw.complete
+    assert len(raw) == len(log.data_list)
+    for theirs in log.data_list:
+        ours = raw[theirs.name if theirs.multi_id == 0 else f"{theirs.name}:{theirs.multi_id}"]
+        for name, values in theirs.data.items():
+            if name in ours.fields and ours.fields[name].dtype.kind in "iu":
+                assert np.array_equal(ours.fields[name], values), name
+    assert [m.message for m in log.logged_messages] == [text for _, _, text in raw.messages]
+    assert raw.info["parameters"] == log.initial_parameters
+    assert [d.duration / 1e3 for d in log.dropouts] == [d for _, d in raw.dropouts]
+
+
+@needs_sample
 def test_the_px4_samples_rates_are_the_derivative_of_its_attitude():
     from mufly.logs import check_delays, read_log
 

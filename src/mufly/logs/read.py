@@ -263,6 +263,9 @@ def read_log(
         ready = found if as_it_is else None
     if ready is not None:
         index, notes = usable_samples(ready["time"].values.astype(np.float64), str(path), "")
+        if raw is not None and not raw.complete:
+            notes += raw.describe_damage()
+            ready.attrs["complete"] = False
         ready = ready if len(index) == ready.sizes["time"] and not notes else ready.isel(time=index)
         data = at_rate(_part(ready, signals, str(path)), rate_hz)
     else:

@@ -1,24 +1,29 @@
-"""ULog, the log of PX4 (docs.px4.io, "ULog File Format", version 1): read with pyulog, and written.
+"""ULog, the log of PX4 (docs.px4.io, "ULog File Format", version 1), read and written.
 
 Times are microseconds since the board started; here they count in seconds from the time stamp in the file's header.
 What was published before the logger started lies before 0. A stamp of 0 in a file whose header has another was never
 set. Topics carry no units.
 
+A file is the header (magic, version, time stamp); definitions (flags B, format F, information I and M, parameters P);
+then data (subscription A, data D, logged text L, drop-outs O, synchronisation S), each message ``size (u16), type (u8),
+body``, all little-endian. The format has no checksums and no end mark. A message counts as whole if its size is that of
+its topic's format, or its content is what its type says. Where none stands, reading goes on at the next head of a
+message of a subscribed topic (size, type and number are five known bytes) or at a synchronisation message. The bodies
+of one topic are unpacked together by NumPy: a Python object a message takes four times as long.
+
 Signals of ours are written as one topic, ``table``: its clock in whole microseconds, as the format wants, and once more
 as a double, so that it comes back to the bit; text becomes a number whose meaning stands in the information
-``mufly_dataset``, with whatever else columns do not say. A file is the header (magic, version, time stamp); definitions
-(flags B, format F, information I); then data (subscription A, data D, logged text L), each message
-``size (u16), type (u8), body``, all little-endian.
+``mufly_dataset``, with whatever else columns do not say. ``mufly_rows`` says how many rows there are.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import re
 import struct
+from array import array
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,74 +38,363 @@ from mufly.logs.topics import RawLog, RawTable, foreign_stamps, wall_time
 from mufly.logs.unknown import without_unknown
 
 MAGIC = b"ULog\x01\x12\x35"
+_HEADER = 16
+_SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
-_CHAR = re.compile(r"(.+)\[(\d+)\]$")
 _NEAR_US = 600_000_000
+_TYPES = {
+    "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
+    "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8", "bool": "i1", "char": "i1",
+}  # fmt: skip
+_FIELD = re.compile(r"([A-Za-z0-9_/]+)(?:\[(\d{1,5})\])? (\S+)")
+_LONGEST_ARRAY, _MOST_FIELDS = 0xFFFF, 20_000
+_DATA, _FORMAT, _SUBSCRIPTION, _REMOVAL, _TEXT, _TAGGED = b"DFARLC"
+_INFO, _MULTIPLE, _PARAMETER, _DEFAULT, _DROPOUT, _SYNCHRONISATION, _FLAGS = b"IMPQOSB"
+_KINDS = frozenset(b"DFARLCIMPQOSB")
+_APPENDED = 1  # the only incompatible flag that is known: data behind what was logged
+
+
+@dataclass
+class _Topic:
+    """A subscribed topic: its layout, and where the bodies of its messages begin."""
+
+    name: str
+    dtype: np.dtype[Any]
+    sizes: tuple[int, int]  # of a message, least and most: padding at the end may be left out
+    stamp_at: int
+    starts: array[int] = field(default_factory=lambda: array("q"))
+
+
+@dataclass
+class _Scan:
+    """What a pass over a file found."""
+
+    formats: dict[str, list[tuple[str, int, str]]] = field(default_factory=dict)
+    info: dict[str, Any] = field(default_factory=dict)
+    multiple: dict[str, list[bytes]] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
+    topics: dict[str, _Topic] = field(default_factory=dict)
+    numbers: dict[int, _Topic] = field(default_factory=dict)
+    said: list[tuple[int, int, str]] = field(default_factory=list)  # stamp, level, text
+    dropouts: list[tuple[int, int]] = field(default_factory=list)  # stamp, duration (ms)
+    in_data: bool = False
+    unknown: dict[str, int] = field(default_factory=dict)  # messages of unknown types
+    undescribed: int = 0  # data of topics that nothing describes
+    appended: list[int] = field(default_factory=list)
+    damage: list[str] = field(default_factory=list)
+    damaged_places: list[tuple[int, int]] = field(default_factory=list)
 
 
 def read_ulog(path: str | Path) -> RawLog:
-    """Read a ULog file; one that was cut off is read up to the cut.
+    """Read a ULog file; of one that was cut off or damaged everything that is whole.
 
     Raises
     ------
     InputError
-        If its header is damaged or it holds no data.
+        If its header is damaged, it holds no data, or it uses what is not known here.
     """
-    from pyulog import ULog
-
     where = str(path)
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said):  # pyulog prints what it finds wrong
-            log = ULog(where)
-    except Exception as error:  # whatever a damaged definition section provokes
-        raise InputError(where, "", f"is damaged ULog ({error})", "give another copy of the file") from error
-    topics = [data for data in log.data_list if "timestamp" in data.data]
-    if not topics:
-        raise InputError(where, "", "is a ULog file without data", "the log ended before its first message")
-    header = int(log.start_timestamp)
-    stamps = {_name(data): data.data["timestamp"] for data in topics}
-    stamps[_SAID] = np.array([m.timestamp for m in log.logged_messages], dtype=np.uint64)
-    stamps[_LOST] = np.array([d.timestamp for d in log.dropouts], dtype=np.uint64)
+    data = Path(path).read_bytes()
+    if len(data) < _HEADER:
+        raise InputError(where, "", f"is a ULog file cut in its header, {len(data)} of {_HEADER} bytes are there",
+                         "give another copy of the file")  # fmt: skip
+    header = struct.unpack_from("<Q", data, 8)[0]
+    scan = _scan_messages(data, header, where)
+    log_rows = {name: _unpack_rows(data, topic) for name, topic in scan.topics.items() if topic.starts}
+    log_rows = {name: rows for name, rows in log_rows.items() if "timestamp" in (rows.dtype.names or ())}
+    if not log_rows:
+        why = f" ({'; '.join(scan.damage)})" if scan.damage else ""
+        raise InputError(
+            where, "", f"is a ULog file without data{why}", "the log ended before its first message"
+        )
+    stamps = {name: rows["timestamp"] for name, rows in log_rows.items()}
+    stamps[_SAID] = np.array([t for t, _, _ in scan.said], dtype=np.uint64)
+    stamps[_LOST] = np.array([t for t, _ in scan.dropouts], dtype=np.uint64)
     times, notes = _times(header, stamps)
+    if scan.unknown:
+        count, types = sum(scan.unknown.values()), ", ".join(map(repr, scan.unknown))
+        notes.append(f"{count} messages of types that are not known here ({types}) are left out")
     tables = {}
-    for data in topics:
-        types = {f.field_name: f.type_str for f in data.field_data}
-        values = {key: value for key, value in data.data.items() if key != "timestamp"}
-        name = _name(data)
-        tables[name] = RawTable(name, times[name], without_unknown(data.name, _join_text(values, types)))
-    info = {key: value for key, value in log.msg_info_dict.items() if key != "time_ref_utc"}
+    for name, rows in log_rows.items():
+        values = {str(k): _plain_text(rows[k]) for k in rows.dtype.names or () if k != "timestamp"}
+        tables[name] = RawTable(name, times[name], without_unknown(name.partition(":")[0], values))
+    info = {key: value for key, value in scan.info.items() if key != "time_ref_utc"}
     # Text too long for one message comes in several.
     info |= {
-        key: "".join(str(part) for part in parts[0])
-        for key, parts in log.msg_info_multiple_dict.items()
+        key: b"".join(parts).decode(errors="replace")
+        for key, parts in scan.multiple.items()
         if key.startswith("mufly_")
     }
-    info["parameters"] = dict(log.initial_parameters)
+    info["parameters"] = scan.parameters
+    damage = scan.damage + _missing_rows(info, tables)
+    info.pop(_ROWS, None)
     return RawLog(
         path=where,
         kind="ULog",
         tables=tables,
-        start_time=_start_time(tables, log.msg_info_dict),
+        start_time=_start_time(tables, scan.info),
         info=info,
         messages=tuple(
-            (t, _level(m.log_level), m.message)
-            for t, m in zip(times[_SAID].tolist(), log.logged_messages, strict=True)
+            (t, _level(level), text)
+            for t, (_, level, text) in zip(times[_SAID].tolist(), scan.said, strict=True)
         ),
         dropouts=tuple(
-            (t, d.duration / 1e3) for t, d in zip(times[_LOST].tolist(), log.dropouts, strict=True)
+            (t, duration / 1e3) for t, (_, duration) in zip(times[_LOST].tolist(), scan.dropouts, strict=True)
         ),
-        complete=not log.file_corruption and "corruption" not in said.getvalue(),
+        complete=not damage,
         notes=tuple(notes),
+        damage="; ".join(damage),
     )
+
+
+def _scan_messages(data: bytes, header: int, where: str) -> _Scan:
+    """Find every whole message; what is no data is taken at once."""
+    scan = _Scan()
+    at, end = _HEADER, len(data)
+    limits = [end]
+    heads: re.Pattern[bytes] | None = None
+    unpack, numbers, kinds = struct.Struct("<HBH").unpack_from, scan.numbers, _KINDS
+    while limits:
+        limit = limits.pop(0)
+        while at + 5 <= limit:
+            size, kind, number = unpack(data, at)
+            stop = at + 3 + size
+            if kind == _DATA:
+                topic = numbers.get(number)
+                if topic is not None and topic.sizes[0] <= size <= topic.sizes[1] and stop <= limit:
+                    topic.starts.append(at + 5)
+                    at = stop
+                    continue
+                if topic is None and scan.in_data and stop <= limit and _stands(data, stop, limit, scan):
+                    scan.undescribed += 1
+                    at = stop
+                    continue
+            elif (
+                kind in kinds
+                and stop <= limit
+                and _take_message(scan, kind, data[at + 3 : stop], header, data)
+            ):
+                at = stop
+                if kind == _FLAGS and not limits:
+                    limits = _check_flags(scan, where, end)
+                    limit = limits.pop(0)
+                elif kind == _SUBSCRIPTION:
+                    heads = None
+                continue
+            elif kind not in kinds and kind > 0x20 and _stands(data, stop, limit, scan) and stop <= limit:
+                scan.unknown[chr(kind)] = scan.unknown.get(chr(kind), 0) + 1
+                at = stop  # a type of a later version
+                continue
+            heads = heads or _heads_of(scan)
+            after = stop if stop < limit and _stands(data, stop, limit, scan) else None
+            after = after or _next_message(data, at + 1, limit, scan, heads)
+            _note_damage(scan, data, at, stop, after, limit)
+            at = after
+        if at < limit:
+            _note_damage(scan, data, at, end + 1, limit, limit)
+        at = max(at, limit)
+    if scan.undescribed:
+        scan.damage.append(f"{scan.undescribed} messages are of topics that nothing describes any more")
+    if len(scan.damaged_places) > 1:
+        size = sum(s for _, s in scan.damaged_places)
+        scan.damage.insert(0, f"{size} bytes in {len(scan.damaged_places)} places are no whole messages, "
+                              f"the first at byte {scan.damaged_places[0][0]}")  # fmt: skip
+    elif scan.damaged_places:
+        place, size = scan.damaged_places[0]
+        scan.damage.insert(0, f"{size} bytes at byte {place} are no whole message")
+    return scan
+
+
+def _note_damage(scan: _Scan, data: bytes, at: int, stop: int, after: int, limit: int) -> None:
+    """Note bytes that are no whole message, and whether they are one that a cut left."""
+    if after == limit and not any(data[at:limit]):
+        scan.damage.append(f"{limit - at} bytes from byte {at} on are zero")
+    elif after < limit or stop <= limit:
+        scan.damaged_places.append((at, after - at))
+    elif limit < len(data):
+        scan.damage.append(
+            f"logging stopped inside a message at byte {limit}, behind which data were appended"
+        )
+    elif at + 3 > limit:
+        scan.damage.append(f"it ends inside a message's head, at byte {at}")
+    else:
+        scan.damage.append(
+            f"it ends inside a message at byte {at}, {limit - at} of {stop - at} bytes of it are there"
+        )
+
+
+def _check_flags(scan: _Scan, where: str, end: int) -> list[int]:
+    """Where parts of the file end: what was logged, and what was appended to it."""
+    flags, offsets = scan.info.pop(_FLAG_BITS)
+    if flags[0] & ~_APPENDED or any(flags[1:]):
+        raise InputError(where, "flag bits", f"has incompatible flags ({flags.hex()}) that are not known here",
+                         "convert it with PX4's own tools: ulog2csv")  # fmt: skip
+    return [*sorted(o for o in offsets if flags[0] & _APPENDED and _HEADER < o < end), end]
+
+
+def _heads_of(scan: _Scan) -> re.Pattern[bytes]:
+    """Heads of messages of subscribed topics and of synchronisation."""
+    heads = [struct.pack("<HB", len(_SYNC), _SYNCHRONISATION) + _SYNC]
+    for number, topic in scan.numbers.items():
+        heads += [struct.pack("<HBH", size, _DATA, number) for size in dict.fromkeys(topic.sizes)]
+    return re.compile(b"|".join(map(re.escape, heads)))
+
+
+def _next_message(data: bytes, start: int, limit: int, scan: _Scan, heads: re.Pattern[bytes]) -> int:
+    """Where the next message stands; ``limit`` if none does. Definitions stand where three follow each other."""
+    for found in heads.finditer(data, start, limit):
+        if _stands(data, found.start(), limit, scan):
+            start, limit = start, found.start()
+            break
+    if not scan.in_data:
+        for at in range(start, min(limit, start + 70_000)):
+            if data[at + 2 : at + 3] in (b"F", b"I", b"M", b"P", b"Q", b"A") and _stands(
+                data, at, len(data), scan, 3
+            ):
+                return at
+    return limit
+
+
+def _stands(data: bytes, at: int, limit: int, scan: _Scan, chain: int = 2) -> bool:
+    """Whether so many messages whose heads are sound stand one behind the other, or as many as there are left."""
+    for _ in range(chain):
+        if at == limit:
+            return True
+        if at + 5 > limit:
+            return False
+        size, kind, number = struct.unpack_from("<HBH", data, at)
+        topic = scan.numbers.get(number)
+        if kind not in _KINDS or not size:
+            return False
+        if kind == _DATA and topic is not None and not topic.sizes[0] <= size <= topic.sizes[1]:
+            return False
+        at += 3 + size
+    return at <= limit
+
+
+_FLAG_BITS, _ROWS = "flag bits", "mufly_rows"
+
+
+def _take_message(scan: _Scan, kind: int, body: bytes, header: int, data: bytes) -> bool:
+    """Take a message that holds no data of a topic; False if its content is not what its kind says."""
+    try:
+        if kind == _FORMAT:
+            name, _, fields = body.decode("ascii").partition(":")
+            parts = [_FIELD.fullmatch(part) for part in fields.split(";") if part]
+            if (
+                not name
+                or not parts
+                or not all(parts)
+                or any(int(p[2] or 0) > _LONGEST_ARRAY for p in parts if p)
+            ):
+                return False
+            scan.formats[name] = [(p[1], int(p[2] or 0), p[3]) for p in parts if p]
+        elif kind == _SUBSCRIPTION:
+            _subscribe(scan, body)
+        elif kind in (_INFO, _PARAMETER):
+            type_name, key, value = _key_and_value(body)
+            known = scan.info if kind == _INFO else scan.parameters
+            if kind == _INFO or not scan.in_data:
+                known[key] = _value(type_name, value)
+        elif kind == _MULTIPLE:
+            _, key, value = _key_and_value(body[1:])
+            scan.multiple.setdefault(key, []).append(value)
+        elif kind in (_TEXT, _TAGGED):
+            skip = 1 if kind == _TEXT else 3
+            if not (body[0] < 8 or ord("0") <= body[0] < ord("8")) or len(body) < skip + 8:
+                return False
+            stamp = struct.unpack_from("<Q", body, skip)[0]
+            scan.said.append((stamp, body[0], body[skip + 8 :].decode(errors="ignore")))
+            scan.in_data = True
+        elif kind == _DROPOUT:
+            (duration,) = struct.unpack("<H", body)
+            last = (struct.unpack_from("<Q", data, t.starts[-1] + t.stamp_at)[0]
+                    for t in scan.topics.values() if t.starts)  # fmt: skip
+            scan.dropouts.append((max(last, default=header), duration))
+        elif kind == _SYNCHRONISATION:
+            return body == _SYNC
+        elif kind == _FLAGS:
+            scan.info[_FLAG_BITS] = (body[8:16], struct.unpack_from("<QQQ", body, 16))
+        return kind != _REMOVAL or len(body) == 2
+    except (ValueError, KeyError, IndexError, struct.error, RecursionError):
+        return False
+
+
+def _key_and_value(body: bytes) -> tuple[str, str, bytes]:
+    """Type, name and value of information or a parameter."""
+    type_name, key = body[1 : 1 + body[0]].decode("ascii").split(" ")
+    return type_name, key, body[1 + body[0] :]
+
+
+def _value(type_name: str, value: bytes) -> Any:
+    if type_name.startswith("char["):
+        return value.decode(errors="ignore")
+    return np.frombuffer(value, _TYPES[type_name])[0].item() if type_name in _TYPES else value
+
+
+def _subscribe(scan: _Scan, body: bytes) -> None:
+    """Take a subscription; KeyError, ValueError if its format is not known or contradicts itself."""
+    instance, number = struct.unpack_from("<BH", body)
+    name = body[3:].decode("ascii")
+    fields = _fields_of(scan.formats, name)
+    most = 2 + np.dtype(fields).itemsize
+    while fields and fields[-1][0].startswith("_padding"):
+        fields.pop()
+    dtype = np.dtype(fields)
+    label = name if instance == 0 else f"{name}:{instance}"
+    known = scan.topics.get(label)
+    if known is None or known.dtype != dtype:
+        stamp_at = dtype.fields["timestamp"][1] if dtype.fields and "timestamp" in dtype.fields else 0
+        known = scan.topics[label] = _Topic(label, dtype, (2 + dtype.itemsize, most), stamp_at)
+    scan.numbers[number] = known
+    scan.in_data = True
+
+
+def _fields_of(
+    formats: Mapping[str, list[tuple[str, int, str]]], name: str, prefix: str = ""
+) -> list[tuple[str, str]]:
+    """Names and NumPy types of a format's fields, those of formats inside it too; text is one field."""
+    out: list[tuple[str, str]] = []
+    for type_name, count, field_name in formats[name]:
+        whole = prefix + field_name
+        names = [f"{whole}[{k}]" for k in range(count)] if count else [whole]
+        if type_name == "char" and count:
+            out.append((whole, f"S{count}"))
+        elif type_name in _TYPES:
+            out += [(n, _TYPES[type_name]) for n in names]
+        else:
+            for n in names:
+                out += _fields_of(formats, type_name, f"{n}.")
+        if len(out) > _MOST_FIELDS:
+            raise ValueError("too many fields")
+    return out
+
+
+def _unpack_rows(data: bytes, topic: _Topic) -> NDArray[Any]:
+    """All messages of a topic."""
+    size = topic.dtype.itemsize
+    bodies = np.ndarray((len(data) - size + 1,), dtype=f"V{size}", buffer=data, strides=(1,))
+    return bodies[np.frombuffer(topic.starts, dtype=np.int64)].view(topic.dtype)
+
+
+def _plain_text(values: NDArray[Any]) -> NDArray[Any]:
+    if values.dtype.kind != "S":
+        return values
+    return np.array([v.split(b"\0")[0].decode(errors="replace") for v in values.tolist()], dtype=str)
+
+
+def _missing_rows(info: Mapping[str, Any], tables: Mapping[str, RawTable]) -> list[str]:
+    """What is missing of a file that this package wrote, which says how many rows it has."""
+    try:
+        rows = int(info[_ROWS])
+    except (KeyError, ValueError, TypeError):
+        return []
+    there = len(tables[TOPIC].time) if TOPIC in tables else 0
+    return [f"{there} of {rows} rows are here"] if there < rows else []
 
 
 # What has a time besides the topics.
 _SAID, _LOST = "the vehicle's messages", "the logger's drop-outs"
-
-
-def _name(data: Any) -> str:
-    return data.name if data.multi_id == 0 else f"{data.name}:{data.multi_id}"
 
 
 def _times(
@@ -132,23 +426,6 @@ def _times(
 def _level(number: int) -> str:
     index = number - ord("0") if number >= ord("0") else number
     return _LEVELS[index] if 0 <= index < len(_LEVELS) else "info"
-
-
-def _join_text(values: dict[str, NDArray[Any]], types: dict[str, str]) -> dict[str, NDArray[Any]]:
-    """Put the characters of text fields, which pyulog gives one by one, together again."""
-    out: dict[str, NDArray[Any]] = {}
-    text: dict[str, list[NDArray[Any]]] = {}
-    for key, value in values.items():
-        part = _CHAR.match(key) if types.get(key) == "char" else None
-        if part is None:
-            out[key] = value
-        else:
-            text.setdefault(part[1], []).append(value)
-    for key, columns in text.items():
-        block = np.ascontiguousarray(np.stack(columns, axis=1).astype(np.uint8))
-        lines = (bytes(row).split(b"\0")[0].decode(errors="replace") for row in block)
-        out[key] = np.array(list(lines), dtype=str)
-    return out
 
 
 def _start_time(tables: dict[str, RawTable], info: dict[str, Any]) -> str:
@@ -250,6 +527,7 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
     head += _information("sys_name", "mufly") + _information(
         "mufly_start_time", str(dataset.attrs.get("start_time", ""))
     )
+    head += _information(_ROWS, str(len(time)))
     head += _information(TEXTS, json.dumps(texts)) + _information("mufly_dataset", describe(dataset))
     head += _message(b"A", struct.pack("<BH", 0, 0) + TOPIC.encode())
     said = b"".join(
