@@ -154,3 +154,40 @@ def test_a_degree_of_latitude_is_as_long_as_the_ellipsoid_says():
         n, e, _ = Origin(lat, 0.0, 0.0).to_local(lat + 0.001, 0.001, 0.0)
         assert n == pytest.approx(north / 1000, rel=2e-5)
         assert e == pytest.approx(east / 1000, rel=2e-5)
+
+
+@pytest.mark.parametrize("p4", [0.0, 1.0, -1.0, 90.0, math.nan])
+def test_where_a_fixed_wing_leaves_a_loiter_turns_no_nose(p4):
+    """Parameter 4 of NAV_LOITER_TIME is no heading; that of a waypoint, an endless hover and a landing is one."""
+    loiter = Item(0, 1, 19, params=(5.0, 0.0, 0.0, p4), x=10000, y=10000, z=-1.0)
+    second = plan_of(numbered(waypoint(1, 0, -1), loiter), BASE, None).mission.waypoint[1]
+    assert (second.wait_s, second.heading_deg) == (5.0, None)
+    for command in (16, 17, 21):
+        item = Item(0, 1, command, params=(0.0, 0.0, 0.0, p4), x=10000, y=10000, z=-1.0)
+        last = plan_of(numbered(waypoint(1, 0, -1), item), BASE, None).mission.waypoint[-1]
+        assert last.heading_deg == (None if math.isnan(p4) else p4)
+
+
+@pytest.mark.parametrize(
+    ("item", "result", "words"),
+    [
+        (Item(0, 10, 16, x=473769000, y=85417000, z=2.0), MissionResult.UNSUPPORTED_FRAME, "terrain"),
+        (Item(0, 11, 22, z=2.0), MissionResult.UNSUPPORTED_FRAME, "terrain"),
+        (Item(0, 2, 93, params=(-1.0, 12.0, 0.0, 0.0)), MissionResult.INVALID_PARAM1, "time of day"),
+        (Item(0, 2, 115, params=(90.0, 0.0, 0.0, 0.5)), MissionResult.INVALID_PARAM4, "absolute"),
+        (Item(0, 2, 206), MissionResult.UNSUPPORTED, "DO_SET_CAM_TRIGG_DIST"),
+    ],
+)
+def test_what_an_item_cannot_say_here_is_named(item, result, words):
+    items = (
+        numbered(item, waypoint(0, 0, -1)) if item.command in (16, 22) else numbered(waypoint(0, 0, -1), item)
+    )
+    with pytest.raises(Refusal, match=words) as caught:
+        plan_of(items, BASE, ZURICH)
+    assert caught.value.result == result
+
+
+def test_a_landing_on_the_globe_without_a_place_is_where_it_is():
+    land = Item(0, 3, 21, params=(0.0, 0.0, 0.0, math.nan))
+    plan = plan_of(numbered(waypoint(1, 0, -1), land), BASE, ZURICH)
+    assert (len(plan.mission.waypoint), plan.mission.at_end) == (1, "land")

@@ -1,6 +1,7 @@
 """Mission files: what they hold, what is refused and how, and the way back."""
 
 import copy
+import json
 import math
 import tomllib
 from pathlib import Path
@@ -235,3 +236,100 @@ def test_every_absurd_number_is_refused_by_its_key(odd):
             mission_from(tables, "file.toml")
         assert name in fault.value.key, key
         assert "\n" not in str(fault.value)
+
+
+# ---- files of other ground stations
+
+HOME = [46.5, 7.5, 500.0]
+NORTH = 1e-5 * 111170.0
+"""Metres that 1e-5 degrees of latitude are at 46.5 degrees north."""
+
+
+def simple(command, *params, frame=3):
+    return {
+        "type": "SimpleItem",
+        "autoContinue": True,
+        "command": command,
+        "frame": frame,
+        "params": list(params),
+    }
+
+
+def plan_text(*items, **parts):
+    mission = {"items": list(items), "plannedHomePosition": HOME, "version": 2}
+    content = {"fileType": "Plan", "mission": mission, "rallyPoints": {"points": []}, "version": 1}
+    return json.dumps({**content, **parts})
+
+
+TAKE_OFF = simple(22, 0, 0, 0, None, 46.5, 7.5, 1.5)
+THERE = simple(16, 3, 0, 0, None, 46.50001, 7.5, 2)
+
+
+def test_a_plan_is_flown_from_its_planned_home(tmp_path):
+    path = tmp_path / "hall.plan"
+    path.write_text(plan_text(TAKE_OFF, THERE, simple(20, 0, 0, 0, 0, 0, 0, 0)))
+    m = load_mission(path)
+    assert (m.name, m.take_off.height_m, m.at_end) == ("hall", 1.5, "return")
+    assert m.waypoint[0].position_m == pytest.approx((NORTH, 0.0, -2.0), abs=0.01)
+    assert (m.waypoint[0].wait_s, m.waypoint[0].heading_deg) == (3.0, None)
+    assert "planned home" in m.description
+
+
+def test_heights_above_the_sea_count_from_home_and_local_places_stay(tmp_path):
+    path = tmp_path / "mixed.plan"
+    path.write_text(plan_text(TAKE_OFF, simple(16, 0, 0, 0, 90, 46.50001, 7.5, 502.5, frame=0),
+                              simple(16, 0, 0, 0, None, 1.0, -2.0, -1.25, frame=1)))  # fmt: skip
+    first, second = load_mission(path).waypoint
+    assert first.position_m[2] == pytest.approx(-2.5)
+    assert first.heading_deg == 90.0
+    assert second.position_m == (1.0, -2.0, -1.25)
+
+
+WPL = "QGC WPL 110\r\n0\t1\t0\t16\t0\t0\t0\t0\t46.5\t7.5\t500\t1\r\n1\t0\t3\t22\t0\t0\t0\t0\t0\t0\t2\t1\r\n"
+
+
+def test_a_waypoint_file_begins_with_its_home(tmp_path):
+    path = tmp_path / "hall.waypoints"
+    path.write_bytes((WPL + "2\t0\t3\t16\t0\t0\t0\t0\t46.50001\t7.5\t2\t1\r\n").encode())
+    m = load_mission(path)
+    assert m.waypoint[0].position_m == pytest.approx((NORTH, 0.0, -2.0), abs=0.01)
+    assert m.waypoint[0].heading_deg is None
+    assert m.take_off.height_m == 2.0
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "words"),
+    [
+        (WPL + "2\t0\t10\t16\t0\t0\t0\t0\t46.5\t7.5\t2\t1", "line 4", "relative to launch"),
+        (WPL + "2\t0\t3\t16\t0\t0\t0\t0\t46.5\t7.5", "line 4", "has 10 columns"),
+        (WPL, "", "no waypoint"),
+        (plan_text(TAKE_OFF, THERE, simple(206, 0, 0, 0, 0, 0, 0, 0, frame=2)), "item 3", "DO_SET_CAM_TRIGG_DIST"),
+        (plan_text(TAKE_OFF, {"type": "ComplexItem", "complexItemType": "fwLandingPattern"}), "item 2", "fwLanding"),
+        (plan_text(TAKE_OFF, simple(16, 0, 0, 0, None, 46.6, 7.5, 2)), "item 2", "position_m"),
+        (plan_text(TAKE_OFF, simple(16, 0, 0, 0, None, 1e300, 7.5, 2)), "item 2", "no place"),
+        (plan_text(TAKE_OFF, simple(16, 0, 0, 0, None, "north", 7.5, 2)), "item 2", "no numbers"),
+        (plan_text(), "mission", "holds no items"),
+        (plan_text(fileType="GeoFence"), "fileType", "no plan"),
+        ('{"fileType": "Plan"}', "mission", "is missing"),
+        ("{not json", "", "is not valid JSON"),
+    ],
+)  # fmt: skip
+def test_a_ground_stations_file_that_cannot_be_flown_says_what_to_do(tmp_path, text, key, words):
+    path = tmp_path / "hall.plan"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_mission(path)
+    assert caught.value.key == key
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_survey_is_flown_as_the_items_it_was_made_into(tmp_path):
+    survey = {
+        "type": "ComplexItem",
+        "complexItemType": "survey",
+        "TransectStyleComplexItem": {"Items": [THERE, THERE]},
+    }
+    path = tmp_path / "survey.plan"
+    path.write_text(plan_text(TAKE_OFF, survey))
+    assert len(load_mission(path).waypoint) == 2

@@ -15,6 +15,7 @@ from mufly.link import items_of as items_of_mission
 from mufly.link import mavlink
 from mufly.link.mission_transfer import Item
 from mufly.mission import expected_timing, load_mission, mission_from
+from mufly.mission.items import Origin
 from mufly.station import History, MissionRow, Snapshot
 from mufly.station.checks import Surroundings, judge
 from mufly.station.commands import StatusTexts
@@ -234,3 +235,29 @@ def test_where_good_ends(name, given, ok, says):
     found, text = judged(name, **given)
     assert found is ok or (ok is not None and found is not None and bool(found) == ok), text
     assert says in text
+
+
+def test_heights_above_the_terrain_are_shown_as_what_they_are():
+    """Nobody here knows how high the terrain lies, so they are no heights over home."""
+    origin = Origin(47.0, 8.0, 400.0)
+    for frame in (10, 11):
+        (row,) = rows_of([Item(0, frame, 16, x=470000000, y=80000000, z=12.0)], origin)
+        assert row.position[:2] == pytest.approx((0.0, 0.0))
+        assert math.isnan(row.position[2])
+        assert row.text == "12 m above the terrain"
+    (home,) = rows_of([Item(0, 3, 16, x=470000000, y=80000000, z=12.0)], origin)
+    assert home.position[2] == -12.0
+
+
+def test_rows_give_a_place_and_a_heading_to_items_that_have_them():
+    def row(command, *params, frame=1):
+        (found,) = rows_of([Item(0, frame, command, params=params, x=20000, y=-10000, z=-1.5)])
+        return found
+
+    assert math.isnan(row(93, 4.0, -1.0, -1.0, -1.0).position[0])  # a delay is nowhere
+    assert row(93, 4.0, -1.0, -1.0, -1.0).wait_s == 4.0
+    assert math.isnan(row(19, 4.0, 0.0, 0.0, 1.0).heading_rad)
+    assert row(17, 0.0, 0.0, 0.0, 90.0).heading_rad == pytest.approx(math.pi / 2)
+    assert row(16, 0.0, 0.0, 0.0, math.nan, frame=4).position == (-1.0, 2.0, 1.5)
+    assert row(178, 1.0, -1.0, -1.0, 0.0).text == "as it is"
+    assert row(178, 3.0, 1.5, -1.0, 0.0).text == "descent 1.5 m/s"

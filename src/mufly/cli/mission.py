@@ -16,7 +16,13 @@ app = Commands(
     no_args_is_help=True,
 )
 
-_Mission = Annotated[str, argument("NAME|FILE", "A built-in mission, or a mission file (TOML).")]
+_Mission = Annotated[
+    str,
+    argument(
+        "NAME|FILE",
+        "A built-in mission, or a mission file: TOML, or QGroundControl's.",
+    ),
+]
 _VehicleOption = Annotated[str, option("--vehicle NAME|FILE", "Vehicle whose battery has to last.")]
 _Toml = Annotated[bool, option("--toml", "Print the whole file, every default written out.")]
 
@@ -90,7 +96,7 @@ and the way around obstacles that the file names.
     end = {"land": "lands there", "hover": "hovers there", "return": "returns and lands"}[m.at_end]
     how = "scanning for obstacles" if m.scans else "avoiding obstacles" if m.avoidance.enabled else "blindly"
     timing = expected_timing(m)
-    say(f"It has landed after about {timing.landed_s:.0f} s, {timing.path_m:.1f} m.")
+    say(f"About {timing.landed_s:.0f} s and {timing.path_m:.1f} m, the landing included.")
     say(
         f"Way: {m.path.kind}, at most {m.trajectory_limits.speed:g} m/s, {how}; at the end it {end}.",
         style="dim",
@@ -119,7 +125,7 @@ def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: Jso
     """Check a mission file, and whether the vehicle's battery lasts for it. Exit status 1 and the reason if not."""
     from mufly.control import design
     from mufly.flight import able
-    from mufly.mission import load_mission, preflight
+    from mufly.mission import FROM_GROUND_FILE, load_mission, preflight
     from mufly.vehicle import load_vehicle
 
     m, v = load_mission(mission), load_vehicle(vehicle)
@@ -141,3 +147,5 @@ def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: Jso
         f"[bold]{m.name}[/bold] can be flown by [bold]{v.name}[/bold]: {len(m.waypoint)} waypoints, "
         f"{estimate.path_m:.1f} m, about {estimate.duration_s:.0f} s, {estimate.fraction:.0%} of the battery."
     )
+    if m.description.startswith(FROM_GROUND_FILE):
+        say(f"Read {m.description}.", style="dim")

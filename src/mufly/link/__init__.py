@@ -34,13 +34,13 @@ from mufly.link.mission_transfer import (
     note_of,
     to_mavlink,
 )
-from mufly.link.missions import Plan, Refusal, items_of, plan_of
 from mufly.link.parameters import LINK_PARAMETERS, WHOLE_RANGE, decoded, encoded
 from mufly.link.ports import Endpoint, Peer, Port, open_port, parse_endpoint, wait
 from mufly.link.process import Report, VehicleProcess, run, start_vehicle, warm_up
 from mufly.link.telemetry import SLOW, STATES, STREAMS, Instant
 from mufly.link.vehicle import VehicleLink
 from mufly.logs.tlog import TlogWriter
+from mufly.mission.items import Plan, Refusal, items_of, plan_of
 
 __all__ = [
     "COMMANDS",

@@ -24,12 +24,17 @@ import math
 import os
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 from mufly.errors import ArgumentError
 from mufly.logs.tlog import packet_length
 from mufly.mission import State
+from mufly.mission.items import ABOVE_ORIGIN as ABOVE_ORIGIN
+from mufly.mission.items import ABOVE_SEA as ABOVE_SEA
+from mufly.mission.items import ABOVE_TERRAIN as ABOVE_TERRAIN
+from mufly.mission.items import NOT_GIVEN as NOT_GIVEN
+from mufly.mission.items import Origin as Origin
+from mufly.mission.items import unscaled as unscaled
 
 os.environ["MAVLINK20"] = "1"
 with contextlib.redirect_stdout(io.StringIO()):
@@ -60,7 +65,6 @@ SEVERITY = {
 _TEXTS = 8  # so many texts of one vehicle may wait
 _WAIT_S = 2.0  # for so long a text waits for pieces that are missing
 
-NOT_GIVEN = 2**31 - 1
 """In x and y of an integer message: not given."""
 FLOAT_MOST = 3.4028234663852886e38
 """The largest number that a ``float`` field can hold."""
@@ -82,11 +86,6 @@ def scaled(value: float, factor: float) -> int:
     """Return ``value`` times ``factor`` as x or y of an integer message; what does not fit is "not given" there."""
     number = value * factor
     return round(number) if math.isfinite(number) and abs(number) <= NOT_GIVEN else NOT_GIVEN
-
-
-def unscaled(number: int, factor: float) -> float:
-    """Return what x or y of an integer message says, ``number`` times ``factor``; NaN where it is not given."""
-    return math.nan if number == NOT_GIVEN else number * factor
 
 
 def text_of(text: str, size: int = 50) -> bytes:
@@ -397,43 +396,6 @@ class TextPieces:
 # rc            ALTCTL (2, 0)        fly by sticks; MANUAL, POSCTL and STABILIZED mean the same here
 # offboard      OFFBOARD (6, 0)      follow the stream of set-points
 # ============= ==================== =============================================================================
-
-
-ABOVE_SEA, ABOVE_ORIGIN, ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)
-"""Values of MAV_FRAME on the globe, with altitude above the sea, and above the origin."""
-_A = 6_378_137.0
-_E2 = 6.694379990141e-3
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Where N = E = D = 0 is: latitude and longitude (deg), altitude above the sea (m)."""
-
-    lat_deg: float
-    lon_deg: float
-    alt_m: float
-
-    @cached_property
-    def _metres_per_deg(self) -> tuple[float, float]:
-        phi = math.radians(self.lat_deg)
-        w = 1.0 - _E2 * math.sin(phi) ** 2
-        north = _A * (1.0 - _E2) / w**1.5 + self.alt_m
-        east = (_A / math.sqrt(w) + self.alt_m) * math.cos(phi)
-        return math.radians(north), math.radians(east)
-
-    def to_global(self, north: float, east: float, down: float) -> tuple[float, float, float]:
-        """Return latitude, longitude (deg) and altitude (m) of a place N, E, D (m)."""
-        n, e = self._metres_per_deg
-        return self.lat_deg + north / n, self.lon_deg + east / e, self.alt_m - down
-
-    def to_local(
-        self, lat_deg: float, lon_deg: float, alt_m: float, frame: int = 0
-    ) -> tuple[float, float, float]:
-        """Return N, E, D (m) of a place on the globe; its altitude is above the sea unless the MAV_FRAME says not."""
-        n, e = self._metres_per_deg
-        away = math.remainder(lon_deg - self.lon_deg, 360.0) if math.isfinite(lon_deg) else math.nan
-        down = -alt_m if frame in ABOVE_ORIGIN else self.alt_m - alt_m
-        return (lat_deg - self.lat_deg) * n, away * e, down
 
 
 def parse_origin(text: str) -> Origin:

@@ -280,6 +280,8 @@ class CommandProtocol:
 
     def _take_off(self, now_s: float, command: Command) -> Answer:
         z, origin = command.params[6], self._origin
+        if command.frame not in (None, 0, 1, 3, 4, 5, 6):
+            return never(f"a height in frame {command.frame} is not known here; use LOCAL_NED (1)")
         if math.isnan(z) or z == 0.0:
             return self._autopilot.take_off()
         if origin is not None and (
@@ -323,13 +325,25 @@ class CommandProtocol:
         return answer
 
     def _pause_continue(self, now_s: float, command: Command) -> Answer:
-        return self._missions.start() if command.params[0] == 1.0 else self._set_mode(now_s, LOITER)
+        on = command.params[0]
+        if on not in (0.0, 1.0):
+            return never(f"DO_PAUSE_CONTINUE with {on:g}: give 1 to continue or 0 to pause")
+        return self._missions.start() if on else self._set_mode(now_s, LOITER)
+
+    def _start_mission(self, now_s: float, command: Command) -> Answer:
+        first, last = command.params[:2]
+        if 0.0 < last < len(self._missions.plan.items) - 1:
+            return never(f"a mission that ends with item {last:g} is not known here; give 0: all of it")
+        return self._missions.start(first)
 
     def _yaw(self, now_s: float, command: Command) -> Answer:
-        angle = math.radians(command.params[0])
-        if command.params[3] == 1.0:
+        angle, way, relative = math.radians(command.params[0]), command.params[2], command.params[3]
+        if relative not in (0.0, 1.0) and not math.isnan(relative):
+            return never(f"CONDITION_YAW with parameter 4 = {relative:g}: give 0 (absolute) or 1 (relative)")
+        if relative == 1.0:
             now = self._autopilot.software.reference[2][2]
-            angle = float(now) + (-abs(angle) if command.params[2] < 0.0 else abs(angle))
+            signed = angle if way == 0.0 or math.isnan(way) else math.copysign(abs(angle), way)
+            angle = float(now) + signed
         return self._autopilot.turn_to(angle)
 
     def _speed(self, now_s: float, command: Command) -> Answer:
@@ -443,7 +457,7 @@ COMMANDS: dict[int, Callable[[CommandProtocol, float, Command], Answer]] = {
     mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: lambda self, now_s, command: self._missions.start_at(
         command.params[0]
     ),
-    mavlink.MAV_CMD_MISSION_START: lambda self, now_s, command: self._missions.start(command.params[0]),
+    mavlink.MAV_CMD_MISSION_START: CommandProtocol._start_mission,
     mavlink.MAV_CMD_DO_SET_HOME: lambda self, now_s, command: never(
         "home is where it took off; it cannot be moved"
     ),

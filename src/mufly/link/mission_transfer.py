@@ -26,9 +26,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 
 from mufly.link.codec import MavMessage, mavlink, scaled
+from mufly.mission.items import Item as Item
+from mufly.mission.items import MissionResult as MissionResult
 
 RETRY_S = (0.25, 1.5)
 """Least and greatest time before asking again (s); MAVLink recommends 0.25 s for items and 1.5 s for the rest."""
@@ -47,43 +48,6 @@ LIMIT = 500
 HUSH_S = 2.0
 """A sender that begins anew first tells the receiver to stop, until it has not asked for so long (s)."""
 _LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
-
-
-class MissionResult(IntEnum):
-    """MAV_MISSION_RESULT."""
-
-    ACCEPTED = 0
-    ERROR = 1
-    UNSUPPORTED_FRAME = 2
-    UNSUPPORTED = 3
-    NO_SPACE = 4
-    INVALID = 5
-    INVALID_PARAM1 = 6
-    INVALID_PARAM2 = 7
-    INVALID_PARAM3 = 8
-    INVALID_PARAM4 = 9
-    INVALID_PARAM5_X = 10
-    INVALID_PARAM6_Y = 11
-    INVALID_PARAM7 = 12
-    INVALID_SEQUENCE = 13
-    DENIED = 14
-    OPERATION_CANCELLED = 15
-
-
-@dataclass(frozen=True, slots=True)
-class Item:
-    """One mission item, as MISSION_ITEM_INT has it: x, y in 1e-4 m or 1e-7 deg, z in m."""
-
-    seq: int
-    frame: int
-    command: int
-    current: int = 0
-    autocontinue: int = 1
-    params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    x: int = 0
-    y: int = 0
-    z: float = 0.0
-    mission_type: int = 0
 
 
 @dataclass(frozen=True, slots=True)

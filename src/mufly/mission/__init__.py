@@ -9,9 +9,11 @@ from mufly.mission.check import (
     dump_mission,
     load_mission,
     mission_from,
+    mission_tables,
     preflight,
     slowed,
 )
+from mufly.mission.ground_files import FILE_ENDINGS, FROM_GROUND_FILE, is_ground_file
 from mufly.mission.machine import go_on, pause, step, stop_at_once, watch_out, waypoint_fault
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
 from mufly.mission.phases import (
@@ -57,6 +59,8 @@ from mufly.mission.words import Words
 
 __all__ = [
     "ACCEPTED",
+    "FILE_ENDINGS",
+    "FROM_GROUND_FILE",
     "GO_AROUND_M",
     "GREATEST_GUST_M_S",
     "GREATEST_WIND_M_S",
@@ -98,6 +102,7 @@ __all__ = [
     "expected_timing",
     "fault_of",
     "go_on",
+    "is_ground_file",
     "landing_time",
     "later",
     "legs",
@@ -107,6 +112,7 @@ __all__ = [
     "log",
     "may",
     "mission_from",
+    "mission_tables",
     "never",
     "pause",
     "preflight",

@@ -8,6 +8,7 @@ out like the savings of forward flight and descent. The `usable` fraction of the
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
+from mufly.mission.ground_files import is_ground_file, read_ground_file
 from mufly.mission.schema import LOWEST_M, Mission, limits_of_file
 from mufly.mission.state import prepare
 from mufly.mission.timing import expected_timing, homeward, landing_time, legs, take_off_time
@@ -268,7 +270,8 @@ def load_mission(name_or_path: str | Path) -> Mission:
     Parameters
     ----------
     name_or_path : str or Path
-        A name that `builtin_missions` lists, or the path of a mission file.
+        A name that `builtin_missions` lists, or the path of a mission file; also of a plan (``.plan``) or waypoint file
+        (``.waypoints``) of QGroundControl or Mission Planner.
 
     Returns
     -------
@@ -280,8 +283,37 @@ def load_mission(name_or_path: str | Path) -> Mission:
     InputError
         Naming file, key, value and remedy. Waypoints are counted from 1.
     """
+    name = str(name_or_path)
+    if name not in builtin_missions() and Path(name).is_file():
+        try:
+            return mission_from(mission_tables(Path(name).read_text(encoding="utf-8-sig"), name), name)
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(name, "", f"cannot be read ({error})", "give a text file in UTF-8") from error
     tables, where = read_tables(name_or_path, _BUILTIN, "mission")
     return mission_from({"name": Path(where).stem, **tables}, where)
+
+
+def mission_tables(text: str, where: str) -> dict[str, Any]:
+    """Return the tables of a mission file: TOML, or a plan or waypoint file of QGroundControl or Mission Planner.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        What an error calls the file; without a name of its own the mission is called so.
+
+    Raises
+    ------
+    InputError
+        If it is none of them, or holds what cannot be flown.
+    """
+    if is_ground_file(text):
+        return {"name": Path(where).stem, **read_ground_file(text, where)}
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(where, "", f"is not valid TOML ({error})", "correct that line") from error
+    return {"name": Path(where).stem, **tables}
 
 
 def mission_from(tables: Mapping[str, Any], where: str = "mission") -> Mission:

@@ -14,12 +14,12 @@ import numpy as np
 
 from mufly.link.mission_transfer import Item
 from mufly.mission import Mission
-from mufly.station.autopilots import ARDUPILOT
 from mufly.station.commands import StatusTexts
 from mufly.station.endurance import planned_flight
 from mufly.station.history import Check, Snapshot, clock
 from mufly.station.telemetry import EstimatorStatus, Telemetry
 from mufly.station.transfers import RemoteMission, RemoteParameters, same_mission
+from mufly.vehicle_types import ARDUPILOT
 
 LOSS_MOST = 0.1
 CHARGE_LEAST = 0.3

@@ -15,9 +15,9 @@ from functools import lru_cache
 from mufly.flight import Parameter
 from mufly.link.codec import ABOVE_ORIGIN, ABOVE_SEA, ABOVE_TERRAIN, Origin
 from mufly.link.mission_transfer import Item
-from mufly.link.missions import Refusal, plan_of
 from mufly.mission import Limits as TrajectoryLimits
 from mufly.mission import Mission, MissionTiming, Waypoint, expected_timing
+from mufly.mission.items import Refusal, plan_of
 from mufly.mission.schema import Limits, TakeOff
 from mufly.station.history import Snapshot
 from mufly.station.transfers import DELAYS, LAND, RETURN, SPEED, TAKE_OFF, rows_of

@@ -20,9 +20,9 @@ from mufly.flight import Parameter
 from mufly.flight.parameters import TABLE
 from mufly.link.codec import MavMessage, mavlink
 from mufly.link.commands import Command
-from mufly.link.missions import items_of as items_of_mission
 from mufly.link.parameters import LINK_PARAMETERS
 from mufly.mission import Mission, load_mission
+from mufly.mission.items import items_of as items_of_mission
 from mufly.station import autopilots
 from mufly.station.autopilots import commands_of
 from mufly.station.checks import Surroundings, judge

@@ -134,7 +134,9 @@ def _row(item: Item, origin: Origin | None, reached: bool) -> MissionRow:
     position, text = _NOWHERE, ""
     if command == SPEED:
         speed = item.params[1]
-        return MissionRow(action, reached=reached, text=OWN_SPEED if speed == -2.0 else f"{speed:g} m/s")
+        words = {-2.0: OWN_SPEED, -1.0: "as it is"}.get(speed, f"{speed:g} m/s")
+        of = {2.0: "climb ", 3.0: "descent "}.get(item.params[0], "")
+        return MissionRow(action, reached=reached, text=of + words)
     if command == HEADING:
         return MissionRow(action, heading_rad=math.radians(item.params[0]), reached=reached)
     if item.frame == LOCAL_NED and command in _PLACED:

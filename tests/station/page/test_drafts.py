@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.link.missions import items_of
 from mufly.mission import Mission, dump_mission, load_mission, mission_from
+from mufly.mission.items import items_of
 from mufly.station.page.drafts import Draft, Sketch, edited, judge, kept_back, of_vehicle, opened, shown
 
 BASE = load_mission("box-on-leg")
@@ -179,7 +179,7 @@ def test_a_file_with_a_fault_in_its_geometry_is_opened_to_be_mended_and_comes_ba
     assert mission == broken
     with pytest.raises(InputError, match=r"mine\.toml: waypoint\[1\]\.wait"):
         opened("[[waypoint]]\nposition_m=[1.0, 0.0, -1.0]\nwait = 2", "mine.toml")
-    with pytest.raises(InputError, match="no TOML"):
+    with pytest.raises(InputError, match="is not valid TOML"):
         opened("[[", "mine.toml")
     assert opened("[[waypoint]]\nposition_m=[1.0, 0.0, -1.0]", "mine.toml").name == "mine"
 

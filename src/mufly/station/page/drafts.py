@@ -12,18 +12,16 @@ from __future__ import annotations
 import asyncio
 import math
 import re
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 from mufly.errors import InputError
 from mufly.link.codec import Origin
 from mufly.link.mission_transfer import Item
-from mufly.link.missions import Refusal, plan_of
-from mufly.mission import Limits, Mission, Waypoint, check_geometry, check_mission, slowed
+from mufly.mission import Limits, Mission, Waypoint, check_geometry, check_mission, mission_tables, slowed
 from mufly.mission.check import MissionEstimate
+from mufly.mission.items import Refusal, plan_of
 from mufly.tables import validated
 
 MOST_STEPS = 200
@@ -347,13 +345,9 @@ def opened(text: str, name: str) -> Mission:
     Raises
     ------
     InputError
-        If it is no TOML or does not keep to the schema.
+        If it is no mission file or does not keep to the schema.
     """
-    try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(name, "", f"is no TOML ({error})", "open a mission file") from error
-    mission: Mission = validated(Mission, {"name": Path(name).stem, **tables}, name)
+    mission: Mission = validated(Mission, mission_tables(text, name), name)
     return mission
 
 

@@ -10,7 +10,7 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import InputError
-from mufly.mission import Limits, Mission, dump_mission
+from mufly.mission import FILE_ENDINGS, Limits, Mission, dump_mission
 from mufly.station.endurance import told_ability
 from mufly.station.page import panels
 from mufly.station.page.drafts import Draft, Sketch, Verdict, edited, of_vehicle, opened, shown
@@ -54,7 +54,7 @@ class MissionEditor:
             panels.button(
                 "New", self._new, test="plan-new", title="a mission without waypoints in the same world"
             )
-            panels.pick("Open…", ".toml", self._open, "plan-file")
+            panels.pick("Open…", ",".join(FILE_ENDINGS), self._open, "plan-file")
             panels.button("Save", self._save, test="plan-save", title="save as a mission file")
             fetched = "edit the mission that is in the vehicle"
             panels.button(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import math
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import MuflyError
 from mufly.link.commands import FAILURES
-from mufly.mission import Mission, dump_mission, mission_from
+from mufly.mission import FILE_ENDINGS, Mission, dump_mission, mission_from, mission_tables
 from mufly.sensors import TARGETS
 from mufly.station.history import Outcome, Request
 from mufly.station.page.drafts import kept_back, of_vehicle
@@ -278,7 +277,7 @@ def mission_drawer(view: View) -> None:
             return
         try:
             text = (await e.file.read()).decode()
-            mission = mission_from({"name": Path(e.file.name).stem, **tomllib.loads(text)}, e.file.name)
+            mission = mission_from(mission_tables(text, e.file.name), e.file.name)
         except (MuflyError, ValueError) as error:
             refuse(str(error))
             return
@@ -309,7 +308,7 @@ def mission_drawer(view: View) -> None:
         ui.download.content(dump_mission(mission), f"{mission.name or 'mission'}.toml")
 
     with element("div", classes="mf-tools"):
-        pick("Upload…", ".toml", upload, "mission-file", classes="mf-live-only")
+        pick("Upload…", ",".join(FILE_ENDINGS), upload, "mission-file", classes="mf-live-only")
         button("Fetch", download, title="fetch the mission that is in the vehicle", classes="mf-live-only")
         button("Save", save, title="save the mission as a file")
         button("Clear", clear, title="delete the mission in the vehicle", classes="mf-live-only")

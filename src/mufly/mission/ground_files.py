@@ -1,0 +1,241 @@
+"""Mission files of other ground stations: QGroundControl's plan (JSON) and waypoint file ("QGC WPL 110").
+
+Both hold items of MAVLink, mostly on the globe. Places on the globe become metres north and east of the planned home
+(of a plan its ``plannedHomePosition``, of a waypoint file its first line), which is where the helicopter stands at the
+start; heights are those above home. Places in LOCAL_NED stay as they are. What cannot be flown as it is written is
+refused, with the item and what to do about it.
+
+Sources: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html and
+https://mavlink.io/en/file_formats/#mission_plain_text_file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mufly.errors import InputError
+from mufly.mission.items import LOCAL_FRAMES, NOT_GIVEN, Item, Origin, Refusal, on_globe, plan_of
+from mufly.mission.schema import Mission
+
+FILE_ENDINGS = (".toml", ".plan", ".waypoints", ".txt")
+"""Endings of the mission files that are read."""
+
+FROM_GROUND_FILE = "from a ground station's file"
+"""So begins the description of a mission that was read from one."""
+
+_HEAD = "QGC WPL"
+_REMEDY = "change or delete it in the ground station, and save the plan again"
+_NAN = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class GroundFile:
+    """What a ground station's file holds.
+
+    Attributes
+    ----------
+    items : tuple of Item
+        Numbered from 0.
+    places : tuple of str
+        Where each item stands: "item 2", "line 4".
+    home : Origin or None
+        The planned home.
+    left_out : tuple of str
+        What of the file is not flown, in words.
+    """
+
+    items: tuple[Item, ...]
+    places: tuple[str, ...]
+    home: Origin | None
+    left_out: tuple[str, ...] = ()
+
+
+def is_ground_file(text: str) -> bool:
+    """Whether a text is a file of another ground station, not TOML."""
+    head = text.lstrip("\ufeff \t\r\n")
+    return head.startswith((_HEAD, "{"))
+
+
+def read_ground_file(text: str, where: str) -> dict[str, Any]:
+    """Return the tables of a mission file that say what a ground station's file says.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        What an error calls the file.
+
+    Raises
+    ------
+    InputError
+        Naming the item or line that cannot be read or flown, and what to do.
+    """
+    head = text.lstrip("\ufeff \t\r\n")
+    found = _waypoint_file(head, where) if head.startswith(_HEAD) else _plan(head, where)
+    if not found.items:
+        raise InputError(where, "mission", "holds no items", "plan a take-off and waypoints first")
+    home = found.home or _first_place(found.items)
+    try:
+        plan = plan_of(found.items, Mission(), home)
+    except Refusal as refusal:
+        key = "" if refusal.item is None else found.places[refusal.item]
+        raise InputError(where, key, refusal.why, _remedy(refusal, found)) from None
+    tables = plan.mission.model_dump(exclude_none=True)
+    kept = {key: tables[key] for key in ("take_off", "waypoint", "at_end")}
+    return {"description": _description(found, home), **kept}
+
+
+def _remedy(refusal: Refusal, found: GroundFile) -> str:
+    item = None if refusal.item is None else found.items[refusal.item]
+    if item is not None and item.frame in (10, 11):
+        return "set its altitude mode to relative to launch, and save the plan again"
+    return _REMEDY
+
+
+def _description(found: GroundFile, home: Origin | None) -> str:
+    words = [FROM_GROUND_FILE]
+    if any(on_globe(item) for item in found.items) and home is not None:
+        of = "its planned home" if found.home is not None else "its first waypoint"
+        words.append(f"metres from {of}, {home.lat_deg:.7g}, {home.lon_deg:.7g}")
+    words += [f"{part} left out" for part in found.left_out]
+    return "; ".join(words)
+
+
+def _first_place(items: Sequence[Item]) -> Origin | None:
+    """The first place on the globe, for want of a home."""
+    first = next((i for i in items if on_globe(i) and NOT_GIVEN not in (i.x, i.y)), None)
+    return None if first is None else Origin(first.x / 1e7, first.y / 1e7, 0.0)
+
+
+# ---- waypoint files
+
+
+def _waypoint_file(text: str, where: str) -> GroundFile:
+    items: list[Item] = []
+    places: list[str] = []
+    for k, line in enumerate(text.splitlines()[1:], 2):
+        parts = line.split()
+        if not parts or line.lstrip().startswith("#"):
+            continue
+        key = f"line {k}"
+        if len(parts) != 12:
+            problem = f"has {len(parts)} columns where a waypoint has 12"
+            raise InputError(where, key, problem, "save the file again in the ground station")
+        try:
+            frame, command = int(parts[2]), int(parts[3])
+            numbers = [float(p) for p in parts[4:11]]
+        except ValueError:
+            remedy = "save the file again in the ground station"
+            raise InputError(where, key, f"{line.strip()[:60]!r} is no waypoint", remedy) from None
+        if numbers[3] == 0.0:
+            numbers[3] = _NAN  # these files have no word for "no heading", and their programs write 0
+        items.append(_item(len(items), frame, command, numbers, where, key))
+        places.append(key)
+    home = None
+    # Its first line is the home: a waypoint, in height above the sea, before all others.
+    if len(items) > 1 and items[0].command == 16 and items[0].frame in (0, 5) and on_globe(items[0]):
+        first = items.pop(0)
+        places.pop(0)
+        home = Origin(first.x / 1e7, first.y / 1e7, first.z if math.isfinite(first.z) else 0.0)
+    numbered = tuple(_numbered(item, k) for k, item in enumerate(items))
+    return GroundFile(numbered, tuple(places), home)
+
+
+def _numbered(item: Item, k: int) -> Item:
+    return Item(k, item.frame, item.command, params=item.params, x=item.x, y=item.y, z=item.z)
+
+
+def _item(seq: int, frame: int, command: int, numbers: Sequence[float], where: str, key: str) -> Item:
+    scale = 1e4 if frame in LOCAL_FRAMES else 1e7
+    if any(math.isinf(v) for v in numbers) or any(abs(v) * scale >= NOT_GIVEN for v in numbers[4:6]):
+        raise InputError(where, key, "has a number that is no place", _REMEDY)
+    x, y = (NOT_GIVEN if math.isnan(v) else round(v * scale) for v in numbers[4:6])
+    p = (numbers[0], numbers[1], numbers[2], numbers[3])
+    return Item(seq, frame, command, params=p, x=x, y=y, z=numbers[6])
+
+
+# ---- plans
+
+
+def _plan(text: str, where: str) -> GroundFile:
+    try:
+        content = json.loads(text)
+    except ValueError as error:
+        raise InputError(where, "", f"is not valid JSON ({error})", "save the plan again") from None
+    kind = content.get("fileType") if isinstance(content, dict) else None
+    if kind != "Plan":
+        problem = "is JSON, but no plan" if kind is None else f"is of the type {str(kind)[:30]!r}, no plan"
+        raise InputError(
+            where, "fileType", problem, "give a QGroundControl plan (.plan), or a mission file in TOML"
+        )
+    mission = _table(content.get("mission"), where, "mission")
+    items: list[Item] = []
+    places: list[str] = []
+    for k, entry in enumerate(_list(mission.get("items"), where, "mission.items"), 1):
+        for one in _simple(_table(entry, where, f"item {k}"), where, f"item {k}"):
+            items.append(_plan_item(len(items), one, where, f"item {k}"))
+            places.append(f"item {k}")
+    rally = content.get("rallyPoints")
+    points = rally.get("points") if isinstance(rally, dict) else None
+    left_out = [f"{len(points)} rally points"] if isinstance(points, list) and points else []
+    fence = content.get("geoFence")
+    zones = (
+        sum(len(fence.get(key) or ()) for key in ("circles", "polygons")) if isinstance(fence, dict) else 0
+    )
+    left_out += [f"a geofence of {zones} zones"] if zones else []
+    home = _place_of(mission.get("plannedHomePosition"))
+    return GroundFile(tuple(items), tuple(places), home, tuple(left_out))
+
+
+def _simple(entry: Mapping[str, Any], where: str, key: str) -> list[Mapping[str, Any]]:
+    """The simple items of one entry: itself, or those that a survey was made into."""
+    if entry.get("type") != "ComplexItem":
+        return [entry]
+    made = entry.get("TransectStyleComplexItem")
+    parts = made.get("Items") if isinstance(made, dict) else None
+    if isinstance(parts, list) and parts:
+        return [_table(part, where, key) for part in parts]
+    kind = str(entry.get("complexItemType", "complex item"))[:40]
+    raise InputError(where, key, f"a {kind} cannot be flown", "plan simple waypoints in its place")
+
+
+def _plan_item(seq: int, entry: Mapping[str, Any], where: str, key: str) -> Item:
+    frame, command, params = entry.get("frame"), entry.get("command"), entry.get("params")
+    whole = all(isinstance(v, int) and not isinstance(v, bool) for v in (frame, command))
+    if not whole or not isinstance(params, list) or len(params) != 7:
+        raise InputError(where, key, "has no frame, command and seven params", "save the plan again")
+    try:
+        numbers = [_NAN if v is None else float(v) for v in params]
+    except (TypeError, ValueError):
+        raise InputError(where, key, "has params that are no numbers", "save the plan again") from None
+    assert isinstance(frame, int)
+    assert isinstance(command, int)
+    return _item(seq, frame, command, numbers, where, key)
+
+
+def _place_of(value: object) -> Origin | None:
+    """A home, unless it is missing, zero or no place."""
+    if not isinstance(value, list) or len(value) < 2:
+        return None
+    numbers = [
+        float(v) if isinstance(v, int | float) and not isinstance(v, bool) else _NAN for v in value[:3]
+    ]
+    lat, lon, alt = [*numbers, 0.0][:3]
+    known = abs(lat) <= 85.0 and abs(lon) <= 180.0 and (lat, lon) != (0.0, 0.0)
+    return Origin(lat, lon, alt if math.isfinite(alt) else 0.0) if known else None
+
+
+def _table(value: object, where: str, key: str) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        raise InputError(where, key, "is missing or no table", "save the plan again in QGroundControl")
+    return value
+
+
+def _list(value: object, where: str, key: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise InputError(where, key, "is missing or no list", "save the plan again in QGroundControl")
+    return value

@@ -1,0 +1,401 @@
+"""Items of MAVLink as a :class:`mufly.mission.Mission` and back.
+
+=========================  ======================================================================================
+item (MAV_CMD)             here
+=========================  ======================================================================================
+NAV_TAKEOFF (22)           height of the take-off, straight up (no x, y, heading); only before the first waypoint
+NAV_WAYPOINT (16)          waypoint; parameter 1: wait (s), 4: heading (deg; NaN: the nose points along the way)
+NAV_LOITER_TIME (19)       waypoint; parameter 1: wait (s); its parameter 4 is no heading but where fixed wings leave
+NAV_DELAY (93)             parameter 1: so much longer a wait (s) at the waypoint, or after the take-off, before it
+NAV_LOITER_UNLIM (17)      waypoint with parameter 4: heading, and hover there; only as the last item
+NAV_LAND (21)              fly to its x, y (unless not given), with parameter 4: heading, then land; only as the last
+NAV_RETURN_TO_LAUNCH (20)  fly home and land; only as the last item
+DO_CHANGE_SPEED (178)      parameter 2: speed (m/s) of the legs that follow, -2: the mission's own
+CONDITION_YAW (115)        parameter 1: heading (deg) of the next waypoint that has none itself; absolute only
+=========================  ======================================================================================
+
+Frames: LOCAL_NED (1; x, y in 1e-4 m) and LOCAL_ENU (4); with a global origin also GLOBAL (0, 5: altitude above the
+sea) and GLOBAL_RELATIVE_ALT (3, 6: above the origin). Items without a place may be in any. A mission that ends
+without 17, 20 or 21 ends in a hover. Whatever cannot be flown as it is written is refused whole, with the field that
+is to blame.
+
+Speeds, accelerations, obstacle avoidance and the room are those of the mission that was loaded before: items do not
+speak of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import cached_property
+from typing import Any
+
+from pydantic import ValidationError
+
+from mufly.mission.schema import LOWEST_M, Mission, TakeOff, Waypoint
+
+NOT_GIVEN = 2**31 - 1
+"""x or y of an item that gives none."""
+ABOVE_SEA, ABOVE_ORIGIN, ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)
+"""Values of MAV_FRAME on the globe, with altitude above the sea, above the origin, and above the terrain."""
+LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 20, 21)
+"""Values of MAV_FRAME in metres."""
+_A = 6_378_137.0
+_E2 = 6.694379990141e-3
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where N = E = D = 0 is: latitude and longitude (deg), altitude above the sea (m)."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+
+    @cached_property
+    def _metres_per_deg(self) -> tuple[float, float]:
+        phi = math.radians(self.lat_deg)
+        w = 1.0 - _E2 * math.sin(phi) ** 2
+        north = _A * (1.0 - _E2) / w**1.5 + self.alt_m
+        east = (_A / math.sqrt(w) + self.alt_m) * math.cos(phi)
+        return math.radians(north), math.radians(east)
+
+    def to_global(self, north: float, east: float, down: float) -> tuple[float, float, float]:
+        """Return latitude, longitude (deg) and altitude (m) of a place N, E, D (m)."""
+        n, e = self._metres_per_deg
+        return self.lat_deg + north / n, self.lon_deg + east / e, self.alt_m - down
+
+    def to_local(
+        self, lat_deg: float, lon_deg: float, alt_m: float, frame: int = 0
+    ) -> tuple[float, float, float]:
+        """Return N, E, D (m) of a place on the globe; its altitude is above the sea unless the MAV_FRAME says not."""
+        n, e = self._metres_per_deg
+        away = math.remainder(lon_deg - self.lon_deg, 360.0) if math.isfinite(lon_deg) else math.nan
+        down = -alt_m if frame in ABOVE_ORIGIN else self.alt_m - alt_m
+        return (lat_deg - self.lat_deg) * n, away * e, down
+
+
+class MissionResult(IntEnum):
+    """MAV_MISSION_RESULT."""
+
+    ACCEPTED = 0
+    ERROR = 1
+    UNSUPPORTED_FRAME = 2
+    UNSUPPORTED = 3
+    NO_SPACE = 4
+    INVALID = 5
+    INVALID_PARAM1 = 6
+    INVALID_PARAM2 = 7
+    INVALID_PARAM3 = 8
+    INVALID_PARAM4 = 9
+    INVALID_PARAM5_X = 10
+    INVALID_PARAM6_Y = 11
+    INVALID_PARAM7 = 12
+    INVALID_SEQUENCE = 13
+    DENIED = 14
+    OPERATION_CANCELLED = 15
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One mission item, as MISSION_ITEM_INT has it: x, y in 1e-4 m or 1e-7 deg, z in m."""
+
+    seq: int
+    frame: int
+    command: int
+    current: int = 0
+    autocontinue: int = 1
+    params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    x: int = 0
+    y: int = 0
+    z: float = 0.0
+    mission_type: int = 0
+
+
+_WAYPOINT, _UNLIMITED, _LOITER_TIME, _HOME, _LAND, _TAKE_OFF, _DELAY = 16, 17, 19, 20, 21, 22, 93
+_SPEED, _YAW = 178, 115
+_ENDS = {_UNLIMITED: "hover", _LAND: "land", _HOME: "return"}
+_NED, _ENU = 1, 4
+_SAME_PLACE_M = 0.05
+_NAMES = {
+    18: "NAV_LOITER_TURNS", 31: "NAV_LOITER_TO_ALT", 82: "NAV_SPLINE_WAYPOINT", 84: "NAV_VTOL_TAKEOFF",
+    85: "NAV_VTOL_LAND", 112: "CONDITION_DELAY", 114: "CONDITION_DISTANCE", 177: "DO_JUMP", 179: "DO_SET_HOME",
+    181: "DO_SET_RELAY", 183: "DO_SET_SERVO", 189: "DO_LAND_START", 195: "DO_SET_ROI_LOCATION", 197: "DO_SET_ROI_NONE",
+    201: "DO_SET_ROI", 203: "DO_DIGICAM_CONTROL", 205: "DO_MOUNT_CONTROL", 206: "DO_SET_CAM_TRIGG_DIST",
+    211: "DO_GRIPPER", 530: "SET_CAMERA_MODE", 1000: "DO_GIMBAL_MANAGER_PITCHYAW", 2000: "IMAGE_START_CAPTURE",
+    2001: "IMAGE_STOP_CAPTURE", 2500: "VIDEO_START_CAPTURE", 2501: "VIDEO_STOP_CAPTURE",
+}  # fmt: skip
+"""MAV_CMD that ground stations put into missions and that cannot be flown here."""
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A mission and the items that it was made of, or that were made of it.
+
+    Attributes
+    ----------
+    mission : Mission
+    items : tuple of Item
+    item_of_waypoint : tuple of int
+        Which item each waypoint of the mission came from.
+    """
+
+    mission: Mission
+    items: tuple[Item, ...]
+    item_of_waypoint: tuple[int, ...]
+
+    def waypoint_of(self, item: int) -> int | None:
+        """The first waypoint that comes from an item or a later one; None if there is none."""
+        return next((k for k, i in enumerate(self.item_of_waypoint) if i >= item), None)
+
+
+class Refusal(Exception):
+    """A mission that cannot be flown: the result to acknowledge, why, in words, and the item that is to blame."""
+
+    def __init__(self, result: MissionResult, why: str, item: int | None = None) -> None:
+        super().__init__(f"mission: {why}" if item is None else f"mission item {item}: {why}")
+        self.result, self.why, self.item = result, why, item
+
+
+def _refuse(item: Item, result: MissionResult, why: str) -> Refusal:
+    return Refusal(result, why, item.seq)
+
+
+def plan_of(items: Sequence[Item], base: Mission, origin: Origin | None) -> Plan:
+    """Return the mission that items describe.
+
+    Parameters
+    ----------
+    items : sequence of Item
+        Numbered from 0.
+    base : Mission
+        The rest is taken from it.
+    origin : Origin or None
+        For items on the globe.
+
+    Raises
+    ------
+    Refusal
+        If it cannot be flown as it is written.
+    """
+    waypoints: list[Waypoint] = []
+    came_from: list[int] = []
+    take_off: TakeOff = base.take_off
+    speed: float | None = None
+    heading: float | None = None
+    end: str = "hover" if items else base.at_end
+    for item in items:
+        if item.seq and items[item.seq - 1].command in _ENDS:
+            raise _refuse(
+                item, MissionResult.INVALID_SEQUENCE, "nothing can follow a landing or an endless hover"
+            )
+        if item.command == _TAKE_OFF:
+            if waypoints:
+                raise _refuse(item, MissionResult.INVALID_SEQUENCE, "a take-off comes before all waypoints")
+            take_off = _checked(item, TakeOff, height_m=-_down(item, origin), wait_s=base.take_off.wait_s)
+        elif item.command in (_WAYPOINT, _LOITER_TIME, _UNLIMITED):
+            headed = item.command != _LOITER_TIME
+            own = _heading(item, 3, MissionResult.INVALID_PARAM4) if headed else None
+            place = _place(item, origin)
+            wait = 0.0 if item.command == _UNLIMITED else _wait(item)
+            waypoints.append(_waypoint(item, place, wait, heading if own is None else own, speed))
+            came_from.append(item.seq)
+            heading = None
+        elif item.command == _DELAY and waypoints:
+            w = waypoints[-1]
+            longer = w.wait_s + _wait(item)
+            waypoints[-1] = _waypoint(item, w.position_m, longer, w.heading_deg, w.speed_m_s)
+        elif item.command == _DELAY:
+            take_off = _checked(
+                item, TakeOff, height_m=take_off.height_m, wait_s=take_off.wait_s + _wait(item)
+            )
+        elif item.command == _SPEED:
+            speed = _speed(item, speed)
+        elif item.command == _YAW:
+            if item.params[3] == 1.0:
+                raise _refuse(item, MissionResult.INVALID_PARAM4, "a relative turn is not known in a mission")
+            if item.params[3] != 0.0 and not math.isnan(item.params[3]):
+                why = f"parameter 4 is {item.params[3]:g}; give 0, an absolute heading"
+                raise _refuse(item, MissionResult.INVALID_PARAM4, why)
+            heading = _heading(item, 0, MissionResult.INVALID_PARAM1)
+        elif item.command not in (_LAND, _HOME):
+            raise _refuse(item, MissionResult.UNSUPPORTED, f"{_command_name(item.command)} cannot be flown")
+        if item.command == _LAND and waypoints:
+            over = _above(item, origin, waypoints[-1])
+            if over is not None:
+                own = _heading(item, 3, MissionResult.INVALID_PARAM4)
+                waypoints.append(_waypoint(item, over, 0.0, heading if own is None else own, speed))
+                came_from.append(item.seq)
+                heading = None
+        end = _ENDS.get(item.command, end)
+    if heading is not None:
+        last = next(i for i in reversed(items) if i.command == _YAW)
+        raise _refuse(
+            last, MissionResult.INVALID_SEQUENCE, "no waypoint follows that could have this heading"
+        )
+    if items and not waypoints:
+        raise Refusal(MissionResult.INVALID, "there is no waypoint in it")
+    parts: dict[str, Any] = {name: getattr(base, name) for name in Mission.model_fields}
+    parts |= {"take_off": take_off, "waypoint": tuple(waypoints), "at_end": end}
+    return Plan(Mission(**parts), tuple(items), tuple(came_from))
+
+
+def items_of(mission: Mission) -> Plan:
+    """Return a mission as items in LOCAL_NED."""
+    if not mission.waypoint:
+        return Plan(mission, (), ())
+    items = [Item(0, _NED, _TAKE_OFF, params=(0.0, 0.0, 0.0, math.nan), z=-mission.take_off.height_m)]
+    came_from: list[int] = []
+    speed: float | None = None
+    for w in mission.waypoint:
+        if w.speed_m_s != speed:
+            speed = w.speed_m_s
+            items.append(Item(0, _NED, _SPEED, params=(1.0, -2.0 if speed is None else speed, -1.0, 0.0)))
+        n, e, d = w.position_m
+        heading = math.nan if w.heading_deg is None else w.heading_deg
+        came_from.append(len(items))
+        items.append(
+            Item(0, _NED, _WAYPOINT, params=(w.wait_s, 0.0, 0.0, heading), x=_counts(n), y=_counts(e), z=d)
+        )
+    last = items[-1]
+    if mission.at_end == "land":
+        items.append(replace(last, command=_LAND, params=(0.0, 0.0, 0.0, math.nan), z=0.0))
+    elif mission.at_end == "return":
+        items.append(Item(0, _NED, _HOME))
+    numbered = tuple(replace(item, seq=k, current=int(k == 0)) for k, item in enumerate(items))
+    return Plan(mission, numbered, tuple(came_from))
+
+
+def on_globe(item: Item) -> bool:
+    """Whether an item names a place on the globe."""
+    return item.frame in (*ABOVE_SEA, *ABOVE_ORIGIN, *ABOVE_TERRAIN) and (item.x, item.y) != (0, 0)
+
+
+def unscaled(number: int, factor: float) -> float:
+    """Return what x or y of an integer message says, ``number`` times ``factor``; NaN where it is not given."""
+    return math.nan if number == NOT_GIVEN else number * factor
+
+
+def _command_name(number: int) -> str:
+    entry = _NAMES.get(number)
+    return f"command {number}" if entry is None else f"command {number} ({entry})"
+
+
+def _counts(metres: float) -> int:
+    return round(metres * 1e4)
+
+
+def _checked(item: Item, table: type, **values: Any) -> Any:
+    """A table of the mission, whose own bounds decide."""
+    try:
+        return table(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = str(first["loc"][0]) if first["loc"] else ""
+        blame = {
+            "height_m": MissionResult.INVALID_PARAM7,
+            "wait_s": MissionResult.INVALID_PARAM1,
+            "heading_deg": MissionResult.INVALID_PARAM4,
+            "speed_m_s": MissionResult.INVALID,
+        }.get(field, MissionResult.INVALID)
+        raise _refuse(item, blame, f"{field} {values.get(field)!r}: {first['msg'].lower()}") from error
+
+
+def _waypoint(
+    item: Item, place: Triple, wait_s: float, heading: float | None, speed: float | None
+) -> Waypoint:
+    made: Waypoint = _checked(
+        item, Waypoint, position_m=place, wait_s=wait_s, heading_deg=heading, speed_m_s=speed
+    )
+    return made
+
+
+def _wait(item: Item) -> float:
+    wait = item.params[0]
+    if math.isnan(wait):
+        return 0.0
+    if item.command == _DELAY and wait == -1.0:
+        why = "a delay until a time of day is not known; give seconds in parameter 1"
+        raise _refuse(item, MissionResult.INVALID_PARAM1, why)
+    if not 0.0 <= wait <= 3600.0:
+        raise _refuse(item, MissionResult.INVALID_PARAM1, f"a wait of {wait:g} s is outside of 0 to 3600 s")
+    return wait
+
+
+def _heading(item: Item, k: int, blame: MissionResult) -> float | None:
+    deg = item.params[k]
+    if math.isnan(deg):
+        return None
+    if abs(deg) > 360.0:
+        raise _refuse(item, blame, f"a heading of {deg:g} deg is outside of +-360")
+    return deg
+
+
+def _speed(item: Item, before: float | None) -> float | None:
+    kind, speed = item.params[0], item.params[1]
+    if kind not in (0.0, 1.0):
+        raise _refuse(item, MissionResult.INVALID_PARAM1, "only the horizontal speed (0, 1) can be changed")
+    if speed in (-1.0, -2.0):
+        return before if speed == -1.0 else None
+    if not 0.0 < speed <= 3.0:
+        raise _refuse(item, MissionResult.INVALID_PARAM2, f"a speed of {speed:g} m/s is outside of 0 to 3")
+    return float(f"{speed:.7g}")
+
+
+def _down(item: Item, origin: Origin | None) -> float:
+    """D of an item (m)."""
+    if item.frame == _NED:
+        down = item.z
+    elif item.frame == _ENU or (item.frame in ABOVE_ORIGIN and origin is not None):
+        down = -item.z
+    elif item.frame in ABOVE_SEA and origin is not None:
+        down = origin.alt_m - item.z
+    else:
+        why = f"frame {item.frame} is not known; use LOCAL_NED (1)"
+        if item.frame in ABOVE_TERRAIN:
+            why = f"frame {item.frame} counts heights from the terrain, which nobody here measures; use LOCAL_NED (1)"
+        if item.frame in (*ABOVE_SEA, *ABOVE_ORIGIN):
+            why = f"frame {item.frame} needs a global origin; use LOCAL_NED (1), or give the vehicle one"
+        raise _refuse(item, MissionResult.UNSUPPORTED_FRAME, why)
+    if not math.isfinite(down) or down > -LOWEST_M:
+        raise _refuse(
+            item, MissionResult.INVALID_PARAM7, f"height {-down:g} m; it has to be at least {LOWEST_M:g} m"
+        )
+    return float(f"{down:.7g}")
+
+
+def _level(item: Item, origin: Origin | None) -> tuple[float, float]:
+    """N and E of an item (m); NaN where not given."""
+    if item.frame in (_NED, _ENU):
+        a, b = (unscaled(v, 1e-4) for v in (item.x, item.y))
+        return (a, b) if item.frame == _NED else (b, a)
+    if origin is None:
+        return math.nan, math.nan
+    if item.command == _LAND and (item.x, item.y) == (0, 0):
+        return math.nan, math.nan  # land where it is
+    lat, lon = (unscaled(v, 1e-7) for v in (item.x, item.y))
+    n, e, _ = origin.to_local(lat, lon, 0.0)
+    return n, e
+
+
+def _place(item: Item, origin: Origin | None) -> Triple:
+    down = _down(item, origin)
+    n, e = _level(item, origin)
+    if math.isnan(n):
+        raise _refuse(item, MissionResult.INVALID_PARAM5_X, "x is not given")
+    if math.isnan(e):
+        raise _refuse(item, MissionResult.INVALID_PARAM6_Y, "y is not given")
+    return n, e, down
+
+
+def _above(item: Item, origin: Origin | None, last: Waypoint) -> Triple | None:
+    """Where to fly before landing, at the height of the last waypoint; None if it is there, or no place is given."""
+    n, e = _level(item, origin)
+    before = last.position_m
+    if math.isnan(n) or math.isnan(e) or math.dist((n, e), before[:2]) < _SAME_PLACE_M:
+        return None
+    return n, e, before[2]
