@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from mufly.estimate.factors import (
-    MOVING,
-    assembled,
-    carry,
-    carry_column,
-    expected,
-    factorise,
-    loosen,
-    observe,
-    variance,
-    wander,
-)
 from mufly.estimate.layout import FLYING, RUNNING
-from mufly.estimate.motion import advance_state, transition, turned
+from mufly.estimate.strapdown import error_transition, predict_state, rotate_attitude
+from mufly.estimate.ud_filter import (
+    MOVING,
+    gauss_markov_update,
+    inflate_variance,
+    innovation_variance,
+    propagate_column,
+    state_variance,
+    ud_covariance,
+    ud_factorise,
+    ud_measurement_update,
+    ud_time_update,
+)
 
 N = 25
 SPAN = 0.02
@@ -41,7 +41,7 @@ def _shifted(x: np.ndarray, error: np.ndarray) -> np.ndarray:
     """A state that errs by so much: turned about N, E, D, and the rest added to."""
     y = x.copy()
     y[:6] += error[:6]
-    turned(y, *error[6:9], False)
+    rotate_attitude(y, *error[6:9], False)
     y[10:] += error[9:]
     return y
 
@@ -61,20 +61,20 @@ def test_errors_move_as_states_do() -> None:
         e[12:15] = 0.0  # drag turns with the attitude; that is left out
         r, push, a = np.zeros(9), np.zeros(6), np.zeros(33)
         after = x.copy()
-        advance_state(after, e, SPAN, r, push)
-        transition(e, SPAN, r, push, a)
+        predict_state(after, e, SPAN, r, push)
+        error_transition(e, SPAN, r, push, a)
         for j in range(N):
             error = np.zeros(N)
             error[j] = 1e-6
             other = _shifted(x, error)
-            advance_state(other, e, SPAN, r, push)
+            predict_state(other, e, SPAN, r, push)
             right = _apart(after, other) / 1e-6
             column = error / 1e-6
-            carry_column(column, SPAN, a, column)
+            propagate_column(column, SPAN, a, column)
             assert np.allclose(column[:9], right[:9], atol=2e-4), j
         # On its legs what the floor pushes does not turn with the attitude.
         e[21] = RUNNING
-        transition(e, SPAN, r, push, a)
+        error_transition(e, SPAN, r, push, a)
         assert push.any()
         assert not a[30:].any()
 
@@ -84,29 +84,29 @@ def test_a_filter_by_factors_is_the_kalman_filter(kind: type) -> None:
     """A hundred steps and measurements beside the textbook's equations in double precision."""
     rng = np.random.default_rng(1)
     p = _covariance(rng)
-    ut, d = (a.astype(kind) for a in factorise(p))
+    ut, d = (a.astype(kind) for a in ud_factorise(p))
     f, gain = np.zeros(N, kind), np.zeros(N, kind)
     tolerance = 1e-9 if kind is np.float64 else 2e-3
     for step in range(100):
         e, x = _step(rng)
         r, push, a = np.zeros(9), np.zeros(6), np.zeros(33)
-        advance_state(x, e, SPAN, r, push)
-        transition(e, SPAN, r, push, a)
+        predict_state(x, e, SPAN, r, push)
+        error_transition(e, SPAN, r, push, a)
         big = np.eye(N)
         for j in range(N):
             column = np.eye(N)[j]
-            carry_column(column, SPAN, a, column)
+            propagate_column(column, SPAN, a, column)
             big[:, j] = column
         q = rng.uniform(0, 1, 9)
         g = np.eye(N)[:, :MOVING]
         g[range(3), range(3, 6)] = 0.5 * SPAN
         p = big @ p @ big.T + (g * q) @ g.T
-        carry(ut, d, SPAN, a.astype(kind), q.astype(kind), np.zeros((3, 6), kind), f)
+        ud_time_update(ut, d, SPAN, a.astype(kind), q.astype(kind), np.zeros((3, 6), kind), f)
         bias, keep, more = MOVING + step % (N - MOVING), 0.9, rng.uniform(0, 1)
         p[bias] *= keep
         p[:, bias] *= keep
         p[bias, bias] += more
-        wander(ut, d, bias, kind(keep), kind(more), f)
+        gauss_markov_update(ut, d, bias, kind(keep), kind(more), f)
         assert np.all(np.triu(ut, 1) == 0.0)
         assert np.all(np.diag(ut) == 1.0)
         at = rng.permutation(N)[:4].astype(np.int32)
@@ -114,22 +114,22 @@ def test_a_filter_by_factors_is_the_kalman_filter(kind: type) -> None:
         row = np.zeros(N)
         row[at] = h
         spread = row @ p @ row
-        assert expected(ut, d, at, h.astype(kind), 4, f) == pytest.approx(spread, rel=tolerance)
+        assert innovation_variance(ut, d, at, h.astype(kind), 4, f) == pytest.approx(spread, rel=tolerance)
         k = p @ row / (spread + r_)
-        observe(ut, d, f, kind(r_), gain)
+        ud_measurement_update(ut, d, f, kind(r_), gain)
         assert np.allclose(gain, k, rtol=tolerance, atol=tolerance * np.abs(k).max())
         p = p - np.outer(k, row @ p)
         p = 0.5 * (p + p.T)
         assert np.all(d > 0)
         scale = np.sqrt(np.outer(np.diag(p), np.diag(p)))
-        assert np.abs(assembled(ut, d) - p).max(where=scale > 0, initial=0) < tolerance * scale.max()
-    assert np.allclose([variance(ut, d, i) for i in range(N)], np.diag(p), rtol=tolerance)
+        assert np.abs(ud_covariance(ut, d) - p).max(where=scale > 0, initial=0) < tolerance * scale.max()
+    assert np.allclose([state_variance(ut, d, i) for i in range(N)], np.diag(p), rtol=tolerance)
 
 
 @pytest.mark.parametrize("j", [0, 7, 15, N - 1])
 def test_a_state_can_be_loosened(j: int) -> None:
     p = _covariance(np.random.default_rng(2))
-    ut, d = factorise(p)
-    loosen(ut, d, j, 4.0, np.zeros(N))
+    ut, d = ud_factorise(p)
+    inflate_variance(ut, d, j, 4.0, np.zeros(N))
     p[j, j] += 4.0
-    assert np.allclose(assembled(ut, d), p)
+    assert np.allclose(ud_covariance(ut, d), p)

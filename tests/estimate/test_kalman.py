@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mufly.control import design
 from mufly.estimate import Check, Estimate
 from mufly.estimate.fitted import KalmanEstimator
-from mufly.estimate.layout import TURN
+from mufly.estimate.layout import EX_ATT
 from mufly.estimate.nees import Consistency, consistency
 from mufly.flight import Flight
 from mufly.mission import mission_from
@@ -73,7 +73,7 @@ def run(
     e = KalmanEstimator(vehicle, World(), 200.0)
     if delay is not None:
         slow = e._settings.copy()
-        slow["delay"] = delay
+        slow["delay_ticks"] = delay
         e.use(slow)
     return e, [e.update(r, a) for r, a in zip(readings, acted, strict=False)]
 
@@ -118,7 +118,7 @@ def test_beams_that_are_wrong_alike_do_not_grow_true_by_being_many(vehicle: Vehi
     estimator = KalmanEstimator(vehicle, room, 200.0)
     ways = beam_directions(vehicle)
     known = estimator._settings.copy()
-    known["sigma"][TURN + 2] = 0.01  # beams at a slant tell no place where the heading is not known
+    known["sigma"][EX_ATT + 2] = 0.01  # beams at a slant tell no place where the heading is not known
     estimator.use(known)
     ring = 1.2 / np.abs(ways[:, :2]).max(axis=1)
     ring[ways[:, 0].argmax()] += 0.02
@@ -180,10 +180,10 @@ def test_a_turned_room_turns_the_estimate(vehicle: Vehicle, flown, felt, delay: 
 def test_what_comes_after_the_horizon_has_passed_it_is_carried_there(vehicle: Vehicle, flown, felt) -> None:
     """Fixes of which most overtake a horizon that waits for none leave it as good; older ones are told as late."""
     passed, other = run(vehicle, felt(), flown[1], 32)
-    assert passed.memory["late"].sum() < 3
+    assert passed.memory["late_count"].sum() < 3
     assert consistency(flown[0], other, after_s=8.0).xy_rms < 0.08
     none, _ = run(vehicle, felt()[:400], flown[1], 10)
-    assert none.memory["late"].sum() > 10
+    assert none.memory["late_count"].sum() > 10
 
 
 def test_what_comes_late_but_before_the_horizon_counts_as_if_it_had_come_at_once(
@@ -201,13 +201,13 @@ def test_what_comes_late_but_before_the_horizon_counts_as_if_it_had_come_at_once
     now, later = KalmanEstimator(vehicle, World(), 200.0), KalmanEstimator(vehicle, World(), 200.0)
     for e in (now, later):
         slow = now._settings.copy()
-        slow["delay"] = 100
-        slow["slack"] = 1.0
+        slow["delay_ticks"] = 100
+        slow["latency_slack"] = 1.0
         e.use(slow)
     for k, (a, b) in enumerate(zip(held, late, strict=True)):
         now.update(a, flown[1][k])
         later.update(b, flown[1][k])
-    assert now.memory["late"].sum() == later.memory["late"].sum() == 0
+    assert now.memory["late_count"].sum() == later.memory["late_count"].sum() == 0
     for name in ("x", "d", "ut"):
         assert np.allclose(now.memory[name], later.memory[name], rtol=1e-9, atol=1e-12), name
 

@@ -11,10 +11,10 @@ import pytest
 from mufly.control import design
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator, native
-from mufly.estimate.factors import loosen, variance
-from mufly.estimate.layout import FLOOR, R_FIX, R_RING, R_SONAR
+from mufly.estimate.layout import EX_TERRAIN, R_RING, R_SONAR, SX_ATT, SX_FIX_BIAS, SX_TERRAIN
 from mufly.estimate.native import Code
 from mufly.estimate.records import PYTHON_ALONE
+from mufly.estimate.ud_filter import inflate_variance, state_variance
 from mufly.flight import Flight
 from mufly.mission import mission_from
 from mufly.sensors import Readings, fitted_sensors, parse_fault
@@ -88,15 +88,15 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
     for k, (r, a) in enumerate(felt(faults)):
         told, right = c.update(r, a), python.update(r, a)
         assert told.valid == right.valid
-        assert c.memory["out"].tobytes() == python.memory["out"].tobytes(), k
-        disowned += int(c.memory["disowned"])
+        assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k
+        disowned += int(c.memory["accel_distrusted"])
         if k % 25 == 0:
             assert same(c._box, python._box), k
     assert same(c._box, python._box)
     assert (disowned > 0) == faults.startswith("accelerometer.drift")  # forces apart by six deviations
     if not faults:
-        assert c.memory["mode"] == 3  # it flew
-        c.memory["x"][16] += 1e-15
+        assert c.memory["flight_phase"] == 3  # it flew
+        c.memory["x"][SX_TERRAIN] += 1e-15
         assert not same(c._box, python._box)  # the comparison can fail
 
 
@@ -111,14 +111,14 @@ def test_a_vehicle_with_less_on_board_is_the_same(
     there = {1: places < 2, 2: places % 2 == 0, 3: places >= 2}
     for e in (c, python):
         has = e._settings.copy()
-        has["model"] = settings.get("model", 1)
+        has["has_rotor_model"] = settings.get("model", 1)
         if "fitted" in settings:
             has["fitted"][:] *= there[settings["fitted"]]
         e.use(has)
     for k, (r, a) in enumerate(felt("sonar.jump=0.3@5s gyro.dropout@7s+0.5s")[::2]):
         told, right = c.update(r, a), python.update(r, a)
         assert told.valid == right.valid
-        assert c.memory["out"].tobytes() == python.memory["out"].tobytes(), k
+        assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k
     assert same(c._box, python._box)
 
 
@@ -135,14 +135,14 @@ def test_a_floor_that_may_be_the_room_s_is_taken_for_it_in_both(
         for e in (c, python):
             m = e.memory
             if k == 1600:
-                assert m["edge"] == 0.0
-                m["x"][16] = floor_m
-                less = sigma_m**2 - variance(m["ut"], m["d"], FLOOR)
-                loosen(m["ut"], m["d"], FLOOR, less, m["f"])
-                assert variance(m["ut"], m["d"], FLOOR) == pytest.approx(sigma_m**2)
+                assert m["terrain_edge"] == 0.0
+                m["x"][SX_TERRAIN] = floor_m
+                less = sigma_m**2 - state_variance(m["ut"], m["d"], EX_TERRAIN)
+                inflate_variance(m["ut"], m["d"], EX_TERRAIN, less, m["f"])
+                assert state_variance(m["ut"], m["d"], EX_TERRAIN) == pytest.approx(sigma_m**2)
             e.update(r, a)
     assert same(c._box, python._box)
-    assert (abs(c.memory["x"][16]) < 0.2 * floor_m) == settles
+    assert (abs(c.memory["x"][SX_TERRAIN]) < 0.2 * floor_m) == settles
 
 
 def told(r: Readings, name: str, value: np.ndarray) -> Readings:
@@ -159,11 +159,11 @@ def test_lasers_of_who_believes_to_be_outside_of_the_room_meet_no_wall_in_both(v
             if k == 1500:
                 e.memory["x"][:2] = 40.0, 40.0
             if k == 1600:  # lies on its side: what its beams meet first is the floor
-                e.memory["x"][6:10] = np.cos(0.7), np.sin(0.7), 0.0, 0.0
+                e.memory["x"][SX_ATT : SX_ATT + 4] = np.cos(0.7), np.sin(0.7), 0.0, 0.0
             e.update(near if k >= 1500 else r, a)
     assert same(c._box, python._box)
-    assert c.memory["seen"] == len(near.latest["ranges"].value)
-    assert c.memory["code"][R_RING] != 1  # FUSED
+    assert c.memory["beams_seen"] == len(near.latest["ranges"].value)
+    assert c.memory["status"][R_RING] != 1  # FUSED
 
 
 @needs_cc
@@ -177,9 +177,9 @@ def test_a_fix_apart_from_the_sonar_in_height_is_told_in_both(vehicle, felt, rem
             r = told(r, "position_fix", r.latest["position_fix"].value - np.array([0.0, 0.0, 0.8, 0.0]))
         for e in (c, python):
             if remembers and k == 1500:
-                e.memory["x"][19] = 2.0
+                e.memory["x"][SX_FIX_BIAS + 2] = 2.0
             e.update(r, a)
-        most = max(most, c.memory["suspect"][R_FIX, 3])
+        most = max(most, c.memory["fix_height_gap"])
     assert same(c._box, python._box)
     assert most > (0.0 if remembers else 0.5)
 
@@ -196,20 +196,23 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
                 x = np.zeros(c.memory["x"].size)
                 x[0:3] = rng.normal(0.0, [2.0, 2.0, 0.1]) * (rng.random(3) < 0.3)
                 x[5] = rng.normal(0.0, 0.5) * (rng.random() < 0.3)
-                x[16] = rng.normal(0.0, 0.1) * (rng.random() < 0.3)
+                x[SX_TERRAIN] = rng.normal(0.0, 0.1) * (rng.random() < 0.3)
                 shift = rng.normal(0.0, 4.0, 3) * (rng.random() < 0.2)
                 mode, sensor, code = rng.integers(0, 4), rng.integers(0, R_RING + 1), rng.integers(0, 5)
                 edge, apart, ago = rng.choice([0.0, 0.5]), rng.choice([0.0, 0.3]), rng.integers(0, 200)
                 for e in (c, python):
                     m = e.memory
                     m["x"][:] += x
-                    m["shift"][:] += shift
-                    m["mode"], m["edge"], m["suspect"][R_FIX, 3] = mode, edge, apart
-                    m["code"][sensor], m["used"][R_SONAR] = code, max(int(m["tick"]) - int(ago), 0)
+                    m["gyro_offset"][:] += shift
+                    m["flight_phase"], m["terrain_edge"], m["fix_height_gap"] = mode, edge, apart
+                    m["status"][sensor], m["last_fused_tick"][R_SONAR] = (
+                        code,
+                        max(int(m["tick"]) - int(ago), 0),
+                    )
             told, right = c.update(r, a), python.update(r, a)
             assert told.valid == right.valid
-            assert c.memory["out"].tobytes() == python.memory["out"].tobytes(), k
-            modes.add(int(c.memory["mode"]))
+            assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k
+            modes.add(int(c.memory["flight_phase"]))
     assert same(c._box, python._box)
     assert modes == {0, 1, 2, 3}
 
@@ -240,7 +243,7 @@ def replayed(e: KalmanEstimator, rows: Sequence[tuple[np.ndarray, np.ndarray, np
         for z, new, age in rows:
             e._z[:], e._new[:], e._age[:] = z, new, age
             valid = e.steps.step(e._box)
-            told.append(e.memory["out"].tobytes() + e.memory["angles"].tobytes() + bytes([valid]))
+            told.append(e.memory["x_output"].tobytes() + e.memory["angles_output"].tobytes() + bytes([valid]))
     return [*told, *(e.memory[n].tobytes() for n in e.memory.dtype.names if n not in PYTHON_ALONE)]
 
 

@@ -15,7 +15,7 @@ from mufly.camera import Camera, camera_from, decode, load_camera, rays, read_pi
 from mufly.dynamics import initial_state
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, KalmanEstimator
-from mufly.estimate.layout import FIX
+from mufly.estimate.layout import EX_FIX_BIAS
 from mufly.flight import Event, Flight, fly, read_recording, replay
 from mufly.flight.camera import CameraSensor, Eye, filmed, sighted
 from mufly.flight.film import Stream, parse_spoil
@@ -208,7 +208,7 @@ def test_what_the_map_is_unsure_of_wanders_in_the_filter() -> None:
     def hear(time_s: float, sigma: float) -> tuple[float, float]:
         fix = Reading(np.zeros(4), time_s, True, np.diag([sigma**2] * 4))
         filter_.hear({"position_fix": fix}, time_s + 0.2)
-        return math.sqrt(settings["fix_variance"]), float(settings["sigma"][FIX])
+        return math.sqrt(settings["fix_variance"]), float(settings["sigma"][EX_FIX_BIAS])
 
     assert hear(1.0, 0.02) == pytest.approx((math.sqrt(of_file), 0.03))
     noise, wander = hear(6.0, 0.3)  # found again after five seconds, where it believes to be

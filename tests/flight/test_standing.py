@@ -8,7 +8,7 @@ import pytest
 
 from mufly.dynamics import initial_state, quaternion_from_euler, rotation, standing_attitude, standing_height
 from mufly.estimate import fitted_estimator
-from mufly.estimate.layout import ACCEL, filter_settings
+from mufly.estimate.layout import EX_ACCEL_BIAS, filter_settings
 from mufly.flight import Flight
 from mufly.sensors import Truth, fitted_sensors, leaning
 from mufly.units import GRAVITY
@@ -62,7 +62,7 @@ def test_it_stands_still_as_it_leans_and_the_filter_does_not_know():
         assert np.abs(after.attitude - before.attitude).max() < 1e-6
     assert stands[-1].attitude[:2] == pytest.approx(lean, abs=2e-5)
     told = filter_settings(VEHICLE, World(), 200.0)
-    level, bias = told["level"], told["sigma"][ACCEL] / GRAVITY
+    level, bias = told["level_sigma"], told["sigma"][EX_ACCEL_BIAS] / GRAVITY
     assert level == float(VEHICLE.sensors.imu.level)
     # Of what accelerometers say, bias and lean in one, it takes for lean what is to be expected of that.
     assert np.abs(estimate.attitude[:2]).max() < 3.0 * level**2 / np.hypot(level, bias)

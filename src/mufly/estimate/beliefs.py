@@ -9,7 +9,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.estimate import guards as g
+from mufly.estimate import sensor_checks as g
 from mufly.estimate.layout import CHECKED, R_FIX, R_MAGNET, R_PRESSURE, R_SONAR
 from mufly.sensors import READINGS
 
@@ -162,7 +162,9 @@ class Checks(Sequence[Check]):
         return self._said
 
 
-_NUMBERS = ("code", "why", "number", "innovation", "spread", "used", "came")
+_NUMBERS = (
+    "status", "reason", "fault_number", "innovation", "innovation_sigma", "last_fused_tick", "last_new_tick",
+)  # fmt: skip
 
 
 def _check(k: int, row: Sequence[float], dt: float, tick: int) -> Check:

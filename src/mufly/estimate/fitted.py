@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from mufly.dynamics import model_parameters
 from mufly.estimate.beliefs import Beliefs, Check, Checks
 from mufly.estimate.estimate import Estimate, Estimator
-from mufly.estimate.guards import ACTING, CLIPPING, VALUES
 from mufly.estimate.layout import (
     BLOCK_S,
     CHECKED,
-    FIX,
-    GYRO,
-    HEADING,
+    EX_FIX_BIAS,
+    EX_FIX_HEADING,
+    EX_GYRO_BIAS,
     R_BATTERY,
     R_FIX,
     R_PRESSURE,
@@ -31,7 +30,8 @@ from mufly.estimate.layout import (
     memory_type,
 )
 from mufly.estimate.native import Code, steps
-from mufly.estimate.telling import TOLD_EVERY
+from mufly.estimate.output_predictor import TOLD_EVERY
+from mufly.estimate.sensor_checks import ACTING, CLIPPING, VALUES
 from mufly.sensors import Reading, Readings
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 from mufly.vehicle import Vehicle
@@ -39,8 +39,11 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 _BATTERY = STARTS[R_BATTERY]
-SHOWN = ("out_cov", "sigma", "code", "why", "number", "innovation", "spread", "used", "came", "tick")
-"""Of the memory, what is told every :data:`mufly.estimate.telling.TOLD_EVERY` periods."""
+SHOWN = (
+    "covariance_output", "sigma_output", "status", "reason", "fault_number", "innovation", "innovation_sigma",
+    "last_fused_tick", "last_new_tick", "tick",
+)  # fmt: skip
+"""Of the memory, what is told every :data:`mufly.estimate.output_predictor.TOLD_EVERY` periods."""
 
 
 def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimator:
@@ -59,7 +62,7 @@ def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimato
 
 
 class KalmanEstimator(Estimator):
-    """The error-state Kalman filter of :mod:`mufly.estimate.kernel`.
+    """The error-state Kalman filter of :mod:`mufly.estimate.ekf_step`.
 
     Parameters
     ----------
@@ -104,7 +107,7 @@ class KalmanEstimator(Estimator):
         # A record of an array is a view of it: the compiled step writes into the array.
         self._box = np.zeros(1, memory_type(self._kind))
         self.memory = m = self._box[0]
-        self._out, self._rates, self._angles = m["out"], m["out_rates"], m["angles"]
+        self._out, self._rates, self._angles = m["x_output"], m["rates_output"], m["angles_output"]
         self._z = np.zeros(VALUES, self._kind)
         self._new, self._age = np.zeros(SENSORS, np.int32), np.zeros(SENSORS, self._kind)
         self._code: Code = code
@@ -125,7 +128,7 @@ class KalmanEstimator(Estimator):
             row.view(np.uint8)[:] = 0
         for name, own in self._by_file.items():
             self.steps.settings[name] = own
-        self._wander = self._wants = self._by_file["sigma"][FIX : HEADING + 1] ** 2
+        self._wander = self._wants = self._by_file["sigma"][EX_FIX_BIAS : EX_FIX_HEADING + 1] ** 2
         self.steps.begin(self._box)
         self._periods = 0
         self._last: dict[str, Reading] = {}
@@ -153,10 +156,10 @@ class KalmanEstimator(Estimator):
         """Tell much from now on, of a memory, or of as much of it as :data:`SHOWN` names, that does not change any
         more."""
         self._checks = Checks(m, self._settings, self._fitted)
-        sigma, covariance = m["sigma"].astype(np.float64), np.zeros((12, 12))
-        covariance[:9, :9] = m["out_cov"]
+        sigma, covariance = m["sigma_output"].astype(np.float64), np.zeros((12, 12))
+        covariance[:9, :9] = m["covariance_output"]
         covariance[range(9, 12), range(9, 12)] = (
-            sigma[GYRO : GYRO + 3] ** 2 + self._settings["rest_gyro"] ** 2
+            sigma[EX_GYRO_BIAS : EX_GYRO_BIAS + 3] ** 2 + self._settings["rest_gyro"] ** 2
         )
         self._told = (covariance, sigma)
 
@@ -223,7 +226,7 @@ class KalmanEstimator(Estimator):
 
     def _weigh(self, fix: Reading, since_s: float) -> None:
         """Take a fix for as good as it says that it is, or else as the vehicle's file says."""
-        s, file, four = self.steps.settings, self._by_file, slice(FIX, HEADING + 1)
+        s, file, four = self.steps.settings, self._by_file, slice(EX_FIX_BIAS, EX_FIX_HEADING + 1)
         noise = np.array([file["fix_variance"], file["heading_variance"]])
         own = None if fix.covariance is None else np.diag(fix.covariance)
         wander = file["sigma"][four] ** 2

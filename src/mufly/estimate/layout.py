@@ -1,28 +1,30 @@
-"""What the filter remembers and what it knows of its vehicle, as two flat records: what becomes two structs in C.
+"""The filter's two records, memory and settings, and the names of their indices: each becomes a struct in C.
 
-Nominal state ``x`` (:data:`STATES`), in SI units:
+The nominal state ``x`` has the indices ``SX_...``, in SI units:
 
-===== =========================================================================================================
-0:3   position N, E, D of the centre of gravity
-3:6   velocity N, E, D
-6:10  attitude, quaternion w x y z
-10:13 bias of the gyroscopes, body axes
-13:16 bias of the accelerometers, body axes
-16    height of the surface under the sonar above D = 0, up
-17:21 what the position fix is off by: N, E, D, heading
-21:23 wind N, E
-23    scale of the thrust
-24    bias of the pressure (Pa)
-25    bias of the magnetic heading (rad)
-===== =========================================================================================================
+====================== ======================================================================================
+``SX_POS``             position N, E, D of the centre of gravity
+``SX_VEL``             velocity N, E, D
+``SX_ATT``             attitude, quaternion w x y z
+``SX_GYRO_BIAS``       bias of the gyroscopes, body axes
+``SX_ACCEL_BIAS``      bias of the accelerometers, body axes
+``SX_TERRAIN``         height of the surface under the sonar above D = 0, up
+``SX_FIX_BIAS``        bias of the position fix, N, E, D
+``SX_FIX_HEADING``     bias of the position fix's heading
+``SX_WIND``            wind N, E
+``SX_THRUST_SCALE``    true thrust over the model's
+``SX_PRESSURE_BIAS``   bias of the pressure (Pa)
+``SX_MAG_BIAS``        bias of the magnetic heading (rad)
+====================== ======================================================================================
 
-Error state: the same less one, as the attitude errs by a small turn about N, E and D (true = exp(turn) believed); order
-of :data:`ERROR_STATES`.
+The error state has one number less, with the indices ``EX_...``: the attitude errs by a small turn about N, E and D
+(true = exp(turn) estimated). :data:`ERROR_STATES` has its names.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -35,6 +37,9 @@ from mufly.sensors.ring_camera import MARGIN
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import LEVEL_RAD, Sensing
 from mufly.world import World
+
+_Array = NDArray[np.float64]
+_Ints = NDArray[np.int32]
 
 ERROR_STATES: tuple[str, ...] = (
     "position_N", "position_E", "position_D",
@@ -53,23 +58,24 @@ ERROR_STATES: tuple[str, ...] = (
 
 ERRORS = len(ERROR_STATES)
 STATES = ERRORS + 1
-# Of the error state
-P, V, TURN, GYRO, ACCEL, FLOOR, FIX, HEADING, WIND, THRUST_, PRESSURE_, MAGNET_ = (
-    0,
-    3,
-    6,
-    9,
-    12,
-    15,
-    16,
-    19,
-    20,
-    22,
-    23,
-    24,
-)
+SX_POS, SX_VEL, SX_ATT, SX_GYRO_BIAS, SX_ACCEL_BIAS, SX_TERRAIN = 0, 3, 6, 10, 13, 16
+SX_FIX_BIAS, SX_FIX_HEADING, SX_WIND, SX_THRUST_SCALE, SX_PRESSURE_BIAS, SX_MAG_BIAS = 17, 20, 21, 23, 24, 25
+EX_POS, EX_VEL, EX_ATT, EX_GYRO_BIAS, EX_ACCEL_BIAS, EX_TERRAIN = 0, 3, 6, 9, 12, 15
+EX_FIX_BIAS, EX_FIX_HEADING, EX_WIND, EX_THRUST_SCALE, EX_PRESSURE_BIAS, EX_MAG_BIAS = 16, 19, 20, 22, 23, 24
+RS_POS, RS_VEL, RS_ATT, RS_RATES, RS_SWASH_ROLL, RS_SWASH_PITCH = 0, 3, 6, 10, 13, 14
+RS_BAR, RS_SPEED_UPPER, RS_SPEED_LOWER, RS_CHARGE = 15, 18, 19, 20
+"""Indices of the flight model's state (:mod:`mufly.dynamics.state`), which the filter holds in body axes."""
+RF_STATIC, RF_REST, RF_SLOPE, RF_ANG_ACCEL = 0, 3, 6, 9
+ROTOR_FORCE = 12
+"""A row of the rotor model, three numbers each: force per mass without motion through the air (m/s^2), the rest of the
+force (m/s^2), its slope over the velocity through the air (1/s), angular acceleration (rad/s^2); body axes."""
+IN_RATES, IN_ACCEL, IN_STATIC, IN_REST, IN_SLOPE, IN_SHARE, IN_NOISE, IN_PHASE = 0, 3, 6, 9, 12, 15, 18, 21
+INPUTS = 22
+"""A row of inputs, means over a block, three numbers each: measured rates (rad/s) and acceleration (m/s^2), the model's
+force as in a row of the rotor model, weight of the accelerometer, density of the noise (m^2/s^3); and the flight phase
+of the last period."""
 
-TURNS = ERRORS - GYRO - 4
+TURNS = ERRORS - EX_GYRO_BIAS - 4
 """Periods in which each bias steps once, but for those of the fix, which step with it."""
 
 CHECKED = (
@@ -93,95 +99,279 @@ right to 1e-4 in it."""
 KEPT = 40  # blocks of input that are remembered
 LAG = 4  # blocks by which the filter may be behind when much has come at once
 REACH = KEPT - 2 * LAG  # blocks by which the horizon may be behind now
-INPUTS = 22
-"""Numbers of a block, means of its periods: rates, felt force, force of the rotors, rest of the model's, its slope over
-the velocity through the air, share of the accelerometer, density of the noise (three each); and the mode of its last
-period, by which the difference of the two forces can be used or not."""
 WAITING = 64  # measurements that wait for the horizon
 WORK = 4  # scalar measurements, or what costs as much, for which there is time in a period of 5 ms
-TRANSITION = 33  # numbers of :func:`mufly.estimate.motion.transition`
+TR_GYRO, TR_ACCEL, TR_AIR, TR_THRUST, TR_TURN = 0, 9, 18, 27, 30
+TRANSITION = 33
+"""Numbers of :func:`mufly.estimate.strapdown.error_transition`, and where its parts start."""
 TERMS = 8  # states of which a measurement tells at most
 MODELLED = 8  # periods for which forces of the model wait for the slower inertial unit
 
 
+@dataclass(frozen=True)
+class Field:
+    """A field of a record.
+
+    Attributes
+    ----------
+    shape : tuple
+        Of int, or of the name of a size that differs between boards.
+    is_int : bool
+        Whether it is a 32-bit integer; else it is a number of the filter's kind.
+    meaning, unit : str
+    """
+
+    shape: tuple[int | str, ...]
+    is_int: bool
+    meaning: str
+    unit: str = ""
+
+
+def _real(meaning: str, *shape: int | str, unit: str = "") -> Any:
+    return Field(shape, False, meaning, unit)
+
+
+def _int(meaning: str, *shape: int | str) -> Any:
+    return Field(shape, True, meaning)
+
+
+class FilterMemory:
+    """Everything that the filter keeps between two periods, all zero before its reset; ``lp``: low-pass filtered."""
+
+    # The filter at the horizon
+    x: _Array = _real("nominal state at the horizon, indices SX", STATES)
+    ut: _Array = _real("U of P = U D U^T by columns, ut[j, i] = U_ij", ERRORS, ERRORS)
+    d: _Array = _real("diagonal of D", ERRORS)
+    horizon: int = _int("period of the state x")
+    fix_bias_tick: int = _int("period up to which the bias of the fix is predicted")
+    task_stage: int = _int("next stage of the work at the horizon")
+    next_beam: int = _int("next beam of the ring to fuse")
+    beams_seen: int = _int("beams of this picture with a range")
+    beams_fused: int = _int("beams of this picture within their gate")
+    yaw_rate: float = _real("rate about the vertical at the horizon", unit="rad/s")
+    wall_info_limit: _Array = _real("information on N and E that a picture can hold at most", 2, unit="1/m2")
+    wall_info_gained: _Array = _real("share of it that this picture adds", 2)
+    # Inputs
+    input_blocks: _Array = _real("rows of inputs, at their block modulo KEPT", "KEPT", INPUTS)
+    input_now: _Array = _real("inputs of the last period", INPUTS)
+    tick: int = _int("periods since the reset")
+    gyro_rates: _Array = _real("rates without spikes and offset, body axes", 3, unit="rad/s")
+    # Rotor model
+    rotor_state: _Array = _real("state of the flight model in body axes, indices RS", 21)
+    actuators: _Array = _real("actuators that acted: motors, servos", 4)
+    motor_accel_bias: _Array = _real("error of the motors' equations", 2, unit="rad/s2")
+    ang_accel_bias: _Array = _real("error of the model's moments a period, body axes", 3, unit="rad/s")
+    rate_residual_lp: float = _real("rates less the model's, lp", unit="rad/s")
+    rotor_force: _Array = _real(
+        "rows of the rotor model, at their period modulo MODELLED", MODELLED, ROTOR_FORCE
+    )
+    # Measurements that wait for the horizon
+    queue_due: _Ints = _int("period of the horizon at which each is fused; -1: free", "WAITING")
+    queue_sensor: _Ints = _int("sensor of each", "WAITING")
+    queue_value: _Array = _real("value of each", "WAITING", BEAMS)
+    queue_ahead: _Array = _real("time of each after its period", "WAITING", unit="s")
+    # Noise of the accelerometers about the model
+    accel_noise_sum: _Array = _real("sum of residuals since the last mean", 3, unit="m/s2")
+    gyro_rates_prev: _Array = _real("rates of the period before, body axes", 3, unit="rad/s")
+    accel_noise_count: int = _int("residuals in accel_noise_sum")
+    accel_noise: _Array = _real("density of the noise by means over short blocks", 3, unit="m2/s3")
+    accel_noise_slow: _Array = _real("density of the noise at low frequencies", 3, unit="m2/s3")
+    slow_sum: _Array = _real("weighted sum of residuals since the last slow mean", 3, unit="m/s2")
+    slow_mean_prev: _Array = _real("last slow mean", 3, unit="m/s2")
+    slow_count: int = _int("residuals in slow_sum")
+    slow_means: int = _int("slow means so far")
+    clip_share: _Array = _real("share of clipped samples, lp", 3)
+    # Means since accelerometers and model were compared last
+    accel_mean: _Array = _real("measured acceleration", 3, unit="m/s2")
+    model_accel_mean: _Array = _real("acceleration of the model", 3, unit="m/s2")
+    thrust_slope: _Array = _real("slope of the model's force over the thrust's scale", 3, unit="m/s2")
+    velocity_slope: _Array = _real(
+        "slope of the model's force over the velocity through the air", 3, unit="1/s"
+    )
+    residual_density: _Array = _real("density of the noise of measured less modelled", 3, unit="m2/s3")
+    residual_ratio: float = _real("largest innovation ratio of the axes so far")
+    mean_ticks: int = _int("periods in these means")
+    # Flight phase, terrain, faults
+    rates_lp: _Array = _real("rates without bias at the horizon, lp", 3, unit="rad/s")
+    terrain_edge: float = _real("1 at an edge in the sonar's cone, falling to 0")
+    divergence_ticks: int = _int("periods for which the gyroscopes' bias stays free; 1: has been freed once")
+    flight_phase: int = _int("STANDING, RUNNING, LIGHT or FLYING")
+    near_ground: int = _int("1: the sonar reads its least range")
+    spike_repeats: int = _int("gyroscope readings in a row that are off alike")
+    gyro_offset: _Array = _real("jumps of the gyroscopes, taken off", 3, unit="rad/s")
+    sonar_ratio_lp: float = _real("innovation ratio of the sonar, lp")
+    spike_count: int = _int("gyroscope readings in a row that are off")
+    spike_rates: _Array = _real("rates of the period before, spikes included", 3, unit="rad/s")
+    terrain_steps: int = _int("steps of the terrain over this edge")
+    fix_ratio_lp: float = _real("square of the largest innovation ratio of the fix, lp")
+    accel_distrusted: int = _int("1: accelerometers and model disagree, the accelerometers are not used")
+    accel_residual_lp: _Array = _real("accelerometers less model, lp", 3, unit="m/s2")
+    accel_residual_sigma: _Array = _real("standard deviation expected of it", 3, unit="m/s2")
+    position_prev: _Array = _real("position of the output of the period before", 3, unit="m")
+    standing_ticks: int = _int("periods on the floor with the motors off")
+    heading_aligned: int = _int("1: a fix has been fused")
+    gyro_mean: _Array = _real("measured rates, mean since the last comparison", 3, unit="rad/s")
+    initialised: int = _int("1: the state may be used")
+    # Output: the state of now
+    x_output: _Array = _real("nominal state of now, indices SX", STATES)
+    rates_output: _Array = _real("rates of now, body axes", 3, unit="rad/s")
+    angles_output: _Array = _real("roll, pitch, and yaw without jumps at half a turn", 3, unit="rad")
+    covariance_output: _Array = _real("covariance of position, velocity and roll, pitch, yaw", 9, 9)
+    sigma_output: _Array = _real("standard deviations of the error state", ERRORS)
+    position_slip: _Array = _real("what is left of jumps of the position, subtracted", 3, unit="m")
+    # From the horizon to now
+    x_repropagating: _Array = _real("state on its way from the horizon to now", STATES)
+    repropagating_tick: int = _int("its period")
+    repropagating_noise: _Array = _real("variance of the velocity added on the way", 3, unit="m2/s2")
+    repropagating_gain: _Array = _real("velocity gained on the way without gravity", 3, unit="m/s")
+    repropagating_span: float = _real("time since the horizon", unit="s")
+    x_now: _Array = _real("last state that arrived, predicted since", STATES)
+    now_noise: _Array = _real("variance of its velocity added on the way", 3, unit="m2/s2")
+    now_gain: _Array = _real("velocity gained on its way without gravity", 3, unit="m/s")
+    delay_span: float = _real("time of its way", unit="s")
+    # Health of each sensor
+    last_value: _Array = _real("last value of each sensor, at STARTS", STARTS[-1])
+    last_new_tick: _Ints = _int("period of the last new reading", SENSORS)
+    last_fused_tick: _Ints = _int("period of the last fused reading", SENSORS)
+    repeat_count: _Ints = _int("readings in a row equal to the last bit", SENSORS)
+    reject_count: _Ints = _int("readings rejected in a row", SENSORS)
+    reject_since_tick: _Ints = _int("period since which rejected readings agree with each other", SENSORS)
+    grounded_tick: int = _int("last period in which it did not fly")
+    status: _Ints = _int("NOTHING, FUSED, REJECTED, MISSING or FAULTY", SENSORS)
+    reason: _Ints = _int("reason of the status, of sensor_checks.py", SENSORS)
+    fault_until_tick: _Ints = _int("period until which a fault is reported", SENSORS)
+    fault_number: _Array = _real("number in the reason's text", SENSORS)
+    innovation: _Array = _real("innovation of the worst component", SENSORS)
+    innovation_sigma: _Array = _real("its standard deviation", SENSORS)
+    late_count: _Ints = _int("readings that came too late to be fused", SENSORS)
+    rejected_value: _Array = _real("last rejected value", SENSORS, 3)
+    agree_count: _Ints = _int("rejected readings in a row that agree with each other", SENSORS)
+    skipped: _Ints = _int("1: this reading is left out by decimation", SENSORS)
+    reject_score: _Array = _real("rejections, decaying with every fused reading", SENSORS)
+    invalid_count: _Ints = _int("readings in a row that are marked invalid by the sensor", SENSORS)
+    double_count: _Ints = _int("readings in a row that came twice", SENSORS)
+    decimation_count: _Ints = _int("readings so far, for the decimation", SENSORS)
+    fix_height_gap: float = _real("height of the fix less the sonar's where they disagree, else 0", unit="m")
+    sonar_prev: float = _real("last range of the sonar", unit="m")
+    sonar_repeat_chance: float = _real("chance that a working sonar repeats itself so often")
+    height_reset_tick: int = _int("period of the last reset of the height by the sonar")
+    spike_carry: _Array = _real("gyroscope residuals carried to the next period", 3, unit="rad/s")
+    motor_accel_mean: _Array = _real("motor_accel_bias, mean over seconds", 2, unit="rad/s2")
+    accel_noise_mean: _Array = _real("last mean of residuals over a short block", 3, unit="m/s2")
+    # Work
+    axis_work: _Array = _real("work", 3)
+    h_terms: int = _int("terms of the row of H")
+    h_state: _Ints = _int("error state of each term", TERMS)
+    h: _Array = _real("value of each term", TERMS)
+    f: _Array = _real("U^T h", ERRORS)
+    gain: _Array = _real("Kalman gain", ERRORS)
+    # Work of Python alone: in C it is on the stack
+    rotation_work: _Array = _real("rotation matrix", 9)
+    accel_work: _Array = _real("acceleration without gravity N, E, D, and the model's in body axes", 6)
+    transition_work: _Array = _real("transition of the errors", TRANSITION)
+    q_work: _Array = _real("process noise", 9)
+    w_work: _Array = _real("columns of the velocity", 3, 6)
+    derivative_work: _Array = _real("derivative of the flight model", 21)
+    no_wind: _Array = _real("zeros", 3)
+
+
+class FilterSettings:
+    """Everything that the filter is told of its vehicle (:func:`filter_settings`)."""
+
+    dt: float = _real("period", unit="s")
+    block_ticks: int = _int("periods of a block")
+    work_limit: int = _int("scalar measurements that a period has time for")
+    lag: float = _real("delay of the inertial unit's filter", unit="s")
+    lag_ticks: int = _int("its whole periods")
+    lag_share: float = _real("its rest, of a period")
+    delay_ticks: int = _int("periods by which the horizon is behind")
+    has_rotor_model: int = _int("1: the rotor model is used")
+    swash_settled: float = _real("decay of the swash plate in a period")
+    swash_mean: float = _real("mean of that decay over the period")
+    start: _Array = _real("state at the reset", STATES)
+    sigma: _Array = _real("standard deviations at the reset", ERRORS)
+    decay: _Array = _real("decay of each bias in its step", ERRORS)
+    process_variance: _Array = _real("variance that each error gains in its step", ERRORS)
+    gyro_density: float = _real("density of the gyroscopes' noise", unit="rad2/s")
+    gyro_cross_density: _Array = _real(
+        "the same per square of the rate: across the axis, along it", 2, unit="s"
+    )
+    accel_density: float = _real("density of the accelerometers' noise", unit="m2/s3")
+    model_accel_density: _Array = _real("density of the rotor model's error", 3, unit="m2/s3")
+    accel_range: float = _real("range of the accelerometers", unit="m/s2")
+    gyro_range: float = _real("range of the gyroscopes", unit="rad/s")
+    rest_accel: float = _real("standard deviation of the accelerometers at rest", unit="m/s2")
+    rest_gyro: float = _real("standard deviation of the gyroscopes at rest", unit="rad/s")
+    level_sigma: float = _real("standard deviation of the tilt on the floor", unit="rad")
+    ground_clearance: float = _real("height of the centre of gravity on the floor", unit="m")
+    weight: float = _real("weight", unit="N")
+    thrust_coefficients: _Array = _real("thrust over the square of the speed: upper, lower", 2, unit="N s2")
+    hover_speed: _Array = _real("rotor speed in hover: upper, lower", 2, unit="rad/s")
+    fitted: _Ints = _int("1: the sensor is on board", SENSORS)
+    period: _Array = _real("time between two readings", SENSORS, unit="s")
+    latency: _Array = _real("usual age of a new reading", SENSORS, unit="s")
+    timeout: _Array = _real("time without a reading after which it is missing", SENSORS, unit="s")
+    latency_slack: _Array = _real("age beyond the latency that is allowed", SENSORS, unit="s")
+    has_noise: _Ints = _int("1: equal readings in a row are a fault", SENSORS)
+    value_limit: _Array = _real("largest value that can be right", SENSORS)
+    decimation: _Ints = _int("one of so many readings is fused", SENSORS)
+    sonar_place: _Array = _real("place of the sonar, body axes", 3, unit="m")
+    sonar_variance: float = _real("variance of a range", unit="m2")
+    sonar_step: float = _real("resolution of a range", unit="m")
+    sonar_cone: float = _real("cosine of half the cone")
+    sonar_min: float = _real("least range", unit="m")
+    sonar_max: float = _real("largest range", unit="m")
+    sonar_arc: float = _real("range at the cone's edge over that along its axis, less 1")
+    sonar_reach: float = _real("radius of the cone over the range")
+    fix_variance: float = _real("variance of the fix's position", unit="m2")
+    heading_variance: float = _real("variance of the fix's heading", unit="rad2")
+    beam_count: int = _int("beams of the ring")
+    beam_direction: _Array = _real("their directions, body axes", BEAMS, 3)
+    ring_max: float = _real("largest range of a beam", unit="m")
+    ring_constant_variance: float = _real("variance of a beam's constant error", unit="1/m2")
+    ring_noise_variance: float = _real("variance of a beam's noise", unit="1/m6")
+    ring_baseline: float = _real("baseline of the ring camera", unit="m")
+    wall_planes: _Array = _real(
+        "walls of the room: N from, to; E from, to; D of ceiling and floor", 6, unit="m"
+    )
+    pressure_variance: float = _real("variance of a pressure", unit="Pa2 s")
+    pressure_slope: float = _real("pressure over the height down", unit="Pa/m")
+    pressure_thrust: _Array = _real("pressure over the square of the rotor speed: upper, lower", 2)
+    magnet_variance: float = _real("variance of the magnetic heading", unit="rad2")
+    earth: _Array = _real("field of the earth N, E, D", 3, unit="T")
+    rotor_gain: float = _real("gain of the rotor speed's filter")
+    rotor_drift: float = _real("gain of the motors' error", unit="1/s")
+    imu_place: _Array = _real("place of the inertial unit, body axes", 3, unit="m")
+
+
+def record_fields(record: type) -> dict[str, Field]:
+    """Return the fields of :class:`FilterMemory` or :class:`FilterSettings` by name, in the order of the struct."""
+    return {name: field for name, field in vars(record).items() if isinstance(field, Field)}
+
+
+def _record_type(record: type, kind: Any, **sizes: int) -> np.dtype:
+    return np.dtype(
+        [
+            (
+                name,
+                np.int32 if field.is_int else kind,
+                tuple(sizes[n] if isinstance(n, str) else n for n in field.shape),
+            )
+            for name, field in record_fields(record).items()
+        ],
+        align=True,
+    )
+
+
 def memory_type(kind: Any = np.float64, kept: int = KEPT, waiting: int = WAITING) -> np.dtype:
-    """Return the type of what the filter remembers, in numbers of this kind, with room for so many blocks of input and
-    measurements that wait."""
-    n, i4 = ERRORS, np.int32
-    return np.dtype([
-        # The filter at the horizon
-        ("x", kind, (STATES,)), ("ut", kind, (n, n)), ("d", kind, (n,)),
-        ("horizon", i4), ("wandered", i4), ("stage", i4), ("beam", i4), ("seen", i4), ("fitting", i4), ("spin", kind),
-        ("told_most", kind, (2,)), ("told_share", kind, (2,)),
-        # Inputs, by their block modulo KEPT, and those of the last period
-        ("inputs", kind, (kept, INPUTS)), ("now", kind, (INPUTS,)), ("tick", i4), ("rates", kind, (3,)),
-        # The rotor model: state of the flight model in body axes, forces of the last periods
-        ("rotor", kind, (21,)),
-        ("acting", kind, (4,)), ("motor_off", kind, (2,)), ("turn_off", kind, (3,)), ("rough", kind),
-        ("force", kind, (MODELLED, 12)),
-        # Measurements that wait
-        ("due", i4, (waiting,)), ("what", i4, (waiting,)), ("value", kind, (waiting, BEAMS)), ("ahead", kind,
-        (waiting,)),
-        # Scatter of the accelerometers
-        ("mean", kind, (3,)), ("before", kind, (3,)), ("blocks", i4), ("scatter", kind, (3,)),
-        ("slow", kind, (3,)), ("slow_mean", kind, (3,)), ("slow_last", kind, (3,)), ("slow_blocks", i4),
-        ("slow_count", i4), ("clipped", kind, (3,)),
-        ("felt", kind, (3,)), ("modelled", kind, (3,)), ("lever", kind, (3, 4)), ("felt_count", i4),
-        # Standing
-        ("turning", kind, (3,)), ("edge", kind), ("adrift", i4), ("mode", i4), ("low", i4), ("spikes", i4),
-        ("shift", kind, (3,)), ("lean", kind), ("wild", i4), ("spike", kind, (3,)), ("steps", i4),
-        ("strain", kind), ("disowned", i4), ("drift", kind, (3,)),
-        ("drift_sigma", kind, (3,)), ("told", kind, (3,)), ("standing", i4), ("aligned", i4), ("sum", kind,
-        (3,)), ("lifted", i4),
-        # What is told; angles: roll, pitch, and yaw that does not jump at half a turn
-        ("out", kind, (STATES,)), ("out_rates", kind, (3,)), ("angles", kind, (3,)),
-        ("out_cov", kind, (9, 9)), ("sigma", kind, (n,)), ("slip", kind, (3,)),
-        # On its way from the horizon to now, and what came last
-        ("way", kind, (STATES,)), ("way_tick", i4), ("way_sum", kind, (6,)), ("way_span", kind),
-        ("come", kind, (STATES,)), ("come_sum", kind, (6,)), ("span", kind),
-        # What is thought of each sensor
-        ("last", kind, (STARTS[-1],)), ("came", i4, (SENSORS,)),
-        ("used", i4, (SENSORS,)),
-        ("same", i4, (SENSORS,)), ("rejected", i4, (SENSORS,)), ("since", i4, (SENSORS,)), ("code", i4, (SENSORS,)),
-        ("why", i4, (SENSORS,)), ("until", i4, (SENSORS,)),
-        ("number", kind, (SENSORS,)), ("innovation", kind, (SENSORS,)), ("spread", kind, (SENSORS,)),
-        ("late", i4, (SENSORS,)),
-        ("suspect", kind, (SENSORS, 4)), ("agree", i4, (SENSORS,)), ("skip", i4, (SENSORS,)),
-        ("doubt", kind, (SENSORS,)), ("silent", i4, (SENSORS,)), ("twice", i4, (SENSORS,)), ("turns", i4, (SENSORS,)),
-        # Work
-        ("row", kind, (3,)), ("terms", i4), ("at", i4, (TERMS,)), ("h", kind, (TERMS,)), ("f", kind, (n,)),
-        ("gain", kind, (n,)),
-        # Work of Python alone (in C they are on the stack)
-        ("attitude", kind, (9,)), ("push", kind, (6,)), ("transition", kind, (TRANSITION,)), ("q", kind, (9,)),
-        ("w", kind, (3, 6)), ("slope", kind, (21,)), ("still", kind, (3,)),
-    ], align=True)  # fmt: skip
-
-
-_NUMBERS: dict[str, Any] = {
-    "dt": (), "block": "i", "work": "i", "lag": (), "lag_ticks": "i", "lag_share": (), "delay": "i", "model": "i",
-    "swash_settled": (), "swash_mean": (),
-    "start": (STATES,), "sigma": (ERRORS,), "keep": (ERRORS,), "noise": (ERRORS,),
-    "gyro_density": (), "gyro_off": (2,), "felt_density": (), "model_density": (3,), "felt_range": (), "gyro_range": (),
-    "rest_felt": (), "rest_gyro": (), "level": (), "stands": (), "weight": (), "thrust": (2,), "hover": (2,),
-    "fitted": "i9", "period": (SENSORS,), "latency": (SENSORS,), "patience": (SENSORS,), "slack": (SENSORS,),
-    "noisy": "i9", "bound": (SENSORS,),
-    "every": "i9",
-    "sonar_place": (3,), "sonar_variance": (), "sonar_step": (), "sonar_cone": (), "sonar_min": (), "sonar_max": (),
-    "sonar_arc": (), "sonar_reach": (),
-    "fix_variance": (), "heading_variance": (),
-    "beams": "i", "beam": (BEAMS, 3), "ring_max": (), "ring_lasts": (), "ring_scatters": (), "ring_baseline": (),
-    "walls": (6,),
-    "pressure_variance": (), "pressure_slope": (), "pressure_thrust": (2,),
-    "magnet_variance": (), "earth": (3,), "rotor_gain": (), "rotor_drift": (), "place": (3,),
-}  # fmt: skip
+    """Return the type of :class:`FilterMemory` in numbers of this kind, with room for so many blocks of input and
+    waiting measurements."""
+    return _record_type(FilterMemory, kind, KEPT=kept, WAITING=waiting)
 
 
 def settings_type(kind: Any = np.float64) -> np.dtype:
-    """Return the type of what the filter knows of its vehicle, in numbers of this kind."""
-    return np.dtype([
-        (name, np.int32 if isinstance(s, str) else kind, ((SENSORS,) if s == "i9" else ()) if isinstance(s, str) else s)
-        for name, s in _NUMBERS.items()
-    ], align=True)  # fmt: skip
+    """Return the type of :class:`FilterSettings` in numbers of this kind."""
+    return _record_type(FilterSettings, kind)
 
 
 # What is assumed beyond the vehicle's file (docs/estimation.md)
@@ -233,20 +423,20 @@ def filter_settings(
     start[6] = start[23] = 1.0
     stands = standing_height(vehicle)
     start[2] = -stands
-    sigma[P : P + 2], sigma[P + 2], sigma[V : V + 3] = PLACE_M, 3e-3, 0.01
+    sigma[EX_POS : EX_POS + 2], sigma[EX_POS + 2], sigma[EX_VEL : EX_VEL + 3] = PLACE_M, 3e-3, 0.01
     level = LEVEL_RAD if sensing.imu is None else float(sensing.imu.level)
-    sigma[TURN : TURN + 2], sigma[TURN + 2] = level, math.pi
-    sigma[FLOOR], walk[FLOOR] = FLOOR_START, FLOOR_WANDER  # the last times the root of the speed
-    sigma[WIND : WIND + 2], tau[WIND : WIND + 2] = WIND_SPEED
-    sigma[THRUST_], walk[THRUST_] = THRUST_ERROR, THRUST_WALK
-    walk[P : P + 3] = 1e-4
+    sigma[EX_ATT : EX_ATT + 2], sigma[EX_ATT + 2] = level, math.pi
+    sigma[EX_TERRAIN], walk[EX_TERRAIN] = FLOOR_START, FLOOR_WANDER  # the last times the root of the speed
+    sigma[EX_WIND : EX_WIND + 2], tau[EX_WIND : EX_WIND + 2] = WIND_SPEED
+    sigma[EX_THRUST_SCALE], walk[EX_THRUST_SCALE] = THRUST_ERROR, THRUST_WALK
+    walk[EX_POS : EX_POS + 3] = 1e-4
     s["dt"] = dt
-    s["stands"], s["weight"], s["level"] = stands, p["mass"] * GRAVITY, level
-    s["thrust"] = p["thrust_up"], p["thrust_dw"]
-    s["hover"] = hover_speeds(p)
+    s["ground_clearance"], s["weight"], s["level_sigma"] = stands, p["mass"] * GRAVITY, level
+    s["thrust_coefficients"] = p["thrust_up"], p["thrust_dw"]
+    s["hover_speed"] = hover_speeds(p)
     swash = float(p["swash_rate"]) * dt
     s["swash_settled"], s["swash_mean"] = math.exp(-swash), (1.0 - math.exp(-swash)) / swash
-    s["model"], s["model_density"] = 1, 2 * MODEL_TIME_S * np.square(MODEL_FORCE)
+    s["has_rotor_model"], s["model_accel_density"] = 1, 2 * MODEL_TIME_S * np.square(MODEL_FORCE)
     fitted, period, latency, bound = (
         np.zeros(SENSORS),
         np.full(SENSORS, dt),
@@ -261,29 +451,34 @@ def filter_settings(
         noisy[R_ACCELERATION], noisy[R_RATES] = float(imu.accelerometer_noise) > 0, float(imu.gyro_noise) > 0
         slack[[R_ACCELERATION, R_RATES]] = 1.5 * dt
         s["lag"], s["lag_ticks"], s["lag_share"] = lag, int(lag / dt), lag / dt - int(lag / dt)
-        s["place"] = imu.place.array()[0]
-        s["gyro_density"], s["felt_density"] = float(imu.gyro_noise) ** 2, float(imu.accelerometer_noise) ** 2
+        s["imu_place"] = imu.place.array()[0]
+        s["gyro_density"], s["accel_density"] = (
+            float(imu.gyro_noise) ** 2,
+            float(imu.accelerometer_noise) ** 2,
+        )
         # Misalignment and scale make a rate of another: noise that grows with the turning
-        s["gyro_off"] = 2 * _TURN_S * np.square([float(imu.misalignment), float(imu.scale_error)])
-        s["felt_range"], s["gyro_range"] = float(imu.accelerometer_range), float(imu.gyro_range)
-        bound[R_ACCELERATION], bound[R_RATES] = 1.2 * s["felt_range"], 1.2 * s["gyro_range"]
+        s["gyro_cross_density"] = 2 * _TURN_S * np.square([float(imu.misalignment), float(imu.scale_error)])
+        s["accel_range"], s["gyro_range"] = float(imu.accelerometer_range), float(imu.gyro_range)
+        bound[R_ACCELERATION], bound[R_RATES] = 1.2 * s["accel_range"], 1.2 * s["gyro_range"]
         heat = float(imu.warming)
         band = float(imu.bandwidth) / (2 * math.pi)
         # Scale and misalignment of axes that stand level are a bias; so is what gyroscopes feel of gravity.
         off = math.hypot(float(imu.scale_error), float(imu.misalignment)) * GRAVITY
-        sigma[ACCEL : ACCEL + 3] = math.hypot(float(imu.accelerometer_bias), off)
-        sigma[GYRO : GYRO + 3] = math.hypot(float(imu.gyro_bias), float(imu.gyro_g_sensitivity) * GRAVITY)
+        sigma[EX_ACCEL_BIAS : EX_ACCEL_BIAS + 3] = math.hypot(float(imu.accelerometer_bias), off)
+        sigma[EX_GYRO_BIAS : EX_GYRO_BIAS + 3] = math.hypot(
+            float(imu.gyro_bias), float(imu.gyro_g_sensitivity) * GRAVITY
+        )
         time = float(imu.drift_time)
         for at, drift, warm in (
-            (ACCEL, imu.accelerometer_drift, imu.accelerometer_temperature),
-            (GYRO, imu.gyro_drift, imu.gyro_temperature),
+            (EX_ACCEL_BIAS, imu.accelerometer_drift, imu.accelerometer_temperature),
+            (EX_GYRO_BIAS, imu.gyro_drift, imu.gyro_temperature),
         ):
             # Wandering, and warming taken as a random walk that reaches as far in the warming's time
             walk[at : at + 3] = math.hypot(
                 float(drift) * math.sqrt(2.0 / time),
                 0.6 * float(warm) * heat / math.sqrt(float(imu.warming_time)),
             )
-        s["rest_felt"] = max(float(imu.accelerometer_noise) * math.sqrt(1.1 * band), 0.02)
+        s["rest_accel"] = max(float(imu.accelerometer_noise) * math.sqrt(1.1 * band), 0.02)
         s["rest_gyro"] = max(float(imu.gyro_noise) * math.sqrt(1.1 * band), 1e-4)
     else:
         s["lag_share"] = 0.0
@@ -305,7 +500,7 @@ def filter_settings(
         directions = beam_directions(vehicle)
         count = min(len(directions), BEAMS)
         pick = beams_used(len(directions))
-        s["beams"], s["beam"][:count] = count, directions[pick]
+        s["beam_count"], s["beam_direction"][:count] = count, directions[pick]
         s["ring_max"], s["ring_baseline"] = float(ring.max_range), float(ring.baseline)
         # An error of so many rows is one of (l^2 + b^2) / b of their angle. What calibration left of a beam lasts.
         # Noise of one in each pixel moves the centroid of a spot by so many rows at 1 m (docs/estimation.md).
@@ -316,15 +511,15 @@ def filter_settings(
         columns = math.sqrt(math.sqrt(math.pi) * blur)
         rows = math.sqrt(reach * (reach + 1) * (2 * reach + 1) / 3)
         rows /= float(ring.brightness) * columns * math.sqrt(2 * math.pi) * blur
-        s["ring_lasts"] = max(row * float(ring.calibration), _LEAST_BEAM) ** 2
-        s["ring_scatters"] = (row * rows) ** 2
+        s["ring_constant_variance"] = max(row * float(ring.calibration), _LEAST_BEAM) ** 2
+        s["ring_noise_variance"] = (row * rows) ** 2
         bound[R_RING] = 1.01 * max(float(vehicle.range_ring.max_range), float(ring.max_range))
         noisy[R_RING] = 1
     north, east, up = ((-1e6, 1e6), (-1e6, 1e6), -1e6)
     if world.room is not None:
         north, east = world.room.north, world.room.east
         up = -min(world.room.height, 1e6)
-    s["walls"] = (*north, *east, up, 0.0)
+    s["wall_planes"] = (*north, *east, up, 0.0)
     if (air := sensing.pressure) is not None:
         fitted[R_PRESSURE], period[R_PRESSURE], latency[R_PRESSURE] = 1, float(air.period), 0.0
         every[R_PRESSURE] = max(1, round(0.1 / float(air.period)))
@@ -334,7 +529,7 @@ def filter_settings(
         s["pressure_slope"] = density * GRAVITY
         area = math.pi * float(vehicle.rotors.radius) ** 2
         s["pressure_thrust"] = float(air.downwash) * np.array([p["thrust_up"], p["thrust_dw"]]) / area
-        sigma[PRESSURE_], tau[PRESSURE_] = float(air.drift), float(air.drift_time)
+        sigma[EX_PRESSURE_BIAS], tau[EX_PRESSURE_BIAS] = float(air.drift), float(air.drift_time)
         bound[R_PRESSURE] = 2e5
     if (compass := sensing.magnetometer) is not None:
         fitted[R_MAGNET], period[R_MAGNET] = 1, float(compass.period)
@@ -349,17 +544,19 @@ def filter_settings(
         wrong = math.hypot(
             float(compass.distortion), float(compass.hard_iron), float(compass.motor_field) * current
         )
-        sigma[MAGNET_], tau[MAGNET_] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
+        sigma[EX_MAG_BIAS], tau[EX_MAG_BIAS] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
         bound[R_MAGNET] = 1e-3
     if (rotor := sensing.rotor_speed) is not None:
         fitted[R_ROTOR], period[R_ROTOR] = 1, float(rotor.period)
         noise = float(rotor.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
         noisy[R_ROTOR] = noise > 0
         # Steady Kalman filter of a random walk of these steps, read with this noise
-        s["rotor_gain"] = 2.0 / (1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_STEP * s["hover"][0])) ** 2))
+        s["rotor_gain"] = 2.0 / (
+            1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_STEP * s["hover_speed"][0])) ** 2)
+        )
         # What the equations are off by for long: learnt in some 0.7 s
         s["rotor_drift"] = 0.06 * s["rotor_gain"] ** 2 / float(rotor.period)
-        bound[R_ROTOR] = 5 * float(s["hover"].max())
+        bound[R_ROTOR] = 5 * float(s["hover_speed"].max())
     if sensing.battery is not None:
         fitted[R_BATTERY], period[R_BATTERY] = 1, float(sensing.battery.period)
         bound[R_BATTERY] = 5 * float(vehicle.battery.nominal_voltage)
@@ -367,24 +564,35 @@ def filter_settings(
         fitted[R_FIX], period[R_FIX], latency[R_FIX] = 1, float(fix.period), float(fix.latency)
         delay_s = max(delay_s, float(fix.latency))
         s["fix_variance"], s["heading_variance"] = float(fix.noise) ** 2, float(fix.heading_noise) ** 2
-        sigma[FIX : FIX + 3], sigma[HEADING] = float(fix.wander), float(fix.heading_wander)
-        tau[FIX : FIX + 4] = float(fix.wander_time)
+        sigma[EX_FIX_BIAS : EX_FIX_BIAS + 3], sigma[EX_FIX_HEADING] = (
+            float(fix.wander),
+            float(fix.heading_wander),
+        )
+        tau[EX_FIX_BIAS : EX_FIX_BIAS + 4] = float(fix.wander_time)
         bound[R_FIX] = 1e4
         noisy[R_FIX] = float(fix.noise) > 0
         slack[R_FIX] = 6 * float(fix.jitter) + dt
     # What moves steps by blocks, what the fix is off by so many of them; of other biases one a period, in turn.
     block = max(1, round(block_s / dt))
     state = np.arange(ERRORS)
-    span = np.where((state < GYRO) | ((state >= FIX) & (state <= HEADING)), block * dt, TURNS * dt)
+    span = np.where(
+        (state < EX_GYRO_BIAS) | ((state >= EX_FIX_BIAS) & (state <= EX_FIX_HEADING)), block * dt, TURNS * dt
+    )
     keep = np.exp(-span / tau)
-    s["block"], s["work"] = block, max(WORK, math.ceil(4 * WORK / block))
-    s["start"], s["sigma"], s["keep"] = start, sigma, keep
-    s["noise"] = sigma**2 * (1 - keep**2) + walk**2 * span
-    s["fitted"], s["period"], s["latency"], s["bound"], s["every"] = fitted, period, latency, bound, every
-    s["slack"], s["noisy"] = slack, noisy
-    s["patience"] = np.maximum(6 * period, 3.5 * dt)
+    s["block_ticks"], s["work_limit"] = block, max(WORK, math.ceil(4 * WORK / block))
+    s["start"], s["sigma"], s["decay"] = start, sigma, keep
+    s["process_variance"] = sigma**2 * (1 - keep**2) + walk**2 * span
+    s["fitted"], s["period"], s["latency"], s["value_limit"], s["decimation"] = (
+        fitted,
+        period,
+        latency,
+        bound,
+        every,
+    )
+    s["latency_slack"], s["has_noise"] = slack, noisy
+    s["timeout"] = np.maximum(6 * period, 3.5 * dt)
     # What comes later than usual is carried to the horizon; all that is fresher would wait for it.
-    s["delay"] = min(round(delay_s / dt), REACH * block)
+    s["delay_ticks"] = min(round(delay_s / dt), REACH * block)
     return cast(np.void, s[()])
 
 

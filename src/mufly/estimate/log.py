@@ -32,7 +32,18 @@ from scipy.optimize import minimize
 from mufly.errors import InputError
 from mufly.estimate.estimate import Estimate
 from mufly.estimate.fitted import KalmanEstimator
-from mufly.estimate.layout import ACCEL, BLOCK_S, GYRO, HEADING, R_FIX, REACH, STATES, TURN, P, V
+from mufly.estimate.layout import (
+    BLOCK_S,
+    EX_ACCEL_BIAS,
+    EX_ATT,
+    EX_FIX_HEADING,
+    EX_GYRO_BIAS,
+    EX_POS,
+    EX_VEL,
+    R_FIX,
+    REACH,
+    STATES,
+)
 from mufly.estimate.nees import normalised
 from mufly.results import result
 from mufly.sensors import Reading, Readings
@@ -306,34 +317,34 @@ def _estimator(log: InertialLog, aids: Aids, noise: Noise) -> KalmanEstimator:
     v = v.model_copy(update={"sensors": v.sensors.model_copy(update=only)})
     e = KalmanEstimator(v, World(), 1.0 / step, block_s=rows * step)
     s: Any = e._settings.copy()
-    s["model"] = 0
-    s["stands"] = -1e6  # no floor: nobody knows where it is
-    s["noisy"][R_FIX] = 0  # an aid may say the same twice
+    s["has_rotor_model"] = 0
+    s["ground_clearance"] = -1e6  # no floor: nobody knows where it is
+    s["has_noise"][R_FIX] = 0  # an aid may say the same twice
     start, sigma = np.zeros(STATES), s["sigma"]
     start[23] = 1.0
     start[0:3] = aids.position[0]
-    sigma[P : P + 3] = 3 * aids.std_m + 1e-3
+    sigma[EX_POS : EX_POS + 3] = 3 * aids.std_m + 1e-3
     yaw = 0.0 if aids.heading is None else float(aids.heading[0])
-    sigma[TURN + 2] = math.pi if aids.heading is None else 3 * aids.heading_std_rad
+    sigma[EX_ATT + 2] = math.pi if aids.heading is None else 3 * aids.heading_std_rad
     rest = log.rest
     roll = pitch = 0.0
     if rest.stop:
         felt = np.nanmean(log.acceleration[rest], axis=0)
         roll, pitch = math.atan2(-felt[1], -felt[2]), math.atan2(felt[0], math.hypot(felt[1], felt[2]))
         start[10:13] = np.nanmean(log.rates[rest], axis=0)
-        s["level"] = math.hypot(_LEVEL, ACCELEROMETER_BIAS / GRAVITY)
-        s["rest_felt"] = max(float(np.nanstd(log.acceleration[rest], axis=0).max()), 0.02)
+        s["level_sigma"] = math.hypot(_LEVEL, ACCELEROMETER_BIAS / GRAVITY)
+        s["rest_accel"] = max(float(np.nanstd(log.acceleration[rest], axis=0).max()), 0.02)
         s["rest_gyro"] = max(float(np.nanstd(log.rates[rest], axis=0).max()), 1e-4)
-        sigma[V : V + 3] = 0.01
+        sigma[EX_VEL : EX_VEL + 3] = 0.01
     else:
-        s["level"], sigma[V : V + 3] = _LEVEL_FLYING, _SPEED
-        sigma[P : P + 3] += _SPEED * (float(aids.taken_s[0]) - float(log.time_s[0]))
+        s["level_sigma"], sigma[EX_VEL : EX_VEL + 3] = _LEVEL_FLYING, _SPEED
+        sigma[EX_POS : EX_POS + 3] += _SPEED * (float(aids.taken_s[0]) - float(log.time_s[0]))
     start[6:10] = _quaternion(roll, pitch, yaw)
-    sigma[TURN : TURN + 2] = s["level"]
-    sigma[GYRO : GYRO + 3] = _GYRO_BIAS[1 if rest.stop else 0]
-    sigma[ACCEL : ACCEL + 3] = ACCELEROMETER_BIAS
+    sigma[EX_ATT : EX_ATT + 2] = s["level_sigma"]
+    sigma[EX_GYRO_BIAS : EX_GYRO_BIAS + 3] = _GYRO_BIAS[1 if rest.stop else 0]
+    sigma[EX_ACCEL_BIAS : EX_ACCEL_BIAS + 3] = ACCELEROMETER_BIAS
     if aids.heading is None:
-        s["heading_variance"], sigma[HEADING] = 1e6, 1e-6
+        s["heading_variance"], sigma[EX_FIX_HEADING] = 1e6, 1e-6
     s["start"] = start
     e.use(s)
     return e

@@ -27,21 +27,30 @@ from mufly import trigonometry
 from mufly.drive import train
 from mufly.dynamics import model, model_parameters
 from mufly.errors import MuflyError
-from mufly.estimate import factors, fusing, guards, kernel, motion, telling
+from mufly.estimate import ekf_step, fusion, output_predictor, sensor_checks, strapdown, ud_filter
 from mufly.estimate.records import model_record, records_h
 from mufly.rotor import maps
 from mufly.toolchain import FLAGS, kept_library
 from mufly.vehicle import Vehicle
 
-PROVED = "9c03c7b016666433"
+PROVED = "6bd563bbf41890b1"
 """Stamp of the Python sources (:func:`stamp`) to which C was last proved equal."""
 
-SOURCES = ("estimate", "fusing", "guards", "factors", "motion", "flight_model", "real")
+SOURCES = (
+    "ekf_step",
+    "output_predictor",
+    "fusion",
+    "sensor_checks",
+    "ud_filter",
+    "strapdown",
+    "flight_model",
+    "real",
+)
 """Of the filter, in ``firmware/sources``."""
 _FOLDER = Path(__file__).resolve().parents[1] / "firmware" / "sources"
 _ENVIRONMENT = "MUFLY_ESTIMATOR"
 _DECLARED = """
-void estimator_begin(void *m, const void *s);
+void estimator_reset(void *m, const void *s);
 _Bool estimator_step(void *m, const void *s, const void *p, double *z, int32_t *fresh, const double *age);
 """
 
@@ -88,7 +97,7 @@ def steps(
     settings, parameters : records
         Of the filter (:func:`mufly.estimate.layout.filter_settings`) and of the flight model.
     z, new, age : arrays
-        In which every period's readings will stand (:func:`mufly.estimate.kernel.step`).
+        In which every period's readings will stand (:func:`mufly.estimate.ekf_step.estimator_step`).
     code : "", "c" or "numba"
         Which; ``""``: what the environment says, or else C where it can be had.
 
@@ -108,9 +117,11 @@ def steps(
             why = str(error)
 
     def step(memory: np.ndarray) -> bool:
-        return bool(kernel.step(memory[0], settings, parameters, z, new, age))
+        return bool(ekf_step.estimator_step(memory[0], settings, parameters, z, new, age))
 
-    return Steps("Numba", why, lambda memory: kernel.begin(memory[0], settings), step, settings=settings)
+    return Steps(
+        "Numba", why, lambda memory: ekf_step.estimator_reset(memory[0], settings), step, settings=settings
+    )
 
 
 def chosen(vehicle: Vehicle) -> str:
@@ -161,7 +172,7 @@ def in_c(
         ffi.from_buffer("int32_t[]", new),
         ffi.from_buffer("double[]", age),
     )
-    begin, advance, view = lib.estimator_begin, lib.estimator_step, ffi.from_buffer
+    begin, advance, view = lib.estimator_reset, lib.estimator_step, ffi.from_buffer
     held: list[Any] = [None, None]
 
     def step(memory: np.ndarray) -> bool:
@@ -190,7 +201,7 @@ def sources(records: str) -> dict[str, str]:
 
 
 _TRANSLATED: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
-    *((module, ()) for module in (kernel, telling, fusing, guards, factors, motion)),
+    *((module, ()) for module in (ekf_step, output_predictor, fusion, sensor_checks, ud_filter, strapdown)),
     (trigonometry, ("sine_cosine", "direction", "wrapped", "whole")),
     (
         model,

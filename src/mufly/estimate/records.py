@@ -7,39 +7,35 @@ work on the same bytes. A field or a constant that is added in Python is in C wi
 from __future__ import annotations
 
 import types
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from mufly.dynamics import model
 from mufly.dynamics.state import PARAMETERS, STATE_SIZE
-from mufly.estimate import factors, fusing, guards, kernel, layout, motion, telling
+from mufly.estimate import ekf_step, fusion, layout, output_predictor, sensor_checks, strapdown, ud_filter
 from mufly.units import GRAVITY
 
-PYTHON_ALONE = ("attitude", "push", "transition", "q", "w", "slope", "still")
+PYTHON_ALONE = (
+    "rotation_work", "accel_work", "transition_work", "q_work", "w_work", "derivative_work", "no_wind",
+)  # fmt: skip
 """Last fields of the memory, which C has on its stack."""
-UNITS: dict[str, str] = {
-    **dict.fromkeys(("dt", "lag", "period", "latency", "patience", "slack"), "s"),
-    **dict.fromkeys(("stands", "sonar_place", "sonar_min", "sonar_max", "ring_max", "ring_baseline"), "m"),
-    **dict.fromkeys(("walls", "place", "z_up", "z_dw", "map_radius"), "m"),
-    **dict.fromkeys(("felt_range", "rest_felt"), "m/s2"),
-    **dict.fromkeys(("gyro_range", "rest_gyro", "hover"), "rad/s"),
+_MODEL_UNITS: dict[str, str] = {
+    **dict.fromkeys(("z_up", "z_dw", "map_radius"), "m"),
     **dict.fromkeys(("Ixx", "Iyy", "Izz", "J_up", "J_dw", "Jreact_up", "Jreact_dw"), "kg m2"),
-    **dict.fromkeys(("thrust", "thrust_up", "thrust_dw", "map_thrust_up", "map_thrust_dw"), "N s2"),
+    **dict.fromkeys(("thrust_up", "thrust_dw", "map_thrust_up", "map_thrust_dw"), "N s2"),
     **dict.fromkeys(("torque_up", "torque_dw", "map_torque_up", "map_torque_dw"), "N m s2"),
     **dict.fromkeys(("drag_x", "drag_y", "drag_z"), "N s2/m2"),
     **dict.fromkeys(("swash_rate", "bar_rate"), "1/s"),
     **dict.fromkeys(("R_ohm", "battery_resistance"), "ohm"),
-    **dict.fromkeys(("weight", "downwash"), "N"),
-    "gyro_density": "rad2/s", "felt_density": "m2/s3", "model_density": "m2/s3", "level": "rad", "mass": "kg",
-    "sonar_variance": "m2", "fix_variance": "m2", "heading_variance": "rad2",
-    "ring_lasts": "1/m2", "ring_scatters": "1/m6",
-    "pressure_variance": "Pa2 s", "pressure_slope": "Pa/m", "magnet_variance": "rad2", "earth": "T",
-    "inplane": "N s2/m", "kE": "V s", "kM": "N m/A", "dR": "N m s", "Mf": "N m", "swash_gain": "rad",
-    "battery_capacity": "A s", "electronics_current": "A", "battery_curve": "V",
+    "mass": "kg", "downwash": "N", "inplane": "N s2/m", "kE": "V s", "kM": "N m/A", "dR": "N m s", "Mf": "N m",
+    "swash_gain": "rad", "battery_capacity": "A s", "electronics_current": "A", "battery_curve": "V",
 }  # fmt: skip
-"""Of the numbers that have one, by the field's name; those of the error state are beside ``ERROR_STATES``."""
+UNITS: dict[str, str] = _MODEL_UNITS | {
+    name: field.unit for name, field in layout.record_fields(layout.FilterSettings).items()
+}
+"""Unit of each number of the settings and of the flight model, by the field's name; "" for none."""
 _GROUND = (
     "leg_",
     "slip_",
@@ -48,7 +44,15 @@ _GROUND = (
     "ground_",
 )  # of the flight model's: it is asked far above the floor
 _MAPS = ("map_thrust_up", "map_torque_up", "map_thrust_dw", "map_torque_dw")
-_MODULES: tuple[types.ModuleType, ...] = (layout, guards, factors, motion, fusing, telling, kernel)
+_MODULES: tuple[types.ModuleType, ...] = (
+    layout,
+    sensor_checks,
+    ud_filter,
+    strapdown,
+    fusion,
+    output_predictor,
+    ekf_step,
+)
 
 
 def model_type(p: Any, kind: Any = np.float64) -> np.dtype:
@@ -118,22 +122,25 @@ def records_h(p: Any, kept: int = layout.KEPT, waiting: int = layout.WAITING) ->
         "",
     ]
     sizes = {max(int(p["map_nodes"]), 1): "MAP_NODES"}
-    for name, record in (
-        ("estimator_settings_t", layout.settings_type()),
-        ("flight_model_t", model_type(p)),
-        ("estimator_t", layout.memory_type(kept=kept, waiting=waiting)),
+    memory = layout.memory_type(kept=kept, waiting=waiting)
+    for name, record, fields in (
+        ("estimator_settings_t", layout.settings_type(), layout.record_fields(layout.FilterSettings)),
+        ("flight_model_t", model_type(p), {}),
+        ("estimator_t", memory, layout.record_fields(layout.FilterMemory)),
     ):
-        lines += ["typedef struct {", *_members(record, sizes), f"}} {name};", ""]
+        lines += ["typedef struct {", *_members(record, sizes, fields), f"}} {name};", ""]
     return "\n".join([*lines, "#endif", ""])
 
 
-def _members(record: np.dtype, sizes: dict[int, str]) -> Iterator[str]:
+def _members(record: np.dtype, sizes: Mapping[int, str], fields: Mapping[str, layout.Field]) -> Iterator[str]:
     for name in record.names or ():
         if name not in PYTHON_ALONE:
             field = record[name]
             kind = "int32_t" if field.base.kind == "i" else "real_t"
             extent = "".join(f"[{sizes.get(n, n)}]" for n in field.shape)
-            yield f"    {kind} {name}{extent};"
+            unit = UNITS.get(name, "") if name not in fields else fields[name].unit
+            said = f"{fields[name].meaning if name in fields else ''}{f' ({unit})' if unit else ''}".strip()
+            yield f"    {kind} {name}{extent};" + (f" /* {said} */" if said else "")
 
 
 def _constant(name: str, value: int | float | tuple[int, ...]) -> str:

@@ -46,7 +46,7 @@ def estimate_files(vehicle: Vehicle | None, world: World | None, rate_Hz: float)
     p = model_parameters(vehicle)
     lines = [
         f"/* What the estimator of {vehicle.name.replace('*/', '* /')} knows, made by mufly {__version__}. */",
-        '#include "estimate.h"',
+        '#include "ekf_step.h"',
         "",
         "const estimator_settings_t mufly_settings = {",
         *_fields(settings),
@@ -62,10 +62,10 @@ def estimate_files(vehicle: Vehicle | None, world: World | None, rate_Hz: float)
 
 def _remembered(s: np.void) -> tuple[int, int]:
     """How many blocks of input, and how many measurements: from the horizon to now, be it behind as far as it may."""
-    blocks = int(s["delay"]) // int(s["block"]) + LAG + 4
-    span = (int(s["delay"]) + (LAG + 1) * int(s["block"])) * float(s["dt"])
+    blocks = int(s["delay_ticks"]) // int(s["block_ticks"]) + LAG + 4
+    span = (int(s["delay_ticks"]) + (LAG + 1) * int(s["block_ticks"])) * float(s["dt"])
     waiting = sum(
-        math.ceil((span - s["latency"][k]) / (s["period"][k] * s["every"][k])) + 1
+        math.ceil((span - s["latency"][k]) / (s["period"][k] * s["decimation"][k])) + 1
         for k in (R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_FIX)
         if s["fitted"][k]
     )

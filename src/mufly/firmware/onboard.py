@@ -150,8 +150,10 @@ class Onboard:
         ]
 
     def told_of_sensors(self) -> NDArray[np.int64]:
-        """Numbers of the words for what is thought of a sensor, by its number in :mod:`mufly.estimate.guards`; -1 where
-        there are numbers in them, or something is to be said."""
+        """Return the number of each reason's text, by the reasons of :mod:`mufly.estimate.sensor_checks`.
+
+        It is -1 where the text holds a number, or is to be reported.
+        """
         words = [
             (reason(why, 1.0, 0), why not in ODD and reason(why, 1.0, 0) == reason(why, 2.0, 0))
             for why in range(REASONS)

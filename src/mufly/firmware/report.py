@@ -148,7 +148,7 @@ def _memory(vehicle: Vehicle, out: Path) -> Section:
         objects = objects_for(folder, FLOATING, M4)
         flash, _ = size_of(objects)
         (folder / "sizes.c").write_text(
-            '#include "software.h"\n#include "estimate.h"\n'
+            '#include "software.h"\n#include "ekf_step.h"\n'
             "software_t software; estimator_t estimator; belief_t belief;\n",
             encoding="utf-8",
         )

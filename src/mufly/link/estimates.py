@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import quaternion_from_euler, rotation
 from mufly.estimate import ERROR_STATES, Beliefs, Check
-from mufly.estimate.fusing import GATE
+from mufly.estimate.fusion import GATE
 from mufly.flight import FlightState
 from mufly.link.codec import MavMessage, mavlink, single
 from mufly.quantities import CHECKED, STATUSES

@@ -229,10 +229,10 @@ def _with_bounds(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
     """The same with standard deviations of the biases, which recordings do not hold."""
     import numpy as np
 
-    from mufly.estimate.layout import ACCEL, GYRO
+    from mufly.estimate.layout import EX_ACCEL_BIAS, EX_GYRO_BIAS
 
     out = {}
-    for name, first in (("gyro_bias", GYRO), ("accelerometer_bias", ACCEL)):
+    for name, first in (("gyro_bias", EX_GYRO_BIAS), ("accelerometer_bias", EX_ACCEL_BIAS)):
         block = np.array(
             [np.full(3, math.nan) if e.beliefs is None else e.beliefs.sigma[first : first + 3] for e in told]
         )

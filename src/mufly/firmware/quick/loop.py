@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from mufly.calling import call_at, lent
 from mufly.compiled import compiled
-from mufly.estimate import guards as g
-from mufly.estimate.guards import ACTING, CLIPPING
+from mufly.estimate import sensor_checks as g
 from mufly.estimate.layout import (
     ERRORS,
     R_ACCELERATION,
@@ -28,7 +27,8 @@ from mufly.estimate.layout import (
     STATES,
     WIDTHS,
 )
-from mufly.estimate.telling import TOLD_EVERY
+from mufly.estimate.output_predictor import TOLD_EVERY
+from mufly.estimate.sensor_checks import ACTING, CLIPPING
 from mufly.flight.plant import plant_period, touched, true_attitude
 from mufly.sensors.drawing import normals
 from mufly.sensors.imu import imu_period

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from mufly.estimate import Estimate, IdealEstimator
 from mufly.estimate.fitted import SHOWN, KalmanEstimator
 from mufly.estimate.layout import SENSORS, STATES
-from mufly.estimate.telling import TOLD_EVERY
+from mufly.estimate.output_predictor import TOLD_EVERY
 from mufly.firmware.quick.loop import (
     ADVANCE,
     BROKEN,
@@ -152,7 +152,7 @@ class Many:
             self._taken, self._pictures = np.zeros(SENSORS), np.zeros((3, beams))
             of_memory = tuple(m[name] for name in SHOWN[:-1])
             self._filtered = (
-                m["out"], m["out_rates"], m["angles"], *row, fitted, self._taken, self._pictures,
+                m["x_output"], m["rates_output"], m["angles_output"], *row, fitted, self._taken, self._pictures,
                 self._filter.beams.astype(np.int64), (*of_memory, self._filter.box["tick"]),
                 board.told_of_sensors(),
             )  # fmt: skip

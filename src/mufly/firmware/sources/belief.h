@@ -19,12 +19,12 @@ enum {
     BELIEF_SENSORS
 };
 
-/* What is thought of a sensor, in the order of guards.py of mufly.estimate; NOT_FITTED: it is not on board. */
+/* What is thought of a sensor, in the order of sensor_checks.py of mufly.estimate; NOT_FITTED: it is not on board. */
 enum { BELIEF_WAITING, BELIEF_FUSED, BELIEF_REJECTED, BELIEF_MISSING, BELIEF_FAULTY, BELIEF_NOT_FITTED };
 
 typedef struct {
     int32_t status;
-    int32_t why;   /* the reason as a code of guards.py, with its number */
+    int32_t why;   /* the reason as a code of sensor_checks.py, with its number */
     real_t number;
 } check_t;
 

@@ -3,7 +3,7 @@
 #ifndef MUFLY_HAL_H
 #define MUFLY_HAL_H
 
-#include "estimate.h"
+#include "ekf_step.h"
 #include "software.h"
 
 /* What has come since the period before. Values one after another as STARTS of records.h says; a reading that has not

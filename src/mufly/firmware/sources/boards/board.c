@@ -10,7 +10,7 @@ static void idle(actuators_t *out)
 
 void board_start(board_t *b, uint32_t fitted)
 {
-    estimator_begin(&b->estimator, &mufly_settings);
+    estimator_reset(&b->estimator, &mufly_settings);
     software_start(&mufly_setup, &b->software);
     idle(&b->acting);
     idle(&b->sent);
@@ -51,19 +51,19 @@ static void believe(board_t *b, bool valid, real_t time_s, real_t voltage)
     m->judged = true;
     m->motion.voltage = voltage;
     for (int32_t i = 0; i < 3; i++) {
-        m->motion.position[i] = e->out[i];
-        m->motion.velocity[i] = e->out[3 + i];
-        m->motion.attitude[i] = e->angles[i];
-        m->motion.rates[i] = e->out_rates[i];
-        m->position_variance[i] = e->out_cov[i][i];
-        m->attitude_variance[i] = e->out_cov[6 + i][6 + i];
+        m->motion.position[i] = e->x_output[i];
+        m->motion.velocity[i] = e->x_output[3 + i];
+        m->motion.attitude[i] = e->angles_output[i];
+        m->motion.rates[i] = e->rates_output[i];
+        m->position_variance[i] = e->covariance_output[i][i];
+        m->attitude_variance[i] = e->covariance_output[6 + i][6 + i];
     }
     for (int32_t k = 0; k < SENSORS; k++) {
         const bool there = (b->fitted & (1UL << (uint32_t)k)) != 0U;
 
-        m->checks[k].status = there ? e->code[k] : BELIEF_NOT_FITTED;
-        m->checks[k].why = e->why[k];
-        m->checks[k].number = e->number[k];
+        m->checks[k].status = there ? e->status[k] : BELIEF_NOT_FITTED;
+        m->checks[k].why = e->reason[k];
+        m->checks[k].number = e->fault_number[k];
     }
 }
 

@@ -16,7 +16,7 @@
 #include "software.h"
 #endif
 #ifdef FUZZ_ESTIMATE
-#include "estimate.h"
+#include "ekf_step.h"
 #endif
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -389,7 +389,7 @@ static void fuzz_estimate(void)
     int32_t fresh[SENSORS];
     real_t age[SENSORS];
 
-    estimator_begin(&m, &mufly_settings);
+    estimator_reset(&m, &mufly_settings);
     while (left > 0U) {
         const uint8_t repeat = byte();
         real_t kept[VALUES];

@@ -1,6 +1,6 @@
 /* The estimator on a hop that its own flight model makes up, in the middle of a room: it stands, lifts off, hovers. All that
  * it tells is taken into a digest; the last lines tell what a period costs, of flight alone. */
-#include "estimate.h"
+#include "ekf_step.h"
 #include "flight_model.h"
 #include "made_up.h"
 #include "platform.h"
@@ -23,11 +23,11 @@ static void move(hop_t *hop, const estimator_t *m, int32_t k)
     real_t gain;
 
     for (int32_t i = 0; i < 2; i++) {
-        const real_t off = ((wanted * s->hover[i]) - m->rotor[18 + i]) / s->hover[i];
+        const real_t off = ((wanted * s->hover_speed[i]) - m->rotor_state[RS_SPEED_UPPER + i]) / s->hover_speed[i];
 
         hop->motor[i] = (k < STANDS) ? REAL(0.0) : real_clip(REAL(0.75) + (REAL(4.0) * off), REAL(0.0), REAL(1.0));
     }
-    hop->force = m->force[cycle(m->tick, MODELLED)][2];
+    hop->force = m->rotor_force[cycle(m->tick, MODELLED)][RF_STATIC + 2];
     gain = -hop->force - GRAVITY;
     if ((hop->height <= REAL(0.0)) && (gain < REAL(0.0))) {
         hop->climb = REAL(0.0);
@@ -45,7 +45,7 @@ static real_t wall(const real_t beam[3])
 
     for (int32_t i = 0; i < 2; i++) {
         if (real_abs(beam[i]) > REAL(0.01)) {
-            const real_t plane = mufly_settings.walls[(2 * i) + ((beam[i] > REAL(0.0)) ? 1 : 0)];
+            const real_t plane = mufly_settings.wall_planes[(2 * i) + ((beam[i] > REAL(0.0)) ? 1 : 0)];
 
             best = real_min(best, plane / beam[i]);
         }
@@ -64,7 +64,7 @@ static void feel(const hop_t *hop, const estimator_t *m, int32_t k, real_t z[VAL
                  real_t age[SENSORS])
 {
     const estimator_settings_t *s = &mufly_settings;
-    const real_t down = -(hop->height + s->stands);
+    const real_t down = -(hop->height + s->ground_clearance);
     real_t voltage;
     real_t current;
 
@@ -83,15 +83,15 @@ static void feel(const hop_t *hop, const estimator_t *m, int32_t k, real_t z[VAL
     z[2] += hop->force;
     z[STARTS[R_SONAR]] = real_max(s->sonar_min, -down - s->sonar_place[2]) + any(REAL(0.01));
     for (int32_t b = 0; b < BEAMS; b++) {
-        z[STARTS[R_RING] + b] = wall(s->beam[b]) + any(REAL(0.02));
+        z[STARTS[R_RING] + b] = wall(s->beam_direction[b]) + any(REAL(0.02));
     }
     z[STARTS[R_PRESSURE]] = (s->pressure_slope * down) + any(REAL(2.0));
     z[STARTS[R_FIX] + 2] += down;
     z[STARTS[R_FIX] + 3] = any(REAL(0.02));
-    battery(m->rotor, hop->motor[0], hop->motor[1], &mufly_flight_model, &voltage, &current);
+    battery(m->rotor_state, hop->motor[0], hop->motor[1], &mufly_flight_model, &voltage, &current);
     z[STARTS[R_BATTERY]] = voltage + any(REAL(0.05));
     for (int32_t i = 0; i < 2; i++) {
-        z[STARTS[R_ROTOR] + i] = m->rotor[18 + i] + any(REAL(2.0));
+        z[STARTS[R_ROTOR] + i] = m->rotor_state[RS_SPEED_UPPER + i] + any(REAL(2.0));
         z[ACTING + i] = hop->motor[i];
         z[ACTING + 2 + i] = any(REAL(0.05));
     }
@@ -110,7 +110,7 @@ int main(void)
     uint32_t flown = 0U;
 
     platform_start();
-    estimator_begin(&m, &mufly_settings);
+    estimator_reset(&m, &mufly_settings);
     for (int32_t k = 0; k < PERIODS; k++) {
         uint32_t before;
         uint32_t took;
@@ -120,14 +120,14 @@ int main(void)
         before = platform_count();
         (void)estimator_step(&m, &mufly_settings, &mufly_flight_model, z, fresh, age);
         took = platform_count() - before;
-        if (m.mode == FLYING) {
+        if (m.flight_phase == FLYING) {
             flown += 1U;
             spent += took;
             worst = (took > worst) ? took : worst;
         }
-        take_all(&digest, m.out, STATES);
-        take_all(&digest, m.angles, 3);
-        take_all(&digest, m.sigma, ERRORS);
+        take_all(&digest, m.x_output, STATES);
+        take_all(&digest, m.angles_output, 3);
+        take_all(&digest, m.sigma_output, ERRORS);
         take_all(&digest, m.innovation, SENSORS);
         if ((k % (PERIODS / LINES)) == 0) {
             platform_say("outputs ", digest);

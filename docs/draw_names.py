@@ -1,0 +1,106 @@
+"""Draw names of the code by a seed, for a reader who has not seen the project; or count what can be counted of them.
+
+    python docs/draw_names.py 7             # 80 names of functions, classes and constants, 25 fields of records
+    python docs/draw_names.py --count       # one-word functions, literal indices, untyped records
+
+The reader writes down what each name stands for, from name and module alone. Somebody who knows the code counts how
+many are right, drawn or wrong, and reports the three counts with the seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+SOURCE = Path(__file__).resolve().parents[1] / "src"
+NAMES, FIELDS = 80, 25
+RECORDS = {"m", "s", "p"}
+"""Arguments by which compiled functions take records."""
+
+
+@dataclass(frozen=True)
+class Name:
+    """A name where it is defined: what it is, its module and itself."""
+
+    kind: str
+    module: str
+    name: str
+
+
+def named_things(source: Path = SOURCE) -> Iterator[Name]:
+    """Yield every function, method, class, constant and annotated field below a folder."""
+    for path in sorted(source.rglob("*.py")):
+        module = ".".join(path.relative_to(source).with_suffix("").parts)
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                yield Name("class", module, node.name)
+                for part in node.body:
+                    if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name):
+                        yield Name("field", f"{module}.{node.name}", part.target.id)
+            elif isinstance(node, ast.FunctionDef) and not node.name.startswith("__"):
+                yield Name("function", module, node.name)
+        for part in tree.body:
+            if isinstance(part, ast.Assign):
+                for target in part.targets:
+                    for one in ast.walk(target):
+                        if isinstance(one, ast.Name) and one.id.isupper():
+                            yield Name("constant", module, one.id)
+
+
+def drawn_names(seed: int) -> list[Name]:
+    """Return the names that a seed draws, names first, then fields, each in the order of the modules."""
+    every = sorted(set(named_things()), key=lambda n: (n.module, n.kind, n.name))
+    names = [n for n in every if n.kind != "field"]
+    fields = [n for n in every if n.kind == "field"]
+    draw = random.Random(seed)
+    chosen = draw.sample(names, NAMES), draw.sample(fields, FIELDS)
+    return [n for part in chosen for n in sorted(part, key=every.index)]
+
+
+def counted_names(source: Path = SOURCE) -> dict[str, str]:
+    """Return counts: one-word functions, indices that are literals above 2, functions with untyped records."""
+    functions = [n.name.strip("_") for n in named_things(source) if n.kind == "function"]
+    short = sum("_" not in name for name in functions)
+    literal = untyped = 0
+    for path in source.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Subscript):
+                literal += sum(
+                    isinstance(part, ast.Constant) and isinstance(part.value, int) and part.value > 2
+                    for part in ast.walk(node.slice)
+                )
+            elif isinstance(node, ast.FunctionDef):
+                untyped += any(
+                    a.arg in RECORDS and isinstance(a.annotation, ast.Name) and a.annotation.id == "Any"
+                    for a in node.args.args
+                )
+    share = 100 * short / len(functions)
+    return {
+        "functions of one word": f"{short} of {len(functions)} ({share:.0f} %)",
+        "literal indices above 2": str(literal),
+        "functions with an untyped record": str(untyped),
+    }
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(description=str(__doc__).split("\n")[0])
+    words.add_argument("seed", nargs="?", type=int, help="draws the same names for everybody")
+    words.add_argument("--count", action="store_true", help="count instead of drawing")
+    said = words.parse_args()
+    if said.count:
+        for what, count in counted_names().items():
+            print(f"{what:34s} {count}")
+    elif said.seed is None:
+        words.error("give a seed, or --count")
+    else:
+        for n in drawn_names(said.seed):
+            print(f"{n.kind:9s} {n.module}  {n.name}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,705 @@
+"""One period of the filter, compiled: readings in, the state of now out, with a bounded amount of work.
+
+The filter runs ``delay_ticks`` periods behind now, at the *horizon*, as PX4's EKF2 does. The delay is the usual latency
+of the slowest sensor. A measurement waits in a queue until the horizon reaches the time at which it was taken, so
+measurements are fused in the order of their time. A measurement that comes later than that is moved to the next end of
+a block by velocity and yaw rate.
+
+The output is the state of the horizon, propagated to now through the inputs since (:mod:`output_predictor`).
+
+Inputs are averaged over blocks of :data:`mufly.estimate.layout.BLOCK_S`, and the horizon moves from the end of one
+block to the end of the next. A measurement counts at the nearest end of a block (10 ms away at most).
+
+Work is bounded: a period has time for ``work_limit`` scalar measurements (:func:`_run_next_task`). With more work the
+horizon falls behind; from :data:`mufly.estimate.layout.LAG` blocks on, measurements that are due are dropped. One bias
+is predicted a period, in turn. The bias of the fix is predicted when a fix is fused, over the time since the last one.
+
+The inertial unit's filter delays its output by ``lag``: a state belongs to ``lag`` before its tick."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.compiled import compiled
+from mufly.estimate.fusion import (
+    CLEAR,
+    LEAST_FLOOR,
+    LIFTS_OFF,
+    fuse_accel_residual,
+    fuse_ground_contact,
+    fuse_liftoff_thrust,
+    fuse_magnetic_heading,
+    fuse_position_fix,
+    fuse_pressure_height,
+    fuse_sonar_range,
+    fuse_wall_ranges,
+    fuse_zero_motion,
+    height_above_ground,
+    reset_terrain,
+)
+from mufly.estimate.layout import (
+    EDGE_S,
+    ERRORS,
+    EX_FIX_BIAS,
+    EX_FIX_HEADING,
+    EX_GYRO_BIAS,
+    EX_POS,
+    EX_TERRAIN,
+    EX_THRUST_SCALE,
+    FLYING,
+    IN_ACCEL,
+    IN_NOISE,
+    IN_PHASE,
+    IN_REST,
+    IN_SHARE,
+    IN_SLOPE,
+    IN_STATIC,
+    INPUTS,
+    KEPT,
+    LAG,
+    LIGHT,
+    LOW,
+    MODELLED,
+    R_ACCELERATION,
+    R_BATTERY,
+    R_FIX,
+    R_PRESSURE,
+    R_RATES,
+    R_RING,
+    R_ROTOR,
+    R_SONAR,
+    RF_ANG_ACCEL,
+    RF_STATIC,
+    RS_ATT,
+    RS_BAR,
+    RS_CHARGE,
+    RS_POS,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RUNNING,
+    SETTLED,
+    STANDING,
+    STARTS,
+    STATES,
+    SX_ACCEL_BIAS,
+    SX_ATT,
+    SX_GYRO_BIAS,
+    SX_POS,
+    SX_TERRAIN,
+    SX_THRUST_SCALE,
+    SX_VEL,
+    SX_WIND,
+    TURNS,
+    WAITING,
+    FilterMemory,
+    FilterSettings,
+)
+from mufly.estimate.output_predictor import LONGEST, TOLD_EVERY, predict_output, velocity_noise_density
+from mufly.estimate.sensor_checks import (
+    ACTING,
+    ADRIFT,
+    FAULTY,
+    FINE,
+    FUSED,
+    LATE,
+    MISSING,
+    OFF,
+    ONCE_ADRIFT,
+    REJECTED,
+    battery_voltage_consistent,
+    check_readings,
+    replace_gyro_spikes,
+    rotor_speed_consistent,
+    set_fault,
+)
+from mufly.estimate.strapdown import (
+    error_transition,
+    predict_rotor_force,
+    predict_state,
+    predict_terminal_voltage,
+    rotation_matrix,
+)
+from mufly.estimate.ud_filter import gauss_markov_update, inflate_variance, state_variance, ud_time_update
+from mufly.trigonometry import whole
+from mufly.units import GRAVITY
+
+_Array = NDArray[np.float64]
+
+BACK_S = 0.1
+"""How long before the horizon a measurement may have been made: speed and turning carry it there, and what they change
+by meanwhile, 1 m/s^2, moves it by 5 mm."""
+SLOWLY = 32
+"""Periods over which the noise of forces at low frequencies is looked at."""
+TELLING, STEPPING, WANDERING, FIXING, RESTING = 3, 2, 1, 4, 3
+"""What a covariance that is told costs, a step of the horizon, one of what the fix is off by, a fix, and an axis on the
+floor, in scalar measurements."""
+EDGES, MEANS, AXES, LEGS, DONE = 1, 2, 3, 6, 7
+"""Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
+_ALIGNED_S = 0.8
+_BLIND_S = 0.1  # without gyroscopes
+BLIND_TURN = 0.002
+"""Density of the turning (rad^2/s) that is not known without them: the stabiliser bar keeps the rotors level."""
+MOST_DOUBT = 2.5
+"""Deviations of the thrust's scale by which lift-off may come sooner or later."""
+KNOWN_THRUST, UNKNOWN_S = 0.03, 0.02
+"""Deviation of the thrust's scale that the filter bears; what is beyond makes noise, together over so long (s)."""
+TOGETHER = 0.3
+"""Twice the time (s) for which an error counts as one, so that over the delay it moves the velocity by what it is."""
+CLIPPED = 0.25
+"""What means of accelerometers that clip are off by, of the range times the share of clipped samples (0.1 to 0.3), and
+for how long together."""
+LEAST_SPREAD = 1.0
+"""What rotors and legs together may be off by (m/s^2)."""
+BELIEVED_LOW, LIFTED = 0.3, 0.015
+"""Heights (m) up to which the sonar has a say in whether it flies, and beyond its least reading that say so."""
+SCATTER = 5.0
+"""Density of the accelerometers' noise before it is known, m^2/s^3: none would be believed more than the model."""
+ASUNDER = 0.4
+"""What accelerometers and model may be apart by over 160 ms (m/s^2), beside two deviations of the thrust's scale; what
+is beyond is noise, together over a second."""
+_Z = STARTS
+
+
+@compiled(error_model="numpy")
+def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
+    """Set the memory to the state at the reset."""
+    for i in range(STATES):
+        m.x[i] = m.x_repropagating[i] = m.x_now[i] = s.start[i]
+    for i in range(ERRORS):
+        m.d[i] = s.sigma[i] * s.sigma[i] + 1e-12
+        for j in range(ERRORS):
+            m.ut[i, j] = 1.0 if i == j else 0.0
+    for i in range(WAITING):
+        m.queue_due[i] = -1
+    m.task_stage = DONE
+    m.x_output[SX_ATT] = m.rotor_state[RS_ATT] = m.rotor_state[RS_CHARGE] = 1.0
+    m.rotor_state[RS_POS + 2] = -1000.0  # far above the floor
+    m.rotor_state[RS_BAR + 2] = -1.0
+    for k in range(3):
+        m.accel_noise[k] = m.accel_noise_slow[k] = SCATTER
+
+
+@compiled(error_model="numpy")
+def _queue_measurement(
+    m: FilterMemory, s: FilterSettings, kind: int, at: float, z: _Array, start: int, count: int
+) -> bool:
+    """Queue a measurement of tick ``at`` until the horizon reaches it.
+
+    Returns False if the horizon has passed it by more than :data:`BACK_S`, or the queue is full."""
+    due = s.block_ticks * whole(at / s.block_ticks + 0.5)
+    if due <= m.horizon:
+        due = m.horizon + s.block_ticks  # by what it moves and turns, the next end of a block will do
+    ahead = (at - due) * s.dt
+    if -ahead > BACK_S:
+        return False
+    for i in range(WAITING):
+        if m.queue_due[i] < 0:
+            m.queue_due[i] = due
+            m.queue_sensor[i] = kind
+            m.queue_ahead[i] = ahead
+            for j in range(count):
+                m.queue_value[i, j] = z[start + j]
+            return True
+    return False
+
+
+@compiled(error_model="numpy")
+def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float:
+    """Update the flight phase from the rotors' lift and the height.
+
+    Returns the model's lift over the weight in the period in which the sonar sees it leave the floor, else 0.
+    """
+    lift = (
+        -m.rotor_force[m.tick % MODELLED, RF_STATIC + 2] * m.x[SX_THRUST_SCALE] / GRAVITY
+        if s.has_rotor_model > 0
+        else 1.0
+    )
+    height = height_above_ground(m.x_output, s)
+    off = z[ACTING] + z[ACTING + 1] < 0.02
+    # Rotors that lift more than the model says fly sooner, others later.
+    doubt = MOST_DOUBT * m.sigma_output[EX_THRUST_SCALE] if s.has_rotor_model > 0 else 0.0
+    # What the sonar says is fresher than the height that is believed; but not one that sees below the floor.
+    says = m.status[R_SONAR] == FUSED and height < BELIEVED_LOW and m.x[SX_TERRAIN] > LEAST_FLOOR
+    near = says and m.last_value[_Z[R_SONAR]] <= s.sonar_min + 0.5 * s.sonar_step
+    clear = says and m.last_value[_Z[R_SONAR]] > s.sonar_min + LIFTED
+    rises = 0.0
+    m.near_ground = 1 if near else 0
+    if m.flight_phase <= RUNNING:
+        m.flight_phase = (
+            STANDING
+            if off
+            and m.rotor_state[RS_SPEED_UPPER] + m.rotor_state[RS_SPEED_LOWER]
+            < 0.2 * (s.hover_speed[0] + s.hover_speed[1])
+            else RUNNING
+        )
+        if lift * (1.0 + doubt) > 0.9 and m.flight_phase == RUNNING:
+            m.flight_phase = LIGHT
+            m.initialised = 1
+    elif m.flight_phase == LIGHT:
+        up = height > 0.03 + min(2.0 * m.sigma_output[EX_POS + 2], 0.1) and not near
+        if up or clear or lift > 1.1 + doubt:
+            m.flight_phase = FLYING
+            if says and not near and s.has_rotor_model > 0:
+                rises = lift / m.x[SX_THRUST_SCALE]
+        elif lift * (1.0 + doubt) < 0.85 and height < 0.02:
+            m.flight_phase = RUNNING
+    elif (height < 0.015 and lift < 0.9 and not clear) or (near and lift < 1.1 + doubt):
+        m.flight_phase = LIGHT
+    if (
+        off
+        and m.flight_phase >= LIGHT
+        and height < 0.05
+        and m.rotor_state[RS_SPEED_UPPER] < 0.3 * s.hover_speed[0]
+    ):
+        m.flight_phase = RUNNING
+    if m.flight_phase != FLYING:
+        m.grounded_tick = m.tick
+    return rises
+
+
+@compiled(error_model="numpy")
+def _ground_force_noise(m: FilterMemory, force: float) -> float:
+    """Return the density of the force's error on the legs or just off them (m^2/s^3).
+
+    ``force`` is the rotors' force per mass, down (m/s^2). The error shrinks as the rotors lift more or less than the
+    weight."""
+    spread = (
+        LEAST_SPREAD if m.near_ground == 1 else max(m.sigma_output[EX_THRUST_SCALE] * -force, LEAST_SPREAD)
+    )
+    over = (-m.x_output[SX_THRUST_SCALE] * force - GRAVITY) / spread
+    may = min(max(1.0 + over / MOST_DOUBT, 0.0), 1.0) * spread
+    return TOGETHER * may * may
+
+
+@compiled(error_model="numpy")
+def _sample_inputs(
+    m: FilterMemory, s: FilterSettings, p: Any, z: _Array, new: NDArray[np.int32], r: _Array
+) -> float:
+    """Write the row of inputs of the period that has just ended, and average it into its block.
+
+    Returns the same as :func:`_update_flight_phase`."""
+    now = m.tick % MODELLED
+    for j in range(4):
+        sent = z[ACTING + j]
+        m.actuators[j] = min(max(sent, -1.0), 1.0) if sent == sent else 0.0
+    rotation_matrix(m.x_output[SX_ATT : SX_ATT + 4], r)
+    n, e, d = (
+        m.x_output[SX_VEL] - m.x_output[SX_WIND],
+        m.x_output[SX_VEL + 1] - m.x_output[SX_WIND + 1],
+        m.x_output[SX_VEL + 2],
+    )
+    for k in range(3):
+        m.axis_work[k] = r[k] * n + r[3 + k] * e + r[6 + k] * d
+        m.rotor_state[RS_RATES + k] = m.gyro_rates[k] - m.x_output[SX_GYRO_BIAS + k]
+    if s.has_rotor_model > 0:
+        predict_rotor_force(m, s, p, m.axis_work, m.rotor_force[now])
+        for k in range(2):
+            m.rotor_state[RS_SPEED_UPPER + k] += s.dt * m.motor_accel_bias[k]
+        if new[R_ROTOR] == 1:
+            a = _Z[R_ROTOR]
+            if rotor_speed_consistent(m, s, z, a):
+                for k in range(2):
+                    off = z[a + k] - m.rotor_state[RS_SPEED_UPPER + k]
+                    m.rotor_state[RS_SPEED_UPPER + k] += s.rotor_gain * off
+                    m.motor_accel_bias[k] += s.rotor_drift * off
+        if new[R_BATTERY] == 1:
+            off = z[_Z[R_BATTERY]] - predict_terminal_voltage(m, p)
+            if battery_voltage_consistent(m, s, off):
+                fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
+                m.rotor_state[RS_CHARGE] = min(max(m.rotor_state[RS_CHARGE] + fast * off, 0.0), 1.0)
+    rises = _update_flight_phase(m, s, z)
+    a, b = (now - s.lag_ticks) % MODELLED, (now - s.lag_ticks - 1) % MODELLED
+    row = m.input_now
+    model = s.has_rotor_model > 0
+    for k in range(3):
+        row[k] = 0.5 * (m.gyro_rates[k] + m.gyro_rates_prev[k])
+        row[IN_ACCEL + k] = z[k]
+        for g in range(3):
+            row[IN_STATIC + 3 * g + k] = (1 - s.lag_share) * m.rotor_force[
+                a, 3 * g + k
+            ] + s.lag_share * m.rotor_force[b, 3 * g + k]
+        clip = m.clip_share[k] * CLIPPED * s.accel_range
+        # Without what a shaking leaves; but whose attitude is not known knows the force of the air better.
+        noise = m.accel_noise_slow[k] if m.status[R_RATES] < MISSING else m.accel_noise[k]
+        felt = (
+            max(s.accel_density, noise) if s.has_rotor_model > 0 else s.accel_density
+        ) + TOGETHER * clip * clip
+        made = s.model_accel_density[k]
+        if m.flight_phase <= RUNNING:
+            row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY * r[6 + k], 0.0
+            felt, made = 1e6, 1e-3
+        elif m.flight_phase == LIGHT:
+            # Legs may carry what the rotors do not: nothing is learnt of these.
+            row[IN_REST + k] += m.x_output[SX_THRUST_SCALE] * row[IN_STATIC + k]
+            if k == 2:
+                row[IN_REST + 2] = (
+                    -GRAVITY * r[8] if m.near_ground == 1 else min(row[IN_REST + 2], -GRAVITY * r[8])
+                )
+            made = 0.05
+            if k == 2:
+                made += _ground_force_noise(m, row[IN_STATIC + 2])
+            row[IN_STATIC + k] = 0.0
+        elif model:
+            # Until the thrust is known, which takes the delay and more, it flies by the accelerometers.
+            unknown = max(m.sigma_output[EX_THRUST_SCALE] - KNOWN_THRUST, 0.0) * row[IN_STATIC + k]
+            made += UNKNOWN_S * unknown * unknown
+        if not model and m.flight_phase > RUNNING:
+            row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
+            made = 10.0
+        if m.status[R_ACCELERATION] >= MISSING or m.accel_distrusted == 1 or s.fitted[R_ACCELERATION] == 0:
+            felt = 1e6
+        share = made / (felt + made)
+        row[IN_SHARE + k] = share
+        row[IN_NOISE + k] = felt * share
+    row[IN_PHASE] = m.flight_phase
+    # Mean over the block so far
+    into = m.input_blocks[(m.tick - 1) // s.block_ticks % KEPT]
+    share = 1.0 / ((m.tick - 1) % s.block_ticks + 1)
+    for j in range(INPUTS - 1):
+        into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
+    into[21] = m.flight_phase
+    return rises
+
+
+@compiled(error_model="numpy")
+def _pass_terrain_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
+    """Inflate the terrain's variance while the sonar's cone passes over an edge: the nearest point moves along an
+    arc."""
+    away = max(-m.x[SX_POS + 2] - m.x[SX_TERRAIN], 0.1)
+    speed = math.sqrt(m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1])
+    arc = s.sonar_arc * away
+    passed = span * max(speed / max(s.sonar_reach * away, 0.05), 1.0 / EDGE_S)
+    inflate_variance(m.ut, m.d, EX_TERRAIN, arc * arc * passed, m.f)
+    m.terrain_edge = max(m.terrain_edge - passed, 0.0)
+    if not m.terrain_edge > 0.0:
+        m.terrain_steps = 0
+
+
+@compiled(error_model="numpy")
+def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
+    """Move the horizon on by a block: state and covariance."""
+    span = s.block_ticks * s.dt
+    e = m.input_blocks[m.horizon // s.block_ticks % KEPT]
+    m.horizon += s.block_ticks
+    m.task_stage = 0
+    predict_state(m.x, e, span, r, a)
+    for k in range(3):
+        m.rates_lp[k] += span / 1.5 * (e[k] - m.x[SX_GYRO_BIAS + k] - m.rates_lp[k])
+        m.accel_mean[k] += e[IN_ACCEL + k]
+        m.model_accel_mean[k] += a[3 + k]
+        m.gyro_mean[k] += e[k]
+        m.thrust_slope[k] += e[IN_STATIC + k]
+        m.velocity_slope[k] += e[IN_SLOPE + k]
+    all_ = m.rates_lp[0] ** 2 + m.rates_lp[1] ** 2 + m.rates_lp[2] ** 2
+    m.yaw_rate = 0.0
+    for k in range(3):
+        m.yaw_rate += r[6 + k] * (e[k] - m.x[SX_GYRO_BIAS + k])
+        m.q_work[k] = s.process_variance[k]
+        m.q_work[3 + k] = velocity_noise_density(r, k, e) * span
+        spread = s.gyro_density + (BLIND_TURN if m.status[R_RATES] >= MISSING else 0.0)
+        for i in range(3):
+            own = m.rates_lp[i] ** 2
+            spread += (
+                r[3 * k + i]
+                * r[3 * k + i]
+                * (s.gyro_cross_density[0] * (all_ - own) + s.gyro_cross_density[1] * own)
+            )
+        m.q_work[6 + k] = spread * span
+    error_transition(e, span, r, a, m.transition_work)
+    ud_time_update(m.ut, m.d, span, m.transition_work, m.q_work, m.w_work, m.f)
+    if m.terrain_edge > 0.0:
+        _pass_terrain_edge(m, s, span)
+    m.mean_ticks += s.block_ticks
+
+
+@compiled(error_model="numpy")
+def _predict_bias(m: FilterMemory, s: FilterSettings) -> None:
+    """Predict the bias whose turn it is, except those of the fix."""
+    k = EX_GYRO_BIAS + m.tick % TURNS
+    if k >= EX_FIX_BIAS:
+        k += EX_FIX_HEADING + 1 - EX_FIX_BIAS
+    m.x[k + 1] = s.start[k + 1] + (m.x[k + 1] - s.start[k + 1]) * s.decay[k]
+    q = s.process_variance[k]
+    if k < EX_GYRO_BIAS + 3 and m.divergence_ticks > 0:
+        may = ADRIFT if m.divergence_ticks > 1 else ONCE_ADRIFT
+        q += may * may * (TURNS * s.dt)
+    elif k == EX_TERRAIN:
+        q *= math.sqrt(
+            m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1]
+        )  # another floor lies elsewhere, not later
+    if q > 0.0:
+        gauss_markov_update(m.ut, m.d, k, s.decay[k], q, m.f)
+
+
+@compiled(error_model="numpy")
+def _predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
+    """Predict the bias of the fix to the horizon; N and E over the same time."""
+    for k in range(EX_FIX_BIAS, EX_FIX_HEADING + 1):
+        keep, by = 1.0, s.decay[k]
+        blocks = (m.horizon - m.fix_bias_tick) // s.block_ticks
+        while blocks > 0:
+            if blocks % 2 == 1:
+                keep *= by
+            by *= by
+            blocks //= 2
+        m.x[k + 1] *= keep
+        q = s.sigma[k] * s.sigma[k] * (1.0 - keep * keep)
+        if q > 0.0:
+            gauss_markov_update(m.ut, m.d, k, keep, q, m.f)
+    m.fix_bias_tick = m.horizon
+
+
+@compiled(error_model="numpy")
+def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: int) -> int:
+    """Fuse the next queued measurement of the horizon; return its cost, 0 without time for it, -1 without any."""
+    behind = m.tick - s.delay_ticks - m.horizon >= LAG * s.block_ticks
+    i = -1
+    for j in range(WAITING if m.task_stage == 0 else 0):
+        if m.queue_due[j] == m.horizon:
+            if behind:
+                m.late_count[m.queue_sensor[j]] += 1
+                m.next_beam = 0
+                m.queue_due[j] = -1
+            elif i < 0 or m.queue_sensor[j] < m.queue_sensor[i]:
+                i = j
+    if i >= 0:
+        kind, z, ahead = m.queue_sensor[i], m.queue_value[i], m.queue_ahead[i]
+        cost = 1
+        if kind == R_FIX:
+            cost = WANDERING if m.fix_bias_tick < m.horizon else FIXING
+        elif kind == R_RING:
+            cost = max(min(s.beam_count - m.next_beam, left), 1)
+        if cost > left:
+            return 0
+        done = True
+        if kind == R_FIX and m.fix_bias_tick < m.horizon:
+            _predict_fix_bias(m, s)
+            done = False
+        elif kind == R_FIX:
+            fuse_position_fix(m, s, z, ahead)
+        elif kind == R_SONAR:
+            fuse_sonar_range(m, s, z, ahead, r)
+        elif kind == R_RING:
+            done = fuse_wall_ranges(m, s, z, ahead, r, cost)
+        elif kind == R_PRESSURE:
+            fuse_pressure_height(m, s, z, ahead)
+        else:
+            fuse_magnetic_heading(m, s, z, ahead, r)
+        if done:
+            m.queue_due[i] = -1
+        return cost
+    return -1
+
+
+@compiled(error_model="numpy")
+def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
+    """Average accelerometers and model since the last comparison."""
+    e = m.input_blocks[(m.horizon // s.block_ticks - 1) % KEPT]
+    n = m.mean_ticks // s.block_ticks
+    for k in range(3):
+        m.accel_mean[k] /= n
+        m.model_accel_mean[k] /= n
+        m.gyro_mean[k] /= n
+        m.thrust_slope[k] /= n
+        m.velocity_slope[k] /= n
+        # Density of the whole difference at the horizon, from what was weighed there
+        share = max(e[IN_SHARE + k], 1e-9)
+        m.residual_density[k] = e[IN_NOISE + k] / share / max(1 - share, 1e-9) + m.accel_noise[k]
+
+
+@compiled(error_model="numpy")
+def _run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left: int) -> int:
+    """Run the next task at the horizon if it costs no more than ``left``; return its cost, 0 if none was run."""
+    cost = _fuse_next_measurement(m, s, r, left)
+    if cost >= 0:
+        return cost
+    if m.task_stage == 0:
+        m.task_stage = EDGES
+    if m.task_stage == EDGES:
+        m.task_stage = MEANS
+        if not m.terrain_edge > 0.0 and abs(m.x[SX_TERRAIN]) < LOW:
+            sure = state_variance(m.ut, m.d, EX_TERRAIN)
+            if sure > SETTLED * SETTLED and m.x[SX_TERRAIN] * m.x[SX_TERRAIN] < 9.0 * sure:
+                reset_terrain(m)
+                return 1
+    if m.task_stage == MEANS:
+        m.task_stage = DONE
+        if m.mean_ticks >= LONGEST:
+            _average_block_forces(m, s)
+            m.task_stage = AXES
+    mode = int(m.input_blocks[(m.horizon // s.block_ticks - 1) % KEPT, 21])
+    while AXES <= m.task_stage < LEGS:
+        i = m.task_stage - AXES
+        cost = 0
+        if mode <= RUNNING:
+            cost = RESTING
+            if cost > left:
+                return 0
+            fuse_zero_motion(m, s, r, m.mean_ticks, mode == STANDING, i)
+            m.standing_ticks += m.mean_ticks if mode == STANDING and i == 0 else 0
+        elif mode == FLYING and s.has_rotor_model > 0 and s.fitted[R_ACCELERATION] > 0:
+            cost = 1
+            fuse_accel_residual(m, s, r, m.mean_ticks, i)
+        m.task_stage += 1
+        if cost > 0:
+            return cost
+    if m.task_stage == LEGS:
+        m.task_stage = DONE
+        cost = 1 if mode > RUNNING and fuse_ground_contact(m, s) else 0
+        for k in range(3):
+            m.accel_mean[k] = m.model_accel_mean[k] = m.gyro_mean[k] = 0.0
+            m.thrust_slope[k] = m.velocity_slope[k] = 0.0
+        m.residual_ratio = 0.0
+        m.mean_ticks = 0
+        if cost > 0:
+            return cost
+    if m.horizon + s.block_ticks > m.tick - s.delay_ticks or left < STEPPING:
+        return 0
+    _advance_horizon(m, s, r, a)
+    return STEPPING
+
+
+@compiled(error_model="numpy")
+def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
+    """Apply the new noise of an accelerometer to buffered inputs that the horizon has not reached."""
+    for at in range(m.horizon, m.tick, s.block_ticks):
+        e = m.input_blocks[at // s.block_ticks % KEPT]
+        share = max(e[IN_SHARE + k], 1e-9)
+        felt = max(e[IN_NOISE + k] / share, m.accel_noise_slow[k])
+        made = e[IN_NOISE + k] / max(1.0 - share, 1e-9)
+        e[IN_SHARE + k] = made / (felt + made)
+        e[IN_NOISE + k] = felt * e[IN_SHARE + k]
+
+
+@compiled(error_model="numpy")
+def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
+    """Estimate the noise of accelerometers less model from means over short and over long blocks.
+
+    Short means hold what vibration leaves in the velocity; the triangular weights of the long ones suppress vibration.
+    """
+    row = m.input_now
+    m.accel_noise_count += 1
+    m.slow_count += 1
+    weight = m.slow_count if m.slow_count <= SLOWLY // 2 else SLOWLY + 1 - m.slow_count
+    for k in range(3):
+        off = z[k] - (m.x[SX_THRUST_SCALE] * row[IN_STATIC + k] + row[IN_REST + k])
+        m.accel_noise_sum[k] += off
+        m.slow_sum[k] += weight * (off - row[IN_SLOPE + k] * m.axis_work[k])
+    if m.slow_count >= SLOWLY:
+        half = float(SLOWLY // 2)
+        span = 0.75 * SLOWLY * s.dt
+        # Off the floor the model has another force, and the thrust's scale is found.
+        settled = m.flight_phase != FLYING or m.tick - m.grounded_tick > 2 * SLOWLY
+        for k in range(3):
+            mean = m.slow_sum[k] / (half * (half + 1.0))
+            # What the model may be off by, at lift-off by much, is not the accelerometers'.
+            unknown = 2.0 * m.sigma_output[EX_THRUST_SCALE] * abs(row[IN_STATIC + k])
+            step = max(abs(mean - m.slow_mean_prev[k]) - unknown, 0.0)
+            made = row[IN_NOISE + k] / max(1.0 - row[IN_SHARE + k], 1e-9)
+            density = max(0.5 * step * step * span - made, 0.0)
+            if m.flight_phase == FLYING and settled:
+                apart = abs(mean - m.x[SX_ACCEL_BIAS + k]) - (ASUNDER + unknown)
+                density += max(apart, 0.0) * max(apart, 0.0)
+                if apart > (m.clip_share[0] + m.clip_share[1] + m.clip_share[2]) * CLIPPED * s.accel_range:
+                    set_fault(m, s, R_ACCELERATION, REJECTED, OFF, mean - m.x[SX_ACCEL_BIAS + k])
+            density = min(density, 100.0)
+            most = max(0.6 if density > m.accel_noise_slow[k] else 0.2, 1.0 / (m.slow_means + 1))
+            m.slow_mean_prev[k] = mean
+            m.slow_sum[k] = 0.0
+            if settled:
+                m.accel_noise_slow[k] += most * (density - m.accel_noise_slow[k])
+                if density > made:
+                    _backdate_accel_noise(m, s, k)
+        m.slow_count = 0
+        m.slow_means += 1
+        if m.status[R_ACCELERATION] == REJECTED and m.tick >= m.fault_until_tick[R_ACCELERATION]:
+            m.status[R_ACCELERATION], m.reason[R_ACCELERATION] = FUSED, FINE
+    if m.accel_noise_count >= LONGEST:
+        span = m.accel_noise_count * s.dt
+        for k in range(3):
+            mean = m.accel_noise_sum[k] / m.accel_noise_count
+            step = mean - m.accel_noise_mean[k]
+            m.accel_noise_mean[k] = mean
+            density = max(0.5 * step * step * span - s.model_accel_density[k], 0.0)
+            density = min(density, 100.0)
+            m.accel_noise[k] += (0.2 if density > m.accel_noise[k] else 0.05) * (density - m.accel_noise[k])
+            m.accel_noise_sum[k] = 0.0
+        m.accel_noise_count = 0
+
+
+@compiled(error_model="numpy")
+def estimator_step(
+    m: FilterMemory, s: FilterSettings, p: Any, z: _Array, new: NDArray[np.int32], age: _Array
+) -> bool:
+    """One period.
+
+    Parameters
+    ----------
+    m, s, p : records
+        Memory, settings, parameters of the flight model.
+    z : (n,) array
+        Readings, in the order of :data:`mufly.estimate.layout.CHECKED`, then what acted (4) and the share of clipped
+        samples (3).
+    new : (9,) array of int
+        0: nothing new; 1: a new reading; 2: one that says of itself that it is none.
+    age : (9,) array
+        Of each (s).
+    """
+    m.tick += 1
+    check_readings(m, s, z, new, age)
+    r, a = m.rotation_work, m.accel_work
+    for k in range(3):
+        m.gyro_rates_prev[k] = m.gyro_rates[k]
+        if m.status[R_RATES] < MISSING:
+            m.gyro_rates[k] = z[_Z[R_RATES] + k] - m.gyro_offset[k]
+        elif s.has_rotor_model > 0 and m.flight_phase >= LIGHT:
+            # What the model turns: the bar holds it to the rotors, so it does not drift but about the mast.
+            m.gyro_rates[k] = (
+                m.gyro_rates_prev[k]
+                + s.dt * m.rotor_force[(m.tick - 1) % MODELLED, RF_ANG_ACCEL + k]
+                + m.ang_accel_bias[k]
+            )
+        else:
+            m.gyro_rates[k] = m.x_output[SX_GYRO_BIAS + k]
+    # A floor below the room's, or a fix that is apart from the sonar: the height is off by as much
+    doubt = m.fix_height_gap - min(m.x_output[SX_TERRAIN], 0.0)
+    replace_gyro_spikes(m, s, m.flight_phase == FLYING and height_above_ground(m.x_output, s) > CLEAR + doubt)
+    rises = _sample_inputs(m, s, p, z, new, r)
+    if s.has_rotor_model > 0 and m.flight_phase >= RUNNING and m.status[R_ACCELERATION] < MISSING:
+        _estimate_accel_noise(m, s, z)
+    for kind in range(R_SONAR, R_FIX + 1):
+        if kind == R_ROTOR or new[kind] != 1 or m.skipped[kind] > 0:
+            continue
+        # The state of tick k belongs to k dt - lag.
+        at = m.tick + (s.lag - age[kind] - s.latency[kind] * (1 if kind == R_PRESSURE else 0)) / s.dt
+        if not _queue_measurement(m, s, kind, at, z, STARTS[kind], STARTS[kind + 1] - STARTS[kind]):
+            m.late_count[kind] += 1
+            # One alone is no fault: jitter has a longer tail than the horizon waits for.
+            if (m.tick - m.last_fused_tick[kind]) * s.dt > s.timeout[kind]:
+                set_fault(m, s, kind, FAULTY, LATE, age[kind])
+    left = s.work_limit - (TELLING if m.tick % TOLD_EVERY == 0 else 0)
+    _predict_bias(m, s)
+    if rises > 0.0 and m.sigma_output[EX_THRUST_SCALE] > LIFTS_OFF:
+        fuse_liftoff_thrust(m, rises)
+        left -= 1
+    while left > 0:
+        cost = _run_next_task(m, s, r, a, left)
+        if cost == 0:
+            break
+        left -= cost
+    predict_output(m, s, r, a)
+    found = s.fitted[R_FIX] == 0 or m.heading_aligned > 0
+    if m.initialised == 0 and found and (m.standing_ticks * s.dt >= _ALIGNED_S or m.tick * s.dt > 3.0):
+        m.initialised = 1
+    turns = s.has_rotor_model > 0 and m.flight_phase >= LIGHT
+    seen = m.status[R_RATES] < MISSING or turns or (m.tick - m.last_fused_tick[R_RATES]) * s.dt < _BLIND_S
+    for k in range(3):
+        # Nonsense may have the model run away: what no gyroscope could say is no estimate.
+        if not abs(m.rates_output[k]) < 2.0 * s.value_limit[R_RATES]:
+            seen = False
+    return m.initialised > 0 and seen

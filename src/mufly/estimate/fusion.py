@@ -1,0 +1,662 @@
+"""Fusion of each measurement: its model, its gate and its reset.
+
+A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. It is fused if the innovation lies
+within :data:`GATE` standard deviations; a measurement of several numbers if all of them do.
+
+| measurement | h(x) | reset after rejections that agree with each other |
+|---|---|---|
+| position_fix | p + v dt + b, heading + b_h | after a second: variance of position and heading inflated |
+| ground_distance | -(p + R r)_D - terrain | three in a row: a step of the terrain, its variance inflated |
+| ranges | distance to the nearest wall of the room along the beam | none: the beams see no wall |
+| pressure | rho g p_D + b + the rotors' part | after a second: variance of its bias inflated |
+| magnetic_field | heading + b, and tilt by the field's dip | after a second: variance of its bias inflated |
+
+A reset adds variance before the measurement is fused, so the correlations between the errors stay.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.compiled import compiled
+from mufly.estimate.layout import (
+    ERRORS,
+    EX_ACCEL_BIAS,
+    EX_ATT,
+    EX_FIX_BIAS,
+    EX_FIX_HEADING,
+    EX_GYRO_BIAS,
+    EX_MAG_BIAS,
+    EX_POS,
+    EX_PRESSURE_BIAS,
+    EX_TERRAIN,
+    EX_THRUST_SCALE,
+    EX_VEL,
+    EX_WIND,
+    LOW,
+    R_ACCELERATION,
+    R_FIX,
+    R_MAGNET,
+    R_PRESSURE,
+    R_RATES,
+    R_RING,
+    R_SONAR,
+    SX_ACCEL_BIAS,
+    SX_ATT,
+    SX_FIX_BIAS,
+    SX_FIX_HEADING,
+    SX_GYRO_BIAS,
+    SX_MAG_BIAS,
+    SX_POS,
+    SX_PRESSURE_BIAS,
+    SX_TERRAIN,
+    SX_THRUST_SCALE,
+    SX_VEL,
+    FilterMemory,
+    FilterSettings,
+)
+from mufly.estimate.sensor_checks import (
+    AWAY,
+    FAULTY,
+    FINE,
+    FUSED,
+    NO_WALL,
+    NOTHING,
+    OFF,
+    REJECTED,
+    SLOPE,
+    STEP,
+    STRAINED,
+    STUCK_,
+    TAKEN_OVER,
+    TOO_FAR,
+    WANDERS,
+    check_accel_model,
+    mark_fused,
+    mark_rejected,
+    reset_on_divergence,
+    set_fault,
+)
+from mufly.estimate.strapdown import rotate_attitude, rotation_matrix
+from mufly.estimate.ud_filter import (
+    inflate_variance,
+    innovation_variance,
+    state_variance,
+    ud_measurement_update,
+)
+from mufly.trigonometry import direction, wrapped
+from mufly.units import GRAVITY
+
+_Array = NDArray[np.float64]
+
+GATE = 5.0
+"""Standard deviations: one healthy reading in two million is turned away."""
+LEAN = 2.2
+"""Mean of five ratios or so of the sonar: six and a half deviations."""
+STRAIN = 11.0
+"""Mean square of the worst of the fix's four ratios over half a second; 2.4 is usual."""
+LED_AWAY = 5.0
+"""... from which on a fix that does not fit is no fix that jumps."""
+_AGREE_S = 1.0
+RANGE = 5.5
+"""Deviations a of a wandering beyond which it is no wandering. One of time constant tau goes beyond them, to either
+side, 2 a phi(a) / tau times a second (phi: normal density; Pickands, 1969): three axes with tau of 2 s do so 0.06 times
+in ten hours (5: 0.8 times, and once it was seen)."""
+GYRO_RANGE = 8.0
+"""Deviations of the gyroscopes' bias at the start beyond which they cannot be flown on for long."""
+STUCK = 1e-11
+"""Chance that a sonar that works repeats itself for so long."""
+CLEAR = 0.15
+"""Height (m) above which no leg touches: what turns it then is in the flight model."""
+LED_SPEED, LED_FORCE, LED_THRUST, LED_S = 0.3, 0.3, 0.1, 1.0
+"""What speed (m/s), accelerometers (m/s^2) and thrust (1) may be off by where the height is led away
+again within ``LED_S`` (s)."""
+SUDDEN, MOST_STEPS = 3.0, 8
+"""Deviations of the sonar beyond which it is the surface that jumps, over an edge; how often it may."""
+LIFTS, LIFTS_OFF = 1.08, 0.08
+"""What rotors lift, of the weight, as the sonar says that it leaves the floor, and what share of it that is off by."""
+_BEAM_GATE = 4.0
+LEAST_FLOOR = -0.1
+"""A room has nothing below its floor (m)."""
+
+
+@compiled(error_model="numpy")
+def _h_row_begin(m: FilterMemory, i: int, h: float) -> None:
+    """Begin the row H of a measurement with ``h`` times error state ``i``."""
+    m.h_terms = 1
+    m.h_state[0] = i
+    m.h[0] = h
+
+
+@compiled(error_model="numpy")
+def _h_row_add(m: FilterMemory, i: int, h: float) -> None:
+    """Add ``h`` times error state ``i`` to the row H."""
+    m.h_state[m.h_terms] = i
+    m.h[m.h_terms] = h
+    m.h_terms += 1
+
+
+@compiled(error_model="numpy")
+def _shift_state(x: _Array, by: _Array, span: float, push: _Array) -> None:
+    """Add an error to a state, propagated over ``span`` (s), in which ``push`` (3,) was added to the velocity without
+    gravity."""
+    v_x = by[EX_VEL] + (by[EX_ATT + 1] * push[2] - by[EX_ATT + 2] * push[1] if span > 0.0 else 0.0)
+    v_y = by[EX_VEL + 1] + (by[EX_ATT + 2] * push[0] - by[EX_ATT] * push[2] if span > 0.0 else 0.0)
+    v_z = by[EX_VEL + 2] + (by[EX_ATT] * push[1] - by[EX_ATT + 1] * push[0] if span > 0.0 else 0.0)
+    x[SX_POS] += by[EX_POS] + 0.5 * span * (by[EX_VEL] + v_x)
+    x[SX_POS + 1] += by[EX_POS + 1] + 0.5 * span * (by[EX_VEL + 1] + v_y)
+    x[SX_POS + 2] += by[EX_POS + 2] + 0.5 * span * (by[EX_VEL + 2] + v_z)
+    x[SX_VEL] += v_x
+    x[SX_VEL + 1] += v_y
+    x[SX_VEL + 2] += v_z
+    rotate_attitude(x, by[EX_ATT], by[EX_ATT + 1], by[EX_ATT + 2], False)
+    for i in range(9, ERRORS):
+        x[i + 1] += by[i]
+
+
+@compiled(error_model="numpy")
+def _apply_correction(m: FilterMemory, innovation: float, r: float) -> None:
+    """Fuse a scalar measurement whose ``m.f`` is known; correct the horizon's state and those propagated from it."""
+    ud_measurement_update(m.ut, m.d, m.f, r, m.gain)
+    for i in range(ERRORS):
+        m.gain[i] *= innovation
+    _shift_state(m.x, m.gain, 0.0, m.repropagating_gain)
+    _shift_state(m.x_repropagating, m.gain, m.repropagating_span, m.repropagating_gain)
+    _shift_state(m.x_now, m.gain, m.delay_span, m.now_gain)
+
+
+@compiled(error_model="numpy")
+def _fuse_scalar(m: FilterMemory, innovation: float, r: float) -> None:
+    """Fuse a scalar measurement of variance ``r`` without a gate; its row is in ``m.h``."""
+    innovation_variance(m.ut, m.d, m.h_state, m.h, m.h_terms, m.f)
+    _apply_correction(m, innovation, r)
+
+
+@compiled(error_model="numpy")
+def _innovation_ratio(m: FilterMemory, innovation: float, r: float) -> float:
+    """Return the innovation over its standard deviation."""
+    return innovation / math.sqrt(innovation_variance(m.ut, m.d, m.h_state, m.h, m.h_terms, m.f) + r)
+
+
+@compiled(error_model="numpy")
+def _log_innovation(m: FilterMemory, k: int, innovation: float, ratio: float) -> None:
+    """Record innovation and standard deviation of a sensor."""
+    m.innovation[k] = innovation
+    m.innovation_sigma[k] = abs(innovation / ratio) if ratio != 0.0 else 0.0
+
+
+@compiled(error_model="numpy")
+def _reject_measurement(
+    m: FilterMemory, s: FilterSettings, k: int, innovation: float, z: _Array, count: int, near: float
+) -> None:
+    """Reject a reading, and count in ``m.agree_count`` whether it agrees with the one rejected before."""
+    alike = m.reject_count[k] > 0
+    for j in range(count):
+        alike = alike and abs(z[j] - m.rejected_value[k, j]) < near
+        m.rejected_value[k, j] = z[j]
+    if alike:
+        m.agree_count[k] += 1
+    else:
+        m.agree_count[k] = 0
+        m.reject_since_tick[k] = m.horizon
+    if k != R_SONAR and abs(innovation) > 2.0 * GATE * m.innovation_sigma[k]:
+        m.reject_score[k] += (
+            1.0  # by so much nothing healthy is off, but for a sonar that hears a second surface
+        )
+    mark_rejected(m, s, k, OFF, innovation)
+
+
+@compiled(error_model="numpy")
+def _reset_timeout_expired(m: FilterMemory, s: FilterSettings, k: int) -> bool:
+    """Return whether rejected readings have agreed with each other for :data:`_AGREE_S`."""
+    return m.agree_count[k] >= 3 and (m.horizon - m.reject_since_tick[k]) * s.dt >= _AGREE_S
+
+
+@compiled(error_model="numpy")
+def _fix_h_row(m: FilterMemory, i: int) -> None:
+    """Write the row H of component ``i`` of the fix."""
+    if i < 3:
+        _h_row_begin(m, EX_POS + i, 1.0)
+        _h_row_add(m, EX_FIX_BIAS + i, 1.0)
+    else:
+        _h_row_begin(m, EX_ATT + 2, 1.0)
+        _h_row_add(m, EX_FIX_HEADING, 1.0)
+
+
+@compiled(error_model="numpy")
+def _fix_innovation(m: FilterMemory, z: _Array, i: int, ahead: float) -> float:
+    """Return the innovation of component ``i`` of the fix."""
+    x = m.x
+    if i < 3:
+        return z[i] - x[i] - ahead * x[SX_VEL + i] - x[SX_FIX_BIAS + i]
+    yaw = direction(
+        2 * (x[SX_ATT] * x[SX_ATT + 3] + x[SX_ATT + 1] * x[SX_ATT + 2]),
+        1 - 2 * (x[SX_ATT + 2] * x[SX_ATT + 2] + x[SX_ATT + 3] * x[SX_ATT + 3]),
+    )
+    off = z[3] - yaw - ahead * m.yaw_rate - x[SX_FIX_HEADING]
+    return wrapped(off)
+
+
+@compiled(error_model="numpy")
+def height_above_ground(x: _Array, s: FilterSettings) -> float:
+    """Return the height of the legs above the surface below (m); that surface is not below the floor."""
+    return -x[SX_POS + 2] - max(x[SX_TERRAIN], 0.0) - s.ground_clearance
+
+
+@compiled(error_model="numpy")
+def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
+    """Return the estimated bias of component ``i`` of the fix over the largest that its model allows.
+
+    A Gauss-Markov process of deviation sigma exceeds 5 sigma once in two million correlation times. Innovations do
+    not show such an error, because the bias follows it."""
+    noise = s.fix_variance if i < 3 else s.heading_variance
+    return abs(m.x[SX_FIX_BIAS + i]) / (
+        RANGE * math.sqrt(s.sigma[EX_FIX_BIAS + i] * s.sigma[EX_FIX_BIAS + i] + noise)
+    )
+
+
+@compiled(error_model="numpy")
+def _sonar_height_valid(m: FilterMemory, s: FilterSettings) -> bool:
+    """Return whether the sonar measures the height, over a known floor."""
+    k = R_SONAR
+    fresh = m.last_fused_tick[k] > 0 and (m.tick - m.last_fused_tick[k]) * s.dt < 0.3
+    return fresh and m.status[k] == FUSED and m.reason[k] == FINE and not m.terrain_edge > 0.0
+
+
+@compiled(error_model="numpy")
+def _fix_height_consistent(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> bool:
+    """Return whether fix and sonar agree on the height; if not, write the gap to ``m.fix_height_gap``.
+
+    The faulty one of the two is unknown: the pressure drifts by as much. The height follows the sonar, and the gap is
+    added to the standard deviation of the position."""
+    k = R_FIX
+    nu = _fix_innovation(m, z, 2, ahead)
+    _fix_h_row(m, 2)
+    off = abs(_innovation_ratio(m, nu, s.fix_variance))
+    whole = abs(nu + m.x[SX_FIX_BIAS + 2])
+    if m.fix_height_gap > 0.0:
+        blind = (m.tick - m.last_fused_tick[R_SONAR]) * s.dt > 0.3
+        m.fix_height_gap = 0.0 if blind or off < 2.5 else whole
+    elif _sonar_height_valid(m, s) and (
+        _fix_bias_ratio(m, s, 2) > 1.0 or (off > GATE and _reset_timeout_expired(m, s, k))
+    ):
+        m.fix_height_gap = whole
+    return m.fix_height_gap == 0.0
+
+
+@compiled(error_model="numpy")
+def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
+    """Fuse position and heading of a fix; no height while it disagrees with the sonar."""
+    k, worst, at = R_FIX, 0.0, 0.0
+    down = _fix_height_consistent(m, s, z, ahead)
+    for i in range(4):
+        if i == 2 and not down:
+            continue
+        _fix_h_row(m, i)
+        r = s.fix_variance if i < 3 else s.heading_variance
+        nu = _fix_innovation(m, z, i, ahead)
+        ratio = _innovation_ratio(m, nu, r)
+        if abs(ratio) > abs(worst):
+            worst, at = ratio, nu
+    _log_innovation(m, k, at, worst)
+    # Off by more and more, it is not a fix that jumps: the filter is led away. Without a rotor model its
+    # deviations are a guess, and a record whose axes are wrong would be followed from fix to fix.
+    led = s.has_rotor_model > 0 and m.fix_ratio_lp > LED_AWAY and GATE < abs(worst) < 2.0 * GATE
+    if abs(worst) > GATE and not led:
+        _reject_measurement(m, s, k, at, z, 3, 2.0 * s.period[k] + 8 * math.sqrt(s.fix_variance) + 0.05)
+        if not _reset_timeout_expired(m, s, k):
+            return
+        # What other sensors hold is not given up: the fix is off there.
+        held = m.status[R_SONAR] == FUSED, m.status[R_RING] == FUSED
+        for i in range(3):
+            nu = _fix_innovation(m, z, i, ahead)
+            if held[0] if i == 2 else held[1]:
+                inflate_variance(m.ut, m.d, EX_FIX_BIAS + i, nu * nu, m.f)
+            else:
+                inflate_variance(m.ut, m.d, EX_POS + i, nu * nu, m.f)
+                inflate_variance(m.ut, m.d, EX_VEL + i, 0.01 + 0.1 * nu * nu, m.f)
+        nu = _fix_innovation(m, z, 3, ahead)
+        inflate_variance(m.ut, m.d, EX_ATT + 2, nu * nu, m.f)
+        nu = at
+        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
+    # Off by much again and again: something carries the filter astray that it does not know, as gyroscopes that drift.
+    m.fix_ratio_lp += 0.15 * (worst * worst - m.fix_ratio_lp)
+    out = max(_fix_bias_ratio(m, s, 0), _fix_bias_ratio(m, s, 1), _fix_bias_ratio(m, s, 3))
+    if led or m.fix_ratio_lp > STRAIN or out > 1.0:
+        reset_on_divergence(m, s)
+        set_fault(m, s, k, FUSED, STRAINED, at)
+    for i in range(4):
+        if i == 2 and not down:
+            continue
+        _fix_h_row(m, i)
+        _fuse_scalar(m, _fix_innovation(m, z, i, ahead), s.fix_variance if i < 3 else s.heading_variance)
+    for i in range(3):
+        most = GYRO_RANGE * s.sigma[EX_GYRO_BIAS + i] + 2.0 * m.sigma_output[EX_GYRO_BIAS + i]
+        if abs(m.x[SX_GYRO_BIAS + i]) > most and m.status[R_RATES] == FUSED:
+            set_fault(m, s, R_RATES, REJECTED, WANDERS, m.x[SX_GYRO_BIAS + i])
+    mark_fused(m, k)
+    if not down:
+        set_fault(m, s, k, FAULTY, AWAY, m.fix_height_gap)
+    m.heading_aligned = 1
+
+
+@compiled(error_model="numpy")
+def _sonar_h_row(m: FilterMemory, s: FilterSettings, r: _Array) -> float:
+    """Write the row H of the sonar; return the sonar's place below the centre of gravity (m)."""
+    rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+    _h_row_begin(m, EX_POS + 2, -1.0)
+    _h_row_add(m, EX_TERRAIN, -1.0)
+    # (exp(t) R r)_D = (R r)_D + t_N (R r)_E - t_E (R r)_N
+    n = r[0] * s.sonar_place[0] + r[1] * s.sonar_place[1] + r[2] * s.sonar_place[2]
+    e = r[3] * s.sonar_place[0] + r[4] * s.sonar_place[1] + r[5] * s.sonar_place[2]
+    d = r[6] * s.sonar_place[0] + r[7] * s.sonar_place[1] + r[8] * s.sonar_place[2]
+    _h_row_add(m, EX_ATT, -e)
+    _h_row_add(m, EX_ATT + 1, n)
+    return d
+
+
+@compiled(error_model="numpy")
+def _reset_height(m: FilterMemory, s: FilterSettings, nu: float) -> None:
+    """Reset the height after innovations ``nu`` of the sonar.
+
+    The foot of a wall in the sonar's cone gives a wrong height once. A second reset within :data:`LED_S` says that a
+    force is wrong: then the vertical speed, the accelerometer's bias and the thrust's scale are freed too."""
+    inflate_variance(m.ut, m.d, EX_POS + 2, nu * nu, m.f)
+    before = m.height_reset_tick
+    m.height_reset_tick = m.horizon
+    if not (before > 0 and (m.horizon - before) * s.dt < LED_S):
+        return
+    inflate_variance(m.ut, m.d, EX_VEL + 2, LED_SPEED * LED_SPEED, m.f)
+    inflate_variance(m.ut, m.d, EX_ACCEL_BIAS + 2, LED_FORCE * LED_FORCE, m.f)
+    inflate_variance(m.ut, m.d, EX_THRUST_SCALE, LED_THRUST * LED_THRUST, m.f)
+
+
+@compiled(error_model="numpy")
+def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> bool:
+    """Whether the sonar repeats itself for longer than its noise and the vehicle's moving allow.
+
+    A reading in steps of h is the one before with a chance of about h / (sqrt(2 pi) sigma) exp(-nu^2 / (2 sigma^2)),
+    sigma of the innovation nu; exp(-x) <= 1 / (1 + x).
+    """
+    same = z == m.sonar_prev
+    m.sonar_prev = z
+    if not same or height_above_ground(m.x, s) < CLEAR:
+        m.sonar_repeat_chance = 1.0
+        return False
+    # A height that is hardly known has no part in it: it may be better than believed.
+    sigma = 1.3 * math.sqrt(s.sonar_variance)
+    likely = 0.399 * s.sonar_step / sigma / (1.0 + 0.5 * min(nu * nu / (sigma * sigma), 9.0))
+    m.sonar_repeat_chance *= min(likely, 1.0)
+    return m.sonar_repeat_chance < STUCK
+
+
+@compiled(error_model="numpy")
+def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
+    """Fuse the range to the surface below; a step that no other sensor sees belongs to the terrain."""
+    k = R_SONAR
+    down = _sonar_h_row(m, s, r)
+    if r[8] < s.sonar_cone or z[0] >= s.sonar_max:
+        return
+    expect = -(m.x[SX_POS + 2] + ahead * m.x[SX_VEL + 2]) - down - m.x[SX_TERRAIN]
+    said, r_ = z[0], s.sonar_variance
+    nearest, standing = s.sonar_min + 0.005, s.ground_clearance - s.sonar_place[2]
+    if z[0] <= nearest and standing < nearest:
+        # Nearer than it can tell: anywhere between there and where it stands.
+        said = 0.5 * (nearest + standing)
+        r_ = (nearest - standing) * (nearest - standing) / 12.0
+        if expect < nearest:
+            _fuse_scalar(m, said - expect, 100.0 * r_)  # as so many that are off alike
+            mark_fused(m, k)
+            return
+    nu = said - expect
+    ratio = _innovation_ratio(m, nu, r_)
+    _log_innovation(m, k, nu, ratio)
+    if _sonar_stuck(m, s, z[0], nu):
+        set_fault(m, s, k, FAULTY, STUCK_, z[0])
+        return
+    floor = m.x[SX_TERRAIN] - nu
+    over = m.terrain_edge > 0.0 or abs(m.x[SX_TERRAIN]) > LOW
+    # Always off to the same side: over an edge it is the surface, and nearer may be an object that comes into the cone
+    # from the side. Below the floor lies nothing, so else it is the height, which a force carries away that is not as
+    # it is believed: the accelerometers' or the model's.
+    if abs(ratio) < GATE:
+        m.sonar_ratio_lp += 0.2 * (ratio - m.sonar_ratio_lp)
+    if abs(m.sonar_ratio_lp) > LEAN:
+        m.sonar_ratio_lp = 0.0
+        set_fault(m, s, k, FUSED, SLOPE, nu)
+        if over or nu < 0.0:
+            m.terrain_edge = 1.0
+        else:
+            _reset_height(m, s, nu)
+            _sonar_h_row(m, s, r)
+    if over and abs(ratio) > SUDDEN and m.terrain_steps < MOST_STEPS and floor > LEAST_FLOOR:
+        # Over an object it is the surface that jumps.
+        m.terrain_steps += 1
+        m.terrain_edge = 1.0
+        inflate_variance(m.ut, m.d, EX_TERRAIN, nu * nu, m.f)
+        _sonar_h_row(m, s, r)
+    elif abs(ratio) > GATE:
+        _reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.period[k])
+        step = m.agree_count[k] >= 2 and floor > LEAST_FLOOR
+        if step and m.terrain_steps >= MOST_STEPS:
+            # Step after step: it is not the floor that goes, it is the height.
+            inflate_variance(m.ut, m.d, EX_POS + 2, nu * nu, m.f)
+            inflate_variance(m.ut, m.d, EX_VEL + 2, 0.1, m.f)
+            inflate_variance(m.ut, m.d, EX_THRUST_SCALE, 0.01, m.f)
+            set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
+        elif step and nu > 0.0:
+            # Lower than the floor nothing lies; over an edge it was the surface that jumped.
+            _reset_height(m, s, nu)
+            set_fault(m, s, k, FUSED, SLOPE, nu)
+        elif step:
+            inflate_variance(m.ut, m.d, EX_TERRAIN, nu * nu, m.f)
+            m.reject_score[k] = 0.0
+            set_fault(m, s, k, FUSED, STEP, floor)
+            m.terrain_edge = 1.0
+        elif _reset_timeout_expired(m, s, k):
+            if (m.tick - m.last_fused_tick[R_FIX]) * s.dt < _AGREE_S and m.last_fused_tick[R_FIX] > 0:
+                inflate_variance(m.ut, m.d, EX_TERRAIN, nu * nu, m.f)  # the fix holds the height
+            else:
+                inflate_variance(m.ut, m.d, EX_POS + 2, nu * nu, m.f)
+                inflate_variance(m.ut, m.d, EX_VEL + 2, 0.1 + nu * nu, m.f)
+            set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
+        else:
+            if m.agree_count[k] >= 2:
+                set_fault(m, s, k, REJECTED, OFF, nu)  # below the room's floor, and not by chance
+            return
+        _sonar_h_row(m, s, r)
+    _fuse_scalar(m, nu, r_)
+    mark_fused(m, k)
+
+
+@compiled(error_model="numpy")
+def reset_terrain(m: FilterMemory) -> None:
+    """Reset the terrain to the floor's height."""
+    _h_row_begin(m, EX_TERRAIN, 1.0)
+    _fuse_scalar(m, -m.x[SX_TERRAIN], 2.5e-5)
+
+
+@compiled(error_model="numpy")
+def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
+    """Fuse the thrust's scale at lift-off, where the rotors lift the weight; ``lift``: the model's lift over it."""
+    scale = LIFTS / lift
+    spread = LIFTS_OFF * scale
+    _h_row_begin(m, EX_THRUST_SCALE, 1.0)
+    _fuse_scalar(m, scale - m.x[SX_THRUST_SCALE], spread * spread)
+
+
+@compiled(error_model="numpy")
+def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
+    """Keep the legs above the surface below, and stop a fall into it; return whether they were below.
+
+    Below the sonar's least range and with less lift than the weight no other sensor says that it does not fall.
+    """
+    height = height_above_ground(m.x, s)
+    if height >= 0.0:
+        return False
+    _h_row_begin(m, EX_POS + 2, -1.0)
+    if m.x[SX_TERRAIN] > 0.0:
+        _h_row_add(m, EX_TERRAIN, -1.0)
+    _fuse_scalar(m, -height, 2.5e-5)
+    if m.x[SX_VEL + 2] > 0.0:
+        _h_row_begin(m, EX_VEL + 2, 1.0)
+        _fuse_scalar(m, -m.x[SX_VEL + 2], 1e-3)
+    return True
+
+
+@compiled(error_model="numpy")
+def fuse_wall_ranges(
+    m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array, most: int
+) -> bool:
+    """Distances to the walls of the room, beam by beam, ``most`` at a time; returns whether that was all.
+
+    What a beam is off by is mostly constant (docs/estimation.md), so no number of readings tells of a position more
+    than J, the sum of h^2 / C over the beams. Of that a picture brings what has been lost since the one before:
+    J - 1 / P. Each beam has its share of it, which is a variance of C J / (J - 1 / P) beside what scatters.
+    """
+    k = R_RING
+    rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+    if m.next_beam == 0:
+        m.beams_seen = m.beams_fused = 0
+        for i in range(2):
+            told = m.wall_info_limit[i] * state_variance(m.ut, m.d, EX_POS + i)
+            m.wall_info_gained[i] = 1.0 - 1.0 / told if told > 1.0 else 0.0
+            m.wall_info_limit[i] = 0.0
+    last = min(m.next_beam + most, s.beam_count)
+    for b in range(m.next_beam, last):
+        if not (0.0 < z[b] < 0.995 * s.ring_max):
+            continue
+        m.beams_seen += 1
+        n = r[0] * s.beam_direction[b, 0] + r[1] * s.beam_direction[b, 1] + r[2] * s.beam_direction[b, 2]
+        e = r[3] * s.beam_direction[b, 0] + r[4] * s.beam_direction[b, 1] + r[5] * s.beam_direction[b, 2]
+        d = r[6] * s.beam_direction[b, 0] + r[7] * s.beam_direction[b, 1] + r[8] * s.beam_direction[b, 2]
+        best, axis, along = 1e9, -1, 1.0
+        for i in range(3):
+            u = n if i == 0 else (e if i == 1 else d)
+            if abs(u) > 0.3:
+                plane = s.wall_planes[2 * i + 1] if u > 0.0 else s.wall_planes[2 * i]
+                far = (plane - (m.x[i] + ahead * m.x[SX_VEL + i])) / u
+                if 0.0 < far < best:
+                    best, axis, along = far, i, u
+        if axis < 0 or axis == 2 or best > 1.1 * s.ring_max:
+            continue
+        # l = (c - p_i) / u_i; of the heading they tell nothing, it is one more constant: du = t x u
+        h = -1.0 / along
+        across = h * best * (e if axis == 0 else n) * m.sigma_output[EX_ATT + 2]
+        slope = best * best + s.ring_baseline * s.ring_baseline
+        lasts = slope * slope * s.ring_constant_variance + across * across
+        scatters = slope * best * best
+        scatters *= scatters * s.ring_noise_variance
+        _h_row_begin(m, EX_POS + axis, h)
+        nu = z[b] - best
+        ratio = _innovation_ratio(m, nu, scatters + lasts)
+        if abs(ratio) < _BEAM_GATE:
+            _log_innovation(m, k, nu, ratio)
+            m.beams_fused += 1
+            m.wall_info_limit[axis] += h * h / lasts
+            if m.wall_info_gained[axis] > 0.0:
+                _apply_correction(m, nu, scatters + lasts / m.wall_info_gained[axis])
+                rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+    m.next_beam = last
+    if last < s.beam_count:
+        return False
+    m.next_beam = 0
+    if m.beams_fused > 0:
+        mark_fused(m, k)
+    elif m.tick >= m.fault_until_tick[k]:
+        m.status[k] = NOTHING
+        m.reason[k] = TOO_FAR if m.beams_seen == 0 else NO_WALL
+    return True
+
+
+@compiled(error_model="numpy")
+def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
+    """Fuse the pressure less the standard one and less the rotors' part."""
+    k = R_PRESSURE
+    _h_row_begin(m, EX_POS + 2, s.pressure_slope)
+    _h_row_add(m, EX_PRESSURE_BIAS, 1.0)
+    nu = z[0] - s.pressure_slope * (m.x[SX_POS + 2] + ahead * m.x[SX_VEL + 2]) - m.x[SX_PRESSURE_BIAS]
+    ratio = _innovation_ratio(m, nu, s.pressure_variance)
+    _log_innovation(m, k, nu, ratio)
+    if abs(ratio) > GATE:
+        _reject_measurement(m, s, k, nu, z, 1, 10 * math.sqrt(s.pressure_variance))
+        if not _reset_timeout_expired(m, s, k):
+            return
+        inflate_variance(m.ut, m.d, EX_PRESSURE_BIAS, nu * nu, m.f)
+        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
+    _fuse_scalar(m, nu, s.pressure_variance)
+    mark_fused(m, k)
+
+
+@compiled(error_model="numpy")
+def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
+    """Fuse the heading by the direction of the magnetic field."""
+    k = R_MAGNET
+    rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+    north = r[0] * z[0] + r[1] * z[1] + r[2] * z[2]
+    east = r[3] * z[0] + r[4] * z[1] + r[5] * z[2]
+    _h_row_begin(m, EX_ATT + 2, 1.0)
+    _h_row_add(m, EX_ATT, -s.earth[2] / s.earth[0])
+    _h_row_add(m, EX_MAG_BIAS, 1.0)
+    off = -direction(east, north) - ahead * m.yaw_rate - m.x[SX_MAG_BIAS]
+    nu = wrapped(off)
+    ratio = _innovation_ratio(m, nu, s.magnet_variance)
+    _log_innovation(m, k, nu, ratio)
+    if abs(ratio) > GATE:
+        _reject_measurement(m, s, k, nu, z, 3, 1e-5)
+        if not _reset_timeout_expired(m, s, k):
+            return
+        inflate_variance(m.ut, m.d, EX_MAG_BIAS, nu * nu, m.f)
+        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
+    _fuse_scalar(m, nu, s.magnet_variance)
+    mark_fused(m, k)
+
+
+@compiled(error_model="numpy")
+def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: int, i: int) -> None:
+    """Fuse accelerometers less model along axis ``i``, a mean over ``count`` periods: biases, thrust, wind,
+    velocity."""
+    rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+    slope = m.velocity_slope[i]
+    _h_row_begin(m, EX_ACCEL_BIAS + i, 1.0)
+    _h_row_add(m, EX_THRUST_SCALE, m.thrust_slope[i])
+    for j in range(3):
+        _h_row_add(m, EX_VEL + j, slope * r[3 * j + i])
+    _h_row_add(m, EX_WIND, -slope * r[i])
+    _h_row_add(m, EX_WIND + 1, -slope * r[3 + i])
+    nu = m.accel_mean[i] - m.model_accel_mean[i] - m.x[SX_ACCEL_BIAS + i]
+    r_ = m.residual_density[i] / (count * s.dt)
+    known = innovation_variance(m.ut, m.d, m.h_state, m.h, m.h_terms, m.f)
+    ratio = nu / math.sqrt(known + r_)
+    check_accel_model(m, s, nu, r_, known, i)
+    if abs(ratio) < GATE and m.accel_distrusted == 0:
+        _fuse_scalar(m, nu, r_)
+    if i == 0 or abs(ratio) > m.residual_ratio:
+        _log_innovation(m, R_ACCELERATION, nu, ratio)
+        m.residual_ratio = abs(ratio)
+
+
+@compiled(error_model="numpy")
+def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, still: bool, i: int) -> None:
+    """Fuse zero velocity and rate along axis ``i`` on the floor; with the motors off (``still``) also gravity."""
+    _h_row_begin(m, EX_VEL + i, 1.0)
+    _fuse_scalar(m, -m.x[SX_VEL + i], 4e-4)
+    _h_row_begin(m, EX_GYRO_BIAS + i, 1.0)
+    calm = s.rest_gyro * s.rest_gyro / count if still else 2.5e-5
+    off = m.gyro_mean[i] - m.x[SX_GYRO_BIAS + i]
+    # With its rotors running it may slide and turn on its legs.
+    if still or abs(_innovation_ratio(m, off, calm * 2)) < GATE:
+        _fuse_scalar(m, off, calm * 2)
+    if still and s.fitted[R_ACCELERATION] > 0:
+        rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+        # R^T (-g e_D), and d(R^T u) = R^T (u x t)
+        _h_row_begin(m, EX_ACCEL_BIAS + i, 1.0)
+        _h_row_add(m, EX_ATT, -r[3 + i] * GRAVITY)
+        _h_row_add(m, EX_ATT + 1, r[i] * GRAVITY)
+        nu = m.accel_mean[i] + GRAVITY * r[6 + i] - m.x[SX_ACCEL_BIAS + i]
+        r_ = 2 * s.rest_accel * s.rest_accel / count
+        if abs(_innovation_ratio(m, nu, r_)) < 2 * GATE:
+            _fuse_scalar(m, nu, r_)

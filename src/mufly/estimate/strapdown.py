@@ -1,0 +1,268 @@
+"""How the helicopter moves between two instants: what carries the state on, and what that does to its errors.
+
+Attitude and velocity by the strapdown equations (Groves, 2nd ed., ch. 5), from rates w and specific force f in
+body axes:
+
+    dR/dt = R [w - b_w]x,       dv/dt = R f + g e_D,       dp/dt = v
+
+Specific force is known twice. The accelerometers feel it; the rotors and drag *make* it, and the flight model says
+how much (:func:`mufly.dynamics.derivative`, asked in body axes, far above the floor). Two measurements of the same
+force with densities q_a and q_m of their noise are weighed by them,
+
+    f = W (a - b_a) + (1 - W) m(x),         W = q_m / (q_a + q_m),
+
+so that the noise of f is not correlated with that of the difference a - m, because W q_a - (1 - W) q_m = 0: f
+carries the state on, and a - m remains as a measurement (of the accelerometers' bias, the thrust's scale, the
+wind) without being used twice. An accelerometer that clips loses its weight; then the model flies alone.
+
+    m(x) = k f_0 + c + J u,      u = R^T (v - wind)
+
+f_0 force without motion through the air, k scale of the thrust, c + J u drag, linear around the believed u (J is
+taken as diagonal: drag along one axis comes from the speed along it).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.compiled import compiled
+from mufly.dynamics import battery_state
+from mufly.dynamics.model import _clip, derivative_tilted
+from mufly.estimate.layout import (
+    IN_ACCEL,
+    IN_PHASE,
+    IN_RATES,
+    IN_REST,
+    IN_SHARE,
+    IN_SLOPE,
+    IN_STATIC,
+    RF_ANG_ACCEL,
+    RF_REST,
+    RF_SLOPE,
+    RF_STATIC,
+    RS_BAR,
+    RS_CHARGE,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    RS_VEL,
+    RUNNING,
+    SX_ACCEL_BIAS,
+    SX_ATT,
+    SX_GYRO_BIAS,
+    SX_THRUST_SCALE,
+    SX_VEL,
+    SX_WIND,
+    TR_ACCEL,
+    TR_AIR,
+    TR_THRUST,
+    TR_TURN,
+    FilterMemory,
+    FilterSettings,
+)
+from mufly.trigonometry import sine_cosine
+from mufly.units import GRAVITY
+
+_Array = NDArray[np.float64]
+
+_SLOPE_STEP = 0.05  # m/s, for the slope of drag
+
+
+@compiled(error_model="numpy")
+def rotation_matrix(q: _Array, r: _Array) -> None:
+    """Write the matrix (9 numbers, by rows) from body axes to N-E-D; ``q`` (4,) is w x y z."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    r[0], r[1], r[2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    r[3], r[4], r[5] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    r[6], r[7], r[8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@compiled(error_model="numpy")
+def rotate_attitude(x: _Array, t_x: float, t_y: float, t_z: float, own: bool) -> None:
+    """Rotate the attitude in state ``x`` by a small turn (rad), about body axes if ``own``, else about N, E, D."""
+    square = t_x * t_x + t_y * t_y + t_z * t_z
+    c = 1.0 - square / 8.0 + square * square / 384.0
+    k = 0.5 - square / 48.0 + square * square / 3840.0
+    if square > 1.0:
+        angle = math.sqrt(square)
+        k, c = sine_cosine(0.5 * angle)
+        k = k / angle
+    a, b, d = k * t_x, k * t_y, k * t_z
+    w, q_x, q_y, q_z = x[SX_ATT], x[SX_ATT + 1], x[SX_ATT + 2], x[SX_ATT + 3]
+    s = 1.0 if own else -1.0
+    n_w = w * c - q_x * a - q_y * b - q_z * d
+    n_x = q_x * c + w * a + s * (q_y * d - q_z * b)
+    n_y = q_y * c + w * b + s * (q_z * a - q_x * d)
+    n_z = q_z * c + w * d + s * (q_x * b - q_y * a)
+    size = 1.0 / math.sqrt(n_w * n_w + n_x * n_x + n_y * n_y + n_z * n_z)
+    x[SX_ATT], x[SX_ATT + 1], x[SX_ATT + 2], x[SX_ATT + 3] = n_w * size, n_x * size, n_y * size, n_z * size
+
+
+@compiled(error_model="numpy")
+def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None:
+    """Predict the state ``x`` over ``dt`` (s) with a row of inputs ``e``.
+
+    ``r`` (9,) returns the attitude in the middle of the step, ``a`` (6,) the acceleration without gravity in N-E-D
+    and the model's force per mass in body axes."""
+    t_x, t_y, t_z = (
+        dt * (e[IN_RATES] - x[SX_GYRO_BIAS]),
+        dt * (e[IN_RATES + 1] - x[SX_GYRO_BIAS + 1]),
+        dt * (e[IN_RATES + 2] - x[SX_GYRO_BIAS + 2]),
+    )
+    rotate_attitude(x, 0.5 * t_x, 0.5 * t_y, 0.5 * t_z, True)
+    rotation_matrix(x[SX_ATT : SX_ATT + 4], r)
+    rotate_attitude(x, 0.5 * t_x, 0.5 * t_y, 0.5 * t_z, True)
+    n, o, d = x[SX_VEL] - x[SX_WIND], x[SX_VEL + 1] - x[SX_WIND + 1], x[SX_VEL + 2]
+    for k in range(3):
+        along = r[k] * n + r[3 + k] * o + r[6 + k] * d
+        made = x[SX_THRUST_SCALE] * e[IN_STATIC + k] + e[IN_REST + k] + e[IN_SLOPE + k] * along
+        share = e[IN_SHARE + k]
+        a[3 + k] = made
+        r_f = share * (e[IN_ACCEL + k] - x[SX_ACCEL_BIAS + k]) + (1 - share) * made
+        if k == 0:
+            f_x = r_f
+        elif k == 1:
+            f_y = r_f
+        else:
+            f_z = r_f
+    for k in range(3):
+        a[k] = r[3 * k] * f_x + r[3 * k + 1] * f_y + r[3 * k + 2] * f_z
+        gain = a[k] + (GRAVITY if k == 2 else 0.0)
+        x[k] += dt * (x[SX_VEL + k] + 0.5 * dt * gain)
+        x[SX_VEL + k] += dt * gain
+
+
+@compiled(error_model="numpy")
+def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Array) -> None:
+    """Write how position, velocity and attitude depend on errors after a step.
+
+    With the turn t about N, E, D, in its middle less what the gyroscopes' bias does to it, and u = R^T (v - wind):
+
+        dv' = t x a - R W db_a + R (1 - W) (f_0 dk + J R^T (dv - dw)),     dt' = -R db_w,     dp' = dv
+
+    What attitude does to the drag through R^T is left out: it is J |u| / g of what it does to gravity, some percent.
+    On its legs the floor pushes, straight up however it is tilted: a = (0, 0, -g), which no error of the attitude
+    turns, so t x a is none. (With it "it does not move" would tell of the tilt, which the floor alone knows.)
+
+    Parameters
+    ----------
+    e : (21,) array
+        Inputs, mean over the step.
+    span : float
+        Of the step (s).
+    r : (9,) array
+        Attitude in its middle, as a matrix.
+    push : (3,) array
+        Acceleration but for gravity, mean over the step, N-E-D (m/s^2).
+    out : (33,) array
+        By rows, over the step: what the gyroscopes' bias does to the attitude (9), the accelerometers' bias (9),
+        velocity through the air (9), the thrust's scale (3) to the velocity, and what turns do (3);
+        :func:`mufly.estimate.ud_filter.propagate_column` takes them.
+    """
+    for i in range(3):
+        k_ = 0.0
+        for j in range(3):
+            own = span * r[3 * i + j]
+            out[3 * i + j] = own
+            out[TR_ACCEL + 3 * i + j] = -own * e[IN_SHARE + j]
+            k_ += own * ((1 - e[IN_SHARE + j]) * e[IN_STATIC + j])
+        out[TR_THRUST + i] = k_
+        out[TR_TURN + i] = 0.0 if e[IN_PHASE] <= RUNNING else span * push[i]
+    for i in range(3):
+        for j in range(i, 3):
+            s = 0.0
+            for k in range(3):
+                s += out[3 * i + k] * ((1 - e[IN_SHARE + k]) * e[IN_SLOPE + k]) * r[3 * j + k]
+            out[TR_AIR + 3 * i + j] = s
+            out[TR_AIR + 3 * j + i] = s
+
+
+@compiled(error_model="numpy", inline="never")
+def _model_derivative(
+    x: _Array,
+    u: _Array,
+    still: _Array,
+    p: Any,
+    sin_a: float,
+    cos_a: float,
+    sin_b: float,
+    cos_b: float,
+    dx: _Array,
+) -> None:
+    derivative_tilted(x, u, still, p, sin_a, cos_a, sin_b, cos_b, False, dx)
+
+
+@compiled(error_model="numpy")
+def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: Any, air: _Array, out: _Array) -> None:
+    """Carry what the rotors remember on by a period, and write the force that they and the air make.
+
+    Parameters
+    ----------
+    m : record
+        Memory; ``m.rotor_state`` is the flight model's state in body axes: rates, swash plate, bar, rotor speeds,
+        charge.
+    s, p : records
+        Settings; parameters of the flight model.
+    air : (3,) array
+        Velocity through the air, body axes (m/s).
+    out : (12,) array
+        Per mass: force without motion, rest, slope (m/s^2, m/s^2, 1/s); and angular acceleration (rad/s^2).
+    """
+    x, dx, u, dt = m.rotor_state, m.derivative_work, m.actuators, s.dt
+    # The swash plate settles within the period: its mean counts.
+    settled, mean = s.swash_settled, s.swash_mean
+    to_roll = p.swash_gain * _clip(u[3], -1.0, 1.0)
+    to_pitch = -p.swash_gain * _clip(u[2], -1.0, 1.0)
+    roll, pitch = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
+    x[RS_SWASH_ROLL] = to_roll + (roll - to_roll) * mean
+    x[RS_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * mean
+    x[RS_VEL] = x[RS_VEL + 1] = x[RS_VEL + 2] = 0.0
+    sin_a, cos_a = sine_cosine(x[RS_SWASH_ROLL])
+    sin_b, cos_b = sine_cosine(x[RS_SWASH_PITCH])
+    _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    up, dw = dx[RS_SPEED_UPPER], dx[RS_SPEED_LOWER]
+    x[RS_SPEED_UPPER] += 0.5 * dt * up
+    x[RS_SPEED_LOWER] += 0.5 * dt * dw
+    b_x, b_y, b_z = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
+    # The bar in axes that turn: less the turning of the fuselage.
+    s_x = b_x + dt * (dx[RS_BAR] - (x[RS_RATES + 1] * b_z - x[RS_RATES + 2] * b_y))
+    s_y = b_y + dt * (dx[RS_BAR + 1] - (x[RS_RATES + 2] * b_x - x[RS_RATES] * b_z))
+    s_z = b_z + dt * (dx[RS_BAR + 2] - (x[RS_RATES] * b_y - x[RS_RATES + 1] * b_x))
+    size = 1.0 / math.sqrt(s_x * s_x + s_y * s_y + s_z * s_z)
+    x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2] = 0.5 * (b_x + s_x), 0.5 * (b_y + s_y), 0.5 * (b_z + s_z)
+    _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    f_x, f_y, f_z = dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] - GRAVITY
+    out[RF_STATIC], out[RF_STATIC + 1], out[RF_STATIC + 2] = f_x, f_y, f_z
+    for k in range(3):
+        x[RS_VEL + k] = air[k]
+    _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    for k in range(3):
+        out[RF_ANG_ACCEL + k] = dx[RS_RATES + k]
+    d_x, d_y, d_z = dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] - GRAVITY
+    for k in range(3):
+        x[RS_VEL + k] = air[k] + _SLOPE_STEP
+    _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
+    out[RF_SLOPE] = min((dx[RS_VEL] - d_x) / _SLOPE_STEP, 0.0)
+    out[RF_SLOPE + 1] = min((dx[RS_VEL + 1] - d_y) / _SLOPE_STEP, 0.0)
+    out[RF_SLOPE + 2] = min((dx[RS_VEL + 2] - GRAVITY - d_z) / _SLOPE_STEP, 0.0)
+    out[RF_REST] = d_x - f_x - out[RF_SLOPE] * air[0]
+    out[RF_REST + 1] = d_y - f_y - out[RF_SLOPE + 1] * air[1]
+    out[RF_REST + 2] = d_z - f_z - out[RF_SLOPE + 2] * air[2]
+    x[RS_SWASH_ROLL] = to_roll + (roll - to_roll) * settled
+    x[RS_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * settled
+    x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2] = s_x * size, s_y * size, s_z * size
+    x[RS_SPEED_UPPER] = max(x[RS_SPEED_UPPER] + 0.5 * dt * up, 0.0)
+    x[RS_SPEED_LOWER] = max(x[RS_SPEED_LOWER] + 0.5 * dt * dw, 0.0)
+    x[RS_CHARGE] = min(max(x[RS_CHARGE] + dt * dx[RS_CHARGE], 0.0), 1.0)
+
+
+@compiled(error_model="numpy")
+def predict_terminal_voltage(m: FilterMemory, p: Any) -> float:
+    """Return the terminal voltage (V) of the battery's model at the estimated charge and speeds."""
+    return battery_state(m.rotor_state, m.actuators[0], m.actuators[1], p)[0]

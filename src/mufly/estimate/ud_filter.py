@@ -1,0 +1,274 @@
+"""A covariance that stays one, in single precision too: P = U D U^T, U unit upper triangular, D diagonal.
+
+Only U and D are kept, and no step subtracts a covariance from another, so P cannot lose its symmetry or become
+negative by rounding, which a plain Kalman filter in 32 bits does. No square root is taken.
+
+Measurement of one number, z = h x + n, variance r of n (Bierman 1977, Factorization Methods for Discrete Sequential
+Estimation, ch. V): with f = U^T h, v = D f, and a_0 = r, for j = 1..n
+
+    a_j = a_(j-1) + f_j v_j         d_j' = d_j a_(j-1) / a_j        U'_ij = U_ij - f_j / a_(j-1) K_i,    K_i += U_ij v_j
+
+starting from K_j = v_j; the gain is K / a_n, and a_n = h P h^T + r.
+
+Step in time. What moves (position, velocity, attitude: the first :data:`MOVING` states) is pushed by biases that carry
+on by themselves, so the factors are stepped in two parts (Bierman 1977, ch. VII): the moving states with the biases
+held (:func:`ud_time_update`), and one bias after the other as x' = keep x + w (:func:`gauss_markov_update`). Rows of
+biases stay as they are in the first, so U stays triangular but for the three columns of the velocity, which drag
+turns into each other: they are made orthogonal from the last to the first (Thornton 1976, modified weighted
+Gram-Schmidt). Noise is added as P + c v v^T, factor by factor (Agee and Turner 1972).
+
+U is held by columns: ``ut[j, i] = U_ij``, so that inner loops run over neighbours; ones on its diagonal and zeros
+behind it are there to be read.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.compiled import compiled
+from mufly.estimate.layout import (
+    EX_ACCEL_BIAS,
+    EX_ATT,
+    EX_GYRO_BIAS,
+    EX_POS,
+    EX_THRUST_SCALE,
+    EX_VEL,
+    EX_WIND,
+    TR_ACCEL,
+    TR_AIR,
+    TR_GYRO,
+    TR_THRUST,
+    TR_TURN,
+)
+
+_Array = NDArray[np.float64]
+
+MOVING = 9
+_TINY = 1e-20
+
+
+@compiled(error_model="numpy")
+def innovation_variance(
+    ut: _Array, d: _Array, at: NDArray[np.int32], h: _Array, terms: int, f: _Array
+) -> float:
+    """Write f = U^T h and return h P h^T; ``h[t]`` belongs to state ``at[t]``, and there are ``terms`` of them."""
+    spread = 0.0
+    for j in range(d.shape[0]):
+        s = 0.0
+        for t in range(terms):
+            s += h[t] * ut[j, at[t]]
+        f[j] = s
+        spread += d[j] * s * s
+    return spread
+
+
+@compiled(error_model="numpy")
+def ud_measurement_update(ut: _Array, d: _Array, f: _Array, r: float, gain: _Array) -> None:
+    """Update U and D by a measurement of variance ``r``, with ``f`` of :func:`innovation_variance`; write its gain."""
+    n = d.shape[0]
+    a = r
+    for j in range(n):
+        v = d[j] * f[j]
+        before = a
+        a = before + f[j] * v
+        d[j] *= before / a
+        step = -f[j] / before
+        gain[j] = v
+        for i in range(j):
+            u = ut[j, i]
+            ut[j, i] = u + step * gain[i]
+            gain[i] += u * v
+    for j in range(n):
+        gain[j] /= a
+
+
+@compiled(error_model="numpy")
+def _rank_one_update(ut: _Array, d: _Array, last: int, c: float, v: _Array) -> None:
+    """Add c v v^T to P, ``v`` zero behind ``last`` (Agee and Turner 1972); ``v`` is overwritten."""
+    for k in range(last, -1, -1):
+        old = d[k]
+        new = old + c * v[k] * v[k]
+        if new <= _TINY:
+            continue
+        b = c * v[k] / new
+        for i in range(k):
+            v[i] -= v[k] * ut[k, i]
+            ut[k, i] += b * v[i]
+        c *= old / new
+        d[k] = new
+
+
+@compiled(error_model="numpy")
+def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
+    """Write the first nine errors of column ``u`` (n,) after a step; ``out`` may be ``u``."""
+    g_x, g_y, g_z = u[EX_GYRO_BIAS], u[EX_GYRO_BIAS + 1], u[EX_GYRO_BIAS + 2]
+    r_x = a[TR_GYRO] * g_x + a[TR_GYRO + 1] * g_y + a[TR_GYRO + 2] * g_z
+    r_y = a[TR_GYRO + 3] * g_x + a[TR_GYRO + 4] * g_y + a[TR_GYRO + 5] * g_z
+    r_z = a[TR_GYRO + 6] * g_x + a[TR_GYRO + 7] * g_y + a[TR_GYRO + 8] * g_z
+    t_x, t_y, t_z = u[EX_ATT] - 0.5 * r_x, u[EX_ATT + 1] - 0.5 * r_y, u[EX_ATT + 2] - 0.5 * r_z
+    b_x, b_y, b_z = u[EX_ACCEL_BIAS], u[EX_ACCEL_BIAS + 1], u[EX_ACCEL_BIAS + 2]
+    n, e, o = u[EX_VEL] - u[EX_WIND], u[EX_VEL + 1] - u[EX_WIND + 1], u[EX_VEL + 2]
+    k = u[EX_THRUST_SCALE]
+    x = (
+        a[TR_ACCEL] * b_x
+        + a[TR_ACCEL + 1] * b_y
+        + a[TR_ACCEL + 2] * b_z
+        + a[TR_AIR] * n
+        + a[TR_AIR + 1] * e
+        + a[TR_AIR + 2] * o
+        + a[TR_THRUST] * k
+    )
+    y = (
+        a[TR_ACCEL + 3] * b_x
+        + a[TR_ACCEL + 4] * b_y
+        + a[TR_ACCEL + 5] * b_z
+        + a[TR_AIR + 3] * n
+        + a[TR_AIR + 4] * e
+        + a[TR_AIR + 5] * o
+        + a[TR_THRUST + 1] * k
+    )
+    z = (
+        a[TR_ACCEL + 6] * b_x
+        + a[TR_ACCEL + 7] * b_y
+        + a[TR_ACCEL + 8] * b_z
+        + a[TR_AIR + 6] * n
+        + a[TR_AIR + 7] * e
+        + a[TR_AIR + 8] * o
+        + a[TR_THRUST + 2] * k
+    )
+    x += a[TR_TURN + 2] * t_y - a[TR_TURN + 1] * t_z
+    y += a[TR_TURN] * t_z - a[TR_TURN + 2] * t_x
+    z += a[TR_TURN + 1] * t_x - a[TR_TURN] * t_y
+    out[EX_POS] = u[EX_POS] + span * (u[EX_VEL] + 0.5 * x)
+    out[EX_POS + 1] = u[EX_POS + 1] + span * (u[EX_VEL + 1] + 0.5 * y)
+    out[EX_POS + 2] = u[EX_POS + 2] + span * (u[EX_VEL + 2] + 0.5 * z)
+    out[EX_VEL] = u[EX_VEL] + x
+    out[EX_VEL + 1] = u[EX_VEL + 1] + y
+    out[EX_VEL + 2] = u[EX_VEL + 2] + z
+    out[EX_ATT] = u[EX_ATT] - r_x
+    out[EX_ATT + 1] = u[EX_ATT + 1] - r_y
+    out[EX_ATT + 2] = u[EX_ATT + 2] - r_z
+
+
+@compiled(error_model="numpy")
+def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
+    """Do the same as :func:`propagate_column`, in place, for a column without biases."""
+    n, e, o = u[EX_VEL], u[EX_VEL + 1], u[EX_VEL + 2]
+    x = a[TR_AIR] * n + a[TR_AIR + 1] * e + a[TR_AIR + 2] * o
+    y = a[TR_AIR + 3] * n + a[TR_AIR + 4] * e + a[TR_AIR + 5] * o
+    z = a[TR_AIR + 6] * n + a[TR_AIR + 7] * e + a[TR_AIR + 8] * o
+    x += a[TR_TURN + 2] * u[EX_ATT + 1] - a[TR_TURN + 1] * u[EX_ATT + 2]
+    y += a[TR_TURN] * u[EX_ATT + 2] - a[TR_TURN + 2] * u[EX_ATT]
+    z += a[TR_TURN + 1] * u[EX_ATT] - a[TR_TURN] * u[EX_ATT + 1]
+    u[EX_POS] += span * (n + 0.5 * x)
+    u[EX_POS + 1] += span * (e + 0.5 * y)
+    u[EX_POS + 2] += span * (o + 0.5 * z)
+    u[EX_VEL] = n + x
+    u[EX_VEL + 1] = e + y
+    u[EX_VEL + 2] = o + z
+
+
+@compiled(error_model="numpy")
+def ud_time_update(
+    ut: _Array, d: _Array, span: float, transition: _Array, q: _Array, w: _Array, v: _Array
+) -> None:
+    """Step the moving states in time.
+
+    Parameters
+    ----------
+    ut, d : (n, n), (n,) arrays
+        Replaced.
+    span : float
+        Of the step (s).
+    transition : (33,) array
+        Of :func:`mufly.estimate.strapdown.error_transition`.
+    q : (9,) array
+        Variance of the noise of each moving state; that of a velocity also moves its position, by half the span.
+    w, v : (3, 6), (n,) arrays
+        Work space.
+    """
+    for k in range(3, MOVING):
+        _propagate_moving_column(ut[k], span, transition)
+    for k in range(MOVING, d.shape[0]):
+        propagate_column(ut[k], span, transition, ut[k])
+    for k in range(3):
+        for i in range(6):
+            w[k, i] = ut[3 + k, i]
+    for j in range(5, 2, -1):
+        total = 0.0
+        for k in range(3):
+            total += d[3 + k] * w[k, j] * w[k, j]
+        size = total if total > _TINY else _TINY
+        v[j] = size
+        for i in range(j):
+            s = 0.0
+            for k in range(3):
+                s += d[3 + k] * w[k, j] * w[k, i]
+            s /= size
+            ut[j, i] = s
+            for k in range(3):
+                w[k, i] -= w[k, j] * s
+        ut[j, j] = 1.0
+        for i in range(j + 1, 6):
+            ut[j, i] = 0.0
+    for j in range(3, 6):
+        d[j] = v[j]
+    for j in range(MOVING):
+        for i in range(j):
+            v[i] = 0.0
+        v[j] = 1.0
+        if 3 <= j < 6:
+            v[j - 3] = 0.5 * span
+        _rank_one_update(ut, d, j, q[j], v)
+
+
+@compiled(error_model="numpy")
+def gauss_markov_update(ut: _Array, d: _Array, j: int, keep: float, q: float, v: _Array) -> None:
+    """Predict one bias, x' = keep x + w, with variance ``q`` of w; ``v`` (n,) is work space."""
+    for k in range(j + 1, d.shape[0]):
+        ut[k, j] *= keep
+    old = d[j]
+    new = keep * keep * old + q
+    d[j] = new
+    by = keep * old / new
+    for i in range(j):
+        v[i] = ut[j, i]
+        ut[j, i] = by * v[i]
+    _rank_one_update(ut, d, j - 1, old * q / new, v)
+
+
+@compiled(error_model="numpy")
+def inflate_variance(ut: _Array, d: _Array, j: int, variance: float, v: _Array) -> None:
+    """Add a variance to state ``j``; ``v`` (n,) is work space."""
+    for i in range(j):
+        v[i] = 0.0
+    v[j] = 1.0
+    _rank_one_update(ut, d, j, variance, v)
+
+
+@compiled(error_model="numpy")
+def state_variance(ut: _Array, d: _Array, i: int) -> float:
+    """Return the variance of state ``i``."""
+    s = d[i]
+    for k in range(i + 1, d.shape[0]):
+        s += d[k] * ut[k, i] * ut[k, i]
+    return s
+
+
+def ud_factorise(covariance: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Return ``ut`` and ``d`` of a positive definite covariance (n, n)."""
+    p = np.array(covariance, dtype=np.float64)
+    n = len(p)
+    ut, d = np.eye(n), np.zeros(n)
+    for j in range(n - 1, -1, -1):
+        d[j] = p[j, j]
+        ut[j, :j] = p[:j, j] / d[j]
+        p[:j, :j] -= d[j] * np.outer(ut[j, :j], ut[j, :j])
+    return ut, d
+
+
+def ud_covariance(ut: NDArray[np.floating], d: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return P = U D U^T."""
+    u = np.eye(len(d)) + np.tril(ut, -1).T
+    return (u * d) @ u.T

@@ -1,0 +1,666 @@
+#include "fusion.h"
+
+#include "ud_filter.h"
+#include "sensor_checks.h"
+#include "strapdown.h"
+
+/* Begin the row H of a measurement with h times error state i. */
+static void h_row_begin(estimator_t *m, int32_t state, real_t h)
+{
+    m->h_terms = 1;
+    m->h_state[0] = state;
+    m->h[0] = h;
+}
+
+/* Add h times error state i to the row H. */
+static void h_row_add(estimator_t *m, int32_t state, real_t h)
+{
+    m->h_state[m->h_terms] = state;
+    m->h[m->h_terms] = h;
+    m->h_terms += 1;
+}
+
+/* Move a state by errors that it had a span (s) ago, since when `push` has changed its velocity, but for gravity. */
+static void shift_state(real_t x[STATES], const real_t by[ERRORS], real_t span, const real_t push[3])
+{
+    real_t v[3] = {by[EX_VEL], by[EX_VEL + 1], by[EX_VEL + 2]};
+
+    if (span > REAL(0.0)) {
+        v[0] += (by[EX_ATT + 1] * push[2]) - (by[EX_ATT + 2] * push[1]);
+        v[1] += (by[EX_ATT + 2] * push[0]) - (by[EX_ATT] * push[2]);
+        v[2] += (by[EX_ATT] * push[1]) - (by[EX_ATT + 1] * push[0]);
+    }
+    for (int32_t i = 0; i < 3; i++) {
+        x[i] += by[i] + ((REAL(0.5) * span) * (by[EX_VEL + i] + v[i]));
+        x[SX_VEL + i] += v[i];
+    }
+    rotate_attitude(x, by[EX_ATT], by[EX_ATT + 1], by[EX_ATT + 2], false);
+    for (int32_t i = EX_GYRO_BIAS; i < ERRORS; i++) {
+        x[i + 1] += by[i];
+    }
+}
+
+/* Fuse a scalar measurement whose m->f is known; correct the horizon's state and those propagated from it. */
+static void apply_correction(estimator_t *m, real_t innovation, real_t variance)
+{
+    ud_measurement_update(m, variance);
+    for (int32_t i = 0; i < ERRORS; i++) {
+        m->gain[i] *= innovation;
+    }
+    shift_state(m->x, m->gain, REAL(0.0), m->repropagating_gain);
+    shift_state(m->x_repropagating, m->gain, m->repropagating_span, m->repropagating_gain);
+    shift_state(m->x_now, m->gain, m->delay_span, m->now_gain);
+}
+
+/* Fuse a scalar measurement of variance r without a gate; its row is in m->h. */
+static void fuse_scalar(estimator_t *m, real_t innovation, real_t variance)
+{
+    (void)innovation_variance(m);
+    apply_correction(m, innovation, variance);
+}
+
+/* Return the innovation over its standard deviation. */
+static real_t innovation_ratio(estimator_t *m, real_t innovation, real_t variance)
+{
+    return innovation / real_sqrt(innovation_variance(m) + variance);
+}
+
+/* Record innovation and standard deviation of a sensor. */
+static void log_innovation(estimator_t *m, int32_t k, real_t innovation, real_t ratio)
+{
+    m->innovation[k] = innovation;
+    m->innovation_sigma[k] = (ratio != REAL(0.0)) ? real_abs(innovation / ratio) : REAL(0.0);
+}
+
+/* Reject a reading, and count in m->agree_count whether it agrees with the one rejected before. */
+static void reject_measurement(estimator_t *m, const estimator_settings_t *s, int32_t k, real_t innovation, const real_t *z,
+                      int32_t count, real_t near)
+{
+    bool alike = m->reject_count[k] > 0;
+
+    for (int32_t j = 0; j < count; j++) {
+        alike = alike && (real_abs(z[j] - m->rejected_value[k][j]) < near);
+        m->rejected_value[k][j] = z[j];
+    }
+    if (alike) {
+        m->agree_count[k] += 1;
+    } else {
+        m->agree_count[k] = 0;
+        m->reject_since_tick[k] = m->horizon;
+    }
+    if ((k != R_SONAR) && (real_abs(innovation) > ((REAL(2.0) * GATE) * m->innovation_sigma[k]))) {
+        m->reject_score[k] += REAL(1.0); /* by so much nothing healthy is off, but for a sonar that hears a second surface */
+    }
+    mark_rejected(m, s, k, OFF, innovation);
+}
+
+/* Return whether rejected readings have agreed with each other for AGREE_S. */
+static bool reset_timeout_expired(const estimator_t *m, const estimator_settings_t *s, int32_t k)
+{
+    return (m->agree_count[k] >= 3) && (((real_t)(m->horizon - m->reject_since_tick[k]) * s->dt) >= AGREE_S);
+}
+
+/* Write the row H of component i of the fix. */
+static void fix_h_row(estimator_t *m, int32_t i)
+{
+    if (i < 3) {
+        h_row_begin(m, EX_POS + i, REAL(1.0));
+        h_row_add(m, EX_FIX_BIAS + i, REAL(1.0));
+    } else {
+        h_row_begin(m, EX_ATT + 2, REAL(1.0));
+        h_row_add(m, EX_FIX_HEADING, REAL(1.0));
+    }
+}
+
+/* Return the innovation of component i of the fix. */
+static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i, real_t ahead)
+{
+    const real_t *x = m->x;
+    real_t off;
+
+    if (i < 3) {
+        off = ((z[i] - x[i]) - (ahead * x[SX_VEL + i])) - x[SX_FIX_BIAS + i];
+    } else {
+        const real_t yaw = real_atan2(REAL(2.0) * ((x[SX_ATT] * x[SX_ATT + 3]) + (x[SX_ATT + 1] * x[SX_ATT + 2])),
+                                       REAL(1.0) - (REAL(2.0) * ((x[SX_ATT + 2] * x[SX_ATT + 2]) + (x[SX_ATT + 3] * x[SX_ATT + 3]))));
+
+        off = real_wrapped(((z[3] - yaw) - (ahead * m->yaw_rate)) - x[SX_FIX_HEADING]);
+    }
+    return off;
+}
+
+/* Return the variance of component i of the fix. */
+static real_t fix_variance(const estimator_settings_t *s, int32_t i)
+{
+    return (i < 3) ? s->fix_variance : s->heading_variance;
+}
+
+real_t height_above_ground(const real_t x[STATES], const estimator_settings_t *s)
+{
+    return (-x[SX_POS + 2] - real_max(x[SX_TERRAIN], REAL(0.0))) - s->ground_clearance;
+}
+
+/* Return the estimated bias of component i of the fix over the largest that its model allows. */
+static real_t fix_bias_ratio(const estimator_t *m, const estimator_settings_t *s, int32_t i)
+{
+    const real_t sigma = s->sigma[EX_FIX_BIAS + i];
+
+    return real_abs(m->x[SX_FIX_BIAS + i]) / (RANGE * real_sqrt((sigma * sigma) + fix_variance(s, i)));
+}
+
+/* Return whether the sonar measures the height, over a known floor. */
+static bool sonar_height_valid(const estimator_t *m, const estimator_settings_t *s)
+{
+    const int32_t k = R_SONAR;
+    const bool fresh = (m->last_fused_tick[k] > 0) && (((real_t)(m->tick - m->last_fused_tick[k]) * s->dt) < REAL(0.3));
+
+    return fresh && (m->status[k] == FUSED) && (m->reason[k] == FINE) && !(m->terrain_edge > REAL(0.0));
+}
+
+/* Return whether fix and sonar agree on the height; if not, write the gap to m->fix_height_gap. */
+static bool fix_height_consistent(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t ratio)
+{
+    const int32_t k = R_FIX;
+    const real_t apart = real_abs(nu + m->x[SX_FIX_BIAS + 2]);
+    const real_t off = real_abs(ratio);
+
+    if (m->fix_height_gap > REAL(0.0)) {
+        const bool blind = ((real_t)(m->tick - m->last_fused_tick[R_SONAR]) * s->dt) > REAL(0.3);
+
+        m->fix_height_gap = (blind || (off < REAL(2.5))) ? REAL(0.0) : apart;
+    } else if (sonar_height_valid(m, s) &&
+               ((fix_bias_ratio(m, s, 2) > REAL(1.0)) || ((off > GATE) && reset_timeout_expired(m, s, k)))) {
+        m->fix_height_gap = apart;
+    } else {
+        /* they agree */
+    }
+    return !(m->fix_height_gap != REAL(0.0));
+}
+
+/* Reset the position to the fix; where other sensors hold it, reset the bias of the fix instead. */
+static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
+{
+    const bool height_held = m->status[R_SONAR] == FUSED;
+    const bool place_held = m->status[R_RING] == FUSED;
+    real_t nu;
+
+    for (int32_t i = 0; i < 3; i++) {
+        nu = fix_innovation(m, z, i, ahead);
+        if ((i == 2) ? height_held : place_held) {
+            inflate_variance(m, EX_FIX_BIAS + i, nu * nu);
+        } else {
+            inflate_variance(m, EX_POS + i, nu * nu);
+            inflate_variance(m, EX_VEL + i, REAL(0.01) + ((REAL(0.1) * nu) * nu));
+        }
+    }
+    nu = fix_innovation(m, z, 3, ahead);
+    inflate_variance(m, EX_ATT + 2, nu * nu);
+}
+
+void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
+{
+    const int32_t k = R_FIX;
+    bool down = true;
+    real_t worst = REAL(0.0);
+    real_t at = REAL(0.0);
+    real_t out;
+    bool led;
+
+    for (int32_t i = 0; i < 4; i++) {
+        real_t nu;
+        real_t ratio;
+
+        fix_h_row(m, i);
+        nu = fix_innovation(m, z, i, ahead);
+        ratio = innovation_ratio(m, nu, fix_variance(s, i));
+        if (i == 2) {
+            down = fix_height_consistent(m, s, nu, ratio);
+        }
+        if (((i != 2) || down) && (real_abs(ratio) > real_abs(worst))) {
+            worst = ratio;
+            at = nu;
+        }
+    }
+    log_innovation(m, k, at, worst);
+    /* Off by more and more, it is not a fix that jumps: the filter is led away. */
+    led = (s->has_rotor_model > 0) && (m->fix_ratio_lp > LED_AWAY) && (real_abs(worst) > GATE) &&
+          (real_abs(worst) < (REAL(2.0) * GATE));
+    if ((real_abs(worst) > GATE) && !led) {
+        reject_measurement(m, s, k, at, z, 3,
+                  ((REAL(2.0) * s->period[k]) + (REAL(8.0) * real_sqrt(s->fix_variance))) + REAL(0.05));
+        if (!reset_timeout_expired(m, s, k)) {
+            return;
+        }
+        reset_to_fix(m, z, ahead);
+        set_fault(m, s, k, REJECTED, TAKEN_OVER, at);
+    }
+    /* Off by much again and again: something carries the filter astray that it does not know. */
+    m->fix_ratio_lp += REAL(0.15) * ((worst * worst) - m->fix_ratio_lp);
+    out = real_max(real_max(fix_bias_ratio(m, s, 0), fix_bias_ratio(m, s, 1)), fix_bias_ratio(m, s, 3));
+    if (led || (m->fix_ratio_lp > STRAIN) || (out > REAL(1.0))) {
+        reset_on_divergence(m, s);
+        set_fault(m, s, k, FUSED, STRAINED, at);
+    }
+    for (int32_t i = 0; i < 4; i++) {
+        if ((i != 2) || down) {
+            fix_h_row(m, i);
+            fuse_scalar(m, fix_innovation(m, z, i, ahead), fix_variance(s, i));
+        }
+    }
+    for (int32_t i = 0; i < 3; i++) {
+        const real_t most = (GYRO_RANGE * s->sigma[EX_GYRO_BIAS + i]) + (REAL(2.0) * m->sigma_output[EX_GYRO_BIAS + i]);
+
+        if ((real_abs(m->x[SX_GYRO_BIAS + i]) > most) && (m->status[R_RATES] == FUSED)) {
+            set_fault(m, s, R_RATES, REJECTED, WANDERS, m->x[SX_GYRO_BIAS + i]);
+        }
+    }
+    mark_fused(m, k);
+    if (!down) {
+        set_fault(m, s, k, FAULTY, AWAY, m->fix_height_gap);
+    }
+    m->heading_aligned = 1;
+}
+
+/* Write the row H of the sonar; return the sonar's place below the centre of gravity (m). */
+static real_t sonar_h_row(estimator_t *m, const estimator_settings_t *s, real_t r[9])
+{
+    const real_t *at = s->sonar_place;
+    real_t n;
+    real_t e;
+
+    rotation_matrix(&m->x[SX_ATT], r);
+    h_row_begin(m, EX_POS + 2, REAL(-1.0));
+    h_row_add(m, EX_TERRAIN, REAL(-1.0));
+    /* (exp(t) R r)_D = (R r)_D + t_N (R r)_E - t_E (R r)_N */
+    n = ((r[0] * at[0]) + (r[1] * at[1])) + (r[2] * at[2]);
+    e = ((r[3] * at[0]) + (r[4] * at[1])) + (r[5] * at[2]);
+    h_row_add(m, EX_ATT, -e);
+    h_row_add(m, EX_ATT + 1, n);
+    return ((r[6] * at[0]) + (r[7] * at[1])) + (r[8] * at[2]);
+}
+
+/* Reset the height after innovations nu of the sonar. */
+static void reset_height(estimator_t *m, const estimator_settings_t *s, real_t nu)
+{
+    const int32_t before = m->height_reset_tick;
+
+    inflate_variance(m, EX_POS + 2, nu * nu); /* the foot of a wall in the cone may have been taken for the floor */
+    m->height_reset_tick = m->horizon;
+    if (!((before > 0) && (((real_t)(m->horizon - before) * s->dt) < LED_S))) {
+        return;
+    }
+    inflate_variance(m, EX_VEL + 2, LED_SPEED * LED_SPEED);
+    inflate_variance(m, EX_ACCEL_BIAS + 2, LED_FORCE * LED_FORCE);
+    inflate_variance(m, EX_THRUST_SCALE, LED_THRUST * LED_THRUST);
+}
+
+/* Decide whether terrain or height is wrong after rejected ranges; return whether the range may be fused. */
+static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t nu)
+{
+    const int32_t k = R_SONAR;
+    bool taken = true;
+    real_t floor_height;
+    bool step;
+
+    reject_measurement(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->period[k]));
+    floor_height = m->x[SX_TERRAIN] - nu;
+    step = (m->agree_count[k] >= 2) && (floor_height > LEAST_FLOOR);
+    if (step && (m->terrain_steps >= MOST_STEPS)) {
+        /* Step after step: it is not the floor that goes, it is the height. */
+        inflate_variance(m, EX_POS + 2, nu * nu);
+        inflate_variance(m, EX_VEL + 2, REAL(0.1));
+        inflate_variance(m, EX_THRUST_SCALE, REAL(0.01));
+        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu);
+    } else if (step && (nu > REAL(0.0))) {
+        reset_height(m, s, nu); /* lower than the floor nothing lies; over an edge it was the surface that jumped */
+        set_fault(m, s, k, FUSED, SLOPE, nu);
+    } else if (step) {
+        inflate_variance(m, EX_TERRAIN, nu * nu);
+        m->reject_score[k] = REAL(0.0);
+        set_fault(m, s, k, FUSED, STEP, floor_height);
+        m->terrain_edge = REAL(1.0);
+    } else if (reset_timeout_expired(m, s, k)) {
+        if ((((real_t)(m->tick - m->last_fused_tick[R_FIX]) * s->dt) < AGREE_S) && (m->last_fused_tick[R_FIX] > 0)) {
+            inflate_variance(m, EX_TERRAIN, nu * nu); /* the fix holds the height */
+        } else {
+            inflate_variance(m, EX_POS + 2, nu * nu);
+            inflate_variance(m, EX_VEL + 2, REAL(0.1) + (nu * nu));
+        }
+        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu);
+    } else {
+        if (m->agree_count[k] >= 2) {
+            set_fault(m, s, k, REJECTED, OFF, nu); /* below the room's floor, and not by chance */
+        }
+        taken = false;
+    }
+    return taken;
+}
+
+/* Whether the sonar repeats itself for longer than its noise and the vehicle's moving allow. */
+static bool sonar_stuck(estimator_t *m, const estimator_settings_t *s, real_t z, real_t nu)
+{
+    const bool same = (z <= m->sonar_prev) && (z >= m->sonar_prev);
+
+    m->sonar_prev = z;
+    if ((!same) || (height_above_ground(m->x, s) < CLEAR)) {
+        m->sonar_repeat_chance = REAL(1.0);
+    } else {
+        /* A height that is hardly known has no part in it: it may be better than believed. */
+        const real_t sigma = REAL(1.3) * real_sqrt(s->sonar_variance);
+        const real_t likely = ((REAL(0.399) * s->sonar_step) / sigma) /
+                              (REAL(1.0) + (REAL(0.5) * real_min((nu * nu) / (sigma * sigma), REAL(9.0))));
+
+        m->sonar_repeat_chance *= real_min(likely, REAL(1.0));
+    }
+    return (m->sonar_repeat_chance < STUCK) && same;
+}
+
+void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
+{
+    const int32_t k = R_SONAR;
+    real_t r[9];
+    const real_t down = sonar_h_row(m, s, r);
+    const real_t nearest = s->sonar_min + REAL(0.005);
+    const real_t standing = s->ground_clearance - s->sonar_place[2];
+    real_t said = z[0];
+    real_t variance = s->sonar_variance;
+    real_t expect;
+    real_t nu;
+    real_t ratio;
+    bool over;
+
+    if ((r[8] < s->sonar_cone) || (z[0] >= s->sonar_max)) {
+        return;
+    }
+    expect = (-(m->x[SX_POS + 2] + (ahead * m->x[SX_VEL + 2])) - down) - m->x[SX_TERRAIN];
+    if ((z[0] <= nearest) && (standing < nearest)) {
+        /* Nearer than it can tell: anywhere between there and where it stands. */
+        said = REAL(0.5) * (nearest + standing);
+        variance = ((nearest - standing) * (nearest - standing)) / REAL(12.0);
+        if (expect < nearest) {
+            fuse_scalar(m, said - expect, REAL(100.0) * variance); /* as so many that are off alike */
+            mark_fused(m, k);
+            return;
+        }
+    }
+    nu = said - expect;
+    ratio = innovation_ratio(m, nu, variance);
+    log_innovation(m, k, nu, ratio);
+    if (sonar_stuck(m, s, z[0], nu)) {
+        set_fault(m, s, k, FAULTY, STUCK_, z[0]);
+        return;
+    }
+    over = (m->terrain_edge > REAL(0.0)) || (real_abs(m->x[SX_TERRAIN]) > LOW);
+    /* Always off to the same side: over an edge it is the surface. Tops are flat, so else it is the height. */
+    if (real_abs(ratio) < GATE) {
+        m->sonar_ratio_lp += REAL(0.2) * (ratio - m->sonar_ratio_lp);
+    }
+    if (real_abs(m->sonar_ratio_lp) > LEAN) {
+        m->sonar_ratio_lp = REAL(0.0);
+        set_fault(m, s, k, FUSED, SLOPE, nu);
+        if (over || (nu < REAL(0.0))) {
+            m->terrain_edge = REAL(1.0);
+        } else {
+            reset_height(m, s, nu);
+            (void)sonar_h_row(m, s, r);
+        }
+    }
+    if (over && (real_abs(ratio) > SUDDEN) && (m->terrain_steps < MOST_STEPS) && ((m->x[SX_TERRAIN] - nu) > LEAST_FLOOR)) {
+        /* Over an object it is the surface that jumps. */
+        m->terrain_steps += 1;
+        m->terrain_edge = REAL(1.0);
+        inflate_variance(m, EX_TERRAIN, nu * nu);
+        (void)sonar_h_row(m, s, r);
+    } else if (real_abs(ratio) > GATE) {
+        if (!reset_to_sonar(m, s, z, nu)) {
+            return;
+        }
+        (void)sonar_h_row(m, s, r);
+    } else {
+        /* as expected */
+    }
+    fuse_scalar(m, nu, variance);
+    mark_fused(m, k);
+}
+
+void reset_terrain(estimator_t *m)
+{
+    h_row_begin(m, EX_TERRAIN, REAL(1.0));
+    fuse_scalar(m, -m->x[SX_TERRAIN], REAL(2.5e-5));
+}
+
+void fuse_liftoff_thrust(estimator_t *m, real_t lift)
+{
+    const real_t scale = LIFTS / lift;
+    const real_t spread = LIFTS_OFF * scale;
+
+    h_row_begin(m, EX_THRUST_SCALE, REAL(1.0));
+    fuse_scalar(m, scale - m->x[SX_THRUST_SCALE], spread * spread);
+}
+
+bool fuse_ground_contact(estimator_t *m, const estimator_settings_t *s)
+{
+    const real_t height = height_above_ground(m->x, s);
+    const bool below = height < REAL(0.0);
+
+    if (below) {
+        h_row_begin(m, EX_POS + 2, REAL(-1.0));
+        if (m->x[SX_TERRAIN] > REAL(0.0)) {
+            h_row_add(m, EX_TERRAIN, REAL(-1.0));
+        }
+        fuse_scalar(m, -height, REAL(2.5e-5));
+        if (m->x[SX_VEL + 2] > REAL(0.0)) {
+            h_row_begin(m, EX_VEL + 2, REAL(1.0));
+            fuse_scalar(m, -m->x[SX_VEL + 2], REAL(1e-3));
+        }
+    }
+    return below;
+}
+
+/* Return the distance to the first wall along u; the axis is -1 if there is none. */
+static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, real_t ahead, const real_t u[3],
+                           int32_t *axis)
+{
+    real_t best = REAL(1e9);
+
+    *axis = -1;
+    for (int32_t i = 0; i < 3; i++) {
+        if (real_abs(u[i]) > REAL(0.3)) {
+            const real_t plane = (u[i] > REAL(0.0)) ? s->wall_planes[(2 * i) + 1] : s->wall_planes[2 * i];
+            const real_t far = (plane - (m->x[i] + (ahead * m->x[SX_VEL + i]))) / u[i];
+
+            if ((far > REAL(0.0)) && (far < best)) {
+                best = far;
+                *axis = i;
+            }
+        }
+    }
+    return best;
+}
+
+bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[BEAMS], real_t ahead, int32_t most)
+{
+    const int32_t k = R_RING;
+    const int32_t last_beam = ((m->next_beam + most) < s->beam_count) ? (m->next_beam + most) : s->beam_count;
+    const bool all = last_beam >= s->beam_count;
+    real_t r[9];
+
+    rotation_matrix(&m->x[SX_ATT], r);
+    if (m->next_beam == 0) {
+        m->beams_seen = 0;
+        m->beams_fused = 0;
+        /* no number of readings tells more than `told_most`: of that a picture brings what has been lost since */
+        for (int32_t i = 0; i < 2; i++) {
+            const real_t told = m->wall_info_limit[i] * state_variance(m, EX_POS + i);
+
+            m->wall_info_gained[i] = (told > REAL(1.0)) ? (REAL(1.0) - (REAL(1.0) / told)) : REAL(0.0);
+            m->wall_info_limit[i] = REAL(0.0);
+        }
+    }
+    for (int32_t b = m->next_beam; b < last_beam; b++) {
+        const real_t *beam = s->beam_direction[b];
+        real_t u[3];
+        int32_t axis;
+        real_t best;
+
+        if (!((z[b] > REAL(0.0)) && (z[b] < (REAL(0.995) * s->ring_max)))) {
+            continue;
+        }
+        m->beams_seen += 1;
+        for (int32_t i = 0; i < 3; i++) {
+            u[i] = ((r[3 * i] * beam[0]) + (r[(3 * i) + 1] * beam[1])) + (r[(3 * i) + 2] * beam[2]);
+        }
+        best = nearest_wall(m, s, ahead, u, &axis);
+        if ((axis >= 0) && (axis != 2) && !(best > (REAL(1.1) * s->ring_max))) {
+            /* l = (c - p_i) / u_i; of the heading they tell nothing, it is one more constant: du = t x u */
+            const real_t h = REAL(-1.0) / u[axis];
+            const real_t across = ((h * best) * ((axis == 0) ? u[1] : u[0])) * m->sigma_output[EX_ATT + 2];
+            const real_t slope = (best * best) + (s->ring_baseline * s->ring_baseline);
+            const real_t lasts = ((slope * slope) * s->ring_constant_variance) + (across * across);
+            const real_t away = (slope * best) * best;
+            const real_t scatters = away * (away * s->ring_noise_variance);
+            const real_t nu = z[b] - best;
+            real_t ratio;
+
+            h_row_begin(m, EX_POS + axis, h);
+            ratio = innovation_ratio(m, nu, scatters + lasts);
+            if (real_abs(ratio) < BEAM_GATE) {
+                log_innovation(m, k, nu, ratio);
+                m->beams_fused += 1;
+                m->wall_info_limit[axis] += (h * h) / lasts;
+                if (m->wall_info_gained[axis] > REAL(0.0)) {
+                    apply_correction(m, nu, scatters + (lasts / m->wall_info_gained[axis]));
+                    rotation_matrix(&m->x[SX_ATT], r);
+                }
+            }
+        }
+    }
+    m->next_beam = all ? 0 : last_beam;
+    if (!all) {
+        /* the other beams come */
+    } else if (m->beams_fused > 0) {
+        mark_fused(m, k);
+    } else if (m->tick >= m->fault_until_tick[k]) {
+        m->status[k] = NOTHING;
+        m->reason[k] = (m->beams_seen == 0) ? TOO_FAR : NO_WALL;
+    } else {
+        /* told of for a while yet */
+    }
+    return all;
+}
+
+/* Gate an aid with one bias, and free that bias after a second of consistent rejections; return whether to fuse. */
+static bool gate_drifting_aid(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t bias, real_t nu, real_t ratio,
+                   const real_t *z, int32_t count, real_t near)
+{
+    bool taken = true;
+
+    log_innovation(m, k, nu, ratio);
+    if (real_abs(ratio) > GATE) {
+        reject_measurement(m, s, k, nu, z, count, near);
+        taken = reset_timeout_expired(m, s, k);
+        if (taken) {
+            inflate_variance(m, bias, nu * nu);
+            set_fault(m, s, k, REJECTED, TAKEN_OVER, nu);
+        }
+    }
+    return taken;
+}
+
+void fuse_pressure_height(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
+{
+    const int32_t k = R_PRESSURE;
+    real_t nu;
+    real_t ratio;
+
+    h_row_begin(m, EX_POS + 2, s->pressure_slope);
+    h_row_add(m, EX_PRESSURE_BIAS, REAL(1.0));
+    nu = (z[0] - (s->pressure_slope * (m->x[SX_POS + 2] + (ahead * m->x[SX_VEL + 2])))) - m->x[SX_PRESSURE_BIAS];
+    ratio = innovation_ratio(m, nu, s->pressure_variance);
+    if (gate_drifting_aid(m, s, k, EX_PRESSURE_BIAS, nu, ratio, z, 1, REAL(10.0) * real_sqrt(s->pressure_variance))) {
+        fuse_scalar(m, nu, s->pressure_variance);
+        mark_fused(m, k);
+    }
+}
+
+void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s, const real_t z[3], real_t ahead)
+{
+    const int32_t k = R_MAGNET;
+    real_t r[9];
+    real_t north;
+    real_t east;
+    real_t nu;
+    real_t ratio;
+
+    rotation_matrix(&m->x[SX_ATT], r);
+    north = ((r[0] * z[0]) + (r[1] * z[1])) + (r[2] * z[2]);
+    east = ((r[3] * z[0]) + (r[4] * z[1])) + (r[5] * z[2]);
+    h_row_begin(m, EX_ATT + 2, REAL(1.0));
+    h_row_add(m, EX_ATT, -s->earth[2] / s->earth[0]);
+    h_row_add(m, EX_MAG_BIAS, REAL(1.0));
+    nu = real_wrapped((-real_atan2(east, north) - (ahead * m->yaw_rate)) - m->x[SX_MAG_BIAS]);
+    ratio = innovation_ratio(m, nu, s->magnet_variance);
+    if (gate_drifting_aid(m, s, k, EX_MAG_BIAS, nu, ratio, z, 3, REAL(1e-5))) {
+        fuse_scalar(m, nu, s->magnet_variance);
+        mark_fused(m, k);
+    }
+}
+
+void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t i)
+{
+    const real_t slope = m->velocity_slope[i];
+    const real_t nu = (m->accel_mean[i] - m->model_accel_mean[i]) - m->x[SX_ACCEL_BIAS + i];
+    const real_t variance = m->residual_density[i] / ((real_t)count * s->dt);
+    real_t r[9];
+    real_t known;
+    real_t ratio;
+
+    rotation_matrix(&m->x[SX_ATT], r);
+    h_row_begin(m, EX_ACCEL_BIAS + i, REAL(1.0));
+    h_row_add(m, EX_THRUST_SCALE, m->thrust_slope[i]);
+    for (int32_t j = 0; j < 3; j++) {
+        h_row_add(m, EX_VEL + j, slope * r[(3 * j) + i]);
+    }
+    h_row_add(m, EX_WIND, -slope * r[i]);
+    h_row_add(m, EX_WIND + 1, -slope * r[3 + i]);
+    known = innovation_variance(m);
+    ratio = nu / real_sqrt(known + variance);
+    check_accel_model(m, s, nu, variance, known, i);
+    if ((real_abs(ratio) < GATE) && (m->accel_distrusted == 0)) {
+        apply_correction(m, nu, variance);
+    }
+    if ((i == 0) || (real_abs(ratio) > m->residual_ratio)) {
+        log_innovation(m, R_ACCELERATION, nu, ratio);
+        m->residual_ratio = real_abs(ratio);
+    }
+}
+
+void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t count, bool still, int32_t i)
+{
+    const real_t calm = still ? ((s->rest_gyro * s->rest_gyro) / (real_t)count) : REAL(2.5e-5);
+    real_t off;
+
+    h_row_begin(m, EX_VEL + i, REAL(1.0));
+    fuse_scalar(m, -m->x[SX_VEL + i], REAL(4e-4));
+    off = m->gyro_mean[i] - m->x[SX_GYRO_BIAS + i];
+    h_row_begin(m, EX_GYRO_BIAS + i, REAL(1.0));
+    /* With its rotors running it may slide and turn on its legs. */
+    if (still || (real_abs(innovation_ratio(m, off, calm * REAL(2.0))) < GATE)) {
+        fuse_scalar(m, off, calm * REAL(2.0));
+    }
+    if (still && (s->fitted[R_ACCELERATION] > 0)) {
+        const real_t variance = ((REAL(2.0) * s->rest_accel) * s->rest_accel) / (real_t)count;
+        real_t r[9];
+        real_t nu;
+
+        rotation_matrix(&m->x[SX_ATT], r);
+        nu = (m->accel_mean[i] + (GRAVITY * r[6 + i])) - m->x[SX_ACCEL_BIAS + i];
+        h_row_begin(m, EX_ACCEL_BIAS + i, REAL(1.0));
+        /* R^T (-g e_D), and d(R^T u) = R^T (u x t) */
+        h_row_add(m, EX_ATT, -r[3 + i] * GRAVITY);
+        h_row_add(m, EX_ATT + 1, r[i] * GRAVITY);
+        if (real_abs(innovation_ratio(m, nu, variance)) < (REAL(2.0) * GATE)) {
+            apply_correction(m, nu, variance);
+        }
+    }
+}
