@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -17,7 +19,7 @@ from typer.testing import CliRunner
 from mufly.camera import LivePictures, PictureRecorder, StreamServer, encode, load_camera, project
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.logs import read_recording, write_log
+from mufly.logs import LogWarning, read_recording, write_log
 from mufly.slam import (
     Frame,
     Slam,
@@ -30,6 +32,7 @@ from mufly.slam import (
     open_pictures,
     read_telemetry,
     read_trajectory,
+    read_truth,
     rounds,
     run,
     write_dataset,
@@ -277,6 +280,168 @@ def test_errors_of_a_known_kind() -> None:
     e = evaluate(t, noisy, heading, p, t, true, np.zeros(400))
     assert e.nees == pytest.approx(1.0, abs=0.15)
     assert e.inside == pytest.approx(0.95, abs=0.04)
+
+
+def poses(n=100, start=1_403_636_579.0):
+    """Time, position N-E-D and heading of a curve at 10 Hz."""
+    t = start + 0.1 * np.arange(n)
+    u = t - start
+    return t, np.stack([np.cos(u), np.sin(u), -1 - 0.1 * u], axis=1), 0.3 * u
+
+
+def tum_rows(t, x, heading, scale=1.0):
+    q = scale * np.stack([0 * heading, 0 * heading, np.sin(heading / 2), np.cos(heading / 2)], axis=1)
+    return [" ".join(f"{v:.9f}" for v in row) for row in np.column_stack([t, x, q])]
+
+
+def errors(file, truth):
+    """What the command `slam evaluate` prints, and its notes."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        one, true = read_trajectory(file), read_truth(truth)
+    found = evaluate(one.time, one.position, one.heading, None, *true, one.pictures)
+    return asdict(found), [str(w.message) for w in caught if w.category is LogWarning]
+
+
+@pytest.fixture
+def trajectory(tmp_path):
+    """Write rows as a trajectory and evaluate it against the curve."""
+    truth = tmp_path / "truth.txt"
+    truth.write_text("\n".join(tum_rows(*poses())))
+
+    def write(rows, name="est.txt", head=""):
+        file = tmp_path / name
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(head + "\n".join(rows) + "\n")
+        return errors(file, truth)
+
+    return write
+
+
+def test_rows_without_numbers_are_left_out_told_and_counted(trajectory):
+    rows = tum_rows(*poses())
+    rows[20] = rows[20].split()[0] + " nan" * 7
+    rows[30] = rows[30].replace(rows[30].split()[2], "inf")
+    rows[40] = " ".join(rows[40].split()[:4]) + " 0 0 0 0"
+    found, said = trajectory(rows, head="# of a camera\n")
+    assert found["lost"] == pytest.approx(0.03)
+    assert found["rms_m"] < 1e-6
+    assert found["pictures"] == 100
+    assert said == [
+        "est.txt: 2 rows of NaN or infinity, left out (the first in line 22)",
+        "est.txt: 1 row with a quaternion of zeros, left out (line 42)",
+    ]
+    found, said = trajectory([*rows[50:], "1403636589.9 1.0"])
+    assert said == ["est.txt: the last row (line 51) is cut, and left out"]
+    with pytest.raises(InputError, match=r"est\.txt: line 3: '1403636579\.3\d* 0\.9' is not 8 numbers"):
+        trajectory([*rows[1:3], "1403636579.3 0.9", *rows[4:]])
+
+
+def test_quaternions_are_brought_to_unit_length(trajectory):
+    found, said = trajectory(tum_rows(*poses(), scale=2.0))
+    assert found["heading_rms_rad"] < 1e-6
+    assert found["rpe_m"] < 1e-6
+    assert "100 rows whose quaternion is not of unit length (2), brought to it" in said[0]
+    assert trajectory(tum_rows(*poses(), scale=1.0004))[1] == []
+
+
+def test_rows_out_of_order_and_repeated_are_sorted(trajectory):
+    rows = tum_rows(*poses())
+    straight, _ = trajectory(rows)
+    mixed = [*rows[:10], *rows[60:], *rows[10:60], rows[-1]]
+    found, said = trajectory(mixed)
+    assert found["way_m"] == pytest.approx(straight["way_m"])
+    assert found["lost"] == 0
+    assert said == [
+        "est.txt: 1 row earlier than the one before, sorted by time (line 51)",
+        "est.txt: 1 row with the time of another, of which the last is kept (line 50)",
+    ]
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_stamps_tell_their_unit_by_their_size(trajectory, factor, unit):
+    t, x, heading = poses()
+    rows = tum_rows(t, x, heading)
+    rows = [" ".join([f"{round(factor * s)}", *row.split()[1:]]) for s, row in zip(t, rows, strict=True)]
+    found, said = trajectory(rows)
+    assert found["rms_m"] < 1e-5
+    assert said == [f"est.txt: its stamps are taken to be in {unit}"]
+
+
+def test_stamps_that_do_not_meet_the_truth_get_the_right_hint(trajectory):
+    t, x, heading = poses()
+    with pytest.raises(
+        InputError, match=r"give its own truth, or --offset -1403636579\.000 if both begin together"
+    ):
+        trajectory(tum_rows(t - t[0], x, heading))
+    with pytest.raises(InputError, match=r"the trajectory's are in ns: give them in s"):
+        trajectory(tum_rows(1e9 * (t - t[0]), x, heading))
+    with pytest.raises(
+        InputError, match=r"est\.txt: line 1: has 12 numbers: KITTI's poses, which have no times"
+    ):
+        trajectory(["1 0 0 0 0 1 0 0 0 0 1 0"] * 5)
+
+
+def test_tables_of_other_programs_are_the_same_trajectory(trajectory):
+    t, x, heading = poses()
+    tum = tum_rows(t, x, heading)
+    flip = np.array([1, -1, -1])
+    wxyz = [0, 1, 2, 3, 7, 4, 5, 6]
+    euroc = [[row.split()[k] for k in wxyz] for row in tum_rows(t, x * flip, -heading)]
+    euroc = [",".join([f"{round(1e9 * s)}", *row[1:], "0,0,0"]) for s, row in zip(t, euroc, strict=True)]
+    names = ",".join(f"p_RS_R_{a} [m]" for a in "xyz") + "".join(f",q_RS_{a} []" for a in "wxyz")
+    up = tum_rows(t, np.stack([x[:, 1], x[:, 0], -x[:, 2]], axis=1), np.pi / 2 - heading)
+    first = [" ".join(row.split()[k] for k in wxyz) for row in tum]
+    for rows, name, head in (
+        ([",".join(row.split()) for row in tum], "commas.txt", "timestamp,x,y,z,qx,qy,qz,qw\n"),
+        ([", ".join(row.split()) + "  # odometry" for row in tum], "blanks.txt", ""),
+        ([";".join(row.split()).replace(".", ",") for row in tum], "decimals.txt", ""),
+        ([row.replace(".", ",") for row in tum], "decimals2.txt", ""),
+        (first, "first.txt", "# timestamp tx ty tz qw qx qy qz\n"),
+        (euroc, "state_groundtruth_estimate0/data.csv", f"#timestamp [ns],{names}\n"),
+        (tum_rows(t, x * flip, -heading), "groundtruth.txt", "# ground truth\n"),
+        (tum_rows(t, x * flip, -heading), "any.txt", "# x north, y west, z up\n"),
+        (up, "east.txt", "# x east, y north, z up\n"),
+    ):
+        found, said = trajectory(rows, name, head)
+        assert found["rms_m"] < 1e-5, name
+        assert found["height_rms_m"] < 1e-5, name
+        assert found["heading_rms_rad"] < 1e-5, name
+        assert said == [], name
+
+
+def test_a_folder_and_the_file_in_it_are_one_truth(tmp_path):
+    t, x, heading = poses()
+    est = tmp_path / "est.txt"
+    est.write_text("\n".join(tum_rows(t, x + 0.01, heading)))
+    up = tum_rows(t, x * [1, -1, -1], -heading)
+    for inside in ("groundtruth.txt", "truth.txt", "mav0/state_groundtruth_estimate0/data.csv"):
+        folder = tmp_path / inside.replace("/", "_")
+        (folder / inside).parent.mkdir(parents=True)
+        rows = tum_rows(t, x, heading) if inside == "truth.txt" else up
+        (folder / inside).write_text("\n".join(rows))
+        found = errors(est, folder)
+        assert found == errors(est, folder / inside)
+        assert found[0]["rms_m"] == pytest.approx(0.01 * 2**0.5, abs=1e-6)
+    other, odd = tmp_path / "other.txt", tmp_path / "odd.txt"
+    other.write_text("\n".join(up))
+    odd.write_text("\n".join(tum_rows(t, x, heading)) + f"\n{t[-1] + 1} nan" + " 0" * 6)
+    said = CliRunner().invoke(app, ["slam", "evaluate", str(odd), str(folder), "--json"])
+    assert json.loads(said.stdout)["left_out"] == 1
+    assert json.loads(said.stdout)["errors"]["lost"] == pytest.approx(1 / 101)
+    said = CliRunner().invoke(app, ["slam", "evaluate", str(est), str(other)])
+    assert "fits better (ATE 0.0 cm in place of" in " ".join(said.output.split())
+
+
+def test_nothing_is_compared_within_a_gap_of_the_truth_and_a_pose_may_stand_still():
+    t, x, heading = poses()
+    some = np.r_[0:20, 60:100]
+    found = evaluate(t, x, heading, None, t[some], x[some], heading[some])
+    assert found.rms_m < 1e-9
+    still = evaluate(t, np.tile(x[0], (100, 1)), np.zeros(100), None, t, x, heading)
+    assert np.isfinite([still.ate_m, still.rpe_m, still.rms_m]).all()
+    shifted = evaluate(t + 0.05, x, heading, None, t, x, heading)
+    assert shifted.rms_m == pytest.approx(0.05, rel=0.05)
 
 
 def test_a_lens_is_found_from_a_chessboard(tmp_path: Path) -> None:

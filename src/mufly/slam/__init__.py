@@ -2,11 +2,11 @@
 
 from mufly.slam.calibration import Calibration, board_pictures, calibrate
 from mufly.slam.datasets import PHASE_SIGMA, Path3, Teller, frames, path_of, rounds
-from mufly.slam.evaluation import Evaluation, evaluate
+from mufly.slam.evaluation import Evaluation, evaluate, read_truth
 from mufly.slam.frame import Frame, Telling
 from mufly.slam.mapping import Keyframe, Map
 from mufly.slam.process import Counts, Sight, Sketch, SlamProcess, features_of, sketched
-from mufly.slam.readers import Source, open_live, open_pictures, read_telemetry, read_truth, standing_at
+from mufly.slam.readers import Source, open_live, open_pictures, read_telemetry, standing_at
 from mufly.slam.system import TOO_NEAR, Answer, Slam
 from mufly.slam.trajectory import Trajectory, draw, gathered, read_trajectory, run
 from mufly.slam.vision import opencv

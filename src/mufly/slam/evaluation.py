@@ -1,4 +1,10 @@
-"""How good is a trajectory? Against the truth: errors, drift, lost pictures, and whether its covariance is true.
+"""A trajectory and the truth: both read from files by one rule, and compared: errors, drift, is its covariance true?
+
+A row is ``t x y z qx qy qz qw`` (TUM), set apart by blanks, commas, semicolons or tabs. A line of names above the rows,
+in a comment or not, may put ``qw`` first and the time in ns (EuRoC). Stamps are s, ms, us or ns since 1970 by their
+magnitude. Axes are N-E-D unless a comment names others, or the file is the ground truth of a data set of TUM or EuRoC
+(x north, y west, z up). Quaternions are brought to unit length; rows without numbers are left out and counted; rows
+out of order are sorted. Every repair is a :class:`mufly.logs.LogWarning`.
 
 ATE (Sturm et al. 2012) is the root mean square of position errors, here as they stand and after the best turn about the
 vertical and shift (Umeyama 1991; scale left alone). RPE is the error of the way made in a time, without how it was
@@ -9,18 +15,233 @@ inside the 95 % ellipsoid are those below the chi-squared quantile 9.49.
 from __future__ import annotations
 
 import math
+import re
+import warnings
+from collections.abc import Callable
 from dataclasses import field
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.dynamics.state import euler_from_quaternion
 from mufly.errors import InputError
+from mufly.logs import LogWarning
 from mufly.results import result
+from mufly.tables import decoded, layout_of
 
 _Array = NDArray[np.float64]
 CHI2_95 = 9.4877
 _TOLD_M = 1e-4
 """A place that is known better was not found but told: where a map begins (m). It has no share in NEES."""
+
+
+_FEWEST = 3
+_LONGEST_GAP_S, _GAP_STEPS = 0.2, 5.0
+"""Between two rows of the truth further apart than both nothing is compared."""
+_UNIT_LENGTH, _SHORTEST_QUATERNION = 1e-3, 1e-6
+_TICKS = ((1e17, 1e-9, "ns"), (1e14, 1e-6, "us"), (1e11, 1e-3, "ms"))  # stamps since 1970 above so much
+_NAMES = re.compile(r"(?:q|quat|rot|orientation)?[a-z_.]*w")
+_AXES: dict[str, tuple[str, tuple[int, int, int], Callable[[_Array], _Array]]] = {
+    # Words in a comment, signed columns of N, E, D (from 1), and the heading of a yaw.
+    "x north, y west, z up": (r"x north, y west, z up|\bNWU\b", (1, -2, -3), lambda yaw: -yaw),
+    "x east, y north, z up": (r"x east, y north, z up|\bENU\b", (2, 1, -3), lambda yaw: math.pi / 2 - yaw),
+    "N-E-D": (r"\bN-?E-?D\b", (1, 2, 3), lambda yaw: yaw),
+}
+_GROUND_TRUTHS = {("groundtruth.txt", ""), ("data.csv", "state_groundtruth_estimate0")}
+
+
+class Poses(NamedTuple):
+    """Rows of a trajectory's file, in order of time.
+
+    Attributes
+    ----------
+    time, position, heading : (n,), (n, 3), (n,) arrays
+        s; N-E-D (m); rad.
+    more : list of n lists of str
+        What stands behind each pose.
+    rows : int
+        Poses that the file has, those left out too.
+    """
+
+    time: _Array
+    position: _Array
+    heading: _Array
+    more: list[list[str]]
+    rows: int
+
+
+def read_poses(file: Path) -> Poses:
+    """Read a trajectory: TUM's text, EuRoC's ground truth, and tables like these.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or rows are no poses.
+    """
+    where, remedy = str(file), "give a trajectory: t x y z qx qy qz qw"
+    try:
+        text = decoded(file.read_bytes())
+    except OSError as error:
+        raise InputError(where, "", f"cannot be read ({error.strerror or error})", remedy) from error
+    if "\0" in text:
+        raise InputError(where, "", "is no text", remedy)
+    comments, lines = [], []
+    for number, line in enumerate(text.splitlines(), 1):
+        content, _, comment = (
+            line.replace("%", "#", 1).partition("#") if line[:1] == "%" else line.partition("#")
+        )
+        comments += [comment] if comment else []
+        lines += [(number, content)] if content.strip() else []
+    if not lines:
+        raise InputError(where, "", "holds no rows", remedy)
+    separator, decimal = layout_of([content for _, content in lines[:: 1 + len(lines) // 200]])
+    cells = [(n, _cells_of(content, separator, decimal)) for n, content in lines]
+    if not _is_number(cells[0][1][0]):
+        comments.append(lines[0][1])
+        cells = cells[1:]
+    said: list[str] = []
+    rows, more, numbers = _pose_rows(cells, where, said)
+    order, ns = _named_columns(comments, where)
+    rows, keep = _usable_rows(rows[:, order], numbers, said)
+    _, columns, heading_of = _AXES[_told_axes(comments, file)]
+    stamps, tick = _ticks(rows[:, 0], ns)
+    said += [f"its stamps are taken to be in {tick}"] if tick != "s" and not ns else []
+    position = np.stack([math.copysign(1, k) * rows[:, abs(k)] for k in columns], axis=1)
+    heading = np.angle(np.exp(1j * heading_of(euler_from_quaternion(rows[:, 4:8])[:, 2])))
+    kept, repeated = _in_order(stamps, [numbers[k] for k in keep], said)
+    for note in said:
+        warnings.warn(f"{file.name}: {note}", LogWarning, stacklevel=3)
+    return Poses(
+        stamps[kept], position[kept], heading[kept], [more[keep[k]] for k in kept], len(numbers) - repeated
+    )
+
+
+def read_truth(place: Path) -> tuple[_Array, _Array, _Array] | None:
+    """Return times, positions N-E-D and headings of the truth, a file or in a folder; None if a folder has none."""
+    inside = (
+        "truth.txt",
+        "groundtruth.txt",
+        *(f"{base}state_groundtruth_estimate0/data.csv" for base in ("mav0/", "")),
+    )
+    file = (
+        next((place / name for name in inside if (place / name).is_file()), None) if place.is_dir() else place
+    )
+    return None if file is None else read_poses(file)[:3]
+
+
+def _cells_of(line: str, separator: str, decimal: str) -> list[str]:
+    cells = line.split() if separator == " " else [c.strip() for c in line.strip().split(separator)]
+    while len(cells) > 1 and not cells[-1]:
+        cells.pop()
+    return [c.replace(",", ".") for c in cells] if decimal == "," else cells
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _pose_rows(
+    cells: list[tuple[int, list[str]]], where: str, said: list[str]
+) -> tuple[_Array, list[list[str]], list[int]]:
+    """Eight numbers of each row, what stands behind them, and the rows' lines; a short last row is cut and left out."""
+    if cells and len(cells[0][1]) == 12 and all(map(_is_number, cells[0][1])):
+        raise InputError(where, f"line {cells[0][0]}", "has 12 numbers: KITTI's poses, which have no times",
+                         "give TUM's text: t x y z qx qy qz qw")  # fmt: skip
+    rows = np.empty((len(cells), 8))
+    for k, (number, row) in enumerate(cells):
+        try:
+            rows[k] = [float(c) for c in row[:8]]
+        except ValueError:
+            if k and k == len(cells) - 1 and len(row) < 8:
+                said.append(f"the last row (line {number}) is cut, and left out")
+                cells, rows = cells[:-1], rows[:-1]
+                break
+            raise InputError(where, f"line {number}", f"{' '.join(row)[:60]!r} is not 8 numbers",
+                             "correct that row: t x y z qx qy qz qw") from None  # fmt: skip
+    if not len(rows):
+        raise InputError(where, "", "holds no rows", "give a trajectory: t x y z qx qy qz qw")
+    return rows, [row[8:] for _, row in cells], [number for number, _ in cells]
+
+
+def _named_columns(comments: list[str], where: str) -> tuple[list[int], bool]:
+    """Columns of t, x, y, z, w, x, y, z by a line of names, else TUM's; and whether it says that stamps are in ns."""
+    for line in comments:
+        names = [
+            re.sub(r"[\[(].*?[\])]", "", n).strip().lower()
+            for n in re.split(r"[,;\t]" if "," in line else r"\s+", line.strip())
+        ]
+        found = next(
+            (
+                k
+                for k, n in enumerate(names)
+                if n.startswith(("q", "w", "rot", "ori")) and _NAMES.fullmatch(n)
+            ),
+            None,
+        )
+        if found is None or len(names) < 8:
+            continue
+        if found not in (4, 7):
+            raise InputError(where, names[found], f"is column {found + 1} of {len(names)}",
+                             "order the columns: t x y z qx qy qz qw")  # fmt: skip
+        return [0, 1, 2, 3, *((4, 5, 6, 7) if found == 4 else (7, 4, 5, 6))], "[ns]" in line
+    return [0, 1, 2, 3, 7, 4, 5, 6], False
+
+
+def _usable_rows(rows: _Array, numbers: list[int], said: list[str]) -> tuple[_Array, list[int]]:
+    """Rows of finite numbers, with unit quaternions; and which they are."""
+    finite = np.isfinite(rows).all(axis=1)
+    length = np.linalg.norm(rows[:, 4:8], axis=1)
+    turned = length > _SHORTEST_QUATERNION
+    _say_lines(said, "of NaN or infinity, left out", np.flatnonzero(~finite), numbers)
+    _say_lines(said, "with a quaternion of zeros, left out", np.flatnonzero(finite & ~turned), numbers)
+    keep = np.flatnonzero(finite & turned)
+    odd = keep[np.abs(length[keep] - 1) > _UNIT_LENGTH]
+    if len(odd):
+        worst = length[odd[np.argmax(np.abs(np.log(length[odd])))]]
+        _say_lines(said, f"whose quaternion is not of unit length ({worst:.3g}), brought to it", odd, numbers)
+    out = rows[keep]
+    out[:, 4:8] /= length[keep, None]
+    return out, keep.tolist()
+
+
+def _say_lines(said: list[str], what: str, which: NDArray[np.intp], numbers: list[int]) -> None:
+    if len(which):
+        first = f"line {numbers[which[0]]}" if len(which) == 1 else f"the first in line {numbers[which[0]]}"
+        said.append(f"{len(which)} row{'s' if len(which) > 1 else ''} {what} ({first})")
+
+
+def _told_axes(comments: list[str], file: Path) -> str:
+    for name, (words, _, _) in _AXES.items():
+        if any(re.search(words, line) for line in comments):
+            return name
+    of_data_set = {(file.name, ""), (file.name, file.parent.name)} & _GROUND_TRUTHS
+    return "x north, y west, z up" if of_data_set else "N-E-D"
+
+
+def _ticks(stamps: _Array, ns: bool) -> tuple[_Array, str]:
+    """Stamps in s, and their unit."""
+    largest = float(np.median(stamps)) if len(stamps) else 0.0
+    for least, factor, unit in _TICKS:
+        if largest > least or (ns and unit == "ns"):
+            return stamps * factor, unit
+    return stamps, "s"
+
+
+def _in_order(stamps: _Array, numbers: list[int], said: list[str]) -> tuple[NDArray[np.intp], int]:
+    """Rows in order of time, of those with one time the last; and how many others there are."""
+    late = np.flatnonzero(np.diff(stamps) < 0) + 1
+    _say_lines(said, "earlier than the one before, sorted by time", late, numbers)
+    order = np.argsort(stamps, kind="stable")
+    last = np.append(np.diff(stamps[order]) > 0, True)[: len(order)]
+    repeated = order[~last]
+    _say_lines(said, "with the time of another, of which the last is kept", np.sort(repeated), numbers)
+    return order[last], len(repeated)
 
 
 @result
@@ -67,9 +288,12 @@ def evaluate(
         If answers and truth do not overlap in time.
     """
     inside = (time >= true_time[0] - 0.02) & (time <= true_time[-1] + 0.02)
-    if inside.sum() < 3:
+    if inside.sum() < _FEWEST:
+        raise InputError(*_no_overlap(time, true_time))
+    inside &= ~_in_gaps(time, true_time)
+    if inside.sum() < _FEWEST:
         raise InputError(
-            "trajectory", "", "has fewer than three answers in the time of the truth", "give its own truth"
+            "truth", "", "has gaps wherever there are answers", "give a truth without gaps there"
         )
     t, x, psi = time[inside], position[inside], heading[inside]
     true = np.stack([np.interp(t, true_time, c) for c in true_position.T], axis=1)
@@ -90,6 +314,56 @@ def evaluate(
         _rms(np.linalg.norm(_aligned(x, true) - true, axis=1)), _relative(t, x, psi, true, turn), way, float(flat[-1]),
         nees, within,
     )  # fmt: skip
+
+
+def _no_overlap(time: _Array, true_time: _Array) -> tuple[str, str, str, str]:
+    """What is wrong with two clocks that do not meet, and what to do."""
+    if len(time) < _FEWEST:
+        return "trajectory", "", f"has {len(time)} usable rows", f"give one with {_FEWEST} or more"
+    spans = f"{time[0]:.3f} to {time[-1]:.3f} s, the truth's from {true_time[0]:.3f} to {true_time[-1]:.3f} s"
+    ratio = (time[-1] - time[0]) / max(true_time[-1] - true_time[0], 1e-9)
+    for factor, unit in ((1e9, "ns"), (1e6, "us"), (1e3, "ms")):
+        for size, who in ((ratio, "trajectory"), (1 / max(ratio, 1e-12), "truth")):
+            if 0.3 * factor < size < 3 * factor:
+                return (
+                    "trajectory",
+                    "time",
+                    f"its times go from {spans}",
+                    f"the {who}'s are in {unit}: give them in s",
+                )
+    offset = time[0] - true_time[0]
+    return (
+        "trajectory",
+        "time",
+        f"its times go from {spans}",
+        f"give its own truth, or --offset {offset:.3f} if both begin together",
+    )
+
+
+def _in_gaps(time: _Array, true_time: _Array) -> NDArray[np.bool_]:
+    """Which times lie between two rows of the truth that are too far apart."""
+    if len(true_time) < 2:
+        return np.zeros(len(time), dtype=bool)
+    steps = np.diff(true_time)
+    after = np.clip(np.searchsorted(true_time, time), 1, len(steps))
+    longest = max(_LONGEST_GAP_S, _GAP_STEPS * float(np.median(steps)))
+    return (steps[after - 1] > longest) & ~np.isin(time, true_time)
+
+
+def other_axes(time: _Array, position: _Array, true_time: _Array, true_position: _Array) -> str:
+    """Return by which other axes a trajectory fits the truth far better than as it is; ``""`` if by none."""
+    inside = (time >= true_time[0]) & (time <= true_time[-1])
+    if inside.sum() < _FEWEST:
+        return ""
+    x = position[inside]
+    true = np.stack([np.interp(time[inside], true_time, c) for c in true_position.T], axis=1)
+    flipped = np.stack([x[:, 0], -x[:, 1], -x[:, 2]], axis=1)  # ENU is the same but for a turn
+    as_it_is, other = (_rms(np.linalg.norm(_aligned(p, true) - true, axis=1)) for p in (x, flipped))
+    return (
+        f"ATE {100 * other:.1f} cm in place of {100 * as_it_is:.1f}"
+        if other < 0.2 * as_it_is and as_it_is > 0.02
+        else ""
+    )
 
 
 def _rms(a: _Array) -> float:

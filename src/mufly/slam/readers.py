@@ -28,9 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera import CAMERA_RECORDING, Camera, LivePictures, check_size, decode, read_pictures
-from mufly.dynamics.state import euler_from_quaternion
 from mufly.errors import InputError
 from mufly.logs import read_log, read_recording
+from mufly.slam.evaluation import read_truth
 from mufly.slam.frame import Frame, Telling
 from mufly.slam.vision import opencv
 
@@ -477,30 +477,6 @@ def _telemetry(file: Path, times: _Array) -> list[Telling]:
         )
         for r in b
     ]
-
-
-def read_truth(folder: Path) -> tuple[_Array, _Array, _Array] | None:
-    """Return times, positions N-E-D and headings of a folder's truth, in whatever layout; None if there is none."""
-    ours, tum = folder / "truth.txt", folder / "groundtruth.txt"
-    euroc = _euroc(folder) / "state_groundtruth_estimate0" / "data.csv"
-    if ours.is_file():
-        return read_tum(ours)
-    if tum.is_file():
-        t, x, psi = read_tum(tum)
-        return t, x * _FLIP, -psi
-    if euroc.is_file():
-        a = _numbers(euroc, ",", 8)
-        t = a[:, 0] * (1e-9 if a[0, 0] > 1e12 else 1.0)
-        return t, a[:, 1:4] * _FLIP, -euler_from_quaternion(a[:, 4:8])[:, 2]
-    return None
-
-
-def read_tum(file: str | Path) -> tuple[_Array, _Array, _Array]:
-    """Read times, positions (n, 3) and headings (n,) of a trajectory in TUM's text: t x y z qx qy qz qw."""
-    a = _numbers(Path(file), " ", 8)
-    if not len(a):
-        raise InputError(str(file), "", "holds no rows", "give a trajectory: t x y z qx qy qz qw")
-    return a[:, 0], a[:, 1:4], euler_from_quaternion(a[:, [7, 4, 5, 6]])[:, 2]
 
 
 def _video(

@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from mufly.slam.evaluation import read_poses
 from mufly.slam.frame import Frame
-from mufly.slam.readers import read_tum
 from mufly.slam.system import Answer, Slam
 from mufly.slam.writers import write_tum
 
@@ -102,22 +102,24 @@ def run(
 
 
 def read_trajectory(file: Path) -> Trajectory:
-    """Read what :meth:`Trajectory.write` wrote, or any trajectory in TUM's text (without covariance: NaN)."""
-    time, position, heading = read_tum(file)
-    covariance = np.full((len(time), 4, 4), np.nan)
-    rows = [
-        s.split()
-        for s in file.read_text(encoding="utf-8").splitlines()
-        if s.strip() and not s.startswith("#")
-    ]
-    if rows and all(len(r) == 18 for r in rows):
+    """Read what :meth:`Trajectory.write` wrote, or any trajectory (without covariance: NaN).
+
+    Rows that are left out count as pictures without an answer. Errors are those of
+    :func:`mufly.slam.evaluation.read_poses`.
+    """
+    poses = read_poses(file)
+    covariance = np.full((len(poses.time), 4, 4), np.nan)
+    if poses.more and all(len(cells) == 10 for cells in poses.more):
         upper = np.triu_indices(4)
-        for k, r in enumerate(rows):
-            covariance[k][upper] = [float(c) for c in r[8:]]
+        for k, cells in enumerate(poses.more):
+            covariance[k][upper] = [float(c) for c in cells]
             covariance[k] = covariance[k] + np.triu(covariance[k], 1).T - np.tril(covariance[k], -1)
         low = np.tril_indices(4, -1)
         covariance[:, low[0], low[1]] = covariance[:, low[1], low[0]]
-    return Trajectory(time, position, heading, covariance, len(time), {})
+    lost = poses.rows - len(poses.time)
+    return Trajectory(
+        poses.time, poses.position, poses.heading, covariance, poses.rows, {"left out": lost} if lost else {}
+    )
 
 
 def draw(

@@ -377,21 +377,36 @@ def _camera_of(place: Path, given: str | None) -> Camera:
 def evaluate(
     trajectory: Annotated[Path, argument("FILE", "Trajectory in TUM's text, as `mufly slam run` writes it.")],
     truth: Annotated[Path, argument("FILE|FOLDER", "The truth: TUM's text, or a data set.")],
+    offset: Annotated[float, option("--offset S", "Of the trajectory: its clock less the truth's.")] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
     """Compare a trajectory with the truth: errors, drift, and whether its covariance is true."""
     import numpy as np
 
     from mufly.slam import evaluate, read_trajectory, read_truth
-    from mufly.slam.readers import read_tum
+    from mufly.slam.evaluation import other_axes
 
     one = read_trajectory(trajectory)
-    true = read_truth(truth) if truth.is_dir() else read_tum(truth)
+    true = read_truth(truth)
     if true is None:
         raise InputError(str(truth), "", "holds no truth", "give a folder with truth.txt, or a trajectory")
+    time = one.time - offset
     covariance = one.covariance if np.isfinite(one.covariance).all() else None
-    result = evaluate(one.time, one.position, one.heading, covariance, *true)
-    answer(as_json, lambda: {"errors": result}, lambda: _print(result))
+    result = evaluate(time, one.position, one.heading, covariance, *true, one.pictures)
+    better = other_axes(time, one.position, true[0], true[1])
+    content = {"errors": result, "left_out": one.reasons.get("left out", 0), "other_axes": better}
+
+    def show() -> None:
+        _print(result)
+        if better:
+            said = f"with y and z the other way round it fits better ({better}): are its axes those of the truth? "
+            say(
+                said + "A comment line tells them: # N-E-D, or # x north, y west, z up",
+                mark="Note",
+                style="yellow",
+            )
+
+    answer(as_json, lambda: content, show)
 
 
 def _print(e: Evaluation) -> None:
