@@ -1,10 +1,11 @@
 """MAVLink telemetry log (``.tlog``): what a ground station received, each packet behind the time of its arrival.
 
 The time is a big-endian count of microseconds since 1970 (eight bytes); the packet follows as it was on the air
-(mavlink.io, "Serialization"). Arrival times carry the jitter of the link. Messages that hold the vehicle's own clock
+(mavlink.io, "Serialization"). Arrival times carry the jitter of the link. Messages that hold their sender's clock
 (``time_boot_ms``, ``time_usec``) are therefore placed by that clock; it is tied to the time of arrival by the packet
-that was quickest, which no link can be faster than, anew each time that the vehicle starts. What a field says where
-nothing is known (a current of -1, a voltage of 65535) is missing: :mod:`mufly.logs.unknown`.
+that was quickest, which no link can be faster than, anew each time that the sender starts. Clock, packet numbers and
+parameters belong to one sender each (system and component). What a field says where nothing is known (a current of
+-1, a voltage of 65535) is missing: :mod:`mufly.logs.unknown`.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ import io
 import os
 import struct
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -25,17 +26,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.logs.sender_clocks import (
+    Key,
+    order_by_number,
+    own_clock,
+    place_messages,
+    remove_leaps,
+    steady_arrival,
+)
 from mufly.logs.topics import RawLog, RawTable, foreign_stamps, wall_time
 from mufly.logs.unknown import without_unknown
+from mufly.vehicle_types import AUTOPILOT_COMPONENT, PX4, VEHICLE_WORDS, type_words, vehicle_rank
 
 _STAMP = struct.Struct(">Q")
+_VERSION_2 = 0xFD
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800 * 10**6, 4_102_444_800 * 10**6
-_GROUND_STATION = 6  # MAV_TYPE_GCS
 _SEVERITY = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
-# A clock that steps back by more than this was reset.
-_RESET_S = 1.0
-_LATEST_S = 5.0
-_LONGEST_UPTIME_S = 1e8
+_WHOLE = {1: "<Bxxx", 2: "<bxxx", 3: "<Hxx", 4: "<hxx", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE of whole numbers
 FLUSH_S = 1.0
 """Of what is written so much is lost with a process that is killed (s)."""
 
@@ -65,20 +72,23 @@ def looks_like_tlog(head: bytes) -> bool:
     return bool(size) and (len(head) <= size + 11 or bool(_entry(head, size)))
 
 
-def _packets(data: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Yield (offset, stamp in us, packet); bytes that are no entry are skipped."""
+def _packets(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield (offset of the entry, packet); bytes that are no entry are skipped."""
     at = 0
     while at + 11 <= len(data):
         size = _entry(data, at)
         if not size or at + size > len(data):
             at += 1
             continue
-        yield at, _STAMP.unpack_from(data, at)[0], data[at + 8 : at + size]
+        yield at, data[at + 8 : at + size]
         at += size
 
 
 def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = None) -> RawLog:
-    """Read a telemetry log; packets that are damaged are left out and counted.
+    """Read a telemetry log; packets that are damaged or came twice are left out and counted.
+
+    The signals are those of one vehicle (:func:`mufly.vehicle_types.vehicle_rank`); topics of others end in
+    ``@system.component``, and their parameters stand under ``info["parameters@system.component"]``.
 
     Parameters
     ----------
@@ -99,9 +109,9 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     data = Path(path).read_bytes()
     link = dialect.MAVLink(None)
     link.robust_parsing = False
-    rows: defaultdict[tuple[int, int, str], tuple[list[int], list[Any]]] = defaultdict(lambda: ([], []))
+    raw_rows: defaultdict[bytes, tuple[list[int], list[Any]]] = defaultdict(lambda: ([], []))
     bad = read = 0
-    for k, (at, stamp, packet) in enumerate(_packets(data)):
+    for k, (at, packet) in enumerate(_packets(data)):
         if progress is not None and k % 2000 == 0:
             progress(at, len(data))
         read += 8 + len(packet)
@@ -110,96 +120,226 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         except Exception:  # wrong checksum, unknown message: counted
             bad += 1
             continue
-        key = (message.get_srcSystem(), message.get_srcComponent(), message.get_type())
-        if key[2].startswith("UNKNOWN"):
-            bad += 1
-            continue
-        stamps, messages = rows[key]
-        stamps.append(stamp)
+        offsets, messages = raw_rows[packet[5:10] if packet[0] == _VERSION_2 else packet[3:6]]
+        offsets.append(at)
         messages.append(message)
+    bad += sum(len(messages) for _, messages in raw_rows.values() if _is_unknown(messages[0]))
+    rows, offset = _by_sender(raw_rows)
     if not rows:
         raise InputError(where, "", "holds no packet that can be decoded", "give a MAVLink 1 or 2 log")
-    foreign, _ = foreign_stamps({str(key): np.array(stamps) / 1e6 for key, (stamps, _) in rows.items()})
-    lost = sum(int(f.sum()) for f in foreign.values())
-    for key in list(rows) if lost else []:
-        kept = [
-            pair for pair, f in zip(zip(*rows[key], strict=True), foreign[str(key)], strict=True) if not f
-        ]
-        rows[key] = ([stamp for stamp, _ in kept], [message for _, message in kept])
-        if not kept:
-            del rows[key]
-    zero = min(min(stamps) for stamps, _ in rows.values())
-    vehicle = _vehicle(rows)
     notes = [f"{bad} packets were damaged or unknown and are left out"] if bad else []
-    notes += [f"{lost} packets whose time of arrival is of another day are left out"] if lost else []
+    came_us, number = _headers(data, offset)
+    foreign, _ = foreign_stamps({str(key): came_us[places] / 1e6 for key, (places, _) in rows.items()})
+    lost = sum(int(f.sum()) for f in foreign.values())
+    if lost:
+        _leave_out(rows, {key: ~foreign[str(key)] for key in rows})
+        notes.append(f"{lost} packets whose time of arrival is of another day are left out")
+    vehicle, said = _vehicle(rows)
+    notes += said
+    kept = np.sort(np.concatenate([places for places, _ in rows.values()]))
+    zero = int(came_us[kept[0]])
+    arrival, set_back, said = steady_arrival((came_us - zero) / 1e6, kept)
+    notes += said
+    zero += round(1e6 * arrival[kept].min())
+    arrival, again = order_by_number(_places(rows), arrival - arrival[kept].min(), number)
+    twice = int(again.sum())
+    if twice:
+        _leave_out(rows, {key: ~again[places] for key, (places, _) in rows.items()})
+    contents = {key: _columns(messages) for key, (_, messages) in rows.items() if key[2] not in _NO_TABLES}
+    clocks = {key: clock for key, (fields, _) in contents.items() if (clock := own_clock(fields)) is not None}
+    arrival, said = remove_leaps(arrival, _places(rows), clocks, vehicle, set_back)
+    notes += said
+    times, said = place_messages(arrival, _places(rows), clocks, vehicle)
+    notes += said
     tables: dict[str, RawTable] = {}
-    said: list[tuple[float, str, str]] = []
-    parameters: dict[str, float] = {}
-    own: dict[str, tuple[str, NDArray[np.float64]]] = {}
-    for (system, component, name), (stamps, messages) in rows.items():
-        arrival = (np.array(stamps, dtype=np.int64) - zero) / 1e6
-        who = "" if (system, component) == vehicle else f"@{system}.{component}"
-        if name == "STATUSTEXT":
-            texts = _texts(arrival, messages)
-            said += [(t, level, f"{who[1:]}: {text}" if who else text) for t, level, text in texts]
-            continue
-        if name == "PARAM_VALUE":
-            if system == vehicle[0]:
-                parameters |= {m.param_id: m.param_value for m in messages}
-            continue
-        label = f"{name}{who}"
-        fields, units = _columns(messages)
-        clock = _own_clock(fields) if system == vehicle[0] else None
-        if clock is not None:
-            own[label] = clock
-        tables[label] = RawTable(label, arrival, fields, units)
-    placed, restarts = _placed(own, {k: t.time for k, t in tables.items()})
-    tables |= {k: replace(tables[k], time=time) for k, time in placed.items()}
-    if not placed:
+    late = 0
+    for key, (fields, units) in contents.items():
+        label = key[2] if key[:2] == vehicle else f"{key[2]}@{key[0]}.{key[1]}"
+        time = times[key] if key in times else arrival[rows[key][0]]
+        behind = int((time < np.maximum.accumulate(time)).sum())
+        if behind:
+            late += behind
+            time, fields = _chosen(np.argsort(time, kind="stable"), time, fields)
+        repeated = _repeats(time, fields) if key in clocks else np.zeros(0, dtype=bool)
+        if repeated.any():
+            twice += int(repeated.sum())
+            time, fields = _chosen(np.flatnonzero(~repeated), time, fields)
+        tables[label] = RawTable(label, time, fields, units)
+    if late:
         notes.append(
-            "no message holds the vehicle's own clock; times are those of arrival, with the link's jitter"
+            f"{late} packets came late, as their clock or number says, and stand where they were sent"
         )
-    if restarts:
-        when = ", ".join(f"{t:.0f}" for t in restarts)
-        notes.append(
-            f"the vehicle started anew at {when} s of the log; its clock was tied to the log's each time"
-        )
+    if twice:
+        notes.append(f"{twice} packets came twice and are left out")
+    texts = [
+        (t, level, text if key[:2] == vehicle else f"{key[0]}.{key[1]}: {text}")
+        for key, (places, messages) in rows.items()
+        if key[2] == "STATUSTEXT"
+        for t, level, text in _texts(arrival[places], messages)
+    ]
     return RawLog(
         path=where,
         kind="MAVLink tlog",
         tables=dict(sorted(tables.items())),
         start_time=wall_time(zero / 1e6),
-        info={"system": _described(dialect, vehicle, rows), "parameters": parameters},
-        messages=tuple(sorted(said)),
+        info={"system": _described(dialect, vehicle, rows), **_parameters(rows, vehicle)},
+        messages=tuple(sorted(texts)),
         complete=read == len(data),
         notes=tuple(notes),
     )
 
 
-def _vehicle(rows: Any) -> tuple[int, int]:
-    """System and component of the vehicle: whoever has a heartbeat and is no ground station, else who says most."""
-    beats = [
-        ((s, c), len(stamps))
-        for (s, c, name), (stamps, messages) in rows.items()
-        if name == "HEARTBEAT" and messages[0].type != _GROUND_STATION and messages[0].autopilot != 8
-    ]
-    found = beats or [((s, c), len(stamps)) for (s, c, _), (stamps, _) in rows.items()]
-    return max(found, key=lambda f: f[1])[0]
+_Rows = dict[Key, tuple[NDArray[np.int64], list[Any]]]
+"""Places in the order of the file (0, 1, ...) and messages, by sender and kind."""
+_NO_TABLES = ("STATUSTEXT", "PARAM_VALUE")
 
 
-def _described(dialect: Any, vehicle: tuple[int, int], rows: Any) -> str:
+def _is_unknown(message: Any) -> bool:
+    return str(message.get_type()).startswith("UNKNOWN")
+
+
+def _by_sender(raw_rows: Mapping[bytes, tuple[list[int], list[Any]]]) -> tuple[_Rows, NDArray[np.int64]]:
+    """Sort messages of both versions of MAVLink by sender and kind; returns the offset of each place beside."""
+    parts: defaultdict[Key, list[tuple[NDArray[np.int64], list[Any]]]] = defaultdict(list)
+    for offsets, messages in raw_rows.values():
+        one = messages[0]
+        if not _is_unknown(one):
+            key = (one.get_srcSystem(), one.get_srcComponent(), one.get_type())
+            parts[key].append((np.array(offsets, dtype=np.int64), messages))
+    every = [offsets for part in parts.values() for offsets, _ in part]
+    offset = np.sort(np.concatenate(every)) if every else np.empty(0, dtype=np.int64)
+    rows: _Rows = {}
+    for key, part in parts.items():
+        places = np.searchsorted(offset, np.concatenate([offsets for offsets, _ in part]))
+        together = [message for _, messages in part for message in messages]
+        if len(part) > 1:
+            order = np.argsort(places)
+            places, together = places[order], [together[k] for k in order.tolist()]
+        rows[key] = places, together
+    return rows, offset
+
+
+def _headers(data: bytes, offset: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Stamp (us) of each entry, and number and checksum of its packet as one integer: checksum * 256 + number."""
+    stream = np.frombuffer(data, dtype=np.uint8)
+    stamp = stream[offset[:, None] + np.arange(8)].copy().view(">u8")[:, 0].astype(np.int64)
+    newer = stream[offset + 8] == _VERSION_2
+    end = offset + 8 + np.where(newer, 10, 6) + stream[offset + 9]
+    checksum = stream[end].astype(np.int64) + 256 * stream[end + 1].astype(np.int64)
+    return stamp, checksum * 256 + stream[offset + np.where(newer, 12, 10)]
+
+
+def _leave_out(rows: _Rows, keep: Mapping[Key, NDArray[np.bool_]]) -> None:
+    for key, sound in keep.items():
+        places, messages = rows[key]
+        rows[key] = places[sound], [m for m, good in zip(messages, sound.tolist(), strict=True) if good]
+        if not rows[key][1]:
+            del rows[key]
+
+
+# ----------------------------------------------------------------------------
+# Who speaks.
+
+
+def _heartbeats(rows: _Rows) -> dict[tuple[int, int], tuple[int, int, int]]:
+    """Of every sender of heartbeats: its rank, its MAV_TYPE and how many it sent; of several kinds the best."""
+    out: dict[tuple[int, int], tuple[int, int, int]] = {}
+    for (system, component, name), (_, messages) in rows.items():
+        if name == "HEARTBEAT":
+            kinds = Counter((m.type, m.autopilot) for m in messages)
+            ranked = [(vehicle_rank(kind, pilot, component), n, kind) for (kind, pilot), n in kinds.items()]
+            rank, count, kind = max(ranked)
+            out[system, component] = rank, kind, count
+    return out
+
+
+def _vehicle(rows: _Rows) -> tuple[tuple[int, int], list[str]]:
+    """System and component of the vehicle, and what has to be said of the choice.
+
+    The sender of the best heartbeats, of equals the one with a known type of vehicle, then the one heard most. Without
+    any, a sender without heartbeats is taken (component 1 first), then an antenna tracker, then whoever says most.
+    """
+    beats = _heartbeats(rows)
+    counts: Counter[tuple[int, int]] = Counter()
+    for (system, component, _), (places, _) in rows.items():
+        counts[system, component] += len(places)
+    real = {who: beat for who, beat in beats.items() if beat[0] >= 2}
+    if real:
+        best = max(real, key=lambda w: (real[w][0], real[w][1] in VEHICLE_WORDS, real[w][2], -w[0]))
+        others = sorted(w for w, beat in real.items() if w[0] != best[0] and beat[0] == real[best][0])
+        if not others:
+            return best, []
+        named = ", ".join(f"{type_words(real[w][1]) or 'vehicle'} {w[0]}.{w[1]}" for w in others)
+        words = (
+            f"several vehicles speak; the signals are those of {best[0]}.{best[1]}, topics of others end in @"
+        )
+        return best, [f"{words} ({named})"]
+    silent = [w for w in counts if w not in beats]
+    trackers = [w for w, beat in beats.items() if beat[0] == 1]
+    if silent and not trackers:
+        return max(silent, key=lambda w: (w[1] == AUTOPILOT_COMPONENT, counts[w])), []
+    best = max(trackers or list(counts), key=lambda w: counts[w])
+    what = type_words(beats[best][1]) or "equipment"
+    return best, [f"no vehicle speaks here; the signals are those of the {what} {best[0]}.{best[1]}"]
+
+
+def _described(dialect: Any, vehicle: tuple[int, int], rows: _Rows) -> str:
     """The vehicle in words, from its heartbeat: kind, autopilot, number of system and component."""
     number = f"{vehicle[0]}.{vehicle[1]}"
-    beats = rows.get((*vehicle, "HEARTBEAT"))
-    if beats is None:
+    if (*vehicle, "HEARTBEAT") not in rows:
         return f"system {number}"
+    beats = rows[*vehicle, "HEARTBEAT"][1]
+    beat = max(reversed(beats), key=lambda m: vehicle_rank(m.type, m.autopilot, vehicle[1]))
 
     def word(enum: str, value: int) -> str:
         known = dialect.enums[enum].get(value)
         return "" if known is None else known.name.removeprefix(f"{enum}_").lower().replace("_", " ")
 
-    said = [word("MAV_TYPE", beats[1][-1].type), word("MAV_AUTOPILOT", beats[1][-1].autopilot)]
+    said = [word("MAV_TYPE", beat.type), word("MAV_AUTOPILOT", beat.autopilot)]
     return ", ".join([*(w for w in said if w not in ("", "generic", "invalid")), f"system {number}"])
+
+
+def _parameters(rows: _Rows, vehicle: tuple[int, int]) -> dict[str, dict[str, float]]:
+    """Parameters of every component; those of the vehicle under ``parameters``, there in any case."""
+    out: dict[str, dict[str, float]] = {"parameters": {}}
+    for (system, component, name), (_, messages) in rows.items():
+        if name == "PARAM_VALUE":
+            key = "parameters" if (system, component) == vehicle else f"parameters@{system}.{component}"
+            beats = rows[who][1] if (who := (system, component, "HEARTBEAT")) in rows else []
+            bytewise = any(m.autopilot == PX4 for m in beats)
+            out[key] = {m.param_id: _parameter(m, bytewise) for m in messages}
+    return out
+
+
+def _parameter(message: Any, bytewise: bool) -> float:
+    """Value of a PARAM_VALUE; PX4 puts the bytes of whole numbers into the float field."""
+    layout = _WHOLE.get(message.param_type) if bytewise else None
+    if layout is None:
+        return float(message.param_value)
+    return float(struct.unpack(layout, struct.pack("<f", message.param_value))[0])
+
+
+def _places(rows: _Rows) -> dict[Key, NDArray[np.int64]]:
+    return {key: places for key, (places, _) in rows.items()}
+
+
+def _chosen(
+    index: NDArray[np.int64], time: NDArray[np.float64], fields: Mapping[str, NDArray[Any]]
+) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]]]:
+    return time[index], {name: values[index] for name, values in fields.items()}
+
+
+def _repeats(time: NDArray[np.float64], fields: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+    """Rows that say the same at the same instant as the row before: a packet that came by two links."""
+    again = np.zeros(len(time), dtype=bool)
+    same = np.flatnonzero(np.diff(time) == 0) + 1
+    if len(same):
+        keep = np.ones(len(same), dtype=bool)
+        for values in fields.values():
+            a, b = values[same], values[same - 1]
+            keep &= (a == b) | ((a != a) & (b != b))
+        again[same[keep]] = True
+    return again
 
 
 def _columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
@@ -207,7 +347,7 @@ def _columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, st
     out: dict[str, NDArray[Any]] = {}
     units: dict[str, str] = {}
     for name in kind.fieldnames:
-        values = [getattr(m, name) for m in messages]
+        values = list(map(attrgetter(name), messages))
         unit = kind.fieldunits_by_name.get(name, "")
         if isinstance(values[0], str | bytes):
             out[name] = np.array([str(v) for v in values], dtype=str)
@@ -234,50 +374,6 @@ def _texts(arrival: NDArray[np.float64], messages: list[Any]) -> list[tuple[floa
             out.append((t, _SEVERITY[m.severity & 7], m.text))
         before = here
     return out
-
-
-def _own_clock(fields: Mapping[str, NDArray[Any]]) -> tuple[str, NDArray[np.float64]] | None:
-    """Name of the field that holds the vehicle's clock, and that clock (s since it started)."""
-    for name, tick in (("time_boot_ms", 1e3), ("time_usec", 1e6)):
-        if name in fields:
-            time = fields[name].astype(np.float64) / tick
-            # A simulation may begin at 0; later a 0 is a stamp that was never set.
-            if (time[1:] if len(time) > 1 else time).min() > 0 and time.max() < _LONGEST_UPTIME_S:
-                return name, time
-    return None
-
-
-def _placed(
-    own: Mapping[str, tuple[str, NDArray[np.float64]]], arrival: Mapping[str, NDArray[np.float64]]
-) -> tuple[dict[str, NDArray[np.float64]], list[float]]:
-    """Tie the vehicle's clock to the time of arrival, anew each time that the vehicle starts.
-
-    Returns the times of those messages whose clock can be tied, and the arrival of the first message after each
-    further start.
-    """
-    lead = [k for k, (name, _) in own.items() if name == "time_boot_ms"] or list(own)
-    if not lead:
-        return {}, []
-    came = np.concatenate([arrival[k] for k in lead])
-    sent = np.concatenate([own[k][1] for k in lead])
-    order = np.argsort(came, kind="stable")
-    came, sent = came[order], sent[order]
-    starts = np.flatnonzero(np.diff(sent) < -_RESET_S) + 1
-    borders = came[starts]
-    boot = np.searchsorted(starts, np.arange(len(came)), side="right")
-    quickest = np.array([(came - sent)[boot == k].min() for k in range(len(starts) + 1)])
-    out = {}
-    for key, (name, clock) in own.items():
-        mine = np.searchsorted(borders, arrival[key], side="right")
-        # A topic may be the first to speak after a start, just before the border that the others set.
-        next_one = np.minimum(mine + 1, len(quickest) - 1)
-        early, time = clock + quickest[next_one], clock + quickest[mine]
-        time = np.where(np.abs(arrival[key] - early) < np.abs(arrival[key] - time), early, time)
-        late = arrival[key] - time
-        # A clock of another kind (that of the GPS receiver) does not fit, a lazy link does.
-        if name == "time_boot_ms" or (late.min() > -_RESET_S and np.median(late) < _LATEST_S):
-            out[key] = time
-    return out, borders.tolist()
 
 
 class TlogWriter:

@@ -1,0 +1,330 @@
+"""When packets of several senders were sent: arrival, packet numbers and each sender's own clock.
+
+An arrival minus the sender's clock is the instant of the sender's start plus the delay of the link. It is the same for
+all packets of one run but for their delay, and a start lies after all that was said before it. So a late packet (its
+number or clock lies behind) is told from a start: after a start the clock says no more than the silence before it
+lasted, and the packets that follow agree. The clock is tied to the arrival by the packet that was quickest, which no
+link can be faster than, anew after each start.
+
+Packets are known by their *place*, their count in the order of the file, which is the order of arrival.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+Key = tuple[int, int, str]
+"""System, component, name of the message."""
+Places = Mapping[Key, NDArray[np.int64]]
+"""Places of the packets of each sender and kind."""
+Clock = tuple[str, NDArray[np.float64]]
+"""Name of the field that holds a clock, or ``"since 1970"``; and the clock (s)."""
+_Array = NDArray[np.float64]
+# A clock that steps back by more than this was reset.
+_RESET_S = 1.0
+_LATEST_S = 5.0
+_LONGEST_UPTIME_S, _YEAR_2000_S = 1e8, 946_684_800.0
+_WRAP_S, _NEAR_WRAP_S = 2**32 / 1e3, 60.0  # of 32 bits in ms
+_WILD_S = 2.0
+# So many samples agree on what a clock says.
+_FEW = 11
+# An arrival that leaps by more than this while the clock goes on by less than that (s); and by so many usual steps.
+_LEAP_S, _CONTINUES_S, _SUDDEN = 5.0, 2.0, 10.0
+# The same packet within this time, and so many others of its sender, came twice (s).
+_TWICE_S, _NEAR = 1.0, 100
+_BEFORE_S = 1e-6  # by so much a late packet is put before its follower
+# More packets behind their forerunner than this share, and numbers do not count; a silence of so many median steps.
+_MOST_BEHIND, _PAUSE = 0.05, 20.0
+
+
+def steady_arrival(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, NDArray[np.int64], list[str]]:
+    """Return times of arrival that run forward, as the order in the file is that of arrival.
+
+    Single stamps far from those on either side are interpolated; where the recording computer's clock was set back,
+    what follows goes on from there.
+
+    Parameters
+    ----------
+    arrival : (n,) array
+        Stamps by place (s).
+    kept : (m,) int array
+        Places that count, increasing.
+
+    Returns
+    -------
+    arrival : (n,) array
+    set_back : (k,) int array
+        Places at which the computer's clock was set back.
+    words : list of str
+        What was repaired.
+    """
+    t = arrival[kept]
+    words = []
+    wild = np.abs(t - median_filter(t, size=5, mode="nearest")) > _WILD_S
+    if len(t) >= 5 and wild.any() and not wild.all():
+        index = np.arange(len(t))
+        t = np.where(wild, np.interp(index, index[~wild], t[~wild]), t)
+        words.append(
+            f"{int(wild.sum())} packets have a time of arrival far from their neighbours', and stand between them"
+        )
+    back = np.minimum(np.diff(t, prepend=t[0]), 0.0)
+    back[back > -_RESET_S] = 0.0
+    if back.any():
+        times = int((back < 0).sum())
+        words.append(
+            f"the recording computer's clock was set back {'once' if times == 1 else f'{times} times'}, by "
+            f"{-back.min():.6g} s at most; times go on"
+        )
+        t = t - np.cumsum(back)
+    out = arrival.copy()
+    out[kept] = t
+    return out, kept[back < 0], words
+
+
+def _sending_order(numbers: NDArray[np.int64], arrival: _Array) -> NDArray[np.int64] | None:
+    """Count in which one sender's packets were sent, from their numbers of 8 bits; None where those do not count.
+
+    Two links that were recorded together count separately, and some programs do not count at all.
+    """
+    step = (np.diff(numbers) + 128) % 256 - 128
+    behind = np.flatnonzero(step <= 0)
+    if len(behind) > _MOST_BEHIND * len(numbers):
+        return None
+    pause = _PAUSE * float(np.median(np.diff(arrival))) if len(arrival) > 1 else 0.0
+    for k in behind.tolist():
+        # A late packet is followed by those that it belongs before; after an outage or a start the count goes on.
+        returns = np.cumsum(step[k : k + 64]).max() > 0
+        if step[k] == 0 or not returns or arrival[k + 1] - arrival[k] > pause:
+            step[k] += 256
+    return np.concatenate(([0], np.cumsum(step)))
+
+
+def order_by_number(
+    places: Places, arrival: _Array, number: NDArray[np.int64]
+) -> tuple[_Array, NDArray[np.bool_]]:
+    """Put packets into the order in which their sender numbered them, and find those that came twice.
+
+    Parameters
+    ----------
+    places : dict
+    arrival : (n,) array
+        By place (s).
+    number : (n,) int array
+        Checksum * 256 + number of the packet, by place.
+
+    Returns
+    -------
+    arrival : (n,) array
+        A late packet arrives no later than those that were sent after it.
+    again : (n,) bool array
+        Packets that came before already. Senders that do not count have none.
+    """
+    arrival, again = arrival.copy(), np.zeros(len(arrival), dtype=bool)
+    senders: defaultdict[tuple[int, int], list[NDArray[np.int64]]] = defaultdict(list)
+    for key, part in places.items():
+        senders[key[:2]].append(part)
+    for parts in senders.values():
+        own = np.sort(np.concatenate(parts))
+        order = np.argsort(number[own], kind="stable")
+        same = np.diff(number[own[order]]) == 0
+        same &= (np.diff(order) < _NEAR) & (np.diff(arrival[own[order]]) < _TWICE_S)
+        repeated = np.zeros(len(own), dtype=bool)
+        repeated[order[1:][same]] = True
+        once = own[~repeated]
+        count = _sending_order(number[once] % 256, arrival[once])
+        if count is not None:
+            again[own] = repeated
+            sent = once[np.argsort(count, kind="stable")]
+            came = np.minimum.accumulate(arrival[sent][::-1])[::-1]
+            arrival[sent] = np.where(came < arrival[sent], came - _BEFORE_S, came)
+    return arrival, again
+
+
+def own_clock(fields: Mapping[str, NDArray[Any]]) -> Clock | None:
+    """Return the name of the field that holds the sender's clock, and that clock: s since it started, or since 1970.
+
+    None where no field does, or a stamp was never set.
+    """
+    for name, tick in (("time_boot_ms", 1e3), ("time_usec", 1e6)):
+        if name in fields:
+            time = fields[name].astype(np.float64) / tick
+            # A simulation may begin at 0; later a 0 is a stamp that was never set.
+            rest = time[1:] if len(time) > 1 else time
+            since_start = time.max() < _LONGEST_UPTIME_S
+            if rest.min() > 0 and (since_start or time.min() > _YEAR_2000_S):
+                return (name if since_start else "since 1970"), time
+    return None
+
+
+class _Run(NamedTuple):
+    """What one sender's clock says over the log: the clocks of its leading topics in the order of the file."""
+
+    places: NDArray[np.int64]
+    came: _Array
+    sent: _Array
+
+
+def _clock_of(arrival: _Array, places: Places, clocks: Mapping[Key, Clock], own: Sequence[Key]) -> _Run:
+    lead = [key for key in own if clocks[key][0] == "time_boot_ms"] or list(own)
+    at = np.concatenate([places[key] for key in lead])
+    sent = np.concatenate([clocks[key][1] for key in lead])
+    order = np.argsort(at, kind="stable")
+    return _Run(at[order], arrival[at[order]], sent[order])
+
+
+class _Border(NamedTuple):
+    """The sample at which a clock begins anew, whether the sender started there (else its clock was set back), and
+    the least difference of arrival and clock that packets behind it can have (s)."""
+
+    sample: int
+    started: bool
+    least: float
+
+
+def _borders(run: _Run) -> list[_Border]:
+    since = run.came - run.sent
+    rest = np.minimum.accumulate(since[::-1])[::-1]
+    silence = np.diff(run.came)
+    back = (np.diff(run.sent) < -_RESET_S) & (rest[1:] > since[:-1] + _RESET_S / 4)
+    new = (run.sent[1:] <= silence + _RESET_S) & (np.diff(since) > _RESET_S)
+    out: list[_Border] = []
+    for k in (np.flatnonzero(back | new) + 1).tolist():
+        begun = out[-1].sample if out else 0
+        # Of the run that goes on, whatever packet of the one before came late into it.
+        level = max(float(since[begun]), float(np.median(since[max(begun, k - _FEW) : k])))
+        by = float(np.median(since[k : k + _FEW])) - level
+        if by <= _RESET_S:
+            continue
+        earliest = float(run.came[k - 1]) - _RESET_S
+        if new[k - 1] and level + by >= earliest:
+            out.append(_Border(k, True, earliest))
+        elif back[k - 1] and len(since) - k >= _FEW and rest[k] > level + 0.5 * by:
+            # Set back to another time: the clock never again agrees with what it said before.
+            out.append(_Border(k, False, level + 0.5 * by))
+    return out
+
+
+def _quickest(since: _Array, borders: Sequence[_Border]) -> _Array:
+    """The least difference of arrival and clock in each run (s); packets of the run before do not count."""
+    parts = np.split(since, [b.sample for b in borders])
+    least = [-np.inf, *(b.least for b in borders)]
+    return np.array([part[part >= bound].min() for part, bound in zip(parts, least, strict=True)])
+
+
+def remove_leaps(
+    arrival: _Array,
+    places: Places,
+    clocks: Mapping[Key, Clock],
+    vehicle: tuple[int, int],
+    set_back: NDArray[np.int64],
+) -> tuple[_Array, list[str]]:
+    """Take leaps out of the times of arrival that the vehicle's clock does not have.
+
+    Where the recording computer's clock is set, the vehicle's goes on; a vehicle that starts begins at 0, and a link
+    that stalls catches up. How long it took to set the clock back (at the places ``set_back``) the vehicle's tells.
+
+    Returns
+    -------
+    arrival : (n,) array
+    words : list of str
+    """
+    own = [key for key in clocks if key[:2] == vehicle and clocks[key][0] != "since 1970"]
+    if not own:
+        return arrival, []
+    run = _clock_of(arrival, places, clocks, own)
+    since, arrival = run.came - run.sent, arrival.copy()
+    step = np.diff(since)
+    usual = float(np.median(np.abs(step))) if len(step) else 0.0
+    sudden = (step > max(_LEAP_S, _SUDDEN * usual)) & (np.abs(np.diff(run.sent)) < _CONTINUES_S)
+    words: list[str] = []
+    for place in set_back.tolist():
+        k = int(np.searchsorted(run.places, place))
+        if 0 < k < len(since) and 0 <= run.sent[k] - run.sent[k - 1] < _CONTINUES_S:
+            by = float(since[k : k + _FEW].min() - since[max(0, k - _FEW) : k].min())
+            arrival[place:] -= by
+            since[k:] -= by
+    for k in (np.flatnonzero(sudden) + 1).tolist():
+        before = float(since[max(0, k - _FEW) : k].min())
+        by = float(since[k : k + _FEW].min()) - before
+        if len(since) - k >= _FEW and by > _LEAP_S and since[k:].min() > before + 0.8 * by:
+            between = arrival[run.places[k - 1] : run.places[k] + 1]
+            at = int(run.places[k - 1] + 1 + np.diff(between).argmax())
+            words.append(
+                f"the time of arrival leaps by {by:.6g} s at {arrival[at - 1]:.0f} s, the vehicle's clock does not"
+            )
+            arrival[at:] -= by
+            since[k:] -= by
+    return arrival, words
+
+
+def place_messages(
+    arrival: _Array, places: Places, clocks: Mapping[Key, Clock], vehicle: tuple[int, int]
+) -> tuple[dict[Key, _Array], list[str]]:
+    """Tie each sender's clock to the time of arrival, anew each time that it starts.
+
+    Parameters
+    ----------
+    arrival : (n,) array
+        By place (s).
+    places, clocks : dict
+        Of each sender and kind of message; kinds without a clock have none in ``clocks``.
+    vehicle : (system, component)
+
+    Returns
+    -------
+    times : dict
+        Of those messages whose clock can be tied (s).
+    words : list of str
+        What is to be said of the clocks.
+    """
+    out: dict[Key, _Array] = {}
+    words: list[str] = []
+    senders: defaultdict[tuple[int, int, bool], list[Key]] = defaultdict(list)
+    for key, (name, _) in clocks.items():
+        senders[key[0], key[1], name == "since 1970"].append(key)
+    for (system, component, since_1970), own in senders.items():
+        run = _clock_of(arrival, places, clocks, own)
+        wrapped = np.flatnonzero((run.sent[:-1] > _WRAP_S - _NEAR_WRAP_S) & (run.sent[1:] < _NEAR_WRAP_S))
+        after = int(run.places[wrapped[0] + 1]) if len(wrapped) else len(arrival)
+        run = run._replace(sent=_unwrapped(run.sent, run.places, after))
+        borders = _borders(run)
+        at = np.array([b.sample for b in borders], dtype=np.int64)
+        quickest = _quickest(run.came - run.sent, borders)
+        for key in own:
+            name, clock = clocks[key]
+            clock = _unwrapped(clock, places[key], after) if name == "time_boot_ms" else clock
+            came = arrival[places[key]]
+            k = np.searchsorted(run.places[at], places[key], side="right")
+            # A packet may be late over a start, or a topic be the first to speak after one.
+            near = np.clip(k + np.array([[-1], [0], [1]]), 0, len(quickest) - 1)
+            delay = came - clock - quickest[near]
+            delay[delay < -_RESET_S / 2] = np.inf
+            best = np.take_along_axis(near, delay.argmin(axis=0)[None], axis=0)[0]
+            time = clock + quickest[np.where(np.isfinite(delay.min(axis=0)), best, k)]
+            lag = came - time
+            # A clock of another kind (that of the GPS receiver) does not fit, a lazy link does.
+            if name == "time_boot_ms" or (lag.min() > -_RESET_S and np.median(lag) < _LATEST_S):
+                out[key] = time
+        who = "the vehicle" if (system, component) == vehicle else f"component {system}.{component}"
+        for started, what in ((True, "started anew"), (False, "had its clock set back")):
+            when = ", ".join(f"{run.came[k]:.0f}" for k, new, _ in borders if new is started)
+            if when and not since_1970:
+                words.append(
+                    f"{who} {what} at {when} s of the log; its clock was tied to the log's each time"
+                )
+    if not any(key[:2] == vehicle for key in out):
+        words.append(
+            "no message holds the vehicle's own clock; times are those of arrival, with the link's jitter"
+        )
+    return out, words
+
+
+def _unwrapped(clock: _Array, places: NDArray[np.int64], after: int) -> _Array:
+    """A clock of 32 bits in ms (s), of which packets behind the place ``after`` were sent after it wrapped."""
+    return np.where((places >= after) & (clock < 0.5 * _WRAP_S), clock + _WRAP_S, clock)
