@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -18,9 +20,12 @@ from mufly.camera import (
     project,
     rays,
 )
+from mufly.camera.model import distortion, matrix
 from mufly.dynamics import rotation
 from mufly.dynamics.state import quaternion_from_euler
 from mufly.errors import InputError
+from mufly.logs import LogWarning
+from mufly.slam import camera_toml
 from mufly.world import Box, World
 
 STILL = np.zeros(3)
@@ -164,10 +169,6 @@ def test_a_users_picture_lies_north_up(tmp_path: object) -> None:
 
 
 def test_faulty_files_are_told_in_a_line(tmp_path: object) -> None:
-    from pathlib import Path
-
-    from mufly.slam import camera_toml
-
     assert "mufly-2.0" in builtin_cameras()
     file = Path(str(tmp_path)) / "c.toml"
     text = camera_toml(load_camera("webcam"))
@@ -176,3 +177,198 @@ def test_faulty_files_are_told_in_a_line(tmp_path: object) -> None:
     file.write_text(text.replace("value = -0.22", "value = -1.9"))
     with pytest.raises(InputError, match="folds the picture over"):
         load_camera(file)
+
+
+KALIBR = """cam0:
+  T_cam_imu:
+  - [0.01, -0.99, 0.02, 0.1]
+  - [0.99, 0.01, 0.03, 0.2]
+  - [0.0, 0.0, 0.0, 1.0]
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [-0.28, 0.07, 0.0002, -0.0001]
+  distortion_model: radtan
+  intrinsics: [458.6, 457.3, 367.2, 248.4]
+  resolution: [752, 480]
+  rostopic: /cam0/image_raw
+cam1:
+  camera_model: pinhole
+  distortion_coeffs: [0, 0, 0, 0]
+  distortion_model: radtan
+  intrinsics: [1, 2, 3, 4]
+  resolution: [10, 10]
+"""
+ROS = """image_width: 752
+image_height: 480
+camera_name: narrow
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [458.6, 0, 367.2, 0, 457.3, 248.4, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.28, 0.07, 0.0002, -0.0001, 0]
+projection_matrix:
+  data: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]
+"""
+INFO = """header:
+  frame_id: cam
+height: 480
+width: 752
+distortion_model: plumb_bob
+d:
+- -0.28
+- 0.07
+- 0.0002
+- -0.0001
+- 0.0
+k:
+- 458.6
+- 0.0
+- 367.2
+- 0.0
+- 457.3
+- 248.4
+- 0.0
+- 0.0
+- 1.0
+"""
+OPENCV = """%YAML:1.0
+---
+calibration_time: "Mon 01 Jan 2024"
+image_width: 752
+image_height: 480
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 4.586e+02, 0., 3.672e+02, 0.,
+       4.573e+02, 2.484e+02, 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ -2.8e-01, 7.0e-02, 2.0e-04,
+       -1.0e-04, 0. ]
+"""
+XML = """<?xml version="1.0"?>
+<opencv_storage>
+<image_width>752</image_width>
+<image_height>480</image_height>
+<camera_matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
+  <data>458.6 0. 367.2 0. 457.3 248.4 0. 0. 1.</data></camera_matrix>
+<distortion_coefficients type_id="opencv-matrix"><rows>5</rows><cols>1</cols><dt>d</dt>
+  <data>-0.28 0.07 0.0002 -0.0001 0.</data></distortion_coefficients>
+</opencv_storage>
+"""
+EUROC = """#Default imu sensor yaml file
+sensor_type: camera
+comment: VI-Sensor cam0 (MT9M034)
+T_BS:
+  cols: 4
+  rows: 4
+  data: [0.0148655429818, -0.999880929698, 0.00414029679422, -0.0216401454975,
+         0.0, 0.0, 0.0, 1.0]
+rate_hz: 20
+resolution: [752, 480]
+camera_model: pinhole
+intrinsics: [458.6, 457.3, 367.2, 248.4] #fu, fv, cu, cv
+distortion_model: radial-tangential
+distortion_coefficients: [-0.28, 0.07, 0.0002, -0.0001]
+"""
+ORB = """%YAML:1.0
+Camera.type: "PinHole"
+Camera.fx: 458.6
+Camera.fy: 457.3
+Camera.cx: 367.2
+Camera.cy: 248.4
+Camera.k1: -0.28
+Camera.k2: 0.07
+Camera.p1: 0.0002
+Camera.p2: -0.0001
+Camera.width: 752
+Camera.height: 480
+Camera.fps: 20.0
+"""
+VINS = """%YAML:1.0
+---
+model_type: PINHOLE
+camera_name: camera
+image_width: 752
+image_height: 480
+distortion_parameters:
+   k1: -0.28
+   k2: 0.07
+   p1: 0.0002
+   p2: -0.0001
+projection_parameters:
+   fx: 458.6
+   fy: 457.3
+   cx: 367.2
+   cy: 248.4
+"""
+COLMAP = """# Camera list with one line of data per camera:
+#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]
+1 OPENCV 752 480 458.6 457.3 367.7 248.9 -0.28 0.07 0.0002 -0.0001
+"""
+BASALT = """{"value0": {"T_imu_cam": [{"px": 0.1}], "intrinsics": [{"camera_type": "pinhole", "intrinsics":
+{"fx": 458.6, "fy": 457.3, "cx": 367.2, "cy": 248.4}}], "resolution": [[752, 480]]}}"""
+CALIBRATIONS = {
+    "Kalibr's camchain": KALIBR, "ROS's camera_info": ROS, "OpenCV's calibration": OPENCV, "EuRoC's sensor": EUROC,
+    "COLMAP's cameras": COLMAP, "a calibration": ORB, "Basalt's calibration": BASALT,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "whose"),
+    [
+        *((text, whose) for whose, text in CALIBRATIONS.items()),
+        (INFO, "ROS's"),
+        (XML, "OpenCV's"),
+        (VINS, ""),
+    ],
+)
+def test_calibrations_of_other_programs_give_the_lens(tmp_path: Path, text: str, whose: str) -> None:
+    file = tmp_path / "calibration.yaml"
+    file.write_text(text)
+    with pytest.warns(
+        LogWarning, match=f"is .*{whose}.*lens and size are read, all else .* is as webcam has it"
+    ):
+        camera = load_camera(file)
+    assert (camera.sensor.width, camera.sensor.height) == (752, 480)
+    assert matrix(camera) == pytest.approx(np.array([[458.6, 0, 367.2], [0, 457.3, 248.4], [0, 0, 1]]))
+    bent = np.zeros(5) if text is BASALT else np.array([-0.28, 0.07, 0.0002, -0.0001, 0])
+    assert distortion(camera) == pytest.approx(bent)
+    assert float(camera.sensor.period) == pytest.approx(0.05 if text in (EUROC, ORB) else 0.0333)
+    back = tmp_path / "camera.toml"  # and a file of ours to change the rest in
+    back.write_text(camera_toml(camera))
+    assert load_camera(back) == camera
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (KALIBR.replace("radtan", "equidistant"), "is Kalibr's camchain with the model 'equidistant'"),
+        (KALIBR.replace("pinhole", "ds"), "is Kalibr's camchain with the model 'ds'"),
+        (ROS.replace("-0.0001, 0]", "-0.0001, 0, 0.1, 0.2, 0.3]"), "ROS's camera_info with 8 coefficients"),
+        (BASALT.replace("pinhole", "kb4"), "is Basalt's calibration with the model 'kb4'"),
+        (
+            COLMAP.replace("OPENCV", "FULL_OPENCV"),
+            "FULL_OPENCV: is a model of COLMAP's that is not read here",
+        ),
+        (ROS.replace("image_width", "width_of"), "is no calibration that is known here, or has no size"),
+        ("plain text\nof some kind\n", "is no calibration that is known here"),
+        ("<opencv_storage><a>", "is damaged"),
+        ("", "is missing"),
+        ("[sensor]\nwidth = = 3\n", "is not valid TOML"),
+    ],
+)
+def test_a_lens_of_another_model_is_refused_by_its_name(tmp_path: Path, text: str, why: str) -> None:
+    file = tmp_path / "calibration.yaml"
+    file.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_camera(file)
+    assert why in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -16,7 +16,9 @@ the axis body z, all turned by ``mount.turn`` about it.
 from __future__ import annotations
 
 import math
+import re
 import tomllib
+import warnings
 from importlib import resources
 from pathlib import Path
 
@@ -24,8 +26,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
+from mufly.camera.calibration_files import calibration_tables
 from mufly.errors import InputError
-from mufly.tables import builtin_names, fault, read_tables, validated
+from mufly.logs import LogWarning
+from mufly.tables import builtin_names, decoded, fault, read_tables, validated
 from mufly.vehicle.quantity import Group, Points, Quantity, parameter
 
 _Array = NDArray[np.float64]
@@ -151,16 +155,45 @@ def builtin_cameras() -> list[str]:
     return builtin_names(_BUILTIN)
 
 
+_REST_OF = "webcam"
+"""Built-in camera that gives what another program's calibration does not tell."""
+
+
 def load_camera(name_or_path: str | Path) -> Camera:
-    """Read a camera by built-in name or from a file.
+    """Read a camera by built-in name or from a file: ours (TOML), or another program's calibration.
+
+    Of a calibration (Kalibr, ROS camera_info, OpenCV, EuRoC, ORB-SLAM, VINS, COLMAP) lens and size are read; a
+    :class:`mufly.logs.LogWarning` says where the rest comes from.
 
     Raises
     ------
     InputError
         If there is none, or something in it is wrong.
     """
+    path = Path(name_or_path)
+    if str(name_or_path) not in builtin_cameras() and path.suffix.lower() != ".toml" and path.is_file():
+        text = decoded(path.read_bytes())
+        if not _is_toml(text):
+            rest, _ = read_tables(_REST_OF, _BUILTIN, "camera")
+            tables, whose = calibration_tables(text, str(path), rest)
+            note = f"is {whose}: lens and size are read, all else (mount, shutter, radio, ...) is as {_REST_OF} has it"
+            warnings.warn(
+                f"{path.name}: {note}; camera_toml writes a file to change", LogWarning, stacklevel=2
+            )
+            return validated(Camera, tables, str(path))
     tables, where = read_tables(name_or_path, _BUILTIN, "camera")
     return validated(Camera, tables, where)
+
+
+def _is_toml(text: str) -> bool:
+    """Whether a text is a camera file of ours, be it with a mistake."""
+    if re.search(r"^\s*\[(sensor|lens|mount)\]", text, re.MULTILINE):
+        return True
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return False
+    return True
 
 
 def camera_from(text: str, where: str) -> Camera:

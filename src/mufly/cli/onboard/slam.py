@@ -32,7 +32,11 @@ app = Commands(
 )
 
 _CameraOption = Annotated[
-    str, option("--camera NAME|FILE", "A built-in camera (mufly-2.0, webcam, worst) or a camera file (TOML).")
+    str,
+    option(
+        "--camera NAME|FILE",
+        "A built-in camera (mufly-2.0, webcam, worst), a camera file (TOML), or a calibration (Kalibr, ROS, ...).",
+    ),
 ]
 _HeightOption = Annotated[
     float | None, option("--height M", "Height above the floor, where the files do not tell it.")
@@ -368,9 +372,11 @@ def _camera_of(place: Path, given: str | None) -> Camera:
         return camera_from(text, f"{recording}: camera.toml")
     if place.is_dir() and not any(place.iterdir()):
         raise InputError(str(place), "", "is empty", "give a folder with pictures, a video or a recording")
-    if not (place / "camera.toml").is_file():
+    names = ("camera.toml", "mav0/cam0/sensor.yaml", "cam0/sensor.yaml")
+    beside = next((place / name for name in names if (place / name).is_file()), None)
+    if beside is None:
         raise InputError(str(place), "camera.toml", "is not there", "give --camera")
-    return load_camera(place / "camera.toml")
+    return load_camera(beside)
 
 
 @app.command()
