@@ -175,7 +175,7 @@ def test_an_index_that_is_damaged_costs_nothing(tmp_path):
     content[at] = 0  # the record between data and index
     raw, seq = imu(tmp_path / "a.mcap", content)
     assert len(seq) == 600
-    assert f"damaged bytes at byte {at} (13 bytes)" in raw.damage
+    assert f"13 bytes at byte {at} are damaged" in raw.damage
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
@@ -186,11 +186,12 @@ def test_a_cut_chunk_keeps_the_messages_before_the_cut(tmp_path, compression):
     before = len(imu(tmp_path / "a.mcap", content[:at])[1])
     raw, seq = imu(tmp_path / "a.mcap", content[: at + 9 + length * 2 // 3])
     assert np.array_equal(seq, np.arange(len(seq)))
-    assert f"the file ends inside a chunk of {9 + length} bytes" in raw.damage
+    words = f"the file ends inside a chunk, {9 + length * 2 // 3} of {9 + length} bytes of it are there"
+    assert f"at byte {at} {words}" in raw.damage
     assert "it has no end mark" in raw.damage
     if compression is CompressionType.NONE:
         assert len(seq) > before + 20
-        assert f"of which {len(seq) - before} messages are kept" in raw.damage
+        assert f"with {len(seq) - before} whole messages" in raw.damage
 
 
 def test_what_stands_behind_the_end_mark_is_told(tmp_path):
@@ -385,3 +386,30 @@ def test_our_own_ulog_tells_how_many_rows_are_missing(tmp_path, make_signals):
     assert raw.damage == "20 of 80 rows are here"
     with pytest.warns(LogWarning, match="20 of 80 rows are here"):
         assert read_log(path).sizes["time"] == 20
+
+
+def test_a_recording_without_a_whole_row_says_why(tmp_path, make_signals):
+    path = write_log(make_signals(n=60), tmp_path / "flight.mcap")
+    content = bytearray(path.read_bytes())
+    at, length = next((at, length) for at, opcode, length in records_of(content) if opcode == Opcode.CHUNK)
+    content[at + length // 2] ^= 1
+    path.write_bytes(content)
+    for read in (read_recording, read_log):
+        with pytest.raises(
+            InputError, match=r"holds no rows that can be read .a chunk of \d+ bytes at byte \d+"
+        ):
+            read(path)
+
+
+def test_a_text_whose_number_is_damaged_costs_itself_alone(tmp_path, make_signals):
+    data = make_signals(n=80)
+    path = write_log(data, tmp_path / "a.ulg")
+    content = bytearray(path.read_bytes())
+    row = content.index(b"D\0\0", content.index(b"mufly_dataset"))
+    size = 3 + struct.unpack_from("<H", content, row - 2)[0]
+    content[row - 2 + 31 * size - 2 : row - 2 + 31 * size] = b"\xff\xff"  # text comes last in a row
+    path.write_bytes(content)
+    with pytest.warns(LogWarning, match="1 text of mission_state is damaged, and empty"):
+        back = read_log(path)
+    assert back.mission_state.values.tolist()[29:32] == ["hover", "", "hover"]
+    assert np.array_equal(back.measured_attitude, data.measured_attitude)

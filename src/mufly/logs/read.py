@@ -79,8 +79,9 @@ def kind_of(path: str | Path) -> str:
             packed = stream.read(2) == GZIP_MAGIC
     except OSError as error:
         raise InputError(where, "", f"cannot be read ({error.strerror})", "give the path of a log") from error
-    if not head:
-        raise InputError(where, "", "is empty", "give a log")
+    if not head.strip(b"\0"):
+        problem = "is empty" if not head else "holds zeros alone: nothing of it was written to the disk"
+        raise InputError(where, "", problem, "give a log" if not head else "give another copy of the log")
     if packed and not looks_like_table(head):
         raise InputError(where, "", "is packed (gzip), and no table of text", "unpack it: gunzip FILE")
     for kind, magic in _MAGIC.items():
@@ -189,7 +190,13 @@ def _our_ulog(raw: RawLog) -> xr.Dataset | None:
     fields = dict(raw[TOPIC].fields)
     try:
         for name, known in json.loads(texts).items():
-            fields[name] = np.array(known, dtype=str)[fields[name]]
+            number = np.minimum(fields[name], len(known)).astype(np.int64)
+            fields[name] = np.array([*known, ""], dtype=str)[number]
+            if bad := int((number == len(known)).sum()):
+                which = f"{bad} text{'s' if bad > 1 else ''} of {name}"
+                warnings.warn(
+                    f"{Path(raw.path).name}: {which} is damaged, and empty", LogWarning, stacklevel=4
+                )
         return restore(fields.pop("time"), fields, description)
     except (KeyError, IndexError, ValueError, TypeError) as error:
         problem = f"has a damaged description ({error})"

@@ -85,10 +85,13 @@ def recording_of(contents: McapContents, where: str) -> xr.Dataset:
     except (KeyError, TypeError, ValueError):
         attributes["complete"] = False
     rows, states = _rows(contents, layout)
+    damage = contents.describe_damage(int(attributes.get("start_time_ns", 0)))
     if not states:
-        raise InputError(where, "", "holds no rows", "the flight ended before its first row was on disk")
+        raise InputError(
+            where, "", f"holds no rows{f' that can be read ({damage})' if contents.lost else ''}",
+            "give another copy of the file" if contents.lost else "the flight ended before its first row was on disk",
+        )  # fmt: skip
     if not attributes["complete"]:
-        damage = contents.describe_damage(int(attributes.get("start_time_ns", 0)))
         note = f"is damaged, cut off or still being written; what is whole, to {rows[-1, 0]:g} s, is here"
         warnings.warn(
             f"{Path(where).name}: {note}{f' ({damage})' if damage else ''}", LogWarning, stacklevel=3

@@ -51,7 +51,7 @@ class LostPart(NamedTuple):
     Attributes
     ----------
     what : str
-        In words: ``"a chunk is damaged (wrong checksum)"``.
+        In words: ``"a chunk of 4151 bytes at byte 15434 cannot be read (wrong checksum)"``.
     offset, size : int
         Where it stands (bytes).
     messages : int
@@ -112,12 +112,11 @@ class McapContents:
 
 
 def _part_in_words(part: LostPart, zero_ns: int) -> str:
-    words = f"{part.what} at byte {part.offset} ({part.size} bytes)"
     if not part.first_ns:
-        return words + (f", {part.messages} messages are missing" if part.messages else "")
+        return part.what + (f", {part.messages} messages are missing" if part.messages else "")
     first_s, last_s = (part.first_ns - zero_ns) / 1e9, (part.last_ns - zero_ns) / 1e9
     which = f"{part.messages} messages" if part.messages else "messages"
-    return f"{words}, {which} from {first_s:.2f} to {last_s:.2f} s are missing"
+    return f"{part.what}, {which} from {first_s:.2f} to {last_s:.2f} s are missing"
 
 
 def read_mcap(path: str | Path) -> McapContents:
@@ -222,7 +221,7 @@ class _McapWalk:
                 passed = passed if opcode in _PASSED_OVER else stop
                 at = stop if not problem else self._skip_damaged(problem, opcode, at, stop)
         if not finished and at < end:
-            contents.lost.append(LostPart("the file ends inside a record", at, end - at))
+            contents.lost.append(LostPart(f"at byte {at} the file ends inside a record", at, end - at))
         count = sum(len(m) for m in contents.messages.values())
         contents.expected = self._summary.expected if self._summary else 0
         if not contents.expected and self._skipped:
@@ -238,9 +237,17 @@ class _McapWalk:
             if opcode == Opcode.CHUNK:
                 self._chunked = True
                 plain = _unpack_chunk(self._data, start, stop)
-                return "" if self._take_messages(plain) == len(plain) else "part of a chunk is damaged"
+                return (
+                    ""
+                    if self._take_messages(plain) == len(plain)
+                    else f"part of a chunk at byte {at} is damaged"
+                )
             if opcode == Opcode.MESSAGE:
-                return "" if self._take_messages(self._data[at:stop]) == stop - at else "a message is damaged"
+                return (
+                    ""
+                    if self._take_messages(self._data[at:stop]) == stop - at
+                    else f"a message at byte {at} is damaged"
+                )
             self._take_other(opcode, self._data[start:stop])
             if opcode == Opcode.DATA_END:
                 (crc,) = struct.unpack_from("<I", self._data, start)
@@ -248,7 +255,7 @@ class _McapWalk:
         except Exception as error:  # A damaged record can fail in any way.
             what = "a chunk" if opcode == Opcode.CHUNK else "a record"
             reason = str(error) if isinstance(error, ValueError) and "\n" not in str(error) else "its content"
-            return f"{what} cannot be read ({reason[:90]})"
+            return f"{what} of {stop - at} bytes at byte {at} cannot be read ({reason[:90]})"
         return ""
 
     def _take_messages(self, plain: bytes) -> int:
@@ -314,7 +321,11 @@ class _McapWalk:
         at = at if after >= at else passed
         if after < end or stop <= end or opcode != Opcode.CHUNK:
             cut = after == end and stop > end and Opcode.HEADER <= opcode <= Opcode.DATA_END
-            what = "the file ends inside a record" if cut else "damaged bytes"
+            what = (
+                f"at byte {at} the file ends inside a record"
+                if cut
+                else f"{after - at} bytes at byte {at} are damaged"
+            )
             self._contents.lost.append(LostPart(what, at, after - at))
             return after
         self._chunked = True
@@ -325,9 +336,9 @@ class _McapWalk:
         except Exception:  # Nothing of it can be unpacked.
             before = -1
         kept = sum(len(m) for m in self._contents.messages.values()) - before if before >= 0 else 0
-        what = f"the file ends inside a chunk of {stop - at} bytes"
+        what = f"at byte {at} the file ends inside a chunk, {end - at} of {stop - at} bytes of it are there"
         if kept:  # times of what is missing are not known
-            what, first_ns, last_ns = f"{what}, of which {kept} messages are kept", 0, 0
+            what, first_ns, last_ns = f"{what}, with {kept} whole messages", 0, 0
         self._contents.lost.append(LostPart(what, at, end - at, 0, first_ns, last_ns))
         return end
 
