@@ -62,13 +62,13 @@ class Station:
     def mode(self, main, sub=0):
         self.command(m.MAV_CMD_DO_SET_MODE, 1, main, sub)
 
-    def upload(self, items):
-        self.giver = Sender(self.peer, items)
+    def upload(self, items, mission_type=0):
+        self.giver = Sender(self.peer, items, mission_type=mission_type)
         self._notes(self.giver.start(self.rig.now_s))
 
-    def download(self):
+    def download(self, mission_type=0):
         got = []
-        self.taker = Receiver(lambda items: got.append(items) or 0)
+        self.taker = Receiver(lambda items: got.append(items) or 0, mission_type=mission_type)
         self._notes(self.taker.fetch(self.rig.now_s, self.peer))
         return got
 

@@ -144,8 +144,8 @@ def test_an_upload_of_a_peer_that_has_gone_makes_room_for_the_next():
     ("count", "kind", "result", "why"),
     [
         (LIMIT + 1, 0, 4, "more than 500 items"),
-        (1, 1, 3, "fences and rally points are not"),
-        (1, 9, 3, "fences and rally points are not"),
+        (1, 2, 3, "rally points are not"),
+        (1, 9, 3, "rally points are not"),
     ],
 )
 def test_a_mission_that_is_refused_before_its_items_come_is_refused_with_words(count, kind, result, why):
@@ -196,3 +196,43 @@ def test_a_mission_is_taken_during_a_take_off_and_on_the_way_to_a_place_and_flow
     assert rig.run(2.0, lambda: gcs.last("MISSION_ACK")), gcs.words
     assert gcs.last("MISSION_ACK").type == 14
     assert "pause it first" in gcs.words
+
+
+def fence_item(command, first, n, e):
+    return Item(
+        0, 1, command, params=(first, 0.0, 0.0, 0.0), x=round(1e4 * n), y=round(1e4 * e), mission_type=1
+    )
+
+
+def test_a_fence_goes_up_and_comes_down_to_the_bit_and_keeps_its_vehicle():
+    rig = Rig()
+    gcs = rig.station()
+    rig.run(0.6)
+    bit = m.MAV_SYS_STATUS_GEOFENCE
+    assert not gcs.last("SYS_STATUS").onboard_control_sensors_enabled & bit
+    corners = [(-2.0, -2.0), (4.0, -2.0), (4.0, 2.0), (-2.0, 2.0)]
+    items = [*(fence_item(5001, 4.0, n, e) for n, e in corners), fence_item(5004, 0.5, 3.0, 1.0)]
+    gcs.upload(items, mission_type=1)
+    rig.run(1.0)
+    assert (gcs.last("MISSION_ACK").type, gcs.last("MISSION_ACK").mission_type) == (0, 1)
+    assert rig.status.mission.fence.polygon_m == tuple(corners)
+    gcs.giver = None
+    got = gcs.download(mission_type=1)
+    assert rig.run(1.0, lambda: got)
+    assert [(i.command, i.params, i.x, i.y) for i in got[0]] == [
+        (i.command, i.params, i.x, i.y) for i in items
+    ]
+    gcs.taker = None
+    rig.run(1.0)
+    status, fence = gcs.last("SYS_STATUS"), gcs.last("FENCE_STATUS")
+    assert status.onboard_control_sensors_enabled & bit
+    assert status.onboard_control_sensors_health & bit
+    assert (fence.breach_status, fence.breach_count, fence.breach_type) == (0, 0, m.FENCE_BREACH_NONE)
+    # A mission that leads outside of it is refused, with words; without a fence it is taken.
+    gcs.upload([waypoint(0, 0, -1), waypoint(6, 0, -1)])
+    rig.run(1.0)
+    assert gcs.last("MISSION_ACK").type != 0
+    assert "outside the fence" in gcs.words
+    (ack,) = after(gcs, "MISSION_ACK", lambda: gcs.say(m.MAVLink_mission_clear_all_message(1, 1, 1)))
+    assert (ack.type, ack.mission_type) == (0, 1)
+    assert rig.status.mission.fence is None

@@ -54,8 +54,8 @@ def test_autopilot_version_says_what_to_ask_for(qgc):
     can = qgc.last("AUTOPILOT_VERSION").capabilities
     for bit in ("MISSION_INT", "COMMAND_INT", "MAVLINK2", "SET_POSITION_TARGET_LOCAL_NED"):
         assert can & getattr(m, f"MAV_PROTOCOL_CAPABILITY_{bit}"), bit
-    # What it lacks it does not promise: QGroundControl then leaves fence, rally points and files alone.
-    for bit in ("MISSION_FENCE", "MISSION_RALLY", "FTP"):
+    # What it lacks it does not promise: QGroundControl then leaves rally points and files alone.
+    for bit in ("MISSION_RALLY", "FTP"):
         assert not can & getattr(m, f"MAV_PROTOCOL_CAPABILITY_{bit}"), bit
 
 

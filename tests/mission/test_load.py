@@ -324,6 +324,23 @@ def test_a_ground_stations_file_that_cannot_be_flown_says_what_to_do(tmp_path, t
     assert "\n" not in str(caught.value)
 
 
+def test_a_plans_geofence_is_kept_and_its_rally_points_are_left_out_and_said(tmp_path):
+    corners = [[46.4999, 7.4999], [46.5001, 7.4999], [46.5001, 7.5001], [46.4999, 7.5001]]
+    fence = {"polygons": [{"inclusion": True, "polygon": corners}],
+             "circles": [{"inclusion": False, "circle": {"center": [46.5, 7.50005], "radius": 1.0}}]}  # fmt: skip
+    rally = {"points": [[46.5, 7.5, 3.0]]}
+    path = tmp_path / "hall.plan"
+    path.write_text(plan_text(TAKE_OFF, THERE, geoFence=fence, rallyPoints=rally))
+    m = load_mission(path)
+    assert m.fence.polygon_m[0] == pytest.approx((-10 * NORTH, -7.67), abs=0.02)
+    assert m.fence.keep_out_circles_m[0] == pytest.approx((0.0, 3.84, 1.0), abs=0.02)
+    assert "1 rally points left out" in m.description
+    fence["polygons"][0]["polygon"] = corners[:2]
+    path.write_text(plan_text(TAKE_OFF, THERE, geoFence=fence))
+    with pytest.raises(InputError, match="give 3 or more"):
+        load_mission(path)
+
+
 def test_a_survey_is_flown_as_the_items_it_was_made_into(tmp_path):
     survey = {
         "type": "ComplexItem",

@@ -55,7 +55,7 @@ def show(mission: _Mission = "demonstration", as_json: JsonOption = False, toml:
     Times count from the start signal: rotors speeding up, reference trajectories, settling at each waypoint, waits, \
 and the way around obstacles that the file names.
     """
-    from mufly.mission import dump_mission, expected_timing, load_mission
+    from mufly.mission import dump_mission, expected_timing, fence_outlines, load_mission
 
     m = load_mission(mission)
     if toml:
@@ -95,6 +95,9 @@ and the way around obstacles that the file names.
         say(f"In the world: {', '.join([*obstacles, *(['a room'] if m.room else [])])}.")
     end = {"land": "lands there", "hover": "hovers there", "return": "returns and lands"}[m.at_end]
     how = "scanning for obstacles" if m.scans else "avoiding obstacles" if m.avoidance.enabled else "blindly"
+    if m.fence is not None:
+        ceiling = "no ceiling" if m.fence.ceiling_m is None else f"ceiling {m.fence.ceiling_m:g} m"
+        say(f"Geofence: {len(fence_outlines(m.fence))} zones, {ceiling}; outside it, {m.fence.action}.")
     timing = expected_timing(m)
     say(f"About {timing.landed_s:.0f} s and {timing.path_m:.1f} m, the landing included.")
     say(

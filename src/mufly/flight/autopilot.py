@@ -6,6 +6,9 @@ it asks for happens in the next step; the mission's state machine (:mod:`mufly.m
 runs next, within 20 ms. Which state lets what happen is in :mod:`mufly.mission.state`. The clock is that of the
 measurements. Nothing here knows of MAVLink or of the simulator.
 
+A geofence is judged here, not in the flight software's C: like arming it belongs to whoever commands, and it acts by
+the same requests as a pilot does. Outside it the action of the fence is carried out once; nothing outside is accepted.
+
 Motors run only while it is armed. It disarms by itself once it has landed, and ten seconds after arming if it has not
 taken off. Sticks have to be repeated within a second, set-points within half a second; without, it stops and hovers.
 """
@@ -39,14 +42,18 @@ from mufly.mission import (
     Answer,
     Ask,
     Command,
+    Fence,
     Mission,
     SetPoint,
     State,
     fault_of,
+    fence_fault,
     later,
     never,
     waypoint_fault,
 )
+from mufly.mission.fence import KEEP_M
+from mufly.mission.timing import reach_time
 from mufly.vehicle import Vehicle
 
 UNUSED_S = 10.0
@@ -54,6 +61,9 @@ UNUSED_S = 10.0
 
 SET_POINT_S, STICKS_S = 0.5, 1.0
 """For how long a set-point, and the position of the sticks, hold (s)."""
+
+BACK_M = 0.1
+"""Inside its fence by so much it is back (m)."""
 
 KEPT_EVENTS = 1000
 _IDLE = Actuators.idle()
@@ -116,6 +126,7 @@ class Autopilot:
         self._sensors = SensorWatch()
         self._logged = 0
         self._suits: tuple[Mission | None, tuple[float, ...], str] = (None, (), "")
+        self._breach, self._breaches, self._breach_s = "", 0, math.nan
 
     def reset(self) -> None:
         """Forget the flight, disarmed; mission and parameters stay."""
@@ -168,7 +179,8 @@ class Autopilot:
     @property
     def asked(self) -> bool:
         """Whether anything is asked of it that the next period has to hear."""
-        return self._command is not NO_SIGNAL or self._sticks is not None or self._offboard
+        fenced = self.software.asked.fence is not None
+        return self._command is not NO_SIGNAL or self._sticks is not None or self._offboard or fenced
 
     @property
     def armed(self) -> bool:
@@ -239,6 +251,7 @@ class Autopilot:
         ran, self._ran = self._ran, software.motors != "off"
         if self._offboard and software.state not in ("offboard", "init"):
             self._offboard = False
+        self._keep_in_fence()
         if not self._armed:
             return
         if ran and not self._ran:
@@ -248,6 +261,30 @@ class Autopilot:
         elif self._now - self._armed_s > UNUSED_S:
             self._disarm()
             self.note(f"disarmed: no take-off within {UNUSED_S:g} s")
+
+    def _keep_in_fence(self) -> None:
+        """Act once it has left its fence; it is back once it is inside by :data:`BACK_M`."""
+        fence, m = self.software.asked.fence, self._estimate
+        if fence is None or m is None or not self.software.flying or not np.isfinite(m.position).all():
+            self._breach = ""
+            return
+        before = self._breach
+        self._breach = fence_fault(fence, m.position, BACK_M if before else 0.0)
+        if before or not self._breach:
+            if before and not self._breach:
+                self.note("inside the fence again")
+            return
+        self._breaches, self._breach_s = self._breaches + 1, self._now
+        act = {"hold": self.pause, "return": self.return_home, "land": self.land}[fence.action]
+        words = {"hold": "holding", "return": "returning", "land": "landing"}[fence.action]
+        by_hand = self._sticks is not None
+        self._sticks = None  # the pilot may take over again, inside
+        landing = self.software.mission_state.state == State.LANDING
+        answer = ACCEPTED if landing else act()
+        if by_hand and not answer:
+            answer = self._ask(Command(land=True) if fence.action == "land" else Command(pause=True))
+        done = "landing" if landing else words if answer else f"cannot be helped: {answer.reason}"
+        self.note(f"fence breached, {self._breach}: {done}", "error")
 
     def _disarm(self) -> None:
         self._armed = self._offboard = False
@@ -381,6 +418,9 @@ class Autopilot:
             reason=s.reason,
             oscillation=str(software.oscillation or ""),
             crashed=self.crashed,
+            fence_breach=self._breach,
+            fence_breaches=self._breaches,
+            fence_breach_s=self._breach_s,
             mission=software.asked,
             home=s.standing if s.started else None,
             goal=s.goal if in_air else None,
@@ -433,6 +473,7 @@ class Autopilot:
         if m is not None and np.isfinite(m.position).all():
             place = (float(m.position[0]), float(m.position[1]), float(m.position[2]))
             fault = column_fault(mission.world, place, height_m, mission.avoidance.clearance_m)
+            fault = fault or fence_fault(mission.fence, (*place[:2], -height_m), KEEP_M)
             if fault:
                 return later(f"no take-off to {height_m:g} m here: {fault}")
         return ACCEPTED
@@ -473,7 +514,23 @@ class Autopilot:
         fault = place_fault(mission.world, place, mission.avoidance.clearance_m)
         if fault:
             return never(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
+        fault = fence_fault(mission.fence, place, KEEP_M) or self._out_of_reach(place)
+        if fault:
+            return never(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         return self._do(Ask.GO_TO, Command(waypoint=place, heading=heading))
+
+    def _out_of_reach(self, place: tuple[float, float, float]) -> str:
+        """Why a place is too far for what a full battery lasts, there and down; "" if it is not."""
+        m, mission = self._estimate, self.software.plan.mission
+        if m is None or not np.isfinite(m.position).all():
+            return ""
+        needed = reach_time(mission, m.position, place)
+        lasts = 3600.0 * mission.battery.usable * self._capacity_Ah / self.hover_A
+        if needed <= lasts:
+            return ""
+        return (
+            f"out of reach: getting there and down takes {needed:.0f} s, a full battery lasts {lasts:.0f} s"
+        )
 
     def turn_to(self, heading_rad: float) -> Answer:
         """Stop, and turn on the spot to a heading (rad, from north to east)."""
@@ -517,6 +574,10 @@ class Autopilot:
     def set_point(self, s: SetPoint) -> Answer:
         """Take a set-point; it is followed while :meth:`offboard` is on."""
         fault = fault_of(s)
+        fence, place = self.software.asked.fence, s.position_m
+        if not fault and fence is not None and place is not None and self._estimate is not None:
+            here = self._estimate.position.tolist()
+            fault = fence_fault(fence, [h if math.isnan(p) else p for p, h in zip(place, here, strict=True)])
         if fault:
             return never(f"set-point refused: {fault}")
         self._set_point, self._set_point_s = s, self._now
@@ -559,6 +620,14 @@ class Autopilot:
         return ACCEPTED
 
     # mission and parameters
+
+    def load_fence(self, fence: Fence | None) -> Answer:
+        """Take another fence, or none; refused where it stands, or hovers, outside."""
+        m = self._estimate
+        if m is not None and np.isfinite(m.position).all() and (fault := fence_fault(fence, m.position)):
+            return later(f"fence refused: it is {fault}")
+        self.software.change(self.software.asked.with_parts(fence=fence))
+        return ACCEPTED
 
     def load_mission(self, mission: Mission) -> Answer:
         """Take another mission, whole or not at all, to be flown when it is started; not while one is being flown."""

@@ -58,6 +58,12 @@ class FlightState:
         Which actuator oscillates, how far and how fast (:mod:`mufly.flight.oscillation`); "" if none.
     crashed : str
         What it hit; "" if nothing.
+    fence_breach : str
+        How far it is outside its fence, in words; "" inside, or without one.
+    fence_breaches : int
+        How often it has left its fence in this flight.
+    fence_breach_s : float
+        When it left it last (s).
     mission : Mission or None
         As loaded, with the limits as tuned.
     home : (3,) tuple or None
@@ -100,6 +106,9 @@ class FlightState:
     reason: str = ""
     oscillation: str = ""
     crashed: str = ""
+    fence_breach: str = ""
+    fence_breaches: int = 0
+    fence_breach_s: float = math.nan
     mission: Mission | None = None
     home: _Place | None = None
     goal: _Place | None = None

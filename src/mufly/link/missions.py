@@ -20,7 +20,7 @@ from mufly.link.mission_transfer import (
     to_mavlink,
 )
 from mufly.link.telemetry import Progress
-from mufly.mission import ACCEPTED, Answer, never
+from mufly.mission import ACCEPTED, Answer, Fence, fence_of, items_of_fence, never
 from mufly.mission.items import Item, MissionResult, Origin, Plan, Refusal, items_of, plan_of
 
 _MISSION, _FENCE, _RALLY, _ALL = 0, 1, 2, 255
@@ -29,7 +29,7 @@ _CLEAR_WITHIN_S = 3.0
 _WHY: dict[int, str] = {
     MissionResult.NO_SPACE: f"mission refused: it has more than {LIMIT} items",
     MissionResult.DENIED: "mission refused: another station is sending one; wait until it is done",
-    MissionResult.UNSUPPORTED: "refused: missions are known here, fences and rally points are not",
+    MissionResult.UNSUPPORTED: "refused: missions and fences are known here, rally points are not",
 }
 """Refusals that need no look at the items, in words."""
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5
@@ -39,7 +39,7 @@ class MissionProtocol:
     """The vehicle's side of the mission protocol: who uploads, who downloads, and where the mission stands.
 
     A mission that has come in whole is judged, loaded and acknowledged in one step: loaded whole, or refused with
-    everything left as it was. Fences and rally points do not exist here: their lists are empty.
+    everything left as it was; a fence likewise. Rally points do not exist here: their list is empty.
 
     Parameters
     ----------
@@ -64,6 +64,8 @@ class MissionProtocol:
         self._refused = ""  # why the last mission was refused, until it is told
         self._first = 0  # the item that the mission begins with when it is started
         self._receiver = Receiver(self._judge)
+        self._fence_receiver = Receiver(self._judge_fence, mission_type=_FENCE)
+        self._fence_items: tuple[Fence | None, tuple[Item, ...]] = (None, ())
         self._senders: OrderedDict[tuple[Source, int], Sender] = OrderedDict()
         self._told = 0
         self._clearing: tuple[float, Source, int] | None = None
@@ -80,7 +82,7 @@ class MissionProtocol:
     def step(self, now_s: float) -> None:
         """Repeat what may have been lost."""
         self._send(self._only_from_commander())
-        out = [*self._receiver.step(now_s), *self._clear_at_rest(now_s)]
+        out = [*self._receiver.step(now_s), *self._fence_receiver.step(now_s), *self._clear_at_rest(now_s)]
         for giver in self._senders.values():
             out += giver.step(now_s)
         self._send(out)
@@ -89,9 +91,10 @@ class MissionProtocol:
         """A peer has gone: its transfers end, the mission stays what it was."""
         for key in [k for k in self._senders if k[0].peer == peer]:
             del self._senders[key]
-        taker = self._receiver.peer
-        if isinstance(taker, Source) and taker.peer == peer:
-            self._receiver.cancel()
+        for receiver in (self._receiver, self._fence_receiver):
+            taker = receiver.peer
+            if isinstance(taker, Source) and taker.peer == peer:
+                receiver.cancel()
 
     def start(self, item: float = 0.0) -> Answer:
         """Start the mission, or go on with it; from an item on if one is given, above 0."""
@@ -166,21 +169,48 @@ class MissionProtocol:
                 return self._clear(now_s, station, kind)
             case RequestList() | RequestItem():
                 return self._give(now_s, station, note)
-            case Count() if kind != _MISSION:
+            case Count() if kind == _RALLY:
                 result = MissionResult.UNSUPPORTED if note.count else MissionResult.ACCEPTED
                 return [(station, Ack(result, kind))]
             case Ack():
                 giver = self._senders.get((station, kind))
                 given = giver.receive(now_s, note) if giver is not None else []
-                return [*given, *self._receiver.receive(now_s, station, note)]
+                return [*given, *self._receiver_of(kind).receive(now_s, station, note)]
             case Count() | Item():
-                return self._receiver.receive(now_s, station, note)
+                return self._receiver_of(kind).receive(now_s, station, note)
         return []
 
     def _only_from_commander(self) -> Notes:
         """An upload ends, with nothing changed, when whoever began it does not command any more."""
-        taker = self._receiver.peer
-        return [] if taker is None or taker == self._authority.commander else self._receiver.cancel()
+        out: Notes = []
+        for receiver in (self._receiver, self._fence_receiver):
+            if receiver.peer is not None and receiver.peer != self._authority.commander:
+                out += receiver.cancel()
+        return out
+
+    def _receiver_of(self, kind: int) -> Receiver:
+        return self._fence_receiver if kind == _FENCE else self._receiver
+
+    def fence_items(self) -> tuple[Item, ...]:
+        """The fence as it was uploaded or, of a mission file, as items."""
+        fence = self._autopilot.software.asked.fence
+        if fence != self._fence_items[0]:
+            self._fence_items = (fence, items_of_fence(fence, self._origin))
+        return self._fence_items[1]
+
+    def _judge_fence(self, items: tuple[Item, ...]) -> int:
+        base = self._autopilot.software.asked.fence
+        try:
+            fence = fence_of(items, base, self._origin)
+        except Refusal as refusal:
+            self._refused = str(refusal)
+            return refusal.result
+        answer = self._autopilot.load_fence(fence)
+        if not answer:
+            self._refused = answer.reason
+            return MissionResult.DENIED if answer.temporary else MissionResult.ERROR
+        self._fence_items = (fence, items)
+        return MissionResult.ACCEPTED
 
     def _waypoint_of(self, item: int) -> int | None:
         """The waypoint to begin with when an item is to come next; None if there is none."""
@@ -226,7 +256,8 @@ class MissionProtocol:
         # Whoever goes on with items of a list that was offered before gets those, or nothing: never some of each.
         if before is not None and isinstance(note, RequestItem):
             return before.receive(now_s, note)
-        items = self.plan.items if note.mission_type == _MISSION else ()
+        held = {_MISSION: lambda: self.plan.items, _FENCE: self.fence_items}.get(note.mission_type, tuple)
+        items: tuple[Item, ...] = held()
         giver = Sender(station, items, mission_type=note.mission_type, uploading=False)
         # A list that is asked for again may be that of another mission than the one that was never fetched.
         if before is not None and before.result is None and before.items == giver.items:
@@ -238,8 +269,12 @@ class MissionProtocol:
         return offer if isinstance(note, RequestList) else giver.receive(now_s, note)
 
     def _clear(self, now_s: float, station: Source, kind: int) -> Notes:
+        if kind in (_FENCE, _ALL):
+            result = self._judge_fence(())
+            if kind == _FENCE or result != MissionResult.ACCEPTED:
+                return [(station, Ack(result, kind))]
         if kind not in (_MISSION, _ALL):
-            known = kind in (_FENCE, _RALLY)
+            known = kind == _RALLY
             return [(station, Ack(MissionResult.ACCEPTED if known else MissionResult.UNSUPPORTED, kind))]
         if self._clearing is not None:
             return []  # the same again

@@ -88,6 +88,11 @@ class Instant:
     slips: int = 0
 
     @property
+    def has_fence(self) -> bool:
+        """Whether its mission has a geofence."""
+        return self.state.mission is not None and self.state.mission.fence is not None
+
+    @property
     def boot_ms(self) -> int:
         """The vehicle's clock (ms), as an unsigned number of 32 bits; never 0, which readers take for "not known"."""
         return max(1, round(self.state.time_s * 1e3) % 2**32)
@@ -350,8 +355,12 @@ def sys_status(p: Instant) -> MavMessage:
     )
     if p.origin is not None:
         here |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
-    # There is no fence, so none is broken: MAVProxy reports a breach where this bit is not set.
+    if p.has_fence:
+        here |= mavlink.MAV_SYS_STATUS_GEOFENCE
+    # Without a fence none is broken: MAVProxy reports a breach where this bit is not set.
     well = here | mavlink.MAV_SYS_STATUS_GEOFENCE
+    if p.state.fence_breach:
+        well &= ~mavlink.MAV_SYS_STATUS_GEOFENCE
     if not (p.ready or p.state.armed):
         well &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
     if p.battery_low:
@@ -372,6 +381,20 @@ def sys_status(p: Instant) -> MavMessage:
         0,
         0,
     )
+
+
+def fence_status(p: Instant) -> MavMessage | None:
+    """FENCE_STATUS: whether it is outside its geofence, how often and when it left it; nothing without one."""
+    v = p.state
+    if not (p.has_fence or v.fence_breaches):
+        return None
+    kind = mavlink.FENCE_BREACH_NONE
+    if v.fence_breach:
+        above = v.fence_breach.endswith("ceiling")
+        kind = mavlink.FENCE_BREACH_MAXALT if above else mavlink.FENCE_BREACH_BOUNDARY
+    count = min(v.fence_breaches, 65535)
+    when = within(v.fence_breach_s * 1e3, 0, 2**32 - 1)
+    return mavlink.MAVLink_fence_status_message(int(bool(v.fence_breach)), count, kind, when)
 
 
 def battery_status(p: Instant) -> MavMessage:
@@ -530,6 +553,7 @@ def autopilot_version(p: Instant) -> MavMessage:
         | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
         | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
         | mavlink.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
         | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     )
     if p.origin is not None:
@@ -584,6 +608,7 @@ STREAMS: tuple[Stream, ...] = (
     Stream("SYSTEM_TIME", 1.0, _STATUS, system_time),
     Stream("BATTERY_STATUS", 1.0, _STATUS, battery_status),
     Stream("EXTENDED_SYS_STATE", 2.0, _STATUS, extended_sys_state),
+    Stream("FENCE_STATUS", 1.0, _STATUS, fence_status),
     Stream("MISSION_CURRENT", 2.0, _STATUS, mission_current),
     Stream("NAMED_VALUE_INT (mstate)", 5.0, _STATUS, mission_state),
     Stream("NAMED_VALUE_INT (command)", 1.0, _STATUS, command),

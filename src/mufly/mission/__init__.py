@@ -13,6 +13,7 @@ from mufly.mission.check import (
     preflight,
     slowed,
 )
+from mufly.mission.fence import fence_fault, fence_of, fence_outlines, items_of_fence
 from mufly.mission.ground_files import FILE_ENDINGS, FROM_GROUND_FILE, is_ground_file
 from mufly.mission.machine import go_on, pause, step, stop_at_once, watch_out, waypoint_fault
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
@@ -29,6 +30,7 @@ from mufly.mission.schema import (
     GREATEST_WIND_M_S,
     LOWEST_M,
     SPIN_UP_S,
+    Fence,
     Mission,
     Waypoint,
     limits_of_file,
@@ -76,6 +78,7 @@ __all__ = [
     "Answer",
     "Ask",
     "Command",
+    "Fence",
     "Leg",
     "Limits",
     "Mission",
@@ -101,8 +104,12 @@ __all__ = [
     "dump_mission",
     "expected_timing",
     "fault_of",
+    "fence_fault",
+    "fence_of",
+    "fence_outlines",
     "go_on",
     "is_ground_file",
+    "items_of_fence",
     "landing_time",
     "later",
     "legs",

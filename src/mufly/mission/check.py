@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
+from mufly.mission.fence import check_fence
 from mufly.mission.ground_files import is_ground_file, read_ground_file
 from mufly.mission.schema import LOWEST_M, Mission, limits_of_file
 from mufly.mission.state import prepare
@@ -100,6 +101,7 @@ def check_geometry(mission: Mission, where: str) -> None:
         times = np.linspace(back.gate_s, back.duration_s, 200)
         _check_unseen(mission, where, last, np.array([back.at(float(t)).position for t in times]))
     _check_column(mission, where, last, end, _FLOOR_COLUMN, "the landing")
+    check_fence(mission, where)
 
 
 def _beside(least: float, name: str) -> str:

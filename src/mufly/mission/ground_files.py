@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mufly.errors import InputError
+from mufly.mission.fence import CIRCLE_IN, CIRCLE_OUT, VERTEX_IN, VERTEX_OUT, fence_of
 from mufly.mission.items import LOCAL_FRAMES, NOT_GIVEN, Item, Origin, Refusal, on_globe, plan_of
 from mufly.mission.schema import Mission
 
@@ -30,6 +31,7 @@ FROM_GROUND_FILE = "from a ground station's file"
 _HEAD = "QGC WPL"
 _REMEDY = "change or delete it in the ground station, and save the plan again"
 _NAN = math.nan
+_CARRIED: tuple[str, ...] = ("take_off", "waypoint", "at_end", "fence")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +48,15 @@ class GroundFile:
         The planned home.
     left_out : tuple of str
         What of the file is not flown, in words.
+    fence : tuple of Item
+        Its geofence.
     """
 
     items: tuple[Item, ...]
     places: tuple[str, ...]
     home: Origin | None
     left_out: tuple[str, ...] = ()
+    fence: tuple[Item, ...] = ()
 
 
 def is_ground_file(text: str) -> bool:
@@ -84,8 +89,12 @@ def read_ground_file(text: str, where: str) -> dict[str, Any]:
     except Refusal as refusal:
         key = "" if refusal.item is None else found.places[refusal.item]
         raise InputError(where, key, refusal.why, _remedy(refusal, found)) from None
-    tables = plan.mission.model_dump(exclude_none=True)
-    kept = {key: tables[key] for key in ("take_off", "waypoint", "at_end")}
+    try:
+        fence = fence_of(found.fence, None, home)
+    except Refusal as refusal:
+        raise InputError(where, "geoFence", refusal.why, _REMEDY) from None
+    tables: dict[str, Any] = plan.mission.with_parts(fence=fence).model_dump(exclude_none=True)
+    kept = {key: tables[key] for key in _CARRIED if key in tables}
     return {"description": _description(found, home), **kept}
 
 
@@ -182,13 +191,38 @@ def _plan(text: str, where: str) -> GroundFile:
     rally = content.get("rallyPoints")
     points = rally.get("points") if isinstance(rally, dict) else None
     left_out = [f"{len(points)} rally points"] if isinstance(points, list) and points else []
-    fence = content.get("geoFence")
-    zones = (
-        sum(len(fence.get(key) or ()) for key in ("circles", "polygons")) if isinstance(fence, dict) else 0
-    )
-    left_out += [f"a geofence of {zones} zones"] if zones else []
     home = _place_of(mission.get("plannedHomePosition"))
-    return GroundFile(tuple(items), tuple(places), home, tuple(left_out))
+    fence = _fence_items(content.get("geoFence"), where)
+    return GroundFile(tuple(items), tuple(places), home, tuple(left_out), fence)
+
+
+def _fence_items(content: object, where: str) -> tuple[Item, ...]:
+    """The zones of a plan's geofence as items."""
+    if not isinstance(content, dict):
+        return ()
+    made: list[tuple[int, float, object]] = []
+    for k, zone in enumerate(content.get("polygons") or (), 1):
+        table = _table(zone, where, f"geoFence.polygons[{k}]")
+        corners = _list(table.get("polygon"), where, f"geoFence.polygons[{k}]")
+        command = VERTEX_IN if table.get("inclusion", True) else VERTEX_OUT
+        made += [(command, float(len(corners)), corner) for corner in corners]
+    for k, zone in enumerate(content.get("circles") or (), 1):
+        table = _table(zone, where, f"geoFence.circles[{k}]")
+        circle = _table(table.get("circle"), where, f"geoFence.circles[{k}]")
+        radius = circle.get("radius")
+        command = CIRCLE_IN if table.get("inclusion", True) else CIRCLE_OUT
+        made.append(
+            (command, float(radius) if isinstance(radius, int | float) else _NAN, circle.get("center"))
+        )
+    items = []
+    for k, (command, first, place) in enumerate(made):
+        at = _place_of(place)
+        if at is None:
+            raise InputError(where, "geoFence", f"{place!r:.40} is no place", "save the plan again")
+        items.append(
+            _item(k, 0, command, (first, 0.0, 0.0, 0.0, at.lat_deg, at.lon_deg, 0.0), where, "geoFence")
+        )
+    return tuple(items)
 
 
 def _simple(entry: Mapping[str, Any], where: str, key: str) -> list[Mapping[str, Any]]:

@@ -285,6 +285,17 @@ def _command_name(number: int) -> str:
     return f"command {number}" if entry is None else f"command {number} ({entry})"
 
 
+def numbered_item(
+    seq: int, command: int, first: float, north: float, east: float, origin: Origin | None
+) -> Item:
+    """An item with a level place (m) and one parameter: on the globe where there is an origin, else in LOCAL_NED."""
+    params = (first, 0.0, 0.0, 0.0)
+    if origin is None:
+        return Item(seq, _NED, command, params=params, x=_counts(north), y=_counts(east), mission_type=1)
+    lat, lon, _ = origin.to_global(north, east, 0.0)
+    return Item(seq, 0, command, params=params, x=round(lat * 1e7), y=round(lon * 1e7), mission_type=1)
+
+
 def _counts(metres: float) -> int:
     return round(metres * 1e4)
 
@@ -368,7 +379,7 @@ def _down(item: Item, origin: Origin | None) -> float:
     return float(f"{down:.7g}")
 
 
-def _level(item: Item, origin: Origin | None) -> tuple[float, float]:
+def level_place(item: Item, origin: Origin | None) -> tuple[float, float]:
     """N and E of an item (m); NaN where not given."""
     if item.frame in (_NED, _ENU):
         a, b = (unscaled(v, 1e-4) for v in (item.x, item.y))
@@ -384,7 +395,7 @@ def _level(item: Item, origin: Origin | None) -> tuple[float, float]:
 
 def _place(item: Item, origin: Origin | None) -> Triple:
     down = _down(item, origin)
-    n, e = _level(item, origin)
+    n, e = level_place(item, origin)
     if math.isnan(n):
         raise _refuse(item, MissionResult.INVALID_PARAM5_X, "x is not given")
     if math.isnan(e):
@@ -394,7 +405,7 @@ def _place(item: Item, origin: Origin | None) -> Triple:
 
 def _above(item: Item, origin: Origin | None, last: Waypoint) -> Triple | None:
     """Where to fly before landing, at the height of the last waypoint; None if it is there, or no place is given."""
-    n, e = _level(item, origin)
+    n, e = level_place(item, origin)
     before = last.position_m
     if math.isnan(n) or math.isnan(e) or math.dist((n, e), before[:2]) < _SAME_PLACE_M:
         return None

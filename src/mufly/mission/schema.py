@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, Strict
+from pydantic import BaseModel, ConfigDict, Field, Strict, model_validator
 
 from mufly.mission.trajectory import Limits as TrajectoryLimits
 from mufly.mission.trajectory import Trajectory, begin_curved, straight
@@ -129,6 +129,66 @@ class Wind(_Table):
     gust_m_s: float = _strict(0.0, "intensity of the gusts (rms)", ge=0.0, le=GREATEST_GUST_M_S)
 
 
+class Fence(_Table):
+    """Where the vehicle may be, and what it does when it is not."""
+
+    polygon_m: tuple[Pair, ...] = Field(
+        default=(), description="corners N, E of the area to stay in, three or more"
+    )
+    centre_m: Pair | None = Field(default=None, description="N, E of the middle of a circle to stay in")
+    radius_m: float | None = _strict(None, "radius of that circle", ge=0.1, le=FARTHEST_M)
+    ceiling_m: float | None = _strict(None, "greatest height above the floor", ge=LOWEST_M, le=FARTHEST_M)
+    keep_out_m: tuple[tuple[Pair, ...], ...] = Field(
+        default=(), description="areas to stay out of, each with its corners N, E"
+    )
+    keep_out_circles_m: tuple[Triple, ...] = Field(
+        default=(), description="circles to stay out of: N, E and radius of each"
+    )
+    action: Literal["hold", "return", "land"] = Field(
+        default="hold",
+        description='once it is outside: "hold" there, "return" to above its start and land, or "land"',
+    )
+
+    @model_validator(mode="after")
+    def _bounds_something(self) -> Fence:
+        if (self.centre_m is None) != (self.radius_m is None):
+            raise ValueError("a circle needs both centre_m and radius_m")
+        for name, corners in (("polygon_m", self.polygon_m), *(("keep_out_m", z) for z in self.keep_out_m)):
+            if name == "polygon_m" and not corners:
+                continue
+            if len(corners) < 3:
+                raise ValueError(f"{name} has {len(corners)} corners; give three or more")
+            if _crosses_itself(corners):
+                raise ValueError(f"{name} crosses itself; give its corners in order")
+        if any(radius <= 0.0 for _, _, radius in self.keep_out_circles_m):
+            raise ValueError("keep_out_circles_m has a radius that is not above 0")
+        if not (
+            self.polygon_m or self.radius_m or self.ceiling_m or self.keep_out_m or self.keep_out_circles_m
+        ):
+            raise ValueError(
+                "bounds nothing; give polygon_m, centre_m with radius_m, ceiling_m or keep_out_m"
+            )
+        return self
+
+
+def _crosses_itself(corners: tuple[Pair, ...]) -> bool:
+    """Whether any two sides of a polygon cross, or it has no area."""
+
+    def turn(a: Pair, b: Pair, c: Pair) -> float:
+        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+    n = len(corners)
+    sides = [(corners[k], corners[(k + 1) % n]) for k in range(n)]
+    if not abs(sum(a[0] * b[1] - a[1] * b[0] for a, b in sides)) > 1e-9:
+        return True
+    for i in range(n):
+        for j in range(i + 2, n if i else n - 1):
+            (a, b), (c, d) = sides[i], sides[j]
+            if turn(a, b, c) * turn(a, b, d) < 0.0 and turn(c, d, a) * turn(c, d, b) < 0.0:
+                return True
+    return False
+
+
 class BoxTable(_Table):
     """An upright box."""
 
@@ -190,6 +250,7 @@ class Mission(_Table):
     avoidance: Avoidance = Avoidance()
     battery: Battery = Battery()
     wind: Wind = Wind()
+    fence: Fence | None = None
     room: RoomTable | None = None
     box: tuple[BoxTable, ...] = ()
     cylinder: tuple[CylinderTable, ...] = ()

@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mufly.mission.avoidance import ENTER_M, LOOK_M
 from mufly.mission.detour import FOLLOW_M, LEAVE_M
@@ -173,6 +173,14 @@ def landing_time(height: float, mission: Mission) -> float:
         above -= max(speed, 1e-3) * _STEP_S
         time += _STEP_S
     return time + RAMP_DOWN_S
+
+
+def reach_time(mission: Mission, here: ArrayLike, place: ArrayLike) -> float:
+    """Time to fly from a place (3,) to another (3,) with a mission's limits, and to land there (s)."""
+    a, b = (np.asarray(v, dtype=np.float64) for v in (here, place))
+    start = np.array([a[0], a[1], min(float(a[2]), -mission.take_off.height_m)]) if a[2] > -0.2 else a
+    way = straight(start, b, 0.0, mission.trajectory_limits)
+    return way.duration_s + landing_time(max(-float(b[2]), 0.0), mission)
 
 
 def _leg_time(mission: Mission, way: Trajectory, limits: Limits, number: int) -> tuple[float, float]:

@@ -1,0 +1,164 @@
+"""Geofences: what lies inside, what a mission file may say, and what a vehicle does that leaves one."""
+
+import math
+import tomllib
+
+import numpy as np
+import pytest
+
+from mufly.errors import InputError
+from mufly.flight import Flight
+from mufly.mission import Fence, SetPoint, dump_mission, fence_fault, fence_of, items_of_fence, mission_from
+from mufly.mission.fence import fence_margins
+from mufly.mission.items import Item, MissionResult, Origin, Refusal
+
+SQUARE = [[-3, -3], [3, -3], [3, 3], [-3, 3]]
+L_SHAPE = ((0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0))
+
+
+def go(*positions, **fence):
+    return {"waypoint": [{"position_m": list(p)} for p in positions], "fence": fence}
+
+
+@pytest.mark.parametrize(
+    ("place", "depth"),
+    [((0.5, 2.0), 0.5), ((2.0, 0.5), 0.5), ((2.0, 2.0), -1.0), ((-1.0, 0.5), -1.0), ((0.5, 0.5), 0.5)],
+)
+def test_depth_in_a_polygon_with_a_bay(place, depth):
+    for corners in (L_SHAPE, L_SHAPE[::-1]):
+        margins, _ = fence_margins(Fence(polygon_m=corners), [(*place, -1.0)])
+        assert margins[0, 0] == pytest.approx(depth)
+
+
+def test_every_bound_counts_and_the_worst_is_named():
+    fence = Fence(polygon_m=SQUARE, centre_m=(0.0, 0.0), radius_m=2.0, ceiling_m=1.5, keep_out_m=(L_SHAPE,),
+                  keep_out_circles_m=((-1.0, -1.0, 0.5),))  # fmt: skip
+    for place, words in (
+        ((0.0, -2.5, -1.0), "0.50 m outside the fence's circle"),
+        ((-0.5, 0.5, -2.0), "0.50 m above the fence's ceiling"),
+        ((0.5, 0.5, -1.0), "0.50 m inside a keep-out zone"),
+        ((-1.0, -1.0, -1.0), "0.50 m inside a keep-out circle"),
+        ((0.0, 500.0, -1.0), "498 m outside the fence's circle"),
+        ((math.nan, 0.0, -1.0), "outside"),
+        ((-1.0, 0.5, -1.0), ""),
+    ):
+        assert words in fence_fault(fence, place)
+        assert bool(fence_fault(fence, place)) == bool(words)
+    assert fence_fault(None, (0.0, 500.0, -1.0)) == ""
+
+
+@pytest.mark.parametrize(
+    ("tables", "key", "words"),
+    [
+        (go((1, 0, -1), (5, 0, -1), polygon_m=SQUARE), "waypoint[2].position_m", "2.00 m outside the fence"),
+        (go((2.9, 0, -1), polygon_m=SQUARE), "waypoint[1].position_m", "0.10 m from the fence, where 0.2 m are kept"),
+        (go((1, 0, -1), ceiling_m=0.9), "take_off.height_m", "above the fence's ceiling"),
+        (go((1, 0, -1), centre_m=[9, 9], radius_m=3.0), "start_m", "outside the fence's circle"),
+        # Both ends are free; the way between them is not.
+        (go((2, 0, -1), keep_out_circles_m=[[1.0, 0.1, 0.3]]), "waypoint[1].position_m", "keep-out circle"),
+        ({**go((2, 2, -1), keep_out_m=[[[0.8, 0.8], [1.2, 0.8], [1.2, 1.2], [0.8, 1.2]]]), "at_end": "return",
+          "waypoint": [{"position_m": [2, 0, -1]}, {"position_m": [2, 2, -1]}]}, "at_end", "keep-out zone"),
+        (go((1, 0, -1), polygon_m=[[0, 0], [1, 0]]), "fence", "2 corners"),
+        (go((1, 0, -1), polygon_m=[[-2, -2], [2, 2], [2, -2], [-2, 2]]), "fence", "crosses itself"),
+        (go((1, 0, -1), radius_m=2.0), "fence", "centre_m"),
+        (go((1, 0, -1), action="land"), "fence", "bounds nothing"),
+        (go((1, 0, -1), keep_out_circles_m=[[1, 1, -1]]), "fence", "not above 0"),
+    ],
+)  # fmt: skip
+def test_a_mission_that_leaves_its_fence_or_has_none_is_refused(tables, key, words):
+    with pytest.raises(InputError) as caught:
+        mission_from(tables, "hall.toml")
+    assert caught.value.key == key
+    assert words in str(caught.value)
+
+
+def test_a_fence_survives_the_file():
+    tables = go(
+        (1, 0, -1), polygon_m=SQUARE, ceiling_m=2.5, keep_out_circles_m=[[2.0, 2.0, 0.3]], action="land"
+    )
+    mission = mission_from(tables, "hall.toml")
+    assert mission_from(tomllib.loads(dump_mission(mission))) == mission
+
+
+@pytest.mark.parametrize("origin", [None, Origin(46.5, 7.5, 400.0)])
+def test_a_fence_survives_the_link(origin):
+    fence = Fence(polygon_m=SQUARE, centre_m=(1.0, -1.0), radius_m=5.5, keep_out_m=(L_SHAPE, L_SHAPE[::-1]),
+                  keep_out_circles_m=((2.0, 2.0, 0.25),), ceiling_m=2.0, action="land")  # fmt: skip
+    items = items_of_fence(fence, origin)
+    assert [i.seq for i in items] == list(range(len(items)))
+    again = fence_of(items, fence, origin)
+    assert (again.ceiling_m, again.action) == (2.0, "land")
+    for name in ("polygon_m", "centre_m", "radius_m", "keep_out_circles_m"):
+        assert np.array(getattr(again, name)) == pytest.approx(np.array(getattr(fence, name)), abs=0.02)
+    assert np.array(again.keep_out_m) == pytest.approx(np.array(fence.keep_out_m), abs=0.02)
+
+
+def vertex(first, n=0, e=0, command=5001, frame=1):
+    return (command, first, n, e, frame)
+
+
+@pytest.mark.parametrize(
+    ("items", "result", "words"),
+    [
+        ([vertex(3), vertex(3, 1)], MissionResult.INVALID_SEQUENCE, "1 vertices of its polygon are missing"),
+        ([vertex(2), vertex(2, 1)], MissionResult.INVALID_PARAM1, "give 3 or more"),
+        ([vertex(3), vertex(4, 1), vertex(3, 1, 1)], MissionResult.INVALID_PARAM1, "count differently"),
+        ([vertex(3), vertex(3, 1), vertex(2.0, 1, 1, 5003)], MissionResult.INVALID_SEQUENCE, "missing"),
+        ([vertex(0.0, command=5003)], MissionResult.INVALID_PARAM1, "a radius of 0 m"),
+        ([vertex(math.nan, command=5004)], MissionResult.INVALID_PARAM1, "radius"),
+        ([vertex(5.0, command=5003), vertex(6.0, command=5003)], MissionResult.UNSUPPORTED, "one polygon"),
+        ([vertex(5.0, command=5003, frame=0)], MissionResult.INVALID_PARAM5_X, "an origin"),
+        ([vertex(5.0, command=16)], MissionResult.UNSUPPORTED, "no fence"),
+    ],
+)
+def test_items_that_are_no_fence_are_refused_with_the_field(items, result, words):
+    made = [
+        Item(k, frame, command, params=(first, 0, 0, 0), x=round(1e4 * n), y=round(1e4 * e), mission_type=1)
+        for k, (command, first, n, e, frame) in enumerate(items)
+    ]
+    with pytest.raises(Refusal, match=words) as caught:
+        fence_of(made, None, None)
+    assert caught.value.result == result
+
+
+@pytest.mark.parametrize(("action", "ends"), [("hold", "hover"), ("return", "waypoint"), ("land", "landing")])
+def test_outside_its_fence_a_vehicle_does_what_the_fence_says(action, ends):
+    mission = mission_from(go((0.3, 0, -0.5), centre_m=[0, 0], radius_m=0.9, action=action))
+    with Flight(
+        "mufly-1.1", mission.with_parts(take_off=mission.take_off.model_copy(update={"height_m": 0.5}))
+    ) as f:
+        pilot = f.autopilot
+        f.tick()
+        assert pilot.arm(force=True)
+        assert pilot.take_off(0.5)
+        while pilot.status.state != "hover":
+            f.tick()
+        refused = pilot.go_to((0.0, 500.0, -0.5))
+        assert not refused
+        assert "499 m outside the fence's circle" in refused.reason
+        assert "outside the fence" in pilot.set_point(SetPoint(position_m=(1.5, 0.0, math.nan))).reason
+        while not pilot.status.fence_breaches:
+            pilot.set_point(SetPoint(velocity_m_s=(0.5, 0.0, 0.0)))
+            if not pilot.status.offboard:
+                assert pilot.offboard(True)
+            f.tick()
+        assert pilot.status.fence_breach
+        for _ in range(1600):
+            f.tick()
+            if pilot.status.state == ends:
+                break
+        assert pilot.status.state == ends
+        words = {"hold": "holding", "return": "returning", "land": "landing"}[action]
+        assert any(e.text.startswith("fence breached") and words in e.text for e in pilot.events())
+        if action == "hold":
+            assert "fence refused" in pilot.load_fence(mission.fence).reason
+            assert pilot.go_to((0.3, 0.0, -0.5))
+            assert pilot.load_fence(None)
+
+
+def test_a_place_that_a_full_battery_does_not_reach_is_refused():
+    with Flight("mufly-1.1", mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0]}]})) as f:
+        f.tick()
+        answer = f.autopilot.go_to((0.0, 500.0, -1.0))
+    assert not answer
+    assert "out of reach" in answer.reason
