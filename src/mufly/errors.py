@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
+import re
+from collections.abc import Iterable
+
 
 class MuflyError(Exception):
     """Something a user can act on. The message is one line; the command line prints it without a traceback."""
@@ -49,3 +53,29 @@ class ArgumentError(InputError):
     def __init__(self, argument: str, key: str, problem: str, remedy: str) -> None:
         super().__init__(argument, key, problem, remedy)
         self.argument = argument
+
+
+def suggest_name(name: str, known: Iterable[str], otherwise: str = "") -> str:
+    """Return the remedy for an unknown name: the known names most like it.
+
+    Parameters
+    ----------
+    name : str
+        As it was given.
+    known : iterable of str
+        What there is.
+    otherwise : str
+        The remedy where nothing is like it; default: a list of all that there is.
+    """
+
+    def plain(text: str) -> str:
+        return re.sub(r"[\s_-]", "", text.lower())
+
+    names = list(known)
+    by_plain = {plain(n): n for n in names}
+    near = difflib.get_close_matches(plain(name), by_plain, n=3, cutoff=0.6)
+    if not near:
+        return otherwise or f"use one of: {', '.join(names)}"
+    ratios = [difflib.SequenceMatcher(None, plain(name), n).ratio() for n in near]
+    shown = [by_plain[n] for n, r in zip(near, ratios, strict=True) if r > max(ratios) - 0.1]
+    return f"did you mean {' or '.join(map(repr, shown))}?"

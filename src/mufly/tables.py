@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import difflib
 import json
 import math
 import re
@@ -23,7 +22,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticCustomError
 
-from mufly.errors import InputError
+from mufly.errors import InputError, suggest_name
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -71,7 +70,10 @@ def read_tables(name_or_path: str | Path, folder: Traversable, kind: str) -> tup
     else:
         path, where = Path(name_or_path), name
         if not path.is_file():
-            remedy = f"give a {kind} file, or one of the built-in: {', '.join(known)}"
+            here = [str(f) for f in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+            remedy = suggest_name(
+                name, [*known, *here], f"give a {kind} file, or one of the built-in: {', '.join(known)}"
+            )
             raise InputError(name, "", f"no such {kind} or file", remedy)
         try:
             text = path.read_text(encoding="utf-8-sig")
@@ -270,11 +272,8 @@ def _first_fault(error: ValidationError, model: type[BaseModel], where: str) -> 
     if kind == "mufly":
         problem, remedy, key = context["problem"], context["remedy"], context.get("key", key)
     elif kind == "extra_forbidden":
-        near = difflib.get_close_matches(str(loc[-1]), list(beside.model_fields), n=1, cutoff=0.5)
-        problem = "unknown key"
-        remedy = (
-            f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(beside.model_fields)}"
-        )
+        problem, keys = "unknown key", list(beside.model_fields)
+        remedy = suggest_name(str(loc[-1]), keys, f"known keys here: {', '.join(keys)}")
     elif kind == "missing":
         problem, remedy = "is missing", _how_to_write(str(loc[-1]), field)
     elif kind in ("length", "too_long"):

@@ -1,5 +1,6 @@
 """What a library says of its arguments, the command line says of its options."""
 
+import math
 import re
 from collections.abc import Iterator
 from typing import Annotated, Any
@@ -9,8 +10,10 @@ import typer
 from typer.testing import CliRunner
 
 from mufly.cli import app as mufly
-from mufly.cli.options import Commands
+from mufly.cli.options import Commands, Notation
+from mufly.cli.station import check_air, wind_of
 from mufly.errors import ArgumentError, InputError
+from mufly.units import conversion, units_of
 
 app = Commands()
 
@@ -66,7 +69,7 @@ NUMBERS = {
     "drive sweep": {"--thrust": ABSURD, "--duty": ABSURD, "--gear": ABSURD, "--voltage": ABSURD},
     "control design": {"--rate": ABSURD, "--voltage": ABSURD},
     "fly --headless": {
-        "--wind": ("1e9,0,0", "nan,0,0", "1"), "--gust": ("1e9", "-1", "nan", "5kV"), "--seed": ("-1", "nan", "1e-12"),
+        "--wind": ("1e9,0,0", "nan,0,0", "-1"), "--gust": ("1e9", "-1", "nan", "5kV"), "--seed": ("-1", "nan", "1e-12"),
         "--port": ("1000000000", "-1", "nan"),
         "--fault": ("sonar.jump=1e9@1s", "sonar.jump=0.3@1e9s+1s", "sonar.jump=nan", "sonar.jump=0.3@2s+0s", "a.b"),
     },
@@ -103,3 +106,151 @@ def test_no_help_loses_what_stands_in_brackets() -> None:
         shown, asked = Text.from_markup(text).plain, re.findall(r"\[[a-z_.]+\]", text)
         styles = [tag for tag in asked if tag not in shown]
         assert set(styles) <= {"[bold]", "[dim]"}, styles
+
+
+def every_option() -> Iterator[tuple[str, Any]]:
+    """Every option of every command, with the command's words."""
+
+    def walk(command: Any, words: list[str]) -> Iterator[tuple[str, Any]]:
+        for name, inner in getattr(command, "commands", {}).items():
+            yield from walk(inner, [*words, name])
+        if not hasattr(command, "commands"):
+            yield from ((" ".join(words), p) for p in command.params if p.param_type_name == "option")
+
+    yield from walk(typer.main.get_command(mufly), [])
+
+
+def notation_of(option: Any) -> Notation | None:
+    parser = option.type_descriptor.parameter_info.parser
+    return parser if isinstance(parser, Notation) else None
+
+
+# Options whose numbers have no dimension.
+COUNTS = {
+    "--again", "--aid", "--baud", "--blades", "--boxes", "--cells", "--calibrate", "--cores", "--flights",
+    "--generations", "--jobs", "--point", "--points", "--port", "--record", "--reference-every", "--repeat",
+    "--restarts", "--search", "--seed", "--starts", "--stations", "--system", "--top", "--wake-iterations",
+}  # fmt: skip
+PLAIN = {
+    "--gear", "--n-crit", "--speed", "--wake-tolerance", "--wake-turns",
+}  # fmt: skip
+SHARES = {
+    "--amplitude", "--band", "--charge", "--duty", "--gear", "--gear-efficiency", "--hold-out-share",
+    "--ratio", "--shadows", "--split", "--gurney",
+}  # fmt: skip
+# Options that hold names, files, addresses, or NAME=VALUE with values that the grammar reads.
+TEXTS = {
+    "--accept", "--aid", "--airfoil", "--airfoils", "--as", "--axis", "--board", "--by", "--calibration",
+    "--calibration-columns", "--camera", "--camera-fault", "--case", "--channel", "--checkpoint", "--clock",
+    "--cluster", "--code", "--column", "--columns", "--connect", "--data", "--designed-for", "--domain",
+    "--drive", "--engine", "--family", "--fault", "--fit", "--floor", "--for", "--free", "--from",
+    "--hold-out", "--host", "--imu", "--input", "--inputs", "--keep", "--kind", "--known", "--layout",
+    "--limit", "--link", "--logs", "--map", "--measured", "--mesh", "--method", "--mission", "--model",
+    "--name", "--noise", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
+    "--over", "--part", "--plot", "--position", "--prefix", "--reference", "--report", "--rig", "--rotor",
+    "--save-map", "--section", "--sensors", "--set", "--signal", "--start", "--stream", "--telemetry",
+    "--times", "--tip", "--token", "--unit", "--vary", "--vehicle", "--wake", "--wake-set", "--without",
+    "--write",
+}  # fmt: skip
+
+
+def test_every_option_with_a_number_is_read_by_the_one_grammar() -> None:
+    quantities: dict[str, set[str]] = {}
+    count = 0
+    for command, option in every_option():
+        count += 1
+        kind, name = option.type_descriptor.annotation, max(option.opts, key=len)
+        notation, opts = notation_of(option), set(option.opts)
+        if kind is bool or option.is_flag:
+            continue
+        if notation is None:
+            assert kind not in (int, float, list[int], list[float]), f"{command} {name} is read by typer"
+            assert opts & TEXTS, f"{command} {name} is neither a quantity nor listed as a text"
+        elif notation.form == "count":
+            assert opts & COUNTS, f"{command} {name} is not listed as a count"
+        elif notation.unit == "":
+            assert opts & PLAIN, f"{command} {name} is not listed as a plain number"
+        elif notation.unit in ("1", "%"):
+            assert opts & SHARES, f"{command} {name} is not listed as a share"
+        else:
+            quantities.setdefault(name, set()).add(notation.unit)
+            assert f"[{notation.unit}]" in option.metavar, f"{command} {name} does not show its unit"
+    assert count > 400
+    assert {n: u for n, u in quantities.items() if len(u) > 1} == DIFFERENT
+    assert len(quantities) > 50
+
+
+# The same option means different bare units in different commands; everything else is one unit everywhere.
+DIFFERENT = {
+    "--radius": {"mm", "m"},  # `new` in mm, `identify rotor` in m
+    "--delay": {"ms", "s"},  # `identify flight` in ms
+}
+
+OTHER_DIMENSION = {"V": "kg", "N": "V"}
+
+
+def test_every_quantity_takes_units_and_refuses_what_is_none_in_our_words() -> None:
+    """Before: `--thrust 0.9N` was "Input should be a valid number, unable to parse string as a number"."""
+    seen = set()
+    for command, option in every_option():
+        notation, name = notation_of(option), max(option.opts, key=len)
+        if notation is None or (name, notation) in seen:
+            continue
+        seen.add((name, notation))
+        for text in ("", "abc", "nan", "1e999", "5 parsec", "1.2.3"):
+            with pytest.raises(InputError) as told:
+                notation.read(name, text)
+            assert str(told.value).startswith(f"{name}: "), f"{command} {name}={text}: {told.value}"
+            assert "Input should be" not in str(told.value)
+            assert told.value.remedy
+        if notation.form == "one" and notation.unit and not notation.words:
+            for unit in set(units_of(conversion(notation.unit)[0])) - {"1"}:
+                low, high = notation.within.low, notation.within.high
+                value = next(
+                    v for v in (1.0, low, high, 0.5) if v is not None and (low or v) <= v <= (high or v)
+                )
+                factor = conversion(notation.unit, unit)[1]
+                assert notation.read(name, f"{value * factor!r}{unit}") == pytest.approx(value), (
+                    command,
+                    unit,
+                )
+            with pytest.raises(InputError, match=r"cannot become|is unknown"):
+                notation.read(name, f"1{OTHER_DIMENSION.get(notation.unit, 'V')}")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("drive", "show", "--thrust", "0,9"), "--thrust: '0,9' has a decimal comma; write 0.9"),
+        (("monte-carlo", "--flights", "3.5"), "--flights: '3.5' is no whole number"),
+        (("monte-carlo", "--flights=-3"), "--flights: -3 is out of range; give 0 or more"),
+        (("fly", "--wind", "0,5"), "--wind: '0,5' holds 2 numbers"),
+        (("fly", "demonstraton"), "did you mean 'demonstration'?"),
+        (("fly", "--vehicle", "mufly-1.l"), "did you mean 'mufly-1.1'"),
+        (("rotor", "show", "naca4412-r60-c21"), "did you mean 'naca4412-r60-c20'"),
+        (("rotor", "hover", "--rpm", "5000", "--pitch", "12", "--engine", "xfol"), "did you mean 'xfoil'"),
+        (("fly", "--fault", "sonr.jump"), "--fault: sonr: is no sensor; did you mean 'sonar'?"),
+        (("fly", "--fault", "sonar.jump=3kg"), "'3kg' is in kg, which cannot become m"),
+        (("coax", "hover", "--spacing", "20"), "--spacing: 20 m is out of range: no pair is built so"),
+        (
+            ("identify", "plan", "mufly-1.1", "--free", "cT_dw", "--limit", "heigth_m=1"),
+            "did you mean 'height_m'",
+        ),
+    ],
+)
+def test_refusals_name_option_value_and_remedy(words: tuple[str, ...], message: str) -> None:
+    error = CliRunner().invoke(mufly, words).exception
+    assert isinstance(error, InputError), error
+    assert message in str(error)
+
+
+def test_wind_means_the_same_in_every_command() -> None:
+    assert wind_of("0.5") == wind_of("0.5m/s") == 0.5
+    assert wind_of("1.8km/h,0,0") is not None
+    assert wind_of("0.5,0,0") == wind_of("0.5m/s,0,0m/s") == (0.5, 0.0, 0.0)
+    with pytest.raises(InputError, match="is no wind"):
+        wind_of("-0.5")
+    found, again, other = check_air("0.5", None, 7), check_air("0.5", None, 7), check_air("0.5", None, 8)
+    assert found == again != other  # the seed draws where it comes from
+    assert math.hypot(*found) == pytest.approx(0.5)
+    assert found[2] == 0.0

@@ -55,7 +55,7 @@ def test_without_a_held_out_log_the_end_of_the_record_is_held_out(logs):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (["--free", "l_upp"], "did you mean l_up"),
+        (["--free", "l_upp"], "did you mean 'l_up'"),
         (["--part", "roll"], "use one of: both"),
         (["--method", "simplex"], "use one of: lm, cma"),
         (["--voltage", "high"], "is no voltage"),

@@ -79,8 +79,8 @@ def test_provenance_sets_the_prior(vehicle):
 @pytest.mark.parametrize(
     ("symbols", "words"),
     [
-        (["cTdw"], "did you mean cT_dw"),
-        (["IXX"], "did you mean Ixx"),
+        (["cTdw"], "did you mean 'cT_dw'"),
+        (["IXX"], "did you mean 'Ixx'"),
         (["qqqqqqqq"], "use symbols of `mufly vehicle show`"),
         (["legs"], "is no parameter"),
         (["Izz", "Izz"], "is named twice"),

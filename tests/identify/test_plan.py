@@ -171,7 +171,7 @@ def test_directions_in_words():
     ("arguments", "what"),
     [
         ({"channel": "sideways"}, "'sideways' is unknown"),
-        ({"symbols": ["Izzz"]}, "did you mean Izz"),
+        ({"symbols": ["Izzz"]}, "did you mean 'Izz'"),
         ({"limits": Limits(motor=0.35)}, "limit on motor input: is passed by the least signal"),
         ({"noise": {"roll": 0.01}}, "nothing of yaw is measured"),
         ({"amplitude": 2.0}, "amplitude"),

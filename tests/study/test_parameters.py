@@ -42,8 +42,8 @@ def test_names_are_kept() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("chord=10:30:5", "chord has no unit; use one of: mm"),
-        ("chord=10:30:5deg", "not measured in 'deg'"),
+        ("chord=10:30:5", "has no unit; use one of: m, cm, mm"),
+        ("chord=10:30:5deg", "cannot become m; use one of"),
         ("cord=10mm", "did you mean 'chord'"),
         ("chord", "NAME=VALUES"),
         ("chord=mm", "is no number"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -12,14 +11,18 @@ import typer
 
 from mufly.cli.options import (
     POLARS,
+    SPEED,
     WAKE,
+    ClimbOption,
     Commands,
+    DensityOption,
     JsonOption,
     OutOption,
+    PairPitchOption,
     Polars,
+    SpacingOption,
     Theory,
     Wakes,
-    angle,
     argument,
     option,
     wake_progress,
@@ -35,6 +38,7 @@ from mufly.cli.present import (
     write_csv,
 )
 from mufly.errors import InputError, MuflyError
+from mufly.grammar import read_pair, read_steps, spaced_values
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -53,47 +57,18 @@ ROTOR_COLUMNS = (
     Column("speed_rad_s", "rpm", ".0f"), Column("pitch_rad", "deg", ".2f"), "thrust_N", Column("torque_Nm", "mN m"),
     "power_W", Column("c_T", form=".5f"), Column("c_Q", form=".6f"), Column("figure_of_merit", form=".3f"),
 )  # fmt: skip
-SPACING = option("--spacing LENGTH", "Distance between the discs: 20mm, 2cm, 0.02m.")
-DENSITY = option("--density KG/M3", "Density of the air.")
-
-
-def _both(option: str, text: str) -> list[str]:
-    parts = [p.strip() for p in text.split(",")]
-    if len(parts) not in (1, 2) or not all(parts):
-        raise InputError(
-            option, "", f"{text!r} is neither one value nor two", "write one, or UPPER,LOWER as 14,12"
-        )
-    return parts if len(parts) == 2 else parts * 2
 
 
 def speeds(text: str) -> tuple[float, float]:
     """Upper and lower speed (rad/s) of ``"6000,6650"`` or ``"6000"`` rpm."""
-    out = []
-    for part in _both("--rpm", text):
-        try:
-            value = float(part.removesuffix("rpm"))
-        except ValueError:
-            raise InputError("--rpm", "", f"{part!r} is no number", "write for example 6000,6650") from None
-        if not 0.0 < value < math.inf:
-            raise InputError("--rpm", "", f"{part} is not possible", "give a number above 0")
-        out.append(value * RPM)
-    return out[0], out[1]
+    upper, lower = read_pair("--rpm", text, "rpm")
+    return upper * RPM, lower * RPM
 
 
 def angles(text: str) -> tuple[float, float]:
     """Upper and lower pitch (rad) of ``"14,12"``, ``"14"`` degrees."""
-    upper, lower = (angle("--pitch", part) for part in _both("--pitch", text))
-    return upper, lower
-
-
-def length(text: str) -> float:
-    """Distance (m) of ``"20mm"``."""
-    from mufly.study.parameters import PAIR, parse_quantity
-
-    try:
-        return float(parse_quantity("spacing", text, PAIR))
-    except InputError as error:
-        raise InputError("--spacing", "", error.problem, error.remedy) from None
+    upper, lower = read_pair("--pitch", text, "deg")
+    return math.radians(upper), math.radians(lower)
 
 
 def pair_of(
@@ -237,17 +212,20 @@ _Isolated = Annotated[
 def hover(
     upper: UpperArgument = THESIS,
     lower: LowerArgument = None,
-    spacing: Annotated[str, SPACING] = "20mm",
+    spacing: SpacingOption = 0.02,
     rpm: Annotated[
         str,
-        option("RPM[,RPM]", "Speeds of upper and lower rotor; one value holds for both."),
+        option(
+            "--rpm",
+            "Speeds of upper and lower rotor; one value holds for both.",
+            unit="rpm",
+            form="pair",
+            within=SPEED,
+        ),
     ] = "6000,6650",
-    pitch: Annotated[
-        str,
-        option("ANGLE[,ANGLE]", "Pitch of upper and lower rotor: 14, 14,12 or 0.2rad."),
-    ] = "14",
-    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.")] = 0.0,
-    density: Annotated[float, DENSITY] = 1.2,
+    pitch: PairPitchOption = "14",
+    climb: ClimbOption = 0.0,
+    density: DensityOption = 1.2,
     theory: Theory = WAKE,
     isolated: _Isolated = True,
     out: OutOption = None,
@@ -266,7 +244,7 @@ def hover(
     first, second = speeds(rpm)
     setup = pair_of(
         upper, lower,
-        {"spacing": length(spacing), "upper_pitch": above, "lower_pitch": below, "upper_speed": first,
+        {"spacing": spacing, "upper_pitch": above, "lower_pitch": below, "upper_speed": first,
          "lower_speed": second, "climb": climb, "density": density},
         theory,
     )  # fmt: skip
@@ -277,24 +255,25 @@ def hover(
 def trim(
     upper: UpperArgument = THESIS,
     lower: LowerArgument = None,
-    spacing: Annotated[str, SPACING] = "20mm",
-    thrust: Annotated[float | None, option("N", "Thrust of the pair.")] = None,
+    spacing: SpacingOption = 0.02,
+    thrust: Annotated[float | None, option("--thrust", "Thrust of the pair.", unit="N")] = None,
     rpm: Annotated[
         str | None,
         option(
-            "RPM[,RPM]",
+            "--rpm",
             "Speed of the upper rotor, if no thrust is given; with --free lower-pitch the "
             "speeds of both, of which a thrust keeps the ratio. 6000 if neither is given.",
+            unit="rpm",
+            form="pair",
+            within=SPEED,
         ),
     ] = None,
     free: Annotated[
         str, option("NAME", "What balances the torques: lower-speed or lower-pitch.")
     ] = "lower-speed",
-    pitch: Annotated[
-        str, option("ANGLE[,ANGLE]", "Pitch of upper and lower rotor: 14, 14,12 or 0.2rad.")
-    ] = "14",
-    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.")] = 0.0,
-    density: Annotated[float, DENSITY] = 1.2,
+    pitch: PairPitchOption = "14",
+    climb: ClimbOption = 0.0,
+    density: DensityOption = 1.2,
     theory: Theory = WAKE,
     isolated: _Isolated = False,
     out: OutOption = None,
@@ -312,7 +291,7 @@ def trim(
         raise InputError("--thrust", "", f"{thrust:g} N is not possible", "give a number above 0")
     above, below = angles(pitch)
     fixed: dict[str, float | str] = {
-        "spacing": length(spacing), "upper_pitch": above, "climb": climb, "density": density
+        "spacing": spacing, "upper_pitch": above, "climb": climb, "density": density
     }  # fmt: skip
     if free == "lower-pitch":
         if "," in pitch:
@@ -362,7 +341,6 @@ def _answer(setup: Setup, isolated: bool, out: Path | None, as_json: bool) -> No
 
 
 _POINTS = {"--rpm": 3, "--ratio": 11, "--climb": 9}
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _WAKE_POINTS = {"--rpm": 1, "--ratio": 5, "--climb": 5}
 
 
@@ -372,31 +350,38 @@ def coax_map(
     lower: Annotated[
         str | None, argument("[LOWER]", "Lower rotor; by default the upper one once more.")
     ] = None,
-    spacing: Annotated[str, option("LENGTH", "Distance between the discs: 20mm, 0.02m.")] = "40mm",
-    pitch: Annotated[str, option("ANGLE[,ANGLE]", "Pitch of both rotors, or of upper and lower.")] = "14",
+    spacing: SpacingOption = 0.04,
+    pitch: PairPitchOption = "14",
     rpm: Annotated[
         str,
         option(
-            "FIRST:LAST[:STEP]",
+            "--rpm",
             "Mean of both speeds (it sets the Reynolds number); one value will do. 3 values by default, 1 for "
             "wakes: the middle.",
+            unit="rpm",
+            form="steps",
+            within=SPEED,
         ),
     ] = "2500:6000",
     ratio: Annotated[
         str,
-        option("FIRST:LAST[:STEP]", "Lower over upper speed. 11 values by default, 5 for wakes."),
+        option(
+            "--ratio", "Lower over upper speed. 11 values by default, 5 for wakes.", unit="1", form="steps"
+        ),
     ] = "0.6:1.6",
     climb: Annotated[
         str,
         option(
-            "FIRST:LAST[:STEP]",
-            "Climb velocity in m/s at the lowest of the mean speeds, scaled with "
+            "--climb",
+            "Climb velocity at the lowest of the mean speeds, scaled with "
             "speed above; 0 lies inside. 9 values by default, 5 for wakes.",
+            unit="m/s",
+            form="steps",
         ),
     ] = "-1:3",
     method: Annotated[str, option("bemt|wake", "Blade elements, or vortex wakes.")] = "bemt",
     wake: Annotated[str, option("--wake free|prescribed", "Shape of the wakes of --method wake.")] = "free",
-    wake_step: Annotated[float, option("--wake-step DEG", "Azimuth step of --method wake.")] = 30.0,
+    wake_step: Annotated[float, option("--wake-step", "Azimuth step of --method wake.", unit="deg")] = 30.0,
     wake_turns: Annotated[float, option("--wake-turns N", "Free turns of --method wake.")] = 3.0,
     wake_tolerance: Annotated[
         float, option("--wake-tolerance X", "Settled when the loads change by less.")
@@ -404,7 +389,7 @@ def coax_map(
     wake_iterations: Annotated[
         int, option("--wake-iterations N", "At most, a point; what has not settled is marked.")
     ] = 150,
-    density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
+    density: DensityOption = 1.2,
     polars: Polars = POLARS,
     name: Annotated[str, option("NAME", "Name of the map.")] = "",
     out: Annotated[
@@ -429,14 +414,10 @@ def coax_map(
         raise InputError("--method", "", f"{method!r} is unknown", "use 'bemt' or 'wake'")
     counts = _WAKE_POINTS if method == "wake" else _POINTS
     speeds = _range("--rpm", rpm, counts, "rpm") * RPM
-    ratios, climbs = _range("--ratio", ratio, counts, ""), _range("--climb", climb, counts, "m/s")
-    if speeds[0] <= 0:
-        raise InputError("--rpm", "", f"{rpm!r} is not possible", "give speeds above 0")
+    ratios, climbs = _range("--ratio", ratio, counts, "1"), _range("--climb", climb, counts, "m/s")
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no name of a map file", "let it end in .toml")
-    pitches = [angle("--pitch", part) for part in pitch.split(",")]
-    if len(pitches) not in (1, 2):
-        raise InputError("--pitch", "", f"{len(pitches)} angles", "give one, or one each for upper and lower")
+    pitches = angles(pitch)
     blades = [polars.blading(load_rotor(r)) for r in (upper, upper if lower is None else lower)]
     settings = None
     if method == "wake":
@@ -448,7 +429,7 @@ def coax_map(
     try:
         with progress_bar("points", not as_json) as progress:
             made = compute(
-                blades[0], blades[1], spacing_m=length(spacing), upper_pitch_rad=pitches[0],
+                blades[0], blades[1], spacing_m=spacing, upper_pitch_rad=pitches[0],
                 lower_pitch_rad=pitches[-1], mean_speed_rad_s=speeds.tolist(), ratio=ratios.tolist(),
                 climb_ratio=climb_ratios(climbs.tolist(), speeds.tolist(), blades[0].rotors[0].radius_m).tolist(),
                 method=cast("Literal['bemt', 'wake']", method), air=Air(density_kg_m3=density), settings=settings,
@@ -505,24 +486,11 @@ def _print_map(made: CoefficientMap) -> None:
 
 
 def _range(option: str, text: str, counts: dict[str, int], unit: str) -> NDArray[np.float64]:
-    """Return the values of FIRST:LAST[:STEP], which may end in the unit."""
-    body = text.strip().removesuffix(unit).strip() if unit else text.strip()
-    match = re.fullmatch(rf"({_NUMBER})(?::({_NUMBER})(?::({_NUMBER}))?)?", body)
-    if match is None:
-        example = {"--rpm": "2500:6000", "--ratio": "0.6:1.6:0.1", "--climb": "-1:3m/s"}[option]
-        raise InputError(
-            option, "", f"{text!r} is no range", f"write first:last or first:last:step, as {example}"
-        )
-    first, last, step = (float(g) if g is not None else None for g in match.groups())
-    assert first is not None
+    """Return the values of FIRST:LAST[:STEP] in a unit; without a step as many as ``counts`` says."""
+    first, last, step = read_steps(option, text, unit)
     if last is None:
         return np.array([first])
-    if last <= first or (step is not None and not 0 < step <= (last - first) * (1 + 1e-9)):
-        raise InputError(
-            option, "", f"{text!r} holds no two values", "let it rise, by a step no longer than that"
-        )
     if step is not None:
-        n = math.floor((last - first) / step + 1e-9) + 1
-        return np.array([round(first + k * step, 12) for k in range(n)])
+        return np.array(spaced_values(first, last, step))
     n = counts[option]
     return np.array([0.5 * (first + last)] if n == 1 else np.linspace(first, last, n).round(12).tolist())

@@ -28,11 +28,17 @@ def design(
     ] = "mufly-1.1",
     rate: Annotated[
         float | None,
-        option("HZ", "Rate of the control law; 200 Hz if not given. Position runs at a quarter."),
+        option(
+            "--rate", "Rate of the control law; 200 Hz if not given. Position runs at a quarter.", unit="Hz"
+        ),
     ] = None,
     voltage: Annotated[
         float | None,
-        option("V", "Battery voltage of the linear model; the vehicle's nominal voltage if not given."),
+        option(
+            "--voltage",
+            "Battery voltage of the linear model; the vehicle's nominal voltage if not given.",
+            unit="V",
+        ),
     ] = None,
     out: Annotated[
         Path | None,

@@ -10,16 +10,17 @@ from mufly.cli.options import (
     CHARGE,
     DUTY,
     GEAR,
+    PITCH,
     THRUST,
     Commands,
     JsonOption,
     ModelOption,
-    angle,
     argument,
     corrections_of,
     option,
 )
 from mufly.cli.present import Column, answer, console, print_json, save_picture, say, show_table
+from mufly.grammar import read_values
 
 if TYPE_CHECKING:
     from mufly.drive import RotorLoad
@@ -37,8 +38,10 @@ _Rotor = Annotated[
     option("--rotor NAME|FILE", "A rotor; or 'upper' or 'lower' of --vehicle, with constant coefficients."),
 ]
 _Vehicle = Annotated[str, option("--vehicle NAME|FILE", "Vehicle of 'upper' and 'lower'.")]
-_Pitch = Annotated[str | None, option("--pitch ANGLE", "Pitch setting of a rotor file, as 12.")]
-_Supply = Annotated[float | None, option("--voltage V", "Supply voltage; nominal if not given.")]
+_Pitch = Annotated[
+    float | None, option("--pitch", "Pitch setting of a rotor file, as 12.", unit="deg", within=PITCH)
+]
+_Supply = Annotated[float | None, option("--voltage", "Supply voltage; nominal if not given.", unit="V")]
 _POINT = (
     Column("thrust_N", form=".3f"), Column("speed_rad_s", "rpm", ".0f", "rotor speed"), Column("duty", form=".3f"),
     Column("input_power_W", form=".2f"), Column("mechanical_power_W", form=".2f"), Column("efficiency", "%", ".1f"),
@@ -46,7 +49,7 @@ _POINT = (
 )  # fmt: skip
 
 
-def _load(rotor: str, vehicle: str, pitch: str | None, model: str) -> tuple[RotorLoad, str]:
+def _load(rotor: str, vehicle: str, pitch: float | None, model: str) -> tuple[RotorLoad, str]:
     """Return the load that the options describe, and what to call it."""
     from mufly.drive import blade_load, coefficient_load
     from mufly.errors import InputError
@@ -69,7 +72,7 @@ def _load(rotor: str, vehicle: str, pitch: str | None, model: str) -> tuple[Roto
         )
     r = load_rotor(rotor)
     blading = prepare(r, corrections=corrections_of(model))
-    return blade_load(blading, pitch_rad=angle("--pitch", pitch)), f"{r.name} at {pitch} deg"
+    return blade_load(blading, pitch_rad=math.radians(pitch)), f"{r.name} at {pitch:g} deg"
 
 
 @app.command()
@@ -79,15 +82,21 @@ def show(
     vehicle: _Vehicle = "mufly-1.1",
     pitch: _Pitch = None,
     thrust: Annotated[
-        list[float] | None, option("--thrust N", "Thrust of one rotor. Repeat it for a table.", within=THRUST)
+        list[float] | None,
+        option("--thrust", "Thrust of one rotor. Repeat it for a table.", unit="N", within=THRUST),
     ] = None,
     duty: Annotated[
-        list[float] | None, option("--duty D", "Or share of the voltage, 0.01 to 1.", within=DUTY)
+        list[float] | None, option("--duty", "Or share of the voltage, 0.01 to 1.", unit="1", within=DUTY)
     ] = None,
     supply: _Supply = None,
     charge: Annotated[
         float | None,
-        option("Z", "Instead: the sagging battery with this fraction of its charge.", within=CHARGE),
+        option(
+            "--charge",
+            "Instead: the sagging battery with this fraction of its charge.",
+            unit="1",
+            within=CHARGE,
+        ),
     ] = None,
     model: ModelOption = "full",
     as_json: JsonOption = False,
@@ -148,14 +157,19 @@ def show(
 @app.command()
 def sweep(
     drive: _DriveArgument = "mufly",
-    gear: Annotated[str, option("RANGE", "Gear ratios.")] = "0.5:8:0.1",
+    gear: Annotated[
+        str, option("--gear", "Gear ratios, as 1.5,2 or 0.5:8:0.1.", unit="1", form="values", within=GEAR)
+    ] = "0.5:8:0.1",
     rotor: _Rotor = "upper",
     vehicle: _Vehicle = "mufly-1.1",
     pitch: _Pitch = None,
     thrust: Annotated[
-        float | None, option("N", "Thrust for which the gear ratio is found.", within=THRUST)
+        float | None,
+        option("--thrust", "Thrust for which the gear ratio is found.", unit="N", within=THRUST),
     ] = None,
-    duty: Annotated[float, option("D", "Share of the supply voltage at the motor.", within=DUTY)] = 1.0,
+    duty: Annotated[
+        float, option("--duty", "Share of the supply voltage at the motor.", unit="1", within=DUTY)
+    ] = 1.0,
     supply: _Supply = None,
     model: ModelOption = "full",
     out: Annotated[Path | None, option("--out DIR", "Write gear.nc, gear.csv and gear.png.")] = None,
@@ -166,18 +180,11 @@ def sweep(
     Example: mufly drive sweep mufly --thrust 0.6 --out gears
     """
     from mufly.drive import gear_curve, gear_optima, load_drive
-    from mufly.errors import InputError
-    from mufly.study import gear_picture, parse_values, write_results
+    from mufly.study import gear_picture, write_results
 
     d = load_drive(drive)
     load, name = _load(rotor, vehicle, pitch, model)
-    try:
-        _, ratios = parse_values(f"gear={gear}")
-    except InputError as error:
-        raise InputError("--gear", "", error.problem, error.remedy) from None
-    for ratio in ratios:
-        GEAR.check("--gear", float(ratio))
-    curve = gear_curve(d, load, [float(r) for r in ratios], duty=duty, supply_V=supply)
+    curve = gear_curve(d, load, read_values("--gear", gear, "1"), duty=duty, supply_V=supply)
     best = gear_optima(d, load, thrust_N=thrust, duty=duty, supply_V=supply)
     marks = {k.replace("_", " "): v for k, v in vars(best).items() if k != "for_thrust" or math.isfinite(v)}
     files = []

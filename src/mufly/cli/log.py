@@ -28,8 +28,8 @@ ColumnOption = Annotated[
         "measured_attitude=phi,theta,psi(deg) or time=t(ms). May be repeated.",
     ),
 ]
-FromOption = Annotated[float | None, option("--from S", "Begin there (s since the start).")]
-ToOption = Annotated[float | None, option("--to S", "End there (s since the start).")]
+FromOption = Annotated[float | None, option("--from", "Begin there (since the start).", unit="s")]
+ToOption = Annotated[float | None, option("--to", "End there (since the start).", unit="s")]
 
 
 def columns_of(file: str | None, pairs: Sequence[str] | None) -> ColumnMap | None:
@@ -55,15 +55,17 @@ def convert(
         list[str] | None, option("--signal -s NAME", "Only this (as for plot); may be repeated.")
     ] = None,
     rate_hz: Annotated[
-        float | None, option("--rate HZ", "Rate of the common clock. Default: the highest among the signals.")
+        float | None,
+        option("--rate", "Rate of the common clock. Default: the highest among the signals.", unit="Hz"),
     ] = None,
     from_s: FromOption = None,
     to_s: ToOption = None,
     start_s: Annotated[
         float | None,
         option(
-            "--start S",
-            "Shift the clock so that OUT begins at this time (s); 0 for programs that want it so.",
+            "--start",
+            "Shift the clock so that OUT begins at this time; 0 for programs that want it so.",
+            unit="s",
         ),
     ] = None,
     map_file: MapOption = None,

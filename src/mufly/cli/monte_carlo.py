@@ -32,6 +32,7 @@ from mufly.cli.station import (
     GustOption,
     SensorsOption,
     VehicleOption,
+    WindOption,
     check_air,
     check_sensors,
     flies_on,
@@ -91,13 +92,7 @@ def monte_carlo(
         option("--vary WHAT", "What the vehicles differ in (see above); can be given several times."),
     ] = None,
     vehicle: VehicleOption = "mufly-1.1",
-    wind: Annotated[
-        str | None,
-        option(
-            "--wind M/S|N,E,D",
-            "Steady wind: a speed, from anywhere, as in 0.5, or N,E,D in m/s; instead of the mission's.",
-        ),
-    ] = None,
+    wind: WindOption = None,
     gust: GustOption = None,
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
@@ -106,7 +101,9 @@ def monte_carlo(
     ] = False,
     tolerance: Annotated[
         float,
-        option("--tolerance M", "How far from a waypoint, and from its mark at the end, is still there."),
+        option(
+            "--tolerance", "How far from a waypoint, and from its mark at the end, is still there.", unit="m"
+        ),
     ] = 0.3,
     search: Annotated[
         int,
@@ -135,7 +132,7 @@ def monte_carlo(
         raise InputError("--flights", "", "no flights", "give 1 or more, or --search")
     if not 0.0 < tolerance <= 10.0:
         raise InputError("--tolerance", "", f"{tolerance:g} m", "give more than 0, and 10 m at most")
-    towards = _wind(wind)
+    towards = wind_of(wind)
     check_air(None, gust, seed)
     check_folder("--out", out)
 
@@ -188,25 +185,6 @@ def monte_carlo(
         console(stderr=True).print(f"Stopped: {done} are in {out}; the same command goes on", highlight=False)
         raise typer.Exit(ending.status)
     _finish(campaign, flown, sought, out, commands, files, as_json)
-
-
-def _wind(text: str | None) -> float | tuple[float, float, float] | None:
-    """A speed, or a wind N, E, D (m/s)."""
-    from mufly.mission import GREATEST_WIND_M_S
-
-    if text is None or "," in text:
-        found = wind_of(text)
-        return None if found is None else (found[0], found[1], found[2])
-    try:
-        speed = float(text)
-    except ValueError:
-        speed = -1.0
-    if not 0.0 <= speed <= GREATEST_WIND_M_S:
-        raise InputError(
-            "--wind", "", f"{text!r} is no wind",
-            f"give a speed of 0 to {GREATEST_WIND_M_S:g} m/s, or N,E,D, as in 0.5,0,0",
-        )  # fmt: skip
-    return speed
 
 
 def _announce(campaign: Campaign) -> None:

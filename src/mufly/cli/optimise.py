@@ -7,15 +7,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mufly.cli import coax
-from mufly.cli.coax import DENSITY, SPACING, THESIS, LowerArgument, UpperArgument, angles, length, pair_of
+from mufly.cli.coax import THESIS, LowerArgument, UpperArgument, angles, pair_of
 from mufly.cli.options import (
     CHECK,
     POLARS,
+    ClimbOption,
+    DensityOption,
     DriveOption,
     JsonOption,
     OutOption,
+    PairPitchOption,
     Polars,
     RotorArgument,
+    SpacingOption,
     Wakes,
     drive_or_none,
     option,
@@ -33,7 +37,7 @@ from mufly.cli.present import (
 )
 from mufly.cli.rotor import app as rotor_commands
 from mufly.cli.study import in_words, settings_of
-from mufly.errors import InputError
+from mufly.errors import InputError, suggest_name
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -157,9 +161,9 @@ _DEFAULT = "upper_twist,lower_twist,upper_chord,lower_chord,upper_pitch,lower_pi
 def optimise_pairs(
     upper: UpperArgument = THESIS,
     lower: LowerArgument = None,
-    spacing: Annotated[str, SPACING] = "20mm",
-    thrust: Annotated[float, option("N", "Thrust of the pair.")] = 0.9,
-    pitch: Annotated[str, option("ANGLE[,ANGLE]", "Pitch of upper and lower rotor at the start.")] = "14",
+    spacing: SpacingOption = 0.02,
+    thrust: Annotated[float, option("--thrust", "Thrust of the pair.", unit="N")] = 0.9,
+    pitch: PairPitchOption = "14",
     vary: Annotated[
         str,
         option("NAMES", "What is free: upper_ and lower_ before twist, chord, pitch, taper."),
@@ -168,8 +172,8 @@ def optimise_pairs(
         list[str] | None,
         option("LIMIT", "As upper_chord<=25mm or lower_pitch>=8deg. Repeat it; quote it."),
     ] = None,
-    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.")] = 0.0,
-    density: Annotated[float, DENSITY] = 1.2,
+    climb: ClimbOption = 0.0,
+    density: DensityOption = 1.2,
     seed: Annotated[int, option("K", "Same seed, same answer.")] = 0,
     generations: Annotated[int, option("N", "How long to search.")] = 30,
     check: Annotated[
@@ -197,12 +201,12 @@ def optimise_pairs(
     names = [n.strip() for n in vary.split(",") if n.strip()]
     for name in names:
         if name not in PAIR_FREE:
-            raise InputError("--vary", "", f"{name!r} cannot be free", f"use some of: {', '.join(PAIR_FREE)}")
+            raise InputError("--vary", "", f"{name!r} cannot be free", suggest_name(name, PAIR_FREE))
     limits = [pair_limit(text) for text in limit or []]
     above, below = angles(pitch)
     setup = pair_of(
         upper, lower,
-        {"spacing": length(spacing), "upper_pitch": above, "lower_pitch": below, "thrust": thrust, "climb": climb,
+        {"spacing": spacing, "upper_pitch": above, "lower_pitch": below, "thrust": thrust, "climb": climb,
          "density": density},
         theory,
     )  # fmt: skip

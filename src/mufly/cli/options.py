@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import functools
 import inspect
-import math
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand
+from typer.models import OptionInfo
 
 from mufly.cli.present import check_file, console, write_csv, writing
-from mufly.errors import ArgumentError, InputError
-from mufly.units import RPM, split_header
+from mufly.errors import ArgumentError, InputError, suggest_name
+from mufly.grammar import (
+    read_band,
+    read_doubt,
+    read_pair,
+    read_quantity,
+    read_steps,
+    read_values,
+    read_vector,
+    read_whole,
+)
+from mufly.units import split_header
 
 if TYPE_CHECKING:
     from mufly.drive import Drive
@@ -95,6 +106,8 @@ class Commands(typer.Typer):
 def _spread(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function with the fields of a record that it takes, such as :class:`Polars`, as arguments of their own.
 
+    Options that hold a number and say no notation are plain counts or numbers.
+
     A record's fields say which options they are, and those that say nothing are none; the function's default for the
     record holds theirs.
     """
@@ -103,17 +116,17 @@ def _spread(function: Callable[..., Any]) -> Callable[..., Any]:
     arguments: list[inspect.Parameter] = []
     for one in inspect.signature(function).parameters.values():
         if not is_dataclass(kind := hints[one.name]):
-            arguments.append(one.replace(annotation=hints[one.name]))
+            arguments.append(one.replace(annotation=_with_notation(hints[one.name])))
             continue
         records[one.name] = kind
         each = get_type_hints(kind, include_extras=True)
         arguments += [
-            one.replace(name=f.name, default=getattr(one.default, f.name), annotation=each[f.name])
+            one.replace(
+                name=f.name, default=getattr(one.default, f.name), annotation=_with_notation(each[f.name])
+            )
             for f in fields(kind)
             if get_origin(each[f.name]) is Annotated
         ]
-    if not records:
-        return function
 
     @functools.wraps(function)
     def call(**given: Any) -> Any:
@@ -128,23 +141,101 @@ def _spread(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @dataclass(frozen=True)
 class Range:
-    """What the numbers of an option may be, ends included, and why they end there."""
+    """What the numbers of an option may be, ends included (None: no end), and why they end there."""
 
-    low: float
-    high: float
-    unit: str
-    why: str
+    low: float | None
+    high: float | None
+    unit: str = ""
+    why: str = ""
 
     def check(self, option: str, value: float) -> None:
-        """InputError if a value is outside, or no number."""
-        if not self.low <= value <= self.high:
-            unit = f" {self.unit}" if self.unit else ""
-            raise InputError(
-                option,
-                "",
-                f"{value:g}{unit} is out of range: {self.why}",
-                f"give {self.low:g} to {self.high:g}{unit}",
-            )
+        """InputError if a value is outside."""
+        low, high, rounding = self.low, self.high, 1e-9 * abs(value)  # of a change of unit
+        if (low is None or value >= low - rounding) and (high is None or value <= high + rounding):
+            return
+        unit = f" {self.unit}" if self.unit not in ("", "1") else ""
+        wanted = f"{low:.10g} to {high:.10g}" if low is not None and high is not None else ""
+        wanted = wanted or (f"{low:.10g} or more" if high is None else f"{high:.10g} or less")
+        why = f": {self.why}" if self.why else ""
+        raise InputError(option, "", f"{value:.10g}{unit} is out of range{why}", f"give {wanted}{unit}")
+
+
+def _with_notation(annotation: Any) -> Any:
+    """The annotation of a number's option with the notation of counts or plain numbers, if it has none."""
+    if get_origin(annotation) is not Annotated:
+        return annotation
+    kind, *more = get_args(annotation)
+    numbers = {int, float}.intersection(
+        (kind, *get_args(kind), *(x for k in get_args(kind) for x in get_args(k)))
+    )
+    for k, one in enumerate(more):
+        if numbers and isinstance(one, OptionInfo) and one.parser is None:
+            plain = Notation("", "count" if int in numbers else "one", within=Range(one.min, one.max))
+            more[k] = copy(one)
+            more[k].parser, more[k].callback = plain, plain.callback
+    return Annotated[kind, *more]
+
+
+@dataclass(frozen=True)
+class Notation:
+    """How the numbers of an option are written (:mod:`mufly.grammar`).
+
+    Attributes
+    ----------
+    unit : str
+        Of bare numbers and of the option's value; ``""`` where numbers take no unit.
+    form : str
+        A key of :data:`FORMS`.
+    words : tuple of str
+        What may stand in place of a number.
+    within : Range
+        Of each number.
+    """
+
+    unit: str
+    form: str = "one"
+    words: tuple[str, ...] = ()
+    within: Range = Range(None, None)
+
+    def __call__(self, text: Any) -> Any:
+        """Return the text as it was typed: the option's callback reads it, because it knows the option's name."""
+        return text
+
+    @property
+    def metavar(self) -> str:
+        """What stands for the value in the help, with the unit of a bare number in brackets."""
+        shown = FORMS[self.form][1] + (f"[{self.unit}]" if self.unit not in ("", "1") else "")
+        return "|".join([*self.words, shown])
+
+    def read(self, where: str, text: str) -> Any:
+        """Return the number of one, or the text of several numbers once it is checked."""
+        if text in self.words:
+            return text
+        value = FORMS[self.form][0](where, text, self.unit)
+        for number in value if isinstance(value, tuple) else (value,):
+            if number is not None:
+                self.within.check(where, number)
+        return value if self.form in ("one", "count") and not self.words else text
+
+    def callback(self, param: typer.CallbackParam, value: Any) -> Any:
+        """Read the value or values of an option; typer calls it."""
+        name = max(param.opts, key=len)
+        if isinstance(value, list | tuple):
+            return [self.read(name, v) if isinstance(v, str) else v for v in value]
+        return self.read(name, value) if isinstance(value, str) else value
+
+
+FORMS: dict[str, tuple[Callable[[str, str, str], Any], str]] = {
+    "one": (read_quantity, "NUMBER"),
+    "count": (lambda where, text, unit: read_whole(where, text), "N"),
+    "values": (read_values, "VALUES"),
+    "pair": (read_pair, "UPPER[,LOWER]"),
+    "band": (read_band, "LOW:HIGH"),
+    "steps": (read_steps, "FIRST:LAST[:STEP]"),
+    "vector": (read_vector, "SPEED|N,E,D"),
+    "doubt": (read_doubt, "NUMBER[+-STD]"),
+}
+"""How an option writes its numbers: what reads them, and what stands for them in the help."""
 
 
 THRUST = Range(1e-3, 1e3, "N", "a tenth of a gram is nothing to fly with, and 100 kg no micro helicopter")
@@ -154,19 +245,14 @@ DUTY = Range(
 CHARGE = Range(0.0, 1.0, "", "it is a share of the battery's capacity")
 GEAR = Range(0.02, 500.0, "", "no gear train of a few stages is beyond")
 PITCH = Range(-90.0, 90.0, "deg", "a blade that is turned further flies backwards")
+SPEED = Range(1e-3, 1e7, "rpm", "no rotor turns so")
+SPACING = Range(1e-4, 5.0, "m", "no pair is built so; 20 mm are written 20mm")
 
 
-def _within(limits: Range) -> Callable[[typer.CallbackParam, Any], Any]:
-    def check(param: typer.CallbackParam, value: Any) -> Any:
-        for one in value if isinstance(value, list | tuple) else [value]:
-            if one is not None:
-                limits.check(max(param.opts, key=len), one)
-        return value
-
-    return check
-
-
-def option(names: str, help: str, *, within: Range | None = None, **more: Any) -> Any:
+def option(
+    names: str, help: str, *, unit: str | None = None, form: str = "one", words: tuple[str, ...] = (),
+    within: Range | None = None, **more: Any,
+) -> Any:  # fmt: skip
     """An option.
 
     Parameters
@@ -175,15 +261,22 @@ def option(names: str, help: str, *, within: Range | None = None, **more: Any) -
         Its names, if its parameter's is not enough, and what stands for its value in the help: ``"--out -o DIR"``.
     help : str
         What it is for.
+    unit : str, optional
+        Of its numbers where they are bare: they are read by :class:`Notation`, which also stands in the help.
+    form, words : str, tuple of str
+        As for :class:`Notation`.
     within : Range, optional
-        Of its number, or numbers: refused before anything is done.
+        Of its number, or numbers; what is outside is refused before anything is done.
     """
-    if within is not None:
-        more["callback"] = _within(within)
-    words = names.split()
-    value = [w for w in words if not w.startswith("-")]
+    parts = names.split()
+    value = [w for w in parts if not w.startswith("-")]
+    if unit is not None:
+        within = within or Range(more.get("min"), more.get("max"), unit)
+        notation = Notation(unit, form, words, within)
+        more["parser"], more["callback"] = notation, notation.callback
+        value = value or [notation.metavar]
     return typer.Option(
-        *(w for w in words if w.startswith("-")), help=help, metavar=value[0] if value else None, **more
+        *(w for w in parts if w.startswith("-")), help=help, metavar=value[0] if value else None, **more
     )
 
 
@@ -192,6 +285,22 @@ def argument(value: str, help: str, **more: Any) -> Any:
     return typer.Argument(help=help, metavar=value or None, **more)
 
 
+ClimbOption = Annotated[float, option("--climb", "Axial speed, positive in climb.", unit="m/s")]
+DensityOption = Annotated[float, option("--density", "Density of the air.", unit="kg/m3")]
+RpmOption = Annotated[float, option("--rpm", "Rotor speed.", unit="rpm", within=SPEED)]
+SpacingOption = Annotated[
+    float, option("--spacing", "Distance between the discs, as 20mm.", unit="m", within=SPACING)
+]
+PairPitchOption = Annotated[
+    str,
+    option(
+        "--pitch",
+        "Pitch of upper and lower rotor: 14, 14,12 or 0.2rad.",
+        unit="deg",
+        form="pair",
+        within=PITCH,
+    ),
+]
 RotorArgument = Annotated[
     str, argument("NAME|FILE", "A built-in rotor (`mufly rotor list`) or a rotor file (TOML).")
 ]
@@ -218,7 +327,7 @@ def one_of(option: str, value: str, known: Iterable[str]) -> None:
     """InputError if an option has a value that is not known."""
     names = tuple(known)
     if value not in names:
-        raise InputError(option, "", f"{value!r} is unknown", f"use one of: {', '.join(names)}")
+        raise InputError(option, "", f"{value!r} is unknown", suggest_name(value, names))
 
 
 def corrections_of(model: str) -> Corrections:
@@ -242,34 +351,6 @@ def drive_or_none(name: str | None) -> Drive | None:
     return None if name is None or name == "none" else load_drive(name)
 
 
-def angle(option: str, text: str) -> float:
-    """Return a blade's pitch (rad) from ``"12"``, ``"12deg"`` or ``"0.2rad"``; a bare number is in degrees.
-
-    Raises
-    ------
-    InputError
-        If the text is no angle, or is beyond 90 degrees.
-    """
-    from mufly.study import parse_quantity
-
-    try:
-        value = math.radians(float(text))
-    except ValueError:
-        try:
-            value = float(parse_quantity("pitch", text))
-        except InputError as error:
-            raise InputError(option, "", error.problem, error.remedy) from None
-    PITCH.check(option, math.degrees(value))
-    return value
-
-
-def turning(option: str, rpm: float) -> float:
-    """Return a rotor's speed (rad/s) from revolutions a minute; InputError unless it is above 0."""
-    if not 0.0 < rpm < math.inf:
-        raise InputError(option, "", f"{rpm:g} is not possible", "give a number above 0")
-    return rpm * RPM
-
-
 # ----------------------------------------------------------------------------
 # How rotors are computed: options that the commands of rotors and pairs share, and the wake's progress.
 
@@ -282,7 +363,7 @@ class Polars:
     """Options of everything that blade elements are for."""
 
     n_crit: Annotated[
-        float, option("--n-crit N", "Transition: 0.1 vibrating rotor, 9 quiet wind tunnel.")
+        float, option("--n-crit NUMBER", "Transition: 0.1 vibrating rotor, 9 quiet wind tunnel.")
     ] = 0.1
     engine: Annotated[str, option("--engine NAME", "Polars: 'neuralfoil' or, where installed, 'xfoil'.")] = (
         "neuralfoil"
@@ -293,13 +374,7 @@ class Polars:
         """Return the polar engine that ``--engine`` names."""
         from mufly.rotor.sections.engines import Engine
 
-        if self.engine not in get_args(Engine):
-            raise InputError(
-                "--engine",
-                "",
-                f"{self.engine!r} is no polar engine",
-                f"use one of: {', '.join(get_args(Engine))}",
-            )
+        one_of("--engine", self.engine, get_args(Engine))
         return cast("Engine", self.engine)
 
     def corrections(self) -> Corrections:
@@ -359,13 +434,12 @@ class Wakes(Polars):
         for text in self.wake_set or []:
             name, equals, value = (part.strip() for part in text.partition("="))
             if not equals or name not in (*known, "stations"):
-                raise InputError(
-                    "--wake-set", text, "is no setting", f"use NAME=VALUE with {', '.join(known)}, stations"
-                )
-            try:
-                given[name] = int(value) if name in _WHOLE else float(value)
-            except ValueError:
-                raise InputError("--wake-set", text, f"{value!r} is no number", "give a number") from None
+                otherwise = f"use NAME=VALUE with {', '.join(known)}, stations"
+                remedy = suggest_name(name, [*known, "stations"], otherwise) if equals else otherwise
+                raise InputError("--wake-set", text, "is no setting", remedy)
+            where = f"--wake-set: {name}"
+            unit = split_header(name)[1]
+            given[name] = read_whole(where, value) if name in _WHOLE else read_quantity(where, value, unit)
         stations = given.pop("stations", STATIONS)
         if not 4 <= stations <= 200:
             raise InputError("--wake-set", "stations", f"is {stations}", "give 4 to 200")
@@ -449,23 +523,19 @@ WriteOption = Annotated[
 PictureOption = Annotated[Path | None, option("--out DIR", "Write a picture (PNG) of points and fit there.")]
 
 
-def with_doubt(option: str, text: str | None, *, above: float = 0.0) -> tuple[float | None, float]:
-    """Return value and standard deviation of ``"0.84"`` or ``"0.84+-0.02"``; None for None or ``"free"``.
+def with_doubt(option: str, text: str | None, unit: str) -> tuple[float | None, float]:
+    """Return value and standard deviation of ``"0.84"`` or ``"0.84+-0.02"`` in a unit; None for None or ``"free"``.
 
     Raises
     ------
     InputError
-        If the text is no number above the limit.
+        If the text is no number above 0.
     """
     if text is None or text == "free":
         return None, 0.0
-    first, _, second = text.replace("±", "+-").partition("+-")
-    try:
-        value, std = float(first), float(second or 0.0)
-    except ValueError:
-        raise InputError(option, "", f"{text!r} is no number", "write 0.84 or 0.84+-0.02") from None
-    if not (math.isfinite(value) and value > above and math.isfinite(std) and std >= 0):
-        raise InputError(option, "", f"{text} is not possible", f"give a number above {above:g}")
+    value, std = read_doubt(option, text, unit)
+    if not value > 0.0:
+        raise InputError(option, "", f"{text} is not possible", "give a number above 0")
     return value, std
 
 

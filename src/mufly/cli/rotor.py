@@ -11,21 +11,24 @@ import typer
 
 from mufly.cli.options import (
     BEMT,
+    PITCH,
     POLARS,
+    SPEED,
+    ClimbOption,
     ColumnsOption,
     Commands,
+    DensityOption,
     DriveOption,
     JsonOption,
     OutOption,
     Polars,
+    Range,
     RotorArgument,
     Theory,
-    angle,
     argument,
     drive_or_none,
     one_of,
     option,
-    turning,
     wake_progress,
 )
 from mufly.cli.present import (
@@ -47,17 +50,26 @@ if TYPE_CHECKING:
 
 
 BenchPitch = Annotated[
-    str | None,
+    float | None,
     option(
-        "--pitch ANGLE",
+        "--pitch",
         "Of the blades on the bench, where the file has no column of it: 12, 12deg or 0.2rad.",
+        unit="deg",
+        within=PITCH,
     ),
 ]
 BenchSpeed = Annotated[
     float | None,
     option(
-        "--rpm RPM", "Of the rotor on the bench, where the file has no column of it, as UIUC's tunnel runs."
+        "--rpm",
+        "Of the rotor on the bench, where the file has no column of it, as UIUC's tunnel runs.",
+        unit="rpm",
+        within=SPEED,
     ),
+]
+BenchDensity = Annotated[
+    float | None,
+    option("--density", "Density of the air at the bench; default the file's, else 1.2.", unit="kg/m3"),
 ]
 FamilyOption = Annotated[
     str,
@@ -66,6 +78,9 @@ FamilyOption = Annotated[
         "Of a guessed section, where it is known: apc, slow-flyer, gws, hobby, printed, machined.",
     ),
 ]
+
+_DIAMETER = Range(1e-3, 10.0, "m", "no small rotor is so wide; 127 mm are written 127mm")
+_EDGE = Range(0.0, 0.1, "m", "no trailing edge is so thick; 0.3 mm are written 0.3mm")
 
 app = Commands(
     help="Rotors: what one is, what it does, which is best. Numbers of rotor files: docs/polars.md; of the theory: "
@@ -109,7 +124,9 @@ def _geometry(rotor: Rotor) -> dict[str, Any]:
 @app.command()
 def show(
     rotor: RotorArgument = "naca4412-r60-c20",
-    rpm: Annotated[float, option("RPM", "Speed for the Reynolds numbers.")] = 5000.0,
+    rpm: Annotated[
+        float, option("--rpm", "Speed for the Reynolds numbers.", unit="rpm", within=SPEED)
+    ] = 5000.0,
     out: OutOption = None,
     as_json: JsonOption = False,
     toml: Annotated[
@@ -125,7 +142,7 @@ def show(
 
     from mufly.rotor import Air, blade_picture, blade_thickness_m, load_rotor, rotor_toml
 
-    speed = turning("--rpm", rpm)
+    speed = rpm * RPM
     r, air = load_rotor(rotor), Air()
     if toml:
         print(rotor_toml(r), end="")
@@ -187,17 +204,25 @@ def import_blade(
         ),
     ],
     diameter: Annotated[
-        str | None, option("LENGTH", "Of the rotor, as 5in or 127mm; needed where the file gives ratios.")
+        float | None,
+        option(
+            "--diameter",
+            "Of the rotor, as 5in or 127mm; needed where the file gives ratios.",
+            unit="m",
+            within=_DIAMETER,
+        ),
     ] = None,
     blades: Annotated[int | None, option("N", "Number of blades.", min=1, max=20)] = None,
     airfoil: Annotated[
         str | None, option("NAME", "Airfoil of the whole blade, instead of the file's.")
     ] = None,
     trailing_edge: Annotated[
-        str | None,
+        float | None,
         option(
-            "--trailing-edge LENGTH",
+            "--trailing-edge",
             "Its thickness, as 0.3mm; as the airfoils have it where it is not given.",
+            unit="m",
+            within=_EDGE,
         ),
     ] = None,
     unit: Annotated[
@@ -215,18 +240,10 @@ def import_blade(
     """
     from mufly.errors import InputError
     from mufly.rotor import read_blade, replace_rotor, rotor_toml
-    from mufly.study import parse_quantity
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
-
-    def length(option: str, text: str, example: str) -> float:
-        try:
-            return float(parse_quantity("radius", text))
-        except InputError as error:
-            raise InputError(option, "", error.problem, f"write for example {example}") from None
-
-    radius = None if diameter is None else 0.5 * length("--diameter", diameter, "5in or 127mm")
+    radius = None if diameter is None else 0.5 * diameter
     if unit is not None and (unit not in units_of("m") or blade.suffix.lower() != ".stl"):
         problem, remedy = f"{unit!r} is no length", f"use one of: {', '.join(units_of('m'))}"
         if blade.suffix.lower() != ".stl":
@@ -244,8 +261,7 @@ def import_blade(
     else:
         r, notes = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
     if trailing_edge is not None:
-        edge = length("--trailing-edge", trailing_edge, "0.3mm")
-        r = replace_rotor(r, {"trailing_edge": edge}, source="measured")
+        r = replace_rotor(r, {"trailing_edge": trailing_edge}, source="measured")
     if out is not None:
         with writing(out):
             out.write_text(rotor_toml(r), encoding="utf-8")
@@ -268,22 +284,25 @@ def import_blade(
 @app.command()
 def hover(
     rotor: RotorArgument = "naca4412-r60-c20",
-    pitch: Annotated[str | None, option("ANGLE", "Pitch setting: 12, 12deg or 0.2rad.")] = None,
-    rpm: Annotated[float | None, option("RPM", "Rotor speed.")] = None,
+    pitch: Annotated[
+        float | None, option("--pitch", "Pitch setting: 12, 12deg or 0.2rad.", unit="deg", within=PITCH)
+    ] = None,
+    rpm: Annotated[float | None, option("--rpm", "Rotor speed.", unit="rpm", within=SPEED)] = None,
     thrust: Annotated[
         float | None,
-        option("N", "Thrust; with --pitch the speed is found, with --rpm the pitch."),
+        option("--thrust", "Thrust; with --pitch the speed is found, with --rpm the pitch.", unit="N"),
     ] = None,
-    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.")] = 0.0,
-    density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
+    climb: ClimbOption = 0.0,
+    density: DensityOption = 1.2,
     drive: DriveOption = None,
     theory: Theory = BEMT,
     band: Annotated[
         float | None,
         option(
-            "LEVEL",
+            "--band",
             "Add the interval of this nominal probability: 0.5, 0.8, 0.9, 0.95. How often nominal 90 % hold: "
             "docs/validation.md.",
+            unit="1",
         ),
     ] = None,
     section: Annotated[
@@ -346,8 +365,8 @@ def hover(
         raise InputError("--family", family, "says what a guessed section may be", "add --section guessed")
     r, d, air = load_rotor(rotor), drive_or_none(drive), Air(density_kg_m3=density)
     blading = theory.blading(r, count)
-    theta = angle("--pitch", pitch) if pitch is not None else None
-    speed = turning("--rpm", rpm) if rpm is not None else None
+    theta = math.radians(pitch) if pitch is not None else None
+    speed = rpm * RPM if rpm is not None else None
     with wake_progress("wake", theory.method == "wake" and not as_json, out) as progress:
         found = solve(
             System.single(blading), Condition(theta, speed, thrust, climb, air), theory.method,  # type: ignore[arg-type]
@@ -498,7 +517,7 @@ def _measured(
     rotor: Rotor,
     columns: str | None,
     density: float | None,
-    pitch: str | None,
+    pitch: float | None,
     rpm: float | None,
     *,
     quiet: bool,
@@ -509,8 +528,7 @@ def _measured(
 
     bench = read_measurements(
         path, columns=columns, diameter_m=2.0 * float(rotor.radius), density_kg_m3=density,
-        pitch_rad=None if pitch is None else angle("--pitch", pitch),
-        speed_rad_s=None if rpm is None else turning("--rpm", rpm),
+        pitch_rad=None if pitch is None else math.radians(pitch), speed_rad_s=None if rpm is None else rpm * RPM,
     )  # fmt: skip
     if density is None and bench.air != Air() and not quiet:
         typer.echo(f"air of {bench.air.density_kg_m3:.4g} kg/m3, as the file says")
@@ -538,9 +556,7 @@ def fit(
     point: Annotated[
         int | None, option("--point LINE", "Fit to this measured point alone, counted from 1.")
     ] = None,
-    density: Annotated[
-        float | None, option("KG/M3", "Density of the air at the bench; default the file's, else 1.2.")
-    ] = None,
+    density: BenchDensity = None,
     columns: ColumnsOption = None,
     pitch: BenchPitch = None,
     rpm: BenchSpeed = None,
@@ -655,9 +671,7 @@ def compare(
             "that keeps what the point said.",
         ),
     ] = None,
-    density: Annotated[
-        float | None, option("KG/M3", "Density of the air at the bench; default the file's, else 1.2.")
-    ] = None,
+    density: BenchDensity = None,
     columns: ColumnsOption = None,
     pitch: BenchPitch = None,
     rpm: BenchSpeed = None,

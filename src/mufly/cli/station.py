@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import os
+import random
 import signal
 import threading
 from collections.abc import Sequence
@@ -20,6 +22,7 @@ import typer
 from mufly.cli.options import argument, one_of, option
 from mufly.cli.present import console, progress_bar, say
 from mufly.errors import InputError
+from mufly.grammar import read_vector
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -37,10 +40,18 @@ if TYPE_CHECKING:
 
 VehicleOption = Annotated[str, option("--vehicle -v", "Vehicle file, or a built-in vehicle.")]
 WindOption = Annotated[
-    str | None, option("--wind N,E,D", "Steady wind in m/s, as in 0.5,0,0; instead of the mission's.")
+    str | None,
+    option(
+        "--wind",
+        "Steady wind: a speed, from a direction that is drawn by the seed, as in 0.5; or N,E,D, as in 0.5,0,0; "
+        "instead of the mission's.",
+        unit="m/s",
+        form="vector",
+    ),
 ]
 GustOption = Annotated[
-    float | None, option("--gust M/S", "Gusts, standard deviation, 0 to 5 m/s; instead of the mission's.")
+    float | None,
+    option("--gust", "Gusts, standard deviation, 0 to 5 m/s; instead of the mission's.", unit="m/s"),
 ]
 SeedOption = Annotated[int, option("--seed", "Seed of everything random.")]
 SensorsOption = Annotated[
@@ -61,34 +72,45 @@ FaultOption = Annotated[
 ]
 
 
-def wind_of(text: str | None) -> list[float] | None:
-    """Wind N, E, D (m/s) from ``--wind``; None without it."""
+def wind_of(text: str | None) -> float | tuple[float, float, float] | None:
+    """The speed, or the wind N, E, D (m/s), of ``--wind``; None without it."""
     from mufly.mission import GREATEST_WIND_M_S
 
     if text is None:
         return None
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 3 or not all(abs(n) <= GREATEST_WIND_M_S for n in numbers):
+    numbers = read_vector("--wind", text, "m/s")
+    least = 0.0 if len(numbers) == 1 else -GREATEST_WIND_M_S
+    if not all(least <= n <= GREATEST_WIND_M_S for n in numbers):
         raise InputError(
             "--wind", "", f"{text!r} is no wind",
-            f"give N,E,D in m/s, as in 0.5,0,0, each {GREATEST_WIND_M_S:g} m/s at most",
+            f"give a speed of 0 to {GREATEST_WIND_M_S:g} m/s, or N,E,D as in 0.5,0,0, each that much at most",
         )  # fmt: skip
-    return numbers
+    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1], numbers[2])
+
+
+def _steady_wind(wind: float | tuple[float, float, float] | None, seed: int) -> list[float] | None:
+    """A wind N, E, D (m/s); the horizontal direction of a speed is drawn by the seed, and printed."""
+    if wind is None or isinstance(wind, tuple):
+        return None if wind is None else list(wind)
+    towards = random.Random(seed).uniform(-math.pi, math.pi)
+    drawn = [wind * math.cos(towards), wind * math.sin(towards), 0.0]
+    given = ",".join(f"{x:.3f}" for x in drawn)
+    typer.echo(
+        f"Wind: {wind:g} m/s, its direction drawn by --seed {seed}; the same as --wind={given}", err=True
+    )
+    return drawn
 
 
 def check_air(wind: str | None, gust: float | None, seed: int) -> list[float] | None:
-    """The wind of :func:`wind_of`; gusts and seeds that are none are refused."""
+    """The wind N, E, D (m/s) of ``--wind``; gusts and seeds that are none are refused."""
     from mufly.mission import GREATEST_GUST_M_S
 
-    steady = wind_of(wind)
+    given = wind_of(wind)
     if gust is not None and not 0.0 <= gust <= GREATEST_GUST_M_S:
         raise InputError("--gust", "", f"{gust:g} m/s is no gust", f"give 0 to {GREATEST_GUST_M_S:g} m/s")
     if not 0 <= seed < 2**63:
         raise InputError("--seed", "", f"{seed} is no seed", "give a whole number from 0 to 2^63 - 1")
-    return steady
+    return _steady_wind(given, seed)
 
 
 FirmwareOption = Annotated[

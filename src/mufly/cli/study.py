@@ -5,7 +5,6 @@ the dissertation's: ``mufly thesis``.
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +12,7 @@ from mufly.cli import coax
 from mufly.cli.coax import THESIS, LowerArgument, UpperArgument, pair_of
 from mufly.cli.options import (
     BEMT,
+    PITCH,
     POLARS,
     WAKE,
     Commands,
@@ -35,7 +35,8 @@ from mufly.cli.present import (
     tell_files,
 )
 from mufly.cli.rotor import app as rotor_commands
-from mufly.errors import InputError
+from mufly.errors import InputError, suggest_name
+from mufly.grammar import read_values
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -198,7 +199,7 @@ def sweep(
 def _plotted(data: xr.Dataset, asked: str | None) -> str:
     if asked is not None and asked not in data.data_vars:
         raise InputError(
-            "--plot", "", f"{asked!r} is no result", f"use one of: {', '.join(map(str, data.data_vars))}"
+            "--plot", "", f"{asked!r} is no result", suggest_name(asked, map(str, data.data_vars))
         )
     return asked or ("thrust_per_power_N_W" if "thrust_per_power_N_W" in data else "figure_of_merit")
 
@@ -238,7 +239,10 @@ def _print_best(data: xr.Dataset, variable: str) -> None:
 def rank(
     rotor: RotorArgument = "naca4412-r60-c20",
     airfoils: AirfoilsOption = None,
-    pitch: Annotated[str, option("RANGE", "Pitch settings to try.")] = "6:20:1deg",
+    pitch: Annotated[
+        str,
+        option("--pitch", "Pitch settings to try, as 6:20:1.", unit="deg", form="values", within=PITCH),
+    ] = "6:20:1deg",
     set_: SetOption = None,
     drive: DriveOption = "mufly",
     by: Annotated[str | None, option("VARIABLE", "What to rank by, the greatest first.")] = None,
@@ -259,7 +263,6 @@ def rank(
     from mufly.study import (
         PARAMETERS,
         choose_airfoils,
-        parse_values,
         rank_airfoils,
         rank_picture,
         write_results,
@@ -270,12 +273,10 @@ def rank(
     setup = polars.setup(rotor, given, drive=drive_or_none(drive), flags=False)
     if "pitch" in given or "airfoil" in given:
         raise InputError("--set", "", "holds what a ranking varies", "give one value of something else")
-    _, pitches = parse_values(f"pitch={pitch}")
+    pitches = [math.radians(p) for p in read_values("--pitch", pitch, "deg")]
     names = choose_airfoils(airfoils or ["thesis"])
     with progress_bar("rank", not as_json) as progress:
-        ranking = rank_airfoils(
-            setup, names, [float(p) for p in pitches], by=by, folder=out, progress=progress, cluster=cluster
-        )
+        ranking = rank_airfoils(setup, names, pitches, by=by, folder=out, progress=progress, cluster=cluster)
     files = []
     if out is not None:
         files = [*write_results(ranking, out, "ranking"), save_picture(rank_picture(ranking), out, "ranking")]
@@ -322,7 +323,13 @@ def _pair_settings(texts: list[str]) -> dict[str, tuple[Value, ...]]:
     """Settings of a pair; ``upper_rpm=6000`` is ``upper_speed=6000rpm``."""
     from mufly.study import PAIR, parse_settings
 
-    full = [re.sub(r"^\s*(upper|lower)_rpm\s*=\s*(.*?)\s*(rpm)?\s*$", r"\1_speed=\2rpm", t) for t in texts]
+    full = []
+    for text in texts:
+        name, _, listed = (part.strip() for part in text.partition("="))
+        if name in ("upper_rpm", "lower_rpm"):
+            speeds = ",".join(map(repr, read_values(text, listed, "rpm")))
+            text = f"{name.removesuffix('rpm')}speed={speeds}rpm"
+        full.append(text)
     return parse_settings(full, PAIR)
 
 
@@ -367,13 +374,13 @@ def sweep_pairs(
     from mufly.study.setup import PAIR_OUTPUTS
 
     if show not in PAIR_OUTPUTS:
-        raise InputError("--plot", "", f"{show!r} is no result", f"use one of: {', '.join(PAIR_OUTPUTS)}")
+        raise InputError("--plot", "", f"{show!r} is no result", suggest_name(show, PAIR_OUTPUTS))
     varied, given = _pair_settings(vary or []), _pair_settings(set_ or [])
     if not varied:
         raise InputError("--vary", "", "nothing is varied", "give for example --vary spacing=10:40:10mm")
     if over is not None and over not in varied:
         where = "is not varied" if over in PAIR else "is unknown"
-        raise InputError("--over", "", f"{over!r} {where}", f"use one of: {', '.join(varied)}")
+        raise InputError("--over", "", f"{over!r} {where}", suggest_name(over, varied))
     for name, values in given.items():
         if len(values) > 1:
             raise InputError("--set", name, "has several values", "vary it with --vary")

@@ -22,6 +22,7 @@ from mufly.cli.present import (
     writing,
 )
 from mufly.errors import InputError
+from mufly.grammar import read_quantity
 from mufly.units import RPM, conversion
 
 if TYPE_CHECKING:
@@ -243,21 +244,30 @@ _CAPACITY = Range(1.0, 1e5, "mA h", "no such battery flies")
 
 def new(
     name: Annotated[str, argument("NAME", "Its name, and that of the folder that is made.")],
-    mass: Annotated[float | None, option("--mass G", "Take-off mass.", within=_MASS)] = None,
-    radius: Annotated[float | None, option("--radius MM", "Radius of both rotors.", within=_RADIUS)] = None,
-    kv: Annotated[float | None, option("--kv RPM/V", "Speed constant of a motor.", within=_KV)] = None,
+    mass: Annotated[float | None, option("--mass", "Take-off mass.", unit="g", within=_MASS)] = None,
+    radius: Annotated[
+        float | None, option("--radius", "Radius of both rotors.", unit="mm", within=_RADIUS)
+    ] = None,
+    kv: Annotated[
+        float | None, option("--kv", "Speed constant of a motor.", unit="rpm/V", within=_KV)
+    ] = None,
     resistance: Annotated[
-        float | None, option("--resistance OHM", "Of a motor with its controller.", within=_RESISTANCE)
+        float | None,
+        option("--resistance", "Of a motor with its controller.", unit="ohm", within=_RESISTANCE),
     ] = None,
     no_load_current: Annotated[
-        float | None, option("--no-load-current A", "Of a motor, at the nominal voltage.", within=_CURRENT)
+        float | None,
+        option("--no-load-current", "Of a motor, at the nominal voltage.", unit="A", within=_CURRENT),
     ] = None,
     gear: Annotated[
-        float | None, option("--gear I", "Motor speed over rotor speed; 1 is direct drive.", within=GEAR)
+        float | None,
+        option("--gear", "Motor speed over rotor speed; 1 is direct drive.", unit="", within=GEAR),
     ] = None,
-    cells: Annotated[int | None, option("--cells N", "Of the battery, in series.", within=_CELLS)] = None,
+    cells: Annotated[
+        int | None, option("--cells", "Of the battery, in series.", unit="", form="count", within=_CELLS)
+    ] = None,
     capacity: Annotated[
-        float | None, option("--capacity MAH", "Of the battery, in mA h.", within=_CAPACITY)
+        float | None, option("--capacity", "Of the battery.", unit="mA h", within=_CAPACITY)
     ] = None,
     out: Annotated[Path | None, option("--out DIR", "Folder for the files; NAME if not given.")] = None,
 ) -> None:
@@ -352,10 +362,8 @@ def _asked(
         if not text.strip() and not needed:
             return None
         try:
-            number = float(text)
+            number = read_quantity(name, text, limits.unit)
             limits.check(name, number)
             return number
         except InputError as error:
             say(f"{error.problem}; {error.remedy}", style="yellow")
-        except ValueError:
-            say(f"{text!r} is not a number", style="yellow")

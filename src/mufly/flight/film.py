@@ -11,7 +11,8 @@ import numpy as np
 from mufly.camera import Camera, Floor, Motion, Renderer, StreamServer, encode
 from mufly.dynamics import model_parameters, rotation
 from mufly.dynamics.state import hover_speeds
-from mufly.errors import ArgumentError
+from mufly.errors import ArgumentError, InputError, suggest_name
+from mufly.grammar import read_span
 from mufly.sensors import Truth
 from mufly.vehicle import Vehicle
 from mufly.world import World
@@ -44,17 +45,12 @@ def parse_spoil(text: str) -> Spoil:
         If it is none of :data:`SPOILS`.
     """
     kind, _, when = text.strip().partition("@")
-    start, _, span = when.partition("+")
+    if kind not in SPOILS:
+        raise ArgumentError("camera_fault", text, "is none", suggest_name(kind, SPOILS))
     try:
-        begin = float(start.removesuffix("s")) if start else 0.0
-        end = begin + float(span.removesuffix("s")) if span else math.inf
-        if kind not in SPOILS or not 0.0 <= begin < end:
-            raise ValueError
-    except ValueError:
-        raise ArgumentError(
-            "camera_fault", text, "is none", f"write KIND@STARTs+DURATIONs, kinds: {', '.join(SPOILS)}"
-        ) from None
-    return Spoil(kind, begin, end)
+        return Spoil(kind, *read_span("", when))
+    except InputError as error:
+        raise ArgumentError("camera_fault", text, error.problem, error.remedy) from None
 
 
 class Film:

@@ -26,7 +26,8 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from mufly.errors import ArgumentError
+from mufly.errors import ArgumentError, InputError
+from mufly.grammar import read_quantity
 from mufly.logs.tlog import packet_length
 from mufly.mission import State
 from mufly.mission.items import ABOVE_ORIGIN as ABOVE_ORIGIN
@@ -406,14 +407,14 @@ def parse_origin(text: str) -> Origin:
     InputError
         If it is no place between the polar circles' far sides (85 degrees), where east is still a direction.
     """
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
+    parts = text.split(",")
     example = "give LAT,LON,ALT in degrees and metres, as in 47.3769,8.5417,408"
-    if len(numbers) != 3 or not all(math.isfinite(x) for x in numbers):
+    if len(parts) != 3:
         raise ArgumentError("origin", "", f"{text!r} is no place on the globe", example)
-    lat, lon, alt = numbers
+    try:
+        lat, lon, alt = (read_quantity("", p, u) for p, u in zip(parts, ("deg", "deg", "m"), strict=True))
+    except InputError as error:
+        raise ArgumentError("origin", "", error.problem, example) from None
     if abs(lat) > 85.0 or abs(lon) > 180.0 or not -500.0 <= alt <= 9000.0:
         problem = f"{text!r} is outside of +-85, +-180 degrees and -500 to 9000 m"
         raise ArgumentError("origin", "", problem, example)

@@ -10,14 +10,14 @@ filter. Readings keep the clock of the healthy ones, except where time is what i
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mufly.errors import ArgumentError
+from mufly.errors import ArgumentError, InputError, suggest_name
+from mufly.grammar import read_quantity, read_span
 from mufly.sensors.imu import Imu
 from mufly.sensors.readings import READINGS, Reading, Sensor, Truth
 
@@ -79,9 +79,7 @@ TARGETS: Mapping[str, Target] = {
 _LATEST_S = 86400.0  # no battery lasts a day
 _WORST = 1000.0  # over the usual amount of a kind, or of a jump
 
-_SPELLING = re.compile(
-    r"(?P<name>\w+)\.(?P<kind>\w+)(?:=(?P<amount>[-+\d.eE]+))?(?:@(?P<start>[\d.eE]+)s?)?(?:\+(?P<span>[\d.eE]+)s?)?"
-)
+_FORM = "NAME.KIND=AMOUNT@STARTs+DURATIONs, as sonar.jump=0.3@15s+2s"
 
 
 @dataclass(frozen=True)
@@ -106,14 +104,12 @@ class Fault:
 
     def __post_init__(self) -> None:
         if self.name not in TARGETS:
-            raise ArgumentError("fault", self.name, "is no sensor", f"use one of: {', '.join(TARGETS)}")
+            raise ArgumentError("fault", self.name, "is no sensor", suggest_name(self.name, TARGETS))
         if self.kind not in KINDS:
-            raise ArgumentError("fault", self.kind, "is no fault", f"use one of: {', '.join(KINDS)}")
+            raise ArgumentError("fault", self.kind, "is no fault", suggest_name(self.kind, KINDS))
         if not (0.0 <= self.start_s <= _LATEST_S and self.stop_s > self.start_s):
             span = f"{self.start_s:g} to {self.stop_s:g} s"
-            raise ArgumentError(
-                "fault", str(self), f"{span} is no time", "write NAME.KIND=AMOUNT@STARTs+DURATIONs"
-            )
+            raise ArgumentError("fault", str(self), f"{span} is no time", f"write {_FORM}")
         if math.isnan(self.amount):
             object.__setattr__(self, "amount", TARGETS[self.name].amount.get(self.kind, 0.0))
         usual = TARGETS[self.name].amount
@@ -143,24 +139,21 @@ def parse_fault(text: str) -> Fault:
     InputError
         If it is none.
     """
-    match = _SPELLING.fullmatch(text.strip())
-    numbers: dict[str, float] = {}
+    what, _, when = text.partition("@")
+    named, _, amount = what.partition("=")
+    name, point, kind = (part.strip() for part in named.partition("."))
+    if not (point and name and kind):
+        raise ArgumentError("fault", text, "is none", f"write {_FORM}")
+    if name not in TARGETS:
+        raise ArgumentError("fault", name, "is no sensor", suggest_name(name, TARGETS))
+    unit = "s" if kind == "late" else TARGETS[name].unit
     try:
-        if match is None:
-            raise ValueError
-        numbers = {k: float(match[k]) for k in ("amount", "start", "span") if match[k] is not None}
-    except ValueError:
-        raise ArgumentError(
-            "fault", text, "is none", "write NAME.KIND=AMOUNT@STARTs+DURATIONs, as sonar.jump=0.3@15s+2s"
-        ) from None
-    start = numbers.get("start", 0.0)
-    return Fault(
-        match["name"],
-        match["kind"],
-        start,
-        start + numbers.get("span", math.inf),
-        numbers.get("amount", math.nan),
-    )
+        size = read_quantity("", amount, unit) if amount.strip() else math.nan
+        return Fault(name, kind, *read_span("", when), size)
+    except ArgumentError:
+        raise
+    except InputError as error:
+        raise ArgumentError("fault", text, error.problem, error.remedy) from None
 
 
 class Faulty(Sensor):

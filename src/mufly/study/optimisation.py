@@ -32,7 +32,7 @@ from scipy.optimize import differential_evolution, minimize
 
 from mufly.drawing import shown
 from mufly.drive import hover_endurance
-from mufly.errors import InputError, MuflyError
+from mufly.errors import InputError, MuflyError, suggest_name
 from mufly.results import result
 from mufly.rotor import (
     FASTEST_TIP_M_S,
@@ -474,7 +474,7 @@ def pair_limit(text: str) -> Limit:
     if match is None:
         raise InputError(text, "", "is no limit", "write for example upper_chord<=25mm")
     if match[1] not in PAIR_FREE:
-        raise InputError(text, "", f"{match[1]!r} cannot be limited", f"use one of: {', '.join(PAIR_FREE)}")
+        raise InputError(text, "", f"{match[1]!r} cannot be limited", suggest_name(match[1], PAIR_FREE))
     return Limit(match[1], match[2] == ">=", float(parse_quantity(match[1], match[3], PAIR)))
 
 

@@ -1,12 +1,10 @@
 """What a study can vary, and how a command line writes it: ``chord=10:30:5mm``, ``airfoil=goe394,naca4412``.
 
-A range is ``first:last:step`` (the last value included when the steps meet it), a list is separated by commas,
-and the unit follows the last number. Angles are against the plane of the rotor.
+Numbers are written as in :mod:`mufly.grammar`, with their unit. Angles are against the plane of the rotor.
 """
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,16 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mufly.errors import InputError
-from mufly.units import factor_of
+from mufly.errors import InputError, suggest_name
+from mufly.grammar import read_quantity, read_values
+from mufly.units import factor_of, split_header, units_of
 
 Value = float | str
-
-_LENGTH = ("mm", "cm", "m", "in")
-_ANGLE = ("deg", "rad")
-_SPEED = ("rpm", "rad/s")
-_RATIO = ("", "%")
-_MOST_VALUES = 100_000
 
 
 @dataclass(frozen=True)
@@ -34,8 +27,8 @@ class Parameter:
     ----------
     unit : str
         SI unit of the value; ``"text"`` for names.
-    units : tuple of str
-        Accepted spellings, ``""`` for a bare number; the first is the one that plots use.
+    shown : str
+        Unit in which tables and plots show it.
     meaning : str
     whole : bool
         True for counts.
@@ -44,74 +37,78 @@ class Parameter:
     """
 
     unit: str
-    units: tuple[str, ...]
+    shown: str
     meaning: str
     whole: bool = False
     positive: bool = False
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units in which it may be written, the one that is shown first; ``""`` for a bare number."""
+        if self.unit == "text" or self.whole:
+            return ("",) if self.whole else ()
+        known = ("", "%") if self.unit == "1" else tuple(units_of(self.unit))
+        return (self.shown, *(u for u in known if u != self.shown))
+
 
 GEOMETRY: dict[str, Parameter] = {
-    "blades": Parameter("1", ("",), "number of blades", whole=True, positive=True),
-    "radius": Parameter("m", _LENGTH, "radius; chords stay as they are", positive=True),
-    "chord": Parameter("m", _LENGTH, "mean chord; all chords are scaled to it", positive=True),
-    "taper": Parameter(
-        "1", _RATIO, "tip over hub chord, straight between, blade area unchanged", positive=True
-    ),
-    "twist": Parameter("rad", _ANGLE, "twist from hub to tip, straight, zero at the tip"),
-    "hub_cutout": Parameter("1", _RATIO, "radius over R at which the blade begins"),
-    "airfoil": Parameter("text", (), "airfoil of the whole blade: NACA number, database name or file"),
-    "thickness": Parameter("1", ("%", ""), "thickness over chord of a four-digit NACA section"),
-    "camber": Parameter("1", ("%", ""), "camber over chord of a four-digit NACA section"),
-    "camber_position": Parameter("1", ("%", ""), "place of the camber, x/c, of a four-digit NACA section"),
+    "blades": Parameter("1", "", "number of blades", whole=True, positive=True),
+    "radius": Parameter("m", "mm", "radius; chords stay as they are", positive=True),
+    "chord": Parameter("m", "mm", "mean chord; all chords are scaled to it", positive=True),
+    "taper": Parameter("1", "", "tip over hub chord, straight between, blade area unchanged", positive=True),
+    "twist": Parameter("rad", "deg", "twist from hub to tip, straight, zero at the tip"),
+    "hub_cutout": Parameter("1", "", "radius over R at which the blade begins"),
+    "airfoil": Parameter("text", "", "airfoil of the whole blade: NACA number, database name or file"),
+    "thickness": Parameter("1", "%", "thickness over chord of a four-digit NACA section"),
+    "camber": Parameter("1", "%", "camber over chord of a four-digit NACA section"),
+    "camber_position": Parameter("1", "%", "place of the camber, x/c, of a four-digit NACA section"),
 }
 OPERATION: dict[str, Parameter] = {
-    "pitch": Parameter("rad", _ANGLE, "pitch setting, added to the twist"),
-    "speed": Parameter("rad/s", _SPEED, "rotor speed", positive=True),
-    "thrust": Parameter("N", ("N", "mN"), "thrust, for which the speed is found", positive=True),
-    "duty": Parameter("1", _RATIO, "share of the supply voltage at the motor", positive=True),
-    "climb": Parameter("m/s", ("m/s",), "axial speed, positive in climb"),
-    "density": Parameter("kg/m3", ("kg/m3",), "density of the air", positive=True),
-    "viscosity": Parameter("Pa s", ("uPa s", "Pa s"), "dynamic viscosity of the air", positive=True),
-    "n_crit": Parameter("1", ("",), "amplification exponent of transition in the polars"),
+    "pitch": Parameter("rad", "deg", "pitch setting, added to the twist"),
+    "speed": Parameter("rad/s", "rpm", "rotor speed", positive=True),
+    "thrust": Parameter("N", "N", "thrust, for which the speed is found", positive=True),
+    "duty": Parameter("1", "", "share of the supply voltage at the motor", positive=True),
+    "climb": Parameter("m/s", "m/s", "axial speed, positive in climb"),
+    "density": Parameter("kg/m3", "kg/m3", "density of the air", positive=True),
+    "viscosity": Parameter("Pa s", "uPa s", "dynamic viscosity of the air", positive=True),
+    "n_crit": Parameter("1", "", "amplification exponent of transition in the polars"),
 }
 DRIVE: dict[str, Parameter] = {
-    "gear": Parameter("1", ("",), "gear ratio; 'adapted' and 'best' find it for the thrust", positive=True),
-    "voltage": Parameter("V", ("V",), "supply voltage", positive=True),
-    "back_emf": Parameter("V s", ("mV s", "V s"), "back-EMF constant of the motor", positive=True),
-    "torque_constant": Parameter("N m/A", ("mN m/A", "N m/A"), "torque constant of the motor", positive=True),
-    "resistance": Parameter("ohm", ("ohm", "mohm"), "motor and controller resistance", positive=True),
-    "friction": Parameter("N m s", ("uN m s", "N m s"), "viscous friction of the motor"),
-    "friction_torque": Parameter("N m", ("mN m", "N m"), "constant friction of the motor"),
-    "gear_efficiency": Parameter("1", _RATIO, "efficiency of the gear", positive=True),
-    "controller_efficiency": Parameter("1", _RATIO, "efficiency of the speed controller", positive=True),
+    "gear": Parameter("1", "", "gear ratio; 'adapted' and 'best' find it for the thrust", positive=True),
+    "voltage": Parameter("V", "V", "supply voltage", positive=True),
+    "back_emf": Parameter("V s", "mV s", "back-EMF constant of the motor", positive=True),
+    "torque_constant": Parameter("N m/A", "mN m/A", "torque constant of the motor", positive=True),
+    "resistance": Parameter("ohm", "ohm", "motor and controller resistance", positive=True),
+    "friction": Parameter("N m s", "uN m s", "viscous friction of the motor"),
+    "friction_torque": Parameter("N m", "mN m", "constant friction of the motor"),
+    "gear_efficiency": Parameter("1", "", "efficiency of the gear", positive=True),
+    "controller_efficiency": Parameter("1", "", "efficiency of the speed controller", positive=True),
 }
 PARAMETERS: dict[str, Parameter] = {**GEOMETRY, **OPERATION, **DRIVE}
 
 # What a study of a coaxial pair can vary; the names that both have mean the same.
 PAIR: dict[str, Parameter] = {
-    "spacing": Parameter("m", _LENGTH, "distance between the discs", positive=True),
-    "upper_speed": Parameter("rad/s", _SPEED, "speed of the upper rotor", positive=True),
+    "spacing": Parameter("m", "mm", "distance between the discs", positive=True),
+    "upper_speed": Parameter("rad/s", "rpm", "speed of the upper rotor", positive=True),
     "lower_speed": Parameter(
-        "rad/s", _SPEED, "speed of the lower rotor; without it and a ratio, the torques are balanced", positive=True
+        "rad/s", "rpm", "speed of the lower rotor; without it and a ratio, the torques are balanced", positive=True
     ),
-    "speed_ratio": Parameter("1", _RATIO, "lower over upper speed", positive=True),
+    "speed_ratio": Parameter("1", "", "lower over upper speed", positive=True),
     "thrust": Parameter(
-        "N", ("N", "mN"), "thrust of the pair, for which both speeds are found, torques balanced",
+        "N", "N", "thrust of the pair, for which both speeds are found, torques balanced",
         positive=True,
     ),
-    "pitch": Parameter("rad", _ANGLE, "pitch setting of both rotors, added to the twist"),
-    "upper_pitch": Parameter("rad", _ANGLE, "pitch setting of the upper rotor"),
-    "lower_pitch": Parameter("rad", _ANGLE, "pitch setting of the lower rotor"),
+    "pitch": Parameter("rad", "deg", "pitch setting of both rotors, added to the twist"),
+    "upper_pitch": Parameter("rad", "deg", "pitch setting of the upper rotor"),
+    "lower_pitch": Parameter("rad", "deg", "pitch setting of the lower rotor"),
     **{
-        f"{side}_{name}": Parameter(p.unit, p.units, f"{side} rotor: {p.meaning}", positive=p.positive)
+        f"{side}_{name}": Parameter(p.unit, p.shown, f"{side} rotor: {p.meaning}", positive=p.positive)
         for side in ("upper", "lower")
         for name, p in GEOMETRY.items()
         if name in ("chord", "taper", "twist")
     },
     **{name: OPERATION[name] for name in ("climb", "density", "n_crit")},
 }  # fmt: skip
-
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
 
 def known(name: str) -> Parameter:
@@ -128,25 +125,8 @@ def parameter(name: str, where: str, table: Mapping[str, Parameter] = PARAMETERS
         If there is none.
     """
     if name not in table:
-        near = difflib.get_close_matches(name, table, n=1)
-        remedy = f"did you mean {near[0]!r}?" if near else f"use one of: {', '.join(table)}"
-        raise InputError(where, "", f"{name!r} cannot be varied or set", remedy)
+        raise InputError(where, "", f"{name!r} cannot be varied or set", suggest_name(name, table))
     return table[name]
-
-
-def _split_unit(text: str, where: str) -> tuple[str, str]:
-    match = re.fullmatch(rf"\s*((?:{_NUMBER}[\s,:]*)+)(.*?)\s*", text)
-    if match is None:
-        raise InputError(where, "", f"{text!r} is no number", "write for example 10:30:5mm or 10,15,20mm")
-    return match[1].strip(), match[2]
-
-
-def _factor(name: str, unit: str, where: str, p: Parameter) -> float:
-    if unit not in p.units:
-        accepted = ", ".join(u or "none" for u in p.units)
-        problem = f"{name} has no unit" if not unit else f"{name} is not measured in {unit!r}"
-        raise InputError(where, "", problem, f"use one of: {accepted}")
-    return factor_of(unit or "1", p.unit)
 
 
 def parse_quantity(name: str, text: str, table: Mapping[str, Parameter] = PARAMETERS) -> Value:
@@ -179,41 +159,13 @@ def parse_values(text: str, table: Mapping[str, Parameter] = PARAMETERS) -> tupl
         return name, tuple(part.strip() for part in listed.split(",") if part.strip())
     if name == "gear" and listed in ("adapted", "best"):
         return name, (listed,)
-    numbers, unit = _split_unit(listed, text)
-    factor = _factor(name, unit, text, p)
-    values: list[float] = []
-    for part in numbers.split(","):
-        parts = [float(x) for x in part.split(":")] if part.strip() else []
-        if len(parts) == 1:
-            values += parts
-        elif len(parts) in (2, 3):
-            values += _range(parts, text)
-        else:
-            raise InputError(text, "", f"{part!r} is no range", "write first:last:step")
-    return name, tuple(_checked(name, p, v, factor, text) for v in values)
-
-
-def _range(parts: list[float], where: str) -> list[float]:
-    first, last, step = (*parts, 1.0)[:3]
-    if step <= 0 or last < first:
-        raise InputError(
-            where, "", f"{first:g}:{last:g}:{step:g} holds no value", "let it rise by a step above 0"
-        )
-    count = math.floor((last - first) / step + 1e-9) + 1
-    if count > _MOST_VALUES:
-        raise InputError(where, "", f"{count} values", f"take larger steps ({_MOST_VALUES} values at most)")
-    return [round(first + k * step, 12) for k in range(count)]
-
-
-def _checked(name: str, p: Parameter, value: float, factor: float, where: str) -> float:
-    si = value * factor
-    if p.whole and value != round(value):
-        raise InputError(where, "", f"{name} {value:g} is no whole number", "give a whole number")
-    if p.positive and not si > 0:
-        raise InputError(where, "", f"{name} {value:g} is not possible", "give a number above 0")
-    if not math.isfinite(si):
-        raise InputError(where, "", f"{name} is not finite", "give a finite number")
-    return si
+    values = read_values(text, listed, p.unit, bare=False)
+    for value in values:
+        if p.whole and value != round(value):
+            raise InputError(text, "", f"{name} {value:g} is no whole number", "give a whole number")
+        if p.positive and not value > 0:
+            raise InputError(text, "", f"{name} {value:g} is not possible", "give a number above 0")
+    return name, values
 
 
 def parse_settings(
@@ -241,8 +193,7 @@ def in_unit(name: str, values: Iterable[Value]) -> tuple[np.ndarray, str]:
     listed = list(values)
     if p.unit == "text" or any(isinstance(v, str) for v in listed):
         return np.array([str(v) for v in listed]), ""
-    unit = p.units[0]
-    return np.round(np.array(listed, dtype=np.float64) / factor_of(unit or "1", p.unit), 9), unit
+    return np.round(np.array(listed, dtype=np.float64) / factor_of(p.shown or "1", p.unit), 9), p.shown
 
 
 # ----------------------------------------------------------------------------
@@ -304,18 +255,11 @@ def parse_limit(text: str) -> Limit:
         raise InputError(text, "", "is no limit", "write for example thickness_mm>=0.8 or radius<=60mm")
     name, sign, number = match[1], match[2], match[3]
     if name in DERIVED:
-        try:
-            value = float(number)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise InputError(text, "", f"{number!r} is no number", "give one without a unit") from None
+        value = read_quantity(text, number, split_header(name)[1] or "1")
     elif name in RANGES:
         value = float(parse_quantity(name, number))
     else:
-        raise InputError(
-            text, "", f"{name!r} cannot be limited", f"use one of: {', '.join([*RANGES, *DERIVED])}"
-        )
+        raise InputError(text, "", f"{name!r} cannot be limited", suggest_name(name, [*RANGES, *DERIVED]))
     return Limit(name, sign == ">=", value)
 
 

@@ -12,9 +12,20 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from mufly.cli.options import Commands, JsonOption, argument, one_of, option
+from mufly.cli.options import (
+    PITCH,
+    SPACING,
+    SPEED,
+    Commands,
+    JsonOption,
+    SpacingOption,
+    argument,
+    one_of,
+    option,
+)
 from mufly.cli.present import answer, check_folder, console, print_table, say
 from mufly.errors import InputError
+from mufly.grammar import read_values
 
 if TYPE_CHECKING:
     from mufly.bench.rig.devices import Rig
@@ -47,35 +58,23 @@ KnownOption = Annotated[
 ]
 
 
-def _numbers(name: str, text: str) -> list[float]:
-    """Numbers of "10,12,14" or of "3000:7000:500" (first, last, step)."""
-    out: list[float] = []
-    for part in text.split(","):
-        try:
-            ends = [float(x) for x in part.split(":")]
-        except ValueError:
-            ends = []
-        if len(ends) == 1:
-            out.append(ends[0])
-        elif len(ends) == 3 and ends[2] > 0 and ends[1] >= ends[0] and (ends[1] - ends[0]) / ends[2] < 1000:
-            out += [
-                ends[0] + k * ends[2] for k in range(math.floor((ends[1] - ends[0]) / ends[2] + 1e-9) + 1)
-            ]
-        else:
-            raise InputError(
-                name, "", f"{part!r} is no number", "write 10,12,14 or 3000:7000:500 (first:last:step)"
-            )
-    return out
+_MOST = 1000  # settings of one kind in a plan
 
 
 @app.command()
 def plan(
     rotor: Annotated[list[str], option("--rotor NAME|FILE", "A rotor to measure (again for more).")],
-    pitch: Annotated[str, option("--pitch DEG,...", "Pitch settings: 10,12,14 or 10:20:2.")] = "12",
-    rpm: Annotated[str, option("--rpm RPM,...", "Speeds: 3000,5000 or 3000:7000:500.")] = "3000:7000:1000",
+    pitch: Annotated[
+        str,
+        option("--pitch", "Pitch settings: 10,12,14 or 10:20:2.", unit="deg", form="values", within=PITCH),
+    ] = "12",
+    rpm: Annotated[
+        str, option("--rpm", "Speeds: 3000,5000 or 3000:7000:500.", unit="rpm", form="values", within=SPEED)
+    ] = "3000:7000:1000",
     axis: Annotated[str, option("--axis NAME", "'upper', 'lower' or 'pair'.")] = "upper",
     ratio: Annotated[
-        str, option("--ratio N,...", "Of a pair: speed of the lower rotor over the upper's.")
+        str,
+        option("--ratio", "Of a pair: speed of the lower rotor over the upper's.", unit="1", form="values"),
     ] = "1",
     repeat: Annotated[
         int, option("--repeat N", "Mountings of each setting; 2 or more show how well they repeat.")
@@ -83,12 +82,14 @@ def plan(
     reference: Annotated[
         str | None, option("--reference NAME|FILE", "Reference rotor; default the first --rotor.")
     ] = None,
-    reference_pitch: Annotated[float, option("--reference-pitch DEG", "Its pitch.")] = 12.0,
+    reference_pitch: Annotated[
+        float, option("--reference-pitch", "Its pitch.", unit="deg", within=PITCH)
+    ] = 12.0,
     reference_every: Annotated[
         int, option("--reference-every N", "Mountings between two of the reference.")
     ] = 4,
-    warm_up: Annotated[float, option("--warm-up S", "Seconds before the first zero.")] = 600.0,
-    spacing: Annotated[float, option("--spacing M", "Between the discs of a pair.")] = 0.04,
+    warm_up: Annotated[float, option("--warm-up", "Time before the first zero.", unit="s")] = 600.0,
+    spacing: SpacingOption = 0.04,
     seed: Annotated[int, option("--seed N", "Draws the order.")] = 0,
     name: Annotated[str, option("--name TEXT", "Of the series.")] = "series",
     out: Annotated[Path, option("--out FILE", "The plan; a file that is there is not replaced.")] = Path(
@@ -108,9 +109,10 @@ def plan(
     one_of("--axis", axis, AXES)
     for r in [*rotor, *([reference] if reference else [])]:
         load_rotor(r)
-    ratios = _numbers("--ratio", ratio)
+    ratios = list(read_values("--ratio", ratio, "1", most=_MOST))
     made = make_plan(
-        name, rotor, _numbers("--pitch", pitch), _numbers("--rpm", rpm), reference=reference or rotor[0],
+        name, rotor, read_values("--pitch", pitch, "deg", most=_MOST),
+        read_values("--rpm", rpm, "rpm", most=_MOST), reference=reference or rotor[0],
         reference_pitch_deg=reference_pitch, repetitions=repeat, axis=cast("Axis", axis),
         speed_ratios=ratios, reference_every=reference_every, seed=seed,
         times=Times(warm_up_s=warm_up), spacing_m=spacing,
@@ -368,7 +370,8 @@ def compare(
         Path | None, argument("DIR", "Another series of the same blades; without it blade element theory.")
     ] = None,
     spacing: Annotated[
-        float | None, option("--spacing M", "Between the discs of a pair; default the plan's.")
+        float | None,
+        option("--spacing", "Between the discs of a pair; default the plan's.", unit="m", within=SPACING),
     ] = None,
     accept: AcceptOption = None,
     known: KnownOption = None,

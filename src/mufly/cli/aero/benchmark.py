@@ -53,7 +53,9 @@ def benchmark(
         float | None,
         option("--n-crit N", "Transition, for bemt and wake; default 0.1, and that of the air in tunnels."),
     ] = None,
-    limit: Annotated[float, option("S", "Seconds that a command may take for one rotor.", min=0.1)] = 600.0,
+    limit: Annotated[
+        float, option("--limit", "Time that a command may take for one rotor.", unit="s", min=0.1)
+    ] = 600.0,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -12,17 +12,22 @@ import typer
 
 from mufly.cli.aero.cfd_report import tell_case, tell_inflow, tell_pair
 from mufly.cli.options import (
+    PITCH,
+    SPEED,
+    ClimbOption,
     Commands,
+    DensityOption,
     JsonOption,
     OutOption,
     RotorArgument,
-    angle,
+    RpmOption,
     argument,
     one_of,
     option,
-    turning,
 )
 from mufly.cli.present import answer, console, print_table, save_picture, show_lines, write_csv
+from mufly.grammar import read_values
+from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.cfd import Progress
@@ -32,7 +37,9 @@ app = Commands(
     no_args_is_help=True,
 )
 
-PitchOption = Annotated[str, option("ANGLE", "Pitch setting: 12, 12deg or 0.2rad.")]
+PitchOption = Annotated[
+    float, option("--pitch", "Pitch setting: 12, 12deg or 0.2rad.", unit="deg", within=PITCH)
+]
 MeshOption = Annotated[
     str,
     option(
@@ -44,10 +51,10 @@ TipOption = Annotated[
     str, option("--tip NAME", "The blades' tip: 'round', 'swept', 'winglet-up', ... (docs/cfd.md).")
 ]
 HubOption = Annotated[
-    float, option("--hub MM", "Radius of a hub with grips; 0 for none, which may slosh.", min=0.0)
+    float, option("--hub", "Radius of a hub with grips; 0 for none, which may slosh.", unit="mm", min=0.0)
 ]
 GurneyOption = Annotated[
-    float, option("--gurney PERCENT", "Height of a plate below the trailing edge, of the chord.", min=0.0)
+    float, option("--gurney", "Height of a plate below the trailing edge, of the chord.", unit="%", min=0.0)
 ]
 CaseOption = Annotated[
     Path, option("--out DIR", "The case: its folder; a run that was stopped goes on there.")
@@ -57,20 +64,10 @@ CaseOption = Annotated[
 SPEEDS = "5000,6000,7000"
 
 
-def _numbers(key: str, text: str, example: str) -> list[float]:
-    """Numbers of a list with commas."""
-    from mufly.errors import InputError
-
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(key, "", f"{text!r} is no list of numbers", f"write for example {example}") from None
-
-
 @app.command()
 def mesh(
     rotor: RotorArgument = "naca0012-r60-c20",
-    pitch: PitchOption = "12",
+    pitch: PitchOption = 12.0,
     level: MeshOption = "medium",
     tip: TipOption = "square",
     hub: HubOption = 0.0,
@@ -99,7 +96,7 @@ def mesh(
     one_of("--mesh", level, LEVELS)
     one_of("--tip", tip, TIPS)
     form = named_form(tip, 1e-3 * hub, 0.01 * gurney)
-    found = poly_mesh(blade_mesh(load_rotor(rotor), angle("--pitch", pitch), level=level, form=form))
+    found = poly_mesh(blade_mesh(load_rotor(rotor), math.radians(pitch), level=level, form=form))
     good, files = quality(found), []
     if out is not None:
         with writing(out):
@@ -120,21 +117,29 @@ def mesh(
 @app.command()
 def run(
     rotor: RotorArgument = "naca0012-r60-c20",
-    pitch: PitchOption = "12",
-    rpm: Annotated[float, option("RPM", "Rotor speed.")] = 5000.0,
-    climb: Annotated[float, option("M/S", "Axial speed, positive in climb.")] = 0.0,
-    density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
+    pitch: PitchOption = 12.0,
+    rpm: RpmOption = 5000.0,
+    climb: ClimbOption = 0.0,
+    density: DensityOption = 1.2,
     model: TurbulenceOption = "laminar",
     level: MeshOption = "medium",
     tip: TipOption = "square",
     hub: HubOption = 0.0,
     gurney: GurneyOption = 0.0,
-    gap: Annotated[float, option("--gap MM", "Distance of a second rotor below; 0 for none.", min=0.0)] = 0.0,
+    gap: Annotated[
+        float, option("--gap", "Distance of a second rotor below; 0 for none.", unit="mm", min=0.0)
+    ] = 0.0,
     frozen: Annotated[
         bool, option("--frozen", "The pair's blades stand above each other for good, in one mesh.")
     ] = False,
-    lower_pitch: Annotated[str | None, option("ANGLE", "Its pitch setting; default: the same.")] = None,
-    lower_rpm: Annotated[float | None, option("RPM", "Its speed, the other way; default: the same.")] = None,
+    lower_pitch: Annotated[
+        float | None,
+        option("--lower-pitch", "Its pitch setting; default: the same.", unit="deg", within=PITCH),
+    ] = None,
+    lower_rpm: Annotated[
+        float | None,
+        option("--lower-rpm", "Its speed, the other way; default: the same.", unit="rpm", within=SPEED),
+    ] = None,
     start: Annotated[
         Path | None,
         option("--start DIR", "A case that differs in speed, pitch or tip: start from its solution."),
@@ -159,7 +164,7 @@ def run(
     one_of("--mesh", level, LEVELS)
     one_of("--tip", tip, TIPS)
     r, air = load_rotor(rotor), Air(density_kg_m3=density)
-    theta, speed = angle("--pitch", pitch), turning("--rpm", rpm)
+    theta, speed = math.radians(pitch), rpm * RPM
     if not save_only:
         find_solver()
     given: dict[str, Any] = {
@@ -168,8 +173,8 @@ def run(
     }  # fmt: skip
     second: dict[str, Any] = {
         "gap_m": 1e-3 * gap,
-        "lower_pitch_rad": None if lower_pitch is None else angle("--lower-pitch", lower_pitch),
-        "lower_speed_rad_s": None if lower_rpm is None else turning("--lower-rpm", lower_rpm),
+        "lower_pitch_rad": None if lower_pitch is None else math.radians(lower_pitch),
+        "lower_speed_rad_s": None if lower_rpm is None else lower_rpm * RPM,
     }
     if gap and not frozen:
         if save_only:
@@ -211,9 +216,12 @@ def _telling(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
 @app.command()
 def sweep(
     rotor: RotorArgument = "naca0012-r60-c20",
-    pitch: PitchOption = "12",
-    rpm: Annotated[str, option("--rpm RPM,RPM", "Rotor speeds, best from low to high.")] = SPEEDS,
-    density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
+    pitch: PitchOption = 12.0,
+    rpm: Annotated[
+        str,
+        option("--rpm", "Rotor speeds, best from low to high.", unit="rpm", form="values", within=SPEED),
+    ] = SPEEDS,
+    density: DensityOption = 1.2,
     model: TurbulenceOption = "laminar",
     level: MeshOption = "medium",
     tip: TipOption = "square",
@@ -221,7 +229,12 @@ def sweep(
     gurney: GurneyOption = 0.0,
     climb: Annotated[
         str | None,
-        option("--climb M/S,M/S", "Climbs (below 0 descent) at the first speed, in place of speeds."),
+        option(
+            "--climb",
+            "Climbs (below 0 descent) at the first speed, in place of speeds, as -0.5,0,0.5.",
+            unit="m/s",
+            form="values",
+        ),
     ] = None,
     out: Annotated[
         Path, option("--out DIR", "A folder for each point in it; what is solved there is kept.")
@@ -240,19 +253,18 @@ def sweep(
     from mufly.cfd import sweep as sweep_speeds
     from mufly.errors import InputError
     from mufly.rotor import Air, load_rotor
-    from mufly.units import RPM
 
     one_of("--model", model, MODELS)
     one_of("--mesh", level, LEVELS)
     one_of("--tip", tip, TIPS)
-    speeds = [turning("--rpm", value) for value in _numbers("--rpm", rpm, "5000,6000,7000")]
-    climbs = None if climb is None else _numbers("--climb", climb, "-0.5,0,0.5,1")
+    speeds = [value * RPM for value in read_values("--rpm", rpm, "rpm")]
+    climbs = None if climb is None else list(read_values("--climb", climb, "m/s"))
     if climbs is not None and len(speeds) > 1 and rpm != SPEEDS:
         raise InputError("--climb", "", f"goes with one speed, and --rpm is {rpm}", "give one speed")
     find_solver()
     r = load_rotor(rotor)
     given: dict[str, Any] = {
-        "pitch_rad": angle("--pitch", pitch), "air": Air(density_kg_m3=density), "model": model, "level": level,
+        "pitch_rad": math.radians(pitch), "air": Air(density_kg_m3=density), "model": model, "level": level,
         "tip": tip, "hub_m": 1e-3 * hub, "gurney": 0.01 * gurney, "cores": cores,
     }  # fmt: skip
     with _telling(not as_json) as tell:
@@ -292,9 +304,9 @@ def sweep(
 def study(
     what: Annotated[str, argument("mesh|domain|model", "What is varied.")],
     rotor: RotorArgument = "naca0012-r60-c20",
-    pitch: PitchOption = "12",
-    rpm: Annotated[float, option("RPM", "Rotor speed.")] = 5000.0,
-    density: Annotated[float, option("KG/M3", "Density of the air.")] = 1.2,
+    pitch: PitchOption = 12.0,
+    rpm: RpmOption = 5000.0,
+    density: DensityOption = 1.2,
     level: MeshOption = "coarse",
     out: Annotated[
         Path, option("--out DIR", "A folder for each case in it; what is solved there is kept.")
@@ -315,8 +327,8 @@ def study(
     find_solver()
     with _telling(not as_json) as tell:
         found = solve_all(
-            out, load_rotor(rotor), what, cores=cores, progress=tell, pitch_rad=angle("--pitch", pitch),
-            speed_rad_s=turning("--rpm", rpm), air=Air(density_kg_m3=density), level=level,
+            out, load_rotor(rotor), what, cores=cores, progress=tell, pitch_rad=math.radians(pitch),
+            speed_rad_s=rpm * RPM, air=Air(density_kg_m3=density), level=level,
         )  # fmt: skip
     first = next(iter(found.values())).verdict
     rows = [
@@ -399,7 +411,6 @@ def compare(
     Example: mufly cfd compare thesis_table_3_2.csv case-12-5000 case-12-7000
     """
     from mufly.cfd import compare as lay_beside
-    from mufly.units import RPM
 
     found = lay_beside(table, cases)
 

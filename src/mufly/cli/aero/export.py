@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-from mufly.cli.options import JsonOption, RotorArgument, argument, option
+from mufly.cli.options import PITCH, JsonOption, RotorArgument, argument, option
 from mufly.cli.present import console, print_json, tell_files, write_csv, writing
 
 _KINDS = (".stl", ".step", ".stp", ".csv")
@@ -15,16 +15,21 @@ _KINDS = (".stl", ".step", ".stp", ".csv")
 def export(
     rotor: RotorArgument,
     out: Annotated[Path, argument("FILE", "What to write: name.stl, name.step or name.csv.")],
-    pitch: Annotated[float, option("DEG", "Pitch setting, added to the twist.")] = 0.0,
+    pitch: Annotated[
+        float, option("--pitch", "Pitch setting, added to the twist.", unit="deg", within=PITCH)
+    ] = 0.0,
     whole: Annotated[bool, option("--whole", "All blades about the shaft, not one along x.")] = False,
     clockwise: Annotated[
         bool, option("--clockwise", "For a rotor that turns clockwise, seen from above.")
     ] = False,
     tail: Annotated[
-        float, option("MM", "Least thickness of the trailing edge, as a printer needs it.", min=0.0)
+        float,
+        option("--tail", "Least thickness of the trailing edge, as a printer needs it.", unit="mm", min=0.0),
     ] = 0.0,
-    hub: Annotated[float, option("MM", "Radius of a hub, with --whole; 0: none.", min=0.0)] = 0.0,
-    bore: Annotated[float, option("MM", "Radius of its bore.", min=0.0)] = 0.0,
+    hub: Annotated[
+        float, option("--hub", "Radius of a hub, with --whole; 0: none.", unit="mm", min=0.0)
+    ] = 0.0,
+    bore: Annotated[float, option("--bore", "Radius of its bore.", unit="mm", min=0.0)] = 0.0,
     stations: Annotated[int, option("N", "Stations along the blade.", min=4, max=1000)] = 60,
     as_json: JsonOption = False,
 ) -> None:
@@ -47,8 +52,6 @@ def export(
         raise InputError(
             "--hub", f"{hub:g} mm", f"is not inside a rotor of {1e3 * r.radius_m:g} mm", "give less"
         )
-    if not abs(pitch) <= 90.0:
-        raise InputError("--pitch", f"{pitch:g} deg", "is out of range", "give -90 to 90 deg")
     if hub > 0.0 and not bore < hub:
         raise InputError("--bore", f"{bore:g} mm", f"does not fit in a hub of {hub:g} mm", "give less")
     if hub > 0.0 and not whole:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from mufly.cli.options import (
+    PITCH,
+    SPACING,
+    SPEED,
     ColumnsOption,
     JsonOption,
     PictureOption,
     VehicleOption,
     WriteOption,
-    angle,
     argument,
     option,
     start_vehicle,
@@ -32,8 +35,9 @@ from mufly.cli.present import (
     say,
     write_csv,
 )
-from mufly.errors import InputError
-from mufly.units import RPM
+from mufly.errors import InputError, suggest_name
+from mufly.grammar import read_band, read_quantity
+from mufly.units import RPM, split_header
 
 if TYPE_CHECKING:
     from mufly.identify.flight.plan import Candidate, Limits, Plan
@@ -51,11 +55,22 @@ def rotor(
         ),
     ],
     radius: Annotated[
-        str | None, option("M", "Radius, as 0.06 or 0.06+-0.0002. Default: of --rotor or --vehicle.")
+        str | None,
+        option(
+            "--radius",
+            "Radius, as 60mm or 0.06+-0.0002. Default: of --rotor or --vehicle.",
+            unit="m",
+            form="doubt",
+        ),
     ] = None,
     density: Annotated[
         str | None,
-        option("KG/M3", "Density of the air, as 1.19 or 1.19+-0.01. Default: the file's, else 1.2."),
+        option(
+            "--density",
+            "Density of the air, as 1.19 or 1.19+-0.01. Default: the file's, else 1.2.",
+            unit="kg/m3",
+            form="doubt",
+        ),
     ] = None,
     calibration: Annotated[
         Path | None,
@@ -76,16 +91,26 @@ def rotor(
         ),
     ] = None,
     at_rpm: Annotated[
-        float | None, option("RPM", "Give coefficients that change with speed at this one.")
+        float | None,
+        option("--at-rpm", "Give coefficients that change with speed at this one.", unit="rpm", within=SPEED),
     ] = None,
     predict_with: Annotated[
         str | None, option("--rotor NAME|FILE", "Compare with blade element theory of this rotor.")
     ] = None,
     pitch: Annotated[
-        str | None, option("ANGLE", "Pitch setting for the prediction where the file has no pitch, as 12.")
+        float | None,
+        option(
+            "--pitch",
+            "Pitch setting for the prediction where the file has no pitch, as 12.",
+            unit="deg",
+            within=PITCH,
+        ),
     ] = None,
     spacing: Annotated[
-        float | None, option("M", "Distance between the discs of a pair, for the prediction.")
+        float | None,
+        option(
+            "--spacing", "Distance between the discs of a pair, for the prediction.", unit="m", within=SPACING
+        ),
     ] = None,
     place: Annotated[
         str | None, option("--as upper|lower", "Which rotor of --vehicle a single rotor is.")
@@ -109,7 +134,7 @@ def rotor(
     if place not in (None, "upper", "lower"):
         raise InputError("--as", "", f"{place!r} is no rotor of a vehicle", "use upper or lower")
     blades = load_rotor(predict_with) if predict_with is not None else None
-    value, std = with_doubt("--radius", radius)
+    value, std = with_doubt("--radius", radius, "m")
     if value is None:
         known = [*([blades.radius_m] if blades else []), *([float(start.rotors.radius)] if start else [])]
         if not known:
@@ -117,7 +142,7 @@ def rotor(
                 "--radius", "", "is missing", "give the rotor's radius in metres, or --rotor or --vehicle"
             )
         value = known[0]
-    rho, rho_std = with_doubt("--density", density)
+    rho, rho_std = with_doubt("--density", density, "kg/m3")
     cells: Calibration | None = None
     if calibration is not None:
         cells = calibrate_cells(read_bench(calibration, columns=calibration_columns))
@@ -140,7 +165,7 @@ def rotor(
             with progress_bar("points", shown=first.coaxial and not as_json) as move:
                 p = predict(
                     first.loads, blading, density_kg_m3=float(first.density_kg_m3.mean()), spacing_m=spacing,
-                    pitch_rad=None if pitch is None else angle("--pitch", pitch), progress=move,
+                    pitch_rad=None if pitch is None else math.radians(pitch), progress=move,
                 )  # fmt: skip
             predictions[source] = p
             if len(one) == 1:
@@ -232,16 +257,23 @@ def plan(
     kind: Annotated[
         str, option("NAME", "chirp, multisine, 3211 or doublet; 'best' compares them all.")
     ] = "best",
-    duration: Annotated[float, option("S", "Length of each flight.")] = 10.0,
+    duration: Annotated[float, option("--duration", "Length of each flight.", unit="s")] = 10.0,
     amplitude: Annotated[
         float | None,
         option(
-            "SHARE",
+            "--amplitude",
             "Largest addition to an input, 0 to 1; lowered if it is not safe. Default: the largest that is.",
+            unit="1",
         ),
     ] = None,
     band: Annotated[
-        str | None, option("LOW:HIGH", "Frequencies in Hz, as 0.1:3. Default: around the channel's modes.")
+        str | None,
+        option(
+            "--band",
+            "Frequencies, as 0.1:3. Default: around the channel's modes.",
+            unit="Hz",
+            form="band",
+        ),
     ] = None,
     limit: Annotated[
         str | None,
@@ -260,16 +292,17 @@ def plan(
             "m, roll and pitch 0.01, yaw 0.02 rad, p, q, r 0.03 rad/s.",
         ),
     ] = None,
-    delay: Annotated[float, option("S", "From command to input.")] = 0.02,
+    delay: Annotated[float, option("--delay", "From command to input.", unit="s")] = 0.02,
     window: Annotated[
         float,
         option(
-            "S",
+            "--window",
             "The motion counts as unknown anew every so often, which stands for gusts; 0: only at "
             "the start, the bound of a perfect world.",
+            unit="s",
         ),
     ] = 2.0,
-    sample: Annotated[float, option("S", "Time between samples of the log.")] = 0.01,
+    sample: Annotated[float, option("--sample", "Time between samples of the log.", unit="s")] = 0.01,
     out: Annotated[Path | None, option("--out DIR", "Write signals (CSV) and pictures (PNG) there.")] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -351,22 +384,19 @@ def _check_times(duration: float, delay: float, sample: float, window: float) ->
 
 
 def _numbers(
-    option: str, text: str | None, known: tuple[str, ...], *, none: bool = False
+    option: str, text: str | None, known: Mapping[str, str], *, none: bool = False
 ) -> dict[str, float | None]:
+    """Numbers of ``NAME=VALUE,...``; ``known`` says in which unit a bare one is."""
     found: dict[str, float | None] = {}
     for part in (text or "").split(","):
         if not part.strip():
             continue
         name, _, value = (t.strip() for t in part.partition("="))
         if name not in known:
-            raise InputError(option, name, "is unknown", f"use one of: {', '.join(known)}")
-        try:
-            number = None if none and value == "none" else float(value)
-        except ValueError:
-            raise InputError(
-                option, name, f"{value!r} is no number", "give one in the unit of the name"
-            ) from None
-        if number is not None and not (math.isfinite(number) and number > 0):
+            raise InputError(option, name, "is unknown", suggest_name(name, known))
+        unit = known[name]
+        number = None if none and value == "none" else read_quantity(f"{option}: {name}", value, unit)
+        if number is not None and not number > 0:
             raise InputError(option, name, f"{value} is not possible", "give a number above 0")
         found[name] = number
     return found
@@ -380,7 +410,8 @@ def _limits(text: str | None) -> Limits:
         "rates_deg_s": ("rates_rad_s", math.radians(1)), "height_m": ("height_m", 1.0), "place_m": ("place_m", 1.0),
         "motor": ("motor", 1.0), "servo": ("servo", 1.0),
     }  # fmt: skip
-    given = _numbers("--limit", text, tuple(names))
+    units = {name: split_header(name)[1] or "1" for name in names}
+    given = _numbers("--limit", text, units)
     for name, top in (("motor", 0.5), ("servo", 1.0)):
         if (given.get(name) or 0.0) >= top:
             raise InputError("--limit", name, f"{given[name]} leaves no room", f"give a number below {top:g}")
@@ -388,22 +419,17 @@ def _limits(text: str | None) -> Limits:
 
 
 def _noise(text: str | None, default: dict[str, float]) -> dict[str, float]:
-    from mufly.identify.record import OUTPUTS
+    from mufly.identify.record import OUTPUT_UNITS
 
-    merged: dict[str, float | None] = {**default, **_numbers("--noise", text, OUTPUTS, none=True)}
+    merged: dict[str, float | None] = {**default, **_numbers("--noise", text, OUTPUT_UNITS, none=True)}
     return {k: v for k, v in merged.items() if v is not None}
 
 
 def _band(text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
-    try:
-        low, high = (2 * math.pi * float(part) for part in text.split(":"))
-    except ValueError:
-        raise InputError(
-            "--band", "", f"{text!r} is no band", "write two frequencies in Hz, as 0.1:3"
-        ) from None
-    return low, high
+    low, high = read_band("--band", text, "Hz")
+    return 2 * math.pi * low, 2 * math.pi * high
 
 
 def _percent(share: float) -> str:
@@ -476,10 +502,24 @@ def motor(
         ),
     ],
     gear_ratio: Annotated[
-        str, option("--gear --gear-ratio I", "Motor speed over measured speed: 1.5, 1.5+-0.01 or 'free'.")
+        str,
+        option(
+            "--gear --gear-ratio",
+            "Motor speed over measured speed: 1.5, 1.5+-0.01 or 'free'.",
+            unit="1",
+            form="doubt",
+            words=("free",),
+        ),
     ] = "1",
     gear_efficiency: Annotated[
-        str, option("ETA", "Of the gear between motor and torque sensor: 0.84, 0.84+-0.02 or 'free'.")
+        str,
+        option(
+            "--gear-efficiency",
+            "Of the gear between motor and torque sensor: 0.84, 0.84+-0.02 or 'free'.",
+            unit="1",
+            form="doubt",
+            words=("free",),
+        ),
     ] = "1",
     noise: Annotated[
         str | None,
@@ -505,8 +545,8 @@ def motor(
 
     start = start_vehicle(vehicle, write)
     check_folder("--out", out)
-    ratio, ratio_std = with_doubt("--gear", gear_ratio)
-    eta, eta_std = with_doubt("--gear-efficiency", gear_efficiency)
+    ratio, ratio_std = with_doubt("--gear", gear_ratio, "1")
+    eta, eta_std = with_doubt("--gear-efficiency", gear_efficiency, "1")
     if eta is not None and eta > 1.0:
         raise InputError("--gear-efficiency", "", f"{eta:g} is not possible", "give a number up to 1")
     table = read_bench(bench, columns=columns)

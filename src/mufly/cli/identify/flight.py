@@ -24,6 +24,7 @@ from mufly.cli.present import (
     tell_files,
 )
 from mufly.errors import InputError
+from mufly.grammar import read_quantity
 
 if TYPE_CHECKING:
     from mufly.identify import Demo, Fit, Progress, Record
@@ -62,7 +63,8 @@ def flight(
         list[Path] | None, option("LOG", "Predict this record, do not fit it. May be repeated.")
     ] = None,
     hold_out_share: Annotated[
-        float, option("SHARE", "Without --hold-out: the last share of every log is held out.")
+        float,
+        option("--hold-out-share", "Without --hold-out: the last share of every log is held out.", unit="1"),
     ] = 0.25,
     part: Annotated[
         str, option("NAME", "both at once, heave-yaw, roll-pitch, or split: one after the other.")
@@ -77,13 +79,20 @@ def flight(
         Path | None, option("--map MAP.toml", "Column map of foreign logs; see docs/logs.md.")
     ] = None,
     voltage: Annotated[
-        str, option("NAME|V", "Battery: 'model' (charge found), 'measured', 'nominal', or a number (V).")
+        str,
+        option(
+            "--voltage",
+            "Battery: 'model' (charge found), 'measured', 'nominal', or a number.",
+            unit="V",
+            words=("model", "measured", "nominal"),
+        ),
     ] = "model",
     delay_ms: Annotated[
-        float, option("--delay MS", "Time from recorded input to vehicle; start value if free.")
+        float, option("--delay", "Time from recorded input to vehicle; start value if free.", unit="ms")
     ] = 0.0,
     window: Annotated[
-        float | None, option("S", "Last stage in windows of this length, not whole records.")
+        float | None,
+        option("--window", "Last stage in windows of this length, not whole records.", unit="s"),
     ] = None,
     method: Annotated[
         str, option("NAME", "lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation).")
@@ -191,10 +200,7 @@ def flight(
 
 
 def _voltage(text: str) -> str | float:
-    try:
-        return float(text)
-    except ValueError:
-        return text
+    return text if text in ("model", "measured", "nominal") else read_quantity("--voltage", text, "V")
 
 
 def _read(

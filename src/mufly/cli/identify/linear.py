@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from mufly.cli.options import Commands, JsonOption, argument, one_of, option
+from mufly.cli.options import Commands, JsonOption, Range, argument, one_of, option
 from mufly.cli.present import (
     check_folder,
     print_json,
@@ -20,6 +20,7 @@ from mufly.cli.present import (
     write_csv,
 )
 from mufly.errors import InputError
+from mufly.grammar import read_band, read_values
 from mufly.results import plain
 
 if TYPE_CHECKING:
@@ -51,8 +52,8 @@ ColumnsOption = Annotated[
         "array of a MATLAB file ('-' skips one). May be repeated.",
     ),
 ]
-FromOption = Annotated[float | None, option("--from S", "Begin at this time (s) of the log's own clock.")]
-ToOption = Annotated[float | None, option("--to S", "End at this time (s).")]
+FromOption = Annotated[float | None, option("--from", "Begin at this time of the log's own clock.", unit="s")]
+ToOption = Annotated[float | None, option("--to", "End at this time.", unit="s")]
 
 
 def linear(
@@ -77,9 +78,11 @@ def linear(
             "-gyro, -speed, -skew.",
         ),
     ] = "auto",
-    split: Annotated[float, option("SHARE", "First share of the record that the fit may see; 1: all.")] = 0.5,
+    split: Annotated[
+        float, option("--split", "First share of the record that the fit may see; 1: all.", unit="1")
+    ] = 0.5,
     split_at: Annotated[
-        float | None, option("S", "The same as a time in the record (s), before --split.")
+        float | None, option("--split-at", "The same as a time in the record, before --split.", unit="s")
     ] = None,
     hold_out: Annotated[
         list[Path] | None,
@@ -90,15 +93,17 @@ def linear(
     lowpass: Annotated[
         float | None,
         option(
-            "HZ",
+            "--lowpass",
             "Inputs and outputs are filtered alike for the fit; 0: not at all. Default: 5, of equation error 10.",
+            unit="Hz",
         ),
     ] = None,
     highpass: Annotated[
         float | None,
         option(
-            "HZ",
+            "--highpass",
             "With equation-error: lowest frequency that counts. Default: where the inputs explain the output.",
+            unit="Hz",
         ),
     ] = None,
     domain: Annotated[str, option("NAME", "With equation-error: frequency or time.")] = "frequency",
@@ -108,7 +113,9 @@ def linear(
     without: Annotated[
         str, option("SYMBOLS", "With equation-error: terms that are no candidates, as L_p,M_q.")
     ] = "",
-    rate: Annotated[float, option("HZ", "Rate of the samples that the fit uses; 0: all of them.")] = 25.0,
+    rate: Annotated[
+        float, option("--rate", "Rate of the samples that the fit uses; 0: all of them.", unit="Hz")
+    ] = 25.0,
     starts: Annotated[int, option("N", "Searches from different starts.", min=1)] = 6,
     seed: Annotated[int, option("K", "Of the random starts.")] = 0,
     hold: Annotated[bool, option("--hold", "Inputs are held between samples, not joined.")] = False,
@@ -292,29 +299,26 @@ def _linear_json(r: LinearResult) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _numbers(option_name: str, text: str, count: int | None = None) -> list[float]:
-    """Numbers of an option such as 0.2:10 or 20,10,5."""
-    parts = text.replace(":", ",").split(",")
-    try:
-        found = [float(p) for p in parts]
-    except ValueError:
-        raise InputError(
-            option_name, "", f"{text!r} is not a list of numbers", "write 0.2:10 or 20,10,5"
-        ) from None
-    if (count is not None and len(found) != count) or any(v <= 0.0 for v in found):
-        raise InputError(
-            option_name, "", f"{text!r} is not possible", f"give {count or 'some'} positive numbers"
-        )
-    return found
-
-
+_ABOVE_ZERO = Range(1e-9, None)
 BandOption = Annotated[
     str | None,
-    option("--band LOW:HIGH", "Frequencies (Hz). Default: 2 periods in half the shortest log, to 10 Hz."),
+    option(
+        "--band",
+        "Frequencies. Default: 2 periods in half the shortest log, to 10 Hz.",
+        unit="Hz",
+        form="band",
+        within=_ABOVE_ZERO,
+    ),
 ]
 WindowsOption = Annotated[
     str | None,
-    option("S,S,...", "Lengths of the windows (s). Default: five, from half the shortest log down."),
+    option(
+        "--windows",
+        "Lengths of the windows, as 20,10,5. Default: five, from half the shortest log down.",
+        unit="s",
+        form="values",
+        within=_ABOVE_ZERO,
+    ),
 ]
 
 
@@ -334,8 +338,8 @@ def _responses(
             )
     us, ys = [r.stack(inputs, "inputs") for r in records], [r.stack(outputs, "outputs") for r in records]
     shortest = min(len(u) for u in us) * dt
-    low, high = _numbers("--band", band, 2) if band else (4.0 / shortest, min(10.0, 0.4 / dt))
-    lengths = _numbers("--windows", windows) if windows else window_lengths(shortest, low, high)
+    low, high = read_band("--band", band, "Hz") if band else (4.0 / shortest, min(10.0, 0.4 / dt))
+    lengths = read_values("--windows", windows, "s") if windows else window_lengths(shortest, low, high)
     return composite_response(
         us, ys, dt, windows_s=lengths, low_hz=low, high_hz=high, points=points, input_names=tuple(inputs),
         output_names=tuple(outputs),

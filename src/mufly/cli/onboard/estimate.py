@@ -54,27 +54,29 @@ def run(
     aid_std: Annotated[
         float | None,
         option(
-            "--aid-std M",
+            "--aid-std",
             "Noise of a position, one sigma. Default: its scatter. Is added to an aid made from the truth.",
+            unit="m",
         ),
     ] = None,
     aid_heading_std: Annotated[
-        float | None, option("--aid-heading-std DEG", "Noise of a heading, one sigma. Default: 2.")
+        float | None, option("--aid-heading-std", "Noise of a heading, one sigma. Default: 2.", unit="deg")
     ] = None,
-    aid_rate: Annotated[float | None, option("--aid-rate HZ", "Take no more than so many.")] = None,
+    aid_rate: Annotated[float | None, option("--aid-rate", "Take no more than so many.", unit="Hz")] = None,
     aid_delay: Annotated[
-        float, option("--aid-delay S", "How long after its measurement an aid comes.")
+        float, option("--aid-delay", "How long after its measurement an aid comes.", unit="s")
     ] = 0.0,
     gyro_noise: Annotated[
-        float | None, option("--gyro-noise X", "Density, rad/s/sqrt(Hz). Default: what the log tells.")
+        float | None,
+        option("--gyro-noise", "Density. Default: what the log tells.", unit="rad/s/sqrt(Hz)"),
     ] = None,
     accelerometer_noise: Annotated[
         float | None,
-        option("--accelerometer-noise X", "Density, m/s^2/sqrt(Hz). Default: what the log tells."),
+        option("--accelerometer-noise", "Density. Default: what the log tells.", unit="m/s^2/sqrt(Hz)"),
     ] = None,
     rate: Annotated[
         float | None,
-        option("--rate HZ", "Of the filter on a log of others. Default: the log's, 250 at most."),
+        option("--rate", "Of the filter on a log of others. Default: the log's, 250 at most.", unit="Hz"),
     ] = None,
     seed: Annotated[int, option("--seed N", "Of the noise that is added to an aid made from the truth.")] = 0,
     out: OutOption = None,

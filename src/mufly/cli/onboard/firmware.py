@@ -326,7 +326,7 @@ def report(
 @app.command()
 def fuzz(
     vehicle: _VehicleOption = "mufly-1.1",
-    minutes: Annotated[float, option("--minutes MIN", "How long.", min=0.01, max=6000.0)] = 10.0,
+    minutes: Annotated[float, option("--minutes", "How long.", unit="min", min=0.01, max=6000.0)] = 10.0,
     seed: Annotated[int, option("--seed N", "Of the fuzzer's random numbers.", min=1)] = 1,
     as_json: JsonOption = False,
 ) -> None:

@@ -39,7 +39,7 @@ _CameraOption = Annotated[
     ),
 ]
 _HeightOption = Annotated[
-    float | None, option("--height M", "Height above the floor, where the files do not tell it.")
+    float | None, option("--height", "Height above the floor, where the files do not tell it.", unit="m")
 ]
 
 
@@ -50,15 +50,15 @@ def render(
     floor: Annotated[
         str, option("--floor KIND|PICTURE", "rich, poor, tiles, plain, or a picture of a floor.")
     ] = "rich",
-    width: Annotated[float, option("--width M", "Of a picture of a floor, from west to east.")] = 2.0,
+    width: Annotated[float, option("--width", "Of a picture of a floor, from west to east.", unit="m")] = 2.0,
     recording: Annotated[
         Path | None, option("--from FILE", "Fly the path of this recording (flight.mcap) instead of rounds.")
     ] = None,
-    duration: Annotated[float, option("--duration S", "Length of the data set.")] = 20.0,
-    side: Annotated[float, option("--side M", "Of the square that is flown round; 0 hovers.")] = 3.0,
-    height: Annotated[float, option("--height M", "Of the path above the floor.")] = 1.0,
-    speed: Annotated[float, option("--speed M/S", "Along the path.")] = 0.4,
-    shadows: Annotated[float, option("--shadows SHARE", "Of the light that shadows take, 0 to 1.")] = 0.3,
+    duration: Annotated[float, option("--duration", "Length of the data set.", unit="s")] = 20.0,
+    side: Annotated[float, option("--side", "Of the square that is flown round; 0 hovers.", unit="m")] = 3.0,
+    height: Annotated[float, option("--height", "Of the path above the floor.", unit="m")] = 1.0,
+    speed: Annotated[float, option("--speed", "Along the path.", unit="m/s")] = 0.4,
+    shadows: Annotated[float, option("--shadows", "Of the light that shadows take, 0 to 1.", unit="1")] = 0.3,
     boxes: Annotated[int, option("--boxes N", "Low boxes on the floor.")] = 0,
     layout: Annotated[str, option("--layout NAME", "mufly, euroc or tum.")] = "mufly",
     seed: Annotated[int, option("--seed K", "Same seed, same floor, path and noise.")] = 0,
@@ -146,9 +146,11 @@ def run(
         ),
     ] = None,
     offset: Annotated[
-        float, option("--offset S", "Of --telemetry: its clock less that of the pictures.")
+        float, option("--offset", "Of --telemetry: its clock less that of the pictures.", unit="s")
     ] = 0.0,
-    rate: Annotated[float | None, option("--rate HZ", "Of a video that does not say so itself.")] = None,
+    rate: Annotated[
+        float | None, option("--rate", "Of a video that does not say so itself.", unit="Hz")
+    ] = None,
     times: Annotated[
         Path | None,
         option(
@@ -156,7 +158,8 @@ def run(
         ),
     ] = None,
     delay: Annotated[
-        float, option("--delay S", "Of a camera or stream: how much older pictures are than they came.")
+        float,
+        option("--delay", "Of a camera or stream: how much older pictures are than they came.", unit="s"),
     ] = 0.0,
     clock: Annotated[
         str, option("--clock WHICH", "Of a stream: arrival, or sender (its X-Timestamp).")
@@ -170,10 +173,11 @@ def run(
         ),
     ] = None,
     give_up: Annotated[
-        float, option("--give-up S", "Of a camera or stream: it has ended when nothing came for so long.")
+        float,
+        option("--give-up", "Of a camera or stream: it has ended when nothing came for so long.", unit="s"),
     ] = 10.0,
     duration: Annotated[
-        float | None, option("--duration S", "Stop after so long; Ctrl-C stops, too.")
+        float | None, option("--duration", "Stop after so long; Ctrl-C stops, too.", unit="s")
     ] = None,
     floor_map: Annotated[
         Path | None, option("--map FILE", "Find yourself in this map, instead of beginning one.")
@@ -436,7 +440,7 @@ def _print(e: Evaluation) -> None:
 def calibrate(
     pictures: Annotated[Path, argument("FOLDER", "Pictures of a chessboard, from many sides.")],
     board: Annotated[str, option("--board CxR", "Inner corners along both sides.")] = "9x6",
-    square: Annotated[float, option("--square M", "Side of a square.")] = 0.025,
+    square: Annotated[float, option("--square", "Side of a square.", unit="m")] = 0.025,
     camera: _CameraOption = "mufly-2.0",
     out: Annotated[
         Path | None, option("--out FILE", "Camera file to write: the lens as found, the rest as given.")

@@ -17,8 +17,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import ArgumentError
-from mufly.units import units_of
+from mufly.errors import ArgumentError, InputError, suggest_name
+from mufly.grammar import read_quantity
 from mufly.vehicle import Parameter, Vehicle, load_vehicle, parameters
 
 _Array = NDArray[np.float64]
@@ -130,6 +130,13 @@ def _is_file(text: str) -> bool:
     return "=" not in text and Path(text).suffix.lower() in (".json", ".toml")
 
 
+_NAMES = "use `parameters`, a table, or a key or symbol that `mufly vehicle show` lists"
+
+
+def _names(known: Sequence[Parameter]) -> list[str]:
+    return list(dict.fromkeys([*(p.key for p in known), *(p.symbol for p in known if len(p.symbol) > 2)]))
+
+
 def _named(name: str, text: str, vehicle: Vehicle) -> list[Parameter]:
     numbers = [p for p in parameters(vehicle) if isinstance(p.value, float)]
     if name == EVERYTHING:
@@ -139,7 +146,7 @@ def _named(name: str, text: str, vehicle: Vehicle) -> list[Parameter]:
     if not chosen:
         raise ArgumentError(
             "vary", text, f"{name!r} is no parameter of {vehicle.name}",
-            "use `parameters`, a table, or a key or symbol that `mufly vehicle show` lists",
+            suggest_name(name, _names(numbers), _NAMES),
         )  # fmt: skip
     return chosen
 
@@ -164,7 +171,7 @@ def _from_words(text: str, vehicle: Vehicle) -> Variation:
         )
         return replace(_alone(text, stated, [float(p.std or 0.0) for p in stated], "normal"), note=note)
     if match := _RANGE.fullmatch(how):
-        low, high = (_number(match[k], text) * _factor(match["unit"], chosen, text) for k in ("low", "high"))
+        low, high = (_amount(match[k], match["unit"], chosen, text) for k in ("low", "high"))
         if not low < high:
             raise ArgumentError("vary", text, f"{how} holds nothing", "write LOW:HIGH with LOW below HIGH")
         half = np.full(len(keys), 0.5 * (high - low))
@@ -186,7 +193,7 @@ def _from_words(text: str, vehicle: Vehicle) -> Variation:
             )
         widths = number / 100.0 * np.abs([p.value for p in chosen])
     elif match["normal"] or match["sides"]:
-        widths = np.full(len(keys), number * _factor(unit, chosen, text))
+        widths = np.full(len(keys), _amount(match["number"], unit, chosen, text))
     else:
         raise ArgumentError(
             "vary", text, f"{how!r} may be a value or a spread", "write +-2g or normal:2g for a spread"
@@ -208,19 +215,17 @@ def _number(text: str, where: str) -> float:
         raise ArgumentError("vary", where, f"{text!r} is no number", f"write {_FORMS}") from None
 
 
-def _factor(unit: str, chosen: Sequence[Parameter], text: str) -> float:
+def _amount(number: str, unit: str, chosen: Sequence[Parameter], text: str) -> float:
+    """A number with a unit in the unit that the parameters have in common (SI)."""
     own = {p.unit for p in chosen}
     if len(own) > 1:
         raise ArgumentError(
             "vary", text, f"its {len(chosen)} parameters have no unit in common", "vary them in %"
         )
-    known = units_of(own.pop())
-    if unit.strip() not in known and not (unit.strip() == "" and "1" in known):
-        accepted = ", ".join(known)
-        raise ArgumentError(
-            "vary", text, f"{unit.strip()!r} is no unit of it", f"use %, or one of: {accepted}"
-        )
-    return known[unit.strip() or "1"]
+    try:
+        return read_quantity("", f"{number} {unit}", own.pop(), bare=False)
+    except InputError as error:
+        raise ArgumentError("vary", text, error.problem, f"{error.remedy}, or %") from None
 
 
 def _from_file(text: str, vehicle: Vehicle) -> Variation:

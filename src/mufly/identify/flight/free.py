@@ -15,7 +15,6 @@ the third number of its provenance, which for "identified" and "estimated" is na
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from mufly.dynamics import PARAMETERS, model_parameters
-from mufly.errors import ArgumentError, InputError
+from mufly.errors import ArgumentError, InputError, suggest_name
 from mufly.identify.record import OUTPUT_UNITS
 from mufly.vehicle import Vehicle, parameters, replace
 
@@ -143,8 +142,7 @@ def choose_free(
         row = rows.get(symbol)
         if row is None or not isinstance(row.value, float):
             known = [s for s, r in rows.items() if isinstance(r.value, float)]
-            near = _near(symbol, [*known, "delay"])
-            remedy = f"did you mean {' or '.join(near)}?" if near else "use symbols of `mufly vehicle show`"
+            remedy = suggest_name(symbol, [*known, "delay"], "use symbols of `mufly vehicle show`")
             raise ArgumentError("symbols", symbol, "is no parameter of a vehicle that can be fitted", remedy)
         if row.value == 0.0:
             raise InputError(vehicle.name, row.key, "starts at 0", "give a start of the right size")
@@ -242,13 +240,6 @@ def numbers_at(base: NDArray[np.void], powers: dict[str, _Array], theta: _Array)
         factor = np.exp(theta @ exponent)
         p[name] = p[name] * (factor if p[name].ndim == 1 else factor[:, None])
     return p
-
-
-def _near(symbol: str, known: Sequence[str]) -> list[str]:
-    """Return known symbols that look like this one, whatever the case of letters and underscores."""
-    plain = {s.lower().replace("_", ""): s for s in known}
-    found = difflib.get_close_matches(symbol.lower().replace("_", ""), list(plain), n=3, cutoff=0.6)
-    return [plain[k] for k in found]
 
 
 def _limits(vehicle: BaseModel, prefix: str = "") -> dict[str, list[float]]:

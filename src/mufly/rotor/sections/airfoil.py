@@ -26,7 +26,6 @@ thickness formula (0.25 % of chord for t = 0.12) is kept. Files: :mod:`mufly.rot
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import math
 import re
@@ -38,7 +37,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import InputError
+from mufly.errors import InputError, suggest_name
 from mufly.results import result
 from mufly.rotor.sections.contour_file import read_contour, read_own_contour
 
@@ -155,15 +154,8 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     for key in (text.lower(), name, text.lower().removesuffix(".dat")):
         if key in _database():
             return Airfoil(key, read_contour(_database()[key]), "AeroSandbox's database (UIUC)")
-    raise InputError(text, "", "no such airfoil or file", _near(name))
-
-
-def _near(name: str) -> str:
-    near = difflib.get_close_matches(name, _database(), n=3)
-    known = (
-        f"did you mean {' or '.join(near)}?" if near else "give a NACA number, a database name or a .dat file"
-    )
-    return known
+    otherwise = "give a NACA number, a database name or a .dat file"
+    raise InputError(text, "", "no such airfoil or file", suggest_name(name, _database(), otherwise))
 
 
 def _percent(where: str, text: str, what: str, size: str, most: float) -> float:

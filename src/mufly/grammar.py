@@ -1,0 +1,321 @@
+"""How numbers with units are written on a command line and in the files that repeat it: one grammar for every option.
+
+A quantity is a number and a unit of its dimension: ``6000rpm``, ``100 Hz``, ``1.2kg/m3``. Where a unit is stated for
+bare numbers, ``6000`` means that unit. A list has commas (``5000,6000rpm``), a range is ``FIRST:LAST:STEP``
+(``10:30:5mm``), and a unit at the end also holds for the bare numbers before it. A standard deviation follows ``+-``
+(``0.06+-0.0002``). Units are those of :mod:`mufly.units`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from mufly.errors import InputError
+from mufly.units import conversion, known_unit, units_of
+
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+MAX_VALUES = 100_000
+"""A list or range of an option holds at most so many values."""
+
+_RARE = (
+    "1",
+    "d%",
+    "c%",
+    "cdeg",
+    "cdeg/s",
+    "mrad",
+    "mrad/s",
+    "cV",
+    "cA",
+)  # of autopilots' messages, not of people
+_SHOWN = 8  # units in a message
+_QUANTITY = re.compile(rf"({NUMBER}|[-+]?(?:nan|inf|infinity)(?![a-z]))\s*(.*)", re.IGNORECASE | re.DOTALL)
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+\s*[^\d\s,:]*")
+
+
+class Written(NamedTuple):
+    """A number as it was typed: value and unit, ``""`` without one."""
+
+    value: float
+    unit: str
+
+
+class Doubt(NamedTuple):
+    """A value and its standard deviation, in the same unit."""
+
+    value: float
+    std: float
+
+
+def read_quantity(where: str, text: str, unit: str, *, bare: bool = True) -> float:
+    """Return one number in a unit, from text as ``"6000rpm"``.
+
+    Parameters
+    ----------
+    where : str
+        What an error names, such as the option.
+    text : str
+    unit : str
+        Unit of the result and, with ``bare``, of a number without one. ``""``: a number that takes no unit.
+    bare : bool
+        Whether a number may stand without a unit.
+
+    Raises
+    ------
+    InputError
+        If the text is no finite number, or its unit is unknown or of another dimension.
+
+    Examples
+    --------
+    >>> read_quantity("--mass", "0.12kg", "g")
+    120.0
+    """
+    if _DECIMAL_COMMA.fullmatch(text.strip()):
+        raise InputError(
+            where, "", f"{text!r} has a decimal comma", f"write {text.strip().replace(',', '.')}"
+        )
+    return _to_unit(where, _split(where, text, unit), unit, text, bare)
+
+
+def read_whole(where: str, text: str) -> int:
+    """Return a whole number; InputError if the text is none."""
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    value = _split(where, text, "")
+    if value.unit or not value.value.is_integer():
+        raise InputError(where, "", f"{text!r} is no whole number", "give a whole number, without a unit")
+    return int(value.value)
+
+
+def read_values(
+    where: str, text: str, unit: str, *, bare: bool = True, most: int = MAX_VALUES
+) -> tuple[float, ...]:
+    """Return the numbers of a list or range, ``"5000,6000"`` or ``"3000:7000:500rpm"``, in a unit.
+
+    The last value of a range is included when the steps meet it; a range without a step rises by one of its unit.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_quantity`, and if a range holds no value or the text more than ``most``.
+    """
+    parts = [part.split(":") for part in text.split(",")]
+    numbers = iter(_units_shared([_split(where, n, unit, text) for part in parts for n in part]))
+    out: list[float] = []
+    for part in parts:
+        written = [next(numbers) for _ in part]
+        if len(written) > 3:
+            raise InputError(where, "", f"{':'.join(part)!r} is no range", "write FIRST:LAST:STEP")
+        out += _range(where, written, unit, text, bare, most)
+        if len(out) > most:
+            raise InputError(where, "", f"{len(out)} values in {text!r}", f"give {most} values at most")
+    return tuple(out)
+
+
+def read_pair(where: str, text: str, unit: str) -> tuple[float, float]:
+    """Return the numbers of upper and lower rotor, from ``"14,12"`` or from one number for both."""
+    values = read_list(where, text, unit)
+    if len(values) > 2:
+        raise InputError(
+            where, "", f"{text!r} is neither one value nor two", "write one, or UPPER,LOWER as 14,12"
+        )
+    return values[0], values[-1]
+
+
+def read_list(where: str, text: str, unit: str) -> tuple[float, ...]:
+    """Return the numbers of a list with commas, without ranges."""
+    return tuple(
+        _to_unit(where, one, unit, text, bare=True)
+        for one in _units_shared([_split(where, part, unit, text) for part in text.split(",")])
+    )
+
+
+def read_vector(where: str, text: str, unit: str) -> tuple[float, ...]:
+    """Return the three numbers of a vector, or the one of its length."""
+    values = read_list(where, text, unit)
+    if len(values) not in (1, 3):
+        raise InputError(
+            where, "", f"{text!r} holds {len(values)} numbers",
+            f"give one ({unit}), or N,E,D as 0.5,0,0; a decimal mark is a point",
+        )  # fmt: skip
+    return values
+
+
+def read_steps(where: str, text: str, unit: str) -> tuple[float, float | None, float | None]:
+    """Return first, last and step of ``"2500:6000"`` or ``"-1:3:0.5m/s"``; last and step None where there is none."""
+    parts = text.split(":")
+    if len(parts) > 3:
+        raise InputError(where, "", f"{text!r} is no range", "write FIRST:LAST or FIRST:LAST:STEP")
+    written = _units_shared([_split(where, part, unit, text) for part in parts])
+    first, *rest = (_to_unit(where, one, unit, text, bare=True) for one in written)
+    last, step = (*rest, None, None)[:2]
+    if (last is not None and last <= first) or (
+        step is not None and last is not None and not 0 < step <= (last - first) * (1 + 1e-9)
+    ):
+        raise InputError(
+            where, "", f"{text!r} holds no two values", "let it rise, by a step no longer than that"
+        )
+    return first, last, step
+
+
+def read_band(where: str, text: str, unit: str) -> tuple[float, float]:
+    """Return the ends of ``"0.1:3"``, the lower first."""
+    first, last, step = read_steps(where, text, unit)
+    if last is None or step is not None:
+        raise InputError(where, "", f"{text!r} is no band", f"write LOW:HIGH ({unit}), as 0.1:3")
+    return first, last
+
+
+def read_doubt(where: str, text: str, unit: str) -> Doubt:
+    """Return value and standard deviation of ``"0.84"``, ``"0.84+-0.02"`` or ``"0.84+-2%"``."""
+    first, sign, second = text.replace("±", "+-").partition("+-")
+    value = _split(where, first, unit, text)
+    if not sign:
+        return Doubt(_to_unit(where, value, unit, text, bare=True), 0.0)
+    std = _split(where, second, unit, text)
+    relative = std.unit == "%" and _dimension(unit) != "1"
+    value = value if relative else _units_shared([value, std])[0]
+    mean = _to_unit(where, value, unit, text, bare=True)
+    width = abs(mean) * std.value / 100.0 if relative else _to_unit(where, std, unit, text, bare=True)
+    if width < 0.0:
+        raise InputError(where, "", f"{text!r} has a negative standard deviation", "give 0 or more behind +-")
+    return Doubt(mean, width)
+
+
+def read_span(where: str, text: str) -> tuple[float, float]:
+    """Return begin and end (s) of ``"15s+2s"``, a start and a duration; either may be left out."""
+    start, sign, duration = text.partition("+")
+    begin = read_quantity(where, start, "s") if start.strip() else 0.0
+    end = begin + read_quantity(where, duration, "s") if sign else math.inf
+    if not 0.0 <= begin < end:
+        raise InputError(where, "", f"{text!r} is no time", "write STARTs+DURATIONs, as 15s+2s")
+    return begin, end
+
+
+def spaced_values(first: float, last: float, step: float) -> list[float]:
+    """Return first, first + step, ... up to last, which is included when the steps meet it."""
+    count = math.floor((last - first) / step + 1e-9) + 1
+    return [round(first + k * step, 12) for k in range(count)]
+
+
+# ----------------------------------------------------------------------------
+
+
+def _split(where: str, part: str, unit: str, whole: str = "") -> Written:
+    """Number and unit of a text; ``whole`` is the list that it is a part of."""
+    text = part.strip().replace("\u2212", "-")
+    shown = repr(whole or part)
+    if not text:
+        problem = "is empty" if not (whole or part).strip() else f"{shown} lacks a number"
+        raise InputError(where, "", problem, f"give {_in_words(unit)}")
+    match = _QUANTITY.fullmatch(text)
+    if match is None or match[2][:1] in tuple(".,+-") or re.match(r"\d(?!/)", match[2]):
+        raise InputError(where, "", f"{part.strip()!r} is no number", f"give {_in_words(unit)}")
+    value = float(match[1])
+    if not math.isfinite(value):
+        raise InputError(where, "", f"{part.strip()!r} is not finite", f"give {_in_words(unit)}")
+    return Written(value, match[2].strip())
+
+
+def _units_shared(numbers: Sequence[Written]) -> list[Written]:
+    """Give bare numbers the unit of the next one that has a unit."""
+    out: list[Written] = []
+    unit = ""
+    for one in reversed(numbers):
+        unit = one.unit or unit
+        out.append(Written(one.value, unit))
+    return out[::-1]
+
+
+def _range(
+    where: str, written: Sequence[Written], unit: str, text: str, bare: bool, most: int
+) -> list[float]:
+    """The values of one part of a list: a number, or a range that is counted in the unit it is written in."""
+    if len(written) == 1:
+        return [_to_unit(where, written[0], unit, text, bare)]
+    here = written[-1].unit
+    if any(one.unit != here for one in written):
+        here = unit
+        written = [Written(_to_unit(where, one, unit, text, bare), unit) for one in written]
+    first, last, step = (*(one.value for one in written), 1.0)[:3]
+    if step <= 0 or last < first:
+        raise InputError(
+            where, "", f"{first:g}:{last:g}:{step:g} holds no value", "let it rise by a step above 0"
+        )
+    count = (last - first) / step + 1
+    if count > most:
+        problem, remedy = f"{text!r} holds {count:.0f} values", f"take larger steps ({most} values at most)"
+        raise InputError(where, "", problem, remedy)
+    return [_to_unit(where, Written(v, here), unit, text, bare) for v in spaced_values(first, last, step)]
+
+
+def _to_unit(where: str, one: Written, unit: str, text: str, bare: bool) -> float:
+    if not one.unit:
+        if not bare and _dimension(unit) != "1":
+            raise InputError(where, "", f"{text!r} has no unit", f"use one of: {_units(unit)}")
+        return one.value
+    if not unit:
+        raise InputError(
+            where, "", f"{text!r} has a unit, {one.unit!r}", "give the number alone, it takes none"
+        )
+    found = _unit_of(one.unit, unit)
+    if not found:
+        other = known_unit(one.unit)
+        problem = f"unit {one.unit!r} in {text!r} is unknown"
+        if other and not _fits(other, unit):
+            problem = (
+                f"{text!r} is in {other}, which cannot become {unit if unit != '1' else 'a plain number'}"
+            )
+        raise InputError(where, "", problem, f"use one of: {_units(unit)}")
+    _, factor, offset = conversion(found, unit)
+    return factor * one.value + offset
+
+
+def _unit_of(text: str, wanted: str) -> str:
+    """The unit of the same dimension; capitals do not matter, except that mega is not milli."""
+    same = {_plain(u): u for u in units_of(_dimension(wanted))}
+    if _plain(text) in same:
+        return same[_plain(text)]
+    here = known_unit(text)
+    found = here if here and _fits(here, wanted) else known_unit(text, wanted)
+    mega = text[:1] == "M" and found[:1] == "m" and text[1:].lower() == found[1:].lower() != ""
+    return "" if mega else found
+
+
+def _plain(unit: str) -> str:
+    """A unit without what is optional in writing one: blanks, dots of products, signs of powers."""
+    for written, plain in (("²", "2"), ("³", "3"), ("µ", "u"), ("μ", "u"), ("Ω", "ohm")):
+        unit = unit.replace(written, plain)
+    return re.sub(r"[\s*·^]", "", unit)
+
+
+def _fits(unit: str, wanted: str) -> bool:
+    try:
+        conversion(unit, wanted)
+    except InputError:
+        return False
+    return True
+
+
+def _dimension(unit: str) -> str:
+    return conversion(unit)[0] if unit else "1"
+
+
+def _units(unit: str) -> str:
+    known = [u for u in units_of(_dimension(unit)) if u not in _RARE and u != unit]
+    shown = [*([] if unit == "1" else [unit]), *known]
+    return ", ".join(shown[:_SHOWN]) + (" and others" if len(shown) > _SHOWN else "")
+
+
+def _in_words(unit: str) -> str:
+    """What is wanted."""
+    if not unit:
+        return "a number"
+    if unit == "1":
+        return "a number, or a percentage as 50%"
+    return f"a number, bare in {unit} or with a unit: {_units(unit)}"
