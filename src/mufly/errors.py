@@ -73,7 +73,7 @@ def suggest_name(name: str, known: Iterable[str], otherwise: str = "") -> str:
 
     names = list(known)
     by_plain = {plain(n): n for n in names}
-    near = difflib.get_close_matches(plain(name), by_plain, n=3, cutoff=0.6)
+    near = difflib.get_close_matches(plain(name), by_plain, n=3, cutoff=0.65)
     if not near:
         return otherwise or f"use one of: {', '.join(names)}"
     ratios = [difflib.SequenceMatcher(None, plain(name), n).ratio() for n in near]

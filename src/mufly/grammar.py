@@ -20,17 +20,10 @@ NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 MAX_VALUES = 100_000
 """A list or range of an option holds at most so many values."""
 
+# Of autopilots' messages, not of people.
 _RARE = (
-    "1",
-    "d%",
-    "c%",
-    "cdeg",
-    "cdeg/s",
-    "mrad",
-    "mrad/s",
-    "cV",
-    "cA",
-)  # of autopilots' messages, not of people
+    "1", "d%", "c%", "cdeg", "ddeg", "degE7", "cdeg/s", "ddeg/s", "mrad", "mrad/s", "cV", "cA", "us", "ns", "um",
+)  # fmt: skip
 _SHOWN = 8  # units in a message
 _QUANTITY = re.compile(rf"({NUMBER}|[-+]?(?:nan|inf|infinity)(?![a-z]))\s*(.*)", re.IGNORECASE | re.DOTALL)
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+\s*[^\d\s,:]*")
@@ -197,6 +190,12 @@ def read_span(where: str, text: str) -> tuple[float, float]:
     return begin, end
 
 
+def offered_units(unit: str) -> tuple[str, ...]:
+    """Return the units that people use for a quantity, that of bare numbers first."""
+    known = [u for u in units_of(_dimension(unit)) if u not in _RARE and u != unit]
+    return (*([] if unit == "1" else [unit]), *known)
+
+
 def spaced_values(first: float, last: float, step: float) -> list[float]:
     """Return first, first + step, ... up to last, which is included when the steps meet it."""
     count = math.floor((last - first) / step + 1e-9) + 1
@@ -278,20 +277,10 @@ def _to_unit(where: str, one: Written, unit: str, text: str, bare: bool) -> floa
 
 def _unit_of(text: str, wanted: str) -> str:
     """The unit of the same dimension; capitals do not matter, except that mega is not milli."""
-    same = {_plain(u): u for u in units_of(_dimension(wanted))}
-    if _plain(text) in same:
-        return same[_plain(text)]
     here = known_unit(text)
     found = here if here and _fits(here, wanted) else known_unit(text, wanted)
     mega = text[:1] == "M" and found[:1] == "m" and text[1:].lower() == found[1:].lower() != ""
     return "" if mega else found
-
-
-def _plain(unit: str) -> str:
-    """A unit without what is optional in writing one: blanks, dots of products, signs of powers."""
-    for written, plain in (("²", "2"), ("³", "3"), ("µ", "u"), ("μ", "u"), ("Ω", "ohm")):
-        unit = unit.replace(written, plain)
-    return re.sub(r"[\s*·^]", "", unit)
 
 
 def _fits(unit: str, wanted: str) -> bool:
@@ -307,8 +296,7 @@ def _dimension(unit: str) -> str:
 
 
 def _units(unit: str) -> str:
-    known = [u for u in units_of(_dimension(unit)) if u not in _RARE and u != unit]
-    shown = [*([] if unit == "1" else [unit]), *known]
+    shown = offered_units(unit)
     return ", ".join(shown[:_SHOWN]) + (" and others" if len(shown) > _SHOWN else "")
 
 

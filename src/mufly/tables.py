@@ -70,7 +70,8 @@ def read_tables(name_or_path: str | Path, folder: Traversable, kind: str) -> tup
     else:
         path, where = Path(name_or_path), name
         if not path.is_file():
-            here = [str(f) for f in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+            beside = path.parent.glob("*.toml") if path.parent.is_dir() else ()
+            here = [str(f) for f in beside if suggest_name(path.stem, [f.stem], "-") != "-"]
             remedy = suggest_name(
                 name, [*known, *here], f"give a {kind} file, or one of the built-in: {', '.join(known)}"
             )

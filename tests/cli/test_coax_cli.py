@@ -158,9 +158,9 @@ def test_a_wake_that_does_not_converge_is_an_error_and_keeps_its_history(tmp_pat
     ("arguments", "said"),
     [
         (("hover", "--spacing", "3mm"), "overlap"),
-        (("hover", "--spacing", "0mm"), "above 0"),
-        (("hover", "--spacing", "20"), "unit"),
-        (("hover", "--rpm", "6000,0"), "above 0"),
+        (("hover", "--spacing", "0mm"), "out of range"),
+        (("hover", "--spacing", "20"), "out of range"),
+        (("hover", "--rpm", "6000,0"), "out of range"),
         (("hover", "--rpm", "1,2,3"), "UPPER,LOWER"),
         (("hover", "--pitch", "x"), "--pitch"),
         (("hover", "--method", "magic"), "bemt, tubes, wake"),

@@ -181,9 +181,10 @@ def test_plan_refuses(arguments, what):
 
 
 def test_numbers_with_doubt():
-    assert with_doubt("--gear", "0.84+-0.02") == (0.84, 0.02)
-    assert with_doubt("--gear", "1.5") == (1.5, 0.0)
-    assert with_doubt("--gear", "free") == (None, 0.0)
+    assert with_doubt("--gear", "0.84+-0.02", "1") == (0.84, 0.02)
+    assert with_doubt("--gear", "1.5", "1") == (1.5, 0.0)
+    assert with_doubt("--gear", "free", "1") == (None, 0.0)
+    assert with_doubt("--radius", "60mm+-0.2mm", "m") == pytest.approx((0.06, 0.0002))
     for text in ("x", "-1", "1+-x", "1+--2"):
         with pytest.raises(InputError):
-            with_doubt("--gear", text)
+            with_doubt("--gear", text, "1")

@@ -129,7 +129,7 @@ def test_an_identified_covariance_is_drawn_from(tmp_path: Path, vehicle: Vehicle
     [
         (["parameters=5"], "a value or a spread"),
         (["wings=5%"], "no parameter of mufly-1.1"),
-        (["m=+-2furlong"], "use %, or one of: kg, g"),
+        (["m=+-2furlong"], "use one of: kg, g, mg, lb, oz, or %"),
         (["rotors=+-2"], "vary them in %"),
         (["m=100:90g"], "holds nothing"),
         (["m=100%"], "reaches zero"),

@@ -37,7 +37,7 @@ def test_faults_are_written_in_words() -> None:
     [
         ("sonar", "write NAME.KIND"), ("radar.jump@1s", "is no sensor; use one of: accelerometer"),
         ("sonar.explode@1s", "is no fault; use one of: freeze"), ("sonar.jump@5s+0s", "is no time"),
-        ("sonar.jump=1e@3s", "write NAME.KIND"), ("sonar.jump@1e999s", "is no time"),
+        ("sonar.jump=1e@3s", "unit 'e' in '1e' is unknown"), ("sonar.jump@1e999s", "is not finite"),
     ],
 )  # fmt: skip
 def test_what_is_no_fault_is_said_in_one_line(text, why) -> None:

@@ -219,7 +219,7 @@ class Notation:
 
     def callback(self, param: typer.CallbackParam, value: Any) -> Any:
         """Read the value or values of an option; typer calls it."""
-        name = max(param.opts, key=len)
+        name = next((o for o in param.opts if o.startswith("--")), param.opts[0])
         if isinstance(value, list | tuple):
             return [self.read(name, v) if isinstance(v, str) else v for v in value]
         return self.read(name, value) if isinstance(value, str) else value
@@ -245,7 +245,7 @@ DUTY = Range(
 CHARGE = Range(0.0, 1.0, "", "it is a share of the battery's capacity")
 GEAR = Range(0.02, 500.0, "", "no gear train of a few stages is beyond")
 PITCH = Range(-90.0, 90.0, "deg", "a blade that is turned further flies backwards")
-SPEED = Range(1e-3, 1e7, "rpm", "no rotor turns so")
+SPEED = Range(0.1, 1e6, "rpm", "no rotor turns so")
 SPACING = Range(1e-4, 5.0, "m", "no pair is built so; 20 mm are written 20mm")
 
 

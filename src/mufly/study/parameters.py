@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mufly.errors import InputError, suggest_name
-from mufly.grammar import read_quantity, read_values
-from mufly.units import factor_of, split_header, units_of
+from mufly.grammar import offered_units, read_quantity, read_values
+from mufly.units import factor_of, split_header
 
 Value = float | str
 
@@ -47,8 +47,9 @@ class Parameter:
         """Units in which it may be written, the one that is shown first; ``""`` for a bare number."""
         if self.unit == "text" or self.whole:
             return ("",) if self.whole else ()
-        known = ("", "%") if self.unit == "1" else tuple(units_of(self.unit))
-        return (self.shown, *(u for u in known if u != self.shown))
+        if self.unit == "1":
+            return (self.shown, "%" if self.shown == "" else "")
+        return offered_units(self.shown)
 
 
 GEOMETRY: dict[str, Parameter] = {
