@@ -141,3 +141,192 @@ def test_headers_of_a_thrust_stands_maker():
         "humidity",
     ]
     assert parse_header(heads[4]).factor == pytest.approx(np.pi / 30)
+
+
+@pytest.mark.parametrize(
+    ("header", "factor"),
+    [
+        ("Thrust (lbf)", 4.4482216152605), ("Thrust (ozf)", 0.27801385), ("T_gf", 9.80665e-3), ("thrust_N", 1.0),
+        ("Thrust (g)", 9.80665e-3), ("Thrust (kgf)", 9.80665), ("Torque (lbf·in)", 0.112984829),
+        ("Torque (in-lbf)", 0.112984829),
+        ("torque (kg-cm)", 0.0980665), ("Torque (ozf·in)", 7.0615518e-3), ("Rotation speed (rev/s)", 2 * math.pi),
+        ("RPM", math.pi / 30), ("voltage_mV", 1e-3), ("Air speed (m/s)", 1.0), ("V (mph)", 0.44704),
+        ("ESC signal (µs)", 1e-3), ("throttle_%", 1e-2),
+    ],
+)  # fmt: skip
+def test_units_and_names_of_thrust_stands(header, factor):
+    assert parse_header(header).factor == pytest.approx(factor, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("RPM,Thrust (bananas)\n1000,1\n", r"Thrust \(bananas\): the unit 'bananas' is none of thrust"),
+        ("RPM,T [lbx],Q(Nm)\n1000,1,2\n", r"T \[lbx\]: the unit 'lbx' is none of thrust"),
+        ("RPM,thrust_V\n1000,1\n", "thrust_V: the unit 'V' is none of thrust"),
+        ("Speed (furlongs),T(N)\n1000,1\n", r"Speed \(furlongs\): the unit 'furlongs' is none of speed"),
+    ],
+)
+def test_an_unknown_unit_is_blamed_with_its_column(tmp_path, text, what):
+    table = read_bench(write(tmp_path, text))
+    with pytest.raises(InputError, match=what):
+        table.require(("speed", "thrust"))
+    with pytest.raises(InputError, match="the unit 'bananas' is none of thrust"):
+        read_bench(write(tmp_path, "Thrust (bananas)\n1\n"))
+
+
+@pytest.mark.parametrize(
+    ("heads", "rows", "speed", "words"),
+    [
+        (
+            "Motor Electrical Speed (RPM),Motor Optical Speed (RPM)",
+            "0,3000;0,4000",
+            (3000, 4000),
+            "0 or empty in 2",
+        ),
+        (
+            "Motor Electrical Speed (RPM),Motor Optical Speed (RPM)",
+            "3000,0;4000,0",
+            (3000, 4000),
+            "0 or empty in 2",
+        ),
+        (
+            "Motor Electrical Speed (RPM),Motor Optical Speed (RPM)",
+            "0,3000;4000,4010",
+            (3000, 4010),
+            "0 or empty in 1",
+        ),
+        ("motor electrical speed (rpm),rpm", "21000,3000;28070,4000", (3000, 4000), "of 7 pole pairs"),
+        ("RPM,Electrical speed (RPM)", "3000,21000;4000,28000", (3000, 4000), "of 7 pole pairs"),
+        (
+            "Motor Electrical Speed (RPM),Motor Optical Speed (RPM)",
+            "3600,3000;4800,4000",
+            (3000, 4000),
+            "by 20 %",
+        ),
+        (
+            "Motor Electrical Speed (RPM),Motor Optical Speed (RPM)",
+            "0,0;4000,4010",
+            (0, 4000),
+            "is read from",
+        ),
+    ],
+)
+def test_of_two_speeds_the_shaft_s_is_read(tmp_path, heads, rows, speed, words):
+    table = read_bench(write(tmp_path, f"{heads},T(N)\n" + "\n".join(f"{r},1" for r in rows.split(";"))))
+    assert_allclose(table["speed"] * 30 / math.pi, speed)
+    assert any(words in n for n in table.notes)
+
+
+def test_electrical_revolutions_alone_are_no_speed(tmp_path):
+    table = read_bench(write(tmp_path, "eRPM,T(N)\n21000,1\n"))
+    with pytest.raises(InputError, match="divide eRPM by the number of pole pairs"):
+        table.require(("speed",))
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "words"),
+    [
+        ("ESC signal (µs)", "1000,1500,2000", "pulse"), ("ESC throttle (us)", "980,1500,2000", "1 pulses below"),
+        ("throttle (ms)", "1.0,1.5,2.0", "pulse"), ("throttle", "1000,1500,2000", "pulse"),
+        ("throttle", "0,50,100", "per cent"), ("Throttle", "0%,50%,100%", ""), ("throttle (%)", "0,50,100", ""),
+        ("throttle", "0,0.5,1", ""), ("throttle", "-1,0,1", "-1 taken as duty 0"), ("duty_%", "0,50%,100", ""),
+    ],
+)  # fmt: skip
+def test_throttles_of_all_kinds(tmp_path, head, cells, words):
+    lines = [f"{c};{s}" for c, s in zip(cells.split(","), (0, 3000, 5000), strict=True)]
+    table = read_bench(write(tmp_path, f"{head};speed_rpm\n" + "\n".join(lines) + "\n"))
+    assert_allclose(table["duty"], [0.0, 0.5, 1.0], atol=1e-12)
+    assert any(words in n for n in table.notes) or not words
+
+
+def test_a_throttle_that_reverses_is_asked_for(tmp_path):
+    with pytest.raises(InputError, match="throttle: goes from -1 to 1: the speed does not say"):
+        read_bench(write(tmp_path, "throttle,RPM\n-1,5000\n0,0\n1,5000\n"))
+
+
+def test_the_current_beside_an_esc_is_the_supply_s(tmp_path):
+    table = read_bench(write(tmp_path, "ESC signal (µs),Current (A),Voltage (V)\n1200,0.1,8\n1500,1,8\n"))
+    assert set(table.columns) == {"duty", "supply_current", "voltage"}
+    own = read_bench(write(tmp_path, "ESC signal (µs),Motor current (A)\n1200,0.1\n1500,1\n"))
+    assert "current" in own
+
+
+def test_a_pitch_without_unit_is_taken_as_degrees_or_asked_for(tmp_path):
+    table = read_bench(write(tmp_path, "pitch,RPM,T(N)\n12,3000,1\n"))
+    assert_allclose(table["pitch"], math.radians(12))
+    assert any("taken as degrees" in n for n in table.notes)
+    with pytest.raises(InputError, match=r"pitch: goes up to 0.2 without a unit"):
+        read_bench(write(tmp_path, "pitch,RPM,T(N)\n0.2,3000,1\n"))
+
+
+PERFORMANCE = """
+         9x4.5E              (9x45E.dat)
+
+         PROP RPM =       {rpm}
+
+         V          J           Pe         Ct          Cp          PWR         Torque      Thrust{more}
+       (mph)     (Adv_Ratio)     -          -           -          (Hp)      (In-Lbf)      (Lbf){units}
+
+"""
+D = 9 * 0.0254
+
+
+def performance(new=True, rpms=(2000, 4000)):
+    """A file in the layout of APC's, old or new; its numbers come from made-up coefficients in air of 1.225 kg/m3."""
+    text = ""
+    for rpm in rpms:
+        n = rpm / 60.0
+        more = "      PWR         Torque      Thrust      THR/PWR" if new else ""
+        text += PERFORMANCE.format(
+            rpm=rpm, more=more, units="       (W)         (N-m)        (N)        (g/W)" * new
+        )
+        for j in (0.0, 0.2, 0.4):
+            ct, cp = 0.1 - 0.1 * j, 0.04 - 0.02 * j
+            thrust, power = ct * 1.225 * n**2 * D**4, cp * 1.225 * n**3 * D**5
+            torque = power / (2 * math.pi * n)
+            row = [
+                j * n * D / 0.44704,
+                j,
+                ct / cp * j,
+                ct,
+                cp,
+                power / 745.699872,
+                torque / 0.112984829,
+                thrust / 4.448221615,
+            ]
+            row += [power, torque, thrust, 1.0] if new else []
+            text += "  ".join(f"{v:10.6f}" for v in row) + "\n"
+    return (
+        text
+        + "        50.0      0.9000       -NaN       -NaN      0.01  0.0  0.0  0.0"
+        + "  0 0 0 -NaN" * new
+        + "\n"
+    )
+
+
+@pytest.mark.parametrize("new", [True, False])
+@pytest.mark.parametrize("code", ["utf-8", "utf-16"])
+def test_a_makers_performance_file(tmp_path, new, code):
+    path = tmp_path / "PER3_9x45E.dat"
+    path.write_bytes(performance(new).replace("\n", "\r\n").encode(code))
+    table = read_bench(path)
+    assert len(table) == 6
+    assert_allclose(table["speed"] * 30 / math.pi, [2000] * 3 + [4000] * 3)
+    n = table["speed"] / (2 * math.pi)
+    ct, cp = np.tile([0.1, 0.08, 0.06], 2), np.tile([0.04, 0.036, 0.032], 2)
+    assert_allclose(table["thrust"], ct * 1.225 * n**2 * D**4, rtol=2e-4)
+    assert_allclose(table["torque"] * table["speed"], cp * 1.225 * n**3 * D**5, rtol=2e-3)
+    assert_allclose(table["airspeed"], np.tile([0, 0.2, 0.4], 2) * n * D, rtol=1e-4)
+    assert_allclose([table.diameter_m, table["density"][0]], [D, 1.225])
+    assert any("computed performance, no measurement" in note for note in table.notes)
+    assert any("1 lines without numbers" in note for note in table.notes)
+
+
+def test_a_short_line_of_a_performance_file_is_named(tmp_path):
+    text = performance()
+    line = next(k for k, t in enumerate(text.splitlines(), 1) if "0.080000" in t)
+    path = tmp_path / "PER3.dat"
+    path.write_text(text.replace("  0.080000", "", 1))
+    with pytest.raises(InputError, match=f"line {line}: has 11 cells, the header 12"):
+        read_bench(path)

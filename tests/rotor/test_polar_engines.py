@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
     Condition,
+    Measurements,
     RotorWarning,
     System,
-    hover_batch,
+    compare,
     load_airfoil,
     lookup,
     make_rotor,
@@ -449,14 +450,16 @@ def test_a_blade_beyond_the_reynolds_numbers_of_its_polar_is_told(tmp_path):
     path = tmp_path / "low.csv"
     path.write_text(table("alpha_deg,cl,cd,re", res=(1e3, 5e3), form="{a:g},{cl:.4f},{cd:.5f},{re:g}"))
     rotor = make_rotor(name="r", radius_m=0.06, chord_m=0.02, airfoils=str(path))
-    at = {"pitch_rad": 0.2, "speed_rad_s": 500.0}
+    at = Condition(0.2, 500.0)
+    bench = Measurements(np.array([0.2]), np.array([500.0]), np.array([0.1]), np.array([1e-3]), "b")
     with pytest.warns(
         RotorWarning, match=r"0.75 R, 3.0[34]e\+04, is beyond that of its polar, 1e\+03 to 5e\+03"
     ):
-        hover_batch(prepare(rotor), **at)
+        solve(System.single(prepare(rotor)), at, "bemt")
     with pytest.warns(RotorWarning, match="beyond that of its polar"):
-        solve(System.single(prepare(rotor)), Condition(*at.values()), "bemt")
+        compare(rotor, bench)
     path.write_text(table("alpha_deg,cl,cd,re", res=(1e3, 5e5), form="{a:g},{cl:.4f},{cd:.5f},{re:g}"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        hover_batch(prepare(rotor), **at)
+        compare(rotor, bench)
+        solve(System.single(prepare(rotor)), at, "bemt")

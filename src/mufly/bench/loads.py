@@ -18,12 +18,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.bench.conventions import FORCES, axial_lines, loads_of_coefficients, rest_lines
 from mufly.bench.covariance import Spread, joined, spread
 from mufly.bench.series.air import moist_air_density
-from mufly.bench.table import SI_UNITS, BenchTable
+from mufly.bench.table import SI_UNITS, BenchTable, quantity_of
 from mufly.errors import ArgumentError
 from mufly.results import result
-from mufly.rotor import Air, Blading, Condition, System, hover_batch, solve
+from mufly.rotor import Air, Blading, Condition, System, hover_batch, solve, warn_of_reynolds
 
 # ----------------------------------------------------------------------------
 # Load cells: from known loads to gain, offset and cross-talk, with what is not known about them.
@@ -281,9 +282,6 @@ def fit_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> ZeroDr
     return ZeroDrift(solution, s, float(middle), half, blocks, float(ends[1] - ends[0]))
 
 
-_FORCES = ("thrust", "torque")
-
-
 @result(eq=False)
 class Loads:
     """Loads at the lines where something turned.
@@ -314,27 +312,48 @@ class Loads:
     notes: tuple[str, ...]
 
 
-def corrected_loads(table: BenchTable, calibration: Calibration | None = None) -> Loads:
-    """Return the loads of a bench file.
+def corrected_loads(
+    table: BenchTable,
+    calibration: Calibration | None = None,
+    *,
+    radius_m: float | None = None,
+    density_kg_m3: float | None = None,
+) -> Loads:
+    """Return the loads of a bench file at its static lines.
 
     Parameters
     ----------
     table : BenchTable
         ``thrust``, ``torque`` (with ``_upper``, ``_lower``) in SI units, or ``_raw`` with a calibration; ``speed``
-        (``speed_upper``, ``speed_lower``), zero in the lines at rest; optional ``time``.
+        (``speed_upper``, ``speed_lower``), zero in the lines at rest; optional ``time``. Coefficients in their place
+        need the radius (:mod:`mufly.bench.conventions`).
     calibration : Calibration, optional
+    radius_m, density_kg_m3 : float, optional
+        Of the rotor, and of the air (default: :func:`air_density`), for coefficients.
 
     Raises
     ------
     InputError
-        If a raw channel has no calibration, or a calibration no raw channel.
+        If a raw channel has no calibration, or a calibration no raw channel; if a unit is none of its column's, a
+        coefficient has no radius, all lines are in axial flight, or no speed was read although there is a load.
     """
+    table.refuse_units(c for c in table.misread if quantity_of(c) in (*FORCES, "speed"))
+    table = loads_of_coefficients(table, radius_m, air_density(table, density_kg_m3)[0])
+    axial = axial_lines(table, radius_m)
+    if axial.any():
+        left = int(np.sum(~axial))
+        if not left:
+            raise table.fault(
+                "", "has no static line: all are in axial flight", "give lines at airspeed or J 0"
+            )
+        table = table.where(~axial).noted(
+            f"{int(axial.sum())} lines in axial flight are left out: {left} are static"
+        )
     speeds = [c for c in table.columns if c.split("_")[0] == "speed"]
     if not speeds:
         table.require(("speed",))
     table.require(speeds)
-    at_rest = np.all([table[c] == 0.0 for c in speeds], axis=0)
-    raw = [c.removesuffix("_raw") for c in table.columns if c.endswith("_raw") and c.split("_")[0] in _FORCES]
+    raw = [c.removesuffix("_raw") for c in table.columns if c.endswith("_raw") and quantity_of(c) in FORCES]
     known = calibration.channels if calibration is not None else ()
     for channel in raw:
         if channel not in known:
@@ -346,14 +365,23 @@ def corrected_loads(table: BenchTable, calibration: Calibration | None = None) -
             problem = "is not among the columns, but the calibration has it"
             raise table.fault(f"{channel}_raw", problem, remedy)
     direct = [
-        c for c in table.columns if c.split("_")[0] in _FORCES and not c.endswith("_raw") and c not in raw
+        c for c in table.columns if quantity_of(c) in FORCES and not c.endswith("_raw") and c not in raw
     ]
     if not raw and not direct:
         table.require(("thrust",))
     time = table["time"] if "time" in table else table.line.astype(np.float64)
     order = np.argsort(time, kind="stable")
-    table, time, at_rest = table.ordered(order), time[order], at_rest[order]
-    turning, notes, drifts = ~at_rest, list(table.notes), {}
+    table, time = table.ordered(order), time[order]
+    at_rest, lost = rest_lines(table, speeds)
+    turning, notes, drifts = ~at_rest & ~lost, list(table.notes), {}
+    if lost.any():
+        if not turning.any():
+            remedy = "map another column of speed, columns=OLD=speed_rpm"
+            raise table.fault(speeds[0], "is 0 in every line, although there are loads", remedy)
+        notes.append(
+            f"{int(lost.sum())} lines (first: {table.line[lost].min()}) have speed 0 under load or throttle and are "
+            "left out: their speed reading failed"
+        )
     for channel in (*known, *direct):
         column = f"{channel}_raw" if channel in raw else channel
         rest = at_rest & np.isfinite(table[column])
@@ -510,7 +538,9 @@ def predict(
         speeds = {name: dw if name.endswith("lower") else up for name in values}
     else:
         table.require(("speed",))
-        out = hover_batch(blading, pitch_rad=pitch, speed_rad_s=np.abs(table["speed"]), air=air)
+        speed = np.abs(table["speed"])
+        warn_of_reynolds(blading, np.zeros(speed.size, dtype=np.int64), speed, air)
+        out = hover_batch(blading, pitch_rad=pitch, speed_rad_s=speed, air=air)
         values = {"thrust": out.thrust_N, "torque": out.torque_Nm}
         speeds = dict.fromkeys(values, table["speed"])
     chosen = {

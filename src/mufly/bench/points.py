@@ -5,24 +5,33 @@ A file is a bench file as any other (:mod:`mufly.bench.table`: units in the head
 =========  ===========================================================================================
 pitch      ``pitch_deg``; without it as the caller says, else the blades stand as in the rotor file (0)
 speed      ``speed_rpm``, ``RPM``
-thrust     ``thrust_N``, ``T(gf)``, or ``CT`` = T / (rho n^2 D^4), n in revolutions a second
-torque     ``torque_mNm``, ``Q(Nm)``, ``power_W``, or ``CP`` = P / (rho n^3 D^5); it may be left out
+thrust     ``thrust_N``, ``T(gf)``, or a coefficient, as ``CT`` = T / (rho n^2 D^4), n in revolutions a second
+torque     ``torque_mNm``, ``Q(Nm)``, ``power_W``, or a coefficient, as ``CP`` = P / (rho n^3 D^5); it may be left out
 air        ``airspeed_m_s``, ``climb_m_s`` along the shaft, or ``J`` = V / (n D); without it the rotor hovers
 =========  ===========================================================================================
 
-are used. The coefficients are those of propellers (UIUC's data, for one) and need diameter and density. Where the file
-says in which air it was measured (``density_kg_m3``, or ``temperature_degC`` and ``pressure_hPa``), its loads are taken
-to the mean of its densities, as they go with it.
+are used. Coefficients need diameter and density; their conventions, and units that are not written, are decided by
+:mod:`mufly.bench.conventions`. APC's performance files are read, too. A power that is the product of voltage and
+current beside it is no rotor's. Torque that is negative throughout has the sign of the sense of rotation. Where the
+file says in which air it was measured (``density_kg_m3``, or ``temperature_degC`` and ``pressure_hPa``), its loads are
+taken to the mean of its densities, as they go with it.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mufly.bench.conventions import (
+    CONVENTIONS,
+    is_electrical_power,
+    likely_load_units,
+    loads_of_coefficients,
+    with_speed_unit,
+)
 from mufly.bench.loads import air_density
 from mufly.bench.table import BenchTable, read_bench
 from mufly.errors import InputError
@@ -62,64 +71,104 @@ def read_measurements(
         zero and thrust is not zero but in axial flight, the pitch lies within 90 degrees.
     """
     table = read_bench(path, columns=columns)
-    thrust_in = next((n for n in ("thrust", "thrust_coefficient") if n in table), "thrust")
-    torque_in = next((n for n in ("torque", "power", "power_coefficient") if n in table), "")
-    table.require((thrust_in,) if speed_rad_s and "speed" not in table else ("speed", thrust_in))
+    radius = 0.5 * diameter_m if diameter_m else None
     if "speed" in table and speed_rad_s is not None:
         raise table.fault("speed", "is a column of the file", "leave out the speed given beside it")
+    if "speed" not in table and speed_rad_s:
+        table = table.noted(speed=np.full(len(table), speed_rad_s))
+    each, density = np.ones(len(table)), density_kg_m3 or math.nan
+    coefficients = [n for n in CONVENTIONS if n in table]
+    if density_kg_m3 is None and ("density" in table or ("temperature" in table and "pressure" in table)):
+        each, _ = air_density(table, None)
+        density = float(each.mean())
+    elif density_kg_m3 is None and any(c.partition("_")[0] not in table for c in coefficients):
+        density = Air().density_kg_m3
+    table.refuse_units(("thrust", "torque", "speed"))
+    if "power" in table and "torque" not in table and is_electrical_power(table):
+        words = f"{table.headers['power']} is the product of voltage and current: no torque is read from it"
+        kept = {k: v for k, v in table.columns.items() if k != "power"}
+        table = replace(table, columns=kept, notes=(*table.notes, words))
+    # Loads of coefficients are made in the mean density, to which measured ones are taken below.
+    table = loads_of_coefficients(table, radius, density)
+    made = {n for n in ("thrust", "torque") if n in table and table.headers[n] == n and coefficients}
+    if "torque" not in table and "power" in table:
+        table.require(("speed",))
+        header = table.headers["power"]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            table = table.noted(torque=table["power"] / table["speed"])
+        table = replace(table, headers={**table.headers, "torque": header})
+    table.require(("speed", "thrust"))
+    _check_setting(table, pitch_rad)
+    table = _with_units(table, radius, density if math.isfinite(density) else Air().density_kg_m3)
+    table = _with_signs(table)
+    if not {"airspeed", "advance_ratio"} & set(table.columns):
+        # In a tunnel thrust ends, and beyond that the air turns the rotor.
+        _check(table, "thrust", table["thrust"] != 0.0, "not be 0; leave the line out")
+        if "torque" in table:  # an empty cell is a point without torque
+            must = "be above 0: what the motor has to overcome, whichever way the rotor turns"
+            _check(table, "torque", ~(table["torque"] <= 0.0), must)
+    speed = table["speed"]
+    thinner = {
+        n: 1.0 if n in made or not math.isfinite(density) else density / each for n in ("thrust", "torque")
+    }
+    if density_kg_m3 is not None:
+        thinner = dict.fromkeys(thinner, 1.0)
+    torque = table["torque"] * thinner["torque"] if "torque" in table else np.full(len(table), math.nan)
+    pitch = table["pitch"] if "pitch" in table else np.full(len(table), pitch_rad or 0.0)
+    climb = table["airspeed"] if "airspeed" in table else np.zeros(len(table))
+    if "airspeed" not in table and "advance_ratio" in table:
+        if not diameter_m:
+            raise table.fault(
+                "advance_ratio", "is a ratio", "say to which rotor it belongs, or give airspeed_m_s"
+            )
+        climb = table["advance_ratio"] * speed / (2.0 * math.pi) * diameter_m
+    notes = list(table.notes)
+    if math.isfinite(table.diameter_m) and diameter_m and abs(table.diameter_m / diameter_m - 1.0) > 0.02:
+        notes.append(
+            f"the file's rotor is {1e3 * table.diameter_m:.4g} mm across, this one {1e3 * diameter_m:.4g} mm"
+        )
+    return Measurements(
+        pitch, speed, table["thrust"] * thinner["thrust"], torque, table.source, climb, density, tuple(notes)
+    )
+
+
+def _check_setting(table: BenchTable, pitch_rad: float | None) -> None:
+    """Refuse pitch and speed that cannot be."""
     if "pitch" in table:
         table.require(("pitch",))
         if pitch_rad is not None:
             raise table.fault("pitch", "is a column of the file", "leave out the pitch given beside it")
-        _check(
-            table,
-            "pitch",
-            np.abs(table["pitch"]) <= _PITCH_LIMIT_RAD,
-            "lie within 90 degrees; is its unit right?",
-        )
-    if "speed" in table:
-        _check(table, "speed", table["speed"] > 0.0, "be above 0")
-    air = next((n for n in ("airspeed", "advance_ratio") if n in table), "")
-    if air:
-        table.require((air,))
-    if not air:  # in a tunnel thrust ends, and beyond that the air turns the rotor
-        _check(table, thrust_in, table[thrust_in] != 0.0, "not be 0; leave the line out")
-    if torque_in and not air:
-        # An empty cell is a point without torque.
-        known = ~(table[torque_in] <= 0.0)
-        _check(
-            table,
-            torque_in,
-            known,
-            "be above 0: what the motor has to overcome, whichever way the rotor turns",
-        )
-    coefficients = {thrust_in, torque_in} & {"thrust_coefficient", "power_coefficient"}
-    if coefficients and not diameter_m:
-        key = thrust_in if thrust_in == "thrust_coefficient" else torque_in
-        raise table.fault(key, "is a coefficient", "say to which rotor it belongs, or give thrust_N")
-    if air == "advance_ratio" and not diameter_m:
-        raise table.fault(air, "is a ratio", "say to which rotor it belongs, or give airspeed_m_s")
-    speed = table["speed"] if "speed" in table else np.full(len(table), speed_rad_s or math.nan)
-    density = density_kg_m3 or (Air().density_kg_m3 if coefficients else math.nan)
-    thinner: NDArray[np.float64] | float = 1.0  # what loads of the mean density are of those measured
-    if density_kg_m3 is None and ("density" in table or ("temperature" in table and "pressure" in table)):
-        each, _ = air_density(table, None)
-        density = float(each.mean())
-        thinner = density / each
-    turns, diameter = speed / (2.0 * math.pi), diameter_m or math.nan
-    thrust = table[thrust_in]
-    by_coefficient = thrust_in == "thrust_coefficient"
-    thrust = thrust * (density * turns**2 * diameter**4 if by_coefficient else thinner)
-    torque = table[torque_in] if torque_in else np.full(len(table), math.nan)
-    if torque_in == "power_coefficient":
-        torque = torque * density * turns**3 * diameter**5 / speed
-    else:
-        torque = (torque / speed if torque_in == "power" else torque) * thinner
-    pitch = table["pitch"] if "pitch" in table else np.full(len(table), pitch_rad or 0.0)
-    climb = table[air] if air else np.zeros(len(table))
-    if air == "advance_ratio":
-        climb = climb * turns * diameter
-    return Measurements(pitch, speed, thrust, torque, table.source, climb, density)
+        within = np.abs(table["pitch"]) <= _PITCH_LIMIT_RAD
+        _check(table, "pitch", within, "lie within 90 degrees; is its unit right?")
+    _check(table, "speed", table["speed"] > 0.0, "be above 0")
+    table.require([n for n in ("airspeed", "advance_ratio") if n in table])
+
+
+def _with_units(table: BenchTable, radius_m: float | None, density_kg_m3: float) -> BenchTable:
+    """Decide the units of speed and loads that have none, by the sizes that they give, or ask."""
+    unsaid = [n for n in ("speed", "thrust", "torque") if n in table.unitless]
+    if unsaid and radius_m is None:
+        example = {"speed": "speed_rpm", "thrust": "thrust_N", "torque": "torque_Nm"}[unsaid[0]]
+        raise table.fault(unsaid[0], "has no unit", f"name it with its unit, as {example}")
+    if unsaid and radius_m is not None:
+        table = with_speed_unit(table, radius_m)
+        loads = {n: table[n] for n in ("thrust", "torque") if n in table}
+        for name, (factor, words) in likely_load_units(table, loads, radius_m, density_kg_m3).items():
+            table = table.rescaled(name, factor, words)
+    return table
+
+
+def _with_signs(table: BenchTable) -> BenchTable:
+    """Turn round a thrust or torque that is negative in every line."""
+    for name, sign in (("thrust", "the load cell"), ("torque", "the sense of rotation")):
+        if name in table:
+            known = table[name][np.isfinite(table[name])]
+            if known.size and np.all(known < 0.0):
+                words = (
+                    f"{table.headers[name]} is negative throughout and was turned round: the sign of {sign}"
+                )
+                table = table.rescaled(name, -1.0, words)
+    return table
 
 
 def _check(table: BenchTable, name: str, good: np.ndarray[tuple[int], np.dtype[np.bool_]], must: str) -> None:

@@ -200,6 +200,8 @@ def print_estimates(
         start = "-" if math.isnan(e.start) else f"{e.start:.4g}"
         if math.isinf(e.std):
             value, interval, doubt = "not seen", "-", "-"
+        elif math.isnan(e.std) and not e.at_bound:
+            value, interval, doubt = f"{e.value:.5g}", "-", "-"
         elif e.at_bound:
             value, interval, doubt = f"{e.value:.5g}", "at its bound", "-"
         else:

@@ -530,6 +530,8 @@ def _measured(
         path, columns=columns, diameter_m=2.0 * float(rotor.radius), density_kg_m3=density,
         pitch_rad=None if pitch is None else math.radians(pitch), speed_rad_s=None if rpm is None else rpm * RPM,
     )  # fmt: skip
+    for note in bench.notes if not quiet else ():
+        typer.echo(f"note: {note}")
     if density is None and bench.air != Air() and not quiet:
         typer.echo(f"air of {bench.air.density_kg_m3:.4g} kg/m3, as the file says")
     if pitch is None and not bench.pitch_rad.any() and not quiet:

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from mufly.bench import BenchTable, Spread, spread
+from mufly.bench import SI_UNITS, BenchTable, Spread, spread
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.result import Estimate, Estimates, likeliest_errors, relative, unseen_combinations
 from mufly.results import result
@@ -62,6 +62,7 @@ _SLIPS = (
     ("torque", "N cm", 1e-2),
 )  # fmt: skip
 _POOR, _MOST = 0.02, 1.02  # efficiency below which units are doubtful, and above which they are wrong
+_MOST_RATIO = 1.05  # kM / kE
 _SHAPES = ((1.0, 0.2), (1.0, 0.05), (1.0, 0.5), (1.0, 2.0), (0.0, 1.0))  # % of reading, % of full scale
 
 
@@ -253,11 +254,14 @@ def fit_motor(
         asked, rubbing = _missing_terms(
             jacobian[:, free], white, same.whitening(effective, scales), found, free
         )
+        if not rubbing and _rubs(same, effective, scales, free, gear):
+            rubbing = True
         if not rubbing:
             notes += [found.in_words()] if found.pattern != "white" else []
             notes += asked
             break
         free[4] = True
+    _check_physical(table, data, effective, found.covariance, free, found.quantile)
     covariance = np.zeros((5, 5))
     covariance[np.ix_(free, free)] = found.covariance
     estimates, cov, unseen = _constants(effective, covariance, gear, found.quantile, free, vehicle)
@@ -286,7 +290,8 @@ def motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
         if outside.size:
             raise InputError(
                 table.source, f"line {table.line[outside[0]]}, {table.headers['duty']}",
-                f"{duty[outside[0]]:g} is no share of the voltage", "give duty from 0 to 1, or duty_% up to 100",
+                f"{duty[outside[0]]:g} is no share of the voltage",
+                "give duty from 0 to 1, duty_% up to 100, or a pulse of 1000 to 2000 us",
             )  # fmt: skip
         voltage = duty * voltage
         notes.append("voltage at the motor = duty * voltage")
@@ -295,9 +300,10 @@ def motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
         current = table["current"]
     elif "duty" in table:
         table.require(("supply_current",))
-        if np.any(table["duty"] == 0):
+        idle = table["duty"] == 0
+        if np.any(idle & (table["speed"] != 0)):
             raise InputError(table.source, table.headers["duty"], "is 0 in a line", "leave that line out")
-        current = table["supply_current"] / table["duty"]
+        current = np.where(idle, 0.0, table["supply_current"]) / np.where(idle, 1.0, table["duty"])
         notes.append("motor current = supply current / duty (mean of the chopped current)")
     else:
         header = table.headers["supply_current"]
@@ -310,6 +316,39 @@ def motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
     data = MotorData(u, i, w, q, run[turning])
     _check_varied(table, data)
     return _in_si(table, data, notes), notes
+
+
+def _check_physical(
+    table: BenchTable, data: MotorData, effective: Array, covariance: Array, free: NDArray[np.bool_], quantile: float
+) -> None:  # fmt: skip
+    """Refuse constants that no motor has, and name the column that is missing where the voltage gives it away.
+
+    Raises
+    ------
+    InputError
+        If R, kE or kM is not above zero.
+    """
+    std = np.zeros(5)
+    std[free] = np.sqrt(np.diag(covariance))
+    for k, (name, unit) in enumerate((("Rohm", "ohm"), ("kE", "V s"), ("kM", "N m/A"))):
+        if effective[k] > 0.0:
+            continue
+        remedy = "check signs, units, and that voltage and current are the motor's"
+        supply, spread_ = (
+            data.voltage_V,
+            float(np.ptp(data.speed_rad_s)) / float(np.max(np.abs(data.speed_rad_s))),
+        )
+        if (
+            "duty" not in table
+            and float(np.ptp(supply)) < 0.2 * float(np.max(np.abs(supply)))
+            and spread_ > 0.3
+        ):
+            remedy = (
+                f"{table.headers['voltage']} hardly changes while the speed does, so it is the supply's: add a column "
+                "duty, or the ESC's signal in us"
+            )
+        value = f"{effective[k]:.4g} +- {quantile * std[k]:.2g} {unit}"
+        raise InputError(table.source, "", f"the fit gives {name} = {value}, which no motor has", remedy)
 
 
 def _check_varied(table: BenchTable, data: MotorData) -> None:
@@ -341,6 +380,16 @@ def _in_si(table: BenchTable, data: MotorData, notes: list[str]) -> MotorData:
         )
         data = replace(data, speed_rad_s=data.speed_rad_s * factor)
         e = _efficiency(data)
+    for name, unit in (("voltage", "mV"), ("current", "mA")):
+        if name in table.unitless and e < _POOR < 1e3 * e < _MOST:
+            notes.append(
+                f"{table.headers[name]}: as {SI_UNITS[name]} only {100 * e:.2g} % would come out: taken as {unit}"
+            )
+            data = replace(
+                data, **{f"{name}_{SI_UNITS[name]}": 1e-3 * getattr(data, f"{name}_{SI_UNITS[name]}")}
+            )
+            notes[:] = [n for n in notes if not n.startswith(f"{table.headers[name]}: no unit is written")]
+            e = _efficiency(data)
     if e < 0:
         against = "the motor delivers no power (torque against speed)"
         raise InputError(table.source, "", against, "give both with the same sign")
@@ -487,6 +536,23 @@ def _settings(data: MotorData, std: Array) -> NDArray[np.int64]:
     return np.cumsum(np.r_[0, ~same]).astype(np.int64)
 
 
+def _rubs(
+    same: _Equations, effective: Array, scales: Array, free: NDArray[np.bool_], gear: GearKnowledge
+) -> bool:
+    """Whether a constant friction mends constants that make power, and halves what the torque's balance misses."""
+    if free[4] or not _power_ratio(effective, gear) > _MOST_RATIO:
+        return False
+    x, s = same.solve(np.array([True, True, True, True, True]))
+    if x[3] < 0.0:
+        x, s = same.solve(np.array([True, True, True, False, True]))
+    return bool(x[4] > 0.0 and s[1] < 0.5 * scales[1] and _power_ratio(x, gear) <= _MOST_RATIO)
+
+
+def _power_ratio(x: Array, gear: GearKnowledge) -> float:
+    """Return kM over kE."""
+    return float(x[2] / (x[1] * (gear.efficiency or 1.0)))
+
+
 def _missing_terms(
     jacobian: Array, white: Array, whitening: Array, found: Spread, free: NDArray[np.bool_]
 ) -> tuple[list[str], bool]:
@@ -515,8 +581,8 @@ def _missing_terms(
 
 def _energy(x: Array, gear: GearKnowledge) -> list[str]:
     """Say if the constants break the balance of energy, or lose more than usual."""
-    ratio = x[2] / (x[1] * (gear.efficiency or 1.0))  # kM / kE
-    if ratio > 1.05:
+    ratio = _power_ratio(x, gear)
+    if ratio > _MOST_RATIO:
         return [
             f"kM/kE = {ratio:.2f}: more mechanical than electrical power; check units and the current's channel"
         ]

@@ -26,6 +26,12 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from mufly.bench import Loads, Spread, air_density, spread
+from mufly.bench.conventions import (
+    CONVENTIONS,
+    likely_load_units,
+    likely_speed_unit,
+    with_speed_unit,
+)
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.result import Estimate, Estimates, likeliest_errors, relative, unseen_combinations
 from mufly.results import result
@@ -38,7 +44,7 @@ Integers = NDArray[np.int64]
 SIDES = {"upper": "_up", "lower": "_dw", "": ""}
 COEFFICIENTS = {"thrust": ("cT", "thrust_coefficient", 4), "torque": ("cQ", "torque_coefficient", 5)}
 _SHAPES = ((1.0, 0.3), (1.0, 0.02), (1.0, 0.1), (1.0, 1.0), (0.0, 1.0))  # % of reading, % of full scale
-_TYPICAL, _ORDINARY = 0.01, (0.0005, 0.06)  # thrust coefficients of hovering rotors
+_ORDINARY = (0.0005, 0.06)  # thrust coefficients of hovering rotors
 _PITCH = math.radians(0.05)  # settings of the blades closer than this are one
 _ORDERED = 0.8  # rank correlation of speed and order from which drift and trend cannot be told apart
 _ALIKE = 0.02  # speeds closer than this share show no bend between them
@@ -341,11 +347,23 @@ def fit_rotor(
             "radius_m", "", f"{radius_m:g} m is not possible", "give the rotor's radius in metres"
         )
     loads, doubts = _speed_unit(loads, radius_m)
+    density, words = air_density(loads.table, density_kg_m3)
+    if len(loads.table) > 0:
+        loads, more_words = _load_units(loads, radius_m, float(density.mean()))
+        doubts += more_words
     table = loads.table
     coaxial = any(name.endswith(("_upper", "_lower")) for name in (*table.columns, *loads.values))
-    if len(table) < 2:
+    computed = math.isfinite(table.diameter_m)  # a maker's figures: one is enough
+    if len(table) < (1 if computed else 2):
         raise InputError(table.source, "", f"{len(table)} points with a turning rotor", "give two or more")
-    density, words = air_density(table, density_kg_m3)
+    if computed and abs(0.5 * table.diameter_m / radius_m - 1.0) > 0.02:
+        doubts.append(
+            f"the file's rotor has R {500.0 * table.diameter_m:.4g} mm, this one {1e3 * radius_m:.4g} mm"
+        )
+    if all(table.headers.get(c) == c and c not in table.unitless for c in loads.values) and any(
+        c in table for c in CONVENTIONS
+    ):
+        words = "the file's coefficients depend on no density"
     notes = [*loads.notes, *doubts, words]
     pitch = table["pitch"] if "pitch" in table else np.full(len(table), np.nan)
     settings = np.unique(np.round(pitch / _PITCH)) if "pitch" in table else np.array([np.nan])
@@ -362,10 +380,12 @@ def fit_rotor(
             if fit is not None:
                 fits.append(fit)
         estimates = tuple(e for fit in fits for e in estimates_of(fit, vehicle))
+        impossible = _physical(estimates)
+        estimates = tuple(e if e.value > 0.0 else replace(e, key="") for e in estimates)
         results.append(
             RotorFit(
                 table.source, coaxial, float(pitch[chosen][0]), radius_m, density[chosen], estimates, tuple(fits),
-                loads, tuple(u for fit in fits for u in _unseen(fit)), (*notes, *more),
+                loads, (*impossible, *(u for fit in fits for u in _unseen(fit))), (*notes, *more),
             )
         )  # fmt: skip
     return tuple(results)
@@ -374,26 +394,59 @@ def fit_rotor(
 def _speed_unit(loads: Loads, radius: float) -> tuple[Loads, list[str]]:
     """Take speeds without a unit as rpm or rad/s, whichever gives an ordinary coefficient; doubt stated units."""
     table, notes = loads.table, []
-    quantity = next((c for c in loads.values if c.startswith("thrust")), None)
+    quantity = next((c for c in loads.values if c.startswith("thrust") and c not in table.unitless), None)
     for name in [c for c in table.columns if c.startswith("speed")]:
-        if quantity is None:
-            break
         side = name.partition("_")[2]
         channel = f"thrust_{side}" if f"thrust_{side}" in loads.values else quantity
+        if channel is None:
+            table = with_speed_unit(table, radius) if name == "speed" else table
+            continue
+        if name in table.unitless:
+            unit, factor = likely_speed_unit(table[name], loads.values[channel], radius)
+            table = table.rescaled(name, factor, f"{table.headers[name]} has no unit: taken as {unit}")
+            notes.append(table.notes[-1])
+            continue
         with np.errstate(divide="ignore", invalid="ignore"):
             c = loads.values[channel] / (1.2 * math.pi * radius**4 * table[name] ** 2)
         typical = float(np.nanmedian(np.abs(c)))
-        off, off_rpm = abs(math.log(typical / _TYPICAL)), abs(math.log(typical / RPM**2 / _TYPICAL))
-        if name in table.unitless:
-            unit, factor = ("rpm", RPM) if off_rpm < off else ("rad/s", 1.0)
-            table = table.rescaled(name, factor, f"{table.headers[name]} has no unit: taken as {unit}")
-            notes.append(table.notes[-1])
-        elif not _ORDINARY[0] < typical < _ORDINARY[1]:
+        if not _ORDINARY[0] < typical < _ORDINARY[1]:
             notes.append(
                 f"{table.headers[name]}: c_T near {typical:.2g} is far from the usual {_ORDINARY[0]} to "
                 f"{_ORDINARY[1]}; check the units (rpm or rad/s), the radius and the thrust"
             )
     return replace(loads, table=table), notes
+
+
+def _load_units(loads: Loads, radius: float, density: float) -> tuple[Loads, list[str]]:
+    """Decide the units of loads that have none, by the sizes that they give, or ask."""
+    found = likely_load_units(loads.table, loads.values, radius, density)
+    table, values, by = loads.table, dict(loads.values), dict(loads.by_systematic)
+    for channel, (factor, words) in found.items():
+        table = table.rescaled(channel, factor, words)
+        values[channel], by[channel] = factor * values[channel], factor * by[channel]
+    return replace(loads, table=table, values=values, by_systematic=by), [
+        words for _, words in found.values()
+    ]
+
+
+def _physical(estimates: Sequence[Estimate]) -> list[str]:
+    """Say which coefficients no rotor has: below zero, or together a figure of merit above one."""
+    words = [
+        f"{e.symbol} = {e.value:.3g} is below zero, which no rotor has, and is not written: check the zero of the load "
+        "cells, the sign and the unit"
+        for e in estimates
+        if not e.value > 0.0
+    ]
+    known = {e.symbol: e.value for e in estimates if e.value > 0.0}
+    for end in SIDES.values():
+        thrust, torque = known.get(f"cT{end}", math.nan), known.get(f"cQ{end}", math.nan)
+        merit = thrust**1.5 / (math.sqrt(2.0) * torque)
+        if merit > 1.0:
+            words.append(
+                f"cT{end} and cQ{end} give a figure of merit of {merit:.3g}, above 1, which no rotor has: check the "
+                "radius, the density and the units"
+            )
+    return words
 
 
 def _fit_channel(
@@ -414,7 +467,8 @@ def _fit_channel(
         speeds.append(table[name])
     measured = np.isfinite(loads.values[channel]) & chosen & (np.min(np.abs(speeds), axis=0) > 0)
     p = len(sides)
-    if measured.sum() < p + 1:
+    one = p == 1 and int(measured.sum()) == 1 and math.isfinite(table.diameter_m)
+    if measured.sum() < p + 1 and not one:
         notes.append(f"{channel}: {int(measured.sum())} points are too few")
         return None
     symbol, _, power = COEFFICIENTS[quantity]
@@ -431,11 +485,13 @@ def _fit_channel(
     symbols = tuple(symbol + SIDES[s] for s in sides)
     a, b = unit / expected[:, None], load / expected
     size = np.linalg.norm(a, axis=0)
-    if np.linalg.cond(a / size) > 1e4:
+    if one:
+        notes.append(f"{channel}: one static line, so its scatter is not seen")
+    if one or np.linalg.cond(a / size) > 1e4:
         # Both rotors at one ratio of speeds: only one sum is seen. The shortest vector is returned with infinite
-        # doubt.
+        # doubt; a single line with none that is known.
         value = np.linalg.lstsq(a / size, b, rcond=1e-4)[0] / size
-        none = Spread(np.full((p, p), np.inf), math.nan, 1.0, "white", 0.0)
+        none = Spread(np.full((p, p), math.nan if one else np.inf), math.nan, 1.0, "white", 0.0)
         return CoefficientFit(
             channel, symbols, value, none.covariance, np.zeros(p), speed, unit, load, expected, none, ()
         )
@@ -492,6 +548,8 @@ def _settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:
 
 
 def _unseen(fit: CoefficientFit) -> tuple[str, ...]:
+    if np.isnan(fit.covariance).any():  # one line
+        return ()
     if not np.all(np.isfinite(fit.covariance)):
         return (
             f"{' and '.join(fit.symbols)}: both rotors turn at one ratio of speeds, so only a weighted sum is seen",

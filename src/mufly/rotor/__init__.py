@@ -1,6 +1,6 @@
 """How do its rotors lift? Airfoils, polars, blade geometry, blade element momentum theory, the coaxial pair."""
 
-from mufly.rotor.bemt import BatchResult, hover, hover_batch
+from mufly.rotor.bemt import BatchResult, hover, hover_batch, warn_of_reynolds
 from mufly.rotor.blade_files import read_blade
 from mufly.rotor.blading import PLAIN, Blading, Corrections, prepare
 from mufly.rotor.families import FAMILIES
@@ -115,4 +115,5 @@ __all__ = [
     "stations_picture",
     "tip_mach",
     "wake_picture",
+    "warn_of_reynolds",
 ]

@@ -364,7 +364,6 @@ def hover_batch(
     radius = blading.radius_m[index]
     if index.size:
         warn_of_mach(tip_mach(1.0, float(np.max(radius * speed)), gas))
-        warn_of_reynolds(blading, index, speed, gas)
     area = math.pi * radius**2
     power = torque * speed
     scale = gas.density_kg_m3 * area * radius**2 * speed**2

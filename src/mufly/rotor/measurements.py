@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from mufly.errors import MuflyError
 from mufly.results import result
-from mufly.rotor.bemt import hover_batch
+from mufly.rotor.bemt import hover_batch, warn_of_reynolds
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.solution import solve
@@ -39,6 +39,8 @@ class Measurements:
         Axial speed of the rotor through the air (m/s), as a propeller's in a tunnel; 0, for all points, is hover.
     density_kg_m3 : float
         Of the air at the bench, in which the loads are as given; nan where nobody said.
+    notes : tuple of str
+        What was passed over or taken for granted in the file, in words.
     """
 
     pitch_rad: Array
@@ -48,6 +50,7 @@ class Measurements:
     source: str
     climb_m_s: Array = field(default_factory=lambda: np.zeros(1))
     density_kg_m3: float = math.nan
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "climb_m_s", np.broadcast_to(self.climb_m_s, self.thrust_N.shape).copy())
@@ -66,7 +69,7 @@ class Measurements:
         """Return the points with these positions."""
         return Measurements(
             self.pitch_rad[index], self.speed_rad_s[index], self.thrust_N[index], self.torque_Nm[index], self.source,
-            self.climb_m_s[index], self.density_kg_m3,
+            self.climb_m_s[index], self.density_kg_m3, self.notes,
         )  # fmt: skip
 
 
@@ -162,6 +165,7 @@ def compare(
     bench = measurements
     case, gas = as_blading(blading), air or bench.air
     faults = [""] * bench.thrust_N.size
+    warn_of_reynolds(case, np.zeros(bench.thrust_N.size, dtype=np.int64), bench.speed_rad_s, gas)
     if method == "bemt":
         out = hover_batch(
             case, pitch_rad=bench.pitch_rad, speed_rad_s=bench.speed_rad_s, climb_m_s=bench.climb_m_s, air=gas

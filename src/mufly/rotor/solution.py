@@ -146,8 +146,9 @@ def solve(
                     "stay below 1, better below 0.7: no theory here knows of shocks",
                 )  # fmt: skip
             warn_of_mach(mach)
-            warn_of_reynolds(blading, which, given, condition.air)
     found = _answer(system, condition, method, pitch, speed, settings, start, progress)
+    for blading, which, rotor in zip(system.bladings, system.which, found.rotors, strict=True):
+        warn_of_reynolds(blading, which, rotor.speed_rad_s, condition.air)
     area = system.bladings[0].rotors[system.which[0]].disc_area_m2
     warn_of_vortex_ring(condition.climb_m_s, found.thrust_N, area, condition.air)
     return found

@@ -134,9 +134,12 @@ def rotor(
     if place not in (None, "upper", "lower"):
         raise InputError("--as", "", f"{place!r} is no rotor of a vehicle", "use upper or lower")
     blades = load_rotor(predict_with) if predict_with is not None else None
+    maps = _maps(columns or [], bench)
+    tables = [read_bench(file, columns=m) for file, m in zip(bench, maps, strict=True)]
     value, std = with_doubt("--radius", radius, "m")
     if value is None:
         known = [*([blades.radius_m] if blades else []), *([float(start.rotors.radius)] if start else [])]
+        known += [0.5 * t.diameter_m for t in tables if math.isfinite(t.diameter_m)]
         if not known:
             raise InputError(
                 "--radius", "", "is missing", "give the rotor's radius in metres, or --rotor or --vehicle"
@@ -146,9 +149,7 @@ def rotor(
     cells: Calibration | None = None
     if calibration is not None:
         cells = calibrate_cells(read_bench(calibration, columns=calibration_columns))
-    maps = _maps(columns or [], bench)
-    tables = [read_bench(file, columns=m) for file, m in zip(bench, maps, strict=True)]
-    loads = [corrected_loads(t, cells) for t in tables]
+    loads = [corrected_loads(t, cells, radius_m=value, density_kg_m3=rho) for t in tables]
     by_file = [
         fit_rotor(
             one, radius_m=value, radius_std_m=std, density_kg_m3=rho, density_std_kg_m3=rho_std,
