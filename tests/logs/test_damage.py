@@ -1,6 +1,7 @@
 """Whatever bytes a file holds: it is read as far as it is sound, or refused in one line. No other exception."""
 
 import json
+import re
 import struct
 import warnings
 
@@ -318,7 +319,11 @@ def test_a_ulog_cut_anywhere_says_so(tmp_path):
     )
     assert raw.describe_damage() == [f"the file is damaged or cut off: {words}; what is whole is here"]
     assert read_att(path, whole[: -size + 2])[0].damage.startswith("it ends inside a message's head")
-    assert read_att(path, whole + bytes(4000))[0].damage == f"4000 bytes from byte {len(whole)} on are zero"
+    raw, q = read_att(path, whole + bytes(4000))  # the last message ends in a zero: it may be cut, too
+    assert raw.damage == f"{4000 + size} bytes from byte {len(whole) - size} on are zero"
+    assert len(q) == 299
+    raw, q = read_att(path, whole + ulog_message("D", struct.pack("<HQf", 1, 4_000_000, 0.1)) + bytes(4000))
+    assert raw.damage == f"4000 bytes from byte {len(whole) + 17} on are zero"
     assert not read_att(path, whole + b"garbage")[0].complete
     for end, why in (
         (10, "cut in its header, 10 of 16 bytes"),
@@ -413,3 +418,32 @@ def test_a_text_whose_number_is_damaged_costs_itself_alone(tmp_path, make_signal
         back = read_log(path)
     assert back.mission_state.values.tolist()[29:32] == ["hover", "", "hover"]
     assert np.array_equal(back.measured_attitude, data.measured_attitude)
+
+
+def test_every_binary_format_says_which_bytes_are_missing(samples):
+    """Cut, a tail of zeros, a part that is no message: what is whole is read, and where the rest stood is told."""
+    folder, contents = samples
+    path = folder / "part"
+
+    def read(content):
+        path.write_bytes(content)
+        raw = read_raw(path)
+        (table,) = [t for t in raw.values() if t.name not in ("estTDOA", "FMTU")]
+        return len(table.time), raw.damage, raw.complete
+
+    for kind, what in ((".bin", "message"), (".tlog", "packet"), (".usd", "event")):
+        whole = contents[kind]
+        total, damage, complete = read(whole)
+        assert (damage, complete) == ("", True)
+        cut = len(whole) - 100
+        n, damage, complete = read(whole[:cut])
+        assert total - 7 < n < total
+        assert re.search(rf"the last \d+ bytes are (zero|no whole {what})", damage)
+        assert not complete
+        there, damage, complete = read(whole[:cut] + bytes(100))
+        assert there == n
+        assert not complete
+        n, damage, complete = read(whole[:cut] + b"\x11" * 500 + whole[cut:])
+        assert total - 2 <= n <= total
+        assert re.search(rf"\d+ bytes at byte \d+ are no whole {what}", damage)
+        assert not complete

@@ -144,7 +144,7 @@ def test_without_pyarrow_parquet_says_what_to_install(tmp_path, data, monkeypatc
     ("content", "words"),
     [
         (b"", "is empty"),
-        (b"\x00" * 500, "no log that is known"),
+        (b"\x00" * 500, "holds zeros alone"),
         (b"\x89HDF\r\n\x1a\n" + b"\x00" * 100, "HDF5"),
         (b"MATLAB 5.0 MAT-file" + b"\x00" * 100, "MATLAB"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 1\n", "Git LFS"),

@@ -16,7 +16,6 @@ events in a row at times that cannot follow, while one such event (a flipped bit
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -25,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.topics import RawLog, RawTable
+from mufly.logs.topics import RawLog, RawTable, describe_skipped
 
 FIXED = "fixedFrequency"
 """Topic of what is written at a fixed rate; the name that the firmware gives it."""
@@ -78,7 +77,7 @@ def read_crazyflie(path: str | Path) -> RawLog:
     where = str(path)
     data = Path(path).read_bytes()
     try:
-        tables, complete = (_by_events if data[0] == _EVENTS else _by_rows)(data)
+        tables, skipped, ended = (_by_events if data[0] == _EVENTS else _by_rows)(data)
     except (struct.error, ValueError, IndexError, KeyError) as error:
         problem = f"is a damaged log of the micro-SD deck ({error})"
         raise InputError(where, "", problem, "give another copy of the file") from error
@@ -88,10 +87,14 @@ def read_crazyflie(path: str | Path) -> RawLog:
         )
     zero = min(float(t.time.min()) for t in tables)
     shifted = {t.name: RawTable(t.name, t.time - zero, t.fields, t.units) for t in tables}
-    return RawLog(where, "Crazyflie", shifted, info={"system": "Crazyflie"}, complete=complete)
+    damage = describe_skipped(data, skipped, "event")
+    damage = damage or ("" if ended else "its checksum at the end is missing or wrong")
+    return RawLog(
+        where, "Crazyflie", shifted, info={"system": "Crazyflie"}, complete=not damage, damage=damage
+    )
 
 
-def _by_events(data: bytes) -> tuple[list[RawTable], bool]:
+def _by_events(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
     version, count = struct.unpack_from("<HH", data, 1)
     clock, tick = _CLOCKS[version]
     whole = len(data) > 9 and crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
@@ -109,50 +112,67 @@ def _by_events(data: bytes) -> tuple[list[RawTable], bool]:
             fields.append(_typed(column))
         kinds[number] = _Kind(name, _layout(fields), [])
     # A file without its end may have a broken event there; so may have one whose CRC is wrong for a flipped bit.
-    last, strange, width = -1, 0, np.dtype(clock).itemsize
+    last, width = -1, np.dtype(clock).itemsize
+    skipped: list[tuple[int, int]] = []
+
+    def event_at(place: int, after: int) -> tuple[_Kind, int] | None:
+        """The kind and time of an event that stands at a place, not long after another."""
+        kind = kinds.get(data[place] | data[place + 1] << 8) if place + 2 <= end else None
+        if kind is None or place + 2 + kind.row.itemsize > end:
+            return None
+        now = int.from_bytes(data[place + 2 : place + 2 + width], "little")
+        near = whole or after < 0 or -_BACK_S * tick <= now - after <= _AHEAD_S * tick
+        return (kind, now) if near else None
+
     while at + 2 <= end:
-        kind = kinds.get(data[at] | data[at + 1] << 8)
-        if kind is None or at + 2 + kind.row.itemsize > end:
-            break
-        now = int.from_bytes(data[at + 2 : at + 2 + width], "little")
-        if whole or last < 0 or -_BACK_S * tick <= now - last <= _AHEAD_S * tick:
-            kind.starts.append(at + 2)
-            last, strange = now, 0
-        elif strange:  # two in a row: bytes are missing, and nothing marks where the next event begins
-            break
-        else:
-            strange += 1
+        found = event_at(at, last)
+        if found is None:  # nothing marks where the next event begins: two in a row do
+            start = at
+            while at + 2 <= end:
+                at += 1
+                found = event_at(at, last)
+                if found is None or found[1] < last:
+                    continue
+                if event_at(at + 2 + found[0].row.itemsize, found[1]) is not None:
+                    break
+            else:
+                skipped.append((start, end))
+                break
+            skipped.append((start, at))
+        kind, last = found
+        kind.starts.append(at + 2)
         at += 2 + kind.row.itemsize
-    return [_table(data, k, tick) for k in kinds.values() if k.starts], whole and at == end
+    else:
+        skipped += [(at, end)] if at < end else []
+    begin = skipped[-1][0] if skipped and skipped[-1][1] == end else end
+    if begin < end and not any(data[begin - 1 : end]):  # the zeros may have begun inside the event before
+        latest = max(kinds.values(), key=lambda k: k.starts[-1:])
+        if latest.starts and latest.starts[-1] + latest.row.itemsize == begin:
+            skipped[-1] = (latest.starts.pop() - 2, end)
+    return [_table(data, k, tick) for k in kinds.values() if k.starts], skipped, whole
 
 
-def _by_rows(data: bytes) -> tuple[list[RawTable], bool]:
+def _by_rows(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
     at = 1
     fields = []
     for _ in range(data[0]):
         end = data.index(b",", at)
         fields.append(_typed(data[at:end].decode()))
         at = end + 1
-    complete = _sound(data[: at + 4])
+    skipped = [] if _sound(data[: at + 4]) else [(0, at + 4)]
     at += 4
     kind = _Kind(FIXED, _layout(fields), [])
-    for start, rows, end in _blocks(data, at, kind.row.itemsize):
-        if not _sound(data[start:end]):
-            complete = False
-            break
-        kind.starts.extend(range(start + 1, start + 1 + rows * kind.row.itemsize, kind.row.itemsize))
-        at = end
-    return [_table(data, kind, 1e3)] if kind.starts else [], complete and at == len(data)
-
-
-def _blocks(data: bytes, at: int, size: int) -> Iterator[tuple[int, int, int]]:
-    """Yield where each whole block begins, how many rows it has, and where it ends."""
+    size = kind.row.itemsize
     while at < len(data):
-        end = at + 1 + data[at] * size + 4
-        if end > len(data):
-            return
-        yield at, data[at], end
-        at = end
+        start = at
+        while at < len(data) and not _sound(data[at : at + 1 + data[at] * size + 4]):
+            at += 1  # the next block is found by its checksum
+        if at > start:
+            skipped.append((start, at))
+        if at < len(data):
+            kind.starts.extend(range(at + 1, at + 1 + data[at] * size, size))
+            at += 1 + data[at] * size + 4
+    return [_table(data, kind, 1e3)] if kind.starts else [], skipped, True
 
 
 def _sound(block: bytes) -> bool:

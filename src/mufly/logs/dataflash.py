@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.topics import RawLog, RawTable, foreign_stamps, wall_time
+from mufly.logs.topics import RawLog, RawTable, describe_skipped, foreign_stamps, wall_time
 
 MAGIC = b"\xa3\x95"
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT")
@@ -66,24 +66,33 @@ class _Kind:
     starts: list[int] = field(default_factory=list)
 
 
-def _index(data: bytes) -> tuple[dict[int, _Kind], int]:
-    """Find every whole message; the number of bytes that belong to none comes beside."""
+def _index(data: bytes) -> tuple[dict[int, _Kind], list[tuple[int, int]]]:
+    """Find every whole message; where bytes that belong to none begin and end comes beside."""
     kinds = {_FMT: _Kind("FMT", _FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])}
-    at, lost, end = 0, 0, len(data)
+    at, end = 0, len(data)
+    skipped: list[tuple[int, int]] = []
     while at + 3 <= end:
         kind = kinds.get(data[at + 2]) if data[at] == 0xA3 and data[at + 1] == 0x95 else None
         if kind is None or at + kind.size > end:
             found = data.find(MAGIC, at + 1)
-            lost += (end if found < 0 else found) - at
-            if found < 0:
-                return kinds, lost
-            at = found
+            after = end if found < 0 else found
+            if skipped and skipped[-1][1] == at:
+                skipped[-1] = (skipped[-1][0], after)
+            else:
+                skipped.append((at, after))
+            at = after
             continue
         kind.starts.append(at)
         if data[at + 2] == _FMT:
             _define(kinds, data[at + 3 : at + _FMT_LENGTH])
         at += kind.size
-    return kinds, lost + end - at
+    skipped += [(at, end)] if at < end else []
+    begin = skipped[-1][0] if skipped and skipped[-1][1] == end else end
+    if begin < end and not any(data[begin - 1 : end]):  # the zeros may have begun inside the message before
+        last = max(kinds.values(), key=lambda kind: kind.starts[-1:])
+        if last.starts and last.starts[-1] + last.size == begin:
+            skipped[-1] = (last.starts.pop(), end)
+    return kinds, skipped
 
 
 def _define(kinds: dict[int, _Kind], body: bytes) -> None:
@@ -106,9 +115,9 @@ def _text(raw: bytes) -> str:
     return raw.split(b"\0")[0].decode(errors="replace")
 
 
-def read_binary(data: bytes) -> tuple[list[RawTable], bool]:
-    """Return the tables of a binary log, with times as they were written, and whether every byte was understood."""
-    kinds, lost = _index(data)
+def read_binary(data: bytes) -> tuple[list[RawTable], str]:
+    """Return the tables of a binary log, with times as they were written, and which bytes were not understood."""
+    kinds, skipped = _index(data)
     stream = np.frombuffer(data, dtype=np.uint8)
     rows = {}
     for number, kind in kinds.items():
@@ -125,7 +134,7 @@ def read_binary(data: bytes) -> tuple[list[RawTable], bool]:
             places = np.array(kind.starts, dtype=np.int64)
             own = _old_units(kind.name, kind.letters, kind.columns) | units.get(number, {})
             messages.append(_Messages(kind.name, places, values, own, instances.get(number)))
-    return _tables(messages), lost == 0
+    return _tables(messages), describe_skipped(data, skipped, "message")
 
 
 class _Messages(NamedTuple):
@@ -287,7 +296,7 @@ def read_dataflash(path: str | Path) -> RawLog:
     with open(path, "rb") as stream:
         text = not stream.read(2).startswith(MAGIC)
     try:
-        tables, complete = _read_text(Path(path)) if text else read_binary(Path(path).read_bytes())
+        tables, damage = _read_text(Path(path)) if text else read_binary(Path(path).read_bytes())
     except InputError:
         raise
     except Exception as error:  # whatever a damaged format definition provokes
@@ -325,8 +334,9 @@ def read_dataflash(path: str | Path) -> RawLog:
         start_time=_start_time(shifted),
         info=info,
         messages=tuple((t, "info", str(m)) for t, m in zip(times, texts, strict=False)),
-        complete=complete,
+        complete=not damage,
         notes=tuple(notes),
+        damage=damage,
     )
 
 
@@ -350,10 +360,10 @@ def _unit_of_rates(rate: RawTable, gyro: RawTable | None, firmware: str) -> tupl
     return "deg/s", ""
 
 
-def _read_text(path: Path) -> tuple[list[RawTable], bool]:
+def _read_text(path: Path) -> tuple[list[RawTable], str]:
     formats: dict[str, tuple[str, list[str]]] = {}
     rows: dict[str, list[tuple[int, list[str]]]] = {}
-    complete = True
+    bad: list[int] = []
     for place, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
         name, _, rest = line.partition(",")
         name = name.strip()
@@ -363,14 +373,14 @@ def _read_text(path: Path) -> tuple[list[RawTable], bool]:
                 formats[parts[2]] = parts[3], [c.strip() for c in parts[4].split(",")]
             continue
         if name not in formats:
-            complete = complete and not name
+            bad += [place + 1] if name else []
             continue
         columns = formats[name][1]
         cells = [c.strip() for c in rest.split(",", len(columns) - 1)]
         if len(cells) == len(columns):
             rows.setdefault(name, []).append((place, cells))
         else:
-            complete = False
+            bad.append(place + 1)
     messages: list[_Messages] = []
     for name, lines in rows.items():
         letters, columns = formats[name]
@@ -384,7 +394,10 @@ def _read_text(path: Path) -> tuple[list[RawTable], bool]:
         instance = next((i for i in ("I", "Instance") if i in values), None)
         places = np.array([place for place, _ in lines], dtype=np.int64)
         messages.append(_Messages(name, places, values, _old_units(name, letters, columns), instance))
-    return _tables(messages), complete
+    first = (
+        f"line {bad[0]}" if len(bad) == 1 else f"{len(bad)} lines, the first line {bad[0]}," if bad else ""
+    )
+    return _tables(messages), f"{first} {'is' if len(bad) == 1 else 'are'} no whole message" if bad else ""
 
 
 def _number(cell: str) -> float:

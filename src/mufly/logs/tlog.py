@@ -34,7 +34,7 @@ from mufly.logs.sender_clocks import (
     remove_leaps,
     steady_arrival,
 )
-from mufly.logs.topics import RawLog, RawTable, foreign_stamps, wall_time
+from mufly.logs.topics import RawLog, RawTable, describe_skipped, foreign_stamps, wall_time
 from mufly.logs.unknown import without_unknown
 from mufly.vehicle_types import AUTOPILOT_COMPONENT, PX4, VEHICLE_WORDS, type_words, vehicle_rank
 
@@ -110,11 +110,14 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     link = dialect.MAVLink(None)
     link.robust_parsing = False
     raw_rows: defaultdict[bytes, tuple[list[int], list[Any]]] = defaultdict(lambda: ([], []))
-    bad = read = 0
+    bad = behind = 0
+    skipped: list[tuple[int, int]] = []
     for k, (at, packet) in enumerate(_packets(data)):
         if progress is not None and k % 2000 == 0:
             progress(at, len(data))
-        read += 8 + len(packet)
+        if at > behind:
+            skipped.append((behind, at))
+        behind = at + 8 + len(packet)
         try:
             message = link.decode(bytearray(packet))
         except Exception:  # wrong checksum, unknown message: counted
@@ -123,6 +126,8 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         offsets, messages = raw_rows[packet[5:10] if packet[0] == _VERSION_2 else packet[3:6]]
         offsets.append(at)
         messages.append(message)
+    if behind < len(data):
+        skipped.append((behind, len(data)))
     bad += sum(len(messages) for _, messages in raw_rows.values() if _is_unknown(messages[0]))
     rows, offset = _by_sender(raw_rows)
     if not rows:
@@ -184,8 +189,9 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         start_time=wall_time(zero / 1e6),
         info={"system": _described(dialect, vehicle, rows), **_parameters(rows, vehicle)},
         messages=tuple(sorted(texts)),
-        complete=read == len(data),
+        complete=not skipped,
         notes=tuple(notes),
+        damage=describe_skipped(data, skipped, "packet"),
     )
 
 

@@ -13,7 +13,7 @@ stays a gap.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
@@ -120,6 +120,26 @@ class RawLog(Mapping[str, RawTable]):
         ]
         ends = [(a, b) for a, b in ends if b > a] or ends
         return (float(min(a for a, _ in ends)), float(max(b for _, b in ends))) if ends else (0.0, 0.0)
+
+
+def describe_skipped(data: bytes, skipped: Sequence[tuple[int, int]], what: str) -> str:
+    """Return in words which parts (first byte, byte behind) of a file are no whole ``what``; ``""`` if none is."""
+    said = []
+    inside = [(a, b) for a, b in skipped if b < len(data)]
+    if inside:
+        size = sum(b - a for a, b in inside)
+        where = (
+            f"at byte {inside[0][0]}"
+            if len(inside) == 1
+            else f"in {len(inside)} places, the first at byte {inside[0][0]}"
+        )
+        said.append(f"{size} bytes {where} are no whole {what}")
+    for a, b in skipped[len(inside) :]:
+        zero = not any(data[a:b])
+        said.append(
+            f"the last {b - a} bytes are {'zero' if zero else f'no whole {what}: it is cut or damaged there'}"
+        )
+    return "; ".join(said)
 
 
 def wall_time(unix_s: float) -> str:

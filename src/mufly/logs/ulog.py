@@ -208,6 +208,9 @@ def _scan_messages(data: bytes, header: int, where: str) -> _Scan:
 def _note_damage(scan: _Scan, data: bytes, at: int, stop: int, after: int, limit: int) -> None:
     """Note bytes that are no whole message, and whether they are one that a cut left."""
     if after == limit and not any(data[at:limit]):
+        last = max(scan.topics.values(), key=lambda topic: topic.starts[-1:], default=None)
+        if not data[at - 1] and last and last.starts and last.starts[-1] + last.sizes[0] - 2 == at:
+            at = last.starts.pop() - 5  # the zeros may have begun inside it
         scan.damage.append(f"{limit - at} bytes from byte {at} on are zero")
     elif after < limit or stop <= limit:
         scan.damaged_places.append((at, after - at))
