@@ -120,6 +120,8 @@ def _by_events(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool
         kind = kinds.get(data[place] | data[place + 1] << 8) if place + 2 <= end else None
         if kind is None or place + 2 + kind.row.itemsize > end:
             return None
+        if not whole and after >= 0 and not any(data[place : place + 2 + kind.row.itemsize]):
+            return None  # zeros that nobody wrote
         now = int.from_bytes(data[place + 2 : place + 2 + width], "little")
         near = whole or after < 0 or -_BACK_S * tick <= now - after <= _AHEAD_S * tick
         return (kind, now) if near else None
