@@ -96,7 +96,7 @@ def fence_fault(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> 
     if worst[k] >= keep_m:
         return ""
     if worst[k] >= 0.0:
-        return f"{worst[k]:.2f} m from {names[k]}, where {keep_m:g} m are kept"
+        return f"{abs(worst[k]):.2f} m from {names[k]}, where {keep_m:g} m are kept"
     far = f"{-worst[k]:.0f} m" if worst[k] < -10.0 else f"{max(-worst[k], 0.01):.2f} m"
     side = (
         "inside" if names[k].startswith("a keep") else "above" if names[k].endswith("ceiling") else "outside"

@@ -111,9 +111,8 @@ def _reckoned(
     start: tuple[float, ...],
 ) -> tuple[MissionTiming, tuple[int, ...], str] | None:
     """Timing of items, which item each waypoint came from, and what was assumed; None without a waypoint."""
-    limits = Limits.model_construct(**{**base.limits.model_dump(), **dict(told)})
-    eyes = {key: bool(value) if key == "enabled" else value for key, value in avoidance}
-    limited = _rebuilt(base, limits=limits, avoidance=base.avoidance.model_copy(update=eyes))
+    limited = _limited(base, told, avoidance)
+    limits = limited.limits
     mission, came_from, left_out = _mission_of(items, limited, origin)
     if not mission.waypoint:
         return None
@@ -121,6 +120,20 @@ def _reckoned(
         mission = _rebuilt(mission, start_m=start[:2], start_heading_deg=start[2])
     words = [] if told else [f"{limits.speed_m_s:g} m/s assumed"]
     return expected_timing(mission), came_from, ", ".join([*words, *left_out])
+
+
+def limited_mission(parameters: Mapping[str, Parameter], base: Mission | None = None) -> Mission:
+    """A mission without waypoints that has a vehicle's limits, as far as its parameters or a mission file tell them."""
+    told = tuple(told_limits(parameters).items())
+    return _limited(base or Mission(), told, _told_avoidance(parameters))
+
+
+def _limited(
+    base: Mission, told: tuple[tuple[str, float], ...], avoidance: tuple[tuple[str, float], ...]
+) -> Mission:
+    limits = Limits.model_construct(**{**base.limits.model_dump(), **dict(told)})
+    eyes = {key: bool(value) if key == "enabled" else value for key, value in avoidance}
+    return _rebuilt(base, limits=limits, avoidance=base.avoidance.model_copy(update=eyes))
 
 
 def told_limits(parameters: Mapping[str, Parameter]) -> dict[str, float]:

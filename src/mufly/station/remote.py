@@ -21,7 +21,8 @@ from mufly.flight.parameters import TABLE
 from mufly.link.codec import MavMessage, mavlink
 from mufly.link.commands import Command
 from mufly.link.parameters import LINK_PARAMETERS
-from mufly.mission import Mission, load_mission
+from mufly.mission import Fence, Mission, fence_of, items_of_fence, load_mission
+from mufly.mission.items import Refusal
 from mufly.mission.items import items_of as items_of_mission
 from mufly.station import autopilots
 from mufly.station.autopilots import commands_of
@@ -30,7 +31,7 @@ from mufly.station.commands import Chain, OperatorControl, RemoteCommands, Statu
 from mufly.station.history import Check, History, Message, MissionRow, Outcome, Request, Snapshot
 from mufly.station.sticks import PilotSticks
 from mufly.station.telemetry import Telemetry
-from mufly.station.transfers import RemoteMission, RemoteParameters, items_of, rows_of
+from mufly.station.transfers import FENCE, RemoteMission, RemoteParameters, items_of, rows_of
 from mufly.vehicle_types import ARDUPILOT, PX4, is_vehicle, type_words
 
 LOST_S = 3.0
@@ -93,6 +94,7 @@ class RemoteVehicle:
         self._loss, self._rate_Hz = math.nan, math.nan
         self._reached = -1
         self._rows: tuple[object, list[MissionRow]] = (None, [])
+        self._fence: tuple[object, Fence | None] = (None, None)
 
     def _address(self, component: int) -> None:
         """Speak to a component of the system."""
@@ -100,8 +102,11 @@ class RemoteVehicle:
         target = (self.system, component)
         self.commands = RemoteCommands(self.texts, target)
         self.transfers = RemoteMission(self.texts, target)
+        self.fence_transfers = RemoteMission(self.texts, target, FENCE)
         self._parameters = RemoteParameters(self.texts, target)
-        self._connection = Connection(self.commands, self._parameters, self.transfers, self._asked_rate_Hz)
+        self._connection = Connection(
+            self.commands, self._parameters, (self.transfers, self.fence_transfers), self._asked_rate_Hz
+        )
 
     # What it is and tells
 
@@ -318,6 +323,27 @@ class RemoteVehicle:
         """Let it forget its mission."""
         return self.transfers.clear()
 
+    @property
+    def fence(self) -> Fence | None:
+        """Its geofence, as far as it is known."""
+        key = (self.fence_transfers.items, self.telemetry.origin)
+        if key != self._fence[0]:
+            base = self.surroundings.base
+            known = None if base is None else base.fence
+            try:
+                held = known if key[0] is None else fence_of(key[0], known, key[1])
+            except Refusal:
+                held = None  # of a kind that is not known here
+            self._fence = (key, held)
+        return self._fence[1]
+
+    def upload_fence(self, fence: Fence | None) -> Request:
+        """Send a geofence, or clear it."""
+        if fence is None:
+            return self.fence_transfers.clear()
+        on_globe = None if self.kind == "mufly" else self.telemetry.origin
+        return self.fence_transfers.upload(items_of_fence(fence, on_globe))
+
     def set_parameter(self, name: str, value: float) -> Request:
         """Set a parameter."""
         return self._parameters.set(name, value)
@@ -393,6 +419,7 @@ class RemoteVehicle:
             self._reached = max(self._reached, message.seq)
         elif name.startswith("MISSION_"):
             self.transfers.handle(now_s, message)
+            self.fence_transfers.handle(now_s, message)
         elif name == "AUTOPILOT_VERSION":
             self._connection.version(message)
         elif name == "CHANGE_OPERATOR_CONTROL_ACK":
@@ -413,6 +440,7 @@ class RemoteVehicle:
             self.note("warning", "the sticks are not held any more; a hover is asked for")
             self.let_go()
         out = hand + self.commands.step(now_s) + self._parameters.step(now_s) + self.transfers.step(now_s)
+        out += self.fence_transfers.step(now_s)
         return out + self._control.step(now_s, self.telemetry.commander)
 
     def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
@@ -433,7 +461,7 @@ class RemoteVehicle:
         )
         for chain in self._chains:
             chain.request.end(Outcome.REFUSED, text)
-        for part in (self.commands, self._parameters, self.transfers):
+        for part in (self.commands, self._parameters, self.transfers, self.fence_transfers):
             part.give_up(text)
         self.telemetry.change_speaker()
         self._reached = -1
@@ -455,7 +483,7 @@ class RemoteVehicle:
         if self.telemetry.clock.restarts != self._restarts:
             self._restarts = self.telemetry.clock.restarts
             self.note("warning", f"{self.name} was started anew")
-            for part in (self.commands, self._parameters, self.transfers):
+            for part in (self.commands, self._parameters, self.transfers, self.fence_transfers):
                 part.give_up("the vehicle was started anew")
             self._reached = -1
             self._connection.anew()
@@ -515,8 +543,8 @@ class Connection:
 
     Parameters
     ----------
-    commands, parameters, mission
-        What does the asking.
+    commands, parameters, transfers
+        What does the asking; of missions and of geofences.
     rate_Hz : float
         Fastest rate.
 
@@ -527,9 +555,14 @@ class Connection:
     """
 
     def __init__(
-        self, commands: RemoteCommands, parameters: RemoteParameters, mission: RemoteMission, rate_Hz: float
+        self,
+        commands: RemoteCommands,
+        parameters: RemoteParameters,
+        transfers: tuple[RemoteMission, RemoteMission],
+        rate_Hz: float,
     ) -> None:
-        self._commands, self._parameters, self._mission = commands, parameters, mission
+        self._commands, self._parameters = commands, parameters
+        self._mission, self._fence = transfers
         self._rate_Hz = rate_Hz
         self.ours = False
         self.anew()
@@ -575,6 +608,8 @@ class Connection:
             self._parameters.encode_bytewise(bool(known & _BYTEWISE) or (guess and not known & _C_CAST))
             self._parameters.refresh()
             self._mission.download()
+            if known & mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE:
+                self._fence.download()
         if not self._older and self._wished is not None and self._wished.outcome is Outcome.REFUSED:
             self._older = True
             everything = mavlink.MAV_DATA_STREAM_ALL

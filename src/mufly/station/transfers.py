@@ -38,6 +38,7 @@ from mufly.station.commands import RETRY_S, Repeated, StatusTexts
 from mufly.station.history import MissionRow, Outcome, Request
 
 LOCAL_NED = 1
+MISSION, FENCE, _ALL = 0, 1, 255  # MAV_MISSION_TYPE
 WAYPOINT, RETURN, LAND, TAKE_OFF, HEADING, SPEED = 16, 20, 21, 22, 115, 178  # MAV_CMD
 OWN_SPEED = "the mission's own"
 """Text of a row that ends what an earlier row said of speed (-2 in MAVLink)."""
@@ -192,6 +193,8 @@ class RemoteMission:
     texts : StatusTexts
         Where the vehicle's reasons are found.
     target : (system, component)
+    kind : int
+        MAV_MISSION_TYPE: 0 the mission, 1 the geofence.
 
     Attributes
     ----------
@@ -199,27 +202,28 @@ class RemoteMission:
         What the vehicle holds; None while that is not known.
     """
 
-    def __init__(self, texts: StatusTexts, target: tuple[int, int]) -> None:
-        self._texts, self.target = texts, target
+    def __init__(self, texts: StatusTexts, target: tuple[int, int], kind: int = MISSION) -> None:
+        self._texts, self.target, self._kind = texts, target, kind
+        self._called = "mission" if kind == MISSION else "geofence"
         self.items: tuple[Item, ...] | None = None
         self._jobs: deque[_Job] = deque()
         self._sender: Sender | None = None
         self._fetched: tuple[Item, ...] | None = None
-        self._receiver = Receiver(self._take, unasked=False)
+        self._receiver = Receiver(self._take, mission_type=kind, unasked=False)
         self._messy_s: float | None = None
         self._out: Notes = []
 
     def upload(self, items: Sequence[Item]) -> Request:
         """Send items; accepted once the vehicle has taken all of them."""
-        return self._queue(_Job(Request(f"send a mission of {len(items)} items"), items=tuple(items)))
+        return self._queue(_Job(Request(f"send a {self._called} of {len(items)} items"), items=tuple(items)))
 
     def download(self) -> Request:
         """Fetch the vehicle's items; they become the ``result``."""
-        return self._queue(_Job(Request("fetch the mission")))
+        return self._queue(_Job(Request(f"fetch the {self._called}")))
 
     def clear(self) -> Request:
         """Let the vehicle forget its mission."""
-        return self._queue(_Job(Request("clear the mission"), clear=True))
+        return self._queue(_Job(Request(f"clear the {self._called}"), clear=True))
 
     def _queue(self, job: _Job) -> Request:
         self._jobs.append(job)
@@ -233,11 +237,11 @@ class RemoteMission:
     def handle(self, now_s: float, message: MavMessage) -> None:
         """Take a message of the mission protocol."""
         note = note_of(message)
-        if note is None:
+        if note is None or getattr(note, "mission_type", self._kind) not in (self._kind, _ALL):
             return
         job = self._jobs[0] if self._jobs else None
         clearing = job is not None and job.clear and job.tries
-        if job is not None and clearing and isinstance(note, Ack) and note.mission_type in (0, 255):
+        if job is not None and clearing and isinstance(note, Ack) and note.mission_type in (self._kind, _ALL):
             if note.result == MissionResult.ACCEPTED:
                 self.items = ()
                 job.request.end(Outcome.ACCEPTED)
@@ -258,7 +262,7 @@ class RemoteMission:
                 job.begun_s = now_s
                 self._begin(now_s, job)
             if job.clear and job.due(now_s):
-                self._out.append((_PEER, ClearAll()))
+                self._out.append((_PEER, ClearAll(self._kind)))
             elif not job.clear:
                 self._go_on(now_s, job)
             if job.request.done:
@@ -278,7 +282,7 @@ class RemoteMission:
 
     def _begin(self, now_s: float, job: _Job) -> None:
         if job.items is not None:
-            self._sender = Sender(_PEER, job.items)
+            self._sender = Sender(_PEER, job.items, mission_type=self._kind)
             messy = self._messy_s is not None and now_s - self._messy_s < GIVE_UP_S
             self._out += self._sender.start(now_s, hush=messy)
         elif not job.clear:

@@ -282,6 +282,9 @@ def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
     page = window.page
     page.fill("[data-testid=field-height]", "0.6")
     page.click("[data-testid=take-off]")
+    wait(lambda: "Press again" in page.inner_text("[data-testid=take-off]"), "being asked again")
+    assert not (window.frame() or {}).get("armed")
+    page.click("[data-testid=take-off]")
     wait(lambda: (window.frame() or {}).get("armed"), "arming")
     assert "on the floor" in page.inner_text(".mf-flightbar").lower()
     before = {k: window.picture(k) for k in (".mf-scene", ".mf-plot-area")}
@@ -309,6 +312,7 @@ def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
     wait(lambda: page.evaluate("window.muflyScene.sent()") is None, "the mark to go")
     stop_is_there_behind_a_recording_a_dialog_and_a_field(window)
     fly_by_hand(window)
+    page.keyboard.press("Shift+L")
     page.keyboard.press("Shift+L")
     wait(lambda: not window.frame()["armed"], "the landing")  # type: ignore[index]
     assert "✓ land" in page.inner_text(".mf-requests")

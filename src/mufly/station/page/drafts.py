@@ -19,7 +19,16 @@ from typing import Any
 from mufly.errors import InputError
 from mufly.link.codec import Origin
 from mufly.link.mission_transfer import Item
-from mufly.mission import Limits, Mission, Waypoint, check_geometry, check_mission, mission_tables, slowed
+from mufly.mission import (
+    Fence,
+    Limits,
+    Mission,
+    Waypoint,
+    check_geometry,
+    check_mission,
+    mission_tables,
+    slowed,
+)
 from mufly.mission.check import MissionEstimate
 from mufly.mission.items import Refusal, plan_of
 from mufly.tables import validated
@@ -377,6 +386,11 @@ def kept_back(mission: Mission, held: Mission | None) -> list[str]:
     """
     other = held if held is not None else Mission()
     keys = [k for k in Mission.model_fields if k not in _SENT and getattr(mission, k) != getattr(other, k)]
+    if "fence" in keys and mission.fence is not None:
+        keys.remove("fence")  # its zones are sent
+        old = other.fence or Fence.model_construct(ceiling_m=None, action="hold")
+        if (mission.fence.ceiling_m, mission.fence.action) != (old.ceiling_m, old.action):
+            keys += ["fence.ceiling_m", "fence.action"]
     if "take_off" in keys and mission.take_off.wait_s == other.take_off.wait_s:
         keys.remove("take_off")  # the height is sent
     return ["take_off.wait_s" if k == "take_off" else k for k in keys]

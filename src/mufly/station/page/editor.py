@@ -13,6 +13,7 @@ from mufly.errors import InputError
 from mufly.mission import FILE_ENDINGS, Limits, Mission, dump_mission
 from mufly.station.endurance import told_ability
 from mufly.station.page import panels
+from mufly.station.page.caution import drawn_fence
 from mufly.station.page.drafts import Draft, Sketch, Verdict, edited, of_vehicle, opened, shown
 from mufly.station.page.session import View, drawn_world
 
@@ -73,6 +74,7 @@ class MissionEditor:
         self._shown = now
         state = shown(sketch.draft, sketch.verdict, self._refused)
         state["world"] = drawn_world(sketch.draft.mission.world)
+        state["world"]["fence"] = drawn_fence(sketch.draft.mission.fence)
         self._panel.call("take", {"state": state, "may": now[3], "last": self._order})
 
     # ---- what the window asks for

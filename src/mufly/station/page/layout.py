@@ -15,6 +15,7 @@ from nicegui.events import GenericEventArguments
 from mufly.station.checks import OWN_CHECKS
 from mufly.station.history import Outcome, Request, Snapshot
 from mufly.station.page.alerts import Watch
+from mufly.station.page.caution import CONFIRMED, Confirmation, Errand, errand_of, failed_checks
 from mufly.station.page.editor import MissionEditor
 from mufly.station.page.flights import FlightList
 from mufly.station.page.hand import StickPanel
@@ -35,13 +36,13 @@ from mufly.station.remote import RemoteVehicle
 
 REFRESH_S = 0.2
 _KEYS = (
-    ("Shift + T", "take off"),
-    ("Shift + M", "fly or resume the mission"),
+    ("Shift + T, twice", "take off"),
+    ("Shift + M, twice", "fly or resume the mission"),
     ("Shift + H", "hover: stop and stay"),
     ("Shift + G", "go to the point in the fields N, E, height"),
-    ("Shift + L", "land"),
-    ("Shift + R", "return and land"),
-    ("Shift + A", "arm or disarm"),
+    ("Shift + L, twice", "land"),
+    ("Shift + R, twice", "return and land"),
+    ("Shift + A, twice", "arm; once: disarm"),
     ("Shift + ⌫, twice", "emergency stop: motors off; in text fields and dialogs too"),
     ("space", "play or pause a recording"),
     ("m", "mark this moment in the recording"),
@@ -367,9 +368,11 @@ class CommandBar:
     ) -> None:
         self._view, self._tell_target = view, target
         self._sent: Sent | None = None
+        self._confirm = Confirmation(view.session.clock)
         self._shown: list[str] = []
         self._banner_shown = ("?", "")
         self._actions: dict[str, Action] = {}
+        self._beware = ""
         row = "mf-row"
         with element("section", classes="mf-commands").props('aria-label="commands"') as self._section:
             with element("div", classes="mf-banner").props("role=status") as self._banner:
@@ -401,7 +404,19 @@ class CommandBar:
     def _action(
         self, name: str, label: str, key: str, press: Callable[[], None], test_id: str = "", classes: str = ""
     ) -> None:
-        self._actions[name] = Action(label, test_id or name, f"Shift+{key}", press, classes)
+        def sure() -> None:
+            """Most of what sets it in motion, or brings it down, is pressed twice."""
+            if not self._asks_twice(name) or self._confirm.press((self._view.vehicle(), name)):
+                press()
+            self.refresh()
+
+        self._actions[name] = Action(label, test_id or name, f"Shift+{key}", sure, classes)
+
+    def _asks_twice(self, name: str) -> bool:
+        vehicle = self._view.vehicle()
+        if name == "arm" and vehicle is not None and vehicle.snapshot.armed:
+            return False  # disarmed; in flight the vehicle refuses that
+        return name in CONFIRMED
 
     # ---- what the buttons do
 
@@ -434,9 +449,15 @@ class CommandBar:
         why = self.reasons()["go_to"]
         if not all(math.isfinite(x) and abs(x) < 1e5 for x in (north, east, height)) or height <= 0.0:
             why = "give finite metres and a height above the floor"
+        vehicle, place = self._view.vehicle(), (north, east, -height)
+        errand = Errand() if vehicle is None or why else errand_of(vehicle, place)
+        why = why or errand.refused
         if why:
             self._refuse(f"go to N {north:.2f}, E {east:.2f}, height {height:.2f} m", why)
-        elif (vehicle := self._view.vehicle()) is not None:
+        elif errand.beware and not self._confirm.press((vehicle, "go_to", place)):
+            self._beware = errand.beware
+            self.refresh()
+        elif vehicle is not None:
             request = vehicle.go_to((north, east, -height))
             self._sent = Sent(vehicle, request, (north, east, height))
             self._tell_target(self._sent.place)
@@ -446,6 +467,10 @@ class CommandBar:
         """Show a point (north, east, height; m) in the fields, without flying there."""
         for field, value in zip(self._place, place, strict=True):
             field.show(value)
+
+    def _place_typed(self) -> tuple[float, float, float]:
+        north, east, height = (field.value for field in self._place)
+        return north, east, -height
 
     def _toggle_arm(self) -> None:
         self._ask(lambda vehicle: vehicle.disarm() if vehicle.snapshot.armed else vehicle.arm())
@@ -482,8 +507,18 @@ class CommandBar:
         labels = {"mission": mission_label(snapshot)}
         if snapshot is not None and snapshot.armed:
             labels["arm"], why["arm"] = "Disarm", why["disarm"]
+        failed = [] if vehicle is None or vehicle.snapshot.flying else failed_checks(vehicle.checks)
+        against = f"failed: {', '.join(failed)}" if failed else ""
         for name, action in self._actions.items():
-            action.show(labels.get(name, action.label), why[name])
+            label, note = labels.get(name, action.label), against if name in ("mission", "take_off") else ""
+            caution = bool(note)
+            if name == "mission" and note and not why[name]:
+                label = f"{label} anyway"
+            if self._confirm.waits_for((vehicle, name)):
+                label, note, caution = "Press again", f"to {CONFIRMED[name]}", True
+            elif name == "go_to" and self._confirm.waits_for((vehicle, name, self._place_typed())):
+                label, note, caution = "Again", self._beware, True
+            action.show(label, why[name], note, caution)
         self._show_banner(vehicle, snapshot)
         self._show_requests()
         if self._sent is not None and not self._sent.on_its_way(vehicle):

@@ -99,6 +99,7 @@ class Action:
     ) -> None:
         self.label, self._key, self._note = label, key, note or key
         self._state: tuple[str, str, str] = ("", "?", "")
+        self._caution = False
         self._button = element("button", classes=f"mf-action {classes}")
         self._button.props(f'type=button data-testid={test_id} data-key="{key}"')
         # A click may have been under way when it was disabled.
@@ -110,8 +111,14 @@ class Action:
             )
         self.show(label, "")
 
-    def show(self, label: str, reason: str, note: str = "") -> None:
-        """Say what it does, why it cannot be used ("": it can), and what else there is to know of it."""
+    def show(self, label: str, reason: str, note: str = "", caution: bool = False) -> None:
+        """Say what it does, why it cannot be used ("": it can), and what else there is to know of it.
+
+        ``caution``: something speaks against it, or it waits for a second press.
+        """
+        if caution != self._caution:
+            self._caution = caution
+            self._button.classes(**({"add": "mf-caution"} if caution else {"remove": "mf-caution"}))
         if (label, reason, note) == self._state:
             return
         self._state = (label, reason, note)
@@ -119,7 +126,7 @@ class Action:
             line._text = text
             line.update()
         self._button.props("disabled") if reason else self._button.props(remove="disabled")
-        self._button.props["title"] = reason or f"{label} ({self._note})"
+        self._button.props["title"] = reason or (f"{label}: {note}" if note else f"{label} ({self._note})")
         self._button.update()
 
 
@@ -204,6 +211,10 @@ async def ended(request: Request) -> bool:
 
 async def send_mission(view: View, vehicle: RemoteVehicle, mission: Mission) -> None:
     """Send a mission; once the vehicle has taken it, show it, and say what of it the vehicle did not get."""
+    if mission.fence is not None and mission.fence != vehicle.fence:
+        view.ask(request := vehicle.upload_fence(mission.fence))  # first: the mission may need it
+        if not await ended(request):
+            return
     view.ask(request := vehicle.upload_mission(mission))
     if not await ended(request):
         return

@@ -25,6 +25,7 @@ from mufly.link import SLOW
 from mufly.mission import Ask, Mission, may
 from mufly.slam import Sight
 from mufly.station.history import Outcome, Request, Snapshot
+from mufly.station.page.caution import battery_words, drawn_fence
 from mufly.station.page.drafts import Sketch
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import RemoteVehicle
@@ -207,6 +208,10 @@ class View:
         """World and size of the vehicle; with the epoch, because after a jump the trail is drawn anew."""
         mission = self.replay.recording.mission if self.replay is not None else self.session.mission
         world = drawn_world(mission.world if mission is not None else None)
+        v = self.vehicle()
+        world["fence"] = drawn_fence(
+            v.fence if v is not None else mission.fence if mission is not None else None
+        )
         return {"world": world, "rotor_radius": self.session.rotor_radius_m, "epoch": self.epoch()}
 
     def about(self) -> dict[str, Any]:
@@ -235,7 +240,7 @@ class View:
         return {
             "name": v.name, "connected": s.connected, "silent_s": s.silent_s, "armed": s.armed, "flying": s.flying,
             "state": s.state, "height": -float(s.estimate.position[2]), "others": others,
-            "pace": pace(s), "slow": s.real_time_factor < SLOW,
+            "battery": battery_words(s), "pace": pace(s), "slow": s.real_time_factor < SLOW,
             "alert": None if told is None else (told.level, told.text, s.time_s - told.time_s),
         }  # fmt: skip
 

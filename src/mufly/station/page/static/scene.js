@@ -6,6 +6,7 @@ import { live } from "./live.js";
 import { colours, el, number, onTheme, software } from "./draw.js";
 import { layer } from "./scene_draft.js";
 import { helicopter, place, turn } from "./scene_helicopter.js";
+import { fence } from "./scene_fence.js";
 import { dispose, floor, lines, obstacles, sprite, waypoints } from "./scene_world.js";
 
 const TRAIL = 8000, ENLARGED = 2.5;
@@ -72,7 +73,7 @@ export function mount(element, options, emit) {
     tie.material.color.set(colours.reference);
     dispose(still);
     still = new THREE.Group();
-    still.add(floor(planned ?? scenery, reach()), obstacles(planned ?? scenery));
+    still.add(floor(planned ?? scenery, reach()), obstacles(planned ?? scenery), fence(planned ?? scenery));
     scene.add(still);
     ship?.dispose();
     ghost?.dispose();

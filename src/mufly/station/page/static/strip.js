@@ -6,8 +6,8 @@ const REFRESH_MS = 180;
 
 export function mount(element) {
   const what = el("strong", { class: "mf-strip-what" }), how = el("span", { class: "mf-num" });
-  const pace = el("span", { class: "mf-strip-pace mf-num" }), when = el("span", { class: "mf-num" }), about = el("span", { role: "status" });
-  element.append(el("div", { class: "mf-strip-line" }, what, how), el("div", { class: "mf-strip-about" }, pace, when, about));
+  const battery = el("span", { class: "mf-strip-battery mf-num", "data-testid": "strip-battery" }), pace = el("span", { class: "mf-strip-pace mf-num" }), when = el("span", { class: "mf-num" }), about = el("span", { role: "status" });
+  element.append(el("div", { class: "mf-strip-line" }, what, how), el("div", { class: "mf-strip-about" }, battery, pace, when, about));
   let at = 0, said = "";
 
   function show(flight) {
@@ -16,6 +16,9 @@ export function mount(element) {
     element.dataset.state = silent ? "lost" : f.flying ? "flying" : f.armed ? "armed" : "";
     put(what, !flight ? "No vehicle" : silent ? `No link for ${number(f.silent_s, 0)} s` : up);
     put(how, !flight ? "" : silent ? `was ${up.toLowerCase()}` : [f.flying ? f.state : "", f.flying ? `${number(f.height)} m` : ""].filter(Boolean).join("  "));
+    const [charge, left] = f.battery || ["", ""];
+    put(battery, left && `battery ${left}`);
+    battery.dataset.level = charge;
     put(pace, f.pace || "");
     pace.title = f.pace ? "the vehicle's clock against this machine's, of late; a slip is time that was given up" : "";
     pace.dataset.level = f.slow ? "warn" : "";
@@ -42,6 +45,7 @@ export function mount(element) {
     put(what, "Station lost");
     put(how, "");
     put(pace, "");
+    put(battery, "");
     tell("warning", "this page cannot stop the motors until the station is back");
   } });
   show(null);
