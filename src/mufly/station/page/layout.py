@@ -508,9 +508,13 @@ class CommandBar:
         if snapshot is not None and snapshot.armed:
             labels["arm"], why["arm"] = "Disarm", why["disarm"]
         failed = [] if vehicle is None or vehicle.snapshot.flying else failed_checks(vehicle.checks)
-        against = f"failed: {', '.join(failed)}" if failed else ""
+        own = [name for name in failed if name not in ("mission", "time to fly")]
+        against = {
+            name: f"failed: {', '.join(names)}" if names else ""
+            for name, names in (("mission", failed), ("take_off", own))
+        }
         for name, action in self._actions.items():
-            label, note = labels.get(name, action.label), against if name in ("mission", "take_off") else ""
+            label, note = labels.get(name, action.label), against.get(name, "")
             caution = bool(note)
             if name == "mission" and note and not why[name]:
                 label = f"{label} anyway"
