@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.bench import BenchTable
+from mufly.bench import BenchTable, read_bench
 from mufly.errors import InputError
 from mufly.identify import GearKnowledge, fit_motor, with_estimates
 from mufly.identify.motor import ChannelNoise, parse_noise
@@ -213,3 +213,97 @@ def test_the_picture_has_units_on_every_axis(voltages):
     figure = motor_picture(fit_motor(bench(0, 0.01, voltages=voltages)))
     assert len(figure.axes) == 4
     assert all("(" in ax.get_xlabel() and "(" in ax.get_ylabel() for ax in figure.axes)
+
+
+STAND = (
+    "Time (s),ESC signal (µs),Torque (N·m),Thrust (gf),Voltage (V),Current (A),Motor Electrical Speed (RPM)"
+)
+
+
+def stand():
+    """A propeller on a motor with kE = kM = 0.002, R = 0.1 ohm and 1 mN m of friction, 8 V; current of the supply."""
+    k, ohm, friction, load, duty = 0.002, 0.1, 1e-3, 5e-10, np.linspace(0.15, 0.9, 16)
+    b, c = k**2 / ohm, friction - k * duty * 8.0 / ohm
+    speed = (-b + np.sqrt(b**2 - 4.0 * load * c)) / (2.0 * load)
+    current = (duty * 8.0 - k * speed) / ohm
+    columns = np.column_stack([
+        np.arange(16.0), 1000 + 1000 * duty, load * speed**2, 1e-5 * speed**2, np.full(16, 8.0), duty * current,
+        speed * 30 / math.pi,
+    ])  # fmt: skip
+    return STAND + "\n" + "\n".join(",".join(f"{v:.9g}" for v in row) for row in columns) + "\n"
+
+
+def read(tmp_path, text):
+    (tmp_path / "b.csv").write_text(text, encoding="utf-8")
+    return read_bench(tmp_path / "b.csv")
+
+
+def test_the_signal_of_an_esc_is_the_duty_and_its_current_the_supply_s(tmp_path):
+    fit = fit_motor(read(tmp_path, stand()))
+    assert fit.estimate("Rohm").value == pytest.approx(0.1, rel=1e-6)
+    assert fit.estimate("kE").value == pytest.approx(0.002, rel=1e-6)
+    assert any("a pulse, 1000 us taken as duty 0 and 2000 us as 1" in n for n in fit.notes)
+    assert any("Current (A): beside ESC signal (µs) taken as the supply's" in n for n in fit.notes)
+
+
+@pytest.mark.parametrize("at_rest", ["1000", "0.5e3"])
+def test_idle_lines_of_a_stand_are_left_out(tmp_path, at_rest):
+    fit = fit_motor(read(tmp_path, stand() + f"16,{at_rest},0,0,8,0.02,0\n"))
+    assert fit.estimate("Rohm").value == pytest.approx(0.1, rel=1e-6)
+
+
+def test_a_resistance_below_zero_is_refused_with_what_is_missing(tmp_path):
+    text = stand().replace("ESC signal (µs)", "Servo 1 (µs)")
+    with pytest.raises(
+        InputError, match=r"the fit gives Rohm = -.* ohm, which no motor has; Voltage .*add a column duty"
+    ):
+        fit_motor(read(tmp_path, text))
+    table = bench()
+    with pytest.raises(InputError, match="which no motor has; check signs, units"):
+        fit_motor(changed(table, voltage=3.0 * TRUTH[0] * table["speed"] - table["current"]))
+
+
+def test_friction_is_asked_for_where_constants_would_make_power(tmp_path):
+    rng = np.random.default_rng(0)
+    lines = stand().splitlines()
+    noisy = [lines[0]]
+    for line in lines[1:]:
+        row = np.array([float(v) for v in line.split(",")])
+        row[2:4] += 1e-5 * rng.standard_normal(2)
+        noisy.append(",".join(f"{v:.9g}" for v in row))
+    fit = fit_motor(read(tmp_path, "\n".join(noisy) + "\n"))
+    assert fit.estimate("kM").value <= 1.05 * fit.estimate("kE").value
+
+
+@pytest.mark.parametrize(("head", "unit", "factor"), [("voltage", "mV", 1e3), ("current", "mA", 1e3)])
+def test_a_voltage_or_current_without_unit_in_thousandths_is_decided_by_the_power(head, unit, factor):
+    table = bench(0, 0.01)
+    columns = {**table.columns, head: factor * table[head]}
+    heads = {**table.headers, head: head}
+    fit = fit_motor(BenchTable("b.csv", columns, heads, table.line, (head,)))
+    assert_allclose(values(fit), values(fit_motor(table)), rtol=1e-6)
+    assert any(f"taken as {unit}" in n for n in fit.notes)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("Torque (N·m)", "Torque (bananas)", r"Torque \(bananas\): the unit 'bananas' is none of torque"),
+        ("Voltage (V)", "Voltage (N)", r"Voltage \(N\): the unit 'N' is none of voltage"),
+        (
+            "Motor Electrical Speed (RPM)",
+            "erpm",
+            "speed: is not among the columns; divide erpm by the number of pole",
+        ),
+    ],
+)
+def test_units_of_a_stand_that_cannot_be_are_blamed(tmp_path, old, new, what):
+    with pytest.raises(InputError, match=what):
+        fit_motor(read(tmp_path, stand().replace(old, new)))
+
+
+def test_pulses_beyond_two_milliseconds_are_refused(tmp_path):
+    with pytest.raises(
+        InputError, match=r"line 18, ESC signal .*: 1.2 is no share of the voltage; .*1000 to 2000 us"
+    ):
+        fit_motor(read(tmp_path, stand() + "16,2200,0.01,1,8,3,30000\n"))

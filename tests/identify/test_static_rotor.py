@@ -1,6 +1,7 @@
 """Rotor coefficients from a bench: exact data, drift and calibration carried along, trends, pairs, measurements."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -283,3 +284,164 @@ def test_a_load_cell_the_other_way_round_is_said():
     result = fit({**columns, "thrust": -columns["thrust"]})
     assert result.estimate("cT").value == pytest.approx(C_T)
     assert any("thrust is negative and was turned round" in note for note in result.notes)
+
+
+# -- files of others -------------------------------------------------------------------------------------------------
+
+WIDE = np.linspace(200.0, 500.0, 10)
+TURNS, D = WIDE / (2 * math.pi), 2 * R
+
+
+def written(tmp_path, text):
+    (tmp_path / "b.csv").write_text(text, encoding="utf-8")
+    return read_bench(tmp_path / "b.csv")
+
+
+def rows(heads, *columns):
+    return (
+        heads
+        + "\n"
+        + "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True))
+        + "\n"
+    )
+
+
+def loads_of(speed):
+    """Thrust (N) and torque (N m) of the truth in air of 1.2 kg/m3."""
+    return C_T * RHO * math.pi * R**4 * speed**2, C_Q * RHO * math.pi * R**5 * speed**2
+
+
+def found(table, **more):
+    (result,) = fit_rotor(
+        corrected_loads(table, radius_m=R, density_kg_m3=more.get("density_kg_m3")), radius_m=R, **more
+    )
+    return result
+
+
+@pytest.mark.parametrize(
+    ("heads", "one", "two", "words"),
+    [
+        ("RPM,CT,CP", C_T * math.pi**3 / 4, C_Q * math.pi**4 / 4, "the propeller's T / (rho n^2 D^4)"),
+        ("RPM,CT,CQ", C_T * math.pi**3 / 4, C_Q * math.pi**3 / 8, "the propeller's Q / (rho n^2 D^5)"),
+        ("RPM,c_T,c_Q", C_T, C_Q, "the rotor's T / (rho A (Omega R)^2)"),
+        ("RPM,c_T,CP", C_T, C_Q * math.pi**4 / 4, "the propeller's P / (rho n^3 D^5)"),
+        ("speed,CT,CP", C_T * math.pi**3 / 4, C_Q * math.pi**4 / 4, "speed has no unit: taken as rpm"),
+    ],
+)
+@pytest.mark.parametrize("density", [None, 1.1])
+def test_coefficients_of_propellers_and_rotors(tmp_path, heads, one, two, words, density):
+    """c_T = 4 CT / pi^3, c_Q = 4 CP / pi^4, whatever the density and the radius."""
+    table = written(tmp_path, rows(heads, WIDE * 30 / math.pi, np.full(10, one), np.full(10, two)))
+    result = found(table, density_kg_m3=density)
+    assert result.estimate("cT").value == pytest.approx(C_T)
+    assert result.estimate("cQ").value == pytest.approx(C_Q)
+    assert any(words in n for n in result.notes)
+    assert any("depend on no density" in n for n in result.notes)
+
+
+def test_a_coefficient_beside_a_load_takes_the_density(tmp_path):
+    ct = np.full(10, C_T * math.pi**3 / 4)
+    result = found(written(tmp_path, rows("RPM,CT,torque_Nm", WIDE * 30 / math.pi, ct, loads_of(WIDE)[1])))
+    assert result.estimate("cT").value == pytest.approx(C_T)
+    assert result.estimate("cQ").value == pytest.approx(C_Q)
+    assert any("1.2 kg/m3 assumed" in n for n in result.notes)
+
+
+def test_a_coefficient_that_may_be_either_one_s_is_asked_for(tmp_path):
+    text = rows("RPM,CT", WIDE * 30 / math.pi, np.full(10, C_T))
+    with pytest.raises(
+        InputError, match=r"CT: is near 0.0138: .* columns=CT=propeller_CT or columns=CT=rotor_CT"
+    ):
+        found(written(tmp_path, text))
+    for name, value in (("rotor_CT", C_T), ("propeller_CT", 4 * C_T / math.pi**3)):
+        table = read_bench(tmp_path / "b.csv", columns=f"CT={name}")
+        assert found(table).estimate("cT").value == pytest.approx(value)
+    with pytest.raises(InputError, match="CT: is a coefficient"):
+        corrected_loads(table)
+
+
+@pytest.mark.parametrize("unit", ["N", "gf", "kgf"])
+def test_a_thrust_without_unit_is_decided_by_the_lift_and_said(tmp_path, unit):
+    thrust = loads_of(WIDE)[0] / {"N": 1.0, "gf": 9.80665e-3, "kgf": 9.80665}[unit]
+    result = found(written(tmp_path, rows("speed_rad_s,thrust", WIDE, thrust)))
+    assert result.estimate("cT").value == pytest.approx(C_T)
+    assert any(f"no unit is written, taken as {unit} (c_T near 0.014" in n for n in result.notes)
+
+
+def test_loads_without_units_lean_on_the_figure_of_merit_or_are_asked_for(tmp_path):
+    """c_T of 0.003 in newtons would be 0.029 in kilograms: only the torque tells."""
+    thrust, torque = 0.003 / C_T * loads_of(WIDE)[0], 0.1 * loads_of(WIDE)[1]
+    with pytest.raises(InputError, match="thrust: has no unit, and its size would do for N or kgf"):
+        found(written(tmp_path, rows("speed_rad_s,thrust", WIDE, thrust)))
+    result = found(written(tmp_path, rows("speed_rad_s,thrust,torque_Nm", WIDE, thrust, torque)))
+    assert any("taken as N (c_T near 0.003, figure of merit 0.46)" in n for n in result.notes)
+    milli = found(
+        written(tmp_path, rows("speed_rad_s,T(N),torque", WIDE, loads_of(WIDE)[0], 1e3 * loads_of(WIDE)[1]))
+    )
+    assert milli.estimate("cQ").value == pytest.approx(C_Q)
+    assert any("torque: no unit is written, taken as mN m" in n for n in milli.notes)
+    with pytest.raises(InputError, match="thrust: has no unit, and its size would do for no unit"):
+        found(written(tmp_path, rows("speed_rad_s,thrust", WIDE, 1e6 * thrust)))
+
+
+@pytest.mark.parametrize("extra", ["", "ESC signal (µs)"])
+def test_lines_that_lost_their_speed_tell_no_zero(tmp_path, extra):
+    """Some readings of an electrical speed are 0 under load; the real rest, with an offset of the cell, is kept."""
+    speed = np.repeat(np.linspace(200.0, 500.0, 8), 2)
+    thrust, torque = loads_of(speed)
+    seen = np.where(np.arange(16) % 3 == 1, 0.0, speed)
+    rest = np.zeros(3)
+    columns = [np.r_[rest, v, rest] for v in (seen, thrust, torque)]
+    columns[1] = columns[1] + 0.05
+    heads = "speed_rad_s,thrust_N,torque_Nm"
+    if extra:
+        heads += f",{extra}"
+        columns.append(np.r_[rest + 1000, 1200 + speed, rest + 1000])
+    result = found(written(tmp_path, rows(heads, *columns)))
+    assert result.estimate("cT").value == pytest.approx(C_T, rel=1e-6)
+    assert result.estimate("cQ").value == pytest.approx(C_Q, rel=1e-6)
+    assert any("5 lines (first: 6) have speed 0 under load" in n for n in result.notes)
+    assert any("thrust: zero read 2 times" in n for n in result.notes)
+
+
+def test_a_speed_that_failed_in_every_line_is_said(tmp_path):
+    text = rows("speed_rad_s,thrust_N,duty", np.zeros(6), loads_of(WIDE[:6])[0], np.linspace(0.2, 0.9, 6))
+    with pytest.raises(InputError, match="speed_rad_s: is 0 in every line, although there are loads"):
+        found(written(tmp_path, text))
+
+
+def test_coefficients_that_no_rotor_has_are_remarked_and_not_written(tmp_path):
+    thrust, torque = loads_of(WIDE)
+    heads = "speed_rad_s,thrust_N,torque_Nm"
+    down = found(written(tmp_path, rows(heads, WIDE, np.where(WIDE > 420, -3 * thrust, 0.1), torque)))
+    assert any("cT = " in u and "below zero, which no rotor has" in u for u in down.unseen)
+    assert placed(down, "upper", None).estimates[0].symbol == "cT_up"
+    light = found(written(tmp_path, rows(heads, WIDE, thrust, torque / 10)))
+    assert any("figure of merit of 4.59, above 1" in u for u in light.unseen)
+    assert not any("no rotor has" in u for u in found(table(single())).unseen)
+
+
+def test_lines_in_axial_flight_are_left_out(tmp_path):
+    thrust, torque = loads_of(WIDE)
+    air = np.where(np.arange(10) % 2 == 0, 0.0, 5.0)
+    text = rows("speed_rad_s,thrust_N,torque_Nm,V (m/s)", WIDE, thrust * (1 - 0.1 * air), torque, air)
+    result = found(written(tmp_path, text))
+    assert result.estimate("cT").value == pytest.approx(C_T)
+    assert any("5 lines in axial flight are left out: 5 are static" in n for n in result.notes)
+    with pytest.raises(InputError, match="has no static line"):
+        found(written(tmp_path, rows("speed_rad_s,thrust_N,J", WIDE, thrust, np.full(10, 0.3))))
+
+
+def test_an_unknown_unit_of_a_load_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"Torque \(bananas\): the unit 'bananas' is none of torque"):
+        found(written(tmp_path, "RPM,T(N),Torque (bananas)\n3000,1,1\n4000,2,1\n"))
+
+
+def test_one_static_line_of_a_maker_s_file_has_a_value_and_no_scatter():
+    made = table(single(speed=np.array([300.0])))
+    result = found(replace(made, diameter_m=2 * R), density_kg_m3=RHO)
+    assert result.estimate("cT").value == pytest.approx(C_T)
+    assert math.isnan(result.estimate("cT").std)
+    assert result.unseen == ()
+    other = found(replace(made, diameter_m=R), density_kg_m3=RHO)
+    assert any("the file's rotor has R 43.75 mm" in n for n in other.notes)

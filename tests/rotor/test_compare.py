@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from typer.testing import CliRunner
 
 from mufly.bench import read_measurements
+from mufly.cli import app
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
     Doubt,
@@ -224,3 +226,87 @@ def test_other_names_of_columns_and_coefficients(tmp_path):
     assert_allclose(bench.torque_Nm * bench.speed_rad_s, 0.05 * 1.2 * 100**3 * 0.2**5)
     with pytest.raises(InputError, match="is a coefficient"):
         read_measurements(path)
+
+
+def bench_of(case, rpm=(4000.0, 5000.0, 6000.0)):
+    made_ = made(case, (14.0,) * len(rpm), rpm)
+    return made_.speed_rad_s * 30 / math.pi, made_.thrust_N, made_.torque_Nm
+
+
+def text_of(heads, *columns):
+    return (
+        heads
+        + "\n"
+        + "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True))
+        + "\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("heads", "thrust", "torque", "words"),
+    [
+        ("RPM,Thrust (g),Torque (in-lbf)", 1 / 9.80665e-3, 1 / 0.112984829, ""),
+        ("RPM,T_gf,torque_mNm", 1 / 9.80665e-3, 1e3, ""),
+        ("RPM;Thrust (ozf);Torque (kg-cm)", 1 / 0.278013851, 1 / 0.0980665, ""),
+        ("RPM,Thrust (lbf),Torque (ozf-in)", 1 / 4.4482216152605, 1 / 7.0615518e-3, ""),
+        ("RPM,thrust,torque_Nm", 1.0, 1.0, "thrust: no unit is written, taken as N (c_T near"),
+        ("RPM,thrust,torque_Nm", 1 / 9.80665, 1.0, "thrust: no unit is written, taken as kgf"),
+        ("RPM,Thrust,torque", 1 / 9.80665e-3, 1e3, "Thrust: no unit is written, taken as gf"),
+        ("RPM,Thrust (N),Torque (N·m)", -1.0, 1.0, "turned round: the sign of the load cell"),
+        ("RPM,Thrust (N),Torque (N·m)", 1.0, -1.0, "turned round: the sign of the sense of rotation"),
+    ],
+)
+def test_units_and_signs_of_loads(tmp_path, case, heads, thrust, torque, words):
+    speed, t, q = bench_of(case)
+    text = text_of(heads, speed, thrust * t, torque * q)
+    (tmp_path / "b.csv").write_text(text.replace(",", ";") if ";" in heads else text, encoding="utf-8")
+    bench = read_measurements(tmp_path / "b.csv", diameter_m=0.12, pitch_rad=math.radians(14))
+    assert_allclose(bench.thrust_N, t, rtol=1e-6)
+    assert_allclose(bench.torque_Nm, q, rtol=1e-6)
+    assert any(words in n for n in bench.notes) or not words
+
+
+@pytest.mark.parametrize(
+    ("heads", "scale", "message"),
+    [
+        ("RPM,thrust", 1.0, "thrust: has no unit; name it with its unit, as thrust_N"),
+        ("speed,thrust_N", 1.0, "speed: has no unit; name it with its unit, as speed_rpm"),
+        ("RPM,Thrust (bananas)", 1.0, r"Thrust \(bananas\): the unit 'bananas' is none of thrust"),
+    ],
+)
+def test_loads_whose_unit_nothing_tells_are_asked_for(tmp_path, case, heads, scale, message):
+    speed, t, _ = bench_of(case)
+    (tmp_path / "b.csv").write_text(text_of(heads, speed, scale * t))
+    with pytest.raises(InputError, match=message):
+        read_measurements(tmp_path / "b.csv")
+
+
+def test_a_speed_without_unit_is_decided_by_the_lift(tmp_path, case):
+    speed, t, _ = bench_of(case)
+    for factor, unit in ((1.0, "rpm"), (math.pi / 30, "rad/s")):
+        (tmp_path / "b.csv").write_text(text_of("speed,thrust_N", factor * speed, t))
+        bench = read_measurements(tmp_path / "b.csv", diameter_m=0.12)
+        assert_allclose(bench.speed_rad_s, speed * math.pi / 30)
+        assert any(f"speed has no unit: taken as {unit}" in n for n in bench.notes)
+
+
+def test_electrical_power_is_no_torque(tmp_path, case):
+    """As in motor makers' tables: throttle, voltage, current and their product beside thrust in grams."""
+    speed, t, _ = bench_of(case)
+    current = np.array([1.0, 2.0, 3.5])
+    heads = "Throttle,Voltage(V),Thrust(g),Current(A),RPM,Power(W)"
+    columns = ([50, 65, 80], np.full(3, 11.1), t / 9.80665e-3, current, speed, 11.1 * current)
+    (tmp_path / "b.csv").write_text(text_of(heads, *columns).replace("50,", "50%,", 1))
+    bench = read_measurements(tmp_path / "b.csv", diameter_m=0.12)
+    assert_allclose(bench.thrust_N, t, rtol=1e-6)
+    assert np.isnan(bench.torque_Nm).all()
+    assert any("Power(W) is the product of voltage and current" in n for n in bench.notes)
+
+
+def test_the_command_tells_what_was_taken_for_granted(tmp_path, case):
+    speed, t, q = bench_of(case)
+    (tmp_path / "b.csv").write_text(text_of("RPM,thrust,torque_Nm", speed, t, q))
+    run = ["rotor", "compare", "naca0012-r60-c20", str(tmp_path / "b.csv"), "--pitch", "14"]
+    told = CliRunner().invoke(app, run)
+    assert told.exit_code == 0
+    assert "note: thrust: no unit is written, taken as N (c_T near" in told.output
