@@ -410,6 +410,25 @@ def test_tables_of_other_programs_are_the_same_trajectory(trajectory):
         assert said == [], name
 
 
+def test_quaternions_with_w_first_and_no_names_are_told(trajectory):
+    t, x, heading = poses()
+    wxyz = [[row.split()[k] for k in (0, 1, 2, 3, 7, 4, 5, 6)] for row in tum_rows(t, x, 0.3 * heading)]
+    ns = [",".join([f"{round(1e9 * s)}", *row[1:], ""]) for s, row in zip(t, wxyz, strict=True)]
+    found, said = trajectory(ns)  # VINS writes so
+    assert found["heading_rms_rad"] == pytest.approx(
+        trajectory(tum_rows(t, x, 0.3 * heading))[0]["heading_rms_rad"]
+    )
+    assert "est.txt: its quaternions are taken to have w first, or it would fly upside down" in said
+    said = trajectory([" ".join(row) for row in wxyz])[1]
+    assert said == ["est.txt: it flies upside down; if w is first, name the columns: # t x y z qw qx qy qz"]
+
+
+def test_stamps_with_too_few_digits_are_no_clock(trajectory):
+    t, x, heading = poses()
+    with pytest.raises(InputError, match="the trajectory has 1 usable rows with a time of their own"):
+        trajectory(tum_rows(0 * t + t[0], x, heading))
+
+
 def test_a_folder_and_the_file_in_it_are_one_truth(tmp_path):
     t, x, heading = poses()
     est = tmp_path / "est.txt"

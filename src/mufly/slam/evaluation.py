@@ -40,6 +40,7 @@ _TOLD_M = 1e-4
 _FEWEST = 3
 _LONGEST_GAP_S, _GAP_STEPS = 0.2, 5.0
 """Between two rows of the truth further apart than both nothing is compared."""
+_AXES_MATTER_M = 0.02
 _UNIT_LENGTH, _SHORTEST_QUATERNION = 1e-3, 1e-6
 _TICKS = ((1e17, 1e-9, "ns"), (1e14, 1e-6, "us"), (1e11, 1e-3, "ms"))  # stamps since 1970 above so much
 _NAMES = re.compile(r"(?:q|quat|rot|orientation)?[a-z_.]*w")
@@ -103,8 +104,14 @@ def read_poses(file: Path) -> Poses:
         cells = cells[1:]
     said: list[str] = []
     rows, more, numbers = _pose_rows(cells, where, said)
-    order, ns = _named_columns(comments, where)
+    order, ns, named = _named_columns(comments, where)
     rows, keep = _usable_rows(rows[:, order], numbers, said)
+    if not named and _stands_on_its_head(rows[:, 4:8]):
+        if separator == "," and np.median(rows[:, 0]) > _TICKS[0][0]:  # as EuRoC's, without the line of names
+            rows[:, 4:8] = rows[:, [5, 6, 7, 4]]
+            said.append("its quaternions are taken to have w first, or it would fly upside down")
+        else:
+            said.append("it flies upside down; if w is first, name the columns: # t x y z qw qx qy qz")
     _, columns, heading_of = _AXES[_told_axes(comments, file)]
     stamps, tick = _ticks(rows[:, 0], ns)
     said += [f"its stamps are taken to be in {tick}"] if tick != "s" and not ns else []
@@ -169,8 +176,8 @@ def _pose_rows(
     return rows, [row[8:] for _, row in cells], [number for number, _ in cells]
 
 
-def _named_columns(comments: list[str], where: str) -> tuple[list[int], bool]:
-    """Columns of t, x, y, z, w, x, y, z by a line of names, else TUM's; and whether it says that stamps are in ns."""
+def _named_columns(comments: list[str], where: str) -> tuple[list[int], bool, bool]:
+    """Columns of t, x, y, z, w, x, y, z, whether a line of names says that stamps are in ns, and whether one is there."""
     for line in comments:
         names = [
             re.sub(r"[\[(].*?[\])]", "", n).strip().lower()
@@ -189,8 +196,17 @@ def _named_columns(comments: list[str], where: str) -> tuple[list[int], bool]:
         if found not in (4, 7):
             raise InputError(where, names[found], f"is column {found + 1} of {len(names)}",
                              "order the columns: t x y z qx qy qz qw")  # fmt: skip
-        return [0, 1, 2, 3, *((4, 5, 6, 7) if found == 4 else (7, 4, 5, 6))], "[ns]" in line
-    return [0, 1, 2, 3, 7, 4, 5, 6], False
+        return [0, 1, 2, 3, *((4, 5, 6, 7) if found == 4 else (7, 4, 5, 6))], "[ns]" in line, True
+    return [0, 1, 2, 3, 7, 4, 5, 6], False, False
+
+
+def _stands_on_its_head(q: _Array) -> bool:
+    """Whether quaternions read as x, y, z, w fly upside down, and as w, x, y, z do not (rows are w, x, y, z)."""
+    if not len(q):
+        return False
+    w_first = q[:, [1, 2, 3, 0]]
+    down, other = (np.median(1 - 2 * (p[:, 1] ** 2 + p[:, 2] ** 2)) for p in (q, w_first))
+    return bool(down < -0.5 and other > 0.5)
 
 
 def _usable_rows(rows: _Array, numbers: list[int], said: list[str]) -> tuple[_Array, list[int]]:
@@ -318,8 +334,10 @@ def evaluate(
 
 def _no_overlap(time: _Array, true_time: _Array) -> tuple[str, str, str, str]:
     """What is wrong with two clocks that do not meet, and what to do."""
-    if len(time) < _FEWEST:
-        return "trajectory", "", f"has {len(time)} usable rows", f"give one with {_FEWEST} or more"
+    for who, stamps in (("trajectory", time), ("truth", true_time)):
+        if len(stamps) < _FEWEST:
+            problem = f"the {who} has {len(stamps)} usable rows with a time of their own"
+            return "trajectory", "time", problem, f"give {_FEWEST} or more, stamps with enough digits"
     spans = f"{time[0]:.3f} to {time[-1]:.3f} s, the truth's from {true_time[0]:.3f} to {true_time[-1]:.3f} s"
     ratio = (time[-1] - time[0]) / max(true_time[-1] - true_time[0], 1e-9)
     for factor, unit in ((1e9, "ns"), (1e6, "us"), (1e3, "ms")):
@@ -358,12 +376,11 @@ def other_axes(time: _Array, position: _Array, true_time: _Array, true_position:
     x = position[inside]
     true = np.stack([np.interp(time[inside], true_time, c) for c in true_position.T], axis=1)
     flipped = np.stack([x[:, 0], -x[:, 1], -x[:, 2]], axis=1)  # ENU is the same but for a turn
-    as_it_is, other = (_rms(np.linalg.norm(_aligned(p, true) - true, axis=1)) for p in (x, flipped))
-    return (
-        f"ATE {100 * other:.1f} cm in place of {100 * as_it_is:.1f}"
-        if other < 0.2 * as_it_is and as_it_is > 0.02
-        else ""
-    )
+    for name, fitted in (("ATE", _aligned), ("position error", lambda p, _: p)):
+        as_it_is, other = (_rms(np.linalg.norm(fitted(p, true) - true, axis=1)) for p in (x, flipped))
+        if other < 0.2 * as_it_is and as_it_is > _AXES_MATTER_M:
+            return f"{name} {100 * other:.1f} cm in place of {100 * as_it_is:.1f}"
+    return ""
 
 
 def _rms(a: _Array) -> float:
