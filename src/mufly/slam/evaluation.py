@@ -177,7 +177,7 @@ def _pose_rows(
 
 
 def _named_columns(comments: list[str], where: str) -> tuple[list[int], bool, bool]:
-    """Columns of t, x, y, z, w, x, y, z, whether a line of names says that stamps are in ns, and whether one is there."""
+    """Columns of t, x, y, z, w, x, y, z; whether a line of names says that stamps are in ns, and is there at all."""
     for line in comments:
         names = [
             re.sub(r"[\[(].*?[\])]", "", n).strip().lower()
