@@ -11,14 +11,14 @@ import json
 import socket
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from mufly.cli.options import argument, one_of, option
-from mufly.cli.present import console, say
+from mufly.cli.present import LiveDisplay, console, say
 from mufly.cli.station import (
     BrowserOption,
     Ending,
@@ -27,7 +27,6 @@ from mufly.cli.station import (
     FixedPointOption,
     GustOption,
     HostOption,
-    LiveDisplay,
     PortOption,
     SeedOption,
     SensorsOption,
@@ -43,6 +42,7 @@ from mufly.cli.station import (
     endpoints_of,
     flies_on,
     on_board,
+    open_in_background,
 )
 from mufly.errors import InputError, MuflyError
 
@@ -56,15 +56,18 @@ if TYPE_CHECKING:
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
     from mufly.sensors import Fault
-    from mufly.station.page.server import Address
+    from mufly.station.page.address import Address
     from mufly.station.page.session import Session
+    from mufly.station.page.starting import StartPage, Startup
     from mufly.vehicle import Vehicle
 
 LONELY_S = 20.0
 """With no page opened for so long it flies the mission by itself (s)."""
 LEFT_S = 10.0
 """After the flight it ends when no page has been open for so long (s)."""
+LOADING = "loading the libraries"
 _LOOK_S = 0.1
+_TOLD_S = 2.0  # a page that is open is told what went wrong before its server ends
 _SETTLE_S = 1.0  # recorded after the motors have stopped
 
 
@@ -89,13 +92,25 @@ class Order:
     outside: bool = False
 
 
+@dataclass(frozen=True)
+class Show:
+    """Where a flight is shown: the terminal, and the page (``page`` tells of the start) unless there is none."""
+
+    terminal: Console
+    display: LiveDisplay
+    startup: Startup
+    ending: Ending
+    address: Address | None = None
+    page: StartPage | None = None
+
+
 def _free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
-def _start(order: Order, endpoints: Sequence[Endpoint], autostart: bool) -> VehicleProcess:
+def _start(order: Order, endpoints: Sequence[Endpoint], autostart: bool, startup: Startup) -> VehicleProcess:
     from mufly.link import start_vehicle
 
     return start_vehicle(
@@ -104,7 +119,7 @@ def _start(order: Order, endpoints: Sequence[Endpoint], autostart: bool) -> Vehi
         wind=order.wind, gust=order.gust, seed=order.seed, sensors=order.sensors, faults=order.faults,
         controllers=order.controllers, designed_for=order.designed_for, eye=order.eye, outside=order.outside,
         autostart=autostart,
-        where="--link",
+        where="--link", on_stage=startup.begin,
     )  # fmt: skip
 
 
@@ -152,18 +167,18 @@ def _why(process: VehicleProcess) -> str:
     return f" ({process.reason})" if process.reason else ""
 
 
-def fly_behind_link(
-    order: Order, on_event: Callable[[Event], None], terminal: Console, ending: Ending
-) -> str:
+def fly_behind_link(order: Order, show: Show) -> str:
     """Fly the mission in real time with other stations watching, without a page; return its outcome, "" if none."""
+    on_event, ending, startup = show.display.event, show.ending, show.startup
     for end in order.links:
-        terminal.print(f"It {end.explanation}", highlight=False)
-    process = _start(order, order.links, autostart=True)
+        show.terminal.print(f"It {end.explanation}", highlight=False)
+    process = _start(order, order.links, autostart=True, startup=startup)
     watch = _Watch(process, on_event)
     try:
         while not (watch.over or ending.asked.is_set()):
             time.sleep(_LOOK_S)
             if process.ready:
+                startup.finish()
                 watch.look()
     finally:
         process.stop()
@@ -172,25 +187,24 @@ def fly_behind_link(
     return process.outcome if watch.flown else ""
 
 
-def fly_with_page(
-    order: Order,
-    address: Address,
-    on_event: Callable[[Event], None],
-    terminal: Console,
-    browser: bool,
-    ending: Ending,
-) -> str:
+def fly_with_page(order: Order, show: Show) -> str:
     """Fly with the station's page; return the outcome of the flight, "" if there was none."""
     from mufly.dynamics import hover_performance
     from mufly.link import parse_endpoint
-    from mufly.station import Station
-    from mufly.station.page.server import serve
-    from mufly.station.page.session import Session
 
+    address, page, on_event, startup = show.address, show.page, show.display.event, show.startup
+    assert address is not None
+    assert page is not None
     number = _free_port()
-    process = _start(order, [parse_endpoint(f"udp:127.0.0.1:{number}", "vehicle"), *order.links], order.start)
+    ends = [parse_endpoint(f"udp:127.0.0.1:{number}", "vehicle"), *order.links]
+    process = _start(order, ends, order.start, startup)
     folder = order.recording.parent
     try:
+        # Its process loads and compiles meanwhile.
+        from mufly.station import Station
+        from mufly.station.page.server import serve
+        from mufly.station.page.session import Session
+
         ground = Station(
             [parse_endpoint(f"udp:127.0.0.1:{number}", "station")], folder=folder, record_here=True,
             on_vehicle=lambda found: found.started_with(order.mission),
@@ -200,17 +214,17 @@ def fly_with_page(
         session = Session(
             lambda: ground.vehicles, folder, mission=order.mission, recorder=ground.recorder,
             rotor_radius_m=float(order.vehicle.rotors.radius), battery=battery, title=f"mufly: {order.mission.name}",
-            sight=None if order.eye is None else lambda: process.sight,
+            sight=None if order.eye is None else lambda: process.sight, startup=startup,
         )  # fmt: skip
         watch = _Watch(process, on_event)
 
         async def work() -> None:
             try:
                 await ground.start()
-                announce(address, [e.explanation for e in order.links])
+                page.stop()
                 await serve(
-                    session, address, open_browser=browser, stop=ending.asked.is_set,
-                    beside=lambda: _look_after(watch, process, session, order.start, terminal),
+                    session, address, open_browser=False, stop=show.ending.asked.is_set,
+                    beside=lambda: _look_after(watch, process, session, order.start, show.terminal),
                 )  # fmt: skip
             finally:
                 await ground.stop()
@@ -231,19 +245,47 @@ async def _look_after(
     started: bool,
     terminal: Console,
 ) -> None:
-    """Return when the flight is over and nobody looks any more; fly the mission where nobody ever looked."""
+    """Return when the flight is over and nobody looks any more; fly the mission where nobody ever looked.
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle does not start, or cannot go on; whoever looks is told first.
+    """
+    startup = session.startup
+    assert startup is not None
+    try:
+        await _until_over(watch, process, session, startup, started, terminal)
+    except MuflyError as error:
+        startup.fail(str(error))
+        if session.watching:
+            await asyncio.sleep(_TOLD_S)
+        raise
+
+
+async def _until_over(
+    watch: _Watch,
+    process: VehicleProcess,
+    session: Session,
+    startup: Startup,
+    started: bool,
+    terminal: Console,
+) -> None:
     # Not in a thread, which would have to be waited for whoever wants to end.
     while not process.ready:
         await asyncio.sleep(_LOOK_S)
+    startup.begin("waiting for its first heartbeat")
     began = last_seen = time.monotonic()
-    seen = False
     while True:
         await asyncio.sleep(_LOOK_S)
         watch.look()
         now = time.monotonic()
+        seen = bool(startup.visits or session.opened)
         if session.watching:
-            seen, last_seen = True, now
+            last_seen = now
         vehicles = session.vehicles()
+        if vehicles:
+            startup.finish()
         if not seen and not started and now - began > LONELY_S and vehicles and not watch.flown:
             started = True
             terminal.print(f"No page was opened within {LONELY_S:g} s: the mission is flown without one")
@@ -410,96 +452,93 @@ def fly(
     browser: BrowserOption = True,
 ) -> None:
     """Fly a mission on the full nonlinear model."""
-    terminal = console(stderr=as_json)
-    steady = check_air(wind, gust, seed)
-    folder = out if out is not None else dated_folder()
-    check_place(folder)
-    ends = endpoints_of(links, "vehicle")
+    from mufly.station.page.starting import StartPage, Startup
 
-    # Whatever can be wrong with the input is found before the heavy libraries are loaded.
-    from mufly.mission import load_mission, preflight
-    from mufly.vehicle import load_vehicle
+    terminal, startup, ending = console(stderr=as_json), Startup("a flight"), Ending()
+    with LiveDisplay(terminal) as display, contextlib.ExitStack() as stack:
+        if terminal.is_terminal:
+            display.follow(startup)
+        startup.begin(LOADING)
+        show = Show(terminal, display, startup, ending)
+        if not (headless or as_json):
+            from mufly.station.page.address import choose_address
 
-    recording = folder / "flight.mcap"
-    helicopter = load_vehicle(vehicle)
-    faults = check_sensors(helicopter, sensors, fault)
-    order = Order(
-        helicopter,
-        load_mission(mission),
-        recording,
-        steady,
-        gust,
-        seed,
-        tuple(ends),
-        start,
-        realtime,
-        "ideal" if sensors == "ideal" else "fitted",
-        faults,
-        on_board(firmware, fixed_point),
-        None if designed_for is None else load_vehicle(designed_for),
-        _eye(position, sensors, camera, floor, camera_fault, stream),
-        position == "link",
-    )
-    if order.outside and not ends:
-        raise InputError(
-            "--position", "", "nobody could send a position", "add --link, as --link udpin:127.0.0.1:14560"
+            address = choose_address(host, port, token)
+            startup.url = address.url
+            page = stack.enter_context(StartPage(address, startup))
+            show = replace(show, address=address, page=page)
+        steady = check_air(wind, gust, seed)
+        folder = out if out is not None else dated_folder()
+        check_place(folder)
+        ends = endpoints_of(links, "vehicle")
+        from mufly.mission import load_mission, preflight
+        from mufly.vehicle import load_vehicle
+
+        recording = folder / "flight.mcap"
+        helicopter = load_vehicle(vehicle)
+        faults = check_sensors(helicopter, sensors, fault)
+        order = Order(
+            helicopter,
+            load_mission(mission),
+            recording,
+            steady,
+            gust,
+            seed,
+            tuple(ends),
+            start,
+            realtime,
+            "ideal" if sensors == "ideal" else "fitted",
+            faults,
+            on_board(firmware, fixed_point),
+            None if designed_for is None else load_vehicle(designed_for),
+            _eye(position, sensors, camera, floor, camera_fault, stream),
+            position == "link",
         )
-    if order.eye is not None and not order.outside:
-        from mufly.flight.camera import sighted
+        if order.outside and not ends:
+            raise InputError(
+                "--position",
+                "",
+                "nobody could send a position",
+                "add --link, as --link udpin:127.0.0.1:14560",
+            )
+        if order.eye is not None and not order.outside:
+            from mufly.flight.camera import sighted
 
-        sighted(order.vehicle, order.eye.camera)
-    # One that is taken for another is judged by that other, as its pilot would.
-    preflight(
-        order.designed_for or order.vehicle,
-        order.mission,
-        vehicle_file=designed_for or vehicle,
-        mission_file=mission,
-    )
-    address = None
-    if not (headless or as_json):
-        from mufly.station.page.server import choose_address
-
-        address = choose_address(host, port, token)
-    terminal.print(
-        f"[bold]{order.vehicle.name}[/bold] flies [bold]{order.mission.name}[/bold]; results go to {folder}"
-    )
-    terminal.print(flies_on(order.vehicle, order.sensors), highlight=False, markup=False)
-    if order.eye is not None and order.eye.stream is not None:
-        from mufly.camera import is_local
-
-        host, number = order.eye.stream
-        terminal.print(f"Its camera is at http://{host}:{number}/stream", highlight=False, markup=False)
-        if not is_local(host):
-            say(f"anyone who reaches {host}:{number} sees its pictures", mark="Warning", style="yellow")
-    if by := computed_by(order.vehicle, order.sensors, firmware):
-        terminal.print(by, highlight=False, markup=False)
-
-    if ends or address is not None:  # in the terminal it stands among the events
-        from mufly.dynamics import outside_model
-
-        air = order.mission.wind
-        beyond = outside_model(
-            order.vehicle,
-            air.steady_m_s if order.wind is None else order.wind,
-            air.gust_m_s if order.gust is None else order.gust,
+            sighted(order.vehicle, order.eye.camera)
+        # One that is taken for another is judged by that other, as its pilot would.
+        preflight(
+            order.designed_for or order.vehicle,
+            order.mission,
+            vehicle_file=designed_for or vehicle,
+            mission_file=mission,
         )
-        say(*filter(None, [beyond]), mark="Warning", style="yellow")
-    heard: list[Path] = []
-    ending = Ending()
-    if ends or address is not None:
-        outcome = _fly_in_real_time(terminal, order, address, browser, ending)
-        if ending.hurried or (ending.asked.is_set() and outcome != "succeeded"):
-            # A summary of half a flight is worth less than an end when it is asked for.
-            what = "the recording up to here is in" if outcome else "it did not fly; what was recorded is in"
-            terminal.print(f"Stopped; {what} {recording}")
-            raise typer.Exit(ending.status)
-        found = _read(recording)
-        if found is None or _never_flew(found):
-            terminal.print(f"It did not fly; what was recorded is in {folder}")
-            raise typer.Exit(1)
-        dataset, heard = found, [] if address is None else sorted(folder.glob("station*.*"))
-    else:
-        dataset = _fly_in_terminal(terminal, order, ending)
+        startup.title = f"{order.vehicle.name} flies {order.mission.name}"
+        terminal.print(
+            f"[bold]{order.vehicle.name}[/bold] flies [bold]{order.mission.name}[/bold]; results go to {folder}"
+        )
+        if show.address is not None:
+            announce(show.address, [e.explanation for e in ends])
+            if browser:
+                open_in_background(show.address)
+        display.follow(startup)
+        _prepare(order, show, firmware)
+        heard: list[Path] = []
+        if order.links or show.address is not None:
+            outcome = _fly_in_real_time(order, show)
+            if ending.hurried or (ending.asked.is_set() and outcome != "succeeded"):
+                # A summary of half a flight is worth less than an end when it is asked for.
+                what = (
+                    "the recording up to here is in" if outcome else "it did not fly; what was recorded is in"
+                )
+                terminal.print(f"Stopped; {what} {recording}")
+                raise typer.Exit(ending.status)
+            found = _read(recording)
+            if found is None or _never_flew(found):
+                terminal.print(f"It did not fly; what was recorded is in {folder}")
+                raise typer.Exit(1)
+            dataset, heard = found, [] if show.address is None else sorted(folder.glob("station*.*"))
+        else:
+            dataset = _fly_in_terminal(order, show)
     ended_s = float(dataset["time"][-1])
     acted = [f for f in faults if f.start_s <= ended_s]
     say(*(f"{f} acted; what the software noticed of it is among its events" for f in acted), mark="Fault")
@@ -516,11 +555,40 @@ def fly(
         raise MuflyError(f"the mission failed: {summary.reason}")
 
 
-def _fly_in_terminal(terminal: Console, order: Order, ending: Ending) -> xr.Dataset:
+def _prepare(order: Order, show: Show, firmware: bool) -> None:
+    """Build what flies, and say what there is to be known of the flight before it."""
+    terminal = show.terminal
+    terminal.print(flies_on(order.vehicle, order.sensors), highlight=False, markup=False)
+    if order.eye is not None and order.eye.stream is not None:
+        from mufly.camera import is_local
+
+        host, number = order.eye.stream
+        terminal.print(f"Its camera is at http://{host}:{number}/stream", highlight=False, markup=False)
+        if not is_local(host):
+            say(f"anyone who reaches {host}:{number} sees its pictures", mark="Warning", style="yellow")
+    show.startup.begin("building the estimator")
+    if by := computed_by(order.vehicle, order.sensors, firmware):
+        terminal.print(by, highlight=False, markup=False)
+    if order.links or show.address is not None:  # in the terminal it stands among the events
+        from mufly.dynamics import outside_model
+
+        air = order.mission.wind
+        beyond = outside_model(
+            order.vehicle,
+            air.steady_m_s if order.wind is None else order.wind,
+            air.gust_m_s if order.gust is None else order.gust,
+        )
+        say(*filter(None, [beyond]), mark="Warning", style="yellow")
+
+
+def _fly_in_terminal(order: Order, show: Show) -> xr.Dataset:
     """Fly the mission from beginning to end, as fast as the machine can."""
     import mufly.flight as flight
 
-    def show(p: Progress) -> None:
+    ending, display = show.ending, show.display
+
+    def progress(p: Progress) -> None:
+        show.startup.finish()
         # Between two ticks, where nothing is half written.
         ending.patient = True
         if ending.asked.is_set():
@@ -528,29 +596,28 @@ def _fly_in_terminal(terminal: Console, order: Order, ending: Ending) -> xr.Data
         display.now(_line_of(p))
 
     ending.patient = False
+    show.startup.begin("designing the controllers, compiling the model")
     try:
-        with LiveDisplay(terminal) as display, ending:
+        with ending:
             return flight.fly(
                 order.vehicle, order.mission, wind=order.wind, gust=order.gust, seed=order.seed,
                 sensors=order.sensors, faults=order.faults, controllers=order.controllers, realtime=order.realtime,
-                path=order.recording, designed_for=order.designed_for, eye=order.eye, on_progress=show,
+                path=order.recording, designed_for=order.designed_for, eye=order.eye, on_progress=progress,
                 on_event=display.event,
             )  # fmt: skip
     except KeyboardInterrupt:
         if order.recording.exists():
-            terminal.print(f"Stopped; the recording up to here is in {order.recording}")
+            show.terminal.print(f"Stopped; the recording up to here is in {order.recording}")
         raise typer.Exit(ending.status or 130) from None
 
 
-def _fly_in_real_time(
-    terminal: Console, order: Order, address: Address | None, browser: bool, ending: Ending
-) -> str:
+def _fly_in_real_time(order: Order, show: Show) -> str:
     """Fly with the page, or without one (no address) behind a link; return the outcome, "" without a flight."""
-    with LiveDisplay(terminal) as display, ending:
-        if address is not None:
-            return fly_with_page(order, address, display.event, terminal, browser, ending)
+    with show.ending:
+        if show.address is not None:
+            return fly_with_page(order, show)
         try:
-            return fly_behind_link(order, display.event, terminal, ending)
+            return fly_behind_link(order, show)
         except KeyboardInterrupt:
             return ""
 

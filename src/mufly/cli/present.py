@@ -23,8 +23,11 @@ from mufly.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
+    from rich.text import Text
 
     from mufly.identify import Estimate
+    from mufly.logs.mcap import Event
+    from mufly.station.page.starting import Startup
 
 Row = Sequence[str]
 _ROOM_FOR_TEXT = 26  # columns: with less, a last column of words stands below its row
@@ -331,3 +334,87 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int], None]
     with Progress(*columns, console=console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total or None)
+
+
+# What a flight shows in the terminal: its events as lines, and on a terminal a live line below them.
+
+
+class LiveDisplay:
+    """Events and notices as lines, and a live line below them, while it is open.
+
+    Parameters
+    ----------
+    console : Console
+        Without a terminal there is no live line.
+    """
+
+    def __init__(self, console: Console) -> None:
+        from rich.live import Live
+
+        self._console = console
+        self._startup: Startup | None = None
+        self._live = Live(console=console, refresh_per_second=10) if console.is_terminal else None
+
+    def __enter__(self) -> LiveDisplay:
+        if self._live is not None:
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        if self._live is not None:
+            self._live.update("")
+            self._live.__exit__(None, None, None)
+
+    def event(self, e: Event) -> None:
+        """Show an event of the flight."""
+        from rich.text import Text
+
+        colour = {"error": "red", "warning": "yellow"}.get(e.level, "default")
+        line = Text(f"{e.time_s:7.1f} s  ").append(f"{e.state:<9}  ", style="bold")
+        self._console.print(line.append(e.text, style=colour), highlight=False)
+
+    def notice(self, text: str) -> None:
+        """Show what happened beside the flight, to a port for example."""
+        from rich.text import Text
+
+        self._console.print(Text(text, style="dim"), highlight=False)
+
+    def follow(self, startup: Startup) -> None:
+        """Show the stages of a start: the present one with its seconds in the live line, or each as a line."""
+        self._startup = startup
+        startup.on_change = self._changed
+        if startup.stages and not startup.done:
+            self._changed(startup.stages[-1].text)
+
+    def _changed(self, stage: str) -> None:
+        startup = self._startup
+        if startup is None:
+            return
+        if not stage:
+            self.now("")
+            if not startup.fault:
+                self.notice(f"Started within {startup.summary()}")
+        elif self._live is None:
+            self.notice(f"Starting: {stage}")
+        else:
+            self._live.update(_StartLine(startup))
+
+    def now(self, line: str) -> None:
+        """Put this into the live line."""
+        if self._live is not None:
+            from rich.text import Text
+
+            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"))
+
+
+@dataclass(frozen=True)
+class _StartLine:
+    """The present stage of a start; its seconds go on by themselves."""
+
+    startup: Startup
+
+    def __rich__(self) -> Text:
+        from rich.text import Text
+
+        page = f"   page: {self.startup.url}" if self.startup.url else ""
+        return Text(f"Starting: {self.startup.line()}{page}", no_wrap=True, overflow="ellipsis", style="dim")

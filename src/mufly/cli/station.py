@@ -20,21 +20,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mufly.cli.options import argument, one_of, option
-from mufly.cli.present import console, progress_bar, say
+from mufly.cli.present import LiveDisplay, console, progress_bar, say
 from mufly.errors import InputError
 from mufly.grammar import read_vector
 
 if TYPE_CHECKING:
     from types import FrameType
 
-    from rich.console import Console
-
     from mufly.flight.software import Computing
     from mufly.link import Endpoint, Report
     from mufly.link.process import Sensing
-    from mufly.logs.mcap import Event
     from mufly.sensors import Fault
-    from mufly.station.page.server import Address
+    from mufly.station.page.address import Address
     from mufly.vehicle import Vehicle
 
 
@@ -276,57 +273,6 @@ def _without_terminal() -> None:
 
 
 # ----------------------------------------------------------------------------
-# What a flight shows in the terminal: its events as lines, and on a terminal a live line below them.
-
-
-class LiveDisplay:
-    """Events and notices as lines, and a live line below them, while it is open.
-
-    Parameters
-    ----------
-    console : Console
-        Without a terminal there is no live line.
-    """
-
-    def __init__(self, console: Console) -> None:
-        from rich.live import Live
-
-        self._console = console
-        self._live = Live(console=console, refresh_per_second=10) if console.is_terminal else None
-
-    def __enter__(self) -> LiveDisplay:
-        if self._live is not None:
-            self._live.__enter__()
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        if self._live is not None:
-            self._live.update("")
-            self._live.__exit__(None, None, None)
-
-    def event(self, e: Event) -> None:
-        """Show an event of the flight."""
-        from rich.text import Text
-
-        colour = {"error": "red", "warning": "yellow"}.get(e.level, "default")
-        line = Text(f"{e.time_s:7.1f} s  ").append(f"{e.state:<9}  ", style="bold")
-        self._console.print(line.append(e.text, style=colour), highlight=False)
-
-    def notice(self, text: str) -> None:
-        """Show what happened beside the flight, to a port for example."""
-        from rich.text import Text
-
-        self._console.print(Text(text, style="dim"), highlight=False)
-
-    def now(self, line: str) -> None:
-        """Put this into the live line."""
-        if self._live is not None:
-            from rich.text import Text
-
-            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"))
-
-
-# ----------------------------------------------------------------------------
 # ``mufly station``: the ground station's page, for any MAVLink vehicles or for a recording.
 
 
@@ -403,42 +349,61 @@ def station(
     if out.exists() and not out.is_dir():
         raise InputError("--out", "", f"{out} is a file", "name a folder")
 
-    from mufly.station import Station
-    from mufly.station.replay import open_recording
-
-    recording = None
-    if open_file is not None:
-        with progress_bar("Reading", True) as progress:
-            recording = open_recording(open_file, progress)
-
-    from mufly.station.page.server import choose_address, serve
-    from mufly.station.page.session import Session
+    from mufly.station.page.address import choose_address
+    from mufly.station.page.starting import StartPage, Startup
 
     address = choose_address(host, port, token)
-    ground = Station(endpoints, folder=out, record=record and bool(endpoints))
-    session = Session(
-        lambda: ground.vehicles,
-        out if open_file is None else open_file.absolute().parent,
-        mission=world,
-        recorder=ground.recorder if endpoints else None,
-        to_open=recording,
-    )
-
-    async def work() -> None:
-        try:
-            await ground.start()
-            announce(address, [e.explanation for e in endpoints])
-            await serve(session, address, open_browser=browser, stop=ending.asked.is_set)
-        finally:
-            await ground.stop()
-
+    startup = Startup("the ground station")
+    announce(address, [e.explanation for e in endpoints])
     ending = Ending()
-    with contextlib.suppress(KeyboardInterrupt), ending:
-        asyncio.run(work())
+    with StartPage(address, startup) as page:
+        if browser:
+            open_in_background(address)
+        with LiveDisplay(console(stderr=True)) as display:
+            display.follow(startup)
+            startup.begin("loading the libraries")
+            from mufly.station import Station
+            from mufly.station.page.server import serve
+            from mufly.station.page.session import Session
+            from mufly.station.replay import open_recording
+
+            startup.finish()
+        recording = None
+        if open_file is not None:
+            startup.begin(f"reading {open_file.name}")
+            with progress_bar("Reading", True) as progress:
+                recording = open_recording(open_file, progress)
+
+        ground = Station(endpoints, folder=out, record=record and bool(endpoints))
+        session = Session(
+            lambda: ground.vehicles,
+            out if open_file is None else open_file.absolute().parent,
+            mission=world,
+            recorder=ground.recorder if endpoints else None,
+            to_open=recording,
+        )
+
+        async def work() -> None:
+            try:
+                await ground.start()
+                page.stop()
+                await serve(session, address, open_browser=False, stop=ending.asked.is_set)
+            finally:
+                await ground.stop()
+
+        with contextlib.suppress(KeyboardInterrupt), ending:
+            asyncio.run(work())
     if ground.recorder.path is not None:
         typer.echo(f"Recorded to {ground.recorder.path}")
     if ending.hurried:
         raise typer.Exit(ending.status)
+
+
+def open_in_background(address: Address) -> None:
+    """Open the page in the default browser without waiting for it."""
+    from mufly.station.page.address import open_in_browser
+
+    threading.Thread(target=open_in_browser, args=(address,), daemon=True).start()
 
 
 def announce(address: Address, links: list[str]) -> None:
@@ -538,16 +503,13 @@ def link(
     faults = check_sensors(helicopter, sensors, fault)
     controllers = on_board(firmware)
 
-    from mufly.control import design
-    from mufly.flight import Flight
-    from mufly.link import TlogWriter, VehicleLink, run
-    from mufly.link.process import warm_up
+    from mufly.station.page.starting import Startup
 
     terminal = console()
     terminal.print(
         f"[bold]{helicopter.name}[/bold] is MAVLink system {system}, with {plan.name}", highlight=False
     )
-    say(*filter(None, [flies_on(helicopter, sensors), computed_by(helicopter, sensors, firmware)]))
+    say(flies_on(helicopter, sensors))
     for end in endpoints:
         say(f"  it {end.explanation}")
         if end.beyond_loopback:
@@ -555,9 +517,23 @@ def link(
                 f"  anyone who can reach {end.host} port {end.port} may command it: MAVLink has no password",
                 style="yellow",
             )
-    controller = design(helicopter)
     sensing: Sensing = "ideal" if sensors == "ideal" else "fitted"
-    warm_up(helicopter, controller, sensing)
+    startup = Startup()
+    with LiveDisplay(terminal) as display:
+        display.follow(startup)
+        startup.begin("building the estimator")
+        say(*filter(None, [computed_by(helicopter, sensors, firmware)]))
+        startup.begin("loading the libraries")
+        from mufly.control import design
+        from mufly.flight import Flight
+        from mufly.link import TlogWriter, VehicleLink, run
+        from mufly.link.process import COMPILING, DESIGNING, warm_up
+
+        startup.begin(DESIGNING)
+        controller = design(helicopter)
+        startup.begin(COMPILING)
+        warm_up(helicopter, controller, sensing)
+        startup.finish()
     recording = None if out is None else out / "flight.mcap"
     flight = Flight(
         helicopter, plan, controller=controller, wind=steady, gust=gust, seed=seed, path=recording, keep=False,

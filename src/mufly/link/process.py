@@ -52,11 +52,13 @@ Sensing = Literal["ideal", "fitted"]
 CATCH_UP_S = 1.0
 """Stalls up to so long are made up for (s)."""
 READY_WITHIN_S = 120.0
-"""A vehicle's process that does not listen after so long is given up (s)."""
+"""A vehicle's process that does not get on with its start for so long is given up (s)."""
 HURRY = 2.0
 """How much faster than real time the loop goes while it makes up for a stall."""
 WINDOW_S = 5.0
 """The real-time factor is taken over so long (s)."""
+DESIGNING, COMPILING = "designing the controllers", "compiling the model"
+"""Stages of a start, in words; the second takes longest on a machine where it is the first time."""
 _MARK_S = 0.1
 _REPORT_S = 0.2
 _WARM_UP_S = 8.0
@@ -380,22 +382,27 @@ class VehicleProcess:
         How its loop is doing.
     sight : Sight or None
         The picture that was looked at last, of a flight on pictures.
+    stage : str
+        The stage of its start that it is in, or was in last.
     outcome, reason : str
         Of the flight; "" while it is open.
     error : str
         Why it ended, if it could not go on.
     """
 
-    def __init__(self, order: Mapping[str, Any]) -> None:
+    def __init__(self, order: Mapping[str, Any], on_stage: Callable[[str], None] | None = None) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
+        self._on_stage = on_stage or (lambda _: None)
+        self.stage = "loading the vehicle's libraries"
         self.events: deque[Event] = deque(maxlen=_KEPT_EVENTS)
         self.notices: deque[str] = deque(maxlen=_KEPT_EVENTS)
         self.report: Report | None = None
         self.sight: Sight | None = None
         self.outcome = self.reason = self.error = ""
         self._ready = threading.Event()
-        self._began_s = time.monotonic()
+        self._staged_s = time.monotonic()
+        self._on_stage(self.stage)
         self._process = context.Process(target=_main, args=(order, theirs), name="mufly vehicle", daemon=True)
         self._process.start()
         theirs.close()
@@ -425,9 +432,10 @@ class VehicleProcess:
             if self.error:
                 raise MuflyError(self.error)
             return True
-        if time.monotonic() - self._began_s > READY_WITHIN_S:
+        if time.monotonic() - self._staged_s > READY_WITHIN_S:
             raise MuflyError(
-                f"the vehicle did not start within {READY_WITHIN_S:g} s; is the machine very busy?"
+                f"the vehicle did not start: {self.stage} took more than {READY_WITHIN_S:g} s; "
+                "is the machine very busy?"
             )
         return False
 
@@ -486,6 +494,9 @@ class VehicleProcess:
                 self.outcome = content.state.outcome
             elif kind == "sight":
                 self.sight = content
+            elif kind == "stage":
+                self.stage, self._staged_s = content, time.monotonic()
+                self._on_stage(content)
             elif kind == "ready":
                 self._ready.set()
             elif kind == "done":
@@ -495,7 +506,10 @@ class VehicleProcess:
                 self.error = content
         if not ended and not self.error:
             when = "while it flew" if self._ready.is_set() else "before it was ready"
-            self.error = f"the vehicle's process ended {when}, without a word (killed, or out of memory?)"
+            during = "" if self._ready.is_set() else f" ({self.stage})"
+            self.error = (
+                f"the vehicle's process ended {when}{during}, without a word (killed, or out of memory?)"
+            )
         self._ready.set()
 
 
@@ -519,6 +533,7 @@ def start_vehicle(
     system: int = 1,
     origin: Origin | None = None,
     where: str = "endpoint",
+    on_stage: Callable[[str], None] | None = None,
 ) -> VehicleProcess:
     """Start a simulated vehicle in a process of its own, behind a MAVLink link, in real time.
 
@@ -538,6 +553,8 @@ def start_vehicle(
         Where on the globe it is.
     where : str
         What named the endpoints, for the message of an error.
+    on_stage : callable, optional
+        Told every stage of its start as it begins ("compiling the model"), from a thread of its own.
 
     Returns
     -------
@@ -566,7 +583,7 @@ def start_vehicle(
             "outside": outside,
         },
     }
-    return VehicleProcess(order)
+    return VehicleProcess(order, on_stage)
 
 
 class _Teller:
@@ -656,8 +673,11 @@ def _fly(
     vehicle, mission = order["vehicle"], order["mission"]
     vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
     mission = mission if isinstance(mission, Mission) else load_mission(mission)
+    tell("stage", DESIGNING)
     controller = design(order["flight"]["designed_for"] or vehicle)
+    tell("stage", COMPILING)
     warm_up(vehicle, controller, order["flight"]["sensors"])
+    tell("stage", "starting the camera" if order["flight"]["eye"] is not None else "starting the vehicle")
     flying.set()
     flight = Flight(vehicle, mission, controller=controller, keep=False, **order["flight"])
     if flight.camera is not None:

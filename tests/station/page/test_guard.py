@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mufly.errors import InputError
-from mufly.station.page.server import COOKIE, Guard, choose_address, is_loopback, new_token
+from mufly.station.page.address import COOKIE, Guard, choose_address, is_loopback, new_token
 
 TOKEN = "correct-horse-battery"
 

@@ -80,6 +80,7 @@ def build(view: View) -> None:
                     Panel(module)
         with element("main", classes="mf-centre"):
             scene = Panel("scene")
+            Panel("starting")
             sticks = StickPanel(view, lambda: bar.reasons()["sticks"])
             with element("div", classes="mf-replay-row").props("hidden"):
                 Panel("replaybar").on("replay", lambda e: _replay(view, e))

@@ -27,6 +27,7 @@ from mufly.slam import Sight
 from mufly.station.history import Outcome, Request, Snapshot
 from mufly.station.page.caution import battery_words, drawn_fence
 from mufly.station.page.drafts import Sketch
+from mufly.station.page.starting import Startup
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import Recording, Replay
@@ -74,6 +75,10 @@ class Session:
         The mission that is being drawn.
     sight : callable or None
         Returns the picture that was looked at last, of a vehicle that flies on pictures.
+    startup : Startup or None
+        How far the start of the vehicle is, where this station starts one.
+    opened : int
+        How many windows were opened so far.
     """
 
     vehicles: Callable[[], Sequence[RemoteVehicle]]
@@ -89,10 +94,13 @@ class Session:
     battery: tuple[float, float] | None = None
     sketch: Sketch = field(default_factory=Sketch)
     sight: Callable[[], Sight | None] | None = None
+    startup: Startup | None = None
+    opened: int = 0
     clock: Callable[[], float] = time.monotonic
 
     def open(self, client_id: str) -> View:
         """A window was opened."""
+        self.opened += 1
         view = self.views[client_id] = View(client_id, self)
         if self.to_open is not None:
             view.show_recording(self.to_open)
@@ -106,6 +114,11 @@ class Session:
     def watching(self) -> int:
         """How many windows are open and hear us."""
         return sum(view.live for view in self.views.values())
+
+    def starting(self) -> dict[str, Any] | None:
+        """How far the start is; None once the vehicle stands, and where none is started."""
+        start = self.startup
+        return None if start is None or (start.done and not start.fault) else start.told()
 
     def settle(self) -> None:
         """Give the controls to the only window there is, once whoever held them has been gone for a second."""
@@ -226,6 +239,7 @@ class View:
             "selected": "" if v is None else v.name,
             "color": 0 if v is None else v.color,
             "flight": self.flight(),
+            "start": self.session.starting(),
         }  # fmt: skip
 
     def flight(self) -> dict[str, Any] | None:

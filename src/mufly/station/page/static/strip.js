@@ -10,12 +10,12 @@ export function mount(element) {
   element.append(el("div", { class: "mf-strip-line" }, what, how), el("div", { class: "mf-strip-about" }, battery, pace, when, about));
   let at = 0, said = "";
 
-  function show(flight) {
-    const f = flight || {};
+  function show(flight, start) {
+    const f = flight || {}, stage = start?.stages.at(-1);
     const silent = flight && !f.connected, up = f.flying ? "In flight" : f.armed ? "Armed, on the floor" : "On the floor, motors off";
     element.dataset.state = silent ? "lost" : f.flying ? "flying" : f.armed ? "armed" : "";
-    put(what, !flight ? "No vehicle" : silent ? `No link for ${number(f.silent_s, 0)} s` : up);
-    put(how, !flight ? "" : silent ? `was ${up.toLowerCase()}` : [f.flying ? f.state : "", f.flying ? `${number(f.height)} m` : ""].filter(Boolean).join("  "));
+    put(what, !flight ? (start?.fault ? "The vehicle did not start" : start ? "Starting" : "No vehicle") : silent ? `No link for ${number(f.silent_s, 0)} s` : up);
+    put(how, !flight ? (stage && !start.fault ? `${stage[0]}, ${number(Math.floor(stage[1]), 0)} s` : "") : silent ? `was ${up.toLowerCase()}` : [f.flying ? f.state : "", f.flying ? `${number(f.height)} m` : ""].filter(Boolean).join("  "));
     const [charge, left] = f.battery || ["", ""];
     put(battery, left && `battery ${left}`);
     battery.dataset.level = charge;
@@ -23,7 +23,7 @@ export function mount(element) {
     pace.title = f.pace ? "the vehicle's clock against this machine's, of late; a slip is time that was given up" : "";
     pace.dataset.level = f.slow ? "warn" : "";
     const others = f.others?.length ? `; armed too: ${f.others.join("; ")}` : "";
-    const [level, words, age] = f.alert || ["", flight ? f.name + others : "", 0];
+    const [level, words, age] = start?.fault ? ["error", start.fault, 0] : f.alert || ["", flight ? f.name + others : "", 0];
     tell(level, words, age);
   }
   function tell(level, text, age = 0) {
@@ -38,7 +38,7 @@ export function mount(element) {
     const now = performance.now();
     if (!f.about || (now - at < REFRESH_MS && !f.new)) return;
     at = now;
-    show(f.about.flight);
+    show(f.about.flight, f.about.start);
   }, { offline: (yes) => {
     if (!yes) return;
     element.dataset.state = "lost";
