@@ -21,6 +21,14 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
         return int(probe.getsockname()[1])
 
 
+def served(port: int) -> bool:
+    """Whether the station's page is served; before it, there is one that tells how far the start is."""
+    try:
+        return status(port, f"/starting?token={TOKEN}") != 200
+    except OSError:
+        return False
+
+
 @pytest.fixture(scope="module", params=["open", "with token"])
 def station(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
@@ -47,9 +55,8 @@ def station(
         )  # fmt: skip
     try:
         for _ in range(1800):
-            with socket.socket() as probe:
-                if not probe.connect_ex(("127.0.0.1", port)):
-                    break
+            if served(port):
+                break
             assert process.poll() is None, (folder / "log.txt").read_text()
             time.sleep(0.1)
         yield port, closed
