@@ -1,4 +1,4 @@
-"""How far a start is: its stages by a stepped clock, and the page that tells them until the station's page is served."""
+"""How far a start is: its stages by a stepped clock, and the page that tells them until another is served."""
 
 import http.client
 import json
