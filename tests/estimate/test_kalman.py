@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 
 from mufly.control import design
 from mufly.estimate import Check, Estimate
+from mufly.estimate import sensor_checks as g
+from mufly.estimate.beliefs import reason
 from mufly.estimate.fitted import KalmanEstimator
-from mufly.estimate.layout import EX_ATT
+from mufly.estimate.layout import EX_ATT, R_FIX
 from mufly.estimate.nees import Consistency, consistency
 from mufly.flight import Flight
 from mufly.mission import mission_from
@@ -421,3 +423,40 @@ def test_a_spot_that_is_seen_once_is_no_obstacle(vehicle: Vehicle) -> None:
         far,
         0.42,
     ]
+
+
+def test_rotors_that_run_down_after_landing_do_not_upset_it() -> None:
+    """They turn the vehicle on its legs by a degree a second: neither the gyroscopes nor the fix is to blame."""
+    down = {
+        "take_off": {"height_m": 0.3},
+        "waypoint": [{"position_m": [0.0, 0.3, -0.4], "heading_deg": 60.0}],
+        "at_end": "land",
+    }
+    said: list[str] = []
+    with Flight(
+        load_vehicle("mufly-1.1"), mission_from(down), keep=False, sensors="fitted", seed=0
+    ) as flight:
+        flight.autopilot.listeners.append(lambda event: said.append(event.text))
+        while flight.autopilot.not_ready():
+            flight.tick()
+        flight.autopilot.arm()
+        flight.autopilot.start_mission()
+        while flight.status.armed:
+            flight.tick()
+        landed_s = flight.time_s
+        while flight.time_s < landed_s + 4.0:
+            flight.tick()
+        truth, m = flight.status.truth, flight.status.estimate
+    assert not [text for text in said if text.startswith("position fix")]
+    assert abs(truth.attitude[2] - m.attitude[2]) < math.radians(2.0)
+    assert m.beliefs is not None
+    assert abs(m.beliefs.fix_bias[3]) < math.radians(2.0)
+
+
+def test_a_reason_names_the_unit_of_its_number() -> None:
+    assert reason(g.STRAINED, -0.0129, R_FIX).startswith("keeps being off, by -0.0129 m now")
+    assert reason(g.STRAINED, math.radians(-3.0), R_FIX, 3).startswith(
+        "keeps being off, by -3 deg in heading now"
+    )
+    assert reason(g.OFF, 0.4, R_FIX, 1) == "is off by 0.4 m from what all others say"
+    assert reason(g.FROZEN, 0.5, R_FIX, 3) == "has said the same to the last digit for 0.50 s"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, overload
@@ -158,7 +159,8 @@ class Checks(Sequence[Check]):
             m, s, fitted = self._of
             dt, tick = float(s["dt"]), int(m["tick"])
             rows = zip(*(m[name].tolist() for name in _NUMBERS), strict=True)
-            self._said = tuple(_check(k, row, dt, tick) for k, row in enumerate(rows) if k in fitted)
+            part = int(m["fault_component"])
+            self._said = tuple(_check(k, row, dt, tick, part) for k, row in enumerate(rows) if k in fitted)
         return self._said
 
 
@@ -167,21 +169,30 @@ _NUMBERS = (
 )  # fmt: skip
 
 
-def _check(k: int, row: Sequence[float], dt: float, tick: int) -> Check:
+def _check(k: int, row: Sequence[float], dt: float, tick: int, part: int) -> Check:
     code, why, number, nu, spread, used, came = row
     if code == g.NOTHING and why == g.FINE:
         why = g.FINE if came else g.NOTHING_YET
     return Check(
         CHECKED[k], _STATUS[int(code)], nu, spread, nu / spread if spread > 0.0 else 0.0,
-        (tick - int(used)) * dt, reason(int(why), number, k), code == g.FUSED and int(why) in ODD,
+        (tick - int(used)) * dt, reason(int(why), number, k, part), code == g.FUSED and int(why) in ODD,
     )  # fmt: skip
 
 
-def reason(why: int, number: float, sensor: int) -> str:
-    """Return why a sensor, by its place in :data:`mufly.estimate.layout.CHECKED`, is thought of as it is."""
+_HEADING_COMPONENT = 3
+_INNOVATIONS = (g.OFF, g.TAKEN_OVER, g.STRAINED)
+
+
+def reason(why: int, number: float, sensor: int, component: int = 0) -> str:
+    """Return why a sensor, by its place in :data:`mufly.estimate.layout.CHECKED`, is thought of as it is.
+
+    ``component`` is that of a position fix that the number is of: N, E, D (m) or the heading (rad).
+    """
+    if sensor == R_FIX and component == _HEADING_COMPONENT and why in _INNOVATIONS:
+        return _WORDS[why](math.degrees(number), "deg in heading")
     return _WORDS[why](number, _unit(sensor))
 
 
 def _unit(k: int) -> str:
     unit = READINGS[CHECKED[k]].unit
-    return {R_FIX: "m or rad", R_MAGNET: "rad", R_SONAR: "m", R_PRESSURE: "Pa"}.get(k, unit)
+    return {R_FIX: "m", R_MAGNET: "rad", R_SONAR: "m", R_PRESSURE: "Pa"}.get(k, unit)

@@ -42,6 +42,7 @@ from mufly.estimate.fusion import (
     reset_terrain,
 )
 from mufly.estimate.layout import (
+    COASTING,
     EDGE_S,
     ERRORS,
     EX_FIX_BIAS,
@@ -144,6 +145,8 @@ _ALIGNED_S = 0.8
 _BLIND_S = 0.1  # without gyroscopes
 BLIND_TURN = 0.002
 """Density of the turning (rad^2/s) that is not known without them: the stabiliser bar keeps the rotors level."""
+STOPPED = 0.02
+"""Share of the speeds in hover below which rotors stand. Those that run down with the motors off turn the vehicle."""
 MOST_DOUBT = 2.5
 """Deviations of the thrust's scale by which lift-off may come sooner or later."""
 KNOWN_THRUST, UNKNOWN_S = 0.03, 0.02
@@ -230,13 +233,9 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
     rises = 0.0
     m.near_ground = 1 if near else 0
     if m.flight_phase <= RUNNING:
-        m.flight_phase = (
-            STANDING
-            if off
-            and m.rotor_state[RS_SPEED_UPPER] + m.rotor_state[RS_SPEED_LOWER]
-            < 0.2 * (s.hover_speed[0] + s.hover_speed[1])
-            else RUNNING
-        )
+        turning = m.rotor_state[RS_SPEED_UPPER] + m.rotor_state[RS_SPEED_LOWER]
+        stands = turning <= STOPPED * (s.hover_speed[0] + s.hover_speed[1])
+        m.flight_phase = RUNNING if not off else STANDING if stands else COASTING
         if lift * (1.0 + doubt) > 0.9 and m.flight_phase == RUNNING:
             m.flight_phase = LIGHT
             m.initialised = 1
@@ -540,7 +539,7 @@ def _run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, lef
             cost = RESTING
             if cost > left:
                 return 0
-            fuse_zero_motion(m, s, r, m.mean_ticks, mode == STANDING, i)
+            fuse_zero_motion(m, s, r, m.mean_ticks, mode, i)
             m.standing_ticks += m.mean_ticks if mode == STANDING and i == 0 else 0
         elif mode == FLYING and s.has_rotor_model > 0 and s.fitted[R_ACCELERATION] > 0:
             cost = 1

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.estimate.layout import (
+    COASTING,
     ERRORS,
     EX_ACCEL_BIAS,
     EX_ATT,
@@ -44,6 +45,7 @@ from mufly.estimate.layout import (
     R_RATES,
     R_RING,
     R_SONAR,
+    STANDING,
     SX_ACCEL_BIAS,
     SX_ATT,
     SX_FIX_BIAS,
@@ -301,6 +303,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         ratio = _innovation_ratio(m, nu, r)
         if abs(ratio) > abs(worst):
             worst, at = ratio, nu
+            m.fix_component = i
     _log_innovation(m, k, at, worst)
     # Off by more and more, it is not a fix that jumps: the filter is led away. Without a rotor model its
     # deviations are a guess, and a record whose axes are wrong would be followed from fix to fix.
@@ -640,10 +643,13 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
 
 
 @compiled(error_model="numpy")
-def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, still: bool, i: int) -> None:
-    """Fuse zero velocity and rate along axis ``i`` on the floor; with the motors off (``still``) also gravity."""
+def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, mode: int, i: int) -> None:
+    """Fuse zero velocity along axis ``i`` on the floor; no rate, unless rotors run down; and gravity where they stand."""
     _h_row_begin(m, EX_VEL + i, 1.0)
     _fuse_scalar(m, -m.x[SX_VEL + i], 4e-4)
+    if mode == COASTING:
+        return  # such rotors turn the vehicle on its legs: that is no noise, but a rate that lasts
+    still = mode == STANDING
     _h_row_begin(m, EX_GYRO_BIAS + i, 1.0)
     calm = s.rest_gyro * s.rest_gyro / count if still else 2.5e-5
     off = m.gyro_mean[i] - m.x[SX_GYRO_BIAS + i]

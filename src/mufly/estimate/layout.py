@@ -91,7 +91,7 @@ SENSORS = len(CHECKED)
     R_ACCELERATION, R_RATES, R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_FIX, R_BATTERY,
 ) = range(SENSORS)  # fmt: skip
 BEAMS = 8
-STANDING, RUNNING, LIGHT, FLYING = range(4)
+STANDING, COASTING, RUNNING, LIGHT, FLYING = range(5)
 """On the floor with motors off, with motors on, perhaps just off it, in the air."""
 BLOCK_S = 0.02
 """Inputs are averaged over this time (s), and the filter moves on by it: attitude and force of a turn of 2 rad/s are
@@ -195,7 +195,9 @@ class FilterMemory:
     rates_lp: _Array = _real("rates without bias at the horizon, lp", 3, unit="rad/s")
     terrain_edge: float = _real("1 at an edge in the sonar's cone, falling to 0")
     divergence_ticks: int = _int("periods for which the gyroscopes' bias stays free; 1: has been freed once")
-    flight_phase: int = _int("STANDING, RUNNING, LIGHT or FLYING")
+    flight_phase: int = _int("STANDING, COASTING, RUNNING, LIGHT or FLYING")
+    fix_component: int = _int("component of the last position fix that is off most: N, E, D, heading")
+    fault_component: int = _int("the same of the fix's fault_number")
     near_ground: int = _int("1: the sonar reads its least range")
     spike_repeats: int = _int("gyroscope readings in a row that are off alike")
     gyro_offset: _Array = _real("jumps of the gyroscopes, taken off", 3, unit="rad/s")

@@ -91,6 +91,8 @@ def set_fault(m: FilterMemory, s: FilterSettings, k: int, code: int, why: int, n
     m.reason[k] = why
     m.fault_number[k] = number
     m.fault_until_tick[k] = m.tick + int(LASTS_S / s.dt)
+    if k == R_FIX:
+        m.fault_component = m.fix_component
 
 
 @compiled(error_model="numpy")

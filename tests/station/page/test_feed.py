@@ -324,14 +324,12 @@ def test_sensors_and_bands_are_told_where_an_estimator_says_what_it_believes() -
     assert sensors_of(history) == [("rates", "fused", 0.0, ""), ("position fix", "rejected", -7.3, "")]
     said = [
         Message(0.2, "warning", "position fix says nothing: nothing has come for 0.52 s"),
-        Message(
-            0.8, "warning", "position fix is not believed: is off by 0.4 m or rad from what all others say"
-        ),
+        Message(0.8, "warning", "position fix is not believed: is off by 0.4 m from what all others say"),
         Message(0.9, "warning", "gyroscope is faulty: has spikes"),  # that was; it is believed again
     ]
     assert [why for *_, why in sensors_of(history, said)] == [
         "",
-        "is off by 0.4 m or rad from what all others say",
+        "is off by 0.4 m from what all others say",
     ]
     (position,) = (q for q in catalog(history.names, history.unit) if q["key"] == "position")
     assert position["bands"]["estimated/height"] == "estimated_position_sigma_D"

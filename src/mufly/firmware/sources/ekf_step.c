@@ -81,8 +81,13 @@ static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s,
 
     m->near_ground = near ? 1 : 0;
     if (m->flight_phase <= RUNNING) {
-        m->flight_phase = (off && ((m->rotor_state[RS_SPEED_UPPER] + m->rotor_state[RS_SPEED_LOWER]) < (REAL(0.2) * (s->hover_speed[0] + s->hover_speed[1])))) ? STANDING
-                                                                                                       : RUNNING;
+        const real_t turning = m->rotor_state[RS_SPEED_UPPER] + m->rotor_state[RS_SPEED_LOWER];
+        const bool stands = turning <= (STOPPED * (s->hover_speed[0] + s->hover_speed[1]));
+
+        m->flight_phase = stands ? STANDING : COASTING;
+        if (!off) {
+            m->flight_phase = RUNNING;
+        }
         if (((lift * (REAL(1.0) + doubt)) > REAL(0.9)) && (m->flight_phase == RUNNING)) {
             m->flight_phase = LIGHT;
             m->initialised = 1;
@@ -512,7 +517,7 @@ static int32_t fuse_block_axis(estimator_t *m, const estimator_settings_t *s, in
     if (mode <= RUNNING) {
         if (RESTING <= left) {
             cost = RESTING;
-            fuse_zero_motion(m, s, m->mean_ticks, mode == STANDING, i);
+            fuse_zero_motion(m, s, m->mean_ticks, mode, i);
             if ((mode == STANDING) && (i == 0)) {
                 m->standing_ticks += m->mean_ticks;
             }

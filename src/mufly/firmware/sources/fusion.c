@@ -219,6 +219,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         if (((i != 2) || down) && (real_abs(ratio) > real_abs(worst))) {
             worst = ratio;
             at = nu;
+            m->fix_component = i;
         }
     }
     log_innovation(m, k, at, worst);
@@ -635,13 +636,17 @@ void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t 
     }
 }
 
-void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t count, bool still, int32_t i)
+void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t mode, int32_t i)
 {
+    const bool still = mode == STANDING;
     const real_t calm = still ? ((s->rest_gyro * s->rest_gyro) / (real_t)count) : REAL(2.5e-5);
     real_t off;
 
     h_row_begin(m, EX_VEL + i, REAL(1.0));
     fuse_scalar(m, -m->x[SX_VEL + i], REAL(4e-4));
+    if (mode == COASTING) {
+        return; /* such rotors turn the vehicle on its legs: that is no noise, but a rate that lasts */
+    }
     off = m->gyro_mean[i] - m->x[SX_GYRO_BIAS + i];
     h_row_begin(m, EX_GYRO_BIAS + i, REAL(1.0));
     /* With its rotors running it may slide and turn on its legs. */

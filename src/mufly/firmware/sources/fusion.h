@@ -19,7 +19,7 @@ void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s, const 
 void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t i);
 
 /* Fuse zero velocity and rate along axis i on the floor; with the motors off (still) also gravity. */
-void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t count, bool still, int32_t i);
+void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t mode, int32_t i);
 
 /* Return the height of the legs above the surface below (m); that surface is not below the floor. */
 real_t height_above_ground(const real_t x[STATES], const estimator_settings_t *s);

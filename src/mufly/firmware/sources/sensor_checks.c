@@ -8,6 +8,9 @@ void set_fault(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t
     m->reason[k] = why;
     m->fault_number[k] = number;
     m->fault_until_tick[k] = m->tick + (int32_t)(LASTS_S / s->dt);
+    if (k == R_FIX) {
+        m->fault_component = m->fix_component;
+    }
 }
 
 void mark_fused(estimator_t *m, int32_t k)
