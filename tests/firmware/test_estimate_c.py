@@ -11,7 +11,20 @@ import pytest
 from mufly.control import design
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator, native
-from mufly.estimate.layout import EX_TERRAIN, R_RING, R_SONAR, SX_ATT, SX_FIX_BIAS, SX_TERRAIN
+from mufly.estimate.layout import (
+    COASTING,
+    EX_TERRAIN,
+    FLYING,
+    LIGHT,
+    R_RING,
+    R_SONAR,
+    RS_SPEED_UPPER,
+    RUNNING,
+    STANDING,
+    SX_ATT,
+    SX_FIX_BIAS,
+    SX_TERRAIN,
+)
 from mufly.estimate.native import Code
 from mufly.estimate.records import PYTHON_ALONE
 from mufly.estimate.ud_filter import inflate_variance, state_variance
@@ -95,7 +108,7 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
     assert same(c._box, python._box)
     assert (disowned > 0) == faults.startswith("accelerometer.drift")  # forces apart by six deviations
     if not faults:
-        assert c.memory["flight_phase"] == 3  # it flew
+        assert c.memory["flight_phase"] == FLYING
         c.memory["x"][SX_TERRAIN] += 1e-15
         assert not same(c._box, python._box)  # the comparison can fail
 
@@ -198,7 +211,11 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
                 x[5] = rng.normal(0.0, 0.5) * (rng.random() < 0.3)
                 x[SX_TERRAIN] = rng.normal(0.0, 0.1) * (rng.random() < 0.3)
                 shift = rng.normal(0.0, 4.0, 3) * (rng.random() < 0.2)
-                mode, sensor, code = rng.integers(0, 4), rng.integers(0, R_RING + 1), rng.integers(0, 5)
+                mode, sensor, code = (
+                    rng.integers(0, FLYING + 1),
+                    rng.integers(0, R_RING + 1),
+                    rng.integers(0, 5),
+                )
                 edge, apart, ago = rng.choice([0.0, 0.5]), rng.choice([0.0, 0.3]), rng.integers(0, 200)
                 for e in (c, python):
                     m = e.memory
@@ -209,12 +226,15 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
                         code,
                         max(int(m["tick"]) - int(ago), 0),
                     )
+                    m["rotor_state"][RS_SPEED_UPPER] += (
+                        200.0 if k < 200 else 0.0
+                    )  # on the floor: it runs down
             told, right = c.update(r, a), python.update(r, a)
             assert told.valid == right.valid
             assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k
             modes.add(int(c.memory["flight_phase"]))
     assert same(c._box, python._box)
-    assert modes == {0, 1, 2, 3}
+    assert modes == {STANDING, COASTING, RUNNING, LIGHT, FLYING}
 
 
 def streams(vehicle: Vehicle, felt) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

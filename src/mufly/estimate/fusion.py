@@ -644,7 +644,7 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
 
 @compiled(error_model="numpy")
 def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, mode: int, i: int) -> None:
-    """Fuse zero velocity along axis ``i`` on the floor; no rate, unless rotors run down; and gravity where they stand."""
+    """Fuse zero velocity along axis ``i`` on the floor, zero rate unless rotors run down, gravity where they stand."""
     _h_row_begin(m, EX_VEL + i, 1.0)
     _fuse_scalar(m, -m.x[SX_VEL + i], 4e-4)
     if mode == COASTING:

@@ -12,18 +12,22 @@ mission and events go into the file; other text does not. Other people's MCAP fi
 
 from __future__ import annotations
 
+import struct
 import warnings
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import orjson
 import xarray as xr
+from mcap.data_stream import ReadDataStream
 from mcap.reader import make_reader
+from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
@@ -183,6 +187,7 @@ def read_facts(path: str | Path) -> dict[str, Any]:
         No such file, not an MCAP file, or nothing in it.
     """
     facts: dict[str, Any] = {"complete": True}
+    first, last, count, metadata = 0, 0, 0, {}
     try:
         with open(path, "rb") as stream:
             reader = make_reader(stream)
@@ -192,17 +197,59 @@ def read_facts(path: str | Path) -> dict[str, Any]:
             raise ValueError("no summary")
         first, last = found.statistics.message_start_time, found.statistics.message_end_time
         count = found.statistics.message_count
-    except Exception:  # Cut off, damaged or no MCAP at all: what there is of it is read whole, and says why.
-        contents = read_mcap(path)
-        times = [t for messages in contents.messages.values() for t, _ in (messages[:1] + messages[-1:])]
-        first, last, count = min(times, default=0), max(times, default=0), len(times)
-        metadata, facts["complete"] = contents.metadata, contents.complete
+    except Exception:
+        with suppress(Exception):
+            first, last, count, metadata = _scan_records(path)
+        facts["complete"] = False
+        if not count:  # Damaged or no MCAP at all: what there is of it is read whole, and says why.
+            contents = read_mcap(path)
+            times = [t for messages in contents.messages.values() for t, _ in (messages[:1] + messages[-1:])]
+            first, last, count = min(times, default=0), max(times, default=0), len(times)
+            metadata, facts["complete"] = contents.metadata, contents.complete
     if not count:
         raise InputError(str(path), "", "holds no messages", "it ended before its first second was on disk")
     for name in (METADATA_FLIGHT, METADATA_OUTCOME):
         with suppress(KeyError, TypeError, ValueError):
             facts |= _attributes(metadata[name])
     return {"start_time_ns": first} | facts | {"duration_s": (last - first) * 1e-9}
+
+
+_RECORD = struct.Struct("<BQ")  # opcode, length
+_TIMES = struct.Struct("<QQ")
+_MAGIC_BYTES = 8
+_MESSAGE, _CHUNK, _METADATA, _LAST_OPCODE = 0x05, 0x06, 0x0C, 0x0F
+
+
+def _scan_records(path: str | Path) -> tuple[int, int, int, dict[str, Any]]:
+    """First and last time (ns), how many chunks and messages, and metadata of a file that has no end (yet).
+
+    Chunks are not read: their heads tell the time. Nothing of a file that is damaged before its last byte.
+    """
+    first, last, count, metadata = 0, 0, 0, {}
+    with open(path, "rb") as stream:
+        size = stream.seek(0, 2)
+        at = _MAGIC_BYTES
+        while at + _RECORD.size <= size:
+            stream.seek(at)
+            opcode, length = _RECORD.unpack(stream.read(_RECORD.size))
+            at += _RECORD.size + length
+            if not 0 < opcode <= _LAST_OPCODE:
+                return 0, 0, 0, {}
+            if at > size:
+                break
+            if opcode == _METADATA:
+                found = Metadata.read(ReadDataStream(BytesIO(stream.read(length))))
+                metadata[found.name] = found.metadata
+            elif opcode in (_CHUNK, _MESSAGE):
+                if opcode == _MESSAGE:
+                    stream.seek(6, 1)  # channel, sequence
+                begin, end = _TIMES.unpack(stream.read(_TIMES.size))
+                first, last = (
+                    min(first, begin) if count else begin,
+                    max(last, end if opcode == _CHUNK else begin),
+                )
+                count += 1
+    return first, last, count, metadata
 
 
 def json_schema(properties: dict[str, Any], title: str = "") -> dict[str, Any]:

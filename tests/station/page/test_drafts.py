@@ -11,7 +11,17 @@ from hypothesis import strategies as st
 from mufly.errors import InputError
 from mufly.mission import Mission, dump_mission, load_mission, mission_from
 from mufly.mission.items import items_of
-from mufly.station.page.drafts import Draft, Sketch, edited, judge, kept_back, of_vehicle, opened, shown
+from mufly.station.page.drafts import (
+    NEW_NAME,
+    Draft,
+    Sketch,
+    edited,
+    judge,
+    kept_back,
+    of_vehicle,
+    opened,
+    shown,
+)
 
 BASE = load_mission("box-on-leg")
 EMPTY = Draft(Mission(name="new"))
@@ -222,3 +232,12 @@ def test_the_newest_state_is_judged_while_one_draws_on() -> None:
     state = shown(sketch.draft, sketch.verdict, "")
     assert (state["undo"], state["bad"], state["checked"], len(state["rows"])) == (5, None, True, 2)
     assert state["rows"][0]["at"] == [4.0, 0.1, 1.0]  # a person reads heights
+
+
+def test_a_mission_that_is_begun_anew_has_a_name_of_its_own() -> None:
+    """Saved, it must not replace the file of the one before."""
+    new = after(Draft(BASE), {"op": "empty"})
+    assert new.mission.name == NEW_NAME != BASE.name
+    assert new.mission.world == BASE.world
+    named = after(new, {"op": "name", "value": "two laps"})
+    assert (named.mission.name, named.undo().mission.name) == ("two laps", NEW_NAME)

@@ -10,7 +10,7 @@ import pytest
 
 from mufly.flight import Recorder
 from mufly.logs import read_facts, read_recording
-from mufly.station.page.flights import FlightFacts, facts_of, is_beside, row_of
+from mufly.station.page.flights import FlightFacts, facts_of, is_beside, reading_turn, row_of
 
 BEGAN_S = 1_700_000_000.0
 
@@ -97,3 +97,23 @@ def test_one_row_a_flight(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     beside = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.*") if is_beside(p)}
     assert beside == {"a/station.mcap", "a/station.tlog", "a/link.tlog", "b/station.tlog"}
+
+
+def test_a_recording_that_grows_is_read_as_fast_as_a_finished_one_and_last(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its chunks are not unpacked; of the files that wait to be read it holds up none."""
+
+    def never(path: Path) -> None:
+        raise AssertionError(f"{path} is read whole")
+
+    monkeypatch.setattr("mufly.logs.recording.read_mcap", never)
+    facts = read_facts(folder / "cut.mcap")
+    assert (facts["vehicle"], facts["mission"], facts["complete"]) == ("mufly-1.1", "square", False)
+    assert 1.0 < facts["duration_s"] < 3.0
+    now = time.time()
+    for name, age_s in (("cut.mcap", 0.0), ("flight.mcap", 60.0), ("table.csv", 60.0)):
+        os.utime(folder / name, (now - age_s, now - age_s))
+    assert sorted((folder / n for n in ("table.csv", "cut.mcap", "flight.mcap")), key=reading_turn) == [
+        folder / n for n in ("flight.mcap", "cut.mcap", "table.csv")
+    ]

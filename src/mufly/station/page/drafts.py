@@ -33,6 +33,8 @@ from mufly.mission.check import MissionEstimate
 from mufly.mission.items import Refusal, plan_of
 from mufly.tables import validated
 
+NEW_NAME = "new-mission"
+"""Of a mission that is begun anew: a file under the name of another would replace it."""
 MOST_STEPS = 200
 MOST_WAYPOINTS = 250
 WHERE = "mission"
@@ -205,7 +207,7 @@ def edited(draft: Draft, order: Mapping[str, Any]) -> Draft:
         "put": lambda: put(m, _row(order), str(order.get("name")), _value(order)),
         "end": lambda: changed(m, at_end=order.get("value")),
         "name": lambda: changed(m, name=str(order.get("value", ""))[:80]),
-        "empty": lambda: _with(m, []),
+        "empty": lambda: changed(_with(m, []), name=NEW_NAME, description=""),
     }
     act = doing.get(op)
     if act is None:

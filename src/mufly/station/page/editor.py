@@ -150,6 +150,7 @@ class MissionEditor:
         vehicle = panels.may_change(self._view, "sent")
         if vehicle is None:
             return
+        self._refused = ""  # of what was typed before; the field shows what is sent
         mission = self._sketch.draft.mission
         verdict = await self._checked()
         if mission is not self._sketch.draft.mission or verdict.fault:

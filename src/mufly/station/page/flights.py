@@ -171,7 +171,7 @@ class FlightList:
         unread = [path for path in found if self._read.get(path, ((0, 0),))[0] != _state(path)]
         self._tell(found)
         told = time.monotonic()
-        for path in sorted(unread, key=lambda p: p.suffix.lower() != ".mcap"):
+        for path in sorted(unread, key=reading_turn):
             while path.suffix.lower() != ".mcap" and any(
                 v.snapshot.flying for v in self._view.session.vehicles()
             ):
@@ -227,6 +227,11 @@ class FlightList:
             path = Path(place) / Path(e.file.name).name
             await e.file.save(path)
             await self._open(path)
+
+
+def reading_turn(path: Path) -> tuple[bool, bool]:
+    """When a file is read for the list: recordings of ours before others' logs, those that grow the last of theirs."""
+    return path.suffix.lower() != ".mcap", abs(time.time() - _state(path)[0] * 1e-9) < GROWING_S
 
 
 def _state(path: Path) -> tuple[int, int]:

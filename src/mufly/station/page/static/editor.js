@@ -19,11 +19,12 @@ export function mount(element) {
     const { start, rows } = draft.state, k = Math.min(draft.selected ?? rows.length, rows.length), [n, e] = k ? rows[k - 1].at : start;
     draft.add(Math.round((n + 1) * 100) / 100, e);
   });
+  const name = el("input", { type: "text", maxlength: 80, "aria-label": "name of the mission", "data-testid": "plan-name", onchange: () => draft.edit({ op: "name", value: name.value.trim() }) });
   const said = el("p", { class: "mf-verdict", role: "status", "data-testid": "plan-verdict" });
   const body = el("tbody");
   const head = el("tr", {}, ...COLUMNS.map(([text, unit]) => el("th", { scope: "col" }, text, unit ? ` (${unit})` : "")));
   element.append(
-    el("div", { class: "mf-tools" }, undo, redo, plus, el("label", { class: "mf-dim" }, "new points at ", high, " m"), said),
+    el("div", { class: "mf-tools" }, undo, redo, plus, el("label", { class: "mf-dim" }, "name ", name), el("label", { class: "mf-dim" }, "new points at ", high, " m"), said),
     el("div", { class: "mf-scroll", tabindex: 0 }, el("table", { class: "mf-table" }, el("thead", {}, head), body)),
   );
   let shape = "";
@@ -95,11 +96,12 @@ export function mount(element) {
       });
     });
     for (const node of element.querySelectorAll("input, select, button")) node.disabled = Boolean(draft.may) && node !== high;
+    if (document.activeElement !== name) name.value = s.name;
     undo.disabled = !s.undo || Boolean(draft.may);
     redo.disabled = !s.redo || Boolean(draft.may);
     undo.title = s.undo ? "undo (Ctrl+Z)" : "nothing to undo";
     const e = s.estimate;
-    const [kind, words] = draft.may ? ["open", draft.may] : s.refused ? ["error", s.refused] : !s.rows.length ? ["open", "click on the floor to add the first waypoint"]
+    const [kind, words] = draft.may ? ["open", draft.may] : s.refused ? ["error", `not taken, all is as before: ${s.refused}`] : !s.rows.length ? ["open", "click on the floor to add the first waypoint"]
       : !s.checked ? ["open", "checking …"] : s.fault ? ["error", s.fault]
         : ["ok", `can be flown: ${number(e.m, 1)} m in ${clock(e.s).split(".")[0]}${e.share === null ? "" : `, ${number(e.share * 100, 0)} % of the battery`}`];
     said.dataset.state = kind;
