@@ -75,6 +75,18 @@ def type_words(vehicle_type: int) -> str:
     return VEHICLE_WORDS.get(vehicle_type) or EQUIPMENT_WORDS.get(vehicle_type, "")
 
 
+_SHAPES: dict[int, str] = {
+    3: "coaxial", 4: "helicopter", 47: "helicopter", 10: "rover", 11: "boat", 12: "submarine", 15: "tricopter",
+    2: "quadrotor", 43: "quadrotor", 20: "quadrotor", 13: "hexarotor", 14: "octorotor", 29: "dodecarotor",
+    35: "octorotor", **dict.fromkeys((1, 16, 17, 19, 21, 22, 23, 24, 25, 28), "plane"),
+}  # fmt: skip
+
+
+def vehicle_shape(vehicle_type: int) -> str:
+    """Return how a MAV_TYPE is drawn: "coaxial", "plane", "quadrotor", "rover", ...; "block" where it is not known."""
+    return _SHAPES.get(vehicle_type, "block")
+
+
 ModeFamily = Literal["copter", "plane", "rover", "submarine", "tracker", "airship", ""]
 """ArduPilot's firmwares, each with flight modes of its own."""
 _FAMILY_OF_TYPE: dict[int, ModeFamily] = {

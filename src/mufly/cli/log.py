@@ -223,19 +223,36 @@ def plot(
     from_s: FromOption = None,
     to_s: ToOption = None,
     spectrum: Annotated[bool, option("--spectrum", "Draw power spectral densities instead.")] = False,
+    beside: Annotated[
+        Path | None, option("--with LOG", "Draw this second log into the same plots, dashed.")
+    ] = None,
+    align: Annotated[
+        str, option("--align EVENT", "With --with: what coincides: take-off, arming, start or clock.")
+    ] = "take-off",
+    offset_s: Annotated[
+        float, option("--offset S", "With --with: move the second log later by this (s), beyond that.")
+    ] = 0.0,
     map_file: MapOption = None,
     column: ColumnOption = None,
 ) -> None:
-    """Draw the signals of a log over time, or their spectra; reference and measurement on each other.
+    """Draw the signals of a log over time, or their spectra; two logs on each other with --with.
 
     Examples: mufly log plot flight.ulg --out pictures; mufly log plot flight.ulg measured_rates --spectrum;
-    mufly log plot flight.ulg sensor_combined/gyro_rad[0] --from 10 --to 20
+    mufly log plot flight.ulg sensor_combined/gyro_rad[0] --from 10 --to 20;
+    mufly log plot monday.mcap attitude --with tuesday.ulg --align take-off
     """  # fmt: skip
     from mufly.logs import channels, chosen, draw_channels, grouped
 
     if from_s is not None and to_s is not None and not from_s < to_s:
         raise InputError("--from", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
     names = signals or []
+    if beside is not None:
+        if spectrum or map_file or column:
+            raise InputError(
+                "--with", "", "draws over time and by our names", "leave out --spectrum, --map, --column"
+            )
+        _plot_beside(log, beside, names, align, offset_s, (from_s, to_s), out)
+        return
     fields = [n for n in names if "/" in n]
     columns = columns_of(map_file, column)
     with progress_bar("Reading", True) as progress:
@@ -270,6 +287,50 @@ def plot(
             tell_files(_save(figure, out or Path(f"{log.stem}-pictures"), f"{log.stem}-{kind}{suffix}"))
             if progress is not None:
                 progress(k + 1, len(pictures))
+
+
+def _plot_beside(
+    log: Path, beside: Path, names: list[str], align: str, offset_s: float,
+    span: tuple[float | None, float | None], out: Path | None,
+) -> None:  # fmt: skip
+    """Draw two logs on each other, and say by how much they differ."""
+    from dataclasses import replace
+
+    from mufly.cli.options import one_of
+    from mufly.station.comparison import (
+        ALIGNMENTS,
+        Comparison,
+        compared_signals,
+        difference_rows,
+        draw_comparison,
+    )
+    from mufly.station.replay import open_recording
+
+    one_of("--align", align, ALIGNMENTS)
+    with progress_bar("Reading", True) as progress:
+        first, second = open_recording(log, progress), open_recording(beside, progress)
+    if first.name == second.name:
+        first = replace(first, name=f"{log.absolute().parent.name}/{log.name}")
+        second = replace(second, name=f"{beside.absolute().parent.name}/{beside.name}")
+    c = Comparison(first, second, align, offset_s)
+    found = compared_signals(c, names)
+    if c.note:
+        typer.secho(c.note, fg=typer.colors.YELLOW, err=True)
+    say(f"{second.name} is moved by {c.shift_s:+.2f} s ({align})")
+    folder = out or Path(f"{log.stem}-with-{beside.stem}")
+    for quantity, members in found.items():
+        figure = draw_comparison(c, members, title=quantity.replace("_", " "))
+        figure.axes[-1].set_xlim(*span)
+        tell_files(_save(figure, folder, f"{log.stem}-with-{beside.stem}-{quantity}"))
+    rows = [
+        (
+            r["signal"],
+            "" if r["units"] == "1" else r["units"],
+            *(_number(r[k]) for k in ("rms", "largest", "at_s")),
+        )
+        for r in difference_rows(c, [n for members in found.values() for n in members])
+    ]
+    print_table(("signal", "unit", "rms difference", "largest", "at (s)"), rows, text=(0, 1))
 
 
 def _note(log: Path, notes: Iterable[str]) -> None:

@@ -166,12 +166,19 @@ def mission_rows(mission: Mission, reached: int = 0) -> list[MissionRow]:
 
 
 class ReplayHistory:
-    """The history of a recording up to the moment that is shown, as :class:`mufly.station.history.History`."""
+    """The history of a recording up to the moment that is shown, as :class:`mufly.station.history.History`.
+
+    Attributes
+    ----------
+    also : callable
+        Gives the values at some times of a signal that the recording has not; None where it is not known either.
+    """
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self.names = tuple(recording.columns)
         self.end = len(recording.times)
+        self.also: Callable[[str, _Array], _Array | None] = lambda name, times: None
 
     def unit(self, name: str) -> str:
         """Unit of a signal, "1" for a pure number."""
@@ -185,6 +192,8 @@ class ReplayHistory:
         for k, name in enumerate(names):
             if name in self._recording.columns:
                 values[:, k] = self._recording.columns[name][first : self.end]
+            elif (found := self.also(name, times)) is not None:
+                values[:, k] = found
         return times, values
 
     def window(self, seconds: float, names: Sequence[str]) -> tuple[_Array, _Array]:

@@ -26,7 +26,7 @@ from mufly.flight.trust import sensor_name
 from mufly.quantities import CHECKED, STATUSES, our_name
 from mufly.slam import Sight
 from mufly.station.history import History, Message, Snapshot
-from mufly.station.page.session import Source, View
+from mufly.station.page.session import Source, View, shape_of
 from mufly.station.replay import ReplayHistory
 from mufly.units import factor_of
 
@@ -197,7 +197,7 @@ class Feed:
             if sight is not None:
                 out["camera"] = encode_sight(sight)
         if "scene" in self.want.sections:
-            out["others"] = [_other(v.name, v.color, v.snapshot) for v in self._view.others()]
+            out["others"] = [_other(v.name, v.color, shape_of(v), v.snapshot) for v in self._view.others()]
         return orjson.dumps(out, option=orjson.OPT_SERIALIZE_NUMPY)
 
     def _samples(self, source: Source) -> dict[str, Any]:
@@ -252,6 +252,8 @@ class Feed:
         if (scenery := changed("scene", self._view.scenery)) is not None:
             out["scenery"] = scenery
             out["trail"] = _trail(source)
+            compared = self._view.comparison()
+            out["compared_trail"] = [] if compared is None else _thinned(compared.track())
         if (rows := changed("mission", lambda: list(source.mission))) is not None:
             out["mission"] = [
                 {"action": r.action, "p": r.position, "heading": r.heading_rad, "wait": r.wait_s,
@@ -323,9 +325,15 @@ def _trail(source: Source) -> Any:
     return []
 
 
-def _other(name: str, color: int, s: Snapshot) -> dict[str, Any]:
+def _thinned(track: _Array) -> Any:
+    step = max(1, math.ceil(len(track) / MOST_TRAIL))
+    return np.ascontiguousarray(track[::step], dtype=np.float32)
+
+
+def _other(name: str, color: int, shape: str, s: Snapshot) -> dict[str, Any]:
     place = {"p": s.estimate.position, "a": s.estimate.attitude, "w": s.rotor_speed}
-    return {"name": name, "color": color} | {k: v.astype(np.float32) for k, v in place.items()}
+    told = {"name": name, "color": color, "shape": shape, "armed": s.armed}
+    return told | {k: v.astype(np.float32) for k, v in place.items()}
 
 
 # Which signals belong together in one axis: a quantity, its components, and who says so. A flat name is

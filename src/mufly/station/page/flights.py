@@ -16,7 +16,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -154,6 +154,7 @@ class FlightList:
             self._place = element("span", "", "mf-dim mf-note")
         self._panel = Panel("flights")
         self._panel.on("open", lambda e: self._with(e, self._open))
+        self._panel.on("compare", lambda e: self._with(e, self._compare))
         self._panel.on("download", lambda e: self._with(e, self._download))
         self._panel.on("hello", self.look)
 
@@ -221,6 +222,30 @@ class FlightList:
         long_s = recording.times[-1] - recording.times[0]
         request.end(Outcome.ACCEPTED, f"{long_s:.0f} s, read in {time.monotonic() - began:.1f} s")
         self._view.show_recording(recording)
+
+    async def _compare(self, path: Path) -> None:
+        """Lay another recording over the one that is shown."""
+        view, shown = self._view, self._view.replay
+        if shown is None:
+            refuse("open a recording first; the second one is laid over it")
+            return
+        request = Request(f"compare with {path.name}")
+        view.ask(request)
+        try:
+            second = await asyncio.to_thread(open_recording, path)
+        except MuflyError as error:
+            request.end(Outcome.REFUSED, str(error))
+            refuse(str(error))
+            return
+        if view.replay is not shown:
+            request.end(Outcome.REFUSED, "another recording was opened meanwhile")
+            return
+        if (
+            second.name == shown.name
+        ):  # two flights have files of the same name: their folders tell them apart
+            second = replace(second, name=f"{path.parent.name}/{second.name}")
+        view.compare(second)
+        request.end(Outcome.ACCEPTED, view.compared.note if view.compared is not None else "")
 
     async def _uploaded(self, e: UploadEventArguments) -> None:
         with tempfile.TemporaryDirectory() as place:

@@ -13,6 +13,7 @@ from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
 from mufly.station.checks import OWN_CHECKS
+from mufly.station.comparison import ALIGNMENTS
 from mufly.station.history import Outcome, Request, Snapshot
 from mufly.station.page.alerts import Watch
 from mufly.station.page.caution import CONFIRMED, Confirmation, Errand, errand_of, failed_checks
@@ -35,6 +36,8 @@ from mufly.station.page.strip import FlightStrip
 from mufly.station.remote import RemoteVehicle
 
 REFRESH_S = 0.2
+MOST_OFFSET_S = 1e6
+"""By how much a second recording may be moved over the first (s)."""
 _KEYS = (
     ("Shift + T, twice", "take off"),
     ("Shift + M, twice", "fly or resume the mission"),
@@ -93,6 +96,7 @@ def build(view: View) -> None:
             )
             _right_tabs(view)
     Panel("keys")
+    Panel("hints")
     scene.on("place", lambda e: _point(e, bar.choose))
     scene.on("goto", lambda e: _point(e, bar.go_to))
 
@@ -272,6 +276,13 @@ def _replay(view: View, e: GenericEventArguments) -> None:
         replay.seek(float(moment))
     if isinstance(speed, int | float) and 0.0 < speed <= 64.0:
         replay.speed = float(speed)
+    compared = view.comparison()
+    if compared is not None and ("by" in content or "offset" in content):
+        by, offset = content.get("by", compared.by), content.get("offset", compared.offset_s)
+        if by in ALIGNMENTS and isinstance(offset, int | float) and abs(offset) < MOST_OFFSET_S:
+            view.compare(compared.second, by, float(offset))
+    if content.get("alone"):
+        view.compare(None)
     if content.get("close"):
         view.close_recording()
 

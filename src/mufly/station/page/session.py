@@ -24,6 +24,7 @@ from mufly.flight import Parameter
 from mufly.link import SLOW
 from mufly.mission import Ask, Mission, may
 from mufly.slam import Sight
+from mufly.station.comparison import PREFIX, Comparison
 from mufly.station.history import Outcome, Request, Snapshot
 from mufly.station.page.caution import battery_words, drawn_fence
 from mufly.station.page.drafts import Sketch
@@ -31,7 +32,7 @@ from mufly.station.page.starting import Startup
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import RemoteVehicle
 from mufly.station.replay import Recording, Replay
-from mufly.vehicle_types import AUTOPILOT_COMPONENT
+from mufly.vehicle_types import AUTOPILOT_COMPONENT, vehicle_shape
 from mufly.world import World
 
 ENDINGS = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
@@ -151,6 +152,7 @@ class View:
         self.client_id, self.session = client_id, session
         self.selected = ""
         self.replay: Replay | None = None
+        self.compared: Comparison | None = None
         self._asked: deque[_Asked] = deque(maxlen=20)
         self._shows = 0
         self._streams = 0
@@ -194,12 +196,31 @@ class View:
     def show_recording(self, recording: Recording) -> None:
         """Show a recording instead of the vehicles."""
         self.replay = Replay(recording)
+        self.compared = None
         self._shows += 1
 
     def close_recording(self) -> None:
         """Go back to the vehicles."""
-        self.replay = None
+        self.replay = self.compared = None
         self._shows += 1
+
+    def compare(self, second: Recording | None, by: str = "take-off", offset_s: float = 0.0) -> None:
+        """Lay a second recording over the one that is shown; None takes it away."""
+        if self.replay is None:
+            return
+        self.compared = c = (
+            None if second is None else Comparison(self.replay.recording, second, by, offset_s)
+        )
+
+        def values(name: str, times: Any) -> Any:
+            return c.sampled(name.removeprefix(PREFIX), times) if c and name.startswith(PREFIX) else None
+
+        self.replay.history.also = values
+        self._shows += 1
+
+    def comparison(self) -> Comparison | None:
+        """What is laid over the recording that is shown."""
+        return self.compared if self.replay is not None else None
 
     # ---- for the frames
 
@@ -225,14 +246,20 @@ class View:
         world["fence"] = drawn_fence(
             v.fence if v is not None else mission.fence if mission is not None else None
         )
-        return {"world": world, "rotor_radius": self.session.rotor_radius_m, "epoch": self.epoch()}
+        return {
+            "world": world, "rotor_radius": self.session.rotor_radius_m, "epoch": self.epoch(),
+            "shape": shape_of(self.vehicle()),
+        }  # fmt: skip
 
     def about(self) -> dict[str, Any]:
         """Replay and recorder, in every frame."""
-        r, v, recorder = self.replay, self.vehicle(), self.session.recorder
+        r, v, recorder, c = self.replay, self.vehicle(), self.session.recorder, self.comparison()
         return {
             "replay": r and {
                 "t": r.time_s, "from": r.start_s, "to": r.end_s, "playing": r.playing, "speed": r.speed, "name": r.name,
+            },
+            "compared": c and {
+                "name": c.second.name, "by": c.by, "offset": c.offset_s, "shift": c.shift_s, "note": c.note,
             },
             "recording": recorder is not None and recorder.recording,
             "vehicles": [v.name for v in self.session.vehicles()],
@@ -348,6 +375,12 @@ def drawn_world(world: World | None) -> dict[str, Any]:
             "n": list(room.north), "e": list(room.east), "h": room.height if math.isfinite(room.height) else None,
         },
     }  # fmt: skip
+
+
+def shape_of(vehicle: RemoteVehicle | None) -> str:
+    """How a vehicle is drawn; a recording and a vehicle that has not said what it is as a coaxial helicopter."""
+    known = 0 if vehicle is None else vehicle.telemetry.vehicle_type
+    return vehicle_shape(known) if known else "coaxial"
 
 
 # Which commands make sense now, and why the others do not: shown on the buttons themselves.

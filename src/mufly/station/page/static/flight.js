@@ -141,7 +141,7 @@ export function mount(element) {
       for (let k = Math.ceil((value - span / 2) / step); k * step <= value + span / 2; k++) {
         const at = mid - (k * step - value) * scale;
         line(ctx, edge, at, edge + out * 5, at);
-        if (at > y + 22 && (k * step >= -1e-9 || rightSide)) ctx.fillText(number(k * step, digits), edge + out * 8, at);
+        if (at > y + 32 && Math.abs(at - mid) > 16 && (k * step >= -1e-9 || rightSide)) ctx.fillText(number(k * step, digits), edge + out * 8, at);
       }
       if (Number.isFinite(wanted)) {
         const at = mid - Math.max(-span / 2 + 0.02 * span, Math.min(span / 2 - 0.02 * span, wanted - value)) * scale;
@@ -154,11 +154,13 @@ export function mount(element) {
       }
     }
     ctx.fillStyle = colours.panel;
-    ctx.fillRect(x, y, w, 15);
+    ctx.fillRect(x, y, w, 26);
     ctx.fillStyle = colours.dim;
     ctx.textAlign = "center";
     ctx.font = `600 9px ${FONT}`;
     ctx.fillText(name, x + w / 2, y + 8);
+    ctx.font = `9px ${FONT}`;
+    ctx.fillText(unit, x + w / 2, y + 19);
     ctx.fillStyle = colours.bg;
     ctx.strokeStyle = colours.text;
     ctx.lineWidth = 1;
@@ -168,10 +170,7 @@ export function mount(element) {
     ctx.stroke();
     ctx.fillStyle = colours.text;
     ctx.font = `600 13px ${FONT}`;
-    ctx.fillText(number(value, 2), x + w / 2, mid + 0.5);
-    ctx.font = `9px ${FONT}`;
-    ctx.fillStyle = colours.dim;
-    ctx.fillText(unit, x + w / 2, mid + 19);
+    ctx.fillText(fitting(value), x + w / 2, mid + 0.5, w - 6);
     ctx.restore();
   }
 
@@ -211,7 +210,7 @@ export function mount(element) {
         const px = centre + (k - at) * scale;
         line(ctx, px, y, px, y + (k % 30 ? 4 : 7));
         const d = ((k % 360) + 360) % 360;
-        if (d % 30 === 0 && Math.abs(px - centre) > 34) ctx.fillText({ 0: "N", 90: "E", 180: "S", 270: "W" }[d] || `${d}`, px, y + 17);
+        if (d % 30 === 0 && Math.abs(px - centre) > 38 && px > x + 12 && px < x + w - 12) ctx.fillText({ 0: "N", 90: "E", 180: "S", 270: "W" }[d] || `${d}`, px, y + 17);
       }
       if (wanted !== null) {
         const off = ((((wanted - yaw) * DEG + 180) % 360) + 360) % 360 - 180;
@@ -238,6 +237,12 @@ export function mount(element) {
       view.close();
     },
   };
+}
+
+// As many decimals as there is room for.
+export function fitting(value) {
+  const size = Math.abs(value);
+  return size >= 1e5 ? value.toExponential(0).replace("e+", "e") : number(value, size >= 999.5 || value <= -99.5 ? 0 : size >= 99.5 ? 1 : 2);
 }
 
 function line(ctx, x0, y0, x1, y1) {

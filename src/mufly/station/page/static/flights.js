@@ -1,4 +1,5 @@
 // The list of flights: sorted by any column, filtered by words; one is opened in this page or fetched as a file.
+import { live } from "./live.js";
 import { clock, el, icon, number, put } from "./draw.js";
 
 const KEY = "mufly-flights";
@@ -33,7 +34,7 @@ export function chosen(rows, { by, down, words, all }) {
 
 export function mount(element, options, emit) {
   element.classList.add("mf-column", "mf-flight-list");
-  let rows = null;
+  let rows = null, replaying = false;
   const state = { by: "start", down: true, words: "", all: false };
   try {
     Object.assign(state, JSON.parse(localStorage.getItem(KEY) || "{}"), { words: "" });
@@ -65,10 +66,17 @@ export function mount(element, options, emit) {
     body.replaceChildren(...shown.map((r) => el("tr", { class: r.fault ? "mf-level-error" : "" },
       el("td", { class: "mf-row-tools" },
         el("button", { type: "button", text: "Open", title: `open ${r.name}`, "data-testid": "open-recording", disabled: Boolean(r.fault), onclick: () => emit("open", r.name) }),
+        el("button", { type: "button", text: "Compare", title: "lay it over the recording that is shown, dashed", "data-testid": "compare-recording", disabled: Boolean(r.fault) || !replaying, onclick: () => emit("compare", r.name) }),
         el("button", { type: "button", text: "⤓", title: `download ${r.name}`, "aria-label": `download ${r.name}`, onclick: () => emit("download", r.name) })),
       ...COLUMNS.map(([c]) => el("td", { class: ["length", "size"].includes(c) ? "mf-num" : c === "name" ? "mf-dim" : "", title: c === "name" || c === "outcome" ? text[c](r) : null }, c === "outcome" && r.fault ? icon("error") : "", text[c](r))))));
     if (rows && !shown.length) body.append(el("tr", {}, el("td", { colspan: 8, class: "mf-empty", text: rows.length ? "no flight passes the filter" : "no recordings there yet" })));
   }
+  const panel = live.panel({}, (f) => {
+    const now = Boolean(f.about?.replay);
+    if (!f.about || now === replaying) return;
+    replaying = now;
+    fill();
+  });
   fill();
   emit("hello", null);
   return {
@@ -76,6 +84,6 @@ export function mount(element, options, emit) {
       rows = found;
       fill();
     },
-    close() {},
+    close: () => panel.close(),
   };
 }

@@ -35,7 +35,10 @@ export function mount(element, options, emit) {
       else if (text({ ...now, value: v }) !== text(now)) emit("write", { name: p.name, value: v });
     });
     input.addEventListener("blur", () => input.validity.customError && restore(input));
-    input.addEventListener("input", () => input.setCustomValidity(""));
+    input.addEventListener("input", () => {
+      input.setCustomValidity("");
+      input.nextSibling?.remove();
+    });
     input.addEventListener("keydown", (event) => {
       if (event.key === "Escape") {
         restore(input);
@@ -50,6 +53,7 @@ export function mount(element, options, emit) {
   function restore(input) {
     const p = all.get(input.dataset.name);
     input.setCustomValidity("");
+    input.nextSibling?.remove();
     if (p) input.value = input.defaultValue = text(p);
   }
   function fill() {
@@ -92,7 +96,8 @@ export function mount(element, options, emit) {
       if (!input) return;
       if (input !== document.activeElement) return restore(input);
       input.setCustomValidity(why);
-      input.reportValidity();
+      input.closest("tr").querySelector(".mf-refused")?.remove();
+      input.after(el("div", { class: "mf-refused", role: "alert", text: why }));
     },
     close: () => panel.close(),
   };

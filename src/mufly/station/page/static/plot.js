@@ -2,8 +2,8 @@
 import { live } from "./live.js";
 import { FONT, canvas, colours, niceStep, number, tickStep } from "./draw.js";
 
-export const DASHES = { estimated: [], measured: [1.5, 2.5], reference: [7, 4], truth: [10, 3, 2, 3], "": [] };
-const WIDTHS = { estimated: 1.7, measured: 1.4, reference: 1.5, truth: 1.1, "": 1.6 };
+export const DASHES = { compared: [5, 4], estimated: [], measured: [1.5, 2.5], reference: [7, 4], truth: [10, 3, 2, 3], "": [] };
+const WIDTHS = { compared: 1.7, estimated: 1.7, measured: 1.4, reference: 1.5, truth: 1.1, "": 1.6 };
 const LEFT = 46, BOTTOM = 18, TOP = 6, RIGHT = 8;
 const BREAK_S = 0.6;
 
@@ -26,7 +26,7 @@ export function plot(element, label, span, onSpan) {
     const { t, n } = live.samples, { from, to } = span(), x0 = LEFT, x1 = w - RIGHT, y0 = TOP, y1 = h - BOTTOM;
     if (x1 - x0 < 20 || y1 - y0 < 20) return;
     const first = Math.max(0, find(t, n, from) - 1), last = Math.min(n, find(t, n, to) + 1);
-    const drawn = traces.map((trace) => [trace, live.column(trace.signal)]).filter(([, c]) => c);
+    const drawn = unwrapped(traces.map((trace) => [trace, live.column(trace.signal)]).filter(([, c]) => c), first, last);
     let least = Infinity, most = -Infinity;
     // The shade of three deviations is never let make the axis more than a few times as long as what is drawn.
     const wide = (trace) => (trace.band && live.column(trace.band)) || null;
@@ -95,8 +95,56 @@ export function plot(element, label, span, onSpan) {
       ctx.stroke();
     }
     ctx.setLineDash([]);
+    names(ctx, drawn, { first, last, x0, x1, y0, y1, x: (i) => x0 + (t[i] - from) * sx, y: (v) => y1 - (v - low) * sy });
     ctx.restore();
     if (cursor !== null && n) reading(ctx, { x0, x1, y0, y1, from, sx, t, n, drawn, find });
+  }
+
+  // Angles as they go on, without jumps at half a turn and in whole turns that lie about zero; who says so does not matter.
+  function unwrapped(found, first, last) {
+    let start = NaN, low = Infinity, high = -Infinity;
+    const out = found.map(([trace, c]) => {
+      if (!trace.turn) return [trace, c];
+      const own = new Float64Array(last).fill(NaN);
+      let before = start;
+      for (let i = first; i < last; i++) {
+        if (!Number.isFinite(c[i])) continue;
+        own[i] = before === before ? c[i] - trace.turn * Math.round((c[i] - before) / trace.turn) : c[i] - trace.turn * Math.round(c[i] / trace.turn);
+        if (start !== start) start = own[i];
+        before = own[i];
+        low = Math.min(low, own[i]);
+        high = Math.max(high, own[i]);
+      }
+      return [trace, own];
+    });
+    const turn = found.find(([trace]) => trace.turn)?.[0].turn, shift = turn ? turn * Math.round((low + high) / 2 / turn) : 0;
+    if (Number.isFinite(shift) && shift) for (const [trace, c] of out) if (trace.turn) for (let i = first; i < last; i++) c[i] -= shift;
+    return out;
+  }
+
+  // The component beside the end of its line: colours alone do not tell them apart.
+  function names(ctx, drawn, g) {
+    const shown = new Set(), taken = [];
+    ctx.font = `600 10px ${FONT}`;
+    ctx.textAlign = "right";
+    ctx.textBaseline = "middle";
+    for (const [trace, c] of drawn) {
+      if (!trace.component || shown.has(trace.component)) continue;
+      let i = g.last - 1;
+      while (i >= g.first && !(c[i] === c[i] && g.x(i) <= g.x1)) i--;
+      if (i < g.first) continue;
+      shown.add(trace.component);
+      let y = Math.max(g.y0 + 7, Math.min(g.y1 - 7, g.y(c[i] * trace.factor) - 8));
+      while (taken.some((other) => Math.abs(other - y) < 11)) y += 11;
+      taken.push(y);
+      const wide = ctx.measureText(trace.component).width, x = Math.max(g.x0 + wide + 6, Math.min(g.x1 - 3, g.x(i) - 3));
+      ctx.fillStyle = colours.panel;
+      ctx.globalAlpha = 0.8;
+      ctx.fillRect(x - wide - 2, y - 6, wide + 4, 12);
+      ctx.globalAlpha = 1;
+      ctx.fillStyle = colours[trace.colour];
+      ctx.fillText(trace.component, x, y);
+    }
   }
 
   // What is believed to lie within three deviations, piece by piece where they are known.
@@ -169,8 +217,10 @@ export function plot(element, label, span, onSpan) {
     const words = [[`${number(g.t[i], 2)} s`, colours.text]];
     for (const [trace, c] of g.drawn) {
       let k = i;
-      while (k > 0 && c[k] !== c[k] && i - k < 20) k--;
-      words.push([`${trace.component ? `${trace.component} ` : ""}${trace.source || ""} ${number(c[k] * trace.factor, 3)}`, colours[trace.colour]]);
+      while (k > 0 && !(c[k] === c[k]) && i - k < 20) k--;
+      const value = c[k] * trace.factor, first = trace.source === "compared" && g.drawn.find(([other]) => other.signal === trace.of);
+      const off = first ? first[1][i] * first[0].factor - value : NaN;
+      words.push([`${trace.component ? `${trace.component} ` : ""}${trace.source || ""} ${number(value, 3)}${Number.isFinite(off) ? ` (Δ ${off < 0 ? "" : "+"}${number(off, 3)})` : ""}`, colours[trace.colour]]);
     }
     ctx.strokeStyle = colours.dim;
     ctx.beginPath();

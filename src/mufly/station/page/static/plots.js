@@ -18,7 +18,7 @@ function remembered() {
 
 export function mount(element) {
   element.classList.add("mf-plots");
-  let state = remembered(), catalog = [], fixed = null, paused = false;
+  let beside = "", state = remembered(), catalog = [], fixed = null, paused = false;
   const cards = [];
   const keep = () => localStorage.setItem(KEY, JSON.stringify(state));
 
@@ -51,8 +51,9 @@ export function mount(element) {
     build();
   } });
   const legend = el("span", { class: "mf-legend" }, ...["estimated", "measured", "reference", "truth"].map((s) => el("span", {}, stroke(s), s)), el("span", { title: "estimate plus and minus three standard deviations" }, "shaded: 3σ"));
+  const pair = el("span", { class: "mf-legend mf-legend-pair", hidden: true, "data-testid": "compare-legend" });
   const list = el("div", { class: "mf-plot-list" });
-  element.append(el("div", { class: "mf-tools" }, pause, windows, add, legend), list);
+  element.append(el("div", { class: "mf-tools" }, pause, windows, add, pair, legend), list);
 
   function stroke(source, wide = 26) {
     const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
@@ -76,9 +77,12 @@ export function mount(element) {
         const signal = q.signals[`${source}/${component}`];
         const factor = q.upward.includes(component) ? -q.factor : q.factor;
         const band = q.bands?.[`${source}/${component}`];
-        if (signal) out.push({ signal, band, component, source, colour: PALETTE[k % PALETTE.length], factor });
+        const turn = q.unit === "°" ? 360 / Math.abs(q.factor) : 0;
+        if (signal) out.push({ signal, band, component, source, turn, colour: PALETTE[k % PALETTE.length], factor });
       }
     });
+    // Of the recording beside it the same components once, whoever spoke of them.
+    if (beside) for (const one of [...out]) if (!out.some((o) => o.source === "compared" && o.component === one.component)) out.push({ ...one, band: undefined, source: "compared", of: one.signal, signal: `compared/${one.signal}` });
     return { q, list: out };
   }
 
@@ -138,11 +142,21 @@ export function mount(element) {
   }
 
   let version = -1;
+  function compare(about) {
+    const next = about?.compared ? `${about.replay?.name}|${about.compared.name}` : "";
+    if (next === beside) return;
+    beside = next;
+    const [one, two] = next.split("|");
+    pair.hidden = !next;
+    pair.replaceChildren(...(next ? [el("span", {}, stroke("estimated"), one), el("span", {}, stroke("compared"), two)] : []));
+    build();
+  }
   const panel = live.panel({ sections: ["catalog"], signals: [], window_s: state.window_s }, (f) => {
     if (f.catalog) {
       catalog = f.catalog;
       build();
     }
+    if (f.about) compare(f.about);
     if (f.new) onSpan(null);
     if (live.samples.version !== version && !paused) {
       version = live.samples.version;

@@ -11,7 +11,11 @@ export function mount(element, options, emit) {
   speed.value = "1";
   const time = el("span", { class: "mf-num" }), name = el("strong");
   const close = el("button", { type: "button", text: "Close recording", onclick: () => emit("replay", { close: true }) });
-  element.append(play, slider, time, speed, name, close);
+  const by = el("select", { "aria-label": "aligned by", "data-testid": "compare-by", onchange: () => emit("replay", { by: by.value }) }, ...["take-off", "arming", "start", "clock"].map((word) => el("option", { value: word, text: word })));
+  const offset = el("input", { type: "number", step: 0.1, value: 0, "aria-label": "moved later by, in s", "data-testid": "compare-offset", onchange: () => Number.isFinite(parseFloat(offset.value)) && emit("replay", { offset: parseFloat(offset.value) }) });
+  const other = el("strong", { class: "mf-compared-name" }), noted = el("span", { class: "mf-dim" });
+  const beside = el("div", { class: "mf-compare", hidden: true, "data-testid": "compare" }, el("span", { class: "mf-dim", text: "with" }), other, el("label", { class: "mf-dim" }, "aligned by ", by), el("label", { class: "mf-dim" }, "moved ", offset, " s"), noted, el("button", { type: "button", text: "✕", title: "show the first recording alone", "aria-label": "show the first recording alone", onclick: () => emit("replay", { alone: true }) }));
+  element.append(play, slider, time, speed, name, close, beside);
   let playing = false, held = false, waiting = null;
   const seek = () => {
     waiting = null;
@@ -37,6 +41,13 @@ export function mount(element, options, emit) {
     put(time, `${clock(r.t)} / ${clock(r.to)}`);
     if (document.activeElement !== speed) speed.value = String(r.speed);
     put(name, r.name);
+    const c = f.about.compared;
+    beside.hidden = !c;
+    if (!c) return;
+    put(other, c.name);
+    put(noted, c.note);
+    if (document.activeElement !== by) by.value = c.by;
+    if (document.activeElement !== offset) offset.value = String(c.offset);
   });
   return { close: () => panel.close() };
 }

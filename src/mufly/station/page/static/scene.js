@@ -5,8 +5,9 @@ import { THREE, OrbitControls } from "nicegui-scene";
 import { live } from "./live.js";
 import { colours, el, number, onTheme, software } from "./draw.js";
 import { layer } from "./scene_draft.js";
-import { helicopter, place, turn } from "./scene_helicopter.js";
 import { fence } from "./scene_fence.js";
+import { place, turn } from "./scene_helicopter.js";
+import { vehicle } from "./scene_shapes.js";
 import { dispose, floor, lines, obstacles, sprite, waypoints } from "./scene_world.js";
 
 const TRAIL = 8000, ENLARGED = 2.5;
@@ -37,9 +38,9 @@ export function mount(element, options, emit) {
   sun.position.set(3, 8, 4);
   scene.add(sun);
 
-  let radius = 0.0875, enlarged = true, follow = true, tint = 0; // a vehicle keeps its colour when another is selected
+  let shape = "coaxial", radius = 0.0875, enlarged = true, follow = true, tint = 0; // a vehicle keeps its colour when another is selected
   let scenery = { boxes: [], cylinders: [], room: null }, rows = [], current = null, placed = [];
-  let ship, ghost, still = new THREE.Group(), marks = new THREE.Group();
+  let ship, ghost, still = new THREE.Group(), marks = new THREE.Group(), second = new THREE.Group();
   const others = new Map();
   const beams = lines(Array(64).fill([0, 0, 0]), "#fff", { pairs: true, opacity: 0.8 });
   const drop = lines([[0, 0, 0], [0, 0, 0]], "#fff", { opacity: 0.5 });
@@ -77,8 +78,8 @@ export function mount(element, options, emit) {
     scene.add(still);
     ship?.dispose();
     ghost?.dispose();
-    ship = helicopter(size(), colours[`c${tint % 8}`]);
-    ghost = helicopter(size(), colours.reference, { ghost: true });
+    ship = vehicle(shape, size(), colours[`c${tint % 8}`]);
+    ghost = vehicle(shape, size(), colours.reference, { ghost: true });
     scene.add(ship.group, ghost.group);
     ghost.group.visible = ship.group.visible = shadow.visible = false; // until it is known where they are
     for (const o of others.values()) dispose(o.label), o.model.dispose();
@@ -119,7 +120,7 @@ export function mount(element, options, emit) {
       const lift = enlarged ? 0.8 * (size() - radius) : 0; // enlarged, it would stand in the floor
       place(ship.group, n, e, d - lift);
       turn(ship.group, s.attitude[0] ?? 0, s.attitude[1] ?? 0, s.attitude[2] ?? 0);
-      ship.spin(s.rotor_speed[0] ?? 0, s.rotor_speed[1] ?? 0, seconds);
+      ship.spin(s.rotor_speed[0] ?? 0, s.rotor_speed[1] ?? 0, seconds, s.armed);
       ship.group.updateMatrixWorld();
       extend(n, e, d);
       shadow.position.set(e, 0.004, -n);
@@ -174,15 +175,20 @@ export function mount(element, options, emit) {
       if (o.p.some((x) => x === null)) continue;
       seen.add(o.name);
       let known = others.get(o.name);
+      if (known && known.shape !== o.shape) {
+        known.model.dispose();
+        dispose(known.label);
+        known = undefined;
+      }
       if (!known) {
         const tint = colours[`c${o.color % 8}`];
-        known = { model: helicopter(size(), tint), label: sprite(o.name, { colour: "#fff", back: tint, size: 0.16 }) };
+        known = { shape: o.shape, model: vehicle(o.shape, size(), tint), label: sprite(o.name, { colour: "#fff", back: tint, size: 0.16 }) };
         scene.add(known.model.group, known.label);
         others.set(o.name, known);
       }
       place(known.model.group, ...o.p);
       turn(known.model.group, o.a[0] ?? 0, o.a[1] ?? 0, o.a[2] ?? 0);
-      known.model.spin(o.w[0] ?? 0, o.w[1] ?? 0, seconds);
+      known.model.spin(o.w[0] ?? 0, o.w[1] ?? 0, seconds, o.armed);
       known.label.position.set(o.p[1], -o.p[2] + 0.35, -o.p[0]);
     }
     for (const [name, o] of others) {
@@ -206,12 +212,20 @@ export function mount(element, options, emit) {
     if (f.scenery) {
       scenery = f.scenery.world;
       radius = f.scenery.rotor_radius || radius;
+      shape = f.scenery.shape || "coaxial";
       build();
     }
     if (f.trail) {
       trailN = 0;
       trail.geometry.setDrawRange(0, 0);
       f.trail.forEach((p) => extend(...p.map((x) => (x === null ? NaN : x))));
+    }
+    if (f.compared_trail) {
+      dispose(second);
+      second = new THREE.Group();
+      const known = f.compared_trail.filter((p) => p.every((x) => x !== null));
+      if (known.length > 1) second.add(lines(known, colours.c1, { dashed: true }));
+      scene.add(second);
     }
     if (f.mission) {
       rows = f.mission;

@@ -3,6 +3,7 @@ import { THREE } from "nicegui-scene";
 import { FONT, colours } from "./draw.js";
 
 const { Group, Mesh } = THREE;
+const FULL_M = 3.2, seen = new THREE.Vector3(); // farther away marks shrink as all does
 const LIFT = 0.42; // marks of waypoints stand above them, so that they do not hide who flies there
 
 export function sprite(text, { colour, size = 0.22, back = "", bold = false }) {
@@ -25,7 +26,14 @@ export function sprite(text, { colour, size = 0.22, back = "", bold = false }) {
   const texture = new THREE.CanvasTexture(canvas);
   texture.colorSpace = THREE.SRGBColorSpace;
   const node = new THREE.Sprite(new THREE.SpriteMaterial({ map: texture, depthTest: !back, depthWrite: false }));
-  node.scale.set((size * canvas.width) / canvas.height, size, 1);
+  const wide = (size * canvas.width) / canvas.height;
+  node.scale.set(wide, size, 1);
+  // Near the camera it grows no more: it would hide what it names.
+  node.onBeforeRender = (renderer, scene, camera) => {
+    const share = Math.min(1, seen.setFromMatrixPosition(node.matrixWorld).distanceTo(camera.position) / FULL_M);
+    node.scale.set(wide * share, size * share, 1);
+    node.updateMatrixWorld();
+  };
   return node;
 }
 
