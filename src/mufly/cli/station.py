@@ -367,12 +367,12 @@ def station(
             from mufly.station.page.session import Session
             from mufly.station.replay import open_recording
 
-            startup.finish()
         recording = None
         if open_file is not None:
             startup.begin(f"reading {open_file.name}")
             with progress_bar("Reading", True) as progress:
                 recording = open_recording(open_file, progress)
+        startup.finish()
 
         ground = Station(endpoints, folder=out, record=record and bool(endpoints))
         session = Session(

@@ -212,9 +212,7 @@ def draw_comparison(c: Comparison, names: Sequence[str], title: str = "") -> Fig
     axes = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
     t = c.first.times
     for ax, name in zip(axes, names, strict=True):
-        unit = c.first.units.get(name, "1")
-        shown = {"rad": "deg", "rad/s": "deg/s"}.get(unit, unit)
-        factor = factor_of(unit, shown) if shown != unit else 1.0
+        unit, shown, factor = _shown_unit(c, name)
         one, two = _column(c.first, name), c.sampled(name, t)
         if unit == "rad":
             one, two = _together(one, two)
@@ -237,6 +235,13 @@ def draw_comparison(c: Comparison, names: Sequence[str], title: str = "") -> Fig
     return figure
 
 
+def _shown_unit(c: Comparison, name: str) -> tuple[str, str, float]:
+    """SI unit of a signal, the one that a person reads, and what to multiply by."""
+    unit = c.first.units.get(name, "1")
+    shown = "rpm" if "rotor_speed" in name else {"rad": "deg", "rad/s": "deg/s"}.get(unit, unit)
+    return unit, shown, factor_of(unit, shown) if shown != unit else 1.0
+
+
 def _together(one: _Array, two: _Array) -> tuple[_Array, _Array]:
     """Angles without jumps, the second in the turn of the first."""
     known = np.isfinite(one)
@@ -256,9 +261,7 @@ def difference_rows(c: Comparison, names: Sequence[str]) -> list[dict[str, Any]]
         if not known.any():
             continue
         k = int(np.nanargmax(np.abs(off)))
-        unit = c.first.units.get(name, "1")
-        shown = {"rad": "deg", "rad/s": "deg/s"}.get(unit, unit)
-        factor = factor_of(unit, shown) if shown != unit else 1.0
+        _, shown, factor = _shown_unit(c, name)
         rms = float(np.sqrt(np.mean(off[known] ** 2)))
         out.append(
             {"signal": name, "units": shown, "rms": factor * rms, "largest": factor * float(off[k]),

@@ -82,8 +82,9 @@ export function mount(element) {
       }
     });
     // Of the recording beside it the same components once, whoever spoke of them.
-    if (beside) for (const one of [...out]) if (!out.some((o) => o.source === "compared" && o.component === one.component)) out.push({ ...one, band: undefined, source: "compared", of: one.signal, signal: `compared/${one.signal}` });
-    return { q, list: out };
+    if (!beside) return { q, list: out };
+    const once = out.filter((one, k) => out.findIndex((o) => o.component === one.component) === k);
+    return { q, list: once.flatMap((one) => [{ ...one, band: undefined }, { ...one, band: undefined, source: "compared", of: one.signal, signal: `compared/${one.signal}` }]) };
   }
 
   function build() {

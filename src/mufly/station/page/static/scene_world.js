@@ -26,12 +26,12 @@ export function sprite(text, { colour, size = 0.22, back = "", bold = false }) {
   const texture = new THREE.CanvasTexture(canvas);
   texture.colorSpace = THREE.SRGBColorSpace;
   const node = new THREE.Sprite(new THREE.SpriteMaterial({ map: texture, depthTest: !back, depthWrite: false }));
-  const wide = (size * canvas.width) / canvas.height;
-  node.scale.set(wide, size, 1);
+  const across = (size * canvas.width) / canvas.height;
+  node.scale.set(across, size, 1);
   // Near the camera it grows no more: it would hide what it names.
   node.onBeforeRender = (renderer, scene, camera) => {
     const share = Math.min(1, seen.setFromMatrixPosition(node.matrixWorld).distanceTo(camera.position) / FULL_M);
-    node.scale.set(wide * share, size * share, 1);
+    node.scale.set(across * share, size * share, 1);
     node.updateMatrixWorld();
   };
   return node;
