@@ -2,7 +2,8 @@
 
 A table has the columns of :data:`_NAMES`, in any order and notation that :mod:`mufly.tables` reads; ``#`` begins a
 comment. XFOIL and XFLR5 write a preface with ``Re = 0.100 e 6``, Airfoil Tools one with ``Reynolds number,50000``,
-AeroDyn lines such as ``0.75 Re ! Reynolds number in millions``: they hold for the rows below. A file without any
+AeroDyn lines such as ``0.75 Re ! Reynolds number in millions``: they hold for the rows below. AeroDyn's files up to
+version 13 have no header: their rows are angle (degrees), lift, drag and moment, up to ``EOT``. A file without any
 Reynolds number holds for all.
 
 A number is refused where its unit is in doubt: angles without a unit that could be radians, angles in degrees over
@@ -48,11 +49,15 @@ _TIMES = {
 _PREFACES: tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], float]], ...] = (
     (re.compile(r"\bRe\s*=\s*([\d.]+)\s*e\s*(\d+)"), lambda m: float(m[1]) * 10.0 ** int(m[2])),
     (re.compile(r"^\s*Reynolds number\s*[,;=:]\s*([\d.]+(?:e\d+)?)", re.IGNORECASE), lambda m: float(m[1])),
-    (re.compile(r"^\s*([\d.]+)\s+Re\s.*millions", re.IGNORECASE), lambda m: 1e6 * float(m[1])),
+    (
+        re.compile(r"^\s*([\d.]+)\s+Re(?:ynolds\s+num\w*)?\s.*millions", re.IGNORECASE),
+        lambda m: 1e6 * float(m[1]),
+    ),
 )
 _LEAST_REYNOLDS = 100.0
 _DOUBTFUL_DEG = 1.6  # angles all below are radians as likely as degrees
 _STEEPEST_PER_DEG = 10.0 * 2.0 * math.pi * math.pi / 180.0
+_HEADLESS_ROW = re.compile(r"\s*(?:[-+]?[\d.]+(?:[eE][-+]?\d+)?\s+){2,3}[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*")
 _TWO_WORDS = re.compile(r"\b(top|bot) (xtr|itr)\b", re.IGNORECASE)
 _LOOKED_AT = 60  # lines among which a header stands
 
@@ -66,7 +71,13 @@ def is_polar_file(name: str) -> bool:
         lines = decoded(path.read_bytes()[:20_000]).splitlines() if path.is_file() else []
     except OSError:
         return False
-    return _header_line(lines) is not None
+    return _header_line(lines) is not None or _is_headless(lines)
+
+
+def _is_headless(lines: Sequence[str]) -> bool:
+    """Whether a file is one of AeroDyn's up to version 13."""
+    first = [line.lower() for line in lines[:_LOOKED_AT]]
+    return any("number of airfoil tables" in s for s in first) and any("in millions" in s for s in first)
 
 
 def read_polar_file(path: str | Path) -> SectionData:
@@ -147,6 +158,9 @@ def _rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
     written = [(n, s) for n, s in enumerate(lines, 1) if s.strip() and not s.lstrip().startswith("#")]
     if not written:
         raise InputError(where, "", "is empty", "give a header and at least one line")
+    if _header_line([s for _, s in written]) is None and _is_headless([s for _, s in written]):
+        table = [(n, s) for n, s in written if _preface(s, math.nan) > 0 or _HEADLESS_ROW.fullmatch(s)]
+        written = [(0, "alpha_deg cl cd cm"[: 18 if len(table[-1][1].split()) > 3 else 15]), *table]
     start = _header_line([s for _, s in written]) or 0
     lined = [
         (n, _TWO_WORDS.sub(r"\1_\2", s.lstrip("! \t")) if k == start else s)
@@ -164,7 +178,7 @@ def _rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
         if math.isfinite(stated):
             reynolds = stated
         # AeroDyn's remarks and counts stand between its tables, XFOIL's rule and units below a header.
-        data, remark, _ = line.partition("!")
+        data, remark, _ = ("", "", "") if math.isfinite(stated) else line.partition("!")
         if set(data.strip()) <= set("-= \t") or data.lstrip().startswith(("(", "[")):
             continue
         cells = [plain_number(c, decimal) for c in cells_of(data, separator)]
