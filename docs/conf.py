@@ -36,6 +36,7 @@ myst_number_code_blocks: list[str] = []
 os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
 nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
 nb_execution_mode = "cache"
+nb_execution_in_temp = True  # lessons write files beside themselves
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True

@@ -196,3 +196,25 @@ def test_what_files_hold_is_shown_as_a_table() -> None:
     assert '<td style="text-align:left">mass</td>' in html
     assert "[rotors.upper]" in html
     assert any(line.split()[:4] == ["mass", "m", "0.095", "kg"] for line in str(vehicle).splitlines())
+
+
+def test_a_vehicle_a_mission_and_a_controller_have_short_representations() -> None:
+    """Before: the repr of a controller took 97 000 characters, that of a vehicle 12 000."""
+    from mufly import load_vehicle
+    from mufly.drive import load_drive
+    from mufly.mission import load_mission
+    from mufly.rotor import load_rotor
+
+    for one in (
+        load_vehicle("mufly-1.1"),
+        load_rotor("walkera-5g6"),
+        load_drive("mufly"),
+        load_mission("demonstration"),
+    ):
+        shown = repr(one)
+        assert one.name in shown.splitlines()[0]
+        assert len(shown.splitlines()) <= 15, shown
+        assert max(map(len, shown.splitlines())) <= 110, shown
+    vehicle = repr(load_vehicle("mufly-1.1"))
+    assert "mass 0.095 kg" in vehicle
+    assert "radius 0.0875 m" in vehicle

@@ -6,6 +6,8 @@
 # --help`, `mufly drive --help`.
 
 # %%
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -17,6 +19,8 @@ rotor = load_rotor("naca4412-r60-c20")
 drive = load_drive("mufly")
 print(rotor.description)
 print(drive.name, "gear", float(drive.gear.ratio))
+folder = Path("lesson-2")  # for pictures
+folder.mkdir(exist_ok=True)
 
 # %% [markdown]
 # ## One blade, one point
@@ -47,11 +51,13 @@ for pitch_deg in (10, 14, 18):
     load = blade_load(prepare(rotor), pitch_rad=np.radians(pitch_deg))
     met = operating_point(drive, load, duty=duty)
     thrust.plot(duty, 1e3 * met.thrust_N, label=f"{pitch_deg} deg")
-    efficiency.plot(1e3 * met.thrust_N, met.thrust_per_power_N_W)
+    efficiency.plot(1e3 * met.thrust_N, met.thrust_per_power_N_W, label=f"{pitch_deg} deg")
 thrust.set(xlabel="motor input (share of the voltage)", ylabel="thrust (mN)")
 efficiency.set(xlabel="thrust (mN)", ylabel="thrust per electrical power (N/W)")
-thrust.legend()
+thrust.legend(title="pitch")
+efficiency.legend(title="pitch")
 figure.tight_layout()
+figure.savefig(folder / "drive.png")
 
 # %% [markdown]
 # Read the right picture as a designer: at the thrust that you need (half the weight for each of two rotors), which
@@ -64,7 +70,9 @@ figure.tight_layout()
 # %%
 setup = Setup(rotor, drive, {"thrust": 0.4, "gear": "adapted"})
 data = sweep(setup, parse_settings(["chord=10:30:10mm", "pitch=6:20:1deg"]))
-lines_picture(data, "thrust_per_power_N_W")
+picture = lines_picture(data, "thrust_per_power_N_W")
+picture.savefig(folder / "sweep.png")
+picture
 
 # %% [markdown]
 # Each chord has its own best pitch; the wider blade is better, and its best pitch higher. That is Fig. 3.28 of the
@@ -86,13 +94,21 @@ for step in best.steps:
     print(f"  {step.parameter:8s} to {step.value:.3g} (SI): {100 * step.gain:+.1f} %")
 
 # %%
-blade_picture(best.rotor)
+picture = blade_picture(best.rotor)
+picture.savefig(folder / "blade.png")
+picture
 
 # %% [markdown]
 # An optimum sits where the model is most optimistic. So do not order blades yet: see what
 # [validation](../validation.md) says of the theory (c_T within 11 % on average for rotors of unknown section), and
-# measure one. That is the next lesson.
-#
+# measure one. That is the next lesson. Run as a script, the lesson shows its first picture in a window; all three are
+# files in `lesson-2`.
+
+# %%
+print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
+plt.show()
+
+# %% [markdown]
 # ## Try
 #
 # * Give the drive another motor: `mufly drive show mufly --toml > mine.toml`, change back-EMF and resistance,

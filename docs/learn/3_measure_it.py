@@ -17,7 +17,8 @@ from mufly.bench.rig.simulated import SimulatedRig
 from mufly.bench.series.record import Record
 from mufly.rotor import fit_rotor, interval, load_rotor, replace_rotor
 
-folder = Path(tempfile.mkdtemp())
+folder = Path(tempfile.mkdtemp(prefix="lesson-3-"))
+print("the series and its pictures go to", folder)
 
 # %% [markdown]
 # ## A plan
@@ -60,7 +61,9 @@ for doubt in series.doubts:
     print("!", doubt)
 
 # %%
-series.plot()
+picture = series.plot()
+picture.savefig(folder / "series.png")
+picture
 
 # %% [markdown]
 # ## Behind the curtain
@@ -98,12 +101,17 @@ for candidate in found.fit.candidates:
     if candidate.probability > 0.02:
         turned = np.degrees(candidate.change[0])
         print(f"  {candidate.airfoils[0]} turned by {turned:+.1f} deg: {100 * candidate.probability:.0f} %")
-found.plot()
+picture = found.plot()
+picture.savefig(folder / "fit.png")
+picture
 
 # %% [markdown]
 # The prediction is right afterwards, also at the points that the fit did not see. But look at the sections: a cambered
 # blade that is mounted two degrees lower lifts as a straight one does, and no thrust or torque tells the two apart. The
 # fit keeps both, with their probabilities. Measure the pitch of the blade, or its section, and the doubt is gone.
+
+# %%
+print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
 
 # %% [markdown]
 # ## Try

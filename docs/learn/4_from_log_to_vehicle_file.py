@@ -7,13 +7,17 @@
 # mufly-1.1 --free ...`.
 
 # %%
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mufly.identify import choose_free, fit_flights
+from mufly.identify import choose_free, fit_flights, with_estimates
 from mufly.identify.flight.demo import RADIO_DELAY_S, demo_flights
-from mufly.vehicle import load_vehicle, parameters, replace
+from mufly.vehicle import load_vehicle, parameters, replace, vehicle_toml
 
+folder = Path("lesson-4")  # for pictures and the vehicle file
+folder.mkdir(exist_ok=True)
 truth = load_vehicle("mufly-1.1")
 flights, held_out = demo_flights(truth, seed=3, seconds=8.0)
 print([record.name for record in flights], "and, never to be fitted,", held_out[0].name)
@@ -27,11 +31,16 @@ print([record.name for record in flights], "and, never to be fitted,", held_out[
 # %%
 roll = next(r for r in flights if r.name.endswith("roll"))
 figure, (given, answer) = plt.subplots(2, 1, figsize=(9, 4), sharex=True)
-given.plot(roll.time_s, roll.inputs[:, 3])
+given.plot(roll.time_s, roll.inputs[:, 3], label="input of servo 2")
 given.set(ylabel="servo 2 (1)")
-answer.plot(roll.time_s, np.degrees(roll.measured[:, roll.outputs.index("roll")]))
+answer.plot(
+    roll.time_s, np.degrees(roll.measured[:, roll.outputs.index("roll")]), label="measured roll angle"
+)
 answer.set(ylabel="roll (deg)", xlabel="time (s)")
+given.legend()
+answer.legend()
 figure.tight_layout()
+figure.savefig(folder / "record.png")
 
 # %% [markdown]
 # ## Forget, and find again
@@ -72,6 +81,19 @@ axes.plot(unseen.time_s, np.degrees(unseen.predicted[:, k]), label="predicted, o
 axes.set(xlabel="time (s)", ylabel="roll (deg)", title=unseen.name)
 axes.legend()
 figure.tight_layout()
+figure.savefig(folder / "unseen.png")
+
+# %% [markdown]
+# ## The vehicle file
+#
+# What was found replaces the start values, with its interval and source `identified`. The new file is flown like any
+# other: `mufly fly --vehicle lesson-4/identified.toml`.
+
+# %%
+found = with_estimates(start, fit.estimates, "lesson 4")
+(folder / "identified.toml").write_text(vehicle_toml(found), encoding="utf-8")
+print("written:", *sorted(str(p) for p in folder.iterdir()))
+plt.show()
 
 # %% [markdown]
 # ## Try

@@ -5,6 +5,8 @@
 # the design did not know of: delay, another battery, another vehicle.
 
 # %%
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -17,6 +19,8 @@ from mufly.vehicle import load_vehicle
 
 vehicle = load_vehicle("mufly-1.1")
 controller = control.design(vehicle)
+folder = Path("lesson-5")  # for pictures
+folder.mkdir(exist_ok=True)
 print(controller)
 
 # %% [markdown]
@@ -46,12 +50,15 @@ for rate, made in designs.items():
 axes.set(xlabel="time (s)", ylabel="roll (deg)")
 axes.legend(fontsize=8)
 figure.tight_layout()
+figure.savefig(folder / "rates.png")
 
 # %% [markdown]
 # And the loop of the design that it flies: gain over frequency, and how much disturbances and noise are worse for it.
 
 # %%
-draw_loop(controller.roll_pitch)
+picture = draw_loop(controller.roll_pitch)
+picture.savefig(folder / "loop.png")
+picture
 
 # %% [markdown]
 # ## Another vehicle than it thinks
@@ -68,6 +75,8 @@ campaign = Campaign.of(
 with Crew(1) as crew:
     outcome = outcome_of(run(campaign, 40, crew=crew), campaign.tolerance_m)
 print(outcome.in_words())
+print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
+plt.show()
 
 # %% [markdown]
 # ## Try

@@ -6,7 +6,6 @@
 # my-helicopter`.
 
 # %%
-import tempfile
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -61,10 +60,13 @@ for key, (worst_cm, outcome) in effect.items():
 #
 # The file says of every number where it came from. Measure the mass: change the line, its `source` becomes
 # `measured`, and add the scale's `std`. Everything that uses the file, intervals of fits included, takes note.
+# `mufly vehicle check lesson-6/vehicle.toml` checks every value, `mufly fly --vehicle lesson-6/vehicle.toml` flies it.
 
 # %%
-folder = Path(tempfile.mkdtemp())
+folder = Path("lesson-6")
+folder.mkdir(exist_ok=True)
 (folder / "vehicle.toml").write_text(vehicle_toml(mine), encoding="utf-8")
+print("written:", (folder / "vehicle.toml").resolve())
 print("\n".join(vehicle_toml(mine).splitlines()[:14]))
 
 # %% [markdown]
@@ -77,11 +79,14 @@ felt = flight.fly(
 figure, axes = plt.subplots(figsize=(5, 4))
 axes.plot(felt.truth_position.sel(axis="E"), felt.truth_position.sel(axis="N"), label="true")
 axes.plot(
-    felt.estimated_position.sel(axis="E"), felt.estimated_position.sel(axis="N"), lw=0.8, label="believed"
+    felt.estimated_position.sel(axis="E"), felt.estimated_position.sel(axis="N"), lw=0.8, label="estimated"
 )
 axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title=felt.attrs["outcome"])
 axes.legend()
 figure.tight_layout()
+figure.savefig(folder / "way.png")
+print("picture:", folder / "way.png")
+plt.show()
 
 # %% [markdown]
 # ## Try

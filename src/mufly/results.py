@@ -94,9 +94,11 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "
     """
 
     def made(one: type[Any]) -> type[Any]:
-        new = dataclass(frozen=True, eq=eq)(one)
+        new = dataclass(frozen=True, eq=eq, repr=False)(one)
         if "__str__" not in one.__dict__:
             new.__str__ = text  # type: ignore[assignment]
+        if "__repr__" not in one.__dict__:  # all fields at once are a wall of numbers
+            new.__repr__ = new.__str__
         if "_repr_html_" not in one.__dict__:
             new._repr_html_ = html_table
         if "plot" not in one.__dict__:

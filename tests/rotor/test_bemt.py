@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from mufly.drive import blade_load
 from mufly.errors import InputError
 from mufly.rotor import (
     PLAIN,
@@ -25,12 +26,14 @@ from mufly.rotor import (
     VortexRingWarning,
     hover,
     hover_batch,
+    load_rotor,
     prepare,
     solve,
     solve_thrust,
 )
 from mufly.rotor.bemt import descent_inflow
 from mufly.rotor.sections.polar_table import ALPHA_GRID
+from mufly.rotor.solid import blade_sections
 
 NO_LOSS = Corrections(tip_loss="none", hub_loss=False, swirl=False, lifting_surface=False, rotation="none")
 SLOPE = 5.73
@@ -343,3 +346,25 @@ def test_flags_name_stations_outside_the_polar():
     assert steep.outside.any()
     assert steep.outside_share > 0.5
     assert (hover(case, pitch_rad=0.1, speed_rad_s=0.01).outside == 2).all()
+
+
+def test_a_pitch_in_degrees_is_refused_with_the_remedy():
+    """Before: 14 was taken for 14 rad, and hover had an answer."""
+    rotor = load_rotor("naca4412-r60-c20")
+    for call in (
+        lambda p: hover(rotor, pitch_rad=p, speed_rad_s=600.0),
+        lambda p: hover_batch(rotor, pitch_rad=[0.2, p], speed_rad_s=600.0),
+        lambda p: solve(System.single(prepare(rotor)), Condition(p, thrust_N=0.3)),
+        lambda p: blade_load(prepare(rotor), pitch_rad=p),
+        lambda p: blade_sections(rotor, pitch_rad=p),
+    ):
+        with pytest.raises(
+            InputError, match=r"is 14 rad, which is 802 degrees.*give radians: math.radians\(14\)"
+        ):
+            call(14.0)
+    assert hover(rotor, pitch_rad=np.pi / 2, speed_rad_s=600.0).pitch_rad == pytest.approx(np.pi / 2)
+
+
+def test_a_speed_in_rpm_is_told_apart():
+    with pytest.warns(RotorWarning, match=r"Mach 1\.2.*multiplied by pi / 30"):
+        hover(load_rotor("naca4412-r60-c20"), pitch_rad=0.2, speed_rad_s=7000.0)

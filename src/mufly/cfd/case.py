@@ -39,7 +39,7 @@ from mufly.cfd.polymesh import LOWER, PolyMesh, foam_header, write_poly_mesh
 from mufly.cfd.start import slipstream
 from mufly.errors import InputError
 from mufly.rotor import Air, tip_mach
-from mufly.rotor.system import HIGHEST_MACH
+from mufly.rotor.system import HIGHEST_MACH, check_pitch
 from mufly.units import RPM
 
 Array = NDArray[np.float64]
@@ -119,6 +119,7 @@ class Point:
     def __post_init__(self) -> None:
         if self.model not in MODELS:
             raise InputError("cfd", "model", f"{self.model!r} is unknown", f"use one of: {', '.join(MODELS)}")
+        check_pitch("cfd", "pitch_rad", [self.pitch_rad, self.lower_pitch_rad])
         slowest = -SLOWEST * self.induced_m_s
         if not slowest <= self.climb_m_s < math.inf:
             raise InputError(

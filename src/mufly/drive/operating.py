@@ -49,6 +49,7 @@ from mufly.drive.train import (
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.results import result
 from mufly.rotor import Air, Blading, hover_batch
+from mufly.rotor.system import check_pitch
 from mufly.units import RPM
 from mufly.vehicle import voltage_range
 
@@ -415,6 +416,7 @@ def blade_load(
     air : Air, optional
         Density and viscosity.
     """
+    check_pitch("rotor", "pitch_rad", pitch_rad)
     pitch, climb = np.asarray(pitch_rad, dtype=np.float64), np.asarray(climb_m_s, dtype=np.float64)
     index = np.asarray(which, dtype=np.int64)
 

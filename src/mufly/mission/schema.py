@@ -256,6 +256,23 @@ class Mission(_Table):
     cylinder: tuple[CylinderTable, ...] = ()
     wall: tuple[WallTable, ...] = ()
 
+    def __repr__(self) -> str:
+        """Name, way and what is not left to the defaults, in a few lines."""
+        title = f"Mission {self.name}" + (f": {self.description}" if self.description else "")
+        way = [self.start_m, *(w.position_m for w in self.waypoint)]
+        lines = [f"  take-off to {self.take_off.height_m:g} m at N {way[0][0]:g}, E {way[0][1]:g} m"]
+        lines += [f"  {k}: N {w[0]:g}, E {w[1]:g}, D {w[2]:g} m" for k, w in enumerate(way[1:7], 1)]
+        if len(way) > 7:
+            lines.append(f"  {len(way) - 7} more waypoints")
+        lines.append(f"  at the end: {self.at_end}")
+        given = sorted(
+            self.model_fields_set - {"name", "description", "take_off", "waypoint", "at_end", "start_m"}
+        )
+        lines += [f"  also given: {', '.join(given)}"] if given else []
+        return "\n".join([title, *lines, f"  all of it: `mufly mission show {self.name or 'FILE'} --toml`"])
+
+    __str__ = __repr__
+
     def with_parts(self, **parts: Any) -> Mission:
         """The same mission with other parts; checked, and derived anew, which a copy would not be."""
         return Mission(**{**{name: getattr(self, name) for name in Mission.model_fields}, **parts})

@@ -49,7 +49,7 @@ from mufly.results import result
 from mufly.rotor.blading import Blading, as_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.sections.polar_table import PolarStack, coefficients, outside_of
-from mufly.rotor.system import Air, Placed, RotorResult, RotorWarning, tip_mach, warn_of_mach
+from mufly.rotor.system import Air, Placed, RotorResult, RotorWarning, check_pitch, tip_mach, warn_of_mach
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -88,6 +88,8 @@ def _merit(thrust: Array, power: Array, density: Array, area: Array) -> Array:
 
 
 def _checked(name: str, values: Array, *, positive: bool) -> None:
+    if name == "pitch_rad":
+        return check_pitch("rotor", name, values)
     bad = ~np.isfinite(values) | (values <= 0.0 if positive else np.zeros(values.shape, dtype=bool))
     if np.any(bad):
         value = values[bad].flat[0]

@@ -48,6 +48,7 @@ from mufly.rotor.system import (
     System,
     VortexRingWarning,
     WakeSettings,
+    check_pitch,
 )
 from mufly.vehicle import CoefficientMap, MapTables
 from mufly.vehicle.coefficient_map import MAP_NODES, table_text
@@ -151,6 +152,7 @@ def coax_map(
         "viscosity_Pa_s": gas.viscosity_Pa_s,
         "settings": "; ".join(filter(None, [note, "" if how is None else _shown(how)])),
     }
+    check_pitch("coax map", "pitch_rad", [upper_pitch_rad, lower_pitch_rad])
     system = System.coaxial(upper, lower, spacing_m=spacing_m)
     store = _Kept(kept, {**about, "axes": [a.tolist() for a in axes], "blades": _blades(upper, lower)})
     points = map_points(shape)

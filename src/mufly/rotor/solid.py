@@ -30,6 +30,7 @@ from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.rotor.geometry import Rotor, make_rotor
 from mufly.rotor.sections.airfoil import load_airfoil, sides
 from mufly.rotor.sections.polar_file import is_polar_file
+from mufly.rotor.system import check_pitch
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -118,6 +119,7 @@ def blade_sections(
             f"{along} stations of 2 x {per_side} points are too few",
             "give 2 and 8 at least",
         )
+    check_pitch("blade", "pitch_rad", pitch_rad)
     if not 0.0 <= tail_m < 0.5 * float(np.min(rotor.blade.chord.array())):
         raise InputError("blade", "tail", f"is {_MM * tail_m:g} mm", "give 0 to half the least chord")
     t = np.linspace(0.0, math.pi, along)

@@ -47,6 +47,7 @@ from mufly.rotor.system import (
     RotorResult,
     System,
     WakeSettings,
+    check_pitch,
     tip_mach,
     warn_of_mach,
     warn_of_vortex_ring,
@@ -137,13 +138,14 @@ def solve(
     count = len(system.bladings)
     pitch = _each("pitch_rad", condition.pitch_rad, count)
     speed = _each("speed_rad_s", condition.speed_rad_s, count)
+    check_pitch("rotor", "pitch_rad", [p for p in pitch if p is not None])
     for blading, which, given in zip(system.bladings, system.which, speed, strict=True):
         if given is not None:
             mach = tip_mach(blading.rotors[which].radius_m, given, condition.air)
             if mach >= 1.0:
                 raise InputError(
                     "rotor", "speed_rad_s", f"{given:g} ({given / RPM:.6g} rpm) moves the tips at Mach {mach:.1f}",
-                    "stay below 1, better below 0.7: no theory here knows of shocks",
+                    "stay below 1, better below 0.7: no theory here knows of shocks; speeds are in rad/s, not in rpm",
                 )  # fmt: skip
             warn_of_mach(mach)
     found = _answer(system, condition, method, pitch, speed, settings, start, progress)

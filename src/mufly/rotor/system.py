@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
 from mufly.results import result
@@ -78,14 +78,33 @@ def warn_of_vortex_ring(climb_m_s: float, thrust_N: float, area_m2: float, air: 
         )  # fmt: skip
 
 
+_QUARTER_TURN = 0.5 * math.pi * (1.0 + 1e-9)
+_IN_RPM = " (speed_rad_s is in rad/s; a number in rpm has to be multiplied by pi / 30)"
+
+
 def warn_of_mach(mach: float) -> None:
     """Give a :class:`RotorWarning` where the tips are beyond :data:`HIGHEST_MACH`."""
     if mach > HIGHEST_MACH:
         warnings.warn(
             f"the tips move at Mach {mach:.2f}; beyond {HIGHEST_MACH:g} shocks stall the sections, and thrust and "
-            "torque are a guess",
+            f"torque are a guess{_IN_RPM if mach >= 1.0 else ''}",
             RotorWarning, stacklevel=3,
         )  # fmt: skip
+
+
+def check_pitch(where: str, name: str, pitch_rad: ArrayLike) -> None:
+    """Raise :class:`InputError` for a pitch that is not finite or beyond 90 degrees, such as one given in degrees."""
+    values = np.asarray(pitch_rad, dtype=np.float64)
+    beyond = ~(np.abs(values) <= _QUARTER_TURN)
+    if not np.any(beyond):
+        return
+    value = float(values[beyond].flat[0])
+    if not math.isfinite(value):
+        raise InputError(where, name, f"is {value:g}", "give a finite number")
+    raise InputError(
+        where, name, f"is {value:g} rad, which is {math.degrees(value):.0f} degrees: beyond 90 a blade flies backwards",
+        f"give radians: math.radians({value:g}) is {math.radians(value):.4g}",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -505,8 +524,7 @@ def check_rotors(rotors: Sequence[Placed], climb: float) -> None:
     for p in rotors:
         if not (math.isfinite(p.speed_rad_s) and p.speed_rad_s > 0.0):
             raise InputError("wake", "speed_rad_s", f"is {p.speed_rad_s:g}", "give a number above 0")
-        if not math.isfinite(p.pitch_rad):
-            raise InputError("wake", "pitch_rad", f"is {p.pitch_rad:g}", "give a finite number")
+        check_pitch("wake", "pitch_rad", p.pitch_rad)
         if p.hand not in (1, -1):
             raise InputError("wake", "hand", f"is {p.hand}", "give 1 or -1")
     if len(rotors) == 2:

@@ -23,6 +23,7 @@ from mufly.units import units_of
 Source = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
 
 _LIMITS = {"above": gt, "at_least": ge, "below": lt, "at_most": le}
+_REPR_WIDTH = 64  # characters of values in a line of a short representation
 _ABSURD = 1e9  # no parameter of a vehicle is as large in SI units; powers of larger ones overflow
 
 
@@ -161,6 +162,18 @@ def _in_words(value: Any) -> str:
     return str(value)
 
 
+def _first_values(rows: list[Line]) -> str:
+    """The first values of a table, as many as a line holds, and how many more there are."""
+    shown: list[str] = []
+    for row in rows:
+        text = f"{row.key} {row.value} {row.unit}".strip()
+        if sum(map(len, shown)) + len(text) > _REPR_WIDTH:
+            break
+        shown.append(text)
+    more = len(rows) - len(shown)
+    return ", ".join([*shown, *([f"{more} {'more' if shown else 'values'}"] if more else [])])
+
+
 class Group(_Frozen):
     """A named group of parameters. Converts what the file says to SI and checks it against the declaration."""
 
@@ -179,6 +192,20 @@ class Group(_Frozen):
                 f"{r.unit:<{widths[4]}}  {r.source:<{widths[5]}}  {r.meaning}".rstrip()
             )
         return "\n".join(out)
+
+    def __repr__(self) -> str:
+        """Name, description and a line for each table with its first values; :meth:`__str__` has all of them."""
+        title = f"{type(self).__name__} {getattr(self, 'name', '')}".strip()
+        if said := getattr(self, "description", ""):
+            title += f": {said}"
+        rows = list(lines_of(self))
+        tables: dict[str, list[Line]] = {}
+        for row in rows:
+            if row.key not in ("name", "description"):
+                tables.setdefault(row.table.partition(".")[0], []).append(row)
+        width = max((len(name) for name in tables), default=0)
+        out = [title, *(f"  {name:<{width}}  {_first_values(held)}" for name, held in tables.items())]
+        return "\n".join([*out, f"  {len(rows)} values in all: print(...) shows each with its source"])
 
     def _repr_html_(self) -> str:
         """Return the same as a table for notebooks."""

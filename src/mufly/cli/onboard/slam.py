@@ -387,7 +387,9 @@ def _camera_of(place: Path, given: str | None) -> Camera:
 def evaluate(
     trajectory: Annotated[Path, argument("FILE", "Trajectory in TUM's text, as `mufly slam run` writes it.")],
     truth: Annotated[Path, argument("FILE|FOLDER", "The truth: TUM's text, or a data set.")],
-    offset: Annotated[float, option("--offset S", "Of the trajectory: its clock less the truth's.")] = 0.0,
+    offset: Annotated[
+        float, option("--offset", "Of the trajectory: its clock less the truth's.", unit="s")
+    ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
     """Compare a trajectory with the truth: errors, drift, and whether its covariance is true."""
