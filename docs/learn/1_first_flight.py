@@ -74,8 +74,8 @@ for name, value in flight.summary_rows(summary):
 # %% [markdown]
 # ## Wind
 #
-# 1.8 m/s of wind and gusts of 0.3 m/s (standard deviation): a window stands open. `seed` makes the gusts the same again;
-# another seed gives other gusts. Wind pushes sideways, so the distance in the horizontal plane shows it.
+# 1.8 m/s of wind and gusts of 0.3 m/s (standard deviation): a window stands open. `seed` makes the gusts the same
+# again; another seed gives other gusts. Wind pushes sideways, so the distance in the horizontal plane shows it.
 
 # %%
 windy = flight.fly(vehicle, "demonstration", controller=controller, wind=(1.8, 0.0, 0.0), gust=0.3, seed=1)

@@ -367,4 +367,4 @@ def test_a_pitch_in_degrees_is_refused_with_the_remedy():
 
 def test_a_speed_in_rpm_is_told_apart():
     with pytest.warns(RotorWarning, match=r"Mach 1\.2.*multiplied by pi / 30"):
-        hover(load_rotor("naca4412-r60-c20"), pitch_rad=0.2, speed_rad_s=7000.0)
+        hover_batch(load_rotor("naca4412-r60-c20"), pitch_rad=0.2, speed_rad_s=7000.0)
