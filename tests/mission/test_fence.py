@@ -9,7 +9,7 @@ import pytest
 from mufly.errors import InputError
 from mufly.flight import Flight
 from mufly.mission import Fence, SetPoint, dump_mission, fence_fault, fence_of, items_of_fence, mission_from
-from mufly.mission.fence import fence_margins
+from mufly.mission.fence import fence_margins, way_fault
 from mufly.mission.items import Item, MissionResult, Origin, Refusal
 
 SQUARE = [[-3, -3], [3, -3], [3, 3], [-3, 3]]
@@ -154,6 +154,44 @@ def test_outside_its_fence_a_vehicle_does_what_the_fence_says(action, ends):
             assert "fence refused" in pilot.load_fence(mission.fence).reason
             assert pilot.go_to((0.3, 0.0, -0.5))
             assert pilot.load_fence(None)
+
+
+def test_sticks_that_stay_out_are_stopped_and_may_fly_back():
+    """After a breach it holds for two seconds; the pilot may then fly back, and a metre further out it acts again."""
+    mission = mission_from(go((0.3, 0, -0.5), centre_m=[0, 0], radius_m=0.6))
+    with Flight(
+        "mufly-1.1", mission.with_parts(take_off=mission.take_off.model_copy(update={"height_m": 0.5}))
+    ) as f:
+        pilot = f.autopilot
+        f.tick()
+        assert pilot.arm(force=True)
+        assert pilot.take_off(0.5)
+        while pilot.status.state != "hover":
+            f.tick()
+
+        def fly(pitch: float, until, most=3000):
+            for _ in range(most):
+                pilot.sticks(0.0, pitch, 0.0, 0.0)
+                f.tick()
+                if until():
+                    return True
+            return False
+
+        assert fly(-0.06, lambda: pilot.status.fence_breaches == 1)
+        assert "wait until it holds" in pilot.sticks(0.0, -0.06, 0.0, 0.0).reason
+        for _ in range(8):  # the mission's logic runs in every fourth
+            f.tick()
+        assert pilot.status.state == "hover"
+        assert fly(-0.06, lambda: pilot.status.fence_breaches == 2)
+        assert fly(0.08, lambda: not pilot.status.fence_breach)
+
+
+def test_a_way_through_a_keep_out_zone_is_refused_and_the_way_back_is_not():
+    fence = Fence(centre_m=(0.0, 0.0), radius_m=5.0, keep_out_circles_m=((2.0, 0.0, 0.5),))
+    assert "the way there leads" in way_fault(fence, (0.0, 0.0, -1.0), (4.0, 0.0, -1.0))
+    assert way_fault(fence, (0.0, 0.0, -1.0), (0.0, 4.0, -1.0)) == ""
+    assert way_fault(fence, (7.0, 0.0, -1.0), (4.0, 0.0, -1.0)) == ""
+    assert way_fault(None, (0.0, 0.0, -1.0), (99.0, 0.0, -1.0)) == ""
 
 
 def test_a_place_that_a_full_battery_does_not_reach_is_refused():

@@ -145,6 +145,23 @@ def test_another_autopilots_mission_is_reckoned_with_its_own_speeds():
     assert unknown.needed_s > length / 0.6
 
 
+def test_jumps_and_circles_take_their_time():
+    """Two rounds more of a square are two rounds more; an endless jump is said."""
+    square = [Item(k, 1, 16, x=round(1e4 * n), y=round(1e4 * e), z=-1.0, params=(2.0, 0, 0, math.nan))
+              for k, (n, e) in enumerate([(0, 0), (3, 0), (3, 3), (0, 3)])]  # fmt: skip
+    once = planned_flight(square, Snapshot(), {}).needed_s
+
+    def with_last(command, *params):
+        return planned_flight([*square, Item(4, 1, command, params=params, x=0, y=0, z=-1.0)], Snapshot(), {})
+
+    jumped = with_last(177, 0.0, 2.0, 0.0, 0.0)
+    legs = 3.0 / 0.6 + 1.5 + 2.0  # and turns
+    assert once + 8 * legs < jumped.needed_s < once + 8 * (legs + 6.0)
+    assert with_last(177, 0.0, -1.0, 0.0, 0.0).assumed == "0.6 m/s assumed, without its endless jump"
+    circles = with_last(18, 2.0, 0.0, 1.0, 0.0).needed_s - with_last(16, 0.0, 0.0, 0.0, math.nan).needed_s
+    assert circles == pytest.approx(2.0 * math.tau / 0.6, abs=1.0)
+
+
 def test_disk_and_recorder_are_looked_at(world):
     around = world.seen[0].surroundings
     around.recording, around.free_bytes = False, 1e6

@@ -47,9 +47,11 @@ from mufly.mission import (
     SetPoint,
     State,
     fault_of,
+    fence_depth,
     fence_fault,
     later,
     never,
+    way_fault,
     waypoint_fault,
 )
 from mufly.mission.fence import KEEP_M
@@ -62,8 +64,11 @@ UNUSED_S = 10.0
 SET_POINT_S, STICKS_S = 0.5, 1.0
 """For how long a set-point, and the position of the sticks, hold (s)."""
 
-BACK_M = 0.1
-"""Inside its fence by so much it is back (m)."""
+BACK_M, FURTHER_M = 0.1, 1.0
+"""Inside its fence by so much it is back; outside by so much more the fence acts again (m)."""
+
+HELD_S = 2.0
+"""For so long after a breach no sticks are taken, so that it comes to rest first (s)."""
 
 KEPT_EVENTS = 1000
 _IDLE = Actuators.idle()
@@ -127,6 +132,7 @@ class Autopilot:
         self._logged = 0
         self._suits: tuple[Mission | None, tuple[float, ...], str] = (None, (), "")
         self._breach, self._breaches, self._breach_s = "", 0, math.nan
+        self._breach_depth = 0.0
 
     def reset(self) -> None:
         """Forget the flight, disarmed; mission and parameters stay."""
@@ -263,22 +269,24 @@ class Autopilot:
             self.note(f"disarmed: no take-off within {UNUSED_S:g} s")
 
     def _keep_in_fence(self) -> None:
-        """Act once it has left its fence; it is back once it is inside by :data:`BACK_M`."""
+        """Act where it has left its fence, and again for every :data:`FURTHER_M` that it is further outside."""
         fence, m = self.software.asked.fence, self._estimate
         if fence is None or m is None or not self.software.flying or not np.isfinite(m.position).all():
             self._breach = ""
             return
         before = self._breach
         self._breach = fence_fault(fence, m.position, BACK_M if before else 0.0)
-        if before or not self._breach:
-            if before and not self._breach:
-                self.note("inside the fence again")
+        if before and not self._breach:
+            self.note("inside the fence again")
+        depth = fence_depth(fence, m.position) if self._breach else 0.0
+        if not self._breach or (before and depth > self._breach_depth - FURTHER_M):
             return
+        self._breach_depth = depth
         self._breaches, self._breach_s = self._breaches + 1, self._now
         act = {"hold": self.pause, "return": self.return_home, "land": self.land}[fence.action]
         words = {"hold": "holding", "return": "returning", "land": "landing"}[fence.action]
         by_hand = self._sticks is not None
-        self._sticks = None  # the pilot may take over again, inside
+        self._sticks = None
         landing = self.software.mission_state.state == State.LANDING
         answer = ACCEPTED if landing else act()
         if by_hand and not answer:
@@ -514,7 +522,9 @@ class Autopilot:
         fault = place_fault(mission.world, place, mission.avoidance.clearance_m)
         if fault:
             return never(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
-        fault = fence_fault(mission.fence, place, KEEP_M) or self._out_of_reach(place)
+        here = place if self._estimate is None else self._estimate.position
+        fault = fence_fault(mission.fence, place, KEEP_M) or way_fault(mission.fence, here, place)
+        fault = fault or self._out_of_reach(place)
         if fault:
             return never(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         return self._do(Ask.GO_TO, Command(waypoint=place, heading=heading))
@@ -602,6 +612,8 @@ class Autopilot:
         if not all(math.isfinite(v) for v in values):
             return never("sticks refused: give finite numbers")
         answer = self._may(Ask.STICKS)
+        if answer and self._breach and self._now - self._breach_s < HELD_S:
+            answer = later("it has just left its fence; wait until it holds, then fly it back")
         if not answer:
             return answer
         most = self._parameters.sticks

@@ -13,7 +13,7 @@ from mufly.mission.check import (
     preflight,
     slowed,
 )
-from mufly.mission.fence import fence_fault, fence_of, fence_outlines, items_of_fence
+from mufly.mission.fence import fence_depth, fence_fault, fence_of, fence_outlines, items_of_fence, way_fault
 from mufly.mission.ground_files import FILE_ENDINGS, FROM_GROUND_FILE, is_ground_file
 from mufly.mission.machine import go_on, pause, step, stop_at_once, watch_out, waypoint_fault
 from mufly.mission.offboard import HIGHEST_M, SetPoint, fault_of, wants_up
@@ -104,6 +104,7 @@ __all__ = [
     "dump_mission",
     "expected_timing",
     "fault_of",
+    "fence_depth",
     "fence_fault",
     "fence_of",
     "fence_outlines",
@@ -132,5 +133,6 @@ __all__ = [
     "tips",
     "wants_up",
     "watch_out",
+    "way_fault",
     "waypoint_fault",
 ]

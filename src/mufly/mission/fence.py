@@ -104,6 +104,27 @@ def fence_fault(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> 
     return f"{far} {side} {names[k]}"
 
 
+def fence_depth(fence: Fence, place: ArrayLike) -> float:
+    """Return how far a place (3,) is inside a fence (m); negative outside."""
+    margins, _ = fence_margins(fence, place)
+    return float(np.where(np.isfinite(margins), margins, -math.inf).min()) if margins.size else math.inf
+
+
+def way_fault(fence: Fence | None, here: ArrayLike, place: ArrayLike) -> str:
+    """Return why the way from a place (3,) to another leads out of a fence, in words: height first, then level.
+
+    Whoever is outside already may come back any way.
+    """
+    a, b = (np.asarray(v, dtype=np.float64) for v in (here, place))
+    if fence is None or fence_fault(fence, a):
+        return ""
+    corner = np.array([a[0], a[1], b[2]])
+    count = max(2, math.ceil(float(np.linalg.norm(b - corner)) / 0.1) + 1)
+    level = corner + np.linspace(0.0, 1.0, count)[:, None] * (b - corner)
+    fault = fence_fault(fence, level)
+    return f"the way there leads {fault}" if fault else ""
+
+
 def check_fence(mission: Mission, where: str) -> None:
     """Refuse a mission that leaves its own fence.
 

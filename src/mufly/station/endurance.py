@@ -42,6 +42,8 @@ LIMIT_SOURCES: dict[str, _Sources] = {
 """Parameters that tell a limit, by key of ``[limits]``: the first that the vehicle has, and the factor to the key's
 unit. mufly's, PX4's, ArduPilot's (the older in cm/s, the newer in m/s)."""
 
+MOST_FLOWN = 2000
+"""Items of a mission with jumps that are followed at most."""
 _CIRCLES, _JUMP = 18, 177  # NAV_LOITER_TURNS, DO_JUMP
 
 
@@ -197,6 +199,22 @@ def _mission_of(
         return _as_far_as_known(items, base, origin or _first_place(items))
 
 
+def _with_jumps(items: Sequence[Item]) -> tuple[list[Item], bool]:
+    """Items as they are flown, DO_JUMP (parameter 1: to which item, 2: how often) followed; whether one is endless."""
+    flown: list[Item] = []
+    left = {item.seq: int(item.params[1]) for item in items if item.command == _JUMP and item.params[1] > 0.0}
+    endless = any(item.command == _JUMP and item.params[1] < 0.0 for item in items)
+    k = 0
+    while k < len(items) and len(flown) < MOST_FLOWN:
+        item, k = items[k], k + 1
+        if item.command != _JUMP:
+            flown.append(item)
+        elif left.get(item.seq, 0) > 0 and 0 <= item.params[0] < len(items):
+            left[item.seq] -= 1
+            k = int(item.params[0])
+    return flown, endless
+
+
 def _first_place(items: Sequence[Item]) -> Origin | None:
     """The first place on the globe among items, for want of an origin."""
     on_globe = (
@@ -216,7 +234,9 @@ def _as_far_as_known(
     came_from: list[int] = []
     left_out: list[str] = []
     take_off, speed, end = base.take_off, None, "hover"
-    for item, row in zip(items, rows_of(items, origin), strict=True):
+    flown, endless = _with_jumps(items)
+    left_out += ["without its endless jump"] if endless else []
+    for item, row in zip(flown, rows_of(flown, origin), strict=True):
         n, e, d = row.position
         placed = all(map(math.isfinite, row.position))
         if item.command == SPEED:
@@ -242,7 +262,5 @@ def _as_far_as_known(
                 )
             )
             came_from.append(item.seq)
-        elif item.command == _JUMP:
-            left_out = ["without its jumps"]
     mission = _rebuilt(base, waypoint=tuple(waypoints), take_off=take_off, at_end=end)
     return mission, tuple(came_from), left_out

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mufly.mission import Fence, Mission, fence_fault, fence_outlines
+from mufly.mission import Fence, Mission, fence_fault, fence_outlines, way_fault
 from mufly.mission.fence import KEEP_M
 from mufly.mission.timing import reach_time
 from mufly.station.checks import CHARGE_LEAST, OWN_CHECKS, RESERVE
@@ -106,6 +106,8 @@ def judge_errand(
     here = s.estimate.position
     if not np.isfinite(here).all():
         return Errand(beware="nobody knows where the vehicle is")
+    if fault := way_fault(fence, here, place):
+        return Errand(refused=fault)
     away, needed = math.dist(here.tolist(), place), reach_time(limits, here, place)
     if needed > s.battery_left_s:
         return Errand(
