@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, dataclass_transform,
 import numpy as np
 
 from mufly.drawing import Quantity, drawn, quantity, shown
-from mufly.units import known_unit, split_header
+from mufly.units import known_unit, split_suffix
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -155,7 +155,7 @@ def _attributes(docstring: str) -> dict[str, tuple[str, str]]:
 
 
 def _meaning(name: str, kind: str, said: str) -> Meaning:
-    label, unit = split_header(name)
+    label, unit = split_suffix(name)
     for suffix, its in _SUFFIXES.items():
         if name.endswith(f"_{suffix}"):
             label, unit = name.removesuffix(f"_{suffix}"), its

@@ -7,7 +7,7 @@ units that people read take their factors from here. Inside the package everythi
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from math import pi
 
@@ -187,16 +187,6 @@ def _canonical(text: str) -> str:
 _INSTEAD = {("N", mass): force for mass, force in _FORCES.items()} | {
     ("m/s^2", "g"): "gee", ("m/s^2", "mg"): "mgee", ("rad/s", "1/s"): "rps",
 }  # fmt: skip
-# As suffix of a name, "gyro_x_deg_s". A lone N is no unit behind position or velocity: there it is north.
-_SUFFIXES = {
-    "rad_s2": "rad/s^2", "deg_s2": "deg/s^2", "rad_s": "rad/s", "deg_s": "deg/s", "m_s2": "m/s^2", "m_s": "m/s",
-    "radps": "rad/s", "degps": "deg/s", "dps": "deg/s", "deg": "deg", "rad": "rad", "rpm": "rpm", "mps": "m/s",
-    "ms": "ms", "us": "us", "ns": "ns", "s": "s", "mm": "mm", "cm": "cm", "m": "m", "mV": "mV", "V": "V",
-    "mA": "mA", "A": "A", "mW": "mW", "W": "W", "mN": "mN", "N": "N", "mNm": "mN m", "Nm": "N m", "Nmm": "N mm",
-    "Hz": "Hz", "hz": "Hz", "Pa": "Pa", "hPa": "hPa", "K": "K", "degC": "degC", "kg": "kg", "pct": "%",
-}  # fmt: skip
-_BRACKETS = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
-_INDEX = re.compile(r"\d+")
 
 
 @cache
@@ -277,25 +267,219 @@ def units_of(si: str) -> Mapping[str, float]:
     return {unit: float(factor) for unit, (factor, _) in _TABLE[si].items()}
 
 
+# From here on: the unit in a header. In brackets stands a unit; behind an underscore may stand one.
+
+
+def _set(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+# Ends of names that are units whatever the name is.
+_ENDS = {
+    "rad_s2": "rad/s^2", "deg_s2": "deg/s^2", "rad_s": "rad/s", "deg_s": "deg/s", "m_s2": "m/s^2", "m_s": "m/s",
+    "cm_s": "cm/s", "mm_s": "mm/s", "km_h": "km/h", "ft_s": "ft/s", "kg_m3": "kg/m3",
+}  # fmt: skip
+_ENDS |= {end: end for end in _set(
+    "radps degps dps deg rad mrad rpm RPM rps krpm mps ms us ns usec msec sec secs seconds millis micros mm cm km "
+    "ft kmh kph mph knots mV mA mW kW mN gf kgf lbf ozf mNm Nm Nmm Ncm uNm Hz hz Pa hPa kPa mbar psi inHg degC "
+    "degF kg pct percent degrees radians meters metres volts amps mAh Ah Wh uT mT gauss mgauss gee mgee ohm mohm"
+)}  # fmt: skip
+# Ends that are units of one quantity alone: the letter, its unit, and the kind of words that tell that quantity.
+# Elsewhere the letter is an index, an axis or a symbol (RPM_A, gain_K).
+_LETTERS = {
+    "s": ("s", "s"), "m": ("m", "m"), "V": ("V", "V"), "A": ("A", "A"), "W": ("W", "W"), "N": ("N", "N"),
+    "K": ("K", "K"), "C": ("degC", "K"), "F": ("degF", "K"), "T": ("T", "T"), "J": ("J", "J"), "in": ("in", "span"),
+    "G": ("gauss", "T"),
+}  # fmt: skip
+_WORDS = {
+    "s": _set(
+        "t time timestamp stamp dt ts duration delay period tau age elapsed latency interval step clock uptime "
+        "lag timeout endurance settling rise boot since zeit hold"
+    ),
+    "m": _set(
+        "x y z px py pz pos position distance dist range height h alt altitude depth length width radius chord "
+        "span arm r d l diameter thickness baro ground agl hgt north east down sonar lidar tof rangefinder "
+        "displacement travel offset error err wavelength gap separation spacing clearance terrain gps odom hacc "
+        "vacc eph epv accuracy sigma std level elevation track xtrack xte path s ned enu local beam stroke "
+        "extension shift relative amsl msl"
+    ),
+    "V": _set(
+        "u v voltage volt volts vbat bat batt battery cell cells supply bus esc adc vcc vdd rail signal sensor "
+        "raw motor bridge pot strain servo rx main pack source shunt gauge input output ref hall analog torque "
+        "thrust force pressure load temp temperature airspeed pitot bt"
+    ),
+    "A": _set(
+        "i current curr amp amps draw esc bus bat batt battery motor supply load shunt pack source phase charge"
+    ),
+    "W": _set(
+        "p power pow watt watts electrical electric mechanical shaft motor supply battery bat batt esc load input "
+        "output heat loss losses"
+    ),
+    "N": _set("t thrust force forces f fx fy fz lift drag load loadcell cell pull push tension weight"),
+    "K": _set("t temperature temp temps oat ambient air imu"),
+    "T": _set("b bx by bz mag magnetometer magnetic field compass"),
+    "J": _set("energy work e"),
+    "m/s": _set(
+        "v u w vx vy vz vn ve vd vel velocity speed airspeed groundspeed gspd spd wind climb ias tas gs vs sink"
+    ),
+    "m/s^2": _set(
+        "a ax ay az acc accel accels acceleration accx accy accz accelx accely accelz accelerometer "
+        "accelerometers xacc yacc zacc linacc vibration vibe vib smooth specific axb ayb azb nx ny nz"
+    ),
+    "kg": _set("m mass weight payload auw tow takeoff fuel"),
+    "rad": _set("roll pitch yaw phi theta psi angle heading hdg attitude tilt course bearing azimuth"),
+    "turns": _set(
+        "rpm rps erpm rotor motor prop propeller fan omega speed spin n w nr rotation revolution revolutions "
+        "shaft drehzahl rev revs"
+    ),
+    "span": _set("radius r chord span diameter length width height thickness distance"),
+}
+# No physical quantity, and no revolutions a second, whatever stands beside these words.
+_NO_QUANTITY = _set(
+    "gain kp ki kd kv kt coefficient coeff coef ratio factor count counter number num index idx id flag flags "
+    "status mode type c cl cd cm cn ct cq cp k"
+)
+_NO_TURNS = _set("filter cutoff notch sample sampling loop cpu log logging bandwidth update frame video pwm")
+# What certainly is of one dimension, whatever letter stands in brackets behind it.
+_CERTAIN = {
+    "rpm": "rad/s", "voltage": "V", "current": "A", "temperature": "K", "power": "W", "thrust": "N", "mass": "kg",
+    "roll": "rad", "yaw": "rad",
+}  # fmt: skip
+# Letters in one row of columns: phases A, B, C or U, V, W; north, east, south, west, down.
+_ROWS = ({"A": "B", "C": "B"}, {"V": "U", "W": "U"}, {"N": "ESD", "W": "ES"})
+_BRACKETS = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
+_INDEX = re.compile(r"\d+")
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
+
+
+def _words(name: str) -> frozenset[str]:
+    return frozenset(w.lower() for w in _WORD.findall(name))
+
+
+def unit_named(name: str, written: str) -> str | None:
+    """Return the unit of a column that a file names, in brackets or as metadata.
+
+    What a letter means is decided by the name of the column: ``g`` of an acceleration, a thrust and a mass are three
+    units; ``1/s`` and ``Hz`` of a rotational speed are revolutions; ``mG`` of a magnetic field is a milligauss.
+
+    Returns
+    -------
+    str or None
+        As this package writes it; as it stands where it is not known; None where the name does not tell which of two is
+        meant, or tells that it is none.
+
+    Examples
+    --------
+    >>> unit_named("ax", "g"), unit_named("thrust", "g"), unit_named("mass", "g"), unit_named("x", "g")
+    ('gee', 'gf', 'g', None)
+    """
+    text = " ".join(written.split())
+    words = _words(name)
+    known = "g" if text == "G" else known_unit(text)
+    force, acceleration = words & _WORDS["N"], words & _WORDS["m/s^2"]
+    if known in _FORCES:
+        if text in ("G", "mG") and words & _WORDS["T"]:
+            return "gauss" if text == "G" else "mgauss"
+        if acceleration and known in ("g", "mg"):
+            return _INSTEAD["m/s^2", known]
+        if force and not words & (_WORDS["kg"] - {"m"}):
+            return _FORCES[known]
+        return None if known in ("g", "mg") and not words & _WORDS["kg"] else known
+    if text == "mG" and words & _WORDS["T"]:
+        return "mgauss"
+    if known in ("1/s", "Hz"):
+        turns = words & _WORDS["turns"] and not words & (_NO_TURNS | _NO_QUANTITY)
+        return "rps" if turns else known
+    if text in ("rads", "degs"):
+        return text[:3] + ("" if words & _WORDS["rad"] else "/s")
+    if not known and text in ("S", "M") and words & _WORDS[text.lower()]:
+        return text.lower()
+    if text in _LETTERS and text != "V" and known:
+        certain = {_CERTAIN[w] for w in words if w in _CERTAIN}
+        if certain and _BY_UNIT[known][0] not in certain:
+            return None
+    return known or text
+
+
+def split_suffix(name: str) -> tuple[str, str]:
+    """Split a name of ours, where a unit at the end is one whatever the name: ``"arm_m"`` is an arm in m.
+
+    Headers that others wrote are split by :func:`split_header`.
+    """
+    for end, unit in (_ENDS | {letter: letter for letter in "smVAWNK"}).items():
+        if name.endswith(f"_{end}") and len(name) > len(end) + 1:
+            return name[: -len(end) - 1], known_unit(unit)
+    return name, ""
+
+
 def split_header(header: str) -> tuple[str, str]:
     """Split a column's header into name and unit.
 
-    ``"roll (deg)"``, ``"T [N]"``, ``"speed_rpm"`` and ``"gyro_x_deg_s"`` carry a unit; ``"position_N"`` does not
-    (that is north), nor does ``"q[0]"`` (that is an index). A unit in brackets that this package does not know is
-    returned as it stands.
+    ``"roll (deg)"``, ``"T [N]"``, ``"speed_rpm"`` and ``"gyro_x_deg_s"`` carry a unit. A single letter is one where the
+    name tells its quantity: ``"U_V"``, ``"thrust_N"``, ``"ax_g"``; ``"position_N"`` (north), ``"RPM_A"``, ``"gain_K"``
+    and ``"q[0]"`` (an index) have none. A unit in brackets that this package does not know is returned as it stands.
     """
-    text = header.strip().strip('"')
+    (split,), _ = split_headers([header])
+    return split
+
+
+def split_headers(headers: Sequence[str]) -> tuple[list[tuple[str, str]], list[str]]:
+    """Split the headers of a table into names and units; see :func:`split_header`.
+
+    Returns
+    -------
+    split : list of (name, unit)
+    doubtful : list of str
+        Headers that end like a unit that their quantity does not have, and are names as they stand.
+    """
+    texts = [h.strip().strip('"') for h in headers]
+    ends: dict[str, set[str]] = {}
+    for text in texts:
+        stem, _, end = text.rpartition("_")
+        if len(end) == 1:
+            ends.setdefault(stem, set()).add(end)
+    split: list[tuple[str, str]] = []
+    doubtful: list[str] = []
+    for text in texts:
+        name, unit = _split(text, ends)
+        if unit is None:
+            doubtful.append(text)
+        split.append((name, unit or ""))
+    return split, doubtful
+
+
+def _split(text: str, ends: Mapping[str, set[str]]) -> tuple[str, str | None]:
     match = _BRACKETS.match(text)
     if match is not None and not _INDEX.fullmatch(match["unit"].strip()):
-        unit = match["unit"].strip()
-        return match["name"].strip(), known_unit(unit) or unit
-    for suffix, unit in _SUFFIXES.items():
-        name, found, rest = text.rpartition(f"_{suffix}")
-        if not found or rest or not name:
-            continue
-        if suffix == "N" and re.search(
-            r"(pos|position|vel|velocity|wind|acc|acceleration)$", name, re.IGNORECASE
-        ):
-            continue
+        unit = unit_named(match["name"], match["unit"])
+        return (text, None) if unit is None else (match["name"].strip(), unit)
+    for end, unit in _ENDS.items():
+        name, found, rest = text.rpartition(f"_{end}")
+        if found and name and not rest:
+            if end == "ms" and _words(name) & _WORDS["m/s"]:
+                return name, "m/s"
+            settled = unit_named(name, unit)
+            return (text, None) if settled is None else (name, settled)
+    name, found, letter = text.rpartition("_")
+    words = _words(name)
+    if not found or not name or (letter not in _LETTERS and letter != "g"):
+        return text, ""
+    if letter == "g":
+        settled = unit_named(name, "g") if not words & _NO_QUANTITY else None
+        return (text, None) if settled is None else (name, settled)
+    unit, kind = _LETTERS[letter]
+    if letter == "N" and words & (_WORDS["m"] | _WORDS["m/s"] | _WORDS["m/s^2"]) - {"h", "d"}:
+        return text, ""  # north
+    if letter == "G" and words & _WORDS["m/s^2"]:
+        return name, "gee"
+    beside = ends.get(name, set())
+    row = any(letter in row and beside & set(row[letter]) for row in _ROWS)
+    fits = words & _WORDS[kind] and not words & _NO_QUANTITY and not row
+    if fits and _certainly(words, unit):
         return name, unit
-    return text, ""
+    return text, "" if letter == "in" else None
+
+
+def _certainly(words: frozenset[str], unit: str) -> bool:
+    certain = {_CERTAIN[w] for w in words if w in _CERTAIN}
+    return (unit == "V" and "rad/s" not in certain) or not certain or _BY_UNIT[unit][0] in certain

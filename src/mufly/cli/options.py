@@ -29,7 +29,7 @@ from mufly.grammar import (
     read_vector,
     read_whole,
 )
-from mufly.units import split_header
+from mufly.units import split_suffix
 
 if TYPE_CHECKING:
     from mufly.drive import Drive
@@ -77,7 +77,7 @@ class Command(TyperCommand):
 
         def option_of(argument: str) -> str | None:
             other = _OPTIONS.get(argument, argument)
-            names = (argument, other, f"{other}_", split_header(other)[0])
+            names = (argument, other, f"{other}_", split_suffix(other)[0])
             return next((options[n] for n in names if n in options), None)
 
         remedy = re.sub(

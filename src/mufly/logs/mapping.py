@@ -202,7 +202,8 @@ def _in_si(c: Channel) -> Channel:
     wanted = _unit_of(c.variable) or None
     unit = c.units or wanted or "1"
     values = c.values.astype(np.float64)
-    if unit != wanted and (wanted is not None or known_unit(unit)):
+    # Hertz of a signal that nobody knows are a frequency, no rotational speed: those are called rps by its header.
+    if unit != wanted and (wanted is not None or (known_unit(unit) and unit != "Hz")):
         try:
             unit, factor, offset = conversion(unit, wanted)
         except InputError as error:

@@ -34,7 +34,7 @@ from mufly.errors import ArgumentError, InputError
 from mufly.rotor.geometry import Rotor, rotor_from
 from mufly.rotor.sections.airfoil import load_airfoil
 from mufly.tables import text_columns
-from mufly.units import conversion, known_unit, split_header, units_of
+from mufly.units import conversion, known_unit, split_header, split_suffix, units_of
 
 Array = NDArray[np.float64]
 
@@ -154,6 +154,7 @@ def _table(path: str | Path, radius_m: float | None, notes: list[str]) -> _Stati
     ] = {}  # quantity: column, and what one of it is in SI (R for ratios: below 0)
     for k, header in enumerate(headers):
         stem, unit = split_header(header)
+        stem, unit = (stem, unit) if unit else split_suffix(stem)  # c_m is a chord here, no coefficient
         if not unit and stem.lower().endswith(("_in", "_inch")):
             stem, unit = stem.rpartition("_")[0], "in"  # elsewhere "in" at a name's end is what goes in
         low, whole = stem.lower(), header.lower()
