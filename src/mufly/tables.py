@@ -16,6 +16,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib.resources.abc import Traversable
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -87,6 +88,9 @@ def read_tables(name_or_path: str | Path, folder: Traversable, kind: str) -> tup
 
 
 _COMMENTS = ("#",)
+# A cell in quotes that goes on in the next line; a lone quote inside a cell (3" propeller) opens none.
+_OPEN_QUOTE = re.compile(r'(?:^|[,;\t])\s*"(?:[^"]|"")*$')
+_LONGEST_CELL = 100  # lines
 # Thousands in groups, as spreadsheets write them: 1.234,5 beside decimal commas, 1,234.5 beside points; 1'234, 1 234.
 _GROUPS = " \u00a0\u2009\u202f'\u2019"
 _OTHER = {",": ".", ".": ","}
@@ -117,7 +121,67 @@ def cells_of(line: str, separator: str) -> list[str]:
     """Return the cells of a line; between blanks a unit in brackets stays with its name."""
     if separator == " ":
         return [c.strip() for c in re.findall(r"[^\s(\[]+(?:\s*[(\[][^)\]]*[)\]])?|[(\[][^)\]]*[)\]]?", line)]
-    return [c.strip() for c in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+    return [c.strip() for c in _csv_cells(line, separator)]
+
+
+def _csv_cells(line: str, separator: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:  # a line break of another system outside quotes, a cell of more than 128 kB
+        return line.split(separator)
+
+
+def split_lines(text: str) -> tuple[list[str], Sequence[int]]:
+    """Return the rows of a text and the line at which each begins; a cell in quotes may hold line breaks."""
+    lines = text.splitlines()
+    numbers: Sequence[int] = range(1, len(lines) + 1)
+    if '"' not in text:
+        return lines, numbers
+    ends: dict[int, int] = {}
+    beyond = -1
+    for k, line in enumerate(lines):
+        if k <= beyond or line.count('"') % 2 == 0 or not _OPEN_QUOTE.search(line):
+            continue
+        closing = (j for j in range(k + 1, min(k + _LONGEST_CELL, len(lines))) if lines[j].count('"') % 2)
+        beyond = next(closing, -1)
+        if beyond > k:
+            ends[k] = beyond
+    if not ends:
+        return lines, numbers
+    rows, numbers, k = [], [], 0
+    while k < len(lines):
+        last = ends.get(k, k)
+        rows.append("\n".join(lines[k : last + 1]))
+        numbers.append(k + 1)
+        k = last + 1
+    return rows, numbers
+
+
+def row_widths(rows: Sequence[str], separator: str) -> list[int]:
+    """Return how many cells each row of a text has."""
+    if separator != " " and not any('"' in row for row in rows):
+        return [n + 1 for n in map(methodcaller("count", separator), rows)]
+    plain = '"' if separator != " " else "(["
+    return [
+        len(cells_of(row, separator))
+        if any(c in row for c in plain)
+        else (row.count(separator) + 1 if separator != " " else len(row.split()))
+        for row in rows
+    ]
+
+
+def without_surplus(row: str, separator: str, width: int, wanted: int) -> str:
+    """Return a row without the empty cells that some loggers write behind its last one."""
+    while width > wanted and row.rstrip(" ").endswith(separator):
+        row, width = row.rstrip(" ")[: -len(separator)], width - 1
+    return row
+
+
+def misfit_row(where: str, line: int, width: int, wanted: int, others: int = 0) -> InputError:
+    """Return the error about a row that has more or fewer cells than the header: nobody knows which is missing."""
+    more = f" (and {others} more rows)" if others else ""
+    problem = f"has {width} cell{'' if width == 1 else 's'}, the header {wanted}{more}"
+    return InputError(where, f"line {line}", problem, "give every row as many cells as the header")
 
 
 def plain_number(cell: str, decimal: str) -> str:
@@ -198,6 +262,7 @@ def text_columns(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]
     """Read a text whose first line names its columns.
 
     Columns are set apart by comma, semicolon, tab or blanks; empty lines and lines that begin with ``#`` are skipped.
+    The last row may be short, as that of a file that is still being written.
 
     Returns
     -------
@@ -208,7 +273,7 @@ def text_columns(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]
     Raises
     ------
     InputError
-        If the file cannot be read, or has no line.
+        If the file cannot be read, has no line, or a row has not as many cells as the header.
     """
     try:
         text = decoded(Path(path).read_bytes())
@@ -218,7 +283,7 @@ def text_columns(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]
         raise InputError(str(path), "", "is no text", "save it as CSV, in UTF-8")
     lines = [
         (i, s)
-        for i, s in enumerate(text.splitlines(), 1)
+        for s, i in zip(*split_lines(text), strict=True)
         if s.strip() and not s.lstrip().startswith(_COMMENTS)
     ]
     if not lines:
@@ -226,6 +291,11 @@ def text_columns(path: str | Path) -> tuple[list[str], list[tuple[int, list[str]
     separator, decimal = layout_of([s for _, s in lines])
     head = cells_of(lines[0][1], separator)
     rows = [(i, cells_of(s, separator)) for i, s in lines[1:]]
+    for i, cells in rows:
+        while len(cells) > len(head) and not cells[-1]:
+            cells.pop()
+        if len(cells) > len(head) or (len(cells) < len(head) and i != rows[-1][0]):
+            raise misfit_row(str(path), i, len(cells), len(head))
     columns = [
         [row[k] for _, row in rows if k < len(row)] for k in range(max((len(r) for _, r in rows), default=0))
     ]

@@ -117,7 +117,7 @@ _SPELT = {
     "s": "sec secs second seconds", "ms": "msec msecs millis millisec millisecond milliseconds",
     "us": "usec usecs micros microsec microsecond microseconds", "ns": "nsec nsecs nanos nanosecond nanoseconds",
     "min": "mins minute minutes", "h": "hr hrs hour hours", "day": "days",
-    "deg": "\u00b0 \u00ba degree degrees degs", "rad": "radian radians", "cdeg": "centideg centidegree centidegrees",
+    "deg": "\u00b0 \u00ba @ degree degrees degs", "rad": "radian radians", "cdeg": "centideg centidegree centidegrees",
     "ddeg": "decideg decidegree decidegrees", "rev": "revs revolution revolutions turn turns",
     "rad/s": "rads radps", "deg/s": "dps degps", "cdeg/s": "cdps",
     "rpm": "RPM Rpm 1/min /min r/min U/min tr/min rot/min rev/min", "rps": "RPS r/s U/s rot/s rev/s",

@@ -28,14 +28,15 @@ from mufly.logs.mcap import MAGIC as MCAP_MAGIC
 from mufly.logs.mcap import columns_of, dataset_of, read_mcap, restore, to_csv
 from mufly.logs.recording import is_recording, raw_mcap, recording_of, write_mcap
 from mufly.logs.tables import (
+    FEATHER_MAGIC,
     GZIP_MAGIC,
     NETCDF_MAGIC,
     PARQUET_MAGIC,
     TOPIC,
     looks_like_table,
+    read_arrow,
     read_csv,
     read_netcdf,
-    read_parquet,
     unpacked,
     write_netcdf,
     write_parquet,
@@ -45,7 +46,6 @@ from mufly.logs.topics import (
     Channel,
     LogWarning,
     RawLog,
-    RawTable,
     check_clock,
     common_clock,
     resample,
@@ -59,6 +59,7 @@ _MAGIC: dict[str, bytes | tuple[bytes, ...]] = {
     "MCAP": MCAP_MAGIC,
     "ULog": ULOG_MAGIC,
     "Parquet": PARQUET_MAGIC,
+    "Feather": FEATHER_MAGIC,
     "NetCDF": NETCDF_MAGIC,
     "DataFlash": DATAFLASH_MAGIC,
 }
@@ -105,7 +106,7 @@ def kind_of(path: str | Path) -> str:
         raise InputError(where, "", f"is a {name} file, which is not read here", remedy)
     raise InputError(
         where, "", "is no log that is known here",
-        "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, Crazyflie micro-SD, CSV, Parquet or NetCDF",
+        "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF",
     )  # fmt: skip
 
 
@@ -119,9 +120,10 @@ def read_raw(path: str | Path, *, time: TimeEntry | None = None, progress: Progr
     Parameters
     ----------
     path : str or Path
-        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet or NetCDF; told by its content.
+        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF; told by its
+        content.
     time : TimeEntry, optional
-        The clock of a CSV or Parquet table.
+        The clock of a table: CSV, Parquet, Feather or NetCDF.
     progress : callable, optional
         Called with (bytes read, bytes in all) while a long log is read.
 
@@ -160,14 +162,10 @@ def open_log(
         return read_crazyflie(path), None
     if kind == "MAVLink tlog":
         return read_tlog(path, progress), None
-    if kind == "Parquet":
-        return read_parquet(path, time)
+    if kind in ("Parquet", "Feather"):
+        return read_arrow(path, kind, time)
     if kind == "NetCDF":
-        data = read_netcdf(path)
-        columns = columns_of(data)
-        fields, units = {c.column: c.values for c in columns}, {c.column: c.units for c in columns}
-        table = RawTable(TOPIC, data["time"].values.astype(np.float64), fields, units)
-        return RawLog(where, "NetCDF", {TOPIC: table}, str(data.attrs.get("start_time", ""))), data
+        return read_netcdf(path, time)
     return read_csv(path, time), None
 
 
@@ -219,7 +217,8 @@ def read_log(
     Parameters
     ----------
     path : str or Path
-        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet or NetCDF; told by its content.
+        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF; told by its
+        content.
     columns : optional
         Column map, as :func:`load_map` takes it; comes before the map of PX4, ArduPilot or MAVLink.
     signals : sequence of str

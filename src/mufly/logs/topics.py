@@ -68,8 +68,8 @@ class RawLog(Mapping[str, RawTable]):
     ----------
     path : str
     kind : str
-        ``"MCAP"``, ``"CSV"``, ``"ULog"``, ``"DataFlash"``, ``"MAVLink tlog"``, ``"Crazyflie"``, ``"Parquet"`` or
-        ``"NetCDF"``.
+        ``"MCAP"``, ``"CSV"``, ``"ULog"``, ``"DataFlash"``, ``"MAVLink tlog"``, ``"Crazyflie"``, ``"Parquet"``,
+        ``"Feather"`` or ``"NetCDF"``.
     tables : dict of str to RawTable
     start_time : str
         Wall time of the instant 0 (ISO 8601, UTC), ``""`` where the file does not tell.
