@@ -1,5 +1,7 @@
 """Time that repeats, swaps, stops or runs backward; gaps; and signals brought onto one clock."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,6 +14,7 @@ from mufly.logs import (
     common_clock,
     find_gaps,
     read_log,
+    read_raw,
     resample,
     usable_samples,
     write_log,
@@ -239,3 +242,131 @@ def test_the_reference_of_heading_is_shifted_by_whole_turns_to_the_measurement(t
     data = read_log(path)
     apart = data.reference_attitude.sel(angle="yaw") - data.measured_attitude.sel(angle="yaw")
     assert apart.values == pytest.approx(0.3)
+
+
+def clocked(tmp_path, stamps, head="timestamp", name="log.csv"):
+    path = tmp_path / name
+    path.write_text(f"{head},U_V\n" + "\n".join(f"{s},{k % 7}" for k, s in enumerate(stamps)))
+    return read_raw(path)
+
+
+@pytest.mark.parametrize("step_s", [60.0, 10.0, 1.0, 0.02, 0.001])
+@pytest.mark.parametrize(("unit", "scale"), [("", 1), ("milli", 1e3), ("micro", 1e6), ("nano", 1e9)])
+def test_an_epoch_is_told_by_its_magnitude_whatever_the_step(tmp_path, unit, scale, step_s):
+    """Before: milliseconds of one row a second were microseconds, and the log of the year 56575."""
+    start = 1_683_356_889
+    counts = [int(start * scale) + round(k * step_s * scale) for k in range(80)]
+    if step_s * scale < 1:
+        counts = [f"{start + k * step_s:.3f}" for k in range(80)]
+    raw = clocked(tmp_path, counts)
+    assert raw["table"].time == pytest.approx(step_s * np.arange(80), abs=1e-5)
+    assert raw.start_time.startswith("2023-05-06T07:08:09")
+    assert f"{unit}seconds since 1970, 2023-05-06" in raw.notes[0]
+
+
+def test_counters_of_a_board_that_runs_for_long_are_no_epoch(tmp_path):
+    """1.7e9 microseconds are 28 minutes since the start, and 1.7e12 nanoseconds as well."""
+    for counts, step in (
+        (1_700_000_000 + 4000 * np.arange(99), 0.004),
+        (17 * 10**11 + 2_500_000 * np.arange(99), 0.0025),
+    ):
+        raw = clocked(tmp_path, counts)
+        assert np.diff(raw["table"].time) == pytest.approx(step)
+        assert raw.start_time == ""
+
+
+def test_a_named_unit_that_leads_to_no_year_is_believed_and_said(tmp_path):
+    raw = clocked(tmp_path, 1_683_356_889_000 + 20 * np.arange(99), head="timestamp (s)")
+    assert raw["table"].time == pytest.approx(20.0 * np.arange(99))
+    assert raw.start_time == ""
+    assert "of no year that a log is of; in ms they would be of 2023" in raw.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("head", "size", "step", "unit_s"),
+    [
+        ("t (ms)", 2**32, 20, 1e-3), ("t (us)", 2**32, 2500, 1e-6), ("t (ms)", 2**16, 100, 1e-3),
+        ("t (us)", 2**24, 5000, 1e-6),
+        ("t (s)", 2**32 / 1e6, 0.02, 1.0), ("t (ms)", 604_800_000, 200, 1e-3), ("t (s)", 86_400, 0.1, 1.0),
+    ],
+)  # fmt: skip
+def test_a_counter_that_wraps_is_counted_on(tmp_path, head, size, step, unit_s):
+    """Before: the half before or after the wrap was left out, as from another clock."""
+    for turns in (1, 3):
+        n = 400 if turns == 1 else max(400, min(int(2.3 * size / step), 4000))
+        if turns == 3 and n * step < 2 * size:
+            continue
+        counts = np.mod(size - 150.5 * step + step * np.arange(n), size)
+        counts = counts if isinstance(step, float) else np.floor(counts)
+        raw = clocked(tmp_path, [f"{c:.10g}" for c in counts], head=head)
+        time = raw["table"].time
+        assert time - time[0] == pytest.approx(
+            step * unit_s * np.arange(n), abs=1.01 * unit_s * (step >= 1) + 1e-5
+        )
+        wraps = int((np.diff(counts) < 0).sum())
+        times = "once" if wraps == 1 else f"{wraps} times"
+        assert re.search(rf"(wraps|anew|midnight) {times}, first at", raw.notes[-1])
+
+
+def test_a_counter_of_a_signed_number_wraps_to_its_least(tmp_path):
+    counts = 2**31 - 1000 + 20 * np.arange(200)
+    raw = clocked(tmp_path, counts.astype(np.int64).astype(np.int32), head="t (ms)")
+    assert np.diff(raw["table"].time) == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("last", [3_000_000, 65_000, 2**31])
+def test_a_restart_is_no_wrap(tmp_path, last):
+    counts = np.r_[last - 20 * np.arange(200)[::-1], 12 + 20 * np.arange(200)]
+    path = tmp_path / "log.csv"
+    path.write_text("t (ms),U_V\n" + "\n".join(f"{c},1" for c in counts))
+    assert "wraps" not in " ".join(read_raw(path).notes)
+    with pytest.raises(InputError, match="runs backward"):
+        usable_samples(1e-3 * counts, "log", "")
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "start"),
+    [
+        ("Date,Time", ["2024-05-01,23:59:59.{k:03d}", "2024-05-02,00:00:00.{k:03d}"], "2024-05-01T23:59:59"),
+        ("Datum;Zeit", ["01.05.2024;23:59:59,{k:03d}", "02.05.2024;00:00:00,{k:03d}"], "2024-05-01T23:59:59"),
+        ("Date,Time", ["04/05/2024,23:59:59.{k:03d}", "05/05/2024,00:00:00.{k:03d}"], "2024-05-04T23:59:59"),
+        ("Date,Time", ["20240501,23:59:59.{k:03d}", "20240501,00:00:00.{k:03d}"], "2024-05-01T23:59:59"),
+        ("Date,Time", ["2024-05-01,11:59:59.{k:03d} PM", "2024-05-02,12:00:00.{k:03d} AM"], "2024-05-01T23:59:59"),
+        ("timestamp", ["01.05.2024 23:59:59.{k:03d}", "02.05.2024 00:00:00.{k:03d}"], "2024-05-01T23:59:59"),
+        ("time", ["2024-05-01T23:59:59.{k:03d}+02:00", "2024-05-02T00:00:00.{k:03d}+02:00"], "2024-05-01T21:59:59"),
+        ("time", ["23:59:59.{k:03d}", "00:00:00.{k:03d}"], ""),
+    ],
+)  # fmt: skip
+def test_a_date_and_a_time_of_the_day_make_a_clock_past_midnight(tmp_path, head, cells, start):
+    separator = ";" if ";" in head else ","
+    path = tmp_path / "log.csv"
+    rows = [cell.format(k=k) for cell in cells for k in range(0, 1000, 100)]
+    path.write_text(head + f"{separator}U_V\n" + "\n".join(f"{r}{separator}7" for r in rows))
+    raw = read_raw(path)
+    time = raw["table"].time - raw["table"].time[0]
+    assert time == pytest.approx(0.1 * np.arange(20), abs=1e-6)
+    assert raw.start_time.startswith(start)
+    assert bool(raw.start_time) == bool(start)
+    assert list(raw["table"].fields) == ["U"]
+    if "+02" not in cells[0]:
+        assert "names no time zone" in " ".join(raw.notes) or "without a date" in " ".join(raw.notes)
+
+
+def test_seconds_and_nanoseconds_of_ros_are_one_clock(tmp_path):
+    path = tmp_path / "log.csv"
+    ns = 1_683_356_889_990_000_000 + 4_000_000 * np.arange(100)
+    path.write_text(
+        "stamp.secs,stamp.nsecs,x_m\n" + "\n".join(f"{n // 10**9},{n % 10**9},1" for n in ns.tolist())
+    )
+    raw = read_raw(path)
+    assert np.diff(raw["table"].time) == pytest.approx(0.004, abs=1e-9)
+    assert raw.start_time.startswith("2023-05-06T07:08:09.990")
+    assert list(raw["table"].fields) == ["x"]
+
+
+def test_of_two_columns_with_the_name_of_a_clock_the_one_that_runs_is_taken(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("T,time_ms,U_V\n" + "\n".join(f"{20 - k % 3},{20 * k},7" for k in range(60)))
+    raw = read_raw(path)
+    assert raw["table"].time == pytest.approx(0.02 * np.arange(60))
+    assert list(raw["table"].fields) == ["T", "U"]

@@ -407,3 +407,125 @@ def test_what_a_comma_means_is_told_by_the_whole_table(table):
     assert read_raw(table("t_s\ta\n0\t1,234\n1\t2,345"))["table"].fields["a"].tolist() == [1.234, 2.345]
     with pytest.raises(InputError, match="is no text"):
         text_columns(table("\0\1\2,3\n4,5"))
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("ay [g]", "ay", "gee"), ("acc_z_g", "acc_z", "gee"), ("thrust_g", "thrust", "gf"),
+        ("battery mass (g)", "battery mass", "g"),
+        ("T [kg]", "T", "kgf"), ("load (lb)", "load", "lbf"), ("acc_x (mG)", "acc_x", "mgee"),
+        ("mag_x (mG)", "mag_x", "mgauss"),
+        ("RPM_A", "RPM_A", ""), ("gain_K", "gain_K", ""), ("Kp_s", "Kp_s", ""), ("roll_m", "roll_m", ""),
+        ("C_N", "C_N", ""),
+        ("wind_W", "wind_W", ""), ("delta_V", "delta_V", ""), ("flags_s", "flags_s", ""), ("RPM (A)", "RPM (A)", ""),
+        ("motor2_A", "motor2", "A"), ("escTemp_C", "escTemp", "degC"), ("T_K", "T", "K"), ("T_s", "T", "s"),
+        ("P_W", "P", "W"),
+        ("thrust_raw_V", "thrust_raw", "V"), ("alt_m", "alt", "m"), ("speed_ms", "speed", "m/s"),
+        ("time_ms", "time", "ms"),
+        ("n [1/s]", "n", "rps"), ("n [1/min]", "n", "rpm"), ("rotor speed (Hz)", "rotor speed", "rps"),
+        ("loop rate (Hz)", "loop rate", "Hz"), ("decay [1/s]", "decay", "1/s"), ("roll (rads)", "roll", "rad"),
+        ("gyro (rads)", "gyro", "rad/s"), ("signal_in", "signal_in", ""), ("radius_in", "radius", "in"),
+        ("Hdg(@)", "Hdg", "deg"),
+        ("x (g)", "x (g)", ""), ("Alt [M]", "Alt", "m"), ("torque (kg-cm)", "torque", "kgf cm"),
+    ],
+)  # fmt: skip
+def test_a_unit_agrees_with_the_quantity_or_is_none(header, name, unit):
+    assert split_header(header) == (name, unit)
+
+
+def test_letters_in_a_row_of_columns_are_no_units_and_it_is_said(table):
+    head = "t_s,phase_A,phase_B,phase_C,i_U,i_V,i_W,motor_A,motor_V,pos_N,pos_E,gain_K"
+    rows = "\n".join(f"{0.1 * k:.1f}" + ",1" * 11 for k in range(40))
+    raw = read_raw(table(f"{head}\n{rows}"))
+    assert raw["table"].units == {"motor": "A", "motor (9)": "V"}
+    assert raw.notes == (
+        "phase_A, phase_C, i_V, i_W, gain_K: read without a unit, since the end of the name does not fit its quantity; "
+        "if one is meant, name it in a column map",
+    )
+
+
+def test_revolutions_a_second_and_other_frequencies(table):
+    lines = "\n".join(f"{0.1 * k:.1f},10,600,400,2" for k in range(40))
+    data = read_log(table(f"t_s,n [1/s],m_rpm [1/min],loop_rate [Hz],decay [1/s]\n{lines}"))
+    assert data["n"].values == pytest.approx(20 * np.pi)
+    assert data["m_rpm"].values == pytest.approx(20 * np.pi)
+    assert (data["loop_rate"].values[0], data["loop_rate"].attrs["units"]) == (400, "Hz")
+    assert (data["decay"].values[0], data["decay"].attrs["units"]) == (2, "1/s")
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+def test_a_short_row_is_left_out_with_its_line_and_shifts_nothing(table, separator):
+    """Before: the cells behind the missing one stood in each other's columns."""
+    lines = [f"{0.1 * k:.1f},{k},7.4,{100 + k}" for k in range(60)]
+    lines[20] = "2.0,7.4,120"
+    text = "\n".join(["# a comment", "t_s,a,U_V,b", *lines]).replace(",", separator)
+    raw = read_raw(table(text))
+    assert raw["table"].fields["b"].tolist() == [100 + k for k in range(60) if k != 20]
+    assert raw["table"].fields["U"] == pytest.approx(7.4)
+    assert raw.notes == ("line 23 has 3 cells, the header 4, and is left out",)
+    lines[40:43], lines[-1] = ["4.0,7"] * 3, "5.9,59"
+    notes = read_raw(table("\n".join(["t_s,a,U_V,b", *lines]).replace(",", separator))).notes
+    assert notes == (
+        "5 rows have fewer cells than the header's 4 and are left out, the first in line 22, the last in line 61",
+    )
+    with pytest.raises(InputError, match=r"line 22: has 3 cells, the header 4; give every row as many cells"):
+        text_columns(table("\n".join(["t_s,a,U_V,b", *lines]).replace(",", separator)))
+
+
+def test_rows_that_fit_no_header_are_refused_with_their_line(table):
+    many = "\n".join(["t_s,a,b,c", *(f"{k},1,2" for k in range(30))])
+    with pytest.raises(InputError, match=r"line 2: has 3 cells, the header 4 \(and 29 more rows\)"):
+        read_raw(table(many))
+    long = "\n".join(["t_s,a", *(f"{k},1" for k in range(30)), "30,1,2", "31,1"])
+    with pytest.raises(InputError, match="line 32: has 3 cells, the header 2"):
+        read_raw(table(long))
+    with pytest.raises(InputError, match="line 32: has 3 cells, the header 2"):
+        text_columns(table(long))
+    assert len(read_raw(table(long.replace("30,1,2", "30,1,,"))).tables["table"].time) == 32
+
+
+@pytest.mark.parametrize(
+    "cell", ['"hover, then land"', '"hover\nthen land"', '"a ""quoted"" word, twice"', '3" propeller']
+)
+def test_a_cell_in_quotes_holds_separators_line_breaks_and_quotes(table, cell):
+    lines = [f"{k},{cell if k == 3 else 'ok'},{k}" for k in range(30)]
+    lines[25] = "25,1"
+    raw = read_raw(table("t_s,note,x_m\n" + "\n".join(lines)))
+    assert raw["table"].fields["x"].tolist() == [k for k in range(30) if k != 25]
+    assert raw.notes == (f"line {27 + cell.count(chr(10))} has 2 cells, the header 3, and is left out",)
+    assert text_columns(table("t_s,note,x_m\n" + "\n".join(lines[:25])))[1][4][1] == ["4", "ok", "4"]
+
+
+def test_lines_before_the_header_are_no_rows(table):
+    """Blackbox Explorer writes keys and values first; a header that stands again is none of the rows."""
+    keys = [
+        '"Product","Blackbox flight data recorder"',
+        '"gyro_scale","0x40000000"',
+        '"acc_1G","512"',
+        '"note","a, b"',
+    ]
+    head = '"time","gyroADC[0]","accSmooth[2]","motor[0]"'
+    rows = [f"{4_000_000 + 1000 * k},{k % 50},512,1200" for k in range(80)]
+    raw = read_raw(table("\n".join([*keys, head, *rows[:40], head, *rows[40:]])))
+    one = raw["table"]
+    assert one.time == pytest.approx(4.0 + 0.001 * np.arange(80))
+    assert one.fields["gyroADC[0]"][49] == pytest.approx(98)
+    assert one.units == {"gyroADC[0]": "deg/s", "accSmooth[2]": "gee"}
+    assert one.fields["accSmooth[2]"] == pytest.approx(1.0)
+    assert raw.info["preamble"]["acc_1G"] == "512"
+    assert raw.notes[0].startswith(
+        "4 lines before the header are no rows of the table (Product, gyro_scale, acc_1G"
+    )
+    assert raw.notes[1] == "the header stands again once among the rows"
+    titled = "\n".join(
+        ["Test of 3 May", "operator: me", "t (s);U (V);I (A)", *(f"{k};7;1" for k in range(30))]
+    )
+    assert read_raw(table(titled))["table"].units == {"U": "V", "I": "A"}
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=8, max_size=60))
+def test_numbers_come_back_to_the_bit(tmp_path_factory, values):
+    path = tmp_path_factory.mktemp("bits") / "log.csv"
+    path.write_text("t_s,x_m\n" + "\n".join(f"{k},{v!r}" for k, v in enumerate(values)))
+    assert read_raw(path)["table"].fields["x"].tolist() == values

@@ -389,7 +389,19 @@ def map_signals(
     settled, said = _settle_angles(list(out.values()))
     shares, called = _shares([_in_si(c) for c in settled])
     sound, beyond = within_limits(shares, lambda c: c.variable in ours_by_guess)
-    return sound, words + said + called + beyond
+    return sound, words + said + called + beyond + _unknown_units(sound)
+
+
+def _unknown_units(channels: list[Channel]) -> list[str]:
+    """One sentence about units that are not in the table of units."""
+    found: dict[str, str] = {}
+    for c in channels:
+        if c.units and not c.text and not known_unit(c.units) and c.units != _unit_of(c.variable):
+            found.setdefault(c.units, c.name)
+    if not found:
+        return []
+    named = ", ".join(f"{unit} ({name})" for unit, name in list(found.items())[:8])
+    return [f"units that are not known, values as they stand: {named}{', ...' if len(found) > 8 else ''}"]
 
 
 def _shares(channels: list[Channel]) -> tuple[list[Channel], list[str]]:

@@ -391,7 +391,7 @@ def usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[np.int64
     report = check_clock(time)
     if report.reset:
         raise InputError(
-            where, key, report.words()[-1 if not report.repeated else 0 if not report.missing else 1],
+            where, key, next(w for w in report.words() if w.startswith("time runs backward")),
             "the clock was reset or the rows are mixed up: cut the log at that place, or give the right time column",
         )  # fmt: skip
     index = np.flatnonzero(np.isfinite(time))

@@ -131,6 +131,12 @@ def _clock_column(where: str, fields: Mapping[str, NDArray[Any]], units: Mapping
         c for c in fields if _SINCE.match(units.get(c, "")) and is_time_unit(units[c]) and c not in found
     ]
     if not found:
+        strange = next((c for c in fields if _TIME.match(c) and not known_unit(units.get(c, ""))), "")
+        if strange:
+            problem = f"{units[strange]!r} is no unit of time"
+            raise InputError(
+                where, strange, problem, "use s, ms, us, ns, min or h, or name it in a column map"
+            )
         remedy = "name it (time=COLUMN, or [time] column in a map), or give [time] rate_hz"
         raise InputError(where, "", f"has no column for the time among: {_few(fields)}", remedy)
     return next((c for c in found if _runs_forward(fields[c])), found[0])

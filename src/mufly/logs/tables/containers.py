@@ -86,6 +86,7 @@ def read_arrow(
         names = [str(entry.name) for entry in table.schema]
         given = [_arrow_unit(entry, metadata) for entry in table.schema]
         columns = [_arrow_column(pyarrow, c) for c in table.columns]
+        index = _pandas_index(metadata)
     except Exception as error:  # whatever damage provokes in pyarrow, names that are no text included
         reason = " ".join(str(error).split())[:120]
         raise InputError(where, "", f"is no sound {kind} file ({reason})", "give another copy") from error
@@ -101,6 +102,9 @@ def read_arrow(
             ) from error
         start = str(dataset.attrs.get("start_time", ""))
         return RawLog(where, kind, {TOPIC: RawTable(TOPIC, clock, fields, units)}, start), dataset
+    # The index of a frame comes first among the columns of which one is the clock.
+    order = sorted(range(len(names)), key=lambda k: names[k] not in index)
+    names, given, columns = ([part[k] for k in order] for part in (names, given, columns))
     fields, units, notes = _named(names, given, columns)
     local = {str(e.name) for e in table.schema if pyarrow.types.is_timestamp(e.type) and e.type.tz is None}
     return _foreign(where, kind, fields, units, notes, time, local), None
@@ -118,6 +122,12 @@ def _arrow_unit(entry: Any, metadata: Mapping[bytes, bytes]) -> str:
         known: dict[str, Any] = next((attrs[k] for k in _UNIT_KEYS if isinstance(attrs.get(k), dict)), {})
         unit = str(known.get(entry.name, ""))
     return unit
+
+
+def _pandas_index(metadata: Mapping[bytes, bytes]) -> set[str]:
+    """Names of the columns that hold the index of a frame of pandas."""
+    said = json.loads(metadata[b"pandas"]) if b"pandas" in metadata else {}
+    return {name for name in said.get("index_columns", ()) if isinstance(name, str)}
 
 
 def _arrow_column(pyarrow: ModuleType, column: Any) -> NDArray[Any]:
