@@ -104,7 +104,7 @@ def read_arrow(
         return RawLog(where, kind, {TOPIC: RawTable(TOPIC, clock, fields, units)}, start), dataset
     # The index of a frame comes first among the columns of which one is the clock.
     order = sorted(range(len(names)), key=lambda k: names[k] not in index)
-    names, given, columns = ([part[k] for k in order] for part in (names, given, columns))
+    names, given, columns = [names[k] for k in order], [given[k] for k in order], [columns[k] for k in order]
     fields, units, notes = _named(names, given, columns)
     local = {str(e.name) for e in table.schema if pyarrow.types.is_timestamp(e.type) and e.type.tz is None}
     return _foreign(where, kind, fields, units, notes, time, local), None
