@@ -438,7 +438,7 @@ class Wakes(Polars):
                 remedy = suggest_name(name, [*known, "stations"], otherwise) if equals else otherwise
                 raise InputError("--wake-set", text, "is no setting", remedy)
             where = f"--wake-set: {name}"
-            unit = split_header(name)[1]
+            unit = split_suffix(name)[1]
             given[name] = read_whole(where, value) if name in _WHOLE else read_quantity(where, value, unit)
         stations = given.pop("stations", STATIONS)
         if not 4 <= stations <= 200:

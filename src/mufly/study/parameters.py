@@ -14,7 +14,7 @@ import numpy as np
 
 from mufly.errors import InputError, suggest_name
 from mufly.grammar import offered_units, read_quantity, read_values
-from mufly.units import factor_of, split_header
+from mufly.units import factor_of, split_suffix
 
 Value = float | str
 
@@ -256,7 +256,7 @@ def parse_limit(text: str) -> Limit:
         raise InputError(text, "", "is no limit", "write for example thickness_mm>=0.8 or radius<=60mm")
     name, sign, number = match[1], match[2], match[3]
     if name in DERIVED:
-        value = read_quantity(text, number, split_header(name)[1] or "1")
+        value = read_quantity(text, number, split_suffix(name)[1] or "1")
     elif name in RANGES:
         value = float(parse_quantity(name, number))
     else:

@@ -37,7 +37,7 @@ from mufly.cli.present import (
 )
 from mufly.errors import InputError, suggest_name
 from mufly.grammar import read_band, read_quantity
-from mufly.units import RPM, split_header
+from mufly.units import RPM, split_suffix
 
 if TYPE_CHECKING:
     from mufly.identify.flight.plan import Candidate, Limits, Plan
@@ -411,7 +411,7 @@ def _limits(text: str | None) -> Limits:
         "rates_deg_s": ("rates_rad_s", math.radians(1)), "height_m": ("height_m", 1.0), "place_m": ("place_m", 1.0),
         "motor": ("motor", 1.0), "servo": ("servo", 1.0),
     }  # fmt: skip
-    units = {name: split_header(name)[1] or "1" for name in names}
+    units = {name: split_suffix(name)[1] or "1" for name in names}
     given = _numbers("--limit", text, units)
     for name, top in (("motor", 0.5), ("servo", 1.0)):
         if (given.get(name) or 0.0) >= top:
