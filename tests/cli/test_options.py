@@ -140,6 +140,7 @@ SHARES = {
 }  # fmt: skip
 # Options that hold names, files, addresses, or NAME=VALUE with values that the grammar reads.
 TEXTS = {
+    "--align", "--with",
     "--accept", "--aid", "--airfoil", "--airfoils", "--as", "--axis", "--board", "--by", "--calibration",
     "--calibration-columns", "--camera", "--camera-fault", "--case", "--channel", "--checkpoint", "--clock",
     "--cluster", "--code", "--column", "--columns", "--connect", "--data", "--designed-for", "--domain",

@@ -230,7 +230,7 @@ def plot(
         str, option("--align EVENT", "With --with: what coincides: take-off, arming, start or clock.")
     ] = "take-off",
     offset_s: Annotated[
-        float, option("--offset S", "With --with: move the second log later by this (s), beyond that.")
+        float, option("--offset", "With --with: move the second log later by this, beyond that.", unit="s")
     ] = 0.0,
     map_file: MapOption = None,
     column: ColumnOption = None,
