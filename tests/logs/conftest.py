@@ -71,6 +71,7 @@ def dataflash(messages, units=None):
     """
     codes = {
         "Q": "Q",
+        "b": "b",
         "f": "f",
         "c": "h",
         "B": "B",

@@ -62,7 +62,7 @@ def test_a_log_of_2014_has_the_units_and_the_clock_of_its_time(write, make_dataf
     assert raw.span == (pytest.approx(0, abs=1e-6), pytest.approx(TIME[-1], abs=1e-6))
     assert raw["GPS"].fields["TimeMS"][0] == 319_000_000
     # Week 1830 and 319 000 s of GPS time, less 18 leap seconds.
-    assert raw.start_time == "2015-02-04T16:36:22.000+00:00"
+    assert raw.start_time == "2015-02-04T16:36:24.000+00:00"
     assert raw.info["system"] == "ArduCopter V3.2.1 (abc)"
     assert raw.info["parameters"] == {"RATE_P": pytest.approx(0.15)}
     assert raw.messages[1] == (pytest.approx(TIME[200], abs=1e-6), "info", "ArduCopter V3.2.1 (abc)")

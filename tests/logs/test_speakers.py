@@ -161,8 +161,12 @@ def test_of_several_vehicles_the_choice_is_told(read, mavlink):
 
 def test_a_companion_with_the_vehicles_numbers_is_not_its_type(read, mavlink):
     vehicle, idle = Speaker(mavlink), Speaker(mavlink)
-    packets = flight(vehicle, beats=True) + [(t + 0.01, idle.heartbeat(18, 8)) for t in range(-1, 20)]
-    assert read(in_order(packets)).info["system"] == "quadrotor, ardupilotmega, system 1.1"
+    auto = mavlink.MAVLink_heartbeat_message(2, 3, 129, 3, 4, 3)
+    packets = flight(vehicle, beats=False) + [(t + 0.01, idle.heartbeat(18, 8)) for t in range(20)]
+    packets += [(t - 0.01, vehicle(auto)) for t in range(20)]
+    raw = read(in_order(packets))
+    assert raw.info["system"] == "quadrotor, ardupilotmega, system 1.1"
+    assert set(raw["HEARTBEAT"].fields["mode"]) == {"auto"}
 
 
 @pytest.mark.parametrize("same_numbers", [True, False])

@@ -29,7 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.topics import RawLog, RawTable, describe_skipped, foreign_stamps, wall_time
+from mufly.logs.topics import RawLog, RawTable, describe_skipped, foreign_stamps, gps_to_unix, wall_time
+from mufly.vehicle_types import ModeFamily, ardupilot_mode
 
 MAGIC = b"\xa3\x95"
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT")
@@ -51,6 +52,15 @@ _RATES_OF_OLD = ("RDes", "R", "PDes", "P", "YDes", "Y")
 _FIRMWARE = re.compile(
     r"^(?:APM:\s?|)(?:Ardu)?(Copter|Plane|Rover|Sub|Blimp|AntennaTracker)\b.*?(\d+)\.(\d+)", re.IGNORECASE
 )
+# "I" is an instance where it is a whole number: of the messages of PID controllers it is the integral part.
+_INSTANCES = ("I", "Instance", "Inst")
+_FAMILIES: dict[str, ModeFamily] = {
+    "copter": "copter", "plane": "plane", "rover": "rover", "sub": "submarine", "antennatracker": "tracker",
+    "blimp": "airship",
+}  # fmt: skip
+_BUILDS: dict[int, ModeFamily] = {
+    1: "rover", 2: "copter", 3: "plane", 4: "tracker", 7: "submarine", 12: "airship", 13: "copter",
+}  # fmt: skip
 # Multipliers that are part of a unit's name.
 _PREFIXES = {1e3: "k", 1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "u", 1e-9: "n"}
 
@@ -115,8 +125,8 @@ def _text(raw: bytes) -> str:
     return raw.split(b"\0")[0].decode(errors="replace")
 
 
-def read_binary(data: bytes) -> tuple[list[RawTable], str]:
-    """Return the tables of a binary log, with times as they were written, and which bytes were not understood."""
+def read_binary(data: bytes) -> tuple[list[RawTable], _Instances, str]:
+    """Return the tables (times as written), the topics of each kind's instances, and which bytes were not known."""
     kinds, skipped = _index(data)
     stream = np.frombuffer(data, dtype=np.uint8)
     rows = {}
@@ -125,7 +135,8 @@ def read_binary(data: bytes) -> tuple[list[RawTable], str]:
             starts = np.array(kind.starts, dtype=np.int64)
             body = np.ascontiguousarray(stream[starts[:, None] + np.arange(3, kind.size)])
             rows[number] = body.view(_dtype(kind.letters, kind.columns))[:, 0]
-    units, instances = _units(kinds, rows)
+    named = {kinds[n].name: part for n, part in rows.items() if kinds[n].name in DEFINITIONS}
+    units, instances = _units(kinds, {name: _definition_rows(part) for name, part in named.items()})
     messages: list[_Messages] = []
     for number, part in rows.items():
         kind = kinds[number]
@@ -133,8 +144,16 @@ def read_binary(data: bytes) -> tuple[list[RawTable], str]:
             values = {c: _numbers(part[c], k) for c, k in zip(kind.columns, kind.letters, strict=True)}
             places = np.array(kind.starts, dtype=np.int64)
             own = _old_units(kind.name, kind.letters, kind.columns) | units.get(number, {})
-            messages.append(_Messages(kind.name, places, values, own, instances.get(number)))
-    return _tables(messages), describe_skipped(data, skipped, "message")
+            instance = instances.get(number) or _known_instance(kind)
+            messages.append(_Messages(kind.name, places, values, own, instance))
+    return *_tables(messages), describe_skipped(data, skipped, "message")
+
+
+def _known_instance(kind: _Kind) -> str | None:
+    """The field that counts instances, by its name, for logs that do not mark it with the unit ``#``."""
+    whole = {c for c, letter in zip(kind.columns, kind.letters, strict=False) if letter in "bBhHiI"}
+    names = ("C", *_INSTANCES) if kind.name.startswith(("NK", "XK")) else _INSTANCES
+    return next((name for name in names if name in whole), None)
 
 
 class _Messages(NamedTuple):
@@ -166,7 +185,10 @@ def _clock(values: Mapping[str, NDArray[Any]]) -> tuple[str, float]:
     return ("TimeMS", 1e3) if "TimeMS" in values else ("", 1.0)
 
 
-def _tables(messages: list[_Messages]) -> list[RawTable]:
+_Instances = dict[str, dict[int, str]]  # topic of each instance, by kind of message
+
+
+def _tables(messages: list[_Messages]) -> tuple[list[RawTable], _Instances]:
     """Make tables of messages; what has no clock takes the time of the message before it."""
     times: dict[int, NDArray[np.float64]] = {}
     for k, m in enumerate(messages):
@@ -174,7 +196,7 @@ def _tables(messages: list[_Messages]) -> list[RawTable]:
         if clock and m.values[clock].dtype.kind not in "US" and m.values[clock].ndim == 1:
             times[k] = m.values[clock].astype(np.float64) / tick
     if not times:
-        return []
+        return [], {}
     foreign, _ = foreign_stamps({str(k): t for k, t in times.items()})
     sound = {k: np.isfinite(t) & ~foreign[str(k)] for k, t in times.items()}
     place = np.concatenate([messages[k].places[sound[k]] for k in times])
@@ -182,13 +204,19 @@ def _tables(messages: list[_Messages]) -> list[RawTable]:
     order = np.argsort(place, kind="stable")
     place, stamp = place[order], stamp[order]
     out: list[RawTable] = []
+    topics: _Instances = {}
     for k, m in enumerate(messages):
         time = times.get(k)
         if time is None:
             time = stamp[np.clip(np.searchsorted(place, m.places) - 1, 0, None)]
         rest = {key: v for key, v in m.values.items() if k not in times or key != _clock(m.values)[0]}
-        out += split_tables(m.name, time, rest, m.units, m.instance)
-    return out
+        parts = split_tables(m.name, time, rest, m.units, m.instance)
+        if m.instance in rest:
+            which = rest[m.instance]
+            numbers = np.unique(which[np.isfinite(which)]).astype(int).tolist()
+            topics[m.name] = {n: part.name for n, part in zip(numbers, parts, strict=True)}
+        out += parts
+    return out, topics
 
 
 def _numbers(column: NDArray[Any], letter: str) -> NDArray[Any]:
@@ -198,29 +226,34 @@ def _numbers(column: NDArray[Any], letter: str) -> NDArray[Any]:
     return column if factor == 1.0 else column / factor
 
 
+def _definition_rows(part: NDArray[Any]) -> list[dict[str, Any]]:
+    names = part.dtype.names or ()
+    return [
+        {n: _text(v) if isinstance(v, bytes) else v for n, v in zip(names, row, strict=True)}
+        for row in part.tolist()
+    ]
+
+
 def _units(
-    kinds: dict[int, _Kind], rows: dict[int, NDArray[Any]]
+    kinds: Mapping[int, _Kind], named: Mapping[str, list[dict[str, Any]]]
 ) -> tuple[dict[int, dict[str, str]], dict[int, str]]:
     """Units of the fields of every kind, and the field that counts instances (its unit is ``#``)."""
-    named = {kinds[n].name: part for n, part in rows.items() if kinds[n].name in DEFINITIONS}
-    labels: dict[str, str] = {}
-    factors: dict[str, float] = {}
-    if "UNIT" in named and {"Id", "Label"} <= set(named["UNIT"].dtype.names or ()):
-        labels = {chr(i & 0xFF): _text(t) for i, t in zip(*_pair(named["UNIT"], "Id", "Label"), strict=True)}
-    if "MULT" in named and {"Id", "Mult"} <= set(named["MULT"].dtype.names or ()):
-        factors = {
-            chr(i & 0xFF): float(f"{m:.6g}") for i, m in zip(*_pair(named["MULT"], "Id", "Mult"), strict=True)
-        }
+
+    def pairs(name: str, key: str, value: str) -> list[tuple[str, Any]]:
+        return [(_id(row[key]), row[value]) for row in named.get(name, ()) if {key, value} <= set(row)]
+
+    labels = {i: str(label) for i, label in pairs("UNIT", "Id", "Label")}
+    factors = {i: float(f"{float(m):.6g}") for i, m in pairs("MULT", "Id", "Mult")}
     units: dict[int, dict[str, str]] = {}
     instances: dict[int, str] = {}
-    if "FMTU" not in named or not {"FmtType", "UnitIds", "MultIds"} <= set(named["FMTU"].dtype.names or ()):
-        return units, instances
-    for entry in named["FMTU"]:
+    for entry in named.get("FMTU", ()):
+        if not {"FmtType", "UnitIds", "MultIds"} <= set(entry):
+            continue
         number = int(entry["FmtType"])
         if number not in kinds:
             continue
         kind, out = kinds[number], {}
-        ids, multipliers = _text(entry["UnitIds"]), _text(entry["MultIds"]).ljust(len(kind.columns), "-")
+        ids, multipliers = entry["UnitIds"], entry["MultIds"].ljust(len(kind.columns), "-")
         for column, letter, unit, multiplier in zip(
             kind.columns, kind.letters, ids, multipliers, strict=False
         ):
@@ -235,8 +268,10 @@ def _units(
     return units, instances
 
 
-def _pair(part: NDArray[Any], first: str, second: str) -> tuple[list[Any], list[Any]]:
-    return part[first].tolist(), part[second].tolist()
+def _id(value: Any) -> str:
+    """Letter of a unit or multiplier: its code, or in some text logs the letter itself."""
+    text = str(value)
+    return chr(int(text) & 0xFF) if len(text) > 1 and text.lstrip("-").isdigit() else text
 
 
 def split_tables(
@@ -261,10 +296,10 @@ def split_tables(
         return [RawTable(name, time, fields, known)]
     which = fields[instance]
     out = []
-    for k, one in enumerate(np.unique(which)):
+    for k, one in enumerate(np.unique(which[np.isfinite(which)])):
         mine = which == one
         own = {key: value[mine] for key, value in fields.items() if key != instance}
-        out.append(RawTable(name if k == 0 else f"{name}:{one}", time[mine], own, known))
+        out.append(RawTable(name if k == 0 else f"{name}:{one:g}", time[mine], own, known))
     return out
 
 
@@ -273,10 +308,6 @@ def _unit(label: str) -> str:
     return {"degrees": "deg", "rad/s/s": "rad/s^2", "m/s/s": "m/s^2", "UNKNOWN": "", "instance": ""}.get(
         label, label
     )
-
-
-# GPS time runs ahead of UTC by the leap seconds since 1980; 18 since 2017.
-_GPS_EPOCH, _LEAP_S = 315964800.0, 18.0
 
 
 def is_text_log(head: bytes) -> bool:
@@ -296,7 +327,7 @@ def read_dataflash(path: str | Path) -> RawLog:
     with open(path, "rb") as stream:
         text = not stream.read(2).startswith(MAGIC)
     try:
-        tables, damage = _read_text(Path(path)) if text else read_binary(Path(path).read_bytes())
+        tables, topics, damage = _read_text(Path(path)) if text else read_binary(Path(path).read_bytes())
     except InputError:
         raise
     except Exception as error:  # whatever a damaged format definition provokes
@@ -325,6 +356,11 @@ def read_dataflash(path: str | Path) -> RawLog:
         unit, why = _unit_of_rates(rate, shifted.get("IMU"), firmware)
         shifted["RATE"] = replace(rate, units=dict.fromkeys(_RATES_OF_OLD, unit) | rate.units)
         notes += [f"RATE is in hundredths of a degree per second{why}"] if unit == "cdeg/s" else []
+    active, words = _active_estimate(shifted, topics, parameters)
+    notes += words
+    shifted |= {active.name: active} if active is not None else {}
+    if "MODE" in shifted:
+        shifted["MODE"] = _with_names(shifted["MODE"], _family(firmware, shifted.get("VER")))
     if "CURR" in shifted and shifted["CURR"].units.get("Volt") == "cV":
         notes.append("voltage and current of CURR are whole hundredths, as ArduPilot wrote them up to 2016")
     return RawLog(
@@ -338,6 +374,148 @@ def read_dataflash(path: str | Path) -> RawLog:
         notes=tuple(notes),
         damage=damage,
     )
+
+
+ACTIVE = "EKF:active"  # position and velocity of the estimator and lane that the vehicle flew by
+_MOTION = ("PN", "PE", "PD", "VN", "VE", "VD")
+# EKFType of ArduPilot's AP_AHRS: name, message with position and velocity, message that tells the primary core.
+_ESTIMATORS = {
+    0: ("DCM", "", ""), 1: ("EKF1", "EKF1", ""), 2: ("EKF2", "NKF1", "NKF4"), 3: ("EKF3", "XKF1", "XKF4"),
+    10: ("the simulator", "SIM2", ""), 11: ("the external AHRS", "EAHR", ""),
+}  # fmt: skip
+# Before 2020 cores 1 and 2 had messages of their own: NKF6 and NKF11 are those of NKF1, NKF9 and NKF14 of NKF4.
+_CORE_STEP, _MOST_CHANGES = 5, 6
+
+
+def _active_estimate(
+    tables: Mapping[str, RawTable], topics: _Instances, parameters: RawTable | None
+) -> tuple[RawTable | None, list[str]]:
+    """Position and velocity by the estimator and lane that were active, where that is not the first core throughout.
+
+    The estimator is that of ATT.AEKF, else of the parameter AHRS_EKF_TYPE, else the newest in the log; its lane is what
+    XKF4.PI (NKF4.PI) names. Where no local position was estimated (DCM, an external AHRS) it is missing.
+    """
+    cores = {kind: _cores_of(message, tables, topics) for kind, (_, message, _) in _ESTIMATORS.items()}
+    default = next((kind for kind in (3, 2, 1) if cores[kind]), None)
+    if default is None:
+        return None, []
+    kinds = _estimator_steps(tables, parameters) or (np.array([-np.inf]), np.array([default]))
+    notes = [
+        f"{_ESTIMATORS[k][0]} was active, but the log has no position of it; that of {_ESTIMATORS[default][0]} is taken"
+        for k in np.unique(kinds[1]).tolist()
+        if k and not cores[k]
+    ]
+    kinds = (kinds[0], np.array([k if cores[k] or not k else default for k in kinds[1].tolist()]))
+    parts: list[tuple[str, NDArray[np.bool_]]] = []
+    for kind in np.unique(kinds[1][kinds[1] > 0]).tolist():
+        name, _, primary = _ESTIMATORS[kind]
+        lanes = _lane_steps(primary, tables, topics)
+        unlogged = sorted(set(lanes[1].tolist()) - set(cores[kind]))
+        if unlogged:
+            notes.append(
+                f"core {', '.join(map(str, unlogged))} of {name} was active, and the log does not hold it"
+            )
+        for core, topic in cores[kind].items():
+            time = tables[topic].time
+            mine = (_held(kinds, time) == kind) & (_held(lanes, time) == core)
+            parts += [(topic, mine)] if mine.any() else []
+    first = cores[default][min(cores[default])]
+    if not parts:
+        return None, [
+            *notes,
+            f"no active estimator left a position; position and velocity are those of {first}",
+        ]
+    if len(parts) == 1 and parts[0][0] == first and parts[0][1].all():
+        return None, notes
+    time = np.concatenate([tables[topic].time[mine] for topic, mine in parts])
+    order = np.argsort(time, kind="stable")
+    fields: dict[str, NDArray[Any]] = {}
+    for name in _MOTION:
+        held = [tables[topic].fields.get(name, np.full(len(mine), np.nan))[mine] for topic, mine in parts]
+        fields[name] = np.concatenate(held)[order]
+    source = np.concatenate([np.full(mine.sum(), topic) for topic, mine in parts])[order]
+    units = {name: "m" if name[0] == "P" else "m/s" for name in _MOTION}
+    notes.append(_changes(time[order], source, kinds))
+    return RawTable(ACTIVE, time[order], fields | {"Source": source}, units), notes
+
+
+def _cores_of(message: str, tables: Mapping[str, RawTable], topics: _Instances) -> dict[int, str]:
+    """Topic of each core of an estimator."""
+    if not message:
+        return {}
+    if message in topics:
+        return {core: topic for core, topic in topics[message].items() if topic in tables}
+    names = [message]
+    if message[:3] in ("NKF", "XKF"):
+        names += [f"{message[:3]}{int(message[3:]) + _CORE_STEP * k}" for k in (1, 2)]
+    return {k: name for k, name in enumerate(names) if name in tables}
+
+
+_Steps = tuple[NDArray[np.float64], NDArray[Any]]  # instants (s) and the value from each on
+
+
+def _held(steps: _Steps, time: NDArray[np.float64]) -> NDArray[Any]:
+    """The value at each time; the first one before the first instant."""
+    return steps[1][np.clip(np.searchsorted(steps[0], time, side="right") - 1, 0, None)]
+
+
+def _estimator_steps(tables: Mapping[str, RawTable], parameters: RawTable | None) -> _Steps | None:
+    attitude = tables.get("ATT")
+    if attitude is not None and "AEKF" in attitude.fields:
+        steps = attitude.time, attitude.fields["AEKF"]
+    elif parameters is not None and {"Name", "Value"} <= set(parameters.fields):
+        mine = parameters.fields["Name"] == "AHRS_EKF_TYPE"
+        steps = parameters.time[mine], parameters.fields["Value"][mine]
+    else:
+        return None
+    known = np.isin(steps[1], list(_ESTIMATORS)) & np.isfinite(steps[0])
+    return _changed(steps[0][known], steps[1][known].astype(int)) if known.any() else None
+
+
+def _changed(time: NDArray[np.float64], value: NDArray[Any]) -> _Steps:
+    new = np.flatnonzero(np.append(True, value[1:] != value[:-1]))
+    return time[new], value[new]
+
+
+def _lane_steps(primary: str, tables: Mapping[str, RawTable], topics: _Instances) -> _Steps:
+    """Core that is the primary one from each instant on; 0 where nothing tells."""
+    told = [tables[t] for t in _cores_of(primary, tables, topics).values() if "PI" in tables[t].fields]
+    time = np.concatenate([t.time for t in told]) if told else np.empty(0)
+    lane = np.concatenate([t.fields["PI"] for t in told]) if told else np.empty(0)
+    known = np.isfinite(time) & (lane >= 0) & (lane < 100)  # -1 and 255: no core has begun
+    if not known.any():
+        return np.array([-np.inf]), np.array([0])
+    order = np.argsort(time[known], kind="stable")
+    return _changed(time[known][order], lane[known][order].astype(int))
+
+
+def _changes(time: NDArray[np.float64], source: NDArray[Any], kinds: _Steps) -> str:
+    """The topics that were followed, in words."""
+    at = [0, *(np.flatnonzero(source[1:] != source[:-1]) + 1).tolist()]
+    steps = [f"{source[k]} from {time[k]:.1f} s" for k in at]
+    if (more := len(steps) - _MOST_CHANGES) > 0:
+        steps = [*steps[:_MOST_CHANGES], f"and {more} changes more"]
+    text = f"position and velocity are those of the active estimator and lane: {', '.join(steps)}"
+    return f"{text}; none while DCM was active" if (kinds[1] == 0).any() else text
+
+
+def _family(firmware: str, version: RawTable | None) -> ModeFamily:
+    """Which of ArduPilot's firmwares wrote the log: by its first message, else by its type of build."""
+    match = _FIRMWARE.match(firmware)
+    if match is not None:
+        return _FAMILIES[match[1].lower()]
+    build = version.fields.get("BU", np.empty(0)) if version is not None else np.empty(0)
+    return _BUILDS.get(int(build[0]), "") if len(build) and np.isfinite(build[0]) else ""
+
+
+def _with_names(mode: RawTable, family: ModeFamily) -> RawTable:
+    """MODE with the names of the flight modes in words, by the firmware; modes that are text already stay."""
+    field = next((f for f in ("ModeNum", "Mode") if f in mode.fields), None)
+    if field is None or mode.fields.get("Mode", np.empty(0)).dtype.kind in "US":
+        return mode
+    numbers = mode.fields[field].astype(np.float64)
+    names = [ardupilot_mode(family, int(n)) if np.isfinite(n) else "" for n in numbers.tolist()]
+    return replace(mode, fields={**mode.fields, "Name": np.array(names, dtype=str)})
 
 
 def _unit_of_rates(rate: RawTable, gyro: RawTable | None, firmware: str) -> tuple[str, str]:
@@ -360,9 +538,10 @@ def _unit_of_rates(rate: RawTable, gyro: RawTable | None, firmware: str) -> tupl
     return "deg/s", ""
 
 
-def _read_text(path: Path) -> tuple[list[RawTable], str]:
-    formats: dict[str, tuple[str, list[str]]] = {}
-    rows: dict[str, list[tuple[int, list[str]]]] = {}
+def _read_text(path: Path) -> tuple[list[RawTable], _Instances, str]:
+    kinds: dict[str, _Kind] = {}
+    numbers: dict[int, _Kind] = {}
+    rows: dict[str, list[list[str]]] = {}
     bad: list[int] = []
     for place, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
         name, _, rest = line.partition(",")
@@ -370,34 +549,56 @@ def _read_text(path: Path) -> tuple[list[RawTable], str]:
         if name == "FMT":
             parts = [p.strip() for p in rest.split(",", 4)]
             if len(parts) == 5:
-                formats[parts[2]] = parts[3], [c.strip() for c in parts[4].split(",")]
+                columns = [c.strip() for c in parts[4].split(",")]
+                kind = kinds.setdefault(parts[2], _Kind(parts[2], 0, parts[3], columns))
+                bad += [place + 1] if kind.columns != columns else []  # the same name for another message
+                if parts[0].isdigit():
+                    numbers[int(parts[0])] = kind
             continue
-        if name not in formats:
+        if name not in kinds:
             bad += [place + 1] if name else []
             continue
-        columns = formats[name][1]
+        columns = kinds[name].columns
         cells = [c.strip() for c in rest.split(",", len(columns) - 1)]
         if len(cells) == len(columns):
-            rows.setdefault(name, []).append((place, cells))
+            rows.setdefault(name, []).append(cells)
+            kinds[name].starts.append(place)
         else:
             bad.append(place + 1)
+    named = {
+        name: [dict(zip(kinds[name].columns, row, strict=True)) for row in rows.get(name, ())]
+        for name in DEFINITIONS
+    }
+    units, instances = _units(numbers, named)
     messages: list[_Messages] = []
-    for name, lines in rows.items():
-        letters, columns = formats[name]
-        if name in DEFINITIONS:
+    for kind in kinds.values():
+        number = next((n for n, k in numbers.items() if k is kind), -1)
+        if kind.name in DEFINITIONS or not kind.starts:
             continue
         values: dict[str, NDArray[Any]] = {}
-        for k, (column, letter) in enumerate(zip(columns, letters, strict=False)):
-            cells = [row[k] for _, row in lines]
-            text = letter in "nNZa"
-            values[column] = np.array(cells, dtype=str) if text else np.array([_number(c) for c in cells])
-        instance = next((i for i in ("I", "Instance") if i in values), None)
-        places = np.array([place for place, _ in lines], dtype=np.int64)
-        messages.append(_Messages(name, places, values, _old_units(name, letters, columns), instance))
+        for k, (column, letter) in enumerate(zip(kind.columns, kind.letters, strict=False)):
+            cells = [row[k] for row in rows[kind.name]]
+            values[column] = np.array(cells, dtype=str) if letter in "nNZa" else _read_cells(cells, letter)
+        places = np.array(kind.starts, dtype=np.int64)
+        own = _old_units(kind.name, kind.letters, kind.columns) | units.get(number, {})
+        instance = instances.get(number) or _known_instance(kind)
+        messages.append(_Messages(kind.name, places, values, own, instance if instance in values else None))
     first = (
-        f"line {bad[0]}" if len(bad) == 1 else f"{len(bad)} lines, the first line {bad[0]}," if bad else ""
+        f"line {bad[0]} is"
+        if len(bad) == 1
+        else f"{len(bad)} lines, the first line {bad[0]}, are"
+        if bad
+        else ""
     )
-    return _tables(messages), f"{first} {'is' if len(bad) == 1 else 'are'} no whole message" if bad else ""
+    return *_tables(messages), f"{first} no whole message" if bad else ""
+
+
+def _read_cells(cells: list[str], letter: str) -> NDArray[Any]:
+    """Numbers; flight modes as text where the log writes them so."""
+    found = np.array([_number(c) for c in cells])
+    if letter == "M" and np.isnan(found).any() and any(c.strip() for c in cells):
+        return np.array(cells, dtype=str)
+    return found
 
 
 def _number(cell: str) -> float:
@@ -417,5 +618,4 @@ def _start_time(tables: dict[str, RawTable]) -> str:
     if not len(known):
         return ""
     k = known[0]
-    at = _GPS_EPOCH + week[k] * 604800 + ms[k] / 1e3 - _LEAP_S - gps.time[k]
-    return wall_time(float(at))
+    return wall_time(gps_to_unix(float(week[k]), float(ms[k]) / 1e3) - float(gps.time[k]))

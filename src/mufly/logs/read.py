@@ -395,7 +395,7 @@ def put_together(channels: list[Channel], rate_hz: float | None, notes: list[str
 
 
 def _highest(channels: Sequence[Channel]) -> float:
-    return max((r for r in (_rate(c.time) for c in channels) if np.isfinite(r)), default=1.0)
+    return max((r for r in (_rate(c.time) for c in channels if not c.text) if np.isfinite(r)), default=1.0)
 
 
 def _rate(time: NDArray[np.float64]) -> float:

@@ -36,7 +36,15 @@ from mufly.logs.sender_clocks import (
 )
 from mufly.logs.topics import RawLog, RawTable, describe_skipped, foreign_stamps, wall_time
 from mufly.logs.unknown import without_unknown
-from mufly.vehicle_types import AUTOPILOT_COMPONENT, PX4, VEHICLE_WORDS, type_words, vehicle_rank
+from mufly.vehicle_types import (
+    AUTOPILOT_COMPONENT,
+    PX4,
+    VEHICLE_WORDS,
+    is_vehicle,
+    mode_words,
+    type_words,
+    vehicle_rank,
+)
 
 _STAMP = struct.Struct(">Q")
 _VERSION_2 = 0xFD
@@ -151,6 +159,9 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     if twice:
         _leave_out(rows, {key: ~again[places] for key, (places, _) in rows.items()})
     contents = {key: _columns(messages) for key, (_, messages) in rows.items() if key[2] not in _NO_TABLES}
+    if (beats := (*vehicle, "HEARTBEAT")) in contents:
+        modes = _mode_names(rows[beats][1], vehicle[1])
+        contents[beats][0].update({"mode": modes} if modes.any() else {})
     clocks = {key: clock for key, (fields, _) in contents.items() if (clock := own_clock(fields)) is not None}
     arrival, said = remove_leaps(arrival, _places(rows), clocks, vehicle, set_back)
     notes += said
@@ -303,6 +314,16 @@ def _described(dialect: Any, vehicle: tuple[int, int], rows: _Rows) -> str:
 
     said = [word("MAV_TYPE", beat.type), word("MAV_AUTOPILOT", beat.autopilot)]
     return ", ".join([*(w for w in said if w not in ("", "generic", "invalid")), f"system {number}"])
+
+
+def _mode_names(beats: list[Any], component: int) -> NDArray[Any]:
+    """Flight mode of each heartbeat in words, the last one known where equipment sent it under the same numbers."""
+    out, last = [], ""
+    for m in beats:
+        if is_vehicle(m.type, m.autopilot, component):
+            last = mode_words(m.autopilot, m.type, m.base_mode, m.custom_mode)
+        out.append(last)
+    return np.array(out, dtype=str)
 
 
 def _parameters(rows: _Rows, vehicle: tuple[int, int]) -> dict[str, dict[str, float]]:

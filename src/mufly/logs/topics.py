@@ -147,6 +147,34 @@ def wall_time(unix_s: float) -> str:
     return datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds")
 
 
+_GPS_EPOCH_S = 315_964_800.0  # 1980-01-06, since 1970
+# Days from which on GPS time runs ahead of UTC by 1, 2, ... leap seconds (IERS, Bulletin C).
+_LEAP_DAYS = np.array(
+    ["1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
+     "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01",
+     "2015-07-01", "2017-01-01"], dtype="datetime64[s]",
+).astype(np.float64)  # fmt: skip
+
+
+def gps_to_unix(week: float, time_of_week_s: float) -> float:
+    """Return GPS time as seconds since 1970 (UTC), by the leap seconds of its date.
+
+    Parameters
+    ----------
+    week : float
+        Weeks since 1980-01-06, not counted modulo 1024.
+    time_of_week_s : float
+
+    Examples
+    --------
+    >>> wall_time(gps_to_unix(1800, 0.0))
+    '2014-07-05T23:59:44.000+00:00'
+    """
+    gps_s = _GPS_EPOCH_S + week * 604_800.0 + time_of_week_s
+    ahead = np.arange(1.0, len(_LEAP_DAYS) + 1.0)
+    return gps_s - float(np.searchsorted(_LEAP_DAYS + ahead, gps_s, side="right"))
+
+
 class Channel(NamedTuple):
     """One component of a signal on its own clock.
 
