@@ -100,25 +100,27 @@ export function plot(element, label, span, onSpan) {
     if (cursor !== null && n) reading(ctx, { x0, x1, y0, y1, from, sx, t, n, drawn, find });
   }
 
-  // Angles as they go on, without jumps at half a turn and in whole turns that lie about zero; who says so does not matter.
+  // Angles as they go on, without jumps at half a turn, in whole turns that lie about zero; who says so does not matter.
   function unwrapped(found, first, last) {
-    let start = NaN, low = Infinity, high = -Infinity;
+    const ranges = new Map(); // of each component: where it begins, its least and its greatest
     const out = found.map(([trace, c]) => {
       if (!trace.turn) return [trace, c];
-      const own = new Float64Array(last).fill(NaN);
-      let before = start;
+      const own = new Float64Array(last).fill(NaN), range = ranges.get(trace.component) || { start: NaN, low: Infinity, high: -Infinity };
+      ranges.set(trace.component, range);
+      let before = Number.isFinite(range.start) ? range.start : 0;
       for (let i = first; i < last; i++) {
         if (!Number.isFinite(c[i])) continue;
-        own[i] = before === before ? c[i] - trace.turn * Math.round((c[i] - before) / trace.turn) : c[i] - trace.turn * Math.round(c[i] / trace.turn);
-        if (start !== start) start = own[i];
-        before = own[i];
-        low = Math.min(low, own[i]);
-        high = Math.max(high, own[i]);
+        own[i] = before = c[i] - trace.turn * Math.round((c[i] - before) / trace.turn);
+        if (!Number.isFinite(range.start)) range.start = own[i];
+        range.low = Math.min(range.low, own[i]);
+        range.high = Math.max(range.high, own[i]);
       }
       return [trace, own];
     });
-    const turn = found.find(([trace]) => trace.turn)?.[0].turn, shift = turn ? turn * Math.round((low + high) / 2 / turn) : 0;
-    if (Number.isFinite(shift) && shift) for (const [trace, c] of out) if (trace.turn) for (let i = first; i < last; i++) c[i] -= shift;
+    for (const [trace, c] of out) {
+      const range = trace.turn && ranges.get(trace.component), shift = range ? trace.turn * Math.round((range.low + range.high) / 2 / trace.turn) : 0;
+      if (shift && Number.isFinite(shift)) for (let i = first; i < last; i++) c[i] -= shift;
+    }
     return out;
   }
 
