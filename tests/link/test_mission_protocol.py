@@ -224,6 +224,7 @@ def test_a_fence_goes_up_and_comes_down_to_the_bit_and_keeps_its_vehicle():
     ]
     gcs.taker = None
     rig.run(1.0)
+    rig.run(1.5)
     status, fence = gcs.last("SYS_STATUS"), gcs.last("FENCE_STATUS")
     assert status.onboard_control_sensors_enabled & bit
     assert status.onboard_control_sensors_health & bit

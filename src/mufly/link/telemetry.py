@@ -383,11 +383,9 @@ def sys_status(p: Instant) -> MavMessage:
     )
 
 
-def fence_status(p: Instant) -> MavMessage | None:
-    """FENCE_STATUS: whether it is outside its geofence, how often and when it left it; nothing without one."""
+def fence_status(p: Instant) -> MavMessage:
+    """FENCE_STATUS: whether it is outside its geofence, how often and when it left it; without one it never is."""
     v = p.state
-    if not (p.has_fence or v.fence_breaches):
-        return None
     kind = mavlink.FENCE_BREACH_NONE
     if v.fence_breach:
         above = v.fence_breach.endswith("ceiling")
@@ -608,7 +606,7 @@ STREAMS: tuple[Stream, ...] = (
     Stream("SYSTEM_TIME", 1.0, _STATUS, system_time),
     Stream("BATTERY_STATUS", 1.0, _STATUS, battery_status),
     Stream("EXTENDED_SYS_STATE", 2.0, _STATUS, extended_sys_state),
-    Stream("FENCE_STATUS", 1.0, _STATUS, fence_status),
+    Stream("FENCE_STATUS", 0.5, _STATUS, fence_status),
     Stream("MISSION_CURRENT", 2.0, _STATUS, mission_current),
     Stream("NAMED_VALUE_INT (mstate)", 5.0, _STATUS, mission_state),
     Stream("NAMED_VALUE_INT (command)", 1.0, _STATUS, command),
