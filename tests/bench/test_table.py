@@ -99,6 +99,15 @@ def test_a_last_line_that_is_cut_is_left_out_and_told(tmp_path):
     assert any("line 3" in note for note in table.notes)
 
 
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+def test_a_short_line_shifts_nothing_and_is_named(tmp_path, separator):
+    text = "RPM,T(N),Q(Nm)\n1000,0.1,0.01\n2000,0.02\n3000,0.9,0.09\n".replace(",", separator)
+    with pytest.raises(InputError, match="line 3: has 2 cells, the header 3"):
+        read_bench(write(tmp_path, text))
+    with pytest.raises(InputError, match="line 3: has 4 cells, the header 3"):
+        read_bench(write(tmp_path, text.replace("0.02", separator.join(("0.2", "0.02", "7")))))
+
+
 @pytest.mark.parametrize(
     ("text", "what"),
     [

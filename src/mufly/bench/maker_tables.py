@@ -25,7 +25,7 @@ from mufly.units import RPM, conversion, known_unit
 
 Array = NDArray[np.float64]
 
-_SPEED = re.compile(r"PROP(?:ELLER)?\s+RPM\s*=\s*([\d.]+)", re.IGNORECASE)
+_SPEED = re.compile(r"PROP(?:ELLER)?\s+RPM\s*=\s*(\d+\.?\d*)", re.IGNORECASE)
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*x\s*\d")
 _UNIT = re.compile(r"\(([^)]*)\)|(?<=\s)-(?=\s|$)")
 _INCH = 0.0254
@@ -80,7 +80,7 @@ def read_performance(path: str | Path) -> Performance | None:
                 row = _row(names, units, [float(w.replace("-NaN", "nan")) for w in words], speed)
             except ValueError:
                 row = {"speed": math.nan}
-            if all(map(math.isfinite, row.values())):
+            if all(map(math.isfinite, row.values())) and (not rows or row.keys() == rows[0][1].keys()):
                 rows.append((number, row))
             else:
                 lost += 1
