@@ -17,7 +17,7 @@ from mufly.station.commands import (
     RemoteCommands,
     StatusTexts,
 )
-from mufly.vehicle_types import mode_words
+from mufly.vehicle_types import mode_words, vehicle_shape
 
 LAND = Command(21)
 
@@ -164,3 +164,11 @@ def test_every_autopilot_is_asked_in_its_own_way():
 def test_modes_have_the_words_of_their_autopilot(autopilot, kind, mode, words):
     assert mode_words(autopilot, kind, 1, mode) == words
     assert mode_words(autopilot, kind, 0, mode) == ""
+
+
+def test_a_vehicle_is_drawn_as_what_its_type_says() -> None:
+    types = (1, 2, 3, 4, 10, 11, 12, 13, 14, 15, 19, 0, 99)
+    assert [vehicle_shape(t) for t in types] == [
+        "plane", "quadrotor", "coaxial", "helicopter", "rover", "boat", "submarine", "hexarotor", "octorotor",
+        "tricopter", "plane", "block", "block",
+    ]  # fmt: skip
