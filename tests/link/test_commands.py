@@ -200,6 +200,28 @@ def test_the_same_command_again_is_a_repetition_for_four_fifths_of_a_second():
     assert refuses.gcs.last("STATUSTEXT").severity == m.MAV_SEVERITY_WARNING
 
 
+def test_a_repetition_does_not_undo_what_was_asked_after_it():
+    """A landing whose answer is lost, then another command: the second copy of the first comes after it."""
+    asked = Asked()
+
+    def land(s, copy=0):
+        s.command(m.MAV_CMD_NAV_LAND, confirmation=copy)
+
+    turn = long(m.MAV_CMD_CONDITION_YAW, 30, 0, 1, 1)
+    assert asked.by(land) == ([("land",)], OK)
+    asked.rig.now_s += 0.4
+    assert [name for name, *_ in asked.by(turn)[0]] == ["turn_to"]
+    asked.rig.now_s += 0.4
+    for copy in (1, 2):
+        assert asked.by(lambda s, k=copy: land(s, k)) == ([], OK)
+        asked.rig.now_s += 0.8
+    # One that is new is obeyed at once, and so is one whose first copy was lost, seconds after the other.
+    assert asked.by(land) == ([("land",)], OK)
+    assert asked.by(turn)[0]
+    asked.rig.now_s += 4.0
+    assert asked.by(lambda s: land(s, 1)) == ([("land",)], OK)
+
+
 def test_who_does_not_command_moves_nothing_and_takes_no_command_by_letting_go():
     asked = Asked()
     rig, gcs, other = asked.rig, asked.gcs, asked.rig.station("other", 254)

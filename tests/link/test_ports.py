@@ -151,3 +151,66 @@ def test_a_port_in_use_and_an_unknown_host_are_one_line():
         open_port(Endpoint("udpin", "127.0.0.1", here.port))
     with pytest.raises(InputError, match="not known"):
         open_port(Endpoint("udpout", "no such host.invalid", 1))
+
+
+@pytest.mark.parametrize("kinds", [("udpin", "udpout"), ("tcpin", "tcp")])
+def test_what_waited_unheard_is_thrown_away_and_the_line_goes_on(kinds):
+    """As after a stop of the process: of a stream more waits at the other end, so it is called again."""
+    with contextlib.closing(listening(kinds[0])) as here:
+        there = open_port(Endpoint(kinds[1], "127.0.0.1", here.port))
+        until = time.monotonic() + 5.0
+        while not there.peers and time.monotonic() < until:
+            there.receive(), here.receive()
+        there.send(None, b"first")
+        assert gather(here, lambda d: d == b"first") == b"first"
+        for _ in range(400):
+            there.send(None, b"land")
+        wait([here], 1.0)
+        here.discard()
+        assert here.receive() == []
+        there._retry_s = -RETRY_S  # it may call at once
+        until = time.monotonic() + 5.0
+        while time.monotonic() < until:
+            there.receive(), here.receive()
+            there.send(None, b"now")
+            if b"now" in (data := gather(here, lambda d: d, 0.1)):
+                break
+        assert b"now" in data
+        assert b"land" not in data
+        there.close()
+
+
+def test_a_connection_that_nobody_acknowledges_is_given_up_soon_with_what_waits_in_it():
+    with contextlib.closing(listening("tcpin")) as here, contextlib.closing(socket.socket()) as caller:
+        caller.connect(("127.0.0.1", here.port))
+        wait([here], 1.0)
+        here.receive()
+        ((line, _),) = here._lines.values()
+        assert 0 < line.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) <= 3000
+
+
+def test_a_serial_device_that_cannot_be_used_is_told_as_what_it_is(tmp_path):
+    """And told until it can: missing, no serial device, taken by another program, unplugged."""
+    file, here = tmp_path / "no-device", tmp_path / "cable"
+    file.write_text("")
+    for path, words in ((tmp_path / "none", "there is no such device"), (file, "it is no serial device")):
+        port = open_port(Endpoint("serial", str(path), 57600))
+        port.receive()
+        assert port.problem.startswith(f"serial:{path}:57600: cannot connect ({words}")
+        port.close()
+    ours, theirs = os.openpty()
+    here.symlink_to(os.ttyname(theirs))
+    port, other = (open_port(Endpoint("serial", str(here), 57600)) for _ in range(2))
+    port.receive()
+    assert port.problem == ""
+    other.receive()
+    assert "another program uses it" in other.problem
+    other.close()
+    os.close(ours)
+    os.close(theirs)
+    here.unlink()
+    for _ in range(3):
+        port.receive()
+        port._retry_s = -RETRY_S
+    assert "there is no such device; plug it in" in port.problem
+    port.close()

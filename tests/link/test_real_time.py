@@ -1,5 +1,6 @@
 """The loop by the clock on the wall, over real sockets: in a thread, and in a process of its own."""
 
+import contextlib
 import itertools
 import math
 import os
@@ -18,7 +19,7 @@ from mufly.link import Codec, Encoder, Endpoint, TlogWriter, VehicleLink, open_p
 from mufly.link import mavlink as m
 from mufly.link.process import CATCH_UP_S, HURRY, WINDOW_S, Pace
 from mufly.logs import read_log, read_raw
-from mufly.mission import Mission
+from mufly.mission import ACCEPTED, Mission
 
 
 def ticks(clock, period, busy, until):
@@ -91,6 +92,39 @@ def test_real_time_that_is_lost_is_measured_and_said(monkeypatch):
     assert [level for level, _ in said] == ["warning", "info"]
     assert said[0][1].startswith("slower than real time: 0.9")
     assert said[1][1].startswith("in real time again; 7 slips, 7.")
+
+
+def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeypatch):
+    """Its process was stopped for seven seconds: commands wait in the socket. The link does not count as lost."""
+    flight, here = new_flight(), listener()
+    link, said = VehicleLink(flight), []
+    flight.autopilot.listeners.append(lambda e: said.append(e.text))
+    clock = [100.0]
+    monkeypatch.setattr(
+        "mufly.link.process.wait", lambda ports, timeout_s: clock.__setitem__(0, clock[0] + timeout_s)
+    )
+    encode, turns = Encoder(255, 190), itertools.count()
+    arm = m.MAVLink_command_long_message(1, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    heard = []
+    monkeypatch.setattr(link.autopilot, "arm", lambda: heard.append("arm") or ACCEPTED)
+
+    def stop():
+        turn = next(turns)
+        if turn in (50, 100):
+            here.receive()
+            here.send(None, encode(arm))
+            time.sleep(0.05)
+        if turn == 100:
+            clock[0] += 7.0
+        return turn > 150
+
+    with contextlib.closing(here):
+        run(
+            flight, [Endpoint("udpout", "127.0.0.1", here.port)], link=link, stop=stop, clock=lambda: clock[0]
+        )
+    assert heard == ["arm"]  # the first of two
+    assert any("stood still for 7.0 s" in text for text in said)
+    assert link.authority.silent_s(clock[0]) < 1.0
 
 
 def listener():
@@ -201,7 +235,7 @@ def test_a_vehicle_that_is_stopped_while_it_starts_does_not_start_first():
 PARENT = """
 import sys, time
 from mufly.link import start_vehicle, Endpoint
-from mufly.mission import Mission
+from mufly.mission import ACCEPTED, Mission
 if __name__ == "__main__":
     v = start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[], path=sys.argv[1])
     v.wait_ready()

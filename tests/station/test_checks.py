@@ -278,3 +278,20 @@ def test_rows_give_a_place_and_a_heading_to_items_that_have_them():
     assert row(16, 0.0, 0.0, 0.0, math.nan, frame=4).position == (-1.0, 2.0, 1.5)
     assert row(178, 1.0, -1.0, -1.0, 0.0).text == "as it is"
     assert row(178, 3.0, 1.5, -1.0, 0.0).text == "descent 1.5 m/s"
+
+
+def test_of_a_vehicle_that_is_not_heard_no_check_stays_green(world):
+    """It may have fallen: what it said last is told as that, and judged no more."""
+    say(world, status(PREARM))
+    assert check(world, "battery").ok
+    world.down[0].cut = True
+    world.run(5.0)
+    told = {c.name: (c.ok, c.text) for c in world.seen[0].checks}
+    assert [told["heard"][0], told["link"][0]] == [False, False]
+    ours = ("heard", "link", "recording", "disk")
+    assert {ok for name, (ok, _) in told.items() if name not in ours} == {None}
+    assert told["battery"][1].startswith("not heard for ")
+    assert "it was: 80 %" in told["battery"][1]
+    world.down[0].cut = False
+    world.run(1.0)
+    assert check(world, "parameters").ok

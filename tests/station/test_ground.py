@@ -575,3 +575,132 @@ def test_a_fault_in_one_vehicle_does_not_silence_the_others():
     assert world.seen[1].snapshot.connected
     assert [m.text for m in world.seen[0].messages if "broken" in m.text]
     assert len(world.seen[0].messages) < 10
+
+
+def with_land_asked(**how):
+    """A vehicle that does not answer to Land, which it has just been asked for, and how often it heard of it."""
+    mock = MockVehicle(ours=True, **how)
+    mock.armed = True
+    world = World(mock)
+    vehicle = met(world)
+    world.run(2.0)
+    mock.silent_on.add(mavlink.MAV_CMD_NAV_LAND)
+    mock.commands.clear()
+    return world, mock, vehicle, vehicle.land()
+
+
+def heard_of(mock, number=mavlink.MAV_CMD_NAV_LAND):
+    return sum(c.command == number for c in mock.commands)
+
+
+@pytest.mark.parametrize("seconds", [1.2, 10.0, 100.0])
+def test_after_a_stop_of_the_station_nothing_that_was_asked_before_is_done(seconds):
+    """Its process was stopped, or its machine slept: the clock jumps, and all is repeated or goes on, but for this."""
+    world, mock, vehicle, land = with_land_asked(parameters={"GAIN": (1.0, 9)})
+    mock.silent_on.add(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+    gain, sent, taken = (
+        vehicle.set_parameter("GAIN", 2.0),
+        vehicle.upload_mission(ROWS),
+        vehicle.take_command(),
+    )
+    vehicle.sticks.hold(0.0, 0.0, 0.0, 0.0)
+    by_hand = vehicle.fly_by_hand()  # and gives up to land
+    stop = vehicle.emergency_stop()
+    world.run(0.3)
+    vehicle.sticks.hold(0.5, 0.0, 0.0, 0.0)
+    mock.commands.clear()
+    world.up[0].cut = True
+    world.t += seconds
+    mock.step(world.t)
+    world.station.step(world.t)
+    world.up[0].cut = False
+    world.run(12.0)
+    for request in (land, gain, sent, taken, by_hand, stop):
+        assert request.done, request.text
+    assert [r.outcome.value for r in (land, by_hand, stop)] == ["refused"] * 3
+    assert "the station stood still" in stop.answer
+    assert [c.command for c in mock.commands if c.command not in (511, 512)] == []
+    assert not vehicle.sticks.held
+    assert any("stood still" in m.text for m in vehicle.messages)
+    assert vehicle.land().outcome is Outcome.WAITING  # what is asked now is asked
+
+
+@pytest.mark.parametrize("seconds", [1.5, 10.0, 100.0])
+def test_what_waits_while_the_link_is_cut_is_not_done_when_it_is_back_but_a_stop_is_sent(seconds):
+    world, mock, vehicle, land = with_land_asked(rate_Hz=50.0)
+    world.run(0.1)
+    assert heard_of(mock) == 1
+    for channel in (world.up[0], world.down[0]):
+        channel.cut = True
+    world.run(1.3)
+    assert land.outcome is Outcome.REFUSED
+    assert "was not heard for 1.0 s" in land.answer
+    again, stop = vehicle.land(), vehicle.emergency_stop()
+    world.run(seconds - 1.3)
+    for channel in (world.up[0], world.down[0]):
+        channel.cut = False
+    mock.commands.clear()
+    world.run(5.0)
+    assert again.done
+    assert heard_of(mock) == 0
+    assert stop.outcome is (Outcome.ACCEPTED if seconds <= 10.0 else Outcome.TIMED_OUT)
+
+
+def test_a_vehicle_that_speaks_seldom_is_not_given_up_between_two_words():
+    """Of a slow radio: a message a second, of which one is lost."""
+    world, _, vehicle, _ = with_land_asked(rate_Hz=0.5)
+    world.run(60.0, step_s=0.02)  # what it is asked for at the beginning is over
+    land = vehicle.land()
+    world.run(5.0)
+    assert land.outcome is Outcome.WAITING
+
+
+def test_a_later_command_gives_up_one_that_waits_for_its_answer():
+    """Else its repetition undoes the later one: a Resume was swallowed by the Hover before it."""
+    mock = MockVehicle(ours=True)
+    mock.armed, mock.mission = True, tuple(items_of(ROWS))
+    world = World(mock)
+    vehicle = met(world)
+    mock.silent_on.add(mavlink.MAV_CMD_DO_PAUSE_CONTINUE)  # its answers are lost
+    mock.commands.clear()
+    hover = vehicle.pause()
+    assert vehicle.pause() is hover  # two presses are one request
+    world.run(0.3)
+    resume = vehicle.start_mission()
+    assert hover.outcome is Outcome.REFUSED
+    assert hover.answer == "given up for: fly the mission"
+    assert world.answer(resume) == ("accepted", "")
+    world.run(5.0)
+    asked = [c.command for c in mock.commands if c.command not in (511, 512)]
+    assert asked == [mavlink.MAV_CMD_DO_PAUSE_CONTINUE, mavlink.MAV_CMD_MISSION_START]
+    # A chain that was given up goes on with nothing: no take-off follows a landing.
+    mock.armed = False
+    mock.silent_on.add(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+    world.run(1.5)
+    up = vehicle.take_off(1.0)
+    world.run(0.1)
+    land = vehicle.land()
+    mock.silent_on.clear()
+    world.run(3.0)
+    assert (up.outcome, land.outcome) == (Outcome.REFUSED, Outcome.ACCEPTED)
+    assert heard_of(mock, mavlink.MAV_CMD_NAV_TAKEOFF) == 0
+
+
+def test_vehicles_of_one_number_have_keys_of_their_own_and_noise_is_told_as_that():
+    link = GroundLink(name="udp:x")
+    beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)
+    for k, peer in enumerate(("a", "b")):
+        link.receive(10.0 + k, peer, Encoder(1, 1)(beat))
+    assert [v.key for v in link.vehicles] == ["1@udp:x", "1@udp:x#2"]
+    assert link.unread_bytes == 0
+    link.receive(12.0, "a", bytes(range(250)) * 20)  # as of a serial line at another baud rate
+    assert link.unread_bytes == 5000
+
+
+def test_a_heading_that_none_can_have_carries_no_later_one_with_it():
+    world = World(MockVehicle())
+    vehicle = met(world)
+    boot_ms = round((world.t - world.vehicles[0].boot_s) * 1e3)
+    world.vehicles[0].extra.append(mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, 1e30, 0.0, 0.0, 0.0))
+    world.run(2.0)
+    assert abs(vehicle.snapshot.estimate.attitude[2]) < 10.0

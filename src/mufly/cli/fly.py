@@ -207,7 +207,7 @@ def fly_with_page(order: Order, show: Show) -> str:
 
         ground = Station(
             [parse_endpoint(f"udp:127.0.0.1:{number}", "station")], folder=folder, record_here=True,
-            on_vehicle=lambda found: found.started_with(order.mission),
+            name="simulation", on_vehicle=lambda found: found.started_with(order.mission),
         )  # fmt: skip
         capacity_Ah = float(order.vehicle.battery.capacity) / 3600.0
         battery = (hover_performance(order.vehicle).current_A, capacity_Ah)

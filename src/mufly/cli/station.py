@@ -381,11 +381,14 @@ def station(
             mission=world,
             recorder=ground.recorder if endpoints else None,
             to_open=recording,
+            trouble=ground.trouble,
         )
 
         async def work() -> None:
             try:
                 await ground.start()
+                for line in ground.trouble():
+                    console(stderr=True).print(line, highlight=False, style="yellow", markup=False)
                 page.stop()
                 await serve(session, address, open_browser=False, stop=ending.asked.is_set)
             finally:

@@ -21,8 +21,10 @@ the parameters mean is said at https://mavlink.io/en/messages/common.html#mav_co
 
 Programs repeat a command until they hear its acknowledgement. The same command with the same parameters from the same
 station, within :data:`REPEAT_S` of the time before (or marked as a repetition by its ``confirmation``, within
-:data:`CONFIRMED_S`), is answered as before and not carried out again, if it was accepted. One that was refused is
-judged anew: whoever asks again may have done something about it. An emergency stop is always carried out.
+:data:`CONFIRMED_S`), is answered as before and not carried out again, if it was accepted. When the station has given
+other commands since, only a copy whose ``confirmation`` has grown by one in each :data:`STEP_S` is a repetition: it
+must not undo what was asked after it. One that was refused is judged anew: whoever asks again may have done something
+about it. An emergency stop is always carried out.
 """
 
 from __future__ import annotations
@@ -64,6 +66,8 @@ LOCAL_FRAMES = (1, 4, 7, 8, 9, 12)
 REPEAT_S = 0.8
 """Programs repeat after half a second (MAVSDK) or more; two presses of a key are further apart than this (s)."""
 CONFIRMED_S = 10.0
+STEP_S = 1.5
+"""Programs that count their repetitions let at most so long pass between two (s)."""
 KEPT_S = 10.0
 """For how long a mode that was chosen before arming holds (s)."""
 
@@ -71,6 +75,7 @@ Choice = Literal["take-off", "mission", ""]
 
 _FARTHEST = NOT_GIVEN - 1
 _HOLD_S = 0.3
+_REMEMBERED = 8  # commands of a station
 _STATIONS = 32
 _ACCEPT, _DENY = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
 _UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
@@ -135,6 +140,15 @@ def command_of(message: MavMessage) -> Command:
     return Command(m.command, (*first, x, y, m.z), m.frame)
 
 
+@dataclass(slots=True)
+class _Accepted:
+    """A command that was carried out: when its last copy was heard, the confirmation of that copy, and the answer."""
+
+    heard_s: float
+    confirmation: int
+    answer: Answer
+
+
 class CommandProtocol:
     """Takes COMMAND_LONG, COMMAND_INT and the messages that say the same: SET_MODE, MISSION_SET_CURRENT.
 
@@ -160,7 +174,9 @@ class CommandProtocol:
         self._flight, self._autopilot = flight, flight.autopilot
         self._clients, self._authority = clients, authority
         self._manual, self._missions, self._origin = manual, missions, origin
-        self._last: OrderedDict[Source, tuple[float, bytes, Answer]] = OrderedDict()
+        self._last: OrderedDict[Source, OrderedDict[bytes, _Accepted]] = (
+            OrderedDict()
+        )  # the newest at the end
         self._held: tuple[float, Source, Command] | None = None
         self._choice: tuple[float, Choice] = (-math.inf, "")
         authority.on_change.append(self._forget_choice)
@@ -219,26 +235,34 @@ class CommandProtocol:
 
     def _answered_before(self, now_s: float, station: Source, command: Command) -> Answer | None:
         """How a command was answered, if it is a repetition of one that was accepted."""
-        last = self._last.get(station)
-        if last is None:
+        known = self._last.get(station, OrderedDict())
+        before, copy = known.get(command.packed), command.confirmation
+        if before is None:
             return None
-        when_s, packed, answer = last
-        within_s = CONFIRMED_S if command.confirmation else REPEAT_S
-        if packed != command.packed or now_s - when_s > within_s or not answer:
+        waited_s, counted = now_s - before.heard_s, copy - before.confirmation
+        if next(reversed(known)) == command.packed:
+            repeated = waited_s <= (CONFIRMED_S if copy else REPEAT_S)
+        else:
+            repeated = waited_s <= counted * STEP_S
+        if not repeated:
             return None
-        self._last[station] = (now_s, packed, answer)
-        return answer
+        before.heard_s, before.confirmation = now_s, max(copy, before.confirmation)
+        return before.answer
 
     def _carry_out(self, now_s: float, station: Source, command: Command) -> None:
         action = COMMANDS.get(command.number)
         if action is None:
             entry = mavlink.enums["MAV_CMD"].get(command.number)
             name = f"command {command.number}" if entry is None else entry.name.removeprefix("MAV_CMD_")
-            self._last.pop(station, None)
             self._acknowledge(station, command.number, _UNSUPPORTED, f"{name} is not known here")
             return
         answer = action(self, now_s, command)
-        self._last[station] = (now_s, command.packed, answer)
+        known = self._last.setdefault(station, OrderedDict())
+        known.pop(command.packed, None)
+        if answer:
+            known[command.packed] = _Accepted(now_s, command.confirmation, answer)
+        while len(known) > _REMEMBERED:
+            known.popitem(last=False)
         self._last.move_to_end(station)
         while len(self._last) > _STATIONS:
             self._last.popitem(last=False)

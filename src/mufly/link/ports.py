@@ -35,11 +35,26 @@ READS, READ_BYTES = 256, 65_536
 """Datagrams or blocks taken in one call, and the greatest size of one (bytes)."""
 RETRY_S = 1.0
 """Time between two attempts to call a TCP server or to open a serial device (s)."""
+_DISCARDS = 100
+_UNHEARD_MS = 2000
+"""A TCP connection whose other end acknowledges nothing for so long is given up, with all that waits in it (ms)."""
+_STALE = "hung up: bytes waited in it while nobody was there to hear them"
 _QUEUE = 65_536  # bytes that may wait to go out
 _SERIAL_BLOCK = 4096
 _LOST = "the connection was lost; trying again"
 _SERIAL_LAG_S = 0.3
 _RECEIVE_BUFFER = 1 << 20
+_DEVICE_WORDS = {
+    errno.ENOENT: "there is no such device; plug it in",
+    errno.ENODEV: "there is no such device; plug it in",
+    errno.ENXIO: "there is no such device; plug it in",
+    errno.EACCES: "no permission; on Linux its group is dialout or uucp: join it and log in anew",
+    errno.EBUSY: "another program uses it; end that one",
+    errno.EAGAIN: "another program uses it; end that one",
+    errno.ENOTTY: "it is no serial device",
+    errno.EISDIR: "it is no serial device",
+    errno.EINVAL: "it is no serial device, or does not know this baud rate",
+}
 _LATER = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR, errno.ENOBUFS, errno.ECONNREFUSED}
 
 Kind = Literal["udpin", "udpout", "tcp", "tcpin", "serial"]
@@ -79,6 +94,19 @@ def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
         return kinds[endpoint.kind](endpoint)
     except ArgumentError as error:
         raise error.at(where) from error
+
+
+LATE_S = 1.0
+"""What is asked of a vehicle is not carried out later than this (s): whoever asked has other things in view by then."""
+_CLOCK = getattr(time, "CLOCK_BOOTTIME", None)
+
+
+def elapsed_s() -> float:
+    """Return a monotonic clock (s) that also runs while the machine is suspended.
+
+    Linux stops ``time.monotonic`` during a suspension and has CLOCK_BOOTTIME for this; elsewhere they are the same.
+    """
+    return time.monotonic() if _CLOCK is None else time.clock_gettime(_CLOCK)
 
 
 def wait(ports: Iterable[Port], timeout_s: float) -> None:
@@ -216,6 +244,11 @@ class Port(ABC):
     Parameters
     ----------
     endpoint : Endpoint
+
+    Attributes
+    ----------
+    problem : str
+        Why nothing can come through it now, in words that name it; "" if something can.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
@@ -224,6 +257,7 @@ class Port(ABC):
         self._selector = selectors.DefaultSelector()
         self._notices: list[str] = []
         self._said = ""
+        self.problem = ""
 
     @abstractmethod
     def receive(self) -> list[tuple[Peer, bytes]]:
@@ -255,6 +289,12 @@ class Port(ABC):
     def targets(self) -> list[Peer]:
         """Those of its peers whom it was told to call, and has, if they can be called."""
         return []
+
+    def discard(self) -> None:
+        """Throw away what waits to be received: it came while nobody was there to hear it."""
+        for _ in range(_DISCARDS):
+            if not self.receive():
+                return
 
     def fileno(self) -> int:
         """A descriptor that becomes readable when there is something to receive; -1 where the system has none.
@@ -443,6 +483,11 @@ class TcpServer(Port):
                 self._drop(peer)
         return out
 
+    def discard(self) -> None:
+        # More of it waits at the other end: only a new connection is without it.
+        for peer in self.peers:
+            self._drop(peer)
+
     def _send(self, peer: Peer, data: bytes) -> None:
         self._lines[peer][1].send(data)
 
@@ -516,6 +561,7 @@ class Caller(Port):
 
     def _up(self, stream: ByteStream) -> None:
         self._lines[self._peer] = stream
+        self.problem = ""
         self._say("connected")
 
     def _lose(self, why: str) -> None:
@@ -525,6 +571,7 @@ class Caller(Port):
             self._line.close()
         self._line = None
         self._lines.clear()
+        self.problem = f"{self.endpoint}: {why}"
         self._say(why)
 
 
@@ -532,6 +579,10 @@ class TcpClient(Caller):
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
         self._family, self._address = _resolve(endpoint, socket.SOCK_STREAM)
+
+    def discard(self) -> None:
+        if self.peers:
+            self._lose(_STALE)
 
     def _open(self) -> None:
         if self._line is None:
@@ -562,6 +613,11 @@ class SerialPort(Caller):
             )
         except ValueError as error:
             raise OSError(errno.EINVAL, str(error)) from error
+        except OSError as error:
+            # pyserial tells the number of some of its errors in words only.
+            told = re.search(r"\((\d+), '", str(error))
+            number = error.errno or (int(told[1]) if told else errno.EIO)
+            raise OSError(number, _DEVICE_WORDS.get(number) or str(error.strerror or error)) from error
         self._line = line
         if os.name == "posix":
             self._selector.register(line, selectors.EVENT_READ)
@@ -583,3 +639,7 @@ class SerialPort(Caller):
 def _prepare(line: socket.socket) -> None:
     line.setblocking(False)
     line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if hasattr(
+        socket, "TCP_USER_TIMEOUT"
+    ):  # else a command waits in the system for minutes, and is carried out then
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNHEARD_MS)

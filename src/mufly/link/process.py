@@ -37,7 +37,7 @@ from mufly.flight import ALIGNED_WITHIN_S, Event, Flight, FlightState
 from mufly.flight.camera import Eye
 from mufly.flight.software import Computing
 from mufly.link.codec import Origin
-from mufly.link.ports import Endpoint, Peer, Port, open_port, wait
+from mufly.link.ports import LATE_S, Endpoint, Peer, Port, elapsed_s, open_port, wait
 from mufly.link.telemetry import SLOW
 from mufly.link.vehicle import VehicleLink
 from mufly.logs.tlog import TlogWriter
@@ -202,14 +202,27 @@ class Pace:
 class _Wire:
     """The ports, and who is behind each peer."""
 
-    def __init__(self, ports: Sequence[Port], tlog: TlogWriter | None) -> None:
-        self.ports, self._tlog = ports, tlog
+    def __init__(self, ports: Sequence[Port], tlog: TlogWriter | None, clock: Callable[[], float]) -> None:
+        self.ports, self._tlog, self._clock = ports, tlog, clock
         self._by_name = {str(port.endpoint): port for port in ports}
+        self._heard_s = clock()
 
     def receive(self, link: VehicleLink, now_s: float) -> None:
+        came = [one for port in self.ports for one in port.receive()]
+        # The process may have been stopped, or the machine asleep, in any line; so the clock is read behind the bytes.
+        stood_s = (self._clock() if came else now_s) - self._heard_s
+        self._heard_s = now_s
+        if stood_s > LATE_S and self.ports:
+            for port in self.ports:
+                port.discard()
+            link.resume(now_s)
+            link.flight.note(
+                f"stood still for {stood_s:.1f} s; what was asked meanwhile is not carried out", "warning"
+            )
+            came = []
+        for peer, data in came:
+            link.receive(now_s, peer, data)
         for port in self.ports:
-            for peer, data in port.receive():
-                link.receive(now_s, peer, data)
             for peer in port.targets:
                 link.connect(now_s, peer)
 
@@ -261,7 +274,7 @@ def run(
     on_report: Callable[[Report], None] | None = None,
     autostart: bool = False,
     where: str = "endpoint",
-    clock: Callable[[], float] = time.monotonic,
+    clock: Callable[[], float] = elapsed_s,
 ) -> Pace:
     """Fly in real time behind a MAVLink link, until told to stop.
 
@@ -313,7 +326,7 @@ def run(
             on_open()
         if tlog is not None:
             link.on_received = tlog.write
-        wire, period_s = _Wire(ports, tlog), flight.period_s
+        wire, period_s = _Wire(ports, tlog, clock), flight.period_s
         pace, report_s, counted = Pace(clock(), period_s), clock(), (0, 0)
         start_within_s = ALIGNED_WITHIN_S if flight.sensed else _START_WITHIN_S
         while not stop():

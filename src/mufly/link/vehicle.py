@@ -135,6 +135,13 @@ class VehicleLink:
             elif (note := note_of(message)) is not None:
                 self._missions.receive(now_s, station, note)
 
+    def resume(self, now_s: float) -> None:
+        """Go on after a time in which nobody could be heard: that was no silence of theirs."""
+        for client in self.clients:
+            client.heard_s = now_s
+        if self.authority.commander is not None:
+            self.authority.hear(now_s, self.authority.commander)
+
     def _for_us(self, message: MavMessage) -> bool:
         system = getattr(message, "target_system", getattr(message, "target", 0))
         component = getattr(message, "target_component", 0)

@@ -49,24 +49,24 @@ EMERGENCY_STOP = _command(400, 0.0, FORCE)
 REBOOT = _command(246, 1.0)
 """PREFLIGHT_REBOOT_SHUTDOWN of the autopilot; a simulation begins anew."""
 
-_Table = dict[str, tuple[Command, ...]]
-BEFORE_ARMING: _Table = {"ArduPilot": (_mode(4),), "": ()}
+Table = dict[str, tuple[Command, ...]]
+BEFORE_ARMING: Table = {"ArduPilot": (_mode(4),), "": ()}
 """What has to come before arming for a take-off: ArduPilot must be in its mode "guided"."""
-START_MISSION: _Table = {"PX4": (_mode(4, 4),), "ArduPilot": (_command(300), _mode(3)), "": (_command(300),)}
+START_MISSION: Table = {"PX4": (_mode(4, 4),), "ArduPilot": (_command(300), _mode(3)), "": (_command(300),)}
 """What makes an armed vehicle fly its mission, or go on with it."""
-PAUSE: _Table = {"PX4": (_mode(4, 3),), "ArduPilot": (_mode(17),), "": (_command(193),)}
+PAUSE: Table = {"PX4": (_mode(4, 3),), "ArduPilot": (_mode(17),), "": (_command(193),)}
 """Stop and hover."""
-BY_HAND: _Table = {"PX4": (_mode(3),), "ArduPilot": (_mode(5),), "": (_mode(2),)}
+BY_HAND: Table = {"PX4": (_mode(3),), "ArduPilot": (_mode(5),), "": (_mode(2),)}
 """Fly by sticks: the mode of each that stops and stays when they are in the middle (position control, loiter)."""
-LET_GO: _Table = {"ArduPilot": (_mode(17),), "": (_mode(4, 3),)}
+LET_GO: Table = {"ArduPilot": (_mode(17),), "": (_mode(4, 3),)}
 """No more sticks: hover where it is. A mode, since it is taken on the floor too."""
-RETURN: _Table = {"ArduPilot": (_mode(6),), "": (_command(20),)}
+RETURN: Table = {"ArduPilot": (_mode(6),), "": (_command(20),)}
 """Return to where it took off and land."""
-LAND: _Table = {"ArduPilot": (_mode(9),), "": (Command(21, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),)}
+LAND: Table = {"ArduPilot": (_mode(9),), "": (Command(21, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),)}
 """Land here."""
 
 
-def commands_of(table: _Table, firmware: Firmware) -> tuple[Command, ...]:
+def commands_of(table: Table, firmware: Firmware) -> tuple[Command, ...]:
     """Return what such a vehicle is asked with."""
     return table.get(firmware, table[""])
 

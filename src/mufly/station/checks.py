@@ -29,6 +29,7 @@ RESERVE = 0.2
 """Share of the battery that a mission must leave."""
 DISK_LEAST_BYTES = 200e6
 OWN_CHECKS = "vehicle's own checks"
+_OF_STATION = ("heard", "link", "recording", "disk")
 _PREARM = 268435456  # MAV_SYS_STATUS_PREARM_CHECK
 
 _Judged = tuple[bool | None, str]
@@ -80,6 +81,13 @@ def judge(
         "recording": _recording(around.recording),
         "disk": _disk(around.free_bytes),
     }
+    if not s.connected and math.isfinite(s.silent_s):
+        # What it said last may be true no more.
+        judged |= {
+            name: (None, f"not heard for {s.silent_s:.0f} s; it was: {text}")
+            for name, (_, text) in judged.items()
+            if name not in _OF_STATION
+        }
     return [Check(name, *answer) for name, answer in judged.items()]
 
 

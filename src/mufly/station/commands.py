@@ -27,6 +27,7 @@ REASON_S = 0.4
 """For so long a refusal without words waits for some (s)."""
 KEPT_MESSAGES = 500
 _ENQUIRIES = (511, 512)  # SET_MESSAGE_INTERVAL, REQUEST_MESSAGE
+_INJECT_FAILURE = 420
 _RESULTS = {
     1: "not possible now",
     2: "refused",
@@ -151,7 +152,7 @@ class RemoteCommands:
         request = Request(text)
         entry = _Open(request, command=command)
         if command.stops:
-            self._give_up_acts(f"given up for: {text}")
+            self.give_up_acts(f"given up for: {text}")
             self._open[command.number] = entry
         else:
             if len(self._waiting) == self._waiting.maxlen:
@@ -202,15 +203,33 @@ class RemoteCommands:
                 del self._open[number]
         return out
 
-    def _give_up_acts(self, answer: str) -> None:
-        """End all that would make the vehicle do something: an arming that waits must not follow a stop."""
+    def give_up_acts(self, answer: str, *, moves_only: bool = False, stops: bool = True) -> None:
+        """End all that would make the vehicle do something: an arming that waits must not follow a stop.
+
+        Parameters
+        ----------
+        answer : str
+            Why, for whoever asked.
+        moves_only : bool
+            Leave what does not move it: faults of a simulation.
+        stops : bool
+            Whether an emergency stop is given up too.
+        """
+
+        def kept(entry: _Open) -> bool:
+            number, stop = entry.command.number, entry.command.stops and not stops
+            return number in _ENQUIRIES or stop or (moves_only and number == _INJECT_FAILURE)
+
         for entry in (*self._open.values(), *self._waiting):
-            if entry.command.number not in _ENQUIRIES:
+            if not kept(entry):
                 entry.request.end(Outcome.REFUSED, answer)
-        self._open = {k: e for k, e in self._open.items() if k in _ENQUIRIES}
-        self._waiting = deque(
-            (e for e in self._waiting if e.command.number in _ENQUIRIES), self._waiting.maxlen
-        )
+        self._open = {k: e for k, e in self._open.items() if kept(e)}
+        self._waiting = deque(filter(kept, self._waiting), self._waiting.maxlen)
+
+    @property
+    def acting(self) -> bool:
+        """Whether something that would make the vehicle do something is not answered yet."""
+        return any(e.command.number not in _ENQUIRIES for e in (*self._open.values(), *self._waiting))
 
     def give_up(self, answer: str) -> None:
         """End everything that is open: the vehicle is gone or was started anew."""
@@ -273,6 +292,12 @@ class OperatorControl:
     def release(self) -> Request:
         """Hand command over."""
         return self._begin(Request("hand over command"), 1)
+
+    def give_up(self, answer: str) -> None:
+        """End what is open."""
+        if self._open is not None:
+            self._open.request.end(Outcome.REFUSED, answer)
+            self._open = None
 
     def handle(self, now_s: float, message: MavMessage) -> None:
         """Take CHANGE_OPERATOR_CONTROL_ACK."""

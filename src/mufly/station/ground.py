@@ -21,7 +21,7 @@ from pathlib import Path
 
 from mufly.errors import ArgumentError, InputError
 from mufly.link.codec import Codec, Encoder, MavMessage, Outgoing, mavlink
-from mufly.link.ports import Endpoint, Port, open_port, parse_endpoint
+from mufly.link.ports import LATE_S, Endpoint, Port, elapsed_s, open_port, parse_endpoint
 from mufly.station.recorder import StationRecorder
 from mufly.station.remote import LOST_S, RemoteVehicle
 from mufly.vehicle_types import is_vehicle, type_words, vehicle_rank
@@ -68,6 +68,8 @@ class GroundLink:
         Given every packet that came in or goes out, for a log.
     on_fault : callable, optional
         Told in words when the handling of one vehicle failed; the others go on.
+    name : str
+        What the link is called, to tell its vehicles from those of other links.
     on_notice : callable, optional
         Told in words of a system of which only equipment is heard, no vehicle.
     """
@@ -82,16 +84,18 @@ class GroundLink:
         on_packet: Callable[[bytes], None] | None = None,
         on_fault: Callable[[str], None] | None = None,
         on_notice: Callable[[str], None] | None = None,
+        name: str = "link",
     ) -> None:
         self.us, self.rate_Hz = us, rate_Hz
         self._color = color or (lambda: len(self._heard))
         self._on_vehicle, self._on_packet, self._on_fault = on_vehicle, on_packet, on_fault
-        self._on_notice = on_notice
+        self._on_notice, self.name = on_notice, name
+        self.unread_bytes = 0  # since the last message
         self._equipment: dict[tuple[Hashable, int], tuple[float, str]] = {}
         self._codec = Codec()
         self._heard: dict[tuple[Hashable, int], _Heard] = {}
         self._encoders: dict[Hashable, Encoder] = {}
-        self._beat_s = float("-inf")
+        self._beat_s = self._stepped_s = -math.inf
 
     @property
     def vehicles(self) -> list[RemoteVehicle]:
@@ -100,7 +104,9 @@ class GroundLink:
 
     def receive(self, now_s: float, peer: Hashable, data: bytes) -> None:
         """Take bytes that came from a peer."""
+        self.unread_bytes += len(data)
         for message in self._codec.receive(now_s, peer, data):
+            self.unread_bytes = 0
             if self._on_packet is not None:
                 self._on_packet(bytes(message.get_msgbuf()))
             heard = self._sender(now_s, peer, message)
@@ -123,6 +129,10 @@ class GroundLink:
         peers : iterable
             Whom the port can reach: they get our heartbeat, so that a vehicle that waits to be called answers.
         """
+        stood_s, self._stepped_s = now_s - self._stepped_s, now_s
+        if LATE_S < stood_s < math.inf:
+            for vehicle in self.vehicles:
+                vehicle.stand_still(stood_s)
         out = self._heartbeats(now_s, peers)
         self._tell_equipment(now_s)
         for heard in self._heard.values():
@@ -185,6 +195,8 @@ class GroundLink:
         if len(self._heard) >= MOST_VEHICLES:
             return None
         vehicle = RemoteVehicle(system, component, us=self.us, color=self._color(), rate_Hz=self.rate_Hz)
+        alike = sum(v.system == system for v in self.vehicles)
+        vehicle.key = f"{system}@{self.name}" + (f"#{alike + 1}" if alike else "")
         new = self._heard[peer, system] = _Heard(vehicle, peer, now_s, rank)
         if self._on_vehicle is not None:
             self._on_vehicle(vehicle)
@@ -252,6 +264,17 @@ def _opened(endpoint: Endpoint) -> Port:
         raise ArgumentError("endpoints", error.key, error.problem, error.remedy) from error
 
 
+_UNREAD_BYTES = 4000
+
+
+def _not_understood(port: Port, link: GroundLink) -> str:
+    """Say that bytes come and no message is among them; "" otherwise."""
+    if link.unread_bytes < _UNREAD_BYTES:
+        return ""
+    words = f"{port.endpoint}: {link.unread_bytes} bytes came, and no MAVLink message among them"
+    return words + (f"; is {port.endpoint.port} its baud rate?" if port.endpoint.kind == "serial" else "")
+
+
 def _address_of(process: int) -> tuple[int, int]:
     """System and component number of the station in a process."""
     turns, k = divmod(process, len(_SYSTEMS))
@@ -278,6 +301,8 @@ class Station:
         How often vehicles are asked to tell their motion.
     on_vehicle : callable, optional
         Told of every new vehicle.
+    name : str
+        What the links are called, where their endpoints are others at each start.
 
     Attributes
     ----------
@@ -301,7 +326,9 @@ class Station:
         us: tuple[int, int] | None = None,
         rate_Hz: float = 100.0,
         on_vehicle: Callable[[RemoteVehicle], None] | None = None,
+        name: str = "",
     ) -> None:
+        self._name = name
         self.endpoints = [parse_endpoint(e, "station") if isinstance(e, str) else e for e in endpoints]
         self.us = us or _address_of(os.getpid())
         self.notices: deque[tuple[float, str]] = deque(maxlen=200)
@@ -343,6 +370,7 @@ class Station:
             raise
         loop = asyncio.get_running_loop()
         for port, link in self._links:
+            self._take(elapsed_s(), port, link)  # calls, so that what is missing is known at once
             number = port.fileno()
             if number >= 0:
                 loop.add_reader(number, self._readable, port, link)
@@ -369,6 +397,10 @@ class Station:
         """Put a mark into the recording; returns whether there is one."""
         return self.recorder.mark(text)
 
+    def trouble(self) -> list[str]:
+        """Say what is wrong with the links now, a line each."""
+        return [words for port, link in self._links if (words := port.problem or _not_understood(port, link))]
+
     def _link(self, endpoint: Endpoint) -> GroundLink:
         return GroundLink(
             self.us,
@@ -378,6 +410,7 @@ class Station:
             on_packet=self.recorder.packet,
             on_fault=self._notice,
             on_notice=self._notice,
+            name=self._name or str(endpoint),
         )
 
     def _new_vehicle(self, vehicle: RemoteVehicle) -> None:
@@ -390,7 +423,7 @@ class Station:
         self.notices.append((time.time(), text))
 
     def _readable(self, port: Port, link: GroundLink) -> None:
-        now_s = time.monotonic()
+        now_s = elapsed_s()
         with self._going_on():
             self._take(now_s, port, link)
             if now_s - self._stepped_s >= REACT_S:
@@ -433,7 +466,7 @@ class Station:
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:
-            now_s = time.monotonic()
+            now_s = elapsed_s()
             with self._going_on():
                 for port, link in self._links:
                     self._take(now_s, port, link)  # ports without a descriptor, and calls to be made again

@@ -230,6 +230,8 @@ class Request:
 BEAMS = 8
 """So many beams are kept; a vehicle with more is shown, but its ranges are not kept."""
 PILOT_CHANNELS = 8
+_MOST_TURNED = 1e4
+"""A heading beyond is none (rad)."""
 HOLD_S = 1.5
 """A signal that was not told for so long is not known (s)."""
 SLOW_HOLD_S = 6.0
@@ -428,6 +430,6 @@ class Present:
     def _carried_on(self, k: int, angle: float) -> float:
         """Return the angle in the turn nearest to its last value, or else to the estimated heading."""
         for near in (self.values[k], self.values[self.index["estimated_attitude_yaw"]]):
-            if math.isfinite(near):
+            if abs(near) < _MOST_TURNED:  # one absurd heading must not carry all that follow with it
                 return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))
         return angle

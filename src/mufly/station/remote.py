@@ -21,6 +21,7 @@ from mufly.flight.parameters import TABLE
 from mufly.link.codec import MavMessage, mavlink
 from mufly.link.commands import Command
 from mufly.link.parameters import LINK_PARAMETERS
+from mufly.link.ports import LATE_S
 from mufly.mission import Fence, Mission, fence_of, items_of_fence, load_mission
 from mufly.mission.items import Refusal
 from mufly.mission.items import items_of as items_of_mission
@@ -36,6 +37,8 @@ from mufly.vehicle_types import ARDUPILOT, PX4, is_vehicle, type_words
 
 LOST_S = 3.0
 """A vehicle that was silent for so long is lost (s)."""
+_MISSED = 10
+"""After so many messages that did not come, nothing waits any more to be carried out when it is heard again."""
 
 _NO_MISSION = 65535  # MISSION_CURRENT.total
 _Link = Callable[[], Request | None]
@@ -65,6 +68,8 @@ class RemoteVehicle:
         What a pilot here holds; streamed while it is held, and followed after :meth:`fly_by_hand`.
     on_mark : callable or None
         Takes the text of a mark; returns whether it was recorded.
+    key : str
+        Tells it from all others of the station, also after the station was started anew: its number and its link.
     """
 
     def __init__(
@@ -76,7 +81,7 @@ class RemoteVehicle:
         color: int = 0,
         rate_Hz: float = 100.0,
     ) -> None:
-        self.system, self.color = system, color
+        self.system, self.color, self.key = system, color, str(system)
         self.us, self._asked_rate_Hz = us, rate_Hz
         self.history = History()
         self.telemetry = Telemetry(self.history)
@@ -88,6 +93,8 @@ class RemoteVehicle:
         self.surroundings = Surroundings()
         self.on_mark: Callable[[str], bool] | None = None
         self._chains: list[Chain] = []
+        self._moving: Request | None = None  # what it was asked to do last
+        self._usual_rate_Hz = 0.0
         self._heard_s = self._now_s = -math.inf
         self._lost = False
         self._restarts = 0
@@ -213,11 +220,11 @@ class RemoteVehicle:
 
     def arm(self) -> Request:
         """Let the motors run."""
-        return self._ask("arm", autopilots.ARM)
+        return self._move("arm", lambda: self._ask("arm", autopilots.ARM))
 
     def disarm(self) -> Request:
         """Stop the motors; it refuses in flight."""
-        return self._ask("disarm", autopilots.DISARM)
+        return self._move("disarm", lambda: self._ask("disarm", autopilots.DISARM))
 
     def take_off(self, height_m: float) -> Request:
         """Arm if needed, take off to a height above where it stands (m), and hover."""
@@ -229,18 +236,19 @@ class RemoteVehicle:
             links.append(lambda: self._parameters.set("MIS_TAKEOFF_ALT", height_m))
         links += self._links("take off", commands_of(autopilots.BEFORE_ARMING, self.firmware))
         climb = self._links("take off", (autopilots.take_off(self.firmware, height_m),))
-        return self._chain(text, [*links, self._arm_if_needed, *climb])
+        return self._move(text, lambda: self._chain(text, [*links, self._arm_if_needed, *climb]))
 
     def start_mission(self) -> Request:
         """Fly the mission, or go on with it; arms if needed."""
         if self.transfers.items is not None and not self.transfers.items:
             return _refused("fly the mission", "the vehicle holds no mission; send one first")
         start = self._links("start", commands_of(autopilots.START_MISSION, self.firmware))
-        return self._chain("fly the mission", [self._arm_if_needed, *start])
+        text = "fly the mission"
+        return self._move(text, lambda: self._chain(text, [self._arm_if_needed, *start]))
 
     def pause(self) -> Request:
         """Stop and hover."""
-        return self._ask("hover here", *commands_of(autopilots.PAUSE, self.firmware))
+        return self._do("hover here", autopilots.PAUSE)
 
     def go_to(self, position: Sequence[float], heading_rad: float | None = None) -> Request:
         """Fly to a place (N, E, D; m) and hold."""
@@ -250,20 +258,21 @@ class RemoteVehicle:
             return _refused(text, "N, E and a height are needed")
         heading = math.nan if heading_rad is None else heading_rad
         command = autopilots.go_to(self.firmware, (n, e, d), heading, self.telemetry.origin)
-        return _refused(text, command) if isinstance(command, str) else self._ask(text, command)
+        if isinstance(command, str):
+            return _refused(text, command)
+        return self._move(text, lambda: self._ask(text, command))
 
     def return_home(self) -> Request:
         """Return to where it took off, and land."""
-        return self._ask("return and land", *commands_of(autopilots.RETURN, self.firmware))
+        return self._do("return and land", autopilots.RETURN)
 
     def land(self) -> Request:
         """Land here."""
-        return self._ask("land", *commands_of(autopilots.LAND, self.firmware))
+        return self._do("land", autopilots.LAND)
 
     def emergency_stop(self) -> Request:
         """Stop the motors at once, in flight too; nothing that was asked for before goes on after it."""
-        for chain in self._chains:
-            chain.request.end(Outcome.REFUSED, "given up for: EMERGENCY STOP")
+        self._give_up_moves("given up for: EMERGENCY STOP")
         self.sticks.let_go()
         self._by_hand = False
         return self._ask("EMERGENCY STOP", autopilots.EMERGENCY_STOP)
@@ -273,7 +282,7 @@ class RemoteVehicle:
         if not self.sticks.held:
             return _refused("fly by hand", "no sticks; hold them first")
         self._by_hand = True
-        return self._ask("fly by hand", *commands_of(autopilots.BY_HAND, self.firmware))
+        return self._do("fly by hand", autopilots.BY_HAND)
 
     def let_go(self) -> Request | None:
         """Let go of the sticks: it hovers where it is. None if it was not flown by them."""
@@ -281,7 +290,7 @@ class RemoteVehicle:
         if not self._by_hand:
             return None
         self._by_hand = False
-        return self._ask("let go of the sticks", *commands_of(autopilots.LET_GO, self.firmware))
+        return self._do("let go of the sticks", autopilots.LET_GO)
 
     def reboot(self) -> Request:
         """Start the autopilot anew; a simulation begins anew."""
@@ -376,11 +385,31 @@ class RemoteVehicle:
     def _ask(self, text: str, command: Command) -> Request:
         return self.commands.ask(text, command)
 
+    def _do(self, text: str, table: autopilots.Table) -> Request:
+        return self._move(text, lambda: self._ask(text, *commands_of(table, self.firmware)))
+
+    def _move(self, text: str, make: Callable[[], Request]) -> Request:
+        """Ask for a movement. What was asked before and is not answered is given up: it must not be done after this.
+
+        The same once more, while it waits for its answer, is one request.
+        """
+        waiting = self._moving
+        if waiting is not None and not waiting.done and waiting.text == text:
+            return waiting
+        self._give_up_moves(f"given up for: {text}", moves_only=True)
+        self._moving = make()
+        return self._moving
+
+    def _give_up_moves(self, why: str, *, moves_only: bool = False, stops: bool = False) -> None:
+        for chain in self._chains:
+            chain.request.end(Outcome.REFUSED, why)
+        self.commands.give_up_acts(why, moves_only=moves_only, stops=stops)
+
     def _links(self, text: str, commands: Iterable[Command]) -> list[_Link]:
         return [partial(self._ask, text, command) for command in commands]
 
     def _arm_if_needed(self) -> Request | None:
-        return None if self.telemetry.armed else self.arm()
+        return None if self.telemetry.armed else self._ask("arm", autopilots.ARM)
 
     def _chain(self, text: str, links: Sequence[_Link]) -> Request:
         self._chains.append(chain := Chain(text, links))
@@ -446,6 +475,7 @@ class RemoteVehicle:
     def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
         """Take how good the link is: share of packets lost, messages a second."""
         self._loss, self._rate_Hz = loss, rate_Hz
+        self._usual_rate_Hz = max(0.5 * self._usual_rate_Hz, rate_Hz)
         self.telemetry.note_link(now_s, loss, rate_Hz)
 
     def change_component(self, component: int) -> None:
@@ -472,7 +502,40 @@ class RemoteVehicle:
         """Note that it is heard from another address, where it knows nothing of our wishes."""
         self._connection.again()
 
+    def stand_still(self, seconds: float) -> None:
+        """Note that the station stood still for so long: nothing that was asked before is done now.
+
+        A vehicle that was flown by sticks has let go of them by its own time-out, and may be in other hands.
+        """
+        why = f"not carried out: the station stood still for {seconds:.0f} s"
+        self._give_up_moves(why, stops=True)
+        self._give_up_changes(why)
+        self.sticks.let_go()
+        self._by_hand = False
+        self.note(
+            "warning",
+            f"the station stood still for {seconds:.1f} s; what was asked before is not carried out",
+        )
+
+    def _give_up_changes(self, why: str) -> None:
+        self._parameters.give_up_changes(why)
+        self.transfers.give_up_changes(why)
+        self._control.give_up(why)
+
+    def _give_up_unheard(self, now_s: float) -> None:
+        """Give up what waits for an answer once more messages than can be chance did not come; but no emergency stop.
+
+        Else it is repeated, and carried out whenever the link is back.
+        """
+        silent_s = now_s - self._heard_s
+        usual_s = _MISSED / self._usual_rate_Hz if self._usual_rate_Hz > 0.0 else LOST_S
+        if math.isfinite(silent_s) and silent_s >= min(LOST_S, max(LATE_S, usual_s)):
+            why = f"not carried out: the vehicle was not heard for {silent_s:.1f} s"
+            self._give_up_moves(why)
+            self._give_up_changes(why)
+
     def _look_after_link(self, now_s: float) -> None:
+        self._give_up_unheard(now_s)
         lost = now_s - self._heard_s >= LOST_S
         if lost and not self._lost:
             self.note("warning", f"{self.name} is not heard any more")

@@ -280,6 +280,14 @@ class RemoteMission:
         self._out = []
         self._messy_s = None
 
+    def give_up_changes(self, answer: str) -> None:
+        """End what would change the vehicle's mission; what is fetched goes on."""
+        for job in [j for j in self._jobs if j.items is not None or j.clear]:
+            job.request.end(Outcome.REFUSED, answer)
+            if job is self._jobs[0]:
+                self._sender, self._out = None, []
+            self._jobs.remove(job)
+
     def _begin(self, now_s: float, job: _Job) -> None:
         if job.items is not None:
             self._sender = Sender(_PEER, job.items, mission_type=self._kind)
@@ -464,6 +472,12 @@ class RemoteParameters:
         for request in (*(entry.request for entry in self._sets.values()), self._list):
             if request is not None:
                 request.end(Outcome.TIMED_OUT, answer)
+        self._sets.clear()
+
+    def give_up_changes(self, answer: str) -> None:
+        """End what would change a parameter; what is read goes on."""
+        for entry in self._sets.values():
+            entry.request.end(Outcome.REFUSED, answer)
         self._sets.clear()
 
     def _read(self, now_s: float) -> list[MavMessage]:

@@ -24,7 +24,7 @@ from mufly.station.page.session import ANSWER_S, GRACE_S, Session
 class Vehicle:
     """A vehicle that a test makes move."""
 
-    kind, system, color, name = "mufly", 1, 0, "test vehicle"
+    kind, system, color, name, key = "mufly", 1, 0, "test vehicle", "1@link"
 
     def __init__(self) -> None:
         self.history = History(seconds=60.0)
@@ -368,3 +368,49 @@ def test_the_camera_is_shown_to_who_looks_at_it(vehicle: Vehicle, session: Sessi
     told = frame(feed, 3.0)["camera"]
     assert told["position"] == [None, None, None]
     assert told["said"].startswith("too little")
+
+
+def two_windows() -> tuple[Session, list[Any]]:
+    """A session, and two vehicles of one name and number on two links."""
+    vehicles: list[Any] = []
+    for k, link in enumerate(("udpin:0.0.0.0:14550", "serial:/dev/ttyUSB0:57600")):
+        vehicle = Vehicle()
+        vehicle.key, vehicle.color = f"1@{link}", k
+        vehicles.append(vehicle)
+    return Session(lambda: vehicles, Path()), vehicles
+
+
+def test_a_window_that_is_loaded_anew_shows_the_vehicle_that_it_showed() -> None:
+    """Whatever the order in which they are heard now, and also if it was never chosen by hand."""
+    session, vehicles = two_windows()
+    first = session.open("first")
+    assert first.aircraft() is vehicles[0]
+    key = first.about()["selected"]
+    vehicles.reverse()
+    assert first.aircraft() is vehicles[1]
+    assert session.open("again", key).aircraft() is vehicles[1]
+    names = dict(first.about()["vehicles"])
+    assert names[vehicles[0].key] == "test vehicle (serial:/dev/ttyUSB0:57600)"
+    assert first.flight()["name"] == "test vehicle (udpin:0.0.0.0:14550)"  # type: ignore[index]
+
+
+def test_a_vehicle_that_is_gone_is_not_replaced_by_another() -> None:
+    session, vehicles = two_windows()
+    view = session.open("window", "7@udpin:0.0.0.0:14550")
+    assert view.aircraft() is None
+    assert view.flight() is None
+    words = session.waiting_words(view.selected)
+    assert "system 7 on udpin:0.0.0.0:14550" in words
+    assert "choose another" in words
+    view.select(vehicles[1].key)
+    assert view.aircraft() is vehicles[1]
+    # A name that becomes known later changes nothing.
+    vehicles[1].name = "mufly, system 1"
+    assert view.aircraft() is vehicles[1]
+
+
+def test_a_window_without_a_vehicle_says_what_is_wrong_with_the_link() -> None:
+    session = Session(list, Path(), trouble=lambda: ["serial:/dev/ttyUSB9:57600: there is no such device"])
+    view = session.open("window")
+    assert "there is no such device" in session.waiting_words(view.selected)
+    assert "there is no such device" in view.about()["trouble"]

@@ -39,6 +39,8 @@ SPECTRUM_S = 0.5
 TRAIL_S = 600.0
 ALIVE_S = 2.0
 MOST_TRAIL = 3000
+MOST_TEXT = 1000
+"""So many characters of a message are shown; the recording has all."""
 BLADES = 2
 LEAST_SAMPLES = 64
 _SECTIONS = frozenset(
@@ -129,7 +131,7 @@ class Feed:
     def __init__(self, view: View) -> None:
         self._view = view
         self.want = Want()
-        self.sent = self.drawn = 0
+        self.sent = self.drawn = view.frames.newest
         self._epoch = ""
         self._begin()
 
@@ -171,7 +173,7 @@ class Feed:
         now_s : float
             Monotonic clock (s).
         """
-        self.sent += 1
+        self.sent = self._view.frames.next_number()
         out: dict[str, Any] = {"n": self.sent, "wall": time.time() * 1e3, "about": self._view.about()}
         source, epoch = self._view.source(), self._view.epoch()
         if epoch != self._epoch:
@@ -197,7 +199,10 @@ class Feed:
             if sight is not None:
                 out["camera"] = encode_sight(sight)
         if "scene" in self.want.sections:
-            out["others"] = [_other(v.name, v.color, shape_of(v), v.snapshot) for v in self._view.others()]
+            out["others"] = [
+                _other(self._view.session.label(v), v.color, shape_of(v), v.snapshot)
+                for v in self._view.others()
+            ]
         return orjson.dumps(out, option=orjson.OPT_SERIALIZE_NUMPY)
 
     def _samples(self, source: Source) -> dict[str, Any]:
@@ -233,7 +238,7 @@ class Feed:
             fresh.append(message)
         if fresh:
             self._said = fresh[0]
-            out["messages"] = [(m.time_s, m.level, m.text) for m in reversed(fresh)]
+            out["messages"] = [(m.time_s, m.level, m.text[:MOST_TEXT]) for m in reversed(fresh)]
 
     def _slowly(self, source: Source, out: dict[str, Any]) -> None:
         """Add the tables that have changed since they were sent."""

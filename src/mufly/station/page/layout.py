@@ -28,6 +28,7 @@ from mufly.station.page.panels import (
     element,
     mission_drawer,
     parameter_drawer,
+    refuse,
     sensor_drawer,
     static_url,
 )
@@ -100,7 +101,11 @@ def build(view: View) -> None:
     scene.on("place", lambda e: _point(e, bar.choose))
     scene.on("goto", lambda e: _point(e, bar.go_to))
 
+    view.on_late = refuse
+
     def refresh() -> None:
+        if not view.live:
+            return  # nobody sees it; what changes meanwhile is shown when the window is back
         strip.refresh()
         bar.refresh()
         refresh_parameters()
@@ -155,7 +160,7 @@ def _alerts(view: View) -> Callable[[], None]:
         vehicle = view.vehicle() or next(iter(view.session.vehicles()), None)
         if vehicle is None:
             return
-        watch = watches.setdefault(vehicle.name, Watch())
+        watch = watches.setdefault(vehicle.key, Watch())
         found = watch.look(
             time.monotonic(), vehicle.snapshot, list(vehicle.messages), vehicle.mission, view.requests()
         )
@@ -422,7 +427,9 @@ class CommandBar:
                 press()
             self.refresh()
 
-        self._actions[name] = Action(label, test_id or name, f"Shift+{key}", sure, classes)
+        self._actions[name] = Action(
+            label, test_id or name, f"Shift+{key}", sure, classes, refuse=self._refuse
+        )
 
     def _asks_twice(self, name: str) -> bool:
         vehicle = self._view.vehicle()
@@ -546,7 +553,7 @@ class CommandBar:
         if replay is not None:
             text = _facts(replay.recording.facts)
         elif vehicle is None:
-            text = "Waiting for a vehicle on the link"
+            text = self._view.session.waiting_words(self._view.selected)
         elif not self._view.has_controls:
             other = self._view.session.holder
             text = "The controls are with another window" if other else "No window holds the controls"

@@ -92,24 +92,40 @@ class Action:
     classes : str
     note : str, optional
         The second line of a button that can be used; default the key.
+    refuse : callable, optional
+        Told of a press that came when it could not be used any more: what it does, and why it cannot.
     """
 
     def __init__(
-        self, label: str, test_id: str, key: str, press: Callable[[], None], classes: str, note: str = ""
+        self,
+        label: str,
+        test_id: str,
+        key: str,
+        press: Callable[[], None],
+        classes: str,
+        note: str = "",
+        refuse: Callable[[str, str], None] = lambda label, reason: None,
     ) -> None:
         self.label, self._key, self._note = label, key, note or key
+        self._press, self._refuse = press, refuse
         self._state: tuple[str, str, str] = ("", "?", "")
         self._caution = False
         self._button = element("button", classes=f"mf-action {classes}")
         self._button.props(f'type=button data-testid={test_id} data-key="{key}"')
-        # A click may have been under way when it was disabled.
-        self._button.on("click", lambda: None if self._state[1] else press(), args=[])
+        self._button.on("click", self._clicked, args=[])
         with self._button:
             self._lines = (
                 element("span", classes="mf-action-label"),
                 element("span", classes="mf-action-reason"),
             )
         self.show(label, "")
+
+    def _clicked(self) -> None:
+        label, reason, _ = self._state
+        if reason:  # the click was under way when it was disabled
+            self._refuse(label.lower(), reason)
+        else:
+            self._press()
 
     def show(self, label: str, reason: str, note: str = "", caution: bool = False) -> None:
         """Say what it does, why it cannot be used ("": it can), and what else there is to know of it.
@@ -141,7 +157,13 @@ def pick(
     """Add a button that opens a file: the uploader itself stays out of sight."""
     upload = ui.upload(auto_upload=True, max_file_size=most_bytes, on_upload=taken)
     upload.props(f'accept="{ending}" data-testid="{test}"').classes("mf-hidden")
+    upload.props(':headers="() => window.muflyLive.headers()"')
     upload.on_rejected(lambda: refuse("that file is too large or of another kind"))
+    upload.on(
+        "failed",
+        lambda: refuse("that file was not taken: it reached the station too late; choose it again"),
+        args=[],
+    )
 
     async def choose() -> None:
         upload.run_method("pickFiles")

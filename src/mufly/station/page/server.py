@@ -19,13 +19,17 @@ from fastapi.staticfiles import StaticFiles
 from nicegui import context, ui
 from starlette.responses import Response
 
+from mufly.link.ports import elapsed_s
 from mufly.station.page.address import Address, Guard, open_in_browser
+from mufly.station.page.contact import FrameTimes, LateFiles, drop_late_events
 from mufly.station.page.feed import Feed
 from mufly.station.page.layout import build
 from mufly.station.page.panels import STATIC, static_url
 from mufly.station.page.session import Session
 
 RATE_HZ = 20.0
+KEPT_S = 600.0
+"""For so long a window that is out of reach is kept, so that it comes back without being loaded anew (s)."""
 
 
 def application(session: Session, *, host: str = "127.0.0.1", token: str = "") -> Any:
@@ -40,9 +44,9 @@ def application(session: Session, *, host: str = "127.0.0.1", token: str = "") -
             await socket.close(1008)
             return
         await socket.accept()
-        view.connected()
+        stream = view.connected()
         try:
-            await _stream(socket, Feed(view))
+            await _stream(socket, Feed(view), lambda: view.newest_stream == stream)
         finally:
             view.disconnected()
 
@@ -51,23 +55,29 @@ def application(session: Session, *, host: str = "127.0.0.1", token: str = "") -
         """Tell a page that watches the start (:mod:`mufly.station.page.starting`) that this one is served now."""
         return Response("started", 404, media_type="text/plain")
 
-    @ui.page("/", title=session.title)
-    def page() -> None:
+    @ui.page("/", title=session.title, reconnect_timeout=KEPT_S)
+    def page(vehicle: str = "") -> None:
         client = context.client
-        view = session.open(client.id)
+        view = session.open(client.id, vehicle)
         client.on_delete(lambda: session.close(client.id))
+        drop_late_events(client, view.frames, view.refuse_late)
         build(view)
 
     ui.run_with(
         app, title=session.title, favicon=STATIC / "favicon.svg", dark=None, tailwind=False, reconnect_timeout=5.0,
-        message_history_length=200, binding_refresh_interval=None, show_welcome_message=False,
+        message_history_length=1000, binding_refresh_interval=None, show_welcome_message=False,
         cache_control_directives="public, max-age=31536000, immutable", gzip_middleware_factory=None,
     )  # fmt: skip
-    return Guard(app, host=host, token=token)
+
+    def frames_of(client_id: str) -> FrameTimes | None:
+        view = session.views.get(client_id)
+        return None if view is None else view.frames
+
+    return Guard(LateFiles(app, frames_of), host=host, token=token)
 
 
-async def _stream(web: WebSocket, feed: Feed) -> None:
-    """Send frames at the page's rate, as long as the window draws them."""
+async def _stream(web: WebSocket, feed: Feed, is_newest: Callable[[], bool]) -> None:
+    """Send frames at the page's rate, as long as the window draws them and has opened no newer stream."""
 
     async def listen() -> None:
         while True:
@@ -77,10 +87,10 @@ async def _stream(web: WebSocket, feed: Feed) -> None:
             feed.hear(message.get("text") or message.get("bytes") or "")
 
     listener = asyncio.create_task(listen())
-    due = time.monotonic()
+    due = elapsed_s()
     try:
-        while not listener.done():
-            now = time.monotonic()
+        while not listener.done() and is_newest():
+            now = elapsed_s()
             if feed.ready:
                 await web.send_text(feed.frame(now).decode())
             due = max(due + 1.0 / RATE_HZ, now)

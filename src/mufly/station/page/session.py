@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,11 +21,13 @@ from mufly.camera import CAMERA_RECORDING
 from mufly.errors import InputError
 from mufly.flight import Parameter
 from mufly.link import SLOW
+from mufly.link.ports import elapsed_s
 from mufly.mission import Ask, Mission, may
 from mufly.slam import Sight
 from mufly.station.comparison import PREFIX, Comparison
 from mufly.station.history import Outcome, Request, Snapshot
 from mufly.station.page.caution import battery_words, drawn_fence
+from mufly.station.page.contact import FrameTimes
 from mufly.station.page.drafts import Sketch
 from mufly.station.page.starting import Startup
 from mufly.station.recorder import StationRecorder
@@ -46,6 +47,8 @@ ANSWER_S = 20.0
 """For so long an answer is shown (s)."""
 ALERT_S = 20.0
 """For so long a warning of the vehicle is shown beside its state (s)."""
+MOST_ALERT = 300
+"""So many characters of it."""
 INT32, REAL32 = 6, 9  # MAV_PARAM_TYPE
 
 Source = RemoteVehicle | Replay
@@ -80,6 +83,8 @@ class Session:
         How far the start of the vehicle is, where this station starts one.
     opened : int
         How many windows were opened so far.
+    trouble : callable or None
+        Returns what is wrong with the links, a line each.
     """
 
     vehicles: Callable[[], Sequence[RemoteVehicle]]
@@ -97,12 +102,14 @@ class Session:
     sight: Callable[[], Sight | None] | None = None
     startup: Startup | None = None
     opened: int = 0
-    clock: Callable[[], float] = time.monotonic
+    trouble: Callable[[], Sequence[str]] | None = None
+    clock: Callable[[], float] = elapsed_s
 
-    def open(self, client_id: str) -> View:
-        """A window was opened."""
+    def open(self, client_id: str, selected: str = "") -> View:
+        """A window was opened, or loaded anew while a vehicle was selected in it."""
         self.opened += 1
         view = self.views[client_id] = View(client_id, self)
+        view.selected = selected
         if self.to_open is not None:
             view.show_recording(self.to_open)
         return view
@@ -130,9 +137,25 @@ class Session:
         # The first of all windows gets them without asking; of several that are left, none does.
         self.holder = live[0].client_id if live and (len(live) == 1 or not self.holder) else ""
 
+    def waiting_words(self, selected: str) -> str:
+        """Say for whom a window waits that shows no vehicle, and what is wrong with the links."""
+        trouble = "; ".join(self.trouble()) if self.trouble is not None else ""
+        if selected and self.vehicles():
+            system, _, link = selected.partition("@")
+            text = f"The vehicle of this window (system {system} on {link}) is not heard; choose another one above"
+        else:
+            text = "Waiting for a vehicle on the link"
+        return f"{text}. {trouble}" if trouble else text
+
+    def label(self, vehicle: RemoteVehicle) -> str:
+        """What to call a vehicle; of two with the same name, with the link that each is heard on."""
+        alike = sum(v.name == vehicle.name for v in self.vehicles()) > 1
+        return f"{vehicle.name} ({vehicle.key.partition('@')[2]})" if alike else vehicle.name
+
     def sheet(self, vehicle: Source) -> ParameterSheet:
         """What was done to a vehicle's parameters."""
-        sheet = self.sheets.setdefault(vehicle.name, ParameterSheet())
+        key = vehicle.key if isinstance(vehicle, RemoteVehicle) else vehicle.name
+        sheet = self.sheets.setdefault(key, ParameterSheet())
         sheet.observe(vehicle.parameters)
         return sheet
 
@@ -153,9 +176,11 @@ class View:
         self.selected = ""
         self.replay: Replay | None = None
         self.compared: Comparison | None = None
+        self.frames = FrameTimes(session.clock)
+        self.on_late: Callable[[str], None] | None = None
         self._asked: deque[_Asked] = deque(maxlen=20)
         self._shows = 0
-        self._streams = 0
+        self._streams = self.newest_stream = 0
         self.left_s = math.inf  # its stream was never open yet: whoever presses so early is about to open it
 
     @property
@@ -163,10 +188,12 @@ class View:
         """Whether its stream of frames is open."""
         return self._streams > 0
 
-    def connected(self) -> None:
-        """Its stream of frames was opened."""
+    def connected(self) -> int:
+        """Its stream of frames was opened. Returns its number: only the newest one is read by the window."""
         self._streams += 1
+        self.newest_stream += 1
         self.session.settle()
+        return self.newest_stream
 
     def disconnected(self) -> None:
         """Its stream of frames was closed; it may come back."""
@@ -176,9 +203,14 @@ class View:
     # ---- what is shown
 
     def aircraft(self) -> RemoteVehicle | None:
-        """The vehicle that is selected, the first one unless another was chosen: it may fly behind a recording."""
+        """The vehicle that is selected, the first one that is heard until one is chosen; it may fly behind a recording.
+
+        It stays selected: when it is not known any more there is none, and no other is taken for it.
+        """
         known = self.session.vehicles()
-        return next((v for v in known if v.name == self.selected), known[0] if known else None)
+        if not self.selected and known:
+            self.selected = known[0].key
+        return next((v for v in known if v.key == self.selected), None)
 
     def vehicle(self) -> RemoteVehicle | None:
         """The vehicle that is shown: the one that is selected; None in a recording."""
@@ -188,9 +220,9 @@ class View:
         """What the panels show."""
         return self.replay or self.vehicle()
 
-    def select(self, name: str) -> None:
+    def select(self, key: str) -> None:
         """Show another vehicle."""
-        self.selected = name
+        self.selected = key
         self.close_recording()
 
     def show_recording(self, recording: Recording) -> None:
@@ -262,8 +294,9 @@ class View:
                 "name": c.second.name, "by": c.by, "offset": c.offset_s, "shift": c.shift_s, "note": c.note,
             },
             "recording": recorder is not None and recorder.recording,
-            "vehicles": [v.name for v in self.session.vehicles()],
-            "selected": "" if v is None else v.name,
+            "vehicles": [(v.key, self.session.label(v)) for v in self.session.vehicles()],
+            "selected": self.selected,
+            "trouble": "; ".join(self.session.trouble()) if self.session.trouble is not None else "",
             "color": 0 if v is None else v.color,
             "flight": self.flight(),
             "start": self.session.starting(),
@@ -275,14 +308,15 @@ class View:
         if v is None:
             return None
         s = v.snapshot
-        others = [o.name for o in self.session.vehicles() if o is not v and o.snapshot.armed]
+        others = [self.session.label(o) for o in self.session.vehicles() if o is not v and o.snapshot.armed]
         fresh = takewhile(lambda m: not s.time_s - m.time_s > ALERT_S, reversed(v.messages))
         told = next((m for m in fresh if m.level != "info"), None)
         return {
-            "name": v.name, "connected": s.connected, "silent_s": s.silent_s, "armed": s.armed, "flying": s.flying,
+            "name": self.session.label(v), "connected": s.connected,
+            "silent_s": s.silent_s, "armed": s.armed, "flying": s.flying,
             "state": s.state, "height": -float(s.estimate.position[2]), "others": others,
             "battery": battery_words(s), "pace": pace(s), "slow": s.real_time_factor < SLOW,
-            "alert": None if told is None else (told.level, told.text, s.time_s - told.time_s),
+            "alert": None if told is None else (told.level, told.text[:MOST_ALERT], s.time_s - told.time_s),
         }  # fmt: skip
 
     def baseline(self) -> Mapping[str, float]:
@@ -304,7 +338,14 @@ class View:
 
     def ask(self, request: Request) -> None:
         """Keep a request, to show what becomes of it."""
-        self._asked.append(_Asked(request))
+        if all(asked.request is not request for asked in self._asked):
+            self._asked.append(_Asked(request))
+
+    def refuse_late(self, request: Request) -> None:
+        """Say of a request that came too late that it was dropped."""
+        self.ask(request)
+        if self.on_late is not None:
+            self.on_late(f"{request.text}: {request.answer}")
 
     def requests(self) -> list[Request]:
         """The newest requests, as long as they matter: not long after their answer, no refusal that was overcome."""

@@ -8,8 +8,8 @@ Its key is heard before any field or dialog hears it (``static/keys.js``).
 from __future__ import annotations
 
 import math
-import time
 
+from mufly.link.ports import elapsed_s
 from mufly.station.history import Outcome, Request
 from mufly.station.page.panels import Action, Panel, element
 from mufly.station.page.session import ANSWER_S, View, availability
@@ -45,7 +45,7 @@ class FlightStrip:
         self.refresh()
 
     def _press(self) -> None:
-        now, vehicle = time.monotonic(), self._view.aircraft()
+        now, vehicle = elapsed_s(), self._view.aircraft()
         if not self._sure(now, vehicle):
             self._aim, self._aimed_s = vehicle, now
         elif vehicle is not None:
@@ -60,7 +60,7 @@ class FlightStrip:
 
     def refresh(self) -> None:
         """Bring the button up to date."""
-        vehicle, now = self._view.aircraft(), time.monotonic()
+        vehicle, now = self._view.aircraft(), elapsed_s()
         label, note = "EMERGENCY STOP", ""
         if self._sure(now, vehicle):
             label = "PRESS AGAIN TO STOP"
@@ -72,4 +72,7 @@ class FlightStrip:
             has_controls=self._view.has_controls,
             rows=0,
         )
+        # Of several vehicles the button says which one it stops.
+        if vehicle is not None and len(self._view.session.vehicles()) > 1:
+            note = ": ".join(filter(None, (self._view.session.label(vehicle), note)))
         self._stop.show(label, reasons["stop"], note)

@@ -1,6 +1,6 @@
 // Motors, servos and rotors as bars with their numbers.
 import { live } from "./live.js";
-import { el, put } from "./draw.js";
+import { drawn, el, number, put } from "./draw.js";
 
 const ROWS = [
   ["Upper", "motor_input", 0, false],
@@ -21,8 +21,7 @@ export function mount(element) {
   const panel = live.panel({}, (f) => {
     if (!f.s) return;
     for (const r of rows) {
-      const v = f.s[r.key][r.k];
-      const known = v !== null && v !== undefined;
+      const v = drawn(f.s[r.key]?.[r.k]), known = Number.isFinite(v);
       put(r.value, known ? (r.signed ? `${v > 0.005 ? "+" : v < -0.005 ? "−" : ""}${Math.abs(v * 100).toFixed(0)} %` : `${(v * 100).toFixed(0)} %`) : "–");
       const railed = known && (r.signed ? Math.abs(v) >= 0.999 : v >= 0.999);
       r.track.classList.toggle("mf-railed", railed);
@@ -32,7 +31,7 @@ export function mount(element) {
       else r.fill.style.transform = `scaleX(${size})`;
       if (!r.signed) {
         const speed = f.s.rotor_speed[r.k];
-        put(r.extra, speed === null ? "" : `${Math.round(speed * RPM)} rpm`);
+        put(r.extra, Number.isFinite(speed) ? `${number(speed * RPM, 0)} rpm` : "");
       } else put(r.extra, railed ? "limit" : "");
     }
   });

@@ -3,7 +3,7 @@
 import { live } from "./live.js";
 import { el, icon } from "./draw.js";
 
-const KEY = "mufly-alerts", RANK = { info: 0, warning: 1, error: 2 };
+const LOST_MS = 3000, KEY = "mufly-alerts", RANK = { info: 0, warning: 1, error: 2 };
 // Tones of a level: [frequency (Hz), length (s)], one after the other.
 const TONES = { info: [[660, 0.12]], warning: [[520, 0.16], [420, 0.22]], error: [[880, 0.14], [620, 0.14], [880, 0.14], [620, 0.2]] };
 
@@ -93,9 +93,13 @@ export function mount(element) {
   for (const name of awakening) window.addEventListener(name, awake, true);
   document.addEventListener("pointerdown", outside);
   window.speechSynthesis?.addEventListener?.("voiceschanged", fill);
+  // A gap of a moment is seen, but not spoken of.
+  let gap = null;
   const panel = live.panel({}, () => {}, { offline: (yes) => {
-    if (yes !== lost) sound_it(yes ? { level: "error", text: "the page has lost the station" } : { level: "info", text: "the station is back" });
-    lost = yes;
+    clearTimeout(gap);
+    if (!yes && lost) sound_it({ level: "info", text: "the station is back" });
+    lost &&= yes;
+    if (yes && !lost) gap = setTimeout(() => ((lost = true), sound_it({ level: "error", text: "the page has lost the station" })), LOST_MS);
   } });
   fill();
   return {

@@ -1,6 +1,6 @@
 // The camera that looks down: the picture with its features, the map of the floor from above, what SLAM says of itself.
 import { live } from "./live.js";
-import { DEG, FONT, canvas, colours, el, niceStep, number, put } from "./draw.js";
+import { DEG, FONT, canvas, colours, drawn, el, niceStep, number, put } from "./draw.js";
 
 const INSIDE_95 = Math.sqrt(5.991); // of two numbers, in standard deviations
 const LATE_S = 0.7; // without a picture for so long, that is said
@@ -68,7 +68,7 @@ export function mount(element) {
 
   function drawMap(ctx, w, h) {
     const here = now?.features !== undefined && now.trusted_now ? now.position : null;
-    const points = [...map.keyframes, ...map.path, ...(here ? [here] : []), ...(s ? [s.position] : [])].filter((p) => Number.isFinite(p[0]));
+    const points = [...map.keyframes, ...map.path, ...(here ? [here] : []), ...(s ? [s.position] : [])].filter((p) => Number.isFinite(drawn(p[0]) + drawn(p[1])));
     ctx.font = `10px ${FONT}`;
     ctx.fillStyle = colours.dim;
     ctx.textAlign = "center";

@@ -2,6 +2,7 @@
 //
 // The station answers every order with the whole draft. While something is dragged here, what it says of an order before
 // the last one is old news.
+import { live } from "./live.js";
 
 const watchers = new Set();
 let order = 0, ask = null;
@@ -64,7 +65,7 @@ document.addEventListener("keydown", (event) => {
 export function mount(element, options, emit) {
   element.hidden = true;
   ask = emit;
-  emit("edit", { op: "hello" });
+  live.whenConnected(() => emit("edit", { op: "hello" }));
   return {
     take({ state, may, last }) {
       draft.may = may;

@@ -70,7 +70,22 @@ export function canvas(element, label, draw) {
   };
 }
 
+// What a vehicle says may be any number: what enters a drawing goes through here. Beyond MOST it is not known.
+export const MOST = 1e6;
+export const drawn = (value, most = MOST) => (Number.isFinite(value) && Math.abs(value) <= most ? value : NaN);
+export const place3 = (p) => [0, 1, 2].map((k) => drawn(p?.[k]));
+export const clamped = (value, low, high) => (Number.isFinite(value) ? Math.min(high, Math.max(low, value)) : low);
+
+// The multiples of a step from low to high, as [k, k * step]; none where they are more than can be drawn or told apart.
+const MOST_TICKS = 500;
+export function ticks(low, high, step) {
+  const first = Math.ceil(low / step - 1e-9), last = Math.floor(high / step + 1e-9);
+  if (!(last - first < MOST_TICKS && step > 0 && Math.abs(first) < 2 ** 52 && Math.abs(last) < 2 ** 52)) return [];
+  return Array.from({ length: Math.max(0, last - first + 1) }, (_, k) => [first + k, (first + k) * step]);
+}
+
 export function niceStep(span, count) {
+  if (!(span > 0 && span < Infinity)) return 1;
   const raw = span / Math.max(count, 1), power = 10 ** Math.floor(Math.log10(raw)), r = raw / power;
   return power * (r <= 1 ? 1 : r <= 2 ? 2 : r <= 5 ? 5 : 10);
 }
@@ -78,7 +93,7 @@ export function niceStep(span, count) {
 // The step of an axis so many pixels long: of 1, 2, 5, 10 ..., with at least two numbers on it however short it is.
 export function tickStep(low, high, pixels) {
   let step = niceStep(high - low, Math.max(2, pixels / 26));
-  while (Math.floor(high / step) - Math.ceil(low / step) < 1) {
+  for (let tries = 0; tries < 8 && Math.floor(high / step) - Math.ceil(low / step) < 1; tries++) {
     step /= Math.round(step / 10 ** Math.floor(Math.log10(step) + 1e-9)) === 5 ? 2.5 : 2;
   }
   return step;
@@ -86,12 +101,12 @@ export function tickStep(low, high, pixels) {
 
 export function number(value, digits = 2) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
-  const text = value.toFixed(digits);
+  const text = Math.abs(value) < 1e9 ? value.toFixed(clamped(digits, 0, 20)) : value.toExponential(1);
   return text.startsWith("-") ? (Number(text) === 0 ? text.slice(1) : `−${text.slice(1)}`) : text;
 }
 
 export function clock(seconds) {
-  if (!Number.isFinite(seconds)) return "–";
+  if (!Number.isFinite(drawn(seconds, 1e9))) return "–";
   const sign = seconds < 0 ? "−" : "", s = Math.abs(seconds), m = Math.floor(s / 60);
   return `${sign}${m}:${(s - 60 * m).toFixed(1).padStart(4, "0")}`;
 }

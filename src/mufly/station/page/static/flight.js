@@ -1,7 +1,7 @@
 // The flight display: horizon with pitch ladder and roll scale, speed on the left, height and climb on the right,
 // heading below. Magenta marks are what the controllers follow.
 import { live } from "./live.js";
-import { DEG, FONT, canvas, colours, niceStep, number } from "./draw.js";
+import { DEG, FONT, canvas, colours, niceStep, number, place3, ticks } from "./draw.js";
 
 const TAPE = 46, HEADING = 34;
 
@@ -16,21 +16,18 @@ export function mount(element) {
 
   function draw(ctx, w, h) {
     if (!s) return;
-    const [roll, pitch, yaw] = s.attitude, known = roll !== null && pitch !== null;
+    const [roll, pitch, yaw] = place3(s.attitude), known = Number.isFinite(roll + pitch), follows = place3(s.reference_attitude);
     const left = TAPE, right = w - TAPE, bottom = h - HEADING;
-    horizon(ctx, left, 0, right - left, bottom, known ? roll : 0, known ? pitch : 0, known);
-    const speed = Math.hypot(s.velocity[0] ?? NaN, s.velocity[1] ?? NaN);
-    const height = s.position[2] === null ? NaN : -s.position[2];
-    const wanted = s.reference_position[2] === null ? NaN : -s.reference_position[2];
-    const climb = s.velocity[2] === null ? NaN : -s.velocity[2];
-    const fast = Math.hypot(s.reference_velocity[0] ?? NaN, s.reference_velocity[1] ?? NaN);
+    horizon(ctx, left, 0, right - left, bottom, known ? roll : 0, known ? pitch : 0, known, follows);
+    const level = (v) => Math.hypot(...place3(v).slice(0, 2)), up = (v) => -place3(v)[2];
+    const speed = level(s.velocity), height = up(s.position), wanted = up(s.reference_position), climb = up(s.velocity), fast = level(s.reference_velocity);
     tape(ctx, 0, 0, TAPE, bottom, speed, fast, speed > 8 ? 20 : speed > 1.5 ? 4 : 1, "m/s", false, "SPEED");
     tape(ctx, right, 0, TAPE, bottom, height, wanted, Math.abs(height) > 20 ? 40 : Math.abs(height) > 5 ? 8 : 2, "m", true, "HEIGHT");
     variometer(ctx, right, 0, bottom, climb);
-    heading(ctx, 0, bottom, w, HEADING, yaw, s.reference_attitude[2]);
+    heading(ctx, 0, bottom, w, HEADING, yaw, follows[2]);
   }
 
-  function horizon(ctx, x, y, w, h, roll, pitch, known) {
+  function horizon(ctx, x, y, w, h, roll, pitch, known, [rr, rp]) {
     const cx = x + w / 2, cy = y + h / 2, scale = h / (50 / DEG); // 50 degrees from top to bottom
     ctx.save();
     ctx.beginPath();
@@ -80,8 +77,7 @@ export function mount(element) {
     triangle(ctx, 0, -radius + 9, 6, 9);
     ctx.restore();
     // What is commanded: where the symbol should come to lie.
-    const [rr, rp] = s.reference_attitude;
-    if (rr !== null && rp !== null && known) {
+    if (Number.isFinite(rr + rp) && known) {
       ctx.save();
       ctx.rotate(-(roll - rr));
       ctx.translate(0, (pitch - rp) * scale);
@@ -138,10 +134,10 @@ export function mount(element) {
       ctx.strokeStyle = colours.dim;
       ctx.fillStyle = colours.dim;
       ctx.textAlign = rightSide ? "left" : "right";
-      for (let k = Math.ceil((value - span / 2) / step); k * step <= value + span / 2; k++) {
-        const at = mid - (k * step - value) * scale;
+      for (const [, mark] of ticks(value - span / 2, value + span / 2, step)) {
+        const at = mid - (mark - value) * scale;
         line(ctx, edge, at, edge + out * 5, at);
-        if (at > y + 32 && Math.abs(at - mid) > 16 && (k * step >= -1e-9 || rightSide)) ctx.fillText(number(k * step, digits), edge + out * 8, at);
+        if (at > y + 32 && Math.abs(at - mid) > 16 && (mark >= -1e-9 || rightSide)) ctx.fillText(number(mark, digits), edge + out * 8, at);
       }
       if (Number.isFinite(wanted)) {
         const at = mid - Math.max(-span / 2 + 0.02 * span, Math.min(span / 2 - 0.02 * span, wanted - value)) * scale;
@@ -199,20 +195,20 @@ export function mount(element) {
     ctx.clip();
     ctx.fillStyle = colours.panel;
     ctx.fillRect(x, y, w, h);
-    if (yaw !== null) {
+    if (Number.isFinite(yaw)) {
       const centre = x + w / 2, scale = w / 120, at = ((yaw * DEG) % 360 + 360) % 360;
       ctx.strokeStyle = ctx.fillStyle = colours.dim;
       ctx.lineWidth = 1;
       ctx.textAlign = "center";
       ctx.textBaseline = "middle";
       ctx.font = `10px ${FONT}`;
-      for (let k = Math.ceil((at - 62) / 10) * 10; k <= at + 62; k += 10) {
+      for (const [, k] of ticks(at - 62, at + 62, 10)) {
         const px = centre + (k - at) * scale;
         line(ctx, px, y, px, y + (k % 30 ? 4 : 7));
         const d = ((k % 360) + 360) % 360;
         if (d % 30 === 0 && Math.abs(px - centre) > 38 && px > x + 12 && px < x + w - 12) ctx.fillText({ 0: "N", 90: "E", 180: "S", 270: "W" }[d] || `${d}`, px, y + 17);
       }
-      if (wanted !== null) {
+      if (Number.isFinite(wanted)) {
         const off = ((((wanted - yaw) * DEG + 180) % 360) + 360) % 360 - 180;
         const px = centre + Math.max(-58, Math.min(58, off)) * scale;
         ctx.fillStyle = colours.reference;

@@ -78,7 +78,7 @@ export function mount(element, options, emit) {
     fill();
   });
   fill();
-  emit("hello", null);
+  live.whenConnected(() => emit("hello", null));
   return {
     show(found) {
       rows = found;

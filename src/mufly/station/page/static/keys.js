@@ -15,7 +15,7 @@ export function mount(element) {
     if (name === STOP) event.stopPropagation();
     else if (event.repeat || document.querySelector(".q-dialog") || typing(event) || (name === " " && event.target.closest?.("button, a, [role=tab]"))) return;
     event.preventDefault();
-    if (!event.repeat) button.click(); // a key that is held is one press
+    if (!event.repeat && !live.isLate(event)) button.click(); // a key that is held is one press
   };
   window.addEventListener("keydown", press, true);
   const panel = live.panel({}, () => {});

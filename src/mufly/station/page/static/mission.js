@@ -4,7 +4,7 @@ import { DEG, el, icon, number, put } from "./draw.js";
 
 export function mount(element) {
   element.classList.add("mf-column", "mf-mission");
-  let rows = [], current = undefined, replay = false;
+  let rows = [], current = undefined, filled = 0, replay = false;
   const bar = el("div", { class: "mf-bar-fill" });
   const words = el("span", { class: "mf-dim" });
   const body = el("tbody");
@@ -33,8 +33,9 @@ export function mount(element) {
     if (f.about) replay = Boolean(f.about.replay);
     if (f.new && !f.mission) rows = [];
     if (f.mission) rows = f.mission;
-    if (f.mission || f.new || at !== current) {
-      current = at;
+    const now = performance.now();
+    if (f.mission || f.new || (at !== current && now - filled > 250)) {
+      [current, filled] = [at, now];
       fill();
     }
   });

@@ -1,11 +1,11 @@
 // One plot: a quantity over time. Colour tells the component, the kind of line tells who says so.
 import { live } from "./live.js";
-import { FONT, canvas, colours, niceStep, number, tickStep } from "./draw.js";
+import { FONT, canvas, colours, drawn, niceStep, number, tickStep, ticks } from "./draw.js";
 
 export const DASHES = { compared: [5, 4], estimated: [], measured: [1.5, 2.5], reference: [7, 4], truth: [10, 3, 2, 3], "": [] };
 const WIDTHS = { compared: 1.7, estimated: 1.7, measured: 1.4, reference: 1.5, truth: 1.1, "": 1.6 };
 const LEFT = 46, BOTTOM = 18, TOP = 6, RIGHT = 8;
-const BREAK_S = 0.6;
+const BREAK_S = 0.6, FAR = 1e12; // beyond, a value does not stretch the axis
 
 // span() returns { from, to } of the time axis; onSpan(from, to) asks for another one, onSpan(null) for the live one.
 export function plot(element, label, span, onSpan) {
@@ -32,7 +32,7 @@ export function plot(element, label, span, onSpan) {
     const wide = (trace) => (trace.band && live.column(trace.band)) || null;
     for (const [trace, c] of drawn) {
       for (let i = first; i < last; i++) {
-        const v = c[i] * trace.factor;
+        const v = drawn(c[i] * trace.factor, FAR);
         if (v < least) least = v;
         if (v > most) most = v;
       }
@@ -43,7 +43,7 @@ export function plot(element, label, span, onSpan) {
       if (!sigma) continue;
       const [under, over] = [least - reach, most + reach];
       for (let i = first; i < last; i++) {
-        const v = c[i] * trace.factor, d = Math.abs(3 * sigma[i] * trace.factor);
+        const v = drawn(c[i] * trace.factor, FAR), d = drawn(Math.abs(3 * sigma[i] * trace.factor), FAR);
         if (v - d < least && v - d > under) least = v - d;
         if (v + d > most && v + d < over) most = v + d;
       }
@@ -188,21 +188,21 @@ export function plot(element, label, span, onSpan) {
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";
     ctx.beginPath();
-    for (let k = Math.ceil(g.low / step); k * step <= g.high; k++) {
-      const y = Math.round(g.y1 - (k * step - g.low) * g.sy) + 0.5;
+    for (const [, value] of ticks(g.low, g.high, step)) {
+      const y = Math.round(g.y1 - (value - g.low) * g.sy) + 0.5;
       ctx.moveTo(g.x0, y);
       ctx.lineTo(g.x1, y);
-      if (y > top(g)) ctx.fillText(number(k * step, digits), g.x0 - 5, y);
+      if (y > top(g)) ctx.fillText(number(value, digits), g.x0 - 5, y);
     }
     const long = niceStep(g.to - g.from, Math.max(2, (g.x1 - g.x0) / 70));
     const places = Math.max(0, -Math.floor(Math.log10(long) + 1e-9));
     ctx.textAlign = "center";
     ctx.textBaseline = "alphabetic";
-    for (let k = Math.ceil(g.from / long); k * long <= g.to; k++) {
-      const x = Math.round(g.x0 + (k * long - g.from) * g.sx) + 0.5;
+    for (const [, time] of ticks(g.from, g.to, long)) {
+      const x = Math.round(g.x0 + (time - g.from) * g.sx) + 0.5;
       ctx.moveTo(x, g.y0);
       ctx.lineTo(x, g.y1);
-      if (x < g.x1 - 22) ctx.fillText(number(k * long, places), x, g.y1 + 13);
+      if (x < g.x1 - 22) ctx.fillText(number(time, places), x, g.y1 + 13);
     }
     ctx.stroke();
     ctx.textAlign = "right";

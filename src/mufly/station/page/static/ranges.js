@@ -1,6 +1,6 @@
 // The ring of range beams seen from above; the nose points up.
 import { live } from "./live.js";
-import { FONT, canvas, colours, niceStep, number } from "./draw.js";
+import { FONT, canvas, colours, drawn, niceStep, number, ticks } from "./draw.js";
 
 export function mount(element) {
   let s = null;
@@ -16,14 +16,14 @@ export function mount(element) {
     ctx.font = `10px ${FONT}`;
     ctx.textAlign = "center";
     ctx.textBaseline = "middle";
-    const known = s && s.ranges.length;
-    const far = known && Number.isFinite(s.range_max_m) && s.range_max_m > 0 ? s.range_max_m : known ? Math.max(1, ...s.ranges.filter(Number.isFinite)) : 1.5;
+    const known = s?.ranges?.length, most = drawn(s?.range_max_m);
+    const far = known && most > 1e-3 ? most : known ? Math.max(1, ...s.ranges.map((r) => drawn(r)).filter(Number.isFinite)) : 1.5;
     const scale = radius / far;
     ctx.strokeStyle = colours.grid;
     ctx.fillStyle = colours.dim;
     ctx.lineWidth = 1;
     const step = niceStep(far, 3);
-    for (let r = step; r <= far * 1.001; r += step) circle(ctx, cx, cy, r * scale);
+    for (const [, r] of ticks(step, far * 1.001, step)) circle(ctx, cx, cy, r * scale);
     ctx.beginPath();
     ctx.moveTo(cx, cy - radius);
     ctx.lineTo(cx, cy + radius);
@@ -37,8 +37,8 @@ export function mount(element) {
     const n = s.ranges.length, half = Math.min(Math.PI / n, 0.35) * 0.8;
     ctx.textAlign = "center";
     for (let k = 0; k < n; k++) {
-      const value = s.ranges[k], a = s.range_angles[k] - Math.PI / 2;
-      if (value === null || !Number.isFinite(s.range_angles[k])) continue;
+      const value = Math.max(0, drawn(s.ranges[k], Infinity)), a = drawn(s.range_angles?.[k]) - Math.PI / 2;
+      if (!Number.isFinite(value + a)) continue;
       const free = value >= far * 0.999, r = Math.min(value, far) * scale;
       ctx.beginPath();
       ctx.moveTo(cx, cy);

@@ -3,14 +3,14 @@
 // It is drawn when something has changed, at most once a picture of the screen: twenty times a second in flight.
 import { THREE, OrbitControls } from "nicegui-scene";
 import { live } from "./live.js";
-import { colours, el, number, onTheme, software } from "./draw.js";
+import { clamped, colours, drawn, el, number, onTheme, place3, software } from "./draw.js";
 import { layer } from "./scene_draft.js";
 import { fence } from "./scene_fence.js";
 import { place, turn } from "./scene_helicopter.js";
 import { vehicle } from "./scene_shapes.js";
 import { dispose, floor, lines, obstacles, sprite, waypoints } from "./scene_world.js";
 
-const TRAIL = 8000, ENLARGED = 2.5;
+const TRAIL = 8000, ENLARGED = 2.5, FARTHEST = 200, MARKS_MS = 250, FASTEST = 1e4; // m; between two drawings of marks; rad/s
 
 export function mount(element, options, emit) {
   element.classList.add("mf-scene");
@@ -90,7 +90,7 @@ export function mount(element, options, emit) {
     paint();
   }
   const size = () => radius * (enlarged ? ENLARGED : 1);
-  const reach = () => Math.max(4, ...rows.flatMap((r) => [Math.abs(r.p[0] ?? 0) + 1, Math.abs(r.p[1] ?? 0) + 1]).map(Math.ceil));
+  const reach = () => clamped(Math.max(4, ...rows.flatMap((r) => place3(r.p).slice(0, 2).map((x) => (Number.isFinite(x) ? Math.ceil(Math.abs(x) + 1) : 0)))), 4, FARTHEST);
 
   function mission() {
     dispose(marks);
@@ -99,8 +99,9 @@ export function mount(element, options, emit) {
     scene.add(marks);
   }
 
-  function extend(n, e, d) {
-    if (![n, e, d].every(Number.isFinite)) return;
+  function extend(...at) {
+    const [n, e, d] = place3(at);
+    if (!Number.isFinite(n + e + d)) return;
     const k = 3 * trailN;
     if (trailN && Math.hypot(trailAt[k - 3] - e, trailAt[k - 2] + d, trailAt[k - 1] + n) < 0.01) return;
     if (trailN === TRAIL) {
@@ -112,15 +113,15 @@ export function mount(element, options, emit) {
     trail.geometry.attributes.position.needsUpdate = true;
   }
 
-  let lastShown = performance.now(), bare = true;
+  let lastShown = performance.now(), marked = 0, bare = true;
   function show(f, seconds) {
-    const s = f.s, [n, e, d] = s.position, known = n !== null && e !== null && d !== null;
+    const s = f.s, [n, e, d] = place3(s.position), known = Number.isFinite(n + e + d);
     ship.group.visible = shadow.visible = drop.visible = known;
     if (known) {
       const lift = enlarged ? 0.8 * (size() - radius) : 0; // enlarged, it would stand in the floor
       place(ship.group, n, e, d - lift);
-      turn(ship.group, s.attitude[0] ?? 0, s.attitude[1] ?? 0, s.attitude[2] ?? 0);
-      ship.spin(s.rotor_speed[0] ?? 0, s.rotor_speed[1] ?? 0, seconds, s.armed);
+      turn(ship.group, ...angles(s.attitude));
+      ship.spin(speed(s.rotor_speed, 0), speed(s.rotor_speed, 1), seconds, s.armed);
       ship.group.updateMatrixWorld();
       extend(n, e, d);
       shadow.position.set(e, 0.004, -n);
@@ -137,17 +138,20 @@ export function mount(element, options, emit) {
       }
       bare = false;
     } else beams.geometry.setDrawRange(0, 0);
-    const [rn, re, rd] = s.reference_position;
-    const away = known && rn !== null && Math.hypot(rn - n, re - e, rd - d) > 0.02;
+    const [rn, re, rd] = place3(s.reference_position);
+    const away = known && Math.hypot(rn - n, re - e, rd - d) > 0.02;
     ghost.group.visible = tie.visible = Boolean(away && s.armed);
     if (away) {
       place(ghost.group, rn, re, rd - (enlarged ? 0.8 * (size() - radius) : 0));
-      turn(ghost.group, s.reference_attitude[0] ?? 0, s.reference_attitude[1] ?? 0, s.reference_attitude[2] ?? s.attitude[2] ?? 0);
+      const [roll, pitch] = angles(s.reference_attitude), yaw = drawn(s.reference_attitude[2]);
+      turn(ghost.group, roll, pitch, Number.isFinite(yaw) ? yaw : angles(s.attitude)[2]);
       segment(tie, n, e, d, rn, re, rd);
     }
     paint();
   }
 
+  const angles = (a) => place3(a).map((x) => x || 0);
+  const speed = (w, k) => clamped(w?.[k], 0, FASTEST);
   function segment(line, n0, e0, d0, n1, e1, d1) {
     line.geometry.attributes.position.array.set([e0, -d0, -n0, e1, -d1, -n1]);
     line.geometry.attributes.position.needsUpdate = true;
@@ -155,12 +159,11 @@ export function mount(element, options, emit) {
 
   const tip = new THREE.Vector3();
   function rangeBeams(s) {
-    const at = beams.geometry.attributes.position.array, yaw = s.attitude[2] ?? 0;
+    const at = beams.geometry.attributes.position.array, [n, e, d] = place3(s.position);
     let k = 0;
-    s.ranges.forEach((r, b) => {
-      const a = s.range_angles[b];
-      if (r === null || a === null || k + 6 > at.length || r >= s.range_max_m * 0.999) return;
-      const [n, e, d] = s.position;
+    s.ranges.forEach((length, b) => {
+      const r = drawn(length), a = drawn(s.range_angles[b]);
+      if (!Number.isFinite(r + a) || k + 6 > at.length || r >= s.range_max_m * 0.999) return;
       tip.set(Math.sin(a), 0, -Math.cos(a)).applyQuaternion(ship.group.quaternion).multiplyScalar(r);
       at.set([e, -d, -n, e + tip.x, -d + tip.y, -n + tip.z], k);
       k += 6;
@@ -172,7 +175,7 @@ export function mount(element, options, emit) {
   function fleet(list, seconds) {
     const seen = new Set();
     for (const o of list) {
-      if (o.p.some((x) => x === null)) continue;
+      if (!place3(o.p).every(Number.isFinite)) continue;
       seen.add(o.name);
       let known = others.get(o.name);
       if (known && known.shape !== o.shape) {
@@ -187,8 +190,8 @@ export function mount(element, options, emit) {
         others.set(o.name, known);
       }
       place(known.model.group, ...o.p);
-      turn(known.model.group, o.a[0] ?? 0, o.a[1] ?? 0, o.a[2] ?? 0);
-      known.model.spin(o.w[0] ?? 0, o.w[1] ?? 0, seconds, o.armed);
+      turn(known.model.group, ...angles(o.a));
+      known.model.spin(speed(o.w, 0), speed(o.w, 1), seconds, o.armed);
       known.label.position.set(o.p[1], -o.p[2] + 0.35, -o.p[0]);
     }
     for (const [name, o] of others) {
@@ -211,7 +214,7 @@ export function mount(element, options, emit) {
     }
     if (f.scenery) {
       scenery = f.scenery.world;
-      radius = f.scenery.rotor_radius || radius;
+      radius = clamped(f.scenery.rotor_radius || radius, 0.01, 10);
       shape = f.scenery.shape || "coaxial";
       build();
     }
@@ -231,8 +234,8 @@ export function mount(element, options, emit) {
       rows = f.mission;
       current = f.s?.waypoint ?? null;
       build();
-    } else if (f.s && f.s.waypoint !== current) {
-      current = f.s.waypoint;
+    } else if (f.s && f.s.waypoint !== current && now - marked > MARKS_MS) {
+      [current, marked] = [f.s.waypoint, now];
       mission();
     }
     if (f.others) fleet(f.others, seconds);
@@ -344,7 +347,7 @@ export function mount(element, options, emit) {
     build();
   });
   const view = (dx, dy, dz) => () => {
-    const s = live.latest?.s, [n, e, d] = s?.position[0] != null ? s.position : [0, 0, 0];
+    const [n, e, d] = place3(live.latest?.s.position).map((x) => x || 0);
     controls.target.set(e, -d, -n);
     camera.position.set(e + dx, -d + dy, -n + dz);
     controls.update();

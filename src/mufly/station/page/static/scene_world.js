@@ -1,9 +1,10 @@
 // What stands still in the scene: floor with metres, room, obstacles, and the mission's waypoints.
 import { THREE } from "nicegui-scene";
-import { FONT, colours } from "./draw.js";
+import { FONT, colours, niceStep, place3, ticks } from "./draw.js";
 
 const { Group, Mesh } = THREE;
 const FULL_M = 3.2, seen = new THREE.Vector3(); // farther away marks shrink as all does
+const MOST_MARKS = 120; // of a longer mission those about the one that is flown to
 const LIFT = 0.42; // marks of waypoints stand above them, so that they do not hide who flies there
 
 export function sprite(text, { colour, size = 0.22, back = "", bold = false }) {
@@ -63,9 +64,9 @@ export function floor(world, reach) {
   const group = new Group(), room = world.room;
   const n = room ? room.n : [-reach, reach], e = room ? room.e : [-reach, reach];
   const fine = [], axes = [];
-  const step = Math.max(n[1] - n[0], e[1] - e[0]) > 40 ? 5 : 1;
-  for (let k = Math.ceil(n[0] / step) * step; k <= n[1] + 1e-9; k += step) fine.push([k, e[0], 0], [k, e[1], 0]);
-  for (let k = Math.ceil(e[0] / step) * step; k <= e[1] + 1e-9; k += step) fine.push([n[0], k, 0], [n[1], k, 0]);
+  const wide = Math.max(n[1] - n[0], e[1] - e[0]), step = wide > 200 ? niceStep(wide, 40) : wide > 40 ? 5 : 1;
+  for (const [, k] of ticks(n[0], n[1], step)) fine.push([k, e[0], 0], [k, e[1], 0]);
+  for (const [, k] of ticks(e[0], e[1], step)) fine.push([n[0], k, 0], [n[1], k, 0]);
   const ground = new Mesh(
     new THREE.PlaneGeometry(e[1] - e[0], n[1] - n[0]),
     new THREE.MeshBasicMaterial({ color: colours.panel, polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 2 }),
@@ -76,8 +77,9 @@ export function floor(world, reach) {
   axes.push([0, 0, 0], [Math.min(1, n[1]), 0, 0]);
   group.add(lines(axes, colours.text, { pairs: true }));
   label(group, "N", Math.min(1, n[1]) + 0.12, 0);
-  for (let k = Math.ceil(n[0]); k <= n[1]; k += 2 * step) label(group, `${k}`, k, e[0] - 0.22);
-  for (let k = Math.ceil(e[0]); k <= e[1]; k += 2 * step) label(group, `${k}`, n[0] - 0.22, k);
+  const from = (side) => ticks(0, side[1] - Math.ceil(side[0]), 2 * step).map(([, k]) => Math.ceil(side[0]) + k);
+  for (const k of from(n)) label(group, `${k}`, k, e[0] - 0.22);
+  for (const k of from(e)) label(group, `${k}`, n[0] - 0.22, k);
   label(group, "N (m)", n[1] - 0.5, e[0] - 0.5, 0.24);
   label(group, "E (m)", n[0] - 0.45, e[1] - 0.5, 0.24);
   if (room) walls(group, room);
@@ -132,9 +134,10 @@ export function obstacles(world) {
 
 export function waypoints(rows, current) {
   const group = new Group(), points = [];
-  rows.forEach((row, k) => {
-    if (row.p.some((x) => x === null)) return;
-    if (row.action === "land") return;
+  const first = Math.max(0, Math.min((current ?? 0) - MOST_MARKS / 2, rows.length - MOST_MARKS));
+  rows.slice(first, first + MOST_MARKS).forEach((row, j) => {
+    const k = first + j;
+    if (row.action === "land" || !place3(row.p).every(Number.isFinite)) return;
     const same = points.filter((p) => Math.hypot(p[0] - row.p[0], p[1] - row.p[1], p[2] - row.p[2]) < 0.15).length;
     points.push(row.p);
     const now = k === current, back = now ? colours.reference : row.reached ? colours.good : colours.panel;

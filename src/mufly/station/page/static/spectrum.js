@@ -1,6 +1,6 @@
 // Power spectral density of one signal, with the rotors' frequencies marked.
 import { live } from "./live.js";
-import { FONT, canvas, colours, el, niceStep, number } from "./draw.js";
+import { FONT, canvas, colours, drawn, el, niceStep, number, ticks } from "./draw.js";
 
 const KEY = "mufly-spectrum", LEFT = 58, BOTTOM = 30, TOP = 38, RIGHT = 12;
 
@@ -40,7 +40,7 @@ export function mount(element) {
   function draw(ctx, w, h) {
     const x0 = LEFT, x1 = w - RIGHT, y0 = TOP, y1 = h - BOTTOM;
     ctx.font = `10px ${FONT}`;
-    if (!found?.rate) {
+    if (!(drawn(found?.rate) > 0)) {
       ctx.fillStyle = colours.dim;
       ctx.textAlign = "center";
       ctx.fillText(found ? "too few samples for a spectrum" : "waiting for samples", w / 2, h / 2);
@@ -60,14 +60,14 @@ export function mount(element) {
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";
     const decades = Math.max(1, Math.ceil((high - low) / Math.max(2, (y1 - y0) / 28)));
-    for (let k = low; k <= high; k += decades) {
-      const y = y1 - (k - low) * sy;
+    for (const [, d] of ticks(0, high - low, decades)) {
+      const k = low + d, y = y1 - (k - low) * sy;
       line(ctx, x0, y, x1, y);
       ctx.fillText(`10${superscript(k)}`, x0 - 6, y);
     }
     ctx.textAlign = "center";
     const step = niceStep(top, (x1 - x0) / 70);
-    for (let f = 0; f <= top + 1e-9; f += step) {
+    for (const [, f] of ticks(0, top, step)) {
       line(ctx, x0 + f * sx, y0, x0 + f * sx, y1);
       ctx.fillText(number(f, 0), x0 + f * sx, y1 + 10);
     }
@@ -86,7 +86,7 @@ export function mount(element) {
       else ctx.moveTo(x0 + f * sx, y);
     });
     ctx.stroke();
-    const marks = [...found.marks].sort((a, b) => a.at - b.at);
+    const marks = found.marks.filter((m) => Number.isFinite(drawn(m.at))).sort((a, b) => a.at - b.at);
     const ends = [-Infinity, -Infinity, -Infinity];
     for (const m of marks) {
       const x = x0 + m.at * sx, words = `${m.name} ${number(m.hz, 1)} Hz${m.folded ? " (folded)" : ""}`;

@@ -1,6 +1,6 @@
 // The line on top: what it does, whether the motors may run, battery, link, clock.
 import { live } from "./live.js";
-import { clock, el, number, put } from "./draw.js";
+import { clamped, clock, el, number, put } from "./draw.js";
 
 export function mount(element) {
   element.classList.add("mf-status");
@@ -37,13 +37,13 @@ export function mount(element) {
     const charge = s.battery_charge, left = s.battery_left_s;
     put(battery, `${number(s.battery_voltage)} V${charge === null ? "" : `  ${number(charge * 100, 0)} %`}${left === null || !Number.isFinite(left) ? "" : `  ${clock(left).split(".")[0]} left`}`);
     battery.parentElement.dataset.level = charge !== null && charge < 0.15 ? "bad" : charge !== null && charge < 0.3 ? "warn" : "";
-    gauge.firstChild.style.transform = `scaleX(${charge ?? 0})`;
+    gauge.firstChild.style.transform = `scaleX(${clamped(charge, 0, 1)})`;
     gauge.hidden = charge === null;
     put(link, recording ? "recording" : s.link_rate_Hz === null ? "–" : `${number(s.link_rate_Hz, 0)}/s  ${number((s.link_loss ?? 0) * 100, 1)} % lost`);
     link.parentElement.dataset.level = !recording && (s.link_loss ?? 0) > 0.1 ? "warn" : "";
     put(time, clock(s.time_s));
   }, { offline: (yes) => {
-    if (yes) put(state, "page has lost the station"), (state.parentElement.dataset.level = "bad");
+    if (yes) put(state, "no contact with the station"), (state.parentElement.dataset.level = "bad");
   } });
   return { close: () => panel.close() };
 }

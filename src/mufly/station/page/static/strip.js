@@ -1,5 +1,5 @@
 // The strip above everything: what the selected vehicle does, whatever the panels show.
-import { live } from "./live.js";
+import { forSeconds, live } from "./live.js";
 import { el, icon, number, put } from "./draw.js";
 
 const REFRESH_MS = 180;
@@ -10,7 +10,7 @@ export function mount(element) {
   element.append(el("div", { class: "mf-strip-line" }, what, how), el("div", { class: "mf-strip-about" }, battery, pace, when, about));
   let at = 0, said = "";
 
-  function show(flight, start) {
+  function show(flight, start, trouble = "") {
     const f = flight || {}, stage = start?.stages.at(-1);
     const silent = flight && !f.connected, up = f.flying ? "In flight" : f.armed ? "Armed, on the floor" : "On the floor, motors off";
     element.dataset.state = silent ? "lost" : f.flying ? "flying" : f.armed ? "armed" : "";
@@ -23,7 +23,8 @@ export function mount(element) {
     pace.title = f.pace ? "the vehicle's clock against this machine's, of late; a slip is time that was given up" : "";
     pace.dataset.level = f.slow ? "warn" : "";
     const others = f.others?.length ? `; armed too: ${f.others.join("; ")}` : "";
-    const [level, words, age] = start?.fault ? ["error", start.fault, 0] : f.alert || ["", flight ? f.name + others : "", 0];
+    const link = trouble && (silent || !flight) ? ["error", trouble, 0] : null; // what is wrong with the link itself
+    const [level, words, age] = start?.fault ? ["error", start.fault, 0] : link || f.alert || ["", flight ? f.name + others : "", 0];
     tell(level, words, age);
   }
   function tell(level, text, age = 0) {
@@ -38,16 +39,15 @@ export function mount(element) {
     const now = performance.now();
     if (!f.about || (now - at < REFRESH_MS && !f.new)) return;
     at = now;
-    show(f.about.flight, f.about.start);
+    show(f.about.flight, f.about.start, f.about.trouble);
   }, { offline: (yes) => {
     if (!yes) return;
-    element.dataset.state = "lost";
-    put(what, "Station lost");
+    [at, element.dataset.state] = [0, "lost"];
     put(how, "");
     put(pace, "");
     put(battery, "");
-    tell("warning", "this page cannot stop the motors until the station is back");
-  } });
+    tell("warning", "this page cannot stop the motors now: use the transmitter or its kill switch");
+  }, silent: (ms) => put(what, `No contact with the station${forSeconds(ms)}`) });
   show(null);
   return { close: () => panel.close() };
 }

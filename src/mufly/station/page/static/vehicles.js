@@ -2,6 +2,14 @@
 import { live } from "./live.js";
 import { el, put } from "./draw.js";
 
+// The address names the vehicle of this window, so that the page shows the same one when it is loaded anew.
+function keep(selected) {
+  const place = new URL(location.href);
+  if (!selected || place.searchParams.get("vehicle") === selected) return;
+  place.searchParams.set("vehicle", selected);
+  history.replaceState(history.state, "", place);
+}
+
 export function mount(element, options, emit) {
   const name = el("strong", { class: "mf-vehicle-name" });
   const select = el("select", { "aria-label": "vehicle", hidden: true, onchange: () => emit("select", select.value) });
@@ -9,15 +17,18 @@ export function mount(element, options, emit) {
   let key = "";
   const panel = live.panel({}, (f) => {
     const { vehicles = [], selected = "", replay } = f.about || {};
-    const many = vehicles.length > 1 || (vehicles.length && replay);
+    const found = vehicles.find(([key]) => key === selected), gone = selected && vehicles.length && !found && !replay;
+    const many = vehicles.length > 1 || (vehicles.length && (replay || gone));
     name.hidden = Boolean(many) && !replay;
     select.hidden = !many;
-    put(name, replay ? replay.name : selected || "no vehicle");
+    put(name, replay ? replay.name : found ? found[1] : "no vehicle");
+    keep(selected);
     const next = JSON.stringify([vehicles, selected, Boolean(replay)]);
     if (next === key) return;
     key = next;
-    select.replaceChildren(...(replay ? [el("option", { value: "", text: "go to a vehicle" })] : []), ...vehicles.map((v) => el("option", { value: v, text: v })));
-    select.value = replay ? "" : selected;
+    const first = replay ? "go to a vehicle" : gone ? "not heard: choose" : "";
+    select.replaceChildren(...(first ? [el("option", { value: "", text: first })] : []), ...vehicles.map(([value, text]) => el("option", { value, text })));
+    select.value = replay || gone ? "" : selected;
   });
   return { close: () => panel.close() };
 }
