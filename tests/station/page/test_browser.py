@@ -122,7 +122,12 @@ class Page:
             self.complaints.append(message.text)
 
     def frame(self) -> dict[str, Any] | None:
-        found: dict[str, Any] | None = self.page.evaluate("window.muflyLive?.latest?.s ?? null")
+        try:
+            found: dict[str, Any] | None = self.page.evaluate("window.muflyLive?.latest?.s ?? null")
+        except Exception as error:
+            if "Execution context was destroyed" in str(error):
+                return None  # the page of the start gives way to the station's
+            raise
         return found
 
     def picture(self, selector: str) -> np.ndarray:
