@@ -117,8 +117,8 @@ function store(h) {
   const n = samples.n;
   for (let i = 0; i < extra; i++) samples.t[n + i] = h.t[i];
   samples.names.forEach((name, k) => {
-    const column = samples.columns.get(name), values = h.v[k];
-    for (let i = 0; i < extra; i++) column[n + i] = values[i] === null ? NaN : values[i];
+    const column = samples.columns.get(name), values = h.v[k] ?? [];
+    for (let i = 0; i < extra; i++) column[n + i] = values[i] ?? NaN;
   });
   samples.n = n + extra;
   samples.version++;

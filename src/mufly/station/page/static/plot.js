@@ -1,6 +1,6 @@
 // One plot: a quantity over time. Colour tells the component, the kind of line tells who says so.
 import { live } from "./live.js";
-import { FONT, canvas, colours, drawn, niceStep, number, tickStep, ticks } from "./draw.js";
+import { FONT, canvas, colours, drawn as bounded, niceStep, number, tickStep, ticks } from "./draw.js";
 
 export const DASHES = { compared: [5, 4], estimated: [], measured: [1.5, 2.5], reference: [7, 4], truth: [10, 3, 2, 3], "": [] };
 const WIDTHS = { compared: 1.7, estimated: 1.7, measured: 1.4, reference: 1.5, truth: 1.1, "": 1.6 };
@@ -32,7 +32,7 @@ export function plot(element, label, span, onSpan) {
     const wide = (trace) => (trace.band && live.column(trace.band)) || null;
     for (const [trace, c] of drawn) {
       for (let i = first; i < last; i++) {
-        const v = drawn(c[i] * trace.factor, FAR);
+        const v = bounded(c[i] * trace.factor, FAR);
         if (v < least) least = v;
         if (v > most) most = v;
       }
@@ -43,7 +43,7 @@ export function plot(element, label, span, onSpan) {
       if (!sigma) continue;
       const [under, over] = [least - reach, most + reach];
       for (let i = first; i < last; i++) {
-        const v = drawn(c[i] * trace.factor, FAR), d = drawn(Math.abs(3 * sigma[i] * trace.factor), FAR);
+        const v = bounded(c[i] * trace.factor, FAR), d = bounded(Math.abs(3 * sigma[i] * trace.factor), FAR);
         if (v - d < least && v - d > under) least = v - d;
         if (v + d > most && v + d < over) most = v + d;
       }
