@@ -1,6 +1,8 @@
 """Whatever bytes a file holds: it is read as far as it is sound, or refused in one line. No other exception."""
 
+import gzip
 import json
+import math
 import re
 import struct
 import warnings
@@ -447,3 +449,39 @@ def test_every_binary_format_says_which_bytes_are_missing(samples):
         assert total - 2 <= n <= total
         assert re.search(rf"\d+ bytes at byte \d+ are no whole {what}", damage)
         assert not complete
+
+
+def test_a_table_that_is_cut_keeps_its_whole_rows(tmp_path):
+    rows = [f"{0.01 * k:.2f},{math.sin(k):.6f}" for k in range(2000)]
+    text = ("time (s),roll (rad)\n" + "\n".join(rows) + "\n").encode()
+    packed, path = gzip.compress(text), tmp_path / "a.csv.gz"
+
+    def read(content):
+        path.write_bytes(content)
+        raw = read_raw(path)
+        values = raw["table"].fields["roll"]
+        assert values == pytest.approx(np.sin(np.arange(len(values))), abs=1e-6)
+        return len(values), raw.damage
+
+    assert read(packed) == (2000, "")
+    assert read(gzip.compress(text[:20_000]) + gzip.compress(text[20_000:])) == (2000, "")
+    n, damage = read(packed[: len(packed) * 6 // 10])
+    assert 1000 < n < 1400
+    assert re.fullmatch(r"it ends inside what gzip packed, and \d+ bytes could be unpacked", damage)
+    assert read(packed + b"garbage") == (
+        2000,
+        f"7 of {len(packed) + 7} bytes behind what gzip packed are none of it",
+    )
+    n, damage = read(text[:20_010] + bytes(9000))
+    assert 900 < n < 2000
+    assert damage == "the last 9000 bytes are zero"
+    with pytest.warns(LogWarning, match="cut off: the last 9000 bytes are zero; what is whole is here"):
+        assert read_log(path).attrs["complete"] is False
+    flipped = bytearray(packed)
+    flipped[-6] ^= 1  # of the checksum
+    path.write_bytes(flipped)
+    with pytest.raises(InputError, match="is a damaged gzip file"):
+        read_raw(path)
+    path.write_bytes(bytes(3000))
+    with pytest.raises(InputError, match="holds zeros alone: nothing of it was written to the disk"):
+        read_raw(path)

@@ -500,8 +500,7 @@ def test_a_packed_table_is_read_and_other_packed_logs_say_what_to_do(write, make
     text = b"t_s,U_V\n" + b"".join(b"%.2f,7.4\n" % (0.01 * k) for k in range(500))
     packed = gzip.compress(text)
     assert quietly(write(packed, "log.csv.gz")).U.values == pytest.approx(7.4)
-    with pytest.raises(InputError, match="damaged gzip"):
-        read_raw(write(packed[:-30], "cut.csv.gz"))
+    assert not read_raw(write(packed[:-30], "cut.csv.gz")).complete
     with pytest.raises(InputError, match="unpack it: gunzip"):
         read_raw(write(gzip.compress(old_copter(make_dataflash)), "log.bin.gz"))
 

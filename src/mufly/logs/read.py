@@ -65,6 +65,9 @@ _MAGIC: dict[str, bytes | tuple[bytes, ...]] = {
 }
 
 
+_HEAD = 65536
+
+
 def kind_of(path: str | Path) -> str:
     """Return the format of a log, judged by its content.
 
@@ -75,7 +78,7 @@ def kind_of(path: str | Path) -> str:
     """
     where = str(path)
     try:
-        head = unpacked(path, 65536)
+        head = unpacked(path, _HEAD)
         with open(path, "rb") as stream:
             packed = stream.read(2) == GZIP_MAGIC
     except OSError as error:
@@ -104,6 +107,8 @@ def kind_of(path: str | Path) -> str:
         if name == "MATLAB":
             remedy += "; `mufly identify linear` and its kin read it as it is"
         raise InputError(where, "", f"is a {name} file, which is not read here", remedy)
+    if looks_like_table(head.rstrip(b"\0")):
+        return "CSV"
     raise InputError(
         where, "", "is no log that is known here",
         "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF",

@@ -11,7 +11,6 @@ packed by gzip.
 from __future__ import annotations
 
 import codecs
-import gzip
 import io
 import re
 import struct
@@ -44,6 +43,8 @@ from mufly.units import known_unit, split_headers, unit_named
 
 TOPIC = "table"
 GZIP_MAGIC = b"\x1f\x8b"
+_DAMAGE = "damage"  # what read_fields says among the facts of a file that is cut
+_ZEROS = 16  # so many zeros behind a text are no text
 _COMMENTS = ("#", "%", "//")
 # Up to this share of rows that are short, they are faults; beyond, the header is.
 _SHORT_SHARE = 0.5
@@ -63,7 +64,14 @@ def looks_like_table(head: bytes) -> bool:
 
 
 def unpacked(path: str | Path, size: int = -1) -> bytes:
-    """Return a file's first ``size`` bytes (all by default), unpacked if it was packed by gzip.
+    """Return a file's first ``size`` bytes (all by default), unpacked if it was packed by gzip; errors as below."""
+    return unpack_table(path, size)[0]
+
+
+def unpack_table(path: str | Path, size: int = -1) -> tuple[bytes, str]:
+    """Return a file's first ``size`` bytes (all by default), unpacked, and in words what is missing of it.
+
+    Of a packed file that was cut the whole lines before the cut are kept; zeros behind text were never written.
 
     Raises
     ------
@@ -73,14 +81,33 @@ def unpacked(path: str | Path, size: int = -1) -> bytes:
         If what is packed is damaged.
     """
     with open(path, "rb") as stream:
-        if stream.read(2) != GZIP_MAGIC:
-            stream.seek(0)
-            return stream.read(size)
-    try:
-        with gzip.open(path, "rb") as packed:
-            return packed.read(size)
-    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise InputError(str(path), "", f"is a damaged gzip file ({error})", "give another copy") from error
+        packed = stream.read(2) == GZIP_MAGIC
+        stream.seek(0)
+        data = stream.read() if packed else stream.read(size)
+    damage = ""
+    if packed:
+        whole, out = len(data), b""
+        try:
+            while data and not damage:
+                part = zlib.decompressobj(wbits=31)  # checks the checksum
+                out += part.decompress(data, max(0, size - len(out)) if size > 0 else 0)
+                if 0 < size <= len(out):
+                    return out[:size], ""
+                if not part.eof:
+                    out = out[: out.rfind(b"\n") + 1]
+                    damage = f"it ends inside what gzip packed, and {len(out)} bytes could be unpacked"
+                data = part.unused_data
+                if data and not data.startswith(GZIP_MAGIC):
+                    damage, data = f"{len(data)} of {whole} bytes behind what gzip packed are none of it", b""
+        except zlib.error as error:
+            raise InputError(
+                str(path), "", f"is a damaged gzip file ({error})", "give another copy"
+            ) from error
+        data = out
+    if data.endswith(bytes(_ZEROS)) and (text := data.rstrip(b"\0")) and looks_like_table(text):
+        damage = f"the last {len(data) - len(text)} bytes are zero"
+        data = text[: text.rfind(b"\n") + 1] or text
+    return data, damage
 
 
 def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
@@ -102,9 +129,11 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
     fields, units_of, notes, info = read_fields(path)
     clock, start, said = table_clock(where, fields, units_of, time)
     table = RawTable(TOPIC, clock, fields, units_of)
+    damage = info.pop(_DAMAGE, "")
     return RawLog(
-        path=where, kind="CSV", tables={TOPIC: table}, start_time=start, notes=tuple(notes + said), info=info
-    )
+        path=where, kind="CSV", tables={TOPIC: table}, start_time=start, info=info,
+        notes=tuple(n for n in [*notes, *said] if n != damage), complete=not damage, damage=damage,
+    )  # fmt: skip
 
 
 def read_fields(
@@ -135,13 +164,14 @@ def read_fields(
         If it is no table, or has not as many columns as names.
     """
     where = str(path)
-    text = decoded(unpacked(path))
+    data, damage = unpack_table(path)
+    text = decoded(data)
     lines, numbers = split_lines(text)
     first = next((k for k, s in enumerate(lines) if _is_content(s)), None)
     if first is None:
         raise InputError(where, "", "holds no rows", "give a table with a header and numbers")
-    notes: list[str] = []
-    info: dict[str, Any] = {}
+    notes: list[str] = [damage] if damage else []
+    info: dict[str, Any] = {_DAMAGE: damage} if damage else {}
     start = _header_line(lines, first)
     if start != first:
         info["preamble"] = _preamble(lines[first:start])
