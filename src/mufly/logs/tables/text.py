@@ -104,7 +104,7 @@ def unpack_table(path: str | Path, size: int = -1) -> tuple[bytes, str]:
                 str(path), "", f"is a damaged gzip file ({error})", "give another copy"
             ) from error
         data = out
-    if data.endswith(bytes(_ZEROS)) and (text := data.rstrip(b"\0")) and looks_like_table(text):
+    if size < 0 and data.endswith(bytes(_ZEROS)) and (text := data.rstrip(b"\0")) and looks_like_table(text):
         damage = f"the last {len(data) - len(text)} bytes are zero"
         data = text[: text.rfind(b"\n") + 1] or text
     return data, damage
