@@ -100,8 +100,8 @@ figure.tight_layout()
 figure.savefig(folder / "wind.png")
 
 # %% [markdown]
-# Five times as far: 5.1 cm at worst in place of 1.0 cm. The overshoot in height after take-off, 15 cm in the picture
-# above, stays: it comes from the climb, not from the wind.
+# Five times as far: 5.1 cm at worst in place of 1.0 cm, at take-off, before the controller knows the wind. The greatest
+# position error of the summary, 15 cm, hides that: it is the lag in height at take-off, with and without wind.
 
 # %% [markdown]
 # ## Honest sensors

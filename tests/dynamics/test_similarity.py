@@ -97,3 +97,17 @@ def test_what_cannot_be_is_said(known: Vehicle) -> None:
         similar_vehicle(known, "half", mass_kg=0.12, radius_m=0.09, resistance_ohm=0.3)
     with pytest.raises(InputError, match="radius_m"):
         similar_vehicle(known, "none", mass_kg=0.12, radius_m=float("nan"))
+
+
+@pytest.mark.parametrize(
+    ("mass", "radius", "words"),
+    [(120.0, 0.08, "not grams: 0.12"), (0.12, 80.0, "not millimetres: 0.08")],
+)
+def test_a_mass_in_grams_or_a_radius_in_millimetres_is_refused(
+    mass: float, radius: float, words: str
+) -> None:
+    from mufly import dynamics, load_vehicle
+    from mufly.errors import InputError
+
+    with pytest.raises(InputError, match=words):
+        dynamics.similar_vehicle(load_vehicle("mufly-1.1"), "mine", mass_kg=mass, radius_m=radius)
