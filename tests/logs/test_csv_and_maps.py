@@ -529,3 +529,10 @@ def test_numbers_come_back_to_the_bit(tmp_path_factory, values):
     path = tmp_path_factory.mktemp("bits") / "log.csv"
     path.write_text("t_s,x_m\n" + "\n".join(f"{k},{v!r}" for k, v in enumerate(values)))
     assert read_raw(path)["table"].fields["x"].tolist() == values
+
+
+def test_a_second_column_of_times_stays_beside_the_clock(table):
+    """Before: xarray's ValueError, since the clock has that name."""
+    data = read_log(table("t_s,time,x_m\n" + "\n".join(f"{0.1 * k:.1f},{20 * k},1" for k in range(40))))
+    assert data["time_column"].values.tolist() == [20 * k for k in range(40)]
+    assert data["time"].values == pytest.approx(0.1 * np.arange(40))

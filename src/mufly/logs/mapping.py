@@ -542,6 +542,7 @@ def _same_kind(unit: str, other: str) -> bool:
 
 def _identifier(name: str) -> str:
     text = re.sub(r"\W+", "_", name).strip("_") or "signal"
+    text = "time_column" if text == "time" else text  # beside the clock that was taken
     return f"_{text}" if text[0].isdigit() else text
 
 

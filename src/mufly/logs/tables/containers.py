@@ -212,7 +212,7 @@ def _foreign(
             )
             fields[name], units[name] = np.where(missing, np.nan, ns / 1e9), "s"
         elif values.dtype.kind != "U":
-            fields[name] = values.astype(np.float64)
+            fields[name] = values.astype(np.float64, copy=False)
     table = RawTable(TOPIC, clock, fields, units)
     return RawLog(where, kind, {TOPIC: table}, start, notes=(*notes, *said))
 

@@ -186,7 +186,7 @@ def read_fields(
         body = first
     else:
         body = first + headed
-    names = head if headed else [str(k + 1) for k in range(len(head))]
+    names = [" ".join(c.split()) for c in head] if headed else [str(k + 1) for k in range(len(head))]
     row_units: list[str] = []
     if headed and body < len(lines):
         second = cells_of(lines[body], separator)
