@@ -41,6 +41,7 @@ _DATE_FORMATS = ("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%Y%m%d", "%d.%m.%Y", "%d-%
 # Stamps between these years are taken for an epoch: 2000 and 2060, s since 1970.
 _FIRST_S, _LAST_S = 946_684_800.0, 2_840_140_800.0
 _EPOCH_STEP_S = 300.0
+_FAR_S = 6e10  # about the years 70 to 3870, which a calendar still holds
 _DAY_S, _WEEK_S = 86_400.0, 604_800.0
 _RUNS = 0.9  # share of the steps of a clock that go forward
 
@@ -316,7 +317,7 @@ def _from_numbers(
         return time, "", said
     first = float(np.nanmin(values))
     earliest = float(np.nanmin(time)) + shift
-    if _FIRST_S / 2 < earliest < _LAST_S or (epoch_s and shift > -1e10):
+    if _FIRST_S / 2 < earliest < _LAST_S or (epoch_s and abs(earliest) < _FAR_S):
         start = pd.Timestamp(earliest, unit="s", tz="UTC").round("us").isoformat(timespec="milliseconds")
         return seconds(values - first), start, said
     if earliest >= _LAST_S:
