@@ -88,7 +88,7 @@ def _tell_warning(message: Warning | str, category: type[Warning], *where: Any, 
 
 
 def main() -> None:
-    """Run the command line: one clear line on standard error and status 1 (2 for a wrong option) on a fault."""
+    """Run the command line: one clear line on standard error and status 1 (2 for an unknown option) on a fault."""
     warnings.showwarning = _tell_warning
     # Libraries and compilers make a million objects that stay: looked through as often as Python does by itself, they
     # cost an eighth of a first start.
