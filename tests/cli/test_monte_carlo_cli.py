@@ -71,8 +71,8 @@ def test_failed_flights_are_recorded_and_their_command_flies_them_again(
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("--vary", "m=+-2furlong"), "mufly: --vary: m=+-2furlong: 'furlong' is no unit of it"),
-        (("--wind", "fast"), "--wind: 'fast' is no wind; give a speed"),
+        (("--vary", "m=+-2furlong"), "mufly: --vary: m=+-2furlong: unit 'furlong' in '2 furlong' is unknown"),
+        (("--wind", "fast"), "--wind: 'fast' is no number; give a number"),
         (("--flights", "0"), "--flights: no flights"),
         (("--tolerance", "0"), "--tolerance: 0 m"),
         (("--fault", "sonar.jump"), "--fault: sonar.jump@0s: what is true has no faults"),
