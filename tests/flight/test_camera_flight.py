@@ -43,7 +43,7 @@ def test_faults_of_the_camera_are_read_or_refused_in_a_line() -> None:
     assert parse_spoil("covered@20s+5s").stop_s == 25.0
     assert math.isinf(parse_spoil("unplugged").stop_s)
     for text in ("blind@3s", "dark@x", "dark@3s+0s"):
-        with pytest.raises(MuflyError, match="kinds: covered, dark, unplugged"):
+        with pytest.raises(MuflyError, match="use one of: covered, dark, unplugged"):
             parse_spoil(text)
 
 
