@@ -536,3 +536,8 @@ def test_a_second_column_of_times_stays_beside_the_clock(table):
     data = read_log(table("t_s,time,x_m\n" + "\n".join(f"{0.1 * k:.1f},{20 * k},1" for k in range(40))))
     assert data["time_column"].values.tolist() == [20 * k for k in range(40)]
     assert data["time"].values == pytest.approx(0.1 * np.arange(40))
+
+
+def test_a_row_of_a_table_without_a_header_is_refused_with_its_line(table):
+    with pytest.raises(InputError, match="line 4: has 2 cells, the header 1"):
+        read_raw(table("65000\n65040\n65080\n65280,x"))

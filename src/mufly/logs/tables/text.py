@@ -209,9 +209,7 @@ def read_fields(
     if any(w != len(names) for w in widths):
 
         def line_of(k: int) -> int:
-            content = (
-                j for j in range(body, len(lines)) if _is_content(lines[j]) and lines[j] != lines[first]
-            )
+            content = (j for j in range(body, len(lines)) if _is_content(lines[j]) and lines[j] != header)
             return int(numbers[next(j for i, j in enumerate(content) if i == k)])
 
         names, kept, said = _fitting_rows(where, names, kept, widths, separator, line_of)
