@@ -42,8 +42,12 @@ from mufly.world import World
 def test_faults_of_the_camera_are_read_or_refused_in_a_line() -> None:
     assert parse_spoil("covered@20s+5s").stop_s == 25.0
     assert math.isinf(parse_spoil("unplugged").stop_s)
-    for text in ("blind@3s", "dark@x", "dark@3s+0s"):
-        with pytest.raises(MuflyError, match="use one of: covered, dark, unplugged"):
+    for text, words in (
+        ("blind@3s", "use one of: covered, dark, unplugged"),
+        ("dark@x", "'x' is no number"),
+        ("dark@3s+0s", "is no time"),
+    ):
+        with pytest.raises(MuflyError, match=words):
             parse_spoil(text)
 
 
