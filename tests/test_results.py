@@ -103,11 +103,11 @@ _NO_RESULTS = {
     "estimate": "Estimate Watch",  # of one instant, a thousand times a second
     "identify": "Columns Free",
     "firmware": "FixedLaw Section",
-    "flight": "Estimate Layout Readings Truth",
+    "flight": "Estimate Layout Limits Readings Truth",
     "flight.monte_carlo": "Case Variation",
     "link": "Ack ClearAll Command Count Endpoint Item Origin Plan RequestItem RequestList",
     "logs": "Layout McapContents RawLog",
-    "mission": "Answer Leg MissionPlan MissionState Reference Spline Trajectory",
+    "mission": "Answer Item Leg MissionPlan MissionState MissionTiming Reference Spline Trajectory",
     "rotor": "Blading",
     "bench": "Column",
     "sensors": "Fault Readings Truth",

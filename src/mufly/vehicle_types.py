@@ -148,6 +148,16 @@ def ardupilot_mode(family: ModeFamily, number: int) -> str:
     return _ARDUPILOT.get(family, {}).get(number, f"mode {number}")
 
 
+def ardupilot_mode_number(family: ModeFamily, words: str) -> int:
+    """Return the number of ArduPilot's flight mode; KeyError where the firmware has none of that name."""
+    return {word: number for number, word in _ARDUPILOT[family].items()}[words]
+
+
+def ardupilot_family(vehicle_type: int) -> ModeFamily:
+    """Return which of ArduPilot's firmwares flies a MAV_TYPE; "" where that is not known."""
+    return _FAMILY_OF_TYPE.get(vehicle_type, "")
+
+
 def mode_words(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: int) -> str:
     """Return the flight mode of a HEARTBEAT in words; "" where the autopilot has none.
 
@@ -164,5 +174,5 @@ def mode_words(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: i
         if main == 4:
             return _PX4_AUTO.get(sub, f"auto {sub}")
         return _PX4_MAIN.get(main, f"mode {main}") if main else ""
-    family = _FAMILY_OF_TYPE.get(vehicle_type, "") if autopilot == ARDUPILOT else ""
+    family = ardupilot_family(vehicle_type) if autopilot == ARDUPILOT else ""
     return ardupilot_mode(family, custom_mode)

@@ -17,7 +17,7 @@ from mufly.station.commands import (
     RemoteCommands,
     StatusTexts,
 )
-from mufly.vehicle_types import mode_words, vehicle_shape
+from mufly.vehicle_types import ardupilot_family, mode_words, vehicle_shape
 
 LAND = Command(21)
 
@@ -142,6 +142,26 @@ def test_every_autopilot_is_asked_in_its_own_way():
             assert int(base) == 1
             assert base == 1.0
             assert mode_words({"PX4": 12, "ArduPilot": 3}[firmware], 2, 1, number) == word
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (1, {"START_MISSION": "auto", "PAUSE": "loiter", "BY_HAND": "fly by wire A", "RETURN": "return"}),
+        (10, {"START_MISSION": "auto", "PAUSE": "hold", "LET_GO": "hold", "RETURN": "return"}),
+        (12, {"START_MISSION": "auto", "PAUSE": "position hold"}),
+        (7, {"PAUSE": "loiter", "LAND": "landing", "RETURN": "return"}),
+    ],
+)
+def test_every_ardupilot_is_asked_for_a_mode_of_its_own(kind: int, words: dict[str, str]) -> None:
+    """A copter's mode 3 is "auto", a plane's is "training": numbers of another firmware are never sent."""
+    family = ardupilot_family(kind)
+    for name, word in words.items():
+        commands = commands_of(getattr(autopilots, name), "ArduPilot", family)
+        assert mode_words(3, kind, 1, int(commands[-1].params[1])) == word
+    for name in {"BEFORE_ARMING", "LAND"} - set(words):
+        assert "has no flight mode for this" in commands_of(getattr(autopilots, name), "ArduPilot", family)
+    assert "of this type" in commands_of(autopilots.PAUSE, "ArduPilot", "")
 
 
 @pytest.mark.parametrize(

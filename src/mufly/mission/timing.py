@@ -157,7 +157,7 @@ def landing_rate(above: float, descent: float, touchdown: float, acceleration: f
 def landing_time(height: float, mission: Mission) -> float:
     """Time from the land signal, at rest at a ``height`` (m), until the rotors are at rest (s).
 
-    Thesis: none; the law is that of :func:`mufly.mission.phases.sink`.
+    The law is that of :func:`mufly.mission.phases.sink`.
     """
     q = mission.limits
     a, steady = q.climb_acceleration_m_s2, q.descent_m_s

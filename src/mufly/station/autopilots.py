@@ -2,7 +2,7 @@
 
 MAVLink has one command for most things, but autopilots differ in how they want to be asked: a mufly vehicle takes
 metres in LOCAL_NED and needs no modes; PX4 and ArduPilot fly by modes (DO_SET_MODE), ArduPilot takes points in its
-mode "guided". Commands: https://mavlink.io/en/messages/common.html#mav_commands.
+mode "guided". ArduPilot's copters, planes, rovers, submarines and airships number their modes differently. Commands: https://mavlink.io/en/messages/common.html#mav_commands.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Literal
 
 from mufly.link.codec import Origin
 from mufly.link.commands import FORCE, Command
-from mufly.vehicle_types import ARDUPILOT, PX4
+from mufly.vehicle_types import ARDUPILOT, PX4, ModeFamily, ardupilot_mode_number
 
 NAN = math.nan
 LOCAL_NED, GLOBAL = 1, 0  # MAV_FRAME
@@ -50,24 +50,62 @@ REBOOT = _command(246, 1.0)
 """PREFLIGHT_REBOOT_SHUTDOWN of the autopilot; a simulation begins anew."""
 
 Table = dict[str, tuple[Command, ...]]
-BEFORE_ARMING: Table = {"ArduPilot": (_mode(4),), "": ()}
-"""What has to come before arming for a take-off: ArduPilot must be in its mode "guided"."""
-START_MISSION: Table = {"PX4": (_mode(4, 4),), "ArduPilot": (_command(300), _mode(3)), "": (_command(300),)}
+
+
+def _ardupilot(modes: dict[ModeFamily, str], *before: Command) -> Table:
+    """Rows of ArduPilot's firmwares: what comes before, then the mode of this name."""
+    return {
+        f"ArduPilot {family}": (*before, _mode(ardupilot_mode_number(family, words)))
+        for family, words in modes.items()
+    }
+
+
+_HOVER: dict[ModeFamily, str] = {
+    "copter": "brake", "plane": "loiter", "rover": "hold", "submarine": "position hold", "airship": "loiter",
+}  # fmt: skip
+_AUTO: dict[ModeFamily, str] = {"copter": "auto", "plane": "auto", "rover": "auto", "submarine": "auto"}
+_HAND: dict[ModeFamily, str] = {
+    "copter": "loiter", "plane": "fly by wire A", "rover": "manual", "submarine": "position hold",
+    "airship": "velocity",
+}  # fmt: skip
+_RETURN: dict[ModeFamily, str] = {
+    "copter": "return", "plane": "return", "rover": "return", "airship": "return",
+}  # fmt: skip
+BEFORE_ARMING: Table = {**_ardupilot({"copter": "guided"}), "": ()}
+"""What has to come before arming for a take-off: ArduPilot's copters must be in their mode "guided"."""
+START_MISSION: Table = {"PX4": (_mode(4, 4),), **_ardupilot(_AUTO, _command(300)), "": (_command(300),)}
 """What makes an armed vehicle fly its mission, or go on with it."""
-PAUSE: Table = {"PX4": (_mode(4, 3),), "ArduPilot": (_mode(17),), "": (_command(193),)}
-"""Stop and hover."""
-BY_HAND: Table = {"PX4": (_mode(3),), "ArduPilot": (_mode(5),), "": (_mode(2),)}
-"""Fly by sticks: the mode of each that stops and stays when they are in the middle (position control, loiter)."""
-LET_GO: Table = {"ArduPilot": (_mode(17),), "": (_mode(4, 3),)}
+PAUSE: Table = {"PX4": (_mode(4, 3),), **_ardupilot(_HOVER), "": (_command(193),)}
+"""Stop and hover; a plane circles."""
+BY_HAND: Table = {"PX4": (_mode(3),), **_ardupilot(_HAND), "": (_mode(2),)}
+"""Fly by sticks: the mode of each that stops, or flies level, when they are in the middle."""
+LET_GO: Table = {**_ardupilot(_HOVER), "": (_mode(4, 3),)}
 """No more sticks: hover where it is. A mode, since it is taken on the floor too."""
-RETURN: Table = {"ArduPilot": (_mode(6),), "": (_command(20),)}
+RETURN: Table = {**_ardupilot(_RETURN), "": (_command(20),)}
 """Return to where it took off and land."""
-LAND: Table = {"ArduPilot": (_mode(9),), "": (Command(21, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),)}
+LAND: Table = {
+    **_ardupilot({"copter": "landing", "airship": "landing"}),
+    "": (Command(21, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),),
+}
 """Land here."""
 
 
-def commands_of(table: Table, firmware: Firmware) -> tuple[Command, ...]:
-    """Return what such a vehicle is asked with."""
+def commands_of(table: Table, firmware: Firmware, family: ModeFamily = "copter") -> tuple[Command, ...] | str:
+    """Return what such a vehicle is asked with; text if its firmware has no mode for it.
+
+    Parameters
+    ----------
+    table : dict
+        One of this module.
+    firmware : str
+    family : str
+        Of an ArduPilot vehicle (:func:`mufly.vehicle_types.ardupilot_family`).
+    """
+    if firmware == "ArduPilot":
+        what = f"ArduPilot's {family}" if family else "an ArduPilot vehicle of this type"
+        return table.get(
+            f"ArduPilot {family}", f"{what} has no flight mode for this; fly it by its own transmitter"
+        )
     return table.get(firmware, table[""])
 
 

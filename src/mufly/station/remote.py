@@ -33,7 +33,7 @@ from mufly.station.history import Check, History, Message, MissionRow, Outcome, 
 from mufly.station.sticks import PilotSticks
 from mufly.station.telemetry import Telemetry
 from mufly.station.transfers import FENCE, RemoteMission, RemoteParameters, items_of, rows_of
-from mufly.vehicle_types import ARDUPILOT, PX4, is_vehicle, type_words
+from mufly.vehicle_types import ARDUPILOT, PX4, ardupilot_family, is_vehicle, type_words
 
 LOST_S = 3.0
 """A vehicle that was silent for so long is lost (s)."""
@@ -234,7 +234,10 @@ class RemoteVehicle:
         links: list[_Link] = []
         if self.firmware == "PX4":
             links.append(lambda: self._parameters.set("MIS_TAKEOFF_ALT", height_m))
-        links += self._links("take off", commands_of(autopilots.BEFORE_ARMING, self.firmware))
+        before = self._commands_of(autopilots.BEFORE_ARMING)
+        if isinstance(before, str):
+            return _refused(text, before)
+        links += self._links("take off", before)
         climb = self._links("take off", (autopilots.take_off(self.firmware, height_m),))
         return self._move(text, lambda: self._chain(text, [*links, self._arm_if_needed, *climb]))
 
@@ -242,8 +245,10 @@ class RemoteVehicle:
         """Fly the mission, or go on with it; arms if needed."""
         if self.transfers.items is not None and not self.transfers.items:
             return _refused("fly the mission", "the vehicle holds no mission; send one first")
-        start = self._links("start", commands_of(autopilots.START_MISSION, self.firmware))
-        text = "fly the mission"
+        text, commands = "fly the mission", self._commands_of(autopilots.START_MISSION)
+        if isinstance(commands, str):
+            return _refused(text, commands)
+        start = self._links("start", commands)
         return self._move(text, lambda: self._chain(text, [self._arm_if_needed, *start]))
 
     def pause(self) -> Request:
@@ -386,7 +391,13 @@ class RemoteVehicle:
         return self.commands.ask(text, command)
 
     def _do(self, text: str, table: autopilots.Table) -> Request:
-        return self._move(text, lambda: self._ask(text, *commands_of(table, self.firmware)))
+        commands = self._commands_of(table)
+        if isinstance(commands, str):
+            return _refused(text, commands)
+        return self._move(text, lambda: self._ask(text, *commands))
+
+    def _commands_of(self, table: autopilots.Table) -> tuple[Command, ...] | str:
+        return commands_of(table, self.firmware, ardupilot_family(self.telemetry.vehicle_type))
 
     def _move(self, text: str, make: Callable[[], Request]) -> Request:
         """Ask for a movement. What was asked before and is not answered is given up: it must not be done after this.
