@@ -6,13 +6,29 @@ Many system numbers, floods of parameters and texts, missions of 65535 items, ev
 frames and noise (:mod:`hostile_traffic`). Meanwhile the station asks every vehicle that it hears of for everything that
 a page may ask. Nothing may raise an error, memory has to stay flat, what the station sends has to stay bounded, and the
 honest vehicle has to be seen as it is. Time is simulated: nothing waits for a clock.
+
+    python benchmarks/fuzz_station.py --browser [--messages 100000] [--rate 1000]
+
+The same to `mufly station` with its page in headless Chromium, in real time. Half of the messages come from the
+vehicle that the page shows: its own numbers and texts are the bad ones. All tabs of the page are opened in turn.
+Printed: how long the browser's main thread was blocked, whether the emergency stop was reachable throughout, and
+whether it still stops.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
 import sys
+import tempfile
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -21,7 +37,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 from fuzz_link import growth_MB, rss_MB
-from hostile_traffic import AIMED_AT_STATION, Hostile
+from hostile_traffic import _FLOATS, AIMED_AT_STATION, Hostile
 
 from mufly.link import Encoder, Peer, mavlink
 from mufly.station import GroundLink, RemoteVehicle
@@ -31,6 +47,50 @@ HONEST = Peer("udpin:127.0.0.1:14550", "127.0.0.1:40000")
 STEP_S = 0.01
 ASK_S = 2.0
 SILENCE_S = 300.0
+SHOWN = (
+    "HEARTBEAT", "ATTITUDE", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE_TARGET",
+    "POSITION_TARGET_LOCAL_NED", "HOME_POSITION", "ACTUATOR_OUTPUT_STATUS", "RAW_RPM", "OBSTACLE_DISTANCE",
+    "BATTERY_STATUS", "SYS_STATUS", "VFR_HUD", "ESTIMATOR_STATUS", "EXTENDED_SYS_STATE",
+)  # fmt: skip
+"""Messages whose numbers a page draws."""
+TEXTS = (
+    b"", b"\0", b"x" * 256, b"<img src=x onerror=alert(1)>", b"</script><script>alert(1)</script>",
+    b"{{7*7}} ${7*7} %s%n", b"\xff\xfe\xfd", b"../../etc/passwd", b"\r\n\t\x1b[31m", "\u202e\u05d0\u05d1".encode(),
+    "\U0001f681".encode() * 60, "e\u0301".encode() + "\u0301".encode() * 120, b"NaN", b"-1e400", b"__proto__",
+)  # fmt: skip
+WATCH = """
+() => {
+  const watch = (window.watch = { shown: 0, covered: 0, grey: 0, frame: 0, timer: 0, task: 0, lost: [] });
+  const stop = () => document.querySelector("[data-testid=emergency-stop]");
+  let drawn = performance.now(), called = drawn;
+  const look = () => {
+    const now = performance.now();
+    watch.frame = Math.max(watch.frame, now - drawn);
+    drawn = now;
+    const button = stop(), b = button?.getBoundingClientRect();
+    const there = b && button.contains(document.elementFromPoint(b.x + b.width / 2, b.y + b.height / 2));
+    watch.shown += 1;
+    if (document.body.classList.contains("mf-offline")) watch.grey += 1;
+    else if (!there) {
+      watch.covered += 1;
+      const top = b && document.elementFromPoint(b.x + b.width / 2, b.y + b.height / 2);
+      if (watch.lost.length < 5) watch.lost.push(top ? `${top.tagName}.${top.className}` : "no button");
+    }
+    requestAnimationFrame(look);
+  };
+  requestAnimationFrame(look);
+  setInterval(() => {
+    const now = performance.now();
+    watch.timer = Math.max(watch.timer, now - called);
+    called = now;
+  }, 20);
+  new PerformanceObserver((list) => {
+    for (const one of list.getEntries()) watch.task = Math.max(watch.task, one.duration);
+  }).observe({ type: "longtask" });
+}
+"""
+"""Keeps the longest times between two pictures, between two calls of a timer of 20 ms, and of one task (ms)."""
+OPEN_TAB = "k => { const t = document.querySelectorAll('[role=tab]'); t[k % t.length]?.click(); }"
 
 
 @dataclass
@@ -175,11 +235,129 @@ def fuzz(messages: int, seed: int, *, per_step: int = 20, samples: int = 20) -> 
     return found
 
 
+def udp_drops(port: int) -> int:
+    """Return how many packets to a local port the kernel has dropped, as nobody read them in time."""
+    lines = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
+    return sum(int(words[-1]) for words in lines if int(words[1].rpartition(":")[2], 16) == port)
+
+
+def pour(messages: int, seed: int, rate: float, port: int, shown: socket.socket) -> int:
+    """Send so many bad messages a second to a port, half of them from the vehicle that is shown; how many were sent."""
+    floats = (*_FLOATS, -1e30, 1e-30, -1e-30, 1e15, -1e15)
+    common: dict[str, Any] = {"targets": (US, (0, 0)), "floats": floats, "texts": TEXTS}
+    common["parameters"] = [f"P_{k}" for k in range(300)]
+    aimed = (*AIMED_AT_STATION, *SHOWN, *SHOWN)
+    liar = Hostile(seed, aimed, senders=((1, 1),), **common).packets()
+    others = (*[(k, 1) for k in range(2, 6)], (7, 100), (1, 1), (250, 1))
+    beside = Hostile(seed + 1, AIMED_AT_STATION, senders=others, **common).packets()
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(4)]
+    sent, began, draw = 0, time.monotonic(), random.Random(seed)
+    while sent < messages:
+        shows = draw.random() < 0.5
+        packet = next(liar if shows else beside)
+        with contextlib.suppress(BlockingIOError, OSError):
+            (shown if shows else draw.choice(sockets)).sendto(packet.data, ("127.0.0.1", port))
+        sent += packet.messages
+        time.sleep(max(0.0, began + sent / rate - time.monotonic()))
+    for one in sockets:
+        one.close()
+    return sent
+
+
+def watch_page(messages: int, seed: int, rate: float, calm_s: float = 10.0) -> bool:
+    """Send bad messages to a station with a page and print what the browser bore; whether it bore all.
+
+    Parameters
+    ----------
+    messages, seed : int
+    rate : float
+        Messages a second.
+    calm_s : float
+        So long the page is looked at before, with the honest vehicle only (s).
+    """
+    from frozen_page import COMMAND, FLAGS, Vehicle, free_port
+    from playwright.sync_api import sync_playwright
+
+    link, port = free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_STREAM)
+    vehicle = Vehicle(link)
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+        station = subprocess.Popen(
+            [sys.executable, "-c", COMMAND, "station", "--no-browser", "--port", str(port),
+             "--connect", f"udp:127.0.0.1:{link}", "--out", folder, "--no-record"],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        stack.callback(station.kill)
+        vehicle.start()
+        while socket.socket().connect_ex(("127.0.0.1", port)):
+            time.sleep(0.3)
+        play = stack.enter_context(sync_playwright())
+        chromium = shutil.which("chromium") or shutil.which("google-chrome")
+        browser = play.chromium.launch(executable_path=chromium, args=[*FLAGS, "--disable-gpu-compositing"])
+        page = browser.new_page(viewport={"width": 1366, "height": 768})
+        page.set_default_timeout(300_000)
+        faults: list[str] = []
+        page.on("pageerror", lambda e: faults.append(str(e)))
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_selector("[data-testid=land]:enabled")
+        page.wait_for_function("Boolean(window.muflyScene)")
+
+        def look(what: str, busy: Callable[[], bool]) -> dict[str, Any]:
+            page.evaluate(WATCH)
+            tab, began = 0, time.monotonic()
+            while busy():
+                page.evaluate(OPEN_TAB, tab)
+                tab += 1
+                page.wait_for_timeout(1000)
+            seen: dict[str, Any] = page.evaluate("window.watch")
+            print(f"{what:12s} {time.monotonic() - began:4.0f} s, load {os.getloadavg()[0]:4.1f}: longest time between "
+                  f"two pictures {seen['frame']:.0f} ms, between calls of a timer {seen['timer']:.0f} ms, longest task "
+                  f"{seen['task']:.0f} ms; stop button covered in {seen['covered']} of {seen['shown']} pictures, "
+                  f"page grey in {seen['grey']} {seen['lost'] or ''}", flush=True)  # fmt: skip
+            return seen
+
+        end = time.monotonic() + calm_s
+        look("honest only", lambda: time.monotonic() < end)
+        page.reload()
+        page.wait_for_function("Boolean(window.muflyScene && window.muflyLive?.latest)")
+        time.sleep(2.0)
+        sent: list[int] = []
+        sender = threading.Thread(
+            target=lambda: sent.append(pour(messages, seed, rate, link, vehicle.socket)), daemon=True
+        )
+        sender.start()
+        seen = look("hostile", sender.is_alive)
+        print(
+            f"{sum(sent)} messages, {udp_drops(link)} packets never read; errors of the page: {faults[:5] or 'none'}"
+        )
+        vehicle.heard.clear()
+        end = time.monotonic() + 20.0
+        while not vehicle.heard and time.monotonic() < end:
+            for _ in range(2):  # it asks for a second press
+                page.click("[data-testid=emergency-stop]")
+                time.sleep(0.5)
+        heard = sorted({number for _, number in vehicle.heard})
+        print(f"emergency stop after it: commands {heard or 'none'} heard by the vehicle")
+        scripts = page.evaluate("document.querySelectorAll('img[src=x]').length")
+        browser.close()
+        vehicle.ended = True
+        alive = station.poll() is None
+        station.send_signal(signal.SIGINT)
+        station.wait(30)
+    return alive and not seen["covered"] and not scripts and not faults and bool(vehicle.heard)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Bad messages to a station.")
-    parser.add_argument("--messages", type=int, default=1_000_000, help="how many")
+    parser.add_argument("--messages", type=int, help="how many (a million; 100000 with a browser)")
     parser.add_argument("--seed", type=int, default=0, help="another seed, other messages")
+    parser.add_argument(
+        "--browser", action="store_true", help="to a station with its page in a browser, in real time"
+    )
+    parser.add_argument("--rate", type=float, default=1000.0, help="messages a second with a browser")
     options = parser.parse_args()
+    if options.browser:
+        sys.exit(0 if watch_page(options.messages or 100_000, options.seed, options.rate) else 1)
+    options.messages = options.messages or 1_000_000
     start = time.perf_counter()
     found = fuzz(options.messages, options.seed)
     print(

@@ -94,6 +94,8 @@ class Hostile:
     allowed : callable, optional
         Judges a message by name and fields; those it turns down are drawn anew. Leaves out what the other end rightly
         obeys whoever says it, as a vehicle does an emergency stop.
+    floats, texts : sequence of float, sequence of bytes
+        Corners of the fields of single precision; texts that half of the fields of text hold, cut to their length.
     """
 
     def __init__(
@@ -105,10 +107,13 @@ class Hostile:
         targets: Sequence[tuple[int, int]] = ((1, 1), (0, 0), (1, 0)),
         senders: Sequence[tuple[int, int]] = ((66, 190), (67, 190), (255, 230)),
         allowed: Callable[[str, dict[str, Any]], bool] | None = None,
+        floats: Sequence[float] = _FLOATS,
+        texts: Sequence[bytes] = (),
     ) -> None:
         self._random = random.Random(seed)
         self._aimed_at, self._parameters = tuple(aimed_at), tuple(parameters)
         self._targets, self._senders, self._allowed = tuple(targets), tuple(senders), allowed
+        self._floats, self._texts = tuple(floats), tuple(texts)
         self._all = sorted(_BY_NAME)
         self._sequence = 0
         self._recent = [b"\xfd\x09\x00\x00"]
@@ -198,6 +203,8 @@ class Hostile:
 
     def _text(self, field: str, size: int, sensible: bool) -> bytes:
         draw = self._random
+        if self._texts and draw.random() < 0.5:
+            return draw.choice(self._texts)[:size]
         if sensible and field == "param_id" and self._parameters:
             return draw.choice(self._parameters).encode()[:size]
         if sensible:
@@ -215,7 +222,7 @@ class Hostile:
                 return min(max(int(value), least), greatest)
         if type_ in ("float", "double"):
             if draw.random() < 0.5:
-                return draw.choice(_FLOATS if type_ == "float" else _DOUBLES)
+                return draw.choice(self._floats if type_ == "float" else _DOUBLES)
             return draw.choice((draw.uniform(-5.0, 5.0), draw.uniform(-1e3, 1e3), float(draw.randrange(512))))
         least, greatest, _ = _INTEGERS[type_]
         corners = (least, greatest, 0, 1, greatest - 1, greatest // 2)
