@@ -72,18 +72,41 @@ class Vehicle:
         if result != mavlink.MAV_RESULT_ACCEPTED:
             raise RuntimeError(f"command {command} refused: {mavlink.enums['MAV_RESULT'][result].name}")
 
+    def fetch(
+        self,
+        send: Callable[[], Any],
+        names: str | list[str],
+        that: Callable[[Any], bool] = lambda m: True,
+    ) -> Any:
+        """Send a request until its answer comes: UDP loses packets, and MAVLink has whoever asks ask again."""
+        for _ in range(20):
+            send()
+            try:
+                return self.wait(names, that, 2.0)
+            except TimeoutError:
+                continue
+        raise TimeoutError(f"no {names} was ever sent")
+
     # parameters
 
     def parameters(self) -> dict[str, tuple[float, int]]:
         """All of them: value and type by name."""
-        self.link.mav.param_request_list_send(1, 1)
         found: dict[int, Any] = {}
+        message = self.fetch(lambda: self.link.mav.param_request_list_send(1, 1), "PARAM_VALUE")
         while True:
-            message = self.wait("PARAM_VALUE")
             if message.param_index < message.param_count:
                 found[message.param_index] = message
             if len(found) == message.param_count:
                 return {m.param_id: (m.param_value, m.param_type) for m in found.values()}
+            try:
+                message = self.wait("PARAM_VALUE", seconds=2.0)
+            except TimeoutError:  # some were lost
+                lost = next(k for k in range(message.param_count) if k not in found)
+                message = self.fetch(
+                    lambda k=lost: self.link.mav.param_request_read_send(1, 1, b"", k),
+                    "PARAM_VALUE",
+                    lambda m, k=lost: m.param_index == k,
+                )
 
     def set_parameter(self, name: str, value: float, kind: int) -> float:
         """Set one; return the value now in force."""
@@ -99,9 +122,9 @@ class Vehicle:
 
     def upload(self, places: list[tuple[float, float, float]]) -> int:
         """Give it waypoints N, E, D in metres; return its word (MAV_MISSION_RESULT)."""
-        self.link.mav.mission_count_send(1, 1, len(places))
+        answers = ["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"]
+        m = self.fetch(lambda: self.link.mav.mission_count_send(1, 1, len(places)), answers)
         while True:
-            m = self.wait(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"])
             if m.get_type() == "MISSION_ACK":
                 return int(m.type)
             north, east, down = places[m.seq]
@@ -109,22 +132,25 @@ class Vehicle:
                 1, 1, m.seq, mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_CMD_NAV_WAYPOINT, int(m.seq == 0), 1,
                 0.5, 0.0, 0.0, float("nan"), round(north * 1e4), round(east * 1e4), down,
             )  # fmt: skip
+            m = self.wait(answers)
 
     def download(self) -> list[tuple[float, float, float]]:
         """Fetch its waypoints."""
-        self.link.mav.mission_request_list_send(1, 1)
-        count, places = self.wait("MISSION_COUNT").count, []
+        mav, places = self.link.mav, []
+        count = self.fetch(lambda: mav.mission_request_list_send(1, 1), "MISSION_COUNT").count
         for seq in range(count):
-            self.link.mav.mission_request_int_send(1, 1, seq)
-            m = self.wait("MISSION_ITEM_INT", lambda m, seq=seq: m.seq == seq)
+            m = self.fetch(
+                lambda seq=seq: mav.mission_request_int_send(1, 1, seq),
+                "MISSION_ITEM_INT",
+                lambda m, seq=seq: m.seq == seq,
+            )
             places.append((m.x * 1e-4, m.y * 1e-4, m.z))
         self.link.mav.mission_ack_send(1, 1, mavlink.MAV_MISSION_ACCEPTED)
         return places
 
     def clear(self) -> int:
         """Take its mission away."""
-        self.link.mav.mission_clear_all_send(1, 1)
-        return int(self.wait("MISSION_ACK").type)
+        return int(self.fetch(lambda: self.link.mav.mission_clear_all_send(1, 1), "MISSION_ACK").type)
 
     # flight
 

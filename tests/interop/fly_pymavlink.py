@@ -57,10 +57,12 @@ def main(url: str) -> None:
         f"{len(before)} parameters, {changed} changed and set back, kept by the vehicle: {kept}", flush=True
     )
     for name in list(before)[:5]:
-        vehicle.link.mav.param_request_read_send(1, 1, name.encode(), -1)
-        assert close(
-            vehicle.wait("PARAM_VALUE", lambda m, n=name: m.param_id == n).param_value, before[name][0]
+        told = vehicle.fetch(
+            lambda n=name: vehicle.link.mav.param_request_read_send(1, 1, n.encode(), -1),
+            "PARAM_VALUE",
+            lambda m, n=name: m.param_id == n,
         )
+        assert close(told.param_value, before[name][0])
     print("parameters read one by one", flush=True)
 
     for count in (1, 2, 25, 90):
