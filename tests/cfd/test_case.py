@@ -317,9 +317,9 @@ def test_without_openfoam_one_line_says_how_to_get_it(monkeypatch: pytest.Monkey
     with pytest.raises(MuflyError, match="apt-get install"):
         find_solver()
     with pytest.raises(MuflyError, match="apt-get install"):
-        hover("naca0012-r60-c20", pitch="12", rpm=5000.0, theory=Theory(method="cfd"))
+        hover("naca0012-r60-c20", pitch=12.0, rpm=5000.0, theory=Theory(method="cfd"))
     with pytest.raises(InputError, match="give --pitch and --rpm"):
-        hover("naca0012-r60-c20", pitch="12", thrust=0.2, theory=Theory(method="cfd"))
+        hover("naca0012-r60-c20", pitch=12.0, thrust=0.2, theory=Theory(method="cfd"))
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="there is no /dev/full")

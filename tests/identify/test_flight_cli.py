@@ -58,7 +58,7 @@ def test_without_a_held_out_log_the_end_of_the_record_is_held_out(logs):
         (["--free", "l_upp"], "did you mean 'l_up'"),
         (["--part", "roll"], "use one of: both"),
         (["--method", "simplex"], "use one of: lm, cma"),
-        (["--voltage", "high"], "is no voltage"),
+        (["--voltage", "high"], "is no number"),
         (["--outputs", "rotor"], "'rotor' is unknown"),
         (["--prefix", "seen"], "'seen' is unknown"),
         (["--delay", "-5"], "-5 ms is not possible"),

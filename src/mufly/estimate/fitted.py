@@ -41,7 +41,7 @@ _Array = NDArray[np.float64]
 _BATTERY = STARTS[R_BATTERY]
 SHOWN = (
     "covariance_output", "sigma_output", "status", "reason", "fault_number", "innovation", "innovation_sigma",
-    "last_fused_tick", "last_new_tick", "tick",
+    "last_fused_tick", "last_new_tick", "fault_component", "tick",
 )  # fmt: skip
 """Of the memory, what is told every :data:`mufly.estimate.output_predictor.TOLD_EVERY` periods."""
 

@@ -65,9 +65,10 @@ _MOTORS_OFF, _MOTORS_FLY = 0, 2
 ROW_WIDE = 44
 _ACC, _RATE_AT, _VOLT = STARTS[R_ACCELERATION], STARTS[R_RATES], STARTS[R_BATTERY]
 # Of what is told every so often (:data:`mufly.estimate.fitted.SHOWN`), a row: covariance (9, 9), deviations, then of
-# each sensor seven numbers, and the period
+# each sensor seven numbers, the component of the fix that its fault is of, and the period
 DEVIATIONS, OF_SENSORS = 81, 81 + ERRORS
-SHOWN_WIDE = OF_SENSORS + 7 * SENSORS + 1
+COMPONENT_AT, PERIOD_AT = OF_SENSORS + 7 * SENSORS, OF_SENSORS + 7 * SENSORS + 1
+SHOWN_WIDE = PERIOD_AT + 1
 # Of what somebody hears, a row: period, whether valid, battery (V), rows told before; wind, supply, state, attitude,
 # nominal state, rates, angles; ranges follow
 HEARD_WIDE = 4 + 3 + 2 + 21 + 3 + STATES + 3 + 3
@@ -135,13 +136,13 @@ def _show(
     ``texts`` are the numbers of the words for a reason, or -1 where there is a number in them; ``calm``: nothing is
     said of a sensor that is waited for or believed.
     """
-    covariance, sigma, code, why, number, innovation, spread, used, came, tick = memory
+    covariance, sigma, code, why, number, innovation, spread, used, came, component, tick = memory
     for j in range(9):
         for k in range(9):
             row[9 * j + k] = covariance[j, k]
     for k in range(ERRORS):
         row[DEVIATIONS + k] = sigma[k]
-    row[OF_SENSORS + 7 * SENSORS] = tick[0]
+    row[COMPONENT_AT], row[PERIOD_AT] = component[0], tick[0]
     same = True
     for k in range(SENSORS):
         of = row[OF_SENSORS + 7 * k : OF_SENSORS + 7 * k + 7]
@@ -159,6 +160,7 @@ def _show(
             said[one + at[_B_STATUS]], said[one + at[_B_WHY]] = code[k], text
         else:
             same = same and of[0] == was[0] and of[1] == was[1] and (text >= 0 or of[2] == was[2])
+            same = same and (text >= 0 or row[COMPONENT_AT] == before[COMPONENT_AT])
     return same
 
 

@@ -52,6 +52,7 @@ from mufly.firmware.quick.loop import (
     C_TOLD_ROWS,
     C_UNTIL_VALID,
     C_VALID,
+    COMPONENT_AT,
     COUNTS,
     DEVIATIONS,
     F_ASK_S,
@@ -68,6 +69,7 @@ from mufly.firmware.quick.loop import (
     MOST,
     NUMBERS,
     OF_SENSORS,
+    PERIOD_AT,
     ROW_WIDE,
     SENSE,
     SHOWN_WIDE,
@@ -91,8 +93,8 @@ _Array = NDArray[np.float64]
 
 def _shown(row: _Array) -> dict[str, Any]:
     """What stands in such a row, by the names of the memory."""
-    of = row[OF_SENSORS:-1].reshape(SENSORS, 7)
-    parts = (row[:81].reshape(9, 9), row[DEVIATIONS:OF_SENSORS], *of.T, row[-1])
+    of = row[OF_SENSORS:COMPONENT_AT].reshape(SENSORS, 7)
+    parts = (row[:81].reshape(9, 9), row[DEVIATIONS:OF_SENSORS], *of.T, row[COMPONENT_AT], row[PERIOD_AT])
     return dict(zip(SHOWN, parts, strict=True))
 
 
@@ -150,10 +152,10 @@ class Many:
             fitted = np.zeros(SENSORS, np.uint8)
             fitted[list(self._filter.fitted.values())] = 1
             self._taken, self._pictures = np.zeros(SENSORS), np.zeros((3, beams))
-            of_memory = tuple(m[name] for name in SHOWN[:-1])
+            of_memory = tuple(m[name] for name in SHOWN[:-2])
             self._filtered = (
                 m["x_output"], m["rates_output"], m["angles_output"], *row, fitted, self._taken, self._pictures,
-                self._filter.beams.astype(np.int64), (*of_memory, self._filter.box["tick"]),
+                self._filter.beams.astype(np.int64), (*of_memory, *(self._filter.box[name] for name in SHOWN[-2:])),
                 board.told_of_sensors(),
             )  # fmt: skip
             self._asked = asked_of({k: one.sensor for k, one in self._places.items()})
