@@ -50,7 +50,7 @@ napoleon_use_ivar = True
 # Words such as "name" in a type are no references, and rooms pass their classes on.
 suppress_warnings = ["ref.python"]
 
-html_search_scorer = "_static/search_scorer.js"  # pages for people come before the reference of the code
+html_search_scorer = str(HERE.resolve() / "_static" / "search_scorer.js")  # pages for people come first
 html_theme = "furo"
 html_title = f"mufly {release}"
 html_static_path = ["_static"]
