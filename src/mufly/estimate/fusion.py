@@ -576,6 +576,21 @@ def fuse_wall_ranges(
 
 
 @compiled(error_model="numpy")
+def _gate_drifting_aid(
+    m: FilterMemory, s: FilterSettings, k: int, bias: int, nu: float, ratio: float, z: _Array, count: int, near: float
+) -> bool:  # fmt: skip
+    """Gate an aid with one bias, and free that bias after a second of consistent rejections; return whether to fuse."""
+    _log_innovation(m, k, nu, ratio)
+    if abs(ratio) > GATE:
+        _reject_measurement(m, s, k, nu, z, count, near)
+        if not _reset_timeout_expired(m, s, k):
+            return False
+        inflate_variance(m.ut, m.d, bias, nu * nu, m.f)
+        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
+    return True
+
+
+@compiled(error_model="numpy")
 def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse the pressure less the standard one and less the rotors' part."""
     k = R_PRESSURE
@@ -583,15 +598,9 @@ def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: f
     _h_row_add(m, EX_PRESSURE_BIAS, 1.0)
     nu = z[0] - s.pressure_slope * (m.x[SX_POS + 2] + ahead * m.x[SX_VEL + 2]) - m.x[SX_PRESSURE_BIAS]
     ratio = _innovation_ratio(m, nu, s.pressure_variance)
-    _log_innovation(m, k, nu, ratio)
-    if abs(ratio) > GATE:
-        _reject_measurement(m, s, k, nu, z, 1, 10 * math.sqrt(s.pressure_variance))
-        if not _reset_timeout_expired(m, s, k):
-            return
-        inflate_variance(m.ut, m.d, EX_PRESSURE_BIAS, nu * nu, m.f)
-        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
-    _fuse_scalar(m, nu, s.pressure_variance)
-    mark_fused(m, k)
+    if _gate_drifting_aid(m, s, k, EX_PRESSURE_BIAS, nu, ratio, z, 1, 10 * math.sqrt(s.pressure_variance)):
+        _fuse_scalar(m, nu, s.pressure_variance)
+        mark_fused(m, k)
 
 
 @compiled(error_model="numpy")
@@ -607,15 +616,9 @@ def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: 
     off = -direction(east, north) - ahead * m.yaw_rate - m.x[SX_MAG_BIAS]
     nu = wrapped(off)
     ratio = _innovation_ratio(m, nu, s.magnet_variance)
-    _log_innovation(m, k, nu, ratio)
-    if abs(ratio) > GATE:
-        _reject_measurement(m, s, k, nu, z, 3, 1e-5)
-        if not _reset_timeout_expired(m, s, k):
-            return
-        inflate_variance(m.ut, m.d, EX_MAG_BIAS, nu * nu, m.f)
-        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
-    _fuse_scalar(m, nu, s.magnet_variance)
-    mark_fused(m, k)
+    if _gate_drifting_aid(m, s, k, EX_MAG_BIAS, nu, ratio, z, 3, 1e-5):
+        _fuse_scalar(m, nu, s.magnet_variance)
+        mark_fused(m, k)
 
 
 @compiled(error_model="numpy")

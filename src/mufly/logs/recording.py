@@ -197,7 +197,7 @@ def read_facts(path: str | Path) -> dict[str, Any]:
             raise ValueError("no summary")
         first, last = found.statistics.message_start_time, found.statistics.message_end_time
         count = found.statistics.message_count
-    except Exception:
+    except Exception:  # The library fails in any way on a damaged file; the records are read one by one then.
         with suppress(Exception):
             first, last, count, metadata = _scan_records(path)
         facts["complete"] = False

@@ -66,13 +66,14 @@ class FrameTimes:
             the request left.
         """
         made_s = self._made.get(frame) if isinstance(frame, int) else None
-        if made_s is None or not all(
-            isinstance(v, int | float) and math.isfinite(v) for v in (held_ms, seen_ms)
-        ):
+        waits = [
+            max(0.0, 1e-3 * v) for v in (held_ms, seen_ms) if isinstance(v, int | float) and math.isfinite(v)
+        ]
+        if made_s is None or len(waits) < 2:
             return math.inf
+        held_s, seen_s = waits
         age_s = self._clock() - made_s
-        under_way_s = age_s - min(max(0.0, 1e-3 * seen_ms), age_s)  # type: ignore[operator]
-        return max(age_s, under_way_s + max(0.0, 1e-3 * held_ms))  # type: ignore[operator]
+        return max(age_s, age_s - min(seen_s, age_s) + held_s)
 
 
 def late_words(late_s: float) -> str:
@@ -117,12 +118,14 @@ def drop_late_events(
             sender.update()  # the browser shows again what the station has
             tell(Request(_label(sender), Outcome.REFUSED, late_words(late_s)))
 
+    # NiceGUI calls this method of the client for every event and has no hook before it.
     client.handle_event = handle_in_time  # type: ignore[method-assign]
 
 
 def _asks_nothing(sender: Element | None, listener: object) -> bool:
     """Whether an event only tells what the window itself shows now: a field, a tab, a file that was not taken."""
-    known = None if sender is None else sender._event_listeners.get(listener)  # type: ignore[call-overload]
+    # NiceGUI keeps the listeners of an element here alone.
+    known = sender._event_listeners.get(listener) if sender and isinstance(listener, str) else None
     return known is not None and (known.type in _STATE_EVENTS or known.type.startswith("update:"))
 
 

@@ -22,6 +22,7 @@ from mufly.station.page.flights import FlightList
 from mufly.station.page.hand import StickPanel
 from mufly.station.page.panels import (
     Action,
+    FlightStrip,
     Panel,
     button,
     check_drawer,
@@ -33,7 +34,6 @@ from mufly.station.page.panels import (
     static_url,
 )
 from mufly.station.page.session import View, availability, mission_label
-from mufly.station.page.strip import FlightStrip
 from mufly.station.remote import RemoteVehicle
 
 REFRESH_S = 0.2
