@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mufly.control import design
+from mufly.dynamics.state import RS_SPEED_UPPER
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator, native
 from mufly.estimate.layout import (
@@ -18,7 +19,6 @@ from mufly.estimate.layout import (
     LIGHT,
     R_RING,
     R_SONAR,
-    RS_SPEED_UPPER,
     RUNNING,
     STANDING,
     SX_ATT,

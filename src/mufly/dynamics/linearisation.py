@@ -29,7 +29,23 @@ from mufly.drawing import shown
 from mufly.dynamics.model import battery_state, climb_velocity, derivative, inside_map, rotor_loads
 from mufly.dynamics.simulation import fastest_part
 from mufly.dynamics.state import (
+    ATTITUDE,
+    BAR_NORMAL,
+    MOTORS,
+    MOTORS_SWAPPED,
+    POSITION,
+    RATES,
+    ROTOR_SPEEDS,
+    RS_BAR,
+    RS_CHARGE,
+    RS_POS,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    SERVOS,
     STATE_SIZE,
+    VELOCITY,
     euler_from_quaternion,
     hover_speeds,
     initial_state,
@@ -82,13 +98,13 @@ class Trim:
     inside_map: bool = True
 
     def __str__(self) -> str:
-        n, e, d = self.state[3:6]
-        roll, pitch, _ = np.degrees(euler_from_quaternion(self.state[6:10]))
+        n, e, d = self.state[VELOCITY]
+        roll, pitch, _ = np.degrees(euler_from_quaternion(self.state[ATTITUDE]))
         rpm = self.rotor_speed / RPM
+        motor_up, motor_dw, servo_1, servo_2 = self.input
         return (
             f"steady at N {n:g}, E {e:g}, D {d:g} m/s: roll {roll:.2f}, pitch {pitch:.2f} deg\n"
-            f"  motor input {self.input[0]:.3f} upper, {self.input[1]:.3f} lower; "
-            f"servo input {self.input[2]:.3f}, {self.input[3]:.3f}\n"
+            f"  motor input {motor_up:.3f} upper, {motor_dw:.3f} lower; servo input {servo_1:.3f}, {servo_2:.3f}\n"
             f"  rotor speed {rpm[0]:.0f} upper, {rpm[1]:.0f} lower rpm; "
             f"thrust {self.thrust_N[0]:.3f}, {self.thrust_N[1]:.3f} N\n"
             f"  battery {self.voltage_V:.2f} V, {self.current_A:.2f} A, {self.power_W:.1f} W"
@@ -98,17 +114,17 @@ class Trim:
     @property
     def motor_input(self) -> NDArray[np.float64]:
         """Upper, lower (0..1)."""
-        return self.input[0:2]
+        return self.input[MOTORS]
 
     @property
     def servo_input(self) -> NDArray[np.float64]:
         """Servo 1, servo 2 (-1..1)."""
-        return self.input[2:4]
+        return self.input[SERVOS]
 
     @property
     def rotor_speed(self) -> NDArray[np.float64]:
         """Upper, lower (rad/s)."""
-        return self.state[18:20]
+        return self.state[ROTOR_SPEEDS]
 
 
 def trim(
@@ -175,7 +191,7 @@ def trim(
             rotor_speed=np.array([upper, lower]) * speed,
             charge=charge_,
         )
-        x[13], x[14] = p["swash_gain"] * servo_2, -p["swash_gain"] * servo_1
+        x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = p["swash_gain"] * servo_2, -p["swash_gain"] * servo_1
         return x, np.array([motor_up, motor_dw, servo_1, servo_2])
 
     rates = np.empty(STATE_SIZE)
@@ -183,27 +199,29 @@ def trim(
     def residual(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
         x, u = build(unknown)
         derivative(x, u, wind_, p, rates)
-        return np.concatenate([rates[3:6] / GRAVITY, rates[10:13] / 100.0, rates[18:20] / 1000.0])
+        return np.concatenate([rates[VELOCITY] / GRAVITY, rates[RATES] / 100.0, rates[ROTOR_SPEEDS] / 1000.0])
 
     start = np.array([1.0, 1.0, duty[0], duty[1], 0.0, 0.0, 0.0, 0.0])
     found = root(residual, start, method="hybr", options={"xtol": 1e-13})
     x, u = build(found.x)
+    motor_up, motor_dw, servo_1, servo_2 = u
     worst = float(np.max(np.abs(residual(found.x))))
-    if not worst < 1e-9 or np.any(u[:2] >= 1.0) or np.any(np.abs(u[2:]) > 1.0):
+    if not worst < 1e-9 or np.any(u[MOTORS] >= 1.0) or np.any(np.abs(u[SERVOS]) > 1.0):
         if not (velocity_.any() or wind_.any()):  # nothing to ask less of: it is the vehicle
             raise MuflyError(
-                f"{vehicle.name}: no hover is found within the inputs' range (motors {u[0]:.2f}, {u[1]:.2f}, servos "
-                f"{u[2]:.2f}, {u[3]:.2f}; {worst:.1g} of an acceleration is left); its fastest part is "
+                f"{vehicle.name}: no hover is found within the inputs' range (motors {motor_up:.2f}, {motor_dw:.2f}, "
+                f"servos {servo_1:.2f}, {servo_2:.2f}; {worst:.1g} of an acceleration is left); its fastest part is "
                 f"{fastest_part(p)}: check that and the rotors' coefficients and inertias"
             )
         raise MuflyError(
             f"{vehicle.name}: no steady flight at velocity {velocity_.tolist()} m/s in wind {wind_.tolist()} m/s "
-            f"within the inputs' range (motors {u[0]:.2f}, {u[1]:.2f}); ask for a lower speed or less wind"
+            f"within the inputs' range (motors {motor_up:.2f}, {motor_dw:.2f}); ask for a lower speed or less wind"
         )
-    x[2] = 0.0
-    volts, current = battery_state(x, u[0], u[1], p)
+    x[RS_POS + 2] = 0.0
+    volts, current = battery_state(x, motor_up, motor_dw, p)
     climb = float(climb_velocity(x, wind_))
-    t_up, t_dw, q_up, q_dw = rotor_loads(p, x[18], x[19], climb)
+    speed_up, speed_dw = x[ROTOR_SPEEDS]
+    t_up, t_dw, q_up, q_dw = rotor_loads(p, speed_up, speed_dw, climb)
     return Trim(
         state=x,
         input=u,
@@ -214,7 +232,7 @@ def trim(
         current_A=float(current),
         power_W=float(volts * current),
         constant_voltage_V=constant,
-        inside_map=inside_map(vehicle, x[18], x[19], climb),
+        inside_map=inside_map(vehicle, speed_up, speed_dw, climb),
     )
 
 
@@ -337,7 +355,7 @@ def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
     def acceleration(speed: NDArray[np.float64]) -> NDArray[np.float64]:
         x = initial_state(position=(0, 0, -1e3), rotor_speed=speed, charge=charge)
         derivative(x, full, calm, p, rates)
-        return rates[18:20].copy()
+        return rates[ROTOR_SPEEDS].copy()
 
     start = trim(vehicle, charge=0.5).rotor_speed
     up, dw = root(acceleration, start, tol=1e-10).x
@@ -361,6 +379,9 @@ def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
 
 STATES = ["x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r", "a_dw", "b_dw"]
 STATES += ["bar_roll", "bar_pitch", "Omega_dw", "Omega_up", "charge"]
+LX_POS, LX_VEL, LX_ATT, LX_RATES, LX_TILT_PITCH, LX_TILT_ROLL = 0, 3, 6, 9, 12, 13
+LX_BAR_ROLL, LX_BAR_PITCH, LX_SPEED_LOWER, LX_SPEED_UPPER, LX_CHARGE = 14, 15, 16, 17, 18
+"""Indices into :data:`STATES`, the first of each three for position, velocity, angles and rates."""
 INPUTS = ["motor_lower", "motor_upper", "servo_1", "servo_2"]
 _SCALE = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 400, 400, 1], dtype=np.float64)
 _RELATIVE_STEP = 1e-5
@@ -431,10 +452,10 @@ def linearise(vehicle: Vehicle, at: Trim | None = None, *, voltage: float | None
     point = trim(vehicle, voltage=voltage) if at is None else at
     p = model_parameters(vehicle, point.constant_voltage_V)
     full_state = point.state.copy()
-    full_state[2] = -1e3  # out of the floor's reach; nothing else depends on the place
-    heading = float(euler_from_quaternion(full_state[6:10])[2])
+    full_state[RS_POS + 2] = -1e3  # out of the floor's reach; nothing else depends on the place
+    heading = float(euler_from_quaternion(full_state[ATTITUDE])[2])
     x0 = _minimal(full_state, heading)
-    u0 = point.input[[1, 0, 2, 3]]
+    u0 = point.input[MOTORS_SWAPPED]
 
     def rates(x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
         return _minimal_rates(x, u, point.wind, p, heading)
@@ -487,29 +508,31 @@ def submodel(
 
 
 def _minimal(x: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
-    a = rotation(x[6:10])
+    a = rotation(x[ATTITUDE])
     c, s = np.cos(heading), np.sin(heading)
-    bar = np.array([c * x[15] + s * x[16], -s * x[15] + c * x[16], x[17]])
+    bar_n, bar_e, bar_d = x[BAR_NORMAL]
+    ahead, aside = c * bar_n + s * bar_e, -s * bar_n + c * bar_e
     return np.concatenate(
         [
-            x[0:3],
-            a.T @ x[3:6],
-            euler_from_quaternion(x[6:10]),
-            x[10:13],
-            [-x[14], x[13], np.arcsin(bar[1]), np.arctan2(-bar[0], -bar[2]), x[19], x[18], x[20]],
+            x[POSITION],
+            a.T @ x[VELOCITY],
+            euler_from_quaternion(x[ATTITUDE]),
+            x[RATES],
+            [-x[RS_SWASH_PITCH], x[RS_SWASH_ROLL], np.arcsin(aside), np.arctan2(-ahead, -bar_d)],
+            [x[RS_SPEED_LOWER], x[RS_SPEED_UPPER], x[RS_CHARGE]],
         ]
     )
 
 
 def _full(m: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
     x = np.empty(STATE_SIZE)
-    x[0:3] = m[0:3]
-    x[6:10] = quaternion_from_euler(m[6], m[7], m[8])
-    x[3:6] = rotation(x[6:10]) @ m[3:6]
-    x[10:13] = m[9:12]
-    x[13], x[14] = m[13], -m[12]
-    x[15:18] = -rotation(quaternion_from_euler(m[14], m[15], heading))[:, 2]
-    x[18], x[19], x[20] = m[17], m[16], m[18]
+    x[POSITION] = m[LX_POS:LX_VEL]
+    x[ATTITUDE] = quaternion_from_euler(*m[LX_ATT:LX_RATES])
+    x[VELOCITY] = rotation(x[ATTITUDE]) @ m[LX_VEL:LX_ATT]
+    x[RATES] = m[LX_RATES:LX_TILT_PITCH]
+    x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = m[LX_TILT_ROLL], -m[LX_TILT_PITCH]
+    x[BAR_NORMAL] = -rotation(quaternion_from_euler(m[LX_BAR_ROLL], m[LX_BAR_PITCH], heading))[:, 2]
+    x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], x[RS_CHARGE] = m[LX_SPEED_UPPER], m[LX_SPEED_LOWER], m[LX_CHARGE]
     return x
 
 
@@ -521,24 +544,25 @@ def _minimal_rates(
     Thesis: eqs 4.3, 4.4.
     """
     x, dx = _full(m, heading), np.empty(STATE_SIZE)
-    derivative(x, u[[1, 0, 2, 3]], wind, p, dx)
-    a = rotation(x[6:10])
-    phi, theta = m[6], m[7]
-    p_, q_, r_ = m[9:12]
+    derivative(x, u[MOTORS_SWAPPED], wind, p, dx)
+    a = rotation(x[ATTITUDE])
+    phi, theta = m[LX_ATT], m[LX_ATT + 1]
+    p_, q_, r_ = m[LX_RATES:LX_TILT_PITCH]
     turn = q_ * np.sin(phi) + r_ * np.cos(phi)
     euler_rates = [p_ + turn * np.tan(theta), q_ * np.cos(phi) - r_ * np.sin(phi), turn / np.cos(theta)]
     c, s = np.cos(heading), np.sin(heading)
-    bar_n, bar_e = c * dx[15] + s * dx[16], -s * dx[15] + c * dx[16]
-    eta, zeta = m[14], m[15]
+    bar_n, bar_e = c * dx[RS_BAR] + s * dx[RS_BAR + 1], -s * dx[RS_BAR] + c * dx[RS_BAR + 1]
+    eta, zeta = m[LX_BAR_ROLL], m[LX_BAR_PITCH]
     # From s = (-sin zeta cos eta, sin eta, -cos zeta cos eta).
     eta_rate = bar_e / np.cos(eta)
-    zeta_rate = (-bar_n * np.cos(zeta) + dx[17] * np.sin(zeta)) / np.cos(eta)
+    zeta_rate = (-bar_n * np.cos(zeta) + dx[RS_BAR + 2] * np.sin(zeta)) / np.cos(eta)
     return np.concatenate(
         [
-            dx[0:3],
-            a.T @ dx[3:6] - np.cross(m[9:12], m[3:6]),
+            dx[POSITION],
+            a.T @ dx[VELOCITY] - np.cross(m[LX_RATES:LX_TILT_PITCH], m[LX_VEL:LX_ATT]),
             euler_rates,
-            dx[10:13],
-            [-dx[14], dx[13], eta_rate, zeta_rate, dx[19], dx[18], dx[20]],
+            dx[RATES],
+            [-dx[RS_SWASH_PITCH], dx[RS_SWASH_ROLL], eta_rate, zeta_rate],
+            [dx[RS_SPEED_LOWER], dx[RS_SPEED_UPPER], dx[RS_CHARGE]],
         ]
     )

@@ -64,14 +64,32 @@ is too near to stand for a disc, the value there holds. Measured and computed cu
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.drive.train import armature_current, interpolate, rotor_acceleration, terminal_voltage
-from mufly.dynamics.state import initial_state, rotation
+from mufly.dynamics.state import (
+    ATTITUDE,
+    RS_ATT,
+    RS_BAR,
+    RS_CHARGE,
+    RS_POS,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    RS_VEL,
+    U_MOTOR_LOWER,
+    U_MOTOR_UPPER,
+    U_SERVO_1,
+    U_SERVO_2,
+    ModelParameters,
+    initial_state,
+    rotation,
+)
 from mufly.rotor.maps import at
 from mufly.rotor.maps import interpolate as maps_interpolate
 from mufly.units import GRAVITY
@@ -86,14 +104,13 @@ def _clip(value: float, low: float, high: float) -> float:
 
 
 @compiled(error_model="numpy")
-def battery_state(x: _Array, motor_up: float, motor_dw: float, p: Any) -> tuple[float, float]:
+def battery_state(x: _Array, motor_up: float, motor_dw: float, p: ModelParameters) -> tuple[float, float]:
     """Return terminal voltage (V) and supply current (A) for motor inputs 0..1 at state ``x``."""
     emf = p.kE * p.gear_ratio
     conductance = (motor_up * motor_up + motor_dw * motor_dw) / p.R_ohm
-    source = (motor_up * emf * x[18] + motor_dw * emf * x[19]) / p.R_ohm
-    voltage = terminal_voltage(
-        interpolate(p.battery_curve, x[20]), p.battery_resistance, conductance, source, p.electronics_current
-    )
+    source = (motor_up * emf * x[RS_SPEED_UPPER] + motor_dw * emf * x[RS_SPEED_LOWER]) / p.R_ohm
+    open_circuit = interpolate(p.battery_curve, x[RS_CHARGE])
+    voltage = terminal_voltage(open_circuit, p.battery_resistance, conductance, source, p.electronics_current)
     return voltage, p.electronics_current + conductance * voltage - source
 
 
@@ -118,7 +135,7 @@ def _inplane_drag(
 
 
 @compiled(error_model="numpy", forceinline=True)
-def derivative(x: _Array, u: _Array, wind: _Array, p: Any, dx: _Array) -> None:
+def derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx: _Array) -> None:
     """Write the time derivative of the state into ``dx``.
 
     Parameters
@@ -129,15 +146,14 @@ def derivative(x: _Array, u: _Array, wind: _Array, p: Any, dx: _Array) -> None:
         Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1); saturated here.
     wind : (3,) array
         Velocity of the air, N-E-D (m/s).
-    p : record of type ``PARAMETERS``
+    p : record of :class:`ModelParameters`
     dx : (21,) array
         Overwritten with dx/dt.
 
     Thesis: eqs 4.5 to 4.10, 4.13 to 4.23, 4.31.
     """
-    derivative_tilted(
-        x, u, wind, p, math.sin(x[13]), math.cos(x[13]), math.sin(x[14]), math.cos(x[14]), True, dx
-    )
+    a, b = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
+    derivative_tilted(x, u, wind, p, math.sin(a), math.cos(a), math.sin(b), math.cos(b), True, dx)
     if p.ground_effect > 0.0:
         _add_ground_effect(x, wind, p, dx)
 
@@ -148,7 +164,7 @@ def derivative_tilted(
     x: _Array,
     u: _Array,
     wind: _Array,
-    p: Any,
+    p: ModelParameters,
     sin_a: float,
     cos_a: float,
     sin_b: float,
@@ -161,16 +177,16 @@ def derivative_tilted(
     What runs on board has its own (:mod:`mufly.trigonometry`). Without ``floor`` none is touched.
     """
     # First of all, because what is in registers would not outlive the call.
+    speed_up, speed_dw = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER]
     kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
     if p.map_nodes > 0:
-        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(x[18], x[19], climb_velocity(x, wind), p)
-    motor_up, motor_dw = _clip(u[0], 0.0, 1.0), _clip(u[1], 0.0, 1.0)
-    servo_1, servo_2 = _clip(u[2], -1.0, 1.0), _clip(u[3], -1.0, 1.0)
-    qw, qx, qy, qz = x[6], x[7], x[8], x[9]
-    wx, wy, wz = x[10], x[11], x[12]
-    alpha, beta = x[13], x[14]
-    bar_n, bar_e, bar_d = x[15], x[16], x[17]
-    speed_up, speed_dw = x[18], x[19]
+        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
+    motor_up, motor_dw = _clip(u[U_MOTOR_UPPER], 0.0, 1.0), _clip(u[U_MOTOR_LOWER], 0.0, 1.0)
+    servo_1, servo_2 = _clip(u[U_SERVO_1], -1.0, 1.0), _clip(u[U_SERVO_2], -1.0, 1.0)
+    qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    wx, wy, wz = x[RS_RATES], x[RS_RATES + 1], x[RS_RATES + 2]
+    alpha, beta = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
+    bar_n, bar_e, bar_d = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
 
     # Attitude: columns are the body axes in N-E-D.
     a00, a01, a02 = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qw * qz), 2 * (qx * qz + qw * qy)
@@ -204,7 +220,7 @@ def derivative_tilted(
     fz_up = nz * thrust_up
 
     # Fuselage: velocity through the air in body axes.
-    air_n, air_e, air_d = x[3] - wind[0], x[4] - wind[1], x[5] - wind[2]
+    air_n, air_e, air_d = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1], x[RS_VEL + 2] - wind[2]
     air_x = a00 * air_n + a10 * air_e + a20 * air_d
     air_y = a01 * air_n + a11 * air_e + a21 * air_d
     air_z = a02 * air_n + a12 * air_e + a22 * air_d
@@ -227,7 +243,7 @@ def derivative_tilted(
     f_n = a00 * fx + a01 * fy + a02 * fz
     f_e = a10 * fx + a11 * fy + a12 * fz
     f_d = a20 * fx + a21 * fy + a22 * fz
-    if floor and x[2] + p.contact_reach > 0.0:
+    if floor and x[RS_POS + 2] + p.contact_reach > 0.0:
         c_n, c_e, c_d, c_mx, c_my, c_mz = contact_wrench(x, p)
         f_n += c_n
         f_e += c_e
@@ -236,31 +252,31 @@ def derivative_tilted(
         my += c_my
         mz += c_mz
 
-    dx[0], dx[1], dx[2] = x[3], x[4], x[5]
-    dx[3], dx[4], dx[5] = f_n / p.mass, f_e / p.mass, f_d / p.mass + GRAVITY
-    dx[6] = 0.5 * (-qx * wx - qy * wy - qz * wz)
-    dx[7] = 0.5 * (qw * wx + qy * wz - qz * wy)
-    dx[8] = 0.5 * (qw * wy - qx * wz + qz * wx)
-    dx[9] = 0.5 * (qw * wz + qx * wy - qy * wx)
-    dx[10] = (mx - (p.Izz - p.Iyy) * wy * wz) / p.Ixx
-    dx[11] = (my - (p.Ixx - p.Izz) * wz * wx) / p.Iyy
-    dx[12] = (mz - (p.Iyy - p.Ixx) * wx * wy) / p.Izz
+    dx[RS_POS], dx[RS_POS + 1], dx[RS_POS + 2] = x[RS_VEL], x[RS_VEL + 1], x[RS_VEL + 2]
+    dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] = f_n / p.mass, f_e / p.mass, f_d / p.mass + GRAVITY
+    dx[RS_ATT] = 0.5 * (-qx * wx - qy * wy - qz * wz)
+    dx[RS_ATT + 1] = 0.5 * (qw * wx + qy * wz - qz * wy)
+    dx[RS_ATT + 2] = 0.5 * (qw * wy - qx * wz + qz * wx)
+    dx[RS_ATT + 3] = 0.5 * (qw * wz + qx * wy - qy * wx)
+    dx[RS_RATES] = (mx - (p.Izz - p.Iyy) * wy * wz) / p.Ixx
+    dx[RS_RATES + 1] = (my - (p.Ixx - p.Izz) * wz * wx) / p.Iyy
+    dx[RS_RATES + 2] = (mz - (p.Iyy - p.Ixx) * wx * wy) / p.Izz
     # z_dw < 0: the tilt that pitches the nose down is negative in beta.
-    dx[13] = p.swash_rate * (p.swash_gain * servo_2 - alpha)
-    dx[14] = p.swash_rate * (-p.swash_gain * servo_1 - beta)
+    dx[RS_SWASH_ROLL] = p.swash_rate * (p.swash_gain * servo_2 - alpha)
+    dx[RS_SWASH_PITCH] = p.swash_rate * (-p.swash_gain * servo_1 - beta)
     along = -(a02 * bar_n + a12 * bar_e + a22 * bar_d)
-    dx[15] = p.bar_rate * (-a02 - along * bar_n)
-    dx[16] = p.bar_rate * (-a12 - along * bar_e)
-    dx[17] = p.bar_rate * (-a22 - along * bar_d)
-    dx[18], dx[19] = accel_up, accel_dw
-    dx[20] = -supply_current / p.battery_capacity
+    dx[RS_BAR] = p.bar_rate * (-a02 - along * bar_n)
+    dx[RS_BAR + 1] = p.bar_rate * (-a12 - along * bar_e)
+    dx[RS_BAR + 2] = p.bar_rate * (-a22 - along * bar_d)
+    dx[RS_SPEED_UPPER], dx[RS_SPEED_LOWER] = accel_up, accel_dw
+    dx[RS_CHARGE] = -supply_current / p.battery_capacity
 
 
 _LEAST_HEIGHT = 0.5  # over R, of a rotor whose ground effect is known
 
 
 @compiled(error_model="numpy")
-def ground_gain(thrust: float, height: float, across_squared: float, p: Any) -> float:
+def ground_gain(thrust: float, height: float, across_squared: float, p: ModelParameters) -> float:
     """Return what the floor adds to a rotor's thrust (N), at the hub's height (m) and (air velocity along it)^2."""
     if thrust <= 0.0:
         return 0.0
@@ -271,26 +287,28 @@ def ground_gain(thrust: float, height: float, across_squared: float, p: Any) -> 
 
 
 @compiled(error_model="numpy")
-def _add_ground_effect(x: _Array, wind: _Array, p: Any, dx: _Array) -> None:
+def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) -> None:
     """Add to the time derivative what the floor does to the rotors' thrust; see the module docstring."""
+    speed_up, speed_dw, height = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], -x[RS_POS + 2]
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
     if p.map_nodes > 0:
-        kT_up, kT_dw, _, _ = map_coefficients(x[18], x[19], climb_velocity(x, wind), p)
-    a = rotation(x[6:10])
-    v_n, v_e = x[3] - wind[0], x[4] - wind[1]
+        kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
+    a = rotation(x[ATTITUDE])
+    v_n, v_e = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1]
     across = v_n * v_n + v_e * v_e
-    up = ground_gain(kT_up * x[18] * x[18], -x[2] - a[2, 2] * p.z_up, across, p)
-    dw = ground_gain(kT_dw * x[19] * x[19], -x[2] - a[2, 2] * p.z_dw, across, p)
-    nx = p.bar_gain * (a[0, 0] * x[15] + a[1, 0] * x[16] + a[2, 0] * x[17])
-    ny = p.bar_gain * (a[0, 1] * x[15] + a[1, 1] * x[16] + a[2, 1] * x[17])
-    sin_b, cos_b = math.sin(x[14]), math.cos(x[14])
+    up = ground_gain(kT_up * speed_up * speed_up, height - a[2, 2] * p.z_up, across, p)
+    dw = ground_gain(kT_dw * speed_dw * speed_dw, height - a[2, 2] * p.z_dw, across, p)
+    nx = p.bar_gain * (a[0, 0] * x[RS_BAR] + a[1, 0] * x[RS_BAR + 1] + a[2, 0] * x[RS_BAR + 2])
+    ny = p.bar_gain * (a[0, 1] * x[RS_BAR] + a[1, 1] * x[RS_BAR + 1] + a[2, 1] * x[RS_BAR + 2])
+    alpha, beta = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
+    sin_b, cos_b = math.sin(beta), math.cos(beta)
     fx_up, fy_up, fz_up = up * nx, up * ny, -up * math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
-    fx_dw, fy_dw, fz_dw = -dw * sin_b, dw * cos_b * math.sin(x[13]), -dw * cos_b * math.cos(x[13])
+    fx_dw, fy_dw, fz_dw = -dw * sin_b, dw * cos_b * math.sin(alpha), -dw * cos_b * math.cos(alpha)
     fx, fy, fz = fx_up + fx_dw, fy_up + fy_dw, fz_up + fz_dw
     for k in range(3):
-        dx[3 + k] += (a[k, 0] * fx + a[k, 1] * fy + a[k, 2] * fz) / p.mass
-    dx[10] -= (p.z_up * fy_up + p.z_dw * fy_dw) / p.Ixx
-    dx[11] += (p.z_up * fx_up + p.z_dw * fx_dw) / p.Iyy
+        dx[RS_VEL + k] += (a[k, 0] * fx + a[k, 1] * fy + a[k, 2] * fz) / p.mass
+    dx[RS_RATES] -= (p.z_up * fy_up + p.z_dw * fy_dw) / p.Ixx
+    dx[RS_RATES + 1] += (p.z_up * fx_up + p.z_dw * fx_dw) / p.Iyy
 
 
 _STANDSTILL = 1e-3  # rad/s; below this a rotor makes no force that could be measured
@@ -299,14 +317,14 @@ _STANDSTILL = 1e-3  # rad/s; below this a rotor makes no force that could be mea
 @compiled(error_model="numpy")
 def climb_velocity(x: _Array, wind: _Array) -> float:
     """Return the velocity through the air along the mast, positive upwards (m/s), at state ``x``."""
-    qw, qx, qy, qz = x[6], x[7], x[8], x[9]
+    qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
     up_n, up_e, up_d = -2 * (qx * qz + qw * qy), -2 * (qy * qz - qw * qx), 2 * (qx * qx + qy * qy) - 1
-    return up_n * (x[3] - wind[0]) + up_e * (x[4] - wind[1]) + up_d * (x[5] - wind[2])
+    return up_n * (x[RS_VEL] - wind[0]) + up_e * (x[RS_VEL + 1] - wind[1]) + up_d * (x[RS_VEL + 2] - wind[2])
 
 
 @compiled(error_model="numpy")
 def map_coefficients(
-    speed_up: float, speed_dw: float, climb: float, p: Any
+    speed_up: float, speed_dw: float, climb: float, p: ModelParameters
 ) -> tuple[float, float, float, float]:
     """Return thrust over the speed's square (N s2) of upper and lower rotor, then torque (N m s2), by the map."""
     up, dw = abs(speed_up), abs(speed_dw)
@@ -325,7 +343,7 @@ def rotor_loads(p: np.void, speed_up: float, speed_dw: float, climb: float = 0.0
 
     Parameters
     ----------
-    p : record of type ``PARAMETERS``
+    p : record of :class:`ModelParameters`
     speed_up, speed_dw : float
         Rotor speeds (rad/s).
     climb : float
@@ -365,7 +383,7 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
 
     Parameters
     ----------
-    p : record of type ``PARAMETERS``
+    p : record of :class:`ModelParameters`
     name : str
         ``"thrust_up"``, ``"thrust_dw"``, ``"torque_up"`` or ``"torque_dw"``.
 
@@ -389,22 +407,22 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
 
 
 @compiled(error_model="numpy")
-def contact_wrench(x: _Array, p: Any) -> tuple[float, float, float, float, float, float]:
+def contact_wrench(x: _Array, p: ModelParameters) -> tuple[float, float, float, float, float, float]:
     """Return the force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
-    a = rotation(x[6:10])
+    a = rotation(x[ATTITUDE])
     f_n = f_e = f_d = m_x = m_y = m_z = 0.0
     for k in range(p.contact_count):
         rx, ry, rz = p.contact_points[k, 0], p.contact_points[k, 1], p.contact_points[k, 2]
-        depth = x[2] + a[2, 0] * rx + a[2, 1] * ry + a[2, 2] * rz
+        depth = x[RS_POS + 2] + a[2, 0] * rx + a[2, 1] * ry + a[2, 2] * rz
         if depth <= 0.0:
             continue
         # Velocity of the point: body v + W x r, in N-E-D.
-        vx = x[11] * rz - x[12] * ry
-        vy = x[12] * rx - x[10] * rz
-        vz = x[10] * ry - x[11] * rx
-        v_n = x[3] + a[0, 0] * vx + a[0, 1] * vy + a[0, 2] * vz
-        v_e = x[4] + a[1, 0] * vx + a[1, 1] * vy + a[1, 2] * vz
-        v_d = x[5] + a[2, 0] * vx + a[2, 1] * vy + a[2, 2] * vz
+        vx = x[RS_RATES + 1] * rz - x[RS_RATES + 2] * ry
+        vy = x[RS_RATES + 2] * rx - x[RS_RATES] * rz
+        vz = x[RS_RATES] * ry - x[RS_RATES + 1] * rx
+        v_n = x[RS_VEL] + a[0, 0] * vx + a[0, 1] * vy + a[0, 2] * vz
+        v_e = x[RS_VEL + 1] + a[1, 0] * vx + a[1, 1] * vy + a[1, 2] * vz
+        v_d = x[RS_VEL + 2] + a[2, 0] * vx + a[2, 1] * vy + a[2, 2] * vz
         normal = max(0.0, p.leg_stiffness * depth + p.leg_damping * v_d)
         rub = p.leg_friction * normal / math.sqrt(v_n * v_n + v_e * v_e + p.slip_speed * p.slip_speed)
         rub = min(rub, p.friction_bound[k])
@@ -422,13 +440,13 @@ def contact_wrench(x: _Array, p: Any) -> tuple[float, float, float, float, float
 
 
 @compiled(error_model="numpy")
-def lowest_point(x: _Array, p: Any) -> tuple[float, int]:
+def lowest_point(x: _Array, p: ModelParameters) -> tuple[float, int]:
     """Return depth below the floor (m; negative: above) and index of the lowest contact point."""
-    a = rotation(x[6:10])
+    a = rotation(x[ATTITUDE])
     depth, index = -math.inf, 0
     for k in range(p.contact_count):
         c = p.contact_points[k]
-        d = x[2] + a[2, 0] * c[0] + a[2, 1] * c[1] + a[2, 2] * c[2]
+        d = x[RS_POS + 2] + a[2, 0] * c[0] + a[2, 1] * c[1] + a[2, 2] * c[2]
         if d > depth:
             depth, index = d, k
     return depth, index

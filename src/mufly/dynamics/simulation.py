@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -42,7 +41,25 @@ from mufly.calling import lent
 from mufly.compiled import compiled
 from mufly.drive.train import RUBBING_FROM
 from mufly.dynamics.model import battery_state, coefficient_bounds, derivative
-from mufly.dynamics.state import INPUT_SIZE, STATE_SIZE, euler_from_quaternion, model_parameters
+from mufly.dynamics.state import (
+    ATTITUDE,
+    INPUT_SIZE,
+    MOTORS,
+    POSITION,
+    RATES,
+    ROTOR_SPEEDS,
+    RS_ATT,
+    RS_BAR,
+    RS_CHARGE,
+    RS_RATES,
+    RS_SPEED_UPPER,
+    SERVOS,
+    STATE_SIZE,
+    VELOCITY,
+    ModelParameters,
+    euler_from_quaternion,
+    model_parameters,
+)
 from mufly.errors import InputError
 from mufly.quantities import labelled
 from mufly.rotor.system import VORTEX_RING
@@ -55,7 +72,21 @@ DEFAULT_STEP_S = 1e-3
 
 
 @compiled(error_model="numpy")
-def advance(x: _Array, u: _Array, wind: _Array, p: Any, dt: float, steps: int) -> None:
+def normalise_state(x: _Array) -> None:
+    """Make attitude quaternion and bar's normal unit again, in place; charge does not fall below zero."""
+    w, a, b, c = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    q = 1.0 / math.sqrt(w * w + a * a + b * b + c * c)
+    for i in range(RS_ATT, RS_RATES):
+        x[i] *= q
+    n, e, d = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
+    s = 1.0 / math.sqrt(n * n + e * e + d * d)
+    for i in range(RS_BAR, RS_SPEED_UPPER):
+        x[i] *= s
+    x[RS_CHARGE] = max(x[RS_CHARGE], 0.0)
+
+
+@compiled(error_model="numpy")
+def advance(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: float, steps: int) -> None:
     """Integrate the state ``x`` in place over ``steps`` steps of ``dt`` with input and wind held.
 
     Parameters
@@ -66,7 +97,7 @@ def advance(x: _Array, u: _Array, wind: _Array, p: Any, dt: float, steps: int) -
         Motor upper, motor lower, servo 1, servo 2.
     wind : (3,) array
         N-E-D (m/s).
-    p : record of type ``PARAMETERS``
+    p : record of :class:`~mufly.dynamics.ModelParameters`
     dt : float
         Step (s).
     steps : int
@@ -87,17 +118,11 @@ def advance(x: _Array, u: _Array, wind: _Array, p: Any, dt: float, steps: int) -
         derivative(y, u, wind, p, k4)
         for i in range(x.shape[0]):  # by the table, which is held until here
             x[i] += dt / 6.0 * (work[0, i] + 2.0 * work[1, i] + 2.0 * work[2, i] + work[3, i])
-        q = 1.0 / math.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])
-        for i in range(6, 10):
-            x[i] *= q
-        s = 1.0 / math.sqrt(x[15] * x[15] + x[16] * x[16] + x[17] * x[17])
-        for i in range(15, 18):
-            x[i] *= s
-        x[20] = max(x[20], 0.0)
+        normalise_state(x)
 
 
 @compiled(parallel=True, error_model="numpy")
-def advance_batch(x: _Array, u: _Array, wind: _Array, p: Any, dt: float, steps: int) -> None:
+def advance_batch(x: _Array, u: _Array, wind: _Array, p: NDArray[np.void], dt: float, steps: int) -> None:
     """Integrate ``n`` vehicles in place, on all cores; see :func:`advance`.
 
     Parameters
@@ -106,7 +131,7 @@ def advance_batch(x: _Array, u: _Array, wind: _Array, p: Any, dt: float, steps: 
         States; overwritten.
     u : (n, 4) array
     wind : (n, 3) array
-    p : (n,) structured array of type ``PARAMETERS``
+    p : (n,) structured array of type :data:`~mufly.dynamics.PARAMETERS`
         One record a vehicle.
     dt : float
         Step (s).
@@ -125,7 +150,7 @@ def longest_step(p: np.void) -> float:
 
     Parameters
     ----------
-    p : record of type ``PARAMETERS``
+    p : record of :class:`~mufly.dynamics.ModelParameters`
     """
     return 2.7 / max(_fastest(p).values())
 
@@ -258,28 +283,28 @@ def state_dataset(
     time_s : (n,) array
     states : (n, 21) array
     inputs : (n, 4) array
-    p : record of type ``PARAMETERS``
+    p : record of :class:`~mufly.dynamics.ModelParameters`
 
     Returns
     -------
     xarray.Dataset
         Yaw is continuous over time.
     """
-    attitude = euler_from_quaternion(states[:, 6:10])
+    attitude = euler_from_quaternion(states[:, ATTITUDE])
     attitude[:, 2] = np.unwrap(attitude[:, 2])
-    duty = np.clip(inputs[:, 0:2], 0.0, 1.0)
+    duty = np.clip(inputs[:, MOTORS], 0.0, 1.0)
     voltage = np.array([battery_state(s, d[0], d[1], p)[0] for s, d in zip(states, duty, strict=True)])
 
     values = {
-        "truth_position": states[:, 0:3],
-        "truth_velocity": states[:, 3:6],
+        "truth_position": states[:, POSITION],
+        "truth_velocity": states[:, VELOCITY],
         "truth_attitude": attitude,
-        "truth_rates": states[:, 10:13],
-        "truth_rotor_speed": states[:, 18:20],
-        "motor_input": inputs[:, 0:2],
-        "servo_input": inputs[:, 2:4],
+        "truth_rates": states[:, RATES],
+        "truth_rotor_speed": states[:, ROTOR_SPEEDS],
+        "motor_input": inputs[:, MOTORS],
+        "servo_input": inputs[:, SERVOS],
         "battery_voltage": voltage,
-        "battery_charge": states[:, 20],
+        "battery_charge": states[:, RS_CHARGE],
     }
     return labelled(time_s, values)
 

@@ -1,26 +1,29 @@
-"""The state of the flight model, laid out in one flat array.
+"""The state of the flight model in one flat array, its input, and the record of the model's parameters.
 
-=====  ======================  ==============================================================================
-index  name                    meaning
-=====  ======================  ==============================================================================
-0:3    position                N, E, D of the centre of gravity (m)
-3:6    velocity                N, E, D (m/s)
-6:10   quaternion              attitude w, x, y, z: turns body vectors into N-E-D, unit length
-10:13  rates                   p, q, r (rad/s), body axes
-13     tilt_roll               alpha_dw, tilt of the lower tip-path plane about x (rad)
-14     tilt_pitch              beta_dw, tilt of the lower tip-path plane about y (rad)
-15:18  bar normal              upward normal of the stabiliser bar's disc in N-E-D, unit length
-18:20  rotor_speed             upper, lower (rad/s)
-20     charge                  fraction of the battery's charge that is left
-=====  ======================  ==============================================================================
+The state has the indices ``RS_...``; parts of several numbers have a slice, too:
 
-The input is ``[motor upper, motor lower, servo 1, servo 2]``: motors 0..1, servos -1..1. Positive servo 1 pitches
-the nose down, positive servo 2 rolls to the right (docs/thesis-errata.md, point 2).
+==================  ================  =======================================================================
+first index         slice             meaning
+==================  ================  =======================================================================
+``RS_POS``          ``POSITION``      N, E, D of the centre of gravity (m)
+``RS_VEL``          ``VELOCITY``      N, E, D (m/s)
+``RS_ATT``          ``ATTITUDE``      quaternion w, x, y, z: turns body vectors into N-E-D, unit length
+``RS_RATES``        ``RATES``         p, q, r (rad/s), body axes
+``RS_SWASH_ROLL``                     alpha_dw, tilt of the lower tip-path plane about x (rad)
+``RS_SWASH_PITCH``                    beta_dw, tilt of the lower tip-path plane about y (rad)
+``RS_BAR``          ``BAR_NORMAL``    upward normal of the stabiliser bar's disc in N-E-D, unit length
+``RS_SPEED_UPPER``  ``ROTOR_SPEEDS``  speeds of upper and, at ``RS_SPEED_LOWER``, lower rotor (rad/s)
+``RS_CHARGE``                         fraction of the battery's charge that is left
+==================  ================  =======================================================================
+
+The input is ``[motor upper, motor lower, servo 1, servo 2]``, with the indices ``U_...``: motors 0..1, servos -1..1.
+Positive servo 1 pitches the nose down, positive servo 2 rolls to the right (docs/thesis-errata.md, point 2).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any, cast
 
@@ -29,6 +32,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.compiled import compiled
 from mufly.errors import InputError
+from mufly.record_fields import int_field as _int
+from mufly.record_fields import real_field as _real
+from mufly.record_fields import record_fields, record_type
 from mufly.rotor.maps import at, packed
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
@@ -39,6 +45,14 @@ _Array = NDArray[np.float64]
 
 STATE_SIZE = 21
 INPUT_SIZE = 4
+RS_POS, RS_VEL, RS_ATT, RS_RATES, RS_SWASH_ROLL, RS_SWASH_PITCH = 0, 3, 6, 10, 13, 14
+RS_BAR, RS_SPEED_UPPER, RS_SPEED_LOWER, RS_CHARGE = 15, 18, 19, 20
+POSITION, VELOCITY, ATTITUDE = slice(RS_POS, RS_VEL), slice(RS_VEL, RS_ATT), slice(RS_ATT, RS_RATES)
+RATES, BAR_NORMAL = slice(RS_RATES, RS_SWASH_ROLL), slice(RS_BAR, RS_SPEED_UPPER)
+ROTOR_SPEEDS = slice(RS_SPEED_UPPER, RS_CHARGE)
+U_MOTOR_UPPER, U_MOTOR_LOWER, U_SERVO_1, U_SERVO_2 = range(INPUT_SIZE)
+MOTORS, SERVOS = slice(U_MOTOR_UPPER, U_SERVO_1), slice(U_SERVO_1, INPUT_SIZE)
+MOTORS_SWAPPED = [U_MOTOR_LOWER, U_MOTOR_UPPER, U_SERVO_1, U_SERVO_2]  # the order of the linear models
 
 
 @compiled(error_model="numpy")
@@ -134,14 +148,14 @@ def initial_state(
     """
     roll, pitch, yaw = np.asarray(attitude, dtype=np.float64)
     state = np.zeros(STATE_SIZE)
-    state[0:3] = position
-    state[3:6] = velocity
-    state[6:10] = quaternion_from_euler(roll, pitch, yaw)
-    state[10:13] = rates
+    state[POSITION] = position
+    state[VELOCITY] = velocity
+    state[ATTITUDE] = quaternion_from_euler(roll, pitch, yaw)
+    state[RATES] = rates
     bar_roll, bar_pitch = (roll, pitch) if bar_attitude is None else np.asarray(bar_attitude, np.float64)
-    state[15:18] = -rotation(quaternion_from_euler(float(bar_roll), float(bar_pitch), yaw))[:, 2]
-    state[18:20] = rotor_speed
-    state[20] = charge
+    state[BAR_NORMAL] = -rotation(quaternion_from_euler(float(bar_roll), float(bar_pitch), yaw))[:, 2]
+    state[ROTOR_SPEEDS] = rotor_speed
+    state[RS_CHARGE] = charge
     return state
 
 
@@ -157,75 +171,78 @@ _RIM_POINTS = 8
 _MAX_POINTS = MAX_LEGS + _RIM_POINTS
 _FASTEST_FRICTION = 2000.0  # 1/s, resolved by Runge-Kutta steps of 1 ms
 
-# Field, and the parameter of a vehicle file that it takes as it is; "" for what is worked out below, or a shape.
-_FIELDS: dict[str, str | tuple[int, ...]] = {
-    "mass": "body.mass",  # kg
-    "Ixx": "body.inertia_xx",  # kg m2
-    "Iyy": "body.inertia_yy",
-    "Izz": "body.inertia_zz",
-    "thrust_up": "",  # N s2, T = thrust_up * Omega^2
-    "thrust_dw": "",
-    "torque_up": "",  # N m s2, Q = torque_up * Omega^2
-    "torque_dw": "",
-    "inplane": "",  # N s2/m, H = inplane * Omega * V
-    "ground_effect": "rotors.ground_effect",  # 0: none, 1: Cheeseman and Bennett's, see mufly.dynamics.model
-    "ground_radius": "rotors.radius",  # m
-    "ground_disc": "",  # kg/m, thrust over the square of the velocity that it induces in hover
-    "z_up": "rotors.upper.hub_z",  # m, hub in body axes
-    "z_dw": "rotors.lower.hub_z",
-    "J_up": "rotors.upper.drive_inertia",  # kg m2, as the motor sees it
-    "J_dw": "rotors.lower.drive_inertia",
-    "Jreact_up": "rotors.upper.reaction_inertia",  # kg m2, reacting on the fuselage
-    "Jreact_dw": "rotors.lower.reaction_inertia",
-    "kE": "motor.back_emf_constant",  # V s
-    "kM": "motor.torque_constant",  # N m/A
-    "dR": "motor.friction",  # N m s
-    "Mf": "motor.friction_torque",  # N m
-    "R_ohm": "motor.resistance",  # ohm
-    "gear_ratio": "gear.ratio",
-    "gear_efficiency": "gear.efficiency",
-    "swash_rate": "",  # 1/s, 1 / T_f,dw
-    "swash_gain": "",  # rad at full servo input
-    "bar_rate": "",  # 1/s, 1 / T_f,up
-    "bar_gain": "stabiliser_bar.linkage",  # l_up
-    "downwash": "body.downwash_drag",  # N
-    "drag_x": "",  # N s2/m2, rho cD A / 2
-    "drag_y": "",
-    "drag_z": "",
-    "battery_capacity": "battery.capacity",  # A s
-    "battery_resistance": "",  # ohm
-    "electronics_current": "battery.electronics_current",  # A
-    "battery_curve": (_CURVE_POINTS,),  # V over charge 0..1
-    "leg_stiffness": "contact.stiffness",  # N/m
-    "leg_damping": "contact.damping",  # N s/m
-    "leg_friction": "contact.friction",
-    "slip_speed": "contact.slip_speed",  # m/s
-    "friction_bound": (_MAX_POINTS,),  # N s/m, see mufly.dynamics.model.contact_wrench
-    "contact_reach": "",  # m, farthest contact point from the centre of gravity
-    "contact_count": "",
-    "contact_points": (_MAX_POINTS, 3),  # m, body axes: legs first, then the rim of the upper rotor
-    # Coefficient map, see mufly.dynamics.model: what stands above as thrust_up ... torque_dw is not used with one.
-    "map_nodes": "",  # 0: no map
-    "map_size": (3,),  # mean speeds, ratios, climbs
-    "map_start": (3,),
-    "map_per_step": (3,),
-    "map_radius": "",  # m
-    "map_thrust_up": (MAP_NODES,),  # N s2
-    "map_torque_up": (MAP_NODES,),  # N m s2
-    "map_thrust_dw": (MAP_NODES,),
-    "map_torque_dw": (MAP_NODES,),
+
+class ModelParameters:
+    """Parameters of the equations of motion (:func:`model_parameters`), SI units.
+
+    Without a coefficient map its tables are zero; with one ``thrust_up`` to ``torque_dw`` are not used.
+    """
+
+    mass: float = _real("mass", unit="kg", source="body.mass")
+    Ixx: float = _real("moment of inertia about x", unit="kg m2", source="body.inertia_xx")
+    Iyy: float = _real("moment of inertia about y", unit="kg m2", source="body.inertia_yy")
+    Izz: float = _real("moment of inertia about z", unit="kg m2", source="body.inertia_zz")
+    thrust_up: float = _real("upper thrust over the speed's square", unit="N s2")
+    thrust_dw: float = _real("lower thrust over the speed's square", unit="N s2")
+    torque_up: float = _real("upper torque over the speed's square", unit="N m s2")
+    torque_dw: float = _real("lower torque over the speed's square", unit="N m s2")
+    inplane: float = _real("drag in a disc's plane over speed and edgewise velocity", unit="N s2/m")
+    ground_effect: float = _real("0: none, 1: Cheeseman and Bennett's", source="rotors.ground_effect")
+    ground_radius: float = _real("rotor radius", unit="m", source="rotors.radius")
+    ground_disc: float = _real("thrust over the square of the induced velocity", unit="kg/m")
+    z_up: float = _real("hub of the upper rotor, body axes", unit="m", source="rotors.upper.hub_z")
+    z_dw: float = _real("hub of the lower rotor, body axes", unit="m", source="rotors.lower.hub_z")
+    J_up: float = _real("inertia that the motor sees", unit="kg m2", source="rotors.upper.drive_inertia")
+    J_dw: float = _real("inertia that the motor sees", unit="kg m2", source="rotors.lower.drive_inertia")
+    Jreact_up: float = _real(
+        "inertia reacting on the fuselage", unit="kg m2", source="rotors.upper.reaction_inertia"
+    )
+    Jreact_dw: float = _real(
+        "inertia reacting on the fuselage", unit="kg m2", source="rotors.lower.reaction_inertia"
+    )
+    kE: float = _real("back-EMF constant", unit="V s", source="motor.back_emf_constant")
+    kM: float = _real("torque constant", unit="N m/A", source="motor.torque_constant")
+    dR: float = _real("viscous friction of a motor", unit="N m s", source="motor.friction")
+    Mf: float = _real("dry friction of a motor", unit="N m", source="motor.friction_torque")
+    R_ohm: float = _real("armature resistance", unit="ohm", source="motor.resistance")
+    gear_ratio: float = _real("motor speed over rotor speed", source="gear.ratio")
+    gear_efficiency: float = _real("efficiency of a gear", source="gear.efficiency")
+    swash_rate: float = _real("1 / T_f,dw", unit="1/s")
+    swash_gain: float = _real("tilt at full servo input", unit="rad")
+    bar_rate: float = _real("1 / T_f,up", unit="1/s")
+    bar_gain: float = _real("l_up", source="stabiliser_bar.linkage")
+    downwash: float = _real("drag in the downwash", unit="N", source="body.downwash_drag")
+    drag_x: float = _real("rho cD A / 2 along x", unit="N s2/m2")
+    drag_y: float = _real("rho cD A / 2 along y", unit="N s2/m2")
+    drag_z: float = _real("rho cD A / 2 along z", unit="N s2/m2")
+    battery_capacity: float = _real("charge of the full battery", unit="A s", source="battery.capacity")
+    battery_resistance: float = _real("internal resistance of the battery", unit="ohm")
+    electronics_current: float = _real("of the electronics", unit="A", source="battery.electronics_current")
+    battery_curve: _Array = _real("open-circuit voltage over charge 0..1", _CURVE_POINTS, unit="V")
+    leg_stiffness: float = _real("stiffness of a leg", unit="N/m", source="contact.stiffness")
+    leg_damping: float = _real("damping of a leg", unit="N s/m", source="contact.damping")
+    leg_friction: float = _real("coefficient of friction", source="contact.friction")
+    slip_speed: float = _real("where friction becomes Coulomb's", unit="m/s", source="contact.slip_speed")
+    friction_bound: _Array = _real("bound of each point's friction", _MAX_POINTS, unit="N s/m")
+    contact_reach: float = _real("farthest contact point from the centre of gravity", unit="m")
+    contact_count: int = _int("contact points")
+    contact_points: _Array = _real("legs, then the upper rotor's rim, body axes", _MAX_POINTS, 3, unit="m")
+    map_nodes: int = _int("nodes of a table of the coefficient map; 0: no map")
+    map_size: NDArray[np.int64] = _int("mean speeds, ratios, climbs of the map", 3)
+    map_start: _Array = _real("first of each", 3)
+    map_per_step: _Array = _real("inverse of the step of each", 3)
+    map_radius: float = _real("rotor radius", unit="m")
+    map_thrust_up: _Array = _real("upper thrust over the speed's square", MAP_NODES, unit="N s2")
+    map_torque_up: _Array = _real("upper torque over the speed's square", MAP_NODES, unit="N m s2")
+    map_thrust_dw: _Array = _real("lower thrust over the speed's square", MAP_NODES, unit="N s2")
+    map_torque_dw: _Array = _real("lower torque over the speed's square", MAP_NODES, unit="N m s2")
+
+
+_TAKEN = {
+    name: attrgetter(field.source) for name, field in record_fields(ModelParameters).items() if field.source
 }
-_TAKEN = {name: attrgetter(key) for name, key in _FIELDS.items() if key and isinstance(key, str)}
-PARAMETERS = np.dtype(
-    [
-        (
-            name,
-            np.int64 if name in ("contact_count", "map_nodes", "map_size") else np.float64,
-            source if isinstance(source, tuple) else (),
-        )
-        for name, source in _FIELDS.items()
-    ]
-)
+PARAMETERS = record_type(ModelParameters, int_kind=np.int64)
+"""Type of a record of :class:`ModelParameters`."""
 
 
 def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
@@ -302,7 +319,9 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
 
 
 def hover_speeds(
-    p: Any, thrust: ArrayLike | None = None, torque: ArrayLike | None = None
+    p: np.void | NDArray[Any] | Mapping[str, float],
+    thrust: ArrayLike | None = None,
+    torque: ArrayLike | None = None,
 ) -> NDArray[np.float64]:
     """Return the rotor speeds (upper, lower; rad/s; shape (..., 2)) in hover: eq. 5.1.
 

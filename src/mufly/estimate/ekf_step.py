@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
+from mufly.dynamics.state import RS_ATT, RS_BAR, RS_CHARGE, RS_POS, RS_RATES, RS_SPEED_LOWER, RS_SPEED_UPPER
 from mufly.estimate.fusion import (
     CLEAR,
     LEAST_FLOOR,
@@ -75,13 +76,6 @@ from mufly.estimate.layout import (
     R_SONAR,
     RF_ANG_ACCEL,
     RF_STATIC,
-    RS_ATT,
-    RS_BAR,
-    RS_CHARGE,
-    RS_POS,
-    RS_RATES,
-    RS_SPEED_LOWER,
-    RS_SPEED_UPPER,
     RUNNING,
     SETTLED,
     STANDING,

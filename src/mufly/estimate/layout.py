@@ -24,7 +24,6 @@ The error state has one number less, with the indices ``EX_...``: the attitude e
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -32,6 +31,9 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import GRAVITY, model_parameters, standing_height
 from mufly.dynamics.state import hover_speeds
+from mufly.record_fields import int_field as _int
+from mufly.record_fields import real_field as _real
+from mufly.record_fields import record_type
 from mufly.sensors import beam_directions, earth_field
 from mufly.sensors.ring_camera import MARGIN
 from mufly.vehicle import Vehicle
@@ -62,9 +64,6 @@ SX_POS, SX_VEL, SX_ATT, SX_GYRO_BIAS, SX_ACCEL_BIAS, SX_TERRAIN = 0, 3, 6, 10, 1
 SX_FIX_BIAS, SX_FIX_HEADING, SX_WIND, SX_THRUST_SCALE, SX_PRESSURE_BIAS, SX_MAG_BIAS = 17, 20, 21, 23, 24, 25
 EX_POS, EX_VEL, EX_ATT, EX_GYRO_BIAS, EX_ACCEL_BIAS, EX_TERRAIN = 0, 3, 6, 9, 12, 15
 EX_FIX_BIAS, EX_FIX_HEADING, EX_WIND, EX_THRUST_SCALE, EX_PRESSURE_BIAS, EX_MAG_BIAS = 16, 19, 20, 22, 23, 24
-RS_POS, RS_VEL, RS_ATT, RS_RATES, RS_SWASH_ROLL, RS_SWASH_PITCH = 0, 3, 6, 10, 13, 14
-RS_BAR, RS_SPEED_UPPER, RS_SPEED_LOWER, RS_CHARGE = 15, 18, 19, 20
-"""Indices of the flight model's state (:mod:`mufly.dynamics.state`), which the filter holds in body axes."""
 RF_STATIC, RF_REST, RF_SLOPE, RF_ANG_ACCEL = 0, 3, 6, 9
 ROTOR_FORCE = 12
 """A row of the rotor model, three numbers each: force per mass without motion through the air (m/s^2), the rest of the
@@ -106,33 +105,6 @@ TRANSITION = 33
 """Numbers of :func:`mufly.estimate.strapdown.error_transition`, and where its parts start."""
 TERMS = 8  # states of which a measurement tells at most
 MODELLED = 8  # periods for which forces of the model wait for the slower inertial unit
-
-
-@dataclass(frozen=True)
-class Field:
-    """A field of a record.
-
-    Attributes
-    ----------
-    shape : tuple
-        Of int, or of the name of a size that differs between boards.
-    is_int : bool
-        Whether it is a 32-bit integer; else it is a number of the filter's kind.
-    meaning, unit : str
-    """
-
-    shape: tuple[int | str, ...]
-    is_int: bool
-    meaning: str
-    unit: str = ""
-
-
-def _real(meaning: str, *shape: int | str, unit: str = "") -> Any:
-    return Field(shape, False, meaning, unit)
-
-
-def _int(meaning: str, *shape: int | str) -> Any:
-    return Field(shape, True, meaning)
 
 
 class FilterMemory:
@@ -346,34 +318,15 @@ class FilterSettings:
     imu_place: _Array = _real("place of the inertial unit, body axes", 3, unit="m")
 
 
-def record_fields(record: type) -> dict[str, Field]:
-    """Return the fields of :class:`FilterMemory` or :class:`FilterSettings` by name, in the order of the struct."""
-    return {name: field for name, field in vars(record).items() if isinstance(field, Field)}
-
-
-def _record_type(record: type, kind: Any, **sizes: int) -> np.dtype:
-    return np.dtype(
-        [
-            (
-                name,
-                np.int32 if field.is_int else kind,
-                tuple(sizes[n] if isinstance(n, str) else n for n in field.shape),
-            )
-            for name, field in record_fields(record).items()
-        ],
-        align=True,
-    )
-
-
 def memory_type(kind: Any = np.float64, kept: int = KEPT, waiting: int = WAITING) -> np.dtype:
     """Return the type of :class:`FilterMemory` in numbers of this kind, with room for so many blocks of input and
     waiting measurements."""
-    return _record_type(FilterMemory, kind, KEPT=kept, WAITING=waiting)
+    return record_type(FilterMemory, kind, KEPT=kept, WAITING=waiting)
 
 
 def settings_type(kind: Any = np.float64) -> np.dtype:
     """Return the type of :class:`FilterSettings` in numbers of this kind."""
-    return _record_type(FilterSettings, kind)
+    return record_type(FilterSettings, kind)
 
 
 # What is assumed beyond the vehicle's file (docs/estimation.md)
@@ -422,9 +375,9 @@ def filter_settings(
     sigma, tau = np.zeros(ERRORS), np.full(ERRORS, np.inf)
     walk = np.zeros(ERRORS)  # random walk on top (unit per sqrt(s))
     start = np.zeros(STATES)
-    start[6] = start[23] = 1.0
+    start[SX_ATT] = start[SX_THRUST_SCALE] = 1.0
     stands = standing_height(vehicle)
-    start[2] = -stands
+    start[SX_POS + 2] = -stands
     sigma[EX_POS : EX_POS + 2], sigma[EX_POS + 2], sigma[EX_VEL : EX_VEL + 3] = PLACE_M, 3e-3, 0.01
     level = LEVEL_RAD if sensing.imu is None else float(sensing.imu.level)
     sigma[EX_ATT : EX_ATT + 2], sigma[EX_ATT + 2] = level, math.pi

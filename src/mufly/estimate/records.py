@@ -13,27 +13,19 @@ from typing import Any
 import numpy as np
 
 from mufly.dynamics import model
-from mufly.dynamics.state import PARAMETERS, STATE_SIZE
+from mufly.dynamics.state import PARAMETERS, STATE_SIZE, ModelParameters
 from mufly.estimate import ekf_step, fusion, layout, output_predictor, sensor_checks, strapdown, ud_filter
+from mufly.record_fields import Field, record_fields
 from mufly.units import GRAVITY
 
 PYTHON_ALONE = (
     "rotation_work", "accel_work", "transition_work", "q_work", "w_work", "derivative_work", "no_wind",
 )  # fmt: skip
 """Last fields of the memory, which C has on its stack."""
-_MODEL_UNITS: dict[str, str] = {
-    **dict.fromkeys(("z_up", "z_dw", "map_radius"), "m"),
-    **dict.fromkeys(("Ixx", "Iyy", "Izz", "J_up", "J_dw", "Jreact_up", "Jreact_dw"), "kg m2"),
-    **dict.fromkeys(("thrust_up", "thrust_dw", "map_thrust_up", "map_thrust_dw"), "N s2"),
-    **dict.fromkeys(("torque_up", "torque_dw", "map_torque_up", "map_torque_dw"), "N m s2"),
-    **dict.fromkeys(("drag_x", "drag_y", "drag_z"), "N s2/m2"),
-    **dict.fromkeys(("swash_rate", "bar_rate"), "1/s"),
-    **dict.fromkeys(("R_ohm", "battery_resistance"), "ohm"),
-    "mass": "kg", "downwash": "N", "inplane": "N s2/m", "kE": "V s", "kM": "N m/A", "dR": "N m s", "Mf": "N m",
-    "swash_gain": "rad", "battery_capacity": "A s", "electronics_current": "A", "battery_curve": "V",
-}  # fmt: skip
-UNITS: dict[str, str] = _MODEL_UNITS | {
-    name: field.unit for name, field in layout.record_fields(layout.FilterSettings).items()
+UNITS: dict[str, str] = {
+    name: field.unit
+    for record in (ModelParameters, layout.FilterSettings)
+    for name, field in record_fields(record).items()
 }
 """Unit of each number of the settings and of the flight model, by the field's name; "" for none."""
 _GROUND = (
@@ -55,7 +47,7 @@ _MODULES: tuple[types.ModuleType, ...] = (
 )
 
 
-def model_type(p: Any, kind: Any = np.float64) -> np.dtype:
+def model_type(p: np.void | Mapping[str, int], kind: Any = np.float64) -> np.dtype:
     """Return the type of what the filter takes of the flight model's parameters, for a record of them."""
     nodes = max(int(p["map_nodes"]), 1)
     fields = []
@@ -67,7 +59,7 @@ def model_type(p: Any, kind: Any = np.float64) -> np.dtype:
     return np.dtype(fields, align=True)
 
 
-def model_record(p: Any, kind: Any = np.float64) -> np.ndarray:
+def model_record(p: np.void, kind: Any = np.float64) -> np.ndarray:
     """Return the flight model's parameters as the filter in C takes them."""
     out = np.zeros(1, model_type(p, kind))
     for name in out.dtype.names or ():
@@ -100,7 +92,7 @@ def _name(name: str) -> str:
     return plain + "_" if len(plain) == 1 else plain
 
 
-def records_h(p: Any, kept: int = layout.KEPT, waiting: int = layout.WAITING) -> str:
+def records_h(p: np.void | Mapping[str, int], kept: int = layout.KEPT, waiting: int = layout.WAITING) -> str:
     """Return ``records.h`` for a vehicle.
 
     Parameters
@@ -124,23 +116,22 @@ def records_h(p: Any, kept: int = layout.KEPT, waiting: int = layout.WAITING) ->
     sizes = {max(int(p["map_nodes"]), 1): "MAP_NODES"}
     memory = layout.memory_type(kept=kept, waiting=waiting)
     for name, record, fields in (
-        ("estimator_settings_t", layout.settings_type(), layout.record_fields(layout.FilterSettings)),
-        ("flight_model_t", model_type(p), {}),
-        ("estimator_t", memory, layout.record_fields(layout.FilterMemory)),
+        ("estimator_settings_t", layout.settings_type(), record_fields(layout.FilterSettings)),
+        ("flight_model_t", model_type(p), record_fields(ModelParameters)),
+        ("estimator_t", memory, record_fields(layout.FilterMemory)),
     ):
         lines += ["typedef struct {", *_members(record, sizes, fields), f"}} {name};", ""]
     return "\n".join([*lines, "#endif", ""])
 
 
-def _members(record: np.dtype, sizes: Mapping[int, str], fields: Mapping[str, layout.Field]) -> Iterator[str]:
+def _members(record: np.dtype, sizes: Mapping[int, str], fields: Mapping[str, Field]) -> Iterator[str]:
     for name in record.names or ():
         if name not in PYTHON_ALONE:
             field = record[name]
             kind = "int32_t" if field.base.kind == "i" else "real_t"
             extent = "".join(f"[{sizes.get(n, n)}]" for n in field.shape)
-            unit = UNITS.get(name, "") if name not in fields else fields[name].unit
-            said = f"{fields[name].meaning if name in fields else ''}{f' ({unit})' if unit else ''}".strip()
-            yield f"    {kind} {name}{extent};" + (f" /* {said} */" if said else "")
+            unit = f" ({fields[name].unit})" if fields[name].unit else ""
+            yield f"    {kind} {name}{extent}; /* {fields[name].meaning}{unit} */"
 
 
 def _constant(name: str, value: int | float | tuple[int, ...]) -> str:

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
+from mufly.dynamics.state import RS_SPEED_UPPER
 from mufly.estimate.layout import (
     EX_ATT,
     EX_GYRO_BIAS,
@@ -39,7 +40,6 @@ from mufly.estimate.layout import (
     R_ROTOR,
     R_SONAR,
     RF_ANG_ACCEL,
-    RS_SPEED_UPPER,
     SENSORS,
     STARTS,
     FilterMemory,

@@ -32,6 +32,16 @@ from numpy.typing import NDArray
 from mufly.compiled import compiled
 from mufly.dynamics import battery_state
 from mufly.dynamics.model import _clip, derivative_tilted
+from mufly.dynamics.state import (
+    RS_BAR,
+    RS_CHARGE,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    RS_VEL,
+)
 from mufly.estimate.layout import (
     IN_ACCEL,
     IN_PHASE,
@@ -44,14 +54,6 @@ from mufly.estimate.layout import (
     RF_REST,
     RF_SLOPE,
     RF_STATIC,
-    RS_BAR,
-    RS_CHARGE,
-    RS_RATES,
-    RS_SPEED_LOWER,
-    RS_SPEED_UPPER,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
-    RS_VEL,
     RUNNING,
     SX_ACCEL_BIAS,
     SX_ATT,

@@ -55,6 +55,10 @@ _UNITS = {q.name: q.units for q in QUANTITIES}
 OUTPUT_UNITS = {o: _UNITS[f"measured_{name}"] for name, parts in _SOURCES.items() for o, _, _ in parts}
 OUTPUT_UNITS |= {"voltage": _UNITS["battery_voltage"]}
 OUTPUTS = tuple(OUTPUT_UNITS)
+(
+    OUT_NORTH, OUT_EAST, OUT_HEIGHT, OUT_V_NORTH, OUT_V_EAST, OUT_CLIMB, OUT_ROLL, OUT_PITCH, OUT_YAW, OUT_P, OUT_Q,
+    OUT_R, OUT_SPEED_UP, OUT_SPEED_DW, OUT_VOLTAGE,
+) = range(len(OUTPUTS))  # fmt: skip
 _QUIET = {"height": 1e-3, "north": 1e-3, "east": 1e-3, "voltage": 1e-3}  # least noise that is believed, SI
 
 
@@ -262,6 +266,10 @@ def smoothed(y: Array, sample_s: float, span_s: float = 0.15, *, slope: bool = F
     return np.asarray(savgol_filter(y, width, 3, deriv=int(slope), delta=sample_s), dtype=np.float64)
 
 
+MO_POS, MO_VEL, MO_EULER, MO_RATES = 0, 3, 6, 9
+"""Where a row of motion starts with position and velocity N, E, D, with roll, pitch, yaw, with p, q, r."""
+
+
 def smoothed_motion(r: Record) -> Array:
     """Return position and velocity N, E, D, roll, pitch, yaw, p, q, r at every sample, (n, 12).
 
@@ -278,10 +286,13 @@ def smoothed_motion(r: Record) -> Array:
 
     # Columns of a value and of its rate, both names, and the spans of value, rate and slope (s).
     pairs = (
-        (0, 3, "north", "v_north", 0.3, 0.2, 0.5), (1, 4, "east", "v_east", 0.3, 0.2, 0.5),
-        (2, 5, "height", "climb", 0.3, 0.2, 0.5), (6, 9, "roll", "p", 0.15, 0.1, 0.25),
-        (7, 10, "pitch", "q", 0.15, 0.1, 0.25), (8, 11, "yaw", "r", 0.15, 0.1, 0.25),
-    )  # fmt: skip
+        (MO_POS, MO_VEL, "north", "v_north", 0.3, 0.2, 0.5),
+        (MO_POS + 1, MO_VEL + 1, "east", "v_east", 0.3, 0.2, 0.5),
+        (MO_POS + 2, MO_VEL + 2, "height", "climb", 0.3, 0.2, 0.5),
+        (MO_EULER, MO_RATES, "roll", "p", 0.15, 0.1, 0.25),
+        (MO_EULER + 1, MO_RATES + 1, "pitch", "q", 0.15, 0.1, 0.25),
+        (MO_EULER + 2, MO_RATES + 2, "yaw", "r", 0.15, 0.1, 0.25),
+    )
     for at, at_rate, name, rate_name, span_s, rate_span_s, slope_span_s in pairs:
         sign = -1.0 if name == "height" else 1.0
         value, rate = smooth(name, span_s), smooth(rate_name, rate_span_s)

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, lfilter
 
 from mufly.dynamics import DrydenWind, advance, battery_state, euler_from_quaternion, model_parameters, trim
+from mufly.dynamics.state import ATTITUDE, MOTORS, RS_POS, RS_RATES
 from mufly.identify.flight.fit import fit_flights
 from mufly.identify.flight.free import choose_free
 from mufly.identify.flight.search import Method, Progress
@@ -119,7 +120,7 @@ def fly_record(
     p, n = model_parameters(vehicle), len(excitation.motor)
     hover = trim(vehicle, charge=_CHARGE)
     x, wind = hover.state.copy(), np.zeros((n, 3)) if air is None else air.block(n)
-    x[2] = -_HEIGHT
+    x[RS_POS + 2] = -_HEIGHT
     std = np.array([NOISE[o] for o in _OUTPUTS])
     inputs, measured = np.empty((n, 4)), np.empty((n, len(_OUTPUTS)))
     controller = _Pid(hover.input)
@@ -129,11 +130,13 @@ def fly_record(
     yaw = 0.0
     for k in range(n):
         before = inputs[max(k - whole - 1, 0)] if k > whole else hover.input
-        roll, pitch, heading = euler_from_quaternion(x[6:10])
+        roll, pitch, heading = euler_from_quaternion(x[ATTITUDE])
         yaw += math.remainder(heading - yaw, 2 * math.pi)
         duty = np.clip(before[:2], 0.0, 1.0)
         volts = battery_state(x, duty[0], duty[1], p)[0]
-        truth = np.array([-x[2], roll, pitch, yaw, x[10], x[11], x[12], volts])
+        truth = np.array(
+            [-x[RS_POS + 2], roll, pitch, yaw, x[RS_RATES], x[RS_RATES + 1], x[RS_RATES + 2], volts]
+        )
         measured[k] = truth + std * rng.standard_normal(len(std))
         set_point = excitation.set_point[k] + [_HEIGHT, 0.0, 0.0, 0.0]
         inputs[k] = controller.step(measured[k], set_point, excitation.motor[k])
@@ -169,7 +172,7 @@ class _Pid:
         roll = 0.6 * off[1] - 0.05 * y[4] + 0.5 * self._sum[1]
         pitch = 0.6 * off[2] - 0.05 * y[5] + 0.5 * self._sum[2]
         u = self._hover + np.array([heave + turn, heave - turn, -pitch, roll])
-        u[:2] += motor
+        u[MOTORS] += motor
         return np.clip(u, [0.0, 0.0, -1.0, -1.0], 1.0)
 
 

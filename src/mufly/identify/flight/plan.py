@@ -57,6 +57,37 @@ from mufly.dynamics import (
     rotation,
     trim,
 )
+from mufly.dynamics.linearisation import (
+    LX_ATT,
+    LX_BAR_PITCH,
+    LX_BAR_ROLL,
+    LX_CHARGE,
+    LX_POS,
+    LX_RATES,
+    LX_SPEED_LOWER,
+    LX_SPEED_UPPER,
+    LX_TILT_PITCH,
+    LX_TILT_ROLL,
+    LX_VEL,
+)
+from mufly.dynamics.state import (
+    ATTITUDE,
+    MOTORS,
+    MOTORS_SWAPPED,
+    POSITION,
+    RATES,
+    RS_ATT,
+    RS_BAR,
+    RS_POS,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    RS_VEL,
+    SERVOS,
+    ModelParameters,
+)
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.identify.flight.free import Free, choose_free
 from mufly.identify.flight.problem import PART_OUTPUTS, Part, make_problem
@@ -93,17 +124,17 @@ class Limits:
 
     def used(self, states: Array, inputs: Array) -> tuple[Array, list[str]]:
         """Return the share of every limit that flights (b, n, ...) use, (b, limits), and the limits' names."""
-        angle = euler_from_quaternion(states[..., 6:10])
+        angle = euler_from_quaternion(states[..., ATTITUDE])
         heading = np.unwrap(angle[..., 2], axis=1)
-        at = states[..., 0:3] - states[:, :1, 0:3]
+        at = states[..., POSITION] - states[:, :1, POSITION]
         shares = {
             "attitude": np.abs(angle[..., :2]).max(axis=(1, 2)) / self.attitude_rad,
             "heading": np.abs(heading - heading[:, :1]).max(axis=1) / self.heading_rad,
-            "body rates": np.abs(states[..., 10:13]).max(axis=(1, 2)) / self.rates_rad_s,
+            "body rates": np.abs(states[..., RATES]).max(axis=(1, 2)) / self.rates_rad_s,
             "height": np.abs(at[..., 2]).max(axis=1) / self.height_m,
             "place": np.linalg.norm(at[..., :2], axis=2).max(axis=1) / self.place_m,
-            "motor input": np.abs(inputs[..., :2] - 0.5).max(axis=(1, 2)) / (0.5 - self.motor),
-            "servo input": np.abs(inputs[..., 2:]).max(axis=(1, 2)) / (1.0 - self.servo),
+            "motor input": np.abs(inputs[..., MOTORS] - 0.5).max(axis=(1, 2)) / (0.5 - self.motor),
+            "servo input": np.abs(inputs[..., SERVOS]).max(axis=(1, 2)) / (1.0 - self.servo),
         }
         table = np.column_stack(list(shares.values()))
         return np.where(np.isfinite(table), table, np.inf), list(shares)
@@ -163,7 +194,7 @@ def pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: float = 
     hover = trim(vehicle, charge=_CHARGE)
     full = linearise(vehicle, hover).full
     names = list(full.state_labels)
-    A, B = full.A, full.B[:, [1, 0, 2, 3]]
+    A, B = full.A, full.B[:, MOTORS_SWAPPED]
 
     def at(*states: str) -> list[int]:
         return [names.index(s) for s in states]
@@ -204,18 +235,22 @@ def _sampled(A: Array, B: Array, sample_s: float, late: int) -> tuple[Array, Arr
 @compiled(error_model="numpy")
 def _deviation(x: _Floats, hover: _Floats, height: float, yaw: float, off: _Floats) -> None:
     """Write the linear model's states but the charge, as deviations from the hover at the present heading."""
-    a = rotation(x[6:10])
+    a = rotation(x[ATTITUDE])
     roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
     c, s = math.cos(yaw), math.sin(yaw)
-    off[0], off[1], off[2] = c * x[0] + s * x[1], c * x[1] - s * x[0], x[2] + height
+    off[LX_POS] = c * x[RS_POS] + s * x[RS_POS + 1]
+    off[LX_POS + 1] = c * x[RS_POS + 1] - s * x[RS_POS]
+    off[LX_POS + 2] = x[RS_POS + 2] + height
     for k in range(3):
-        off[3 + k] = a[0, k] * x[3] + a[1, k] * x[4] + a[2, k] * x[5]
-        off[9 + k] = x[10 + k]
-    off[6], off[7], off[8] = roll, pitch, yaw
-    off[12], off[13] = -x[14] + hover[14], x[13] - hover[13]
-    off[14] = math.asin(min(max(c * x[16] - s * x[15], -1.0), 1.0))
-    off[15] = math.atan2(-(c * x[15] + s * x[16]), -x[17])
-    off[16], off[17] = x[19] - hover[19], x[18] - hover[18]
+        off[LX_VEL + k] = a[0, k] * x[RS_VEL] + a[1, k] * x[RS_VEL + 1] + a[2, k] * x[RS_VEL + 2]
+        off[LX_RATES + k] = x[RS_RATES + k]
+    off[LX_ATT], off[LX_ATT + 1], off[LX_ATT + 2] = roll, pitch, yaw
+    off[LX_TILT_PITCH] = -x[RS_SWASH_PITCH] + hover[RS_SWASH_PITCH]
+    off[LX_TILT_ROLL] = x[RS_SWASH_ROLL] - hover[RS_SWASH_ROLL]
+    off[LX_BAR_ROLL] = math.asin(min(max(c * x[RS_BAR + 1] - s * x[RS_BAR], -1.0), 1.0))
+    off[LX_BAR_PITCH] = math.atan2(-(c * x[RS_BAR] + s * x[RS_BAR + 1]), -x[RS_BAR + 2])
+    off[LX_SPEED_LOWER] = x[RS_SPEED_LOWER] - hover[RS_SPEED_LOWER]
+    off[LX_SPEED_UPPER] = x[RS_SPEED_UPPER] - hover[RS_SPEED_UPPER]
 
 
 @compiled(error_model="numpy")
@@ -225,7 +260,7 @@ def _fly(
     trimmed: _Floats,
     gain: _Floats,
     added: _Floats,
-    p: Any,
+    p: ModelParameters,
     late: int,
     dt: float,
     steps: int,
@@ -237,12 +272,13 @@ def _fly(
     n, calm, off, yaw = added.shape[0], np.zeros(3), np.zeros(gain.shape[1]), 0.0
     for k in range(n):
         states[k] = x
-        heading = math.atan2(2 * (x[6] * x[9] + x[7] * x[8]), 1 - 2 * (x[8] * x[8] + x[9] * x[9]))
+        qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+        heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
         yaw = heading + 2 * math.pi * round((yaw - heading) / (2 * math.pi))
         _deviation(x, hover, height, yaw, off)
         for j in range(late):
             for i in range(4):
-                off[18 + 4 * j + i] = inputs[k - 1 - j, i] - trimmed[i] if k > j else 0.0
+                off[LX_CHARGE + 4 * j + i] = inputs[k - 1 - j, i] - trimmed[i] if k > j else 0.0
         for i in range(4):
             u = trimmed[i] + added[k, i]
             for m in range(off.shape[0]):
@@ -260,7 +296,7 @@ def _fly_all(
     trimmed: _Floats,
     gain: _Floats,
     added: _Floats,
-    p: Any,
+    p: NDArray[np.void],
     late: int,
     dt: float,
     steps: int,
@@ -523,12 +559,13 @@ def _greatest(
 def _record(
     states: _Floats, inputs: _Floats, voltage: _Floats, time: _Floats, outputs: Sequence[str], name: str
 ) -> Record:
-    angle = euler_from_quaternion(states[:, 6:10])
+    angle = euler_from_quaternion(states[:, ATTITUDE])
     table = {
-        "north": states[:, 0], "east": states[:, 1], "height": -states[:, 2], "v_north": states[:, 3],
-        "v_east": states[:, 4], "climb": -states[:, 5], "roll": angle[:, 0], "pitch": angle[:, 1],
-        "yaw": np.unwrap(angle[:, 2]), "p": states[:, 10], "q": states[:, 11], "r": states[:, 12],
-        "speed_up": states[:, 18], "speed_dw": states[:, 19], "voltage": voltage,
+        "north": states[:, RS_POS], "east": states[:, RS_POS + 1], "height": -states[:, RS_POS + 2],
+        "v_north": states[:, RS_VEL], "v_east": states[:, RS_VEL + 1], "climb": -states[:, RS_VEL + 2],
+        "roll": angle[:, 0], "pitch": angle[:, 1], "yaw": np.unwrap(angle[:, 2]),
+        "p": states[:, RS_RATES], "q": states[:, RS_RATES + 1], "r": states[:, RS_RATES + 2],
+        "speed_up": states[:, RS_SPEED_UPPER], "speed_dw": states[:, RS_SPEED_LOWER], "voltage": voltage,
     }  # fmt: skip
     return Record(name, time, inputs, tuple(outputs), np.column_stack([table[o] for o in outputs]), voltage)
 

@@ -32,12 +32,13 @@ from dataclasses import replace as dataclasses_replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.dynamics.state import MOTORS, MOTORS_SWAPPED, ROTOR_SPEEDS, RS_ATT, RS_BAR, SERVOS, STATE_SIZE
 from mufly.identify.consistency import Finding, averaged, check_record, findings, refuse
 from mufly.identify.flight.free import numbers_at
 from mufly.identify.flight.problem import Prepared, make_problem
 from mufly.identify.flight.simulate import fly_batch, steady_speed
 from mufly.identify.linear.compatibility import rotation
-from mufly.identify.record import OUTPUTS, Record, difference_noise
+from mufly.identify.record import MO_EULER, MO_RATES, MO_VEL, OUTPUTS, Record, difference_noise
 from mufly.identify.result import coloured_covariance
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
@@ -103,32 +104,32 @@ def gains(vehicle: Vehicle, r: Record) -> tuple[dict[str, Gain], float]:
         return averaged(np.column_stack([0.5 * (y[1:] + y[:-1]) for y in made]), over)
 
     found: dict[str, Gain] = {}
-    turn = rotation(m[:, 6:9])
+    turn = rotation(m[:, MO_EULER:MO_RATES])
     load = (thrust.sum(axis=1) - p["downwash"]) / p["mass"]
     if has & {"height", "climb"}:
         slow = max(1, round(_HEAVE_SPAN_S / dt))  # heights are noisier than gyros
-        found["heave"] = _gain(change(-m[:, 5], slow), mean(load * turn[:, 2, 2], over=slow), dt)
+        found["heave"] = _gain(change(-m[:, MO_VEL + 2], slow), mean(load * turn[:, 2, 2], over=slow), dt)
     if has & {"yaw", "r"}:
-        found["yaw"] = _gain(change(m[:, 11]), mean((torque[:, 0] - torque[:, 1]) / p["Izz"]), dt)
+        found["yaw"] = _gain(change(m[:, MO_RATES + 2]), mean((torque[:, 0] - torque[:, 1]) / p["Izz"]), dt)
         if found["yaw"].sign == 0:  # the rotors differ, so that exchanged ones are not just the negative
-            _, _, other = _rotors(dataclasses_replace(f, inputs=f.inputs[:, [1, 0, 2, 3]]), dt)
-            if _gain(change(m[:, 11]), mean((other[:, 0] - other[:, 1]) / p["Izz"]), dt).sign == 1:
+            _, _, other = _rotors(dataclasses_replace(f, inputs=f.inputs[:, MOTORS_SWAPPED]), dt)
+            if _gain(change(m[:, MO_RATES + 2]), mean((other[:, 0] - other[:, 1]) / p["Izz"]), dt).sign == 1:
                 found["yaw"] = dataclasses_replace(found["yaw"], sign=-1)
-    arm = -p["z_dw"] * thrust[:, 1, None] * np.sin(p["swash_gain"] * np.clip(f.inputs[:, 2:], -1.0, 1.0))
+    arm = -p["z_dw"] * thrust[:, 1, None] * np.sin(p["swash_gain"] * np.clip(f.inputs[:, SERVOS], -1.0, 1.0))
     bar = np.einsum("nji,nj->ni", turn, _bar(f.mast, -np.expm1(-dt * p["bar_rate"])))
     lean = -p["z_up"] * p["bar_gain"] * thrust[:, :1] * bar[:, :2]
     if has & {"roll", "p"}:
         made = mean(arm[:, 1], arm[:, 0]) / p["Ixx"]
-        found["roll"] = _gain(change(m[:, 9]), made, dt, beside=mean(lean[:, 1]), crossed=True)
+        found["roll"] = _gain(change(m[:, MO_RATES]), made, dt, beside=mean(lean[:, 1]), crossed=True)
     if has & {"pitch", "q"}:
         made = mean(-arm[:, 0], -arm[:, 1]) / p["Iyy"]
-        found["pitch"] = _gain(change(m[:, 10]), made, dt, beside=mean(lean[:, 0]), crossed=True)
+        found["pitch"] = _gain(change(m[:, MO_RATES + 1]), made, dt, beside=mean(lean[:, 0]), crossed=True)
     if {"roll", "pitch", "yaw"} <= has:
         pull = -turn[:, :2, 2] * GRAVITY
         for k, (axis, needs) in enumerate((("north", {"north", "v_north"}), ("east", {"east", "v_east"}))):
             if has & needs:
                 found[axis] = _gain(
-                    change(m[:, 3 + k]), mean(pull[:, k], pull[:, 1 - k]), dt, crossed=True, lag_s=0.0
+                    change(m[:, MO_VEL + k]), mean(pull[:, k], pull[:, 1 - k]), dt, crossed=True, lag_s=0.0
                 )
     settled = min(round(_SETTLE_S / dt), len(m) // 2)
     return found, float(thrust[settled:].sum(axis=1).mean() / (p["mass"] * GRAVITY))
@@ -140,10 +141,10 @@ def _rotors(f: Prepared, dt: float) -> tuple[np.void, Array, Array]:
     starts = np.arange(
         0, len(f.inputs), max(1, round(0.5 / dt))
     )  # the vehicle may do what it wants in between
-    x = np.zeros((1, 21))
-    x[:, 6], x[:, 17] = 1.0, -1.0
-    first = f.inputs[: max(1, round(0.3 / dt)), :2].mean(axis=0)
-    x[:, 18:20] = steady_speed(p, np.clip(first, 0.0, 1.0), f.volts[0])
+    x = np.zeros((1, STATE_SIZE))
+    x[:, RS_ATT], x[:, RS_BAR + 2] = 1.0, -1.0
+    first = f.inputs[: max(1, round(0.3 / dt)), MOTORS].mean(axis=0)
+    x[:, ROTOR_SPEEDS] = steady_speed(p, np.clip(first, 0.0, 1.0), f.volts[0])
     codes = np.array([OUTPUTS.index("speed_up"), OUTPUTS.index("speed_dw")], dtype=np.int64)
     speed = fly_batch(
         x, p, f.inputs, sample_s=dt, codes=codes, starts=starts, motion=f.motion[starts][None], mast=f.mast

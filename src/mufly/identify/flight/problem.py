@@ -27,6 +27,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.dynamics.state import (
+    BAR_NORMAL,
+    MOTORS,
+    ROTOR_SPEEDS,
+    RS_ATT,
+    RS_CHARGE,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    STATE_SIZE,
+    U_SERVO_1,
+    U_SERVO_2,
+)
 from mufly.errors import ArgumentError, InputError
 from mufly.identify.flight.free import Free, batch_parameters, held_parameters, numbers_at, physical
 from mufly.identify.flight.simulate import (
@@ -35,7 +47,17 @@ from mufly.identify.flight.simulate import (
     hover,
     steady_speed,
 )
-from mufly.identify.record import OUTPUTS, Record, difference_noise, smoothed, smoothed_motion
+from mufly.identify.record import (
+    MO_EULER,
+    MO_POS,
+    MO_RATES,
+    MO_VEL,
+    OUTPUTS,
+    Record,
+    difference_noise,
+    smoothed,
+    smoothed_motion,
+)
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
@@ -50,12 +72,15 @@ PART_OUTPUTS: dict[str, tuple[str, ...]] = {
 }
 MOTION = ("north", "east", "down", "v_north", "v_east", "v_down", "roll", "pitch", "yaw", "p", "q", "r")
 ACTUATOR = ("speed_up", "speed_dw", "bar_roll", "bar_pitch", "charge")
+AC_BAR, AC_CHARGE = 2, 4  # indices into ACTUATOR
 # Spread of the start of a window about the smoothed measurement; speeds as a share of the steady speed.
 _SPREAD = np.array([1, 1, 1, 2, 2, 2, 0.5, 0.5, 0.5, 3, 3, 3, 0.2, 0.2, 0.2, 0.2, 0.3])
 # Motion that can be sought from an output; speeds and bar likewise.
 _SEEN_BY = {
-    "north": (0, 3), "east": (1, 4), "height": (2, 5), "v_north": (3,), "v_east": (4,), "climb": (5,),
-    "roll": (6, 9), "pitch": (7, 10), "yaw": (8, 11), "p": (9,), "q": (10,), "r": (11,),
+    "north": (MO_POS, MO_VEL), "east": (MO_POS + 1, MO_VEL + 1), "height": (MO_POS + 2, MO_VEL + 2),
+    "v_north": (MO_VEL,), "v_east": (MO_VEL + 1,), "climb": (MO_VEL + 2,),
+    "roll": (MO_EULER, MO_RATES), "pitch": (MO_EULER + 1, MO_RATES + 1), "yaw": (MO_EULER + 2, MO_RATES + 2),
+    "p": (MO_RATES,), "q": (MO_RATES + 1,), "r": (MO_RATES + 2,),
 }  # fmt: skip
 # Small enough that the bend of a whole record's valley does not show, and far above round-off.
 _DELTA_THETA, _DELTA_STATE = 1e-7, 1e-6
@@ -255,15 +280,15 @@ class Problem:
         if self.part == "roll-pitch":
             speeds, hold = hover(p)
         else:
-            first = f.inputs[: max(1, round(0.3 / r.sample_s)), :2].mean(axis=0)
+            first = f.inputs[: max(1, round(0.3 / r.sample_s)), MOTORS].mean(axis=0)
             speeds = steady_speed(p, np.clip(first, 0.0, 1.0), f.volts[0])
-        x = np.zeros((b, 21))
-        x[:, 6] = 1.0
-        x[:, 13] = p["swash_gain"] * np.clip(f.inputs[0, 3], -1, 1)
-        x[:, 14] = -p["swash_gain"] * np.clip(f.inputs[0, 2], -1, 1)
-        x[:, 15:18] = bar_normal(motion[:, 0, 6:9], actuator[:, 2:4])
-        x[:, 18:20] = speeds * np.maximum(1.0 + actuator[:, 0:2], 0.01)
-        x[:, 20] = np.clip(f.charge + actuator[:, 4], 0.0, 1.0)
+        x = np.zeros((b, STATE_SIZE))
+        x[:, RS_ATT] = 1.0
+        x[:, RS_SWASH_ROLL] = p["swash_gain"] * np.clip(f.inputs[0, U_SERVO_2], -1, 1)
+        x[:, RS_SWASH_PITCH] = -p["swash_gain"] * np.clip(f.inputs[0, U_SERVO_1], -1, 1)
+        x[:, BAR_NORMAL] = bar_normal(motion[:, 0, MO_EULER:MO_RATES], actuator[:, AC_BAR:AC_CHARGE])
+        x[:, ROTOR_SPEEDS] = speeds * np.maximum(1.0 + actuator[:, :AC_BAR], 0.01)
+        x[:, RS_CHARGE] = np.clip(f.charge + actuator[:, AC_CHARGE], 0.0, 1.0)
         codes = np.array([OUTPUTS.index(o) for o in r.outputs], dtype=np.int64)
         y = fly_batch(
             x, p, f.inputs, sample_s=r.sample_s, codes=codes, starts=f.starts, motion=motion, mast=f.mast,
@@ -333,7 +358,7 @@ class Problem:
         out = []
         for f in self.flights:
             p = numbers_at(f.base, f.powers, theta)
-            duty = np.clip(f.inputs[:, :2], 0.0, 1.0).mean(axis=0)
+            duty = np.clip(f.inputs[:, MOTORS], 0.0, 1.0).mean(axis=0)
             speed = steady_speed(p, duty, f.volts[1])
             weight = p["mass"] * GRAVITY + p["downwash"]
             up, dw = p["torque_up"] * speed[:, 0] ** 2, p["torque_dw"] * speed[:, 1] ** 2
@@ -395,7 +420,7 @@ def _prepared(
     u, motion, charge = r.inputs.copy(), smoothed_motion(r), 1.0
     if part == "heave-yaw":
         u[:, 2:] = 0.0
-        motion[:, [6, 7, 9, 10]] = 0.0
+        motion[:, [MO_EULER, MO_EULER + 1, MO_RATES, MO_RATES + 1]] = 0.0
     if volts is None:
         charge = _start_charge(vehicle, r)
     elif np.ndim(volts) > 0:
@@ -405,7 +430,7 @@ def _prepared(
         volts = top
     if part == "roll-pitch":
         volts, charge = _HELD_VOLTAGE, 1.0
-        motion[:, [0, 1, 2, 3, 4, 5, 8, 11]] = 0.0
+        motion[:, [*range(MO_EULER), MO_EULER + 2, MO_RATES + 2]] = 0.0
     if volts is None:
         known = np.full(2, float(vehicle.battery.nominal_voltage)) if r.voltage is None else r.voltage
         first = known[: max(1, round(0.3 / r.sample_s))]
@@ -414,7 +439,7 @@ def _prepared(
         constant = float(np.max(volts))
         held = (constant, constant)
     base, powers = batch_parameters(vehicle, free, constant)
-    mast = bar_normal(motion[:, 6:9], np.zeros((len(motion), 2)))
+    mast = bar_normal(motion[:, MO_EULER:MO_RATES], np.zeros((len(motion), 2)))
     none, begin = np.zeros(0, dtype=np.int64), np.zeros(len(MOTION) + len(ACTUATOR))
     return Prepared(
         r, difference_noise(r), motion, mast, u, base, powers, charge, constant, begin, held, none, none

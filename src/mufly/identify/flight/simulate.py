@@ -32,7 +32,6 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numba import prange
@@ -40,7 +39,43 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.dynamics.model import battery_state, derivative
-from mufly.dynamics.state import hover_speeds
+from mufly.dynamics.simulation import normalise_state
+from mufly.dynamics.state import (
+    BAR_NORMAL,
+    RS_ATT,
+    RS_BAR,
+    RS_POS,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    RS_VEL,
+    STATE_SIZE,
+    U_MOTOR_LOWER,
+    U_MOTOR_UPPER,
+    U_SERVO_1,
+    U_SERVO_2,
+    ModelParameters,
+    hover_speeds,
+)
+from mufly.identify.record import (
+    MO_EULER,
+    MO_RATES,
+    MO_VEL,
+    OUT_CLIMB,
+    OUT_EAST,
+    OUT_HEIGHT,
+    OUT_P,
+    OUT_PITCH,
+    OUT_R,
+    OUT_ROLL,
+    OUT_SPEED_DW,
+    OUT_SPEED_UP,
+    OUT_V_EAST,
+    OUT_V_NORTH,
+    OUT_YAW,
+)
 from mufly.study.sweeps import executor_of
 
 _CLUSTER: ContextVar[Executor | None] = ContextVar("cluster", default=None)
@@ -67,7 +102,7 @@ def _lag_line(z: float) -> tuple[float, float]:
 
 @compiled(error_model="numpy")
 def _integrate(
-    x: _Array, u: _Array, p: Any, length: float, longest: float, calm: _Array, work: _Array
+    x: _Array, u: _Array, p: ModelParameters, length: float, longest: float, calm: _Array, work: _Array
 ) -> None:
     """Integrate ``x`` in place over ``length`` seconds with the input held."""
     k1, k2, k3, k4, y = work[0], work[1], work[2], work[3], work[4]
@@ -75,37 +110,31 @@ def _integrate(
     h = length / steps
     decay = math.exp(-h * p.swash_rate)
     line, slope = _lag_line(h * p.swash_rate)
-    roll_in = p.swash_gain * min(max(u[3], -1.0), 1.0)
-    pitch_in = -p.swash_gain * min(max(u[2], -1.0), 1.0)
+    roll_in = p.swash_gain * min(max(u[U_SERVO_2], -1.0), 1.0)
+    pitch_in = -p.swash_gain * min(max(u[U_SERVO_1], -1.0), 1.0)
     for _ in range(steps):
-        roll_off, pitch_off = x[13] - roll_in, x[14] - pitch_in
-        x[13], x[14] = roll_in + line * roll_off, pitch_in + line * pitch_off
+        roll_off, pitch_off = x[RS_SWASH_ROLL] - roll_in, x[RS_SWASH_PITCH] - pitch_in
+        x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = roll_in + line * roll_off, pitch_in + line * pitch_off
         derivative(x, u, calm, p, k1)
-        for i in range(21):
+        for i in range(STATE_SIZE):
             y[i] = x[i] + 0.5 * h * k1[i]
-        y[13] = roll_in + (line + 0.5 * slope) * roll_off
-        y[14] = pitch_in + (line + 0.5 * slope) * pitch_off
+        y[RS_SWASH_ROLL] = roll_in + (line + 0.5 * slope) * roll_off
+        y[RS_SWASH_PITCH] = pitch_in + (line + 0.5 * slope) * pitch_off
         derivative(y, u, calm, p, k2)
-        for i in range(21):
+        for i in range(STATE_SIZE):
             y[i] = x[i] + 0.5 * h * k2[i]
-        y[13] = roll_in + (line + 0.5 * slope) * roll_off
-        y[14] = pitch_in + (line + 0.5 * slope) * pitch_off
+        y[RS_SWASH_ROLL] = roll_in + (line + 0.5 * slope) * roll_off
+        y[RS_SWASH_PITCH] = pitch_in + (line + 0.5 * slope) * pitch_off
         derivative(y, u, calm, p, k3)
-        for i in range(21):
+        for i in range(STATE_SIZE):
             y[i] = x[i] + h * k3[i]
-        y[13] = roll_in + (line + slope) * roll_off
-        y[14] = pitch_in + (line + slope) * pitch_off
+        y[RS_SWASH_ROLL] = roll_in + (line + slope) * roll_off
+        y[RS_SWASH_PITCH] = pitch_in + (line + slope) * pitch_off
         derivative(y, u, calm, p, k4)
-        for i in range(21):
+        for i in range(STATE_SIZE):
             x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
-        x[13], x[14] = roll_in + decay * roll_off, pitch_in + decay * pitch_off
-        n = 1.0 / math.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])
-        for i in range(6, 10):
-            x[i] *= n
-        n = 1.0 / math.sqrt(x[15] * x[15] + x[16] * x[16] + x[17] * x[17])
-        for i in range(15, 18):
-            x[i] *= n
-        x[20] = max(x[20], 0.0)
+        x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = roll_in + decay * roll_off, pitch_in + decay * pitch_off
+        normalise_state(x)
 
 
 @compiled(error_model="numpy")
@@ -113,47 +142,50 @@ def _set_attitude(x: _Array, roll: float, pitch: float, yaw: float) -> None:
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
     cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
     cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
-    x[6] = cr * cp * cy + sr * sp * sy
-    x[7] = sr * cp * cy - cr * sp * sy
-    x[8] = cr * sp * cy + sr * cp * sy
-    x[9] = cr * cp * sy - sr * sp * cy
+    x[RS_ATT] = cr * cp * cy + sr * sp * sy
+    x[RS_ATT + 1] = sr * cp * cy - cr * sp * sy
+    x[RS_ATT + 2] = cr * sp * cy + sr * cp * sy
+    x[RS_ATT + 3] = cr * cp * sy - sr * sp * cy
 
 
 @compiled(error_model="numpy")
-def _observe(x: _Array, u: _Array, p: Any, codes: NDArray[np.int64], last_yaw: float, y: _Array) -> float:
+def _observe(
+    x: _Array, u: _Array, p: ModelParameters, codes: NDArray[np.int64], last_yaw: float, y: _Array
+) -> float:
     """Write the outputs with these codes (positions in ``OUTPUTS``) into ``y``; return the continuous yaw."""
-    w, i, j, k = x[6], x[7], x[8], x[9]
+    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
     yaw = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
     yaw += 2 * math.pi * round((last_yaw - yaw) / (2 * math.pi))
     for c in range(codes.shape[0]):
         code = codes[c]
-        if code <= 1:
-            y[c] = x[code]
-        elif code == 2:
-            y[c] = -x[2]
-        elif code <= 4:
-            y[c] = x[code]
-        elif code == 5:
-            y[c] = -x[5]
-        elif code == 6:
+        if code <= OUT_EAST:
+            y[c] = x[RS_POS + code]
+        elif code == OUT_HEIGHT:
+            y[c] = -x[RS_POS + 2]
+        elif code <= OUT_V_EAST:
+            y[c] = x[RS_VEL + code - OUT_V_NORTH]
+        elif code == OUT_CLIMB:
+            y[c] = -x[RS_VEL + 2]
+        elif code == OUT_ROLL:
             y[c] = math.atan2(2 * (w * i + j * k), 1 - 2 * (i * i + j * j))
-        elif code == 7:
+        elif code == OUT_PITCH:
             y[c] = math.asin(min(max(2 * (w * j - k * i), -1.0), 1.0))
-        elif code == 8:
+        elif code == OUT_YAW:
             y[c] = yaw
-        elif code <= 11:
-            y[c] = x[code + 1]
-        elif code <= 13:
-            y[c] = x[code + 6]
+        elif code <= OUT_R:
+            y[c] = x[RS_RATES + code - OUT_P]
+        elif code <= OUT_SPEED_DW:
+            y[c] = x[RS_SPEED_UPPER + code - OUT_SPEED_UP]
         else:
-            y[c] = battery_state(x, min(max(u[0], 0.0), 1.0), min(max(u[1], 0.0), 1.0), p)[0]
+            upper, lower = min(max(u[U_MOTOR_UPPER], 0.0), 1.0), min(max(u[U_MOTOR_LOWER], 0.0), 1.0)
+            y[c] = battery_state(x, upper, lower, p)[0]
     return yaw
 
 
 @compiled(error_model="numpy")
 def _fly(
     x: _Array,
-    p: Any,
+    p: ModelParameters,
     u: _Array,
     motor_hold: _Array,
     delay: float,
@@ -167,7 +199,7 @@ def _fly(
     y: _Array,
 ) -> None:
     n = u.shape[0]
-    work = np.empty((5, 21))
+    work = np.empty((5, STATE_SIZE))
     calm = np.zeros(3)
     now, before = np.empty(4), np.empty(4)
     # Rounding must not make a piece of no length; yet a nanosecond counts, derivatives are taken with it.
@@ -175,8 +207,8 @@ def _fly(
     part = max(delay - whole * dt, 0.0)
     part = 0.0 if part < 1e-13 else part
     last_yaw, window = 0.0, 0
-    bar = x[15:18].copy()
-    there, slope = np.empty(21), np.empty(21)
+    bar = x[BAR_NORMAL].copy()
+    there, slope = np.empty(STATE_SIZE), np.empty(STATE_SIZE)
     v_n = v_e = 0.0
     follow = -math.expm1(-dt * p.bar_rate)
     for k in range(n):
@@ -185,19 +217,19 @@ def _fly(
                 bar[i] += follow * (0.5 * (mast[k - 1, i] + mast[k, i]) - bar[i])
         if window < starts.shape[0] and starts[window] == k:
             s = motion[window]
-            for i in range(6):
+            for i in range(MO_EULER):
                 x[i] = s[i]
-            _set_attitude(x, s[6], s[7], s[8])
-            x[10], x[11], x[12] = s[9], s[10], s[11]
-            last_yaw = s[8]
+            _set_attitude(x, s[MO_EULER], s[MO_EULER + 1], s[MO_EULER + 2])
+            x[RS_RATES], x[RS_RATES + 1], x[RS_RATES + 2] = s[MO_RATES], s[MO_RATES + 1], s[MO_RATES + 2]
+            last_yaw = s[MO_EULER + 2]
             if k == 0:
-                v_n, v_e = x[3], x[4]
+                v_n, v_e = x[RS_VEL], x[RS_VEL + 1]
             elif path.shape[0] > 0:
-                x[3], x[4] = v_n, v_e
+                x[RS_VEL], x[RS_VEL + 1] = v_n, v_e
             if k > 0:
                 length = 1.0 / math.sqrt(bar[0] ** 2 + bar[1] ** 2 + bar[2] ** 2)
                 for i in range(3):
-                    x[15 + i] = length * bar[i]
+                    x[RS_BAR + i] = length * bar[i]
             window += 1
         for i in range(4):
             now[i], before[i] = u[max(k - whole, 0), i], u[max(k - whole - 1, 0), i]
@@ -208,20 +240,21 @@ def _fly(
         if k + 1 == n:
             return
         if path.shape[0] > 0:
-            for i in range(21):
+            for i in range(STATE_SIZE):
                 there[i] = x[i]
-            there[3], there[4], there[5] = v_n, v_e, path[k, 5]
-            _set_attitude(there, path[k, 6], path[k, 7], path[k, 8])
+            there[RS_VEL], there[RS_VEL + 1], there[RS_VEL + 2] = v_n, v_e, path[k, MO_VEL + 2]
+            _set_attitude(there, path[k, MO_EULER], path[k, MO_EULER + 1], path[k, MO_EULER + 2])
             for i in range(3):
-                there[10 + i], there[15 + i] = path[k, 9 + i], bar[i]
+                there[RS_RATES + i], there[RS_BAR + i] = path[k, MO_RATES + i], bar[i]
             derivative(there, now, calm, p, slope)
-            v_n += dt * slope[3]
-            v_e += dt * slope[4]
+            v_n += dt * slope[RS_VEL]
+            v_e += dt * slope[RS_VEL + 1]
         if part > 0.0:
             _integrate(x, before, p, part, longest, calm, work)
         _integrate(x, now, p, dt - part, longest, calm, work)
         # A comparison with NaN is false.
-        if not (abs(x[10]) + abs(x[11]) + abs(x[12]) < 1e3 and abs(x[5]) < 1e4 and x[18] + x[19] < 1e5):
+        turning = abs(x[RS_RATES]) + abs(x[RS_RATES + 1]) + abs(x[RS_RATES + 2])
+        if not (turning < 1e3 and abs(x[RS_VEL + 2]) < 1e4 and x[RS_SPEED_UPPER] + x[RS_SPEED_LOWER] < 1e5):
             y[k + 1 :, :] = _LOST
             return
 
@@ -229,7 +262,7 @@ def _fly(
 @compiled(parallel=True, error_model="numpy")
 def _fly_batch(
     x: _Array,
-    p: Any,
+    p: NDArray[np.void],
     u: _Array,
     motor_hold: _Array,
     delay: _Array,
