@@ -7,8 +7,6 @@ The folder knows the question, not the program: empty it after the wake method h
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -18,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from rotor_cases import blading_of
 
+from mufly.answer_store import hash_question, read_answer, write_answer
 from mufly.errors import MuflyError
 from mufly.rotor import Air, Blading, Condition, Result, System, polars, prepare, replace_rotor, solve
 from mufly.rotor.wake import WakeSettings
@@ -61,20 +60,18 @@ class Solver:
         self.folder = folder
         self.wakes: dict[str, Result] = {}
         self.broken: list[str] = []
-        if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
 
     def _kept(self, question: object, family: str, solved: Callable[[], Result]) -> Answer:
-        key = json.dumps(question, sort_keys=True, default=str)
-        path = self.folder and self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"
-        if path and path.is_file():
-            kept = json.loads(path.read_text())["answer"]
+        key = hash_question(question)
+        path = self.folder and self.folder / f"{key[:24]}.json"
+        kept = read_answer(path, key) if path else None
+        if kept is not None:
             return Answer(**{k: tuple(v) if isinstance(v, list) else v for k, v in kept.items()})
         begin = time.perf_counter()
         try:
             found = solved()
         except MuflyError as error:
-            self.broken.append(f"{key}: {error}")
+            self.broken.append(f"{question}: {error}")
             return FAILED
         rotors = found.rotors
         assert found.settings is not None
@@ -86,9 +83,9 @@ class Solver:
         if found.converged:
             self.wakes[family] = found
         else:
-            self.broken.append(f"{key}: {found.message}")
+            self.broken.append(f"{question}: {found.message}")
         if path:
-            path.write_text(json.dumps({"question": question, "answer": asdict(answer)}, default=str))
+            write_answer(path, key, asdict(answer))
         print(f"  {family} {answer.iterations} iterations, {answer.seconds:.1f} s", file=sys.stderr)
         return answer
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mufly.answer_store import cache_folder
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
     Condition,
@@ -24,7 +25,7 @@ from mufly.rotor import (
     prepare,
     solve,
 )
-from mufly.rotor.sections import neural, section
+from mufly.rotor.sections import neural
 from mufly.rotor.sections.engines import REYNOLDS
 from mufly.rotor.sections.polar_table import ALPHA_GRID, extend, plate_drag
 from mufly.rotor.sections.section import SectionData
@@ -280,7 +281,7 @@ def test_broken_or_absent_cache_is_no_obstacle(monkeypatch, tmp_path):
     monkeypatch.setenv("MUFLY_CACHE", str(blocked))
     assert np.array_equal(polar("naca2410", reynolds=FEW).cl, good.cl)
     monkeypatch.setenv("MUFLY_CACHE", "off")
-    assert section.cache_folder() is None
+    assert cache_folder("polars") is None
     assert np.array_equal(polar("naca2410", reynolds=FEW).cl, good.cl)
     assert not list((tmp_path / "polars").glob("*.part"))
 

@@ -405,6 +405,7 @@ def coax_map(
     again. Blade elements take seconds, wakes minutes.
     Example: mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
+    from mufly.answer_store import replace_file
     from mufly.rotor import Air, climb_ratios, load_rotor, map_picture
     from mufly.rotor.maps import coax_map as compute
     from mufly.rotor.wake import WakeSettings
@@ -443,9 +444,8 @@ def coax_map(
         raise
     files = []
     if out is not None:
-        partial = out.with_suffix(".toml.part")
-        partial.write_text(map_toml(made), encoding="utf-8")
-        partial.replace(out)
+        with replace_file(out) as part:
+            part.write_text(map_toml(made), encoding="utf-8")
         files = [out, save_picture(map_picture(made), out.parent, out.stem)]
     content = {**made.model_dump(exclude={"table"}), **made.tables()._asdict()}
     answer(as_json, lambda: content, lambda: _print_map(made), files)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from mufly.answer_store import AnswerLines
 from mufly.errors import InputError
 from mufly.mission import Mission, check_geometry
 from mufly.results import plain
@@ -96,27 +96,19 @@ def kept_flights(
     InputError
         If the file holds something else.
     """
-    there: dict[tuple[str, int], One] = {}
-    if keep is not None and keep.exists():
-        for number, line in enumerate(keep.read_text(encoding="utf-8").splitlines(), 1):
-            try:
-                row = json.loads(line)
-                name = str(row.pop("asked"))
-                there[name, int(row["seed"])] = kind(**row)
-            except (ValueError, KeyError, TypeError, AttributeError):
-                raise InputError(
-                    str(keep), f"line {number}", "is no result of these flights", "give a new file"
-                ) from None
+
+    def read(row: Any) -> tuple[tuple[str, int], One]:
+        name = str(row.pop("asked"))
+        return (name, int(row["seed"])), kind(**row)
+
+    kept = AnswerLines(keep, read, damaged=("is no result of these flights", "give a new file"))
     results = []
     for name, seed in asked:
-        one = there.get((name, seed))
-        if one is None:
+        if (name, seed) not in kept.known:
             one = fly(name, seed)
             gc.collect()  # a flight's recording hangs in a ring of few, great objects: 5 MB each until someone looks
-            if keep is not None:
-                with keep.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"asked": name, **plain(one)}) + "\n")
-        results.append(one)
+            kept.add((name, seed), one, {"asked": name, **plain(one)})
+        results.append(kept.known[name, seed])
         if on_flight is not None:
-            on_flight(one)
+            on_flight(results[-1])
     return results

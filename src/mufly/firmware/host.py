@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import subprocess
 import tempfile
 from pathlib import Path
@@ -13,6 +12,7 @@ import cffi
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.answer_store import replace_file
 from mufly.control import FlightController
 from mufly.estimate import Estimate
 from mufly.firmware.tables import copy_sources, tables_c, write_tree
@@ -70,9 +70,8 @@ def _of_any() -> tuple[cffi.FFI, Any]:
         library = kept_library("firmware", {**files, "tables.c": _NO_TABLES})
         words = library.with_suffix(".h")
         if not words.exists():
-            made = words.with_suffix(f".{os.getpid()}")
-            made.write_text(declarations(tree), encoding="utf-8")
-            os.replace(made, words)
+            with replace_file(words) as made:
+                made.write_text(declarations(tree), encoding="utf-8")
     ffi = cffi.FFI()
     ffi.cdef(words.read_text(encoding="utf-8"))
     return ffi, ffi.dlopen(str(library))

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 import json
-import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, timedelta
@@ -19,6 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from mufly.answer_store import replace_file
 from mufly.errors import ArgumentError, InputError
 from mufly.logs.crazyflie import looks_like_crazyflie, read_crazyflie
 from mufly.logs.dataflash import MAGIC as DATAFLASH_MAGIC
@@ -498,14 +498,6 @@ def write_log(dataset: xr.Dataset, path: str | Path) -> Path:
     if writer is None:
         problem = f"the ending {target.suffix!r} says nothing"
         raise InputError(str(path), "", problem, f"use one of: {', '.join(FORMATS)}")
-    part = target.with_name(f".{target.name}.part")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+    with replace_file(target, "choose another place or make room") as part:
         writer(dataset, part)
-        os.replace(part, target)
-    except OSError as error:
-        problem = f"cannot be written ({error.strerror or error})"
-        raise InputError(str(path), "", problem, "choose another place or make room") from error
-    finally:
-        part.unlink(missing_ok=True)
     return target

@@ -22,10 +22,7 @@ changes, straight lines. Beyond its edges a map keeps the value that it has ther
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import os
 import warnings
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -35,6 +32,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.answer_store import AnswerLines, hash_question
 from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.blading import Blading
@@ -154,7 +152,10 @@ def coax_map(
     }
     check_pitch("coax map", "pitch_rad", [upper_pitch_rad, lower_pitch_rad])
     system = System.coaxial(upper, lower, spacing_m=spacing_m)
-    store = _Kept(kept, {**about, "axes": [a.tolist() for a in axes], "blades": _blades(upper, lower)})
+    store: AnswerLines[Values] = AnswerLines(
+        kept, lambda row: (tuple(row[0]), tuple(row[1])), other=_OTHER_MAP,
+        question=hash_question(about, *axes, _blades(upper, lower)),
+    )  # fmt: skip
     points = map_points(shape)
     values = np.full((*shape, 4), np.nan)
     solved = np.zeros(shape, dtype=np.bool_)
@@ -177,7 +178,7 @@ def coax_map(
             except MuflyError as error:
                 reason, last = str(error), None
                 answer = (math.nan, math.nan, math.nan, math.nan, False)
-            store.add(point, answer)
+            store.add(point, answer, [point, answer])
         values[point], solved[point] = answer[:4], answer[4] and np.all(np.isfinite(answer[:4]))
     if progress is not None:
         progress(len(points), len(points))
@@ -282,55 +283,16 @@ def _filled(values: Array, solved: NDArray[np.bool_]) -> Array:
 
 def _blades(*bladings: Blading) -> str:
     """Hash of what is solved: blades and polars."""
-    h = hashlib.sha256()
+    parts: list[object] = []
     for b in bladings:
-        for part in (b.r_m, b.chord_m, b.twist_rad, b.polars.grid, b.blades):
-            h.update(np.ascontiguousarray(part).tobytes())
-        h.update(repr(b.corrections).encode())
-    return h.hexdigest()
+        parts += [b.r_m, b.chord_m, b.twist_rad, b.polars.grid, b.blades, repr(b.corrections)]
+    return hash_question(*parts)
 
 
-class _Kept:
-    """Solved points on disk: a line of JSON each, after one that says what they belong to."""
-
-    def __init__(self, path: Path | None, question: dict[str, Any]) -> None:
-        self.path = path
-        self.known: dict[tuple[int, int, int], Values] = {}
-        if path is None:
-            return
-        head = json.dumps({"question": question}, sort_keys=True)
-        if path.is_file():
-            self._recall(path, head)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            lines = [head, *(json.dumps([list(p), list(v)]) for p, v in self.known.items())]
-            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputError(str(path), "", f"cannot be written ({error})", "give another place") from error
-
-    def _recall(self, path: Path, head: str) -> None:
-        first, *lines = path.read_text(encoding="utf-8").splitlines() or [""]
-        if first != head:
-            raise InputError(
-                str(path), "", "holds the points of another map that was stopped",
-                "go on with that one, delete this file, or write to another file",
-            )  # fmt: skip
-        for line in lines:
-            try:
-                point, values = json.loads(line)
-                self.known[tuple(point)] = tuple(values)
-            except ValueError:
-                break  # cut off in mid-write
-
-    def add(self, point: tuple[int, int, int], values: Values) -> None:
-        if self.path is not None:
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps([list(point), list(values)]) + "\n")
-                file.flush()
-
-    def discard(self) -> None:
-        if self.path is not None and self.path.is_file():
-            os.remove(self.path)
+_OTHER_MAP = (
+    "holds the points of another map that was stopped",
+    "go on with that one, delete this file, or write to another file",
+)
 
 
 @compiled(error_model="numpy")

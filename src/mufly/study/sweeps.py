@@ -10,12 +10,10 @@ here, or, through ``concurrent.futures`` all the same, the workers of a dask.dis
 from __future__ import annotations
 
 import csv
-import hashlib
 import importlib
 import itertools
 import json
 import os
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -26,6 +24,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from mufly.answer_store import claim_folder, hash_question, read_answer, write_answer
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import RotorResult, database_airfoils, load_airfoil
 from mufly.study.evaluation import Case, Results, evaluate
@@ -127,7 +126,9 @@ def _grid(
     """Answers to every combination, chunk by chunk; kept in and recalled from a folder."""
     total = int(np.prod([len(v) for v in values], dtype=np.int64))
     starts = list(range(0, total, chunk))
-    kept = _Kept(Path(folder), question) if folder is not None else None
+    place = None if folder is None else Path(folder)
+    if place is not None:
+        claim_folder(place, "sweep.json", question, {"version": __version__}, _OTHER_SWEEP)
     answers: dict[int, Results] = {}
     done = 0
 
@@ -136,7 +137,7 @@ def _grid(
         return [dict(zip(names, combination, strict=True)) for combination in every]
 
     for start in starts:
-        known = kept.recall(start) if kept is not None else None
+        known = None if place is None else _recall_chunk(place, start, question)
         if known is not None:
             answers[start] = known
             done += len(known.fault)
@@ -153,8 +154,12 @@ def _grid(
                 future = next(as_completed(waiting))
                 start = waiting.pop(future)
                 answers[start] = future.result()
-                if kept is not None:
-                    kept.store(start, answers[start])
+                if place is not None:
+                    content = {
+                        "fault": np.array(answers[start].fault, dtype=np.str_),
+                        **answers[start].values,
+                    }
+                    write_answer(_chunk_file(place, start), question, content)
                 done += len(answers[start].fault)
                 if progress is not None:
                     progress(done, total)
@@ -219,7 +224,7 @@ def _question(setup: Setup, names: Sequence[str], values: Sequence[Sequence[Valu
         "chunk": chunk,
         "contours": _contours([*(n for r in setup.rotors for n in r.airfoil_names()), *listed]),
     }
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return hash_question(content)
 
 
 def _contours(names: Iterable[str]) -> dict[str, str]:
@@ -228,7 +233,7 @@ def _contours(names: Iterable[str]) -> dict[str, str]:
     for name in sorted(set(names)):
         path = Path(name)
         if path.is_file() and path.suffix.lower() == ".csv":
-            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+            found[name] = hash_question(path.read_bytes())
         elif path.is_file():
             try:
                 found[name] = load_airfoil(name).digest()
@@ -237,49 +242,16 @@ def _contours(names: Iterable[str]) -> dict[str, str]:
     return found
 
 
-class _Kept:
-    """Chunks on disk. A file appears whole or not at all."""
+_OTHER_SWEEP = ("holds the results of another sweep", "give another folder, or delete this one")
 
-    def __init__(self, folder: Path, question: str) -> None:
-        self.folder = folder / "chunks"
-        note = folder / "sweep.json"
-        if note.is_file():
-            try:
-                same = json.loads(note.read_text(encoding="utf-8")).get("question") == question
-            except (ValueError, AttributeError):
-                same = False
-            if not same:
-                raise InputError(
-                    str(folder),
-                    "",
-                    "holds the results of another sweep",
-                    "give another folder, or delete this one",
-                )
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            note.write_text(json.dumps({"question": question, "version": __version__}), encoding="utf-8")
-        except OSError as error:
-            raise InputError(
-                str(folder), "", f"cannot be written ({error})", "give another folder"
-            ) from error
 
-    def store(self, start: int, results: Results) -> None:
-        part = self.folder / f"{start:09d}.part"
-        with part.open("wb") as file:
-            np.savez(file, fault=np.array(results.fault, dtype=np.str_), **results.values)  # type: ignore[arg-type]
-        os.replace(part, self.folder / f"{start:09d}.npz")
+def _chunk_file(folder: Path, start: int) -> Path:
+    return folder / "chunks" / f"{start:09d}.npz"
 
-    def recall(self, start: int) -> Results | None:
-        file = self.folder / f"{start:09d}.npz"
-        if not file.is_file():
-            return None
-        try:
-            with np.load(file) as data:
-                content = {name: data[name] for name in data.files}
-        except (OSError, ValueError, zipfile.BadZipFile):
-            return None
-        fault = [str(reason) for reason in content.pop("fault")]
-        return Results(content, fault)
+
+def _recall_chunk(folder: Path, start: int, question: str) -> Results | None:
+    content = read_answer(_chunk_file(folder, start), question)
+    return None if content is None else Results(content, [str(reason) for reason in content.pop("fault")])
 
 
 def _dataset(

@@ -7,10 +7,7 @@ was stopped goes on where it was.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import os
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -22,9 +19,9 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import platformdirs
 import xarray as xr
 
+from mufly.answer_store import cache_folder, hash_question, read_answer, write_answer
 from mufly.compiled import sources_of
 from mufly.drawing import shown
 from mufly.errors import InputError
@@ -108,10 +105,8 @@ class Outcome:
             raise InputError(
                 str(folder), "", f"cannot be written ({error})", "give another folder"
             ) from error
-        # Last, and whole or not at all: where it stands, so does the rest.
-        part = note.with_suffix(".part")
-        part.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
-        os.replace(part, note)
+        # Last: where it stands, so does the rest.
+        write_answer(note, digest(self.name), self.to_dict(), indent=2)
         return [picture, note, *files]
 
     def to_dict(self) -> dict[str, Any]:
@@ -130,7 +125,6 @@ class Outcome:
             "lacking": self.lacking,
             "seconds": None if math.isnan(self.seconds) else round(self.seconds, 2),
             "version": __version__,
-            "digest": digest(self.name),
         }
 
 
@@ -366,13 +360,10 @@ _LIBRARIES = ("numpy", "scipy", "neuralfoil")
 
 @cache
 def _digest_of(file: Path) -> str:
-    found = hashlib.sha256(" ".join(f"{name} {version(name)}" for name in _LIBRARIES).encode())
-    for path in sources_of(file):
-        found.update(path.read_bytes() + b"\0")
     root = Path(__file__).resolve().parents[1]
-    for path in sorted(root.glob("*/builtin/*.toml")) + sorted(root.glob("vehicle/maps/*.toml")):
-        found.update(path.read_bytes() + b"\0")
-    return found.hexdigest()[:16]
+    vehicles = sorted(root.glob("*/builtin/*.toml")) + sorted(root.glob("vehicle/maps/*.toml"))
+    libraries = [f"{name} {version(name)}" for name in _LIBRARIES]
+    return hash_question(libraries, *(path.read_bytes() for path in (*sources_of(file), *vehicles)))[:16]
 
 
 def digest(name: str) -> str:
@@ -382,35 +373,22 @@ def digest(name: str) -> str:
     return own if name not in _OLDER else f"{own}-{_digest_of(Path(pictures.__file__))[:8]}"
 
 
-def kept_folder() -> Path | None:
-    """Return the user's folder of kept studies; None where ``MUFLY_CACHE`` is ``off``."""
-    chosen = os.environ.get("MUFLY_CACHE", "")
-    if chosen.lower() == "off":
-        return None
-    return (Path(chosen) if chosen else platformdirs.user_cache_path("mufly")) / "thesis"
-
-
 def recall(name: str, folder: Path | None = None) -> Answer:
     """Return what a folder, by default the user's, keeps of a figure or table; not ``known`` if nothing, or old."""
     of = item(name)
     if of.kind != "result":
         return Answer(of, known=True)
-    place = kept_folder() if folder is None else folder
-    if place is None:
+    place = cache_folder("thesis") if folder is None else folder
+    content = None if place is None else read_answer(place / f"{of.name}.json", digest(of.name))
+    if place is None or content is None:
         return Answer(of)
-    try:
-        content = json.loads((place / f"{of.name}.json").read_text(encoding="utf-8"))
-        if content.get("digest") != digest(of.name):
-            return Answer(of)
-        verdicts = tuple(
-            Verdict(Claim(**{**v["claim"], "value": math.nan if v["claim"]["value"] is None else v["claim"]["value"]}),
-                    v["model"], v["ours"], bool(v["agrees"]), v["rule"])
-            for v in content["verdicts"]
-        )  # fmt: skip
-        seconds = math.nan if content.get("seconds") is None else float(content["seconds"])
-        note, lacking = str(content.get("note", "")), str(content.get("lacking", ""))
-    except (OSError, ValueError, KeyError, TypeError):
-        return Answer(of)
+    verdicts = tuple(
+        Verdict(Claim(**{**v["claim"], "value": math.nan if v["claim"]["value"] is None else v["claim"]["value"]}),
+                v["model"], v["ours"], bool(v["agrees"]), v["rule"])
+        for v in content["verdicts"]
+    )  # fmt: skip
+    seconds = math.nan if content.get("seconds") is None else float(content["seconds"])
+    note, lacking = str(content.get("note", "")), str(content.get("lacking", ""))
     picture = place / f"{of.name}.png"
     return Answer(of, verdicts, note, lacking, seconds, picture if picture.is_file() else None, True)
 
@@ -440,7 +418,7 @@ def answer(
     InputError
         If there is no such figure or table.
     """
-    of, cached = item(name), kept_folder()
+    of, cached = item(name), cache_folder("thesis")
     place = folder if folder is not None else cached
     if not again and case is None:
         found = recall(of.name, place)

@@ -11,8 +11,6 @@ and within the tolerance of where it was to land.
 from __future__ import annotations
 
 import functools
-import hashlib
-import json
 import math
 import shlex
 from dataclasses import dataclass, field
@@ -26,6 +24,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from mufly.answer_store import hash_question
 from mufly.control import FlightController, design
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
@@ -230,7 +229,7 @@ class Campaign:
             "tolerance_m": self.tolerance_m,
             "software": [self.redesign, "" if self.controllers is None else self.controllers.__name__],
         }
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        return hash_question(content)
 
     def case(self, index: int) -> Case:
         """Return flight ``index``.

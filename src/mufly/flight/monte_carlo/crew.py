@@ -8,7 +8,6 @@ one, and another is refused.
 from __future__ import annotations
 
 import gc
-import json
 import math
 import multiprocessing
 import os
@@ -32,7 +31,8 @@ import cma
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mufly.errors import ArgumentError, InputError, MuflyError
+from mufly.answer_store import AnswerLines, claim_folder
+from mufly.errors import ArgumentError, MuflyError
 from mufly.flight.monte_carlo.campaign import Campaign, Case, Flown, fly_case
 from mufly.results import plain
 from mufly.study.sweeps import executor_of
@@ -155,16 +155,14 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-class Kept:
-    """Flights on disk, a line each.
+_OTHER_CAMPAIGN = (
+    "holds another campaign's flights (other settings, or another version of mufly)",
+    "give another folder, or delete this one",
+)
 
-    Parameters
-    ----------
-    folder : Path
-        Made if it is not there.
-    campaign : Campaign
-    what : str
-        Which flights of the campaign: another file.
+
+def _kept_flights(folder: Path | None, campaign: Campaign, file: str = FLIGHTS) -> AnswerLines[Flown]:
+    """Flights of a campaign on disk, by index.
 
     Raises
     ------
@@ -172,51 +170,15 @@ class Kept:
         If the folder holds another campaign, or cannot be written.
     """
 
-    def __init__(self, folder: Path, campaign: Campaign, what: str = FLIGHTS) -> None:
-        self._path = folder / what
-        note = folder / NOTE
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            if note.is_file() and _question(note) != campaign.question:
-                raise InputError(
-                    str(folder), "", "holds another campaign's flights (other settings, or another version of mufly)",
-                    "give another folder, or delete this one",
-                )  # fmt: skip
-            content = {"question": campaign.question, "version": __version__, **told(campaign)}
-            note.write_text(json.dumps(plain(content), indent=2) + "\n", encoding="utf-8")
-            self.flights = self._recall()
-        except OSError as error:
-            raise InputError(
-                str(folder), "", f"cannot be written ({error.strerror})", "give another folder"
-            ) from error
+    def read(content: Any) -> tuple[int, Flown]:
+        flown = Flown.from_json(content)
+        return flown.index, flown
 
-    def _recall(self) -> dict[int, Flown]:
-        """What is there; a last line that was cut off is taken away."""
-        if not self._path.is_file():
-            return {}
-        whole, _, _ = self._path.read_bytes().rpartition(b"\n")
-        lines = whole.splitlines()
-        self._path.write_bytes(b"".join(line + b"\n" for line in lines))
-        try:
-            flights = [Flown.from_json(json.loads(line)) for line in lines]
-        except (ValueError, TypeError, KeyError) as error:
-            raise InputError(
-                str(self._path), "", f"is damaged ({error})", "delete it; its flights are flown again"
-            ) from None
-        return {f.index: f for f in flights}
-
-    def add(self, flown: Flown) -> None:
-        """Put a flight on disk."""
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(plain(flown), allow_nan=False) + "\n")
-        self.flights[flown.index] = flown
-
-
-def _question(note: Path) -> str:
-    try:
-        return str(json.loads(note.read_text(encoding="utf-8"))["question"])
-    except (ValueError, KeyError, TypeError):
-        return ""
+    if folder is None:
+        return AnswerLines(None, read)
+    settings = {"version": __version__, **plain(told(campaign))}
+    claim_folder(folder, NOTE, campaign.question, settings, _OTHER_CAMPAIGN)
+    return AnswerLines(folder / file, read, damaged=("is damaged", "delete it; its flights are flown again"))
 
 
 def told(campaign: Campaign) -> dict[str, Any]:
@@ -272,16 +234,15 @@ def run(
     """
     if flights < 1:
         raise ArgumentError("flights", "", f"{flights} flights", "give 1 or more")
-    kept = None if folder is None else Kept(folder, campaign)
-    known = {} if kept is None else {k: f for k, f in kept.flights.items() if k < flights}
+    kept = _kept_flights(folder, campaign)
+    known = {k: f for k, f in kept.known.items() if k < flights}
     done = dict(known)
     if progress is not None:
         progress(len(done), flights)
     todo = ((campaign.case(k), None) for k in range(flights) if k not in known)
     for flown in crew.fly(campaign, todo, stop):
         done[flown.index] = flown
-        if kept is not None:
-            kept.add(flown)
+        kept.add(flown.index, flown, plain(flown))
         if progress is not None:
             progress(len(done), flights)
     return [done[k] for k in sorted(done)]
@@ -349,7 +310,7 @@ def search(
     n = campaign.searched
     if n == 0:
         raise ArgumentError("search", "", "nothing varies but chance", "vary something with --vary or --wind")
-    kept = None if folder is None else Kept(folder, campaign, "search.jsonl")
+    kept = _kept_flights(folder, campaign, "search.jsonl")
     size = 4 + int(3 * math.log(max(n, 2)))
     total = max(1, math.ceil(flights / size)) * size
     options = {
@@ -362,12 +323,11 @@ def search(
     for first in range(0, total, size):
         points = strategy.ask()
         cases = [campaign.case_at(np.asarray(p)[:n], first + k) for k, p in enumerate(points)]
-        known = {} if kept is None else {k: f for k, f in kept.flights.items() if first <= k < first + size}
+        known = {k: f for k, f in kept.known.items() if first <= k < first + size}
         landed = dict(known)
         for flown in crew.fly(campaign, ((c, None) for c in cases if c.index not in known), stop):
             landed[flown.index] = flown
-            if kept is not None:
-                kept.add(flown)
+            kept.add(flown.index, flown, plain(flown))
             if progress is not None:
                 progress(len(found) + len(landed), total)
         found |= landed

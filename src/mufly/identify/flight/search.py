@@ -28,9 +28,6 @@ kept: it is gone again.
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -40,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from mufly.answer_store import hash_question, read_answer, write_answer
 from mufly.errors import InputError
 from mufly.identify.flight.doubts import ABOVE, above_noise
 from mufly.identify.flight.free import physical
@@ -156,7 +154,7 @@ class Run:
     def keep_at(self, place: Path | None, digest: str) -> None:
         """Keep a checkpoint there, and take up what it holds."""
         self._place, self._digest = place, digest
-        kept = None if place is None else _read_checkpoint(place, digest)
+        kept = None if place is None else read_answer(place, digest, damaged=_DAMAGED, other=_OTHER_FIT)
         if kept is not None:
             self.state = _State(**{f.name: kept[f.name] for f in fields(_State)})
             self.state.point = _point_from(kept["point"])
@@ -311,7 +309,7 @@ class Run:
             row = {"iteration": len(state.history) + 1, "cost": now.cost, "stage": stage.what, **named}
             state.history.append(row)
             if self._place is not None:
-                _write_checkpoint(self._place, self._digest, state)
+                write_answer(self._place, self._digest, asdict(state))
             if self._on_progress is not None:
                 at, stages = (k + 1, len(self._stages)), stage.iterations
                 self._on_progress(Progress(*at, stage.what, state.iteration, stages, now.cost, named))
@@ -351,40 +349,14 @@ def _learnt_noise(problem: Problem, point: Point) -> list[_Array]:
 
 def digest_of(problem: Problem, method: str) -> str:
     """Return a digest of everything that the course of a fit depends on."""
-    h = hashlib.sha256(f"{method} {problem.part} {problem.prior} {problem.delay_s} {problem.free}".encode())
-    h.update(problem.vehicle.model_dump_json().encode())
+    parts: list[object] = [method, problem.part, problem.prior, problem.delay_s, f"{problem.free}"]
     for r in problem.records:
-        h.update(" ".join(r.outputs).encode())
-        for a in (r.time_s, r.inputs, r.measured):
-            h.update(np.ascontiguousarray(a).tobytes())
-    return h.hexdigest()[:32]
+        parts += [r.outputs, r.time_s, r.inputs, r.measured]
+    return hash_question(*parts, problem.vehicle.model_dump_json())
 
 
-def _write_checkpoint(path: Path, digest: str, state: _State) -> None:
-    """Write where a fit stands; InputError if the file cannot be written."""
-    text = json.dumps({"digest": digest, **asdict(state)}, default=lambda a: a.tolist())
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        raise InputError(str(path), "", f"cannot be written ({error})", "give another place") from error
-
-
-def _read_checkpoint(path: Path, digest: str) -> dict[str, Any] | None:
-    """Return where the fit of this digest stood, None if it never ran; InputError for a damaged or another's file."""
-    if not path.exists():
-        return None
-    try:
-        state = json.loads(path.read_text(encoding="utf-8"))
-        found = state["digest"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(str(path), "", "is no checkpoint of a fit", "delete it to start anew") from error
-    if found != digest:
-        raise InputError(
-            str(path), "", "belongs to a fit of other records, parameters or method", "delete it to start anew"
-        )  # fmt: skip
-    return dict(state)
+_DAMAGED = ("is no checkpoint of a fit", "delete it to start anew")
+_OTHER_FIT = ("belongs to a fit of other records, parameters or method", "delete it to start anew")
 
 
 def _point_from(d: dict[str, Any] | None) -> Point:

@@ -24,13 +24,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.answer_store import hash_question
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.sections import neural
-from mufly.rotor.sections import section as cache
 from mufly.rotor.sections.airfoil import Airfoil, load_airfoil
 from mufly.rotor.sections.polar_file import is_polar_file, read_polar_file
 from mufly.rotor.sections.polar_table import ASPECT_RATIO, PolarTable, extend
-from mufly.rotor.sections.section import SectionData, cache_folder
+from mufly.rotor.sections.section import SectionData, recall, store
+from mufly.toolchain import compiler, kept_library
 
 Engine = Literal["neuralfoil", "xfoil", "table"]
 
@@ -122,8 +123,8 @@ def polars(
                 continue
             section = item if isinstance(item, Airfoil) else load_airfoil(item)
             which = (neural.neuralfoil_version(), model) if engine == "neuralfoil" else ("xfoil", SETTINGS)
-            key = cache.key_of(section.digest(), engine, *which, float(n_crit), tuple(map(float, xtr)), re)
-            known = cache.recall(key, section.name)
+            key = hash_question(section.digest(), engine, *which, float(n_crit), tuple(map(float, xtr)), re)
+            known = recall(key, section.name)
             if known is not None:
                 tables[name] = known
             elif engine == "neuralfoil":
@@ -131,7 +132,7 @@ def polars(
                 todo.append((name, key, section))
             else:
                 tables[name] = xfoil(section, re, n_crit=n_crit, xtr=xtr)
-                cache.store(key, tables[name])
+                store(key, tables[name])
         except InputError as error:
             if faults is None:
                 raise
@@ -140,7 +141,7 @@ def polars(
         computed = neural.neuralfoil([s for _, _, s in todo], re, n_crit=n_crit, xtr=xtr, model=model)
         for (name, key, _), data in zip(todo, computed, strict=True):
             tables[name] = data
-            cache.store(key, data)
+            store(key, data)
     return {name: extend(data, aspect_ratio=aspect_ratio) for name, data in tables.items()}
 
 
@@ -209,29 +210,17 @@ def _environment(preload: str | None) -> dict[str, str]:
 @once
 def _quiet_library() -> str:
     """Path of the compiled replacement for the trap request."""
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
+    trapped = "this xfoil stops at floating-point exceptions"
+    try:
+        compiler()
+    except MuflyError as error:
         raise MuflyError(
-            "this xfoil stops at floating-point exceptions, and there is no C compiler to silence it with; "
-            "install gcc, or use engine 'neuralfoil'"
-        )
-    folder = cache_folder() or Path(tempfile.mkdtemp(prefix="mufly-"))
-    folder.mkdir(parents=True, exist_ok=True)
-    library = folder / "xfoil-quiet.so"
-    if not library.is_file():
-        with tempfile.TemporaryDirectory(dir=folder) as work:
-            source, built = Path(work) / "quiet.c", Path(work) / "quiet.so"
-            source.write_text(_QUIET, encoding="utf-8")
-            done = subprocess.run(
-                [compiler, "-shared", "-fPIC", "-o", str(built), str(source)], capture_output=True, text=True
-            )
-            if done.returncode != 0:
-                line = (done.stderr.strip().splitlines() or ["no message"])[-1]
-                raise MuflyError(
-                    f"this xfoil stops at floating-point exceptions; {compiler} failed to help ({line})"
-                )
-            os.replace(built, library)
-    return str(library)
+            f"{trapped}, and there is no C compiler to silence it with; install gcc, or use engine 'neuralfoil'"
+        ) from error
+    try:
+        return str(kept_library("xfoil-quiet", {"quiet.c": _QUIET}))
+    except MuflyError as error:
+        raise MuflyError(f"{trapped}; {error}") from error
 
 
 _traps: list[bool] = []  # known after the first run

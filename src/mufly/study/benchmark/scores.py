@@ -7,8 +7,6 @@ and scores the others.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.answer_store import hash_question, read_answer, write_answer
 from mufly.errors import MuflyError
 from mufly.rotor import fit_rotor, interval
 from mufly.study.benchmark.cases import RotorCase
@@ -130,34 +129,19 @@ def _asked(code: Code, case: RotorCase, file: Path | None) -> Prediction:
         nothing = np.full(case.measured.thrust_N.size, math.nan)
         found = Prediction(nothing, nothing, str(error))
     if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        whole = {
-            "key": _key(code, case), "thrust_N": found.thrust_N.tolist(), "torque_Nm": found.torque_Nm.tolist(),
-            "fault": found.fault,
-        }  # fmt: skip
-        part = file.with_suffix(".part")
-        part.write_text(json.dumps(whole), encoding="utf-8")
-        part.replace(file)
+        write_answer(file, _key(code, case), vars(found))
     return found
 
 
 def _key(code: Code, case: RotorCase) -> str:
-    text = json.dumps([__version__, code.settings, question_of(case)], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hash_question(__version__, code.settings, question_of(case))
 
 
 def _recall(file: Path | None, key: str) -> Prediction | None:
-    if file is None or not file.is_file():
+    kept = None if file is None else read_answer(file, key)
+    if kept is None:
         return None
-    try:
-        kept = json.loads(file.read_text(encoding="utf-8"))
-        if kept["key"] != key:
-            return None
-        return Prediction(
-            np.array(kept["thrust_N"], float), np.array(kept["torque_Nm"], float), kept["fault"]
-        )
-    except (OSError, ValueError, KeyError):
-        return None
+    return Prediction(np.array(kept["thrust_N"], float), np.array(kept["torque_Nm"], float), kept["fault"])
 
 
 def held_out(cases: Sequence[RotorCase], share: str, progress: Tell | None = None) -> list[Score]:
