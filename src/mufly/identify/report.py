@@ -2,14 +2,11 @@
 
 It holds what an engineer asks before believing a parameter: its interval, what it cannot be told apart from, how
 well the model predicts records it was fitted to and records it was not, what the residuals say is missing, and the
-command that repeats it. Pictures are drawn on light ground; where the reader's system is dark, the page turns them.
-The tables of a linear identification serve the terminal as well.
+command that repeats it. The tables of a linear identification serve the terminal as well.
 """
 
 from __future__ import annotations
 
-import base64
-import html
 import io
 import math
 import shlex
@@ -29,41 +26,11 @@ from mufly.identify.linear.frequency import FrequencyResponse, SpectralFit, resp
 from mufly.identify.linear.identification import LinearResult
 from mufly.identify.record import lowpassed
 from mufly.identify.residuals import determinant_of_fit, ljung_box, qualities, what_is_missing
-from mufly.identify.result import Fit, RecordFit
+from mufly.identify.result import Fit
+from mufly.report_page import render_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-CSS = """
-:root { color-scheme: light dark; --ink: #1d2329; --soft: #5b6570; --ground: #ffffff; --line: #d5dae0;
-  --card: #f4f6f8; --accent: #0072b2; --warn: #b04a00; }
-@media (prefers-color-scheme: dark) { :root { --ink: #d8dee6; --soft: #97a3af; --ground: #14181d; --line: #333b44;
-  --card: #1b2127; --accent: #56b4e9; --warn: #e69f00; }
-  img { filter: invert(.92) hue-rotate(180deg); } }
-* { box-sizing: border-box; }
-body { margin: 0; background: var(--ground); color: var(--ink);
-  font: 15px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-main { max-width: 68rem; margin: 0 auto; padding: 2rem 1.2rem 4rem; }
-h1 { font-size: 1.6rem; margin: 0 0 1rem; }
-h2 { font-size: 1.15rem; margin: 2.4rem 0 .6rem; padding-top: .8rem; border-top: 1px solid var(--line); }
-h2 small { color: var(--soft); font-weight: normal; }
-h3 { font-size: 1rem; margin: 1.4rem 0 .3rem; }
-p, ul { margin: .5rem 0; max-width: 46rem; }
-li { margin: .25rem 0; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; margin: .4rem 0; }
-th { text-align: left; color: var(--soft); font-weight: 600; border-bottom: 1px solid var(--line); }
-th, td { padding: .22rem .8rem .22rem 0; vertical-align: top; }
-td.n, th.n { text-align: right; white-space: nowrap; }
-td { border-bottom: 1px solid color-mix(in srgb, var(--line) 55%, transparent); }
-td.k { color: var(--soft); white-space: nowrap; }
-.warn { color: var(--warn); font-weight: 600; }
-pre { background: var(--card); border: 1px solid var(--line); border-radius: 6px; padding: .7rem .9rem;
-  overflow-x: auto; font-size: .85rem; white-space: pre-wrap; }
-figure { margin: .8rem 0; }
-img { max-width: 100%; height: auto; display: block; }
-@media print { body { font-size: 10pt; } h2 { break-after: avoid; } figure, tr { break-inside: avoid; } }
-"""
 
 
 def number(value: float) -> str:
@@ -77,32 +44,6 @@ def number(value: float) -> str:
         digits, power = text.split("e")
         return f"{digits}·10^{int(power)}"
     return text
-
-
-def paragraphs(*texts: str) -> str:
-    """Return texts as paragraphs."""
-    return "".join(f"<p>{html.escape(t)}</p>" for t in texts)
-
-
-def _listed(texts: Sequence[str], none: str) -> str:
-    """Return texts as a list, or ``none`` as a paragraph."""
-    return f"<ul>{''.join(f'<li>{html.escape(t)}</li>' for t in texts)}</ul>" if texts else paragraphs(none)
-
-
-def table(
-    heads: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = (), head: bool = True,
-    warn: int | None = None,
-) -> str:  # fmt: skip
-    """Return a table; ``numbers`` are the columns aligned to the right, ``warn`` the column of warnings."""
-
-    def cell(k: int, text: str, tag: str) -> str:
-        kind = ' class="n"' if k in numbers else ' class="k"' if not head and k == 0 else ""
-        kind = ' class="warn"' if tag == "td" and k == warn else kind
-        return f"<{tag}{kind}>{html.escape(str(text))}</{tag}>"
-
-    top = f"<tr>{''.join(cell(k, t, 'th') for k, t in enumerate(heads))}</tr>" if head else ""
-    body = "".join(f"<tr>{''.join(cell(k, t, 'td') for k, t in enumerate(row))}</tr>" for row in rows)
-    return f'<div class="scroll"><table>{top}{body}</table></div>'
 
 
 _ENOUGH = 20  # samples, for statistics of residuals
@@ -165,9 +106,15 @@ def write_report(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         album = _Album(folder, _pictures_of(fit, sections), progress)
-        body = _body(fit, album, _command() if command is None else command, sections)
+        page = render_page(
+            f"{fit.vehicle}: identification", _BODY, heading=fit.vehicle, fit=fit, sections=sections,
+            command=_command() if command is None else command, summary=_summary(fit),
+            parameters=_parameters(fit), sizes=_sizes(fit), album=album.picture, pictures=pictures,
+            correlated=len(fit.estimates) > 1 and np.isfinite(fit.correlation).any(), enough=_ENOUGH,
+            what_is_missing=what_is_missing, determinants=_determinants(fit),
+        )  # fmt: skip
         path = folder / "report.html"
-        path.write_text(_page(f"{fit.vehicle}: identification", body), encoding="utf-8")
+        path.write_text(page, encoding="utf-8")
     except OSError as error:
         raise InputError(
             "report", str(folder), f"cannot be written ({error})", "give another folder"
@@ -181,20 +128,19 @@ class _Album:
     def __init__(self, folder: Path, count: int, progress: Callable[[int, int], None] | None) -> None:
         self._folder, self._count, self._progress, self._done = folder, count, progress, 0
 
-    def picture(self, name: str, draw: Callable[[], Figure | None], alt: str) -> str:
-        """Draw a picture, write it to the folder and return it as HTML, empty if there is nothing to draw."""
+    def picture(self, name: str, draw: Callable[..., Figure | None], *about: object) -> bytes:
+        """Draw a picture, write it to the folder and return it as PNG, empty if there is nothing to draw."""
         self._done += 1
         if self._progress is not None:
             self._progress(self._done, max(self._done, self._count))
         with pictures.style():
-            figure = draw()
+            figure = draw(*about)
             if figure is None:
-                return ""
+                return b""
             buffer = io.BytesIO()
             figure.savefig(buffer, format="png", dpi=130)
         (self._folder / f"{name}.png").write_bytes(buffer.getvalue())
-        data = base64.b64encode(buffer.getvalue()).decode("ascii")
-        return f'<figure><img src="data:image/png;base64,{data}" alt="{html.escape(alt)}"></figure>'
+        return buffer.getvalue()
 
 
 def _pictures_of(fit: Fit, sections: Sequence[Section]) -> int:
@@ -207,47 +153,70 @@ def _command() -> str:
     return shlex.join(["mufly", *sys.argv[1:]]) if called.startswith("mufly") else ""
 
 
-def _body(fit: Fit, album: _Album, command: str, sections: Sequence[Section]) -> str:
-    parts = [_summary(fit, command), _parameters(fit)]
-    if len(fit.estimates) > 1 and np.isfinite(fit.correlation).any():
-        parts.append(
-            album.picture(
-                "correlation", lambda: pictures.correlation_picture(fit), "Correlation of estimates"
-            )
-        )
-    if fit.held:
-        parts.append("<h2>In doubt for what was held</h2>")
-        parts.append(_listed(fit.held, ""))
-    parts.append("<h2>What the data cannot tell apart</h2>")
-    parts.append(_listed(fit.unseen, "Nothing stands out: every parameter is determined by these records."))
-    if fit.records:
-        parts += [
-            _sizes(fit),
-            album.picture("theil", lambda: pictures.theil_picture(fit.records), "Theil's coefficient"),
-        ]
-    for k, record in enumerate(fit.records):
-        parts.append(_record(record, album, f"{k + 1}-{record.role.replace(' ', '-')}"))
-    parts += [_section(s, album) for s in sections]
-    if len(fit.history) > 1:
-        parts.append("<h2>Convergence</h2>")
-        parts.append(album.picture("history", lambda: pictures.history_picture(fit), "Cost and parameters"))
-    return "\n".join(parts)
+_BODY = """
+{% if not fit.converged %}<p class="warn">The search did not converge: intervals do not hold.</p>{% endif %}
+{{ table((), summary) }}
+{% if command %}<p>Repeat with</p><pre>{{ command }}</pre>{% endif %}
+<h2>Parameters</h2>
+{{ table(*parameters, numbers=range(1, 6), warn=parameters[0] | length - 1) }}
+{% if correlated %}
+{{ figure(album("correlation", pictures.correlation_picture, fit), "Correlation of estimates") }}
+{% endif %}
+{% if fit.held %}
+<h2>In doubt for what was held</h2>
+{{ listed(fit.held) }}
+{% endif %}
+<h2>What the data cannot tell apart</h2>
+{{ listed(fit.unseen, "Nothing stands out: every parameter is determined by these records.") }}
+{% if fit.records %}
+<h2>Prediction from inputs alone</h2>
+{{ table(*sizes, numbers=range(3, 10)) }}
+{% if determinants %}
+<p>Determinant of the residuals' covariance, held out over fitted: {{ determinants }} (1: as good).</p>
+{% endif %}
+<p>Fit: 100 % is exact, 0 % is the mean of the record. Over noise: 1 is the measurement's own noise floor. p below 0.05:
+the residual is not white, so that plain Cramér-Rao bounds would be too small.</p>
+{{ figure(album("theil", pictures.theil_picture, fit.records), "Theil's coefficient") }}
+{% endif %}
+{% for record in fit.records %}
+{% set name = loop.index ~ "-" ~ record.role.replace(" ", "-") %}
+<h2>{{ record.name }} <small>({{ record.role }})</small></h2>
+{% if record.doubt %}<p class="warn">{{ record.doubt }}.</p>{% endif %}
+{{ figure(album(name ~ "-prediction", pictures.prediction_picture, record), "Prediction") }}
+{% if record.time_s | length >= enough %}
+<h3>What the residuals say</h3>
+{{ listed(what_is_missing(record), "Nothing stands out of the noise.") }}
+{{ figure(album(name ~ "-residuals", pictures.residual_picture, record), "Residuals") }}
+{% if record.input_names %}
+{{ figure(album(name ~ "-cross", pictures.cross_picture, record), "Residuals and inputs") }}
+{{ figure(album(name ~ "-coherence", pictures.coherence_picture, record), "Coherence") }}
+{% endif %}
+{% endif %}
+{% endfor %}
+{% for section in sections %}
+<h2>{{ section.title }}</h2>
+{% for text in section.text %}<p>{{ text }}</p>{% endfor %}
+{% if section.heads %}{{ table(section.heads, section.rows, numbers=range(1, section.heads | length)) }}{% endif %}
+{% if section.picture %}{{ figure(album(section.name or "section", section.picture), section.title) }}{% endif %}
+{% endfor %}
+{% if fit.history | length > 1 %}
+<h2>Convergence</h2>
+{{ figure(album("history", pictures.history_picture, fit), "Cost and parameters") }}
+{% endif %}
+"""
 
 
-def _summary(fit: Fit, command: str) -> str:
-    rows = [
+Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
+
+
+def _summary(fit: Fit) -> tuple[tuple[str, str], ...]:
+    return (
         ("method", fit.method), ("outcome", ("converged; " if fit.converged else "NOT converged; ") + fit.message),
         ("cost", number(fit.cost)), ("simulations", f"{fit.simulations}"), ("time", f"{fit.seconds:.1f} s"),
-    ]  # fmt: skip
-    out = [f"<h1>{html.escape(fit.vehicle)}</h1>", table(("", ""), rows, head=False)]
-    if not fit.converged:
-        out.insert(1, '<p class="warn">The search did not converge: intervals do not hold.</p>')
-    if command:
-        out.append(f"<p>Repeat with</p><pre>{html.escape(command)}</pre>")
-    return "\n".join(out)
+    )  # fmt: skip
 
 
-def _parameters(fit: Fit) -> str:
+def _parameters(fit: Fit) -> Rows:
     rows = []
     for e in fit.estimates:
         relative = abs(e.std / e.value) if e.value != 0.0 else float("inf")
@@ -264,13 +233,10 @@ def _parameters(fit: Fit) -> str:
         )  # fmt: skip
     heads = ("parameter", "start", "estimate", "std", "rel.", "95 % interval", "unit", "key", "")
     keep = [k for k in range(len(heads)) if k != 7 or any(e.key for e in fit.estimates)]
-    kept = [tuple(row[k] for k in keep) for row in rows]
-    return "<h2>Parameters</h2>" + table(
-        [heads[k] for k in keep], kept, numbers=(1, 2, 3, 4, 5), warn=len(keep) - 1
-    )
+    return tuple(heads[k] for k in keep), tuple(tuple(row[k] for k in keep) for row in rows)
 
 
-def _sizes(fit: Fit) -> str:
+def _sizes(fit: Fit) -> Rows:
     rows = []
     for record in fit.records:
         for j, q in enumerate(qualities(record)):
@@ -288,64 +254,15 @@ def _sizes(fit: Fit) -> str:
     heads = (
         "role", "record", "output", "fit", "R²", "Theil", "bias / var. / cov.", "rms error", "over noise", "white? p",
     )  # fmt: skip
-    text = ["<h2>Prediction from inputs alone</h2>", table(heads, rows, numbers=(3, 4, 5, 6, 7, 8, 9))]
+    return heads, tuple(rows)
+
+
+def _determinants(fit: Fit) -> str:
+    """Determinant of the residuals' covariance, held out over fitted; "" where the two cannot be compared."""
     used, unused = fit.records_of("fit"), fit.records_of("held out")
-    same = used and unused and len({r.outputs for r in fit.records}) == 1
-    if same:
-        ratio = determinant_of_fit(unused) / max(determinant_of_fit(used), 1e-300)
-        text.append(
-            paragraphs(
-                f"Determinant of the residuals' covariance, held out over fitted: {number(ratio)} (1: as good)."
-            )
-        )
-    text.append(
-        paragraphs(
-            "Fit: 100 % is exact, 0 % is the mean of the record. Over noise: 1 is the measurement's own noise floor. "
-            "p below 0.05: the residual is not white, so that plain Cramér-Rao bounds would be too small."
-        )
-    )
-    return "\n".join(text)
-
-
-def _record(record: RecordFit, album: _Album, name: str) -> str:
-    out = [f"<h2>{html.escape(record.name)} <small>({record.role})</small></h2>"]
-    if record.doubt:
-        out.append(f'<p class="warn">{html.escape(record.doubt)}.</p>')
-    out.append(album.picture(f"{name}-prediction", lambda: pictures.prediction_picture(record), "Prediction"))
-    if len(record.time_s) < _ENOUGH:
-        return "\n".join(out)
-    words = what_is_missing(record)
-    out.append("<h3>What the residuals say</h3>")
-    out.append(_listed(words, "Nothing stands out of the noise."))
-    out.append(album.picture(f"{name}-residuals", lambda: pictures.residual_picture(record), "Residuals"))
-    if record.input_names:
-        out.append(
-            album.picture(f"{name}-cross", lambda: pictures.cross_picture(record), "Residuals and inputs")
-        )
-        out.append(
-            album.picture(f"{name}-coherence", lambda: pictures.coherence_picture(record), "Coherence")
-        )
-    return "\n".join(out)
-
-
-def _section(section: Section, album: _Album) -> str:
-    out = [f"<h2>{html.escape(section.title)}</h2>", *(paragraphs(t) for t in section.text)]
-    if section.heads:
-        out.append(table(section.heads, section.rows, numbers=tuple(range(1, len(section.heads)))))
-    if section.picture is not None:
-        out.append(album.picture(section.name or "section", section.picture, section.title))
-    return "\n".join(out)
-
-
-def _page(title: str, body: str) -> str:
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>{CSS}</style></head>\n<body><main>\n{body}\n</main></body></html>\n"
-    )
-
-
-Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
+    if not used or not unused or len({r.outputs for r in fit.records}) > 1:
+        return ""
+    return number(determinant_of_fit(unused) / max(determinant_of_fit(used), 1e-300))
 
 
 def candidate_rows(r: LinearResult) -> Rows:

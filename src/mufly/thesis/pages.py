@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from markupsafe import Markup, escape
+
+from mufly.report_page import render_page
 from mufly.thesis.catalogue import ITEMS, Item
 from mufly.thesis.outcomes import Answer
 
@@ -112,71 +112,50 @@ def _linked(text: str) -> str:
     return re.sub(r"docs/([\w-]+\.md)", r"[\1](\1)", text)
 
 
-_STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 0 auto; max-width: 62rem; padding: 1rem; color: #1c2430; }
-table { border-collapse: collapse; width: 100%; } td, th { border-bottom: 1px solid #d8dde5; padding: .25rem .5rem;
-text-align: left; vertical-align: top; }
-td:first-child { white-space: nowrap; } h2 { margin-top: 2.5rem; border-bottom: 2px solid #1c2430; }
-section { margin: 1.5rem 0; padding-top: .5rem; border-top: 1px solid #d8dde5; } img { max-width: 100%; height: auto; }
-.w { font-weight: 600; padding: .05rem .4rem; border-radius: .3rem; background: #e7eaef; white-space: nowrap; }
-.agrees { background: #cfeed8; } .inpart { background: #fdf0c4; } .differs { background: #f9d3cc; }
-.no { color: #9c2b16; } code { background: #f1f3f6; padding: 0 .2rem; } li { margin: .3rem 0; }
-@media (prefers-color-scheme: dark) { body { background: #14181f; color: #dfe4ec; } img { background: #fff; }
-td, th, section { border-color: #394250; } h2 { border-color: #dfe4ec; } .w { background: #39424f; color: #fff; }
-.agrees { background: #1f5c36; } .inpart { background: #6b5513; } .differs { background: #7c2a1c; }
-.no { color: #ff9d8a; } code { background: #232a34; } a { color: #8ab8ff; } }
+_BADGES = {"agrees": "yes", "in part": "part", "DIFFERS": "no"}
+
+_BODY = """
+{% macro word(a) %}
+<span class="badge {{ badges.get(a.word) or "" }}">{{ a.word }}{% if a.share %} ({{ a.share }}){% endif %}</span>
+{%- endmacro %}
+<p>D. Schafroth, <i>Aerodynamics, Modeling and Control of an Autonomous Micro Helicopter</i>, ETH No. 18901, 2010; ours
+beside what is printed. A claim says whether it was read in the text, in a printed table or from the texts of a
+figure's axis; no curve was digitised, and nothing is tuned to any of it.</p>
+<p><b>{{ total }}</b></p>
+<table><tr><th></th><th>what</th><th>verdict</th></tr>
+{% for a in answers %}
+<tr><td class="k"><a href='#{{ a.item.name }}'>{{ a.item.where }}</a></td><td>{{ a.item.title }}</td>
+<td>{% if a.item.kind == "result" %}{{ word(a) }}{% else %}{{ code(a.item.stands) }}{% endif %}</td></tr>
+{% endfor %}
+</table>
+{% for a in answers %}
+{% set i = a.item %}
+{% if loop.changed(chapter(i)) %}<h2>Chapter {{ chapter(i) }}</h2>{% endif %}
+<section id='{{ i.name }}'><h3>{{ i.where }}: {{ i.title }} {{ word(a) }}</h3>
+{% if i.kind != "result" %}
+<p>A {{ i.kind }}. For it stands: {{ code(i.stands) }}.</p>
+{% else %}
+{% if a.picture %}{{ figure(a.picture.read_bytes(), i.title) }}{% endif %}
+{% if a.verdicts %}
+<ul>{% for v in a.verdicts %}<li{% if not v.agrees %} class="warn"{% endif %}>{{ v.line() }}</li>{% endfor %}</ul>
+{% endif %}
+{% if a.note %}<p>{{ code(a.note) }}</p>{% endif %}
+<p><code>{{ i.command }}</code>{% if a.seconds == a.seconds %} ({{ "%.1f" | format(a.seconds) }} s){% endif %}</p>
+{% endif %}
+</section>
+{% endfor %}
 """
-_CLASS = {"agrees": "agrees", "in part": "inpart", "DIFFERS": "differs"}
 
 
-def _code(text: str) -> str:
-    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(text))
+def _code(text: str) -> Markup:
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def report(answers: Sequence[Answer]) -> str:
     """Return a page of HTML with a table of all figures and tables, their verdicts and, embedded, our pictures."""
     known = {a.item.name: a for a in answers}
     every = [known[name] for name in ITEMS]
-    total = _sum_of([a.to_dict() for a in every])
-    parts = [
-        "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>The dissertation, figure by figure</title>",
-        "<meta name='viewport' content='width=device-width, initial-scale=1'>",
-        f"<style>{_STYLE}</style></head><body><h1>The dissertation, figure by figure</h1>",
-        "<p>D. Schafroth, <i>Aerodynamics, Modeling and Control of an Autonomous Micro Helicopter</i>, ETH No. 18901, "
-        "2010; ours beside what is printed. A claim says whether it was read in the text, in a printed table or from "
-        "the texts of a figure's axis; no curve was digitised, and nothing is tuned to any of it.</p>",
-        f"<p><b>{html.escape(total)}</b></p><table><tr><th></th><th>what</th><th>verdict</th></tr>",
-    ]
-    for a in every:
-        i = a.item
-        said = _word(a) if i.kind == "result" else _code(i.stands)
-        parts.append(
-            f"<tr><td><a href='#{i.name}'>{i.where}</a></td><td>{html.escape(i.title)}</td><td>{said}</td></tr>"
-        )
-    parts.append("</table>")
-    chapter = 0
-    for a in every:
-        i = a.item
-        if _chapter(i) != chapter:
-            chapter = _chapter(i)
-            parts.append(f"<h2>Chapter {chapter}</h2>")
-        parts.append(f"<section id='{i.name}'><h3>{i.where}: {html.escape(i.title)} {_word(a)}</h3>")
-        if i.kind != "result":
-            parts.append(f"<p>A {i.kind}. For it stands: {_code(i.stands)}.</p></section>")
-            continue
-        if a.picture is not None:
-            data = base64.b64encode(a.picture.read_bytes()).decode("ascii")
-            parts.append(f"<img alt='{html.escape(i.title)}' src='data:image/png;base64,{data}'>")
-        lines = "".join(
-            f"<li{'' if v.agrees else ' class=no'}>{html.escape(v.line())}</li>" for v in a.verdicts
-        )
-        parts.append(f"<ul>{lines}</ul>" if lines else "")
-        parts.append(f"<p>{_code(a.note)}</p>" if a.note else "")
-        took = "" if math.isnan(a.seconds) else f" ({a.seconds:.1f} s)"
-        parts.append(f"<p><code>{i.command}</code>{took}</p></section>")
-    return "\n".join(p for p in parts if p) + "\n</body></html>\n"
-
-
-def _word(a: Answer) -> str:
-    share = f" ({a.share})" if a.share else ""
-    return f"<span class='w {_CLASS.get(a.word, '')}'>{html.escape(a.word + share)}</span>"
+    return render_page(
+        "The dissertation, figure by figure", _BODY, answers=every, total=_sum_of([a.to_dict() for a in every]),
+        chapter=_chapter, code=_code, badges=_BADGES,
+    )  # fmt: skip

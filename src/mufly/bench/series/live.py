@@ -6,17 +6,50 @@ zero, without any correction.
 
 from __future__ import annotations
 
-import html
-import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from mufly.answer_store import replace_file
 from mufly.bench.series.plan import Plan
+from mufly.errors import InputError
+from mufly.report_page import render_page
 
 NAME = "live.html"
 _COLOURS = ("#1b6ca8", "#c4532d", "#3a7d44", "#7b4f9d", "#a8871b", "#2d9ca0", "#b03a6b", "#5b6770")
 _WIDTH, _HEIGHT, _LEFT, _LOW = 460, 260, 58, 34
+_BODY = """
+<p><progress value="{{ "%.3f" | format(share) }}"></progress> {{ "%.0f" | format(100 * share) }} % – {{ status }}</p>
+<div>
+{% for plot in plots %}
+<svg width="{{ width }}" height="{{ height }}" font-size="12" role="img" aria-label="{{ plot.title }}">
+<text x="{{ left }}" y="16" font-weight="600">{{ plot.title }}</text>
+<path d="M{{ left }} 24V{{ low }}H{{ width - 12 }}" fill="none" stroke="#888"/>
+<text x="{{ left - 4 }}" y="{{ low }}" text-anchor="end">{{ "%.4g" | format(plot.y[0]) }}</text>
+<text x="{{ left - 4 }}" y="34" text-anchor="end">{{ "%.4g" | format(plot.y[1]) }}</text>
+<text x="{{ left }}" y="{{ low + 16 }}">{{ "%.4g" | format(plot.x[0]) }}</text>
+<text x="{{ width - 12 }}" y="{{ low + 16 }}" text-anchor="end">{{ "%.4g" | format(plot.x[1]) }}</text>
+{% for points, line in plot.series %}
+{% set colour = colours[loop.index0 % colours | length] %}
+{% if line %}
+<polyline fill="none" stroke="{{ colour }}"
+points="{% for x, y in points %}{{ "%.1f,%.1f " | format(x, y) }}{% endfor %}"/>
+{% endif %}
+{% for x, y in points %}
+<circle cx="{{ "%.1f" | format(x) }}" cy="{{ "%.1f" | format(y) }}" r="3.5" fill="{{ colour }}"/>
+{% endfor %}
+{% endfor %}
+</svg>
+{% endfor %}
+</div>
+<p>
+{% for name in names %}
+<span class="key" style="color:{{ colours[loop.index0 % colours | length] }}">● {{ name }}</span>&ensp;
+{% endfor %}
+</p>
+<ul>{% for x in events %}<li>{{ x.what }}: {{ x.why }}</li>{% endfor %}</ul>
+"""
 
 
 def write_page(
@@ -49,34 +82,22 @@ def write_page(
         ]
         if track:
             plots.append(_plot(f"zero of {channel} over time (min)", [("", track, True)]))
-    legend = " ".join(
-        f'<span style="color:{_COLOURS[k % len(_COLOURS)]}">&#9679; {html.escape(n)}</span>'
-        for k, n in enumerate(names)
-    )
     events = [x for x in lines if x["kind"] == "event" and x["what"] != "mounted"][-5:]
-    told = "".join(f"<li>{html.escape(x['what'])}: {html.escape(str(x.get('why', '')))}</li>" for x in events)
-    text = f"""<!doctype html><html lang="en"><head><meta charset="utf-8">
-{"" if over else '<meta http-equiv="refresh" content="2">'}<title>{html.escape(plan.name)}</title>
-<style>body{{font:15px system-ui,sans-serif;margin:1.5em;color:#222}}svg{{margin:0 1em 1em 0}}
-progress{{width:30em}}span{{margin-right:1em}}</style></head><body>
-<h1>{html.escape(plan.name)}</h1>
-<p><progress value="{share:.3f}"></progress> {100 * share:.0f} % &ndash; {html.escape(status)}</p>
-<div>{"".join(plots)}</div><p>{legend}</p><ul>{told}</ul></body></html>"""
-    path = folder / NAME
-    new = path.with_suffix(".new")
-    try:
+    text = render_page(
+        plan.name, _BODY, share=share, status=status, plots=list(filter(None, plots)), names=list(names),
+        colours=_COLOURS, events=events, width=_WIDTH, height=_HEIGHT, left=_LEFT, low=_HEIGHT - _LOW,
+        refresh_s=0 if over else 2,
+    )  # fmt: skip
+    # A page that cannot be drawn is no reason to stop a bench.
+    with suppress(InputError), replace_file(folder / NAME) as new:
         new.write_text(text, encoding="utf-8")
-        os.replace(new, path)
-    except OSError:
-        # A page that cannot be drawn is no reason to stop a bench.
-        return
 
 
-def _plot(title: str, series: Sequence[tuple[str, list[tuple[float, float]], bool]]) -> str:
-    """Draw points, or a line, in a frame with the ends of its axes."""
+def _plot(title: str, series: Sequence[tuple[str, list[tuple[float, float]], bool]]) -> dict[str, Any]:
+    """Points, or a line, in a frame with the ends of its axes, in pixels; empty where there is no point."""
     every = [p for _, some, _ in series for p in some]
     if not every:
-        return ""
+        return {}
     x0, x1 = min(p[0] for p in every), max(p[0] for p in every)
     y0, y1 = min(p[1] for p in every), max(p[1] for p in every)
     if all(not line for _, _, line in series):
@@ -89,18 +110,5 @@ def _plot(title: str, series: Sequence[tuple[str, list[tuple[float, float]], boo
             _HEIGHT - _LOW - (_HEIGHT - _LOW - 30) * (p[1] - y0) / high,
         )
 
-    drawn = []
-    for k, (_, some, line) in enumerate(series):
-        colour = _COLOURS[k % len(_COLOURS)]
-        if line and len(some) > 1:
-            path = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(at, some))
-            drawn.append(f'<polyline points="{path}" fill="none" stroke="{colour}"/>')
-        drawn += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>' for x, y in map(at, some)]
-    low, right, foot = _HEIGHT - _LOW, _WIDTH - 12, _HEIGHT - _LOW + 16
-    return f"""<svg width="{_WIDTH}" height="{_HEIGHT}" font-size="12" role="img" aria-label="{html.escape(title)}">
-<text x="{_LEFT}" y="16" font-weight="600">{html.escape(title)}</text>
-<path d="M{_LEFT} 24V{low}H{right}" fill="none" stroke="#888"/>
-<text x="{_LEFT - 4}" y="{low}" text-anchor="end">{y0:.4g}</text>
-<text x="{_LEFT - 4}" y="34" text-anchor="end">{y1:.4g}</text>
-<text x="{_LEFT}" y="{foot}">{x0:.4g}</text><text x="{right}" y="{foot}"
-text-anchor="end">{x1:.4g}</text>{"".join(drawn)}</svg>"""
+    drawn = [([at(p) for p in some], line and len(some) > 1) for _, some, line in series]
+    return {"title": title, "x": (x0, x1), "y": (y0, y1), "series": drawn}

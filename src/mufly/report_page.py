@@ -1,0 +1,46 @@
+"""One page for every report: HTML that needs no other file, from one template with one style.
+
+Pictures are drawn on light ground; where the reader's system is dark, the page inverts them.
+"""
+
+from __future__ import annotations
+
+import base64
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jinja2 import Environment, Template
+
+
+@cache
+def _environment() -> Environment:
+    import jinja2
+
+    loader = jinja2.FileSystemLoader(Path(__file__).parent)
+    found = jinja2.Environment(autoescape=True, loader=loader, trim_blocks=True, lstrip_blocks=True)
+    found.filters["base64"] = lambda png: base64.b64encode(png).decode("ascii")
+    return found
+
+
+@cache
+def _body_of(source: str) -> Template:
+    return _environment().from_string(source)
+
+
+def render_page(title: str, body: str, **values: Any) -> str:
+    """Return a page of HTML.
+
+    Parameters
+    ----------
+    title : str
+        Of the page; ``heading=`` gives another first heading.
+    body : str
+        Jinja2 source of what stands below the heading; text is escaped. It may call
+        ``table(heads, rows, numbers, warn)`` (``numbers``: columns aligned to the right, ``warn``: the column of
+        warnings), ``listed(texts, otherwise)`` and ``figure(png, alt)``.
+    **values
+        For the body; with ``refresh_s`` the page loads itself anew.
+    """
+    return _environment().get_template("report_page.html").render(title=title, body=_body_of(body), **values)
