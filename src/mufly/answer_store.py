@@ -25,7 +25,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from platformdirs import user_cache_path
 
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 
 One = TypeVar("One")
 Words = tuple[str, str]
@@ -70,18 +70,13 @@ def replace_file(path: Path, remedy: str = "give another place") -> Iterator[Pat
     """
     part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield part
-        os.replace(part, path)
-    except OSError as error:
-        raise _unwritable(path, error, remedy) from error
+        with report_write_errors(path, remedy):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield part
+            os.replace(part, path)
     finally:
         if part.exists():
             part.unlink()
-
-
-def _unwritable(path: Path, error: OSError, remedy: str) -> InputError:
-    return InputError(str(path), "", f"cannot be written ({error.strerror or error})", remedy)
 
 
 def write_answer(path: Path, question: str, content: Mapping[str, Any], *, indent: int | None = None) -> None:
@@ -186,7 +181,7 @@ class AnswerLines(Generic[One]):
         if path is None:
             return
         head = [json.dumps({"question": question}).encode()] if question else []
-        try:
+        with report_write_errors(path, "give another place"):
             lines = path.read_bytes().split(b"\n") if path.is_file() else [*head, b""]
             if lines[: len(head)] != head:
                 raise InputError(str(path), "", *other)
@@ -203,8 +198,6 @@ class AnswerLines(Generic[One]):
             if cut or (head and not path.is_file()):
                 with replace_file(path) as part:
                     part.write_bytes(b"".join(line + b"\n" for line in kept))
-        except OSError as error:
-            raise _unwritable(path, error, "give another place") from error
 
     def add(self, key: Any, one: One, content: Any) -> None:
         """Keep an answer, whose line holds ``content``."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 
 class MuflyError(Exception):
@@ -53,6 +55,17 @@ class ArgumentError(InputError):
     def __init__(self, argument: str, key: str, problem: str, remedy: str) -> None:
         super().__init__(argument, key, problem, remedy)
         self.argument = argument
+
+
+@contextmanager
+def report_write_errors(
+    where: str | Path, remedy: str = "give another folder", key: str = ""
+) -> Iterator[None]:
+    """Raise an :class:`InputError` about ``where`` for what goes wrong while files are written in the block."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(str(where), key, f"cannot be written ({error.strerror or error})", remedy) from error
 
 
 def suggest_name(name: str, known: Iterable[str], otherwise: str = "") -> str:

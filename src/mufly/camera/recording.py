@@ -16,7 +16,7 @@ from typing import Any
 
 import orjson
 
-from mufly.errors import InputError, MuflyError
+from mufly.errors import InputError, MuflyError, report_write_errors
 from mufly.logs.mcap import McapFile, read_mcap
 from mufly.logs.recording import json_schema, stamp
 
@@ -53,13 +53,9 @@ class PictureRecorder:
     """
 
     def __init__(self, path: Path, camera: str, start_ns: int, facts: Mapping[str, str]) -> None:
-        try:
+        with report_write_errors(path, "choose another folder"):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._out = path.open("wb")
-        except OSError as error:
-            raise InputError(
-                str(path), "", f"cannot be written ({error.strerror})", "choose another folder"
-            ) from error
         self._start_ns, self._waiting, self._due_s = start_ns, list[tuple[int, int, bytes]](), -1e9
         self._path = path
         self._file = McapFile(self._out, "mufly")

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from mufly.cfd.mesh import Domain
 from mufly.cfd.polymesh import LOWER, PolyMesh, foam_header, write_poly_mesh
 from mufly.cfd.start import slipstream
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 from mufly.rotor import Air, tip_mach
 from mufly.rotor.system import HIGHEST_MACH, check_pitch
 from mufly.units import RPM
@@ -179,7 +179,7 @@ def write_case(
     InputError
         If it cannot be written.
     """
-    try:
+    with report_write_errors("--out", key=str(folder)):
         for part in folder.glob("processor[0-9]*"):  # of what was there before
             shutil.rmtree(part)
         write_poly_mesh(mesh, folder)
@@ -190,10 +190,6 @@ def write_case(
         (folder / "Allrun").chmod(0o755)
         _write_fields(folder / "0", mesh, point, state or {})
         (folder / "mufly.json").write_text(json.dumps(asdict(point), indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            "--out", str(folder), f"cannot be written ({error.strerror or error})", "give another folder"
-        ) from error
 
 
 def read_point(folder: Path) -> Point:

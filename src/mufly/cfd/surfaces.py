@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from mufly.cfd.case import Point
 from mufly.cfd.polymesh import PolyMesh
 from mufly.cfd.results import Flow, Solution
-from mufly.errors import InputError
+from mufly.errors import report_write_errors
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -385,11 +385,7 @@ def colours_of(values: Array) -> NDArray[np.uint8]:
 
 
 def _write(file: Path, content: bytes) -> Path:
-    try:
+    with report_write_errors(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(content)
-    except OSError as error:
-        raise InputError(
-            str(file), "", f"cannot be written ({error.strerror or error})", "give another folder"
-        ) from error
     return file

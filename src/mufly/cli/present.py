@@ -11,14 +11,14 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -237,13 +237,11 @@ def tell_files(files: Iterable[Path], label: str = "Written") -> None:
         console().print(f"{label}: {file}", highlight=False, markup=False, soft_wrap=True)
 
 
-@contextmanager
-def writing(place: Path, remedy: str = "give another folder", option: str = "--out") -> Iterator[None]:
+def writing(
+    place: Path, remedy: str = "give another folder", option: str = "--out"
+) -> AbstractContextManager[None]:
     """Turn what goes wrong while a file is written into an InputError that names the option and the place."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(option, str(place), f"cannot be written ({error})", remedy) from error
+    return report_write_errors(option, remedy, str(place))
 
 
 def save_picture(figure: Figure, folder: Path, name: str, endings: Sequence[str] = (".png",)) -> Path:

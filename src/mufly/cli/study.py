@@ -35,7 +35,7 @@ from mufly.cli.present import (
     tell_files,
 )
 from mufly.cli.rotor import app as rotor_commands
-from mufly.errors import InputError, suggest_name
+from mufly.errors import InputError, report_write_errors, suggest_name
 from mufly.grammar import read_values
 from mufly.units import RPM
 
@@ -549,12 +549,8 @@ def report_thesis(
     from mufly.thesis import ITEMS, recall, report, totals
 
     answers = [recall(name, from_folder) for name in ITEMS]
-    try:
+    with report_write_errors(out, "give another file"):
         out.write_text(report(answers), encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            str(out), "", f"cannot be written ({error.strerror})", "give another file"
-        ) from error
     tell_files([out])
     console().print(", ".join(f"{n} {word}" for word, n in totals(answers).items()) + ".", highlight=False)
 

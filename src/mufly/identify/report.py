@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import InputError
+from mufly.errors import report_write_errors
 from mufly.identify import pictures
 from mufly.identify.linear.frequency import FrequencyResponse, SpectralFit, response_of
 from mufly.identify.linear.identification import LinearResult
@@ -103,7 +103,7 @@ def write_report(
         If the folder cannot be written.
     """
     folder = Path(directory)
-    try:
+    with report_write_errors("report", key=str(folder)):
         folder.mkdir(parents=True, exist_ok=True)
         album = _Album(folder, _pictures_of(fit, sections), progress)
         page = render_page(
@@ -115,10 +115,6 @@ def write_report(
         )  # fmt: skip
         path = folder / "report.html"
         path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            "report", str(folder), f"cannot be written ({error})", "give another folder"
-        ) from error
     return path
 
 

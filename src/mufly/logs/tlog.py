@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 from mufly.logs.sender_clocks import (
     Key,
     order_by_number,
@@ -423,13 +423,9 @@ class TlogWriter:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._flushed_s = time.monotonic()
-        try:
+        with report_write_errors(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("wb")
-        except OSError as error:
-            raise InputError(
-                str(self.path), "", f"cannot be written ({error.strerror})", "give another folder"
-            ) from error
 
     def write(self, packet: bytes, time_us: int | None = None) -> None:
         """Add one packet.

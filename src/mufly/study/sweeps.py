@@ -25,7 +25,7 @@ import numpy as np
 import xarray as xr
 
 from mufly.answer_store import claim_folder, hash_question, read_answer, write_answer
-from mufly.errors import InputError, MuflyError
+from mufly.errors import InputError, MuflyError, report_write_errors
 from mufly.rotor import RotorResult, database_airfoils, load_airfoil
 from mufly.study.evaluation import Case, Results, evaluate
 from mufly.study.parameters import PAIR, PARAMETERS, Value, known
@@ -295,7 +295,7 @@ def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> 
         If the folder cannot be written.
     """
     target = Path(folder)
-    try:
+    with report_write_errors(folder):
         target.mkdir(parents=True, exist_ok=True)
         nc, table = target / f"{name}.nc", target / f"{name}.csv"
         data.to_netcdf(nc, engine="scipy")
@@ -308,8 +308,6 @@ def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> 
             writer.writerow([*heads, *(str(v) for v in data.data_vars)])
             for row in zip(*(g.ravel() for g in grid), *columns, strict=True):
                 writer.writerow([f"{x:.9g}" if isinstance(x, float) else x for x in row])
-    except OSError as error:
-        raise InputError(str(folder), "", f"cannot be written ({error})", "give another folder") from error
     return [nc, table]
 
 
@@ -346,15 +344,13 @@ def write_stations(result: RotorResult, folder: str | Path, name: str = "station
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     columns = {k: v for k, v in values.items() if np.ndim(v) == 1}
     path = Path(folder) / f"{name}.csv"
-    try:
+    with report_write_errors(folder):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(columns)
             for row in zip(*columns.values(), strict=True):
                 writer.writerow([f"{v:.9g}" for v in row])
-    except OSError as error:
-        raise InputError(str(folder), "", f"cannot be written ({error})", "give another folder") from error
     return path
 
 

@@ -24,7 +24,7 @@ import xarray as xr
 from mufly.answer_store import cache_folder, hash_question, read_answer, write_answer
 from mufly.compiled import sources_of
 from mufly.drawing import shown
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 from mufly.results import result
 from mufly.study import TABLE_3_3, write_results
 from mufly.thesis import (
@@ -90,7 +90,7 @@ class Outcome:
         target = Path(folder)
         picture, note = target / f"{self.name}.png", target / f"{self.name}.json"
         files: list[Path] = []
-        try:
+        with report_write_errors(folder):
             target.mkdir(parents=True, exist_ok=True)
             self.figure.savefig(picture, dpi=110)
             for model, data in self.data.items():
@@ -101,10 +101,6 @@ class Outcome:
                 else:  # no one table has all of it
                     files.append(target / f"{name}.nc")
                     plain.to_netcdf(files[-1], engine="scipy")
-        except OSError as error:
-            raise InputError(
-                str(folder), "", f"cannot be written ({error})", "give another folder"
-            ) from error
         # Last: where it stands, so does the rest.
         write_answer(note, digest(self.name), self.to_dict(), indent=2)
         return [picture, note, *files]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bench.series.analysis import Load, Series, Setting
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 from mufly.results import plain, result
 from mufly.rotor import Air, Blading, Condition, System, load_rotor, prepare, solve
 from mufly.units import RPM
@@ -48,7 +48,7 @@ def write_results(series: Series, folder: Path) -> list[Path]:
     InputError
         If the folder cannot be written to.
     """
-    try:
+    with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         files: list[Path] = []
         for many, kind in ((series.settings, ""), (series.points, "-points")):
@@ -72,8 +72,6 @@ def write_results(series: Series, folder: Path) -> list[Path]:
                 files.append(_write(folder / f"motor-{axis}.csv", heads, rows))
         summary = folder / "summary.json"
         summary.write_text(json.dumps(plain(series), indent=1), encoding="utf-8")
-    except OSError as error:
-        raise InputError(str(folder), "", f"cannot be written ({error})", "give another folder") from error
     return [*files, summary]
 
 

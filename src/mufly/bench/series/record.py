@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from mufly.bench.series.averaging import Mean
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 
 NAME = "raw.jsonl"
 
@@ -41,12 +41,10 @@ class Record:
         path = folder / NAME
         if path.is_file():
             self.lines, self.broken = read_lines(path)
-        try:
+        with report_write_errors(path, "free it"):
             self._file = path.open("a", encoding="utf-8", newline="\n")
             if path.stat().st_size and not path.read_bytes().endswith(b"\n"):
                 self._file.write("\n")
-        except OSError as error:
-            raise InputError(str(path), "", f"cannot be written ({error.strerror})", "free it") from error
 
     def write(self, line: dict[str, Any]) -> None:
         """Add a line; on the disk when this returns."""
