@@ -554,10 +554,30 @@ def _waits(f: _Facts) -> Answer:
     return _knows(f) if f.s.manual else later("a mission is being flown; pause it first", "mission under way")
 
 
+_BY_WORD: dict[str, Callable[[_Facts], Answer]] = {
+    "yes": _yes,
+    "at-rest": _at_rest,
+    "grounded": _grounded,
+    "up": _up,
+    "armed": _armed,
+    "floor": _floor,
+    "seen": _seen,
+    "by-hand": _by_hand,
+    "knows": _knows,
+    "lands": _lands,
+    "high": _high,
+    "lifted": _lifted,
+    "busy": _busy,
+    "still": _still,
+    "waits": _waits,
+}
+"""Conditions by the words of :data:`TABLE`."""
+
+
 def _conditions() -> dict[tuple[str, str], Callable[[_Facts], Answer]]:
     head, *rows = (line.split() for line in TABLE.strip().splitlines())
     words = {(ask, state): word for ask, *cells in rows for state, word in zip(head[1:], cells, strict=True)}
-    return {key: globals()["_" + word.replace("-", "_")] for key, word in words.items()}
+    return {key: _BY_WORD[word] for key, word in words.items()}
 
 
 _CONDITIONS = _conditions()
