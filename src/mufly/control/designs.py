@@ -52,6 +52,7 @@ from mufly.control.schemes import (
     unscale_controller,
 )
 from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise, model_parameters
+from mufly.dynamics.state import RS_CHARGE
 from mufly.errors import ArgumentError, MuflyError
 from mufly.results import plain, result
 from mufly.vehicle import Vehicle, voltage_range
@@ -565,7 +566,7 @@ def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Settin
     that its end needs, hence ``heave_share``.
     """
     state = linear.trim.state.copy()
-    state[20] = settings.planning_charge
+    state[RS_CHARGE] = settings.planning_charge
     sagged = float(battery_state(state, 1.0, 1.0, model_parameters(vehicle))[0])
     lower_upper = linear.trim.motor_input[::-1]
     headroom = np.maximum(sagged / linear.trim.voltage_V - lower_upper, 0.0)

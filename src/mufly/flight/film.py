@@ -10,7 +10,7 @@ import numpy as np
 
 from mufly.camera import Camera, Floor, Motion, Renderer, StreamServer, encode
 from mufly.dynamics import model_parameters, rotation
-from mufly.dynamics.state import hover_speeds
+from mufly.dynamics.state import ATTITUDE, hover_speeds
 from mufly.errors import ArgumentError, InputError, suggest_name
 from mufly.grammar import read_span
 from mufly.sensors import Truth
@@ -112,7 +112,7 @@ class Film:
         """How it moves at the middle of a picture."""
         share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
         return Motion(
-            truth.time_s, truth.position.copy(), truth.velocity.copy(), rotation(truth.state[6:10]),
+            truth.time_s, truth.position.copy(), truth.velocity.copy(), rotation(truth.state[ATTITUDE]),
             truth.rates.copy(), truth.rotor_speed.copy(), self.phase.copy(), share,
         )  # fmt: skip
 

@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.camera import CAMERA_RECORDING
 from mufly.control import FlightController, design
 from mufly.dynamics import DrydenWind, model_air, outside_model, standing_state
+from mufly.dynamics.state import POSITION, RS_CHARGE
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator, fitted_estimator
 from mufly.flight.autopilot import Autopilot
@@ -423,7 +424,8 @@ class Flight:
         low = self.autopilot.software.plan.low_V + float(p["battery_resistance"]) * current
         curve = np.asarray(p["battery_curve"], dtype=np.float64)
         empty = float(np.interp(low, curve, np.linspace(0.0, 1.0, len(curve))))
-        return max(0.0, float(self.plant.state[20]) - empty) * float(self.vehicle.battery.capacity) / current
+        left = max(0.0, float(self.plant.state[RS_CHARGE]) - empty)
+        return left * float(self.vehicle.battery.capacity) / current
 
     def reset(self) -> None:
         """Back to the start with a full battery, motors off; the clock, the recording and the parameters go on."""
@@ -684,9 +686,9 @@ def _progress(flight: Flight, expected_s: float, wall_s: float) -> Progress:
         time_s=flight.time_s,
         expected_s=expected_s,
         state=str(flight.autopilot.software.mission_state.state),
-        position=plant.state[0:3].copy(),
+        position=plant.state[POSITION].copy(),
         battery_V=float(plant.voltage),
-        battery_charge=float(plant.state[20]),
+        battery_charge=float(plant.state[RS_CHARGE]),
         realtime_factor=flight.time_s / max(wall_s, 1e-9),
     )
 

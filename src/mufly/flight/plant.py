@@ -24,6 +24,17 @@ from mufly.dynamics import (
     model_parameters,
     trim,
 )
+from mufly.dynamics.state import (
+    POSITION,
+    RATES,
+    ROTOR_SPEEDS,
+    RS_ATT,
+    RS_CHARGE,
+    RS_POS,
+    U_MOTOR_LOWER,
+    U_MOTOR_UPPER,
+    VELOCITY,
+)
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import IdealEstimator
 from mufly.flight.controllers import Actuators, Controllers
@@ -44,7 +55,7 @@ def plant_period(
     """Advance the state by one period; write voltage and current of the battery at its end into ``supply`` (2,)."""
     p = parameters[0]
     advance(x, u, wind, p, dt, steps)
-    supply[0], supply[1] = battery_state(x, u[0], u[1], p)
+    supply[0], supply[1] = battery_state(x, u[U_MOTOR_UPPER], u[U_MOTOR_LOWER], p)
 
 
 @compiled(error_model="numpy")
@@ -53,7 +64,7 @@ def true_attitude(x: _Array, attitude: _Array) -> None:
 
     By :mod:`mufly.trigonometry`, so that it is the same on every processor.
     """
-    w, i, j, k = x[6], x[7], x[8], x[9]
+    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
     sine = min(max(2.0 * (w * j - k * i), -1.0), 1.0)
     yaw = direction(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
     attitude[0] = direction(2.0 * (w * i + j * k), 1.0 - 2.0 * (i * i + j * j))
@@ -74,9 +85,9 @@ def touched(
 ) -> int:
     """What a helicopter has hit: 0 nothing, 1 an obstacle, 2 the floor with a rotor."""
     p = parameters[0]
-    if obstacles and nearest(x[0:3].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:
+    if obstacles and nearest(x[POSITION].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:
         return 1
-    if x[2] + p.contact_reach > 0.0:
+    if x[RS_POS + 2] + p.contact_reach > 0.0:
         depth, point = lowest_point(x, p)
         if depth > 0.0 and point >= legs:
             return 2
@@ -148,13 +159,13 @@ class Plant:
             return
         hit = touched(self.state, self.box, *self.body)
         if hit == 1:
-            _, name = distance(self.world, self.state[0:3])
+            _, name = distance(self.world, self.state[POSITION])
             self.crashed = f"a rotor hit the {name} at {self._where()}"
         elif hit == 2:
             self.crashed = f"tipped over: a rotor touched the floor at {self._where()}"
 
     def _where(self) -> str:
-        n, e, d = self.state[0:3]
+        n, e, d = self.state[POSITION]
         return f"[{n:.2f}, {e:.2f}, {d:.2f}] m, {self.time_s:.1f} s"
 
     @property
@@ -192,7 +203,7 @@ class Plant:
         """Take notice that the state has been advanced by so many."""
         self.voltage, self.current = self.supply.tolist()
         self.ticks += periods
-        if not math.isfinite(self.state[2]):
+        if not math.isfinite(self.state[RS_POS + 2]):
             raise MuflyError(
                 f"the simulation became unstable at {self.time_s:.3f} s with steps of {self.step_s * 1e3:g} ms; "
                 "check the vehicle's parameters with `mufly vehicle check`"
@@ -275,15 +286,15 @@ def common_writer(
     def fill(truth: Truth, actuators: Actuators, reference: tuple[_Array, _Array, _Array]) -> None:
         x = truth.state
         position[:], velocity[:], attitude[:], rates[:], speed[:] = (
-            x[..., 0:3],
-            x[..., 3:6],
+            x[..., POSITION],
+            x[..., VELOCITY],
             truth.attitude,
-            x[..., 10:13],
-            x[..., 18:20],
+            x[..., RATES],
+            x[..., ROTOR_SPEEDS],
         )
         place[:], way[:], turned[:] = reference
         wind[:], motor[:], servo[:] = truth.wind, actuators.motor_input, actuators.servo_input
-        charge[..., 0], voltage[..., 0], current[..., 0] = x[..., 20], truth.voltage, truth.current
+        charge[..., 0], voltage[..., 0], current[..., 0] = x[..., RS_CHARGE], truth.voltage, truth.current
 
     return fill
 

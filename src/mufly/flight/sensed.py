@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from mufly.dynamics.state import POSITION, RATES, VELOCITY
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.flight.controllers import Actuators
 from mufly.flight.plant import blank_row, common_writer
@@ -174,6 +175,6 @@ def truths_of(dataset: xr.Dataset) -> list[Truth]:
     for k, t in enumerate(dataset["time"].values.tolist()):
         x, v, attitude, rates = (c[k] for c in columns)
         state = np.full(21, math.nan)
-        state[0:3], state[3:6], state[10:13] = x, v, rates
+        state[POSITION], state[VELOCITY], state[RATES] = x, v, rates
         out.append(Truth(t, k, state, attitude, np.full(3, math.nan), math.nan, math.nan))
     return out

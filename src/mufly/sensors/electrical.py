@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
+from mufly.dynamics.state import RS_SPEED_UPPER
 from mufly.sensors.drawing import normals
 from mufly.sensors.periodic import STANDS, VALUES, Periodic
 from mufly.sensors.readings import Truth
@@ -25,6 +26,9 @@ from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import BatteryMonitor, RotorSpeed
 
 _Array = NDArray[np.float64]
+# Of the numbers of each: scales of both speeds, noise (rad/s); of voltage and current (V, A)
+_SPEED_SCALE, _SPEED_NOISE = 0, 2
+_VOLTAGE_NOISE, _VOLTAGE_STEP, _CURRENT_SCALE, _CURRENT_NOISE = range(4)
 
 
 @compiled(error_model="numpy")
@@ -37,12 +41,14 @@ def _speeds(
     parts: tuple[_Array],
     row: _Array,
 ) -> float:
-    (numbers,) = parts  # scales of both, noise (rad/s)
+    (numbers,) = parts
     n = np.empty(2)
     normals(source, n)
     row[STANDS] = 1.0
     for k in range(2):
-        row[VALUES + k] = max(x[18 + k] * numbers[k] + numbers[2] * n[k], 0.0)
+        row[VALUES + k] = max(
+            x[RS_SPEED_UPPER + k] * numbers[_SPEED_SCALE + k] + numbers[_SPEED_NOISE] * n[k], 0.0
+        )
     return 0.0
 
 
@@ -72,14 +78,14 @@ def _battery(
     parts: tuple[_Array],
     row: _Array,
 ) -> float:
-    (numbers,) = parts  # noise and step of the voltage, scale and noise of the current
+    (numbers,) = parts
     n = np.empty(2)
     normals(source, n)
-    volts, step = supply[0] + numbers[0] * n[0], numbers[1]
+    volts, step = supply[0] + numbers[_VOLTAGE_NOISE] * n[0], numbers[_VOLTAGE_STEP]
     if step > 0.0:
         volts = np.rint(volts / step) * step
     row[STANDS], row[VALUES] = 1.0, max(volts, 0.0)
-    row[VALUES + 1] = supply[1] * numbers[2] + numbers[3] * n[1]
+    row[VALUES + 1] = supply[1] * numbers[_CURRENT_SCALE] + numbers[_CURRENT_NOISE] * n[1]
     return 0.0
 
 

@@ -35,7 +35,16 @@ from numpy.typing import NDArray
 
 from mufly.calling import lent
 from mufly.compiled import compiled
-from mufly.dynamics import STATE_SIZE, rotation, trim
+from mufly.dynamics import rotation, trim
+from mufly.dynamics.state import (
+    ATTITUDE,
+    ROTOR_SPEEDS,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_VEL,
+    STATE_SIZE,
+)
 from mufly.sensors.drawing import normals, source_of
 from mufly.sensors.readings import Reading, Sensor, Truth
 from mufly.units import GRAVITY
@@ -47,6 +56,13 @@ _Array = NDArray[np.float64]
 _ELEVATION = math.asin(math.sqrt(1 / 3))  # of the shaking above the horizon: all axes share alike
 ROOM_K = 293.15
 _LINES = 5  # once and twice of both rotors, and the passing of blades
+_GYRO = 3  # of the six axes, the first of the gyroscopes
+# Of its numbers: amplitudes, resonance and damping of the shaking, hover speeds, time of the drift, warming, its time
+(
+    _ONCE, _TWICE, _PASSING, _RESONANCE, _DAMPING, _HOVER_UPPER, _HOVER_LOWER, _DRIFT_TIME, _WARMING, _WARMING_TIME,
+) = range(10)  # fmt: skip
+_COS, _SIN, _TURN_COS, _TURN_SIN, _GROWTH_COS, _GROWTH_SIN = range(6)  # of a rotor's phasor
+_UP_TWICE, _DW_TWICE, _PASSES = 2, 6, 8  # rows of lines, cosine and sine each
 
 
 class Imu(Sensor):
@@ -67,7 +83,7 @@ class Imu(Sensor):
     ) -> None:
         imu = table
         self._rng, self._imu = rng, imu
-        hover = np.asarray(trim(vehicle).state[18:20] if hover_rad_s is None else hover_rad_s)
+        hover = np.asarray(trim(vehicle).state[ROTOR_SPEEDS] if hover_rad_s is None else hover_rad_s)
         shake = imu.vibration
         self._numbers = np.array(
             [float(q) for q in (shake.once, shake.twice, shake.passing, shake.resonance, shake.damping)]
@@ -114,7 +130,7 @@ class Imu(Sensor):
 
     def clip_at(self, limit_m_s2: float | None) -> None:
         """Let the accelerometers clip at another limit (a fault); None for their own."""
-        self._limit[:3] = self._range[:3] if limit_m_s2 is None else limit_m_s2
+        self._limit[:_GYRO] = self._range[:_GYRO] if limit_m_s2 is None else limit_m_s2
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         before, self._before = self._before, truth
@@ -163,9 +179,9 @@ class Imu(Sensor):
 
     def _say(self, t: float, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
         self._last = {
-            "acceleration": Reading(values[:3], t),
-            "rates": Reading(values[3:], t),
-            "clipping": Reading(clipped[:3], t),
+            "acceleration": Reading(values[:_GYRO], t),
+            "rates": Reading(values[_GYRO:], t),
+            "clipping": Reading(clipped[:_GYRO], t),
             "temperature": Reading(ROOM_K + self.warmth(t), t),
         }
         return self._last
@@ -205,16 +221,18 @@ def _exaggerated(speed: float, natural: float, damping: float) -> float:
 
 @compiled(error_model="numpy")
 def _warmth(t: float, numbers: _Array) -> float:
-    return numbers[8] * (1.0 - math.exp(-t / numbers[9]))
+    return numbers[_WARMING] * (1.0 - math.exp(-t / numbers[_WARMING_TIME]))
 
 
 @compiled(error_model="numpy")
 def _felt_force(was: _Array, now: _Array, elapsed: float, place: _Array, force: _Array) -> None:
     """Specific force at the element (m/s^2), as the mean of a period, into ``force``."""
-    turn = rotation(now[6:10])
-    px, py, pz = (now[10] - was[10]) / elapsed, (now[11] - was[11]) / elapsed, (now[12] - was[12]) / elapsed
-    a, b, c = (now[3] - was[3]) / elapsed, (now[4] - was[4]) / elapsed, (now[5] - was[5]) / elapsed - GRAVITY
-    wx, wy, wz = now[10], now[11], now[12]
+    turn = rotation(now[ATTITUDE])
+    wx, wy, wz = now[RS_RATES], now[RS_RATES + 1], now[RS_RATES + 2]
+    px, py = (wx - was[RS_RATES]) / elapsed, (wy - was[RS_RATES + 1]) / elapsed
+    pz = (wz - was[RS_RATES + 2]) / elapsed
+    a, b = (now[RS_VEL] - was[RS_VEL]) / elapsed, (now[RS_VEL + 1] - was[RS_VEL + 1]) / elapsed
+    c = (now[RS_VEL + 2] - was[RS_VEL + 2]) / elapsed - GRAVITY
     x, y, z = place[0], place[1], place[2]
     vx, vy, vz = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x
     force[0] = turn[0, 0] * a + turn[1, 0] * b + turn[2, 0] * c + py * z - pz * y + wy * vz - wz * vy
@@ -255,8 +273,9 @@ def imu_period(
     felt at the element, ``out`` and ``clipped`` (6,) what is said and the share of samples that clipped.
     """
     n, warmth = normal.size // 6 - 1, _warmth(t, numbers)
-    once, twice, passing, natural, damping = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
-    hover_up, hover_dw, drift_time = numbers[5], numbers[6], numbers[7]
+    once, twice, passing = numbers[_ONCE], numbers[_TWICE], numbers[_PASSING]
+    natural, damping = numbers[_RESONANCE], numbers[_DAMPING]
+    hover_up, hover_dw, drift_time = numbers[_HOVER_UPPER], numbers[_HOVER_LOWER], numbers[_DRIFT_TIME]
     _felt_force(was, now, elapsed, place, force)
     step = math.sqrt(2.0 * elapsed / drift_time)
     for j in range(6):
@@ -268,10 +287,11 @@ def imu_period(
         a = w = more = 0.0
         for m in range(3):
             a += axes[0, j, m] * force[m]
-            w += axes[1, j, m] * was[10 + m] + feigned[j, m] * force[m]
-            more += axes[1, j, m] * (now[10 + m] - was[10 + m])
-        begin[j], begin[3 + j], slope[j], slope[3 + j] = a, w, 0.0, more
-    up, dw = 0.5 * (was[18] + now[18]), 0.5 * (was[19] + now[19])
+            w += axes[1, j, m] * was[RS_RATES + m] + feigned[j, m] * force[m]
+            more += axes[1, j, m] * (now[RS_RATES + m] - was[RS_RATES + m])
+        begin[j], begin[_GYRO + j], slope[j], slope[_GYRO + j] = a, w, 0.0, more
+    up = 0.5 * (was[RS_SPEED_UPPER] + now[RS_SPEED_UPPER])
+    dw = 0.5 * (was[RS_SPEED_LOWER] + now[RS_SPEED_LOWER])
     for line in range(5):
         if line < 4:
             speed, hover = (up, hover_up) if line < 2 else (dw, hover_dw)
@@ -291,7 +311,7 @@ def imu_period(
                 a += axes[0, j, m] * directions[line, m]
                 w += feigned[j, m] * directions[line, m]
             wave[j, 2 * line], wave[j, 2 * line + 1] = c * a, -s * a
-            wave[3 + j, 2 * line], wave[3 + j, 2 * line + 1] = c * w, -s * w
+            wave[_GYRO + j, 2 * line], wave[_GYRO + j, 2 * line + 1] = c * w, -s * w
     for j in range(6):
         begin[j] += switched_on[j] + wander[j] + heat[j] * warmth
 
@@ -299,24 +319,26 @@ def imu_period(
     dt = elapsed / n
     phasor = np.empty((2, 6))
     for k in range(2):
-        first, growth = was[18 + k], (now[18 + k] - was[18 + k]) / n
+        first, last = was[RS_SPEED_UPPER + k], now[RS_SPEED_UPPER + k]
+        growth = (last - first) / n
         angle, turn, more = azimuth[k], dt * (first + 0.5 * growth), dt * growth
-        phasor[k, 0], phasor[k, 1] = math.cos(angle), math.sin(angle)
-        phasor[k, 2], phasor[k, 3] = math.cos(turn), math.sin(turn)
-        phasor[k, 4], phasor[k, 5] = math.cos(more), math.sin(more)
-        azimuth[k] = (angle + 0.5 * elapsed * (was[18 + k] + now[18 + k])) % (2.0 * math.pi)
+        phasor[k, _COS], phasor[k, _SIN] = math.cos(angle), math.sin(angle)
+        phasor[k, _TURN_COS], phasor[k, _TURN_SIN] = math.cos(turn), math.sin(turn)
+        phasor[k, _GROWTH_COS], phasor[k, _GROWTH_SIN] = math.cos(more), math.sin(more)
+        azimuth[k] = (angle + 0.5 * elapsed * (first + last)) % (2.0 * math.pi)
     lines, felt = np.empty((10, n)), np.empty((6, n))
     for i in range(n):
         for k in range(2):
-            c, s, tc, ts = phasor[k, 0], phasor[k, 1], phasor[k, 2], phasor[k, 3]
+            c, s, tc, ts = phasor[k, _COS], phasor[k, _SIN], phasor[k, _TURN_COS], phasor[k, _TURN_SIN]
             c, s = c * tc - s * ts, c * ts + s * tc
-            phasor[k, 0], phasor[k, 1] = c, s
-            phasor[k, 2] = tc * phasor[k, 4] - ts * phasor[k, 5]
-            phasor[k, 3] = tc * phasor[k, 5] + ts * phasor[k, 4]
+            phasor[k, _COS], phasor[k, _SIN] = c, s
+            phasor[k, _TURN_COS] = tc * phasor[k, _GROWTH_COS] - ts * phasor[k, _GROWTH_SIN]
+            phasor[k, _TURN_SIN] = tc * phasor[k, _GROWTH_SIN] + ts * phasor[k, _GROWTH_COS]
             lines[4 * k, i], lines[4 * k + 1, i] = c, s
             lines[4 * k + 2, i], lines[4 * k + 3, i] = c * c - s * s, 2.0 * c * s
-        lines[8, i] = lines[2, i] * lines[6, i] - lines[3, i] * lines[7, i]
-        lines[9, i] = lines[2, i] * lines[7, i] + lines[3, i] * lines[6, i]
+        up_c, up_s = lines[_UP_TWICE, i], lines[_UP_TWICE + 1, i]
+        dw_c, dw_s = lines[_DW_TWICE, i], lines[_DW_TWICE + 1, i]
+        lines[_PASSES, i], lines[_PASSES + 1, i] = up_c * dw_c - up_s * dw_s, up_c * dw_s + up_s * dw_c
     # An axis after the other, all samples of it together.
     for j in range(6):
         x, noise, w = lent(felt[j]), lent(normal[6 + n * j : 6 + n * (j + 1)]), lent(wave[j])

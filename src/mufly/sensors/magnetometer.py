@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.dynamics import rotation
+from mufly.dynamics.state import ATTITUDE
 from mufly.sensors.drawing import normals
 from mufly.sensors.periodic import STANDS, VALUES, Periodic
 from mufly.sensors.readings import Truth
@@ -26,6 +27,8 @@ from mufly.vehicle.sensing import Magnetometer
 
 _Array = NDArray[np.float64]
 _FEATURES = 64
+# Of its numbers: earth's field, hard iron, field of an ampere (3 each), strength of the distortion, noise (T)
+_EARTH, _HARD_IRON, _PER_AMPERE, _STRENGTH, _NOISE = 0, 3, 6, 9, 10
 
 
 @compiled(error_model="numpy", inline="always")
@@ -55,18 +58,18 @@ def _field(
     parts: tuple[_Array, _Array, _Array],
     row: _Array,
 ) -> float:
-    numbers, waves, shifts = (
-        parts  # earth's field, hard iron, field of an ampere (3 each), strength, noise (T)
-    )
-    there, n, turn = np.empty(3), np.empty(3), rotation(x[6:10])
+    numbers, waves, shifts = parts
+    there, n, turn = np.empty(3), np.empty(3), rotation(x[ATTITUDE])
     for j in range(3):  # an assignment to a slice compiles the message that two shapes differ: 2 s
-        there[j] = numbers[j]
-    _disturbed(x, waves, shifts, numbers[9], there)
+        there[j] = numbers[_EARTH + j]
+    _disturbed(x, waves, shifts, numbers[_STRENGTH], there)
     normals(source, n)
     row[STANDS] = 1.0
     for j in range(3):
         felt = turn[0, j] * there[0] + turn[1, j] * there[1] + turn[2, j] * there[2]
-        row[VALUES + j] = felt + numbers[3 + j] + numbers[6 + j] * supply[1] + numbers[10] * n[j]
+        row[VALUES + j] = (
+            felt + numbers[_HARD_IRON + j] + numbers[_PER_AMPERE + j] * supply[1] + numbers[_NOISE] * n[j]
+        )
     return 0.0
 
 
@@ -95,7 +98,7 @@ class MagnetometerSensor(Periodic):
         return field
 
     def right(self, truth: Truth) -> dict[str, _Array]:
-        return {"magnetic_field": rotation(truth.state[6:10]).T @ self.earth}
+        return {"magnetic_field": rotation(truth.state[ATTITUDE]).T @ self.earth}
 
 
 def earth_field(strength_T: float, inclination: float) -> _Array:

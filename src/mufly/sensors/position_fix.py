@@ -25,6 +25,8 @@ from mufly.vehicle import Vehicle
 from mufly.vehicle.sensing import PositionFix
 
 _Array = NDArray[np.float64]
+# Of its numbers: chance of none, jitter, latency, time of wandering (s), white noise (4)
+_DROPOUT, _JITTER, _LATENCY, _WANDER_TIME, _WHITE = range(5)
 
 
 @compiled(error_model="numpy")
@@ -37,19 +39,19 @@ def _fix(
     parts: tuple[_Array, _Array, _Array],
     row: _Array,
 ) -> float:
-    numbers, sigma, memory = parts  # dropout, jitter, latency (s), time of wandering (s), white noise (4)
+    numbers, sigma, memory = parts
     share, late, n = np.empty(1), np.empty(1), np.empty(4)
     uniforms(source, share)
     normals(source, late)
-    wander(t, sigma, numbers[3], memory, source)
+    wander(t, sigma, numbers[_WANDER_TIME], memory, source)
     normals(source, n)
-    if share[0] < numbers[0]:
+    if share[0] < numbers[_DROPOUT]:
         return NOTHING
     row[STANDS] = 1.0
     for k in range(4):
         true = x[k] if k < 3 else attitude[2]
-        row[VALUES + k] = true + (memory[1 + k] + numbers[4 + k] * n[k])
-    return numbers[2] + abs(numbers[1] * late[0])
+        row[VALUES + k] = true + (memory[1 + k] + numbers[_WHITE + k] * n[k])
+    return numbers[_LATENCY] + abs(numbers[_JITTER] * late[0])
 
 
 class PositionFixSensor(Periodic):

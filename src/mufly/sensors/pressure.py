@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
+from mufly.dynamics.state import RS_POS, RS_SPEED_LOWER, RS_SPEED_UPPER
 from mufly.sensors.drawing import normals
 from mufly.sensors.periodic import STANDS, VALUES, Periodic, start_wandering, wander
 from mufly.sensors.readings import Truth
@@ -28,6 +29,9 @@ from mufly.vehicle.sensing import Pressure
 _Array = NDArray[np.float64]
 
 STANDARD_PRESSURE_PA = 101_325.0
+# Of its numbers: noise (Pa), delay, time of the drift (s), weight of the air (N/m3), share of the loading of the discs,
+# loading of each disc over its speed's square
+_NOISE, _DELAY, _DRIFT_TIME, _WEIGHT, _DOWNWASH, _LOADING_UPPER, _LOADING_LOWER = range(7)
 
 
 @compiled(error_model="numpy")
@@ -40,20 +44,20 @@ def _pressure(
     parts: tuple[_Array, _Array, _Array, _Array],
     row: _Array,
 ) -> float:
-    # noise, delay, time of wandering, weight of the air (N/m3), share of the loading, its slopes over speeds squared;
-    # what is felt, and when it was (s)
+    # numbers, what wanders, and what is felt, and when it was (s)
     numbers, sigma, memory, felt = parts
-    delay, n = numbers[1], np.empty(1)
-    wander(t, sigma, numbers[2], memory, source)
+    delay, n = numbers[_DELAY], np.empty(1)
+    wander(t, sigma, numbers[_DRIFT_TIME], memory, source)
     normals(source, n)
-    loading = numbers[5] * (x[18] * x[18]) + numbers[6] * (x[19] * x[19])
-    true = STANDARD_PRESSURE_PA + numbers[3] * x[2] + numbers[4] * loading + memory[1]
+    upper, lower = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER]
+    loading = numbers[_LOADING_UPPER] * (upper * upper) + numbers[_LOADING_LOWER] * (lower * lower)
+    true = STANDARD_PRESSURE_PA + numbers[_WEIGHT] * x[RS_POS + 2] + numbers[_DOWNWASH] * loading + memory[1]
     if math.isnan(felt[0]) or delay == 0.0:
         felt[0] = true
     else:
         felt[0] += (true - felt[0]) * (1.0 - math.exp(-(t - felt[1]) / delay))
     felt[1] = t
-    row[STANDS], row[VALUES] = 1.0, felt[0] + numbers[0] * n[0]
+    row[STANDS], row[VALUES] = 1.0, felt[0] + numbers[_NOISE] * n[0]
     return 0.0
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.dynamics import rotation
+from mufly.dynamics.state import ATTITUDE, POSITION, RATES, ROTOR_SPEEDS, RS_CHARGE, VELOCITY
 from mufly.vehicle import Vehicle
 from mufly.world import World, first_hit
 
@@ -57,27 +58,27 @@ class Truth:
     @property
     def position(self) -> _Array:
         """N, E, D (m), of the centre of gravity."""
-        return self.state[0:3]
+        return self.state[POSITION]
 
     @property
     def velocity(self) -> _Array:
         """N, E, D (m/s)."""
-        return self.state[3:6]
+        return self.state[VELOCITY]
 
     @property
     def rates(self) -> _Array:
         """p, q, r (rad/s), body axes."""
-        return self.state[10:13]
+        return self.state[RATES]
 
     @property
     def rotor_speed(self) -> _Array:
         """Upper, lower (rad/s)."""
-        return self.state[18:20]
+        return self.state[ROTOR_SPEEDS]
 
     @property
     def charge(self) -> float:
         """Of the battery (0..1)."""
-        return float(self.state[20])
+        return float(self.state[RS_CHARGE])
 
 
 class Reading(NamedTuple):
@@ -186,10 +187,10 @@ class IdealMotion(Sensor):
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t, x = truth.time_s, truth.state
         return {
-            "position": Reading(x[0:3], t),
-            "velocity": Reading(x[3:6], t),
+            "position": Reading(x[POSITION], t),
+            "velocity": Reading(x[VELOCITY], t),
             "attitude": Reading(truth.attitude, t),
-            "rates": Reading(x[10:13], t),
+            "rates": Reading(x[RATES], t),
         }
 
 
@@ -286,7 +287,7 @@ def see(
     out: _Array,
 ) -> None:
     """Distances to the nearest surface along beams of the body (n, 3) into ``out`` (n,), held within least and most."""
-    turn = rotation(x[6:10])
+    turn = rotation(x[ATTITUDE])
     for k in range(directions.shape[0]):
         a, b, c = directions[k, 0], directions[k, 1], directions[k, 2]
         n = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c

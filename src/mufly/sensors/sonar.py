@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.dynamics import rotation
+from mufly.dynamics.state import ATTITUDE
 from mufly.sensors.drawing import normals, uniforms
 from mufly.sensors.periodic import STANDS, VALUES, Periodic
 from mufly.sensors.readings import Truth
@@ -40,7 +41,7 @@ def _way(
     x: _Array, place: _Array, rays: _Array, upright: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> float:
     """Distance from the element to the nearest surface in the cone (m); ``upright`` is the cosine of its half angle."""
-    turn, here = rotation(x[6:10]), np.empty(3)
+    turn, here = rotation(x[ATTITUDE]), np.empty(3)
     for j in range(3):
         here[j] = x[j] + (turn[j, 0] * place[0] + turn[j, 1] * place[1] + turn[j, 2] * place[2])
     best = math.inf

@@ -28,6 +28,7 @@ ASKED: tuple[type[Periodic], ...] = (
     UltrasonicSensor, RingCamera, PressureSensor, MagnetometerSensor, BackEmfSensor, BatterySensor, PositionFixSensor,
 )  # fmt: skip
 """Sensors that :func:`ask` knows, in its order."""
+_SONAR, _RING, _PRESSURE, _MAGNET, _ROTOR, _BATTERY, _FIX = range(len(ASKED))
 # How many axes the arrays of each have that is not there: one compiled code for all vehicles.
 _AXES = (
     (1, 1, 2, 2, 2, 1),
@@ -98,48 +99,48 @@ def ask(
     # and each is counted (counting costs more than asking).
     for k in range(came.size):
         came[k] = 0
-    if t >= quiet[0]:
-        clock, counts, rows, source, parts = all_parts[0]
+    if t >= quiet[_SONAR]:
+        clock, counts, rows, source, parts = all_parts[_SONAR]
         wait = NOTHING
         if is_due(t, clock):
             wait = _sonar(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
-        came[0], quiet[0] = _said(t, wait, clock, counts, rows, told[0]), clock[QUIET]
-    if t >= quiet[1]:
-        clock, counts, rows, source, parts = all_parts[1]
+        came[_SONAR], quiet[_SONAR] = _said(t, wait, clock, counts, rows, told[_SONAR]), clock[QUIET]
+    if t >= quiet[_RING]:
+        clock, counts, rows, source, parts = all_parts[_RING]
         wait = NOTHING
         if is_due(t, clock):
             wait = _ring(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
-        came[1], quiet[1] = _said(t, wait, clock, counts, rows, told[1]), clock[QUIET]
-    if t >= quiet[2]:
-        clock, counts, rows, source, parts = all_parts[2]
+        came[_RING], quiet[_RING] = _said(t, wait, clock, counts, rows, told[_RING]), clock[QUIET]
+    if t >= quiet[_PRESSURE]:
+        clock, counts, rows, source, parts = all_parts[_PRESSURE]
         wait = NOTHING
         if is_due(t, clock):
             wait = _pressure(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
-        came[2], quiet[2] = _said(t, wait, clock, counts, rows, told[2]), clock[QUIET]
-    if t >= quiet[3]:
-        clock, counts, rows, source, parts = all_parts[3]
+        came[_PRESSURE], quiet[_PRESSURE] = _said(t, wait, clock, counts, rows, told[_PRESSURE]), clock[QUIET]
+    if t >= quiet[_MAGNET]:
+        clock, counts, rows, source, parts = all_parts[_MAGNET]
         wait = NOTHING
         if is_due(t, clock):
             wait = _field(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
-        came[3], quiet[3] = _said(t, wait, clock, counts, rows, told[3]), clock[QUIET]
-    if t >= quiet[4]:
-        clock, counts, rows, source, parts = all_parts[4]
+        came[_MAGNET], quiet[_MAGNET] = _said(t, wait, clock, counts, rows, told[_MAGNET]), clock[QUIET]
+    if t >= quiet[_ROTOR]:
+        clock, counts, rows, source, parts = all_parts[_ROTOR]
         wait = NOTHING
         if is_due(t, clock):
             wait = _speeds(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
-        came[4], quiet[4] = _said(t, wait, clock, counts, rows, told[4]), clock[QUIET]
-    if t >= quiet[5]:
-        clock, counts, rows, source, parts = all_parts[5]
+        came[_ROTOR], quiet[_ROTOR] = _said(t, wait, clock, counts, rows, told[_ROTOR]), clock[QUIET]
+    if t >= quiet[_BATTERY]:
+        clock, counts, rows, source, parts = all_parts[_BATTERY]
         wait = NOTHING
         if is_due(t, clock):
             wait = _battery(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
-        came[5], quiet[5] = _said(t, wait, clock, counts, rows, told[5]), clock[QUIET]
-    if t >= quiet[6]:
-        clock, counts, rows, source, parts = all_parts[6]
+        came[_BATTERY], quiet[_BATTERY] = _said(t, wait, clock, counts, rows, told[_BATTERY]), clock[QUIET]
+    if t >= quiet[_FIX]:
+        clock, counts, rows, source, parts = all_parts[_FIX]
         wait = NOTHING
         if is_due(t, clock):
             wait = _fix(t, x, attitude, supply, source, parts, rows[1 + counts[COMING]])
-        came[6], quiet[6] = _said(t, wait, clock, counts, rows, told[6]), clock[QUIET]
+        came[_FIX], quiet[_FIX] = _said(t, wait, clock, counts, rows, told[_FIX]), clock[QUIET]
     wakes = math.inf
     for k in range(quiet.size):
         wakes = min(wakes, quiet[k])
