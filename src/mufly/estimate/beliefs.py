@@ -128,7 +128,7 @@ class Checks(Sequence[Check]):
         Which of :data:`mufly.estimate.layout.CHECKED`.
     """
 
-    def __init__(self, m: Any, s: Any, fitted: Sequence[int]) -> None:
+    def __init__(self, m: Mapping[str, Any] | np.void, s: np.void, fitted: Sequence[int]) -> None:
         self._of = (m, s, fitted)
         self._said: tuple[Check, ...] | None = None
 

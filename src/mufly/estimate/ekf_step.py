@@ -19,13 +19,21 @@ The inertial unit's filter delays its output by ``lag``: a state belongs to ``la
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled import compiled
-from mufly.dynamics.state import RS_ATT, RS_BAR, RS_CHARGE, RS_POS, RS_RATES, RS_SPEED_LOWER, RS_SPEED_UPPER
+from mufly.dynamics.state import (
+    RS_ATT,
+    RS_BAR,
+    RS_CHARGE,
+    RS_POS,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    ModelParameters,
+)
 from mufly.estimate.fusion import (
     CLEAR,
     LEAST_FLOOR,
@@ -46,12 +54,14 @@ from mufly.estimate.layout import (
     COASTING,
     EDGE_S,
     ERRORS,
+    EX_ATT,
     EX_FIX_BIAS,
     EX_FIX_HEADING,
     EX_GYRO_BIAS,
     EX_POS,
     EX_TERRAIN,
     EX_THRUST_SCALE,
+    EX_VEL,
     FLYING,
     IN_ACCEL,
     IN_NOISE,
@@ -65,6 +75,7 @@ from mufly.estimate.layout import (
     LAG,
     LIGHT,
     LOW,
+    MODEL_ACCEL,
     MODELLED,
     R_ACCELERATION,
     R_BATTERY,
@@ -271,7 +282,7 @@ def _ground_force_noise(m: FilterMemory, force: float) -> float:
 
 @compiled(error_model="numpy")
 def _sample_inputs(
-    m: FilterMemory, s: FilterSettings, p: Any, z: _Array, new: NDArray[np.int32], r: _Array
+    m: FilterMemory, s: FilterSettings, p: ModelParameters, z: _Array, new: NDArray[np.int32], r: _Array
 ) -> float:
     """Write the row of inputs of the period that has just ended, and average it into its block.
 
@@ -314,8 +325,8 @@ def _sample_inputs(
         row[IN_ACCEL + k] = z[k]
         for g in range(3):
             row[IN_STATIC + 3 * g + k] = (1 - s.lag_share) * m.rotor_force[
-                a, 3 * g + k
-            ] + s.lag_share * m.rotor_force[b, 3 * g + k]
+                a, RF_STATIC + 3 * g + k
+            ] + s.lag_share * m.rotor_force[b, RF_STATIC + 3 * g + k]
         clip = m.clip_share[k] * CLIPPED * s.accel_range
         # Without what a shaking leaves; but whose attitude is not known knows the force of the air better.
         noise = m.accel_noise_slow[k] if m.status[R_RATES] < MISSING else m.accel_noise[k]
@@ -355,7 +366,7 @@ def _sample_inputs(
     share = 1.0 / ((m.tick - 1) % s.block_ticks + 1)
     for j in range(INPUTS - 1):
         into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
-    into[21] = m.flight_phase
+    into[IN_PHASE] = m.flight_phase
     return rises
 
 
@@ -384,7 +395,7 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
     for k in range(3):
         m.rates_lp[k] += span / 1.5 * (e[k] - m.x[SX_GYRO_BIAS + k] - m.rates_lp[k])
         m.accel_mean[k] += e[IN_ACCEL + k]
-        m.model_accel_mean[k] += a[3 + k]
+        m.model_accel_mean[k] += a[MODEL_ACCEL + k]
         m.gyro_mean[k] += e[k]
         m.thrust_slope[k] += e[IN_STATIC + k]
         m.velocity_slope[k] += e[IN_SLOPE + k]
@@ -393,7 +404,7 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
     for k in range(3):
         m.yaw_rate += r[6 + k] * (e[k] - m.x[SX_GYRO_BIAS + k])
         m.q_work[k] = s.process_variance[k]
-        m.q_work[3 + k] = velocity_noise_density(r, k, e) * span
+        m.q_work[EX_VEL + k] = velocity_noise_density(r, k, e) * span
         spread = s.gyro_density + (BLIND_TURN if m.status[R_RATES] >= MISSING else 0.0)
         for i in range(3):
             own = m.rates_lp[i] ** 2
@@ -402,7 +413,7 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
                 * r[3 * k + i]
                 * (s.gyro_cross_density[0] * (all_ - own) + s.gyro_cross_density[1] * own)
             )
-        m.q_work[6 + k] = spread * span
+        m.q_work[EX_ATT + k] = spread * span
     error_transition(e, span, r, a, m.transition_work)
     ud_time_update(m.ut, m.d, span, m.transition_work, m.q_work, m.w_work, m.f)
     if m.terrain_edge > 0.0:
@@ -525,7 +536,7 @@ def _run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, lef
         if m.mean_ticks >= LONGEST:
             _average_block_forces(m, s)
             m.task_stage = AXES
-    mode = int(m.input_blocks[(m.horizon // s.block_ticks - 1) % KEPT, 21])
+    mode = int(m.input_blocks[(m.horizon // s.block_ticks - 1) % KEPT, IN_PHASE])
     while AXES <= m.task_stage < LEGS:
         i = m.task_stage - AXES
         cost = 0
@@ -627,7 +638,7 @@ def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None
 
 @compiled(error_model="numpy")
 def estimator_step(
-    m: FilterMemory, s: FilterSettings, p: Any, z: _Array, new: NDArray[np.int32], age: _Array
+    m: FilterMemory, s: FilterSettings, p: ModelParameters, z: _Array, new: NDArray[np.int32], age: _Array
 ) -> bool:
     """One period.
 

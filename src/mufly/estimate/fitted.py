@@ -15,6 +15,7 @@ from mufly.estimate.estimate import Estimate, Estimator
 from mufly.estimate.layout import (
     BLOCK_S,
     CHECKED,
+    EX_ACCEL_BIAS,
     EX_FIX_BIAS,
     EX_FIX_HEADING,
     EX_GYRO_BIAS,
@@ -24,6 +25,15 @@ from mufly.estimate.layout import (
     R_RING,
     SENSORS,
     STARTS,
+    SX_ACCEL_BIAS,
+    SX_ATT,
+    SX_FIX_BIAS,
+    SX_GYRO_BIAS,
+    SX_POS,
+    SX_TERRAIN,
+    SX_THRUST_SCALE,
+    SX_VEL,
+    SX_WIND,
     WIDTHS,
     beams_used,
     filter_settings,
@@ -156,11 +166,10 @@ class KalmanEstimator(Estimator):
         """Tell much from now on, of a memory, or of as much of it as :data:`SHOWN` names, that does not change any
         more."""
         self._checks = Checks(m, self._settings, self._fitted)
-        sigma, covariance = m["sigma_output"].astype(np.float64), np.zeros((12, 12))
-        covariance[:9, :9] = m["covariance_output"]
-        covariance[range(9, 12), range(9, 12)] = (
-            sigma[EX_GYRO_BIAS : EX_GYRO_BIAS + 3] ** 2 + self._settings["rest_gyro"] ** 2
-        )
+        sigma, covariance = m["sigma_output"].astype(np.float64), np.zeros((EX_ACCEL_BIAS, EX_ACCEL_BIAS))
+        bias = range(EX_GYRO_BIAS, EX_ACCEL_BIAS)
+        covariance[:EX_GYRO_BIAS, :EX_GYRO_BIAS] = m["covariance_output"]
+        covariance[bias, bias] = sigma[bias] ** 2 + self._settings["rest_gyro"] ** 2
         self._told = (covariance, sigma)
 
     def said(
@@ -169,9 +178,13 @@ class KalmanEstimator(Estimator):
         """Return the estimate of these numbers, with what is told every so often as it stands."""
         x = out.astype(np.float64)
         return Estimate(
-            time_s, x[0:3], x[3:6], angles.astype(np.float64), rates.astype(np.float64), ranges, volts or math.nan,
-            self._told[0], valid,
-            Beliefs(x[10:13], x[13:16], float(x[16]), x[17:21], x[21:23], float(x[23]), self._told[1], self._checks),
+            time_s, x[SX_POS:SX_VEL], x[SX_VEL:SX_ATT], angles.astype(np.float64), rates.astype(np.float64), ranges,
+            volts or math.nan, self._told[0], valid,
+            Beliefs(
+                x[SX_GYRO_BIAS:SX_ACCEL_BIAS], x[SX_ACCEL_BIAS:SX_TERRAIN], float(x[SX_TERRAIN]),
+                x[SX_FIX_BIAS:SX_WIND], x[SX_WIND:SX_THRUST_SCALE], float(x[SX_THRUST_SCALE]),
+                self._told[1], self._checks,
+            ),
         )  # fmt: skip
 
     def _look(self, seen: _Array) -> None:

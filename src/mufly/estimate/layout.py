@@ -64,6 +64,8 @@ SX_POS, SX_VEL, SX_ATT, SX_GYRO_BIAS, SX_ACCEL_BIAS, SX_TERRAIN = 0, 3, 6, 10, 1
 SX_FIX_BIAS, SX_FIX_HEADING, SX_WIND, SX_THRUST_SCALE, SX_PRESSURE_BIAS, SX_MAG_BIAS = 17, 20, 21, 23, 24, 25
 EX_POS, EX_VEL, EX_ATT, EX_GYRO_BIAS, EX_ACCEL_BIAS, EX_TERRAIN = 0, 3, 6, 9, 12, 15
 EX_FIX_BIAS, EX_FIX_HEADING, EX_WIND, EX_THRUST_SCALE, EX_PRESSURE_BIAS, EX_MAG_BIAS = 16, 19, 20, 22, 23, 24
+MODEL_ACCEL = 3
+"""Where the model's acceleration starts in ``accel_work``."""
 RF_STATIC, RF_REST, RF_SLOPE, RF_ANG_ACCEL = 0, 3, 6, 9
 ROTOR_FORCE = 12
 """A row of the rotor model, three numbers each: force per mass without motion through the air (m/s^2), the rest of the
@@ -378,13 +380,13 @@ def filter_settings(
     start[SX_ATT] = start[SX_THRUST_SCALE] = 1.0
     stands = standing_height(vehicle)
     start[SX_POS + 2] = -stands
-    sigma[EX_POS : EX_POS + 2], sigma[EX_POS + 2], sigma[EX_VEL : EX_VEL + 3] = PLACE_M, 3e-3, 0.01
+    sigma[EX_POS : EX_POS + 2], sigma[EX_POS + 2], sigma[EX_VEL:EX_ATT] = PLACE_M, 3e-3, 0.01
     level = LEVEL_RAD if sensing.imu is None else float(sensing.imu.level)
     sigma[EX_ATT : EX_ATT + 2], sigma[EX_ATT + 2] = level, math.pi
     sigma[EX_TERRAIN], walk[EX_TERRAIN] = FLOOR_START, FLOOR_WANDER  # the last times the root of the speed
     sigma[EX_WIND : EX_WIND + 2], tau[EX_WIND : EX_WIND + 2] = WIND_SPEED
     sigma[EX_THRUST_SCALE], walk[EX_THRUST_SCALE] = THRUST_ERROR, THRUST_WALK
-    walk[EX_POS : EX_POS + 3] = 1e-4
+    walk[EX_POS:EX_VEL] = 1e-4
     s["dt"] = dt
     s["ground_clearance"], s["weight"], s["level_sigma"] = stands, p["mass"] * GRAVITY, level
     s["thrust_coefficients"] = p["thrust_up"], p["thrust_dw"]
@@ -419,8 +421,8 @@ def filter_settings(
         band = float(imu.bandwidth) / (2 * math.pi)
         # Scale and misalignment of axes that stand level are a bias; so is what gyroscopes feel of gravity.
         off = math.hypot(float(imu.scale_error), float(imu.misalignment)) * GRAVITY
-        sigma[EX_ACCEL_BIAS : EX_ACCEL_BIAS + 3] = math.hypot(float(imu.accelerometer_bias), off)
-        sigma[EX_GYRO_BIAS : EX_GYRO_BIAS + 3] = math.hypot(
+        sigma[EX_ACCEL_BIAS:EX_TERRAIN] = math.hypot(float(imu.accelerometer_bias), off)
+        sigma[EX_GYRO_BIAS:EX_ACCEL_BIAS] = math.hypot(
             float(imu.gyro_bias), float(imu.gyro_g_sensitivity) * GRAVITY
         )
         time = float(imu.drift_time)

@@ -39,10 +39,17 @@ from mufly.estimate.layout import (
     EX_FIX_HEADING,
     EX_GYRO_BIAS,
     EX_POS,
+    EX_TERRAIN,
     EX_VEL,
     R_FIX,
     REACH,
     STATES,
+    SX_ACCEL_BIAS,
+    SX_ATT,
+    SX_GYRO_BIAS,
+    SX_POS,
+    SX_THRUST_SCALE,
+    SX_VEL,
 )
 from mufly.estimate.nees import normalised
 from mufly.results import result
@@ -321,9 +328,9 @@ def _estimator(log: InertialLog, aids: Aids, noise: Noise) -> KalmanEstimator:
     s["ground_clearance"] = -1e6  # no floor: nobody knows where it is
     s["has_noise"][R_FIX] = 0  # an aid may say the same twice
     start, sigma = np.zeros(STATES), s["sigma"]
-    start[23] = 1.0
-    start[0:3] = aids.position[0]
-    sigma[EX_POS : EX_POS + 3] = 3 * aids.std_m + 1e-3
+    start[SX_THRUST_SCALE] = 1.0
+    start[SX_POS:SX_VEL] = aids.position[0]
+    sigma[EX_POS:EX_VEL] = 3 * aids.std_m + 1e-3
     yaw = 0.0 if aids.heading is None else float(aids.heading[0])
     sigma[EX_ATT + 2] = math.pi if aids.heading is None else 3 * aids.heading_std_rad
     rest = log.rest
@@ -331,18 +338,18 @@ def _estimator(log: InertialLog, aids: Aids, noise: Noise) -> KalmanEstimator:
     if rest.stop:
         felt = np.nanmean(log.acceleration[rest], axis=0)
         roll, pitch = math.atan2(-felt[1], -felt[2]), math.atan2(felt[0], math.hypot(felt[1], felt[2]))
-        start[10:13] = np.nanmean(log.rates[rest], axis=0)
+        start[SX_GYRO_BIAS:SX_ACCEL_BIAS] = np.nanmean(log.rates[rest], axis=0)
         s["level_sigma"] = math.hypot(_LEVEL, ACCELEROMETER_BIAS / GRAVITY)
         s["rest_accel"] = max(float(np.nanstd(log.acceleration[rest], axis=0).max()), 0.02)
         s["rest_gyro"] = max(float(np.nanstd(log.rates[rest], axis=0).max()), 1e-4)
-        sigma[EX_VEL : EX_VEL + 3] = 0.01
+        sigma[EX_VEL:EX_ATT] = 0.01
     else:
-        s["level_sigma"], sigma[EX_VEL : EX_VEL + 3] = _LEVEL_FLYING, _SPEED
-        sigma[EX_POS : EX_POS + 3] += _SPEED * (float(aids.taken_s[0]) - float(log.time_s[0]))
-    start[6:10] = _quaternion(roll, pitch, yaw)
+        s["level_sigma"], sigma[EX_VEL:EX_ATT] = _LEVEL_FLYING, _SPEED
+        sigma[EX_POS:EX_VEL] += _SPEED * (float(aids.taken_s[0]) - float(log.time_s[0]))
+    start[SX_ATT:SX_GYRO_BIAS] = _quaternion(roll, pitch, yaw)
     sigma[EX_ATT : EX_ATT + 2] = s["level_sigma"]
-    sigma[EX_GYRO_BIAS : EX_GYRO_BIAS + 3] = _GYRO_BIAS[1 if rest.stop else 0]
-    sigma[EX_ACCEL_BIAS : EX_ACCEL_BIAS + 3] = ACCELEROMETER_BIAS
+    sigma[EX_GYRO_BIAS:EX_ACCEL_BIAS] = _GYRO_BIAS[1 if rest.stop else 0]
+    sigma[EX_ACCEL_BIAS:EX_TERRAIN] = ACCELEROMETER_BIAS
     if aids.heading is None:
         s["heading_variance"], sigma[EX_FIX_HEADING] = 1e6, 1e-6
     s["start"] = start
@@ -374,7 +381,7 @@ def foretold(log: InertialLog, aids: Aids, told: list[Estimate], *, from_s: floa
         e = told[k]
         ahead = float(aids.taken_s[i] - log.time_s[k])
         nu[j] = aids.position[i] - e.position - ahead * e.velocity
-        s[j] = e.covariance[:3, :3] + aids.std_m**2 * np.eye(3)
+        s[j] = e.covariance[:EX_VEL, :EX_VEL] + aids.std_m**2 * np.eye(3)
     square = normalised(nu, s)
     return Foretold(
         count=len(use), nis=float(square.mean()) / 3, off=float(np.sqrt(np.square(nu).sum(axis=1).mean())),

@@ -18,6 +18,7 @@ from scipy import stats
 
 from mufly.errors import InputError
 from mufly.estimate.estimate import Estimate
+from mufly.estimate.layout import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
 from mufly.results import result
 from mufly.sensors import Truth
 
@@ -135,26 +136,26 @@ def consistency_of(
         )
     said = np.array([np.concatenate([told[k].position, told[k].velocity, told[k].attitude]) for k in use])
     e = said - true[use]
-    e[:, 6:] = np.angle(np.exp(1j * e[:, 6:]))
+    e[:, EX_ATT:] = np.angle(np.exp(1j * e[:, EX_ATT:]))
     some = e[::every]
-    p = np.array([told[k].covariance[:9, :9] for k in use[::every]])
+    p = np.array([told[k].covariance[:EX_GYRO_BIAS, :EX_GYRO_BIAS] for k in use[::every]])
     nees = normalised(some[:, known], p[:, known][:, :, known])
     place, speed, turn = (
         float(normalised(some[:, i : i + 3], p[:, i : i + 3, i : i + 3]).mean()) / 3
         if known[i : i + 3].all() else math.nan
-        for i in (0, 3, 6)
+        for i in (EX_POS, EX_VEL, EX_ATT)
     )  # fmt: skip
     ratios = []
     for k in use[::every]:
         b = told[k].beliefs
         ratios += [c.ratio for c in b.checks if c.name == "position_fix"] if b else []
-    xy, z, tilt = np.hypot(e[:, 0], e[:, 1]), np.abs(e[:, 2]), np.hypot(e[:, 6], e[:, 7])
+    xy, z, tilt = np.hypot(e[:, 0], e[:, 1]), np.abs(e[:, 2]), np.hypot(e[:, EX_ATT], e[:, EX_ATT + 1])
     count = int(known.sum())
     return Consistency(
         count=len(use), nees=float(nees.mean()) / count, inside=float(np.mean(nees < stats.chi2.ppf(0.95, count))),
         parts=(place, speed, turn), nis=float(np.mean(np.square(ratios))) if ratios else np.nan,
         xy_rms=_rms(xy), xy_peak=float(xy.max()), z_rms=_rms(z), z_peak=float(z.max()), tilt_rms=_rms(tilt),
-        tilt_peak=float(tilt.max()), yaw_rms=_rms(e[:, 8]),
+        tilt_peak=float(tilt.max()), yaw_rms=_rms(e[:, EX_ATT + 2]),
     )  # fmt: skip
 
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from mufly.compiled import compiled
 from mufly.estimate.layout import (
     ERRORS,
+    EX_ATT,
+    EX_VEL,
     FLYING,
     IN_NOISE,
     IN_SHARE,
@@ -95,14 +97,14 @@ def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None
                 m.covariance_output[i, j] += c * m.gain[j]
     for k in range(3):
         m.covariance_output[k, k] += m.now_noise[k] * span * span / 3.0
-        m.covariance_output[k, 3 + k] += m.now_noise[k] * span / 2.0
-        m.covariance_output[3 + k, 3 + k] += m.now_noise[k]
+        m.covariance_output[k, EX_VEL + k] += m.now_noise[k] * span / 2.0
+        m.covariance_output[EX_VEL + k, EX_VEL + k] += m.now_noise[k]
         for i in range(3):
             # A shaking is in the velocity for half a turn; what stays in means over blocks tells how much.
             share = r[3 * k + i] * m.input_now[IN_SHARE + i]
             shaking = max(m.accel_noise[i] - m.accel_noise_slow[i], 0.0)
-            m.covariance_output[3 + k, 3 + k] += share * share * ((LONGEST * s.dt) * shaking)
-        m.covariance_output[6 + k, 6 + k] += s.gyro_density * span
+            m.covariance_output[EX_VEL + k, EX_VEL + k] += share * share * ((LONGEST * s.dt) * shaking)
+        m.covariance_output[EX_ATT + k, EX_ATT + k] += s.gyro_density * span
 
 
 @compiled(error_model="numpy")
@@ -126,15 +128,15 @@ def _output_covariance(m: FilterMemory) -> None:
     cosine = max(math.sqrt(1 - sine * sine), 0.05)
     t, c = sine_cosine(m.angles_output[2])
     for j in range(9):
-        n_, e_ = m.covariance_output[6, j], m.covariance_output[7, j]
-        m.covariance_output[6, j] = (c * n_ + t * e_) / cosine
-        m.covariance_output[7, j] = -t * n_ + c * e_
-        m.covariance_output[8, j] += sine / cosine * (c * n_ + t * e_)
+        n_, e_ = m.covariance_output[EX_ATT, j], m.covariance_output[EX_ATT + 1, j]
+        m.covariance_output[EX_ATT, j] = (c * n_ + t * e_) / cosine
+        m.covariance_output[EX_ATT + 1, j] = -t * n_ + c * e_
+        m.covariance_output[EX_ATT + 2, j] += sine / cosine * (c * n_ + t * e_)
     for j in range(9):
-        n_, e_ = m.covariance_output[j, 6], m.covariance_output[j, 7]
-        m.covariance_output[j, 6] = (c * n_ + t * e_) / cosine
-        m.covariance_output[j, 7] = -t * n_ + c * e_
-        m.covariance_output[j, 8] += sine / cosine * (c * n_ + t * e_)
+        n_, e_ = m.covariance_output[j, EX_ATT], m.covariance_output[j, EX_ATT + 1]
+        m.covariance_output[j, EX_ATT] = (c * n_ + t * e_) / cosine
+        m.covariance_output[j, EX_ATT + 1] = -t * n_ + c * e_
+        m.covariance_output[j, EX_ATT + 2] += sine / cosine * (c * n_ + t * e_)
 
 
 @compiled(error_model="numpy")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mufly.dynamics import model
+from mufly.dynamics import model, state
 from mufly.dynamics.state import PARAMETERS, STATE_SIZE, ModelParameters
 from mufly.estimate import ekf_step, fusion, layout, output_predictor, sensor_checks, strapdown, ud_filter
 from mufly.record_fields import Field, record_fields
@@ -73,6 +73,7 @@ def constants() -> dict[str, int | float | tuple[int, ...]]:
     letter."""
     found: dict[str, int | float | tuple[int, ...]] = {
         "GRAVITY": GRAVITY,
+        **{name: value for name, value in vars(state).items() if name.startswith(("RS_", "U_"))},
         "STANDSTILL": model._STANDSTILL,
         "MODEL_STATES": STATE_SIZE,
         "CURVE_POINTS": PARAMETERS["battery_curve"].shape[0],

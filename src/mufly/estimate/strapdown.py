@@ -24,7 +24,6 @@ taken as diagonal: drag along one axis comes from the speed along it).
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +40,11 @@ from mufly.dynamics.state import (
     RS_SWASH_PITCH,
     RS_SWASH_ROLL,
     RS_VEL,
+    U_MOTOR_LOWER,
+    U_MOTOR_UPPER,
+    U_SERVO_1,
+    U_SERVO_2,
+    ModelParameters,
 )
 from mufly.estimate.layout import (
     IN_ACCEL,
@@ -50,6 +54,7 @@ from mufly.estimate.layout import (
     IN_SHARE,
     IN_SLOPE,
     IN_STATIC,
+    MODEL_ACCEL,
     RF_ANG_ACCEL,
     RF_REST,
     RF_SLOPE,
@@ -125,7 +130,7 @@ def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None
         along = r[k] * n + r[3 + k] * o + r[6 + k] * d
         made = x[SX_THRUST_SCALE] * e[IN_STATIC + k] + e[IN_REST + k] + e[IN_SLOPE + k] * along
         share = e[IN_SHARE + k]
-        a[3 + k] = made
+        a[MODEL_ACCEL + k] = made
         r_f = share * (e[IN_ACCEL + k] - x[SX_ACCEL_BIAS + k]) + (1 - share) * made
         if k == 0:
             f_x = r_f
@@ -190,7 +195,7 @@ def _model_derivative(
     x: _Array,
     u: _Array,
     still: _Array,
-    p: Any,
+    p: ModelParameters,
     sin_a: float,
     cos_a: float,
     sin_b: float,
@@ -201,7 +206,9 @@ def _model_derivative(
 
 
 @compiled(error_model="numpy")
-def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: Any, air: _Array, out: _Array) -> None:
+def predict_rotor_force(
+    m: FilterMemory, s: FilterSettings, p: ModelParameters, air: _Array, out: _Array
+) -> None:
     """Carry what the rotors remember on by a period, and write the force that they and the air make.
 
     Parameters
@@ -219,8 +226,8 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: Any, air: _Array,
     x, dx, u, dt = m.rotor_state, m.derivative_work, m.actuators, s.dt
     # The swash plate settles within the period: its mean counts.
     settled, mean = s.swash_settled, s.swash_mean
-    to_roll = p.swash_gain * _clip(u[3], -1.0, 1.0)
-    to_pitch = -p.swash_gain * _clip(u[2], -1.0, 1.0)
+    to_roll = p.swash_gain * _clip(u[U_SERVO_2], -1.0, 1.0)
+    to_pitch = -p.swash_gain * _clip(u[U_SERVO_1], -1.0, 1.0)
     roll, pitch = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
     x[RS_SWASH_ROLL] = to_roll + (roll - to_roll) * mean
     x[RS_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * mean
@@ -265,6 +272,6 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: Any, air: _Array,
 
 
 @compiled(error_model="numpy")
-def predict_terminal_voltage(m: FilterMemory, p: Any) -> float:
+def predict_terminal_voltage(m: FilterMemory, p: ModelParameters) -> float:
     """Return the terminal voltage (V) of the battery's model at the estimated charge and speeds."""
-    return battery_state(m.rotor_state, m.actuators[0], m.actuators[1], p)[0]
+    return battery_state(m.rotor_state, m.actuators[U_MOTOR_UPPER], m.actuators[U_MOTOR_LOWER], p)[0]

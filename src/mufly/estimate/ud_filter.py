@@ -188,38 +188,38 @@ def ud_time_update(
     w, v : (3, 6), (n,) arrays
         Work space.
     """
-    for k in range(3, MOVING):
+    for k in range(EX_VEL, MOVING):
         _propagate_moving_column(ut[k], span, transition)
     for k in range(MOVING, d.shape[0]):
         propagate_column(ut[k], span, transition, ut[k])
     for k in range(3):
-        for i in range(6):
-            w[k, i] = ut[3 + k, i]
-    for j in range(5, 2, -1):
+        for i in range(EX_ATT):
+            w[k, i] = ut[EX_VEL + k, i]
+    for j in range(EX_ATT - 1, EX_VEL - 1, -1):
         total = 0.0
         for k in range(3):
-            total += d[3 + k] * w[k, j] * w[k, j]
+            total += d[EX_VEL + k] * w[k, j] * w[k, j]
         size = total if total > _TINY else _TINY
         v[j] = size
         for i in range(j):
             s = 0.0
             for k in range(3):
-                s += d[3 + k] * w[k, j] * w[k, i]
+                s += d[EX_VEL + k] * w[k, j] * w[k, i]
             s /= size
             ut[j, i] = s
             for k in range(3):
                 w[k, i] -= w[k, j] * s
         ut[j, j] = 1.0
-        for i in range(j + 1, 6):
+        for i in range(j + 1, EX_ATT):
             ut[j, i] = 0.0
-    for j in range(3, 6):
+    for j in range(EX_VEL, EX_ATT):
         d[j] = v[j]
     for j in range(MOVING):
         for i in range(j):
             v[i] = 0.0
         v[j] = 1.0
-        if 3 <= j < 6:
-            v[j - 3] = 0.5 * span
+        if EX_VEL <= j < EX_ATT:
+            v[j - EX_VEL] = 0.5 * span
         _rank_one_update(ut, d, j, q[j], v)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from mufly.control import FlightController
 from mufly.errors import MuflyError
 from mufly.estimate import Check, Estimate
 from mufly.estimate.beliefs import ODD, REASONS, reason
-from mufly.estimate.layout import CHECKED
+from mufly.estimate.layout import CHECKED, EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
 from mufly.firmware.host import Firmware, FirmwareControllers
 from mufly.firmware.plan import plan_numbers, plan_of, setup_numbers
 from mufly.flight.controllers import Actuators
@@ -34,6 +34,9 @@ from mufly.mission.detour import Detour
 from mufly.mission.state import LOG_KEPT
 from mufly.mission.trajectory import Point, Profile, SplinePath, Stop, Trajectory, Unmade
 from mufly.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from cffi import FFI
 
 _STATES = tuple(State)
 _MOTORS: tuple[Any, ...] = ("off", "spin_up", "fly", "ramp_down", "blind")
@@ -133,7 +136,7 @@ class Onboard:
         if m.beliefs is None:
             return
         variance = m.covariance.diagonal().tolist()
-        b.position_variance, b.attitude_variance = variance[:3], variance[6:9]
+        b.position_variance, b.attitude_variance = variance[EX_POS:EX_VEL], variance[EX_ATT:EX_GYRO_BIAS]
         for one in b.checks:
             one.status = _NOT_FITTED
         for check in m.beliefs.checks:
@@ -248,7 +251,7 @@ class Onboard:
             tracker=_point(s.tracker) if s.has_tracker else None, halt=s.halt,
         )  # fmt: skip
 
-    def _memory(self, m: Any) -> Memory:
+    def _memory(self, m: FFI.CData) -> Memory:
         raw = np.frombuffer(self.firmware.ffi.buffer(m.points), dtype=self.firmware.real)
         return Memory(raw.reshape(CAPACITY, 4).astype(np.float64), m.used, m.turn)
 
@@ -271,19 +274,19 @@ class Onboard:
         return Oscillation(INPUTS[o.input], o.since_s, o.lasting_s, o.size, o.frequency_Hz)
 
 
-def _profile(p: Any) -> Profile:
+def _profile(p: FFI.CData) -> Profile:
     return Profile(p.way, p.speed, p.ramp_s, p.cruise_s)
 
 
-def _stop(b: Any) -> Stop:
+def _stop(b: FFI.CData) -> Stop:
     return Stop(tuple(b.start), tuple(b.velocity), b.heading, b.duration_s, b.heading_rate, b.turn_s)
 
 
-def _point(p: Any) -> Point:
+def _point(p: FFI.CData) -> Point:
     return Point(tuple(p.position), tuple(p.velocity), tuple(p.acceleration), p.heading, p.heading_rate)
 
 
-def _course(c: Any) -> Trajectory | Stop | None:
+def _course(c: FFI.CData) -> Trajectory | Stop | None:
     if c.kind == 0:
         return None
     if c.kind == 2:
@@ -300,7 +303,7 @@ def _course(c: Any) -> Trajectory | Stop | None:
     )  # fmt: skip
 
 
-def _sight(s: Any) -> Sight:
+def _sight(s: FFI.CData) -> Sight:
     n, e, d = s.place
     goal_n, goal_e = s.goal
     block_n, block_e = s.block_at
@@ -310,7 +313,7 @@ def _sight(s: Any) -> Sight:
     )  # fmt: skip
 
 
-def _detour(d: Any) -> Detour:
+def _detour(d: FFI.CData) -> Detour:
     return Detour(
         tuple(d.position), tuple(d.velocity), tuple(d.acceleration), d.side, tuple(d.hit), d.hit_distance,
         count=d.count, stray=d.stray, clear_s=d.clear_s, anchor=tuple(d.anchor), anchor_s=d.anchor_s,

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mufly.bench.series.files import Difference
     from mufly.bench.series.plan import Axis, Mounting, Plan, Step
     from mufly.bench.series.record import Record
+    from mufly.bench.series.run import Progress
 
 app = Commands(
     help="A rotor test bench: plan a series, run it (simulated, or on devices), analyse and compare; docs/bench.md.",
@@ -165,7 +166,7 @@ def run(
     from mufly.bench.series.live import NAME, write_page
     from mufly.bench.series.plan import read_plan
     from mufly.bench.series.record import Record
-    from mufly.bench.series.run import LimitError, Progress, Stopped, run_series
+    from mufly.bench.series.run import LimitError, Stopped, run_series
     from mufly.cli.station import Ending
 
     made = read_plan(plan)
@@ -215,7 +216,7 @@ def run(
     say(f"Done: {len(record.readings)} readings in {out}; next: mufly bench analyse {out}")
 
 
-def _line_of(line: dict[str, Any], plan: Plan, p: Any) -> str:
+def _line_of(line: dict[str, Any], plan: Plan, p: Progress) -> str:
     m = plan.mounting[line["mounting"]]
     quick = line.get("quick", {})
     loads = ", ".join(

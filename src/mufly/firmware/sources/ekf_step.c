@@ -218,8 +218,8 @@ static real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const
         row[k] = REAL(0.5) * (m->gyro_rates[k] + m->gyro_rates_prev[k]);
         row[IN_ACCEL + k] = z[k];
         for (int32_t g = 0; g < 3; g++) {
-            row[IN_STATIC + (3 * g) + k] = ((REAL(1.0) - s->lag_share) * m->rotor_force[a][(3 * g) + k]) +
-                                   (s->lag_share * m->rotor_force[b][(3 * g) + k]);
+            row[IN_STATIC + (3 * g) + k] = ((REAL(1.0) - s->lag_share) * m->rotor_force[a][RF_STATIC + (3 * g) + k]) +
+                                   (s->lag_share * m->rotor_force[b][RF_STATIC + (3 * g) + k]);
         }
         if (m->flight_phase <= RUNNING) {
             row[IN_STATIC + k] = REAL(0.0);
@@ -297,7 +297,7 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
     for (int32_t k = 0; k < 3; k++) {
         m->rates_lp[k] += (span / REAL(1.5)) * ((e[k] - m->x[SX_GYRO_BIAS + k]) - m->rates_lp[k]);
         m->accel_mean[k] += e[IN_ACCEL + k];
-        m->model_accel_mean[k] += a[3 + k];
+        m->model_accel_mean[k] += a[MODEL_ACCEL + k];
         m->gyro_mean[k] += e[k];
         m->thrust_slope[k] += e[IN_STATIC + k];
         m->velocity_slope[k] += e[IN_SLOPE + k];
@@ -309,14 +309,14 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
 
         m->yaw_rate += r[6 + k] * (e[k] - m->x[SX_GYRO_BIAS + k]);
         q[k] = s->process_variance[k];
-        q[3 + k] = velocity_noise_density(r, k, e) * span;
+        q[EX_VEL + k] = velocity_noise_density(r, k, e) * span;
         for (int32_t i = 0; i < 3; i++) {
             const real_t own = m->rates_lp[i] * m->rates_lp[i];
 
             spread += (r[(3 * k) + i] * r[(3 * k) + i]) *
                       ((s->gyro_cross_density[0] * (all - own)) + (s->gyro_cross_density[1] * own));
         }
-        q[6 + k] = spread * span;
+        q[EX_ATT + k] = spread * span;
     }
     error_transition(e, span, r, a, transition);
     ud_time_update(m, span, transition, q);

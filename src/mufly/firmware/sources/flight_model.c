@@ -70,12 +70,12 @@ static real_t along_climb(const real_t table[MAP_NODES], const int32_t at[4], co
 /* By the coefficient map over mean speed, ratio of the speeds and climb. */
 static void by_map(const real_t x[MODEL_STATES], const real_t wind[3], const flight_model_t *p, loads_t *out)
 {
-    const real_t up_n = REAL(-2.0) * ((x[7] * x[9]) + (x[6] * x[8]));
-    const real_t up_e = REAL(-2.0) * ((x[8] * x[9]) - (x[6] * x[7]));
-    const real_t up_d = (REAL(2.0) * ((x[7] * x[7]) + (x[8] * x[8]))) - REAL(1.0);
-    const real_t climb = ((up_n * (x[3] - wind[0])) + (up_e * (x[4] - wind[1]))) + (up_d * (x[5] - wind[2]));
-    const real_t up = real_abs(x[18]);
-    const real_t dw = real_abs(x[19]);
+    const real_t up_n = REAL(-2.0) * ((x[RS_ATT + 1] * x[RS_ATT + 3]) + (x[RS_ATT] * x[RS_ATT + 2]));
+    const real_t up_e = REAL(-2.0) * ((x[RS_ATT + 2] * x[RS_ATT + 3]) - (x[RS_ATT] * x[RS_ATT + 1]));
+    const real_t up_d = (REAL(2.0) * ((x[RS_ATT + 1] * x[RS_ATT + 1]) + (x[RS_ATT + 2] * x[RS_ATT + 2]))) - REAL(1.0);
+    const real_t climb = ((up_n * (x[RS_VEL] - wind[0])) + (up_e * (x[RS_VEL + 1] - wind[1]))) + (up_d * (x[RS_VEL + 2] - wind[2]));
+    const real_t up = real_abs(x[RS_SPEED_UPPER]);
+    const real_t dw = real_abs(x[RS_SPEED_LOWER]);
     const real_t mean = REAL(0.5) * (up + dw);
     const real_t ratio = dw / real_max(up, RUBBING_FROM);
     const real_t climb_ratio = climb / (real_max(mean, RUBBING_FROM) * p->map_radius);
@@ -121,8 +121,8 @@ void battery(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_dw, con
     const int32_t last = CURVE_POINTS - 1;
     const real_t emf = p->kE * p->gear_ratio;
     const real_t conductance = ((motor_up * motor_up) + (motor_dw * motor_dw)) / p->R_ohm;
-    const real_t source = (((motor_up * emf) * x[18]) + ((motor_dw * emf) * x[19])) / p->R_ohm;
-    const real_t position = within(x[20], REAL(0.0), REAL(1.0)) * (real_t)last;
+    const real_t source = (((motor_up * emf) * x[RS_SPEED_UPPER]) + ((motor_dw * emf) * x[RS_SPEED_LOWER])) / p->R_ohm;
+    const real_t position = within(x[RS_CHARGE], REAL(0.0), REAL(1.0)) * (real_t)last;
     const int32_t k = lesser(real_whole(position), last - 1);
     const real_t open = p->battery_curve[k] +
                         ((position - (real_t)k) * (p->battery_curve[k + 1] - p->battery_curve[k]));
@@ -149,8 +149,8 @@ static void add_inplane(const real_t n[3], const real_t air[3], const real_t x[M
                         real_t force[3])
 {
     const real_t much = real_abs(slope);
-    const real_t forward = air[0] + (x[11] * hub_z);
-    const real_t right = air[1] - (x[10] * hub_z);
+    const real_t forward = air[0] + (x[RS_RATES + 1] * hub_z);
+    const real_t right = air[1] - (x[RS_RATES] * hub_z);
     const real_t along = ((n[0] * forward) + (n[1] * right)) + (n[2] * air[2]);
 
     force[0] = force[0] + (much * ((along * n[0]) - forward));
@@ -161,22 +161,22 @@ static void add_inplane(const real_t n[3], const real_t air[3], const real_t x[M
 void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t wind[3], const flight_model_t *p,
                   const swash_t *swash, real_t dx[MODEL_STATES])
 {
-    const real_t motor_up = within(u[0], REAL(0.0), REAL(1.0));
-    const real_t motor_dw = within(u[1], REAL(0.0), REAL(1.0));
-    const real_t servo_1 = within(u[2], REAL(-1.0), REAL(1.0));
-    const real_t servo_2 = within(u[3], REAL(-1.0), REAL(1.0));
-    const real_t qw = x[6];
-    const real_t qx = x[7];
-    const real_t qy = x[8];
-    const real_t qz = x[9];
-    const real_t wx = x[10];
-    const real_t wy = x[11];
-    const real_t wz = x[12];
-    const real_t bar_n = x[15];
-    const real_t bar_e = x[16];
-    const real_t bar_d = x[17];
-    const real_t speed_up = x[18];
-    const real_t speed_dw = x[19];
+    const real_t motor_up = within(u[U_MOTOR_UPPER], REAL(0.0), REAL(1.0));
+    const real_t motor_dw = within(u[U_MOTOR_LOWER], REAL(0.0), REAL(1.0));
+    const real_t servo_1 = within(u[U_SERVO_1], REAL(-1.0), REAL(1.0));
+    const real_t servo_2 = within(u[U_SERVO_2], REAL(-1.0), REAL(1.0));
+    const real_t qw = x[RS_ATT];
+    const real_t qx = x[RS_ATT + 1];
+    const real_t qy = x[RS_ATT + 2];
+    const real_t qz = x[RS_ATT + 3];
+    const real_t wx = x[RS_RATES];
+    const real_t wy = x[RS_RATES + 1];
+    const real_t wz = x[RS_RATES + 2];
+    const real_t bar_n = x[RS_BAR];
+    const real_t bar_e = x[RS_BAR + 1];
+    const real_t bar_d = x[RS_BAR + 2];
+    const real_t speed_up = x[RS_SPEED_UPPER];
+    const real_t speed_dw = x[RS_SPEED_LOWER];
     const real_t a00 = REAL(1.0) - (REAL(2.0) * ((qy * qy) + (qz * qz)));
     const real_t a01 = REAL(2.0) * ((qx * qy) - (qw * qz));
     const real_t a02 = REAL(2.0) * ((qx * qz) + (qw * qy));
@@ -241,9 +241,9 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     f_up[2] = n_up[2] * thrust_up;
 
     /* Velocity through the air, body axes. */
-    air_n = x[3] - wind[0];
-    air_e = x[4] - wind[1];
-    air_d = x[5] - wind[2];
+    air_n = x[RS_VEL] - wind[0];
+    air_e = x[RS_VEL + 1] - wind[1];
+    air_d = x[RS_VEL + 2] - wind[2];
     air[0] = ((a00 * air_n) + (a10 * air_e)) + (a20 * air_d);
     air[1] = ((a01 * air_n) + (a11 * air_e)) + (a21 * air_d);
     air[2] = ((a02 * air_n) + (a12 * air_e)) + (a22 * air_d);
@@ -265,26 +265,26 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     f_e = ((a10 * fx) + (a11 * fy)) + (a12 * fz);
     f_d = ((a20 * fx) + (a21 * fy)) + (a22 * fz);
 
-    dx[0] = x[3];
-    dx[1] = x[4];
-    dx[2] = x[5];
-    dx[3] = f_n / p->mass;
-    dx[4] = f_e / p->mass;
-    dx[5] = (f_d / p->mass) + GRAVITY;
-    dx[6] = REAL(0.5) * (((-qx * wx) - (qy * wy)) - (qz * wz));
-    dx[7] = REAL(0.5) * (((qw * wx) + (qy * wz)) - (qz * wy));
-    dx[8] = REAL(0.5) * (((qw * wy) - (qx * wz)) + (qz * wx));
-    dx[9] = REAL(0.5) * (((qw * wz) + (qx * wy)) - (qy * wx));
-    dx[10] = (mx - (((p->Izz - p->Iyy) * wy) * wz)) / p->Ixx;
-    dx[11] = (my - (((p->Ixx - p->Izz) * wz) * wx)) / p->Iyy;
-    dx[12] = (mz - (((p->Iyy - p->Ixx) * wx) * wy)) / p->Izz;
-    dx[13] = p->swash_rate * ((p->swash_gain * servo_2) - x[13]);
-    dx[14] = p->swash_rate * ((-p->swash_gain * servo_1) - x[14]);
+    dx[RS_POS] = x[RS_VEL];
+    dx[RS_POS + 1] = x[RS_VEL + 1];
+    dx[RS_POS + 2] = x[RS_VEL + 2];
+    dx[RS_VEL] = f_n / p->mass;
+    dx[RS_VEL + 1] = f_e / p->mass;
+    dx[RS_VEL + 2] = (f_d / p->mass) + GRAVITY;
+    dx[RS_ATT] = REAL(0.5) * (((-qx * wx) - (qy * wy)) - (qz * wz));
+    dx[RS_ATT + 1] = REAL(0.5) * (((qw * wx) + (qy * wz)) - (qz * wy));
+    dx[RS_ATT + 2] = REAL(0.5) * (((qw * wy) - (qx * wz)) + (qz * wx));
+    dx[RS_ATT + 3] = REAL(0.5) * (((qw * wz) + (qx * wy)) - (qy * wx));
+    dx[RS_RATES] = (mx - (((p->Izz - p->Iyy) * wy) * wz)) / p->Ixx;
+    dx[RS_RATES + 1] = (my - (((p->Ixx - p->Izz) * wz) * wx)) / p->Iyy;
+    dx[RS_RATES + 2] = (mz - (((p->Iyy - p->Ixx) * wx) * wy)) / p->Izz;
+    dx[RS_SWASH_ROLL] = p->swash_rate * ((p->swash_gain * servo_2) - x[RS_SWASH_ROLL]);
+    dx[RS_SWASH_PITCH] = p->swash_rate * ((-p->swash_gain * servo_1) - x[RS_SWASH_PITCH]);
     along = -(((a02 * bar_n) + (a12 * bar_e)) + (a22 * bar_d));
-    dx[15] = p->bar_rate * (-a02 - (along * bar_n));
-    dx[16] = p->bar_rate * (-a12 - (along * bar_e));
-    dx[17] = p->bar_rate * (-a22 - (along * bar_d));
-    dx[18] = accel_up;
-    dx[19] = accel_dw;
-    dx[20] = -current / p->battery_capacity;
+    dx[RS_BAR] = p->bar_rate * (-a02 - (along * bar_n));
+    dx[RS_BAR + 1] = p->bar_rate * (-a12 - (along * bar_e));
+    dx[RS_BAR + 2] = p->bar_rate * (-a22 - (along * bar_d));
+    dx[RS_SPEED_UPPER] = accel_up;
+    dx[RS_SPEED_LOWER] = accel_dw;
+    dx[RS_CHARGE] = -current / p->battery_capacity;
 }

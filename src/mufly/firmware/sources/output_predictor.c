@@ -91,16 +91,16 @@ static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, 
     }
     for (int32_t k = 0; k < 3; k++) {
         m->covariance_output[k][k] += ((m->now_noise[k] * span) * span) / REAL(3.0);
-        m->covariance_output[k][3 + k] += (m->now_noise[k] * span) / REAL(2.0);
-        m->covariance_output[3 + k][3 + k] += m->now_noise[k];
+        m->covariance_output[k][EX_VEL + k] += (m->now_noise[k] * span) / REAL(2.0);
+        m->covariance_output[EX_VEL + k][EX_VEL + k] += m->now_noise[k];
         for (int32_t i = 0; i < 3; i++) {
             /* A shaking is in the velocity for half a turn; what stays in means over blocks tells how much. */
             const real_t share = r[(3 * k) + i] * m->input_now[IN_SHARE + i];
             const real_t shaking = real_max(m->accel_noise[i] - m->accel_noise_slow[i], REAL(0.0));
 
-            m->covariance_output[3 + k][3 + k] += (share * share) * (((real_t)LONGEST * s->dt) * shaking);
+            m->covariance_output[EX_VEL + k][EX_VEL + k] += (share * share) * (((real_t)LONGEST * s->dt) * shaking);
         }
-        m->covariance_output[6 + k][6 + k] += s->gyro_density * span;
+        m->covariance_output[EX_ATT + k][EX_ATT + k] += s->gyro_density * span;
     }
 }
 
@@ -131,10 +131,10 @@ static void output_covariance(estimator_t *m)
     }
     sine_cosine(m->angles_output[2], &t, &c);
     for (int32_t j = 0; j < MOVING; j++) {
-        turns_to_angles(&m->covariance_output[6][j], &m->covariance_output[7][j], &m->covariance_output[8][j], c, t, sine, cosine);
+        turns_to_angles(&m->covariance_output[EX_ATT][j], &m->covariance_output[EX_ATT + 1][j], &m->covariance_output[EX_ATT + 2][j], c, t, sine, cosine);
     }
     for (int32_t j = 0; j < MOVING; j++) {
-        turns_to_angles(&m->covariance_output[j][6], &m->covariance_output[j][7], &m->covariance_output[j][8], c, t, sine, cosine);
+        turns_to_angles(&m->covariance_output[j][EX_ATT], &m->covariance_output[j][EX_ATT + 1], &m->covariance_output[j][EX_ATT + 2], c, t, sine, cosine);
     }
 }
 

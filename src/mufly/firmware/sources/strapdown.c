@@ -97,7 +97,7 @@ void predict_state(real_t x[STATES], const real_t e[INPUTS], real_t dt, real_t r
         const real_t made = ((x[SX_THRUST_SCALE] * e[IN_STATIC + k]) + e[IN_REST + k]) + (e[IN_SLOPE + k] * along);
         const real_t share = e[IN_SHARE + k];
 
-        a[3 + k] = made;
+        a[MODEL_ACCEL + k] = made;
         f[k] = (share * (e[IN_ACCEL + k] - x[SX_ACCEL_BIAS + k])) + ((REAL(1.0) - share) * made);
     }
     for (int32_t k = 0; k < 3; k++) {
@@ -150,8 +150,8 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     static const real_t no_wind[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     real_t dx[MODEL_STATES];
     const real_t dt = s->dt;
-    const real_t to_roll = p->swash_gain * real_min(real_max(m->actuators[3], REAL(-1.0)), REAL(1.0));
-    const real_t to_pitch = -p->swash_gain * real_min(real_max(m->actuators[2], REAL(-1.0)), REAL(1.0));
+    const real_t to_roll = p->swash_gain * real_min(real_max(m->actuators[U_SERVO_2], REAL(-1.0)), REAL(1.0));
+    const real_t to_pitch = -p->swash_gain * real_min(real_max(m->actuators[U_SERVO_1], REAL(-1.0)), REAL(1.0));
     const real_t roll = x[RS_SWASH_ROLL];
     const real_t pitch = x[RS_SWASH_PITCH];
     const real_t bar[3] = {x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]};
