@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import mufly
-from mufly.results import csv_text, meaning_of, meanings, plain, result, rows
+from mufly.results import meaning_of, meanings, plain, result, rows
 
 
 @result(eq=False)
@@ -74,10 +74,9 @@ def test_a_result_prints_itself_with_units_and_meaning() -> None:
     assert [r.unit for r in rows(POINT, ["density"])] == ["kg/m3"]
 
 
-def test_json_and_csv() -> None:
+def test_json() -> None:
     assert json.loads(json.dumps(plain(POINT)))["torque_Nm"] is None
     assert plain({"a": [np.float64(1.5), 1 + 2j, POINT]})["a"][1] == {"real": 1.0, "imag": 2.0}
-    assert csv_text([POINT, POINT], ["thrust_N", "gain"]) == "thrust_N,gain\n0.25,3.0\n0.25,3.0\n"
 
 
 def test_results_are_frozen() -> None:

@@ -3,20 +3,18 @@
 A class marked with :func:`result` is a frozen dataclass that can say what its fields are: the unit stands in a field's
 name (``thrust_N``, ``speed_rad_s``) or in the docstring, the meaning in the docstring's Attributes section, which is
 read once, when somebody asks. So one place writes a result as text (``print(result)``), in a notebook, as JSON
-(:func:`plain`), as CSV or as a report's table (:func:`rows`), and a result's fields are named nowhere twice. Its
+(:func:`plain`) or as a report's table (:func:`rows`), and a result's fields are named nowhere twice. Its
 ``plot()`` draws it: by the picture that the class names, or its numbers by :mod:`mufly.drawing`.
 """
 
 from __future__ import annotations
 
-import csv
 import html
 import importlib
 import inspect
-import io
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -284,15 +282,6 @@ def _of_parts(value: Any) -> list[Quantity]:
             )
             return [q for m, some in columns if (q := quantity(m.label, m.unit, some)) is not None]
     return []
-
-
-def csv_text(values: Sequence[Any], names: Iterable[str]) -> str:
-    """Return results as CSV, a result a line, the fields' names (which carry the units) as header."""
-    wanted, out = list(names), io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(wanted)
-    writer.writerows([plain(getattr(v, name)) for name in wanted] for v in values)
-    return out.getvalue()
 
 
 def _sentence(words: str) -> str:

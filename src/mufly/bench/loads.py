@@ -13,7 +13,6 @@ followed when there are readings at rest.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,11 +87,6 @@ class Calibration:
     def parameters(self) -> Array:
         """Offsets and sensitivities in the order of ``covariance``."""
         return np.column_stack([self.offset, self.sensitivity]).ravel()
-
-    def with_parameters(self, parameters: Array) -> Calibration:
-        """Return the calibration with other offsets and sensitivities."""
-        table = parameters.reshape(len(self.channels), -1)
-        return replace(self, offset=table[:, 0], sensitivity=table[:, 1:])
 
     def loads(self, readings: Array, zero: Array | None = None) -> Array:
         """Return loads (n, c) of readings (n, c).

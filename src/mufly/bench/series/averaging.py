@@ -14,7 +14,6 @@ it, but for independence, which GUM 4.2.7 asks to be dealt with.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -91,18 +90,3 @@ def has_settled(before: Mean, now: Mean, tolerance: float) -> bool:
     """Whether two windows, one after the other, agree within a tolerance or within what their noise explains."""
     doubt = 3.0 * float(np.hypot(before.std, now.std))
     return abs(now.value - before.value) <= max(tolerance, min(doubt, 5.0 * tolerance))
-
-
-def pooled(means: Sequence[Mean]) -> Mean:
-    """Return the mean of several blocks, one after the other, weighted by their samples."""
-    n = np.array([m.size - m.spikes for m in means], dtype=np.float64)
-    share = n / n.sum()
-    value = float(share @ [m.value for m in means])
-    parts = share * np.array([m.std for m in means])
-    std = float(np.sqrt(parts @ parts))
-    dof = std**4 / max(sum(p**4 / m.dof for p, m in zip(parts, means, strict=True)), 1e-300)
-    return Mean(
-        value, std, float(dof) if std > 0 else means[0].dof, sum(m.size for m in means),
-        sum(m.spikes for m in means), min(m.low for m in means), max(m.high for m in means),
-        max((m.trend for m in means), key=abs),
-    )  # fmt: skip
