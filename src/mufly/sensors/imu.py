@@ -56,7 +56,7 @@ _Array = NDArray[np.float64]
 _ELEVATION = math.asin(math.sqrt(1 / 3))  # of the shaking above the horizon: all axes share alike
 ROOM_K = 293.15
 _LINES = 5  # once and twice of both rotors, and the passing of blades
-_GYRO = 3  # of the six axes, the first of the gyroscopes
+GYRO = 3  # of the six axes, the first of the gyroscopes
 # Of its numbers: amplitudes, resonance and damping of the shaking, hover speeds, time of the drift, warming, its time
 (
     _ONCE, _TWICE, _PASSING, _RESONANCE, _DAMPING, _HOVER_UPPER, _HOVER_LOWER, _DRIFT_TIME, _WARMING, _WARMING_TIME,
@@ -130,7 +130,7 @@ class Imu(Sensor):
 
     def clip_at(self, limit_m_s2: float | None) -> None:
         """Let the accelerometers clip at another limit (a fault); None for their own."""
-        self._limit[:_GYRO] = self._range[:_GYRO] if limit_m_s2 is None else limit_m_s2
+        self._limit[:GYRO] = self._range[:GYRO] if limit_m_s2 is None else limit_m_s2
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         before, self._before = self._before, truth
@@ -179,9 +179,9 @@ class Imu(Sensor):
 
     def _say(self, t: float, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
         self._last = {
-            "acceleration": Reading(values[:_GYRO], t),
-            "rates": Reading(values[_GYRO:], t),
-            "clipping": Reading(clipped[:_GYRO], t),
+            "acceleration": Reading(values[:GYRO], t),
+            "rates": Reading(values[GYRO:], t),
+            "clipping": Reading(clipped[:GYRO], t),
             "temperature": Reading(ROOM_K + self.warmth(t), t),
         }
         return self._last
@@ -289,7 +289,7 @@ def imu_period(
             a += axes[0, j, m] * force[m]
             w += axes[1, j, m] * was[RS_RATES + m] + feigned[j, m] * force[m]
             more += axes[1, j, m] * (now[RS_RATES + m] - was[RS_RATES + m])
-        begin[j], begin[_GYRO + j], slope[j], slope[_GYRO + j] = a, w, 0.0, more
+        begin[j], begin[GYRO + j], slope[j], slope[GYRO + j] = a, w, 0.0, more
     up = 0.5 * (was[RS_SPEED_UPPER] + now[RS_SPEED_UPPER])
     dw = 0.5 * (was[RS_SPEED_LOWER] + now[RS_SPEED_LOWER])
     for line in range(5):
@@ -311,7 +311,7 @@ def imu_period(
                 a += axes[0, j, m] * directions[line, m]
                 w += feigned[j, m] * directions[line, m]
             wave[j, 2 * line], wave[j, 2 * line + 1] = c * a, -s * a
-            wave[_GYRO + j, 2 * line], wave[_GYRO + j, 2 * line + 1] = c * w, -s * w
+            wave[GYRO + j, 2 * line], wave[GYRO + j, 2 * line + 1] = c * w, -s * w
     for j in range(6):
         begin[j] += switched_on[j] + wander[j] + heat[j] * warmth
 

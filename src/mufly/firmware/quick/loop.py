@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from mufly.calling import call_at, lent
 from mufly.compiled import compiled
+from mufly.dynamics.state import RS_POS, RS_RATES, RS_VEL, STATE_SIZE
 from mufly.estimate import sensor_checks as g
 from mufly.estimate.layout import (
     ERRORS,
+    EX_ATT,
+    EX_GYRO_BIAS,
     R_ACCELERATION,
     R_BATTERY,
     R_FIX,
@@ -25,13 +28,15 @@ from mufly.estimate.layout import (
     SENSORS,
     STARTS,
     STATES,
+    SX_POS,
+    SX_VEL,
     WIDTHS,
 )
 from mufly.estimate.output_predictor import TOLD_EVERY
 from mufly.estimate.sensor_checks import ACTING, CLIPPING
 from mufly.flight.plant import plant_period, touched, true_attitude
 from mufly.sensors.drawing import normals
-from mufly.sensors.imu import imu_period
+from mufly.sensors.imu import GYRO, imu_period
 from mufly.sensors.periodic import STANDS, TAKEN, VALUES
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 from mufly.sensors.readings import see
@@ -60,18 +65,31 @@ F_RATE, F_STEP_S, F_RADIUS, F_HOVER_A, F_CURRENT_A, F_BLEND, F_WAKE_S, F_DRAWN_S
     _B_CHECKS, _B_CHECK, _B_STATUS, _B_WHY,
 ) = range(20)  # fmt: skip
 _MOTORS_OFF, _MOTORS_FLY = 0, 2
-# Columns of what is kept of a period: time, state (21), attitude, wind, battery, what acts, reference (9), mission;
-# beams follow
-ROW_WIDE = 44
+# First columns of what is kept of a period: time, state, attitude, wind, battery, what acts, reference, mission; beams
+# follow
+ROW_TIME, ROW_STATE, ROW_ATT, ROW_WIND, ROW_SUPPLY, ROW_MOTORS, ROW_SERVOS = 0, 1, 22, 25, 28, 30, 32
+ROW_REF_POS, ROW_REF_VEL, ROW_REF_ATT, ROW_MISSION, ROW_WIDE = 34, 37, 40, 43, 44
+# First numbers of C's record of motion (controllers.h)
+_M_POS, _M_VEL, _M_ATT, _M_RATES, _M_VOLTAGE = 0, 3, 6, 9, 12
+# Where the addresses of each function of C start
+_TO_SOFTWARE, _TO_FILTER = 0, 6
 _ACC, _RATE_AT, _VOLT = STARTS[R_ACCELERATION], STARTS[R_RATES], STARTS[R_BATTERY]
 # Of what is told every so often (:data:`mufly.estimate.fitted.SHOWN`), a row: covariance (9, 9), deviations, then of
 # each sensor seven numbers, the component of the fix that its fault is of, and the period
-DEVIATIONS, OF_SENSORS = 81, 81 + ERRORS
-COMPONENT_AT, PERIOD_AT = OF_SENSORS + 7 * SENSORS, OF_SENSORS + 7 * SENSORS + 1
+DEVIATIONS = EX_GYRO_BIAS**2
+OF_SENSORS = DEVIATIONS + ERRORS
+_STATUS, _REASON, _NUMBER, _INNOVATION, _SPREAD, _FUSED, _NEW, SENSOR_WIDE = range(8)
+COMPONENT_AT = OF_SENSORS + SENSOR_WIDE * SENSORS
+PERIOD_AT = COMPONENT_AT + 1
 SHOWN_WIDE = PERIOD_AT + 1
 # Of what somebody hears, a row: period, whether valid, battery (V), rows told before; wind, supply, state, attitude,
 # nominal state, rates, angles; ranges follow
-HEARD_WIDE = 4 + 3 + 2 + 21 + 3 + STATES + 3 + 3
+HEARD_TICK, HEARD_VALID, HEARD_VOLTS, HEARD_TOLD, HEARD_WIND, HEARD_SUPPLY, HEARD_STATE = 0, 1, 2, 3, 4, 7, 9
+HEARD_ATT = HEARD_STATE + STATE_SIZE
+HEARD_OUT = HEARD_ATT + 3
+HEARD_RATES = HEARD_OUT + STATES
+HEARD_ANGLES = HEARD_RATES + 3
+HEARD_WIDE = HEARD_ANGLES + 3
 # Places of the sensors of ``ask`` in the filter's tables
 _PLACES = (R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_BATTERY, R_FIX)
 
@@ -137,29 +155,30 @@ def _show(
     said of a sensor that is waited for or believed.
     """
     covariance, sigma, code, why, number, innovation, spread, used, came, component, tick = memory
-    for j in range(9):
-        for k in range(9):
-            row[9 * j + k] = covariance[j, k]
+    for j in range(EX_GYRO_BIAS):
+        for k in range(EX_GYRO_BIAS):
+            row[EX_GYRO_BIAS * j + k] = covariance[j, k]
     for k in range(ERRORS):
         row[DEVIATIONS + k] = sigma[k]
     row[COMPONENT_AT], row[PERIOD_AT] = component[0], tick[0]
     same = True
     for k in range(SENSORS):
-        of = row[OF_SENSORS + 7 * k : OF_SENSORS + 7 * k + 7]
-        was = before[OF_SENSORS + 7 * k : OF_SENSORS + 7 * k + 7]
-        of[0], of[1], of[2], of[3] = code[k], why[k], number[k], innovation[k]
-        of[4], of[5], of[6] = spread[k], used[k], came[k]
+        start = OF_SENSORS + SENSOR_WIDE * k
+        of, was = row[start : start + SENSOR_WIDE], before[start : start + SENSOR_WIDE]
+        of[_STATUS], of[_REASON], of[_NUMBER], of[_INNOVATION] = code[k], why[k], number[k], innovation[k]
+        of[_SPREAD], of[_FUSED], of[_NEW] = spread[k], used[k], came[k]
         if fitted[k] == 0:
             continue
         text = texts[why[k]]
         if code[k] == g.NOTHING and why[k] == g.FINE and came[k] == 0:
             text = texts[g.NOTHING_YET]
-        quiet = calm != 0 and (code[k] == g.NOTHING or code[k] == g.FUSED) and was[0] == was[0]
+        quiet = calm != 0 and (code[k] == g.NOTHING or code[k] == g.FUSED) and was[_STATUS] == was[_STATUS]
         if quiet and text >= 0:
             one = at[_B_CHECKS] + k * at[_B_CHECK]
             said[one + at[_B_STATUS]], said[one + at[_B_WHY]] = code[k], text
         else:
-            same = same and of[0] == was[0] and of[1] == was[1] and (text >= 0 or of[2] == was[2])
+            same = same and of[_STATUS] == was[_STATUS] and of[_REASON] == was[_REASON]
+            same = same and (text >= 0 or of[_NUMBER] == was[_NUMBER])
             same = same and (text >= 0 or row[COMPONENT_AT] == before[COMPONENT_AT])
     return same
 
@@ -241,6 +260,7 @@ def go_on(
     c, f, x, parameters, wind, supply, attitude = lent((c, f, x, parameters, wind, supply, attitude))
     packed, acting, at, to, out, log, seen = lent((packed, acting, at, to, out, log, seen))
     shown, heard = lent((shown, heard))
+    legs, obstacles, boxes, cylinders, limits = packed
     sd, si, sb = lent(software)
     bd, bi, bb = lent(belief)
     now = at[_B_MOTION]
@@ -262,8 +282,9 @@ def go_on(
                 else:  # Numba leaves out what is never reached
                     row = heard[c[C_HEARD_ROWS]]
                     c[C_HEARD_ROWS] += 1
-                    row[0], row[1], row[2], row[3] = c[C_TICK], c[C_VALID], z[_VOLT], c[C_TOLD_ROWS]
-                    n = _put(row, 4, wind[c[C_BLOWN] - 1])
+                    row[HEARD_TICK], row[HEARD_VALID] = c[C_TICK], c[C_VALID]
+                    row[HEARD_VOLTS], row[HEARD_TOLD] = z[_VOLT], c[C_TOLD_ROWS]
+                    n = _put(row, HEARD_WIND, wind[c[C_BLOWN] - 1])
                     n = _put(row, _put(row, _put(row, n, supply), x), attitude)
                     n = _put(row, _put(row, _put(row, n, told), rates), angles)
                     _put(row, n, seen)
@@ -274,11 +295,11 @@ def go_on(
             c[C_TICK] += 1
             for k in range(4):
                 acting[0, k], acting[1, k] = acting[1, k], acting[2, k]
-            if not math.isfinite(x[2]):
+            if not math.isfinite(x[RS_POS + 2]):
                 return BROKEN
             t = c[C_TICK] / f[F_RATE]
             if c[C_TICK] % c[C_LOOK] == 0:
-                if touched(x, parameters, packed[0], f[F_RADIUS], packed[1], packed[2], packed[3], packed[4]):
+                if touched(x, parameters, legs, f[F_RADIUS], obstacles, boxes, cylinders, limits):
                     return TOUCHED
                 drawn = supply[1] if si[at[_S_MOTORS]] == _MOTORS_FLY else f[F_HOVER_A]
                 f[F_CURRENT_A] += f[F_BLEND] * (drawn - f[F_CURRENT_A])
@@ -294,7 +315,7 @@ def go_on(
                 imu_period(was, x, t - f[F_DRAWN_S], t, normal, *unit, read, clipped)
                 f[F_DRAWN_S] = t
                 for k in range(3):
-                    z[_ACC + k], z[_RATE_AT + k], z[CLIPPING + k] = read[k], read[3 + k], clipped[k]
+                    z[_ACC + k], z[_RATE_AT + k], z[CLIPPING + k] = read[k], read[GYRO + k], clipped[k]
                 new[R_ACCELERATION] = new[R_RATES] = 1
                 age[R_ACCELERATION] = age[R_RATES] = 0.0
                 if t >= f[F_ASK_S]:
@@ -314,16 +335,17 @@ def go_on(
             bd[at[_B_TIME]] = t
             if filtered is None:
                 for k in range(3):
-                    bd[now + k], bd[now + 3 + k] = x[k], x[3 + k]
-                    bd[now + 6 + k], bd[now + 9 + k] = attitude[k], x[10 + k]
-                bd[now + 12] = supply[0]
+                    bd[now + _M_POS + k], bd[now + _M_VEL + k] = x[RS_POS + k], x[RS_VEL + k]
+                    bd[now + _M_ATT + k], bd[now + _M_RATES + k] = attitude[k], x[RS_RATES + k]
+                bd[now + _M_VOLTAGE] = supply[0]
             else:
-                valid = call_at(to[6], (to[7], to[8], to[9], to[10], to[11], to[12])) & 1
+                i = _TO_FILTER
+                valid = call_at(to[i], (to[i + 1], to[i + 2], to[i + 3], to[i + 4], to[i + 5], to[i + 6])) & 1
                 for k in range(3):
-                    bd[now + k], bd[now + 3 + k] = told[k], told[3 + k]
-                    bd[now + 6 + k], bd[now + 9 + k] = angles[k], rates[k]
+                    bd[now + _M_POS + k], bd[now + _M_VEL + k] = told[SX_POS + k], told[SX_VEL + k]
+                    bd[now + _M_ATT + k], bd[now + _M_RATES + k] = angles[k], rates[k]
                 volts = z[_VOLT]
-                bd[now + 12] = volts if volts != 0.0 else math.nan
+                bd[now + _M_VOLTAGE] = volts if volts != 0.0 else math.nan
                 bb[at[_B_VALID]] = c[C_VALID] = valid
                 c[C_TELLS] += 1
             c[C_PHASE] = TOLD
@@ -334,9 +356,10 @@ def go_on(
                     return TELL
                 for k in range(3):
                     bd[at[_B_PLACE_VARIANCE] + k] = covariance[k, k]
-                    bd[at[_B_TURN_VARIANCE] + k] = covariance[6 + k, 6 + k]
+                    bd[at[_B_TURN_VARIANCE] + k] = covariance[EX_ATT + k, EX_ATT + k]
         logged, motors, finished = si[at[_S_LOGGED]], si[at[_S_MOTORS]], sb[at[_S_FINISHED]]
-        call_at(to[0], (to[1], to[2], to[3], to[4], to[5]))
+        i = _TO_SOFTWARE
+        call_at(to[i], (to[i + 1], to[i + 2], to[i + 3], to[i + 4], to[i + 5]))
         runs = c[C_ARMED] > 0 or si[at[_S_MOTORS]] == _MOTORS_OFF
         for k in range(4):
             acting[2, k] = out[k] if runs else 0.0
@@ -347,16 +370,16 @@ def go_on(
         if c[C_TICK] % c[C_EVERY] == 0:
             row = log[c[C_ROWS]]
             c[C_ROWS] += 1
-            row[0] = t
-            n = _put(row, _put(row, _put(row, 1, x), attitude), wind[c[C_BLOWN] - 1])
+            row[ROW_TIME] = t
+            n = _put(row, _put(row, _put(row, ROW_STATE, x), attitude), wind[c[C_BLOWN] - 1])
             _put(row, _put(row, n, supply), acting[1])
             for k in range(3):
                 way = sd[at[_S_VELOCITY] + k]
-                row[34 + k] = sd[at[_S_POSITION] + k] + late * way
-                row[37 + k] = way
-            row[40], row[41] = sd[at[_S_TILT]], sd[at[_S_TILT] + 1]
-            row[42] = sd[at[_S_HEADING]] + late * sd[at[_S_TURN]]
-            row[43] = si[at[_S_STATE]]
+                row[ROW_REF_POS + k] = sd[at[_S_POSITION] + k] + late * way
+                row[ROW_REF_VEL + k] = way
+            row[ROW_REF_ATT], row[ROW_REF_ATT + 1] = sd[at[_S_TILT]], sd[at[_S_TILT] + 1]
+            row[ROW_REF_ATT + 2] = sd[at[_S_HEADING]] + late * sd[at[_S_TURN]]
+            row[ROW_MISSION] = si[at[_S_STATE]]
             _put(row, ROW_WIDE, seen)
         c[C_PHASE] = ADVANCE
         if si[at[_S_LOGGED]] != logged or si[at[_S_MOTORS]] != motors or sb[at[_S_FINISHED]] != finished:

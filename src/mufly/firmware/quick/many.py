@@ -22,9 +22,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.dynamics.state import MOTORS, POSITION, RATES, RS_ATT, SERVOS, VELOCITY
 from mufly.estimate import Estimate, IdealEstimator
 from mufly.estimate.fitted import SHOWN, KalmanEstimator
-from mufly.estimate.layout import SENSORS, STATES
+from mufly.estimate.layout import EX_GYRO_BIAS, SENSORS, SX_ATT
 from mufly.estimate.output_predictor import TOLD_EVERY
 from mufly.firmware.quick.loop import (
     ADVANCE,
@@ -65,13 +66,36 @@ from mufly.firmware.quick.loop import (
     F_STEP_S,
     F_WAKE_S,
     HEARD,
+    HEARD_ANGLES,
+    HEARD_ATT,
+    HEARD_OUT,
+    HEARD_RATES,
+    HEARD_STATE,
+    HEARD_SUPPLY,
+    HEARD_TICK,
+    HEARD_TOLD,
+    HEARD_VALID,
+    HEARD_VOLTS,
     HEARD_WIDE,
+    HEARD_WIND,
     MOST,
     NUMBERS,
     OF_SENSORS,
     PERIOD_AT,
+    ROW_ATT,
+    ROW_MISSION,
+    ROW_MOTORS,
+    ROW_REF_ATT,
+    ROW_REF_POS,
+    ROW_REF_VEL,
+    ROW_SERVOS,
+    ROW_STATE,
+    ROW_SUPPLY,
+    ROW_TIME,
     ROW_WIDE,
+    ROW_WIND,
     SENSE,
+    SENSOR_WIDE,
     SHOWN_WIDE,
     TELL,
     TOUCHED,
@@ -93,8 +117,14 @@ _Array = NDArray[np.float64]
 
 def _shown(row: _Array) -> dict[str, Any]:
     """What stands in such a row, by the names of the memory."""
-    of = row[OF_SENSORS:COMPONENT_AT].reshape(SENSORS, 7)
-    parts = (row[:81].reshape(9, 9), row[DEVIATIONS:OF_SENSORS], *of.T, row[COMPONENT_AT], row[PERIOD_AT])
+    of = row[OF_SENSORS:COMPONENT_AT].reshape(SENSORS, SENSOR_WIDE)
+    parts = (
+        row[:DEVIATIONS].reshape(EX_GYRO_BIAS, EX_GYRO_BIAS),
+        row[DEVIATIONS:OF_SENSORS],
+        *of.T,
+        row[COMPONENT_AT],
+        row[PERIOD_AT],
+    )
     return dict(zip(SHOWN, parts, strict=True))
 
 
@@ -357,29 +387,25 @@ class Many:
         c[C_HEARD_ROWS] = 0
         together: Any = getattr(flight.listen, "many", None)
         if together is not None and len(rows):
-            told = rows[:, 3].astype(int)
-            covariances = self._shown[told, :81].reshape(-1, 9, 9)
-            covariances[told == 0] = filtered.covariance[:9, :9]
-            out = rows[:, 33:]
-            true = np.hstack([rows[:, 9:15], rows[:, 30:33]])
-            estimated = np.hstack([out[:, :6], out[:, STATES + 3 : STATES + 6]])
-            together(true, estimated, covariances, rows[:, 1] != 0.0)
+            told, nine = rows[:, HEARD_TOLD].astype(int), EX_GYRO_BIAS
+            covariances = self._shown[told, :DEVIATIONS].reshape(-1, nine, nine)
+            covariances[told == 0] = filtered.covariance[:nine, :nine]
+            moving = rows[:, HEARD_STATE : HEARD_STATE + RS_ATT]
+            true = np.hstack([moving, rows[:, HEARD_ATT:HEARD_OUT]])
+            moving = rows[:, HEARD_OUT : HEARD_OUT + SX_ATT]
+            estimated = np.hstack([moving, rows[:, HEARD_ANGLES:HEARD_WIDE]])
+            together(true, estimated, covariances, rows[:, HEARD_VALID] != 0.0)
             return
         for row in rows:
-            self._tell_up_to(int(row[3]))
-            t, out = int(row[0]) / rate, row[33:]
+            self._tell_up_to(int(row[HEARD_TOLD]))
+            tick = int(row[HEARD_TICK])
             truth = Truth(
-                t,
-                int(row[0]),
-                row[9:30].copy(),
-                row[30:33].copy(),
-                row[4:7].copy(),
-                float(row[7]),
-                float(row[8]),
-            )
+                tick / rate, tick, row[HEARD_STATE:HEARD_ATT].copy(), row[HEARD_ATT:HEARD_OUT].copy(),
+                row[HEARD_WIND:HEARD_SUPPLY].copy(), *row[HEARD_SUPPLY:HEARD_STATE].tolist(),
+            )  # fmt: skip
             flight.listen(truth, filtered.said(
-                t, bool(row[1]), out[:STATES].copy(), out[STATES : STATES + 3], out[STATES + 3 : STATES + 6],
-                float(row[2]), out[STATES + 6 :].copy(),
+                truth.time_s, bool(row[HEARD_VALID]), row[HEARD_OUT:HEARD_RATES].copy(), row[HEARD_RATES:HEARD_ANGLES],
+                row[HEARD_ANGLES:HEARD_WIDE], float(row[HEARD_VOLTS]), row[HEARD_WIDE:].copy(),
             ))  # fmt: skip
 
     def _tell_up_to(self, rows: int) -> None:
@@ -444,8 +470,8 @@ class Many:
             readings, estimate = self._read_at(truth)
         if filtered is not None:
             self._shown[0], self._thought = self._shown[c[C_TOLD_ROWS]], filtered.checks
-        flight.acting = Actuators(self._acting[1, :2].copy(), self._acting[1, 2:].copy())
-        flight.sent = Actuators(self._acting[2, :2].copy(), self._acting[2, 2:].copy())
+        flight.acting = Actuators(self._acting[1, MOTORS].copy(), self._acting[1, SERVOS].copy())
+        flight.sent = Actuators(self._acting[2, MOTORS].copy(), self._acting[2, SERVOS].copy())
         if whole:
             flight.take(truth, readings, estimate)
             auto.went_on(estimate, flight.sent, periods, int(c[C_DUE]), truth.tick, ran)
@@ -461,17 +487,20 @@ class Many:
         if stop <= first:
             return
         flight, row = self._flight, self._log[first:stop]
+        state, attitude = row[:, ROW_STATE:ROW_ATT], row[:, ROW_ATT:ROW_WIND]
         measured: dict[str, _Array] = {}
         if flight.records_measured:
             measured = {
-                "measured_position": row[:, 1:4], "measured_velocity": row[:, 4:7], "measured_attitude": row[:, 22:25],
-                "measured_rates": row[:, 11:14], "range": row[:, ROW_WIDE:],
+                "measured_position": state[:, POSITION], "measured_velocity": state[:, VELOCITY],
+                "measured_attitude": attitude, "measured_rates": state[:, RATES], "range": row[:, ROW_WIDE:],
             }  # fmt: skip
-        truth = Truth(row[:, 0], 0, row[:, 1:22], row[:, 22:25], row[:, 25:28], row[:, 28], row[:, 29])  # type: ignore[arg-type]
-        states = [_STATES[k] for k in row[:, 43].astype(int).tolist()]
+        truth = Truth(
+            row[:, ROW_TIME], 0, state, attitude, row[:, ROW_WIND:ROW_SUPPLY], *row[:, ROW_SUPPLY:ROW_MOTORS].T,  # type: ignore[arg-type]
+        )  # fmt: skip
+        states = [_STATES[k] for k in row[:, ROW_MISSION].astype(int).tolist()]
         append_rows(
-            flight.recorder, truth, measured, Actuators(row[:, 30:32], row[:, 32:34]),
-            (row[:, 34:37], row[:, 37:40], row[:, 40:43]), states,
+            flight.recorder, truth, measured, Actuators(row[:, ROW_MOTORS:ROW_SERVOS], row[:, ROW_SERVOS:ROW_REF_POS]),
+            (row[:, ROW_REF_POS:ROW_REF_VEL], row[:, ROW_REF_VEL:ROW_REF_ATT], row[:, ROW_REF_ATT:ROW_MISSION]), states,
         )  # fmt: skip
 
 
