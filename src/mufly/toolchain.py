@@ -7,7 +7,6 @@ first, so that processes that build the same at once do not disturb each other.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import subprocess
@@ -15,6 +14,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from mufly.answer_store import hash_question
 from mufly.compiled import cache_folder
 from mufly.errors import MuflyError
 
@@ -77,7 +77,7 @@ def kept_library(name: str, files: Mapping[str, str], *, flags: Sequence[str] = 
     cc = compiler()
     real = Path(cc).resolve()
     stamp = (str(real), real.stat().st_size, real.stat().st_mtime_ns, *flags)
-    digest = hashlib.sha256(repr((stamp, sorted(files.items()))).encode()).hexdigest()[:24]
+    digest = hash_question(stamp, sorted(files.items()))[:24]
     library = cache_folder() / f"{name}-{digest}.so"
     if not library.exists():
         with tempfile.TemporaryDirectory(prefix="mufly-c-", dir=library.parent) as temporary:

@@ -26,7 +26,6 @@ thickness formula (0.25 % of chord for t = 0.12) is kept. Files: :mod:`mufly.rot
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
 from dataclasses import field
@@ -37,6 +36,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.answer_store import hash_question
 from mufly.errors import InputError, suggest_name
 from mufly.results import result
 from mufly.rotor.sections.contour_file import read_contour, read_own_contour
@@ -91,7 +91,7 @@ class Airfoil:
     def digest(self) -> str:
         """Return a hash of the contour, to a ten-millionth of the chord."""
         rounded = np.round(self.coordinates * 1e7).astype(np.int64)
-        return hashlib.sha256(rounded.tobytes()).hexdigest()
+        return hash_question(rounded)
 
 
 def sides(coordinates: Array) -> tuple[Array, Array]:
