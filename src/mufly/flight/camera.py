@@ -32,6 +32,7 @@ from mufly.camera import Camera, Motion, PictureRecorder, Renderer, StreamServer
 from mufly.dynamics import standing_height
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
+from mufly.estimate.layout import EX_FIX_BIAS, EX_FIX_HEADING, EX_GYRO_BIAS
 from mufly.flight.film import SHOWN_QUALITY, Film, Spoil, Stream
 from mufly.sensors import Reading, Sensor, Truth
 from mufly.slam import (
@@ -320,10 +321,10 @@ class CameraSensor(Sensor):
 
     def _stands(self, time_s: float) -> Answer:
         """It has not moved since it was put there."""
-        noise = _STANDS_NOISE_M * self._rng.standard_normal(4)
-        place = np.array([self._start[0], self._start[1], -self._stands_m]) + noise[:3]
+        *noise, turn = _STANDS_NOISE_M * self._rng.standard_normal(4)
+        place = np.array([self._start[0], self._start[1], -self._stands_m]) + noise
         covariance = _STANDS_NOISE_M**2 * np.eye(4)
-        return Answer(time_s, True, "it stands", place, self._start[2] + noise[3], covariance)
+        return Answer(time_s, True, "it stands", place, self._start[2] + turn, covariance)
 
     def _telling(self, truth: Truth) -> Telling | None:
         """What the vehicle believes at this instant: its estimate of a period ago, turned on."""
@@ -339,16 +340,17 @@ class CameraSensor(Sensor):
         x = estimate.position + dt * estimate.velocity
         # Places of the map are those of fixes: with what these are believed to be off by, and without its uncertainty.
         bias = np.zeros(4) if estimate.beliefs is None else estimate.beliefs.fix_bias
-        place = math.sqrt(max(float(max(sigma[:2])) ** 2 - float(self._fixes.wander) ** 2, 0.01**2))
-        heading = math.sqrt(max(float(sigma[8]) ** 2 - float(self._fixes.heading_wander) ** 2, 0.005**2))
+        north, east, height, v_north, v_east, _, roll_off, pitch_off, yaw_off = sigma[:EX_GYRO_BIAS].tolist()
+        place = math.sqrt(max(max(north, east) ** 2 - float(self._fixes.wander) ** 2, 0.01**2))
+        heading = math.sqrt(max(yaw_off**2 - float(self._fixes.heading_wander) ** 2, 0.005**2))
         return Telling(
             roll, pitch, max(0.02, -float(x[2])), estimate.rates.copy(), self._scale * truth.rotor_speed,
             self._film.phase + self._offset + PHASE_SIGMA * self._rng.standard_normal(2),
-            tilt_sigma=max(math.radians(0.15), float(max(sigma[6:8]))), height_sigma=max(0.006, float(sigma[2])),
+            tilt_sigma=max(math.radians(0.15), roll_off, pitch_off), height_sigma=max(0.006, height),
             tilt_time_s=_TILT_TIME_S, height_time_s=_HEIGHT_TIME_S,
             velocity=estimate.velocity.copy(), standing=not sonar > self._least_m,
-            place=np.array([x[0] + bias[0], x[1] + bias[1], yaw + bias[3]]),
-            place_sigma=(place, heading), velocity_sigma=max(0.01, float(max(sigma[3:5]))),
+            place=np.array([x[0] + bias[0], x[1] + bias[1], yaw + bias[EX_FIX_HEADING - EX_FIX_BIAS]]),
+            place_sigma=(place, heading), velocity_sigma=max(0.01, v_north, v_east),
         )  # fmt: skip
 
     def _receive(self, known: Answer | bytes) -> None:

@@ -41,6 +41,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled import compiled
 from mufly.estimate import Check, Estimate
+from mufly.estimate.layout import EX_ATT, EX_POS
 from mufly.trigonometry import sine_cosine
 
 _Array = NDArray[np.float64]
@@ -138,8 +139,9 @@ def judge(m: Estimate, stood: float = 0.0, *, height_counts: bool = True) -> Dou
     if m.beliefs is None:
         return NO_DOUBT
     variance = m.covariance.diagonal()
-    place, height = strayed(m, stood), math.sqrt(variance[2])
-    tilt, heading = math.sqrt(max(variance[6], variance[7])), math.sqrt(variance[8])
+    place, height = strayed(m, stood), math.sqrt(variance[EX_POS + 2])
+    tilt = math.sqrt(max(variance[EX_ATT], variance[EX_ATT + 1]))
+    heading = math.sqrt(variance[EX_ATT + 2])
     if tilt > TILT:
         return Doubt("sink", f"attitude uncertain by {math.degrees(tilt):.0f} deg{_because(m, _LEVEL)}")
     if heading > HEADING:

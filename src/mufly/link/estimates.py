@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from mufly.dynamics import quaternion_from_euler, rotation
 from mufly.estimate import ERROR_STATES, Beliefs, Check
 from mufly.estimate.fusion import GATE
+from mufly.estimate.layout import EX_ATT, EX_POS, EX_VEL
 from mufly.flight import FlightState
 from mufly.link.codec import MavMessage, mavlink, single
 from mufly.quantities import CHECKED, STATUSES
@@ -74,14 +75,14 @@ def estimator_status(state: FlightState, usec: int) -> MavMessage:
     """ESTIMATOR_STATUS: what is known how well, and by how much measurements miss."""
     m, beliefs = state.estimate, state.estimate.beliefs
     sigma = np.sqrt(np.maximum(np.diag(m.covariance), 0.0))
-    level, height = math.hypot(sigma[0], sigma[1]), float(sigma[2])
+    level, height = math.hypot(sigma[EX_POS], sigma[EX_POS + 1]), float(sigma[EX_POS + 2])
     checks = {} if beliefs is None else {c.name: c for c in beliefs.checks}
     good = m.valid and bool(np.all(np.isfinite(m.position)))
     flags = 0
     for holds, flag in (
-        (max(sigma[6], sigma[7]) < GOOD_TILT, mavlink.ESTIMATOR_ATTITUDE),
-        (math.hypot(sigma[3], sigma[4]) < GOOD_M_S, mavlink.ESTIMATOR_VELOCITY_HORIZ),
-        (sigma[5] < GOOD_M_S, mavlink.ESTIMATOR_VELOCITY_VERT),
+        (max(sigma[EX_ATT], sigma[EX_ATT + 1]) < GOOD_TILT, mavlink.ESTIMATOR_ATTITUDE),
+        (math.hypot(sigma[EX_VEL], sigma[EX_VEL + 1]) < GOOD_M_S, mavlink.ESTIMATOR_VELOCITY_HORIZ),
+        (sigma[EX_VEL + 2] < GOOD_M_S, mavlink.ESTIMATOR_VELOCITY_VERT),
         (level < GOOD_M, mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL),
         (level < GOOD_M, mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS),
         (height < GOOD_M, mavlink.ESTIMATOR_POS_VERT_ABS),

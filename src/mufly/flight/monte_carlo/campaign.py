@@ -28,6 +28,7 @@ from mufly.answer_store import hash_question
 from mufly.control import FlightController, design
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
+from mufly.estimate.layout import EX_ATT, EX_GYRO_BIAS
 from mufly.estimate.nees import normalised
 from mufly.flight.flight import fly
 from mufly.flight.monte_carlo.variation import Variation
@@ -353,7 +354,8 @@ class _Heard:
     def __call__(self, truth: Truth, told: Estimate) -> None:
         true = np.concatenate([truth.position, truth.velocity, truth.attitude])
         estimated = np.concatenate([told.position, told.velocity, told.attitude])
-        self.many(true[None], estimated[None], told.covariance[None, :9, :9], np.array([told.valid]))
+        covariance = told.covariance[None, :EX_GYRO_BIAS, :EX_GYRO_BIAS]
+        self.many(true[None], estimated[None], covariance, np.array([told.valid]))
 
     def many(self, true: _Array, told: _Array, covariances: _Array, valid: NDArray[np.bool_]) -> None:
         """Take (n, 9), (n, 9), (n, 9, 9), (n,): position, velocity, attitude (m, m/s, rad)."""
@@ -366,7 +368,7 @@ class _Heard:
             return None
         true, told, covariances = (np.concatenate(p) for p in zip(*self._parts, strict=True))
         error = told - true
-        error[:, 6:] = np.angle(np.exp(1j * error[:, 6:]))
+        error[:, EX_ATT:] = np.angle(np.exp(1j * error[:, EX_ATT:]))
         return float(normalised(error, covariances).mean()) / error.shape[1]
 
 
