@@ -16,16 +16,16 @@ from collections.abc import Callable
 import numpy as np
 
 from mufly.rotor import (
-    PLAIN,
-    Condition,
-    System,
-    hover,
-    hover_batch,
+    TEXTBOOK_CORRECTIONS,
+    OperatingCondition,
+    RotorSystem,
+    compute_polars,
     load_rotor,
-    polars,
-    prepare,
+    prepare_blading,
     replace_rotor,
-    solve,
+    solve_rotor,
+    solve_rotor_batch,
+    solve_system,
 )
 
 
@@ -43,42 +43,40 @@ def main() -> None:
     """Print the numbers."""
     start = time.perf_counter()
     rotor = load_rotor("naca0012-r60-c20")
-    tables = polars(["naca0012"])
-    case = prepare(rotor, tables)
-    first = hover(case, pitch_rad=0.2, speed_rad_s=600.0)
-    print(
-        f"start, polar, first point                {time.perf_counter() - start:8.2f} s ({first.thrust_N:.3f} N)"
-    )
-    t = best(lambda: hover(case, pitch_rad=0.2, speed_rad_s=600.0), 50)
+    tables = compute_polars(["naca0012"])
+    case = prepare_blading(rotor, tables)
+    first = solve_rotor(case, pitch_rad=0.2, speed_rad_s=600.0)
+    print(f"start, polar, first point                {time.perf_counter() - start:8.2f} s ({first.thrust_N:.3f} N)")
+    t = best(lambda: solve_rotor(case, pitch_rad=0.2, speed_rad_s=600.0), 50)
     print(f"one point from Python                    {1e3 * t:8.3f} ms")
     print(f"batch, {os.cpu_count()} cores:")
     for n in (1_000, 10_000, 100_000):
         pitch = np.linspace(0.0, 0.5, n)
-        t = best(lambda pitch=pitch: hover_batch(case, pitch_rad=pitch, speed_rad_s=600.0))
+        t = best(lambda pitch=pitch: solve_rotor_batch(case, pitch_rad=pitch, speed_rad_s=600.0))
         print(f"  {n:7d} points, all corrections         {1e3 * t / n:8.4f} ms a point (target 0.05)")
-    plain = prepare(rotor, tables, corrections=PLAIN)
-    t = best(lambda: hover_batch(plain, pitch_rad=pitch, speed_rad_s=600.0))
+    plain = prepare_blading(rotor, tables, corrections=TEXTBOOK_CORRECTIONS)
+    t = best(lambda: solve_rotor_batch(plain, pitch_rad=pitch, speed_rad_s=600.0))
     print(f"  {n:7d} points, plain                   {1e3 * t / n:8.4f} ms a point")
 
     chords = np.linspace(0.010, 0.030, 200)
 
     def sweep() -> None:
         rotors = [replace_rotor(rotor, {"blade.chord": float(c)}) for c in chords]
-        many = prepare(rotors, tables)
-        hover_batch(
+        many = prepare_blading(rotors, tables)
+        solve_rotor_batch(
             many, pitch_rad=np.linspace(0.1, 0.35, 16)[:, None], speed_rad_s=600.0, which=np.arange(200)[None]
         )
 
     t = best(sweep, 3)
     print(f"200 chords x 16 pitches, blades laid out {1e3 * t / 3200:8.4f} ms a point")
 
-    both = System.coaxial(case, case, spacing_m=0.02)
+    both = RotorSystem.coaxial_pair(case, case, spacing_m=0.02)
 
     def pair() -> None:
-        solve(both, Condition(0.25, 600.0))
+        solve_system(both, OperatingCondition(0.25, 600.0))
 
     def trim() -> None:
-        solve(both, Condition((0.25, math.radians(16)), (600.0, None)))
+        solve_system(both, OperatingCondition((0.25, math.radians(16)), (600.0, None)))
 
     print(f"coaxial pair                             {1e3 * best(pair, 20):8.2f} ms")
     print(f"coaxial pair, torque balanced            {1e3 * best(trim, 10):8.2f} ms")

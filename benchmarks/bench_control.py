@@ -17,19 +17,19 @@ import numpy as np
 import mufly
 from mufly.control import (
     FlightController,
-    analyse,
-    design,
-    discretise,
-    heave_yaw_initial,
+    analyse_loop,
+    design_flight_controller,
+    discretise_controller,
+    heave_yaw_init,
     heave_yaw_step,
     hinfsyn,
-    position_initial,
+    position_init,
     position_step,
-    roll_pitch_initial,
+    roll_pitch_init,
     roll_pitch_step,
     sample_plant,
 )
-from mufly.control.linear import feedback_part
+from mufly.control.linear_systems import feedback_part
 
 
 def best(function: Callable[[], object], repeat: int, number: int = 1) -> float:
@@ -46,7 +46,8 @@ def best(function: Callable[[], object], repeat: int, number: int = 1) -> float:
 def speed(controller: FlightController) -> None:
     vehicle = mufly.load_vehicle("mufly-1.1")
     print(
-        f"all designs of one vehicle    {best(lambda: design(vehicle), 5) * 1e3:8.0f} ms   target below 2000 ms"
+        f"all designs of one vehicle    {best(lambda: design_flight_controller(vehicle), 5) * 1e3:8.0f} ms   "
+        f"target below 2000 ms"
     )
     for d, ny in ((controller.heave_yaw, 5), (controller.roll_pitch, 4), (controller.velocity, 2)):
         seconds = best(lambda d=d, ny=ny: hinfsyn(d.generalised, ny, 2, relaxation=1.01), 5)
@@ -54,9 +55,9 @@ def speed(controller: FlightController) -> None:
     g, h, p = controller.heave_yaw_gains, controller.roll_pitch_gains, controller.position_gains
     zero2, zero3, zero4 = np.zeros(2), np.zeros(3), np.zeros(4)
     a, b, c = (
-        heave_yaw_initial(g, zero3, np.array([0.67, 0.73]), 7.2),
-        roll_pitch_initial(h, np.zeros(4)),
-        position_initial(p),
+        heave_yaw_init(g, zero3, np.array([0.67, 0.73]), 7.2),
+        roll_pitch_init(h, np.zeros(4)),
+        position_init(p),
     )
     one = best(lambda: heave_yaw_step(g, a, zero4, zero3, 7.2), 5, 20_000) * 1e6
     two = best(lambda: roll_pitch_step(h, b, zero2, zero4), 5, 20_000) * 1e6
@@ -71,10 +72,8 @@ def tables(controller: FlightController) -> None:
         row = f"{rate:7d} |"
         for d in (controller.heave_yaw, controller.roll_pitch):
             # The reduced controller is the same at every rate; only its difference equations change.
-            sampled = discretise(d.reduced, np.zeros((d.reduced.nstates, 2)), 1 / rate).system()
-            loop = analyse(
-                sample_plant(d.plant, 1 / rate, 1), feedback_part(sampled, d.plant, d.feedback_inputs)
-            )
+            sampled = discretise_controller(d.reduced, np.zeros((d.reduced.nstates, 2)), 1 / rate).to_state_space()
+            loop = analyse_loop(sample_plant(d.plant, 1 / rate, 1), feedback_part(sampled, d.plant, d.feedback_inputs))
             if not loop.stable:
                 row += " unstable |"
                 continue
@@ -85,9 +84,7 @@ def tables(controller: FlightController) -> None:
         print(row)
     for d in (controller.heave_yaw, controller.roll_pitch):
         r = d.reduction
-        print(
-            f"\n{d.name}: order {r.full_order}, norm {r.full_norm:.3f}; chosen {r.chosen.order} {r.chosen.method}"
-        )
+        print(f"\n{d.name}: order {r.full_order}, norm {r.full_norm:.3f}; chosen {r.chosen.order} {r.chosen.method}")
         print("order kept method          S_u dB  T_u dB    norm")
         for c in r.candidates:
             print(
@@ -106,7 +103,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tables", action="store_true", help="print the tables of docs/control.md")
     arguments = parser.parse_args()
-    built = design(mufly.load_vehicle("mufly-1.1"))
+    built = design_flight_controller(mufly.load_vehicle("mufly-1.1"))
     if arguments.tables:
         tables(built)
     else:

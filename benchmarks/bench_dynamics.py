@@ -29,16 +29,16 @@ from scipy.integrate import solve_ivp
 
 import mufly
 from mufly.dynamics import (
-    PARAMETERS,
-    advance,
-    advance_batch,
-    derivative,
+    PARAMETER_DTYPE,
+    find_trim,
     initial_state,
+    integrate_batch,
+    integrate_state,
     model_parameters,
     standing_height,
-    trim,
+    state_derivative,
 )
-from mufly.dynamics import model as model_source
+from mufly.dynamics import equations_of_motion as model_source
 
 STEP = 1e-3
 TARGET_SINGLE, TARGET_BATCH, BATCH = 0.5e6, 4e6, 1000
@@ -87,7 +87,7 @@ def source_with(replacements: dict[str, object], parameters: object) -> Callable
         return types.FunctionType(dispatcher.py_func.__code__, scope)
 
     scope |= {k: from_source(f) for k, f in functions.items() if k not in replacements}
-    run = from_source(derivative)
+    run = from_source(state_derivative)
     return lambda x, u, wind, dx: run(x, u, wind, parameters, dx)
 
 
@@ -104,7 +104,7 @@ class _OutOfReach:
 
 def parameters_for(p: np.void, number: Callable[[float], object]) -> types.SimpleNamespace:
     whole = ("contact_count", "map_nodes")
-    plain = {n: number(float(p[n])) for n in PARAMETERS.names if p[n].ndim == 0 and n not in whole}
+    plain = {n: number(float(p[n])) for n in PARAMETER_DTYPE.names if p[n].ndim == 0 and n not in whole}
     return types.SimpleNamespace(
         **{
             **plain,
@@ -201,40 +201,42 @@ def machine_limit(cores: int) -> tuple[float, float]:
 
 def measure(quick: bool) -> dict[str, float]:
     vehicle = mufly.load_vehicle("mufly-1.1")
-    hover, p = trim(vehicle), model_parameters(vehicle)
+    hover, p = find_trim(vehicle), model_parameters(vehicle)
     start, u = hover.state.copy(), hover.input + np.array([0, 0, 0.1, -0.1])
     start[2] = -50.0
     repeats, steps = (5, 5_000) if quick else (40, 20_000)
     cores = numba.get_num_threads()
     x = start.copy()
-    advance(x, u, CALM, p, STEP, 1)
+    integrate_state(x, u, CALM, p, STEP, 1)
 
     result: dict[str, float] = {"cores": cores}
-    result["one vehicle"] = steps / best(lambda: advance(x, u, CALM, p, STEP, steps), repeats)
-    mapped = mufly.vehicle.replace(vehicle, {"rotors.coefficient_map": mufly.vehicle.builtin_maps()[0]})
-    with_map, y, hold = model_parameters(mapped), trim(mapped).state.copy(), trim(mapped).input
+    result["one vehicle"] = steps / best(lambda: integrate_state(x, u, CALM, p, STEP, steps), repeats)
+    mapped = mufly.vehicle.replace_parameters(
+        vehicle, {"rotors.coefficient_map": mufly.vehicle.builtin_coefficient_maps()[0]}
+    )
+    with_map, y, hold = model_parameters(mapped), find_trim(mapped).state.copy(), find_trim(mapped).input
     y[2] = -50.0
     result["one vehicle, coefficient map"] = steps / best(
-        lambda: advance(y, hold, CALM, with_map, STEP, steps), repeats
+        lambda: integrate_state(y, hold, CALM, with_map, STEP, steps), repeats
     )
 
     def from_python() -> None:
         for _ in range(500):
-            advance(x, u, CALM, p, STEP, 4)
+            integrate_state(x, u, CALM, p, STEP, 4)
 
     result["one vehicle, 4 steps a call from Python"] = 2000 / best(from_python, repeats)
     standing = initial_state(position=(0, 0, -standing_height(vehicle)))
     still = np.zeros(4)
     result["one vehicle, standing"] = steps / best(
-        lambda: advance(standing, still, CALM, p, STEP, steps), repeats
+        lambda: integrate_state(standing, still, CALM, p, STEP, steps), repeats
     )
 
     xs, us = np.tile(start, (BATCH, 1)), np.tile(u, (BATCH, 1))
-    winds, ps = np.zeros((BATCH, 3)), np.full(BATCH, np.array(p), dtype=PARAMETERS)
-    advance_batch(xs, us, winds, ps, STEP, 1)
+    winds, ps = np.zeros((BATCH, 3)), np.full(BATCH, np.array(p), dtype=PARAMETER_DTYPE)
+    integrate_batch(xs, us, winds, ps, STEP, 1)
     n = 100 if quick else 1000
     result[f"batch of {BATCH}, {cores} cores"] = (
-        BATCH * n / best(lambda: advance_batch(xs, us, winds, ps, STEP, n), 7)
+        BATCH * n / best(lambda: integrate_batch(xs, us, winds, ps, STEP, n), 7)
     )
 
     # Peers.
@@ -243,7 +245,7 @@ def measure(quick: bool) -> dict[str, float]:
     check = lanes.copy()
     step(check, inputs, air)
     reference = start.copy()
-    advance(reference, u, CALM, p, STEP, 1)
+    integrate_state(reference, u, CALM, p, STEP, 1)
     assert np.max(np.abs(check[:, 0] - reference)) < 1e-12, "the NumPy peer solves other equations"
     result[f"peer: NumPy over a batch of {BATCH}"] = (
         BATCH * 5 / best(lambda: [step(lanes, inputs, air) for _ in range(5)], 5)
@@ -260,7 +262,7 @@ def measure(quick: bool) -> dict[str, float]:
         return np.array(dx)
 
     def compiled(_: float, state: np.ndarray) -> np.ndarray:
-        derivative(state, u, CALM, p, rates)
+        state_derivative(state, u, CALM, p, rates)
         return rates.copy()
 
     for label, right_hand_side in (("pure Python", pure), ("compiled", compiled)):
@@ -292,11 +294,7 @@ def print_table(r: dict[str, float]) -> None:
         if name in ("cores", "operations per step") or name.startswith(("limit", "load")):
             continue
         scipy_peer = r["peer: SciPy RK45, compiled (4 evaluations = 1 step)"]
-        peer = (
-            ""
-            if name.startswith("peer")
-            else f"{value / (numpy_peer if name == batch_name else scipy_peer):.0f}"
-        )
+        peer = "" if name.startswith("peer") else f"{value / (numpy_peer if name == batch_name else scipy_peer):.0f}"
         limit = r[
             "limit: multiply-adds/s, all cores, vector"
             if name == batch_name
@@ -318,9 +316,7 @@ def print_table(r: dict[str, float]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON and nothing else")
     parser.add_argument("--quick", action="store_true", help="shorter runs")
     arguments = parser.parse_args()

@@ -21,28 +21,28 @@ from pathlib import Path
 
 import numpy as np
 
-from mufly.control import design
-from mufly.dynamics import DEFAULT_STEP_S, advance, model_parameters, trim
-from mufly.flight import fly
+from mufly.control import design_flight_controller
+from mufly.dynamics import DEFAULT_STEP_S, find_trim, integrate_state, model_parameters
+from mufly.flight import fly_mission
 from mufly.vehicle import load_vehicle
 
 
 def flight(repeats: int) -> dict[str, float]:
     vehicle = load_vehicle("mufly-1.1")
-    controller = design(vehicle)
+    controller = design_flight_controller(vehicle)
     with tempfile.TemporaryDirectory() as folder:
-        fly(vehicle, "demonstration", controller=controller, path=Path(folder) / "warm.mcap")
+        fly_mission(vehicle, "demonstration", controller=controller, path=Path(folder) / "warm.mcap")
         best, flown = np.inf, 0.0
         for k in range(repeats):
             began = time.perf_counter()
-            dataset = fly(vehicle, "demonstration", controller=controller, path=Path(folder) / f"{k}.mcap")
+            dataset = fly_mission(vehicle, "demonstration", controller=controller, path=Path(folder) / f"{k}.mcap")
             best = min(best, time.perf_counter() - began)
             flown = float(dataset.time.values[-1])
-    hover = trim(vehicle, charge=1.0)
+    hover = find_trim(vehicle, charge=1.0)
     state = hover.state.copy()
     state[2] = -2.0
     began = time.perf_counter()
-    advance(
+    integrate_state(
         state,
         hover.input,
         np.zeros(3),
@@ -76,19 +76,13 @@ def command(cache: str | None = None) -> float:
             folder,
         ]
         began = time.perf_counter()
-        subprocess.run(
-            call, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
+        subprocess.run(call, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         return time.perf_counter() - began
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "--cold", action="store_true", help="also the very first start, everything uncompiled"
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cold", action="store_true", help="also the very first start, everything uncompiled")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()

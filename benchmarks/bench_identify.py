@@ -24,12 +24,12 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import mufly
-from mufly.dynamics import PARAMETERS, derivative, model_parameters, trim
-from mufly.identify import choose_free, run_demo
-from mufly.identify.flight.demo import demo_flights
-from mufly.identify.flight.problem import make_problem
-from mufly.identify.flight.simulate import fly_batch
-from mufly.identify.record import OUTPUTS
+from mufly.dynamics import PARAMETER_DTYPE, find_trim, model_parameters, state_derivative
+from mufly.identify import choose_free_parameters, run_identification_demo
+from mufly.identify.flight.batch_simulation import simulate_batch
+from mufly.identify.flight.identification_demo import fly_demo_flights
+from mufly.identify.flight.output_error_problem import make_problem
+from mufly.identify.flight_record import FLIGHT_OUTPUTS
 
 CALM = np.zeros(3)
 
@@ -37,19 +37,19 @@ CALM = np.zeros(3)
 def simulator_rate(batch: int, delay_s: float, repeats: int) -> float:
     """Flights of 10 s a second, best of several runs."""
     vehicle = mufly.load_vehicle("mufly-1.1")
-    hover, n = trim(vehicle), 1001
-    p = np.full(batch, np.array(model_parameters(vehicle, 7.2)), dtype=PARAMETERS)
+    hover, n = find_trim(vehicle), 1001
+    p = np.full(batch, np.array(model_parameters(vehicle, 7.2)), dtype=PARAMETER_DTYPE)
     p["contact_reach"] = -1e9
     t = np.arange(n) * 0.01
     u = np.tile(hover.input, (n, 1))
     u[:, 2] += 0.1 * np.sin(2 * np.pi * (0.3 + 0.15 * t) * t)
-    codes = np.array([OUTPUTS.index(o) for o in ("height", "roll", "pitch", "yaw", "p", "q", "r")])
+    codes = np.array([FLIGHT_OUTPUTS.index(o) for o in ("height", "roll", "pitch", "yaw", "p", "q", "r")])
     mast, motion = np.tile([0.0, 0.0, -1.0], (n, 1)), np.zeros((batch, 1, 12))
     shortest = np.inf
     for _ in range(repeats + 1):
         x = np.tile(hover.state, (batch, 1))
         start = time.perf_counter()
-        fly_batch(x, p, u, sample_s=0.01, codes=codes, starts=np.array([0]), motion=motion, mast=mast,
+        simulate_batch(x, p, u, sample_s=0.01, codes=codes, starts=np.array([0]), motion=motion, mast=mast,
                   delay_s=np.full(batch, delay_s))  # fmt: skip
         shortest = min(shortest, time.perf_counter() - start)
     return batch / shortest
@@ -62,27 +62,27 @@ def peer_rate(generations: int) -> tuple[float, float]:
         import cma
 
     truth = mufly.load_vehicle("mufly-1.1")
-    records, _ = demo_flights(truth, seed=0, seconds=10.0)
-    free = choose_free(truth, ("Izz", "Iyy", "l_up", "l_dw"), records[0].outputs)
+    records, _ = fly_demo_flights(truth, seed=0, seconds=10.0)
+    free = choose_free_parameters(truth, ("Izz", "Iyy", "l_up", "l_dw"), records[0].outputs)
     problem = make_problem(truth, free, records[2:3], voltage="nominal", delay_s=0.0)
     record = problem.records[0]
-    from mufly.identify.flight.free import batch_parameters, numbers_at
+    from mufly.identify.flight.free_parameters import log_scaled_parameters, parameters_at_theta
 
-    base, powers = batch_parameters(truth, free, 7.2)
-    hover, rates = trim(truth), np.empty(21)
-    columns = [OUTPUTS.index(o) for o in record.outputs]
+    base, powers = log_scaled_parameters(truth, free, 7.2)
+    hover, rates = find_trim(truth), np.empty(21)
+    columns = [FLIGHT_OUTPUTS.index(o) for o in record.outputs]
     flights = 0
 
     def cost(theta: np.ndarray) -> float:
         nonlocal flights
         flights += 1
-        p = numbers_at(base, powers, np.asarray(theta)[None])[0]
+        p = parameters_at_theta(base, powers, np.asarray(theta)[None])[0]
         x, total = hover.state.copy(), 0.0
         for k in range(len(record.time_s) - 1):
             u = record.inputs[k]
 
             def right(_: float, y: np.ndarray, u: np.ndarray = u) -> np.ndarray:
-                derivative(y, u, CALM, p, rates)
+                state_derivative(y, u, CALM, p, rates)
                 return rates.copy()
 
             x = solve_ivp(right, (0.0, record.sample_s), x, rtol=1e-4, atol=1e-6, max_step=2.5e-3).y[:, -1]
@@ -103,9 +103,7 @@ def peer_rate(generations: int) -> tuple[float, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--quick", action="store_true", help="fewer repeats")
     arguments = parser.parse_args()
@@ -114,16 +112,16 @@ def main() -> None:
     result["simulator, 10 s flights/s, no delay"] = simulator_rate(200, 0.0, repeats)
     result["simulator, 10 s flights/s, delay 25 ms"] = simulator_rate(200, 0.025, repeats)
     result["simulator, steps/s"] = 1000 * result["simulator, 10 s flights/s, no delay"]
-    run_demo(seed=10_000)
+    run_identification_demo(seed=10_000)
     cpu = time.process_time()
-    demo = run_demo(seed=0)
+    demo = run_identification_demo(seed=0)
     cpu = time.process_time() - cpu
     share = 12.0 / 10.0  # its records are 12 s long
     result["fit: 10 s flights/s, all else included"] = demo.fit.simulations * share / demo.fit.seconds
     result["fit: seconds"] = demo.fit.seconds
     result["fit: seconds of processor, flying the records included"] = cpu
     result["fit: records flown"] = demo.fit.simulations
-    cma = run_demo(seed=0, method="cma")
+    cma = run_identification_demo(seed=0, method="cma")
     result["CMA-ES fit: 10 s flights/s, all else included"] = cma.fit.simulations * share / cma.fit.seconds
     result["CMA-ES fit: seconds"] = cma.fit.seconds
     result["CMA-ES fit: records flown"] = cma.fit.simulations

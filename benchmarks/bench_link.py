@@ -11,7 +11,7 @@ import os
 import time
 from pathlib import Path
 
-from mufly.link import Codec, Encoder, Endpoint, open_port, start_vehicle, wait
+from mufly.link import Endpoint, FrameDecoder, FrameEncoder, open_port, start_vehicle, wait_readable
 from mufly.link import mavlink as m
 from mufly.mission import Mission
 
@@ -25,13 +25,11 @@ def messages() -> None:
     """Time to pack and to read one message of each kind."""
     kinds = {
         "ATTITUDE": lambda k: m.MAVLink_attitude_message(k, 0.1, 0.2, 0.3, 0.1, 0.1, 0.1),
-        "OBSTACLE_DISTANCE": lambda k: m.MAVLink_obstacle_distance_message(
-            k, 1, [k % 99] * 72, 0, 5, 400, 45.0
-        ),
+        "OBSTACLE_DISTANCE": lambda k: m.MAVLink_obstacle_distance_message(k, 1, [k % 99] * 72, 0, 5, 400, 45.0),
         "ACTUATOR_OUTPUT_STATUS": lambda k: m.MAVLink_actuator_output_status_message(k, 4, [0.1] * 32),
         "DEBUG_FLOAT_ARRAY": lambda k: m.MAVLink_debug_float_array_message(k, b"truth", 1, [0.1] * 58),
     }
-    encode, codec = Encoder(1, 1), Codec()
+    encode, codec = FrameEncoder(1, 1), FrameDecoder()
     for name, make in kinds.items():
         start = time.perf_counter()
         frames = [encode(make(k)) for k in range(N)]
@@ -54,12 +52,12 @@ def cpu_s(pid: int) -> float:
 def vehicle() -> None:
     """Processor time of the vehicle's process, idle and at 100 Hz in flight."""
     port = open_port(Endpoint("udpin", "127.0.0.1", 14999))
-    encode, codec = Encoder(255, 190), Codec()
+    encode, codec = FrameEncoder(255, 190), FrameDecoder()
 
     def hear(seconds: float) -> int:
         end, heard = time.monotonic() + seconds, 0
         while time.monotonic() < end:
-            wait([port], 0.02)
+            wait_readable([port], 0.02)
             heard += sum(len(codec.receive(time.monotonic(), *part)) for part in port.receive())
             if time.monotonic() - said[0] > 1.0:
                 said[0] = time.monotonic()
@@ -70,10 +68,8 @@ def vehicle() -> None:
         port.send(None, encode(m.MAVLink_command_long_message(1, 1, number, 0, *p, *[0.0] * (7 - len(p)))))
 
     said = [0.0]
-    with start_vehicle(
-        "mufly-1.1", Mission(name="none"), endpoints=[Endpoint("udpout", "127.0.0.1", 14999)]
-    ) as v:
-        v.wait_ready()
+    with start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[Endpoint("udpout", "127.0.0.1", 14999)]) as v:
+        v.wait_until_ready()
         hear(1.0)
         for what in ("default rates, on the floor", "100 Hz, in flight"):
             before, pid = 0.0, v.pid or 0
@@ -87,10 +83,10 @@ def vehicle() -> None:
             heard = hear(WATCH_S)
             share = (cpu_s(pid) - before) / WATCH_S
             report = v.report
-            late = f"late {report.late_ms:.2f} ms, worst {report.worst_ms:.1f} ms" if report else ""
+            late = f"late {report.mean_lateness_ms:.2f} ms, worst {report.worst_lateness_ms:.1f} ms" if report else ""
             print(f"{what:30s} {100 * share:4.1f} % of a core, {heard / WATCH_S:5.0f} messages/s, {late}")
         peer = port.peers[0]
-        print(f"lost on loopback: {codec.counts(peer).loss:.2%}")
+        print(f"lost on loopback: {codec.packet_counts(peer).loss_ratio:.2%}")
     port.close()
 
 

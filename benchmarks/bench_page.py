@@ -52,15 +52,15 @@ PROBE = """
 def fly(port: int, pipe: Any) -> None:
     """The vehicle's process: flies its mission; at the end it tells what its clock showed when."""
     from mufly.flight import Flight
-    from mufly.link import Report, parse_endpoint, run
+    from mufly.link import LoopReport, parse_endpoint, run_real_time
 
     flight = Flight("mufly-1.1", "demonstration", keep=False)
     clock: list[tuple[float, float]] = []
 
-    def note(report: Report) -> None:
+    def note(report: LoopReport) -> None:
         clock.append((time.time(), report.state.time_s))
 
-    run(
+    run_real_time(
         flight,
         [parse_endpoint(f"udp:127.0.0.1:{port}", "vehicle")],
         stop=pipe.poll,
@@ -105,9 +105,7 @@ async def soak(port: int, pid: int, minutes: float) -> None:
         found = re.search(r"client_id[^0-9a-f]+([0-9a-f-]{36})", await asyncio.to_thread(ask))
         assert found is not None
         address = f"ws://127.0.0.1:{port}/live/{found[1]}"
-        names = [
-            f"{s}_{q}" for s in ("estimated", "measured", "reference") for q in ("position_N", "attitude_yaw")
-        ]
+        names = [f"{s}_{q}" for s in ("estimated", "measured", "reference") for q in ("position_N", "attitude_yaw")]
         sections = ["scene", "messages", "mission", "checks", "parameters", "catalog"]
         async with websockets.connect(address, max_size=None) as web:
             await web.send(json.dumps({"want": {"sections": sections, "signals": names, "window_s": 30}}))
@@ -175,9 +173,7 @@ def main() -> None:
         station.wait(20)
     clock = np.array(mine.recv())
     vehicle.join(10)
-    print(
-        f"{spent:.0f} s, {os.cpu_count()} cores, load {load:.1f} (the browser draws in software on the same cores)"
-    )
+    print(f"{spent:.0f} s, {os.cpu_count()} cores, load {load:.1f} (the browser draws in software on the same cores)")
     print(f"frames: {len(late['received']) / spent:.1f} a second")
     for name, pairs in late.items():
         delay = np.array([wall - stamp - ahead(clock, wall) for wall, stamp in pairs]) * 1e3

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mufly.flight import Recorder
-from mufly.logs import read_recording, standard_layout
+from mufly.flight import FlightRecorder
+from mufly.logs import flight_layout, read_recording
 
 
 def best(work: Callable[[], object], times: int = 5) -> float:
@@ -36,16 +36,16 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0, help="length of the flight (s)")
     parser.add_argument("--pictures", action="store_true", help="draw the flight as well")
     options = parser.parse_args()
-    layout = standard_layout()
+    layout = flight_layout()
     n = int(options.rate * options.duration)
-    rows = 1e-2 * np.cumsum(np.random.default_rng(0).normal(size=(n, layout.width)), axis=0)
+    rows = 1e-2 * np.cumsum(np.random.default_rng(0).normal(size=(n, layout.column_count)), axis=0)
     rows[:, 0] = np.arange(n) / options.rate
     states = [("hover", "waypoint")[k * 10 // n % 2] for k in range(n)]
     pairs = list(zip(rows, states, strict=True))
 
-    def record(path: Path | None) -> Recorder:
-        with Recorder(path, {"vehicle": "mufly-1.1"}) as recorder:
-            append = recorder.append
+    def record(path: Path | None) -> FlightRecorder:
+        with FlightRecorder(path, {"vehicle": "mufly-1.1"}) as recorder:
+            append = recorder.append_row
             for row, state in pairs:
                 append(row, state)
         return recorder
@@ -55,7 +55,7 @@ def main() -> None:
         to_memory, to_disk = best(lambda: record(None)), best(lambda: record(path))
         reading = best(lambda: read_recording(path))
         size = path.stat().st_size
-        print(f"{n} rows of {layout.width} columns, {options.rate:g} rows/s, {options.duration:g} s")
+        print(f"{n} rows of {layout.column_count} columns, {options.rate:g} rows/s, {options.duration:g} s")
         print(f"append, to memory     {1e6 * to_memory / n:8.2f} us a row")
         print(f"append, to disk       {1e6 * to_disk / n:8.2f} us a row")
         print(f"the whole flight      {to_disk:8.3f} s   ({options.duration / to_disk:.0f} times real time)")
@@ -64,7 +64,7 @@ def main() -> None:
         if options.pictures:
             from mufly.flight import draw_flight
 
-            data = record(path).dataset()
+            data = record(path).to_dataset()
             print(f"pictures              {best(lambda: draw_flight(data, folder), 3):8.3f} s")
 
 

@@ -16,8 +16,8 @@ import time
 
 import numpy as np
 
-from mufly.dynamics import advance, model_parameters, trim
-from mufly.sensors import FITTED, Truth, fitted_sensors
+from mufly.dynamics import find_trim, integrate_state, model_parameters
+from mufly.sensors import SENSOR_TABLES, Truth, fitted_sensors
 from mufly.vehicle import load_vehicle
 from mufly.world import World
 
@@ -26,7 +26,7 @@ RATE_HZ, PERIODS, RUNS = 200, 1000, 5
 
 def truths(vehicle) -> list[Truth]:
     """A hover with a little motion in it."""
-    state, rng, found = trim(vehicle).state, np.random.default_rng(0), []
+    state, rng, found = find_trim(vehicle).state, np.random.default_rng(0), []
     for k in range(PERIODS):
         x = state.copy()
         x[0:3] = [0.1 * np.sin(0.01 * k), 0.0, -1.0]
@@ -72,17 +72,15 @@ def main() -> None:
     asked = parser.parse_args()
     vehicle, world = load_vehicle(asked.vehicle), World()
     flown = truths(vehicle)
-    p, hover = model_parameters(vehicle), trim(vehicle)
+    p, hover = model_parameters(vehicle), find_trim(vehicle)
     x, calm = hover.state.copy(), np.zeros(3)
-    plant, _ = mean_and_worst_us(lambda _: advance(x, hover.input, calm, p, 1e-3, 5), flown)
+    plant, _ = mean_and_worst_us(lambda _: integrate_state(x, hover.input, calm, p, 1e-3, 5), flown)
     print(f"plant, 5 steps of 1 ms: {plant:.1f} us a period")
-    for only in [[name] for name in FITTED] + [list(FITTED)]:
+    for only in [[name] for name in SENSOR_TABLES] + [list(SENSOR_TABLES)]:
         suite = fitted_sensors(vehicle, world, only=only)
         mean, worst = mean_and_worst_us(suite.read, flown, suite.reset)
         label = only[0] if len(only) == 1 else "all"
-        print(
-            f"{label:14s} {mean:7.1f} us a period, {mean / plant:5.1f} times the plant; worst {worst:.0f} us"
-        )
+        print(f"{label:14s} {mean:7.1f} us a period, {mean / plant:5.1f} times the plant; worst {worst:.0f} us")
     if asked.cold:
         cold(asked.vehicle)
 

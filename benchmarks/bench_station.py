@@ -19,9 +19,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from mufly.link import Encoder, mavlink, parse_endpoint, start_vehicle
+from mufly.link import FrameEncoder, mavlink, parse_endpoint, start_vehicle
 from mufly.mission import Mission
-from mufly.station import GroundLink, Station, StationRecorder
+from mufly.station import GroundLink, GroundStation, StationRecorder
 
 TARGET = 0.40
 TICKS_S = os.sysconf("SC_CLK_TCK")
@@ -47,18 +47,16 @@ def free_port() -> int:
 
 async def in_real_time(seconds: float, record: bool, folder: Path) -> None:
     port = free_port()
-    station = Station([f"udp:127.0.0.1:{port}"], folder=folder, record=record)
+    station = GroundStation([f"udp:127.0.0.1:{port}"], folder=folder, record=record)
     await station.start()
     endpoint = parse_endpoint(f"udp:127.0.0.1:{port}", "vehicle")
     with start_vehicle("mufly-1.1", Mission(), endpoints=[endpoint], path=folder / "flight.mcap") as process:
-        await asyncio.to_thread(process.wait_ready)
-        while not (
-            station.vehicles and station.vehicles[0].parameters and station.vehicles[0].snapshot.connected
-        ):
+        await asyncio.to_thread(process.wait_until_ready)
+        while not (station.vehicles and station.vehicles[0].parameters and station.vehicles[0].snapshot.connected):
             await asyncio.sleep(0.1)
         vehicle = station.vehicles[0]
         request = vehicle.take_off(1.0)
-        while not request.done:
+        while not request.is_done:
             await asyncio.sleep(0.1)
         print(f"take-off: {request.outcome} {request.answer}")
         await asyncio.sleep(8.0)
@@ -68,10 +66,10 @@ async def in_real_time(seconds: float, record: bool, folder: Path) -> None:
         while time.perf_counter() - wall < seconds:
             await asyncio.sleep(0.5)
             rates.append(vehicle.snapshot.link_rate_Hz)
-            vehicle.checks  # noqa: B018  as a page does, twice a second
+            vehicle.checks  # noqa: B018
         wall = time.perf_counter() - wall
         own, theirs = time.process_time() - own, processor_s(process.pid) - theirs
-        times, _ = vehicle.history.since(rows)
+        times, _ = vehicle.history.rows_since(rows)
         print(f"messages heard           {statistics.median(rates):8.0f} 1/s, state {vehicle.snapshot.state}")
         print(f"rows of history          {len(times) / wall:8.1f} 1/s")
         print(f"packets lost             {100 * vehicle.snapshot.link_loss:8.1f} %")
@@ -114,10 +112,10 @@ def messages(k: int) -> list[mavlink.MAVLink_message]:
 def stepped(minutes: float, record: bool, folder: Path) -> None:
     clock_s = [0.0]
     recorder = StationRecorder(folder / "stepped", wall_s=lambda: 1.9e9 + clock_s[0])
-    link = GroundLink(on_vehicle=recorder.attach, on_packet=recorder.packet)
+    link = GroundLink(on_vehicle=recorder.attach_vehicle, on_packet=recorder.record_packet)
     if record:
         recorder.start()
-    encode = Encoder(1, 1)
+    encode = FrameEncoder(1, 1)
     steps, heard, spent = round(6000 * minutes), 0, 0.0
     # From the second minute on: by then every buffer has been used once.
     marks = {6000} | {round(6000 + (steps - 6000) * j / 6) for j in range(7)}
@@ -145,9 +143,7 @@ def stepped(minutes: float, record: bool, folder: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description="What a station costs.")
     parser.add_argument("--seconds", type=float, default=20.0, help="length of the part in real time")
-    parser.add_argument(
-        "--minutes", type=float, default=30.0, help="simulated minutes of the part on a stepped clock"
-    )
+    parser.add_argument("--minutes", type=float, default=30.0, help="simulated minutes of the part on a stepped clock")
     parser.add_argument("--no-record", action="store_true", help="without recordings")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -24,9 +24,9 @@ import numba
 import numpy as np
 from numba import njit
 
-from mufly.rotor import Condition, System, load_rotor, prepare, solve
+from mufly.rotor import OperatingCondition, RotorSystem, load_rotor, prepare_blading, solve_system
 from mufly.rotor.wake import WakeSettings
-from mufly.rotor.wake.kernel import induce, segments_of
+from mufly.rotor.wake.biot_savart import induce_velocity, make_segments
 
 RPM = math.pi / 30
 OPERATIONS = 77  # additions and multiplications an interaction, counted in wake/kernel.py
@@ -90,18 +90,18 @@ def report_kernel() -> None:
     """Interactions a second against NumPy and against the machine."""
     rng = np.random.default_rng(1)
     paths = np.cumsum(rng.normal(size=(25, 201, 3)), axis=1) * 0.01
-    segments = segments_of(paths, np.full((25, 200), 0.01), rng.normal(size=25))
+    segments = make_segments(paths, np.full((25, 200), 0.01), rng.normal(size=25))
     points = rng.normal(size=(200, 3)) * 0.1  # a millisecond: fits between what else the machine does
     few = points[:16]
-    difference = np.max(np.abs(induce(few, segments) - numpy_induce(few, segments)))
-    if not difference < 1e-9 * np.max(np.abs(induce(few, segments))):
+    difference = np.max(np.abs(induce_velocity(few, segments) - numpy_induce(few, segments)))
+    if not difference < 1e-9 * np.max(np.abs(induce_velocity(few, segments))):
         raise SystemExit("bench_wake: the NumPy peer does not compute the same; nothing to compare")
     x, y, rounds = rng.uniform(0.1, 0.9, 1024), np.zeros(1024), 1000
     _roots(x, y, 1)
     _products(x, y, 1)
     threads = numba.get_num_threads()
     tasks: dict[str, Callable[[], object]] = {
-        "kernel": lambda: induce(points, segments),
+        "kernel": lambda: induce_velocity(points, segments),
         "roots": lambda: _roots(x, y, rounds),
         "products": lambda: _products(x, y, rounds),
         "numpy": lambda: numpy_induce(few, segments),
@@ -120,13 +120,9 @@ def report_kernel() -> None:
     products = 1e-9 * x.size * rounds * PRODUCTS / times["products"] / OPERATIONS
     print(f"kernel, {threads} threads, double precision   {all_of_them:8.3f} G interactions/s (target 1)")
     print(f"one thread                              {one:8.3f} G/s")
-    print(
-        f"the same sum in NumPy, one thread       {peer:8.4f} G/s: the kernel is {one / peer:.0f} times as fast"
-    )
+    print(f"the same sum in NumPy, one thread       {peer:8.4f} G/s: the kernel is {one / peer:.0f} times as fast")
     print(f"limit by roots and divisions, one thread{roots:8.3f} G/s, of which {100 * one / roots:.0f} %")
-    print(
-        f"limit by products and sums              {products:8.3f} G/s, of which {100 * one / products:.0f} %"
-    )
+    print(f"limit by products and sums              {products:8.3f} G/s, of which {100 * one / products:.0f} %")
 
 
 def report_iteration() -> None:
@@ -140,7 +136,7 @@ def report_iteration() -> None:
         (32, 10, 6),
         (32, 7.5, 6),
     ):
-        rotor = prepare(load_rotor("naca0012-r60-c20"), stations=panels)
+        rotor = prepare_blading(load_rotor("naca0012-r60-c20"), stations=panels)
         clock: list[float] = []
         how = WakeSettings(step_deg=step, turns=turns, far_turns=2 * turns, far_step_deg=min(2 * step, 45.0),
                            iterations=14, core_limit=0.3)  # fmt: skip
@@ -148,9 +144,15 @@ def report_iteration() -> None:
         def tick(*_: object, clock: list[float] = clock) -> None:
             clock.append(time.perf_counter())
 
-        out = solve(System.single(rotor), Condition(0.25, 600.0), "wake", settings=how, progress=tick)
+        out = solve_system(
+            RotorSystem.single_rotor(rotor),
+            OperatingCondition(0.25, 600.0),
+            "wake",
+            settings=how,
+            progress=tick,
+        )
         wake = out.wakes[0]
-        elements = wake.paths_m.shape[0] * (wake.paths_m.shape[1] - 1) * wake.surface.blades
+        elements = wake.filament_paths_m.shape[0] * (wake.filament_paths_m.shape[1] - 1) * wake.surface.blade_count
         rows.append((elements, float(np.min(np.diff(clock)[7:]))))
     n, t = np.array(rows).T
     print("\nelements of the wake, seconds an iteration (free wake, one rotor; best of seven)")
@@ -162,21 +164,21 @@ def report_iteration() -> None:
 
 def report_solutions() -> None:
     """Time to a converged rotor and pair, from nothing, and from a neighbour."""
-    blade, pitch = prepare(load_rotor("naca0012-r60-c20")), math.radians(14)
-    single, pair = System.single(blade), System.coaxial(blade, blade, spacing_m=0.02)
+    blade, pitch = prepare_blading(load_rotor("naca0012-r60-c20")), math.radians(14)
+    single, pair = RotorSystem.single_rotor(blade), RotorSystem.coaxial_pair(blade, blade, spacing_m=0.02)
     start = time.perf_counter()
-    one = solve(single, Condition(pitch, 6000 * RPM), "wake")
+    one = solve_system(single, OperatingCondition(pitch, 6000 * RPM), "wake")
     first = time.perf_counter() - start
     start = time.perf_counter()
-    near = solve(single, Condition(1.03 * pitch, 6000 * RPM), "wake", start=one)
+    near = solve_system(single, OperatingCondition(1.03 * pitch, 6000 * RPM), "wake", start=one)
     again = time.perf_counter() - start
     print(f"\none rotor                                {first:8.1f} s (target 2): {one.message}")
     print(f"from a neighbour, 3 % more pitch         {again:8.1f} s: {near.message}")
     start = time.perf_counter()
-    two = solve(pair, Condition(pitch, (6000 * RPM, 6650 * RPM)), "wake")
+    two = solve_system(pair, OperatingCondition(pitch, (6000 * RPM, 6650 * RPM)), "wake")
     first = time.perf_counter() - start
     start = time.perf_counter()
-    near = solve(pair, Condition(pitch, (6000 * RPM, 6500 * RPM)), "wake", start=two)
+    near = solve_system(pair, OperatingCondition(pitch, (6000 * RPM, 6500 * RPM)), "wake", start=two)
     again = time.perf_counter() - start
     print(f"a pair                                   {first:8.1f} s (target 8): {two.message}")
     print(f"from a neighbour, 2 % less speed below   {again:8.1f} s: {near.message}")
@@ -184,9 +186,7 @@ def report_solutions() -> None:
 
 def main() -> None:
     """Print the numbers."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--short", action="store_true", help="leave out the solutions")
     args = parser.parse_args()
     load = os.getloadavg()[0]

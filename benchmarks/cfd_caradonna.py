@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mufly.cfd import PolyMesh, Solution, read_poly_mesh, read_solution, run_case, save_case
+from mufly.cfd import CfdSolution, PolyMesh, read_poly_mesh, read_solution, run_case, save_case
 from mufly.rotor import load_rotor
 from mufly.units import RPM
 
@@ -122,10 +122,10 @@ def main() -> None:
     figure.savefig(given.folder / "pressure.png", dpi=120)
 
 
-def _upper(found: Solution, mesh: PolyMesh, strip: int, x: np.ndarray) -> np.ndarray:
+def _upper(found: CfdSolution, mesh: PolyMesh, strip: int, x: np.ndarray) -> np.ndarray:
     """Pressure coefficient of the upper side of one strip, by x/c."""
-    faces, p = mesh.patch("blade"), found.point
-    of = (mesh.strip[mesh.owner[faces]] == strip) & (mesh.face_areas[faces][:, 2] < 0.0)
+    faces, p = mesh.patch_faces("blade"), found.point
+    of = (mesh.cell_strip[mesh.owner[faces]] == strip) & (mesh.face_areas[faces][:, 2] < 0.0)
     centre = mesh.face_centres[faces][of]
     along = 0.25 + (centre[:, 0] * math.cos(p.pitch_rad) - centre[:, 2] * math.sin(p.pitch_rad)) / CHORD_M
     c_p = found.pressure_Pa[of] / (0.5 * p.density_kg_m3 * (p.speed_rad_s * found.r_m[strip]) ** 2)

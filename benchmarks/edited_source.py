@@ -21,7 +21,7 @@ SOURCE = Path(mufly.__file__).resolve().parent
 # What is edited: file, old text, new text, and what of the probe has to change with it.
 EDITS = {
     "a term of the model (thrust + 2 %)": (
-        "dynamics/model.py", "fz = fz_up + fz_dw - p.drag_z", "fz = 1.02 * (fz_up + fz_dw) - p.drag_z",
+        "dynamics/equations_of_motion.py", "fz = fz_up + fz_dw - p.drag_z", "fz = 1.02 * (fz_up + fz_dw) - p.drag_z",
         ("trim", "linear model", "step", "batch", "design", "flight", "excitation plan"),
     ),
     "a constant of the polars (aspect ratio beyond stall)": (
@@ -29,7 +29,7 @@ EDITS = {
         ("blade elements", "blade elements, many", "pair", "wake", "map", "study"),
     ),
     "a gain (reference model of heave, 9 to 8 rad/s)": (
-        "control/schemes.py", "reference_model=TransferFunction((9.0,), (1.0, 9.0))",
+        "control/weighting_schemes.py", "reference_model=TransferFunction((9.0,), (1.0, 9.0))",
         "reference_model=TransferFunction((8.0,), (1.0, 8.0))", ("design", "flight"),
     ),
 }  # fmt: skip
@@ -46,18 +46,18 @@ def of(values):
     return float(np.abs(np.nan_to_num(np.asarray(values, dtype=float))).sum())
 
 vehicle = mufly.load_vehicle("mufly-1.1")
-trim = mufly.dynamics.trim(vehicle)
-linear = mufly.dynamics.linearise(vehicle)
-controller = mufly.control.design(vehicle)
+trim = mufly.dynamics.find_trim(vehicle)
+linear = mufly.dynamics.linearise_vehicle(vehicle)
+controller = mufly.control.design_flight_controller(vehicle)
 state = mufly.dynamics.initial_state(position=(0.0, 0.0, -2.0), rotor_speed=trim.rotor_speed)
-flown = mufly.dynamics.simulate(vehicle, state, [0.7, 0.7, 0.1, 0.0], duration_s=0.5)
+flown = mufly.dynamics.simulate_open_loop(vehicle, state, [0.7, 0.7, 0.1, 0.0], duration_s=0.5)
 states = np.stack([state, state])
 from mufly.dynamics import model_parameters
 from mufly.dynamics.simulation import advance_batch
 p = np.array([model_parameters(vehicle)] * 2)
 advance_batch(states, np.full((2, 4), 0.6), np.zeros((2, 3)), p, 1e-3, 200)
-flight = mufly.flight.fly(vehicle, "demonstration", controller=controller)
-plan = mufly.identify.design(vehicle, ["cQ_up", "Izz"], "yaw", kinds=("doublet",))
+flight = mufly.flight.fly_mission(vehicle, "demonstration", controller=controller)
+plan = mufly.identify.design_excitation(vehicle, ["cQ_up", "Izz"], "yaw", kinds=("doublet",))
 steep = 0.75
 rotor = prepare(load_rotor("naca0012-r60-c20"))
 at = Condition((steep, steep), (600.0, 640.0))

@@ -18,34 +18,32 @@ from pathlib import Path
 
 import numpy as np
 
-from mufly.cli.onboard.inertial import Asked, read_foreign, truth_rows
-from mufly.control import design
+from mufly.cli.onboard.foreign_log import AidRequest, read_foreign_log, truth_rows
+from mufly.control import design_flight_controller
 from mufly.errors import InputError
 from mufly.estimate import (
     KalmanEstimator,
-    consistency_of,
+    estimate_flight_noise,
+    estimate_rest_noise,
     fitted_estimator,
-    noise_at_rest,
-    noise_in_flight,
+    measure_row_consistency,
     run_log,
 )
-from mufly.estimate.nees import Consistency, consistency
+from mufly.estimate.nees import Consistency, measure_consistency
 from mufly.flight import Flight
 from mufly.flight.monte_carlo import parse_variations
-from mufly.logs import load_map
-from mufly.mission import Mission, mission_from
-from mufly.sensors import Truth, fitted_sensors, leaning, parse_fault
+from mufly.logs import load_column_map
+from mufly.mission import Mission, parse_mission
+from mufly.sensors import Truth, draw_leaning_vehicle, fitted_sensors, parse_fault
 from mufly.units import STANDARD_GRAVITY_M_S2
-from mufly.vehicle import Vehicle, load_vehicle, replace
+from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 
 STANDS_S = 2.0
 ROOM = {"north_m": [-1.2, 1.2], "east_m": [-1.2, 1.2], "height_m": 3.0}
 HOP = {"waypoint": [{"position_m": [0.0, 0.0, -1.0], "wait_s": 12.0}]}
 SQUARE = {
     "take_off": {"height_m": 1.0, "wait_s": 2.0},
-    "waypoint": [
-        {"position_m": p, "wait_s": 2.0} for p in ([-3.0, 0.0, -1.0], [-3.0, 3.0, -2.0], [0.0, 0.0, -1.0])
-    ],
+    "waypoint": [{"position_m": p, "wait_s": 2.0} for p in ([-3.0, 0.0, -1.0], [-3.0, 3.0, -2.0], [0.0, 0.0, -1.0])],
 }
 BOX = {
     "take_off": {"height_m": 1.0, "wait_s": 2.0},
@@ -84,23 +82,23 @@ def flown(
 ) -> tuple[list[Truth], list[np.ndarray]]:
     """Truth and what acted, a period each, until it has landed."""
     truths, acted = [], []
-    controller = design(vehicle if designed_for is None else designed_for)
+    controller = design_flight_controller(vehicle if designed_for is None else designed_for)
     with Flight(
         vehicle, mission, controller=controller, designed_for=designed_for,
         seed=seed, wind=(0.5, 0.0, 0.0), gust=0.3, keep=False,
     ) as flight:  # fmt: skip
         while flight.time_s < STANDS_S:
-            flight.tick()
+            flight.step_period()
             truths.append(flight.status.truth)
-            acted.append(flight.status.actuators.array)
+            acted.append(flight.status.actuators.input_array)
         flight.autopilot.arm(force=True, quiet=True)
         flight.autopilot.start_mission()
         while not flight.autopilot.software.mission_state.finished and flight.time_s < 90.0:
-            flight.tick()
+            flight.step_period()
             truths.append(flight.status.truth)
-            acted.append(flight.status.actuators.array)
-        if flight.plant.crashed:
-            raise SystemExit(flight.plant.crashed)
+            acted.append(flight.status.actuators.input_array)
+        if flight.plant.crash_cause:
+            raise SystemExit(flight.plant.crash_cause)
     return truths, acted
 
 
@@ -110,9 +108,9 @@ def drawn(vehicle: Vehicle, what: str, seed: int) -> Vehicle:
     while True:
         values = {}
         for variation in parse_variations([what], vehicle):
-            values |= variation.values(variation.draw(rng))
+            values |= variation.parameter_values(variation.draw_variables(rng))
         try:
-            return replace(vehicle, values)
+            return replace_parameters(vehicle, values)
         except InputError:
             continue
 
@@ -121,19 +119,19 @@ def felt(vehicle: Vehicle, mission: Mission, seed: int, scenario: Scenario, leve
     """One unit on its flight: it stands as level as it does, and may be off the model."""
     true = drawn(vehicle, scenario.off, seed) if scenario.off else vehicle
     if not level:
-        true = leaning(true, seed=seed)
+        true = draw_leaning_vehicle(true, seed=seed)
     flight = flown(true, mission, seed if scenario.off else 77, vehicle)
     faults = [parse_fault(f) for f in scenario.faults]
     sensors = fitted_sensors(true, mission.world, seed=seed, faults=faults)
     estimator = fitted_estimator(vehicle, mission.world, 200.0)
     told = [estimator.update(sensors.read(t), a) for t, a in zip(*flight, strict=True)]
-    return consistency(flight[0], told, after_s=scenario.after_s)
+    return measure_consistency(flight[0], told, after_s=scenario.after_s)
 
 
 def vehicle_of(scenario: Scenario) -> Vehicle:
     once, twice = (g * STANDARD_GRAVITY_M_S2 for g in scenario.vibration_g)
     changes = {"sensors.imu.vibration.once": once, "sensors.imu.vibration.twice": twice, **scenario.changes}
-    v = replace(load_vehicle("mufly-2.0"), changes)
+    v = replace_parameters(load_vehicle("mufly-2.0"), changes)
     if scenario.without:
         v = v.model_copy(update={"sensors": v.sensors.model_copy(update=dict.fromkeys(scenario.without))})
     return v
@@ -158,16 +156,16 @@ def nees(asked: argparse.Namespace) -> None:
     for name, scenario in SCENARIOS.items():
         if asked.scenario and asked.scenario != name:
             continue
-        vehicle, mission = vehicle_of(scenario), mission_from(scenario.mission)
+        vehicle, mission = vehicle_of(scenario), parse_mission(scenario.mission)
         seeds = range(asked.first, asked.first + asked.seeds)
         all_ = [felt(vehicle, mission, k, scenario, asked.level) for k in seeds]
-        print(f"{name:18s}" + Consistency.merged(all_).row(), flush=True)
+        print(f"{name:18s}" + Consistency.merge_flights(all_).format_row(), flush=True)
 
 
 def cost(asked: argparse.Namespace) -> None:
     """Median time of one period."""
     scenario = SCENARIOS["V-SLAM + lasers"]
-    vehicle, mission = vehicle_of(scenario), mission_from(scenario.mission)
+    vehicle, mission = vehicle_of(scenario), parse_mission(scenario.mission)
     flight = flown(vehicle, mission, 77)
     sensors = fitted_sensors(vehicle, mission.world, seed=10_000)
     read = [sensors.read(t) for t in flight[0]]
@@ -184,7 +182,7 @@ def cost(asked: argparse.Namespace) -> None:
 def single(asked: argparse.Namespace) -> None:
     """The same flight in single and in double precision."""
     scenario = SCENARIOS["square"]
-    vehicle, mission = vehicle_of(scenario), mission_from(scenario.mission)
+    vehicle, mission = vehicle_of(scenario), parse_mission(scenario.mission)
     flight = flown(vehicle, mission, 77)
     sensors = fitted_sensors(vehicle, mission.world, seed=10_000)
     read = [sensors.read(t) for t in flight[0]]
@@ -201,18 +199,19 @@ def single(asked: argparse.Namespace) -> None:
 def nanobench(asked: argparse.Namespace) -> None:
     """Four flights of a Crazyflie; aids made from Vicon: 2 cm of noise, 15 Hz, 150 ms late."""
     for path in sorted(Path(asked.folder).glob("*.csv.gz")):
-        aids = Asked("truth_position", None, 0.02, 0.02, 15.0, 0.15, asked.first)
-        f = read_foreign(path, load_map("nanobench"), aids, None, [])
-        noise = noise_in_flight(f.log, f.aids, noise_at_rest(f.log))
+        aids = AidRequest("truth_position", None, 0.02, 0.02, 15.0, 0.15, asked.first)
+        f = read_foreign_log(path, load_column_map("nanobench"), aids, None, [])
+        noise = estimate_flight_noise(f.log, f.aids, estimate_rest_noise(f.log))
         told = run_log(f.log, f.aids, noise)
-        began = float(f.log.time_s[f.log.flying.argmax()]) + 2.0
-        found = consistency_of(truth_rows(f), told, after_s=began)
+        began = float(f.log.time_s[f.log.is_flying.argmax()]) + 2.0
+        found = measure_row_consistency(truth_rows(f), told, after_s=began)
         less = ""
         if f.mounting is not None:
-            mounted = consistency_of(truth_rows(f, mounted=True), told, after_s=began)
+            mounted = measure_row_consistency(truth_rows(f, mounted=True), told, after_s=began)
             less = f"; less mounting: tilt {np.degrees(mounted.tilt_rms):.2f} NEES/n {mounted.nees:.2f}"
         print(
-            f"{path.name[:28]:30s}{found.row()}  gyro {noise.gyro:.3g} accelerometer {noise.accelerometer:.3g}{less}",
+            f"{path.name[:28]:30s}{found.format_row()}  gyro {noise.gyro:.3g} accelerometer "
+            f"{noise.accelerometer:.3g}{less}",
             flush=True,
         )
 

@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 
-from mufly.dynamics import trim
+from mufly.dynamics import find_trim
 from mufly.sensors import Truth, fitted_sensors
 from mufly.units import STANDARD_GRAVITY_M_S2
-from mufly.vehicle import load_vehicle, replace
+from mufly.vehicle import load_vehicle, replace_parameters
 from mufly.world import World
 
 RATE_HZ, SECONDS, LAG_S = 200, 6.0, 1.0
@@ -19,7 +19,7 @@ RATE_HZ, SECONDS, LAG_S = 200, 6.0, 1.0
 
 def tilts_deg(name: str, once_g: float, twice_g: float, units: int) -> np.ndarray:
     """Median over the second half of each unit's run."""
-    vehicle = replace(
+    vehicle = replace_parameters(
         load_vehicle(name),
         {
             "sensors.imu.vibration.once": once_g * STANDARD_GRAVITY_M_S2,
@@ -27,7 +27,7 @@ def tilts_deg(name: str, once_g: float, twice_g: float, units: int) -> np.ndarra
             "sensors.imu.vibration.passing": 0.0,
         },
     )
-    state = trim(vehicle).state
+    state = find_trim(vehicle).state
     found = []
     for seed in range(units):
         imu = fitted_sensors(vehicle, World(), seed=seed, only=["imu"])

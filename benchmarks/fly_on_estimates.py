@@ -8,9 +8,9 @@
     python benchmarks/fly_on_estimates.py alarms --seeds 60         # false alarms: ten minutes of hover each
 
 Whole missions: ``mufly monte-carlo demonstration --flights 1000 --wind 0.5 --gust 0.3``, and ``box-on-leg``.
-Exported code flies, in one compiled loop where it can (:class:`mufly.firmware.QuickSoftware`): the same flights to the
-last bit. Seeds count from ``--first`` (0). Each flight is a line of ``--out`` (JSON), so that a run that was stopped
-goes on where it was: the same command again. A flight that raises is told as such and counts as lost.
+Exported code flies, in one compiled loop where it can (:class:`mufly.firmware.GenericFirmwareSoftware`): the same
+flights to the last bit. Seeds count from ``--first`` (0). Each flight is a line of ``--out`` (JSON), so that a run that
+was stopped goes on where it was: the same command again. A flight that raises is told as such and counts as lost.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import xarray as xr
 
-from mufly.control import design
-from mufly.firmware import QuickSoftware
-from mufly.flight import Flight, events_of, fly, summarise
-from mufly.mission import Mission, mission_from
-from mufly.sensors import KINDS, TARGETS, parse_fault
+from mufly.control import design_flight_controller
+from mufly.firmware import GenericFirmwareSoftware
+from mufly.flight import Flight, fly_mission, read_events, summarise_flight
+from mufly.mission import Mission, parse_mission
+from mufly.sensors import FAULT_KINDS, FAULT_TARGETS, parse_fault
 from mufly.vehicle import load_vehicle
 
 WIND, GUST = (0.5, 0.0, 0.0), 0.3
 FAULT_S, NOTICED_S = 12.0, 0.5
 """When a fault begins, in a hover that has lasted for some seconds; within what it is to be noticed (s)."""
-HOLD = mission_from(
+HOLD = parse_mission(
     {
         "take_off": {"height_m": 1.0, "wait_s": 18.0},
         "waypoint": [{"position_m": [0.5, 0.0, -1.0], "wait_s": 2.0}],
     }
 )
-ROOM = mission_from(
+ROOM = parse_mission(
     {
         "room": {"north_m": [-1.2, 1.2], "east_m": [-1.2, 1.2], "height_m": 3.0},
         "take_off": {"height_m": 1.0, "wait_s": 18.0},
@@ -62,20 +62,20 @@ CHARGED_EVERY = 20  # periods
 @cache
 def vehicle_and_controller(name: str = "mufly-1.1") -> tuple[Any, Any]:
     vehicle = load_vehicle(name)
-    return vehicle, design(vehicle)
+    return vehicle, design_flight_controller(vehicle)
 
 
 def flown(mission: Mission, seed: int, faults: tuple[str, ...] = (), **options: Any) -> xr.Dataset:
     vehicle, controller = vehicle_and_controller()
-    return fly(
-        vehicle, mission, controller=controller, seed=seed, sensors="fitted", controllers=QuickSoftware,
+    return fly_mission(
+        vehicle, mission, controller=controller, seed=seed, sensors="fitted", controllers=GenericFirmwareSoftware,
         faults=[parse_fault(f) for f in faults], **{"wind": WIND, "gust": GUST} | options,
     )  # fmt: skip
 
 
 def told(data: xr.Dataset, mission: Mission) -> dict[str, Any]:
     """What every kind of flight is judged by."""
-    s = summarise(data, [w.position_m for w in mission.waypoint], world=mission.world)
+    s = summarise_flight(data, [w.position_m for w in mission.waypoint], world=mission.world)
     inputs = np.hstack([data.motor_input.values, data.servo_input.values])
     down = data.truth_position.values[:, 2]
     airborne = (down[1:] < down[0] - 0.05) & (inputs[1:, 0] > 0.0)  # an emergency stop is a step, and meant
@@ -88,7 +88,7 @@ def told(data: xr.Dataset, mission: Mission) -> dict[str, Any]:
         "touchdown_m_s": s.touchdown_speed_m_s,
         "finite": bool(np.isfinite(inputs).all()),
         "jump": float(np.abs(np.diff(inputs, axis=0))[airborne].max(initial=0.0)),
-        "warnings": [(e.time_s, e.text) for e in events_of(data) if e.level != "info"],
+        "warnings": [(e.time_s, e.text) for e in read_events(data) if e.level != "info"],
     }
 
 
@@ -138,9 +138,7 @@ def one_with(faults: tuple[str, ...], seed: int) -> dict[str, Any]:
     """A hover of which something goes wrong: noticed when, how far it went, how it came down."""
     data = flown(HOLD, seed, faults)
     out = told(data, HOLD)
-    after = [
-        t - FAULT_S for t, text in out["warnings"] if t >= FAULT_S and not text.startswith("hard touchdown")
-    ]
+    after = [t - FAULT_S for t, text in out["warnings"] if t >= FAULT_S and not text.startswith("hard touchdown")]
     down = data.truth_position.values[-1, 2] > -0.2
     tipped = "tipped over" in out["reason"] or "hit" in out["reason"]
     tilt = np.degrees(np.abs(data.truth_attitude.values[:, :2]).max())
@@ -161,19 +159,17 @@ def one_alarm(seed: int) -> dict[str, Any]:
     mission = Mission(name="hold")
     flight = Flight(
         vehicle, mission, controller=controller, seed=seed, sensors="fitted", wind=WIND, gust=GUST, keep=False,
-        controllers=QuickSoftware,
+        controllers=GenericFirmwareSoftware,
     )  # fmt: skip
     warnings: list[tuple[float, str]] = []
-    flight.autopilot.listeners.append(
-        lambda e: warnings.append((e.time_s, e.text)) if e.level != "info" else None
-    )
-    while flight.autopilot.not_ready() and flight.time_s < 10.0:
-        flight.tick()
+    flight.autopilot.listeners.append(lambda e: warnings.append((e.time_s, e.text)) if e.level != "info" else None)
+    while flight.autopilot.list_arming_faults() and flight.time_s < 10.0:
+        flight.step_period()
     flight.autopilot.arm()
     flight.autopilot.take_off(1.0)
     off = []
     while flight.time_s < 600.0:
-        flight.advance(flight.plant.ticks + CHARGED_EVERY)
+        flight.advance_until(flight.plant.period_count + CHARGED_EVERY)
         flight.plant.state[20] = 0.8
         if flight.time_s > SETTLED_S:
             off.append(flight.plant.state[0:2].copy())
@@ -189,12 +185,12 @@ def one_alarm(seed: int) -> dict[str, Any]:
 
 def kinds_of(name: str) -> Iterator[str]:
     """The faults of a sensor; accelerometers alone clip at an element."""
-    for kind in KINDS:
+    for kind in FAULT_KINDS:
         yield f"{name}.{kind}@{FAULT_S:g}s"
 
 
 def catalogue() -> list[tuple[str, ...]]:
-    return [(fault,) for name in TARGETS for fault in kinds_of(name)]
+    return [(fault,) for name in FAULT_TARGETS for fault in kinds_of(name)]
 
 
 def pairs() -> list[tuple[str, ...]]:
@@ -243,9 +239,7 @@ def report(what: str, found: dict[str, dict[str, Any]]) -> None:
         for name in rows[0]:
             if name == "wall_s":
                 continue
-            for key in [
-                k for k, v in rows[0][name].items() if isinstance(v, float) and k.endswith(("_m", "_deg"))
-            ]:
+            for key in [k for k, v in rows[0][name].items() if isinstance(v, float) and k.endswith(("_m", "_deg"))]:
                 values = [r[name][key] for r in rows if r[name].get(key) is not None]
                 print(f"{name}: {key} mean {np.mean(values):.4f}, worst {max(values):.4f}")
             print(f"{name}: succeeded", share([r[name]["outcome"] == "succeeded" for r in rows]))

@@ -22,12 +22,12 @@ import numpy as np
 from fly_on_estimates import told
 
 from mufly.camera import load_camera
-from mufly.firmware import QuickSoftware
-from mufly.flight import fly
-from mufly.flight.camera import Eye
-from mufly.flight.film import parse_spoil
+from mufly.firmware import GenericFirmwareSoftware
+from mufly.flight import fly_mission
+from mufly.flight.camera_sensor import CameraConfig
+from mufly.flight.onboard_camera import parse_camera_fault
 from mufly.mission import load_mission
-from mufly.slam import Answer
+from mufly.slam import TrackingResult
 
 MISSION = "demonstration"
 FROM_S = 30.0
@@ -36,14 +36,24 @@ FROM_S = 30.0
 
 def one(seed: int, floor: str, camera: str, spoils: tuple[str, ...] = ()) -> dict[str, Any]:
     """Fly once and tell what came of it."""
-    answers: list[Answer] = []
+    answers: list[TrackingResult] = []
     mission = load_mission(MISSION)
     blows = np.random.default_rng(seed).uniform(0.0, 2 * math.pi)
-    data = fly(
-        "mufly-1.1", mission, wind=(0.5 * math.cos(blows), 0.5 * math.sin(blows), 0.0), gust=0.3, seed=seed,
-        sensors="fitted", controllers=QuickSoftware,
-        eye=Eye(load_camera(camera), floor, spoils=tuple(map(parse_spoil, spoils)), on_answer=answers.append),
-    )  # fmt: skip
+    data = fly_mission(
+        "mufly-1.1",
+        mission,
+        wind=(0.5 * math.cos(blows), 0.5 * math.sin(blows), 0.0),
+        gust=0.3,
+        seed=seed,
+        sensors="fitted",
+        controllers=GenericFirmwareSoftware,
+        eye=CameraConfig(
+            load_camera(camera),
+            floor,
+            camera_faults=tuple(map(parse_camera_fault, spoils)),
+            on_tracking_result=answers.append,
+        ),
+    )
     out = told(data, mission)
     time, true = data["time"].values, data["truth_position"].values
     believed = data["estimated_position"].values - true
@@ -61,13 +71,13 @@ def one(seed: int, floor: str, camera: str, spoils: tuple[str, ...] = ()) -> dic
             math.remainder(a.heading - float(data["truth_attitude"].values[k, 2]), 2 * math.pi),
         )
         off.append(math.hypot(e[0], e[1]))
-        if a.closed and last is not None:  # away from the truth, by more than it was off before
+        if a.is_loop_closed and last is not None:  # away from the truth, by more than it was off before
             jump = max(jump, off[-1] - math.hypot(last[0], last[1]))
         last = e
         nees.append(float(e @ np.linalg.solve(a.covariance, e)) / 4)
     out["slam_m"] = math.sqrt(float(np.mean(np.square(off)))) if off else math.nan
     out["slam_worst_m"], out["nees"] = max(off, default=math.nan), float(np.mean(nees)) if nees else math.nan
-    out["closures"], out["closure_jump_m"] = sum(a.closed for a in answers), jump
+    out["closures"], out["closure_jump_m"] = sum(a.is_loop_closed for a in answers), jump
     return out
 
 
@@ -88,10 +98,7 @@ def line(name: str, r: dict[str, Any]) -> None:
 def summed(found: list[dict[str, Any]]) -> None:
     """Say what came of all."""
     over = [100 * r["overshoot_m"] for r in found if r["overshoot_m"] is not None]
-    cm = {
-        name: [100 * r[f"{name}_m"] for r in found]
-        for name in ("estimate", "slam", "slam_worst", "closure_jump")
-    }
+    cm = {name: [100 * r[f"{name}_m"] for r in found] for name in ("estimate", "slam", "slam_worst", "closure_jump")}
     nees = [r["nees"] for r in found]
     print(
         f"{sum(r['outcome'] == 'succeeded' for r in found)} of {len(found)} succeed; overshoot median "
@@ -110,9 +117,7 @@ def main() -> None:
     p.add_argument("--first", type=int, default=100)
     p.add_argument("--floor", default="rich")
     p.add_argument("--camera", default="mufly-2.0")
-    p.add_argument(
-        "--kept", type=Path, help="a line of JSON a flight; those that are in it are not flown again"
-    )
+    p.add_argument("--kept", type=Path, help="a line of JSON a flight; those that are in it are not flown again")
     a = p.parse_args()
     if a.what == "spoiled":
         for kind in ("covered", "dark", "unplugged"):

@@ -27,7 +27,7 @@ from typing import Any
 
 from bench_page import FLAGS, free_port
 
-from mufly.link import Codec, Encoder, mavlink
+from mufly.link import FrameDecoder, FrameEncoder, mavlink
 
 COMMAND = "from mufly.cli import main; main()"
 LAND = 21
@@ -62,7 +62,7 @@ class Vehicle(threading.Thread):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setblocking(False)
         self.there = ("127.0.0.1", port)
-        self.encode, self.codec = Encoder(1, 1), Codec()
+        self.encode, self.codec = FrameEncoder(1, 1), FrameDecoder()
         self.heard: list[tuple[float, int]] = []
         self.deaf = self.ended = False
 
@@ -214,9 +214,7 @@ def main() -> None:
         while socket.socket().connect_ex((host, port)):
             time.sleep(0.3)
         with sync_playwright() as play:
-            browser = play.chromium.launch(
-                executable_path=chromium, args=[*FLAGS, "--disable-gpu-compositing"]
-            )
+            browser = play.chromium.launch(executable_path=chromium, args=[*FLAGS, "--disable-gpu-compositing"])
             page = browser.new_page(viewport={"width": 1366, "height": 768})
             page.set_default_timeout(300_000)
             page.goto(f"http://{host}:{port}/" + ("?token=a-token-for-this" if args else ""))
@@ -249,12 +247,8 @@ def main() -> None:
                 def deafen(yes: bool) -> Callable[[], None]:
                     return lambda: setattr(vehicle, "deaf", yes)
 
-                good &= try_case(
-                    "link of the vehicle cut", deafen(True), deafen(False), seconds, page, vehicle
-                )
-            print(
-                "the page was loaded anew" if not page.evaluate("window.loaded_once") else "never loaded anew"
-            )
+                good &= try_case("link of the vehicle cut", deafen(True), deafen(False), seconds, page, vehicle)
+            print("the page was loaded anew" if not page.evaluate("window.loaded_once") else "never loaded anew")
             browser.close()
         vehicle.ended = True
         station.send_signal(signal.SIGINT)

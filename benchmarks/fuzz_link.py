@@ -38,8 +38,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from hostile_traffic import Hostile
 
 from mufly.flight import Flight
-from mufly.link import Codec, Encoder, Peer, VehicleLink, mavlink
-from mufly.mission import HIGHEST_M, Mission
+from mufly.link import FrameDecoder, FrameEncoder, Peer, VehicleLink, mavlink
+from mufly.mission import MAX_HEIGHT_M, Mission
 
 FORCED = 21196  # MAVLink's magic number of a forced disarm, the emergency stop
 STATION = Peer("udpin:127.0.0.1:14550", "127.0.0.1:50000")
@@ -135,8 +135,8 @@ class Pilot:
 
     def __init__(self, link: VehicleLink, flight: Flight, found: Findings) -> None:
         self._link, self._flight, self._found = link, flight, found
-        self._encode = Encoder(255, 190)
-        self._codec = Codec()
+        self._encode = FrameEncoder(255, 190)
+        self._codec = FrameDecoder()
         self._places = cycle(PLACES)
         self._place = next(self._places)
         self._beat_s = self._ask_s = self._began_s = -math.inf
@@ -209,7 +209,10 @@ def restart(flight: Flight) -> None:
 def check(flight: Flight, found: Findings) -> None:
     """Judge one period; writes down what must not be, and the extremes that were seen."""
     status = flight.autopilot.status
-    motors, servos = flight.acting.motor_input.tolist(), flight.acting.servo_input.tolist()
+    motors, servos = (
+        flight.acting_actuators.motor_input.tolist(),
+        flight.acting_actuators.servo_input.tolist(),
+    )
     height, tilt = -float(status.reference_position[2]), np.abs(status.reference_attitude[:2]).tolist()
     wrong = []
     if not all(map(math.isfinite, (*motors, *servos))):
@@ -220,7 +223,7 @@ def check(flight: Flight, found: Findings) -> None:
     found.unarmed = 0 if status.armed else found.unarmed + 1
     if found.unarmed > 2 and motors != [0.0, 0.0]:
         wrong.append(f"motors {motors} but not armed")
-    if not (math.isfinite(height) and -1.5 <= height <= HIGHEST_M + 1.0):
+    if not (math.isfinite(height) and -1.5 <= height <= MAX_HEIGHT_M + 1.0):
         wrong.append(f"height reference {height}")
     if not all(math.isfinite(t) and t <= TILT_MOST_RAD for t in tilt):
         wrong.append(f"tilt reference {tilt}")
@@ -267,11 +270,9 @@ def fuzz(
         senders=((66, 190), (66, 190), (66, 190), (67, 190), (255, 190)) if not commander else ((66, 190),),
         allowed=lambda name, fields: wild or harmless(name, fields),
     )
-    peers = [
-        Peer("udpin:127.0.0.1:14550", f"127.0.0.1:{50001 + k}") for k in range(1 if commander else others)
-    ]
+    peers = [Peer("udpin:127.0.0.1:14550", f"127.0.0.1:{50001 + k}") for k in range(1 if commander else others)]
     packets, pilot = hostile.packets(), None if commander else Pilot(link, flight, found)
-    answers = Codec()
+    answers = FrameDecoder()
     next_sample, due, now_s, grounded_s = 0, 0.0, 0.0, 0.0
     while found.messages < messages and len(found.faults) < 20:
         if found.messages >= next_sample:
@@ -290,7 +291,7 @@ def fuzz(
             link.receive(now_s, peers[found.messages % len(peers)], packet.data)
         if pilot is not None:
             pilot.step(now_s)
-        flight.tick()
+        flight.step_period()
         check(flight, found)
         for out in link.step(now_s):
             found.bytes_out += len(out.data)
@@ -300,12 +301,12 @@ def fuzz(
         if commander:
             grounded_s = 0.0 if flight.autopilot.status.flying else grounded_s + flight.period_s
             started = started and not flight.autopilot.status.flying
-            if grounded_s > (6.0 if started else 1.0) or flight.plant.crashed:
+            if grounded_s > (6.0 if started else 1.0) or flight.plant.crash_cause:
                 found.flights += 1
                 grounded_s, started = 0.0, True
                 restart(flight)
-        elif flight.plant.crashed:
-            found.faults.append(f"crashed: {flight.plant.crashed} at {flight.time_s:.1f} s")
+        elif flight.plant.crash_cause:
+            found.faults.append(f"crashed: {flight.plant.crash_cause} at {flight.time_s:.1f} s")
             break
     found.rss_MB.append((found.messages, rss_MB()))
     found.seconds, found.peers = now_s, len(peers) + (pilot is not None)
@@ -322,11 +323,11 @@ def quiet_kB_s(seconds: float = 10.0) -> float:
     """What a peer is sent that says nothing but that it is there, for comparison (kB/s)."""
     flight = Flight("mufly-1.1", Mission(), keep=False)
     link = VehicleLink(flight)
-    encode, now_s, sent = Encoder(255, 190), 0.0, 0
+    encode, now_s, sent = FrameEncoder(255, 190), 0.0, 0
     for tick in range(round(seconds / flight.period_s)):
         if tick % 250 == 0:
             link.receive(now_s, STATION, encode(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)))
-        flight.tick()
+        flight.step_period()
         sent += sum(len(out.data) for out in link.step(now_s))
         now_s += flight.period_s
     return sent / now_s / 1e3

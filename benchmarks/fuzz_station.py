@@ -39,7 +39,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fuzz_link import growth_MB, rss_MB
 from hostile_traffic import _FLOATS, AIMED_AT_STATION, Hostile
 
-from mufly.link import Encoder, Peer, mavlink
+from mufly.link import FrameEncoder, Peer, mavlink
 from mufly.station import GroundLink, RemoteVehicle
 
 US = (255, 190)
@@ -130,7 +130,7 @@ class Honest:
     """A vehicle that tells where it is and that all is well."""
 
     def __init__(self) -> None:
-        self._encode = Encoder(1, 1)
+        self._encode = FrameEncoder(1, 1)
         self.position = (0.0, 0.0, 0.0)
 
     def say(self, now_s: float) -> bytes:
@@ -151,13 +151,20 @@ def asks(vehicle: RemoteVehicle) -> list[Callable[[], Any]]:
         lambda: vehicle.go_to((1.0, 0.0, -1.0)), vehicle.return_home, vehicle.land, vehicle.emergency_stop,
         vehicle.take_command, vehicle.release_command, vehicle.download_mission, vehicle.clear_mission,
         vehicle.refresh_parameters, lambda: vehicle.upload_mission("demonstration"),
-        lambda: vehicle.set_parameter(next(iter(vehicle.parameters), "LIM_SPEED"), 0.5), lambda: vehicle.mark("x"),
+        lambda: vehicle.set_parameter(next(iter(vehicle.parameters), "LIM_SPEED"), 0.5), lambda: vehicle.add_mark("x"),
     ]  # fmt: skip
 
 
 def look(vehicle: RemoteVehicle) -> None:
     """Read everything that a page shows."""
-    _ = vehicle.name, vehicle.kind, vehicle.firmware, vehicle.connected, vehicle.in_command, vehicle.commander
+    _ = (
+        vehicle.name,
+        vehicle.kind,
+        vehicle.firmware,
+        vehicle.is_connected,
+        vehicle.is_in_command,
+        vehicle.commander,
+    )
     _ = (
         vehicle.snapshot,
         vehicle.mission,
@@ -166,7 +173,7 @@ def look(vehicle: RemoteVehicle) -> None:
         vehicle.checks,
     )
     _ = [str(m) for m in vehicle.messages], list(vehicle.parameters.items())
-    vehicle.history.window(5.0, vehicle.history.names[:5])
+    vehicle.history.recent_rows(5.0, vehicle.history.names[:5])
 
 
 def fuzz(messages: int, seed: int, *, per_step: int = 20, samples: int = 20) -> Findings:
@@ -223,15 +230,13 @@ def fuzz(messages: int, seed: int, *, per_step: int = 20, samples: int = 20) -> 
                 found.honest_off = max(
                     found.honest_off, math.dist(known[0].snapshot.estimate.position, honest.position)
                 )
-            requests = [r for r in requests if not r.done][-500:]
-    for _ in range(
-        round(SILENCE_S / 0.05)
-    ):  # everything that is open has to come to an end, one after the other
+            requests = [r for r in requests if not r.is_done][-500:]
+    for _ in range(round(SILENCE_S / 0.05)):  # everything that is open has to come to an end, one after the other
         ground.step(now_s, [HONEST])
         now_s += 0.05
     found.rss_MB.append((found.messages, rss_MB()))
     found.seconds, found.vehicles = now_s, len(ground.vehicles)
-    found.open_requests = sum(not r.done for r in requests)
+    found.open_requests = sum(not r.is_done for r in requests)
     return found
 
 
@@ -326,9 +331,7 @@ def watch_page(messages: int, seed: int, rate: float, calm_s: float = 10.0) -> b
         )
         sender.start()
         seen = look("hostile", sender.is_alive)
-        print(
-            f"{sum(sent)} messages, {udp_drops(link)} packets never read; errors of the page: {faults[:5] or 'none'}"
-        )
+        print(f"{sum(sent)} messages, {udp_drops(link)} packets never read; errors of the page: {faults[:5] or 'none'}")
         vehicle.heard.clear()
         end = time.monotonic() + 20.0
         while not vehicle.heard and time.monotonic() < end:
@@ -350,9 +353,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Bad messages to a station.")
     parser.add_argument("--messages", type=int, help="how many (a million; 100000 with a browser)")
     parser.add_argument("--seed", type=int, default=0, help="another seed, other messages")
-    parser.add_argument(
-        "--browser", action="store_true", help="to a station with its page in a browser, in real time"
-    )
+    parser.add_argument("--browser", action="store_true", help="to a station with its page in a browser, in real time")
     parser.add_argument("--rate", type=float, default=1000.0, help="messages a second with a browser")
     options = parser.parse_args()
     if options.browser:

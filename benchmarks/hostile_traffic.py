@@ -174,9 +174,7 @@ class Hostile:
         )
         self._sequence = (self._sequence + 1) % 256
         if magic == 0xFE:
-            head = struct.pack(
-                "<BBBBBB", magic, len(payload), self._sequence, system, component, number % 256
-            )
+            head = struct.pack("<BBBBBB", magic, len(payload), self._sequence, system, component, number % 256)
         else:
             head = struct.pack("<BBBBBBB", magic, len(payload), flags, 0, self._sequence, system, component)
             head += number.to_bytes(3, "little")
@@ -234,9 +232,7 @@ class Hostile:
         if field == "command":
             return draw.choice(_PLAIN_COMMANDS if draw.random() < 0.7 else _COMMANDS)
         if field.startswith("param") and field[5:].isdigit():
-            return draw.choice(
-                (0.0, 1.0, 2.0, math.nan, -1.0, float(draw.randrange(450)), draw.uniform(-4.0, 4.0))
-            )
+            return draw.choice((0.0, 1.0, 2.0, math.nan, -1.0, float(draw.randrange(450)), draw.uniform(-4.0, 4.0)))
         choices: dict[str, tuple[float, ...]] = {
             "frame": (0, 1, 1, 1, 3, 6, 7, 8, 9, 12),
             "coordinate_frame": (1, 1, 1, 7, 8, 9, 5, 6),
@@ -261,9 +257,7 @@ class Hostile:
         if field in choices:
             return draw.choice(choices[field])
         if field in ("x", "y"):
-            return draw.choice(
-                (draw.uniform(-4.0, 4.0), draw.randrange(-40_000, 40_000), draw.randrange(-1000, 1000))
-            )
+            return draw.choice((draw.uniform(-4.0, 4.0), draw.randrange(-40_000, 40_000), draw.randrange(-1000, 1000)))
         if field == "z":
             return draw.choice((draw.uniform(-4.0, 0.5), draw.randrange(1000)))
         if field in ("r", "yaw", "vx", "vy", "vz", "afx", "afy", "afz", "yaw_rate"):
@@ -318,9 +312,7 @@ class Hostile:
             payload = kind.unpacker.pack(*values)
             return self._wrap(0xFE, kind.id, payload, kind.crc_extra)
         if way == 1:
-            return self._wrap(
-                0xFD, draw.randrange(1 << 24), draw.randbytes(draw.randrange(256)), draw.randrange(256)
-            )
+            return self._wrap(0xFD, draw.randrange(1 << 24), draw.randbytes(draw.randrange(256)), draw.randrange(256))
         frame = bytearray(draw.choice(self._recent))
         if len(frame) > 3:
             frame[2] |= 0x01

@@ -15,8 +15,8 @@ import sys
 
 import numpy as np
 
-from mufly.bench import BenchTable, corrected_loads
-from mufly.identify import fit_motor, fit_rotor
+from mufly.bench import BenchTable, compute_loads
+from mufly.identify import fit_motor, fit_rotor_coefficients
 from mufly.vehicle import load_vehicle
 
 V = load_vehicle("mufly-1.1")
@@ -28,21 +28,13 @@ ROTOR = {"cT": float(V.rotors.upper.thrust_coefficient), "cQ": float(V.rotors.up
 
 
 def table(columns: dict[str, np.ndarray]) -> BenchTable:
-    return BenchTable(
-        "made up", columns, {k: k for k in columns}, np.arange(len(next(iter(columns.values()))))
-    )
+    return BenchTable("made up", columns, {k: k for k in columns}, np.arange(len(next(iter(columns.values())))))
 
 
-def motor_bench(
-    rng: np.random.Generator, voltages: tuple[float, ...], points: int, full_scale: bool
-) -> BenchTable:
+def motor_bench(rng: np.random.Generator, voltages: tuple[float, ...], points: int, full_scale: bool) -> BenchTable:
     u = np.repeat(voltages, points)
-    torque = np.concatenate(
-        [np.linspace(0.05, 0.85, points) * MOTOR["kM"] * v / MOTOR["Rohm"] for v in voltages]
-    )
-    speed = (MOTOR["kM"] * u / MOTOR["Rohm"] - torque) / (
-        MOTOR["kM"] * MOTOR["kE"] / MOTOR["Rohm"] + MOTOR["dR"]
-    )
+    torque = np.concatenate([np.linspace(0.05, 0.85, points) * MOTOR["kM"] * v / MOTOR["Rohm"] for v in voltages])
+    speed = (MOTOR["kM"] * u / MOTOR["Rohm"] - torque) / (MOTOR["kM"] * MOTOR["kE"] / MOTOR["Rohm"] + MOTOR["dR"])
     y = np.column_stack([u, (u - MOTOR["kE"] * speed) / MOTOR["Rohm"], speed, torque])
     y += 0.01 * rng.standard_normal(y.shape) * (np.abs(y).max(axis=0) if full_scale else y)
     return table(dict(zip(("voltage", "current", "speed", "torque"), y.T, strict=True)))
@@ -82,8 +74,8 @@ def main(seeds: int, first: int) -> None:
         print(f"{name:36} {'all':5} {line(name, MOTOR, fits):7.1%}")
     for points in (6, 20):
         fits = [
-            fit_rotor(
-                corrected_loads(rotor_bench(np.random.default_rng(s), points)),
+            fit_rotor_coefficients(
+                compute_loads(rotor_bench(np.random.default_rng(s), points)),
                 radius_m=0.0875,
                 density_kg_m3=1.2,
             )[0].estimates

@@ -12,9 +12,9 @@ import sys
 import numpy as np
 from scipy.signal import lfilter
 
-from mufly.identify.linear.fit import fit_linear
-from mufly.identify.linear.structure import model_named, simulate_linear
-from mufly.identify.record import lowpassed
+from mufly.identify.flight_record import low_pass
+from mufly.identify.linear.linear_fit import fit_linear_model
+from mufly.identify.linear.linear_structure import simulate_linear_structure, structure_by_name
 
 DT, SAMPLES = 0.04, 1500
 TRUTH = {
@@ -25,22 +25,20 @@ TRUTH = {
 
 def main() -> None:
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 60
-    structure = model_named("first-order-coupled", ("lat", "lon"), ("p", "q"))
+    structure = structure_by_name("first-order-coupled", ("lat", "lon"), ("p", "q"))
     truth = np.array([TRUTH[s] for s in structure.symbols])
     for pole in (0.0, 0.9):
         corrected, plain = [], []
         for seed in range(seeds):
             rng = np.random.default_rng(seed)
-            u = 0.1 * lowpassed(np.repeat(rng.normal(size=(SAMPLES // 20, 2)), 20, axis=0), DT, 2.0)
-            y, _ = simulate_linear(structure, truth, u, DT)
+            u = 0.1 * low_pass(np.repeat(rng.normal(size=(SAMPLES // 20, 2)), 20, axis=0), DT, 2.0)
+            y, _ = simulate_linear_structure(structure, truth, u, DT)
             noise = lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], rng.normal(size=y.shape), axis=0)
-            f = fit_linear(structure, u, y + 0.05 * noise, DT, starts=1)
+            f = fit_linear_model(structure, u, y + 0.05 * noise, DT, starts=1)
             off = np.abs(f.values - truth)
             corrected.append(off < 1.96 * np.sqrt(np.diag(f.covariance)))
             plain.append(off < 1.96 * np.sqrt(np.diag(f.bound)))
-        print(
-            f"pole {pole}: corrected {100 * np.mean(corrected):.1f} %, plain bounds {100 * np.mean(plain):.1f} %"
-        )
+        print(f"pole {pole}: corrected {100 * np.mean(corrected):.1f} %, plain bounds {100 * np.mean(plain):.1f} %")
 
 
 if __name__ == "__main__":

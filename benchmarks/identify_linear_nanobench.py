@@ -13,13 +13,18 @@ from pathlib import Path
 import numpy as np
 
 from mufly.errors import InputError
-from mufly.identify import Columns, identify_linear
-from mufly.identify.linear.equations import SCORES, equation_rows, identify_equations, score_rows
+from mufly.identify import LogColumns, identify_linear_model
+from mufly.identify.linear.equation_model import (
+    SCORES_EXPLANATION,
+    equation_table,
+    identify_equation_model,
+    score_table,
+)
 
 FITTED, HELD = ("figure8", "pid_trefoil"), ("circle", "mellinger")
 
 
-def read(path: Path) -> Columns:
+def read(path: Path) -> LogColumns:
     """The part of a flight in the air, on an even clock."""
     d = np.genfromtxt(path, delimiter=",", names=True)
     motor = np.column_stack([d[f"motor_motor_m{k}"] for k in (1, 2, 3, 4)]) / 65535.0
@@ -29,7 +34,7 @@ def read(path: Path) -> Columns:
     signs = {"lat": (-1, -1, 1, 1), "lon": (1, -1, -1, 1), "ped": (-1, 1, -1, 1), "col": (1, 1, 1, 1)}
     found = {name: motor @ np.array(s) / 4.0 for name, s in signs.items()}
     found |= {"p": d["imu_gyro_x"], "q": -d["imu_gyro_y"], "r": -d["imu_gyro_z"]}
-    return Columns(path.name, even, {k: np.interp(even, t, v) for k, v in found.items()})
+    return LogColumns(path.name, even, {k: np.interp(even, t, v) for k, v in found.items()})
 
 
 def show(rows: tuple) -> None:
@@ -44,7 +49,7 @@ def main() -> None:
     print("Output error, first-order, first half of each flight; simulated second half, per cent")
     for f in (*fitted, *held):
         try:
-            r = identify_linear(
+            r = identify_linear_model(
                 f, {"lat": "lat", "lon": "lon"}, {"p": "p", "q": "q"}, model="first-order", starts=3
             )
             print(
@@ -56,15 +61,13 @@ def main() -> None:
     inputs, outputs = ({n: n for n in names} for names in (("lat", "lon", "ped", "col"), ("p", "q", "r")))
     for domain in ("frequency", "time"):
         for without in ((), ("L_p", "M_q", "N_r", "N_p", "N_q")):
-            m = identify_equations(
+            m = identify_equation_model(
                 fitted, inputs, outputs, held_out=held, domain=domain, without=without, cut_hz=10.0
             )
-            print(
-                f"\nEquation error, {domain} domain" + (f", without {', '.join(without)}" if without else "")
-            )
-            show(equation_rows(m))
-            show(score_rows(m))
-    print(SCORES)
+            print(f"\nEquation error, {domain} domain" + (f", without {', '.join(without)}" if without else ""))
+            show(equation_table(m))
+            show(score_table(m))
+    print(SCORES_EXPLANATION)
 
 
 if __name__ == "__main__":

@@ -16,36 +16,34 @@ import time
 
 import numpy as np
 
-from mufly.identify import Fit, run_demo
-from mufly.identify.flight.demo import DEMO_FREE
+from mufly.identify import FitResult, run_identification_demo
+from mufly.identify.flight.identification_demo import DEMO_FREE_SYMBOLS
 
 
-def cost_of(fit: Fit, judge: Fit) -> float:
+def cost_of(fit: FitResult, judge: FitResult) -> float:
     """Half the sum of squares of a fit's residuals over the noise that another fit found."""
-    pairs = zip(fit.records_of("fit"), judge.records_of("fit"), strict=True)
+    pairs = zip(fit.records_with_role("fit"), judge.records_with_role("fit"), strict=True)
     return sum(0.5 * float(np.nansum((a.residual / b.noise_std) ** 2)) for a, b in pairs)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--cma", type=int, default=0, help="repeat so many seeds by CMA-ES")
     parser.add_argument("--moving", action="store_true", help="records begin in mid-flight")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    run_demo(seed=10_000)  # compiles
+    run_identification_demo(seed=10_000)  # compiles
     cpu_start = time.process_time()
     rows = []
     for seed in range(arguments.first, arguments.first + arguments.seeds):
-        demo = run_demo(seed=seed, moving=arguments.moving)
+        demo = run_identification_demo(seed=seed, moving=arguments.moving)
         row = {
             "seed": seed,
             "converged": demo.fit.converged,
             "cost": demo.fit.cost,
-            "inside": demo.inside(),
+            "inside": demo.truth_inside_interval(),
             "worst_error": max(abs(e.value / demo.truth[e.symbol] - 1) for e in demo.fit.estimates),
             "held_out": demo.held_out_over_noise,
             "seconds": demo.fit.seconds,
@@ -53,7 +51,7 @@ def main() -> None:
             "message": demo.fit.message,
         }
         if seed - arguments.first < arguments.cma:
-            other = run_demo(seed=seed, method="cma", moving=arguments.moving)
+            other = run_identification_demo(seed=seed, method="cma", moving=arguments.moving)
             row["cma"] = {
                 "cost_above_lm": cost_of(other.fit, demo.fit) - cost_of(demo.fit, demo.fit),
                 "seconds": other.fit.seconds, "simulations": other.fit.simulations,
@@ -66,17 +64,18 @@ def main() -> None:
         if not arguments.json:
             print(
                 f"seed {seed:3d}: {'converged' if row['converged'] else 'NOT converged'}, {sum(row['inside'].values())}"
-                f" of {len(DEMO_FREE)} inside, worst {100 * row['worst_error']:.2f} %, held out {row['held_out']:.3f}, "
+                f" of {len(DEMO_FREE_SYMBOLS)} inside, worst {100 * row['worst_error']:.2f} %, held out "
+                f"{row['held_out']:.3f}, "
                 f"{row['seconds']:.1f} s, {row['simulations']} simulations, load {os.getloadavg()[0]:.1f}"
                 + (f", CMA-ES {row['cma']}" if "cma" in row else ""),
                 flush=True,
             )
-    inside = np.array([[r["inside"][s] for s in DEMO_FREE] for r in rows])
+    inside = np.array([[r["inside"][s] for s in DEMO_FREE_SYMBOLS] for r in rows])
     summary = {
         "seeds": len(rows),
         "converged": sum(r["converged"] for r in rows),
         "inside_share": float(inside.mean()),
-        "inside_by_parameter": dict(zip(DEMO_FREE, inside.mean(axis=0).tolist(), strict=True)),
+        "inside_by_parameter": dict(zip(DEMO_FREE_SYMBOLS, inside.mean(axis=0).tolist(), strict=True)),
         "held_out_worst": max(r["held_out"] for r in rows),
         "seconds_median": float(np.median([r["seconds"] for r in rows])),
         "seconds_worst": max(r["seconds"] for r in rows),

@@ -4,10 +4,10 @@
 
 Each vehicle differs from mufly-1.1 by up to 40 % in every free parameter (twelve, the delay among them; evenly, up or
 down), and in every held one by a draw from its own doubt, normal in ``ln value``: the ``std`` that the vehicle file
-states, or that of its source (``PROVENANCE``, measured 2 %, datasheet 10 %, CAD 15 %, identified 5 %, estimated 20 %).
-A vehicle that the schema refuses, or that the pilot's support cannot hold (attitude beyond 35 degrees, 2 m of height),
-is drawn again; how often is printed. The fit starts from mufly-1.1 itself. ``--exact`` leaves the doubt of what is held
-out of the intervals, as they were before; ``--held`` states one relative deviation for all of it.
+states, or that of its source (``PROVENANCE_DOUBT``, measured 2 %, datasheet 10 %, CAD 15 %, identified 5 %, estimated
+20 %). A vehicle that the schema refuses, or that the pilot's support cannot hold (attitude beyond 35 degrees, 2 m of
+height), is drawn again; how often is printed. The fit starts from mufly-1.1 itself. ``--exact`` leaves the doubt of
+what is held out of the intervals, as they were before; ``--held`` states one relative deviation for all of it.
 ``--moving`` begins the records in mid-flight.
 """
 
@@ -22,25 +22,30 @@ from pathlib import Path
 import numpy as np
 
 from mufly.errors import MuflyError
-from mufly.identify import choose_free, fit_flights
-from mufly.identify.flight.demo import DEMO_FREE, RADIO_DELAY_S, demo_flights, over_true_noise
-from mufly.identify.flight.free import held_parameters
-from mufly.vehicle import Vehicle, load_vehicle, parameters, replace
+from mufly.identify import choose_free_parameters, fit_flight_records
+from mufly.identify.flight.free_parameters import list_held_parameters
+from mufly.identify.flight.identification_demo import (
+    DEMO_FREE_SYMBOLS,
+    RADIO_DELAY_S,
+    fly_demo_flights,
+    rms_over_true_noise,
+)
+from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
 OFF = 0.4
 
 
 def drawn(nominal, rng, seed, moving):
     """Return the true values of what is free of a vehicle that can be flown, its flights, and draws in vain."""
-    rows = {r.symbol: r for r in parameters(nominal)}
-    free = choose_free(nominal, [s for s in DEMO_FREE if s != "delay"], ("height", "yaw"))
-    held = [h for h in held_parameters(nominal, free, 0.0, None) if h.key]
+    rows = {r.symbol: r for r in list_parameters(nominal)}
+    free = choose_free_parameters(nominal, [s for s in DEMO_FREE_SYMBOLS if s != "delay"], ("height", "yaw"))
+    held = [h for h in list_held_parameters(nominal, free, 0.0, None) if h.key]
     for vain in range(200):
-        values = {rows[f.symbol].key: f.start * rng.uniform(1 - OFF, 1 + OFF) for f in free}
-        values |= {h.key: h.start * math.exp(h.prior_std * rng.standard_normal()) for h in held}
+        values = {rows[f.symbol].key: f.start_value * rng.uniform(1 - OFF, 1 + OFF) for f in free}
+        values |= {h.key: h.start_value * math.exp(h.prior_std * rng.standard_normal()) for h in held}
         try:
-            vehicle = replace(nominal, values)
-            flights, others = demo_flights(vehicle, seed=seed, moving=moving)
+            vehicle = replace_parameters(nominal, values)
+            flights, others = fly_demo_flights(vehicle, seed=seed, moving=moving)
         except MuflyError:
             continue
         if all(_held_up(r) for r in (*flights, *others)):
@@ -51,7 +56,7 @@ def drawn(nominal, rng, seed, moving):
 def stated(vehicle, share):
     """Return the vehicle with this relative standard deviation stated for every scalar that is not zero."""
     tables = vehicle.model_dump(exclude_none=True)
-    for row in parameters(vehicle):
+    for row in list_parameters(vehicle):
         if isinstance(row.value, float):
             table = tables
             for part in row.key.split("."):
@@ -67,9 +72,7 @@ def _held_up(record) -> bool:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--vehicles", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--moving", action="store_true")
@@ -84,15 +87,18 @@ def main() -> None:
         rng = np.random.default_rng([seed, 2])
         truth, flights, others, vain = drawn(nominal, rng, seed, a.moving)
         truth["delay"] = RADIO_DELAY_S
-        free = choose_free(
-            nominal, DEMO_FREE, flights[0].outputs, delay_s=RADIO_DELAY_S * rng.uniform(1 - OFF, 1 + OFF)
+        free = choose_free_parameters(
+            nominal,
+            DEMO_FREE_SYMBOLS,
+            flights[0].outputs,
+            delay_s=RADIO_DELAY_S * rng.uniform(1 - OFF, 1 + OFF),
         )
-        fit = fit_flights(nominal, free, flights, held_out=others, held_exact=a.exact)
+        fit = fit_flight_records(nominal, free, flights, held_out=others, held_exact=a.exact)
         inside = {e.symbol: e.low <= truth[e.symbol] <= e.high for e in fit.estimates}
         sigmas = {e.symbol: (e.value - truth[e.symbol]) / e.std for e in fit.estimates}
         rows.append(
             {"seed": seed, "converged": fit.converged, "inside": inside, "sigmas": sigmas, "vain": vain,
-             "held_out": over_true_noise(fit.records[-1]), "message": fit.message, "truth": truth,
+             "held_out": rms_over_true_noise(fit.records[-1]), "message": fit.message, "truth": truth,
              "estimates": [asdict(e) for e in fit.estimates], "seconds": fit.seconds}
         )  # fmt: skip
         worst = max(sigmas, key=lambda s: abs(sigmas[s]))
@@ -104,10 +110,10 @@ def main() -> None:
         )
         if a.json is not None:
             a.json.write_text(json.dumps(rows, indent=1, default=float))
-    table = np.array([[r["inside"][s] for s in DEMO_FREE] for r in rows])
+    table = np.array([[r["inside"][s] for s in DEMO_FREE_SYMBOLS] for r in rows])
     print(f"{table.sum()} of {table.size} inside, {100 * table.mean():.1f} %")
     print(f"{sum(r['converged'] for r in rows)} of {len(rows)} converged")
-    print({s: round(float(v), 2) for s, v in zip(DEMO_FREE, table.mean(axis=0), strict=True)})
+    print({s: round(float(v), 2) for s, v in zip(DEMO_FREE_SYMBOLS, table.mean(axis=0), strict=True)})
 
 
 if __name__ == "__main__":

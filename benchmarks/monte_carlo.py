@@ -19,8 +19,8 @@ import time
 
 from numba.core.dispatcher import Dispatcher
 
-from mufly.firmware import QuickSoftware
-from mufly.flight.monte_carlo import Campaign, Crew, fly_case, parse_variations, run
+from mufly.firmware import GenericFirmwareSoftware
+from mufly.flight.monte_carlo import Campaign, WorkerPool, fly_case, parse_variations, run_campaign
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 
@@ -43,24 +43,24 @@ def main() -> None:
     asked = p.parse_args()
     vehicle, mission = load_vehicle("mufly-1.1"), load_mission("demonstration")
     for sensors in ("ideal", "fitted"):
-        campaign = Campaign.of(
+        campaign = Campaign.create_checked(
             vehicle,
             mission,
             variations=parse_variations(["parameters=10%"], vehicle),
             wind=0.5,
             gust=0.3,
             sensors=sensors,
-            quickly=QuickSoftware,
+            quickly=GenericFirmwareSoftware,
         )
         began = time.perf_counter()
-        with Crew(asked.jobs) as crew:
-            list(crew.fly(campaign, [(campaign.case(k), None) for k in range(asked.jobs)]))
+        with WorkerPool(asked.jobs) as crew:
+            list(crew.fly_cases(campaign, [(campaign.draw_case(k), None) for k in range(asked.jobs)]))
             first = time.perf_counter() - began
             began = time.perf_counter()
-            flights = run(campaign, asked.flights, crew=crew)
+            flights = run_campaign(campaign, asked.flights, crew=crew)
             wall = time.perf_counter() - began
         flown = sum(f.duration_s or 0.0 for f in flights)
-        case = campaign.case(0)
+        case = campaign.draw_case(0)
         fly_case(campaign, case)
         cpu = time.process_time()
         once = fly_case(campaign, case)
@@ -79,12 +79,8 @@ def main() -> None:
             f"{flown / len(flights):.0f} s in {wall:.1f} s"
         )
         print(f"  first flights of new processes are over after {first:7.1f} s")
-        print(
-            f"  flown time over wall time, together           {flown / wall:7.0f}   (target 500, then 2000)"
-        )
-        print(
-            f"  1000 flights of 60 s would take               {60e3 * wall / flown:7.0f} s (target 120, then 30)"
-        )
+        print(f"  flown time over wall time, together           {flown / wall:7.0f}   (target 500, then 2000)")
+        print(f"  1000 flights of 60 s would take               {60e3 * wall / flown:7.0f} s (target 120, then 30)")
         print(f"  one process: times real time                  {seconds / cpu:7.0f}")
         print(f"    in compiled functions alone                 {seconds / inside:7.0f}")
         print(f"    time over that of the compiled functions    {cpu / inside:7.1f}")

@@ -1,4 +1,5 @@
-"""Drag of rotors in their disc plane, from blade elements at hover: the source of `rotors.inplane_drag` of a vehicle.
+"""Drag of rotors in their disc plane, from blade elements at hover: the source of `rotors.inplane_drag` of
+a vehicle.
 
 Blade elements of both rotors are solved at the vehicle's hover speeds, pitches such that each rotor carries what the
 vehicle file's coefficients say. The derivation stands in docs/dynamics.md. Lift and drag slopes are those of the same
@@ -12,8 +13,8 @@ import argparse
 import numpy as np
 from scipy.optimize import root
 
-from mufly.dynamics import trim
-from mufly.rotor import Air, Condition, System, load_rotor, solve
+from mufly.dynamics import find_trim
+from mufly.rotor import Air, OperatingCondition, RotorSystem, load_rotor, solve_system
 from mufly.vehicle import load_vehicle
 
 NUDGE = np.radians(0.5)
@@ -44,22 +45,20 @@ def main() -> None:
     parser.add_argument("--rotor", default="walkera-5g6")
     asked = parser.parse_args()
     vehicle, rotor = load_vehicle(asked.vehicle), load_rotor(asked.rotor)
-    hover = trim(vehicle)
+    hover = find_trim(vehicle)
     rho, radius = float(vehicle.air.density), float(vehicle.rotors.radius)
     air = Air(density_kg_m3=rho)
     apart = float(vehicle.rotors.lower.hub_z) - float(vehicle.rotors.upper.hub_z)
-    pair = System.coaxial(rotor, rotor, spacing_m=apart)
+    pair = RotorSystem.coaxial_pair(rotor, rotor, spacing_m=apart)
 
     def at(pitch):
-        return solve(pair, Condition(tuple(pitch), speed_rad_s=tuple(hover.rotor_speed), air=air))
+        return solve_system(pair, OperatingCondition(tuple(pitch), speed_rad_s=tuple(hover.rotor_speed), air=air))
 
     found = root(lambda x: np.array([r.thrust_N for r in at(x).rotors]) / hover.thrust_N - 1.0, [0.2, 0.2])
     points, less, more = at(found.x), at(found.x - NUDGE), at(found.x + NUDGE)
     total, speeds = [], hover.rotor_speed
     for k, side in enumerate(("upper", "lower")):
-        lift, across, spanwise, blow = drag(
-            points.rotors[k], less.rotors[k], more.rotors[k], radius, rotor.blades, rho
-        )
+        lift, across, spanwise, blow = drag(points.rotors[k], less.rotors[k], more.rotors[k], radius, rotor.blades, rho)
         total.append(lift + across + spanwise)
         thrust = points.rotors[k].c_T
         print(

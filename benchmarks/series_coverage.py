@@ -15,29 +15,29 @@ from collections import defaultdict
 
 import numpy as np
 
-from mufly.bench.rig.simulated import Faults, SimulatedRig
-from mufly.bench.series.analysis import QUANTITIES, Series, analyse
-from mufly.bench.series.plan import Axis, Plan, Step, make_plan
-from mufly.bench.series.record import Record
-from mufly.bench.series.run import run_series
+from mufly.bench.rig.simulated_rig import SimulatedFaults, SimulatedRig
+from mufly.bench.series.series_analysis import LOAD_NAMES, SeriesResult, analyse_series
+from mufly.bench.series.series_plan import PlanStep, RotorAxis, SeriesPlan, make_plan
+from mufly.bench.series.series_record import SeriesRecord
+from mufly.bench.series.series_runner import run_series
 
 
-def plan_for(axis: Axis) -> Plan:
+def plan_for(axis: RotorAxis) -> SeriesPlan:
     return make_plan(
         "coverage", ["naca0012-r60-c20"], [10, 14], [3000, 4000, 5000, 6000, 7000], reference="naca4412-r60-c20",
         reference_pitch_deg=10, repetitions=2, reference_every=2, axis=axis,
     )  # fmt: skip
 
 
-def one(plan: Plan, seed: int, faults: Faults | None = None) -> Series:
-    rig = SimulatedRig(seed, faults=faults or Faults())
+def one(plan: SeriesPlan, seed: int, faults: SimulatedFaults | None = None) -> SeriesResult:
+    rig = SimulatedRig(seed, faults=faults or SimulatedFaults())
 
-    def truth(step: Step) -> dict[str, float]:
-        speeds = {a: rig.speed[a] for a in plan.mounting[step.mounting].axes}
-        nominal = rig.truth(speeds, as_mounted=False)
-        return rig.truth(speeds) | {f"nominal_{k}": v for k, v in nominal.items()}
+    def truth(step: PlanStep) -> dict[str, float]:
+        speeds = {a: rig.speed[a] for a in plan.mounting[step.mounting_index].turning_sides}
+        nominal = rig.true_loads(speeds, as_mounted=False)
+        return rig.true_loads(speeds) | {f"nominal_{k}": v for k, v in nominal.items()}
 
-    return analyse(run_series(plan, rig, Record(), truth=truth))
+    return analyse_series(run_series(plan, rig, SeriesRecord(), truth=truth))
 
 
 def coverage(count: int, axis: str, first: int) -> None:
@@ -45,12 +45,12 @@ def coverage(count: int, axis: str, first: int) -> None:
     hit, off, width, refused = defaultdict(list), defaultdict(list), defaultdict(list), 0
     for seed in range(first, first + count):
         series = one(plan, seed)
-        refused += bool(series.refused)
+        refused += bool(series.fatal_issues)
         for d in series.doubts:
             print(seed, d.text)
         for kind, many in (("point", series.points), ("setting", series.settings)):
             for x in many:
-                for q in QUANTITIES:
+                for q in LOAD_NAMES:
                     if (load := getattr(x, q)) is not None:
                         true = x.truth[q if kind == "point" else f"nominal_{q}"]
                         hit[kind, q].append(abs(load.value - true) <= load.expanded)
@@ -66,13 +66,13 @@ def coverage(count: int, axis: str, first: int) -> None:
 
 def faults(count: int) -> None:
     cases = {
-        "none": Faults(),
-        "reference moved by 0.25 deg": Faults(reference_moved_deg=0.25, reference_moved_after=2),
-        "reference moved by 0.5 deg": Faults(reference_moved_deg=0.5, reference_moved_after=1),
-        "cell saturated": Faults(saturated=True),
-        "nonsense in 5 % of the samples": Faults(spikes=0.05),
-        "nonsense in 0.5 % of the samples": Faults(spikes=0.005),
-        "speed not reached by 4 %": Faults(stuck_speed=0.04),
+        "none": SimulatedFaults(),
+        "reference moved by 0.25 deg": SimulatedFaults(reference_moved_deg=0.25, reference_moved_after=2),
+        "reference moved by 0.5 deg": SimulatedFaults(reference_moved_deg=0.5, reference_moved_after=1),
+        "cell saturated": SimulatedFaults(force_cell_saturates=True),
+        "nonsense in 5 % of the samples": SimulatedFaults(spike_share=0.05),
+        "nonsense in 0.5 % of the samples": SimulatedFaults(spike_share=0.005),
+        "speed not reached by 4 %": SimulatedFaults(speed_shortfall_share=0.04),
     }
     plan = plan_for("upper")
     for name, fault in cases.items():
@@ -80,7 +80,7 @@ def faults(count: int) -> None:
         refused = 0
         for seed in range(count):
             try:
-                found = one(plan, seed, fault).refused
+                found = one(plan, seed, fault).fatal_issues
             except Exception as error:
                 kinds[f"{type(error).__name__}: {error}"[:60]] += 1
                 refused += 1

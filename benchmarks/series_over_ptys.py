@@ -20,19 +20,17 @@ from pathlib import Path
 
 import numpy as np
 
-from mufly.bench.rig.cells import SerialCells
-from mufly.bench.rig.devices import Clock, DeviceRig
-from mufly.bench.rig.epos import Epos
-from mufly.bench.rig.simulated import SimulatedRig
-from mufly.bench.series.analysis import analyse
-from mufly.bench.series.plan import Times, make_plan
-from mufly.bench.series.record import Record
-from mufly.bench.series.run import Stopped, run_series
+from mufly.bench.rig.bench_devices import Clock, DeviceRig
+from mufly.bench.rig.epos_controller import EposController
+from mufly.bench.rig.serial_load_cells import SerialLoadCells
+from mufly.bench.rig.simulated_rig import SimulatedRig
+from mufly.bench.series.series_analysis import analyse_series
+from mufly.bench.series.series_plan import StepTimes, make_plan
+from mufly.bench.series.series_record import SeriesRecord
+from mufly.bench.series.series_runner import Stopped, run_series
 
 COUNTS = 1e6
-_spec = importlib.util.spec_from_file_location(
-    "far", Path(__file__).parents[1] / "tests" / "bench" / "emulators.py"
-)
+_spec = importlib.util.spec_from_file_location("far", Path(__file__).parents[1] / "tests" / "bench" / "emulators.py")
 assert _spec is not None
 assert _spec.loader is not None
 far = importlib.util.module_from_spec(_spec)
@@ -51,9 +49,7 @@ def make():
 
 def main(points: int, pace: float) -> None:
     here, there = multiprocessing.Pipe()
-    process = multiprocessing.get_context("fork").Process(
-        target=far.serve, args=(there, make, pace), daemon=True
-    )
+    process = multiprocessing.get_context("fork").Process(target=far.serve, args=(there, make, pace), daemon=True)
     process.start()
     upper, lower, cells = here.recv()
 
@@ -73,16 +69,16 @@ def main(points: int, pace: float) -> None:
     plan = make_plan(
         "pty", ["naca0012-r60-c20"], list(np.linspace(10, 16, mountings // 2)), [3000, 4000, 5000, 6000, 7000],
         reference="naca4412-r60-c20", reference_pitch_deg=10, repetitions=2, reference_every=mountings // (1 + odd),
-        times=Times(warm_up_s=120.0, average_s=4.0, longest_s=8.0, tare_s=4.0),
+        times=StepTimes(warm_up_s=120.0, average_s=4.0, longest_s=8.0, tare_s=4.0),
     )  # fmt: skip
     folder = Path(tempfile.mkdtemp())
     clock = Clock(pace)
     began, from_s = time.perf_counter(), clock.now()
     stops = 0
     while True:
-        devices = [Epos(upper, "upper"), Epos(lower, "lower"), SerialCells(cells)]
+        devices = [EposController(upper, "upper"), EposController(lower, "lower"), SerialLoadCells(cells)]
         rig = DeviceRig(devices, facts, clock, poll_Hz=10.0)
-        record = Record(folder)
+        record = SeriesRecord(folder)
 
         def asked(record=record, first=stops == 0) -> bool:
             return first and len(record.readings) > len(plan.steps) // 2
@@ -90,7 +86,7 @@ def main(points: int, pace: float) -> None:
         try:
             run_series(
                 plan, rig, record, asked=asked, mounted=lambda m: ask("mount", m),
-                truth=lambda s: ask("truth", plan.mounting[s.mounting].axes),
+                truth=lambda s: ask("truth", plan.mounting[s.mounting_index].turning_sides),
             )  # fmt: skip
             break
         except Stopped:
@@ -100,14 +96,14 @@ def main(points: int, pace: float) -> None:
             record.close()
     took, clocked = time.perf_counter() - began, clock.now() - from_s
     here.send(None)
-    series = analyse(record)
+    series = analyse_series(record)
     held = [
         abs(load.value - p.truth[q]) <= load.expanded
         for p in series.points for q in ("thrust", "torque_upper") if (load := getattr(p, q)) is not None
     ]  # fmt: skip
     failed = [x["why"] for x in record.lines if x["kind"] == "event" and x["what"] == "device"]
     print(
-        f"{len(series.points)} points of {plan.points} in {took:.0f} s; the bench's clock: {clocked:.0f} s, "
+        f"{len(series.points)} points of {plan.point_count} in {took:.0f} s; the bench's clock: {clocked:.0f} s, "
         f"{clocked / took:.1f} times real time; stopped and resumed {stops} times; damaged: "
         f"{sum(d.broken for d in devices)} frames and lines; devices failed {len(failed)} times; "
         f"{100 * np.mean(held):.1f} % of {len(held)} intervals hold the truth; doubts: "

@@ -16,10 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from mufly.camera import Motion, Renderer, load_camera, make_floor
-from mufly.dynamics import rotation
-from mufly.dynamics.state import quaternion_from_euler
-from mufly.slam import Slam, Trajectory, evaluate, frames, gathered, rounds
+from mufly.camera import Renderer, VehicleMotion, load_camera, make_floor
+from mufly.dynamics import body_to_ned_matrix
+from mufly.dynamics.model_state import quaternion_from_euler
+from mufly.slam import (
+    SlamSystem,
+    SlamTrajectory,
+    collect_results,
+    evaluate_trajectory,
+    make_square_path,
+    render_frames,
+)
 
 
 def fly(
@@ -32,56 +39,56 @@ def fly(
     speed: float,
     close: bool = True,
     lose: bool = True,
-) -> tuple[Any, Slam, Trajectory, float, float]:
+) -> tuple[Any, SlamSystem, SlamTrajectory, float, float]:
     """One sequence: errors, the SLAM, its answers, processor's time a picture (s), worst closure off truth (m)."""
     lens = load_camera(camera)
-    path = rounds(duration_s=duration, side_m=side, speed_m_s=speed, seed=seed)
+    path = make_square_path(duration_s=duration, side_m=side, speed_m_s=speed, seed=seed)
     slam, spent, true, answers = None, 0.0, [], []
     places: dict[float, np.ndarray] = {}
     nodes: dict[float, np.ndarray] = {}
     worst = 0.0
-    for frame, motion in frames(
+    for frame, motion in render_frames(
         lens, make_floor(floor, seed, shadows=0.3), path, duration_s=duration, seed=seed, lose=lose
     ):
         heading = math.atan2(motion.attitude[1, 0], motion.attitude[0, 0])
         nodes[motion.time_s] = node(lens, frame, motion)
         if slam is None:
-            slam = Slam(lens, start=(*motion.position[:2], heading), seed=seed)
-            slam.closes = close
+            slam = SlamSystem(lens, start=(*motion.position[:2], heading), seed=seed)
+            slam.is_closing_loops = close
         begin = time.process_time()
-        answers.append(slam.step(frame))
+        answers.append(slam.process_frame(frame))
         spent += time.process_time() - begin
         true.append((motion.time_s, *motion.position, heading))
         places[motion.time_s] = motion.position
     assert slam is not None
-    t, found = np.array(true), gathered(answers)
-    for e in slam.map.edges:
-        if e.closes:  # what it says of the two keyframes, against where the vehicle was
-            a, b = (slam.map.keyframes[k] for k in (e.first, e.second))
-            way = complex(*e.measured[:2]) * np.exp(
-                slam.map.nodes[e.first, 3] + 1j * slam.map.nodes[e.first, 2]
+    t, found = np.array(true), collect_results(answers)
+    for e in slam.floor_map.edges:
+        if e.is_loop_closure:  # what it says of the two keyframes, against where the vehicle was
+            a, b = (slam.floor_map.keyframes[k] for k in (e.first_index, e.second_index))
+            way = complex(*e.measurement[:2]) * np.exp(
+                slam.floor_map.nodes[e.first_index, 3] + 1j * slam.floor_map.nodes[e.first_index, 2]
             )
             true_way = places[b.time_s] - places[a.time_s]
             worst = max(worst, abs(way - complex(true_way[0], true_way[1])))
-    result = evaluate(
+    result = evaluate_trajectory(
         found.time, found.position, found.heading, found.covariance, t[:, 0], t[:, 1:4], t[:, 4], len(answers)
     )
-    keys = [k.time_s for k in slam.map.keyframes]
-    ratios.extend(rated(e, nodes[keys[e.first]], nodes[keys[e.second]]) for e in slam.map.edges)
+    keys = [k.time_s for k in slam.floor_map.keyframes]
+    ratios.extend(rated(e, nodes[keys[e.first_index]], nodes[keys[e.second_index]]) for e in slam.floor_map.edges)
     return result, slam, found, spent / len(answers), worst
 
 
 ratios: list[np.ndarray] = []
 
 
-def node(lens: Any, frame: Any, motion: Motion) -> np.ndarray:
+def node(lens: Any, frame: Any, motion: VehicleMotion) -> np.ndarray:
     """Where the camera is, and what the tilt that is told is off by: a true node of the graph."""
-    turn, told = motion.attitude, frame.told
-    c = motion.position + turn @ lens.mount.place.array()[0]
+    turn, told = motion.attitude, frame.info
+    c = motion.position + turn @ lens.mount.place.to_array()[0]
     roll, pitch = math.atan2(turn[2, 1], turn[2, 2]), -math.asin(turn[2, 0])
     off = (
-        rotation(quaternion_from_euler(roll, pitch, 0.0))
-        @ rotation(quaternion_from_euler(told.roll, told.pitch, 0.0)).T
+        body_to_ned_matrix(quaternion_from_euler(roll, pitch, 0.0))
+        @ body_to_ned_matrix(quaternion_from_euler(told.roll, told.pitch, 0.0)).T
     )
     return np.array([*c[:2], math.atan2(turn[1, 0], turn[0, 0]), math.log(-c[2]), off[2, 1], off[0, 2], 0.0])
 
@@ -89,8 +96,8 @@ def node(lens: Any, frame: Any, motion: Motion) -> np.ndarray:
 def rated(edge: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """What an edge says of the relation of two true nodes, true tilts given, over its deviations; chi-squared over
     four."""
-    off, m = edge.off(a, b), edge.information
-    z = off[:4] - np.linalg.solve(m[:4, :4], edge.pull[:4] - m[:4, 4:] @ off[4:])
+    off, m = edge.compute_residual(a, b), edge.information
+    z = off[:4] - np.linalg.solve(m[:4, :4], edge.gradient[:4] - m[:4, 4:] @ off[4:])
     return np.append(z / np.sqrt(np.diag(np.linalg.inv(m[:4, :4]))), z @ m[:4, :4] @ z / 4)
 
 
@@ -113,9 +120,7 @@ def tell(name: str, results: list[Any], closures: list[int], worst: list[float],
     print(f"{name}: {'; '.join(parts)}", flush=True)
 
 
-def many(
-    name: str, camera: str, floor: str, seeds: range, duration: float, verbose: bool, **more: Any
-) -> None:
+def many(name: str, camera: str, floor: str, seeds: range, duration: float, verbose: bool, **more: Any) -> None:
     """One case over seeds; sequences of which nothing was answered are told and left out."""
     results, closures, worst, spent = [], [], [], []
     for seed in seeds:
@@ -125,7 +130,7 @@ def many(
             print(f"  seed {seed}: {error}", flush=True)
             continue
         results.append(result)
-        closures.append(sum(e.closes for e in slam.map.edges))
+        closures.append(sum(e.is_loop_closure for e in slam.floor_map.edges))
         worst.append(off)
         spent.append(each)
         if verbose:
@@ -138,7 +143,7 @@ def speed() -> None:
     """Processor's time of one picture, rendering and looking."""
     for camera in ("webcam", "mufly-2.0", "worst"):
         renderer = Renderer(load_camera(camera), make_floor("rich", 0, shadows=0.3))
-        motion = Motion(
+        motion = VehicleMotion(
             0.0, np.array([0.0, 0.0, -1.0]), np.array([0.4, 0.1, 0.0]), np.eye(3), np.array([0.1, 0.2, 0.1])
         )
         renderer.render(motion)
@@ -153,9 +158,7 @@ def speed() -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("case", choices=("quality", "loop", "tiles", "edges", "speed"))
     parser.add_argument("--camera", default="mufly-2.0")
     parser.add_argument("--floor", default="rich")

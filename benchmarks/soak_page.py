@@ -23,9 +23,7 @@ from bench_page import FLAGS, free_port, used
 
 COMMAND = "from mufly.cli import main; main()"
 EVERY_S = 120.0
-COUNT = (
-    "() => { window.n = 0; window.muflyLive.panel({}, (f) => { if (f.s && !f.repeated) window.n += 1; }); }"
-)
+COUNT = "() => { window.n = 0; window.muflyLive.panel({}, (f) => { if (f.s && !f.repeated) window.n += 1; }); }"
 
 
 def start(*words: str) -> subprocess.Popen[bytes]:
@@ -40,9 +38,7 @@ def watch(port: int, processes: list[subprocess.Popen[bytes]], minutes: float) -
 
     with sync_playwright() as play:
         chromium = shutil.which("chromium") or shutil.which("google-chrome")
-        browser = play.chromium.launch(
-            executable_path=chromium, args=[*FLAGS, "--enable-precise-memory-info"]
-        )
+        browser = play.chromium.launch(executable_path=chromium, args=[*FLAGS, "--enable-precise-memory-info"])
         page = browser.new_page(viewport={"width": 1100, "height": 700})
         complaints: list[str] = []
         page.on("pageerror", lambda error: complaints.append(str(error)))

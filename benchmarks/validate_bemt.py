@@ -5,7 +5,7 @@
     python benchmarks/validate_bemt.py --pairs     # coaxial pairs only
 
 The data stays outside the project; without it the script says so and stops. What is assumed of sections that
-nobody recorded stands in ``mufly.study.benchmark.cases``.
+nobody recorded stands in ``mufly.study.benchmark.rotor_cases``.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ import numpy as np
 from rotor_cases import DATA, blading_of, errors, others, propellers, table_3_2
 
 from mufly.rotor import (
-    PLAIN,
+    TEXTBOOK_CORRECTIONS,
     Blading,
-    Condition,
     Corrections,
-    Method,
-    System,
-    calibrate,
-    compare,
+    OperatingCondition,
+    RotorSystem,
+    SolverMethod,
+    calibrate_blading,
+    compare_measurements,
     fit_rotor,
-    hover_batch,
-    interval,
-    solve,
+    predict_interval,
+    solve_rotor_batch,
+    solve_system,
 )
 from mufly.study.benchmark import RotorCase
-from mufly.study.benchmark.cases import T_MOTOR_AIR, rows_of, t_motor_28
+from mufly.study.benchmark.rotor_cases import T_MOTOR_AIR, load_t_motor_28, read_number_rows
 from mufly.units import RPM
 
 
@@ -58,7 +58,7 @@ def summary(
 
 VARIANTS: list[tuple[str, Corrections]] = [
     ("all (default)", Corrections()),
-    ("plain BEMT: no finite chord, no rotation", PLAIN),
+    ("plain BEMT: no finite chord, no rotation", TEXTBOOK_CORRECTIONS),
     ("without finite chord", Corrections(lifting_surface=False)),
     ("without rotation", Corrections(rotation="none")),
     ("rotation after Snel", Corrections(rotation="snel")),
@@ -81,9 +81,9 @@ def _print_table(head: list[str], rows: list[list[str]]) -> None:
 def report_table_3_2(case: RotorCase) -> None:
     """Four points, untuned and calibrated on the first."""
     blading = blading_of(case)
-    untuned = compare(blading, case.measured)
-    tuned_blading = calibrate(blading, case.measured)
-    tuned = compare(tuned_blading, case.measured)
+    untuned = compare_measurements(blading, case.measured)
+    tuned_blading = calibrate_blading(blading, case.measured)
+    tuned = compare_measurements(tuned_blading, case.measured)
     print("## Table 3.2, untuned; and calibrated on the first point\n")
     m = case.measured
     _print_table(
@@ -111,12 +111,12 @@ def report_propellers(cases: list[RotorCase]) -> None:
     _print_table(
         ["propeller", "section", "c_T error", "bias", "c_P error", "bias"],
         [
-            [case.name, Path(case.rotor.airfoil_names()[0]).stem + ("" if case.known else " (guess)"),
+            [case.name, Path(case.rotor.airfoil_names()[0]).stem + ("" if case.section_known else " (guess)"),
              f"{_mean(t):.1f} %", f"{_bias(t):+.1f}", f"{_mean(q):.1f} %", f"{_bias(q):+.1f}"]
             for _, case, t, q in rows
         ],
     )  # fmt: skip
-    for label, chosen in (("all 17", rows), ("6 of known section", [r for r in rows if r[1].known])):
+    for label, chosen in (("all 17", rows), ("6 of known section", [r for r in rows if r[1].section_known])):
         t, q = (np.mean([_mean(r[i]) for r in chosen]) for i in (2, 3))
         print(f"Mean absolute error, {label}: c_T {t:.1f} %, c_P {q:.1f} %")
     print()
@@ -152,7 +152,7 @@ def report_variants(cases: list[RotorCase]) -> None:
     rows += [line(f"n_crit {n:g}", summary(cases, n_crit=n)) for n in (1.0, 4.0, 9.0)]
     _print_table(["", *groups], rows)
     print("Propellers of guessed section, with one section for all of them: c_T / c_P error, %\n")
-    guessed = [c for c in cases if c.group == "UIUC micro" and not c.known]
+    guessed = [c for c in cases if c.group == "UIUC micro" and not c.section_known]
     out = []
     for section in ("naca2408", "clarky", "naca4412", "naca4503", "naca5503", "naca6503", "goe417a"):
         scores = np.array([[_mean(v) for v in errors(c, section=section)] for c in guessed])
@@ -167,15 +167,13 @@ def report_intervals(cases: list[RotorCase]) -> None:
     count = {}
     for case in cases:
         m = case.measured
-        band = interval(
+        band = predict_interval(
             case.rotor, pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s, air=case.air,
-            section="known" if case.known else "guessed",
+            section="known" if case.section_known else "guessed",
         )  # fmt: skip
         t = (m.thrust_N >= band.thrust_low_N) & (m.thrust_N <= band.thrust_high_N)
-        q = ((m.torque_Nm >= band.torque_low_Nm) & (m.torque_Nm <= band.torque_high_Nm))[
-            np.isfinite(m.torque_Nm)
-        ]
-        key = f"{case.group}, section {'known' if case.known else 'guessed'}"
+        q = ((m.torque_Nm >= band.torque_low_Nm) & (m.torque_Nm <= band.torque_high_Nm))[np.isfinite(m.torque_Nm)]
+        key = f"{case.group}, section {'known' if case.section_known else 'guessed'}"
         half = 100 * np.mean((band.thrust_high_N - band.thrust_low_N) / 2 / band.thrust_N)
         half_q = 100 * np.mean((band.torque_high_Nm - band.torque_low_Nm) / 2 / band.torque_Nm)
         count.setdefault(key, []).append((t.sum(), t.size, q.sum(), q.size, half, half_q))
@@ -207,11 +205,11 @@ def report_fits(cases: list[RotorCase]) -> None:
         m, n = case.measured, case.measured.thrust_N.size
         row = [case.name]
         for key, seen in (("one point", np.array([n // 2])), ("every other", np.arange(0, n, 2))):
-            part = m.part(seen)
-            found = fit_rotor(case.rotor, part, section="known" if case.known else "guessed", air=case.air)
+            part = m.select_points(seen)
+            found = fit_rotor(case.rotor, part, section="known" if case.section_known else "guessed", air=case.air)
             rest = np.setdiff1d(np.arange(n), seen)
             thrust, torque = m.thrust_N[rest], m.torque_Nm[rest]
-            band = interval(
+            band = predict_interval(
                 found.rotor, pitch_rad=m.pitch_rad[rest], speed_rad_s=m.speed_rad_s[rest], air=case.air
             )
             score = _mean(band.thrust_N / thrust - 1), _mean(band.torque_Nm / torque - 1)
@@ -225,19 +223,15 @@ def report_fits(cases: list[RotorCase]) -> None:
                 f"{Path(first.airfoils[0]).stem} {100 * first.probability:.0f} %",
             ]
         rows.append(row)
-    _print_table(
-        ["propeller", "one point: c_T / c_P error, %", "section", "every other point", "section"], rows
-    )
+    _print_table(["propeller", "one point: c_T / c_P error, %", "section", "every other point", "section"], rows)
     for key, scores in all_of.items():
         t, q = np.mean(scores, axis=0)
         share = 100 * inside[key][:2] / inside[key][2]
-        print(
-            f"{key}: c_T {t:.1f} %, c_P {q:.1f} %; inside the 90 % intervals {share[0]:.0f} and {share[1]:.0f} %"
-        )
+        print(f"{key}: c_T {t:.1f} %, c_P {q:.1f} %; inside the 90 % intervals {share[0]:.0f} and {share[1]:.0f} %")
     print()
 
 
-PAIR_METHODS: tuple[Method, ...] = ("bemt", "tubes")
+PAIR_METHODS: tuple[SolverMethod, ...] = ("bemt", "tubes")
 
 
 def report_coaxial(case: RotorCase, data: Path = DATA) -> None:
@@ -245,15 +239,15 @@ def report_coaxial(case: RotorCase, data: Path = DATA) -> None:
     print("## Coaxial pairs\n")
     pair, deg = blading_of(case), np.radians
     rows = []
-    alone = hover_batch(pair, pitch_rad=deg(14), speed_rad_s=6000 * RPM)
+    alone = solve_rotor_batch(pair, pitch_rad=deg(14), speed_rad_s=6000 * RPM)
     for method, h in product(PAIR_METHODS, (0.01, 0.02, 0.03, 0.04)):
-        system = System.coaxial(pair, pair, spacing_m=h)
-        both = solve(system, Condition(deg(14), 6000 * RPM), method)
+        system = RotorSystem.coaxial_pair(pair, pair, spacing_m=h)
+        both = solve_system(system, OperatingCondition(deg(14), 6000 * RPM), method)
         row = [f"{method}, {1e3 * h:.0f} mm", f"{both.upper.thrust_N / alone.thrust_N:.2f}",
                f"{both.lower.thrust_N / both.upper.thrust_N:.2f}",
                f"{both.lower.torque_Nm / both.upper.torque_Nm:.2f}"]  # fmt: skip
         for lower in (14, 16, 18):
-            trim = solve(system, Condition((deg(14), deg(lower)), (6000 * RPM, None)), method)
+            trim = solve_system(system, OperatingCondition((deg(14), deg(lower)), (6000 * RPM, None)), method)
             row.append(
                 f"{trim.lower.speed_rad_s / RPM:.0f} rpm, {trim.lower.thrust_N:.3f} N, {trim.lower.power_W:.2f} W"
             )
@@ -281,16 +275,16 @@ def report_coaxial(case: RotorCase, data: Path = DATA) -> None:
         ],
         rows,
     )
-    rotor = t_motor_28(data)
+    rotor = load_t_motor_28(data)
     for method, n_crit in product(PAIR_METHODS, (0.1, 4.0, 9.0)):
         label = f"28 inch pair, {method}, n_crit {n_crit:g}"
         _report_28_inch(blading_of(rotor, n_crit=n_crit), label, data, method)
 
 
-def _report_28_inch(big: Blading, label: str, data: Path, method: Method) -> None:
-    found, system = [], System.coaxial(big, big, spacing_m=0.115)
-    for rpm_l, t_l, q_l, _, t_u, q_u, _, rpm_u in rows_of(data / "tmotor28_coaxial.csv"):
-        r = solve(system, Condition(0.0, (rpm_u * RPM, rpm_l * RPM), air=T_MOTOR_AIR), method)
+def _report_28_inch(big: Blading, label: str, data: Path, method: SolverMethod) -> None:
+    found, system = [], RotorSystem.coaxial_pair(big, big, spacing_m=0.115)
+    for rpm_l, t_l, q_l, _, t_u, q_u, _, rpm_u in read_number_rows(data / "tmotor28_coaxial.csv"):
+        r = solve_system(system, OperatingCondition(0.0, (rpm_u * RPM, rpm_l * RPM), air=T_MOTOR_AIR), method)
         found.append([r.upper.thrust_N / t_u, r.upper.torque_Nm / q_u, r.lower.thrust_N / t_l, r.lower.torque_Nm / q_l,
                       r.thrust_N / (t_u + t_l), (r.upper.torque_Nm + r.lower.torque_Nm) / (q_u + q_l)])  # fmt: skip
     error = 100 * (np.array(found) - 1)
@@ -310,9 +304,7 @@ def main() -> None:
     parser.add_argument("--pairs", action="store_true")
     args = parser.parse_args()
     if not DATA.is_dir():
-        sys.exit(
-            "validate_bemt: the measurements (../shared/data/aero) are not here; nothing to compare with"
-        )
+        sys.exit("validate_bemt: the measurements (../shared/data/aero) are not here; nothing to compare with")
     if args.pairs:
         report_coaxial(table_3_2())
         return

@@ -14,8 +14,8 @@ import numpy as np
 
 from mufly.errors import MuflyError
 from mufly.rotor import load_airfoil
-from mufly.rotor.sections.engines import xfoil
-from mufly.rotor.sections.neural import neuralfoil
+from mufly.rotor.sections.neuralfoil_network import compute_neuralfoil_polars
+from mufly.rotor.sections.polar_engines import compute_xfoil_polars
 
 SECTIONS = ("naca0012", "naca4412", "goe394", "goe342", "gm15sm", "e387", "clarky", "s1223")
 REYNOLDS = (1e4, 3e4, 1e5)
@@ -72,9 +72,9 @@ def crosscheck(
     for name in names:
         airfoil = load_airfoil(name)
         for n in n_crit:
-            ours = neuralfoil([airfoil], reynolds, n_crit=n, model=model)[0]
+            ours = compute_neuralfoil_polars([airfoil], reynolds, n_crit=n, model=model)[0]
             same = np.isin(np.round(np.rad2deg(ours.alpha_rad), 6), alpha_deg)
-            theirs = xfoil(airfoil, reynolds, n_crit=n, alpha_deg=alpha_deg)
+            theirs = compute_xfoil_polars(airfoil, reynolds, n_crit=n, alpha_deg=alpha_deg)
             for j, re in enumerate(reynolds):
                 known = theirs.known[j]
                 cl = np.abs(ours.cl[j, same] - theirs.cl[j])[known]

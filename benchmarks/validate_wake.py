@@ -4,9 +4,9 @@
     python benchmarks/validate_wake.py table others         # Table 3.2; the three larger rotors
     python benchmarks/validate_wake.py --keep solved        # a stopped run goes on where it was
 
-Coaxial pairs: validate_wake_pairs.py. What is assumed of the rotors: mufly.study.benchmark.cases, for both methods.
-Transition: n_crit 0.1 is the default everywhere; the other values show what it does. For the 28 inch rotor n_crit 9 is
-what clean air at Re 1e5 to 3e5 suggests; all three values had been looked at before it was named.
+Coaxial pairs: validate_wake_pairs.py. What is assumed of the rotors: mufly.study.benchmark.rotor_cases, for both
+methods. Transition: n_crit 0.1 is the default everywhere; the other values show what it does. For the 28 inch rotor
+n_crit 9 is what clean air at Re 1e5 to 3e5 suggests; all three values had been looked at before it was named.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from rotor_cases import DATA, blading_of, others, propellers, table_3_2
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
-from mufly.rotor import Condition, System, hover_batch, solve
+from mufly.rotor import OperatingCondition, RotorSystem, solve_rotor_batch, solve_system
 from mufly.rotor.wake import WakeSettings, momentum_thrust
-from mufly.study.benchmark.cases import rows_of
+from mufly.study.benchmark.rotor_cases import read_number_rows
 from mufly.units import RPM
 
 OFFSET_DEG = 0.8  # pitch error of the bench that would explain Table 3.2; shown, never applied
@@ -30,7 +30,7 @@ def report_table_3_2(solver: Solver) -> None:
     """Four points: default settings, the dissertation's four CFD models, and what the open choices do."""
     case = table_3_2()
     m = case.measured
-    cfd = rows_of(DATA / "thesis_table_3_2.csv")[:, 4:]
+    cfd = read_number_rows(DATA / "thesis_table_3_2.csv")[:, 4:]
     n = m.thrust_N.size
 
     def points(offset_deg: float = 0.0, **kw: object) -> list[Answer]:
@@ -40,7 +40,7 @@ def report_table_3_2(solver: Solver) -> None:
         ]
 
     ours = points()
-    bemt = hover_batch(blading_of(case), pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s)
+    bemt = solve_rotor_batch(blading_of(case), pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s)
     for label, unit, scale, measured, mine, quick, first in (
         ("thrust", "N", 1.0, m.thrust_N, [a.thrust[0] for a in ours], bemt.thrust_N, 0),
         ("torque", "mN m", 1e3, m.torque_Nm, [a.torque[0] for a in ours], bemt.torque_Nm, 1),
@@ -86,7 +86,7 @@ def report_others(solver: Solver) -> None:
             found = [solver.single(case, m.pitch_rad[i], m.speed_rad_s[i], n_crit=n_crit) for i in chosen]
             t = np.array([a.thrust[0] for a in found]) / m.thrust_N[chosen] - 1
             q = np.array([a.torque[0] for a in found]) / m.torque_Nm[chosen] - 1
-            quick = hover_batch(
+            quick = solve_rotor_batch(
                 blading_of(case, n_crit=n_crit), pitch_rad=m.pitch_rad[chosen],
                 speed_rad_s=m.speed_rad_s[chosen], air=case.air,
             ).thrust_N / m.thrust_N[chosen] - 1  # fmt: skip
@@ -113,7 +113,7 @@ def report_propellers(solver: Solver) -> None:
         m = case.measured
         chosen = np.array([0, m.thrust_N.size // 2, m.thrust_N.size - 1])
         found = [solver.single(case, m.pitch_rad[i], m.speed_rad_s[i]) for i in chosen]
-        quick = hover_batch(
+        quick = solve_rotor_batch(
             blading_of(case), pitch_rad=m.pitch_rad[chosen], speed_rad_s=m.speed_rad_s[chosen], air=case.air
         )
         t, q = m.thrust_N[chosen], m.torque_Nm[chosen]
@@ -125,12 +125,12 @@ def report_propellers(solver: Solver) -> None:
                 ([a.torque[0] for a in found], q), (quick.torque_Nm, q),
             )
         ]  # fmt: skip
-        section = Path(case.rotor.airfoil_names()[0]).stem + ("" if case.known else " (guess)")
+        section = Path(case.rotor.airfoil_names()[0]).stem + ("" if case.section_known else " (guess)")
         cells = [f"{np.abs(e).mean():.1f} ({e.mean():+.1f})" if e.size else "none" for e in errors]
         rows.append([case.name, section, *cells, f"{good.sum()} of {good.size}"])
         if good.any():
             scores.append([np.abs(e).mean() for e in errors])
-            known.append(case.known)
+            known.append(case.section_known)
     table(
         "UIUC propellers, three speeds each: mean absolute deviation (bias), %",
         ["propeller", "section", "c_T wake", "c_T BEMT", "c_P wake", "c_P BEMT", "converged"], rows,
@@ -149,8 +149,8 @@ def report_momentum() -> None:
     dji, slender, *_ = others()
     for case, i in ((table_3_2(), 0), (table_3_2(), 3), (slender, 1), (slender, 2), (dji, 0)):
         m, air = case.measured, case.air
-        point = Condition(float(m.pitch_rad[i]), float(m.speed_rad_s[i]), air=air)
-        found = solve(System.single(blading_of(case)), point, "wake")
+        point = OperatingCondition(float(m.pitch_rad[i]), float(m.speed_rad_s[i]), air=air)
+        found = solve_system(RotorSystem.single_rotor(blading_of(case)), point, "wake")
         r = found.rotors[0]
         wind = r.reynolds * air.viscosity_Pa_s / air.density_kg_m3 / r.chord_m
         drag = 0.5 * air.density_kg_m3 * wind**2 * r.chord_m * r.cd * np.sin(r.phi_rad) * r.dr_m
@@ -177,7 +177,11 @@ def report_stations() -> None:
 
     rows = []
     for pitch, speed, thrust in zip(m.pitch_rad, m.speed_rad_s, m.thrust_N, strict=True):
-        found = solve(System.single(blading_of(case)), Condition(float(pitch), float(speed), air=air), "wake")
+        found = solve_system(
+            RotorSystem.single_rotor(blading_of(case)),
+            OperatingCondition(float(pitch), float(speed), air=air),
+            "wake",
+        )
         r, big = found.rotors[0], case.rotor.radius_m
         q = 0.5 * air.density_kg_m3 * (speed * r.r_m) ** 2 * r.chord_m
         cl = np.interp(at, r.r_m / big, r.dT_N / r.dr_m / q / case.rotor.blades)
@@ -199,9 +203,7 @@ def main() -> None:
     """Print the tables."""
     args = arguments(__doc__, ("table", "others", "stations", "propellers", "momentum"))
     if not DATA.is_dir():
-        sys.exit(
-            "validate_wake: the measurements (../shared/data/aero) are not here; nothing to compare with"
-        )
+        sys.exit("validate_wake: the measurements (../shared/data/aero) are not here; nothing to compare with")
     solver = Solver(args.keep)
     if "table" in args.parts:
         report_table_3_2(solver)

@@ -16,9 +16,9 @@ import numpy as np
 from rotor_cases import DATA, blading_of, table_3_2
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
-from mufly.rotor import Blading, Condition, Result, System, solve
+from mufly.rotor import Blading, OperatingCondition, RotorSystem, SystemSolution, solve_system
 from mufly.rotor.wake import WakeSettings
-from mufly.study.benchmark.cases import AIR, T_MOTOR_AIR, rows_of, t_motor_28
+from mufly.study.benchmark.rotor_cases import BENCHMARK_AIR, T_MOTOR_AIR, load_t_motor_28, read_number_rows
 from mufly.units import RPM
 
 PITCH = float(np.radians(14))
@@ -45,7 +45,12 @@ def report_thesis(solver: Solver) -> None:
     for rpm in (3000, 6000, 7000):
         alone = solver.single(case, PITCH, rpm * RPM)
         both = solver.pair(
-            "thesis", pair, spacing=0.02, pitch=(PITCH, PITCH), speed=(rpm * RPM, rpm * RPM), air=AIR
+            "thesis",
+            pair,
+            spacing=0.02,
+            pitch=(PITCH, PITCH),
+            speed=(rpm * RPM, rpm * RPM),
+            air=BENCHMARK_AIR,
         )
         rows.append([
             f"{rpm}", f"{alone.thrust[0]:.4f}", f"{both.thrust[0]:.4f}{both.mark()}", f"{both.thrust[1]:.4f}",
@@ -59,7 +64,7 @@ def report_thesis(solver: Solver) -> None:
     rows = []
     for deg, rpm, thrust, power in TABLE_3_4:
         pitch = (PITCH, float(np.radians(deg)))
-        a = solver.balanced("thesis trim", pair, spacing=0.02, pitch=pitch, upper_speed=6000 * RPM, air=AIR)
+        a = solver.balanced("thesis trim", pair, spacing=0.02, pitch=pitch, upper_speed=6000 * RPM, air=BENCHMARK_AIR)
         mine = a.speed[1] / RPM
         rows.append([
             f"{deg}", f"{mine:.0f} ({percent(mine, rpm)} %)", f"{a.thrust[1]:.4f} ({percent(a.thrust[1], thrust)} %)",
@@ -72,10 +77,10 @@ def report_thesis(solver: Solver) -> None:
     rows = []
     for h in SPACINGS:
         a = solver.balanced(
-            "thesis trim", pair, spacing=h, pitch=(PITCH, PITCH), upper_speed=6000 * RPM, air=AIR
+            "thesis trim", pair, spacing=h, pitch=(PITCH, PITCH), upper_speed=6000 * RPM, air=BENCHMARK_AIR
         )
         e = solver.pair(
-            "thesis", pair, spacing=h, pitch=(PITCH, PITCH), speed=(6000 * RPM, 6000 * RPM), air=AIR
+            "thesis", pair, spacing=h, pitch=(PITCH, PITCH), speed=(6000 * RPM, 6000 * RPM), air=BENCHMARK_AIR
         )
         rows.append([
             f"{1e3 * h:.0f}", f"{e.thrust[0]:.4f}{e.mark()}", f"{e.thrust[1]:.4f}", f"{1e3 * e.torque[1]:.3f}",
@@ -91,9 +96,9 @@ def report_thesis(solver: Solver) -> None:
 
 def report_big(solver: Solver) -> None:
     """The measured 28 inch pair: A is the lower rotor, B the upper one, at slightly different speeds."""
-    points = rows_of(DATA / "tmotor28_coaxial.csv")
+    points = read_number_rows(DATA / "tmotor28_coaxial.csv")
     chosen = points[np.linspace(0, len(points) - 1, 4).round().astype(int)]
-    case = t_motor_28(DATA)
+    case = load_t_motor_28(DATA)
     rows = []
     for n_crit in (0.1, 4.0, 9.0):
         rotor = blading_of(case, n_crit=n_crit)
@@ -103,7 +108,10 @@ def report_big(solver: Solver) -> None:
             a = solver.pair(
                 "28 inch", rotor, spacing=0.115, pitch=(0.0, 0.0), speed=speed, air=T_MOTOR_AIR, n_crit=n_crit
             )
-            b = solve(System.coaxial(rotor, rotor, spacing_m=0.115), Condition(0.0, speed, air=T_MOTOR_AIR))
+            b = solve_system(
+                RotorSystem.coaxial_pair(rotor, rotor, spacing_m=0.115),
+                OperatingCondition(0.0, speed, air=T_MOTOR_AIR),
+            )
             marks.append(a.mark())
             measured = np.array([t_u, q_u, t_l, q_l, t_l / t_u])
             mine = [a.thrust[0], a.torque[0], a.thrust[1], a.torque[1], _ratio(a, "thrust")]
@@ -119,7 +127,7 @@ def report_big(solver: Solver) -> None:
           ["", "upper thrust", "upper torque", "lower thrust", "lower torque", "lower / upper"], rows)  # fmt: skip
 
 
-def _loads(b: Result) -> list[float]:
+def _loads(b: SystemSolution) -> list[float]:
     return [b.upper.thrust_N, b.upper.torque_Nm, b.lower.thrust_N, b.lower.torque_Nm]
 
 
@@ -135,8 +143,8 @@ def report_bemt(solver: Solver) -> None:
         cells = []
         for j, ratio in enumerate(RATIOS):
             speed = (upper, upper * ratio)
-            a = solver.pair("ratios", pair, spacing=h, pitch=(PITCH, PITCH), speed=speed, air=AIR)
-            b = solve(System.coaxial(pair, pair, spacing_m=h), Condition(PITCH, speed))
+            a = solver.pair("ratios", pair, spacing=h, pitch=(PITCH, PITCH), speed=speed, air=BENCHMARK_AIR)
+            b = solve_system(RotorSystem.coaxial_pair(pair, pair, spacing_m=h), OperatingCondition(PITCH, speed))
             ours = np.array([a.thrust[0], a.torque[0], a.thrust[1], a.torque[1]])
             # The lower rotor may carry next to nothing: deviations are over what a rotor does alone at its speed.
             found[i, j] = 100 * (np.array(_loads(b)) - ours) / (scale * np.array([1, 1, ratio**2, ratio**2]))
@@ -158,19 +166,30 @@ def report_spacing(solver: Solver) -> None:
     rotor, speed = blading_of(case), (6000 * RPM, 6000 * RPM)
     how = WakeSettings(core_limit=0.3)
     alone = solver.single(case, PITCH, speed[0], settings=how)
-    lone = solve(System.single(rotor), Condition(PITCH, speed[0])).thrust_N
+    lone = solve_system(RotorSystem.single_rotor(rotor), OperatingCondition(PITCH, speed[0])).thrust_N
     rows = []
     for over in (0.1, 1 / 6, 0.25, 0.5, 1.0):
         a = solver.pair(
-            "spacing", rotor, spacing=0.12 * over, pitch=(PITCH, PITCH), speed=speed, air=AIR, settings=how, warm=False
-        )  # fmt: skip
+            "spacing",
+            rotor,
+            spacing=0.12 * over,
+            pitch=(PITCH, PITCH),
+            speed=speed,
+            air=BENCHMARK_AIR,
+            settings=how,
+            warm=False,
+        )
         cells = [
             f"{over:.3g}",
             f"{a.thrust[0] / alone.thrust[0]:.3f}",
             f"{_ratio(a, 'thrust'):.3f}{a.mark()}",
         ]
         for method in ("tubes", "bemt"):
-            b = solve(System.coaxial(rotor, rotor, spacing_m=0.12 * over), Condition(PITCH, speed), method)
+            b = solve_system(
+                RotorSystem.coaxial_pair(rotor, rotor, spacing_m=0.12 * over),
+                OperatingCondition(PITCH, speed),
+                method,
+            )
             cells += [f"{b.upper.thrust_N / lone:.3f}", f"{b.lower.thrust_N / b.upper.thrust_N:.3f}"]
         rows.append(cells)
     table("Over the spacing: upper thrust over alone, lower over upper thrust",
@@ -182,9 +201,7 @@ def main() -> None:
     """Print the tables."""
     args = arguments(__doc__, ("thesis", "big", "bemt", "spacing"))
     if not DATA.is_dir():
-        sys.exit(
-            "validate_wake_pairs: the measurements (../shared/data/aero) are not here; nothing to compare with"
-        )
+        sys.exit("validate_wake_pairs: the measurements (../shared/data/aero) are not here; nothing to compare with")
     solver = Solver(args.keep)
     for name, report in (
         ("thesis", report_thesis),

@@ -18,7 +18,17 @@ from rotor_cases import blading_of
 
 from mufly.answer_store import hash_question, read_answer, write_answer
 from mufly.errors import MuflyError
-from mufly.rotor import Air, Blading, Condition, Result, System, polars, prepare, replace_rotor, solve
+from mufly.rotor import (
+    Air,
+    Blading,
+    OperatingCondition,
+    RotorSystem,
+    SystemSolution,
+    compute_polars,
+    prepare_blading,
+    replace_rotor,
+    solve_system,
+)
 from mufly.rotor.wake import WakeSettings
 from mufly.study.benchmark import RotorCase
 
@@ -58,10 +68,10 @@ class Solver:
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
-        self.wakes: dict[str, Result] = {}
+        self.wakes: dict[str, SystemSolution] = {}
         self.broken: list[str] = []
 
-    def _kept(self, question: object, family: str, solved: Callable[[], Result]) -> Answer:
+    def _kept(self, question: object, family: str, solved: Callable[[], SystemSolution]) -> Answer:
         key = hash_question(question)
         path = self.folder and self.folder / f"{key[:24]}.json"
         kept = read_answer(path, key) if path else None
@@ -105,11 +115,11 @@ class Solver:
         how = settings or WakeSettings()
         question = ("single", case.name, pitch, speed, n_crit, cutout, panels, asdict(how), asdict(case.air))
 
-        def solved() -> Result:
+        def solved() -> SystemSolution:
             rotor = laid_out(case, n_crit, cutout, panels)
             start = self.wakes.get(case.name) if warm else None
-            point = Condition(pitch, speed, air=case.air)
-            return solve(System.single(rotor), point, "wake", settings=how, start=start)
+            point = OperatingCondition(pitch, speed, air=case.air)
+            return solve_system(RotorSystem.single_rotor(rotor), point, "wake", settings=how, start=start)
 
         return self._kept(question, case.name, solved)
 
@@ -130,10 +140,10 @@ class Solver:
         how = settings or WakeSettings()
         question = ("pair", name, spacing, pitch, speed, asdict(air), n_crit, asdict(how))
 
-        def solved() -> Result:
-            both = System.coaxial(rotor, rotor, spacing_m=spacing)
+        def solved() -> SystemSolution:
+            both = RotorSystem.coaxial_pair(rotor, rotor, spacing_m=spacing)
             start = self.wakes.get(name) if warm else None
-            return solve(both, Condition(pitch, speed, air=air), "wake", settings=how, start=start)
+            return solve_system(both, OperatingCondition(pitch, speed, air=air), "wake", settings=how, start=start)
 
         return self._kept(question, name, solved)
 
@@ -150,16 +160,19 @@ class Solver:
         """Two rotors alike at the lower speed that balances the torques."""
         question = ("balanced", name, spacing, pitch, upper_speed, asdict(air))
 
-        def solved() -> Result:
-            both = System.coaxial(rotor, rotor, spacing_m=spacing)
-            return solve(
-                both, Condition(pitch, (upper_speed, None), air=air), "wake", start=self.wakes.get(name)
+        def solved() -> SystemSolution:
+            both = RotorSystem.coaxial_pair(rotor, rotor, spacing_m=spacing)
+            return solve_system(
+                both,
+                OperatingCondition(pitch, (upper_speed, None), air=air),
+                "wake",
+                start=self.wakes.get(name),
             )
 
         return self._kept(question, name, solved)
 
 
-def _wobble(found: Result, last: int = 60) -> float:
+def _wobble(found: SystemSolution, last: int = 60) -> float:
     loads = found.history[-min(last, max(10, len(found.history) // 2)) :, 1:]
     return float(np.max(np.ptp(loads, axis=0) / 2 / np.abs(loads.mean(axis=0))))
 
@@ -167,8 +180,8 @@ def _wobble(found: Result, last: int = 60) -> float:
 def laid_out(case: RotorCase, n_crit: float, cutout: float | None, panels: int | None) -> Blading:
     """A case with another hub cut-out or another number of panels."""
     rotor = case.rotor if cutout is None else replace_rotor(case.rotor, {"hub_cutout": cutout})
-    tables = polars(list(rotor.airfoil_names()), n_crit=n_crit)
-    return prepare(rotor, tables, stations=panels or case_stations(case))
+    tables = compute_polars(list(rotor.airfoil_names()), n_crit=n_crit)
+    return prepare_blading(rotor, tables, stations=panels or case_stations(case))
 
 
 def case_stations(case: RotorCase) -> int:
@@ -195,9 +208,7 @@ def arguments(doc: str | None, parts: Sequence[str]) -> argparse.Namespace:
     """Read the command line that the scripts share."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(parts)}; default: all")
-    parser.add_argument(
-        "--keep", type=Path, metavar="DIR", help="keep solved cases there, and read them again"
-    )
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep solved cases there, and read them again")
     args = parser.parse_args()
     unknown = sorted(set(args.parts) - set(parts))
     if unknown:

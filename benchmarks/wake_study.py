@@ -22,7 +22,7 @@ from wake_cases import Answer, Solver, arguments, farewell, laid_out, percent, t
 
 from mufly.rotor.wake import WakeSettings
 from mufly.study.benchmark import RotorCase
-from mufly.study.benchmark.cases import AIR
+from mufly.study.benchmark.rotor_cases import BENCHMARK_AIR
 from mufly.units import RPM
 
 CORE_LIMIT, PAIR_CORE_LIMIT = 0.25, 0.3  # R
@@ -98,7 +98,7 @@ def report_pair(solver: Solver) -> None:
     def run(panels: int | None, change: dict[str, float]) -> Answer:
         return solver.pair(
             f"study {panels or ''}", laid_out(case, 0.1, None, panels), spacing=0.02, pitch=(pitch, pitch),
-            speed=(6000 * RPM, 6650 * RPM), air=AIR, settings=replace(base, **change), warm=False,  # type: ignore[arg-type]
+            speed=(6000 * RPM, 6650 * RPM), air=BENCHMARK_AIR, settings=replace(base, **change), warm=False,  # type: ignore[arg-type]
         )  # fmt: skip
 
     default = run(None, {})

@@ -49,19 +49,13 @@ def _space(parent: ElementTree.Element) -> None:
         elif part.tag.endswith("}mo") and text in "|/":
             part.set("lspace", "0")
             part.set("rspace", "0")
-        elif (
-            part.tag.endswith("}mo")
-            and text in "−-+"
-            and (before is None or (before.text or "#") in BEFORE_A_SIGN)
-        ):
+        elif part.tag.endswith("}mo") and text in "−-+" and (before is None or (before.text or "#") in BEFORE_A_SIGN):
             part.set("form", "prefix")
         if kind in ("mrow", "math", "mtd", "mstyle") and before is not None:
             after_name = _is_name(before) and (not part.tag.endswith("}mo") or text == "|")
             if after_name or (_is_name(part) and not before.tag.endswith(("}mo", "}mspace"))):
                 place = list(parent).index(part)
-                parent.insert(
-                    place, ElementTree.Element(part.tag.partition("}")[0] + "}mspace", width="0.167em")
-                )
+                parent.insert(place, ElementTree.Element(part.tag.partition("}")[0] + "}mspace", width="0.167em"))
         before = part
 
 

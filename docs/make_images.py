@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 
 import mufly
 from mufly.control import FlightController
-from mufly.dynamics import initial_state, simulate, trim
-from mufly.flight import Demand, draw_flight, fly, respond
+from mufly.dynamics import find_trim, initial_state, simulate_open_loop
+from mufly.flight import ControllerReference, draw_flight, fly_mission, simulate_response
 from mufly.mission import load_mission
-from mufly.vehicle import Vehicle, replace
+from mufly.vehicle import Vehicle, replace_parameters
 
 IMAGES = Path(__file__).parent / "images"
 BLUE, RED, GREEN = "#0072b2", "#d55e00", "#009e73"
@@ -27,13 +27,11 @@ BLUE, RED, GREEN = "#0072b2", "#d55e00", "#009e73"
 def flights(vehicle: Vehicle, controller: FlightController) -> None:
     for name in ("demonstration", "box-on-leg"):
         mission = load_mission(name)
-        dataset = fly(vehicle, mission, controller=controller)
+        dataset = fly_mission(vehicle, mission, controller=controller)
         points = [w.position_m for w in mission.waypoint]
         with tempfile.TemporaryDirectory() as folder:
             for picture in draw_flight(dataset, folder, waypoints=points, world=mission.world):
-                if picture.stem in ("track", "history") and (
-                    name == "demonstration" or picture.stem == "track"
-                ):
+                if picture.stem in ("track", "history") and (name == "demonstration" or picture.stem == "track"):
                     suffix = "" if name == "demonstration" else f"-{name}"
                     (IMAGES / f"{picture.stem}{suffix}.png").write_bytes(picture.read_bytes())
 
@@ -48,9 +46,9 @@ def _axes(figure: Figure, rows: int, labels: list[str]) -> list[Axes]:
 
 
 def heave_step(vehicle: Vehicle, controller: FlightController) -> None:
-    d = respond(
+    d = simulate_response(
         vehicle,
-        lambda t: Demand(z=-0.5 if t >= 1.0 else 0.0),
+        lambda t: ControllerReference(down_m=-0.5 if t >= 1.0 else 0.0),
         duration_s=10.0,
         controller=controller,
         charge=0.5,
@@ -71,11 +69,11 @@ def heave_step(vehicle: Vehicle, controller: FlightController) -> None:
 
 
 def pitch_following(vehicle: Vehicle, controller: FlightController) -> None:
-    def reference(t: float) -> Demand:
+    def reference(t: float) -> ControllerReference:
         steps = ((8.5, 0.0), (7.0, -0.06), (5.5, -0.14), (4.0, -0.04), (2.5, -0.10), (1.0, -0.03))
-        return Demand(pitch=next((value for begin, value in steps if t >= begin), 0.0))
+        return ControllerReference(pitch=next((value for begin, value in steps if t >= begin), 0.0))
 
-    d = respond(vehicle, reference, duration_s=10.0, controller=controller)
+    d = simulate_response(vehicle, reference, duration_s=10.0, controller=controller)
     figure = Figure(figsize=(7, 4.8), layout="constrained")
     top, bottom = _axes(figure, 2, ["pitch (rad)", "servo 1"])
     top.plot(d.time, d.reference_attitude.sel(angle="pitch"), "k--", lw=1, label="reference")
@@ -90,15 +88,15 @@ def bar_alone(vehicle: Vehicle) -> None:
     figure = Figure(figsize=(7, 3.4), layout="constrained")
     (axes,) = _axes(figure, 1, ["angle (deg)"])
     for seconds, style in ((0.24, "-"), (0.2, "--")):
-        v = replace(vehicle, {"stabiliser_bar.time_constant": seconds})
-        hover = trim(v)
+        v = replace_parameters(vehicle, {"stabiliser_bar.time_constant": seconds})
+        hover = find_trim(v)
         tilted = initial_state(
             position=(0, 0, -5),
             attitude=(math.radians(20.0), 0, 0),
             bar_attitude=(0, 0),
             rotor_speed=hover.rotor_speed,
         )
-        d = simulate(v, tilted, hover.input, duration_s=2.0, sample_s=0.005, voltage=hover.voltage_V)
+        d = simulate_open_loop(v, tilted, hover.input, duration_s=2.0, sample_s=0.005, voltage=hover.voltage_V)
         angles = np.degrees(d.truth_attitude.values)
         for k, (name, colour) in enumerate((("roll", BLUE), ("pitch", RED), ("yaw", GREEN))):
             axes.plot(d.time, angles[:, k], style, color=colour, label=f"{name}, bar {seconds:g} s")
@@ -110,7 +108,7 @@ def bar_alone(vehicle: Vehicle) -> None:
 def main() -> None:
     IMAGES.mkdir(exist_ok=True)
     vehicle = mufly.load_vehicle("mufly-1.1")
-    controller = mufly.control.design(vehicle)
+    controller = mufly.control.design_flight_controller(vehicle)
     flights(vehicle, controller)
     heave_step(vehicle, controller)
     pitch_following(vehicle, controller)

@@ -24,7 +24,7 @@ from mufly.cli import app
 from mufly.mission import Mission
 from mufly.rotor import Rotor
 from mufly.vehicle import Vehicle
-from mufly.vehicle.quantity import Quantity, Source
+from mufly.vehicle.quantity import Quantity, ValueSource
 
 ROOMS = (
     "vehicle", "world", "rotor", "rotor.wake", "drive", "bench", "cfd", "study", "dynamics", "identify", "control",
@@ -85,17 +85,13 @@ def _command(command: Any, path: str, level: str) -> str:
 
 def plain_help(text: str) -> str:
     """A help text as Markdown: markup for terminals gone, example lines as code."""
-    text = re.sub(
-        r"\[/?(bold|dim|italic|green|yellow|red|cyan)[^\]]*\]", "", inspect.cleandoc(text.replace("\b", ""))
-    )
+    text = re.sub(r"\[/?(bold|dim|italic|green|yellow|red|cyan)[^\]]*\]", "", inspect.cleandoc(text.replace("\b", "")))
     text = re.sub(r"(?<!`)(--[a-z][a-z0-9-]*)(?!`)", r"`\1`", text)
     # One to a paragraph, indented, as where there are many; or on one line with semicolons.
     text = re.sub(
         r"(^|\n)Examples?:\n((?:\n+ +[^\n]+)+)",
         lambda m: (
-            f"{m[1]}```\n"
-            + "\n".join(x.strip().replace("`", "") for x in m[2].split("\n") if x.strip())
-            + "\n```"
+            f"{m[1]}```\n" + "\n".join(x.strip().replace("`", "") for x in m[2].split("\n") if x.strip()) + "\n```"
         ),
         text,
     )
@@ -117,9 +113,7 @@ def _cell(text: object) -> str:
 def api(room: str) -> str:
     """Page of a room: what its ``__all__`` names and is defined in it."""
     module = importlib.import_module(f"mufly.{room}")
-    shown = [
-        n for n in getattr(module, "__all__", ()) if not isinstance(getattr(module, n), types.ModuleType)
-    ]
+    shown = [n for n in getattr(module, "__all__", ()) if not isinstance(getattr(module, n), types.ModuleType)]
     text = [f"# `mufly.{room}`", "", _first_paragraph(module.__doc__), ""]
     kinds: dict[str, list[str]] = {"Functions": [], "Classes": [], "Values": []}
     for name in shown:
@@ -170,7 +164,8 @@ def vehicle_file() -> str:
         "",
         '    mass = { value = 95, unit = "g", source = "measured", std = 0.1, note = "kitchen scale" }',
         "",
-        f"`source` is one of {', '.join(f'`{s}`' for s in typing.get_args(Source))}; `std` (standard deviation, in the "
+        f"`source` is one of {', '.join(f'`{s}`' for s in typing.get_args(ValueSource))}; `std` (standard "
+        f"deviation, in the "
         "unit given) and `note` may be left out. Any unit of the right kind is taken, and kept as SI.",
         "",
     ]

@@ -63,9 +63,7 @@ def wait(condition: Callable[[], Any], seconds: float = 90.0) -> None:
 
 def window(browser: Browser, url: str, dark: bool, size: tuple[int, int] = LARGE) -> Page:
     """Open the page and wait for what it shows."""
-    page = browser.new_page(
-        viewport={"width": size[0], "height": size[1]}, color_scheme="dark" if dark else "light"
-    )
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme="dark" if dark else "light")
     page.goto(url)
     page.wait_for_function("window.muflyLive?.latest?.s?.position[0] != null", timeout=60_000)
     page.wait_for_function("Boolean(window.muflyScene)")
@@ -143,9 +141,7 @@ def main() -> None:
             wait(lambda: state(page)["position"][0] > 1.5, 400.0)
             shoot(page, out / "station-camera.png")
             page.close()
-        with running(
-            "station", "--open", str(folder / "flight" / "flight.mcap"), "--out", str(folder)
-        ) as url:
+        with running("station", "--open", str(folder / "flight" / "flight.mcap"), "--out", str(folder)) as url:
             page = window(browser, url, dark=False)
             end = float(page.locator("[data-testid=replay-slider]").get_attribute("max") or 0)
             page.locator("[data-testid=replay-slider]").evaluate(

@@ -74,13 +74,9 @@ def homes() -> list[Home]:
             for part in line.split("; "):
                 match = _PART.fullmatch(part.strip())
                 if match is None:
-                    raise ValueError(
-                        f"{place}: {part!r} names nothing; write eq., Fig., Table or Sec. and numbers"
-                    )
+                    raise ValueError(f"{place}: {part!r} names nothing; write eq., Fig., Table or Sec. and numbers")
                 found += [Home(match[1].lower(), n, place, what) for n in _numbers(match[2])]
-    return sorted(
-        found, key=lambda h: (list(KINDS).index(h.kind), [(len(p), p) for p in h.number.split(".")])
-    )
+    return sorted(found, key=lambda h: (list(KINDS).index(h.kind), [(len(p), p) for p in h.number.split(".")]))
 
 
 def cited() -> dict[str, set[str]]:
@@ -108,10 +104,7 @@ def page() -> str:
         if rows:
             lines += ["", f"## {title}", "", "| no. | home | what |", "|---|---|---|"]
             run = (
-                [
-                    (h.place, h.number.split(".")[0], int(h.number.split(".")[1]) - k)
-                    for k, h in enumerate(rows)
-                ]
+                [(h.place, h.number.split(".")[0], int(h.number.split(".")[1]) - k) for k, h in enumerate(rows)]
                 if kind != "sec"
                 else rows
             )

@@ -15,7 +15,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from mufly.thesis import ITEMS, answer, cheap_first, recall, table_page, totals
+from mufly.thesis import (
+    THESIS_ITEMS,
+    answer_study,
+    count_verdicts,
+    load_cached_answer,
+    render_markdown_page,
+    studies_by_cost,
+)
 
 PAGE = Path(__file__).with_name("thesis.md")
 KEPT = Path(__file__).with_name("thesis.json")
@@ -31,13 +38,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--as-kept", action="store_true")
     if not parser.parse_args().as_kept:
-        for name in cheap_first():
-            sys.stderr.write(f"{answer(name).item.name}\n")
-        rows = [recall(name).to_dict() for name in ITEMS]
+        for name in studies_by_cost():
+            sys.stderr.write(f"{answer_study(name).item.name}\n")
+        rows = [load_cached_answer(name).to_dict() for name in THESIS_ITEMS]
         plain = [{k: v for k, v in row.items() if k not in _LEFT_OUT} for row in rows]
         KEPT.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    PAGE.write_text(table_page(kept()), encoding="utf-8")
-    sys.stdout.write(f"{PAGE.name}: {totals(kept())}\n")
+    PAGE.write_text(render_markdown_page(kept()), encoding="utf-8")
+    sys.stdout.write(f"{PAGE.name}: {count_verdicts(kept())}\n")
 
 
 if __name__ == "__main__":

@@ -82,6 +82,4 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with what takes longest where the tests are shared out."""
     if SHARED:
         place = {name: k for k, name in enumerate(EARLY)}
-        items.sort(
-            key=lambda item: min((place[n] for n in place if item.nodeid.startswith(n)), default=len(place))
-        )
+        items.sort(key=lambda item: min((place[n] for n in place if item.nodeid.startswith(n)), default=len(place)))

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 
 import mufly
-from mufly.compiled import boxed, sources_of
+from mufly.numba_cache import imported_sources, record_as_array
 
 PACKAGE = Path(mufly.__file__).parent
 
-GAIN = "from mufly.compiled import compiled\nK = {k}\n\n\n@compiled\ndef gain(x):\n    return K * x\n"
-LOOP = """from mufly.compiled import compiled
+GAIN = "from mufly.numba_cache import cached_njit\nK = {k}\n\n\n@cached_njit\ndef gain(x):\n    return K * x\n"
+LOOP = """from mufly.numba_cache import cached_njit
 from mufly.gains import gain
 
 
-@compiled
+@cached_njit
 def loop(x):
     return gain(x) + 1.0
 
@@ -42,7 +42,7 @@ def copied(folder: Path) -> Path:
     """A package with nothing but the decorator."""
     package = folder / "mufly"
     package.mkdir()
-    shutil.copy(PACKAGE / "compiled.py", package)
+    shutil.copy(PACKAGE / "numba_cache.py", package)
     (package / "__init__.py").write_text("")
     return package
 
@@ -73,9 +73,7 @@ if __name__ == "__main__":
 
     print(gain(Kept(a=2.0, b=5.0)), sum(gain.stats.cache_hits.values()))
 """
-OF_RECORD = (
-    "from mufly.compiled import compiled\n\n\n@compiled\ndef gain(pair):\n    return pair.a - pair.b\n"
-)
+OF_RECORD = "from mufly.numba_cache import cached_njit\n\n\n@cached_njit\ndef gain(pair):\n    return pair.a - pair.b\n"
 
 
 def test_the_fields_of_a_record_that_a_caller_defines_are_seen(tmp_path):
@@ -89,15 +87,20 @@ def test_the_fields_of_a_record_that_a_caller_defines_are_seen(tmp_path):
 
 
 def test_sources_follow_imports_through_rooms():
-    found = {p.relative_to(PACKAGE).as_posix() for p in sources_of(PACKAGE / "dynamics" / "simulation.py")}
-    assert {"dynamics/simulation.py", "dynamics/model.py", "drive/train.py", "vehicle/schema.py"} <= found
+    found = {p.relative_to(PACKAGE).as_posix() for p in imported_sources(PACKAGE / "dynamics" / "simulation.py")}
+    assert {
+        "dynamics/simulation.py",
+        "dynamics/equations_of_motion.py",
+        "drive/drive_train.py",
+        "vehicle/vehicle_schema.py",
+    } <= found
     assert not any(name.startswith(("control/", "flight/", "link/")) for name in found)
 
 
 def test_every_compiled_function_of_the_package_is_kept_by_its_sources():
     """Numba's own decorator with its own cache would run stale code again."""
     for path in PACKAGE.rglob("*.py"):
-        if path.name != "compiled.py":
+        if path.name != "numba_cache.py":
             assert "njit(cache" not in path.read_text(encoding="utf-8"), path
 
 
@@ -105,7 +108,7 @@ def test_a_boxed_record_is_the_record():
     """What a flight changes in its gains while it flies is what the compiled control law sees."""
     whole = np.zeros(1, [("a", "f8"), ("b", "f8", 3)])
     record = whole[0]
-    box = boxed(record)
+    box = record_as_array(record)
     record["a"] = 3.0
     box["b"][0, 1] = 4.0
     assert box[0]["a"] == 3.0

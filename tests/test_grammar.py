@@ -8,16 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.errors import InputError, suggest_name
-from mufly.grammar import (
-    read_band,
-    read_doubt,
-    read_pair,
+from mufly.quantity_grammar import (
+    read_integer,
+    read_interval,
     read_quantity,
-    read_span,
-    read_steps,
+    read_rotor_pair,
+    read_stepped_range,
+    read_time_span,
+    read_value_with_std,
     read_values,
     read_vector,
-    read_whole,
 )
 
 
@@ -110,20 +110,20 @@ def test_lists_and_ranges(text: str, unit: str, values: tuple[float, ...]) -> No
 
 
 def test_other_forms() -> None:
-    assert read_pair("--x", "14", "deg") == (14.0, 14.0)
-    assert read_pair("--x", "14,12deg", "deg") == (14.0, 12.0)
-    assert read_steps("--x", "-1:3:0.5m/s", "m/s") == (-1.0, 3.0, 0.5)
-    assert read_steps("--x", "2500:6000", "rpm") == (2500.0, 6000.0, None)
-    assert read_steps("--x", "2500", "rpm") == (2500.0, None, None)
-    assert read_band("--x", "60:180rpm", "Hz") == pytest.approx((1.0, 3.0))
+    assert read_rotor_pair("--x", "14", "deg") == (14.0, 14.0)
+    assert read_rotor_pair("--x", "14,12deg", "deg") == (14.0, 12.0)
+    assert read_stepped_range("--x", "-1:3:0.5m/s", "m/s") == (-1.0, 3.0, 0.5)
+    assert read_stepped_range("--x", "2500:6000", "rpm") == (2500.0, 6000.0, None)
+    assert read_stepped_range("--x", "2500", "rpm") == (2500.0, None, None)
+    assert read_interval("--x", "60:180rpm", "Hz") == pytest.approx((1.0, 3.0))
     assert read_vector("--x", "0.5", "m/s") == (0.5,)
     assert read_vector("--x", "1.8,0,0km/h", "m/s") == pytest.approx((0.5, 0.0, 0.0))
-    assert read_doubt("--x", "0.06", "m") == (0.06, 0.0)
-    assert read_doubt("--x", "60±0.2mm", "m") == pytest.approx((0.06, 0.0002))
-    assert read_doubt("--x", "1.2+-1%", "kg/m3") == pytest.approx((1.2, 0.012))
-    assert read_span("--x", "0.5min+2s") == (30.0, 32.0)
-    assert read_span("--x", "") == (0.0, math.inf)
-    assert (read_whole("--x", "12"), read_whole("--x", "1e3"), read_whole("--x", str(2**62))) == (
+    assert read_value_with_std("--x", "0.06", "m") == (0.06, 0.0)
+    assert read_value_with_std("--x", "60±0.2mm", "m") == pytest.approx((0.06, 0.0002))
+    assert read_value_with_std("--x", "1.2+-1%", "kg/m3") == pytest.approx((1.2, 0.012))
+    assert read_time_span("--x", "0.5min+2s") == (30.0, 32.0)
+    assert read_time_span("--x", "") == (0.0, math.inf)
+    assert (read_integer("--x", "12"), read_integer("--x", "1e3"), read_integer("--x", str(2**62))) == (
         12,
         1000,
         2**62,
@@ -137,18 +137,18 @@ def test_other_forms() -> None:
         (read_values, "1:2:3:4", "is no range"),
         (read_values, "1:1e9:1", "larger steps"),
         (read_values, "5,,6", "'5,,6' lacks a number"),
-        (read_pair, "1,2,3", "neither one value nor two"),
-        (read_steps, "3:1", "holds no two values"),
-        (read_band, "3", "is no band; write LOW:HIGH (Hz)"),
+        (read_rotor_pair, "1,2,3", "neither one value nor two"),
+        (read_stepped_range, "3:1", "holds no two values"),
+        (read_interval, "3", "is no band; write LOW:HIGH (Hz)"),
         (read_vector, "0,5", "'0,5' holds 2 numbers"),
-        (read_doubt, "1+--2", "negative standard deviation"),
+        (read_value_with_std, "1+--2", "negative standard deviation"),
     ],
 )
 def test_other_forms_are_refused(read, text: str, message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         read("--x", text, "Hz")
     with pytest.raises(InputError, match=re.escape("'2.5' is no whole number")):
-        read_whole("--x", "2.5")
+        read_integer("--x", "2.5")
 
 
 @given(st.floats(-1e6, 1e6, allow_subnormal=False), st.sampled_from(["rpm", "mm", "deg", "gf", "mA h", "%"]))
@@ -159,7 +159,14 @@ def test_a_bare_number_is_the_number_to_the_last_bit(value: float, unit: str) ->
 
 @given(st.text(alphabet="0123456789.,:+-eE nNmM/%°µ^()x\t", max_size=14))
 def test_any_text_is_a_number_or_an_input_error(text: str) -> None:
-    for read in (read_quantity, read_values, read_steps, read_doubt, read_vector, read_band):
+    for read in (
+        read_quantity,
+        read_values,
+        read_stepped_range,
+        read_value_with_std,
+        read_vector,
+        read_interval,
+    ):
         try:
             found = read("--x", text, "N")
         except InputError:

@@ -72,7 +72,7 @@ def test_hover_is_solved_once():
     thrust = p["thrust_up"] * speeds[0] ** 2 + p["thrust_dw"] * speeds[1] ** 2
     assert thrust == pytest.approx(p["mass"] * mufly.dynamics.GRAVITY + p["downwash"], rel=1e-14)
     assert p["torque_up"] * speeds[0] ** 2 == pytest.approx(p["torque_dw"] * speeds[1] ** 2, rel=1e-14)
-    assert mufly.dynamics.trim(vehicle).rotor_speed == pytest.approx(speeds, rel=1e-9)
+    assert mufly.dynamics.find_trim(vehicle).rotor_speed == pytest.approx(speeds, rel=1e-9)
     batch = np.array([p, p])
     batch["mass"][1] *= 4.0
     batch["downwash"][1] *= 4.0

@@ -51,9 +51,7 @@ def only_posix(tree: ast.AST) -> list[str]:
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             if node.attr in _NAMES.get(node.value.id, ()):
                 found.append(f"{node.value.id}.{node.attr}")
-        elif (
-            isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith(_PLACES)
-        ):
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith(_PLACES):
             found.append(node.value)
     return found
 
@@ -69,15 +67,11 @@ def without_encoding(tree: ast.AST) -> list[int]:
             found.append(node.lineno)
         opens = isinstance(f, ast.Name) and f.id == "open"
         opens = opens or (
-            isinstance(f, ast.Attribute)
-            and f.attr == "open"
-            and isinstance(f.value, ast.Name | ast.Attribute)
+            isinstance(f, ast.Attribute) and f.attr == "open" and isinstance(f.value, ast.Name | ast.Attribute)
         )
         if opens:
             modes = [a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
-            modes += [
-                k.value.value for k in node.keywords if k.arg == "mode" and isinstance(k.value, ast.Constant)
-            ]
+            modes += [k.value.value for k in node.keywords if k.arg == "mode" and isinstance(k.value, ast.Constant)]
             texts = [m for m in modes if set(m) <= set("rwax+t") and len(m) <= 3]
             if texts and not any("b" in m for m in modes):
                 found.append(node.lineno)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import mufly
-from mufly.results import meaning_of, meanings, plain, result, rows
+from mufly.results import field_meaning, field_meanings, result, result_rows, to_plain_data
 
 
 @result(eq=False)
@@ -49,7 +49,7 @@ POINT = Point(0.25, math.nan, 1.2, 3.0, np.arange(9.0))
 
 
 def test_units_come_from_names_and_from_the_docstring() -> None:
-    found = meanings(Point)
+    found = field_meanings(Point)
     assert [found[k].unit for k in ("thrust_N", "torque_Nm", "density", "gain")] == ["N", "N m", "kg/m3", ""]
     assert found["thrust_N"].label == "thrust"
     assert found["torque_Nm"].meaning == "Of the rotor. More words."
@@ -59,7 +59,7 @@ def test_units_come_from_names_and_from_the_docstring() -> None:
         "N/W",
         "Thrust over power.",
     )
-    assert meaning_of(Point(1, 1, 1, 1, np.ones(1), POINT), "part.thrust_N").unit == "N"
+    assert field_meaning(Point(1, 1, 1, 1, np.ones(1), POINT), "part.thrust_N").unit == "N"
 
 
 def test_a_result_prints_itself_with_units_and_meaning() -> None:
@@ -71,12 +71,12 @@ def test_a_result_prints_itself_with_units_and_meaning() -> None:
     assert "How much of it" in lines[4]
     assert "abc" not in lines[4]
     assert POINT._repr_html_().count("<tr>") == 6
-    assert [r.unit for r in rows(POINT, ["density"])] == ["kg/m3"]
+    assert [r.unit for r in result_rows(POINT, ["density"])] == ["kg/m3"]
 
 
 def test_json() -> None:
-    assert json.loads(json.dumps(plain(POINT)))["torque_Nm"] is None
-    assert plain({"a": [np.float64(1.5), 1 + 2j, POINT]})["a"][1] == {"real": 1.0, "imag": 2.0}
+    assert json.loads(json.dumps(to_plain_data(POINT)))["torque_Nm"] is None
+    assert to_plain_data({"a": [np.float64(1.5), 1 + 2j, POINT]})["a"][1] == {"real": 1.0, "imag": 2.0}
 
 
 def test_results_are_frozen() -> None:
@@ -85,35 +85,35 @@ def test_results_are_frozen() -> None:
 
 
 def test_a_result_of_the_package_prints_with_units() -> None:
-    from mufly.dynamics import hover_performance, trim
+    from mufly.dynamics import find_trim, hover_performance
     from mufly.vehicle import load_vehicle
 
     vehicle = load_vehicle("mufly-1.1")
     lines = str(hover_performance(vehicle)).splitlines()
     assert lines[0].startswith("HoverPerformance: ")
     assert any(line.split()[:1] == ["thrust"] and " N " in f"{line} " for line in lines)
-    assert str(trim(vehicle)).startswith("steady at")  # its own words
+    assert str(find_trim(vehicle)).startswith("steady at")  # its own words
 
 
 # Dataclasses that public functions return and that are no answers: what goes in, what runs, what is sent over a wire.
 _NO_RESULTS = {
     "camera": "Floor RecordedPictures",  # made to be rendered, or looked at
-    "cfd": "Form Mesh Point PolyMesh",  # shapes and cases; mesh_picture draws them
-    "estimate": "Estimate Watch",  # of one instant, a thousand times a second
-    "identify": "Columns Free",
-    "firmware": "FixedLaw Section",
-    "flight": "Estimate Layout Limits Readings Truth",
-    "flight.monte_carlo": "Case Variation",
-    "link": "Ack ClearAll Command Count Endpoint Item Origin Plan RequestItem RequestList",
-    "logs": "Layout McapContents RawLog",
-    "mission": "Answer Item Leg MissionPlan MissionState MissionTiming Reference Spline Trajectory",
+    "cfd": "BladeGeometry SectorMesh OperatingPoint PolyMesh",  # shapes and cases; mesh_picture draws them
+    "estimate": "Estimate EstimateMonitor",  # of one instant, a thousand times a second
+    "identify": "LogColumns FreeParameter",
+    "firmware": "FixedPointLaw EvidenceSection",
+    "flight": "Estimate RecordingLayout TrajectoryLimits Readings Truth",
+    "flight.monte_carlo": "FlightCase ParameterVariation",
+    "link": "MissionAck MissionClearAll Command MissionCount Endpoint MissionItem GlobalOrigin MissionPlan MissionRequestItem MissionRequestList",
+    "logs": "RecordingLayout McapContents RawLog",
+    "mission": "RequestAnswer MissionItem PlannedLeg MissionPlan MissionState MissionTiming Reference CubicSpline Trajectory",
     "rotor": "Blading",
-    "bench": "Column",
+    "bench": "ColumnMeaning",
     "sensors": "Fault Readings Truth",
-    "slam": "Frame Motion Path3 Sketch Source Telling",  # what goes in; a map as the page draws it
+    "slam": "CameraFrame VehicleMotion VehiclePath MapView FrameSource FrameInfo",  # what goes in; a map as the page draws it
     "station": "",
-    "study": "Condition Limit System",
-    "thesis": "Item",
+    "study": "OperatingCondition DesignLimit RotorSystem",
+    "thesis": "ThesisItem",
     "world": "Box",
 }
 
@@ -154,36 +154,42 @@ def test_every_answer_of_a_public_function_shows_and_draws_itself(room: str) -> 
 
 
 def test_results_draw_themselves() -> None:
-    from mufly.drive import blade_load, load_drive, operating_point
+    from mufly.drive import find_operating_point, load_drive, make_blade_load
     from mufly.dynamics import hover_performance
-    from mufly.rotor import Measurements, compare, hover, load_airfoil, load_rotor, polar, prepare
+    from mufly.rotor import (
+        RotorMeasurements,
+        compare_measurements,
+        compute_polar,
+        load_airfoil,
+        load_rotor,
+        prepare_blading,
+        solve_rotor,
+    )
 
     rotor = load_rotor("naca0012-r60-c20")
-    point = hover(rotor, pitch_rad=0.2, speed_rad_s=500.0)
+    point = solve_rotor(rotor, pitch_rad=0.2, speed_rad_s=500.0)
     one = np.array([0.2]), np.array([500.0]), np.array([0.2]), np.array([0.002])
-    met = operating_point(
-        load_drive("mufly"), blade_load(prepare(rotor), pitch_rad=0.2), duty=np.linspace(0.5, 1, 9)
+    met = find_operating_point(
+        load_drive("mufly"),
+        make_blade_load(prepare_blading(rotor), pitch_rad=0.2),
+        duty=np.linspace(0.5, 1, 9),
     )
     vehicle = mufly.load_vehicle("mufly-1.1")
     drawn = {
-        "a table": result(type("Words", (), {"__doc__": "Words.", "__annotations__": {"text": str}}))(
-            "only words"
-        ),
+        "a table": result(type("Words", (), {"__doc__": "Words.", "__annotations__": {"text": str}}))("only words"),
         "bars": hover_performance(vehicle),
         "lines": POINT,
         "over the duty": met,
         "of its own": point,
-        "compared": compare(rotor, Measurements(*one, source="a bench")),
+        "compared": compare_measurements(rotor, RotorMeasurements(*one, source="a bench")),
         "section": load_airfoil("naca4412"),
-        "polar": polar("naca0012"),
+        "polar": compute_polar("naca0012"),
     }
     for what, thing in drawn.items():
         figure = thing.plot()
         assert figure.axes, what
         figure.draw_without_rendering()
-        assert all(
-            a.get_xlabel() or not a.axison for a in figure.axes if a.get_subplotspec().is_last_row()
-        ), what
+        assert all(a.get_xlabel() or not a.axison for a in figure.axes if a.get_subplotspec().is_last_row()), what
     labels = {a.get_ylabel() for a in met.plot().axes}
     assert any("N m" in s for s in labels), "units stand at the axes"
 

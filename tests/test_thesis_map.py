@@ -14,9 +14,7 @@ ELSEWHERE = {"1.4": "Ljung", "2.99": "Leishman", "7.46": "Tischler and Remple", 
 
 
 def test_the_page_is_what_the_docstrings_say():
-    assert thesis_map.PAGE.read_text(encoding="utf-8") == thesis_map.page(), (
-        "run python docs/make_thesis_map.py"
-    )
+    assert thesis_map.PAGE.read_text(encoding="utf-8") == thesis_map.page(), "run python docs/make_thesis_map.py"
 
 
 def test_everything_has_one_home():

@@ -6,9 +6,23 @@ import pytest
 
 from mufly.bench import parse_header
 from mufly.errors import InputError
-from mufly.quantities import LABELS, QUANTITIES, kept_by, our_name, quantity_named, split_name, told_by
+from mufly.quantities import (
+    DIMENSION_LABELS,
+    QUANTITIES,
+    find_quantity,
+    mavlink_columns,
+    parse_column_name,
+    quantities_recorded_in,
+    split_signal_name,
+)
 from mufly.study import parse_quantity
-from mufly.units import STANDARD_GRAVITY_M_S2, conversion, factor_of, known_unit, units_of
+from mufly.units import (
+    STANDARD_GRAVITY_M_S2,
+    compatible_units,
+    conversion_factor,
+    normalise_unit,
+    unit_conversion,
+)
 from mufly.vehicle import load_vehicle
 
 
@@ -22,13 +36,13 @@ from mufly.vehicle import load_vehicle
 )
 def test_bench_study_and_table_agree_to_the_last_bit(header, text, si):
     unit = header.replace("(", "_").replace(")", "").replace(" ", "").partition("_")[2]
-    assert parse_header(header).factor == factor_of(unit, si) == parse_quantity(*text)
+    assert parse_header(header).factor == conversion_factor(unit, si) == parse_quantity(*text)
 
 
 def test_a_vehicle_file_takes_every_unit_of_the_table(tmp_path):
     text = tmp_path / "v.toml"
-    for unit in units_of("m"):
-        value = load_vehicle("mufly-1.1").rotors.radius.value / factor_of(unit)
+    for unit in compatible_units("m"):
+        value = load_vehicle("mufly-1.1").rotors.radius.value / conversion_factor(unit)
         text.write_text(_with_radius(value, unit), encoding="utf-8")
         assert float(load_vehicle(text).rotors.radius) == pytest.approx(0.0875)
 
@@ -44,35 +58,37 @@ def _with_radius(value, unit):
 
 
 def test_load_cells_in_grams_weigh_with_the_standard_gravity():
-    assert factor_of("gf") == pytest.approx(STANDARD_GRAVITY_M_S2 / 1000)
-    assert conversion("g", "N")[1] == conversion("gf")[1] == parse_header("T(g)").factor
-    assert conversion("g")[0] == "kg"
+    assert conversion_factor("gf") == pytest.approx(STANDARD_GRAVITY_M_S2 / 1000)
+    assert unit_conversion("g", "N")[1] == unit_conversion("gf")[1] == parse_header("T(g)").factor
+    assert unit_conversion("g")[0] == "kg"
 
 
 def test_capitals_do_not_matter_where_the_dimension_is_known():
-    assert known_unit("nmm", "N m") == "N mm"
-    assert known_unit("RAD_S", "rad/s") == "rad/s"
-    assert known_unit("nmm") == ""
-    assert conversion("K", "degC")[1:] == (1.0, -273.15)
+    assert normalise_unit("nmm", "N m") == "N mm"
+    assert normalise_unit("RAD_S", "rad/s") == "rad/s"
+    assert normalise_unit("nmm") == ""
+    assert unit_conversion("K", "degC")[1:] == (1.0, -273.15)
     with pytest.raises(InputError, match="cannot become"):
-        conversion("mm", "s")
+        unit_conversion("mm", "s")
 
 
 def test_names_are_unique_and_every_quantity_is_found_by_its_name_and_columns():
     assert len({q.name for q in QUANTITIES}) == len(QUANTITIES)
     for q in QUANTITIES:
-        assert quantity_named(q.name) is q
-        assert q.dim is None or q.dim in ("beam", "channel", "actuator") or q.labels == LABELS[q.dim]
-        for label in q.labels or ([] if q.dim is None else ["1"]):
-            assert our_name(f"{q.name}_{label}") == (q.name, str(label))
-            assert split_name(f"{q.name}.{label}", "here") == (q, q.name, str(label))
-    assert quantity_named("reference_rates").long_name == "reference body rates"
-    assert quantity_named("flap") is None
+        assert find_quantity(q.name) is q
+        assert (
+            q.dim is None or q.dim in ("beam", "channel", "actuator") or q.component_labels == DIMENSION_LABELS[q.dim]
+        )
+        for label in q.component_labels or ([] if q.dim is None else ["1"]):
+            assert parse_column_name(f"{q.name}_{label}") == (q.name, str(label))
+            assert split_signal_name(f"{q.name}.{label}", "here") == (q, q.name, str(label))
+    assert find_quantity("reference_rates").long_name == "reference body rates"
+    assert find_quantity("flap") is None
 
 
 def test_a_station_keeps_what_a_flight_keeps_in_the_same_order():
-    station = [q for q in kept_by("flight", "station") if q.kept == "flight"]
-    assert tuple(station) == kept_by("flight")
+    station = [q for q in quantities_recorded_in("flight", "station") if q.recorded_in == "flight"]
+    assert tuple(station) == quantities_recorded_in("flight")
 
 
 def test_the_mavlink_fields_of_the_table_are_in_the_dialect_with_these_units():
@@ -83,7 +99,7 @@ def test_the_mavlink_fields_of_the_table_are_in_the_dialect_with_these_units():
 
     messages = {m.msgname: m for m in common.mavlink_map.values()}
     for q in QUANTITIES:
-        for wire in q.mavlink:
+        for wire in q.mavlink_sources:
             message = messages[wire.message]
             for field in wire.fields.split():
                 name = field.partition("[")[0]
@@ -92,9 +108,9 @@ def test_the_mavlink_fields_of_the_table_are_in_the_dialect_with_these_units():
 
 
 def test_a_message_tells_columns_with_their_factors():
-    assert told_by("ATTITUDE")[0] == ("roll", "estimated_attitude_roll", 1.0)
-    assert told_by("RAW_RPM")[1] == ("frequency", "measured_rotor_speed_lower", math.pi / 30)
-    assert told_by("RC_CHANNELS")[7][:2] == ("chan8_raw", "pilot_input_8")
+    assert mavlink_columns("ATTITUDE")[0] == ("roll", "estimated_attitude_roll", 1.0)
+    assert mavlink_columns("RAW_RPM")[1] == ("frequency", "measured_rotor_speed_lower", math.pi / 30)
+    assert mavlink_columns("RC_CHANNELS")[7][:2] == ("chan8_raw", "pilot_input_8")
 
 
 @pytest.mark.parametrize(
@@ -116,15 +132,19 @@ def test_a_message_tells_columns_with_their_factors():
     ],
 )  # fmt: skip
 def test_units_of_the_field_are_known_in_their_usual_spellings(spelt, unit, si, one):
-    assert known_unit(spelt, si) == unit
-    reached, factor, offset = conversion(spelt, si)
+    assert normalise_unit(spelt, si) == unit
+    reached, factor, offset = unit_conversion(spelt, si)
     assert (reached, factor + offset) == (si, pytest.approx(one))
 
 
 @pytest.mark.parametrize("other", ["S", "M", "furlong", "N/A", "G", "MHz", "millipascals of mercury"])
 def test_a_capital_of_another_meaning_is_no_unit(other):
-    assert known_unit(other) == ""
+    assert normalise_unit(other) == ""
 
 
 def test_a_unit_that_capitals_leave_open_is_unknown():
-    assert (known_unit("mPa", "Pa"), known_unit("MPa", "Pa"), known_unit("MPA", "Pa")) == ("mPa", "MPa", "")
+    assert (normalise_unit("mPa", "Pa"), normalise_unit("MPa", "Pa"), normalise_unit("MPA", "Pa")) == (
+        "mPa",
+        "MPa",
+        "",
+    )

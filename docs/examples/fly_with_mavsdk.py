@@ -98,9 +98,7 @@ async def fly(url: str) -> None:
         await action.arm()
         await first(telemetry.subscribe_armed(), lambda armed: armed, "armed")
         await action.takeoff()
-        await first(
-            telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.HOLD, "the end of the take-off"
-        )
+        await first(telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.HOLD, "the end of the take-off")
         await first(telemetry.subscribe_in_air(), lambda flying: flying, "in the air")
         print("in the air", flush=True)
 
@@ -121,9 +119,7 @@ async def fly(url: str) -> None:
         await mission.clear_mission()
         print(f"mission cleared, {len(await mission.download_mission())} items left", flush=True)
 
-        await offboard.set_position_ned(
-            PositionNedYaw(0.6, 0.6, -1.2, 0.0)
-        )  # a set-point has to be there first
+        await offboard.set_position_ned(PositionNedYaw(0.6, 0.6, -1.2, 0.0))  # a set-point has to be there first
         await offboard.start()
         for north, east in SQUARE:
             await offboard.set_position_ned(PositionNedYaw(north, east, -1.0, 0.0))

@@ -24,7 +24,7 @@ folder.mkdir(exist_ok=True)
 # that presses on the fuselage, and their torques cancel. `trim` solves for that.
 
 # %%
-hover = dynamics.trim(vehicle)
+hover = dynamics.find_trim(vehicle)
 upper, lower = hover.rotor_speed * 60.0 / (2.0 * 3.14159265)
 print(f"motor inputs {hover.input[0]:.3f} (upper), {hover.input[1]:.3f} (lower)")
 print(f"rotor speeds {upper:.0f} and {lower:.0f} rpm")
@@ -39,8 +39,8 @@ print(f"rotor speeds {upper:.0f} and {lower:.0f} rpm")
 # nonlinear one. The demonstration is the dissertation's: take off, four waypoints, land.
 
 # %%
-controller = control.design(vehicle)
-recording = flight.fly(vehicle, "demonstration", controller=controller)
+controller = control.design_flight_controller(vehicle)
+recording = flight.fly_mission(vehicle, "demonstration", controller=controller)
 print(recording.attrs["outcome"], f"after {float(recording.time[-1]):.0f} s")
 
 # %% [markdown]
@@ -67,7 +67,7 @@ figure.savefig(folder / "way.png")
 # The summary judges the flight by the truth, not by what the helicopter believed.
 
 # %%
-summary = flight.summarise(recording)
+summary = flight.summarise_flight(recording)
 for name, value in flight.summary_rows(summary):
     print(f"{name:34s} {value}")
 
@@ -78,7 +78,7 @@ for name, value in flight.summary_rows(summary):
 # again; another seed gives other gusts. Wind pushes sideways, so the distance in the horizontal plane shows it.
 
 # %%
-windy = flight.fly(vehicle, "demonstration", controller=controller, wind=(1.8, 0.0, 0.0), gust=0.3, seed=1)
+windy = flight.fly_mission(vehicle, "demonstration", controller=controller, wind=(1.8, 0.0, 0.0), gust=0.3, seed=1)
 
 
 def sideways(data):
@@ -91,9 +91,7 @@ figure, axes = plt.subplots(figsize=(9, 3))
 for name, data in (("wind", windy), ("calm", recording)):
     off = 100.0 * sideways(data)
     axes.plot(data.time, off, label=name)
-    print(
-        f"{name}: {float(off.max()):.1f} cm at worst, {float((off**2).mean()) ** 0.5:.2f} cm on average (rms)"
-    )
+    print(f"{name}: {float(off.max()):.1f} cm at worst, {float((off**2).mean()) ** 0.5:.2f} cm on average (rms)")
 axes.set(xlabel="time (s)", ylabel="away from the reference (cm)")
 axes.legend()
 figure.tight_layout()
@@ -111,7 +109,7 @@ figure.savefig(folder / "wind.png")
 # unless told otherwise.
 
 # %%
-felt = flight.fly(
+felt = flight.fly_mission(
     vehicle, "demonstration", controller=controller, wind=(1.8, 0.0, 0.0), gust=0.3, seed=1, sensors="fitted"
 )
 error = felt.estimated_position - felt.truth_position
@@ -136,7 +134,7 @@ plt.show()
 # ## Try
 #
 # * Give it `wind=(4.0, 0.0, 0.0)`. What does the summary say of air beyond the model?
-# * `flight.fly(vehicle, "box-on-leg", ...)`: a crate stands on the way, seen by eight beams.
+# * `simulated_flight.fly(vehicle, "box-on-leg", ...)`: a crate stands on the way, seen by eight beams.
 # * Watch it: `mufly fly` in a terminal opens the ground station.
 #
 # What the numbers rest on, and where they fall short: [validation](../validation.md).

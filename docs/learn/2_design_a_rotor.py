@@ -11,9 +11,16 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mufly.drive import blade_load, load_drive, operating_point
-from mufly.rotor import blade_picture, hover, load_rotor, prepare
-from mufly.study import Setup, lines_picture, optimise, parse_limit, parse_settings, sweep
+from mufly.drive import find_operating_point, load_drive, make_blade_load
+from mufly.rotor import blade_picture, load_rotor, prepare_blading, solve_rotor
+from mufly.study import (
+    StudySetup,
+    optimise_rotor,
+    parse_limit,
+    parse_settings,
+    sweep_parameters,
+    sweep_picture,
+)
 
 rotor = load_rotor("naca4412-r60-c20")
 drive = load_drive("mufly")
@@ -31,13 +38,9 @@ folder.mkdir(exist_ok=True)
 # Reynolds number of each ring.
 
 # %%
-point = hover(rotor, pitch_rad=np.radians(14.0), speed_rad_s=6000 * np.pi / 30)
-print(
-    f"thrust {1e3 * point.thrust_N:.0f} mN, torque {1e3 * point.torque_Nm:.2f} mN m, power {point.power_W:.2f} W"
-)
-print(
-    f"figure of merit {point.figure_of_merit:.2f}: an ideal rotor of this size would need that share of the power"
-)
+point = solve_rotor(rotor, pitch_rad=np.radians(14.0), speed_rad_s=6000 * np.pi / 30)
+print(f"thrust {1e3 * point.thrust_N:.0f} mN, torque {1e3 * point.torque_Nm:.2f} mN m, power {point.power_W:.2f} W")
+print(f"figure of merit {point.figure_of_merit:.2f}: an ideal rotor of this size would need that share of the power")
 
 # %% [markdown]
 # ## Where motor and blade meet
@@ -48,8 +51,8 @@ print(
 duty = np.linspace(0.4, 1.0, 13)
 figure, (thrust, efficiency) = plt.subplots(1, 2, figsize=(9, 3.4))
 for pitch_deg in (10, 14, 18):
-    load = blade_load(prepare(rotor), pitch_rad=np.radians(pitch_deg))
-    met = operating_point(drive, load, duty=duty)
+    load = make_blade_load(prepare_blading(rotor), pitch_rad=np.radians(pitch_deg))
+    met = find_operating_point(drive, load, duty=duty)
     thrust.plot(duty, 1e3 * met.thrust_N, label=f"{pitch_deg} deg")
     efficiency.plot(1e3 * met.thrust_N, met.thrust_per_power_N_W, label=f"{pitch_deg} deg")
 thrust.set(xlabel="motor input (share of the voltage)", ylabel="thrust (mN)")
@@ -68,9 +71,9 @@ figure.savefig(folder / "drive.png")
 # Chord and pitch together, at 0.4 N, with the gear that suits each case.
 
 # %%
-setup = Setup(rotor, drive, {"thrust": 0.4, "gear": "adapted"})
-data = sweep(setup, parse_settings(["chord=10:30:10mm", "pitch=6:20:1deg"]))
-picture = lines_picture(data, "thrust_per_power_N_W")
+setup = StudySetup(rotor, drive, {"thrust": 0.4, "gear": "adapted"})
+data = sweep_parameters(setup, parse_settings(["chord=10:30:10mm", "pitch=6:20:1deg"]))
+picture = sweep_picture(data, "thrust_per_power_N_W")
 picture.savefig(folder / "sweep.png")
 picture
 
@@ -84,8 +87,8 @@ picture
 # printed.
 
 # %%
-start = Setup(rotor, drive, {"thrust": 0.4})
-best = optimise(
+start = StudySetup(rotor, drive, {"thrust": 0.4})
+best = optimise_rotor(
     start, "thrust-per-power", ("chord", "twist", "taper", "gear"),
     limits=[parse_limit("thickness_mm>=0.8"), parse_limit("chord<=30mm")], generations=15,
 )  # fmt: skip
@@ -113,5 +116,5 @@ plt.show()
 #
 # * Give the drive another motor: `mufly drive show mufly --toml > mine.toml`, change back-EMF and resistance,
 #   `load_drive("mine.toml")`.
-# * Repeat the sweep with `Setup(..., corrections=PLAIN)` from `mufly.rotor`: textbook theory, without the
+# * Repeat the sweep with `StudySetup(..., corrections=PLAIN)` from `mufly.rotor`: textbook theory, without the
 #   corrections.

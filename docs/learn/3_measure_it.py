@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mufly.bench import analyse_series, make_plan, read_measurements, run_series, write_results
-from mufly.bench.rig.simulated import SimulatedRig
-from mufly.bench.series.record import Record
-from mufly.rotor import fit_rotor, interval, load_rotor, replace_rotor
+from mufly.bench import analyse_series, make_plan, read_measurements, run_series, write_series_results
+from mufly.bench.rig.simulated_rig import SimulatedRig
+from mufly.bench.series.series_record import SeriesRecord
+from mufly.rotor import fit_rotor, load_rotor, predict_interval, replace_rotor
 
 folder = Path(tempfile.mkdtemp(prefix="lesson-3-"))
 print("the series and its pictures go to", folder)
@@ -32,7 +32,8 @@ plan = make_plan(
     reference_pitch_deg=14, repetitions=2, seed=1,
 )  # fmt: skip
 print(
-    f"{plan.points} points in {plan.seconds() / 60:.0f} minutes; blades are mounted {len(plan.mounting)} times"
+    f"{plan.point_count} points in {plan.estimate_duration_s() / 60:.0f} minutes; blades are mounted "
+    f"{len(plan.mounting)} times"
 )
 
 # %%
@@ -41,11 +42,11 @@ bench = SimulatedRig(seed=5)
 
 def truth(step):
     """What only a simulation knows: the loads at the speeds that ran, had the blades stood exactly at their pitch."""
-    speeds = {axis: bench.speed[axis] for axis in plan.mounting[step.mounting].axes}
-    return bench.truth(speeds, as_mounted=False)
+    speeds = {axis: bench.speed[axis] for axis in plan.mounting[step.mounting_index].axes}
+    return bench.true_loads(speeds, as_mounted=False)
 
 
-record = run_series(plan, bench, Record(folder), truth=truth)
+record = run_series(plan, bench, SeriesRecord(folder), truth=truth)
 
 # %% [markdown]
 # ## What the series says
@@ -82,21 +83,17 @@ print(f"{sum(held)} of {len(held)} intervals of thrust hold the truth")
 # whether the fit has learnt anything. (`rest.air` is the air in which was measured; the file of the results has it.)
 
 # %%
-files = write_results(series, folder / "results")
+files = write_series_results(series, folder / "results")
 print([f.name for f in files])
-measured = read_measurements(
-    next(f for f in files if f.name.startswith("naca0012") and "points" not in f.name)
-)
+measured = read_measurements(next(f for f in files if f.name.startswith("naca0012") and "points" not in f.name))
 rotor = replace_rotor(load_rotor("naca0012-r60-c20"), {"name": "mine", "blade.airfoils": ("naca2412",)})
 points = np.arange(measured.thrust_N.size)
-found, rest = fit_rotor(rotor, measured.part(points[0::2])), measured.part(points[1::2])
+found, rest = fit_rotor(rotor, measured.select_points(points[0::2])), measured.select_points(points[1::2])
 for name, one in (("before", rotor), ("after", found.rotor)):
-    band = interval(one, pitch_rad=rest.pitch_rad, speed_rad_s=rest.speed_rad_s, air=rest.air)
+    band = predict_interval(one, pitch_rad=rest.pitch_rad, speed_rad_s=rest.speed_rad_s, air=rest.air)
     off = np.abs(band.thrust_N / rest.thrust_N - 1.0)
     width = (band.thrust_high_N - band.thrust_low_N) / 2.0 / band.thrust_N
-    print(
-        f"{name}: thrust off by {100 * off.mean():.1f} % on average, interval of 90 % +-{100 * np.mean(width):.0f} %"
-    )
+    print(f"{name}: thrust off by {100 * off.mean():.1f} % on average, interval of 90 % +-{100 * np.mean(width):.0f} %")
 for candidate in found.fit.candidates:
     if candidate.probability > 0.02:
         turned = np.degrees(candidate.change[0])
@@ -116,7 +113,7 @@ print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
 # %% [markdown]
 # ## Try
 #
-# * Break the bench: `SimulatedRig(seed=5, faults=Faults(...))` from `mufly.bench.rig.simulated`, with a reference
+# * Break the bench: `SimulatedRig(seed=5, faults=Faults(...))` from `mufly.bench.rig.simulated_rig`, with a reference
 #   blade that was moved, or a cell that saturates. Does the series notice?
-# * `compare_theory(series)` sets it beside blade element theory.
+# * `compare_with_theory(series)` sets it beside blade element theory.
 # * What is corrected, and how intervals are made: [test benches](../bench.md).

@@ -12,14 +12,14 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mufly.identify import choose_free, fit_flights, with_estimates
-from mufly.identify.flight.demo import RADIO_DELAY_S, demo_flights
-from mufly.vehicle import load_vehicle, parameters, replace, vehicle_toml
+from mufly.identify import apply_estimates, choose_free_parameters, fit_flight_records
+from mufly.identify.flight.identification_demo import RADIO_DELAY_S, fly_demo_flights
+from mufly.vehicle import format_vehicle_toml, list_parameters, load_vehicle, replace_parameters
 
 folder = Path("lesson-4")  # for pictures and the vehicle file
 folder.mkdir(exist_ok=True)
 truth = load_vehicle("mufly-1.1")
-flights, held_out = demo_flights(truth, seed=3, seconds=8.0)
+flights, held_out = fly_demo_flights(truth, seed=3, seconds=8.0)
 print([record.name for record in flights], "and, never to be fitted,", held_out[0].name)
 
 # %% [markdown]
@@ -33,9 +33,7 @@ roll = next(r for r in flights if r.name.endswith("roll"))
 figure, (given, answer) = plt.subplots(2, 1, figsize=(9, 4), sharex=True)
 given.plot(roll.time_s, roll.inputs[:, 3], label="input of servo 2")
 given.set(ylabel="servo 2 (1)")
-answer.plot(
-    roll.time_s, np.degrees(roll.measured[:, roll.outputs.index("roll")]), label="measured roll angle"
-)
+answer.plot(roll.time_s, np.degrees(roll.measured[:, roll.outputs.index("roll")]), label="measured roll angle")
 answer.set(ylabel="roll (deg)", xlabel="time (s)")
 given.legend()
 answer.legend()
@@ -50,11 +48,11 @@ figure.savefig(folder / "record.png")
 
 # %%
 symbols = ("cQ_up", "cQ_dw", "Izz", "l_up", "l_dw")
-rows = {r.symbol: r for r in parameters(truth)}
+rows = {r.symbol: r for r in list_parameters(truth)}
 wrong = dict(zip(symbols, (0.5, 1.5, 1.5, 1.5, 0.5), strict=True))
-start = replace(truth, {rows[s].key: rows[s].value * wrong[s] for s in symbols}, source="estimated")
-free = choose_free(start, symbols, flights[0].outputs)
-fit = fit_flights(start, free, flights, held_out=held_out, delay_s=RADIO_DELAY_S, held_exact=True)
+start = replace_parameters(truth, {rows[s].key: rows[s].value * wrong[s] for s in symbols}, source="estimated")
+free = choose_free_parameters(start, symbols, flights[0].outputs)
+fit = fit_flight_records(start, free, flights, held_out=held_out, delay_s=RADIO_DELAY_S, held_exact=True)
 print(fit.message)
 
 # %%
@@ -90,14 +88,14 @@ figure.savefig(folder / "unseen.png")
 # other: `mufly fly --vehicle lesson-4/identified.toml`.
 
 # %%
-found = with_estimates(start, fit.estimates, "lesson 4")
-(folder / "identified.toml").write_text(vehicle_toml(found), encoding="utf-8")
+found = apply_estimates(start, fit.estimates, "lesson 4")
+(folder / "identified.toml").write_text(format_vehicle_toml(found), encoding="utf-8")
 print("written:", *sorted(str(p) for p in folder.iterdir()))
 plt.show()
 
 # %% [markdown]
 # ## Try
 #
-# * `demo_flights(truth, wind=0.5, gust=0.3)`: which intervals grow?
+# * `fly_demo_flights(truth, wind=0.5, gust=0.3)`: which intervals grow?
 # * Free `Jrot_up` and `Jrot_dw` as well. `mufly identify plan` says beforehand which flight would show them.
 # * What is assumed: [identification](../identification.md).

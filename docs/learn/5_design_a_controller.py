@@ -12,13 +12,13 @@ import numpy as np
 
 from mufly import control, flight
 from mufly.control.plots import draw_loop
-from mufly.firmware import QuickSoftware
-from mufly.flight.monte_carlo import Campaign, Crew, outcome_of, parse_variations, run
+from mufly.firmware import GenericFirmwareSoftware
+from mufly.flight.monte_carlo import Campaign, WorkerPool, parse_variations, run_campaign, summarise_outcome
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 
 vehicle = load_vehicle("mufly-1.1")
-controller = control.design(vehicle)
+controller = control.design_flight_controller(vehicle)
 folder = Path("lesson-5")  # for pictures
 folder.mkdir(exist_ok=True)
 print(controller)
@@ -35,11 +35,11 @@ print(controller)
 
 # %%
 rates = (400.0, 200.0, 100.0, 70.0)
-designs = {rate: control.design(vehicle, rate_Hz=rate) for rate in rates}
+designs = {rate: control.design_flight_controller(vehicle, rate_Hz=rate) for rate in rates}
 figure, axes = plt.subplots(figsize=(9, 3))
 for rate, made in designs.items():
     loop = made.roll_pitch.sampled_loop
-    data = flight.fly(vehicle, "demonstration", controller=made, wind=(0.5, 0.0, 0.0), gust=0.5, seed=4)
+    data = flight.fly_mission(vehicle, "demonstration", controller=made, wind=(0.5, 0.0, 0.0), gust=0.5, seed=4)
     tilt = np.degrees(data.truth_attitude.sel(angle="roll"))
     axes.plot(
         data.time,
@@ -68,13 +68,13 @@ picture
 
 # %%
 mission = load_mission("demonstration")
-campaign = Campaign.of(
+campaign = Campaign.create_checked(
     vehicle, mission, variations=parse_variations(["parameters=10%"], vehicle), wind=0.5, gust=0.3, sensors="ideal",
-    quickly=QuickSoftware,
+    quickly=GenericFirmwareSoftware,
 )  # fmt: skip
-with Crew(1) as crew:
-    outcome = outcome_of(run(campaign, 40, crew=crew), campaign.tolerance_m)
-print(outcome.in_words())
+with WorkerPool(1) as crew:
+    outcome = summarise_outcome(run_campaign(campaign, 40, crew=crew), campaign.tolerance_m)
+print(outcome.describe_success())
 print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
 plt.show()
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 from mufly import control, dynamics, flight
-from mufly.vehicle import load_vehicle, parameters, replace, vehicle_toml
+from mufly.vehicle import format_vehicle_toml, list_parameters, load_vehicle, replace_parameters
 
 known = load_vehicle("mufly-1.1")
 mine = dynamics.similar_vehicle(known, "my-helicopter", mass_kg=0.120, radius_m=0.080, cells=2)
-guesses = [row for row in parameters(mine) if row.note.startswith("guess:")]
-print(f"{len(guesses)} of {len(parameters(mine))} numbers are guesses, such as")
+guesses = [row for row in list_parameters(mine) if row.note.startswith("guess:")]
+print(f"{len(guesses)} of {len(list_parameters(mine))} numbers are guesses, such as")
 for row in guesses[:4]:
     print(f"  {row.key:24s} {row.value:10.4g} {row.unit:8s} {row.note}")
 
@@ -27,8 +27,8 @@ for row in guesses[:4]:
 for one in (known, mine):
     hover = dynamics.hover_performance(one)
     print(f"{one.name:16s} hovers on {hover.power_W:5.1f} W at {hover.current_A:.2f} A")
-controller = control.design(mine)
-recording = flight.fly(mine, "demonstration", controller=controller)
+controller = control.design_flight_controller(mine)
+recording = flight.fly_mission(mine, "demonstration", controller=controller)
 print(recording.attrs["outcome"], recording.attrs["reason"])
 
 # %% [markdown]
@@ -38,7 +38,7 @@ print(recording.attrs["outcome"], recording.attrs["reason"])
 # change much are to be measured first.
 
 # %%
-reference = flight.summarise(recording)
+reference = flight.summarise_flight(recording)
 effect = {}
 for key in (
     "body.mass",
@@ -47,9 +47,9 @@ for key in (
     "rotors.lower.torque_coefficient",
     "battery.capacity",
 ):
-    value = {row.key: row.value for row in parameters(mine)}[key]
-    other = replace(mine, {key: 1.1 * value}, source="estimated")
-    data = flight.fly(other, "demonstration", controller=controller, designed_for=mine)
+    value = {row.key: row.value for row in list_parameters(mine)}[key]
+    other = replace_parameters(mine, {key: 1.1 * value}, source="estimated")
+    data = flight.fly_mission(other, "demonstration", controller=controller, designed_for=mine)
     error = ((data.truth_position - data.reference_position) ** 2).sum("axis") ** 0.5
     effect[key] = (100.0 * float(error.max()), data.attrs["outcome"])
 for key, (worst_cm, outcome) in effect.items():
@@ -65,22 +65,20 @@ for key, (worst_cm, outcome) in effect.items():
 # %%
 folder = Path("lesson-6")
 folder.mkdir(exist_ok=True)
-(folder / "vehicle.toml").write_text(vehicle_toml(mine), encoding="utf-8")
+(folder / "vehicle.toml").write_text(format_vehicle_toml(mine), encoding="utf-8")
 print("written:", (folder / "vehicle.toml").resolve())
-print("\n".join(vehicle_toml(mine).splitlines()[:14]))
+print("\n".join(format_vehicle_toml(mine).splitlines()[:14]))
 
 # %% [markdown]
 # ## On its own sensors
 
 # %%
-felt = flight.fly(
+felt = flight.fly_mission(
     mine, "demonstration", controller=controller, sensors="fitted", wind=(0.3, 0.0, 0.0), gust=0.2, seed=2
 )
 figure, axes = plt.subplots(figsize=(5, 4))
 axes.plot(felt.truth_position.sel(axis="E"), felt.truth_position.sel(axis="N"), label="true")
-axes.plot(
-    felt.estimated_position.sel(axis="E"), felt.estimated_position.sel(axis="N"), lw=0.8, label="estimated"
-)
+axes.plot(felt.estimated_position.sel(axis="E"), felt.estimated_position.sel(axis="N"), lw=0.8, label="estimated")
 axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title=felt.attrs["outcome"])
 axes.legend()
 figure.tight_layout()

@@ -93,9 +93,7 @@ def write_answer(path: Path, question: str, content: Mapping[str, Any], *, inden
             with part.open("wb") as file:
                 np.savez(file, **whole)
         else:
-            part.write_text(
-                json.dumps(whole, indent=indent, default=lambda a: a.tolist()) + "\n", encoding="utf-8"
-            )
+            part.write_text(json.dumps(whole, indent=indent, default=lambda a: a.tolist()) + "\n", encoding="utf-8")
 
 
 def read_answer(

@@ -33,7 +33,7 @@ class InputError(MuflyError):
         place = f"{where}: {key}" if key else where
         super().__init__(f"{place}: {problem}; {remedy}")
 
-    def at(self, where: str) -> InputError:
+    def with_location(self, where: str) -> InputError:
         """The same fault, of a file that its finder knew only by the name of what is in it."""
         return InputError(where, self.key, self.problem, self.remedy)
 
@@ -58,9 +58,7 @@ class ArgumentError(InputError):
 
 
 @contextmanager
-def report_write_errors(
-    where: str | Path, remedy: str = "give another folder", key: str = ""
-) -> Iterator[None]:
+def report_write_errors(where: str | Path, remedy: str = "give another folder", key: str = "") -> Iterator[None]:
     """Raise an :class:`InputError` about ``where`` for what goes wrong while files are written in the block."""
     try:
         yield
@@ -81,14 +79,14 @@ def suggest_name(name: str, known: Iterable[str], otherwise: str = "") -> str:
         The remedy where nothing is like it; default: a list of all that there is.
     """
 
-    def plain(text: str) -> str:
+    def normalise_name(text: str) -> str:
         return re.sub(r"[\s_-]", "", text.lower())
 
     names = list(known)
-    by_plain = {plain(n): n for n in names}
-    near = difflib.get_close_matches(plain(name), by_plain, n=3, cutoff=0.65)
+    by_plain = {normalise_name(n): n for n in names}
+    near = difflib.get_close_matches(normalise_name(name), by_plain, n=3, cutoff=0.65)
     if not near:
         return otherwise or f"use one of: {', '.join(names)}"
-    ratios = [difflib.SequenceMatcher(None, plain(name), n).ratio() for n in near]
+    ratios = [difflib.SequenceMatcher(None, normalise_name(name), n).ratio() for n in near]
     shown = [by_plain[n] for n, r in zip(near, ratios, strict=True) if r > max(ratios) - 0.1]
     return f"did you mean {' or '.join(map(repr, shown))}?"

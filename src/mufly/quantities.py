@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.units import conversion
+from mufly.units import unit_conversion
 
 if TYPE_CHECKING:
     import xarray as xr
 
-LABELS: Mapping[str, tuple[str, ...] | tuple[int, ...]] = {
+DIMENSION_LABELS: Mapping[str, tuple[str, ...] | tuple[int, ...]] = {
     "axis": ("N", "E", "D"),
     "angle": ("roll", "pitch", "yaw"),
     "rate": ("p", "q", "r"),
@@ -38,7 +38,7 @@ LABELS: Mapping[str, tuple[str, ...] | tuple[int, ...]] = {
 }
 """Labels of every dimension but ``beam``, which counts from 0, and ``channel`` and ``actuator``, from 1."""
 
-SOURCES: Mapping[str, str] = {
+SIGNAL_SOURCES: Mapping[str, str] = {
     "truth": "true",
     "measured": "measured",
     "estimated": "estimated",
@@ -47,7 +47,7 @@ SOURCES: Mapping[str, str] = {
 """Who says so: prefix of a name, and the word for it. Each has the topic ``/prefix`` in a recording."""
 
 
-class Wire(NamedTuple):
+class MavlinkSource(NamedTuple):
     """MAVLink fields that tell a quantity: message, fields (one a component, blanks between), their unit."""
 
     message: str
@@ -66,7 +66,7 @@ class Quantity:
     topic, field : str
         Where it travels in a recording (``/truth``, ``position``).
     dim : str or None
-        Its labelled dimension besides time (see :data:`LABELS`), None for a scalar.
+        Its labelled dimension besides time (see :data:`DIMENSION_LABELS`), None for a scalar.
     units, long_name : str
         Written to the variable's attributes, the schema and the CSV header; ``"1"`` is a pure number.
     kept : str
@@ -82,20 +82,20 @@ class Quantity:
     dim: str | None
     units: str
     long_name: str
-    kept: str = own_field(default="flight", compare=False)
-    mavlink: tuple[Wire, ...] = own_field(default=(), compare=False)
+    recorded_in: str = own_field(default="flight", compare=False)
+    mavlink_sources: tuple[MavlinkSource, ...] = own_field(default=(), compare=False)
 
     @property
-    def labels(self) -> tuple[str, ...] | tuple[int, ...]:
+    def component_labels(self) -> tuple[str, ...] | tuple[int, ...]:
         """Labels of its components; empty for a scalar, and for beams and channels (any number)."""
-        return LABELS.get(self.dim or "", ())
+        return DIMENSION_LABELS.get(self.dim or "", ())
 
 
-def _channels(pattern: str) -> str:
+def _channel_fields(pattern: str) -> str:
     return " ".join(pattern.format(k) for k in range(1, 9))
 
 
-def _raw(
+def _measured_signals(
     reading: str, dim: str | None, units: str, long_name: str, kept: str = "sensors"
 ) -> tuple[Quantity, ...]:
     """What a sensor said, when it had measured that, and whether it stood by it; NaN where nothing came anew."""
@@ -109,7 +109,7 @@ def _raw(
     )  # fmt: skip
 
 
-def _checked(reading: str) -> tuple[Quantity, ...]:
+def _innovation_signals(reading: str) -> tuple[Quantity, ...]:
     name = reading.replace("_", " ")
     return (
         Quantity(f"innovation_{reading}", "/checks", f"innovation_{reading}", None, "1",
@@ -119,127 +119,329 @@ def _checked(reading: str) -> tuple[Quantity, ...]:
     )  # fmt: skip
 
 
-CHECKED = ("acceleration", "rates", "ground_distance", "ranges", "pressure", "magnetic_field", "rotor_speed",
+CHECKED_READINGS = ("acceleration", "rates", "ground_distance", "ranges", "pressure", "magnetic_field", "rotor_speed",
            "position_fix", "battery_voltage")  # fmt: skip
 """Readings on which an estimator has an opinion."""
 
-STATUSES = ("waiting", "fused", "rejected", "missing", "faulty")
+FUSION_STATUSES = ("waiting", "fused", "rejected", "missing", "faulty")
 """What an estimator may say of a reading; a recording holds the place in this list."""
 
-_cg = "of the centre of gravity"
-_PULSES = _channels("chan{}_raw")
+_CENTRE_OF_GRAVITY_TEXT = "of the centre of gravity"
+_RAW_CHANNEL_FIELDS = _channel_fields("chan{}_raw")
 QUANTITIES: tuple[Quantity, ...] = (
-    Quantity("truth_position", "/truth", "position", "axis", "m", f"true position {_cg}"),
-    Quantity("truth_velocity", "/truth", "velocity", "axis", "m/s", f"true velocity {_cg}"),
+    Quantity("truth_position", "/truth", "position", "axis", "m", f"true position {_CENTRE_OF_GRAVITY_TEXT}"),
+    Quantity("truth_velocity", "/truth", "velocity", "axis", "m/s", f"true velocity {_CENTRE_OF_GRAVITY_TEXT}"),
     Quantity("truth_attitude", "/truth", "attitude", "angle", "rad", "true attitude"),
     Quantity("truth_rates", "/truth", "rates", "rate", "rad/s", "true body rates"),
     Quantity("truth_rotor_speed", "/truth", "rotor_speed", "rotor", "rad/s", "true rotor speed"),
     Quantity("wind", "/truth", "wind", "axis", "m/s", "velocity of the air"),
-    Quantity("measured_position", "/measured", "position", "axis", "m", f"measured position {_cg}",
-             mavlink=(Wire("VISION_POSITION_ESTIMATE", "x y z", "m"),)),
-    Quantity("measured_velocity", "/measured", "velocity", "axis", "m/s", f"measured velocity {_cg}"),
-    Quantity("measured_attitude", "/measured", "attitude", "angle", "rad", "measured attitude",
-             mavlink=(Wire("VISION_POSITION_ESTIMATE", "roll pitch yaw", "rad"),)),
+    Quantity(
+        "measured_position",
+        "/measured",
+        "position",
+        "axis",
+        "m",
+        f"measured position {_CENTRE_OF_GRAVITY_TEXT}",
+        mavlink_sources=(MavlinkSource("VISION_POSITION_ESTIMATE", "x y z", "m"),),
+    ),
+    Quantity(
+        "measured_velocity", "/measured", "velocity", "axis", "m/s", f"measured velocity {_CENTRE_OF_GRAVITY_TEXT}"
+    ),
+    Quantity(
+        "measured_attitude",
+        "/measured",
+        "attitude",
+        "angle",
+        "rad",
+        "measured attitude",
+        mavlink_sources=(MavlinkSource("VISION_POSITION_ESTIMATE", "roll pitch yaw", "rad"),),
+    ),
     Quantity("measured_rates", "/measured", "rates", "rate", "rad/s", "measured body rates"),
-    Quantity("measured_rotor_speed", "/measured", "rotor_speed", "rotor", "rad/s", "measured rotor speed",
-             "sensors station", (Wire("RAW_RPM", "frequency frequency", "rpm"),)),
-    *_raw("acceleration", "body", "m/s^2", "measured specific force along the body axes"),
-    *_raw("rates", "rate", "rad/s", "measured body rates")[1:],
-    Quantity("measured_clipping", "/measured", "clipping", "body", "1",
-             "share of the accelerometer's samples that it clipped", "sensors"),
-    Quantity("measured_temperature", "/measured", "temperature", None, "K",
-             "temperature of the inertial unit", "sensors"),
-    *_raw("ground_distance", None, "m", "distance to what is below, by ultrasound"),
-    *_raw("ranges", "beam", "m", "distance along the beams of the laser ring"),
-    *_raw("pressure", None, "Pa", "air pressure"),
-    *_raw("magnetic_field", "body", "T", "magnetic field along the body axes"),
-    *_raw("rotor_speed", "rotor", "rad/s", "measured rotor speed")[1:],
-    *_raw("battery_voltage", None, "V", "battery voltage as its monitor tells it"),
-    *_raw("battery_current", None, "A", "battery current as its monitor tells it"),
-    *_raw("position_fix", "fix", "m", "position and heading (rad) as fixed from outside"),
-    Quantity("measured_position_fix_variance", "/measured", "position_fix_variance", "fix", "m^2",
-             "of the position fix, by itself, where it told one (heading: rad^2)", "sensors"),
-    Quantity("estimated_position", "/estimated", "position", "axis", "m", "position as estimated on board",
-             "sensors station", (Wire("LOCAL_POSITION_NED", "x y z", "m"),)),
-    Quantity("estimated_velocity", "/estimated", "velocity", "axis", "m/s", "velocity as estimated on board",
-             "sensors station", (Wire("LOCAL_POSITION_NED", "vx vy vz", "m/s"),)),
-    Quantity("estimated_attitude", "/estimated", "attitude", "angle", "rad", "attitude as estimated on board",
-             "sensors station", (Wire("ATTITUDE", "roll pitch yaw", "rad"),)),
-    Quantity("estimated_rates", "/estimated", "rates", "rate", "rad/s", "body rates as estimated on board",
-             "sensors station", (Wire("ATTITUDE", "rollspeed pitchspeed yawspeed", "rad/s"),)),
-    Quantity("estimated_position_sigma", "/estimated", "position_sigma", "axis", "m",
-             "standard deviation of the position as estimated on board", "sensors station"),
-    Quantity("estimated_velocity_sigma", "/estimated", "velocity_sigma", "axis", "m/s",
-             "standard deviation of the velocity as estimated on board", "sensors station"),
-    Quantity("estimated_attitude_sigma", "/estimated", "attitude_sigma", "angle", "rad",
-             "standard deviation of the attitude as estimated on board", "sensors station"),
-    Quantity("estimated_rates_sigma", "/estimated", "rates_sigma", "rate", "rad/s",
-             "standard deviation of the body rates as estimated on board", "sensors"),
+    Quantity(
+        "measured_rotor_speed",
+        "/measured",
+        "rotor_speed",
+        "rotor",
+        "rad/s",
+        "measured rotor speed",
+        "sensors station",
+        (MavlinkSource("RAW_RPM", "frequency frequency", "rpm"),),
+    ),
+    *_measured_signals("acceleration", "body", "m/s^2", "measured specific force along the body axes"),
+    *_measured_signals("rates", "rate", "rad/s", "measured body rates")[1:],
+    Quantity(
+        "measured_clipping",
+        "/measured",
+        "clipping",
+        "body",
+        "1",
+        "share of the accelerometer's samples that it clipped",
+        "sensors",
+    ),
+    Quantity(
+        "measured_temperature", "/measured", "temperature", None, "K", "temperature of the inertial unit", "sensors"
+    ),
+    *_measured_signals("ground_distance", None, "m", "distance to what is below, by ultrasound"),
+    *_measured_signals("ranges", "beam", "m", "distance along the beams of the laser ring"),
+    *_measured_signals("pressure", None, "Pa", "air pressure"),
+    *_measured_signals("magnetic_field", "body", "T", "magnetic field along the body axes"),
+    *_measured_signals("rotor_speed", "rotor", "rad/s", "measured rotor speed")[1:],
+    *_measured_signals("battery_voltage", None, "V", "battery voltage as its monitor tells it"),
+    *_measured_signals("battery_current", None, "A", "battery current as its monitor tells it"),
+    *_measured_signals("position_fix", "fix", "m", "position and heading (rad) as fixed from outside"),
+    Quantity(
+        "measured_position_fix_variance",
+        "/measured",
+        "position_fix_variance",
+        "fix",
+        "m^2",
+        "of the position fix, by itself, where it told one (heading: rad^2)",
+        "sensors",
+    ),
+    Quantity(
+        "estimated_position",
+        "/estimated",
+        "position",
+        "axis",
+        "m",
+        "position as estimated on board",
+        "sensors station",
+        (MavlinkSource("LOCAL_POSITION_NED", "x y z", "m"),),
+    ),
+    Quantity(
+        "estimated_velocity",
+        "/estimated",
+        "velocity",
+        "axis",
+        "m/s",
+        "velocity as estimated on board",
+        "sensors station",
+        (MavlinkSource("LOCAL_POSITION_NED", "vx vy vz", "m/s"),),
+    ),
+    Quantity(
+        "estimated_attitude",
+        "/estimated",
+        "attitude",
+        "angle",
+        "rad",
+        "attitude as estimated on board",
+        "sensors station",
+        (MavlinkSource("ATTITUDE", "roll pitch yaw", "rad"),),
+    ),
+    Quantity(
+        "estimated_rates",
+        "/estimated",
+        "rates",
+        "rate",
+        "rad/s",
+        "body rates as estimated on board",
+        "sensors station",
+        (MavlinkSource("ATTITUDE", "rollspeed pitchspeed yawspeed", "rad/s"),),
+    ),
+    Quantity(
+        "estimated_position_sigma",
+        "/estimated",
+        "position_sigma",
+        "axis",
+        "m",
+        "standard deviation of the position as estimated on board",
+        "sensors station",
+    ),
+    Quantity(
+        "estimated_velocity_sigma",
+        "/estimated",
+        "velocity_sigma",
+        "axis",
+        "m/s",
+        "standard deviation of the velocity as estimated on board",
+        "sensors station",
+    ),
+    Quantity(
+        "estimated_attitude_sigma",
+        "/estimated",
+        "attitude_sigma",
+        "angle",
+        "rad",
+        "standard deviation of the attitude as estimated on board",
+        "sensors station",
+    ),
+    Quantity(
+        "estimated_rates_sigma",
+        "/estimated",
+        "rates_sigma",
+        "rate",
+        "rad/s",
+        "standard deviation of the body rates as estimated on board",
+        "sensors",
+    ),
     Quantity("estimated_gyro_bias", "/estimated", "gyro_bias", "rate", "rad/s", "bias of the gyroscopes", "sensors"),
-    Quantity("estimated_accelerometer_bias", "/estimated", "accelerometer_bias", "body", "m/s^2",
-             "bias of the accelerometers", "sensors"),
-    Quantity("estimated_floor_height", "/estimated", "floor_height", None, "m",
-             "height of what is below the helicopter", "sensors"),
-    Quantity("estimated_fix_bias", "/estimated", "fix_bias", "fix", "m",
-             "what fixes are off by for the time being (heading: rad)", "sensors"),
+    Quantity(
+        "estimated_accelerometer_bias",
+        "/estimated",
+        "accelerometer_bias",
+        "body",
+        "m/s^2",
+        "bias of the accelerometers",
+        "sensors",
+    ),
+    Quantity(
+        "estimated_floor_height",
+        "/estimated",
+        "floor_height",
+        None,
+        "m",
+        "height of what is below the helicopter",
+        "sensors",
+    ),
+    Quantity(
+        "estimated_fix_bias",
+        "/estimated",
+        "fix_bias",
+        "fix",
+        "m",
+        "what fixes are off by for the time being (heading: rad)",
+        "sensors",
+    ),
     Quantity("estimated_wind", "/estimated", "wind", "level", "m/s", "velocity of the air", "sensors station"),
-    Quantity("estimated_thrust_scale", "/estimated", "thrust_scale", None, "1",
-             "thrust in that of the rotor model", "sensors"),
+    Quantity(
+        "estimated_thrust_scale",
+        "/estimated",
+        "thrust_scale",
+        None,
+        "1",
+        "thrust in that of the rotor model",
+        "sensors",
+    ),
     Quantity("estimated_valid", "/estimated", "valid", None, "1", "1 where the estimator stands by it", "sensors"),
-    Quantity("reference_position", "/reference", "position", "axis", "m", "reference position",
-             mavlink=(Wire("POSITION_TARGET_LOCAL_NED", "x y z", "m"),)),
-    Quantity("reference_velocity", "/reference", "velocity", "axis", "m/s", "reference velocity",
-             mavlink=(Wire("POSITION_TARGET_LOCAL_NED", "vx vy vz", "m/s"),)),
+    Quantity(
+        "reference_position",
+        "/reference",
+        "position",
+        "axis",
+        "m",
+        "reference position",
+        mavlink_sources=(MavlinkSource("POSITION_TARGET_LOCAL_NED", "x y z", "m"),),
+    ),
+    Quantity(
+        "reference_velocity",
+        "/reference",
+        "velocity",
+        "axis",
+        "m/s",
+        "reference velocity",
+        mavlink_sources=(MavlinkSource("POSITION_TARGET_LOCAL_NED", "vx vy vz", "m/s"),),
+    ),
     Quantity("reference_attitude", "/reference", "attitude", "angle", "rad", "commanded attitude"),
-    Quantity("motor_input", "/actuators", "motor_input", "rotor", "1", "motor input, 0 to 1",
-             mavlink=(Wire("ACTUATOR_OUTPUT_STATUS", "actuator[0] actuator[1]", "1"),)),
-    Quantity("servo_input", "/actuators", "servo_input", "servo", "1", "servo input, -1 to 1",
-             mavlink=(Wire("ACTUATOR_OUTPUT_STATUS", "actuator[2] actuator[3]", "1"),)),
-    Quantity("battery_voltage", "/battery", "voltage", None, "V", "battery terminal voltage",
-             mavlink=(Wire("SYS_STATUS", "voltage_battery", "mV"),)),
-    Quantity("battery_current", "/battery", "current", None, "A", "battery current",
-             mavlink=(Wire("SYS_STATUS", "current_battery", "cA"),)),
-    Quantity("battery_charge", "/battery", "charge", None, "1", "battery charge left, 0 to 1",
-             mavlink=(Wire("SYS_STATUS", "battery_remaining", "%"),)),
+    Quantity(
+        "motor_input",
+        "/actuators",
+        "motor_input",
+        "rotor",
+        "1",
+        "motor input, 0 to 1",
+        mavlink_sources=(MavlinkSource("ACTUATOR_OUTPUT_STATUS", "actuator[0] actuator[1]", "1"),),
+    ),
+    Quantity(
+        "servo_input",
+        "/actuators",
+        "servo_input",
+        "servo",
+        "1",
+        "servo input, -1 to 1",
+        mavlink_sources=(MavlinkSource("ACTUATOR_OUTPUT_STATUS", "actuator[2] actuator[3]", "1"),),
+    ),
+    Quantity(
+        "battery_voltage",
+        "/battery",
+        "voltage",
+        None,
+        "V",
+        "battery terminal voltage",
+        mavlink_sources=(MavlinkSource("SYS_STATUS", "voltage_battery", "mV"),),
+    ),
+    Quantity(
+        "battery_current",
+        "/battery",
+        "current",
+        None,
+        "A",
+        "battery current",
+        mavlink_sources=(MavlinkSource("SYS_STATUS", "current_battery", "cA"),),
+    ),
+    Quantity(
+        "battery_charge",
+        "/battery",
+        "charge",
+        None,
+        "1",
+        "battery charge left, 0 to 1",
+        mavlink_sources=(MavlinkSource("SYS_STATUS", "battery_remaining", "%"),),
+    ),
     Quantity("range", "/ranges", "range", "beam", "m", "distance to the nearest obstacle along a beam"),
-    *(q for reading in CHECKED for q in _checked(reading)),
-    Quantity("pilot_input", "/pilot", "input", "channel", "us", "channel of the pilot's remote control, pulse length",
-             "station", (Wire("RC_CHANNELS", _PULSES, "us"), Wire("RC_CHANNELS_RAW", _PULSES, "us"))),
+    *(q for reading in CHECKED_READINGS for q in _innovation_signals(reading)),
+    Quantity(
+        "pilot_input",
+        "/pilot",
+        "input",
+        "channel",
+        "us",
+        "channel of the pilot's remote control, pulse length",
+        "station",
+        (
+            MavlinkSource("RC_CHANNELS", _RAW_CHANNEL_FIELDS, "us"),
+            MavlinkSource("RC_CHANNELS_RAW", _RAW_CHANNEL_FIELDS, "us"),
+        ),
+    ),
     Quantity("link_loss", "/link", "loss", None, "1", "share of packets lost of late, 0 to 1", "station"),
     Quantity("link_rate", "/link", "rate", None, "Hz", "messages a second", "station"),
-    Quantity("actuator_control", "/signals", "actuator_control", "control", "1",
-             "control to the mixer, -1 to 1", ""),
-    Quantity("actuator_output", "/signals", "actuator_output", "channel", "us",
-             "output to the actuators, pulse length", "", (Wire("SERVO_OUTPUT_RAW", _channels("servo{}_raw"), "us"),)),
-    Quantity("actuator_command", "/signals", "actuator_command", "actuator", "1",
-             "command to each actuator, a share of its full range: 0 to 1, or -1 to 1", ""),
-)  # fmt: skip
+    Quantity("actuator_control", "/signals", "actuator_control", "control", "1", "control to the mixer, -1 to 1", ""),
+    Quantity(
+        "actuator_output",
+        "/signals",
+        "actuator_output",
+        "channel",
+        "us",
+        "output to the actuators, pulse length",
+        "",
+        (MavlinkSource("SERVO_OUTPUT_RAW", _channel_fields("servo{}_raw"), "us"),),
+    ),
+    Quantity(
+        "actuator_command",
+        "/signals",
+        "actuator_command",
+        "actuator",
+        "1",
+        "command to each actuator, a share of its full range: 0 to 1, or -1 to 1",
+        "",
+    ),
+)
 """The table. What a flight keeps stands in the order of its columns (column 0 is the time)."""
 
-_BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
+_QUANTITIES_BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 
 
-def quantity_named(name: str) -> Quantity | None:
+def find_quantity(name: str) -> Quantity | None:
     """Return what is known of a variable by its name, None for a name of the user's own.
 
     Every source may tell what one of them tells: ``reference_rates`` is known from ``measured_rates``.
     """
-    if name in _BY_NAME:
-        return _BY_NAME[name]
+    if name in _QUANTITIES_BY_NAME:
+        return _QUANTITIES_BY_NAME[name]
     source, _, rest = name.partition("_")
-    like = _BY_NAME.get(f"measured_{rest}")
-    if source not in SOURCES or like is None:
+    like = _QUANTITIES_BY_NAME.get(f"measured_{rest}")
+    if source not in SIGNAL_SOURCES or like is None:
         return None
-    meaning = like.long_name.replace("measured", SOURCES[source])
-    return replace(like, name=name, topic=f"/{source}", long_name=meaning, kept="", mavlink=())
+    meaning = like.long_name.replace("measured", SIGNAL_SOURCES[source])
+    return replace(like, name=name, topic=f"/{source}", long_name=meaning, recorded_in="", mavlink_sources=())
 
 
-def kept_by(*keepers: str) -> tuple[Quantity, ...]:
-    """Return the quantities that recordings keep: ``kept_by("flight")``, ``kept_by("flight", "station")``."""
-    return tuple(q for q in QUANTITIES if not set(keepers).isdisjoint(q.kept.split()))
+def quantities_recorded_in(*keepers: str) -> tuple[Quantity, ...]:
+    """Return the quantities that recordings keep: ``quantities_recorded_in("flight")``,
+    ``quantities_recorded_in("flight", "station")``."""
+    return tuple(q for q in QUANTITIES if not set(keepers).isdisjoint(q.recorded_in.split()))
 
 
-class Limits(NamedTuple):
+class PhysicalLimits(NamedTuple):
     """What a quantity cannot leave, whatever flies: the range in its unit, and the physics that sets it."""
 
     low: float
@@ -247,50 +449,52 @@ class Limits(NamedTuple):
     reason: str
 
 
-_share = "a share of the full range ends at 1"
-LIMITS: Mapping[str, Limits] = {
-    "rates": Limits(-70.0, 70.0, "gyroscopes end at 4000 deg/s, 70 rad/s"),
-    "acceleration": Limits(-2000.0, 2000.0, "accelerometers end at 200 g, 2000 m/s^2"),
-    "velocity": Limits(-340.0, 340.0, "rotorcraft stay below the speed of sound, 340 m/s"),
-    "position": Limits(-1e6, 1e6, "north-east-down axes are of a flat earth, no further than 1000 km"),
-    "rotor_speed": Limits(-34_000.0, 34_000.0, "at 34000 rad/s a tip 10 mm out has the speed of sound"),
-    "range": Limits(0.0, 1000.0, "range finders of small aircraft end below 1 km"),
-    "battery_voltage": Limits(0.0, 120.0, "28 lithium cells in series, more than any such aircraft has, give 120 V"),
-    "battery_current": Limits(-1000.0, 1000.0, "at 1000 A the leads of such a battery melt"),
-    "battery_charge": Limits(0.0, 1.01, "a battery is at most full"),
-    "motor_input": Limits(-1.01, 1.01, _share),
-    "servo_input": Limits(-1.01, 1.01, _share),
-    "actuator_command": Limits(-1.01, 1.01, _share),
-    "actuator_output": Limits(0.0, 3000.0, "pulses to servos and motor controllers last 0.1 to 2.6 ms"),
-    "pilot_input": Limits(0.0, 3000.0, "pulses of a remote control last 0.8 to 2.2 ms"),
-}  # fmt: skip
+_SHARE_LIMIT_REASON = "a share of the full range ends at 1"
+PHYSICAL_LIMITS: Mapping[str, PhysicalLimits] = {
+    "rates": PhysicalLimits(-70.0, 70.0, "gyroscopes end at 4000 deg/s, 70 rad/s"),
+    "acceleration": PhysicalLimits(-2000.0, 2000.0, "accelerometers end at 200 g, 2000 m/s^2"),
+    "velocity": PhysicalLimits(-340.0, 340.0, "rotorcraft stay below the speed of sound, 340 m/s"),
+    "position": PhysicalLimits(-1e6, 1e6, "north-east-down axes are of a flat earth, no further than 1000 km"),
+    "rotor_speed": PhysicalLimits(-34_000.0, 34_000.0, "at 34000 rad/s a tip 10 mm out has the speed of sound"),
+    "range": PhysicalLimits(0.0, 1000.0, "range finders of small aircraft end below 1 km"),
+    "battery_voltage": PhysicalLimits(
+        0.0, 120.0, "28 lithium cells in series, more than any such aircraft has, give 120 V"
+    ),
+    "battery_current": PhysicalLimits(-1000.0, 1000.0, "at 1000 A the leads of such a battery melt"),
+    "battery_charge": PhysicalLimits(0.0, 1.01, "a battery is at most full"),
+    "motor_input": PhysicalLimits(-1.01, 1.01, _SHARE_LIMIT_REASON),
+    "servo_input": PhysicalLimits(-1.01, 1.01, _SHARE_LIMIT_REASON),
+    "actuator_command": PhysicalLimits(-1.01, 1.01, _SHARE_LIMIT_REASON),
+    "actuator_output": PhysicalLimits(0.0, 3000.0, "pulses to servos and motor controllers last 0.1 to 2.6 ms"),
+    "pilot_input": PhysicalLimits(0.0, 3000.0, "pulses of a remote control last 0.8 to 2.2 ms"),
+}
 """By the name of the quantity, without the source before it. Angles have none: full turns may have been counted."""
 
 
-def limits_of(name: str) -> Limits | None:
+def physical_limits(name: str) -> PhysicalLimits | None:
     """Return what a variable cannot leave, None where there is no such limit."""
     source, _, rest = name.partition("_")
-    return LIMITS.get(rest if source in SOURCES else name)
+    return PHYSICAL_LIMITS.get(rest if source in SIGNAL_SOURCES else name)
 
 
-def told_by(message: str) -> tuple[tuple[str, str, float], ...]:
+def mavlink_columns(message: str) -> tuple[tuple[str, str, float], ...]:
     """Return (field, column, factor) of the fields of a MAVLink message that are plainly quantities of ours.
 
     ``column`` is the name with its label (``estimated_attitude_roll``); number times factor is its value.
     """
     out: list[tuple[str, str, float]] = []
     for quantity in QUANTITIES:
-        for wire in quantity.mavlink:
+        for wire in quantity.mavlink_sources:
             if wire.message == message:
                 fields = wire.fields.split()
-                labels = quantity.labels or range(1, len(fields) + 1)
+                labels = quantity.component_labels or range(1, len(fields) + 1)
                 names = [f"{quantity.name}_{k}" for k in labels] if quantity.dim else [quantity.name]
-                factor = 1.0 if wire.unit == quantity.units else conversion(wire.unit, quantity.units)[1]
+                factor = 1.0 if wire.unit == quantity.units else unit_conversion(wire.unit, quantity.units)[1]
                 out += [(f, name, factor) for f, name in zip(fields, names, strict=True)]
     return tuple(out)
 
 
-def split_name(text: str, where: str) -> tuple[Quantity | None, str, str | None]:
+def split_signal_name(text: str, where: str) -> tuple[Quantity | None, str, str | None]:
     """Split ``"measured_attitude.roll"`` into quantity, variable and label.
 
     Returns
@@ -307,9 +511,9 @@ def split_name(text: str, where: str) -> tuple[Quantity | None, str, str | None]
         If a known variable has no such label.
     """
     variable, _, label = text.partition(".")
-    known = quantity_named(variable)
-    if known is not None and label and known.labels and label not in map(str, known.labels):
-        wanted = ", ".join(f"{variable}.{k}" for k in known.labels)
+    known = find_quantity(variable)
+    if known is not None and label and known.component_labels and label not in map(str, known.component_labels):
+        wanted = ", ".join(f"{variable}.{k}" for k in known.component_labels)
         raise InputError(where, text, "is no component of this signal", f"use one of: {wanted}")
     if known is not None and label and known.dim is None:
         raise InputError(where, text, "is a scalar", f"write {variable}")
@@ -320,34 +524,34 @@ def split_name(text: str, where: str) -> tuple[Quantity | None, str, str | None]
     return known, variable, label or None
 
 
-def our_name(column: str) -> tuple[str, str | None] | None:
+def parse_column_name(column: str) -> tuple[str, str | None] | None:
     """Split a column ``measured_attitude_roll`` into our variable and label; None if it is none of ours."""
-    whole = quantity_named(column)
+    whole = find_quantity(column)
     if whole is not None:
         return (column, None) if whole.dim is None else None
     name, _, label = column.rpartition("_")
-    known = quantity_named(name) if name else None
+    known = find_quantity(name) if name else None
     if known is None or known.dim is None:
         return None
-    ours = label in map(str, known.labels) if known.labels else label.isdigit()
+    ours = label in map(str, known.component_labels) if known.component_labels else label.isdigit()
     return (name, label) if ours else None
 
 
-def labelled(time_s: NDArray[np.float64], values: Mapping[str, NDArray[np.float64]]) -> xr.Dataset:
+def make_dataset(time_s: NDArray[np.float64], values: Mapping[str, NDArray[np.float64]]) -> xr.Dataset:
     """Return a dataset over ``time`` of values (n,) or (n, components) by their names here, with units and labels."""
     import xarray as xr
 
     coords: dict[str, Any] = {"time": ("time", time_s, {"units": "s", "long_name": "time"})}
     variables: dict[str, Any] = {}
     for name, block in values.items():
-        known = quantity_named(name)
+        known = find_quantity(name)
         assert known is not None, name
         attrs = {"units": known.units, "long_name": known.long_name}
         variables[name] = (("time", known.dim) if known.dim else "time", block, attrs)
-        coords |= {known.dim: list(known.labels)} if known.dim else {}
+        coords |= {known.dim: list(known.component_labels)} if known.dim else {}
     return xr.Dataset(variables, coords)
 
 
-def is_held(name: str) -> bool:
+def is_command_signal(name: str) -> bool:
     """Whether a signal is commanded: it jumps and stands still as it likes, and no outlier or drop-out can be told."""
     return name.startswith(("reference_", "motor_input", "servo_input", "actuator_", "pilot_input"))

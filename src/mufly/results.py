@@ -3,8 +3,8 @@
 A class marked with :func:`result` is a frozen dataclass that can say what its fields are: the unit stands in a field's
 name (``thrust_N``, ``speed_rad_s``) or in the docstring, the meaning in the docstring's Attributes section, which is
 read once, when somebody asks. So one place writes a result as text (``print(result)``), in a notebook, as JSON
-(:func:`plain`) or as a report's table (:func:`rows`), and a result's fields are named nowhere twice. Its
-``plot()`` draws it: by the picture that the class names, or its numbers by :mod:`mufly.drawing`.
+(:func:`to_plain_data`) or as a report's table (:func:`result_rows`), and a result's fields are named nowhere twice. Its
+``plot_result()`` draws it: by the picture that the class names, or its numbers by :mod:`mufly.result_figure`.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, dataclass_transform,
 
 import numpy as np
 
-from mufly.drawing import Quantity, drawn, quantity, shown
-from mufly.units import known_unit, split_suffix
+from mufly.result_figure import PlotSeries, draw_series, enable_notebook_display, make_series
+from mufly.units import normalise_unit, split_unit_suffix
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_T = TypeVar("_T")
+_ResultT = TypeVar("_ResultT")
 
 # What stands at the end of our names and in no header of a log.
-_SUFFIXES = {
+_UNIT_SUFFIXES = {
     "N_W": "N/W", "kg_m3": "kg/m3", "kg_m2": "kg m2", "Pa_s": "Pa s", "m2": "m2", "Ah": "A h", "As": "A s", "J": "J",
     "dB": "dB", "percent": "%",
 }  # fmt: skip
-_UNITS = {"J", "dB", "N/W", "1"} | set(_SUFFIXES.values())
-_ATTRIBUTE = re.compile(r"^(?P<names>\w+(?:, \w+)*) *:(?P<type>.*)$")
-_LONG = 6  # arrays longer than this are told by their size and range
+_ACCEPTED_UNITS = {"J", "dB", "N/W", "1"} | set(_UNIT_SUFFIXES.values())
+_ATTRIBUTE_PATTERN = re.compile(r"^(?P<names>\w+(?:, \w+)*) *:(?P<type>.*)$")
+_MAX_LISTED_VALUES = 6  # arrays longer than this are told by their size and range
 
 
-_READ: dict[type[Any], dict[str, Meaning]] = {}  # classes whose docstring has been read
+_MEANINGS_CACHE: dict[type[Any], dict[str, FieldMeaning]] = {}  # classes whose docstring has been read
 
 
-class Meaning(NamedTuple):
+class FieldMeaning(NamedTuple):
     """What a field of a result is.
 
     Attributes
@@ -64,7 +64,7 @@ class Meaning(NamedTuple):
     meaning: str
 
 
-class Row(NamedTuple):
+class ResultRow(NamedTuple):
     """A field of a result, to be printed: label, value in words, unit and meaning."""
 
     label: str
@@ -74,9 +74,9 @@ class Row(NamedTuple):
 
 
 @overload
-def result(cls: type[_T], /) -> type[_T]: ...
+def result(cls: type[_ResultT], /) -> type[_ResultT]: ...
 @overload
-def result(*, eq: bool = True, picture: str = "") -> Callable[[type[_T]], type[_T]]: ...
+def result(*, eq: bool = True, picture: str = "") -> Callable[[type[_ResultT]], type[_ResultT]]: ...
 @dataclass_transform(frozen_default=True)
 def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "") -> Any:
     """Make a class a frozen dataclass that prints and draws itself and knows units and meaning of its fields.
@@ -91,48 +91,48 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "
         ``"module:function"`` that draws one and returns a matplotlib figure; without, its numbers are drawn.
     """
 
-    def made(one: type[Any]) -> type[Any]:
+    def make_result_class(one: type[Any]) -> type[Any]:
         new = dataclass(frozen=True, eq=eq, repr=False)(one)
         if "__str__" not in one.__dict__:
-            new.__str__ = text  # type: ignore[assignment]
+            new.__str__ = format_result  # type: ignore[assignment]
         if "__repr__" not in one.__dict__:  # all fields at once are a wall of numbers
             new.__repr__ = new.__str__
         if "_repr_html_" not in one.__dict__:
             new._repr_html_ = html_table
         if "plot" not in one.__dict__:
-            new.plot = plot
+            new.plot = plot_result
         new._picture = picture
         return new
 
-    return made if cls is None else made(cls)
+    return make_result_class if cls is None else make_result_class(cls)
 
 
-def meanings(cls: type[Any]) -> dict[str, Meaning]:
+def field_meanings(cls: type[Any]) -> dict[str, FieldMeaning]:
     """Return what the fields of a dataclass are, and its documented properties; the docstring is read once."""
-    if cls in _READ:
-        return _READ[cls]
+    if cls in _MEANINGS_CACHE:
+        return _MEANINGS_CACHE[cls]
     told: dict[str, tuple[str, str]] = {}
     for base in reversed(cls.__mro__):
-        told |= _attributes(base.__dict__.get("__doc__") or "")
+        told |= _parse_attributes(base.__dict__.get("__doc__") or "")
     names = [f.name for f in fields(cls)] if is_dataclass(cls) else []
     for name in dir(cls):
         if isinstance(member := inspect.getattr_static(cls, name), property) and not name.startswith("_"):
             first = inspect.getdoc(member) or ""
             told.setdefault(name, ("", " ".join(first.partition("\n\n")[0].split())))
             names.append(name)
-    _READ[cls] = {name: _meaning(name, *told.get(name, ("", ""))) for name in dict.fromkeys(names)}
-    return _READ[cls]
+    _MEANINGS_CACHE[cls] = {name: _make_meaning(name, *told.get(name, ("", ""))) for name in dict.fromkeys(names)}
+    return _MEANINGS_CACHE[cls]
 
 
-def meaning_of(item: Any, name: str) -> Meaning:
+def field_meaning(item: Any, name: str) -> FieldMeaning:
     """Return what a field of a result is; of a part of it with dots, ``"upper.thrust_N"``."""
     *parts, last = name.split(".")
     for part in parts:
         item = item[part] if isinstance(item, dict) else getattr(item, part)
-    return meanings(type(item)).get(last) or _meaning(last, "", "")
+    return field_meanings(type(item)).get(last) or _make_meaning(last, "", "")
 
 
-def _attributes(docstring: str) -> dict[str, tuple[str, str]]:
+def _parse_attributes(docstring: str) -> dict[str, tuple[str, str]]:
     """Type and meaning of each name of an Attributes (or Parameters) section."""
     lines = inspect.cleandoc(docstring).splitlines()
     found: dict[str, tuple[str, str]] = {}
@@ -142,7 +142,7 @@ def _attributes(docstring: str) -> dict[str, tuple[str, str]]:
         if k + 1 < len(lines) and re.fullmatch("-{3,}", lines[k + 1]):
             inside = line.strip() in ("Attributes", "Parameters")
             names = []
-        elif inside and (match := _ATTRIBUTE.match(line)):
+        elif inside and (match := _ATTRIBUTE_PATTERN.match(line)):
             names = match["names"].split(", ")
             found |= {name: (match["type"].strip(), "") for name in names}
         elif inside and line.startswith(" "):
@@ -152,42 +152,42 @@ def _attributes(docstring: str) -> dict[str, tuple[str, str]]:
     return found
 
 
-def _meaning(name: str, kind: str, said: str) -> Meaning:
-    label, unit = split_suffix(name)
-    for suffix, its in _SUFFIXES.items():
+def _make_meaning(name: str, kind: str, said: str) -> FieldMeaning:
+    label, unit = split_unit_suffix(name)
+    for suffix, its in _UNIT_SUFFIXES.items():
         if name.endswith(f"_{suffix}"):
             label, unit = name.removesuffix(f"_{suffix}"), its
     if not unit:
         for text_ in (kind, said):
             for inner in re.findall(r"\(([^()]*)\)", text_):
-                unit = unit or known_unit(inner) or (inner if inner in _UNITS else "")
-    return Meaning(name, label.replace("_", " "), "" if unit == "1" else unit, said)
+                unit = unit or normalise_unit(inner) or (inner if inner in _ACCEPTED_UNITS else "")
+    return FieldMeaning(name, label.replace("_", " "), "" if unit == "1" else unit, said)
 
 
-def plain(value: Any) -> Any:
+def to_plain_data(value: Any) -> Any:
     """Return tables, lists, texts and numbers that JSON can hold.
 
     A dataclass becomes a table of its fields, an array a list, a complex number a table of ``real`` and ``imag``, a
     path its text, a number that is not finite None.
     """
     if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+        return {f.name: to_plain_data(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {str(k): to_plain_data(v) for k, v in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return to_plain_data(value.tolist())
     if isinstance(value, list | tuple | set | frozenset):
-        return [plain(v) for v in value]
+        return [to_plain_data(v) for v in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, complex):
-        return {"real": plain(value.real), "imag": plain(value.imag)}
+        return {"real": to_plain_data(value.real), "imag": to_plain_data(value.imag)}
     if isinstance(value, Enum):
-        return plain(value.value)
+        return to_plain_data(value.value)
     return str(value) if isinstance(value, Path) else value
 
 
-def number(value: Any, form: str = ".6g") -> str:
+def format_value(value: Any, form: str = ".6g") -> str:
     """Return a value in words: numbers in ``form``, ``"-"`` for what is unknown, long arrays by size and range."""
     if value is None or (isinstance(value, float | np.floating) and math.isnan(value)):
         return "-"
@@ -196,17 +196,17 @@ def number(value: Any, form: str = ".6g") -> str:
     if isinstance(value, int | float | np.number) and not isinstance(value, complex):
         return f"{value:{form}}"
     if isinstance(value, np.ndarray) and value.dtype.kind in "fiu":
-        if value.size <= _LONG:
+        if value.size <= _MAX_LISTED_VALUES:
             return ", ".join(f"{x:{form}}" for x in value.ravel())
         shape = " x ".join(map(str, value.shape))
         good = value[np.isfinite(value)]
         return f"{shape} values" + (f", {good.min():.4g} to {good.max():.4g}" if good.size else "")
     if isinstance(value, tuple | list):
-        if len(value) > _LONG or any(is_dataclass(v) for v in value):
+        if len(value) > _MAX_LISTED_VALUES or any(is_dataclass(v) for v in value):
             return f"{len(value)} entries" if value else "none"
-        return ", ".join(number(v, form) for v in value)
+        return ", ".join(format_value(v, form) for v in value)
     if isinstance(value, dict):
-        return ", ".join(map(str, value)) if len(value) <= _LONG else f"{len(value)} entries"
+        return ", ".join(map(str, value)) if len(value) <= _MAX_LISTED_VALUES else f"{len(value)} entries"
     if is_dataclass(value):
         named = getattr(value, "name", None)
         return named if isinstance(named, str) else type(value).__name__
@@ -214,22 +214,22 @@ def number(value: Any, form: str = ".6g") -> str:
     return words if len(words) <= 60 and "\n" not in words else type(value).__name__
 
 
-def rows(value: Any, names: Iterable[str] | None = None) -> list[Row]:
+def result_rows(value: Any, names: Iterable[str] | None = None) -> list[ResultRow]:
     """Return the fields of a result as they are printed; default all that are its own, in their order."""
-    known = meanings(type(value))
+    known = field_meanings(type(value))
     wanted = [f.name for f in fields(value)] if names is None else list(names)
-    told = [known.get(name) or _meaning(name, "", "") for name in wanted]
-    return [Row(m.label, number(getattr(value, m.name)), m.unit, m.meaning) for m in told]
+    told = [known.get(name) or _make_meaning(name, "", "") for name in wanted]
+    return [ResultRow(m.label, format_value(getattr(value, m.name)), m.unit, m.meaning) for m in told]
 
 
-def text(value: Any) -> str:
+def format_result(value: Any) -> str:
     """Return a result as a table in plain text, a field a line."""
-    lines = rows(value)
+    lines = result_rows(value)
     widths = [max((len(r[k]) for r in lines), default=0) for k in range(3)]
     first = (inspect.getdoc(type(value)) or "").partition("\n")[0]
     title = f"{type(value).__name__}: {first}".removesuffix(": ")
     told = (
-        f"  {r.label:<{widths[0]}}  {r.value:>{min(widths[1], 36)}} {r.unit:<{widths[2]}}  {_sentence(r.meaning)}"
+        f"  {r.label:<{widths[0]}}  {r.value:>{min(widths[1], 36)}} {r.unit:<{widths[2]}}  {_first_sentence(r.meaning)}"
         for r in lines
     )
     return "\n".join([title, *(line.rstrip() for line in told)])
@@ -237,54 +237,57 @@ def text(value: Any) -> str:
 
 def html_table(value: Any) -> str:
     """Return a result as a table for notebooks and reports."""
-    cells = ("".join(f"<td>{html.escape(c)}</td>" for c in row) for row in rows(value))
+    cells = ("".join(f"<td>{html.escape(c)}</td>" for c in row) for row in result_rows(value))
     return f"<table>{''.join(f'<tr>{line}</tr>' for line in cells)}</table>"
 
 
-def plot(self: Any) -> Figure:
+def plot_result(self: Any) -> Figure:
     """Draw it; returns a matplotlib figure, ``.savefig("name.png")`` keeps it."""
     room, _, name = type(self)._picture.partition(":")
-    return shown(getattr(importlib.import_module(room), name)(self) if name else numbers_picture(self))
-
-
-def numbers_picture(value: Any) -> Figure:
-    """Draw the numbers of a result, those of its parts if it has none of its own."""
-    known = meanings(type(value))
-    numbers = [q for f in fields(value) for q in _quantities(known[f.name], getattr(value, f.name))]
-    named = getattr(value, "name", "")
-    title = f"{type(value).__name__} {named}".strip() if isinstance(named, str) else type(value).__name__
-    return drawn(
-        title, numbers or _of_parts(value), [(r.label, f"{r.value} {r.unit}".strip()) for r in rows(value)]
+    return enable_notebook_display(
+        getattr(importlib.import_module(room), name)(self) if name else draw_result_numbers(self)
     )
 
 
-def _quantities(m: Meaning, value: Any) -> list[Quantity]:
+def draw_result_numbers(value: Any) -> Figure:
+    """Draw the numbers of a result, those of its parts if it has none of its own."""
+    known = field_meanings(type(value))
+    numbers = [q for f in fields(value) for q in _plottable_series(known[f.name], getattr(value, f.name))]
+    named = getattr(value, "name", "")
+    title = f"{type(value).__name__} {named}".strip() if isinstance(named, str) else type(value).__name__
+    return draw_series(
+        title,
+        numbers or _series_of_parts(value),
+        [(r.label, f"{r.value} {r.unit}".strip()) for r in result_rows(value)],
+    )
+
+
+def _plottable_series(m: FieldMeaning, value: Any) -> list[PlotSeries]:
     """What can be drawn of a field: itself, the columns of a table, the entries of a dictionary."""
     if isinstance(value, Mapping):
-        parts = [_meaning(str(k), "", "") for k in value]
+        parts = [_make_meaning(str(k), "", "") for k in value]
         named = [(p.label, p.unit or m.unit, v) for p, v in zip(parts, value.values(), strict=True)]
-    elif isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] <= _LONG < value.shape[0]:
+    elif isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] <= _MAX_LISTED_VALUES < value.shape[0]:
         named = [(f"{m.label} {k + 1}", m.unit, column) for k, column in enumerate(value.T)]
     else:
         named = [(m.label, m.unit, value)]
-    return [q for label, unit, some in named if (q := quantity(label, unit, some)) is not None]
+    return [q for label, unit, some in named if (q := make_series(label, unit, some)) is not None]
 
 
-def _of_parts(value: Any) -> list[Quantity]:
+def _series_of_parts(value: Any) -> list[PlotSeries]:
     """Numbers of the parts of a result that is a list of them, one entry a part."""
     for f in fields(value):
         parts = getattr(value, f.name)
         if isinstance(parts, tuple | list) and parts and is_dataclass(parts[0]):
-            known = meanings(type(parts[0]))
+            known = field_meanings(type(parts[0]))
             columns = (
-                (m, [getattr(p, m.name, None) for p in parts])
-                for m in (known[g.name] for g in fields(parts[0]))
+                (m, [getattr(p, m.name, None) for p in parts]) for m in (known[g.name] for g in fields(parts[0]))
             )
-            return [q for m, some in columns if (q := quantity(m.label, m.unit, some)) is not None]
+            return [q for m, some in columns if (q := make_series(m.label, m.unit, some)) is not None]
     return []
 
 
-def _sentence(words: str) -> str:
+def _first_sentence(words: str) -> str:
     """The first sentence, without what Sphinx needs."""
     clear = re.sub(r":\w+:`~?([^`]*)`", r"\1", words).replace("``", "")
     return re.split(r"(?<=[.;])\s", clear, maxsplit=1)[0].rstrip(";")

@@ -1,6 +1,6 @@
 """C on this machine: its compiler, and shared libraries built once and kept on disk.
 
-A library is kept beside what Numba compiled (:mod:`mufly.compiled`), under a hash of its sources, the flags and the
+A library is kept beside what Numba compiled (:mod:`mufly.numba_cache`), under a hash of its sources, the flags and the
 compiler; any change there leads to another file, and nothing needs to be deleted. It is written under another name
 first, so that processes that build the same at once do not disturb each other.
 """
@@ -15,14 +15,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mufly.answer_store import hash_question
-from mufly.compiled import cache_folder
 from mufly.errors import MuflyError
+from mufly.numba_cache import cache_folder
 
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno")
+COMPILER_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno")
 """With which results are those of the simulation; any -O does, -ffast-math and contraction do not."""
 
 
-def compiler() -> str:
+def find_compiler() -> str:
     """Return the C compiler of this machine: ``$CC``, else cc, gcc or clang.
 
     Raises
@@ -41,7 +41,7 @@ def compiler() -> str:
 
 
 def compile_library(
-    sources: Sequence[Path], out: Path, *, flags: Sequence[str] = FLAGS, cc: str | None = None
+    sources: Sequence[Path], out: Path, *, flags: Sequence[str] = COMPILER_FLAGS, cc: str | None = None
 ) -> None:
     """Build C sources as a shared library.
 
@@ -50,14 +50,14 @@ def compile_library(
     MuflyError
         If there is no compiler, or it refuses; the message holds what it said first.
     """
-    command = [cc or compiler(), *flags, "-fPIC", "-shared", *map(str, sources), "-o", str(out), "-lm"]
+    command = [cc or find_compiler(), *flags, "-fPIC", "-shared", *map(str, sources), "-o", str(out), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
         raise MuflyError(f"{command[0]} could not build {out.parent}: {first}")
 
 
-def kept_library(name: str, files: Mapping[str, str], *, flags: Sequence[str] = FLAGS) -> Path:
+def build_cached_library(name: str, files: Mapping[str, str], *, flags: Sequence[str] = COMPILER_FLAGS) -> Path:
     """Return a shared library of some sources, built if it is not there yet.
 
     Parameters
@@ -74,7 +74,7 @@ def kept_library(name: str, files: Mapping[str, str], *, flags: Sequence[str] = 
     MuflyError
         If there is no compiler, or it refuses.
     """
-    cc = compiler()
+    cc = find_compiler()
     real = Path(cc).resolve()
     stamp = (str(real), real.stat().st_size, real.stat().st_mtime_ns, *flags)
     digest = hash_question(stamp, sorted(files.items()))[:24]

@@ -23,40 +23,79 @@ The standard one is a definition: it says what a kilogram-force is, not how fast
 RPM = pi / 30.0
 """One revolution a minute in rad/s."""
 
-_G, _TURN, _FT, _INCH = STANDARD_GRAVITY_M_S2, 2 * pi, 0.3048, 0.0254
-_LB = 0.45359237  # kg, the international pound (1959)
-_OZ = _LB / 16
-_MMHG = 133.322387415  # Pa, conventional millimetre of mercury
+_GRAVITY, _TWO_PI, _FOOT_M, _INCH_M = STANDARD_GRAVITY_M_S2, 2 * pi, 0.3048, 0.0254
+_POUND_KG = 0.45359237  # kg, the international pound (1959)
+_OUNCE_KG = _POUND_KG / 16
+_MMHG_PA = 133.322387415  # Pa, conventional millimetre of mercury
 # SI unit: the units that lead to it, with factor and offset.
-_TABLE: dict[str, dict[str, tuple[float, float]]] = {
+_UNITS_BY_SI: dict[str, dict[str, tuple[float, float]]] = {
     "s": {
-        "s": (1, 0), "ms": (1e-3, 0), "us": (1e-6, 0), "ns": (1e-9, 0), "min": (60, 0), "h": (3600, 0),
+        "s": (1, 0),
+        "ms": (1e-3, 0),
+        "us": (1e-6, 0),
+        "ns": (1e-9, 0),
+        "min": (60, 0),
+        "h": (3600, 0),
         "day": (86_400, 0),
     },
     "rad": {
-        "rad": (1, 0), "deg": (pi / 180, 0), "mrad": (1e-3, 0), "cdeg": (pi / 18000, 0), "rev": (_TURN, 0),
-        "ddeg": (pi / 1800, 0), "degE7": (pi / 180 * 1e-7, 0),
+        "rad": (1, 0),
+        "deg": (pi / 180, 0),
+        "mrad": (1e-3, 0),
+        "cdeg": (pi / 18000, 0),
+        "rev": (_TWO_PI, 0),
+        "ddeg": (pi / 1800, 0),
+        "degE7": (pi / 180 * 1e-7, 0),
     },
     "rad/s": {
-        "rad/s": (1, 0), "rpm": (RPM, 0), "deg/s": (pi / 180, 0), "rps": (_TURN, 0), "Hz": (_TURN, 0),
-        "krpm": (_TURN * 1000 / 60, 0), "mrad/s": (1e-3, 0), "cdeg/s": (pi / 18000, 0), "ddeg/s": (pi / 1800, 0),
+        "rad/s": (1, 0),
+        "rpm": (RPM, 0),
+        "deg/s": (pi / 180, 0),
+        "rps": (_TWO_PI, 0),
+        "Hz": (_TWO_PI, 0),
+        "krpm": (_TWO_PI * 1000 / 60, 0),
+        "mrad/s": (1e-3, 0),
+        "cdeg/s": (pi / 18000, 0),
+        "ddeg/s": (pi / 1800, 0),
     },
     "1/s": {"1/s": (1, 0)},
     "rad/s^2": {"rad/s^2": (1, 0), "deg/s^2": (pi / 180, 0)},
     "m": {
-        "m": (1, 0), "cm": (1e-2, 0), "mm": (1e-3, 0), "dm": (0.1, 0), "km": (1e3, 0), "ft": (_FT, 0),
-        "in": (_INCH, 0), "um": (1e-6, 0), "yd": (3 * _FT, 0), "mi": (5280 * _FT, 0), "nmi": (1852, 0),
+        "m": (1, 0),
+        "cm": (1e-2, 0),
+        "mm": (1e-3, 0),
+        "dm": (0.1, 0),
+        "km": (1e3, 0),
+        "ft": (_FOOT_M, 0),
+        "in": (_INCH_M, 0),
+        "um": (1e-6, 0),
+        "yd": (3 * _FOOT_M, 0),
+        "mi": (5280 * _FOOT_M, 0),
+        "nmi": (1852, 0),
     },
-    "m2": {"m2": (1, 0), "cm2": (1e-4, 0), "mm2": (1e-6, 0), "in2": (_INCH**2, 0), "ft2": (_FT**2, 0)},
-    "m3": {"m3": (1, 0), "cm3": (1e-6, 0), "mm3": (1e-9, 0), "l": (1e-3, 0), "in3": (_INCH**3, 0)},
+    "m2": {"m2": (1, 0), "cm2": (1e-4, 0), "mm2": (1e-6, 0), "in2": (_INCH_M**2, 0), "ft2": (_FOOT_M**2, 0)},
+    "m3": {"m3": (1, 0), "cm3": (1e-6, 0), "mm3": (1e-9, 0), "l": (1e-3, 0), "in3": (_INCH_M**3, 0)},
     "m/s": {
-        "m/s": (1, 0), "dm/s": (0.1, 0), "cm/s": (1e-2, 0), "mm/s": (1e-3, 0), "km/h": (1 / 3.6, 0),
-        "ft/s": (_FT, 0), "kn": (1852 / 3600, 0), "mph": (5280 * _FT / 3600, 0), "ft/min": (_FT / 60, 0),
-        "in/s": (_INCH, 0), "m/min": (1 / 60, 0),
+        "m/s": (1, 0),
+        "dm/s": (0.1, 0),
+        "cm/s": (1e-2, 0),
+        "mm/s": (1e-3, 0),
+        "km/h": (1 / 3.6, 0),
+        "ft/s": (_FOOT_M, 0),
+        "kn": (1852 / 3600, 0),
+        "mph": (5280 * _FOOT_M / 3600, 0),
+        "ft/min": (_FOOT_M / 60, 0),
+        "in/s": (_INCH_M, 0),
+        "m/min": (1 / 60, 0),
     },
     "m/s^2": {
-        "m/s^2": (1, 0), "cm/s^2": (1e-2, 0), "mm/s^2": (1e-3, 0), "gee": (_G, 0), "mgee": (_G / 1000, 0),
-        "ugee": (_G * 1e-6, 0), "ft/s^2": (_FT, 0),
+        "m/s^2": (1, 0),
+        "cm/s^2": (1e-2, 0),
+        "mm/s^2": (1e-3, 0),
+        "gee": (_GRAVITY, 0),
+        "mgee": (_GRAVITY / 1000, 0),
+        "ugee": (_GRAVITY * 1e-6, 0),
+        "ft/s^2": (_FOOT_M, 0),
     },
     "V": {"V": (1, 0), "mV": (1e-3, 0), "cV": (1e-2, 0), "uV": (1e-6, 0), "kV": (1e3, 0)},
     "A": {"A": (1, 0), "mA": (1e-3, 0), "cA": (1e-2, 0), "uA": (1e-6, 0)},
@@ -65,55 +104,103 @@ _TABLE: dict[str, dict[str, tuple[float, float]]] = {
     "ohm": {"ohm": (1, 0), "mohm": (1e-3, 0), "kohm": (1e3, 0), "Mohm": (1e6, 0)},
     "H": {"H": (1, 0), "mH": (1e-3, 0), "uH": (1e-6, 0)},
     "V s": {"V s": (1, 0), "mV s": (1e-3, 0)},
-    "W": {"W": (1, 0), "mW": (1e-3, 0), "kW": (1e3, 0), "hp": (550 * _FT * _LB * _G, 0)},
+    "W": {"W": (1, 0), "mW": (1e-3, 0), "kW": (1e3, 0), "hp": (550 * _FOOT_M * _POUND_KG * _GRAVITY, 0)},
     "J": {"J": (1, 0), "mJ": (1e-3, 0), "kJ": (1e3, 0), "W h": (3600, 0), "mW h": (3.6, 0)},
     "N": {
-        "N": (1, 0), "mN": (1e-3, 0), "kN": (1e3, 0), "gf": (_G / 1000, 0), "kgf": (_G, 0), "uN": (1e-6, 0),
-        "cN": (1e-2, 0), "mgf": (_G * 1e-6, 0), "lbf": (_LB * _G, 0), "ozf": (_OZ * _G, 0), "dyn": (1e-5, 0),
+        "N": (1, 0),
+        "mN": (1e-3, 0),
+        "kN": (1e3, 0),
+        "gf": (_GRAVITY / 1000, 0),
+        "kgf": (_GRAVITY, 0),
+        "uN": (1e-6, 0),
+        "cN": (1e-2, 0),
+        "mgf": (_GRAVITY * 1e-6, 0),
+        "lbf": (_POUND_KG * _GRAVITY, 0),
+        "ozf": (_OUNCE_KG * _GRAVITY, 0),
+        "dyn": (1e-5, 0),
     },
     "N m": {
-        "N m": (1, 0), "mN m": (1e-3, 0), "uN m": (1e-6, 0), "N mm": (1e-3, 0), "N cm": (1e-2, 0),
-        "cN m": (1e-2, 0), "mN mm": (1e-6, 0), "kN m": (1e3, 0), "kgf m": (_G, 0), "kgf cm": (_G * 1e-2, 0),
-        "kgf mm": (_G * 1e-3, 0), "gf m": (_G * 1e-3, 0), "gf cm": (_G * 1e-5, 0), "gf mm": (_G * 1e-6, 0),
-        "lbf ft": (_LB * _G * _FT, 0), "lbf in": (_LB * _G * _INCH, 0), "ozf in": (_OZ * _G * _INCH, 0),
-        "ozf ft": (_OZ * _G * _FT, 0), "dyn cm": (1e-7, 0),
+        "N m": (1, 0),
+        "mN m": (1e-3, 0),
+        "uN m": (1e-6, 0),
+        "N mm": (1e-3, 0),
+        "N cm": (1e-2, 0),
+        "cN m": (1e-2, 0),
+        "mN mm": (1e-6, 0),
+        "kN m": (1e3, 0),
+        "kgf m": (_GRAVITY, 0),
+        "kgf cm": (_GRAVITY * 1e-2, 0),
+        "kgf mm": (_GRAVITY * 1e-3, 0),
+        "gf m": (_GRAVITY * 1e-3, 0),
+        "gf cm": (_GRAVITY * 1e-5, 0),
+        "gf mm": (_GRAVITY * 1e-6, 0),
+        "lbf ft": (_POUND_KG * _GRAVITY * _FOOT_M, 0),
+        "lbf in": (_POUND_KG * _GRAVITY * _INCH_M, 0),
+        "ozf in": (_OUNCE_KG * _GRAVITY * _INCH_M, 0),
+        "ozf ft": (_OUNCE_KG * _GRAVITY * _FOOT_M, 0),
+        "dyn cm": (1e-7, 0),
     },
-    "N m/A": {"N m/A": (1, 0), "mN m/A": (1e-3, 0), "ozf in/A": (_OZ * _G * _INCH, 0)},
+    "N m/A": {"N m/A": (1, 0), "mN m/A": (1e-3, 0), "ozf in/A": (_OUNCE_KG * _GRAVITY * _INCH_M, 0)},
     "N m s": {"N m s": (1, 0), "mN m s": (1e-3, 0), "uN m s": (1e-6, 0)},
     "N s/m": {"N s/m": (1, 0)},
     "N/m": {"N/m": (1, 0), "N/mm": (1e3, 0)},
-    "kg": {"kg": (1, 0), "g": (1e-3, 0), "mg": (1e-6, 0), "lb": (_LB, 0), "oz": (_OZ, 0)},
+    "kg": {"kg": (1, 0), "g": (1e-3, 0), "mg": (1e-6, 0), "lb": (_POUND_KG, 0), "oz": (_OUNCE_KG, 0)},
     "kg m2": {"kg m2": (1, 0), "g cm2": (1e-7, 0), "g mm2": (1e-9, 0), "kg cm2": (1e-4, 0), "kg mm2": (1e-6, 0)},
     "kg/m3": {
-        "kg/m3": (1, 0), "g/m3": (1e-3, 0), "g/cm3": (1e3, 0), "g/l": (1, 0), "slug/ft3": (_LB * _G / _FT**4, 0),
-        "lb/ft3": (_LB / _FT**3, 0),
+        "kg/m3": (1, 0),
+        "g/m3": (1e-3, 0),
+        "g/cm3": (1e3, 0),
+        "g/l": (1, 0),
+        "slug/ft3": (_POUND_KG * _GRAVITY / _FOOT_M**4, 0),
+        "lb/ft3": (_POUND_KG / _FOOT_M**3, 0),
     },
     "Pa": {
-        "Pa": (1, 0), "hPa": (100, 0), "mbar": (100, 0), "kPa": (1e3, 0), "bar": (1e5, 0), "MPa": (1e6, 0),
-        "mPa": (1e-3, 0), "psi": (_LB * _G / _INCH**2, 0), "psf": (_LB * _G / _FT**2, 0), "inHg": (25.4 * _MMHG, 0),
-        "mmHg": (_MMHG, 0), "torr": (101_325 / 760, 0), "atm": (101_325, 0), "inH2O": (25.4 * _G, 0),
-        "mmH2O": (_G, 0),
+        "Pa": (1, 0),
+        "hPa": (100, 0),
+        "mbar": (100, 0),
+        "kPa": (1e3, 0),
+        "bar": (1e5, 0),
+        "MPa": (1e6, 0),
+        "mPa": (1e-3, 0),
+        "psi": (_POUND_KG * _GRAVITY / _INCH_M**2, 0),
+        "psf": (_POUND_KG * _GRAVITY / _FOOT_M**2, 0),
+        "inHg": (25.4 * _MMHG_PA, 0),
+        "mmHg": (_MMHG_PA, 0),
+        "torr": (101_325 / 760, 0),
+        "atm": (101_325, 0),
+        "inH2O": (25.4 * _GRAVITY, 0),
+        "mmH2O": (_GRAVITY, 0),
     },
     "Pa s": {"Pa s": (1, 0), "uPa s": (1e-6, 0)},
     "m2/s": {"m2/s": (1, 0), "mm2/s": (1e-6, 0)},
     "K": {
-        "K": (1, 0), "degC": (1, 273.15), "cdegC": (0.01, 273.15), "ddegC": (0.1, 273.15),
-        "degF": (5 / 9, 273.15 - 32 * 5 / 9), "degR": (5 / 9, 0), "mK": (1e-3, 0),
+        "K": (1, 0),
+        "degC": (1, 273.15),
+        "cdegC": (0.01, 273.15),
+        "ddegC": (0.1, 273.15),
+        "degF": (5 / 9, 273.15 - 32 * 5 / 9),
+        "degR": (5 / 9, 0),
+        "mK": (1e-3, 0),
     },
     "T": {
-        "T": (1, 0), "mT": (1e-3, 0), "uT": (1e-6, 0), "gauss": (1e-4, 0), "mgauss": (1e-7, 0), "nT": (1e-9, 0),
+        "T": (1, 0),
+        "mT": (1e-3, 0),
+        "uT": (1e-6, 0),
+        "gauss": (1e-4, 0),
+        "mgauss": (1e-7, 0),
+        "nT": (1e-9, 0),
     },
     "T/A": {"T/A": (1, 0), "uT/A": (1e-6, 0)},
-    "m/s^2/sqrt(Hz)": {"m/s^2/sqrt(Hz)": (1, 0), "ugee/sqrt(Hz)": (_G * 1e-6, 0)},
+    "m/s^2/sqrt(Hz)": {"m/s^2/sqrt(Hz)": (1, 0), "ugee/sqrt(Hz)": (_GRAVITY * 1e-6, 0)},
     "rad/s/sqrt(Hz)": {"rad/s/sqrt(Hz)": (1, 0), "deg/s/sqrt(Hz)": (pi / 180, 0)},
-    "rad/s/(m/s^2)": {"rad/s/(m/s^2)": (1, 0), "deg/s/gee": (pi / 180 / _G, 0)},
-    "m/s^2/K": {"m/s^2/K": (1, 0), "mgee/K": (_G * 1e-3, 0)},
+    "rad/s/(m/s^2)": {"rad/s/(m/s^2)": (1, 0), "deg/s/gee": (pi / 180 / _GRAVITY, 0)},
+    "m/s^2/K": {"m/s^2/K": (1, 0), "mgee/K": (_GRAVITY * 1e-3, 0)},
     "rad/s/K": {"rad/s/K": (1, 0), "deg/s/K": (pi / 180, 0)},
     "1": {"1": (1, 0), "%": (1e-2, 0), "d%": (1e-3, 0), "c%": (1e-4, 0), "permille": (1e-3, 0)},
-}  # fmt: skip
-_BY_UNIT = {u: (si, float(f), float(o)) for si, units in _TABLE.items() for u, (f, o) in units.items()}
+}
+_SI_BY_UNIT = {u: (si, float(f), float(o)) for si, units in _UNITS_BY_SI.items() for u, (f, o) in units.items()}
 # How a unit or a factor of one is written, beside powers, signs of products and "per", which _canonical settles.
-_SPELT = {
+_SPELLINGS_BY_UNIT = {
     "s": "sec secs second seconds", "ms": "msec msecs millis millisec millisecond milliseconds",
     "us": "usec usecs micros microsec microsecond microseconds", "ns": "nsec nsecs nanos nanosecond nanoseconds",
     "min": "mins minute minutes", "h": "hr hrs hour hours", "day": "days",
@@ -145,27 +232,27 @@ _SPELT = {
     "gauss": "Gauss Gs", "mgauss": "mGauss milligauss", "%": "percent pct", "permille": "\u2030",
     "1": "- none norm unitless dimensionless",
 }  # fmt: skip
-_SPELLINGS = {word: unit for unit, words in _SPELT.items() for word in words.split()}
-_CHARACTERS = str.maketrans("\u00b5\u03bc\u00b2\u00b3\u00b9\u207b\u00b7\u22c5\u00d7\u2212", "uu231-***-")
-_FACTOR = re.compile(r"(?P<name>[^\d^]+?)\^?(?P<power>-?\d+)?")
-_PRODUCT = re.compile(r"\s*\*\s*|\.(?=[A-Za-z])|(?<=[A-Za-z])-(?=[A-Za-z])|\s+")
-_TEMPERATURE = re.compile(r"^(?:°|deg(?:ree)?s?)[ _-]?([CF]|[Cc]elsius|[Ff]ahrenheit)$")
-_FORCES = {"kg": "kgf", "g": "gf", "mg": "mgf", "lb": "lbf", "oz": "ozf"}
+_UNIT_BY_SPELLING = {word: unit for unit, words in _SPELLINGS_BY_UNIT.items() for word in words.split()}
+_CHARACTER_REPLACEMENTS = str.maketrans("\u00b5\u03bc\u00b2\u00b3\u00b9\u207b\u00b7\u22c5\u00d7\u2212", "uu231-***-")
+_FACTOR_PATTERN = re.compile(r"(?P<name>[^\d^]+?)\^?(?P<power>-?\d+)?")
+_PRODUCT_PATTERN = re.compile(r"\s*\*\s*|\.(?=[A-Za-z])|(?<=[A-Za-z])-(?=[A-Za-z])|\s+")
+_TEMPERATURE_PATTERN = re.compile(r"^(?:°|deg(?:ree)?s?)[ _-]?([CF]|[Cc]elsius|[Ff]ahrenheit)$")
+_WEIGHT_UNITS = {"kg": "kgf", "g": "gf", "mg": "mgf", "lb": "lbf", "oz": "ozf"}
 
 
-def _canonical(text: str) -> str:
+def _canonical_unit(text: str) -> str:
     """A unit of several factors as the table writes it, or one that comes near: ``"m s-2"`` is ``"m/s^2"``."""
-    text = _TEMPERATURE.sub(r"\1", text).replace("**", "^").replace(" per ", "/").replace("_per_", "/")
+    text = _TEMPERATURE_PATTERN.sub(r"\1", text).replace("**", "^").replace(" per ", "/").replace("_per_", "/")
     over: list[str] = []
     under: list[tuple[str, int]] = []
     for k, part in enumerate(text.split("/")):
-        for factor in _PRODUCT.split(part.strip(" ()")):
-            match = _FACTOR.fullmatch(factor)
+        for factor in _PRODUCT_PATTERN.split(part.strip(" ()")):
+            match = _FACTOR_PATTERN.fullmatch(factor)
             if match is None:
                 if factor != "1" or k:
                     return ""
                 continue
-            name, power = _SPELLINGS.get(match["name"], match["name"]), int(match["power"] or 1)
+            name, power = _UNIT_BY_SPELLING.get(match["name"], match["name"]), int(match["power"] or 1)
             power = -power if k else power
             if power < 0:
                 same = next((i for i, (n, _) in enumerate(under) if n == name), None)
@@ -176,50 +263,50 @@ def _canonical(text: str) -> str:
             else:
                 over.append(name if power == 1 else f"{name}{power}")
     if len(over) == 2:  # a torque: its force first, masses for weights
-        over = over if over[1] in _TABLE["m"] else over[::-1]
-        over = [_FORCES.get(over[0], over[0]), over[1]] if over[1] in _TABLE["m"] else over[::-1]
+        over = over if over[1] in _UNITS_BY_SI["m"] else over[::-1]
+        over = [_WEIGHT_UNITS.get(over[0], over[0]), over[1]] if over[1] in _UNITS_BY_SI["m"] else over[::-1]
     below = [n if p == 1 else f"{n}^{p}" if n == "s" else f"{n}{p}" for n, p in under]
     return "/".join([" ".join(over) or "1", *below])
 
 
 # A unit that another quantity gives its name to: load cells weigh in grams, accelerometers in those of the earth, and
 # what turns so many times a second makes so many revolutions.
-_INSTEAD = {("N", mass): force for mass, force in _FORCES.items()} | {
+_UNIT_REPLACEMENTS = {("N", mass): force for mass, force in _WEIGHT_UNITS.items()} | {
     ("m/s^2", "g"): "gee", ("m/s^2", "mg"): "mgee", ("rad/s", "1/s"): "rps",
 }  # fmt: skip
 
 
 @cache
-def known_unit(text: str, wanted: str | None = None) -> str:
+def normalise_unit(text: str, wanted: str | None = None) -> str:
     """Return a unit as this package writes it, ``""`` for one that it does not know.
 
     Powers, products and quotients are written in any of the usual ways: ``"m s-2"``, ``"m/s**2"``, ``"in-lbf"``. With
     the unit ``wanted`` that it must lead to, capitals do not matter, ``_`` may stand for ``/``, a mass is the force
     that load cells mean by it, and ``1/s`` of a speed are revolutions.
     """
-    unit = " ".join(text.translate(_CHARACTERS).split())
+    unit = " ".join(text.translate(_CHARACTER_REPLACEMENTS).split())
     if wanted is None:
-        for spelling in (unit, _canonical(unit), unit.lower() if len(unit) > 1 else ""):
-            known = _SPELLINGS.get(spelling, spelling)
-            if known in _BY_UNIT:
+        for spelling in (unit, _canonical_unit(unit), unit.lower() if len(unit) > 1 else ""):
+            known = _UNIT_BY_SPELLING.get(spelling, spelling)
+            if known in _SI_BY_UNIT:
                 return known
         return ""
-    si = _BY_UNIT[wanted][0]
+    si = _SI_BY_UNIT[wanted][0]
     for spelling in (unit, unit.lower()):
         for written in (spelling, spelling.replace("_", "/"), spelling.replace("_", " ")):
-            known = known_unit(written)
-            known = _INSTEAD.get((si, known), known)
-            if known in _TABLE[si]:
+            known = normalise_unit(written)
+            known = _UNIT_REPLACEMENTS.get((si, known), known)
+            if known in _UNITS_BY_SI[si]:
                 return known
-    here = [(spelling.lower(), known) for spelling, known in _SPELLINGS.items() if known in _TABLE[si]]
-    here += [(known.lower(), known) for known in _TABLE[si]]
+    here = [(spelling.lower(), known) for spelling, known in _UNIT_BY_SPELLING.items() if known in _UNITS_BY_SI[si]]
+    here += [(known.lower(), known) for known in _UNITS_BY_SI[si]]
     low = unit.lower()
-    spellings = {low, low.replace("_", "/"), _canonical(low), _canonical(low.replace("_", " "))}
+    spellings = {low, low.replace("_", "/"), _canonical_unit(low), _canonical_unit(low.replace("_", " "))}
     found = {known for spelling, known in here if spelling in spellings}
     return found.pop() if len(found) == 1 else ""
 
 
-def conversion(unit: str, wanted: str | None = None) -> tuple[str, float, float]:
+def unit_conversion(unit: str, wanted: str | None = None) -> tuple[str, float, float]:
     """Return how values in a unit become another.
 
     Parameters
@@ -241,122 +328,125 @@ def conversion(unit: str, wanted: str | None = None) -> tuple[str, float, float]
         If the unit is unknown, or of another dimension than the one wanted. A mass in grams becomes a force, as on
         load cells, when newtons are wanted; a lone ``g`` becomes the gravity of the earth when m/s^2 is.
     """
-    there = "" if wanted is None else known_unit(wanted)
-    goal = _BY_UNIT[there][0] if there else ""
-    here = (known_unit(unit, goal) if goal else "") or known_unit(unit)
+    there = "" if wanted is None else normalise_unit(wanted)
+    goal = _SI_BY_UNIT[there][0] if there else ""
+    here = (normalise_unit(unit, goal) if goal else "") or normalise_unit(unit)
     if not here:
-        remedy = f"use one of: {', '.join(_TABLE[goal] if goal else _TABLE)}"
+        remedy = f"use one of: {', '.join(_UNITS_BY_SI[goal] if goal else _UNITS_BY_SI)}"
         raise InputError("unit", unit, "is unknown", remedy)
-    si, factor, offset = _BY_UNIT[here]
+    si, factor, offset = _SI_BY_UNIT[here]
     if wanted is None or wanted == si:
         return si, factor, offset
     if goal != si:
-        others = ", ".join(_TABLE[goal] if goal else _TABLE)
+        others = ", ".join(_UNITS_BY_SI[goal] if goal else _UNITS_BY_SI)
         raise InputError("unit", unit, f"cannot become {wanted}", f"use one of: {others}")
-    _, scale, shift = _BY_UNIT[there]
+    _, scale, shift = _SI_BY_UNIT[there]
     return there, factor / scale, (offset - shift) / scale
 
 
-def factor_of(unit: str, wanted: str | None = None) -> float:
-    """Return what one of a unit is in another (default: in SI), ``factor_of("mm")`` is 1e-3; see :func:`conversion`."""
-    return conversion(unit, wanted)[1]
+def conversion_factor(unit: str, wanted: str | None = None) -> float:
+    """Return what one of a unit is in another (default: in SI), ``conversion_factor("mm")`` is 1e-3; see
+    :func:`unit_conversion`."""
+    return unit_conversion(unit, wanted)[1]
 
 
-def units_of(si: str) -> Mapping[str, float]:
+def compatible_units(si: str) -> Mapping[str, float]:
     """Return the units that lead to an SI unit and what one of them is in it, the SI unit first."""
-    return {unit: float(factor) for unit, (factor, _) in _TABLE[si].items()}
+    return {unit: float(factor) for unit, (factor, _) in _UNITS_BY_SI[si].items()}
 
 
 # From here on: the unit in a header. In brackets stands a unit; behind an underscore may stand one.
 
 
-def _set(words: str) -> frozenset[str]:
+def _word_set(words: str) -> frozenset[str]:
     return frozenset(words.split())
 
 
 # Ends of names that are units whatever the name is.
-_ENDS = {
+_UNIT_ENDINGS = {
     "rad_s2": "rad/s^2", "deg_s2": "deg/s^2", "rad_s": "rad/s", "deg_s": "deg/s", "m_s2": "m/s^2", "m_s": "m/s",
     "cm_s": "cm/s", "mm_s": "mm/s", "km_h": "km/h", "ft_s": "ft/s", "kg_m3": "kg/m3",
 }  # fmt: skip
-_ENDS |= {end: end for end in _set(
+_UNIT_ENDINGS |= {end: end for end in _word_set(
     "radps degps dps deg rad mrad rpm RPM rps krpm mps ms us ns usec msec sec secs seconds millis micros mm cm km "
     "ft kmh kph mph knots mV mA mW kW mN gf kgf lbf ozf mNm Nm Nmm Ncm uNm Hz hz Pa hPa kPa mbar psi inHg degC "
     "degF kg pct percent degrees radians meters metres volts amps mAh Ah Wh uT mT gauss mgauss gee mgee ohm mohm"
 )}  # fmt: skip
 # Ends that are units of one quantity alone: the letter, its unit, and the kind of words that tell that quantity.
 # Elsewhere the letter is an index, an axis or a symbol (RPM_A, gain_K).
-_LETTERS = {
+_LETTER_UNITS = {
     "s": ("s", "s"), "m": ("m", "m"), "V": ("V", "V"), "A": ("A", "A"), "W": ("W", "W"), "N": ("N", "N"),
     "K": ("K", "K"), "C": ("degC", "K"), "F": ("degF", "K"), "T": ("T", "T"), "J": ("J", "J"), "in": ("in", "span"),
     "G": ("gauss", "T"),
 }  # fmt: skip
-_WORDS = {
-    "s": _set(
+_QUANTITY_WORDS = {
+    "s": _word_set(
         "t time timestamp stamp dt ts duration delay period tau age elapsed latency interval step clock uptime "
         "lag timeout endurance settling rise boot since zeit hold"
     ),
-    "m": _set(
+    "m": _word_set(
         "x y z px py pz pos position distance dist range height h alt altitude depth length width radius chord "
         "span arm r d l diameter thickness baro ground agl hgt north east down sonar lidar tof rangefinder "
         "displacement travel offset error err wavelength gap separation spacing clearance terrain gps odom hacc "
         "vacc eph epv accuracy sigma std level elevation track xtrack xte path s ned enu local beam stroke "
         "extension shift relative amsl msl"
     ),
-    "V": _set(
+    "V": _word_set(
         "u v voltage volt volts vbat bat batt battery cell cells supply bus esc adc vcc vdd rail signal sensor "
         "raw motor bridge pot strain servo rx main pack source shunt gauge input output ref hall analog torque "
         "thrust force pressure load temp temperature airspeed pitot bt"
     ),
-    "A": _set(
+    "A": _word_set(
         "i current curr amp amps draw esc bus bat batt battery motor supply load shunt pack source phase charge"
     ),
-    "W": _set(
+    "W": _word_set(
         "p power pow watt watts electrical electric mechanical shaft motor supply battery bat batt esc load input "
         "output heat loss losses"
     ),
-    "N": _set("t thrust force forces f fx fy fz lift drag load loadcell cell pull push tension weight"),
-    "K": _set("t temperature temp temps oat ambient air imu"),
-    "T": _set("b bx by bz mag magnetometer magnetic field compass"),
-    "J": _set("energy work e"),
-    "m/s": _set(
+    "N": _word_set("t thrust force forces f fx fy fz lift drag load loadcell cell pull push tension weight"),
+    "K": _word_set("t temperature temp temps oat ambient air imu"),
+    "T": _word_set("b bx by bz mag magnetometer magnetic field compass"),
+    "J": _word_set("energy work e"),
+    "m/s": _word_set(
         "v u w vx vy vz vn ve vd vel velocity speed airspeed groundspeed gspd spd wind climb ias tas gs vs sink"
     ),
-    "m/s^2": _set(
+    "m/s^2": _word_set(
         "a ax ay az acc accel accels acceleration accx accy accz accelx accely accelz accelerometer "
         "accelerometers xacc yacc zacc linacc vibration vibe vib smooth specific axb ayb azb nx ny nz"
     ),
-    "kg": _set("m mass weight payload auw tow takeoff fuel"),
-    "rad": _set("roll pitch yaw phi theta psi angle heading hdg attitude tilt course bearing azimuth"),
-    "turns": _set(
+    "kg": _word_set("m mass weight payload auw tow takeoff fuel"),
+    "rad": _word_set("roll pitch yaw phi theta psi angle heading hdg attitude tilt course bearing azimuth"),
+    "turns": _word_set(
         "rpm rps erpm rotor motor prop propeller fan omega speed spin n w nr rotation revolution revolutions "
         "shaft drehzahl rev revs"
     ),
-    "span": _set("radius r chord span diameter length width height thickness distance"),
+    "span": _word_set("radius r chord span diameter length width height thickness distance"),
 }
 # No physical quantity, and no revolutions a second, whatever stands beside these words.
-_NO_QUANTITY = _set(
+_DIMENSIONLESS_WORDS = _word_set(
     "gain kp ki kd kv kt coefficient coeff coef ratio factor count counter number num index idx id flag flags "
     "status mode type c cl cd cm cn ct cq cp k"
 )
-_NO_TURNS = _set("filter cutoff notch sample sampling loop cpu log logging bandwidth update frame video pwm")
+_NON_ROTATION_WORDS = _word_set(
+    "filter cutoff notch sample sampling loop cpu log logging bandwidth update frame video pwm"
+)
 # What certainly is of one dimension, whatever letter stands in brackets behind it.
-_CERTAIN = {
+_UNAMBIGUOUS_WORDS = {
     "rpm": "rad/s", "voltage": "V", "current": "A", "temperature": "K", "power": "W", "thrust": "N", "mass": "kg",
     "roll": "rad", "yaw": "rad",
 }  # fmt: skip
 # Letters in one row of columns: phases A, B, C or U, V, W; north, east, south, west, down.
-_ROWS = ({"A": "B", "C": "B"}, {"V": "U", "W": "U"}, {"N": "ESD", "W": "ES"})
-_BRACKETS = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
-_INDEX = re.compile(r"\d+")
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
+_COLUMN_SERIES_LETTERS = ({"A": "B", "C": "B"}, {"V": "U", "W": "U"}, {"N": "ESD", "W": "ES"})
+_BRACKETED_UNIT_PATTERN = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
+_INDEX_PATTERN = re.compile(r"\d+")
+_WORD_PATTERN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
-def _words(name: str) -> frozenset[str]:
-    return frozenset(w.lower() for w in _WORD.findall(name))
+def _split_words(name: str) -> frozenset[str]:
+    return frozenset(w.lower() for w in _WORD_PATTERN.findall(name))
 
 
-def unit_named(name: str, written: str) -> str | None:
+def parse_column_unit(name: str, written: str) -> str | None:
     """Return the unit of a column that a file names, in brackets or as metadata.
 
     What a letter means is decided by the name of the column: ``g`` of an acceleration, a thrust and a mass are three
@@ -374,41 +464,41 @@ def unit_named(name: str, written: str) -> str | None:
     ('gee', 'gf', 'g', None)
     """
     text = " ".join(written.split())
-    words = _words(name)
-    known = "g" if text == "G" else known_unit(text)
-    force, acceleration = words & _WORDS["N"], words & _WORDS["m/s^2"]
-    if known in _FORCES:
-        if text in ("G", "mG") and words & _WORDS["T"]:
+    words = _split_words(name)
+    known = "g" if text == "G" else normalise_unit(text)
+    force, acceleration = words & _QUANTITY_WORDS["N"], words & _QUANTITY_WORDS["m/s^2"]
+    if known in _WEIGHT_UNITS:
+        if text in ("G", "mG") and words & _QUANTITY_WORDS["T"]:
             return "gauss" if text == "G" else "mgauss"
         if acceleration and known in ("g", "mg"):
-            return _INSTEAD["m/s^2", known]
-        if force and not words & (_WORDS["kg"] - {"m"}):
-            return _FORCES[known]
-        return None if known in ("g", "mg") and not words & _WORDS["kg"] else known
-    if text == "mG" and words & _WORDS["T"]:
+            return _UNIT_REPLACEMENTS["m/s^2", known]
+        if force and not words & (_QUANTITY_WORDS["kg"] - {"m"}):
+            return _WEIGHT_UNITS[known]
+        return None if known in ("g", "mg") and not words & _QUANTITY_WORDS["kg"] else known
+    if text == "mG" and words & _QUANTITY_WORDS["T"]:
         return "mgauss"
     if known in ("1/s", "Hz"):
-        turns = words & _WORDS["turns"] and not words & (_NO_TURNS | _NO_QUANTITY)
+        turns = words & _QUANTITY_WORDS["turns"] and not words & (_NON_ROTATION_WORDS | _DIMENSIONLESS_WORDS)
         return "rps" if turns else known
     if text in ("rads", "degs"):
-        return text[:3] + ("" if words & _WORDS["rad"] else "/s")
-    if not known and text in ("S", "M") and words & _WORDS[text.lower()]:
+        return text[:3] + ("" if words & _QUANTITY_WORDS["rad"] else "/s")
+    if not known and text in ("S", "M") and words & _QUANTITY_WORDS[text.lower()]:
         return text.lower()
-    if text in _LETTERS and text != "V" and known:
-        certain = {_CERTAIN[w] for w in words if w in _CERTAIN}
-        if certain and _BY_UNIT[known][0] not in certain:
+    if text in _LETTER_UNITS and text != "V" and known:
+        certain = {_UNAMBIGUOUS_WORDS[w] for w in words if w in _UNAMBIGUOUS_WORDS}
+        if certain and _SI_BY_UNIT[known][0] not in certain:
             return None
     return known or text
 
 
-def split_suffix(name: str) -> tuple[str, str]:
+def split_unit_suffix(name: str) -> tuple[str, str]:
     """Split a name of ours, where a unit at the end is one whatever the name: ``"arm_m"`` is an arm in m.
 
     Headers that others wrote are split by :func:`split_header`.
     """
-    for end, unit in (_ENDS | {letter: letter for letter in "smVAWNK"}).items():
+    for end, unit in (_UNIT_ENDINGS | {letter: letter for letter in "smVAWNK"}).items():
         if name.endswith(f"_{end}") and len(name) > len(end) + 1:
-            return name[: -len(end) - 1], known_unit(unit)
+            return name[: -len(end) - 1], normalise_unit(unit)
     return name, ""
 
 
@@ -441,45 +531,48 @@ def split_headers(headers: Sequence[str]) -> tuple[list[tuple[str, str]], list[s
     split: list[tuple[str, str]] = []
     doubtful: list[str] = []
     for text in texts:
-        name, unit = _split(text, ends)
+        name, unit = _split_column_header(text, ends)
         if unit is None:
             doubtful.append(text)
         split.append((name, unit or ""))
     return split, doubtful
 
 
-def _split(text: str, ends: Mapping[str, set[str]]) -> tuple[str, str | None]:
-    match = _BRACKETS.match(text)
-    if match is not None and not _INDEX.fullmatch(match["unit"].strip()):
-        unit = unit_named(match["name"], match["unit"])
+def _split_column_header(text: str, ends: Mapping[str, set[str]]) -> tuple[str, str | None]:
+    match = _BRACKETED_UNIT_PATTERN.match(text)
+    if match is not None and not _INDEX_PATTERN.fullmatch(match["unit"].strip()):
+        unit = parse_column_unit(match["name"], match["unit"])
         return (text, None) if unit is None else (match["name"].strip(), unit)
-    for end, unit in _ENDS.items():
+    for end, unit in _UNIT_ENDINGS.items():
         name, found, rest = text.rpartition(f"_{end}")
         if found and name and not rest:
-            if end == "ms" and _words(name) & _WORDS["m/s"]:
+            if end == "ms" and _split_words(name) & _QUANTITY_WORDS["m/s"]:
                 return name, "m/s"
-            settled = unit_named(name, unit)
+            settled = parse_column_unit(name, unit)
             return (text, None) if settled is None else (name, settled)
     name, found, letter = text.rpartition("_")
-    words = _words(name)
-    if not found or not name or (letter not in _LETTERS and letter != "g"):
+    words = _split_words(name)
+    if not found or not name or (letter not in _LETTER_UNITS and letter != "g"):
         return text, ""
     if letter == "g":
-        settled = unit_named(name, "g") if not words & _NO_QUANTITY else None
+        settled = parse_column_unit(name, "g") if not words & _DIMENSIONLESS_WORDS else None
         return (text, None) if settled is None else (name, settled)
-    unit, kind = _LETTERS[letter]
-    if letter == "N" and words & (_WORDS["m"] | _WORDS["m/s"] | _WORDS["m/s^2"]) - {"h", "d"}:
+    unit, kind = _LETTER_UNITS[letter]
+    if letter == "N" and words & (_QUANTITY_WORDS["m"] | _QUANTITY_WORDS["m/s"] | _QUANTITY_WORDS["m/s^2"]) - {
+        "h",
+        "d",
+    }:
         return text, ""  # north
-    if letter == "G" and words & _WORDS["m/s^2"]:
+    if letter == "G" and words & _QUANTITY_WORDS["m/s^2"]:
         return name, "gee"
     beside = ends.get(name, set())
-    row = any(letter in row and beside & set(row[letter]) for row in _ROWS)
-    fits = words & _WORDS[kind] and not words & _NO_QUANTITY and not row
-    if fits and _certainly(words, unit):
+    row = any(letter in row and beside & set(row[letter]) for row in _COLUMN_SERIES_LETTERS)
+    fits = words & _QUANTITY_WORDS[kind] and not words & _DIMENSIONLESS_WORDS and not row
+    if fits and _words_allow_unit(words, unit):
         return name, unit
     return text, "" if letter == "in" else None
 
 
-def _certainly(words: frozenset[str], unit: str) -> bool:
-    certain = {_CERTAIN[w] for w in words if w in _CERTAIN}
-    return (unit == "V" and "rad/s" not in certain) or not certain or _BY_UNIT[unit][0] in certain
+def _words_allow_unit(words: frozenset[str], unit: str) -> bool:
+    certain = {_UNAMBIGUOUS_WORDS[w] for w in words if w in _UNAMBIGUOUS_WORDS}
+    return (unit == "V" and "rad/s" not in certain) or not certain or _SI_BY_UNIT[unit][0] in certain

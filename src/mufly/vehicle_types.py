@@ -14,17 +14,17 @@ from typing import Literal
 
 AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
-_NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
-_TRACKER, _GENERIC = 5, 0
+_AUTOPILOT_INVALID = 8  # MAV_AUTOPILOT_INVALID
+_TYPE_ANTENNA_TRACKER, _TYPE_GENERIC = 5, 0
 
-VEHICLE_WORDS: dict[int, str] = {
+VEHICLE_TYPE_NAMES: dict[int, str] = {
     1: "aeroplane", 2: "quadrotor", 3: "coaxial helicopter", 4: "helicopter", 7: "airship", 8: "balloon", 9: "rocket",
     10: "rover", 11: "boat", 12: "submarine", 13: "hexarotor", 14: "octorotor", 15: "tricopter", 16: "ornithopter",
     17: "kite", 19: "VTOL", 20: "VTOL", 21: "VTOL", 22: "VTOL", 23: "VTOL", 24: "VTOL", 25: "VTOL", 28: "parafoil",
     29: "dodecarotor", 35: "decarotor", 43: "multirotor", 45: "spacecraft", 46: "quadruped", 47: "gyrodyne",
 }  # fmt: skip
 """MAV_TYPE of what flies, drives, swims or walks."""
-EQUIPMENT_WORDS: dict[int, str] = {
+EQUIPMENT_TYPE_NAMES: dict[int, str] = {
     5: "antenna tracker", 6: "ground station", 18: "companion computer", 26: "gimbal", 27: "ADSB receiver",
     30: "camera", 31: "charging station", 32: "FLARM receiver", 33: "servo", 34: "Open Drone ID", 36: "battery",
     37: "parachute", 38: "logger", 39: "OSD", 40: "IMU", 41: "GPS receiver", 42: "winch", 44: "illuminator",
@@ -54,13 +54,13 @@ def vehicle_rank(vehicle_type: int, autopilot: int, component: int) -> int:
     >>> vehicle_rank(2, 12, 1), vehicle_rank(18, 0, 191), vehicle_rank(5, 3, 1)
     (3, 0, 1)
     """
-    if vehicle_type == _TRACKER:
-        return 0 if autopilot == _NO_AUTOPILOT else 1
-    if vehicle_type in EQUIPMENT_WORDS or autopilot == _NO_AUTOPILOT:
+    if vehicle_type == _TYPE_ANTENNA_TRACKER:
+        return 0 if autopilot == _AUTOPILOT_INVALID else 1
+    if vehicle_type in EQUIPMENT_TYPE_NAMES or autopilot == _AUTOPILOT_INVALID:
         return 0
     if component == AUTOPILOT_COMPONENT:
         return 3
-    if vehicle_type not in VEHICLE_WORDS and component in _EQUIPMENT_COMPONENTS:
+    if vehicle_type not in VEHICLE_TYPE_NAMES and component in _EQUIPMENT_COMPONENTS:
         return 0
     return 2
 
@@ -70,12 +70,12 @@ def is_vehicle(vehicle_type: int, autopilot: int, component: int) -> bool:
     return vehicle_rank(vehicle_type, autopilot, component) >= 2
 
 
-def type_words(vehicle_type: int) -> str:
+def vehicle_type_name(vehicle_type: int) -> str:
     """Return a MAV_TYPE in words; "" for the generic one and those that are unknown here."""
-    return VEHICLE_WORDS.get(vehicle_type) or EQUIPMENT_WORDS.get(vehicle_type, "")
+    return VEHICLE_TYPE_NAMES.get(vehicle_type) or EQUIPMENT_TYPE_NAMES.get(vehicle_type, "")
 
 
-_SHAPES: dict[int, str] = {
+_SHAPE_BY_TYPE: dict[int, str] = {
     3: "coaxial", 4: "helicopter", 47: "helicopter", 10: "rover", 11: "boat", 12: "submarine", 15: "tricopter",
     2: "quadrotor", 43: "quadrotor", 20: "quadrotor", 13: "hexarotor", 14: "octorotor", 29: "dodecarotor",
     35: "octorotor", **dict.fromkeys((1, 16, 17, 19, 21, 22, 23, 24, 25, 28), "plane"),
@@ -84,7 +84,7 @@ _SHAPES: dict[int, str] = {
 
 def vehicle_shape(vehicle_type: int) -> str:
     """Return how a MAV_TYPE is drawn: "coaxial", "plane", "quadrotor", "rover", ...; "block" where it is not known."""
-    return _SHAPES.get(vehicle_type, "block")
+    return _SHAPE_BY_TYPE.get(vehicle_type, "block")
 
 
 ModeFamily = Literal["copter", "plane", "rover", "submarine", "tracker", "airship", ""]
@@ -94,50 +94,50 @@ _FAMILY_OF_TYPE: dict[int, ModeFamily] = {
     **dict.fromkeys((1, 16, 19, 20, 21, 22, 23, 24, 25, 28), "plane"),
     **dict.fromkeys((10, 11), "rover"),
     12: "submarine",
-    _TRACKER: "tracker",
+    _TYPE_ANTENNA_TRACKER: "tracker",
     7: "airship",
 }
 
 
-def _numbered(words: str) -> dict[int, str]:
+def _number_words(words: str) -> dict[int, str]:
     """Number -> word, of words in the order of their numbers from 0; "-" stands for none."""
     return {k: word for k, word in enumerate(words.split(", ")) if word != "-"}
 
 
-_PX4_MAIN = _numbered(
+_PX4_MAIN_MODES = _number_words(
     "-, manual, altitude control, position control, -, acro, offboard, stabilised, rattitude, simple, termination"
 )
-_PX4_AUTO = _numbered(
+_PX4_AUTO_MODES = _number_words(
     "-, ready, take-off, hold, mission, return, landing, -, follow me, precision landing, transition"
 )
-_ARDUPILOT: dict[ModeFamily, dict[int, str]] = {
-    "copter": _numbered(
+_ARDUPILOT_MODES: dict[ModeFamily, dict[int, str]] = {
+    "copter": _number_words(
         "stabilise, acro, altitude hold, auto, guided, loiter, return, circle, -, landing, -, drift, -, sport, flip, "
         "autotune, position hold, brake, throw, avoid aircraft, guided without GPS, smart return, flow hold, follow, "
         "zigzag, system identification, autorotation, auto return, turtle"
     ),
-    "plane": _numbered(
+    "plane": _number_words(
         "manual, circle, stabilise, training, acro, fly by wire A, fly by wire B, cruise, autotune, -, auto, return, "
         "loiter, take-off, avoid aircraft, guided, initialising, Q stabilise, Q hover, Q loiter, Q landing, Q return, "
         "Q autotune, Q acro, thermal, loiter to Q landing, auto landing"
     ),
-    "rover": _numbered(
+    "rover": _number_words(
         "manual, acro, -, steering, hold, loiter, follow, simple, dock, circle, auto, return, smart return, -, -, "
         "guided, initialising"
     ),
-    "submarine": _numbered(
+    "submarine": _number_words(
         "stabilise, acro, altitude hold, auto, guided, -, -, circle, -, surface, -, -, -, -, -, -, position hold, -, "
         "-, manual, motor detection, surface tracking"
     ),
-    "tracker": _numbered(
+    "tracker": _number_words(
         "manual, stop, scan, servo test, guided, -, -, -, -, -, auto, -, -, -, -, -, initialising"
     ),
-    "airship": _numbered("landing, manual, velocity, loiter, return"),
+    "airship": _number_words("landing, manual, velocity, loiter, return"),
 }
 _CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG
 
 
-def ardupilot_mode(family: ModeFamily, number: int) -> str:
+def ardupilot_mode_name(family: ModeFamily, number: int) -> str:
     """Return ArduPilot's flight mode in words, ``"mode 8"`` where the firmware has none of that number.
 
     Examples
@@ -145,12 +145,12 @@ def ardupilot_mode(family: ModeFamily, number: int) -> str:
     >>> ardupilot_mode("copter", 5), ardupilot_mode("plane", 5), ardupilot_mode("", 5)
     ('loiter', 'fly by wire A', 'mode 5')
     """
-    return _ARDUPILOT.get(family, {}).get(number, f"mode {number}")
+    return _ARDUPILOT_MODES.get(family, {}).get(number, f"mode {number}")
 
 
 def ardupilot_mode_number(family: ModeFamily, words: str) -> int:
     """Return the number of ArduPilot's flight mode; KeyError where the firmware has none of that name."""
-    return {word: number for number, word in _ARDUPILOT[family].items()}[words]
+    return {word: number for number, word in _ARDUPILOT_MODES[family].items()}[words]
 
 
 def ardupilot_family(vehicle_type: int) -> ModeFamily:
@@ -158,7 +158,7 @@ def ardupilot_family(vehicle_type: int) -> ModeFamily:
     return _FAMILY_OF_TYPE.get(vehicle_type, "")
 
 
-def mode_words(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: int) -> str:
+def flight_mode_name(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: int) -> str:
     """Return the flight mode of a HEARTBEAT in words; "" where the autopilot has none.
 
     Parameters
@@ -172,7 +172,7 @@ def mode_words(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: i
     if autopilot == PX4:
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
         if main == 4:
-            return _PX4_AUTO.get(sub, f"auto {sub}")
-        return _PX4_MAIN.get(main, f"mode {main}") if main else ""
+            return _PX4_AUTO_MODES.get(sub, f"auto {sub}")
+        return _PX4_MAIN_MODES.get(main, f"mode {main}") if main else ""
     family = ardupilot_family(vehicle_type) if autopilot == ARDUPILOT else ""
-    return ardupilot_mode(family, custom_mode)
+    return ardupilot_mode_name(family, custom_mode)

@@ -1,6 +1,6 @@
 """The far end of each driver's serial line: a pseudo-terminal, the same bytes, and the troubles of cables and boards.
 
-All of them look at one simulated bench (:class:`mufly.bench.rig.simulated.SimulatedRig`), whose time runs ``pace``
+All of them look at one simulated bench (:class:`mufly.bench.rig.simulated_rig.SimulatedRig`), whose time runs ``pace``
 times as fast as ours. They serve from one thread, or from a process of their own (:func:`serve`).
 """
 
@@ -15,8 +15,8 @@ import tty
 
 import numpy as np
 
-from mufly.bench.rig.epos import GENERATIONS, Frames, frame
-from mufly.bench.rig.line import checked, crc16
+from mufly.bench.rig.epos_controller import EPOS_PROTOCOLS, FrameParser, build_frame
+from mufly.bench.rig.serial_line import compute_crc16, with_checksum
 from mufly.units import RPM
 
 WATCHDOG_s = 0.5
@@ -81,45 +81,45 @@ class FarEpos(Far):
 
     def __init__(self, world, axis, generation=4, node=1, seed=0):
         super().__init__(world, seed)
-        self.axis, self.kind, self.node = axis, GENERATIONS[generation], node
-        self.frames, self.objects = Frames(), {}
+        self.axis, self.kind, self.node = axis, EPOS_PROTOCOLS[generation], node
+        self.frames, self.objects = FrameParser(), {}
         self.status, self.rpm, self.milliampere = 0x0040, 0, 0
 
     def reset(self):
-        self.status, self.frames = 0x0040, Frames()
-        self.world.command[self.axis] = 0.0
+        self.status, self.frames = 0x0040, FrameParser()
+        self.world.commanded_speed[self.axis] = 0.0
 
     def step(self, samples):
         if samples:
             self.rpm = round(float(samples[f"speed_{self.axis}"].mean()) / RPM)
             self.milliampere = round(1000 * float(samples[f"current_{self.axis}"].mean()))
-        for opcode, data in self.frames.feed(self.receive()):
+        for opcode, data in self.frames.feed_bytes(self.receive()):
             self.answer(opcode, data)
-        if self.frames.broken:
-            self.frames.broken = 0
-            self.send(frame(0x00, struct.pack("<I", 0x05040005)))
+        if self.frames.broken_frames:
+            self.frames.broken_frames = 0
+            self.send(build_frame(0x00, struct.pack("<I", 0x05040005)))
 
     def answer(self, opcode, data):
-        if opcode not in (self.kind.read, self.kind.write) or len(data) < 4:
-            return self.send(frame(0x00, struct.pack("<I", 0x05040001)))
-        if self.kind.node_first:
+        if opcode not in (self.kind.read_opcode, self.kind.write_opcode) or len(data) < 4:
+            return self.send(build_frame(0x00, struct.pack("<I", 0x05040001)))
+        if self.kind.node_comes_first:
             node, index, sub = struct.unpack("<BHB", data[:4])
         else:
             index, sub, node = struct.unpack("<HBB", data[:4])
         if node != self.node:
             return None
-        if opcode == self.kind.read:
+        if opcode == self.kind.read_opcode:
             value = self.value((index, sub))
             if value is None:
-                return self.send(frame(0x00, struct.pack("<Ii", 0x06020000, 0)))
-            return self.send(frame(0x00, struct.pack("<Ii", 0, value)))
+                return self.send(build_frame(0x00, struct.pack("<Ii", 0x06020000, 0)))
+            return self.send(build_frame(0x00, struct.pack("<Ii", 0, value)))
         self.put((index, sub), struct.unpack("<i", data[4:8])[0])
-        return self.send(frame(0x00, struct.pack("<I", 0)))
+        return self.send(build_frame(0x00, struct.pack("<I", 0)))
 
     def value(self, item):
         known = {
-            (0x6041, 0): self.status, self.kind.velocity: self.rpm, (0x603F, 0): 0,
-            self.kind.current: self.milliampere if self.kind.node_first else self.milliampere & 0xFFFF,
+            (0x6041, 0): self.status, self.kind.velocity_object: self.rpm, (0x603F, 0): 0,
+            self.kind.current_object: self.milliampere if self.kind.node_comes_first else self.milliampere & 0xFFFF,
         }  # fmt: skip
         return known.get(item, self.objects.get(item))
 
@@ -133,7 +133,7 @@ class FarEpos(Far):
             elif value == 0x02:
                 self.status = 0x0040
         on = self.status == 0x0027
-        self.world.command[self.axis] = self.objects.get((0x60FF, 0), 0) * RPM if on else 0.0
+        self.world.commanded_speed[self.axis] = self.objects.get((0x60FF, 0), 0) * RPM if on else 0.0
 
 
 class FarText(Far):
@@ -144,13 +144,13 @@ class FarText(Far):
         self.rest, self.number = b"", 0
 
     def say(self, *cells):
-        self.send(checked(",".join(str(c) for c in cells)))
+        self.send(with_checksum(",".join(str(c) for c in cells)))
 
     def heard(self):
         *whole, self.rest = (self.rest + self.receive()).split(b"\n")
         for raw in whole:
             body, star, total = raw[raw.rfind(b"$") + 1 :].rpartition(b"*")
-            if star and total == b"%04X" % crc16(body):
+            if star and total == b"%04X" % compute_crc16(body):
                 yield body.decode().split(",")
 
 
@@ -163,7 +163,7 @@ class FarEsc(FarText):
 
     def reset(self):
         for a in self.axes:
-            self.world.command[a] = 0.0
+            self.world.commanded_speed[a] = 0.0
         self.rest = b""
         self.say("B", "esc", 1)
 
@@ -172,15 +172,15 @@ class FarEsc(FarText):
             self.spoken_s = time.monotonic()
             if cells[0] == "X":
                 for a in self.axes:
-                    self.world.command[a] = 0.0
+                    self.world.commanded_speed[a] = 0.0
                 self.say("OK", "X")
             elif cells[0] == "S":
-                self.world.command[self.axes[int(cells[1])]] = float(cells[2]) * RPM
+                self.world.commanded_speed[self.axes[int(cells[1])]] = float(cells[2]) * RPM
                 self.say("OK", *cells)
-        if time.monotonic() - self.spoken_s > WATCHDOG_s and any(self.world.command[a] for a in self.axes):
+        if time.monotonic() - self.spoken_s > WATCHDOG_s and any(self.world.commanded_speed[a] for a in self.axes):
             self.watchdog_trips += 1
             for k, a in enumerate(self.axes):
-                self.world.command[a] = 0.0
+                self.world.commanded_speed[a] = 0.0
                 self.say("F", k, "watchdog")
         if samples:
             row = []
@@ -230,7 +230,7 @@ class FarStand(Far):
 
     def reset(self):
         self.pulse = 1000.0
-        self.world.command["upper"] = 0.0
+        self.world.commanded_speed["upper"] = 0.0
 
     def step(self, samples):
         *whole, self.rest = (self.rest + self.receive()).split(b"\n")
@@ -244,10 +244,10 @@ class FarStand(Far):
                 with contextlib.suppress(ValueError, IndexError):
                     self.pulse = min(max(float(words[1]), 1000.0), 2000.0)
         x = (self.pulse - 1000.0) / 1000.0
-        self.world.command["upper"] = 9500 * RPM * x * (1.0 - 0.25 * x)
+        self.world.commanded_speed["upper"] = 9500 * RPM * x * (1.0 - 0.25 * x)
         if samples:
             readings = np.array([[samples["thrust_raw"].mean(), samples["torque_raw"].mean()]])
-            load = self.world.facts.cells().loads(readings, np.array([0.12, -0.4]))[0]
+            load = self.world.facts.cell_calibration().readings_to_loads(readings, np.array([0.12, -0.4]))[0]
             self.send(
                 f"{self.world.time_s:.3f},{load[0]:.5f},{load[1]:.7f},{samples['voltage_upper'].mean():.3f},"
                 f"{samples['current_upper'].mean():.4f},{samples['speed_upper'].mean() / RPM:.1f},0\n".encode()
@@ -289,7 +289,7 @@ class Bench:
                 due = self.pace * (now - last)
                 if due >= 0.02:
                     last = now
-                    samples = self.world.advance(round(min(due, 0.5) * 100) / 100)
+                    samples = self.world.advance_time(round(min(due, 0.5) * 100) / 100)
                 for end in self.ends:
                     end.step(samples)
             time.sleep(0.0005)
@@ -308,7 +308,7 @@ def serve(connection, make, pace):
                     connection.send(world.time_s)
                 elif kind == "truth":
                     speeds = {a: world.speed[a] for a in value}
-                    nominal = world.truth(speeds, as_mounted=False)
-                    connection.send(world.truth(speeds) | {f"nominal_{k}": v for k, v in nominal.items()})
+                    nominal = world.true_loads(speeds, as_mounted=False)
+                    connection.send(world.true_loads(speeds) | {f"nominal_{k}": v for k, v in nominal.items()})
                 elif kind == "facts":
                     connection.send(world.facts)

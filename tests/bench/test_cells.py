@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.bench import BenchTable, calibrate_cells, fit_drift
+from mufly.bench import BenchTable, calibrate_cells, fit_zero_drift
 from mufly.errors import InputError
 
 S = np.array([[2.0, 5.0], [0.01, 150.0]])
@@ -26,8 +26,8 @@ def test_exact_readings_give_the_exact_cells():
     cal = calibrate_cells(table(LOADS @ S.T + B))
     assert_allclose(cal.sensitivity, S, atol=1e-10)
     assert_allclose(cal.offset, B, atol=1e-10)
-    assert_allclose(cal.loads(LOADS @ S.T + B), LOADS, atol=1e-10)
-    gain, _ = cal.gain()
+    assert_allclose(cal.readings_to_loads(LOADS @ S.T + B), LOADS, atol=1e-10)
+    gain, _ = cal.channel_gains()
     assert_allclose(gain, np.diag(np.linalg.inv(S)), rtol=1e-9)
 
 
@@ -36,14 +36,14 @@ def test_stated_deviations_match_the_scatter():
     gains, stated, parameters, covariance = [], [], [], []
     for _ in range(150):
         cal = calibrate_cells(table(LOADS @ S.T + B + rng.standard_normal((12, 2)) * [0.01, 0.02]))
-        g, s = cal.gain()
+        g, s = cal.channel_gains()
         gains.append(g)
         stated.append(s)
-        parameters.append(cal.parameters)
+        parameters.append(cal.parameter_vector)
         covariance.append(np.diag(cal.covariance))
     assert_allclose(np.mean(stated, axis=0), np.std(gains, axis=0), rtol=0.2)
     assert_allclose(np.sqrt(np.median(covariance, axis=0)), np.std(parameters, axis=0), rtol=0.2)
-    text = "\n".join(cal.in_words())
+    text = "\n".join(cal.describe_calibration())
     assert "cross-talk of torque on thrust" in text
     assert "is there" in text
 
@@ -72,17 +72,17 @@ def test_a_straight_drift_is_found_through_the_runs():
     rng = np.random.default_rng(5)
     time, rest = np.arange(60.0), blocks()
     reading = 0.3 + 0.01 * time + 0.005 * rng.standard_normal(60) + np.where(rest, 0.0, 4.0)
-    drift = fit_drift(time, reading, rest)
+    drift = fit_zero_drift(time, reading, rest)
     assert drift.blocks == 4
-    assert_allclose(drift.at(time), 0.3 + 0.01 * time, atol=0.01)
+    assert_allclose(drift.zero_at(time), 0.3 + 0.01 * time, atol=0.01)
     assert drift.change == pytest.approx(0.59, abs=0.02)
-    assert np.all(np.abs(drift.at(time) - 0.3 - 0.01 * time) < 4 * drift.std_at(time))
+    assert np.all(np.abs(drift.zero_at(time) - 0.3 - 0.01 * time) < 4 * drift.zero_std_at(time))
 
 
 def test_a_steady_zero_stays_a_constant():
     rng = np.random.default_rng(0)
     degrees = [
-        fit_drift(np.arange(60.0), 0.1 * rng.standard_normal(60), blocks()).coefficients.size - 1
+        fit_zero_drift(np.arange(60.0), 0.1 * rng.standard_normal(60), blocks()).coefficients.size - 1
         for _ in range(40)
     ]
     assert degrees.count(0) > 25
@@ -91,10 +91,10 @@ def test_a_steady_zero_stays_a_constant():
 def test_few_zeros():
     time = np.arange(10.0)
     rest = np.zeros(10, dtype=bool)
-    assert fit_drift(time, time, rest) is None
+    assert fit_zero_drift(time, time, rest) is None
     rest[0] = True
-    one = fit_drift(time, 0.5 + 0 * time, rest)
-    assert_allclose(one.at(time), 0.5)
+    one = fit_zero_drift(time, 0.5 + 0 * time, rest)
+    assert_allclose(one.zero_at(time), 0.5)
     rest[9] = True
-    both = fit_drift(time, 0.1 * time, rest)
-    assert_allclose(both.at(time), 0.1 * time, atol=1e-12)
+    both = fit_zero_drift(time, 0.1 * time, rest)
+    assert_allclose(both.zero_at(time), 0.1 * time, atol=1e-12)

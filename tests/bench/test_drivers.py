@@ -17,19 +17,19 @@ pytest.importorskip("pty")
 
 from bench_emulators import Bench, FarCells, FarEpos, FarEsc, FarStand
 
-import mufly.bench.rig.esc
-from mufly.bench.rig.cells import SerialCells
-from mufly.bench.rig.daq import NiDaq
-from mufly.bench.rig.devices import Clock, DeviceError, DeviceRig, Facts, StopError
-from mufly.bench.rig.epos import Epos, Frames, frame
-from mufly.bench.rig.esc import EscBridge
-from mufly.bench.rig.file import load_rig
-from mufly.bench.rig.line import checked, crc16
-from mufly.bench.rig.simulated import SimulatedRig
-from mufly.bench.rig.stand import Stand
-from mufly.bench.series.plan import Mounting, Times, make_plan
-from mufly.bench.series.record import Record, read_lines
-from mufly.bench.series.run import run_series
+import mufly.bench.rig.esc_bridge
+from mufly.bench.rig.bench_devices import BenchFacts, Clock, DeviceError, DeviceRig, StopError
+from mufly.bench.rig.epos_controller import EposController, FrameParser, build_frame
+from mufly.bench.rig.esc_bridge import EscBridge
+from mufly.bench.rig.ni_daq import NiDaq
+from mufly.bench.rig.rig_file import load_rig
+from mufly.bench.rig.serial_line import compute_crc16, with_checksum
+from mufly.bench.rig.serial_load_cells import SerialLoadCells
+from mufly.bench.rig.simulated_rig import SimulatedRig
+from mufly.bench.rig.thrust_stand import ThrustStand
+from mufly.bench.series.series_plan import BladeMounting, StepTimes, make_plan
+from mufly.bench.series.series_record import SeriesRecord, read_lines
+from mufly.bench.series.series_runner import run_series
 from mufly.errors import InputError
 from mufly.units import RPM
 
@@ -39,8 +39,8 @@ COUNTS = 1e6
 
 def world(seed=0):
     rig = SimulatedRig(seed)
-    rig.mount(Mounting(use="measure", axis="upper", rotor=NACA, pitch_deg=12, speeds_rpm=(5000,)))
-    rig.advance(0.1)  # polars and maps are made now, not while a device has to answer
+    rig.mount(BladeMounting(use="measure", axis="upper", rotor=NACA, pitch_deg=12, speeds_rpm=(5000,)))
+    rig.advance_time(0.1)  # polars and maps are made now, not while a device has to answer
     return rig
 
 
@@ -66,10 +66,10 @@ def near(name, value, share=0.01):
 def test_frames_are_those_of_the_guide():
     """EPOS4 Communication Guide, ch. 2.2.9: home position read from node 1, and the answer with a doubled 0x90."""
     request = bytes.fromhex("9002 6002 01B03000 2E62".replace(" ", ""))
-    assert frame(0x60, bytes.fromhex("01B03000")) == request
+    assert build_frame(0x60, bytes.fromhex("01B03000")) == request
     answer = bytes.fromhex("90020004000000000190900000" + "9A5C")
-    assert Frames().feed(answer) == [(0x00, bytes.fromhex("0000000001900000"))]
-    assert frame(0x00, bytes.fromhex("0000000001900000")) == answer
+    assert FrameParser().feed_bytes(answer) == [(0x00, bytes.fromhex("0000000001900000"))]
+    assert build_frame(0x00, bytes.fromhex("0000000001900000")) == answer
 
 
 def test_frames_survive_being_cut_and_damage_gives_no_wrong_one():
@@ -81,23 +81,23 @@ def test_frames_survive_being_cut_and_damage_gives_no_wrong_one():
         )
         for _ in range(300)
     ]
-    stream, frames, got = b"".join(frame(o, d) for o, d in sent), Frames(), []
+    stream, frames, got = b"".join(build_frame(o, d) for o, d in sent), FrameParser(), []
     while stream:
         n = rng.randrange(1, 12)
-        got += frames.feed(stream[:n])
+        got += frames.feed_bytes(stream[:n])
         stream = stream[n:]
     assert got == sent
     for opcode, data in sent:
-        raw = bytearray(frame(opcode, data))
+        raw = bytearray(build_frame(opcode, data))
         raw[rng.randrange(2, len(raw))] ^= 1 << rng.randrange(8)
-        found = Frames().feed(bytes(raw) + frame(1, b"ab"))
+        found = FrameParser().feed_bytes(bytes(raw) + build_frame(1, b"ab"))
         # Damage at the very end may look like the beginning of what follows, which is then lost as well, never wrong.
         assert all(f in ((opcode, data), (1, b"ab")) for f in found)
 
 
 def test_check_sum_of_text_lines():
-    assert crc16(b"123456789") == 0x29B1  # the check value of CRC-16/IBM-3740
-    assert checked("X") == b"$X*3A0D\n"
+    assert compute_crc16(b"123456789") == 0x29B1  # the check value of CRC-16/IBM-3740
+    assert with_checksum("X") == b"$X*3A0D\n"
 
 
 # --- devices ----------------------------------------------------------------------------------------------------------
@@ -108,16 +108,16 @@ def test_epos_turns_reads_stops_and_bears_a_bad_line(generation):
     rig = world()
     far = FarEpos(rig, "upper", generation)
     with Bench(rig, [far], pace=20.0):
-        epos = Epos(far.port, "upper", generation=generation)
+        epos = EposController(far.port, "upper", generation=generation)
         epos.open()
         far.lose = far.flip = 0.004
-        epos.turn("upper", 5000 * RPM)
+        epos.set_speed("upper", 5000 * RPM)
         got = until(epos.read, near("speed_upper", 5000 * RPM))
         assert got["current_upper"][-1] == pytest.approx(0.16, abs=0.05)
         far.lose = far.flip = 0.0
         epos.stop()
-        assert rig.command["upper"] == 0.0
-        epos.turn("upper", 3000 * RPM)  # and again, after a quick stop
+        assert rig.commanded_speed["upper"] == 0.0
+        epos.set_speed("upper", 3000 * RPM)  # and again, after a quick stop
         until(epos.read, near("speed_upper", 3000 * RPM))
         far.reset()
         with pytest.raises(DeviceError, match="was it reset"):
@@ -141,17 +141,17 @@ def test_bridge_turns_reads_and_its_watchdog_stops_what_is_left_alone():
         esc = EscBridge(far.port, ("upper", "lower"))
         esc.open()
         far.lose = far.flip = 0.002
-        esc.turn("upper", 4000 * RPM)
+        esc.set_speed("upper", 4000 * RPM)
         got = until(esc.read, near("speed_upper", 4000 * RPM))
         assert max(got["speed_lower"]) == 0.0
         assert got["voltage_upper"][-1] > 5.0
         assert got["motor_temperature_upper"][-1] > 280.0
         far.lose = far.flip = 0.0
         time.sleep(0.7)  # the program hangs
-        assert rig.command["upper"] == 0.0
+        assert rig.commanded_speed["upper"] == 0.0
         with pytest.raises(DeviceError, match="watchdog"):
             until(esc.read, lambda got: False)
-        esc.turn("upper", 4000 * RPM)
+        esc.set_speed("upper", 4000 * RPM)
         far.reset()
         with pytest.raises(DeviceError, match="was reset"):
             until(esc.read, lambda got: False)
@@ -167,12 +167,12 @@ def test_cells_give_no_number_that_was_not_sent():
     rig = world()
     far = FarCells(rig)
     with Bench(rig, [far], pace=10.0):
-        cells = SerialCells(far.port)
+        cells = SerialLoadCells(far.port)
         cells.open()
         far.lose = far.flip = 0.01
         got = until(cells.read, lambda got: len(got.get("thrust_raw", [])) > 150 and got["pressure"])
-        assert cells.broken > 0
-        assert cells.lost > 0
+        assert cells.broken_lines > 0
+        assert cells.lost_samples > 0
         volts = np.array(got["thrust_raw"]) / COUNTS
         assert np.all(np.abs(volts - np.median(volts)) < 0.1)  # at rest: nothing but noise and zero
         assert np.median(got["pressure"]) == pytest.approx(97000, rel=0.05)
@@ -192,17 +192,17 @@ def test_stand_finds_the_pulse_that_gives_the_speed():
     rig = world()
     far = FarStand(rig)
     with Bench(rig, [far], pace=15.0):
-        stand = Stand(far.port, pace=15.0)
+        stand = ThrustStand(far.port, pace=15.0)
         stand.open()
-        stand.turn("upper", 5000 * RPM)
+        stand.set_speed("upper", 5000 * RPM)
         got = until(stand.read, near("speed_upper", 5000 * RPM, 0.005), 6.0)
         assert got["thrust"][-1] == pytest.approx(0.144, rel=0.2)
         far.send(b"1,2,3\nnan,nan,nan,nan,nan,nan,nan\n5,1e30,0,0,0,0,0\n\xff\xfe\n")
         more = until(stand.read, lambda got: len(got.get("thrust", [])) > 10)
         assert max(more["thrust"]) < 1.0
-        assert stand.broken >= 4
+        assert stand.broken_rows >= 4
         stand.stop()
-        until(stand.read, lambda got: rig.command["upper"] == 0.0)
+        until(stand.read, lambda got: rig.commanded_speed["upper"] == 0.0)
         far.mute = True
         with pytest.raises(DeviceError, match="silent"):
             until(stand.read, lambda got: False)
@@ -261,11 +261,11 @@ class Stubborn:
 
 def test_every_motor_is_stopped_whatever_another_one_does():
     good, bad, dead = Stubborn(0), Stubborn(2), Stubborn(99)
-    rig = DeviceRig([bad, good], Facts("b"))
+    rig = DeviceRig([bad, good], BenchFacts("b"))
     rig.stop()
     assert (good.asked, bad.asked) == (1, 3)
     with pytest.raises(StopError, match="CUT THE POWER"):
-        DeviceRig([dead, good], Facts("b")).stop()
+        DeviceRig([dead, good], BenchFacts("b")).stop()
     assert good.asked == 2
 
 
@@ -274,35 +274,35 @@ def facts_in_counts(rig):
     c["offset"] = (COUNTS * np.array(c["offset"])).tolist()
     c["sensitivity"] = (COUNTS * np.array(c["sensitivity"])).tolist()
     c["covariance"] = (COUNTS**2 * np.array(c["covariance"])).tolist()
-    return Facts(
+    return BenchFacts(
         "emulated", c, dict.fromkeys(("thrust_raw", "torque_raw"), (-5 * COUNTS, 5 * COUNTS)), manual=False
     )
 
 
 def test_a_series_over_devices_bears_a_reset():
     made = make_plan("p", [NACA], [12], [3500, 5500], reference=NACA, reference_pitch_deg=12, repetitions=1,
-                     times=Times(warm_up_s=2, average_s=1, longest_s=1, tare_s=1, window_s=0.5))  # fmt: skip
+                     times=StepTimes(warm_up_s=2, average_s=1, longest_s=1, tare_s=1, window_s=0.5))  # fmt: skip
     made = made.model_copy(update={"mounting": made.mounting[:1]})
     rig = world()
     far_esc, far_cells = FarEsc(rig), FarCells(rig)
     pace, count = 20.0, [0]
 
     def told(progress):
-        count[0] += progress.line is not None
-        if count[0] == 2 and progress.line is not None:
+        count[0] += progress.record_line is not None
+        if count[0] == 2 and progress.record_line is not None:
             far_cells.reset()
 
     with Bench(rig, [far_esc, far_cells], pace):
-        devices = [EscBridge(far_esc.port), SerialCells(far_cells.port)]
+        devices = [EscBridge(far_esc.port), SerialLoadCells(far_cells.port)]
         bench = DeviceRig(devices, facts_in_counts(rig), Clock(pace))
-        record = run_series(made, bench, Record(), told=told)
+        record = run_series(made, bench, SeriesRecord(), told=told)
         bench.close()
     points = [x for x in record.readings if x["what"] == "point"]
     assert [p["speed_rpm"] for p in points] == list(made.mounting[0].speeds_rpm)
     assert any(x["kind"] == "event" and "was reset" in x.get("why", "") for x in record.lines)
-    assert rig.command["upper"] == 0.0
+    assert rig.commanded_speed["upper"] == 0.0
     p = max(points, key=lambda x: x["speed_rpm"])
-    truth = rig.loads_at({"upper": np.array(5500 * RPM), "lower": np.array(0.0)})[0] * rig.density() / 1.2
+    truth = rig.true_loads_at({"upper": np.array(5500 * RPM), "lower": np.array(0.0)})[0] * rig.density() / 1.2
     assert p["quick"]["thrust"] == pytest.approx(float(truth), rel=0.05)
 
 
@@ -331,8 +331,8 @@ def cells_file(path, rig):
 def test_signals_and_a_kill_leave_no_motor_turning(tmp_path):
     """A series in a process of its own: SIGTERM stops it in order, SIGKILL leaves it to the watchdog."""
     made = make_plan("p", [NACA], [12], [3500, 5500], reference=NACA, reference_pitch_deg=12,
-                     times=Times(warm_up_s=0, average_s=2, tare_s=1))  # fmt: skip
-    (tmp_path / "plan.toml").write_text(made.text(), encoding="utf-8")
+                     times=StepTimes(warm_up_s=0, average_s=2, tare_s=1))  # fmt: skip
+    (tmp_path / "plan.toml").write_text(made.to_toml(), encoding="utf-8")
     rig = world()
     far_esc, far_cells = FarEsc(rig), FarCells(rig)
     cells_file(tmp_path / "cells.csv", rig)
@@ -346,14 +346,14 @@ def test_signals_and_a_kill_leave_no_motor_turning(tmp_path):
                 words, cwd=tmp_path, env=dict(os.environ), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
             )
             end = time.monotonic() + 60
-            while (not rig.command["upper"] or not raw.exists()) and time.monotonic() < end:
+            while (not rig.commanded_speed["upper"] or not raw.exists()) and time.monotonic() < end:
                 time.sleep(0.02)
-            assert rig.command["upper"], child.communicate(timeout=5)[0].decode()
+            assert rig.commanded_speed["upper"], child.communicate(timeout=5)[0].decode()
             child.send_signal(number)
             said = child.communicate(timeout=30)[0].decode()
             assert child.returncode == (143 if number == signal.SIGTERM else -9), said
             time.sleep(0.0 if number == signal.SIGTERM else 0.8)
-            assert rig.command["upper"] == 0.0
+            assert rig.commanded_speed["upper"] == 0.0
             lines, _ = read_lines(raw)
             readings = [x for x in lines if x["kind"] == "reading"]
             assert len(readings) > before
@@ -381,7 +381,7 @@ def test_a_bench_file_says_what_is_wrong_with_it(tmp_path, change, message):
 
 # --- sketches ---------------------------------------------------------------------------------------------------------
 
-SKETCHES = Path(mufly.bench.rig.esc.__file__).with_name("sketches")
+SKETCHES = Path(mufly.bench.rig.esc_bridge.__file__).with_name("sketches")
 BOARD = Path(__file__).with_name("board")
 
 
@@ -421,7 +421,7 @@ def test_dshot_sketch_holds_a_speed_by_the_controllers_answers(board):
         try:
             esc = EscBridge(os.ttyname(slave), ("upper", "lower"))
             esc.open()
-            esc.turn("upper", 6000 * RPM)
+            esc.set_speed("upper", 6000 * RPM)
             if dumb:  # one without bidirectional DShot does not turn without anybody's knowing how fast
                 with pytest.raises(DeviceError, match="does not answer"):
                     until(esc.read, lambda got: False)
@@ -432,7 +432,7 @@ def test_dshot_sketch_holds_a_speed_by_the_controllers_answers(board):
             assert 4.0 < got["voltage_upper"][-1] < 7.0  # half of 11 V
             esc.stop()
             until(esc.read, lambda got: got.get("speed_upper", [9.0])[-1] < 200 * RPM)
-            esc.turn("upper", 3000 * RPM)
+            esc.set_speed("upper", 3000 * RPM)
             time.sleep(0.6)  # the program hangs
             with pytest.raises(DeviceError, match="watchdog"):
                 until(esc.read, lambda got: False)

@@ -5,41 +5,39 @@ import json
 import numpy as np
 import pytest
 
-from mufly.bench import read_bench, read_measurements
-from mufly.bench.rig.devices import DeviceError
-from mufly.bench.rig.simulated import Behaviour, Faults, SimulatedRig
-from mufly.bench.series.analysis import analyse
-from mufly.bench.series.files import compare_series, compare_theory, write_results
-from mufly.bench.series.live import write_page
-from mufly.bench.series.plan import Limits, Plan, Times, make_plan, read_plan
-from mufly.bench.series.record import Record, read_lines, read_record
-from mufly.bench.series.run import LimitError, Stopped, run_series
+from mufly.bench import read_bench_file, read_measurements
+from mufly.bench.rig.bench_devices import DeviceError
+from mufly.bench.rig.simulated_rig import BenchImperfections, SimulatedFaults, SimulatedRig
+from mufly.bench.series.live_page import write_live_page
+from mufly.bench.series.series_analysis import analyse_series
+from mufly.bench.series.series_files import compare_series, compare_with_theory, write_series_results
+from mufly.bench.series.series_plan import BenchLimits, SeriesPlan, StepTimes, make_plan, read_plan
+from mufly.bench.series.series_record import SeriesRecord, read_lines, read_record
+from mufly.bench.series.series_runner import LimitError, Stopped, run_series
 from mufly.errors import InputError
-from mufly.tables import validated
+from mufly.input_files import validate_model
 from mufly.units import RPM
 
 NACA = "naca0012-r60-c20"
-TIMES = Times(warm_up_s=120.0, average_s=3.0, longest_s=6.0, tare_s=3.0)
+TIMES = StepTimes(warm_up_s=120.0, average_s=3.0, longest_s=6.0, tare_s=3.0)
 
 
 def plan(axis="upper", **more):
     given = {"repetitions": 2, "reference_every": 2, "times": TIMES, "axis": axis} | more
-    return make_plan(
-        "trial", [NACA], [12], [3000, 4000, 5500, 7000], reference=NACA, reference_pitch_deg=10, **given
-    )
+    return make_plan("trial", [NACA], [12], [3000, 4000, 5500, 7000], reference=NACA, reference_pitch_deg=10, **given)
 
 
 def truth_of(made, rig):
     def truth(step):
-        speeds = {a: rig.speed[a] for a in made.mounting[step.mounting].axes}
-        return rig.truth(speeds) | {f"nominal_{k}": v for k, v in rig.truth(speeds, as_mounted=False).items()}
+        speeds = {a: rig.speed[a] for a in made.mounting[step.mounting_index].turning_sides}
+        return rig.true_loads(speeds) | {f"nominal_{k}": v for k, v in rig.true_loads(speeds, as_mounted=False).items()}
 
     return truth
 
 
 def measured(made, rig=None, record=None, **more):
     rig = rig or SimulatedRig(3)
-    return run_series(made, rig, record or Record(), truth=truth_of(made, rig), **more)
+    return run_series(made, rig, record or SeriesRecord(), truth=truth_of(made, rig), **more)
 
 
 @pytest.fixture(scope="module")
@@ -67,27 +65,27 @@ def test_a_plan_measures_everything_once_in_random_order_between_references():
     kinds = [s.kind for s in made.steps]
     assert kinds[:2] == ["warm-up", "tare"]
     assert kinds[-1] == "tare"
-    assert kinds.count("point") == made.points == 80
+    assert kinds.count("point") == made.point_count == 80
 
 
 def test_a_plan_is_a_file_that_says_what_is_wrong_with_it(tmp_path):
     made = plan("pair")
     file = tmp_path / "plan.toml"
-    file.write_text(made.text(), encoding="utf-8")
+    file.write_text(made.to_toml(), encoding="utf-8")
     assert read_plan(file) == made
     assert read_plan(file).digest() == made.digest()
     tables = made.model_dump()
     tables["limits"]["speed_rpm"] = 5000.0
     with pytest.raises(InputError, match=r"mounting\[1\].speeds_rpm.*beyond the limit"):
-        validated(Plan, tables, "plan.toml")
+        validate_model(SeriesPlan, tables, "plan.toml")
     with pytest.raises(InputError, match="no such plan"):
         read_plan(tmp_path / "none.toml")
 
 
 def test_intervals_hold_the_truth_and_are_worth_something(single, pair):
     for record, widest in ((single, 0.05), (pair, 0.08)):
-        series = analyse(record)
-        assert not series.refused
+        series = analyse_series(record)
+        assert not series.fatal_issues
         held, width = [], []
         for p in series.points:
             for q in ("thrust", "torque_upper", "torque_lower"):
@@ -100,14 +98,14 @@ def test_intervals_hold_the_truth_and_are_worth_something(single, pair):
 
 def test_an_ideal_bench_gives_the_truth():
     made = plan(repetitions=1)
-    rig = SimulatedRig(5, behaviour=Behaviour.ideal())
-    for p in analyse(measured(made, rig)).points:
+    rig = SimulatedRig(5, imperfections=BenchImperfections.ideal_bench())
+    for p in analyse_series(measured(made, rig)).points:
         assert p.thrust.value == pytest.approx(p.truth["thrust"], rel=2e-3)
         assert p.torque_upper.value == pytest.approx(p.truth["torque_upper"], rel=5e-3)
 
 
 def test_torques_of_a_pair_add_up_to_what_the_cell_reads(pair):
-    series = analyse(pair)
+    series = analyse_series(pair)
     for s in series.settings:
         true = s.truth["nominal_torque_upper"], s.truth["nominal_torque_lower"]
         assert s.torque_upper.value == pytest.approx(true[0], rel=0.05)
@@ -117,7 +115,7 @@ def test_torques_of_a_pair_add_up_to_what_the_cell_reads(pair):
 
 def test_without_a_torque_cell_the_reference_tells_the_torque(single):
     """The dissertation's way: currents, mapped with blades that are known."""
-    made, record = plan(), Record()
+    made, record = plan(), SeriesRecord()
     for line in single.lines:
         copy = json.loads(json.dumps(line))
         if copy["kind"] == "reading":
@@ -131,76 +129,76 @@ def test_without_a_torque_cell_the_reference_tells_the_torque(single):
     rig = SimulatedRig(3)
     rig.mount(made.mounting[0])
     speeds = np.linspace(2500, 7500, 11) * RPM
-    known = [rig.loads_at({"upper": np.array(w), "lower": np.array(0.0)})[1]["upper"] for w in speeds]
-    from mufly.rotor import Measurements
+    known = [rig.true_loads_at({"upper": np.array(w), "lower": np.array(0.0)})[1]["upper"] for w in speeds]
+    from mufly.rotor import RotorMeasurements
 
-    torque = Measurements(0 * speeds, speeds, 0 * speeds, np.array(known, dtype=float), "known")
-    series = analyse(record, known=torque)
+    torque = RotorMeasurements(0 * speeds, speeds, 0 * speeds, np.array(known, dtype=float), "known")
+    series = analyse_series(record, known=torque)
     for s in series.settings:
         assert abs(s.torque_upper.value - s.truth["nominal_torque_upper"]) < 1.5 * s.torque_upper.expanded
         assert s.torque_upper.expanded < 0.12 * s.torque_upper.value
-    assert analyse(record).settings[0].torque is None
+    assert analyse_series(record).settings[0].torque is None
 
 
 @pytest.mark.parametrize(
     ("fault", "kind"),
     [
-        (Faults(reference_moved_deg=0.5, reference_moved_after=1), "reference"),
-        (Faults(saturated=True), "saturated"),
-        (Faults(spikes=0.05), "nonsense"),
-        (Faults(stuck_speed=0.04), "speed"),
+        (SimulatedFaults(reference_moved_deg=0.5, reference_moved_after=1), "reference"),
+        (SimulatedFaults(force_cell_saturates=True), "saturated"),
+        (SimulatedFaults(spike_share=0.05), "nonsense"),
+        (SimulatedFaults(speed_shortfall_share=0.04), "speed"),
     ],
 )
 def test_a_series_that_cannot_be_trusted_is_refused(fault, kind):
-    made = plan(repetitions=1, limits=Limits(current_A=9, thrust_N=50, torque_Nm=1))
+    made = plan(repetitions=1, limits=BenchLimits(current_A=9, thrust_N=50, torque_Nm=1))
     record = measured(made, SimulatedRig(1, faults=fault))
     if kind in ("speed", "nonsense"):
         with pytest.raises(InputError, match="holds no point that can be used"):
-            analyse(record)
+            analyse_series(record)
         return
-    assert kind in {d.kind for d in analyse(record).refused}
+    assert kind in {d.kind for d in analyse_series(record).fatal_issues}
     if kind == "reference":
-        assert not analyse(record, accept=["reference"]).refused
+        assert not analyse_series(record, accept=["reference"]).fatal_issues
 
 
 def test_zero_that_jumps_and_thrust_of_the_wrong_sign_are_seen(single):
     for change, kind in ((lambda c, k: c + (0.2 if k > 12 else 0.0), "zero"), (lambda c, k: -c, "polarity")):
-        record = Record()
+        record = SeriesRecord()
         for k, line in enumerate(single.lines):
             copy = json.loads(json.dumps(line))
             if copy["kind"] == "reading":
                 mean = copy["channels"]["thrust_raw"]
                 mean[0] = change(mean[0], k)
             record.write(copy)
-        assert kind in {d.kind for d in analyse(record).refused}
+        assert kind in {d.kind for d in analyse_series(record).fatal_issues}
 
 
 def test_a_point_that_does_not_lie_with_the_others_is_named(single):
-    record = Record()
+    record = SeriesRecord()
     for line in single.lines:
         copy = json.loads(json.dumps(line))
         if copy["kind"] == "reading" and (copy["mounting"], copy["speed_rpm"]) == (1, 5500):
             copy["channels"]["thrust_raw"][0] += 0.025
         record.write(copy)
-    found = [d for d in analyse(record).doubts if d.kind == "outlier"]
+    found = [d for d in analyse_series(record).doubts if d.kind == "outlier"]
     assert len(found) == 1
     assert "at 5500 rpm is +" in found[0].text
-    assert not any(d.kind == "outlier" for d in analyse(single).doubts)
+    assert not any(d.kind == "outlier" for d in analyse_series(single).doubts)
 
 
 @pytest.mark.parametrize("kept", [3, 9, 15])
 def test_a_kill_at_any_moment_loses_at_most_the_point_that_was_measured(tmp_path, single, kept):
     """The file ends in the middle of a line, wherever it does; the series goes on, and nothing is measured twice."""
     made, path = plan(), tmp_path / "raw.jsonl"
-    record = Record(tmp_path)
+    record = SeriesRecord(tmp_path)
     for line in single.lines[:kept]:
         record.write(line)
     record.close()
     whole = path.read_bytes()
     path.write_bytes(whole[: -len(whole.splitlines()[-1]) // 2])
-    again = Record(tmp_path)
+    again = SeriesRecord(tmp_path)
     assert len(again.lines) == kept - 1
-    before = again.done
+    before = again.completed_steps
     with pytest.raises(Stopped):
         measured(
             made,
@@ -243,9 +241,9 @@ class Watched(SimulatedRig):
 def test_a_limit_stops_the_bench(limits, word):
     rig = Watched(0)
     with pytest.raises(LimitError, match=word):
-        measured(plan(limits=Limits(**limits)), rig)
+        measured(plan(limits=BenchLimits(**limits)), rig)
     assert rig.stops
-    assert not any(rig.command.values())
+    assert not any(rig.commanded_speed.values())
 
 
 def test_a_request_and_a_fault_of_the_program_stop_the_bench():
@@ -254,7 +252,7 @@ def test_a_request_and_a_fault_of_the_program_stop_the_bench():
         with pytest.raises(error):
             measured(plan(), rig, **act)
         assert rig.stops
-        assert not any(rig.command.values())
+        assert not any(rig.commanded_speed.values())
 
 
 def test_a_device_that_fails_for_a_while_costs_no_point_and_a_dead_one_ends_the_series():
@@ -265,14 +263,14 @@ def test_a_device_that_fails_for_a_while_costs_no_point_and_a_dead_one_ends_the_
             if self.time_s > 500.0 and self.failures < 2:
                 self.failures += 1
                 raise DeviceError("cells: silent for 0.5 s")
-            return super().gather(duration_s, watch)
+            return super().collect_samples(duration_s, watch)
 
     rig = Flaky(2)
-    series = analyse(measured(plan(repetitions=1), rig))
-    assert not series.refused
+    series = analyse_series(measured(plan(repetitions=1), rig))
+    assert not series.fatal_issues
     assert [d.kind for d in series.doubts] == ["interrupted"] * 2
     assert rig.open_count == 3
-    dead, record = Watched(2, faults=Faults(silent_after_s=600.0)), Record()
+    dead, record = Watched(2, faults=SimulatedFaults(silent_from_s=600.0)), SeriesRecord()
     with pytest.raises(DeviceError, match="does not answer"):
         measured(plan(), dead, record)
     assert dead.stops
@@ -280,41 +278,39 @@ def test_a_device_that_fails_for_a_while_costs_no_point_and_a_dead_one_ends_the_
 
 
 def test_results_are_files_that_the_fits_read(tmp_path, single, pair):
-    files = {f.name for f in write_results(analyse(single), tmp_path)}
+    files = {f.name for f in write_series_results(analyse_series(single), tmp_path)}
     assert files == {f"{NACA}-upper.csv", f"{NACA}-upper-points.csv", "motor-upper.csv", "summary.json"}
     found = read_measurements(tmp_path / f"{NACA}-upper.csv")
     assert found.speed_rad_s / RPM == pytest.approx([3000, 4000, 5500, 7000], rel=1e-3)
-    settings = [s for s in analyse(single).settings if s.rotor == NACA]
+    settings = [s for s in analyse_series(single).settings if s.rotor == NACA]
     assert found.density_kg_m3 == pytest.approx(np.mean([s.density_kg_m3 for s in settings]), rel=1e-6)
     last = max(settings, key=lambda s: s.torque.value)
     to_mean = found.density_kg_m3 / last.density_kg_m3
     assert found.torque_Nm[-1] == pytest.approx(last.torque.value * to_mean, rel=1e-6)
     assert found.air.density_kg_m3 == found.density_kg_m3  # which compare and fit_rotor take
-    motor = read_bench(tmp_path / "motor-upper.csv")
+    motor = read_bench_file(tmp_path / "motor-upper.csv")
     assert {"voltage", "current", "speed", "torque"} <= set(motor.columns)
-    write_results(analyse(pair), tmp_path / "pair")
-    both = read_bench(tmp_path / "pair" / f"{NACA}-pair-points.csv")
-    assert {"speed_upper", "speed_lower", "thrust", "torque_upper", "torque_lower", "density"} <= set(
-        both.columns
-    )
+    write_series_results(analyse_series(pair), tmp_path / "pair")
+    both = read_bench_file(tmp_path / "pair" / f"{NACA}-pair-points.csv")
+    assert {"speed_upper", "speed_lower", "thrust", "torque_upper", "torque_lower", "density"} <= set(both.columns)
 
 
 def test_series_beside_another_and_beside_the_theory_that_made_them(single, pair):
-    series = analyse(single)
+    series = analyse_series(single)
     assert all(d.normalised == 0 for d in compare_series(series, series))
-    theory = compare_theory(series)
+    theory = compare_with_theory(series)
     assert len(theory) == 8
     assert np.mean([abs(d.normalised) < 1 for d in theory]) > 0.7
-    other = analyse(measured(plan(), SimulatedRig(8)))
+    other = analyse_series(measured(plan(), SimulatedRig(8)))
     assert np.mean([abs(d.normalised) < 1 for d in compare_series(series, other)]) > 0.7
     with pytest.raises(InputError, match="no setting in common"):
-        compare_series(series, analyse(pair))
+        compare_series(series, analyse_series(pair))
 
 
 def test_the_page_is_whole_at_any_time(tmp_path, single):
     made = plan()
     for n in (0, 1, 5, len(single.lines)):
-        write_page(tmp_path, made, single.lines[:n], "<running> & well", n / len(single.lines), over=n > 5)
+        write_live_page(tmp_path, made, single.lines[:n], "<running> & well", n / len(single.lines), over=n > 5)
         text = (tmp_path / "live.html").read_text()
         assert text.endswith("</html>")
         assert "&lt;running&gt; &amp; well" in text

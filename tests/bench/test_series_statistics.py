@@ -8,14 +8,14 @@ from numpy.testing import assert_allclose
 from scipy import stats
 from scipy.signal import lfilter
 
-from mufly.bench.series.air import moist_air_density, relative_density_std
-from mufly.bench.series.averaging import has_settled, mean_of
-from mufly.bench.series.walk import fit_walk
+from mufly.bench.series.block_means import compute_block_mean, has_settled
+from mufly.bench.series.moist_air import moist_air_density, relative_density_std
+from mufly.bench.series.random_walk_drift import fit_random_walk
 
 
 def share(samples):
     """How many of the 95 % intervals of rows hold zero."""
-    found = [mean_of(row) for row in samples]
+    found = [compute_block_mean(row) for row in samples]
     return np.mean([abs(m.value) < stats.t.ppf(0.975, m.dof) * m.std for m in found])
 
 
@@ -31,25 +31,25 @@ def test_a_vibration_does_not_make_a_mean_uncertain():
     t = np.arange(500) / 100.0
     rows = np.array([5.0 * np.sin(2 * np.pi * 13.7 * t + p) for p in rng.uniform(0, 6.3, 200)])
     rows += 0.1 * rng.standard_normal(rows.shape)
-    means = [mean_of(r) for r in rows]
+    means = [compute_block_mean(r) for r in rows]
     assert np.mean([m.std for m in means]) < 0.2 * 5.0 / np.sqrt(2 * 500) * 2
     assert share(rows) >= 0.9
 
 
 def test_wild_samples_are_left_out_and_counted():
     x = np.random.default_rng(3).standard_normal(400)
-    clean = mean_of(x)
+    clean = compute_block_mean(x)
     x[[17, 200]] = 1e6, -8e5
-    m = mean_of(x)
+    m = compute_block_mean(x)
     assert (m.spikes, m.size, m.high) == (2, 400, 1e6)
     assert m.value == pytest.approx(clean.value, abs=0.02)
-    assert np.isnan(mean_of([]).value)
-    assert mean_of([3.0]).value == 3.0
+    assert np.isnan(compute_block_mean([]).value)
+    assert compute_block_mean([3.0]).value == 3.0
 
 
 def test_settling():
     rng = np.random.default_rng(4)
-    windows = [mean_of(100.0 * (1 - np.exp(-k)) + 0.1 * rng.standard_normal(100)) for k in range(10)]
+    windows = [compute_block_mean(100.0 * (1 - np.exp(-k)) + 0.1 * rng.standard_normal(100)) for k in range(10)]
     verdicts = [has_settled(a, b, 0.2) for a, b in itertools.pairwise(windows)]
     assert not any(verdicts[:4])
     assert all(verdicts[7:])
@@ -57,11 +57,11 @@ def test_settling():
 
 def test_between_two_exact_readings_the_drift_is_a_bridge():
     t, y = np.linspace(0.0, 100.0, 11), np.array([0, 1, 0, 1, 2, 3, 2, 3, 4, 3, 4.0])
-    walk = fit_walk(t, y, np.full(11, 1e-6))
+    walk = fit_random_walk(t, y, np.full(11, 1e-6))
     at = np.array([5.0, 13.0, 20.0])
     mean, cov = walk.predict(at, np.ones((3, 1)))
     assert_allclose(mean, np.interp(at, t, y), atol=1e-3)
-    assert cov[0, 0] == pytest.approx(walk.rate**2 / 3600 * 5 * 5 / 10, rel=1e-3)
+    assert cov[0, 0] == pytest.approx(walk.drift_per_hour**2 / 3600 * 5 * 5 / 10, rel=1e-3)
     assert cov[2, 2] < 1e-6
 
 
@@ -73,7 +73,7 @@ def test_drift_intervals_hold_whatever_drifts():
         steps = rng.standard_normal(40) * np.sqrt(np.diff(t, prepend=0.0)) / 60.0
         true = np.cumsum(steps) if k % 2 else 3.0 * np.exp(-t / 1500.0)
         y = true[rest] + 0.05 * rng.standard_normal(rest.sum())
-        mean, cov = fit_walk(t[rest], y, np.full(rest.sum(), 0.05)).predict(t[~rest][:27], np.ones((27, 1)))
+        mean, cov = fit_random_walk(t[rest], y, np.full(rest.sum(), 0.05)).predict(t[~rest][:27], np.ones((27, 1)))
         inside.append(np.mean(np.abs(mean - true[~rest][:27]) < 1.96 * np.sqrt(np.diag(cov))))
     assert 0.92 <= np.mean(inside) <= 0.995
 
@@ -82,7 +82,7 @@ def test_no_drift_and_honest_readings_is_the_ordinary_fit():
     rng = np.random.default_rng(6)
     t, x = np.arange(60.0), np.column_stack([np.ones(60), np.linspace(0, 1, 60)])
     y = x @ [1.0, 2.0] + 0.1 * rng.standard_normal(60)
-    b, cov = fit_walk(t, y, np.full(60, 0.1), x).coefficients()
+    b, cov = fit_random_walk(t, y, np.full(60, 0.1), x).estimate_coefficients()
     assert_allclose(b, np.linalg.lstsq(x, y, rcond=None)[0], atol=0.03)
     # A trend beside a drift that is not known to be absent is less certain, but not by much.
     ratio = np.sqrt(np.diag(cov)) / (0.1 * np.sqrt(np.diag(np.linalg.inv(x.T @ x))))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.bench import parse_header, read_bench
+from mufly.bench import parse_header, read_bench_file
 from mufly.errors import InputError
 
 
@@ -53,24 +53,24 @@ def test_a_file_is_read_in_si(tmp_path):
         tmp_path,
         "# a motor\nvoltage_V,current_mA,speed_rpm,torque_mNm,who\n6, 500, 9000, 1.5, me\n7,,9e3,1,\n",
     )
-    table = read_bench(path)
+    table = read_bench_file(path)
     assert_allclose(table["current"], [0.5, np.nan])
     assert_allclose(table["speed"], 9000 * math.pi / 30)
     assert_allclose(table["torque"], [1.5e-3, 1e-3])
     assert table.line.tolist() == [3, 4]
     assert "columns that are not used: who" in table.notes
     with pytest.raises(InputError, match="line 4, current_mA: is empty"):
-        table.require(["current"])
+        table.require_columns(["current"])
 
 
 def test_semicolons_and_decimal_commas(tmp_path):
-    table = read_bench(write(tmp_path, "RPM;T(N);run\n1000,5;0,25;a\n2000;1,0;b\n3000;2;a\n"))
+    table = read_bench_file(write(tmp_path, "RPM;T(N);run\n1000,5;0,25;a\n2000;1,0;b\n3000;2;a\n"))
     assert_allclose(table["speed"], np.array([1000.5, 2000, 3000]) * math.pi / 30)
     assert table["run"].tolist() == [0, 1, 0]
 
 
 def test_the_si_column_is_preferred_and_said(tmp_path):
-    table = read_bench(write(tmp_path, "RPM,omega,T(gf),T(N)\n1000,104.72,100,0.98\n"))
+    table = read_bench_file(write(tmp_path, "RPM,omega,T(gf),T(N)\n1000,104.72,100,0.98\n"))
     assert table.headers["speed"] == "omega"
     assert table.headers["thrust"] == "T(N)"
     assert any("read from 'omega', not from 'RPM'" in n for n in table.notes)
@@ -78,23 +78,23 @@ def test_the_si_column_is_preferred_and_said(tmp_path):
 
 def test_columns_are_mapped(tmp_path):
     path = write(tmp_path, "RPM,T_A(N),RPM_B,T_B(N)\n1000,1,1010,2\n")
-    table = read_bench(
+    table = read_bench_file(
         path,
         columns="RPM=speed_lower_rpm, T_A(N)=thrust_lower_N, RPM_B=speed_upper_rpm, T_B(N)=thrust_upper_N",
     )
     assert table["thrust_upper"].tolist() == [2.0]
     assert set(table.columns) == {"speed_lower", "thrust_lower", "speed_upper", "thrust_upper"}
     with pytest.raises(InputError, match="T_C: is not among the columns"):
-        read_bench(path, columns="T_C=thrust_N")
+        read_bench_file(path, columns="T_C=thrust_N")
     with pytest.raises(InputError, match="wind: is no quantity"):
-        read_bench(path, columns="RPM=wind")
+        read_bench_file(path, columns="RPM=wind")
     with pytest.raises(InputError, match="is no OLD=NEW"):
-        read_bench(path, columns="RPM")
+        read_bench_file(path, columns="RPM")
 
 
 def test_a_last_line_that_is_cut_is_left_out_and_told(tmp_path):
     with pytest.warns(match="line 3, the last, is cut short"):
-        table = read_bench(write(tmp_path, "RPM,T(N),Q(Nm)\n1000,0.1,0.01\n2000,0.2"))
+        table = read_bench_file(write(tmp_path, "RPM,T(N),Q(Nm)\n1000,0.1,0.01\n2000,0.2"))
     assert table["thrust"].tolist() == [0.1]
     assert any("line 3" in note for note in table.notes)
 
@@ -103,9 +103,9 @@ def test_a_last_line_that_is_cut_is_left_out_and_told(tmp_path):
 def test_a_short_line_shifts_nothing_and_is_named(tmp_path, separator):
     text = "RPM,T(N),Q(Nm)\n1000,0.1,0.01\n2000,0.02\n3000,0.9,0.09\n".replace(",", separator)
     with pytest.raises(InputError, match="line 3: has 2 cells, the header 3"):
-        read_bench(write(tmp_path, text))
+        read_bench_file(write(tmp_path, text))
     with pytest.raises(InputError, match="line 3: has 4 cells, the header 3"):
-        read_bench(write(tmp_path, text.replace("0.02", separator.join(("0.2", "0.02", "7")))))
+        read_bench_file(write(tmp_path, text.replace("0.02", separator.join(("0.2", "0.02", "7")))))
 
 
 @pytest.mark.parametrize(
@@ -119,14 +119,14 @@ def test_a_short_line_shifts_nothing_and_is_named(tmp_path, separator):
 )
 def test_wrong_files(tmp_path, text, what):
     with pytest.raises(InputError, match=what):
-        read_bench(write(tmp_path, text))
+        read_bench_file(write(tmp_path, text))
 
 
 def test_unknown_units_are_remembered_and_can_be_set(tmp_path):
-    table = read_bench(write(tmp_path, "speed,torque,T(N)\n5000,1,2\n"))
+    table = read_bench_file(write(tmp_path, "speed,torque,T(N)\n5000,1,2\n"))
     assert table.unitless == ("speed", "torque")
     assert any("torque: no unit" in n for n in table.notes)
-    again = table.rescaled("speed", math.pi / 30, "taken as rpm")
+    again = table.rescale_column("speed", math.pi / 30, "taken as rpm")
     assert again["speed"][0] == pytest.approx(523.6, abs=0.1)
     assert again.unitless == ("torque",)
     assert "taken as rpm" in again.notes
@@ -177,11 +177,11 @@ def test_units_and_names_of_thrust_stands(header, factor):
     ],
 )
 def test_an_unknown_unit_is_blamed_with_its_column(tmp_path, text, what):
-    table = read_bench(write(tmp_path, text))
+    table = read_bench_file(write(tmp_path, text))
     with pytest.raises(InputError, match=what):
-        table.require(("speed", "thrust"))
+        table.require_columns(("speed", "thrust"))
     with pytest.raises(InputError, match="the unit 'bananas' is none of thrust"):
-        read_bench(write(tmp_path, "Thrust (bananas)\n1\n"))
+        read_bench_file(write(tmp_path, "Thrust (bananas)\n1\n"))
 
 
 @pytest.mark.parametrize(
@@ -222,15 +222,15 @@ def test_an_unknown_unit_is_blamed_with_its_column(tmp_path, text, what):
     ],
 )
 def test_of_two_speeds_the_shaft_s_is_read(tmp_path, heads, rows, speed, words):
-    table = read_bench(write(tmp_path, f"{heads},T(N)\n" + "\n".join(f"{r},1" for r in rows.split(";"))))
+    table = read_bench_file(write(tmp_path, f"{heads},T(N)\n" + "\n".join(f"{r},1" for r in rows.split(";"))))
     assert_allclose(table["speed"] * 30 / math.pi, speed)
     assert any(words in n for n in table.notes)
 
 
 def test_electrical_revolutions_alone_are_no_speed(tmp_path):
-    table = read_bench(write(tmp_path, "eRPM,T(N)\n21000,1\n"))
+    table = read_bench_file(write(tmp_path, "eRPM,T(N)\n21000,1\n"))
     with pytest.raises(InputError, match="divide eRPM by the number of pole pairs"):
-        table.require(("speed",))
+        table.require_columns(("speed",))
 
 
 @pytest.mark.parametrize(
@@ -244,29 +244,29 @@ def test_electrical_revolutions_alone_are_no_speed(tmp_path):
 )  # fmt: skip
 def test_throttles_of_all_kinds(tmp_path, head, cells, words):
     lines = [f"{c};{s}" for c, s in zip(cells.split(","), (0, 3000, 5000), strict=True)]
-    table = read_bench(write(tmp_path, f"{head};speed_rpm\n" + "\n".join(lines) + "\n"))
+    table = read_bench_file(write(tmp_path, f"{head};speed_rpm\n" + "\n".join(lines) + "\n"))
     assert_allclose(table["duty"], [0.0, 0.5, 1.0], atol=1e-12)
     assert any(words in n for n in table.notes) or not words
 
 
 def test_a_throttle_that_reverses_is_asked_for(tmp_path):
     with pytest.raises(InputError, match="throttle: goes from -1 to 1: the speed does not say"):
-        read_bench(write(tmp_path, "throttle,RPM\n-1,5000\n0,0\n1,5000\n"))
+        read_bench_file(write(tmp_path, "throttle,RPM\n-1,5000\n0,0\n1,5000\n"))
 
 
 def test_the_current_beside_an_esc_is_the_supply_s(tmp_path):
-    table = read_bench(write(tmp_path, "ESC signal (µs),Current (A),Voltage (V)\n1200,0.1,8\n1500,1,8\n"))
+    table = read_bench_file(write(tmp_path, "ESC signal (µs),Current (A),Voltage (V)\n1200,0.1,8\n1500,1,8\n"))
     assert set(table.columns) == {"duty", "supply_current", "voltage"}
-    own = read_bench(write(tmp_path, "ESC signal (µs),Motor current (A)\n1200,0.1\n1500,1\n"))
+    own = read_bench_file(write(tmp_path, "ESC signal (µs),Motor current (A)\n1200,0.1\n1500,1\n"))
     assert "current" in own
 
 
 def test_a_pitch_without_unit_is_taken_as_degrees_or_asked_for(tmp_path):
-    table = read_bench(write(tmp_path, "pitch,RPM,T(N)\n12,3000,1\n"))
+    table = read_bench_file(write(tmp_path, "pitch,RPM,T(N)\n12,3000,1\n"))
     assert_allclose(table["pitch"], math.radians(12))
     assert any("taken as degrees" in n for n in table.notes)
     with pytest.raises(InputError, match=r"pitch: goes up to 0.2 without a unit"):
-        read_bench(write(tmp_path, "pitch,RPM,T(N)\n0.2,3000,1\n"))
+        read_bench_file(write(tmp_path, "pitch,RPM,T(N)\n0.2,3000,1\n"))
 
 
 PERFORMANCE = """
@@ -287,9 +287,7 @@ def performance(new=True, rpms=(2000, 4000)):
     for rpm in rpms:
         n = rpm / 60.0
         more = "      PWR         Torque      Thrust      THR/PWR" if new else ""
-        text += PERFORMANCE.format(
-            rpm=rpm, more=more, units="       (W)         (N-m)        (N)        (g/W)" * new
-        )
+        text += PERFORMANCE.format(rpm=rpm, more=more, units="       (W)         (N-m)        (N)        (g/W)" * new)
         for j in (0.0, 0.2, 0.4):
             ct, cp = 0.1 - 0.1 * j, 0.04 - 0.02 * j
             thrust, power = ct * 1.225 * n**2 * D**4, cp * 1.225 * n**3 * D**5
@@ -307,10 +305,7 @@ def performance(new=True, rpms=(2000, 4000)):
             row += [power, torque, thrust, 1.0] if new else []
             text += "  ".join(f"{v:10.6f}" for v in row) + "\n"
     return (
-        text
-        + "        50.0      0.9000       -NaN       -NaN      0.01  0.0  0.0  0.0"
-        + "  0 0 0 -NaN" * new
-        + "\n"
+        text + "        50.0      0.9000       -NaN       -NaN      0.01  0.0  0.0  0.0" + "  0 0 0 -NaN" * new + "\n"
     )
 
 
@@ -319,7 +314,7 @@ def performance(new=True, rpms=(2000, 4000)):
 def test_a_makers_performance_file(tmp_path, new, code):
     path = tmp_path / "PER3_9x45E.dat"
     path.write_bytes(performance(new).replace("\n", "\r\n").encode(code))
-    table = read_bench(path)
+    table = read_bench_file(path)
     assert len(table) == 6
     assert_allclose(table["speed"] * 30 / math.pi, [2000] * 3 + [4000] * 3)
     n = table["speed"] / (2 * math.pi)
@@ -338,4 +333,4 @@ def test_a_short_line_of_a_performance_file_is_named(tmp_path):
     path = tmp_path / "PER3.dat"
     path.write_text(text.replace("  0.080000", "", 1))
     with pytest.raises(InputError, match=f"line {line}: has 11 cells, the header 12"):
-        read_bench(path)
+        read_bench_file(path)

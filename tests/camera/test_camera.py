@@ -8,50 +8,48 @@ import numpy as np
 import pytest
 
 from mufly.camera import (
-    FLOORS,
+    FLOOR_KINDS,
     Floor,
-    Motion,
     Renderer,
-    body_from_camera,
+    VehicleMotion,
+    body_from_camera_rotation,
     builtin_cameras,
-    floor_of_picture,
     load_camera,
+    load_floor_picture,
     make_floor,
-    project,
-    rays,
+    project_points,
+    unproject_pixels,
 )
-from mufly.camera.model import distortion, matrix
-from mufly.dynamics import rotation
-from mufly.dynamics.state import quaternion_from_euler
+from mufly.camera.camera_model import camera_matrix, distortion_coefficients
+from mufly.dynamics import body_to_ned_matrix
+from mufly.dynamics.model_state import quaternion_from_euler
 from mufly.errors import InputError
 from mufly.logs import LogWarning
-from mufly.slam import camera_toml
+from mufly.slam import format_camera_toml
 from mufly.world import Box, World
 
 STILL = np.zeros(3)
 
 
-def _motion(height: float = 1.0, attitude: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Motion:
-    turn = rotation(quaternion_from_euler(*attitude))
-    return Motion(0.0, np.array([0.1, -0.2, -height]), STILL, turn, STILL)
+def _motion(height: float = 1.0, attitude: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> VehicleMotion:
+    turn = body_to_ned_matrix(quaternion_from_euler(*attitude))
+    return VehicleMotion(0.0, np.array([0.1, -0.2, -height]), STILL, turn, STILL)
 
 
 def _chequered() -> Floor:
     """Fields of 128 mm."""
     n = np.arange(2048) // 128
     a = np.where((n[:, None] + n[None, :]) % 2 == 0, 40, 210)
-    levels = [
-        a.reshape(2048 >> k, 1 << k, 2048 >> k, 1 << k).mean(axis=(1, 3)).astype(np.uint8) for k in range(5)
-    ]
+    levels = [a.reshape(2048 >> k, 1 << k, 2048 >> k, 1 << k).mean(axis=(1, 3)).astype(np.uint8) for k in range(5)]
     one = make_floor("plain", size=128)
-    return Floor("chequered", tuple(levels), (1e-3, 1e-3), one.detail, one.shade)
+    return Floor("chequered", tuple(levels), (1e-3, 1e-3), one.detail_map, one.shadow_map)
 
 
 @pytest.mark.parametrize("name", ["mufly-2.0", "webcam"])
 def test_rays_undo_the_distortion(name: str) -> None:
     camera = load_camera(name)
     pixels = np.stack(np.meshgrid(np.arange(0, 320, 20.0), np.arange(0, 240, 20.0)), axis=-1)
-    assert np.abs(project(camera, rays(camera, pixels)) - pixels).max() < 1e-8
+    assert np.abs(project_points(camera, unproject_pixels(camera, pixels)) - pixels).max() < 1e-8
 
 
 def test_a_corner_is_where_the_closed_form_has_it() -> None:
@@ -64,13 +62,13 @@ def test_a_corner_is_where_the_closed_form_has_it() -> None:
     for attitude in ((0.0, 0.0, 0.0), (0.08, -0.06, 0.7)):
         motion = _motion(0.8, attitude)
         picture = Renderer(camera, floor, perfect=True).render(motion)
-        axes = motion.attitude @ body_from_camera(camera)
-        here = motion.position + motion.attitude @ camera.mount.place.array()[0]
+        axes = motion.attitude @ body_from_camera_rotation(camera)
+        here = motion.position + motion.attitude @ camera.mount.place.to_array()[0]
         k = np.arange(-10, 11) * 0.128
         corners = np.array([[n, e, 0.0] for n in k for e in k])
         seen = (corners - here) @ axes
         seen = seen[seen[:, 2] > 0.3]
-        pixels = project(camera, seen[np.hypot(*(seen[:, :2] / seen[:, 2:]).T) < 0.7])
+        pixels = project_points(camera, seen[np.hypot(*(seen[:, :2] / seen[:, 2:]).T) < 0.7])
         pixels = pixels[(pixels > 15).all(axis=1) & (pixels < [304, 224]).all(axis=1)]
         begin = np.array(pixels[:, None], np.float32, order="C")
         found = cv2.cornerSubPix(picture, begin, (6, 6), (-1, -1), stop)[:, 0]
@@ -88,17 +86,17 @@ def test_the_first_row_is_seen_before_the_last() -> None:
     camera = camera.model_copy(update={"lens": lens})
     a = np.where(np.arange(2048)[None, :] < 1024, 30, 220) * np.ones((2048, 1))
     one = make_floor("plain", size=128)
-    floor = Floor("halves", (a.astype(np.uint8),), (1e-3, 1e-3), one.detail, one.shade)
+    floor = Floor("halves", (a.astype(np.uint8),), (1e-3, 1e-3), one.detail_map, one.shadow_map)
     quality = camera.quality.model_copy(
         update={"noise": lens.k1, "blur": lens.k1, "shaking": lens.k1, "vignette": lens.k1, "jpeg": 0}
     )
     camera = camera.model_copy(update={"quality": quality})
-    motion = Motion(0.0, np.array([0.0, 1.024, -1.0]), np.array([0.0, 0.5, 0.0]), np.eye(3), STILL)
+    motion = VehicleMotion(0.0, np.array([0.0, 1.024, -1.0]), np.array([0.0, 0.5, 0.0]), np.eye(3), STILL)
     picture = Renderer(camera, floor, own_shadow=0.0).render(motion).astype(float)
     middle = 0.5 * (picture.min() + picture.max())
     edge = [np.interp(middle, row[100:220], np.arange(100, 220)) for row in picture]
     lean = np.polyfit(np.arange(240), edge, 1)[0] * 239
-    height = 1.0 - camera.mount.place.array()[0][2]
+    height = 1.0 - camera.mount.place.to_array()[0][2]
     assert lean == pytest.approx(-0.5 * float(camera.shutter.readout) / height * 250, rel=0.05)
 
 
@@ -118,8 +116,7 @@ def test_boxes_stand_on_the_floor_and_are_nearer() -> None:
 def test_same_seed_same_picture_and_floors_differ() -> None:
     camera = load_camera("mufly-2.0")
     pictures = [
-        Renderer(camera, make_floor(kind, 3, size=512), seed=5).render(_motion())
-        for kind in (*FLOORS, "rich")
+        Renderer(camera, make_floor(kind, 3, size=512), seed=5).render(_motion()) for kind in (*FLOOR_KINDS, "rich")
     ]
     assert (pictures[0] == pictures[-1]).all()
     scatter = [p[80:160, 100:220].astype(float).std() for p in pictures[:4]]
@@ -139,7 +136,7 @@ def test_a_darker_room_is_followed_by_the_exposure() -> None:
     means = []
     for k in range(40):
         m = _motion()
-        moved = Motion(k / 30, m.position, STILL, m.attitude, STILL)
+        moved = VehicleMotion(k / 30, m.position, STILL, m.attitude, STILL)
         means.append(renderer.render(moved, light=1.0 if k < 5 else 0.4).mean())
     assert means[5] < 0.6 * means[4]
     assert means[-1] > 0.85 * means[4]
@@ -154,24 +151,24 @@ def test_a_users_picture_lies_north_up(tmp_path: object) -> None:
     a = np.full((64, 64), 50, np.uint8)
     a[:32] = 200  # the upper half is bright
     Image.fromarray(a).save(folder / "floor.png")
-    floor = floor_of_picture(folder / "floor.png", 4.0)
+    floor = load_floor_picture(folder / "floor.png", 4.0)
     camera = load_camera("webcam")
     north, south = (
         Renderer(camera, floor, perfect=True).render(
-            Motion(0.0, np.array([n, 2.0, -0.3]), STILL, np.eye(3), STILL)
+            VehicleMotion(0.0, np.array([n, 2.0, -0.3]), STILL, np.eye(3), STILL)
         )
         for n in (3.0, 1.0)
     )
     assert north.mean() > 2 * south.mean()
     (folder / "none.png").write_bytes(b"\x89PNG broken")
     with pytest.raises(InputError, match=r"none\.png.*no picture"):
-        floor_of_picture(folder / "none.png", 4.0)
+        load_floor_picture(folder / "none.png", 4.0)
 
 
 def test_faulty_files_are_told_in_a_line(tmp_path: object) -> None:
     assert "mufly-2.0" in builtin_cameras()
     file = Path(str(tmp_path)) / "c.toml"
-    text = camera_toml(load_camera("webcam"))
+    text = format_camera_toml(load_camera("webcam"))
     file.write_text(text)
     assert load_camera(file).lens.k1.value == -0.22
     file.write_text(text.replace("value = -0.22", "value = -1.9"))
@@ -333,17 +330,15 @@ CALIBRATIONS = {
 def test_calibrations_of_other_programs_give_the_lens(tmp_path: Path, text: str, whose: str) -> None:
     file = tmp_path / "calibration.yaml"
     file.write_text(text)
-    with pytest.warns(
-        LogWarning, match=f"is .*{whose}.*lens and size are read, all else .* is as webcam has it"
-    ):
+    with pytest.warns(LogWarning, match=f"is .*{whose}.*lens and size are read, all else .* is as webcam has it"):
         camera = load_camera(file)
     assert (camera.sensor.width, camera.sensor.height) == (752, 480)
-    assert matrix(camera) == pytest.approx(np.array([[458.6, 0, 367.2], [0, 457.3, 248.4], [0, 0, 1]]))
+    assert camera_matrix(camera) == pytest.approx(np.array([[458.6, 0, 367.2], [0, 457.3, 248.4], [0, 0, 1]]))
     bent = np.zeros(5) if text is BASALT else np.array([-0.28, 0.07, 0.0002, -0.0001, 0])
-    assert distortion(camera) == pytest.approx(bent)
+    assert distortion_coefficients(camera) == pytest.approx(bent)
     assert float(camera.sensor.period) == pytest.approx(0.05 if text in (EUROC, ORB) else 0.0333)
     back = tmp_path / "camera.toml"  # and a file of ours to change the rest in
-    back.write_text(camera_toml(camera))
+    back.write_text(format_camera_toml(camera))
     assert load_camera(back) == camera
 
 

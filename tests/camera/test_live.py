@@ -12,12 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mufly.camera import Camera, LivePictures, StreamServer, decode, encode, is_live, load_camera
+from mufly.camera import (
+    Camera,
+    LivePictures,
+    StreamServer,
+    decode_picture,
+    encode_jpeg,
+    is_live_source,
+    load_camera,
+)
 from mufly.errors import InputError, MuflyError
 
 CAMERA = load_camera("webcam")
 RNG = np.random.default_rng(3)
-PICTURES = [encode(RNG.integers(0, 255, (240, 320), dtype=np.uint8), 80) for _ in range(3)]
+PICTURES = [encode_jpeg(RNG.integers(0, 255, (240, 320), dtype=np.uint8), 80) for _ in range(3)]
 
 
 @pytest.fixture
@@ -28,10 +36,10 @@ def server() -> Iterator[StreamServer]:
 
 def sent(server: StreamServer, pictures: list[bytes], first: int = 0) -> None:
     """Send them one by one, when somebody looks."""
-    while not server.watchers:
+    while not server.watcher_count:
         time.sleep(0.001)
     for k, jpeg in enumerate(pictures):
-        server.publish(jpeg, 5.0 + 0.1 * (first + k))
+        server.publish_picture(jpeg, 5.0 + 0.1 * (first + k))
         time.sleep(0.01)
 
 
@@ -42,8 +50,8 @@ def in_thread(work: Callable[[], None]) -> threading.Thread:
 
 
 def test_what_is_live() -> None:
-    assert all(map(is_live, ("0", "/dev/video2", "http://cam/stream", "https://cam")))
-    assert not any(map(is_live, ("flight.avi", "folder", "/tmp/video0")))
+    assert all(map(is_live_source, ("0", "/dev/video2", "http://cam/stream", "https://cam")))
+    assert not any(map(is_live_source, ("flight.avi", "folder", "/tmp/video0")))
 
 
 def test_a_stream_is_read_with_the_senders_time_or_the_arrivals(server: StreamServer) -> None:
@@ -51,12 +59,14 @@ def test_a_stream_is_read_with_the_senders_time_or_the_arrivals(server: StreamSe
         LivePictures(server.url, CAMERA, clock="sender", delay_s=0.02) as theirs,
         LivePictures(server.url, CAMERA, delay_s=0.02) as ours,
     ):
-        while server.watchers < 2:
+        while server.watcher_count < 2:
             time.sleep(0.001)
         in_thread(lambda: sent(server, PICTURES)).join()
-        by_sender, by_arrival = ([next(p) for _ in range(3)] for p in (theirs.pictures(), ours.pictures()))
+        by_sender, by_arrival = (
+            [next(p) for _ in range(3)] for p in (theirs.iterate_pictures(), ours.iterate_pictures())
+        )
     assert [t for t, _ in by_sender] == pytest.approx([4.98, 5.08, 5.18])
-    assert (by_sender[2][1] == decode(PICTURES[2])).all()
+    assert (by_sender[2][1] == decode_picture(PICTURES[2])).all()
     assert by_arrival[-1][0] == pytest.approx(time.time() - 0.02, abs=0.5)
     assert by_arrival[0][0] < by_arrival[1][0] < by_arrival[2][0]
 
@@ -65,16 +75,14 @@ def test_a_broken_stream_is_opened_again_and_said_once(server: StreamServer) -> 
     lines: list[str] = []
     port = int(server.url.removesuffix("/stream").rpartition(":")[2])
     with LivePictures(server.url, CAMERA, clock="sender", give_up_s=1.0, say=lines.append) as live:
-        some = live.pictures()
+        some = live.iterate_pictures()
         in_thread(lambda: sent(server, PICTURES[:2])).join()
         assert [next(some)[0], next(some)[0]] == pytest.approx([5.0, 5.1])
         server.close()
         time.sleep(0.05)
         with StreamServer(port=port) as again:
             in_thread(
-                lambda: sent(
-                    again, [PICTURES[0][:400], encode(np.zeros((48, 64), np.uint8), 80), PICTURES[2]], 2
-                )
+                lambda: sent(again, [PICTURES[0][:400], encode_jpeg(np.zeros((48, 64), np.uint8), 80), PICTURES[2]], 2)
             ).join()
             assert next(some)[0] == pytest.approx(5.4)
             in_thread(lambda: sent(again, [PICTURES[0]], 0)).join()
@@ -88,9 +96,9 @@ def test_a_broken_stream_is_opened_again_and_said_once(server: StreamServer) -> 
     assert sum("damaged" in line for line in said) == 1
     assert sum("is not after" in line for line in said) == 1
     assert said[-1].startswith("nothing for 1 s")
-    assert live.counted.damaged == 2
-    assert live.counted.broken == live.counted.backwards == 1
-    assert len(live.counted.words()) == 3
+    assert live.counts.damaged_count == 2
+    assert live.counts.reconnect_count == live.counts.out_of_order_count == 1
+    assert len(live.counts.describe_losses()) == 3
 
 
 def test_what_cannot_be_opened_is_one_line(server: StreamServer) -> None:
@@ -105,9 +113,9 @@ def test_what_cannot_be_opened_is_one_line(server: StreamServer) -> None:
         LivePictures("77", CAMERA, opencv=lambda: None)
     with pytest.raises(InputError, match="a device stamps no pictures"):
         LivePictures("0", CAMERA, clock="sender", opencv=lambda: None)
-    server.publish(encode(np.zeros((48, 64), np.uint8), 80), 0.0)
+    server.publish_picture(encode_jpeg(np.zeros((48, 64), np.uint8), 80), 0.0)
     with pytest.raises(InputError, match="is 64 by 48 pixels"), LivePictures(server.url, CAMERA) as live:
-        list(live.pictures())
+        list(live.iterate_pictures())
 
 
 def stub(reads: list[Any]) -> Any:
@@ -149,7 +157,7 @@ def test_a_device_by_opencv(tmp_path: Path) -> None:
 
     def watched(camera: Camera) -> list[Any]:
         with LivePictures(str(tmp_path / "video0"), camera, say=lines.append, opencv=lambda: cv2) as live:
-            return list(live.pictures())
+            return list(live.iterate_pictures())
 
     with pytest.raises(MuflyError, match="video0: RuntimeError: driver"):
         watched(CAMERA)
@@ -161,5 +169,5 @@ def test_a_device_by_opencv(tmp_path: Path) -> None:
         LivePictures(str(tmp_path / "video0"), CAMERA, opencv=lambda: cv2) as live,
         pytest.raises(MuflyError, match="gone"),
     ):
-        list(live.pictures())
-    assert live.counted.came == 2
+        list(live.iterate_pictures())
+    assert live.counts.received_count == 2

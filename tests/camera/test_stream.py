@@ -12,11 +12,18 @@ from http.client import HTTPResponse
 import numpy as np
 import pytest
 
-from mufly.camera import StreamServer, boundary_of, decode, encode, parse_address, parts
+from mufly.camera import (
+    StreamServer,
+    decode_picture,
+    encode_jpeg,
+    iterate_parts,
+    parse_address,
+    parse_boundary,
+)
 from mufly.errors import InputError
 
 RNG = np.random.default_rng(3)
-PICTURES = [encode(RNG.integers(0, 255, (48, 64), dtype=np.uint8), 80) for _ in range(6)]
+PICTURES = [encode_jpeg(RNG.integers(0, 255, (48, 64), dtype=np.uint8), 80) for _ in range(6)]
 
 
 @pytest.fixture
@@ -32,16 +39,16 @@ def opened(url: str, **headers: str) -> HTTPResponse:
 
 
 def test_what_is_published_is_received_with_its_time(server: StreamServer) -> None:
-    server.publish(PICTURES[0], 1.25)
+    server.publish_picture(PICTURES[0], 1.25)
     with opened(server.url) as answer:
-        boundary = boundary_of(answer.headers["Content-Type"], server.url)
-        got = parts(answer, boundary)
+        boundary = parse_boundary(answer.headers["Content-Type"], server.url)
+        got = iterate_parts(answer, boundary)
         assert next(got) == (PICTURES[0], 1.25)
         for k in range(1, 6):
-            server.publish(PICTURES[k], 1.25 + k)
+            server.publish_picture(PICTURES[k], 1.25 + k)
             assert next(got) == (PICTURES[k], 1.25 + k)
-        assert server.watchers == 1
-        server.publish(PICTURES[0], 9.0)
+        assert server.watcher_count == 1
+        server.publish_picture(PICTURES[0], 9.0)
         server.close()
         assert [t for _, t in got] == [9.0]  # what waits is sent before it ends
     with pytest.raises(urllib.error.URLError):
@@ -55,7 +62,7 @@ def test_opencv_reads_it(server: StreamServer) -> None:
     def send() -> None:
         k = 0
         while not stop.wait(0.01):
-            server.publish(PICTURES[k % 6], 0.01 * k)
+            server.publish_picture(PICTURES[k % 6], 0.01 * k)
             k += 1
 
     thread = threading.Thread(target=send)
@@ -69,14 +76,14 @@ def test_opencv_reads_it(server: StreamServer) -> None:
         thread.join()
     assert there
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(float)
-    assert min(np.abs(grey - decode(p)).mean() for p in PICTURES) < 3.0
+    assert min(np.abs(grey - decode_picture(p)).mean() for p in PICTURES) < 3.0
 
 
 def test_pages_pictures_and_strangers(server: StreamServer) -> None:
     base = server.url.removesuffix("/stream")
     with pytest.raises(urllib.error.HTTPError, match="404"):
         opened(f"{base}/picture.jpg")
-    server.publish(PICTURES[2], 0.0)
+    server.publish_picture(PICTURES[2], 0.0)
     with opened(f"{base}/picture.jpg") as answer:
         assert answer.read() == PICTURES[2]
     with opened(f"{base}/") as answer:
@@ -100,14 +107,14 @@ def test_streams_of_other_servers() -> None:
         b"--b\r\n" + b"--b\r\n".join(head + p for p in PICTURES) + b"--b--",
         b"".join(b"\r\n--b\r\n" + head + p for p in PICTURES),
     ):  # fmt: skip
-        assert [p for p, _ in parts(io.BytesIO(text), b"--b")] == PICTURES
-        cut = [p for p, _ in parts(io.BytesIO(text[: len(text) // 2]), b"--b")]
+        assert [p for p, _ in iterate_parts(io.BytesIO(text), b"--b")] == PICTURES
+        cut = [p for p, _ in iterate_parts(io.BytesIO(text[: len(text) // 2]), b"--b")]
         assert cut[:2] == PICTURES[:2]
         assert len(cut) < 5
-    assert boundary_of('multipart/x-mixed-replace; boundary="--b"', "") == b"--b"
-    assert boundary_of("multipart/x-mixed-replace;boundary=b", "") == b"--b"
+    assert parse_boundary('multipart/x-mixed-replace; boundary="--b"', "") == b"--b"
+    assert parse_boundary("multipart/x-mixed-replace;boundary=b", "") == b"--b"
     with pytest.raises(InputError, match="sends text/html, no stream"):
-        boundary_of("text/html; charset=utf-8", "http://x")
+        parse_boundary("text/html; charset=utf-8", "http://x")
 
 
 def test_addresses() -> None:

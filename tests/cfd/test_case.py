@@ -17,79 +17,75 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cfd import (
-    MODELS,
-    Point,
+    TURBULENCE_MODELS,
+    OperatingPoint,
     PolyMesh,
-    blade_mesh,
-    compare,
+    compare_cases,
     find_solver,
-    judged,
-    poly_mesh,
+    judge_loads,
+    list_study_cases,
+    make_poly_mesh,
+    make_sector_mesh,
+    momentum_slipstream,
     read_point,
     read_solution,
     run_case,
     save_case,
-    slipstream,
-    study_cases,
     write_case,
 )
-from mufly.cfd.results import carried, read_field, scaled_state
-from mufly.cfd.run import history, times
-from mufly.cfd.start import ring_velocity
+from mufly.cfd.cfd_solution import read_field, scale_state, wake_load_ratios
+from mufly.cfd.initial_flow import vortex_ring_velocity
+from mufly.cfd.solver_process import list_complete_states, read_history
 from mufly.cli import app
-from mufly.cli.aero import cfd_report
-from mufly.cli.options import Theory
+from mufly.cli.aero import cfd_case_report
+from mufly.cli.options import TheoryOptions
 from mufly.cli.rotor import hover
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import load_rotor
 from mufly.units import RPM
 
-POINT = Point(
+POINT = OperatingPoint(
     "naca0012-r60-c20", 2, 0.06, math.radians(12), 5000 * RPM, 0.0, "laminar", "tiny", 1.2, 1.81e-5, 2.3
 )  # fmt: skip
 
 
 @cache
 def mesh() -> PolyMesh:
-    return poly_mesh(blade_mesh(load_rotor("naca0012-r60-c20"), math.radians(12), level="tiny"))
+    return make_poly_mesh(make_sector_mesh(load_rotor("naca0012-r60-c20"), math.radians(12), level="tiny"))
 
 
 def test_a_ring_moves_the_air_on_its_axis_as_biot_savart_says() -> None:
     z = np.linspace(-2.0, 2.0, 9)
-    radial, axial = ring_velocity(np.zeros(9), z, np.ones(9), np.zeros(9), core=0.0)
+    radial, axial = vortex_ring_velocity(np.zeros(9), z, np.ones(9), np.zeros(9), core=0.0)
     assert np.allclose(axial, 0.5 / (1.0 + z**2) ** 1.5)
     assert np.allclose(radial, 0.0)
 
 
 def test_the_start_is_the_slipstream_of_momentum_theory() -> None:
     at = np.array([[0, 0, 0.3], [0, 0, 0.0], [0, 0, -0.35], [0.28, 0, 0.0]])
-    w = slipstream(at, radius_m=0.06, induced_m_s=2.0)[:, 2]
+    w = momentum_slipstream(at, radius_m=0.06, induced_m_s=2.0)[:, 2]
     assert abs(w[0]) < 0.1
-    assert w[1] == pytest.approx(
-        -2.0, rel=0.12
-    )  # slower on the axis than in the disc's mean, as it contracts
+    assert w[1] == pytest.approx(-2.0, rel=0.12)  # slower on the axis than in the disc's mean, as it contracts
     assert w[2] == pytest.approx(-4.0, rel=0.03)
     assert abs(w[3]) < 0.05
     # No sources: what comes in through a cylinder's side and top leaves through its bottom.
     turn = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
     h = np.linspace(-0.1, 0.1, 81)
     side = np.array([[0.05 * np.cos(t), 0.05 * np.sin(t), z] for t in turn for z in h])
-    u = slipstream(side, radius_m=0.06, induced_m_s=2.0)
+    u = momentum_slipstream(side, radius_m=0.06, induced_m_s=2.0)
     inward = -(u[:, :2] * side[:, :2]).sum(axis=1).reshape(8, 81).mean(axis=0) / 0.05
     r = np.linspace(0.0, 0.05, 51)
     ends = [
-        slipstream(np.column_stack((r, 0 * r, 0 * r + z)), radius_m=0.06, induced_m_s=2.0)[:, 2]
+        momentum_slipstream(np.column_stack((r, 0 * r, 0 * r + z)), radius_m=0.06, induced_m_s=2.0)[:, 2]
         for z in (0.1, -0.1)
     ]
     flow = [float(np.trapezoid(2 * np.pi * r * w, r)) for w in ends]
     assert np.trapezoid(inward, h) * 2 * np.pi * 0.05 == pytest.approx(flow[0] - flow[1], rel=0.03)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", TURBULENCE_MODELS)
 def test_a_case_is_whole_and_its_brackets_close(model: str, tmp_path: Path) -> None:
-    still = (
-        None if model == "laminar" else {"U": np.zeros((mesh().cells, 3))}
-    )  # the start itself is made once
+    still = None if model == "laminar" else {"U": np.zeros((mesh().cell_count, 3))}  # the start itself is made once
     write_case(tmp_path, mesh(), replace(POINT, model=model), state=still)
     assert read_point(tmp_path) == replace(POINT, model=model)
     for file in [*tmp_path.glob("system/*"), *tmp_path.glob("constant/*Properties"), *tmp_path.glob("0/*")]:
@@ -111,7 +107,7 @@ def test_a_case_is_whole_and_its_brackets_close(model: str, tmp_path: Path) -> N
 def test_oncoming_air_has_its_total_pressure_where_it_comes_from(
     climb: float, before: str, behind: str, tmp_path: Path
 ) -> None:
-    write_case(tmp_path, mesh(), replace(POINT, climb_m_s=climb), state={"U": np.zeros((mesh().cells, 3))})
+    write_case(tmp_path, mesh(), replace(POINT, climb_m_s=climb), state={"U": np.zeros((mesh().cell_count, 3))})
     u, p = ((tmp_path / "0" / name).read_bytes().decode("latin-1") for name in ("U", "p"))
     assert re.search(rf"{before} {{ type totalPressure; p0 uniform 0.5;", p)
     for place in (before, "side"):
@@ -121,7 +117,7 @@ def test_oncoming_air_has_its_total_pressure_where_it_comes_from(
     assert re.search(rf"{behind} {{ type inletOutlet; inletValue uniform \(0 0 {-climb:g}\)", u)
     assert f"tangentialVelocity uniform (0 0 {-climb:g})" in u
     # In descent air comes in through the bottom, and that is no fault.
-    flows = judged(loads(1300), -0.01, 1e-4, replace(POINT, climb_m_s=climb))
+    flows = judge_loads(loads(1300), -0.01, 1e-4, replace(POINT, climb_m_s=climb))
     assert flows.what == ("blown back" if climb > 0 else "settled")
 
 
@@ -133,13 +129,11 @@ def test_the_fluxes_of_the_start_leave_no_cell_with_more_than_the_mesh_blurs(tmp
     phi = np.frombuffer(data[begin : begin + 8 * inside], dtype="<f8")
     spin = POINT.speed_rad_s * np.stack((-mesh().face_centres[:, 1], mesh().face_centres[:, 0]), axis=-1)
     turning = -np.einsum("fi,fi->f", spin, mesh().face_areas[:, :2])[:inside]
-    with_frame = mesh().turning[mesh().owner[:inside]] | mesh().turning[mesh().neighbour]
+    with_frame = mesh().is_rotating[mesh().owner[:inside]] | mesh().is_rotating[mesh().neighbour]
     assert np.corrcoef(phi[with_frame], turning[with_frame])[0, 1] > 0.99  # relative to the frame
     turning[~with_frame] = 0.0  # in the outer air, absolute
     own = phi - turning
-    assert (
-        np.max(np.abs(own) / np.linalg.norm(mesh().face_areas[:inside], axis=1)) < 6.0
-    )  # 2 v_h and the rings' cores
+    assert np.max(np.abs(own) / np.linalg.norm(mesh().face_areas[:inside], axis=1)) < 6.0  # 2 v_h and the rings' cores
 
 
 def loads(count: int, drift: float = 0.0, swing: float = 0.0) -> np.ndarray:
@@ -165,7 +159,7 @@ def loads(count: int, drift: float = 0.0, swing: float = 0.0) -> np.ndarray:
     ],
 )  # fmt: skip
 def test_a_verdict_names_what_is_wrong(table: np.ndarray, outflow: float, leak: float, what: str) -> None:
-    verdict = judged(table, outflow, leak, POINT)
+    verdict = judge_loads(table, outflow, leak, POINT)
     assert verdict.what == what
     assert verdict.settled == (what == "settled")
     if what == "settled":
@@ -185,8 +179,7 @@ def solved_by_hand(folder: Path, pressure: np.ndarray, velocity: np.ndarray) -> 
     )  # fmt: skip
     rows = "\n".join(f"({x:.17g} {y:.17g} {z:.17g})" for x, y, z in velocity)
     (place / "U").write_text(
-        head % "ascii"
-        + f"internalField nonuniform List<vector> \n{n}\n(\n{rows}\n)\n;\nboundaryField {{ }}\n",
+        head % "ascii" + f"internalField nonuniform List<vector> \n{n}\n(\n{rows}\n)\n;\nboundaryField {{ }}\n",
         encoding="utf-8",
     )
     (place / "phi").write_bytes(b"boundaryField { }")
@@ -196,8 +189,8 @@ def test_still_air_turning_with_the_blade_puts_nothing_on_it_and_a_gradient_lift
     tmp_path: Path,
 ) -> None:
     m = mesh()
-    u = POINT.speed_rad_s * np.column_stack((-m.centres[:, 1], m.centres[:, 0], np.zeros(m.cells)))
-    solved_by_hand(tmp_path, np.full(m.cells, 3.0), u)
+    u = POINT.speed_rad_s * np.column_stack((-m.cell_centres[:, 1], m.cell_centres[:, 0], np.zeros(m.cell_count)))
+    solved_by_hand(tmp_path, np.full(m.cell_count, 3.0), u)
     even = read_solution(tmp_path)
     assert abs(even.thrust_N) < 1e-9
     # A cell's centre, further out or in than its face, still moves with the blade: mu Omega at most.
@@ -205,49 +198,49 @@ def test_still_air_turning_with_the_blade_puts_nothing_on_it_and_a_gradient_lift
     # p = -g z lifts the blade by rho g V. A face has its cell's pressure, and the cells of this mesh lie 40 um off a
     # blade of 1.6 mm mean thickness on either side: 5 % more.
     shutil.rmtree(tmp_path)
-    solved_by_hand(tmp_path, -9.81 * m.centres[:, 2], u)
-    area, centre = m.face_areas[m.patch("blade")], m.face_centres[m.patch("blade")]
+    solved_by_hand(tmp_path, -9.81 * m.cell_centres[:, 2], u)
+    area, centre = m.face_areas[m.patch_faces("blade")], m.face_centres[m.patch_faces("blade")]
     volume = -np.einsum("fi,fi->", area, centre) / 3.0
     assert read_solution(tmp_path).thrust_N == pytest.approx(2 * 1.2 * 9.81 * volume, rel=0.06)
     # Air at rest rubs the blade aft everywhere, air that overtakes it towards the nose.
     for factor, share in ((0.0, 0.0), (2.0, 1.0)):
         shutil.rmtree(tmp_path)
-        solved_by_hand(tmp_path, np.zeros(m.cells), factor * u)
+        solved_by_hand(tmp_path, np.zeros(m.cell_count), factor * u)
         assert read_solution(tmp_path).reversed_share == pytest.approx(share, abs=0.02)
 
 
 def test_the_wake_s_torque_and_thrust_are_its_flows_of_momentum() -> None:
     m, wide, w, spin = mesh(), 0.05, 4.0, 30.0
-    bell = np.exp(-0.5 * (m.centres[:, :2] ** 2).sum(axis=1) / wide**2)
+    bell = np.exp(-0.5 * (m.cell_centres[:, :2] ** 2).sum(axis=1) / wide**2)
     u = (
-        np.column_stack((-spin * m.centres[:, 1], spin * m.centres[:, 0], np.full(m.cells, -w)))
+        np.column_stack((-spin * m.cell_centres[:, 1], spin * m.cell_centres[:, 0], np.full(m.cell_count, -w)))
         * bell[:, None]
     )
     thrust = POINT.density_kg_m3 * w * w * math.pi * wide**2
     torque = POINT.density_kg_m3 * spin * w * math.pi * wide**4
-    found = carried(m, POINT, u, np.zeros(m.cells), thrust, torque)
+    found = wake_load_ratios(m, POINT, u, np.zeros(m.cell_count), thrust, torque)
     assert found == pytest.approx((1.0, 1.0), rel=0.1)  # cells of 6 to 20 mm
-    still = carried(m, POINT, np.zeros((m.cells, 3)), w * w * bell**2, thrust, torque)
+    still = wake_load_ratios(m, POINT, np.zeros((m.cell_count, 3)), w * w * bell**2, thrust, torque)
     assert still == pytest.approx((0.0, 1.0), rel=0.1)
 
 
 def test_a_study_varies_one_thing_and_a_case_keeps_its_domain(tmp_path: Path) -> None:
-    assert [*study_cases("mesh")] == ["coarse", "medium", "fine"]
-    assert study_cases("model")["sst"] == {"model": "sst"}
-    wider = study_cases("domain")
+    assert [*list_study_cases("mesh")] == ["coarse", "medium", "fine"]
+    assert list_study_cases("model")["sst"] == {"model": "sst"}
+    wider = list_study_cases("domain")
     assert wider["below"]["domain"].below == pytest.approx(10.0)
     assert wider["below"]["domain"].radius == 5.0
     with pytest.raises(InputError, match="use one of: mesh, domain, model"):
-        study_cases("weather")
+        list_study_cases("weather")
     # A wider domain keeps the cells near the blade and adds rows further out.
-    large = poly_mesh(
-        blade_mesh(
+    large = make_poly_mesh(
+        make_sector_mesh(
             load_rotor("naca0012-r60-c20"), math.radians(12), level="tiny", domain=wider["above"]["domain"]
         )
     )
-    assert mesh().cells < large.cells < 1.2 * mesh().cells
+    assert mesh().cell_count < large.cell_count < 1.2 * mesh().cell_count
     point = replace(POINT, domain=wider["above"]["domain"])
-    write_case(tmp_path, mesh(), point, state={"U": np.zeros((mesh().cells, 3))})
+    write_case(tmp_path, mesh(), point, state={"U": np.zeros((mesh().cell_count, 3))})
     assert read_point(tmp_path) == point
 
 
@@ -255,48 +248,44 @@ def test_a_state_cut_short_or_missing_is_said_in_one_line(tmp_path: Path) -> Non
     m = mesh()
     with pytest.raises(InputError, match="no case of mufly cfd"):
         read_point(tmp_path)
-    solved_by_hand(tmp_path, np.zeros(m.cells), np.zeros((m.cells, 3)))
+    solved_by_hand(tmp_path, np.zeros(m.cell_count), np.zeros((m.cell_count, 3)))
     p = tmp_path / "7" / "p"
-    assert times(tmp_path) == [0, 7]
+    assert list_complete_states(tmp_path) == [0, 7]
     p.write_bytes(p.read_bytes()[:9000])  # the disk was full
-    assert times(tmp_path) == [0]
+    assert list_complete_states(tmp_path) == [0]
     with pytest.raises(InputError, match="cut short"):
-        read_field(p, m.cells)
+        read_field(p, m.cell_count)
     with pytest.raises(InputError, match="cannot be read"):
-        read_field(tmp_path / "8" / "p", m.cells)
+        read_field(tmp_path / "8" / "p", m.cell_count)
     (tmp_path / "9").mkdir()
     (tmp_path / "9" / "U").write_bytes(b"")
-    assert times(tmp_path) == [0]  # 9 was cut off in mid-write
+    assert list_complete_states(tmp_path) == [0]  # 9 was cut off in mid-write
     shutil.rmtree(tmp_path / "7")
     with pytest.raises(InputError, match="holds no solution"):
         read_solution(tmp_path)
 
 
 def test_cases_are_laid_beside_the_rows_of_a_table(tmp_path: Path) -> None:
-    write_case(tmp_path, mesh(), POINT, state={"U": np.zeros((mesh().cells, 3))})
+    write_case(tmp_path, mesh(), POINT, state={"U": np.zeros((mesh().cell_count, 3))})
     place = tmp_path / "postProcessing" / "loads" / "0"
     place.mkdir(parents=True)
     rows = [(i, 0.0755, -0.00075) for i in range(1, 5)]  # of one of two blades
-    (place / "force.dat").write_text(
-        "# Time\n" + "".join(f"{i}\t(0 0 {t}) (0 0 0) (0 0 0)\n" for i, t, _ in rows)
-    )
-    (place / "moment.dat").write_text(
-        "# Time\n" + "".join(f"{i}\t(0 0 {q}) (0 0 0) (0 0 0)\n" for i, _, q in rows)
-    )
+    (place / "force.dat").write_text("# Time\n" + "".join(f"{i}\t(0 0 {t}) (0 0 0) (0 0 0)\n" for i, t, _ in rows))
+    (place / "moment.dat").write_text("# Time\n" + "".join(f"{i}\t(0 0 {q}) (0 0 0) (0 0 0)\n" for i, _, q in rows))
     table = tmp_path / "table.csv"
     table.write_text(
         "# a note\npitch_deg,rpm,T_meas_N,Q_meas_Nm,T_laminar,Q_laminar\n12,5000,0.151,0.0016,0.136,0.00174\n"
     )
-    (found,) = compare(table, [tmp_path])
+    (found,) = compare_cases(table, [tmp_path])
     assert found.thrust == pytest.approx({"meas": 0.0, "laminar": 0.151 / 0.136 - 1})
     assert found.torque == pytest.approx({"meas": 0.0015 / 0.0016 - 1, "laminar": 0.0015 / 0.00174 - 1})
     assert found.verdict.what == "not done"
     table.write_text("pitch_deg,rpm,T_meas_N\n14,5000,0.2\n")
     with pytest.raises(InputError, match="no row at 12 degrees and 5000 rpm"):
-        compare(table, [tmp_path])
+        compare_cases(table, [tmp_path])
     table.write_text("pitch_deg,T_meas_N\n14,0.2\n")
     with pytest.raises(InputError, match="rpm: is missing"):
-        compare(table, [tmp_path])
+        compare_cases(table, [tmp_path])
 
 
 @pytest.mark.parametrize(
@@ -317,19 +306,17 @@ def test_without_openfoam_one_line_says_how_to_get_it(monkeypatch: pytest.Monkey
     with pytest.raises(MuflyError, match="apt-get install"):
         find_solver()
     with pytest.raises(MuflyError, match="apt-get install"):
-        hover("naca0012-r60-c20", pitch=12.0, rpm=5000.0, theory=Theory(method="cfd"))
+        hover("naca0012-r60-c20", pitch=12.0, rpm=5000.0, theory=TheoryOptions(method="cfd"))
     with pytest.raises(InputError, match="give --pitch and --rpm"):
-        hover("naca0012-r60-c20", pitch=12.0, thrust=0.2, theory=Theory(method="cfd"))
+        hover("naca0012-r60-c20", pitch=12.0, thrust=0.2, theory=TheoryOptions(method="cfd"))
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="there is no /dev/full")
-def test_a_full_disk_or_a_second_run_is_said_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_or_a_second_run_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import fcntl
 
     case = tmp_path / "case"
-    write_case(case, mesh(), POINT, state={"U": np.zeros((mesh().cells, 3))})
+    write_case(case, mesh(), POINT, state={"U": np.zeros((mesh().cell_count, 3))})
     solver = tmp_path / "simpleFoam"
     solver.write_text("#!/bin/sh\necho Time = 1\n", encoding="utf-8")
     solver.chmod(0o755)
@@ -365,20 +352,18 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
 
     with pytest.raises(Killed):
         run_case(tmp_path, progress=stop)
-    assert times(tmp_path) == [0]  # states are written every 40
+    assert list_complete_states(tmp_path) == [0]  # states are written every 40
     save_case(tmp_path, rotor, **given)
     verdict = run_case(tmp_path, most=120)  # 80 of them at first order
     assert verdict.what == "not done"
-    assert times(tmp_path)[-1] == 120
-    past = history(tmp_path)
+    assert list_complete_states(tmp_path)[-1] == 120
+    past = read_history(tmp_path)
     assert np.array_equal(past[:, 0], np.arange(1, 121))  # those told twice stand once
     found = read_solution(tmp_path)
     assert found.thrust_N == pytest.approx(past[-1, 1], rel=2e-3)
     assert found.torque_Nm == pytest.approx(past[-1, 2], rel=5e-3)
     assert found.thrust_N == pytest.approx(float(found.thrust_N_m @ found.dr_m))
-    assert (
-        0.1 < found.thrust_N < 0.3
-    )  # of 0.15 N in the end; a start that throws the air about is far outside
+    assert 0.1 < found.thrust_N < 0.3  # of 0.15 N in the end; a start that throws the air about is far outside
     with pytest.raises(InputError, match="another point"):
         save_case(tmp_path, rotor, **{**given, "speed_rad_s": 500.0})
     # Another speed, from this solution scaled: its first iteration gives the scaled loads, friction's share aside.
@@ -386,15 +371,15 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
     save_case(faster, rotor, **{**given, "speed_rad_s": 7000 * RPM}, neighbour=tmp_path)
     assert read_point(faster).upwind == 0
     run_case(faster, most=40)
-    assert history(faster)[0, 1] == pytest.approx(found.thrust_N * 1.4**2, rel=0.05)
+    assert read_history(faster)[0, 1] == pytest.approx(found.thrust_N * 1.4**2, rel=0.05)
     # Another pitch setting has the same cells in other places: its fluxes balance in each as they did.
-    mesh_16 = poly_mesh(blade_mesh(rotor, math.radians(16), level="tiny"))
-    state, inside = scaled_state(tmp_path, mesh_16, 1.0), len(mesh_16.neighbour)
+    mesh_16 = make_poly_mesh(make_sector_mesh(rotor, math.radians(16), level="tiny"))
+    state, inside = scale_state(tmp_path, mesh_16, 1.0), len(mesh_16.neighbour)
     assert not np.allclose(mesh_16.points, mesh().points, atol=1e-4)
-    assert np.array_equal(state["U"], read_field(tmp_path / "120" / "U", mesh_16.cells))
+    assert np.array_equal(state["U"], read_field(tmp_path / "120" / "U", mesh_16.cell_count))
     flux = state["phi"]
-    left = np.bincount(mesh_16.owner, flux, mesh_16.cells) - np.bincount(
-        mesh_16.neighbour, flux[:inside], mesh_16.cells
+    left = np.bincount(mesh_16.owner, flux, mesh_16.cell_count) - np.bincount(
+        mesh_16.neighbour, flux[:inside], mesh_16.cell_count
     )
     assert np.abs(left).max() < 1e-3 * np.abs(flux).max()
     with pytest.raises(InputError, match="mesh of other cells"):
@@ -406,7 +391,7 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
 def test_tips_near_the_speed_of_sound_are_refused():
     at = ("r", 2, 0.06, 0.2, 1e5, 0.0, "laminar", "tiny", 1.2, 1.8e-5, 1.0)
     with pytest.raises(InputError, match=r"954930 rpm moves the tips at Mach 17; stay below 0.7"):
-        Point(*at)
+        OperatingPoint(*at)
 
 
 @pytest.mark.parametrize("settled", [True, False])
@@ -414,6 +399,6 @@ def test_an_answer_that_did_not_settle_ends_with_status_1(tmp_path, monkeypatch,
     said = {"verdict": SimpleNamespace(settled=settled)}
     for name in ("find_solver", "save_case", "run_case"):
         monkeypatch.setattr(f"mufly.cfd.{name}", lambda *a, **k: None)
-    monkeypatch.setattr(cfd_report, "_report", lambda *a: (lambda: said, lambda: None, [], []))
+    monkeypatch.setattr(cfd_case_report, "_write_solution_report", lambda *a: (lambda: said, lambda: None, [], []))
     status = CliRunner().invoke(app, ["cfd", "run", "--out", str(tmp_path / "case")]).exit_code
     assert status == (0 if settled else 1)

@@ -11,24 +11,24 @@ from typing import cast
 import pytest
 
 from mufly.cfd import (
-    Point,
-    Solution,
-    convergence,
-    inflow,
-    inflow_picture,
-    mesh_study,
+    CfdSolution,
+    OperatingPoint,
+    climb_picture,
+    compare_climbs,
+    estimate_grid_convergence,
+    study_grid_convergence,
     sweep_climb,
 )
 from mufly.errors import InputError
 from mufly.rotor import load_rotor
-from mufly.vehicle import load_map
+from mufly.vehicle import load_coefficient_map
 
 
 @pytest.mark.parametrize("order", [1.0, 1.7, 2.0])
 def test_a_made_up_error_gives_back_its_order_and_limit(order: float) -> None:
     cells = [60_000, 350_000, 135_000]
     values = [0.14 + 2.0 * n ** (-order / 3) for n in cells]
-    found = convergence("thrust", cells, values)
+    found = estimate_grid_convergence("thrust", cells, values)
     assert found.cells == (350_000, 135_000, 60_000)
     assert found.order == pytest.approx(order, abs=1e-6)
     assert found.limit == pytest.approx(0.14, abs=1e-9)
@@ -39,48 +39,44 @@ def test_a_made_up_error_gives_back_its_order_and_limit(order: float) -> None:
 def test_the_published_example_comes_out() -> None:
     # Celik and others (2008), table 1: N 18000, 8000, 4500 in two dimensions, here as cubes of the same ratios.
     cells = [round(1000 * (n / 4500) ** 1.5) for n in (18000, 8000, 4500)]
-    found = convergence("reattachment", cells, [6.063, 5.972, 5.863])
+    found = estimate_grid_convergence("reattachment", cells, [6.063, 5.972, 5.863])
     assert found.order == pytest.approx(1.53, abs=0.02)
     assert found.limit == pytest.approx(6.1685, abs=0.003)
     assert found.index == pytest.approx(0.022, abs=0.001)
 
 
 def test_answers_that_swing_or_stand_are_marked() -> None:
-    assert not convergence("x", [1000, 2000, 4000], [1.0, 1.1, 1.05]).sound
-    assert not convergence("x", [1000, 2000, 4000], [1.1, 1.0, 1.0]).sound
+    assert not estimate_grid_convergence("x", [1000, 2000, 4000], [1.0, 1.1, 1.05]).sound
+    assert not estimate_grid_convergence("x", [1000, 2000, 4000], [1.1, 1.0, 1.0]).sound
     with pytest.raises(InputError, match="three cases of three meshes"):
-        convergence("x", [1000, 1000, 4000], [1.0, 1.1, 1.05])
+        estimate_grid_convergence("x", [1000, 1000, 4000], [1.0, 1.1, 1.05])
     with pytest.raises(InputError, match="no case of mufly cfd"):
-        mesh_study([Path("nowhere")] * 3)
+        study_grid_convergence([Path("nowhere")] * 3)
 
 
-def solved(climb: float, thrust: float) -> Solution:
+def solved(climb: float, thrust: float) -> CfdSolution:
     """What a solved case would say of its point and thrust."""
-    point = Point(
+    point = OperatingPoint(
         "naca0012-r60-c20", 2, 0.06, math.radians(12), 500.0, climb, "laminar", "tiny", 1.2, 1.81e-5, 2.3
     )
-    return cast(
-        Solution, SimpleNamespace(point=point, verdict=SimpleNamespace(thrust_N=thrust, settled=True))
-    )
+    return cast(CfdSolution, SimpleNamespace(point=point, verdict=SimpleNamespace(thrust_N=thrust, settled=True)))
 
 
 def test_thrust_over_the_climb_is_laid_beside_the_flight_models_map() -> None:
-    flight = load_map("walkera-5g6-bemt")
-    found = inflow(
-        [solved(1.0, 0.12), solved(-1.0, 0.16), solved(0.0, 0.15), solved(90.0, 0.01)], None, flight
-    )
+    flight = load_coefficient_map("walkera-5g6-bemt")
+    found = compare_climbs([solved(1.0, 0.12), solved(-1.0, 0.16), solved(0.0, 0.15), solved(90.0, 0.01)], None, flight)
     assert found.climb_m_s.tolist() == [-1.0, 0.0, 1.0, 90.0]
     assert found.c_T[1] == pytest.approx(0.15 / (1.2 * math.pi * 0.06**2 * (500.0 * 0.06) ** 2))
-    assert found.slope(found.c_T, 1.0) == pytest.approx(-0.04 / 0.15 / 2.0)
-    assert math.isnan(found.slope(found.c_T, 0.5))
+    assert found.thrust_slope(found.c_T, 1.0) == pytest.approx(-0.04 / 0.15 / 2.0)
+    assert math.isnan(found.thrust_slope(found.c_T, 0.5))
     less, hover, more, beyond = found.map_part
     assert less > hover == 1.0 > more
     assert math.isnan(beyond)
-    assert inflow_picture(found).axes[0].get_xlabel().startswith("climb")
+    assert climb_picture(found).axes[0].get_xlabel().startswith("climb")
     faster = replace(solved(1.0, 0.2).point, speed_rad_s=600.0)
-    other = cast(Solution, SimpleNamespace(point=faster, verdict=None))
+    other = cast(CfdSolution, SimpleNamespace(point=faster, verdict=None))
     with pytest.raises(InputError, match="speed_rad_s: differs"):
-        inflow([solved(0.0, 0.15), other], None, flight)
+        compare_climbs([solved(0.0, 0.15), other], None, flight)
 
 
 def test_a_descent_that_is_too_fast_is_refused_before_anything_is_solved(tmp_path: Path) -> None:

@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 
 from mufly.cfd import (
-    TIPS,
-    Form,
-    Hub,
+    BLADE_TIPS,
+    BladeGeometry,
+    BladeTip,
+    HubCylinder,
     PolyMesh,
-    Tip,
-    blade_mesh,
-    named_form,
-    poly_mesh,
-    quality,
+    make_blade_geometry,
+    make_poly_mesh,
+    make_sector_mesh,
+    measure_mesh_quality,
     write_glb,
     write_vtp,
 )
@@ -34,39 +34,43 @@ R, CHORD, ROOT = 0.060, 0.020, 0.009
 TURNED = math.radians(12.0)
 FORMS = {
     **{
-        name: named_form(name)
+        name: make_blade_geometry(name)
         for name in ("round", "swept-tapered", "thesis-1", "winglet-2-curved", "winglet-3")
     },
-    **{name: named_form(name) for name in ("plate-up", "winglet-1")},
-    "hub": named_form(hub_m=0.006),
-    "hub, flap, tapered tip": named_form("thesis-2", 0.006, 0.03),
+    **{name: make_blade_geometry(name) for name in ("plate-up", "winglet-1")},
+    "hub": make_blade_geometry(hub_m=0.006),
+    "hub, flap, tapered tip": make_blade_geometry("thesis-2", 0.006, 0.03),
 }
 
 
 @cache
 def meshed(name: str) -> PolyMesh:
-    return poly_mesh(blade_mesh(load_rotor("naca0012-r60-c20"), TURNED, level="tiny", form=FORMS[name]))
+    return make_poly_mesh(make_sector_mesh(load_rotor("naca0012-r60-c20"), TURNED, level="tiny", form=FORMS[name]))
 
 
 def walls(mesh: PolyMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of the walls' faces along the pitched chord, the radius and across the chord; areas; their sum."""
     c, s = math.cos(TURNED), math.sin(TURNED)
-    p = mesh.points[mesh.faces[mesh.patch("blade")]]
+    p = mesh.points[mesh.faces[mesh.patch_faces("blade")]]
     turned = np.stack((c * p[..., 0] - s * p[..., 2], p[..., 1], s * p[..., 0] + c * p[..., 2]), axis=-1)
-    return turned, mesh.face_areas[mesh.patch("blade")], mesh.face_areas[mesh.patch("blade")].sum(axis=0)
+    return (
+        turned,
+        mesh.face_areas[mesh.patch_faces("blade")],
+        mesh.face_areas[mesh.patch_faces("blade")].sum(axis=0),
+    )
 
 
 @pytest.mark.parametrize("name", FORMS)
 def test_every_form_is_a_closed_wall_in_a_positive_smooth_conformal_mesh(name: str) -> None:
     mesh = meshed(name)
-    found = quality(mesh)
+    found = measure_mesh_quality(mesh)
     assert found.good
     assert found.open_cells < 1e-12
     assert found.non_orthogonality_deg < 80.0
     assert found.skewness < 2.0
     # Each edge of the walls has a face on either side; a plate meets the blade with both of its sides; a hub goes on in
     # the next sector.
-    faces = mesh.faces[mesh.patch("blade")]
+    faces = mesh.faces[mesh.patch_faces("blade")]
     edges = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1).reshape(-1, 2), axis=1)
     edges, count = np.unique(edges, axis=0, return_counts=True)
     on_plane = np.all(np.abs(mesh.points[edges][..., 1]) < 1e-12, axis=1)
@@ -75,7 +79,7 @@ def test_every_form_is_a_closed_wall_in_a_positive_smooth_conformal_mesh(name: s
     _, _, total = walls(mesh)
     assert np.allclose(total[[0, 2]], 0.0, atol=1e-15)
     # The two halves of the periodic plane meet by rotation (two blades: the image in x = 0 and y = 0).
-    left, right = (mesh.points[mesh.faces[mesh.patch(f"sector_{n}")]] for n in ("left", "right"))
+    left, right = (mesh.points[mesh.faces[mesh.patch_faces(f"sector_{n}")]] for n in ("left", "right"))
     assert np.max(np.abs(left - right[:, [0, 3, 2, 1]] * np.array([-1, -1, 1]))) < 1e-9 * R
 
 
@@ -96,7 +100,7 @@ def test_the_blade_ends_where_it_should(name: str) -> None:
         assert np.ptp(end[..., 0]) == pytest.approx(tip.taper * CHORD, rel=0.01)
         assert end[..., 0].min() == pytest.approx((tip.aft - 0.25 * tip.taper) * CHORD, abs=0.01 * CHORD)
     inner = p[(p[..., 1].min(axis=1) > 0.018) & (p[..., 1].max(axis=1) < 0.036)]
-    below = form.gurney * CHORD
+    below = form.gurney_height * CHORD
     at_tail = inner[inner[..., 0].max(axis=1) > 0.7499 * CHORD]
     assert at_tail[..., 2].min() == pytest.approx(-0.003 * CHORD - below, abs=2e-3 * CHORD)
     least = 0.0 if form.hub else ROOT
@@ -114,34 +118,32 @@ def test_a_round_tips_outline_is_half_an_ellipse() -> None:
 
 
 def test_three_blades_share_a_hub_and_the_file_s_square_tip_is_the_same_as_none() -> None:
-    rotor = make_rotor(
-        name="three", blades=3, radius_m=0.05, hub_cutout=0.2, chord_m=0.010, airfoils="naca0012"
-    )
-    mesh = poly_mesh(blade_mesh(rotor, 0.1, level="tiny", form=named_form("winglet-up", 0.004)))
-    assert quality(mesh).good
-    p = mesh.points[mesh.faces[mesh.patch("blade")]].reshape(-1, 3)
+    rotor = make_rotor(name="three", blades=3, radius_m=0.05, hub_cutout=0.2, chord_m=0.010, airfoils="naca0012")
+    mesh = make_poly_mesh(make_sector_mesh(rotor, 0.1, level="tiny", form=make_blade_geometry("winglet-up", 0.004)))
+    assert measure_mesh_quality(mesh).good
+    p = mesh.points[mesh.faces[mesh.patch_faces("blade")]].reshape(-1, 3)
     on_plane = np.abs(p[:, 1] - np.abs(p[:, 0]) / math.tan(math.pi / 3)) < 1e-12
     assert np.max(np.hypot(p[on_plane, 0], p[on_plane, 1])) == pytest.approx(0.004)
-    a, b = (blade_mesh(rotor, 0.1, level="tiny", form=f) for f in (None, named_form()))
+    a, b = (make_sector_mesh(rotor, 0.1, level="tiny", form=f) for f in (None, make_blade_geometry()))
     assert np.array_equal(a.points, b.points)
 
 
 @pytest.mark.parametrize(
     ("made", "message"),
     [
-        (lambda: named_form("pointed"), "is no tip"),
-        (lambda: Tip(length=1.0, taper=0.0), "a point cannot be meshed"),
-        (lambda: Tip(length=0.1, aft=2.0), "slope more than 65"),
-        (lambda: Tip(cant_rad=1.5, height=1.0), "a plate stands at 90"),
-        (lambda: Tip(cant_rad=1.0, height=0.1), "what the turn takes"),
-        (lambda: Tip(plate_above=0.8), "holds no higher"),
-        (lambda: Hub(-0.001, 0.002), "above 0"),
-        (lambda: named_form(gurney=-0.01), "0.003 to 0.1"),
-        (lambda: Form(TIPS["plate-up"], gurney=0.02), "meets the Gurney flap"),
-        (lambda: shape(named_form(hub_m=0.02)), "blades begin at 9 mm"),
-        (lambda: shape(Form(hub=Hub(0.004, 0.05))), "at most 12 mm"),
-        (lambda: shape(Form(Tip(length=4.0, taper=0.5))), "longer than the blade"),
-        (lambda: shape(Form(Tip(cant_rad=1.2, height=2.0, bend=3.0))), "too much|longer"),
+        (lambda: make_blade_geometry("pointed"), "is no tip"),
+        (lambda: BladeTip(length=1.0, taper=0.0), "a point cannot be meshed"),
+        (lambda: BladeTip(length=0.1, aft=2.0), "slope more than 65"),
+        (lambda: BladeTip(cant_rad=1.5, height=1.0), "a plate stands at 90"),
+        (lambda: BladeTip(cant_rad=1.0, height=0.1), "what the turn takes"),
+        (lambda: BladeTip(plate_above=0.8), "holds no higher"),
+        (lambda: HubCylinder(-0.001, 0.002), "above 0"),
+        (lambda: make_blade_geometry(gurney=-0.01), "0.003 to 0.1"),
+        (lambda: BladeGeometry(BLADE_TIPS["plate-up"], gurney_height=0.02), "meets the Gurney flap"),
+        (lambda: shape(make_blade_geometry(hub_m=0.02)), "blades begin at 9 mm"),
+        (lambda: shape(BladeGeometry(hub=HubCylinder(0.004, 0.05))), "at most 12 mm"),
+        (lambda: shape(BladeGeometry(BladeTip(length=4.0, taper=0.5))), "longer than the blade"),
+        (lambda: shape(BladeGeometry(BladeTip(cant_rad=1.2, height=2.0, bend=3.0))), "too much|longer"),
     ],
 )  # fmt: skip
 def test_impossible_forms_are_refused_in_one_line(made: Callable[[], object], message: str) -> None:
@@ -150,9 +152,9 @@ def test_impossible_forms_are_refused_in_one_line(made: Callable[[], object], me
     assert "\n" not in str(told.value)
 
 
-def shape(form: Form) -> object:
+def shape(form: BladeGeometry) -> object:
     rotor: Rotor = load_rotor("naca0012-r60-c20")
-    return blade_mesh(rotor, TURNED, level="tiny", form=form)
+    return make_sector_mesh(rotor, TURNED, level="tiny", form=form)
 
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1]])
@@ -197,8 +199,6 @@ def test_a_glb_is_whole_and_its_triangles_look_outwards(tmp_path: Path) -> None:
     triangles = corner[np.frombuffer(parts[3], "<u4").reshape(-1, 3)]
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     # The first face looks down, the second to -y; y up: down is -y and -y is +z.
-    assert np.allclose(
-        normal / np.linalg.norm(normal, axis=1)[:, None], np.repeat([[0, -1, 0], [0, 0, 1]], 2, axis=0)
-    )
+    assert np.allclose(normal / np.linalg.norm(normal, axis=1)[:, None], np.repeat([[0, -1, 0], [0, 0, 1]], 2, axis=0))
     assert np.allclose(np.frombuffer(parts[1], "<f4").reshape(2, 4, 3)[:, 0], [[0, -1, 0], [0, 0, 1]])
     assert tree["accessors"][0]["max"] == corner.max(axis=0).tolist()

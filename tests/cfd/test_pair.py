@@ -14,18 +14,24 @@ import pytest
 
 from mufly.cfd import (
     PolyMesh,
-    blade_mesh,
-    judge,
-    poly_mesh,
-    quality,
+    judge_case,
+    make_poly_mesh,
+    make_sector_mesh,
+    measure_mesh_quality,
     read_point,
     read_poly_mesh,
     save_case,
     solve_pair,
 )
-from mufly.cfd.case import set_phase
-from mufly.cfd.pair import Disc, disc_cells, pair_mesh, put_disc, read_disc
-from mufly.cfd.run import environment, find_solver
+from mufly.cfd.openfoam_case import set_solver_phase
+from mufly.cfd.rotor_pair import (
+    ActuatorDisc,
+    find_disc_cells,
+    make_pair_mesh,
+    read_actuator_disc,
+    write_actuator_disc,
+)
+from mufly.cfd.solver_process import find_solver, openfoam_environment
 from mufly.errors import InputError
 from mufly.rotor import load_rotor
 
@@ -34,22 +40,22 @@ GAP, TURNED = 0.020, math.radians(14.0)
 
 @cache
 def meshed() -> PolyMesh:
-    return poly_mesh(pair_mesh(load_rotor("naca0012-r60-c20"), TURNED, TURNED, GAP, level="tiny"))
+    return make_poly_mesh(make_pair_mesh(load_rotor("naca0012-r60-c20"), TURNED, TURNED, GAP, level="tiny"))
 
 
 def test_both_blades_are_the_same_closed_body_each_the_others_image() -> None:
     mesh = meshed()
-    found = quality(mesh)
+    found = measure_mesh_quality(mesh)
     assert found.good
     assert found.open_cells < 1e-12
-    alone = poly_mesh(blade_mesh(load_rotor("naca0012-r60-c20"), TURNED, level="tiny"))
+    alone = make_poly_mesh(make_sector_mesh(load_rotor("naca0012-r60-c20"), TURNED, level="tiny"))
     volumes = []
     for m, patch in ((alone, "blade"), (mesh, "blade"), (mesh, "blade_lower")):
-        area, centre = m.face_areas[m.patch(patch)], m.face_centres[m.patch(patch)]
+        area, centre = m.face_areas[m.patch_faces(patch)], m.face_centres[m.patch_faces(patch)]
         assert np.allclose(area.sum(axis=0), 0.0, atol=1e-15)
         volumes.append(-np.einsum("fi,fi->", area, centre) / 3.0)
     assert volumes == pytest.approx([volumes[0]] * 3, rel=1e-9)
-    upper, lower = (mesh.points[mesh.faces[mesh.patch(p)]].reshape(-1, 3) for p in ("blade", "blade_lower"))
+    upper, lower = (mesh.points[mesh.faces[mesh.patch_faces(p)]].reshape(-1, 3) for p in ("blade", "blade_lower"))
     image = lower * np.array([-1.0, 1.0, 1.0]) + np.array([0.0, 0.0, GAP])
     assert np.allclose(np.sort(upper, axis=0), np.sort(image, axis=0), atol=1e-12)
     # Turning about -z the lower blade moves to +x: its nose is there, and up.
@@ -58,14 +64,14 @@ def test_both_blades_are_the_same_closed_body_each_the_others_image() -> None:
 
 def test_the_frames_meet_in_a_level_plane_half_way() -> None:
     mesh, inside = meshed(), len(meshed().neighbour)
-    a, b = mesh.sense[mesh.owner[:inside]], mesh.sense[mesh.neighbour]
-    assert set(np.unique(mesh.sense)) == {-1.0, 0.0, 1.0}
+    a, b = mesh.cell_rotation_sign[mesh.owner[:inside]], mesh.cell_rotation_sign[mesh.neighbour]
+    assert set(np.unique(mesh.cell_rotation_sign)) == {-1.0, 0.0, 1.0}
     between = a * b < 0.0
     assert between.any()
     assert np.allclose(mesh.face_centres[:inside][between, 2], -0.5 * GAP, atol=1e-15)
     assert np.allclose(mesh.face_areas[:inside][between, :2], 0.0, atol=1e-18)
-    assert np.all(mesh.sense[mesh.owner[mesh.patch("blade")]] == 1.0)
-    assert np.all(mesh.sense[mesh.owner[mesh.patch("blade_lower")]] == -1.0)
+    assert np.all(mesh.cell_rotation_sign[mesh.owner[mesh.patch_faces("blade")]] == 1.0)
+    assert np.all(mesh.cell_rotation_sign[mesh.owner[mesh.patch_faces("blade_lower")]] == -1.0)
 
 
 def test_a_pairs_case_has_two_zones_and_two_loads(tmp_path: Path) -> None:
@@ -73,14 +79,14 @@ def test_a_pairs_case_has_two_zones_and_two_loads(tmp_path: Path) -> None:
         tmp_path, load_rotor("naca0012-r60-c20"), pitch_rad=TURNED, speed_rad_s=500.0, level="tiny", gap_m=GAP,
         lower_speed_rad_s=550.0,
     )  # fmt: skip
-    assert read_point(tmp_path).rotors == {"blade": 500.0, "blade_lower": -550.0}
+    assert read_point(tmp_path).patch_speeds_rad_s == {"blade": 500.0, "blade_lower": -550.0}
     zones = (tmp_path / "constant" / "MRFProperties").read_text()
     assert "cellZone rotor" in zones
     assert "cellZone lower" in zones
     assert "omega constant -550;" in zones
     assert "patches (blade_lower);" in (tmp_path / "system" / "controlDict").read_text()
     again = read_poly_mesh(tmp_path)
-    assert np.array_equal(again.sense, meshed().sense)
+    assert np.array_equal(again.cell_rotation_sign, meshed().cell_rotation_sign)
 
 
 @pytest.mark.parametrize(
@@ -90,18 +96,18 @@ def test_a_pairs_case_has_two_zones_and_two_loads(tmp_path: Path) -> None:
 def test_rotors_too_close_are_refused_in_one_line(gap: float, pitch: float, message: str) -> None:
     rotor, angle = load_rotor("naca0012-r60-c20"), math.radians(pitch)
     with pytest.raises(InputError, match=message):
-        pair_mesh(rotor, angle, angle, gap, level="tiny")
+        make_pair_mesh(rotor, angle, angle, gap, level="tiny")
 
 
-def disc(since: int = 0) -> Disc:
+def disc(since: int = 0) -> ActuatorDisc:
     """A rotor whose thrust per span rises as r^2, its torque as r^3, between 10 and 60 mm."""
     r = np.linspace(0.01, 0.06, 21)
     t, q = 3e3 * r**2, 40.0 * r**3
     thrust, torque = (float(np.trapezoid(v, r)) for v in (t, q))
-    return Disc(tuple(r), tuple(t), tuple(q), thrust, torque, TURNED, 500.0, since)
+    return ActuatorDisc(tuple(r), tuple(t), tuple(q), thrust, torque, TURNED, 500.0, since)
 
 
-def beside(folder: Path, height_m: float, since: int = 0) -> tuple[PolyMesh, Disc]:
+def beside(folder: Path, height_m: float, since: int = 0) -> tuple[PolyMesh, ActuatorDisc]:
     save_case(
         folder,
         load_rotor("naca0012-r60-c20"),
@@ -111,27 +117,27 @@ def beside(folder: Path, height_m: float, since: int = 0) -> tuple[PolyMesh, Dis
         other_m=height_m,
     )
     mesh, other = read_poly_mesh(folder), disc(since)
-    put_disc(folder, mesh, read_point(folder), other)
+    write_actuator_disc(folder, mesh, read_point(folder), other)
     return mesh, other
 
 
 @pytest.mark.parametrize("height", [-GAP, GAP])
 def test_the_disc_covers_the_rotor_once_and_has_its_loads(tmp_path: Path, height: float) -> None:
     mesh, other = beside(tmp_path, height)
-    cells, area = disc_cells(mesh, height, 0.06)
+    cells, area = find_disc_cells(mesh, height, 0.06)
     assert area.sum() == pytest.approx(0.5 * math.pi * 0.06**2, rel=0.05)  # half of it: one of two blades
-    assert np.abs(mesh.centres[cells[area > 0.0], 2] - height).max() < 0.15 * 0.06
+    assert np.abs(mesh.cell_centres[cells[area > 0.0], 2] - height).max() < 0.15 * 0.06
     # What the solver is told, summed as its rotorDisk does, about 1 rad/s.
     text = (tmp_path / "constant" / "fvOptions").read_text()
     r = np.array([float(x) for x in re.findall(r"\(at\d+ \((\S+) 0 1\)\)", text)])
     drag, lift = np.array(re.findall(r"\(180 (\S+) ([^\s)]+)\)", text), dtype=float).T
-    at = np.hypot(mesh.centres[cells, 0], mesh.centres[cells, 1])
+    at = np.hypot(mesh.cell_centres[cells, 0], mesh.cell_centres[cells, 1])
     force = 0.5 * at**2 * 2 * area / (2.0 * math.pi * at)  # per density
     thrust = 2 * 1.2 * float(force @ np.interp(at, r, lift))
     torque = 2 * 1.2 * float((force * at) @ np.interp(at, r, drag))
     assert thrust == pytest.approx(other.thrust_N, rel=1e-6)
     assert torque == pytest.approx(-other.torque_Nm, rel=1e-6)  # against this rotor's sense
-    assert read_disc(tmp_path) == other
+    assert read_actuator_disc(tmp_path) == other
 
 
 def test_no_verdict_before_the_air_knows_the_other_rotors_new_loads(tmp_path: Path) -> None:
@@ -140,10 +146,10 @@ def test_no_verdict_before_the_air_knows_the_other_rotors_new_loads(tmp_path: Pa
         file = tmp_path / "postProcessing" / "loads" / "0" / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("".join(f"{i} {row}\n" for i in range(1, 1801)))
-    assert judge(tmp_path).what == "not done"  # they stand still, but for 200 iterations only
+    assert judge_case(tmp_path).what == "not done"  # they stand still, but for 200 iterations only
     (tmp_path / "disc.json").write_text('{"r_m": [')
     with pytest.raises(InputError, match="no whole disc"):
-        read_disc(tmp_path)
+        read_actuator_disc(tmp_path)
 
 
 @pytest.mark.parametrize("gap", [0.004, 0.2])
@@ -155,9 +161,9 @@ def test_a_pair_by_turns_whose_rotors_would_meet_is_refused(tmp_path: Path, gap:
 @pytest.mark.skipif(shutil.which("simpleFoam") is None, reason="OpenFOAM is not installed")
 def test_the_solver_takes_the_disc_for_the_rotor(tmp_path: Path) -> None:
     _, other = beside(tmp_path, GAP)
-    set_phase(tmp_path, upwind=True, end=1)
+    set_solver_phase(tmp_path, upwind=True, end=1)
     told = subprocess.run(
-        [find_solver()], cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True
+        [find_solver()], cwd=tmp_path, env=openfoam_environment(), capture_output=True, text=True, check=True
     )
     lift = float(re.findall(r"Effective lift = (\S+)", told.stdout)[-1])
     assert 2.0 * lift == pytest.approx(other.thrust_N, rel=1e-5)

@@ -50,9 +50,7 @@ def test_results_go_through_the_fits(series):
     results = series / "s" / "results"
     found = json.loads((results / "summary.json").read_text(encoding="utf-8"))
     density = f"{found['settings'][0]['density_kg_m3']:.4f}"
-    said = output(
-        "rotor", "compare", NACA, str(results / f"{NACA}-upper.csv"), "--density", density, "--json"
-    )
+    said = output("rotor", "compare", NACA, str(results / f"{NACA}-upper.csv"), "--density", density, "--json")
     assert abs(json.loads(said)["mean_thrust_error"]) < 0.03
     said = output("identify", "rotor", str(results / f"{NACA}-upper-points.csv"), "--radius", "0.06")
     assert "cT" in said
@@ -71,9 +69,7 @@ def test_a_series_that_cannot_be_trusted_ends_with_status_1_and_no_results(serie
 def test_what_is_wrong_is_said_before_anything_turns(series):
     plan = str(series / "plan.toml")
     assert "no such plan" in refused("bench", "run", "nowhere.toml")
-    assert "no such bench" in refused(
-        "bench", "run", plan, "--rig", "nowhere.toml", "--out", str(series / "x")
-    )
+    assert "no such bench" in refused("bench", "run", plan, "--rig", "nowhere.toml", "--out", str(series / "x"))
     assert "is no number" in refused("bench", "plan", "--rotor", NACA, "--rpm", "fast")
     assert "no such rotor" in refused("bench", "plan", "--rotor", "nobody")
     assert "unknown" in refused("bench", "plan", "--rotor", NACA, "--axis", "middle")

@@ -49,9 +49,7 @@ def test_hover_by_the_wake_prints_json_and_writes_pictures(tmp_path) -> None:
     assert answer["power_W"] == pytest.approx(sum(r["torque_Nm"] * r["speed_rad_s"] for r in (upper, lower)))
     assert upper["thrust_N"] == pytest.approx(sum(upper["stations"]["dT_N"]))
     alone = answer["isolated"]["lower"]
-    assert answer["change_from_isolated"]["lower_thrust"] == pytest.approx(
-        lower["thrust_N"] / alone["thrust_N"] - 1
-    )
+    assert answer["change_from_isolated"]["lower_thrust"] == pytest.approx(lower["thrust_N"] / alone["thrust_N"] - 1)
     assert answer["wake"]["converged"]
     assert answer["wake"]["settings"]["chord_deg"] == 15
     for name in ("loads.png", "history.png", "wake.png", "air.png", "air-instant.png", "history.csv"):
@@ -92,9 +90,7 @@ def test_trim_cancels_torques_by_speed_and_by_pitch() -> None:
     assert by_speed["upper"]["speed_rad_s"] == pytest.approx(6000 * RPM)
     by_thrust = json.loads(output("trim", "--thrust", "0.9", "--method", "bemt", "--json"))
     assert by_thrust["thrust_N"] == pytest.approx(0.9, rel=1e-6)
-    by_pitch = json.loads(
-        output("trim", "--rpm", "6000,6300", "--free", "lower-pitch", "--method", "bemt", "--json")
-    )
+    by_pitch = json.loads(output("trim", "--rpm", "6000,6300", "--free", "lower-pitch", "--method", "bemt", "--json"))
     assert by_pitch["lower_over_upper"]["speed"] == pytest.approx(1.05)
     for answer in (by_speed, by_thrust, by_pitch):
         assert answer["lower_over_upper"]["torque"] == pytest.approx(1.0, rel=1e-6)
@@ -114,9 +110,7 @@ def test_sweep_writes_tables_and_a_picture(tmp_path) -> None:
     assert (np.diff(data.lower_thrust_N.values[1]) > 0).all()
     assert (tmp_path / "lower_thrust_N.png").exists()
     again = json.loads(output(*arguments, "--json"))
-    assert again["data_vars"]["lower_thrust_N"]["data"][1][0] == pytest.approx(
-        float(data.lower_thrust_N[1, 0])
-    )
+    assert again["data_vars"]["lower_thrust_N"]["data"][1][0] == pytest.approx(float(data.lower_thrust_N[1, 0]))
     assert "spacing" in output("parameters")
 
 
@@ -189,27 +183,21 @@ def test_what_is_wrong_is_said_in_one_line(arguments: tuple[str, ...], said: str
 
 def test_rotor_hover_and_compare_by_the_wake(tmp_path) -> None:
     arguments = ("hover", "naca0012-r60-c20", "--pitch", "14", "--rpm", "6000", "--method", "wake", *COARSE)
-    answer = json.loads(
-        output(*arguments, "--json", "--drive", "mufly", "--out", str(tmp_path), of=rotor_app)
-    )
+    answer = json.loads(output(*arguments, "--json", "--drive", "mufly", "--out", str(tmp_path), of=rotor_app))
     assert answer["method"] == "wake"
     assert answer["wake"]["converged"]
     assert answer["drive"]["mechanical_power_W"] == pytest.approx(answer["power_W"], rel=1e-3)
     for name in ("wake.png", "air.png", "history.csv", "stations.csv"):
         assert (tmp_path / name).exists()
     table = tmp_path / "bench.csv"
-    table.write_text(
-        f"pitch_deg,speed_rpm,thrust_N,torque_Nm\n14,6000,{answer['thrust_N']},{answer['torque_Nm']}\n"
-    )
+    table.write_text(f"pitch_deg,speed_rpm,thrust_N,torque_Nm\n14,6000,{answer['thrust_N']},{answer['torque_Nm']}\n")
     beside = json.loads(
         output("compare", "naca0012-r60-c20", str(table), "--method", "wake", *COARSE, "--json", of=rotor_app)
     )
     assert beside["method"] == "wake"
     assert abs(beside["points"][0]["thrust_error"]) < 1e-6
     short = ("--wake-set", "iterations=5")
-    text = output(
-        "compare", "naca0012-r60-c20", str(table), "--method", "wake", *COARSE, *short, of=rotor_app
-    )
+    text = output("compare", "naca0012-r60-c20", str(table), "--method", "wake", *COARSE, *short, of=rotor_app)
     assert "point 1: wake not converged in 5 iterations" in text
     assert "not converged" in fault(*arguments, *short, of=rotor_app)
     assert "--band" in fault(*arguments, "--band", "0.9", of=rotor_app)

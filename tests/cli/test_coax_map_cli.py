@@ -7,9 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli.coax import app
-from mufly.dynamics import trim
+from mufly.dynamics import find_trim
 from mufly.errors import InputError, MuflyError
-from mufly.vehicle import load_map, load_vehicle, vehicle_toml
+from mufly.vehicle import format_vehicle_toml, load_coefficient_map, load_vehicle
 
 runner = CliRunner()
 SMALL = ("--rpm", "4000", "--ratio", "0.8:1.4:0.2", "--climb", "-1:2:1m/s")
@@ -33,17 +33,17 @@ def test_writes_a_map_that_a_vehicle_flies_with(tmp_path) -> None:
     text = output("walkera-5g6", *SMALL, "--pitch", "13,14", "--out", str(file))
     assert "pair" in text
     assert sorted(f.name for f in tmp_path.iterdir()) == ["pair.png", "pair.toml"]
-    made = load_map(file)
+    made = load_coefficient_map(file)
     assert (made.upper_pitch_deg, made.lower_pitch_deg, made.spacing_m) == (13, 14, 0.04)
-    t = made.tables()
+    t = made.parse_tables()
     np.testing.assert_allclose(t.ratio, [0.8, 1.0, 1.2, 1.4])
     np.testing.assert_allclose(t.climb_ratio * 4000 * np.pi / 30 * 0.0875, [-1, 0, 1, 2], atol=1e-6)
 
-    vehicle = vehicle_toml(load_vehicle("mufly-1.1")).replace(
+    vehicle = format_vehicle_toml(load_vehicle("mufly-1.1")).replace(
         'map_level = "computed"', 'coefficient_map = "pair.toml"'
     )
     (tmp_path / "mine.toml").write_text(vehicle, encoding="utf-8")
-    hover = trim(load_vehicle(tmp_path / "mine.toml"))
+    hover = find_trim(load_vehicle(tmp_path / "mine.toml"))
     assert hover.inside_map
     assert 0.9 < hover.rotor_speed[1] / hover.rotor_speed[0] < 1.1
 

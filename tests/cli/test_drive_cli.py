@@ -26,9 +26,7 @@ def output(*arguments: str) -> str:
 def test_show_balances_its_power() -> None:
     answer = json.loads(output("show", "--thrust", "0.3", "--thrust", "0.45", "--charge", "0.5", "--json"))
     p = answer["points"]
-    losses = sum(
-        np.array(p[f"{k}_loss_W"]) for k in ("copper", "conversion", "friction", "gear", "controller")
-    )
+    losses = sum(np.array(p[f"{k}_loss_W"]) for k in ("copper", "conversion", "friction", "gear", "controller"))
     np.testing.assert_allclose(np.array(p["mechanical_power_W"]) + losses, p["input_power_W"])
     assert p["thrust_N"] == pytest.approx([0.3, 0.45])
     first, second = answer["endurance"]
@@ -42,9 +40,7 @@ def test_show_says_when_the_battery_cannot() -> None:
 
 
 def test_show_with_a_rotor_file() -> None:
-    answer = json.loads(
-        output("show", "--rotor", "naca4412-r60-c20", "--pitch", "12", "--thrust", "0.3", "--json")
-    )
+    answer = json.loads(output("show", "--rotor", "naca4412-r60-c20", "--pitch", "12", "--thrust", "0.3", "--json"))
     assert answer["points"]["thrust_N"] == pytest.approx([0.3])
 
 

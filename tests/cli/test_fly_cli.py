@@ -47,10 +47,7 @@ IDEAL = ("--sensors", "ideal")  # what these tests are about does not depend on 
 
 def test_a_flight_writes_recording_summary_and_pictures(monkeypatch, capsys, tmp_path, hop) -> None:
     out = tmp_path / "out"
-    assert (
-        run(monkeypatch, "fly", hop, *IDEAL, "--out", out, "--headless", "--gust", "0.1", "--wind", "0.2,0,0")
-        == 0
-    )
+    assert run(monkeypatch, "fly", hop, *IDEAL, "--out", out, "--headless", "--gust", "0.1", "--wind", "0.2,0,0") == 0
     shown = capsys.readouterr().out
     assert "succeeded" in shown
     assert "take-off" in shown
@@ -60,9 +57,7 @@ def test_a_flight_writes_recording_summary_and_pictures(monkeypatch, capsys, tmp
     assert (out / "track.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_default_folder_carries_the_date_and_json_is_all_on_standard_output(
-    monkeypatch, capsys, tmp_path, hop
-) -> None:
+def test_default_folder_carries_the_date_and_json_is_all_on_standard_output(monkeypatch, capsys, tmp_path, hop) -> None:
     monkeypatch.chdir(tmp_path)
     assert run(monkeypatch, "fly", hop, *IDEAL, "--headless") == 0
     (first,) = (tmp_path / "flights").iterdir()
@@ -78,12 +73,12 @@ def test_default_folder_carries_the_date_and_json_is_all_on_standard_output(
 def test_a_failed_mission_has_a_reason_and_a_status(monkeypatch, capsys, tmp_path, hop) -> None:
     hop.write_text(HOP + "\n[battery]\nlow_V = 7.2\n")
     heavy = tmp_path / "weak.toml"
-    from mufly.vehicle import load_vehicle, replace, vehicle_toml
+    from mufly.vehicle import format_vehicle_toml, load_vehicle, replace_parameters
 
-    heavy.write_text(vehicle_toml(replace(load_vehicle("mufly-1.1"), {"battery.internal_resistance": 0.55})))
-    assert (
-        run(monkeypatch, "fly", hop, *IDEAL, "--headless", "--vehicle", heavy, "--out", tmp_path / "out") == 1
+    heavy.write_text(
+        format_vehicle_toml(replace_parameters(load_vehicle("mufly-1.1"), {"battery.internal_resistance": 0.55}))
     )
+    assert run(monkeypatch, "fly", hop, *IDEAL, "--headless", "--vehicle", heavy, "--out", tmp_path / "out") == 1
     assert "the mission failed: battery low" in capsys.readouterr().err
     assert (tmp_path / "out" / "summary.json").exists()
 
@@ -133,14 +128,12 @@ def test_a_mistyped_command_line_is_one_line_too(monkeypatch, capsys, words, mes
     assert len(shown.err.strip().splitlines()) == 1
 
 
-def test_what_vehicle_and_mission_cannot_do_together_names_the_file(
-    monkeypatch, capsys, tmp_path, hop
-) -> None:
-    from mufly.vehicle import load_vehicle, replace, vehicle_toml
+def test_what_vehicle_and_mission_cannot_do_together_names_the_file(monkeypatch, capsys, tmp_path, hop) -> None:
+    from mufly.vehicle import format_vehicle_toml, load_vehicle, replace_parameters
 
     high, heavy = tmp_path / "high.toml", tmp_path / "heavy.toml"
     high.write_text(HOP.replace("-0.5]", "-100.0]"))
-    heavy.write_text(vehicle_toml(replace(load_vehicle("mufly-1.1"), {"body.mass": 0.2})))
+    heavy.write_text(format_vehicle_toml(replace_parameters(load_vehicle("mufly-1.1"), {"body.mass": 0.2})))
     before = sorted(tmp_path.iterdir())
     monkeypatch.chdir(tmp_path)
     for words, place in (
@@ -192,7 +185,7 @@ def test_control_c_leaves_a_readable_recording(tmp_path, hop) -> None:
 
 
 def test_a_page_that_nobody_opens_flies_the_mission_by_itself(monkeypatch, capsys, tmp_path, hop) -> None:
-    monkeypatch.setattr("mufly.cli.fly.LONELY_S", 0.2)
+    monkeypatch.setattr("mufly.cli.fly.NO_PAGE_TIMEOUT_S", 0.2)
     out = tmp_path / "out"
     assert run(monkeypatch, "fly", hop, *IDEAL, "--no-browser", "--out", out) == 0
     shown = capsys.readouterr()

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli.identify.bench import add_to
-from mufly.cli.options import Commands, with_doubt
+from mufly.cli.identify.bench import register_bench_commands
+from mufly.cli.options import CommandGroup, read_optional_with_std
 from mufly.errors import InputError
 from mufly.vehicle import load_vehicle
 
 runner = CliRunner()
-app = Commands()
-add_to(app)
+app = CommandGroup()
+register_bench_commands(app)
 
 
 @pytest.fixture(autouse=True)
@@ -88,9 +88,7 @@ def test_rotor_with_calibration_and_prediction(tmp_path):
                header="speed_rpm,thrust_raw_V", comments="")  # fmt: skip
     weights = np.repeat([0.0, 10.0, 20.0, 40.0], 3)
     reading = 0.3 + 2 * weights * 9.80665e-3 + 1e-3 * rng.standard_normal(12)
-    np.savetxt(
-        cells, np.column_stack([weights, reading]), delimiter=",", header="thrust_g,thrust_raw_V", comments=""
-    )
+    np.savetxt(cells, np.column_stack([weights, reading]), delimiter=",", header="thrust_g,thrust_raw_V", comments="")
     arguments = (
         "rotor",
         str(bench),
@@ -126,9 +124,7 @@ def test_files_of_several_kinds_with_a_map_each(tmp_path):
     text = output("rotor", str(a), str(b), "--radius", "0.1", *maps)
     assert "cT_up of b.csv is 1.000" in text
     assert "cT_dw of b.csv is 0.600" in text
-    assert "no file has together" in refused(
-        "rotor", str(a), str(b), "--radius", "0.1", "--columns", "G=thrust_N"
-    )
+    assert "no file has together" in refused("rotor", str(a), str(b), "--radius", "0.1", "--columns", "G=thrust_N")
 
 
 def test_plan(tmp_path):
@@ -147,16 +143,12 @@ def test_plan(tmp_path):
     text = output(*arguments, "--out", str(tmp_path))
     assert "bound by" in text
     assert (tmp_path / "plan_yaw.png").is_file()
-    table = np.genfromtxt(
-        tmp_path / "signal_yaw_doublet.csv", delimiter=",", names=True, comments="#", skip_header=1
-    )
+    table = np.genfromtxt(tmp_path / "signal_yaw_doublet.csv", delimiter=",", names=True, comments="#", skip_header=1)
     answer = json.loads(output(*arguments, "--json"))
     found = answer["channels"][0]["candidates"][0]
     assert np.max(np.abs(table["signal"])) == pytest.approx(found["amplitude"], rel=1e-4)
     assert set(answer["together"]) == {"Izz", "cQ_dw"}
-    narrow = json.loads(output(*arguments, "--limit", "heading_deg=10", "--json"))["channels"][0][
-        "candidates"
-    ][0]
+    narrow = json.loads(output(*arguments, "--limit", "heading_deg=10", "--json"))["channels"][0]["candidates"][0]
     assert narrow["bound_by"] == "heading"
     blind = json.loads(output(*arguments, "--noise", "yaw=none,r=0.3", "--json"))
     assert blind["together"]["Izz"] > 2 * answer["together"]["Izz"]
@@ -181,10 +173,10 @@ def test_plan_refuses(arguments, what):
 
 
 def test_numbers_with_doubt():
-    assert with_doubt("--gear", "0.84+-0.02", "1") == (0.84, 0.02)
-    assert with_doubt("--gear", "1.5", "1") == (1.5, 0.0)
-    assert with_doubt("--gear", "free", "1") == (None, 0.0)
-    assert with_doubt("--radius", "60mm+-0.2mm", "m") == pytest.approx((0.06, 0.0002))
+    assert read_optional_with_std("--gear", "0.84+-0.02", "1") == (0.84, 0.02)
+    assert read_optional_with_std("--gear", "1.5", "1") == (1.5, 0.0)
+    assert read_optional_with_std("--gear", "free", "1") == (None, 0.0)
+    assert read_optional_with_std("--radius", "60mm+-0.2mm", "m") == pytest.approx((0.06, 0.0002))
     for text in ("x", "-1", "1+-x", "1+--2"):
         with pytest.raises(InputError):
-            with_doubt("--gear", text, "1")
+            read_optional_with_std("--gear", text, "1")

@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli import app
-from mufly.cli.station import Ending
+from mufly.cli.station import ShutdownHandler
 from mufly.errors import InputError
-from mufly.link import Codec
+from mufly.link import FrameDecoder
 from mufly.logs import read_log
 
 
@@ -59,7 +59,7 @@ def test_it_flies_until_it_is_told_to_end_and_leaves_whole_recordings(tmp_path):
             env={**os.environ, "COLUMNS": "200"},
         )
         try:
-            codec = Codec()
+            codec = FrameDecoder()
             heard = []
             while not any(x.get_type() == "SYS_STATUS" for x in heard):
                 heard += codec.receive(time.monotonic(), "vehicle", station.recv(1000))
@@ -85,27 +85,31 @@ def test_the_first_signal_asks_and_only_a_second_ctrl_c_no_longer_waits():
     before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         for number in before:
-            with Ending() as ending:
-                assert (ending.asked.is_set(), ending.status, ending.hurried) == (False, 0, False)
+            with ShutdownHandler() as ending:
+                assert (ending.stop_requested.is_set(), ending.exit_status, ending.is_hurried) == (
+                    False,
+                    0,
+                    False,
+                )
                 os.kill(os.getpid(), number)
-                assert (ending.asked.is_set(), ending.status) == (True, 128 + number)
-                assert ending.hurried == (number != signal.SIGINT)
+                assert (ending.stop_requested.is_set(), ending.exit_status) == (True, 128 + number)
+                assert ending.is_hurried == (number != signal.SIGINT)
                 os.kill(os.getpid(), signal.SIGTERM)  # again: nothing changes
                 os.kill(os.getpid(), signal.SIGHUP)
                 with pytest.raises(KeyboardInterrupt):
                     os.kill(os.getpid(), signal.SIGINT)
-                assert ending.status == 128 + number
+                assert ending.exit_status == 128 + number
             assert {s: signal.getsignal(s) for s in before} == before
-        with pytest.raises(KeyboardInterrupt), Ending(patient=False):
+        with pytest.raises(KeyboardInterrupt), ShutdownHandler(patient=False):
             os.kill(os.getpid(), signal.SIGTERM)
         # Under nohup a terminal that is closed ends nothing.
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
-        with Ending() as ending:
+        with ShutdownHandler() as ending:
             os.kill(os.getpid(), signal.SIGHUP)
-            assert not ending.asked.is_set()
+            assert not ending.stop_requested.is_set()
     finally:
         signal.signal(signal.SIGHUP, inherited)
-        Ending.signalled = False
+        ShutdownHandler.was_signalled = False
 
 
 def test_the_help_has_examples():

@@ -35,9 +35,7 @@ def log(tmp_path):
     keep = np.r_[0:1000, 1100:3000]
     table = np.column_stack([1e3 * TIME, roll, rate, np.full(len(TIME), 7.4)])[keep]
     path = tmp_path / "bench.csv"
-    np.savetxt(
-        path, table, delimiter=",", header="t (ms),measured_attitude_roll,p,U (V)", comments="", fmt="%.9g"
-    )
+    np.savetxt(path, table, delimiter=",", header="t (ms),measured_attitude_roll,p,U (V)", comments="", fmt="%.9g")
     return path
 
 

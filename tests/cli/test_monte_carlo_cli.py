@@ -31,9 +31,7 @@ def run(monkeypatch, *words: object) -> int:
     return 0
 
 
-def test_failed_flights_are_recorded_and_their_command_flies_them_again(
-    monkeypatch, capsys, tmp_path: Path
-) -> None:
+def test_failed_flights_are_recorded_and_their_command_flies_them_again(monkeypatch, capsys, tmp_path: Path) -> None:
     """A tolerance of a tenth of a millimetre fails every flight."""
     hop, out = tmp_path / "hop.toml", tmp_path / "out"
     hop.write_text(HOP)

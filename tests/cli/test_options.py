@@ -10,12 +10,12 @@ import typer
 from typer.testing import CliRunner
 
 from mufly.cli import app as mufly
-from mufly.cli.options import Commands, Notation
-from mufly.cli.station import check_air, wind_of
+from mufly.cli.options import CommandGroup, NumberNotation
+from mufly.cli.station import parse_wind, resolve_wind
 from mufly.errors import ArgumentError, InputError
-from mufly.units import conversion, units_of
+from mufly.units import compatible_units, unit_conversion
 
-app = Commands()
+app = CommandGroup()
 
 
 @app.command()
@@ -120,9 +120,9 @@ def every_option() -> Iterator[tuple[str, Any]]:
     yield from walk(typer.main.get_command(mufly), [])
 
 
-def notation_of(option: Any) -> Notation | None:
+def notation_of(option: Any) -> NumberNotation | None:
     parser = option.type_descriptor.parameter_info.parser
-    return parser if isinstance(parser, Notation) else None
+    return parser if isinstance(parser, NumberNotation) else None
 
 
 # Options whose numbers have no dimension.
@@ -200,23 +200,21 @@ def test_every_quantity_takes_units_and_refuses_what_is_none_in_our_words() -> N
         seen.add((name, notation))
         for text in ("", "abc", "nan", "1e999", "5 parsec", "1.2.3"):
             with pytest.raises(InputError) as told:
-                notation.read(name, text)
+                notation.read_option(name, text)
             assert str(told.value).startswith(f"{name}: "), f"{command} {name}={text}: {told.value}"
             assert "Input should be" not in str(told.value)
             assert told.value.remedy
-        if notation.form == "one" and notation.unit and not notation.words:
-            for unit in set(units_of(conversion(notation.unit)[0])) - {"1"}:
-                low, high = notation.within.low, notation.within.high
-                value = next(
-                    v for v in (1.0, low, high, 0.5) if v is not None and (low or v) <= v <= (high or v)
-                )
-                factor = conversion(notation.unit, unit)[1]
-                assert notation.read(name, f"{value * factor!r}{unit}") == pytest.approx(value), (
+        if notation.form == "one" and notation.unit and not notation.allowed_words:
+            for unit in set(compatible_units(unit_conversion(notation.unit)[0])) - {"1"}:
+                low, high = notation.allowed_range.low, notation.allowed_range.high
+                value = next(v for v in (1.0, low, high, 0.5) if v is not None and (low or v) <= v <= (high or v))
+                factor = unit_conversion(notation.unit, unit)[1]
+                assert notation.read_option(name, f"{value * factor!r}{unit}") == pytest.approx(value), (
                     command,
                     unit,
                 )
             with pytest.raises(InputError, match=r"cannot become|is unknown"):
-                notation.read(name, f"1{OTHER_DIMENSION.get(notation.unit, 'V')}")
+                notation.read_option(name, f"1{OTHER_DIMENSION.get(notation.unit, 'V')}")
 
 
 @pytest.mark.parametrize(
@@ -246,12 +244,16 @@ def test_refusals_name_option_value_and_remedy(words: tuple[str, ...], message: 
 
 
 def test_wind_means_the_same_in_every_command() -> None:
-    assert wind_of("0.5") == wind_of("0.5m/s") == 0.5
-    assert wind_of("1.8km/h,0,0") is not None
-    assert wind_of("0.5,0,0") == wind_of("0.5m/s,0,0m/s") == (0.5, 0.0, 0.0)
+    assert parse_wind("0.5") == parse_wind("0.5m/s") == 0.5
+    assert parse_wind("1.8km/h,0,0") is not None
+    assert parse_wind("0.5,0,0") == parse_wind("0.5m/s,0,0m/s") == (0.5, 0.0, 0.0)
     with pytest.raises(InputError, match="is no wind"):
-        wind_of("-0.5")
-    found, again, other = check_air("0.5", None, 7), check_air("0.5", None, 7), check_air("0.5", None, 8)
+        parse_wind("-0.5")
+    found, again, other = (
+        resolve_wind("0.5", None, 7),
+        resolve_wind("0.5", None, 7),
+        resolve_wind("0.5", None, 8),
+    )
     assert found == again != other  # the seed draws where it comes from
     assert math.hypot(*found) == pytest.approx(0.5)
     assert found[2] == 0.0

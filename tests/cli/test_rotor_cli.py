@@ -56,9 +56,7 @@ def test_show_prints_a_file_that_is_the_same_rotor(tmp_path) -> None:
 
 def test_hover_prints_the_named_fields(tmp_path) -> None:
     answer = json.loads(
-        output(
-            "hover", "naca0012-r60-c20", "--pitch", "12", "--rpm", "5000", "--json", "--out", str(tmp_path)
-        )
+        output("hover", "naca0012-r60-c20", "--pitch", "12", "--rpm", "5000", "--json", "--out", str(tmp_path))
     )
     for key in ("thrust_N", "torque_Nm", "power_W", "figure_of_merit", "c_T", "c_Q"):
         assert np.isfinite(answer[key])
@@ -103,9 +101,7 @@ def test_sweep_writes_tables_and_a_picture_and_resumes(tmp_path) -> None:
 
 
 def test_failed_cases_are_counted_with_their_reason() -> None:
-    text = output(
-        "sweep", "--vary", "pitch=10,14deg", "--vary", "airfoil=naca4412,gibberish", "--set", "speed=5000rpm"
-    )
+    text = output("sweep", "--vary", "pitch=10,14deg", "--vary", "airfoil=naca4412,gibberish", "--set", "speed=5000rpm")
     assert "4 cases, 2 failed" in text
     assert "gibberish: no such airfoil" in text
 
@@ -139,9 +135,7 @@ def test_a_bench_without_pitch_is_told_of_or_given_one(tmp_path) -> None:
         for file, more in ((with_pitch, ()), (without, ("--pitch", "12")))
     ]
     assert points[0] == points[1]
-    assert "pitch 0: the blades stand as in the rotor file" in output(
-        "compare", "naca0012-r60-c20", str(without)
-    )
+    assert "pitch 0: the blades stand as in the rotor file" in output("compare", "naca0012-r60-c20", str(without))
     assert "is a column of the file" in fault("compare", "naca0012-r60-c20", str(with_pitch), "--pitch", "12")
 
 

@@ -11,7 +11,13 @@ from mufly.cli.vehicle import app
 from mufly.errors import InputError, MuflyError
 from mufly.mission import load_mission
 from mufly.rotor import load_rotor
-from mufly.vehicle import builtin_vehicles, load_vehicle, parameters, replace, vehicle_toml
+from mufly.vehicle import (
+    builtin_vehicles,
+    format_vehicle_toml,
+    list_parameters,
+    load_vehicle,
+    replace_parameters,
+)
 
 runner = CliRunner()
 
@@ -50,7 +56,7 @@ def test_show_prints_every_parameter(name: str) -> None:
     sensors = CliRunner().invoke(whole, ["sensors", "show", name]).stdout
     shown = output("show", name)
     assert "sensors show" in shown
-    for row in parameters(load_vehicle(name)):
+    for row in list_parameters(load_vehicle(name)):
         text = sensors if row.key.startswith("sensors.") else shown
         assert row.key.rpartition(".")[2] in text
         assert row.symbol in text or row.key.startswith("mass_budget")
@@ -102,8 +108,8 @@ def test_check_as_json() -> None:
 
 def test_check_warns(tmp_path) -> None:
     path = tmp_path / "odd.toml"
-    odd = replace(load_vehicle("mufly-1.1"), {"swash_plate.time_constant": 1e-4, "body.mass": 0.112})
-    path.write_text(vehicle_toml(odd))
+    odd = replace_parameters(load_vehicle("mufly-1.1"), {"swash_plate.time_constant": 1e-4, "body.mass": 0.112})
+    path.write_text(format_vehicle_toml(odd))
     text = output("check", str(path))
     assert "steps below 0.27 ms" in text
     assert "Little thrust is left" in text
@@ -112,9 +118,7 @@ def test_check_warns(tmp_path) -> None:
 def fault(*arguments: str) -> MuflyError:
     result = runner.invoke(app, arguments)
     assert result.exit_code != 0
-    assert isinstance(
-        result.exception, MuflyError
-    )  # the top-level command turns it into one line and status 1
+    assert isinstance(result.exception, MuflyError)  # the top-level command turns it into one line and status 1
     assert "\n" not in str(result.exception)
     assert not result.stdout
     return result.exception
@@ -128,7 +132,7 @@ def test_show_writes_a_file_to_start_from(tmp_path) -> None:
 
 def test_a_wrong_file_is_named(tmp_path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text(vehicle_toml(load_vehicle("mufly-1.1")).replace("value = 0.095", "value = -0.095"))
+    path.write_text(format_vehicle_toml(load_vehicle("mufly-1.1")).replace("value = 0.095", "value = -0.095"))
     error = fault("check", str(path))
     assert isinstance(error, InputError)
     assert error.key == "body.mass"
@@ -137,7 +141,7 @@ def test_a_wrong_file_is_named(tmp_path) -> None:
 
 def test_too_heavy_and_unknown(tmp_path) -> None:
     path = tmp_path / "heavy.toml"
-    path.write_text(vehicle_toml(replace(load_vehicle("mufly-1.1"), {"body.mass": 0.2})))
+    path.write_text(format_vehicle_toml(replace_parameters(load_vehicle("mufly-1.1"), {"body.mass": 0.2})))
     assert "too heavy to hover: 200 g" in str(fault("check", str(path)))
     assert "mufly-2.0" in str(fault("show", "mufly-3"))
 
@@ -168,11 +172,9 @@ def test_new_writes_files_that_load_and_marks_guesses(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.exception
     assert "mufly fly" in result.stdout
     mine = load_vehicle(folder / "vehicle.toml")
-    notes = {row.key: row.note for row in parameters(mine)}
+    notes = {row.key: row.note for row in list_parameters(mine)}
     assert notes["body.mass"] == notes["rotors.radius"] == notes["motor.resistance"] == "given"
-    assert all(
-        notes[key].startswith("guess:") for key in ("body.inertia_xx", "motor.friction", "battery.capacity")
-    )
+    assert all(notes[key].startswith("guess:") for key in ("body.inertia_xx", "motor.friction", "battery.capacity"))
     assert float(load_rotor(folder / "rotor.toml").radius) == 0.09
     assert load_mission(folder / "mission.toml").waypoint == load_mission("demonstration").waypoint
     with pytest.raises(InputError, match="is there already"):

@@ -74,9 +74,7 @@ def linear(p: Parameters = Parameters()) -> Linear:
     dw = up * sqrt(ratio)
 
     def motor_input(speed: float, cQ: float) -> float:
-        torque = (
-            p.dR * speed + cQ * kQ * speed**2 / (p.gear**2 * p.efficiency) + p.kE * p.kM * speed / p.R_ohm
-        )
+        torque = p.dR * speed + cQ * kQ * speed**2 / (p.gear**2 * p.efficiency) + p.kE * p.kM * speed / p.R_ohm
         return torque * p.gear * p.R_ohm / (p.kM * p.U)
 
     trim = Trim(np.array([motor_input(up, p.cQ_up), motor_input(dw, p.cQ_dw)]), np.array([up, dw]))

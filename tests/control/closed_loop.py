@@ -9,14 +9,14 @@ import numpy as np
 
 from mufly.control import (
     FlightController,
-    heave_yaw_initial,
+    heave_yaw_init,
     heave_yaw_step,
-    position_initial,
+    position_init,
     position_step,
-    roll_pitch_initial,
+    roll_pitch_init,
     roll_pitch_step,
 )
-from mufly.dynamics import advance, battery_state, euler_from_quaternion, model_parameters, trim
+from mufly.dynamics import battery_state, euler_from_quaternion, find_trim, integrate_state, model_parameters
 from mufly.vehicle import Vehicle
 
 
@@ -68,7 +68,7 @@ def fly(
 ) -> Flight:
     """Fly from hover at 1 m, or from a state with the motors at ``motor_input`` (upper, lower)."""
     p = model_parameters(vehicle)
-    hover = trim(vehicle, charge=charge)
+    hover = find_trim(vehicle, charge=charge)
     x = hover.state.copy() if state is None else state.copy()
     if state is None:
         x[2] = -1.0
@@ -77,9 +77,9 @@ def fly(
     period = controller.period_s
     psi = float(euler_from_quaternion(x[6:10])[2])
     volts = battery_state(x, u[0], u[1], p)[0]
-    heave_yaw = heave_yaw_initial(controller.heave_yaw_gains, np.array([x[2], psi, x[12]]), u[:2], volts)
-    roll_pitch = roll_pitch_initial(controller.roll_pitch_gains, np.zeros(4))
-    outer = position_initial(controller.position_gains)
+    heave_yaw = heave_yaw_init(controller.heave_yaw_gains, np.array([x[2], psi, x[12]]), u[:2], volts)
+    roll_pitch = roll_pitch_init(controller.roll_pitch_gains, np.zeros(4))
+    outer = position_init(controller.position_gains)
     tilt = np.zeros(2)
     rows = []
     for k in range(round(duration / period)):
@@ -111,7 +111,7 @@ def fly(
             controller.roll_pitch_gains, roll_pitch, tilt, np.array([angles[0], angles[1], x[10], x[11]])
         )
         rows.append(np.concatenate([[k * period], x[:6], [angles[0], angles[1], psi], motor, servo, [volts]]))
-        advance(x, u, air, p, period / 5, 5)
+        integrate_state(x, u, air, p, period / 5, 5)
         u = np.concatenate([motor, servo])
     r = np.array(rows)
     return Flight(r[:, 0], r[:, 1:4], r[:, 4:7], r[:, 7:10], r[:, 10:12], r[:, 12:14], r[:, 14])

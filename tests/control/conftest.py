@@ -8,7 +8,7 @@ from types import ModuleType
 import pytest
 
 import mufly
-from mufly.control import FlightController, design
+from mufly.control import FlightController, design_flight_controller
 from mufly.vehicle import Vehicle
 
 
@@ -42,4 +42,4 @@ def vehicle() -> Vehicle:
 
 @pytest.fixture(scope="session")
 def controller(vehicle: Vehicle) -> FlightController:
-    return design(vehicle)
+    return design_flight_controller(vehicle)

@@ -10,18 +10,18 @@ from hypothesis import strategies as st
 from scipy import linalg
 
 from mufly.control import (
+    DesignSettings,
     FlightController,
-    Settings,
-    analyse,
-    design,
+    analyse_loop,
+    design_flight_controller,
     hinf_norm,
     loop_curves,
     sample_plant,
-    saturated_gain,
+    saturated_gain_limit,
 )
-from mufly.control.linear import _tracked_eigenvalues, is_stable_loop, state_space
-from mufly.dynamics import linearise
-from mufly.vehicle import Vehicle, parameters, replace
+from mufly.control.linear_systems import _tracked_eigenvalues, is_stable_loop, state_space
+from mufly.dynamics import linearise_vehicle
+from mufly.vehicle import Vehicle, list_parameters, replace_parameters
 
 
 def twin(numerator: list[float], denominator: list[float]) -> ct.StateSpace:
@@ -39,7 +39,7 @@ def gain(k: float) -> ct.StateSpace:
 @given(st.floats(0.05, 50.0))
 @settings(max_examples=20, deadline=None)
 def test_integrator(k: float) -> None:
-    loop = analyse(twin([1], [1, 0]), gain(k))
+    loop = analyse_loop(twin([1], [1, 0]), gain(k))
     assert loop.stable
     assert loop.crossovers == pytest.approx([k, k], rel=1e-3)
     assert loop.phase_margin_deg == pytest.approx(90, abs=0.1)
@@ -54,7 +54,7 @@ def test_integrator(k: float) -> None:
 @settings(max_examples=20, deadline=None)
 def test_three_lags(k: float) -> None:
     """k / (s (s+1) (s+2)): the gain margin is 6 / k."""
-    loop = analyse(twin([1], [1, 3, 2, 0]), gain(k))
+    loop = analyse_loop(twin([1], [1, 3, 2, 0]), gain(k))
     assert loop.stable
     assert loop.gain_margin_dB == pytest.approx(20 * np.log10(6 / k), abs=0.05)
     assert 0.0 < loop.guaranteed_phase_margin_deg < loop.phase_margin_deg
@@ -65,7 +65,7 @@ def test_three_lags(k: float) -> None:
 @settings(max_examples=20, deadline=None)
 def test_peaks_are_the_norms(k: float) -> None:
     G, K = twin([1], [1, 3, 2, 0]), gain(k)
-    loop = analyse(G, K)
+    loop = analyse_loop(G, K)
     L = ct.ss(ct.tf([k], [1, 3, 2, 0]))
     S = ct.feedback(ct.ss([], [], [], [[1]]), L)
     T = ct.feedback(L, 1)
@@ -80,7 +80,7 @@ def test_a_resonance_sharper_than_the_grid_is_not_missed(sampled: bool) -> None:
     if sampled:
         G = sample_plant(G, 1e-3)
         K = state_space(K.A, K.B, K.C, K.D, inputs=K.input_labels, outputs=K.output_labels, dt=1e-3)
-    loop = analyse(G, K)
+    loop = analyse_loop(G, K)
     assert loop.crossovers == pytest.approx([3.0 * 0.995] * 2 + [3.0 * 1.005] * 2, rel=0.02)
 
 
@@ -88,11 +88,11 @@ def test_the_margins_of_two_loops_are_those_of_the_worse() -> None:
     """Mixed so that no input belongs to one of them, and as strong as one another at one frequency."""
     slow, quick = ct.tf([2.0], [1, 3, 2, 0]), ct.tf([4.0], [1, 12, 20, 0])
     T = np.array([[1.0, 0.6], [-0.4, 1.0]])
-    one = [analyse(twin(g.num[0][0], g.den[0][0]), gain(1.0)) for g in (slow, quick)]
+    one = [analyse_loop(twin(g.num[0][0], g.den[0][0]), gain(1.0)) for g in (slow, quick)]
     systems = [ct.ss(g) for g in (slow, quick)]
     A, B, C, D = (linalg.block_diag(*(getattr(g, name) for g in systems)) for name in "ABCD")
     mixed = state_space(A, B @ np.linalg.inv(T), T @ C, D, inputs=["u1", "u2"], outputs=["y1", "y2"])
-    loop = analyse(mixed, gain(1.0))
+    loop = analyse_loop(mixed, gain(1.0))
     for name in ("gain_margin_dB", "phase_margin_deg", "delay_margin_s"):
         assert getattr(loop, name) == pytest.approx(min(getattr(x, name) for x in one), rel=2e-3)
 
@@ -108,20 +108,18 @@ def test_an_eigenvalue_is_followed_over_frequency_in_whatever_order_it_comes() -
 
 def test_conditionally_stable_loop_has_a_gain_reduction() -> None:
     """k (s+1)^2 / s^3 is stable for k > 1/2."""
-    loop = analyse(twin([1, 2, 1], [1, 0, 0, 0]), gain(2.0))
+    loop = analyse_loop(twin([1, 2, 1], [1, 0, 0, 0]), gain(2.0))
     assert loop.stable
     assert loop.gain_reduction_dB == pytest.approx(-20 * np.log10(4), abs=0.05)
-    assert not analyse(twin([1, 2, 1], [1, 0, 0, 0]), gain(0.4)).stable
+    assert not analyse_loop(twin([1, 2, 1], [1, 0, 0, 0]), gain(0.4)).stable
 
 
 @given(st.floats(3.0, 8.0), st.sampled_from([40.0, 60.0]))
 @settings(max_examples=20, deadline=None)
 def test_the_delay_margin_is_where_delay_destabilises(k: float, rate: float) -> None:
     G, K = twin([10], [1, 10, 0]), gain(k)
-    sampled_gain = state_space(
-        K.A, K.B, K.C, K.D, inputs=K.input_labels, outputs=K.output_labels, dt=1 / rate
-    )
-    samples = analyse(sample_plant(G, 1 / rate), sampled_gain).delay_margin_s * rate
+    sampled_gain = state_space(K.A, K.B, K.C, K.D, inputs=K.input_labels, outputs=K.output_labels, dt=1 / rate)
+    samples = analyse_loop(sample_plant(G, 1 / rate), sampled_gain).delay_margin_s * rate
     for count in (0, int(samples), int(samples) + 1):
         assert is_stable_loop(sample_plant(G, 1 / rate, count), sampled_gain) == (count < samples)
 
@@ -140,33 +138,33 @@ def test_a_saturated_loop_begins_to_swing_where_its_gain_margin_downwards_says()
     T, k = 0.002, 4.0
     A, B = np.array([[1.0, T], [0.0, 1.0]]), np.array([[0.5 * T * T], [T]])
     law = (A, B, k * np.array([[1.0, 2.0]]), np.array([[k]]), np.zeros((2, 1)))
-    share, frequency = saturated_gain(plant, law, np.ones(1), points=6000)
+    share, frequency = saturated_gain_limit(plant, law, np.ones(1), points=6000)
     assert share == pytest.approx(0.5 / k, rel=0.02)
     assert frequency == pytest.approx(1.0, rel=0.02)
     # Told at once what the actuator did, it has nothing left that could wind up.
     told = (*law[:4], np.array([[0.0], [40.0 * T / (2.0 * k)]]))
-    assert saturated_gain(plant, told, np.ones(1))[0] == 0.0
+    assert saturated_gain_limit(plant, told, np.ones(1))[0] == 0.0
 
 
 def test_motors_that_rail_do_not_swing(vehicle: Vehicle, controller: FlightController) -> None:
     """Light or heavy, fast or slow against what its controller was designed for, and as it was designed."""
-    now = {p.key: p.value for p in parameters(vehicle)}
+    now = {p.key: p.value for p in list_parameters(vehicle)}
     rotors = ("rotors.upper.thrust_coefficient", "rotors.lower.thrust_coefficient")
     inertia = ("rotors.upper.drive_inertia", "rotors.lower.drive_inertia")
 
     def altered(mass: float, thrust: float, slow: float, kE: float) -> Vehicle:
         shares = {"body.mass": mass, "motor.back_emf_constant": kE, "motor.resistance": slow}
         shares |= dict.fromkeys(rotors, thrust) | dict.fromkeys(inertia, slow)
-        return replace(vehicle, {key: float(now[key]) * share for key, share in shares.items()})
+        return replace_parameters(vehicle, {key: float(now[key]) * share for key, share in shares.items()})
 
     light = altered(0.9, 1.1, 0.9, 0.92)
-    observer = design(vehicle, settings=Settings(heave_yaw_windup=None))
+    observer = design_flight_controller(vehicle, settings=DesignSettings(heave_yaw_windup=None))
     for one in (vehicle, light, altered(1.05, 0.95, 1.1, 1.0), altered(0.9, 1.1, 1.1, 1.1)):
-        plant = sample_plant(linearise(one, voltage=7.2).heave_yaw, controller.period_s, 1)
+        plant = sample_plant(linearise_vehicle(one, voltage=7.2).heave_yaw, controller.period_s, 1)
         shares = []
         for c in (controller, observer):
             k = c.heave_yaw.discrete
-            shares.append(saturated_gain(plant, (k.A, k.B[:, 2:], k.C, k.D[:, 2:], k.M), np.ones(2))[0])
+            shares.append(saturated_gain_limit(plant, (k.A, k.B[:, 2:], k.C, k.D[:, 2:], k.M), np.ones(2))[0])
         assert shares[0] == 0.0
         # The observer's knows another vehicle than this one.
         assert shares[1] > (0.1 if one is light else 0.0)

@@ -13,16 +13,16 @@ import pytest
 import mufly
 from mufly.control import (
     DEFAULT_RATE_HZ,
+    DesignSettings,
     FlightController,
-    Settings,
     TransferFunction,
     TwoDegreeWeights,
-    design,
+    design_flight_controller,
 )
 from mufly.control.designs import design_heave_yaw, design_roll_pitch, heave_acceleration
-from mufly.dynamics import linearise
+from mufly.dynamics import linearise_vehicle
 from mufly.errors import InputError, MuflyError
-from mufly.vehicle import Vehicle, load_vehicle, parameters, replace
+from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
 
 def test_heave_yaw_reaches_its_targets(controller: FlightController) -> None:
@@ -39,8 +39,8 @@ def test_heave_yaw_reaches_its_targets(controller: FlightController) -> None:
 def test_roll_pitch_reaches_its_targets(controller: FlightController) -> None:
     d = controller.roll_pitch
     # The thesis's plant has no drag of the rotors in their planes; with it the loop is no less robust.
-    bare = replace(load_vehicle(controller.vehicle_name), {"rotors.inplane_drag": 0.0})
-    published = design_roll_pitch(linearise(bare).roll_pitch, controller.settings, controller.period_s)
+    bare = replace_parameters(load_vehicle(controller.vehicle_name), {"rotors.inplane_drag": 0.0})
+    published = design_roll_pitch(linearise_vehicle(bare).roll_pitch, controller.settings, controller.period_s)
     assert min(published.full_loop.crossovers) >= 36.0
     assert min(d.full_loop.crossovers) >= 35.0
     for one in (d, published):
@@ -79,7 +79,7 @@ def documented(about: str) -> dict[str, list[list[float]]]:
 def test_what_came_out_is_what_the_docs_say(controller: FlightController, name: str) -> None:
     """Every figure of the tables at the head of docs/control.md, to its last digit; the thesis's beside them."""
     said = documented(name)
-    d = next(x for x in controller.designs if x.name == name)
+    d = next(x for x in controller.all_designs if x.name == name)
     reduced = f"after reduction to order {d.reduced.nstates}"
     assert said["gamma claimed"][0] == pytest.approx([d.gamma, d.norm], abs=6e-4)
     assert said["crossovers"][0] == pytest.approx(d.full_loop.crossovers, abs=0.06)
@@ -117,13 +117,13 @@ def test_what_came_out_of_the_cascade_is_what_the_docs_say(controller: FlightCon
     text = str(controller)
     assert f"delay margin {1e3 * c.delay_margin_s:.0f} ms" in text
     rows = [line.split() for line in text.splitlines() if line.strip().startswith("sampled ")]
-    delays = [1e3 * d.sampled_loop.delay_margin_s for d in controller.designs]
+    delays = [1e3 * d.sampled_loop.delay_margin_s for d in controller.all_designs]
     assert [float(row[-1]) for row in rows] == pytest.approx(delays, abs=0.06)
 
 
 def test_scales_and_limits_are_what_the_docs_say(controller: FlightController) -> None:
     """What docs/control.md tells of mufly-1.1: units of its scaled plants, and what its references may ask for."""
-    heave_yaw, roll_pitch, velocity = (d.scaling for d in controller.designs)
+    heave_yaw, roll_pitch, velocity = (d.scaling for d in controller.all_designs)
     assert heave_yaw.inputs == pytest.approx([0.22] * 2, abs=6e-3)
     assert heave_yaw.outputs == pytest.approx([1.0, 4.0, 20.0], rel=0.03)
     assert sorted(roll_pitch.inputs) == pytest.approx([0.86, 1.09], abs=6e-3)
@@ -145,22 +145,20 @@ def test_a_reference_of_height_asks_for_something_and_not_too_much(
     vehicle: Vehicle, mass: float, thrust: float, most: float
 ) -> None:
     """Of a vehicle that hovers with nothing to spare, and of one that could leap."""
-    now = {
-        p.key: float(p.value) for p in parameters(vehicle) if p.key.endswith(("mass", "thrust_coefficient"))
-    }
+    now = {p.key: float(p.value) for p in list_parameters(vehicle) if p.key.endswith(("mass", "thrust_coefficient"))}
     factor = {
         "body.mass": mass,
         "rotors.upper.thrust_coefficient": thrust,
         "rotors.lower.thrust_coefficient": thrust,
     }
-    other = replace(vehicle, {key: now[key] * share for key, share in factor.items()})
-    assert heave_acceleration(other, linearise(other), Settings()) == most
+    other = replace_parameters(vehicle, {key: now[key] * share for key, share in factor.items()})
+    assert heave_acceleration(other, linearise_vehicle(other), DesignSettings()) == most
 
 
 def test_the_thesis_weights_give_what_design_md_says(appendix_b: ModuleType) -> None:
     """Eq. 6.4 with W_r but for its factor 1e-4: gamma below 1 where the thesis has 1.38."""
     linear = appendix_b.linear()
-    d = design_heave_yaw(linear.heave_yaw, Settings(heave_yaw_weights=TwoDegreeWeights(auxiliary=0.0)), 0.005)
+    d = design_heave_yaw(linear.heave_yaw, DesignSettings(heave_yaw_weights=TwoDegreeWeights(auxiliary=0.0)), 0.005)
     assert d.gamma < 1.0
     assert d.full_loop.sensitivity_peak_dB < 3.74
     assert d.full_loop.complementary_peak_dB < 3.93
@@ -171,23 +169,19 @@ def test_with_the_printed_w_r_nothing_makes_it_follow(appendix_b: ModuleType) ->
         auxiliary=0.0, model_matching=TransferFunction((1e-4, 15e-4, 14e-4), (1.0, 14.0, 0.0014))
     )
     linear = appendix_b.linear()
-    d = design_heave_yaw(linear.heave_yaw, Settings(heave_yaw_weights=printed), 0.005)
-    closed = np.eye(3) + linear.heave_yaw(0.01j) @ d.feedback()(0.01j)
+    d = design_heave_yaw(linear.heave_yaw, DesignSettings(heave_yaw_weights=printed), 0.005)
+    closed = np.eye(3) + linear.heave_yaw(0.01j) @ d.feedback_controller()(0.01j)
     response = np.linalg.solve(closed, linear.heave_yaw(0.01j) @ d.controller(0.01j)[:, :2])
     assert abs(response[0, 0]) < 0.2  # a height reference at 0.01 rad/s is followed to a fifth at most
 
 
-def test_appendix_b_and_the_flight_model_give_one_design(
-    appendix_b: ModuleType, controller: FlightController
-) -> None:
+def test_appendix_b_and_the_flight_model_give_one_design(appendix_b: ModuleType, controller: FlightController) -> None:
     linear = appendix_b.linear()
-    heave_yaw = design_heave_yaw(linear.heave_yaw, Settings(), 0.005)
-    roll_pitch = design_roll_pitch(linear.roll_pitch, Settings(), 0.005)
+    heave_yaw = design_heave_yaw(linear.heave_yaw, DesignSettings(), 0.005)
+    roll_pitch = design_roll_pitch(linear.roll_pitch, DesignSettings(), 0.005)
     assert heave_yaw.gamma == pytest.approx(controller.heave_yaw.gamma, rel=1e-3)
     assert roll_pitch.gamma == pytest.approx(controller.roll_pitch.gamma, rel=1e-3)
-    assert heave_yaw.full_loop.crossovers == pytest.approx(
-        controller.heave_yaw.full_loop.crossovers, rel=1e-2
-    )
+    assert heave_yaw.full_loop.crossovers == pytest.approx(controller.heave_yaw.full_loop.crossovers, rel=1e-2)
 
 
 def test_plant_crossovers(controller: FlightController) -> None:
@@ -195,11 +189,9 @@ def test_plant_crossovers(controller: FlightController) -> None:
 
 
 @pytest.mark.parametrize("voltage", [6.0, 6.4, 7.6, 8.4])
-def test_any_voltage_gives_the_same_loop(
-    vehicle: Vehicle, controller: FlightController, voltage: float
-) -> None:
+def test_any_voltage_gives_the_same_loop(vehicle: Vehicle, controller: FlightController, voltage: float) -> None:
     """The scaling follows the motors' authority, so the scaled plant hardly changes."""
-    d = design(vehicle, voltage=voltage).heave_yaw
+    d = design_flight_controller(vehicle, voltage=voltage).heave_yaw
     assert d.full_loop.crossovers == pytest.approx(controller.heave_yaw.full_loop.crossovers, rel=0.02)
     assert d.sampled_loop.sensitivity_peak_dB < 4.0
     if voltage == 6.4:  # the one of the thesis's linear model
@@ -207,11 +199,11 @@ def test_any_voltage_gives_the_same_loop(
 
 
 def test_the_80_gram_prototype() -> None:
-    c = design(mufly.load_vehicle("mufly-2.0"))
+    c = design_flight_controller(mufly.load_vehicle("mufly-2.0"))
     assert c.heave_yaw.sampled_loop.sensitivity_peak_dB < 4.0
     assert c.roll_pitch.sampled_loop.sensitivity_peak_dB < 4.5
     assert c.cascade.sensitivity_peak_dB < 3.5
-    assert c.warnings == ()
+    assert c.design_warnings == ()
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -233,8 +225,8 @@ def test_parameters_off_by_up_to_30_per_cent(appendix_b: ModuleType, seed: int) 
         "l_dw",
     )
     linear = appendix_b.linear(appendix_b.scaled(**{name: rng.uniform(0.7, 1.3) for name in names}))
-    heave_yaw = design_heave_yaw(linear.heave_yaw, Settings(), 0.005)
-    roll_pitch = design_roll_pitch(linear.roll_pitch, Settings(), 0.005)
+    heave_yaw = design_heave_yaw(linear.heave_yaw, DesignSettings(), 0.005)
+    roll_pitch = design_roll_pitch(linear.roll_pitch, DesignSettings(), 0.005)
     for d, most in ((heave_yaw, 10), (roll_pitch, 8)):
         assert d.norm <= d.gamma * (1 + 1e-6)
         assert d.reduced.nstates <= most
@@ -248,8 +240,8 @@ def test_the_design_holds_a_vehicle_that_is_not_the_one_designed_for(
     appendix_b: ModuleType, controller: FlightController, seed: int
 ) -> None:
     """Ten per cent on every parameter: still stable, with margin."""
-    from mufly.control import analyse, sample_plant
-    from mufly.control.linear import feedback_part
+    from mufly.control import analyse_loop, sample_plant
+    from mufly.control.linear_systems import feedback_part
 
     rng = np.random.default_rng(seed)
     names = (
@@ -270,45 +262,43 @@ def test_the_design_holds_a_vehicle_that_is_not_the_one_designed_for(
     )
     linear = appendix_b.linear(appendix_b.scaled(**{name: rng.uniform(0.9, 1.1) for name in names}))
     for d, plant in ((controller.heave_yaw, linear.heave_yaw), (controller.roll_pitch, linear.roll_pitch)):
-        K = feedback_part(d.discrete.system(), plant, d.feedback_inputs)
-        loop = analyse(sample_plant(plant, controller.period_s, 1), K)
+        K = feedback_part(d.discrete.to_state_space(), plant, d.feedback_inputs)
+        loop = analyse_loop(sample_plant(plant, controller.period_s, 1), K)
         assert loop.stable
         assert loop.sensitivity_peak_dB < 6.0
 
 
 def test_impossible_requests_are_named(vehicle: Vehicle) -> None:
     with pytest.raises(InputError, match=r"rate_Hz: 5 Hz is out of range; give 20 to 5000 Hz"):
-        design(vehicle, rate_Hz=5)
+        design_flight_controller(vehicle, rate_Hz=5)
     for volts in (-1.0, 5.9, 8.5, 1000.0, float("nan")):
         with pytest.raises(InputError, match=rf"voltage: {volts:g} V is out of .*give 6 V \(.*\) to 8\.4 V"):
-            design(vehicle, voltage=volts)
+            design_flight_controller(vehicle, voltage=volts)
     for rate in (19.0, 5001.0, float("nan")):
         with pytest.raises(InputError, match="rate_Hz"):
-            design(vehicle, rate_Hz=rate)
+            design_flight_controller(vehicle, rate_Hz=rate)
 
 
-def test_a_rate_that_loses_the_loop_says_which_and_why(
-    vehicle: Vehicle, controller: FlightController
-) -> None:
+def test_a_rate_that_loses_the_loop_says_which_and_why(vehicle: Vehicle, controller: FlightController) -> None:
     holds = 1e3 * controller.roll_pitch.reduced_loop.delay_margin_s  # whatever the rate
     with pytest.raises(
         MuflyError,
         match=r"roll-pitch design.*not at 40 Hz with one sample of delay "
         rf"\(delay margin {holds:.1f} ms\); raise the rate",
     ):
-        design(vehicle, rate_Hz=40)
+        design_flight_controller(vehicle, rate_Hz=40)
 
 
 def test_a_rate_that_hurts_the_loop_is_warned_of(vehicle: Vehicle) -> None:
     """Its sensitivity peaks at 6.26 dB, and the warning is of peaks above 6."""
-    (warning,) = design(vehicle, rate_Hz=125).warnings
+    (warning,) = design_flight_controller(vehicle, rate_Hz=125).design_warnings
     assert warning.startswith("roll-pitch: sampled at 125 Hz")
     assert "peak at 6.3 dB" in warning
 
 
 def test_a_weight_at_fault_is_named(vehicle: Vehicle) -> None:
-    plant = linearise(vehicle).heave_yaw
-    faulty = Settings(heave_yaw_weights=TwoDegreeWeights(control=TransferFunction((0.0,)), auxiliary=0.0))
+    plant = linearise_vehicle(vehicle).heave_yaw
+    faulty = DesignSettings(heave_yaw_weights=TwoDegreeWeights(control=TransferFunction((0.0,)), auxiliary=0.0))
     with pytest.raises(MuflyError, match=r"heave-yaw design.*D12.*motor"):
         design_heave_yaw(plant, faulty, 0.005)
 

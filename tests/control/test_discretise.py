@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.control import FlightController, analyse, discretise, frequency_response, sample_plant
-from mufly.control.linear import feedback_part, state_space
+from mufly.control import (
+    FlightController,
+    analyse_loop,
+    discretise_controller,
+    frequency_response,
+    sample_plant,
+)
+from mufly.control.linear_systems import feedback_part, state_space
 from mufly.errors import MuflyError
 
 
@@ -31,11 +37,14 @@ def random_system(seed: int, n: int = 5):
 def test_bilinear_rule(seed: int, period: float) -> None:
     """H_d(e^jwT) = H(j 2/T tan(wT/2)): exact at zero, warped above."""
     system = random_system(seed)
-    d = discretise(system, np.zeros((5, 2)), period)
+    d = discretise_controller(system, np.zeros((5, 2)), period)
     frequency = np.array([0.0, 0.3, 3.0, 0.9 * np.pi / period])
     warped = 2 / period * np.tan(frequency * period / 2)
     np.testing.assert_allclose(
-        frequency_response(d.system(), frequency), frequency_response(system, warped), rtol=1e-6, atol=1e-8
+        frequency_response(d.to_state_space(), frequency),
+        frequency_response(system, warped),
+        rtol=1e-6,
+        atol=1e-8,
     )
     assert np.abs(np.linalg.eigvals(d.A)).max() < 1
 
@@ -49,9 +58,9 @@ def test_equal_modes_fall_back_to_a_schur_form() -> None:
         inputs=["e"],
         outputs=["u"],
     )
-    d = discretise(chain, np.zeros((3, 1)), 0.01)
+    d = discretise_controller(chain, np.zeros((3, 1)), 0.01)
     assert d.form == "schur"
-    assert frequency_response(d.system(), np.array([0.0]))[0, 0, 0].real == pytest.approx(
+    assert frequency_response(d.to_state_space(), np.array([0.0]))[0, 0, 0].real == pytest.approx(
         frequency_response(chain, np.array([0.0]))[0, 0, 0].real
     )
 
@@ -59,7 +68,7 @@ def test_equal_modes_fall_back_to_a_schur_form() -> None:
 def test_the_observers_anti_windup_is_the_continuous_one() -> None:
     """While saturated it runs as A - M C, which forgets as fast as in continuous time."""
     system, actuation = random_system(4), np.full((5, 2), 0.05)
-    d = discretise(system, actuation, 1e-3)
+    d = discretise_controller(system, actuation, 1e-3)
     assert d.anti_windup == "observer"
     held = np.log(np.linalg.eigvals(d.A - d.M @ d.C)) / 1e-3
     wanted = np.linalg.eigvals(system.A - actuation @ system.C)
@@ -70,12 +79,12 @@ def test_a_mode_that_the_rule_cannot_step_through_is_named() -> None:
     A = np.diag([400.0, -1.0])
     system = state_space(A, np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), inputs=["e"], outputs=["u"])
     with pytest.raises(MuflyError, match="mode at 400 rad/s; choose another rate"):
-        discretise(system, np.zeros((2, 1)), 0.005)
+        discretise_controller(system, np.zeros((2, 1)), 0.005)
 
 
 def test_an_unstable_anti_windup_is_replaced() -> None:
     system = random_system(3)
-    d = discretise(system, -50 * np.ones((5, 2)), 0.01)
+    d = discretise_controller(system, -50 * np.ones((5, 2)), 0.01)
     assert d.anti_windup == "kalman"
     assert np.abs(np.linalg.eigvals(d.A - d.M @ d.C)).max() < 1
 
@@ -92,18 +101,18 @@ def test_integrators_follow_the_actuators_and_nothing_else_does() -> None:
         inputs=["a", "b", "c"],
         outputs=["d", "e"],
     )
-    d = discretise(system, np.zeros((7, 2)), 0.01, windup_rate=50.0)
+    d = discretise_controller(system, np.zeros((7, 2)), 0.01, windup_rate=50.0)
     assert d.anti_windup == "integrators"
     free, held = (np.sort_complex(np.linalg.eigvals(X)) for X in (d.A, d.A - d.M @ d.C))
     followed = np.isclose(free, np.exp(-0.01 * 0.01), atol=1e-9)
     wanted = np.sort_complex(np.append(free[~followed], [np.exp(-0.5)] * 2))
     np.testing.assert_allclose(held, wanted, atol=1e-6)
-    assert discretise(system, np.zeros((7, 2)), 0.01, windup_rate=0.005).anti_windup != "integrators"
+    assert discretise_controller(system, np.zeros((7, 2)), 0.01, windup_rate=0.005).anti_windup != "integrators"
 
 
 def test_impossible_periods() -> None:
     with pytest.raises(MuflyError, match="period"):
-        discretise(random_system(0), np.zeros((5, 2)), -0.01)
+        discretise_controller(random_system(0), np.zeros((5, 2)), -0.01)
 
 
 def test_designs_are_modal_and_stable_when_saturated(controller: FlightController) -> None:
@@ -146,7 +155,7 @@ def test_modal_coefficients_survive_16_bits(controller: FlightController, name: 
         outputs=c.outputs,
         dt=c.period_s,
     )
-    loop = analyse(sample_plant(d.plant, c.period_s, 1), feedback_part(coarse, d.plant, d.feedback_inputs))
+    loop = analyse_loop(sample_plant(d.plant, c.period_s, 1), feedback_part(coarse, d.plant, d.feedback_inputs))
     assert loop.stable
     assert loop.sensitivity_peak_dB == pytest.approx(d.sampled_loop.sensitivity_peak_dB, abs=0.1)
     assert loop.complementary_peak_dB == pytest.approx(d.sampled_loop.complementary_peak_dB, abs=0.1)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from mufly.control import FlightController
-from mufly.dynamics import advance, initial_state, model_parameters, standing_height
+from mufly.dynamics import initial_state, integrate_state, model_parameters, standing_height
 from mufly.vehicle import Vehicle
-from mufly.vehicle import replace as altered
+from mufly.vehicle import replace_parameters as altered
 
 
 def smooth(t: float, duration: float) -> tuple[float, float, float]:
@@ -26,9 +26,7 @@ def smooth(t: float, duration: float) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize("charge", [1.0, 0.5, 0.2])
-def test_heave_step(
-    vehicle: Vehicle, controller: FlightController, closed_loop: ModuleType, charge: float
-) -> None:
+def test_heave_step(vehicle: Vehicle, controller: FlightController, closed_loop: ModuleType, charge: float) -> None:
     """Fig 6.10: half a metre up. Settled to 2 % within 2.5 s, overshoot below 1 %, yaw below 0.02 rad, no rail."""
     up = closed_loop.Reference(position=(0.0, 0.0, -1.5))
     flight = closed_loop.fly(vehicle, controller, lambda t: up, 5.0, charge=charge)
@@ -69,9 +67,7 @@ def test_yaw_step(vehicle: Vehicle, controller: FlightController, closed_loop: M
     assert np.abs(flight.position[:, 2] + 1).max() < 0.01
 
 
-def test_pitch_reference_is_followed(
-    vehicle: Vehicle, controller: FlightController, closed_loop: ModuleType
-) -> None:
+def test_pitch_reference_is_followed(vehicle: Vehicle, controller: FlightController, closed_loop: ModuleType) -> None:
     """Fig 6.12: ramps and plateaus of about 0.1 rad. The servos' use is that without drag of the rotors: at the 5 m/s
     that it ends with, that takes them nearly whole."""
     times, angles = (0, 1, 1.5, 3, 3.5, 4.5, 6, 6.5, 10), (0, 0, -0.1, -0.1, -0.05, -0.12, -0.12, 0, 0)
@@ -124,9 +120,7 @@ def test_a_tilt_that_rails_the_servos_ends_like_a_small_one(
     assert saturated.min() > linear.min() - 0.03
 
 
-def test_anti_windup_of_heave(
-    vehicle: Vehicle, controller: FlightController, closed_loop: ModuleType
-) -> None:
+def test_anti_windup_of_heave(vehicle: Vehicle, controller: FlightController, closed_loop: ModuleType) -> None:
     """A raw step, past the reference filter, rails the motors; without it, it overshoots by as much again."""
     overshoot = []
     for share, railed in ((1.0, 0.1), (0.0, 0.5)):
@@ -199,7 +193,7 @@ def test_take_off_from_the_ground(
     """Engaged while standing, with the motors turning or still; then a climb of a metre in four seconds."""
     p = model_parameters(vehicle)
     x = initial_state(position=(0.0, 0.0, -standing_height(vehicle)))
-    advance(x, np.array([*motors, 0.0, 0.0]), np.zeros(3), p, 1e-3, 2000)
+    integrate_state(x, np.array([*motors, 0.0, 0.0]), np.zeros(3), p, 1e-3, 2000)
     ground = float(x[2])
 
     def climb(t: float):

@@ -12,14 +12,12 @@ from hypothesis import strategies as st
 from scipy import linalg
 
 from mufly.control import close_loop, hinf_norm, hinfsyn, singular_values
-from mufly.control.linear import state_space
+from mufly.control.linear_systems import state_space
 from mufly.errors import InputError, MuflyError
 
 
 def plant(A, B1, B2, C1, C2, D11, D12, D21, D22=None, states=None):
-    A, B1, B2, C1, C2, D11, D12, D21 = (
-        np.atleast_2d(np.asarray(M, float)) for M in (A, B1, B2, C1, C2, D11, D12, D21)
-    )
+    A, B1, B2, C1, C2, D11, D12, D21 = (np.atleast_2d(np.asarray(M, float)) for M in (A, B1, B2, C1, C2, D11, D12, D21))
     D22 = np.zeros((C2.shape[0], B2.shape[1])) if D22 is None else np.atleast_2d(D22)
     return state_space(
         A,
@@ -55,9 +53,7 @@ def test_scalar_problem_has_its_closed_form(a: float, coupling: float) -> None:
 
 @given(st.integers(1, 5), st.integers(1, 2), st.integers(1, 2), st.integers(0, 10_000))
 @settings(max_examples=30, deadline=None)
-def test_normalised_coprime_factors_have_glover_and_mcfarlanes_optimum(
-    n: int, nu: int, ny: int, seed: int
-) -> None:
+def test_normalised_coprime_factors_have_glover_and_mcfarlanes_optimum(n: int, nu: int, ny: int, seed: int) -> None:
     """gamma = sqrt(1 + rho(X Z)), with X, Z of the LQR and the filter (McFarlane and Glover 1990); D11 is not zero."""
     rng = np.random.default_rng(seed)
     A, B, C = rng.normal(size=(n, n)), rng.normal(size=(n, nu)), rng.normal(size=(ny, n))
@@ -141,9 +137,7 @@ UNITS = st.floats(-12.0, 12.0).map(lambda e: 10.0**e)
 @example(0, 1.0, 1e12, 1.0, 1.0, 1.0, 0.0)
 @example(1, 1e12, 1e12, 1e-12, 1e12, 1e-12, 4.0)
 @settings(max_examples=25, deadline=None)
-def test_no_unit_enters(
-    seed: int, w: float, z: float, u: float, y: float, rate: float, spread: float
-) -> None:
+def test_no_unit_enters(seed: int, w: float, z: float, u: float, y: float, rate: float, spread: float) -> None:
     """Other units of signals, states (and their order) and time: the level follows, and so does the controller."""
     rng = np.random.default_rng(seed)
     n = 4
@@ -162,9 +156,7 @@ def test_no_unit_enters(
     assert other.gamma_optimal == pytest.approx(w * z * one.gamma_optimal, rel=1e-4)
     # The controller in the units of P (u = factor of its unit, time too) keeps the level of P.
     K = other.controller
-    back = state_space(
-        K.A / rate, K.B * y / rate, K.C * u, K.D * u * y, inputs=K.input_labels, outputs=K.output_labels
-    )
+    back = state_space(K.A / rate, K.B * y / rate, K.C * u, K.D * u * y, inputs=K.input_labels, outputs=K.output_labels)
     assert hinf_norm(close_loop(P, back))[0] <= 1.11 * one.gamma_optimal
     assert hinf_norm(other.closed_loop)[0] == pytest.approx(other.norm, rel=1e-5)
     # What an anti-windup needs: with the control taken out, the plant's copy is an observer, so it does not grow.
@@ -207,9 +199,7 @@ class TestFaultsAreNamed:
             np.diag([0.5, -1.0]), np.ones((2, 2)), [[1], [1]], np.eye(2), [[0, 1]], np.zeros((2, 2)), [[0], [1]],
             [[0, 1]], states=["heat", "speed"],
         )  # fmt: skip
-        with pytest.raises(
-            MuflyError, match=r"not detectable from y0: mode 0.5 rad/s \(mainly state 'heat'\)"
-        ):
+        with pytest.raises(MuflyError, match=r"not detectable from y0: mode 0.5 rad/s \(mainly state 'heat'\)"):
             hinfsyn(P, 1, 1)
 
     def test_control_without_weight(self) -> None:
@@ -249,9 +239,7 @@ class TestFaultsAreNamed:
             hinfsyn(bad, 1, 1)
 
     def test_no_level_below_the_limit(self) -> None:
-        with pytest.raises(
-            MuflyError, match="no controller found with gamma below 2; the weights contradict"
-        ):
+        with pytest.raises(MuflyError, match="no controller found with gamma below 2; the weights contradict"):
             hinfsyn(scalar(3.0), 1, 1, gamma_max=2.0)
         # The limit is in the plant's units, and is tried itself.
         assert hinfsyn(scaled_by(scalar(3.0), 1e9), 1, 1, gamma_max=6.4e9).gamma_optimal < 6.4e9
@@ -282,9 +270,7 @@ class TestFaultsAreNamed:
             np.vstack([np.eye(2), np.zeros((1, 2))]), [[sight, 1]], np.zeros((3, 3)), [[0], [0], [1]], [[0, 0, 1]],
             states=["heat", "speed"],
         )  # fmt: skip
-        with pytest.raises(
-            MuflyError, match=r"mode 0.7 rad/s \(mainly state 'heat'\) can hardly be held"
-        ) as told:
+        with pytest.raises(MuflyError, match=r"mode 0.7 rad/s \(mainly state 'heat'\) can hardly be held") as told:
             hinfsyn(P, 1, 1, gamma_max=1e6)
         of_u, of_y = re.search(r"by u0 is (\S+), its sight from y0 (\S+) \(", str(told.value)).groups()
         assert float(of_u) == pytest.approx(reach, rel=0.8)
@@ -301,12 +287,8 @@ class TestFaultsAreNamed:
 
 
 def scaled_by(P, w: float):
-    return state_space(
-        P.A, P.B * [w, w, 1], P.C, P.D * [w, w, 1], inputs=P.input_labels, outputs=P.output_labels
-    )
+    return state_space(P.A, P.B * [w, w, 1], P.C, P.D * [w, w, 1], inputs=P.input_labels, outputs=P.output_labels)
 
 
 def test_a_tolerance_of_zero_ends_at_rounding() -> None:
-    assert hinfsyn(scalar(1.0), 1, 1, gamma_tolerance=0.0).gamma_optimal == pytest.approx(
-        1 + np.sqrt(3), rel=1e-7
-    )
+    assert hinfsyn(scalar(1.0), 1, 1, gamma_tolerance=0.0).gamma_optimal == pytest.approx(1 + np.sqrt(3), rel=1e-7)

@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from mufly.control import (
     FlightController,
-    heave_wait,
-    heave_yaw_initial,
+    heave_yaw_init,
     heave_yaw_step,
-    position_initial,
+    limit_heave_reference,
+    position_init,
     position_step,
-    roll_pitch_initial,
+    roll_pitch_init,
     roll_pitch_step,
 )
-from mufly.control.law import ROLL_PITCH_GAINS, SHAPED_W, SHAPED_Z, pack
+from mufly.control.law import FILTERED_W, FILTERED_Z, ROLL_PITCH_GAINS, pack_gains
 from mufly.errors import MuflyError
 
 INPUT = st.floats(0.0, 1.0)
@@ -28,7 +28,7 @@ INPUT = st.floats(0.0, 1.0)
 def test_engages_without_a_bump(upper, lower, volts, z, psi, r):
     g = CONTROLLER.heave_yaw_gains
     measured = np.array([z, psi, r])
-    state = heave_yaw_initial(g, measured, np.array([upper, lower]), volts)
+    state = heave_yaw_init(g, measured, np.array([upper, lower]), volts)
     motor, _ = heave_yaw_step(g, state, np.array([z, psi, 0.0, 0.0]), measured, volts)
     np.testing.assert_allclose(motor, [upper, lower], atol=2e-3)
 
@@ -38,7 +38,7 @@ def test_engages_without_a_bump(upper, lower, volts, z, psi, r):
 def test_outputs_stay_in_their_ranges_and_yaw_goes_first(dz, dpsi, r, volts, seed):
     g = CONTROLLER.heave_yaw_gains
     rng = np.random.default_rng(seed)
-    state = heave_yaw_initial(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
+    state = heave_yaw_init(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
     state[:10] += rng.normal(size=10)
     motor, new = heave_yaw_step(g, state, np.array([dz, dpsi, 0.0, 0.0]), np.array([-dz, -dpsi, r]), volts)
     assert np.all(motor >= 0.0)
@@ -60,7 +60,7 @@ def test_rounding_takes_no_input_out_of_its_range(controller: FlightController) 
     extremes = []
     for _ in range(3000):
         volts = rng.uniform(5.5, 8.4)
-        state = heave_yaw_initial(g, np.zeros(3), np.array([0.67, 0.73]), volts)
+        state = heave_yaw_init(g, np.zeros(3), np.array([0.67, 0.73]), volts)
         state[:10] += rng.normal(size=10)
         motor, _ = heave_yaw_step(g, state, np.zeros(4), rng.normal(size=3), volts)
         extremes.append((motor.min(), motor.max()))
@@ -71,7 +71,7 @@ def test_rounding_takes_no_input_out_of_its_range(controller: FlightController) 
 
 def test_arguments_are_left_alone(controller: FlightController) -> None:
     g = controller.heave_yaw_gains
-    state = heave_yaw_initial(g, np.zeros(3), np.array([0.6, 0.6]), 7.0)
+    state = heave_yaw_init(g, np.zeros(3), np.array([0.6, 0.6]), 7.0)
     reference, measured, before = np.ones(4), np.zeros(3), state.copy()
     heave_yaw_step(g, state, reference, measured, 7.0)
     np.testing.assert_array_equal(state, before)
@@ -83,7 +83,7 @@ def test_heave_yaw_does_not_see_where_it_started(controller: FlightController) -
     g = controller.heave_yaw_gains
     runs = []
     for z, psi in ((0.0, 0.0), (-7.0, 40.0)):
-        state = heave_yaw_initial(g, np.array([z, psi, 0.0]), np.array([0.67, 0.73]), 7.2)
+        state = heave_yaw_init(g, np.array([z, psi, 0.0]), np.array([0.67, 0.73]), 7.2)
         outputs = []
         for k in range(50):
             motor, state = heave_yaw_step(
@@ -103,7 +103,7 @@ def test_the_motors_get_the_same_voltage_from_any_battery(controller: FlightCont
     voltages = []
     for volts in (7.0, 7.6):
         inputs = controller.motor_trim * controller.voltage_V / volts
-        state = heave_yaw_initial(g, np.zeros(3), inputs, volts)
+        state = heave_yaw_init(g, np.zeros(3), inputs, volts)
         for _ in range(20):
             motor, state = heave_yaw_step(g, state, np.array([-0.05, 0.0, 0, 0]), np.zeros(3), volts)
         voltages.append(motor * volts)
@@ -112,7 +112,7 @@ def test_the_motors_get_the_same_voltage_from_any_battery(controller: FlightCont
 
 def test_a_broken_voltage_sensor_does_not_cut_the_motors(controller: FlightController) -> None:
     g = controller.heave_yaw_gains
-    state = heave_yaw_initial(g, np.zeros(3), controller.motor_trim, controller.voltage_V)
+    state = heave_yaw_init(g, np.zeros(3), controller.motor_trim, controller.voltage_V)
     for _ in range(200):
         motor, state = heave_yaw_step(g, state, np.zeros(4), np.zeros(3), 0.0)
     assert np.all(motor > 0.5)
@@ -124,7 +124,7 @@ def test_a_broken_voltage_sensor_does_not_cut_the_motors(controller: FlightContr
 def test_reference_filter_arrives_without_overshoot_within_its_limits(dz, dpsi):
     g = CONTROLLER.heave_yaw_gains
     T, a, v = float(g["period"]), float(g["heave_acceleration"]), float(g["heave_speed"])
-    state = heave_yaw_initial(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
+    state = heave_yaw_init(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
     rows = []
     for _ in range(int(14 / T)):
         _, state = heave_yaw_step(g, state, np.array([dz, dpsi, 0.0, 0.0]), state[[10, 12, 13]], 7.2)
@@ -140,7 +140,7 @@ def test_reference_filter_arrives_without_overshoot_within_its_limits(dz, dpsi):
 def test_reference_filter_follows_a_reference_that_brings_its_rate(controller: FlightController) -> None:
     g = controller.heave_yaw_gains
     T = float(g["period"])
-    state = heave_yaw_initial(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
+    state = heave_yaw_init(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
     peak = 0.4  # m/s2
     worst = 0.0
     for k in range(int(6 / T)):
@@ -161,17 +161,17 @@ def test_a_reference_that_waits_does_not_cut_the_motors(
     """
     g = controller.heave_yaw_gains
     period = float(g["period"])
-    state = heave_yaw_initial(g, np.zeros(3), np.array([0.85, 0.93]), 6.5)
+    state = heave_yaw_init(g, np.zeros(3), np.array([0.85, 0.93]), 6.5)
     inputs, gaps = [], []
     for k in range(800):
         z = -climb * k * period
-        state = heave_wait(g, state, z)
-        gaps.append(abs(z - state[SHAPED_Z]))
+        state = limit_heave_reference(g, state, z)
+        gaps.append(abs(z - state[FILTERED_Z]))
         reference = np.array([-asked * k * period, 0.0, -asked, 0.0])
         motor, state = heave_yaw_step(g, state, reference, np.array([z, 0.0, 0.0]), 6.5)
         inputs.append(motor)
     assert max(gaps) < float(g["heave_slack"])
-    assert state[SHAPED_W] == pytest.approx(-climb, abs=0.02)  # it follows, as fast as the vehicle climbs
+    assert state[FILTERED_W] == pytest.approx(-climb, abs=0.02)  # it follows, as fast as the vehicle climbs
     flown = np.array(inputs)[100:]
     assert np.abs(np.diff(flown, axis=0)).max() < 0.1
     assert flown.min() > least
@@ -180,18 +180,18 @@ def test_a_reference_that_waits_does_not_cut_the_motors(
 def test_a_vehicle_that_is_blown_away_finds_its_reference_at_the_slack(controller: FlightController) -> None:
     g = controller.heave_yaw_gains
     slack = float(g["heave_slack"])
-    state = heave_yaw_initial(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
+    state = heave_yaw_init(g, np.zeros(3), np.array([0.67, 0.73]), 7.2)
     for z in (0.5 * slack, -0.5 * slack):  # a reference at rest may stay where it is
-        assert np.array_equal(heave_wait(g, state, z), state)
+        assert np.array_equal(limit_heave_reference(g, state, z), state)
     for z in (2.0, -2.0):
-        blown = heave_wait(g, state, z)
-        assert abs(z - blown[SHAPED_Z]) == pytest.approx(slack)
-        assert blown[SHAPED_W] == 0.0
+        blown = limit_heave_reference(g, state, z)
+        assert abs(z - blown[FILTERED_Z]) == pytest.approx(slack)
+        assert blown[FILTERED_W] == 0.0
         # The way to the vehicle is free, the way from it only as fast as it brakes.
         towards = state.copy()
-        towards[SHAPED_W] = np.copysign(0.5, z)
-        assert heave_wait(g, towards, z)[SHAPED_W] == towards[SHAPED_W]
-        braked = heave_wait(g, np.where(np.arange(len(state)) == SHAPED_W, -towards, state), z)[SHAPED_W]
+        towards[FILTERED_W] = np.copysign(0.5, z)
+        assert limit_heave_reference(g, towards, z)[FILTERED_W] == towards[FILTERED_W]
+        braked = limit_heave_reference(g, np.where(np.arange(len(state)) == FILTERED_W, -towards, state), z)[FILTERED_W]
         brake = 2.0 * float(g["heave_acceleration"]) * float(g["period"])
         assert abs(braked) == pytest.approx(0.5 - brake)
 
@@ -204,7 +204,7 @@ def test_position_cascade_turns_with_the_world(angle: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    one, other = position_initial(g), position_initial(g)
+    one, other = position_init(g), position_init(g)
     for _ in range(8):
         vectors = [rng.normal(size=3) * 0.3 for _ in range(5)]
         heading = rng.uniform(-3, 3)
@@ -217,24 +217,22 @@ def test_position_cascade_turns_with_the_world(angle: float, seed: int) -> None:
 def test_signs_of_the_cascade(controller: FlightController) -> None:
     """North of here: nose down. East of here: roll right. At heading east, north is to the left."""
     g, zero = controller.position_gains, np.zeros(3)
-    north, _ = position_step(g, position_initial(g), np.array([1.0, 0, 0]), zero, zero, zero, zero, 0.0)
-    east, _ = position_step(g, position_initial(g), np.array([0, 1.0, 0]), zero, zero, zero, zero, 0.0)
-    turned, _ = position_step(
-        g, position_initial(g), np.array([1.0, 0, 0]), zero, zero, zero, zero, np.pi / 2
-    )
+    north, _ = position_step(g, position_init(g), np.array([1.0, 0, 0]), zero, zero, zero, zero, 0.0)
+    east, _ = position_step(g, position_init(g), np.array([0, 1.0, 0]), zero, zero, zero, zero, 0.0)
+    turned, _ = position_step(g, position_init(g), np.array([1.0, 0, 0]), zero, zero, zero, zero, np.pi / 2)
     assert north[1] < 0
     assert abs(north[0]) < 1e-6
     assert east[0] > 0
     assert abs(east[1]) < 1e-6
     assert turned[0] < 0
     assert abs(turned[1]) < 1e-6
-    forward, _ = position_step(g, position_initial(g), zero, zero, np.array([1.0, 0, 0]), zero, zero, 0.0)
+    forward, _ = position_step(g, position_init(g), zero, zero, np.array([1.0, 0, 0]), zero, zero, 0.0)
     assert forward[1] == pytest.approx(-1.0 / 9.81)
 
 
 def test_servos_stop_at_their_limits_on_the_right_side(controller: FlightController) -> None:
     g = controller.roll_pitch_gains
-    state = roll_pitch_initial(g, np.zeros(4))
+    state = roll_pitch_init(g, np.zeros(4))
     for _ in range(400):
         servo, state = roll_pitch_step(g, state, np.array([0.3, -0.3]), np.zeros(4))
         assert np.all(np.abs(servo) <= 1.0)
@@ -252,9 +250,7 @@ def test_what_the_servos_did_not_do_goes_back_to_the_controller(controller: Flig
     wanted = g["C"] @ state + g["D"] @ e + g["trim"]
     assert np.abs(wanted).max() > 1.0
     excess = servo - wanted
-    np.testing.assert_allclose(
-        new, state + g["F"] @ state + g["B"] @ e + g["M"] @ excess, rtol=1e-9, atol=1e-12
-    )
+    np.testing.assert_allclose(new, state + g["F"] @ state + g["B"] @ e + g["M"] @ excess, rtol=1e-9, atol=1e-12)
     assert np.abs(g["M"] @ excess).max() > 1e-3
 
 
@@ -276,7 +272,7 @@ def test_padding_changes_nothing(controller: FlightController) -> None:
     c = controller.roll_pitch.discrete
     g = controller.roll_pitch_gains
     rng = np.random.default_rng(1)
-    x, state = np.zeros(c.order), roll_pitch_initial(g, np.zeros(4))
+    x, state = np.zeros(c.order), roll_pitch_init(g, np.zeros(4))
     for _ in range(30):
         m = rng.normal(size=4) * 1e-3
         u = c.C @ x - c.D @ m
@@ -287,7 +283,7 @@ def test_padding_changes_nothing(controller: FlightController) -> None:
 
 def test_a_controller_too_large_for_its_record(controller: FlightController) -> None:
     with pytest.raises(MuflyError, match="does not fit"):
-        pack(ROLL_PITCH_GAINS, controller.heave_yaw.discrete)
+        pack_gains(ROLL_PITCH_GAINS, controller.heave_yaw.discrete)
 
 
 CONTROLLER: FlightController

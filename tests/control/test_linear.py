@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.control import connect, frequency_response, hinf_norm, singular_values
-from mufly.control.linear import _closed_poles, altered, is_stable_loop, state_space
+from mufly.control import connect_blocks, frequency_response, hinf_norm, singular_values
+from mufly.control.linear_systems import _closed_poles, is_stable_loop, replace_matrices, state_space
 from mufly.errors import MuflyError
 
 
@@ -39,9 +39,7 @@ def test_norm_is_not_below_a_dense_grid_and_is_attained(n: int, inputs: int, out
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(n, n))
     A -= (np.linalg.eigvals(A).real.max() + 0.1) * np.eye(n)
-    system = ct.ss(
-        A, rng.normal(size=(n, inputs)), rng.normal(size=(outputs, n)), rng.normal(size=(outputs, inputs))
-    )
+    system = ct.ss(A, rng.normal(size=(n, inputs)), rng.normal(size=(outputs, n)), rng.normal(size=(outputs, inputs)))
     norm, where = hinf_norm(system)
     grid = singular_values(system, np.geomspace(1e-4, 1e4, 3000))[:, 0].max()
     assert norm >= grid * (1 - 1e-5)
@@ -54,7 +52,7 @@ def test_connect_closes_a_loop_as_feedback_does(through: float) -> None:
     A, B, C, _ = ct.ssdata(ct.ss(ct.tf([2, 1, 3], [1, 3, 5, 4])))
     G = state_space(A, B, C, np.array([[through]]), inputs=["u"], outputs=["y"])
     K = state_space(*ct.ssdata(ct.ss(ct.tf([2, 1], [1, 5]))), inputs=["e"], outputs=["v"])
-    loop = connect(
+    loop = connect_blocks(
         [G, K], {"u": {"v": 1.0}, "e": {"r": 1.0, "y": -1.0}, "s": {"r": 1.0, "y": -1.0}}, ["r"], ["y", "s"]
     )
     frequency = np.geomspace(1e-2, 1e2, 30)
@@ -64,20 +62,16 @@ def test_connect_closes_a_loop_as_feedback_does(through: float) -> None:
     np.testing.assert_allclose(response[:, 1, 0], 1 / (1 + L), rtol=1e-9)
     # Whether such a loop is stable is asked without closing the diagram.
     for factor in (1.0, -1.0):
-        turned = altered(K, C=factor * K.C, D=factor * K.D)
-        closed = connect([G, turned], {"u": {"v": 1.0}, "e": {"y": -1.0}}, ["r"], ["y"])
+        turned = replace_matrices(K, C=factor * K.C, D=factor * K.D)
+        closed = connect_blocks([G, turned], {"u": {"v": 1.0}, "e": {"y": -1.0}}, ["r"], ["y"])
         poles = np.linalg.eigvals(closed.A)
         assert is_stable_loop(G, turned) == (poles.real.max() < 0.0)
-        np.testing.assert_allclose(
-            np.sort_complex(_closed_poles(G, turned)), np.sort_complex(poles), atol=1e-8
-        )
+        np.testing.assert_allclose(np.sort_complex(_closed_poles(G, turned)), np.sort_complex(poles), atol=1e-8)
 
 
 def test_connect_names_an_unknown_signal_and_a_singular_loop() -> None:
-    gain = state_space(
-        np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), inputs=["a"], outputs=["b"]
-    )
+    gain = state_space(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), inputs=["a"], outputs=["b"])
     with pytest.raises(MuflyError, match="unknown signal 'c'"):
-        connect([gain], {"a": {"c": 1.0}}, ["r"], ["b"])
+        connect_blocks([gain], {"a": {"c": 1.0}}, ["r"], ["b"])
     with pytest.raises(MuflyError, match="algebraic loop"):
-        connect([gain], {"a": {"b": 1.0, "r": 1.0}}, ["r"], ["b"])
+        connect_blocks([gain], {"a": {"b": 1.0, "r": 1.0}}, ["r"], ["b"])

@@ -10,7 +10,7 @@ import pytest
 
 from mufly.control import (
     OneDegreeWeights,
-    Scaling,
+    SignalScaling,
     TransferFunction,
     TwoDegreeWeights,
     close_loop,
@@ -18,8 +18,13 @@ from mufly.control import (
     one_degree_plant,
     two_degree_plant,
 )
-from mufly.control.linear import state_space
-from mufly.control.schemes import ROLL_PITCH_WEIGHTS, VELOCITY_WEIGHTS, scale_plant, unscale_controller
+from mufly.control.linear_systems import state_space
+from mufly.control.weighting_schemes import (
+    ROLL_PITCH_WEIGHTS,
+    VELOCITY_WEIGHTS,
+    scale_plant,
+    unscale_controller,
+)
 from mufly.errors import MuflyError
 
 FREQUENCY = np.geomspace(1e-2, 1e2, 15)
@@ -88,7 +93,7 @@ def test_weights_are_those_of_equation_6_4(name: str, printed) -> None:
     """As printed; W_r without its factor 1e-4."""
     weight = getattr(TwoDegreeWeights(), name)
     for frequency in (1e-5, 0.3, 7.0, 60.0, 1e5):
-        assert weight.gain(frequency) == pytest.approx(abs(printed(1j * frequency)), rel=1e-12)
+        assert weight.magnitude_at(frequency) == pytest.approx(abs(printed(1j * frequency)), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +107,7 @@ def test_weights_are_those_of_equation_6_4(name: str, printed) -> None:
 )
 def test_weights_of_ours_do_what_docs_control_says(weight, low: float, high: float, one: float) -> None:
     """W_v asks for rejection up to ``one`` (rad/s) and no more beyond; W_r bounds T_e by 2, and by 1 near ``one``."""
-    assert weight.gain(1e-6) == pytest.approx(low, rel=1e-3)
+    assert weight.magnitude_at(1e-6) == pytest.approx(low, rel=1e-3)
     assert weight.gain(1e7) == pytest.approx(high, rel=1e-3)
     assert weight.gain(one) == pytest.approx(1.0, rel=0.12)
 
@@ -121,9 +126,7 @@ def test_one_degree_of_freedom_is_equation_6_5(appendix_b: ModuleType) -> None:
     T = frequency_response(close_loop(P, K), FREQUENCY)
     g, k = frequency_response(G, FREQUENCY), frequency_response(K, FREQUENCY)
     S = np.linalg.inv(np.eye(2) + k @ g)
-    wu, wv, wr, wy = (
-        value(x)[:, None, None] for x in (w.control, w.input_disturbance, w.output_noise, w.output)
-    )
+    wu, wv, wr, wy = (value(x)[:, None, None] for x in (w.control, w.input_disturbance, w.output_noise, w.output))
     share = np.diag([1, 1, 0.5, 0.5])
     np.testing.assert_allclose(T[:, :2, :2], -wu * S @ k @ g * wv, rtol=1e-7, atol=1e-10)
     np.testing.assert_allclose(T[:, :2, 2:], wu * S @ k * wr, rtol=1e-7, atol=1e-10)
@@ -134,10 +137,8 @@ def test_one_degree_of_freedom_is_equation_6_5(appendix_b: ModuleType) -> None:
 def test_scaling_and_its_inverse_leave_the_loop_alone(appendix_b: ModuleType) -> None:
     G = appendix_b.linear().heave_yaw
     # With a way straight through.
-    G = state_space(
-        G.A, G.B, G.C, np.arange(6.0).reshape(3, 2), inputs=G.input_labels, outputs=G.output_labels
-    )
-    scaling = Scaling((0.5, 2.0, 10.0), (0.3, 0.2))
+    G = state_space(G.A, G.B, G.C, np.arange(6.0).reshape(3, 2), inputs=G.input_labels, outputs=G.output_labels)
+    scaling = SignalScaling((0.5, 2.0, 10.0), (0.3, 0.2))
     K = random_controller(3, 2, 3)
     physical = unscale_controller(K, np.array(scaling.outputs), np.array(scaling.inputs))
     scaled_loop = frequency_response(K, FREQUENCY) @ frequency_response(scale_plant(G, scaling), FREQUENCY)
@@ -147,8 +148,8 @@ def test_scaling_and_its_inverse_leave_the_loop_alone(appendix_b: ModuleType) ->
 
 
 def test_a_pure_gain_is_that_gain() -> None:
-    block = TransferFunction((3.0,)).block("k", "a", "b")
-    assert TransferFunction((3.0,)).gain(5.0) == 3.0
+    block = TransferFunction((3.0,)).to_block("k", "a", "b")
+    assert TransferFunction((3.0,)).magnitude_at(5.0) == 3.0
     assert (block.nstates, block.D[0, 0]) == (0, 3.0)
 
 
@@ -161,6 +162,6 @@ def test_faults_are_named(appendix_b: ModuleType) -> None:
     with pytest.raises(MuflyError, match=r"W_dbar.*right half plane or on the axis"):
         two_degree_plant(G, ["z"], TwoDegreeWeights(input_disturbance=TransferFunction((1.0,), (1.0, 0.0))))
     with pytest.raises(MuflyError, match="2 output and 2 input scales"):
-        scale_plant(G, Scaling((1.0, 1.0), (1.0, 1.0)))
+        scale_plant(G, SignalScaling((1.0, 1.0), (1.0, 1.0)))
     with pytest.raises(MuflyError, match="positive"):
-        scale_plant(G, Scaling((1.0, 1.0, -1.0), (1.0, 1.0)))
+        scale_plant(G, SignalScaling((1.0, 1.0, -1.0), (1.0, 1.0)))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.drive import interpolate, terminal_voltage
+from mufly.drive import interpolate_table, terminal_voltage
 
 
 @given(
@@ -15,7 +15,7 @@ from mufly.drive import interpolate, terminal_voltage
 def test_interpolation_is_linear_and_holds_its_ends(table, fraction) -> None:
     values = np.array(table)
     expected = np.interp(fraction, np.linspace(0, 1, len(values)), values)
-    assert interpolate(values, fraction) == pytest.approx(expected, abs=1e-9)
+    assert interpolate_table(values, fraction) == pytest.approx(expected, abs=1e-9)
 
 
 def test_no_load_no_sag() -> None:

@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 import tomli_w
 
-from mufly.drive import builtin_drives, coefficient_load, drive_toml, load_drive, operating_point
+from mufly.drive import (
+    drive_to_toml,
+    find_operating_point,
+    list_builtin_drives,
+    load_drive,
+    make_coefficient_load,
+)
 from mufly.errors import InputError
-from mufly.vehicle import builtin_maps, load_vehicle, vehicle_toml
+from mufly.vehicle import builtin_coefficient_maps, format_vehicle_toml, load_vehicle
 
 
 def q(value, unit, source="datasheet"):
@@ -16,7 +22,7 @@ def q(value, unit, source="datasheet"):
 
 
 def tables():
-    whole = tomllib.loads(drive_toml(load_drive("mufly")))
+    whole = tomllib.loads(drive_to_toml(load_drive("mufly")))
     del whole["motor"]
     whole["datasheet"] = {
         "speed_constant": q(2000, "rpm/V"),
@@ -35,25 +41,25 @@ def written(tmp_path, content):
 
 
 def test_built_in_drives_load() -> None:
-    for name in builtin_drives():
+    for name in list_builtin_drives():
         assert load_drive(name).rotors == 2
 
 
 def test_vehicle_file_gives_its_drive(tmp_path) -> None:
     path = tmp_path / "v.toml"
-    path.write_text(vehicle_toml(load_vehicle("mufly-2.0")), encoding="utf-8")
+    path.write_text(format_vehicle_toml(load_vehicle("mufly-2.0")), encoding="utf-8")
     assert load_drive(path) == load_drive("mufly-2.0")
 
 
 def test_round_trip(tmp_path) -> None:
     drive = load_drive(written(tmp_path, tables()))
-    again = load_drive(written(tmp_path, tomllib.loads(drive_toml(drive))))
+    again = load_drive(written(tmp_path, tomllib.loads(drive_to_toml(drive))))
     assert again == drive
 
 
 def test_data_sheet_motor_does_what_its_sheet_says(tmp_path) -> None:
     drive = load_drive(written(tmp_path, tables()))
-    c = drive.constants(gear_ratio=1.0, gear_efficiency=1.0)
+    c = drive.motor_constants(gear_ratio=1.0, gear_efficiency=1.0)
     assert 60 / (2 * np.pi * c.back_emf_V_s) == pytest.approx(2000)
     assert c.torque_Nm_A == c.back_emf_V_s
     assert c.resistance_ohm == pytest.approx(0.13)
@@ -61,8 +67,8 @@ def test_data_sheet_motor_does_what_its_sheet_says(tmp_path) -> None:
     # Free at 8 V behind the motor's own 0.12 ohm: 0.6 A.
     speed = (8 - 0.12 * 0.6) / c.back_emf_V_s
     assert c.friction_Nm_s * speed == pytest.approx(c.torque_Nm_A * 0.6)
-    almost_free = coefficient_load(1e-9, 1e-9, radius_m=0.05)
-    point = operating_point(drive, almost_free, motor_voltage_V=8 + 0.01 * 0.6, supply_V=9.0, gear_ratio=1.0)
+    almost_free = make_coefficient_load(1e-9, 1e-9, radius_m=0.05)
+    point = find_operating_point(drive, almost_free, motor_voltage_V=8 + 0.01 * 0.6, supply_V=9.0, gear_ratio=1.0)
     assert point.motor_current_A == pytest.approx(0.6, rel=1e-3)
     assert point.motor_speed_rad_s == pytest.approx(speed, rel=1e-3)
 
@@ -94,6 +100,6 @@ def test_unknown_drive_is_named() -> None:
 
 
 def test_a_vehicle_file_that_names_a_map_gives_its_drive(tmp_path) -> None:
-    content = tomllib.loads(vehicle_toml(load_vehicle("mufly-1.1")))
-    content["rotors"]["coefficient_map"] = builtin_maps()[0]
+    content = tomllib.loads(format_vehicle_toml(load_vehicle("mufly-1.1")))
+    content["rotors"]["coefficient_map"] = builtin_coefficient_maps()[0]
     assert load_drive(written(tmp_path, content)) == load_drive("mufly-1.1")

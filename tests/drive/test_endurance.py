@@ -6,23 +6,23 @@ from scipy.integrate import solve_ivp
 
 from mufly.drive import (
     battery_voltage,
-    coefficient_load,
-    drive_of,
+    drive_of_vehicle,
+    find_operating_point,
     hover_endurance,
     load_drive,
-    operating_point,
+    make_coefficient_load,
     terminal_voltage,
 )
 from mufly.dynamics import hover_performance
 from mufly.errors import MuflyError
-from mufly.vehicle import load_vehicle, replace
+from mufly.vehicle import load_vehicle, replace_parameters
 
 VEHICLE = load_vehicle("mufly-1.1")
 BATTERY = VEHICLE.battery
 
 
 def test_constant_voltage_lasts_as_long_as_charge_over_current() -> None:
-    flat = replace(VEHICLE, {"battery.model": "constant"}).battery
+    flat = replace_parameters(VEHICLE, {"battery.model": "constant"}).battery
     e = hover_endurance(flat, power_W=14.4, motor_voltage_V=5.0)
     assert e.time_s == pytest.approx(900.0 / (14.4 / 7.2 + 0.4), rel=1e-12)
     assert e.ends_by == "empty"
@@ -62,7 +62,7 @@ def test_more_power_never_lasts_longer() -> None:
 
 
 def test_breakdown_ends_a_hover_without_any_voltage_limit() -> None:
-    free = replace(VEHICLE, {"battery.low_voltage": 0.5}).battery
+    free = replace_parameters(VEHICLE, {"battery.low_voltage": 0.5}).battery
     power = 35.0
     e = hover_endurance(free, power_W=power, motor_voltage_V=0.1)
     assert e.ends_by == "breakdown"
@@ -77,15 +77,15 @@ def test_too_much_power_is_refused() -> None:
 
 
 def test_agrees_with_the_flight_models_hover() -> None:
-    flown, drive = hover_performance(VEHICLE), drive_of(VEHICLE)
+    flown, drive = hover_performance(VEHICLE), drive_of_vehicle(VEHICLE)
     power, voltage = 0.0, 0.0
     for thrust, rotor in zip(flown.thrust_N, (VEHICLE.rotors.upper, VEHICLE.rotors.lower), strict=True):
-        load = coefficient_load(
+        load = make_coefficient_load(
             float(rotor.thrust_coefficient),
             float(rotor.torque_coefficient),
             radius_m=float(VEHICLE.rotors.radius),
         )
-        p = operating_point(drive, load, thrust_N=thrust)
+        p = find_operating_point(drive, load, thrust_N=thrust)
         power, voltage = power + float(p.input_power_W), max(voltage, float(p.motor_voltage_V))
     e = hover_endurance(BATTERY, power_W=power, motor_voltage_V=voltage)
     # There the end is looked for on 21 charges and rounded up to one of them.
@@ -102,4 +102,4 @@ def test_constant_power_and_given_duty_see_the_same_terminal_voltage() -> None:
 
 
 def test_drive_of_a_vehicle_is_the_built_in_one() -> None:
-    assert load_drive("mufly") == drive_of(VEHICLE)
+    assert load_drive("mufly") == drive_of_vehicle(VEHICLE)

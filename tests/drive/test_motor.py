@@ -29,9 +29,7 @@ def test_steady_speed_solves_the_quadratic(duty, drag, gear) -> None:
 def test_acceleration_is_eq_4_29() -> None:
     speed, torque, current = 376.0, 0.0068, 1.6
     expected = (KM * current / GEAR - DR * speed - torque / (GEAR**2 * ETA)) / J
-    assert rotor_acceleration(current, speed, torque, KM, DR, 0.0, GEAR, ETA, J) == pytest.approx(
-        expected, rel=1e-14
-    )
+    assert rotor_acceleration(current, speed, torque, KM, DR, 0.0, GEAR, ETA, J) == pytest.approx(expected, rel=1e-14)
     rubbing = [rotor_acceleration(0.0, w, 0.0, KM, 0.0, MF, GEAR, ETA, J) for w in (speed, 3.0, 0.0, -3.0)]
     assert rubbing == pytest.approx(np.array([-1, -1, 0, 1]) * MF / (GEAR * J), rel=1e-12)
 
@@ -40,6 +38,4 @@ def test_in_shaft_terms_the_gear_trades_speed_for_torque() -> None:
     # Times i^2 it is the rotor's own balance: i^2 J dW/dt = i kM I - i^2 dR W - Q / eta.
     speed, torque, current = 300.0, 0.005, 1.2
     rotor = (GEAR * KM * current - GEAR**2 * DR * speed - torque / ETA) / (GEAR**2 * J)
-    assert rotor_acceleration(current, speed, torque, KM, DR, 0.0, GEAR, ETA, J) == pytest.approx(
-        rotor, rel=1e-12
-    )
+    assert rotor_acceleration(current, speed, torque, KM, DR, 0.0, GEAR, ETA, J) == pytest.approx(rotor, rel=1e-12)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.drive.operating import rising_root
+from mufly.drive.operating_point import find_rising_root
 
 
 @given(
@@ -20,21 +20,21 @@ def test_powers_are_solved_from_any_guess(root, power, guess) -> None:
         calls.append(case.size)
         return x**power - wanted[case] ** power
 
-    found, good = rising_root(f, np.full(wanted.size, guess), lowest=0.1, highest=1e5)
+    found, good = find_rising_root(f, np.full(wanted.size, guess), lowest=0.1, highest=1e5)
     assert good.all()
     np.testing.assert_allclose(found, wanted, rtol=1e-10)
     assert len(calls) < 80
 
 
 def test_a_step_is_enclosed() -> None:
-    found, good = rising_root(lambda x, case: np.where(x > 37.0, 5.0, -1.0), [900.0], lowest=1.0, highest=1e4)
+    found, good = find_rising_root(lambda x, case: np.where(x > 37.0, 5.0, -1.0), [900.0], lowest=1.0, highest=1e4)
     assert good[0]
     np.testing.assert_allclose(found, 37.0, rtol=1e-10)
 
 
 def test_no_root_is_said_and_does_not_spoil_the_others() -> None:
     shift = np.array([10.0, 1e9, -5.0, np.nan])
-    found, good = rising_root(lambda x, case: x - shift[case], np.full(4, 50.0), lowest=1.0, highest=1e3)
+    found, good = find_rising_root(lambda x, case: x - shift[case], np.full(4, 50.0), lowest=1.0, highest=1e3)
     assert good.tolist() == [True, False, False, False]
     assert np.isnan(found[1:]).all()
     np.testing.assert_allclose(found[0], 10.0)
@@ -47,5 +47,5 @@ def test_done_cases_are_not_evaluated_again() -> None:
         seen[case] += 1
         return np.where(case == 0, x - 20.0, np.sign(x - 21.0) * np.abs(x - 21.0) ** 0.2)
 
-    rising_root(f, [20.0, 20.0], lowest=1.0, highest=1e3)
+    find_rising_root(f, [20.0, 20.0], lowest=1.0, highest=1e3)
     assert seen[0] < 5 < seen[1]

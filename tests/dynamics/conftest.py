@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mufly.vehicle import Vehicle, load_vehicle, replace
+from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 
 NO_AIR = {
     "body.drag_area_x": 0.0,
@@ -22,13 +22,13 @@ def vehicle() -> Vehicle:
 @pytest.fixture(scope="session")
 def published(vehicle: Vehicle) -> Vehicle:
     """muFly as the thesis models it: without drag of its rotors in their planes."""
-    return replace(vehicle, {"rotors.inplane_drag": 0.0})
+    return replace_parameters(vehicle, {"rotors.inplane_drag": 0.0})
 
 
 @pytest.fixture(scope="session")
 def vacuum(vehicle: Vehicle) -> Vehicle:
     """muFly without drag on fuselage and in the rotors' planes."""
-    return replace(vehicle, NO_AIR)
+    return replace_parameters(vehicle, NO_AIR)
 
 
 @pytest.fixture(scope="session")

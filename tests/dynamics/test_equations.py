@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from mufly.dynamics import GRAVITY, derivative, model_parameters, rotation
+from mufly.dynamics import GRAVITY, body_to_ned_matrix, model_parameters, state_derivative
 
 X, Y, Z = np.eye(3)
 
@@ -24,7 +24,7 @@ def transcription(vehicle, x, u, wind, voltage):
     f = float
     body, up, dw, motor = vehicle.body, vehicle.rotors.upper, vehicle.rotors.lower, vehicle.motor
     rho, R = f(vehicle.air.density), f(vehicle.rotors.radius)
-    A = rotation(x[6:10])
+    A = body_to_ned_matrix(x[6:10])
     rates, inertia = x[10:13], np.diag([f(body.inertia_xx), f(body.inertia_yy), f(body.inertia_zz)])
 
     def thrust(rotor, speed):
@@ -82,14 +82,14 @@ def test_right_hand_side(vehicle, random_state, seed) -> None:
     x, wind = random_state(rng), rng.normal(size=3)
     u = np.append(rng.uniform(0, 1, size=2), rng.uniform(-1, 1, size=2))
     p, dx = model_parameters(vehicle, 6.9), np.empty(21)
-    derivative(x, u, wind, p, dx)
+    state_derivative(x, u, wind, p, dx)
     expected = transcription(vehicle, x, u, wind, 6.9)
 
     assert_allclose(dx[0:3], x[3:6])
     assert_allclose(dx[3:6], expected["velocity"], rtol=1e-10, atol=1e-10)
     # The matrix turns as A W~ does: compare by a central difference of the quaternion.
     h = 1e-6
-    turned = (rotation(x[6:10] + h * dx[6:10]) - rotation(x[6:10] - h * dx[6:10])) / (2 * h)
+    turned = (body_to_ned_matrix(x[6:10] + h * dx[6:10]) - body_to_ned_matrix(x[6:10] - h * dx[6:10])) / (2 * h)
     assert_allclose(turned, expected["attitude"], atol=1e-7)
     assert_allclose(dx[10:13], expected["rates"], rtol=1e-9, atol=1e-7)
     assert_allclose(dx[13:15], expected["tilt"], rtol=1e-9, atol=1e-9)

@@ -10,18 +10,18 @@ from numpy.testing import assert_allclose
 
 from mufly.dynamics import (
     GRAVITY,
-    advance,
+    body_to_ned_matrix,
     euler_from_quaternion,
+    find_trim,
     initial_state,
+    integrate_state,
     lowest_point,
     model_parameters,
-    rotation,
-    simulate,
+    simulate_open_loop,
     standing_height,
-    trim,
 )
-from mufly.dynamics.model import contact_wrench
-from mufly.vehicle import replace
+from mufly.dynamics.equations_of_motion import contact_wrench
+from mufly.vehicle import replace_parameters
 
 CALM = np.zeros(3)
 NO_INPUT = np.zeros(4)
@@ -34,7 +34,7 @@ def p(vehicle):
 
 def energy(x, p):
     """Kinetic, potential and elastic energy (J)."""
-    a = rotation(x[6:10])
+    a = body_to_ned_matrix(x[6:10])
     inertia = np.array([p["Ixx"], p["Iyy"], p["Izz"]])
     depth = x[2] + p["contact_points"][: p["contact_count"]] @ a[2]
     return (
@@ -49,7 +49,7 @@ def history(x, p, duration, step=1e-3, u=NO_INPUT, wind=CALM):
     states = [x.copy()]
     y = x.copy()
     for _ in range(round(duration / step)):
-        advance(y, u, wind, p, step, 1)
+        integrate_state(y, u, wind, p, step, 1)
         states.append(y.copy())
     return np.array(states)
 
@@ -59,7 +59,7 @@ def test_it_stands_still(vehicle, p) -> None:
     assert h == pytest.approx(0.070 - 0.095 * GRAVITY / (4 * 150), rel=1e-12)
     x = initial_state(position=(0.3, -0.2, -h), attitude=(0, 0, 1.0))
     y = x.copy()
-    advance(y, NO_INPUT, CALM, p, 1e-3, 60_000)
+    integrate_state(y, NO_INPUT, CALM, p, 1e-3, 60_000)
     assert_allclose(y[0:3], x[0:3], atol=1e-6)  # a minute; 1 mm is asked for
     assert np.max(np.abs(y[3:6])) < 1e-9
 
@@ -69,7 +69,7 @@ def test_creep_in_wind_is_what_the_smoothing_says(vehicle, p, wind, creep_mm_per
     # v_slip F / (mu N) for a push F far below mu N.
     push = p["drag_x"] * wind**2
     x = initial_state(position=(0, 0, -standing_height(vehicle)))
-    advance(x, NO_INPUT, np.array([wind, 0, 0]), p, 1e-3, 20_000)
+    integrate_state(x, NO_INPUT, np.array([wind, 0, 0]), p, 1e-3, 20_000)
     expected = p["slip_speed"] * push / (p["leg_friction"] * p["mass"] * GRAVITY)
     assert x[3] == pytest.approx(expected, rel=0.01)
     assert x[0] * 3e3 < creep_mm_per_min
@@ -89,7 +89,7 @@ def test_drop_from_5_cm_settles_and_loses_energy(vehicle, p) -> None:
 
 def test_a_slide_stops_after_v_squared_over_2_mu_g(vehicle) -> None:
     # Coulomb's law; the last centimetres per second are smoothed. Little friction, so that it does not rock.
-    v = replace(vehicle, {"contact.slip_speed": 1e-3, "contact.friction": 0.2, "body.drag_area_x": 0.0})
+    v = replace_parameters(vehicle, {"contact.slip_speed": 1e-3, "contact.friction": 0.2, "body.drag_area_x": 0.0})
     x = initial_state(position=(0, 0, -standing_height(v)), velocity=(1.0, 0, 0))
     states = history(x, model_parameters(v), 2.0)
     assert states[-1, 0] == pytest.approx(1.0 / (2 * 0.2 * GRAVITY), rel=0.01)
@@ -112,12 +112,10 @@ def test_friction_stays_in_its_cone_and_opposes_motion(p, random_state, seed) ->
 
 @pytest.mark.parametrize("speed", [0.3, 0.01])
 def test_wrench_of_four_legs_by_hand(vehicle, speed) -> None:
-    p = model_parameters(replace(vehicle, {"contact.slip_speed": 0.04}))
+    p = model_parameters(replace_parameters(vehicle, {"contact.slip_speed": 0.04}))
     x = initial_state(position=(0, 0, -0.069), velocity=(speed, 0, 0.1))
     normal = 4 * (150 * 0.001 + 1.9 * 0.1)
-    bound = (
-        4 * 2000 * 2.66e-5 / (4 * 2 * 0.045**2)
-    )  # 13.1 N s/m, so that yaw on the legs is no faster than 2000 1/s
+    bound = 4 * 2000 * 2.66e-5 / (4 * 2 * 0.045**2)  # 13.1 N s/m, so that yaw on the legs is no faster than 2000 1/s
     rub = min(0.6 * normal / math.hypot(speed, 0.04), bound) * speed
     f_n, f_e, f_d, m_x, m_y, m_z = contact_wrench(x, p)
     assert_allclose((f_n, f_e, f_d), (-rub, 0, -normal), atol=1e-12)
@@ -133,14 +131,14 @@ def test_tilted_it_rights_or_tips_over_and_comes_to_rest(vehicle, p, roll_deg) -
     assert np.max(np.diff(energies)) < 1e-5 * energies[0]
     assert np.max(np.abs(states[-1, 3:6])) < 1e-6
     assert np.max(np.abs(states[-1, 10:13])) < 1e-4
-    tilt = math.degrees(math.acos(rotation(states[-1, 6:10])[2, 2]))
+    tilt = math.degrees(math.acos(body_to_ned_matrix(states[-1, 6:10])[2, 2]))
     depth, _ = lowest_point(states[-1], p)
     assert 0 < depth < 0.005
     if roll_deg == 20:
         assert tilt < 0.01
     elif roll_deg < 150:
         assert 60 < tilt < 90  # on two legs and the rim of the upper rotor
-        depths = states[-1, 2] + p["contact_points"][: p["contact_count"]] @ rotation(states[-1, 6:10])[2]
+        depths = states[-1, 2] + p["contact_points"][: p["contact_count"]] @ body_to_ned_matrix(states[-1, 6:10])[2]
         assert set(np.flatnonzero(depths > 0)) & set(range(4))
         assert set(np.flatnonzero(depths > 0)) & set(range(4, 12))
     else:
@@ -167,11 +165,11 @@ def test_a_hard_landing_does_not_turn_the_nose(p, vehicle) -> None:
 
 
 def test_take_off_open_loop(vehicle) -> None:
-    h, t = standing_height(vehicle), trim(vehicle)
+    h, t = standing_height(vehicle), find_trim(vehicle)
     x = initial_state(position=(0, 0, -h))
-    light = simulate(vehicle, x, t.input * 0.9, duration_s=4.0, voltage=7.2)
+    light = simulate_open_loop(vehicle, x, t.input * 0.9, duration_s=4.0, voltage=7.2)
     assert float(light.truth_position[-1, 2]) == pytest.approx(-0.0696, abs=5e-4)  # lighter on its legs
-    up = simulate(vehicle, x, t.input * 1.1, duration_s=4.0, voltage=7.2)
+    up = simulate_open_loop(vehicle, x, t.input * 1.1, duration_s=4.0, voltage=7.2)
     height = -up.truth_position.values[:, 2]
     assert height[-1] > 0.5
     assert np.max(np.abs(up.truth_attitude.values[:, 0:2])) < 1e-6
@@ -179,10 +177,10 @@ def test_take_off_open_loop(vehicle) -> None:
 
 
 def test_thrust_down_to_the_floor_and_rotors_off(vehicle) -> None:
-    h, t = standing_height(vehicle), trim(vehicle)
+    h, t = standing_height(vehicle), find_trim(vehicle)
     x = t.state.copy()
     x[2], x[5] = -h - 0.2, 0.3
-    flight = simulate(
+    flight = simulate_open_loop(
         vehicle, x, np.vstack([np.tile(t.input * 0.97, (100, 1)), NO_INPUT]), duration_s=6.0, voltage=7.2
     )
     assert float(flight.truth_position[-1, 2]) == pytest.approx(-h, abs=1e-4)

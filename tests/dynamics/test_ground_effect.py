@@ -4,24 +4,31 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.dynamics import GRAVITY, derivative, initial_state, model_parameters, simulate, trim
-from mufly.vehicle import replace
+from mufly.dynamics import (
+    GRAVITY,
+    find_trim,
+    initial_state,
+    model_parameters,
+    simulate_open_loop,
+    state_derivative,
+)
+from mufly.vehicle import replace_parameters
 
 
 @pytest.fixture(scope="module")
 def near(vehicle):
-    return replace(vehicle, {"rotors.ground_effect": 1.0})
+    return replace_parameters(vehicle, {"rotors.ground_effect": 1.0})
 
 
 def rates(p, x, wind=(0.0, 0.0, 0.0)):
     dx = np.empty(21)
-    derivative(x, np.array([0.7, 0.7, 0.2, -0.1]), np.array(wind), p, dx)
+    state_derivative(x, np.array([0.7, 0.7, 0.2, -0.1]), np.array(wind), p, dx)
     return dx
 
 
 def hovering(vehicle, height, **attitude):
     p = model_parameters(vehicle, 7.2)
-    up, dw = trim(vehicle, voltage=7.2).rotor_speed
+    up, dw = find_trim(vehicle, voltage=7.2).rotor_speed
     x = initial_state(position=(0.0, 0.0, -height), rotor_speed=(up, dw), **attitude)
     x[13:15] = 0.05, -0.03
     return p, x
@@ -58,10 +65,10 @@ def test_it_fades_with_height_and_wind_and_is_held_where_the_image_is_too_near(v
 
 
 def test_a_slow_descent_on_hover_inputs_turns_back_on_its_cushion(vehicle, near) -> None:
-    start, inputs = trim(vehicle, voltage=7.2).state, trim(vehicle, voltage=7.2).input
+    start, inputs = find_trim(vehicle, voltage=7.2).state, find_trim(vehicle, voltage=7.2).input
     start[0:3], start[5] = (0.0, 0.0, -0.3), 0.05  # without a coefficient map nothing else damps heave
     free, cushioned = (
-        simulate(v, start, inputs, duration_s=2.0, voltage=7.2).truth_position.values[:, 2]
+        simulate_open_loop(v, start, inputs, duration_s=2.0, voltage=7.2).truth_position.values[:, 2]
         for v in (vehicle, near)
     )
     assert free[-1] == pytest.approx(-0.2, abs=0.005)

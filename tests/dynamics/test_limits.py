@@ -7,8 +7,16 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from mufly.dynamics import advance, battery_state, derivative, initial_state, model_parameters, simulate, trim
-from mufly.vehicle import replace
+from mufly.dynamics import (
+    battery_state,
+    find_trim,
+    initial_state,
+    integrate_state,
+    model_parameters,
+    simulate_open_loop,
+    state_derivative,
+)
+from mufly.vehicle import replace_parameters
 
 CALM = np.zeros(3)
 seeds = st.integers(0, 2**32 - 1)
@@ -19,7 +27,7 @@ def test_swash_plate_is_a_first_order_lag(vehicle) -> None:
     T = float(vehicle.swash_plate.time_constant)
     full = float(vehicle.swash_plate.linkage) * float(vehicle.swash_plate.max_tilt)
     for k in range(1, 6):
-        advance(x, np.array([0, 0, 0.5, -0.25]), CALM, p, T / 100, 100)
+        integrate_state(x, np.array([0, 0, 0.5, -0.25]), CALM, p, T / 100, 100)
         # Servo 2 rolls: tilt about x. Servo 1 pitches the nose down: negative tilt about y.
         assert x[13] == pytest.approx(-0.25 * full * (1 - np.exp(-k)), rel=1e-8)
         assert x[14] == pytest.approx(-0.5 * full * (1 - np.exp(-k)), rel=1e-8)
@@ -27,7 +35,7 @@ def test_swash_plate_is_a_first_order_lag(vehicle) -> None:
 
 def test_one_motor_step_follows_its_linear_pole(vehicle) -> None:
     # A small step of one input: Omega(t) = b / lambda (exp(lambda t) - 1) with appendix B's lambda.
-    t, p = trim(vehicle), model_parameters(vehicle, 7.2)
+    t, p = find_trim(vehicle), model_parameters(vehicle, 7.2)
     cases = ((0, 18, p["torque_up"], p["J_up"], -1.4778), (1, 19, p["torque_dw"], p["J_dw"], -4.0148))
     for motor, index, torque, inertia, published in cases:
         speed = t.state[index]
@@ -40,7 +48,7 @@ def test_one_motor_step_follows_its_linear_pole(vehicle) -> None:
         x = t.state.copy()
         x[2] = -500.0
         for time in (0.3, 0.6, 0.9):
-            advance(x, u, CALM, p, 1e-3, 300)
+            integrate_state(x, u, CALM, p, 1e-3, 300)
             assert x[index] - speed == pytest.approx(step * gain / pole * (np.exp(pole * time) - 1), rel=1e-4)
 
 
@@ -53,10 +61,8 @@ def test_bar_follows_a_held_mast_as_tan_half_angle(vehicle) -> None:
     mast = initial_state(attitude=(0.2, 0.3, -1))[15:18]
     start = np.tan(np.arccos(mast @ x[15:18]) / 2)
     for k in range(1, 5):
-        advance(x, np.zeros(4), CALM, p, 1e-3, 240)
-        assert np.tan(np.arccos(mast @ x[15:18]) / 2) == pytest.approx(
-            start * np.exp(-k * 0.24 / T), rel=1e-7
-        )
+        integrate_state(x, np.zeros(4), CALM, p, 1e-3, 240)
+        assert np.tan(np.arccos(mast @ x[15:18]) / 2) == pytest.approx(start * np.exp(-k * 0.24 / T), rel=1e-7)
 
 
 def test_unit_vectors_stay_unit(vehicle, random_state) -> None:
@@ -64,17 +70,17 @@ def test_unit_vectors_stay_unit(vehicle, random_state) -> None:
     x[6:10] *= 1.01
     x[15:18] *= 0.99
     for steps in (1, 3000):
-        advance(x, np.array([0.7, 0.7, 0.3, -0.2]), CALM, model_parameters(vehicle), 1e-3, steps)
+        integrate_state(x, np.array([0.7, 0.7, 0.3, -0.2]), CALM, model_parameters(vehicle), 1e-3, steps)
         assert np.linalg.norm(x[6:10]) == pytest.approx(1.0, abs=1e-15)
         assert np.linalg.norm(x[15:18]) == pytest.approx(1.0, abs=1e-15)
 
 
 def test_bar_does_not_turn_with_the_heading(vehicle) -> None:
     # Errata, point 3: eq. 4.22 would let the bar's tilt turn with the fuselage.
-    slow = replace(vehicle, {"stabiliser_bar.time_constant": 1e8})
+    slow = replace_parameters(vehicle, {"stabiliser_bar.time_constant": 1e8})
     x = initial_state(position=(0, 0, -500), bar_attitude=(0.2, 0.0), rates=(0, 0, 6.0))
     before = x[15:18].copy()
-    advance(x, np.zeros(4), CALM, model_parameters(slow), 1e-3, 1000)
+    integrate_state(x, np.zeros(4), CALM, model_parameters(slow), 1e-3, 1000)
     assert_allclose(x[15:18], before, atol=1e-7)
 
 
@@ -84,10 +90,10 @@ def test_power_from_the_battery_is_accounted_for(vehicle, random_state, seed) ->
     # U I = U I_el + sum[R I_A^2 + kE i Omega I_A]  and  kM i Omega I_A = stored + friction + shaft / efficiency.
     # kE > kM in Table 5.3: (kE - kM) i Omega I_A is a loss that the identification lumps there (iron, brushes, PWM).
     rng = np.random.default_rng(seed)
-    rubs = replace(vehicle, {"motor.friction_torque": rng.choice([0.0, 3e-4])})
+    rubs = replace_parameters(vehicle, {"motor.friction_torque": rng.choice([0.0, 3e-4])})
     p, x, u = model_parameters(rubs), random_state(rng), rng.uniform(0, 1, size=4)
     dx = np.empty(21)
-    derivative(x, u, CALM, p, dx)
+    state_derivative(x, u, CALM, p, dx)
     voltage, current = battery_state(x, u[0], u[1], p)
     i, copper, lumped, mechanical = p["gear_ratio"], 0.0, 0.0, 0.0
     for motor, k, torque, inertia in ((0, 18, p["torque_up"], p["J_up"]), (1, 19, p["torque_dw"], p["J_dw"])):
@@ -122,31 +128,31 @@ def test_sagging_voltage_solves_the_circuit(vehicle, random_state, seed) -> None
 def test_constant_voltage_does_not_sag(vehicle) -> None:
     x = initial_state(rotor_speed=(376, 444), charge=0.1)
     assert battery_state(x, 1.0, 1.0, model_parameters(vehicle, 6.4))[0] == pytest.approx(6.4, abs=1e-12)
-    constant = replace(vehicle, {"battery.model": "constant"})
+    constant = replace_parameters(vehicle, {"battery.model": "constant"})
     assert battery_state(x, 1.0, 1.0, model_parameters(constant))[0] == pytest.approx(7.2, abs=1e-12)
 
 
 def test_battery_empties_in_capacity_over_current(vehicle) -> None:
-    p = model_parameters(replace(vehicle, {"battery.capacity": 4.0}))
+    p = model_parameters(replace_parameters(vehicle, {"battery.capacity": 4.0}))
     x = initial_state(position=(0, 0, -5000))
-    advance(x, np.zeros(4), CALM, p, 1e-3, 5000)  # electronics alone: 0.4 A for 5 s of 10 s
+    integrate_state(x, np.zeros(4), CALM, p, 1e-3, 5000)  # electronics alone: 0.4 A for 5 s of 10 s
     assert x[20] == pytest.approx(0.5, abs=1e-12)
-    advance(x, np.zeros(4), CALM, p, 1e-3, 6000)
+    integrate_state(x, np.zeros(4), CALM, p, 1e-3, 6000)
     assert x[20] == 0.0
 
 
 def test_hovering_time_at_constant_voltage(vehicle) -> None:
-    small = replace(vehicle, {"battery.capacity": 20.0})
-    t = trim(small, voltage=7.2)
+    small = replace_parameters(vehicle, {"battery.capacity": 20.0})
+    t = find_trim(small, voltage=7.2)
     x = t.state.copy()
     x[2] = -5.0
-    flight = simulate(small, x, t.input, duration_s=5.0, voltage=7.2)
+    flight = simulate_open_loop(small, x, t.input, duration_s=5.0, voltage=7.2)
     used = 1.0 - float(flight.battery_charge[-1])
     assert used == pytest.approx(t.current_A * 5.0 / 20.0, rel=1e-6)
 
 
 def test_full_input_lifts_about_one_and_a_half_weights(vehicle) -> None:
-    flight = simulate(
+    flight = simulate_open_loop(
         vehicle, initial_state(position=(0, 0, -50)), (1, 1, 0, 0), duration_s=4.0, sample_s=0.1, voltage=7.2
     )
     p = model_parameters(vehicle)
@@ -160,6 +166,6 @@ def test_downwash_needs_thrust(vehicle, vacuum) -> None:
     for speed, push in (((0, 0), 0.0), ((376, 444), 0.009), ((340, 400), 0.009), ((188, 222), 0.009 * 0.504)):
         with_drag, without = np.empty(21), np.empty(21)
         x = initial_state(position=(0, 0, -9), rotor_speed=speed)
-        derivative(x, np.zeros(4), CALM, model_parameters(vehicle), with_drag)
-        derivative(x, np.zeros(4), CALM, model_parameters(vacuum), without)
+        state_derivative(x, np.zeros(4), CALM, model_parameters(vehicle), with_drag)
+        state_derivative(x, np.zeros(4), CALM, model_parameters(vacuum), without)
         assert 0.095 * (with_drag[5] - without[5]) == pytest.approx(push, rel=1e-2, abs=1e-12)

@@ -10,8 +10,15 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from mufly.dynamics import advance, euler_from_quaternion, linearise, model_parameters, rotation, trim
-from mufly.vehicle import load_vehicle, replace
+from mufly.dynamics import (
+    body_to_ned_matrix,
+    euler_from_quaternion,
+    find_trim,
+    integrate_state,
+    linearise_vehicle,
+    model_parameters,
+)
+from mufly.vehicle import load_vehicle, replace_parameters
 
 
 def appendix_b(v, voltage):
@@ -24,9 +31,7 @@ def appendix_b(v, voltage):
     cT_up, cT_dw = f(up.thrust_coefficient), f(dw.thrust_coefficient)
     cQ_up, cQ_dw = f(up.torque_coefficient), f(dw.torque_coefficient)
     J_up, J_dw = f(up.drive_inertia), f(dw.drive_inertia)
-    kE, kM, dR, R = (
-        f(getattr(v.motor, n)) for n in ("back_emf_constant", "torque_constant", "friction", "resistance")
-    )
+    kE, kM, dR, R = (f(getattr(v.motor, n)) for n in ("back_emf_constant", "torque_constant", "friction", "resistance"))
     i, eta = f(v.gear.ratio), f(v.gear.efficiency)
     T_dw, T_up = f(v.swash_plate.time_constant), f(v.stabiliser_bar.time_constant)
     gain, l_up = f(v.swash_plate.linkage) * f(v.swash_plate.max_tilt), f(v.stabiliser_bar.linkage)
@@ -74,8 +79,8 @@ def assert_matrix(found, expected) -> None:
 @pytest.mark.parametrize("name", ["mufly-1.1", "mufly-2.0"])
 @pytest.mark.parametrize("voltage", [7.2, 6.4])
 def test_matrices_are_appendix_b(name, voltage) -> None:
-    v = replace(load_vehicle(name), {"rotors.inplane_drag": 0.0})  # which the thesis does not have
-    linear = linearise(v, voltage=voltage)
+    v = replace_parameters(load_vehicle(name), {"rotors.inplane_drag": 0.0})  # which the thesis does not have
+    linear = linearise_vehicle(v, voltage=voltage)
     A, B, a, c = appendix_b(v, voltage)
     assert_matrix(linear.heave_yaw.A, A)
     assert_matrix(linear.heave_yaw.B, B)
@@ -128,8 +133,8 @@ def test_matrices_are_appendix_b_for_any_vehicle(published, factors, heading) ->
     values = {key: value_of(published, key) * factor for key, factor in factors.items()}
     for rotor in ("upper", "lower"):
         values[f"rotors.{rotor}.reaction_inertia"] = values[f"rotors.{rotor}.drive_inertia"]
-    v, voltage = replace(published, values), 30.0  # any of them hovers at that voltage
-    linear = linearise(v, trim(v, voltage=voltage, heading=heading))
+    v, voltage = replace_parameters(published, values), 30.0  # any of them hovers at that voltage
+    linear = linearise_vehicle(v, find_trim(v, voltage=voltage, heading=heading))
     A, B, a, c = appendix_b(v, voltage)
     assert_matrix(linear.heave_yaw.A, A)
     assert_matrix(linear.heave_yaw.B, B)
@@ -138,7 +143,7 @@ def test_matrices_are_appendix_b_for_any_vehicle(published, factors, heading) ->
 
 
 def test_published_poles(published) -> None:
-    linear = linearise(published)
+    linear = linearise_vehicle(published)
     motors = np.sort(np.diag(linear.heave_yaw.A)[4:])
     assert_allclose(motors, [-4.01, -1.48], atol=0.006)
     assert_allclose(np.sort(linear.heave_yaw.poles().real)[:2], motors, atol=1e-9)
@@ -156,7 +161,7 @@ def test_published_poles(published) -> None:
     [(7.2, 2.9458, 646.72), (6.4, 2.8098, 574.87)],
 )
 def test_crossings_of_the_heave_yaw_plant(vehicle, voltage, low, high) -> None:
-    plant = linearise(vehicle, voltage=voltage).heave_yaw
+    plant = linearise_vehicle(vehicle, voltage=voltage).heave_yaw
 
     def gain(w, k):
         return np.linalg.svd(plant(1j * w), compute_uv=False)[k]
@@ -173,14 +178,14 @@ def test_crossings_of_the_heave_yaw_plant(vehicle, voltage, low, high) -> None:
 
 
 def test_hover_matrices_do_not_depend_on_the_drag_areas(published, vacuum) -> None:
-    with_drag = linearise(published)
+    with_drag = linearise_vehicle(published)
     body = {"body.downwash_drag": 0.009}
-    assert_allclose(with_drag.full.A, linearise(replace(vacuum, body)).full.A, rtol=1e-7, atol=1e-9)
+    assert_allclose(with_drag.full.A, linearise_vehicle(replace_parameters(vacuum, body)).full.A, rtol=1e-7, atol=1e-9)
 
 
 def thesis_state(x, heading):
     """The 19 coordinates of the linear model."""
-    body, (c, s) = rotation(x[6:10]).T, (np.cos(heading), np.sin(heading))
+    body, (c, s) = body_to_ned_matrix(x[6:10]).T, (np.cos(heading), np.sin(heading))
     bar = np.array([c * x[15] + s * x[16], -s * x[15] + c * x[16], x[17]])
     euler = euler_from_quaternion(x[6:10])
     bar_angles = [np.arcsin(bar[1]), np.arctan2(-bar[0], -bar[2])]
@@ -193,9 +198,9 @@ def test_linear_model_predicts_small_motions(vehicle, velocity, charge) -> None:
     # A large battery, because one that runs down is no steady point; in fast flight little drag of the rotors, whose
     # moment would be beyond the swash plate.
     fast = {"rotors.inplane_drag": 5e-4} if velocity[0] > 3.0 else {}
-    large = replace(vehicle, {"battery.capacity": 9e4} | fast)
-    t = trim(large, velocity=velocity, heading=0.8, charge=charge)
-    linear, p = linearise(large, t), model_parameters(large, t.constant_voltage_V)
+    large = replace_parameters(vehicle, {"battery.capacity": 9e4} | fast)
+    t = find_trim(large, velocity=velocity, heading=0.8, charge=charge)
+    linear, p = linearise_vehicle(large, t), model_parameters(large, t.constant_voltage_V)
     du = np.array([2e-7, -1e-7, 3e-7, -2e-7])  # motor upper, lower, servo 1, 2
 
     def fly(u):
@@ -204,7 +209,7 @@ def test_linear_model_predicts_small_motions(vehicle, velocity, charge) -> None:
         for _ in range(61):
             states.append(thesis_state(x, 0.8))
             # Servos move the swash plate at 1000 rad/s, hence the short step.
-            advance(x, u, t.wind, p, 2.5e-4, 40)
+            integrate_state(x, u, t.wind, p, 2.5e-4, 40)
         return np.array(states)
 
     change = fly(t.input + du) - fly(t.input)
@@ -212,15 +217,13 @@ def test_linear_model_predicts_small_motions(vehicle, velocity, charge) -> None:
     response = control.forced_response(linear.full, time, np.tile(du[[1, 0, 2, 3], None], time.size))
     for k, name in enumerate(linear.full.state_labels):
         expected = np.asarray(response.outputs)[k]
-        assert_allclose(
-            change[:, k], expected, rtol=0, atol=2e-13 + 1e-3 * np.max(np.abs(expected)), err_msg=name
-        )
+        assert_allclose(change[:, k], expected, rtol=0, atol=2e-13 + 1e-3 * np.max(np.abs(expected)), err_msg=name)
 
 
 def test_a_sagging_battery_couples_the_rotors(vehicle) -> None:
     # The source resistance acts like more armature resistance: less back-EMF damping, and both rotors couple.
-    stiff = linearise(vehicle, trim(vehicle, voltage=trim(vehicle, charge=0.5).voltage_V)).full
-    sagging = linearise(vehicle, trim(vehicle, charge=0.5)).full
+    stiff = linearise_vehicle(vehicle, find_trim(vehicle, voltage=find_trim(vehicle, charge=0.5).voltage_V)).full
+    sagging = linearise_vehicle(vehicle, find_trim(vehicle, charge=0.5)).full
     names = stiff.state_labels
     i, j = names.index("Omega_up"), names.index("Omega_dw")
     assert stiff.A[i, j] == 0.0

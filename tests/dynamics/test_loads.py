@@ -7,23 +7,23 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mufly.dynamics import (
-    PARAMETERS,
-    advance,
-    advance_batch,
-    derivative,
+    PARAMETER_DTYPE,
+    body_to_ned_matrix,
+    find_trim,
     hover_performance,
     initial_state,
-    linearise,
+    integrate_batch,
+    integrate_state,
+    linearise_vehicle,
     longest_step,
     model_parameters,
-    rotation,
-    simulate,
-    trim,
+    simulate_open_loop,
+    state_derivative,
 )  # fmt: skip
-from mufly.dynamics.model import climb_velocity, coefficient_bounds, inside_map, rotor_loads
+from mufly.dynamics.equations_of_motion import climb_velocity, coefficient_bounds, inside_map, rotor_loads
 from mufly.errors import InputError
-from mufly.vehicle import CoefficientMap, MapTables, load_map, replace
-from mufly.vehicle.coefficient_map import table_text
+from mufly.vehicle import CoefficientMap, MapTables, load_coefficient_map, replace_parameters
+from mufly.vehicle.coefficient_map import format_table
 
 CALM = np.zeros(3)
 NAMES = ("thrust_up", "thrust_dw", "torque_up", "torque_dw")
@@ -34,7 +34,7 @@ def made_map(function, speeds=(250.0, 450.0, 650.0), n=9) -> CoefficientMap:
     axes = (np.array(speeds), np.linspace(0.6, 1.6, n), np.linspace(-0.03, 0.09, n))
     grid = np.meshgrid(*axes, indexing="ij")
     values = [np.broadcast_to(v, grid[0].shape) for v in function(*grid)]
-    table = table_text(MapTables(*axes, *values, np.ones(grid[0].shape, dtype=bool)))
+    table = format_table(MapTables(*axes, *values, np.ones(grid[0].shape, dtype=bool)))
     return CoefficientMap(
         name="made", method="other", upper="a", lower="a", radius_m=0.0875, spacing_m=0.04, upper_pitch_deg=14,
         lower_pitch_deg=14, density_kg_m3=1.2, viscosity_Pa_s=1.81e-5, table=table,
@@ -48,12 +48,12 @@ def with_map(vehicle, coefficients, level="computed"):
 
 @pytest.fixture(scope="module")
 def mapped(vehicle):
-    return replace(vehicle, {"rotors.coefficient_map": "walkera-5g6-bemt"})
+    return replace_parameters(vehicle, {"rotors.coefficient_map": "walkera-5g6-bemt"})
 
 
 @pytest.fixture(scope="module")
 def scaled(mapped):
-    return replace(mapped, {"rotors.map_level": "constants"})
+    return replace_parameters(mapped, {"rotors.map_level": "constants"})
 
 
 def test_a_constant_map_is_the_constants(vehicle, random_state) -> None:
@@ -65,10 +65,10 @@ def test_a_constant_map_is_the_constants(vehicle, random_state) -> None:
     a, b = np.empty(21), np.empty(21)
     for _ in range(20):
         x, u = random_state(rng), rng.uniform(0, 1, size=4)
-        derivative(x, u, CALM, p, a)
-        derivative(x, u, CALM, q, b)
+        state_derivative(x, u, CALM, p, a)
+        state_derivative(x, u, CALM, q, b)
         assert_allclose(b, a, rtol=1e-9, atol=1e-7)
-    assert_allclose(trim(flat).state, trim(vehicle).state, rtol=1e-7, atol=1e-9)
+    assert_allclose(find_trim(flat).state, find_trim(vehicle).state, rtol=1e-7, atol=1e-9)
     assert longest_step(q) == pytest.approx(longest_step(p), rel=1e-9)
 
 
@@ -98,18 +98,18 @@ def test_loads_are_the_coefficients_times_the_squares(vehicle, up, dw, climb, le
 def test_the_equations_use_the_loads(mapped, random_state) -> None:
     # Force along the mast and torque about it, at random states: what rotor_loads says and nothing else.
     none = {"body.downwash_drag": 0.0, "rotors.inplane_drag": 0.0}
-    bare = replace(mapped, {f"body.drag_area_{k}": 0.0 for k in "xyz"} | none)
+    bare = replace_parameters(mapped, {f"body.drag_area_{k}": 0.0 for k in "xyz"} | none)
     p, dx = model_parameters(bare), np.empty(21)
     rng = np.random.default_rng(11)
     for _ in range(20):
         x, wind = random_state(rng), rng.normal(size=3)
         x[13:15] = 0.0
-        x[15:18] = -rotation(x[6:10])[:, 2]
-        derivative(x, np.zeros(4), wind, p, dx)
-        climb = -rotation(x[6:10])[:, 2] @ (x[3:6] - wind)
+        x[15:18] = -body_to_ned_matrix(x[6:10])[:, 2]
+        state_derivative(x, np.zeros(4), wind, p, dx)
+        climb = -body_to_ned_matrix(x[6:10])[:, 2] @ (x[3:6] - wind)
         assert climb_velocity(x, wind) == pytest.approx(climb, abs=1e-12)
         t_up, t_dw, q_up, q_dw = rotor_loads(p, x[18], x[19], climb)
-        along = -rotation(x[6:10])[:, 2] @ (dx[3:6] - [0, 0, 9.81])
+        along = -body_to_ned_matrix(x[6:10])[:, 2] @ (dx[3:6] - [0, 0, 9.81])
         assert 0.095 * along == pytest.approx(t_up + t_dw, rel=1e-9)
         yaw = q_up + p["Jreact_up"] * dx[18] - q_dw - p["Jreact_dw"] * dx[19]
         gyro = (p["Iyy"] - p["Ixx"]) * x[10] * x[11]
@@ -121,7 +121,7 @@ def test_rotors_at_rest_and_turning_slowly_make_finite_loads(mapped) -> None:
     for speeds in ((0, 0), (0, 100), (100, 0), (1e-9, 0), (-1e-6, 1e-6)):
         for velocity in (-20.0, 0.0, 20.0):
             x = initial_state(position=(0, 0, -50), velocity=(0, 0, velocity), rotor_speed=speeds)
-            derivative(x, np.ones(4), CALM, p, dx)
+            state_derivative(x, np.ones(4), CALM, p, dx)
             assert np.all(np.isfinite(dx))
             assert np.all(np.isfinite(rotor_loads(p, *speeds, -velocity)))
     assert_array_equal(rotor_loads(p, 0.0, 0.0, 3.0), 0.0)
@@ -149,29 +149,29 @@ def test_thrust_over_climb_falls_like_figure_4_2(mapped) -> None:
 @pytest.mark.parametrize("name", ["mapped", "scaled"])
 def test_everything_works_with_a_map(name, request, vehicle) -> None:
     v = request.getfixturevalue(name)
-    t, p = trim(v), model_parameters(v)
+    t, p = find_trim(v), model_parameters(v)
     assert t.inside_map
     assert t.thrust_N.sum() == pytest.approx(0.095 * 9.81 + 0.009, rel=1e-7)
     assert t.torque_Nm[0] == pytest.approx(t.torque_Nm[1], rel=1e-7)
-    flight = simulate(v, t.state - np.eye(21)[2] * 5, t.input, duration_s=1.0, voltage=7.2)
+    flight = simulate_open_loop(v, t.state - np.eye(21)[2] * 5, t.input, duration_s=1.0, voltage=7.2)
     assert_allclose(flight.truth_position.values[-1], [0, 0, -5], atol=1e-6)
     h = hover_performance(v)
     assert 1.1 < h.thrust_to_weight_half < 1.8
-    linear = linearise(v).full
+    linear = linearise_vehicle(v).full
     assert np.all(np.isfinite(linear.A))
     assert 1e-3 < longest_step(p) < 4e-3
     if name == "scaled":  # the constants hold at hover
-        assert_allclose(t.rotor_speed, trim(vehicle).rotor_speed, rtol=1e-6)
-        assert_allclose(t.input, trim(vehicle).input, atol=1e-6)
+        assert_allclose(t.rotor_speed, find_trim(vehicle).rotor_speed, rtol=1e-6)
+        assert_allclose(t.input, find_trim(vehicle).input, atol=1e-6)
 
 
 def test_heave_is_damped_and_linearise_sees_the_slopes(mapped, vehicle) -> None:
-    t, p = trim(mapped), model_parameters(mapped, 7.2)
-    heave = linearise(mapped).heave_yaw
+    t, p = find_trim(mapped), model_parameters(mapped, 7.2)
+    heave = linearise_vehicle(mapped).heave_yaw
     w, lower, upper = (heave.state_labels.index(s) for s in ("w", "Omega_dw", "Omega_up"))
     a = heave.A[w, w]
     assert -2.0 < a < -0.2
-    assert abs(linearise(vehicle).heave_yaw.A[w, w]) < 1e-6  # constants know no damping
+    assert abs(linearise_vehicle(vehicle).heave_yaw.A[w, w]) < 1e-6  # constants know no damping
     h = 1e-5  # at the scale of linearise's own steps: the curvature jumps at hover, a point of the map
 
     def thrust(up=0.0, dw=0.0, climb=0.0):
@@ -179,32 +179,28 @@ def test_heave_is_damped_and_linearise_sees_the_slopes(mapped, vehicle) -> None:
 
     # w is positive downwards, so damping is dT/dclimb over the mass; the other two lift against +z.
     assert a == pytest.approx((thrust(climb=h) - thrust(climb=-h)) / (2 * h * 0.095), rel=1e-4)
-    assert heave.A[w, lower] == pytest.approx(
-        -(thrust(dw=400 * h) - thrust(dw=-400 * h)) / (800 * h * 0.095), rel=1e-4
-    )
-    assert heave.A[w, upper] == pytest.approx(
-        -(thrust(up=400 * h) - thrust(up=-400 * h)) / (800 * h * 0.095), rel=1e-4
-    )
+    assert heave.A[w, lower] == pytest.approx(-(thrust(dw=400 * h) - thrust(dw=-400 * h)) / (800 * h * 0.095), rel=1e-4)
+    assert heave.A[w, upper] == pytest.approx(-(thrust(up=400 * h) - thrust(up=-400 * h)) / (800 * h * 0.095), rel=1e-4)
 
 
 def test_a_fast_climb_needs_more_input_than_the_constants_say(scaled, vehicle) -> None:
-    assert_allclose(trim(scaled).motor_input, trim(vehicle).motor_input, atol=1e-6)
-    fast, constant = (trim(v, velocity=(0, 0, -2.0)).motor_input for v in (scaled, vehicle))
+    assert_allclose(find_trim(scaled).motor_input, find_trim(vehicle).motor_input, atol=1e-6)
+    fast, constant = (find_trim(v, velocity=(0, 0, -2.0)).motor_input for v in (scaled, vehicle))
     assert np.all(fast > constant + 0.05)
-    slow, constant = (trim(v, velocity=(0, 0, -0.2)).motor_input for v in (scaled, vehicle))
+    slow, constant = (find_trim(v, velocity=(0, 0, -0.2)).motor_input for v in (scaled, vehicle))
     assert np.all(np.abs(slow - constant) < 0.02)  # Sec. 4.3.1: constants do below 0.5 m/s
 
 
 def test_batch_equals_scalar_with_and_without_maps(mapped, vehicle, random_state) -> None:
     rng = np.random.default_rng(5)
-    p = np.array([model_parameters(v) for v in (mapped, vehicle, mapped, vehicle)], dtype=PARAMETERS)
+    p = np.array([model_parameters(v) for v in (mapped, vehicle, mapped, vehicle)], dtype=PARAMETER_DTYPE)
     x = np.array([random_state(rng) for _ in range(4)])
     u, wind = rng.uniform(0, 1, size=(4, 4)), rng.normal(size=(4, 3))
     together = x.copy()
-    advance_batch(together, u, wind, p, 1e-3, 200)
+    integrate_batch(together, u, wind, p, 1e-3, 200)
     for k in range(4):
         alone = x[k].copy()
-        advance(alone, u[k], wind[k], p[k], 1e-3, 200)
+        integrate_state(alone, u[k], wind[k], p[k], 1e-3, 200)
         assert_array_equal(alone, together[k])
 
 
@@ -230,6 +226,6 @@ def test_a_map_without_lift_at_hover_cannot_be_scaled(vehicle) -> None:
 
 
 def test_the_builtin_map_is_for_the_builtin_rotor() -> None:
-    m = load_map("walkera-5g6-bemt")
+    m = load_coefficient_map("walkera-5g6-bemt")
     assert m.radius_m == pytest.approx(0.0875)
-    assert np.mean(m.tables().solved) > 0.95
+    assert np.mean(m.parse_tables().solved) > 0.95

@@ -6,15 +6,15 @@ from numpy.testing import assert_allclose
 
 from mufly.dynamics import (
     GRAVITY,
-    advance,
-    derivative,
+    body_to_ned_matrix,
+    find_trim,
     initial_state,
+    integrate_state,
     model_parameters,
-    rotation,
-    simulate,
-    trim,
+    simulate_open_loop,
+    state_derivative,
 )
-from mufly.vehicle import replace
+from mufly.vehicle import replace_parameters
 
 STILL_AIR = np.zeros(3)
 NO_INPUT = np.zeros(4)
@@ -22,7 +22,7 @@ NO_INPUT = np.zeros(4)
 
 def fly(x, p, duration, step, u=NO_INPUT):
     y = x.copy()
-    advance(y, np.asarray(u, float), STILL_AIR, p, step, round(duration / step))
+    integrate_state(y, np.asarray(u, float), STILL_AIR, p, step, round(duration / step))
     return y
 
 
@@ -41,7 +41,7 @@ def tumbling(x0_rates=(4.0, 2.5, -7.0)):
 
 def angular_momentum(x, p):
     inertia = np.array([p["Ixx"], p["Iyy"], p["Izz"]])
-    return rotation(x[6:10]) @ (inertia * x[10:13]), 0.5 * np.sum(inertia * x[10:13] ** 2)
+    return body_to_ned_matrix(x[6:10]) @ (inertia * x[10:13]), 0.5 * np.sum(inertia * x[10:13] ** 2)
 
 
 def test_torque_free_tumbling_keeps_angular_momentum_and_energy(vacuum) -> None:
@@ -61,10 +61,8 @@ def test_errors_shrink_with_the_fourth_power_of_the_step(vacuum) -> None:
 
 def test_driven_flight_converges_with_fourth_order_too(vehicle) -> None:
     # With the swash plate slow enough to be resolved by the coarse step.
-    p = model_parameters(replace(vehicle, {"swash_plate.time_constant": 0.02}))
-    x = initial_state(
-        position=(0, 0, -50), attitude=(0.1, -0.2, 0.3), rates=(0.5, 0.3, -1), rotor_speed=(350, 420)
-    )
+    p = model_parameters(replace_parameters(vehicle, {"swash_plate.time_constant": 0.02}))
+    x = initial_state(position=(0, 0, -50), attitude=(0.1, -0.2, 0.3), rates=(0.5, 0.3, -1), rotor_speed=(350, 420))
     u = (0.7, 0.75, 0.2, -0.3)
     exact = fly(x, p, 0.8, 2.5e-4, u)
     scale = np.abs(exact) + 1e-3
@@ -90,11 +88,11 @@ def test_rotors_and_fuselage_exchange_spin_without_loss(vacuum) -> None:
 
 def test_upper_rotor_accelerating_turns_the_nose_right(vehicle) -> None:
     # The upper rotor turns anticlockwise seen from above (eq. 4.15: its drag turns the fuselage to +z).
-    t = trim(vehicle)
+    t = find_trim(vehicle)
     p, dx = model_parameters(vehicle, 7.2), np.empty(21)
     x = t.state.copy()
     x[2] = -10
-    derivative(x, t.input + np.array([0.05, 0, 0, 0]), STILL_AIR, p, dx)
+    state_derivative(x, t.input + np.array([0.05, 0, 0, 0]), STILL_AIR, p, dx)
     assert dx[18] > 0
     assert dx[12] > 0
 
@@ -102,8 +100,8 @@ def test_upper_rotor_accelerating_turns_the_nose_right(vehicle) -> None:
 @pytest.mark.parametrize("velocity", [(0, 0, 0), (0, 0, -0.5), (0, 0, 0.5), (1.5, -1, -0.3)])
 def test_forces_balance_in_steady_flight(published, velocity) -> None:
     vehicle = published
-    t = trim(vehicle, velocity=velocity, wind=(0.2, 0.1, 0.0), heading=0.4)
-    a = rotation(t.state[6:10])
+    t = find_trim(vehicle, velocity=velocity, wind=(0.2, 0.1, 0.0), heading=0.4)
+    a = body_to_ned_matrix(t.state[6:10])
     air = a.T @ (np.asarray(velocity) - t.wind)
     areas = [float(getattr(vehicle.body, f"drag_area_{i}")) for i in "xyz"]
     drag = -0.5 * float(vehicle.air.density) * np.array(areas) * np.abs(air) * air
@@ -114,7 +112,7 @@ def test_forces_balance_in_steady_flight(published, velocity) -> None:
 
 
 def test_climbing_costs_more_than_hovering(vehicle) -> None:
-    climb, hover = trim(vehicle, velocity=(0, 0, -3)), trim(vehicle)
+    climb, hover = find_trim(vehicle, velocity=(0, 0, -3)), find_trim(vehicle)
     assert climb.power_W > hover.power_W
     assert np.all(climb.motor_input > hover.motor_input)
 
@@ -136,16 +134,16 @@ def test_wind_carries_a_body_along(vehicle) -> None:
     x = initial_state(position=(0, 0, -5000))
     wind, t = np.array([6.0, 0, 0]), 4.0
     y = x.copy()
-    advance(y, NO_INPUT, wind, p, 1e-3, 4000)
+    integrate_state(y, NO_INPUT, wind, p, 1e-3, 4000)
     assert y[3] - 6.0 == pytest.approx(-6.0 / (1 + p["drag_x"] * 6.0 * t / p["mass"]), rel=1e-9)
 
 
 def test_simulate_samples_what_advance_integrates(vehicle) -> None:
-    t = trim(vehicle)
+    t = find_trim(vehicle)
     x = t.state.copy()
     x[2] = -2.0
     u = t.input + np.array([0.02, 0.0, 0.05, -0.02])
-    data = simulate(vehicle, x, u, duration_s=0.5, voltage=7.2)
+    data = simulate_open_loop(vehicle, x, u, duration_s=0.5, voltage=7.2)
     y = fly(x, model_parameters(vehicle, 7.2), 0.5, 1e-3, u)
     assert_allclose(data.truth_position.values[-1], y[0:3], rtol=0, atol=1e-13)
     assert data.sizes["time"] == 51

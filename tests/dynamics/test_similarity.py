@@ -3,10 +3,16 @@
 import numpy as np
 import pytest
 
-from mufly.dynamics import hover_performance, hover_speeds, linearise, model_parameters, similar_vehicle
+from mufly.dynamics import (
+    hover_performance,
+    hover_speeds,
+    linearise_vehicle,
+    model_parameters,
+    similar_vehicle,
+)
 from mufly.errors import InputError
 from mufly.units import RPM
-from mufly.vehicle import Vehicle, load_vehicle, parameters
+from mufly.vehicle import Vehicle, list_parameters, load_vehicle
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +22,7 @@ def known() -> Vehicle:
 
 def test_the_same_mass_and_size_are_the_same_vehicle(known: Vehicle) -> None:
     same = similar_vehicle(known, "same", mass_kg=0.095, radius_m=0.0875)
-    for a, b in zip(parameters(known), parameters(same), strict=True):
+    for a, b in zip(list_parameters(known), list_parameters(same), strict=True):
         np.testing.assert_allclose(np.array(b.value), np.array(a.value), rtol=1e-4, err_msg=a.key)
 
 
@@ -41,7 +47,7 @@ def test_poles_go_with_similarity(known: Vehicle) -> None:
     """
     new = similar_vehicle(known, "new", mass_kg=0.095 * 1.5**3, radius_m=0.0875 * 1.5)
     speed = np.sqrt(1.5**3) / 1.5**2
-    poles = [np.sort(np.linalg.eigvals(linearise(v).heave_yaw.A).real)[:2] for v in (known, new)]
+    poles = [np.sort(np.linalg.eigvals(linearise_vehicle(v).heave_yaw.A).real)[:2] for v in (known, new)]
     np.testing.assert_allclose(poles[1] / poles[0], speed, rtol=0.01)
     bars = [float(v.stabiliser_bar.time_constant) for v in (known, new)]
     assert bars[1] / bars[0] == pytest.approx(1.0 / speed, rel=1e-4)
@@ -80,9 +86,7 @@ def test_the_gear_that_is_chosen_needs_the_least_power(known: Vehicle) -> None:
 
 def test_what_cannot_be_is_said(known: Vehicle) -> None:
     with pytest.raises(InputError, match=r"no gear lets it hover.*less resistance"):
-        similar_vehicle(
-            known, "weak", mass_kg=0.12, radius_m=0.09, speed_constant_rad_Vs=52.0, resistance_ohm=3.0
-        )
+        similar_vehicle(known, "weak", mass_kg=0.12, radius_m=0.09, speed_constant_rad_Vs=52.0, resistance_ohm=3.0)
     with pytest.raises(InputError, match="too weak to hover"):
         similar_vehicle(
             known,
@@ -103,9 +107,7 @@ def test_what_cannot_be_is_said(known: Vehicle) -> None:
     ("mass", "radius", "words"),
     [(120.0, 0.08, "not grams: 0.12"), (0.12, 80.0, "not millimetres: 0.08")],
 )
-def test_a_mass_in_grams_or_a_radius_in_millimetres_is_refused(
-    mass: float, radius: float, words: str
-) -> None:
+def test_a_mass_in_grams_or_a_radius_in_millimetres_is_refused(mass: float, radius: float, words: str) -> None:
     from mufly import dynamics, load_vehicle
     from mufly.errors import InputError
 

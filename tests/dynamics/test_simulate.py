@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mufly.dynamics import advance, initial_state, longest_step, model_parameters, simulate
+from mufly.dynamics import initial_state, integrate_state, longest_step, model_parameters, simulate_open_loop
 from mufly.errors import InputError
-from mufly.vehicle import replace
+from mufly.vehicle import replace_parameters
 
 REST = initial_state(position=(0, 0, -5))
 
@@ -15,7 +15,7 @@ def test_the_longest_step_is_where_the_swash_plate_turns_unstable(vehicle) -> No
     assert longest_step(p) == pytest.approx(2.7e-3)
     for factor, grows in ((0.99, False), (1.06, True)):
         x = REST.copy()
-        advance(x, np.array([0, 0, 0.1, 0]), np.zeros(3), p, factor * longest_step(p), 2000)
+        integrate_state(x, np.array([0, 0, 0.1, 0]), np.zeros(3), p, factor * longest_step(p), 2000)
         assert (abs(x[14]) > 1.0) == grows
 
 
@@ -30,13 +30,13 @@ def test_the_longest_step_is_where_the_swash_plate_turns_unstable(vehicle) -> No
 )
 def test_a_vehicle_too_fast_for_the_step_is_named(vehicle, values) -> None:
     with pytest.raises(InputError, match=r"mufly-1\.1's fastest part; give a step below") as caught:
-        simulate(replace(vehicle, values), REST, np.zeros(4), duration_s=0.1)
+        simulate_open_loop(replace_parameters(vehicle, values), REST, np.zeros(4), duration_s=0.1)
     assert caught.value.key == "step_s"
 
 
 def test_a_shorter_step_is_taken(vehicle) -> None:
-    fast = replace(vehicle, {"swash_plate.time_constant": 1e-4})
-    flight = simulate(fast, REST, (0, 0, 0.5, 0), duration_s=0.1, step_s=1e-4)
+    fast = replace_parameters(vehicle, {"swash_plate.time_constant": 1e-4})
+    flight = simulate_open_loop(fast, REST, (0, 0, 0.5, 0), duration_s=0.1, step_s=1e-4)
     assert np.all(np.isfinite(flight.truth_attitude))
 
 
@@ -56,13 +56,13 @@ def test_a_shorter_step_is_taken(vehicle) -> None:
 def test_wrong_arguments_are_named(vehicle, change, key) -> None:
     arguments = {"state": REST, "inputs": np.zeros(4), "duration_s": 0.1, **change}
     with pytest.raises(InputError) as caught:
-        simulate(vehicle, **arguments)
+        simulate_open_loop(vehicle, **arguments)
     assert caught.value.key == key
 
 
 def test_inputs_are_held_and_recorded(vehicle) -> None:
     inputs = np.array([[0.1, 0.2, 0, 0], [0.9, 1.4, 0.5, -0.5]])
-    flight = simulate(vehicle, REST, inputs, duration_s=0.05)
+    flight = simulate_open_loop(vehicle, REST, inputs, duration_s=0.05)
     assert flight.motor_input.values[:3].tolist() == [[0.1, 0.2], [0.9, 1.4], [0.9, 1.4]]
-    saturated = simulate(vehicle, REST, np.minimum(inputs, 1.0), duration_s=0.05)
+    saturated = simulate_open_loop(vehicle, REST, np.minimum(inputs, 1.0), duration_s=0.05)
     np.testing.assert_array_equal(flight.battery_voltage, saturated.battery_voltage)

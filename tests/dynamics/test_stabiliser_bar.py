@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.dynamics import initial_state, simulate, trim
-from mufly.vehicle import replace
+from mufly.dynamics import find_trim, initial_state, simulate_open_loop
+from mufly.vehicle import replace_parameters
 
 
 def released(vehicle, time_constant, roll_deg=0.0, pitch_deg=0.0, heading=0.0):
-    v = replace(vehicle, {"stabiliser_bar.time_constant": time_constant})
-    t = trim(v)
+    v = replace_parameters(vehicle, {"stabiliser_bar.time_constant": time_constant})
+    t = find_trim(v)
     x = initial_state(
         position=(0, 0, -5),
         attitude=(np.radians(roll_deg), np.radians(pitch_deg), heading),
         bar_attitude=(0, 0),
         rotor_speed=t.rotor_speed,
     )
-    flight = simulate(v, x, t.input, duration_s=3.0, voltage=7.2)
+    flight = simulate_open_loop(v, x, t.input, duration_s=3.0, voltage=7.2)
     return flight.time.values, np.degrees(flight.truth_attitude.values)
 
 
@@ -52,5 +52,5 @@ def test_heading_makes_no_difference(published) -> None:
 
 
 def test_without_linkage_nothing_rights_it(published) -> None:
-    _, angle = released(replace(published, {"stabiliser_bar.linkage": 0.0}), 0.24, roll_deg=20.0)
+    _, angle = released(replace_parameters(published, {"stabiliser_bar.linkage": 0.0}), 0.24, roll_deg=20.0)
     assert_allclose(angle[:, 0], 20.0, atol=1e-9)

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from mufly.dynamics import (
-    advance,
-    derivative,
+    body_to_ned_matrix,
     euler_from_quaternion,
     initial_state,
+    integrate_state,
     model_parameters,
     quaternion_from_euler,
-    rotation,
+    state_derivative,
 )
 
 angles = st.floats(-3.1, 3.1)
@@ -42,7 +42,7 @@ def test_matrix_is_eq_4_2_transposed(roll, pitch, yaw) -> None:
     )
     q = quaternion_from_euler(roll, pitch, yaw)
     assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-14)
-    assert_allclose(rotation(q), to_body.T, atol=1e-14)
+    assert_allclose(body_to_ned_matrix(q), to_body.T, atol=1e-14)
     assert_allclose(euler_from_quaternion(q), [roll, pitch, yaw], atol=1e-7)
     assert_allclose(euler_from_quaternion(-q), [roll, pitch, yaw], atol=1e-7)
 
@@ -62,7 +62,7 @@ def test_euler_rates(vehicle, roll, pitch, yaw, p, q, r) -> None:
         np.empty(21),
         1e-5,
     )
-    derivative(x, np.zeros(4), np.zeros(3), model_parameters(vehicle), dx)
+    state_derivative(x, np.zeros(4), np.zeros(3), model_parameters(vehicle), dx)
     change = euler_from_quaternion(x[6:10] + h * dx[6:10]) - euler_from_quaternion(x[6:10] - h * dx[6:10])
     turn = q * math.sin(roll) + r * math.cos(roll)
     expected = [
@@ -76,13 +76,13 @@ def test_euler_rates(vehicle, roll, pitch, yaw, p, q, r) -> None:
 
 def test_constant_rate_about_one_axis(vehicle) -> None:
     x = initial_state(position=(0, 0, -500), rates=(0, 0, 2.0))
-    advance(x, np.zeros(4), np.zeros(3), model_parameters(vehicle), 1e-3, 700)
+    integrate_state(x, np.zeros(4), np.zeros(3), model_parameters(vehicle), 1e-3, 700)
     assert_allclose(euler_from_quaternion(x[6:10]), [0, 0, 1.4], atol=1e-12)
 
 
 def test_initial_state_puts_the_bar_where_it_is_told() -> None:
     square = initial_state(attitude=(0.3, -0.2, 1.1))
-    assert_allclose(square[15:18], -rotation(square[6:10])[:, 2], atol=1e-15)
+    assert_allclose(square[15:18], -body_to_ned_matrix(square[6:10])[:, 2], atol=1e-15)
     level = initial_state(attitude=(0.3, -0.2, 1.1), bar_attitude=(0, 0))
     assert_allclose(level[15:18], [0, 0, -1], atol=1e-15)
     assert level[20] == 1.0

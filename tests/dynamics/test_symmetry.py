@@ -8,36 +8,34 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from mufly.dynamics import (
     GRAVITY,
-    PARAMETERS,
+    PARAMETER_DTYPE,
     STATE_SIZE,
-    advance,
-    advance_batch,
-    derivative,
+    body_to_ned_matrix,
+    integrate_batch,
+    integrate_state,
     model_parameters,
     quaternion_from_euler,
-    rotation,
+    state_derivative,
 )
-from mufly.vehicle import load_vehicle, replace
+from mufly.vehicle import load_vehicle, replace_parameters
 
 seeds = st.integers(0, 2**32 - 1)
 
 
 def rates(x, u, wind, p):
     dx = np.empty(STATE_SIZE)
-    derivative(x, np.asarray(u, float), np.asarray(wind, float), p, dx)
+    state_derivative(x, np.asarray(u, float), np.asarray(wind, float), p, dx)
     return dx
 
 
 def product(a, b):
     """Hamilton product of two quaternions (w, x, y, z)."""
-    return np.concatenate(
-        [[a[0] * b[0] - a[1:] @ b[1:]], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])]
-    )
+    return np.concatenate([[a[0] * b[0] - a[1:] @ b[1:]], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])])
 
 
 def turned(x, q):
     """The same state seen in a world turned by ``q``."""
-    r, y = rotation(q), x.copy()
+    r, y = body_to_ned_matrix(q), x.copy()
     y[0:3], y[3:6], y[15:18] = r @ x[0:3], r @ x[3:6], r @ x[15:18]
     y[6:10] = product(q, x[6:10])
     return y
@@ -52,7 +50,7 @@ def test_any_heading_gives_the_turned_motion(vehicle, random_state, seed, headin
     x, u, wind = random_state(rng, height), rng.uniform(-0.2, 1.2, size=4), rng.normal(size=3)
     q = quaternion_from_euler(0.0, 0.0, heading)
     expected = turned(rates(x, u, wind, p), q)
-    found = rates(turned(x, q), u, rotation(q) @ wind, p)
+    found = rates(turned(x, q), u, body_to_ned_matrix(q) @ wind, p)
     assert_allclose(found, expected, atol=1e-9 * (1 + np.abs(expected).max()))
 
 
@@ -68,7 +66,7 @@ def test_without_gravity_and_floor_any_rotation_does(vehicle, random_state, seed
     expected = turned(rates(x, u, wind, p) - fall, q)
     y = turned(x, q)
     y[2] = -5000.0
-    found = rates(y, u, rotation(q) @ wind, p) - fall
+    found = rates(y, u, body_to_ned_matrix(q) @ wind, p) - fall
     assert_allclose(found, expected, atol=1e-9 * (1 + np.abs(expected).max()))
 
 
@@ -81,8 +79,8 @@ def test_a_flight_to_the_east_is_the_flight_to_the_north_turned(vehicle, random_
     x[10:13] *= 0.1
     y = turned(x, q)
     u, wind = np.array([0.7, 0.72, 0.1, -0.2]), np.array([0.4, 0.1, -0.1])
-    advance(x, u, wind, p, 1e-3, 500)
-    advance(y, u, rotation(q) @ wind, p, 1e-3, 500)
+    integrate_state(x, u, wind, p, 1e-3, 500)
+    integrate_state(y, u, body_to_ned_matrix(q) @ wind, p, 1e-3, 500)
     assert_allclose(y, turned(x, q), atol=1e-9)
 
 
@@ -106,10 +104,7 @@ def test_all_but_the_rotors_yaw_torque_is_mirror_symmetric(vehicle, random_state
     w[mirror["wind"]] *= -1
     dx, dm = rates(x, u, wind, p), rates(sign * x, v, w, p)
     rotor = (
-        p["torque_up"] * x[18] ** 2
-        - p["torque_dw"] * x[19] ** 2
-        + p["Jreact_up"] * dx[18]
-        - p["Jreact_dw"] * dx[19]
+        p["torque_up"] * x[18] ** 2 - p["torque_dw"] * x[19] ** 2 + p["Jreact_up"] * dx[18] - p["Jreact_dw"] * dx[19]
     )
     expected = sign * dx
     expected[12] += 2 * rotor / p["Izz"]
@@ -123,12 +118,10 @@ def fleet(random_state):
     base = load_vehicle("mufly-1.1")
     vehicles = [base, load_vehicle("mufly-2.0")]
     vehicles += [
-        replace(base, {"body.mass": m, "gear.ratio": g}) for m, g in ((0.08, 1.6), (0.1, 1.4), (0.12, 2.0))
+        replace_parameters(base, {"body.mass": m, "gear.ratio": g}) for m, g in ((0.08, 1.6), (0.1, 1.4), (0.12, 2.0))
     ]
     n = 40
-    p = np.array(
-        [model_parameters(vehicles[k % 5], 7.0 if k % 3 else None) for k in range(n)], dtype=PARAMETERS
-    )
+    p = np.array([model_parameters(vehicles[k % 5], 7.0 if k % 3 else None) for k in range(n)], dtype=PARAMETER_DTYPE)
     x = np.array([random_state(rng, 0.06 if k % 4 == 0 else 20.0) for k in range(n)])
     return x, rng.uniform(-0.1, 1.1, size=(n, 4)), rng.normal(size=(n, 3)), p
 
@@ -136,10 +129,10 @@ def fleet(random_state):
 def test_batch_is_bitwise_the_single_flight(fleet) -> None:
     x, u, wind, p = fleet
     together = x.copy()
-    advance_batch(together, u, wind, p, 1e-3, 300)
+    integrate_batch(together, u, wind, p, 1e-3, 300)
     alone = x.copy()
     for k in range(len(x)):
-        advance(alone[k], u[k], wind[k], p[k], 1e-3, 300)
+        integrate_state(alone[k], u[k], wind[k], p[k], 1e-3, 300)
     assert np.all(np.isfinite(together))
     assert_array_equal(together, alone)
 
@@ -148,8 +141,8 @@ def test_order_in_a_batch_does_not_matter(fleet) -> None:
     x, u, wind, p = fleet
     order = np.random.default_rng(0).permutation(len(x))
     first, second = x.copy(), x[order]
-    advance_batch(first, u, wind, p, 1e-3, 100)
-    advance_batch(second, u[order], wind[order], p[order], 1e-3, 100)
+    integrate_batch(first, u, wind, p, 1e-3, 100)
+    integrate_batch(second, u[order], wind[order], p[order], 1e-3, 100)
     assert_array_equal(first[order], second)
 
 

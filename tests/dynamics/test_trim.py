@@ -4,13 +4,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.dynamics import derivative, euler_from_quaternion, model_parameters, simulate, trim
+from mufly.dynamics import (
+    euler_from_quaternion,
+    find_trim,
+    model_parameters,
+    simulate_open_loop,
+    state_derivative,
+)
 from mufly.errors import InputError, MuflyError
-from mufly.vehicle import load_vehicle, replace
+from mufly.vehicle import load_vehicle, replace_parameters
 
 
 def test_hover_in_numbers(vehicle) -> None:
-    at_7_2, at_6_4 = trim(vehicle), trim(vehicle, voltage=6.4)
+    at_7_2, at_6_4 = find_trim(vehicle), find_trim(vehicle, voltage=6.4)
     assert_allclose(at_7_2.rotor_speed, [376.4, 443.6], atol=0.05)
     assert_allclose(at_6_4.rotor_speed, at_7_2.rotor_speed, rtol=1e-9)
     assert_allclose(at_7_2.motor_input, [0.667, 0.733], atol=5e-4)
@@ -27,10 +33,10 @@ VELOCITIES = [(0, 0, 0), (0, 0, -0.5), (0, 0, 1.0), (1, 0, 0), (0, -2, 0), (3, 1
 @pytest.mark.parametrize("wind", [(0, 0, 0), (0.5, -0.3, 0.1)])
 @pytest.mark.parametrize("charge", [None, 0.7])
 def test_nothing_accelerates_at_a_trim(vehicle, velocity, wind, charge) -> None:
-    t = trim(vehicle, velocity=velocity, wind=wind, heading=0.9, charge=charge)
+    t = find_trim(vehicle, velocity=velocity, wind=wind, heading=0.9, charge=charge)
     x, dx = t.state.copy(), np.empty(21)
     x[2] = -100.0
-    derivative(x, t.input, t.wind, model_parameters(vehicle, t.constant_voltage_V), dx)
+    state_derivative(x, t.input, t.wind, model_parameters(vehicle, t.constant_voltage_V), dx)
     assert_allclose(dx[0:3], velocity, atol=1e-12)
     assert_allclose(dx[3:20], 0.0, atol=1e-6)
     assert euler_from_quaternion(t.state[6:10])[2] == pytest.approx(0.9, abs=1e-9)
@@ -39,10 +45,10 @@ def test_nothing_accelerates_at_a_trim(vehicle, velocity, wind, charge) -> None:
 @pytest.mark.parametrize("velocity", VELOCITIES)
 def test_a_flight_from_a_trim_stays(vehicle, velocity) -> None:
     wind = (0.5, -0.3, 0.1)
-    t = trim(vehicle, velocity=velocity, wind=wind)
+    t = find_trim(vehicle, velocity=velocity, wind=wind)
     x = t.state.copy()
     x[2] = -100.0
-    flight = simulate(vehicle, x, t.input, duration_s=5.0, wind=wind, voltage=7.2)
+    flight = simulate_open_loop(vehicle, x, t.input, duration_s=5.0, wind=wind, voltage=7.2)
     assert_allclose(flight.truth_velocity.values, np.tile(velocity, (501, 1)), atol=1e-8)
     assert np.ptp(flight.truth_attitude.values, axis=0).max() < 1e-8
 
@@ -50,7 +56,7 @@ def test_a_flight_from_a_trim_stays(vehicle, velocity) -> None:
 def test_tilt_and_servo_in_forward_flight_balance_drag_and_its_moment(vehicle, published) -> None:
     drag, weight = 0.5 * 1.2 * 0.004 * 2.0**2, 0.095 * 9.81
     for v, c_H in ((published, 0.0), (vehicle, float(vehicle.rotors.inplane_drag))):
-        t = trim(v, velocity=(2.0, 0, 0))
+        t = find_trim(v, velocity=(2.0, 0, 0))
         roll, pitch, _ = euler_from_quaternion(t.state[6:10])
         H = c_H * 1.2 * np.pi * 0.0875**3 * t.rotor_speed * 2.0  # upper, lower
         tilt = (H @ [0.091, 0.051]) / (
@@ -62,20 +68,23 @@ def test_tilt_and_servo_in_forward_flight_balance_drag_and_its_moment(vehicle, p
 
 
 def test_hovering_in_wind_is_flying_in_still_air(vehicle) -> None:
-    in_wind, moving = trim(vehicle, wind=(1.0, 0.5, 0.2)), trim(vehicle, velocity=(-1.0, -0.5, -0.2))
+    in_wind, moving = (
+        find_trim(vehicle, wind=(1.0, 0.5, 0.2)),
+        find_trim(vehicle, velocity=(-1.0, -0.5, -0.2)),
+    )
     assert_allclose(in_wind.input, moving.input, atol=1e-9)
     assert_allclose(in_wind.state[6:20], moving.state[6:20], rtol=1e-8, atol=1e-9)
 
 
 def test_an_emptier_battery_takes_more_input(vehicle) -> None:
-    full, half = trim(vehicle, charge=1.0), trim(vehicle, charge=0.5)
+    full, half = find_trim(vehicle, charge=1.0), find_trim(vehicle, charge=0.5)
     assert half.voltage_V < full.voltage_V
     assert np.all(half.motor_input > full.motor_input)
     assert half.power_W == pytest.approx(half.voltage_V * half.current_A, rel=1e-12)
-    constant = trim(vehicle, voltage=half.voltage_V)
+    constant = find_trim(vehicle, voltage=half.voltage_V)
     assert_allclose(constant.input, half.input, atol=1e-9)
     # A fifth of the charge left: the 6.4 V at which the thesis's linear model was made (errata, point 6).
-    assert trim(vehicle, charge=0.2).voltage_V == pytest.approx(6.4, abs=0.03)
+    assert find_trim(vehicle, charge=0.2).voltage_V == pytest.approx(6.4, abs=0.03)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +97,7 @@ def test_an_emptier_battery_takes_more_input(vehicle) -> None:
 )
 def test_what_cannot_fly_says_so_in_one_line(vehicle, arguments, words) -> None:
     with pytest.raises(MuflyError, match=words) as caught:
-        trim(vehicle, **arguments)
+        find_trim(vehicle, **arguments)
     assert "\n" not in str(caught.value)
 
 
@@ -105,16 +114,16 @@ def test_what_cannot_fly_says_so_in_one_line(vehicle, arguments, words) -> None:
 )
 def test_impossible_arguments_are_named(vehicle, arguments, key) -> None:
     with pytest.raises(InputError) as caught:
-        trim(vehicle, **arguments)
+        find_trim(vehicle, **arguments)
     assert caught.value.key == key
 
 
 def test_too_heavy(vehicle) -> None:
     with pytest.raises(MuflyError, match=r"mufly-1\.1: body\.mass: too heavy to hover: 160 g .*; lower it"):
-        trim(replace(vehicle, {"body.mass": 0.16}))
+        find_trim(replace_parameters(vehicle, {"body.mass": 0.16}))
 
 
 def test_a_trim_prints_itself_usefully() -> None:
-    text = str(trim(load_vehicle("mufly-1.1")))
+    text = str(find_trim(load_vehicle("mufly-1.1")))
     assert "motor input 0.667 upper, 0.733 lower" in text
     assert "19.5 W" in text

@@ -9,10 +9,16 @@ from scipy import stats
 from scipy.optimize import brentq
 from scipy.signal import welch
 
-from mufly.dynamics import DrydenWind, fastest_part, model_air, model_parameters, outside_model
+from mufly.dynamics import (
+    DrydenWind,
+    describe_model_excess,
+    fastest_mode_key,
+    model_air_limits,
+    model_parameters,
+)
 from mufly.dynamics.simulation import dryden_filter
 from mufly.errors import InputError
-from mufly.vehicle import replace
+from mufly.vehicle import replace_parameters
 
 
 @pytest.mark.parametrize("step_s", [1e-4, 1e-3, 0.02, 0.5, 10.0])
@@ -39,7 +45,7 @@ def test_autocorrelation_of_the_lateral_gust(lag_steps) -> None:
 @pytest.mark.parametrize("step_s", [0.05, 1.0])
 def test_variance_of_samples_at_any_step(step_s) -> None:
     sigma, n = 0.3, 60_000
-    wind = DrydenWind((0.5, 0, 0), sigma, step_s=step_s, length_m=0.25, seed=5).block(n) - [0.5, 0, 0]
+    wind = DrydenWind((0.5, 0, 0), sigma, step_s=step_s, length_m=0.25, seed=5).next_samples(n) - [0.5, 0, 0]
     # The mean square of a process with correlation rho has variance 2 sum(rho^2) / n, at most 2 T / step here.
     independent = n / max(1.0, 2 * 0.5 / step_s)
     spread = 5 * math.sqrt(2 / independent)
@@ -51,7 +57,11 @@ def test_spectrum_is_drydens() -> None:
     #   along    4 sigma^2 T / (1 + (omega T)^2)
     #   across   2 sigma^2 T (1 + 3 (omega T)^2) / (1 + (omega T)^2)^2
     sigma, step, T = 0.4, 0.02, 0.5
-    gusts = DrydenWind((2.0, 0, 0), sigma, step_s=step, length_m=1.0, seed=11).block(120_000) - [2.0, 0, 0]
+    gusts = DrydenWind((2.0, 0, 0), sigma, step_s=step, length_m=1.0, seed=11).next_samples(120_000) - [
+        2.0,
+        0,
+        0,
+    ]
     f, found = welch(gusts, fs=1 / step, nperseg=2048, axis=0, detrend=False, window="hann")
     w = (2 * math.pi * f * T) ** 2
     along, across = 4 * sigma**2 * T / (1 + w), 2 * sigma**2 * T * (1 + 3 * w) / (1 + w) ** 2
@@ -68,26 +78,26 @@ def test_spectrum_is_drydens() -> None:
 
 
 def test_the_seed_repeats_a_wind_and_another_does_not() -> None:
-    first, again, other = (DrydenWind((0.5, 0, 0), 0.3, step_s=0.01, seed=s).block(50) for s in (4, 4, 5))
+    first, again, other = (DrydenWind((0.5, 0, 0), 0.3, step_s=0.01, seed=s).next_samples(50) for s in (4, 4, 5))
     assert_array_equal(first, again)
     assert np.max(np.abs(first - other)) > 0.05
 
 
 def test_blocks_join() -> None:
-    whole = DrydenWind((0.5, 0.2, 0), 0.3, step_s=0.01, seed=1).block(100)
+    whole = DrydenWind((0.5, 0.2, 0), 0.3, step_s=0.01, seed=1).next_samples(100)
     wind = DrydenWind((0.5, 0.2, 0), 0.3, step_s=0.01, seed=1)
-    assert_array_equal(np.vstack([wind.block(n) for n in (1, 30, 69)]), whole)
+    assert_array_equal(np.vstack([wind.next_samples(n) for n in (1, 30, 69)]), whole)
 
 
 def test_without_gusts_it_is_steady() -> None:
-    wind = DrydenWind((0.5, -0.2, 0.1), step_s=0.01).block(20)
+    wind = DrydenWind((0.5, -0.2, 0.1), step_s=0.01).next_samples(20)
     assert_array_equal(wind, np.tile([0.5, -0.2, 0.1], (20, 1)))
 
 
 def test_turbulence_is_laid_out_along_the_mean_wind() -> None:
     # The same seed in a wind from elsewhere gives the same gusts, turned.
-    north = DrydenWind((1.0, 0, 0), 0.3, step_s=0.01, seed=2).block(40)
-    east = DrydenWind((0, 1.0, 0), 0.3, step_s=0.01, seed=2).block(40)
+    north = DrydenWind((1.0, 0, 0), 0.3, step_s=0.01, seed=2).next_samples(40)
+    east = DrydenWind((0, 1.0, 0), 0.3, step_s=0.01, seed=2).next_samples(40)
     assert_allclose(east, np.column_stack([-north[:, 1], north[:, 0], north[:, 2]]), atol=1e-12)
 
 
@@ -111,7 +121,7 @@ def test_impossible_winds_are_named(bad) -> None:
 def test_the_air_in_which_the_model_holds(vehicle) -> None:
     """Ten per cent of the hover's inflow, by momentum theory solved anew; gusts count twice their rms."""
     p = model_parameters(vehicle)
-    induced, along, across = model_air(vehicle)
+    induced, along, across = model_air_limits(vehicle)
     disc = np.pi * float(vehicle.rotors.radius) ** 2
     thrust = p["mass"] * 9.81 + float(vehicle.body.downwash_drag)
     assert 2 * 1.2 * disc * induced**2 == pytest.approx(thrust)
@@ -119,21 +129,19 @@ def test_the_air_in_which_the_model_holds(vehicle) -> None:
     for flow, expected in (((along, 0.0), 1.1), ((0.0, across), 0.9)):
         v = brentq(lambda v, f=flow: 2 * 1.2 * disc * np.hypot(f[0] + v, f[1]) * v - thrust, 0.1, 20)
         assert (flow[0] + v) / induced == pytest.approx(expected)
-    assert outside_model(vehicle, (0.5, 0, 0), 0.3) == ""
-    assert outside_model(vehicle, (0.98 * across, 0, 0.98 * along), 0.0) == ""
-    assert outside_model(vehicle, (0, -1.02 * across, 0), 0.0)
-    assert outside_model(vehicle, (0, 0, 1.02 * along), 0.0)
-    assert "rises" not in outside_model(vehicle, (0, 0, 12), 0.0)
-    assert "7.0 m/s across and 4.0 m/s along" in outside_model(vehicle, (3, 0, 0), 2.0)
-    assert "air that rises at 3.0 m/s rotors are in vortex ring state" in outside_model(
+    assert describe_model_excess(vehicle, (0.5, 0, 0), 0.3) == ""
+    assert describe_model_excess(vehicle, (0.98 * across, 0, 0.98 * along), 0.0) == ""
+    assert describe_model_excess(vehicle, (0, -1.02 * across, 0), 0.0)
+    assert describe_model_excess(vehicle, (0, 0, 1.02 * along), 0.0)
+    assert "rises" not in describe_model_excess(vehicle, (0, 0, 12), 0.0)
+    assert "7.0 m/s across and 4.0 m/s along" in describe_model_excess(vehicle, (3, 0, 0), 2.0)
+    assert "air that rises at 3.0 m/s rotors are in vortex ring state" in describe_model_excess(
         vehicle, (0, 0, -3), 0.0
     )
-    assert "air that rises at 12.0 m/s rotors are in windmill state" in outside_model(
-        vehicle, (0, 0, -12), 0.0
-    )
+    assert "air that rises at 12.0 m/s rotors are in windmill state" in describe_model_excess(vehicle, (0, 0, -12), 0.0)
     # A map of climb and descent holds further along the mast, not across it.
-    mapped = replace(vehicle, {"rotors.coefficient_map": "walkera-5g6-bemt"})
-    assert model_air(mapped) == (induced, pytest.approx(0.5 * induced), across)
+    mapped = replace_parameters(vehicle, {"rotors.coefficient_map": "walkera-5g6-bemt"})
+    assert model_air_limits(mapped) == (induced, pytest.approx(0.5 * induced), across)
 
 
 @pytest.mark.parametrize(
@@ -142,4 +150,4 @@ def test_the_air_in_which_the_model_holds(vehicle) -> None:
      ("contact.damping", 100.0), ("rotors.lower.drive_inertia", 1e-9)],
 )  # fmt: skip
 def test_the_part_that_asks_for_short_steps_is_named(vehicle, key: str, value: float) -> None:
-    assert fastest_part(model_parameters(replace(vehicle, {key: value}))) == key
+    assert fastest_mode_key(model_parameters(replace_parameters(vehicle, {key: value}))) == key

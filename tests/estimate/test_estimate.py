@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mufly.control import FlightController, design
-from mufly.estimate import EXACT, Estimate, Estimator, IdealEstimator, watch
-from mufly.flight import Flight, fly
-from mufly.mission import mission_from
+from mufly.control import FlightController, design_flight_controller
+from mufly.estimate import ZERO_COVARIANCE, Estimate, Estimator, IdealEstimator, check_estimate
+from mufly.flight import Flight, fly_mission
+from mufly.mission import parse_mission
 from mufly.sensors import (
     IdealBattery,
     IdealMotion,
@@ -17,14 +17,14 @@ from mufly.sensors import (
     Reading,
     Readings,
     Sensor,
-    Sensors,
+    SensorSet,
     Truth,
     ideal_sensors,
 )
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World
 
-HOP = mission_from({"waypoint": [{"position_m": [0.5, 0.0, -1.0], "wait_s": 0.5}]})
+HOP = parse_mission({"waypoint": [{"position_m": [0.5, 0.0, -1.0], "wait_s": 0.5}]})
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def vehicle() -> Vehicle:
 
 @pytest.fixture(scope="module")
 def controller(vehicle: Vehicle) -> FlightController:
-    return design(vehicle)
+    return design_flight_controller(vehicle)
 
 
 def readings(time: float = 1.0, **changes: object) -> Readings:
@@ -55,21 +55,21 @@ def test_the_ideal_estimator_passes_on_what_it_is_told() -> None:
     for name in ("position", "velocity", "attitude", "rates", "ranges", "battery_voltage"):
         assert getattr(e, name) is given[name].value
     assert (e.time_s, e.valid) == (1.0, True)
-    assert e.covariance is EXACT
+    assert e.covariance is ZERO_COVARIANCE
 
 
 def test_what_no_sensor_reads_is_lost_and_what_is_not_valid_is_not_believed() -> None:
-    good = watch(None, IdealEstimator().update(readings()), 0.005, 1.5)
+    good = check_estimate(None, IdealEstimator().update(readings()), 0.005, 1.5)
     missing = IdealEstimator().update(readings(1.005, velocity=None, ranges=None))
-    w = watch(good, missing, 0.005, 1.5)
-    assert (w.what, w.lost_s) == ("velocity", 0.005)
-    np.testing.assert_array_equal(w.good.velocity, [0.1, 0.2, 0.3])
-    assert (w.good.ranges == 1.5).all()
+    w = check_estimate(good, missing, 0.005, 1.5)
+    assert (w.lost_quantities, w.lost_s) == ("velocity", 0.005)
+    np.testing.assert_array_equal(w.last_good.velocity, [0.1, 0.2, 0.3])
+    assert (w.last_good.ranges == 1.5).all()
     doubted = IdealEstimator().update(readings(1.005, position=Reading(np.full(3, 9.0), 1.005, valid=False)))
     assert not doubted.valid
-    w = watch(good, doubted, 0.005, 1.5)
+    w = check_estimate(good, doubted, 0.005, 1.5)
     assert w.lost_s == 0.005
-    np.testing.assert_array_equal(w.good.position, [1.0, 2.0, -3.0])
+    np.testing.assert_array_equal(w.last_good.position, [1.0, 2.0, -3.0])
 
 
 def test_nothing_is_known_of_an_estimate_that_was_not_made() -> None:
@@ -116,12 +116,12 @@ class HeightFilter(Estimator):
 
 def test_a_sensor_with_noise_and_its_estimator_fly(vehicle: Vehicle, controller: FlightController) -> None:
     """What a new sensor and a new estimator take: one class each, and a flight that is given them."""
-    sensors = Sensors(IdealMotion(), IdealRing(vehicle, World(), 8), IdealBattery(), RangeFinder(0.02))
+    sensors = SensorSet(IdealMotion(), IdealRing(vehicle, World(), 8), IdealBattery(), RangeFinder(0.02))
     with Flight(vehicle, HOP, controller=controller, sensors=sensors, estimator=HeightFilter(0.2)) as flight:
         flight.autopilot.arm(force=True)
         flight.autopilot.start_mission()
         for _ in range(round(15.0 / flight.period_s)):
-            flight.tick()
+            flight.step_period()
         now = flight.status
         assert now.truth is not None
         assert now.readings is not None
@@ -129,14 +129,14 @@ def test_a_sensor_with_noise_and_its_estimator_fly(vehicle: Vehicle, controller:
         off = now.estimate.position[2] - now.truth.position[2]
         assert 0.0 < abs(off) < 0.03
         assert now.readings["height"].time_s == pytest.approx(now.time_s, abs=0.11)
-    recording = flight.recorder.dataset()
+    recording = flight.recorder.to_dataset()
     # The truth is recorded as the truth, and the readings as the readings, whatever the estimator makes of them.
     np.testing.assert_array_equal(recording.truth_position.values, recording.measured_position.values)
 
 
 def test_the_default_pair_is_the_ideal_one(vehicle: Vehicle, controller: FlightController) -> None:
-    one = fly(vehicle, HOP, controller=controller, gust=0.3, seed=4)
-    two = fly(
+    one = fly_mission(vehicle, HOP, controller=controller, gust=0.3, seed=4)
+    two = fly_mission(
         vehicle,
         HOP,
         controller=controller,
@@ -156,6 +156,6 @@ class Broken(IdealEstimator):
 
 
 def test_an_estimator_that_gives_up_ends_the_flight(vehicle: Vehicle, controller: FlightController) -> None:
-    flown = fly(vehicle, HOP, controller=controller, estimator=Broken())
+    flown = fly_mission(vehicle, HOP, controller=controller, estimator=Broken())
     assert flown.attrs["outcome"] == "failed"
     assert "measurement lost" in flown.attrs["reason"]

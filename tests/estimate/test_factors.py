@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mufly.estimate.layout import FLYING, RUNNING
+from mufly.estimate.filter_records import PHASE_FLYING, PHASE_RUNNING
 from mufly.estimate.strapdown import error_transition, predict_state, rotate_attitude
 from mufly.estimate.ud_filter import (
-    MOVING,
+    MOTION_STATE_COUNT,
     gauss_markov_update,
     inflate_variance,
     innovation_variance,
@@ -31,7 +31,7 @@ def _step(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Inputs of a block and a state with any attitude."""
     e = rng.standard_normal(22)
     e[15:18] = rng.uniform(0, 1, 3)
-    e[21] = FLYING
+    e[21] = PHASE_FLYING
     x = rng.standard_normal(26)
     x[6:10] /= np.linalg.norm(x[6:10])
     return e, x
@@ -73,7 +73,7 @@ def test_errors_move_as_states_do() -> None:
             propagate_column(column, SPAN, a, column)
             assert np.allclose(column[:9], right[:9], atol=2e-4), j
         # On its legs what the floor pushes does not turn with the attitude.
-        e[21] = RUNNING
+        e[21] = PHASE_RUNNING
         error_transition(e, SPAN, r, push, a)
         assert push.any()
         assert not a[30:].any()
@@ -98,11 +98,11 @@ def test_a_filter_by_factors_is_the_kalman_filter(kind: type) -> None:
             propagate_column(column, SPAN, a, column)
             big[:, j] = column
         q = rng.uniform(0, 1, 9)
-        g = np.eye(N)[:, :MOVING]
+        g = np.eye(N)[:, :MOTION_STATE_COUNT]
         g[range(3), range(3, 6)] = 0.5 * SPAN
         p = big @ p @ big.T + (g * q) @ g.T
         ud_time_update(ut, d, SPAN, a.astype(kind), q.astype(kind), np.zeros((3, 6), kind), f)
-        bias, keep, more = MOVING + step % (N - MOVING), 0.9, rng.uniform(0, 1)
+        bias, keep, more = MOTION_STATE_COUNT + step % (N - MOTION_STATE_COUNT), 0.9, rng.uniform(0, 1)
         p[bias] *= keep
         p[:, bias] *= keep
         p[bias, bias] += more

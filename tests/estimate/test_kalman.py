@@ -10,20 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.control import design
-from mufly.estimate import Check, Estimate
+from mufly.control import design_flight_controller
+from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate import sensor_checks as g
-from mufly.estimate.beliefs import reason
-from mufly.estimate.fitted import KalmanEstimator
-from mufly.estimate.layout import EX_ATT, R_FIX
-from mufly.estimate.nees import Consistency, consistency
+from mufly.estimate.filter_records import EX_ATT, R_FIX
+from mufly.estimate.kalman_estimator import KalmanEstimator
+from mufly.estimate.nees import Consistency, measure_consistency
+from mufly.estimate.sensor_status import describe_reason
 from mufly.flight import Flight
-from mufly.mission import mission_from
+from mufly.mission import parse_mission
 from mufly.sensors import Reading, Readings, Truth, beam_directions, fitted_sensors, parse_fault
-from mufly.vehicle import Vehicle, load_vehicle, replace
+from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 from mufly.world import Room, World
 
-HOP = mission_from(
+HOP = parse_mission(
     {
         "take_off": {"height_m": 1.0, "wait_s": 0.5},
         "waypoint": [{"position_m": [0.6, 0.3, -1.0], "wait_s": 9.0}],
@@ -43,15 +43,21 @@ def flown(vehicle: Vehicle) -> tuple[list[Truth], list[np.ndarray]]:
     """Truth and what acted, a period each: two seconds on the floor, then a flight."""
     truths, acted = [], []
     with Flight(
-        vehicle, HOP, controller=design(vehicle), seed=5, wind=(0.4, 0.0, 0.0), gust=0.2, keep=False
+        vehicle,
+        HOP,
+        controller=design_flight_controller(vehicle),
+        seed=5,
+        wind=(0.4, 0.0, 0.0),
+        gust=0.2,
+        keep=False,
     ) as flight:
         while flight.time_s < 14.0:
             if flight.time_s == 2.0:
                 flight.autopilot.arm(force=True, quiet=True)
                 flight.autopilot.start_mission()
-            flight.tick()
+            flight.step_period()
             truths.append(flight.status.truth)
-            acted.append(flight.status.actuators.array)
+            acted.append(flight.status.actuators.input_array)
     return truths, acted
 
 
@@ -76,7 +82,7 @@ def run(
     if delay is not None:
         slow = e._settings.copy()
         slow["delay_ticks"] = delay
-        e.use(slow)
+        e.set_settings(slow)
     return e, [e.update(r, a) for r, a in zip(readings, acted, strict=False)]
 
 
@@ -86,9 +92,7 @@ def turned(r: Readings) -> Readings:
     latest.pop("magnetic_field", None)
     if "position_fix" in latest:
         n, e, d, heading = latest["position_fix"].value
-        latest["position_fix"] = latest["position_fix"]._replace(
-            value=np.array([-e, n, d, heading + math.pi / 2])
-        )
+        latest["position_fix"] = latest["position_fix"]._replace(value=np.array([-e, n, d, heading + math.pi / 2]))
     return Readings(r.time_s, latest)
 
 
@@ -98,8 +102,8 @@ def test_it_knows_how_far_it_is_off(vehicle: Vehicle, flown, felt) -> None:
         _, told = run(vehicle, felt(seed), flown[1])
         assert told[400].valid
         assert not told[50].valid
-        found.append(consistency(flown[0], told, after_s=8.0))
-    all_ = Consistency.merged(found)
+        found.append(measure_consistency(flown[0], told, after_s=8.0))
+    all_ = Consistency.merge_flights(found)
     assert 0.5 < all_.nees < 1.6
     assert all_.inside > 0.85
     assert all_.xy_rms < 0.10
@@ -110,7 +114,7 @@ def test_it_knows_how_far_it_is_off(vehicle: Vehicle, flown, felt) -> None:
 def test_lasers_that_see_no_wall_never_count_as_used(vehicle: Vehicle, flown, felt) -> None:
     """They were, for the tenth of a second between a picture and the horizon, and held a position that jumped."""
     _, told = run(vehicle, felt(10_000), flown[1])
-    made = {(c.status, c.reason) for e in told[100:] for c in e.beliefs.checks if c.name == "ranges"}
+    made = {(c.status, c.reason) for e in told[100:] for c in e.auxiliary_states.checks if c.name == "ranges"}
     assert made == {("waiting", "sees no wall: all are too far")}
 
 
@@ -120,8 +124,8 @@ def test_beams_that_are_wrong_alike_do_not_grow_true_by_being_many(vehicle: Vehi
     estimator = KalmanEstimator(vehicle, room, 200.0)
     ways = beam_directions(vehicle)
     known = estimator._settings.copy()
-    known["sigma"][EX_ATT + 2] = 0.01  # beams at a slant tell no place where the heading is not known
-    estimator.use(known)
+    known["initial_sigma"][EX_ATT + 2] = 0.01  # beams at a slant tell no place where the heading is not known
+    estimator.set_settings(known)
     ring = 1.2 / np.abs(ways[:, :2]).max(axis=1)
     ring[ways[:, 0].argmax()] += 0.02
     assert vehicle.sensors is not None
@@ -154,13 +158,13 @@ def test_it_knows_it_of_a_vehicle_that_is_not_its_model(vehicle: Vehicle, flown,
         "motor.back_emf_constant": (2.0 - share) * float(vehicle.motor.back_emf_constant),
         "battery.nominal_voltage": share * float(vehicle.battery.nominal_voltage),
     }
-    _, told = run(replace(vehicle, changes), felt(10_000), flown[1])
-    found = consistency(flown[0], told, after_s=9.0)
+    _, told = run(replace_parameters(vehicle, changes), felt(10_000), flown[1])
+    found = measure_consistency(flown[0], told, after_s=9.0)
     assert 0.3 < found.nees < 2.0
     assert found.inside > 0.85
-    assert told[-1].beliefs is not None
+    assert told[-1].auxiliary_states is not None
     lifts = share**4 / (2.0 - share)
-    assert told[-1].beliefs.thrust_scale * lifts == pytest.approx(1.0, abs=0.15)
+    assert told[-1].auxiliary_states.thrust_scale * lifts == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.parametrize("delay", [40, 47, 61])
@@ -183,14 +187,12 @@ def test_what_comes_after_the_horizon_has_passed_it_is_carried_there(vehicle: Ve
     """Fixes of which most overtake a horizon that waits for none leave it as good; older ones are told as late."""
     passed, other = run(vehicle, felt(), flown[1], 32)
     assert passed.memory["late_count"].sum() < 3
-    assert consistency(flown[0], other, after_s=8.0).xy_rms < 0.08
+    assert measure_consistency(flown[0], other, after_s=8.0).xy_rms < 0.08
     none, _ = run(vehicle, felt()[:400], flown[1], 10)
     assert none.memory["late_count"].sum() > 10
 
 
-def test_what_comes_late_but_before_the_horizon_counts_as_if_it_had_come_at_once(
-    vehicle: Vehicle, flown, felt
-) -> None:
+def test_what_comes_late_but_before_the_horizon_counts_as_if_it_had_come_at_once(vehicle: Vehicle, flown, felt) -> None:
     """Fixes held back by 50 ms more: the state of the horizon is the same to the last bit."""
     late: list[Readings] = []
     held = felt()
@@ -205,12 +207,12 @@ def test_what_comes_late_but_before_the_horizon_counts_as_if_it_had_come_at_once
         slow = now._settings.copy()
         slow["delay_ticks"] = 100
         slow["latency_slack"] = 1.0
-        e.use(slow)
+        e.set_settings(slow)
     for k, (a, b) in enumerate(zip(held, late, strict=True)):
         now.update(a, flown[1][k])
         later.update(b, flown[1][k])
     assert now.memory["late_count"].sum() == later.memory["late_count"].sum() == 0
-    for name in ("x", "d", "ut"):
+    for name in ("x", "d", "u_transposed"):
         assert np.allclose(now.memory[name], later.memory[name], rtol=1e-9, atol=1e-12), name
 
 
@@ -238,14 +240,14 @@ NOTICED = {
 def test_a_fault_is_noticed_within_half_a_second(vehicle: Vehicle, flown, felt, fault: str) -> None:
     name, status, word = NOTICED[fault]
     e = KalmanEstimator(vehicle, World(), 200.0)
-    seen: list[tuple[float, Check]] = []
-    quiet: list[Check] = []
+    seen: list[tuple[float, SensorStatus]] = []
+    quiet: list[SensorStatus] = []
     stop = round(12.0 * 200)
     for r, a, t in zip(felt(10_007, fault)[:stop], flown[1], flown[0], strict=False):
         told = e.update(r, a)
         assert np.all(np.isfinite(np.concatenate([told.position, told.velocity, told.attitude, told.rates])))
-        assert told.beliefs is not None
-        for c in told.beliefs.checks:
+        assert told.auxiliary_states is not None
+        for c in told.auxiliary_states.checks:
             if c.status in ("rejected", "missing", "faulty") or (c.status == "fused" and c.reason):
                 if t.time_s >= AIR_S:
                     seen.append((t.time_s - AIR_S, c))
@@ -272,8 +274,8 @@ def test_what_grows_slowly_is_noticed_before_it_does_harm(
     said = [
         (e.time_s, c)
         for e in told
-        if e.beliefs
-        for c in e.beliefs.checks
+        if e.auxiliary_states
+        for c in e.auxiliary_states.checks
         if c.status in ("rejected", "missing", "faulty")
     ]
     assert all(t > 9.0 for t, _ in said)
@@ -302,9 +304,7 @@ def test_the_foot_of_a_wall_in_the_sonars_cone_is_no_climb(vehicle: Vehicle, flo
         heard = r.latest.get("ground_distance")
         if heard is None:
             return r
-        return Readings(
-            r.time_s, {**r.latest, "ground_distance": heard._replace(value=heard.value - nearer_m)}
-        )
+        return Readings(r.time_s, {**r.latest, "ground_distance": heard._replace(value=heard.value - nearer_m)})
 
     readings = felt(10_000)
     for seconds, foot_m in ((0.3, 0.06), (0.3, 0.09), (0.2, 0.06), (0.5, 0.05)):
@@ -315,10 +315,8 @@ def test_the_foot_of_a_wall_in_the_sonars_cone_is_no_climb(vehicle: Vehicle, flo
         _, told = run(vehicle, heard, flown[1])
         after = [k for k, r in enumerate(readings) if r.time_s > AIR_S]
         off = [told[k].velocity[2] - flown[0][k].velocity[2] for k in after]
-        assert (
-            max(map(abs, off)) < 0.7
-        )  # 0.57, 0.06, 0.20 and 0.30; as a force each time 1.03, 0.06, 1.05 and 0.74
-        assert not any(c.name == "rates" and c.reason for e in told for c in e.beliefs.checks)
+        assert max(map(abs, off)) < 0.7  # 0.57, 0.06, 0.20 and 0.30; as a force each time 1.03, 0.06, 1.05 and 0.74
+        assert not any(c.name == "rates" and c.reason for e in told for c in e.auxiliary_states.checks)
 
 
 def test_legs_do_not_go_into_the_floor(vehicle: Vehicle, flown, felt) -> None:
@@ -366,9 +364,7 @@ def test_nothing_that_sensors_say_makes_a_nan_or_a_jump(vehicle: Vehicle, flown,
                         del latest[name]
             r = Readings(r.time_s, latest)
         told = e.update(r, flown[1][k])
-        now = np.concatenate(
-            [told.position, told.velocity, told.attitude, told.rates, told.covariance.ravel()]
-        )
+        now = np.concatenate([told.position, told.velocity, told.attitude, told.rates, told.covariance.ravel()])
         assert np.all(np.isfinite(now))
         assert np.all(e.memory["d"] > 0.0)
         if before is not None and k > 600:
@@ -433,30 +429,28 @@ def test_rotors_that_run_down_after_landing_do_not_upset_it() -> None:
         "at_end": "land",
     }
     said: list[str] = []
-    with Flight(
-        load_vehicle("mufly-1.1"), mission_from(down), keep=False, sensors="fitted", seed=0
-    ) as flight:
+    with Flight(load_vehicle("mufly-1.1"), parse_mission(down), keep=False, sensors="fitted", seed=0) as flight:
         flight.autopilot.listeners.append(lambda event: said.append(event.text))
-        while flight.autopilot.not_ready():
-            flight.tick()
+        while flight.autopilot.list_arming_faults():
+            flight.step_period()
         flight.autopilot.arm()
         flight.autopilot.start_mission()
         while flight.status.armed:
-            flight.tick()
+            flight.step_period()
         landed_s = flight.time_s
         while flight.time_s < landed_s + 4.0:
-            flight.tick()
+            flight.step_period()
         truth, m = flight.status.truth, flight.status.estimate
     assert not [text for text in said if text.startswith("position fix")]
     assert abs(truth.attitude[2] - m.attitude[2]) < math.radians(2.0)
-    assert m.beliefs is not None
-    assert abs(m.beliefs.fix_bias[3]) < math.radians(2.0)
+    assert m.auxiliary_states is not None
+    assert abs(m.auxiliary_states.fix_bias[3]) < math.radians(2.0)
 
 
 def test_a_reason_names_the_unit_of_its_number() -> None:
-    assert reason(g.STRAINED, -0.0129, R_FIX).startswith("keeps being off, by -0.0129 m now")
-    assert reason(g.STRAINED, math.radians(-3.0), R_FIX, 3).startswith(
+    assert describe_reason(g.REASON_PERSISTENT_OFFSET, -0.0129, R_FIX).startswith("keeps being off, by -0.0129 m now")
+    assert describe_reason(g.REASON_PERSISTENT_OFFSET, math.radians(-3.0), R_FIX, 3).startswith(
         "keeps being off, by -3 deg in heading now"
     )
-    assert reason(g.OFF, 0.4, R_FIX, 1) == "is off by 0.4 m from what all others say"
-    assert reason(g.FROZEN, 0.5, R_FIX, 3) == "has said the same to the last digit for 0.50 s"
+    assert describe_reason(g.REASON_INNOVATION, 0.4, R_FIX, 1) == "is off by 0.4 m from what all others say"
+    assert describe_reason(g.REASON_FROZEN, 0.5, R_FIX, 3) == "has said the same to the last digit for 0.50 s"

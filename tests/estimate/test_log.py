@@ -14,16 +14,16 @@ from typer.testing import CliRunner
 from mufly.cli.onboard.estimate import app
 from mufly.errors import InputError
 from mufly.estimate import (
-    Aids,
     InertialLog,
-    Noise,
-    check_inertial,
-    consistency_of,
-    foretold,
-    noise_at_rest,
-    noise_in_flight,
+    InertialNoise,
+    PositionAids,
+    aid_innovations,
+    check_inertial_log,
+    detect_flight,
+    estimate_flight_noise,
+    estimate_rest_noise,
+    measure_row_consistency,
     run_log,
-    standing,
 )
 from mufly.units import GRAVITY
 
@@ -32,7 +32,7 @@ GYRO, FELT, FIX = 0.01, 0.05, 0.02  # densities of noise in flight; sigma of the
 AT_REST = 1e-3, 1e-2
 
 
-def flight(seed: int = 0) -> tuple[InertialLog, Aids, np.ndarray]:
+def flight(seed: int = 0) -> tuple[InertialLog, PositionAids, np.ndarray]:
     """A circle flown as a rotorcraft flies it: thrust along its axis, nose north; rows are means over a step."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, END_S, STEP)
@@ -59,12 +59,12 @@ def flight(seed: int = 0) -> tuple[InertialLog, Aids, np.ndarray]:
     truth = np.column_stack([p[at], v[at], roll[at], pitch[at], 0 * t])
     some = np.arange(1, len(t), 4)
     fix = truth[some, :3] + FIX * rng.standard_normal((len(some), 3))
-    aids = Aids(t[some], t[some] + 0.1, fix, 0.03 * rng.standard_normal(len(some)), FIX, 0.03)
+    aids = PositionAids(t[some], t[some] + 0.1, fix, 0.03 * rng.standard_normal(len(some)), FIX, 0.03)
     return InertialLog(t, rates, felt, flying), aids, truth
 
 
 @pytest.fixture(scope="module")
-def made() -> tuple[InertialLog, Aids, np.ndarray]:
+def made() -> tuple[InertialLog, PositionAids, np.ndarray]:
     return flight()
 
 
@@ -73,11 +73,11 @@ def test_it_is_as_good_as_it_says_with_the_noise_that_is_there() -> None:
     found = []
     for seed in range(4):
         log, aids, truth = flight(seed)
-        told = run_log(log, aids, Noise(gyro=GYRO, accelerometer=FELT))
+        told = run_log(log, aids, InertialNoise(gyro=GYRO, accelerometer=FELT))
         found.append(
             (
-                consistency_of(truth, told, after_s=REST_S + 2).nees,
-                foretold(log, aids, told, from_s=4.0, to_s=END_S).nis,
+                measure_row_consistency(truth, told, after_s=REST_S + 2).nees,
+                aid_innovations(log, aids, told, from_s=4.0, to_s=END_S).nis,
             )
         )
     nees, nis = np.mean(found, axis=0)
@@ -85,26 +85,26 @@ def test_it_is_as_good_as_it_says_with_the_noise_that_is_there() -> None:
     assert nis == pytest.approx(1.0, abs=0.2)
 
 
-def test_noise_is_found_in_the_log(made: tuple[InertialLog, Aids, np.ndarray]) -> None:
+def test_noise_is_found_in_the_log(made: tuple[InertialLog, PositionAids, np.ndarray]) -> None:
     log, aids, truth = made
-    least = noise_at_rest(log)
+    least = estimate_rest_noise(log)
     assert 0.7 * AT_REST[0] < least.gyro < 2 * AT_REST[0]
     assert 0.7 * AT_REST[1] < least.accelerometer < 2 * AT_REST[1]
-    noise = noise_in_flight(log, aids, least)
+    noise = estimate_flight_noise(log, aids, least)
     assert GYRO / 3 < noise.gyro < 3 * GYRO
     assert noise.accelerometer < 4 * FELT  # what tilt does to it can hide it
     told = run_log(log, aids, noise)
-    assert 0.4 < consistency_of(truth, told, after_s=4.0).nees < 2.0
+    assert 0.4 < measure_row_consistency(truth, told, after_s=4.0).nees < 2.0
     # Nothing is known of attitude: its errors do not count, and nothing is said of them.
     blind = truth.copy()
     blind[:, 6:] = np.nan
-    assert np.isnan(consistency_of(blind, told, after_s=4.0).parts[2])
+    assert np.isnan(measure_row_consistency(blind, told, after_s=4.0).parts[2])
 
 
-def test_standing_is_told_by_the_unit_alone(made: tuple[InertialLog, Aids, np.ndarray]) -> None:
+def test_standing_is_told_by_the_unit_alone(made: tuple[InertialLog, PositionAids, np.ndarray]) -> None:
     log = made[0]
-    assert abs(log.time_s[np.argmax(standing(log.time_s, log.rates, log.acceleration))] - REST_S) <= 0.5
-    assert len(log.acceleration[log.rest]) == int(REST_S / STEP)
+    assert abs(log.time_s[np.argmax(detect_flight(log.time_s, log.rates, log.acceleration))] - REST_S) <= 0.5
+    assert len(log.acceleration[log.rest_rows]) == int(REST_S / STEP)
 
 
 @pytest.mark.parametrize(
@@ -119,15 +119,15 @@ def test_standing_is_told_by_the_unit_alone(made: tuple[InertialLog, Aids, np.nd
     ],
 )  # fmt: skip
 def test_wrong_units_and_axes_are_refused(
-    made: tuple[InertialLog, Aids, np.ndarray], change: dict, words: str
+    made: tuple[InertialLog, PositionAids, np.ndarray], change: dict, words: str
 ) -> None:
     (name, how), log = next(iter(change.items())), made[0]
     with pytest.raises(InputError, match=words):
-        check_inertial(replace(log, **{name: how(getattr(log, name))}), "a log")
+        check_inertial_log(replace(log, **{name: how(getattr(log, name))}), "a log")
 
 
 def test_a_log_of_others_through_the_command(
-    tmp_path: Path, made: tuple[InertialLog, Aids, np.ndarray]
+    tmp_path: Path, made: tuple[InertialLog, PositionAids, np.ndarray]
 ) -> None:
     """From a table with columns of its own, units and signs, to figures; and what is wrong with it in one line."""
     log, _, truth = made

@@ -11,21 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mufly.control import design
+from mufly.control import design_flight_controller
 from mufly.errors import InputError
 from mufly.firmware import Firmware
-from mufly.firmware.onboard import _sight, different
-from mufly.mission import avoidance, detour, load_mission, machine, mission_from, phases
-from mufly.trigonometry import decay
+from mufly.firmware.compiled_software import _read_path_check, diff_fields
+from mufly.mission import avoidance, detour, load_mission, parse_mission, phases, state_machine
+from mufly.portable_math import exp_decay
 from mufly.vehicle import load_vehicle
 
 pytestmark = pytest.mark.skipif(
     not (shutil.which("gcc") or shutil.which("clang")), reason="there is no C compiler on this machine"
 )
 
-_spec = importlib.util.spec_from_file_location(
-    "mission_rig", Path(__file__).parents[1] / "mission" / "conftest.py"
-)
+_spec = importlib.util.spec_from_file_location("mission_rig", Path(__file__).parents[1] / "mission" / "conftest.py")
 rig = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(rig)
 
@@ -34,25 +32,25 @@ class Twin:
     """What Python asks, asked of the C code too; every answer is compared bit by bit."""
 
     def __init__(self, monkeypatch=None) -> None:
-        f = Firmware(design(load_vehicle("mufly-1.1")))
+        f = Firmware(design_flight_controller(load_vehicle("mufly-1.1")))
         self.ffi, self.lib = f.ffi, f.lib
         self.asked = dict.fromkeys(
             ("begin_sight", "observe", "look_around", "blocked", "hold_off", "begin_detour", "go_round"), 0
         )
         for name in self.asked:
-            for module in (machine, phases):
+            for module in (state_machine, phases):
                 if monkeypatch is not None and hasattr(module, name):
                     monkeypatch.setattr(module, name, getattr(self, name))
 
-    def ring(self, beams: avoidance.Ring):
-        r = self.ffi.new("ring_t *")
+    def ring(self, beams: avoidance.BeamRing):
+        r = self.ffi.new("beam_ring_t *")
         r.count, r.max_range = len(beams.cos), beams.max_range
         r.cos[0 : r.count], r.sin[0 : r.count] = beams.cos.tolist(), beams.sin.tolist()
         return r
 
-    def memory(self, m: avoidance.Memory):
-        c = self.ffi.new("memory_t *")
-        c.used, c.turn = m.used, m.turn
+    def memory(self, m: avoidance.ObstacleMap):
+        c = self.ffi.new("obstacle_map_t *")
+        c.used, c.turn = m.point_count, m.replace_index
         self.ffi.memmove(c.points, m.points.tobytes(), m.points.nbytes)
         return c
 
@@ -63,8 +61,8 @@ class Twin:
         for name in d.__slots__:
             if name != "lap":
                 setattr(c, name, getattr(d, name))
-        c.has_lap = d.lap is not None
-        c.lap = d.lap or (0.0, 0.0)
+        c.has_lap = d.lap_start is not None
+        c.lap_start = d.lap_start or (0.0, 0.0)
         return c
 
     def same_detour(self, d: detour.Detour, c) -> None:
@@ -72,28 +70,28 @@ class Twin:
         told = {n: v if isinstance(v, (float, int)) else tuple(v) for n, v in told.items()}
         told["lap"] = told["lap"] if c.has_lap else None
         assert repr(told) == repr({n: getattr(d, n) for n in d.__slots__})
-        assert bool(self.lib.avoid_done(c)) == d.done
+        assert bool(self.lib.is_detour_finished(c)) == d.done
 
     def _floats(self, values):
         return self.ffi.new("real_t[]", [float(v) for v in values])
 
-    def sight(self, s: avoidance.Sight):
-        c = self.ffi.new("sight_t *")
+    def sight(self, s: avoidance.PathCheck):
+        c = self.ffi.new("path_check_t *")
         names = ("ahead", "row", "way", "onward", "across", "blockers", "block")
         for name in names:
             setattr(c, name, getattr(s, name))
-        c.place, c.goal, c.from_goal = s[:3], s[3:5], s.goal
-        c.block_at = (s.block_north, s.block_east)
-        self.ffi.memmove(c.near, s.near.tobytes(), s.near.nbytes)
+        c.place, c.goal, c.from_goal = s[:3], s[3:5], s.goal_distance_sq
+        c.block_at = (s.blocker_north, s.blocker_east)
+        self.ffi.memmove(c.nearest_points, s.nearest_points.tobytes(), s.nearest_points.nbytes)
         return c
 
-    def same_sight(self, s: avoidance.Sight, c) -> None:
-        assert different(s, _sight(c)) == []
+    def same_sight(self, s: avoidance.PathCheck, c) -> None:
+        assert diff_fields(s, _read_path_check(c)) == []
 
     def observe(self, memory, beams, time_s, position, attitude, ranges, first=0, count=None):
         self.asked["observe"] += 1
         c, count = self.memory(memory), len(beams.cos) if count is None else count
-        self.lib.avoid_observe(
+        self.lib.insert_beam_hits(
             c,
             self.ring(beams),
             time_s,
@@ -103,65 +101,65 @@ class Twin:
             first,
             count,
         )
-        right = avoidance.observe(memory, beams, time_s, position, attitude, ranges, first, count)
-        assert (c.used, c.turn) == (right.used, right.turn)
+        right = avoidance.insert_beam_hits(memory, beams, time_s, position, attitude, ranges, first, count)
+        assert (c.used, c.turn) == (right.point_count, right.replace_index)
         assert bytes(self.ffi.buffer(c.points)) == right.points.tobytes()
         return right
 
-    def begin_sight(self, position, goal, ahead=avoidance.LOOK_M):
+    def begin_sight(self, position, goal, ahead=avoidance.LOOK_AHEAD_M):
         self.asked["begin_sight"] += 1
-        c = self.ffi.new("sight_t *")
-        self.lib.avoid_begin_sight(position, goal[:2], ahead, c)
-        right = avoidance.begin_sight(position, goal, ahead)
+        c = self.ffi.new("path_check_t *")
+        self.lib.begin_path_check(position, goal[:2], ahead, c)
+        right = avoidance.begin_path_check(position, goal, ahead)
         self.same_sight(right, c)
         return right
 
     def look_around(self, memory, sight, time_s, clearance, part=1, parts=1):
         self.asked["look_around"] += 1
         m, c = self.memory(memory), self.sight(sight)
-        self.lib.avoid_look_around(m, c, time_s, clearance, part, parts)
-        known, right = avoidance.look_around(memory, sight, time_s, clearance, part, parts)
-        assert m.used == known.used
+        self.lib.check_map_part(m, c, time_s, clearance, part, parts)
+        known, right = avoidance.check_map_part(memory, sight, time_s, clearance, part, parts)
+        assert m.point_count == known.point_count
         assert bytes(self.ffi.buffer(m.points)) == known.points.tobytes()
         self.same_sight(right, c)
-        assert bool(self.lib.avoid_blocked(c, clearance)) == avoidance.blocked(right, clearance)
-        for place in ((right.north, right.east), (right.goal_north + 0.1, 0.3)):
+        assert bool(self.lib.is_path_blocked(c, clearance)) == avoidance.is_path_blocked(right, clearance)
+        for place in ((right.from_north, right.from_east), (right.goal_north + 0.1, 0.3)):
             unit = self.ffi.new("real_t[2]")
-            far = self.lib.avoid_nearest(c, place, unit)
-            assert (far, *unit) == right.nearest(place)
+            far = self.lib.nearest_point(c, place, unit)
+            assert (far, *unit) == right.nearest_point(place)
         return known, right
 
     def blocked(self, sight, clearance):
         self.asked["blocked"] += 1
-        return avoidance.blocked(sight, clearance)  # look_around has compared it
+        return avoidance.is_path_blocked(sight, clearance)  # look_around has compared it
 
     def hold_off(self, sight, position, velocity, keep):
         self.asked["hold_off"] += 1
         c = self._floats(velocity)
-        self.lib.avoid_hold_off(self.sight(sight), position[:2], keep, c)
-        right = avoidance.hold_off(sight, position, velocity, keep)
+        self.lib.limit_approach_velocity(self.sight(sight), position[:2], keep, c)
+        right = avoidance.limit_approach_velocity(sight, position, velocity, keep)
         assert tuple(c) == right
         return right
 
     def begin_detour(self, position, velocity, acceleration, goal, sight, before):
         self.asked["begin_detour"] += 1
         c, s, b = self.ffi.new("detour_t *"), self.sight(sight), self.detour(before)
-        self.lib.avoid_begin(c, position, velocity, acceleration, goal, s, b)
+        self.lib.begin_detour(c, position, velocity, acceleration, goal, s, b)
         right = detour.begin_detour(position, velocity, acceleration, goal, sight, before)
         self.same_detour(right, c)
         if before is not None:  # in its own place
-            self.lib.avoid_begin(b, position, velocity, acceleration, goal, s, b)
+            self.lib.begin_detour(b, position, velocity, acceleration, goal, s, b)
             self.same_detour(right, b)
         return right
 
     def go_round(self, before, sight, beams, position, heading, ranges, goal, *, clearance, speed, dt):
         self.asked["go_round"] += 1
         c = self.detour(before)
-        self.lib.avoid_go_round(
+        self.lib.follow_contour(
             c, self.sight(sight), self.ring(beams), position, heading, self._floats(ranges), goal,
             clearance, speed, dt,
         )  # fmt: skip
-        right = detour.go_round(
+        right = detour.follow_contour(
             before, sight, beams, position, heading, ranges, goal, clearance=clearance, speed=speed, dt=dt
         )
         self.same_detour(right, c)
@@ -184,12 +182,10 @@ def test_flights_around_obstacles_are_the_same_in_both_languages(monkeypatch) ->
     assert flight.visited.count("obstacle") >= 2
     shut = [wall([2, -1], [2, 1]), wall([4, -1], [4, 1]), wall([2, -1], [4, -1]), wall([2, 1], [4, 1])]
     flight = rig.fly(
-        mission_from(
-            {"waypoint": [{"position_m": [3, 0, -1]}], "wall": shut, "avoidance": {"give_up_s": 80.0}}
-        )
+        parse_mission({"waypoint": [{"position_m": [3, 0, -1]}], "wall": shut, "avoidance": {"give_up_s": 80.0}})
     )
     assert "blocked by an obstacle" in flight.state.reason
-    assert flight.state.detour.laps >= 1
+    assert flight.state.detour.lap_count >= 1
     assert all(twin.asked[n] > 0 for n in ("observe", "look_around", "blocked", "go_round")), twin.asked
 
 
@@ -198,7 +194,7 @@ def test_scenes_drawn_at_random(monkeypatch) -> None:
     flown = 0
     for seed in range(2000, 2012):
         try:
-            mission = mission_from(rig.scene(seed)[1])
+            mission = parse_mission(rig.scene(seed)[1])
         except InputError:
             continue
         rig.fly(mission, disturb=rig.gusty(seed) if seed % 2 else None, limit_s=60.0)
@@ -208,11 +204,11 @@ def test_scenes_drawn_at_random(monkeypatch) -> None:
 
 
 def _points(rng, count):
-    table = avoidance.Memory.empty().points
+    table = avoidance.ObstacleMap.empty().points
     table[:count, :2] = rng.uniform(-2.5, 2.5, (count, 2))
     table[:count, 2] = rng.uniform(-2.0, 0.0, count)
     table[:count, 3] = rng.uniform(0.0, 40.0, count)
-    return avoidance.Memory(table, count)
+    return avoidance.ObstacleMap(table, count)
 
 
 def test_any_memory_any_ring_any_detour(twin) -> None:
@@ -220,17 +216,18 @@ def test_any_memory_any_ring_any_detour(twin) -> None:
     rng = np.random.default_rng(5)
     for k in range(400):
         size = 10.0 ** rng.uniform(-4, 3)
-        count = int(rng.choice([0, 1, 40, avoidance.CAPACITY]))
-        memory, beams = _points(rng, count), avoidance.ring(int(rng.integers(1, 65)), rng.uniform(-7, 7), 1.5)
+        count = int(rng.choice([0, 1, 40, avoidance.MAP_CAPACITY]))
+        memory, beams = (
+            _points(rng, count),
+            avoidance.make_beam_ring(int(rng.integers(1, 65)), rng.uniform(-7, 7), 1.5),
+        )
         ranges = rng.uniform(-0.1, 2.0, len(beams.cos))
         here, velocity, acceleration, goal = (tuple(v) for v in rng.normal(0.0, size, (4, 3)).tolist())
         if k % 7 == 0 and count:
             here = goal = tuple(memory.points[0, :3].tolist())
         attitude = rng.normal(0.0, 0.3, 3)
         memory = twin.observe(memory, beams, rng.uniform(0.0, 60.0), np.array(here), attitude, ranges)
-        memory = twin.observe(
-            memory, beams, 50.0, np.array(goal), attitude, ranges, len(ranges) // 2, len(ranges) // 3
-        )
+        memory = twin.observe(memory, beams, 50.0, np.array(goal), attitude, ranges, len(ranges) // 2, len(ranges) // 3)
         sight = twin.begin_sight(here, goal, float(rng.choice([0.0, 1.2, math.inf])))
         now = rng.uniform(0.0, 80.0)
         for part in range(1, 1 + k % 4):
@@ -239,7 +236,7 @@ def test_any_memory_any_ring_any_detour(twin) -> None:
         way_round = twin.begin_detour(here, velocity, acceleration, goal, sight, None)
         way_round = replace(
             way_round, laps=int(rng.integers(0, 2)), lap=here[:2] if k % 2 else None, lap_way=2.0 * (k % 3),
-            anchor_s=5.0 * (k % 2), hit_distance=way_round.hit_distance + rng.uniform(-1, 3), count=k % 4,
+            anchor_s=5.0 * (k % 2), hit_distance=way_round.hit_goal_distance + rng.uniform(-1, 3), count=k % 4,
         )  # fmt: skip
         for _ in range(3):
             way_round = twin.go_round(
@@ -247,16 +244,16 @@ def test_any_memory_any_ring_any_detour(twin) -> None:
                 ranges.tolist(), goal, clearance=0.39, speed=0.3, dt=float(rng.choice([0.0, 0.02, 0.5])),
             )  # fmt: skip
         twin.begin_detour(here, velocity, acceleration, goal, sight, way_round)
-    empty = twin.ffi.new("memory_t *", {"used": 7})
-    twin.lib.avoid_forget(empty)
-    assert bytes(twin.ffi.buffer(empty)) == bytes(twin.ffi.sizeof("memory_t"))
-    assert astuple(avoidance.Memory.empty())[1] == 0
+    empty = twin.ffi.new("obstacle_map_t *", {"used": 7})
+    twin.lib.clear_obstacle_map(empty)
+    assert bytes(twin.ffi.buffer(empty)) == bytes(twin.ffi.sizeof("obstacle_map_t"))
+    assert astuple(avoidance.ObstacleMap.empty())[1] == 0
 
 
 def test_decay_is_the_exponential_and_the_same_in_both_languages(twin) -> None:
     xs = [*np.random.default_rng(0).uniform(0.0, 40.0, 2000).tolist(), 0.0, -0.0, 1e-300, 40.0]
     for x in xs:
-        assert decay(x) == twin.lib.decay(x)
-        assert abs(decay(x) - math.exp(-x)) <= 2 * math.ulp(math.exp(-x))
+        assert exp_decay(x) == twin.lib.exp_decay(x)
+        assert abs(exp_decay(x) - math.exp(-x)) <= 2 * math.ulp(math.exp(-x))
     for x, right in ((-1.0, 1.0), (41.0, 0.0), (math.inf, 0.0), (math.nan, 1.0), (-math.inf, 1.0)):
-        assert decay(x) == twin.lib.decay(x) == right
+        assert exp_decay(x) == twin.lib.exp_decay(x) == right

@@ -8,35 +8,35 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from mufly.control import design
-from mufly.dynamics.state import RS_SPEED_UPPER
+from mufly.control import design_flight_controller
+from mufly.dynamics.model_state import RS_SPEED_UPPER
 from mufly.errors import MuflyError
-from mufly.estimate import KalmanEstimator, native
-from mufly.estimate.layout import (
-    COASTING,
+from mufly.estimate import KalmanEstimator, filter_backend
+from mufly.estimate.c_records import PYTHON_ONLY_FIELDS
+from mufly.estimate.filter_backend import BackendName
+from mufly.estimate.filter_records import (
     EX_TERRAIN,
-    FLYING,
-    LIGHT,
+    PHASE_COASTING,
+    PHASE_FLYING,
+    PHASE_LIGHT,
+    PHASE_RUNNING,
+    PHASE_STANDING,
     R_RING,
     R_SONAR,
-    RUNNING,
-    STANDING,
     SX_ATT,
     SX_FIX_BIAS,
     SX_TERRAIN,
 )
-from mufly.estimate.native import Code
-from mufly.estimate.records import PYTHON_ALONE
 from mufly.estimate.ud_filter import inflate_variance, state_variance
 from mufly.flight import Flight
-from mufly.mission import mission_from
+from mufly.mission import parse_mission
 from mufly.sensors import Readings, fitted_sensors, parse_fault
-from mufly.vehicle import Vehicle, load_vehicle, replace
+from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 from mufly.world import World
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 needs_cc = pytest.mark.skipif(not COMPILERS, reason="there is no C compiler on this machine")
-HOP = mission_from(
+HOP = parse_mission(
     {
         "take_off": {"height_m": 1.0, "wait_s": 0.5},
         "waypoint": [{"position_m": [0.6, 0.3, -1.0], "wait_s": 1.0}],
@@ -55,7 +55,7 @@ FAULTS = (
 
 @pytest.fixture(scope="module")
 def vehicle() -> Vehicle:
-    return replace(load_vehicle("mufly-2.0"), {"motor.friction_torque": 1e-4})
+    return replace_parameters(load_vehicle("mufly-2.0"), {"motor.friction_torque": 1e-4})
 
 
 @pytest.fixture(scope="module")
@@ -63,31 +63,35 @@ def felt(vehicle: Vehicle) -> Callable[[str], list[tuple[Readings, np.ndarray]]]
     """Readings of a unit with faults on a short flight, each with what acted: two seconds on the floor, then a hop."""
     truths, acted = [], []
     with Flight(
-        vehicle, HOP, controller=design(vehicle), seed=5, wind=(0.4, 0.0, 0.0), gust=0.2, keep=False
+        vehicle,
+        HOP,
+        controller=design_flight_controller(vehicle),
+        seed=5,
+        wind=(0.4, 0.0, 0.0),
+        gust=0.2,
+        keep=False,
     ) as f:
         while f.time_s < 9.0:
             if f.time_s == 2.0:
                 f.autopilot.arm(force=True, quiet=True)
                 f.autopilot.start_mission()
-            f.tick()
+            f.step_period()
             truths.append(f.status.truth)
-            acted.append(f.status.actuators.array)
+            acted.append(f.status.actuators.input_array)
 
     def of(faults: str) -> list[tuple[Readings, np.ndarray]]:
-        sensors = fitted_sensors(
-            vehicle, HOP.world, seed=10_000, faults=[parse_fault(x) for x in faults.split()]
-        )
+        sensors = fitted_sensors(vehicle, HOP.world, seed=10_000, faults=[parse_fault(x) for x in faults.split()])
         return [(sensors.read(t), a) for t, a in zip(truths, acted, strict=True)]
 
     return of
 
 
-def estimator(vehicle: Vehicle, code: Code) -> KalmanEstimator:
+def estimator(vehicle: Vehicle, code: BackendName) -> KalmanEstimator:
     return KalmanEstimator(vehicle, HOP.world, 200.0, code=code)
 
 
 def same(a: np.ndarray, b: np.ndarray) -> bool:
-    names = [name for name in a.dtype.names or () if name not in PYTHON_ALONE]
+    names = [name for name in a.dtype.names or () if name not in PYTHON_ONLY_FIELDS]
     return all(a[name].tobytes() == b[name].tobytes() for name in names)
 
 
@@ -96,21 +100,21 @@ def same(a: np.ndarray, b: np.ndarray) -> bool:
 def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults) -> None:
     """All that the filter holds, not only what it tells; with what goes wrong with sensors."""
     c, python = (estimator(vehicle, code) for code in ("c", "numba"))
-    assert (c.steps.name, python.steps.name) == ("C", "Numba")
+    assert (c.backend.name, python.backend.name) == ("C", "Numba")
     disowned = 0
     for k, (r, a) in enumerate(felt(faults)):
         told, right = c.update(r, a), python.update(r, a)
         assert told.valid == right.valid
         assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k
-        disowned += int(c.memory["accel_distrusted"])
+        disowned += int(c.memory["is_accel_distrusted"])
         if k % 25 == 0:
-            assert same(c._box, python._box), k
-    assert same(c._box, python._box)
+            assert same(c._memory_array, python._memory_array), k
+    assert same(c._memory_array, python._memory_array)
     assert (disowned > 0) == faults.startswith("accelerometer.drift")  # forces apart by six deviations
     if not faults:
-        assert c.memory["flight_phase"] == FLYING
+        assert c.memory["flight_phase"] == PHASE_FLYING
         c.memory["x"][SX_TERRAIN] += 1e-15
-        assert not same(c._box, python._box)  # the comparison can fail
+        assert not same(c._memory_array, python._memory_array)  # the comparison can fail
 
 
 @needs_cc
@@ -120,41 +124,39 @@ def test_a_vehicle_with_less_on_board_is_the_same(
 ) -> None:
     """Without a model of its rotors; with the inertial unit alone, with every second sensor, with all but that unit."""
     c, python = (estimator(vehicle, code) for code in ("c", "numba"))
-    places = np.arange(c._settings["fitted"].size)
+    places = np.arange(c._settings["is_fitted"].size)
     there = {1: places < 2, 2: places % 2 == 0, 3: places >= 2}
     for e in (c, python):
         has = e._settings.copy()
         has["has_rotor_model"] = settings.get("model", 1)
         if "fitted" in settings:
-            has["fitted"][:] *= there[settings["fitted"]]
-        e.use(has)
+            has["is_fitted"][:] *= there[settings["fitted"]]
+        e.set_settings(has)
     for k, (r, a) in enumerate(felt("sonar.jump=0.3@5s gyro.dropout@7s+0.5s")[::2]):
         told, right = c.update(r, a), python.update(r, a)
         assert told.valid == right.valid
         assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k
-    assert same(c._box, python._box)
+    assert same(c._memory_array, python._memory_array)
 
 
 @needs_cc
 @pytest.mark.parametrize(
     ("floor_m", "sigma_m", "settles"), [(0.01, 0.03, True), (0.045, 0.012, False), (0.01, 0.005, False)]
 )
-def test_a_floor_that_may_be_the_room_s_is_taken_for_it_in_both(
-    vehicle, felt, floor_m, sigma_m, settles
-) -> None:
+def test_a_floor_that_may_be_the_room_s_is_taken_for_it_in_both(vehicle, felt, floor_m, sigma_m, settles) -> None:
     """Past an edge, with the sonar silent: what is known to lie higher stays so, what is known well is left alone."""
     c, python = (estimator(vehicle, code) for code in ("c", "numba"))
     for k, (r, a) in enumerate(felt("sonar.dropout@7s")[:1640]):
         for e in (c, python):
             m = e.memory
             if k == 1600:
-                assert m["terrain_edge"] == 0.0
+                assert m["terrain_edge_weight"] == 0.0
                 m["x"][SX_TERRAIN] = floor_m
-                less = sigma_m**2 - state_variance(m["ut"], m["d"], EX_TERRAIN)
-                inflate_variance(m["ut"], m["d"], EX_TERRAIN, less, m["f"])
-                assert state_variance(m["ut"], m["d"], EX_TERRAIN) == pytest.approx(sigma_m**2)
+                less = sigma_m**2 - state_variance(m["u_transposed"], m["d"], EX_TERRAIN)
+                inflate_variance(m["u_transposed"], m["d"], EX_TERRAIN, less, m["f"])
+                assert state_variance(m["u_transposed"], m["d"], EX_TERRAIN) == pytest.approx(sigma_m**2)
             e.update(r, a)
-    assert same(c._box, python._box)
+    assert same(c._memory_array, python._memory_array)
     assert (abs(c.memory["x"][SX_TERRAIN]) < 0.2 * floor_m) == settles
 
 
@@ -174,7 +176,7 @@ def test_lasers_of_who_believes_to_be_outside_of_the_room_meet_no_wall_in_both(v
             if k == 1600:  # lies on its side: what its beams meet first is the floor
                 e.memory["x"][SX_ATT : SX_ATT + 4] = np.cos(0.7), np.sin(0.7), 0.0, 0.0
             e.update(near if k >= 1500 else r, a)
-    assert same(c._box, python._box)
+    assert same(c._memory_array, python._memory_array)
     assert c.memory["beams_seen"] == len(near.latest["ranges"].value)
     assert c.memory["status"][R_RING] != 1  # FUSED
 
@@ -193,7 +195,7 @@ def test_a_fix_apart_from_the_sonar_in_height_is_told_in_both(vehicle, felt, rem
                 e.memory["x"][SX_FIX_BIAS + 2] = 2.0
             e.update(r, a)
         most = max(most, c.memory["fix_height_gap"])
-    assert same(c._box, python._box)
+    assert same(c._memory_array, python._memory_array)
     assert most > (0.0 if remembers else 0.5)
 
 
@@ -212,7 +214,7 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
                 x[SX_TERRAIN] = rng.normal(0.0, 0.1) * (rng.random() < 0.3)
                 shift = rng.normal(0.0, 4.0, 3) * (rng.random() < 0.2)
                 mode, sensor, code = (
-                    rng.integers(0, FLYING + 1),
+                    rng.integers(0, PHASE_FLYING + 1),
                     rng.integers(0, R_RING + 1),
                     rng.integers(0, 5),
                 )
@@ -221,20 +223,18 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
                     m = e.memory
                     m["x"][:] += x
                     m["gyro_offset"][:] += shift
-                    m["flight_phase"], m["terrain_edge"], m["fix_height_gap"] = mode, edge, apart
+                    m["flight_phase"], m["terrain_edge_weight"], m["fix_height_gap"] = mode, edge, apart
                     m["status"][sensor], m["last_fused_tick"][R_SONAR] = (
                         code,
                         max(int(m["tick"]) - int(ago), 0),
                     )
-                    m["rotor_state"][RS_SPEED_UPPER] += (
-                        200.0 if k < 200 else 0.0
-                    )  # on the floor: it runs down
+                    m["rotor_state"][RS_SPEED_UPPER] += 200.0 if k < 200 else 0.0  # on the floor: it runs down
             told, right = c.update(r, a), python.update(r, a)
             assert told.valid == right.valid
             assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k
             modes.add(int(c.memory["flight_phase"]))
-    assert same(c._box, python._box)
-    assert modes == {STANDING, COASTING, RUNNING, LIGHT, FLYING}
+    assert same(c._memory_array, python._memory_array)
+    assert modes == {PHASE_STANDING, PHASE_COASTING, PHASE_RUNNING, PHASE_LIGHT, PHASE_FLYING}
 
 
 def streams(vehicle: Vehicle, felt) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -242,9 +242,9 @@ def streams(vehicle: Vehicle, felt) -> list[tuple[np.ndarray, np.ndarray, np.nda
     e = estimator(vehicle, "c")
     rows = []
     for r, a in felt("")[:1400]:
-        e._read(r, a)
-        rows.append((e._z.copy(), e._new.copy(), e._age.copy()))
-        e.steps.step(e._box)
+        e._fill_inputs(r, a)
+        rows.append((e._input_values.copy(), e._input_is_new.copy(), e._input_age.copy()))
+        e.backend.step_filter(e._memory_array)
     rng = np.random.default_rng(3)
     evil = np.array([np.nan, np.inf, -np.inf, 1e300, -1e300, 0.0, -0.0, 1e-310, 1e9, -2.0])
     for k in range(600):
@@ -261,51 +261,51 @@ def replayed(e: KalmanEstimator, rows: Sequence[tuple[np.ndarray, np.ndarray, np
     told = []
     with np.errstate(all="ignore"):
         for z, new, age in rows:
-            e._z[:], e._new[:], e._age[:] = z, new, age
-            valid = e.steps.step(e._box)
+            e._input_values[:], e._input_is_new[:], e._input_age[:] = z, new, age
+            valid = e.backend.step_filter(e._memory_array)
             told.append(e.memory["x_output"].tobytes() + e.memory["angles_output"].tobytes() + bytes([valid]))
-    return [*told, *(e.memory[n].tobytes() for n in e.memory.dtype.names if n not in PYTHON_ALONE)]
+    return [*told, *(e.memory[n].tobytes() for n in e.memory.dtype.names if n not in PYTHON_ONLY_FIELDS)]
 
 
 @needs_cc
 def test_nonsense_and_any_compiler_give_the_same(vehicle, felt, monkeypatch) -> None:
     rows = streams(vehicle, felt)
     right = replayed(estimator(vehicle, "numba"), rows)
-    assert np.all(
-        np.isfinite(np.frombuffer(right[len(rows)]))
-    )  # the first it remembers: the state of the horizon
+    assert np.all(np.isfinite(np.frombuffer(right[len(rows)])))  # the first it remembers: the state of the horizon
     for cc in COMPILERS:
         for level in ("-O0", "-O2") if cc == "gcc" else ("-O3",):
             monkeypatch.setenv("CC", cc)
             e = estimator(vehicle, "numba")
             flags = ("-std=c99", level, "-ffp-contract=off")
-            e.steps = native.in_c(e._settings, e._parameters, e._z, e._new, e._age, flags)
+            e.backend = filter_backend.make_c_backend(
+                e._settings, e._parameters, e._input_values, e._input_is_new, e._input_age, flags
+            )
             assert replayed(e, rows) == right, (cc, level)
 
 
 def test_c_is_a_translation_of_these_sources() -> None:
     """Fails when a line of the filter's compiled functions changes: C has to follow, which the tests above tell; then
-    this stamp is written into mufly/estimate/native.py."""
-    assert native.stamp() == native.PROVED
+    this stamp is written into mufly/estimate/filter_backend.py."""
+    assert filter_backend.source_stamp() == filter_backend.VERIFIED_STAMP
 
 
 @needs_cc
 def test_who_computes_is_chosen_and_told(vehicle, monkeypatch) -> None:
     def chosen() -> tuple[str, str]:
-        steps = KalmanEstimator(vehicle, World(), 200.0).steps
-        return steps.name, steps.why
+        steps = KalmanEstimator(vehicle, World(), 200.0).backend
+        return steps.name, steps.selection_reason
 
     monkeypatch.delenv("MUFLY_ESTIMATOR", raising=False)
     assert chosen() == ("C", "")
-    assert KalmanEstimator(vehicle, World(), 200.0, np.float32).steps.why == "single precision"
-    monkeypatch.setattr(native, "PROVED", "of other sources")
+    assert KalmanEstimator(vehicle, World(), 200.0, np.float32).backend.selection_reason == "single precision"
+    monkeypatch.setattr(filter_backend, "VERIFIED_STAMP", "of other sources")
     assert chosen()[0] == "Numba"
     assert "have changed" in chosen()[1]
     monkeypatch.undo()
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.delenv("MUFLY_ESTIMATOR", raising=False)
-    native._library.cache_clear()
+    filter_backend._load_filter_library.cache_clear()
     assert chosen()[0] == "Numba"
     assert "no C compiler" in chosen()[1]
     monkeypatch.setenv("MUFLY_ESTIMATOR", "c")

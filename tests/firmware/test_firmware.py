@@ -13,39 +13,37 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli import app
-from mufly.control import design
+from mufly.control import design_flight_controller
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.firmware import (
     Firmware,
     FirmwareControllers,
-    build,
-    compiler,
-    deepest_stack,
-    export,
+    build_library,
+    export_firmware,
+    find_compiler,
+    find_deepest_stack,
     missing_tools,
-    pil,
-    sil,
+    run_pil,
+    run_sil,
 )
 from mufly.flight.controllers import Controllers
-from mufly.trigonometry import sine_cosine
+from mufly.portable_math import sine_cosine
 from mufly.vehicle import load_vehicle
 
-COMPILERS = [
-    path for name in ("cc", "clang") if (path := shutil.which(name))
-]  # what is built by cc is built once
+COMPILERS = [path for name in ("cc", "clang") if (path := shutil.which(name))]  # what is built by cc is built once
 needs_cc = pytest.mark.skipif(not COMPILERS, reason="there is no C compiler on this machine")
 
 
 @pytest.fixture(scope="module", params=["mufly-1.1", "mufly-2.0"])
 def controller(request):
-    return design(load_vehicle(request.param))
+    return design_flight_controller(load_vehicle(request.param))
 
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fw") / "fw"
-    export(design(load_vehicle("mufly-1.1")), folder)
+    export_firmware(design_flight_controller(load_vehicle("mufly-1.1")), folder)
     return folder
 
 
@@ -71,7 +69,7 @@ def _fly_both(one: Controllers, other: Controllers, seed: int, periods: int, siz
             tilts = [c.tilt_for(now, *path) for c in (one, other)]
             yield tilts
             tilt = tilts[0]
-        yield [c.step(now, wanted, tilt if flying else None).array for c in (one, other)]
+        yield [c.step(now, wanted, tilt if flying else None).input_array for c in (one, other)]
 
 
 @needs_cc
@@ -80,9 +78,7 @@ def test_exported_code_is_the_law_to_the_last_bit_whatever_is_asked(controller, 
     """Small errors, and such that everything saturates and the reference waits."""
     firmware = Firmware(controller, cc=cc)
     for seed, size in enumerate((1e-3, 0.1, 3.0, 1e3)):
-        pairs = list(
-            _fly_both(Controllers(controller), FirmwareControllers(controller, firmware), seed, 300, size)
-        )
+        pairs = list(_fly_both(Controllers(controller), FirmwareControllers(controller, firmware), seed, 300, size))
         assert len(pairs) == 370
         assert all(a.tobytes() == b.tobytes() for a, b in pairs)
 
@@ -91,14 +87,14 @@ def test_exported_code_is_the_law_to_the_last_bit_whatever_is_asked(controller, 
 def test_numbers_that_change_in_flight_change_in_the_exported_code_too(controller) -> None:
     from dataclasses import replace
 
-    from mufly.flight.controllers import copied
+    from mufly.flight.controllers import copy_record
 
-    gains = copied(controller.position_gains)
+    gains = copy_record(controller.position_gains)
     gains["position_gain"] *= 1.3
     other = replace(controller, position_gains=gains)
     one, two = Controllers(controller), FirmwareControllers(controller)
     for c in (one, two):
-        c.retune(other)
+        c.retune_gains(other)
     pairs = list(_fly_both(one, two, 3, 200, 0.1))
     assert all(a.tobytes() == b.tobytes() for a, b in pairs)
     fixed = list(_fly_both(Controllers(controller), Controllers(other), 3, 200, 0.1))
@@ -108,7 +104,9 @@ def test_numbers_that_change_in_flight_change_in_the_exported_code_too(controlle
 @needs_cc
 def test_code_with_another_vehicles_numbers_differs(controller) -> None:
     """The comparison can fail."""
-    other = design(load_vehicle("mufly-2.0" if controller.vehicle_name != "mufly-2.0" else "mufly-1.1"))
+    other = design_flight_controller(
+        load_vehicle("mufly-2.0" if controller.vehicle_name != "mufly-2.0" else "mufly-1.1")
+    )
     wrong = FirmwareControllers(other)
     pairs = list(_fly_both(Controllers(controller), wrong, 1, 60, 0.1))
     assert any(a.tobytes() != b.tobytes() for a, b in pairs)
@@ -116,7 +114,7 @@ def test_code_with_another_vehicles_numbers_differs(controller) -> None:
 
 @needs_cc
 def test_a_mission_flown_beside_it_shows_no_difference() -> None:
-    (one,) = sil(load_vehicle("mufly-1.1"), ["box-on-leg"], wind=[0.5, 0.0, 0.0], gust=0.3)
+    (one,) = run_sil(load_vehicle("mufly-1.1"), ["box-on-leg"], wind=[0.5, 0.0, 0.0], gust=0.3)
     assert one.outcome == "succeeded"
     assert 5000 < one.periods < one.beliefs
     assert one.different == one.beliefs_different == one.steps_different == 0
@@ -128,9 +126,9 @@ def test_a_mission_flown_beside_it_shows_no_difference() -> None:
 
 @needs_cc
 def test_it_flies_the_mission_as_python_does(tmp_path) -> None:
-    from mufly.flight import fly, read_recording
+    from mufly.flight import fly_mission, read_recording
 
-    python = fly("mufly-1.1", "box-on-leg")
+    python = fly_mission("mufly-1.1", "box-on-leg")
     result = CliRunner().invoke(
         app, ["fly", "box-on-leg", "--firmware", "--headless", "--sensors", "ideal", "--out", str(tmp_path)]
     )
@@ -143,13 +141,11 @@ def test_it_flies_the_mission_as_python_does(tmp_path) -> None:
 
 @pytest.mark.skipif(bool(missing_tools()) or not COMPILERS, reason=missing_tools() or "no C compiler")
 def test_an_emulated_processor_computes_the_same() -> None:
-    results = pil(load_vehicle("mufly-1.1"))
+    results = run_pil(load_vehicle("mufly-1.1"))
     assert {r.machine for r in results} == {"mps2-an386", "netduinoplus2"}
     for r in results:
         assert r.same
-        least, most = {"law": (1500, 10_000), "flight": (3500, 100_000), "estimator": (10_000, 100_000)}[
-            r.what
-        ]
+        least, most = {"law": (1500, 10_000), "flight": (3500, 100_000), "estimator": (10_000, 100_000)}[r.what]
         assert least < r.mean_instructions < r.worst_instructions < most
         assert r.flash_bytes < 64 * 1024
         assert r.ram_bytes == 0
@@ -173,7 +169,7 @@ def test_any_optimisation_gives_the_same_and_no_warning(tree) -> None:
             "-pedantic",
         ]
         sources = [*sorted(p.name for p in tree.glob("*.c")), "check/selftest.c", "check/platform_host.c"]
-        command = [compiler(), *flags, "-Werror", "-I.", *sources, "-o", "try", "-lm"]
+        command = [find_compiler(), *flags, "-Werror", "-I.", *sources, "-o", "try", "-lm"]
         done = subprocess.run(command, cwd=tree, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         said = subprocess.run([str(tree / "try")], capture_output=True, text=True).stdout
@@ -186,7 +182,7 @@ def test_every_number_in_the_tables_is_the_controllers(tree) -> None:
     """Read back from the text: all numbers, in order, to the last bit."""
     text = (tree / "tables.c").read_text()
     told = [float.fromhex(x) for x in re.findall(r"REAL\(([^)]+)\)", text)]
-    c = design(load_vehicle("mufly-1.1"))
+    c = design_flight_controller(load_vehicle("mufly-1.1"))
     right = np.concatenate(
         [
             np.frombuffer(r.tobytes(), dtype=np.float64)
@@ -202,11 +198,11 @@ def test_every_number_in_the_tables_is_the_controllers(tree) -> None:
 def test_a_folder_that_holds_something_else_is_left_alone(tmp_path, tree) -> None:
     (tmp_path / "mine.txt").write_text("keep")
     with pytest.raises(InputError, match="holds something else"):
-        export(design(load_vehicle("mufly-1.1")), tmp_path)
+        export_firmware(design_flight_controller(load_vehicle("mufly-1.1")), tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
-    export(design(load_vehicle("mufly-2.0")), tree)  # over an earlier one
+    export_firmware(design_flight_controller(load_vehicle("mufly-2.0")), tree)  # over an earlier one
     assert "mufly-2.0" in (tree / "tables.c").read_text()
-    export(design(load_vehicle("mufly-1.1")), tree)
+    export_firmware(design_flight_controller(load_vehicle("mufly-1.1")), tree)
 
 
 def test_without_a_compiler_one_line_says_what_to_install(monkeypatch, tmp_path) -> None:
@@ -216,7 +212,7 @@ def test_without_a_compiler_one_line_says_what_to_install(monkeypatch, tmp_path)
     assert isinstance(result.exception, MuflyError)
     assert "apt-get install gcc" in str(result.exception)
     with pytest.raises(MuflyError, match="apt-get install gcc-arm-none-eabi qemu-system-arm"):
-        pil(load_vehicle("mufly-1.1"))
+        run_pil(load_vehicle("mufly-1.1"))
 
 
 @needs_cc
@@ -224,25 +220,23 @@ def test_what_the_compiler_says_first_is_told(tmp_path, tree) -> None:
     shutil.copytree(tree, tmp_path / "fw", ignore=shutil.ignore_patterns("*.c"))
     (tmp_path / "fw" / "law.c").write_text("nonsense\n")
     with pytest.raises(MuflyError, match=r"could not build .*law\.c:1"):
-        build(tmp_path / "fw")
+        build_library(tmp_path / "fw")
 
 
 def test_recursion_and_unknown_stack_have_no_bound(tmp_path) -> None:
-    (tmp_path / "a.su").write_text(
-        "a.c:1:2:begin\t16\tstatic\na.c:9:2:loop\t8\tstatic\na.c:12:2:leaf\t40\tstatic\n"
-    )
+    (tmp_path / "a.su").write_text("a.c:1:2:begin\t16\tstatic\na.c:9:2:loop\t8\tstatic\na.c:12:2:leaf\t40\tstatic\n")
     call = '(call_insn 5 4 6 2 (call (mem:SI (symbol_ref:SI ("{}") [flags 0x3])'
     dump = tmp_path / "a.c.expand"
     dump.write_text(
         f";; Function begin (begin)\n{call.format('loop')}\n;; Function loop (loop)\n{call.format('leaf')}\n"
     )
-    assert deepest_stack(tmp_path, "begin") == 16 + 8 + 40
+    assert find_deepest_stack(tmp_path, "begin") == 16 + 8 + 40
     dump.write_text(dump.read_text() + f";; Function leaf (leaf)\n{call.format('loop')}\n")
     with pytest.raises(MuflyError, match="calls itself"):
-        deepest_stack(tmp_path, "begin")
+        find_deepest_stack(tmp_path, "begin")
     (tmp_path / "a.su").write_text("a.c:1:2:begin\t16\tdynamic\n")
     with pytest.raises(MuflyError, match="dynamic"):
-        deepest_stack(tmp_path, "begin")
+        find_deepest_stack(tmp_path, "begin")
 
 
 def test_sine_and_cosine_are_right_to_the_last_place() -> None:
@@ -259,7 +253,7 @@ def test_both_languages_take_the_same_sine(tree) -> None:
 
     ffi = cffi.FFI()
     ffi.cdef("void sine_cosine(double angle, double *sine, double *cosine);")
-    lib = ffi.dlopen(str(build(tree)))
+    lib = ffi.dlopen(str(build_library(tree)))
     s, c = ffi.new("double *"), ffi.new("double *")
     for x in [*np.random.default_rng(1).uniform(-1e5, 1e5, 2000).tolist(), 0.0, -0.0, 1e300, math.nan, 1e5]:
         lib.sine_cosine(x, s, c)
@@ -267,9 +261,7 @@ def test_both_languages_take_the_same_sine(tree) -> None:
 
 
 def test_the_command_writes_a_tree_that_says_what_it_is(tmp_path) -> None:
-    result = CliRunner().invoke(
-        app, ["firmware", "export", "--vehicle", "mufly-2.0", "--out", str(tmp_path / "fw")]
-    )
+    result = CliRunner().invoke(app, ["firmware", "export", "--vehicle", "mufly-2.0", "--out", str(tmp_path / "fw")])
     assert result.exit_code == 0, result.output
     assert "mufly-2.0" in result.output
     for name in ("law.c", "cascade.c", "mixer.c", "tables.c", "Makefile", "CMakeLists.txt", "README.md"):

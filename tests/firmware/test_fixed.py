@@ -9,15 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mufly.control import design
+from mufly.control import design_flight_controller
 from mufly.control.implementation import DiscreteController
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
-from mufly.firmware.checks import missing_tools, pil
-from mufly.firmware.fixed import cascade_loss, fixed_law, whole
-from mufly.firmware.fixed_checks import fly_fixed
-from mufly.firmware.integer_law import FixedControllers, FixedFirmwareControllers, sine_cosine_fixed
-from mufly.flight.controllers import Controllers, copied
+from mufly.firmware.fixed_point_design import measure_cascade_loss, quantise_controller, quantise_law
+from mufly.firmware.fixed_point_flights import fly_fixed_point
+from mufly.firmware.fixed_point_law import (
+    FixedPointControllers,
+    FixedPointFirmwareControllers,
+    sine_cosine_fixed,
+)
+from mufly.firmware.sil_pil import missing_tools, run_pil
+from mufly.flight.controllers import Controllers, copy_record
 from mufly.vehicle import load_vehicle
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
@@ -27,27 +31,27 @@ needs_cc = pytest.mark.skipif(not COMPILERS, reason="there is no C compiler on t
 @pytest.fixture(scope="module", params=["mufly-1.1", "mufly-2.0"])
 def made(request):
     vehicle = load_vehicle(request.param)
-    controller = design(vehicle)
-    return vehicle, controller, fixed_law(controller)
+    controller = design_flight_controller(vehicle)
+    return vehicle, controller, quantise_law(controller)
 
 
 def test_whole_numbers_cost_no_margin_and_cannot_overflow(made) -> None:
     vehicle, controller, law = made
-    assert {one.loop for one in law.taken} == {"heave-yaw", "roll-pitch", "velocity"}
-    for one in (*law.taken, cascade_loss(vehicle, controller, law)):
+    assert {one.loop for one in law.chosen_losses} == {"heave-yaw", "roll-pitch", "velocity"}
+    for one in (*law.chosen_losses, measure_cascade_loss(vehicle, controller, law)):
         assert one.worst_dB < 0.1, one
     for c in law.controllers:
-        assert c.proof.holds
+        assert c.proof.is_overflow_free
         assert 0.0 < c.proof.slowest < 1.0
         assert np.abs(c.update.c).max() <= 32767
 
 
 def _worst(controller, c):
     """Inputs that drive each state of the stable form as far as inputs within the limits can, one after another."""
-    n, m = len(c.fractions), len(c.output.c[0]) - len(c.fractions)
-    A = c.update.value[:, :n] + np.eye(n) * c.delta
-    B, M = c.update.value[:, n : n + m], c.update.value[:, n + m :]
-    C, D = c.output.value[:, :n], c.output.value[:, n:]
+    n, m = len(c.state_fraction_bits), len(c.output.coefficients[0]) - len(c.state_fraction_bits)
+    A = c.update.quantised_values[:, :n] + np.eye(n) * c.is_delta_form
+    B, M = c.update.quantised_values[:, n : n + m], c.update.quantised_values[:, n + m :]
+    C, D = c.output.quantised_values[:, :n], c.output.quantised_values[:, n:]
     inputs, power, found = np.hstack([B - M @ D, M]), np.eye(n), []
     F = A - M @ C
     for _ in range(3000):
@@ -58,14 +62,14 @@ def _worst(controller, c):
 
 def test_the_bound_is_reached_nearly_and_never_passed(made) -> None:
     """The worst inputs, made from the impulse responses, fill the bound of a state to most of it."""
-    from mufly.firmware.fixed import ACTUATION, ERRORS
+    from mufly.firmware.fixed_point_design import ACTUATION_LIMITS, ERROR_LIMITS
 
     _, controller, law = made
     c = law.roll_pitch
-    most = np.array([*ERRORS["roll_pitch"], *[ACTUATION["roll_pitch"]] * 2])
+    most = np.array([*ERROR_LIMITS["roll_pitch"], *[ACTUATION_LIMITS["roll_pitch"]] * 2])
     responses = _worst(controller, c)
     reached = np.sum(np.abs(responses) * most, axis=(0, 2))
-    bound = c.proof.states * 2.0 ** (31 - np.array(c.fractions))
+    bound = c.proof.states * 2.0 ** (31 - np.array(c.state_fraction_bits))
     assert np.all(reached < bound)
     # The rest is rounding and the state it engages with.
     assert np.all(reached > 0.2 * bound)
@@ -74,11 +78,11 @@ def test_the_bound_is_reached_nearly_and_never_passed(made) -> None:
 def test_what_has_no_bound_is_refused(made) -> None:
     """Without an anti-windup the integrators' states grow for ever while the actuators saturate."""
     _, controller, _ = made
-    gains = copied(controller.heave_yaw_gains)
+    gains = copy_record(controller.heave_yaw_gains)
     gains["F"][0, 0] = 0.0
     gains["M"][:] = 0.0
     with pytest.raises(MuflyError, match="no bound"):
-        whole("heave_yaw", gains)
+        quantise_controller("heave_yaw", gains)
 
 
 def _estimate(rng, size) -> Estimate:
@@ -100,7 +104,7 @@ def _both(one, other, seed, periods, size):
             tilts = [c.tilt_for(now, *path) for c in (one, other)]
             yield tilts
             tilt = tilts[0]
-        yield [c.step(now, wanted, tilt if k > 3 else None).array for c in (one, other)]
+        yield [c.step(now, wanted, tilt if k > 3 else None).input_array for c in (one, other)]
 
 
 @needs_cc
@@ -109,16 +113,19 @@ def test_c_is_python_bit_for_bit_whatever_is_asked(made, cc) -> None:
     """Inputs up to the end of 32 bits, where Python would raise if a sum passed 64."""
     _, controller, law = made
     for seed, size in enumerate((1e-3, 0.1, 3.0, 1e3, 1e7)):
-        one, two = FixedControllers(controller, law), FixedFirmwareControllers(controller, law, cc=cc)
+        one, two = (
+            FixedPointControllers(controller, law),
+            FixedPointFirmwareControllers(controller, law, cc=cc),
+        )
         if size == 3.0:  # and with numbers changed in flight
-            gains = copied(controller.heave_yaw_gains)
+            gains = copy_record(controller.heave_yaw_gains)
             gains["heave_acceleration"] *= 1.5
             for c in (one, two):
-                c.retune(replace(controller, heave_yaw_gains=gains))
+                c.retune_gains(replace(controller, heave_yaw_gains=gains))
         for a, b in _both(one, two, seed, 120, size):
             assert a.tobytes() == b.tobytes()
             assert np.abs(a).max() <= 1.0
-        assert one.overflows == two.overflows == 0
+        assert one.overflow_count == two.overflow_count == 0
 
 
 def test_it_computes_what_the_law_does(made) -> None:
@@ -126,7 +133,7 @@ def test_it_computes_what_the_law_does(made) -> None:
     _, controller, law = made
     off = [
         np.abs(a - b).max()
-        for a, b in _both(Controllers(controller), FixedControllers(controller, law), 0, 200, 0.01)
+        for a, b in _both(Controllers(controller), FixedPointControllers(controller, law), 0, 200, 0.01)
     ]
     assert 0.0 < max(off) < 2e-4
 
@@ -151,13 +158,13 @@ def test_rounded_numbers_are_those_analysed(made) -> None:
     c = law.roll_pitch
     exact: DiscreteController = controller.roll_pitch.discrete
     system = c.system(exact)
-    n = len(c.fractions)
+    n = len(c.state_fraction_bits)
     for rows, value, bits in (
-        (c.update, c.update.value, np.array(c.fractions)),
-        (c.output, c.output.value, np.full(2, 20)),
+        (c.update, c.update.quantised_values, np.array(c.state_fraction_bits)),
+        (c.output, c.output.quantised_values, np.full(2, 20)),
     ):
-        fractions = np.concatenate([c.fractions, np.full(4, 20), [16, 16]])[: rows.c.shape[1]]
-        told = rows.c * 2.0**rows.up * 2.0 ** -rows.down[:, None].astype(float)
+        fractions = np.concatenate([c.state_fraction_bits, np.full(4, 20), [16, 16]])[: rows.coefficients.shape[1]]
+        told = rows.coefficients * 2.0**rows.left_shift * 2.0 ** -rows.right_shift[:, None].astype(float)
         told = told * 2.0 ** (fractions[None, :] - bits[:, None])
         assert np.allclose(told, value, rtol=1e-12)
     assert system.A.shape == (n, n)
@@ -165,7 +172,7 @@ def test_rounded_numbers_are_those_analysed(made) -> None:
 
 @pytest.mark.skipif(bool(missing_tools()) or not COMPILERS, reason=missing_tools() or "no C compiler")
 def test_processors_without_a_floating_unit_compute_the_same() -> None:
-    results = pil(load_vehicle("mufly-1.1"), fixed_point=True)
+    results = run_pil(load_vehicle("mufly-1.1"), fixed_point=True)
     assert [r.machine for r in results] == [
         "mps2-an385 (cortex-m3)", "mps2-an386 (cortex-m4)", "microbit (cortex-m0)"
     ]  # fmt: skip
@@ -179,7 +186,7 @@ def test_processors_without_a_floating_unit_compute_the_same() -> None:
 
 @needs_cc
 def test_it_flies_the_mission_and_nothing_overflows() -> None:
-    (one,) = fly_fixed(load_vehicle("mufly-1.1"), ["box-on-leg"])
+    (one,) = fly_fixed_point(load_vehicle("mufly-1.1"), ["box-on-leg"])
     assert one.outcome == "succeeded"
     assert one.overflows == 0
     assert one.periods > 5000

@@ -7,16 +7,16 @@ import shutil
 import numpy as np
 import pytest
 
-from mufly.control import design
-from mufly.firmware import FirmwareSoftware, QuickSoftware
-from mufly.firmware import host as built
-from mufly.firmware.onboard import different
-from mufly.flight import fly
-from mufly.flight.flight import Flight
-from mufly.flight.software import FlightSoftware
-from mufly.mission import mission_from
+from mufly.control import design_flight_controller
+from mufly.firmware import FirmwareSoftware, GenericFirmwareSoftware
+from mufly.firmware import host_build as built
+from mufly.firmware.compiled_software import diff_fields
+from mufly.flight import fly_mission
+from mufly.flight.flight_software import FlightSoftware
+from mufly.flight.simulated_flight import Flight
+from mufly.mission import parse_mission
 from mufly.sensors import parse_fault
-from mufly.vehicle import load_vehicle, replace
+from mufly.vehicle import load_vehicle, replace_parameters
 
 needs_cc = pytest.mark.skipif(
     not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler on this machine"
@@ -37,11 +37,18 @@ FAULTS = (
 def _flown(software, **how):
     vehicle, events, heard = load_vehicle("mufly-1.1"), [], []
     # Another one than its controllers know.
-    true = replace(vehicle, {"body.mass": float(vehicle.body.mass) * 1.03})
-    data = fly(
-        true, mission_from(HOP), controller=design(vehicle), designed_for=vehicle, controllers=software,
-        on_event=events.append, on_tick=lambda truth, m: heard.append((truth, m)), tick_every=7, **how,
-    )  # fmt: skip
+    true = replace_parameters(vehicle, {"body.mass": float(vehicle.body.mass) * 1.03})
+    data = fly_mission(
+        true,
+        parse_mission(HOP),
+        controller=design_flight_controller(vehicle),
+        designed_for=vehicle,
+        controllers=software,
+        on_event=events.append,
+        on_tick=lambda truth, m: heard.append((truth, m)),
+        tick_every=7,
+        **how,
+    )
     return data, events, heard
 
 
@@ -50,8 +57,8 @@ def _same(a, b) -> None:
     assert a[0].attrs["outcome"] == b[0].attrs["outcome"]
     assert a[0].attrs["reason"] == b[0].attrs["reason"]
     for (truth, m), (same_truth, same_m) in zip(a[2], b[2], strict=True):
-        assert different(truth, same_truth) == []
-        assert different(m, same_m) == []
+        assert diff_fields(truth, same_truth) == []
+        assert diff_fields(m, same_m) == []
     for name in a[0].data_vars:
         x, y = a[0][name].values, b[0][name].values
         np.testing.assert_array_equal(x, y, err_msg=name)
@@ -72,9 +79,9 @@ def test_a_flight_is_the_same_in_python_and_in_the_loop(how, monkeypatch: pytest
         how = {**how, "faults": [parse_fault(text) for text in FAULTS]}
     reference = _flown(FlightSoftware, **how)
     assert len(reference[1]) > 2
-    singly, tick = [], Flight.tick
-    monkeypatch.setattr(Flight, "tick", lambda self: singly.append(self.time_s) or tick(self))
-    looped = _flown(QuickSoftware, **how)
+    singly, tick = [], Flight.step_period
+    monkeypatch.setattr(Flight, "step_period", lambda self: singly.append(self.time_s) or tick(self))
+    looped = _flown(GenericFirmwareSoftware, **how)
     _same(reference, looped)
     if looped[0].attrs["outcome"] == "succeeded":
         # A loop that gave way to single periods would be the same flight, and slow.
@@ -82,10 +89,10 @@ def test_a_flight_is_the_same_in_python_and_in_the_loop(how, monkeypatch: pytest
 
 
 def test_without_a_compiler_python_flies(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(built, "_of_any", lambda: built.compiler())
+    monkeypatch.setattr(built, "_load_generic_firmware", lambda: built.find_compiler())
     monkeypatch.setenv("CC", "")
     monkeypatch.setenv("PATH", "")
     vehicle = load_vehicle("mufly-1.1")
-    made = QuickSoftware(vehicle, design(vehicle), mission_from(HOP))
+    made = GenericFirmwareSoftware(vehicle, design_flight_controller(vehicle), parse_mission(HOP))
     assert type(made) is FlightSoftware
-    assert issubclass(QuickSoftware, FirmwareSoftware)
+    assert issubclass(GenericFirmwareSoftware, FirmwareSoftware)

@@ -17,18 +17,26 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mufly import trigonometry
-from mufly.control import design
-from mufly.estimate import EXACT, Check, Estimate
-from mufly.estimate.beliefs import Beliefs
-from mufly.estimate.layout import CHECKED
-from mufly.firmware import Firmware, compiler, export
-from mufly.firmware.onboard import Onboard, _course, _point, different
-from mufly.flight.oscillation import INPUTS, OscillationWatch
-from mufly.flight.software import FlightSoftware
-from mufly.mission import Ask, Command, SetPoint, Words, may, mission_from, straight
-from mufly.mission.offboard import follow
-from mufly.mission.trajectory import Limits, Point, begin_curved, stop
+from mufly import portable_math
+from mufly.control import design_flight_controller
+from mufly.estimate import ZERO_COVARIANCE, Estimate, SensorStatus
+from mufly.estimate.filter_records import READING_NAMES
+from mufly.estimate.sensor_status import AuxiliaryStates
+from mufly.firmware import Firmware, export_firmware, find_compiler
+from mufly.firmware.compiled_software import SoftwareInstance, _read_course, _read_point, diff_fields
+from mufly.flight.flight_software import FlightSoftware
+from mufly.flight.oscillation_detector import INPUT_NAMES, OscillationDetector
+from mufly.mission import (
+    Command,
+    LogMessage,
+    SetPoint,
+    VehicleRequest,
+    check_request,
+    parse_mission,
+    plan_straight,
+)
+from mufly.mission.offboard import follow_set_point
+from mufly.mission.trajectory import TrajectoryLimits, TrajectoryPoint, plan_pending_curve, plan_stop
 from mufly.vehicle import load_vehicle
 
 needs_cc = pytest.mark.skipif(
@@ -72,7 +80,7 @@ def vehicle():
 
 @pytest.fixture(scope="module")
 def controller(vehicle):
-    return design(vehicle)
+    return design_flight_controller(vehicle)
 
 
 @pytest.fixture(scope="module")
@@ -87,27 +95,27 @@ def test_angles_and_lengths_are_the_same_in_both_languages(firmware) -> None:
     lib, rng = firmware.lib, np.random.default_rng(3)
     worst = 0.0
     for y, x in (rng.uniform(-1, 1, (3000, 2)) * 10.0 ** rng.uniform(-6, 3, (3000, 2))).tolist():
-        angle = trigonometry.direction(y, x)
+        angle = portable_math.portable_atan2(y, x)
         assert lib.real_atan2(y, x) == angle
         worst = max(worst, abs(angle - math.atan2(y, x)) / math.ulp(angle))
-        assert lib.real_hypot(x, y) == trigonometry.length(x, y)
+        assert lib.real_hypot(x, y) == portable_math.vector_length(x, y)
         turn = 1000.0 * (x + y)
-        assert lib.real_wrapped(turn) == trigonometry.wrapped(turn)
-        assert abs(turn) > 1e5 or trigonometry.wrapped(turn) == math.remainder(turn, math.tau)
+        assert lib.real_wrap_angle(turn) == portable_math.wrap_angle(turn)
+        assert abs(turn) > 1e5 or portable_math.wrap_angle(turn) == math.remainder(turn, math.tau)
     assert worst <= 2.0
     for y, x in (
         (0.0, -1.0), (-0.0, -1.0), (0.0, 0.0), (math.nan, 1.0), (1.0, math.nan), (1.0, math.inf), (1.0, -0.0),
     ):  # fmt: skip
-        ours = trigonometry.direction(y, x)
+        ours = portable_math.portable_atan2(y, x)
         assert math.copysign(1.0, ours) == math.copysign(1.0, lib.real_atan2(y, x))
         assert ours == lib.real_atan2(y, x)
-    assert lib.real_wrapped(math.pi) == trigonometry.wrapped(math.pi) == math.pi
+    assert lib.real_wrap_angle(math.pi) == portable_math.wrap_angle(math.pi) == math.pi
 
 
 def test_words_stand_in_the_same_order_in_both_languages() -> None:
     said = re.search(r"enum \{\n(    SAY_.*?)    SAY_COUNT", (SOURCES / "words.h").read_text(), re.S)
     assert said
-    assert re.findall(r"SAY_(\w+),", said[1]) == [w.name for w in Words]
+    assert re.findall(r"SAY_(\w+),", said[1]) == [w.name for w in LogMessage]
 
 
 def test_words_are_the_same_where_their_numbers_are(firmware) -> None:
@@ -115,13 +123,13 @@ def test_words_are_the_same_where_their_numbers_are(firmware) -> None:
 
     def said(code: int, number: float):
         m = ffi.new("message_t *")
-        m[0] = lib.say_1(code, number)
+        m[0] = lib.make_message_1(code, number)
         return m
 
     nan = math.nan
     for a, b in ((1.0, 1.0), (1.0, 2.0), (2.0, 1.0), (nan, nan), (nan, 1.0), (1.0, nan)):
-        assert lib.say_same(said(3, a), said(3, b)) == (f"{a}" == f"{b}")
-        assert not lib.say_same(said(3, a), said(4, a))
+        assert lib.is_same_message(said(3, a), said(3, b)) == (f"{a}" == f"{b}")
+        assert not lib.is_same_message(said(3, a), said(4, a))
 
 
 # Trajectories
@@ -131,7 +139,7 @@ _heading = st.floats(-7, 7)
 
 
 def _point_of(ffi, f, *args):
-    p = ffi.new("point_t *")
+    p = ffi.new("trajectory_point_t *")
     f(*args, p)
     return tuple(p.position), tuple(p.velocity), tuple(p.acceleration), p.heading, p.heading_rate
 
@@ -141,39 +149,35 @@ def _point_of(ffi, f, *args):
     a=_place, b=_place, ends=st.none() | st.tuples(_place, _place), heading=_heading, final=st.none() | _heading,
     speed=st.floats(0.01, 3), acceleration=st.floats(0.05, 2), brake=st.none() | _place,
 )  # fmt: skip
-@example(
-    (0, 0, -1), (1, 0, -1), ((1, 0, 0), (1, 0, 0.5)), 0.0, None, 0.5, 0.5, None
-)  # it rises at its end alone
+@example((0, 0, -1), (1, 0, -1), ((1, 0, 0), (1, 0, 0.5)), 0.0, None, 0.5, 0.5, None)  # it rises at its end alone
 @example((0, 0, -1), (1, 0, -1), ((1, 0, 0), (1, 0, 0)), 0.0, None, 0.5, 0.5, None)  # level all the way
-def test_any_leg_is_the_same_in_both_languages(
-    firmware, a, b, ends, heading, final, speed, acceleration, brake
-):
+def test_any_leg_is_the_same_in_both_languages(firmware, a, b, ends, heading, final, speed, acceleration, brake):
     ffi, lib = firmware.ffi, firmware.lib
-    limits = Limits(speed, 0.5, 0.4, acceleration, 0.4, 1.0, 1.6)
-    c, w = ffi.new("limits_t *", list(vars_of(limits))), ffi.new("trajectory_t *")
+    limits = TrajectoryLimits(speed, 0.5, 0.4, acceleration, 0.4, 1.0, 1.6)
+    c, w = ffi.new("trajectory_limits_t *", list(vars_of(limits))), ffi.new("trajectory_t *")
     turned = ffi.NULL if final is None else ffi.new("real_t *", final)
     if ends is None:
-        way = straight(a, b, heading, limits, final_heading=final, nose_offset=0.2)
-        lib.trajectory_straight(a, b, heading, c, turned, 0.2, w)
+        way = plan_straight(a, b, heading, limits, final_heading=final, nose_offset=0.2)
+        lib.plan_straight(a, b, heading, c, turned, 0.2, w)
     else:
-        way = begin_curved(a, b, *ends, heading, limits, final_heading=final, nose_offset=0.2)
-        lib.trajectory_begin_curved(a, b, *ends, heading, c, turned, 0.2, w)
+        way = plan_pending_curve(a, b, *ends, heading, limits, final_heading=final, nose_offset=0.2)
+        lib.plan_pending_curve(a, b, *ends, heading, c, turned, 0.2, w)
     if brake is not None:
-        first = stop(a, brake, heading, 1.0, heading_rate=0.3, yaw_acceleration=1.6)
-        s = ffi.new("stop_t *")
-        lib.stop_make(a, brake, heading, 1.0, 0.3, 1.6, s)
-        way = way.after(first)
-        lib.trajectory_after(w, s)
-        for t in (0.0, 0.4 * first.rest_s, math.inf):
-            assert _point_of(ffi, lib.stop_at, s, t) == tuple(first.at(t))
-    assert different(way, _course(SimpleCourse(w))) == []
+        first = plan_stop(a, brake, heading, 1.0, heading_rate=0.3, yaw_acceleration=1.6)
+        s = ffi.new("braking_motion_t *")
+        lib.plan_stop(a, brake, heading, 1.0, 0.3, 1.6, s)
+        way = way.add_initial_braking(first)
+        lib.add_initial_braking(w, s)
+        for t in (0.0, 0.4 * first.rest_time_s, math.inf):
+            assert _point_of(ffi, lib.braking_evaluate, s, t) == tuple(first.evaluate(t))
+    assert diff_fields(way, _read_course(SimpleCourse(w))) == []
     for _ in range(4):
-        lib.trajectory_go_on(w)
-    way = way.made()
-    assert different(way, _course(SimpleCourse(w))) == []
+        lib.advance_pending_curve(w)
+    way = way.finish_curve()
+    assert diff_fields(way, _read_course(SimpleCourse(w))) == []
     for share in (-0.1, 0.0, 0.03, 0.2, 0.37, 0.5, 0.81, 0.999, 1.0, 1.1):
-        for t in (share * way.duration_s, share * way.gate_s):
-            assert _point_of(ffi, lib.trajectory_at, w, t) == tuple(way.at(t))
+        for t in (share * way.duration_s, share * way.departure_s):
+            assert _point_of(ffi, lib.trajectory_evaluate, w, t) == tuple(way.evaluate(t))
 
 
 class SimpleCourse:
@@ -181,7 +185,7 @@ class SimpleCourse:
         self.kind, self.way = 1, way
 
 
-def vars_of(q: Limits):
+def vars_of(q: TrajectoryLimits):
     names = (
         "speed",
         "climb",
@@ -197,24 +201,24 @@ def vars_of(q: Limits):
 @pytest.mark.parametrize("dt", [0.0, 1e-12, 0.005, 0.02, 0.020000000020000003, 0.5])
 def test_set_points_are_followed_alike_in_steps_of_any_length(firmware, dt) -> None:
     ffi, lib = firmware.ffi, firmware.lib
-    limits = Limits(1.0, 0.5, 0.4, 1.0, 0.4, 1.0, 1.6)
+    limits = TrajectoryLimits(1.0, 0.5, 0.4, 1.0, 0.4, 1.0, 1.6)
     wanted = SetPoint((1.0, -1.0, -1.2), heading_rad=1.0)
-    nan, at = math.nan, Point((0.0, 0.1, -1.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0), 0.2, 0.1)
-    theirs = ffi.new("point_t *", [at.position, at.velocity, at.acceleration, at.heading, at.heading_rate])
+    nan, at = math.nan, TrajectoryPoint((0.0, 0.1, -1.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0), 0.2, 0.1)
+    theirs = ffi.new("trajectory_point_t *", [at.position, at.velocity, at.acceleration, at.heading, at.heading_rate])
     ask = ffi.new("set_point_t *", [wanted.position_m, (nan, nan, nan), 1.0, nan])
-    lib.offboard_follow(
-        theirs, ask, ffi.new("limits_t *", vars_of(limits)), (0.0, 0.0, -1.0), dt, ffi.NULL, 0.5
+    lib.follow_set_point(
+        theirs, ask, ffi.new("trajectory_limits_t *", vars_of(limits)), (0.0, 0.0, -1.0), dt, ffi.NULL, 0.5
     )
-    assert different(follow(at, wanted, limits, (0.0, 0.0, -1.0), dt), _point(theirs)) == []
+    assert diff_fields(follow_set_point(at, wanted, limits, (0.0, 0.0, -1.0), dt), _read_point(theirs)) == []
 
 
 # Oscillations
 
 
 def test_of_inputs_that_oscillate_at_once_both_name_the_one_that_lasts_longest(firmware) -> None:
-    ffi, lib, ours = firmware.ffi, firmware.lib, OscillationWatch()
-    theirs, found = ffi.new("oscillations_t *"), ffi.new("oscillation_t *")
-    lib.oscillations_start(theirs)
+    ffi, lib, ours = firmware.ffi, firmware.lib, OscillationDetector()
+    theirs, found = ffi.new("oscillation_detector_t *"), ffi.new("oscillation_t *")
+    lib.oscillation_detector_reset(theirs)
     named = set()
     for k in range(400):
         t = 0.02 * k
@@ -225,30 +229,34 @@ def test_of_inputs_that_oscillate_at_once_both_name_the_one_that_lasts_longest(f
             for on, f, size in zip(swings, (1.5, 2.0, 8.0, 1.0), (1.0, 1.0, 2.0, 2.0), strict=True)
         ]
         one = ours.step(t, inputs)
-        lib.oscillations_step(theirs, t, inputs, ffi.NULL, found)
+        lib.oscillation_detector_step(theirs, t, inputs, ffi.NULL, found)
         assert found.there == (one is not None)
         if one is not None:
-            assert (INPUTS[found.input], found.lasting_s, found.size) == (one.input, one.lasting_s, one.size)
-            named.add(one.input)
-    assert named == set(INPUTS[:2])
+            assert (INPUT_NAMES[found.input_name], found.duration_s, found.size) == (
+                one.input_name,
+                one.duration_s,
+                one.amplitude,
+            )
+            named.add(one.input_name)
+    assert named == set(INPUT_NAMES[:2])
 
 
 # What may be asked
 
 
 def test_what_may_be_asked_is_one_table(firmware, vehicle, controller) -> None:
-    board = Onboard(firmware, controller, FlightSoftware(vehicle, controller, mission_from(SQUARE)).plan)
-    s = firmware.ffi.addressof(board.c, "mission")
+    board = SoftwareInstance(firmware, controller, FlightSoftware(vehicle, controller, parse_mission(SQUARE)).plan)
+    s = firmware.ffi.addressof(board.software_record, "mission")
     board.step(at_rest(0.0), Command())
-    for k, ask in enumerate(Ask):
+    for k, ask in enumerate(VehicleRequest):
         for state in range(8):
             for motors in range(5):
                 for outcome in range(3):
                     for height, armed, manual in ((0.1, True, True), (0.3, False, True), (1.0, True, False)):
                         s.state, s.motors, s.outcome, s.manual = state, motors, outcome, manual
                         flying = state != 0
-                        right = may(ask, board.state, height_m=height, armed=armed, flying=flying)
-                        assert firmware.lib.mission_may(k, s, height, armed, flying) == bool(right), (
+                        right = check_request(ask, board.state, height_m=height, armed=armed, flying=flying)
+                        assert firmware.lib.check_request(k, s, height, armed, flying) == bool(right), (
                             ask,
                             state,
                         )
@@ -270,7 +278,7 @@ class StandIn:
         self.x, self.v, self.psi = np.array([0.1, -0.2, -0.07]), np.zeros(3), 0.3
         self.volts, self.tilt, self.beams = 7.4, 0.0, np.full(8, 1.5)
         self.spread = {"place": 0.01, "height": 0.01, "tilt": 0.01, "heading": 0.02}
-        self.status = dict.fromkeys(CHECKED, "fused")
+        self.status = dict.fromkeys(READING_NAMES, "fused")
         self.shake = 0.0
         self.broken = ""
         self.ceiling, self.held, self.drops, self.sinks = math.inf, False, False, False
@@ -281,9 +289,7 @@ class StandIn:
         if software.motors in ("fly", "blind"):
             where, _, attitude = software.reference
             away = where - self.x
-            self.v = np.clip(2.0 * away, -0.8, 0.8) + self.shake * np.array(
-                [self.rng.uniform(-1, 1) for _ in range(3)]
-            )
+            self.v = np.clip(2.0 * away, -0.8, 0.8) + self.shake * np.array([self.rng.uniform(-1, 1) for _ in range(3)])
             self.v *= 0.0 if self.held else 1.0
             if self.drops:
                 self.v[2] = 0.7
@@ -302,9 +308,7 @@ class StandIn:
         noise = np.array([u(-1e-3, 1e-3) for _ in range(3)])
         attitude = np.array([u(-0.05, 0.05) + self.tilt, u(-0.05, 0.05), self.psi])
         sinks = np.array([0.0, 0.0, 0.5 * self.sinks])
-        m = Estimate(
-            self.t, self.x + noise, self.v + sinks, attitude, 10 * noise, self.beams.copy(), self.volts
-        )
+        m = Estimate(self.t, self.x + noise, self.v + sinks, attitude, 10 * noise, self.beams.copy(), self.volts)
         if self.broken == "frozen" and self.last is not None:
             return replace(self.last, time_s=self.t)
         if self.broken in ("position", "velocity", "attitude", "rates"):
@@ -312,7 +316,7 @@ class StandIn:
         if self.broken == "all":
             m = replace(m, time_s=math.nan, ranges=np.full(8, math.nan), battery_voltage=-1.0, valid=False)
         if self.judged:
-            variance = EXACT.copy()
+            variance = ZERO_COVARIANCE.copy()
             s = self.spread
             for k, size in (
                 (0, s["place"]),
@@ -324,14 +328,12 @@ class StandIn:
                 variance[k, k] = size * size
             variance[8, 8] = s["heading"] ** 2
             why = {"missing": "nothing has come", "faulty": "clips", "rejected": "is off by 1 m"}
-            checks = tuple(
-                Check(n, k, reason=why.get(k, "")) for n, k in self.status.items() if n != "pressure"
-            )
+            checks = tuple(SensorStatus(n, k, reason=why.get(k, "")) for n, k in self.status.items() if n != "pressure")
             none = np.zeros(3)
             m = replace(
                 m,
                 covariance=variance,
-                beliefs=Beliefs(none, none, 0.0, np.zeros(4), np.zeros(2), 1.0, none, checks),
+                auxiliary_states=AuxiliaryStates(none, none, 0.0, np.zeros(4), np.zeros(2), 1.0, none, checks),
             )
         self.last = m
         return m
@@ -343,24 +345,22 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
     place = (round(u(-2, 2), 2), round(u(-2, 2), 2), -round(u(0.1, 2), 2))
     commands = {
         "start": Command(start=True),
-        "first": Command(start=True, first=v.rng.randrange(n)),
-        "take-off": Command(take_off=round(u(0.3, 2), 2)),
+        "first": Command(start=True, first_waypoint=v.rng.randrange(n)),
+        "take-off": Command(take_off_height=round(u(0.3, 2), 2)),
         "pause": Command(pause=True),
         "waypoint": Command(waypoint=place),
         "turned": Command(waypoint=place, heading=round(u(-4, 4), 2)),
         "heading": Command(heading=round(u(-4, 9), 2)),
-        "refused": Command(
-            waypoint=v.rng.choice(((math.nan, 0.0, 0.0), (0.0, 0.0, math.nan), (0.0, 0.0, -1e4)))
-        ),
+        "refused": Command(waypoint=v.rng.choice(((math.nan, 0.0, 0.0), (0.0, 0.0, math.nan), (0.0, 0.0, -1e4)))),
         "far": Command(waypoint=(0.0, 2e4, -1.0), heading=v.rng.choice((None, 0.1, math.inf))),
-        "home": Command(home=True),
+        "home": Command(return_requested=True),
         "land": Command(land=True),
-        "stop": Command(stop=v.rng.choice(("emergency stop, motors off", "disarmed"))),
-        "sticks": Command(rc=True, roll=u(-0.1, 0.1), pitch=0.02, yaw_rate=u(-0.5, 0.5), climb=u(-0.6, 0.6)),
-        "points": Command(set_point=SetPoint(place, yaw_rate_rad_s=u(-0.5, 0.5))),
-        "speeds": Command(
-            set_point=SetPoint(velocity_m_s=(u(-1, 1), u(-1, 1), u(-0.4, 0.4)), heading_rad=u(-4, 4))
+        "stop": Command(stop_reason=v.rng.choice(("emergency stop, motors off", "disarmed"))),
+        "sticks": Command(
+            rc_active=True, roll=u(-0.1, 0.1), pitch=0.02, yaw_rate=u(-0.5, 0.5), climb_rate=u(-0.6, 0.6)
         ),
+        "points": Command(set_point=SetPoint(place, yaw_rate_rad_s=u(-0.5, 0.5))),
+        "speeds": Command(set_point=SetPoint(velocity_m_s=(u(-1, 1), u(-1, 1), u(-0.4, 0.4)), heading_rad=u(-4, 4))),
         "nothing": Command(set_point=SetPoint()),
     }
     if kind in commands:
@@ -376,12 +376,12 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
     elif kind == "beams":
         v.beams = np.array([v.rng.choice((1.5, 1.5, u(0.15, 1.4))) for _ in range(8)])
     elif kind == "clear":
-        v.beams, v.status, v.broken, v.tilt = np.full(8, 1.5), dict.fromkeys(CHECKED, "fused"), "", 0.0
+        v.beams, v.status, v.broken, v.tilt = np.full(8, 1.5), dict.fromkeys(READING_NAMES, "fused"), "", 0.0
         v.spread = {"place": 0.01, "height": 0.01, "tilt": 0.01, "heading": 0.02}
         v.shake = 0.0
     elif kind == "doubt":
         v.spread[v.rng.choice(("place", "place", "height", "tilt", "heading"))] = u(0.1, 0.7)
-        v.status[v.rng.choice(CHECKED)] = v.rng.choice(("missing", "rejected", "faulty", "waiting"))
+        v.status[v.rng.choice(READING_NAMES)] = v.rng.choice(("missing", "rejected", "faulty", "waiting"))
     elif kind == "contradict":
         for name in v.rng.sample(("position_fix", "ground_distance", "magnetic_field", "rates"), 2):
             v.status[name] = v.rng.choice(("rejected", "missing"))
@@ -418,9 +418,7 @@ KINDS = (
 HELD = ("sticks", "points", "speeds", "nothing")
 
 
-def fly_both(
-    software, board, kinds, seed: int, judged: bool, periods: int, step_s: float | None = None
-) -> set[str]:
+def fly_both(software, board, kinds, seed: int, judged: bool, periods: int, step_s: float | None = None) -> set[str]:
     """Fly segments of ``periods`` each by both and compare everything; return the states visited."""
     rng = random.Random(seed)
     v, visited = StandIn(rng, judged), set()
@@ -435,12 +433,12 @@ def fly_both(
             m, c = v.believed(), command if k == 0 or one in HELD else Command()
             ours, theirs = software.step(m, c), board.step(m, c)
             where = f"{kind} at {m.time_s:.3f} s, period {k}"
-            assert ours.array.tobytes() == theirs.array.tobytes(), where
-            assert different(software._reference, board.reference) == [], where
-            assert board.firmware.lib.software_flying(board.c) == software.flying, where
-            if software._late_s == 0.0 or software.mission_state.logged != logged:
-                logged = software.mission_state.logged
-                assert different(software.mission_state, board.state) == [], where
+            assert ours.input_array.tobytes() == theirs.input_array.tobytes(), where
+            assert diff_fields(software._reference, board.reference) == [], where
+            assert board.firmware.lib.software_flying(board.software_record) == software.flying, where
+            if software._late_s == 0.0 or software.mission_state.logged_count != logged:
+                logged = software.mission_state.logged_count
+                assert diff_fields(software.mission_state, board.state) == [], where
                 assert str(software.oscillation) == str(board.oscillation)
         visited |= {e.state for e in board.state.events} | {software.motors}
     return visited
@@ -455,8 +453,8 @@ def fly_both(
 def test_any_sequence_of_commands_and_faults_is_the_same(
     firmware, vehicle, controller, kinds, seed, mission, judged, begin
 ):
-    software = FlightSoftware(vehicle, controller, mission_from(mission))
-    board = Onboard(firmware, controller, software.plan)
+    software = FlightSoftware(vehicle, controller, parse_mission(mission))
+    board = SoftwareInstance(firmware, controller, software.plan)
     fly_both(software, board, [begin, *["wait"] * 4, *kinds], seed, judged, 80)
 
 
@@ -515,37 +513,37 @@ STORIES = (
 @pytest.mark.parametrize("story", STORIES, ids=lambda s: s[3].replace(" ", "-").lower())
 def test_what_can_happen_is_said_in_the_same_words(firmware, vehicle, controller, story) -> None:
     mission, judged, kinds, words = story
-    software = FlightSoftware(vehicle, controller, mission_from(mission))
-    board = Onboard(firmware, controller, software.plan)
+    software = FlightSoftware(vehicle, controller, parse_mission(mission))
+    board = SoftwareInstance(firmware, controller, software.plan)
     fly_both(software, board, kinds, 1, judged, 100, 0.03)
     said = [*(e.text for e in board.state.events), board.state.reason]
     for name in words.split():
-        begins = Words[name].value.split("{", 1)[0]
+        begins = LogMessage[name].value.split("{", 1)[0]
         assert any(text.startswith(begins) for text in said), (name, said)
 
 
 @pytest.mark.parametrize("before", [["wait * 2"], UP], ids=["on-the-floor", "in-flight"])
 def test_another_mission_that_is_loaded_is_the_same(firmware, vehicle, controller, before) -> None:
-    software = FlightSoftware(vehicle, controller, mission_from(SQUARE))
-    board = Onboard(firmware, controller, software.plan)
+    software = FlightSoftware(vehicle, controller, parse_mission(SQUARE))
+    board = SoftwareInstance(firmware, controller, software.plan)
     fly_both(software, board, before, 1, False, 100, 0.03)
     for mission, said in ((CURVES, "curves: 3 waypoints loaded"), (NEAR, "near: 1 waypoint loaded")):
-        software.load(mission_from(mission))
-        board.fly_by(software.plan)
-        board.loaded(mission["name"])
+        software.load_mission(parse_mission(mission))
+        board.set_plan(software.plan)
+        board.report_loaded_mission(mission["name"])
         assert board.state.events[-1].text == software.mission_state.events[-1].text == said
-        assert different(software.mission_state, board.state) == []
+        assert diff_fields(software.mission_state, board.state) == []
 
 
 # Boards: what of them can be had without one
 
 
 def test_templates_of_boards_compile_and_four_motors_turn_as_two_do(tmp_path, vehicle, controller) -> None:
-    export(controller, tmp_path, vehicle, mission=mission_from(SQUARE))
+    export_firmware(controller, tmp_path, vehicle, mission=parse_mission(SQUARE))
     strict = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror", "-I.", "-Iboards")
     for name in ("board.c", "stm32/stm32.c", "crazyflie/four_motors.c"):
         done = subprocess.run(
-            [compiler(), "-std=c99", *strict, "-c", f"boards/{name}", "-o", "out.o"],
+            [find_compiler(), "-std=c99", *strict, "-c", f"boards/{name}", "-o", "out.o"],
             cwd=tmp_path, capture_output=True, text=True,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
@@ -556,7 +554,7 @@ def test_templates_of_boards_compile_and_four_motors_turn_as_two_do(tmp_path, ve
         "void four_motors_mix(const four_motors_t *g, const actuators_t *in, double out[4]);"
     )
     command = [
-        compiler(),
+        find_compiler(),
         "-std=c99",
         "-I.",
         "-shared",
@@ -583,9 +581,7 @@ def test_templates_of_boards_compile_and_four_motors_turn_as_two_do(tmp_path, ve
         assert f.mean() == pytest.approx(0.5 * (upper + lower))
         assert -x @ f == pytest.approx(4 * 0.2 * nose_down)
         assert -y @ f == pytest.approx(4 * 0.2 * right)
-        assert drag @ f == pytest.approx(
-            4 * 0.5 * (upper - lower)
-        )  # the upper rotor's torque turns it to the right
+        assert drag @ f == pytest.approx(4 * 0.5 * (upper - lower))  # the upper rotor's torque turns it to the right
     for one in np.random.default_rng(6).uniform([0, 0, -1, -1], [1, 1, 1, 1], (300, 4)):
         f = mixed(*one)
         assert (f >= 0.0).all()

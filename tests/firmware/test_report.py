@@ -9,11 +9,18 @@ from fnmatch import fnmatch
 
 import pytest
 
-from mufly.control import design
+from mufly.control import design_flight_controller
 from mufly.errors import InputError
-from mufly.firmware import FixedFlight, export, export_fixed, missing_fuzzer, run_fuzzer, write_report
-from mufly.firmware.campaign import kept_flights, weather
-from mufly.firmware.report import ADVISORY, branches, deviations, judged
+from mufly.firmware import (
+    FixedPointFlight,
+    export_firmware,
+    export_fixed_point,
+    missing_fuzzer_tools,
+    run_fuzzer,
+    write_report,
+)
+from mufly.firmware.evidence_report import ADVISORY_RULES, judge_findings, parse_deviations, read_branches
+from mufly.firmware.proof_flights import draw_conditions, resume_flights
 from mufly.sensors.faults import parse_fault
 from mufly.vehicle import load_vehicle
 
@@ -26,15 +33,15 @@ def vehicle():
 @pytest.fixture(scope="module")
 def tree(vehicle, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report") / "fw"
-    controller = design(vehicle)
-    export(controller, folder, vehicle)
-    export_fixed(controller, folder)
+    controller = design_flight_controller(vehicle)
+    export_firmware(controller, folder, vehicle)
+    export_fixed_point(controller, folder)
     return folder
 
 
 def test_any_bytes_are_borne_and_a_fault_is_found(tree) -> None:
     """A short run; then with the guard of the sine taken away, whose cast of what is no number C leaves undefined."""
-    if absent := missing_fuzzer():
+    if absent := missing_fuzzer_tools():
         pytest.skip(absent)
     sound = run_fuzzer(tree, seconds=2)
     assert sound.found == ""
@@ -58,8 +65,8 @@ def test_findings_have_a_written_reason_or_are_told() -> None:
         "a.c:3: misra-c2012-10.8: x\na.c:9: misra-c2012-10.8: x\nfixed/b.c:1: misra-c2012-10.8: x\n"
         "a.c:4: misra-c2012-15.5: x\na.c:5: uninitvar: y\n"
     )
-    reasons = deviations("# words\n\n10.8 | fixed/*.c c.c | It fits.\n")
-    required, advice = judged(said, reasons)
+    reasons = parse_deviations("# words\n\n10.8 | fixed/*.c c.c | It fits.\n")
+    required, advice = judge_findings(said, reasons)
     assert [(f.rule, f.place, f.reason) for f in required] == [
         ("10.8", "a.c:3", ""), ("10.8", "a.c:9", ""), ("10.8", "fixed/b.c:1", "It fits.")
     ]  # fmt: skip
@@ -68,10 +75,10 @@ def test_findings_have_a_written_reason_or_are_told() -> None:
 
 def test_every_deviation_names_files_that_are_there(tree) -> None:
     names = [str(p.relative_to(tree)) for p in tree.rglob("*.[ch]")]
-    found = deviations((tree / "check" / "deviations.txt").read_text())
+    found = parse_deviations((tree / "check" / "deviations.txt").read_text())
     assert len(found) >= 5
     for rule, files, reason in found:
-        assert rule not in ADVISORY
+        assert rule not in ADVISORY_RULES
         assert len(reason) > 20
         for one in files:
             assert any(fnmatch(name, one) for name in names), one
@@ -96,24 +103,24 @@ def test_branches_are_counted(tmp_path) -> None:
     )
     for command in (["gcc", "--coverage", "-O0", "a.c", "-o", "a"], ["./a"]):
         subprocess.run(command, cwd=tmp_path, check=True)
-    assert branches(tmp_path) == {"a.c": [(4, 2, 1)]}
+    assert read_branches(tmp_path) == {"a.c": [(4, 2, 1)]}
 
 
 def test_flights_of_a_campaign_are_flown_once(tmp_path) -> None:
     flown = []
 
-    def fly(name: str, seed: int) -> FixedFlight:
+    def fly(name: str, seed: int) -> FixedPointFlight:
         flown.append((name, seed))
-        return FixedFlight(name, seed, "success", 10, 0, 0.001 * seed)
+        return FixedPointFlight(name, seed, "success", 10, 0, 0.001 * seed)
 
     keep, asked = tmp_path / "kept.jsonl", [("a", 0), ("b.toml", 0), ("a", 1)]
-    first = kept_flights(FixedFlight, keep, asked[:2], fly)
-    again = kept_flights(FixedFlight, keep, asked, fly)
+    first = resume_flights(FixedPointFlight, keep, asked[:2], fly)
+    again = resume_flights(FixedPointFlight, keep, asked, fly)
     assert flown == asked
     assert again[:2] == first
     keep.write_text("{}\n")
     with pytest.raises(InputError, match="line 1"):
-        kept_flights(FixedFlight, keep, asked, fly)
-    met = [weather(seed) for seed in range(60)]
+        resume_flights(FixedPointFlight, keep, asked, fly)
+    met = [draw_conditions(seed) for seed in range(60)]
     assert {bool(m.faults) for m in met} == {False, True}
     assert all(parse_fault(f).stop_s < 44.0 for m in met for f in m.faults)

@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.logs import Event, Layout, standard_layout, to_dataset
+from mufly.logs import FlightEvent, RecordingLayout, flight_layout, rows_to_dataset
 
 WAYPOINTS = ((-3.0, 0.0, -1.0), (-3.0, 3.0, -2.0), (0.0, 3.0, -1.0), (0.0, 0.0, -2.0))
 STANDING_M = 0.07
@@ -25,12 +25,12 @@ WAIT_S = 2.5
 class Flight:
     rows: NDArray[np.float64]
     states: list[str]
-    events: list[Event]
-    layout: Layout
+    events: list[FlightEvent]
+    layout: RecordingLayout
     waypoints: tuple[tuple[float, float, float], ...] = WAYPOINTS
 
     def dataset(self) -> xr.Dataset:
-        return to_dataset(self.rows, self.states, self.layout, events=self.events)
+        return rows_to_dataset(self.rows, self.states, self.layout, events=self.events)
 
 
 def blend(x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -41,23 +41,23 @@ def blend(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def square(rate_hz: float = 50.0, seed: int = 0, lag_s: float = 0.25) -> Flight:
     """Take off to 1 m, fly the square of the thesis's Sec. 6.2.4, land."""
-    layout = standard_layout(8)
+    layout = flight_layout(8)
     points = [(0.0, 0.0, -STANDING_M), (0.0, 0.0, -1.0), *WAYPOINTS, (0.0, 0.0, -STANDING_M)]
     legs: list[tuple[float, float, tuple[float, ...], tuple[float, ...], str]] = []
-    events = [Event(0.0, "init", "on the ground")]
+    events = [FlightEvent(0.0, "init", "on the ground")]
     now = 1.0
     for number, (a, b) in enumerate(pairwise(points)):
         name = "take-off" if number == 0 else "landing" if number == len(points) - 2 else "waypoint"
         duration = max(2.0, float(np.linalg.norm(np.subtract(b, a))) / 0.8)
         legs.append((now, now + duration, a, b, name))
         goal = "start" if number == 0 else "descend" if name == "landing" else f"to waypoint {number}"
-        events.append(Event(now, name, goal))
+        events.append(FlightEvent(now, name, goal))
         now += duration
         if name != "landing":
             text = "altitude reached" if number == 0 else f"waypoint {number} reached"
-            events.append(Event(now + 2 * lag_s, "hover", text))
+            events.append(FlightEvent(now + 2 * lag_s, "hover", text))
             now += WAIT_S + 2 * lag_s
-    events.append(Event(now, "init", "landed"))
+    events.append(FlightEvent(now, "init", "landed"))
     time = np.arange(0.0, now + 1.0, 1.0 / rate_hz)
 
     def path(t: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -71,12 +71,12 @@ def square(rate_hz: float = 50.0, seed: int = 0, lag_s: float = 0.25) -> Flight:
     velocity = np.gradient(truth, time, axis=0)
     acceleration = np.gradient(velocity, time, axis=0)
     rng = np.random.default_rng(seed)
-    rows = np.zeros((len(time), layout.width))
+    rows = np.zeros((len(time), layout.column_count))
     rows[:, 0] = time
 
     def put(name: str, values: object) -> None:
         block = np.asarray(values, dtype=float)
-        rows[:, layout.columns[name]] = block[:, None] if block.ndim == 1 else block
+        rows[:, layout.column_slices[name]] = block[:, None] if block.ndim == 1 else block
 
     tilt = np.column_stack(
         (acceleration[:, 1] / 9.81, -acceleration[:, 0] / 9.81, np.zeros(len(time)))
@@ -85,9 +85,7 @@ def square(rate_hz: float = 50.0, seed: int = 0, lag_s: float = 0.25) -> Flight:
     flying = blend(time / 1.0) - blend((time - now) / 0.8)
     speed = flying[:, None] * (np.array([399.0, 471.0]) - 18.0 * acceleration[:, 2:])
     current = flying * 2.6 + 0.2
-    charge = (
-        1.0 - np.concatenate(([0.0], np.cumsum(0.5 * (current[1:] + current[:-1]) * np.diff(time)))) / 1728.0
-    )
+    charge = 1.0 - np.concatenate(([0.0], np.cumsum(0.5 * (current[1:] + current[:-1]) * np.diff(time)))) / 1728.0
     put("truth_position", truth)
     put("truth_velocity", velocity)
     put("truth_attitude", tilt)

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mufly.control import FlightController, design
+from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import quaternion_from_euler
 from mufly.estimate import Estimate
 from mufly.flight import Flight, SetPoint
-from mufly.flight.arming import BATTERY_MARGIN_V, not_ready
-from mufly.flight.autopilot import SET_POINT_S, STICKS_S, UNUSED_S
-from mufly.mission import Mission, load_mission, mission_from
+from mufly.flight.arming import BATTERY_MARGIN_V, find_arming_faults
+from mufly.flight.autopilot import AUTO_DISARM_S, SET_POINT_TIMEOUT_S, STICKS_TIMEOUT_S
+from mufly.mission import Mission, load_mission, parse_mission
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World
 
@@ -25,10 +25,10 @@ def vehicle() -> Vehicle:
 
 @pytest.fixture(scope="module")
 def controller(vehicle: Vehicle) -> FlightController:
-    return design(vehicle)
+    return design_flight_controller(vehicle)
 
 
-HOP = mission_from(
+HOP = parse_mission(
     {
         "name": "hop",
         "take_off": {"height_m": 0.6, "wait_s": 0.2},
@@ -57,9 +57,9 @@ class Pilot:
         while self.flight.time_s < end - 1e-9 and not until():
             if each is not None:
                 each()
-            self.flight.tick()
-            self.sent.append(self.flight.status.actuators.array)
-        self.texts += [e.text for e in self.autopilot.events()]
+            self.flight.step_period()
+            self.sent.append(self.flight.status.actuators.input_array)
+        self.texts += [e.text for e in self.autopilot.take_events()]
 
     def fly_to(self, state: str, seconds: float = 20.0) -> None:
         self.run(seconds, until=lambda: self.autopilot.status.state == state)
@@ -85,13 +85,13 @@ def test_nothing_happens_unarmed(pilot: Pilot) -> None:
     for answer in (a.take_off(), a.start_mission()):
         assert not answer
         assert answer.reason == "not armed; arm first"
-        assert answer.temporary
+        assert answer.is_temporary
     for answer in (a.go_to((1.0, 0.0, -1.0)), a.land(), a.pause(), a.return_home(), a.turn_to(1.0)):
         assert not answer
         assert answer.reason == "it does not fly; take off first"
     pilot.run(1.0)
     assert np.all(np.array(pilot.sent) == 0.0)
-    assert a.status.home is None
+    assert a.status.home_position is None
 
 
 def test_takes_off_to_the_parameter_s_height_hovers_and_lands(pilot: Pilot) -> None:
@@ -101,7 +101,7 @@ def test_takes_off_to_the_parameter_s_height_hovers_and_lands(pilot: Pilot) -> N
     s = a.status
     assert (s.armed, s.flying, s.manual, s.mission_running) == (True, True, True, False)
     assert pilot.position[2] == pytest.approx(-0.9, abs=0.06)
-    assert s.home == pytest.approx((0.0, 0.0, s.home[2]))
+    assert s.home_position == pytest.approx((0.0, 0.0, s.home_position[2]))
     pilot.run(2.0)
     assert a.land()
     assert a.land(), "asked twice"
@@ -122,7 +122,7 @@ def test_an_absurd_height_is_refused_for_good(pilot: Pilot, height: float) -> No
     pilot.autopilot.arm()
     answer = pilot.autopilot.take_off(height)
     assert not answer
-    assert not answer.temporary
+    assert not answer.is_temporary
     assert "give 0.2 to 50 m" in answer.reason
 
 
@@ -141,7 +141,7 @@ def test_flies_the_mission_paused_and_resumed(pilot: Pilot) -> None:
     assert a.start_mission()
     pilot.run(30.0, until=lambda: not a.status.armed)
     s = a.status
-    assert (s.outcome, s.reason, s.reached, s.waypoint) == ("succeeded", "mission complete", 2, 2)
+    assert (s.outcome, s.reason, s.reached_count, s.waypoint_index) == ("succeeded", "mission complete", 2, 2)
     assert sum("waypoint 1 reached" in t for t in pilot.texts) == 1
 
 
@@ -160,7 +160,7 @@ def test_goes_turns_and_returns(pilot: Pilot) -> None:
     a = pilot.autopilot
     pilot.take_off(0.6)
     # On the floor it is what is less than 5 cm above where it stood and hardly moves.
-    held, stood = pilot.autopilot._estimate, pilot.autopilot.software.mission_state.standing[2]
+    held, stood = pilot.autopilot._estimate, pilot.autopilot.software.mission_state.home_position[2]
     for height, speed, flies in (
         (0.055, 0.0, True),
         (0.045, 0.0, False),
@@ -172,9 +172,7 @@ def test_goes_turns_and_returns(pilot: Pilot) -> None:
         assert pilot.autopilot.status.flying == flies, (height, speed)
     pilot.autopilot._estimate = held
     assert a.go_to((0.5, 0.2, -0.8), heading_rad=0.5)
-    pilot.run(
-        15.0, until=lambda: any("waypoint reached" in t for t in pilot.texts) or a.status.state == "hover"
-    )
+    pilot.run(15.0, until=lambda: any("waypoint reached" in t for t in pilot.texts) or a.status.state == "hover")
     pilot.run(8.0)
     np.testing.assert_allclose(pilot.position, (0.5, 0.2, -0.8), atol=0.03)
     assert pilot.flight.status.truth.attitude[2] == pytest.approx(0.5, abs=0.03)
@@ -183,7 +181,7 @@ def test_goes_turns_and_returns(pilot: Pilot) -> None:
     assert pilot.flight.status.truth.attitude[2] == pytest.approx(-1.0, abs=0.03)
     assert a.return_home()
     pilot.run(0.1)
-    assert a.status.homing
+    assert a.status.returning_home
     pilot.run(25.0, until=lambda: not a.status.armed)
     np.testing.assert_allclose(pilot.position[:2], (0.0, 0.0), atol=0.05)
     assert a.status.reason == "landed"
@@ -202,7 +200,7 @@ def test_goes_turns_and_returns(pilot: Pilot) -> None:
 def test_impossible_places_are_refused(pilot: Pilot, place, words: str) -> None:
     answer = pilot.autopilot.go_to(place)
     assert not answer
-    assert not answer.temporary
+    assert not answer.is_temporary
     assert words in answer.reason
 
 
@@ -212,7 +210,7 @@ def test_places_beside_what_is_known_are_refused(vehicle: Vehicle, controller: F
     crate = boxed.box[0]
     answer = a.go_to(crate.centre_m)
     assert "crate; keep 0.39 m from it" in answer.reason
-    room = mission_from(
+    room = parse_mission(
         {
             "waypoint": [{"position_m": [0.0, 0.0, -1.0]}],
             "room": {"north_m": [-2, 2], "east_m": [-2, 2], "height_m": 2.0},
@@ -229,14 +227,14 @@ def test_disarming_and_stopping(pilot: Pilot) -> None:
     assert a.arm()
     assert a.disarm()
     assert not a.status.armed
-    assert [e.text for e in a.events()] == ["armed", "disarmed"]
+    assert [e.text for e in a.take_events()] == ["armed", "disarmed"]
     assert a.arm()
     assert a.start_mission()
     pilot.run(1.5)
     assert a.status.motors == "spin_up"
     assert a.disarm(), "on the floor it may"
     pilot.run(0.02)
-    assert np.all(pilot.flight.status.actuators.array == 0.0)
+    assert np.all(pilot.flight.status.actuators.input_array == 0.0)
     assert a.status.outcome == "failed"
     pilot.take_off()
     answer = a.disarm()
@@ -252,7 +250,7 @@ def test_disarming_and_stopping(pilot: Pilot) -> None:
 
 def test_disarms_when_it_is_not_used(pilot: Pilot) -> None:
     assert pilot.autopilot.arm()
-    pilot.run(UNUSED_S - 0.5)
+    pilot.run(AUTO_DISARM_S - 0.5)
     assert pilot.autopilot.status.armed
     pilot.run(1.0)
     assert not pilot.autopilot.status.armed
@@ -288,49 +286,49 @@ def standing() -> Estimate:
 )
 def test_every_reason_not_to_arm(change, words: str) -> None:
     m = standing()
-    assert not_ready(m, 0.0, 6.0, World(), 0.09, "") == []
-    why = not_ready(replace(m, **change), 0.0, 6.0, World(), 0.09, "")
+    assert find_arming_faults(m, 0.0, 6.0, World(), 0.09, "") == []
+    why = find_arming_faults(replace(m, **change), 0.0, 6.0, World(), 0.09, "")
     assert len(why) == 1
     assert words in why[0]
 
 
 def test_a_slope_of_9_degrees_is_level_enough() -> None:
     assert (
-        not_ready(replace(standing(), attitude=np.radians([9.0, -9.0, 90.0])), 0.0, 6.0, World(), 0.09, "")
+        find_arming_faults(replace(standing(), attitude=np.radians([9.0, -9.0, 90.0])), 0.0, 6.0, World(), 0.09, "")
         == []
     )
 
 
 def test_carried_about_it_does_not_fly(pilot: Pilot) -> None:
     m = pilot.flight.status.estimate
-    pilot.autopilot.observe(replace(m, time_s=m.time_s + 0.005, position=np.array([0.0, 0.0, -1.0])))
+    pilot.autopilot.observe_estimate(replace(m, time_s=m.time_s + 0.005, position=np.array([0.0, 0.0, -1.0])))
     assert not pilot.autopilot.status.flying
 
 
 def test_a_mission_is_taken_where_the_position_is_not_known_yet(pilot: Pilot) -> None:
     m = pilot.flight.status.estimate
     lost = np.full(3, math.nan)
-    pilot.autopilot.observe(replace(m, time_s=m.time_s + 0.005, position=lost, attitude=lost))
+    pilot.autopilot.observe_estimate(replace(m, time_s=m.time_s + 0.005, position=lost, attitude=lost))
     assert pilot.autopilot.load_mission(HOP)
 
 
 def test_arming_needs_measurements_that_are_fresh() -> None:
-    assert "wait a moment" in not_ready(None, 0.0, 6.0, World(), 0.09, "")[0]
-    assert "1.2 s old" in not_ready(standing(), 1.2, 6.0, World(), 0.09, "")[0]
-    assert "reset it first" in not_ready(standing(), 0.0, 6.0, World(), 0.09, "hit a wall")[0]
+    assert "wait a moment" in find_arming_faults(None, 0.0, 6.0, World(), 0.09, "")[0]
+    assert "1.2 s old" in find_arming_faults(standing(), 1.2, 6.0, World(), 0.09, "")[0]
+    assert "reset it first" in find_arming_faults(standing(), 0.0, 6.0, World(), 0.09, "hit a wall")[0]
 
 
 def test_arming_needs_room_and_a_mission_that_suits(vehicle: Vehicle, controller: FlightController) -> None:
     a = Pilot(vehicle, controller, load_mission("box-on-leg")).autopilot
-    assert a.not_ready() == []
+    assert a.list_arming_faults() == []
     m = a.status.estimate
     beside = np.array([*load_mission("box-on-leg").box[0].centre_m[:2], -0.07])
-    a.observe(replace(m, time_s=m.time_s + 0.005, position=beside))
-    why = a.not_ready()
+    a.observe_estimate(replace(m, time_s=m.time_s + 0.005, position=beside))
+    why = a.list_arming_faults()
     assert "in or beyond the crate" in why[0]
     assert "the take-off passes" in why[1]
     answer = a.arm()
-    assert answer.temporary
+    assert answer.is_temporary
     assert answer.reason.endswith("(and 1 more)")
 
 
@@ -354,25 +352,25 @@ def test_a_used_battery_is_not_armed_with(pilot: Pilot) -> None:
 def test_offboard_needs_a_stream_and_hovers_without(pilot: Pilot) -> None:
     a = pilot.autopilot
     pilot.take_off(0.6)
-    assert "stream them first" in a.offboard(True).reason
+    assert "stream them first" in a.set_offboard(True).reason
 
     def stream() -> None:
-        assert a.set_point(SetPoint(velocity_m_s=(0.3, 0.0, 0.0)))
+        assert a.send_set_point(SetPoint(velocity_m_s=(0.3, 0.0, 0.0)))
 
     stream()
-    assert a.offboard(True)
+    assert a.set_offboard(True)
     pilot.run(4.0, each=stream)
     assert a.status.state == "offboard"
     assert pilot.flight.status.truth.velocity[0] == pytest.approx(0.3, abs=0.03)
-    assert a.offboard(False)
+    assert a.set_offboard(False)
     pilot.run(0.02)
-    assert (a.status.state, a.status.offboard) == ("hover", False)
-    assert a.set_point(SetPoint(velocity_m_s=(0.3, 0.0, 0.0)))
-    assert a.offboard(True)
+    assert (a.status.state, a.status.offboard_active) == ("hover", False)
+    assert a.send_set_point(SetPoint(velocity_m_s=(0.3, 0.0, 0.0)))
+    assert a.set_offboard(True)
     pilot.run(2.0, each=stream)
-    pilot.run(SET_POINT_S + 0.05)
+    pilot.run(SET_POINT_TIMEOUT_S + 0.05)
     assert a.status.state == "hover"
-    assert not a.status.offboard
+    assert not a.status.offboard_active
     assert "set-points lost: none for 0.5 s" in pilot.texts
     pilot.run(3.0)
     assert np.linalg.norm(pilot.flight.status.truth.velocity) < 0.02
@@ -381,13 +379,13 @@ def test_offboard_needs_a_stream_and_hovers_without(pilot: Pilot) -> None:
 def test_offboard_flies_a_square_from_the_floor(pilot: Pilot) -> None:
     a = pilot.autopilot
     corners = [(0.0, 0.0, -0.6), (0.5, 0.0, -0.6), (0.5, 0.5, -0.6), (0.0, 0.5, -0.6), (0.0, 0.0, -0.6)]
-    a.set_point(SetPoint(position_m=corners[0]))
-    assert a.offboard(True)
-    pilot.run(0.2, each=lambda: a.set_point(SetPoint(position_m=corners[0])))
+    a.send_set_point(SetPoint(position_m=corners[0]))
+    assert a.set_offboard(True)
+    pilot.run(0.2, each=lambda: a.send_set_point(SetPoint(position_m=corners[0])))
     assert np.all(np.array(pilot.sent) == 0.0), "not armed yet"
     assert a.arm()
     for k, corner in enumerate(corners):
-        pilot.run(9.0 if k == 0 else 6.0, each=lambda c=corner: a.set_point(SetPoint(position_m=c)))
+        pilot.run(9.0 if k == 0 else 6.0, each=lambda c=corner: a.send_set_point(SetPoint(position_m=c)))
         np.testing.assert_allclose(pilot.position, corner, atol=0.04)
     assert a.land()
     pilot.run(15.0, until=lambda: not a.status.armed)
@@ -398,28 +396,28 @@ def test_offboard_flies_a_square_from_the_floor(pilot: Pilot) -> None:
     "s", [SetPoint(), SetPoint(position_m=(math.inf, 0.0, -1.0)), SetPoint(velocity_m_s=(1e9, 0.0, 0.0))]
 )
 def test_absurd_set_points_are_refused(pilot: Pilot, s: SetPoint) -> None:
-    answer = pilot.autopilot.set_point(s)
+    answer = pilot.autopilot.send_set_point(s)
     assert answer.reason.startswith("set-point refused: ")
-    assert not pilot.autopilot.offboard(True)
+    assert not pilot.autopilot.set_offboard(True)
 
 
 def test_sticks_fly_and_are_missed(pilot: Pilot) -> None:
     a = pilot.autopilot
-    pilot.run(1.0, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.3))
+    pilot.run(1.0, each=lambda: a.set_sticks(0.0, 0.0, 0.0, 0.3))
     assert a.status.state == "rc"
     assert np.all(np.array(pilot.sent) == 0.0), "unarmed"
     assert a.arm().reason == "the climb stick is up; lower it first"
-    assert a.sticks(0.0, 0.0, 0.0, 0.0)
+    assert a.set_sticks(0.0, 0.0, 0.0, 0.0)
     assert a.arm()
-    pilot.run(8.0, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.3))
+    pilot.run(8.0, each=lambda: a.set_sticks(0.0, 0.0, 0.0, 0.3))
     assert -pilot.position[2] > 0.5
     assert "let go of the sticks" in a.land().reason
-    pilot.run(STICKS_S + 0.1)
+    pilot.run(STICKS_TIMEOUT_S + 0.1)
     assert a.status.state == "hover"
     assert "sticks lost: nothing heard of them for 1 s" in pilot.texts
-    assert a.sticks(9.0, -9.0, 9.0, -9.0)
-    assert a.sticks_off()
-    assert not a.sticks(math.nan, 0.0, 0.0, 0.0)
+    assert a.set_sticks(9.0, -9.0, 9.0, -9.0)
+    assert a.release_sticks()
+    assert not a.set_sticks(math.nan, 0.0, 0.0, 0.0)
     assert a.land()
     pilot.run(20.0, until=lambda: not a.status.armed)
     assert a.status.outcome == "succeeded"
@@ -429,7 +427,7 @@ def test_sticks_are_limited_by_their_parameters(pilot: Pilot) -> None:
     a = pilot.autopilot
     pilot.take_off(0.6)
     assert a.set_parameter("STK_TILT", 2.0)
-    pilot.run(0.5, each=lambda: a.sticks(1.0, 0.0, 0.0, 0.0))
+    pilot.run(0.5, each=lambda: a.set_sticks(1.0, 0.0, 0.0, 0.0))
     assert pilot.flight.status.reference_attitude[0] == pytest.approx(math.radians(2.0))
 
 
@@ -441,10 +439,10 @@ def test_a_mission_is_taken_whole_or_not_at_all(pilot: Pilot) -> None:
     low = Mission(waypoint=({"position_m": (1.0, 0.0, -0.1)},))
     answer = a.load_mission(low)
     assert "too low to fly" in answer.reason
-    far = mission_from({"waypoint": [{"position_m": [900.0, 0.0, -1.0]}]})
+    far = parse_mission({"waypoint": [{"position_m": [900.0, 0.0, -1.0]}]})
     assert "out of reach" in a.load_mission(far).reason
     assert a.status.mission.waypoint == HOP.waypoint
-    other = mission_from({"name": "other", "waypoint": [{"position_m": [0.3, 0.0, -0.5]}]})
+    other = parse_mission({"name": "other", "waypoint": [{"position_m": [0.3, 0.0, -0.5]}]})
     assert a.load_mission(other)
     assert a.status.mission is other
     pilot.take_off(0.5)
@@ -452,13 +450,11 @@ def test_a_mission_is_taken_whole_or_not_at_all(pilot: Pilot) -> None:
     assert a.start_mission(1)
     assert "ask again" in a.load_mission(other).reason, "it might not have that waypoint"
     pilot.run(40.0, until=lambda: not a.status.armed)
-    assert a.status.reached == 1
+    assert a.status.reached_count == 1
     assert "hop: 2 waypoints loaded" in pilot.texts
 
 
-def test_without_waypoints_there_is_no_mission_to_start(
-    vehicle: Vehicle, controller: FlightController
-) -> None:
+def test_without_waypoints_there_is_no_mission_to_start(vehicle: Vehicle, controller: FlightController) -> None:
     pilot = Pilot(vehicle, controller, Mission(name="none"))
     a = pilot.autopilot
     assert a.arm()
@@ -494,7 +490,7 @@ def test_a_crash_is_final_until_the_simulation_is_reset(pilot: Pilot) -> None:
     pilot.take_off(0.6)
     plant.state[6:10] = quaternion_from_euler(math.pi, 0.0, 0.0)  # somebody turned it over
     pilot.run(5.0)
-    assert "tipped over" in a.status.crashed
+    assert "tipped over" in a.status.crash_cause
     assert not a.status.armed
     assert np.all(np.array(pilot.sent[-10:]) == 0.0)
     assert "reset it first" in a.arm().reason
@@ -502,7 +498,7 @@ def test_a_crash_is_final_until_the_simulation_is_reset(pilot: Pilot) -> None:
     pilot.flight.reset()
     pilot.run(0.1)
     assert pilot.flight.time_s > before
-    assert a.status.crashed == ""
+    assert a.status.crash_cause == ""
     assert a.status.state == "init"
     pilot.take_off(0.6)
     np.testing.assert_allclose(pilot.position, (0.0, 0.0, -0.6), atol=0.06)
@@ -513,11 +509,11 @@ def test_events_are_drained_and_bounded(pilot: Pilot) -> None:
     heard: list[str] = []
     a.listeners.append(lambda e: heard.append(e.text))
     for k in range(5000):
-        a.note(f"line {k}")
-    events = a.events()
+        a.log_event(f"line {k}")
+    events = a.take_events()
     assert len(events) == 1000
     assert events[-1].text == "line 4999"
-    assert a.events() == []
+    assert a.take_events() == []
     assert len(heard) == 5000
 
 
@@ -528,5 +524,5 @@ def test_thousands_of_requests_leave_no_trace_in_memory(pilot: Pilot) -> None:
         a.turn_to(0.01 * (k % 7))
         pilot.run(0.02)
     s = a.software.mission_state
-    assert s.logged > 600
+    assert s.logged_count > 600
     assert len(s.events) <= 256

@@ -11,49 +11,49 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mufly.camera import Camera, camera_from, decode, load_camera, rays, read_pictures
+from mufly.camera import Camera, decode_picture, load_camera, parse_camera, read_pictures, unproject_pixels
 from mufly.dynamics import initial_state
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, KalmanEstimator
-from mufly.estimate.layout import EX_FIX_BIAS
-from mufly.flight import Event, Flight, fly, read_recording, replay
-from mufly.flight.camera import CameraSensor, Eye, filmed, sighted
-from mufly.flight.film import Stream, parse_spoil
-from mufly.flight.outside import OutsideFixes
+from mufly.estimate.filter_records import EX_FIX_BIAS
+from mufly.flight import Flight, FlightEvent, fly_mission, read_recording, replay_estimator
+from mufly.flight.camera_sensor import CameraConfig, CameraSensor, make_camera, with_camera
+from mufly.flight.external_fixes import ExternalFixes
+from mufly.flight.onboard_camera import PictureStream, parse_camera_fault
 from mufly.mission import load_mission
 from mufly.sensors import Reading, Truth
 from mufly.slam import (
-    Answer,
-    Frame,
-    Sight,
-    Sketch,
-    Slam,
-    features_of,
+    CameraFrame,
+    MapView,
+    SlamSystem,
+    TrackedPicture,
+    TrackingResult,
+    load_opencv,
+    locate_features,
     open_pictures,
-    opencv,
     read_telemetry,
-    run,
+    run_slam,
 )
-from mufly.slam.vision import pinhole
+from mufly.slam.image_tools import pinhole_parameters
 from mufly.vehicle import load_vehicle
 from mufly.world import World
 
 
 def test_faults_of_the_camera_are_read_or_refused_in_a_line() -> None:
-    assert parse_spoil("covered@20s+5s").stop_s == 25.0
-    assert math.isinf(parse_spoil("unplugged").stop_s)
+    assert parse_camera_fault("covered@20s+5s").stop_s == 25.0
+    assert math.isinf(parse_camera_fault("unplugged").stop_s)
     for text, words in (
         ("blind@3s", "use one of: covered, dark, unplugged"),
         ("dark@x", "'x' is no number"),
         ("dark@3s+0s", "is no time"),
     ):
         with pytest.raises(MuflyError, match=words):
-            parse_spoil(text)
+            parse_camera_fault(text)
 
 
 def test_the_camera_takes_the_place_of_the_statistical_fix() -> None:
     camera = load_camera("mufly-2.0")
-    fix = sighted(load_vehicle("mufly-2.0"), camera).sensors.position_fix  # type: ignore[union-attr]
+    fix = with_camera(load_vehicle("mufly-2.0"), camera).sensors.position_fix  # type: ignore[union-attr]
     assert fix is not None
     assert float(fix.latency) == pytest.approx(0.2)
     assert float(fix.period) == pytest.approx(0.066)
@@ -70,13 +70,13 @@ wait_s = 4.0
 """
 
 
-SIGHTS: list[Sight] = []
+SIGHTS: list[TrackedPicture] = []
 
 
 class Watched(CameraSensor):
     def __init__(self, *given: Any) -> None:
         super().__init__(*given)
-        self.on_sight = SIGHTS.append
+        self.on_map_view = SIGHTS.append
 
 
 @pytest.fixture(scope="module")
@@ -85,23 +85,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def flown(folder: Path) -> tuple[xr.Dataset, list[Event]]:
+def flown(folder: Path) -> tuple[xr.Dataset, list[FlightEvent]]:
     """A hop over a rich floor by a good camera, whose lens is covered on the way."""
     pytest.importorskip("cv2")
     path = folder / "hop.toml"
     path.write_text(MISSION)
-    events: list[Event] = []
-    eye = Eye(load_camera("webcam"), spoils=(parse_spoil("covered@8.5s+1s"),))
+    events: list[FlightEvent] = []
+    eye = CameraConfig(load_camera("webcam"), camera_faults=(parse_camera_fault("covered@8.5s+1s"),))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mufly.flight.flight.CameraSensor", Watched)
-        ds = fly(
+        patch.setattr("mufly.flight.simulated_flight.CameraSensor", Watched)
+        ds = fly_mission(
             "mufly-1.1", path, sensors="fitted", seed=3, eye=eye, on_event=events.append,
             path=folder / "flight.mcap",
         )  # fmt: skip
     return ds, events
 
 
-def test_a_hop_on_pictures_ends_where_it_was_to(flown: tuple[xr.Dataset, list[Event]]) -> None:
+def test_a_hop_on_pictures_ends_where_it_was_to(flown: tuple[xr.Dataset, list[FlightEvent]]) -> None:
     ds, events = flown
     assert ds.attrs["outcome"] == "succeeded", [e.text for e in events]
     assert ds.attrs["camera"] == "webcam"
@@ -110,7 +110,9 @@ def test_a_hop_on_pictures_ends_where_it_was_to(flown: tuple[xr.Dataset, list[Ev
     assert [e.text for e in events if "says nothing" in e.text and e.time_s > 12.0] == []
 
 
-def test_a_covered_lens_is_told_within_a_second_and_borne(flown: tuple[xr.Dataset, list[Event]]) -> None:
+def test_a_covered_lens_is_told_within_a_second_and_borne(
+    flown: tuple[xr.Dataset, list[FlightEvent]],
+) -> None:
     ds, events = flown
     said = [(e.time_s, e.text) for e in events if "camera" in e.text]
     assert said[0][1].startswith("the camera gives no position: too little of the floor")
@@ -121,62 +123,60 @@ def test_a_covered_lens_is_told_within_a_second_and_borne(flown: tuple[xr.Datase
     assert height > 0.3, said
 
 
-def test_what_is_seen_is_shown(flown: tuple[xr.Dataset, list[Event]]) -> None:
+def test_what_is_seen_is_shown(flown: tuple[xr.Dataset, list[FlightEvent]]) -> None:
     ds, _ = flown
-    on_floor = [s for s in SIGHTS if s.answer is None]
-    looked = [s for s in SIGHTS if s.answer is not None]
+    on_floor = [s for s in SIGHTS if s.result is None]
+    looked = [s for s in SIGHTS if s.result is not None]
     assert len(on_floor) > 10
     last = looked[-1].counts
-    assert last.taken >= last.answered + last.lost > 100
-    assert last.answered > last.trusted
-    assert 0 < last.lost < 0.12 * last.taken
-    good = next(s for s in reversed(looked) if s.answer is not None and s.answer.trusted)
-    answer = good.answer
+    assert last.taken_count >= last.processed_count + last.lost_count > 100
+    assert last.processed_count > last.trusted_count
+    assert 0 < last.lost_count < 0.12 * last.taken_count
+    good = next(s for s in reversed(looked) if s.result is not None and s.result.trusted)
+    answer = good.result
     assert answer is not None
-    assert decode(good.jpeg).shape == (240, 320)
-    assert good.features.shape == (answer.agreed, 2)
-    assert ((good.features > 0) & (good.features < [319, 239])).all()
+    assert decode_picture(good.jpeg).shape == (240, 320)
+    assert good.feature_pixels.shape == (answer.inlier_count, 2)
+    assert ((good.feature_pixels > 0) & (good.feature_pixels < [319, 239])).all()
     assert 0.2 <= good.latency_s < 0.4
-    assert 0.0 < good.work_s < 5.0
+    assert 0.0 < good.processing_time_s < 5.0
     # The map is drawn under the way, which is drawn where the answers were.
-    nodes, true = good.sketch.keyframes, ds.truth_position.values[:, :2]
+    nodes, true = good.map_view.keyframe_poses, ds.truth_position.values[:, :2]
     assert len(nodes) >= 2
-    assert good.sketch.ties[:, :2].max() < len(nodes)
-    for drawn in (nodes[:, :2], good.path):
+    assert good.map_view.edge_indices[:, :2].max() < len(nodes)
+    for drawn in (nodes[:, :2], good.path_m):
         off = np.hypot(*(drawn[:, None] - true[None, ::20]).T).min(axis=0)
         assert off.max() < 0.2
-    assert all(s.stands for s in on_floor)
-    assert looked[-1].stands  # it has landed, and nothing is wrong with that
-    covered = [s for s in looked if s.answer is not None and 8.9 < s.answer.time_s < 9.5]
-    assert covered[-1].said.startswith("too little of the floor")
-    assert not covered[-1].stands
-    assert np.mean(decode(covered[-1].jpeg)) < 20
+    assert all(s.is_standing for s in on_floor)
+    assert looked[-1].is_standing  # it has landed, and nothing is wrong with that
+    covered = [s for s in looked if s.result is not None and 8.9 < s.result.time_s < 9.5]
+    assert covered[-1].warning.startswith("too little of the floor")
+    assert not covered[-1].is_standing
+    assert np.mean(decode_picture(covered[-1].jpeg)) < 20
 
 
-def test_its_recording_is_looked_at_again(flown: tuple[xr.Dataset, list[Event]], folder: Path) -> None:
+def test_its_recording_is_looked_at_again(flown: tuple[xr.Dataset, list[FlightEvent]], folder: Path) -> None:
     """Pictures, camera and what was told are in ``camera.mcap``, the truth is in the flight beside it."""
     kept = read_pictures(folder / "flight.mcap")
-    camera = camera_from(kept.camera, "")
+    camera = parse_camera(kept.camera, "")
     assert camera == load_camera("webcam")
     source = open_pictures(folder, camera)
-    answered = [s for s in SIGHTS if s.answer is not None]
-    assert abs(source.count - len(answered)) < 30  # on their way when it ended
-    frames = [f for f in source.frames() if f.time_s < 8.4]
-    assert frames[-1].told.place is not None
+    answered = [s for s in SIGHTS if s.result is not None]
+    assert abs(source.frame_count - len(answered)) < 30  # on their way when it ended
+    frames = [f for f in source.read_frames() if f.time_s < 8.4]
+    assert frames[-1].info.place is not None
     assert source.truth is not None
-    found = run(Slam(camera, seed=3), frames)
+    found = run_slam(SlamSystem(camera, seed=3), frames)
     assert len(found.time) > 0.8 * len(frames)
     truth = np.stack([np.interp(found.time, source.truth[0], c) for c in source.truth[1].T], axis=1)
     assert np.sqrt(np.mean(np.sum((found.position - truth)[:, :2] ** 2, axis=1))) < 0.06
     # Without what was told with each picture the state in the recording does.
     by_state = read_telemetry(folder / "flight.mcap")(np.array([frames[50].time_s]))[0]
-    assert by_state.roll == pytest.approx(frames[50].told.roll, abs=0.02)
-    assert by_state.height_m == pytest.approx(frames[50].told.height_m, abs=0.03)
+    assert by_state.roll == pytest.approx(frames[50].info.roll, abs=0.02)
+    assert by_state.height_m == pytest.approx(frames[50].info.height_m, abs=0.03)
 
 
-def test_its_recording_gives_the_same_estimate_again(
-    flown: tuple[xr.Dataset, list[Event]], folder: Path
-) -> None:
+def test_its_recording_gives_the_same_estimate_again(flown: tuple[xr.Dataset, list[FlightEvent]], folder: Path) -> None:
     """To the bit: each fix is weighed by the covariance that it had in flight, which the file keeps."""
     data = read_recording(folder / "flight.mcap")
     came = np.isfinite(data.measured_position_fix_time.values)
@@ -184,8 +184,8 @@ def test_its_recording_gives_the_same_estimate_again(
     assert np.isfinite(kept[came]).all()
     assert np.isnan(kept[~came]).all()
     assert kept[came].max() > 4 * kept[came].min()
-    vehicle = sighted(load_vehicle("mufly-1.1"), load_camera("webcam"))
-    again = replay(
+    vehicle = with_camera(load_vehicle("mufly-1.1"), load_camera("webcam"))
+    again = replay_estimator(
         data, KalmanEstimator(vehicle, load_mission(folder / "hop.toml").world, data.attrs["rate_Hz"])
     )
     assert (np.array([e.position for e in again]) == data.estimated_position.values).all()
@@ -195,24 +195,24 @@ def test_its_recording_gives_the_same_estimate_again(
 
 def test_features_lie_where_the_lens_has_them() -> None:
     camera = load_camera("mufly-2.0")
-    seen = rays(camera, np.array([[40.0, 30.0], [250.0, 180.0]]))
-    focal, middle = pinhole(camera)
-    answer = Answer(0.0, True, pixels=focal * seen + middle)
-    assert features_of(camera, answer) == pytest.approx(np.array([[40, 30], [250, 180]]), abs=1e-3)
+    seen = unproject_pixels(camera, np.array([[40.0, 30.0], [250.0, 180.0]]))
+    focal, middle = pinhole_parameters(camera)
+    answer = TrackingResult(0.0, True, inlier_pixels=focal * seen + middle)
+    assert locate_features(camera, answer) == pytest.approx(np.array([[40, 30], [250, 180]]), abs=1e-3)
 
 
 def test_what_the_map_is_unsure_of_wanders_in_the_filter() -> None:
     """Not noise: fifteen a second of that would be known to a quarter of it at once."""
     camera = load_camera("mufly-2.0")
-    filter_ = KalmanEstimator(sighted(load_vehicle("mufly-1.1"), camera), World(), 250.0)
-    filter_.by_covariance, filter_.wander_s = True, 3.0
-    settings = filter_.steps.settings
+    filter_ = KalmanEstimator(with_camera(load_vehicle("mufly-1.1"), camera), World(), 250.0)
+    filter_.uses_fix_covariance, filter_.fix_correlation_s = True, 3.0
+    settings = filter_.backend.settings
     of_file = float(settings["fix_variance"])
 
     def hear(time_s: float, sigma: float) -> tuple[float, float]:
         fix = Reading(np.zeros(4), time_s, True, np.diag([sigma**2] * 4))
-        filter_.hear({"position_fix": fix}, time_s + 0.2)
-        return math.sqrt(settings["fix_variance"]), float(settings["sigma"][EX_FIX_BIAS])
+        filter_.fill_readings({"position_fix": fix}, time_s + 0.2)
+        return math.sqrt(settings["fix_variance"]), float(settings["initial_sigma"][EX_FIX_BIAS])
 
     assert hear(1.0, 0.02) == pytest.approx((math.sqrt(of_file), 0.03))
     noise, wander = hear(6.0, 0.3)  # found again after five seconds, where it believes to be
@@ -232,27 +232,30 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
     answers = []
 
     class Stub:
-        sketch, work_s = Sketch(), 0.004
+        sketch, work_s = MapView(), 0.004
 
         def __init__(self, camera: Camera, **more: object) -> None: ...
-        def send(self, frame: Frame) -> None:
-            answers.append(Answer(frame.time_s, True, "", np.array([0.2, -0.1, -0.8]), 0.3, 1e-4 * np.eye(4)))
+        def send(self, frame: CameraFrame) -> None:
+            answers.append(TrackingResult(frame.time_s, True, "", np.array([0.2, -0.1, -0.8]), 0.3, 1e-4 * np.eye(4)))
 
-        def receive(self) -> Answer:
+        def receive(self) -> TrackingResult:
             return answers.pop(0)
 
         def close(self) -> None: ...
 
-    monkeypatch.setattr("mufly.flight.camera.SlamProcess", Stub)
+    monkeypatch.setattr("mufly.flight.camera_sensor.SlamProcess", Stub)
     sensor = CameraSensor(
-        Eye(load_camera("webcam"), spoils=(parse_spoil("unplugged@1s"),)), load_vehicle("mufly-1.1"), World(),
-        (0.2, -0.1, 0.3), 1,
-    )  # fmt: skip
+        CameraConfig(load_camera("webcam"), camera_faults=(parse_camera_fault("unplugged@1s"),)),
+        load_vehicle("mufly-1.1"),
+        World(),
+        (0.2, -0.1, 0.3),
+        1,
+    )
     state = initial_state(position=(0.2, -0.1, -0.8), attitude=(0.0, 0.0, 0.3), rotor_speed=(380.0, 420.0))
     seen: list[tuple[float, Reading]] = []
     news, now = [], 0.0
     x, zero = np.array([0.2, -0.1, -0.8]), np.zeros(3)
-    sensor.believe = lambda: (
+    sensor.estimate_source = lambda: (
         Estimate(now, x, zero, np.array([0.0, 0.0, 0.3]), zero, covariance=1e-5 * np.eye(12)),
         0.75,
     )
@@ -262,7 +265,7 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
         fix = sensor.read(truth).get("position_fix")
         if fix is not None and (not seen or fix is not seen[-1][1]):
             seen.append((now, fix))
-        if said := sensor.news():
+        if said := sensor.tracking_message():
             news.append((now, said))
     late = [t - f.time_s for t, f in seen]
     assert min(late) >= 0.2 - 1e-9
@@ -275,14 +278,14 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
 
 def test_who_wants_a_camera_gets_one_line_without_opencv(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
-    opencv.cache_clear()
+    load_opencv.cache_clear()
     try:
         with pytest.raises(MuflyError, match=r"pip install 'mufly\[vision\]'"):
-            fly("mufly-1.1", sensors="fitted", eye=Eye(load_camera("webcam")))
+            fly_mission("mufly-1.1", sensors="fitted", eye=CameraConfig(load_camera("webcam")))
     finally:
-        opencv.cache_clear()
+        load_opencv.cache_clear()
     with pytest.raises(MuflyError, match="pictures are nothing for ideal sensors"):
-        fly("mufly-1.1", eye=Eye(load_camera("webcam")))
+        fly_mission("mufly-1.1", eye=CameraConfig(load_camera("webcam")))
 
 
 def test_a_flight_on_places_from_outside_sends_its_pictures() -> None:
@@ -291,18 +294,18 @@ def test_a_flight_on_places_from_outside_sends_its_pictures() -> None:
 
     class Server:
         def publish(self, jpeg: bytes, time_s: float) -> None:
-            sent.append((time_s, decode(jpeg)))
+            sent.append((time_s, decode_picture(jpeg)))
 
         def close(self) -> None:
             sent.clear()
 
     vehicle, eye = (
         load_vehicle("mufly-1.1"),
-        Eye(load_camera("webcam"), spoils=(parse_spoil("unplugged@0.5s"),)),
+        CameraConfig(load_camera("webcam"), camera_faults=(parse_camera_fault("unplugged@0.5s"),)),
     )
     server: Any = Server()
-    stream: Any = Stream(filmed(eye, vehicle, World(), 1), server)
-    sensor = OutsideFixes(vehicle, stream)
+    stream: Any = PictureStream(make_camera(eye, vehicle, World(), 1), server)
+    sensor = ExternalFixes(vehicle, stream)
     state = initial_state(position=(0.2, -0.1, -0.8), rotor_speed=(380.0, 420.0))
     for k in range(200):
         assert not sensor.read(Truth(k * 0.005, k, state, np.zeros(3), np.zeros(3), 11.0, 5.0))

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mufly.control import FlightController, design
+from mufly.control import FlightController, design_flight_controller
 from mufly.errors import InputError, MuflyError
-from mufly.flight import Flight, fly, read_recording, summarise, summary_rows
-from mufly.mission import mission_from
+from mufly.flight import Flight, fly_mission, read_recording, summarise_flight, summary_rows
+from mufly.mission import parse_mission
 from mufly.vehicle import Vehicle, load_vehicle
 
-HOP = mission_from(
+HOP = parse_mission(
     {
         "name": "hop",
         "take_off": {"height_m": 0.4, "wait_s": 0.2},
@@ -30,21 +30,21 @@ def vehicle() -> Vehicle:
 
 @pytest.fixture(scope="module")
 def controller(vehicle: Vehicle) -> FlightController:
-    return design(vehicle)
+    return design_flight_controller(vehicle)
 
 
 def run(flight: Flight, seconds: float) -> None:
     for _ in range(round(seconds / flight.period_s)):
-        flight.tick()
+        flight.step_period()
 
 
 def fly_it(flight: Flight) -> None:
-    """As `fly` does, from outside."""
+    """As `fly_mission` does, from outside."""
     flight.autopilot.arm(force=True, quiet=True)
     assert flight.autopilot.start_mission()
     ended = None
     while ended is None or flight.time_s < ended + 0.5:
-        flight.tick()
+        flight.step_period()
         if ended is None and flight.autopilot.software.mission_state.finished:
             ended = flight.time_s
 
@@ -53,9 +53,9 @@ def test_a_flight_that_is_ticked_is_the_one_that_is_flown(vehicle, controller, t
     path = tmp_path / "ticked.mcap"
     with Flight(vehicle, HOP, controller=controller, gust=0.3, seed=5, path=path) as flight:
         fly_it(flight)
-    ticked = flight.recorder.dataset()
+    ticked = flight.recorder.to_dataset()
     xr.testing.assert_equal(ticked, read_recording(path))
-    flown = fly(vehicle, HOP, controller=controller, gust=0.3, seed=5)
+    flown = fly_mission(vehicle, HOP, controller=controller, gust=0.3, seed=5)
     xr.testing.assert_equal(ticked.drop_attrs(), flown.drop_attrs())
     assert (ticked.attrs["outcome"], ticked.attrs["reason"]) == ("succeeded", "mission complete")
 
@@ -65,10 +65,10 @@ def test_what_is_seen_is_what_is_recorded(vehicle, controller) -> None:
     flight.autopilot.arm(force=True)
     flight.autopilot.start_mission()
     run(flight, 6.0)
-    flight.tick()
+    flight.step_period()
     now = flight.status
     flight.close()
-    row = flight.recorder.dataset().isel(time=-1)
+    row = flight.recorder.to_dataset().isel(time=-1)
     assert float(row.time) == now.time_s == flight.time_s
     for name, value in {
         "truth_position": now.truth.position,
@@ -92,7 +92,7 @@ def test_what_is_seen_is_what_is_recorded(vehicle, controller) -> None:
 
 def test_a_state_does_not_change_afterwards(vehicle, controller) -> None:
     flight = Flight(vehicle, HOP, controller=controller, keep=False, gust=0.5)
-    flight.tick()
+    flight.step_period()
     now = flight.status
     before = now.truth.state.copy(), now.truth.wind.copy(), now.reference_position.copy()
     run(flight, 0.5)
@@ -120,7 +120,7 @@ def test_commands_fly_it_and_the_recording_says_so(vehicle, controller, tmp_path
         assert flight.autopilot.arm()
         assert flight.autopilot.take_off(0.5)
         run(flight, 7.0)
-        flight.note("marked by hand", "warning")
+        flight.log_event("marked by hand", "warning")
         assert flight.autopilot.land()
         run(flight, 12.0)
     read = read_recording(path)
@@ -130,7 +130,7 @@ def test_commands_fly_it_and_the_recording_says_so(vehicle, controller, tmp_path
     assert texts[-1] == "landed"
     assert (read.attrs["outcome"], read.attrs["reason"]) == ("succeeded", "landed")
     with pytest.raises(MuflyError, match=r"not kept in memory; read .*commanded\.mcap"):
-        flight.recorder.dataset()
+        flight.recorder.to_dataset()
 
 
 def test_a_flight_by_hand_is_not_judged_by_the_waypoints_of_the_mission(vehicle, controller) -> None:
@@ -142,7 +142,7 @@ def test_a_flight_by_hand_is_not_judged_by_the_waypoints_of_the_mission(vehicle,
             run(flight, 6.0)
             assert flight.autopilot.land()
             run(flight, 6.0)
-        summary = summarise(flight.recorder.dataset(), goals)
+        summary = summarise_flight(flight.recorder.to_dataset(), goals)
         assert summary.waypoints_asked == asked
         assert (summary.landing_distance_m is None) is (asked == 0)
         assert ("Waypoints reached" in dict(summary_rows(summary))) is (asked > 0)
@@ -204,7 +204,7 @@ def test_memory_stays_flat_without_keeping_rows(vehicle, controller, tmp_path) -
 
 
 def test_impossible_input_is_refused_before_anything_is_written(vehicle, controller, tmp_path) -> None:
-    thirsty = mission_from({"waypoint": [{"position_m": [0.0, 0.0, -1.0]}], "battery": {"low_V": 9.0}})
+    thirsty = parse_mission({"waypoint": [{"position_m": [0.0, 0.0, -1.0]}], "battery": {"low_V": 9.0}})
     path = tmp_path / "none.mcap"
     with pytest.raises(InputError, match=r"battery\.low_V"):
         Flight(vehicle, thirsty, controller=controller, path=path)

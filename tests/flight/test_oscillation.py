@@ -7,14 +7,14 @@ from dataclasses import replace as replaced
 import numpy as np
 import pytest
 
-from mufly.control import FlightController, design
+from mufly.control import FlightController, design_flight_controller
 from mufly.estimate import IdealEstimator
-from mufly.flight import events_of, fly, summarise, summary_rows
-from mufly.flight.oscillation import INPUTS, OscillationWatch, steered
-from mufly.mission import mission_from
-from mufly.vehicle import Vehicle, load_vehicle, parameters, replace
+from mufly.flight import fly_mission, read_events, summarise_flight, summary_rows
+from mufly.flight.oscillation_detector import INPUT_NAMES, OscillationDetector, steering_demands
+from mufly.mission import parse_mission
+from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
-HOP = mission_from({"waypoint": [{"position_m": [0.5, 0.0, -1.0], "wait_s": 1.0}]})
+HOP = parse_mission({"waypoint": [{"position_m": [0.5, 0.0, -1.0], "wait_s": 1.0}]})
 
 
 @pytest.fixture(scope="module")
@@ -24,12 +24,12 @@ def vehicle() -> Vehicle:
 
 @pytest.fixture(scope="module")
 def controller(vehicle: Vehicle) -> FlightController:
-    return design(vehicle)
+    return design_flight_controller(vehicle)
 
 
 def watched(signal, *, seconds=12.0, which=2, asked=None, rate=50.0):
     """What is found at each instant when one input follows a signal of time."""
-    watch, found = OscillationWatch(), []
+    watch, found = OscillationDetector(), []
     for k in range(int(seconds * rate)):
         inputs = [0.5, 0.5, 0.0, 0.0]
         inputs[which] = signal(k / rate)
@@ -46,18 +46,16 @@ def test_a_steady_swing_is_found_with_its_size_and_frequency(which: int, hertz: 
     first = next(k for k, one in enumerate(found) if one) / 50.0
     assert max(4.0 / hertz, 2.0) <= first <= max(4.0 / hertz, 2.0) + 2.0 / hertz
     last = found[-1]
-    assert last.input == INPUTS[which]
-    assert last.size == pytest.approx(2 * size, rel=0.05)
+    assert last.input_name == INPUT_NAMES[which]
+    assert last.amplitude == pytest.approx(2 * size, rel=0.05)
     assert last.frequency_Hz == pytest.approx(hertz, rel=0.1)
-    assert last.since_s + last.lasting_s <= 16.0
-    assert last.lasting_s == pytest.approx(16.0 - last.since_s, abs=1.0 / hertz)
+    assert last.start_s + last.duration_s <= 16.0
+    assert last.duration_s == pytest.approx(16.0 - last.start_s, abs=1.0 / hertz)
 
 
 def test_what_is_small_slow_short_or_uneven_is_no_oscillation() -> None:
     random = np.random.default_rng(0)
-    gusts = np.interp(
-        np.arange(0.0, 60.0, 0.02), np.cumsum(random.uniform(0.1, 1.5, 100)), random.uniform(-1, 1, 100)
-    )
+    gusts = np.interp(np.arange(0.0, 60.0, 0.02), np.cumsum(random.uniform(0.1, 1.5, 100)), random.uniform(-1, 1, 100))
     for signal in (
         lambda t: 0.45 * math.sin(math.tau * t),
         lambda t: math.sin(math.tau * 0.2 * t),
@@ -76,15 +74,15 @@ def test_it_ends_when_the_actuator_rests() -> None:
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_of_several_that_which_lasts_longest_is_told(order: int) -> None:
-    watch, early, late = OscillationWatch(), *(1, 3)[::order]
+    watch, early, late = OscillationDetector(), *(1, 3)[::order]
     for k in range(800):
         t, inputs = k / 50.0, [0.5, 0.5, 0.0, 0.0]
         inputs[early] += (0.4 if early == 1 else 0.8) * math.sin(math.tau * t)
         inputs[late] += (0.4 if late == 1 else 0.8) * math.sin(math.tau * t) * (t > 4.0)
         found = watch.step(t, inputs)
         if t > 10.0:
-            assert found.input == INPUTS[early]
-            assert found.lasting_s == pytest.approx(t - found.since_s, abs=1.0)
+            assert found.input_name == INPUT_NAMES[early]
+            assert found.duration_s == pytest.approx(t - found.start_s, abs=1.0)
 
 
 @pytest.mark.parametrize("axis", range(6))
@@ -92,9 +90,7 @@ def test_only_what_is_asked_for_clearly_is_steering(axis: int) -> None:
     """To and fro by 11 cm/s, 12 deg/s or 3 deg it is; what is a fifth less is a hand that trembles."""
 
     def asked(share):
-        size = (
-            0.5 * share * (0.11, 0.11, 0.11, math.radians(12.5), math.radians(3.1), math.radians(3.1))[axis]
-        )
+        size = 0.5 * share * (0.11, 0.11, 0.11, math.radians(12.5), math.radians(3.1), math.radians(3.1))[axis]
         return lambda t: tuple(size * math.sin(math.tau * 0.7 * t) * (k == axis) for k in range(6))
 
     def swing(t):
@@ -112,15 +108,15 @@ def test_what_a_pilot_or_a_program_asks_for_is_none() -> None:
         return math.sin(math.tau * 0.7 * t - 0.4)
 
     def pilot(t):
-        return steered("rc", (9.0 * stick(t), 0.0, 0.0), 0.0, stick(t), 0.0)
+        return steering_demands("rc", (9.0 * stick(t), 0.0, 0.0), 0.0, stick(t), 0.0)
 
     assert not any(watched(swing, asked=pilot))
     assert not any(
-        watched(swing, asked=lambda t: steered("offboard", (2.0 * stick(t), 0.0, 0.0), 0.0, 0.0, 0.0))
+        watched(swing, asked=lambda t: steering_demands("offboard", (2.0 * stick(t), 0.0, 0.0), 0.0, 0.0, 0.0))
     )
     # Hands that rest ask for nothing, and of the velocity a pilot's reference repeats what is measured.
-    assert watched(swing, asked=lambda t: steered("rc", (9.0 * stick(t), 0.0, 0.0), 0.0, 0.0, 0.0))[-1]
-    assert steered("hover", (1.0, 2.0, 3.0), 4.0, 5.0, 6.0) is None
+    assert watched(swing, asked=lambda t: steering_demands("rc", (9.0 * stick(t), 0.0, 0.0), 0.0, 0.0, 0.0))[-1]
+    assert steering_demands("hover", (1.0, 2.0, 3.0), 4.0, 5.0, 6.0) is None
 
 
 class Late:
@@ -140,18 +136,16 @@ class Late:
         return replaced(old, time_s=now.time_s)
 
 
-def test_too_much_delay_swings_the_servos_and_fails_the_flight(
-    vehicle: Vehicle, controller: FlightController
-) -> None:
+def test_too_much_delay_swings_the_servos_and_fails_the_flight(vehicle: Vehicle, controller: FlightController) -> None:
     """25 ms, the delay margin being 21: it flies all the same, which used to count as a success."""
-    dataset = fly(vehicle, HOP, controller=controller, estimator=Late(5), wind=(0.5, 0.0, 0.0), gust=0.3)
-    summary = summarise(dataset, events=events_of(dataset))
+    dataset = fly_mission(vehicle, HOP, controller=controller, estimator=Late(5), wind=(0.5, 0.0, 0.0), gust=0.3)
+    summary = summarise_flight(dataset, events=read_events(dataset))
     assert summary.outcome == "failed"
     assert "servo_input" in summary.reason
     assert "oscillates" in summary.reason
     assert summary.longest_oscillation_s > 2.0
     assert "servo_input" in dict(summary_rows(summary))["Longest oscillation"]
-    told = [e for e in events_of(dataset) if "oscillates" in e.text]
+    told = [e for e in read_events(dataset) if "oscillates" in e.text]
     assert [(e.state, e.level) for e in told] == [("landing", "error")]
 
 
@@ -162,10 +156,10 @@ def test_a_vehicle_light_against_its_controller_takes_off_and_flies(
     shares = {"body.mass": 0.9, "motor.back_emf_constant": 0.92, "motor.resistance": 0.9}
     shares |= dict.fromkeys(("rotors.upper.thrust_coefficient", "rotors.lower.thrust_coefficient"), 1.1)
     shares |= dict.fromkeys(("rotors.upper.drive_inertia", "rotors.lower.drive_inertia"), 0.9)
-    now = {p.key: p.value for p in parameters(vehicle)}
-    light = replace(vehicle, {key: float(now[key]) * share for key, share in shares.items()})
-    dataset = fly(light, HOP, controller=controller, wind=(0.5, 0.0, 0.0), gust=0.3)
-    summary = summarise(dataset, [w.position_m for w in HOP.waypoint])
+    now = {p.key: p.value for p in list_parameters(vehicle)}
+    light = replace_parameters(vehicle, {key: float(now[key]) * share for key, share in shares.items()})
+    dataset = fly_mission(light, HOP, controller=controller, wind=(0.5, 0.0, 0.0), gust=0.3)
+    summary = summarise_flight(dataset, [w.position_m for w in HOP.waypoint])
     assert summary.outcome == "succeeded"
     assert summary.longest_oscillation_s == 0.0
     assert "Longest oscillation" not in dict(summary_rows(summary))

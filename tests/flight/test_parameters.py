@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mufly.control import FlightController, design
+from mufly.control import FlightController, design_flight_controller
 from mufly.control.implementation import analyse_cascade
-from mufly.dynamics import linearise
-from mufly.flight import Demand, Flight, controllers, respond
-from mufly.flight.controllers import copied
-from mufly.flight.parameters import DEG, KEPT, TABLE
-from mufly.mission import SHARE, mission_from
+from mufly.dynamics import linearise_vehicle
+from mufly.flight import ControllerReference, Flight, controllers, simulate_response
+from mufly.flight.controllers import copy_record
+from mufly.flight.tunable_parameters import DEGREES_PER_RADIAN, PARAMETERS, STORAGE_KEYS
+from mufly.mission import USABLE_LIMIT_SHARE, parse_mission
 from mufly.vehicle import Vehicle, load_vehicle
 
-HOP = mission_from({"name": "hop", "waypoint": [{"position_m": [0.5, 0.0, -1.0], "wait_s": 2.0}]})
+HOP = parse_mission({"name": "hop", "waypoint": [{"position_m": [0.5, 0.0, -1.0], "wait_s": 2.0}]})
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def vehicle() -> Vehicle:
 
 @pytest.fixture(scope="module")
 def controller(vehicle: Vehicle) -> FlightController:
-    return design(vehicle)
+    return design_flight_controller(vehicle)
 
 
 @pytest.fixture
@@ -38,8 +38,8 @@ def run(flight: Flight, seconds: float) -> np.ndarray:
     """Tick; what was sent, one row a period."""
     sent = []
     for _ in range(round(seconds / flight.period_s)):
-        flight.tick()
-        sent.append(flight.status.actuators.array)
+        flight.step_period()
+        sent.append(flight.status.actuators.input_array)
     return np.array(sent)
 
 
@@ -53,21 +53,21 @@ def hover(flight: Flight, seconds: float = 12.0) -> None:
 
 def test_names_fit_a_mavlink_parameter_and_values_their_bounds(flight: Flight) -> None:
     parameters = flight.autopilot.parameters
-    assert len(parameters) == len(TABLE) >= 26
+    assert len(parameters) == len(PARAMETERS) >= 26
     for name, p in parameters.items():
         assert name == p.name
         assert len(name) <= 16
         assert name.isascii()
         assert name.upper() == name
-        assert math.isfinite(p.greatest - p.least)
-        assert p.least <= p.value <= p.greatest
-        assert p.help
+        assert math.isfinite(p.maximum - p.minimum)
+        assert p.minimum <= p.value <= p.maximum
+        assert p.description
 
 
 def test_every_one_can_be_set_to_its_bounds_and_back(flight: Flight) -> None:
     a = flight.autopilot
     for name, p in list(a.parameters.items()):
-        for value in (p.least, p.greatest, p.value):
+        for value in (p.minimum, p.maximum, p.value):
             # As a link sends it.
             answer = a.set_parameter(name, float(np.float32(value)))
             assert answer, answer.reason
@@ -99,7 +99,7 @@ def test_limits_of_the_mission_follow_those_of_the_controllers(flight: Flight) -
     assert a.set_parameter("LIM_CLIMB", 0.7)
     assert a.set_parameter("CTL_HEAVE_SPD", 0.5)
     p = a.parameters["LIM_CLIMB"]
-    assert p.value == p.greatest == pytest.approx(SHARE * 0.5)
+    assert p.value == p.maximum == pytest.approx(USABLE_LIMIT_SHARE * 0.5)
     # What was asked for is not forgotten.
     assert a.set_parameter("CTL_HEAVE_SPD", 1.0)
     assert a.parameters["LIM_CLIMB"].value == pytest.approx(0.7)
@@ -133,9 +133,9 @@ def test_angles_are_in_degrees_as_the_table_says(flight: Flight, controller: Fli
 def test_avoidance_can_be_switched_off_and_on(flight: Flight) -> None:
     a = flight.autopilot
     assert a.set_parameter("AVD_ENABLE", 0.0)
-    assert not a.software.plan.avoid
+    assert not a.software.plan.avoids_obstacles
     assert a.set_parameter("AVD_ENABLE", 1.0)
-    assert a.software.plan.avoid
+    assert a.software.plan.avoids_obstacles
 
 
 def test_the_take_off_height(flight: Flight) -> None:
@@ -151,7 +151,7 @@ def test_the_take_off_height(flight: Flight) -> None:
 # no bump
 
 
-TUNED = [name for name in TABLE if name.startswith("CTL_")]
+TUNED = [name for name in PARAMETERS if name.startswith("CTL_")]
 
 
 def greatest_steps(flight: Flight, name: str, end: str) -> np.ndarray:
@@ -178,7 +178,7 @@ def test_tuning_on_the_run_makes_no_bump(flight: Flight, name: str, end: str) ->
 
 
 def test_a_gain_that_jumps_would_make_one(flight: Flight, monkeypatch) -> None:
-    monkeypatch.setattr(controllers, "RETUNE_S", 1e-9)
+    monkeypatch.setattr(controllers, "RETUNE_TIME_S", 1e-9)
     assert greatest_steps(flight, "CTL_POS_GAIN", "greatest")[2:].max() > 0.035
 
 
@@ -195,7 +195,7 @@ def test_a_gain_is_gone_over_to_within_two_seconds(flight: Flight) -> None:
 
 
 def test_the_design_itself_stays_as_it_is(flight: Flight, controller: FlightController) -> None:
-    before = copied(controller.position_gains)
+    before = copy_record(controller.position_gains)
     a = flight.autopilot
     assert a.set_parameter("CTL_POS_GAIN", 1.9)
     hover(flight)
@@ -208,10 +208,10 @@ def test_the_design_itself_stays_as_it_is(flight: Flight, controller: FlightCont
 @pytest.mark.parametrize("name", ["mufly-1.1", "mufly-2.0"])
 def test_the_position_loop_is_robust_at_both_bounds(name: str) -> None:
     vehicle = load_vehicle(name)
-    c = design(vehicle)
-    full = linearise(vehicle).full
-    row = TABLE["CTL_POS_GAIN"]
-    for gain in (row.least, row.greatest):
+    c = design_flight_controller(vehicle)
+    full = linearise_vehicle(vehicle).full
+    row = PARAMETERS["CTL_POS_GAIN"]
+    for gain in (row.minimum, row.maximum):
         loop = analyse_cascade(full, c.roll_pitch.discrete, c.velocity.discrete, gain, c.position_divider)
         assert loop.stable
         assert loop.sensitivity_peak_dB < 4.9
@@ -225,15 +225,15 @@ def test_the_position_loop_is_robust_at_both_bounds(name: str) -> None:
     "name", ["CTL_HEAVE_BW", "CTL_HEAVE_SPD", "CTL_HEAVE_ACC", "CTL_YAW_BW", "CTL_YAW_RATE", "CTL_YAW_ACC"]
 )
 def test_steps_settle_at_the_bounds_of_the_filters(vehicle, controller, name: str, end: str) -> None:
-    row = TABLE[name]
-    gains = copied(controller.heave_yaw_gains)
-    gains[KEPT[name][1]] = getattr(row, end) / (DEG if row.unit.startswith("deg") else 1.0)
+    row = PARAMETERS[name]
+    gains = copy_record(controller.heave_yaw_gains)
+    gains[STORAGE_KEYS[name][1]] = getattr(row, end) / (DEGREES_PER_RADIAN if row.unit.startswith("deg") else 1.0)
     tuned = dataclasses.replace(controller, heave_yaw_gains=gains)
-    step = Demand(z=-1.0) if "HEAVE" in name else Demand(heading=1.0)
+    step = ControllerReference(down_m=-1.0) if "HEAVE" in name else ControllerReference(heading=1.0)
     long = 20.0 if end == "least" else 8.0
-    data = respond(vehicle, lambda t: step, duration_s=long, controller=tuned)
+    data = simulate_response(vehicle, lambda t: step, duration_s=long, controller=tuned)
     last = data.isel(time=slice(-100, None))
-    assert np.abs(last.truth_position.values[:, 2] - step.z).max() < 0.02
+    assert np.abs(last.truth_position.values[:, 2] - step.down_m).max() < 0.02
     assert np.abs(last.truth_attitude.values[:, 2] - step.heading).max() < 0.03
     top = -data.truth_position.values[:, 2].min()
     assert top < 1.25, "overshoot"
@@ -260,10 +260,10 @@ def test_a_pushed_helicopter_comes_back_at_the_bounds(flight: Flight, name: str,
 
 def test_every_parameter_is_documented_with_its_bounds(flight: Flight) -> None:
     text = (Path(__file__).parents[2] / "docs" / "missions.md").read_text(encoding="utf-8")
-    for row in TABLE.values():
+    for row in PARAMETERS.values():
         line = next((t for t in text.splitlines() if t.startswith(f"| `{row.name}` |")), "")
-        assert row.help in line, row.name
-        if math.isfinite(row.greatest):
-            assert f"{row.least:g} to {row.greatest:g}" in line, row.name
+        assert row.description in line, row.name
+        if math.isfinite(row.maximum):
+            assert f"{row.minimum:g} to {row.maximum:g}" in line, row.name
         if row.name.startswith("STK_"):
             assert f"({flight.autopilot.parameters[row.name].value:g} at first)" in line, row.name

@@ -7,7 +7,7 @@ from matplotlib.image import imread
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from mufly.flight import draw_flight
-from mufly.flight.record.pictures import STATE_COLOURS, draw_history, draw_position, draw_track
+from mufly.flight.record.flight_pictures import STATE_COLOURS, draw_history, draw_position, draw_track
 from mufly.world import Box, Cylinder, World
 
 WORLD = World((Box((-1.5, 0.9, -0.6), (0.5, 0.6, 1.2), 0.4),), (Cylinder((-1.0, 2.2), 0.25, 1.4, 0.1),))
@@ -52,16 +52,16 @@ def test_the_waypoints_carry_their_numbers(data, flight):
 
 
 def test_obstacles_are_drawn_where_they_stand():
-    from mufly.flight.record.pictures import _solids
+    from mufly.flight.record.flight_pictures import _obstacle_faces
 
-    box, post = (np.concatenate(faces) for faces in _solids(WORLD))
+    box, post = (np.concatenate(faces) for faces in _obstacle_faces(WORLD))
     half = 0.5 * np.hypot(0.5, 0.6)
     assert np.hypot(*(box[:, :2] - (0.9, -1.5)).T) == pytest.approx(half)
     assert (box[:, 2].min(), box[:, 2].max()) == pytest.approx((0.0, 1.2))
     assert np.hypot(*(post[:, :2] - (2.2, -1.0)).T) == pytest.approx(0.25)
     assert (post[:, 2].min(), post[:, 2].max()) == pytest.approx((0.1, 1.5))
     # A box turned by yaw from north towards east has its long edge there.
-    turned = _solids(World((Box((0, 0, -1), (4, 1, 1), np.pi / 2),)))[0]
+    turned = _obstacle_faces(World((Box((0, 0, -1), (4, 1, 1), np.pi / 2),)))[0]
     assert np.ptp(np.concatenate(turned), axis=0) == pytest.approx((4.0, 1.0, 1.0))
 
 

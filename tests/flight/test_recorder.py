@@ -18,30 +18,30 @@ from mcap.reader import make_reader
 from mcap.records import Chunk, MessageIndex
 
 from mufly.errors import InputError, MuflyError
-from mufly.flight import Recorder
-from mufly.flight.record.recorder import quaternions
-from mufly.logs import read_attachments, read_log, read_mcap, read_recording, standard_layout, write_log
+from mufly.flight import FlightRecorder
+from mufly.flight.record.recorder import attitude_quaternions
+from mufly.logs import flight_layout, read_attachments, read_log, read_mcap, read_recording, write_log
 from mufly.world import Box, Cylinder, World
 
 START_NS = 1_700_000_000_000_000_000
 
 
 def record(path, flight, stop=None, **options):
-    with Recorder(path, {"vehicle": "mufly-1.1", "seed": 7}, layout=flight.layout, **options) as recorder:
+    with FlightRecorder(path, {"vehicle": "mufly-1.1", "seed": 7}, layout=flight.layout, **options) as recorder:
         events = list(flight.events)
         for row, state in zip(flight.rows[:stop], flight.states, strict=False):
             while events and events[0].time_s <= row[0]:
-                recorder.event(*events.pop(0))
-            recorder.append(row, state)
-        recorder.finish("succeeded", "landed", battery_at_end=0.9)
+                recorder.add_event(*events.pop(0))
+            recorder.append_row(row, state)
+        recorder.set_outcome("succeeded", "landed", battery_at_end=0.9)
     return recorder
 
 
 def test_what_is_written_comes_back_to_the_bit(tmp_path, flight):
     recorder = record(tmp_path / "flight.mcap", flight)
     back = read_recording(tmp_path / "flight.mcap")
-    assert back.identical(recorder.dataset())
-    for name, columns in flight.layout.columns.items():
+    assert back.identical(recorder.to_dataset())
+    for name, columns in flight.layout.column_slices.items():
         stored = back[name].values.reshape(len(flight.rows), -1)
         assert stored.tobytes() == np.ascontiguousarray(flight.rows[:, columns]).tobytes()
     assert back["mission_state"].values.tolist() == flight.states
@@ -53,8 +53,8 @@ def test_what_is_written_comes_back_to_the_bit(tmp_path, flight):
 
 
 def test_memory_only_gives_the_same_dataset(tmp_path, flight):
-    on_disk = record(tmp_path / "flight.mcap", flight, start_time_ns=START_NS).dataset()
-    in_memory = record(None, flight, start_time_ns=START_NS).dataset()
+    on_disk = record(tmp_path / "flight.mcap", flight, start_time_ns=START_NS).to_dataset()
+    in_memory = record(None, flight, start_time_ns=START_NS).to_dataset()
     assert in_memory.identical(on_disk)
 
 
@@ -68,7 +68,7 @@ def test_the_mcap_library_reads_the_file_and_finds_every_checksum_right(tmp_path
             counts[channel.topic] += 1
             assert isinstance(orjson.loads(message.data), dict)
     n = len(flight.rows)
-    for topic in (*flight.layout.topics, "/mission", "/tf", "/reference_pose"):
+    for topic in (*flight.layout.quantities_by_topic, "/mission", "/tf", "/reference_pose"):
         assert counts[topic] == n
     assert counts["/events"] == len(flight.events)
     assert counts["/scene"] == 1
@@ -131,8 +131,8 @@ def test_messages_match_their_schemas_and_the_viewers_subset_of_json_schema(tmp_
 
 def test_the_3d_view_puts_the_helicopter_where_the_truth_is(tmp_path, flight):
     record(tmp_path / "flight.mcap", flight)
-    messages = read_mcap(tmp_path / "flight.mcap").messages["/tf"]
-    columns = flight.layout.columns
+    messages = read_mcap(tmp_path / "flight.mcap").messages_by_topic["/tf"]
+    columns = flight.layout.column_slices
     for k in (0, 77, len(flight.rows) - 1):
         world, body = orjson.loads(messages[k][1])["transforms"]
         assert (world["parent_frame_id"], body["parent_frame_id"]) == ("world", "ned")
@@ -151,7 +151,7 @@ def test_the_3d_view_puts_the_helicopter_where_the_truth_is(tmp_path, flight):
     ],
 )
 def test_quaternions_turn_the_body_axes_as_in_aviation(attitude, forward, down):
-    x, y, z, w = quaternions(np.array([attitude]))[0]
+    x, y, z, w = attitude_quaternions(np.array([attitude]))[0]
     first = (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y))
     third = (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))
     assert first == pytest.approx(forward, abs=1e-12)
@@ -160,11 +160,11 @@ def test_quaternions_turn_the_body_axes_as_in_aviation(attitude, forward, down):
 
 def test_every_second_reaches_the_disk_before_the_end(tmp_path, flight):
     path = tmp_path / "flight.mcap"
-    with Recorder(path, layout=flight.layout) as recorder:
+    with FlightRecorder(path, layout=flight.layout) as recorder:
         for row, state in zip(flight.rows[:400], flight.states, strict=False):
-            recorder.append(row, state)
+            recorder.append_row(row, state)
             if row[0] > 1.0:
-                on_disk = len(read_mcap(path).messages["/truth"]) if row[0] % 0.5 < 0.02 else None
+                on_disk = len(read_mcap(path).messages_by_topic["/truth"]) if row[0] % 0.5 < 0.02 else None
                 if on_disk is not None:
                     assert row[0] - flight.rows[on_disk, 0] <= 1.0
 
@@ -213,9 +213,9 @@ def test_an_exception_finishes_the_file_and_goes_on(tmp_path, flight, error, out
     path = tmp_path / "flight.mcap"
 
     def fly():
-        with Recorder(path, layout=flight.layout) as recorder:
+        with FlightRecorder(path, layout=flight.layout) as recorder:
             for row in flight.rows[:75]:
-                recorder.append(row, "hover")
+                recorder.append_row(row, "hover")
             raise error
 
     with pytest.raises(type(error)):
@@ -229,9 +229,9 @@ def test_an_exception_finishes_the_file_and_goes_on(tmp_path, flight, error, out
 def test_a_half_written_chunk_is_written_over(tmp_path, flight):
     # What an interrupt in the middle of a write leaves behind the last whole record.
     path = tmp_path / "flight.mcap"
-    with Recorder(path, layout=flight.layout) as recorder:
+    with FlightRecorder(path, layout=flight.layout) as recorder:
         for k, row in enumerate(flight.rows[:150]):
-            recorder.append(row, "hover")
+            recorder.append_row(row, "hover")
             if k == 100:
                 recorder._stream.write(b"\x06 half a chunk")
     back = read_recording(path)
@@ -240,14 +240,14 @@ def test_a_half_written_chunk_is_written_over(tmp_path, flight):
 
 
 def test_not_a_number_survives_and_infinity_becomes_it(tmp_path):
-    layout = standard_layout(2)
-    rows = np.full((3, layout.width), np.nan)
+    layout = flight_layout(2)
+    rows = np.full((3, layout.column_count), np.nan)
     rows[:, 0] = [0.0, 0.5, 5e-324 + 1.0]
-    rows[0, 1:] = [-0.0, 5e-324, 1.7976931348623157e308, 0.1] + [1 / 3] * (layout.width - 5)
+    rows[0, 1:] = [-0.0, 5e-324, 1.7976931348623157e308, 0.1] + [1 / 3] * (layout.column_count - 5)
     rows[1, 3] = np.inf
-    with Recorder(tmp_path / "flight.mcap", layout=layout) as recorder:
+    with FlightRecorder(tmp_path / "flight.mcap", layout=layout) as recorder:
         for row in rows:
-            recorder.append(row, 'odd "state" \\ ä')
+            recorder.append_row(row, 'odd "state" \\ ä')
     back = read_recording(tmp_path / "flight.mcap")
     assert back.truth_position.values[0].tobytes() == rows[0, 1:4].tobytes()
     assert np.isnan(back.truth_position.values[1:]).all()
@@ -256,12 +256,12 @@ def test_not_a_number_survives_and_infinity_becomes_it(tmp_path):
 
 
 def test_many_rows_within_a_second_are_all_kept(tmp_path):
-    layout = standard_layout(8)
-    row = np.zeros(layout.width)
-    with Recorder(tmp_path / "flight.mcap", layout=layout) as recorder:
+    layout = flight_layout(8)
+    row = np.zeros(layout.column_count)
+    with FlightRecorder(tmp_path / "flight.mcap", layout=layout) as recorder:
         for k in range(3000):
             row[0] = k * 1e-4
-            recorder.append(row, "hover")
+            recorder.append_row(row, "hover")
     np.testing.assert_array_equal(read_recording(tmp_path / "flight.mcap").time, np.arange(3000) * 1e-4)
 
 
@@ -276,11 +276,11 @@ def test_time_must_go_forward(tmp_path):
     path = tmp_path / "flight.mcap"
 
     def fly():
-        with Recorder(path) as recorder:
-            row = np.zeros(recorder.layout.width)
+        with FlightRecorder(path) as recorder:
+            row = np.zeros(recorder.layout.column_count)
             for time_s in (0.1, 0.3, 0.2, 0.4):
                 row[0] = time_s
-                recorder.append(row, "hover")
+                recorder.append_row(row, "hover")
 
     with pytest.raises(MuflyError, match=r"0\.2 s came after 0\.3 s"):
         fly()
@@ -289,12 +289,12 @@ def test_time_must_go_forward(tmp_path):
 def test_a_file_that_cannot_be_made_is_named_at_once(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"file/x\.mcap: cannot be written"):
-        Recorder(tmp_path / "file" / "x.mcap")
+        FlightRecorder(tmp_path / "file" / "x.mcap")
 
 
 def test_an_attribute_that_json_cannot_hold_is_named(tmp_path):
     with pytest.raises(InputError, match=r"wind: cannot be recorded"):
-        Recorder(tmp_path / "x.mcap", {"wind": object()})
+        FlightRecorder(tmp_path / "x.mcap", {"wind": object()})
 
 
 def test_closing_twice_changes_nothing(tmp_path, flight):

@@ -9,18 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.flight import Recorder
+from mufly.flight import FlightRecorder
 from mufly.logs import (
-    Layout,
     LogWarning,
-    McapFile,
-    events_of,
+    McapWriter,
+    RecordingLayout,
+    flight_layout,
+    read_events,
     read_recording,
-    standard_layout,
+    rows_to_dataset,
     to_csv,
-    to_dataset,
 )
-from mufly.quantities import kept_by
+from mufly.quantities import quantities_recorded_in
 
 
 @pytest.fixture(scope="module")
@@ -28,36 +28,36 @@ def recorded(tmp_path_factory, short_flight):
     """A finished recording of six seconds, its bytes, and where its chunks of rows end."""
     path = tmp_path_factory.mktemp("recorded") / "flight.mcap"
     chunk_ends = []
-    with Recorder(path, {"vehicle": "mufly-1.1"}, layout=short_flight.layout) as recorder:
+    with FlightRecorder(path, {"vehicle": "mufly-1.1"}, layout=short_flight.layout) as recorder:
         for k, (row, state) in enumerate(zip(short_flight.rows, short_flight.states, strict=True)):
             before = path.stat().st_size
-            recorder.append(row, state)
+            recorder.append_row(row, state)
             if path.stat().st_size > before:
                 chunk_ends.append((path.stat().st_size, k))
-        recorder.finish("succeeded")
+        recorder.set_outcome("succeeded")
     return path.read_bytes(), chunk_ends
 
 
 def test_the_columns_follow_the_table_without_gaps():
-    layout = standard_layout(5)
+    layout = flight_layout(5)
     following = 1
-    for quantity in kept_by("flight"):
-        part = layout.columns[quantity.name]
+    for quantity in quantities_recorded_in("flight"):
+        part = layout.column_slices[quantity.name]
         assert part.start == following
         following = part.stop
-    assert layout.width == following
-    assert layout.columns["range"] == slice(layout.width - 5, layout.width)
+    assert layout.column_count == following
+    assert layout.column_slices["range"] == slice(layout.column_count - 5, layout.column_count)
 
 
 def test_the_layout_survives_as_text():
-    layout = standard_layout(3)
-    assert Layout.from_json(layout.to_json()) == layout
+    layout = flight_layout(3)
+    assert RecordingLayout.from_json(layout.to_json()) == layout
 
 
 def test_a_torn_topic_is_refused():
-    first, *rest = kept_by("flight")
+    first, *rest = quantities_recorded_in("flight")
     with pytest.raises(ValueError, match="stand together"):
-        Layout((*rest, first), 8)
+        RecordingLayout((*rest, first), 8)
 
 
 def test_the_dataset_has_the_contracts_names_dims_and_units(flight):
@@ -74,7 +74,7 @@ def test_the_dataset_has_the_contracts_names_dims_and_units(flight):
     assert data.truth_velocity.attrs["units"] == "m/s"
     assert data.truth_position.sel(axis="D").values == pytest.approx(flight.rows[:, 3])
     assert all("long_name" in variable.attrs for name, variable in data.items() if "event" not in name)
-    assert events_of(data) == flight.events
+    assert read_events(data) == flight.events
 
 
 def test_a_cut_at_any_byte_loses_at_most_the_last_second(tmp_path, recorded, short_flight):
@@ -99,7 +99,7 @@ def test_a_cut_at_any_byte_loses_at_most_the_last_second(tmp_path, recorded, sho
         assert n >= (whole[-1] if whole else 1)
         np.testing.assert_array_equal(back.time, short_flight.rows[:n, 0])
         np.testing.assert_array_equal(
-            back.servo_input, short_flight.rows[:n, short_flight.layout.columns["servo_input"]]
+            back.servo_input, short_flight.rows[:n, short_flight.layout.column_slices["servo_input"]]
         )
 
     check()
@@ -147,7 +147,7 @@ def test_a_wrong_byte_anywhere_never_gives_wrong_numbers(tmp_path, recorded, sho
         kept = np.isin(short_flight.rows[:, 0], back.time)
         assert kept.sum() == n
         assert back.attrs["complete"] is False or n == len(kept)
-        for name, columns in short_flight.layout.columns.items():
+        for name, columns in short_flight.layout.column_slices.items():
             stored = back[name].values.reshape(n, -1)
             np.testing.assert_array_equal(stored, short_flight.rows[kept][:, columns])
         assert back.attrs["vehicle"] == "mufly-1.1"
@@ -181,15 +181,15 @@ def test_a_missing_file_is_refused(tmp_path):
 def test_another_programs_mcap_is_refused(tmp_path):
     path = tmp_path / "other.mcap"
     with path.open("wb") as stream:
-        file = McapFile(stream, "other")
+        file = McapWriter(stream, "other")
         file.write_chunk([(file.add_channel("/x", "x", b"{}"), 0, b"{}")])
-        file.finish()
+        file.finish_file()
     with pytest.raises(InputError, match="no recording of mufly"):
         read_recording(path)
 
 
 def test_a_recording_without_rows_is_refused(tmp_path):
-    with Recorder(tmp_path / "flight.mcap"):
+    with FlightRecorder(tmp_path / "flight.mcap"):
         pass
     with pytest.raises(InputError, match="holds no rows"):
         read_recording(tmp_path / "flight.mcap")
@@ -197,14 +197,12 @@ def test_a_recording_without_rows_is_refused(tmp_path):
 
 def test_csv_has_units_and_every_digit(tmp_path, short_flight):
     rows = short_flight.rows.copy()
-    rows[4, short_flight.layout.columns["battery_current"]] = np.nan
-    data = to_dataset(rows, short_flight.states, short_flight.layout)
+    rows[4, short_flight.layout.column_slices["battery_current"]] = np.nan
+    data = rows_to_dataset(rows, short_flight.states, short_flight.layout)
     with to_csv(data, tmp_path / "flight.csv").open(encoding="utf-8") as stream:
         header, *lines = csv.reader(stream)
     assert header[:2] == ["time [s]", "truth_position_N [m]"]
-    assert {"truth_attitude_yaw [rad]", "truth_rates_r [rad/s]", "motor_input_upper", "servo_input_2"} < set(
-        header
-    )
+    assert {"truth_attitude_yaw [rad]", "truth_rates_r [rad/s]", "motor_input_upper", "servo_input_2"} < set(header)
     assert {"range_7 [m]", "battery_voltage [V]", "battery_charge", "mission_state"} < set(header)
     assert len(lines) == len(rows)
     column = header.index("battery_current [A]")
@@ -216,9 +214,9 @@ def test_csv_has_units_and_every_digit(tmp_path, short_flight):
 
 def test_the_documentation_lists_the_table():
     page = (Path(__file__).parents[2] / "docs" / "recordings.md").read_text(encoding="utf-8")
-    layout = standard_layout(8)
-    for q in kept_by("flight"):
-        part = layout.columns[q.name]
+    layout = flight_layout(8)
+    for q in quantities_recorded_in("flight"):
+        part = layout.column_slices[q.name]
         columns = f"{part.start}-{part.stop - 1}" if part.stop - part.start > 1 else f"{part.start}"
         units = "-" if q.units == "1" else q.units
         line = f"| `{q.name}` | {columns} | {q.dim or '-'} | {units} | `{q.topic}` `.{q.field}` | {q.long_name} |"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import mufly
-from mufly.control import design
-from mufly.flight import Demand, respond
+from mufly.control import design_flight_controller
+from mufly.flight import ControllerReference, simulate_response
 from mufly.vehicle import load_vehicle
 
 
@@ -16,15 +16,15 @@ def vehicle():
 
 @pytest.fixture(scope="module")
 def controller(vehicle):
-    return design(vehicle)
+    return design_flight_controller(vehicle)
 
 
 @pytest.mark.parametrize("charge", [1.0, 0.8, 0.5, 0.2])
 def test_heave_step_of_half_a_metre(vehicle, controller, charge: float) -> None:
     """Fig 6.10: no overshoot; settled to 2 % within 2.5 s, at most 1 % over, hardly any yaw."""
-    ds = respond(
+    ds = simulate_response(
         vehicle,
-        lambda t: Demand(z=-0.5 if t >= 1.0 else 0.0),
+        lambda t: ControllerReference(down_m=-0.5 if t >= 1.0 else 0.0),
         duration_s=8.0,
         controller=controller,
         charge=charge,
@@ -40,8 +40,11 @@ def test_heave_step_of_half_a_metre(vehicle, controller, charge: float) -> None:
 
 @pytest.mark.parametrize("size", [0.5, -0.5])
 def test_yaw_step_does_not_disturb_the_height(vehicle, controller, size: float) -> None:
-    ds = respond(
-        vehicle, lambda t: Demand(heading=size if t >= 0.5 else 0.0), duration_s=6.0, controller=controller
+    ds = simulate_response(
+        vehicle,
+        lambda t: ControllerReference(heading=size if t >= 0.5 else 0.0),
+        duration_s=6.0,
+        controller=controller,
     )
     yaw = ds.truth_attitude.values[:, 2]
     assert yaw[-1] == pytest.approx(size, abs=0.01)
@@ -60,9 +63,9 @@ def steps_of_figure_6_12(t: float) -> float:
 
 @pytest.mark.parametrize("axis", ["pitch", "roll"])
 def test_tilt_follows_its_reference(vehicle, controller, axis: str) -> None:
-    ds = respond(
+    ds = simulate_response(
         vehicle,
-        lambda t: Demand(**{axis: steps_of_figure_6_12(t)}),
+        lambda t: ControllerReference(**{axis: steps_of_figure_6_12(t)}),
         duration_s=8.5,
         controller=controller,
     )
@@ -78,9 +81,9 @@ def test_tilt_follows_its_reference(vehicle, controller, axis: str) -> None:
 
 def test_railed_motors_recover_without_windup(vehicle, controller) -> None:
     """A 3 m step at a weak battery asks for all there is; anti-windup keeps the overshoot small and yaw still."""
-    ds = respond(
+    ds = simulate_response(
         vehicle,
-        lambda t: Demand(z=-3.0, heading=1.0),
+        lambda t: ControllerReference(down_m=-3.0, heading=1.0),
         duration_s=15.0,
         controller=controller,
         charge=0.1,
@@ -93,4 +96,4 @@ def test_railed_motors_recover_without_windup(vehicle, controller) -> None:
 
 def test_bad_duration_is_refused(vehicle, controller) -> None:
     with pytest.raises(mufly.InputError, match="duration_s"):
-        respond(vehicle, lambda t: Demand(), duration_s=-1.0, controller=controller)
+        simulate_response(vehicle, lambda t: ControllerReference(), duration_s=-1.0, controller=controller)

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mufly.control import FlightController, design
-from mufly.flight import Answer, Flight, SetPoint
-from mufly.mission import Mission, load_mission, mission_from
+from mufly.control import FlightController, design_flight_controller
+from mufly.flight import Flight, RequestAnswer, SetPoint
+from mufly.mission import Mission, load_mission, parse_mission
 from mufly.vehicle import Vehicle, load_vehicle
 
 VEHICLE: Vehicle = load_vehicle("mufly-1.1")
 MISSIONS = [
-    mission_from({"waypoint": [{"position_m": [0.5, 0.2, -0.7], "wait_s": 0.5}], "at_end": "return"}),
+    parse_mission({"waypoint": [{"position_m": [0.5, 0.2, -0.7], "wait_s": 0.5}], "at_end": "return"}),
     load_mission("box-on-leg"),
     Mission(name="none"),
     Mission(waypoint=({"position_m": (0.0, 0.0, 5.0)},)),
@@ -23,7 +23,7 @@ MISSIONS = [
 
 @pytest.fixture(scope="module")
 def controller() -> FlightController:
-    return design(VEHICLE)
+    return design_flight_controller(VEHICLE)
 
 
 wild = st.one_of(
@@ -89,14 +89,12 @@ def test_whatever_is_asked(controller, script, mission, already_flying):
         nonlocal armed_before
         sent, armed, references = [], [], []
         for _ in range(max(1, round(seconds / flight.period_s))):
-            flight.tick()
+            flight.step_period()
             now = autopilot.status
-            sent.append(flight.sent.array)  # what was computed now; it acts a period later
+            sent.append(flight.sent_actuators.input_array)  # what was computed now; it acts a period later
             armed.append(now.armed)
             references.append(
-                np.concatenate(
-                    (now.reference_position, now.reference_velocity, now.reference_attitude), axis=None
-                )
+                np.concatenate((now.reference_position, now.reference_velocity, now.reference_attitude), axis=None)
             )
         sent, armed = np.array(sent), np.array(armed)
         assert np.isfinite(sent).all()
@@ -116,12 +114,12 @@ def test_whatever_is_asked(controller, script, mission, already_flying):
             flight.reset()
             continue
         answer = getattr(autopilot, name)(*arguments)
-        assert isinstance(answer, Answer)
+        assert isinstance(answer, RequestAnswer)
         assert answer or answer.reason
         if name in ("set_point", "sticks"):
             seconds = min(seconds, 0.4)
         run(seconds)
     assert autopilot.emergency_stop()
     run(0.01)
-    assert (flight.sent.array == 0.0).all()
+    assert (flight.sent_actuators.input_array == 0.0).all()
     assert not autopilot.status.armed

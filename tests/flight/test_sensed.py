@@ -10,22 +10,36 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from mufly.cli import app
-from mufly.control import FlightController, design
+from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import standing_attitude
 from mufly.errors import InputError
-from mufly.estimate import ERROR_STATES, Beliefs, Check, Estimate, Estimator, fitted_estimator
-from mufly.flight import Flight, believed, fly, read_recording, replay
-from mufly.flight.trust import BAD_S, GOOD_S, Doubts, SensorWatch, Smooth, judge, outlook
-from mufly.identify.record import record_from
-from mufly.mission import dump_mission, mission_from
-from mufly.quantities import CHECKED, STATUSES
-from mufly.sensors import READINGS, Reading, Readings, Sensors, Truth, leaning, parse_fault
+from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate, Estimator, SensorStatus, fitted_estimator
+from mufly.flight import Flight, fly_mission, read_recording, replace_estimates, replay_estimator
+from mufly.flight.estimator_health import (
+    FAULT_REPORT_DELAY_S,
+    RECOVERY_REPORT_DELAY_S,
+    CorrectionSmoother,
+    HealthMonitor,
+    SensorEventReporter,
+    judge_estimate,
+    preflight_warning,
+)
+from mufly.identify.flight_record import make_record
+from mufly.mission import dump_mission, parse_mission
+from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
+from mufly.sensors import (
+    READING_KINDS,
+    Reading,
+    Readings,
+    SensorSet,
+    Truth,
+    draw_leaning_vehicle,
+    parse_fault,
+)
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.world import World
 
-HOP = mission_from(
-    {"take_off": {"height_m": 0.6, "wait_s": 0.5}, "waypoint": [{"position_m": [0.4, 0.0, -0.6]}]}
-)
+HOP = parse_mission({"take_off": {"height_m": 0.6, "wait_s": 0.5}, "waypoint": [{"position_m": [0.4, 0.0, -0.6]}]})
 
 
 @pytest.fixture(scope="module")
@@ -35,19 +49,17 @@ def vehicle() -> Vehicle:
 
 @pytest.fixture(scope="module")
 def controller(vehicle: Vehicle) -> FlightController:
-    return design(vehicle)
+    return design_flight_controller(vehicle)
 
 
-def believing(
-    m: Estimate, *, xy: float = 0.04, z: float = 0.01, tilt: float = 0.01, **checks: str
-) -> Estimate:
+def believing(m: Estimate, *, xy: float = 0.04, z: float = 0.01, tilt: float = 0.01, **checks: str) -> Estimate:
     """An estimate with these deviations (m, m, rad), and what is thought of some sensors."""
     sigma = np.array([xy, xy, z, 0.1, 0.1, 0.1, tilt, tilt, 0.02, 0.01, 0.01, 0.01])
-    said = tuple(Check(name, status, reason="so it is") for name, status in checks.items())  # type: ignore[arg-type]
-    beliefs = Beliefs(
+    said = tuple(SensorStatus(name, status, reason="so it is") for name, status in checks.items())  # type: ignore[arg-type]
+    beliefs = AuxiliaryStates(
         np.zeros(3), np.zeros(3), 0.0, np.zeros(4), np.zeros(2), 1.0, np.ones(len(ERROR_STATES)), said
     )
-    return replace(m, covariance=np.diag(sigma**2), beliefs=beliefs)
+    return replace(m, covariance=np.diag(sigma**2), auxiliary_states=beliefs)
 
 
 def still(time_s: float = 1.0) -> Estimate:
@@ -79,23 +91,21 @@ def doubting(vehicle: Vehicle, controller: FlightController):
     teller.flight = flight
     events: list[str] = []
     flight.autopilot.listeners.append(lambda e: events.append(e.text))
-    flight.tick()
+    flight.step_period()
     flight.autopilot.arm()
     flight.autopilot.start_mission()
     while flight.status.state != "waypoint":
-        flight.tick()
+        flight.step_period()
     return flight, teller, events
 
 
-LONG = mission_from(
-    {"take_off": {"height_m": 0.5, "wait_s": 0.1}, "waypoint": [{"position_m": [3.0, 0.0, -0.5]}]}
-)
+LONG = parse_mission({"take_off": {"height_m": 0.5, "wait_s": 0.1}, "waypoint": [{"position_m": [3.0, 0.0, -0.5]}]})
 
 
 def run(flight: Flight, seconds: float) -> None:
     until = flight.time_s + seconds
     while flight.time_s < until:
-        flight.tick()
+        flight.step_period()
 
 
 def test_an_uncertain_position_makes_it_wait_and_a_certain_one_go_on(doubting) -> None:
@@ -133,7 +143,7 @@ def test_an_attitude_in_doubt_brings_it_down_at_once(doubting) -> None:
         sinks = max(sinks, float(flight.plant.state[5]))
     assert 0.5 < sinks < 1.1
     assert flight.status.motors == "off"
-    assert not flight.plant.crashed
+    assert not flight.plant.crash_cause
 
 
 @pytest.mark.parametrize(
@@ -149,23 +159,23 @@ def test_an_attitude_in_doubt_brings_it_down_at_once(doubting) -> None:
 )
 def test_what_is_done_follows_from_the_covariance_alone(doubt: dict[str, float], demand: str) -> None:
     m = believing(still(), **doubt)  # type: ignore[arg-type]
-    assert judge(m).demand == demand
-    assert (judge(m).why == "") == (demand == "")
-    assert judge(replace(m, beliefs=None)).demand == ""  # what is told the truth has no doubts
+    assert judge_estimate(m).action == demand
+    assert (judge_estimate(m).reason == "") == (demand == "")
+    assert judge_estimate(replace(m, auxiliary_states=None)).action == ""  # what is told the truth has no doubts
 
 
 def test_who_stands_he_knows_not_where_may_fly_until_that_grows_worse() -> None:
-    lost = Doubts(stood=25.0)
-    assert lost.step(believing(still(), xy=5.0)).demand == ""
-    assert lost.step(believing(still(1.02), xy=math.sqrt(25.0 + 0.24**2))).demand == ""
-    assert lost.step(believing(still(1.04), xy=math.sqrt(25.0 + 0.3**2))).why.startswith(
+    lost = HealthMonitor(floor_variance_m2=25.0)
+    assert lost.step(believing(still(), xy=5.0)).action == ""
+    assert lost.step(believing(still(1.02), xy=math.sqrt(25.0 + 0.24**2))).action == ""
+    assert lost.step(believing(still(1.04), xy=math.sqrt(25.0 + 0.3**2))).reason.startswith(
         "position uncertain by 0.30 m"
     )
 
 
 @pytest.mark.parametrize(("spells", "demand"), [((0.28, 0.28), ""), ((0.34,), "land")])
 def test_a_height_is_landed_for_once_its_doubt_has_lasted(spells: tuple[float, ...], demand: str) -> None:
-    doubts, t = Doubts(), 0.0
+    doubts, t = HealthMonitor(), 0.0
     for spell in spells:  # with a moment between in which the sonar has told it
         until = t + spell
         while t < until:
@@ -175,50 +185,51 @@ def test_a_height_is_landed_for_once_its_doubt_has_lasted(spells: tuple[float, .
             break
         doubts.step(believing(still(t), z=0.29))
         t += 0.02
-    assert doubts.now.demand == demand
-    assert doubts.now.why == ("height uncertain by 0.31 m" if demand else "")
+    assert doubts.verdict.action == demand
+    assert doubts.verdict.reason == ("height uncertain by 0.31 m" if demand else "")
     # what else is doubted meanwhile counts at once
-    assert Doubts().step(believing(still(), z=0.4, xy=0.3)).demand == "hold"
+    assert HealthMonitor().step(believing(still(), z=0.4, xy=0.3)).action == "hold"
 
 
 def test_doubts_do_not_chatter() -> None:
-    rng, doubts, said = np.random.default_rng(1), Doubts(), []
+    rng, doubts, said = np.random.default_rng(1), HealthMonitor(), []
     for k in range(2000):
-        before = doubts.now
+        before = doubts.verdict
         doubts.step(believing(still(0.02 * k), xy=0.2 + 0.08 * rng.uniform(-1, 1)))
-        said += [doubts.now.demand] * (doubts.now is not before)
+        said += [doubts.verdict.action] * (doubts.verdict is not before)
     assert said[:1] == ["hold"]
     assert len(said) <= 2  # and at last it lands
 
 
-def watched(
-    status_at, seconds: float, watch: SensorWatch, period_s: float = 0.005
-) -> list[tuple[float, str]]:
+def watched(status_at, seconds: float, watch: SensorEventReporter, period_s: float = 0.005) -> list[tuple[float, str]]:
     told = []
     for k in range(round(seconds / period_s)):
         t = k * period_s
-        said = watch.step((Check("ranges", status_at(t), reason="why"),), period_s)
+        said = watch.step((SensorStatus("ranges", status_at(t), reason="why"),), period_s)
         told += [(t, text) for text, _ in said]
     return told
 
 
 def test_what_is_said_of_sensors_comes_soon_and_once() -> None:
-    told = watched(lambda t: "missing" if 1.0 <= t < 3.0 else "fused", 6.0, SensorWatch())
+    told = watched(lambda t: "missing" if 1.0 <= t < 3.0 else "fused", 6.0, SensorEventReporter())
     assert [text for _, text in told] == ["laser ring says nothing: why", "laser ring is used again"]
-    assert told[0][0] == pytest.approx(1.0 + BAD_S / 4, abs=0.02)  # it has been waited for already
-    assert told[1][0] == pytest.approx(3.0 + GOOD_S, abs=0.02)
+    assert told[0][0] == pytest.approx(1.0 + FAULT_REPORT_DELAY_S / 4, abs=0.02)  # it has been waited for already
+    assert told[1][0] == pytest.approx(3.0 + RECOVERY_REPORT_DELAY_S, abs=0.02)
     # one reading of 15 Hz that does not fit, every second, is no event; one in four is, and only one
-    assert not watched(lambda t: "rejected" if t % 1.0 < 0.066 else "fused", 60.0, SensorWatch())
-    told = watched(lambda t: "rejected" if t % 0.266 < 0.066 else "fused", 60.0, SensorWatch())
+    assert not watched(lambda t: "rejected" if t % 1.0 < 0.066 else "fused", 60.0, SensorEventReporter())
+    told = watched(lambda t: "rejected" if t % 0.266 < 0.066 else "fused", 60.0, SensorEventReporter())
     assert [text for _, text in told] == ["laser ring is not believed: why"]
-    watch, odd = SensorWatch(), (Check("rates", "fused", reason="has spikes", odd=True),)
+    watch, odd = (
+        SensorEventReporter(),
+        (SensorStatus("rates", "fused", reason="has spikes", is_suspicious=True),),
+    )
     said = [text for _ in range(100) for text, _ in watch.step(odd, 0.005)]
     assert said == ["gyroscope is used, but something is wrong: has spikes"]
-    assert not watch.calm(odd)
+    assert not watch.has_nothing_to_report(odd)
 
 
 def test_smoothing_lets_motion_through_and_spreads_corrections() -> None:
-    smooth, dt = Smooth(), 0.005
+    smooth, dt = CorrectionSmoother(), 0.005
     moving = np.array([0.5, 0.0, -0.2])
     for k in range(2000):
         t = k * dt
@@ -239,19 +250,19 @@ def test_smoothing_lets_motion_through_and_spreads_corrections() -> None:
 
 def test_before_take_off_it_says_what_will_not_work() -> None:
     m = believing(still(), position_fix="missing", ranges="fused")
-    assert "nothing tells where it is" in outlook(m, 1.5)
-    assert outlook(replace(m, ranges=np.array([1.5, 0.8])), 1.5) == ""
-    assert outlook(believing(still(), position_fix="fused", ranges="fused"), 1.5) == ""
-    assert outlook(still(), 1.5) == ""
+    assert "nothing tells where it is" in preflight_warning(m, 1.5)
+    assert preflight_warning(replace(m, ranges=np.array([1.5, 0.8])), 1.5) == ""
+    assert preflight_warning(believing(still(), position_fix="fused", ranges="fused"), 1.5) == ""
+    assert preflight_warning(still(), 1.5) == ""
 
 
 def test_statuses_and_readings_have_one_list() -> None:
     import typing
 
-    from mufly.estimate import Status
+    from mufly.estimate import FusionStatus
 
-    assert set(typing.get_args(Status)) == set(STATUSES)
-    assert set(CHECKED) <= set(READINGS)
+    assert set(typing.get_args(FusionStatus)) == set(FUSION_STATUSES)
+    assert set(CHECKED_READINGS) <= set(READING_KINDS)
 
 
 def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down(doubting) -> None:
@@ -265,12 +276,12 @@ def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down(doubtin
     run(flight, 0.1)
     assert flight.status.motors == "blind"
     assert flight.status.reason == "attitude contradicted by position fix and magnetometer"
-    doubts = Doubts()
+    doubts = HealthMonitor()
     for k in range(8):
         doubts.step(believing(still(0.02 * k), rates="missing"))
-    assert doubts.now == ("land", "gyroscope says nothing: so it is")
+    assert doubts.verdict == ("land", "gyroscope says nothing: so it is")
     doubts.step(believing(still(0.2), rates="missing", tilt=0.3))
-    assert doubts.now.demand == "sink"
+    assert doubts.verdict.action == "sink"
 
 
 def test_without_gyroscopes_it_lands_and_lets_go_above_the_floor(doubting) -> None:
@@ -278,15 +289,15 @@ def test_without_gyroscopes_it_lands_and_lets_go_above_the_floor(doubting) -> No
     teller.doubt = {"rates": "missing"}
     run(flight, 0.2)
     assert (flight.status.state, flight.status.motors) == ("landing", "fly")
-    stands = flight.autopilot.software.mission_state.standing[2]
+    stands = flight.autopilot.software.mission_state.home_position[2]
     while flight.status.motors == "fly" and flight.time_s < 30.0:
-        flight.tick()
+        flight.step_period()
     assert flight.status.motors == "blind"
     assert 0.0 < stands - flight.plant.state[2] < 0.035
     assert flight.plant.truth.velocity[2] < 0.5
     run(flight, 1.0)  # on legs that stand nothing lifts any more
     assert flight.status.motors == "off"
-    assert not flight.plant.crashed
+    assert not flight.plant.crash_cause
     assert abs(flight.plant.truth.attitude[:2]).max() < 0.02
 
 
@@ -308,14 +319,12 @@ def test_a_hop_on_sensors_succeeds_and_shows_what_it_believed(sensed) -> None:
     assert data.attrs["faults"] == ["sonar.dropout@9s+1s"]
     off = (data.estimated_position - data.truth_position).values
     assert np.abs(off).max() < 0.25
-    lean = standing_attitude(leaning(load_vehicle("mufly-1.1"), seed=10_000))
+    lean = standing_attitude(draw_leaning_vehicle(load_vehicle("mufly-1.1"), seed=10_000))
     for row in (0, -1):  # as its legs hold it, before the flight and after
         np.testing.assert_allclose(data.truth_attitude.values[row, :2], lean, atol=3e-4)
     texts = [str(t) for t in data.event_text.values]
     assert texts.count("sonar is used again") == 1
-    noticed = next(
-        e for e, t in zip(data.event_time.values, texts, strict=True) if t.startswith("sonar says")
-    )
+    noticed = next(e for e, t in zip(data.event_time.values, texts, strict=True) if t.startswith("sonar says"))
     assert 9.0 < noticed < 9.5
     assert {"estimate.png", "sensors.png", "way.png", "history.png"} <= {p.name for p in folder.iterdir()}
 
@@ -332,27 +341,23 @@ def test_readings_are_in_the_rows_in_which_they_came(sensed) -> None:
     quiet = (time > 9.1) & (time < 9.9)
     assert not np.isfinite(data.measured_ground_distance_time.values[quiet]).any()
     status = data.status_ground_distance.values[(time > 9.5) & (time < 9.9)]
-    assert (status == STATUSES.index("missing")).all()
+    assert (status == FUSION_STATUSES.index("missing")).all()
 
 
 def test_the_estimate_can_be_made_again_from_the_recording_to_the_bit(sensed, vehicle) -> None:
     folder, data, _ = sensed
-    again = believed(data, replay(data, fitted_estimator(vehicle, World(), 200.0)))
+    again = replace_estimates(data, replay_estimator(data, fitted_estimator(vehicle, World(), 200.0)))
     for name in ("position", "velocity", "attitude", "rates", "position_sigma", "gyro_bias"):
         assert np.array_equal(again[f"estimated_{name}"], data[f"estimated_{name}"], equal_nan=True), name
-    result = CliRunner().invoke(
-        app, ["estimate", "run", str(folder / "flight.mcap"), "--out", str(folder / "again")]
-    )
+    result = CliRunner().invoke(app, ["estimate", "run", str(folder / "flight.mcap"), "--out", str(folder / "again")])
     assert result.exit_code == 0, result.output
     assert "NEES / n" in result.output
-    assert {"estimate.png", "sensors.png", "way.png", "estimate.mcap"} == {
-        p.name for p in (folder / "again").iterdir()
-    }
+    assert {"estimate.png", "sensors.png", "way.png", "estimate.mcap"} == {p.name for p in (folder / "again").iterdir()}
 
 
 def test_identification_takes_what_was_estimated_where_no_sensor_tells_it(sensed) -> None:
     _, data, _ = sensed
-    record = record_from(data, "flight.mcap")
+    record = make_record(data, "flight.mcap")
     assert {"north", "height", "roll", "yaw", "p", "r", "speed_up"} <= set(record.outputs)
     told = dict(zip(record.outputs, record.measured.T, strict=True))
     flown = data.estimated_valid.values > 0.5
@@ -361,10 +366,10 @@ def test_identification_takes_what_was_estimated_where_no_sensor_tells_it(sensed
     assert np.array_equal(told["p"], data.measured_rates.values[:, 0])  # sensors come first
 
 
-class Spoilt(Sensors):
+class Spoilt(SensorSet):
     """Sensors of which now and then one says something else, or nothing."""
 
-    def __init__(self, sensors: Sensors, evils: list[tuple[float, float, str, str]]) -> None:
+    def __init__(self, sensors: SensorSet, evils: list[tuple[float, float, str, str]]) -> None:
         super().__init__()
         self._sensors, self._evils, self._first = sensors, evils, {}
 
@@ -409,24 +414,22 @@ EVIL = st.sampled_from(["missing", "nan", "huge", "off", "late", "early", "twice
 @example([(3.0, 1.0, "off", "battery_voltage")])
 @given(
     st.lists(
-        st.tuples(st.floats(2.5, 7.0), st.floats(0.01, 2.0), EVIL, st.sampled_from(CHECKED)),
+        st.tuples(st.floats(2.5, 7.0), st.floats(0.01, 2.0), EVIL, st.sampled_from(CHECKED_READINGS)),
         min_size=1,
         max_size=4,
     )
 )
-def test_nothing_that_sensors_say_brings_a_nan_or_a_jump_into_the_actuators(
-    vehicle, controller, evils
-) -> None:
+def test_nothing_that_sensors_say_brings_a_nan_or_a_jump_into_the_actuators(vehicle, controller, evils) -> None:
     """Through sensors, filter, trust, controllers: docs/sensors.md says what an input moves by in a period."""
     with Flight(vehicle, HOP, controller=controller, seed=4, sensors="fitted", keep=False) as flight:
         flight.sensors = Spoilt(flight.sensors, evils)
         last = None
         while flight.time_s < 8.0:
-            if flight.status.motors == "off" and flight.time_s > 1.0 and not flight.autopilot.not_ready():
+            if flight.status.motors == "off" and flight.time_s > 1.0 and not flight.autopilot.list_arming_faults():
                 flight.autopilot.arm()
                 flight.autopilot.start_mission()
-            flight.tick()
-            now = flight.status.actuators.array
+            flight.step_period()
+            now = flight.status.actuators.input_array
             assert np.isfinite(now).all()
             if last is not None and now[0] > 0.0 and last[0] > 0.0:
                 assert np.abs(now - last)[:2].max() < 0.101
@@ -437,28 +440,28 @@ def test_nothing_that_sensors_say_brings_a_nan_or_a_jump_into_the_actuators(
 def test_a_fault_may_be_injected_and_cleared_in_flight(vehicle, controller) -> None:
     with Flight(vehicle, HOP, controller=controller, sensors="fitted", keep=False) as flight:
         for _ in range(20):
-            flight.tick()
-        flight.inject(parse_fault("sonar.stuck=2@0s+5s"))
+            flight.step_period()
+        flight.inject_fault(parse_fault("sonar.stuck=2@0s+5s"))
         assert [str(f) for f in flight.status.faults] == ["sonar.stuck@0.095s+5s"]
         for _ in range(20):
-            flight.tick()
+            flight.step_period()
         assert flight.status.readings["ground_distance"].value == 2.0
         flight.clear_faults()
         for _ in range(20):
-            flight.tick()
+            flight.step_period()
         assert flight.status.readings["ground_distance"].value < 0.2
         assert flight.faults == ()
         with pytest.raises(InputError, match="no sensors"):
             Flight(
                 vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"sonar": None})}),
                 HOP, controller=controller, sensors="fitted",
-            ).inject(parse_fault("sonar.jump"))  # fmt: skip
+            ).inject_fault(parse_fault("sonar.jump"))  # fmt: skip
 
 
 def test_a_vehicle_without_sensors_says_so_and_flies_on_what_is_true(vehicle, controller) -> None:
     bare = vehicle.model_copy(update={"sensors": None})
     told: list[str] = []
-    flight = fly(bare, HOP, controller=controller, sensors="fitted", on_event=lambda e: told.append(e.text))
+    flight = fly_mission(bare, HOP, controller=controller, sensors="fitted", on_event=lambda e: told.append(e.text))
     assert flight.attrs["outcome"] == "succeeded"
     assert told[0] == "mufly-1.1 has no table [sensors]: it flies on what is true"
     with pytest.raises(InputError, match="no table"):

@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.flight import draw_sensors, fly, listen, reading_errors, write_sensor_logs
-from mufly.flight.record.sensor_log import SensorLog
+from mufly.flight import draw_sensors, fly_mission, log_sensors, reading_errors, write_sensor_logs
+from mufly.flight.record.sensor_log import ReadingLog
 from mufly.mission import load_mission
 from mufly.sensors import parse_fault
 from mufly.vehicle import load_vehicle
@@ -28,11 +28,11 @@ def hop(tmp_path_factory):
 @pytest.fixture(scope="module")
 def logs(hop):
     faults = [parse_fault("sonar.jump=0.5@3s"), parse_fault("position.late=0.3@0s")]
-    return listen(load_vehicle("mufly-1.1"), hop, seed=2, faults=faults, gust=0.1)
+    return log_sensors(load_vehicle("mufly-1.1"), hop, seed=2, faults=faults, gust=0.1)
 
 
 def test_listening_leaves_the_flight_as_it_was(hop, logs) -> None:
-    alone = fly("mufly-1.1", hop, seed=2, gust=0.1)
+    alone = fly_mission("mufly-1.1", hop, seed=2, gust=0.1)
     true = np.array(logs["rotor_speed"].true)
     taken = np.array(logs["rotor_speed"].taken_s)
     flown = alone["truth_rotor_speed"].sel(time=taken[10:100], method="nearest", tolerance=1e-6)
@@ -50,7 +50,7 @@ def test_errors_are_those_of_the_sensors(logs) -> None:
 
 
 def test_headings_are_compared_around_the_circle() -> None:
-    log = SensorLog("position_fix", [0.0, 1.0], [0.0, 1.0], [np.array([0, 0, 0, 3.1])] * 2,
+    log = ReadingLog("position_fix", [0.0, 1.0], [0.0, 1.0], [np.array([0, 0, 0, 3.1])] * 2,
                     [np.array([0, 0, 0, -3.1])] * 2, [True, True])  # fmt: skip
     assert reading_errors(log).worst < 0.1
 

@@ -6,13 +6,19 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mufly.dynamics import initial_state, quaternion_from_euler, rotation, standing_attitude, standing_height
+from mufly.dynamics import (
+    body_to_ned_matrix,
+    initial_state,
+    quaternion_from_euler,
+    standing_attitude,
+    standing_height,
+)
 from mufly.estimate import fitted_estimator
-from mufly.estimate.layout import EX_ACCEL_BIAS, filter_settings
+from mufly.estimate.filter_records import EX_ACCEL_BIAS, filter_settings
 from mufly.flight import Flight
-from mufly.sensors import Truth, fitted_sensors, leaning
+from mufly.sensors import Truth, draw_leaning_vehicle, fitted_sensors
 from mufly.units import GRAVITY
-from mufly.vehicle import load_vehicle, replace
+from mufly.vehicle import load_vehicle, replace_parameters
 from mufly.world import World
 
 VEHICLE = load_vehicle("mufly-2.0")
@@ -29,40 +35,42 @@ def test_legs_of_one_length_stand_upright():
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.02, 0.0), (0.0, -0.03), (0.1, 0.2)])
 def test_turned_legs_stand_as_they_are_turned(roll, pitch):
-    turned = legs(VEHICLE, VEHICLE.contact.legs.array() @ rotation(quaternion_from_euler(roll, pitch, 0.0)))
+    turned = legs(
+        VEHICLE, VEHICLE.contact.legs.to_array() @ body_to_ned_matrix(quaternion_from_euler(roll, pitch, 0.0))
+    )
     assert standing_attitude(turned) == pytest.approx((roll, pitch), abs=1e-12)
     assert standing_height(turned) == pytest.approx(standing_height(VEHICLE), abs=1e-12)
 
 
 def test_tips_in_no_plane_are_taken_to_stand_upright():
-    tips = VEHICLE.contact.legs.array()
+    tips = VEHICLE.contact.legs.to_array()
     tips[0, 2] += 1e-3
     assert standing_attitude(legs(VEHICLE, tips)) == (0.0, 0.0)
 
 
 def test_units_stand_as_level_as_the_file_says():
-    stood = np.array([standing_attitude(leaning(VEHICLE, seed=k)) for k in range(400)])
+    stood = np.array([standing_attitude(draw_leaning_vehicle(VEHICLE, seed=k)) for k in range(400)])
     told = float(VEHICLE.sensors.imu.level)
     assert told == pytest.approx(math.radians(0.12))
     assert stood.std(axis=0) == pytest.approx([told, told], rel=0.1)
     assert np.abs(stood.mean(axis=0)).max() < 3 * told / math.sqrt(400)
-    exact = replace(VEHICLE, {"sensors.imu.level": 0.0})
-    assert leaning(exact, seed=3) is exact
+    exact = replace_parameters(VEHICLE, {"sensors.imu.level": 0.0})
+    assert draw_leaning_vehicle(exact, seed=3) is exact
 
 
 def test_it_stands_still_as_it_leans_and_the_filter_does_not_know():
-    lean = standing_attitude(leaning(VEHICLE, seed=5))
+    lean = standing_attitude(draw_leaning_vehicle(VEHICLE, seed=5))
     with Flight(VEHICLE, "demonstration", seed=5, sensors="fitted", keep=False) as flight:
         stands = []
         for _ in range(400):
-            flight.tick()
+            flight.step_period()
             stands.append(flight.status.truth)
         estimate = flight.status.estimate
     for before, after in pairwise(stands):
         assert np.abs(after.attitude - before.attitude).max() < 1e-6
     assert stands[-1].attitude[:2] == pytest.approx(lean, abs=2e-5)
     told = filter_settings(VEHICLE, World(), 200.0)
-    level, bias = told["level_sigma"], told["sigma"][EX_ACCEL_BIAS] / GRAVITY
+    level, bias = told["rest_tilt_sigma"], told["initial_sigma"][EX_ACCEL_BIAS] / GRAVITY
     assert level == float(VEHICLE.sensors.imu.level)
     # Of what accelerometers say, bias and lean in one, it takes for lean what is to be expected of that.
     assert np.abs(estimate.attitude[:2]).max() < 3.0 * level**2 / np.hypot(level, bias)
@@ -70,7 +78,7 @@ def test_it_stands_still_as_it_leans_and_the_filter_does_not_know():
 
 def test_ideal_flights_stand_upright():
     with Flight(VEHICLE, "demonstration", seed=5, keep=False) as flight:
-        flight.tick()
+        flight.step_period()
         assert not flight.status.truth.attitude[:2].any()
 
 
@@ -78,7 +86,7 @@ def test_a_tilt_on_the_floor_is_off_by_the_lean_and_told_to_be() -> None:
     """The floor alone knows how it leans: that it does not move, however long, tells nothing of the tilt."""
     filter_, off, told = fitted_estimator(VEHICLE, World(), 200.0), [], []
     for seed in range(16):
-        unit = leaning(VEHICLE, seed=seed)
+        unit = draw_leaning_vehicle(VEHICLE, seed=seed)
         attitude = np.array([*standing_attitude(unit), 0.3])
         state = initial_state(position=(0.0, 0.0, -standing_height(unit)), attitude=attitude)
         sensors = fitted_sensors(unit, World(), seed=seed)
@@ -89,7 +97,7 @@ def test_a_tilt_on_the_floor_is_off_by_the_lean_and_told_to_be() -> None:
         assert m.valid
         off.append(m.attitude[:2] - attitude[:2])
         told.append(m.covariance.diagonal()[6:8])
-    leans = np.array([standing_attitude(leaning(VEHICLE, seed=k)) for k in range(16)])
+    leans = np.array([standing_attitude(draw_leaning_vehicle(VEHICLE, seed=k)) for k in range(16)])
     # Its accelerometers' biases, 0.63 degrees, move it by 3.5 % of that, 0.18 of the lean
     assert np.corrcoef(np.ravel(off), -np.ravel(leans))[0, 1] > 0.85
     assert 0.98 < np.sqrt(np.mean(told)) / float(VEHICLE.sensors.imu.level) < 1.05

@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mufly.control import FlightController, design
-from mufly.flight import Answer, Autopilot, Flight, SetPoint
-from mufly.mission import Mission, mission_from
+from mufly.control import FlightController, design_flight_controller
+from mufly.flight import Autopilot, Flight, RequestAnswer, SetPoint
+from mufly.mission import Mission, parse_mission
 from mufly.vehicle import Vehicle, load_vehicle
 
 VEHICLE: Vehicle = load_vehicle("mufly-1.1")
-ROW = mission_from({"waypoint": [{"position_m": [0.4 * k, 0.0, -0.6]} for k in range(1, 4)]})
+ROW = parse_mission({"waypoint": [{"position_m": [0.4 * k, 0.0, -0.6]} for k in range(1, 4)]})
 UP = SetPoint(position_m=(0.0, 0.0, -0.6))
 
 
 @pytest.fixture(scope="module")
 def controller() -> FlightController:
-    return design(VEHICLE)
+    return design_flight_controller(VEHICLE)
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def run(
 ) -> bool:
     for _ in range(round(seconds / flight.period_s)):
         each()
-        flight.tick()
+        flight.step_period()
         if until():
             return True
     return False
@@ -51,10 +51,10 @@ def hovering(flight: Flight, height: float = 0.5) -> Autopilot:
 
 
 def motors(flight: Flight) -> float:
-    return float(np.abs(flight.status.actuators.array).max())
+    return float(np.abs(flight.status.actuators.input_array).max())
 
 
-REQUESTS: list[Callable[[Autopilot], Answer]] = [
+REQUESTS: list[Callable[[Autopilot], RequestAnswer]] = [
     lambda a: a.land(),
     lambda a: a.pause(),
     lambda a: a.go_to((0.5, 0.0, -0.5)),
@@ -63,12 +63,12 @@ REQUESTS: list[Callable[[Autopilot], Answer]] = [
     lambda a: a.start_mission(),
     lambda a: a.arm() and a.go_to((0.5, 0.0, -0.5)),
     lambda a: a.arm(force=True) and a.land(),
-    lambda a: a.set_point(UP) and a.offboard(True),
+    lambda a: a.send_set_point(UP) and a.set_offboard(True),
 ]
 
 
 @pytest.mark.parametrize("request_", REQUESTS)
-def test_nothing_takes_the_place_of_a_stop(flight: Flight, request_: Callable[[Autopilot], Answer]) -> None:
+def test_nothing_takes_the_place_of_a_stop(flight: Flight, request_: Callable[[Autopilot], RequestAnswer]) -> None:
     """Two stations may be heard between two steps: one stops it, the other asks for something else."""
     a = hovering(flight, 0.3)
     assert a.emergency_stop()
@@ -78,7 +78,7 @@ def test_nothing_takes_the_place_of_a_stop(flight: Flight, request_: Callable[[A
     run(flight, 2.0)
     assert (a.status.state, a.status.motors, a.status.armed) == ("init", "off", False)
     # Armed again it stands there with its motors off, until it is told to take off.
-    if not a.status.crashed:
+    if not a.status.crash_cause:
         assert a.arm()
         run(flight, 0.5)
         assert motors(flight) == 0.0
@@ -91,7 +91,7 @@ def test_sticks_in_their_middle_do_not_start_rotors_that_run_down(flight: Flight
     run(flight, 0.3)
     before = motors(flight)
     highest = []
-    run(flight, 3.0, each=lambda: (a.sticks(0.0, 0.0, 0.0, 0.0), highest.append(motors(flight))))
+    run(flight, 3.0, each=lambda: (a.set_sticks(0.0, 0.0, 0.0, 0.0), highest.append(motors(flight))))
     assert max(highest) <= before
     assert motors(flight) == 0.0
     assert not a.status.armed
@@ -104,9 +104,9 @@ def test_sticks_while_rotors_speed_up_let_them_do_so(flight: Flight) -> None:
     assert a.arm()
     assert a.take_off(0.5)
     run(flight, 0.5)
-    run(flight, 1.0, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.0))
+    run(flight, 1.0, each=lambda: a.set_sticks(0.0, 0.0, 0.0, 0.0))
     assert (a.status.state, a.status.motors) == ("rc", "spin_up")
-    assert run(flight, 4.0, until=lambda: a.status.flying, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.4))
+    assert run(flight, 4.0, until=lambda: a.status.flying, each=lambda: a.set_sticks(0.0, 0.0, 0.0, 0.4))
 
 
 def test_offboard_during_a_take_off_is_refused_rather_than_forgotten(flight: Flight) -> None:
@@ -115,14 +115,14 @@ def test_offboard_during_a_take_off_is_refused_rather_than_forgotten(flight: Fli
     assert a.take_off(0.8)
     for seconds in (1.0, 2.4):  # rotors speed up; just off the floor
         run(flight, seconds)
-        assert a.set_point(UP)
-        answer = a.offboard(True)
+        assert a.send_set_point(UP)
+        answer = a.set_offboard(True)
         assert not answer
-        assert answer.temporary
+        assert answer.is_temporary
         assert "0.2 m off the floor" in answer.reason
     assert run(flight, 6.0, until=lambda: flight.status.truth.position[2] < -0.35)
-    assert a.set_point(UP)
-    assert a.offboard(True)
+    assert a.send_set_point(UP)
+    assert a.set_offboard(True)
     run(flight, 0.1)
     assert a.status.state == "offboard"
 
@@ -130,12 +130,12 @@ def test_offboard_during_a_take_off_is_refused_rather_than_forgotten(flight: Fli
 def test_a_mission_does_not_begin_from_set_points_that_have_not_lifted_it(flight: Flight) -> None:
     a = flight.autopilot
     assert a.arm()
-    assert a.set_point(UP)
-    assert a.offboard(True)
-    run(flight, 1.0, each=lambda: a.set_point(UP))
+    assert a.send_set_point(UP)
+    assert a.set_offboard(True)
+    run(flight, 1.0, each=lambda: a.send_set_point(UP))
     assert (a.status.state, a.status.motors) == ("offboard", "spin_up")
     assert not a.start_mission()
-    run(flight, 1.0, each=lambda: a.set_point(UP))
+    run(flight, 1.0, each=lambda: a.send_set_point(UP))
     assert a.status.state == "offboard"
 
 
@@ -146,14 +146,14 @@ def test_another_first_waypoint_may_be_asked_for_during_the_take_off(flight: Fli
     run(flight, 3.5)
     assert a.start_mission(2)
     assert run(flight, 10.0, until=lambda: a.status.state == "waypoint")
-    assert a.status.waypoint == 2
+    assert a.status.waypoint_index == 2
 
 
 def test_a_failed_flight_takes_no_mission_instead_of_landing(flight: Flight) -> None:
     a = hovering(flight)
     software = a.software
     software.mission_state = replace(
-        software.mission_state, outcome="failed", reason="no way around", ready_s=flight.time_s + 1.0
+        software.mission_state, outcome="failed", reason="no way around", hover_until_s=flight.time_s + 1.0
     )
     answer = a.load_mission(Mission(name="other"))
     assert not answer
@@ -164,34 +164,34 @@ def test_a_failed_flight_takes_no_mission_instead_of_landing(flight: Flight) -> 
 def test_a_clock_of_measurements_that_was_set_back_is_no_reason_not_to_arm(flight: Flight) -> None:
     a = flight.autopilot
     m = flight.status.estimate
-    a.observe(replace(m, time_s=1000.0))
+    a.observe_estimate(replace(m, time_s=1000.0))
     for k in range(1, 200):
-        a.observe(replace(m, time_s=k * flight.period_s))
-    assert a.not_ready() == []
+        a.observe_estimate(replace(m, time_s=k * flight.period_s))
+    assert a.list_arming_faults() == []
     for _ in range(200):
-        a.observe(replace(m, time_s=3.0))
-    assert "0.9 s old" in a.not_ready()[0] or "1.0 s old" in a.not_ready()[0]
-    a.observe(replace(m, time_s=float("nan")))
-    assert "old" in a.not_ready()[0]
+        a.observe_estimate(replace(m, time_s=3.0))
+    assert "0.9 s old" in a.list_arming_faults()[0] or "1.0 s old" in a.list_arming_faults()[0]
+    a.observe_estimate(replace(m, time_s=float("nan")))
+    assert "old" in a.list_arming_faults()[0]
 
 
 def test_a_pilot_by_hand_is_told_of_a_low_battery(flight: Flight) -> None:
     a = hovering(flight)
-    run(flight, 0.2, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.0))
+    run(flight, 0.2, each=lambda: a.set_sticks(0.0, 0.0, 0.0, 0.0))
     flight.plant.state[20] = 0.04
-    run(flight, 3.0, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.0))
+    run(flight, 3.0, each=lambda: a.set_sticks(0.0, 0.0, 0.0, 0.0))
     assert a.status.state == "rc"
-    assert sum("battery low" in e.text and e.level == "warning" for e in a.events()) == 1
+    assert sum("battery low" in e.text and e.level == "warning" for e in a.take_events()) == 1
     assert run(flight, 3.0, until=lambda: a.status.state == "landing")
 
 
 def test_tipped_over_by_hand_stops_the_motors(flight: Flight) -> None:
     a = hovering(flight, 0.25)
-    run(flight, 0.2, each=lambda: a.sticks(0.0, 0.0, 0.0, 0.0))
+    run(flight, 0.2, each=lambda: a.set_sticks(0.0, 0.0, 0.0, 0.0))
     m = flight.status.estimate
     tipped = replace(m, time_s=m.time_s + 0.02, attitude=np.array([1.2, 0.0, 0.0]))
     for k in range(8):
-        a.sticks(0.0, 0.0, 0.0, 0.0)
+        a.set_sticks(0.0, 0.0, 0.0, 0.0)
         sent = a.step(replace(tipped, time_s=m.time_s + 0.005 * (k + 1), rates=m.rates + k * 1e-6))
-    assert (sent.array == 0.0).all()
+    assert (sent.input_array == 0.0).all()
     assert not a.status.armed

@@ -9,12 +9,18 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.identify import Columns
-from mufly.identify.linear.compatibility import IMU, STATES, compatibility, kinematics, rotation
-from mufly.identify.record import lowpassed
+from mufly.identify import LogColumns
+from mufly.identify.flight_record import low_pass
+from mufly.identify.linear.flight_path_reconstruction import (
+    FLIGHT_PATH_STATES,
+    IMU_CHANNELS,
+    body_to_ned_rotation,
+    flight_path_derivative,
+    reconstruct_flight_path,
+)
 from mufly.units import GRAVITY
 
-NAMES = {n: n for n in IMU}, {n: n for n in STATES}
+NAMES = {n: n for n in IMU_CHANNELS}, {n: n for n in FLIGHT_PATH_STATES}
 NOISE = np.r_[[0.02] * 3, [0.2] * 3], np.r_[[0.005] * 3, [0.03] * 3, [0.005] * 3]
 
 
@@ -22,30 +28,30 @@ def made(seed, n=700, dt=0.02):
     """A smooth path; what perfect instruments would read on it, then bias, scale factor and noise."""
     rng = np.random.default_rng(seed)
     t = dt * np.arange(n)
-    angle = lowpassed(rng.normal(size=(n, 3)), dt, 0.6)
+    angle = low_pass(rng.normal(size=(n, 3)), dt, 0.6)
     angle = 0.6 * angle / np.abs(angle).max(axis=0) * [1.0, 1.0, 4.0]
     along, speed = (
         CubicSpline(t, angle),
-        CubicSpline(t, lowpassed(rng.normal(size=(n, 3)), dt, 0.4) * [6.0, 6.0, 5.0]),
+        CubicSpline(t, low_pass(rng.normal(size=(n, 3)), dt, 0.4) * [6.0, 6.0, 5.0]),
     )
     turn, (s1, s2, _), (c1, c2, _) = along(t, 1).T, np.sin(angle).T, np.cos(angle).T
     rates = np.c_[turn[0] - turn[2] * s2, turn[1] * c1 + turn[2] * c2 * s1, -turn[1] * s1 + turn[2] * c2 * c1]
-    force = np.einsum("nji,nj->ni", rotation(angle), speed(t, 1) - [0.0, 0.0, GRAVITY])
+    force = np.einsum("nji,nj->ni", body_to_ned_rotation(angle), speed(t, 1) - [0.0, 0.0, GRAVITY])
     truth = np.r_[rng.normal(size=6) * np.r_[[0.03] * 3, [0.2] * 3], 0.03 * rng.normal(size=6)]
     imu = (1.0 + truth[6:]) * np.c_[rates, force] + truth[:6] + rng.normal(size=(n, 6)) * NOISE[0]
     states = np.c_[angle, speed(t), speed.antiderivative()(t)]
     z = states + rng.normal(size=(n, 9)) * NOISE[1]
-    columns = dict(zip((*IMU, *STATES), np.c_[imu, z].T, strict=True))
-    return Columns("made", t, columns), truth, states, np.c_[rates, force], speed(t, 1), along(t, 1)
+    columns = dict(zip((*IMU_CHANNELS, *FLIGHT_PATH_STATES), np.c_[imu, z].T, strict=True))
+    return LogColumns("made", t, columns), truth, states, np.c_[rates, force], speed(t, 1), along(t, 1)
 
 
 def test_kinematics_of_a_known_path_are_its_derivatives():
     _, _, states, true, pull, turn = made(0)
-    found = kinematics(states, true)
+    found = flight_path_derivative(states, true)
     assert found[:, :3] == pytest.approx(turn, abs=1e-9)
     assert found[:, 3:6] == pytest.approx(pull, abs=1e-9)
     assert found[:, 6:] == pytest.approx(states[:, 3:6])
-    resting = kinematics(np.zeros((1, 9)), np.array([[0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY]]))
+    resting = flight_path_derivative(np.zeros((1, 9)), np.array([[0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY]]))
     assert not resting.any()
 
 
@@ -53,7 +59,7 @@ def test_biases_scale_factors_and_the_path_lie_in_their_intervals():
     inside, covered = [], []
     for seed in range(3):
         record, truth, states, *_ = made(seed)
-        c = compatibility(record, *NAMES)
+        c = reconstruct_flight_path(record, *NAMES)
         assert c.converged
         inside += [e.low <= v <= e.high for e, v in zip(c.estimates, truth, strict=True)]
         covered.append(np.abs(c.states - states) < 1.96 * c.states_std)
@@ -71,7 +77,7 @@ def spoilt(**change):
     columns = dict(record.columns)
     for name, with_ in change.items():
         columns[name] = with_(columns)
-    return Columns("made", record.time_s, columns)
+    return LogColumns("made", record.time_s, columns)
 
 
 @pytest.mark.parametrize(
@@ -89,18 +95,18 @@ def spoilt(**change):
 )
 def test_units_signs_and_axes_that_cannot_be_are_named(change, words):
     with pytest.raises(InputError, match=words):
-        compatibility(spoilt(**change), *NAMES)
+        reconstruct_flight_path(spoilt(**change), *NAMES)
 
 
 def test_what_was_not_measured_is_reconstructed_and_what_is_needed_is_asked_for():
     record, _, states, *_ = made(4, n=450)
-    without = {n: n for n in STATES if not n.startswith("v_")}
-    c = compatibility(record, NAMES[0], without)
+    without = {n: n for n in FLIGHT_PATH_STATES if not n.startswith("v_")}
+    c = reconstruct_flight_path(record, NAMES[0], without)
     assert np.abs(c.states - states)[50:-50, 3:6].max() < 0.1
     with pytest.raises(InputError, match="az: is missing"):
-        compatibility(record, {n: n for n in IMU[:5]}, NAMES[1])
+        reconstruct_flight_path(record, {n: n for n in IMU_CHANNELS[:5]}, NAMES[1])
     with pytest.raises(InputError, match="psi: is missing"):
-        compatibility(record, NAMES[0], {"phi": "phi", "theta": "theta"})
+        reconstruct_flight_path(record, NAMES[0], {"phi": "phi", "theta": "theta"})
 
 
 def test_the_command_writes_the_path_and_says_the_biases(tmp_path):
@@ -134,7 +140,7 @@ def test_a_shaking_rotor_does_not_enlarge_scale_factors_and_a_recordings_names_a
     columns |= {f"truth_{e}": states[:, k] for k, e in enumerate(ends)}
     columns |= {f"estimated_{e}": states[:, k] + 0.1 for k, e in enumerate(ends)}
     unused = {"measured_pressure": 7}
-    c = compatibility(Columns("made", t, columns, bridged=unused), *NAMES)
+    c = reconstruct_flight_path(LogColumns("made", t, columns, filled_counts=unused), *NAMES)
     assert c.converged
     value = np.array([e.value for e in c.estimates])
     assert value[:3] == pytest.approx(truth[:3], abs=2e-3)

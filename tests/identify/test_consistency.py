@@ -8,8 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from mufly.dynamics import DrydenWind
 from mufly.errors import InputError
-from mufly.identify import Record, check_flights, check_record
-from mufly.identify.flight.demo import SAMPLE_S, Excitation, demo_flights, fly_record
+from mufly.identify import FlightRecord, check_flight_records, check_record
+from mufly.identify.flight.identification_demo import (
+    SAMPLE_S,
+    DemoExcitation,
+    fly_demo_flights,
+    fly_demo_record,
+)
 from mufly.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("mufly-1.1")
@@ -18,7 +23,7 @@ VEHICLE = load_vehicle("mufly-1.1")
 @pytest.fixture(scope="module")
 def flights():
     """Yaw, heave, roll, pitch, mixed; begun in motion, in wind and gusts."""
-    fitted, mixed = demo_flights(VEHICLE, seed=2, seconds=8.0, moving=True, wind=0.5, gust=0.3)
+    fitted, mixed = fly_demo_flights(VEHICLE, seed=2, seconds=8.0, moving=True, wind=0.5, gust=0.3)
     return {r.name[5:]: r for r in (*fitted, *mixed)}
 
 
@@ -34,7 +39,7 @@ def late(r, names, samples):
     for n in names:
         k = r.outputs.index(n)
         measured[:, k] = np.roll(measured[:, k], samples)
-    return replace(r, measured=measured).part(abs(samples), len(r.time_s) - abs(samples))
+    return replace(r, measured=measured).slice_samples(abs(samples), len(r.time_s) - abs(samples))
 
 
 def driven(r, order, signs=(1, 1, 1, 1)):
@@ -52,10 +57,8 @@ def forward_left_up(r, height=1.0):
 
 @pytest.mark.parametrize(("gust", "moving"), [(0.0, False), (1.0, True)])
 def test_good_records_pass_in_gusts_and_begun_in_motion(gust, moving):
-    fitted, mixed = demo_flights(
-        VEHICLE, seed=5, seconds=8.0, moving=moving, wind=0.5 * bool(gust), gust=gust
-    )
-    assert check_flights([*fitted, *mixed], VEHICLE) == ()
+    fitted, mixed = fly_demo_flights(VEHICLE, seed=5, seconds=8.0, moving=moving, wind=0.5 * bool(gust), gust=gust)
+    assert check_flight_records([*fitted, *mixed], VEHICLE) == ()
 
 
 def test_a_record_of_another_size_of_vehicle_passes(flights):
@@ -64,7 +67,7 @@ def test_a_record_of_another_size_of_vehicle_passes(flights):
     for group, name, factor in (("body", "inertia_pitch", 1.5), ("body", "inertia_yaw", 0.6)):
         if name in off[group]:
             off[group][name]["value"] *= factor
-    assert check_flights(list(flights.values()), type(VEHICLE).model_validate(off)) == ()
+    assert check_flight_records(list(flights.values()), type(VEHICLE).model_validate(off)) == ()
 
 
 SPOILT = [
@@ -93,21 +96,19 @@ SPOILT = [
 @pytest.mark.parametrize(("name", "spoil", "words"), SPOILT, ids=[w[:28] for _, _, w in SPOILT])
 def test_spoilt_records_are_refused_by_name(flights, name, spoil, words):
     with pytest.raises(InputError, match=words):
-        check_flights([spoil(flights[name])], VEHICLE)
+        check_flight_records([spoil(flights[name])], VEHICLE)
 
 
 def test_what_one_record_tells_names_what_is_wrong_with_another(flights):
     """The yaw record alone cannot tell exchanged motors from axes that point left and up."""
-    with pytest.raises(
-        InputError, match=r"demo-yaw: motor_upper, motor_lower: exchanged .or yaw and r count anti"
-    ):
-        check_flights([forward_left_up(flights["yaw"])], VEHICLE)
+    with pytest.raises(InputError, match=r"demo-yaw: motor_upper, motor_lower: exchanged .or yaw and r count anti"):
+        check_flight_records([forward_left_up(flights["yaw"])], VEHICLE)
     with pytest.raises(InputError, match=r"demo-yaw: pitch, q, yaw, r: .*forward, left, up"):
-        check_flights([forward_left_up(flights[n]) for n in ("yaw", "pitch")], VEHICLE)
+        check_flight_records([forward_left_up(flights[n]) for n in ("yaw", "pitch")], VEHICLE)
 
 
 def test_taken_as_it_is_a_record_is_not_refused_but_named(flights):
-    said = check_flights(
+    said = check_flight_records(
         [times(flights["roll"], p=0.7), driven(flights["yaw"], (1, 0, 2, 3))], VEHICLE, as_is=True
     )
     assert len(said) == 2
@@ -118,20 +119,20 @@ def test_taken_as_it_is_a_record_is_not_refused_but_named(flights):
 def test_the_height_of_a_record_that_hardly_moves():
     """Answers to the sensor's own noise tell metres; noise or resolution centimetres; else it is said, not passed."""
     n = 800
-    still = Excitation(np.zeros((n, 4)), np.zeros((n, 2)))
+    still = DemoExcitation(np.zeros((n, 4)), np.zeros((n, 2)))
     air = DrydenWind((0.5, 0.0, 0.0), 0.3, step_s=SAMPLE_S)
-    r = fly_record(VEHICLE, still, np.random.default_rng(0), name="hover", air=air)
-    assert check_flights([r], VEHICLE) == ()  # what the motors do against the sensor's noise is enough
+    r = fly_demo_record(VEHICLE, still, np.random.default_rng(0), name="hover", air=air)
+    assert check_flight_records([r], VEHICLE) == ()  # what the motors do against the sensor's noise is enough
     with pytest.raises(InputError, match=r"height: .*centimetres"):
-        check_flights([times(r, height=100)], VEHICLE)
+        check_flight_records([times(r, height=100)], VEHICLE)
     k, slow = r.outputs.index("height"), 150 + 0.3 * np.sin(0.01 * np.arange(n))
     quiet, rounded = r.measured.copy(), r.measured.copy()
     quiet[:, k], rounded[:, k] = slow, np.round(slow)
     rounded[:40, k] = 151
-    (said,) = check_flights([replace(r, measured=quiet)], VEHICLE)
+    (said,) = check_flight_records([replace(r, measured=quiet)], VEHICLE)
     assert "height answers thrust too little to tell metres from centimetres" in said
     with pytest.raises(InputError, match=r"height: is resolved to 1 m only: it seems to be in cent"):
-        check_flights([replace(r, measured=rounded)], VEHICLE)
+        check_flight_records([replace(r, measured=rounded)], VEHICLE)
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +149,7 @@ def steep():
     noise = np.random.default_rng(0).standard_normal((n, 6)) * [0.01, 0.01, 0.01, 0.03, 0.03, 0.03]
     inputs = np.column_stack([0.7 + 0.1 * np.sin(t), 0.7 + 0 * t, np.cos(t), np.sin(t)])
     outputs = ("roll", "pitch", "yaw", "p", "q", "r")
-    return Record("steep", t, inputs, outputs, np.column_stack([attitude, rates]) + noise)
+    return FlightRecord("steep", t, inputs, outputs, np.column_stack([attitude, rates]) + noise)
 
 
 def test_large_angles_and_fast_yaw_raise_no_alarm(steep):
@@ -162,9 +163,9 @@ def test_large_angles_and_fast_yaw_raise_no_alarm(steep):
         check_record(times(steep, q=0.7))
     with pytest.raises(InputError, match=r"[pq]: comes 1[01]\d \+- \d+ ms later than (roll|pitch)"):
         check_record(late(steep, ("p", "q", "r"), 11))
-    without_yaw = steep.of(["roll", "pitch", "p", "q", "r"])
+    without_yaw = steep.select_outputs(["roll", "pitch", "p", "q", "r"])
     assert [w for w in check_record(without_yaw) if "constant" not in w] == []
-    (said, *_) = check_record(steep.of(["roll", "p"]))
+    (said, *_) = check_record(steep.select_outputs(["roll", "p"]))
     assert "tilts too far for that: not checked" in said
 
 
@@ -186,12 +187,10 @@ def test_places_against_velocities(factor, words):
     noise = 0.003 * np.random.default_rng(0).standard_normal((1000, 4))
 
     def made(*columns):
-        return Record("places", t, inputs, names, np.column_stack(columns) + noise)
+        return FlightRecord("places", t, inputs, names, np.column_stack(columns) + noise)
 
     assert check_record(made(north, east, v_north, v_east)) == ()
     with pytest.raises(InputError, match=words):
         check_record(made(north, east, factor * v_north, v_east))
-    with pytest.raises(
-        InputError, match="v_north: does not follow north, it follows east: axes are exchanged"
-    ):
+    with pytest.raises(InputError, match="v_north: does not follow north, it follows east: axes are exchanged"):
         check_record(made(north, east, v_east, v_north))

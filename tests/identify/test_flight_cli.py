@@ -7,8 +7,8 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.identify.flight.demo import demo_flights, run_demo
-from mufly.identify.record import dataset_of
+from mufly.identify.flight.identification_demo import fly_demo_flights, run_identification_demo
+from mufly.identify.flight_record import record_to_dataset
 from mufly.logs import write_log
 from mufly.vehicle import load_vehicle
 
@@ -18,9 +18,9 @@ OPTIONS = ["--part", "roll-pitch", "--delay", "25", "--free", "l_up,Tf_up"]
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
-    fit, held = demo_flights(load_vehicle("mufly-1.1"), seed=1, seconds=5.0)
+    fit, held = fly_demo_flights(load_vehicle("mufly-1.1"), seed=1, seconds=5.0)
     for r in (*fit, *held):
-        write_log(dataset_of(r), folder / f"{r.name}.mcap")
+        write_log(record_to_dataset(r), folder / f"{r.name}.mcap")
     return folder
 
 
@@ -78,8 +78,8 @@ def test_bad_options_give_one_line(logs, changes, words):
 
 
 def test_degrees_in_a_csv_log_are_said(logs, tmp_path):
-    fit, _ = demo_flights(load_vehicle("mufly-1.1"), seed=1, seconds=5.0)
-    data = dataset_of(fit[2])
+    fit, _ = fly_demo_flights(load_vehicle("mufly-1.1"), seed=1, seconds=5.0)
+    data = record_to_dataset(fit[2])
     data["measured_attitude"] = data["measured_attitude"] * 57.29578
     data["measured_attitude"].attrs["units"] = "rad"
     path = tmp_path / "wrong.nc"
@@ -92,7 +92,8 @@ def test_demo_finds_the_truth_from_rotors_exchanged_and_says_so(monkeypatch):
     """Before: at twice the noise of yaw and r, inertias off by 2.5 and 0.6, "converged"; also from records at rest."""
     shown = []
     monkeypatch.setattr(
-        "mufly.identify.run_demo", lambda **given: shown.append(run_demo(**given)) or shown[-1]
+        "mufly.identify.run_identification_demo",
+        lambda **given: shown.append(run_identification_demo(**given)) or shown[-1],
     )
     result = run("demo", "--seed", 300, "--moving", "--json")
     assert result.exit_code == 0, result.output

@@ -4,15 +4,20 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mufly.identify.linear.equation import equation_error
-from mufly.identify.linear.fit import fit_linear, predict_linear
-from mufly.identify.linear.structure import model_named, simulate_linear
-from mufly.identify.record import lowpassed
-from mufly.identify.result import colour_reach, coloured_covariance, relative_covariance, unseen_combinations
+from mufly.identify.fit_result import (
+    coloured_covariance,
+    correlation_reach,
+    covariance_from_information,
+    describe_unseen_combinations,
+)
+from mufly.identify.flight_record import low_pass
+from mufly.identify.linear.equation_error import regress_rate_derivatives
+from mufly.identify.linear.linear_fit import fit_linear_model, simulate_linear_fit
+from mufly.identify.linear.linear_structure import simulate_linear_structure, structure_by_name
 
 
 def unseen(names, jacobian, covariance):
-    return unseen_combinations(names, relative_covariance(jacobian.T @ jacobian), covariance)
+    return describe_unseen_combinations(names, covariance_from_information(jacobian.T @ jacobian), covariance)
 
 
 def linear(n, colour, rng, t=3):
@@ -64,10 +69,10 @@ def test_records_add_up_and_the_prior_counts_as_a_measurement():
 
 def test_reach_of_white_and_of_coloured_noise():
     rng = np.random.default_rng(3)
-    white = [colour_reach(rng.standard_normal(2000), 300) for _ in range(40)]
+    white = [correlation_reach(rng.standard_normal(2000), 300) for _ in range(40)]
     assert np.mean(np.array(white) > 0) < 0.2
     slow = lfilter([1], [1, -0.95], rng.standard_normal(3000))
-    assert 20 < colour_reach(slow, 300) <= 300
+    assert 20 < correlation_reach(slow, 300) <= 300
 
 
 def test_a_parameter_without_effect_is_named():
@@ -112,9 +117,9 @@ def test_a_close_pair_that_is_known_well_anyway_is_not_worth_a_word():
 def made(n=900, pole=0.9):
     """A first-order roll, its noise coloured."""
     rng = np.random.default_rng(5)
-    structure = model_named("first-order", ("lat",), ("p",))
+    structure = structure_by_name("first-order", ("lat",), ("p",))
     u = lfilter([0.2], [1, -0.8], np.repeat(rng.normal(size=n // 20), 20))[:, None]
-    y, _ = simulate_linear(structure, np.array([-4.0, 10.0, 0.06]), u, 0.04)
+    y, _ = simulate_linear_structure(structure, np.array([-4.0, 10.0, 0.06]), u, 0.04)
     return (
         structure,
         u,
@@ -125,13 +130,13 @@ def made(n=900, pole=0.9):
 def test_a_linear_fit_has_the_covariance_of_flights():
     """Before there was one: the same sensitivities and residuals gave two covariances."""
     structure, u, y = made()
-    f = fit_linear(structure, u, y, 0.04, starts=1)
+    f = fit_linear_model(structure, u, y, 0.04, starts=1)
     assert not f.at_bound.any()
-    predicted, _ = predict_linear(f, u, 0.04)
+    predicted, _ = simulate_linear_fit(f, u, 0.04)
     columns = []
     for k, v in enumerate(f.values):
         ends = [f.values + side * 1e-4 * abs(v) * np.eye(3)[k] for side in (1, -1)]
-        a, b = (simulate_linear(structure, e, u - f.input_trim, 0.04, x0=f.x0)[0] for e in ends)
+        a, b = (simulate_linear_structure(structure, e, u - f.input_trim, 0.04, x0=f.x0)[0] for e in ends)
         columns.append((a - b)[:, 0] / (2e-4 * abs(v)))
     s = np.column_stack(columns)
     # What starts, trim and bias could make up for is not the parameters'.
@@ -146,8 +151,8 @@ def test_a_linear_fit_has_the_covariance_of_flights():
 
 def test_so_has_the_equation_error():
     _, u, y = made()
-    found = equation_error(y, u, 0.04, rate_names=("p",), input_names=("lat",), cut_hz=2.0)
-    smooth = lowpassed(np.column_stack([y, u]), 0.04, 2.0)
+    found = regress_rate_derivatives(y, u, 0.04, rate_names=("p",), input_names=("lat",), cut_hz=2.0)
+    smooth = low_pass(np.column_stack([y, u]), 0.04, 2.0)
     rows = np.column_stack([smooth, np.ones(len(y))])
     slope = np.gradient(smooth[:, 0], 0.04)
     e = slope - rows @ np.linalg.lstsq(rows, slope, rcond=None)[0]
@@ -161,4 +166,4 @@ def test_a_parameter_that_nothing_knows_of_has_no_finite_deviation():
     c, bound, _ = coloured_covariance([s], [draw()])
     assert np.isfinite(np.diag(c)).tolist() == [True, False, True]
     assert bound[1, 1] == np.inf
-    assert unseen_combinations(("a", "b", "c"), c) == ("b is not seen at all",)
+    assert describe_unseen_combinations(("a", "b", "c"), c) == ("b is not seen at all",)

@@ -5,13 +5,31 @@ import pytest
 
 import mufly
 from mufly.errors import InputError
-from mufly.identify import Progress, choose_free, fit_flights, fit_split, with_estimates
-from mufly.identify.flight.demo import NOISE, RADIO_DELAY_S, Excitation, demo_flights, fly_record
-from mufly.identify.flight.free import Free
-from mufly.identify.flight.minimise import Linearised, Point, descend, moved_by_held, straightness
-from mufly.identify.flight.problem import Linear, make_problem
-from mufly.identify.flight.starts import beginnings, settled
-from mufly.vehicle import Vehicle, load_vehicle, parameters, replace, vehicle_toml
+from mufly.identify import (
+    FitProgress,
+    apply_estimates,
+    choose_free_parameters,
+    fit_flight_records,
+    fit_parts_separately,
+)
+from mufly.identify.flight.free_parameters import FreeParameter
+from mufly.identify.flight.identification_demo import (
+    RADIO_DELAY_S,
+    SENSOR_NOISE_STD,
+    DemoExcitation,
+    fly_demo_flights,
+    fly_demo_record,
+)
+from mufly.identify.flight.initial_states import find_initial_offsets, find_initial_states
+from mufly.identify.flight.minimisers import (
+    FitPoint,
+    LinearisedProblem,
+    consider_sensitivity,
+    cost_rise_along_axes,
+    levenberg_marquardt,
+)
+from mufly.identify.flight.output_error_problem import LinearisedRecord, make_problem
+from mufly.vehicle import Vehicle, format_vehicle_toml, list_parameters, load_vehicle, replace_parameters
 
 ROLL_PITCH = ("Iyy", "l_up", "l_dw", "Tf_up")
 
@@ -23,24 +41,24 @@ def truth():
 
 @pytest.fixture(scope="module")
 def flights(truth):
-    fit, held = demo_flights(truth, seed=5, seconds=6.0)
+    fit, held = fly_demo_flights(truth, seed=5, seconds=6.0)
     return {r.name.removeprefix("demo-"): r for r in (*fit, *held)}
 
 
 def started(truth, symbols, factor=1.4):
-    keys = {r.symbol: r for r in parameters(truth)}
+    keys = {r.symbol: r for r in list_parameters(truth)}
     values = {keys[s].key: keys[s].value * (factor if k % 2 else 1 / factor) for k, s in enumerate(symbols)}
-    return replace(truth, values)
+    return replace_parameters(truth, values)
 
 
 def true_value(truth, symbol):
-    return next(r.value for r in parameters(truth) if r.symbol == symbol)
+    return next(r.value for r in list_parameters(truth) if r.symbol == symbol)
 
 
 def roll_pitch(truth, flights, **options):
     start = started(truth, ROLL_PITCH)
-    free = choose_free(start, ROLL_PITCH, flights["roll"].outputs)
-    return fit_flights(
+    free = choose_free_parameters(start, ROLL_PITCH, flights["roll"].outputs)
+    return fit_flight_records(
         start, free, [flights["roll"], flights["pitch"]], part="roll-pitch", delay_s=RADIO_DELAY_S, **options
     )
 
@@ -59,10 +77,10 @@ def test_roll_and_pitch_alone_find_the_truth(truth, fitted):
 
 
 def test_noise_is_learnt_and_predictions_reach_it(fitted):
-    used = fitted.records_of("fit")
+    used = fitted.records_with_role("fit")
     assert [r.name for r in used] == ["demo-roll", "demo-pitch"]
     for r in used:
-        true = np.array([NOISE[o] for o in r.outputs])
+        true = np.array([SENSOR_NOISE_STD[o] for o in r.outputs])
         assert np.all(np.abs(r.noise_std / true - 1) < 0.15)
     assert [r.role for r in fitted.records] == ["fit", "fit", "held out"]
 
@@ -83,9 +101,9 @@ def test_covariance_correlation_and_std_belong_together(fitted):
 
 
 def test_thrust_coefficients_from_height_and_yaw_rate_alone_are_not_returned_without_a_word(truth, flights):
-    free = choose_free(truth, ["cT_up", "cT_dw"], ["height", "r"])
-    fit = fit_flights(
-        truth, free, [flights[n].part(0, 300) for n in ("yaw", "heave")], part="heave-yaw",
+    free = choose_free_parameters(truth, ["cT_up", "cT_dw"], ["height", "r"])
+    fit = fit_flight_records(
+        truth, free, [flights[n].slice_samples(0, 300) for n in ("yaw", "heave")], part="heave-yaw",
         outputs=["height", "r"], delay_s=RADIO_DELAY_S,
     )  # fmt: skip
     assert any("cT_up" in said and "cT_dw" in said for said in fit.unseen)
@@ -94,25 +112,23 @@ def test_thrust_coefficients_from_height_and_yaw_rate_alone_are_not_returned_wit
 
 def test_inertias_and_linkages_together_are_seen_only_in_ratio(truth, flights):
     symbols = ["Ixx", "Iyy", "l_up", "l_dw"]
-    free = choose_free(replace(truth, {"body.inertia_xx": 1.12e-4}), symbols, ["roll", "p"])
-    fit = fit_flights(
-        truth, free, [flights["roll"], flights["pitch"]], part="roll-pitch", delay_s=RADIO_DELAY_S
-    )
+    free = choose_free_parameters(replace_parameters(truth, {"body.inertia_xx": 1.12e-4}), symbols, ["roll", "p"])
+    fit = fit_flight_records(truth, free, [flights["roll"], flights["pitch"]], part="roll-pitch", delay_s=RADIO_DELAY_S)
     assert any(sum(s in said for s in symbols) >= 2 for said in fit.unseen)
 
 
 def test_a_parameter_that_the_data_do_not_move_keeps_its_start(truth, flights):
-    free = choose_free(truth, ["Izz", "Ixx"], ["height", "r"])
-    fit = fit_flights(truth, free, [flights["yaw"]], part="heave-yaw", delay_s=RADIO_DELAY_S)
+    free = choose_free_parameters(truth, ["Izz", "Ixx"], ["height", "r"])
+    fit = fit_flight_records(truth, free, [flights["yaw"]], part="heave-yaw", delay_s=RADIO_DELAY_S)
     assert any(said.startswith("Ixx is not seen") for said in fit.unseen)
-    assert fit.estimate("Ixx").value == pytest.approx(fit.estimate("Ixx").start, rel=1e-3)
-    assert fit.estimate("Ixx").std > 0.1 * fit.estimate("Ixx").value
+    assert fit.find_estimate("Ixx").value == pytest.approx(fit.find_estimate("Ixx").start, rel=1e-3)
+    assert fit.find_estimate("Ixx").std > 0.1 * fit.find_estimate("Ixx").value
 
 
 def test_a_parameter_at_its_bound_is_said(truth, flights):
-    start = replace(truth, {"stabiliser_bar.time_constant": 0.15}, source="measured")
-    free = choose_free(start, ["Tf_up"], ["roll", "p"])
-    fit = fit_flights(start, free, [flights["roll"]], part="roll-pitch", delay_s=RADIO_DELAY_S)
+    start = replace_parameters(truth, {"stabiliser_bar.time_constant": 0.15}, source="measured")
+    free = choose_free_parameters(start, ["Tf_up"], ["roll", "p"])
+    fit = fit_flight_records(start, free, [flights["roll"]], part="roll-pitch", delay_s=RADIO_DELAY_S)
     assert fit.estimates[0].at_bound
     assert "Tf_up stopped at its bound" in fit.message
 
@@ -122,9 +138,9 @@ def test_biases_are_found(truth, flights):
 
     r = flights["roll"]
     measured = r.measured + 0.1 * (np.array(r.outputs) == "p")
-    free = choose_free(truth, ["l_up", "bias_p"], r.outputs)
-    fit = fit_flights(truth, free, [changed(r, measured=measured)], part="roll-pitch", delay_s=RADIO_DELAY_S)
-    assert fit.estimate("bias_p").value == pytest.approx(0.1, abs=0.01)
+    free = choose_free_parameters(truth, ["l_up", "bias_p"], r.outputs)
+    fit = fit_flight_records(truth, free, [changed(r, measured=measured)], part="roll-pitch", delay_s=RADIO_DELAY_S)
+    assert fit.find_estimate("bias_p").value == pytest.approx(0.1, abs=0.01)
 
 
 class Stop(Exception):
@@ -134,7 +150,7 @@ class Stop(Exception):
 def stopping_after(count):
     seen = []
 
-    def on_progress(p: Progress) -> None:
+    def on_progress(p: FitProgress) -> None:
         seen.append(p)
         if len(seen) == count:
             raise Stop
@@ -162,9 +178,9 @@ def test_the_checkpoint_of_another_fit_is_refused(truth, flights, tmp_path):
     stop, _ = stopping_after(1)
     with pytest.raises(Stop):
         roll_pitch(truth, flights, checkpoint=path, on_progress=stop)
-    free = choose_free(truth, ["l_up"], ["roll"])
+    free = choose_free_parameters(truth, ["l_up"], ["roll"])
     with pytest.raises(InputError, match="belongs to a fit of other records"):
-        fit_flights(truth, free, [flights["roll"]], part="roll-pitch", checkpoint=path)
+        fit_flight_records(truth, free, [flights["roll"]], part="roll-pitch", checkpoint=path)
     path.write_text("{")
     with pytest.raises(InputError, match="is no checkpoint"):
         roll_pitch(truth, flights, checkpoint=path)
@@ -172,12 +188,10 @@ def test_the_checkpoint_of_another_fit_is_refused(truth, flights, tmp_path):
 
 def test_cma_es_reaches_the_same_place_and_goes_on_where_it_was_stopped(truth, flights, tmp_path):
     start = started(truth, ("l_up", "Tf_up"))
-    free = choose_free(start, ("l_up", "Tf_up"), flights["roll"].outputs)
+    free = choose_free_parameters(start, ("l_up", "Tf_up"), flights["roll"].outputs)
 
     def fit(**options):
-        return fit_flights(
-            start, free, [flights["roll"]], part="roll-pitch", delay_s=RADIO_DELAY_S, **options
-        )
+        return fit_flight_records(start, free, [flights["roll"]], part="roll-pitch", delay_s=RADIO_DELAY_S, **options)
 
     downhill, whole = fit(), fit(method="cma", seed=3)
     assert whole.converged
@@ -195,8 +209,8 @@ def test_cma_es_reaches_the_same_place_and_goes_on_where_it_was_stopped(truth, f
 def test_split_fits_each_half_to_its_own_outputs(truth, flights):
     symbols = ("Izz", "l_up", "Iyy")
     start = started(truth, symbols, 1.2)
-    free = choose_free(start, symbols, flights["yaw"].outputs)
-    fit = fit_split(
+    free = choose_free_parameters(start, symbols, flights["yaw"].outputs)
+    fit = fit_parts_separately(
         start, free, [flights[n] for n in ("yaw", "heave", "roll", "pitch")], delay_s=RADIO_DELAY_S
     )
     assert [e.symbol for e in fit.estimates] == ["Izz", "l_up", "Iyy"]
@@ -207,68 +221,71 @@ def test_split_fits_each_half_to_its_own_outputs(truth, flights):
 
 
 def test_an_identified_vehicle_says_where_its_numbers_come_from(truth, fitted, tmp_path):
-    made = with_estimates(truth, fitted.estimates, "from roll.mcap")
+    made = apply_estimates(truth, fitted.estimates, "from roll.mcap")
     path = tmp_path / "new.toml"
-    path.write_text(vehicle_toml(made), encoding="utf-8")
+    path.write_text(format_vehicle_toml(made), encoding="utf-8")
     bar = mufly.load_vehicle(path).stabiliser_bar.linkage
     assert bar.source == "identified"
-    assert float(bar) == pytest.approx(fitted.estimate("l_up").value)
+    assert float(bar) == pytest.approx(fitted.find_estimate("l_up").value)
     assert "from roll.mcap" in bar.note
     assert "95 %" in bar.note
 
 
 @pytest.fixture(scope="module")
 def moving(truth):
-    fit, held = demo_flights(truth, seed=6, seconds=12.0, moving=True)
+    fit, held = fly_demo_flights(truth, seed=6, seconds=12.0, moving=True)
     return {r.name.removeprefix("demo-"): r for r in (*fit, *held)}
 
 
 def test_a_record_that_begins_in_motion_is_predicted_by_the_true_model(truth, moving):
     """Before: errors of 200 to 100 million times the noise, said to have converged."""
-    free = choose_free(truth, ["l_up"], moving["mixed"].outputs)
+    free = choose_free_parameters(truth, ["l_up"], moving["mixed"].outputs)
     problem = make_problem(
         truth, free, [moving["mixed"], moving["heave"]], voltage="model", delay_s=RADIO_DELAY_S, prior=False
     )
-    problem = problem.in_windows(1.5).with_charge(np.zeros(1)).in_windows(None)
-    found = settled(problem, np.zeros(1))
+    problem = problem.with_windows(1.5).with_matched_charge(np.zeros(1)).with_windows(None)
+    found = find_initial_states(problem, np.zeros(1))
     assert found.converged == (True, True)
-    for i, states in enumerate(found.states):
-        std = [NOISE[o] for o in problem.records[i].outputs]
-        error = problem.simulate(i, np.zeros((1, 1)), states[None])[0] - problem.records[i].measured
+    for i, states in enumerate(found.initial_states):
+        std = [SENSOR_NOISE_STD[o] for o in problem.records[i].outputs]
+        error = problem.simulate_record(i, np.zeros((1, 1)), states[None])[0] - problem.records[i].measured
         assert np.all(np.abs(np.sqrt(np.mean((error / std) ** 2, axis=0)) - 1) < 0.1)
 
 
 def test_at_the_truth_windows_of_any_length_leave_noise_alone(truth, moving):
     """Before: 1.9 times as much, by windows that began without drift and a voltage that came late."""
-    free = choose_free(truth, ["l_up"], moving["roll"].outputs)
+    free = choose_free_parameters(truth, ["l_up"], moving["roll"].outputs)
     records = [moving["roll"], moving["yaw"]]
     whole = make_problem(truth, free, records, voltage="model", delay_s=RADIO_DELAY_S, prior=False)
-    whole = whole.in_windows(1.5).with_charge(np.zeros(1)).in_windows(None)
-    whole = whole.with_noise([np.array([NOISE[o] for o in r.outputs]) for r in whole.records])
+    whole = whole.with_windows(1.5).with_matched_charge(np.zeros(1)).with_windows(None)
+    whole = whole.with_noise([np.array([SENSOR_NOISE_STD[o] for o in r.outputs]) for r in whole.records])
     for length in (0.4, 3.0):
-        problem = whole.in_windows(length)
-        problem = problem.begun(beginnings(problem, np.zeros(1)))
-        point = Point(np.zeros(1), problem.rest(), np.inf)
+        problem = whole.with_windows(length)
+        problem = problem.with_initial_offset(find_initial_offsets(problem, np.zeros(1)))
+        point = FitPoint(np.zeros(1), problem.zero_initial_states(), np.inf)
         for _ in range(2):
             states = [
-                s + r.states(r.rows, np.zeros(1))
-                for s, r in zip(point.states, Linearised(problem, point).records, strict=True)
+                s + r.initial_state_change(r.window_rows, np.zeros(1))
+                for s, r in zip(point.states, LinearisedProblem(problem, point).reduced_records, strict=True)
             ]
-            point = Point(point.theta, states, np.inf)
+            point = FitPoint(point.theta, states, np.inf)
         for i, r in enumerate(problem.records):
-            square = np.mean(problem.residual(i, np.zeros((1, 1)), states[i][None])[0] ** 2, axis=0)
-            assert dict(zip(r.outputs, square, strict=True)) == pytest.approx(
-                dict.fromkeys(r.outputs, 1.0), abs=0.3
-            )
+            square = np.mean(problem.record_residual(i, np.zeros((1, 1)), states[i][None])[0] ** 2, axis=0)
+            assert dict(zip(r.outputs, square, strict=True)) == pytest.approx(dict.fromkeys(r.outputs, 1.0), abs=0.3)
 
 
 def test_two_minima_that_a_record_does_not_tell_apart_are_said(truth, flights):
     """Height hangs on the sum of two lags: exchanged rotors climb alike. Before: "converged", whichever came first."""
-    free = choose_free(truth, ["Jdrive_up", "Jdrive_dw"], ("height",))
-    fit = fit_flights(
-        truth, free, [flights["heave"].part(0, 400)], part="heave-yaw", outputs=["height", "voltage"], prior=False,
+    free = choose_free_parameters(truth, ["Jdrive_up", "Jdrive_dw"], ("height",))
+    fit = fit_flight_records(
+        truth,
+        free,
+        [flights["heave"].slice_samples(0, 400)],
+        part="heave-yaw",
+        outputs=["height", "voltage"],
+        prior=False,
         delay_s=RADIO_DELAY_S,
-    )  # fmt: skip
+    )
     found = [e.value for e in fit.estimates]
     assert fit.message.startswith("two minima that these records do not tell apart")
     other = [float(w.split()[1]) for w in fit.message.split("the other one has ")[1].split(", ")[:2]]
@@ -276,12 +293,12 @@ def test_two_minima_that_a_record_does_not_tell_apart_are_said(truth, flights):
 
 
 def test_a_prediction_that_is_far_off_says_so(truth, moving):
-    free = choose_free(truth, ["Tf_up"], ["roll", "p"])
-    wrong = replace(truth, {"rotors.upper.thrust_coefficient": 0.0110})
-    fit = fit_flights(
+    free = choose_free_parameters(truth, ["Tf_up"], ["roll", "p"])
+    wrong = replace_parameters(truth, {"rotors.upper.thrust_coefficient": 0.0110})
+    fit = fit_flight_records(
         wrong,
         free,
-        [moving["roll"].part(0, 300)],
+        [moving["roll"].slice_samples(0, 300)],
         part="both",
         delay_s=RADIO_DELAY_S,
         held_out=[moving["heave"]],
@@ -296,22 +313,26 @@ def test_doubt_of_what_is_held_is_what_a_fit_with_it_off_moves_by(truth, flights
     stated = truth.model_dump()
     stated["rotors"]["lower"]["hub_z"]["std"] = 0.002
     start = Vehicle.model_validate(stated)
-    free = choose_free(start, ROLL_PITCH, flights["roll"].outputs)
+    free = choose_free_parameters(start, ROLL_PITCH, flights["roll"].outputs)
     options = {"part": "roll-pitch", "delay_s": RADIO_DELAY_S, "prior": False}
     records = [flights["roll"], flights["pitch"]]
     problem = make_problem(start, free, records, voltage="nominal", **options)
-    found = settled(problem, np.zeros(4))
-    point, _ = descend(problem, Point(np.zeros(4), found.states, np.inf), iterations=30, tolerance=1e-9)
-    moved, wider = moved_by_held(Linearised(problem, point))
-    k = [f.symbol for f in wider.free[4:]].index("z_dw")
-    assert wider.free[4 + k].prior_std == pytest.approx(0.002 / 0.051)
+    found = find_initial_states(problem, np.zeros(4))
+    point, _ = levenberg_marquardt(
+        problem, FitPoint(np.zeros(4), found.initial_states, np.inf), iterations=30, tolerance=1e-9
+    )
+    moved, wider = consider_sensitivity(LinearisedProblem(problem, point))
+    k = [f.symbol for f in wider.free_parameters[4:]].index("z_dw")
+    assert wider.free_parameters[4 + k].prior_std == pytest.approx(0.002 / 0.051)
     z = -0.051 * np.exp(0.002 / 0.051)
-    off = make_problem(replace(start, {"rotors.lower.hub_z": z}), free, records, voltage="nominal", **options)
-    again, _ = descend(off, point, iterations=30, tolerance=1e-9)
+    off = make_problem(
+        replace_parameters(start, {"rotors.lower.hub_z": z}), free, records, voltage="nominal", **options
+    )
+    again, _ = levenberg_marquardt(off, point, iterations=30, tolerance=1e-9)
     assert again.theta - point.theta == pytest.approx(moved[:, k], abs=0.1 * np.abs(moved[:, k]).max())
     # ... and in the intervals: with it they are wider by just that, which is said.
-    exact = fit_flights(start, free, records, held_exact=True, **options)
-    doubtful = fit_flights(start, free, records, **options)
+    exact = fit_flight_records(start, free, records, held_exact=True, **options)
+    doubtful = fit_flight_records(start, free, records, **options)
     for a, b, m in zip(exact.estimates, doubtful.estimates, moved, strict=True):
         assert b.std**2 == pytest.approx(a.std**2 + b.value**2 * float(m @ m), rel=0.1)
     assert exact.held == ()
@@ -320,17 +341,15 @@ def test_doubt_of_what_is_held_is_what_a_fit_with_it_off_moves_by(truth, flights
 
 def test_a_hover_alone_is_not_fitted_without_a_word(truth):
     """Before: "converged", with 5 of 12 truths outside, one 72 % off at a standard deviation of 20 %."""
-    still = fly_record(
-        truth, Excitation(np.zeros((601, 4)), np.zeros((601, 2))), np.random.default_rng(1), name="hover"
+    still = fly_demo_record(
+        truth, DemoExcitation(np.zeros((601, 4)), np.zeros((601, 2))), np.random.default_rng(1), name="hover"
     )
     start = started(truth, ("Izz", "l_up"))
-    fit = fit_flights(
-        start, choose_free(start, ["Izz", "l_up"], still.outputs), [still], delay_s=RADIO_DELAY_S
+    fit = fit_flight_records(
+        start, choose_free_parameters(start, ["Izz", "l_up"], still.outputs), [still], delay_s=RADIO_DELAY_S
     )
     assert "heave and yaw hardly move" in fit.message
-    assert (
-        "what is found of Izz rests on little; fly `mufly identify plan --channel heave,yaw`" in fit.message
-    )
+    assert "what is found of Izz rests on little; fly `mufly identify plan --channel heave,yaw`" in fit.message
     assert "what is found of l_up rests on little" in fit.message
 
 
@@ -339,7 +358,7 @@ def test_an_interval_that_a_bent_cost_does_not_bear_out_is_said():
     residual = np.linspace(-1, 1, 200)
 
     class Bent:
-        free = (Free("a", "", "1", 1.0, 1.0, -9.0, 9.0, np.inf, "estimated"),)
+        free = (FreeParameter("a", "", "1", 1.0, 1.0, -9.0, 9.0, np.inf, "estimated"),)
         prior_std, hover, bounds = np.array([np.inf]), False, (np.array([-9.0]), np.array([9.0]))
         starts, flights, records = (np.zeros(1, dtype=int),), (), (None,)
 
@@ -359,13 +378,13 @@ def test_an_interval_that_a_bent_cost_does_not_bear_out_is_said():
         def linearise(self, i, theta, states):
             e = self.residuals(theta[None], None)[0][0]
             d = (self.residuals(theta[None] + 1e-6, None)[0][0] - e) / 1e-6
-            return Linear(e, d[:, :, None], np.zeros((*e.shape, 0)))
+            return LinearisedRecord(e, d[:, :, None], np.zeros((*e.shape, 0)))
 
         def cost(self, theta, states):
             return 0.5 * np.sum(self.residuals(theta, states)[0] ** 2, axis=(1, 2))
 
     for slope, straight in ((40.0, True), (0.6, False)):
         problem = Bent(slope)
-        point = Point(np.zeros(1), [np.zeros((1, 0))], float(problem.cost(np.zeros((1, 1)), None)[0]))
-        rise, _ = straightness(Linearised(problem, point))
+        point = FitPoint(np.zeros(1), [np.zeros((1, 0))], float(problem.cost(np.zeros((1, 1)), None)[0]))
+        rise, _ = cost_rise_along_axes(LinearisedProblem(problem, point))
         assert bool(np.all(np.abs(rise - 1) < 0.3)) == straight

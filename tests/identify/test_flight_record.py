@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.identify import Record, check_record, read_columns, record_from, split
-from mufly.identify.record import dataset_of, difference_noise, smoothed_motion
+from mufly.identify import FlightRecord, check_record, make_record, read_columns, split_record
+from mufly.identify.flight_record import estimate_difference_noise, record_to_dataset, smooth_motion
 
 T = np.arange(600) * 0.01
 
@@ -20,7 +20,7 @@ def record(noise=0.01, **changes):
     inputs = np.column_stack([0.7 + 0.1 * np.sin(T), 0.75 + 0 * T, 0.1 * np.cos(T), 0.1 * np.sin(2 * T)])
     given = {"name": "flight", "time_s": T, "inputs": inputs, "outputs": outputs, "measured": measured}
     given.update(changes)
-    return Record(**given)
+    return FlightRecord(**given)
 
 
 def scaled(name, factor):
@@ -36,9 +36,7 @@ def test_a_good_record_passes_and_constant_inputs_are_said():
 
 
 def test_degrees_labelled_radians_are_guessed_from_the_rate():
-    with pytest.raises(
-        InputError, match=r"roll: changes 5\d times as fast as p says: it seems to be in degrees"
-    ):
+    with pytest.raises(InputError, match=r"roll: changes 5\d times as fast as p says: it seems to be in degrees"):
         check_record(scaled("roll", 180 / np.pi))
 
 
@@ -56,7 +54,7 @@ def test_degrees_a_second_are_guessed():
 def test_a_pitch_beyond_a_right_angle_is_taken_for_degrees():
     measured = record().measured.copy()
     measured[:, 2] = 5.0 * np.sin(T)
-    r = record(measured=measured).of(["pitch", "height"])
+    r = record(measured=measured).select_outputs(["pitch", "height"])
     with pytest.raises(InputError, match=r"pitch: reaches .* degrees"):
         check_record(r)
 
@@ -75,7 +73,7 @@ def test_a_record_in_which_nothing_moves_is_refused():
 
 def test_a_recording_survives_the_round_trip():
     r = record()
-    again = record_from(dataset_of(r), "flight")
+    again = make_record(record_to_dataset(r), "flight")
     assert again.outputs == ("height", "roll", "pitch", "yaw", "p", "q", "r")
     assert np.allclose(again.measured, r.measured)
     assert np.allclose(again.inputs, r.inputs)
@@ -90,42 +88,42 @@ def test_a_recording_survives_the_round_trip():
     ],
 )  # fmt: skip
 def test_clocks_that_cannot_be_are_refused(change, words):
-    data = dataset_of(record())
+    data = record_to_dataset(record())
     with pytest.raises(InputError, match=words):
-        record_from(data.assign_coords(time=change(T)), "flight")
+        make_record(data.assign_coords(time=change(T)), "flight")
 
 
 def test_missing_inputs_are_named():
     with pytest.raises(InputError, match="servo_input: is not in this log"):
-        record_from(dataset_of(record()).drop_vars("servo_input"), "flight")
+        make_record(record_to_dataset(record()).drop_vars("servo_input"), "flight")
 
 
 def test_yaw_is_made_continuous():
     r = record()
     measured = r.measured.copy()
     measured[:, 3] = np.angle(np.exp(1j * 5 * T))
-    again = record_from(dataset_of(record(measured=measured)), "flight")
+    again = make_record(record_to_dataset(record(measured=measured)), "flight")
     assert np.allclose(again.measured[:, 3], 5 * T, atol=1e-9)
 
 
 def test_noise_from_third_differences():
-    noise = difference_noise(record())
+    noise = estimate_difference_noise(record())
     assert np.all(np.abs(noise / 0.01 - 1) < 0.15)
 
 
 def test_smoothed_motion_has_the_slopes():
-    m = smoothed_motion(record(noise=0.0))
+    m = smooth_motion(record(noise=0.0))
     assert np.max(np.abs(m[50:-50, 5] + 0.1 * np.cos(T[50:-50]))) < 1e-4
-    without_rates = smoothed_motion(record(noise=0.0).of(["roll"]))
+    without_rates = smooth_motion(record(noise=0.0).select_outputs(["roll"]))
     assert np.max(np.abs(without_rates[50:-50, 9] - 0.6 * np.cos(3 * T[50:-50]))) < 2e-3
 
 
 def test_split_keeps_everything_once():
-    a, b = split(record(), 0.25)
+    a, b = split_record(record(), 0.25)
     assert np.array_equal(np.concatenate([a.time_s, b.time_s]), T)
     assert len(b.time_s) == 150
     with pytest.raises(InputError, match="too short"):
-        split(a, 0.01)
+        split_record(a, 0.01)
 
 
 @pytest.mark.parametrize("separator", [";", "\t", " "])

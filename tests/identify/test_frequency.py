@@ -9,10 +9,18 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import InputError
-from mufly.identify.linear.bandwidth import bandwidth
-from mufly.identify.linear.frequency import frequency_response, misfit, state_space_response
-from mufly.identify.linear.structure import delayed, discretise
-from mufly.identify.linear.sweep import composite_response, fit_transfer, window_lengths
+from mufly.identify.linear.bandwidth import measure_bandwidth
+from mufly.identify.linear.frequency_response import (
+    estimate_frequency_response,
+    response_cost,
+    state_space_response,
+)
+from mufly.identify.linear.linear_structure import delay_inputs, discretise_first_order_hold
+from mufly.identify.linear.sweep_response import (
+    choose_window_lengths,
+    estimate_composite_response,
+    fit_transfer_function,
+)
 
 DT = 0.02
 A = np.exp(-3.0 * DT)
@@ -38,7 +46,7 @@ def made(seed=0, n=60_000, noise=0.0):
 
 def test_response_of_correlated_inputs_is_told_apart():
     u, y = made()
-    r = frequency_response(u, y, DT, segment_s=20.0, low_hz=0.1, high_hz=10.0, points=40)
+    r = estimate_frequency_response(u, y, DT, segment_s=20.0, low_hz=0.1, high_hz=10.0, points=40)
     h = truth(r.frequency_hz)
     assert r.response[:, 0, 0] == pytest.approx(h, abs=0.03)
     assert r.response[:, 0, 1] == pytest.approx(-0.5, abs=0.03)
@@ -50,7 +58,7 @@ def test_multiple_coherence_is_the_signals_share_of_the_power():
     rng = np.random.default_rng(1)
     u = rng.normal(size=(200_000, 1))
     y = u + rng.normal(size=u.shape)
-    r = frequency_response(u, y, DT, segment_s=5.0, low_hz=1.0, high_hz=20.0, points=30)
+    r = estimate_frequency_response(u, y, DT, segment_s=5.0, low_hz=1.0, high_hz=20.0, points=30)
     assert r.coherence.mean() == pytest.approx(0.5, abs=0.02)
     assert r.partial[:, 0, 0] == pytest.approx(r.coherence[:, 0])
 
@@ -60,7 +68,7 @@ def test_partial_coherence_of_an_input_without_effect_vanishes():
     u = rng.normal(size=(100_000, 2))
     u[:, 1] += u[:, 0]
     y = u[:, :1] + 0.3 * rng.normal(size=(100_000, 1))
-    r = frequency_response(u, y, DT, segment_s=5.0, low_hz=1.0, high_hz=20.0, points=30)
+    r = estimate_frequency_response(u, y, DT, segment_s=5.0, low_hz=1.0, high_hz=20.0, points=30)
     assert r.partial[:, 0, 1].max() < 0.03
     assert r.partial[:, 0, 0].min() > 0.8
 
@@ -73,8 +81,8 @@ def test_95_percent_of_intervals_hold_the_response_with_few_segments_too(segment
         rng = np.random.default_rng(seed)
         u = rng.normal(size=(100 * segments, inputs))
         y = u.sum(axis=1, keepdims=True) + rng.normal(size=(len(u), 1))
-        r = frequency_response(u, y, DT, segment_s=2.0, low_hz=2.0, high_hz=20.0, points=8)
-        h, spread = r.response[:, 0, 0], np.minimum(r.spread[:, 0, 0], 1.0)
+        r = estimate_frequency_response(u, y, DT, segment_s=2.0, low_hz=2.0, high_hz=20.0, points=8)
+        h, spread = r.response[:, 0, 0], np.minimum(r.relative_interval[:, 0, 0], 1.0)
         held += [np.abs(1.0 - 1.0 / np.abs(h)) < spread, np.abs(np.angle(h)) < np.arcsin(spread)]
         found.append(np.abs(h))
         stated.append(r.error[:, 0, 0] * np.abs(h))
@@ -84,47 +92,43 @@ def test_95_percent_of_intervals_hold_the_response_with_few_segments_too(segment
 
 def test_chirp_z_transform_puts_frequencies_where_they_are_asked_for():
     u, y = made(3, 20_000)
-    r = frequency_response(u, y, DT, segment_s=10.0, low_hz=0.37, high_hz=1.23, points=7)
+    r = estimate_frequency_response(u, y, DT, segment_s=10.0, low_hz=0.37, high_hz=1.23, points=7)
     assert r.frequency_hz == pytest.approx(np.linspace(0.37, 1.23, 7))
     assert r.response[:, 1, 1] == pytest.approx(truth(r.frequency_hz), abs=0.05)
 
 
 def test_several_records_are_averaged_and_a_still_input_is_no_answer():
     u, y = made(4, 20_000)
-    both = frequency_response([u, u], [y, y], DT, segment_s=10.0, low_hz=0.2, high_hz=5.0, points=9)
-    one = frequency_response(u, y, DT, segment_s=10.0, low_hz=0.2, high_hz=5.0, points=9)
+    both = estimate_frequency_response([u, u], [y, y], DT, segment_s=10.0, low_hz=0.2, high_hz=5.0, points=9)
+    one = estimate_frequency_response(u, y, DT, segment_s=10.0, low_hz=0.2, high_hz=5.0, points=9)
     assert both.response == pytest.approx(one.response)
     assert both.averages == pytest.approx(2 * one.averages)
-    still = frequency_response(np.c_[u[:, 0], 0 * u[:, 1]], y, DT, segment_s=10.0, low_hz=0.2, high_hz=5.0)
+    still = estimate_frequency_response(np.c_[u[:, 0], 0 * u[:, 1]], y, DT, segment_s=10.0, low_hz=0.2, high_hz=5.0)
     assert np.isnan(still.response[:, :, 1]).all()
 
 
 def test_state_space_response_with_delay_is_the_closed_form():
     f = np.array([0.1, 1.0, 4.0])
-    h = state_space_response(
-        np.array([[-3.0]]), np.array([[3.0]]), np.eye(1), np.zeros((1, 1)), f, np.array([0.1])
-    )
+    h = state_space_response(np.array([[-3.0]]), np.array([[3.0]]), np.eye(1), np.zeros((1, 1)), f, np.array([0.1]))
     s = 2j * np.pi * f
     assert h[:, 0, 0] == pytest.approx(3.0 / (s + 3.0) * np.exp(-0.1 * s))
 
 
 def test_misfit_of_the_truth_is_small_and_of_6_dB_and_45_degrees_is_that_of_the_formula():
     u, _ = made(5)
-    r = frequency_response(u[:, :1], lag(u[:, :1].T).T, DT, segment_s=20.0, low_hz=0.1, high_hz=5.0)
+    r = estimate_frequency_response(u[:, :1], lag(u[:, :1].T).T, DT, segment_s=20.0, low_hz=0.1, high_hz=5.0)
     exact = truth(r.frequency_hz)[:, None, None]
-    assert misfit(r, exact)[0, 0] < 0.5
-    off = misfit(r, r.response * 2.0 * np.exp(0.25j * np.pi))[0, 0]
+    assert response_cost(r, exact)[0, 0] < 0.5
+    off = response_cost(r, r.response * 2.0 * np.exp(0.25j * np.pi))[0, 0]
     weight = (1.58 * (1.0 - np.exp(-r.partial[:, 0, 0]))) ** 2
-    assert off == pytest.approx(
-        20.0 * weight.mean() * ((20 * np.log10(2.0)) ** 2 + 0.01745 * 45.0**2), rel=1e-6
-    )
+    assert off == pytest.approx(20.0 * weight.mean() * ((20 * np.log10(2.0)) ** 2 + 0.01745 * 45.0**2), rel=1e-6)
 
 
 @pytest.mark.parametrize(("low", "high", "segment"), [(1.0, 0.5, 5.0), (0.1, 30.0, 5.0), (0.1, 5.0, 1e4)])
 def test_what_cannot_be_had_is_refused_in_one_line(low, high, segment):
     u, y = made(6, 1000)
     with pytest.raises(InputError, match="frequency response"):
-        frequency_response(u, y, DT, segment_s=segment, low_hz=low, high_hz=high)
+        estimate_frequency_response(u, y, DT, segment_s=segment, low_hz=low, high_hz=high)
 
 
 # --- sweeps -----------------------------------------------------------------------------------------------------------
@@ -138,13 +142,13 @@ def sweeps(seed=0, noise=0.3, seconds=80.0):
     rng = np.random.default_rng(seed)
     n = round(seconds / DT)
     t = DT * np.arange(n)
-    phi, g1, g2 = discretise(A2, B2, DT)
+    phi, g1, g2 = discretise_first_order_hold(A2, B2, DT)
     us, ys = [], []
     for swept in range(2):
         u = np.zeros((n, 2))
         u[:, swept] = chirp(t, 0.1, t[-1], 4.0, method="logarithmic") + 0.1 * rng.normal(size=n)
         u[:, 1 - swept] = 0.6 * u[:, swept] + 0.2 * lfilter([0.2], [1.0, -0.8], rng.normal(size=n))
-        late = delayed(u, np.full(2, LATE), DT)
+        late = delay_inputs(u, np.full(2, LATE), DT)
         x, y = np.zeros(2), np.zeros((n, 2))
         for k in range(n - 1):
             x = phi @ x + g1 @ late[k] + g2 @ (late[k + 1] - late[k]) / DT
@@ -155,7 +159,7 @@ def sweeps(seed=0, noise=0.3, seconds=80.0):
 
 
 KINDS = {
-    "windows_s": window_lengths(80.0, 0.15, 4.0), "low_hz": 0.15, "high_hz": 4.0, "points": 50,
+    "windows_s": choose_window_lengths(80.0, 0.15, 4.0), "low_hz": 0.15, "high_hz": 4.0, "points": 50,
     "input_names": ("lat", "lon"), "output_names": ("p", "q"),
 }  # fmt: skip
 
@@ -164,14 +168,14 @@ def test_sweeps_with_correlated_sticks_are_told_apart_by_conditioning():
     inside = []
     for seed in range(6):
         us, ys = sweeps(seed)
-        d = composite_response(us, ys, DT, **KINDS)
+        d = estimate_composite_response(us, ys, DT, **KINDS)
         true = state_space_response(A2, B2, np.eye(2), np.zeros((2, 2)), d.frequency_hz, np.full(2, LATE))
-        spread = np.minimum(d.spread, 1.0)  # relative to what was measured
+        spread = np.minimum(d.relative_interval, 1.0)  # relative to what was measured
         inside.append(np.abs(1.0 - np.abs(true) / np.abs(d.response)) < spread)
         inside.append(np.abs(np.angle(d.response / true)) < np.arcsin(spread))
     assert 0.93 < np.mean(inside) < 0.98
     # Without the other stick, the cross response is wrong by a factor of two; conditioned it is within 20 %.
-    alone = composite_response([us[0][:, :1]], ys[:1], DT, **{**KINDS, "input_names": ("lat",)})
+    alone = estimate_composite_response([us[0][:, :1]], ys[:1], DT, **{**KINDS, "input_names": ("lat",)})
     wrong, right = (np.abs(r.response[:, 1, 0] / true[:, 1, 0]) for r in (alone, d))
     assert np.abs(np.log(wrong)).max() > np.log(1.8)
     assert np.median(np.abs(right - 1.0)) < 0.1
@@ -180,31 +184,31 @@ def test_sweeps_with_correlated_sticks_are_told_apart_by_conditioning():
 
 def test_a_composite_is_as_good_as_the_best_window_everywhere():
     us, ys = sweeps(3)
-    d = composite_response(us, ys, DT, **KINDS)
-    windows = {w: composite_response(us, ys, DT, **{**KINDS, "windows_s": (w, 10.0)}) for w in (26.0,)}
+    d = estimate_composite_response(us, ys, DT, **KINDS)
+    windows = {w: estimate_composite_response(us, ys, DT, **{**KINDS, "windows_s": (w, 10.0)}) for w in (26.0,)}
     (long,) = windows.values()
     assert np.median(d.error[-15:, 0, 0]) < np.median(long.error[-15:, 0, 0])
     assert (d.window_s[0, 0, 0] > 2.0 * d.window_s[-1, 0, 0]).all()
     with pytest.raises(InputError, match=r"holds less than 1\.5 periods"):
-        composite_response(us, ys, DT, **{**KINDS, "windows_s": (4.0,)})
+        estimate_composite_response(us, ys, DT, **{**KINDS, "windows_s": (4.0,)})
 
 
 def test_a_transfer_function_is_found_again_with_its_delay():
     us, ys = sweeps(1, noise=0.02)
     only = [(u, y) for u, y in zip(us, ys, strict=True)]
-    d = composite_response([u for u, _ in only], [y for _, y in only], DT, **KINDS)
-    f = fit_transfer(d, 1, 1, zeros=1, poles=2)
+    d = estimate_composite_response([u for u, _ in only], [y for _, y in only], DT, **KINDS)
+    f = fit_transfer_function(d, 1, 1, zeros=1, poles=2)
     # (s + 3) 8 - 0.5 * 2 over (s + 3)(s + 2) + 0.5
     true = np.r_[8.0, 23.0], np.r_[1.0, 5.0, 6.5]
     s = 2j * np.pi * d.frequency_hz
     expected = np.polyval(true[0], s) / np.polyval(true[1], s) * np.exp(-LATE * s)
-    assert f.at(d.frequency_hz) == pytest.approx(expected, rel=0.1, abs=0.02)
+    assert f.response_at(d.frequency_hz) == pytest.approx(expected, rel=0.1, abs=0.02)
     assert f.cost < 10.0
-    lag = fit_transfer(d, 1, 1, zeros=0, poles=1)
+    lag = fit_transfer_function(d, 1, 1, zeros=0, poles=1)
     assert lag.delay_s == pytest.approx(LATE, abs=0.02)
     assert lag.numerator[0] == pytest.approx(8.0, rel=0.15)
     with pytest.raises(InputError, match="2 zeros and 1 poles"):
-        fit_transfer(d, 1, 1, zeros=2, poles=1)
+        fit_transfer_function(d, 1, 1, zeros=2, poles=1)
 
 
 @pytest.mark.parametrize("late", [0.03, 0.1])
@@ -212,7 +216,7 @@ def test_bandwidth_and_phase_delay_are_those_of_the_transfer_function(late):
     """K exp(-tau s) / (s (s / a + 1)): phase -90 - atan(w / a) - tau w, every number from its closed form."""
     a, f = 8.0, np.geomspace(0.05, 30.0, 1500)
     s = 2j * np.pi * f
-    b = bandwidth(f, 5.0 * np.exp(-late * s) / (s * (s / a + 1.0)), np.full(f.size, 0.02))
+    b = measure_bandwidth(f, 5.0 * np.exp(-late * s) / (s * (s / a + 1.0)), np.full(f.size, 0.02))
 
     def phase(w):
         return -90.0 - np.degrees(np.arctan(w / a) + late * w)
@@ -238,7 +242,7 @@ def test_deviations_of_bandwidth_and_phase_delay_are_those_of_many_noisy_respons
     told = []
     for _ in range(120):
         noise = error * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
-        b = bandwidth(f, h * (1.0 + noise), np.full(f.size, error))
+        b = measure_bandwidth(f, h * (1.0 + noise), np.full(f.size, error))
         told.append(
             (
                 b.phase_rad_s,
@@ -258,15 +262,15 @@ def test_deviations_of_bandwidth_and_phase_delay_are_those_of_many_noisy_respons
 def test_bandwidth_of_a_pure_delay_is_the_delay_and_what_is_not_there_is_said():
     f = np.geomspace(0.05, 10.0, 600)
     s = 2j * np.pi * f
-    pure = bandwidth(f, np.exp(-0.2 * s) / s)  # -90 - 57.3 * 0.2 w
+    pure = measure_bandwidth(f, np.exp(-0.2 * s) / s)  # -90 - 57.3 * 0.2 w
     assert pure.phase_rad_s == pytest.approx(np.pi / 4.0 / 0.2, rel=1e-3)
     assert pure.phase_delay_s == pytest.approx(np.pi / 2.0 / pure.crossing_rad_s / 2.0, rel=1e-3)
     assert pure.phase_delay_line_s == pytest.approx(0.1, rel=1e-2)
-    short = bandwidth(f[f < 0.5], (1.0 / (s + 1.0))[f < 0.5])
+    short = measure_bandwidth(f[f < 0.5], (1.0 / (s + 1.0))[f < 0.5])
     assert np.isnan(short.bandwidth_rad_s)
     assert any("does not reach -180" in n for n in short.notes)
     with pytest.raises(InputError, match="turn the sign"):
-        bandwidth(f, -1.0 / s)
+        measure_bandwidth(f, -1.0 / s)
 
 
 def test_the_commands_read_sweeps_and_write_what_they_say(tmp_path):
@@ -301,8 +305,6 @@ def test_the_commands_read_sweeps_and_write_what_they_say(tmp_path):
         (["--windows", "a"], "--windows"),
         (["--windows", "3"], "--windows"),
     ):
-        result = CliRunner().invoke(
-            app, ["identify", "frequency", *base, "--inputs", "lat", "--outputs", "p", *extra]
-        )
+        result = CliRunner().invoke(app, ["identify", "frequency", *base, "--inputs", "lat", "--outputs", "p", *extra])
         assert isinstance(result.exception, InputError)
         assert str(result.exception).startswith(words)

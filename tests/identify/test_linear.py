@@ -13,27 +13,27 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import ArgumentError, InputError
-from mufly.identify import Columns, identify_linear, read_columns
-from mufly.identify.linear.check import (
-    cross_validate,
-    disturbance_model,
-    noise_floor,
+from mufly.identify import LogColumns, identify_linear_model, read_columns
+from mufly.identify.flight_record import low_pass
+from mufly.identify.linear.equation_error import regress_rate_derivatives
+from mufly.identify.linear.equation_model import identify_equation_model
+from mufly.identify.linear.frequency_response import fit_frequency_response
+from mufly.identify.linear.linear_fit import fit_linear_model, simulate_linear_fit
+from mufly.identify.linear.linear_structure import (
+    delay_inputs,
+    discretise_first_order_hold,
+    helicopter_structure,
+    linear_unknown_responses,
+    simulate_linear_structure,
+    structure_by_name,
+)
+from mufly.identify.linear.model_checks import (
+    cross_validate_structure,
+    estimate_noise_floor,
+    fit_disturbance_model,
+    identify_subspace,
     predict_ahead,
-    subspace,
 )
-from mufly.identify.linear.equation import equation_error
-from mufly.identify.linear.equations import identify_equations
-from mufly.identify.linear.fit import fit_linear, predict_linear
-from mufly.identify.linear.frequency import fit_spectral
-from mufly.identify.linear.structure import (
-    delayed,
-    discretise,
-    helicopter,
-    model_named,
-    responses,
-    simulate_linear,
-)
-from mufly.identify.record import lowpassed
 from mufly.units import GRAVITY
 
 DT = 0.04
@@ -43,15 +43,13 @@ TREX = Path(__file__).resolve().parents[2] / "../shared/data/flight/trex550/Data
 def sticks(n, k, seed=0, dt=DT):
     """Stick movements: steps of random length, smoothed as a hand does it."""
     rng = np.random.default_rng(seed)
-    u = np.column_stack(
-        [np.repeat(rng.normal(size=n // 20 + 1), 20)[rng.integers(20) :][:n] for _ in range(k)]
-    )
+    u = np.column_stack([np.repeat(rng.normal(size=n // 20 + 1), 20)[rng.integers(20) :][:n] for _ in range(k)])
     u = np.pad(u, ((0, n - len(u)), (0, 0)), mode="edge")
-    return 0.1 * lowpassed(u, dt, 2.0)
+    return 0.1 * low_pass(u, dt, 2.0)
 
 
 def values_of(structure, **given):
-    return np.array([given.get(p.symbol, p.start) for p in structure.parameters])
+    return np.array([given.get(p.symbol, p.start_value) for p in structure.parameters])
 
 
 COUPLED = {
@@ -61,10 +59,10 @@ COUPLED = {
 
 
 def made(n=1500, noise=0.05, seed=0, name="first-order-coupled"):
-    structure = model_named(name, ("lat", "lon"), ("p", "q"))
+    structure = structure_by_name(name, ("lat", "lon"), ("p", "q"))
     truth = values_of(structure, **COUPLED)
     u = sticks(n, 2, seed)
-    y, _ = simulate_linear(structure, truth, u - [0.01, -0.02], DT, x0=np.array([0.2, -0.1]))
+    y, _ = simulate_linear_structure(structure, truth, u - [0.01, -0.02], DT, x0=np.array([0.2, -0.1]))
     rng = np.random.default_rng(seed + 1000)
     return structure, truth, u, y + [0.03, 0.0] + noise * rng.normal(size=y.shape)
 
@@ -73,8 +71,8 @@ def made(n=1500, noise=0.05, seed=0, name="first-order-coupled"):
 
 
 def test_hybrid_model_is_tip_path_plane_on_a_spring():
-    s = helicopter(("lat", "lon"), ("p", "q"), angular="hybrid")
-    a, b, _, _, _ = s.matrices(values_of(s, L_b=200.0, M_a=100.0, tau_f=0.1, B_lat=0.3, A_lon=0.2))
+    s = helicopter_structure(("lat", "lon"), ("p", "q"), angular="hybrid")
+    a, b, _, _, _ = s.state_space_matrices(values_of(s, L_b=200.0, M_a=100.0, tau_f=0.1, B_lat=0.3, A_lon=0.2))
     x = {name: k for k, name in enumerate(s.states)}
     assert a[x["p"], x["b"]] == 200.0
     assert a[x["b"], x["p"]] == -1.0
@@ -86,8 +84,8 @@ def test_hybrid_model_is_tip_path_plane_on_a_spring():
 
 
 def test_attitude_gravity_and_gyro_blocks():
-    s = model_named("first-order-gyro", ("lat", "lon", "ped"), ("p", "q", "r", "phi", "theta", "u", "v"))
-    a, b, c, _, _ = s.matrices(values_of(s, K_rfb=4.0, N_fb=30.0, N_ped=50.0))
+    s = structure_by_name("first-order-gyro", ("lat", "lon", "ped"), ("p", "q", "r", "phi", "theta", "u", "v"))
+    a, b, c, _, _ = s.state_space_matrices(values_of(s, K_rfb=4.0, N_fb=30.0, N_ped=50.0))
     x = {name: k for k, name in enumerate(s.states)}
     assert a[x["v"], x["phi"]] == pytest.approx(GRAVITY)
     assert a[x["u"], x["theta"]] == pytest.approx(-GRAVITY)
@@ -98,15 +96,15 @@ def test_attitude_gravity_and_gyro_blocks():
 
 
 def test_simulation_of_a_step_is_the_closed_form():
-    s = model_named("first-order", ("lat",), ("p",))
+    s = structure_by_name("first-order", ("lat",), ("p",))
     u = np.ones((200, 1))
-    y, _ = simulate_linear(s, values_of(s, L_p=-4.0, L_lat=8.0, tau_lat=0.0), u, 0.01)
+    y, _ = simulate_linear_structure(s, values_of(s, L_p=-4.0, L_lat=8.0, tau_lat=0.0), u, 0.01)
     assert y[:, 0] == pytest.approx(2.0 * (1.0 - np.exp(-4.0 * 0.01 * np.arange(200))), abs=1e-12)
 
 
 def test_straight_lines_between_samples_are_integrated_exactly():
     a, b = np.array([[0.0, 1.0], [-9.0, -1.2]]), np.array([[0.0], [2.0]])
-    phi, g1, g2 = discretise(a, b, 0.1)
+    phi, g1, g2 = discretise_first_order_hold(a, b, 0.1)
     fine = 2000
     x, h = np.zeros(2), 0.1 / fine
     step = expm(a * h)
@@ -119,19 +117,17 @@ def test_straight_lines_between_samples_are_integrated_exactly():
 
 def test_delay_shifts_by_fractions_of_a_sample_and_holds_the_first_value():
     u = np.arange(10.0)[:, None]
-    assert delayed(u, np.array([0.25]), 0.1)[:, 0] == pytest.approx(np.maximum(np.arange(10.0) - 2.5, 0.0))
-    assert delayed(u, np.array([0.2]), 0.1, hold=True)[:, 0] == pytest.approx(
-        np.maximum(np.arange(10.0) - 2, 0.0)
-    )
+    assert delay_inputs(u, np.array([0.25]), 0.1)[:, 0] == pytest.approx(np.maximum(np.arange(10.0) - 2.5, 0.0))
+    assert delay_inputs(u, np.array([0.2]), 0.1, hold=True)[:, 0] == pytest.approx(np.maximum(np.arange(10.0) - 2, 0.0))
 
 
 def test_what_one_unit_of_each_linear_unknown_adds_is_what_simulation_adds():
     structure, truth, u, _ = made(200)
-    added = responses(structure, truth, len(u), DT)
-    base, _ = simulate_linear(structure, truth, u, DT)
-    trimmed, _ = simulate_linear(structure, truth, u - [0.0, 0.3], DT)
+    added = linear_unknown_responses(structure, truth, len(u), DT)
+    base, _ = simulate_linear_structure(structure, truth, u, DT)
+    trimmed, _ = simulate_linear_structure(structure, truth, u - [0.0, 0.3], DT)
     assert trimmed - base == pytest.approx(0.3 * added[:, :, 3], abs=1e-9)
-    moved, _ = simulate_linear(structure, truth, u, DT, x0=np.array([0.0, 1.0]))
+    moved, _ = simulate_linear_structure(structure, truth, u, DT, x0=np.array([0.0, 1.0]))
     assert moved - base == pytest.approx(added[:, :, 1], abs=1e-9)
 
 
@@ -140,9 +136,9 @@ def test_what_one_unit_of_each_linear_unknown_adds_is_what_simulation_adds():
 
 def test_exact_data_give_exact_parameters_from_every_start():
     structure, truth, u, y = made(noise=0.0)
-    f = fit_linear(structure, u, y, DT, starts=4)
+    f = fit_linear_model(structure, u, y, DT, starts=4)
     assert f.values == pytest.approx(truth, rel=1e-3, abs=1e-4)
-    predicted, _ = predict_linear(f, u, DT)
+    predicted, _ = simulate_linear_fit(f, u, DT)
     assert np.abs(predicted - y).max() < 1e-3
 
 
@@ -150,7 +146,7 @@ def test_intervals_hold_under_white_noise():
     inside = []
     for seed in range(12):
         structure, truth, u, y = made(800, seed=seed)
-        f = fit_linear(structure, u, y, DT, starts=1)
+        f = fit_linear_model(structure, u, y, DT, starts=1)
         inside.append(np.abs(f.values - truth) < 1.96 * np.sqrt(np.diag(f.covariance)))
     assert 0.88 < np.mean(inside) <= 1.0
 
@@ -158,8 +154,8 @@ def test_intervals_hold_under_white_noise():
 def test_delay_of_a_log_whose_inputs_are_late_is_negative():
     _, _, u, y = made(noise=0.01)
     early = np.roll(y, -5, axis=0)[:-10]  # outputs 0.2 s earlier than they belong
-    skewed = model_named("first-order-coupled-skew", ("lat", "lon"), ("p", "q"))
-    f = fit_linear(skewed, u[:-10], early, DT, starts=2)
+    skewed = structure_by_name("first-order-coupled-skew", ("lat", "lon"), ("p", "q"))
+    f = fit_linear_model(skewed, u[:-10], early, DT, starts=2)
     found = dict(zip(skewed.symbols, f.values, strict=True))
     assert found["tau_lat"] == pytest.approx(0.08 - 0.2, abs=0.02)
 
@@ -170,18 +166,20 @@ def test_mask_leaves_samples_out_of_the_cost_but_not_out_of_the_simulation():
     spoilt[300:700] += 5.0
     mask = np.ones(len(y), dtype=bool)
     mask[300:700] = False
-    f = fit_linear(structure, u, spoilt, DT, starts=1, mask=mask)
+    f = fit_linear_model(structure, u, spoilt, DT, starts=1, mask=mask)
     assert f.values == pytest.approx(truth, rel=0.15, abs=0.02)
     first = np.ones(len(y), dtype=bool)
     first[:400] = False  # the initial state then cannot be seen and must not explode
-    f = fit_linear(structure, u, y, DT, starts=1, mask=first)
-    assert np.abs(predict_linear(f, u, DT)[0]).max() < 10.0
+    f = fit_linear_model(structure, u, y, DT, starts=1, mask=first)
+    assert np.abs(simulate_linear_fit(f, u, DT)[0]).max() < 10.0
 
 
 def test_cross_validation_prefers_the_structure_that_made_the_data():
     _, _, u, y = made(1500, noise=0.05)
     scores = {
-        name: cross_validate(model_named(name, ("lat", "lon"), ("p", "q")), u, y, DT, starts=1)[0].left_out
+        name: cross_validate_structure(structure_by_name(name, ("lat", "lon"), ("p", "q")), u, y, DT, starts=1)[
+            0
+        ].left_out
         for name in ("first-order", "first-order-coupled")
     }
     assert scores["first-order-coupled"] < 0.8 * scores["first-order"]
@@ -191,13 +189,13 @@ def test_subspace_finds_poles_and_predicts_on():
     structure, _, _, _ = made(100)
     u = np.random.default_rng(2).normal(size=(3000, 2))
     truth = values_of(structure, **COUPLED | {"tau_lat": 0.0, "tau_lon": 0.0})
-    y, _ = simulate_linear(structure, truth, u, DT, hold=True)
+    y, _ = simulate_linear_structure(structure, truth, u, DT, hold=True)
     y = y + 0.05 * np.random.default_rng(3).normal(size=y.shape)
-    model = subspace(u[:2000], y[:2000], DT, order=2, past=50)
-    poles = np.sort(np.linalg.eigvals(structure.matrices(truth)[0]).real)
+    model = identify_subspace(u[:2000], y[:2000], DT, order=2, past=50)
+    poles = np.sort(np.linalg.eigvals(structure.state_space_matrices(truth)[0]).real)
     assert np.sort(model.poles.real) == pytest.approx(poles, rel=0.15)
-    assert model.singular[2] < 0.1 * model.singular[1]  # the gap says two states
-    predicted = model.simulate(u, model.initial_state(u[:100], y[:100]))
+    assert model.singular_values[2] < 0.1 * model.singular_values[1]  # the gap says two states
+    predicted = model.simulate_outputs(u, model.estimate_initial_state(u[:100], y[:100]))
     error = (predicted - y)[2000:]
     assert (error.std(axis=0) < 0.06).all()
 
@@ -205,33 +203,31 @@ def test_subspace_finds_poles_and_predicts_on():
 def test_equation_error_and_frequency_fit_agree_with_the_truth():
     structure, truth, u, y = made(4000, noise=0.005)
     true = dict(zip(structure.symbols, truth, strict=True))
-    straight, _ = simulate_linear(
+    straight, _ = simulate_linear_structure(
         structure, values_of(structure, **COUPLED | {"tau_lat": 0.0, "tau_lon": 0.0}), u, DT
     )
-    found = equation_error(straight, u, DT, rate_names=("p", "q"), input_names=("lat", "lon"), cut_hz=4.0)
+    found = regress_rate_derivatives(straight, u, DT, rate_names=("p", "q"), input_names=("lat", "lon"), cut_hz=4.0)
     for symbol in ("L_p", "L_lat", "M_q", "M_lon", "L_lon"):
         assert found[symbol][0] == pytest.approx(true[symbol], rel=0.1)
     start = truth * 1.3
-    spectral = fit_spectral(structure, u, y, DT, first=start, segment_s=20.0, high_hz=2.0)
+    spectral = fit_frequency_response(structure, u, y, DT, first=start, segment_s=20.0, high_hz=2.0)
     assert spectral.values == pytest.approx(truth, rel=0.2, abs=0.2)
     assert np.nanmax(spectral.cost) < 20.0 < np.nanmax(spectral.cost_before)
 
 
 def test_prediction_ahead_beats_simulation_under_disturbances_and_ends_in_it():
     structure, truth, u, y = made(3000, noise=0.02)
-    a = expm(structure.matrices(truth)[0] * DT)
+    a = expm(structure.state_space_matrices(truth)[0] * DT)
     rng = np.random.default_rng(5)
     d = np.zeros((3000, 2))
     for k in range(2999):
         d[k + 1] = a @ d[k] + 0.05 * rng.normal(size=2)
-    f = replace(fit_linear(structure, u, y, DT, starts=1), values=truth)
+    f = replace(fit_linear_model(structure, u, y, DT, starts=1), values=truth)
     simulated = y - 0.02 * rng.normal(size=y.shape)
     y = simulated + d + 0.02 * rng.normal(size=y.shape)
-    noise = disturbance_model(f, (y - simulated)[:1500], DT)
+    noise = fit_disturbance_model(f, (y - simulated)[:1500], DT)
     assert noise.noise_std == pytest.approx(0.02, rel=0.5)
-    errors = [
-        np.std((y - predict_ahead(f, noise, y, simulated, DT, h))[1500:, 0]) for h in (DT, 5 * DT, 20.0)
-    ]
+    errors = [np.std((y - predict_ahead(f, noise, y, simulated, DT, h))[1500:, 0]) for h in (DT, 5 * DT, 20.0)]
     assert errors[0] < 0.75 * errors[2]
     assert errors[0] < errors[1] < 1.001 * errors[2]
     assert errors[2] == pytest.approx(np.std((y - simulated)[1500:, 0]), rel=1e-3)
@@ -240,9 +236,9 @@ def test_prediction_ahead_beats_simulation_under_disturbances_and_ends_in_it():
 def test_noise_floor_is_the_noise_put_in():
     rng = np.random.default_rng(6)
     n, dt = 20_000, 0.01
-    angle = lowpassed(np.cumsum(rng.normal(size=(n, 1)), axis=0) * 0.01, dt, 1.0)[:, 0]
+    angle = low_pass(np.cumsum(rng.normal(size=(n, 1)), axis=0) * 0.01, dt, 1.0)[:, 0]
     rate = np.gradient(angle, dt)
-    f = noise_floor(rate + 0.1 * rng.normal(size=n), rate[:, None], dt, split_hz=5.0, angle=angle)
+    f = estimate_noise_floor(rate + 0.1 * rng.normal(size=n), rate[:, None], dt, split_hz=5.0, angle=angle)
     assert f.total == pytest.approx(0.1, rel=0.05)
     assert f.below == pytest.approx(0.1 * np.sqrt(0.1), rel=0.15)
     assert f.input_share > 0.95
@@ -251,9 +247,9 @@ def test_noise_floor_is_the_noise_put_in():
 def test_gains_follow_the_unit_of_the_input_whatever_their_size():
     """Bounds of 200 1/s^2 once stopped the gains of vehicles whose inputs are small numbers, without a word."""
     structure, truth, u, y = made(800, noise=0.02)
-    plain = fit_linear(structure, u, y, DT, starts=1)
+    plain = fit_linear_model(structure, u, y, DT, starts=1)
     for unit in (1e-3, 1e4):
-        f = fit_linear(structure, unit * u, y, DT, starts=1)
+        f = fit_linear_model(structure, unit * u, y, DT, starts=1)
         gains = [s.endswith(("_lat", "_lon")) and s[0] in "LM" for s in structure.symbols]
         assert f.values == pytest.approx(plain.values / np.where(gains, unit, 1.0), rel=1e-4, abs=1e-6 / unit)
         assert "at a bound" not in f.message
@@ -263,7 +259,7 @@ def test_gains_follow_the_unit_of_the_input_whatever_their_size():
 def test_a_bound_that_acts_is_said():
     structure, _, u, y = made(800, noise=0.02)
     late = np.roll(y, 10, axis=0)[20:]  # 0.4 s, where 0.3 s is the most
-    f = fit_linear(structure, u[20:], late, DT, starts=1)
+    f = fit_linear_model(structure, u[20:], late, DT, starts=1)
     assert "at a bound" in f.message
     assert "tau_lat = 0.3 s" in f.message
 
@@ -272,16 +268,16 @@ def test_one_bad_candidate_is_reported_and_passed_over(log, monkeypatch):
     def failing(structure, *args, **kinds):
         if structure.name.startswith("hybrid"):
             raise ArgumentError("structure", structure.name, "cannot be simulated", "try a simpler one")
-        return cross_validate(structure, *args, **kinds)
+        return cross_validate_structure(structure, *args, **kinds)
 
-    monkeypatch.setattr("mufly.identify.linear.identification.cross_validate", failing)
+    monkeypatch.setattr("mufly.identify.linear.linear_identification.cross_validate_structure", failing)
     kinds = {"starts": 1, "rate_hz": 12.5, "outputs": {"p": "p", "q": "q"}}
     record, inputs = read_columns(log), {"lat": "lat", "lon": "lon"}
-    r = identify_linear(record, inputs, candidates=("hybrid-coupled", "first-order"), **kinds)
+    r = identify_linear_model(record, inputs, candidates=("hybrid-coupled", "first-order"), **kinds)
     assert [c.name for c in r.candidates] == ["first-order"]
     assert any("hybrid-coupled was left out" in n and "cannot be simulated" in n for n in r.notes)
     with pytest.raises(InputError, match="cannot be simulated"):
-        identify_linear(record, inputs, candidates=("hybrid",), **kinds)
+        identify_linear_model(record, inputs, candidates=("hybrid",), **kinds)
 
 
 # --- equation error ---------------------------------------------------------------------------------------------------
@@ -292,9 +288,9 @@ ROLL = {"L_p": -2.0, "L_lat": 60.0, "M_q": -1.0, "M_lon": 40.0, "M_p*r": -0.8}
 def flown(seed, n=2000, dt=0.01, noise=0.02):
     """Roll, pitch and yaw under a rate loop that follows a reference, gusts, actuators with lag and delay."""
     rng = np.random.default_rng(seed)
-    reference = lowpassed(np.repeat(rng.normal(size=(n // 50 + 1, 2)), 50, axis=0)[:n], dt, 3.0)
+    reference = low_pass(np.repeat(rng.normal(size=(n // 50 + 1, 2)), 50, axis=0)[:n], dt, 3.0)
     gust = np.stack([lfilter([0.05], [1.0, -0.98], rng.normal(size=n)) for _ in range(2)], axis=1)
-    r = lowpassed(rng.normal(size=(n, 1)), dt, 0.5)[:, 0] * 8.0
+    r = low_pass(rng.normal(size=(n, 1)), dt, 0.5)[:, 0] * 8.0
     a = np.exp(-dt / 0.05)
     x, lagged, y, u = np.zeros(2), np.zeros(2), np.empty((n, 3)), np.zeros((n, 2))
     for k in range(n):
@@ -302,15 +298,13 @@ def flown(seed, n=2000, dt=0.01, noise=0.02):
         u[k] = 0.08 * (reference[k] - y[k, :2])
         lagged = a * lagged + (1.0 - a) * u[max(k - 2, 0)]
         gyro = np.array([0.0, ROLL["M_p*r"] * x[0] * r[k]])
-        x = x + dt * (
-            np.array([-2.0, -1.0]) * x + np.array([60.0, 40.0]) * lagged + gyro + gust[k] + [0.3, 0.0]
-        )
+        x = x + dt * (np.array([-2.0, -1.0]) * x + np.array([60.0, 40.0]) * lagged + gyro + gust[k] + [0.3, 0.0])
     columns = dict(zip(("p", "q", "r"), y.T, strict=True)) | {
         "lat": u[:, 0],
         "lon": u[:, 1],
         "still": 0.0 * u[:, 0],
     }
-    return Columns(f"flight {seed}", dt * np.arange(n), columns)
+    return LogColumns(f"flight {seed}", dt * np.arange(n), columns)
 
 
 @pytest.mark.parametrize("domain", ["time", "frequency"])
@@ -319,7 +313,7 @@ def test_equations_of_a_vehicle_under_feedback_are_found_term_by_term(domain):
         "inputs": {"lat": "lat", "lon": "lon", "col": "still"},
         "outputs": {"p": "p", "q": "q", "r": "r"},
     }
-    m = identify_equations(
+    m = identify_equation_model(
         [flown(1), flown(2)],
         held_out=[flown(3)],
         products=True,
@@ -349,7 +343,7 @@ def test_equations_of_a_vehicle_under_feedback_are_found_term_by_term(domain):
 def test_intervals_of_the_equation_error_hold_under_feedback_and_gusts():
     off, white = [], []
     for seed in range(100, 108):
-        (e,) = identify_equations(
+        (e,) = identify_equation_model(
             [flown(seed, noise=0.002)], {"lat": "lat"}, {"p": "p"}, cut_hz=8.0, low_hz=0.2
         ).equations
         k = e.symbols.index("L_lat")
@@ -361,12 +355,12 @@ def test_intervals_of_the_equation_error_hold_under_feedback_and_gusts():
 
 def test_a_sum_of_columns_is_an_input_and_what_is_none_is_said():
     t = np.arange(30.0)
-    r = Columns("x", t, {"m1": t, "m2": 2 * t, "a-b": 3 * t})
-    assert r.stack({"lat": "m2-m1", "lon": "-0.5*m1+1e-1*m2", "ped": "a-b"}, "inputs") == pytest.approx(
+    r = LogColumns("x", t, {"m1": t, "m2": 2 * t, "a-b": 3 * t})
+    assert r.stack_columns({"lat": "m2-m1", "lon": "-0.5*m1+1e-1*m2", "ped": "a-b"}, "inputs") == pytest.approx(
         np.c_[t, -0.3 * t, 3 * t]
     )
     with pytest.raises(InputError, match="'k' is no number"):
-        r.stack({"lat": "k*m1"}, "inputs")
+        r.stack_columns({"lat": "k*m1"}, "inputs")
 
 
 # --- from file to report ----------------------------------------------------------------------------------------------
@@ -408,8 +402,7 @@ def test_auto_chooses_inside_the_fitted_part(log):
     spoilt.columns["p"][300:] = 7.0 * np.sin(np.arange(300.0))
     kinds = {"candidates": ("first-order", "first-order-coupled"), "starts": 1, "split": 0.5, "rate_hz": 12.5}
     a, b = (
-        identify_linear(r, {"lat": "lat", "lon": "lon"}, {"p": "p", "q": "q"}, **kinds)
-        for r in (record, spoilt)
+        identify_linear_model(r, {"lat": "lat", "lon": "lon"}, {"p": "p", "q": "q"}, **kinds) for r in (record, spoilt)
     )
     assert a.fit.vehicle == b.fit.vehicle == "first-order-coupled"
     assert a.linear.values == pytest.approx(b.linear.values)  # the held-out part has no say
@@ -432,9 +425,9 @@ def test_degrees_are_refused_or_converted_where_the_header_says_so(tmp_path):
     assert read_columns(tmp_path / "right.csv").columns["p"] == pytest.approx(np.cos(t), abs=1e-6)
     wrong = read_columns(tmp_path / "wrong.csv")
     with pytest.raises(InputError, match=r"p: seems to be in deg/s"):
-        identify_linear(wrong, {"lat": "lat"}, {"p": "p"}, model="first-order", starts=1)
+        identify_linear_model(wrong, {"lat": "lat"}, {"p": "p"}, model="first-order", starts=1)
     with pytest.raises(InputError, match="holds no numbers"):
-        wrong.find("none", "outputs")
+        wrong.find_column("none", "outputs")
 
 
 def test_columns_of_matlab_and_of_headless_files(tmp_path):
@@ -454,15 +447,13 @@ def test_columns_of_matlab_and_of_headless_files(tmp_path):
 
 def test_names_are_found_by_their_end_and_ambiguity_is_said():
     t = np.arange(30.0)
-    r = Columns(
-        "x", t, {"measured_rates.p": t, "reference_rates.p": -t, "reference_rates.q": t, "a.s": t, "b.s": t}
-    )
-    assert r.find("p", "outputs") is r.columns["measured_rates.p"]
-    assert r.find("q", "outputs") is r.columns["reference_rates.q"]
+    r = LogColumns("x", t, {"measured_rates.p": t, "reference_rates.p": -t, "reference_rates.q": t, "a.s": t, "b.s": t})
+    assert r.find_column("p", "outputs") is r.columns["measured_rates.p"]
+    assert r.find_column("q", "outputs") is r.columns["reference_rates.q"]
     with pytest.raises(InputError, match="several"):
-        r.find("s", "outputs")
+        r.find_column("s", "outputs")
     with pytest.raises(InputError, match=r"no column.*measured_rates\.p"):
-        r.find("lat", "inputs")
+        r.find_column("lat", "inputs")
 
 
 @pytest.mark.parametrize(
@@ -505,8 +496,8 @@ def test_trex_550_second_half_is_predicted_as_documented():
         "outr": ["u", "v", "p", "q", "phi", "theta", "-", "-", "w", "r"],
     }
     record = read_columns(TREX, columns=names)
-    record = record.part(0, int((record.time_s <= 84.0).sum()))
-    r = identify_linear(
+    record = record.slice_samples(0, int((record.time_s <= 84.0).sum()))
+    r = identify_linear_model(
         record,
         {"lat": "lat", "lon": "lon"},
         {"p": "p", "q": "q"},
@@ -525,9 +516,9 @@ def test_a_library_user_is_told_the_argument_and_who_types_the_option(log):
     record = read_columns(log)
     names = {"lat": "lat"}, {"p": "p"}
     with pytest.raises(InputError, match=r"^rate_hz: .*give lowpass_hz=HZ"):
-        identify_linear(record, *names, model="first-order", lowpass_hz=None, rate_hz=5.0)
+        identify_linear_model(record, *names, model="first-order", lowpass_hz=None, rate_hz=5.0)
     with pytest.raises(InputError, match=r"^outputs: none: "):
-        identify_linear(record, {"lat": "lat"}, {"p": "none"}, model="first-order")
+        identify_linear_model(record, {"lat": "lat"}, {"p": "none"}, model="first-order")
     typed = [
         "identify",
         "linear",

@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.bench import BenchTable, read_bench
+from mufly.bench import BenchTable, read_bench_file
 from mufly.errors import InputError
-from mufly.identify import GearKnowledge, fit_motor, with_estimates
-from mufly.identify.motor import ChannelNoise, parse_noise
-from mufly.identify.pictures import motor_picture
+from mufly.identify import GearKnowledge, apply_estimates, fit_motor
+from mufly.identify.fit_pictures import motor_picture
+from mufly.identify.motor_fit import ChannelNoise, parse_noise
 from mufly.vehicle import load_vehicle
 
 TRUTH = np.array([0.0045, 0.0035, 1.3811, 5.2107e-7])  # kE, kM, R, dR of Table 5.3
 
 
-def bench(
-    seed=0, noise=0.0, *, voltages=(4.0, 5.5, 7.2), points=12, gear=1.0, efficiency=1.0, full_scale=False
-):
+def bench(seed=0, noise=0.0, *, voltages=(4.0, 5.5, 7.2), points=12, gear=1.0, efficiency=1.0, full_scale=False):
     """Constant voltage, varied torque (Sec. 5.2), errors in every reading."""
     k_e, k_m, r, d = TRUTH
     u = np.repeat(voltages, points)
@@ -72,7 +70,7 @@ def test_what_is_not_known_of_the_gear_is_not_invented():
     fit = fit_motor(table, gear=GearKnowledge(1.5, None))
     assert [e.symbol for e in fit.estimates] == ["kE", "kM*eta_gear", "Rohm", "dR*eta_gear"]
     assert [e.key for e in fit.estimates].count("") == 2
-    assert fit.estimate("kM*eta_gear").value == pytest.approx(0.84 * TRUTH[1], rel=0.02)
+    assert fit.find_estimate("kM*eta_gear").value == pytest.approx(0.84 * TRUTH[1], rel=0.02)
     assert any("kM*eta_gear" in u for u in fit.unseen)
     both = fit_motor(table, gear=GearKnowledge(None, None))
     assert both.estimates[0].symbol == "kE*igear"
@@ -84,11 +82,9 @@ def test_doubt_about_the_gear_is_passed_on():
     table = bench(2, 0.001, gear=1.5, efficiency=0.84)
     sure = fit_motor(table, gear=GearKnowledge(1.5, 0.84))
     unsure = fit_motor(table, gear=GearKnowledge(1.5, 0.84, 0.0, 0.042))
-    k_m = unsure.estimate("kM")
-    assert k_m.std / k_m.value == pytest.approx(
-        math.hypot(0.05, sure.estimate("kM").std / k_m.value), rel=1e-6
-    )
-    assert unsure.estimate("Rohm").std == sure.estimate("Rohm").std
+    k_m = unsure.find_estimate("kM")
+    assert k_m.std / k_m.value == pytest.approx(math.hypot(0.05, sure.find_estimate("kM").std / k_m.value), rel=1e-6)
+    assert unsure.find_estimate("Rohm").std == sure.find_estimate("Rohm").std
 
 
 def changed(table, **columns):
@@ -130,7 +126,7 @@ def test_wrong_input_is_said_in_a_line(change, what):
 def test_too_few_points_and_a_missing_column():
     table = bench()
     with pytest.raises(InputError, match="5 points are too few; give 6 or more"):
-        fit_motor(table.where(np.arange(36) < 5))
+        fit_motor(table.select_lines(np.arange(36) < 5))
     columns = {k: v for k, v in table.columns.items() if k != "torque"}
     with pytest.raises(InputError, match="torque: is not among the columns"):
         fit_motor(BenchTable("b.csv", columns, table.headers, table.line))
@@ -157,8 +153,8 @@ def test_repeats_and_missing_physics_are_noticed():
     table = bench(3, 0.003)
     rubbing = fit_motor(changed(table, torque=table["torque"] - 4e-4))
     assert [e.symbol for e in rubbing.estimates] == ["kE", "kM", "Rohm", "dR", "Mf"]
-    assert rubbing.estimate("Mf").low < 4e-4 < rubbing.estimate("Mf").high
-    assert rubbing.estimate("kM").std < 0.02 * TRUTH[1]
+    assert rubbing.find_estimate("Mf").low < 4e-4 < rubbing.find_estimate("Mf").high
+    assert rubbing.find_estimate("kM").std < 0.02 * TRUTH[1]
     assert [e.symbol for e in fit_motor(table).estimates] == ["kE", "kM", "Rohm", "dR"]
     offset = fit_motor(changed(table, torque=table["torque"] + 4e-4))  # friction that drives is none
     assert any("constant friction" in n for n in offset.notes)
@@ -168,39 +164,39 @@ def test_repeats_and_missing_physics_are_noticed():
     fit = fit_motor(BenchTable("b.csv", repeated, base.headers, np.arange(2, 146)))
     assert fit.spread.pattern != "white"
     once = fit_motor(base)
-    assert fit.estimate("kM").std == pytest.approx(
-        once.estimate("kM").std, rel=0.4
+    assert fit.find_estimate("kM").std == pytest.approx(
+        once.find_estimate("kM").std, rel=0.4
     )  # repeats tell nothing new
 
 
 def test_friction_below_zero_is_held():
     table = bench()
     fit = fit_motor(changed(table, torque=table["torque"] + 3e-6 * table["speed"]))
-    assert fit.estimate("dR").at_bound
-    assert fit.estimate("dR").value == 0
+    assert fit.find_estimate("dR").at_bound
+    assert fit.find_estimate("dR").value == 0
     assert any("below zero" in n for n in fit.notes)
 
 
 def test_into_a_vehicle_file():
     vehicle = load_vehicle("mufly-1.1")
     fit = fit_motor(bench(0, 0.01), vehicle=vehicle)
-    assert fit.estimate("kE").start == 0.0045
-    new = with_estimates(vehicle, fit.estimates, "bench.csv")
-    assert float(new.motor.torque_constant) == fit.estimate("kM").value
+    assert fit.find_estimate("kE").start == 0.0045
+    new = apply_estimates(vehicle, fit.estimates, "bench.csv")
+    assert float(new.motor.torque_constant) == fit.find_estimate("kM").value
     assert new.motor.torque_constant.source == "identified"
     assert "bench.csv; std" in new.motor.torque_constant.note
     assert new.body == vehicle.body
     hidden = fit_motor(bench(0, 0.01), gear=GearKnowledge(None, None))
-    assert float(with_estimates(vehicle, hidden.estimates, "x").motor.torque_constant) == 0.0035
+    assert float(apply_estimates(vehicle, hidden.estimates, "x").motor.torque_constant) == 0.0035
     with pytest.raises(InputError, match="nothing was found"):
-        with_estimates(vehicle, [e for e in hidden.estimates if not e.key], "x")
+        apply_estimates(vehicle, [e for e in hidden.estimates if not e.key], "x")
 
 
 def test_noise_is_read():
     noise = parse_noise("current=1%+0.02, speed=0.5%fs", ("voltage", "current", "speed", "torque"))
     assert noise["current"] == ChannelNoise(0.01, 0.0, 0.02)
     assert noise["voltage"] == ChannelNoise()
-    assert_allclose(noise["speed"].std(np.array([0.0, 100.0])), [0.5, 0.5])
+    assert_allclose(noise["speed"].error_std(np.array([0.0, 100.0])), [0.5, 0.5])
     for text, what in (("wind=1%", "is no channel"), ("current=x", "is no amount"), ("current=0", "is zero")):
         with pytest.raises(InputError, match=what):
             parse_noise(text, ("current",))
@@ -215,9 +211,7 @@ def test_the_picture_has_units_on_every_axis(voltages):
     assert all("(" in ax.get_xlabel() and "(" in ax.get_ylabel() for ax in figure.axes)
 
 
-STAND = (
-    "Time (s),ESC signal (µs),Torque (N·m),Thrust (gf),Voltage (V),Current (A),Motor Electrical Speed (RPM)"
-)
+STAND = "Time (s),ESC signal (µs),Torque (N·m),Thrust (gf),Voltage (V),Current (A),Motor Electrical Speed (RPM)"
 
 
 def stand():
@@ -235,13 +229,13 @@ def stand():
 
 def read(tmp_path, text):
     (tmp_path / "b.csv").write_text(text, encoding="utf-8")
-    return read_bench(tmp_path / "b.csv")
+    return read_bench_file(tmp_path / "b.csv")
 
 
 def test_the_signal_of_an_esc_is_the_duty_and_its_current_the_supply_s(tmp_path):
     fit = fit_motor(read(tmp_path, stand()))
-    assert fit.estimate("Rohm").value == pytest.approx(0.1, rel=1e-6)
-    assert fit.estimate("kE").value == pytest.approx(0.002, rel=1e-6)
+    assert fit.find_estimate("Rohm").value == pytest.approx(0.1, rel=1e-6)
+    assert fit.find_estimate("kE").value == pytest.approx(0.002, rel=1e-6)
     assert any("a pulse, 1000 us taken as duty 0 and 2000 us as 1" in n for n in fit.notes)
     assert any("Current (A): beside ESC signal (µs) taken as the supply's" in n for n in fit.notes)
 
@@ -249,7 +243,7 @@ def test_the_signal_of_an_esc_is_the_duty_and_its_current_the_supply_s(tmp_path)
 @pytest.mark.parametrize("at_rest", ["1000", "0.5e3"])
 def test_idle_lines_of_a_stand_are_left_out(tmp_path, at_rest):
     fit = fit_motor(read(tmp_path, stand() + f"16,{at_rest},0,0,8,0.02,0\n"))
-    assert fit.estimate("Rohm").value == pytest.approx(0.1, rel=1e-6)
+    assert fit.find_estimate("Rohm").value == pytest.approx(0.1, rel=1e-6)
 
 
 def test_a_resistance_below_zero_is_refused_with_what_is_missing(tmp_path):
@@ -272,7 +266,7 @@ def test_friction_is_asked_for_where_constants_would_make_power(tmp_path):
         row[2:4] += 1e-5 * rng.standard_normal(2)
         noisy.append(",".join(f"{v:.9g}" for v in row))
     fit = fit_motor(read(tmp_path, "\n".join(noisy) + "\n"))
-    assert fit.estimate("kM").value <= 1.05 * fit.estimate("kE").value
+    assert fit.find_estimate("kM").value <= 1.05 * fit.find_estimate("kE").value
 
 
 @pytest.mark.parametrize(("head", "unit", "factor"), [("voltage", "mV", 1e3), ("current", "mA", 1e3)])
@@ -303,7 +297,5 @@ def test_units_of_a_stand_that_cannot_be_are_blamed(tmp_path, old, new, what):
 
 
 def test_pulses_beyond_two_milliseconds_are_refused(tmp_path):
-    with pytest.raises(
-        InputError, match=r"line 18, ESC signal .*: 1.2 is no share of the voltage; .*1000 to 2000 us"
-    ):
+    with pytest.raises(InputError, match=r"line 18, ESC signal .*: 1.2 is no share of the voltage; .*1000 to 2000 us"):
         fit_motor(read(tmp_path, stand() + "16,2200,0.01,1,8,3,30000\n"))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.identify import Estimate, Fit, RecordFit, Section, write_report
-from mufly.identify.pictures import coherence_of
-from mufly.identify.report import number
+from mufly.identify import FitResult, ParameterEstimate, RecordPrediction, ReportSection, write_report
+from mufly.identify.fit_pictures import estimate_coherence
+from mufly.identify.fit_report import format_number
 
 
 def record(role, n=200, inputs=2, outputs=1, seed=0):
@@ -19,7 +19,7 @@ def record(role, n=200, inputs=2, outputs=1, seed=0):
     y = rng.normal(size=(n, outputs)) * 0.1 + (u[:, :1] if inputs else 0.0)
     predicted = np.broadcast_to(u[:, :1] if inputs else np.zeros((n, 1)), y.shape).copy()
     names = ("q", "p", "r")[:outputs]
-    return RecordFit(
+    return RecordPrediction(
         f"{role} <flight>", role, 0.02 * np.arange(n), names, ("rad/s",) * outputs, y, predicted,
         np.full(outputs, 0.1), u, ("lon", "lat")[:inputs],
     )  # fmt: skip
@@ -27,10 +27,10 @@ def record(role, n=200, inputs=2, outputs=1, seed=0):
 
 def fit(*records, **changes):
     estimates = (
-        Estimate("M_q", "body.damping", "1/s", -2.0, -3.0, 0.1, -3.2, -2.8),
-        Estimate("tau", "", "s", 0.1, 0.0, 0.5, -1.0, 1.0, at_bound=True),
+        ParameterEstimate("M_q", "body.damping", "1/s", -2.0, -3.0, 0.1, -3.2, -2.8),
+        ParameterEstimate("tau", "", "s", 0.1, 0.0, 0.5, -1.0, 1.0, at_bound=True),
     )
-    made = Fit(
+    made = FitResult(
         "model <x>", estimates, np.diag([0.01, 0.25]), np.array([[1.0, -0.6], [-0.6, 1.0]]),
         ("only the ratio of a and b is seen",), 12.5,
         tuple({"iteration": k, "cost": 20.0 - 7.5 * k, "M_q": -2.0 - k, "tau": 0.1} for k in range(2)),
@@ -40,9 +40,7 @@ def fit(*records, **changes):
 
 
 def test_the_page_needs_nothing_else_and_holds_what_was_asked(tmp_path):
-    path = write_report(
-        fit(record("fit"), record("held out", seed=1)), tmp_path / "new", command="mufly identify x"
-    )
+    path = write_report(fit(record("fit"), record("held out", seed=1)), tmp_path / "new", command="mufly identify x")
     page = path.read_text()
     assert not re.search(r'(src|href|srcset)="(?!data:image/png;base64,)', page)
     for words in (
@@ -78,11 +76,11 @@ def test_bench_fits_without_inputs_short_records_and_gaps_are_reported_too(tmp_p
     gappy.measured[20:60, 1] = np.nan
     page = write_report(fit(record("fit", n=12, inputs=0), gappy, converged=False), tmp_path).read_text()
     assert "did not converge" in page
-    assert coherence_of(gappy) is None
+    assert estimate_coherence(gappy) is None
 
 
 def test_sections_of_a_command_are_shown(tmp_path):
-    section = Section("Structures tried", ("Why <so>.",), ("name", "score"), (("a", "1.0"),))
+    section = ReportSection("Structures tried", ("Why <so>.",), ("name", "score"), (("a", "1.0"),))
     page = write_report(fit(), tmp_path, sections=[section]).read_text()
     assert "Structures tried" in page
     assert "Why &lt;so&gt;." in page
@@ -95,7 +93,7 @@ def test_a_folder_that_cannot_be_is_one_line(tmp_path):
 
 
 def test_coherence_of_a_linear_response_is_in_the_measurement_and_not_in_the_residual():
-    measured, left = coherence_of(record("fit", n=4000))
+    measured, left = estimate_coherence(record("fit", n=4000))
     assert measured.coherence[:, 0].mean() > 0.8
     assert left.coherence[:, 0].mean() < 0.4
 
@@ -105,4 +103,4 @@ def test_coherence_of_a_linear_response_is_in_the_measurement_and_not_in_the_res
     [(0.0, "0"), (1234.5, "1234"), (1.5e-7, "1.5·10^-7"), (float("nan"), "–"), (-0.25, "-0.25")],
 )
 def test_numbers_are_short(value, text):
-    assert number(value) == text
+    assert format_number(value) == text

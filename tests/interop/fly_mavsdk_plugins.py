@@ -79,9 +79,7 @@ class Tour:
         m = math.degrees(1.0 / 6_371_000.0)
         return lat + north * m, lon + east * m / math.cos(math.radians(lat))
 
-    async def at(
-        self, north: float | None = None, east: float | None = None, height: float | None = None
-    ) -> None:
+    async def at(self, north: float | None = None, east: float | None = None, height: float | None = None) -> None:
         """Wait until it is within 12 cm of a place and slow."""
 
         def near(x: Any) -> bool:
@@ -107,9 +105,7 @@ class Tour:
             stream = getattr(self.telemetry, f"subscribe_{name}")()
             good = (lambda v: v is True) if name == "health_all_ok" else (lambda v: True)
             await step(f"telemetry.{name}", first(stream, good, 10.0))
-        await step(
-            "telemetry.set_rate_position_velocity_ned", self.telemetry.set_rate_position_velocity_ned(25.0)
-        )
+        await step("telemetry.set_rate_position_velocity_ned", self.telemetry.set_rate_position_velocity_ned(25.0))
         await step("telemetry.get_gps_global_origin", self.telemetry.get_gps_global_origin())
         for name in ("get_version", "get_product", "get_identification"):
             await step(f"info.{name}", getattr(self.info, name)())
@@ -144,9 +140,7 @@ class Tour:
         await step("under way", first(self.telemetry.subscribe_velocity_ned(), lambda v: v.north_m_s < -0.2))
         await step("action.hold", self.action.hold())
         await step("hold mode", self.mode(FlightMode.HOLD))
-        await step(
-            "hold stands", first(self.telemetry.subscribe_velocity_ned(), lambda v: abs(v.north_m_s) < 0.03)
-        )
+        await step("hold stands", first(self.telemetry.subscribe_velocity_ned(), lambda v: abs(v.north_m_s) < 0.03))
 
     async def by_hand(self) -> None:
         async def push(x: float, z: float, times: int) -> None:
@@ -188,9 +182,7 @@ class Tour:
         await step("mission paused", self.mode(FlightMode.HOLD))
         await step("mission.start_mission again", self.mission.start_mission())
         progress = self.mission.subscribe_mission_progress()
-        await step(
-            "mission progress to the end", first(progress, lambda p: p.total > 0 and p.current == p.total)
-        )
+        await step("mission progress to the end", first(progress, lambda p: p.total > 0 and p.current == p.total))
         await step("mission arrived", self.at(0.3, 0.5, 1.0))
         finished = await step("mission.is_mission_finished", self.mission.is_mission_finished())
         print(f"mission finished {finished}", flush=True)

@@ -53,9 +53,7 @@ def main(url: str) -> None:
     after = vehicle.parameters()
     assert after.keys() == before.keys()
     assert all(close(after[n][0], before[n][0]) for n in before)
-    print(
-        f"{len(before)} parameters, {changed} changed and set back, kept by the vehicle: {kept}", flush=True
-    )
+    print(f"{len(before)} parameters, {changed} changed and set back, kept by the vehicle: {kept}", flush=True)
     for name in list(before)[:5]:
         told = vehicle.fetch(
             lambda n=name: vehicle.link.mav.param_request_read_send(1, 1, n.encode(), -1),
@@ -78,9 +76,7 @@ def main(url: str) -> None:
     result = vehicle.upload([(0.0, 0.0, 5.0)])  # five metres under the floor
     assert result != mavlink.MAV_MISSION_ACCEPTED
     assert vehicle.download() == []
-    print(
-        f"mission under the floor refused with {mavlink.enums['MAV_MISSION_RESULT'][result].name}", flush=True
-    )
+    print(f"mission under the floor refused with {mavlink.enums['MAV_MISSION_RESULT'][result].name}", flush=True)
     print("end of the list", flush=True)
 
 

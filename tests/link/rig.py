@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import math
 
-from mufly.control import design
+from mufly.control import design_flight_controller
 from mufly.flight import Flight
-from mufly.link import Codec, Encoder, Item, Receiver, Sender, VehicleLink, note_of, to_mavlink
+from mufly.link import (
+    FrameDecoder,
+    FrameEncoder,
+    MissionItem,
+    MissionReceiver,
+    MissionSender,
+    VehicleLink,
+    parse_transfer_message,
+    to_mavlink,
+)
 from mufly.link import mavlink as m
-from mufly.mission import Mission, mission_from
+from mufly.mission import Mission, parse_mission
 from mufly.vehicle import load_vehicle
 
 EMPTY = {"name": "no mission"}
@@ -18,14 +27,12 @@ _DESIGNS: dict[str, object] = {}
 def new_flight(tables=EMPTY, vehicle="mufly-1.1", **options) -> Flight:
     """A flight; the control design is computed once."""
     if vehicle not in _DESIGNS:
-        _DESIGNS[vehicle] = design(load_vehicle(vehicle))
-    return Flight(
-        load_vehicle(vehicle), _mission(tables), controller=_DESIGNS[vehicle], keep=False, **options
-    )
+        _DESIGNS[vehicle] = design_flight_controller(load_vehicle(vehicle))
+    return Flight(load_vehicle(vehicle), _mission(tables), controller=_DESIGNS[vehicle], keep=False, **options)
 
 
 def _mission(tables):
-    return mission_from(dict(tables)) if "waypoint" in tables else Mission(**tables)
+    return parse_mission(dict(tables)) if "waypoint" in tables else Mission(**tables)
 
 
 class Station:
@@ -34,8 +41,8 @@ class Station:
     def __init__(self, rig, peer, system=255, component=190, there=None, back=None):
         self.rig, self.peer = rig, peer
         self.there, self.back = there, back
-        self.encode = Encoder(system, component)
-        self.codec = Codec()
+        self.encode = FrameEncoder(system, component)
+        self.codec = FrameDecoder()
         self.heard = []
         self.alive = True
         self.every = []  # messages that are said 20 times a second
@@ -63,13 +70,13 @@ class Station:
         self.command(m.MAV_CMD_DO_SET_MODE, 1, main, sub)
 
     def upload(self, items, mission_type=0):
-        self.giver = Sender(self.peer, items, mission_type=mission_type)
+        self.giver = MissionSender(self.peer, items, mission_type=mission_type)
         self._notes(self.giver.start(self.rig.now_s))
 
     def download(self, mission_type=0):
         got = []
-        self.taker = Receiver(lambda items: got.append(items) or 0, mission_type=mission_type)
-        self._notes(self.taker.fetch(self.rig.now_s, self.peer))
+        self.taker = MissionReceiver(lambda items: got.append(items) or 0, mission_type=mission_type)
+        self._notes(self.taker.fetch_items(self.rig.now_s, self.peer))
         return got
 
     def _notes(self, notes):
@@ -99,7 +106,7 @@ class Station:
             return
         for message in self.codec.receive(self.rig.now_s, "vehicle", data):
             self.heard.append(message)
-            note = note_of(message)
+            note = parse_transfer_message(message)
             if note is not None and self.giver is not None:
                 self._notes(self.giver.receive(self.rig.now_s, note))
             if note is not None and self.taker is not None:
@@ -115,10 +122,7 @@ class Station:
     def text(self):
         """All lines, long ones put together."""
         return (
-            "\n".join(
-                ("" if x.chunk_seq else "\n") + x.text if x.id else "\n" + x.text
-                for x in self.all("STATUSTEXT")
-            )
+            "\n".join(("" if x.chunk_seq else "\n") + x.text if x.id else "\n" + x.text for x in self.all("STATUSTEXT"))
             .replace("\n\n", "\n")
             .strip()
         )
@@ -162,7 +166,7 @@ class Rig:
             if station.there is not None:
                 for data in station.there.arrived(self.now_s):
                     self.link.receive(self.now_s, station.peer, data)
-        self.flight.tick()
+        self.flight.step_period()
         for out in self.link.step(self.now_s):
             self.sent += 1
             for station in self.stations:
@@ -196,4 +200,4 @@ class Rig:
 
 def waypoint(n, e, d, wait=0.0, heading=math.nan, command=16, frame=1):
     """An item in metres."""
-    return Item(0, frame, command, params=(wait, 0.0, 0.0, heading), x=round(n * 1e4), y=round(e * 1e4), z=d)
+    return MissionItem(0, frame, command, params=(wait, 0.0, 0.0, heading), x=round(n * 1e4), y=round(e * 1e4), z=d)

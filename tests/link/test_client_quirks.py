@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from link_rig import Rig, waypoint
 
-from mufly.link import Item
+from mufly.link import MissionItem
 from mufly.link import mavlink as m
 
 SET_MODE = m.MAV_CMD_DO_SET_MODE
@@ -19,7 +19,7 @@ def test_the_last_item_is_reached_when_nothing_of_the_mission_is_left():
     gcs.upload([waypoint(0.2, 0, -1.0), waypoint(0.2, 0.2, -1.0, wait=2.0)])
     assert rig.run(3.0, lambda: gcs.giver.result == 0)
     gcs.mode(4, 4)
-    assert rig.run(20.0, lambda: rig.status.waypoint == 2)
+    assert rig.run(20.0, lambda: rig.status.waypoint_index == 2)
     rig.run(1.0)
     assert [x.seq for x in gcs.all("MISSION_ITEM_REACHED")] == [0]
     assert rig.run(5.0, lambda: len(gcs.all("MISSION_ITEM_REACHED")) == 2)
@@ -43,7 +43,7 @@ def test_quaternion_and_altitude_come_unasked():
     at, height = gcs.last("ALTITUDE"), -rig.position[2]
     assert abs(at.altitude_amsl - 400.0 - height) < 0.05
     assert abs(at.altitude_local - height) < 0.05
-    assert abs(at.altitude_relative - (height + rig.status.home[2])) < 0.05
+    assert abs(at.altitude_relative - (height + rig.status.home_position[2])) < 0.05
 
 
 def test_altitude_above_the_sea_is_not_made_up():
@@ -61,7 +61,7 @@ def test_a_delay_is_a_longer_wait_and_is_reached():
     rig = Rig()
     gcs = rig.station()
     rig.airborne(gcs)
-    delay = Item(0, 2, m.MAV_CMD_NAV_DELAY, params=(1.0, -1.0, -1.0, -1.0))
+    delay = MissionItem(0, 2, m.MAV_CMD_NAV_DELAY, params=(1.0, -1.0, -1.0, -1.0))
     gcs.upload([waypoint(0.2, 0, -1.0), delay, waypoint(0.2, 0.2, -1.0, wait=0.5), delay])
     assert rig.run(3.0, lambda: gcs.giver.result == 0)
     assert [w.wait_s for w in rig.status.mission.waypoint] == [1.0, 1.5]
@@ -91,9 +91,7 @@ def test_who_may_not_set_a_parameter_is_told_its_value():
     other.say(m.MAVLink_param_set_message(1, 1, b"LIM_SPEED", 0.4, m.MAV_PARAM_TYPE_REAL32))
     rig.run(0.1)
     now = rig.flight.autopilot.parameters["LIM_SPEED"].value
-    assert [(x.param_id, x.param_value) for x in other.all("PARAM_VALUE")] == [
-        ("LIM_SPEED", pytest.approx(now))
-    ]
+    assert [(x.param_id, x.param_value) for x in other.all("PARAM_VALUE")] == [("LIM_SPEED", pytest.approx(now))]
     assert now != pytest.approx(0.4)
     other.say(m.MAVLink_param_set_message(1, 1, b"\xff\xfeSPEED", 0.4, m.MAV_PARAM_TYPE_REAL32))
     rig.run(0.1)
@@ -117,7 +115,7 @@ def test_a_mode_chosen_on_the_floor_begins_when_it_is_armed():
     assert not rig.status.armed
     assert rig.flight.status.actuators.motor_input.max() == 0.0
     gcs.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
-    assert rig.run(30.0, lambda: rig.status.waypoint == 1), gcs.words
+    assert rig.run(30.0, lambda: rig.status.waypoint_index == 1), gcs.words
 
 
 def test_what_was_chosen_on_the_floor_is_forgotten():

@@ -4,17 +4,24 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.link import Codec, Encoder, Origin, TextPieces, Texts, mavlink
+from mufly.link import (
+    FrameDecoder,
+    FrameEncoder,
+    GlobalOrigin,
+    StatusTextAssembler,
+    StatusTextSplitter,
+    mavlink,
+)
 from mufly.link.codec import (
-    FLOAT_MOST,
-    FRAME_MOST,
-    NOT_GIVEN,
+    COORDINATE_NOT_GIVEN,
+    MAX_FLOAT32,
+    MAX_FRAME_BYTES,
+    clip_to_integer,
+    encode_text_field,
     parse_origin,
-    scaled,
-    single,
-    text_of,
-    unscaled,
-    within,
+    scale_coordinate,
+    scale_to_integer,
+    to_float32,
 )
 
 
@@ -24,7 +31,7 @@ def attitude(k=0):
 
 @pytest.fixture
 def encode():
-    return Encoder(1, 1)
+    return FrameEncoder(1, 1)
 
 
 def frames(encode, n):
@@ -32,15 +39,15 @@ def frames(encode, n):
 
 
 def test_messages_come_back_as_they_were_sent(encode):
-    sent = mavlink.MAVLink_statustext_message(4, text_of("höher"))
-    (back,) = Codec().receive(0.0, "a", encode(sent))
+    sent = mavlink.MAVLink_statustext_message(4, encode_text_field("höher"))
+    (back,) = FrameDecoder().receive(0.0, "a", encode(sent))
     assert back.get_type() == "STATUSTEXT"
     assert (back.get_srcSystem(), back.get_srcComponent()) == (1, 1)
 
 
 def test_frames_cut_anywhere_are_put_together(encode):
     data = b"".join(frames(encode, 20))
-    codec, out = Codec(), []
+    codec, out = FrameDecoder(), []
     for k in range(0, len(data), 7):
         out += codec.receive(0.0, "a", data[k : k + 7])
     assert [m.time_boot_ms for m in out] == list(range(20))
@@ -48,78 +55,82 @@ def test_frames_cut_anywhere_are_put_together(encode):
 
 def test_garbage_between_frames_is_skipped_and_counted(encode):
     rng = np.random.default_rng(1)
-    codec, out, junk = Codec(), [], 0
+    codec, out, junk = FrameDecoder(), [], 0
     for frame in frames(encode, 50):
         noise = rng.integers(0, 256, rng.integers(0, 40), dtype=np.uint8).tobytes()
         junk += len(noise)
         out += codec.receive(0.0, "a", noise + frame)
     assert [m.time_boot_ms for m in out] == list(range(50))
-    assert codec.counts("a").garbage_bytes == junk
+    assert codec.packet_counts("a").garbage_bytes == junk
 
 
 def test_a_false_marker_does_not_hold_up_the_frame_behind_it(encode):
-    assert len(Codec().receive(0.0, "a", b"\xfd\xff\x00" + encode(attitude()))) == 1
+    assert len(FrameDecoder().receive(0.0, "a", b"\xfd\xff\x00" + encode(attitude()))) == 1
 
 
 def test_a_damaged_frame_costs_only_itself(encode):
     first, second = frames(encode, 2)
     first = first[:15] + bytes([first[15] ^ 4]) + first[16:]
-    out = Codec().receive(0.0, "a", first + second)
+    out = FrameDecoder().receive(0.0, "a", first + second)
     assert [m.time_boot_ms for m in out] == [1]
 
 
 def test_noise_alone_keeps_memory_flat():
     rng = np.random.default_rng(2)
-    codec = Codec()
+    codec = FrameDecoder()
     for _ in range(300):
         codec.receive(0.0, "a", rng.integers(0, 256, 1000, dtype=np.uint8).tobytes())
-        assert len(codec._channels["a"].buffer) <= FRAME_MOST
+        assert len(codec._channels["a"].buffer) <= MAX_FRAME_BYTES
 
 
 def test_gaps_are_losses_and_late_packets_are_not(encode):
     sent = frames(encode, 300)
-    codec = Codec()
+    codec = FrameDecoder()
     for k in [*range(10), 12, 11, *range(15, 300)]:
         codec.receive(k / 100, "a", sent[k])
-    counts = codec.counts("a")
-    assert (counts.lost, counts.reordered, counts.received) == (3, 1, 297)  # 10, 13 and 14 never came
-    assert counts.loss == pytest.approx(3 / 300)
+    counts = codec.packet_counts("a")
+    assert (counts.lost_count, counts.reordered_count, counts.received_count) == (
+        3,
+        1,
+        297,
+    )  # 10, 13 and 14 never came
+    assert counts.loss_ratio == pytest.approx(3 / 300)
 
 
 def test_a_doubled_packet_is_heard_once(encode):
-    codec = Codec()
+    codec = FrameDecoder()
     for frame in frames(encode, 40):
         assert len(codec.receive(0.0, "a", frame)) == 1
         assert not codec.receive(0.3, "a", frame)
-    assert codec.counts("a").duplicates == 40
+    assert codec.packet_counts("a").duplicate_count == 40
 
 
 def test_a_program_started_again_is_heard_at_once():
-    codec = Codec()
+    codec = FrameDecoder()
     for start in (0.0, 1.5, 3.0):  # the same numbers, the same packets, from the same address
-        again = Encoder(255, 190)
+        again = FrameEncoder(255, 190)
         assert [len(codec.receive(start + k / 100, "a", again(attitude(k)))) for k in range(5)] == [1] * 5
-    assert codec.counts("a").lost == 0
+    assert codec.packet_counts("a").lost_count == 0
 
 
 def test_senders_behind_one_peer_are_told_apart():
-    one, two = Encoder(1, 1), Encoder(2, 1)
-    codec = Codec()
+    one, two = FrameEncoder(1, 1), FrameEncoder(2, 1)
+    codec = FrameDecoder()
     for k in range(10):
         codec.receive(0.0, "a", one(attitude(k)) + two(attitude(k)))
-    counts = codec.counts("a")
-    assert (counts.received, counts.lost, counts.duplicates) == (20, 0, 0)
+    counts = codec.packet_counts("a")
+    assert (counts.received_count, counts.lost_count, counts.duplicate_count) == (20, 0, 0)
 
 
 def test_thousands_of_senders_do_not_fill_the_memory():
-    codec = Codec()
+    codec = FrameDecoder()
     for k in range(5000):
-        codec.receive(0.0, "a", Encoder(1 + k % 250, 1 + k // 250)(attitude(k)))
+        codec.receive(0.0, "a", FrameEncoder(1 + k % 250, 1 + k // 250)(attitude(k)))
     assert len(codec._channels["a"].senders) == 64
 
 
 def test_thousands_of_peers_do_not_fill_the_memory(encode):
-    codec = Codec()
+    codec = FrameDecoder()
     for k in range(1000):
         codec.receive(0.0, k, b"\xfd\x09")
         assert codec.receive(0.0, "a", encode(attitude()))
@@ -131,106 +142,109 @@ def test_the_first_version_is_read_the_second_is_sent(encode):
     data = attitude(7).pack(old, force_mavlink1=True)
     assert data[0] == 0xFE
     assert encode(attitude())[0] == 0xFD
-    (back,) = Codec().receive(0.0, "a", data)
+    (back,) = FrameDecoder().receive(0.0, "a", data)
     assert back.time_boot_ms == 7
 
 
 def test_messages_of_other_dialects_are_counted(encode):
     frame = bytearray(encode(attitude()))
     frame[7:10] = (60_000).to_bytes(3, "little")
-    codec = Codec()
+    codec = FrameDecoder()
     assert len(codec.receive(0.0, "a", bytes(frame) + encode(attitude()))) == 1
-    assert codec.counts("a").unknown == 1
+    assert codec.packet_counts("a").unknown_count == 1
     assert codec.receive(0.0, "a", bytes(frame)) == []  # at the end of what came
-    assert (codec.counts("a").unknown, codec.counts("a").garbage_bytes) == (2, 0)
+    assert (codec.packet_counts("a").unknown_count, codec.packet_counts("a").garbage_bytes) == (2, 0)
     # With something behind it that begins no frame it was none itself.
     assert len(codec.receive(0.0, "b", bytes(frame) + b"\x00" + encode(attitude(1)))) == 1
-    assert (codec.counts("b").unknown, codec.counts("b").garbage_bytes) == (0, len(frame) + 1)
+    assert (codec.packet_counts("b").unknown_count, codec.packet_counts("b").garbage_bytes) == (
+        0,
+        len(frame) + 1,
+    )
 
 
 def test_fields_hold_what_they_can():
-    assert single(1e300) != single(1e300)
-    assert single(-2.5) == -2.5
-    assert within(float("nan"), -5, 5, unknown=3) == 3
-    assert within(1e30, -5, 5) == 5
-    assert text_of("x" * 49 + "ö") == b"x" * 49
+    assert to_float32(1e300) != to_float32(1e300)
+    assert to_float32(-2.5) == -2.5
+    assert clip_to_integer(float("nan"), -5, 5, unknown=3) == 3
+    assert clip_to_integer(1e30, -5, 5) == 5
+    assert encode_text_field("x" * 49 + "ö") == b"x" * 49
 
 
 def test_a_number_heard_before_is_the_same_packet_for_a_second_and_then_a_new_one(encode):
     (frame,) = frames(encode, 1)
-    codec = Codec()
+    codec = FrameDecoder()
     assert len(codec.receive(500.0, "a", frame)) == 1
     assert not codec.receive(500.95, "a", frame)
     assert len(codec.receive(501.05, "a", frame)) == 1  # said anew by a program that was started again
-    assert len(Codec(keep_duplicates=True).receive(500.0, "a", frame * 3)) == 3
+    assert len(FrameDecoder(keep_duplicates=True).receive(500.0, "a", frame * 3)) == 3
 
 
 @pytest.mark.parametrize(("number", "lost", "late"), [(31, 30, 0), (192, 191, 0), (200, 0, 0), (230, 0, 1)])
 def test_far_ahead_is_lost_far_away_is_started_anew_and_a_little_behind_is_late(encode, number, lost, late):
     """Numbers go round at 256: up to 192 on are taken for losses, up to 31 back for packets that were overtaken."""
     sent = frames(encode, 256)
-    codec = Codec()
+    codec = FrameDecoder()
     codec.receive(7.0, "a", sent[0])
     assert len(codec.receive(7.5, "a", sent[number])) == 1
-    counts = codec.counts("a")
-    assert (counts.lost, counts.reordered) == (lost, late)
-    assert counts.loss == pytest.approx(lost / (lost + 2))
+    counts = codec.packet_counts("a")
+    assert (counts.lost_count, counts.reordered_count) == (lost, late)
+    assert counts.loss_ratio == pytest.approx(lost / (lost + 2))
     follows = codec.receive(7.6, "a", sent[(number + 1) % 256] if not late else sent[1])
     assert len(follows) == 1
-    assert codec.counts("a").lost == lost
+    assert codec.packet_counts("a").lost_count == lost
 
 
 def test_what_is_late_was_not_lost_and_what_is_unheard_has_no_loss(encode):
-    assert Codec().counts("nobody").loss == 0.0
+    assert FrameDecoder().packet_counts("nobody").loss_ratio == 0.0
     sent = frames(encode, 40)
-    codec = Codec()
+    codec = FrameDecoder()
     for k in (0, 20, 5):
         codec.receive(7.0, "a", sent[k])
-    assert codec.counts("a").lost == 18
+    assert codec.packet_counts("a").lost_count == 18
     assert len(codec.receive(7.0, "a", sent[5])) == 0
-    codec.forget("a")
-    assert codec.counts("a").received == 0
+    codec.forget_peer("a")
+    assert codec.packet_counts("a").received_count == 0
 
 
 def test_what_is_late_in_the_second_round_is_not_mistaken_for_the_first_round(encode):
     sent = [encode(attitude(k)) for k in range(300)]
-    codec = Codec()
+    codec = FrameDecoder()
     for k in [*range(266), 276, 271]:  # numbers 10 to 19 of the second round are missing, 15 comes late
         assert len(codec.receive(0.001 * k, "a", sent[k])) == 1
-    counts = codec.counts("a")
-    assert (counts.lost, counts.reordered, counts.duplicates) == (9, 1, 0)
+    counts = codec.packet_counts("a")
+    assert (counts.lost_count, counts.reordered_count, counts.duplicate_count) == (9, 1, 0)
 
 
 def statustext(text, number, piece):
-    (message,) = Codec().receive(
-        0.0, "v", Encoder(1, 1)(mavlink.MAVLink_statustext_message(4, text, number, piece))
+    (message,) = FrameDecoder().receive(
+        0.0, "v", FrameEncoder(1, 1)(mavlink.MAVLink_statustext_message(4, text, number, piece))
     )
     return message
 
 
 def test_a_line_whose_piece_was_lost_waits_two_seconds_and_ever_new_ones_push_the_oldest_out():
-    pieces = TextPieces()
+    pieces = StatusTextAssembler()
     full = b"x" * 50
-    assert pieces.take(500.0, statustext(full, 7, 0)) == []
-    assert pieces.take(500.1, statustext(b"end", 7, 2)) == []
-    assert pieces.overdue(501.9) == []
-    assert pieces.overdue(502.1) == [(4, "x" * 50 + "..." + "end")]
+    assert pieces.add_chunk(500.0, statustext(full, 7, 0)) == []
+    assert pieces.add_chunk(500.1, statustext(b"end", 7, 2)) == []
+    assert pieces.take_overdue(501.9) == []
+    assert pieces.take_overdue(502.1) == [(4, "x" * 50 + "..." + "end")]
     for number in range(1, 9):
-        assert pieces.take(600.0, statustext(full, number, 0)) == []
-    assert pieces.take(600.0, statustext(full, 9, 0)) == [(4, "x" * 50 + "...")]
-    assert pieces.take(600.0, statustext(b"", 2, 1)) == [(4, "x" * 50)]
-    assert len(pieces.overdue(602.5)) == 7
+        assert pieces.add_chunk(600.0, statustext(full, number, 0)) == []
+    assert pieces.add_chunk(600.0, statustext(full, 9, 0)) == [(4, "x" * 50 + "...")]
+    assert pieces.add_chunk(600.0, statustext(b"", 2, 1)) == [(4, "x" * 50)]
+    assert len(pieces.take_overdue(602.5)) == 7
 
 
 def test_places_that_do_not_fit_are_not_given_and_numbers_go_round():
-    assert scaled(47.3769, 1e7) == 473_769_000
-    assert unscaled(473_769_000, 1e-7) == pytest.approx(47.3769)
+    assert scale_to_integer(47.3769, 1e7) == 473_769_000
+    assert scale_coordinate(473_769_000, 1e-7) == pytest.approx(47.3769)
     for number in (1e3, -1e3, float("nan"), float("inf")):
-        assert scaled(number, 1e7) == NOT_GIVEN
-    assert np.isnan(unscaled(NOT_GIVEN, 1e-7))
-    assert within(-7.6, -5, 5) == -5
-    assert single(FLOAT_MOST) == FLOAT_MOST
-    texts = Texts()
+        assert scale_to_integer(number, 1e7) == COORDINATE_NOT_GIVEN
+    assert np.isnan(scale_coordinate(COORDINATE_NOT_GIVEN, 1e-7))
+    assert clip_to_integer(-7.6, -5, 5) == -5
+    assert to_float32(MAX_FLOAT32) == MAX_FLOAT32
+    texts = StatusTextSplitter()
     texts._last_id = 65534
     ids = [texts("long " * 20)[0].id for _ in range(3)]
     assert ids == [65535, 1, 2]
@@ -248,7 +262,7 @@ def test_metres_of_a_degree_are_those_of_the_ellipsoid(lat, alt):
         across = (n + height) * np.cos(phi)
         return np.array([across * np.cos(lam), across * np.sin(lam), (n * (1.0 - e2) + height) * np.sin(phi)])
 
-    origin, phi, lam = Origin(lat, 8.5, alt), np.radians(lat), np.radians(8.5)
+    origin, phi, lam = GlobalOrigin(lat, 8.5, alt), np.radians(lat), np.radians(8.5)
     north = [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)]
     place = origin.to_global(60.0, -40.0, -5.0)
     away = centred(*place) - centred(lat, 8.5, alt)
@@ -262,7 +276,7 @@ def test_metres_of_a_degree_are_those_of_the_ellipsoid(lat, alt):
 
 
 def test_origins_are_read_and_what_is_none_is_refused():
-    assert parse_origin("-85,180,9000") == Origin(-85.0, 180.0, 9000.0)
+    assert parse_origin("-85,180,9000") == GlobalOrigin(-85.0, 180.0, 9000.0)
     assert parse_origin("0,-180,-500").alt_m == -500.0
     for text in ("1,2", "a,b,c", "nan,0,0", "85.1,0,0", "0,180.1,0", "0,0,-501", "0,0,9001"):
         with pytest.raises(InputError, match="origin"):

@@ -7,7 +7,7 @@ import pytest
 from link_rig import Rig
 
 from mufly.link import mavlink as m
-from mufly.mission import ACCEPTED, SetPoint, never
+from mufly.mission import REQUEST_ACCEPTED, SetPoint, deny_request
 
 NAN = math.nan
 DENIED, OK, LATER = m.MAV_RESULT_DENIED, m.MAV_RESULT_ACCEPTED, m.MAV_RESULT_TEMPORARILY_REJECTED
@@ -17,16 +17,14 @@ ORIGIN = (47.3769, 8.5417, 408.0)
 class Asked:
     """A rig whose autopilot notes what it is asked for, and agrees, or not, without doing it."""
 
-    def __init__(self, origin=None, answer=ACCEPTED):
+    def __init__(self, origin=None, answer=REQUEST_ACCEPTED):
         self.rig = Rig(origin=origin)
         self.gcs = self.rig.station()
         self.rig.run(0.02)
         self.calls = []
         names = "take_off go_to turn_to land pause return_home start_mission emergency_stop offboard sticks sticks_off"
         for name in (*names.split(), "set_point"):
-            setattr(
-                self.rig.link.autopilot, name, lambda *a, n=name, **k: self.calls.append((n, *a)) or answer
-            )
+            setattr(self.rig.link.autopilot, name, lambda *a, n=name, **k: self.calls.append((n, *a)) or answer)
 
     def by(self, do):
         """What is asked for by something that the station does, and the last answer to it."""
@@ -95,7 +93,7 @@ def test_a_place_to_go_to_in_metres_and_on_the_globe():
 
 
 def test_the_speed_of_a_place_stays_if_the_place_is_taken_and_only_then():
-    for answer, kept in ((ACCEPTED, 0.2), (never("too far"), None)):
+    for answer, kept in ((REQUEST_ACCEPTED, 0.2), (deny_request("too far"), None)):
         asked = Asked(answer=answer)
         before = asked.rig.flight.autopilot.parameters["LIM_SPEED"].value
         asked.by(integer(m.MAV_CMD_DO_REPOSITION, 0.2, 1, 0, NAN, z=-1.0))
@@ -194,7 +192,7 @@ def test_the_same_command_again_is_a_repetition_for_four_fifths_of_a_second():
         assert len(asked.gcs.acks) == told + 1
     # Another angle is another command, and what was refused is judged anew.
     assert len(asked.by(long(m.MAV_CMD_CONDITION_YAW, 31, 0, 1, 1))[0]) == 1
-    refuses = Asked(answer=never("no"))
+    refuses = Asked(answer=deny_request("no"))
     assert [len(refuses.by(turn)[0]) for _ in range(2)] == [1, 1]
     assert refuses.gcs.acks[-1][1] == DENIED
     assert refuses.gcs.last("STATUSTEXT").severity == m.MAV_SEVERITY_WARNING
@@ -226,8 +224,7 @@ def test_who_does_not_command_moves_nothing_and_takes_no_command_by_letting_go()
     asked = Asked()
     rig, gcs, other = asked.rig, asked.gcs, asked.rig.station("other", 254)
     let_go, hold = (
-        m.MAVLink_rc_channels_override_message(1, 1, *us, 0, 0, 0, 0)
-        for us in ([0] * 4, [1500, 1500, 1600, 1500])
+        m.MAVLink_rc_channels_override_message(1, 1, *us, 0, 0, 0, 0) for us in ([0] * 4, [1500, 1500, 1600, 1500])
     )
     point = m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0xFF8, 0.2, 0, -0.6, *[0] * 8)
     nothing = m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0xFFF, *[0] * 11)
@@ -240,9 +237,7 @@ def test_who_does_not_command_moves_nothing_and_takes_no_command_by_letting_go()
         assert asked.by(lambda s, x=message: other.say(x))[0] == []
     assert "denied: commanded by system 255" in other.words
     assert asked.by(lambda s: s.say(let_go))[0] == [("sticks_off",)]
-    assert asked.by(lambda s: s.say(point))[0] == [
-        ("set_point", SetPoint((np.float32(0.2), 0.0, np.float32(-0.6))))
-    ]
+    assert asked.by(lambda s: s.say(point))[0] == [("set_point", SetPoint((np.float32(0.2), 0.0, np.float32(-0.6))))]
     assert asked.by(lambda s: s.say(nothing))[0] == []
     assert gcs.acks == []
 

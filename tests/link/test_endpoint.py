@@ -78,4 +78,4 @@ def test_faults_are_one_line_with_an_example(text):
     ],
 )
 def test_who_can_reach_it(text, open_to_others):
-    assert parse_endpoint(text, "station").beyond_loopback is open_to_others
+    assert parse_endpoint(text, "station").is_beyond_loopback is open_to_others

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from link_rig import Rig, waypoint
 
-from mufly.link import Encoder, to_mavlink
+from mufly.link import FrameEncoder, to_mavlink
 from mufly.link import mavlink as m
 
 ARM, TAKE_OFF, LAND = m.MAV_CMD_COMPONENT_ARM_DISARM, m.MAV_CMD_NAV_TAKEOFF, m.MAV_CMD_NAV_LAND
 
 
 def on_the_wire(item):
-    return Encoder(1, 1)(to_mavlink(item, 1, 1))
+    return FrameEncoder(1, 1)(to_mavlink(item, 1, 1))
 
 
 def test_arm_take_off_mission_land():
@@ -47,9 +47,7 @@ def test_arm_take_off_mission_land():
     states = [x.landed_state for x in gcs.all("EXTENDED_SYS_STATE")]
     assert list(dict.fromkeys(states)) == [1, 3, 2, 4]  # on the ground, take-off, in the air, landing
     assert states[-1] == 1
-    modes = list(
-        dict.fromkeys((x.custom_mode >> 16 & 255, x.custom_mode >> 24) for x in gcs.all("HEARTBEAT"))
-    )
+    modes = list(dict.fromkeys((x.custom_mode >> 16 & 255, x.custom_mode >> 24) for x in gcs.all("HEARTBEAT")))
     assert modes == [(4, 1), (4, 2), (4, 3), (4, 4), (4, 6)]
     at = gcs.last("LOCAL_POSITION_NED")
     assert math.hypot(at.x - 0.4, at.y - 0.3) < 0.1
@@ -87,9 +85,7 @@ def test_offboard_square():
     assert gcs.acks[-1] == (m.MAV_CMD_DO_SET_MODE, m.MAV_RESULT_TEMPORARILY_REJECTED)
     for n, e in ((0.4, 0.0), (0.4, 0.4), (0.0, 0.0)):
         gcs.every = [
-            m.MAVLink_set_position_target_local_ned_message(
-                0, 1, 1, 1, 0x9F8, n, e, -1.0, 0, 0, 0, 0, 0, 0, 0, 0
-            )
+            m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x9F8, n, e, -1.0, 0, 0, 0, 0, 0, 0, 0, 0)
         ]
         if rig.status.state != "offboard":
             rig.run(0.2)
@@ -105,9 +101,7 @@ def test_velocity_in_body_axes_goes_where_the_nose_points():
     rig = Rig({**{"name": "x"}, "start_heading_deg": 90.0})
     gcs = rig.station()
     rig.airborne(gcs)
-    gcs.every = [
-        m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 8, 0xDC7, 0, 0, 0, 0.2, 0, 0, 0, 0, 0, 0, 0)
-    ]
+    gcs.every = [m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 8, 0xDC7, 0, 0, 0, 0.2, 0, 0, 0, 0, 0, 0, 0)]
     rig.run(0.2)
     gcs.mode(6)
     rig.run(4.0)

@@ -49,7 +49,7 @@ def test_the_judge_sees_what_must_not_be(fuzz_link: ModuleType) -> None:
 
     flight, found = Flight("mufly-1.1", Mission(), keep=False), fuzz_link.Findings()
     for _ in range(4):
-        flight.tick()
+        flight.step_period()
         fuzz_link.check(flight, found)
     assert found.faults == []
     for motors, servos, word in (
@@ -58,7 +58,7 @@ def test_the_judge_sees_what_must_not_be(fuzz_link: ModuleType) -> None:
         ((0.0, 0.0), (0.0, np.nan), "actuators"),
     ):
         found.faults.clear()
-        flight.acting = Actuators(np.array(motors), np.array(servos))
+        flight.acting_actuators = Actuators(np.array(motors), np.array(servos))
         fuzz_link.check(flight, found)
         assert any(word in fault for fault in found.faults)
 
@@ -69,13 +69,13 @@ def test_no_motor_runs_that_is_not_armed_whatever_the_flight_software_wants() ->
     from mufly.mission import Mission
 
     flight = Flight("mufly-1.1", Mission(), keep=False)
-    flight.tick()
+    flight.step_period()
     assert flight.autopilot.arm()
     assert flight.autopilot.take_off(1.0)
     for _ in range(400):
-        flight.tick()
+        flight.step_period()
     assert flight.status.actuators.motor_input.min() > 0.1
     flight.autopilot._armed = False  # a fault that nothing else has noticed
     for _ in range(3):
-        flight.tick()
+        flight.step_period()
     assert flight.status.actuators.motor_input.max() == 0.0

@@ -7,14 +7,14 @@ import pytest
 from link_rig import Rig
 
 from mufly.link import (
-    COMMANDS,
+    COMMAND_HANDLERS,
     LINK_PARAMETERS,
-    MESSAGE_REQUESTS,
-    STATES,
-    STREAMS,
-    custom_mode,
+    MESSAGE_REQUEST_COMMANDS,
+    MESSAGE_STREAMS,
+    MISSION_STATES,
     mavlink,
-    mode_of,
+    mode_from_state,
+    pack_custom_mode,
 )
 
 PAGE = (Path(__file__).parents[2] / "docs" / "link.md").read_text(encoding="utf-8")
@@ -33,13 +33,13 @@ def table(head):
 
 def test_messages_and_rates():
     assert [(name, float(rate)) for name, rate, _ in table("message | default")] == [
-        (s.name, s.default_Hz) for s in STREAMS
+        (s.message_name, s.default_rate_Hz) for s in MESSAGE_STREAMS
     ]
 
 
 def test_commands():
     said = {int(number): name for name, number, _ in table("command | number")}
-    assert set(said) == {*COMMANDS, *MESSAGE_REQUESTS}
+    assert set(said) == {*COMMAND_HANDLERS, *MESSAGE_REQUEST_COMMANDS}
     for number, name in said.items():
         assert getattr(mavlink, f"MAV_CMD_{name}") == number
 
@@ -53,19 +53,19 @@ def test_modes():
     for states, mode, _ in table("mission state | mode"):
         main, sub = map(int, re.search(r"\((\d), (\d)\)", mode).groups())
         for state in states.split(", "):
-            if state in STATES:
-                assert custom_mode(mode_of(state)) == main << 16 | sub << 24
+            if state in MISSION_STATES:
+                assert pack_custom_mode(mode_from_state(state)) == main << 16 | sub << 24
 
 
 def test_parameters():
     said = {name: [float(x) for x in re.findall(r"[\d.]+", f"{value} {span}")] for name, value, span, _ in
             table("parameter | default")}  # fmt: skip
-    assert said == {name: [p.value, p.least, p.greatest] for name, p in LINK_PARAMETERS.items()}
+    assert said == {name: [p.value, p.minimum, p.maximum] for name, p in LINK_PARAMETERS.items()}
 
 
 def test_states_are_numbered_as_they_are():
     assert dict(re.findall(r"(\d) ([a-z-]+)", re.search(r"machine: (.*?) \|", PAGE).group(1))) == {
-        str(k): state for k, state in enumerate(STATES)
+        str(k): state for k, state in enumerate(MISSION_STATES)
     }
 
 

@@ -4,7 +4,7 @@ import pytest
 from link_channel import Channel
 from link_rig import Rig, waypoint
 
-from mufly.link import Encoder
+from mufly.link import FrameEncoder
 from mufly.link import mavlink as m
 
 ARM = m.MAV_CMD_COMPONENT_ARM_DISARM
@@ -193,7 +193,9 @@ def test_others_messages_are_none_of_its_business():
     rig.run(0.1)
     gcs.command(ARM, 1, target=2)
     rig.link.receive(
-        rig.now_s, "gcs", Encoder(1, 1)(m.MAVLink_command_long_message(0, 0, ARM, 0, 1, 0, 0, 0, 0, 0, 0))
+        rig.now_s,
+        "gcs",
+        FrameEncoder(1, 1)(m.MAVLink_command_long_message(0, 0, ARM, 0, 1, 0, 0, 0, 0, 0, 0)),
     )
     rig.run(0.1)
     assert not rig.status.armed
@@ -202,7 +204,7 @@ def test_others_messages_are_none_of_its_business():
 
 def test_hours_of_strangers_do_not_fill_the_memory():
     rig = Rig()
-    beat = Encoder(200, 1)(m.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+    beat = FrameEncoder(200, 1)(m.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
     for k in range(300):
         rig.link.receive(rig.now_s, ("stranger", k), beat)
         rig.tick()

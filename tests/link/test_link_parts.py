@@ -11,34 +11,34 @@ from link_rig import Rig
 
 from mufly.estimate import Estimate
 from mufly.link import (
-    STREAMS,
-    WHOLE_RANGE,
-    Codec,
+    INTEGER_RANGES,
+    MESSAGE_STREAMS,
     Command,
-    Encoder,
-    TextPieces,
-    Texts,
-    command_of,
-    custom_mode,
-    decoded,
-    encoded,
-    mode_of,
-    mode_of_custom,
+    FrameDecoder,
+    FrameEncoder,
+    StatusTextAssembler,
+    StatusTextSplitter,
+    decode_parameter,
+    encode_parameter,
+    mode_from_state,
+    pack_custom_mode,
+    parse_command,
+    unpack_custom_mode,
 )
 from mufly.link import mavlink as m
 from mufly.link.clients import (
-    CLIENTS,
-    MOST_HZ,
+    MAX_CLIENTS,
+    MAX_STREAM_HZ,
     Clients,
-    Wishes,
-    of_channels,
-    of_manual_control,
-    set_point_of,
-    watch_link,
+    StreamSchedule,
+    judge_link_loss,
+    parse_manual_control,
+    parse_rc_override,
+    parse_set_point,
 )
-from mufly.link.codec import asked
-from mufly.link.commands import request_message
-from mufly.logs import kind_of
+from mufly.link.codec import action_for_mode
+from mufly.link.command_protocol import answer_message_request
+from mufly.logs import detect_log_format
 from mufly.logs.tlog import TlogWriter
 from mufly.mission import State
 from mufly.sensors import Reading, Readings
@@ -48,60 +48,60 @@ from mufly.sensors import Reading, Readings
 
 def rates(wishes, seconds=10.0, step=0.005, start=50.0):
     """Messages a second, by name."""
-    count = dict.fromkeys((s.name for s in STREAMS), 0)
+    count = dict.fromkeys((s.message_name for s in MESSAGE_STREAMS), 0)
     for k in range(round(seconds / step)):
-        for place in wishes.due(start + k * step):
-            count[STREAMS[place].name] += 1
+        for place in wishes.take_due_streams(start + k * step):
+            count[MESSAGE_STREAMS[place].message_name] += 1
     return {name: n / seconds for name, n in count.items()}
 
 
 def test_who_asks_for_nothing_gets_the_default_rates():
-    got = rates(Wishes(50.0))
-    for s in STREAMS:
-        assert got[s.name] == pytest.approx(s.default_Hz, abs=0.2), s.name
+    got = rates(StreamSchedule(50.0))
+    for s in MESSAGE_STREAMS:
+        assert got[s.message_name] == pytest.approx(s.default_rate_Hz, abs=0.2), s.message_name
 
 
 def test_a_wish_is_granted_up_to_a_limit():
-    wishes = Wishes(50.0)
-    assert wishes.set_interval(50.0, m.MAVLINK_MSG_ID_ATTITUDE, 10_000)
-    assert wishes.set_interval(50.0, m.MAVLINK_MSG_ID_RAW_RPM, 1.0)
-    assert wishes.set_interval(50.0, m.MAVLINK_MSG_ID_SYS_STATUS, -1)
-    assert not wishes.set_interval(50.0, 11, 1000.0)
-    assert not wishes.set_interval(50.0, m.MAVLINK_MSG_ID_ATTITUDE, math.nan)
+    wishes = StreamSchedule(50.0)
+    assert wishes.set_message_interval(50.0, m.MAVLINK_MSG_ID_ATTITUDE, 10_000)
+    assert wishes.set_message_interval(50.0, m.MAVLINK_MSG_ID_RAW_RPM, 1.0)
+    assert wishes.set_message_interval(50.0, m.MAVLINK_MSG_ID_SYS_STATUS, -1)
+    assert not wishes.set_message_interval(50.0, 11, 1000.0)
+    assert not wishes.set_message_interval(50.0, m.MAVLINK_MSG_ID_ATTITUDE, math.nan)
     got = rates(wishes)
     assert got["ATTITUDE"] == pytest.approx(100.0, abs=0.2)
-    assert got["RAW_RPM"] <= MOST_HZ + 0.2
+    assert got["RAW_RPM"] <= MAX_STREAM_HZ + 0.2
     assert got["SYS_STATUS"] == 0
     assert wishes.interval_us(m.MAVLINK_MSG_ID_ATTITUDE) == 10_000
     assert wishes.interval_us(m.MAVLINK_MSG_ID_SYS_STATUS) == -1
-    wishes.set_interval(60.0, m.MAVLINK_MSG_ID_SYS_STATUS, 0)
+    wishes.set_message_interval(60.0, m.MAVLINK_MSG_ID_SYS_STATUS, 0)
     assert wishes.interval_us(m.MAVLINK_MSG_ID_SYS_STATUS) == 500_000
 
 
 def test_after_a_stall_there_is_no_burst():
-    wishes = Wishes(0.0)
-    list(wishes.due(0.0))
-    late = [STREAMS[k].name for k in wishes.due(100.0)]
+    wishes = StreamSchedule(0.0)
+    list(wishes.take_due_streams(0.0))
+    late = [MESSAGE_STREAMS[k].message_name for k in wishes.take_due_streams(100.0)]
     assert len(late) == len(set(late))
-    assert len(list(wishes.due(100.001))) == 0
+    assert len(list(wishes.take_due_streams(100.001))) == 0
 
 
 def test_who_is_silent_is_sent_nothing_more_but_whom_it_was_told_to_call_is():
     clients = Clients(1, 1)
-    clients.add(0.0, "told to", fixed=True)
+    clients.add_client(0.0, "told to", fixed=True)
     for k in range(3):
-        clients.hear(5.0 * k, k)
-    assert clients.drop_silent(14.0) == []
-    assert clients.drop_silent(16.0) == [0]
-    for k in range(CLIENTS):
-        clients.hear(17.0, f"stranger {k}")
-    assert clients.drop_silent(17.0) == [1, 2, "stranger 0"]  # the longest silent make room
-    assert (len(clients), clients.get("told to") is not None) == (CLIENTS, True)
+        clients.mark_heard(5.0 * k, k)
+    assert clients.drop_silent_clients(14.0) == []
+    assert clients.drop_silent_clients(16.0) == [0]
+    for k in range(MAX_CLIENTS):
+        clients.mark_heard(17.0, f"stranger {k}")
+    assert clients.drop_silent_clients(17.0) == [1, 2, "stranger 0"]  # the longest silent make room
+    assert (len(clients), clients.find_client("told to") is not None) == (MAX_CLIENTS, True)
 
 
 def test_the_older_form_of_a_wish():
-    wishes = Wishes(50.0)
-    wishes.set_group(50.0, 0, 4)
+    wishes = StreamSchedule(50.0)
+    wishes.set_group_rate(50.0, 0, 4)
     got = rates(wishes)
     assert got["ATTITUDE"] == pytest.approx(4.0, abs=0.2)
     assert got["HEARTBEAT"] == pytest.approx(1.0, abs=0.2)  # not a matter of taste
@@ -109,15 +109,15 @@ def test_the_older_form_of_a_wish():
 
 
 def test_messages_are_requested():
-    wishes = Wishes(0.0)
-    list(wishes.due(0.0))
-    result, _ = request_message(0.0, Command(512, (148.0, *[0.0] * 6), None), wishes, False)
+    wishes = StreamSchedule(0.0)
+    list(wishes.take_due_streams(0.0))
+    result, _ = answer_message_request(0.0, Command(512, (148.0, *[0.0] * 6), None), wishes, False)
     assert result == 0
-    assert [STREAMS[k].name for k in wishes.due(0.001)] == ["AUTOPILOT_VERSION"]
+    assert [MESSAGE_STREAMS[k].message_name for k in wishes.take_due_streams(0.001)] == ["AUTOPILOT_VERSION"]
     for number, expected in ((242.0, 2), (99999.0, 3), (math.nan, 3), (-5.0, 3), (math.inf, 3)):
-        result, _ = request_message(0.0, Command(512, (number, *[0.0] * 6), None), wishes, False)
+        result, _ = answer_message_request(0.0, Command(512, (number, *[0.0] * 6), None), wishes, False)
         assert result == expected
-    _, (answer,) = request_message(0.0, Command(510, (30.0, *[0.0] * 6), None), wishes, False)
+    _, (answer,) = answer_message_request(0.0, Command(510, (30.0, *[0.0] * 6), None), wishes, False)
     assert (answer.message_id, answer.interval_us) == (30, 50_000)
 
 
@@ -125,19 +125,19 @@ def test_messages_are_requested():
 
 
 def test_numbers_of_seven_digits_are_what_was_meant():
-    assert decoded(float(np.float32(0.6)), m.MAV_PARAM_TYPE_REAL32) == 0.6
+    assert decode_parameter(float(np.float32(0.6)), m.MAV_PARAM_TYPE_REAL32) == 0.6
     as_bytes = struct.unpack("<f", struct.pack("<i", -7))[0]
-    assert decoded(as_bytes, m.MAV_PARAM_TYPE_INT32) == -7
-    assert decoded(struct.unpack("<f", b"\xff\0\0\0")[0], m.MAV_PARAM_TYPE_INT8) == -1
+    assert decode_parameter(as_bytes, m.MAV_PARAM_TYPE_INT32) == -7
+    assert decode_parameter(struct.unpack("<f", b"\xff\0\0\0")[0], m.MAV_PARAM_TYPE_INT8) == -1
 
 
 @pytest.mark.parametrize("kind", range(m.MAV_PARAM_TYPE_UINT8, m.MAV_PARAM_TYPE_REAL32 + 1))
 @pytest.mark.parametrize("bytewise", [True, False])
 def test_what_one_end_encodes_the_other_decodes(kind, bytewise):
-    least, greatest = WHOLE_RANGE.get(kind, (-5, 5))
+    least, greatest = INTEGER_RANGES.get(kind, (-5, 5))
     for value in (least, 0, 1, 100, greatest):
-        if kind in WHOLE_RANGE or abs(value) < 10:
-            there = decoded(float(np.float32(encoded(value, kind, bytewise))), kind, bytewise)
+        if kind in INTEGER_RANGES or abs(value) < 10:
+            there = decode_parameter(float(np.float32(encode_parameter(value, kind, bytewise))), kind, bytewise)
             assert there == (value if bytewise else pytest.approx(value, rel=1e-6))
 
 
@@ -147,10 +147,10 @@ def test_a_command_is_the_same_at_both_ends():
         Command(192, (-1.0, 0.0, 0.0, math.nan, 1.5, -2.25, -1.0), frame=1),
         Command(192, (-1.0, 1.0, 0.0, math.nan, 47.25, math.nan, 408.0), frame=0),
     ):
-        assert command_of(command.message(1, 1)).packed == command.packed
-    assert Command(400, (0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)).stops
-    assert not Command(400, (1.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)).stops
-    assert command_of(Command(400, (1.0,) * 7).message(1, 1, confirmation=3)).confirmation == 3
+        assert parse_command(command.to_message(1, 1)).identity_bytes == command.identity_bytes
+    assert Command(400, (0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)).is_emergency_stop
+    assert not Command(400, (1.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)).is_emergency_stop
+    assert parse_command(Command(400, (1.0,) * 7).to_message(1, 1, confirmation=3)).confirmation == 3
 
 
 def test_parameters_are_listed_read_and_set():
@@ -211,9 +211,7 @@ def test_parameters_are_listed_read_and_set():
     gcs.heard.clear()
     assert rig.link.autopilot.set_parameter("LIM_SPEED", 0.3)
     rig.run(0.6)
-    assert [(p.param_id, p.param_value) for p in gcs.all("PARAM_VALUE")] == [
-        ("LIM_SPEED", pytest.approx(0.3))
-    ]
+    assert [(p.param_id, p.param_value) for p in gcs.all("PARAM_VALUE")] == [("LIM_SPEED", pytest.approx(0.3))]
     # A list that is asked for anew begins anew; sixteen at a time.
     gcs.heard.clear()
     gcs.say(m.MAVLink_param_request_list_message(1, 1))
@@ -230,19 +228,17 @@ def test_parameters_are_listed_read_and_set():
 
 def test_every_state_has_a_mode_and_numbers_go_both_ways():
     for state in State:
-        mode = mode_of(state)
-        assert mode_of_custom(custom_mode(mode)) == mode
+        mode = mode_from_state(state)
+        assert unpack_custom_mode(pack_custom_mode(mode)) == mode
     for word in ("take-off", "hover", "mission", "return", "land", "rc", "offboard"):
         assert word in {
-            asked(mode_of_custom(main << 16 | sub << 24)) for main in range(9) for sub in range(9)
+            action_for_mode(unpack_custom_mode(main << 16 | sub << 24)) for main in range(9) for sub in range(9)
         }
-    assert asked(mode_of_custom(0xFFFFFFFF)) == ""
+    assert action_for_mode(unpack_custom_mode(0xFFFFFFFF)) == ""
 
 
 def measured(yaw=0.0):
-    return Estimate(
-        0.0, np.array([1.0, 2.0, -3.0]), np.zeros(3), np.array([0, 0, yaw]), np.zeros(3), np.zeros(8), 7.4
-    )
+    return Estimate(0.0, np.array([1.0, 2.0, -3.0]), np.zeros(3), np.array([0, 0, yaw]), np.zeros(3), np.zeros(8), 7.4)
 
 
 def local(frame, mask, *fields):
@@ -252,25 +248,23 @@ def local(frame, mask, *fields):
 def test_set_points_in_their_frames():
     here = measured(math.pi / 2)
     nothing = (0.0,) * 3
-    place = set_point_of(local(1, 0xFF8, 1, 2, -1, *nothing, *nothing, 0, 0), here, None)
+    place = parse_set_point(local(1, 0xFF8, 1, 2, -1, *nothing, *nothing, 0, 0), here, None)
     assert place.position_m == (1, 2, -1)
     assert (place.velocity_m_s, place.heading_rad, place.yaw_rate_rad_s) == (None, None, None)
-    assert set_point_of(local(7, 0xFF8, 1, 0, 0, *nothing, *nothing, 0, 0), here, None).position_m == (
+    assert parse_set_point(local(7, 0xFF8, 1, 0, 0, *nothing, *nothing, 0, 0), here, None).position_m == (
         2,
         2,
         -3,
     )
-    ahead = set_point_of(local(8, 0xBC0, 1, 0, 0, 0.5, 0, 0, *nothing, 0.1, 0), here, None)
+    ahead = parse_set_point(local(8, 0xBC0, 1, 0, 0, 0.5, 0, 0, *nothing, 0.1, 0), here, None)
     assert ahead.position_m == pytest.approx((1, 3, -3))
     assert ahead.velocity_m_s == pytest.approx((0, 0.5, 0))
     assert ahead.heading_rad == pytest.approx(math.pi / 2 + 0.1)
-    height = set_point_of(local(1, 0xFFB, 9, 9, -1, *nothing, *nothing, 0, 0), here, None).position_m
+    height = parse_set_point(local(1, 0xFFB, 9, 9, -1, *nothing, *nothing, 0, 0), here, None).position_m
     assert math.isnan(height[0])
     assert height[2] == -1
     for yaw in (0.4, 2.0, -2.5):  # turned with the nose, as a number of the plane north + i east is
-        there = set_point_of(
-            local(9, 0x000, 1.5, -0.5, 0.2, 0.3, 0.1, -0.2, *nothing, 0, 0), measured(yaw), None
-        )
+        there = parse_set_point(local(9, 0x000, 1.5, -0.5, 0.2, 0.3, 0.1, -0.2, *nothing, 0, 0), measured(yaw), None)
         turn = complex(math.cos(yaw), math.sin(yaw))
         for found, told, start in (
             (there.position_m, (1.5, -0.5, 0.2), (1, 2, -3)),
@@ -292,7 +286,7 @@ def test_set_points_in_their_frames():
     ],
 )
 def test_messages_that_ask_for_nothing(message):
-    assert set_point_of(message, measured(), None) is None
+    assert parse_set_point(message, measured(), None) is None
 
 
 def channels(*us):
@@ -300,15 +294,15 @@ def channels(*us):
 
 
 def test_sticks():
-    assert of_channels(channels(0, 65535, 0, 65535)) is None
-    full = of_channels(channels(2000, 1000, 9999, 1500))
+    assert parse_rc_override(channels(0, 65535, 0, 65535)) is None
+    full = parse_rc_override(channels(2000, 1000, 9999, 1500))
     assert (full.roll, full.pitch, full.climb, full.yaw) == (1, -1, 1, 0)
-    beyond = of_channels(channels(2300, 700, 1500, 1500))  # a radio that is not trimmed
+    beyond = parse_rc_override(channels(2300, 700, 1500, 1500))  # a radio that is not trimmed
     assert (beyond.roll, beyond.pitch) == (1, -1)
-    assert of_channels(channels(1510, 1490, 1500, 0)) == of_channels(channels(1500, 1500, 1500, 1500))
-    still = of_manual_control(m.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0))
+    assert parse_rc_override(channels(1510, 1490, 1500, 0)) == parse_rc_override(channels(1500, 1500, 1500, 1500))
+    still = parse_manual_control(m.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0))
     assert (still.roll, still.pitch, still.climb, still.yaw) == (0, 0, 0, 0)
-    forward = of_manual_control(m.MAVLink_manual_control_message(1, 1000, 32767, 32767, 32767, 0))
+    forward = parse_manual_control(m.MAVLink_manual_control_message(1, 1000, 32767, 32767, 32767, 0))
     assert (forward.roll, forward.pitch, forward.climb, forward.yaw) == (0, -1, 0, 0)  # nose down
 
 
@@ -318,7 +312,7 @@ def test_sticks():
 @pytest.mark.parametrize("length", [0, 1, 49, 50, 51, 99, 100, 101, 1000])
 def test_long_lines_come_in_pieces_that_fit_together(length):
     text = ("abcdefghi " * 101)[:length].strip()
-    pieces = Texts()(text, "warning")
+    pieces = StatusTextSplitter()(text, "warning")
     assert "".join(p.text for p in pieces) == text[:400]
     assert [p.chunk_seq for p in pieces] == list(range(len(pieces)))
     assert len({p.id for p in pieces}) == 1
@@ -330,37 +324,35 @@ def test_long_lines_come_in_pieces_that_fit_together(length):
 @pytest.mark.parametrize("length", [0, 1, 49, 50, 51, 100, 400])
 def test_what_one_end_cuts_the_other_puts_together(length):
     text = ("abcdefghi " * 101)[:length].strip()
-    whole = TextPieces()
-    packed = [Codec().receive(0.0, "v", Encoder(1, 1)(p))[0] for p in Texts()(text, "error")]
-    assert [line for p in packed for line in whole.take(0.0, p)] == [(m.MAV_SEVERITY_ERROR, text)]
-    lossy = TextPieces()
+    whole = StatusTextAssembler()
+    packed = [FrameDecoder().receive(0.0, "v", FrameEncoder(1, 1)(p))[0] for p in StatusTextSplitter()(text, "error")]
+    assert [line for p in packed for line in whole.add_chunk(0.0, p)] == [(m.MAV_SEVERITY_ERROR, text)]
+    lossy = StatusTextAssembler()
     for p in packed[1:]:
-        assert lossy.take(0.0, p) == []
-    said = lossy.overdue(10.0)
+        assert lossy.add_chunk(0.0, p) == []
+    said = lossy.take_overdue(10.0)
     assert said == ([(m.MAV_SEVERITY_ERROR, "..." + text[50:])] if len(packed) > 1 else [])
-    assert lossy.overdue(20.0) == []
+    assert lossy.take_overdue(20.0) == []
 
 
 def test_a_full_stick_asks_for_what_the_parameters_say():
     rig = Rig()
     asked = []
-    rig.link.autopilot.sticks = lambda *values: asked.append(values)
+    rig.link.autopilot.set_sticks = lambda *values: asked.append(values)
     for name, value in (("STK_TILT", 8.0), ("STK_YAWRATE", 40.0), ("STK_CLIMB", 0.3)):
         assert rig.link.autopilot.set_parameter(name, value)
     manual = rig.link._manual
-    manual.override(m.MAVLink_rc_channels_override_message(1, 1, 2000, 1000, 1750, 1250, 0, 0, 0, 0))
+    manual.handle_rc_override(m.MAVLink_rc_channels_override_message(1, 1, 2000, 1000, 1750, 1250, 0, 0, 0, 0))
     half = (0.5 - 0.03) / 0.97
-    assert asked[-1] == pytest.approx(
-        (math.radians(8.0), -math.radians(8.0), -half * math.radians(40.0), half * 0.3)
-    )
+    assert asked[-1] == pytest.approx((math.radians(8.0), -math.radians(8.0), -half * math.radians(40.0), half * 0.3))
     # MANUAL_CONTROL counts while it is fresh, once a mode for flying by hand is asked for.
-    manual.override(m.MAVLink_rc_channels_override_message(1, 1, *[65535] * 8))
-    manual.manual(10.0, m.MAVLink_manual_control_message(1, 1000, 0, 500, 0, 0))
-    assert manual.by_hand(11.5).temporary
+    manual.handle_rc_override(m.MAVLink_rc_channels_override_message(1, 1, *[65535] * 8))
+    manual.handle_manual_control(10.0, m.MAVLink_manual_control_message(1, 1000, 0, 500, 0, 0))
+    assert manual.enter_manual_mode(11.5).is_temporary
     count = len(asked)
-    manual.manual(11.6, m.MAVLink_manual_control_message(1, 1000, 0, 500, 0, 0))
+    manual.handle_manual_control(11.6, m.MAVLink_manual_control_message(1, 1000, 0, 500, 0, 0))
     assert len(asked) == count
-    manual.by_hand(12.5)
+    manual.enter_manual_mode(12.5)
     assert asked[-1] == pytest.approx((0.0, -math.radians(8.0), 0.0, 0.0))
 
 
@@ -368,23 +360,23 @@ def test_failsafe_once_each():
     f, said = "", []
     for k in range(400):
         silent = k * 0.1 if k < 350 else 0.0
-        f, order = watch_link(f, silent_s=silent, flying=True, ending=False, loss_s=10.0, land_s=20.0)
+        f, order = judge_link_loss(f, silent_s=silent, flying=True, ending=False, loss_s=10.0, land_s=20.0)
         said += [(order, round(silent))] if order else []
     assert said == [("hover", 10), ("land", 30), ("back", 0)]
-    f, order = watch_link("", silent_s=99.0, flying=False, ending=False, loss_s=10.0, land_s=20.0)
+    f, order = judge_link_loss("", silent_s=99.0, flying=False, ending=False, loss_s=10.0, land_s=20.0)
     assert order == ""
-    f, order = watch_link("", silent_s=99.0, flying=True, ending=True, loss_s=10.0, land_s=20.0)
+    f, order = judge_link_loss("", silent_s=99.0, flying=True, ending=True, loss_s=10.0, land_s=20.0)
     assert order == ""
 
 
 def test_a_telemetry_log_is_one(tmp_path):
-    encode = Encoder(1, 1)
+    encode = FrameEncoder(1, 1)
     path = tmp_path / "deep" / "link.tlog"
     with TlogWriter(path) as log:
         for k in range(5):
-            log.write(encode(m.MAVLink_attitude_message(k, 0, 0, 0, 0, 0, 0)), 1_700_000_000_000_000 + k)
+            log.write_packet(encode(m.MAVLink_attitude_message(k, 0, 0, 0, 0, 0, 0)), 1_700_000_000_000_000 + k)
     data = path.read_bytes()
-    assert kind_of(path) == "MAVLink tlog"
+    assert detect_log_format(path) == "MAVLink tlog"
     assert struct.unpack(">Q", data[:8])[0] == 1_700_000_000_000_000
 
 
@@ -401,9 +393,7 @@ def test_every_message_can_be_packed_whatever_the_numbers(value):
         state.estimate,
         position=three, velocity=three, attitude=three, rates=three, ranges=np.full(8, value), battery_voltage=value,
     )  # fmt: skip
-    true = replace(
-        state.truth, state=np.full(21, value), attitude=three, wind=three, voltage=value, current=value
-    )
+    true = replace(state.truth, state=np.full(21, value), attitude=three, wind=three, voltage=value, current=value)
     readings = Readings(0.0, {name: Reading(three, 0.0) for name in ("position", "attitude")})
     rig.link.flight = SimpleNamespace(
         vehicle=rig.flight.vehicle,
@@ -421,12 +411,12 @@ def test_every_message_can_be_packed_whatever_the_numbers(value):
         ),
     )
     rig.link.real_time_factor = 1.0 if math.isnan(value) else value
-    for s in STREAMS:
-        rig.link.clients.get("gcs").wishes.ask_once(s.number)
+    for s in MESSAGE_STREAMS:
+        rig.link.clients.find_client("gcs").schedule.request_once(s.message_id)
     for out in rig.link.step(rig.now_s):
         gcs.hear(out.data)
     heard = {x.get_type() for x in gcs.heard}
-    assert {s.name.split(" ")[0] for s in STREAMS} <= heard
+    assert {s.message_name.split(" ")[0] for s in MESSAGE_STREAMS} <= heard
 
 
 def test_what_is_told_with_an_origin_and_what_without():

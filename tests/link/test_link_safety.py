@@ -107,7 +107,7 @@ def test_sticks_that_somebody_else_moves_do_not_fly_it():
     a.mode(2, 0)
     rig.run(0.1)
     assert a.acks[-1] == (m.MAV_CMD_DO_SET_MODE, m.MAV_RESULT_TEMPORARILY_REJECTED)
-    assert not rig.status.sticks
+    assert not rig.status.sticks_active
 
 
 def test_a_place_that_is_refused_leaves_the_speed():
@@ -199,6 +199,6 @@ def test_an_emergency_stop_in_any_state_and_any_traffic(seed):
     a.every = [set_point(), stick(700)]
     for _ in range(200):
         rig.tick()
-        assert (rig.flight.sent.array == 0.0).all()
+        assert (rig.flight.sent_actuators.input_array == 0.0).all()
         assert not rig.status.armed
     assert np.isfinite(rig.position).all()

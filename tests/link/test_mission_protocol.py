@@ -4,9 +4,9 @@ import pytest
 from link_rig import Rig, waypoint
 
 from mufly.flight import FlightState
-from mufly.link import Item
+from mufly.link import MissionItem
 from mufly.link import mavlink as m
-from mufly.link.mission_transfer import LIMIT
+from mufly.link.mission_transfer import MAX_ITEMS
 
 MISSION = {"name": "three", "waypoint": [{"position_m": [k, 0, -1]} for k in (0.0, 0.5)]}
 
@@ -25,9 +25,7 @@ def test_a_list_that_was_never_fetched_does_not_outlive_its_mission():
     rig.run(0.1)
 
     def ask(station):
-        return after(
-            station, "MISSION_COUNT", lambda: station.say(m.MAVLink_mission_request_list_message(1, 1))
-        )
+        return after(station, "MISSION_COUNT", lambda: station.say(m.MAVLink_mission_request_list_message(1, 1)))
 
     (first,) = ask(gcs)
     assert first.count == len(rig.link._missions.plan.items) == 4
@@ -38,14 +36,10 @@ def test_a_list_that_was_never_fetched_does_not_outlive_its_mission():
     gcs.giver = None
     assert [c.count for c in ask(gcs)] == [2]
     # Another that goes on with the list it was offered gets all of that one, or nothing; never some of each.
-    heard = after(
-        other, "MISSION_ITEM_INT", lambda: other.say(m.MAVLink_mission_request_int_message(1, 1, 0))
-    )
+    heard = after(other, "MISSION_ITEM_INT", lambda: other.say(m.MAVLink_mission_request_int_message(1, 1, 0)))
     assert [i.command for i in heard] == [22]
     assert [c.count for c in ask(other)] == [2]
-    assert not after(
-        other, "MISSION_ITEM_INT", lambda: other.say(m.MAVLink_mission_request_int_message(1, 1, 1))
-    )
+    assert not after(other, "MISSION_ITEM_INT", lambda: other.say(m.MAVLink_mission_request_int_message(1, 1, 1)))
     # The same list asked for twice is one download: its Count was lost.
     after(gcs, "MISSION_ITEM_INT", lambda: gcs.say(m.MAVLink_mission_request_int_message(1, 1, 0)))
     assert [c.count for c in ask(gcs)] == [2]
@@ -56,7 +50,7 @@ def test_what_is_reached_and_what_comes_next_at_every_stage_of_a_flight():
     """An item is reached when it is done, none twice, and one that was given up never."""
     rig = Rig()
     gcs = rig.station()
-    speed = Item(0, 2, 178, params=(1.0, 0.4, -1.0, 0.0))
+    speed = MissionItem(0, 2, 178, params=(1.0, 0.4, -1.0, 0.0))
     items = [waypoint(0, 0, -1, command=22), waypoint(1, 0, -1), speed, waypoint(2, 0, -1, wait=1.0)]
     protocol = rig.link._missions
     waits, active, paused, complete = 2, 3, 4, 5  # MISSION_STATE
@@ -79,7 +73,7 @@ def test_what_is_reached_and_what_comes_next_at_every_stage_of_a_flight():
             ],
         ),
         (
-            Item(0, 2, 93, params=(2.0, 0, 0, 0)),
+            MissionItem(0, 2, 93, params=(2.0, 0, 0, 0)),
             [
                 ({"state": "hover", "waypoint": 2, **running}, 4, active, []),
                 ({"state": "hover", "waypoint": 2, "begun": True, "flying": True}, 4, complete, [3, 4]),
@@ -100,14 +94,14 @@ def test_what_is_reached_and_what_comes_next_at_every_stage_of_a_flight():
         assert rig.run(1.0, lambda: gcs.last("MISSION_ACK")), gcs.words
         for stage, current, state, reached in [*flown, *last]:
             status = FlightState(**stage)
-            now = protocol.progress(status)
-            assert (now.item, now.total, now.state, now.mode) == (
+            now = protocol.mission_progress(status)
+            assert (now.current_item, now.item_count, now.mission_state, now.mission_mode) == (
                 current,
                 5,
                 state,
                 1 if state == active else 2,
             ), stage
-            assert protocol.reached(status) == reached, stage
+            assert protocol.take_reached_items(status) == reached, stage
         rig.now_s += 10.0
 
 
@@ -135,7 +129,7 @@ def test_an_upload_of_a_peer_that_has_gone_makes_room_for_the_next():
     gcs.say(m.MAVLink_mission_count_message(1, 1, 3, 0))
     rig.run(0.05)
     for peer, busy in (("other", True), ("gcs", False)):
-        rig.link._missions.forget(peer)
+        rig.link._missions.forget_peer(peer)
         assert (rig.link._missions._receiver.peer is not None) is busy
     assert other.acks == []
 
@@ -143,7 +137,7 @@ def test_an_upload_of_a_peer_that_has_gone_makes_room_for_the_next():
 @pytest.mark.parametrize(
     ("count", "kind", "result", "why"),
     [
-        (LIMIT + 1, 0, 4, "more than 500 items"),
+        (MAX_ITEMS + 1, 0, 4, "more than 500 items"),
         (1, 2, 3, "rally points are not"),
         (1, 9, 3, "rally points are not"),
     ],
@@ -189,7 +183,7 @@ def test_a_mission_is_taken_during_a_take_off_and_on_the_way_to_a_place_and_flow
     assert rig.run(2.0, lambda: gcs.last("MISSION_ACK")), gcs.words
     assert (gcs.last("MISSION_ACK").type, rig.status.state) == (0, "waypoint")
     gcs.command(m.MAV_CMD_MISSION_START)
-    assert rig.run(8.0, lambda: rig.status.reached == 1), gcs.words
+    assert rig.run(8.0, lambda: rig.status.reached_count == 1), gcs.words
     # While it flies a mission it takes no other.
     gcs.heard.clear()
     gcs.upload([waypoint(0.3, 0, -0.6)])
@@ -199,9 +193,7 @@ def test_a_mission_is_taken_during_a_take_off_and_on_the_way_to_a_place_and_flow
 
 
 def fence_item(command, first, n, e):
-    return Item(
-        0, 1, command, params=(first, 0.0, 0.0, 0.0), x=round(1e4 * n), y=round(1e4 * e), mission_type=1
-    )
+    return MissionItem(0, 1, command, params=(first, 0.0, 0.0, 0.0), x=round(1e4 * n), y=round(1e4 * e), mission_type=1)
 
 
 def test_a_fence_goes_up_and_comes_down_to_the_bit_and_keeps_its_vehicle():
@@ -219,9 +211,7 @@ def test_a_fence_goes_up_and_comes_down_to_the_bit_and_keeps_its_vehicle():
     gcs.giver = None
     got = gcs.download(mission_type=1)
     assert rig.run(1.0, lambda: got)
-    assert [(i.command, i.params, i.x, i.y) for i in got[0]] == [
-        (i.command, i.params, i.x, i.y) for i in items
-    ]
+    assert [(i.command, i.params, i.x, i.y) for i in got[0]] == [(i.command, i.params, i.x, i.y) for i in items]
     gcs.taker = None
     rig.run(1.0)
     rig.run(1.5)

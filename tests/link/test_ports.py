@@ -8,15 +8,15 @@ import time
 import pytest
 
 from mufly.errors import InputError
-from mufly.link import Endpoint, open_port, parse_endpoint, wait
-from mufly.link.ports import PEERS, RETRY_S
+from mufly.link import Endpoint, open_port, parse_endpoint, wait_readable
+from mufly.link.ports import MAX_PEERS, RECONNECT_PERIOD_S
 
 
 def gather(port, until, seconds=3.0):
     """Receive until ``until(bytes so far)``."""
     data, end = b"", time.monotonic() + seconds
     while not until(data) and time.monotonic() < end:
-        wait([port], 0.02)
+        wait_readable([port], 0.02)
         data += b"".join(part for _, part in port.receive())
     return data
 
@@ -29,13 +29,13 @@ def test_udp_there_and_back():
     with contextlib.closing(listening("udpin")) as here:
         there = open_port(Endpoint("udpout", "127.0.0.1", here.port))
         there.send(None, b"hello")
-        wait([here], 1.0)
+        wait_readable([here], 1.0)
         ((peer, data),) = here.receive()
         assert data == b"hello"
         here.send(peer, b"back")
         assert gather(there, lambda d: d) == b"back"
         assert there.peers[0].address == f"127.0.0.1:{here.port}"
-        assert (there.targets, here.targets) == (there.peers, [])
+        assert (there.call_targets, here.call_targets) == (there.peers, [])
         there.close()
 
 
@@ -51,13 +51,13 @@ def test_udp_to_nobody_is_silent():
 
 def test_udp_serves_many_but_not_without_end():
     with contextlib.closing(listening("udpin")) as here:
-        callers = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(PEERS + 5)]
+        callers = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(MAX_PEERS + 5)]
         for caller in callers:
             caller.sendto(b"x", ("127.0.0.1", here.port))
-            wait([here], 1.0)
+            wait_readable([here], 1.0)
             here.receive()
             caller.close()
-        assert len(here.peers) == PEERS
+        assert len(here.peers) == MAX_PEERS
 
 
 def test_tcp_serves_several_and_notices_who_hangs_up():
@@ -72,7 +72,7 @@ def test_tcp_serves_several_and_notices_who_hangs_up():
         callers[0].close()
         gather(server, lambda _: len(server.peers) == 2)
         assert len(server.peers) == 2
-        assert any("hung up" in n for n in server.notices())
+        assert any("hung up" in n for n in server.take_notices())
         for caller in callers[1:]:
             caller.close()
 
@@ -83,13 +83,13 @@ def test_tcp_calls_again_until_there_is_an_answer_and_says_so_once():
     port = open_port(Endpoint("tcp", "127.0.0.1", number))
     gather(port, lambda _: False, 0.1)
     port.receive()
-    assert [("cannot connect" in n) for n in port.notices()] == [True]
+    assert [("cannot connect" in n) for n in port.take_notices()] == [True]
     server = open_port(Endpoint("tcpin", "127.0.0.1", number))
-    gather(port, lambda _: server.receive() or port.peers, 3.0 * RETRY_S)
+    gather(port, lambda _: server.receive() or port.peers, 3.0 * RECONNECT_PERIOD_S)
     assert port.peers
     server.close()
     gather(port, lambda _: not port.peers)
-    said = port.notices()
+    said = port.take_notices()
     assert sum("connected" in n for n in said) == 1
     assert sum("lost" in n for n in said) == 1
     port.close()
@@ -118,13 +118,13 @@ def test_a_serial_cable_that_is_pulled_and_put_back(tmp_path):
     device = tmp_path / "ttyUSB0"
     port = open_port(Endpoint("serial", str(device), 57600))
     port.receive()
-    assert "cannot connect" in port.notices()[0]
+    assert "cannot connect" in port.take_notices()[0]
 
     def plug():
         ours, theirs = os.openpty()
         device.unlink(missing_ok=True)
         device.symlink_to(os.ttyname(theirs))
-        gather(port, lambda _: port.peers, 3.0 * RETRY_S)
+        gather(port, lambda _: port.peers, 3.0 * RECONNECT_PERIOD_S)
         os.close(theirs)
         return ours
 
@@ -140,9 +140,9 @@ def test_a_serial_cable_that_is_pulled_and_put_back(tmp_path):
     os.close(cable)
     gather(port, lambda _: not port.peers)
     assert not port.peers
-    assert sum("lost" in n for n in port.notices()) == 1
+    assert sum("lost" in n for n in port.take_notices()) == 1
     os.close(plug())
-    assert "connected" in " ".join(port.notices())
+    assert "connected" in " ".join(port.take_notices())
     port.close()
 
 
@@ -165,10 +165,10 @@ def test_what_waited_unheard_is_thrown_away_and_the_line_goes_on(kinds):
         assert gather(here, lambda d: d == b"first") == b"first"
         for _ in range(400):
             there.send(None, b"land")
-        wait([here], 1.0)
-        here.discard()
+        wait_readable([here], 1.0)
+        here.discard_input()
         assert here.receive() == []
-        there._retry_s = -RETRY_S  # it may call at once
+        there._retry_s = -RECONNECT_PERIOD_S  # it may call at once
         until = time.monotonic() + 5.0
         while time.monotonic() < until:
             there.receive(), here.receive()
@@ -183,7 +183,7 @@ def test_what_waited_unheard_is_thrown_away_and_the_line_goes_on(kinds):
 def test_a_connection_that_nobody_acknowledges_is_given_up_soon_with_what_waits_in_it():
     with contextlib.closing(listening("tcpin")) as here, contextlib.closing(socket.socket()) as caller:
         caller.connect(("127.0.0.1", here.port))
-        wait([here], 1.0)
+        wait_readable([here], 1.0)
         here.receive()
         ((line, _),) = here._lines.values()
         assert 0 < line.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) <= 3000
@@ -211,6 +211,6 @@ def test_a_serial_device_that_cannot_be_used_is_told_as_what_it_is(tmp_path):
     here.unlink()
     for _ in range(3):
         port.receive()
-        port._retry_s = -RETRY_S
+        port._retry_s = -RECONNECT_PERIOD_S
     assert "there is no such device; plug it in" in port.problem
     port.close()

@@ -124,7 +124,7 @@ def test_a_plan_of_its_own(qgc):
     qgc.mode(4, 4)
     assert rig.run(1.5, lambda: qgc.last("HEARTBEAT").custom_mode == 4 << 16 | 4 << 24)
     qgc.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1)
-    assert rig.run(40.0, lambda: rig.status.waypoint == 1), qgc.words
+    assert rig.run(40.0, lambda: rig.status.waypoint_index == 1), qgc.words
     assert rig.position[0] == pytest.approx(0.5, abs=0.1)
     assert rig.run(40.0, lambda: not rig.status.armed)
     assert np.linalg.norm(rig.position[:2]) < 0.1

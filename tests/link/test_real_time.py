@@ -15,20 +15,30 @@ import pytest
 from link_rig import new_flight
 
 from mufly.errors import InputError, MuflyError
-from mufly.link import Codec, Encoder, Endpoint, TlogWriter, VehicleLink, open_port, run, start_vehicle, wait
+from mufly.link import (
+    Endpoint,
+    FrameDecoder,
+    FrameEncoder,
+    TlogWriter,
+    VehicleLink,
+    open_port,
+    run_real_time,
+    start_vehicle,
+    wait_readable,
+)
 from mufly.link import mavlink as m
-from mufly.link.process import CATCH_UP_S, HURRY, WINDOW_S, Pace
+from mufly.link.vehicle_process import CATCH_UP_SPEED, MAX_CATCH_UP_S, PACE_WINDOW_S, RealTimePacer
 from mufly.logs import read_log, read_raw
-from mufly.mission import ACCEPTED, Mission
+from mufly.mission import REQUEST_ACCEPTED, Mission
 
 
 def ticks(clock, period, busy, until):
-    """Times of the ticks of a loop whose work takes ``busy(k)`` seconds."""
-    pace, out, now = Pace(clock, period), [], clock
+    """Times of the ticks of a loop whose work takes ``is_busy(k)`` seconds."""
+    pace, out, now = RealTimePacer(clock, period), [], clock
     while now < until:
-        rest = pace.wait_s(now)
+        rest = pace.sleep_time_s(now)
         now += max(0.0, rest)
-        pace.tick(now)
+        pace.record_tick(now)
         out.append(now)
         now += busy(len(out))
     return pace, out
@@ -37,27 +47,27 @@ def ticks(clock, period, busy, until):
 def test_the_pace_does_not_drift():
     pace, out = ticks(10.0, 0.01, lambda k: 0.003 * (k % 3), 70.0)
     assert len(out) == pytest.approx(6000, abs=2)
-    assert pace.slipped_s == 0.0
+    assert pace.lost_time_s == 0.0
 
 
 def test_a_short_stall_is_made_up_for_without_a_burst():
     pace, out = ticks(10.0, 0.01, lambda k: 0.5 if k == 100 else 0.0, 20.0)
     assert len(out) == pytest.approx(1000, abs=2)
-    assert min(b - a for a, b in itertools.pairwise(out)) > 0.99 * 0.01 / HURRY
-    assert pace.slipped_s == 0.0
-    assert pace.worst_s > 0.4
+    assert min(b - a for a, b in itertools.pairwise(out)) > 0.99 * 0.01 / CATCH_UP_SPEED
+    assert pace.lost_time_s == 0.0
+    assert pace.worst_lateness_s > 0.4
 
 
 def test_a_long_stall_is_not():
     pace, out = ticks(10.0, 0.01, lambda k: 4.0 if k == 100 else 0.0, 20.0)
-    assert pace.slipped_s == pytest.approx(4.0 - 0.01)
+    assert pace.lost_time_s == pytest.approx(4.0 - 0.01)
     assert len(out) == pytest.approx(600, abs=3)
-    assert CATCH_UP_S < 4.0
+    assert MAX_CATCH_UP_S < 4.0
 
 
 def test_real_time_that_is_lost_is_measured_and_said(monkeypatch):
     """A clock that goes five times as fast as the machine can tick, from 8 s to 18 s; no load is needed for that."""
-    monkeypatch.setattr("mufly.link.process.wait", lambda ports, timeout_s: None)
+    monkeypatch.setattr("mufly.link.vehicle_process.wait_readable", lambda ports, timeout_s: None)
     flight, said, told = new_flight(), [], {}
     link = VehicleLink(flight)
     flight.autopilot.listeners.append(lambda e: "real time" in e.text and said.append((e.level, e.text)))
@@ -72,8 +82,8 @@ def test_real_time_that_is_lost_is_measured_and_said(monkeypatch):
         told[wall] = link.real_time_factor
         return wall > 29.0
 
-    pace = run(flight, [], link=link, stop=stop, clock=clock)
-    assert all(math.isnan(f) for t, f in told.items() if t < WINDOW_S)
+    pace = run_real_time(flight, [], link=link, stop=stop, clock=clock)
+    assert all(math.isnan(f) for t, f in told.items() if t < PACE_WINDOW_S)
     for begin, end, least, most in (
         (5.1, 8.0, 0.99, 1.01),
         (13.2, 18.0, 0.18, 0.22),
@@ -83,10 +93,10 @@ def test_real_time_that_is_lost_is_measured_and_said(monkeypatch):
         assert least < min(found), (begin, min(found))
         assert max(found) < most, (begin, max(found))
     # 8 s of 10 are lost; what is not more than CATCH_UP_S behind is made up for.
-    assert pace.slips == link.slips == 7
-    assert pace.slipped_s == pytest.approx(8.0, abs=CATCH_UP_S + 0.1)
-    assert flight.time_s == pytest.approx(29.0 - pace.slipped_s, abs=0.1)
-    kept = pace.attributes
+    assert pace.slip_count == link.slip_count == 7
+    assert pace.lost_time_s == pytest.approx(8.0, abs=MAX_CATCH_UP_S + 0.1)
+    assert flight.time_s == pytest.approx(29.0 - pace.lost_time_s, abs=0.1)
+    kept = pace.recording_attributes
     assert kept["realtime_factor"] == pytest.approx(flight.time_s / 29.0, abs=0.01)
     assert kept["realtime_factor_least"] == pytest.approx(0.2, abs=0.02)
     assert [level for level, _ in said] == ["warning", "info"]
@@ -101,12 +111,13 @@ def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeyp
     flight.autopilot.listeners.append(lambda e: said.append(e.text))
     clock = [100.0]
     monkeypatch.setattr(
-        "mufly.link.process.wait", lambda ports, timeout_s: clock.__setitem__(0, clock[0] + timeout_s)
+        "mufly.link.vehicle_process.wait_readable",
+        lambda ports, timeout_s: clock.__setitem__(0, clock[0] + timeout_s),
     )
-    encode, turns = Encoder(255, 190), itertools.count()
+    encode, turns = FrameEncoder(255, 190), itertools.count()
     arm = m.MAVLink_command_long_message(1, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
     heard = []
-    monkeypatch.setattr(link.autopilot, "arm", lambda: heard.append("arm") or ACCEPTED)
+    monkeypatch.setattr(link.autopilot, "arm", lambda: heard.append("arm") or REQUEST_ACCEPTED)
 
     def stop():
         turn = next(turns)
@@ -119,12 +130,12 @@ def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeyp
         return turn > 150
 
     with contextlib.closing(here):
-        run(
+        run_real_time(
             flight, [Endpoint("udpout", "127.0.0.1", here.port)], link=link, stop=stop, clock=lambda: clock[0]
         )
     assert heard == ["arm"]  # the first of two
     assert any("stood still for 7.0 s" in text for text in said)
-    assert link.authority.silent_s(clock[0]) < 1.0
+    assert link.authority.commander_silence_s(clock[0]) < 1.0
 
 
 def listener():
@@ -133,9 +144,9 @@ def listener():
 
 def hear(port, seconds, want=lambda message: False):
     """Messages that come in within some time, or until one is wanted."""
-    codec, out, end = Codec(), [], time.monotonic() + seconds
+    codec, out, end = FrameDecoder(), [], time.monotonic() + seconds
     while time.monotonic() < end:
-        wait([port], 0.05)
+        wait_readable([port], 0.05)
         for peer, data in port.receive():
             for message in codec.receive(0.0, peer, data):
                 out.append(message)
@@ -150,7 +161,7 @@ def test_a_vehicle_in_real_time_and_its_telemetry_log(tmp_path):
     log = tmp_path / "link.tlog"
     with TlogWriter(log) as tlog:
         loop = threading.Thread(
-            target=run,
+            target=run_real_time,
             args=(flight, [Endpoint("udpout", "127.0.0.1", p.port) for p in (port, other)]),
             kwargs={"stop": over.is_set, "tlog": tlog},
         )
@@ -158,7 +169,7 @@ def test_a_vehicle_in_real_time_and_its_telemetry_log(tmp_path):
         try:
             heard = hear(port, 1.5)
             arm = m.MAVLink_command_long_message(1, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
-            port.send(port.peers[0], Encoder(255, 190)(arm))
+            port.send(port.peers[0], FrameEncoder(255, 190)(arm))
             heard += hear(port, 2.0, lambda x: x.get_type() == "COMMAND_ACK")
         finally:
             over.set()
@@ -201,24 +212,22 @@ def test_a_vehicle_in_its_own_process_that_is_killed_is_missed(tmp_path):
     port = listener()
     recording = tmp_path / "flight.mcap"
     end = Endpoint("udpout", "127.0.0.1", port.port)
-    with start_vehicle(
-        "mufly-1.1", Mission(name="none"), endpoints=[end], path=recording, system=7
-    ) as vehicle:
-        vehicle.wait_ready()
+    with start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[end], path=recording, system=7) as vehicle:
+        vehicle.wait_until_ready()
         heard = hear(port, 60.0, lambda x: x.get_type() == "HEARTBEAT")
         assert heard[-1].get_srcSystem() == 7
         # What reaches all processes of a terminal is not its business.
         os.kill(vehicle.pid, signal.SIGINT)
         os.kill(vehicle.pid, signal.SIGHUP)
         assert within(120.0, lambda: has_rows(recording))
-        assert not vehicle.finished
+        assert not vehicle.is_finished
         assert vehicle.error == ""
         os.kill(vehicle.pid, signal.SIGKILL)
         assert within(60.0, lambda: vehicle.error)
         assert "while it flew" in vehicle.error
         with pytest.raises(MuflyError, match="while it flew"):
-            vehicle.wait_ready()
-    assert vehicle.finished
+            vehicle.wait_until_ready()
+    assert vehicle.is_finished
     assert not read_log(recording).attrs["complete"]
     port.close()
 
@@ -226,9 +235,9 @@ def test_a_vehicle_in_its_own_process_that_is_killed_is_missed(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_vehicle_that_is_stopped_while_it_starts_does_not_start_first():
     vehicle = start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[])
-    assert not vehicle.ready
+    assert not vehicle.is_ready
     vehicle.stop(timeout_s=60.0)
-    assert vehicle.finished
+    assert vehicle.is_finished
     assert "before it was ready" in vehicle.error
 
 
@@ -270,5 +279,5 @@ def _alive(pid):
 def test_what_is_wrong_in_the_process_is_told_here(tmp_path):
     vehicle = start_vehicle("mufly-1.1", "no such mission", endpoints=[])
     with pytest.raises(MuflyError, match="no such mission"):
-        vehicle.wait_ready()
+        vehicle.wait_until_ready()
     vehicle.stop()

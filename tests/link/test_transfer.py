@@ -11,27 +11,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.link import (
-    GIVE_UP_S,
-    Ack,
-    ClearAll,
-    Count,
-    Item,
+    TRANSFER_TIMEOUT_S,
+    MissionAck,
+    MissionClearAll,
+    MissionCount,
+    MissionItem,
+    MissionReceiver,
+    MissionRequestItem,
+    MissionRequestList,
     MissionResult,
-    Receiver,
-    RequestItem,
-    RequestList,
-    Sender,
+    MissionSender,
     mavlink,
-    note_of,
+    parse_transfer_message,
     to_mavlink,
 )
-from mufly.link.mission_transfer import LIMIT, SETTLE_S, Retry
+from mufly.link.mission_transfer import MAX_ITEMS, SETTLE_TIME_S, RetryTimer
 
 STEP_S = 0.05
 
 
-def mission(n: int, mark: int = 0) -> tuple[Item, ...]:
-    return tuple(Item(k, 1, 16, params=(float(mark), 0.0, 0.0, 0.0), x=10_000 * k, z=-1.0) for k in range(n))
+def mission(n: int, mark: int = 0) -> tuple[MissionItem, ...]:
+    return tuple(MissionItem(k, 1, 16, params=(float(mark), 0.0, 0.0, 0.0), x=10_000 * k, z=-1.0) for k in range(n))
 
 
 class Channel:
@@ -68,7 +68,7 @@ def run(channel, ends, start, until_s, t=0.0):
             end = ends.get(target)
             if end is None:
                 continue
-            known = (note,) if isinstance(end, Sender) else (source, note)
+            known = (note,) if isinstance(end, MissionSender) else (source, note)
             channel.send(t, target, end.receive(t, *known))
         for name, end in ends.items():
             channel.send(t, name, end.step(t))
@@ -88,8 +88,8 @@ class Judge:
 
 def upload(seed, n, **damage):
     judge, channel = Judge(), Channel(seed, **damage)
-    vehicle = Receiver(judge)
-    station = Sender("vehicle", mission(n))
+    vehicle = MissionReceiver(judge)
+    station = MissionSender("vehicle", mission(n))
     took = run(channel, {"vehicle": vehicle, "station": station}, ("station", station.start(0.0)), 300.0)
     return judge, vehicle, station, took, channel
 
@@ -117,14 +117,14 @@ def test_an_upload_over_the_worst_link_ends_whole_within_a_minute_and_a_half(see
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 20))
 def test_a_download_over_the_worst_link_ends_whole(seed, n):
     judge, channel = Judge(), Channel(seed, loss=0.3, delay_s=0.3, doubles=0.2)
-    station = Receiver(judge, unasked=False)
+    station = MissionReceiver(judge, unasked=False)
 
     class Vehicle:
         sender, result = None, 0
 
         def receive(self, t, source, note):
-            if isinstance(note, RequestList) and self.sender is None:
-                self.sender = Sender(source, mission(n), uploading=False)
+            if isinstance(note, MissionRequestList) and self.sender is None:
+                self.sender = MissionSender(source, mission(n), uploading=False)
                 return self.sender.start(t)
             return self.sender.receive(t, note) if self.sender else []
 
@@ -134,7 +134,7 @@ def test_a_download_over_the_worst_link_ends_whole(seed, n):
     took = run(
         channel,
         {"station": station, "vehicle": Vehicle()},
-        ("station", station.fetch(0.0, "vehicle")),
+        ("station", station.fetch_items(0.0, "vehicle")),
         300.0,
     )
     assert judge.delivered == [mission(n)]
@@ -146,10 +146,10 @@ def test_a_download_over_the_worst_link_ends_whole(seed, n):
 @given(seed=st.integers(0, 2**32 - 1), at=st.floats(0.1, 12.0), n=st.integers(1, 8), m=st.integers(1, 8))
 def test_a_second_mission_in_mid_transfer_is_never_mixed_with_the_first(seed, at, n, m):
     judge, channel = Judge(), Channel(seed, loss=0.3, delay_s=0.3, doubles=0.3)
-    vehicle, first = Receiver(judge), Sender("vehicle", mission(n, mark=1))
+    vehicle, first = MissionReceiver(judge), MissionSender("vehicle", mission(n, mark=1))
     ends = {"vehicle": vehicle, "station": first}
     t = run(channel, ends, ("station", first.start(0.0)), at)
-    second = Sender("vehicle", mission(m, mark=2))
+    second = MissionSender("vehicle", mission(m, mark=2))
     ends["station"] = second
     run(channel, ends, ("station", second.start(t, hush=True)), t + 200.0, t)
     assert all(items in (mission(n, 1), mission(m, 2)) for items in judge.delivered)
@@ -160,46 +160,46 @@ def test_a_second_mission_in_mid_transfer_is_never_mixed_with_the_first(seed, at
 @pytest.mark.parametrize("after", range(5))
 def test_a_sender_that_vanishes_leaves_nothing_and_frees_the_receiver(after):
     judge = Judge()
-    vehicle = Receiver(judge)
+    vehicle = MissionReceiver(judge)
     items = mission(5)
-    vehicle.receive(0.0, "a", Count(5))
+    vehicle.receive(0.0, "a", MissionCount(5))
     for k in range(after):
         vehicle.receive(0.1 * k, "a", items[k])
     t, asked = 0.5, 0
-    while vehicle.busy:
+    while vehicle.is_busy:
         t += STEP_S
         for _, note in vehicle.step(t):
-            asked += isinstance(note, RequestItem)
+            asked += isinstance(note, MissionRequestItem)
             last = note
-        assert t < GIVE_UP_S + 2.0
+        assert t < TRANSFER_TIMEOUT_S + 2.0
     assert vehicle.timed_out
-    assert last == Ack(MissionResult.OPERATION_CANCELLED)
-    assert 5 <= asked <= GIVE_UP_S / 0.25
+    assert last == MissionAck(MissionResult.OPERATION_CANCELLED)
+    assert 5 <= asked <= TRANSFER_TIMEOUT_S / 0.25
     assert judge.delivered == []
-    vehicle.receive(t + 5.0, "b", Count(1))
+    vehicle.receive(t + 5.0, "b", MissionCount(1))
     vehicle.receive(t + 5.1, "b", mission(1)[0])
     assert judge.delivered == [mission(1)]
 
 
 def test_a_receiver_that_vanishes_is_given_up():
-    station = Sender("vehicle", mission(3))
+    station = MissionSender("vehicle", mission(3))
     counts = len(station.start(0.0))
     t = 0.0
     while station.result is None:
         t += STEP_S
-        counts += sum(isinstance(n, Count) for _, n in station.step(t))
-        assert t < GIVE_UP_S + 2.0
+        counts += sum(isinstance(n, MissionCount) for _, n in station.step(t))
+        assert t < TRANSFER_TIMEOUT_S + 2.0
     assert station.timed_out
     assert counts >= 5
 
 
 def test_another_peer_in_mid_transfer_is_denied_and_does_not_disturb():
     judge = Judge()
-    vehicle = Receiver(judge)
-    vehicle.receive(0.0, "a", Count(2))
-    assert vehicle.receive(0.1, "b", Count(2)) == [("b", Ack(MissionResult.DENIED))]
+    vehicle = MissionReceiver(judge)
+    vehicle.receive(0.0, "a", MissionCount(2))
+    assert vehicle.receive(0.1, "b", MissionCount(2)) == [("b", MissionAck(MissionResult.DENIED))]
     assert vehicle.receive(0.2, "b", mission(2, mark=9)[0]) == []
-    vehicle.receive(0.3, "b", Ack(MissionResult.OPERATION_CANCELLED))
+    vehicle.receive(0.3, "b", MissionAck(MissionResult.OPERATION_CANCELLED))
     for item in mission(2):
         vehicle.receive(0.4, "a", item)
     assert judge.delivered == [mission(2)]
@@ -207,30 +207,30 @@ def test_another_peer_in_mid_transfer_is_denied_and_does_not_disturb():
 
 def test_items_out_of_turn_and_of_other_kinds_are_passed_over():
     judge = Judge()
-    vehicle = Receiver(judge)
+    vehicle = MissionReceiver(judge)
     a, b, c = mission(3)
-    vehicle.receive(0.0, "a", Count(3))
+    vehicle.receive(0.0, "a", MissionCount(3))
     assert vehicle.receive(0.1, "a", b) == []
-    assert vehicle.receive(0.1, "a", Item(0, 1, 16, mission_type=1)) == []
-    assert vehicle.receive(0.1, "a", a) == [("a", RequestItem(1))]
+    assert vehicle.receive(0.1, "a", MissionItem(0, 1, 16, mission_type=1)) == []
+    assert vehicle.receive(0.1, "a", a) == [("a", MissionRequestItem(1))]
     assert vehicle.receive(0.2, "a", a) == []
     vehicle.receive(0.3, "a", b)
-    assert vehicle.receive(0.4, "a", c) == [("a", Ack(0))]
+    assert vehicle.receive(0.4, "a", c) == [("a", MissionAck(0))]
     assert judge.delivered == [(a, b, c)]
 
 
 def test_an_acknowledgement_that_was_lost_is_given_again_and_the_mission_delivered_once():
     judge = Judge()
-    vehicle = Receiver(judge)
-    vehicle.receive(0.0, "a", Count(1))
+    vehicle = MissionReceiver(judge)
+    vehicle.receive(0.0, "a", MissionCount(1))
     vehicle.receive(0.1, "a", mission(1)[0])
-    assert vehicle.receive(1.2, "a", mission(1)[0]) == [("a", Ack(0))]
+    assert vehicle.receive(1.2, "a", mission(1)[0]) == [("a", MissionAck(0))]
     assert len(judge.delivered) == 1
 
 
 def test_what_the_judge_refuses_the_sender_hears():
     judge = Judge(MissionResult.INVALID_PARAM5_X)
-    vehicle, station = Receiver(judge), Sender("vehicle", mission(2))
+    vehicle, station = MissionReceiver(judge), MissionSender("vehicle", mission(2))
     run(Channel(0), {"vehicle": vehicle, "station": station}, ("station", station.start(0.0)), 20.0)
     assert station.result == MissionResult.INVALID_PARAM5_X
     assert not station.timed_out
@@ -238,22 +238,22 @@ def test_what_the_judge_refuses_the_sender_hears():
 
 def test_too_many_items_are_refused_before_any_is_sent():
     judge = Judge()
-    vehicle = Receiver(judge)
-    assert vehicle.receive(0.0, "a", Count(65535)) == [("a", Ack(MissionResult.NO_SPACE))]
-    assert not vehicle.busy
-    assert vehicle.receive(9.0, "a", Count(LIMIT)) == [("a", RequestItem(0))]
+    vehicle = MissionReceiver(judge)
+    assert vehicle.receive(0.0, "a", MissionCount(65535)) == [("a", MissionAck(MissionResult.NO_SPACE))]
+    assert not vehicle.is_busy
+    assert vehicle.receive(9.0, "a", MissionCount(MAX_ITEMS)) == [("a", MissionRequestItem(0))]
 
 
 def test_a_transfer_can_be_cancelled_from_either_side():
     judge = Judge()
-    vehicle, station = Receiver(judge), Sender("vehicle", mission(2))
+    vehicle, station = MissionReceiver(judge), MissionSender("vehicle", mission(2))
     station.start(0.0)
-    vehicle.receive(0.0, "station", Count(2))
+    vehicle.receive(0.0, "station", MissionCount(2))
     ((_, note),) = station.cancel()
     vehicle.receive(0.1, "station", note)
-    assert not vehicle.busy
-    station = Sender("vehicle", mission(2))
-    vehicle.receive(5.0, "station", Count(2))
+    assert not vehicle.is_busy
+    station = MissionSender("vehicle", mission(2))
+    vehicle.receive(5.0, "station", MissionCount(2))
     ((_, note),) = vehicle.cancel()
     station.receive(5.1, note)
     assert station.result == MissionResult.OPERATION_CANCELLED
@@ -263,26 +263,34 @@ def test_a_transfer_can_be_cancelled_from_either_side():
 
 def test_a_receiver_that_starts_anew_lets_old_packets_run_dry():
     judge = Judge()
-    vehicle = Receiver(judge)
-    vehicle.receive(0.0, "a", Count(2))
+    vehicle = MissionReceiver(judge)
+    vehicle.receive(0.0, "a", MissionCount(2))
     vehicle.receive(0.1, "a", mission(2, 1)[0])
-    assert vehicle.receive(0.2, "a", Count(2)) == []
+    assert vehicle.receive(0.2, "a", MissionCount(2)) == []
     vehicle.receive(0.3, "a", mission(2, 1)[0])  # of the first transfer, late
     t = 0.3
     while not (notes := vehicle.step(t)):
         t += STEP_S
-    assert notes == [("a", RequestItem(0))]
-    assert t == pytest.approx(0.1 + SETTLE_S, abs=2 * STEP_S)
+    assert notes == [("a", MissionRequestItem(0))]
+    assert t == pytest.approx(0.1 + SETTLE_TIME_S, abs=2 * STEP_S)
 
 
 @pytest.mark.parametrize(
     "note",
-    [Count(3), RequestItem(2), Ack(14), RequestList(), ClearAll(1), mission(3)[2], Item(1, 6, 22, z=2.0)],
+    [
+        MissionCount(3),
+        MissionRequestItem(2),
+        MissionAck(14),
+        MissionRequestList(),
+        MissionClearAll(1),
+        mission(3)[2],
+        MissionItem(1, 6, 22, z=2.0),
+    ],
 )
 def test_notes_survive_the_wire(note):
     link = mavlink.MAVLink(None)
     data = to_mavlink(note, 1, 1).pack(link)
-    assert note_of(link.decode(bytearray(data))) == note
+    assert parse_transfer_message(link.decode(bytearray(data))) == note
 
 
 @pytest.mark.parametrize(
@@ -291,19 +299,19 @@ def test_notes_survive_the_wire(note):
 )
 def test_items_of_the_older_form_are_read_in_metres_or_degrees(frame, x, expected):
     message = mavlink.MAVLink_mission_item_message(1, 1, 0, frame, 16, 0, 1, 0, 0, 0, 0, x, 0, -1)
-    assert note_of(message).x == expected
+    assert parse_transfer_message(message).x == expected
 
 
 def test_a_question_is_asked_again_after_a_round_trip_and_a_tenth():
     """MAVLink recommends 0.25 s for items and 1.5 s for the rest; over a slow link an answer takes longer."""
 
     def waits(*trips):
-        retry, now_s = Retry(), 0.0
-        retry.begin(now_s)
+        retry, now_s = RetryTimer(), 0.0
+        retry.mark_started(now_s)
         for trip in trips:
             now_s += trip
-            retry.moved(now_s)
-        return next(0.005 * k for k in range(1000) if retry.again(now_s + 0.005 * k))
+            retry.mark_progress(now_s)
+        return next(0.005 * k for k in range(1000) if retry.should_retry(now_s + 0.005 * k))
 
     assert waits() == pytest.approx(0.8, abs=0.006)
     assert waits(0.01) == pytest.approx(0.25, abs=0.006)
@@ -313,37 +321,40 @@ def test_a_question_is_asked_again_after_a_round_trip_and_a_tenth():
 
 
 def test_a_sender_that_begins_anew_stops_the_receiver_until_it_is_silent():
-    sender, cancel = Sender("vehicle", mission(3)), ("vehicle", Ack(MissionResult.OPERATION_CANCELLED))
+    sender, cancel = (
+        MissionSender("vehicle", mission(3)),
+        ("vehicle", MissionAck(MissionResult.OPERATION_CANCELLED)),
+    )
     assert sender.start(10.0, hush=True) == [cancel]
     # Five times in HUSH_S, and to every question; each question begins the wait anew.
     cancelled = [k for k in range(1, 15) if sender.step(10.0 + 0.1 * k)]
     assert len(cancelled) == 3
     assert cancelled[0] == 4
-    assert sender.receive(11.5, RequestItem(0)) == [cancel]
+    assert sender.receive(11.5, MissionRequestItem(0)) == [cancel]
     said = {k: sender.step(11.5 + 0.1 * k + 1e-6) for k in range(1, 22)}
-    assert [k for k, notes in said.items() if notes and notes[0][1] == Count(3)] == [20]
-    assert sender.receive(13.7, RequestItem(0)) == [("vehicle", sender.items[0])]
+    assert [k for k, notes in said.items() if notes and notes[0][1] == MissionCount(3)] == [20]
+    assert sender.receive(13.7, MissionRequestItem(0)) == [("vehicle", sender.items[0])]
 
 
 def test_an_acceptance_that_comes_too_early_belongs_to_another_transfer():
-    sender = Sender("vehicle", mission(3))
+    sender = MissionSender("vehicle", mission(3))
     sender.start(0.0)
-    assert sender.receive(0.1, Ack(MissionResult.ACCEPTED)) == []
+    assert sender.receive(0.1, MissionAck(MissionResult.ACCEPTED)) == []
     assert sender.result is None
     # Once items have gone out it means that the receiver counts on fewer of them: it never heard how many.
-    sender.receive(0.2, RequestItem(0))
-    assert sender.receive(0.3, Ack(MissionResult.ACCEPTED)) == [("vehicle", Count(3))]
-    giver = Sender("station", mission(3), uploading=False)
+    sender.receive(0.2, MissionRequestItem(0))
+    assert sender.receive(0.3, MissionAck(MissionResult.ACCEPTED)) == [("vehicle", MissionCount(3))]
+    giver = MissionSender("station", mission(3), uploading=False)
     giver.start(0.0)
-    giver.receive(0.2, RequestItem(0))
-    assert giver.receive(0.3, Ack(MissionResult.ACCEPTED)) == []
+    giver.receive(0.2, MissionRequestItem(0))
+    assert giver.receive(0.3, MissionAck(MissionResult.ACCEPTED)) == []
     assert giver.result is None
 
 
 def test_progress_is_the_share_of_the_items():
-    taker = Receiver(lambda items: 0)
-    taker.fetch(10.0, "vehicle")
-    taker.receive(12.0, "vehicle", Count(4))
+    taker = MissionReceiver(lambda items: 0)
+    taker.fetch_items(10.0, "vehicle")
+    taker.receive(12.0, "vehicle", MissionCount(4))
     for k in range(3):
         assert taker.progress == pytest.approx(k / 4)
         taker.receive(12.1, "vehicle", mission(4)[k])

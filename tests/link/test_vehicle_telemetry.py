@@ -7,16 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mufly.dynamics import quaternion_from_euler, rotation
-from mufly.estimate import ERROR_STATES, Beliefs, Check, Estimate
+from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler
+from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate, SensorStatus
 from mufly.flight import Actuators, FlightState
-from mufly.link import STATES, STREAMS, Origin, mode_of
+from mufly.link import MESSAGE_STREAMS, MISSION_STATES, GlobalOrigin, mode_from_state
 from mufly.link import mavlink as m
-from mufly.link.estimates import UNKNOWN_TRIANGLE
-from mufly.link.telemetry import Instant, Progress
+from mufly.link.estimate_messages import UNKNOWN_COVARIANCE
+from mufly.link.telemetry_streams import MissionProgress, TelemetryState
 from mufly.sensors import Reading, Readings
-from mufly.station.history import History
-from mufly.station.telemetry import Telemetry
+from mufly.station.signal_history import SignalHistory
+from mufly.station.vehicle_telemetry import VehicleTelemetry
 
 UNIT = {
     "": 1.0, "m": 1.0, "mm": 1e-3, "cm": 1e-2, "m/s": 1.0, "cm/s": 1e-2, "rad": 1.0, "rad/s": 1.0, "s": 1.0,
@@ -24,7 +24,7 @@ UNIT = {
     "deg": math.radians(1), "cdeg": math.radians(1e-2), "degE7": 1e-7,
 }  # fmt: skip
 """To SI, and places on the globe to degrees (mavlink.io/en/messages/common.html)."""
-ORIGIN = Origin(47.3769, 8.5417, 408.0)
+ORIGIN = GlobalOrigin(47.3769, 8.5417, 408.0)
 YAW = 7.0  # wound up past north once
 RING = SimpleNamespace(count=8, first_angle=math.radians(22.5), min_range=0.04, max_range=1.5)
 VEHICLE = SimpleNamespace(range_ring=RING, battery=SimpleNamespace(low_voltage=6.8))
@@ -34,7 +34,7 @@ FLYING = FlightState(
     flying=True,
     state="waypoint",
     mission_running=True,
-    home=(1.0, 2.0, -0.05),
+    home_position=(1.0, 2.0, -0.05),
     estimate=Estimate(
         12.345,
         np.array([3.0, -4.0, -1.5]),
@@ -70,15 +70,21 @@ FLYING = FlightState(
 
 
 def instant(state=FLYING, **known):
-    told = {"ready": True, "progress": Progress(2, 5, 3, 1), "origin": ORIGIN, "chosen": "", "commander": 0}
-    return Instant(**{"vehicle": VEHICLE, "state": state, "loss": 0.0, **told, **known})
+    told = {
+        "ready": True,
+        "progress": MissionProgress(2, 5, 3, 1),
+        "origin": ORIGIN,
+        "chosen": "",
+        "commander": 0,
+    }
+    return TelemetryState(**{"vehicle": VEHICLE, "state": state, "loss": 0.0, **told, **known})
 
 
 def told(name, now=None):
     """What a stream says, off the wire."""
-    (stream,) = (s for s in STREAMS if s.name == name)
+    (stream,) = (s for s in MESSAGE_STREAMS if s.message_name == name)
     link = m.MAVLink(None)
-    out = [link.decode(bytearray(x.pack(link))) for x in stream.messages(instant() if now is None else now)]
+    out = [link.decode(bytearray(x.pack(link))) for x in stream.build_messages(instant() if now is None else now)]
     return out if len(out) != 1 else out[0]
 
 
@@ -97,7 +103,7 @@ TOLD = {
                    "drop_rate_comm": 0.0123},
     "BATTERY_STATUS": {"current_battery": 3.21, "battery_remaining": 0.64, "time_remaining": 321.0},
     "MISSION_CURRENT": {"seq": 2, "total": 5, "mission_state": 3, "mission_mode": 1},
-    "NAMED_VALUE_INT (mstate)": {"value": STATES.index("waypoint")},
+    "NAMED_VALUE_INT (mstate)": {"value": MISSION_STATES.index("waypoint")},
     "NAMED_VALUE_FLOAT (rtfactor)": {"value": 0.75},
     "NAMED_VALUE_INT (slips)": {"value": 4},
     "ATTITUDE": {"time_boot_ms": 12.345, "roll": 0.05, "pitch": -0.04, "yaw": WRAPPED, "rollspeed": 0.1,
@@ -182,16 +188,12 @@ def test_a_ring_is_told_in_centimetres_and_each_beam_with_its_direction():
     assert turned == pytest.approx([math.radians(22.5 + 45 * k) for k in range(8)])
     # Directions that MAVLink has a word for are named: no quaternion is needed then.
     ahead = SimpleNamespace(**{**vars(RING), "first_angle": math.radians(90.0)})
-    beams = told(
-        "DISTANCE_SENSOR", instant(vehicle=SimpleNamespace(range_ring=ahead, battery=VEHICLE.battery))
-    )
+    beams = told("DISTANCE_SENSOR", instant(vehicle=SimpleNamespace(range_ring=ahead, battery=VEHICLE.battery)))
     yaws = [m.enums["MAV_SENSOR_ORIENTATION"][b.orientation].name.rpartition("_")[2] for b in beams]
     assert yaws == ["90", "135", "180", "225", "270", "315", "NONE", "45"]
     assert {tuple(b.quaternion) for b in beams} == {(0.0, 0.0, 0.0, 0.0)}
     askew = SimpleNamespace(**{**vars(RING), "first_angle": math.radians(10.0)})
-    beams = told(
-        "DISTANCE_SENSOR", instant(vehicle=SimpleNamespace(range_ring=askew, battery=VEHICLE.battery))
-    )
+    beams = told("DISTANCE_SENSOR", instant(vehicle=SimpleNamespace(range_ring=askew, battery=VEHICLE.battery)))
     assert {b.orientation for b in beams} == {m.MAV_SENSOR_ROTATION_CUSTOM}
 
 
@@ -237,7 +239,7 @@ def test_how_well_it_is(change, status, armed, well):
     # Told by the same voltage, until hardly anything is left.
     low = m.MAV_BATTERY_CHARGE_STATE_OK if well else m.MAV_BATTERY_CHARGE_STATE_LOW
     assert told("BATTERY_STATUS", now).charge_state == low
-    empty = instant(replace(now.state, battery_charge=0.01))
+    empty = instant(replace(now.flight_state, battery_charge=0.01))
     assert told("BATTERY_STATUS", empty).charge_state == m.MAV_BATTERY_CHARGE_STATE_CRITICAL
 
 
@@ -247,9 +249,9 @@ def test_what_flies_it_is_in_the_base_mode():
         base = told("HEARTBEAT", instant(replace(FLYING, state=state))).base_mode
         assert bool(base & m.MAV_MODE_FLAG_AUTO_ENABLED) is by_itself
         assert bool(base & m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED) is not by_itself
-    for chosen, mode in (("take-off", mode_of("take-off")), ("mission", mode_of("waypoint"))):
+    for chosen, mode in (("take-off", mode_from_state("take-off")), ("mission", mode_from_state("waypoint"))):
         beat = told("HEARTBEAT", instant(replace(FLYING, armed=False, state="init"), chosen=chosen))
-        assert beat.custom_mode == mode.main << 16 | mode.sub << 24
+        assert beat.custom_mode == mode.main_mode << 16 | mode.sub_mode << 24
 
 
 def test_whether_it_can_be_armed_is_told_until_it_is():
@@ -271,7 +273,7 @@ def test_where_it_stands():
         m.MAV_LANDED_STATE_LANDING,
     ]
     # Before it has taken off, home is where it stands; without an origin nobody knows the sea.
-    waits = replace(FLYING, home=None)
+    waits = replace(FLYING, home_position=None)
     assert told("ALTITUDE", instant(waits)).altitude_relative == 0.0
     assert told("HOME_POSITION", instant(waits)).x == 3.0
     assert told("GLOBAL_POSITION_INT", instant(waits)).relative_alt == 1500
@@ -280,7 +282,7 @@ def test_where_it_stands():
     assert math.isnan(told("ALTITUDE", alone).altitude_amsl)
     assert told("ALTITUDE", alone).altitude_terrain < -1000.0  # MAVLink: below it is not known
     assert told("GLOBAL_POSITION_INT", alone) == told("HOME_POSITION", alone) == []
-    assert told("MISSION_CURRENT", instant(progress=Progress(0, 0, 1, 2))).total == 65535  # of no mission
+    assert told("MISSION_CURRENT", instant(progress=MissionProgress(0, 0, 1, 2))).total == 65535  # of no mission
 
 
 def test_stamps_are_never_0_and_the_short_one_starts_over_after_49_days():
@@ -305,18 +307,25 @@ def test_what_is_believed_and_how_far_goes_out_and_comes_back() -> None:
     rng = np.random.default_rng(3)
     root = rng.normal(size=(12, 12)) * 0.1
     covariance = root @ root.T
-    beliefs = Beliefs(
-        np.zeros(3), np.zeros(3), 0.0, np.zeros(4), np.array([0.4, -0.1]), 1.0, np.full(len(ERROR_STATES), 0.2),
-        (Check("acceleration", "rejected", 1.0, 0.1, 10.0, 0.3, "clips"), Check("pressure", "fused", 5.0, 2.0, 2.5)),
-    )  # fmt: skip
-    state = replace(FLYING, estimate=replace(FLYING.estimate, covariance=covariance, beliefs=beliefs))
-    now = instant(state)
-    o, status, checks = (
-        told(name, now) for name in ("ODOMETRY", "ESTIMATOR_STATUS", "DEBUG_FLOAT_ARRAY (checks)")
+    beliefs = AuxiliaryStates(
+        np.zeros(3),
+        np.zeros(3),
+        0.0,
+        np.zeros(4),
+        np.array([0.4, -0.1]),
+        1.0,
+        np.full(len(ERROR_STATES), 0.2),
+        (
+            SensorStatus("acceleration", "rejected", 1.0, 0.1, 10.0, 0.3, "clips"),
+            SensorStatus("pressure", "fused", 5.0, 2.0, 2.5),
+        ),
     )
+    state = replace(FLYING, estimate=replace(FLYING.estimate, covariance=covariance, auxiliary_states=beliefs))
+    now = instant(state)
+    o, status, checks = (told(name, now) for name in ("ODOMETRY", "ESTIMATOR_STATUS", "DEBUG_FLOAT_ARRAY (checks)"))
     assert (o.frame_id, o.child_frame_id) == (m.MAV_FRAME_LOCAL_NED, m.MAV_FRAME_BODY_FRD)
     assert (o.x, o.y, o.z) == pytest.approx((3.0, -4.0, -1.5))
-    turn = rotation(quaternion_from_euler(0.05, -0.04, YAW))
+    turn = body_to_ned_matrix(quaternion_from_euler(0.05, -0.04, YAW))
     np.testing.assert_allclose(turn @ [o.vx, o.vy, o.vz], [0.3, -0.4, 0.1], atol=1e-6)
     pose = [0, 1, 2, 6, 7, 8]
     rows = [covariance[pose[i], pose[k]] for i in range(6) for k in range(i, 6)]
@@ -329,30 +338,34 @@ def test_what_is_believed_and_how_far_goes_out_and_comes_back() -> None:
     assert status.pos_vert_ratio == pytest.approx(0.25)  # half the gate
     assert status.pos_horiz_accuracy == pytest.approx(math.hypot(*np.sqrt(np.diag(covariance))[:2]))
 
-    station = Telemetry(History(seconds=10.0))
+    station = VehicleTelemetry(SignalHistory(seconds=10.0))
     for k, message in enumerate((told("ATTITUDE", now), o, status, checks)):
         station.handle(1.0 + 0.001 * k, message)
     sigma = np.sqrt(np.diag(covariance))
     for name, part in (("position", sigma[:3]), ("velocity", sigma[3:6]), ("attitude", sigma[6:9])):
-        np.testing.assert_allclose(station.believes(f"estimated_{name}_sigma"), part, rtol=1e-5)
-    assert station.believes("status_acceleration") == 2
-    assert station.believes("innovation_pressure") == 2.5
-    assert np.isnan(station.believes("status_ranges"))
-    np.testing.assert_allclose(station.believes("estimated_wind"), [0.4, -0.1], rtol=1e-6)
-    assert "accelerometer wrong" in station.estimator.wrong
-    assert station.estimator.unknown == ("attitude", "velocity", "position")  # one sigma of 0.58 m, and more
+        np.testing.assert_allclose(station.present_value(f"estimated_{name}_sigma"), part, rtol=1e-5)
+    assert station.present_value("status_acceleration") == 2
+    assert station.present_value("innovation_pressure") == 2.5
+    assert np.isnan(station.present_value("status_ranges"))
+    np.testing.assert_allclose(station.present_value("estimated_wind"), [0.4, -0.1], rtol=1e-6)
+    assert "accelerometer wrong" in station.estimator_status.fault_texts
+    assert station.estimator_status.missing_estimates == (
+        "attitude",
+        "velocity",
+        "position",
+    )  # one sigma of 0.58 m, and more
     # A deviation is no angle that goes round: that of a heading which was not known at first comes down.
     for k, sure in enumerate((6.2, 0.1)):
         odd = replace(state.estimate, covariance=np.diag([*[0.01] * 8, sure**2, *[0.01] * 3]))
         station.handle(1.05 + 0.01 * k, told("ODOMETRY", instant(replace(state, estimate=odd))))
-    assert station.believes("estimated_attitude_sigma")[2] == pytest.approx(0.1, rel=1e-5)
+    assert station.present_value("estimated_attitude_sigma")[2] == pytest.approx(0.1, rel=1e-5)
     # Covariances that are not known, as PX4 tells them, and a velocity in the room's axes.
     unknown = m.MAVLink_odometry_message(
-        0, 1, 1, *[0.0] * 3, [1.0, 0, 0, 0], *[0.0] * 6, UNKNOWN_TRIANGLE, [0.09] + [0.0] * 20
+        0, 1, 1, *[0.0] * 3, [1.0, 0, 0, 0], *[0.0] * 6, UNKNOWN_COVARIANCE, [0.09] + [0.0] * 20
     )
     station.handle(1.1, unknown)
-    assert np.isnan(station.believes("estimated_position_sigma")).all()
-    np.testing.assert_allclose(station.believes("estimated_velocity_sigma"), [0.3, 0.0, 0.0])
+    assert np.isnan(station.present_value("estimated_position_sigma")).all()
+    np.testing.assert_allclose(station.present_value("estimated_velocity_sigma"), [0.3, 0.0, 0.0])
     # Estimates without error, and such that are none.
     assert told("DEBUG_FLOAT_ARRAY (checks)") == []
     assert told("ODOMETRY").pose_covariance[0] == 0.0

@@ -128,9 +128,7 @@ def micro_sd(kinds, events, *, version=2, end=True):
         out += b"".join(c.encode() + b"\0" for c in columns)
     for number, time_s, values in events:
         letters = "".join(c[-2] for c in kinds[number][1])
-        clock = (
-            struct.pack("<I", round(1e3 * time_s)) if version == 1 else struct.pack("<Q", round(1e6 * time_s))
-        )
+        clock = struct.pack("<I", round(1e3 * time_s)) if version == 1 else struct.pack("<Q", round(1e6 * time_s))
         out += struct.pack("<H", number) + clock + struct.pack(f"<{letters}", *values)
     return out + (struct.pack("<I", zlib.crc32(out)) if end else b"")
 

@@ -15,18 +15,18 @@ from mufly.logs import (
     find_gaps,
     read_log,
     read_raw,
-    resample,
-    usable_samples,
+    resample_signal,
+    select_usable_samples,
     write_log,
 )
-from mufly.logs.topics import foreign_stamps
+from mufly.logs.raw_log import find_foreign_stamps
 
 TIME = 0.01 * np.arange(500)
 
 
 def test_a_sound_clock_has_no_faults():
     report = check_clock(TIME)
-    assert report.words() == []
+    assert report.describe_faults() == []
     assert report.rate_hz == pytest.approx(100)
     assert report.jitter < 1e-9
 
@@ -43,7 +43,7 @@ def test_every_gap_is_found_where_it_is(places, length):
 
 def test_gaps_are_said():
     time = np.delete(TIME, slice(100, 150))
-    words = check_clock(time).words()
+    words = check_clock(time).describe_faults()
     assert words == ["1 gap, 0.51 s in all, the longest 0.51 s at 0.99 s (median step 10 ms)"]
 
 
@@ -52,7 +52,7 @@ def test_repeated_and_swapped_stamps_are_repaired_and_said():
     time[50] = time[49]
     time[[200, 201]] = time[[201, 200]]
     time[300] = np.nan
-    index, words = usable_samples(time, "log", "imu")
+    index, words = select_usable_samples(time, "log", "imu")
     assert (np.diff(time[index]) > 0).all()
     assert len(index) == 498
     assert len(words) == 3
@@ -62,15 +62,13 @@ def test_repeated_and_swapped_stamps_are_repaired_and_said():
 def test_a_clock_that_was_reset_is_refused():
     time = TIME.copy()
     time[250:] -= 2.4
-    with pytest.raises(
-        InputError, match=r"time runs backward once, by 2\.39 s .* sample 250; the clock was reset"
-    ):
-        usable_samples(time, "log.csv", "")
+    with pytest.raises(InputError, match=r"time runs backward once, by 2\.39 s .* sample 250; the clock was reset"):
+        select_usable_samples(time, "log.csv", "")
 
 
 def test_rows_in_disorder_are_refused():
     with pytest.raises(InputError, match="mixed up"):
-        usable_samples(np.random.default_rng(0).permutation(TIME), "log.csv", "")
+        select_usable_samples(np.random.default_rng(0).permutation(TIME), "log.csv", "")
 
 
 def test_a_few_swaps_in_a_long_record_are_no_reset_and_many_are():
@@ -80,34 +78,32 @@ def test_a_few_swaps_in_a_long_record_are_no_reset_and_many_are():
         order = np.arange(10_000)
         order[places], order[places + 1] = places + 1, places
         report = check_clock(time[order])
-        assert (report.backward, report.reset) == (swaps, reset)
+        assert (report.backward, report.is_reset) == (swaps, reset)
         assert report.back_s == pytest.approx(0.01)
         assert report.first_back == 41
     few = np.arange(100)
     few[[10, 11, 20, 21, 30, 31]] = few[[11, 10, 21, 20, 31, 30]]
-    assert not check_clock(time[few]).reset  # three may be in any record
+    assert not check_clock(time[few]).is_reset  # three may be in any record
 
 
 def test_the_clock_of_a_log_is_that_of_most_topics_not_of_the_longest():
     board = {name: 10.0 + 0.1 * np.arange(20) for name in ("imu", "baro")}
     utc = {"gps": 1.7e9 + 0.01 * np.arange(5000)}
-    foreign, words = foreign_stamps(board | utc)
+    foreign, words = find_foreign_stamps(board | utc)
     assert {name: f.all() for name, f in foreign.items()} == {"imu": False, "baro": False, "gps": True}
     assert len(words) == 1
     assert words[0].startswith("gps: ")
     # Of equals the one with more stamps; where no clock has the half of them nobody can say.
-    foreign, _ = foreign_stamps({"imu": board["imu"]} | utc)
+    foreign, _ = find_foreign_stamps({"imu": board["imu"]} | utc)
     assert foreign["imu"].all()
     assert not foreign["gps"].any()
-    foreign, words = foreign_stamps(
-        {"imu": board["imu"], "clock": 3e8 + board["imu"], "week": 6e5 + board["imu"]}
-    )
+    foreign, words = find_foreign_stamps({"imu": board["imu"], "clock": 3e8 + board["imu"], "week": 6e5 + board["imu"]})
     assert not any(f.any() for f in foreign.values())
     assert words == []
 
 
 def test_a_clock_that_stands_still_says_so():
-    assert check_clock(np.full(100, 3.0)).words() == ["the clock stands still"]
+    assert check_clock(np.full(100, 3.0)).describe_faults() == ["the clock stands still"]
 
 
 def test_a_csv_with_a_clock_reset_is_refused_and_a_swap_is_said(tmp_path):
@@ -125,31 +121,29 @@ def test_a_csv_with_a_clock_reset_is_refused_and_a_swap_is_said(tmp_path):
 
 def test_a_straight_line_is_resampled_exactly():
     onto = 0.013 * np.arange(380)
-    out = resample(TIME, 3 * TIME - 1, onto)
+    out = resample_signal(TIME, 3 * TIME - 1, onto)
     assert out == pytest.approx(3 * onto - 1)
 
 
 def test_a_held_signal_keeps_its_last_value():
-    out = resample(
+    out = resample_signal(
         np.array([0.0, 1.0, 2.0]), np.array([5.0, 6.0, 7.0]), np.array([0.0, 0.5, 1.0, 1.9, 2.0]), hold=True
     )
     assert out.tolist() == [5, 5, 6, 6, 7]
-    later = resample(
-        np.arange(100.0, 103.0), np.arange(3.0), np.array([99.5, 102.4, 103.0, 103.5]), hold=True
-    )
+    later = resample_signal(np.arange(100.0, 103.0), np.arange(3.0), np.array([99.5, 102.4, 103.0, 103.5]), hold=True)
     np.testing.assert_array_equal(later, [np.nan, 2.0, 2.0, np.nan])  # the last one for as long as a step
 
 
 def test_a_gap_stays_a_gap():
     keep = np.r_[0:200, 260:500]
-    out = resample(TIME[keep], TIME[keep], TIME)
+    out = resample_signal(TIME[keep], TIME[keep], TIME)
     assert np.isnan(out[201:259]).all()
     assert np.isfinite(out[:200]).all()
     assert np.isfinite(out[260:]).all()
 
 
 def test_nothing_is_made_up_before_the_beginning_and_after_the_end():
-    out = resample(TIME, TIME, np.array([-0.02, 0.0, 4.99, 5.01]))
+    out = resample_signal(TIME, TIME, np.array([-0.02, 0.0, 4.99, 5.01]))
     assert np.isnan(out).tolist() == [True, False, False, True]
 
 
@@ -161,7 +155,7 @@ def test_what_is_faster_than_half_the_new_rate_does_not_fold_down_and_nothing_is
     )  # would fold to 1 Hz at 50 Hz
     onto = 0.02 * np.arange(400)
     inner = slice(20, -20)
-    out = resample(time, slow + fast, onto)[inner]
+    out = resample_signal(time, slow + fast, onto)[inner]
     assert out == pytest.approx(np.sin(2 * np.pi * onto[inner]), abs=5e-3)
 
 
@@ -179,9 +173,7 @@ def dataset(time, **columns):
 def written(tmp_path, time, **columns):
     path = tmp_path / "log.csv"
     head = ",".join(["t_s", *columns])
-    np.savetxt(
-        path, np.column_stack([time, *columns.values()]), delimiter=",", header=head, comments="", fmt="%.9g"
-    )
+    np.savetxt(path, np.column_stack([time, *columns.values()]), delimiter=",", header=head, comments="", fmt="%.9g")
     return path
 
 
@@ -300,9 +292,7 @@ def test_a_counter_that_wraps_is_counted_on(tmp_path, head, size, step, unit_s):
         counts = counts if isinstance(step, float) else np.floor(counts)
         raw = clocked(tmp_path, [f"{c:.10g}" for c in counts], head=head)
         time = raw["table"].time
-        assert time - time[0] == pytest.approx(
-            step * unit_s * np.arange(n), abs=1.01 * unit_s * (step >= 1) + 1e-5
-        )
+        assert time - time[0] == pytest.approx(step * unit_s * np.arange(n), abs=1.01 * unit_s * (step >= 1) + 1e-5)
         wraps = int((np.diff(counts) < 0).sum())
         times = "once" if wraps == 1 else f"{wraps} times"
         assert re.search(rf"(wraps|anew|midnight) {times}, first at", raw.notes[-1])
@@ -321,7 +311,7 @@ def test_a_restart_is_no_wrap(tmp_path, last):
     path.write_text("t (ms),U_V\n" + "\n".join(f"{c},1" for c in counts))
     assert "wraps" not in " ".join(read_raw(path).notes)
     with pytest.raises(InputError, match="runs backward"):
-        usable_samples(1e-3 * counts, "log", "")
+        select_usable_samples(1e-3 * counts, "log", "")
 
 
 @pytest.mark.parametrize(
@@ -355,9 +345,7 @@ def test_a_date_and_a_time_of_the_day_make_a_clock_past_midnight(tmp_path, head,
 def test_seconds_and_nanoseconds_of_ros_are_one_clock(tmp_path):
     path = tmp_path / "log.csv"
     ns = 1_683_356_889_990_000_000 + 4_000_000 * np.arange(100)
-    path.write_text(
-        "stamp.secs,stamp.nsecs,x_m\n" + "\n".join(f"{n // 10**9},{n % 10**9},1" for n in ns.tolist())
-    )
+    path.write_text("stamp.secs,stamp.nsecs,x_m\n" + "\n".join(f"{n // 10**9},{n % 10**9},1" for n in ns.tolist()))
     raw = read_raw(path)
     assert np.diff(raw["table"].time) == pytest.approx(0.004, abs=1e-9)
     assert raw.start_time.startswith("2023-05-06T07:08:09.990")

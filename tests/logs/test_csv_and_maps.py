@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.identify.record import read_columns
-from mufly.logs import LogWarning, builtin_maps, load_map, read_log, read_raw
-from mufly.tables import text_columns
-from mufly.units import conversion, known_unit, split_header
+from mufly.identify.flight_record import read_columns
+from mufly.input_files import read_text_columns
+from mufly.logs import LogWarning, builtin_column_maps, load_column_map, read_log, read_raw
+from mufly.units import normalise_unit, split_header, unit_conversion
 
 
 @pytest.fixture
@@ -26,10 +26,7 @@ def table(tmp_path):
 
 def rows(head, n=50, sep=",", step=0.01, columns=2):
     lines = [head]
-    lines += [
-        sep.join([f"{step * k:.6g}", *(f"{np.sin(0.1 * k + j):.9g}" for j in range(columns))])
-        for k in range(n)
-    ]
+    lines += [sep.join([f"{step * k:.6g}", *(f"{np.sin(0.1 * k + j):.9g}" for j in range(columns))]) for k in range(n)]
     return "\n".join(lines) + "\n"
 
 
@@ -62,21 +59,21 @@ def test_headers_are_split_into_name_and_unit(header, name, unit):
     ],
 )  # fmt: skip
 def test_units_convert(unit, wanted, one):
-    _, factor, offset = conversion(unit, wanted)
+    _, factor, offset = unit_conversion(unit, wanted)
     assert factor + offset == pytest.approx(one)
 
 
 @given(st.sampled_from(["deg", "rpm", "mm", "degC", "mV", "km/h", "%"]), st.floats(-1e6, 1e6))
 def test_a_conversion_and_its_reverse_give_the_value_back(unit, x):
-    si, factor, offset = conversion(unit)
-    _, back, shift = conversion(si, unit)
+    si, factor, offset = unit_conversion(unit)
+    _, back, shift = unit_conversion(si, unit)
     assert back * (factor * x + offset) + shift == pytest.approx(x, abs=1e-6)
 
 
 def test_units_of_another_dimension_are_refused():
     with pytest.raises(InputError, match="cannot become rad"):
-        conversion("V", "rad")
-    assert known_unit("furlong") == ""
+        unit_conversion("V", "rad")
+    assert normalise_unit("furlong") == ""
 
 
 @pytest.mark.parametrize(
@@ -152,10 +149,7 @@ def test_a_reference_that_tells_nothing_is_in_the_unit_of_its_measurement(table)
 
 def test_what_is_not_there_is_answered_with_what_comes_near_or_what_is_there(table):
     path = table(
-        "t_s,"
-        + ",".join(f"gauge_{k}" for k in range(12))
-        + "\n"
-        + "\n".join(["0" + ",1" * 12, "1" + ",1" * 12])
+        "t_s," + ",".join(f"gauge_{k}" for k in range(12)) + "\n" + "\n".join(["0" + ",1" * 12, "1" + ",1" * 12])
     )
     with pytest.raises(InputError, match=r"did you mean gauge_\d+, gauge_\d+, gauge_\d+\?$"):
         read_log(path, signals=["table/gauge_77"])
@@ -274,9 +268,7 @@ def test_the_short_form_says_the_same(table):
         columns=["time=ms(ms)", "measured_attitude=phi,theta,psi(deg)", "measured_rates.q=-theta[deg/s]"],
     )
     k = 0.1 * np.arange(50)
-    assert short.measured_attitude.sel(angle="yaw").values == pytest.approx(
-        np.radians(np.sin(k + 2)), abs=1e-9
-    )
+    assert short.measured_attitude.sel(angle="yaw").values == pytest.approx(np.radians(np.sin(k + 2)), abs=1e-9)
     assert short.measured_rates.sel(rate="q").values == pytest.approx(-np.radians(np.sin(k + 1)), abs=1e-9)
     assert np.isnan(short.measured_rates.sel(rate="p")).all()
 
@@ -313,8 +305,8 @@ def test_maps_that_do_not_fit_are_refused_in_one_line(table, columns, words):
 
 @pytest.mark.parametrize("name", ["px4", "ardupilot", "mavlink", "crazyflie"])
 def test_the_maps_of_the_package_are_sound(name):
-    assert name in builtin_maps()
-    assert len(load_map(name).signal) >= 10
+    assert name in builtin_column_maps()
+    assert len(load_column_map(name).signal) >= 10
 
 
 def test_signals_are_chosen_by_name_component_and_pattern(tmp_path, data):
@@ -373,18 +365,14 @@ FRENCH = tuple(c.replace(".", "\u202f") for c in COMMA)
     ids=["German", "French", "French Windows", "Swiss", "Unicode text", "French, big end first", "English Unicode text",
          "tabs", "blanks", "quoted commas", "quoted points"],
 )  # fmt: skip
-def test_a_table_as_a_spreadsheet_of_that_country_writes_it(
-    tmp_path, separator, cells, encoding, mark, header
-):
+def test_a_table_as_a_spreadsheet_of_that_country_writes_it(tmp_path, separator, cells, encoding, mark, header):
     """Before: tabs and blanks with decimal commas had no clock, UTF-16 was no log, a Swiss 1234.5 text, and with names
     for the columns one with thousands was dropped."""
     time, speed, rate = cells
     rows = [(time.replace("00", f"{k:02d}"), speed, rate.replace("25", f"{25 + k}")) for k in range(30)]
     head = [("Zeit (s)", "Drehzahl (rpm)", "q (deg/s)")] if header else []
     path = tmp_path / "excel.csv"
-    path.write_bytes(
-        (mark + "\r\n".join(separator.join(r) for r in [*head, *rows]) + "\r\n").encode(encoding)
-    )
+    path.write_bytes((mark + "\r\n".join(separator.join(r) for r in [*head, *rows]) + "\r\n").encode(encoding))
     named = read_columns(path, columns=("t", "w", "q"))
     expected = -0.25 - 0.01 * np.arange(30)
     assert named.columns["q"] == pytest.approx(np.radians(expected) if header else expected)
@@ -393,7 +381,7 @@ def test_a_table_as_a_spreadsheet_of_that_country_writes_it(
         table = read_raw(path)["table"]
         assert table.fields["Drehzahl"].tolist() == [1234.5] * 30
         assert read_columns(path).columns["q"] == pytest.approx(named.columns["q"])
-        assert text_columns(path)[1][3][1] == ["0.03", "1234.5", "-0.28"]
+        assert read_text_columns(path)[1][3][1] == ["0.03", "1234.5", "-0.28"]
 
 
 def test_what_a_comma_means_is_told_by_the_whole_table(table):
@@ -406,7 +394,7 @@ def test_what_a_comma_means_is_told_by_the_whole_table(table):
     ]
     assert read_raw(table("t_s\ta\n0\t1,234\n1\t2,345"))["table"].fields["a"].tolist() == [1.234, 2.345]
     with pytest.raises(InputError, match="is no text"):
-        text_columns(table("\0\1\2,3\n4,5"))
+        read_text_columns(table("\0\1\2,3\n4,5"))
 
 
 @pytest.mark.parametrize(
@@ -470,7 +458,7 @@ def test_a_short_row_is_left_out_with_its_line_and_shifts_nothing(table, separat
         "5 rows have fewer cells than the header's 4 and are left out, the first in line 22, the last in line 61",
     )
     with pytest.raises(InputError, match=r"line 22: has 3 cells, the header 4; give every row as many cells"):
-        text_columns(table("\n".join(["t_s,a,U_V,b", *lines]).replace(",", separator)))
+        read_text_columns(table("\n".join(["t_s,a,U_V,b", *lines]).replace(",", separator)))
 
 
 def test_rows_that_fit_no_header_are_refused_with_their_line(table):
@@ -481,8 +469,8 @@ def test_rows_that_fit_no_header_are_refused_with_their_line(table):
     with pytest.raises(InputError, match="line 32: has 3 cells, the header 2"):
         read_raw(table(long))
     with pytest.raises(InputError, match="line 32: has 3 cells, the header 2"):
-        text_columns(table(long))
-    assert len(read_raw(table(long.replace("30,1,2", "30,1,,"))).tables["table"].time) == 32
+        read_text_columns(table(long))
+    assert len(read_raw(table(long.replace("30,1,2", "30,1,,"))).tables_by_topic["table"].time) == 32
 
 
 @pytest.mark.parametrize(
@@ -494,7 +482,7 @@ def test_a_cell_in_quotes_holds_separators_line_breaks_and_quotes(table, cell):
     raw = read_raw(table("t_s,note,x_m\n" + "\n".join(lines)))
     assert raw["table"].fields["x"].tolist() == [k for k in range(30) if k != 25]
     assert raw.notes == (f"line {27 + cell.count(chr(10))} has 2 cells, the header 3, and is left out",)
-    assert text_columns(table("t_s,note,x_m\n" + "\n".join(lines[:25])))[1][4][1] == ["4", "ok", "4"]
+    assert read_text_columns(table("t_s,note,x_m\n" + "\n".join(lines[:25])))[1][4][1] == ["4", "ok", "4"]
 
 
 def test_lines_before_the_header_are_no_rows(table):
@@ -514,13 +502,9 @@ def test_lines_before_the_header_are_no_rows(table):
     assert one.units == {"gyroADC[0]": "deg/s", "accSmooth[2]": "gee"}
     assert one.fields["accSmooth[2]"] == pytest.approx(1.0)
     assert raw.info["preamble"]["acc_1G"] == "512"
-    assert raw.notes[0].startswith(
-        "4 lines before the header are no rows of the table (Product, gyro_scale, acc_1G"
-    )
+    assert raw.notes[0].startswith("4 lines before the header are no rows of the table (Product, gyro_scale, acc_1G")
     assert raw.notes[1] == "the header stands again once among the rows"
-    titled = "\n".join(
-        ["Test of 3 May", "operator: me", "t (s);U (V);I (A)", *(f"{k};7;1" for k in range(30))]
-    )
+    titled = "\n".join(["Test of 3 May", "operator: me", "t (s);U (V);I (A)", *(f"{k};7;1" for k in range(30))])
     assert read_raw(table(titled))["table"].units == {"U": "V", "I": "A"}
 
 

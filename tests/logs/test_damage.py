@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from mufly.errors import InputError
-from mufly.logs import FORMATS, LogWarning, examine, read_log, read_raw, read_recording, write_log
+from mufly.logs import LOG_WRITERS, LogWarning, examine_log, read_log, read_raw, read_recording, write_log
 
 
 def survives(path):
@@ -23,7 +23,7 @@ def survives(path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LogWarning)
         worked = True
-        for look in (read_log, examine):
+        for look in (read_log, examine_log):
             try:
                 look(path)
             except InputError as error:
@@ -35,16 +35,13 @@ def survives(path):
 @pytest.fixture(scope="session")
 def samples(tmp_path_factory, make_signals, make_dataflash, make_micro_sd, mavlink):
     folder = tmp_path_factory.mktemp("samples")
-    out = {e: write_log(make_signals(n=60), folder / f"log{e}").read_bytes() for e in FORMATS}
+    out = {e: write_log(make_signals(n=60), folder / f"log{e}").read_bytes() for e in LOG_WRITERS}
     rows = [(20_000 * k, 100 * k, -50, 9000, 0.1 * k) for k in range(1, 60)]
     units = {"labels": {"d": "deg", "s": "s"}, "ids": {"ATT": "sddd-"}}
-    out[".bin"] = make_dataflash(
-        [(10, "ATT", "QcccF".replace("F", "f"), "TimeUS,Roll,Pitch,Yaw,X", rows)], units
-    )
+    out[".bin"] = make_dataflash([(10, "ATT", "QcccF".replace("F", "f"), "TimeUS,Roll,Pitch,Yaw,X", rows)], units)
     link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     out[".tlog"] = b"".join(
-        int(1.7e15 + 1e5 * k).to_bytes(8, "big")
-        + link.attitude_encode(100 * k + 5, 0.01 * k, 0, 0, 0, 0, 0).pack(link)
+        int(1.7e15 + 1e5 * k).to_bytes(8, "big") + link.attitude_encode(100 * k + 5, 0.01 * k, 0, 0, 0, 0, 0).pack(link)
         for k in range(60)
     )
     by_events, of_2018 = make_micro_sd
@@ -54,7 +51,7 @@ def samples(tmp_path_factory, make_signals, make_dataflash, make_micro_sd, mavli
     return folder, out
 
 
-KINDS = [*FORMATS, ".bin", ".tlog", ".usd", ".usd of 2018"]
+KINDS = [*LOG_WRITERS, ".bin", ".tlog", ".usd", ".usd of 2018"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -134,7 +131,7 @@ def test_a_damaged_chunk_costs_its_own_messages_alone(tmp_path, compression):
     content = foreign_mcap(tmp_path / "a.mcap", compression)
     chunks = [(at, length) for at, opcode, length in records_of(content) if opcode == Opcode.CHUNK]
     raw, seq = imu(tmp_path / "a.mcap", content)
-    assert raw.complete
+    assert raw.is_complete
     assert len(seq) == 600
     at, length = chunks[3]
     content[at + 9 + length // 2 : at + 9 + length // 2 + 8] = b"\xff" * 8
@@ -149,7 +146,7 @@ def test_a_damaged_chunk_costs_its_own_messages_alone(tmp_path, compression):
     assert np.array_equal(imu(tmp_path / "a.mcap", content)[1], seq)
     content = content[: chunks[8][0]]  # no index any more: the next chunk is found by its looks
     raw, seq = imu(tmp_path / "a.mcap", content)
-    assert not raw.complete
+    assert not raw.is_complete
     assert np.array_equal(np.setdiff1d(np.arange(seq[-1] + 1), seq), gone)
 
 
@@ -160,7 +157,7 @@ def test_records_outside_chunks_are_found_again(tmp_path):
     content[places[200] + 40] = 0xFF  # its text is no JSON any more
     raw, seq = imu(tmp_path / "a.mcap", content)
     assert np.setdiff1d(np.arange(600), seq).tolist() == [100, 200]
-    assert "599 of 600 messages are here" in raw.damage
+    assert "599 of 600 messages are here" in raw.damage_text
     assert raw.notes == ("/imu: 1 of 599 messages are no JSON, left out",)
 
 
@@ -172,13 +169,13 @@ def test_an_index_that_is_damaged_costs_nothing(tmp_path):
         content[summary[2][0] + offset] ^= 0xFF
         raw, seq = imu(tmp_path / "a.mcap", content)
         assert len(seq) == 600
-        assert raw.damage == "the index at its end is damaged"
+        assert raw.damage_text == "the index at its end is damaged"
     content = whole.copy()
     at = next(at for at, opcode, _ in records_of(whole) if opcode == Opcode.DATA_END)
     content[at] = 0  # the record between data and index
     raw, seq = imu(tmp_path / "a.mcap", content)
     assert len(seq) == 600
-    assert f"13 bytes at byte {at} are damaged" in raw.damage
+    assert f"13 bytes at byte {at} are damaged" in raw.damage_text
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
@@ -190,11 +187,11 @@ def test_a_cut_chunk_keeps_the_messages_before_the_cut(tmp_path, compression):
     raw, seq = imu(tmp_path / "a.mcap", content[: at + 9 + length * 2 // 3])
     assert np.array_equal(seq, np.arange(len(seq)))
     words = f"the file ends inside a chunk, {9 + length * 2 // 3} of {9 + length} bytes of it are there"
-    assert f"at byte {at} {words}" in raw.damage
-    assert "it has no end mark" in raw.damage
+    assert f"at byte {at} {words}" in raw.damage_text
+    assert "it has no end mark" in raw.damage_text
     if compression is CompressionType.NONE:
         assert len(seq) > before + 20
-        assert f"with {len(seq) - before} whole messages" in raw.damage
+        assert f"with {len(seq) - before} whole messages" in raw.damage_text
 
 
 def test_what_stands_behind_the_end_mark_is_told(tmp_path):
@@ -202,9 +199,9 @@ def test_what_stands_behind_the_end_mark_is_told(tmp_path):
     for behind in (bytes(5000), b"garbage"):
         raw, seq = imu(tmp_path / "a.mcap", content + behind)
         assert len(seq) == 600
-        assert raw.damage == f"{len(behind)} bytes behind its end mark are none of it"
+        assert raw.damage_text == f"{len(behind)} bytes behind its end mark are none of it"
     raw, seq = imu(tmp_path / "a.mcap", content[:30_000] + bytes(len(content) - 30_000))
-    assert not raw.complete
+    assert not raw.is_complete
     assert 200 < len(seq) < 400
 
 
@@ -212,16 +209,12 @@ def test_a_packing_that_is_not_known_is_refused_by_its_name(tmp_path):
     content = foreign_mcap(tmp_path / "a.mcap", CompressionType.ZSTD)
     path = tmp_path / "a.mcap"
     path.write_bytes(content.replace(b"\x04\x00\x00\x00zstd", b"\x04\x00\x00\x00lzma"))
-    with pytest.raises(
-        InputError, match="packed by 'lzma', which is not read here; repack it: mcap compress"
-    ):
+    with pytest.raises(InputError, match="packed by 'lzma', which is not read here; repack it: mcap compress"):
         read_raw(path)
 
 
-def test_a_recording_cut_at_any_byte_of_its_last_block_keeps_every_whole_row(
-    tmp_path, make_signals, monkeypatch
-):
-    monkeypatch.setattr("mufly.logs.recording._BLOCK_ROWS", 50)
+def test_a_recording_cut_at_any_byte_of_its_last_block_keeps_every_whole_row(tmp_path, make_signals, monkeypatch):
+    monkeypatch.setattr("mufly.logs.mcap_recording._BLOCK_ROWS", 50)
     data = make_signals(n=60).drop_vars(["flap", "measured_rates"])
     path = tmp_path / "flight.mcap"
     content = write_log(data, path).read_bytes()
@@ -262,7 +255,7 @@ def test_no_damage_to_a_chunk_makes_wrong_numbers(tmp_path_factory, whole_files,
         content[k] ^= draw.draw(st.integers(1, 255))
     raw, seq = imu(path, content)
     assert len(seq) > 530
-    assert not raw.complete or len(seq) == 600
+    assert not raw.is_complete or len(seq) == 600
 
 
 def ulog_message(kind, body):
@@ -279,9 +272,7 @@ def ulog_parts(n=300):
     for k in range(n):
         stamp = 1000 + 10_000 * k
         if k == 0:
-            out += [
-                ulog_message("A", b"\0" + struct.pack("<H", i) + t) for i, t in enumerate((b"att", b"bat"))
-            ]
+            out += [ulog_message("A", b"\0" + struct.pack("<H", i) + t) for i, t in enumerate((b"att", b"bat"))]
         out.append(ulog_message("D", struct.pack("<HQff4s", 0, stamp, k, -k, b"abc")))
         if k % 5 == 0:
             out.append(ulog_message("D", struct.pack("<HQf", 1, stamp, 7.0 + k)))
@@ -306,27 +297,25 @@ def test_a_ulog_cut_anywhere_says_so(tmp_path):
     head, messages = ulog_parts()
     path, whole = tmp_path / "a.ulg", head + b"".join(messages)
     raw, q = read_att(path, whole)
-    assert raw.complete
+    assert raw.is_complete
     assert len(q) == 300
     assert raw["att"].fields["name"][7] == "abc"
     assert raw.info["parameters"] == {"MC_P": 1.0}
     assert [(round(t, 2), d) for t, d in raw.dropouts] == [(0.5, 0.03), (1.5, 0.03), (2.5, 0.03)]
     assert [text for _, _, text in raw.messages] == ["hi"] * 3
     raw, q = read_att(path, whole[:-5])
-    assert not raw.complete
+    assert not raw.is_complete
     assert len(q) == 299
     size = len(messages[-1])
-    words = (
-        f"it ends inside a message at byte {len(whole) - size}, {size - 5} of {size} bytes of it are there"
-    )
+    words = f"it ends inside a message at byte {len(whole) - size}, {size - 5} of {size} bytes of it are there"
     assert raw.describe_damage() == [f"the file is damaged or cut off: {words}; what is whole is here"]
-    assert read_att(path, whole[: -size + 2])[0].damage.startswith("it ends inside a message's head")
+    assert read_att(path, whole[: -size + 2])[0].damage_text.startswith("it ends inside a message's head")
     raw, q = read_att(path, whole + bytes(4000))  # the last message ends in a zero: it may be cut, too
-    assert raw.damage == f"{4000 + size} bytes from byte {len(whole) - size} on are zero"
+    assert raw.damage_text == f"{4000 + size} bytes from byte {len(whole) - size} on are zero"
     assert len(q) == 299
     raw, q = read_att(path, whole + ulog_message("D", struct.pack("<HQf", 1, 4_000_000, 0.1)) + bytes(4000))
-    assert raw.damage == f"4000 bytes from byte {len(whole) + 17} on are zero"
-    assert not read_att(path, whole + b"garbage")[0].complete
+    assert raw.damage_text == f"4000 bytes from byte {len(whole) + 17} on are zero"
+    assert not read_att(path, whole + b"garbage")[0].is_complete
     for end, why in (
         (10, "cut in its header, 10 of 16 bytes"),
         (100, "without data .it ends inside a message at byte"),
@@ -342,13 +331,11 @@ def test_data_appended_to_a_ulog_are_found_behind_what_the_crash_cut(tmp_path):
     cut = len(whole) - 9
     flags = ulog_message("B", bytes(8) + b"\x01" + bytes(7) + struct.pack("<QQQ", cut, 0, 0))
     more = ulog_message("M", b"\0\x12char[3] hardfault" + b"abc")
-    more += b"".join(
-        ulog_message("D", struct.pack("<HQff4s", 0, 1000 + 10_000 * k, k, -k, b"")) for k in (200, 201)
-    )
+    more += b"".join(ulog_message("D", struct.pack("<HQff4s", 0, 1000 + 10_000 * k, k, -k, b"")) for k in (200, 201))
     content = head[:16] + flags + head[16 + len(flags) :] + b"".join(messages)
     raw, q = read_att(tmp_path / "a.ulg", content[:cut] + more)
     assert q[-3:].tolist() == [98, 200, 201]
-    assert raw.damage == f"logging stopped inside a message at byte {cut}, behind which data were appended"
+    assert raw.damage_text == f"logging stopped inside a message at byte {cut}, behind which data were appended"
     flags = ulog_message("B", bytes(8) + b"\x02" + bytes(31))
     (tmp_path / "a.ulg").write_bytes(content[:16] + flags + content[16 + len(flags) :])
     with pytest.raises(InputError, match="incompatible flags"):
@@ -366,17 +353,17 @@ def test_damage_to_a_ulog_costs_what_it_touches(tmp_path):
             content[place] ^= int(rng.integers(1, 256))
         raw, q = read_att(tmp_path / "a.ulg", content)
         assert len(q) + len(raw["bat"].time) + len(raw.dropouts) + len(raw.messages) >= 366 - 5, trial
-        assert raw.damage or "of types that are not known here" in raw.notes[0], trial
+        assert raw.damage_text or "of types that are not known here" in raw.notes[0], trial
     content = bytearray(head + b"".join(messages))
     content[starts[40] : starts[240]] = rng.bytes(int(starts[240] - starts[40]))
     raw, q = read_att(tmp_path / "a.ulg", content)
     assert len(q) > 110
-    assert f"{starts[240] - starts[40]} bytes at byte {starts[40]} are no whole message" in raw.damage
+    assert f"{starts[240] - starts[40]} bytes at byte {starts[40]} are no whole message" in raw.damage_text
     broken = bytearray(head)  # a format is damaged: its topic is lost, the other stays
     broken[head.index(b"bat:")] = 0xFF
     raw, q = read_att(tmp_path / "a.ulg", bytes(broken) + b"".join(messages))
     assert len(q) == 300
-    assert "60 messages are of topics that nothing describes any more" in raw.damage
+    assert "60 messages are of topics that nothing describes any more" in raw.damage_text
 
 
 def test_our_own_ulog_tells_how_many_rows_are_missing(tmp_path, make_signals):
@@ -389,8 +376,8 @@ def test_our_own_ulog_tells_how_many_rows_are_missing(tmp_path, make_signals):
     size = 3 + struct.unpack_from("<H", content, row - 2)[0]
     path.write_bytes(content[: row - 2 + 20 * size])  # between two messages
     raw = read_raw(path)
-    assert not raw.complete
-    assert raw.damage == "20 of 80 rows are here"
+    assert not raw.is_complete
+    assert raw.damage_text == "20 of 80 rows are here"
     with pytest.warns(LogWarning, match="20 of 80 rows are here"):
         assert read_log(path).sizes["time"] == 20
 
@@ -402,9 +389,7 @@ def test_a_recording_without_a_whole_row_says_why(tmp_path, make_signals):
     content[at + length // 2] ^= 1
     path.write_bytes(content)
     for read in (read_recording, read_log):
-        with pytest.raises(
-            InputError, match=r"holds no rows that can be read .a chunk of \d+ bytes at byte \d+"
-        ):
+        with pytest.raises(InputError, match=r"holds no rows that can be read .a chunk of \d+ bytes at byte \d+"):
             read(path)
 
 
@@ -431,7 +416,7 @@ def test_every_binary_format_says_which_bytes_are_missing(samples):
         path.write_bytes(content)
         raw = read_raw(path)
         (table,) = [t for t in raw.values() if t.name not in ("estTDOA", "FMTU")]
-        return len(table.time), raw.damage, raw.complete
+        return len(table.time), raw.damage_text, raw.is_complete
 
     for kind, what in ((".bin", "message"), (".tlog", "packet"), (".usd", "event")):
         whole = contents[kind]
@@ -461,7 +446,7 @@ def test_a_table_that_is_cut_keeps_its_whole_rows(tmp_path):
         raw = read_raw(path)
         values = raw["table"].fields["roll"]
         assert values == pytest.approx(np.sin(np.arange(len(values))), abs=1e-6)
-        return len(values), raw.damage
+        return len(values), raw.damage_text
 
     assert read(packed) == (2000, "")
     assert read(gzip.compress(text[:20_000]) + gzip.compress(text[20_000:])) == (2000, "")

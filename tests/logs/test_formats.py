@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.logs import kind_of, read_log, read_raw
+from mufly.logs import detect_log_format, read_log, read_raw
 from mufly.logs.tlog import TlogWriter
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared/data/flight/pyulog/sample.ulg"
@@ -19,9 +19,7 @@ ROLL, YAW = 10 * np.sin(2 * TIME), 350 + 20 * TIME  # deg; yaw passes north
 
 def flight_log(dataflash, units=None):
     us = np.rint(1e6 * (5 + TIME)).astype(int).tolist()
-    attitude = [
-        (t, round(100 * r), round(100 * (y % 360)), 7.4) for t, r, y in zip(us, ROLL, YAW, strict=True)
-    ]
+    attitude = [(t, round(100 * r), round(100 * (y % 360)), 7.4) for t, r, y in zip(us, ROLL, YAW, strict=True)]
     gyro = [(t, k, 0.1 * (k + 1), 0.0, -0.2) for t in us[::2] for k in (0, 1)]
     said = [(us[0], b"ArduCopter V4.5"), (us[50], b"Arming motors")]
     gps = [(us[10], 3, 2300, 300_000_000)]
@@ -46,11 +44,11 @@ def bin_file(tmp_path, make_dataflash):
 
 def test_dataflash_is_told_by_content_and_unpacked(bin_file):
     raw = read_raw(bin_file)
-    assert kind_of(bin_file) == "DataFlash"
+    assert detect_log_format(bin_file) == "DataFlash"
     assert raw["ATT"].time == pytest.approx(TIME, abs=1e-6)
     assert raw["ATT"].fields["Roll"] == pytest.approx(np.round(ROLL, 2))  # letter c: hundredths
     assert raw.messages[1] == (1.0, "info", "Arming motors")
-    assert raw.complete
+    assert raw.is_complete
     # Week 2300 and 300 000 s of GPS time, less 18 leap seconds and the 0.2 s since the start.
     assert raw.start_time == "2024-02-07T11:19:41.800+00:00"
 
@@ -81,14 +79,12 @@ def test_multipliers_of_the_file_make_its_units(tmp_path, make_dataflash):
     data = read_log(path)
     assert data.battery_voltage.values == pytest.approx(15.74)
     assert data.battery_current.values == pytest.approx(12.5)
-    given = read_log(
-        path, columns={"battery_voltage": "CURR/Volt(cV)"}
-    )  # the user knows better than the file
+    given = read_log(path, columns={"battery_voltage": "CURR/Volt(cV)"})  # the user knows better than the file
     assert given.battery_voltage.values == pytest.approx(157.4)
     middle = content.rindex(b"\xa3\x95\x0a", 0, len(content) // 2)
     path.write_bytes(content[:middle] + b"\x00\xa3\x01" + content[middle:])
     raw = read_raw(path)
-    assert not raw.complete
+    assert not raw.is_complete
     assert len(raw["CURR"].time) == 50  # what follows the damage is found again
 
 
@@ -111,9 +107,7 @@ def test_every_field_is_what_pymavlinks_own_reader_gives(bin_file):
 
 
 def test_ardupilot_signals_have_our_names_and_units(bin_file):
-    columns = {
-        "signal": [{"name": "measured_attitude.roll", "topic": "ATT", "columns": ["Roll"], "unit": "deg"}]
-    }
+    columns = {"signal": [{"name": "measured_attitude.roll", "topic": "ATT", "columns": ["Roll"], "unit": "deg"}]}
     data = read_log(bin_file, columns=columns)
     roll = data.measured_attitude.sel(angle="roll")
     assert np.nanmax(roll) == pytest.approx(np.radians(10), rel=1e-3)
@@ -138,7 +132,7 @@ def test_a_dataflash_log_cut_off_loses_only_its_end(tmp_path, bin_file):
     whole = bin_file.read_bytes()
     path.write_bytes(whole[: int(0.9 * len(whole))])
     raw = read_raw(path)
-    assert not raw.complete
+    assert not raw.is_complete
     n = len(raw["ATT"].time)
     assert 0.7 * len(TIME) < n < len(TIME)
     assert raw["ATT"].fields["Roll"] == pytest.approx(np.round(ROLL, 2)[:n])
@@ -155,7 +149,7 @@ def test_the_text_form_of_dataflash(tmp_path):
     lines += [f"ATT, {1000000 + 20000 * k}, {k}.5, -1.25, 90" for k in range(40)]
     path.write_text("\r\n".join(lines) + "\r\n")
     raw = read_raw(path)
-    assert raw.kind == "DataFlash"
+    assert raw.format_name == "DataFlash"
     assert raw["ATT"].fields["Roll"][2] == 2.5
     assert raw.messages[0][2] == "Frame: QUAD, of sorts"
     attitude = read_log(path).measured_attitude
@@ -196,7 +190,7 @@ def test_a_telemetry_log_on_its_way_to_the_disk_is_a_second_old_at_most(tmp_path
     log, kept = TlogWriter(path), []
     for _ in range(6):
         now_s += 0.4
-        log.write(packet, 1_700_000_000_000_000)
+        log.write_packet(packet, 1_700_000_000_000_000)
         kept.append(path.stat().st_size // (8 + len(packet)))
     log.close()
     assert kept == [0, 0, 3, 3, 3, 6]
@@ -207,7 +201,7 @@ def test_a_telemetry_log_has_the_vehicles_clock_not_the_links(tmp_path, mavlink,
     path = tmp_path / "flight"
     path.write_bytes(tlog(mavlink, version=version))
     raw = read_raw(path)
-    assert raw.kind == "MAVLink tlog"
+    assert raw.format_name == "MAVLink tlog"
     assert np.diff(raw["ATTITUDE"].time) == pytest.approx(0.1, abs=1e-6)
     assert "HEARTBEAT@255.190" in raw
     assert raw.messages[0][1:] == ("warning", "low battery")
@@ -234,7 +228,7 @@ def test_damaged_packets_are_left_out_and_counted(tmp_path, mavlink):
     middle = len(whole) // 2
     path.write_bytes(whole[:middle] + b"\x00\x01\x02" + whole[middle:])
     raw = read_raw(path)
-    assert not raw.complete
+    assert not raw.is_complete
     assert "damaged or unknown" in raw.notes[0]
     assert 195 < len(raw["ATTITUDE"].time) < 200
 
@@ -265,7 +259,7 @@ def test_every_field_of_the_px4_sample_is_what_pyulog_gives():
     from pyulog import ULog
 
     raw, log = read_raw(SAMPLE), ULog(str(SAMPLE))
-    assert raw.complete
+    assert raw.is_complete
     assert len(raw) == len(log.data_list)
     for theirs in log.data_list:
         ours = raw[theirs.name if theirs.multi_id == 0 else f"{theirs.name}:{theirs.multi_id}"]
@@ -351,9 +345,7 @@ def test_a_crazyflies_micro_sd_log_is_read_in_our_axes(tmp_path, make_micro_sd, 
     rows = [(*row, *duty) for row in crazyflie_rows().tolist()]
     if form == "rows of 2018":
         ticks = np.rint(5000 + 1e3 * SECONDS).astype(int).tolist()
-        content = of_2018(
-            ["tick(I)", *VARIABLES, *MOTORS], [(t, *r) for t, r in zip(ticks, rows, strict=True)]
-        )
+        content = of_2018(["tick(I)", *VARIABLES, *MOTORS], [(t, *r) for t, r in zip(ticks, rows, strict=True)])
     else:
         kinds = {0: ("fixedFrequency", [*VARIABLES, *MOTORS]), 7: ("estPosition", ["source(B)"])}
         events = [(0, 5 + t, row) for t, row in zip(SECONDS, rows, strict=True)]
@@ -361,9 +353,9 @@ def test_a_crazyflies_micro_sd_log_is_read_in_our_axes(tmp_path, make_micro_sd, 
         content = by_events(kinds, events, version=int(form[-1]))
     path = tmp_path / "log00"
     path.write_bytes(content)
-    assert kind_of(path) == "Crazyflie"
+    assert detect_log_format(path) == "Crazyflie"
     raw = read_raw(path)
-    assert raw.complete
+    assert raw.is_complete
     assert raw["fixedFrequency"].time == pytest.approx(SECONDS, abs=1e-6)
     assert raw["fixedFrequency"].units["acc.z"] == "gee"
     if form != "rows of 2018":
@@ -397,7 +389,7 @@ def test_a_micro_sd_log_that_was_cut_off_is_read_up_to_the_cut(tmp_path, make_mi
     def read(content):
         path.write_bytes(content)
         raw = read_raw(path)
-        return raw.complete, raw["fixedFrequency"].fields["gyro.x"].tolist()
+        return raw.is_complete, raw["fixedFrequency"].fields["gyro.x"].tolist()
 
     whole = by_events(kinds, events)
     assert read(whole) == (True, list(range(100)))
@@ -409,9 +401,7 @@ def test_a_micro_sd_log_that_was_cut_off_is_read_up_to_the_cut(tmp_path, make_mi
     flipped = bytearray(whole)
     flipped[-4 - 20 * 14 + 8] ^= 0x10  # in the clock of the 80th event: the log was 7e7 s long
     assert read(flipped) == (False, [*range(80), *range(81, 100)])
-    lost = (
-        whole[: -4 - 20 * 14] + whole[-4 - 20 * 14 + 5 :]
-    )  # five bytes: the next event is found behind them
+    lost = whole[: -4 - 20 * 14] + whole[-4 - 20 * 14 + 5 :]  # five bytes: the next event is found behind them
     assert read(lost)[1] == [*range(80), *range(81, 100)]
     alien = by_events(kinds, events[:50], end=False) + b"\x09\x00" + bytes(30)  # an event of no known kind
     assert read(alien) == (False, list(range(50)))
@@ -428,7 +418,7 @@ def test_a_micro_sd_log_that_was_cut_off_is_read_up_to_the_cut(tmp_path, make_mi
 
 def read_raw_complete(path, content):
     path.write_bytes(content)
-    return read_raw(path).complete
+    return read_raw(path).is_complete
 
 
 @pytest.mark.parametrize(

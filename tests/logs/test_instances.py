@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mufly.logs import LogWarning, read_log, read_raw
-from mufly.logs.topics import gps_to_unix, wall_time
+from mufly.logs.raw_log import format_wall_time, gps_to_unix
 
 KINDS = {
     "ATT": "QffffffB TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,AEKF",
@@ -67,11 +67,7 @@ def write(tmp_path, make_dataflash):
         messages, ids = [], {}
         for number, kind in enumerate(used, 140):
             letters, columns = KINDS[kind].split()
-            values = [
-                tuple(v.encode() if isinstance(v, str) else v for v in row)
-                for name, row in rows
-                if name == kind
-            ]
+            values = [tuple(v.encode() if isinstance(v, str) else v for v in row) for name, row in rows if name == kind]
             messages.append((number, kind, letters.replace("M", "B"), columns, values))
             if kind in options.get("marked", ()):
                 ids[kind] = "s#" + "-" * (len(letters) - 2)
@@ -206,11 +202,7 @@ def test_an_external_estimator_has_a_velocity_and_no_local_position(write):
 )
 @pytest.mark.parametrize("form", ["text", "binary"])
 def test_flight_modes_have_the_words_of_their_firmware(write, form, firmware, number, word):
-    first = (
-        ("VER", (1_000_000, 2, firmware))
-        if isinstance(firmware, int)
-        else ("MSG", (1_000_000, firmware or "-"))
-    )
+    first = ("VER", (1_000_000, 2, firmware)) if isinstance(firmware, int) else ("MSG", (1_000_000, firmware or "-"))
     rows = [
         first,
         ("MODE", (1_000_000, 0, 0)),
@@ -252,7 +244,7 @@ def test_flight_modes_that_are_text_stay(write):
 )
 def test_gps_time_has_the_leap_seconds_of_its_date(week, second, utc):
     if ":60" not in utc:
-        assert wall_time(gps_to_unix(week, second)).startswith(utc)
+        assert format_wall_time(gps_to_unix(week, second)).startswith(utc)
     else:
         assert gps_to_unix(week, second) == pytest.approx(362_793_600.5, abs=1.0)
 

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from mufly.errors import InputError
-from mufly.logs import LogWarning, examine, read_log, read_raw, write_log
+from mufly.logs import LogWarning, examine_log, read_log, read_raw, write_log
 
 TIME = np.arange(0, 8, 0.02)
 ROLL, RATE = 0.3 * np.sin(2 * TIME), 0.6 * np.cos(2 * TIME)
@@ -20,9 +20,7 @@ def quietly(path, **options):
         return read_log(path, **options)
 
 
-def old_copter(
-    dataflash, *, clock="TimeMS", said=b"ArduCopter V3.2.1 (abc)", whole=True, gyro=False, rates=100.0
-):
+def old_copter(dataflash, *, clock="TimeMS", said=b"ArduCopter V3.2.1 (abc)", whole=True, gyro=False, rates=100.0):
     """A flight as ArduCopter of 2014 and 2015 logged it: no units, times of the week in GPS, MSG without a time."""
     tick, letter = (1, "I") if clock == "TimeMS" else (1000, "Q")
     ms = np.rint(1e3 * (100 + TIME)).astype(int).tolist()
@@ -59,7 +57,7 @@ def write(tmp_path):
 def test_a_log_of_2014_has_the_units_and_the_clock_of_its_time(write, make_dataflash):
     path = write(old_copter(make_dataflash))
     raw = read_raw(path)
-    assert raw.span == (pytest.approx(0, abs=1e-6), pytest.approx(TIME[-1], abs=1e-6))
+    assert raw.time_span == (pytest.approx(0, abs=1e-6), pytest.approx(TIME[-1], abs=1e-6))
     assert raw["GPS"].fields["TimeMS"][0] == 319_000_000
     # Week 1830 and 319 000 s of GPS time, less 18 leap seconds.
     assert raw.start_time == "2015-02-04T16:36:24.000+00:00"
@@ -100,7 +98,7 @@ def test_rates_are_in_what_the_version_or_the_gyroscope_says(write, make_datafla
 
 def test_what_cannot_be_understood_is_examined_all_the_same_and_named(write):
     rows = "".join(f"{0.1 * k:.1f},{k}\n" for k in range(50))
-    report = examine(write(f"t_s,battery_voltage [rad]\n{rows}".encode(), "a.csv"))
+    report = examine_log(write(f"t_s,battery_voltage [rad]\n{rows}".encode(), "a.csv"))
     assert report.notes == ["battery_voltage: the unit 'rad' cannot become V; use one of: V, mV, cV, uV, kV"]
     assert report.signals == []
     assert [c.samples for c in report.clocks.values()] == [50]
@@ -108,7 +106,7 @@ def test_what_cannot_be_understood_is_examined_all_the_same_and_named(write):
 
 def test_the_signal_that_is_wrong_is_the_one_that_is_named(write, make_dataflash):
     path = write(old_copter(make_dataflash, clock="TimeUS", said=b"ArduCopter V4.0.0"))
-    notes = " ".join(examine(path).notes)
+    notes = " ".join(examine_log(path).notes)
     assert "do not belong together" in notes
     assert "measured_rates by its size" in notes
     assert "ATT/Roll) is said" not in notes
@@ -126,9 +124,7 @@ def test_what_cannot_be_is_said_of_named_units_and_left_out_of_assumed_ones(writ
     us = np.rint(1e6 * TIME).astype(int).tolist()
     rows = [(t, 1574.0 + k, 12.0) for k, t in enumerate(us)]
     path = write(make_dataflash([(10, "BAT", "Qff", "TimeUS,Volt,Curr", rows)]))
-    with pytest.warns(
-        LogWarning, match=r"BAT/Volt\) reaches 1973 V, but 28 lithium cells .*left out; give its unit"
-    ):
+    with pytest.warns(LogWarning, match=r"BAT/Volt\) reaches 1973 V, but 28 lithium cells .*left out; give its unit"):
         data = read_log(path)
     assert "battery_voltage" not in data
     given = quietly(path, columns={"battery_voltage": "BAT/Volt(cV)"})
@@ -145,9 +141,7 @@ def test_turns_that_were_counted_and_references_are_no_degrees(write):
     roll = np.cumsum(np.where((TIME > 2) & (TIME < 4), 6.5, 0.01 * np.sin(9 * TIME))) * 0.02
     rate = np.gradient(roll, TIME)
     names = [
-        f"{who}_{what}"
-        for who in ("measured", "reference")
-        for what in ("attitude_roll [rad]", "rates_p [rad/s]")
+        f"{who}_{what}" for who in ("measured", "reference") for what in ("attitude_roll [rad]", "rates_p [rad/s]")
     ]
     head = ",".join(["t_s", *names])
     path = csv(write, head, roll, rate, 0.3 * np.sin(TIME), 30 * np.cos(TIME))
@@ -155,9 +149,7 @@ def test_turns_that_were_counted_and_references_are_no_degrees(write):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read_log(path)
-    path = csv(
-        write, "t_s,measured_attitude_pitch [rad]", 20 * np.sin(TIME)
-    )  # no pitch is steeper than a quarter turn
+    path = csv(write, "t_s,measured_attitude_pitch [rad]", 20 * np.sin(TIME))  # no pitch is steeper than a quarter turn
     with pytest.warns(LogWarning, match="looks like deg"):
         read_log(path)
 
@@ -201,11 +193,9 @@ def px4(start_us, **more):
 def test_one_stamp_never_set_does_not_make_a_log_of_54_years(write, tmp_path):
     us = BOOT_US + np.array([0, 3_000_000, 6_000_000])
     events = (np.r_[0, us], {"id": [1, 2, 3, 4]})
-    path = write(
-        ulog(px4(BOOT_US, event=events), header=BOOT_US, messages=[(0, 54, b"hello"), (us[1], 52, b"wind")])
-    )
+    path = write(ulog(px4(BOOT_US, event=events), header=BOOT_US, messages=[(0, 54, b"hello"), (us[1], 52, b"wind")]))
     raw = read_raw(path)
-    assert raw.span == (pytest.approx(0), pytest.approx(TIME[-1]))
+    assert raw.time_span == (pytest.approx(0), pytest.approx(TIME[-1]))
     assert np.isnan(raw["event"].time).tolist() == [True, False, False, False]
     assert raw["event"].time[2] == pytest.approx(3.0)
     assert any("event: 1 of 4 time stamps were never set" in n for n in raw.notes)
@@ -231,22 +221,20 @@ def test_topics_on_another_clock_are_said_and_the_bulk_decides(write):
     gps = (BOOT_US + np.rint(1e6 * TIME).astype(np.int64), {"x": TIME})
     path = write(ulog(px4(1_000_000, a=other, b=other, clock_of_gps=gps), header=1_000_000))
     raw = read_raw(path)
-    assert raw.span == (pytest.approx(0, abs=1e-9), pytest.approx(TIME[-1]))
+    assert raw.time_span == (pytest.approx(0, abs=1e-9), pytest.approx(TIME[-1]))
     assert np.isnan(raw["clock_of_gps"].time).all()
-    assert any(
-        n.startswith("clock_of_gps: 400 time stamps of 400 left out (from another clock") for n in raw.notes
-    )
-    assert "topic clock_of_gps: no message has a time stamp" in examine(path).faults()
+    assert any(n.startswith("clock_of_gps: 400 time stamps of 400 left out (from another clock") for n in raw.notes)
+    assert "topic clock_of_gps: no message has a time stamp" in examine_log(path).list_faults()
 
 
 def test_a_header_in_the_middle_is_the_instant_0_and_one_far_away_is_not(write):
     """What was published before the logger started lies before 0; a header of another clock says nothing."""
     raw = read_raw(write(ulog(px4(50_000_000), header=54_000_000, dropouts=[30])))
-    assert raw.span[0] == pytest.approx(-4.0)
+    assert raw.time_span[0] == pytest.approx(-4.0)
     assert raw.dropouts[0][1] == pytest.approx(0.03)
-    assert read_raw(write(ulog(px4(50_000_000), header=649_000_000))).span[0] == pytest.approx(-599.0)
-    assert read_raw(write(ulog(px4(50_000_000), header=900_000_000))).span[0] == pytest.approx(0)
-    assert read_raw(write(ulog(px4(700_000_000), header=99_000_000))).span[0] == pytest.approx(0)
+    assert read_raw(write(ulog(px4(50_000_000), header=649_000_000))).time_span[0] == pytest.approx(-599.0)
+    assert read_raw(write(ulog(px4(50_000_000), header=900_000_000))).time_span[0] == pytest.approx(0)
+    assert read_raw(write(ulog(px4(700_000_000), header=99_000_000))).time_span[0] == pytest.approx(0)
 
 
 def test_a_log_that_begins_before_0_is_shifted_for_formats_that_know_no_sign(write, tmp_path):
@@ -288,9 +276,7 @@ def test_a_wild_stamp_is_left_out_and_its_neighbours_stay(write):
     stamps = [f"2025-03-01T12:00:{k / 10:04.1f}Z" for k in range(50)]
     stamps[0] = "1970-01-01T00:00:00Z"
     rows = "\n".join(f"{t},{k}" for k, t in enumerate(stamps))
-    assert read_raw(write(f"time,U_V\n{rows}\n".encode(), "c.csv")).start_time.startswith(
-        "2025-03-01T12:00:00.1"
-    )
+    assert read_raw(write(f"time,U_V\n{rows}\n".encode(), "c.csv")).start_time.startswith("2025-03-01T12:00:00.1")
 
 
 def test_rows_days_apart_are_no_foreign_clock(write):
@@ -305,9 +291,7 @@ def entry(link, message, stamp_s, version=2):
 
 def test_what_mavlink_says_of_the_unknown_is_missing(write, mavlink):
     link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    out = entry(
-        link, link.heartbeat_encode(mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, 0, 0, 0), 0
-    )
+    out = entry(link, link.heartbeat_encode(mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, 0, 0, 0), 0)
     cells = [3700, 3710, 65535, 65535, 65535, 65535, 65535, 65535, 65535, 65535]
     for k in range(40):
         known = k % 2
@@ -332,9 +316,7 @@ def test_what_mavlink_says_of_the_unknown_is_missing(write, mavlink):
             0.1 * k,
         )
         out += entry(link, link.battery_status_encode(0, 0, 0, 32767, cells, -1, -1, -1, -1), 0.1 * k)
-        out += entry(
-            link, link.gps_raw_int_encode(1000 * boot, 3, 0, 0, 0, 65535, 120, 65535, 65535, 255), 0.1 * k
-        )
+        out += entry(link, link.gps_raw_int_encode(1000 * boot, 3, 0, 0, 0, 65535, 120, 65535, 65535, 255), 0.1 * k)
         out += entry(link, link.rc_channels_encode(boot, 4, *[1500] * 4, *[65535] * 14, 255), 0.1 * k)
     path = write(out)
     raw = read_raw(path)
@@ -363,10 +345,10 @@ def test_one_packet_is_a_log_and_a_part_of_one_is_lost(write, mavlink):
     one = entry(link, link.attitude_encode(0, 0.5, 0, 0, 0, 0, 0), 0)
     raw = read_raw(write(one))
     assert raw["ATTITUDE"].fields["roll"].tolist() == [0.5]
-    assert raw.complete
+    assert raw.is_complete
     raw = read_raw(write(one + one[:-3]))
     assert len(raw["ATTITUDE"].time) == 1
-    assert not raw.complete
+    assert not raw.is_complete
 
 
 def test_the_vehicle_is_no_ground_station_however_much_that_says(write, mavlink):
@@ -411,21 +393,21 @@ def test_whoever_speaks_first_after_a_start_has_the_new_clock(write, mavlink):
 
 
 def test_an_array_is_unknown_as_a_whole_if_its_first_element_says_so():
-    from mufly.logs.unknown import _parsed, without_unknown
+    from mufly.logs.mavlink_unknown_values import _parse_unknown_value, replace_unknown_values
 
-    assert _parsed("[NaN:]") is None
-    assert _parsed("") is None
-    assert _parsed("MAV_LANDED_STATE_UNDEFINED") is None
-    assert _parsed("[UINT16_MAX]") == (65535.0, False)
-    assert _parsed("[0:]") == (0.0, True)
-    assert _parsed("0xFFFF") == (65535.0, False)
-    assert _parsed("INT8_MAX") == (127.0, False)
+    assert _parse_unknown_value("[NaN:]") is None
+    assert _parse_unknown_value("") is None
+    assert _parse_unknown_value("MAV_LANDED_STATE_UNDEFINED") is None
+    assert _parse_unknown_value("[UINT16_MAX]") == (65535.0, False)
+    assert _parse_unknown_value("[0:]") == (0.0, True)
+    assert _parse_unknown_value("0xFFFF") == (65535.0, False)
+    assert _parse_unknown_value("INT8_MAX") == (127.0, False)
     fields = {
         "current_a": np.array([-1.0, 2.0]),
         "remaining": np.array([0.5, -1.0]),
         "id": np.array([-1, -1]),
     }
-    known = without_unknown("battery_status", fields)
+    known = replace_unknown_values("battery_status", fields)
     assert np.isnan(known["current_a"]).tolist() == [True, False]
     assert np.isnan(known["remaining"]).tolist() == [False, True]
     assert known["id"].tolist() == [-1, -1]
@@ -435,12 +417,10 @@ def test_packets_that_arrived_on_another_day_are_left_out(write, mavlink):
     link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     stamps = [0.1 * k for k in range(50)]
     stamps[20] = 4e7
-    out = b"".join(
-        entry(link, link.attitude_encode(0, 0.01 * k, 0, 0, 0, 0, 0), t) for k, t in enumerate(stamps)
-    )
+    out = b"".join(entry(link, link.attitude_encode(0, 0.01 * k, 0, 0, 0, 0, 0), t) for k, t in enumerate(stamps))
     raw = read_raw(write(out))
     assert "1 packets whose time of arrival is of another day" in raw.notes[0]
-    assert raw.span == (0.0, pytest.approx(4.9))
+    assert raw.time_span == (0.0, pytest.approx(4.9))
 
 
 def test_shares_of_output_are_no_pulses_and_four_motors_have_a_place(write):
@@ -481,15 +461,14 @@ def test_mcap_messages_stamped_0_do_not_begin_the_log(tmp_path):
         writer.start()
         schema = writer.register_schema(name="imu", encoding="jsonschema", data=b"{}")
         imu, static = (
-            writer.register_channel(topic=t, message_encoding="json", schema_id=schema)
-            for t in ("/imu", "/static")
+            writer.register_channel(topic=t, message_encoding="json", schema_id=schema) for t in ("/imu", "/static")
         )
         writer.add_message(static, log_time=0, publish_time=0, data=b'{"a": 1}')
         for k in range(100):
             writer.add_message(imu, log_time=17 * 10**17 + k * 10**7, publish_time=0, data=b'{"x": 1.5}')
         writer.finish()
     raw = read_raw(path)
-    assert raw.span == (0.0, pytest.approx(0.99))
+    assert raw.time_span == (0.0, pytest.approx(0.99))
     assert raw.start_time.startswith("2023-11-14")
     assert raw.notes == ("/static: 1 time stamp of 1 left out (never set)",)
 
@@ -500,7 +479,7 @@ def test_a_packed_table_is_read_and_other_packed_logs_say_what_to_do(write, make
     text = b"t_s,U_V\n" + b"".join(b"%.2f,7.4\n" % (0.01 * k) for k in range(500))
     packed = gzip.compress(text)
     assert quietly(write(packed, "log.csv.gz")).U.values == pytest.approx(7.4)
-    assert not read_raw(write(packed[:-30], "cut.csv.gz")).complete
+    assert not read_raw(write(packed[:-30], "cut.csv.gz")).is_complete
     with pytest.raises(InputError, match="unpack it: gunzip"):
         read_raw(write(gzip.compress(old_copter(make_dataflash)), "log.bin.gz"))
 

@@ -6,8 +6,16 @@ import pytest
 import xarray as xr
 
 from mufly.errors import InputError
-from mufly.logs import Channel, draw_channels, grouped, read_facts, read_mcap, read_raw, write_log
-from mufly.logs.report import spectrum
+from mufly.logs import (
+    Channel,
+    draw_channels,
+    group_channels,
+    read_mcap,
+    read_raw,
+    read_recording_summary,
+    write_log,
+)
+from mufly.logs.log_report import power_spectrum
 
 TIME = 0.01 * np.arange(1000)
 WAVE = 0.3 * np.sin(2 * np.pi * TIME)
@@ -25,7 +33,7 @@ def test_what_belongs_together_shares_a_picture_and_a_component_a_panel():
         *(channel(f"{s}_attitude.{a}") for s in ("measured", "reference") for a in ("roll", "pitch")),
         channel("imu/gyro.x", units="rad/s"),
     ]
-    pictures = grouped(channels)
+    pictures = group_channels(channels)
     assert list(pictures) == ["attitude", "inputs", "battery", "others", "imu"]
     axes = draw_channels(pictures["attitude"], title="Hop").axes
     assert [ax.get_ylabel() for ax in axes] == ["Roll\n(deg)", "Pitch\n(deg)"]
@@ -40,9 +48,7 @@ def test_what_belongs_together_shares_a_picture_and_a_component_a_panel():
     assert {line.get_drawstyle() for line in motors.get_lines()} == {"steps-post"}  # held in between
     assert [t.get_text() for t in motors.get_legend().get_texts()] == ["upper", "lower"]
     assert len({line.get_color() for line in motors.get_lines()}) == 2
-    (one,) = draw_channels(
-        [channel("reference_attitude.roll")]
-    ).axes  # alone it looks as it does among others
+    (one,) = draw_channels([channel("reference_attitude.roll")]).axes  # alone it looks as it does among others
     assert [t.get_text() for t in one.get_legend().get_texts()] == ["reference"]
     assert (one.get_lines()[0].get_linestyle(), one.get_lines()[0].get_color()) == (
         "--",
@@ -74,13 +80,13 @@ def test_a_spectrum_has_the_power_of_its_wave_where_that_is():
     time = 0.01 * np.arange(4000)
     values = 3.0 + 0.2 * time + 0.7 * np.sin(2 * np.pi * 5.0 * time)
     values[1000:1003] = np.nan
-    frequency, density = spectrum(time, values)
+    frequency, density = power_spectrum(time, values)
     assert frequency[density.argmax()] == pytest.approx(5.0, abs=0.1)
     assert np.sum(density) * (frequency[1] - frequency[0]) == pytest.approx(0.7**2 / 2, rel=0.02)
     # Of a record with a long hole the longest stretch counts: here the one with another wave.
     time = np.r_[time[:500], time[1500:]]
     values = np.where(time < 10.0, np.sin(2 * np.pi * 20.0 * time), np.sin(2 * np.pi * 5.0 * time))
-    frequency, density = spectrum(time, values)
+    frequency, density = power_spectrum(time, values)
     assert density[np.abs(frequency - 20.0) < 1.0].max() < 1e-3 * density.max()
     line, faint = draw_channels(
         [
@@ -95,7 +101,7 @@ def test_a_spectrum_has_the_power_of_its_wave_where_that_is():
     with pytest.raises(InputError, match="no channel is long enough"):
         draw_channels([channel("flap", WAVE[:20], time=TIME[:20])], spectra=True)
     with pytest.raises(InputError, match="31 samples"):
-        spectrum(TIME[:31], WAVE[:31])
+        power_spectrum(TIME[:31], WAVE[:31])
 
 
 def test_messages_of_a_recording_stand_at_their_wall_time_in_its_blocks(tmp_path):
@@ -125,20 +131,20 @@ def test_messages_of_a_recording_stand_at_their_wall_time_in_its_blocks(tmp_path
     path = write_log(data, tmp_path / "log.mcap")
     contents = read_mcap(path)
     zero = int(np.datetime64(start[:-6], "ns").astype(np.int64))
-    stamps = np.array([t for t, _ in contents.messages["/mission"]])
+    stamps = np.array([t for t, _ in contents.messages_by_topic["/mission"]])
     assert stamps == pytest.approx(zero + np.rint(1e7 * np.arange(n)), abs=1)
-    said = [(t - zero, orjson.loads(d)["message"]) for t, d in contents.messages["/events"]]
+    said = [(t - zero, orjson.loads(d)["message"]) for t, d in contents.messages_by_topic["/events"]]
     assert said == [(5_000_000_000, "first"), (25_200_000_000, "last")]
-    ring = next(d for topic, m in contents.messages.items() for _, d in m if b'"range"' in d)
+    ring = next(d for topic, m in contents.messages_by_topic.items() for _, d in m if b'"range"' in d)
     assert orjson.loads(ring)["range"] == [1.0] * 8
-    facts = read_facts(path)
+    facts = read_recording_summary(path)
     assert facts["complete"]
     assert facts["duration_s"] == pytest.approx(25.2)
     assert facts["start_time_ns"] == zero
     assert set(read_raw(path)) == {"/measured", "/ranges", "/mission"}  # drawings and words are no signals
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    cut = read_facts(path)
+    cut = read_recording_summary(path)
     assert not cut["complete"]
     assert 5.0 < cut["duration_s"] < 24.0
 

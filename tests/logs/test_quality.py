@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from mufly.errors import InputError
 from mufly.logs import (
     LogWarning,
-    body_rates_of_attitude,
     check_channel,
     check_clock,
     check_delays,
+    differentiate_attitude,
     estimate_delay,
-    examine,
+    examine_log,
     find_frozen,
     find_outliers,
     find_saturation,
@@ -21,8 +21,8 @@ from mufly.logs import (
     read_log,
     write_log,
 )
-from mufly.logs.delay import _between
-from mufly.logs.quality import rate_ratio
+from mufly.logs.channel_checks import fit_rate_ratio
+from mufly.logs.delay_estimation import _interpolate_lag
 
 TIME = 0.01 * np.arange(2000)
 RNG = np.random.default_rng(5)
@@ -89,10 +89,10 @@ def test_a_limit_that_is_met_less_often_than_what_lies_beside_it_is_none():
 
 def test_a_second_and_a_fifth_of_angle_and_rate_can_be_compared():
     """Ten means over a tenth of a second, and one more for the last difference."""
-    slope, correlation = rate_ratio(TIME[:120], ANGLE[:120], RATE[:120])
+    slope, correlation = fit_rate_ratio(TIME[:120], ANGLE[:120], RATE[:120])
     assert slope == pytest.approx(1.0, abs=0.05)
     assert correlation > 0.99
-    assert np.isnan(rate_ratio(TIME[:105], ANGLE[:105], RATE[:105])[0])
+    assert np.isnan(fit_rate_ratio(TIME[:105], ANGLE[:105], RATE[:105])[0])
 
 
 def test_saturation_is_measured_at_either_end():
@@ -107,12 +107,12 @@ def test_the_words_of_a_channel():
     x = 0.1 * NOISE
     x[300] = 5.0
     x[700:800] = np.nan
-    words = check_channel(TIME, x, "p", "rad/s").words()
+    words = check_channel(TIME, x, "p", "rad/s").describe_faults()
     assert words == ["p: 5 % of the values are missing", "p: 1 outlier, at 3.00 s"]
-    clipped = check_channel(TIME, np.clip(NOISE, -0.5, 9.0).repeat(6), "tilt", "rad").words()
+    clipped = check_channel(TIME, np.clip(NOISE, -0.5, 9.0).repeat(6), "tilt", "rad").describe_faults()
     assert clipped == ["tilt: 29 % of the values sit at its minimum, -0.5 rad"]
     assert check_channel(TIME, np.full(2000, 2.0), "u").constant
-    assert check_channel(TIME, np.full(2000, np.nan), "u").words() == ["u: no value at all"]
+    assert check_channel(TIME, np.full(2000, np.nan), "u").describe_faults() == ["u: no value at all"]
 
 
 ANGLE = 0.3 * np.sin(2 * TIME) + 0.1 * np.sin(9 * TIME)
@@ -196,7 +196,7 @@ def test_the_interval_of_a_delay_holds_it_as_often_as_it_says(burst):
         noise = np.convolve(rng.standard_normal(len(t) + 9), np.ones(10) / np.sqrt(10), "valid")  # coloured
         noise *= np.where(t % 5 < 1, 2.2, 0.1) if burst else 1.0
         found = estimate_delay(t, x, y + 0.4 * noise)
-        assert found.determined
+        assert found.is_determined
         inside += found.low_s <= 0.0437 <= found.high_s
         delays.append(found.delay_s)
         halves.append((found.high_s - found.low_s) / 2)
@@ -208,26 +208,24 @@ def test_a_delay_that_the_record_does_not_tell_is_not_determined():
     t, x, y, rng = delayed_pair(0.0437, 4)
     weak = estimate_delay(t, x, 0.3 * y + rng.standard_normal(len(t)))
     assert 0.2 < weak.correlation < 0.45
-    assert not weak.determined
-    assert "not determined (correlation 0." in weak.words()
-    assert "ms" not in weak.words()
+    assert not weak.is_determined
+    assert "not determined (correlation 0." in weak.describe_delay()
+    assert "ms" not in weak.describe_delay()
     clear = estimate_delay(t, x, y + 0.2 * rng.standard_normal(len(t)))
-    assert clear.words().startswith("43.")
+    assert clear.describe_delay().startswith("43.")
     wave = np.sin(2 * np.pi * t / 0.3)  # seen a period later it is the same
     swinging = estimate_delay(t, wave, np.roll(wave, 5) + 0.05 * rng.standard_normal(len(t)), causal=True)
-    assert not swinging.determined
+    assert not swinging.is_determined
     turns = (swinging.rival_s - swinging.delay_s) / 0.3
     assert turns == pytest.approx(round(turns), abs=0.07)
     assert abs(turns) > 0.5
     both = f"{1e3 * swinging.delay_s:.1f} ms and {1e3 * swinging.rival_s:.0f} ms"
-    assert f"not determined ({both} fit equally well)" == swinging.words()
-    tones = sum(
-        np.sin(2 * np.pi * f * t) for f in (4.7, 5.0, 5.3)
-    )  # nearly as high a period later, but never higher
-    assert estimate_delay(t, tones, np.roll(tones, 3)).determined
+    assert f"not determined ({both} fit equally well)" == swinging.describe_delay()
+    tones = sum(np.sin(2 * np.pi * f * t) for f in (4.7, 5.0, 5.3))  # nearly as high a period later, but never higher
+    assert estimate_delay(t, tones, np.roll(tones, 3)).is_determined
     late = estimate_delay(t, x, np.roll(x, 52), longest_s=0.5)
     assert late.at_limit
-    assert not late.determined
+    assert not late.is_determined
     short = estimate_delay(t[:30], x[:30], y[:30])
     assert short.freedom == 2  # three pieces are all that 30 samples give
     assert estimate_delay(t[:32], x[:32], y[:32]).freedom == 3
@@ -238,7 +236,7 @@ def test_between_whole_lags_a_wave_is_itself(cycles):
     """In cycles a lag; the windowed sinc has 24 lags on either side."""
     lags = np.arange(-24, 25)
     for at in (-0.9, -0.5, 0.0, 0.37, 0.81):
-        found = _between(lags, np.cos(2 * np.pi * cycles * lags + 0.3), at)
+        found = _interpolate_lag(lags, np.cos(2 * np.pi * cycles * lags + 0.3), at)
         assert found == pytest.approx(np.cos(2 * np.pi * cycles * at + 0.3), abs=1e-3)
 
 
@@ -280,17 +278,15 @@ def test_one_repeated_stamp_in_a_long_record_is_no_even_clock():
 
 def test_body_rates_of_an_attitude_follow_the_rotation():
     """Against the rotation that the equations of motion use: R(t)^T R(t + dt) turns by omega dt."""
-    from mufly.dynamics import quaternion_from_euler, rotation
+    from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler
 
     t = 1e-3 * np.arange(400)
     attitude = np.column_stack([0.4 * np.sin(5 * t), 0.3 * np.cos(4 * t), 2 * t])
-    rates = body_rates_of_attitude(t, attitude)
+    rates = differentiate_attitude(t, attitude)
     for k in (50, 200, 333):
-        before, after = (rotation(quaternion_from_euler(*attitude[j])) for j in (k - 1, k + 1))
+        before, after = (body_to_ned_matrix(quaternion_from_euler(*attitude[j])) for j in (k - 1, k + 1))
         turn = before.T @ after
-        omega = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (
-            2 * 2e-3
-        )
+        omega = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (2 * 2e-3)
         assert rates[k] == pytest.approx(omega, abs=1e-4)
 
 
@@ -300,12 +296,12 @@ def test_delays_of_a_record_are_those_put_in(make_signals, tmp_path):
     zero = np.zeros(len(t))
     data["reference_attitude"] = (("time", "angle"), 0.1 * np.column_stack([x, zero, zero]), {"units": "rad"})
     data["measured_attitude"] = (("time", "angle"), 0.1 * np.column_stack([y, zero, zero]), {"units": "rad"})
-    rates = body_rates_of_attitude(t, data.measured_attitude.values)
+    rates = differentiate_attitude(t, data.measured_attitude.values)
     rates[2:] = rates[:-2].copy()  # the gyroscope reports two samples late
     data["measured_rates"] = (("time", "rate"), rates, {"units": "rad/s"})
-    of_log = examine(write_log(data, tmp_path / "log.nc"))
+    of_log = examine_log(write_log(data, tmp_path / "log.nc"))
     for delays in (check_delays(data), of_log.delays):
         found = {d.response: d.delay.delay_s for d in delays}
         assert found["measured_attitude.roll"] == pytest.approx(0.07, abs=0.002)
         assert found["measured_rates.p"] == pytest.approx(0.02, abs=0.001)
-    assert examine(tmp_path / "log.nc", delays=False).delays == []
+    assert examine_log(tmp_path / "log.nc", delays=False).delays == []

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mufly.errors import InputError
-from mufly.logs import FORMATS, LogWarning, kind_of, read_log, read_raw, read_recording, write_log
+from mufly.logs import (
+    LOG_WRITERS,
+    LogWarning,
+    detect_log_format,
+    read_log,
+    read_raw,
+    read_recording,
+    write_log,
+)
 
 KINDS = {".csv": "CSV", ".parquet": "Parquet", ".nc": "NetCDF", ".mcap": "MCAP", ".ulg": "ULog"}
 
@@ -22,10 +30,10 @@ def quietly(path, **options):
         return read_log(path, **options)
 
 
-@pytest.mark.parametrize("ending", FORMATS)
+@pytest.mark.parametrize("ending", LOG_WRITERS)
 def test_every_format_brings_back_the_signals_to_the_bit(tmp_path, data, ending):
     path = write_log(data, tmp_path / f"log{ending}")
-    assert kind_of(path) == KINDS[ending]
+    assert detect_log_format(path) == KINDS[ending]
     back = read_log(path)
     assert np.array_equal(back.time, data.time)
     for name in ("measured_attitude", "measured_rates", "motor_input", "flap"):
@@ -52,7 +60,7 @@ numbers = st.floats(allow_nan=True, allow_infinity=False, width=64)
 @settings(max_examples=25)
 @given(
     arrays(np.float64, st.tuples(st.integers(1, 12), st.just(3)), elements=numbers),
-    st.sampled_from(sorted(FORMATS)),
+    st.sampled_from(sorted(LOG_WRITERS)),
 )
 def test_any_numbers_come_back(tmp_path_factory, values, ending):
     time = 0.125 * np.arange(len(values))
@@ -101,9 +109,7 @@ def test_what_becomes_a_recording_is_read_as_one(tmp_path, data):
 
 @settings(max_examples=20)
 @given(st.floats(0.02, 1.0))
-def test_a_ulog_file_cut_off_anywhere_is_read_up_to_the_cut_or_refused_in_words(
-    tmp_path_factory, make_signals, share
-):
+def test_a_ulog_file_cut_off_anywhere_is_read_up_to_the_cut_or_refused_in_words(tmp_path_factory, make_signals, share):
     folder, data = tmp_path_factory.mktemp("cut"), make_signals()
     whole = write_log(data, folder / "log.ulg").read_bytes()
     path = folder / "cut.ulg"

@@ -86,8 +86,7 @@ def test_a_camera_with_a_clock_of_its_own_moves_nothing(read, mavlink):
     # A clock that counts since 1970, as cameras with a GPS have it.
     stamp = [self_s * 1e6 + 1.6e15 for self_s in range(20)]
     packets = flight(vehicle) + [
-        (t + 0.3 * (t % 3 > 0), camera(mavlink.MAVLink_raw_imu_message(int(stamp[t]), *[1] * 9)))
-        for t in range(20)
+        (t + 0.3 * (t % 3 > 0), camera(mavlink.MAVLink_raw_imu_message(int(stamp[t]), *[1] * 9))) for t in range(20)
     ]
     raw = read(in_order(packets))
     assert sent_at(raw)
@@ -207,9 +206,7 @@ def test_a_start_of_the_vehicle_is_its_own_while_the_camera_goes_on(read, mavlin
     before = flight(vehicle, 20.0, boot_s=-5.0)
     vehicle.link.seq = 0
     again = 20.0 + silence_s
-    after = flight(
-        vehicle, 60.0, again, boot_s=again - min(1.5, silence_s) if silence_s < 1 else again - 11.0
-    )
+    after = flight(vehicle, 60.0, again, boot_s=again - min(1.5, silence_s) if silence_s < 1 else again - 11.0)
     # One packet of the first run is late over the start.
     _, last = before.pop()
     packets = [*before, (again + 0.25, last), *after]

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
-from mufly.mission import Command, MissionPlan, begin, step, watch_out
-from mufly.mission.avoidance import ring
-from mufly.world import distance, ranges
+from mufly.mission import Command, MissionPlan, begin_mission, step_mission, update_obstacle_map
+from mufly.mission.avoidance import make_beam_ring
+from mufly.world import cast_ranges, obstacle_distance
 
 STANDING = -0.07
-RING = ring(8, np.pi / 8, 1.5)
+RING = make_beam_ring(8, np.pi / 8, 1.5)
 NO_SIGNAL = Command()
 
 
@@ -48,9 +48,7 @@ class Flight:
 
 def beams_from(x, attitude, beams):
     c, s = np.cos(attitude[2]), np.sin(attitude[2])
-    return np.stack(
-        [c * beams.cos - s * beams.sin, s * beams.cos + c * beams.sin, np.zeros(len(beams.cos))], axis=1
-    )
+    return np.stack([c * beams.cos - s * beams.sin, s * beams.cos + c * beams.sin, np.zeros(len(beams.cos))], axis=1)
 
 
 def fly(
@@ -79,21 +77,21 @@ def fly(
 
     def measure(t):
         attitude = np.array([roll(t) if roll else 0.0, 0.0, psi])
-        seen = ranges(
+        seen = cast_ranges(
             world() if callable(world) else world, x, beams_from(x, attitude, plan.ring), plan.ring.max_range
         )
         volts = voltage(t) if voltage else 7.4
         return Estimate(t, x.copy(), v.copy(), attitude, np.zeros(3), seen, volts)
 
     m = measure(0.0)
-    s = begin(plan, m)
+    s = begin_mission(plan, m)
     for k in range(int(limit_s / dt)):
         t = k * dt
         m = measure(t)
         command = signals(t, s) if signals else Command(start=k == 5)
-        s, r = step(plan, s, m, command or NO_SIGNAL)
+        s, r = step_mission(plan, s, m, command or NO_SIGNAL)
         for part in (1, 2, 3):
-            s = watch_out(plan, s, m, part, 3)
+            s = update_obstacle_map(plan, s, m, part, 3)
         flight.time.append(t)
         flight.position.append(x.copy())
         flight.velocity.append(v.copy())
@@ -101,12 +99,12 @@ def fly(
         flight.states.append(s.state.value)
         if x[2] < -0.3:
             around = world() if callable(world) else world
-            flight.clearance = min(flight.clearance, distance(around, x)[0])
+            flight.clearance = min(flight.clearance, obstacle_distance(around, x)[0])
         if s.finished:
             break
         if r.motors == "fly" and lift:
             a = omega**2 * (r.position - x) - 2.0 * omega * v
-            if r.rc:
+            if r.rc_active:
                 a[:2] = (9.81 * -np.sin(r.pitch), 9.81 * np.sin(r.roll))
             if disturb is not None:
                 a = a + disturb(t)

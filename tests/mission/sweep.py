@@ -17,8 +17,8 @@ import conftest
 from conftest import fly, gusty, scene
 
 from mufly.errors import InputError
-from mufly.mission import load_mission, mission_from
-from mufly.world import distances
+from mufly.mission import load_mission, parse_mission
+from mufly.world import obstacle_distances
 
 
 def missions(scenes):
@@ -26,7 +26,7 @@ def missions(scenes):
     for seed in range(scenes):
         kind, tables = scene(seed)
         try:
-            yield seed, kind, mission_from(tables)
+            yield seed, kind, parse_mission(tables)
         except InputError:
             continue
 
@@ -55,12 +55,12 @@ def on_full_model(scenes):
     import mufly
 
     vehicle = mufly.load_vehicle("mufly-1.1")
-    controller = mufly.control.design(vehicle)
+    controller = mufly.control.design_flight_controller(vehicle)
     for seed, kind, mission in missions(scenes):
         air = {"wind": (0.35, 0.35, 0.0), "gust": 0.3, "seed": seed} if seed % 2 else {}
-        ds = mufly.flight.fly(vehicle, mission, controller=controller, **air)
+        ds = mufly.flight.fly_mission(vehicle, mission, controller=controller, **air)
         x = ds.truth_position.values
-        clearance = distances(mission.world, x)[0][x[:, 2] < -0.3].min()
+        clearance = obstacle_distances(mission.world, x)[0][x[:, 2] < -0.3].min()
         yield seed, kind, ds.attrs["outcome"], ds.attrs["reason"], clearance, float(ds.time[-1])
 
 

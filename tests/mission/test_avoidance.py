@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.mission import load_mission, mission_from
-from mufly.mission.avoidance import Memory, hold_off, look, ring
-from mufly.mission.detour import begin_detour, go_round
+from mufly.mission import load_mission, parse_mission
+from mufly.mission.avoidance import ObstacleMap, check_path, limit_approach_velocity, make_beam_ring
+from mufly.mission.detour import begin_detour, follow_contour
 from mufly.world import Cylinder, World
 
 # Sweeps over 1100 scenes keep 0.38 m; what is asked for is 0.3 m.
 KEPT_M = 0.36
-RING = ring(8, np.pi / 8, 1.5)
+RING = make_beam_ring(8, np.pi / 8, 1.5)
 
 
 def wall(a, b, name="wall"):
@@ -23,7 +23,7 @@ def wall(a, b, name="wall"):
 
 
 def to(*goal, **more):
-    return mission_from({"waypoint": [{"position_m": list(goal)}], **more})
+    return parse_mission({"waypoint": [{"position_m": list(goal)}], **more})
 
 
 def arrived(flight, goal):
@@ -44,40 +44,33 @@ def test_box_on_the_leg(rig):
 def test_any_scene(rig, seed, push):
     _, tables = rig.scene(seed)
     try:
-        mission = mission_from(tables)
+        mission = parse_mission(tables)
     except InputError:
         return
     flight = rig.fly(mission, disturb=rig.gusty() if push else None)
     assert flight.clearance > KEPT_M
-    assert (
-        arrived(flight, mission.waypoint[0].position_m)
-        or "blocked by an obstacle at N" in flight.state.reason
-    )
+    assert arrived(flight, mission.waypoint[0].position_m) or "blocked by an obstacle at N" in flight.state.reason
 
 
 @settings(max_examples=15, deadline=None, derandomize=True)
-@given(
-    st.floats(-0.9, 0.9), st.floats(0.2, 1.0), st.floats(0.2, 1.0), st.floats(-90, 90), st.floats(-180, 180)
-)
+@given(st.floats(-0.9, 0.9), st.floats(0.2, 1.0), st.floats(0.2, 1.0), st.floats(-90, 90), st.floats(-180, 180))
 def test_a_box_anywhere_is_passed(rig, off, length, width, yaw, heading):
     box = {"centre_m": [2.0, off, -1.0], "size_m": [length, width, 2.0], "yaw_deg": yaw}
-    mission = mission_from(
-        {"waypoint": [{"position_m": [4.0, 0.0, -1.0], "heading_deg": heading}], "box": [box]}
-    )
+    mission = parse_mission({"waypoint": [{"position_m": [4.0, 0.0, -1.0], "heading_deg": heading}], "box": [box]})
     flight = rig.fly(mission)
     assert flight.clearance > KEPT_M
     assert arrived(flight, (4.0, 0.0, -1.0))
 
 
 def test_turning_the_scene_turns_the_flight(rig):
-    east = mission_from(
+    east = parse_mission(
         {
             "waypoint": [{"position_m": [0, 4, -1]}],
             "start_heading_deg": 90,
             "box": [{"centre_m": [-0.1, 2.0, -1], "size_m": [0.6, 0.8, 2.0], "yaw_deg": 110}],
         }
     )
-    north = mission_from(
+    north = parse_mission(
         {
             "waypoint": [{"position_m": [4, 0, -1]}],
             "box": [{"centre_m": [2.0, 0.1, -1], "size_m": [0.6, 0.8, 2.0], "yaw_deg": 20}],
@@ -147,7 +140,7 @@ def test_without_avoidance_it_flies_into_the_box(rig):
 def test_an_obstacle_that_comes_near_a_hover_pushes_it_away_and_it_comes_back(rig):
     from mufly.world import Box, World
 
-    mission = mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 85.0}]})
+    mission = parse_mission({"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 85.0}]})
     someone = World((Box((1.5, 0.0, -1.0), (0.4, 0.4, 2.0)),))
 
     class Visit:
@@ -172,9 +165,9 @@ def test_an_obstacle_that_comes_near_a_hover_pushes_it_away_and_it_comes_back(ri
 
 
 def memory_of(*points):
-    table = Memory.empty().points
+    table = ObstacleMap.empty().points
     table[: len(points), :3] = points
-    return Memory(table, len(points))
+    return ObstacleMap(table, len(points))
 
 
 def test_it_waits_beside_a_goal_that_is_taken_and_goes_there_once_it_is_free(rig):
@@ -188,9 +181,7 @@ def test_it_waits_beside_a_goal_that_is_taken_and_goes_there_once_it_is_free(rig
         return np.zeros(3)
 
     mission = to(*goal, avoidance={"scan": True})
-    flight = rig.fly(
-        mission, world=lambda: somebody if now[0] < 40.0 else nobody, disturb=clock, limit_s=130.0
-    )
+    flight = rig.fly(mission, world=lambda: somebody if now[0] < 40.0 else nobody, disturb=clock, limit_s=130.0)
     t, x, v = flight.arrays()
     assert flight.clearance > KEPT_M
     waits = (t > 30.0) & (t < 40.0)
@@ -204,26 +195,29 @@ def test_the_reference_waits_for_a_helicopter_that_is_held():
     """Around an obstacle it runs no further than 0.3 m ahead, and comes to rest there."""
     points = [(1.0, 0.05 * k, -1.0) for k in range(-8, 9)]
     memory, here, goal = memory_of(*points), (0.45, 0.0, -1.0), (3.0, 0.0, -1.0)
-    detour = begin_detour(here, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), goal, look(memory, here, goal, 0.39), None)
+    detour = begin_detour(here, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), goal, check_path(memory, here, goal, 0.39), None)
     ahead = []
     for _ in range(400):
-        sight = look(memory, detour.position, goal, 0.39, np.inf)
-        detour = go_round(detour, sight, RING, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02)
+        sight = check_path(memory, detour.position, goal, 0.39, np.inf)
+        detour = follow_contour(detour, sight, RING, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02)
         ahead.append(np.hypot(detour.position[0] - here[0], detour.position[1] - here[1]))
     assert 0.2 < ahead[-1] <= max(ahead) < 0.32
     assert np.hypot(*detour.velocity[:2]) < 0.01
-    assert detour.laps == 0  # it is at the contour, and has gone round nothing
+    assert detour.lap_count == 0  # it is at the contour, and has gone round nothing
 
 
 @pytest.mark.parametrize(("away", "kept"), [(1.4, True), (1.6, False)])
 def test_an_obstacle_met_again_nearby_is_passed_on_the_same_side(away, kept):
     here, still, goal = (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), (3.0, 0.0, -1.0)
-    sight = look(memory_of((0.6, -0.2, -1.0)), here, goal, 0.39)
+    sight = check_path(memory_of((0.6, -0.2, -1.0)), here, goal, 0.39)
     first = begin_detour(here, still, still, goal, sight, None)
-    assert (first.side, first.count) == (1.0, 1)  # what blocks it is on the left: it flies to the right
-    before = replace(first, side=-1.0, count=2, stray=6.0, position=(-away, 0.0, -1.0))
+    assert (first.passing_side, first.obstacle_count) == (
+        1.0,
+        1,
+    )  # what blocks it is on the left: it flies to the right
+    before = replace(first, passing_side=-1.0, obstacle_count=2, max_stray=6.0, position=(-away, 0.0, -1.0))
     again = begin_detour(here, still, still, goal, sight, before)
-    assert (again.side, again.count, again.stray) == (-1.0 if kept else 1.0, 3, 6.0)
+    assert (again.passing_side, again.obstacle_count, again.max_stray) == (-1.0 if kept else 1.0, 3, 6.0)
 
 
 @pytest.mark.parametrize(("across", "changes"), [(2.95, False), (3.05, True), (-2.95, False), (-3.05, True)])
@@ -233,51 +227,57 @@ def test_the_other_side_is_tried_3_m_off_the_straight_way(across, changes):
     here = (2.5 - 0.8 * across, 4.0 + 0.6 * across, -1.0)
     memory = memory_of((here[0] + 0.5, here[1], -1.0))
     detour = replace(
-        begin_detour(here, still, still, goal, look(memory, here, goal, 0.39), None),
-        side=1.0,
-        hit=(1.0, 2.0),
-        hit_distance=5.0,
+        begin_detour(here, still, still, goal, check_path(memory, here, goal, 0.39), None),
+        passing_side=1.0,
+        hit_point=(1.0, 2.0),
+        hit_goal_distance=5.0,
     )
-    sight = look(memory, here, goal, 0.39, np.inf)
-    moved = go_round(detour, sight, RING, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02)
-    assert (moved.side, moved.stray) == ((-1.0, 6.0) if changes else (1.0, 3.0))
+    sight = check_path(memory, here, goal, 0.39, np.inf)
+    moved = follow_contour(detour, sight, RING, here, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02)
+    assert (moved.passing_side, moved.max_stray) == ((-1.0, 6.0) if changes else (1.0, 3.0))
 
 
 def test_far_from_what_blocks_its_way_it_makes_straight_for_the_goal():
     """On its third detour of a leg: as soon as that has brought it nearer, it leaves the detour."""
     here, still, goal = (5.0, 7.0, -1.0), (0.0, 0.0, 0.0), (8.0, 3.0, -1.0)
     memory = memory_of(*((6.8 + 0.04 * k, 4.6 + 0.03 * k, -1.0) for k in range(-8, 9)))
-    detour = replace(begin_detour(here, still, still, goal, look(memory, here, goal, 0.39), None), count=3)
+    detour = replace(
+        begin_detour(here, still, still, goal, check_path(memory, here, goal, 0.39), None), obstacle_count=3
+    )
     for _ in range(150):
-        sight = look(memory, detour.position, goal, 0.39, np.inf)
-        detour = go_round(
+        sight = check_path(memory, detour.position, goal, 0.39, np.inf)
+        detour = follow_contour(
             detour, sight, RING, detour.position, 0.0, [1.5] * 8, goal, clearance=0.39, speed=0.3, dt=0.02
         )
     moved = np.subtract(detour.position, here)[:2]
     along, across = (float(moved @ u) for u in ((0.6, -0.8), (0.8, 0.6)))
     assert 0.1 < along < 0.5
     assert abs(across) < 0.01
-    assert detour.leaving
-    assert detour.done
+    assert detour.is_leaving
+    assert detour.is_finished
 
 
 def test_what_a_point_means_for_a_way():
-    sight = look(memory_of((1.5, 0.3, -1.0)), (0.0, 0.0, -1.0), (4.5, 0.0, -1.0), 0.39, 10.0)
+    sight = check_path(memory_of((1.5, 0.3, -1.0)), (0.0, 0.0, -1.0), (4.5, 0.0, -1.0), 0.39, 10.0)
     far = np.hypot(0.5, 0.3)
     met = pytest.approx((far, -0.5 / far, -0.3 / far))
-    assert sight.blocking((1.0, 0.0)) == sight.nearest((1.0, 0.0)) == met
-    assert sight.way == pytest.approx(0.3**2)
-    assert sight.offset == pytest.approx(0.3)
-    assert sight.goal == pytest.approx(3.0**2 + 0.3**2)
+    assert sight.nearest_blocker((1.0, 0.0)) == sight.nearest_point((1.0, 0.0)) == met
+    assert sight.path_distance_sq == pytest.approx(0.3**2)
+    assert sight.mean_blocker_offset == pytest.approx(0.3)
+    assert sight.goal_distance_sq == pytest.approx(3.0**2 + 0.3**2)
     # Beyond the stretch that is looked at, behind, and at another height.
-    assert look(memory_of((2.0, 0.3, -1.0)), (0, 0, -1), (5, 0, -1), 0.39, 1.0).way == pytest.approx(
+    assert check_path(memory_of((2.0, 0.3, -1.0)), (0, 0, -1), (5, 0, -1), 0.39, 1.0).path_distance_sq == pytest.approx(
         1.0 + 0.3**2
     )
-    assert look(memory_of((-0.5, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).way == pytest.approx(0.25)
-    assert look(memory_of((-1.0, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).way == np.inf  # too far to matter
-    assert look(memory_of((2.0, 0.0, -2.0)), (0, 0, -1), (5, 0, -1), 0.39).way == np.inf
+    assert check_path(memory_of((-0.5, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).path_distance_sq == pytest.approx(
+        0.25
+    )
+    assert (
+        check_path(memory_of((-1.0, 0.0, -1.0)), (0, 0, -1), (5, 0, -1), 0.39).path_distance_sq == np.inf
+    )  # too far to matter
+    assert check_path(memory_of((2.0, 0.0, -2.0)), (0, 0, -1), (5, 0, -1), 0.39).path_distance_sq == np.inf
     # A way of no length is a point.
-    assert look(memory_of((2.0, 0.0, -1.0)), (0, 0, -1), (0, 0, -1), 0.39).way == pytest.approx(4.0)
+    assert check_path(memory_of((2.0, 0.0, -1.0)), (0, 0, -1), (0, 0, -1), 0.39).path_distance_sq == pytest.approx(4.0)
 
 
 speed = st.floats(-1.0, 1.0)
@@ -290,7 +290,9 @@ def test_holding_off_one_point(p, vn, ve):
     if d < 0.05:
         return
     n = -np.array(p[:2]) / d
-    un, ue = hold_off(look(memory_of(p), (0.0, 0.0, -1.0), p, 0.4), (0.0, 0.0, -1.0), (vn, ve), 0.4)
+    un, ue = limit_approach_velocity(
+        check_path(memory_of(p), (0.0, 0.0, -1.0), p, 0.4), (0.0, 0.0, -1.0), (vn, ve), 0.4
+    )
     # It comes near no faster than 0.8 /s times the distance left, and nothing is changed across.
     assert -(un * n[0] + ue * n[1]) <= 0.8 * (d - 0.4) + 1e-5
     assert un * n[1] - ue * n[0] == pytest.approx(vn * n[1] - ve * n[0], abs=1e-9)

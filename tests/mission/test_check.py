@@ -3,7 +3,7 @@
 import pytest
 
 from mufly.errors import InputError
-from mufly.mission import check_mission, legs, load_mission, mission_from, prepare
+from mufly.mission import check_mission, load_mission, parse_mission, plan_legs, prepare_plan
 from mufly.vehicle import load_vehicle
 
 CRATE = {"name": "crate", "centre_m": [2.0, 0.0, -0.75], "size_m": [0.6, 0.6, 1.5]}
@@ -66,29 +66,29 @@ def go(*positions, **more):
 )
 def test_geometry(tables, key, words):
     with pytest.raises(InputError) as fault:
-        mission_from(tables, "file.toml")
+        parse_mission(tables, "file.toml")
     assert fault.value.key == key
     assert words in str(fault.value)
 
 
 def test_an_obstacle_on_a_leg_is_allowed_where_the_beams_see_it():
-    mission_from(go((4, 0, -1), box=[CRATE]))
-    mission_from(go((4, 0, -1.9), box=[CRATE]))
+    parse_mission(go((4, 0, -1), box=[CRATE]))
+    parse_mission(go((4, 0, -1.9), box=[CRATE]))
     # Under a high shelf with room enough.
-    mission_from(go((4, 0, -1), box=[SHELF]))
-    mission_from(go((4, 0, -1.2), box=[HANGING]))
+    parse_mission(go((4, 0, -1), box=[SHELF]))
+    parse_mission(go((4, 0, -1.2), box=[HANGING]))
     with pytest.raises(InputError, match=r"passes the lamp \(from 1\.00 m to 2\.00 m high\)"):
-        mission_from(go((4, 0, -1.1), box=[HANGING]))
+        parse_mission(go((4, 0, -1.1), box=[HANGING]))
     # Low over the floor, past something that stands on it or reaches below.
-    mission_from(go((4, 0, -0.25), take_off={"height_m": 0.3}, box=[CRATE]))
+    parse_mission(go((4, 0, -0.25), take_off={"height_m": 0.3}, box=[CRATE]))
 
 
 def test_a_spline_that_swings_to_the_floor_is_refused():
     tables = go((2, 0, -0.21), (4, 0, -3), path={"kind": "spline"})
     with pytest.raises(InputError, match="swings down to a height of"):
-        mission_from(tables)
-    mission_from(go((2, 0, -0.21), (4, 0, -3)))
-    mission_from(go((2, 0, -1), (4, 0, -3), path={"kind": "spline"}))
+        parse_mission(tables)
+    parse_mission(go((2, 0, -0.21), (4, 0, -3)))
+    parse_mission(go((2, 0, -1), (4, 0, -3), path={"kind": "spline"}))
 
 
 def test_estimate_of_the_demonstration():
@@ -99,7 +99,7 @@ def test_estimate_of_the_demonstration():
     assert 60.0 < estimate.duration_s < 100.0
     assert estimate.charge_Ah == pytest.approx(estimate.duration_s * 4.0 / 3600.0)
     assert estimate.fraction == pytest.approx(estimate.charge_Ah / 0.25)
-    times = [leg.reached_s for leg in legs(m)]
+    times = [leg.reached_s for leg in plan_legs(m)]
     assert times == sorted(times)
 
 
@@ -116,11 +116,7 @@ ZIGZAG = [(0.6 * (k % 3), 0.5 * (k % 4), -1.0 - 0.1 * (k % 3)) for k in range(1,
         go(*ZIGZAG),
         go((14, 0, -1.5), (14, 9, -1.5), limits=FAST),
         go(*[(0.2 * k, 0.1 * (k % 2), -1) for k in range(1, 9)]),
-        {
-            "waypoint": [
-                {"position_m": [0.5, 0.5 * k, -1.0], "heading_deg": 170.0 * (-1) ** k} for k in range(4)
-            ]
-        },
+        {"waypoint": [{"position_m": [0.5, 0.5 * k, -1.0], "heading_deg": 170.0 * (-1) ** k} for k in range(4)]},
         {"waypoint": [{"position_m": [1.0, k, -1.0], "wait_s": 4.0 * k} for k in range(3)]},
         go((0, 0, -3), (1, 0, -0.5), (1, 1, -5), (1, 1, -1)),
         go((2, 0, -1), (3, 2, -1.5), (1, 3, -1), path={"kind": "spline"}),
@@ -131,7 +127,7 @@ ZIGZAG = [(0.6 * (k % 3), 0.5 * (k % 4), -1.0 - 0.1 * (k % 3)) for k in range(1,
     ],
 )
 def test_a_mission_takes_as_long_as_is_expected(rig, tables):
-    mission = mission_from(tables)
+    mission = parse_mission(tables)
     flight = rig.fly(mission)
     start = next(t for t, s in zip(flight.time, flight.states, strict=True) if s == "take-off")
     landed = next(e.time_s for e in flight.state.events if e.text == "landed")
@@ -141,15 +137,13 @@ def test_a_mission_takes_as_long_as_is_expected(rig, tables):
 
 def test_four_metres_more_take_as_long_as_climbing_and_sinking_them():
     low, high = (
-        mission_from(go((0, 0, -h), take_off={"height_m": h}, limits={"climb_m_s": 0.5, "descent_m_s": 0.2}))
+        parse_mission(go((0, 0, -h), take_off={"height_m": h}, limits={"climb_m_s": 0.5, "descent_m_s": 0.2}))
         for h in (2.0, 6.0)
     )
     one, other = (check_mission(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (low, high))
     assert other - one == pytest.approx(4.0 / 0.5 + 4.0 / 0.2, abs=0.02)
     # The last 0.4 m are sunk at the speed of a touchdown.
-    soft, hard = (
-        low.with_parts(limits=low.limits.model_copy(update={"touchdown_m_s": v})) for v in (0.1, 0.2)
-    )
+    soft, hard = (low.with_parts(limits=low.limits.model_copy(update={"touchdown_m_s": v})) for v in (0.1, 0.2))
     one, other = (check_mission(m, hover_current_A=4.0, capacity_Ah=1.0).duration_s for m in (soft, hard))
     # It brakes sooner to the slower one, and the reference goes on 3 cm below the floor.
     assert one - other == pytest.approx(0.43 / 0.1 - 0.43 / 0.2, abs=0.1)
@@ -159,14 +153,14 @@ def test_what_is_refused_says_how_long_it_would_take():
     """Also where only the way down, or the wait, is one too many."""
 
     def takes(tables):
-        return check_mission(mission_from(tables), hover_current_A=4.0, capacity_Ah=9.0).duration_s
+        return check_mission(parse_mission(tables), hover_current_A=4.0, capacity_Ah=9.0).duration_s
 
     for tables, key in (
         (go((50, 0, -1)), "position_m"),
         ({"waypoint": [{"position_m": [1, 0, -1], "wait_s": 90}]}, "wait_s"),
     ):
         needed = takes(tables)
-        one = mission_from(tables)
+        one = parse_mission(tables)
         for seconds in (needed + 1.0, needed - 1.0):
             numbers = {"hover_current_A": 1.0, "capacity_Ah": seconds / 3600.0 / one.battery.usable}
             if seconds > needed:
@@ -180,17 +174,17 @@ def test_what_is_refused_says_how_long_it_would_take():
 def test_the_battery_has_to_last():
     weak = {"hover_current_A": 4.0, "capacity_Ah": 0.25}
     with pytest.raises(InputError, match=r"take_off.height_m: 50 m is out of reach.*the battery lasts 180 s"):
-        check_mission(mission_from(go((0, 0, -50), take_off={"height_m": 50.0})), **weak)
+        check_mission(parse_mission(go((0, 0, -50), take_off={"height_m": 50.0})), **weak)
     with pytest.raises(InputError, match=r"waypoint\[2\].position_m: -90 m \(D\) is out of reach.*fly lower"):
-        check_mission(mission_from(go((1, 0, -1), (1, 0, -90))), **weak)
+        check_mission(parse_mission(go((1, 0, -1), (1, 0, -90))), **weak)
     with pytest.raises(InputError, match=r"waypoint\[1\].position_m: is out of reach.*fly less far"):
-        check_mission(mission_from(go((200, 0, -1))), **weak)
+        check_mission(parse_mission(go((200, 0, -1))), **weak)
     with pytest.raises(InputError, match=r"waypoint\[1\].wait_s: 600 is too long"):
-        check_mission(mission_from({"waypoint": [{"position_m": [1, 0, -1], "wait_s": 600}]}), **weak)
+        check_mission(parse_mission({"waypoint": [{"position_m": [1, 0, -1], "wait_s": 600}]}), **weak)
 
 
 def test_the_same_mission_passes_with_more_of_the_battery():
-    m = mission_from(go((55, 0, -1)))
+    m = parse_mission(go((55, 0, -1)))
     with pytest.raises(InputError):
         check_mission(m, hover_current_A=4.0, capacity_Ah=0.1)
     assert check_mission(m, hover_current_A=4.0, capacity_Ah=0.2).fraction < 0.8
@@ -198,38 +192,38 @@ def test_the_same_mission_passes_with_more_of_the_battery():
 
 def test_prepare_takes_the_vehicle_s_ring_and_battery():
     vehicle = load_vehicle("mufly-1.1")
-    plan = prepare(load_mission("demonstration"), vehicle)
-    assert plan.low_V == float(vehicle.battery.low_voltage)
+    plan = prepare_plan(load_mission("demonstration"), vehicle)
+    assert plan.low_battery_V == float(vehicle.battery.low_voltage)
     assert len(plan.ring.cos) == vehicle.range_ring.count
-    assert prepare(mission_from(go((1, 0, -1), battery={"low_V": 6.5})), vehicle).low_V == 6.5
+    assert prepare_plan(parse_mission(go((1, 0, -1), battery={"low_V": 6.5})), vehicle).low_battery_V == 6.5
     with pytest.raises(InputError, match=r"battery\.low_V"):
-        prepare(mission_from(go((1, 0, -1), battery={"low_V": 12.0})), vehicle)
+        prepare_plan(parse_mission(go((1, 0, -1), battery={"low_V": 12.0})), vehicle)
 
 
 def test_the_way_home_is_checked_and_counted():
     numbers = {"hover_current_A": 4.0, "capacity_Ah": 0.25}
-    there, back = mission_from(go((3, 0, -1))), mission_from(go((3, 0, -1), at_end="return"))
+    there, back = parse_mission(go((3, 0, -1))), parse_mission(go((3, 0, -1), at_end="return"))
     one, two = check_mission(there, **numbers), check_mission(back, **numbers)
     assert two.path_m == pytest.approx(one.path_m + 3.0)
     assert two.duration_s > one.duration_s + 3.0 / 0.6
     with pytest.raises(InputError, match=r'at_end: "return" is out of reach.*end with "land"'):
-        check_mission(mission_from(go((60, 0, -1), at_end="return")), **numbers)
-    check_mission(mission_from(go((60, 0, -1))), **numbers)
+        check_mission(parse_mission(go((60, 0, -1), at_end="return")), **numbers)
+    check_mission(parse_mission(go((60, 0, -1))), **numbers)
 
 
 def test_a_way_home_over_a_box_that_the_beams_miss_is_refused():
     table = {"centre_m": [1.5, 1.5, -0.5], "size_m": [0.8, 0.8, 1.0], "name": "table"}
     corners = ((3, 0, -1.2), (3, 3, -1.2))
-    mission_from(go(*corners, box=[table]))
+    parse_mission(go(*corners, box=[table]))
     with pytest.raises(InputError, match=r"at_end: the way to it, at a height of 1\.20 m, passes the table"):
-        mission_from(go(*corners, box=[table], at_end="return"))
+        parse_mission(go(*corners, box=[table], at_end="return"))
 
 
 def test_a_slower_leg_takes_longer():
     m = load_mission("demonstration")
     tables = m.model_dump(exclude_none=True)
     tables["waypoint"] = [{**w, "speed_m_s": 0.2} for w in tables["waypoint"]]
-    slow = check_mission(mission_from(tables), hover_current_A=4.0, capacity_Ah=0.25)
+    slow = check_mission(parse_mission(tables), hover_current_A=4.0, capacity_Ah=0.25)
     quick = check_mission(m, hover_current_A=4.0, capacity_Ah=0.25)
     # A leg d from rest to rest takes d / V and one ramp of 15 V / (8 a).
     at = {v: 4 * (3.0 / v + 15.0 * v / (8.0 * 0.4)) for v in (0.2, 0.6)}

@@ -7,8 +7,16 @@ import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
-from mufly.mission import Command, SetPoint, State, begin, mission_from, step, watch_out
-from mufly.mission.avoidance import Memory, look
+from mufly.mission import (
+    Command,
+    SetPoint,
+    State,
+    begin_mission,
+    parse_mission,
+    step_mission,
+    update_obstacle_map,
+)
+from mufly.mission.avoidance import ObstacleMap, check_path
 
 TWO = {"waypoint": [{"position_m": [1.0, 0.0, -1.0]}, {"position_m": [2.0, 0.0, -1.0]}]}
 HIGH = (0.0, 0.0, -1.0)
@@ -20,16 +28,16 @@ def measured(t=0.02, x=HIGH, attitude=(0.0, 0.0, 0.0), volts=7.4):
 
 def in_state(plan, m, *commands):
     """The machine after some commands, a step of 20 ms each, at one place."""
-    s = begin(plan, measured(0.0, (0.0, 0.0, -0.07)))
+    s = begin_mission(plan, measured(0.0, (0.0, 0.0, -0.07)))
     for k, c in enumerate(commands):
-        s, _ = step(plan, s, replace(m, time_s=0.02 * (k + 1)), c)
+        s, _ = step_mission(plan, s, replace(m, time_s=0.02 * (k + 1)), c)
     return s
 
 
 def hovering(rig, tables=TWO, **changes):
     """A plan, and a hover at 1 m with the mission begun and its wait over."""
-    plan = rig.plan_for(mission_from(tables))
-    s = begin(plan, measured(0.0, (0.0, 0.0, -0.07)))
+    plan = rig.plan_for(parse_mission(tables))
+    s = begin_mission(plan, measured(0.0, (0.0, 0.0, -0.07)))
     usual = {
         "state": State.HOVER,
         "motors": "fly",
@@ -43,17 +51,17 @@ def hovering(rig, tables=TWO, **changes):
 
 def point_at(north, down):
     """What is remembered and seen of one point."""
-    points = Memory.empty().points
+    points = ObstacleMap.empty().points
     points[0, :3] = (north, 0.0, down)
-    memory, here = Memory(points, 1), (0.0, 0.0, down)
-    return {"memory": memory, "sight": look(memory, here, here, 0.39)}
+    memory, here = ObstacleMap(points, 1), (0.0, 0.0, down)
+    return {"memory": memory, "sight": check_path(memory, here, here, 0.39)}
 
 
 @pytest.mark.parametrize(("motors", "told"), [("fly", 1), ("off", 0)])
 def test_a_low_battery_is_told_to_a_pilot_who_flies_once(rig, motors, told):
     plan, s = hovering(rig, state=State.RC, motors=motors, begun=False, battery_V=5.5)
     for k in range(1, 120):
-        s, _ = step(plan, s, measured(0.02 * k, volts=5.5), Command(rc=True))
+        s, _ = step_mission(plan, s, measured(0.02 * k, volts=5.5), Command(rc_active=True))
     low = [e for e in s.events if "battery low" in e.text]
     assert [e.level for e in low] == ["warning"] * told
     assert s.state is State.RC
@@ -64,18 +72,16 @@ def test_a_low_battery_is_told_to_a_pilot_who_flies_once(rig, motors, told):
 def test_a_low_battery_lands_and_fails_only_what_was_open(rig, before, after):
     plan, s = hovering(rig, outcome=before, manual=True, battery_V=5.5)
     for k in range(1, 60):
-        s, _ = step(plan, s, measured(0.02 * k, volts=5.5), Command())
+        s, _ = step_mission(plan, s, measured(0.02 * k, volts=5.5), Command())
     assert s.state is State.LANDING
     assert s.outcome == after
     assert ("battery low: 5.50 V, below 6.00 V" in s.reason) is (after == "failed")
 
 
-@pytest.mark.parametrize(
-    ("index", "state", "text"), [(0, "waypoint", "waypoint 1"), (1, "waypoint", "waypoint 2")]
-)
+@pytest.mark.parametrize(("index", "state", "text"), [(0, "waypoint", "waypoint 1"), (1, "waypoint", "waypoint 2")])
 def test_after_a_wait_the_next_waypoint_is_flown_to_down_to_the_last(rig, index, state, text):
     plan, s = hovering(rig, index=index)
-    s, _ = step(plan, s, measured(), Command())
+    s, _ = step_mission(plan, s, measured(), Command())
     assert (s.state, s.events[-1].text) == (state, text)
     assert s.goal == (index + 1.0, 0.0, -1.0)
 
@@ -86,10 +92,10 @@ def test_after_a_wait_the_next_waypoint_is_flown_to_down_to_the_last(rig, index,
 )
 def test_after_the_last_wait_it_does_what_the_mission_says(rig, at_end, state, outcome):
     plan, s = hovering(rig, TWO | {"at_end": at_end}, index=2)
-    s, _ = step(plan, s, measured(), Command())
+    s, _ = step_mission(plan, s, measured(), Command())
     assert (s.state, s.outcome) == (state, outcome)
     assert "mission complete" in s.events[-1].text
-    assert s.homing is (at_end == "return")
+    assert s.returning_home is (at_end == "return")
 
 
 @pytest.mark.parametrize(
@@ -98,8 +104,8 @@ def test_after_the_last_wait_it_does_what_the_mission_says(rig, at_end, state, o
 )
 def test_start_goes_on_where_it_was_and_anew_when_it_was_over(rig, index, begun, outcome, first, then):
     plan, s = hovering(rig, index=index, begun=begun, outcome=outcome, manual=True)
-    s, _ = step(plan, s, measured(), Command(start=True, first=first))
-    assert (s.state, s.index, s.outcome) == (State.WAYPOINT, then, "")
+    s, _ = step_mission(plan, s, measured(), Command(start=True, first_waypoint=first))
+    assert (s.state, s.waypoint_index, s.outcome) == (State.WAYPOINT, then, "")
     texts = [e.text for e in s.events]
     goes_on = "the mission goes on" if begun and not outcome else "the mission begins"
     assert (f"on to waypoint {first + 1}" if first is not None else goes_on) in texts
@@ -109,16 +115,14 @@ def test_start_goes_on_where_it_was_and_anew_when_it_was_over(rig, index, begun,
 @pytest.mark.parametrize(("index", "left"), [(0, "2 waypoints to go"), (1, "1 waypoint to go"), (2, "")])
 def test_what_a_user_breaks_off_is_counted(rig, signal, word, index, left):
     plan, s = hovering(rig, index=index, manual=index == 2)
-    s, _ = step(plan, s, measured(), Command(**signal))
-    assert s.quit == (f"{word} signal with {left}" if left else "")
+    s, _ = step_mission(plan, s, measured(), Command(**signal))
+    assert s.abort_reason == (f"{word} signal with {left}" if left else "")
 
 
-@pytest.mark.parametrize(
-    ("height", "tilt", "stops"), [(0.25, 70.0, True), (0.36, 70.0, False), (0.25, 50.0, False)]
-)
+@pytest.mark.parametrize(("height", "tilt", "stops"), [(0.25, 70.0, True), (0.36, 70.0, False), (0.25, 50.0, False)])
 def test_tipped_over_near_the_floor_stops_the_motors(rig, height, tilt, stops):
     plan, s = hovering(rig)
-    s, r = step(
+    s, r = step_mission(
         plan, s, measured(x=(0.0, 0.0, -0.07 - height), attitude=(0.0, math.radians(tilt), 0.0)), Command()
     )
     assert (r.motors == "off") is stops
@@ -130,7 +134,7 @@ def test_tipped_over_near_the_floor_stops_the_motors(rig, height, tilt, stops):
 )
 def test_a_stop_fails_a_flight_with_a_mission_or_without_but_not_none(rig, started, begun, outcome):
     plan, s = hovering(rig, started=started, begun=begun)
-    s, r = step(plan, s, measured(), Command(stop="emergency stop"))
+    s, r = step_mission(plan, s, measured(), Command(stop_reason="emergency stop"))
     assert (s.state, s.outcome, s.finished, r.motors) == (State.INIT, outcome, outcome != "", "off")
 
 
@@ -139,47 +143,45 @@ def test_a_stop_fails_a_flight_with_a_mission_or_without_but_not_none(rig, start
     [(2.9, 0.05, "take-off"), (3.1, 0.09, "init"), (3.1, 0.11, "take-off"), (3.6, 0.05, "init")],
 )
 def test_a_take_off_that_does_not_lift_is_given_up_after_three_seconds(rig, late, height, state):
-    plan = rig.plan_for(mission_from(TWO))
+    plan = rig.plan_for(parse_mission(TWO))
     s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
     s = replace(s, motors="fly", clock_s=s.motion.duration_s + late - 0.02)
-    s, r = step(plan, s, measured(0.04, (0.0, 0.0, -0.07 - height)), Command())
+    s, r = step_mission(plan, s, measured(0.04, (0.0, 0.0, -0.07 - height)), Command())
     assert s.state == state
     assert (r.motors == "ramp_down") is (state == "init")
 
 
 @pytest.mark.parametrize(("more", "state"), [(-0.1, "take-off"), (0.1, "landing")])
 def test_a_take_off_that_hangs_half_way_lands_8_s_and_half_a_climb_late(rig, more, state):
-    plan = rig.plan_for(mission_from(TWO))
+    plan = rig.plan_for(parse_mission(TWO))
     s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
     climb = s.motion.duration_s
     s = replace(s, motors="fly", clock_s=1.5 * climb + 8.0 + more - 0.02)
-    s, _ = step(plan, s, measured(0.04, (0.0, 0.0, -0.6)), Command())
+    s, _ = step_mission(plan, s, measured(0.04, (0.0, 0.0, -0.6)), Command())
     assert s.state == state
     assert ("0.60 m high in place of 1.00 m" in s.reason) is (state == "landing")
 
 
-@pytest.mark.parametrize(
-    ("height", "moves", "motors"), [(0.1, 0.0, "off"), (0.1, 0.06, "fly"), (1.0, 0.0, "fly")]
-)
+@pytest.mark.parametrize(("height", "moves", "motors"), [(0.1, 0.0, "off"), (0.1, 0.06, "fly"), (1.0, 0.0, "fly")])
 def test_what_does_not_sink_any_more_lies_on_something(rig, height, moves, motors):
     """A box, or a floor that is believed to be lower; what sinks, or waits far up to be told to, does not lie."""
-    plan = rig.plan_for(mission_from(TWO))
+    plan = rig.plan_for(parse_mission(TWO))
     s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
     s = replace(s, state=State.LANDING, motors="fly", hold=(0.0, 0.0, -0.05 if height < 0.5 else -1.07))
     for k in range(200):
         m = replace(measured(0.02 * k, (0.0, 0.0, -0.07 - height)), velocity=np.array([0.0, 0.0, moves]))
-        s, r = step(plan, s, m, Command())
-        if height > 0.5 and s.hold[2] > -0.07 - height + 0.2:
+        s, r = step_mission(plan, s, m, Command())
+        if height > 0.5 and s.hold_position[2] > -0.07 - height + 0.2:
             break
     assert r.motors == motors
 
 
 @pytest.mark.parametrize(("rise", "state"), [(0.15, "take-off"), (0.25, "obstacle")])
 def test_a_take_off_gives_way_once_it_is_off_its_legs(rig, rise, state):
-    plan = rig.plan_for(mission_from(TWO))
+    plan = rig.plan_for(parse_mission(TWO))
     s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
     s = replace(s, motors="fly", clock_s=0.5 * s.motion.duration_s, **point_at(0.3, -0.3))
-    s, _ = step(plan, s, measured(0.04, (0.0, 0.0, -0.07 - rise)), Command())
+    s, _ = step_mission(plan, s, measured(0.04, (0.0, 0.0, -0.07 - rise)), Command())
     assert s.state == state
 
 
@@ -187,7 +189,7 @@ def follow(plan, s, steps):
     """The state, and the reference, after some steps of 20 ms in which the helicopter is where it has to be."""
     x, heading = HIGH, 0.0
     for k in range(1, steps + 1):
-        s, r = step(plan, s, measured(0.02 * k, x, (0.0, 0.0, heading)), Command())
+        s, r = step_mission(plan, s, measured(0.02 * k, x, (0.0, 0.0, heading)), Command())
         x, heading = tuple(r.position), r.heading
     return s, r
 
@@ -195,7 +197,12 @@ def follow(plan, s, steps):
 @pytest.mark.parametrize("when", [50, 250])
 @pytest.mark.parametrize(
     "command",
-    [Command(waypoint=(0.0, 1.5, -1.5)), Command(home=True), Command(pause=True), Command(land=True)],
+    [
+        Command(waypoint=(0.0, 1.5, -1.5)),
+        Command(return_requested=True),
+        Command(pause=True),
+        Command(land=True),
+    ],
 )
 def test_what_breaks_off_a_leg_goes_on_from_how_it_moves(rig, command, when):
     """While it turns towards its goal, and at speed: the reference goes on without a jump."""
@@ -204,7 +211,7 @@ def test_what_breaks_off_a_leg_goes_on_from_how_it_moves(rig, command, when):
     speed, turning = np.linalg.norm(before.velocity), abs(before.heading_rate)
     assert (speed > 0.2, turning > 0.2) == (when == 250, when == 50)
     now = measured(0.02 * when + 0.02, before.position, (0.0, 0.0, before.heading))
-    s, now = step(plan, s, now, command)
+    s, now = step_mission(plan, s, now, command)
     np.testing.assert_allclose(now.velocity, before.velocity, atol=0.03)
     np.testing.assert_allclose(now.position, before.position + 0.02 * before.velocity, atol=0.002)
     assert now.heading == pytest.approx(before.heading + 0.02 * before.heading_rate, abs=0.003)
@@ -216,12 +223,12 @@ def test_a_program_that_ends_leaves_a_reference_that_goes_on_from_how_it_moves(r
     plan, s = hovering(rig)
     x = HIGH
     for k in range(1, 151):
-        s, before = step(
+        s, before = step_mission(
             plan, s, measured(0.02 * k, x), Command(set_point=SetPoint(velocity_m_s=(0.3, 0.2, -0.25)))
         )
         x = tuple(before.position)
     assert before.velocity == pytest.approx((0.3, 0.2, -0.25), abs=0.02)
-    s, now = step(plan, s, measured(3.02, x), Command())
+    s, now = step_mission(plan, s, measured(3.02, x), Command())
     assert s.state is State.HOVER
     np.testing.assert_allclose(now.velocity, before.velocity, atol=0.03)
     np.testing.assert_allclose(now.position, before.position + 0.02 * before.velocity, atol=0.002)
@@ -233,7 +240,7 @@ def test_the_nose_swings_on_the_level_way_and_not_while_it_turns_or_climbs_befor
     for steps, swings in ((30, False), (250, True)):
         after, _ = follow(plan, s, steps)
         assert after.state is State.WAYPOINT
-        assert (after.swing > 0.0) is swings
+        assert (after.scan_duration_s > 0.0) is swings
 
 
 @pytest.mark.parametrize(
@@ -248,7 +255,7 @@ def test_the_nose_swings_on_the_level_way_and_not_while_it_turns_or_climbs_befor
 def test_what_was_seen_near_is_avoided_unless_that_is_off_or_it_lands(rig, tables, outcome, state):
     seen = point_at(0.3, -1.0)
     plan, s = hovering(rig, TWO | {"avoidance": tables}, manual=True, outcome=outcome, ready_s=9.0, **seen)
-    s, _ = step(plan, s, measured(), Command())
+    s, _ = step_mission(plan, s, measured(), Command())
     assert s.state == state
 
 
@@ -257,8 +264,8 @@ def test_set_points_lead_into_nothing_that_was_seen_unless_avoidance_is_off(rig,
     plan, s = hovering(rig, TWO | {"avoidance": tables}, **point_at(0.5, -1.0))
     x = HIGH
     for k in range(1, 120):
-        s, r = step(plan, s, measured(0.02 * k, x), Command(set_point=SetPoint(velocity_m_s=(0.5, 0.0, 0.0))))
-        s = watch_out(plan, s, measured(0.02 * k, x))
+        s, r = step_mission(plan, s, measured(0.02 * k, x), Command(set_point=SetPoint(velocity_m_s=(0.5, 0.0, 0.0))))
+        s = update_obstacle_map(plan, s, measured(0.02 * k, x))
         x = tuple(r.position)
     assert s.state is State.OFFBOARD
     assert bool(x[0] > 0.12) is through
@@ -267,7 +274,7 @@ def test_set_points_lead_into_nothing_that_was_seen_unless_avoidance_is_off(rig,
 @pytest.mark.parametrize(("rise", "state"), [(0.08, "init"), (0.12, "hover")])
 def test_a_pilot_who_lets_go_has_landed_only_on_the_floor(rig, rise, state):
     plan, s = hovering(rig, state=State.RC, begun=False)
-    s, r = step(plan, s, measured(x=(0.0, 0.0, -0.07 - rise)), Command())
+    s, r = step_mission(plan, s, measured(x=(0.0, 0.0, -0.07 - rise)), Command())
     assert s.state == state
     assert (r.motors == "ramp_down") is (state == "init")
 
@@ -277,16 +284,16 @@ def test_a_pilot_who_lets_go_in_a_dive_is_braked_to_the_floor_and_not_below(rig,
     """At 3 m/s it needs 8 m and has 1.5: the reference is that of a fall that can still be stopped there."""
     plan, s = hovering(rig, state=State.RC, begun=False)
     m = replace(measured(x=(0.0, 0.0, -1.57)), velocity=np.array([level, 0.0, 3.0]))
-    s, _ = step(plan, s, m, Command())
+    s, _ = step_mission(plan, s, m, Command())
     assert s.state is State.HOVER
     assert s.goal[2] == pytest.approx(-0.07, abs=1e-6)
-    assert s.motion.at(0.0).velocity[0] == level
-    assert 0.5 < s.motion.at(0.0).velocity[2] < 3.0
+    assert s.motion.evaluate(0.0).velocity[0] == level
+    assert 0.5 < s.motion.evaluate(0.0).velocity[2] < 3.0
 
 
 def test_a_stop_stops_rotors_that_run_down_too(rig):
     plan, s = hovering(rig, state=State.INIT, motors="ramp_down", outcome="succeeded")
-    s, r = step(plan, s, measured(x=(0.0, 0.0, -0.07)), Command(stop="emergency stop"))
+    s, r = step_mission(plan, s, measured(x=(0.0, 0.0, -0.07)), Command(stop_reason="emergency stop"))
     assert r.motors == "off"
     assert s.events[-1].text == "emergency stop"
 
@@ -294,11 +301,11 @@ def test_a_stop_stops_rotors_that_run_down_too(rig):
 @pytest.mark.parametrize("more", [-1.0, 1.0])
 def test_a_leg_is_given_up_after_twice_its_time_and_20_s(rig, more):
     plan, s = hovering(rig, index=1)
-    s, _ = step(plan, s, measured(), Command())
+    s, _ = step_mission(plan, s, measured(), Command())
     planned = s.motion.duration_s
     late = 2.0 * planned + 20.0 + more
-    s = replace(s, time_s=late, clock_s=planned + 1.0)
-    s, _ = step(plan, s, measured(late + 0.02), Command())
+    s = replace(s, time_s=late, motion_clock_s=planned + 1.0)
+    s, _ = step_mission(plan, s, measured(late + 0.02), Command())
     assert s.outcome == ("failed" if more > 0 else "")
 
 
@@ -307,10 +314,10 @@ def test_a_pilots_height_answers_at_once_after_a_long_climb_that_did_not_happen(
     for climb in (0.3, -0.3):
         plan, s = hovering(rig, state=State.RC, begun=False)
         for k in range(500):
-            s, r = step(plan, s, measured(0.02 * k), Command(rc=True, climb=climb))
+            s, r = step_mission(plan, s, measured(0.02 * k), Command(rc_active=True, climb_rate=climb))
         assert abs(r.position[2] - HIGH[2]) > 0.4
         for k in range(500, 590):
-            s, r = step(plan, s, measured(0.02 * k), Command(rc=True, climb=-climb))
+            s, r = step_mission(plan, s, measured(0.02 * k), Command(rc_active=True, climb_rate=-climb))
         assert (r.position[2] - HIGH[2]) * climb > 0.0
 
 
@@ -321,8 +328,8 @@ def test_a_pilots_height_answers_at_once_after_a_long_climb_that_did_not_happen(
 def test_the_nose_swings_by_half_the_gap_of_two_beams_while_it_scans(rig, tables, swings):
     """To both sides of a beam that looks along the way; every direction is looked into every two seconds."""
     box = [] if not tables else [{"centre_m": [1.0, 3.0, -1.0], "size_m": [0.4, 0.4, 2.0]}]
-    mission = mission_from({"waypoint": [{"position_m": [3.0, 0.0, -1.0]}], "box": box, "avoidance": tables})
-    assert rig.plan_for(mission).scan is swings
+    mission = parse_mission({"waypoint": [{"position_m": [3.0, 0.0, -1.0]}], "box": box, "avoidance": tables})
+    assert rig.plan_for(mission).scans_with_nose is swings
     flight = rig.fly(mission, limit_s=22.0)
     flying = [s in ("waypoint", "hover") for s in flight.states]
     t, heading, rate = (

@@ -8,9 +8,17 @@ import pytest
 
 from mufly.errors import InputError
 from mufly.flight import Flight
-from mufly.mission import Fence, SetPoint, dump_mission, fence_fault, fence_of, items_of_fence, mission_from
-from mufly.mission.fence import fence_margins, way_fault
-from mufly.mission.items import Item, MissionResult, Origin, Refusal
+from mufly.mission import (
+    Fence,
+    SetPoint,
+    dump_mission,
+    fence_fault,
+    fence_from_items,
+    fence_to_items,
+    parse_mission,
+)
+from mufly.mission.geofence import fence_margins, fence_path_fault
+from mufly.mission.mission_items import GlobalOrigin, MissionItem, MissionRefusedError, MissionResult
 
 SQUARE = [[-3, -3], [3, -3], [3, 3], [-3, 3]]
 L_SHAPE = ((0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0))
@@ -67,26 +75,24 @@ def test_every_bound_counts_and_the_worst_is_named():
 )  # fmt: skip
 def test_a_mission_that_leaves_its_fence_or_has_none_is_refused(tables, key, words):
     with pytest.raises(InputError) as caught:
-        mission_from(tables, "hall.toml")
+        parse_mission(tables, "hall.toml")
     assert caught.value.key == key
     assert words in str(caught.value)
 
 
 def test_a_fence_survives_the_file():
-    tables = go(
-        (1, 0, -1), polygon_m=SQUARE, ceiling_m=2.5, keep_out_circles_m=[[2.0, 2.0, 0.3]], action="land"
-    )
-    mission = mission_from(tables, "hall.toml")
-    assert mission_from(tomllib.loads(dump_mission(mission))) == mission
+    tables = go((1, 0, -1), polygon_m=SQUARE, ceiling_m=2.5, keep_out_circles_m=[[2.0, 2.0, 0.3]], action="land")
+    mission = parse_mission(tables, "hall.toml")
+    assert parse_mission(tomllib.loads(dump_mission(mission))) == mission
 
 
-@pytest.mark.parametrize("origin", [None, Origin(46.5, 7.5, 400.0)])
+@pytest.mark.parametrize("origin", [None, GlobalOrigin(46.5, 7.5, 400.0)])
 def test_a_fence_survives_the_link(origin):
     fence = Fence(polygon_m=SQUARE, centre_m=(1.0, -1.0), radius_m=5.5, keep_out_m=(L_SHAPE, L_SHAPE[::-1]),
                   keep_out_circles_m=((2.0, 2.0, 0.25),), ceiling_m=2.0, action="land")  # fmt: skip
-    items = items_of_fence(fence, origin)
+    items = fence_to_items(fence, origin)
     assert [i.seq for i in items] == list(range(len(items)))
-    again = fence_of(items, fence, origin)
+    again = fence_from_items(items, fence, origin)
     assert (again.ceiling_m, again.action) == (2.0, "land")
     for name in ("polygon_m", "centre_m", "radius_m", "keep_out_circles_m"):
         assert np.array(getattr(again, name)) == pytest.approx(np.array(getattr(fence, name)), abs=0.02)
@@ -113,43 +119,41 @@ def vertex(first, n=0, e=0, command=5001, frame=1):
 )
 def test_items_that_are_no_fence_are_refused_with_the_field(items, result, words):
     made = [
-        Item(k, frame, command, params=(first, 0, 0, 0), x=round(1e4 * n), y=round(1e4 * e), mission_type=1)
+        MissionItem(k, frame, command, params=(first, 0, 0, 0), x=round(1e4 * n), y=round(1e4 * e), mission_type=1)
         for k, (command, first, n, e, frame) in enumerate(items)
     ]
-    with pytest.raises(Refusal, match=words) as caught:
-        fence_of(made, None, None)
+    with pytest.raises(MissionRefusedError, match=words) as caught:
+        fence_from_items(made, None, None)
     assert caught.value.result == result
 
 
 @pytest.mark.parametrize(("action", "ends"), [("hold", "hover"), ("return", "waypoint"), ("land", "landing")])
 def test_outside_its_fence_a_vehicle_does_what_the_fence_says(action, ends):
-    mission = mission_from(go((0.3, 0, -0.5), centre_m=[0, 0], radius_m=0.9, action=action))
-    with Flight(
-        "mufly-1.1", mission.with_parts(take_off=mission.take_off.model_copy(update={"height_m": 0.5}))
-    ) as f:
+    mission = parse_mission(go((0.3, 0, -0.5), centre_m=[0, 0], radius_m=0.9, action=action))
+    with Flight("mufly-1.1", mission.with_parts(take_off=mission.take_off.model_copy(update={"height_m": 0.5}))) as f:
         pilot = f.autopilot
-        f.tick()
+        f.step_period()
         assert pilot.arm(force=True)
         assert pilot.take_off(0.5)
         while pilot.status.state != "hover":
-            f.tick()
+            f.step_period()
         refused = pilot.go_to((0.0, 500.0, -0.5))
         assert not refused
         assert "499 m outside the fence's circle" in refused.reason
-        assert "outside the fence" in pilot.set_point(SetPoint(position_m=(1.5, 0.0, math.nan))).reason
-        while not pilot.status.fence_breaches:
-            pilot.set_point(SetPoint(velocity_m_s=(0.5, 0.0, 0.0)))
-            if not pilot.status.offboard:
-                assert pilot.offboard(True)
-            f.tick()
-        assert pilot.status.fence_breach
+        assert "outside the fence" in pilot.send_set_point(SetPoint(position_m=(1.5, 0.0, math.nan))).reason
+        while not pilot.status.fence_breach_count:
+            pilot.send_set_point(SetPoint(velocity_m_s=(0.5, 0.0, 0.0)))
+            if not pilot.status.offboard_active:
+                assert pilot.set_offboard(True)
+            f.step_period()
+        assert pilot.status.fence_breach_text
         for _ in range(1600):
-            f.tick()
+            f.step_period()
             if pilot.status.state == ends:
                 break
         assert pilot.status.state == ends
         words = {"hold": "holding", "return": "returning", "land": "landing"}[action]
-        assert any(e.text.startswith("fence breached") and words in e.text for e in pilot.events())
+        assert any(e.text.startswith("fence breached") and words in e.text for e in pilot.take_events())
         if action == "hold":
             assert "fence refused" in pilot.load_fence(mission.fence).reason
             assert pilot.go_to((0.3, 0.0, -0.5))
@@ -158,45 +162,43 @@ def test_outside_its_fence_a_vehicle_does_what_the_fence_says(action, ends):
 
 def test_sticks_that_stay_out_are_stopped_and_may_fly_back():
     """After a breach it holds for two seconds; the pilot may then fly back, and a metre further out it acts again."""
-    mission = mission_from(go((0.3, 0, -0.5), centre_m=[0, 0], radius_m=0.6))
-    with Flight(
-        "mufly-1.1", mission.with_parts(take_off=mission.take_off.model_copy(update={"height_m": 0.5}))
-    ) as f:
+    mission = parse_mission(go((0.3, 0, -0.5), centre_m=[0, 0], radius_m=0.6))
+    with Flight("mufly-1.1", mission.with_parts(take_off=mission.take_off.model_copy(update={"height_m": 0.5}))) as f:
         pilot = f.autopilot
-        f.tick()
+        f.step_period()
         assert pilot.arm(force=True)
         assert pilot.take_off(0.5)
         while pilot.status.state != "hover":
-            f.tick()
+            f.step_period()
 
         def fly(pitch: float, until, most=3000):
             for _ in range(most):
-                pilot.sticks(0.0, pitch, 0.0, 0.0)
-                f.tick()
+                pilot.set_sticks(0.0, pitch, 0.0, 0.0)
+                f.step_period()
                 if until():
                     return True
             return False
 
-        assert fly(-0.06, lambda: pilot.status.fence_breaches == 1)
-        assert "wait until it holds" in pilot.sticks(0.0, -0.06, 0.0, 0.0).reason
+        assert fly(-0.06, lambda: pilot.status.fence_breach_count == 1)
+        assert "wait until it holds" in pilot.set_sticks(0.0, -0.06, 0.0, 0.0).reason
         for _ in range(8):  # the mission's logic runs in every fourth
-            f.tick()
+            f.step_period()
         assert pilot.status.state == "hover"
-        assert fly(-0.06, lambda: pilot.status.fence_breaches == 2)
-        assert fly(0.08, lambda: not pilot.status.fence_breach)
+        assert fly(-0.06, lambda: pilot.status.fence_breach_count == 2)
+        assert fly(0.08, lambda: not pilot.status.fence_breach_text)
 
 
 def test_a_way_through_a_keep_out_zone_is_refused_and_the_way_back_is_not():
     fence = Fence(centre_m=(0.0, 0.0), radius_m=5.0, keep_out_circles_m=((2.0, 0.0, 0.5),))
-    assert "the way there leads" in way_fault(fence, (0.0, 0.0, -1.0), (4.0, 0.0, -1.0))
-    assert way_fault(fence, (0.0, 0.0, -1.0), (0.0, 4.0, -1.0)) == ""
-    assert way_fault(fence, (7.0, 0.0, -1.0), (4.0, 0.0, -1.0)) == ""
-    assert way_fault(None, (0.0, 0.0, -1.0), (99.0, 0.0, -1.0)) == ""
+    assert "the way there leads" in fence_path_fault(fence, (0.0, 0.0, -1.0), (4.0, 0.0, -1.0))
+    assert fence_path_fault(fence, (0.0, 0.0, -1.0), (0.0, 4.0, -1.0)) == ""
+    assert fence_path_fault(fence, (7.0, 0.0, -1.0), (4.0, 0.0, -1.0)) == ""
+    assert fence_path_fault(None, (0.0, 0.0, -1.0), (99.0, 0.0, -1.0)) == ""
 
 
 def test_a_place_that_a_full_battery_does_not_reach_is_refused():
-    with Flight("mufly-1.1", mission_from({"waypoint": [{"position_m": [1.0, 0.0, -1.0]}]})) as f:
-        f.tick()
+    with Flight("mufly-1.1", parse_mission({"waypoint": [{"position_m": [1.0, 0.0, -1.0]}]})) as f:
+        f.step_period()
         answer = f.autopilot.go_to((0.0, 500.0, -1.0))
     assert not answer
     assert "out of reach" in answer.reason

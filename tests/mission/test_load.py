@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from mufly.errors import InputError
-from mufly.mission import Mission, builtin_missions, dump_mission, load_mission, mission_from
-from mufly.tables import inner_model
+from mufly.input_files import nested_model
+from mufly.mission import Mission, dump_mission, list_builtin_missions, load_mission, parse_mission
 
 GOOD = {"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 1.0}, {"position_m": [1.0, 2.0, -1.5]}]}
 DOCS = Path(__file__).parents[2] / "docs" / "missions.md"
@@ -26,10 +26,10 @@ def test_the_demonstration_is_that_of_the_thesis():
     assert m.take_off.height_m == 1.0
     assert m.take_off.wait_s == 2.5
     assert m.name == "demonstration"
-    assert m.world.empty
+    assert m.world.is_empty
 
 
-@pytest.mark.parametrize("name", builtin_missions())
+@pytest.mark.parametrize("name", list_builtin_missions())
 def test_a_mission_written_out_reads_back_equal(name, tmp_path):
     m = load_mission(name)
     file = tmp_path / "again.toml"
@@ -46,14 +46,12 @@ def test_a_mission_written_out_reads_back_equal(name, tmp_path):
     ),
 )
 def test_any_mission_reads_back_equal(name, waypoints):
-    m = mission_from(
-        {"name": name, "waypoint": [{"position_m": list(w[:3]), "wait_s": w[3]} for w in waypoints]}
-    )
-    assert mission_from(tomllib.loads(dump_mission(m))) == m
+    m = parse_mission({"name": name, "waypoint": [{"position_m": list(w[:3]), "wait_s": w[3]} for w in waypoints]})
+    assert parse_mission(tomllib.loads(dump_mission(m))) == m
 
 
 def test_obstacles_come_out_in_si(tmp_path):
-    m = mission_from(
+    m = parse_mission(
         {
             **GOOD,
             "box": [{"centre_m": [4, 0, -1], "size_m": [1, 1, 2], "yaw_deg": 90}],
@@ -66,16 +64,16 @@ def test_obstacles_come_out_in_si(tmp_path):
     assert m.world.boxes[0].yaw == pytest.approx(math.pi / 2)
     assert m.world.names[:3] == ("box", "partition", "post")
     assert m.world.room.height == math.inf
-    assert m.scans
+    assert m.scans_with_nose
     assert m.trajectory_limits.speed == m.avoidance.speed_m_s
     assert m.trajectory_limits.yaw_rate == pytest.approx(math.radians(60))
-    assert mission_from(tomllib.loads(dump_mission(m))) == m
+    assert parse_mission(tomllib.loads(dump_mission(m))) == m
 
 
 def test_scanning_can_be_chosen():
-    assert not mission_from(GOOD).scans
-    assert mission_from({**GOOD, "avoidance": {"scan": True}}).scans
-    assert not mission_from({**GOOD, "avoidance": {"scan": True, "enabled": False}}).scans
+    assert not parse_mission(GOOD).scans_with_nose
+    assert parse_mission({**GOOD, "avoidance": {"scan": True}}).scans_with_nose
+    assert not parse_mission({**GOOD, "avoidance": {"scan": True, "enabled": False}}).scans_with_nose
 
 
 def waypoint(**changes):
@@ -125,7 +123,7 @@ def waypoint(**changes):
 )
 def test_faults_are_named(tables, key, words):
     with pytest.raises(InputError) as fault:
-        mission_from(tables, "file.toml")
+        parse_mission(tables, "file.toml")
     assert fault.value.key == key
     message = str(fault.value)
     assert message.startswith(f"file.toml: {key}: ")
@@ -135,18 +133,16 @@ def test_faults_are_named(tables, key, words):
 
 def test_a_misspelt_key_is_one_fault():
     with pytest.raises(InputError, match=r"did you mean 'position_m'\?$"):
-        mission_from({"waypoint": [{"position": [1.0, 0.0, -1.0]}]})
+        parse_mission({"waypoint": [{"position": [1.0, 0.0, -1.0]}]})
 
 
 def test_several_faults_are_counted():
     with pytest.raises(InputError, match=r"\(1 more fault in this file\)"):
-        mission_from({**waypoint(wait_s=-1.0), "limits": {"climb_m_s": -1.0}})
+        parse_mission({**waypoint(wait_s=-1.0), "limits": {"climb_m_s": -1.0}})
 
 
 def test_no_such_file():
-    with pytest.raises(
-        InputError, match="no such mission or file; give a mission file, or one of the built-in: box"
-    ):
+    with pytest.raises(InputError, match="no such mission or file; give a mission file, or one of the built-in: box"):
         load_mission("nowhere.toml")
 
 
@@ -168,10 +164,10 @@ def test_a_file_without_a_name_is_called_after_itself(tmp_path):
 
 def every_key(model: type[BaseModel] = Mission):
     for name, field in model.model_fields.items():
-        inner = inner_model(field.annotation)
+        inner = nested_model(field.annotation)
         if inner is None and field.annotation is not None:
             for kind in getattr(field.annotation, "__args__", ()):
-                inner = inner or inner_model(kind)
+                inner = inner or nested_model(kind)
         if inner is not None:
             yield name
             yield from every_key(inner)
@@ -191,13 +187,13 @@ def test_the_examples_in_the_documentation_are_missions():
     whole = [b.split("```")[0] for b in blocks if "[[waypoint]]" in b.split("```")[0]]
     assert whole
     for text in whole:
-        mission_from(tomllib.loads(text), "docs/missions.md")
+        parse_mission(tomllib.loads(text), "docs/missions.md")
 
 
 def numbers(model: type[BaseModel] = Mission, key: str = ""):
     """Every number of a mission file: its key, whether in brackets, and how many."""
     for name, field in model.model_fields.items():
-        inner = inner_model(field.annotation)
+        inner = nested_model(field.annotation)
         here = f"{key}.{name}" if key else name
         if inner is not None:
             yield from numbers(inner, here)
@@ -221,9 +217,7 @@ BASE = {
 def test_every_absurd_number_is_refused_by_its_key(odd):
     """Every number of the file, from the models themselves: what no flight could mean is one line with its key."""
     listed = dict(numbers())
-    assert {"limits.speed_m_s", "wind.steady_m_s", "box.centre_m", "room.height_m", "battery.low_V"} <= set(
-        listed
-    )
+    assert {"limits.speed_m_s", "wind.steady_m_s", "box.centre_m", "room.height_m", "battery.low_V"} <= set(listed)
     for key, length in listed.items():
         tables = copy.deepcopy(BASE)
         *path, name = key.split(".")
@@ -233,7 +227,7 @@ def test_every_absurd_number_is_refused_by_its_key(odd):
             table = table[0] if isinstance(table, list) else table
         table[name] = [odd, *[1.0] * (length - 1)] if length else odd
         with pytest.raises(InputError) as fault:
-            mission_from(tables, "file.toml")
+            parse_mission(tables, "file.toml")
         assert name in fault.value.key, key
         assert "\n" not in str(fault.value)
 

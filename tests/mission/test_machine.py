@@ -7,22 +7,20 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mufly.estimate import Beliefs, Estimate
+from mufly.estimate import AuxiliaryStates, Estimate
 from mufly.mission import (
     SPIN_UP_S,
     Command,
     State,
-    begin,
-    come_down,
+    begin_mission,
+    fail_and_land,
     load_mission,
-    mission_from,
-    step,
+    parse_mission,
+    step_mission,
 )
 
 SQUARE = load_mission("demonstration")
-HOP = mission_from(
-    {"take_off": {"wait_s": 0.5}, "waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 0.5}]}
-)
+HOP = parse_mission({"take_off": {"wait_s": 0.5}, "waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 0.5}]})
 
 
 def measurement(t=0.0, x=(0.0, 0.0, -0.07), v=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), volts=7.4):
@@ -90,11 +88,7 @@ def test_motors_in_order(rig):
 
 def test_landing_slows_down_before_the_floor(rig):
     flight = rig.fly(HOP)
-    sinking = [
-        r
-        for r, s in zip(flight.reference, flight.states, strict=True)
-        if s == "landing" and r.motors == "fly"
-    ]
+    sinking = [r for r, s in zip(flight.reference, flight.states, strict=True) if s == "landing" and r.motors == "fly"]
     depth = np.array([r.position[2] for r in sinking])
     speed = np.array([r.velocity[2] for r in sinking])
     assert speed.max() <= HOP.limits.descent_m_s * 1.05
@@ -104,7 +98,7 @@ def test_landing_slows_down_before_the_floor(rig):
 
 
 def test_a_yawed_landing_and_start_elsewhere(rig):
-    mission = mission_from(
+    mission = parse_mission(
         {
             "start_m": [2.0, -1.0],
             "start_heading_deg": 120.0,
@@ -168,9 +162,7 @@ def test_a_short_sag_of_the_battery_is_ignored(rig):
 
 
 def test_land_signal(rig):
-    flight = rig.fly(
-        SQUARE, signals=lambda t, s: Command(start=t < 0.2, land=SPIN_UP_S + 13.5 < t < SPIN_UP_S + 13.53)
-    )
+    flight = rig.fly(SQUARE, signals=lambda t, s: Command(start=t < 0.2, land=SPIN_UP_S + 13.5 < t < SPIN_UP_S + 13.53))
     assert flight.visited[-3:] == ["landing", "landing", "init"]
     assert flight.state.outcome == "failed"
     assert flight.state.reason == "land signal with 4 waypoints to go"
@@ -208,7 +200,11 @@ def test_an_impossible_waypoint_is_refused(rig, where):
 def test_rc_in_flight_and_back(rig):
     def signals(t, s):
         return Command(
-            start=t < 0.2 or 20.0 < t < 20.03, rc=10.0 < t < 15.0, roll=0.02, climb=0.1, yaw_rate=0.2
+            start=t < 0.2 or 20.0 < t < 20.03,
+            rc_active=10.0 < t < 15.0,
+            roll=0.02,
+            climb_rate=0.1,
+            yaw_rate=0.2,
         )
 
     flight = rig.fly(SQUARE, signals=signals)
@@ -216,7 +212,7 @@ def test_rc_in_flight_and_back(rig):
     hand = (t > 10.1) & (t < 14.9)
     assert set(np.array(flight.states)[hand]) == {"rc"}
     references = [r for r, h in zip(flight.reference, hand, strict=True) if h]
-    assert all(r.rc and r.roll == 0.02 and r.motors == "fly" for r in references)
+    assert all(r.rc_active and r.roll == 0.02 and r.motors == "fly" for r in references)
     assert references[-1].heading - references[0].heading == pytest.approx(0.2 * 4.78, abs=0.02)
     climbed = x[np.searchsorted(t, 14.9), 2] - x[np.searchsorted(t, 10.1), 2]
     assert climbed == pytest.approx(-0.48, abs=0.1)
@@ -227,7 +223,7 @@ def test_rc_in_flight_and_back(rig):
 
 def test_rc_from_the_floor_and_back_to_it(rig):
     def signals(t, s):
-        return Command(rc=t < SPIN_UP_S + 11.0, climb=0.3 if 1.0 < t < SPIN_UP_S + 3.5 else -0.2)
+        return Command(rc_active=t < SPIN_UP_S + 11.0, climb_rate=0.3 if 1.0 < t < SPIN_UP_S + 3.5 else -0.2)
 
     flight = rig.fly(HOP, signals=signals, limit_s=SPIN_UP_S + 18.0)
     motors = [a for a, b in pairwise([*(r.motors for r in flight.reference), None]) if a != b]
@@ -246,14 +242,14 @@ def test_tipping_over_on_the_floor_stops_the_motors(rig):
 
 def test_a_finished_mission_can_be_flown_again(rig):
     plan = rig.plan_for(HOP)
-    s = begin(plan, measurement())
+    s = begin_mission(plan, measurement())
     for k in range(3):
-        s, _ = step(plan, s, measurement(0.02 * k), Command(start=True))
+        s, _ = step_mission(plan, s, measurement(0.02 * k), Command(start=True))
     assert s.state is State.TAKE_OFF
     again = rig.fly(HOP).state
-    s, r = step(plan, again, measurement(100.0), Command(start=True))
+    s, r = step_mission(plan, again, measurement(100.0), Command(start=True))
     assert s.state is State.TAKE_OFF
-    assert s.index == 0
+    assert s.waypoint_index == 0
     assert s.outcome == ""
     assert not s.finished
     assert r.motors == "spin_up"
@@ -265,11 +261,11 @@ def test_a_step_is_a_pure_function(rig):
     plan, s = rig.plan_for(load_mission("box-on-leg")), flight.state
     assert s.state is State.OBSTACLE
     m = measurement(16.0, x=flight.position[-1])
-    points = s.memory.points.copy()
-    first, second = step(plan, s, m, Command()), step(plan, s, m, Command())
+    points = s.obstacle_map.points.copy()
+    first, second = step_mission(plan, s, m, Command()), step_mission(plan, s, m, Command())
     np.testing.assert_array_equal(first[1].position, second[1].position)
     assert first[0].detour == second[0].detour
-    np.testing.assert_array_equal(s.memory.points, points)
+    np.testing.assert_array_equal(s.obstacle_map.points, points)
     assert s is flight.state
 
 
@@ -282,16 +278,16 @@ def test_other_rates(rig, dt):
 
 def test_time_that_stands_still_or_jumps_does_no_harm(rig):
     plan = rig.plan_for(SQUARE)
-    s = begin(plan, measurement())
-    s, _ = step(plan, s, measurement(0.0), Command(start=True))
+    s = begin_mission(plan, measurement())
+    s, _ = step_mission(plan, s, measurement(0.0), Command(start=True))
     for t in (0.0, 0.0, 5.0, 4.0, 100.0):
-        s, r = step(plan, s, measurement(t), Command())
+        s, r = step_mission(plan, s, measurement(t), Command())
         assert np.isfinite(r.position).all()
 
 
 def test_spline_mission(rig):
     tables = SQUARE.model_dump(exclude_none=True)
-    flight = rig.fly(mission_from({**tables, "path": {"kind": "spline"}}))
+    flight = rig.fly(parse_mission({**tables, "path": {"kind": "spline"}}))
     assert flight.state.outcome == "succeeded"
     x = np.array(flight.position)
     # It is no longer a square: the curve swings out of the straight legs.
@@ -299,7 +295,7 @@ def test_spline_mission(rig):
 
 
 NOTHING = np.zeros(0)
-BELIEFS = Beliefs(NOTHING, NOTHING, 0.0, np.zeros(4), np.zeros(2), 1.0, NOTHING, ())
+BELIEFS = AuxiliaryStates(NOTHING, NOTHING, 0.0, np.zeros(4), np.zeros(2), 1.0, NOTHING, ())
 
 
 @pytest.mark.parametrize(
@@ -315,38 +311,46 @@ BELIEFS = Beliefs(NOTHING, NOTHING, 0.0, np.zeros(4), np.zeros(2), 1.0, NOTHING,
 def test_a_touchdown_says_how_hard_it_was(rig, speed, believed, on_floor, text, level):
     """What it falls at higher up, or does on the floor later, is not the touchdown."""
     plan = rig.plan_for(HOP)
-    begun = begin(plan, measurement())
-    s = replace(begun, state=State.LANDING, motors="fly", started=True, hold=(0.0, 0.0, -0.1))
+    begun = begin_mission(plan, measurement())
+    s = replace(begun, state=State.LANDING, motors="fly", has_taken_off=True, hold_position=(0.0, 0.0, -0.1))
     falls = [(-0.5, 2.5), (-0.19, 2.0), (-0.16, speed), (-0.08, on_floor), *[(-0.07, 0.0)] * 150]
     for k, (down, sink) in enumerate(falls):
         m = measurement(0.02 * k, (0.0, 0.0, down), (0.0, 0.0, sink))
-        s, _ = step(plan, s, replace(m, beliefs=believed), Command())
+        s, _ = step_mission(plan, s, replace(m, beliefs=believed), Command())
     touched = [e for e in s.events if "touchdown" in e.text]
     assert [(e.text.split(":")[0], e.level) for e in touched] == [(text, level)]
     assert ("1.70 m/s, above 0.3 m/s" in touched[0].text) is (level == "warning")
 
 
 def test_oscillating_actuators_end_a_mission_but_not_a_pilots_flight(rig):
-    flying = replace(begin(rig.plan_for(HOP), measurement()), state=State.HOVER, motors="fly", started=True)
+    flying = replace(
+        begin_mission(rig.plan_for(HOP), measurement()), state=State.HOVER, motors="fly", has_taken_off=True
+    )
     why = "servo_input 1 oscillates"
     for state, then, outcome in (
         (State.HOVER, State.LANDING, "failed"),
         (State.LANDING, State.LANDING, "failed"),
         (State.RC, State.RC, ""),
     ):
-        s = come_down(replace(flying, state=state), why)
+        s = fail_and_land(replace(flying, state=state), why)
         assert (s.state, s.outcome, s.motors) == (then, outcome, "fly")
         assert (s.events[-1].text, s.events[-1].level) == (why, "error")
-        assert s.logged == flying.logged + 1
+        assert s.logged_count == flying.logged_count + 1
 
 
 def test_rotors_that_lift_it_already_are_spun_up(rig):
     """2 cm above where it stood the controllers take over, whoever took off, and not at 1 cm."""
     plan = rig.plan_for(HOP)
-    for command in (Command(start=True), Command(take_off=1.0), Command(rc=True, climb=0.2)):
+    for command in (
+        Command(start=True),
+        Command(take_off_height=1.0),
+        Command(rc_active=True, climb_rate=0.2),
+    ):
         for rise, motors in ((0.01, "spin_up"), (0.03, "fly")):
-            s = begin(plan, measurement())
+            s = begin_mission(plan, measurement())
             for k in range(1, 20):
                 x = (0.0, 0.0, -0.07 - (rise if k > 10 else 0.0))
-                s, r = step(plan, s, measurement(0.02 * k, x), command if k == 5 or command.rc else Command())
+                s, r = step_mission(
+                    plan, s, measurement(0.02 * k, x), command if k == 5 or command.rc_active else Command()
+                )
             assert r.motors == motors

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from mufly.cli.mission import app
 from mufly.errors import InputError
-from mufly.mission import builtin_missions, load_mission, mission_from
+from mufly.mission import list_builtin_missions, load_mission, parse_mission
 
 RUN = CliRunner()
 
@@ -21,9 +21,9 @@ def output(*words):
 
 def test_list():
     text = output("list")
-    assert all(name in text for name in builtin_missions())
+    assert all(name in text for name in list_builtin_missions())
     rows = json.loads(output("list", "--json"))
-    assert [r["name"] for r in rows] == builtin_missions()
+    assert [r["name"] for r in rows] == list_builtin_missions()
     assert next(r for r in rows if r["name"] == "demonstration")["way_m"] == pytest.approx(15.0)
 
 
@@ -37,7 +37,7 @@ def test_show():
 
 
 def test_show_as_toml_is_the_mission():
-    assert mission_from(tomllib.loads(output("show", "box-on-leg", "--toml"))) == load_mission("box-on-leg")
+    assert parse_mission(tomllib.loads(output("show", "box-on-leg", "--toml"))) == load_mission("box-on-leg")
 
 
 def test_check():

@@ -7,18 +7,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.mission import HIGHEST_M, LOWEST_M, Limits, SetPoint, fault_of, wants_up
-from mufly.mission.offboard import follow
-from mufly.mission.trajectory import Point
+from mufly.mission import (
+    MAX_HEIGHT_M,
+    MIN_WAYPOINT_HEIGHT_M,
+    SetPoint,
+    TrajectoryLimits,
+    needs_lift_off,
+    set_point_fault,
+)
+from mufly.mission.offboard import follow_set_point
+from mufly.mission.trajectory import TrajectoryPoint
 
-LIMITS = Limits(0.6, 0.5, 0.4, 0.4, 0.3, 1.0, 1.6)
+LIMITS = TrajectoryLimits(0.6, 0.5, 0.4, 0.4, 0.3, 1.0, 1.6)
 DT = 0.02
 ZERO = (0.0, 0.0, 0.0)
 NAN = math.nan
 
 
-def at_rest(position=(0.0, 0.0, -1.0), heading=0.0) -> Point:
-    return Point(position, ZERO, ZERO, heading, 0.0)
+def at_rest(position=(0.0, 0.0, -1.0), heading=0.0) -> TrajectoryPoint:
+    return TrajectoryPoint(position, ZERO, ZERO, heading, 0.0)
 
 
 def run(set_points, start=None, limits=LIMITS, dt=DT, behind=None, hold_off=None):
@@ -26,7 +33,7 @@ def run(set_points, start=None, limits=LIMITS, dt=DT, behind=None, hold_off=None
     trackers = [start or at_rest()]
     for s in set_points:
         t = trackers[-1]
-        trackers.append(follow(t, s, limits, behind or t.position, dt, hold_off))
+        trackers.append(follow_set_point(t, s, limits, behind or t.position, dt, hold_off))
     return trackers
 
 
@@ -66,7 +73,7 @@ set_points = st.builds(
 @given(
     st.lists(st.tuples(set_points, st.integers(1, 120)), min_size=1, max_size=6),
     st.builds(
-        Limits,
+        TrajectoryLimits,
         st.floats(0.05, 3.0),
         st.floats(0.05, 2.0),
         st.floats(0.05, 1.0),
@@ -84,8 +91,8 @@ def test_limits_hold_whatever_is_asked(parts, limits):
     assert np.isfinite(x).all()
     assert np.isfinite(psi).all()
     height = -x[:, 2]
-    assert height.min() > LOWEST_M - 0.02
-    assert height.max() < HIGHEST_M + 0.02
+    assert height.min() > MIN_WAYPOINT_HEIGHT_M - 0.02
+    assert height.max() < MAX_HEIGHT_M + 0.02
 
 
 @pytest.mark.parametrize("goal", [(3.0, 0.0, -1.0), (-0.3, 0.4, -1.0), (0.0, 0.0, -3.0), (5.0, -4.0, -0.3)])
@@ -168,9 +175,9 @@ def test_heading_goes_the_shorter_way_round():
 @pytest.mark.parametrize(
     ("s", "height"),
     [
-        (SetPoint(velocity_m_s=(0.0, 0.0, 1.0)), LOWEST_M),
-        (SetPoint(position_m=(0.0, 0.0, 3.0)), LOWEST_M),
-        (SetPoint(velocity_m_s=(0.0, 0.0, -9.0)), HIGHEST_M),
+        (SetPoint(velocity_m_s=(0.0, 0.0, 1.0)), MIN_WAYPOINT_HEIGHT_M),
+        (SetPoint(position_m=(0.0, 0.0, 3.0)), MIN_WAYPOINT_HEIGHT_M),
+        (SetPoint(velocity_m_s=(0.0, 0.0, -9.0)), MAX_HEIGHT_M),
     ],
 )
 def test_height_stays_in_its_bounds(s, height):
@@ -178,17 +185,17 @@ def test_height_stays_in_its_bounds(s, height):
     check_limits(trackers)
     heights = [-t.position[2] for t in trackers]
     assert heights[-1] == pytest.approx(height, abs=0.02)
-    assert LOWEST_M - 0.005 < min(heights) <= max(heights) < HIGHEST_M + 0.005
+    assert MIN_WAYPOINT_HEIGHT_M - 0.005 < min(heights) <= max(heights) < MAX_HEIGHT_M + 0.005
 
 
 def test_from_the_floor_it_rises_to_where_flying_is_allowed():
     trackers = run([SetPoint(velocity_m_s=ZERO)] * 400, start=at_rest((0.0, 0.0, -0.07)))
     check_limits(trackers)
-    assert -trackers[-1].position[2] == pytest.approx(LOWEST_M, abs=1e-3)
+    assert -trackers[-1].position[2] == pytest.approx(MIN_WAYPOINT_HEIGHT_M, abs=1e-3)
 
 
 def test_takes_over_a_reference_that_moves():
-    moving = Point((1.0, 2.0, -1.5), (0.5, 0.1, -0.2), (0.3, 0.0, 0.0), 2.0, 0.7)
+    moving = TrajectoryPoint((1.0, 2.0, -1.5), (0.5, 0.1, -0.2), (0.3, 0.0, 0.0), 2.0, 0.7)
     t = moving
     assert t == moving
     check_limits(run([SetPoint(position_m=(1.0, 2.0, -1.5))] * 500, start=t))
@@ -210,7 +217,7 @@ def test_a_wall_ahead_takes_the_velocity_towards_it_away():
 
 def test_limits_that_are_tightened_on_the_way_are_come_down_to():
     fast = run([SetPoint(velocity_m_s=(0.6, 0.0, 0.0))] * 200)[-1]
-    slow = Limits(0.2, 0.5, 0.4, 0.4, 0.3, 1.0, 1.6)
+    slow = TrajectoryLimits(0.2, 0.5, 0.4, 0.4, 0.3, 1.0, 1.6)
     trackers = run([SetPoint(velocity_m_s=(0.6, 0.0, 0.0))] * 200, start=fast, limits=slow)
     _, v, _, _ = series(trackers)
     assert np.abs(np.diff(v[:, 0])).max() <= DT * 0.4 * (1 + 1e-9)
@@ -222,7 +229,7 @@ def test_long_steps_are_taken_in_parts():
     fine, coarse = run([s] * 500), run([s] * 20, dt=0.5)
     for k, late in enumerate(coarse):
         np.testing.assert_allclose(late.position, fine[25 * k].position, atol=1e-9)
-    assert follow(fine[3], s, LIMITS, ZERO, 0.0) == fine[3]
+    assert follow_set_point(fine[3], s, LIMITS, ZERO, 0.0) == fine[3]
 
 
 @pytest.mark.parametrize(
@@ -238,20 +245,20 @@ def test_long_steps_are_taken_in_parts():
     ],
 )
 def test_absurd_set_points_are_named(s, words):
-    assert words in fault_of(s)
+    assert words in set_point_fault(s)
 
 
 def test_only_what_leads_up_lifts_off():
     standing = (0.0, 0.0, -0.07)
-    assert wants_up(SetPoint(position_m=(0.0, 0.0, -1.0)), standing)
-    assert wants_up(SetPoint(velocity_m_s=(0.0, 0.0, -0.5)), standing)
+    assert needs_lift_off(SetPoint(position_m=(0.0, 0.0, -1.0)), standing)
+    assert needs_lift_off(SetPoint(velocity_m_s=(0.0, 0.0, -0.5)), standing)
     # From a table too, where that is a clear step up.
-    assert wants_up(SetPoint(position_m=(0.0, 0.0, -0.92)), (0.0, 0.0, -0.8))
-    assert not wants_up(SetPoint(position_m=(0.0, 0.0, -0.85)), (0.0, 0.0, -0.8))
+    assert needs_lift_off(SetPoint(position_m=(0.0, 0.0, -0.92)), (0.0, 0.0, -0.8))
+    assert not needs_lift_off(SetPoint(position_m=(0.0, 0.0, -0.85)), (0.0, 0.0, -0.8))
     for s in (
         SetPoint(position_m=(5.0, 0.0, -0.1)),
         SetPoint(velocity_m_s=(1.0, 0.0, 0.0)),
         SetPoint(position_m=(1.0, NAN, NAN)),
         SetPoint(heading_rad=1.0),
     ):
-        assert not wants_up(s, standing)
+        assert not needs_lift_off(s, standing)

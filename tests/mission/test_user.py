@@ -7,14 +7,21 @@ import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
-from mufly.mission import SPIN_UP_S, Command, SetPoint, State, begin, load_mission, mission_from, step
-from mufly.mission.state import LOG_KEPT
-from mufly.mission.timing import homeward
+from mufly.mission import (
+    SPIN_UP_S,
+    Command,
+    SetPoint,
+    State,
+    begin_mission,
+    load_mission,
+    parse_mission,
+    step_mission,
+)
+from mufly.mission.mission_state import LOG_CAPACITY
+from mufly.mission.mission_timing import plan_return_leg
 
 SQUARE = load_mission("demonstration")
-HOP = mission_from(
-    {"take_off": {"wait_s": 0.5}, "waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 0.5}]}
-)
+HOP = parse_mission({"take_off": {"wait_s": 0.5}, "waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 0.5}]})
 
 
 class Script:
@@ -36,7 +43,7 @@ def at(flight, t):
 
 def check_references(flight, mission, slack=1.05):
     """Positions are the integral of velocities, and these do not jump: whatever the user did in between."""
-    flying = [r for r in flight.reference if r.motors == "fly" and not r.rc]
+    flying = [r for r in flight.reference if r.motors == "fly" and not r.rc_active]
     x = np.array([r.position for r in flying])
     v = np.array([r.velocity for r in flying])
     most = max(1.0, mission.limits.acceleration_m_s2)  # braking is harder than flying
@@ -48,7 +55,7 @@ def check_references(flight, mission, slack=1.05):
 
 
 def test_take_off_to_a_height_and_land(rig):
-    flight = rig.fly(SQUARE, signals=Script((0.1, Command(take_off=1.6)), (20.0, Command(land=True))))
+    flight = rig.fly(SQUARE, signals=Script((0.1, Command(take_off_height=1.6)), (20.0, Command(land=True))))
     assert flight.position[at(flight, 19.0)][2] == pytest.approx(-1.6, abs=0.05)
     assert flight.states[at(flight, 19.9)] == "hover"
     assert (flight.state.outcome, flight.state.reason) == ("succeeded", "landed")
@@ -56,14 +63,14 @@ def test_take_off_to_a_height_and_land(rig):
 
 
 def test_a_take_off_without_mission_and_then_the_mission(rig):
-    flight = rig.fly(HOP, signals=Script((0.1, Command(take_off=1.0)), (15.0, Command(start=True))))
+    flight = rig.fly(HOP, signals=Script((0.1, Command(take_off_height=1.0)), (15.0, Command(start=True))))
     assert "the mission begins" in flight.text
     assert (flight.state.outcome, flight.state.reason) == ("succeeded", "mission complete")
-    assert flight.state.reached == 1
+    assert flight.state.reached_count == 1
 
 
 def test_the_mission_may_be_asked_for_during_the_take_off(rig):
-    flight = rig.fly(HOP, signals=Script((0.1, Command(take_off=1.0)), (1.0, Command(start=True))))
+    flight = rig.fly(HOP, signals=Script((0.1, Command(take_off_height=1.0)), (1.0, Command(start=True))))
     assert flight.state.reason == "mission complete"
 
 
@@ -76,7 +83,7 @@ def test_pause_stops_and_start_goes_on(rig, when):
     assert np.ptp(stopped, axis=0).max() < 0.02
     assert set(flight.states[at(flight, when + 2) : at(flight, when + 8)]) == {"hover"}
     assert flight.state.outcome == "succeeded"
-    assert flight.state.reached == 4
+    assert flight.state.reached_count == 4
     assert all(f"waypoint {k} reached" in flight.text for k in (1, 2, 3, 4))
 
 
@@ -87,7 +94,7 @@ def test_pause_before_lift_off_stops_the_climb_as_soon_as_it_is_off_the_floor(ri
     assert -0.8 < low.min() < low.max() < -0.2  # of the metre that it climbs to
     assert "hover: paused" in flight.text
     assert flight.state.outcome == "succeeded"
-    assert flight.state.reached == 1
+    assert flight.state.reached_count == 1
 
 
 def test_pause_around_an_obstacle_and_on(rig):
@@ -95,7 +102,7 @@ def test_pause_around_an_obstacle_and_on(rig):
     seen = []
 
     def signals(t, s):
-        if s.state is State.OBSTACLE and s.avoided_s > 2.0 and not seen:
+        if s.state is State.OBSTACLE and s.detour_duration_s > 2.0 and not seen:
             seen.append(t)
             return Command(pause=True)
         return Command(start=t < 0.1 or bool(seen and seen[0] + 5.0 < t < seen[0] + 5.03))
@@ -109,7 +116,7 @@ def test_pause_around_an_obstacle_and_on(rig):
 
 def test_a_landing_can_be_broken_off_while_it_is_high(rig):
     def signals(t, s):
-        low = s.state is State.LANDING and s.hold[2] > -0.6
+        low = s.state is State.LANDING and s.hold_position[2] > -0.6
         if t < 0.1:
             return Command(start=True)
         return Command(land=18.0 < t < 18.03, pause=low and t < 24.0, start=30.0 < t < 30.03)
@@ -135,7 +142,7 @@ def test_a_landing_for_a_low_battery_goes_on(rig):
 
 def test_a_users_waypoint_on_the_run_does_not_make_the_reference_jump(rig):
     script = Script(
-        (0.1, Command(take_off=1.0)),
+        (0.1, Command(take_off_height=1.0)),
         (12.0, Command(waypoint=(3.0, 0.0, -1.0))),
         (17.0, Command(waypoint=(0.0, 2.0, -1.5), heading=1.0)),
         (21.0, Command(heading=-2.0)),
@@ -149,7 +156,7 @@ def test_a_users_waypoint_on_the_run_does_not_make_the_reference_jump(rig):
 
 
 def test_turn_on_the_spot(rig):
-    script = Script((0.1, Command(take_off=1.0)), (12.0, Command(heading=2.0)), (20.0, Command(land=True)))
+    script = Script((0.1, Command(take_off_height=1.0)), (12.0, Command(heading=2.0)), (20.0, Command(land=True)))
     flight = rig.fly(SQUARE, signals=script)
     check_references(flight, SQUARE)
     k = at(flight, 19.0)
@@ -159,7 +166,7 @@ def test_turn_on_the_spot(rig):
 
 
 def test_return_flies_home_and_lands(rig):
-    script = Script((0.1, Command(start=True)), (26.0, Command(home=True)))
+    script = Script((0.1, Command(start=True)), (26.0, Command(return_requested=True)))
     flight = rig.fly(SQUARE, signals=script)
     check_references(flight, SQUARE)
     assert flight.state.outcome == "failed"
@@ -172,7 +179,9 @@ def test_return_flies_home_and_lands(rig):
 
 def test_return_from_a_flight_without_mission_succeeds(rig):
     script = Script(
-        (0.1, Command(take_off=1.0)), (12.0, Command(waypoint=(2.0, 1.0, -1.0))), (22.0, Command(home=True))
+        (0.1, Command(take_off_height=1.0)),
+        (12.0, Command(waypoint=(2.0, 1.0, -1.0))),
+        (22.0, Command(return_requested=True)),
     )
     flight = rig.fly(SQUARE, signals=script)
     assert (flight.state.outcome, flight.state.reason) == ("succeeded", "landed")
@@ -180,17 +189,17 @@ def test_return_from_a_flight_without_mission_succeeds(rig):
 
 
 def test_return_goes_round_obstacles(rig):
-    mission = mission_from(
+    mission = parse_mission(
         {
             "waypoint": [{"position_m": [0.0, 3.0, -1.0]}],
             "box": [{"centre_m": [1.7, 1.6, -1.0], "size_m": [0.5, 0.5, 2.0], "name": "crate"}],
         }
     )
     script = Script(
-        (0.1, Command(take_off=1.0)),
+        (0.1, Command(take_off_height=1.0)),
         (10.0, Command(waypoint=(3.2, 0.0, -1.0))),
         (40.0, Command(waypoint=(3.2, 3.2, -1.0))),
-        (60.0, Command(home=True)),
+        (60.0, Command(return_requested=True)),
     )
     flight = rig.fly(mission, signals=script)
     assert "obstacle" in {s for s, t in zip(flight.states, flight.time, strict=True) if t > 60.0}
@@ -199,7 +208,7 @@ def test_return_goes_round_obstacles(rig):
 
 
 def test_another_waypoint_of_the_mission_first(rig):
-    script = Script((0.1, Command(start=True, first=2)), (30.0, Command(start=True, first=1)))
+    script = Script((0.1, Command(start=True, first_waypoint=2)), (30.0, Command(start=True, first_waypoint=1)))
     flight = rig.fly(SQUARE, signals=script)
     check_references(flight, SQUARE)
     order = [e.text for e in flight.state.events if e.state == "waypoint"]
@@ -211,7 +220,7 @@ def test_another_waypoint_of_the_mission_first(rig):
 
 @pytest.mark.parametrize("when", [0.5, SPIN_UP_S + 1.6, SPIN_UP_S + 8.0, SPIN_UP_S + 17.0])
 def test_stop_turns_the_motors_off_from_any_state(rig, when):
-    script = Script((0.1, Command(start=True)), (when, Command(stop="emergency stop")))
+    script = Script((0.1, Command(start=True)), (when, Command(stop_reason="emergency stop")))
     flight = rig.fly(SQUARE, signals=script)
     assert flight.reference[-1].motors == "off"
     assert flight.time[-1] == pytest.approx(when, abs=0.03)
@@ -223,12 +232,12 @@ def test_stop_turns_the_motors_off_from_any_state(rig, when):
 
 
 def ending(how):
-    return mission_from({**HOP.model_dump(exclude_none=True), "at_end": how})
+    return parse_mission({**HOP.model_dump(exclude_none=True), "at_end": how})
 
 
 def test_at_the_end_it_may_return(rig):
     mission = ending("return")
-    assert homeward(mission).goal == (0.0, 0.0, -1.0)
+    assert plan_return_leg(mission).goal == (0.0, 0.0, -1.0)
     flight = rig.fly(mission)
     assert (flight.state.outcome, flight.state.reason) == ("succeeded", "mission complete")
     assert "home reached" in flight.text
@@ -251,16 +260,14 @@ def test_at_the_end_it_hovers_until_the_battery_is_low_and_has_not_failed(rig):
 
 
 def test_a_mission_that_is_complete_can_be_flown_again_in_the_air(rig):
-    script = Script(
-        (0.1, Command(start=True)), (40.0, Command(start=True)), (80.0, Command(pause=True, land=True))
-    )
+    script = Script((0.1, Command(start=True)), (40.0, Command(start=True)), (80.0, Command(pause=True, land=True)))
     flight = rig.fly(ending("hover"), signals=script)
     assert sum("waypoint 1 reached" in e.text for e in flight.state.events) == 2
     assert flight.state.outcome == "succeeded"
 
 
 def test_a_waypoint_with_its_own_speed(rig):
-    mission = mission_from(
+    mission = parse_mission(
         {
             "waypoint": [
                 {"position_m": [2.0, 0.0, -1.0], "speed_m_s": 0.25},
@@ -298,13 +305,13 @@ def test_set_points_in_flight_and_back(rig):
     assert flight.states[k] == "offboard"
     np.testing.assert_allclose(flight.position[k], (0.5, 1.0, -1.5), atol=0.05)
     assert flight.states[at(flight, 39.0)] == "hover"
-    assert (flight.state.outcome, flight.state.reached) == ("succeeded", 4)
+    assert (flight.state.outcome, flight.state.reached_count) == ("succeeded", 4)
 
 
 def test_a_stream_that_ends_at_speed_comes_to_rest_smoothly(rig):
     def signals(t, s):
         if t < 0.1:
-            return Command(take_off=1.0)
+            return Command(take_off_height=1.0)
         if 12.0 < t < 18.0:
             return Command(set_point=SetPoint(velocity_m_s=(0.6, 0.0, 0.0), yaw_rate_rad_s=0.8))
         return Command(land=t > 25.0 and s.state is State.HOVER)
@@ -333,16 +340,14 @@ def test_set_points_that_do_not_lead_up_leave_it_on_the_floor(rig):
 
 
 def test_a_stream_that_ends_before_lift_off_stops_the_rotors(rig):
-    flight = rig.fly(
-        SQUARE, signals=lambda t, s: towards(0.0, 0.0, -1.0)(t) if t < 1.0 else Command(), limit_s=5.0
-    )
+    flight = rig.fly(SQUARE, signals=lambda t, s: towards(0.0, 0.0, -1.0)(t) if t < 1.0 else Command(), limit_s=5.0)
     assert flight.reference[-1].motors == "off"
     assert flight.states[-1] == "init"
 
 
 def test_battery_low_ends_offboard(rig):
     def signals(t, s):
-        return Command(take_off=1.0) if t < 0.1 else towards(1.0, 0.0, -1.0)(t) if t > 10 else Command()
+        return Command(take_off_height=1.0) if t < 0.1 else towards(1.0, 0.0, -1.0)(t) if t > 10 else Command()
 
     flight = rig.fly(SQUARE, signals=signals, voltage=lambda t: 7.4 if t < 15.0 else 5.9)
     assert flight.visited[-3:] == ["landing", "landing", "init"]
@@ -350,7 +355,7 @@ def test_battery_low_ends_offboard(rig):
 
 
 def test_set_points_into_a_wall_stop_at_the_clearance(rig):
-    mission = mission_from(
+    mission = parse_mission(
         {
             "waypoint": [{"position_m": [0.0, 0.0, -1.0]}],
             "wall": [{"start_m": [2.0, -3.0], "end_m": [2.0, 3.0], "height_m": 2.5}],
@@ -359,7 +364,7 @@ def test_set_points_into_a_wall_stop_at_the_clearance(rig):
 
     def signals(t, s):
         if t < 0.1:
-            return Command(take_off=1.0)
+            return Command(take_off_height=1.0)
         return Command(set_point=SetPoint(velocity_m_s=(0.5, 0.0, 0.0))) if t > 12.0 else Command()
 
     flight = rig.fly(mission, signals=signals, limit_s=40.0)
@@ -373,15 +378,15 @@ def test_set_points_into_a_wall_stop_at_the_clearance(rig):
 def test_the_log_stays_short_and_counts_on(rig):
     plan = rig.plan_for(SQUARE)
     m = Estimate(0.0, np.array([0, 0, -0.07]), np.zeros(3), np.zeros(3), np.zeros(3), np.full(8, 1.5), 7.4)
-    s = begin(plan, m)
+    s = begin_mission(plan, m)
     for k in range(1000):
         t = 0.04 * k
-        s, _ = step(
+        s, _ = step_mission(
             plan,
             s,
             Estimate(t, *([*map(np.copy, (m.position, m.velocity, m.attitude, m.rates))]), m.ranges, 7.4),
-            Command(rc=bool(k % 2)),
+            Command(rc_active=bool(k % 2)),
         )
-    assert s.logged == 1000
-    assert len(s.events) == LOG_KEPT
+    assert s.logged_count == 1000
+    assert len(s.events) == LOG_CAPACITY
     assert s.events[-1].text.startswith("RC")

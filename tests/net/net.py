@@ -185,9 +185,7 @@ def fields(thing: Any) -> dict[str, Any]:
         value = getattr(thing, name)
         if isinstance(value, np.ndarray | np.generic | float | int | str | bool) or value is None:
             out[name] = value
-        elif isinstance(value, tuple | list) and all(
-            isinstance(v, float | int | str | np.generic) for v in value
-        ):
+        elif isinstance(value, tuple | list) and all(isinstance(v, float | int | str | np.generic) for v in value):
             out[name] = list(value)
         elif hasattr(value, "nstates"):
             out[name] = {k: np.asarray(getattr(value, k), dtype=float) for k in "ABCD"}
@@ -214,9 +212,7 @@ def run(*words: str) -> tuple[int, str, str]:
 
     from mufly import cli
 
-    if not hasattr(
-        typer.main.get_command, "cache_info"
-    ):  # the tree of commands is built once, not for each call
+    if not hasattr(typer.main.get_command, "cache_info"):  # the tree of commands is built once, not for each call
         typer.main.get_command = functools.cache(typer.main.get_command)
     out, err = io.StringIO(), io.StringIO()
     before = sys.argv
@@ -513,9 +509,7 @@ def flown(mission: str, vehicle: str, **options: Any) -> Any:
     }
 
 
-case("flight.demonstration")(
-    lambda: flown("demonstration", "mufly-1.1", wind=[0.4, 0.2, 0.0], gust=0.3, seed=7)
-)
+case("flight.demonstration")(lambda: flown("demonstration", "mufly-1.1", wind=[0.4, 0.2, 0.0], gust=0.3, seed=7))
 case("flight.box")(lambda: flown("box-on-leg", "mufly-1.1", wind=[0.2, -0.3, 0.0], gust=0.25, seed=11))
 
 
@@ -587,9 +581,7 @@ def rotor_system(
 ) -> Any:  # fmt: skip
     """One rotor, or a pair, at a point."""
     make = api("System")
-    system = (
-        make.coaxial(*bladings, spacing_m=spacing_m) if isinstance(bladings, tuple) else make.single(bladings)
-    )
+    system = make.coaxial(*bladings, spacing_m=spacing_m) if isinstance(bladings, tuple) else make.single(bladings)
     return api("solve")(system, api("Condition")(pitch, speed, **given), method, settings=settings)
 
 
@@ -616,9 +608,7 @@ def _bemt_single() -> Any:
     for name in ("naca4412-r60-c20", "walkera-5g6"):
         blades = bladed(name)
         out[name] = fields(api("hover")(blades, pitch_rad=0.2, speed_rad_s=480.0))
-        out[f"{name} climbing"] = fields(
-            api("hover")(blades, pitch_rad=0.2, speed_rad_s=480.0, climb_m_s=1.0)
-        )
+        out[f"{name} climbing"] = fields(api("hover")(blades, pitch_rad=0.2, speed_rad_s=480.0, climb_m_s=1.0))
         out[f"{name} at thrust"] = fields(api("solve_thrust")(blades, thrust_N=0.2, pitch_rad=0.22))
         batch = api("hover_batch")(blades, pitch_rad=[0.1, 0.2, 0.3], speed_rad_s=[400.0, 500.0, 600.0])
         out[f"{name} batch"] = fields(batch)

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.rotor import database_airfoils, load_airfoil
-from mufly.rotor.sections.airfoil import naca, sides
+from mufly.rotor.sections.airfoil import naca_contour, split_sides
 from mufly.rotor.sections.contour_file import SectionWarning
 
 
 def mean_line(digits, n=4001):
     """x and y of the mean line, from the contour of a section 1 % thick."""
-    contour = naca(digits, n)
+    contour = naca_contour(digits, n)
     upper, lower = contour[:n][::-1], contour[n - 1 :]
     return 0.5 * (upper[:, 0] + lower[:, 0]), 0.5 * (upper[:, 1] + lower[:, 1])
 
@@ -43,11 +43,11 @@ def test_four_digits_mean_what_they_say(m, p, t):
 
 def test_published_ordinates_of_naca_4412_and_0012():
     """NACA Report 460 / Abbott and von Doenhoff, appendix III: per cent of chord."""
-    upper, lower = sides(load_airfoil("naca4412").coordinates)
+    upper, lower = split_sides(load_airfoil("naca4412").coordinates)
     for x, y_upper, y_lower in ((10, 6.59, -2.86), (30, 9.76, -2.26), (60, 8.14, -1.00), (90, 2.71, -0.22)):
         assert np.interp(x / 100, *upper.T) * 100 == pytest.approx(y_upper, abs=0.02)
         assert np.interp(x / 100, *lower.T) * 100 == pytest.approx(y_lower, abs=0.02)
-    upper, _ = sides(load_airfoil("NACA 0012").coordinates)
+    upper, _ = split_sides(load_airfoil("NACA 0012").coordinates)
     assert np.interp(0.30, *upper.T) * 100 == pytest.approx(6.002, abs=0.005)
 
 
@@ -56,9 +56,7 @@ def test_symmetric_section_is_its_own_mirror_image():
     assert np.allclose(contour[::-1] * [1, -1], contour, atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("place", "digits"), [(0.10, "22001"), (0.15, "23001"), (0.20, "24001"), (0.25, "25001")]
-)
+@pytest.mark.parametrize(("place", "digits"), [(0.10, "22001"), (0.15, "23001"), (0.20, "24001"), (0.25, "25001")])
 def test_five_digits_place_camber_and_give_the_design_lift(place, digits):
     x, y = mean_line(digits)
     assert x[np.argmax(y)] == pytest.approx(place, abs=3e-3)
@@ -132,7 +130,7 @@ def rows(points):
 
 
 def test_selig_lednicer_and_reversed_files_agree(tmp_path):
-    contour = naca("4412", 40)
+    contour = naca_contour("4412", 40)
     selig = load_airfoil(written(tmp_path, f"a wing\n{rows(contour)}\nfrom a book, 1933\n", "selig.dat"))
     upper, lower = contour[:40][::-1], contour[39:]
     blocks = f"a wing\n  40.  40.\n\n{rows(upper)}\n\n{rows(lower)}\n"
@@ -163,7 +161,7 @@ def turned(points, degrees):
     ],
 )
 def test_a_contour_anywhere_in_the_plane_is_put_on_its_chord_and_said(tmp_path, change, words):
-    path = written(tmp_path, f"a wing\n{rows(change(naca('4412', 40)))}\n")
+    path = written(tmp_path, f"a wing\n{rows(change(naca_contour('4412', 40)))}\n")
     with pytest.warns(SectionWarning) as told:
         section = load_airfoil(path)
     assert len(told) == 1
@@ -177,7 +175,7 @@ def test_a_contour_anywhere_in_the_plane_is_put_on_its_chord_and_said(tmp_path, 
 
 def test_a_flat_underside_keeps_the_frame_of_its_catalogue_and_its_tilt_is_said(tmp_path):
     """Catalogues lay flat undersides along x: up to 3.9 degrees among UIUC's."""
-    pivot = turned(naca("4412", 40), -3.0)
+    pivot = turned(naca_contour("4412", 40), -3.0)
     with pytest.warns(SectionWarning, match=r"stands \+3.0 degrees to the x axis"):
         section = load_airfoil(written(tmp_path, rows(pivot - [0.0, pivot[0, 1]])))
     assert section.camber == pytest.approx(0.04 + 0.6 * math.sin(math.radians(3.0)), abs=3e-3)
@@ -185,7 +183,7 @@ def test_a_flat_underside_keeps_the_frame_of_its_catalogue_and_its_tilt_is_said(
 
 def test_orders_of_other_programs_agree(tmp_path):
     """From the nose around, both sides from the nose without counts, doubled points, closed or not, flat in 3-D."""
-    contour = naca("4412", 40)
+    contour = naca_contour("4412", 40)
     selig = load_airfoil(written(tmp_path, rows(contour), "selig.dat")).coordinates
     upper, lower = contour[:40][::-1], contour[39:]
     sharp = np.concatenate((contour, contour[:1]))
@@ -212,16 +210,16 @@ def commas(points, between="\t", end="\n"):
 @pytest.mark.parametrize(
     "raw",
     [
-        ("\ufeff" + rows(naca("4412", 40))).encode(),
-        ("\ufeffNACA 4412\n" + rows(naca("4412", 40))).encode("utf-16-le"),
-        rows(naca("4412", 40)).replace("\n", "\r").encode(),
-        rows(naca("4412", 40)).replace("\n", "\r\n").encode(),
-        b"NACA 4412\n" + commas(naca("4412", 40)).encode(),
-        commas(naca("4412", 40), ";", "\r\n").encode(),
-        commas(naca("4412", 40), "  ").encode(),
-        commas(naca("4412", 40), ", ").encode(),
-        b"NACA 4412\n" + rows(naca("4412", 40)).replace("  ", ", ").encode(),
-        b"NACA 4412 \xb0\n" + fortran(naca("4412", 40)).encode(),
+        ("\ufeff" + rows(naca_contour("4412", 40))).encode(),
+        ("\ufeffNACA 4412\n" + rows(naca_contour("4412", 40))).encode("utf-16-le"),
+        rows(naca_contour("4412", 40)).replace("\n", "\r").encode(),
+        rows(naca_contour("4412", 40)).replace("\n", "\r\n").encode(),
+        b"NACA 4412\n" + commas(naca_contour("4412", 40)).encode(),
+        commas(naca_contour("4412", 40), ";", "\r\n").encode(),
+        commas(naca_contour("4412", 40), "  ").encode(),
+        commas(naca_contour("4412", 40), ", ").encode(),
+        b"NACA 4412\n" + rows(naca_contour("4412", 40)).replace("  ", ", ").encode(),
+        b"NACA 4412 \xb0\n" + fortran(naca_contour("4412", 40)).encode(),
     ],
     ids=[
         "bom",
@@ -241,26 +239,26 @@ def test_text_of_other_machines_keeps_every_point(tmp_path, raw):
     path.write_bytes(raw)
     section = load_airfoil(path)
     assert len(section.coordinates) == 79
-    assert np.allclose(section.coordinates[[0, -1]], naca("4412", 40)[[0, -1]], atol=4e-4)
+    assert np.allclose(section.coordinates[[0, -1]], naca_contour("4412", 40)[[0, -1]], atol=4e-4)
     assert section.camber == pytest.approx(0.04, abs=2e-4)
 
 
-FIGURE_EIGHT = naca("0012", 40) * [1, 1]
+FIGURE_EIGHT = naca_contour("0012", 40) * [1, 1]
 FIGURE_EIGHT[60:, 1] *= -2.5
 
 
 @pytest.mark.parametrize(
     ("points", "words"),
     [
-        (naca("0012", 8), "15 points are too few"),
-        (naca("0012", 40)[:50], "is open"),
-        (naca("0012", 40)[:40], "is open"),
+        (naca_contour("0012", 8), "15 points are too few"),
+        (naca_contour("0012", 40)[:50], "is open"),
+        (naca_contour("0012", 40)[:40], "is open"),
         (FIGURE_EIGHT, "crosses itself near x ="),
-        (naca("0012", 40) * [0, 1], "same x"),
+        (naca_contour("0012", 40) * [0, 1], "same x"),
         (np.zeros((0, 2)), "0 points are too few"),
-        (naca("0012", 40) * [1, 1e-4], "encloses"),
+        (naca_contour("0012", 40) * [1, 1e-4], "encloses"),
         (
-            np.where(np.arange(79)[:, None] == 5, np.nan, naca("0012", 40)),
+            np.where(np.arange(79)[:, None] == 5, np.nan, naca_contour("0012", 40)),
             "line 7: a coordinate is not a number",
         ),
     ],
@@ -275,7 +273,7 @@ def test_unsound_contours_are_refused(tmp_path, points, words):
 
 
 def test_unreadable_lines_are_named(tmp_path):
-    points = naca("0012", 40)
+    points = naca_contour("0012", 40)
     broken = f"wing\n{rows(points[:20])}\n0.5 abc\n{rows(points[20:])}\n"
     with pytest.raises(InputError, match=r"line 22: '0.5 abc' is no point"):
         load_airfoil(written(tmp_path, broken))
@@ -286,10 +284,10 @@ def test_unreadable_lines_are_named(tmp_path):
 def test_gurney_flap_lowers_the_tail_by_its_height():
     clean, flapped = load_airfoil("naca0012"), load_airfoil("naca0012+gurney3")
     assert flapped.name == "naca0012+gurney3"
-    _, lower = sides(clean.coordinates)
-    _, lowered = sides(flapped.coordinates)
+    _, lower = split_sides(clean.coordinates)
+    _, lowered = split_sides(flapped.coordinates)
     assert lowered[-1, 1] == pytest.approx(lower[-1, 1] - 0.03)
     ahead = np.linspace(0.0, 0.95, 50)
     assert np.allclose(np.interp(ahead, *lowered.T), np.interp(ahead, *lower.T), atol=1e-6)
     assert np.allclose(flapped.coordinates[0], clean.coordinates[0])
-    assert flapped.digest() != clean.digest()
+    assert flapped.contour_hash() != clean.contour_hash()

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import load_rotor, read_blade, rotor_toml
+from mufly.rotor import format_rotor_toml, load_rotor, read_blade
 
 UIUC = """  r/R     c/R     beta
  0.15   0.160   31.68
@@ -45,7 +45,7 @@ def test_uiucs_geometry_with_its_diameter(tmp_path):
     assert_allclose(r.chord_m([0.15, 0.5, 1.0]), [0.0635 * 0.16, 0.0635 * 0.2, 0.0635 * 0.08])
     assert_allclose(r.twist_rad([0.5]), math.radians(20))
     assert any("two blades" in note for note in notes)
-    again = written(tmp_path, "p.toml", rotor_toml(r))
+    again = written(tmp_path, "p.toml", format_rotor_toml(r))
     assert load_rotor(again).blade == r.blade
 
 
@@ -53,11 +53,7 @@ def test_uiucs_geometry_with_its_diameter(tmp_path):
 def test_apcs_own_file_old_and_new(tmp_path, newer):
     """The newer layout has one column more (rake), before those that count."""
     text = APC.format(
-        **(
-            {"rake": "RAKE", "inch": "(IN)", "zero": "0.0"}
-            if newer
-            else dict.fromkeys(("rake", "inch", "zero"), "")
-        )
+        **({"rake": "RAKE", "inch": "(IN)", "zero": "0.0"} if newer else dict.fromkeys(("rake", "inch", "zero"), ""))
     )
     r, notes = read_blade(written(tmp_path, "5x4-PERF.PE0", text))
     assert (r.blades, r.airfoil_names()) == (3, ("e63+thick20", "naca4412+thick12", "naca4412+thick10"))
@@ -70,13 +66,9 @@ def test_apcs_own_file_old_and_new(tmp_path, newer):
 
 
 def test_calipers_in_inches_with_sections_and_commas(tmp_path):
-    path = written(
-        tmp_path, "c.csv", "\ufeffr (in);chord_mm;beta;section\n0,5;10;30;clarky\n2,5;6;10,5;naca4412\n"
-    )
+    path = written(tmp_path, "c.csv", "\ufeffr (in);chord_mm;beta;section\n0,5;10;30;clarky\n2,5;6;10,5;naca4412\n")
     r, _ = read_blade(path, blades=4)
-    assert_allclose(
-        (r.radius_m, r.chord_m(0.2), float(r.twist_rad(1.0))), (0.0635, 0.010, math.radians(10.5))
-    )
+    assert_allclose((r.radius_m, r.chord_m(0.2), float(r.twist_rad(1.0))), (0.0635, 0.010, math.radians(10.5)))
     assert (r.blades, r.airfoil_names()) == (4, ("clarky", "naca4412"))
 
 
@@ -108,9 +100,7 @@ def test_an_untwisted_blade_needs_no_unit_and_shares_in_per_cent_are_refused(tmp
     with pytest.raises(InputError, match="r/R: reaches 100: no share of the radius"):
         read_blade(written(tmp_path, "p.csv", text), radius_m=0.06)
     with pytest.raises(InputError, match="c/R: reaches 16: no share of the radius"):
-        read_blade(
-            written(tmp_path, "p.csv", text.replace("15,", "0.15,").replace("100,", "1,")), radius_m=0.06
-        )
+        read_blade(written(tmp_path, "p.csv", text.replace("15,", "0.15,").replace("100,", "1,")), radius_m=0.06)
 
 
 def test_inches_at_a_names_end_and_an_airfoil_of_ones_own(tmp_path):

@@ -8,12 +8,20 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Condition, System, climb_ratios, coax_map, load_rotor, prepare, solve
-from mufly.rotor import coax_map as room_function
-from mufly.rotor.maps import _filled, at, map_points
+from mufly.rotor import (
+    OperatingCondition,
+    RotorSystem,
+    compute_coax_map,
+    load_rotor,
+    map_climb_ratios,
+    prepare_blading,
+    solve_system,
+)
+from mufly.rotor import compute_coax_map as room_function
+from mufly.rotor.coax_maps import _fill_unsolved, interpolate_map, order_map_points
 from mufly.rotor.wake import WakeSettings
-from mufly.vehicle import CoefficientMap, MapTables, load_map, map_toml
-from mufly.vehicle.coefficient_map import table_text
+from mufly.vehicle import CoefficientMap, MapTables, format_map_toml, load_coefficient_map
+from mufly.vehicle.coefficient_map import format_table
 
 PITCH = np.radians(14.0)
 SPEEDS, RATIOS = (300.0, 500.0), (0.8, 1.0, 1.2)
@@ -22,18 +30,18 @@ PAIR = {"spacing_m": 0.04, "upper_pitch_rad": PITCH, "lower_pitch_rad": PITCH}
 
 @pytest.fixture(scope="module")
 def blading():
-    return prepare(load_rotor("walkera-5g6"))
+    return prepare_blading(load_rotor("walkera-5g6"))
 
 
 @pytest.fixture(scope="module")
 def axes(blading):
-    climbs = climb_ratios([-1.0, 0.0, 1.0, 2.0], SPEEDS, float(blading.radius_m[0]))
+    climbs = map_climb_ratios([-1.0, 0.0, 1.0, 2.0], SPEEDS, float(blading.radius_m[0]))
     return {"mean_speed_rad_s": SPEEDS, "ratio": RATIOS, "climb_ratio": climbs.tolist()}
 
 
 @pytest.fixture(scope="module")
 def made(blading, axes):
-    return coax_map(blading, blading, **PAIR, **axes, name="pair")
+    return compute_coax_map(blading, blading, **PAIR, **axes, name="pair")
 
 
 def made_map(function, axes) -> CoefficientMap:
@@ -42,30 +50,30 @@ def made_map(function, axes) -> CoefficientMap:
     return CoefficientMap(
         name="made", method="other", upper="a", lower="a", radius_m=0.1, spacing_m=0.04, upper_pitch_deg=14,
         lower_pitch_deg=14, density_kg_m3=1.2, viscosity_Pa_s=1.81e-5,
-        table=table_text(MapTables(*axes, *values, np.ones(grid[0].shape, dtype=bool))),
+        table=format_table(MapTables(*axes, *values, np.ones(grid[0].shape, dtype=bool))),
     )  # fmt: skip
 
 
 def test_points_are_the_solver_s(made, blading) -> None:
-    t = made.tables()
+    t = made.parse_tables()
     assert t.solved.all()
     for k, j, i in ((0, 2, 1), (1, 2, 3), (1, 1, 2), (0, 0, 0)):
         mean, r, m = t.mean_speed_rad_s[k], t.ratio[j], t.climb_ratio[i]
         up = 2 * mean / (1 + r)
-        alone = solve(
-            System.coaxial(blading, blading, spacing_m=0.04),
-            Condition(PITCH, (up, r * up), climb_m_s=m * mean * 0.0875),
+        alone = solve_system(
+            RotorSystem.coaxial_pair(blading, blading, spacing_m=0.04),
+            OperatingCondition(PITCH, (up, r * up), climb_m_s=m * mean * 0.0875),
         )
         found = [t[c][k, j, i] for c in range(3, 7)]
         expected = [alone.upper.c_T, alone.upper.c_Q, alone.lower.c_T, alone.lower.c_Q]
         # A solution depends a little on where it starts from: sections that hardly lift have more than one.
         assert_allclose(found[:2], expected[:2], rtol=3e-3)
         assert_allclose(found[2:], expected[2:], rtol=3e-3 if i and j else 0.05)
-        assert_allclose(at(made, mean, r, m)[0], found, rtol=1e-9)
+        assert_allclose(interpolate_map(made, mean, r, m)[0], found, rtol=1e-9)
 
 
 def test_physics(made) -> None:
-    t = made.tables()
+    t = made.parse_tables()
     total = t.cT_upper + t.cT_lower
     assert np.all(np.diff(total, axis=2) < 0)  # climb lowers the thrust
     assert np.all(np.diff(t.cT_lower, axis=1) > 0)  # a slower upper rotor sends down less
@@ -76,35 +84,33 @@ def test_physics(made) -> None:
 
 def test_interpolation_is_exact_for_lines_continuous_in_slope_and_held_at_the_edges() -> None:
     axes = (np.array([200.0, 400.0]), np.linspace(0.6, 1.6, 6), np.linspace(-0.04, 0.1, 8))
-    line = made_map(
-        lambda s, r, m: (1e-5 * s + 0.01 * r - 0.05 * m, 0.002 * r, 0.01 + 0 * r, 0.001 - 0.01 * m), axes
-    )
+    line = made_map(lambda s, r, m: (1e-5 * s + 0.01 * r - 0.05 * m, 0.002 * r, 0.01 + 0 * r, 0.001 - 0.01 * m), axes)
     rng = np.random.default_rng(1)
     s, r, m = (rng.uniform(a[0], a[-1], 50) for a in axes)
-    values, outside = at(line, s, r, m)
+    values, outside = interpolate_map(line, s, r, m)
     assert not outside.any()
     expected = np.stack([1e-5 * s + 0.01 * r - 0.05 * m, 0.002 * r, 0.01 + 0 * r, 0.001 - 0.01 * m], axis=-1)
     assert_allclose(values, expected, atol=2e-8)
-    edge, beyond = at(line, 300.0, [1.6, 1.9], [0.1, 0.2])
+    edge, beyond = interpolate_map(line, 300.0, [1.6, 1.9], [0.1, 0.2])
     assert_array_equal(beyond, [False, True])
     assert_allclose(edge[1], edge[0])
 
     wavy = made_map(lambda s, r, m: [0.01 * np.sin(5 * r) * np.cos(30 * m)] * 4, axes)
     h = 1e-6
     for x in axes[1][1:-1]:
-        left, here, right = (at(wavy, 300.0, x + d, 0.03)[0][0] for d in (-h, 0.0, h))
+        left, here, right = (interpolate_map(wavy, 300.0, x + d, 0.03)[0][0] for d in (-h, 0.0, h))
         assert (right - here) / h == pytest.approx((here - left) / h, abs=1e-5)
     fine = rng.uniform(0.8, 1.4, 200), rng.uniform(0.0, 0.06, 200)
-    error = at(wavy, 300.0, *fine)[0][:, 0] - 0.01 * np.sin(5 * fine[0]) * np.cos(30 * fine[1])
+    error = interpolate_map(wavy, 300.0, *fine)[0][:, 0] - 0.01 * np.sin(5 * fine[0]) * np.cos(30 * fine[1])
     assert np.max(np.abs(error)) < 0.05 * 0.01
 
 
 def test_file_round_trip(made, tmp_path) -> None:
     file = tmp_path / "pair.toml"
-    file.write_text(map_toml(made), encoding="utf-8")
-    assert load_map(file) == made
-    assert load_map("pair.toml", tmp_path) == made
-    for ours, theirs in zip(load_map(file).tables(), made.tables(), strict=True):
+    file.write_text(format_map_toml(made), encoding="utf-8")
+    assert load_coefficient_map(file) == made
+    assert load_coefficient_map("pair.toml", tmp_path) == made
+    for ours, theirs in zip(load_coefficient_map(file).parse_tables(), made.parse_tables(), strict=True):
         assert_array_equal(ours, theirs)
 
 
@@ -116,7 +122,7 @@ def test_a_stopped_run_goes_on(blading, axes, made, tmp_path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        coax_map(blading, blading, **PAIR, **axes, name="pair", kept=kept, progress=stop)
+        compute_coax_map(blading, blading, **PAIR, **axes, name="pair", kept=kept, progress=stop)
     lines = kept.read_text().splitlines()
     assert len(lines) == 8
     # A point that is known is not solved again: make one recognisable. A line cut off in mid-write is dropped.
@@ -124,7 +130,7 @@ def test_a_stopped_run_goes_on(blading, axes, made, tmp_path) -> None:
     lines[2] = json.dumps([point, [0.5, *values[1:]]])
     kept.write_text("\n".join([*lines[:5], lines[5][:9]]))
     seen: list[int] = []
-    resumed = coax_map(
+    resumed = compute_coax_map(
         blading,
         blading,
         **PAIR,
@@ -135,15 +141,15 @@ def test_a_stopped_run_goes_on(blading, axes, made, tmp_path) -> None:
     )
     assert seen[-1] == 24
     assert not kept.exists()
-    t, full = resumed.tables(), made.tables()
+    t, full = resumed.parse_tables(), made.parse_tables()
     assert t.cT_upper[tuple(point)] == 0.5
-    other = np.ones(t.shape, dtype=bool)
+    other = np.ones(t.grid_shape, dtype=bool)
     other[tuple(point)] = False
     assert_allclose(t.cT_upper[other], full.cT_upper[other], rtol=1e-5)
 
     kept.write_text("\n".join(lines))
     with pytest.raises(InputError, match="another map"):
-        coax_map(blading, blading, **{**PAIR, "spacing_m": 0.05}, **axes, kept=kept)
+        compute_coax_map(blading, blading, **{**PAIR, "spacing_m": 0.05}, **axes, kept=kept)
 
 
 def test_gaps_are_filled_from_their_neighbours_and_marked() -> None:
@@ -151,7 +157,7 @@ def test_gaps_are_filled_from_their_neighbours_and_marked() -> None:
     values, solved = rng.uniform(1, 2, size=(2, 4, 5, 4)), np.ones((2, 4, 5), dtype=bool)
     solved[0, 1, 2] = False
     solved[:, 3, :] = False
-    filled = _filled(values, solved)
+    filled = _fill_unsolved(values, solved)
     assert_array_equal(filled[solved], values[solved])
     around = [values[1, 1, 2], values[0, 0, 2], values[0, 2, 2], values[0, 1, 1], values[0, 1, 3]]
     assert_allclose(filled[0, 1, 2], np.mean(around, axis=0))
@@ -159,14 +165,12 @@ def test_gaps_are_filled_from_their_neighbours_and_marked() -> None:
 
 
 def test_every_point_is_a_neighbour_of_the_last() -> None:
-    points = np.array(map_points((3, 4, 5)))
+    points = np.array(order_map_points((3, 4, 5)))
     assert len({tuple(p) for p in points.tolist()}) == 60
     assert np.all(np.abs(np.diff(points, axis=0)).sum(axis=1) == 1)
 
 
-def test_wakes_start_from_their_neighbours_and_are_marked_where_they_do_not_settle(
-    blading, monkeypatch
-) -> None:
+def test_wakes_start_from_their_neighbours_and_are_marked_where_they_do_not_settle(blading, monkeypatch) -> None:
     # The wake method itself takes seconds a point and has its own tests; blade elements stand in for it here.
     calls = []
 
@@ -174,12 +178,12 @@ def test_wakes_start_from_their_neighbours_and_are_marked_where_they_do_not_sett
         assert method == "wake"
         climb, (upper, lower) = condition.climb_m_s, condition.speed_rad_s
         calls.append((climb, lower / upper, start))
-        return replace(solve(system, condition), converged=not climb < -0.5)
+        return replace(solve_system(system, condition), converged=not climb < -0.5)
 
     monkeypatch.setitem(room_function.__globals__, "solve", stands_in)
     small = {"mean_speed_rad_s": [420.0], "ratio": [1.0, 1.2], "climb_ratio": [-0.03, 0.0, 0.03]}
-    made = coax_map(blading, blading, **PAIR, **small, method="wake", settings=WakeSettings(step_deg=30.0))
-    t = made.tables()
+    made = compute_coax_map(blading, blading, **PAIR, **small, method="wake", settings=WakeSettings(step_deg=30.0))
+    t = made.parse_tables()
     assert made.method == "wake"
     assert "free wake, step 30 deg" in made.settings
     assert_array_equal(t.solved[0], [[False, True, True]] * 2)
@@ -204,13 +208,13 @@ def test_wakes_start_from_their_neighbours_and_are_marked_where_they_do_not_sett
 )
 def test_what_cannot_be_mapped_is_refused(blading, axes, change, words) -> None:
     with pytest.raises(InputError, match=words):
-        coax_map(blading, blading, **{**PAIR, **axes, **change})
+        compute_coax_map(blading, blading, **{**PAIR, **axes, **change})
 
 
 def test_rotors_of_two_radii_are_refused(blading, axes) -> None:
-    other = prepare(load_rotor("naca0012-r60-c20"))
+    other = prepare_blading(load_rotor("naca0012-r60-c20"))
     with pytest.raises(InputError, match="one radius"):
-        coax_map(blading, other, **PAIR, **axes)
+        compute_coax_map(blading, other, **PAIR, **axes)
 
 
 def test_a_map_that_is_mostly_guessed_is_refused(blading, axes, monkeypatch) -> None:
@@ -219,4 +223,4 @@ def test_a_map_that_is_mostly_guessed_is_refused(blading, axes, monkeypatch) -> 
 
     monkeypatch.setitem(room_function.__globals__, "solve", fails)
     with pytest.raises(MuflyError, match=r"only 0 of 24 .*no answer"):
-        coax_map(blading, blading, **PAIR, **axes)
+        compute_coax_map(blading, blading, **PAIR, **axes)

@@ -11,20 +11,20 @@ from numpy.testing import assert_allclose
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
     Air,
-    Condition,
     Corrections,
+    OperatingCondition,
     PolarTable,
     Rotor,
-    System,
-    hover,
+    RotorSystem,
     load_rotor,
-    prepare,
-    solve,
+    prepare_blading,
+    solve_rotor,
+    solve_system,
 )
-from mufly.rotor.bemt import drag_turning, stream_of
+from mufly.rotor.bemt import compute_slipstream, drag_angular_momentum
+from mufly.rotor.rotor_system import SPEED_OF_SOUND_M_S
 from mufly.rotor.sections.polar_table import ALPHA_GRID
-from mufly.rotor.system import SOUND_M_S
-from mufly.rotor.tubes import tube_speed, tube_velocity, turning_reading
+from mufly.rotor.vortex_tube import swirl_influence, tube_axis_speed, tube_velocity
 
 R, SPEED, PITCH = 0.06, 600.0, 0.25
 
@@ -45,27 +45,29 @@ def blading(corrections=None, chord=0.02, stations=24):
         "s", ALPHA_GRID, np.array([1e3, 1e4, 1e5]), np.zeros(shape) + cl, np.zeros(shape) + cd, np.zeros(shape),
         np.tile([-0.2, 0.2], (3, 1)), "made up",
     )  # fmt: skip
-    return prepare(rotor, {"s": table}, corrections=corrections, stations=stations)
+    return prepare_blading(rotor, {"s": table}, corrections=corrections, stations=stations)
 
 
 def pair(spacing=0.02, case=None, pitch=PITCH, speed=SPEED, **given):
     case = case or blading()
-    return solve(System.coaxial(case, case, spacing_m=spacing), Condition(pitch, speed, **given))
+    return solve_system(
+        RotorSystem.coaxial_pair(case, case, spacing_m=spacing), OperatingCondition(pitch, speed, **given)
+    )
 
 
 def test_far_apart_the_upper_rotor_is_alone_and_the_lower_in_a_full_wake():
-    alone = hover(blading(), pitch_rad=PITCH, speed_rad_s=SPEED)
+    alone = solve_rotor(blading(), pitch_rad=PITCH, speed_rad_s=SPEED)
     far = pair(spacing=100.0)
     assert_allclose(far.upper.thrust_N, alone.thrust_N, rtol=1e-5)
     assert far.lower.thrust_N < 0.7 * alone.thrust_N
-    assert_allclose(tube_speed(1e3, R), 2.0, rtol=1e-6)
-    assert_allclose(tube_speed(-1e3, R), 0.0, atol=1e-6)
-    assert tube_speed(0.0, R) == 1.0
+    assert_allclose(tube_axis_speed(1e3, R), 2.0, rtol=1e-6)
+    assert_allclose(tube_axis_speed(-1e3, R), 0.0, atol=1e-6)
+    assert tube_axis_speed(0.0, R) == 1.0
 
 
 def test_the_stream_reaches_the_lower_rotor_at_its_speed_and_width():
     both = pair(spacing=0.02)
-    k = tube_speed(0.02, R)
+    k = tube_axis_speed(0.02, R)
     edge = R / math.sqrt(k)
     met = np.tan(both.lower.phi_rad) * (SPEED * both.lower.r_m) - both.lower.inflow_m_s
     inner = (both.lower.r_m < 0.9 * edge) & (both.lower.r_m > 0.3 * R)
@@ -78,18 +80,18 @@ def test_what_turns_the_stream_is_the_torque_of_the_blades():
     # the mean one.
     case, air, nothing = blading(), Air(), np.zeros(24)
     at = {"pitch_rad": PITCH, "speed_rad_s": SPEED, "climb_m_s": 3.0, "air": air}
-    alone = hover(case, **at)
-    u, loss, turning = stream_of(case, **at, stream=(nothing, nothing, nothing))
+    alone = solve_rotor(case, **at)
+    u, loss, turning = compute_slipstream(case, **at, stream=(nothing, nothing, nothing))
     push = np.hypot(alone.dT_N, alone.dQ_Nm / alone.r_m) / np.hypot(alone.cl, alone.cd) / alone.dr_m
-    drag = drag_turning(push * alone.cd * np.cos(alone.phi_rad), 3.0 + loss * u, air.density_kg_m3)
+    drag = drag_angular_momentum(push * alone.cd * np.cos(alone.phi_rad), 3.0 + loss * u, air.density_kg_m3)
     ring = air.density_kg_m3 * 2.0 * math.pi * alone.r_m * alone.dr_m
     torque = ring * ((3.0 + u) * (turning - drag) + (3.0 + loss * u) * drag)
     assert_allclose(torque, alone.dQ_Nm, rtol=1e-6)
-    still = stream_of(blading(Corrections(swirl=False)), **at, stream=(nothing, nothing, nothing))[2]
+    still = compute_slipstream(blading(Corrections(swirl=False)), **at, stream=(nothing, nothing, nothing))[2]
     assert not still.any()
     # On its way down the stream keeps its moment of momentum, and so its torque, within a narrower edge.
-    below = turning_reading(alone.r_m, R, 0.03, alone.r_m, alone.dr_m) @ turning
-    s = 1.0 / math.sqrt(tube_speed(0.03, R))
+    below = swirl_influence(alone.r_m, R, 0.03, alone.r_m, alone.dr_m) @ turning
+    s = 1.0 / math.sqrt(tube_axis_speed(0.03, R))
     inside, outside = alone.r_m < s * R - alone.dr_m, alone.r_m > s * R + alone.dr_m
     kept = np.interp(alone.r_m / s, alone.r_m, turning)
     assert_allclose(below[inside] * alone.r_m[inside], kept[inside])
@@ -98,11 +100,9 @@ def test_what_turns_the_stream_is_the_torque_of_the_blades():
 
 def test_touching_rotors_share_one_stream():
     # At zero distance both discs see each other's inflow: two rotors of one disc, like one of twice the blades.
-    no_swirl = Corrections(
-        tip_loss="none", hub_loss=False, lifting_surface=False, rotation="none", swirl=False
-    )
+    no_swirl = Corrections(tip_loss="none", hub_loss=False, lifting_surface=False, rotation="none", swirl=False)
     both = pair(spacing=1e-9, case=blading(no_swirl, chord=0.005))
-    double = hover(blading(no_swirl, chord=0.01), pitch_rad=PITCH, speed_rad_s=SPEED)
+    double = solve_rotor(blading(no_swirl, chord=0.01), pitch_rad=PITCH, speed_rad_s=SPEED)
     # Momentum: 2 rotors, each dT = 4 pi rho r (u + u) u, together 2 x 2; one rotor with v = 2u: 4 pi rho r v^2.
     assert_allclose(both.thrust_N, double.thrust_N, rtol=0.01)
     assert_allclose(both.upper.thrust_N, both.lower.thrust_N, rtol=1e-6)
@@ -111,7 +111,7 @@ def test_touching_rotors_share_one_stream():
 def test_power_of_the_pair_is_above_that_of_two_lone_rotors_of_the_same_thrust():
     both = pair(spacing=0.03)
     assert both.figure_of_merit < 1.0
-    alone = hover(blading(), pitch_rad=PITCH, speed_rad_s=SPEED)
+    alone = solve_rotor(blading(), pitch_rad=PITCH, speed_rad_s=SPEED)
     assert both.thrust_N / both.power_W < alone.thrust_N / alone.power_W
     assert_allclose(both.power_W, both.upper.power_W + both.lower.power_W)
     assert_allclose(both.yaw_torque_Nm, both.lower.torque_Nm - both.upper.torque_Nm)
@@ -167,27 +167,32 @@ def test_faults_are_named():
 
 
 def test_one_rotor_is_a_system_too():
-    case, one = blading(), System.single(blading())
-    alone = hover(case, pitch_rad=PITCH, speed_rad_s=SPEED, climb_m_s=0.5)
-    found = solve(one, Condition(PITCH, SPEED, climb_m_s=0.5))
+    case, one = blading(), RotorSystem.single_rotor(blading())
+    alone = solve_rotor(case, pitch_rad=PITCH, speed_rad_s=SPEED, climb_m_s=0.5)
+    found = solve_system(one, OperatingCondition(PITCH, SPEED, climb_m_s=0.5))
     assert (found.thrust_N, found.power_W) == (alone.thrust_N, alone.power_W)
     assert found.figure_of_merit == alone.figure_of_merit
-    for open_ in (Condition(PITCH, thrust_N=0.2), Condition(None, SPEED, 0.2)):
-        assert_allclose(solve(one, open_).thrust_N, 0.2, rtol=1e-9)
+    for open_ in (OperatingCondition(PITCH, thrust_N=0.2), OperatingCondition(None, SPEED, 0.2)):
+        assert_allclose(solve_system(one, open_).thrust_N, 0.2, rtol=1e-9)
     with pytest.raises(InputError, match="two of pitch, speed and thrust"):
-        solve(one, Condition(PITCH))
+        solve_system(one, OperatingCondition(PITCH))
 
 
 def test_a_third_rotor_far_below_meets_both_streams_and_leaves_the_pair_alone():
     case = blading()
     two = pair()
-    three = solve(System((case,) * 3, (0.0, -0.02, -50.0), (1, -1, 1), (0,) * 3), Condition(PITCH, SPEED))
+    three = solve_system(
+        RotorSystem((case,) * 3, (0.0, -0.02, -50.0), (1, -1, 1), (0,) * 3), OperatingCondition(PITCH, SPEED)
+    )
     assert_allclose([r.thrust_N for r in three.rotors[:2]], [r.thrust_N for r in two.rotors], rtol=1e-4)
     assert three.lower.thrust_N < two.lower.thrust_N
     with pytest.raises(InputError, match="no trim"):
-        solve(System((case,) * 3, (0.0, -0.02, -50.0), (1, -1, 1), (0,) * 3), Condition(PITCH, None, 1.0))
+        solve_system(
+            RotorSystem((case,) * 3, (0.0, -0.02, -50.0), (1, -1, 1), (0,) * 3),
+            OperatingCondition(PITCH, None, 1.0),
+        )
     with pytest.raises(InputError, match="uppermost"):
-        System((case, case), (0.0, 0.02), (1, -1), (0, 0))
+        RotorSystem((case, case), (0.0, 0.02), (1, -1), (0, 0))
 
 
 def test_a_result_prints_its_rotors():
@@ -198,10 +203,10 @@ def test_a_result_prints_its_rotors():
 
 def test_a_pair_of_rotor_files_is_prepared_with_all_defaults():
     rotor = load_rotor("naca0012-r60-c20")
-    at = Condition(PITCH, (SPEED, 1.1 * SPEED))
-    laid = prepare(rotor)
-    named = solve(System.coaxial(rotor, rotor, spacing_m=0.02), at)
-    assert named.thrust_N == solve(System.coaxial(laid, laid, spacing_m=0.02), at).thrust_N
+    at = OperatingCondition(PITCH, (SPEED, 1.1 * SPEED))
+    laid = prepare_blading(rotor)
+    named = solve_system(RotorSystem.coaxial_pair(rotor, rotor, spacing_m=0.02), at)
+    assert named.thrust_N == solve_system(RotorSystem.coaxial_pair(laid, laid, spacing_m=0.02), at).thrust_N
 
 
 # Wakes that carry each other away
@@ -209,13 +214,17 @@ def test_a_pair_of_rotor_files_is_prepared_with_all_defaults():
 
 def tubes(spacing, case=None, pitch=PITCH, speed=SPEED, **given):
     case = case or blading()
-    return solve(System.coaxial(case, case, spacing_m=spacing), Condition(pitch, speed, **given), "tubes")
+    return solve_system(
+        RotorSystem.coaxial_pair(case, case, spacing_m=spacing),
+        OperatingCondition(pitch, speed, **given),
+        "tubes",
+    )
 
 
 def test_a_vortex_tube_moves_the_air_as_its_rings_do():
     for z in (-1.5, -0.2, 0.3, 2.0):
-        assert_allclose(tube_velocity(0.0, z, 1.0), tube_speed(z, 1.0))
-        assert_allclose(tube_velocity(1e-4, z, 1.0), tube_speed(z, 1.0), rtol=1e-6)
+        assert_allclose(tube_velocity(0.0, z, 1.0), tube_axis_speed(z, 1.0))
+        assert_allclose(tube_velocity(1e-4, z, 1.0), tube_axis_speed(z, 1.0), rtol=1e-6)
         # Across the wall the axial velocity steps by the strength, 2, below the edge, and not at all above it.
         wall = tube_velocity(1.0 - 1e-5, z, 1.0) - tube_velocity(1.0 + 1e-5, z, 1.0)
         assert_allclose(wall, 2.0 * (z > 0.0), atol=1e-3)
@@ -230,22 +239,28 @@ def test_a_vortex_tube_moves_the_air_as_its_rings_do():
 
 
 def test_tubes_far_apart_and_of_one_rotor_are_blade_elements():
-    alone = hover(blading(), pitch_rad=PITCH, speed_rad_s=SPEED)
+    alone = solve_rotor(blading(), pitch_rad=PITCH, speed_rad_s=SPEED)
     assert_allclose(tubes(100.0).upper.thrust_N, alone.thrust_N, rtol=1e-5)
-    one = solve(System.single(blading()), Condition(PITCH, SPEED), "tubes")
+    one = solve_system(RotorSystem.single_rotor(blading()), OperatingCondition(PITCH, SPEED), "tubes")
     assert one.thrust_N == alone.thrust_N
     assert_allclose(
-        solve(System.single(blading()), Condition(PITCH, None, 0.2), "tubes").thrust_N, 0.2, rtol=1e-6
+        solve_system(RotorSystem.single_rotor(blading()), OperatingCondition(PITCH, None, 0.2), "tubes").thrust_N,
+        0.2,
+        rtol=1e-6,
     )
     with pytest.raises(InputError, match="solves pairs"):
-        solve(System((blading(),) * 3, (0.0, -1.0, -2.0), (1, -1, 1), (0,) * 3), Condition(0.2, 9.0), "tubes")
+        solve_system(
+            RotorSystem((blading(),) * 3, (0.0, -1.0, -2.0), (1, -1, 1), (0,) * 3),
+            OperatingCondition(0.2, 9.0),
+            "tubes",
+        )
 
 
 def test_tubes_do_not_depend_on_stations_speed_or_where_they_start():
     coarse, fine = tubes(0.02), tubes(0.02, case=blading(stations=48))
     for a, b in zip(coarse.rotors, fine.rotors, strict=True):
         assert_allclose(a.thrust_N, b.thrust_N, rtol=0.04)
-    fast = tubes(0.02, speed=2.0 * SPEED, air=Air(sound_m_s=2.0 * SOUND_M_S))
+    fast = tubes(0.02, speed=2.0 * SPEED, air=Air(sound_m_s=2.0 * SPEED_OF_SOUND_M_S))
     assert_allclose(fast.thrust_N, 4.0 * coarse.thrust_N, rtol=1e-3)
 
 
@@ -265,7 +280,7 @@ def test_tubes_in_axial_flight_are_finite_or_say_why_not(climb, pitch):
 def test_tubes_settle_whatever_the_lower_rotor_does(spacing):
     # From wind-milling to pushing up through the upper one's stream. The root's tube, left alone, once kept one in five
     # of these from settling.
-    case = prepare(load_rotor("naca0012-r60-c20"))
+    case = prepare_blading(load_rotor("naca0012-r60-c20"))
     for lower in (14, 16, 18, 20):
         for ratio in (0.5, 0.75, 0.84, 0.96, 1.1, 1.33):
             both = tubes(spacing, case, (math.radians(14), math.radians(lower)), (628.0, 628.0 * ratio))
@@ -275,8 +290,8 @@ def test_tubes_settle_whatever_the_lower_rotor_does(spacing):
 
 def test_tubes_find_the_pair_of_the_dissertation():
     # Sec. 3.4.7: 6650 rpm below 6000, 23 % less thrust, 10 % more power; at equal speeds 0.55 of the upper thrust.
-    case, pitch, upper = prepare(load_rotor("naca0012-r60-c20")), math.radians(14.0), 200.0 * math.pi
-    alone = hover(case, pitch_rad=pitch, speed_rad_s=upper)
+    case, pitch, upper = prepare_blading(load_rotor("naca0012-r60-c20")), math.radians(14.0), 200.0 * math.pi
+    alone = solve_rotor(case, pitch_rad=pitch, speed_rad_s=upper)
     trim = tubes(0.02, case, pitch, (upper, None))
     assert_allclose(trim.lower.speed_rad_s, upper * 6650 / 6000, rtol=0.03)
     assert_allclose(trim.lower.thrust_N / trim.upper.thrust_N, 0.77, atol=0.02)

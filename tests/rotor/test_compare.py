@@ -15,20 +15,20 @@ from mufly.bench import read_measurements
 from mufly.cli import app
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
-    Doubt,
-    Measurements,
-    calibrate,
-    compare,
+    InputUncertainty,
+    RotorMeasurements,
+    calibrate_blading,
+    compare_measurements,
     fit_rotor,
-    hover,
-    hover_batch,
-    interval,
     load_rotor,
-    prepare,
-    solve_thrust,
+    predict_interval,
+    prepare_blading,
+    solve_for_thrust,
+    solve_rotor,
+    solve_rotor_batch,
 )
-from mufly.rotor.uncertainty import WIDER
-from mufly.study.benchmark import code_of, load_cases, run, table
+from mufly.rotor.uncertainty import INTERVAL_WIDENING
+from mufly.study.benchmark import load_cases, parse_code, score_codes, tabulate_by_group
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = "# a bench\npitch_deg,speed_rpm,thrust_N,torque_Nm\n12,5000,0.15,0.0015\n16, 7000, 0.42,\n"
@@ -36,14 +36,14 @@ TEXT = "# a bench\npitch_deg,speed_rpm,thrust_N,torque_Nm\n12,5000,0.15,0.0015\n
 
 @pytest.fixture(scope="module")
 def case():
-    return prepare(load_rotor("naca0012-r60-c20"))
+    return prepare_blading(load_rotor("naca0012-r60-c20"))
 
 
-def made(case, pitch_deg=(12.0, 16.0), rpm=(5000.0, 7000.0), lift=1.0, drag=1.0) -> Measurements:
+def made(case, pitch_deg=(12.0, 16.0), rpm=(5000.0, 7000.0), lift=1.0, drag=1.0) -> RotorMeasurements:
     scaled = replace(case, corrections=replace(case.corrections, lift_factor=lift, drag_factor=drag))
     pitch, speed = np.radians(pitch_deg), np.array(rpm) * math.pi / 30
-    out = hover_batch(scaled, pitch_rad=pitch, speed_rad_s=speed)
-    return Measurements(pitch, speed, out.thrust_N, out.torque_Nm, "made up")
+    out = solve_rotor_batch(scaled, pitch_rad=pitch, speed_rad_s=speed)
+    return RotorMeasurements(pitch, speed, out.thrust_N, out.torque_Nm, "made up")
 
 
 def test_a_file_is_read(tmp_path, case):
@@ -53,12 +53,9 @@ def test_a_file_is_read(tmp_path, case):
     assert_allclose(bench.pitch_rad, np.radians([12, 16]))
     assert_allclose(bench.speed_rad_s * 30 / math.pi, [5000, 7000])
     assert np.isnan(bench.torque_Nm[1])
-    out = compare(case, bench)
+    out = compare_measurements(case, bench)
     assert_allclose(out.thrust_error, out.thrust_N / [0.15, 0.42] - 1)
-    assert (
-        out.thrust_N[0]
-        == hover(case, pitch_rad=bench.pitch_rad[0], speed_rad_s=bench.speed_rad_s[0]).thrust_N
-    )
+    assert out.thrust_N[0] == solve_rotor(case, pitch_rad=bench.pitch_rad[0], speed_rad_s=bench.speed_rad_s[0]).thrust_N
     assert "not calibrated" in str(out)
     assert "mean absolute error" in str(out)
     assert len(str(out).splitlines()) == 5
@@ -85,10 +82,8 @@ def test_axial_flight_is_read_and_compared(tmp_path, case):
     path.write_text("pitch_deg,speed_rpm,thrust_N,J\n12,5000,0.15,0.2\n12,5000,0.05,0.4\n12,5000,0.0,0.6\n")
     bench = read_measurements(path, diameter_m=0.12)
     assert_allclose(bench.climb_m_s, 0.12 * 5000 / 60 * np.array([0.2, 0.4, 0.6]))
-    out = compare(case, bench)
-    wanted = hover(
-        case, pitch_rad=bench.pitch_rad[1], speed_rad_s=bench.speed_rad_s[1], climb_m_s=4.0
-    ).thrust_N
+    out = compare_measurements(case, bench)
+    wanted = solve_rotor(case, pitch_rad=bench.pitch_rad[1], speed_rad_s=bench.speed_rad_s[1], climb_m_s=4.0).thrust_N
     assert out.thrust_N[1] == wanted
     assert "axial_m_s" in str(out)
     with pytest.raises(InputError, match="nowhere above 0"):
@@ -100,12 +95,14 @@ def test_axial_flight_is_read_and_compared(tmp_path, case):
 def test_a_rotor_will_do_where_a_blading_does(case):
     rotor = load_rotor("naca0012-r60-c20")
     kw = {"pitch_rad": 0.2, "speed_rad_s": 500.0}
-    assert hover(rotor, **kw).thrust_N == hover(case, **kw).thrust_N == hover_batch(rotor, **kw).thrust_N
     assert (
-        solve_thrust(rotor, thrust_N=0.3, pitch_rad=0.2).speed_rad_s
-        == solve_thrust(case, thrust_N=0.3, pitch_rad=0.2).speed_rad_s
+        solve_rotor(rotor, **kw).thrust_N == solve_rotor(case, **kw).thrust_N == solve_rotor_batch(rotor, **kw).thrust_N
     )
-    assert compare(rotor, made(case)).mean_thrust_error < 1e-12
+    assert (
+        solve_for_thrust(rotor, thrust_N=0.3, pitch_rad=0.2).speed_rad_s
+        == solve_for_thrust(case, thrust_N=0.3, pitch_rad=0.2).speed_rad_s
+    )
+    assert compare_measurements(rotor, made(case)).mean_thrust_error < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -134,10 +131,10 @@ def test_a_missing_file_is_said(tmp_path):
 
 
 def test_calibration_finds_the_factors_that_made_the_data(case):
-    found = calibrate(case, made(case, lift=0.9, drag=1.4))
+    found = calibrate_blading(case, made(case, lift=0.9, drag=1.4))
     assert_allclose(found.corrections.lift_factor, 0.9, rtol=1e-5)
     assert_allclose(found.corrections.drag_factor, 1.4, rtol=1e-4)
-    out = compare(found, made(case, lift=0.9, drag=1.4))
+    out = compare_measurements(found, made(case, lift=0.9, drag=1.4))
     assert out.calibrated
     assert "calibrated on measurements" in str(out)
     assert out.mean_thrust_error < 1e-4
@@ -145,7 +142,7 @@ def test_calibration_finds_the_factors_that_made_the_data(case):
 
 def test_calibration_without_torque_scales_lift_only(case):
     bench = made(case, lift=0.9)
-    found = calibrate(case, replace(bench, torque_Nm=np.full(2, np.nan)), point=1)
+    found = calibrate_blading(case, replace(bench, torque_Nm=np.full(2, np.nan)), point=1)
     assert_allclose(found.corrections.lift_factor, 0.9, rtol=1e-5)
     assert found.corrections.drag_factor == 1.0
 
@@ -153,32 +150,30 @@ def test_calibration_without_torque_scales_lift_only(case):
 def test_calibration_that_cannot_be_says_so(case):
     bench = made(case)
     with pytest.raises(MuflyError, match="check the rotor and the units"):
-        calibrate(case, replace(bench, thrust_N=1000 * bench.thrust_N))
+        calibrate_blading(case, replace(bench, thrust_N=1000 * bench.thrust_N))
 
 
 def test_interval_holds_the_prediction_and_grows_with_doubt():
     rotor = load_rotor("naca0012-r60-c20")
     kw = {"pitch_rad": np.radians([12.0, 16.0]), "speed_rad_s": 600.0}
-    known, guess = interval(rotor, **kw), interval(rotor, section="guessed", **kw)
+    known, guess = predict_interval(rotor, **kw), predict_interval(rotor, section="guessed", **kw)
     assert np.all((known.thrust_low_N < known.thrust_N) & (known.thrust_N < known.thrust_high_N))
     assert np.all(guess.thrust_high_N > known.thrust_high_N)
     assert np.all(guess.torque_high_Nm - guess.torque_low_Nm > known.torque_high_Nm - known.torque_low_Nm)
-    narrow = interval(rotor, level=0.5, **kw)
-    assert_allclose(
-        (narrow.thrust_high_N - narrow.thrust_N) / (known.thrust_high_N - known.thrust_N), 0.674 / 1.645
-    )
+    narrow = predict_interval(rotor, level=0.5, **kw)
+    assert_allclose((narrow.thrust_high_N - narrow.thrust_N) / (known.thrust_high_N - known.thrust_N), 0.674 / 1.645)
     total = np.sqrt(sum(np.square(v) for v in known.thrust_share.values()))
-    assert_allclose(WIDER[0] * 1.645 * total, known.thrust_high_N / known.thrust_N - 1)
-    sure = Doubt(
+    assert_allclose(INTERVAL_WIDENING[0] * 1.645 * total, known.thrust_high_N / known.thrust_N - 1)
+    sure = InputUncertainty(
         n_crit=(), lift=0, drag=0, camber=0, thickness=0, pitch_rad=0, method_thrust=0, method_torque=0
     )
-    assert_allclose(interval(rotor, doubt=sure, **kw).thrust_high_N, known.thrust_N)
+    assert_allclose(predict_interval(rotor, doubt=sure, **kw).thrust_high_N, known.thrust_N)
     with pytest.raises(InputError, match="never measured"):
-        interval(rotor, section="measured", **kw)
+        predict_interval(rotor, section="measured", **kw)
     with pytest.raises(InputError, match="family"):
-        interval(rotor, section="guessed", family="paper", **kw)
+        predict_interval(rotor, section="guessed", family="paper", **kw)
     with pytest.raises(InputError, match="band"):
-        interval(rotor, level=0.7, **kw)
+        predict_interval(rotor, level=0.7, **kw)
 
 
 DATA = ROOT.parent / "shared" / "data" / "aero"
@@ -193,14 +188,14 @@ def measured():
 
 def test_table_3_2_untuned_within_10_and_15_percent(measured):
     thesis = measured["naca0012-r60-c20"]
-    out = compare(prepare(thesis.rotor), thesis.measured)
+    out = compare_measurements(prepare_blading(thesis.rotor), thesis.measured)
     assert np.all(np.abs(out.thrust_error) < 0.10)
     assert np.all(np.abs(out.torque_error) < 0.15)
 
 
 def test_table_3_2_calibrated_on_its_first_point_within_5_and_10_percent(measured):
     thesis = measured["naca0012-r60-c20"]
-    out = compare(calibrate(prepare(thesis.rotor), thesis.measured), thesis.measured)
+    out = compare_measurements(calibrate_blading(prepare_blading(thesis.rotor), thesis.measured), thesis.measured)
     assert np.all(np.abs(out.thrust_error) < 0.05)
     assert np.all(np.abs(out.torque_error) < 0.10)
 
@@ -208,7 +203,7 @@ def test_table_3_2_calibrated_on_its_first_point_within_5_and_10_percent(measure
 def test_propellers_within_12_and_15_percent_on_average(measured):
     cases = [case for case in measured.values() if case.group == "UIUC micro"]
     assert len(cases) == 17
-    (row,) = table(run(cases, [code_of("bemt")]))
+    (row,) = tabulate_by_group(score_codes(cases, [parse_code("bemt")]))
     assert row.thrust < 0.12
     assert row.torque < 0.15
 
@@ -234,12 +229,7 @@ def bench_of(case, rpm=(4000.0, 5000.0, 6000.0)):
 
 
 def text_of(heads, *columns):
-    return (
-        heads
-        + "\n"
-        + "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True))
-        + "\n"
-    )
+    return heads + "\n" + "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True)) + "\n"
 
 
 @pytest.mark.parametrize(

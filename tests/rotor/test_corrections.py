@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
-from mufly.rotor import PLAIN, Corrections, PolarTable, Rotor, hover, prepare
-from mufly.rotor.blading import rotation_strength, zero_lift_angle
+from mufly.rotor import TEXTBOOK_CORRECTIONS, Corrections, PolarTable, Rotor, prepare_blading, solve_rotor
+from mufly.rotor.blading import find_zero_lift_angle, stall_delay_strength
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 
 KINDS = ["dumitrescu-cardos", "snel", "chaviaropoulos-hansen", "none"]
@@ -45,15 +45,17 @@ def solved(cl, corrections, pitch=0.35, chord=0.3):
         blade={"r_over_R": q((0.15, 1.0), "1"), "chord": q((chord, chord), "m"), "twist": q((0.0, 0.0), "rad"),
                "airfoils": ("s",)},
     )  # fmt: skip
-    return hover(prepare(rotor, {"s": table(cl)}, corrections=corrections), pitch_rad=pitch, speed_rad_s=20.0)
+    return solve_rotor(
+        prepare_blading(rotor, {"s": table(cl)}, corrections=corrections), pitch_rad=pitch, speed_rad_s=20.0
+    )
 
 
 @given(ratio=st.floats(0.0, 3.0), kind=st.sampled_from(KINDS))
 def test_rotation_is_a_share(ratio, kind):
-    g = rotation_strength(kind, np.array([ratio]))[0]
+    g = stall_delay_strength(kind, np.array([ratio]))[0]
     assert 0.0 <= g <= 1.0
-    assert g <= rotation_strength(kind, np.array([ratio + 0.1]))[0]
-    assert rotation_strength(kind, np.array([0.0]))[0] == 0.0
+    assert g <= stall_delay_strength(kind, np.array([ratio + 0.1]))[0]
+    assert stall_delay_strength(kind, np.array([0.0]))[0] == 0.0
 
 
 @pytest.mark.parametrize("kind", KINDS[:3])
@@ -84,13 +86,13 @@ def test_finite_chord_takes_thrust_the_more_the_wider_the_blade():
     lost = []
     for chord in (0.05, 0.15, 0.3):
         wide = solved(5.7 * np.sin(ALPHA_GRID), Corrections(rotation="none"), pitch=0.2, chord=chord)
-        line = solved(5.7 * np.sin(ALPHA_GRID), PLAIN, pitch=0.2, chord=chord)
+        line = solved(5.7 * np.sin(ALPHA_GRID), TEXTBOOK_CORRECTIONS, pitch=0.2, chord=chord)
         lost.append(1.0 - wide.thrust_N / line.thrust_N)
     assert 0.0 < lost[0] < lost[1] < lost[2] < 0.3
 
 
 def test_factors_scale_the_section():
-    once, twice = solved(STALLING, PLAIN, pitch=0.1), solved(STALLING, Corrections(
+    once, twice = solved(STALLING, TEXTBOOK_CORRECTIONS, pitch=0.1), solved(STALLING, Corrections(
         lifting_surface=False, rotation="none", drag_factor=2.0), pitch=0.1)  # fmt: skip
     assert_allclose(twice.cd, 2 * once.cd, rtol=1e-9)
     assert_allclose(twice.cl, once.cl, rtol=1e-9)
@@ -99,13 +101,11 @@ def test_factors_scale_the_section():
 
 
 def test_zero_lift_angle_is_found_where_it_is():
-    assert_allclose(zero_lift_angle(table(np.sin(ALPHA_GRID + 0.07))), -0.07, atol=1e-5)
-    assert zero_lift_angle(table(np.zeros(721) + 0.3)) == 0.0
+    assert_allclose(find_zero_lift_angle(table(np.sin(ALPHA_GRID + 0.07))), -0.07, atol=1e-5)
+    assert find_zero_lift_angle(table(np.zeros(721) + 0.3)) == 0.0
 
 
-@pytest.mark.parametrize(
-    "bad", [{"rotation": "x"}, {"tip_loss": "x"}, {"drag_factor": 0.0}, {"lift_factor": math.inf}]
-)
+@pytest.mark.parametrize("bad", [{"rotation": "x"}, {"tip_loss": "x"}, {"drag_factor": 0.0}, {"lift_factor": math.inf}])
 def test_odd_switches_are_refused(bad):
     with pytest.raises(InputError):
         Corrections(**bad)

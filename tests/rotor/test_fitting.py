@@ -12,32 +12,32 @@ from numpy.testing import assert_allclose
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
     Corrections,
-    Measurements,
+    RotorMeasurements,
+    compute_polar,
     fit_picture,
     fit_rotor,
-    hover,
-    hover_batch,
-    interval,
+    format_rotor_toml,
     load_rotor,
     make_rotor,
-    polar,
-    prepare,
+    predict_interval,
+    prepare_blading,
     replace_rotor,
-    rotor_toml,
+    solve_rotor,
+    solve_rotor_batch,
 )
-from mufly.rotor.blading import fitted
-from mufly.study.setup import reshape
+from mufly.rotor.blading import apply_section_fit
+from mufly.study.study_setup import reshape_rotor
 
 RPM = math.pi / 30
 
 
-def made_by(rotor, rpm, pitch_deg=0.0, noise=0.0, seed=0, torque=True) -> Measurements:
+def made_by(rotor, rpm, pitch_deg=0.0, noise=0.0, seed=0, torque=True) -> RotorMeasurements:
     """What a bench would say of a rotor."""
     rng, speed = np.random.default_rng(seed), np.array(rpm) * RPM
     pitch = np.radians(np.broadcast_to(pitch_deg, speed.shape))
-    out = hover_batch(prepare(rotor), pitch_rad=pitch, speed_rad_s=speed)
+    out = solve_rotor_batch(prepare_blading(rotor), pitch_rad=pitch, speed_rad_s=speed)
     t, q = (v * (1 + noise * rng.standard_normal(v.shape)) for v in (out.thrust_N, out.torque_Nm))
-    return Measurements(pitch, speed, t, q if torque else np.full(q.shape, np.nan), "made up")
+    return RotorMeasurements(pitch, speed, t, q if torque else np.full(q.shape, np.nan), "made up")
 
 
 def a_propeller(airfoil):
@@ -58,7 +58,7 @@ def test_bent_plates_come_out_as_bent_plates(swept):
     assert np.abs(swept.before[0]).mean() > 0.05  # Clark Y will not do
     assert np.abs(swept.after).max() < 0.03
     assert np.all(swept.held_out < 0.02)
-    shares = dict(swept.fit.sections())
+    shares = dict(swept.fit.list_sections())
     assert sum(p for name, p in shares.items() if name.endswith(("03", "06"))) > 0.8
     assert sum(p for name, p in shares.items() if name[4] in "468") > 0.9
     assert next(iter(shares)).endswith(("03", "06"))
@@ -68,23 +68,23 @@ def test_bent_plates_come_out_as_bent_plates(swept):
 
 def test_the_file_says_what_the_fit_said(swept, tmp_path):
     path = tmp_path / "fitted.toml"
-    path.write_text(rotor_toml(swept.rotor))
+    path.write_text(format_rotor_toml(swept.rotor))
     again, m = load_rotor(path), swept.measured
     assert again.fit == swept.fit
-    out = hover_batch(prepare(again), pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s)
+    out = solve_rotor_batch(prepare_blading(again), pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s)
     assert_allclose(out.thrust_N / m.thrust_N - 1, swept.after[0], atol=1e-12)
-    assert hover(again, pitch_rad=0.0, speed_rad_s=600.0).calibrated
+    assert solve_rotor(again, pitch_rad=0.0, speed_rad_s=600.0).calibrated
     with pytest.raises(InputError, match="n_crit"):
-        prepare(again, n_crit=9.0)
+        prepare_blading(again, n_crit=9.0)
     # Another section is another rotor: what was said of the first does not hold for it.
     assert replace_rotor(again, {"blade.airfoils": "clarky"}).fit is None
-    assert reshape(again, {"airfoil": "clarky"}).fit is None
-    assert reshape(again, {"radius": 0.07}).fit == replace_rotor(again, {"radius": 0.07}).fit == again.fit
+    assert reshape_rotor(again, {"airfoil": "clarky"}).fit is None
+    assert reshape_rotor(again, {"radius": 0.07}).fit == replace_rotor(again, {"radius": 0.07}).fit == again.fit
 
 
 def test_intervals_shrink_with_the_bench_and_widen_away_from_it(swept):
     at = {"pitch_rad": np.radians([0.0, 0.0, 6.0]), "speed_rad_s": np.array([6000, 24000, 6000]) * RPM}
-    known, guess = interval(swept.rotor, **at), interval(a_propeller("clarky"), **at)
+    known, guess = predict_interval(swept.rotor, **at), predict_interval(a_propeller("clarky"), **at)
     half = (known.thrust_high_N - known.thrust_N) / known.thrust_N
     assert half[0] < 0.5 * ((guess.thrust_high_N - guess.thrust_N) / guess.thrust_N)[0]
     assert np.all(half[1:] > 1.5 * half[0])
@@ -99,12 +99,12 @@ def test_truths_lie_inside_the_intervals():
         rotor = a_propeller(f"naca{rng.integers(2, 7)}4{rng.integers(6, 13):02d}")
         # What the prior says of engine and method, drawn
         truth = made_by(rotor, [4000.0, 6000.0, 8000.0], pitch_deg=rng.normal(0, 0.5))
-        bench = Measurements(
+        bench = RotorMeasurements(
             np.zeros(1), truth.speed_rad_s[1:2], truth.thrust_N[1:2] * rng.normal(1, 0.01),
             truth.torque_Nm[1:2] * rng.normal(1, 0.01), f"{k}",
         )  # fmt: skip
         fitted = fit_rotor(a_propeller("clarky"), bench).rotor
-        band = interval(fitted, pitch_rad=0.0, speed_rad_s=truth.speed_rad_s[[0, 2]])
+        band = predict_interval(fitted, pitch_rad=0.0, speed_rad_s=truth.speed_rad_s[[0, 2]])
         t, q = truth.thrust_N[[0, 2]], truth.torque_Nm[[0, 2]]
         inside += [*(np.abs(t - band.thrust_N) < band.thrust_high_N - band.thrust_N)]
         inside += [*(np.abs(q - band.torque_Nm) < band.torque_high_Nm - band.torque_Nm)]
@@ -115,7 +115,7 @@ def test_thrust_alone_will_do_and_a_known_section_is_left():
     rotor = load_rotor("naca0012-r60-c20")
     bench = made_by(rotor, [4000.0, 6000.0], pitch_deg=12.0, torque=False)
     found = fit_rotor(rotor, replace(bench, thrust_N=1.05 * bench.thrust_N), section="known")
-    assert [name for name, _ in found.fit.sections()] == ["naca0012"]
+    assert [name for name, _ in found.fit.list_sections()] == ["naca0012"]
     assert np.abs(found.after[0]).max() < 0.01
     assert np.isnan(found.held_out[1])
     assert "the bench says little of drag" in found.undecided
@@ -134,12 +134,12 @@ def test_a_point_far_from_every_list_is_met():
     """30 % more torque and 20 % less thrust than the known section has: priors do not hold the fit off the point."""
     rotor = load_rotor("naca0012-r60-c20")
     bench = made_by(rotor, [3000.0, 5000.0, 7000.0], pitch_deg=12.0)
-    one = replace(bench, thrust_N=0.8 * bench.thrust_N, torque_Nm=1.3 * bench.torque_Nm).part(np.array([1]))
+    one = replace(bench, thrust_N=0.8 * bench.thrust_N, torque_Nm=1.3 * bench.torque_Nm).select_points(np.array([1]))
     found = fit_rotor(rotor, one, section="known")
     assert np.abs(found.after).max() < 0.02
     # What drag has more than the polar is the same at every Reynolds number.
-    table = polar("naca0012")
-    more = fitted(table, (0.0, 0.0, 0.3, 0.0, 0.0), float(table.reynolds[10])).cd - table.cd
+    table = compute_polar("naca0012")
+    more = apply_section_fit(table, (0.0, 0.0, 0.3, 0.0, 0.0), float(table.reynolds[10])).cd - table.cd
     assert_allclose(more, np.broadcast_to(np.expm1(0.3) * table.cd[10], more.shape), atol=1e-12)
 
 
@@ -148,20 +148,20 @@ def test_a_tunnel_tells_the_angle_from_the_lift_and_what_hover_is():
     rotor, true = a_propeller("clarky"), Corrections(lift_factor=0.85, drag_factor=1.1)
     speed, turn = 6000.0 * RPM, math.radians(1.5)
     climb = np.linspace(2.0, 11.0, 12)
-    out = hover_batch(prepare(rotor, corrections=true), pitch_rad=turn, speed_rad_s=speed, climb_m_s=climb)
+    out = solve_rotor_batch(
+        prepare_blading(rotor, corrections=true), pitch_rad=turn, speed_rad_s=speed, climb_m_s=climb
+    )
     assert out.thrust_N[0] > 0.0 > out.thrust_N[-1]
-    run = Measurements(np.zeros(12), np.full(12, speed), out.thrust_N, out.torque_Nm, "tunnel", climb)
+    run = RotorMeasurements(np.zeros(12), np.full(12, speed), out.thrust_N, out.torque_Nm, "tunnel", climb)
     found = fit_rotor(rotor, run, section="known")
     assert np.abs(found.after).max() < 0.03 < np.abs(found.before).max()
     assert np.all(found.held_out < 0.03)
     assert abs(found.change[0] - turn) < 2 * found.std[0] < 0.7 * found.prior_std[0]
     assert_allclose(found.fit.climb_ratio, climb[[0, -1]] / (0.06 * speed))
-    hovering = hover(prepare(rotor, corrections=true), pitch_rad=turn, speed_rad_s=speed)
-    again = hover(found.rotor, pitch_rad=0.0, speed_rad_s=speed)
-    assert_allclose(
-        [again.thrust_N / hovering.thrust_N, again.torque_Nm / hovering.torque_Nm], 1.0, atol=0.05
-    )
+    hovering = solve_rotor(prepare_blading(rotor, corrections=true), pitch_rad=turn, speed_rad_s=speed)
+    again = solve_rotor(found.rotor, pitch_rad=0.0, speed_rad_s=speed)
+    assert_allclose([again.thrust_N / hovering.thrust_N, again.torque_Nm / hovering.torque_Nm], 1.0, atol=0.05)
     at = {"pitch_rad": 0.0, "speed_rad_s": speed}
-    inside, outside = (interval(found.rotor, climb_m_s=v, **at) for v in (5.0, 0.0))
+    inside, outside = (predict_interval(found.rotor, climb_m_s=v, **at) for v in (5.0, 0.0))
     assert outside.thrust_share["method"][0] > inside.thrust_share["method"][0] == 0.0
     assert fit_picture(found).axes[0].get_xlabel().startswith("Advance")

@@ -11,11 +11,11 @@ from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
     blade_thickness_m,
     builtin_rotors,
+    format_rotor_toml,
     load_rotor,
     make_rotor,
     replace_rotor,
-    rotor_from,
-    rotor_toml,
+    rotor_from_tables,
 )
 
 
@@ -55,13 +55,13 @@ def test_sections_mix_airfoils_linearly_between_stations():
         r_over_R=[0.2, 0.6, 1.0],
         airfoils=["naca4412", "naca4412", "goe394"],
     )
-    s = r.sections([0.0, 0.2, 0.4, 0.8, 1.0])
-    assert s.names == ("naca4412", "goe394")
+    s = r.sections_at([0.0, 0.2, 0.4, 0.8, 1.0])
+    assert s.airfoil_names == ("naca4412", "goe394")
     assert np.allclose(s.chord_m, [0.03, 0.03, 0.025, 0.015, 0.01])
     assert np.allclose(s.twist_rad, [0.3, 0.3, 0.25, 0.1, 0.0])
-    assert np.allclose(s.weight, [0.0, 0.0, 0.0, 0.5, 1.0])
-    assert s.first.tolist() == [0, 0, 0, 0, 0]
-    assert s.second.tolist() == [0, 0, 0, 1, 1]
+    assert np.allclose(s.second_weight, [0.0, 0.0, 0.0, 0.5, 1.0])
+    assert s.first_airfoil.tolist() == [0, 0, 0, 0, 0]
+    assert s.second_airfoil.tolist() == [0, 0, 0, 1, 1]
     thick = blade_thickness_m(r, [0.2, 0.8, 1.0])
     assert thick[0] == pytest.approx(0.03 * 0.1202, rel=2e-3)
     assert thick[2] == pytest.approx(0.01 * 0.0610, rel=5e-3)
@@ -76,21 +76,19 @@ def test_built_in_rotors_are_those_of_the_source():
     assert r.aspect_ratio == pytest.approx(2.55)
     walkera = load_rotor("walkera-5g6")
     assert walkera.radius_m == pytest.approx(0.0875)
-    assert {walkera.blade.chord.source, walkera.blade.twist.source, walkera.hub_cutout.source} == {
-        "estimated"
-    }
+    assert {walkera.blade.chord.source, walkera.blade.twist.source, walkera.hub_cutout.source} == {"estimated"}
 
 
 @pytest.mark.parametrize("name", builtin_rotors())
 def test_written_rotor_reads_back_equal(tmp_path, name):
     r = load_rotor(name)
     path = tmp_path / "r.toml"
-    path.write_text(rotor_toml(r))
+    path.write_text(format_rotor_toml(r))
     assert load_rotor(path) == r
 
 
 def test_airfoil_files_are_sought_beside_the_rotor_file(tmp_path):
-    text = rotor_toml(load_rotor("naca4412-r60-c20")).replace('"naca4412"', '"own.dat"')
+    text = format_rotor_toml(load_rotor("naca4412-r60-c20")).replace('"naca4412"', '"own.dat"')
     (tmp_path / "own.dat").write_text("")
     (tmp_path / "r.toml").write_text(text)
     assert load_rotor(tmp_path / "r.toml").airfoil_names() == (str(tmp_path / "own.dat"),)
@@ -165,7 +163,7 @@ def test_every_corruption_is_a_rotor_or_one_line():
             else:
                 table[place[-1]] = value
             try:
-                rotor_from(changed)
+                rotor_from_tables(changed)
             except MuflyError as fault:
                 lines.append(str(fault))
     assert len(lines) > 100

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.rotor import Corrections, PolarTable, Rotor, hover, prepare
-from mufly.rotor.blading import chord_factor, near_wake_downwash, panel_edges
+from mufly.rotor import Corrections, PolarTable, Rotor, prepare_blading, solve_rotor
+from mufly.rotor.blading import compute_panel_edges, lifting_surface_chord_factor, near_wake_downwash
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 
 
 def lift_slope_of_rectangular_wing(aspect_ratio, n=60):
-    mid, edges = panel_edges(0.0, n)
+    mid, edges = compute_panel_edges(0.0, n)
     c = 1.0 / aspect_ratio
     behind = np.column_stack((mid, np.full(n, 0.5 * c)))
     a34 = near_wake_downwash(behind, edges, np.full(n + 1, c), 0.0, 200.0, 60)
@@ -29,13 +29,13 @@ def test_rectangular_wings_have_the_lift_slope_of_lifting_surface_theory(aspect_
 
 
 def test_lifting_line_with_the_loss_is_the_lifting_surface():
-    mid, edges = panel_edges(0.0, 40)
+    mid, edges = compute_panel_edges(0.0, 40)
     c = np.full(40, 1 / 3)
     at_edges = np.full(41, 1 / 3)
     args = (edges, at_edges, 0.0, 200.0, 24)
     a34 = near_wake_downwash(np.column_stack((mid, 0.5 * c)), *args)
     a14 = near_wake_downwash(np.column_stack((mid, 0 * c)), *args)
-    e = chord_factor(mid, edges, c, at_edges, straight_wake=200.0)
+    e = lifting_surface_chord_factor(mid, edges, c, at_edges, straight_wake=200.0)
     surface = np.linalg.solve(a34, np.ones(40))
     line = np.linalg.solve(a14 + np.diag(1 / (np.pi * c) + 2 * e / c), np.ones(40))
     assert_allclose(line, surface, rtol=1e-6)
@@ -43,7 +43,7 @@ def test_lifting_line_with_the_loss_is_the_lifting_surface():
 
 @pytest.mark.parametrize("aspect_ratio", [3.0, 6.0])
 def test_elliptic_wing_has_helmbolds_lift_slope(aspect_ratio):
-    mid, edges = panel_edges(0.0, 80)
+    mid, edges = compute_panel_edges(0.0, 80)
     root = 4.0 / (math.pi * aspect_ratio)
     chord, at_edges = (root * np.sqrt(np.maximum(1.0 - (2.0 * x - 1.0) ** 2, 1e-8)) for x in (mid, edges))
     behind = np.column_stack((mid, 0.5 * chord))
@@ -54,12 +54,12 @@ def test_elliptic_wing_has_helmbolds_lift_slope(aspect_ratio):
 
 
 def test_loss_vanishes_for_slender_blades_and_does_not_depend_on_the_unit():
-    mid, edges = panel_edges(0.1, 24)
+    mid, edges = compute_panel_edges(0.1, 24)
     sizes = []
     for c in (0.3, 0.1, 0.03, 0.01):
-        e = chord_factor(mid, edges, np.full(24, c), np.full(25, c))
+        e = lifting_surface_chord_factor(mid, edges, np.full(24, c), np.full(25, c))
         sizes.append(np.average(e, weights=mid**2))
-        bigger = chord_factor(7 * mid, 7 * edges, np.full(24, 7 * c), np.full(25, 7 * c))
+        bigger = lifting_surface_chord_factor(7 * mid, 7 * edges, np.full(24, 7 * c), np.full(25, 7 * c))
         assert_allclose(bigger, e, rtol=1e-9, atol=1e-12)
     assert sizes[0] > sizes[1] > sizes[2] > sizes[3]
     assert sizes[3] < 0.1 * sizes[0]  # the last chord at the tip keeps its loss
@@ -69,14 +69,12 @@ def test_loss_vanishes_for_slender_blades_and_does_not_depend_on_the_unit():
 def flat_plate() -> PolarTable:
     reynolds = np.array([1e2, 1e5, 1e8])
     cl, zero = np.tile(2 * np.pi * np.sin(ALPHA_GRID), (3, 1)), np.zeros((3, 721))
-    return PolarTable(
-        "plate", ALPHA_GRID, reynolds, cl, zero, zero, np.tile([-0.3, 0.3], (3, 1)), "2 pi sin a"
-    )
+    return PolarTable("plate", ALPHA_GRID, reynolds, cl, zero, zero, np.tile([-0.3, 0.3], (3, 1)), "2 pi sin a")
 
 
 def helical_lattice(x0, chord, theta, pitch, blades=2, n=24, turns=6, per_turn=48):
     """Thrust coefficient of blades with one row of horseshoes and rigid helical wakes, uncontracted."""
-    mid, edges = panel_edges(x0, n)
+    mid, edges = compute_panel_edges(x0, n)
     targets = np.column_stack((mid, np.full(n, chord / 2), np.zeros(n)))
 
     def induced(a, b):
@@ -89,15 +87,11 @@ def helical_lattice(x0, chord, theta, pitch, blades=2, n=24, turns=6, per_turn=4
     matrix = np.zeros((n, n))
     for k in range(blades):
         turned = 2 * np.pi * k / blades
-        spin = np.array(
-            [[math.cos(turned), -math.sin(turned), 0], [math.sin(turned), math.cos(turned), 0], [0, 0, 1]]
-        )
+        spin = np.array([[math.cos(turned), -math.sin(turned), 0], [math.sin(turned), math.cos(turned), 0], [0, 0, 1]])
         trail = []
         for r in edges:
             y = 0.75 * chord
-            path = np.column_stack(
-                (r * np.cos(psi) - y * np.sin(psi), r * np.sin(psi) + y * np.cos(psi), -pitch * psi)
-            )
+            path = np.column_stack((r * np.cos(psi) - y * np.sin(psi), r * np.sin(psi) + y * np.cos(psi), -pitch * psi))
             path = np.vstack(([[r, 0, 0]], path)) @ spin.T
             trail.append(induced(path[:-1], path[1:]))
         for j in range(n):
@@ -124,10 +118,10 @@ def test_bemt_with_finite_chord_meets_a_lattice_with_the_whole_wake(x0, chord, d
     )  # fmt: skip
     got = {}
     for surface in (True, False):
-        case = prepare(
+        case = prepare_blading(
             rotor, {"plate": flat_plate()}, corrections=Corrections(rotation="none", lifting_surface=surface)
         )
-        got[surface] = hover(case, pitch_rad=math.radians(deg), speed_rad_s=10.0).c_T
+        got[surface] = solve_rotor(case, pitch_rad=math.radians(deg), speed_rad_s=10.0).c_T
     lattice = helical_lattice(x0, chord, math.radians(deg), math.sqrt(got[True] / 2))
     assert_allclose(got[True], lattice, rtol=within)
     assert got[False] > 1.08 * lattice

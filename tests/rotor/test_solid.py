@@ -10,19 +10,19 @@ from typer.testing import CliRunner
 from mufly.cli import app
 from mufly.errors import InputError
 from mufly.rotor import load_rotor, make_rotor
-from mufly.rotor.sections.airfoil import load_airfoil
-from mufly.rotor.solid import (
-    blade_sections,
-    hub_solid,
-    joined,
-    mirrored,
+from mufly.rotor.blade_solid import (
+    blade_contours,
+    join_solids,
+    loft_solid,
+    make_hub_solid,
+    mirror_solid,
     read_stl,
-    rotor_of_body,
+    rotate_about_shaft,
+    rotor_from_body,
     slice_blade,
-    solid_of,
-    turned_about_shaft,
     write_stl,
 )
+from mufly.rotor.sections.airfoil import load_airfoil
 
 
 def section_area(name):
@@ -41,25 +41,25 @@ def rotor():
 @pytest.mark.parametrize("tail_m", [0.0, 4e-4])
 def test_closed_and_of_the_volume_of_its_sections(tail_m):
     r = load_rotor("naca0012-r60-c20")
-    blade = solid_of(blade_sections(r, tail_m=tail_m))
-    assert blade.open_edges() == 0
+    blade = loft_solid(blade_contours(r, tail_m=tail_m))
+    assert blade.count_open_edges() == 0
     span = r.radius_m * (1.0 - float(r.hub_cutout))
     missing = tail_m - 0.02 * np.ptp(load_airfoil("naca0012").coordinates[[0, -1], 1])
     wedge = 0.5 * 0.02 * max(missing, 0.0)  # what opens the tail grows along the chord
     assert_allclose(blade.volume_m3, span * (section_area("naca0012") * 0.02**2 + wedge), rtol=3e-3)
     torn = type(blade)(blade.points_m, blade.triangles[1:])
-    assert torn.open_edges() == 3
-    other = mirrored(blade)
-    assert_allclose((other.open_edges(), other.volume_m3), (0, blade.volume_m3))
+    assert torn.count_open_edges() == 3
+    other = mirror_solid(blade)
+    assert_allclose((other.count_open_edges(), other.volume_m3), (0, blade.volume_m3))
 
 
 def test_hub_and_all_blades(rotor, tmp_path):
-    ring, disc = hub_solid(0.006, 0.001, -0.003, 0.003), hub_solid(0.006, 0.0, -0.003, 0.003)
-    assert ring.open_edges() == disc.open_edges() == 0
+    ring, disc = make_hub_solid(0.006, 0.001, -0.003, 0.003), make_hub_solid(0.006, 0.0, -0.003, 0.003)
+    assert ring.count_open_edges() == disc.count_open_edges() == 0
     assert_allclose([ring.volume_m3, disc.volume_m3], np.pi * np.array([35e-6, 36e-6]) * 0.006, rtol=2e-3)
-    blade = solid_of(blade_sections(rotor))
-    whole = joined([blade, turned_about_shaft(blade, np.pi), ring])
-    assert whole.open_edges() == 0
+    blade = loft_solid(blade_contours(rotor))
+    whole = join_solids([blade, rotate_about_shaft(blade, np.pi), ring])
+    assert whole.count_open_edges() == 0
     assert_allclose(whole.volume_m3, 2 * blade.volume_m3 + ring.volume_m3)
     write_stl(tmp_path / "p.stl", whole)
     data = (tmp_path / "p.stl").read_bytes()
@@ -70,14 +70,14 @@ def test_hub_and_all_blades(rotor, tmp_path):
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("tail_m", [0.0, 3e-4])
 def test_a_body_is_cut_into_the_stations_that_it_was_made_of(rotor, tmp_path, tail_m, way):
-    blade = solid_of(blade_sections(rotor, tail_m=tail_m))
-    body = joined([turned_about_shaft(blade, 2.0 * np.pi * k / 3.0) for k in range(3)])
-    write_stl(tmp_path / "p.stl", body if way > 0 else mirrored(body))
+    blade = loft_solid(blade_contours(rotor, tail_m=tail_m))
+    body = join_solids([rotate_about_shaft(blade, 2.0 * np.pi * k / 3.0) for k in range(3)])
+    write_stl(tmp_path / "p.stl", body if way > 0 else mirror_solid(body))
     x = np.array([0.25, 0.4, 0.6, 0.8, 0.95])
     cut = slice_blade(read_stl(tmp_path / "p.stl"), 0.06 * x)
     assert_allclose([s.chord_m for s in cut], rotor.chord_m(x), rtol=5e-3)
     assert_allclose([s.twist_rad for s in cut], rotor.twist_rad(x), atol=np.radians(0.4))
-    again, notes = rotor_of_body(tmp_path / "p.stl", folder=tmp_path, blades=3)
+    again, notes = rotor_from_body(tmp_path / "p.stl", folder=tmp_path, blades=3)
     assert_allclose(again.chord_m(x), rotor.chord_m(x), rtol=2e-2)
     assert_allclose(again.twist_rad(x), rotor.twist_rad(x), atol=np.radians(0.7))
     assert (again.blades, len(notes)) == (3, 1)
@@ -88,16 +88,16 @@ def test_a_body_is_cut_into_the_stations_that_it_was_made_of(rotor, tmp_path, ta
 @pytest.mark.parametrize(("unit_m", "unit"), [(1.0, "m"), (0.0254, "in"), (1e-6, "um")])
 def test_a_body_in_another_unit_than_mm_is_asked_for_its_unit(rotor, tmp_path, unit_m, unit):
     """STL files know no unit: in mm these rotors would have radii of 0.06 mm, 2.4 mm and 60 m."""
-    body = solid_of(blade_sections(rotor))
+    body = loft_solid(blade_contours(rotor))
     write_stl(tmp_path / "p.stl", type(body)(body.points_m * 1e-3 / unit_m, body.triangles))
     with pytest.raises(InputError, match=rf"is not known: p.stl reaches .* as unit={unit} \(R 60 mm"):
-        rotor_of_body(tmp_path / "p.stl", folder=tmp_path)
-    found, _ = rotor_of_body(tmp_path / "p.stl", folder=tmp_path, unit_m=unit_m)
+        rotor_from_body(tmp_path / "p.stl", folder=tmp_path)
+    found, _ = rotor_from_body(tmp_path / "p.stl", folder=tmp_path, unit_m=unit_m)
     assert found.radius_m == pytest.approx(0.06, rel=1e-3)
 
 
 def test_the_command_that_imports_a_body_takes_its_unit(rotor, tmp_path):
-    body = solid_of(blade_sections(rotor))
+    body = loft_solid(blade_contours(rotor))
     write_stl(tmp_path / "p.stl", type(body)(body.points_m * 1e-3, body.triangles))
     run = ["rotor", "import", str(tmp_path / "p.stl"), "--out", str(tmp_path / "p.toml")]
     fault = CliRunner().invoke(app, run).exception
@@ -115,6 +115,6 @@ def test_what_is_no_body_is_said(rotor, tmp_path):
         read_stl(tmp_path / "a.stl")
     (tmp_path / "b.stl").write_text("solid\n" + "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n" * 3)
     with pytest.raises(InputError, match="no closed sections"):
-        rotor_of_body(tmp_path / "b.stl", folder=tmp_path)
+        rotor_from_body(tmp_path / "b.stl", folder=tmp_path)
     with pytest.raises(InputError, match="tail"):
-        blade_sections(rotor, tail_m=0.01)
+        blade_contours(rotor, tail_m=0.01)

@@ -11,19 +11,33 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor import Air, Condition, System, hover, load_rotor, prepare, solve
-from mufly.rotor.tubes import contraction
+from mufly.rotor import (
+    Air,
+    OperatingCondition,
+    RotorSystem,
+    load_rotor,
+    prepare_blading,
+    solve_rotor,
+    solve_system,
+)
+from mufly.rotor.vortex_tube import wake_contraction
 from mufly.rotor.wake import (
-    Placed,
+    PlacedRotor,
     WakeSettings,
-    blade_passing,
+    compute_blade_passing,
     induced_velocity,
     momentum_thrust,
     solve_wake,
 )
-from mufly.rotor.wake.blade import ages_of, core_radii, extended, prescribed, surface_of
-from mufly.rotor.wake.kernel import induce, influence, segments_of
-from mufly.rotor.wake.solver import Unit, drag_swirl, first_shape, from_other
+from mufly.rotor.wake.biot_savart import filament_influence, induce_velocity, make_segments
+from mufly.rotor.wake.lifting_surface import (
+    compute_core_radii,
+    extend_filaments,
+    free_wake_ages,
+    make_lifting_surface,
+    prescribe_landgrebe_wake,
+)
+from mufly.rotor.wake.wake_solver import RotorState, drag_swirl_velocity, initialise_wakes, mutual_inflow
 
 RPM = np.pi / 30
 PITCH = np.radians(14)
@@ -32,7 +46,7 @@ COARSE = WakeSettings(chord_deg=15.0, turns=2.0, far_turns=5.0, phases=3, tolera
 
 @pytest.fixture(scope="module")
 def blading():
-    return prepare(load_rotor("naca0012-r60-c20"), stations=8)
+    return prepare_blading(load_rotor("naca0012-r60-c20"), stations=8)
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +60,15 @@ def pair(blading):
 
 
 def one(blading, pitch=PITCH, speed=6000 * RPM, settings=COARSE, start=None, progress=None, **given):
-    at = Condition(pitch, speed, **given)
-    return solve(System.single(blading), at, "wake", settings=settings, start=start, progress=progress)
+    at = OperatingCondition(pitch, speed, **given)
+    return solve_system(
+        RotorSystem.single_rotor(blading), at, "wake", settings=settings, start=start, progress=progress
+    )
 
 
 def two(blading, speed, spacing=0.02, settings=COARSE, start=None, **given):
-    system = System.coaxial(blading, blading, spacing_m=spacing)
-    return solve(system, Condition(PITCH, speed, **given), "wake", settings=settings, start=start)
+    system = RotorSystem.coaxial_pair(blading, blading, spacing_m=spacing)
+    return solve_system(system, OperatingCondition(PITCH, speed, **given), "wake", settings=settings, start=start)
 
 
 # The kernel
@@ -60,12 +76,12 @@ def two(blading, speed, spacing=0.02, settings=COARSE, start=None, **given):
 
 def _line(points, core):
     paths = np.asarray(points, dtype=float)[None]
-    return segments_of(paths, np.full((1, len(points) - 1), core), np.array([1.0]))
+    return make_segments(paths, np.full((1, len(points) - 1), core), np.array([1.0]))
 
 
 def test_a_long_straight_vortex_turns_the_air_about_itself():
     segments = _line([[0, 0, -1e3], [0, 0, 1e3]], 1e-6)
-    v = induce(np.array([[0.5, 0.0, 0.0], [0.0, 2.0, 10.0]]), segments)
+    v = induce_velocity(np.array([[0.5, 0.0, 0.0], [0.0, 2.0, 10.0]]), segments)
     assert v[0] == pytest.approx([0.0, 1 / (2 * np.pi * 0.5), 0.0], rel=1e-6)
     assert v[1] == pytest.approx([-1 / (2 * np.pi * 2.0), 0.0, 0.0], rel=1e-3)
 
@@ -74,7 +90,7 @@ def test_a_ring_blows_along_its_axis():
     t = np.linspace(0, 2 * np.pi, 721)
     ring = np.column_stack([np.cos(t), np.sin(t), 0 * t])
     z = np.array([0.0, 0.7, 2.0])
-    v = induce(np.column_stack([0 * z, 0 * z, z]), _line(ring, 1e-6))
+    v = induce_velocity(np.column_stack([0 * z, 0 * z, z]), _line(ring, 1e-6))
     np.testing.assert_allclose(v[:, 2], 0.5 / (1 + z**2) ** 1.5, rtol=1e-4)
     np.testing.assert_allclose(v[:, :2], 0.0, atol=1e-12)
 
@@ -83,20 +99,20 @@ def test_a_core_is_that_of_a_thick_vortex():
     core = 0.1
     segments = _line([[0, 0, -1e3], [0, 0, 1e3]], core)
     r = np.array([0.01, 0.1, 0.5])
-    v = induce(np.column_stack([r, 0 * r, 0 * r]), segments)[:, 1]
+    v = induce_velocity(np.column_stack([r, 0 * r, 0 * r]), segments)[:, 1]
     s2 = (1.1 * core) ** 2
     np.testing.assert_allclose(v, r * (r**2 + 2 * s2) / (r**2 + s2) ** 2 / (2 * np.pi), rtol=1e-6)
     # Against the integral over the line, from a point beside one end.
     x = np.linspace(0.0, 1.0, 4001)
     d2 = (0.3 - x) ** 2 + 0.05**2
     law = np.trapezoid(0.05 * (d2 + 2.5 * s2) / (d2 + s2) ** 2.5, x) / (4 * np.pi)
-    one = induce(np.array([[0.05, 0.0, 0.3]]), _line([[0, 0, 0], [0, 0, 1]], core))
+    one = induce_velocity(np.array([[0.05, 0.0, 0.3]]), _line([[0, 0, 0], [0, 0, 1]], core))
     assert one[0, 1] == pytest.approx(law, rel=1e-6)
 
 
 def test_a_vortex_does_not_move_points_on_its_own_line():
     segments = _line([[0, 0, 0], [0, 0, 1]], 1e-9)
-    v = induce(np.array([[0, 0, 0.0], [0, 0, 0.5], [0, 0, 1.0], [0, 0, 3.0]]), segments)
+    v = induce_velocity(np.array([[0, 0, 0.0], [0, 0, 0.5], [0, 0, 1.0], [0, 0, 3.0]]), segments)
     assert np.all(v == 0.0)
 
 
@@ -104,9 +120,12 @@ def test_influence_times_strength_is_velocity():
     rng = np.random.default_rng(1)
     paths, points = rng.normal(size=(5, 7, 3)), rng.normal(size=(11, 3))
     core, strength = rng.uniform(0.01, 0.3, (5, 6)), rng.normal(size=5)
-    together = induce(points, segments_of(paths, core, strength))
+    together = induce_velocity(points, make_segments(paths, core, strength))
     np.testing.assert_allclose(
-        np.einsum("ijc,j->ic", influence(points, paths, core), strength), together, rtol=1e-9, atol=1e-12
+        np.einsum("ijc,j->ic", filament_influence(points, paths, core), strength),
+        together,
+        rtol=1e-9,
+        atol=1e-12,
     )
 
 
@@ -114,10 +133,10 @@ def test_influence_times_strength_is_velocity():
 
 
 def test_landgrebes_tip_vortex(blading):
-    surface = surface_of(blading, 0, 0.2, 500.0)
-    age = ages_of(3.0, np.radians(15))
+    surface = make_lifting_surface(blading, 0, 0.2, 500.0)
+    age = free_wake_ages(3.0, np.radians(15))
     c_T = 0.008
-    tip = prescribed(surface, age, c_T, None, 0.0)[-1] / surface.radius_m
+    tip = prescribe_landgrebe_wake(surface, age, c_T, None, 0.0)[-1] / surface.radius_m
     k = round(np.pi / np.radians(15))  # at the next blade
     sigma = 2 * 0.02 * 0.85 / (np.pi * 0.06)
     contraction = 0.78 + 0.22 * np.exp(-(0.145 + 27 * c_T) * np.pi)
@@ -128,14 +147,14 @@ def test_landgrebes_tip_vortex(blading):
 
 
 def test_filaments_go_on_as_helices_and_cores_grow(blading):
-    surface = surface_of(blading, 0, 0.2, 500.0)
-    age = ages_of(2.0, np.radians(15))
-    free = prescribed(surface, age, 0.008, None, 0.0)
-    paths, ages = extended(surface, free, age, 4.0, np.radians(30))
+    surface = make_lifting_surface(blading, 0, 0.2, 500.0)
+    age = free_wake_ages(2.0, np.radians(15))
+    free = prescribe_landgrebe_wake(surface, age, 0.008, None, 0.0)
+    paths, ages = extend_filaments(surface, free, age, 4.0, np.radians(30))
     assert ages[-1] == pytest.approx(6 * 2 * np.pi)
     steps = np.diff(paths[:, -5:, 2], axis=1)
     np.testing.assert_allclose(steps, steps[:, :1] * np.ones((1, 4)), rtol=1e-9)
-    core = core_radii(surface, ages, np.zeros(paths.shape[0]), 1.5e-5, 0.1, 0.2)
+    core = compute_core_radii(surface, ages, np.zeros(paths.shape[0]), 1.5e-5, 0.1, 0.2)
     assert np.all(np.diff(core[:, 1:], axis=1) >= 0)
     assert np.all(core[:, -1] < 0.3 * surface.radius_m)
 
@@ -158,19 +177,19 @@ def test_loads_are_the_sum_of_the_stations(single):
 
 
 def test_the_wake_contracts(single):
-    tip = single.wakes[0].paths_m[-3]  # just inboard of the outermost, which winds around it
+    tip = single.wakes[0].filament_paths_m[-3]  # just inboard of the outermost, which winds around it
     radius = np.hypot(tip[:, 0], tip[:, 1]) / single.wakes[0].surface.radius_m
     turn = 1 + round(2 * np.pi / np.radians(COARSE.chord_deg))
     assert 0.6 < np.mean(radius[turn : 2 * turn]) < 0.95
 
 
 def test_contraction_costs_thrust_against_blade_elements(blading, single):
-    momentum = hover(blading, pitch_rad=np.radians(14), speed_rad_s=6000 * RPM)
+    momentum = solve_rotor(blading, pitch_rad=np.radians(14), speed_rad_s=6000 * RPM)
     assert 0.8 < single.rotors[0].thrust_N / momentum.thrust_N < 1.0
 
 
 def test_a_mirrored_rotor_is_a_mirror_image(blading, single):
-    other = solve_wake([Placed(blading, np.radians(14), 6000 * RPM, hand=-1)], settings=COARSE)
+    other = solve_wake([PlacedRotor(blading, np.radians(14), 6000 * RPM, rotation_sign=-1)], settings=COARSE)
     assert other.rotors[0].thrust_N == single.rotors[0].thrust_N
     points = np.array([[0.03, 0.01, -0.02], [0.05, -0.02, -0.06]])
     mirrored = induced_velocity(other, points * [1, -1, 1])
@@ -187,18 +206,16 @@ def test_a_turned_rotor_has_a_turned_field(single):
 
 
 def test_a_lifted_rotor_takes_its_wake_along(blading, single):
-    high = solve_wake([Placed(blading, np.radians(14), 6000 * RPM, height_m=0.5)], settings=COARSE)
+    high = solve_wake([PlacedRotor(blading, np.radians(14), 6000 * RPM, height_m=0.5)], settings=COARSE)
     assert high.rotors[0].thrust_N == pytest.approx(single.rotors[0].thrust_N, rel=1e-12)
     np.testing.assert_allclose(
-        high.wakes[0].paths_m[..., 2] - 0.5, single.wakes[0].paths_m[..., 2], atol=1e-12
+        high.wakes[0].filament_paths_m[..., 2] - 0.5, single.wakes[0].filament_paths_m[..., 2], atol=1e-12
     )
 
 
 def test_without_a_boundary_layer_coefficients_do_not_depend_on_speed(blading):
     how = replace(COARSE, inviscid=True, model="prescribed")
-    slow, fast = (
-        one(blading, 0.2, s, how, air=Air(1.2, 1e-12), climb_m_s=0.02 * s * 0.06) for s in (100.0, 900.0)
-    )
+    slow, fast = (one(blading, 0.2, s, how, air=Air(1.2, 1e-12), climb_m_s=0.02 * s * 0.06) for s in (100.0, 900.0))
     assert fast.rotors[0].c_T == pytest.approx(slow.rotors[0].c_T, rel=1e-5)
     assert fast.rotors[0].c_Q == pytest.approx(slow.rotors[0].c_Q, rel=1e-5)
 
@@ -213,7 +230,9 @@ def test_momentum_of_the_wake_is_the_thrust(blading):
     with pytest.raises(InputError, match="not below"):
         momentum_thrust(solution, 0.0)
     with pytest.raises(InputError, match="has no wakes"):
-        induced_velocity(solve(System.single(blading), Condition(0.2, 500.0)), [0.0, 0.0, -0.1])
+        induced_velocity(
+            solve_system(RotorSystem.single_rotor(blading), OperatingCondition(0.2, 500.0)), [0.0, 0.0, -0.1]
+        )
 
 
 def test_climb_unloads_the_rotor(blading, single):
@@ -231,7 +250,7 @@ def test_ground_lifts_and_nothing_flows_through_it(blading, single):
     plane = np.column_stack((np.linspace(0.1, 3.0, 8) * big, np.full(8, 0.3 * big), np.full(8, -big)))
     v = induced_velocity(low, plane)
     assert np.abs(v[:, 2]).max() < 1e-9 * np.abs(v).max()
-    assert min(w.paths_m[..., 2].min() for w in low.wakes) > -big
+    assert min(w.filament_paths_m[..., 2].min() for w in low.wakes) > -big
     far = one(blading, settings=replace(COARSE, ground_m=50 * big), start=single)
     assert far.thrust_N == pytest.approx(single.thrust_N, rel=5e-3)
     with pytest.raises(InputError, match="ground_m"):
@@ -277,14 +296,14 @@ def test_the_upper_rotors_root_vortex_goes_down_the_shaft(blading):
     # Where nothing holds it, it goes up through the disc with these settings, and the upper thrust has two values.
     both = two(blading, (6000 * RPM, 6000 * RPM), settings=replace(COARSE, phases=6))
     for wake in both.wakes:
-        assert np.all(wake.paths_m[0, :, 2] < wake.placed.height_m + 1e-3)
+        assert np.all(wake.filament_paths_m[0, :, 2] < wake.placed.height_m + 1e-3)
 
 
 def test_it_does_not_matter_which_rotor_is_named_first_or_turns_which_way(blading, pair):
     turned = solve_wake(
         [
-            Placed(blading, np.radians(14), 6000 * RPM, 0.0, 1),
-            Placed(blading, np.radians(14), 6000 * RPM, 0.02, -1),
+            PlacedRotor(blading, np.radians(14), 6000 * RPM, 0.0, 1),
+            PlacedRotor(blading, np.radians(14), 6000 * RPM, 0.02, -1),
         ],
         settings=COARSE,
     )
@@ -294,36 +313,36 @@ def test_it_does_not_matter_which_rotor_is_named_first_or_turns_which_way(bladin
 
 def test_the_lower_rotor_meets_all_the_turning_that_profile_drag_gave_the_upper_ones_stream(pair):
     upper = pair.rotors[0]
-    units = [Unit(wake.placed, pair.settings) for wake in pair.wakes]
-    first_shape(units, pair, 0.0)
+    units = [RotorState(wake.placed, pair.settings) for wake in pair.wakes]
+    initialise_wakes(units, pair, 0.0)
     rho = pair.air.density_kg_m3
     for unit in units:
-        unit.lay_out(pair.settings, pair.air.viscosity_Pa_s / rho)
+        unit.build_filaments(pair.settings, pair.air.viscosity_Pa_s / rho)
     ways = [(units[1], units[0]), (units[0], units[1])]
-    below, above = (drag_swirl(*way, 0.0, pair.settings.phases) for way in ways)
+    below, above = (drag_swirl_velocity(*way, 0.0, pair.settings.phases) for way in ways)
     assert not above.any()
-    s, state = units[0].surface, units[0].state
-    r, n = s.quarter_m[:, 0], s.chord_m.size
-    drag = 0.5 * rho * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.theta_rad - state.alpha_rad)
-    torque = s.blades * float(np.sum(drag * r * s.width_m))
+    s, state = units[0].surface, units[0].blade_state
+    r, n = s.quarter_chord_m[:, 0], s.chord_m.size
+    drag = 0.5 * rho * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.pitch_rad - state.alpha_rad)
+    torque = s.blade_count * float(np.sum(drag * r * s.panel_width_m))
     assert 0.2 * upper.torque_Nm < torque < 0.45 * upper.torque_Nm
     # What passes the lower disc in a second takes as much along, and turns against the lower rotor.
-    through = sum(from_other(units[0], u, s.quarter_m, pair.settings.phases)[:, 2] for u in units)
-    narrow = contraction(units[0].placed.height_m - units[1].placed.height_m, s.radius_m)
-    at = units[1].surface.quarter_m[:, 0]
+    through = sum(mutual_inflow(units[0], u, s.quarter_chord_m, pair.settings.phases)[:, 2] for u in units)
+    narrow = wake_contraction(units[0].placed.height_m - units[1].placed.height_m, s.radius_m)
+    at = units[1].surface.quarter_chord_m[:, 0]
     against = -below[n : 2 * n, 1]
     down = np.interp(at / narrow, r, -through) / narrow**2
-    moment = rho * float(np.sum(against * at * down * 2 * np.pi * at * units[1].surface.width_m))
+    moment = rho * float(np.sum(against * at * down * 2 * np.pi * at * units[1].surface.panel_width_m))
     assert moment == pytest.approx(torque, rel=0.05)
     assert (against[at < 0.95 * narrow * s.radius_m] > 0.0).all()
     assert (against[at > 1.1 * narrow * s.radius_m] == 0.0).all()
     # Without drag there is none.
-    units[0].state = replace(state, cd=0.0 * state.cd)
-    assert not drag_swirl(units[1], units[0], 0.0, pair.settings.phases).any()
+    units[0].blade_state = replace(state, cd=0.0 * state.cd)
+    assert not drag_swirl_velocity(units[1], units[0], 0.0, pair.settings.phases).any()
 
 
 def test_passing_blades_average_to_the_mean_loads(pair):
-    passing = blade_passing(pair, points=12)
+    passing = compute_blade_passing(pair, points=12)
     for k in (0, 1):
         assert passing.thrust_N[k].mean() == pytest.approx(pair.rotors[k].thrust_N, rel=0.02)
     assert np.ptp(passing.thrust_N[1]) > 0.05 * pair.rotors[1].thrust_N
@@ -344,15 +363,15 @@ def test_trim_balances_the_torques(blading, pair):
 
 def test_pairs_that_cannot_be(blading):
     def at(height, hand, pitch=0.2):
-        return Placed(blading, pitch, 500.0, height, hand)
+        return PlacedRotor(blading, pitch, 500.0, height, hand)
 
     for rotors, words in (
         ([at(0, 1), at(0, -1)], "is zero"),
         ([at(0, 1), at(0.02, 1)], "same way"),
         ([at(0, 1), at(0.004, -1)], "overlap"),
         ([], "0 given"),
-        ([Placed(blading, 0.2, 0.0)], "speed_rad_s"),
-        ([Placed(blading, 0.2, 500.0, hand=2)], "hand"),
+        ([PlacedRotor(blading, 0.2, 0.0)], "speed_rad_s"),
+        ([PlacedRotor(blading, 0.2, 500.0, rotation_sign=2)], "hand"),
     ):
         with pytest.raises(InputError, match=words):
             solve_wake(rotors, settings=COARSE)
@@ -375,12 +394,12 @@ def test_the_gpu_kernel_sums_as_the_cpu_does():
     """In Numba's simulator of CUDA, which runs anywhere."""
     script = """
 import numpy as np
-from mufly.rotor.wake.gpu import induce_gpu
-from mufly.rotor.wake.kernel import induce, segments_of
+from mufly.rotor.wake.biot_savart_gpu import induce_velocity_gpu
+from mufly.rotor.wake.biot_savart import induce_velocity, segments_of
 rng = np.random.default_rng(0)
 s = segments_of(rng.normal(size=(2, 6, 3)), np.full((2, 5), 0.1), rng.normal(size=2))
 p = rng.normal(size=(5, 3))
-np.testing.assert_allclose(induce_gpu(p, s), induce(p, s), rtol=1e-9, atol=1e-12)
+np.testing.assert_allclose(induce_velocity_gpu(p, s), induce_velocity(p, s), rtol=1e-9, atol=1e-12)
 """
     done = subprocess.run(
         [sys.executable, "-c", script], env={**os.environ, "NUMBA_ENABLE_CUDASIM": "1"}, capture_output=True, text=True
@@ -389,7 +408,7 @@ np.testing.assert_allclose(induce_gpu(p, s), induce(p, s), rtol=1e-9, atol=1e-12
 
 
 def test_without_a_gpu_there_is_one_line(blading):
-    from mufly.rotor.wake.gpu import gpu_available
+    from mufly.rotor.wake.biot_savart_gpu import gpu_available
 
     if gpu_available():
         pytest.skip("there is a GPU")

@@ -3,7 +3,7 @@ import pytest
 
 from mufly.dynamics import initial_state
 from mufly.sensors import Truth
-from mufly.vehicle import Vehicle, load_vehicle, replace
+from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 
 RATE_HZ = 200.0
 
@@ -29,7 +29,7 @@ def exact(vehicle: Vehicle) -> Vehicle:
         "position_fix.": "noise wander heading_noise heading_wander dropout jitter latency",
         "ring_camera.": "missed calibration",
     }
-    return replace(
+    return replace_parameters(
         vehicle, {f"{sensors}{group}{name}": 0.0 for group, names in zero.items() for name in names.split()}
     )
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.sensors import KINDS, TARGETS, fitted_sensors, parse_fault
+from mufly.sensors import FAULT_KINDS, FAULT_TARGETS, fitted_sensors, parse_fault
 from mufly.world import World
 
 EVERY = [
-    *(f"gyro.{kind}" for kind in KINDS),
-    *(f"{name}.jump" for name in TARGETS),
+    *(f"gyro.{kind}" for kind in FAULT_KINDS),
+    *(f"{name}.jump" for name in FAULT_TARGETS),
     "accelerometer.clip",
     "sonar.late",
 ]
@@ -19,16 +19,18 @@ EVERY = [
 
 def flown(vehicle, at, fault, seconds=2.0, **more):
     sensors = fitted_sensors(vehicle, World(), seed=1, faults=[parse_fault(fault)] if fault else [])
-    return [
-        sensors.read(at(k / 200, rotor_speed=(376.0, 443.0), **more)) for k in range(round(200 * seconds))
-    ]
+    return [sensors.read(at(k / 200, rotor_speed=(376.0, 443.0), **more)) for k in range(round(200 * seconds))]
 
 
 def test_faults_are_written_in_words() -> None:
     f = parse_fault("sonar.jump=0.3@15s+2s")
     assert (f.name, f.kind, f.amount, f.start_s, f.stop_s) == ("sonar", "jump", 0.3, 15.0, 17.0)
     f = parse_fault("accelerometer.clip@20s")
-    assert (f.start_s, f.stop_s, f.amount) == (20.0, math.inf, TARGETS["accelerometer"].amount["clip"])
+    assert (f.start_s, f.stop_s, f.amount) == (
+        20.0,
+        math.inf,
+        FAULT_TARGETS["accelerometer"].default_amounts["clip"],
+    )
     assert str(parse_fault("gyro.freeze")) == "gyro.freeze@0s"
 
 
@@ -50,7 +52,7 @@ def test_every_fault_leaves_the_other_readings_as_they_were(vehicle, at) -> None
     healthy = flown(vehicle, at, "", 0.6)[-1]
     for text in EVERY:
         wrong = flown(vehicle, at, f"{text}@0.2s", 0.6)[-1]
-        name = TARGETS[text.split(".")[0]].reading
+        name = FAULT_TARGETS[text.split(".")[0]].reading
         assert set(wrong.latest) - {name} == set(healthy.latest) - {name}
         for other, r in wrong.latest.items():
             if other != name and not (other == "clipping" and "clip" in text):

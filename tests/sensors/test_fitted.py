@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mufly.dynamics import rotation
+from mufly.dynamics import body_to_ned_matrix
 from mufly.errors import InputError
-from mufly.sensors import Wander, drawing, fitted_sensors, ring_camera
+from mufly.sensors import GaussMarkov, fitted_sensors, ring_camera, rng
 from mufly.units import GRAVITY
-from mufly.vehicle import replace
+from mufly.vehicle import replace_parameters
 from mufly.world import Box, Room, World
 
 
@@ -34,41 +34,39 @@ def stream(sensor, name, truths):
 @pytest.mark.parametrize("tilt", [0.0, 0.2, 0.45])
 def test_sonar_hears_the_shortest_way_to_the_floor(exact, at, tilt) -> None:
     truth = at(position=(0, 0, -2.0), attitude=(tilt, 0, 0))
-    lower = (rotation(truth.state[6:10]) @ exact.sensors.sonar.place.array()[0])[2]
+    lower = (body_to_ned_matrix(truth.state[6:10]) @ exact.sensors.sonar.place.to_array()[0])[2]
     sonar = one(exact, "sonar").sensors[0]
-    assert sonar.right(truth)["ground_distance"] == pytest.approx(2.0 - lower)
+    assert sonar.true_readings(truth)["ground_distance"] == pytest.approx(2.0 - lower)
 
 
 def test_sonar_beyond_its_cone_hears_the_floor_aslant(exact, at) -> None:
     tilt, half = 0.8, 0.5 * float(exact.sensors.sonar.cone)
     truth = at(position=(0, 0, -2.0), attitude=(tilt, 0, 0))
-    lower = (rotation(truth.state[6:10]) @ exact.sensors.sonar.place.array()[0])[2]
-    heard = one(exact, "sonar").sensors[0].right(truth)["ground_distance"]
+    lower = (body_to_ned_matrix(truth.state[6:10]) @ exact.sensors.sonar.place.to_array()[0])[2]
+    heard = one(exact, "sonar").sensors[0].true_readings(truth)["ground_distance"]
     assert heard == pytest.approx((2.0 - lower) / math.cos(tilt - half), rel=0.01)
 
 
 def test_sonar_steps_up_early_over_a_box(exact, at) -> None:
     world = World(boxes=(Box((1.0, 0.0, -0.15), (0.6, 2.0, 0.3)),))
     sonar = one(exact, "sonar", world).sensors[0]
-    heard = [sonar.right(at(position=(n, 0, -1.05)))["ground_distance"] for n in (0.0, 0.45, 1.0)]
+    heard = [sonar.true_readings(at(position=(n, 0, -1.05)))["ground_distance"] for n in (0.0, 0.45, 1.0)]
     assert heard[0] == pytest.approx(1.0)
     assert heard[2] == pytest.approx(0.7)
     assert 0.7 < heard[1] < 0.9  # its edge is heard before it is below
 
 
 def test_sonar_has_steps_limits_and_takes_its_time(vehicle, exact, at) -> None:
-    coarse = replace(exact, {"sensors.sonar.resolution": 0.01})
+    coarse = replace_parameters(exact, {"sensors.sonar.resolution": 0.01})
     readings = stream(
         one(coarse, "sonar"), "ground_distance", [at(k / 200, position=(0, 0, -4.0437)) for k in range(200)]
     )
     assert {round(r.value, 6) for _, r in readings} == {3.99}
     assert len(readings) == 20  # every 50 ms
     assert all(0.02 < came - r.time_s < 0.03 for came, r in readings)  # 8 m of way
-    far = stream(
-        one(exact, "sonar"), "ground_distance", [at(k / 200, position=(0, 0, -7.0)) for k in range(50)]
-    )
+    far = stream(one(exact, "sonar"), "ground_distance", [at(k / 200, position=(0, 0, -7.0)) for k in range(50)])
     assert not any(r.valid for _, r in far)
-    noisy = replace(vehicle, {"sensors.sonar.dropout": 0.2, "sensors.sonar.multipath": 0.1})
+    noisy = replace_parameters(vehicle, {"sensors.sonar.dropout": 0.2, "sensors.sonar.multipath": 0.1})
     said = [r for _, r in stream(one(noisy, "sonar"), "ground_distance", [at(k / 20) for k in range(2000)])]
     assert np.mean([not r.valid for r in said]) == pytest.approx(0.2, abs=0.04)
     good = np.array([r.value for r in said if r.valid])
@@ -83,15 +81,13 @@ def ring_errors(vehicle, at, half, seeds=(0,), pictures=60):
     error = []
     for seed in seeds:
         camera = one(vehicle, "ring_camera", world, seed)
-        said = np.array(
-            [r.value for _, r in stream(camera, "ranges", [at(k * 0.04) for k in range(pictures)])]
-        )
-        error.append(np.where(said < 1.5, said - camera.sensors[0].right(at())["ranges"], np.nan))
+        said = np.array([r.value for _, r in stream(camera, "ranges", [at(k * 0.04) for k in range(pictures)])])
+        error.append(np.where(said < 1.5, said - camera.sensors[0].true_readings(at())["ranges"], np.nan))
     return np.concatenate(error)
 
 
 def test_ring_error_of_calibration_grows_with_the_square_of_the_distance(exact, at) -> None:
-    off = replace(exact, {"sensors.ring_camera.calibration": 0.1, "sensors.ring_camera.brightness": 1e4})
+    off = replace_parameters(exact, {"sensors.ring_camera.calibration": 0.1, "sensors.ring_camera.brightness": 1e4})
     near, far = (ring_errors(off, at, half, range(40), 2) for half in (0.35, 1.05))
     distance = np.array([0.35, 1.05]) / math.cos(math.pi / 8)
     squares = (distance[1] ** 2 + 0.08**2) / (distance[0] ** 2 + 0.08**2)
@@ -112,17 +108,12 @@ def test_ring_reads_without_bias_and_fainter_spots_worse(exact, at) -> None:
 
 
 def test_ring_sees_nothing_in_the_open_and_misses_what_is_swallowed(exact, at) -> None:
-    empty = [
-        r.value for _, r in stream(one(exact, "ring_camera"), "ranges", [at(k * 0.04) for k in range(500)])
-    ]
+    empty = [r.value for _, r in stream(one(exact, "ring_camera"), "ranges", [at(k * 0.04) for k in range(500)])]
     assert np.mean(np.array(empty) < 1.5) < 1e-3
     world = World(room=Room((-0.7, 0.7), (-0.7, 0.7), 3.0))
-    dull = replace(exact, {"sensors.ring_camera.missed": 0.3})
+    dull = replace_parameters(exact, {"sensors.ring_camera.missed": 0.3})
     said = np.array(
-        [
-            r.value
-            for _, r in stream(one(dull, "ring_camera", world), "ranges", [at(k * 0.04) for k in range(200)])
-        ]
+        [r.value for _, r in stream(one(dull, "ring_camera", world), "ranges", [at(k * 0.04) for k in range(200)])]
     )
     assert np.mean(said == 1.5) == pytest.approx(0.3, abs=0.05)
 
@@ -131,17 +122,15 @@ def test_ring_picture_holds_the_spots_where_triangulation_puts_them(exact, at) -
     world = World(room=Room((-0.5, 0.5), (-0.5, 0.5), 3.0))
     camera = one(exact, "ring_camera", world).sensors[0].sensor
     c = exact.sensors.ring_camera
-    picture = camera.picture(at().state)
+    picture = camera.render_picture(at().state)
     assert picture.shape == (c.radial_pixels, c.angular_pixels)
     top = 1.25 * math.atan(float(c.baseline) / float(c.min_range))
-    true = camera.right(at())["ranges"]
+    true = camera.true_readings(at())["ranges"]
     bright = picture - np.median(picture, axis=0)
     for k, distance in enumerate(true):
         column = int((math.pi / 8 + k * math.pi / 4) / (2 * math.pi) * c.angular_pixels)
         row = int(np.argmax(bright[:, column]))
-        assert row == pytest.approx(
-            math.atan(float(c.baseline) / distance) / top * c.radial_pixels - 0.5, abs=1.5
-        )
+        assert row == pytest.approx(math.atan(float(c.baseline) / distance) / top * c.radial_pixels - 0.5, abs=1.5)
 
 
 # --- pressure, field, speeds, battery
@@ -150,10 +139,8 @@ def test_ring_picture_holds_the_spots_where_triangulation_puts_them(exact, at) -
 def test_pressure_falls_with_height_and_rises_under_the_rotors(exact, at) -> None:
     low, high = (one(exact, "pressure").read(at(position=(0, 0, -h)))["pressure"].value for h in (0.0, 10.0))
     assert low - high == pytest.approx(10.0 * float(exact.air.density) * GRAVITY)
-    windy = replace(exact, {"sensors.pressure.downwash": 0.05})
-    hovering = (
-        one(windy, "pressure").read(at(position=(0, 0, 0.0), rotor_speed=(376.0, 443.0)))["pressure"].value
-    )
+    windy = replace_parameters(exact, {"sensors.pressure.downwash": 0.05})
+    hovering = one(windy, "pressure").read(at(position=(0, 0, 0.0), rotor_speed=(376.0, 443.0)))["pressure"].value
     radius = float(exact.rotors.radius)
     loading = float(exact.body.mass) * GRAVITY / (math.pi * radius**2)
     assert hovering - low == pytest.approx(0.05 * loading, rel=0.1)  # in hover the discs carry the weight
@@ -166,18 +153,18 @@ def test_magnetic_field_turns_with_the_body_and_not_its_strength(exact, at) -> N
     ]
     np.testing.assert_allclose([np.linalg.norm(m) for m in said], float(exact.sensors.magnetometer.field))
     np.testing.assert_allclose(said[1], [said[0][1], -said[0][0], said[0][2]], atol=1e-12)
-    loud = replace(exact, {"sensors.magnetometer.motor_field": 5e-6})
+    loud = replace_parameters(exact, {"sensors.magnetometer.motor_field": 5e-6})
     off = one(loud, "magnetometer").read(at(current=2.0))["magnetic_field"].value - said[0]
     assert 1e-6 < np.linalg.norm(off) < 5e-5
 
 
 def test_steel_bends_the_field_smoothly(exact) -> None:
-    bent = replace(
+    bent = replace_parameters(
         exact, {"sensors.magnetometer.distortion": 3e-6, "sensors.magnetometer.distortion_length": 1.5}
     )
     places = np.random.default_rng(1).uniform(-20, 20, (400, 3))
     sensor = one(bent, "magnetometer").sensors[0].sensor
-    here, near = (np.array([sensor.distortion(p + d) for p in places]) for d in (0.0, 0.05))
+    here, near = (np.array([sensor.field_distortion(p + d) for p in places]) for d in (0.0, 0.05))
     assert here.std() == pytest.approx(3e-6, rel=0.15)
     assert (near - here).std() < 0.1 * here.std()
 
@@ -185,14 +172,12 @@ def test_steel_bends_the_field_smoothly(exact) -> None:
 def test_speeds_and_battery_are_read_with_their_steps_and_scales(vehicle, exact, at) -> None:
     truth = at(rotor_speed=(376.0, 443.0), voltage=7.4137, current=2.0)
     np.testing.assert_allclose(one(exact, "rotor_speed").read(truth)["rotor_speed"].value, [376.0, 443.0])
-    many = np.array(
-        [one(vehicle, "rotor_speed", seed=s).read(truth)["rotor_speed"].value[0] for s in range(200)]
-    )
+    many = np.array([one(vehicle, "rotor_speed", seed=s).read(truth)["rotor_speed"].value[0] for s in range(200)])
     noise = float(vehicle.sensors.rotor_speed.noise) / (
         float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio)
     )
     assert many.std() == pytest.approx(math.hypot(3.76, noise), rel=0.2)
-    stepped = replace(exact, {"sensors.battery.voltage_resolution": 0.05})
+    stepped = replace_parameters(exact, {"sensors.battery.voltage_resolution": 0.05})
     assert one(stepped, "battery").read(truth)["battery_voltage"].value == pytest.approx(7.4)
     assert one(exact, "battery").read(truth)["battery_current"].value == 2.0
 
@@ -203,13 +188,15 @@ def test_speeds_and_battery_are_read_with_their_steps_and_scales(vehicle, exact,
 def test_fixes_come_late_in_their_rhythm_and_stay_wrong_together(exact, at) -> None:
     truths = [at(k / 200, position=(k / 200, 0, -1.0)) for k in range(400)]
     plain = stream(
-        one(replace(exact, {"sensors.position_fix.latency": 0.2}), "position_fix"), "position_fix", truths
+        one(replace_parameters(exact, {"sensors.position_fix.latency": 0.2}), "position_fix"),
+        "position_fix",
+        truths,
     )
     assert all(came - r.time_s == pytest.approx(0.2, abs=0.005) for came, r in plain)
     assert all(r.value[0] == pytest.approx(r.time_s) for _, r in plain)
     assert len(plain) == pytest.approx((2.0 - 0.2) * 15, abs=2)
     tau = 2.0
-    wrong = replace(exact, {"sensors.position_fix.wander": 0.03, "sensors.position_fix.wander_time": tau})
+    wrong = replace_parameters(exact, {"sensors.position_fix.wander": 0.03, "sensors.position_fix.wander_time": tau})
     said = stream(one(wrong, "position_fix"), "position_fix", [at(k / 15) for k in range(15 * 600)])
     error = np.array([r.value[:3] - [0, 0, -1.0] for _, r in said])
     assert error.std() == pytest.approx(0.03, rel=0.15)
@@ -219,14 +206,14 @@ def test_fixes_come_late_in_their_rhythm_and_stay_wrong_together(exact, at) -> N
 
 def test_wandering_does_not_depend_on_how_often_one_looks() -> None:
     for step in (0.01, 1.0):
-        w = Wander(np.random.default_rng(2), 1.0, 5.0, 2000)
-        start = w.at(0.0).copy()
+        w = GaussMarkov(np.random.default_rng(2), 1.0, 5.0, 2000)
+        start = w.step_to(0.0).copy()
         t = 0.0
         while t < 5.0 - 1e-9:
             t += step
-            w.at(t)
-        assert w.value.std() == pytest.approx(1.0, rel=0.08)
-        assert np.mean(start * w.value) == pytest.approx(math.exp(-1), abs=0.08)
+            w.step_to(t)
+        assert w.current_errors.std() == pytest.approx(1.0, rel=0.08)
+        assert np.mean(start * w.current_errors) == pytest.approx(math.exp(-1), abs=0.08)
 
 
 def test_sensors_keep_their_own_clock_on_a_coarse_one(exact, at) -> None:
@@ -262,7 +249,7 @@ def test_a_vehicle_without_sensors_says_so(vehicle) -> None:
 # --- random numbers in compiled code
 
 
-def drawn(key: int, count: int, fill=drawing.normals):
+def drawn(key: int, count: int, fill=rng.draw_normals):
     out = np.empty(count)
     fill(np.array([key], dtype=np.uint64), out)
     return out
@@ -285,7 +272,7 @@ def test_normal_numbers_are_normal_to_their_tails_and_know_nothing_of_each_other
         for a, b in ((z[:-1], z[1:]), (z[:half], z[half : 2 * half]), (z, drawn(key + 1, n))):
             for f in (lambda v: v, np.abs):
                 assert abs(np.corrcoef(f(a), f(b))[0, 1]) < 4 / math.sqrt(a.size)
-        u = drawn(key, 200_000, drawing.uniforms)
+        u = drawn(key, 200_000, rng.draw_uniforms)
         assert stats.kstest(u, "uniform").pvalue > 1e-4
         assert 0.0 <= u.min() < u.max() < 1.0
 
@@ -293,10 +280,10 @@ def test_normal_numbers_are_normal_to_their_tails_and_know_nothing_of_each_other
 def test_numbers_are_those_of_the_formulas() -> None:
     grows = 0x9E3779B97F4A7C15
     known = (6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431)
-    u = drawn(1234567 + grows, 4, drawing.uniforms)  # splitmix64's own numbers of this seed
+    u = drawn(1234567 + grows, 4, rng.draw_uniforms)  # splitmix64's own numbers of this seed
     np.testing.assert_array_equal(u, [(k >> 12) / 2**52 for k in known])
     # Pairs of neighbours are drawn in halves; of an odd last pair there is one.
-    z, u = drawn(5, 2001), drawn(5, 2002, drawing.uniforms)
+    z, u = drawn(5, 2001), drawn(5, 2002, rng.draw_uniforms)
     far = np.sqrt(-2.0 * np.log(1.0 - u[::2]))
     cosine, sine = (
         far[:1000] * np.abs(np.cos(2 * math.pi * u[1:2000:2])),
@@ -307,14 +294,14 @@ def test_numbers_are_those_of_the_formulas() -> None:
 
 def test_who_draws_goes_on_where_it_was_and_sources_differ() -> None:
     rng = np.random.default_rng(3)
-    source, again = drawing.source_of(rng), drawing.source_of(np.random.default_rng(3))
+    source, again = rng.make_source(rng), rng.make_source(np.random.default_rng(3))
     a, b = np.empty((2, 500)), np.empty(500)
     for row in a:
-        drawing.normals(source, row)
-    drawing.normals(again, b)
+        rng.draw_normals(source, row)
+    rng.draw_normals(again, b)
     np.testing.assert_array_equal(a[0], b)
     assert np.intersect1d(a[0], a[1]).size == 0
-    drawing.normals(drawing.source_of(rng), b)
+    rng.draw_normals(rng.make_source(rng), b)
     assert np.intersect1d(a[0], b).size == 0
 
 
@@ -322,12 +309,12 @@ def test_who_draws_goes_on_where_it_was_and_sources_differ() -> None:
 def test_columns_are_sorted_together(rows) -> None:
     columns = np.random.default_rng(rows).standard_normal((rows, 7))
     flat = columns.ravel().copy()
-    ring_camera._sort(flat, 7)
+    ring_camera._sort_columns(flat, 7)
     np.testing.assert_array_equal(flat.reshape(rows, 7), np.sort(columns, axis=0))
 
 
 def test_what_overtakes_on_its_way_is_said_in_the_order_of_its_coming(exact, at) -> None:
-    vehicle = replace(exact, {"sensors.position_fix.latency": 0.4, "sensors.position_fix.jitter": 0.2})
+    vehicle = replace_parameters(exact, {"sensors.position_fix.latency": 0.4, "sensors.position_fix.jitter": 0.2})
     truths = [at(k / 200, position=(0.01 * k, 0, -1.0)) for k in range(3000)]
     said = stream(one(vehicle, "position_fix"), "position_fix", truths)
     came, taken = np.array([t for t, _ in said]), np.array([r.time_s for _, r in said])

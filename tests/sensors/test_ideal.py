@@ -7,9 +7,9 @@ import pytest
 
 from mufly import load_vehicle
 from mufly.dynamics import DrydenWind, initial_state
-from mufly.flight import Actuators, Plant
-from mufly.sensors import beam_angles, beam_directions, ideal_ranges, ideal_sensors, nearest_turn
-from mufly.vehicle import replace
+from mufly.flight import Actuators, SimulatedPlant
+from mufly.sensors import beam_angles, beam_directions, ideal_ranges, ideal_sensors, unwrap_near
+from mufly.vehicle import replace_parameters
 from mufly.world import Box, World
 
 
@@ -20,7 +20,7 @@ def test_beams_look_as_in_figure_6_18() -> None:
 
 
 def test_a_beam_ahead_sees_the_wall_ahead_and_turns_with_the_heading() -> None:
-    vehicle = replace(load_vehicle("mufly-2.0"), {"range_ring.first_angle": 0.0})
+    vehicle = replace_parameters(load_vehicle("mufly-2.0"), {"range_ring.first_angle": 0.0})
     directions = beam_directions(vehicle)
     world = World(boxes=(Box((1.5, 0.0, -1.0), (1.0, 10.0, 2.0)),))  # its face is at N = 1
     limits = {"min_range_m": 0.3, "max_range_m": 1.5}
@@ -28,9 +28,7 @@ def test_a_beam_ahead_sees_the_wall_ahead_and_turns_with_the_heading() -> None:
     assert ahead[0] == pytest.approx(1.0)
     assert ahead[1] == pytest.approx(math.sqrt(2.0))
     assert ahead[4] == 1.5
-    turned = ideal_ranges(
-        initial_state(position=(0, 0, -1), attitude=(0, 0, math.pi / 4)), world, directions, **limits
-    )
+    turned = ideal_ranges(initial_state(position=(0, 0, -1), attitude=(0, 0, math.pi / 4)), world, directions, **limits)
     assert turned[7] == pytest.approx(1.0)
     tilted = ideal_ranges(
         initial_state(position=(0, 0, -1), attitude=(0, math.radians(20), 0)), world, directions, **limits
@@ -41,9 +39,9 @@ def test_a_beam_ahead_sees_the_wall_ahead_and_turns_with_the_heading() -> None:
 
 
 def test_true_yaw_is_continuous_and_readings_do_not_change_afterwards() -> None:
-    assert nearest_turn(-3.1, 3.1) == pytest.approx(2 * math.pi - 3.1)
+    assert unwrap_near(-3.1, 3.1) == pytest.approx(2 * math.pi - 3.1)
     vehicle = load_vehicle("mufly-2.0")
-    plant = Plant(vehicle, World(), DrydenWind(step_s=0.005), 200.0, initial_state(attitude=(0.0, 0.0, 3.1)))
+    plant = SimulatedPlant(vehicle, World(), DrydenWind(step_s=0.005), 200.0, initial_state(attitude=(0.0, 0.0, 3.1)))
     plant.state[6:10] = initial_state(attitude=(0.0, 0.0, -3.1))[6:10]
     readings = ideal_sensors(vehicle, World()).read(plant.truth)
     assert readings["attitude"].value[2] == pytest.approx(2 * math.pi - 3.1)
@@ -53,12 +51,12 @@ def test_true_yaw_is_continuous_and_readings_do_not_change_afterwards() -> None:
 
 def test_the_ring_is_read_at_its_own_rate_and_says_when() -> None:
     vehicle = load_vehicle("mufly-2.0")
-    plant = Plant(vehicle, World(), DrydenWind(step_s=0.005), 200.0, initial_state(position=(0, 0, -1)))
+    plant = SimulatedPlant(vehicle, World(), DrydenWind(step_s=0.005), 200.0, initial_state(position=(0, 0, -1)))
     sensors = ideal_sensors(vehicle, World(), ring_every=8)
     seen = []
     for _ in range(17):
         seen.append(sensors.read(plant.truth))
-        plant.advance(Actuators.idle())
+        plant.advance_period(Actuators.idle())
     assert [r["ranges"].time_s for r in seen] == [0.0] * 8 + [0.04] * 8 + [0.08]
     assert seen[1]["ranges"] is seen[0]["ranges"]
     assert all(r["position"].time_s == r.time_s for r in seen)

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from mufly.dynamics import rotation
+from mufly.dynamics import body_to_ned_matrix
 from mufly.sensors import fitted_sensors
-from mufly.sensors.imu import butterworth, resonance
+from mufly.sensors.imu import board_resonance, butterworth_coefficients
 from mufly.units import GRAVITY
-from mufly.vehicle import replace
+from mufly.vehicle import replace_parameters
 from mufly.world import World
 
 GEE = 9.80665
@@ -25,12 +25,10 @@ def settle(imu, truths):
     return readings
 
 
-@pytest.mark.parametrize(
-    "attitude", [(0.0, 0.0, 0.0), (0.3, 0.0, 1.0), (-0.2, 0.4, 2.0), (math.pi, 0.0, 0.0)]
-)
+@pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (0.3, 0.0, 1.0), (-0.2, 0.4, 2.0), (math.pi, 0.0, 0.0)])
 def test_at_rest_it_feels_what_holds_it_up(exact, at, attitude) -> None:
     r = settle(unit(exact), [at(k / 200, attitude=attitude) for k in range(40)])
-    up = rotation(at(attitude=attitude).state[6:10]).T @ [0.0, 0.0, -GRAVITY]
+    up = body_to_ned_matrix(at(attitude=attitude).state[6:10]).T @ [0.0, 0.0, -GRAVITY]
     np.testing.assert_allclose(r["acceleration"].value, up, atol=1e-9)
     np.testing.assert_allclose(r["rates"].value, 0.0, atol=1e-12)
     assert not r["clipping"].value.any()
@@ -43,21 +41,19 @@ def test_in_free_fall_it_feels_nothing(exact, at) -> None:
 
 def test_off_the_centre_it_feels_the_turning(exact, at) -> None:
     """w x (w x r) in a steady turn about z, dw/dt x r while it begins."""
-    place = exact.sensors.imu.place.array()[0]
+    place = exact.sensors.imu.place.to_array()[0]
     steady = settle(unit(exact), [at(k / 200, rates=(0.0, 0.0, 10.0)) for k in range(60)])
     np.testing.assert_allclose(steady["acceleration"].value, [-100.0 * place[0], 0.0, -GRAVITY], atol=1e-6)
     starts = settle(unit(exact), [at(k / 200, rates=(0.0, 50.0 * k / 200, 0.0)) for k in range(60)])
     w = 50.0 * 59 / 200
-    expected = np.array(
-        [50.0 * place[2] - w * w * place[0], 0.0, -GRAVITY - 50.0 * place[0] - w * w * place[2]]
-    )
+    expected = np.array([50.0 * place[2] - w * w * place[0], 0.0, -GRAVITY - 50.0 * place[0] - w * w * place[2]])
     np.testing.assert_allclose(starts["acceleration"].value, expected, atol=0.02 * abs(expected).max())
 
 
 def test_noise_has_the_density_of_the_data_sheet(exact, at) -> None:
     """White noise of density N behind a second-order Butterworth filter: N sqrt(1.11 f_c)."""
     density, cutoff_Hz = 2e-3, 30.0
-    v = replace(
+    v = replace_parameters(
         exact, {"sensors.imu.accelerometer_noise": density, "sensors.imu.bandwidth": 2 * math.pi * cutoff_Hz}
     )
     imu = unit(v)
@@ -67,7 +63,7 @@ def test_noise_has_the_density_of_the_data_sheet(exact, at) -> None:
 
 
 def test_units_differ_by_what_the_file_says(exact, at) -> None:
-    v = replace(exact, {"sensors.imu.gyro_bias": 0.02, "sensors.imu.accelerometer_bias": 0.3})
+    v = replace_parameters(exact, {"sensors.imu.gyro_bias": 0.02, "sensors.imu.accelerometer_bias": 0.3})
     said = [unit(v, seed).read(at()) for seed in range(60)]
     gyro = np.array([r["rates"].value for r in said])
     felt = np.array([r["acceleration"].value for r in said]) + np.array([0.0, 0.0, GRAVITY])
@@ -76,7 +72,7 @@ def test_units_differ_by_what_the_file_says(exact, at) -> None:
 
 
 def test_the_filter_passes_what_is_slow_and_halves_the_power_at_its_cut_off() -> None:
-    b0, b1, b2, a1, a2 = butterworth(2 * math.pi * 60.0, 125e-6)
+    b0, b1, b2, a1, a2 = butterworth_coefficients(2 * math.pi * 60.0, 125e-6)
     for hertz, gain in ((0.0, 1.0), (60.0, math.sqrt(0.5)), (600.0, 0.01)):
         z = np.exp(-2j * math.pi * hertz * 125e-6)
         assert abs((b0 + b1 * z + b2 * z * z) / (1 + a1 * z + a2 * z * z)) == pytest.approx(gain, rel=0.05)
@@ -85,14 +81,14 @@ def test_the_filter_passes_what_is_slow_and_halves_the_power_at_its_cut_off() ->
 def test_the_board_exaggerates_its_resonance(vehicle) -> None:
     v = vehicle.sensors.imu.vibration
     w = float(v.resonance)
-    assert resonance(v, 0.0) == 1.0
-    assert resonance(v, w) == pytest.approx(0.5 / float(v.damping))
-    assert resonance(v, 10 * w) == pytest.approx(0.01, rel=0.05)
+    assert board_resonance(v, 0.0) == 1.0
+    assert board_resonance(v, w) == pytest.approx(0.5 / float(v.damping))
+    assert board_resonance(v, 10 * w) == pytest.approx(0.01, rel=0.05)
 
 
 def false_tilt_deg(vehicle, at, hover, once, twice, seeds=7) -> float:
     """Median over units of the tilt that the mean of the accelerometers shows, standing with rotors running."""
-    v = replace(
+    v = replace_parameters(
         vehicle, {"sensors.imu.vibration.once": once * GEE, "sensors.imu.vibration.twice": twice * GEE}
     )
     tilt = []
@@ -111,17 +107,15 @@ def test_clipping_makes_a_tilt_out_of_a_lopsided_shaking(exact, at) -> None:
     assert low < 1.0
     assert 4.0 < high < higher < 35.0
     # With a range that nothing reaches, and with a shaking that is even, there is none.
-    wide = replace(exact, {"sensors.imu.accelerometer_range": 100 * GEE})
+    wide = replace_parameters(exact, {"sensors.imu.accelerometer_range": 100 * GEE})
     assert false_tilt_deg(wide, at, hover, 8.0, 4.0) < 1.0
     assert false_tilt_deg(exact, at, hover, 8.0, 0.0, seeds=3) < 2.0
 
 
 def test_it_says_how_much_was_clipped_and_shakes_with_the_square_of_the_speed(exact, at) -> None:
-    v = replace(exact, {"sensors.imu.vibration.once": 9 * GEE, "sensors.imu.vibration.resonance": 1e5})
+    v = replace_parameters(exact, {"sensors.imu.vibration.once": 9 * GEE, "sensors.imu.vibration.resonance": 1e5})
     full, half, none = (
-        np.array(
-            [imu.read(at(k / 200, rotor_speed=(s * 376.0, s * 443.0)))["clipping"].value for k in range(200)]
-        )
+        np.array([imu.read(at(k / 200, rotor_speed=(s * 376.0, s * 443.0)))["clipping"].value for k in range(200)])
         for s, imu in ((s, unit(v)) for s in (1.0, 0.5, 0.0))
     )
     assert full.max() > 0.2

@@ -9,15 +9,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mufly.camera import body_from_camera, load_camera, make_floor
+from mufly.camera import body_from_camera_rotation, load_camera, make_floor
 from mufly.errors import InputError
-from mufly.slam import Slam, evaluate, frames, rounds, run
-from mufly.slam.frame import Telling, Way
-from mufly.slam.graph import Edge, Known, relation, slopes_of, solve_graph
-from mufly.slam.mapping import unexplained
-from mufly.slam.pose import View, bent, level, slopes, solve, two_points
-from mufly.slam.recognition import told_apart
-from mufly.slam.vision import repeats
+from mufly.slam import SlamSystem, evaluate_trajectory, make_square_path, render_frames, run_slam
+from mufly.slam.camera_frame import FrameInfo, Odometry
+from mufly.slam.camera_pose import (
+    ViewPrior,
+    attitude_matrix,
+    d_rays_d_tilt,
+    normalised_rays,
+    ransac_two_points,
+    solve_pose,
+)
+from mufly.slam.image_tools import find_repeat_shifts
+from mufly.slam.keyframe_map import remove_pose_fit
+from mufly.slam.place_recognition import is_unambiguous
+from mufly.slam.pose_graph import (
+    GraphEdge,
+    KeyframePriors,
+    relative_pose,
+    relative_pose_jacobians,
+    solve_graph,
+)
 
 TILT = math.radians(0.5)
 
@@ -25,18 +38,16 @@ TILT = math.radians(0.5)
 def _case(rng: np.random.Generator, noise: float) -> tuple:
     """A view and points of the floor that it sees: with shaking, rolling shutter, velocity."""
     tilt, shakes = TILT * rng.standard_normal(2), 1.5 * rng.standard_normal(8)
-    view = View(
-        250.0, body_from_camera(load_camera("mufly-2.0")), 0.05, -0.03, np.array([0.2, -0.3, 0.1]),
+    view = ViewPrior(
+        250.0, body_from_camera_rotation(load_camera("mufly-2.0")), 0.05, -0.03, np.array([0.2, -0.3, 0.1]),
         np.array([0.3, -0.2, 0.05]), 1.0 + 0.01 * rng.standard_normal(), 0.01, 1.5, np.array([370.0, 430.0]),
     )  # fmt: skip
     n, height, heading = 90, 1.0, 0.4
     pixels = np.column_stack([rng.uniform(-150, 150, n), rng.uniform(-110, 110, n)])
     seconds = pixels[:, 1] / 240 * 0.03
-    m = slopes(view, pixels, seconds, level(view, tilt, heading), shakes)
-    down = height - view.velocity[2] * seconds
-    points = np.column_stack(
-        [0.2 + 0.3 * seconds + down * m.real, -0.1 - 0.2 * seconds + down * m.imag, np.zeros(n)]
-    )
+    m = normalised_rays(view, pixels, seconds, attitude_matrix(view, tilt, heading), shakes)
+    down = height - view.velocity_m_s[2] * seconds
+    points = np.column_stack([0.2 + 0.3 * seconds + down * m.real, -0.1 - 0.2 * seconds + down * m.imag, np.zeros(n)])
     truth = np.array([0.2, -0.1, height, heading, *tilt, 0.0, 0.0])
     return view, points, pixels + noise * rng.standard_normal((n, 2)), seconds, truth
 
@@ -46,16 +57,16 @@ def test_the_covariance_of_a_pose_is_true() -> None:
     bend, tilts, sigma = np.zeros((90, 2, 2)), np.diag([TILT**2, TILT**2, 1e-12, 1e-12]), np.full(90, 0.3)
     for _ in range(200):
         view, points, pixels, seconds, truth = _case(rng, 0.3)
-        pose = solve(view, np.array([0.1, 0.0, 1.0, 0.3]), points, bend, tilts, pixels, seconds, sigma)
-        off = (pose.x - truth)[:6]
+        pose = solve_pose(view, np.array([0.1, 0.0, 1.0, 0.3]), points, bend, tilts, pixels, seconds, sigma)
+        off = (pose.state - truth)[:6]
         nees.append(off @ np.linalg.solve(pose.covariance[:6, :6], off) / 6)
         # What pixels say alone, and what was known before, are together what was found.
         prior = np.zeros((8, 8))
-        prior[2, 2], prior[4:, 4:] = view.height_sigma**-2, np.linalg.inv(tilts)
-        known = np.array([*pose.x[:2], view.height, pose.x[3], *np.zeros(4)])
-        assert np.linalg.inv(pose.seen + prior) == pytest.approx(pose.covariance)
+        prior[2, 2], prior[4:, 4:] = view.height_sigma_m**-2, np.linalg.inv(tilts)
+        known = np.array([*pose.state[:2], view.height_m, pose.state[3], *np.zeros(4)])
+        assert np.linalg.inv(pose.pixel_information + prior) == pytest.approx(pose.covariance)
         assert pose.covariance @ (
-            pose.pull + prior @ (known - pose.x) / max(1.0, pose.scale) ** 2
+            pose.pixel_gradient + prior @ (known - pose.state) / max(1.0, pose.residual_scale) ** 2
         ) == pytest.approx(np.zeros(8), abs=1e-9)
     assert 0.75 < np.mean(nees) < 1.2
 
@@ -65,7 +76,7 @@ def test_a_tilt_that_all_keyframes_share_is_in_the_covariance_of_the_heading() -
     rng, n, sigma, nees, told = np.random.default_rng(4), 30, np.array([0.003, 0.003, 0.002, 0.003]), [], []
     true = np.zeros((n, 7))
     true[:, 0] = 0.5 * np.arange(n)
-    known = Known(
+    known = KeyframePriors(
         np.arange(n, dtype=float), np.zeros(n), *(np.full(n, q) for q in (0.01, 2.0, TILT, 1e3, 0.0))
     )
     information = np.zeros((8, 8))
@@ -78,12 +89,12 @@ def test_a_tilt_that_all_keyframes_share_is_in_the_covariance_of_the_heading() -
         true[:, 6] = -true[:, 3]
         edges = []
         for k in range(n - 1):
-            seen = relation(true[k], true[k + 1]) + sigma * rng.standard_normal(4)
+            seen = relative_pose(true[k], true[k + 1]) + sigma * rng.standard_normal(4)
             seen[2] -= 0.25 * true[k, 4]
-            edges.append(Edge(k, k + 1, np.concatenate([seen, np.zeros(4)]), information))
+            edges.append(GraphEdge(k, k + 1, np.concatenate([seen, np.zeros(4)]), information))
         solution = solve_graph(true, edges, known, (0.0, 0.0))
         off = (solution.nodes - true)[-1, :3]
-        covariance = solution.covariance([n - 1])[:3, :3]
+        covariance = solution.joint_covariance([n - 1])[:3, :3]
         nees.append(off @ np.linalg.solve(covariance, off) / 3)
         told.append(math.sqrt(covariance[2, 2]))
     assert 0.7 < np.mean(nees) < 1.35
@@ -96,7 +107,7 @@ def test_two_points_and_the_tilt_among_wrong_matches() -> None:
     m = rng.uniform(-0.6, 0.6, 60) + 1j * rng.uniform(-0.5, 0.5, 60)
     places = 0.3 - 0.2j + 1.1 * np.exp(0.7j) * m
     places[::2] += rng.uniform(0.2, 1.0, 30)
-    c, h, heading, fits = two_points(places, m, np.full(60, 0.004), 1.1, 0.02, rng)
+    c, h, heading, fits = ransac_two_points(places, m, np.full(60, 0.004), 1.1, 0.02, rng)
     assert abs(c - (0.3 - 0.2j)) < 1e-9
     assert (h, heading) == pytest.approx((1.1, 0.7))
     assert fits.tolist() == [k % 2 == 1 for k in range(60)]
@@ -109,10 +120,10 @@ def test_two_points_of_one_place_are_no_height_of_zero() -> None:
     m = rng.uniform(-0.6, 0.6, 60) + 1j * rng.uniform(-0.5, 0.5, 60)
     places: np.ndarray = 0.05 * m
     places[::3] = places[0]
-    _, h, _, fits = two_points(places, m, np.full(60, 0.004), 0.05, 0.02, rng)
+    _, h, _, fits = ransac_two_points(places, m, np.full(60, 0.004), 0.05, 0.02, rng)
     assert h == pytest.approx(0.05)
     assert fits.sum() >= 40
-    assert not two_points(0.0 * m, m, np.full(60, 0.004), 0.05, 0.02, rng)[3].any()
+    assert not ransac_two_points(0.0 * m, m, np.full(60, 0.004), 0.05, 0.02, rng)[3].any()
 
 
 def test_a_graph_closes_its_loop_and_shrugs_off_a_wrong_closure() -> None:
@@ -123,13 +134,13 @@ def test_a_graph_closes_its_loop_and_shrugs_off_a_wrong_closure() -> None:
     sigma = np.array([0.01, 0.01, 0.01, 0.003])
     information = np.diag([*sigma**-2, *np.zeros(4)])
 
-    def edge(first: int, second: int, noise: np.ndarray, closes: bool = False) -> Edge:
-        seen = relation(true[first], true[second]) + noise
-        return Edge(first, second, np.concatenate([seen, np.zeros(4)]), information, closes=closes)
+    def edge(first: int, second: int, noise: np.ndarray, closes: bool = False) -> GraphEdge:
+        seen = relative_pose(true[first], true[second]) + noise
+        return GraphEdge(first, second, np.concatenate([seen, np.zeros(4)]), information, is_loop_closure=closes)
 
     edges = [edge(k, k + 1, sigma * rng.standard_normal(4)) for k in range(24)]
     heights = true[:, 3] + 0.01 * rng.standard_normal(25)
-    known = Known(angles, heights, *(np.full(25, q) for q in (0.01, 0.1, TILT, 2.0, 0.0)))
+    known = KeyframePriors(angles, heights, *(np.full(25, q) for q in (0.01, 0.1, TILT, 2.0, 0.0)))
     open_ = solve_graph(true, edges, known, (0.0, 0.0))
     closure = edge(0, 24, np.zeros(4), True)
     closed = solve_graph(true, [*edges, closure], known, (0.0, 0.0))
@@ -139,36 +150,36 @@ def test_a_graph_closes_its_loop_and_shrugs_off_a_wrong_closure() -> None:
     borne = solve_graph(true, [*edges, closure, wrong], known, (0.0, 0.0))
     assert np.abs(borne.nodes - closed.nodes)[:, :2].max() < 0.05
     off = (open_.nodes - true)[-1, :4]
-    assert off @ np.linalg.solve(open_.covariance([24])[:4, :4], off) < 20
+    assert off @ np.linalg.solve(open_.joint_covariance([24])[:4, :4], off) < 20
 
 
 def test_what_pose_and_tilts_explain_is_not_the_floors_shape() -> None:
     rng = np.random.default_rng(5)
     own, seen, noise = 0.4 * rng.standard_normal((3, 160)).view(np.complex128)
     weight = rng.uniform(0.5, 2.0, 80)
-    turns = bent(own) @ [0.004, -0.002] + bent(seen) @ [-0.003, 0.001]
+    turns = d_rays_d_tilt(own) @ [0.004, -0.002] + d_rays_d_tilt(seen) @ [-0.003, 0.001]
     pose = 0.01 - 0.02j + (0.003 + 0.005j) * own + turns[:, 0] + 1j * turns[:, 1]
-    assert np.abs(unexplained(pose, own, seen, weight)).max() < 1e-12
-    left = unexplained(pose + noise, own, seen, weight)
-    assert left == pytest.approx(unexplained(noise, own, seen, weight), abs=1e-12)
+    assert np.abs(remove_pose_fit(pose, own, seen, weight)).max() < 1e-12
+    left = remove_pose_fit(pose + noise, own, seen, weight)
+    assert left == pytest.approx(remove_pose_fit(noise, own, seen, weight), abs=1e-12)
     assert abs(np.sum(weight**2 * left)) < 1e-9
     assert 0.8 < np.linalg.norm(left) / np.linalg.norm(noise) < 1.0  # eight of 160 numbers are gone
 
 
 def test_the_slopes_of_a_relation() -> None:
     a, b = np.array([0.3, -0.2, 0.5, 0.1]), np.array([0.9, 0.4, 0.8, -0.1])
-    by_a, by_b = slopes_of(a, b)
+    by_a, by_b = relative_pose_jacobians(a, b)
     for k in range(4):
         d = 1e-6 * np.eye(4)[k]
-        assert (relation(a + d, b) - relation(a - d, b)) / 2e-6 == pytest.approx(by_a[:, k], abs=1e-6)
-        assert (relation(a, b + d) - relation(a, b - d)) / 2e-6 == pytest.approx(by_b[:, k], abs=1e-6)
+        assert (relative_pose(a + d, b) - relative_pose(a - d, b)) / 2e-6 == pytest.approx(by_a[:, k], abs=1e-6)
+        assert (relative_pose(a, b + d) - relative_pose(a, b - d)) / 2e-6 == pytest.approx(by_b[:, k], abs=1e-6)
 
 
 def _flown(camera: str, floor: str, pictures: int, **more: float) -> tuple:
     lens = load_camera(camera)
     seconds = pictures * float(lens.sensor.period)
-    path = rounds(duration_s=seconds, side_m=1.0, seed=4, **more)
-    made = list(frames(lens, make_floor(floor, 4, size=1024), path, seed=4))
+    path = make_square_path(duration_s=seconds, side_m=1.0, seed=4, **more)
+    made = list(render_frames(lens, make_floor(floor, 4, size=1024), path, seed=4))
     return lens, path, made
 
 
@@ -176,76 +187,82 @@ def test_at_the_dissertations_quality_it_knows_where_it_is_and_finds_itself_agai
     pytest.importorskip("cv2")
     lens, path, made = _flown("mufly-2.0", "rich", 90)
     motion = made[0][1]
-    slam = Slam(lens, start=(*motion.position[:2], math.atan2(motion.attitude[1, 0], motion.attitude[0, 0])))
-    found = run(slam, (f for f, _ in made))
-    result = evaluate(
-        found.time, found.position, found.heading, found.covariance, path.time, path.position, path.attitude[:, 2],
+    slam = SlamSystem(lens, start=(*motion.position[:2], math.atan2(motion.attitude[1, 0], motion.attitude[0, 0])))
+    found = run_slam(slam, (f for f, _ in made))
+    result = evaluate_trajectory(
+        found.time,
+        found.position,
+        found.heading,
+        found.covariance,
+        path.time_s,
+        path.position_m,
+        path.attitude_rad[:, 2],
         found.pictures,
-    )  # fmt: skip
+    )
     assert result.lost < 0.05
     assert result.rms_m < 0.05
     assert 0.2 < result.nees < 3.0
     # The map is kept, and who starts anywhere in it finds where that is.
-    slam.map.save(tmp_path / "map")
-    from mufly.slam import Map
+    slam.floor_map.save(tmp_path / "map")
+    from mufly.slam import FloorMap
 
-    again = Slam(lens, Map.load(tmp_path / "map"))
-    here = [again.step(f) for f, _ in made[60:90]]
+    again = SlamSystem(lens, FloorMap.load(tmp_path / "map"))
+    here = [again.process_frame(f) for f, _ in made[60:90]]
     first = next(k for k, a in enumerate(here) if a.trusted)
     assert np.hypot(*(here[first].position - made[60 + first][1].position)[:2]) < 0.1
     (tmp_path / "map").write_bytes(b"PK damaged")
     with pytest.raises(InputError, match="is no map"):
-        Map.load(tmp_path / "map")
+        FloorMap.load(tmp_path / "map")
 
 
 def test_what_it_cannot_see_it_does_not_answer() -> None:
     pytest.importorskip("cv2")
     lens, _, made = _flown("webcam", "rich", 45)
-    slam = Slam(lens)
+    slam = SlamSystem(lens)
     for k, (f, _) in enumerate(made):
         if k >= 20:  # the lens is covered
             noise = np.random.default_rng(k).normal(6, 2, f.picture.shape).clip(0, 255).astype(np.uint8)
             f = type(f)(f.time_s, noise, f.told)
-        last = slam.step(f)
+        last = slam.process_frame(f)
         assert last.trusted == (k < 20)
     assert "too little of the floor" in last.reason
     with pytest.raises(InputError, match="is 100 by 80 pixels, the camera file says 320 by 240"):
-        slam.step(type(f)(99.0, np.zeros((80, 100), np.uint8), f.told))
-    assert not slam.step(made[0][0]).trusted  # older than the last
+        slam.process_frame(type(f)(99.0, np.zeros((80, 100), np.uint8), f.told))
+    assert not slam.process_frame(made[0][0]).trusted  # older than the last
 
 
 def test_the_way_since_an_answer_is_added_up_from_told_velocities() -> None:
     """Picture by picture, some lost: a way that speeds up evenly comes out exactly, and is known to s_v t."""
     v, a = np.array([0.3, -0.1, 0.0]), np.array([0.8, 0.5, 0.0])
-    way = Way(0.0, Telling(0.0, 0.0, 1.0, velocity=v))
-    silent = Way(0.0, Telling(0.0, 0.0, 1.0))
+    way = Odometry(0.0, FrameInfo(0.0, 0.0, 1.0, velocity=v))
+    silent = Odometry(0.0, FrameInfo(0.0, 0.0, 1.0))
     for t in (0.03, 0.06, 0.13, 0.16, 0.2):
-        told = Telling(0.0, 0.0, 1.0, np.array([0.0, 0.0, 2.0 * t]), velocity=v + a * t, velocity_sigma=0.05)
-        way, silent = way.to(t, told), silent.to(t, replace(told, velocity=None))
-    moved, sigma_m = way.reckoned(np.zeros(2))
+        told = FrameInfo(0.0, 0.0, 1.0, np.array([0.0, 0.0, 2.0 * t]), velocity=v + a * t, velocity_sigma=0.05)
+        way, silent = way.advance_to(t, told), silent.advance_to(t, replace(told, velocity=None))
+    moved, sigma_m = way.predict_displacement(np.zeros(2))
     assert moved == pytest.approx([*(v * 0.2 + 0.5 * a * 0.04)[:2], 0.04])
     assert 0.05 * 0.2 < sigma_m < 0.05 * 0.2 + 0.003
     # Without a told velocity: that of the answers before, and all that is not foreseen
-    moved, sigma_m = silent.reckoned(v[:2])
+    moved, sigma_m = silent.predict_displacement(v[:2])
     assert moved[:2] == pytest.approx(v[:2] * 0.2)
     assert sigma_m == pytest.approx(0.02 * 0.2 + 0.5 * 0.04)
-    assert not silent.to(0.23, told).complete  # a velocity that comes late says nothing of before
+    assert not silent.advance_to(0.23, told).has_all_velocities  # a velocity that comes late says nothing of before
 
 
 def test_what_repeats_is_told_apart_only_by_a_way_that_is_known() -> None:
     pytest.importorskip("cv2")
     one = np.random.default_rng(6).normal(120, 40, (8, 8)).clip(0, 255).repeat(4, axis=0).repeat(4, axis=1)
     tiles = np.tile(one, (8, 10))[:240, :320].astype(np.uint8)
-    found = repeats(tiles)
+    found = find_repeat_shifts(tiles)
     assert np.hypot(*found.T).min() == pytest.approx(32.0)
     rough = np.random.default_rng(7).normal(120, 40, (60, 80)).clip(0, 255).astype(np.uint8)
-    assert not len(repeats(rough.repeat(4, axis=0).repeat(4, axis=1)))
+    assert not len(find_repeat_shifts(rough.repeat(4, axis=0).repeat(4, axis=1)))
     tile = 0.256 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    assert told_apart(np.zeros(2), tile, 0.06)
-    assert not told_apart(np.zeros(2), tile, 0.08)
-    assert told_apart(np.array([0.05, 0.05]), tile, 0.04)
-    assert not told_apart(np.array([0.13, 0.0]), tile, 0.001)
-    assert told_apart(np.array([0.5, 0.0]), tile[:0], 1.0)  # nothing looks alike
+    assert is_unambiguous(np.zeros(2), tile, 0.06)
+    assert not is_unambiguous(np.zeros(2), tile, 0.08)
+    assert is_unambiguous(np.array([0.05, 0.05]), tile, 0.04)
+    assert not is_unambiguous(np.array([0.13, 0.0]), tile, 0.001)
+    assert is_unambiguous(np.array([0.5, 0.0]), tile[:0], 1.0)  # nothing looks alike
 
 
 @pytest.mark.parametrize("floor", ["tiles", "rich"])
@@ -258,7 +275,7 @@ def test_over_tiles_only_the_way_since_tells_which_tile_it_is(floor: str) -> Non
     gap = range(50, 62)
     headings = [math.atan2(m.attitude[1, 0], m.attitude[0, 0]) for _, m in made]
     for wrong in (0.0, 0.3):
-        slam = Slam(lens, start=(*made[0][1].position[:2], headings[0]))
+        slam = SlamSystem(lens, start=(*made[0][1].position[:2], headings[0]))
         answers = []
         for k, (f, m) in enumerate(made):
             faster = wrong * (k >= gap[0])
@@ -268,7 +285,7 @@ def test_over_tiles_only_the_way_since_tells_which_tile_it_is(floor: str) -> Non
                 f.told, velocity=m.velocity + np.array([faster, 0.0, 0.0]), velocity_sigma=0.1,
                 place=np.array([m.position[0] + lag, m.position[1], headings[k]]), place_sigma=(0.05, 0.01),
             )  # fmt: skip
-            answers.append(slam.step(replace(f, picture=nothing if k in gap else f.picture, told=told)))
+            answers.append(slam.process_frame(replace(f, picture=nothing if k in gap else f.picture, told=told)))
         after = next(k for k in range(gap[-1] + 1, len(made)) if answers[k].trusted)
         off = np.hypot(*(answers[after].position - made[after][1].position)[:2])
         if wrong and floor == "tiles":  # later, but not never; as wrong as told, not by a tile

@@ -16,28 +16,28 @@ import pytest
 import xarray as xr
 from typer.testing import CliRunner
 
-from mufly.camera import LivePictures, PictureRecorder, StreamServer, encode, load_camera, project
+from mufly.camera import LivePictures, PictureRecorder, StreamServer, encode_jpeg, load_camera, project_points
 from mufly.cli import app
 from mufly.errors import InputError
 from mufly.logs import LogWarning, read_recording, write_log
 from mufly.slam import (
-    Frame,
-    Slam,
-    board_pictures,
-    calibrate,
-    camera_toml,
-    evaluate,
-    frames,
+    CameraFrame,
+    SlamSystem,
+    calibrate_lens,
+    evaluate_trajectory,
+    format_camera_toml,
+    list_board_pictures,
+    make_square_path,
     open_live,
     open_pictures,
     read_telemetry,
     read_trajectory,
     read_truth,
-    rounds,
-    run,
+    render_frames,
+    run_slam,
     write_dataset,
 )
-from mufly.slam.trajectory import Trajectory
+from mufly.slam.slam_trajectory import SlamTrajectory
 
 CAMERA = load_camera("webcam")
 
@@ -46,8 +46,8 @@ CAMERA = load_camera("webcam")
 def layouts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     from mufly.camera import make_floor
 
-    path = rounds(duration_s=0.5, side_m=1.0, seed=1)
-    made = list(frames(CAMERA, make_floor("rich", size=256), path, seed=1))
+    path = make_square_path(duration_s=0.5, side_m=1.0, seed=1)
+    made = list(render_frames(CAMERA, make_floor("rich", size=256), path, seed=1))
     out = {}
     for layout in ("mufly", "euroc", "tum"):
         out[layout] = tmp_path_factory.mktemp(layout)
@@ -57,7 +57,7 @@ def layouts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def test_layouts_say_the_same(layouts: dict[str, Path]) -> None:
     sources = {name: open_pictures(folder, CAMERA) for name, folder in layouts.items()}
-    read = {name: list(s.frames()) for name, s in sources.items()}
+    read = {name: list(s.read_frames()) for name, s in sources.items()}
     ours = read["mufly"]
     for name, theirs in read.items():
         assert len(theirs) == len(ours) > 10
@@ -69,29 +69,28 @@ def test_layouts_say_the_same(layouts: dict[str, Path]) -> None:
         assert np.ptp(truth[1][:, 2]) < 0.2
         assert truth[1][0] == pytest.approx(sources["mufly"].truth[1][0], abs=1e-5)  # type: ignore[index]
         off = [
-            abs(a.told.roll - b.told.roll) + abs(a.told.pitch - b.told.pitch)
-            for a, b in zip(theirs, ours, strict=True)
+            abs(a.info.roll - b.info.roll) + abs(a.info.pitch - b.info.pitch) for a, b in zip(theirs, ours, strict=True)
         ]
-        assert [b.told.height_m for b in theirs] == pytest.approx([b.told.height_m for b in ours], abs=0.01)
+        assert [b.info.height_m for b in theirs] == pytest.approx([b.info.height_m for b in ours], abs=0.01)
         assert max(off) < 0.09  # an inertial unit that tilts and accelerates feels both
 
 
 def test_what_is_wrong_is_one_line(layouts: dict[str, Path], tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no pictures"):
         open_pictures(tmp_path, CAMERA, height_m=1.0)
-    data = encode(np.zeros((240, 320), np.uint8), 80)
+    data = encode_jpeg(np.zeros((240, 320), np.uint8), 80)
     (tmp_path / "1.0.jpg").write_bytes(data)
     with pytest.raises(InputError, match="height above the floor; give --height"):
         open_pictures(tmp_path, CAMERA)
     (tmp_path / "2.0.jpg").write_bytes(data[: len(data) // 3])
-    (tmp_path / "3.0.png").write_bytes(encode(np.zeros((10, 320, 3), np.uint8), 80))
+    (tmp_path / "3.0.png").write_bytes(encode_jpeg(np.zeros((10, 320, 3), np.uint8), 80))
     source = open_pictures(tmp_path, CAMERA, height_m=1.0)
-    some = source.frames()
+    some = source.read_frames()
     assert next(some).time_s == 1.0
     with pytest.raises(InputError, match=r"2\.0\.jpg: is damaged"):
         next(some)
     (tmp_path / "2.0.jpg").unlink()
-    some = source.frames()
+    some = source.read_frames()
     (tmp_path / "x.png").write_bytes(data)
     with pytest.raises(InputError, match=r"x\.png: is no time"):
         open_pictures(tmp_path, CAMERA, height_m=1.0)
@@ -101,7 +100,7 @@ def test_what_is_wrong_is_one_line(layouts: dict[str, Path], tmp_path: Path) -> 
     with pytest.raises(InputError, match="no such folder"):
         open_pictures(tmp_path / "nowhere", CAMERA)
     with pytest.raises(InputError, match="is 320 by 10 pixels"):
-        list(open_pictures(_named(tmp_path, "3.0.png"), CAMERA, height_m=1.0).frames())
+        list(open_pictures(_named(tmp_path, "3.0.png"), CAMERA, height_m=1.0).read_frames())
 
 
 def test_a_stream_gives_the_trajectory_that_its_folder_gives(layouts: dict[str, Path]) -> None:
@@ -112,84 +111,78 @@ def test_a_stream_gives_the_trajectory_that_its_folder_gives(layouts: dict[str, 
     truth = source.truth
     assert truth is not None
     start = (*truth[1][0, :2], truth[2][0])
-    direct = run(Slam(CAMERA, start=start), source.frames())
+    direct = run_slam(SlamSystem(CAMERA, start=start), source.read_frames())
     with StreamServer() as server, LivePictures(server.url, CAMERA, clock="sender", give_up_s=0.2) as live:
-        frames = open_live(live, read_telemetry(folder / "telemetry.csv")).frames()
+        frames = open_live(live, read_telemetry(folder / "telemetry.csv")).read_frames()
 
-        def sent() -> Iterator[Frame]:
-            for k, frame in enumerate(source.frames()):
+        def sent() -> Iterator[CameraFrame]:
+            for k, frame in enumerate(source.read_frames()):
                 data = (folder / "pictures" / f"{k:06d}.jpg").read_bytes()
-                server.publish(data, frame.time_s)
+                server.publish_picture(data, frame.time_s)
                 yield next(frames)
 
-        while not server.watchers:
+        while not server.watcher_count:
             time.sleep(0.001)
-        streamed = run(Slam(CAMERA, start=start), sent())
+        streamed = run_slam(SlamSystem(CAMERA, start=start), sent())
     assert len(streamed.time) == len(direct.time) > 10
     assert streamed.time == pytest.approx(direct.time, abs=1e-6)
     assert streamed.position == pytest.approx(direct.position, abs=1e-9)
-    off = streamed.position[:, :2] - np.stack(
-        [np.interp(streamed.time, truth[0], c) for c in truth[1].T[:2]], axis=1
-    )
+    off = streamed.position[:, :2] - np.stack([np.interp(streamed.time, truth[0], c) for c in truth[1].T[:2]], axis=1)
     assert np.abs(off).max() < 0.08
 
 
 def test_pictures_of_a_recording_or_what_is_wrong_with_it(layouts: dict[str, Path], tmp_path: Path) -> None:
-    frames = list(open_pictures(layouts["mufly"], CAMERA).frames())
-    recorder = PictureRecorder(tmp_path / "camera.mcap", camera_toml(CAMERA), 10**18, {"floor": "rich"})
+    frames = list(open_pictures(layouts["mufly"], CAMERA).read_frames())
+    recorder = PictureRecorder(tmp_path / "camera.mcap", format_camera_toml(CAMERA), 10**18, {"floor": "rich"})
     for f in frames:
-        recorder.add(f.time_s, encode(f.picture, 95), asdict(f.told))
+        recorder.add_picture(f.time_s, encode_jpeg(f.picture, 95), asdict(f.info))
     recorder.close()
     for place in (tmp_path, tmp_path / "camera.mcap"):
-        back = list(open_pictures(place, CAMERA).frames())
+        back = list(open_pictures(place, CAMERA).read_frames())
         assert [f.time_s for f in back] == pytest.approx([f.time_s for f in frames], abs=1e-9)
-        assert back[4].told.roll == frames[4].told.roll
-        assert back[4].told.rotor_phase == pytest.approx(frames[4].told.rotor_phase)
+        assert back[4].info.roll == frames[4].info.roll
+        assert back[4].info.rotor_phase == pytest.approx(frames[4].info.rotor_phase)
         assert np.abs(back[4].picture.astype(int) - frames[4].picture).mean() < 3
     whole = (tmp_path / "camera.mcap").read_bytes()
     (tmp_path / "cut").mkdir()
     cut = tmp_path / "cut" / "camera.mcap"
     cut.write_bytes(whole[: len(whole) - 400])
-    assert open_pictures(cut, CAMERA).count == len(frames)  # its index alone is gone
+    assert open_pictures(cut, CAMERA).frame_count == len(frames)  # its index alone is gone
     cut.write_bytes(whole[:2000])
     with pytest.raises(InputError, match=r"holds no pictures; give camera\.mcap of a flight on the camera"):
         open_pictures(cut, CAMERA)
     cut.write_bytes(b"no such thing")
     with pytest.raises(InputError, match="is not an MCAP file"):
         open_pictures(cut, CAMERA)
-    data = encode(np.zeros((240, 320), np.uint8), 80)
+    data = encode_jpeg(np.zeros((240, 320), np.uint8), 80)
     for times, jpeg, why in (
         ((0.0, 0.2, 0.1), data, "picture 3: its time, 0.100000 s, is not after 0.200000 s"),
         ((0.0, 0.1, 0.2), data[:300], r"picture at 0.000 s: is damaged"),
-        ((0.0, 0.1, 0.2), encode(np.zeros((24, 32), np.uint8), 80), "is 32 by 24 pixels"),
+        ((0.0, 0.1, 0.2), encode_jpeg(np.zeros((24, 32), np.uint8), 80), "is 32 by 24 pixels"),
     ):
         recorder = PictureRecorder(cut, "", 10**18, {})
         for t in times:
-            recorder.add(t, jpeg, asdict(frames[0].told))
+            recorder.add_picture(t, jpeg, asdict(frames[0].info))
         recorder.close()
         with pytest.raises(InputError, match=why):
-            list(open_pictures(cut, CAMERA).frames())
+            list(open_pictures(cut, CAMERA).read_frames())
 
 
 def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
     film = tmp_path / "film.avi"
     out = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"MJPG"), 30, (320, 240))
-    for f in list(open_pictures(layouts["mufly"], CAMERA).frames())[:5]:
+    for f in list(open_pictures(layouts["mufly"], CAMERA).read_frames())[:5]:
         out.write(cv2.cvtColor(f.picture, cv2.COLOR_GRAY2BGR))
     out.release()
-    with pytest.raises(
-        InputError, match="does not tell the height above the floor; give --height or --telemetry"
-    ):
+    with pytest.raises(InputError, match="does not tell the height above the floor; give --height or --telemetry"):
         open_pictures(film, CAMERA)
     told = read_telemetry(layouts["mufly"] / "telemetry.csv", -100.0)
-    (tmp_path / "film.csv").write_text(
-        "time,frame\n" + "".join(f"{100.1 + 0.04 * k},{k}\n" for k in range(5))
-    )
-    some = list(open_pictures(film, CAMERA, told=told).frames())
+    (tmp_path / "film.csv").write_text("time,frame\n" + "".join(f"{100.1 + 0.04 * k},{k}\n" for k in range(5)))
+    some = list(open_pictures(film, CAMERA, told=told).read_frames())
     assert [f.time_s for f in some] == pytest.approx([100.1, 100.14, 100.18, 100.22, 100.26])
     direct = read_telemetry(layouts["mufly"] / "telemetry.csv")(np.array([0.1, 0.26]))
-    assert [some[k].told.roll for k in (0, 4)] == pytest.approx([t.roll for t in direct])
+    assert [some[k].info.roll for k in (0, 4)] == pytest.approx([t.roll for t in direct])
     log = tmp_path / "log.mcap"
     t = np.arange(100.0, 101.0, 0.01)
     write_log(xr.Dataset(
@@ -197,7 +190,7 @@ def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], 
          "estimated_position": (("time", "axis"), np.stack([t, t, -1.0 - 0 * t], axis=1))},
         {"time": t, "euler": ["roll", "pitch", "yaw"], "axis": ["N", "E", "D"]},
     ), log)  # fmt: skip
-    one = list(open_pictures(film, CAMERA, told=read_telemetry(log, 0.0)).frames())[2].told
+    one = list(open_pictures(film, CAMERA, told=read_telemetry(log, 0.0)).read_frames())[2].info
     assert (one.roll, one.height_m) == pytest.approx((0.018, 1.0), abs=1e-6)
     with pytest.raises(InputError, match="give --offset: the recording's clock less the pictures'"):
         open_pictures(film, CAMERA, told=read_telemetry(log, -50.0))
@@ -253,7 +246,7 @@ def _named(folder: Path, name: str) -> Path:
 def test_a_trajectory_comes_back_with_its_covariance(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     a = rng.standard_normal((5, 4, 4))
-    one = Trajectory(
+    one = SlamTrajectory(
         np.arange(5.0), rng.standard_normal((5, 3)), rng.uniform(-3, 3, 5), a @ a.swapaxes(1, 2), 5, {}
     )
     one.write(tmp_path / "t.txt")
@@ -269,7 +262,7 @@ def test_errors_of_a_known_kind() -> None:
     turn, shift = 0.1, np.array([0.2, -0.1, 0.0])
     c, s = np.cos(turn), np.sin(turn)
     off = true @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + shift
-    e = evaluate(t, off, np.full(400, turn), None, t, true, np.zeros(400), 500)
+    e = evaluate_trajectory(t, off, np.full(400, turn), None, t, true, np.zeros(400), 500)
     assert e.ate_m < 1e-9
     assert e.rpe_m < 1e-9
     assert e.lost == pytest.approx(0.2)
@@ -277,7 +270,7 @@ def test_errors_of_a_known_kind() -> None:
     noisy = true + 0.02 * np.random.default_rng(0).standard_normal((400, 3))
     p = np.tile(np.diag([4e-4, 4e-4, 4e-4, 1e-4]), (400, 1, 1))
     heading = 0.01 * np.random.default_rng(1).standard_normal(400)
-    e = evaluate(t, noisy, heading, p, t, true, np.zeros(400))
+    e = evaluate_trajectory(t, noisy, heading, p, t, true, np.zeros(400))
     assert e.nees == pytest.approx(1.0, abs=0.15)
     assert e.inside == pytest.approx(0.95, abs=0.04)
 
@@ -299,7 +292,7 @@ def errors(file, truth):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         one, true = read_trajectory(file), read_truth(truth)
-    found = evaluate(one.time, one.position, one.heading, None, *true, one.pictures)
+    found = evaluate_trajectory(one.time, one.position, one.heading, None, *true, one.pictures)
     return asdict(found), [str(w.message) for w in caught if w.category is LogWarning]
 
 
@@ -370,15 +363,11 @@ def test_stamps_tell_their_unit_by_their_size(trajectory, factor, unit):
 
 def test_stamps_that_do_not_meet_the_truth_get_the_right_hint(trajectory):
     t, x, heading = poses()
-    with pytest.raises(
-        InputError, match=r"give its own truth, or --offset -1403636579\.000 if both begin together"
-    ):
+    with pytest.raises(InputError, match=r"give its own truth, or --offset -1403636579\.000 if both begin together"):
         trajectory(tum_rows(t - t[0], x, heading))
     with pytest.raises(InputError, match=r"the trajectory's are in ns: give them in s"):
         trajectory(tum_rows(1e9 * (t - t[0]), x, heading))
-    with pytest.raises(
-        InputError, match=r"est\.txt: line 1: has 12 numbers: KITTI's poses, which have no times"
-    ):
+    with pytest.raises(InputError, match=r"est\.txt: line 1: has 12 numbers: KITTI's poses, which have no times"):
         trajectory(["1 0 0 0 0 1 0 0 0 0 1 0"] * 5)
 
 
@@ -415,9 +404,7 @@ def test_quaternions_with_w_first_and_no_names_are_told(trajectory):
     wxyz = [[row.split()[k] for k in (0, 1, 2, 3, 7, 4, 5, 6)] for row in tum_rows(t, x, 0.3 * heading)]
     ns = [",".join([f"{round(1e9 * s)}", *row[1:], ""]) for s, row in zip(t, wxyz, strict=True)]
     found, said = trajectory(ns)  # VINS writes so
-    assert found["heading_rms_rad"] == pytest.approx(
-        trajectory(tum_rows(t, x, 0.3 * heading))[0]["heading_rms_rad"]
-    )
+    assert found["heading_rms_rad"] == pytest.approx(trajectory(tum_rows(t, x, 0.3 * heading))[0]["heading_rms_rad"])
     assert "est.txt: its quaternions are taken to have w first, or it would fly upside down" in said
     said = trajectory([" ".join(row) for row in wxyz])[1]
     assert said == ["est.txt: it flies upside down; if w is first, name the columns: # t x y z qw qx qy qz"]
@@ -455,11 +442,11 @@ def test_a_folder_and_the_file_in_it_are_one_truth(tmp_path):
 def test_nothing_is_compared_within_a_gap_of_the_truth_and_a_pose_may_stand_still():
     t, x, heading = poses()
     some = np.r_[0:20, 60:100]
-    found = evaluate(t, x, heading, None, t[some], x[some], heading[some])
+    found = evaluate_trajectory(t, x, heading, None, t[some], x[some], heading[some])
     assert found.rms_m < 1e-9
-    still = evaluate(t, np.tile(x[0], (100, 1)), np.zeros(100), None, t, x, heading)
+    still = evaluate_trajectory(t, np.tile(x[0], (100, 1)), np.zeros(100), None, t, x, heading)
     assert np.isfinite([still.ate_m, still.rpe_m, still.rms_m]).all()
-    shifted = evaluate(t + 0.05, x, heading, None, t, x, heading)
+    shifted = evaluate_trajectory(t + 0.05, x, heading, None, t, x, heading)
     assert shifted.rms_m == pytest.approx(0.05, rel=0.05)
 
 
@@ -475,19 +462,16 @@ def test_a_lens_is_found_from_a_chessboard(tmp_path: Path) -> None:
                     side = np.linspace(0, 1, 8)
                     edge = [*((s, 0) for s in side), *((1, s) for s in side)]
                     edge += [*((1 - s, 1) for s in side), *((0, 1 - s) for s in side)]
-                    at = (
-                        np.array([((i + a - 4) * 0.025, (j + b - 2.5) * 0.025, 0.0) for a, b in edge])
-                        @ turn.T
-                    )
-                    pixels = project(CAMERA, at + 0.26 * np.eye(3)[2])
+                    at = np.array([((i + a - 4) * 0.025, (j + b - 2.5) * 0.025, 0.0) for a, b in edge]) @ turn.T
+                    pixels = project_points(CAMERA, at + 0.26 * np.eye(3)[2])
                     cv2.fillPoly(picture, [np.rint(pixels * 16).astype(np.int32)], 40, cv2.LINE_AA, 4)
-        (tmp_path / f"{k}.png").write_bytes(encode(cv2.GaussianBlur(picture, (0, 0), 0.7), 98))
-    found = calibrate(board_pictures(tmp_path), CAMERA, columns=9, rows=6)
+        (tmp_path / f"{k}.png").write_bytes(encode_jpeg(cv2.GaussianBlur(picture, (0, 0), 0.7), 98))
+    found = calibrate_lens(list_board_pictures(tmp_path), CAMERA, columns=9, rows=6)
     assert found.used >= 6
     assert found.residual_px < 0.3
     assert found.values["focal_x"] == pytest.approx(250, abs=8)
     with pytest.raises(InputError, match="board of 7 by 5 inner corners is in 0 of 8"):
-        calibrate(board_pictures(tmp_path), CAMERA, columns=7, rows=5)
+        calibrate_lens(list_board_pictures(tmp_path), CAMERA, columns=7, rows=5)
 
 
 def test_from_rendering_to_errors_on_the_command_line(tmp_path: Path) -> None:

@@ -9,16 +9,16 @@ import struct
 from itertools import count
 
 from mufly.link import (
-    Ack,
-    ClearAll,
-    Codec,
-    Encoder,
-    Receiver,
-    RequestItem,
-    RequestList,
-    Sender,
+    FrameDecoder,
+    FrameEncoder,
+    MissionAck,
+    MissionClearAll,
+    MissionReceiver,
+    MissionRequestItem,
+    MissionRequestList,
+    MissionSender,
     mavlink,
-    note_of,
+    parse_transfer_message,
     to_mavlink,
 )
 from mufly.station import GroundLink
@@ -61,8 +61,8 @@ class MockVehicle:
         self.commander = None
         self.mission, self.mission_result = (), 0
         self.extra = []  # messages to be sent next
-        self.codec, self.encode = Codec(), Encoder(system, 1)
-        self._receiver = Receiver(self._take)
+        self.codec, self.encode = FrameDecoder(), FrameEncoder(system, 1)
+        self._receiver = MissionReceiver(self._take)
         self._sender = None
         self._due = {}
         self._out = []
@@ -106,17 +106,17 @@ class MockVehicle:
                 self.parameters[m.param_id] = (m.param_value, old[1])
             self._out.append(self._value(list(self.parameters).index(m.param_id)))
         elif kind.startswith("MISSION_"):
-            self._mission_message(now_s, note_of(m), who)
+            self._mission_message(now_s, parse_transfer_message(m), who)
 
     def _mission_message(self, now_s, note, who):
         notes = []
-        if isinstance(note, ClearAll):
+        if isinstance(note, MissionClearAll):
             self.mission = ()
-            notes = [Ack(0)]
-        elif isinstance(note, RequestList):
-            self._sender = Sender(who, self.mission, uploading=False)
+            notes = [MissionAck(0)]
+        elif isinstance(note, MissionRequestList):
+            self._sender = MissionSender(who, self.mission, uploading=False)
             notes = [n for _, n in self._sender.start(now_s)]
-        elif self._sender and isinstance(note, RequestItem | Ack) and not self._receiver.busy:
+        elif self._sender and isinstance(note, MissionRequestItem | MissionAck) and not self._receiver.is_busy:
             notes = [n for _, n in self._sender.receive(now_s, note)]
         elif note is not None:
             notes = [n for _, n in self._receiver.receive(now_s, who, note)]
@@ -147,17 +147,13 @@ class MockVehicle:
         if self._every(now_s, "beat", 1.0):
             mode = 1 | (128 if self.armed else 0)
             out.append(
-                mavlink.MAVLink_heartbeat_message(
-                    self.vehicle_type, self.autopilot, mode, self.custom_mode, 4, 3
-                )
+                mavlink.MAVLink_heartbeat_message(self.vehicle_type, self.autopilot, mode, self.custom_mode, 4, 3)
             )
             if self.commander is not None:
                 out.append(mavlink.MAVLink_named_value_int_message(boot_ms, b"command", self.commander))
         if self._every(now_s, "motion", 1.0 / self.rate_Hz):
             t = now_s - self.boot_s
-            out.append(
-                mavlink.MAVLink_attitude_message(boot_ms, 0.1, -0.1, math.remainder(t, math.tau), 0, 0, 1)
-            )
+            out.append(mavlink.MAVLink_attitude_message(boot_ms, 0.1, -0.1, math.remainder(t, math.tau), 0, 0, 1))
             out.append(mavlink.MAVLink_local_position_ned_message(boot_ms, t, 2.0, -1.0, 1.0, 0.0, 0.0))
         notes = self._receiver.step(now_s)
         if self._sender:
@@ -210,7 +206,7 @@ class World:
 
     def answer(self, request, seconds=30.0):
         """Run until a request has its answer; return its outcome in words, and the answer."""
-        self.run(seconds, lambda: request.done)
+        self.run(seconds, lambda: request.is_done)
         return request.outcome.value, request.answer
 
 

@@ -10,18 +10,24 @@ import pytest
 from mock_vehicle import MockVehicle, World
 
 from mufly.estimate import Estimate
-from mufly.flight import Parameter
-from mufly.link import items_of as items_of_mission
+from mufly.flight import TunableParameter
 from mufly.link import mavlink
-from mufly.link.mission_transfer import Item
-from mufly.mission import expected_timing, load_mission, mission_from
-from mufly.mission.items import Origin
-from mufly.station import History, MissionRow, Snapshot
-from mufly.station.checks import Surroundings, judge
-from mufly.station.commands import StatusTexts
-from mufly.station.endurance import planned_flight
-from mufly.station.telemetry import Telemetry
-from mufly.station.transfers import RemoteMission, RemoteParameters, items_of, rows_of, same_mission
+from mufly.link import mission_to_items as items_of_mission
+from mufly.link.mission_transfer import MissionItem
+from mufly.mission import compute_timing, load_mission, parse_mission
+from mufly.mission.mission_items import GlobalOrigin
+from mufly.station import MissionRow, SignalHistory, VehicleSnapshot
+from mufly.station.mission_endurance import estimate_mission_duration
+from mufly.station.preflight_checks import StationContext, run_preflight_checks
+from mufly.station.remote_commands import StatusTextLog
+from mufly.station.remote_transfers import (
+    RemoteMission,
+    RemoteParameters,
+    is_same_mission,
+    items_from_rows,
+    rows_from_items,
+)
+from mufly.station.vehicle_telemetry import VehicleTelemetry
 
 PREARM = 268435456
 NAMES = [
@@ -47,9 +53,7 @@ def check(world, name):
 
 
 def status(health, voltage=7400, charge=80):
-    return mavlink.MAVLink_sys_status_message(
-        PREARM, PREARM, health, 0, voltage, 300, charge, 0, 0, 0, 0, 0, 0
-    )
+    return mavlink.MAVLink_sys_status_message(PREARM, PREARM, health, 0, voltage, 300, charge, 0, 0, 0, 0, 0, 0)
 
 
 def test_all_checks_stand_in_the_order_of_a_list(world):
@@ -79,9 +83,9 @@ def test_a_vehicle_that_is_silent_is_not_heard(world):
 
 
 def test_the_mission_shown_has_to_be_the_one_in_the_vehicle(world):
-    mission = mission_from({"name": "m", "waypoint": [{"position_m": [1.0, 0.0, -1.0]}]})
+    mission = parse_mission({"name": "m", "waypoint": [{"position_m": [1.0, 0.0, -1.0]}]})
     vehicle = world.seen[0]
-    vehicle.show_mission(mission)
+    vehicle.set_shown_mission(mission)
     assert check(world, "mission").ok is False
     assert world.answer(vehicle.upload_mission(mission))[0] == "accepted"
     assert check(world, "mission").ok is True
@@ -101,7 +105,7 @@ def test_a_mission_that_takes_longer_than_the_battery_lasts(world):
 
 def limits_told(vehicle_limits):
     """Parameters of a vehicle of mufly, as a station knows them."""
-    return {name: Parameter(name, value) for name, value in vehicle_limits.items()}
+    return {name: TunableParameter(name, value) for name, value in vehicle_limits.items()}
 
 
 def test_the_check_reckons_as_mission_check_does():
@@ -111,67 +115,77 @@ def test_the_check_reckons_as_mission_check_does():
         {"waypoint": [{"position_m": [3.0, 0.0, -1.0]}], "at_end": "return", "path": {"kind": "spline"}},
         load_mission("box-on-leg").model_dump(exclude_none=True),
     ):
-        mission = mission_from({"name": "m", **tables})
+        mission = parse_mission({"name": "m", **tables})
         items = items_of_mission(mission).items
         lim = {"LIM_SPEED": mission.limits.speed_m_s, "LIM_CLIMB": mission.limits.climb_m_s}
         at = replace(Estimate(), position=np.array([*mission.start_m, 0.0]), attitude=np.zeros(3))
-        plan = planned_flight(items, Snapshot(estimate=at), limits_told(lim), base=mission)
-        assert plan.needed_s == pytest.approx(expected_timing(mission).landed_s, abs=0.1)
-        assert plan.assumed == ""
+        plan = estimate_mission_duration(items, VehicleSnapshot(estimate=at), limits_told(lim), base=mission)
+        assert plan.duration_s == pytest.approx(compute_timing(mission).landed_s, abs=0.1)
+        assert plan.assumptions == ""
 
 
 def test_a_mission_under_way_needs_what_is_left_of_it():
-    mission = mission_from({"waypoint": [{"position_m": [4.0, 0.0, -1.0]}, {"position_m": [0.0, 0.0, -1.0]}]})
+    mission = parse_mission({"waypoint": [{"position_m": [4.0, 0.0, -1.0]}, {"position_m": [0.0, 0.0, -1.0]}]})
     items = items_of_mission(mission).items
-    timing = expected_timing(mission)
-    for row, gone in ((1, timing.up_s), (2, timing.legs[0].left_s), (3, timing.legs[1].left_s)):
-        s = Snapshot(flying=True, mission_running=True, mission_row=row)
-        assert planned_flight(items, s, {}, base=mission).needed_s == pytest.approx(timing.landed_s - gone)
+    timing = compute_timing(mission)
+    for row, gone in (
+        (1, timing.take_off_done_s),
+        (2, timing.legs[0].departure_s),
+        (3, timing.legs[1].departure_s),
+    ):
+        s = VehicleSnapshot(flying=True, mission_running=True, mission_row=row)
+        assert estimate_mission_duration(items, s, {}, base=mission).duration_s == pytest.approx(timing.landed_s - gone)
 
 
 def test_another_autopilots_mission_is_reckoned_with_its_own_speeds():
     """PX4 tells them in m/s, ArduPilot in cm/s; where none is told, what is assumed is said."""
-    way = [Item(0, 3, 22, x=470000000, y=80000000, z=10.0), Item(1, 3, 16, x=470010000, y=80000000, z=10.0),
-           Item(2, 3, 82, x=470010000, y=80010000, z=10.0), Item(3, 3, 21, x=470010000, y=80010000)]  # fmt: skip
-    s = Snapshot()
-    px4 = planned_flight(way, s, limits_told({"MPC_XY_CRUISE": 5.0, "MPC_ACC_HOR": 3.0}))
-    ardupilot = planned_flight(way, s, limits_told({"WPNAV_SPEED": 500.0, "WPNAV_ACCEL": 300.0}))
-    assert px4.needed_s == pytest.approx(ardupilot.needed_s)
-    assert px4.assumed == ""
+    way = [
+        MissionItem(0, 3, 22, x=470000000, y=80000000, z=10.0),
+        MissionItem(1, 3, 16, x=470010000, y=80000000, z=10.0),
+        MissionItem(2, 3, 82, x=470010000, y=80010000, z=10.0),
+        MissionItem(3, 3, 21, x=470010000, y=80010000),
+    ]
+    s = VehicleSnapshot()
+    px4 = estimate_mission_duration(way, s, limits_told({"MPC_XY_CRUISE": 5.0, "MPC_ACC_HOR": 3.0}))
+    ardupilot = estimate_mission_duration(way, s, limits_told({"WPNAV_SPEED": 500.0, "WPNAV_ACCEL": 300.0}))
+    assert px4.duration_s == pytest.approx(ardupilot.duration_s)
+    assert px4.assumptions == ""
     length = 111.2 + 76.0
-    assert length / 5.0 < px4.needed_s - 60.0 < length / 5.0 + 25.0  # 10 m up and down at 0.5 and 0.4 m/s
-    unknown = planned_flight(way, s, {})
-    assert unknown.assumed == "0.6 m/s assumed"
-    assert unknown.needed_s > length / 0.6
+    assert length / 5.0 < px4.duration_s - 60.0 < length / 5.0 + 25.0  # 10 m up and down at 0.5 and 0.4 m/s
+    unknown = estimate_mission_duration(way, s, {})
+    assert unknown.assumptions == "0.6 m/s assumed"
+    assert unknown.duration_s > length / 0.6
 
 
 def test_jumps_and_circles_take_their_time():
     """Two rounds more of a square are two rounds more; an endless jump is said."""
-    square = [Item(k, 1, 16, x=round(1e4 * n), y=round(1e4 * e), z=-1.0, params=(2.0, 0, 0, math.nan))
+    square = [MissionItem(k, 1, 16, x=round(1e4 * n), y=round(1e4 * e), z=-1.0, params=(2.0, 0, 0, math.nan))
               for k, (n, e) in enumerate([(0, 0), (3, 0), (3, 3), (0, 3)])]  # fmt: skip
-    once = planned_flight(square, Snapshot(), {}).needed_s
+    once = estimate_mission_duration(square, VehicleSnapshot(), {}).duration_s
 
     def with_last(command, *params):
-        return planned_flight([*square, Item(4, 1, command, params=params, x=0, y=0, z=-1.0)], Snapshot(), {})
+        return estimate_mission_duration(
+            [*square, MissionItem(4, 1, command, params=params, x=0, y=0, z=-1.0)], VehicleSnapshot(), {}
+        )
 
     jumped = with_last(177, 0.0, 2.0, 0.0, 0.0)
     legs = 3.0 / 0.6 + 1.5 + 2.0  # and turns
-    assert once + 8 * legs < jumped.needed_s < once + 8 * (legs + 6.0)
-    assert with_last(177, 0.0, -1.0, 0.0, 0.0).assumed == "0.6 m/s assumed, without its endless jump"
-    circles = with_last(18, 2.0, 0.0, 1.0, 0.0).needed_s - with_last(16, 0.0, 0.0, 0.0, math.nan).needed_s
+    assert once + 8 * legs < jumped.duration_s < once + 8 * (legs + 6.0)
+    assert with_last(177, 0.0, -1.0, 0.0, 0.0).assumptions == "0.6 m/s assumed, without its endless jump"
+    circles = with_last(18, 2.0, 0.0, 1.0, 0.0).duration_s - with_last(16, 0.0, 0.0, 0.0, math.nan).duration_s
     assert circles == pytest.approx(2.0 * math.tau / 0.6, abs=1.0)
 
 
 def test_disk_and_recorder_are_looked_at(world):
-    around = world.seen[0].surroundings
-    around.recording, around.free_bytes = False, 1e6
+    around = world.seen[0].station_context
+    around.is_recording, around.free_disk_bytes = False, 1e6
     assert (check(world, "recording").ok, check(world, "disk").ok) == (False, False)
-    around.recording, around.free_bytes = True, 1e10
+    around.is_recording, around.free_disk_bytes = True, 1e10
     assert (check(world, "recording").ok, check(world, "disk").ok) == (True, True)
 
 
 def test_rows_and_items_of_a_mission_file_say_the_same():
-    mission = mission_from(
+    mission = parse_mission(
         {
             "name": "m",
             "take_off": {"height_m": 0.8},
@@ -182,26 +196,26 @@ def test_rows_and_items_of_a_mission_file_say_the_same():
         }
     )
     items = items_of_mission(mission).items
-    rows = rows_of(items)
+    rows = rows_from_items(items)
     first = next(row for row in rows if row.action == "waypoint")
     assert first.position == (1.0, 0.5, -1.2)
     assert first.heading_rad == pytest.approx(math.radians(30.0))
     assert first.wait_s == 2.0
-    assert same_mission(tuple(items_of(rows)), tuple(items))
+    assert is_same_mission(tuple(items_from_rows(rows)), tuple(items))
 
 
 def judged(name, *, around=None, told=None, rows=(), **changes):
     """What a check says of a vehicle that is well but for what is given: ok, and its words."""
-    texts = StatusTexts()
-    telemetry, mission = Telemetry(History(seconds=1.0)), RemoteMission(texts, (1, 1))
-    mission.items = tuple(items_of(rows)) if rows else None
+    texts = StatusTextLog()
+    telemetry, mission = VehicleTelemetry(SignalHistory(seconds=1.0)), RemoteMission(texts, (1, 1))
+    mission.items = tuple(items_from_rows(rows)) if rows else None
     for key, value in (told or {}).items():
         setattr(telemetry, key, value)
     still = replace(Estimate(), attitude=np.zeros(3), velocity=np.zeros(3), battery_voltage=7.4)
-    s = Snapshot(connected=True, silent_s=0.1, link_loss=0.0, link_rate_Hz=50.0, battery_charge=0.9)
+    s = VehicleSnapshot(connected=True, silent_s=0.1, link_loss=0.0, link_rate_Hz=50.0, battery_charge=0.9)
     s = replace(s, estimate=replace(still, **changes.pop("estimate", {})), **changes)
     parameters = RemoteParameters(texts, (1, 1))
-    found = judge(s, telemetry, texts, mission, parameters, around or Surroundings())
+    found = run_preflight_checks(s, telemetry, texts, mission, parameters, around or StationContext())
     return next((c.ok, c.text) for c in found if c.name == name)
 
 
@@ -234,8 +248,8 @@ WAY = [MissionRow("take off", (0, 0, -2.0)), MissionRow("waypoint", (10.0, 0, -1
         ("time to fly", {"rows": WAY, "battery_left_s": 55.0}, False, "20% has to be left; charge it"),
         ("time to fly", {"rows": WAY}, None, "the battery's time is not told"),
         ("time to fly", {}, None, "no mission"),
-        ("disk", {"around": Surroundings(free_bytes=200e6)}, True, "0.2 GB free"),
-        ("disk", {"around": Surroundings(free_bytes=199e6)}, False, "0.2 GB free"),
+        ("disk", {"around": StationContext(free_disk_bytes=200e6)}, True, "0.2 GB free"),
+        ("disk", {"around": StationContext(free_disk_bytes=199e6)}, False, "0.2 GB free"),
         ("disk", {}, None, "not known"),
         ("recording", {}, None, "no recorder"),
         ("command", {"told": {"commander": None}}, None, "does not tell"),
@@ -256,19 +270,19 @@ def test_where_good_ends(name, given, ok, says):
 
 def test_heights_above_the_terrain_are_shown_as_what_they_are():
     """Nobody here knows how high the terrain lies, so they are no heights over home."""
-    origin = Origin(47.0, 8.0, 400.0)
+    origin = GlobalOrigin(47.0, 8.0, 400.0)
     for frame in (10, 11):
-        (row,) = rows_of([Item(0, frame, 16, x=470000000, y=80000000, z=12.0)], origin)
+        (row,) = rows_from_items([MissionItem(0, frame, 16, x=470000000, y=80000000, z=12.0)], origin)
         assert row.position[:2] == pytest.approx((0.0, 0.0))
         assert math.isnan(row.position[2])
         assert row.text == "12 m above the terrain"
-    (home,) = rows_of([Item(0, 3, 16, x=470000000, y=80000000, z=12.0)], origin)
+    (home,) = rows_from_items([MissionItem(0, 3, 16, x=470000000, y=80000000, z=12.0)], origin)
     assert home.position[2] == -12.0
 
 
 def test_rows_give_a_place_and_a_heading_to_items_that_have_them():
     def row(command, *params, frame=1):
-        (found,) = rows_of([Item(0, frame, command, params=params, x=20000, y=-10000, z=-1.5)])
+        (found,) = rows_from_items([MissionItem(0, frame, command, params=params, x=20000, y=-10000, z=-1.5)])
         return found
 
     assert math.isnan(row(93, 4.0, -1.0, -1.0, -1.0).position[0])  # a delay is nowhere

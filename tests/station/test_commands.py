@@ -5,28 +5,28 @@ from itertools import pairwise
 
 import pytest
 
-from mufly.link import Command, Origin, mavlink
-from mufly.station import Outcome, autopilots
-from mufly.station.autopilots import commands_of, firmware_of
-from mufly.station.commands import (
-    PROGRESS_S,
-    REASON_S,
-    RETRY_S,
-    TRIES,
+from mufly.link import Command, GlobalOrigin, mavlink
+from mufly.station import RequestOutcome, autopilots
+from mufly.station.autopilots import identify_firmware, select_commands
+from mufly.station.remote_commands import (
+    MAX_TRIES,
+    PROGRESS_TIMEOUT_S,
+    REASON_WAIT_S,
+    RETRY_PERIOD_S,
     OperatorControl,
     RemoteCommands,
-    StatusTexts,
+    StatusTextLog,
 )
-from mufly.vehicle_types import ardupilot_family, mode_words, vehicle_shape
+from mufly.vehicle_types import ardupilot_family, flight_mode_name, vehicle_shape
 
 LAND = Command(21)
 
 
 def asked():
     """Commands of a station, with one that was sent at 10 s."""
-    texts = StatusTexts()
+    texts = StatusTextLog()
     commands = RemoteCommands(texts, (1, 1))
-    request = commands.ask("land", LAND)
+    request = commands.request_command("land", LAND)
     assert [m.command for m in commands.step(10.0)] == [21]
     return commands, texts, request
 
@@ -39,9 +39,12 @@ def test_a_command_is_repeated_counted_up_and_given_up():
     commands, _, request = asked()
     sent = [commands.step(10.0 + 0.1 * k) for k in range(1, 120)]
     again = [(0.1 * k, m.confirmation) for k, out in enumerate(sent, 1) for m in out]
-    assert [n for _, n in again] == list(range(1, TRIES))
-    assert all(RETRY_S - 1e-6 < b - a < RETRY_S + 0.11 for (a, _), (b, _) in pairwise([(0.0, 0), *again]))
-    assert (request.outcome, request.answer) == (Outcome.TIMED_OUT, "no answer in 10 s; is the link up?")
+    assert [n for _, n in again] == list(range(1, MAX_TRIES))
+    assert all(RETRY_PERIOD_S - 1e-6 < b - a < RETRY_PERIOD_S + 0.11 for (a, _), (b, _) in pairwise([(0.0, 0), *again]))
+    assert (request.outcome, request.answer) == (
+        RequestOutcome.TIMED_OUT,
+        "no answer in 10 s; is the link up?",
+    )
 
 
 def test_what_is_in_progress_is_waited_for():
@@ -52,11 +55,11 @@ def test_what_is_in_progress_is_waited_for():
     assert request.progress == 1.0
     commands.handle(12.0, ack(mavlink.MAV_RESULT_IN_PROGRESS, 255))  # not known
     assert request.progress == 1.0
-    assert commands.step(12.0 + PROGRESS_S - 0.1) == []  # it is not asked again meanwhile
-    assert not request.done
-    commands.step(12.0 + PROGRESS_S + 0.1)
+    assert commands.step(12.0 + PROGRESS_TIMEOUT_S - 0.1) == []  # it is not asked again meanwhile
+    assert not request.is_done
+    commands.step(12.0 + PROGRESS_TIMEOUT_S + 0.1)
     assert (request.outcome, request.answer) == (
-        Outcome.TIMED_OUT,
+        RequestOutcome.TIMED_OUT,
         "begun, but it was never said to be done",
     )
 
@@ -64,16 +67,16 @@ def test_what_is_in_progress_is_waited_for():
 def test_a_refusal_waits_a_moment_for_its_reason():
     commands, _, request = asked()
     commands.handle(10.5, ack(mavlink.MAV_RESULT_DENIED))
-    commands.step(10.5 + REASON_S - 0.1)
-    assert not request.done
+    commands.step(10.5 + REASON_WAIT_S - 0.1)
+    assert not request.is_done
     commands.handle(10.6, ack(mavlink.MAV_RESULT_ACCEPTED))  # a refusal stands
-    commands.step(10.5 + REASON_S + 0.01)
-    assert (request.outcome, request.answer) == (Outcome.REFUSED, "refused")
+    commands.step(10.5 + REASON_WAIT_S + 0.01)
+    assert (request.outcome, request.answer) == (RequestOutcome.REFUSED, "refused")
     commands, texts, request = asked()
     commands.handle(10.5, ack(mavlink.MAV_RESULT_DENIED))
     texts.handle(10.6, 0.0, mavlink.MAVLink_statustext_message(4, b"not now"))
     commands.step(10.61)
-    assert (request.outcome, request.answer) == (Outcome.REFUSED, "not now")
+    assert (request.outcome, request.answer) == (RequestOutcome.REFUSED, "not now")
 
 
 def test_command_is_taken_when_the_vehicle_answers_us_and_what_we_asked():
@@ -84,64 +87,68 @@ def test_command_is_taken_when_the_vehicle_answers_us_and_what_we_asked():
 
     answer(250, 0, 0)  # nobody has asked
     for stranger in ((251, 0), (250, 1)):
-        request = control.take()
+        request = control.take_command()
         (message,) = control.step(1.0, 0)
         assert (message.target_system, message.control_request) == (1, 0)
         answer(*stranger, 0)
-        assert not request.done
+        assert not request.is_done
     answer(250, 0, 0)
-    assert request.outcome is Outcome.ACCEPTED
-    request = control.release()
+    assert request.outcome is RequestOutcome.ACCEPTED
+    request = control.release_command()
     (message,) = control.step(2.0, 0)
     assert message.control_request == 1
     answer(250, 1, 3)
     assert (request.outcome, request.answer) == (
-        Outcome.REFUSED,
+        RequestOutcome.REFUSED,
         "another station commands it; it has to hand over",
     )
 
 
 def test_every_autopilot_is_asked_in_its_own_way():
     """By MAVLink's meaning of the parameters; modes are those of PX4 and of ArduCopter."""
-    firmwares = [firmware_of(*who) for who in ((12, True), (12, False), (3, False), (18, False))]
+    firmwares = [identify_firmware(*who) for who in ((12, True), (12, False), (3, False), (18, False))]
     assert firmwares == ["mufly", "PX4", "ArduPilot", "other"]
-    ours, px4, copter, other = (autopilots.take_off(f, 1.5) for f in firmwares)
-    assert (ours.number, ours.frame, ours.params[6]) == (22, 1, -1.5)
+    ours, px4, copter, other = (autopilots.take_off_command(f, 1.5) for f in firmwares)
+    assert (ours.command_id, ours.frame, ours.params[6]) == (22, 1, -1.5)
     assert math.isnan(px4.params[6])  # it climbs to its parameter MIS_TAKEOFF_ALT
     assert (copter.params[6], other.params[6], copter.frame) == (1.5, 1.5, None)
     assert len(copter.params) == 7
-    at = Origin(47.0, 8.0, 400.0)
-    ours, px4 = (autopilots.go_to(f, (3.0, -2.0, -1.5), math.nan, at) for f in ("mufly", "PX4"))
+    at = GlobalOrigin(47.0, 8.0, 400.0)
+    ours, px4 = (autopilots.go_to_command(f, (3.0, -2.0, -1.5), math.nan, at) for f in ("mufly", "PX4"))
     assert (ours.frame, ours.params[4:]) == (1, (3.0, -2.0, -1.5))
     assert (px4.frame, px4.params[4:]) == (0, pytest.approx(at.to_global(3.0, -2.0, -1.5)))
     for order in (ours, px4):
         assert order.params[0] == -1.0  # at its own speed
         assert math.isnan(order.params[3])  # the nose as it likes
     assert px4.params[1] == 1.0  # whatever mode it is in
-    assert "told no origin" in autopilots.go_to("PX4", (0, 0, -1), 0.0, None)
-    interval = autopilots.message_interval
+    assert "told no origin" in autopilots.go_to_command("PX4", (0, 0, -1), 0.0, None)
+    interval = autopilots.message_interval_command
     assert [interval(30, rate).params[:2] for rate in (50.0, 0.0)] == [(30, 20_000.0), (30, -1.0)]
-    assert (autopilots.ARM.params[0], autopilots.DISARM.params[0], autopilots.REBOOT.params[0]) == (
+    assert (
+        autopilots.ARM_COMMAND.params[0],
+        autopilots.DISARM_COMMAND.params[0],
+        autopilots.REBOOT_COMMAND.params[0],
+    ) == (
         1.0,
         0.0,
         1.0,
     )
-    assert autopilots.EMERGENCY_STOP.stops
+    assert autopilots.EMERGENCY_STOP_COMMAND.is_emergency_stop
     for table, words in (
-        (autopilots.PAUSE, {"PX4": "hold", "ArduPilot": "brake"}),
-        (autopilots.BY_HAND, {"PX4": "position control", "ArduPilot": "loiter"}),
-        (autopilots.LET_GO, {"PX4": "hold", "ArduPilot": "brake"}),
-        (autopilots.RETURN, {"ArduPilot": "return"}),
-        (autopilots.LAND, {"ArduPilot": "landing"}),
-        (autopilots.START_MISSION, {"PX4": "mission", "ArduPilot": "auto"}),
-        (autopilots.BEFORE_ARMING, {"ArduPilot": "guided"}),
+        (autopilots.PAUSE_COMMANDS, {"PX4": "hold", "ArduPilot": "brake"}),
+        (autopilots.MANUAL_CONTROL_COMMANDS, {"PX4": "position control", "ArduPilot": "loiter"}),
+        (autopilots.RELEASE_STICKS_COMMANDS, {"PX4": "hold", "ArduPilot": "brake"}),
+        (autopilots.RETURN_COMMANDS, {"ArduPilot": "return"}),
+        (autopilots.LAND_COMMANDS, {"ArduPilot": "landing"}),
+        (autopilots.START_MISSION_COMMANDS, {"PX4": "mission", "ArduPilot": "auto"}),
+        (autopilots.PRE_ARM_COMMANDS, {"ArduPilot": "guided"}),
     ):
         for firmware, word in words.items():
-            base, main, sub = commands_of(table, firmware)[-1].params[:3]
+            base, main, sub = select_commands(table, firmware)[-1].params[:3]
             number = int(main) << 16 | int(sub) << 24 if firmware == "PX4" else int(main)
             assert int(base) == 1
             assert base == 1.0
-            assert mode_words({"PX4": 12, "ArduPilot": 3}[firmware], 2, 1, number) == word
+            assert flight_mode_name({"PX4": 12, "ArduPilot": 3}[firmware], 2, 1, number) == word
 
 
 @pytest.mark.parametrize(
@@ -157,11 +164,11 @@ def test_every_ardupilot_is_asked_for_a_mode_of_its_own(kind: int, words: dict[s
     """A copter's mode 3 is "auto", a plane's is "training": numbers of another firmware are never sent."""
     family = ardupilot_family(kind)
     for name, word in words.items():
-        commands = commands_of(getattr(autopilots, name), "ArduPilot", family)
-        assert mode_words(3, kind, 1, int(commands[-1].params[1])) == word
+        commands = select_commands(getattr(autopilots, name), "ArduPilot", family)
+        assert flight_mode_name(3, kind, 1, int(commands[-1].params[1])) == word
     for name in {"BEFORE_ARMING", "LAND"} - set(words):
-        assert "has no flight mode for this" in commands_of(getattr(autopilots, name), "ArduPilot", family)
-    assert "of this type" in commands_of(autopilots.PAUSE, "ArduPilot", "")
+        assert "has no flight mode for this" in select_commands(getattr(autopilots, name), "ArduPilot", family)
+    assert "of this type" in select_commands(autopilots.PAUSE_COMMANDS, "ArduPilot", "")
 
 
 @pytest.mark.parametrize(
@@ -182,8 +189,8 @@ def test_every_ardupilot_is_asked_for_a_mode_of_its_own(kind: int, words: dict[s
     ],
 )
 def test_modes_have_the_words_of_their_autopilot(autopilot, kind, mode, words):
-    assert mode_words(autopilot, kind, 1, mode) == words
-    assert mode_words(autopilot, kind, 0, mode) == ""
+    assert flight_mode_name(autopilot, kind, 1, mode) == words
+    assert flight_mode_name(autopilot, kind, 0, mode) == ""
 
 
 def test_a_vehicle_is_drawn_as_what_its_type_says() -> None:

@@ -6,21 +6,22 @@ import numpy as np
 import pytest
 
 from mufly.errors import ArgumentError
-from mufly.station.comparison import (
-    Comparison,
-    compared_signals,
+from mufly.station.page.page_session import StationSession
+from mufly.station.recording_comparison import (
+    RecordingComparison,
     difference_rows,
     draw_comparison,
-    event_time,
+    find_event_time,
+    find_shared_signals,
 )
-from mufly.station.page.session import Session
-from mufly.station.replay import Recording
+from mufly.station.replay import FlightRecording
 
 
 def hop(
     name: str, start_s: float, rate_Hz: float, up_s: float, *, source: str = "estimated", turn: float = 0.0
-) -> Recording:
-    """A climb of 1 m in a second, ``up_s`` after the start; motors run half a second before; the nose turns."""
+) -> FlightRecording:
+    """A climb of 1 m in a second, ``up_s`` after the start; motors run half a second before; the nose
+    turns."""
     t = start_s + np.arange(0.0, 10.0, 1.0 / rate_Hz)
     since = t - start_s - up_s
     yaw = np.arctan2(np.sin(0.5 * since + turn), np.cos(0.5 * since + turn))
@@ -32,55 +33,53 @@ def hop(
     }
     units = {f"{source}_position_N": "m", f"{source}_position_D": "m", f"{source}_attitude_yaw": "rad"}
     states = np.full(len(t), "")
-    return Recording(
-        name, t, columns, units | {"motor_input_upper": "1"}, states, (), None, np.zeros(0), 1.0, {}
-    )
+    return FlightRecording(name, t, columns, units | {"motor_input_upper": "1"}, states, (), None, np.zeros(0), 1.0, {})
 
 
 A, B = hop("a.mcap", 0.0, 100.0, 2.0), hop("b.ulg", 5000.0, 30.0, 3.5, source="measured")
 
 
 def test_take_off_arming_and_start_coincide() -> None:
-    assert event_time(A, "take-off") == pytest.approx(2.1, abs=0.02)
-    assert event_time(A, "arming") == pytest.approx(1.5, abs=0.02)
-    assert Comparison(A, B).shift_s == pytest.approx(-5001.5, abs=0.06)
-    assert Comparison(A, B, "arming").shift_s == pytest.approx(-5001.5, abs=0.06)
-    assert Comparison(A, B, "start", 0.25).shift_s == pytest.approx(-4999.75)
-    assert Comparison(A, B, "clock", -1.0).shift_s == -1.0
+    assert find_event_time(A, "take-off") == pytest.approx(2.1, abs=0.02)
+    assert find_event_time(A, "arming") == pytest.approx(1.5, abs=0.02)
+    assert RecordingComparison(A, B).total_shift_s == pytest.approx(-5001.5, abs=0.06)
+    assert RecordingComparison(A, B, "arming").total_shift_s == pytest.approx(-5001.5, abs=0.06)
+    assert RecordingComparison(A, B, "start", 0.25).total_shift_s == pytest.approx(-4999.75)
+    assert RecordingComparison(A, B, "clock", -1.0).total_shift_s == -1.0
 
 
 def test_another_source_rate_and_clock_fall_on_the_first() -> None:
-    c = Comparison(A, B)
-    assert c.source_of("estimated_position_N") == "measured_position_N"
+    c = RecordingComparison(A, B)
+    assert c.find_counterpart("estimated_position_N") == "measured_position_N"
     for row in difference_rows(c, ["estimated_position_N", "estimated_attitude_yaw"]):
         assert row["rms"] < {"m": 0.02, "deg": 2.0}[row["units"]]
-    assert c.track().shape == (len(B.times), 3)
-    assert compared_signals(c)["position"] == ["estimated_position_N", "estimated_position_D"]
+    assert c.second_track().shape == (len(B.times_s), 3)
+    assert find_shared_signals(c)["position"] == ["estimated_position_N", "estimated_position_D"]
 
 
 def test_beyond_its_ends_in_gaps_and_without_a_signal_there_is_nothing() -> None:
     late = hop("late", 0.0, 50.0, 2.0)
     late.columns["estimated_position_N"][100:200] = math.nan  # 2 to 4 s
-    c = Comparison(A, late, "clock", 1.0)
-    n = c.sampled("estimated_position_N", np.array([0.5, 2.0, 4.0, 6.0, 30.0]))
+    c = RecordingComparison(A, late, "clock", 1.0)
+    n = c.sample_second("estimated_position_N", np.array([0.5, 2.0, 4.0, 6.0, 30.0]))
     assert np.isnan(n).tolist() == [True, False, True, False, True]
-    assert np.isnan(c.sampled("battery_voltage", A.times)).all()
+    assert np.isnan(c.sample_second("battery_voltage", A.times_s)).all()
     with pytest.raises(ArgumentError, match="not in both recordings"):
-        compared_signals(c, ["battery_voltage"])
+        find_shared_signals(c, ["battery_voltage"])
 
 
 def test_who_never_took_off_is_aligned_by_the_start_and_that_is_said() -> None:
     still = hop("still.mcap", 100.0, 50.0, 1e3)
-    c = Comparison(A, still)
-    assert c.note == "no take-off in still.mcap: aligned by the start"
-    assert c.shift_s == -100.0
+    c = RecordingComparison(A, still)
+    assert c.alignment_note == "no take-off in still.mcap: aligned by the start"
+    assert c.total_shift_s == -100.0
     with pytest.raises(ArgumentError, match="is no event"):
-        Comparison(A, still, "noon")
+        RecordingComparison(A, still, "noon")
 
 
 def test_angles_differ_by_less_than_half_a_turn() -> None:
     """Nearly half a turn to the left and to the right are close to each other."""
-    c = Comparison(A, hop("turned", 0.0, 100.0, 2.0, turn=math.radians(3.0)), "clock")
+    c = RecordingComparison(A, hop("turned", 0.0, 100.0, 2.0, turn=math.radians(3.0)), "clock")
     (row,) = difference_rows(c, ["estimated_attitude_yaw"])
     assert row["rms"] == pytest.approx(3.0, abs=0.2)
     figure = draw_comparison(c, ["estimated_attitude_yaw"])
@@ -92,19 +91,17 @@ def test_angles_differ_by_less_than_half_a_turn() -> None:
 
 
 def test_a_window_gets_the_second_on_the_first_ones_clock(tmp_path) -> None:
-    view = Session(lambda: [], tmp_path).open("one")
-    view.compare(B)
-    assert view.comparison() is None  # over what?
+    view = StationSession(lambda: [], tmp_path).open_view("one")
+    view.compare_recording(B)
+    assert view.shown_comparison() is None  # over what?
     view.show_recording(A)
     assert view.replay is not None
-    view.compare(B, "arming", 0.5)
+    view.compare_recording(B, "arming", 0.5)
     view.replay.seek(9.0)
-    times, values = view.replay.history.window(
-        30.0, ["estimated_position_N", "compared/estimated_position_N"]
-    )
+    times, values = view.replay.history.recent_rows(30.0, ["estimated_position_N", "compared/estimated_position_N"])
     k = int(np.searchsorted(times, 5.0))
     assert values[k, 0] - values[k, 1] == pytest.approx(0.1, abs=0.02)
-    told = view.about()["compared"]
+    told = view.encode_status()["compared"]
     assert (told["name"], told["by"], told["offset"], told["note"]) == ("b.ulg", "arming", 0.5, "")
     view.close_recording()
-    assert view.about()["compared"] is None
+    assert view.encode_status()["compared"] is None

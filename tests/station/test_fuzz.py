@@ -11,9 +11,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from mufly.link import Encoder
+from mufly.link import FrameEncoder
 from mufly.link import mavlink as m
-from mufly.station import GroundLink, History
+from mufly.station import GroundLink, SignalHistory
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
@@ -39,7 +39,7 @@ def test_lying_vehicles_break_nothing(fuzz_station: ModuleType) -> None:
 
 
 def heard(ground: GroundLink, *messages: object) -> None:
-    encode = Encoder(9, 1)
+    encode = FrameEncoder(9, 1)
     for message in (m.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3), *messages):
         ground.receive(1.0, "liar", encode(message))
 
@@ -80,9 +80,9 @@ def test_a_history_takes_memory_as_it_fills() -> None:
     if not statm.exists():
         pytest.skip("needs /proc to see what memory is in use")
     before = int(statm.read_text().split()[1])
-    histories = [History() for _ in range(32)]
+    histories = [SignalHistory() for _ in range(32)]
     for history in histories:
-        history.append(0.0, np.zeros(len(history.names)))
-        assert math.isnan(history.window(1.0, ["no such signal"])[1][0, 0])
+        history.append_row(0.0, np.zeros(len(history.names)))
+        assert math.isnan(history.recent_rows(1.0, ["no such signal"])[1][0, 0])
     pages = int(statm.read_text().split()[1]) - before
     assert pages * 4096 < 50e6

@@ -9,11 +9,17 @@ import pytest
 from mock_vehicle import MockVehicle, World, as_float
 
 from mufly.errors import InputError
-from mufly.link import Encoder, Endpoint, Item, Origin, mavlink, parse_endpoint
-from mufly.station import GroundLink, MissionRow, Outcome
-from mufly.station.commands import StatusTexts
-from mufly.station.ground import rate_for
-from mufly.station.transfers import OWN_SPEED, RemoteParameters, items_of, rows_of, same_mission
+from mufly.link import Endpoint, FrameEncoder, GlobalOrigin, MissionItem, mavlink, parse_endpoint
+from mufly.station import GroundLink, MissionRow, RequestOutcome
+from mufly.station.ground_station import choose_telemetry_rate
+from mufly.station.remote_commands import StatusTextLog
+from mufly.station.remote_transfers import (
+    MISSION_SPEED_TEXT,
+    RemoteParameters,
+    is_same_mission,
+    items_from_rows,
+    rows_from_items,
+)
 
 ROWS = [
     MissionRow("take off", (0.0, 0.0, -1.0)),
@@ -59,13 +65,13 @@ def test_ground_stations_and_peripherals_are_no_vehicles():
     link = GroundLink()
     for kind, autopilot in ((6, 8), (26, 8), (18, 8)):
         message = mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 0, 3)
-        link.receive(1.0, "a", Encoder(1, 100)(message))
+        link.receive(1.0, "a", FrameEncoder(1, 100)(message))
     assert link.vehicles == []
 
 
 def heartbeat(kind, autopilot, component, system=1):
     message = mavlink.MAVLink_heartbeat_message(kind, autopilot, 128, 0, 4, 3)
-    return Encoder(system, component)(message)
+    return FrameEncoder(system, component)(message)
 
 
 @pytest.mark.parametrize(
@@ -105,17 +111,17 @@ def test_the_autopilot_takes_over_from_a_companion_that_calls_itself_a_quadrotor
     (vehicle,) = world.seen
     assert vehicle.component == 191
     early = vehicle.arm()
-    vehicle.telemetry.clock.stamp(9_000_000, world.t)  # the companion's clock is hours ahead
+    vehicle.telemetry.clock.place_stamp(9_000_000, world.t)  # the companion's clock is hours ahead
     world.run(8.0, lambda: ready(vehicle))
     assert world.seen == [vehicle]
     assert (vehicle.component, vehicle.firmware) == (1, "PX4")
-    assert early.outcome is Outcome.TIMED_OUT
+    assert early.outcome is RequestOutcome.TIMED_OUT
     assert any("component 1 is the autopilot" in m.text for m in vehicle.messages)
     assert vehicle.parameters["A"].value == 1.0
     assert world.answer(vehicle.arm())[0] == "accepted"
     assert {m.target_component for m in mock.commands} == {1}
     world.run(1.0)
-    times, _ = vehicle.history.window(100.0)
+    times, _ = vehicle.history.recent_rows(100.0)
     assert times[-1] - times[0] < 60.0
     world.station.receive(world.t, "peer 0", heartbeat(2, 3, 191))  # the companion goes on
     assert vehicle.component == 1
@@ -127,7 +133,7 @@ def test_equipment_with_the_vehicles_own_numbers_does_not_disarm_it():
     world = World(mock)
     vehicle = met(world)
     idle = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
-    world.station.receive(world.t, "peer 0", Encoder(1, 1)(idle))
+    world.station.receive(world.t, "peer 0", FrameEncoder(1, 1)(idle))
     assert (vehicle.telemetry.armed, vehicle.telemetry.mode) == (True, "mission")
     assert vehicle.telemetry.vehicle_type == 13
 
@@ -189,7 +195,7 @@ def test_missions_go_there_and_back_over_the_worst_link(seed):
     assert len(mock.mission) == 5
     request = vehicle.download_mission()
     assert world.answer(request, 120.0)[0] == "accepted"
-    assert same_mission(request.result, mock.mission)
+    assert is_same_mission(request.result, mock.mission)
     back = vehicle.mission
     assert [row.action for row in back] == [row.action for row in ROWS]
     np.testing.assert_allclose([r.position for r in back], [r.position for r in ROWS])
@@ -205,48 +211,48 @@ def test_a_mission_that_cannot_be_sent_is_refused_before_anything_is_sent():
     world = World(MockVehicle())
     vehicle = met(world)
     request = vehicle.upload_mission([MissionRow("dance")])
-    assert request.outcome is Outcome.REFUSED
+    assert request.outcome is RequestOutcome.REFUSED
     assert "row 1" in request.answer
-    assert vehicle.upload_mission("no-such-mission.toml").outcome is Outcome.REFUSED
+    assert vehicle.upload_mission("no-such-mission.toml").outcome is RequestOutcome.REFUSED
 
 
 def test_rows_are_items_and_back_and_what_has_no_place_has_none():
-    at = Origin(47.0, 8.0, 400.0)
+    at = GlobalOrigin(47.0, 8.0, 400.0)
     lat, lon, _ = at.to_global(10.0, -5.0, 0.0)
     x, y = round(lat * 1e7), round(lon * 1e7)
     rows = [
         *ROWS,
-        MissionRow("speed", text=OWN_SPEED),
+        MissionRow("speed", text=MISSION_SPEED_TEXT),
         MissionRow("turn", heading_rad=math.radians(-45.0)),
         MissionRow("return"),
     ]
-    items = items_of(rows)
+    items = items_from_rows(rows)
     assert [i.command for i in items] == [22, 178, 16, 16, 21, 178, 115, 20]
     assert [i.params[:3] for i in items if i.command == 178] == [(1.0, 0.4, -1.0), (1.0, -2.0, -1.0)]
-    back = rows_of(items, reached=2)
+    back = rows_from_items(items, reached=2)
     assert [r.reached for r in back] == [True, True, *[False] * 6]
-    assert (back[5].text, back[6].heading_rad) == (OWN_SPEED, pytest.approx(math.radians(-45.0)))
+    assert (back[5].text, back[6].heading_rad) == (MISSION_SPEED_TEXT, pytest.approx(math.radians(-45.0)))
     assert np.isnan([back[k].position for k in (1, 5, 6, 7)]).all()
     foreign = [
-        Item(0, 0, 16, params=(2.5, 0, 0, math.nan), x=x, y=y, z=401.5),
-        Item(1, 3, 19, params=(4.0, 0, 0, math.nan), x=x, y=y, z=1.5),
-        Item(2, 3, 16, params=(math.nan, 0, 0, math.nan), x=0, y=0, z=1.5),
-        Item(3, 2, 201, params=(1.0, 2.0, 0, 0)),
+        MissionItem(0, 0, 16, params=(2.5, 0, 0, math.nan), x=x, y=y, z=401.5),
+        MissionItem(1, 3, 19, params=(4.0, 0, 0, math.nan), x=x, y=y, z=1.5),
+        MissionItem(2, 3, 16, params=(math.nan, 0, 0, math.nan), x=0, y=0, z=1.5),
+        MissionItem(3, 2, 201, params=(1.0, 2.0, 0, 0)),
     ]
-    a, b, nowhere, unknown = rows_of(foreign, at)
+    a, b, nowhere, unknown = rows_from_items(foreign, at)
     for row in (a, b):
         assert row.position == pytest.approx((10.0, -5.0, -1.5), abs=0.01)
     assert [r.wait_s for r in (a, b, nowhere)] == [2.5, 4.0, 0.0]
     assert [r.action for r in (a, b, unknown)] == ["waypoint", "stay for", "command 201"]
     assert np.isnan(nowhere.position).all()
     assert unknown.text.startswith("1 2 0 0")
-    assert rows_of(foreign[:1])[0].text == f"{lat:.6f} {lon:.6f} deg, 401.5 m"
+    assert rows_from_items(foreign[:1])[0].text == f"{lat:.6f} {lon:.6f} deg, 401.5 m"
     for row, why in (
         (MissionRow("waypoint"), "row 2: has no place"),
         (MissionRow("speed", text="fast"), "row 2: has no speed"),
     ):
         with pytest.raises(InputError, match=why):
-            items_of([ROWS[0], row])
+            items_from_rows([ROWS[0], row])
 
 
 def test_why_a_mission_is_refused_is_said_even_if_the_vehicle_gives_a_number_only():
@@ -269,7 +275,7 @@ def test_a_mission_that_another_station_sends_or_clears_is_fetched():
     vehicle = met(world)
     world.answer(vehicle.upload_mission(ROWS))
     for held, total, shown in ((ROWS[:3], 0, 5), (ROWS[:3], 3, 3), ((), 65535, 0)):
-        mock.mission = tuple(items_of(held))
+        mock.mission = tuple(items_from_rows(held))
         mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=total))
         world.run(1.0)
         assert len(vehicle.mission) == shown, total
@@ -277,16 +283,14 @@ def test_a_mission_that_another_station_sends_or_clears_is_fetched():
 
 def test_parameters_that_do_not_come_are_counted():
     for count, came, words in ((0, 0, "all parameters"), (5, 2, "3 parameters")):
-        parameters = RemoteParameters(StatusTexts(), (1, 1))
-        request, asked = parameters.refresh(), []
+        parameters = RemoteParameters(StatusTextLog(), (1, 1))
+        request, asked = parameters.request_all(), []
         for k in range(60):
             asked += parameters.step(float(k))
             for j in range(came if k == 0 else 0):
-                parameters.handle(
-                    0.0, sent(mavlink.MAVLink_param_value_message(b"P%d" % j, 1.0, 9, count, j))
-                )
+                parameters.handle(0.0, sent(mavlink.MAVLink_param_value_message(b"P%d" % j, 1.0, 9, count, j)))
         assert (request.outcome, request.answer) == (
-            Outcome.TIMED_OUT,
+            RequestOutcome.TIMED_OUT,
             f"{words} are missing; read them again",
         )
         assert asked[0].get_type() == "PARAM_REQUEST_LIST"
@@ -322,12 +326,12 @@ def test_a_station_is_heard_once_a_second_and_after_a_stall_too():
 
 def test_a_line_is_asked_for_what_it_carries():
     """A radio of 57600 baud carries 5.8 kB/s; all streams at 100 Hz are 45."""
-    assert rate_for(parse_endpoint("udp:127.0.0.1:14550", "station"), 80.0) == 80.0
-    radio = rate_for(Endpoint("serial", "/dev/ttyUSB0", 57600))
+    assert choose_telemetry_rate(parse_endpoint("udp:127.0.0.1:14550", "station"), 80.0) == 80.0
+    radio = choose_telemetry_rate(Endpoint("serial", "/dev/ttyUSB0", 57600))
     assert 0.5 < radio / 100 * 45_000 / 5760 < 0.7  # room for commands, missions and parameters
-    assert rate_for(Endpoint("serial", "/dev/ttyUSB0", 115200)) == pytest.approx(2 * radio)
-    assert rate_for(Endpoint("serial", "/dev/ttyACM0", 3_000_000)) == 100.0
-    assert rate_for(Endpoint("serial", "/dev/ttyUSB0", 1200)) == 1.0
+    assert choose_telemetry_rate(Endpoint("serial", "/dev/ttyUSB0", 115200)) == pytest.approx(2 * radio)
+    assert choose_telemetry_rate(Endpoint("serial", "/dev/ttyACM0", 3_000_000)) == 100.0
+    assert choose_telemetry_rate(Endpoint("serial", "/dev/ttyUSB0", 1200)) == 1.0
 
 
 def test_progress_follows_current_and_reached_items():
@@ -365,7 +369,7 @@ def test_the_home_in_an_ardupilot_s_mission_is_not_missed_again_and_again():
     world.answer(vehicle.upload_mission(ROWS))
     mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=4))
     world.run(0.2)
-    assert not vehicle.transfers.busy
+    assert not vehicle.transfers.is_busy
     mock.mission = mock.mission[:4]
     mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=3))
     world.run(5.0, lambda: len(vehicle.mission) == 4)
@@ -419,8 +423,8 @@ def test_an_emergency_stop_goes_out_at_once_whatever_waits():
     stop = vehicle.emergency_stop()
     world.run(0.03)
     assert (mock.commands[0].command, mock.commands[0].param1, mock.commands[0].param2) == (400, 0.0, 21196.0)
-    assert waiting.outcome is Outcome.REFUSED
-    assert not stop.done
+    assert waiting.outcome is RequestOutcome.REFUSED
+    assert not stop.is_done
 
 
 @pytest.mark.parametrize("autopilot", [12, 3])
@@ -441,8 +445,8 @@ def test_nothing_that_was_asked_for_before_follows_an_emergency_stop(autopilot, 
     world.run(0.02)
     mock.silent_on, mock.refuse = set(), {}
     world.run(4.0)
-    assert stop.outcome is Outcome.ACCEPTED
-    assert all(request.done for request in asked)
+    assert stop.outcome is RequestOutcome.ACCEPTED
+    assert all(request.is_done for request in asked)
     acts = [m for m in mock.commands if m.command not in (511, 512)]
     assert {(m.command, m.param1, m.param2) for m in acts} == {(400, 0.0, 21196.0)}
     assert not mock.armed
@@ -477,8 +481,8 @@ def test_a_vehicle_that_is_started_anew_is_asked_anew_and_its_history_goes_on():
     mock.silent_on.add(21)
     waiting = vehicle.land()
     world.run(3.0, lambda: vehicle.parameters["A"].value == 2.0)
-    assert (waiting.outcome, waiting.answer) == (Outcome.TIMED_OUT, "the vehicle was started anew")
-    times, _ = vehicle.history.window(100.0)
+    assert (waiting.outcome, waiting.answer) == (RequestOutcome.TIMED_OUT, "the vehicle was started anew")
+    times, _ = vehicle.history.recent_rows(100.0)
     assert (np.diff(times) > 0).all()
     assert before < times[-1] < before + 4.0
     assert any("started anew" in m.text for m in vehicle.messages)
@@ -528,12 +532,12 @@ def test_the_link_is_measured():
     world = World(MockVehicle(), loss=0.3, seed=3)
     world.run(20.0)
     s = world.seen[0].snapshot
-    losses = world.seen[0].history.window(15.0, ["link_loss"])[1]
+    losses = world.seen[0].history.recent_rows(15.0, ["link_loss"])[1]
     assert 0.2 < np.nanmean(losses) < 0.4
     assert 20.0 < s.link_rate_Hz < 41.0
     world.down[0].loss = 0.7  # more is lost than comes
     world.run(20.0)
-    losses = world.seen[0].history.window(15.0, ["link_loss"])[1]
+    losses = world.seen[0].history.recent_rows(15.0, ["link_loss"])[1]
     assert 0.6 < np.nanmean(losses) < 0.8
     world.down[0].cut = True
     world.run(2.5)
@@ -603,11 +607,11 @@ def test_after_a_stop_of_the_station_nothing_that_was_asked_before_is_done(secon
         vehicle.upload_mission(ROWS),
         vehicle.take_command(),
     )
-    vehicle.sticks.hold(0.0, 0.0, 0.0, 0.0)
-    by_hand = vehicle.fly_by_hand()  # and gives up to land
+    vehicle.sticks.set_deflection(0.0, 0.0, 0.0, 0.0)
+    by_hand = vehicle.fly_manually()  # and gives up to land
     stop = vehicle.emergency_stop()
     world.run(0.3)
-    vehicle.sticks.hold(0.5, 0.0, 0.0, 0.0)
+    vehicle.sticks.set_deflection(0.5, 0.0, 0.0, 0.0)
     mock.commands.clear()
     world.up[0].cut = True
     world.t += seconds
@@ -616,13 +620,13 @@ def test_after_a_stop_of_the_station_nothing_that_was_asked_before_is_done(secon
     world.up[0].cut = False
     world.run(12.0)
     for request in (land, gain, sent, taken, by_hand, stop):
-        assert request.done, request.text
+        assert request.is_done, request.text
     assert [r.outcome.value for r in (land, by_hand, stop)] == ["refused"] * 3
     assert "the station stood still" in stop.answer
     assert [c.command for c in mock.commands if c.command not in (511, 512)] == []
-    assert not vehicle.sticks.held
+    assert not vehicle.sticks.is_held
     assert any("stood still" in m.text for m in vehicle.messages)
-    assert vehicle.land().outcome is Outcome.WAITING  # what is asked now is asked
+    assert vehicle.land().outcome is RequestOutcome.WAITING  # what is asked now is asked
 
 
 @pytest.mark.parametrize("seconds", [1.5, 10.0, 100.0])
@@ -633,7 +637,7 @@ def test_what_waits_while_the_link_is_cut_is_not_done_when_it_is_back_but_a_stop
     for channel in (world.up[0], world.down[0]):
         channel.cut = True
     world.run(1.3)
-    assert land.outcome is Outcome.REFUSED
+    assert land.outcome is RequestOutcome.REFUSED
     assert "was not heard for 1.0 s" in land.answer
     again, stop = vehicle.land(), vehicle.emergency_stop()
     world.run(seconds - 1.3)
@@ -641,9 +645,9 @@ def test_what_waits_while_the_link_is_cut_is_not_done_when_it_is_back_but_a_stop
         channel.cut = False
     mock.commands.clear()
     world.run(5.0)
-    assert again.done
+    assert again.is_done
     assert heard_of(mock) == 0
-    assert stop.outcome is (Outcome.ACCEPTED if seconds <= 10.0 else Outcome.TIMED_OUT)
+    assert stop.outcome is (RequestOutcome.ACCEPTED if seconds <= 10.0 else RequestOutcome.TIMED_OUT)
 
 
 def test_a_vehicle_that_speaks_seldom_is_not_given_up_between_two_words():
@@ -652,13 +656,13 @@ def test_a_vehicle_that_speaks_seldom_is_not_given_up_between_two_words():
     world.run(60.0, step_s=0.02)  # what it is asked for at the beginning is over
     land = vehicle.land()
     world.run(5.0)
-    assert land.outcome is Outcome.WAITING
+    assert land.outcome is RequestOutcome.WAITING
 
 
 def test_a_later_command_gives_up_one_that_waits_for_its_answer():
     """Else its repetition undoes the later one: a Resume was swallowed by the Hover before it."""
     mock = MockVehicle(ours=True)
-    mock.armed, mock.mission = True, tuple(items_of(ROWS))
+    mock.armed, mock.mission = True, tuple(items_from_rows(ROWS))
     world = World(mock)
     vehicle = met(world)
     mock.silent_on.add(mavlink.MAV_CMD_DO_PAUSE_CONTINUE)  # its answers are lost
@@ -667,7 +671,7 @@ def test_a_later_command_gives_up_one_that_waits_for_its_answer():
     assert vehicle.pause() is hover  # two presses are one request
     world.run(0.3)
     resume = vehicle.start_mission()
-    assert hover.outcome is Outcome.REFUSED
+    assert hover.outcome is RequestOutcome.REFUSED
     assert hover.answer == "given up for: fly the mission"
     assert world.answer(resume) == ("accepted", "")
     world.run(5.0)
@@ -682,7 +686,7 @@ def test_a_later_command_gives_up_one_that_waits_for_its_answer():
     land = vehicle.land()
     mock.silent_on.clear()
     world.run(3.0)
-    assert (up.outcome, land.outcome) == (Outcome.REFUSED, Outcome.ACCEPTED)
+    assert (up.outcome, land.outcome) == (RequestOutcome.REFUSED, RequestOutcome.ACCEPTED)
     assert heard_of(mock, mavlink.MAV_CMD_NAV_TAKEOFF) == 0
 
 
@@ -690,7 +694,7 @@ def test_vehicles_of_one_number_have_keys_of_their_own_and_noise_is_told_as_that
     link = GroundLink(name="udp:x")
     beat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)
     for k, peer in enumerate(("a", "b")):
-        link.receive(10.0 + k, peer, Encoder(1, 1)(beat))
+        link.receive(10.0 + k, peer, FrameEncoder(1, 1)(beat))
     assert [v.key for v in link.vehicles] == ["1@udp:x", "1@udp:x#2"]
     assert link.unread_bytes == 0
     link.receive(12.0, "a", bytes(range(250)) * 20)  # as of a serial line at another baud rate

@@ -30,9 +30,7 @@ def _value(rng, kind, length):
 def _message(rng, kind, us):
     """A message with random fields; every other one is meant for us."""
     arguments = []
-    by_name = {
-        n: (t, length) for n, t, length in zip(kind.fieldnames, kind.fieldtypes, _lengths(kind), strict=True)
-    }
+    by_name = {n: (t, length) for n, t, length in zip(kind.fieldnames, kind.fieldtypes, _lengths(kind), strict=True)}
     for name in kind.fieldnames:
         of, length = by_name[name]
         if name == "target_system" and rng.random() < 0.7:
@@ -67,9 +65,7 @@ def test_every_message_with_extreme_fields(seed):
         message = _message(rng, kind, (255, 190))
         mock.extra.append(message)
         if k % 4 == 0:
-            world.station.receive(
-                world.t, world.peer(0), bytes(rng.randrange(256) for _ in range(rng.randrange(80)))
-            )
+            world.station.receive(world.t, world.peer(0), bytes(rng.randrange(256) for _ in range(rng.randrange(80))))
             world.run(0.02)
         if k % 100 == 0:
             _looked_at(vehicle)
@@ -79,7 +75,7 @@ def test_every_message_with_extreme_fields(seed):
     # It still works for the vehicle that was there all along.
     world.run(15.0)
     assert world.answer(vehicle.arm(), 60.0)[0] == "accepted"
-    times, _ = vehicle.history.window(1e9)
+    times, _ = vehicle.history.recent_rows(1e9)
     assert (np.diff(times) > 0).all()
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from mock_vehicle import Channel
 
-from mufly.control import design
+from mufly.control import design_flight_controller
 from mufly.flight import Flight, read_recording
-from mufly.flight.parameters import TABLE
+from mufly.flight.tunable_parameters import PARAMETERS
 from mufly.link import VehicleLink
 from mufly.logs import read_log
-from mufly.mission import Mission, mission_from
+from mufly.mission import Mission, parse_mission
 from mufly.station import GroundLink, MissionRow, StationRecorder
 from mufly.vehicle import load_vehicle
 
@@ -30,7 +30,7 @@ SQUARE = {
 @pytest.fixture(scope="module")
 def helicopter():
     vehicle = load_vehicle("mufly-1.1")
-    return vehicle, design(vehicle)
+    return vehicle, design_flight_controller(vehicle)
 
 
 class Scene:
@@ -45,7 +45,7 @@ class Scene:
         self.down = [Channel(seed + 2 * k + 1, **damage) for k in range(stations)]
         self.t = 50.0
         for k in range(stations):
-            self.link.connect(self.t, f"station {k}")
+            self.link.add_peer(self.t, f"station {k}")
 
     def run(self, seconds, until=None):
         begin = self.t
@@ -54,7 +54,7 @@ class Scene:
             for k in range(len(self.stations)):
                 for data in self.up[k].arrived(self.t):
                     self.link.receive(self.t, f"station {k}", data)
-            self.flight.tick()
+            self.flight.step_period()
             for peer, data in self.link.step(self.t):
                 self.down[int(str(peer).split()[1])].send(self.t, data)
             for k, station in enumerate(self.stations):
@@ -81,21 +81,21 @@ class Scene:
         return self.stations[k].vehicles[0]
 
     def answer(self, request, seconds=30.0):
-        self.run(seconds, lambda: request.done)
+        self.run(seconds, lambda: request.is_done)
         return request.outcome.value, request.answer
 
 
 def by_sticks(scene, vehicle):
     """A pilot's sticks: followed while they are held, let go with a word, or without one when they fall silent."""
-    assert scene.answer(vehicle.fly_by_hand()) == ("refused", "no sticks; hold them first")
+    assert scene.answer(vehicle.fly_manually()) == ("refused", "no sticks; hold them first")
 
     def holding(*at, until):
-        return lambda: vehicle.sticks.hold(*at) and until(vehicle.snapshot)
+        return lambda: vehicle.sticks.set_deflection(*at) and until(vehicle.snapshot)
 
     def take_up():
-        vehicle.sticks.hold(0.0, 0.0, 0.0, 0.0)
-        request = vehicle.fly_by_hand()
-        scene.run(3.0, holding(0, 0, 0, 0, until=lambda s: s.state == "rc" and request.done))
+        vehicle.sticks.set_deflection(0.0, 0.0, 0.0, 0.0)
+        request = vehicle.fly_manually()
+        scene.run(3.0, holding(0, 0, 0, 0, until=lambda s: s.state == "rc" and request.is_done))
         assert request.outcome.value == "accepted"
 
     take_up()
@@ -108,16 +108,14 @@ def by_sticks(scene, vehicle):
     assert abs(yaw - 0.5) < 0.2  # it looks ahead, so right is about east
     down = vehicle.snapshot.estimate.position[2]
     scene.run(6.0, holding(0, 0, -0.5, 0, until=lambda s: s.estimate.position[2] > down + 0.1))
-    assert not vehicle.sticks.hold(0.0, np.nan, 0.0, 0.0)
-    request = vehicle.let_go()
+    assert not vehicle.sticks.set_deflection(0.0, np.nan, 0.0, 0.0)
+    request = vehicle.release_sticks()
     assert scene.answer(request) == ("accepted", "")
-    assert vehicle.let_go() is None
+    assert vehicle.release_sticks() is None
     scene.run(1.0, lambda: vehicle.snapshot.state == "hover")
 
     take_up()
-    assert (
-        0.3 < scene.run(1.5, lambda: vehicle.snapshot.state == "hover") < 1.0
-    )  # sooner than its own time-out
+    assert 0.3 < scene.run(1.5, lambda: vehicle.snapshot.state == "hover") < 1.0  # sooner than its own time-out
     assert "the sticks are not held any more" in vehicle.messages[-2].text + vehicle.messages[-1].text
     scene.run(1.0)
     assert vehicle.snapshot.state == "hover"
@@ -127,11 +125,11 @@ def test_a_flight_by_hand(helicopter, tmp_path):
     scene = Scene(helicopter)
     recorder = StationRecorder(tmp_path)
     recorder.start()
-    scene.stations[0]._on_vehicle = recorder.attach
-    scene.stations[0]._on_packet = recorder.packet
+    scene.stations[0]._on_vehicle = recorder.attach_vehicle
+    scene.stations[0]._on_packet = recorder.record_packet
     vehicle = scene.vehicle()
     assert vehicle.kind == "mufly"
-    assert set(TABLE) <= set(vehicle.parameters)
+    assert set(PARAMETERS) <= set(vehicle.parameters)
     assert vehicle.parameters["LIM_SPEED"].unit == "m/s"
     scene.run(2.0)
     failed = [c for c in vehicle.checks if c.ok is False]
@@ -150,7 +148,7 @@ def test_a_flight_by_hand(helicopter, tmp_path):
     assert s.link_loss == 0.0
 
     assert scene.answer(vehicle.go_to((0.5, -0.3, -0.8), 0.5)) == ("accepted", "")
-    vehicle.mark("half way")
+    vehicle.add_mark("half way")
     scene.run(15.0, lambda: np.linalg.norm(vehicle.snapshot.estimate.position - [0.5, -0.3, -0.8]) < 0.05)
     by_sticks(scene, vehicle)
     assert scene.answer(vehicle.land()) == ("accepted", "")
@@ -158,7 +156,7 @@ def test_a_flight_by_hand(helicopter, tmp_path):
     assert not vehicle.snapshot.flying
     recorder.stop()
 
-    times, values = vehicle.history.window(
+    times, values = vehicle.history.recent_rows(
         600.0, ["estimated_position_N", "truth_position_N", "measured_position_N"]
     )
     assert np.median(np.diff(times)) == pytest.approx(0.01, abs=0.002)
@@ -178,7 +176,7 @@ def test_a_flight_by_hand(helicopter, tmp_path):
 def test_a_mission_over_the_worst_link(helicopter):
     scene = Scene(helicopter, seed=5, **WORST)
     vehicle = scene.vehicle(seconds=120.0)
-    assert scene.answer(vehicle.upload_mission(mission_from(SQUARE)), 120.0)[0] == "accepted"
+    assert scene.answer(vehicle.upload_mission(parse_mission(SQUARE)), 120.0)[0] == "accepted"
     assert [row.action for row in vehicle.mission] == ["take off", "waypoint", "waypoint", "land"]
     assert scene.answer(vehicle.start_mission(), 60.0)[0] == "accepted"
     scene.run(5.0, lambda: vehicle.snapshot.mission_running)  # already while the rotors come up to speed
@@ -186,11 +184,11 @@ def test_a_mission_over_the_worst_link(helicopter):
     scene.run(60.0, lambda: vehicle.snapshot.state == "hover" and vehicle.mission_progress == 1)
     assert vehicle.snapshot.mission_running  # a wait of the mission's own is no pause
     assert scene.answer(vehicle.pause(), 60.0)[0] == "accepted"
-    scene.run(5.0, lambda: vehicle.snapshot.begun and not vehicle.snapshot.mission_running)
+    scene.run(5.0, lambda: vehicle.snapshot.mission_begun and not vehicle.snapshot.mission_running)
     assert scene.answer(vehicle.start_mission(), 60.0)[0] == "accepted"
     scene.run(60.0, lambda: vehicle.mission_progress >= 3)
     scene.run(30.0, lambda: not vehicle.snapshot.armed)
-    scene.run(5.0, lambda: not vehicle.snapshot.begun)
+    scene.run(5.0, lambda: not vehicle.snapshot.mission_begun)
     assert scene.flight.autopilot.status.outcome == "succeeded"
     assert scene.answer(vehicle.clear_mission(), 60.0)[0] == "accepted"
     scene.run(3.0)
@@ -247,6 +245,6 @@ def test_a_simulation_begins_anew(helicopter):
     assert scene.answer(vehicle.reboot())[0] == "accepted"
     scene.run(6.0)
     assert vehicle.snapshot.connected
-    times, _ = vehicle.history.window(600.0)
+    times, _ = vehicle.history.recent_rows(600.0)
     assert (np.diff(times) > 0).all()
     assert np.isfinite(vehicle.snapshot.estimate.position).all()

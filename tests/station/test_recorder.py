@@ -13,7 +13,7 @@ from mock_vehicle import BEGIN_S, MockVehicle, World
 
 from mufly.errors import InputError
 from mufly.flight import read_recording
-from mufly.link import Codec
+from mufly.link import FrameDecoder
 from mufly.logs import read_log, read_mcap
 from mufly.station import StationRecorder
 
@@ -25,8 +25,8 @@ def recorded(tmp_path, *vehicles):
     world = World(*vehicles)
     said = []
     recorder = StationRecorder(tmp_path, on_end=said.append, wall_s=lambda: DAY_S + world.t - BEGIN_S)
-    world.station._on_vehicle = recorder.attach
-    world.station._on_packet = recorder.packet
+    world.station._on_vehicle = recorder.attach_vehicle
+    world.station._on_packet = recorder.record_packet
     return world, recorder, said
 
 
@@ -51,7 +51,7 @@ def test_signals_messages_and_marks_are_kept(tmp_path):
     world.run(2.0)  # it is begun later than the vehicle
     recorder.start()
     world.run(5.0)
-    assert recorder.mark("look here")
+    assert recorder.add_mark("look here")
     world.run(1.0)
     recorder.stop()
     data = read_recording(recorder.path / "station.mcap")
@@ -71,7 +71,7 @@ def test_the_3d_view_of_a_vehicle_that_tells_no_truth_shows_what_it_believes(tmp
     recorder.start()
     world.run(5.0)
     recorder.stop()
-    poses = read_mcap(recorder.path / "station.mcap").messages["/tf"]
+    poses = read_mcap(recorder.path / "station.mcap").messages_by_topic["/tf"]
     assert len(poses) == pytest.approx(100, abs=5)
     last = orjson.loads(poses[-1][1])["transforms"][1]["translation"]
     assert last["x"] == pytest.approx(5.0, abs=0.2)
@@ -85,7 +85,7 @@ def test_all_packets_are_kept_both_ways_and_can_be_read(tmp_path):
     data = (recorder.path / "station.tlog").read_bytes()
     stamps = int.from_bytes(data[:8], "big") / 1e6
     assert 0.0 < stamps - DAY_S < 1.5
-    codec, at, senders = Codec(), 0, []
+    codec, at, senders = FrameDecoder(), 0, []
     while at < len(data):
         size = 12 + data[at + 9]
         (message,) = codec.receive(0.0, "tlog", data[at + 8 : at + 8 + size])
@@ -167,8 +167,8 @@ def test_recordings_follow_each_other_in_folders_of_their_own(tmp_path):
     recorder.stop()
     ends = [float(read_recording(p / "station.mcap")["time"][-1]) for p in (first, recorder.path)]
     assert ends[0] < ends[1]
-    assert not recorder.mark("nobody writes")
-    assert world.seen[0].mark("nor here").answer.startswith("not recorded")
+    assert not recorder.add_mark("nobody writes")
+    assert world.seen[0].add_mark("nor here").answer.startswith("not recorded")
 
 
 def test_every_vehicle_has_a_file(tmp_path):

@@ -12,8 +12,8 @@ from mock_vehicle import MockVehicle
 
 from mufly.errors import InputError
 from mufly.link import Endpoint, parse_endpoint
-from mufly.station import Station, ground
-from mufly.station.ground import rate_for
+from mufly.station import GroundStation, ground_station
+from mufly.station.ground_station import choose_telemetry_rate
 
 
 def free_port():
@@ -54,19 +54,17 @@ async def until(callers, condition, seconds=8.0):
 
 def test_two_endpoints_two_vehicles_one_station(tmp_path):
     ports = [free_port(), free_port()]
-    station = Station([f"udp:127.0.0.1:{p}" for p in ports], folder=tmp_path)
+    station = GroundStation([f"udp:127.0.0.1:{p}" for p in ports], folder=tmp_path)
     callers = [Caller(p, parameters={"A": (float(k), 9)}) for k, p in enumerate(ports)]
 
     async def work():
         await station.start()
-        await until(
-            callers, lambda: len(station.vehicles) == 2 and all(v.parameters for v in station.vehicles)
-        )
+        await until(callers, lambda: len(station.vehicles) == 2 and all(v.parameters for v in station.vehicles))
         request = station.vehicles[0].arm()
-        await until(callers, lambda: request.done)
+        await until(callers, lambda: request.is_done)
         assert request.outcome.value == "accepted"
-        await until(callers, lambda: all(v.surroundings.recording for v in station.vehicles))
-        assert station.vehicles[0].surroundings.free_bytes > 0
+        await until(callers, lambda: all(v.station_context.is_recording for v in station.vehicles))
+        assert station.vehicles[0].station_context.free_disk_bytes > 0
         await until(callers, lambda: all(len(v.history) for v in station.vehicles))
         # Motion is wished for a hundred times a second.
         await until(callers, lambda: all(any(m.command == 511 for m in c.mock.commands) for c in callers))
@@ -84,12 +82,12 @@ def test_a_port_that_is_taken_is_told_and_nothing_stays_open(tmp_path):
     port, other = free_port(), free_port()
 
     async def work():
-        first = Station([f"udp:127.0.0.1:{port}"], record=False)
+        first = GroundStation([f"udp:127.0.0.1:{port}"], record=False)
         await first.start()
-        second = Station([f"udp:127.0.0.1:{other}", f"udp:127.0.0.1:{port}"], folder=tmp_path)
+        second = GroundStation([f"udp:127.0.0.1:{other}", f"udp:127.0.0.1:{port}"], folder=tmp_path)
         with pytest.raises(InputError, match=str(port)):
             await second.start()
-        third = Station([f"udp:127.0.0.1:{other}"], record=False)
+        third = GroundStation([f"udp:127.0.0.1:{other}"], record=False)
         await third.start()
         await third.stop()
         await first.stop()
@@ -100,32 +98,32 @@ def test_a_port_that_is_taken_is_told_and_nothing_stays_open(tmp_path):
 
 def test_an_endpoint_that_is_none_is_refused_before_anything_is_opened():
     with pytest.raises(InputError):
-        Station(["udp:here"])
+        GroundStation(["udp:here"])
 
 
 def test_a_fault_in_the_loop_is_told_and_the_station_goes_on(tmp_path):
     port = free_port()
-    station = Station([f"udp:127.0.0.1:{port}"], record=False)
+    station = GroundStation([f"udp:127.0.0.1:{port}"], record=False)
     caller = Caller(port)
 
     async def work():
         await station.start()
         await until([caller], lambda: station.vehicles)
-        step, faults = station._step, [RuntimeError("broken")]
-        station._step = lambda now_s: (_ for _ in ()).throw(faults.pop()) if faults else step(now_s)
+        step, faults = station._step_links, [RuntimeError("broken")]
+        station._step_links = lambda now_s: (_ for _ in ()).throw(faults.pop()) if faults else step(now_s)
         await until([caller], lambda: station.notices)
         assert "broken" in station.notices[-1][1]
         request = station.vehicles[0].arm()
-        await until([caller], lambda: request.done)
+        await until([caller], lambda: request.is_done)
         await station.stop()
 
     asyncio.run(work())
 
 
 def test_a_fault_is_told_once_and_ever_new_ones_not_for_ever():
-    station = Station(["udp:127.0.0.1:14550"], record=False)
+    station = GroundStation(["udp:127.0.0.1:14550"], record=False)
     for text in ("broken", "broken", *map(str, range(150))):
-        with station._going_on():
+        with station._contain_faults():
             raise RuntimeError(text)
     assert [text for _, text in station.notices if "broken" in text] == [
         "the station met a fault and goes on (RuntimeError: broken)"
@@ -135,9 +133,9 @@ def test_a_fault_is_told_once_and_ever_new_ones_not_for_ever():
 
 def test_it_answers_when_something_comes_and_sleeps_in_between(monkeypatch):
     """With half a minute between its steps it still meets a vehicle at once."""
-    monkeypatch.setattr(ground, "STEP_S", 30.0)
+    monkeypatch.setattr(ground_station, "STEP_PERIOD_S", 30.0)
     port = free_port()
-    station, caller = Station([f"udp:127.0.0.1:{port}"], record=False), Caller(port)
+    station, caller = GroundStation([f"udp:127.0.0.1:{port}"], record=False), Caller(port)
 
     async def work():
         await station.start()
@@ -149,13 +147,13 @@ def test_it_answers_when_something_comes_and_sleeps_in_between(monkeypatch):
 
 def test_it_calls_by_itself_at_its_own_pace(monkeypatch):
     """Heartbeats to whom nothing was heard from, and no step more than is due."""
-    monkeypatch.setattr(ground, "HEARTBEAT_S", 0.03)
+    monkeypatch.setattr(ground_station, "HEARTBEAT_PERIOD_S", 0.03)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
         vehicle.setblocking(False)
-        station = Station([f"udpout:127.0.0.1:{vehicle.getsockname()[1]}"], record=False)
-        steps, step = [], station._step
-        station._step = lambda now_s: (steps.append(now_s), step(now_s))
+        station = GroundStation([f"udpout:127.0.0.1:{vehicle.getsockname()[1]}"], record=False)
+        steps, step = [], station._step_links
+        station._step_links = lambda now_s: (steps.append(now_s), step(now_s))
         heard = []
 
         def beats():
@@ -167,7 +165,7 @@ def test_it_calls_by_itself_at_its_own_pace(monkeypatch):
             await station.start()
             began = time.monotonic()
             await until([], beats)
-            assert len(steps) <= 2 + (time.monotonic() - began) / ground.STEP_S
+            assert len(steps) <= 2 + (time.monotonic() - began) / ground_station.STEP_PERIOD_S
             await station.stop()
 
         asyncio.run(work())
@@ -201,8 +199,8 @@ class Radio:
 
 
 def test_a_port_without_a_descriptor_is_asked_again_and_again(monkeypatch):
-    monkeypatch.setattr(ground, "open_port", Radio)
-    station = Station(["serial:/dev/ttyUSB0:57600"], record=False)
+    monkeypatch.setattr(ground_station, "open_port", Radio)
+    station = GroundStation(["serial:/dev/ttyUSB0:57600"], record=False)
 
     async def work():
         await station.start()
@@ -217,7 +215,7 @@ def test_a_port_without_a_descriptor_is_asked_again_and_again(monkeypatch):
 
 
 def test_over_a_slow_line_less_is_asked():
-    assert rate_for(parse_endpoint("udp:127.0.0.1:14550", "station")) == 100.0
-    assert rate_for(Endpoint("serial", "/dev/ttyUSB0", 57_600)) == pytest.approx(7.7, abs=0.1)
-    assert rate_for(Endpoint("serial", "/dev/ttyUSB0", 921_600)) == 100.0
-    assert rate_for(Endpoint("serial", "/dev/ttyUSB0", 300)) == 1.0
+    assert choose_telemetry_rate(parse_endpoint("udp:127.0.0.1:14550", "station")) == 100.0
+    assert choose_telemetry_rate(Endpoint("serial", "/dev/ttyUSB0", 57_600)) == pytest.approx(7.7, abs=0.1)
+    assert choose_telemetry_rate(Endpoint("serial", "/dev/ttyUSB0", 921_600)) == 100.0
+    assert choose_telemetry_rate(Endpoint("serial", "/dev/ttyUSB0", 300)) == 1.0

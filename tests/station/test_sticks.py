@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from mufly.link.clients import Deflection, of_manual_control
-from mufly.station.sticks import PilotSticks, manual_control
+from mufly.link.clients import StickDeflection, parse_manual_control
+from mufly.station.pilot_sticks import PilotSticks, manual_control_message
 
 BEGIN_S = 5000.0  # of no clock's beginning
 
@@ -17,26 +17,26 @@ def fields(message):
 @pytest.mark.parametrize(
     ("held", "told"),
     [
-        (Deflection(), (0, 0, 500, 0)),
-        (Deflection(0.5, -0.25, 1.0, -1.0), (250, 500, 1000, -1000)),
-        (Deflection(-1.0, 1.0, -1.0, 0.125), (-1000, -1000, 0, 125)),
-        (Deflection(climb=0.5), (0, 0, 750, 0)),
+        (StickDeflection(), (0, 0, 500, 0)),
+        (StickDeflection(0.5, -0.25, 1.0, -1.0), (250, 500, 1000, -1000)),
+        (StickDeflection(-1.0, 1.0, -1.0, 0.125), (-1000, -1000, 0, 125)),
+        (StickDeflection(climb=0.5), (0, 0, 750, 0)),
     ],
 )
 def test_they_point_as_other_vehicles_take_them_and_ours_does(held, told):
-    message = manual_control(held, 7)
+    message = manual_control_message(held, 7)
     assert fields(message) == (7, *told)
-    back = of_manual_control(message)  # but for a middle that is dead
+    back = parse_manual_control(message)  # but for a middle that is dead
     for name in ("roll", "pitch", "climb", "yaw"):
         assert getattr(back, name) == pytest.approx(getattr(held, name), abs=0.03)
 
 
 def test_they_end_where_a_stick_does_and_what_is_no_number_is_not_taken():
     sticks = PilotSticks(7)
-    assert sticks.hold(2.0, -3.0, -1.5, 1.25)
+    assert sticks.set_deflection(2.0, -3.0, -1.5, 1.25)
     (message,) = sticks.step(BEGIN_S)
     assert fields(message) == (7, 1000, 1000, 0, 1000)
-    assert not sticks.hold(0.0, 0.0, math.inf, 0.0)
+    assert not sticks.set_deflection(0.0, 0.0, math.inf, 0.0)
     (again,) = sticks.step(BEGIN_S + 0.1)
     assert fields(again) == fields(message)
 
@@ -44,12 +44,12 @@ def test_they_end_where_a_stick_does_and_what_is_no_number_is_not_taken():
 def test_they_are_told_25_times_a_second_while_they_are_held_and_let_go_when_nobody_moves_them():
     sticks = PilotSticks(7)
     assert sticks.step(BEGIN_S) == []
-    sticks.hold(0.0, 0.1, 0.0, 0.0)
+    sticks.set_deflection(0.0, 0.1, 0.0, 0.0)
     told = [k for k in range(100) if sticks.step(BEGIN_S + 0.011 * k)]
     assert told == list(range(0, 73, 4))  # every 0.044 s, to 0.792 s
-    assert not sticks.held
-    sticks.hold(0.0, 0.0, 0.0, 0.0)
-    assert sticks.held
+    assert not sticks.is_held
+    sticks.set_deflection(0.0, 0.0, 0.0, 0.0)
+    assert sticks.is_held
     assert len(sticks.step(BEGIN_S + 1.0)) == 1
-    sticks.let_go()
+    sticks.release_sticks()
     assert sticks.step(BEGIN_S + 2.0) == []

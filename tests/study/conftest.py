@@ -5,7 +5,7 @@ import pytest
 
 from mufly.drive import load_drive
 from mufly.rotor import load_rotor
-from mufly.study import Setup
+from mufly.study import StudySetup
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -28,9 +28,9 @@ def thin_plate(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture(scope="session")
-def setup(thin_plate: str) -> Setup:
+def setup(thin_plate: str) -> StudySetup:
     """The standard blade with that table, 0.4 N, adapted gear, muFly's drive."""
-    return Setup(
+    return StudySetup(
         load_rotor("naca4412-r60-c20"),
         load_drive("mufly"),
         {"airfoil": thin_plate, "thrust": 0.4, "gear": "adapted"},

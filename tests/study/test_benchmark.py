@@ -8,21 +8,21 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
-from mufly.rotor import load_rotor, rotor_toml
+from mufly.rotor import format_rotor_toml, load_rotor
 from mufly.study.benchmark import (
-    advancing_table,
-    code_of,
-    families,
+    describe_case,
     load_cases,
-    picture,
-    question_of,
-    run,
-    run_advancing,
-    table,
+    parse_code,
+    score_codes,
+    score_picture,
+    score_propellers,
+    tabulate_by_family,
+    tabulate_by_group,
+    tabulate_propellers,
 )
-from mufly.study.benchmark.advancing import curve_of
-from mufly.study.benchmark.codes import mack_n_crit
-from mufly.study.benchmark.scores import widening
+from mufly.study.benchmark.benchmark_scores import fit_interval_factor
+from mufly.study.benchmark.prediction_codes import n_crit_of_turbulence
+from mufly.study.benchmark.propeller_efficiency import measure_efficiency_curve
 
 STATIC = "RPM CT CP\n3000.0 0.10 0.05\n4000.0 0.11 0.05\n5000.0 0.12 0.05\n"
 GEOMETRY = "r/R c/R beta\n0.15 0.15 30.0\n0.50 0.20 20.0\n1.00 0.10 10.0\n"
@@ -48,7 +48,7 @@ def data(tmp_path):
     for name in ("gwsdd_5x3", "kpf_96x70"):
         (folder / "volume-2" / f"{name}_geom.txt").write_text(GEOMETRY)
         (folder / "volume-2" / f"{name}_static_0123rd.txt").write_text(STATIC)
-    (folder / "rotors" / "mine.toml").write_text(rotor_toml(load_rotor("naca0012-r60-c20")))
+    (folder / "rotors" / "mine.toml").write_text(format_rotor_toml(load_rotor("naca0012-r60-c20")))
     (folder / "rotors" / "mine.csv").write_text("pitch_deg,speed_rpm,thrust_N,torque_Nm\n12,5000,0.15,\n")
     return folder
 
@@ -63,7 +63,7 @@ def test_data_of_others_and_of_one_s_own(data):
     (data / "volume-2" / "nr640_5_15deg_geom.txt").write_text(GEOMETRY)
     (data / "volume-2" / "nr640_5_15deg_3b_static_0124rd.txt").write_text(STATIC)
     three = load_cases(data, "nr640")[0]
-    assert [(c.name, c.rotor.blades, c.known, c.rotor.radius_m) for c in three] == [
+    assert [(c.name, c.rotor.blades, c.section_known, c.rotor.radius_m) for c in three] == [
         ("nr640_5_15deg_3b", 3, True, 0.0635)
     ]
     cases, missing = load_cases(data, "gwsdd,kpf,own")
@@ -88,22 +88,20 @@ def test_outside_codes_answer_or_say_why_not(data, tmp_path):
     failing.write_text("raise SystemExit('no wind')")
     cases, _ = load_cases(data)
     codes = [
-        code_of(f"mine={__name__}:half"), code_of(f"run={sys.executable} {program} {{folder}}"),
-        code_of(f"bad={sys.executable} {failing} {{folder}}"),
+        parse_code(f"mine={__name__}:half"), parse_code(f"run={sys.executable} {program} {{folder}}"),
+        parse_code(f"bad={sys.executable} {failing} {{folder}}"),
     ]  # fmt: skip
-    scores = run(cases, codes, folder=tmp_path / "out")
-    assert_allclose(
-        scores[1].case.measured.thrust_N * (1 + scores[1].thrust_error), half(question_of(cases[1]))[0]
-    )
+    scores = score_codes(cases, codes, folder=tmp_path / "out")
+    assert_allclose(scores[1].case.measured.thrust_N * (1 + scores[1].thrust_error), half(describe_case(cases[1]))[0])
     assert_allclose((1 + scores[3].thrust_error[0]) * cases[0].measured.thrust_N[0], 1e-7 * 3000.0**2)
     assert "no wind" in scores[-1].fault
-    rows = table(scores)
+    rows = tabulate_by_group(scores)
     assert [(r.code, r.group, r.rotors, r.without) for r in rows[:3]] == [
         ("mine", "UIUC micro", 2, 0), ("mine", "own", 1, 0), ("run", "UIUC micro", 2, 0)
     ]  # fmt: skip
     assert rows[-1].without == 1
-    assert len(families(scores)) == 9
-    assert len(picture(scores).axes) == 2
+    assert len(tabulate_by_family(scores)) == 9
+    assert len(score_picture(scores).axes) == 2
 
 
 def test_what_was_answered_is_not_asked_again(data, tmp_path):
@@ -111,38 +109,36 @@ def test_what_was_answered_is_not_asked_again(data, tmp_path):
 
     def predict(case):
         asked.append(case.name)
-        return code_of(f"{__name__}:half").predict(case)
+        return parse_code(f"{__name__}:half").predict(case)
 
     cases, _ = load_cases(data)
-    code = code_of(f"one={__name__}:half")
+    code = parse_code(f"one={__name__}:half")
     mine = type(code)("one", predict)
-    first = run(cases, [mine], folder=tmp_path)
+    first = score_codes(cases, [mine], folder=tmp_path)
     kept = tmp_path / "answers" / "one" / "kpf_96x70.json"
     assert json.loads(kept.read_text())["fault"] == ""
     kept.write_text("{")  # cut off in the middle
-    again = run(cases, [mine], folder=tmp_path)
+    again = score_codes(cases, [mine], folder=tmp_path)
     assert asked == [*(c.name for c in cases), "kpf_96x70"]
     assert_allclose(again[0].thrust_error, first[0].thrust_error)
-    run(cases, [mine], points=1, folder=tmp_path)  # another question
+    score_codes(cases, [mine], points=1, folder=tmp_path)  # another question
     assert len(asked) == 6
-    first, second = (run(cases[:1], [code_of("bemt", n_crit=n)], folder=tmp_path)[0] for n in (0.1, 9.0))
-    assert (
-        abs(first.thrust_error[0] - second.thrust_error[0]) > 0.01
-    )  # nor is another transition taken for the same
+    first, second = (score_codes(cases[:1], [parse_code("bemt", n_crit=n)], folder=tmp_path)[0] for n in (0.1, 9.0))
+    assert abs(first.thrust_error[0] - second.thrust_error[0]) > 0.01  # nor is another transition taken for the same
 
 
 @pytest.mark.parametrize("text", ["", "nothing", "no.such.module:f", "mufly.rotor:no_such_name", "a b:c"])
 def test_what_is_no_code_is_refused_in_one_line(text):
     with pytest.raises(InputError, match="--code"):
-        code_of(text)
+        parse_code(text)
 
 
 def test_intervals_are_widened_until_they_hold():
     off = [np.linspace(0.1, 1.0, 10), np.array([np.nan]), np.array([2.0])]  # two rotors with the same weight
-    assert widening(off[:1]) == pytest.approx(0.9)
-    assert widening(off) == 2.0
-    assert widening(off, 0.25) == pytest.approx(0.5)
-    assert widening([]) == 1.0
+    assert fit_interval_factor(off[:1]) == pytest.approx(0.9)
+    assert fit_interval_factor(off) == 2.0
+    assert fit_interval_factor(off, 0.25) == pytest.approx(0.5)
+    assert fit_interval_factor([]) == 1.0
 
 
 def falling(question):
@@ -157,23 +153,31 @@ def test_runs_in_a_tunnel(data):
     (data / "volume-2" / "kpf_96x70_0124rd_8043.txt").write_text("J CT CP eta\n" + rows)
     (data / "volume-2" / "kpf_96x70_static_0124rd.txt").write_text(STATIC)
     cases, _ = load_cases(data, "kpf,gwsdd")
-    assert [len(c.advancing) for c in cases] == [0, 1]
-    assert_allclose(cases[1].advancing[0].speed_rad_s, 8043 * np.pi / 30)
+    assert [len(c.tunnel_runs) for c in cases] == [0, 1]
+    assert_allclose(cases[1].tunnel_runs[0].speed_rad_s, 8043 * np.pi / 30)
     sys.modules["falling_code"] = type(sys)("falling_code")
     vars(sys.modules["falling_code"])["falling"] = falling
-    (score,) = run_advancing(cases, [code_of("falling_code:falling")])
+    (score,) = score_propellers(cases, [parse_code("falling_code:falling")])
     # Thrust ends at 0.6 and at 0.7; eta = 2 J (1 - J / J0) has its greatest value, J0 / 2, at J0 / 2.
-    assert_allclose([score.measured.zero_thrust, score.predicted.zero_thrust], [0.6, 0.7], rtol=1e-3)
-    assert_allclose([score.measured.efficiency, score.predicted.efficiency], [0.3, 0.35], rtol=1e-3)
-    assert_allclose([score.measured.best_advance, score.predicted.best_advance], [0.3, 0.35], rtol=2e-2)
+    assert_allclose(
+        [score.measured.zero_thrust_advance_ratio, score.predicted.zero_thrust_advance_ratio],
+        [0.6, 0.7],
+        rtol=1e-3,
+    )
+    assert_allclose([score.measured.max_efficiency, score.predicted.max_efficiency], [0.3, 0.35], rtol=1e-3)
+    assert_allclose([score.measured.best_advance_ratio, score.predicted.best_advance_ratio], [0.3, 0.35], rtol=2e-2)
     # A tunnel has air of its own; 3 % of turbulence leave no laminar layer.
-    assert_allclose([mack_n_crit(0.001), mack_n_crit(0.0298)], [8.15, 0.0], atol=0.01)
-    codes = [code_of("bemt"), code_of("bemt", n_crit=mack_n_crit(0.001)), code_of("bemt", n_crit=0.1)]
-    own, calm, hovering = (s.predicted.zero_thrust for s in run_advancing(cases, codes))
+    assert_allclose([n_crit_of_turbulence(0.001), n_crit_of_turbulence(0.0298)], [8.15, 0.0], atol=0.01)
+    codes = [
+        parse_code("bemt"),
+        parse_code("bemt", n_crit=n_crit_of_turbulence(0.001)),
+        parse_code("bemt", n_crit=0.1),
+    ]
+    own, calm, hovering = (s.predicted.zero_thrust_advance_ratio for s in score_propellers(cases, codes))
     assert own == calm != hovering
-    (row,) = advancing_table([score])
+    (row,) = tabulate_propellers([score])
     assert_allclose(row.size, [1 / 6] * 3, rtol=2e-2)
     # A run that ends before its greatest efficiency says nothing of it.
     j = np.linspace(0.1, 0.2, 5)
-    short = curve_of(j, 1 - j / 0.6, np.ones(5), j)
-    assert np.isnan([short.efficiency, short.best_advance, short.zero_thrust]).all()
+    short = measure_efficiency_curve(j, 1 - j / 0.6, np.ones(5), j)
+    assert np.isnan([short.max_efficiency, short.best_advance_ratio, short.zero_thrust_advance_ratio]).all()

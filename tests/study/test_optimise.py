@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError, MuflyError
-from mufly.study import Setup, evaluate, optimise, parse_limit
-from mufly.study.optimisation import least_thickness_m
-from mufly.study.parameters import bounds_of
+from mufly.study import StudySetup, evaluate_cases, optimise_rotor, parse_limit
+from mufly.study.rotor_optimisation import min_thickness_m
+from mufly.study.study_parameters import search_bounds
 
 
 @pytest.fixture(scope="module")
-def start(setup: Setup) -> Setup:
+def start(setup: StudySetup) -> StudySetup:
     """Own gear of 1.5, which any later gear can only better."""
-    return replace(setup, fixed={k: v for k, v in setup.fixed.items() if k != "gear"})
+    return replace(setup, fixed_parameters={k: v for k, v in setup.fixed_parameters.items() if k != "gear"})
 
 
-def test_pitch_alone_finds_the_best_pitch_of_a_scan(start: Setup) -> None:
-    best = optimise(start, "thrust-per-power", ["gear"], generations=30)
-    scan = evaluate(
-        replace(start, fixed={**start.fixed, "gear": "best"}),
+def test_pitch_alone_finds_the_best_pitch_of_a_scan(start: StudySetup) -> None:
+    best = optimise_rotor(start, "thrust-per-power", ["gear"], generations=30)
+    scan = evaluate_cases(
+        replace(start, fixed_parameters={**start.fixed_parameters, "gear": "best"}),
         [{"pitch": p} for p in np.linspace(0.04, 0.45, 400)],
     )
     assert best.after == pytest.approx(np.nanmax(scan.values["thrust_per_power_N_W"]), rel=1e-4)
@@ -29,61 +29,61 @@ def test_pitch_alone_finds_the_best_pitch_of_a_scan(start: Setup) -> None:
     assert best.changes["gear"] == best.results["gear_ratio"]
 
 
-def test_larger_radius_is_taken_to_its_limit(start: Setup) -> None:
-    best = optimise(
+def test_larger_radius_is_taken_to_its_limit(start: StudySetup) -> None:
+    best = optimise_rotor(
         start, "thrust-per-power", ["radius", "gear"], limits=[parse_limit("radius<=70mm")], generations=40
     )
     assert best.rotor.radius_m == pytest.approx(0.070, rel=2e-3)
     assert best.after > best.before
 
 
-def test_gains_multiply_to_the_whole_and_the_answer_repeats(start: Setup) -> None:
+def test_gains_multiply_to_the_whole_and_the_answer_repeats(start: StudySetup) -> None:
     arguments = {
         "limits": [parse_limit("tip_chord_mm>=8"), parse_limit("speed_rpm<=7000")],
         "generations": 12,
         "seed": 3,
     }
-    best = optimise(start, "thrust-per-power", ["chord", "taper", "twist"], **arguments)
+    best = optimise_rotor(start, "thrust-per-power", ["chord", "taper", "twist"], **arguments)
     assert math.prod(1 + s.gain for s in best.steps) == pytest.approx(best.after / best.before, rel=1e-9)
     assert {s.parameter for s in best.steps} == {"chord", "taper", "twist"}
     assert float(best.rotor.chord_m(1.0)) >= 0.008 * (1 - 1e-6)
     assert best.results["speed_rad_s"] * 30 / math.pi <= 7000 * (1 + 1e-6)
-    again = optimise(start, "thrust-per-power", ["chord", "taper", "twist"], **arguments)
+    again = optimise_rotor(start, "thrust-per-power", ["chord", "taper", "twist"], **arguments)
     assert (again.rotor, again.steps, again.after) == (best.rotor, best.steps, best.after)
 
 
-def test_endurance_is_what_the_battery_gives(start: Setup) -> None:
-    best = optimise(start, "endurance", ["gear"], generations=15)
+def test_endurance_is_what_the_battery_gives(start: StudySetup) -> None:
+    best = optimise_rotor(start, "endurance", ["gear"], generations=15)
     assert best.after == best.results["endurance_s"]
     # The gear was chosen for the low voltage, so that it is not full duty that ends the hover.
     assert best.results["duty"] <= 1.0 + 1e-9
-    per_power = optimise(start, "thrust-per-power", ["gear"], generations=15)
+    per_power = optimise_rotor(start, "thrust-per-power", ["gear"], generations=15)
     assert best.after >= per_power.results["endurance_s"] * (1 - 1e-6)
 
 
-def test_airfoils_are_chosen_within_the_thickness_limit(setup: Setup) -> None:
-    free = Setup(setup.rotor, setup.drive, {"thrust": 0.4, "gear": "adapted"}, flags=False)
-    thin = optimise(
+def test_airfoils_are_chosen_within_the_thickness_limit(setup: StudySetup) -> None:
+    free = StudySetup(setup.rotor, setup.drive, {"thrust": 0.4, "gear": "adapted"}, with_outside_share=False)
+    thin = optimise_rotor(
         free, "thrust-per-power", ["airfoil"], airfoils=["naca4406", "naca4409", "naca4412"], generations=10
     )
     assert thin.rotor.airfoil_names() == ("naca4406",)
-    thick = optimise(
+    thick = optimise_rotor(
         free, "thrust-per-power", ["airfoil"], airfoils=["naca4406", "naca4409", "naca4412"], generations=10,
         limits=[parse_limit("thickness_mm>=1.7")],
     )  # fmt: skip
     assert thick.rotor.airfoil_names() == ("naca4409",)
-    assert least_thickness_m(thick.rotor) == pytest.approx(0.09 * 0.02, rel=2e-3)
+    assert min_thickness_m(thick.rotor) == pytest.approx(0.09 * 0.02, rel=2e-3)
 
 
 def test_limits_are_read_with_units() -> None:
     assert parse_limit("radius<=60mm").value == pytest.approx(0.06)
     assert str(parse_limit("thickness_mm>=0.8")) == "thickness_mm >= 0.8"
-    assert parse_limit("thickness_mm >= 0.8").breach(0.4) == pytest.approx(0.5)
-    assert parse_limit("thickness_mm>=0.8").breach(0.9) == 0.0
-    assert bounds_of("radius", [parse_limit("radius<=60mm"), parse_limit("radius>=50mm")]) == pytest.approx(
+    assert parse_limit("thickness_mm >= 0.8").relative_violation(0.4) == pytest.approx(0.5)
+    assert parse_limit("thickness_mm>=0.8").relative_violation(0.9) == 0.0
+    assert search_bounds("radius", [parse_limit("radius<=60mm"), parse_limit("radius>=50mm")]) == pytest.approx(
         (0.05, 0.06)
     )
-    assert bounds_of("radius", [parse_limit("radius<=30mm")]) == pytest.approx((0.03, 0.03))
+    assert search_bounds("radius", [parse_limit("radius<=30mm")]) == pytest.approx((0.03, 0.03))
 
 
 @pytest.mark.parametrize(
@@ -100,14 +100,14 @@ def test_faulty_limits_are_named(text: str, message: str) -> None:
         parse_limit(text)
 
 
-def test_what_makes_no_sense_is_refused(start: Setup) -> None:
+def test_what_makes_no_sense_is_refused(start: StudySetup) -> None:
     with pytest.raises(InputError, match="cannot be free"):
-        optimise(start, "thrust-per-power", ["colour"])
+        optimise_rotor(start, "thrust-per-power", ["colour"])
     with pytest.raises(InputError, match="is fixed and free"):
-        optimise(start, "thrust-per-power", ["airfoil"])
+        optimise_rotor(start, "thrust-per-power", ["airfoil"])
     with pytest.raises(InputError, match="no goal"):
-        optimise(start, "beauty", ["chord"])
+        optimise_rotor(start, "beauty", ["chord"])
     with pytest.raises(InputError, match="holds nothing"):
-        bounds_of("radius", [parse_limit("radius<=50mm"), parse_limit("radius>=60mm")])
+        search_bounds("radius", [parse_limit("radius<=50mm"), parse_limit("radius>=60mm")])
     with pytest.raises(MuflyError, match=r"no rotor within the limits.*speed_rpm <= 100"):
-        optimise(start, "thrust-per-power", ["chord"], limits=[parse_limit("speed_rpm<=100")], generations=2)
+        optimise_rotor(start, "thrust-per-power", ["chord"], limits=[parse_limit("speed_rpm<=100")], generations=2)

@@ -8,32 +8,32 @@ import pytest
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import (
-    Condition,
-    Measurements,
-    System,
-    compare,
+    OperatingCondition,
+    RotorMeasurements,
+    RotorSystem,
+    compare_measurements,
     field_picture,
     history_picture,
-    hover,
     load_rotor,
     plane_velocity,
-    prepare,
+    prepare_blading,
     rotor_loads_picture,
-    solve,
+    solve_rotor,
+    solve_system,
     wake_picture,
 )
 from mufly.rotor.wake import WakeSettings
 from mufly.study import (
-    PAIR,
-    Setup,
-    alone,
+    PAIR_PARAMETERS,
+    StudySetup,
+    build_system,
     optimise_pair,
-    pair_limit,
+    parse_pair_limit,
     parse_settings,
     read_results,
     solve_case,
-    sweep,
-    system_of,
+    solve_isolated_rotors,
+    sweep_parameters,
     write_results,
 )
 
@@ -50,27 +50,34 @@ def rotor(thin_plate: str):
 
 
 @pytest.fixture(scope="module")
-def pair(rotor) -> Setup:
-    return Setup(rotor, None, {"spacing": 0.02, "pitch": PITCH}, wake=COARSE, stations=10, lower=rotor)
+def pair(rotor) -> StudySetup:
+    return StudySetup(
+        rotor,
+        None,
+        {"spacing": 0.02, "pitch": PITCH},
+        wake_settings=COARSE,
+        station_count=10,
+        lower_rotor=rotor,
+    )
 
 
 @pytest.fixture(scope="module")
-def wake_point(pair: Setup):
+def wake_point(pair: StudySetup):
     return solve_case(replace(pair, method="wake"), AT)
 
 
-def test_a_given_point_is_what_the_rotor_room_answers(pair: Setup) -> None:
+def test_a_given_point_is_what_the_rotor_room_answers(pair: StudySetup) -> None:
     point = solve_case(pair, AT)
-    direct = solve(system_of(pair), Condition(PITCH, (AT["upper_speed"], AT["lower_speed"])))
+    direct = solve_system(build_system(pair), OperatingCondition(PITCH, (AT["upper_speed"], AT["lower_speed"])))
     assert point.thrust_N == direct.thrust_N
     assert point.yaw_torque_Nm == direct.yaw_torque_Nm
     assert point.figure_of_merit == pytest.approx(direct.figure_of_merit, rel=1e-12)
 
 
-def test_torques_cancel_by_speed_and_by_pitch(pair: Setup) -> None:
+def test_torques_cancel_by_speed_and_by_pitch(pair: StudySetup) -> None:
     by_speed = solve_case(pair, {"thrust": 0.5})
     assert by_speed.thrust_N == pytest.approx(0.5, rel=1e-6)
-    by_pitch = solve_case(replace(pair, free="lower-pitch"), {"thrust": 0.5, "speed_ratio": 1.0})
+    by_pitch = solve_case(replace(pair, balance_by="lower-pitch"), {"thrust": 0.5, "speed_ratio": 1.0})
     assert by_pitch.thrust_N == pytest.approx(0.5, rel=1e-6)
     assert by_pitch.lower.speed_rad_s == pytest.approx(by_pitch.upper.speed_rad_s, rel=1e-12)
     for point in (by_speed, by_pitch):
@@ -80,32 +87,30 @@ def test_torques_cancel_by_speed_and_by_pitch(pair: Setup) -> None:
     assert by_pitch.lower.pitch_rad > PITCH
 
 
-def test_balance_by_pitch_does_not_care_where_speeds_come_from(pair: Setup) -> None:
-    system = system_of(pair)
-    slow = solve(system, Condition((PITCH, None), (300.0, 330.0), thrust_N=0.4))
-    fast = solve(system, Condition((PITCH, None), (900.0, 990.0), thrust_N=0.4))
+def test_balance_by_pitch_does_not_care_where_speeds_come_from(pair: StudySetup) -> None:
+    system = build_system(pair)
+    slow = solve_system(system, OperatingCondition((PITCH, None), (300.0, 330.0), thrust_N=0.4))
+    fast = solve_system(system, OperatingCondition((PITCH, None), (900.0, 990.0), thrust_N=0.4))
     assert fast.lower.pitch_rad == pytest.approx(slow.lower.pitch_rad, rel=1e-5)
     assert fast.upper.speed_rad_s == pytest.approx(slow.upper.speed_rad_s, rel=1e-5)
 
 
-def test_a_pair_far_apart_is_two_rotors(pair: Setup) -> None:
+def test_a_pair_far_apart_is_two_rotors(pair: StudySetup) -> None:
     """The upper rotor then feels nothing; the lower one still stands in its stream."""
-    far = replace(pair, fixed={**pair.fixed, "spacing": 50.0})
+    far = replace(pair, fixed_parameters={**pair.fixed_parameters, "spacing": 50.0})
     point = solve_case(far, AT)
-    single = alone(far, point)
+    single = solve_isolated_rotors(far, point)
     assert point.upper.thrust_N == pytest.approx(single[0].thrust_N, rel=1e-5)
     assert point.lower.thrust_N < 0.8 * single[1].thrust_N
 
 
-def test_the_wake_puts_the_loss_on_the_lower_rotor(pair: Setup, wake_point) -> None:
+def test_the_wake_puts_the_loss_on_the_lower_rotor(pair: StudySetup, wake_point) -> None:
     setup = replace(pair, method="wake")
     assert wake_point.converged
-    single = alone(setup, wake_point)
+    single = solve_isolated_rotors(setup, wake_point)
     assert wake_point.lower.thrust_N < 0.8 * single[1].thrust_N
     assert wake_point.upper.thrust_N > 0.85 * single[0].thrust_N
-    assert wake_point.power_W / wake_point.thrust_N > sum(r.power_W for r in single) / sum(
-        r.thrust_N for r in single
-    )
+    assert wake_point.power_W / wake_point.thrust_N > sum(r.power_W for r in single) / sum(r.thrust_N for r in single)
 
 
 def test_mean_air_is_symmetric_about_the_shaft_and_blows_down(wake_point) -> None:
@@ -134,10 +139,10 @@ def test_pictures_are_drawn(wake_point, tmp_path) -> None:
         field_picture(s, points=2)
 
 
-def test_sweep_of_pairs_has_units_faults_and_resumes(pair: Setup, tmp_path) -> None:
-    vary = parse_settings(["spacing=4,20mm", "speed_ratio=0.9,1.1"], PAIR)
-    setup = replace(pair, fixed={**pair.fixed, "upper_speed": 600.0})
-    data = sweep(setup, vary, folder=tmp_path)
+def test_sweep_of_pairs_has_units_faults_and_resumes(pair: StudySetup, tmp_path) -> None:
+    vary = parse_settings(["spacing=4,20mm", "speed_ratio=0.9,1.1"], PAIR_PARAMETERS)
+    setup = replace(pair, fixed_parameters={**pair.fixed_parameters, "upper_speed": 600.0})
+    data = sweep_parameters(setup, vary, folder=tmp_path)
     assert data.lower_thrust_N.attrs["units"] == "N"
     assert all("overlap" in str(f) for f in data.fault.values[0])
     assert np.isnan(data.power_W.values[0]).all()
@@ -146,18 +151,22 @@ def test_sweep_of_pairs_has_units_faults_and_resumes(pair: Setup, tmp_path) -> N
     np.testing.assert_allclose(data.power_W, data.upper_power_W + data.lower_power_W)
     assert data.torque_ratio.values[1, 1] > data.torque_ratio.values[1, 0]
     calls: list[tuple[int, int]] = []
-    again = sweep(setup, vary, folder=tmp_path, progress=lambda a, b: calls.append((a, b)))
+    again = sweep_parameters(setup, vary, folder=tmp_path, progress=lambda a, b: calls.append((a, b)))
     assert calls[0] == (4, 4)
     np.testing.assert_array_equal(again.power_W, data.power_W)
     nc, table = write_results(again, tmp_path)
     assert read_results(nc).attrs["method"] == "bemt"
     assert table.read_text().startswith("spacing_m,speed_ratio,thrust_N")
     with pytest.raises(InputError, match="another sweep"):
-        sweep(replace(setup, fixed={**setup.fixed, "upper_speed": 500.0}), vary, folder=tmp_path)
+        sweep_parameters(
+            replace(setup, fixed_parameters={**setup.fixed_parameters, "upper_speed": 500.0}),
+            vary,
+            folder=tmp_path,
+        )
 
 
-def test_wakes_in_a_sweep_are_kept_one_by_one_and_failures_are_named(pair: Setup, tmp_path) -> None:
-    setup = replace(pair, method="wake", fixed={**pair.fixed, **AT})
+def test_wakes_in_a_sweep_are_kept_one_by_one_and_failures_are_named(pair: StudySetup, tmp_path) -> None:
+    setup = replace(pair, method="wake", fixed_parameters={**pair.fixed_parameters, **AT})
     done: list[int] = []
 
     class Stopped(Exception):
@@ -168,16 +177,16 @@ def test_wakes_in_a_sweep_are_kept_one_by_one_and_failures_are_named(pair: Setup
         if cases == 1:
             raise Stopped
 
-    vary = parse_settings(["spacing=20,25mm"], PAIR)
+    vary = parse_settings(["spacing=20,25mm"], PAIR_PARAMETERS)
     with pytest.raises(Stopped):
-        sweep(setup, vary, folder=tmp_path, progress=stop)
+        sweep_parameters(setup, vary, folder=tmp_path, progress=stop)
     done.clear()
-    data = sweep(setup, vary, folder=tmp_path, progress=lambda a, _: done.append(a))
+    data = sweep_parameters(setup, vary, folder=tmp_path, progress=lambda a, _: done.append(a))
     assert done[0] >= 1  # what was there before the stop is not computed again
     afresh = solve_case(setup, {"spacing": 0.025})
     assert float(data.lower_thrust_N[1]) == pytest.approx(afresh.lower.thrust_N, rel=0.03)
-    short = replace(setup, wake=replace(COARSE, iterations=12))
-    failed = sweep(short, parse_settings(["spacing=20mm"], PAIR))
+    short = replace(setup, wake_settings=replace(COARSE, iterations=12))
+    failed = sweep_parameters(short, parse_settings(["spacing=20mm"], PAIR_PARAMETERS))
     assert "not converged in 12 iterations" in str(failed.fault.values[0])
     assert np.isnan(failed.thrust_N.values).all()
 
@@ -196,15 +205,15 @@ def test_wakes_in_a_sweep_are_kept_one_by_one_and_failures_are_named(pair: Setup
         ({"spacing": 0.02, "pitch": 0.2, "upper_speed": 600.0, "chord": 0.01}, "chord"),
     ],
 )
-def test_what_makes_no_sense_is_refused(pair: Setup, fixed: dict, key: str) -> None:
+def test_what_makes_no_sense_is_refused(pair: StudySetup, fixed: dict, key: str) -> None:
     with pytest.raises(InputError, match=key):
-        solve_case(replace(pair, fixed=fixed))
+        solve_case(replace(pair, fixed_parameters=fixed))
 
 
-def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: Setup) -> None:
-    setup = replace(pair, fixed={"spacing": 0.03, "upper_pitch": PITCH, "lower_pitch": PITCH, "thrust": 0.4})
+def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: StudySetup) -> None:
+    setup = replace(pair, fixed_parameters={"spacing": 0.03, "upper_pitch": PITCH, "lower_pitch": PITCH, "thrust": 0.4})
     free = ["upper_pitch", "lower_pitch", "lower_chord"]
-    best = optimise_pair(setup, free, limits=[pair_limit("lower_chord<=18mm")], generations=4)
+    best = optimise_pair(setup, free, limits=[parse_pair_limit("lower_chord<=18mm")], generations=4)
     assert best.after.power_W < best.pitched.power_W * (1 + 1e-3)
     assert best.pitched.power_W < best.before.power_W
     for point in (best.before, best.pitched, best.after):
@@ -213,55 +222,59 @@ def test_the_search_saves_power_and_keeps_thrust_balance_and_limits(pair: Setup)
     assert best.changes["lower_chord"] <= 0.018 + 1e-12
     again = solve_case(
         replace(
-            setup, rotor=best.upper, lower=best.lower,
-            fixed={**setup.fixed, "upper_pitch": best.pitch_rad[0], "lower_pitch": best.pitch_rad[1]},
+            setup,
+            rotor=best.upper,
+            lower_rotor=best.lower,
+            fixed_parameters={
+                **setup.fixed_parameters,
+                "upper_pitch": best.pitch_rad[0],
+                "lower_pitch": best.pitch_rad[1],
+            },
         )
-    )  # fmt: skip
-    assert again.power_W == pytest.approx(
-        best.after.power_W, rel=1e-9
-    )  # the rotors returned are those computed
+    )
+    assert again.power_W == pytest.approx(best.after.power_W, rel=1e-9)  # the rotors returned are those computed
     with pytest.raises(InputError, match="radius"):
         optimise_pair(setup, ["upper_radius"])
     with pytest.raises(InputError, match="limit"):
-        pair_limit("lower_chord=3")
+        parse_pair_limit("lower_chord=3")
 
 
 def test_single_rotors_by_the_wake_agree_with_asking_for_one(rotor) -> None:
-    blading = prepare(rotor, stations=10)
-    at = Condition(PITCH, thrust_N=0.25)
-    found = solve(System.single(blading), at, "wake", settings=COARSE)
+    blading = prepare_blading(rotor, stations=10)
+    at = OperatingCondition(PITCH, thrust_N=0.25)
+    found = solve_system(RotorSystem.single_rotor(blading), at, "wake", settings=COARSE)
     assert found.rotors[0].thrust_N == pytest.approx(0.25, rel=0.0101)
-    setup = Setup(rotor, None, {"thrust": 0.25}, method="wake", wake=COARSE, stations=10)
-    data = sweep(setup, {"pitch": [PITCH]})
+    setup = StudySetup(rotor, None, {"thrust": 0.25}, method="wake", wake_settings=COARSE, station_count=10)
+    data = sweep_parameters(setup, {"pitch": [PITCH]})
     assert str(data.fault.values[0]) == ""
     assert float(data.thrust_N[0]) == pytest.approx(0.25, rel=0.0101)
     assert float(data.speed_rad_s[0]) == pytest.approx(found.rotors[0].speed_rad_s, rel=0.02)
-    bemt = hover(blading, pitch_rad=PITCH, speed_rad_s=float(data.speed_rad_s[0]))
+    bemt = solve_rotor(blading, pitch_rad=PITCH, speed_rad_s=float(data.speed_rad_s[0]))
     assert float(data.thrust_N[0]) == pytest.approx(bemt.thrust_N, rel=0.25)
     r = found.rotors[0]
-    bench = Measurements(
+    bench = RotorMeasurements(
         np.array([PITCH]), np.array([r.speed_rad_s]), np.array([0.25]), np.array([r.torque_Nm]), "bench"
     )
-    beside = compare(blading, bench, method="wake", settings=COARSE)
+    beside = compare_measurements(blading, bench, method="wake", settings=COARSE)
     assert beside.faults == ("",)
     assert abs(beside.thrust_error[0]) < 0.03
-    beside = compare(blading, bench, method="wake", settings=replace(COARSE, iterations=5))
+    beside = compare_measurements(blading, bench, method="wake", settings=replace(COARSE, iterations=5))
     assert "not converged" in beside.faults[0]
     assert math.isnan(beside.mean_thrust_error)
 
 
 def test_a_thrust_out_of_reach_is_named(rotor) -> None:
     with pytest.raises(MuflyError, match="out of reach"):
-        solve(
-            System.single(prepare(rotor, stations=10)),
-            Condition(PITCH, thrust_N=1e4),
+        solve_system(
+            RotorSystem.single_rotor(prepare_blading(rotor, stations=10)),
+            OperatingCondition(PITCH, thrust_N=1e4),
             "wake",
             settings=COARSE,
         )
 
 
-def test_the_wake_finds_the_lower_pitch_that_balances(pair: Setup) -> None:
-    setup = replace(pair, method="wake", free="lower-pitch")
+def test_the_wake_finds_the_lower_pitch_that_balances(pair: StudySetup) -> None:
+    setup = replace(pair, method="wake", balance_by="lower-pitch")
     point = solve_case(setup, {"upper_speed": 600.0, "speed_ratio": 1.0})
     assert point.lower.torque_Nm == pytest.approx(point.upper.torque_Nm, rel=0.0101)
     assert PITCH < point.lower.pitch_rad < PITCH + math.radians(5.0)

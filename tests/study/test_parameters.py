@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.rotor import load_rotor
-from mufly.study import parse_quantity, parse_settings, parse_values, reshape
-from mufly.study.setup import naca_name
+from mufly.study import parse_quantity, parse_settings, parse_values, reshape_rotor
+from mufly.study.study_setup import modify_naca_name
 
 ROTOR = load_rotor("naca4412-r60-c20")
 
@@ -69,36 +69,36 @@ def test_one_parameter_twice_is_refused() -> None:
 
 @given(taper=st.floats(0.1, 3.0), chord=st.floats(0.005, 0.03))
 def test_taper_keeps_the_area_and_gives_its_ratio(taper: float, chord: float) -> None:
-    r = reshape(ROTOR, {"chord": chord, "taper": taper})
+    r = reshape_rotor(ROTOR, {"chord": chord, "taper": taper})
     assert r.blade_area_m2 == pytest.approx(chord * 0.85 * 0.06, rel=1e-9)
     assert float(r.chord_m(1.0)) / float(r.chord_m(0.15)) == pytest.approx(taper, rel=1e-9)
 
 
 def test_taper_3505_is_the_dissertations() -> None:
-    r = reshape(ROTOR, {"taper": 5 / 35})
+    r = reshape_rotor(ROTOR, {"taper": 5 / 35})
     assert float(r.chord_m(0.15)) == pytest.approx(0.035)
     assert float(r.chord_m(1.0)) == pytest.approx(0.005)
 
 
 def test_twist_is_straight_and_zero_at_the_tip() -> None:
-    r = reshape(ROTOR, {"twist": math.radians(10)})
+    r = reshape_rotor(ROTOR, {"twist": math.radians(10)})
     x = np.array([0.15, 0.575, 1.0])
     np.testing.assert_allclose(np.degrees(r.twist_rad(x)), [10, 5, 0], atol=1e-9)
     np.testing.assert_allclose(r.chord_m(x), 0.02)
 
 
 def test_radius_leaves_the_chord() -> None:
-    r = reshape(ROTOR, {"radius": 0.08, "blades": 3.0})
+    r = reshape_rotor(ROTOR, {"radius": 0.08, "blades": 3.0})
     assert (r.radius_m, r.blades) == (0.08, 3)
     assert float(r.chord_m(0.5)) == 0.02
 
 
 def test_naca_digits() -> None:
-    assert naca_name("naca4412", {"thickness": 0.06}) == "naca4406"
-    assert naca_name("naca4412", {"camber": 0.0}) == "naca0012"
-    assert naca_name("naca0012", {"camber": 0.02}) == "naca2412"
-    assert naca_name("NACA 4412", {"camber_position": 0.7}) == "naca4712"
+    assert modify_naca_name("naca4412", {"thickness": 0.06}) == "naca4406"
+    assert modify_naca_name("naca4412", {"camber": 0.0}) == "naca0012"
+    assert modify_naca_name("naca0012", {"camber": 0.02}) == "naca2412"
+    assert modify_naca_name("NACA 4412", {"camber_position": 0.7}) == "naca4712"
     with pytest.raises(InputError, match="no four-digit"):
-        naca_name("goe394", {"camber": 0.02})
+        modify_naca_name("goe394", {"camber": 0.02})
     with pytest.raises(InputError, match="not in the series"):
-        naca_name("naca4412", {"camber": 0.025})
+        modify_naca_name("naca4412", {"camber": 0.025})

@@ -8,13 +8,13 @@ import pytest
 from mufly.errors import InputError
 from mufly.rotor import blade_picture, database_airfoils, load_airfoil
 from mufly.study import (
-    TABLE_3_3,
-    Setup,
+    TABLE_3_3_AIRFOILS,
+    StudySetup,
     choose_airfoils,
-    lines_picture,
     rank_airfoils,
-    rank_picture,
-    sweep,
+    ranking_picture,
+    sweep_parameters,
+    sweep_picture,
     thesis_airfoils,
 )
 
@@ -22,7 +22,7 @@ from mufly.study import (
 def test_the_247_contain_the_eight_once_and_are_sound() -> None:
     names = thesis_airfoils()
     assert len(names) == len(set(names)) == 247
-    assert names[:8] == list(TABLE_3_3.values())
+    assert names[:8] == list(TABLE_3_3_AIRFOILS.values())
     for name in names:
         assert 0.0 < load_airfoil(name).thickness_ratio < 1.0
 
@@ -56,37 +56,37 @@ def table(path, drag: float) -> str:
     return str(path)
 
 
-def test_less_drag_ranks_higher_and_failures_come_last(setup: Setup, tmp_path) -> None:
+def test_less_drag_ranks_higher_and_failures_come_last(setup: StudySetup, tmp_path) -> None:
     names = [table(tmp_path / f"drag{int(1000 * d)}.csv", d) for d in (0.05, 0.02, 0.03)]
-    free = Setup(setup.rotor, setup.drive, {"thrust": 0.4, "gear": "adapted"}, flags=False)
+    free = StudySetup(setup.rotor, setup.drive, {"thrust": 0.4, "gear": "adapted"}, with_outside_share=False)
     ranking = rank_airfoils(free, [names[0], "nonsense", *names[1:]], [0.15, 0.2, 0.25])
     assert ranking.airfoil.values.tolist() == [names[1], names[2], names[0], "nonsense"]
     assert ranking["rank"].values.tolist() == [1, 2, 3, 4]
     assert np.isnan(ranking.thrust_per_power_N_W.values[-1])
     assert "no such airfoil" in ranking.fault.values[-1]
-    one = sweep(free, {"airfoil": [names[1]], "pitch": [0.15, 0.2, 0.25]})
+    one = sweep_parameters(free, {"airfoil": [names[1]], "pitch": [0.15, 0.2, 0.25]})
     assert ranking.thrust_per_power_N_W.values[0] == one.thrust_per_power_N_W.values.max()
     assert ranking.pitch.values[0] == one.pitch.values[one.thrust_per_power_N_W.values[0].argmax()]
-    assert len(rank_picture(ranking).axes) == 1
+    assert len(ranking_picture(ranking).axes) == 1
     with pytest.raises(InputError, match="is no result"):
         rank_airfoils(free, names, [0.2], by="beauty")
 
 
-def test_pictures_label_their_axes(setup: Setup) -> None:
-    data = sweep(setup, {"chord": [0.015, 0.02], "pitch": [0.1, 0.2, 0.3]})
-    axes = lines_picture(data, "thrust_per_power_N_W").axes[0]
+def test_pictures_label_their_axes(setup: StudySetup) -> None:
+    data = sweep_parameters(setup, {"chord": [0.015, 0.02], "pitch": [0.1, 0.2, 0.3]})
+    axes = sweep_picture(data, "thrust_per_power_N_W").axes[0]
     assert axes.get_xlabel() == "Pitch setting, added to the twist (deg)"
     assert axes.get_ylabel() == "Thrust per electrical power (N/W)"
     assert [t.get_text() for t in axes.get_legend().get_texts()] == ["15 mm", "20 mm"]
     np.testing.assert_allclose(axes.lines[0].get_xdata(), np.degrees([0.1, 0.2, 0.3]), atol=1e-6)
     with pytest.raises(InputError, match="cannot be drawn"):
-        lines_picture(data, "beauty")
-    many = sweep(setup, {"chord": np.linspace(0.01, 0.03, 14).tolist(), "pitch": [0.2]})
+        sweep_picture(data, "beauty")
+    many = sweep_parameters(setup, {"chord": np.linspace(0.01, 0.03, 14).tolist(), "pitch": [0.2]})
     with pytest.raises(InputError, match="14 lines"):
-        lines_picture(many, "power_W")
+        sweep_picture(many, "power_W")
 
 
-def test_a_blade_is_drawn_in_millimetres(setup: Setup) -> None:
+def test_a_blade_is_drawn_in_millimetres(setup: StudySetup) -> None:
     plan, twist, section = blade_picture(setup.rotor).axes
     assert twist.get_xlabel() == "Radius (mm)"
     assert plan.get_xlim()[1] > 60

@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 
 from mufly.rotor.wake import WakeSettings
-from mufly.thesis import coaxial, pictures, studies
-from mufly.thesis import coaxial as coaxial_verdicts
+from mufly.thesis import coaxial_studies, list_studies, rotor_figures
+from mufly.thesis import coaxial_studies as coaxial_verdicts
 from mufly.thesis.claims import TABLE_3_4_VALUES
 
 COARSE = WakeSettings(chord_deg=15, turns=2, far_turns=5, phases=2, core_limit=0.4)
@@ -16,11 +16,11 @@ COARSE = WakeSettings(chord_deg=15, turns=2, far_turns=5, phases=2, core_limit=0
 
 @pytest.fixture(scope="module")
 def pairs() -> dict[str, xr.Dataset]:
-    return {m: coaxial.equal_speeds(m, (4000, 6000), COARSE) for m in coaxial.COAXIAL_MODELS}
+    return {m: coaxial_studies.compute_equal_speeds(m, (4000, 6000), COARSE) for m in coaxial_studies.COAXIAL_MODELS}
 
 
 def test_the_studies_of_the_section_are_listed() -> None:
-    assert [s.name for s in studies() if s.section == "3.4.7"] == [
+    assert [s.name for s in list_studies() if s.section == "3.4.7"] == [
         "fig-3.43", "fig-3.44", "fig-3.45", "table-3.4",
     ]  # fmt: skip
 
@@ -33,9 +33,7 @@ def test_both_methods_give_the_lower_rotor_about_half_the_thrust(pairs: dict[str
         assert (data.lower_torque_Nm < data.upper_torque_Nm).all()
         # One speed for the whole pair: coefficients move with the Reynolds number only.
         np.testing.assert_allclose(data.lower_c_T[0], data.lower_c_T[1], rtol=0.1)
-        np.testing.assert_allclose(
-            data.upper_power_W, data.upper_torque_Nm * data.rpm * np.pi / 30, rtol=1e-9
-        )
+        np.testing.assert_allclose(data.upper_power_W, data.upper_torque_Nm * data.rpm * np.pi / 30, rtol=1e-9)
 
 
 def test_verdicts_follow_from_the_numbers(pairs: dict[str, xr.Dataset]) -> None:
@@ -53,7 +51,7 @@ def test_verdicts_follow_from_the_numbers(pairs: dict[str, xr.Dataset]) -> None:
 
 
 def test_balance_is_a_balance_and_is_judged_by_table_3_4() -> None:
-    data = coaxial.torque_balance("full", (14, 16, 18))
+    data = coaxial_studies.compute_torque_balance("full", (14, 16, 18))
     np.testing.assert_allclose(data.lower_torque_Nm, data.upper_torque_Nm, rtol=1e-6)
     assert (np.diff(data.lower_rpm) < 0).all()
     verdicts = {v.claim.text: v for v in coaxial_verdicts.judge_balance("full", data)}
@@ -67,7 +65,7 @@ def test_balance_is_a_balance_and_is_judged_by_table_3_4() -> None:
 
 def test_a_faster_upper_rotor_takes_lift_from_the_lower_one() -> None:
     # In steps of 30 degrees the wakes of 5200 rpm swing by 0.4 % and never settle.
-    data = coaxial.one_speed_kept("wake", (5200, 6000), replace(COARSE, step_deg=24.0))
+    data = coaxial_studies.compute_one_speed_fixed("wake", (5200, 6000), replace(COARSE, step_deg=24.0))
     c_T = data.lower_c_T
     assert c_T.sel(varied="upper", rpm=5200) > c_T.sel(varied="upper", rpm=6000)
     assert c_T.sel(varied="lower", rpm=5200) < c_T.sel(varied="lower", rpm=6000)
@@ -77,16 +75,16 @@ def test_a_faster_upper_rotor_takes_lift_from_the_lower_one() -> None:
 
 
 def test_a_case_that_does_not_converge_says_so() -> None:
-    data = coaxial.distances(
+    data = coaxial_studies.compute_rotor_spacing(
         "wake", (20,), (6000,), WakeSettings(step_deg=30, turns=2, iterations=3, core_limit=0.4)
     )
     assert "not converged in 3 iterations" in str(data.fault.values[0, 0])
     assert np.isnan(data.lower_thrust_N).all()
-    assert not coaxial_verdicts.judge_distances("wake", data)[0].agrees
+    assert not coaxial_verdicts.judge_rotor_spacing("wake", data)[0].agrees
 
 
 def test_pictures_have_units_and_a_line_for_each_method(pairs: dict[str, xr.Dataset]) -> None:
-    figure = pictures.equal_speeds_figure(pairs, "title")
+    figure = rotor_figures.draw_equal_speeds(pairs, "title")
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels[:2] == ["Thrust (N)", "Torque (mN m)"]
     assert all(axes.get_xlabel() == "Speed of both rotors (rev/min)" for axes in figure.axes)

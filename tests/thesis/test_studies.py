@@ -13,51 +13,51 @@ from mufly.errors import InputError
 from mufly.study import read_results
 from mufly.thesis import (
     CLAIMS,
-    ITEMS,
-    Answer,
+    THESIS_ITEMS,
     Claim,
-    Outcome,
+    StudyAnswer,
+    StudyOutcome,
     Verdict,
-    answer,
-    item,
-    outcomes,
-    recall,
-    report,
+    answer_study,
+    count_verdicts,
+    find_item,
+    list_studies,
+    load_cached_answer,
+    render_html_page,
+    render_markdown_page,
     run_study,
-    studies,
-    table_page,
-    totals,
+    study_runner,
 )
-from mufly.thesis.catalogue import _ROWS, FIGURES, TABLES
-from mufly.thesis.claims import TABLE_3_3_VALUES, Study, figure
-from mufly.thesis.outcomes import STUDIES
-from mufly.thesis.single import SWEEPS
+from mufly.thesis.claims import TABLE_3_3_VALUES, Study, new_figure
+from mufly.thesis.figure_catalogue import _ITEM_ROWS, FIGURE_COUNTS, TABLE_COUNTS
+from mufly.thesis.single_rotor_studies import SWEEP_STUDIES
+from mufly.thesis.study_runner import STUDIES
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_every_figure_and_table_is_in_the_catalogue_once() -> None:
-    figures = [f"fig-{c}.{k + 1}" for c, n in FIGURES.items() for k in range(n)]
-    tables = [f"table-{c}.{k + 1}" for c, n in TABLES.items() for k in range(n)]
+    figures = [f"fig-{c}.{k + 1}" for c, n in FIGURE_COUNTS.items() for k in range(n)]
+    tables = [f"table-{c}.{k + 1}" for c, n in TABLE_COUNTS.items() for k in range(n)]
     assert len(figures) == 91
     assert len(tables) == 7
-    assert set(ITEMS) == {*figures, *tables}
-    assert len(_ROWS) == len(ITEMS)
+    assert set(THESIS_ITEMS) == {*figures, *tables}
+    assert len(_ITEM_ROWS) == len(THESIS_ITEMS)
 
 
 def test_each_result_has_a_study_and_all_else_a_line() -> None:
-    assert {i.name for i in studies()} == set(STUDIES)
-    for i in ITEMS.values():
-        assert bool(i.stands) == (i.kind != "result"), i.name
+    assert {i.name for i in list_studies()} == set(STUDIES)
+    for i in THESIS_ITEMS.values():
+        assert bool(i.substitute) == (i.kind != "result"), i.name
         assert i.section[0] == i.name.partition("-")[2][0]
-    for i in ITEMS.values():
-        for page in re.findall(r"docs/([\w-]+\.md)", i.stands):
+    for i in THESIS_ITEMS.values():
+        for page in re.findall(r"docs/([\w-]+\.md)", i.substitute):
             assert (DOCS / page).is_file(), f"{i.name} names {page}"
 
 
 @pytest.mark.parametrize("text", ["fig-3.26", "3.26", "Fig. 3.26", "figure 3.26"])
 def test_a_figure_is_found_as_people_write_it(text: str) -> None:
-    assert item(text).name == "fig-3.26"
+    assert find_item(text).name == "fig-3.26"
 
 
 def test_unknown_study_is_named_and_a_photograph_is_no_study() -> None:
@@ -69,24 +69,22 @@ def test_unknown_study_is_named_and_a_photograph_is_no_study() -> None:
         run_study("fig-2.4", case=DOCS)
 
 
-def test_answers_are_kept_until_sources_change_and_taken_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_answers_are_kept_until_sources_change_and_taken_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUFLY_CACHE", str(tmp_path / "cache"))
-    assert recall("fig-2.4").word == "not run"
-    assert recall("fig-2.2").word == "stands for it"
-    first = answer("fig-2.4")
-    assert first.word == "agrees"
+    assert load_cached_answer("fig-2.4").verdict_word == "not run"
+    assert load_cached_answer("fig-2.2").verdict_word == "stands for it"
+    first = answer_study("fig-2.4")
+    assert first.verdict_word == "agrees"
     assert first.picture is not None
-    monkeypatch.setitem(outcomes.STUDIES, "fig-2.4", Study(lambda _: pytest.fail("computed again"), 0.0))
-    assert answer("fig-2.4").verdicts == first.verdicts
-    other = answer("fig-2.4", tmp_path / "own")
+    monkeypatch.setitem(study_runner.STUDIES, "fig-2.4", Study(lambda _: pytest.fail("computed again"), 0.0))
+    assert answer_study("fig-2.4").verdicts == first.verdicts
+    other = answer_study("fig-2.4", tmp_path / "own")
     assert other.picture == tmp_path / "own" / "fig-2.4.png"
     note = tmp_path / "own" / "fig-2.4.json"
     note.write_text(note.read_text()[:-20])  # cut off
-    assert not recall("fig-2.4", tmp_path / "own").known
-    monkeypatch.setattr(outcomes, "digest", lambda name: "other sources")
-    assert recall("fig-2.4").word == "not run"
+    assert not load_cached_answer("fig-2.4", tmp_path / "own").known
+    monkeypatch.setattr(study_runner, "study_digest", lambda name: "other sources")
+    assert load_cached_answer("fig-2.4").verdict_word == "not run"
 
 
 def test_results_that_are_no_one_table_are_written_too(tmp_path: Path) -> None:
@@ -95,7 +93,7 @@ def test_results_that_are_no_one_table_are_written_too(tmp_path: Path) -> None:
         coords={"ns": ("t", np.array([2**40])), "utc": ("t", np.array(["2026-01-01"], "M8[ns]"))},
         attrs={"of": {"a": "flight"}},
     )
-    files = Outcome("fig-6.10", "Step", {"run": data}, [], figure(2.0, 2.0)).write(tmp_path)
+    files = StudyOutcome("fig-6.10", "Step", {"run": data}, [], new_figure(2.0, 2.0)).write(tmp_path)
     assert [f.name for f in files] == ["fig-6.10.png", "fig-6.10.json", "fig-6.10.nc"]
     np.testing.assert_array_equal(read_results(tmp_path / "fig-6.10.nc").y, data.y)
 
@@ -103,7 +101,7 @@ def test_results_that_are_no_one_table_are_written_too(tmp_path: Path) -> None:
 def test_words_follow_from_the_verdicts() -> None:
     def word(*agree: bool, lacking: str = "") -> str:
         verdicts = tuple(Verdict(Claim("Fig. 2.4", "x"), "m", "1", a, "r") for a in agree)
-        return Answer(ITEMS["fig-2.4"], verdicts, lacking=lacking, known=True).word
+        return StudyAnswer(THESIS_ITEMS["fig-2.4"], verdicts, lacking=lacking, known=True).verdict_word
 
     assert [word(True, True), word(True, False), word(False)] == ["agrees", "in part", "DIFFERS"]
     assert [word(), word(True, lacking="CFD")] == ["drawn", "needs CFD"]
@@ -111,10 +109,10 @@ def test_words_follow_from_the_verdicts() -> None:
 
 def test_the_report_holds_its_pictures_and_all_items(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUFLY_CACHE", str(tmp_path))
-    answers = [answer(n) if n in ("fig-2.4", "fig-6.18") else recall(n) for n in ITEMS]
-    page = report(answers)
+    answers = [answer_study(n) if n in ("fig-2.4", "fig-6.18") else load_cached_answer(n) for n in THESIS_ITEMS]
+    page = render_html_page(answers)
     assert page.count("data:image/png;base64,") == 2
-    assert all(f"id='{n}'" in page for n in ITEMS)
+    assert all(f"id='{n}'" in page for n in THESIS_ITEMS)
     assert not re.search(r"(src|href)='(?!data:|#)", page)
 
 
@@ -125,13 +123,13 @@ def test_the_page_of_the_documents_is_that_of_the_kept_answers() -> None:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     kept = module.kept()
-    assert module.PAGE.read_text(encoding="utf-8") == table_page(kept), "run python docs/make_thesis_page.py"
-    assert [r["name"] for r in kept] == list(ITEMS)
-    assert "not run" not in totals(kept)
+    assert module.PAGE.read_text(encoding="utf-8") == render_markdown_page(kept), "run python docs/make_thesis_page.py"
+    assert [r["name"] for r in kept] == list(THESIS_ITEMS)
+    assert "not run" not in count_verdicts(kept)
     by_name = {r["name"]: r for r in kept}
     # The quick ones are computed: what stands on the page is what comes out today.
     for name in ("fig-2.4", "fig-3.17", "fig-4.4", "fig-6.15", "fig-6.16", "fig-6.18", "table-5.1"):
-        assert [v.line() for v in run_study(name).verdicts] == by_name[name]["verdicts"], (
+        assert [v.format_line() for v in run_study(name).verdicts] == by_name[name]["verdicts"], (
             f"{name}: run python docs/make_thesis_page.py"
         )
 
@@ -152,8 +150,8 @@ def test_sweeps_have_the_dissertations_axes(name: str, tmp_path: Path) -> None:
     assert left.get_ylabel() == "Thrust / electrical power (N/W)"
     legend = left.get_legend()
     assert legend is not None
-    assert [t.get_text() for t in legend.get_texts()] == list(SWEEPS[name].labels)
-    assert len(right.lines) == len(SWEEPS[name].values)
+    assert [t.get_text() for t in legend.get_texts()] == list(SWEEP_STUDIES[name].labels)
+    assert len(right.lines) == len(SWEEP_STUDIES[name].values)
     for data in outcome.data.values():
         assert (data.fault == "").all()
         np.testing.assert_allclose(data.thrust_N, 0.4, rtol=1e-9)
@@ -167,7 +165,7 @@ def test_every_claim_of_a_number_is_judged_with_numbers() -> None:
     for name in ("fig-3.26", "fig-3.30", "fig-3.35"):
         for verdict in run_study(name).verdicts:
             assert any(c.isdigit() for c in verdict.ours)
-            assert verdict.line().startswith(("agrees", "DIFFERS"))
+            assert verdict.format_line().startswith(("agrees", "DIFFERS"))
 
 
 def test_table_3_3_is_consistent_with_its_thrust() -> None:
@@ -177,11 +175,13 @@ def test_table_3_3_is_consistent_with_its_thrust() -> None:
 
 
 def test_the_dissertations_own_theory_gives_its_four_best_airfoils() -> None:
-    from mufly.study import TABLE_3_3, sweep
-    from mufly.thesis.single import PITCH_DEG, standard_setup
+    from mufly.study import TABLE_3_3_AIRFOILS, sweep_parameters
+    from mufly.thesis.single_rotor_studies import PITCH_SETTINGS_DEG, standard_setup
 
     best = list(TABLE_3_3_VALUES)[:4]
-    pitch = [float(p) for p in np.radians(PITCH_DEG)]
-    data = sweep(standard_setup("thesis"), {"airfoil": [TABLE_3_3[n] for n in best], "pitch": pitch})
+    pitch = [float(p) for p in np.radians(PITCH_SETTINGS_DEG)]
+    data = sweep_parameters(
+        standard_setup("thesis"), {"airfoil": [TABLE_3_3_AIRFOILS[n] for n in best], "pitch": pitch}
+    )
     ours = data.thrust_per_power_N_W.max("pitch").values
     np.testing.assert_allclose(ours, [TABLE_3_3_VALUES[n][1] for n in best], rtol=0.03)

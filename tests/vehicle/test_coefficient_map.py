@@ -7,7 +7,15 @@ import pytest
 import tomli_w
 
 from mufly.errors import InputError
-from mufly.vehicle import builtin_maps, load_map, load_vehicle, map_toml, parameters, replace, vehicle_toml
+from mufly.vehicle import (
+    builtin_coefficient_maps,
+    format_map_toml,
+    format_vehicle_toml,
+    list_parameters,
+    load_coefficient_map,
+    load_vehicle,
+    replace_parameters,
+)
 
 MAP = "walkera-5g6-bemt"
 
@@ -18,7 +26,7 @@ def vehicle():
 
 
 def written(vehicle, folder, **rotors):
-    tables = tomllib.loads(vehicle_toml(vehicle))
+    tables = tomllib.loads(format_vehicle_toml(vehicle))
     tables["rotors"].update(rotors)
     file = folder / "mine.toml"
     file.write_text(tomli_w.dumps(tables), encoding="utf-8")
@@ -26,34 +34,31 @@ def written(vehicle, folder, **rotors):
 
 
 def test_a_vehicle_file_names_a_map_beside_it_or_a_built_in_one(vehicle, tmp_path, monkeypatch) -> None:
-    coefficients = load_map(MAP)
-    assert MAP in builtin_maps()
+    coefficients = load_coefficient_map(MAP)
+    assert MAP in builtin_coefficient_maps()
     (tmp_path / "maps").mkdir()
-    (tmp_path / "maps" / "pair.toml").write_text(map_toml(coefficients), encoding="utf-8")
+    (tmp_path / "maps" / "pair.toml").write_text(format_map_toml(coefficients), encoding="utf-8")
     monkeypatch.chdir("/")
     for name in ("maps/pair.toml", str(tmp_path / "maps" / "pair.toml"), MAP):
-        assert (
-            load_vehicle(written(vehicle, tmp_path, coefficient_map=name)).rotors.coefficient_map
-            == coefficients
-        )
+        assert load_vehicle(written(vehicle, tmp_path, coefficient_map=name)).rotors.coefficient_map == coefficients
     assert vehicle.rotors.coefficient_map is None
 
 
 def test_a_vehicle_carries_its_map(vehicle, tmp_path) -> None:
-    mapped = replace(vehicle, {"rotors.coefficient_map": MAP, "rotors.map_level": "constants"})
-    text = vehicle_toml(mapped)
+    mapped = replace_parameters(vehicle, {"rotors.coefficient_map": MAP, "rotors.map_level": "constants"})
+    text = format_vehicle_toml(mapped)
     alone = tmp_path / "alone.toml"
     alone.write_text(text, encoding="utf-8")
     assert load_vehicle(alone) == mapped
     assert max(len(line) for line in text.splitlines()) < 2000  # a table to be read, not one endless line
-    assert parameters(mapped) == parameters(vehicle)
-    assert replace(mapped, {"rotors.coefficient_map": None, "rotors.map_level": "computed"}) == vehicle
-    assert replace(mapped, {"body.mass": 0.08}).rotors.coefficient_map == mapped.rotors.coefficient_map
+    assert list_parameters(mapped) == list_parameters(vehicle)
+    assert replace_parameters(mapped, {"rotors.coefficient_map": None, "rotors.map_level": "computed"}) == vehicle
+    assert replace_parameters(mapped, {"body.mass": 0.08}).rotors.coefficient_map == mapped.rotors.coefficient_map
 
 
 def test_tables_cannot_be_written_to() -> None:
     with pytest.raises(ValueError, match="read-only"):
-        load_map(MAP).tables().cT_upper[0, 0, 0] = 1.0
+        load_coefficient_map(MAP).parse_tables().cT_upper[0, 0, 0] = 1.0
 
 
 def without_row(text):
@@ -81,7 +86,7 @@ def squeezed(text):
     ],
 )
 def test_a_damaged_map_is_refused(vehicle, tmp_path, change, words) -> None:
-    good = load_map(MAP)
+    good = load_coefficient_map(MAP)
     tables = {**good.model_dump(), "table": change(good.table)}
     (tmp_path / "bad.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
     with pytest.raises(InputError, match=words) as caught:
@@ -101,4 +106,4 @@ def test_what_is_no_map_is_refused(vehicle, tmp_path) -> None:
     with pytest.raises(InputError, match=r"rotors\.map_level"):
         load_vehicle(written(vehicle, tmp_path, map_level="loud"))
     with pytest.raises(InputError, match=r"for rotors of 87\.5 mm, these have 60 mm"):
-        replace(vehicle, {"rotors.coefficient_map": MAP, "rotors.radius": 0.06})
+        replace_parameters(vehicle, {"rotors.coefficient_map": MAP, "rotors.radius": 0.06})

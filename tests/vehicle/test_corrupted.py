@@ -7,7 +7,13 @@ import pytest
 import tomli_w
 
 from mufly.errors import InputError, MuflyError
-from mufly.vehicle import load_vehicle, parameters, replace, schema, vehicle_toml
+from mufly.vehicle import (
+    format_vehicle_toml,
+    list_parameters,
+    load_vehicle,
+    replace_parameters,
+    vehicle_schema,
+)
 
 ODD = [
     float("nan"),
@@ -58,16 +64,14 @@ def user_error(act) -> str | None:
 
 
 def test_every_corruption_is_a_vehicle_or_one_line(tmp_path, monkeypatch) -> None:
-    tables = tomllib.loads(vehicle_toml(load_vehicle("mufly-1.1")))
+    tables = tomllib.loads(format_vehicle_toml(load_vehicle("mufly-1.1")))
     rng, path = random.Random(1), tmp_path / "odd.toml"
     for k, place in enumerate(list(places(tables))):
         for odd in [None, *rng.sample(ODD, 2)]:
             spoilt = corrupted(tables, place, odd)
             with monkeypatch.context() as patch:
-                if (
-                    k % 20
-                ):  # nine tenths of the time would go into writing and reading TOML, which is not ours
-                    patch.setattr(schema, "read_tables", lambda *_, spoilt=spoilt: (spoilt, str(path)))
+                if k % 20:  # nine tenths of the time would go into writing and reading TOML, which is not ours
+                    patch.setattr(vehicle_schema, "read_toml", lambda *_, spoilt=spoilt: (spoilt, str(path)))
                 else:
                     path.write_text(tomli_w.dumps(spoilt))
                 error = user_error(lambda: load_vehicle(path))
@@ -79,13 +83,13 @@ def test_what_is_accepted_can_be_asked_to_hover() -> None:
     from mufly.dynamics import hover_performance, standing_height
 
     vehicle = load_vehicle("mufly-1.1")
-    for row in parameters(vehicle):
+    for row in list_parameters(vehicle):
         if not isinstance(row.value, float) or row.key.startswith("mass_budget"):
             continue
         for odd in (0.0, 1e8):
 
             def ask(key: str = row.key, value: float = odd) -> None:
-                v = replace(vehicle, {key: value})
+                v = replace_parameters(vehicle, {key: value})
                 standing_height(v)
                 hover_performance(v)
 
@@ -104,7 +108,7 @@ def test_what_is_accepted_can_be_asked_to_hover() -> None:
     ],
 )
 def test_fault_is_named(tmp_path, place, odd, key, words) -> None:
-    tables = tomllib.loads(vehicle_toml(load_vehicle("mufly-1.1")))
+    tables = tomllib.loads(format_vehicle_toml(load_vehicle("mufly-1.1")))
     path = tmp_path / "odd.toml"
     path.write_text(tomli_w.dumps(corrupted(tables, place, odd)))
     with pytest.raises(InputError, match=words) as caught:
@@ -114,21 +118,19 @@ def test_fault_is_named(tmp_path, place, odd, key, words) -> None:
 
 def test_a_number_beyond_floating_point_is_one_line(tmp_path) -> None:
     path = tmp_path / "vehicle.toml"
-    path.write_text(vehicle_toml(load_vehicle("mufly-1.1")).replace("value = 0.095", "value = " + "9" * 400))
+    path.write_text(format_vehicle_toml(load_vehicle("mufly-1.1")).replace("value = 0.095", "value = " + "9" * 400))
     assert "body.mass" in str(user_error(lambda: load_vehicle(path)))
 
 
 def test_what_would_fly_on_energy_from_nowhere_is_refused() -> None:
     vehicle = load_vehicle("mufly-1.1")
-    with pytest.raises(
-        InputError, match=r"motor\.torque_constant: 0\.0047 N m/A is above back_emf_constant, 0\.0045"
-    ):
-        replace(vehicle, {"motor.torque_constant": 0.0047})
+    with pytest.raises(InputError, match=r"motor\.torque_constant: 0\.0047 N m/A is above back_emf_constant, 0\.0045"):
+        replace_parameters(vehicle, {"motor.torque_constant": 0.0047})
     # Within the doubt of two measurements the two are one.
-    assert replace(vehicle, {"motor.torque_constant": 0.00455}).motor.torque_constant.value == 0.00455
+    assert replace_parameters(vehicle, {"motor.torque_constant": 0.00455}).motor.torque_constant.value == 0.00455
     for name in ("nominal_voltage", "low_voltage"):
         with pytest.raises(InputError, match=f"battery\\.{name}: 9 V is above the full battery's 8.4 V"):
-            replace(vehicle, {f"battery.{name}": 9.0})
+            replace_parameters(vehicle, {f"battery.{name}": 9.0})
 
 
 _SIGNED = ("sensors.pressure.downwash", "sensors.magnetometer.inclination")
@@ -139,17 +141,17 @@ def test_every_number_twelve_decades_off_is_refused_by_its_key_or_flies() -> Non
     """A factor of 1e12 or 1e-12, or the other sign: one line that names the key, or a model with finite numbers."""
     import numpy as np
 
-    from mufly.dynamics import initial_state, longest_step, model_parameters, simulate
+    from mufly.dynamics import initial_state, longest_step, model_parameters, simulate_open_loop
 
     vehicle = load_vehicle("mufly-1.1")
     start, accepted = initial_state(position=(0.0, 0.0, -5.0), rotor_speed=(376.0, 444.0)), []
     refused: list[tuple[str, str]] = []
-    for row in parameters(vehicle):
+    for row in list_parameters(vehicle):
         if not isinstance(row.value, float) or row.key.startswith("mass_budget"):
             continue
         for factor in (1e12, 1e-12, -1.0):
             try:
-                v = replace(vehicle, {row.key: factor * row.value})
+                v = replace_parameters(vehicle, {row.key: factor * row.value})
             except InputError as error:
                 refused.append((row.key, str(error)))
                 continue
@@ -159,7 +161,7 @@ def test_every_number_twelve_decades_off_is_refused_by_its_key_or_flies() -> Non
                 continue
             accepted.append((row.key, factor))
             step = min(1e-3, 0.9 * longest_step(model_parameters(v)))
-            flown = simulate(
+            flown = simulate_open_loop(
                 v, start, (0.67, 0.73, 0.1, 0.1), duration_s=20 * step, step_s=step, sample_s=step
             )
             assert np.isfinite(flown.truth_position.values).all(), (row.key, factor)

@@ -7,12 +7,18 @@ import pytest
 import tomli_w
 
 import mufly
-from mufly.vehicle import builtin_vehicles, load_vehicle, parameters, replace, vehicle_toml
+from mufly.vehicle import (
+    builtin_vehicles,
+    format_vehicle_toml,
+    list_parameters,
+    load_vehicle,
+    replace_parameters,
+)
 
 
 @pytest.fixture
 def text() -> str:
-    return vehicle_toml(load_vehicle("mufly-1.1"))
+    return format_vehicle_toml(load_vehicle("mufly-1.1"))
 
 
 def test_table_5_3_is_carried() -> None:
@@ -28,7 +34,7 @@ def test_table_5_3_is_carried() -> None:
 
 @pytest.mark.parametrize("name", builtin_vehicles())
 def test_every_parameter_has_unit_source_and_meaning(name: str) -> None:
-    rows = parameters(load_vehicle(name))
+    rows = list_parameters(load_vehicle(name))
     assert len(rows) > 40
     assert all(r.unit and r.source and r.description and r.symbol for r in rows)
     assert len({r.key for r in rows}) == len(rows)
@@ -106,11 +112,11 @@ def test_curve_must_span_the_charge(tmp_path, text: str) -> None:
 
 def test_replace_changes_one_number_and_checks_it() -> None:
     v = load_vehicle("mufly-1.1")
-    lighter = replace(v, {"body.mass": 0.08, "battery.model": "constant"})
+    lighter = replace_parameters(v, {"body.mass": 0.08, "battery.model": "constant"})
     assert float(lighter.body.mass) == 0.08
     assert lighter.battery.model == "constant"
     assert lighter.body.inertia_xx == v.body.inertia_xx
     with pytest.raises(mufly.InputError, match="no such parameter"):
-        replace(v, {"body.weight": 1.0})
+        replace_parameters(v, {"body.weight": 1.0})
     with pytest.raises(mufly.InputError, match=r"at least 0\.001"):
-        replace(v, {"body.mass": 0.0})
+        replace_parameters(v, {"body.mass": 0.0})

@@ -8,7 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.world import Box, Cylinder, Room, World, contains, distance, distances, ranges, wall
+from mufly.world import (
+    Box,
+    Cylinder,
+    Room,
+    World,
+    cast_ranges,
+    find_enclosing,
+    make_wall,
+    obstacle_distance,
+    obstacle_distances,
+)
 
 CRATE = Box((2.0, 0.0, -0.5), (1.0, 2.0, 1.0), name="crate")
 POST = Cylinder((0.0, 3.0), 0.5, 2.0, name="post")
@@ -41,46 +51,46 @@ def furnished(dn=0.0, de=0.0, turn=0.0):
 def test_rays_closed_forms():
     world = World((CRATE,), (POST,), ROOM)
     x = np.array([0.0, 0.0, -0.8])
-    got = ranges(world, x, [unit(0.0), unit(math.pi / 2), unit(math.pi), unit(-math.pi / 2)])
+    got = cast_ranges(world, x, [unit(0.0), unit(math.pi / 2), unit(math.pi), unit(-math.pi / 2)])
     np.testing.assert_allclose(got, [1.5, 2.5, 5.0, 4.0], rtol=1e-14)
-    up_down = ranges(world, x, [(0, 0, -1.0), (0, 0, 1.0)])
+    up_down = cast_ranges(world, x, [(0, 0, -1.0), (0, 0, 1.0)])
     np.testing.assert_allclose(up_down, [2.2, 0.8], rtol=1e-14)
     # Over the crate's top and down on it.
-    assert ranges(world, [2.0, 0.0, -1.6], [(0, 0, 1.0)])[0] == pytest.approx(0.6)
+    assert cast_ranges(world, [2.0, 0.0, -1.6], [(0, 0, 1.0)])[0] == pytest.approx(0.6)
     # A beam 30 degrees off meets the crate's face, 1.5 m ahead, at 1.5 / cos 30.
-    assert ranges(world, x, [unit(math.pi / 6)])[0] == pytest.approx(1.5 / math.cos(math.pi / 6))
+    assert cast_ranges(world, x, [unit(math.pi / 6)])[0] == pytest.approx(1.5 / math.cos(math.pi / 6))
 
 
 def test_max_range_and_empty_world():
-    assert ranges(World(), [0, 0, -1.0], [unit(0.3)])[0] == math.inf
-    assert ranges(World(), [0, 0, -1.0], [unit(0.3)], 1.5)[0] == 1.5
-    assert distance(World(), [0, 0, -1.0]) == (math.inf, "")
-    assert ranges(World(floor=False), [0, 0, -1.0], [(0, 0, 1.0)])[0] == math.inf
-    assert World().empty
-    assert not World(room=ROOM).empty
+    assert cast_ranges(World(), [0, 0, -1.0], [unit(0.3)])[0] == math.inf
+    assert cast_ranges(World(), [0, 0, -1.0], [unit(0.3)], 1.5)[0] == 1.5
+    assert obstacle_distance(World(), [0, 0, -1.0]) == (math.inf, "")
+    assert cast_ranges(World(floor=False), [0, 0, -1.0], [(0, 0, 1.0)])[0] == math.inf
+    assert World().is_empty
+    assert not World(room=ROOM).is_empty
 
 
 def test_distance_closed_forms():
     world = World((CRATE,), (POST,), ROOM)
-    assert distance(world, [0.0, 0.0, -0.8]) == (pytest.approx(1.5), "crate")
-    assert distance(world, [2.0, 0.0, -0.9]) == (pytest.approx(-0.1), "crate")
-    assert distance(world, [0.0, 2.0, -1.0]) == (pytest.approx(0.5), "post")
-    assert distance(world, [0.0, 3.1, -1.0]) == (pytest.approx(-0.4), "post")
-    assert distance(world, [-4.6, 0.0, -1.0]) == (pytest.approx(0.4), "south wall")
-    assert distance(world, [4.6, 0.0, -2.0]) == (pytest.approx(0.4), "north wall")
-    assert distance(world, [-2.0, -3.7, -1.0]) == (pytest.approx(0.3), "west wall")
-    assert distance(world, [-2.0, 3.7, -1.0]) == (pytest.approx(0.3), "east wall")
-    assert distance(world, [-2.0, 0.0, -2.8]) == (pytest.approx(0.2), "ceiling")
+    assert obstacle_distance(world, [0.0, 0.0, -0.8]) == (pytest.approx(1.5), "crate")
+    assert obstacle_distance(world, [2.0, 0.0, -0.9]) == (pytest.approx(-0.1), "crate")
+    assert obstacle_distance(world, [0.0, 2.0, -1.0]) == (pytest.approx(0.5), "post")
+    assert obstacle_distance(world, [0.0, 3.1, -1.0]) == (pytest.approx(-0.4), "post")
+    assert obstacle_distance(world, [-4.6, 0.0, -1.0]) == (pytest.approx(0.4), "south wall")
+    assert obstacle_distance(world, [4.6, 0.0, -2.0]) == (pytest.approx(0.4), "north wall")
+    assert obstacle_distance(world, [-2.0, -3.7, -1.0]) == (pytest.approx(0.3), "west wall")
+    assert obstacle_distance(world, [-2.0, 3.7, -1.0]) == (pytest.approx(0.3), "east wall")
+    assert obstacle_distance(world, [-2.0, 0.0, -2.8]) == (pytest.approx(0.2), "ceiling")
     # Off a corner of the crate: 0.3, 0.4 away in plan.
-    assert distance(world, [1.2, 1.4, -0.5])[0] == pytest.approx(0.5)
+    assert obstacle_distance(world, [1.2, 1.4, -0.5])[0] == pytest.approx(0.5)
 
 
 def test_contains():
     world = World((CRATE,), (POST,), ROOM)
-    assert contains(world, [2.0, 0.0, -0.5]) == "crate"
-    assert contains(world, [0.0, 0.0, -0.5]) == ""
-    assert contains(world, [0.0, 0.0, 0.1]) == "floor"
-    assert contains(world, [6.0, 0.0, -0.5]) == "north wall"
+    assert find_enclosing(world, [2.0, 0.0, -0.5]) == "crate"
+    assert find_enclosing(world, [0.0, 0.0, -0.5]) == ""
+    assert find_enclosing(world, [0.0, 0.0, 0.1]) == "floor"
+    assert find_enclosing(world, [6.0, 0.0, -0.5]) == "north wall"
 
 
 @given(number, number, st.floats(-3.0, -0.05), angle, st.floats(-1.4, 1.4), angle, number, number)
@@ -91,11 +101,11 @@ def test_moving_and_turning_everything_changes_nothing(n, e, d, azimuth, elevati
     b = np.array([*move(n, e), d])
     # Beams that graze an edge may fall on either side of it: compare where a hair's breadth makes no difference.
     beams = [unit(azimuth + h, elevation) for h in (-1e-7, 0.0, 1e-7)]
-    first = ranges(world, a, beams, 20.0)
+    first = cast_ranges(world, a, beams, 20.0)
     if np.ptp(first) < 1e-3:
-        got = ranges(turned, b, [unit(azimuth + turn, elevation)], 20.0)[0]
+        got = cast_ranges(turned, b, [unit(azimuth + turn, elevation)], 20.0)[0]
         assert got == pytest.approx(first[1], abs=1e-3)
-    assert distance(turned, b)[0] == pytest.approx(distance(world, a)[0], abs=1e-9)
+    assert obstacle_distance(turned, b)[0] == pytest.approx(obstacle_distance(world, a)[0], abs=1e-9)
 
 
 @given(number, number, st.floats(-2.9, -0.05), angle, st.floats(-1.4, 1.4))
@@ -103,48 +113,51 @@ def test_no_beam_ends_nearer_than_the_nearest_surface_and_it_ends_on_one(n, e, d
     furniture, _ = furnished()
     world = World(furniture.boxes, furniture.cylinders, ROOM, floor=False)
     x, u = np.array([n, e, d]), unit(azimuth, elevation)
-    least, _name = distance(world, x)
-    reach = ranges(world, x, [u], 50.0)[0]
+    least, _name = obstacle_distance(world, x)
+    reach = cast_ranges(world, x, [u], 50.0)[0]
     if least < 0.0:
         assert reach == 0.0
         return
     assert reach >= least - 1e-9
     if reach < 50.0:
-        assert abs(distance(world, x + reach * u)[0]) < 1e-9
+        assert abs(obstacle_distance(world, x + reach * u)[0]) < 1e-9
         along = x + np.linspace(0.0, 1.0, 50)[1:-1, None] * reach * u
-        assert distances(world, along)[0].min() > -1e-9
+        assert obstacle_distances(world, along)[0].min() > -1e-9
 
 
 @given(number, number, st.floats(-3.0, 0.0), angle, st.floats(0.0, 0.5))
 def test_distance_is_one_lipschitz(n, e, d, azimuth, step):
     world, _ = furnished()
     a = np.array([n, e, d])
-    assert abs(distance(world, a)[0] - distance(world, a + step * unit(azimuth))[0]) <= step + 1e-12
+    assert abs(obstacle_distance(world, a)[0] - obstacle_distance(world, a + step * unit(azimuth))[0]) <= step + 1e-12
 
 
 @settings(max_examples=50)
 @given(st.lists(st.tuples(number, number, st.floats(-3.0, 0.0)), min_size=1, max_size=20))
 def test_batch_equals_scalar(points):
     world = World((CRATE,), (POST,), ROOM)
-    batch, which = distances(world, np.array(points))
+    batch, which = obstacle_distances(world, np.array(points))
     for p, d, w in zip(points, batch, which, strict=True):
-        assert distance(world, p) == (d, world.names[w])
+        assert obstacle_distance(world, p) == (d, world.names[w])
 
 
 def test_wall_is_a_turned_box():
-    w = wall((0.0, 0.0), (3.0, 4.0), height=2.0, thickness=0.2, name="partition")
+    w = make_wall((0.0, 0.0), (3.0, 4.0), height=2.0, thickness=0.2, name="partition")
     world = World((w,))
     normal = np.array([-0.8, 0.6, 0.0])
     foot = np.array([1.5, 2.0, -1.0])
-    assert distance(world, foot + 0.7 * normal) == (pytest.approx(0.6), "partition")
-    assert ranges(world, foot + 0.7 * normal, [-normal])[0] == pytest.approx(0.6)
-    assert contains(world, foot) == "partition"
+    assert obstacle_distance(world, foot + 0.7 * normal) == (pytest.approx(0.6), "partition")
+    assert cast_ranges(world, foot + 0.7 * normal, [-normal])[0] == pytest.approx(0.6)
+    assert find_enclosing(world, foot) == "partition"
 
 
 def test_hanging_obstacles_leave_room_below():
     world = World((), (Cylinder((0, 0), 0.5, 1.0, foot=1.5, name="lamp"),))
-    assert distance(world, [0.0, 0.0, -1.0]) == (pytest.approx(0.5), "lamp")
-    assert ranges(world, [0, 0, -1.0], [(0, 0, -1.0), (1.0, 0, 0)]).tolist() == [pytest.approx(0.5), math.inf]
+    assert obstacle_distance(world, [0.0, 0.0, -1.0]) == (pytest.approx(0.5), "lamp")
+    assert cast_ranges(world, [0, 0, -1.0], [(0, 0, -1.0), (1.0, 0, 0)]).tolist() == [
+        pytest.approx(0.5),
+        math.inf,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -155,7 +168,7 @@ def test_hanging_obstacles_leave_room_below():
         lambda: Cylinder((0, 0), 0.0, 1.0),
         lambda: Room((1.0, -1.0), (0.0, 1.0)),
         lambda: Room((-1.0, 1.0), (0.0, 1.0), -2.0),
-        lambda: wall((0, 0), (0, 0), height=1.0),
+        lambda: make_wall((0, 0), (0, 0), height=1.0),
     ],
 )
 def test_impossible_obstacles_are_refused(make):

@@ -1,54 +1,61 @@
 """What did the test bench say? Measurement files, load cells and their zero, series, how far an estimate may be off."""
 
-from mufly.bench.covariance import Spread, spread
-from mufly.bench.loads import (
-    Calibration,
-    Loads,
-    Prediction,
+from mufly.bench.bench_loads import (
+    BenchLoads,
+    BenchPrediction,
+    CellCalibration,
     ZeroDrift,
-    air_density,
     calibrate_cells,
-    corrected_loads,
-    fit_drift,
-    predict,
+    compute_loads,
+    fit_zero_drift,
+    predict_loads,
+    resolve_air_density,
 )
-from mufly.bench.points import read_measurements
-from mufly.bench.series.analysis import Series
-from mufly.bench.series.analysis import analyse as analyse_series
-from mufly.bench.series.files import compare_series, compare_theory, write_results
-from mufly.bench.series.plan import Plan, make_plan, read_plan
-from mufly.bench.series.record import Record, read_record
-from mufly.bench.series.run import run_series
-from mufly.bench.table import SI_UNITS, BenchTable, Column, header_of, parse_header, read_bench
+from mufly.bench.bench_table import (
+    SI_UNITS,
+    BenchTable,
+    ColumnMeaning,
+    parse_header,
+    read_bench_file,
+    read_headers,
+)
+from mufly.bench.residual_covariance import CovarianceEstimate, estimate_covariance
+from mufly.bench.rotor_measurements import read_measurements
+from mufly.bench.series.series_analysis import SeriesResult
+from mufly.bench.series.series_analysis import analyse_series as analyse_series
+from mufly.bench.series.series_files import compare_series, compare_with_theory, write_series_results
+from mufly.bench.series.series_plan import SeriesPlan, make_plan, read_plan
+from mufly.bench.series.series_record import SeriesRecord, read_record
+from mufly.bench.series.series_runner import run_series
 
 __all__ = [
     "SI_UNITS",
+    "BenchLoads",
+    "BenchPrediction",
     "BenchTable",
-    "Calibration",
-    "Column",
-    "Loads",
-    "Plan",
-    "Prediction",
-    "Record",
-    "Series",
-    "Spread",
+    "CellCalibration",
+    "ColumnMeaning",
+    "CovarianceEstimate",
+    "SeriesPlan",
+    "SeriesRecord",
+    "SeriesResult",
     "ZeroDrift",
-    "air_density",
     "analyse_series",
     "calibrate_cells",
     "compare_series",
-    "compare_theory",
-    "corrected_loads",
-    "fit_drift",
-    "header_of",
+    "compare_with_theory",
+    "compute_loads",
+    "estimate_covariance",
+    "fit_zero_drift",
     "make_plan",
     "parse_header",
-    "predict",
-    "read_bench",
+    "predict_loads",
+    "read_bench_file",
+    "read_headers",
     "read_measurements",
     "read_plan",
     "read_record",
+    "resolve_air_density",
     "run_series",
-    "spread",
-    "write_results",
+    "write_series_results",
 ]

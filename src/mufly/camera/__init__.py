@@ -1,53 +1,57 @@
 """What would a camera see? A camera as its file says it, floors, and pictures rendered from a motion."""
 
-from mufly.camera.floor import KINDS as FLOORS
-from mufly.camera.floor import Floor, floor_of_picture, make_floor
-from mufly.camera.live import LivePictures, is_live
-from mufly.camera.model import (
+from mufly.camera.camera_model import (
     Camera,
-    body_from_camera,
+    body_from_camera_rotation,
     builtin_cameras,
-    camera_from,
-    check_size,
-    distortion,
+    camera_matrix,
+    check_picture_size,
+    distortion_coefficients,
     load_camera,
-    matrix,
-    project,
-    rays,
+    parse_camera,
+    project_points,
+    unproject_pixels,
 )
-from mufly.camera.recording import NAME as CAMERA_RECORDING
-from mufly.camera.recording import PictureRecorder, RecordedPictures, read_pictures
-from mufly.camera.render import Motion, Renderer, decode, encode
-from mufly.camera.stream import StreamServer, boundary_of, is_local, parse_address, parts
+from mufly.camera.floor_texture import FLOOR_KINDS, Floor, load_floor_picture, make_floor
+from mufly.camera.live_pictures import LivePictures, is_live_source
+from mufly.camera.mjpeg_stream import (
+    StreamServer,
+    is_local_host,
+    iterate_parts,
+    parse_address,
+    parse_boundary,
+)
+from mufly.camera.picture_recording import CAMERA_FILE_NAME, PictureRecorder, RecordedPictures, read_pictures
+from mufly.camera.renderer import Renderer, VehicleMotion, decode_picture, encode_jpeg
 
 __all__ = [
-    "CAMERA_RECORDING",
-    "FLOORS",
+    "CAMERA_FILE_NAME",
+    "FLOOR_KINDS",
     "Camera",
     "Floor",
     "LivePictures",
-    "Motion",
     "PictureRecorder",
     "RecordedPictures",
     "Renderer",
     "StreamServer",
-    "body_from_camera",
-    "boundary_of",
+    "VehicleMotion",
+    "body_from_camera_rotation",
     "builtin_cameras",
-    "camera_from",
-    "check_size",
-    "decode",
-    "distortion",
-    "encode",
-    "floor_of_picture",
-    "is_live",
-    "is_local",
+    "camera_matrix",
+    "check_picture_size",
+    "decode_picture",
+    "distortion_coefficients",
+    "encode_jpeg",
+    "is_live_source",
+    "is_local_host",
+    "iterate_parts",
     "load_camera",
+    "load_floor_picture",
     "make_floor",
-    "matrix",
     "parse_address",
-    "parts",
-    "project",
-    "rays",
+    "parse_boundary",
+    "parse_camera",
+    "project_points",
     "read_pictures",
+    "unproject_pixels",
 ]

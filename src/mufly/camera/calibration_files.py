@@ -2,7 +2,7 @@
 
 They hold the size of the picture, the pinhole and its distortion; what else a camera file says (period, mount, shutter,
 quality, radio) comes from a built-in camera. The distortion has to be Brown's (radtan, plumb_bob, OPENCV), with k1, k2,
-p1, p2 and k3 as in :mod:`mufly.camera.model`. Others are refused by their names.
+p1, p2 and k3 as in :mod:`mufly.camera.camera_model`. Others are refused by their names.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 from mufly.errors import InputError
 
-_RADTAN = (
+_RADTAN_MODELS = (
     "",
     "none",
     "radtan",
@@ -27,19 +27,19 @@ _RADTAN = (
     "opencv",
     "pinhole",
 )
-_PINHOLE = ("", "pinhole", "plumb_bob", "perspective", "mono")
-_REMEDY = "undistort the pictures for a pinhole, or find the lens anew: mufly slam calibrate"
-_KEY = re.compile(r"(\s*)(?:- )?([A-Za-z_][\w.\-]*|\"[^\"]+\")\s*:(?:\s+(.*))?$")
-_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
-_FOCUS = ("fx", "fy", "cx", "cy")
+_PINHOLE_MODELS = ("", "pinhole", "plumb_bob", "perspective", "mono")
+_UNSUPPORTED_LENS_REMEDY = "undistort the pictures for a pinhole, or find the lens anew: mufly slam calibrate"
+_YAML_KEY_PATTERN = re.compile(r"(\s*)(?:- )?([A-Za-z_][\w.\-]*|\"[^\"]+\")\s*:(?:\s+(.*))?$")
+_DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3")
+_INTRINSIC_NAMES = ("fx", "fy", "cx", "cy")
 # Parameters of COLMAP's models: which are the focal lengths, the centre and the coefficients.
-_COLMAP = {
+_COLMAP_PARAMETER_ORDER = {
     "SIMPLE_PINHOLE": (0, 0, 1, 2), "PINHOLE": (0, 1, 2, 3), "SIMPLE_RADIAL": (0, 0, 1, 2, 3),
     "RADIAL": (0, 0, 1, 2, 3, 4), "OPENCV": (0, 1, 2, 3, 4, 5, 6, 7),
 }  # fmt: skip
 
 
-def calibration_tables(text: str, where: str, rest: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+def convert_calibration(text: str, where: str, rest: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     """Return the tables of a camera file out of another program's calibration, and whose it is.
 
     Parameters
@@ -56,12 +56,12 @@ def calibration_tables(text: str, where: str, rest: Mapping[str, Any]) -> tuple[
     InputError
         If it is none of these calibrations, or its lens is of another model.
     """
-    if (line := _colmap_line(text)) is not None:
-        whose, size, focus, distortion, rate = "COLMAP's cameras", *_of_colmap(line, where), 0.0
+    if (line := _find_colmap_line(text)) is not None:
+        whose, size, focus, distortion, rate = "COLMAP's cameras", *_parse_colmap_line(line, where), 0.0
     else:
-        whose, size, focus, distortion, rate = _of_values(dict(_values_in(text, where)), where)
+        whose, size, focus, distortion, rate = _parse_calibration(dict(_parse_key_values(text, where)), where)
     lens = dict(zip(("focal_x", "focal_y", "centre_x", "centre_y"), focus, strict=True))
-    lens |= dict(zip(_COEFFICIENTS, distortion, strict=False))
+    lens |= dict(zip(_DISTORTION_NAMES, distortion, strict=False))
     known = {"unit": "1", "source": "measured"}
     tables = {
         **rest,
@@ -75,67 +75,63 @@ def calibration_tables(text: str, where: str, rest: Mapping[str, Any]) -> tuple[
     return tables, whose
 
 
-def _colmap_line(text: str) -> list[str] | None:
+def _find_colmap_line(text: str) -> list[str] | None:
     lines = [s.split() for s in text.splitlines() if s.strip() and not s.startswith("#")]
     found = lines[0] if lines else []
     return found if len(found) > 4 and found[0].isdigit() and re.fullmatch(r"[A-Z_]+", found[1]) else None
 
 
-def _of_colmap(line: list[str], where: str) -> tuple[tuple[int, int], list[float], list[float]]:
-    if line[1] not in _COLMAP:
-        raise InputError(where, line[1], "is a model of COLMAP's that is not read here", _REMEDY)
+def _parse_colmap_line(line: list[str], where: str) -> tuple[tuple[int, int], list[float], list[float]]:
+    if line[1] not in _COLMAP_PARAMETER_ORDER:
+        raise InputError(where, line[1], "is a model of COLMAP's that is not read here", _UNSUPPORTED_LENS_REMEDY)
     try:
-        places, values = _COLMAP[line[1]], [float(c) for c in line[4:]]
+        places, values = _COLMAP_PARAMETER_ORDER[line[1]], [float(c) for c in line[4:]]
         found = [values[k] for k in places]
         size = int(line[2]), int(line[3])
     except (ValueError, IndexError):
-        raise InputError(
-            where, line[1], "has too few numbers, or some that are none", "export it anew"
-        ) from None
+        raise InputError(where, line[1], "has too few numbers, or some that are none", "export it anew") from None
     # The middle of the first pixel is (0.5, 0.5) there.
     return size, [*found[:2], found[2] - 0.5, found[3] - 0.5], found[4:]
 
 
-def _values_in(text: str, where: str) -> Iterator[tuple[str, Any]]:
+def _parse_key_values(text: str, where: str) -> Iterator[tuple[str, Any]]:
     """Dotted keys and values (text, or a list of texts) of YAML, JSON or XML."""
     head = text.lstrip("\ufeff \t\r\n")
     try:
         if head.startswith("<"):
-            yield from _flat_xml(ElementTree.fromstring(head), "")
+            yield from _flatten_xml(ElementTree.fromstring(head), "")
         elif head.startswith("{"):
-            yield from _flat(json.loads(head), "")
+            yield from _flatten_json(json.loads(head), "")
         else:
-            yield from _flat_yaml(text)
+            yield from _flatten_yaml(text)
     except (ElementTree.ParseError, json.JSONDecodeError, RecursionError) as error:
-        raise InputError(
-            where, "", f"is damaged ({error})", "give another copy, or a camera file (TOML)"
-        ) from error
+        raise InputError(where, "", f"is damaged ({error})", "give another copy, or a camera file (TOML)") from error
 
 
-def _flat(value: Any, key: str) -> Iterator[tuple[str, Any]]:
+def _flatten_json(value: Any, key: str) -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
         for name, inner in value.items():
-            yield from _flat(inner, f"{key}.{name}" if key else str(name))
+            yield from _flatten_json(inner, f"{key}.{name}" if key else str(name))
     elif isinstance(value, list) and value and isinstance(value[0], dict):
-        yield from _flat(value[0], key)  # the first of several cameras
+        yield from _flatten_json(value[0], key)  # the first of several cameras
     else:
-        yield key, _tokens(json.dumps(value)) if isinstance(value, list) else str(value)
+        yield key, _split_tokens(json.dumps(value)) if isinstance(value, list) else str(value)
 
 
-def _flat_xml(node: ElementTree.Element, key: str) -> Iterator[tuple[str, Any]]:
+def _flatten_xml(node: ElementTree.Element, key: str) -> Iterator[tuple[str, Any]]:
     for child in node:
         name = f"{key}.{child.tag}" if key else child.tag
-        yield from _flat_xml(child, name)
+        yield from _flatten_xml(child, name)
         if not len(child):
             text = (child.text or "").strip()
-            yield name, _tokens(text) if child.tag == "data" else text
+            yield name, _split_tokens(text) if child.tag == "data" else text
 
 
-def _tokens(text: str) -> list[str]:
+def _split_tokens(text: str) -> list[str]:
     return [t for t in re.split(r"[\s,\[\]]+", text) if t]
 
 
-def _flat_yaml(text: str) -> Iterator[tuple[str, Any]]:
+def _flatten_yaml(text: str) -> Iterator[tuple[str, Any]]:
     """The part of YAML that calibrations are written in: maps, lists of numbers, one value a line."""
     above: list[tuple[int, str]] = []
     listed: dict[str, list[str]] = {}
@@ -147,10 +143,10 @@ def _flat_yaml(text: str) -> Iterator[tuple[str, Any]]:
             if more is None:
                 break
             line += " " + re.sub(r"(^|\s)#.*", "", more).strip()
-        found = _KEY.match(line)
+        found = _YAML_KEY_PATTERN.match(line)
         if found is None:
             if above and line.lstrip().startswith("-"):
-                listed.setdefault(above[-1][1], []).extend(_tokens(line.replace("- ", " ")))
+                listed.setdefault(above[-1][1], []).extend(_split_tokens(line.replace("- ", " ")))
             continue
         indent, name, value = (
             len(found[1]),
@@ -163,21 +159,17 @@ def _flat_yaml(text: str) -> Iterator[tuple[str, Any]]:
         if not value:
             above.append((indent, key))
         else:
-            yield key, _tokens(value) if value.startswith("[") else value.strip("\"'")
+            yield key, _split_tokens(value) if value.startswith("[") else value.strip("\"'")
     yield from listed.items()
 
 
-def _of_values(
+def _parse_calibration(
     values: dict[str, Any], where: str
 ) -> tuple[str, tuple[int, int], list[float], list[float], float]:
     """Whose calibration it is, size, focal lengths and centre, distortion, pictures a second (0: not told)."""
     cameras = sorted({k.partition(".")[0] for k in values if re.match(r"cam\d+\.", k)})
     first = f"{cameras[0]}." if cameras else ""
-    v = {
-        k.removeprefix(first).removesuffix(".data").lower(): x
-        for k, x in values.items()
-        if k.startswith(first)
-    }
+    v = {k.removeprefix(first).removesuffix(".data").lower(): x for k, x in values.items() if k.startswith(first)}
     v |= {k.partition(".")[2]: x for k, x in v.items() if k.startswith(("camera.", "camera1."))}
     for name in ("projection_parameters.", "distortion_parameters.", "value0.", "intrinsics.", "intrinsics."):
         v |= {k.removeprefix(name): x for k, x in v.items() if k.startswith(name)}
@@ -189,39 +181,40 @@ def _of_values(
     }  # fmt: skip
     whose = next((name for name, keys in marks.items() if any(k in v for k in keys)), "a calibration")
     whose = "Kalibr's camchain" if cameras else whose
-    for kind, read in ((model, _PINHOLE), (bent, _RADTAN)):
+    for kind, read in ((model, _PINHOLE_MODELS), (bent, _RADTAN_MODELS)):
         if kind not in read:
             raise InputError(
-                where, "", f"is {whose} with the model {kind!r}, which is not read here", _REMEDY
+                where,
+                "",
+                f"is {whose} with the model {kind!r}, which is not read here",
+                _UNSUPPORTED_LENS_REMEDY,
             )
-    matrix = _first(v, ("camera_matrix", "intrinsic_matrix", "k", "m1"))
-    focus = _first(v, ("intrinsics",)) or (
+    matrix = _find_numbers(v, ("camera_matrix", "intrinsic_matrix", "k", "m1"))
+    focus = _find_numbers(v, ("intrinsics",)) or (
         [matrix[0], matrix[4], matrix[2], matrix[5]] if len(matrix) == 9 else []
     )
-    focus = focus or [_number(v.get(name)) for name in _FOCUS]
-    width, height = _first(v, ("resolution", "image_size")) or [
-        _number(v.get(f"image_{side}", v.get(side))) for side in ("width", "height")
+    focus = focus or [_parse_float(v.get(name)) for name in _INTRINSIC_NAMES]
+    width, height = _find_numbers(v, ("resolution", "image_size")) or [
+        _parse_float(v.get(f"image_{side}", v.get(side))) for side in ("width", "height")
     ]
     if len(focus) != 4 or not all(map(math.isfinite, [*focus, width, height])):
         raise InputError(where, "", "is no calibration that is known here, or has no size or focal lengths",
                          "give a camera file (TOML), or the YAML of Kalibr, ROS, OpenCV or EuRoC")  # fmt: skip
     names = ("distortion_coeffs", "distortion_coefficients", "distortion_coefficents", "dist_coeffs", "d")
-    distortion = _first(v, names) or [_number(v.get(name, 0)) for name in _COEFFICIENTS]
+    distortion = _find_numbers(v, names) or [_parse_float(v.get(name, 0)) for name in _DISTORTION_NAMES]
     if any(distortion[5:]) or not all(map(math.isfinite, distortion)):
-        problem = (
-            f"is {whose} with {len(distortion)} coefficients of distortion, of which five are known here"
-        )
-        raise InputError(where, "", problem, _REMEDY)
-    rate = _number(v.get("rate_hz", v.get("fps", 0)))
+        problem = f"is {whose} with {len(distortion)} coefficients of distortion, of which five are known here"
+        raise InputError(where, "", problem, _UNSUPPORTED_LENS_REMEDY)
+    rate = _parse_float(v.get("rate_hz", v.get("fps", 0)))
     return whose, (round(width), round(height)), focus, distortion[:5], rate if math.isfinite(rate) else 0.0
 
 
-def _first(values: Mapping[str, Any], names: tuple[str, ...]) -> list[float]:
+def _find_numbers(values: Mapping[str, Any], names: tuple[str, ...]) -> list[float]:
     """Numbers under the first of these names that has a list."""
-    return next(([_number(x) for x in values[n]] for n in names if isinstance(values.get(n), list)), [])
+    return next(([_parse_float(x) for x in values[n]] for n in names if isinstance(values.get(n), list)), [])
 
 
-def _number(value: Any) -> float:
+def _parse_float(value: Any) -> float:
     try:
         return float(value)
     except (TypeError, ValueError):

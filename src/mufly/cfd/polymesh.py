@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from mufly.cfd.mesh import Mesh
+from mufly.cfd.sector_mesh import SectorMesh
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
 
@@ -30,12 +30,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Faces of a hexahedron, outwards.
-_FACES = np.array(
+_HEXAHEDRON_FACES = np.array(
     [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)], dtype=np.int64
 )
-PATCHES = ("sector_left", "sector_right", "top", "side", "bottom", "blade")
+PATCH_NAMES = ("sector_left", "sector_right", "top", "side", "bottom", "blade")
 """The boundaries: the two periodic planes (x below and above 0), top, side and bottom of the cylinder, the blade."""
-LOWER = "blade_lower"
+LOWER_BLADE_PATCH = "blade_lower"
 """One more where there is a second rotor under the first."""
 
 
@@ -68,23 +68,23 @@ class PolyMesh:
     owner: Index
     neighbour: Index
     patches: dict[str, tuple[int, int]]
-    strip: Index
-    edges_m: Array
-    blades: int
-    turning: NDArray[np.bool_]
-    middle_m: float = -math.inf
+    cell_strip: Index
+    strip_edges_m: Array
+    blade_count: int
+    is_rotating: NDArray[np.bool_]
+    interface_height_m: float = -math.inf
 
     @cached_property
-    def sense(self) -> Array:
+    def cell_rotation_sign(self) -> Array:
         """How the frame of each cell turns: 1 with the rotor, -1 with a second one under it, 0 at rest; (cells,)."""
-        return np.where(self.turning, np.where(self.centres[:, 2] < self.middle_m, -1.0, 1.0), 0.0)
+        return np.where(self.is_rotating, np.where(self.cell_centres[:, 2] < self.interface_height_m, -1.0, 1.0), 0.0)
 
     @property
-    def cells(self) -> int:
+    def cell_count(self) -> int:
         """Number of cells."""
-        return len(self.strip)
+        return len(self.cell_strip)
 
-    def patch(self, name: str) -> slice:
+    def patch_faces(self, name: str) -> slice:
         """The faces of a patch."""
         start, count = self.patches[name]
         return slice(start, start + count)
@@ -92,25 +92,25 @@ class PolyMesh:
     @cached_property
     def face_centres(self) -> Array:
         """Centres of the faces (m), (faces, 3)."""
-        return self._geometry[0]
+        return self._face_cell_geometry[0]
 
     @cached_property
     def face_areas(self) -> Array:
         """Area vectors of the faces (m2), out of the owner, (faces, 3)."""
-        return self._geometry[1]
+        return self._face_cell_geometry[1]
 
     @cached_property
-    def centres(self) -> Array:
+    def cell_centres(self) -> Array:
         """Centres of the cells (m), (cells, 3)."""
-        return self._geometry[2]
+        return self._face_cell_geometry[2]
 
     @cached_property
-    def volumes(self) -> Array:
+    def cell_volumes(self) -> Array:
         """Volumes of the cells (m3)."""
-        return self._geometry[3]
+        return self._face_cell_geometry[3]
 
     @cached_property
-    def _geometry(self) -> tuple[Array, Array, Array, Array]:
+    def _face_cell_geometry(self) -> tuple[Array, Array, Array, Array]:
         p = self.points[self.faces]
         middle = p.mean(axis=1)
         following = np.roll(p, -1, axis=1)
@@ -122,26 +122,26 @@ class PolyMesh:
         weight = np.einsum("fti,fi->ft", n, unit)
         centre = np.einsum("ft,fti->fi", weight, thirds) / np.maximum(weight.sum(axis=1), 1e-300)[:, None]
         inside = len(self.neighbour)
-        guess, count = np.zeros((self.cells, 3)), np.zeros(self.cells)
+        guess, count = np.zeros((self.cell_count, 3)), np.zeros(self.cell_count)
         for faces, cells in ((slice(None), self.owner), (slice(0, inside), self.neighbour)):
-            guess += _summed(cells, centre[faces], self.cells)
-            count += np.bincount(cells, minlength=self.cells)
+            guess += _sum_by_cell(cells, centre[faces], self.cell_count)
+            count += np.bincount(cells, minlength=self.cell_count)
         guess /= count[:, None]
-        volume, moment = np.zeros(self.cells), np.zeros((self.cells, 3))
+        volume, moment = np.zeros(self.cell_count), np.zeros((self.cell_count, 3))
         for faces, cells, sign in ((slice(None), self.owner, 1.0), (slice(0, inside), self.neighbour, -1.0)):
             f = centre[faces]
             pyramid = sign * np.einsum("fi,fi->f", area[faces], f - guess[cells]) / 3.0
-            volume += np.bincount(cells, pyramid, self.cells)
-            moment += _summed(cells, pyramid[:, None] * (0.75 * f + 0.25 * guess[cells]), self.cells)
+            volume += np.bincount(cells, pyramid, self.cell_count)
+            moment += _sum_by_cell(cells, pyramid[:, None] * (0.75 * f + 0.25 * guess[cells]), self.cell_count)
         return centre, area, moment / volume[:, None], volume
 
 
-def _summed(cells: Index, vectors: Array, count: int) -> Array:
+def _sum_by_cell(cells: Index, vectors: Array, count: int) -> Array:
     """Sum vectors by cell; (count, 3)."""
     return np.stack([np.bincount(cells, vectors[:, i], count) for i in range(3)], axis=-1)
 
 
-def poly_mesh(mesh: Mesh) -> PolyMesh:
+def make_poly_mesh(mesh: SectorMesh) -> PolyMesh:
     """Find faces, owners and boundaries; number the cells so that neighbours are near each other.
 
     Raises
@@ -151,7 +151,7 @@ def poly_mesh(mesh: Mesh) -> PolyMesh:
     """
     hexahedra = mesh.hexahedra
     cells = len(hexahedra)
-    faces = hexahedra[:, _FACES].reshape(-1, 4)
+    faces = hexahedra[:, _HEXAHEDRON_FACES].reshape(-1, 4)
     of = np.repeat(np.arange(cells), 6)
     key = np.sort(faces, axis=1)
     order = np.lexsort(key.T[::-1])
@@ -160,7 +160,7 @@ def poly_mesh(mesh: Mesh) -> PolyMesh:
     if np.any(same[1:] & same[:-1]):
         raise MuflyError("mesh: a face is shared by three cells")
     # A plate's faces are walls of the cells on both sides.
-    same[same] = ~_among(sorted_key[:-1][same], np.sort(mesh.plates, axis=1), len(mesh.points))
+    same[same] = ~_faces_among(sorted_key[:-1][same], np.sort(mesh.plate_faces, axis=1), len(mesh.points))
     first = order[:-1][same]
     second = order[1:][same]
     alone = np.ones(len(order), dtype=bool)
@@ -178,22 +178,22 @@ def poly_mesh(mesh: Mesh) -> PolyMesh:
     inner, owner, neighbour = inner[order], owner[order], neighbour[order]
 
     shell, shell_of = faces[outside], new[of[outside]]
-    marked = {name: mark[shell].all(axis=1) for name, mark in mesh.marks.items()}
+    marked = {name: mark[shell].all(axis=1) for name, mark in mesh.point_marks.items()}
     left = mesh.points[shell].mean(axis=1)[:, 0] < 0.0
     which = np.select(
         [marked["top"], marked["bottom"], marked["outer"], marked["sector"] & left, marked["sector"]],
-        [PATCHES.index(n) for n in ("top", "bottom", "side", "sector_left", "sector_right")],
-        PATCHES.index("blade"),
+        [PATCH_NAMES.index(n) for n in ("top", "bottom", "side", "sector_left", "sector_right")],
+        PATCH_NAMES.index("blade"),
     )
-    names: tuple[str, ...] = PATCHES
-    if "lower" in mesh.marks:
-        names = (*PATCHES, LOWER)
-        own = mesh.marks["lower"][shell].all(axis=1)
-        which[(which == PATCHES.index("blade")) & own] = len(PATCHES)
+    names: tuple[str, ...] = PATCH_NAMES
+    if "lower" in mesh.point_marks:
+        names = (*PATCH_NAMES, LOWER_BLADE_PATCH)
+        own = mesh.point_marks["lower"][shell].all(axis=1)
+        which[(which == PATCH_NAMES.index("blade")) & own] = len(PATCH_NAMES)
     all_faces, all_owners, patches = [inner], [owner], {}
     start = len(inner)
     left_faces = shell[which == 0]
-    left_order, right_order, right_faces = _paired(mesh, left_faces, shell[which == 1])
+    left_order, right_order, right_faces = _pair_periodic_faces(mesh, left_faces, shell[which == 1])
     for i, name in enumerate(names):
         at = np.flatnonzero(which == i)
         f = shell[at]
@@ -206,26 +206,34 @@ def poly_mesh(mesh: Mesh) -> PolyMesh:
         patches[name] = (start, len(f))
         start += len(f)
     strip = np.empty(cells, dtype=np.int64)
-    strip[new] = mesh.strip
+    strip[new] = mesh.cell_strip
     turning = np.empty(cells, dtype=bool)
-    turning[new] = mesh.turning
+    turning[new] = mesh.is_rotating
     return PolyMesh(
-        mesh.points, np.concatenate(all_faces), np.concatenate(all_owners), neighbour, patches, strip, mesh.edges_m,
-        mesh.blades, turning, mesh.middle_m,
-    )  # fmt: skip
+        mesh.points,
+        np.concatenate(all_faces),
+        np.concatenate(all_owners),
+        neighbour,
+        patches,
+        strip,
+        mesh.strip_edges_m,
+        mesh.blade_count,
+        turning,
+        mesh.interface_height_m,
+    )
 
 
-def _among(faces: Index, wanted: Index, points: int) -> NDArray[np.bool_]:
+def _faces_among(faces: Index, wanted: Index, points: int) -> NDArray[np.bool_]:
     """Which faces, their points rising, are among others: told by their three lowest points."""
     size = np.array([points**2, points, 1], dtype=np.int64)
     return np.isin(faces[:, :3] @ size, wanted[:, :3] @ size)
 
 
-def _paired(mesh: Mesh, left: Index, right: Index) -> tuple[Index, Index, Index]:
+def _pair_periodic_faces(mesh: SectorMesh, left: Index, right: Index) -> tuple[Index, Index, Index]:
     """Orders in which the faces of the two periodic planes meet, and the right ones' points in matching turn."""
     if len(left) != len(right):
         raise MuflyError(f"mesh: the periodic planes have {len(left)} and {len(right)} faces")
-    turn = 2.0 * math.pi / mesh.blades
+    turn = 2.0 * math.pi / mesh.blade_count
     c, s = math.cos(turn), math.sin(turn)
     # The right plane (x > 0) turned on about +z lands on the left one.
     turned = mesh.points @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
@@ -248,7 +256,7 @@ def _paired(mesh: Mesh, left: Index, right: Index) -> tuple[Index, Index, Index]
 
 
 @result
-class Quality:
+class MeshQuality:
     """How good a mesh is.
 
     Attributes
@@ -286,10 +294,10 @@ class Quality:
         return self.smallest_volume_m3 > 0.0 and self.non_orthogonality_deg < 85.0 and self.skewness < 4.0
 
 
-def quality(mesh: PolyMesh) -> Quality:
+def measure_mesh_quality(mesh: PolyMesh) -> MeshQuality:
     """Measure a mesh as ``checkMesh`` does; the periodic planes are left out."""
     inside = len(mesh.neighbour)
-    a, b = mesh.centres[mesh.owner[:inside]], mesh.centres[mesh.neighbour]
+    a, b = mesh.cell_centres[mesh.owner[:inside]], mesh.cell_centres[mesh.neighbour]
     area, centre = mesh.face_areas[:inside], mesh.face_centres[:inside]
     d = b - a
     cosine = np.einsum("fi,fi->f", d, area) / (np.linalg.norm(d, axis=1) * np.linalg.norm(area, axis=1))
@@ -300,19 +308,22 @@ def quality(mesh: PolyMesh) -> Quality:
     off = centre - (a + part[:, None] * d)
     length = np.linalg.norm(off, axis=1)
     unit = off / np.maximum(length, 1e-300)[:, None]
-    own = np.max(
-        np.abs(np.einsum("fi,fpi->fp", unit, mesh.points[mesh.faces[:inside]] - centre[:, None])), axis=1
-    )
+    own = np.max(np.abs(np.einsum("fi,fpi->fp", unit, mesh.points[mesh.faces[:inside]] - centre[:, None])), axis=1)
     skew = length / np.maximum(np.linalg.norm(d, axis=1), 0.2 * own)
-    total, size = np.zeros((mesh.cells, 3)), np.zeros((mesh.cells, 3))
+    total, size = np.zeros((mesh.cell_count, 3)), np.zeros((mesh.cell_count, 3))
     for faces, cells, sign in ((slice(None), mesh.owner, 1.0), (slice(0, inside), mesh.neighbour, -1.0)):
-        total += _summed(cells, sign * mesh.face_areas[faces], mesh.cells)
-        size += _summed(cells, np.abs(mesh.face_areas[faces]), mesh.cells)
-    return Quality(
-        mesh.cells, float(angle.max()), float(angle.mean()), int(np.sum(angle > 70.0)), float(skew.max()),
-        float(mesh.volumes.min()), float(np.max(np.abs(total) / np.maximum(size.max(axis=1, keepdims=True), 1e-300))),
+        total += _sum_by_cell(cells, sign * mesh.face_areas[faces], mesh.cell_count)
+        size += _sum_by_cell(cells, np.abs(mesh.face_areas[faces]), mesh.cell_count)
+    return MeshQuality(
+        mesh.cell_count,
+        float(angle.max()),
+        float(angle.mean()),
+        int(np.sum(angle > 70.0)),
+        float(skew.max()),
+        float(mesh.cell_volumes.min()),
+        float(np.max(np.abs(total) / np.maximum(size.max(axis=1, keepdims=True), 1e-300))),
         float(np.max(size.max(axis=1) / np.maximum(size.min(axis=1), 1e-300))),
-    )  # fmt: skip
+    )
 
 
 # ----------------------------------------------------------------------------
@@ -333,32 +344,30 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
     """Write ``constant/polyMesh`` of a case, zones ``rotor`` and ``lower`` of the turning cells; return the folder."""
     folder = case / "constant" / "polyMesh"
     folder.mkdir(parents=True, exist_ok=True)
-    note = f"nPoints:{len(mesh.points)}  nCells:{mesh.cells}  nFaces:{len(mesh.faces)}  "
+    note = f"nPoints:{len(mesh.points)}  nCells:{mesh.cell_count}  nFaces:{len(mesh.faces)}  "
     note += f"nInternalFaces:{len(mesh.neighbour)}"
     place = "constant/polyMesh"
 
-    def write(name: str, kind: str, *parts: bytes) -> None:
-        head = foam_header(
-            kind, name, place, binary=True, note=note if name in ("owner", "neighbour") else ""
-        )
+    def write_list_file(name: str, kind: str, *parts: bytes) -> None:
+        head = foam_header(kind, name, place, binary=True, note=note if name in ("owner", "neighbour") else "")
         (folder / name).write_bytes(head.encode() + b"\n".join(parts) + b"\n")
 
-    def block(values: NDArray, count: int) -> bytes:
+    def encode_block(values: NDArray, count: int) -> bytes:
         return f"{count}\n(".encode() + np.ascontiguousarray(values).tobytes() + b")"
 
-    def labels(values: Index) -> bytes:
-        return block(values.astype("<i4"), len(values))
+    def encode_labels(values: Index) -> bytes:
+        return encode_block(values.astype("<i4"), len(values))
 
-    write("points", "vectorField", block(mesh.points.astype("<f8"), len(mesh.points)))
+    write_list_file("points", "vectorField", encode_block(mesh.points.astype("<f8"), len(mesh.points)))
     starts = np.arange(0, 4 * len(mesh.faces) + 1, 4)
-    write("faces", "faceCompactList", labels(starts), labels(mesh.faces.ravel()))
-    write("owner", "labelList", labels(mesh.owner))
-    write("neighbour", "labelList", labels(mesh.neighbour))
-    turn = 360.0 / mesh.blades
+    write_list_file("faces", "faceCompactList", encode_labels(starts), encode_labels(mesh.faces.ravel()))
+    write_list_file("owner", "labelList", encode_labels(mesh.owner))
+    write_list_file("neighbour", "labelList", encode_labels(mesh.neighbour))
+    turn = 360.0 / mesh.blade_count
     entries = []
     for name, (start, count) in mesh.patches.items():
         kind, more = "patch", ""
-        if name in ("blade", LOWER):
+        if name in ("blade", LOWER_BLADE_PATCH):
             kind, more = "wall", "inGroups 1(wall);"
         elif name.startswith("sector"):
             other = "sector_right" if name == "sector_left" else "sector_left"
@@ -369,25 +378,27 @@ def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
             )
         entries.append(f"    {name} {{ type {kind}; {more} nFaces {count}; startFace {start}; }}")
     text = foam_header("polyBoundaryMesh", "boundary", place, note=f"sector of {turn:g} degrees")
-    (folder / "boundary").write_text(
-        text + f"{len(entries)}\n(\n" + "\n".join(entries) + "\n)\n", encoding="utf-8"
-    )
+    (folder / "boundary").write_text(text + f"{len(entries)}\n(\n" + "\n".join(entries) + "\n)\n", encoding="utf-8")
     zone = foam_header("regIOobject", "cellZones", place, binary=True).encode()
-    zones = {"rotor": 1.0, **({"lower": -1.0} if LOWER in mesh.patches else {})}
+    zones = {"rotor": 1.0, **({"lower": -1.0} if LOWER_BLADE_PATCH in mesh.patches else {})}
     zone += f"{len(zones)}\n(\n".encode()
     for name, sense in zones.items():
         zone += f"{name}\n{{\n    type cellZone;\n    cellLabels List<label> ".encode()
-        zone += labels(np.flatnonzero(mesh.sense == sense)) + b";\n}\n"
+        zone += encode_labels(np.flatnonzero(mesh.cell_rotation_sign == sense)) + b";\n}\n"
     zone += b")\n"
     (folder / "cellZones").write_bytes(zone)
     np.savez(
-        folder / _STRIPS, strip=mesh.strip, edges_m=mesh.edges_m, blades=mesh.blades, turning=mesh.turning,
-        middle_m=mesh.middle_m,
-    )  # fmt: skip
+        folder / _STRIPS_FILE,
+        strip=mesh.cell_strip,
+        edges_m=mesh.strip_edges_m,
+        blades=mesh.blade_count,
+        turning=mesh.is_rotating,
+        middle_m=mesh.interface_height_m,
+    )
     return folder
 
 
-_STRIPS = "strips.npz"
+_STRIPS_FILE = "strips.npz"
 
 
 def read_poly_mesh(case: Path) -> PolyMesh:
@@ -400,16 +411,16 @@ def read_poly_mesh(case: Path) -> PolyMesh:
     """
     folder = case / "constant" / "polyMesh"
     try:
-        data = {
-            name: (folder / name).read_bytes()
-            for name in ("points", "faces", "owner", "neighbour", "boundary")
-        }
-        with np.load(folder / _STRIPS) as more:
+        data = {name: (folder / name).read_bytes() for name in ("points", "faces", "owner", "neighbour", "boundary")}
+        with np.load(folder / _STRIPS_FILE) as more:
             strip, edges, blades = more["strip"], more["edges_m"], int(more["blades"])
             turning, middle = more["turning"], float(more["middle_m"]) if "middle_m" in more else -math.inf
-        points = _read(data["points"], "<f8", 3)[0].reshape(-1, 3)
-        faces = _read(data["faces"], "<i4", 1, 2)[1].reshape(-1, 4)
-        owner, neighbour = _read(data["owner"], "<i4", 1)[0], _read(data["neighbour"], "<i4", 1)[0]
+        points = _decode_lists(data["points"], "<f8", 3)[0].reshape(-1, 3)
+        faces = _decode_lists(data["faces"], "<i4", 1, 2)[1].reshape(-1, 4)
+        owner, neighbour = (
+            _decode_lists(data["owner"], "<i4", 1)[0],
+            _decode_lists(data["neighbour"], "<i4", 1)[0],
+        )
         text = data["boundary"].decode()
         patches = {
             name: (int(start), int(count))
@@ -431,7 +442,7 @@ def read_poly_mesh(case: Path) -> PolyMesh:
     )
 
 
-def _read(data: bytes, kind: str, each: int, lists: int = 1) -> list[NDArray]:
+def _decode_lists(data: bytes, kind: str, each: int, lists: int = 1) -> list[NDArray]:
     at, out = data.index(b"}") + 1, []
     for _ in range(lists):
         begin = data.index(b"(", at) + 1

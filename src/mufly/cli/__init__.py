@@ -18,12 +18,12 @@ from mufly.cli.aero import bench, cfd, export
 from mufly.cli.aero import benchmark as _benchmark  # noqa: F401  adds to the commands of rotor
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import estimate, firmware, sensors, slam
-from mufly.cli.options import Commands
+from mufly.cli.options import CommandGroup
 from mufly.errors import MuflyError
 
 __all__ = ["app", "main"]
 
-app = Commands(
+app = CommandGroup(
     help="Coaxial micro helicopters, from blade geometry to autonomous flight.\n\n"
     "Start with [bold]mufly fly[/bold]; every command explains itself with --help.",
     no_args_is_help=True,
@@ -31,11 +31,11 @@ app = Commands(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-app.command("fly", help=fly.HELP)(fly.fly)
-app.command("new", help=vehicle.NEW_HELP)(vehicle.new)
-app.command("monte-carlo", help=monte_carlo.HELP)(monte_carlo.monte_carlo)
-app.command("link", help=link.LINK_HELP)(link.link)
-app.command("station", help=station.HELP)(station.station)
+app.command("fly", help=fly.FLY_HELP)(fly.fly_mission)
+app.command("new", help=vehicle.NEW_HELP)(vehicle.create_vehicle_project)
+app.command("monte-carlo", help=monte_carlo.MONTE_CARLO_HELP)(monte_carlo.run_monte_carlo)
+app.command("link", help=link.LINK_HELP)(link.run_link)
+app.command("station", help=station.STATION_HELP)(station.open_station)
 rotor.app.command()(export.export)
 app.add_typer(rotor.app, name="rotor")
 app.add_typer(coax.app, name="coax")
@@ -54,17 +54,15 @@ app.add_typer(firmware.app, name="firmware")
 app.add_typer(study.thesis_commands, name="thesis")
 
 
-def _version(asked: bool) -> None:
+def _print_version(asked: bool) -> None:
     if asked:
         typer.echo(f"mufly {mufly.__version__}")
         raise typer.Exit
 
 
 @app.callback()
-def _options(
-    version: bool = typer.Option(
-        False, "--version", callback=_version, is_eager=True, help="Print the version."
-    ),
+def _accept_root_options(
+    version: bool = typer.Option(False, "--version", callback=_print_version, is_eager=True, help="Print the version."),
 ) -> None:
     pass
 
@@ -73,15 +71,15 @@ def _options(
 _CommandLineError: type[Any] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
-_told: set[str] = set()
+_shown_warnings: set[str] = set()
 
 
-def _tell_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
     """Show a warning of ours as one line, once, those of libraries to who asks for them (python -W, PYTHONWARNINGS)."""
     if category.__module__.startswith("mufly"):
-        if str(message) in _told:
+        if str(message) in _shown_warnings:
             return
-        _told.add(str(message))
+        _shown_warnings.add(str(message))
         typer.secho(f"mufly: {message}", fg=typer.colors.YELLOW, err=True)
     elif sys.warnoptions:
         sys.stderr.write(warnings.formatwarning(message, category, *where[:2]))
@@ -89,28 +87,30 @@ def _tell_warning(message: Warning | str, category: type[Warning], *where: Any, 
 
 def main() -> None:
     """Run the command line: one clear line on standard error and status 1 (2 for an unknown option) on a fault."""
-    warnings.showwarning = _tell_warning
+    warnings.showwarning = _show_warning
     # Libraries and compilers make a million objects that stay: looked through as often as Python does by itself, they
     # cost an eighth of a first start.
     gc.set_threshold(100_000, 20, 20)
     try:
         status = app(standalone_mode=False, prog_name="mufly")
-        if station.Ending.signalled:
+        if station.ShutdownHandler.was_signalled:
             # Whoever ends it by a signal waits for it; on a busy machine, long for an interpreter to be taken apart.
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(status or 0)
         sys.exit(status)
     except MuflyError as error:
-        _stop(str(error), 1)
+        _exit_with_message(str(error), 1)
     except typer.Abort:
-        _stop("stopped", 130)
+        _exit_with_message("stopped", 130)
     except BrokenPipeError:
         # Whoever was reading has seen enough; nothing more can be said, not even at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
-        _stop(f"{error.filename or 'file'}: {error.strerror or error}; choose another place or make room", 1)
+        _exit_with_message(
+            f"{error.filename or 'file'}: {error.strerror or error}; choose another place or make room", 1
+        )
     except Exception as error:
         if not isinstance(error, _CommandLineError):
             raise
@@ -118,12 +118,12 @@ def main() -> None:
             error.show()
             sys.exit(2)
         context = getattr(error, "ctx", None)
-        path = _command_path() if context is None else context.command_path
+        path = _typed_command() if context is None else context.command_path
         message = " ".join(error.format_message().split()).rstrip(".")
-        _stop(f"{message}; see `{path} --help`", 2)
+        _exit_with_message(f"{message}; see `{path} --help`", 2)
 
 
-def _command_path() -> str:
+def _typed_command() -> str:
     """Return the command that was typed, without options and arguments."""
     words = ["mufly"]
     group: Any = typer.main.get_command(app)
@@ -135,6 +135,6 @@ def _command_path() -> str:
     return " ".join(words)
 
 
-def _stop(message: str, status: int) -> None:
+def _exit_with_message(message: str, status: int) -> None:
     typer.secho(f"mufly: {message}", fg=typer.colors.RED, err=True)
     sys.exit(status)

@@ -10,83 +10,96 @@ import numpy as np
 import typer
 
 from mufly.cli.options import (
-    POLARS,
-    SPEED,
-    WAKE,
+    DEFAULT_FREE_WAKE_OPTIONS,
+    DEFAULT_POLAR_OPTIONS,
+    SPEED_RANGE,
     ClimbOption,
-    Commands,
+    CommandGroup,
     DensityOption,
     JsonOption,
     OutOption,
     PairPitchOption,
-    Polars,
+    PolarOptions,
     SpacingOption,
-    Theory,
-    Wakes,
-    argument,
-    option,
+    TheoryOptions,
+    WakeOptions,
+    define_argument,
+    define_option,
     wake_progress,
 )
-from mufly.cli.present import (
-    Column,
-    answer,
-    console,
+from mufly.cli.output import (
+    ResultColumn,
+    make_console,
+    print_answer,
+    print_result_table,
     print_table,
     progress_bar,
-    save_picture,
-    show_table,
+    save_figure,
     write_csv,
 )
 from mufly.errors import InputError, MuflyError
-from mufly.grammar import read_pair, read_steps, spaced_values
+from mufly.quantity_grammar import read_rotor_pair, read_stepped_range, spaced_values
 from mufly.units import RPM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mufly.rotor import Result, RotorResult
-    from mufly.study import Setup
-    from mufly.study.parameters import Value
+    from mufly.rotor import RotorResult, SystemSolution
+    from mufly.study import StudySetup
+    from mufly.study.study_parameters import ParameterValue
     from mufly.vehicle import CoefficientMap
 
-THESIS = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
+THESIS_ROTOR = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
 
-UpperArgument = Annotated[str, argument("UPPER", "Upper rotor: built-in name or rotor file (TOML).")]
-LowerArgument = Annotated[str | None, argument("LOWER", "Lower rotor; if not given, the upper one again.")]
+UpperArgument = Annotated[str, define_argument("UPPER", "Upper rotor: built-in name or rotor file (TOML).")]
+LowerArgument = Annotated[str | None, define_argument("LOWER", "Lower rotor; if not given, the upper one again.")]
 ROTOR_COLUMNS = (
-    Column("speed_rad_s", "rpm", ".0f"), Column("pitch_rad", "deg", ".2f"), "thrust_N", Column("torque_Nm", "mN m"),
-    "power_W", Column("c_T", form=".5f"), Column("c_Q", form=".6f"), Column("figure_of_merit", form=".3f"),
-)  # fmt: skip
+    ResultColumn("speed_rad_s", "rpm", ".0f"),
+    ResultColumn("pitch_rad", "deg", ".2f"),
+    "thrust_N",
+    ResultColumn("torque_Nm", "mN m"),
+    "power_W",
+    ResultColumn("c_T", form=".5f"),
+    ResultColumn("c_Q", form=".6f"),
+    ResultColumn("figure_of_merit", form=".3f"),
+)
 
 
-def speeds(text: str) -> tuple[float, float]:
+def parse_rotor_speeds(text: str) -> tuple[float, float]:
     """Upper and lower speed (rad/s) of ``"6000,6650"`` or ``"6000"`` rpm."""
-    upper, lower = read_pair("--rpm", text, "rpm")
+    upper, lower = read_rotor_pair("--rpm", text, "rpm")
     return upper * RPM, lower * RPM
 
 
-def angles(text: str) -> tuple[float, float]:
+def parse_pitch_angles(text: str) -> tuple[float, float]:
     """Upper and lower pitch (rad) of ``"14,12"``, ``"14"`` degrees."""
-    upper, lower = read_pair("--pitch", text, "deg")
+    upper, lower = read_rotor_pair("--pitch", text, "deg")
     return math.radians(upper), math.radians(lower)
 
 
-def pair_of(
-    upper: str, lower: str | None, fixed: dict[str, Value], theory: Wakes, *, balance: str = "lower-speed"
-) -> Setup:
+def make_pair_setup(
+    upper: str,
+    lower: str | None,
+    fixed: dict[str, ParameterValue],
+    theory: WakeOptions,
+    *,
+    balance: str = "lower-speed",
+) -> StudySetup:
     """The pair that the options describe; InputError if one of them is wrong."""
     from mufly.rotor import load_rotor
 
-    return theory.setup(upper, fixed, lower=load_rotor(upper if lower is None else lower), free=balance)
+    return theory.make_setup(
+        upper, fixed, lower_rotor=load_rotor(upper if lower is None else lower), balance_by=balance
+    )
 
 
-def _plain(result: RotorResult) -> dict[str, Any]:
+def _result_with_stations(result: RotorResult) -> dict[str, Any]:
     values = vars(result)
     stations = {k: v for k, v in values.items() if getattr(v, "ndim", 0) == 1}
     return {**{k: v for k, v in values.items() if k not in stations}, "stations": stations}
 
 
-def losses(point: Result, alone: tuple[RotorResult, ...]) -> dict[str, float]:
+def interference_losses(point: SystemSolution, alone: tuple[RotorResult, ...]) -> dict[str, float]:
     """What the pair does compared with its rotors alone at the same pitch and speed: ratios less one."""
     thrust = sum(r.thrust_N for r in alone)
     power = sum(r.power_W for r in alone)
@@ -103,11 +116,11 @@ def losses(point: Result, alone: tuple[RotorResult, ...]) -> dict[str, float]:
     }
 
 
-def pair_json(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | None) -> dict[str, Any]:
+def pair_to_json(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResult, ...] | None) -> dict[str, Any]:
     """A point as JSON; SI units."""
     return {
-        "upper": {"rotor": setup.rotors[0].name, **_plain(point.upper)},
-        "lower": {"rotor": setup.rotors[1].name, **_plain(point.lower)},
+        "upper": {"rotor": setup.rotors[0].name, **_result_with_stations(point.upper)},
+        "lower": {"rotor": setup.rotors[1].name, **_result_with_stations(point.lower)},
         "spacing_m": point.spacing_m,
         "thrust_N": point.thrust_N,
         "power_W": point.power_W,
@@ -119,26 +132,31 @@ def pair_json(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | None
             "torque": point.lower.torque_Nm / point.upper.torque_Nm,
             "power": point.lower.power_W / point.upper.power_W,
         },
-        "isolated": None if alone is None else dict(zip(("upper", "lower"), map(_plain, alone), strict=True)),
-        "change_from_isolated": None if alone is None else losses(point, alone),
+        "isolated": None
+        if alone is None
+        else dict(zip(("upper", "lower"), map(_result_with_stations, alone), strict=True)),
+        "change_from_isolated": None if alone is None else interference_losses(point, alone),
         "method": setup.method,
         "wake": None
         if not point.wakes
         else {
-            "converged": point.converged, "message": point.message, "iterations": point.iterations,
-            "residual": point.residual, "settings": vars(point.settings),
+            "converged": point.converged,
+            "message": point.message,
+            "iterations": point.iterations,
+            "residual": point.residual,
+            "settings": vars(point.settings),
         },
-    }  # fmt: skip
+    }
 
 
-def print_pair(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | None) -> None:
+def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResult, ...] | None) -> None:
     """Print a point as tables."""
-    c = console()
+    c = make_console()
     methods = {
         "bemt": "blade element momentum theory",
         "tubes": "blade elements in the mean wakes as vortex tubes",
     }
-    how = methods.get(setup.method) or f"{setup.wake.model} wake, {point.message}"
+    how = methods.get(setup.method) or f"{setup.wake_settings.model} wake, {point.message}"
     c.print(
         f"[bold]{setup.rotors[0].name} over {setup.rotors[1].name}[/bold], {1e3 * point.spacing_m:g} mm apart; {how}",
         highlight=False,
@@ -146,7 +164,7 @@ def print_pair(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | Non
 
     names = ("upper", "lower", "upper alone", "lower alone")
     each = (point.upper, point.lower, *(alone or ()))
-    show_table(each, ROTOR_COLUMNS, names=names[: len(each)])
+    print_result_table(each, ROTOR_COLUMNS, names=names[: len(each)])
     up, low = point.upper, point.lower
     balanced = abs(point.yaw_torque_Nm) < 1e-6 * abs(up.torque_Nm)
     yaw = "balanced" if balanced else f"{1e3 * point.yaw_torque_Nm:+.3g} mN m left over"
@@ -158,7 +176,7 @@ def print_pair(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | Non
         f"{point.thrust_N / point.power_W:.4g} N/W",
     ]
     if alone is not None:
-        x = losses(point, alone)
+        x = interference_losses(point, alone)
         lines.append(
             f"against the rotors alone at these speeds: upper thrust {x['upper_thrust']:+.1%}, torque "
             f"{x['upper_torque']:+.1%}; lower thrust {x['lower_thrust']:+.1%}, torque {x['lower_torque']:+.1%}; the "
@@ -174,7 +192,7 @@ def print_pair(setup: Setup, point: Result, alone: tuple[RotorResult, ...] | Non
         )  # fmt: skip
 
 
-def write_pair(point: Result, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
+def write_pair(point: SystemSolution, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
     """Write stations and pictures of a point; of a wake, its geometry, the air around it and its history too."""
     from mufly.rotor import field_picture, history_picture, rotor_loads_picture, wake_picture
     from mufly.study import write_stations
@@ -182,52 +200,52 @@ def write_pair(point: Result, alone: tuple[RotorResult, ...] | None, folder: Pat
     files = [
         write_stations(point.upper, folder, "stations-upper"),
         write_stations(point.lower, folder, "stations-lower"),
-        save_picture(rotor_loads_picture(point.upper, point.lower, alone), folder, "loads"),
+        save_figure(rotor_loads_picture(point.upper, point.lower, alone), folder, "loads"),
     ]
     if point.settings is not None:
         heads = ("residual", "upper_thrust_N", "upper_torque_Nm", "lower_thrust_N", "lower_torque_Nm")
         files.append(write_csv(folder / "history.csv", heads, point.history))
         history = history_picture(point.history, residual=point.settings.residual, note=point.message)
-        files.append(save_picture(history, folder, "history"))
+        files.append(save_figure(history, folder, "history"))
         if point.converged:
-            files.append(save_picture(wake_picture(point), folder, "wake"))
-            files.append(save_picture(field_picture(point), folder, "air"))
-            files.append(save_picture(field_picture(point, mean=False), folder, "air-instant"))
+            files.append(save_figure(wake_picture(point), folder, "wake"))
+            files.append(save_figure(field_picture(point), folder, "air"))
+            files.append(save_figure(field_picture(point, mean=False), folder, "air-instant"))
     return files
 
 
-app = Commands(
+app = CommandGroup(
     help="Coaxial pairs: two rotors that turn against each other, by a free vortex wake or by blade elements. See "
     "docs/coax.md.",
     no_args_is_help=True,
 )
 
-_Isolated = Annotated[
+_IsolatedOption = Annotated[
     bool,
-    option("--isolated/--no-isolated", "Whether each rotor is computed alone too, for the loss."),
+    define_option("--isolated/--no-isolated", "Whether each rotor is computed alone too, for the loss."),
 ]
 
 
 @app.command()
 def hover(
-    upper: UpperArgument = THESIS,
+    upper: UpperArgument = THESIS_ROTOR,
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.02,
     rpm: Annotated[
         str,
-        option(
+        define_option(
             "--rpm",
             "Speeds of upper and lower rotor; one value holds for both.",
             unit="rpm",
             form="pair",
-            within=SPEED,
+            within=SPEED_RANGE,
         ),
     ] = "6000,6650",
     pitch: PairPitchOption = "14",
     climb: ClimbOption = 0.0,
     density: DensityOption = 1.2,
-    theory: Theory = WAKE,
-    isolated: _Isolated = True,
+    theory: TheoryOptions = DEFAULT_FREE_WAKE_OPTIONS,
+    isolated: _IsolatedOption = True,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -240,42 +258,42 @@ def hover(
     Examples: mufly coax hover; mufly coax hover naca0012-r60-c20 naca4412-r60-c20 --spacing 30mm --rpm 6000,6500
     --pitch 14,12 --out pair; mufly coax hover --method bemt --climb 1
     """
-    above, below = angles(pitch)
-    first, second = speeds(rpm)
-    setup = pair_of(
+    above, below = parse_pitch_angles(pitch)
+    first, second = parse_rotor_speeds(rpm)
+    setup = make_pair_setup(
         upper, lower,
         {"spacing": spacing, "upper_pitch": above, "lower_pitch": below, "upper_speed": first,
          "lower_speed": second, "climb": climb, "density": density},
         theory,
     )  # fmt: skip
-    _answer(setup, isolated, out, as_json)
+    _solve_and_print(setup, isolated, out, as_json)
 
 
 @app.command()
 def trim(
-    upper: UpperArgument = THESIS,
+    upper: UpperArgument = THESIS_ROTOR,
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.02,
-    thrust: Annotated[float | None, option("--thrust", "Thrust of the pair.", unit="N")] = None,
+    thrust: Annotated[float | None, define_option("--thrust", "Thrust of the pair.", unit="N")] = None,
     rpm: Annotated[
         str | None,
-        option(
+        define_option(
             "--rpm",
             "Speed of the upper rotor, if no thrust is given; with --free lower-pitch the "
             "speeds of both, of which a thrust keeps the ratio. 6000 if neither is given.",
             unit="rpm",
             form="pair",
-            within=SPEED,
+            within=SPEED_RANGE,
         ),
     ] = None,
     free: Annotated[
-        str, option("NAME", "What balances the torques: lower-speed or lower-pitch.")
+        str, define_option("NAME", "What balances the torques: lower-speed or lower-pitch.")
     ] = "lower-speed",
     pitch: PairPitchOption = "14",
     climb: ClimbOption = 0.0,
     density: DensityOption = 1.2,
-    theory: Theory = WAKE,
-    isolated: _Isolated = False,
+    theory: TheoryOptions = DEFAULT_FREE_WAKE_OPTIONS,
+    isolated: _IsolatedOption = False,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -289,35 +307,29 @@ def trim(
     """
     if thrust is not None and not thrust > 0.0:
         raise InputError("--thrust", "", f"{thrust:g} N is not possible", "give a number above 0")
-    above, below = angles(pitch)
+    above, below = parse_pitch_angles(pitch)
     fixed: dict[str, float | str] = {
         "spacing": spacing, "upper_pitch": above, "climb": climb, "density": density
     }  # fmt: skip
     if free == "lower-pitch":
         if "," in pitch:
-            raise InputError(
-                "--pitch", "", "holds the lower pitch, which is sought", "give the upper pitch only"
-            )
-        first, second = speeds(rpm or "6000")
+            raise InputError("--pitch", "", "holds the lower pitch, which is sought", "give the upper pitch only")
+        first, second = parse_rotor_speeds(rpm or "6000")
         fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": first}
         fixed["speed_ratio"] = second / first
     else:
         if thrust is not None and rpm is not None:
-            raise InputError(
-                "--rpm", "", "is given beside a thrust, which finds it", "leave one of the two out"
-            )
+            raise InputError("--rpm", "", "is given beside a thrust, which finds it", "leave one of the two out")
         if rpm is not None and "," in rpm:
-            raise InputError(
-                "--rpm", "", "holds the lower speed, which is sought", "give the upper speed only"
-            )
-        fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": speeds(rpm or "6000")[0]}
+            raise InputError("--rpm", "", "holds the lower speed, which is sought", "give the upper speed only")
+        fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": parse_rotor_speeds(rpm or "6000")[0]}
         fixed["lower_pitch"] = below
-    setup = pair_of(upper, lower, fixed, theory, balance=free)
-    _answer(setup, isolated, out, as_json)
+    setup = make_pair_setup(upper, lower, fixed, theory, balance=free)
+    _solve_and_print(setup, isolated, out, as_json)
 
 
-def _answer(setup: Setup, isolated: bool, out: Path | None, as_json: bool) -> None:
-    from mufly.study import alone, solve_case
+def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_json: bool) -> None:
+    from mufly.study import solve_case, solve_isolated_rotors
 
     wakes = setup.method == "wake"
     with wake_progress("coaxial pair", wakes and not as_json, out) as progress:
@@ -325,53 +337,47 @@ def _answer(setup: Setup, isolated: bool, out: Path | None, as_json: bool) -> No
     if not point.converged:
         if out is not None:
             write_pair(point, None, out)
-        raise MuflyError(
-            f"coaxial wake: {point.message}" + ("" if out is None else f"; its history lies in {out}")
-        )
+        raise MuflyError(f"coaxial wake: {point.message}" + ("" if out is None else f"; its history lies in {out}"))
     single = None
     if isolated:
         with wake_progress("each rotor alone", wakes and not as_json, out) as progress:
-            single = alone(setup, point, progress if wakes else None)
+            single = solve_isolated_rotors(setup, point, progress if wakes else None)
     files = write_pair(point, single, out) if out is not None else []
-    answer(as_json, lambda: pair_json(setup, point, single), lambda: print_pair(setup, point, single), files)
+    print_answer(as_json, lambda: pair_to_json(setup, point, single), lambda: print_pair(setup, point, single), files)
 
 
 # ----------------------------------------------------------------------------
 # ``mufly coax map``: coefficients over both speeds and the climb velocity, for a vehicle to fly with.
 
 
-_POINTS = {"--rpm": 3, "--ratio": 11, "--climb": 9}
-_WAKE_POINTS = {"--rpm": 1, "--ratio": 5, "--climb": 5}
+_POINT_COUNTS = {"--rpm": 3, "--ratio": 11, "--climb": 9}
+_WAKE_POINT_COUNTS = {"--rpm": 1, "--ratio": 5, "--climb": 5}
 
 
 @app.command("map")
-def coax_map(
-    upper: Annotated[str, argument("UPPER", "Upper rotor: built-in name or rotor file.")],
-    lower: Annotated[
-        str | None, argument("[LOWER]", "Lower rotor; by default the upper one once more.")
-    ] = None,
+def compute_coax_map(
+    upper: Annotated[str, define_argument("UPPER", "Upper rotor: built-in name or rotor file.")],
+    lower: Annotated[str | None, define_argument("[LOWER]", "Lower rotor; by default the upper one once more.")] = None,
     spacing: SpacingOption = 0.04,
     pitch: PairPitchOption = "14",
     rpm: Annotated[
         str,
-        option(
+        define_option(
             "--rpm",
             "Mean of both speeds (it sets the Reynolds number); one value will do. 3 values by default, 1 for "
             "wakes: the middle.",
             unit="rpm",
             form="steps",
-            within=SPEED,
+            within=SPEED_RANGE,
         ),
     ] = "2500:6000",
     ratio: Annotated[
         str,
-        option(
-            "--ratio", "Lower over upper speed. 11 values by default, 5 for wakes.", unit="1", form="steps"
-        ),
+        define_option("--ratio", "Lower over upper speed. 11 values by default, 5 for wakes.", unit="1", form="steps"),
     ] = "0.6:1.6",
     climb: Annotated[
         str,
-        option(
+        define_option(
             "--climb",
             "Climb velocity at the lowest of the mean speeds, scaled with "
             "speed above; 0 lies inside. 9 values by default, 5 for wakes.",
@@ -379,22 +385,22 @@ def coax_map(
             form="steps",
         ),
     ] = "-1:3",
-    method: Annotated[str, option("bemt|wake", "Blade elements, or vortex wakes.")] = "bemt",
-    wake: Annotated[str, option("--wake free|prescribed", "Shape of the wakes of --method wake.")] = "free",
-    wake_step: Annotated[float, option("--wake-step", "Azimuth step of --method wake.", unit="deg")] = 30.0,
-    wake_turns: Annotated[float, option("--wake-turns N", "Free turns of --method wake.")] = 3.0,
+    method: Annotated[str, define_option("bemt|wake", "Blade elements, or vortex wakes.")] = "bemt",
+    wake: Annotated[str, define_option("--wake free|prescribed", "Shape of the wakes of --method wake.")] = "free",
+    wake_step: Annotated[float, define_option("--wake-step", "Azimuth step of --method wake.", unit="deg")] = 30.0,
+    wake_turns: Annotated[float, define_option("--wake-turns N", "Free turns of --method wake.")] = 3.0,
     wake_tolerance: Annotated[
-        float, option("--wake-tolerance X", "Settled when the loads change by less.")
+        float, define_option("--wake-tolerance X", "Settled when the loads change by less.")
     ] = 3e-3,
     wake_iterations: Annotated[
-        int, option("--wake-iterations N", "At most, a point; what has not settled is marked.")
+        int, define_option("--wake-iterations N", "At most, a point; what has not settled is marked.")
     ] = 150,
     density: DensityOption = 1.2,
-    polars: Polars = POLARS,
-    name: Annotated[str, option("NAME", "Name of the map.")] = "",
+    polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
+    name: Annotated[str, define_option("NAME", "Name of the map.")] = "",
     out: Annotated[
         Path | None,
-        option("FILE", "Map file (TOML); a picture of the same name (PNG) is drawn beside it."),
+        define_option("FILE", "Map file (TOML); a picture of the same name (PNG) is drawn beside it."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -406,20 +412,23 @@ def coax_map(
     Example: mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
     from mufly.answer_store import replace_file
-    from mufly.rotor import Air, climb_ratios, load_rotor, map_picture
-    from mufly.rotor.maps import coax_map as compute
+    from mufly.rotor import Air, load_rotor, map_climb_ratios, map_picture
+    from mufly.rotor.coax_maps import compute_coax_map as compute
     from mufly.rotor.wake import WakeSettings
-    from mufly.vehicle import map_toml
+    from mufly.vehicle import format_map_toml
 
     if method not in ("bemt", "wake"):
         raise InputError("--method", "", f"{method!r} is unknown", "use 'bemt' or 'wake'")
-    counts = _WAKE_POINTS if method == "wake" else _POINTS
-    speeds = _range("--rpm", rpm, counts, "rpm") * RPM
-    ratios, climbs = _range("--ratio", ratio, counts, "1"), _range("--climb", climb, counts, "m/s")
+    counts = _WAKE_POINT_COUNTS if method == "wake" else _POINT_COUNTS
+    speeds = _parse_value_range("--rpm", rpm, counts, "rpm") * RPM
+    ratios, climbs = (
+        _parse_value_range("--ratio", ratio, counts, "1"),
+        _parse_value_range("--climb", climb, counts, "m/s"),
+    )
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no name of a map file", "let it end in .toml")
-    pitches = angles(pitch)
-    blades = [polars.blading(load_rotor(r)) for r in (upper, upper if lower is None else lower)]
+    pitches = parse_pitch_angles(pitch)
+    blades = [polars.prepare_blading(load_rotor(r)) for r in (upper, upper if lower is None else lower)]
     settings = None
     if method == "wake":
         settings = WakeSettings(
@@ -432,7 +441,7 @@ def coax_map(
             made = compute(
                 blades[0], blades[1], spacing_m=spacing, upper_pitch_rad=pitches[0],
                 lower_pitch_rad=pitches[-1], mean_speed_rad_s=speeds.tolist(), ratio=ratios.tolist(),
-                climb_ratio=climb_ratios(climbs.tolist(), speeds.tolist(), blades[0].rotors[0].radius_m).tolist(),
+                climb_ratio=map_climb_ratios(climbs.tolist(), speeds.tolist(), blades[0].rotors[0].radius_m).tolist(),
                 method=cast("Literal['bemt', 'wake']", method), air=Air(density_kg_m3=density), settings=settings,
                 name=name or (out.stem if out is not None else ""),
                 note=f"polars {polars.engine}, n_crit {polars.n_crit:g}, corrections {polars.model}",
@@ -445,20 +454,21 @@ def coax_map(
     files = []
     if out is not None:
         with replace_file(out) as part:
-            part.write_text(map_toml(made), encoding="utf-8")
-        files = [out, save_picture(map_picture(made), out.parent, out.stem)]
-    content = {**made.model_dump(exclude={"table"}), **made.tables()._asdict()}
-    answer(as_json, lambda: content, lambda: _print_map(made), files)
+            part.write_text(format_map_toml(made), encoding="utf-8")
+        files = [out, save_figure(map_picture(made), out.parent, out.stem)]
+    content = {**made.model_dump(exclude={"table"}), **made.parse_tables()._asdict()}
+    print_answer(as_json, lambda: content, lambda: _print_map(made), files)
 
 
 def _print_map(made: CoefficientMap) -> None:
-    t = made.tables()
-    c = console()
+    t = made.parse_tables()
+    c = make_console()
     c.print(f"[bold]{made.name}[/bold]  {made.description}", highlight=False)
-    k, i = t.shape[0] // 2, int(np.argmin(np.abs(t.climb_ratio)))
+    k, i = t.grid_shape[0] // 2, int(np.argmin(np.abs(t.climb_ratio)))
     mean = float(t.mean_speed_rad_s[k])
     c.print(
-        f"{t.shape[0]} mean speeds, {t.shape[1]} ratios, {t.shape[2]} climbs; below: {mean / RPM:.0f} rpm, climb "
+        f"{t.grid_shape[0]} mean speeds, {t.grid_shape[1]} ratios, {t.grid_shape[2]} climbs; below: "
+        f"{mean / RPM:.0f} rpm, climb "
         f"{float(t.climb_ratio[i]) * mean * made.radius_m:.2f} m/s",
         highlight=False,
     )
@@ -467,7 +477,7 @@ def _print_map(made: CoefficientMap) -> None:
         [
             (f"{t.ratio[j]:.3g}", f"{t.cT_upper[k, j, i]:.5f}", f"{t.cQ_upper[k, j, i]:.6f}",
              f"{t.cT_lower[k, j, i]:.5f}", f"{t.cQ_lower[k, j, i]:.6f}", "" if t.solved[k, j, i] else "from neighbours")
-            for j in range(t.shape[1])
+            for j in range(t.grid_shape[1])
         ],
         text=(0, 5),
     )  # fmt: skip
@@ -485,9 +495,9 @@ def _print_map(made: CoefficientMap) -> None:
         )
 
 
-def _range(option: str, text: str, counts: dict[str, int], unit: str) -> NDArray[np.float64]:
+def _parse_value_range(option: str, text: str, counts: dict[str, int], unit: str) -> NDArray[np.float64]:
     """Return the values of FIRST:LAST[:STEP] in a unit; without a step as many as ``counts`` says."""
-    first, last, step = read_steps(option, text, unit)
+    first, last, step = read_stepped_range(option, text, unit)
     if last is None:
         return np.array([first])
     if step is not None:

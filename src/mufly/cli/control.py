@@ -6,35 +6,40 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from mufly.cli.options import Commands, argument, option
-from mufly.cli.present import console, print_json, print_table, say, tell_files, writing
+from mufly.cli.options import CommandGroup, define_argument, define_option
+from mufly.cli.output import (
+    make_console,
+    print_files,
+    print_json,
+    print_lines,
+    print_table,
+    report_place_errors,
+)
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.control import Design, FlightController
+    from mufly.control import ControllerDesign, FlightController
 
-app = Commands(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
+app = CommandGroup(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
 
 
 @app.callback()
-def _group() -> None:
+def _accept_group_options() -> None:
     pass
 
 
 @app.command()
 def design(
     vehicle: Annotated[
-        str, argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")
+        str, define_argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")
     ] = "mufly-1.1",
     rate: Annotated[
         float | None,
-        option(
-            "--rate", "Rate of the control law; 200 Hz if not given. Position runs at a quarter.", unit="Hz"
-        ),
+        define_option("--rate", "Rate of the control law; 200 Hz if not given. Position runs at a quarter.", unit="Hz"),
     ] = None,
     voltage: Annotated[
         float | None,
-        option(
+        define_option(
             "--voltage",
             "Battery voltage of the linear model; the vehicle's nominal voltage if not given.",
             unit="V",
@@ -42,9 +47,9 @@ def design(
     ] = None,
     out: Annotated[
         Path | None,
-        option("DIR", "Write singular value plots (PNG, as thesis Figs 6.3 to 6.8) and design.json there."),
+        define_option("DIR", "Write singular value plots (PNG, as thesis Figs 6.3 to 6.8) and design.json there."),
     ] = None,
-    as_json: Annotated[bool, option("--json", "Print JSON and nothing else.")] = False,
+    as_json: Annotated[bool, define_option("--json", "Print JSON and nothing else.")] = False,
 ) -> None:
     """Design heave-yaw, roll-pitch and position control, and set them beside the thesis's.
 
@@ -58,7 +63,7 @@ input, with the controller of full order, of reduced order, and sampled with one
 
       mufly control design mufly-2.0 --rate 250 --out designs
     """
-    from mufly.control import design as design_controllers
+    from mufly.control import design_flight_controller as design_controllers
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
@@ -67,66 +72,66 @@ input, with the controller of full order, of reduced order, and sampled with one
     except InputError as error:
         if error.where != loaded.name:
             raise
-        raise error.at(vehicle) from None
-    written = _write(controller, out) if out is not None else []
+        raise error.with_location(vehicle) from None
+    written = _write_designs(controller, out) if out is not None else []
     if as_json:
         print_json(controller.to_dict())
         return
-    console().print(
+    make_console().print(
         f"[bold]{controller.vehicle_name}[/bold] at {controller.voltage_V:g} V: hover motor inputs "
         f"{controller.motor_trim[0]:.2f} upper, {controller.motor_trim[1]:.2f} lower; "
         f"law at {controller.rate_Hz:g} Hz, position at {controller.rate_Hz / controller.position_divider:g} Hz",
         highlight=False,
     )
-    for one in controller.designs:
-        _print(one)
-    say("* with one sample of delay", style="dim")
+    for one in controller.all_designs:
+        _print_design(one)
+    print_lines("* with one sample of delay", style="dim")
     c = controller.cascade
-    say(
+    print_lines(
         f"Position cascade with the real attitude loop: S {c.sensitivity_peak_dB:.2f} dB, "
         f"T {c.complementary_peak_dB:.2f} dB, phase margin {c.phase_margin_deg:.0f} deg, "
         f"delay margin {1e3 * c.delay_margin_s:.0f} ms"
     )
-    say(*controller.warnings, mark="Warning", style="yellow")
-    tell_files(written)
+    print_lines(*controller.design_warnings, mark="Warning", style="yellow")
+    print_files(written)
 
 
-def _write(controller: FlightController, folder: Path) -> list[Path]:
+def _write_designs(controller: FlightController, folder: Path) -> list[Path]:
     from mufly.control.plots import draw_designs
 
-    with writing(folder, "give a folder that can be written"):
+    with report_place_errors(folder, "give a folder that can be written"):
         target = folder / "design.json"
         written = [*draw_designs(controller, folder), target]
         target.write_text(json.dumps(controller.to_dict(), indent=2) + "\n", encoding="utf-8")
     return written
 
 
-def _number(value: float | None, form: str = ".2f") -> str:
+def _format_optional(value: float | None, form: str = ".2f") -> str:
     return "-" if value is None else format(value, form)
 
 
-def _print(one: Design) -> None:
+def _print_design(one: ControllerDesign) -> None:
     thesis = one.published
     loops = (one.full_loop, one.reduced_loop, one.sampled_loop)
     orders = (one.controller.nstates, one.reduced.nstates, one.discrete.order)
     plant = ", ".join(f"{w:.3g}" for w in one.plant_crossovers)
     printed = ", ".join(f"{w:g}" for w in thesis.plant_crossovers or ()) or "-"
 
-    def each(label: str, field: str, form: str, theirs: str = "-", factor: float = 1.0) -> tuple[str, ...]:
+    def loop_row(label: str, field: str, form: str, theirs: str = "-", factor: float = 1.0) -> tuple[str, ...]:
         return (label, *(f"{factor * getattr(loop, field):{form}}" for loop in loops), theirs)
 
     rows = [
-        ("order", *map(str, orders), _number(thesis.order, "d")),
-        ("gamma claimed", f"{one.gamma:.3f}", "", "", _number(thesis.gamma)),
+        ("order", *map(str, orders), _format_optional(thesis.order, "d")),
+        ("gamma claimed", f"{one.gamma:.3f}", "", "", _format_optional(thesis.gamma)),
         ("norm achieved", f"{one.norm:.3f}", f"{one.reduction.chosen.norm:.3f}", "", "-"),
         ("plant's crossovers (rad/s)", plant, "", "", printed),
         ("loop's crossovers (rad/s)", *(", ".join(f"{w:.1f}" for w in loop.crossovers) for loop in loops),
-         _number(thesis.crossover, "g")),
-        each("peak of S_u (dB)", "sensitivity_peak_dB", ".2f", _number(thesis.sensitivity_peak_dB)),
-        each("peak of T_u (dB)", "complementary_peak_dB", ".2f", _number(thesis.complementary_peak_dB)),
-        each("gain margin (dB)", "gain_margin_dB", ".1f"),
-        each("phase margin (deg)", "phase_margin_deg", ".1f"),
-        each("delay margin (ms)", "delay_margin_s", ".0f", factor=1e3),
+         _format_optional(thesis.crossover, "g")),
+        loop_row("peak of S_u (dB)", "sensitivity_peak_dB", ".2f", _format_optional(thesis.sensitivity_peak_dB)),
+        loop_row("peak of T_u (dB)", "complementary_peak_dB", ".2f", _format_optional(thesis.complementary_peak_dB)),
+        loop_row("gain margin (dB)", "gain_margin_dB", ".1f"),
+        loop_row("phase margin (deg)", "phase_margin_deg", ".1f"),
+        loop_row("delay margin (ms)", "delay_margin_s", ".0f", factor=1e3),
     ]  # fmt: skip
     heads = ("", "full order", "reduced", f"{1 / one.discrete.period_s:g} Hz*", "thesis")
     print_table(heads, rows, title=one.name)

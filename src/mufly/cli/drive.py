@@ -7,53 +7,67 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mufly.cli.options import (
-    CHARGE,
-    DUTY,
-    GEAR,
-    PITCH,
-    THRUST,
-    Commands,
+    CHARGE_RANGE,
+    DUTY_RANGE,
+    GEAR_RATIO_RANGE,
+    PITCH_RANGE,
+    THRUST_RANGE,
+    CommandGroup,
     JsonOption,
     ModelOption,
-    argument,
-    corrections_of,
-    option,
+    define_argument,
+    define_option,
+    select_corrections,
 )
-from mufly.cli.present import Column, answer, console, print_json, save_picture, say, show_table
-from mufly.grammar import read_values
+from mufly.cli.output import (
+    ResultColumn,
+    make_console,
+    print_answer,
+    print_json,
+    print_lines,
+    print_result_table,
+    save_figure,
+)
+from mufly.quantity_grammar import read_values
 
 if TYPE_CHECKING:
     from mufly.drive import RotorLoad
 
-app = Commands(
+app = CommandGroup(
     help="Drive trains: motor, gear, battery, and where they meet a rotor. Everything is explained in docs/drive.md.",
     no_args_is_help=True,
 )
 
-_DriveArgument = Annotated[
-    str, argument("NAME|FILE", "'mufly', a built-in vehicle, a drive file or a vehicle file (TOML).")
+_DriveFileArgument = Annotated[
+    str, define_argument("NAME|FILE", "'mufly', a built-in vehicle, a drive file or a vehicle file (TOML).")
 ]
-_Rotor = Annotated[
+_RotorOption = Annotated[
     str,
-    option("--rotor NAME|FILE", "A rotor; or 'upper' or 'lower' of --vehicle, with constant coefficients."),
+    define_option("--rotor NAME|FILE", "A rotor; or 'upper' or 'lower' of --vehicle, with constant coefficients."),
 ]
-_Vehicle = Annotated[str, option("--vehicle NAME|FILE", "Vehicle of 'upper' and 'lower'.")]
-_Pitch = Annotated[
-    float | None, option("--pitch", "Pitch setting of a rotor file, as 12.", unit="deg", within=PITCH)
+_VehicleOption = Annotated[str, define_option("--vehicle NAME|FILE", "Vehicle of 'upper' and 'lower'.")]
+_PitchOption = Annotated[
+    float | None,
+    define_option("--pitch", "Pitch setting of a rotor file, as 12.", unit="deg", within=PITCH_RANGE),
 ]
-_Supply = Annotated[float | None, option("--voltage", "Supply voltage; nominal if not given.", unit="V")]
-_POINT = (
-    Column("thrust_N", form=".3f"), Column("speed_rad_s", "rpm", ".0f", "rotor speed"), Column("duty", form=".3f"),
-    Column("input_power_W", form=".2f"), Column("mechanical_power_W", form=".2f"), Column("efficiency", "%", ".1f"),
-    Column("thrust_per_power_N_W", form=".4f"), Column("motor_current_A", form=".2f"),
-)  # fmt: skip
+_VoltageOption = Annotated[float | None, define_option("--voltage", "Supply voltage; nominal if not given.", unit="V")]
+_POINT_COLUMNS = (
+    ResultColumn("thrust_N", form=".3f"),
+    ResultColumn("speed_rad_s", "rpm", ".0f", "rotor speed"),
+    ResultColumn("duty", form=".3f"),
+    ResultColumn("input_power_W", form=".2f"),
+    ResultColumn("mechanical_power_W", form=".2f"),
+    ResultColumn("efficiency", "%", ".1f"),
+    ResultColumn("thrust_per_power_N_W", form=".4f"),
+    ResultColumn("motor_current_A", form=".2f"),
+)
 
 
-def _load(rotor: str, vehicle: str, pitch: float | None, model: str) -> tuple[RotorLoad, str]:
+def _make_rotor_load(rotor: str, vehicle: str, pitch: float | None, model: str) -> tuple[RotorLoad, str]:
     """Return the load that the options describe, and what to call it."""
-    from mufly.drive import blade_load, coefficient_load
+    from mufly.drive import make_blade_load, make_coefficient_load
     from mufly.errors import InputError
-    from mufly.rotor import load_rotor, prepare
+    from mufly.rotor import load_rotor, prepare_blading
     from mufly.vehicle import load_vehicle
 
     if rotor in ("upper", "lower"):
@@ -61,41 +75,40 @@ def _load(rotor: str, vehicle: str, pitch: float | None, model: str) -> tuple[Ro
             raise InputError("--pitch", "", f"the {rotor} rotor of a vehicle has none", "leave it out")
         v = load_vehicle(vehicle)
         one = v.rotors.upper if rotor == "upper" else v.rotors.lower
-        load = coefficient_load(
+        load = make_coefficient_load(
             float(one.thrust_coefficient), float(one.torque_coefficient), radius_m=float(v.rotors.radius),
             density_kg_m3=float(v.air.density),
         )  # fmt: skip
         return load, f"{rotor} rotor of {v.name}"
     if pitch is None:
-        raise InputError(
-            "--pitch", "", f"is missing for rotor {rotor}", "give the pitch setting, as --pitch 12"
-        )
+        raise InputError("--pitch", "", f"is missing for rotor {rotor}", "give the pitch setting, as --pitch 12")
     r = load_rotor(rotor)
-    blading = prepare(r, corrections=corrections_of(model))
-    return blade_load(blading, pitch_rad=math.radians(pitch)), f"{r.name} at {pitch:g} deg"
+    blading = prepare_blading(r, corrections=select_corrections(model))
+    return make_blade_load(blading, pitch_rad=math.radians(pitch)), f"{r.name} at {pitch:g} deg"
 
 
 @app.command()
 def show(
-    drive: _DriveArgument = "mufly",
-    rotor: _Rotor = "upper",
-    vehicle: _Vehicle = "mufly-1.1",
-    pitch: _Pitch = None,
+    drive: _DriveFileArgument = "mufly",
+    rotor: _RotorOption = "upper",
+    vehicle: _VehicleOption = "mufly-1.1",
+    pitch: _PitchOption = None,
     thrust: Annotated[
         list[float] | None,
-        option("--thrust", "Thrust of one rotor. Repeat it for a table.", unit="N", within=THRUST),
+        define_option("--thrust", "Thrust of one rotor. Repeat it for a table.", unit="N", within=THRUST_RANGE),
     ] = None,
     duty: Annotated[
-        list[float] | None, option("--duty", "Or share of the voltage, 0.01 to 1.", unit="1", within=DUTY)
+        list[float] | None,
+        define_option("--duty", "Or share of the voltage, 0.01 to 1.", unit="1", within=DUTY_RANGE),
     ] = None,
-    supply: _Supply = None,
+    supply: _VoltageOption = None,
     charge: Annotated[
         float | None,
-        option(
+        define_option(
             "--charge",
             "Instead: the sagging battery with this fraction of its charge.",
             unit="1",
-            within=CHARGE,
+            within=CHARGE_RANGE,
         ),
     ] = None,
     model: ModelOption = "full",
@@ -109,15 +122,15 @@ def show(
     """
     import numpy as np
 
-    from mufly.drive import hover_endurance, load_drive, operating_point
+    from mufly.drive import find_operating_point, hover_endurance, load_drive
     from mufly.errors import InputError, MuflyError
 
     d = load_drive(drive)
-    load, name = _load(rotor, vehicle, pitch, model)
+    load, name = _make_rotor_load(rotor, vehicle, pitch, model)
     if thrust and duty:
         raise InputError("drive show", "", "both --thrust and --duty are given", "give one of the two")
     given: dict[str, Any] = {"thrust_N": thrust} if thrust else {"duty": duty or [0.2, 0.4, 0.6, 0.8, 1.0]}
-    point = operating_point(d, load, supply_V=supply, charge=charge, **given)
+    point = find_operating_point(d, load, supply_V=supply, charge=charge, **given)
     lasts: list[Any] = []
     for k in range(point.thrust_N.size):
         try:
@@ -125,7 +138,7 @@ def show(
             lasts.append(hover_endurance(d.battery, power_W=power, motor_voltage_V=volts))
         except MuflyError:  # not even the full battery: said in the table
             lasts.append(None)
-    c = d.constants()
+    c = d.motor_constants()
     if as_json:
         print_json(
             {
@@ -135,8 +148,8 @@ def show(
             }
         )  # fmt: skip
         return
-    console().print(f"[bold]{d.name}[/bold]  {d.description}", highlight=False)
-    say(
+    make_console().print(f"[bold]{d.name}[/bold]  {d.description}", highlight=False)
+    print_lines(
         f"kE {1e3 * float(c.back_emf_V_s):.4g} mV s, kM {1e3 * float(c.torque_Nm_A):.4g} mN m/A, "
         f"R {float(c.resistance_ohm):.4g} ohm, dR {1e6 * float(c.friction_Nm_s):.4g} uN m s, "
         f"{f'Mf {1e3 * float(c.friction_Nm):.4g} mN m, ' if c.friction_Nm else ''}"
@@ -150,60 +163,67 @@ def show(
         }
         for k, e in enumerate(lasts)
     ]
-    show_table(rows, [*_POINT, "endurance*"], title=name)
-    say("* from a full battery, all rotors at this thrust, electronics on; - where it cannot", style="dim")
+    print_result_table(rows, [*_POINT_COLUMNS, "endurance*"], title=name)
+    print_lines("* from a full battery, all rotors at this thrust, electronics on; - where it cannot", style="dim")
 
 
 @app.command()
 def sweep(
-    drive: _DriveArgument = "mufly",
+    drive: _DriveFileArgument = "mufly",
     gear: Annotated[
-        str, option("--gear", "Gear ratios, as 1.5,2 or 0.5:8:0.1.", unit="1", form="values", within=GEAR)
+        str,
+        define_option(
+            "--gear", "Gear ratios, as 1.5,2 or 0.5:8:0.1.", unit="1", form="values", within=GEAR_RATIO_RANGE
+        ),
     ] = "0.5:8:0.1",
-    rotor: _Rotor = "upper",
-    vehicle: _Vehicle = "mufly-1.1",
-    pitch: _Pitch = None,
+    rotor: _RotorOption = "upper",
+    vehicle: _VehicleOption = "mufly-1.1",
+    pitch: _PitchOption = None,
     thrust: Annotated[
         float | None,
-        option("--thrust", "Thrust for which the gear ratio is found.", unit="N", within=THRUST),
+        define_option("--thrust", "Thrust for which the gear ratio is found.", unit="N", within=THRUST_RANGE),
     ] = None,
     duty: Annotated[
-        float, option("--duty", "Share of the supply voltage at the motor.", unit="1", within=DUTY)
+        float,
+        define_option("--duty", "Share of the supply voltage at the motor.", unit="1", within=DUTY_RANGE),
     ] = 1.0,
-    supply: _Supply = None,
+    supply: _VoltageOption = None,
     model: ModelOption = "full",
-    out: Annotated[Path | None, option("--out DIR", "Write gear.nc, gear.csv and gear.png.")] = None,
+    out: Annotated[Path | None, define_option("--out DIR", "Write gear.nc, gear.csv and gear.png.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Draw power, thrust and efficiency over the gear ratio at constant motor voltage, as the dissertation's Fig. 3.7.
 
     Example: mufly drive sweep mufly --thrust 0.6 --out gears
     """
-    from mufly.drive import gear_curve, gear_optima, load_drive
-    from mufly.study import gear_picture, write_results
+    from mufly.drive import find_gear_optima, gear_curve, load_drive
+    from mufly.study import gear_curve_picture, write_results
 
     d = load_drive(drive)
-    load, name = _load(rotor, vehicle, pitch, model)
+    load, name = _make_rotor_load(rotor, vehicle, pitch, model)
     curve = gear_curve(d, load, read_values("--gear", gear, "1"), duty=duty, supply_V=supply)
-    best = gear_optima(d, load, thrust_N=thrust, duty=duty, supply_V=supply)
+    best = find_gear_optima(d, load, thrust_N=thrust, duty=duty, supply_V=supply)
     marks = {k.replace("_", " "): v for k, v in vars(best).items() if k != "for_thrust" or math.isfinite(v)}
     files = []
     if out is not None:
-        picture = gear_picture(curve, marks=marks, thrust_N=thrust, title=f"{d.name}, {name}")
-        files = [*write_results(curve, out, "gear"), save_picture(picture, out, "gear")]
+        picture = gear_curve_picture(curve, marks=marks, thrust_N=thrust, title=f"{d.name}, {name}")
+        files = [*write_results(curve, out, "gear"), save_figure(picture, out, "gear")]
 
-    def told() -> None:
-        shown = [Column("gear_ratio", form=".2f"), *(c for c in _POINT if c.name in curve.data_vars)]
+    def print_sweep() -> None:
+        shown = [
+            ResultColumn("gear_ratio", form=".2f"),
+            *(c for c in _POINT_COLUMNS if c.name in curve.data_vars),
+        ]
         rows = [
             {c.name: float(curve[c.name][k]) for c in shown}
             for k in range(0, curve.sizes["gear_ratio"], max(1, curve.sizes["gear_ratio"] // 16))
         ]
         at = f"{curve.attrs['motor_voltage_V']:.3g} V at the motor"
-        show_table(rows, shown, title=f"{d.name}, {name}, {at}")
+        print_result_table(rows, shown, title=f"{d.name}, {name}, {at}")
         greatest = ", ".join(f"{k} {v:.2f}" for k, v in marks.items() if k != "for thrust")
-        say(f"Greatest at gear ratio: {greatest}")
+        print_lines(f"Greatest at gear ratio: {greatest}")
         if thrust is not None:
             found = f"{best.for_thrust:.2f}" if math.isfinite(best.for_thrust) else "none"
-            say(f"Largest gear ratio that gives {thrust:g} N: {found}")
+            print_lines(f"Largest gear ratio that gives {thrust:g} N: {found}")
 
-    answer(as_json, lambda: {**curve.to_dict(), "optima": best, "rotor": name}, told, files)
+    print_answer(as_json, lambda: {**curve.to_dict(), "optima": best, "rotor": name}, print_sweep, files)

@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.options import argument, one_of, option
-from mufly.cli.present import LiveDisplay, console, say
+from mufly.cli.options import check_choice, define_argument, define_option
+from mufly.cli.output import LiveDisplay, make_console, print_lines
 from mufly.cli.station import (
     BrowserOption,
-    Ending,
     FaultOption,
     FirmwareOption,
     FixedPointOption,
@@ -30,19 +29,20 @@ from mufly.cli.station import (
     PortOption,
     SeedOption,
     SensorsOption,
+    ShutdownHandler,
     TokenOption,
     VehicleOption,
     WindOption,
-    announce,
-    check_air,
-    check_place,
-    check_sensors,
-    computed_by,
-    dated_folder,
-    endpoints_of,
-    flies_on,
-    on_board,
+    check_output_folder,
+    check_sensor_options,
+    describe_computation,
+    describe_sensor_source,
+    new_dated_folder,
     open_in_background,
+    parse_endpoints,
+    print_page_address,
+    resolve_wind,
+    select_flight_software,
 )
 from mufly.errors import InputError, MuflyError
 
@@ -50,88 +50,101 @@ if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
 
-    from mufly.flight import Event, Progress, Summary
-    from mufly.flight.camera import Eye
-    from mufly.flight.software import Computing
+    from mufly.flight import FlightEvent, FlightProgress, FlightSummary
+    from mufly.flight.camera_sensor import CameraConfig
+    from mufly.flight.flight_software import ControlImplementation
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
     from mufly.sensors import Fault
-    from mufly.station.page.address import Address
-    from mufly.station.page.session import Session
-    from mufly.station.page.starting import StartPage, Startup
+    from mufly.station.page.page_address import PageAddress
+    from mufly.station.page.page_session import StationSession
+    from mufly.station.page.start_page import StartPage, Startup
     from mufly.vehicle import Vehicle
 
-LONELY_S = 20.0
+NO_PAGE_TIMEOUT_S = 20.0
 """With no page opened for so long it flies the mission by itself (s)."""
-LEFT_S = 10.0
+PAGE_CLOSED_TIMEOUT_S = 10.0
 """After the flight it ends when no page has been open for so long (s)."""
-LOADING = "loading the libraries"
-_LOOK_S = 0.1
-_TOLD_S = 2.0  # a page that is open is told what went wrong before its server ends
-_SETTLE_S = 1.0  # recorded after the motors have stopped
+LOADING_STAGE = "loading the libraries"
+_POLL_INTERVAL_S = 0.1
+_ERROR_DISPLAY_S = 2.0  # a page that is open is told what went wrong before its server ends
+_MOTORS_OFF_RECORDING_S = 1.0  # recorded after the motors have stopped
 
 
 @dataclass(frozen=True)
-class Order:
-    """What is to be flown, checked; ``links`` are further places where stations may be."""
+class FlightOrder:
+    """What is to be flown, checked; ``extra_links`` are further places where stations may be."""
 
     vehicle: Vehicle
     mission: Mission
-    recording: Path
+    recording_path: Path
     wind: list[float] | None
     gust: float | None
     seed: int
-    links: tuple[Endpoint, ...]
-    start: bool
-    realtime: bool
+    extra_links: tuple[Endpoint, ...]
+    starts_at_once: bool
+    is_realtime: bool
     sensors: Literal["ideal", "fitted"]
     faults: tuple[Fault, ...]
-    controllers: Computing | None
-    designed_for: Vehicle | None
-    eye: Eye | None
-    outside: bool = False
+    controllers: ControlImplementation | None
+    design_vehicle: Vehicle | None
+    camera: CameraConfig | None
+    has_external_position: bool = False
 
 
 @dataclass(frozen=True)
-class Show:
-    """Where a flight is shown: the terminal, and the page (``page`` tells of the start) unless there is none."""
+class FlightDisplay:
+    """Where a flight is shown: the terminal, and the page (``start_page`` tells of the start) unless there is none."""
 
     terminal: Console
     display: LiveDisplay
     startup: Startup
-    ending: Ending
-    address: Address | None = None
-    page: StartPage | None = None
+    shutdown: ShutdownHandler
+    page_address: PageAddress | None = None
+    start_page: StartPage | None = None
 
 
-def _free_port() -> int:
+def _find_free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
-def _start(order: Order, endpoints: Sequence[Endpoint], autostart: bool, startup: Startup) -> VehicleProcess:
+def _start_vehicle_process(
+    order: FlightOrder, endpoints: Sequence[Endpoint], autostart: bool, startup: Startup
+) -> VehicleProcess:
     from mufly.link import start_vehicle
 
     return start_vehicle(
-        order.vehicle, order.mission, endpoints=endpoints, path=order.recording,
-        tlog=order.recording.with_name("link.tlog") if order.links else None,
-        wind=order.wind, gust=order.gust, seed=order.seed, sensors=order.sensors, faults=order.faults,
-        controllers=order.controllers, designed_for=order.designed_for, eye=order.eye, outside=order.outside,
+        order.vehicle,
+        order.mission,
+        endpoints=endpoints,
+        path=order.recording_path,
+        tlog=order.recording_path.with_name("link.tlog") if order.extra_links else None,
+        wind=order.wind,
+        gust=order.gust,
+        seed=order.seed,
+        sensors=order.sensors,
+        faults=order.faults,
+        controllers=order.controllers,
+        designed_for=order.design_vehicle,
+        eye=order.camera,
+        outside=order.has_external_position,
         autostart=autostart,
-        where="--link", on_stage=startup.begin,
-    )  # fmt: skip
+        where="--link",
+        on_stage=startup.begin_stage,
+    )
 
 
-class _Watch:
+class _FlightMonitor:
     """Follows a vehicle's process: shows its events, and knows when its flight is over."""
 
-    def __init__(self, process: VehicleProcess, on_event: Callable[[Event], None]) -> None:
+    def __init__(self, process: VehicleProcess, on_event: Callable[[FlightEvent], None]) -> None:
         self._process, self._on_event = process, on_event
-        self.flown = False
+        self.has_flown = False
         self._over_s: float | None = None
 
-    def look(self) -> None:
+    def process_events(self) -> None:
         """Take what has come.
 
         Raises
@@ -144,104 +157,117 @@ class _Watch:
             self._on_event(process.events.popleft())
         if process.error:
             raise MuflyError(process.error)
-        if process.finished:
-            raise MuflyError(f"the vehicle's process has ended; its recording may end early{_why(process)}")
+        if process.is_finished:
+            raise MuflyError(
+                f"the vehicle's process has ended; its recording may end early{_format_end_reason(process)}"
+            )
         report = process.report
         if report is None:
             return
         state = report.state
-        self.flown = self.flown or (state.armed and -state.estimate.position[2] > 0.15)
-        resting = self.flown and not state.armed
+        self.has_flown = self.has_flown or (state.armed and -state.estimate.position[2] > 0.15)
+        resting = self.has_flown and not state.armed
         if not resting:
             self._over_s = None
         elif self._over_s is None:
             self._over_s = time.monotonic()
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether it has flown, and stands with its motors off."""
-        return self._over_s is not None and time.monotonic() - self._over_s > _SETTLE_S
+        return self._over_s is not None and time.monotonic() - self._over_s > _MOTORS_OFF_RECORDING_S
 
 
-def _why(process: VehicleProcess) -> str:
+def _format_end_reason(process: VehicleProcess) -> str:
     return f" ({process.reason})" if process.reason else ""
 
 
-def fly_behind_link(order: Order, show: Show) -> str:
+def fly_behind_link(order: FlightOrder, show: FlightDisplay) -> str:
     """Fly the mission in real time with other stations watching, without a page; return its outcome, "" if none."""
-    on_event, ending, startup = show.display.event, show.ending, show.startup
-    for end in order.links:
+    on_event, ending, startup = show.display.show_event, show.shutdown, show.startup
+    for end in order.extra_links:
         show.terminal.print(f"It {end.explanation}", highlight=False)
-    process = _start(order, order.links, autostart=True, startup=startup)
-    watch = _Watch(process, on_event)
+    process = _start_vehicle_process(order, order.extra_links, autostart=True, startup=startup)
+    watch = _FlightMonitor(process, on_event)
     try:
-        while not (watch.over or ending.asked.is_set()):
-            time.sleep(_LOOK_S)
-            if process.ready:
+        while not (watch.is_over or ending.stop_requested.is_set()):
+            time.sleep(_POLL_INTERVAL_S)
+            if process.is_ready:
                 startup.finish()
-                watch.look()
+                watch.process_events()
     finally:
         process.stop()
         while process.events:
             on_event(process.events.popleft())
-    return process.outcome if watch.flown else ""
+    return process.outcome if watch.has_flown else ""
 
 
-def fly_with_page(order: Order, show: Show) -> str:
+def fly_with_page(order: FlightOrder, show: FlightDisplay) -> str:
     """Fly with the station's page; return the outcome of the flight, "" if there was none."""
     from mufly.dynamics import hover_performance
     from mufly.link import parse_endpoint
 
-    address, page, on_event, startup = show.address, show.page, show.display.event, show.startup
+    address, page, on_event, startup = (
+        show.page_address,
+        show.start_page,
+        show.display.show_event,
+        show.startup,
+    )
     assert address is not None
     assert page is not None
-    number = _free_port()
-    ends = [parse_endpoint(f"udp:127.0.0.1:{number}", "vehicle"), *order.links]
-    process = _start(order, ends, order.start, startup)
-    folder = order.recording.parent
+    number = _find_free_port()
+    ends = [parse_endpoint(f"udp:127.0.0.1:{number}", "vehicle"), *order.extra_links]
+    process = _start_vehicle_process(order, ends, order.starts_at_once, startup)
+    folder = order.recording_path.parent
     try:
         # Its process loads and compiles meanwhile.
-        from mufly.station import Station
-        from mufly.station.page.server import serve
-        from mufly.station.page.session import Session
+        from mufly.station import GroundStation
+        from mufly.station.page.page_server import serve_page
+        from mufly.station.page.page_session import StationSession
 
-        ground = Station(
+        ground = GroundStation(
             [parse_endpoint(f"udp:127.0.0.1:{number}", "station")], folder=folder, record_here=True,
-            name="simulation", on_vehicle=lambda found: found.started_with(order.mission),
+            name="simulation", on_vehicle=lambda found: found.set_base_mission(order.mission),
         )  # fmt: skip
         capacity_Ah = float(order.vehicle.battery.capacity) / 3600.0
         battery = (hover_performance(order.vehicle).current_A, capacity_Ah)
-        session = Session(
-            lambda: ground.vehicles, folder, mission=order.mission, recorder=ground.recorder,
-            rotor_radius_m=float(order.vehicle.rotors.radius), battery=battery, title=f"mufly: {order.mission.name}",
-            sight=None if order.eye is None else lambda: process.sight, startup=startup,
-        )  # fmt: skip
-        watch = _Watch(process, on_event)
+        session = StationSession(
+            lambda: ground.vehicles,
+            folder,
+            mission=order.mission,
+            recorder=ground.recorder,
+            rotor_radius_m=float(order.vehicle.rotors.radius),
+            battery_data=battery,
+            title=f"mufly: {order.mission.name}",
+            latest_sight=None if order.camera is None else lambda: process.sight,
+            startup=startup,
+        )
+        watch = _FlightMonitor(process, on_event)
 
-        async def work() -> None:
+        async def run_station() -> None:
             try:
                 await ground.start()
                 page.stop()
-                await serve(
-                    session, address, open_browser=False, stop=show.ending.asked.is_set,
-                    beside=lambda: _look_after(watch, process, session, order.start, show.terminal),
+                await serve_page(
+                    session, address, open_browser=False, stop=show.shutdown.stop_requested.is_set,
+                    beside=lambda: _supervise_flight(watch, process, session, order.starts_at_once, show.terminal),
                 )  # fmt: skip
             finally:
                 await ground.stop()
 
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(work())
+            asyncio.run(run_station())
     finally:
         process.stop()
         while process.events:
             on_event(process.events.popleft())
-    return process.outcome if watch.flown else ""
+    return process.outcome if watch.has_flown else ""
 
 
-async def _look_after(
-    watch: _Watch,
+async def _supervise_flight(
+    watch: _FlightMonitor,
     process: VehicleProcess,
-    session: Session,
+    session: StationSession,
     started: bool,
     terminal: Console,
 ) -> None:
@@ -255,47 +281,47 @@ async def _look_after(
     startup = session.startup
     assert startup is not None
     try:
-        await _until_over(watch, process, session, startup, started, terminal)
+        await _wait_until_over(watch, process, session, startup, started, terminal)
     except MuflyError as error:
         startup.fail(str(error))
-        if session.watching:
-            await asyncio.sleep(_TOLD_S)
+        if session.live_view_count:
+            await asyncio.sleep(_ERROR_DISPLAY_S)
         raise
 
 
-async def _until_over(
-    watch: _Watch,
+async def _wait_until_over(
+    watch: _FlightMonitor,
     process: VehicleProcess,
-    session: Session,
+    session: StationSession,
     startup: Startup,
     started: bool,
     terminal: Console,
 ) -> None:
     # Not in a thread, which would have to be waited for whoever wants to end.
-    while not process.ready:
-        await asyncio.sleep(_LOOK_S)
-    startup.begin("waiting for its first heartbeat")
+    while not process.is_ready:
+        await asyncio.sleep(_POLL_INTERVAL_S)
+    startup.begin_stage("waiting for its first heartbeat")
     began = last_seen = time.monotonic()
     while True:
-        await asyncio.sleep(_LOOK_S)
-        watch.look()
+        await asyncio.sleep(_POLL_INTERVAL_S)
+        watch.process_events()
         now = time.monotonic()
-        seen = bool(startup.visits or session.opened)
-        if session.watching:
+        seen = bool(startup.visit_count or session.opened_count)
+        if session.live_view_count:
             last_seen = now
         vehicles = session.vehicles()
         if vehicles:
             startup.finish()
-        if not seen and not started and now - began > LONELY_S and vehicles and not watch.flown:
+        if not seen and not started and now - began > NO_PAGE_TIMEOUT_S and vehicles and not watch.has_flown:
             started = True
-            terminal.print(f"No page was opened within {LONELY_S:g} s: the mission is flown without one")
+            terminal.print(f"No page was opened within {NO_PAGE_TIMEOUT_S:g} s: the mission is flown without one")
             request = vehicles[0].start_mission()
-            while not request.done:
-                await asyncio.sleep(_LOOK_S)
-                watch.look()
+            while not request.is_done:
+                await asyncio.sleep(_POLL_INTERVAL_S)
+                watch.process_events()
             if request.outcome != "accepted":
                 raise MuflyError(f"the mission does not start: {request.answer}")
-        if watch.over and not session.watching and (not seen or now - last_seen > LEFT_S):
+        if watch.is_over and not session.live_view_count and (not seen or now - last_seen > PAGE_CLOSED_TIMEOUT_S):
             return
 
 
@@ -304,7 +330,7 @@ async def _until_over(
 
 
 # One line a paragraph: the terminal wraps them.
-HELP = """Fly a mission on the full nonlinear model.
+FLY_HELP = """Fly a mission on the full nonlinear model.
 
 Opens the ground station in the browser: the helicopter stands on the floor with its mission loaded, by default the \
 demonstration of the muFly dissertation (take off, a square of four waypoints, land), and is flown from there. With \
@@ -338,11 +364,11 @@ Examples:
 """
 
 
-def _eye(
+def _make_camera(
     position: str, sensors: str, camera: str, floor: str, faults: Sequence[str] | None, stream: str
-) -> Eye | None:
+) -> CameraConfig | None:
     """What ``--position`` and the options of a camera say; None where there is no camera."""
-    one_of("--position", position, ("fix", "camera", "link"))
+    check_choice("--position", position, ("fix", "camera", "link"))
     if position == "link" and sensors == "ideal":
         raise InputError("--position", "", "what is true needs no fixes", "leave out --sensors ideal")
     # Behind a link somebody else looks at the pictures, if they are sent.
@@ -357,30 +383,30 @@ def _eye(
         return None
     if sensors == "ideal":
         raise InputError("--position", "", "what is true needs no camera", "leave out --sensors ideal")
-    from mufly.camera import FLOORS, load_camera, parse_address
-    from mufly.flight.camera import Eye
-    from mufly.flight.film import parse_spoil
-    from mufly.slam import opencv
+    from mufly.camera import FLOOR_KINDS, load_camera, parse_address
+    from mufly.flight.camera_sensor import CameraConfig
+    from mufly.flight.onboard_camera import parse_camera_fault
+    from mufly.slam import load_opencv
 
     if position == "camera":
-        opencv()
-    one_of("--floor", floor or "rich", FLOORS)
-    return Eye(
+        load_opencv()
+    check_choice("--floor", floor or "rich", FLOOR_KINDS)
+    return CameraConfig(
         load_camera(camera or "mufly-2.0"),
         floor or "rich",
-        spoils=tuple(parse_spoil(f) for f in faults or ()),
-        stream=parse_address(stream) if stream else None,
+        camera_faults=tuple(parse_camera_fault(f) for f in faults or ()),
+        stream_address=parse_address(stream) if stream else None,
     )
 
 
-def fly(
+def fly_mission(
     mission: Annotated[
-        str, argument("", "Mission file, or a built-in mission (see: mufly mission list).")
+        str, define_argument("", "Mission file, or a built-in mission (see: mufly mission list).")
     ] = "demonstration",
     vehicle: VehicleOption = "mufly-1.1",
     out: Annotated[
         Path | None,
-        option(
+        define_option(
             "--out -o DIR",
             r"Folder for the results; those of an earlier flight there are replaced. \[default: "
             "flights/<date-time>]",
@@ -395,14 +421,14 @@ def fly(
     fixed_point: FixedPointOption = False,
     designed_for: Annotated[
         str | None,
-        option(
+        define_option(
             "--designed-for NAME|FILE",
             "Fly it with the controllers and the filter of this vehicle, as if it were that one.",
         ),
     ] = None,
     position: Annotated[
         str,
-        option(
+        define_option(
             "--position WHICH",
             "Where it gets its position from: fix (a statistical V-SLAM, as its file has it) or camera (pictures "
             "rendered as it flies, and SLAM on them in a process of its own) or link (VISION_POSITION_ESTIMATE from "
@@ -410,37 +436,35 @@ def fly(
         ),
     ] = "fix",
     camera: Annotated[
-        str, option("--camera NAME|FILE", "Of its camera: mufly-2.0, webcam, worst or a file.")
+        str, define_option("--camera NAME|FILE", "Of its camera: mufly-2.0, webcam, worst or a file.")
     ] = "",
-    floor: Annotated[str, option("--floor KIND", "Below its camera: rich, poor, tiles or plain.")] = "",
+    floor: Annotated[str, define_option("--floor KIND", "Below its camera: rich, poor, tiles or plain.")] = "",
     camera_fault: Annotated[
         list[str] | None,
-        option(
+        define_option(
             "--camera-fault FAULT",
             "covered, dark or unplugged, as covered@20s+5s; can be given several times.",
         ),
     ] = None,
     stream: Annotated[
         str,
-        option(
+        define_option(
             "--stream [HOST:]PORT",
             "Of --position camera or link: send its camera's pictures as MJPEG, for browsers, OpenCV and "
             "mufly slam run, at http://HOST:PORT/stream.",
         ),
     ] = "",
-    realtime: Annotated[bool, option("--realtime", "Keep pace with the clock.")] = False,
+    realtime: Annotated[bool, define_option("--realtime", "Keep pace with the clock.")] = False,
     as_json: Annotated[
-        bool, option("--json", "Print the summary as JSON on standard output, and nothing else.")
+        bool, define_option("--json", "Print the summary as JSON on standard output, and nothing else.")
     ] = False,
     headless: Annotated[
-        bool, option("--headless", "Stay in the terminal; no page, as fast as the machine can.")
+        bool, define_option("--headless", "Stay in the terminal; no page, as fast as the machine can.")
     ] = False,
-    start: Annotated[
-        bool, option("--start", "Begin the mission at once, without a press on the page.")
-    ] = False,
+    start: Annotated[bool, define_option("--start", "Begin the mission at once, without a press on the page.")] = False,
     links: Annotated[
         list[str] | None,
-        option(
+        define_option(
             "--link LINK",
             "Fly it as a MAVLink vehicle in real time, for other programs too: udp:HOST:PORT, "
             "tcpin:..., serial:...; can be given several times.",
@@ -452,32 +476,32 @@ def fly(
     browser: BrowserOption = True,
 ) -> None:
     """Fly a mission on the full nonlinear model."""
-    from mufly.station.page.starting import StartPage, Startup
+    from mufly.station.page.start_page import StartPage, Startup
 
-    terminal, startup, ending = console(stderr=as_json), Startup("a flight"), Ending()
+    terminal, startup, ending = make_console(stderr=as_json), Startup("a flight"), ShutdownHandler()
     with LiveDisplay(terminal) as display, contextlib.ExitStack() as stack:
         if terminal.is_terminal:
-            display.follow(startup)
-        startup.begin(LOADING)
-        show = Show(terminal, display, startup, ending)
+            display.follow_startup(startup)
+        startup.begin_stage(LOADING_STAGE)
+        show = FlightDisplay(terminal, display, startup, ending)
         if not (headless or as_json):
-            from mufly.station.page.address import choose_address
+            from mufly.station.page.page_address import bind_page_address
 
-            address = choose_address(host, port, token)
+            address = bind_page_address(host, port, token)
             startup.url = address.url
             page = stack.enter_context(StartPage(address, startup))
-            show = replace(show, address=address, page=page)
-        steady = check_air(wind, gust, seed)
-        folder = out if out is not None else dated_folder()
-        check_place(folder)
-        ends = endpoints_of(links, "vehicle")
-        from mufly.mission import load_mission, preflight
+            show = replace(show, page_address=address, start_page=page)
+        steady = resolve_wind(wind, gust, seed)
+        folder = out if out is not None else new_dated_folder()
+        check_output_folder(folder)
+        ends = parse_endpoints(links, "vehicle")
+        from mufly.mission import check_preflight, load_mission
         from mufly.vehicle import load_vehicle
 
         recording = folder / "flight.mcap"
         helicopter = load_vehicle(vehicle)
-        faults = check_sensors(helicopter, sensors, fault)
-        order = Order(
+        faults = check_sensor_options(helicopter, sensors, fault)
+        order = FlightOrder(
             helicopter,
             load_mission(mission),
             recording,
@@ -489,25 +513,25 @@ def fly(
             realtime,
             "ideal" if sensors == "ideal" else "fitted",
             faults,
-            on_board(firmware, fixed_point),
+            select_flight_software(firmware, fixed_point),
             None if designed_for is None else load_vehicle(designed_for),
-            _eye(position, sensors, camera, floor, camera_fault, stream),
+            _make_camera(position, sensors, camera, floor, camera_fault, stream),
             position == "link",
         )
-        if order.outside and not ends:
+        if order.has_external_position and not ends:
             raise InputError(
                 "--position",
                 "",
                 "nobody could send a position",
                 "add --link, as --link udpin:127.0.0.1:14560",
             )
-        if order.eye is not None and not order.outside:
-            from mufly.flight.camera import sighted
+        if order.camera is not None and not order.has_external_position:
+            from mufly.flight.camera_sensor import with_camera
 
-            sighted(order.vehicle, order.eye.camera)
+            with_camera(order.vehicle, order.camera.camera)
         # One that is taken for another is judged by that other, as its pilot would.
-        preflight(
-            order.designed_for or order.vehicle,
+        check_preflight(
+            order.design_vehicle or order.vehicle,
             order.mission,
             vehicle_file=designed_for or vehicle,
             mission_file=mission,
@@ -516,37 +540,35 @@ def fly(
         terminal.print(
             f"[bold]{order.vehicle.name}[/bold] flies [bold]{order.mission.name}[/bold]; results go to {folder}"
         )
-        if show.address is not None:
-            announce(show.address, [e.explanation for e in ends])
+        if show.page_address is not None:
+            print_page_address(show.page_address, [e.explanation for e in ends])
             if browser:
-                open_in_background(show.address)
-        display.follow(startup)
-        _prepare(order, show, firmware)
+                open_in_background(show.page_address)
+        display.follow_startup(startup)
+        _prepare_flight(order, show, firmware)
         heard: list[Path] = []
-        if order.links or show.address is not None:
+        if order.extra_links or show.page_address is not None:
             outcome = _fly_in_real_time(order, show)
-            if ending.hurried or (ending.asked.is_set() and outcome != "succeeded"):
+            if ending.is_hurried or (ending.stop_requested.is_set() and outcome != "succeeded"):
                 # A summary of half a flight is worth less than an end when it is asked for.
-                what = (
-                    "the recording up to here is in" if outcome else "it did not fly; what was recorded is in"
-                )
+                what = "the recording up to here is in" if outcome else "it did not fly; what was recorded is in"
                 terminal.print(f"Stopped; {what} {recording}")
-                raise typer.Exit(ending.status)
-            found = _read(recording)
-            if found is None or _never_flew(found):
+                raise typer.Exit(ending.exit_status)
+            found = _read_partial_recording(recording)
+            if found is None or _stayed_on_ground(found):
                 terminal.print(f"It did not fly; what was recorded is in {folder}")
                 raise typer.Exit(1)
-            dataset, heard = found, [] if show.address is None else sorted(folder.glob("station*.*"))
+            dataset, heard = found, [] if show.page_address is None else sorted(folder.glob("station*.*"))
         else:
             dataset = _fly_in_terminal(order, show)
     ended_s = float(dataset["time"][-1])
     acted = [f for f in faults if f.start_s <= ended_s]
-    say(*(f"{f} acted; what the software noticed of it is among its events" for f in acted), mark="Fault")
-    say(
+    print_lines(*(f"{f} acted; what the software noticed of it is among its events" for f in acted), mark="Fault")
+    print_lines(
         *(f"{f} never came: the flight ended at {ended_s:.1f} s" for f in faults if f.start_s > ended_s),
         mark="Warning", style="yellow",
     )  # fmt: skip
-    seen = order.eye is not None and not order.outside
+    seen = order.camera is not None and not order.has_external_position
     kept = [p for p in (recording, folder / "camera.mcap") if p is recording or seen]
     summary = _write_results(terminal, dataset, order.mission, [*kept, *heard], as_json)
     if summary.outcome == "unfinished":
@@ -555,66 +577,76 @@ def fly(
         raise MuflyError(f"the mission failed: {summary.reason}")
 
 
-def _prepare(order: Order, show: Show, firmware: bool) -> None:
+def _prepare_flight(order: FlightOrder, show: FlightDisplay, firmware: bool) -> None:
     """Build what flies, and say what there is to be known of the flight before it."""
     terminal = show.terminal
-    terminal.print(flies_on(order.vehicle, order.sensors), highlight=False, markup=False)
-    if order.eye is not None and order.eye.stream is not None:
-        from mufly.camera import is_local
+    terminal.print(describe_sensor_source(order.vehicle, order.sensors), highlight=False, markup=False)
+    if order.camera is not None and order.camera.stream_address is not None:
+        from mufly.camera import is_local_host
 
-        host, number = order.eye.stream
+        host, number = order.camera.stream_address
         terminal.print(f"Its camera is at http://{host}:{number}/stream", highlight=False, markup=False)
-        if not is_local(host):
-            say(f"anyone who reaches {host}:{number} sees its pictures", mark="Warning", style="yellow")
-    show.startup.begin("building the estimator")
-    if by := computed_by(order.vehicle, order.sensors, firmware):
+        if not is_local_host(host):
+            print_lines(f"anyone who reaches {host}:{number} sees its pictures", mark="Warning", style="yellow")
+    show.startup.begin_stage("building the estimator")
+    if by := describe_computation(order.vehicle, order.sensors, firmware):
         terminal.print(by, highlight=False, markup=False)
-    if order.links or show.address is not None:  # in the terminal it stands among the events
-        from mufly.dynamics import outside_model
+    if order.extra_links or show.page_address is not None:  # in the terminal it stands among the events
+        from mufly.dynamics import describe_model_excess
 
         air = order.mission.wind
-        beyond = outside_model(
+        beyond = describe_model_excess(
             order.vehicle,
             air.steady_m_s if order.wind is None else order.wind,
             air.gust_m_s if order.gust is None else order.gust,
         )
-        say(*filter(None, [beyond]), mark="Warning", style="yellow")
+        print_lines(*filter(None, [beyond]), mark="Warning", style="yellow")
 
 
-def _fly_in_terminal(order: Order, show: Show) -> xr.Dataset:
+def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
     """Fly the mission from beginning to end, as fast as the machine can."""
     import mufly.flight as flight
 
-    ending, display = show.ending, show.display
+    ending, display = show.shutdown, show.display
 
-    def progress(p: Progress) -> None:
+    def show_progress(p: FlightProgress) -> None:
         show.startup.finish()
         # Between two ticks, where nothing is half written.
-        ending.patient = True
-        if ending.asked.is_set():
+        ending.waits_for_loop = True
+        if ending.stop_requested.is_set():
             raise KeyboardInterrupt
-        display.now(_line_of(p))
+        display.set_live_line(_format_progress_line(p))
 
-    ending.patient = False
-    show.startup.begin("designing the controllers, compiling the model")
+    ending.waits_for_loop = False
+    show.startup.begin_stage("designing the controllers, compiling the model")
     try:
         with ending:
-            return flight.fly(
-                order.vehicle, order.mission, wind=order.wind, gust=order.gust, seed=order.seed,
-                sensors=order.sensors, faults=order.faults, controllers=order.controllers, realtime=order.realtime,
-                path=order.recording, designed_for=order.designed_for, eye=order.eye, on_progress=progress,
-                on_event=display.event,
-            )  # fmt: skip
+            return flight.fly_mission(
+                order.vehicle,
+                order.mission,
+                wind=order.wind,
+                gust=order.gust,
+                seed=order.seed,
+                sensors=order.sensors,
+                faults=order.faults,
+                controllers=order.controllers,
+                realtime=order.is_realtime,
+                path=order.recording_path,
+                designed_for=order.design_vehicle,
+                eye=order.camera,
+                on_progress=show_progress,
+                on_event=display.show_event,
+            )
     except KeyboardInterrupt:
-        if order.recording.exists():
-            show.terminal.print(f"Stopped; the recording up to here is in {order.recording}")
-        raise typer.Exit(ending.status or 130) from None
+        if order.recording_path.exists():
+            show.terminal.print(f"Stopped; the recording up to here is in {order.recording_path}")
+        raise typer.Exit(ending.exit_status or 130) from None
 
 
-def _fly_in_real_time(order: Order, show: Show) -> str:
+def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
     """Fly with the page, or without one (no address) behind a link; return the outcome, "" without a flight."""
-    with show.ending:
-        if show.address is not None:
+    with show.shutdown:
+        if show.page_address is not None:
             return fly_with_page(order, show)
         try:
             return fly_behind_link(order, show)
@@ -622,7 +654,7 @@ def _fly_in_real_time(order: Order, show: Show) -> str:
             return ""
 
 
-def _read(recording: Path) -> xr.Dataset | None:
+def _read_partial_recording(recording: Path) -> xr.Dataset | None:
     """The recording that the vehicle's process wrote; None if there is not a row in it."""
     from mufly.flight import read_recording
 
@@ -632,24 +664,24 @@ def _read(recording: Path) -> xr.Dataset | None:
         return None
 
 
-def _never_flew(dataset: xr.Dataset) -> bool:
+def _stayed_on_ground(dataset: xr.Dataset) -> bool:
     down = dataset["truth_position"].sel(axis="D").values
     return bool((down > down[0] - 0.02).all())
 
 
 def _write_results(
     terminal: Console, dataset: xr.Dataset, mission: Mission, recordings: list[Path], as_json: bool
-) -> Summary:
+) -> FlightSummary:
     """Write summary and pictures beside the recordings, and print what they say."""
     from rich.markup import escape
 
     import mufly.flight as flight
 
     folder, waypoints = recordings[0].parent, [w.position_m for w in mission.waypoint]
-    summary = flight.summarise(
+    summary = flight.summarise_flight(
         dataset,
         waypoints,
-        flight.events_of(dataset),
+        flight.read_events(dataset),
         take_off=(*mission.start_m, -mission.take_off.height_m),
         reach_m=mission.limits.reach_m,
         world=mission.world,
@@ -658,17 +690,17 @@ def _write_results(
     text = json.dumps(summary.to_dict(), indent=2)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     pictures = flight.draw_flight(dataset, folder, waypoints=waypoints, world=mission.world)
-    pictures += flight.draw_belief(dataset, folder)
+    pictures += flight.draw_estimate_pictures(dataset, folder)
     if as_json:
         print(text)
     else:
-        _print_result(terminal, summary)
+        _print_summary(terminal, summary)
         names = ", ".join(p.name for p in (*recordings, folder / "summary.json", *pictures))
         terminal.print(f"Written to [bold]{escape(str(folder))}[/bold]: {names}", highlight=False)
     return summary
 
 
-def _line_of(p: Progress) -> str:
+def _format_progress_line(p: FlightProgress) -> str:
     n, e, d = p.position
     return (
         f"{p.time_s:7.1f} s  {p.state:<9}  N {n:5.2f} E {e:5.2f} height {-d:4.2f} m  "
@@ -676,7 +708,7 @@ def _line_of(p: Progress) -> str:
     )
 
 
-def _print_result(terminal: Console, summary: Summary) -> None:
+def _print_summary(terminal: Console, summary: FlightSummary) -> None:
     from rich import box
     from rich.table import Table
 

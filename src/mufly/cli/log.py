@@ -9,60 +9,68 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import Commands, JsonOption, argument, option
-from mufly.cli.present import console, print_json, print_table, progress_bar, say, tell_files, writing
+from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
+from mufly.cli.output import (
+    make_console,
+    print_files,
+    print_json,
+    print_lines,
+    print_table,
+    progress_bar,
+    report_place_errors,
+)
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
     from mufly.logs import ColumnMap, LogReport
 
-LogArgument = Annotated[Path, argument("LOG", "Any log, of any of these formats.")]
+LogArgument = Annotated[Path, define_argument("LOG", "Any log, of any of these formats.")]
 MapOption = Annotated[
-    str | None, option("--map FILE", "Column map (TOML): which column is which signal, in which unit.")
+    str | None, define_option("--map FILE", "Column map (TOML): which column is which signal, in which unit.")
 ]
 ColumnOption = Annotated[
     list[str] | None,
-    option(
+    define_option(
         "--column -c NAME=COLUMN(unit)",
         "A line of a column map, as in measured_rates.p=-gyro_x(deg/s), "
         "measured_attitude=phi,theta,psi(deg) or time=t(ms). May be repeated.",
     ),
 ]
-FromOption = Annotated[float | None, option("--from", "Begin there (since the start).", unit="s")]
-ToOption = Annotated[float | None, option("--to", "End there (since the start).", unit="s")]
+FromOption = Annotated[float | None, define_option("--from", "Begin there (since the start).", unit="s")]
+ToOption = Annotated[float | None, define_option("--to", "End there (since the start).", unit="s")]
 
 
-def columns_of(file: str | None, pairs: Sequence[str] | None) -> ColumnMap | None:
+def column_map_from_options(file: str | None, pairs: Sequence[str] | None) -> ColumnMap | None:
     """The map of ``--map`` with the lines of ``--column`` before it."""
-    from mufly.logs import load_map
+    from mufly.logs import load_column_map
 
     if file is None and not pairs:
         return None
-    first = load_map(list(pairs or ()))
+    first = load_column_map(list(pairs or ()))
     if file is None:
         return first
-    second = load_map(file)
+    second = load_column_map(file)
     time = first.time if first.time.column is not None else second.time
     return second.model_copy(update={"signal": (*first.signal, *second.signal), "time": time})
 
 
-def convert(
+def convert_log(
     log: LogArgument,
     out: Annotated[
-        Path, argument("OUT", "File to write; its ending says what: .csv, .parquet, .nc, .mcap, .ulg.")
+        Path, define_argument("OUT", "File to write; its ending says what: .csv, .parquet, .nc, .mcap, .ulg.")
     ],
     signals: Annotated[
-        list[str] | None, option("--signal -s NAME", "Only this (as for plot); may be repeated.")
+        list[str] | None, define_option("--signal -s NAME", "Only this (as for plot); may be repeated.")
     ] = None,
     rate_hz: Annotated[
         float | None,
-        option("--rate", "Rate of the common clock. Default: the highest among the signals.", unit="Hz"),
+        define_option("--rate", "Rate of the common clock. Default: the highest among the signals.", unit="Hz"),
     ] = None,
     from_s: FromOption = None,
     to_s: ToOption = None,
     start_s: Annotated[
         float | None,
-        option(
+        define_option(
             "--start",
             "Shift the clock so that OUT begins at this time; 0 for programs that want it so.",
             unit="s",
@@ -70,21 +78,21 @@ def convert(
     ] = None,
     map_file: MapOption = None,
     column: ColumnOption = None,
-    force: Annotated[bool, option("--force", "Replace OUT if it is there.")] = False,
+    force: Annotated[bool, define_option("--force", "Replace OUT if it is there.")] = False,
 ) -> None:
     """Bring the signals of a log onto one clock, in SI units and under our names, and write them to a file.
 
     Examples: mufly log convert flight.ulg flight.csv --rate 100; mufly log convert bench.csv bench.nc --map bench.toml;
     mufly log export flight.mcap flight.parquet --signal 'measured_*'
     """
-    from mufly.logs import FORMATS, LogWarning, read_log, write_log
+    from mufly.logs import LOG_WRITERS, LogWarning, read_log, write_log
 
-    if out.suffix.lower() not in FORMATS:
+    if out.suffix.lower() not in LOG_WRITERS:
         problem = f"the ending {out.suffix!r} says nothing"
-        raise InputError(str(out), "", problem, f"use one of: {', '.join(FORMATS)}")
+        raise InputError(str(out), "", problem, f"use one of: {', '.join(LOG_WRITERS)}")
     if out.exists() and not force:
         raise InputError(str(out), "", "is already there", "choose another name, or add --force")
-    columns = columns_of(map_file, column)
+    columns = column_map_from_options(map_file, column)
     with progress_bar("Reading", True) as progress, warnings.catch_warnings():
         warnings.simplefilter("ignore", LogWarning)  # printed below
         data = read_log(
@@ -97,31 +105,31 @@ def convert(
             start_s=start_s,
             progress=progress,
         )
-    _note(log, data.attrs.get("notes", []))
+    _print_notes(log, data.attrs.get("notes", []))
     written = write_log(data, out)
     time = data["time"].values
     step = f", {1 / (time[1] - time[0]):.5g} Hz" if len(time) > 1 else ""
     kind = out.suffix.lower()
     over_time = [str(v) for v in data.data_vars if "time" in data[v].dims]
     text = [v for v in over_time if kind == ".mcap" and data[v].dtype.kind == "U" and v != "mission_state"]
-    say(
+    print_lines(
         f"{written}: {len(over_time) - len(text)} signals, {len(time)} instants from {time[0]:.2f} to {time[-1]:.2f} s"
         f"{step}"
     )
     if text:
-        say(f"Text does not go into a recording and is left out: {', '.join(text)}", style="dim")
+        print_lines(f"Text does not go into a recording and is left out: {', '.join(text)}", style="dim")
     if kind == ".csv" and len(over_time) < len(data.data_vars):
-        say("Events are not in a CSV file; .mcap, .nc, .parquet and .ulg keep them.", style="dim")
+        print_lines("Events are not in a CSV file; .mcap, .nc, .parquet and .ulg keep them.", style="dim")
 
 
-app = Commands(
+app = CommandGroup(
     help="Logs: MCAP (ours and others'), PX4 ULog, ArduPilot DataFlash, MAVLink tlog, Crazyflie micro-SD, CSV, "
     "Parquet, NetCDF.\n\n"
     "What a file is, is told by its content. Column maps and checks: docs/logs.md.",
     no_args_is_help=True,
 )  # fmt: skip
 
-_MOST_ROWS = 40
+_MAX_PRINTED_LINES = 40
 
 
 @app.command()
@@ -139,70 +147,72 @@ def info(
 
     Examples: mufly log info flight.ulg; mufly log info bench.csv -c "time=t(ms)" -c "battery_voltage=U(V)"
     """
-    from mufly.logs import examine
+    from mufly.logs import examine_log
 
-    columns = columns_of(map_file, column)
+    columns = column_map_from_options(map_file, column)
     with progress_bar("Reading", not as_json) as progress:
-        report = examine(log, columns, progress=progress)
+        report = examine_log(log, columns, progress=progress)
     if as_json:
         print_json(report.to_dict())
     else:
-        _print(report)
+        _print_report(report)
 
 
-def _print(report: LogReport) -> None:
+def _print_report(report: LogReport) -> None:
     raw = report.raw
-    start, end = raw.span
-    facts = [raw.kind, f"{end - start:.2f} s", f"from {start:.2f} to {end:.2f} s"]
+    start, end = raw.time_span
+    facts = [raw.format_name, f"{end - start:.2f} s", f"from {start:.2f} to {end:.2f} s"]
     facts += [f"began {raw.start_time}"] if raw.start_time else []
     facts += [str(raw.info[k]) for k in ("sys_name", "ver_hw", "system", "recorded by") if raw.info.get(k)]
     facts += [f"{len(raw.info['parameters'])} parameters"] if raw.info.get("parameters") else []
-    console().print(
-        f"[bold]{Path(raw.path).name}[/bold]  {', '.join(facts)}", highlight=False, soft_wrap=True
-    )
+    make_console().print(f"[bold]{Path(raw.path).name}[/bold]  {', '.join(facts)}", highlight=False, soft_wrap=True)
     rows = []
     for name, table in raw.items():
         clock = report.clocks[name]
         gives = dict.fromkeys(
             s.partition(".")[0] for s, source in report.sources.items() if source.startswith(f"{name}/")
         )
-        rate, gaps = _number(clock.rate_hz, 4), f"{len(clock.gaps) or ''}"
+        rate, gaps = _format_number(clock.rate_hz, 4), f"{len(clock.gaps) or ''}"
         rows.append((name, f"{len(table.time)}", rate, f"{len(table.fields)}", gaps, ", ".join(gives)))
     print_table(("topic", "messages", "rate (Hz)", "fields", "gaps", "gives"), rows, text=(0, 5))
     if report.signals:
         lines = [
-            (s.name, "" if s.units == "1" else s.units, *map(_number, (s.smallest, s.mean, s.largest, s.std)))
-            for s in report.signals[:_MOST_ROWS]
+            (
+                s.name,
+                "" if s.units == "1" else s.units,
+                *map(_format_number, (s.smallest, s.mean, s.largest, s.std)),
+            )
+            for s in report.signals[:_MAX_PRINTED_LINES]
         ]
         print_table(("signal", "unit", "min", "mean", "max", "std"), lines, text=(0, 1))
-        _and_more(len(report.signals))
-    _section("Delays", [d.words() for d in report.delays], "")
-    _section(
+        _print_omitted_count(len(report.signals))
+    _print_section("Delays", [d.describe_delay() for d in report.delays], "")
+    _print_section(
         "Said by the vehicle",
         [f"{f'{t:.2f} s, ' if t == t else ''}{level}: {text}" for t, level, text in raw.messages],
         "",
     )
-    _section("Guessed, repaired or refused", report.notes, "yellow")
-    faults = report.faults()
-    _section("Found", faults, "yellow")
+    _print_section("Guessed, repaired or refused", report.notes, "yellow")
+    faults = report.list_faults()
+    _print_section("Found", faults, "yellow")
     if not faults:
-        say("Nothing wrong found.")
+        print_lines("Nothing wrong found.")
 
 
-def _section(title: str, lines: Sequence[str], style: str) -> None:
+def _print_section(title: str, lines: Sequence[str], style: str) -> None:
     if not lines:
         return
-    say(title, style="bold")
-    say(*(f"  {line}" for line in lines[:_MOST_ROWS]), style=style or None)
-    _and_more(len(lines))
+    print_lines(title, style="bold")
+    print_lines(*(f"  {line}" for line in lines[:_MAX_PRINTED_LINES]), style=style or None)
+    _print_omitted_count(len(lines))
 
 
-def _and_more(count: int) -> None:
-    if count > _MOST_ROWS:
-        say(f"  and {count - _MOST_ROWS} more (--json lists all)", style="dim")
+def _print_omitted_count(count: int) -> None:
+    if count > _MAX_PRINTED_LINES:
+        print_lines(f"  and {count - _MAX_PRINTED_LINES} more (--json lists all)", style="dim")
 
 
-def _number(value: float, digits: int = 3) -> str:
+def _format_number(value: float, digits: int = 3) -> str:
     return "" if value != value else f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
 
 
@@ -211,26 +221,28 @@ def plot(
     log: LogArgument,
     signals: Annotated[
         list[str] | None,
-        argument(
+        define_argument(
             "SIGNAL",
             "What to draw: measured_attitude, measured_attitude.roll, 'measured_*', or any field as "
             "topic/field (`mufly log info` lists them). Default: all that has a name.",
         ),
     ] = None,
     out: Annotated[
-        Path | None, option("--out DIR", "Folder for the pictures (PNG and SVG). Default: LOG-pictures.")
+        Path | None,
+        define_option("--out DIR", "Folder for the pictures (PNG and SVG). Default: LOG-pictures."),
     ] = None,
     from_s: FromOption = None,
     to_s: ToOption = None,
-    spectrum: Annotated[bool, option("--spectrum", "Draw power spectral densities instead.")] = False,
+    spectrum: Annotated[bool, define_option("--spectrum", "Draw power spectral densities instead.")] = False,
     beside: Annotated[
-        Path | None, option("--with LOG", "Draw this second log into the same plots, dashed.")
+        Path | None, define_option("--with LOG", "Draw this second log into the same plots, dashed.")
     ] = None,
     align: Annotated[
-        str, option("--align EVENT", "With --with: what coincides: take-off, arming, start or clock.")
+        str, define_option("--align EVENT", "With --with: what coincides: take-off, arming, start or clock.")
     ] = "take-off",
     offset_s: Annotated[
-        float, option("--offset", "With --with: move the second log later by this, beyond that.", unit="s")
+        float,
+        define_option("--offset", "With --with: move the second log later by this, beyond that.", unit="s"),
     ] = 0.0,
     map_file: MapOption = None,
     column: ColumnOption = None,
@@ -241,25 +253,23 @@ def plot(
     mufly log plot flight.ulg sensor_combined/gyro_rad[0] --from 10 --to 20;
     mufly log plot monday.mcap attitude --with tuesday.ulg --align take-off
     """  # fmt: skip
-    from mufly.logs import channels, chosen, draw_channels, grouped
+    from mufly.logs import draw_channels, group_channels, read_channels, select_channels
 
     if from_s is not None and to_s is not None and not from_s < to_s:
         raise InputError("--from", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
     names = signals or []
     if beside is not None:
         if spectrum or map_file or column:
-            raise InputError(
-                "--with", "", "draws over time and by our names", "leave out --spectrum, --map, --column"
-            )
-        _plot_beside(log, beside, names, align, offset_s, (from_s, to_s), out)
+            raise InputError("--with", "", "draws over time and by our names", "leave out --spectrum, --map, --column")
+        _plot_two_logs(log, beside, names, align, offset_s, (from_s, to_s), out)
         return
     fields = [n for n in names if "/" in n]
-    columns = columns_of(map_file, column)
+    columns = column_map_from_options(map_file, column)
     with progress_bar("Reading", True) as progress:
-        raw, found, _, notes = channels(log, columns, fields, progress)
-    _note(log, notes)
+        raw, found, _, notes = read_channels(log, columns, fields, progress)
+    _print_notes(log, notes)
     wanted = (
-        chosen(found, names, str(log), "; or write topic/field") if names else found or _first_fields(raw)
+        select_channels(found, names, str(log), "; or write topic/field") if names else found or _fastest_fields(raw)
     )
     kept = []
     for channel in wanted:
@@ -269,97 +279,92 @@ def plot(
         if inside.sum() > 1:
             kept.append(channel._replace(time=channel.time[inside], values=channel.values[inside]))
     if not kept:
-        start, end = raw.span
+        start, end = raw.time_span
         raise InputError(
             str(log), "", "there is nothing to draw there", f"the log lasts from {start:.2f} to {end:.2f} s"
         )
-    pictures = grouped(kept)
+    pictures = group_channels(kept)
     suffix = "-spectrum" if spectrum else ""
     with progress_bar("Drawing", True) as progress:
         for k, (kind, members) in enumerate(pictures.items()):
             try:
-                figure = draw_channels(
-                    members, title=f"{log.name}: {kind.replace('_', ' ')}", spectra=spectrum
-                )
+                figure = draw_channels(members, title=f"{log.name}: {kind.replace('_', ' ')}", spectra=spectrum)
             except InputError as error:
                 typer.secho(f"{kind}: {error.problem}; left out", fg=typer.colors.YELLOW, err=True)
                 continue
-            tell_files(_save(figure, out or Path(f"{log.stem}-pictures"), f"{log.stem}-{kind}{suffix}"))
+            print_files(_save_figure(figure, out or Path(f"{log.stem}-pictures"), f"{log.stem}-{kind}{suffix}"))
             if progress is not None:
                 progress(k + 1, len(pictures))
 
 
-def _plot_beside(
+def _plot_two_logs(
     log: Path, beside: Path, names: list[str], align: str, offset_s: float,
     span: tuple[float | None, float | None], out: Path | None,
 ) -> None:  # fmt: skip
     """Draw two logs on each other, and say by how much they differ."""
     from dataclasses import replace
 
-    from mufly.cli.options import one_of
-    from mufly.station.comparison import (
+    from mufly.cli.options import check_choice
+    from mufly.station.recording_comparison import (
         ALIGNMENTS,
-        Comparison,
-        compared_signals,
+        RecordingComparison,
         difference_rows,
         draw_comparison,
+        find_shared_signals,
     )
     from mufly.station.replay import open_recording
 
-    one_of("--align", align, ALIGNMENTS)
+    check_choice("--align", align, ALIGNMENTS)
     with progress_bar("Reading", True) as progress:
         first, second = open_recording(log, progress), open_recording(beside, progress)
     if first.name == second.name:
         first = replace(first, name=f"{log.absolute().parent.name}/{log.name}")
         second = replace(second, name=f"{beside.absolute().parent.name}/{beside.name}")
-    c = Comparison(first, second, align, offset_s)
-    found = compared_signals(c, names)
-    if c.note:
-        typer.secho(c.note, fg=typer.colors.YELLOW, err=True)
-    say(f"{second.name} is moved by {c.shift_s:+.2f} s ({align})")
+    c = RecordingComparison(first, second, align, offset_s)
+    found = find_shared_signals(c, names)
+    if c.alignment_note:
+        typer.secho(c.alignment_note, fg=typer.colors.YELLOW, err=True)
+    print_lines(f"{second.name} is moved by {c.total_shift_s:+.2f} s ({align})")
     folder = out or Path(f"{log.stem}-with-{beside.stem}")
     for quantity, members in found.items():
         figure = draw_comparison(c, members, title=quantity.replace("_", " "))
         figure.axes[-1].set_xlim(*span)
-        tell_files(_save(figure, folder, f"{log.stem}-with-{beside.stem}-{quantity}"))
+        print_files(_save_figure(figure, folder, f"{log.stem}-with-{beside.stem}-{quantity}"))
     rows = [
         (
             r["signal"],
             "" if r["units"] == "1" else r["units"],
-            *(_number(r[k]) for k in ("rms", "largest", "at_s")),
+            *(_format_number(r[k]) for k in ("rms", "largest", "at_s")),
         )
         for r in difference_rows(c, [n for members in found.values() for n in members])
     ]
     print_table(("signal", "unit", "rms difference", "largest", "at (s)"), rows, text=(0, 1))
 
 
-def _note(log: Path, notes: Iterable[str]) -> None:
+def _print_notes(log: Path, notes: Iterable[str]) -> None:
     for note in notes:
         typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
 
 
-def _first_fields(raw: Any) -> list[Any]:
+def _fastest_fields(raw: Any) -> list[Any]:
     """Something to see of a log that nobody has a map for: the fastest topics' first fields."""
     from mufly.logs import Channel
 
     out = []
     for table in sorted(raw.values(), key=lambda t: -len(t.time))[:6]:
         numbers = [(f, v) for f, v in table.fields.items() if v.dtype.kind in "biuf"][:6]
-        out += [
-            Channel(f"{table.name}/{f}", table.units.get(f, ""), table.time, v.astype(float))
-            for f, v in numbers
-        ]
+        out += [Channel(f"{table.name}/{f}", table.units.get(f, ""), table.time, v.astype(float)) for f, v in numbers]
     return out
 
 
-def _save(figure: Any, folder: Path, name: str) -> list[Path]:
+def _save_figure(figure: Any, folder: Path, name: str) -> list[Path]:
     paths = [folder / f"{name}{ending}" for ending in (".png", ".svg")]
-    with writing(folder):
+    with report_place_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for path in paths:
             figure.savefig(path, dpi=130, bbox_inches="tight")
     return paths
 
 
-app.command("convert")(convert)
-app.command("export", help="The same as convert, by its other name.")(convert)
+app.command("convert")(convert_log)
+app.command("export", help="The same as convert, by its other name.")(convert_log)

@@ -4,68 +4,75 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mufly.cli.options import Commands, JsonOption, argument, option
-from mufly.cli.present import Column, console, print_json, print_table, say, show_table
+from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
+from mufly.cli.output import (
+    ResultColumn,
+    make_console,
+    print_json,
+    print_lines,
+    print_result_table,
+    print_table,
+)
 
 if TYPE_CHECKING:
     from mufly.mission import Mission
 
-app = Commands(
+app = CommandGroup(
     help="List missions, show what one asks for, check a mission file. Every key of a mission file is explained in "
     "docs/missions.md.",
     no_args_is_help=True,
 )
 
-_Mission = Annotated[
+_MissionArgument = Annotated[
     str,
-    argument(
+    define_argument(
         "NAME|FILE",
         "A built-in mission, or a mission file: TOML, or QGroundControl's.",
     ),
 ]
-_VehicleOption = Annotated[str, option("--vehicle NAME|FILE", "Vehicle whose battery has to last.")]
-_Toml = Annotated[bool, option("--toml", "Print the whole file, every default written out.")]
+_VehicleOption = Annotated[str, define_option("--vehicle NAME|FILE", "Vehicle whose battery has to last.")]
+_TomlOption = Annotated[bool, define_option("--toml", "Print the whole file, every default written out.")]
 
 
 @app.command("list")
 def list_missions(as_json: JsonOption = False) -> None:
     """List the built-in missions."""
-    from mufly.mission import builtin_missions, legs, load_mission
+    from mufly.mission import list_builtin_missions, load_mission, plan_legs
 
-    missions = [load_mission(name) for name in builtin_missions()]
+    missions = [load_mission(name) for name in list_builtin_missions()]
     rows: list[dict[str, Any]] = [
         {
             "name": m.name,
             "description": m.description,
             "waypoints": len(m.waypoint),
-            "way_m": sum(leg.length_m for leg in legs(m)),
+            "way_m": sum(leg.length_m for leg in plan_legs(m)),
         }
         for m in missions
     ]
     if as_json:
         print_json(rows)
     else:
-        show_table(rows, ["name", "description", "waypoints", Column("way_m", form=".1f")])
+        print_result_table(rows, ["name", "description", "waypoints", ResultColumn("way_m", form=".1f")])
 
 
 @app.command()
-def show(mission: _Mission = "demonstration", as_json: JsonOption = False, toml: _Toml = False) -> None:
+def show(mission: _MissionArgument = "demonstration", as_json: JsonOption = False, toml: _TomlOption = False) -> None:
     """Show the waypoints of a mission, how long the way is, and when each is expected to be reached.
 
     Times count from the start signal: rotors speeding up, reference trajectories, settling at each waypoint, waits, \
 and the way around obstacles that the file names.
     """
-    from mufly.mission import dump_mission, expected_timing, fence_outlines, load_mission
+    from mufly.mission import compute_timing, dump_mission, fence_outlines, load_mission
 
     m = load_mission(mission)
     if toml:
         print(dump_mission(m), end="")
         return
-    rows = _rows(m)
+    rows = _waypoint_rows(m)
     if as_json:
         print_json({"name": m.name, "description": m.description, "waypoints": rows, "at_end": m.at_end})
         return
-    console().print(f"[bold]{m.name}[/bold]  {m.description}")
+    make_console().print(f"[bold]{m.name}[/bold]  {m.description}")
     speeds = any(w.speed_m_s is not None for w in m.waypoint)
     heads = ["", "N", "E", "D", "wait", "heading", "way", "reached after", *(["speed"] if speeds else [])]
     place = (*m.start_m, -m.take_off.height_m)
@@ -92,26 +99,26 @@ and the way around obstacles that the file names.
     print_table(heads, lines, text=())
     obstacles = m.world.names[: len(m.world.boxes) + len(m.world.cylinders)]
     if obstacles or m.room:
-        say(f"In the world: {', '.join([*obstacles, *(['a room'] if m.room else [])])}.")
+        print_lines(f"In the world: {', '.join([*obstacles, *(['a room'] if m.room else [])])}.")
     end = {"land": "lands there", "hover": "hovers there", "return": "returns and lands"}[m.at_end]
-    how = "scanning for obstacles" if m.scans else "avoiding obstacles" if m.avoidance.enabled else "blindly"
+    how = "scanning for obstacles" if m.scans_with_nose else "avoiding obstacles" if m.avoidance.enabled else "blindly"
     if m.fence is not None:
         ceiling = "no ceiling" if m.fence.ceiling_m is None else f"ceiling {m.fence.ceiling_m:g} m"
-        say(f"Geofence: {len(fence_outlines(m.fence))} zones, {ceiling}; outside it, {m.fence.action}.")
-    timing = expected_timing(m)
-    say(f"About {timing.landed_s:.0f} s and {timing.path_m:.1f} m, the landing included.")
-    say(
+        print_lines(f"Geofence: {len(fence_outlines(m.fence))} zones, {ceiling}; outside it, {m.fence.action}.")
+    timing = compute_timing(m)
+    print_lines(f"About {timing.landed_s:.0f} s and {timing.path_length_m:.1f} m, the landing included.")
+    print_lines(
         f"Way: {m.path.kind}, at most {m.trajectory_limits.speed:g} m/s, {how}; at the end it {end}.",
         style="dim",
     )
 
 
-def _rows(m: Mission) -> list[dict[str, Any]]:
-    from mufly.mission import legs
+def _waypoint_rows(m: Mission) -> list[dict[str, Any]]:
+    from mufly.mission import plan_legs
 
     return [
         {
-            "number": leg.number,
+            "number": leg.waypoint_number,
             "position_m": list(w.position_m),
             "wait_s": w.wait_s,
             "heading_deg": w.heading_deg,
@@ -119,21 +126,23 @@ def _rows(m: Mission) -> list[dict[str, Any]]:
             "way_m": leg.length_m,
             "reached_s": leg.reached_s,
         }
-        for leg, w in zip(legs(m), m.waypoint, strict=True)
+        for leg, w in zip(plan_legs(m), m.waypoint, strict=True)
     ]
 
 
 @app.command()
-def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: JsonOption = False) -> None:
+def check(mission: _MissionArgument, vehicle: _VehicleOption = "mufly-1.1", as_json: JsonOption = False) -> None:
     """Check a mission file, and whether the vehicle's battery lasts for it. Exit status 1 and the reason if not."""
-    from mufly.control import design
-    from mufly.flight import able
-    from mufly.mission import FROM_GROUND_FILE, load_mission, preflight
+    from mufly.control import design_flight_controller
+    from mufly.flight import controller_limits
+    from mufly.mission import GROUND_FILE_DESCRIPTION, check_preflight, load_mission
     from mufly.vehicle import load_vehicle
 
     m, v = load_mission(mission), load_vehicle(vehicle)
-    preflight(v, m, vehicle_file=vehicle, mission_file=mission)  # before the design, which takes longer
-    estimate = preflight(v, m, vehicle_file=vehicle, mission_file=mission, able=able(design(v)))
+    check_preflight(v, m, vehicle_file=vehicle, mission_file=mission)  # before the design, which takes longer
+    estimate = check_preflight(
+        v, m, vehicle_file=vehicle, mission_file=mission, able=controller_limits(design_flight_controller(v))
+    )
     if as_json:
         print_json(
             {
@@ -146,9 +155,9 @@ def check(mission: _Mission, vehicle: _VehicleOption = "mufly-1.1", as_json: Jso
             }
         )
         return
-    console().print(
+    make_console().print(
         f"[bold]{m.name}[/bold] can be flown by [bold]{v.name}[/bold]: {len(m.waypoint)} waypoints, "
         f"{estimate.path_m:.1f} m, about {estimate.duration_s:.0f} s, {estimate.fraction:.0%} of the battery."
     )
-    if m.description.startswith(FROM_GROUND_FILE):
-        say(f"Read {m.description}.", style="dim")
+    if m.description.startswith(GROUND_FILE_DESCRIPTION):
+        print_lines(f"Read {m.description}.", style="dim")

@@ -7,76 +7,76 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mufly.cli import coax
-from mufly.cli.coax import THESIS, LowerArgument, UpperArgument, angles, pair_of
+from mufly.cli.coax import THESIS_ROTOR, LowerArgument, UpperArgument, make_pair_setup, parse_pitch_angles
 from mufly.cli.options import (
-    CHECK,
-    POLARS,
+    DEFAULT_POLAR_OPTIONS,
+    DEFAULT_WAKE_OPTIONS,
     ClimbOption,
     DensityOption,
     DriveOption,
     JsonOption,
     OutOption,
     PairPitchOption,
-    Polars,
+    PolarOptions,
     RotorArgument,
     SpacingOption,
-    Wakes,
-    drive_or_none,
-    option,
+    WakeOptions,
+    define_option,
+    load_drive_option,
     wake_progress,
 )
-from mufly.cli.present import (
-    answer,
-    console,
+from mufly.cli.output import (
+    make_console,
+    print_answer,
+    print_files,
     print_json,
     print_table,
     progress_bar,
-    save_picture,
-    tell_files,
-    writing,
+    report_place_errors,
+    save_figure,
 )
 from mufly.cli.rotor import app as rotor_commands
-from mufly.cli.study import in_words, settings_of
+from mufly.cli.study import format_parameter, parse_set_options
 from mufly.errors import InputError, suggest_name
 from mufly.units import RPM
 
 if TYPE_CHECKING:
-    from mufly.rotor import Result, Rotor
-    from mufly.study import Optimum, PairOptimum
+    from mufly.rotor import Rotor, SystemSolution
+    from mufly.study import PairOptimum, RotorOptimum
 
 
-def _write_rotor(rotor: Rotor, path: Path) -> Path:
-    from mufly.rotor import rotor_toml
+def _write_rotor_file(rotor: Rotor, path: Path) -> Path:
+    from mufly.rotor import format_rotor_toml
 
-    with writing(path, "give another place"):
+    with report_place_errors(path, "give another place"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(rotor_toml(rotor), encoding="utf-8")
+        path.write_text(format_rotor_toml(rotor), encoding="utf-8")
     return path
 
 
 @rotor_commands.command()
 def optimise(
     rotor: RotorArgument = "naca4412-r60-c20",
-    goal: Annotated[str, option("--for GOAL", "'endurance' or 'thrust-per-power'.")] = "thrust-per-power",
+    goal: Annotated[str, define_option("--for GOAL", "'endurance' or 'thrust-per-power'.")] = "thrust-per-power",
     free: Annotated[
-        str, option("NAMES", "chord, twist, taper, radius, hub_cutout, blades, airfoil, gear.")
+        str, define_option("NAMES", "chord, twist, taper, radius, hub_cutout, blades, airfoil, gear.")
     ] = "chord,twist,taper,airfoil,gear",
     limit: Annotated[
         list[str] | None,
-        option("LIMIT", "As thickness_mm>=0.8, radius<=60mm, speed_rpm<=7000. Repeat it; quote it."),
+        define_option("LIMIT", "As thickness_mm>=0.8, radius<=60mm, speed_rpm<=7000. Repeat it; quote it."),
     ] = None,
     airfoils: Annotated[
         list[str] | None,
-        option("--airfoils SET|DIR|NAMES", "Candidates: 'thesis', 'database', a folder, names."),
+        define_option("--airfoils SET|DIR|NAMES", "Candidates: 'thesis', 'database', a folder, names."),
     ] = None,
     set_: Annotated[
-        list[str] | None, option("--set NAME=VALUE", "Fix a parameter; thrust=0.4N if not given.")
+        list[str] | None, define_option("--set NAME=VALUE", "Fix a parameter; thrust=0.4N if not given.")
     ] = None,
     drive: DriveOption = "mufly",
-    seed: Annotated[int, option("K", "Same seed, same answer.")] = 0,
-    generations: Annotated[int, option("N", "How long to search.")] = 60,
-    out: Annotated[Path | None, option("--out FILE", "Write the rotor as a rotor file (TOML).")] = None,
-    polars: Polars = POLARS,
+    seed: Annotated[int, define_option("K", "Same seed, same answer.")] = 0,
+    generations: Annotated[int, define_option("N", "How long to search.")] = 60,
+    out: Annotated[Path | None, define_option("--out FILE", "Write the rotor as a rotor file (TOML).")] = None,
+    polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
     """Search for a better rotor at a given thrust, within limits, and tell what each change brought.
@@ -88,14 +88,14 @@ def optimise(
     Example: mufly rotor optimise --for endurance --free chord,twist,taper,radius,airfoil,gear --limit
     'thickness_mm>=0.8' --limit 'radius<=60mm' --out better.toml
     """
-    from mufly.study import PARAMETERS, choose_airfoils, parse_limit
-    from mufly.study import optimise as search
+    from mufly.study import ROTOR_PARAMETERS, choose_airfoils, parse_limit
+    from mufly.study import optimise_rotor as search
 
     given = set_ or []
     if not any(text.strip().startswith("thrust") for text in given):
         given = [*given, "thrust=0.4N"]
-    fixed = settings_of(given, PARAMETERS, "give one")
-    setup = polars.setup(rotor, fixed, drive=drive_or_none(drive), flags=False)
+    fixed = parse_set_options(given, ROTOR_PARAMETERS, "give one")
+    setup = polars.make_setup(rotor, fixed, drive=load_drive_option(drive), with_outside_share=False)
     names = [name.strip() for name in free.split(",") if name.strip()]
     candidates = choose_airfoils(airfoils or ["thesis"]) if "airfoil" in names else []
     limits = [parse_limit(text) for text in limit or []]
@@ -104,21 +104,21 @@ def optimise(
             setup, goal, names,  # type: ignore[arg-type]
             limits=limits, airfoils=candidates, seed=seed, generations=generations, progress=progress,
         )  # fmt: skip
-    files = [_write_rotor(best.rotor, out)] if out is not None else []
+    files = [_write_rotor_file(best.rotor, out)] if out is not None else []
     if as_json:
-        print_json(_json(best))
+        print_json(_optimum_to_json(best))
         return
-    _print(best)
-    tell_files(files)
+    _print_optimum(best)
+    print_files(files)
 
 
-def _json(best: Optimum) -> dict[str, Any]:
+def _optimum_to_json(best: RotorOptimum) -> dict[str, Any]:
     return {
         "rotor": best.rotor.toml_tables(),
         "pitch_rad": best.pitch_rad,
         "changes": best.changes,
         "goal": best.goal,
-        "unit": _unit(best.goal),
+        "unit": _goal_unit(best.goal),
         "before": best.before,
         "after": best.after,
         "steps": [vars(step) for step in best.steps],
@@ -126,25 +126,25 @@ def _json(best: Optimum) -> dict[str, Any]:
     }
 
 
-def _unit(goal: str) -> str:
+def _goal_unit(goal: str) -> str:
     return "s" if goal == "endurance" else "N/W"
 
 
-def _print(best: Optimum) -> None:
+def _print_optimum(best: RotorOptimum) -> None:
     rows = [("start", "", f"{best.before:.5g}", "", "")]
     for step in best.steps:
         rows.append(
             (
                 step.parameter,
-                in_words(step.parameter, step.value, ".4g"),
+                format_parameter(step.parameter, step.value, ".4g"),
                 f"{step.goal:.5g}",
                 f"{step.gain:+.1%}",
                 f"{math.degrees(step.pitch_rad):.2f}°",
             )
         )
-    print_table(("change", "to", f"{best.goal} ({_unit(best.goal)})", "gain", "pitch"), rows, text=(0, 1))
+    print_table(("change", "to", f"{best.goal} ({_goal_unit(best.goal)})", "gain", "pitch"), rows, text=(0, 1))
     r = best.results
-    c = console()
+    c = make_console()
     c.print(
         f"[bold]{best.after / best.before - 1:+.1%}[/bold]: {r['electrical_power_W']:.3f} W for {r['thrust_N']:.3g} N, "
         f"{r['thrust_per_power_N_W']:.4f} N/W, {r['endurance_s'] / 60:.1f} min; "
@@ -154,32 +154,33 @@ def _print(best: Optimum) -> None:
     )
 
 
-_DEFAULT = "upper_twist,lower_twist,upper_chord,lower_chord,upper_pitch,lower_pitch"
+_DEFAULT_PAIR_PARAMETERS = "upper_twist,lower_twist,upper_chord,lower_chord,upper_pitch,lower_pitch"
 
 
 @coax.app.command("optimise")
 def optimise_pairs(
-    upper: UpperArgument = THESIS,
+    upper: UpperArgument = THESIS_ROTOR,
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.02,
-    thrust: Annotated[float, option("--thrust", "Thrust of the pair.", unit="N")] = 0.9,
+    thrust: Annotated[float, define_option("--thrust", "Thrust of the pair.", unit="N")] = 0.9,
     pitch: PairPitchOption = "14",
     vary: Annotated[
         str,
-        option("NAMES", "What is free: upper_ and lower_ before twist, chord, pitch, taper."),
-    ] = _DEFAULT,
+        define_option("NAMES", "What is free: upper_ and lower_ before twist, chord, pitch, taper."),
+    ] = _DEFAULT_PAIR_PARAMETERS,
     limit: Annotated[
         list[str] | None,
-        option("LIMIT", "As upper_chord<=25mm or lower_pitch>=8deg. Repeat it; quote it."),
+        define_option("LIMIT", "As upper_chord<=25mm or lower_pitch>=8deg. Repeat it; quote it."),
     ] = None,
     climb: ClimbOption = 0.0,
     density: DensityOption = 1.2,
-    seed: Annotated[int, option("K", "Same seed, same answer.")] = 0,
-    generations: Annotated[int, option("N", "How long to search.")] = 30,
+    seed: Annotated[int, define_option("K", "Same seed, same answer.")] = 0,
+    generations: Annotated[int, define_option("N", "How long to search.")] = 30,
     check: Annotated[
-        bool, option("--check/--no-check", "Whether start and optimum are computed by the wake method too.")
+        bool,
+        define_option("--check/--no-check", "Whether start and optimum are computed by the wake method too."),
     ] = True,
-    theory: Wakes = CHECK,
+    theory: WakeOptions = DEFAULT_WAKE_OPTIONS,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -192,7 +193,7 @@ def optimise_pairs(
     --limit 'upper_pitch<=20deg'
     """
     from mufly.rotor import rotor_loads_picture
-    from mufly.study import PAIR_FREE, check_by_wake, optimise_pair, pair_limit
+    from mufly.study import PAIR_FREE_PARAMETERS, optimise_pair, parse_pair_limit, verify_by_wake
 
     if not 0.0 < thrust < math.inf:
         raise InputError("--thrust", "", f"{thrust:g} N is not possible", "give a number above 0")
@@ -200,36 +201,42 @@ def optimise_pairs(
         raise InputError("--generations", "", f"{generations} is not possible", "give 1 or more")
     names = [n.strip() for n in vary.split(",") if n.strip()]
     for name in names:
-        if name not in PAIR_FREE:
-            raise InputError("--vary", "", f"{name!r} cannot be free", suggest_name(name, PAIR_FREE))
-    limits = [pair_limit(text) for text in limit or []]
-    above, below = angles(pitch)
-    setup = pair_of(
+        if name not in PAIR_FREE_PARAMETERS:
+            raise InputError("--vary", "", f"{name!r} cannot be free", suggest_name(name, PAIR_FREE_PARAMETERS))
+    limits = [parse_pair_limit(text) for text in limit or []]
+    above, below = parse_pitch_angles(pitch)
+    setup = make_pair_setup(
         upper, lower,
         {"spacing": spacing, "upper_pitch": above, "lower_pitch": below, "thrust": thrust, "climb": climb,
          "density": density},
         theory,
     )  # fmt: skip
     with progress_bar("generations", not as_json) as progress:
-        best = optimise_pair(
-            setup, names, limits=limits, seed=seed, generations=generations, progress=progress
-        )
+        best = optimise_pair(setup, names, limits=limits, seed=seed, generations=generations, progress=progress)
     files = (
         []
         if out is None
-        else [_write_rotor(best.upper, out / "upper.toml"), _write_rotor(best.lower, out / "lower.toml")]
+        else [
+            _write_rotor_file(best.upper, out / "upper.toml"),
+            _write_rotor_file(best.lower, out / "lower.toml"),
+        ]
     )
-    checked: tuple[Result | str, Result | str] | None = None
+    checked: tuple[SystemSolution | str, SystemSolution | str] | None = None
     if check:
         with wake_progress("start and optimum", not as_json, out) as told:
-            checked = check_by_wake(setup, best, told)
+            checked = verify_by_wake(setup, best, told)
     if out is not None:
         after = checked[1] if checked is not None and not isinstance(checked[1], str) else best.after
-        files.append(save_picture(rotor_loads_picture(after.upper, after.lower), out, "loads"))
-    answer(as_json, lambda: _pair_json(best, checked), lambda: _print_pair_optimum(best, checked), files)
+        files.append(save_figure(rotor_loads_picture(after.upper, after.lower), out, "loads"))
+    print_answer(
+        as_json,
+        lambda: _pair_optimum_to_json(best, checked),
+        lambda: _print_pair_optimum(best, checked),
+        files,
+    )
 
 
-def _short(point: Result | str | None) -> dict[str, Any] | None:
+def _point_summary(point: SystemSolution | str | None) -> dict[str, Any] | None:
     if point is None:
         return None
     if isinstance(point, str):
@@ -248,7 +255,9 @@ def _short(point: Result | str | None) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _pair_json(best: PairOptimum, checked: tuple[Result | str, Result | str] | None) -> dict[str, Any]:
+def _pair_optimum_to_json(
+    best: PairOptimum, checked: tuple[SystemSolution | str, SystemSolution | str] | None
+) -> dict[str, Any]:
     return {
         "upper": best.upper.toml_tables(),
         "lower": best.lower.toml_tables(),
@@ -256,45 +265,51 @@ def _pair_json(best: PairOptimum, checked: tuple[Result | str, Result | str] | N
         "at_limit": best.at_limit,
         "evaluations": best.evaluations,
         "bemt": {
-            "start": _short(best.before),
-            "pitch_only": _short(best.pitched),
-            "optimum": _short(best.after),
+            "start": _point_summary(best.before),
+            "pitch_only": _point_summary(best.pitched),
+            "optimum": _point_summary(best.after),
         },
-        "wake": None if checked is None else {"start": _short(checked[0]), "optimum": _short(checked[1])},
+        "wake": None
+        if checked is None
+        else {"start": _point_summary(checked[0]), "optimum": _point_summary(checked[1])},
     }
 
 
-def _print_pair_optimum(best: PairOptimum, checked: tuple[Result | str, Result | str] | None) -> None:
-    c = console()
+def _print_pair_optimum(best: PairOptimum, checked: tuple[SystemSolution | str, SystemSolution | str] | None) -> None:
+    c = make_console()
     shown = [
-        (name, in_words(name, value, ".4g"), "at the end of its range" if name in best.at_limit else "")
+        (
+            name,
+            format_parameter(name, value, ".4g"),
+            "at the end of its range" if name in best.at_limit else "",
+        )
         for name, value in best.changes.items()
     ]
     print_table(("free", "found", ""), shown, text=(0, 2))
     heads = ("", "method", "power (W)", "change", "upper rpm", "lower rpm", "upper (N)", "lower (N)", "merit")
     rows: list[tuple[str, ...]] = []
 
-    def add(label: str, method: str, point: Result | str | None, first: Result | str | None) -> None:
+    def add_row(
+        label: str, method: str, point: SystemSolution | str | None, first: SystemSolution | str | None
+    ) -> None:
         if point is None:
             return
         if isinstance(point, str):
             rows.append((label, method, "-", "", "", "", "", "", ""))
             return
-        change = (
-            "" if first is None or isinstance(first, str) else f"{point.power_W / first.power_W - 1:+.1%}"
-        )
+        change = "" if first is None or isinstance(first, str) else f"{point.power_W / first.power_W - 1:+.1%}"
         rows.append(
             (label, method, f"{point.power_W:.4g}", change, f"{point.upper.speed_rad_s / RPM:.0f}",
              f"{point.lower.speed_rad_s / RPM:.0f}", f"{point.upper.thrust_N:.4g}", f"{point.lower.thrust_N:.4g}",
              f"{point.figure_of_merit:.3f}")
         )  # fmt: skip
 
-    add("start", "bemt", best.before, None)
-    add("start's blades, best pitch", "bemt", best.pitched, best.before)
-    add("optimum", "bemt", best.after, best.before)
+    add_row("start", "bemt", best.before, None)
+    add_row("start's blades, best pitch", "bemt", best.pitched, best.before)
+    add_row("optimum", "bemt", best.after, best.before)
     if checked is not None:
-        add("start", "wake", checked[0], None)
-        add("optimum", "wake", checked[1], checked[0])
+        add_row("start", "wake", checked[0], None)
+        add_row("optimum", "wake", checked[1], checked[0])
     print_table(heads, rows, text=(0, 1))
     for point in checked or ():
         if isinstance(point, str):

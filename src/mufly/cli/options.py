@@ -17,32 +17,32 @@ import typer
 from typer.core import TyperCommand
 from typer.models import OptionInfo
 
-from mufly.cli.present import check_file, console, write_csv, writing
+from mufly.cli.output import check_writable_file, make_console, report_place_errors, write_csv
 from mufly.errors import ArgumentError, InputError, suggest_name
-from mufly.grammar import (
-    read_band,
-    read_doubt,
-    read_pair,
+from mufly.quantity_grammar import (
+    read_integer,
+    read_interval,
     read_quantity,
-    read_steps,
+    read_rotor_pair,
+    read_stepped_range,
+    read_value_with_std,
     read_values,
     read_vector,
-    read_whole,
 )
-from mufly.units import split_suffix
+from mufly.units import split_unit_suffix
 
 if TYPE_CHECKING:
-    from mufly.drive import Drive
-    from mufly.identify import Estimate
+    from mufly.drive import DriveTrain
+    from mufly.identify import ParameterEstimate
     from mufly.rotor import Blading, Corrections, Rotor
-    from mufly.rotor.sections.engines import Engine
+    from mufly.rotor.sections.polar_engines import PolarEngine
     from mufly.rotor.wake import WakeSettings
-    from mufly.study import Setup
-    from mufly.study.parameters import Value
+    from mufly.study import StudySetup
+    from mufly.study.study_parameters import ParameterValue
     from mufly.vehicle import Vehicle
 
 # Arguments of the library that an option of another name gives.
-_OPTIONS = {
+_OPTION_BY_ARGUMENT = {
     "columns": "column",
     "capacity_As": "capacity",
     "endpoints": "connect",
@@ -60,7 +60,7 @@ _OPTIONS = {
 }
 
 
-class Command(TyperCommand):
+class OptionNamingCommand(TyperCommand):
     """A command that says ``--radius`` where the library says ``radius_m``: who typed an option is told its name."""
 
     def invoke(self, ctx: Any) -> Any:
@@ -68,43 +68,41 @@ class Command(TyperCommand):
         try:
             return super().invoke(ctx)
         except InputError as error:
-            raise self._by_option(error) from error
+            raise self._name_option(error) from error
 
-    def _by_option(self, error: InputError) -> InputError:
-        options = {
-            p.name: max(p.opts, key=len) for p in self.params if p.name and p.param_type_name == "option"
-        }
+    def _name_option(self, error: InputError) -> InputError:
+        options = {p.name: max(p.opts, key=len) for p in self.params if p.name and p.param_type_name == "option"}
 
-        def option_of(argument: str) -> str | None:
-            other = _OPTIONS.get(argument, argument)
-            names = (argument, other, f"{other}_", split_suffix(other)[0])
+        def find_option(argument: str) -> str | None:
+            other = _OPTION_BY_ARGUMENT.get(argument, argument)
+            names = (argument, other, f"{other}_", split_unit_suffix(other)[0])
             return next((options[n] for n in names if n in options), None)
 
         remedy = re.sub(
             r"(?<!--set )(?<!--vary )\b(\w+)=(?=\S)",
-            lambda m: f"{option_of(m[1])} " if option_of(m[1]) else m[0],
+            lambda m: f"{find_option(m[1])} " if find_option(m[1]) else m[0],
             error.remedy,
         )
-        named = option_of(error.argument) if isinstance(error, ArgumentError) else None
+        named = find_option(error.argument) if isinstance(error, ArgumentError) else None
         return InputError(named or error.where, error.key, error.problem, remedy)
 
 
-class Commands(typer.Typer):
+class CommandGroup(typer.Typer):
     """A group of such commands."""
 
     def command(self, name: str | None = None, **more: Any) -> Any:
         """Register a command, as :meth:`typer.Typer.command` does; records of options become options."""
-        register = super().command(name, **{"cls": Command, **more})
+        register = super().command(name, **{"cls": OptionNamingCommand, **more})
 
-        def registered(function: Callable[..., Any]) -> Callable[..., Any]:
-            register(_spread(function))
+        def register_function(function: Callable[..., Any]) -> Callable[..., Any]:
+            register(_spread_records(function))
             return function
 
-        return registered
+        return register_function
 
 
-def _spread(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function with the fields of a record that it takes, such as :class:`Polars`, as arguments of their own.
+def _spread_records(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function with the fields of a record that it takes, such as :class:`PolarOptions`, as arguments of their own.
 
     Options that hold a number and say no notation are plain counts or numbers.
 
@@ -116,39 +114,37 @@ def _spread(function: Callable[..., Any]) -> Callable[..., Any]:
     arguments: list[inspect.Parameter] = []
     for one in inspect.signature(function).parameters.values():
         if not is_dataclass(kind := hints[one.name]):
-            arguments.append(one.replace(annotation=_with_notation(hints[one.name])))
+            arguments.append(one.replace(annotation=_add_notation(hints[one.name])))
             continue
         records[one.name] = kind
         each = get_type_hints(kind, include_extras=True)
         arguments += [
-            one.replace(
-                name=f.name, default=getattr(one.default, f.name), annotation=_with_notation(each[f.name])
-            )
+            one.replace(name=f.name, default=getattr(one.default, f.name), annotation=_add_notation(each[f.name]))
             for f in fields(kind)
             if get_origin(each[f.name]) is Annotated
         ]
 
     @functools.wraps(function)
-    def call(**given: Any) -> Any:
+    def call_function(**given: Any) -> Any:
         for name, kind in records.items():
             given[name] = kind(**{f.name: given.pop(f.name) for f in fields(kind) if f.name in given})
         return function(**given)
 
-    call.__signature__ = inspect.Signature(arguments)  # type: ignore[attr-defined]
-    call.__annotations__ = {a.name: a.annotation for a in arguments}
-    return call
+    call_function.__signature__ = inspect.Signature(arguments)  # type: ignore[attr-defined]
+    call_function.__annotations__ = {a.name: a.annotation for a in arguments}
+    return call_function
 
 
 @dataclass(frozen=True)
-class Range:
+class OptionRange:
     """What the numbers of an option may be, ends included (None: no end), and why they end there."""
 
     low: float | None
     high: float | None
     unit: str = ""
-    why: str = ""
+    reason: str = ""
 
-    def check(self, option: str, value: float) -> None:
+    def check_value(self, option: str, value: float) -> None:
         """InputError if a value is outside."""
         low, high, rounding = self.low, self.high, 1e-9 * abs(value)  # of a change of unit
         if (low is None or value >= low - rounding) and (high is None or value <= high + rounding):
@@ -156,36 +152,36 @@ class Range:
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
         wanted = f"{low:.10g} to {high:.10g}" if low is not None and high is not None else ""
         wanted = wanted or (f"{low:.10g} or more" if high is None else f"{high:.10g} or less")
-        why = f": {self.why}" if self.why else ""
+        why = f": {self.reason}" if self.reason else ""
         raise InputError(option, "", f"{value:.10g}{unit} is out of range{why}", f"give {wanted}{unit}")
 
 
-def _with_notation(annotation: Any) -> Any:
+def _add_notation(annotation: Any) -> Any:
     """The annotation of a number's option with the notation of counts or plain numbers, if it has none."""
     if get_origin(annotation) is not Annotated:
         return annotation
     kind, *more = get_args(annotation)
-    numbers = {int, float}.intersection(
-        (kind, *get_args(kind), *(x for k in get_args(kind) for x in get_args(k)))
-    )
+    numbers = {int, float}.intersection((kind, *get_args(kind), *(x for k in get_args(kind) for x in get_args(k))))
     for k, one in enumerate(more):
         if numbers and isinstance(one, OptionInfo) and one.parser is None:
-            plain = Notation("", "count" if int in numbers else "one", within=Range(one.min, one.max))
+            plain = NumberNotation(
+                "", "count" if int in numbers else "one", allowed_range=OptionRange(one.min, one.max)
+            )
             more[k] = copy(one)
-            more[k].parser, more[k].callback = plain, plain.callback
+            more[k].parser, more[k].callback = plain, plain.read_option_values
     return Annotated[kind, *more]
 
 
 @dataclass(frozen=True)
-class Notation:
-    """How the numbers of an option are written (:mod:`mufly.grammar`).
+class NumberNotation:
+    """How the numbers of an option are written (:mod:`mufly.quantity_grammar`).
 
     Attributes
     ----------
     unit : str
         Of bare numbers and of the option's value; ``""`` where numbers take no unit.
     form : str
-        A key of :data:`FORMS`.
+        A key of :data:`NUMBER_FORMS`.
     words : tuple of str
         What may stand in place of a number.
     within : Range
@@ -194,8 +190,8 @@ class Notation:
 
     unit: str
     form: str = "one"
-    words: tuple[str, ...] = ()
-    within: Range = Range(None, None)
+    allowed_words: tuple[str, ...] = ()
+    allowed_range: OptionRange = OptionRange(None, None)
 
     def __call__(self, text: Any) -> Any:
         """Return the text as it was typed: the option's callback reads it, because it knows the option's name."""
@@ -204,54 +200,54 @@ class Notation:
     @property
     def metavar(self) -> str:
         """What stands for the value in the help, with the unit of a bare number in brackets."""
-        shown = FORMS[self.form][1] + (f"[{self.unit}]" if self.unit not in ("", "1") else "")
-        return "|".join([*self.words, shown])
+        shown = NUMBER_FORMS[self.form][1] + (f"[{self.unit}]" if self.unit not in ("", "1") else "")
+        return "|".join([*self.allowed_words, shown])
 
-    def read(self, where: str, text: str) -> Any:
+    def read_option(self, where: str, text: str) -> Any:
         """Return the number of one, or the text of several numbers once it is checked."""
-        if text in self.words:
+        if text in self.allowed_words:
             return text
-        value = FORMS[self.form][0](where, text, self.unit)
+        value = NUMBER_FORMS[self.form][0](where, text, self.unit)
         for number in value if isinstance(value, tuple) else (value,):
             if number is not None:
-                self.within.check(where, number)
-        return value if self.form in ("one", "count") and not self.words else text
+                self.allowed_range.check_value(where, number)
+        return value if self.form in ("one", "count") and not self.allowed_words else text
 
-    def callback(self, param: typer.CallbackParam, value: Any) -> Any:
+    def read_option_values(self, param: typer.CallbackParam, value: Any) -> Any:
         """Read the value or values of an option; typer calls it."""
         name = next((o for o in param.opts if o.startswith("--")), param.opts[0])
         if isinstance(value, list | tuple):
-            return [self.read(name, v) if isinstance(v, str) else v for v in value]
-        return self.read(name, value) if isinstance(value, str) else value
+            return [self.read_option(name, v) if isinstance(v, str) else v for v in value]
+        return self.read_option(name, value) if isinstance(value, str) else value
 
 
-FORMS: dict[str, tuple[Callable[[str, str, str], Any], str]] = {
+NUMBER_FORMS: dict[str, tuple[Callable[[str, str, str], Any], str]] = {
     "one": (read_quantity, "NUMBER"),
-    "count": (lambda where, text, unit: read_whole(where, text), "N"),
+    "count": (lambda where, text, unit: read_integer(where, text), "N"),
     "values": (read_values, "VALUES"),
-    "pair": (read_pair, "UPPER[,LOWER]"),
-    "band": (read_band, "LOW:HIGH"),
-    "steps": (read_steps, "FIRST:LAST[:STEP]"),
+    "pair": (read_rotor_pair, "UPPER[,LOWER]"),
+    "band": (read_interval, "LOW:HIGH"),
+    "steps": (read_stepped_range, "FIRST:LAST[:STEP]"),
     "vector": (read_vector, "SPEED|N,E,D"),
-    "doubt": (read_doubt, "NUMBER[+-STD]"),
+    "doubt": (read_value_with_std, "NUMBER[+-STD]"),
 }
 """How an option writes its numbers: what reads them, and what stands for them in the help."""
 
 
-THRUST = Range(1e-3, 1e3, "N", "a tenth of a gram is nothing to fly with, and 100 kg no micro helicopter")
-DUTY = Range(
+THRUST_RANGE = OptionRange(1e-3, 1e3, "N", "a tenth of a gram is nothing to fly with, and 100 kg no micro helicopter")
+DUTY_RANGE = OptionRange(
     0.01, 1.0, "", "it is a share of the supply voltage, of which friction takes the first hundredth"
 )
-CHARGE = Range(0.0, 1.0, "", "it is a share of the battery's capacity")
-GEAR = Range(0.02, 500.0, "", "no gear train of a few stages is beyond")
-PITCH = Range(-90.0, 90.0, "deg", "a blade that is turned further flies backwards")
-SPEED = Range(0.1, 1e6, "rpm", "no rotor turns so")
-SPACING = Range(1e-4, 5.0, "m", "no pair is built so; 20 mm are written 20mm")
+CHARGE_RANGE = OptionRange(0.0, 1.0, "", "it is a share of the battery's capacity")
+GEAR_RATIO_RANGE = OptionRange(0.02, 500.0, "", "no gear train of a few stages is beyond")
+PITCH_RANGE = OptionRange(-90.0, 90.0, "deg", "a blade that is turned further flies backwards")
+SPEED_RANGE = OptionRange(0.1, 1e6, "rpm", "no rotor turns so")
+SPACING_RANGE = OptionRange(1e-4, 5.0, "m", "no pair is built so; 20 mm are written 20mm")
 
 
-def option(
+def define_option(
     names: str, help: str, *, unit: str | None = None, form: str = "one", words: tuple[str, ...] = (),
-    within: Range | None = None, **more: Any,
+    within: OptionRange | None = None, **more: Any,
 ) -> Any:  # fmt: skip
     """An option.
 
@@ -262,60 +258,60 @@ def option(
     help : str
         What it is for.
     unit : str, optional
-        Of its numbers where they are bare: they are read by :class:`Notation`, which also stands in the help.
+        Of its numbers where they are bare: they are read by :class:`NumberNotation`, which also stands in the help.
     form, words : str, tuple of str
-        As for :class:`Notation`.
+        As for :class:`NumberNotation`.
     within : Range, optional
         Of its number, or numbers; what is outside is refused before anything is done.
     """
     parts = names.split()
     value = [w for w in parts if not w.startswith("-")]
     if unit is not None:
-        within = within or Range(more.get("min"), more.get("max"), unit)
-        notation = Notation(unit, form, words, within)
-        more["parser"], more["callback"] = notation, notation.callback
+        within = within or OptionRange(more.get("min"), more.get("max"), unit)
+        notation = NumberNotation(unit, form, words, within)
+        more["parser"], more["callback"] = notation, notation.read_option_values
         value = value or [notation.metavar]
     return typer.Option(
         *(w for w in parts if w.startswith("-")), help=help, metavar=value[0] if value else None, **more
     )
 
 
-def argument(value: str, help: str, **more: Any) -> Any:
+def define_argument(value: str, help: str, **more: Any) -> Any:
     """An argument: what stands for it in the help, and what it is for."""
     return typer.Argument(help=help, metavar=value or None, **more)
 
 
-ClimbOption = Annotated[float, option("--climb", "Axial speed, positive in climb.", unit="m/s")]
-DensityOption = Annotated[float, option("--density", "Density of the air.", unit="kg/m3")]
-RpmOption = Annotated[float, option("--rpm", "Rotor speed.", unit="rpm", within=SPEED)]
+ClimbOption = Annotated[float, define_option("--climb", "Axial speed, positive in climb.", unit="m/s")]
+DensityOption = Annotated[float, define_option("--density", "Density of the air.", unit="kg/m3")]
+RpmOption = Annotated[float, define_option("--rpm", "Rotor speed.", unit="rpm", within=SPEED_RANGE)]
 SpacingOption = Annotated[
-    float, option("--spacing", "Distance between the discs, as 20mm.", unit="m", within=SPACING)
+    float, define_option("--spacing", "Distance between the discs, as 20mm.", unit="m", within=SPACING_RANGE)
 ]
 PairPitchOption = Annotated[
     str,
-    option(
+    define_option(
         "--pitch",
         "Pitch of upper and lower rotor: 14, 14,12 or 0.2rad.",
         unit="deg",
         form="pair",
-        within=PITCH,
+        within=PITCH_RANGE,
     ),
 ]
 RotorArgument = Annotated[
-    str, argument("NAME|FILE", "A built-in rotor (`mufly rotor list`) or a rotor file (TOML).")
+    str, define_argument("NAME|FILE", "A built-in rotor (`mufly rotor list`) or a rotor file (TOML).")
 ]
 DriveOption = Annotated[
     str | None,
-    option(
+    define_option(
         "--drive NAME|FILE",
         "Drive train: 'mufly', a built-in vehicle, a drive or vehicle file. 'none' leaves it out.",
     ),
 ]
-JsonOption = Annotated[bool, option("--json", "Print JSON, in SI units, and nothing else.")]
-OutOption = Annotated[Path | None, option("--out DIR", "Write pictures (PNG) and tables there.")]
+JsonOption = Annotated[bool, define_option("--json", "Print JSON, in SI units, and nothing else.")]
+OutOption = Annotated[Path | None, define_option("--out DIR", "Write pictures (PNG) and tables there.")]
 ModelOption = Annotated[
     str,
-    option(
+    define_option(
         "--model NAME",
         "Blade element theory: 'full' (finite chord, rotation), 'plain' (textbook) or 'thesis' "
         "(as the dissertation writes it).",
@@ -323,14 +319,14 @@ ModelOption = Annotated[
 ]
 
 
-def one_of(option: str, value: str, known: Iterable[str]) -> None:
+def check_choice(option: str, value: str, known: Iterable[str]) -> None:
     """InputError if an option has a value that is not known."""
     names = tuple(known)
     if value not in names:
         raise InputError(option, "", f"{value!r} is unknown", suggest_name(value, names))
 
 
-def corrections_of(model: str) -> Corrections:
+def select_corrections(model: str) -> Corrections:
     """Return the switches of a named model.
 
     Raises
@@ -338,13 +334,13 @@ def corrections_of(model: str) -> Corrections:
     InputError
         If there is none of that name.
     """
-    from mufly.study import MODELS
+    from mufly.study import BEMT_MODELS
 
-    one_of("--model", model, MODELS)
-    return MODELS[model]
+    check_choice("--model", model, BEMT_MODELS)
+    return BEMT_MODELS[model]
 
 
-def drive_or_none(name: str | None) -> Drive | None:
+def load_drive_option(name: str | None) -> DriveTrain | None:
     """Return the drive of ``--drive``, or None for none."""
     from mufly.drive import load_drive
 
@@ -355,76 +351,76 @@ def drive_or_none(name: str | None) -> Drive | None:
 # How rotors are computed: options that the commands of rotors and pairs share, and the wake's progress.
 
 
-_WHOLE = ("phases", "iterations", "stations")
+_INTEGER_WAKE_SETTINGS = ("phases", "iterations", "stations")
 
 
 @dataclass(frozen=True)
-class Polars:
+class PolarOptions:
     """Options of everything that blade elements are for."""
 
     n_crit: Annotated[
-        float, option("--n-crit NUMBER", "Transition: 0.1 vibrating rotor, 9 quiet wind tunnel.")
+        float, define_option("--n-crit NUMBER", "Transition: 0.1 vibrating rotor, 9 quiet wind tunnel.")
     ] = 0.1
-    engine: Annotated[str, option("--engine NAME", "Polars: 'neuralfoil' or, where installed, 'xfoil'.")] = (
+    engine: Annotated[str, define_option("--engine NAME", "Polars: 'neuralfoil' or, where installed, 'xfoil'.")] = (
         "neuralfoil"
     )
     model: ModelOption = "full"
 
-    def polar_engine(self) -> Engine:
+    def check_engine(self) -> PolarEngine:
         """Return the polar engine that ``--engine`` names."""
-        from mufly.rotor.sections.engines import Engine
+        from mufly.rotor.sections.polar_engines import PolarEngine
 
-        one_of("--engine", self.engine, get_args(Engine))
-        return cast("Engine", self.engine)
+        check_choice("--engine", self.engine, get_args(PolarEngine))
+        return cast("PolarEngine", self.engine)
 
-    def corrections(self) -> Corrections:
+    def select_corrections(self) -> Corrections:
         """Return the switches of the model that ``--model`` names."""
-        return corrections_of(self.model)
+        return select_corrections(self.model)
 
-    def blading(self, rotor: Rotor, stations: int | None = None) -> Blading:
+    def prepare_blading(self, rotor: Rotor, stations: int | None = None) -> Blading:
         """Return a rotor with its polars."""
-        from mufly.rotor import prepare
-        from mufly.rotor.blading import STATIONS
+        from mufly.rotor import prepare_blading
+        from mufly.rotor.blading import STATION_COUNT
 
-        return prepare(
-            rotor, n_crit=self.n_crit, engine=self.polar_engine(), corrections=self.corrections(),
-            stations=stations or STATIONS,
+        return prepare_blading(
+            rotor, n_crit=self.n_crit, engine=self.check_engine(), corrections=self.select_corrections(),
+            stations=stations or STATION_COUNT,
         )  # fmt: skip
 
-    def setup(self, rotor: str, fixed: Mapping[str, Value], **more: Any) -> Setup:
+    def make_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
         """Return what the cases of a study of a rotor, or of a pair (``lower``), share."""
         from mufly.rotor import load_rotor
-        from mufly.study import Setup
+        from mufly.study import StudySetup
 
-        return Setup(
-            load_rotor(rotor), fixed={"n_crit": self.n_crit, **fixed}, corrections=self.corrections(),
-            engine=self.polar_engine(), **more,
+        return StudySetup(
+            load_rotor(rotor), fixed_parameters={"n_crit": self.n_crit, **fixed}, corrections=self.select_corrections(),
+            polar_engine=self.check_engine(), **more,
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Wakes(Polars):
+class WakeOptions(PolarOptions):
     """Options of what vortex wakes compute."""
 
     method: str = "wake"  # no option here, one in Theory
     wake: Annotated[
-        str, option("--wake NAME", "'free', or 'prescribed' (Landgrebe's shape, for slender blades).")
+        str, define_option("--wake NAME", "'free', or 'prescribed' (Landgrebe's shape, for slender blades).")
     ] = "free"
     wake_set: Annotated[
         list[str] | None,
-        option(
+        define_option(
             "--wake-set NAME=VALUE",
             "A setting of the wake, as step_deg=10, turns=6, core=0.05, iterations=300; or stations=30 a blade.",
         ),
     ] = None
 
-    def wakes(self) -> tuple[WakeSettings, int]:
+    def wake_settings(self) -> tuple[WakeSettings, int]:
         """Return settings of the wake and stations along a blade; InputError if an option is unknown or impossible."""
-        from mufly.rotor.blading import STATIONS
+        from mufly.rotor.blading import STATION_COUNT
         from mufly.rotor.wake import WakeSettings
-        from mufly.study import METHODS
+        from mufly.study import AERODYNAMIC_METHODS
 
-        one_of("--method", self.method, METHODS)
+        check_choice("--method", self.method, AERODYNAMIC_METHODS)
         if self.wake not in ("free", "prescribed"):
             raise InputError("--wake", "", f"{self.wake!r} is unknown", "use free or prescribed")
         if self.method != "wake" and self.wake != "free":
@@ -438,33 +434,40 @@ class Wakes(Polars):
                 remedy = suggest_name(name, [*known, "stations"], otherwise) if equals else otherwise
                 raise InputError("--wake-set", text, "is no setting", remedy)
             where = f"--wake-set: {name}"
-            unit = split_suffix(name)[1]
-            given[name] = read_whole(where, value) if name in _WHOLE else read_quantity(where, value, unit)
-        stations = given.pop("stations", STATIONS)
+            unit = split_unit_suffix(name)[1]
+            given[name] = (
+                read_integer(where, value) if name in _INTEGER_WAKE_SETTINGS else read_quantity(where, value, unit)
+            )
+        stations = given.pop("stations", STATION_COUNT)
         if not 4 <= stations <= 200:
             raise InputError("--wake-set", "stations", f"is {stations}", "give 4 to 200")
         return WakeSettings(model=self.wake, **given), stations  # type: ignore[arg-type]
 
-    def setup(self, rotor: str, fixed: Mapping[str, Value], **more: Any) -> Setup:
+    def make_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
         """Return what the cases of a study of a rotor, or of a pair (``lower``), share."""
-        wake, stations = self.wakes()
-        return super().setup(rotor, fixed, method=self.method, wake=wake, stations=stations, **more)
+        wake, stations = self.wake_settings()
+        return super().make_setup(rotor, fixed, method=self.method, wake=wake, stations=stations, **more)
 
 
 @dataclass(frozen=True)
-class Theory(Wakes):
+class TheoryOptions(WakeOptions):
     """Options of what blade elements or vortex wakes can compute."""
 
     method: Annotated[
         str,
-        option(
+        define_option(
             "--method NAME",
             "'bemt' (blade elements), 'tubes' or 'wake' (seconds).",
         ),
     ] = "bemt"
 
 
-POLARS, CHECK, BEMT, WAKE = Polars(), Wakes(), Theory(), Theory(method="wake")
+DEFAULT_POLAR_OPTIONS, DEFAULT_WAKE_OPTIONS, DEFAULT_BEMT_OPTIONS, DEFAULT_FREE_WAKE_OPTIONS = (
+    PolarOptions(),
+    WakeOptions(),
+    TheoryOptions(),
+    TheoryOptions(method="wake"),
+)
 
 
 class WakeProgress:
@@ -472,17 +475,17 @@ class WakeProgress:
 
     def __init__(self, show: Callable[[str], None] | None = None) -> None:
         self.rows: list[tuple[int, int, float, float]] = []  # wake, iteration, residual, thrust
-        self.wakes = 0
+        self.wake_count = 0
         self._show = show
 
     def __call__(self, iteration: int, residual: float, thrust: float) -> None:
         """Take one iteration in."""
-        self.wakes += iteration == 1
-        self.rows.append((self.wakes, iteration, residual, thrust))
+        self.wake_count += iteration == 1
+        self.rows.append((self.wake_count, iteration, residual, thrust))
         if self._show is not None:
             # A residual above 9 marks the first turns of a free wake, held in the prescribed shape.
             miss = "still prescribed" if residual > 9.0 else f"misses the air by {100 * residual:.2g} %"
-            self._show(f"wake {self.wakes}, iteration {iteration}: {miss}, thrust {thrust:.4g} N")
+            self._show(f"wake {self.wake_count}, iteration {iteration}: {miss}, thrust {thrust:.4g} N")
 
 
 @contextmanager
@@ -493,7 +496,7 @@ def wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterat
             progress = WakeProgress()
             yield progress
         else:
-            with console(stderr=True).status(label) as status:
+            with make_console(stderr=True).status(label) as status:
                 progress = WakeProgress(lambda text: status.update(f"{label}: {text}"))
                 yield progress
     except BaseException:
@@ -509,21 +512,21 @@ def wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterat
 
 ColumnsOption = Annotated[
     str | None,
-    option("--columns OLD=NEW,...", "What headers mean, as 'RPM=speed_upper_rpm,T_B(N)=thrust_upper_N'."),
+    define_option("--columns OLD=NEW,...", "What headers mean, as 'RPM=speed_upper_rpm,T_B(N)=thrust_upper_N'."),
 ]
 VehicleOption = Annotated[
-    str | None, option("--vehicle NAME|FILE", "Vehicle to start from and to compare with.")
+    str | None, define_option("--vehicle NAME|FILE", "Vehicle to start from and to compare with.")
 ]
 WriteOption = Annotated[
     Path | None,
-    option("--write FILE", "Write --vehicle with what was found, source 'identified', as a new file."),
+    define_option("--write FILE", "Write --vehicle with what was found, source 'identified', as a new file."),
 ]
 
 
-PictureOption = Annotated[Path | None, option("--out DIR", "Write a picture (PNG) of points and fit there.")]
+PictureOption = Annotated[Path | None, define_option("--out DIR", "Write a picture (PNG) of points and fit there.")]
 
 
-def with_doubt(option: str, text: str | None, unit: str) -> tuple[float | None, float]:
+def read_optional_with_std(option: str, text: str | None, unit: str) -> tuple[float | None, float]:
     """Return value and standard deviation of ``"0.84"`` or ``"0.84+-0.02"`` in a unit; None for None or ``"free"``.
 
     Raises
@@ -533,44 +536,42 @@ def with_doubt(option: str, text: str | None, unit: str) -> tuple[float | None, 
     """
     if text is None or text == "free":
         return None, 0.0
-    value, std = read_doubt(option, text, unit)
+    value, std = read_value_with_std(option, text, unit)
     if not value > 0.0:
         raise InputError(option, "", f"{text} is not possible", "give a number above 0")
     return value, std
 
 
-def start_vehicle(name: str | None, write: Path | None) -> Vehicle | None:
+def load_start_vehicle(name: str | None, write: Path | None) -> Vehicle | None:
     """Return the vehicle of ``--vehicle``; InputError for ``--write`` without it."""
     from mufly.errors import InputError
     from mufly.vehicle import load_vehicle
 
     if name is None and write is not None:
-        raise InputError(
-            "--write", str(write), "needs a vehicle to start from", "add --vehicle mufly-1.1 or a file"
-        )
-    check_file("--write", write)
+        raise InputError("--write", str(write), "needs a vehicle to start from", "add --vehicle mufly-1.1 or a file")
+    check_writable_file("--write", write)
     return None if name is None else load_vehicle(name)
 
 
 def write_vehicle(
     start: Vehicle | None,
-    estimates: Iterable[Estimate],
+    estimates: Iterable[ParameterEstimate],
     write: Path | None,
     note: str,
     option: str = "--write",
 ) -> list[Path]:
     """Write the vehicle with its estimates where the option says; return the files written."""
-    from mufly.identify import with_estimates
-    from mufly.vehicle import vehicle_toml
+    from mufly.identify import apply_estimates
+    from mufly.vehicle import format_vehicle_toml
 
     if write is None or start is None:
         return []
-    text = vehicle_toml(with_estimates(start, estimates, note))
-    with writing(write, "give another place", option):
+    text = format_vehicle_toml(apply_estimates(start, estimates, note))
+    with report_place_errors(write, "give another place", option):
         write.write_text(text, encoding="utf-8")
     return [write]
 
 
-def today() -> str:
+def format_today() -> str:
     """Return the date, for notes in vehicle files."""
     return time.strftime("%Y-%m-%d")

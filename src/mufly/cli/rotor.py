@@ -10,79 +10,79 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import typer
 
 from mufly.cli.options import (
-    BEMT,
-    PITCH,
-    POLARS,
-    SPEED,
+    DEFAULT_BEMT_OPTIONS,
+    DEFAULT_POLAR_OPTIONS,
+    PITCH_RANGE,
+    SPEED_RANGE,
     ClimbOption,
     ColumnsOption,
-    Commands,
+    CommandGroup,
     DensityOption,
     DriveOption,
     JsonOption,
+    OptionRange,
     OutOption,
-    Polars,
-    Range,
+    PolarOptions,
     RotorArgument,
-    Theory,
-    argument,
-    drive_or_none,
-    one_of,
-    option,
+    TheoryOptions,
+    check_choice,
+    define_argument,
+    define_option,
+    load_drive_option,
     wake_progress,
 )
-from mufly.cli.present import (
-    console,
+from mufly.cli.output import (
+    make_console,
+    print_files,
     print_json,
     print_table,
     progress_bar,
-    save_picture,
-    tell_files,
+    report_place_errors,
+    save_figure,
     write_csv,
-    writing,
 )
-from mufly.units import RPM, units_of
+from mufly.units import RPM, compatible_units
 
 if TYPE_CHECKING:
     from mufly.drive import OperatingPoint
-    from mufly.rotor import Band, Measurements, Rotor, RotorResult
-    from mufly.rotor.uncertainty import Known
+    from mufly.rotor import PredictionInterval, Rotor, RotorMeasurements, RotorResult
+    from mufly.rotor.uncertainty import SectionKnowledge
 
 
-BenchPitch = Annotated[
+BenchPitchOption = Annotated[
     float | None,
-    option(
+    define_option(
         "--pitch",
         "Of the blades on the bench, where the file has no column of it: 12, 12deg or 0.2rad.",
         unit="deg",
-        within=PITCH,
+        within=PITCH_RANGE,
     ),
 ]
-BenchSpeed = Annotated[
+BenchSpeedOption = Annotated[
     float | None,
-    option(
+    define_option(
         "--rpm",
         "Of the rotor on the bench, where the file has no column of it, as UIUC's tunnel runs.",
         unit="rpm",
-        within=SPEED,
+        within=SPEED_RANGE,
     ),
 ]
-BenchDensity = Annotated[
+BenchDensityOption = Annotated[
     float | None,
-    option("--density", "Density of the air at the bench; default the file's, else 1.2.", unit="kg/m3"),
+    define_option("--density", "Density of the air at the bench; default the file's, else 1.2.", unit="kg/m3"),
 ]
 FamilyOption = Annotated[
     str,
-    option(
+    define_option(
         "--family NAME",
         "Of a guessed section, where it is known: apc, slow-flyer, gws, hobby, printed, machined.",
     ),
 ]
 
-_DIAMETER = Range(1e-3, 10.0, "m", "no small rotor is so wide; 127 mm are written 127mm")
-_EDGE = Range(0.0, 0.1, "m", "no trailing edge is so thick; 0.3 mm are written 0.3mm")
+_DIAMETER_RANGE = OptionRange(1e-3, 10.0, "m", "no small rotor is so wide; 127 mm are written 127mm")
+_EDGE_THICKNESS_RANGE = OptionRange(0.0, 0.1, "m", "no trailing edge is so thick; 0.3 mm are written 0.3mm")
 
-app = Commands(
+app = CommandGroup(
     help="Rotors: what one is, what it does, which is best. Numbers of rotor files: docs/polars.md; of the theory: "
     "docs/bemt.md; of sweeps and rankings: docs/studies.md.",
     no_args_is_help=True,
@@ -96,19 +96,16 @@ def list_rotors(as_json: JsonOption = False) -> None:
 
     rotors = [load_rotor(name) for name in builtin_rotors()]
     if as_json:
-        print_json([{"name": r.name, "description": r.description, **_geometry(r)} for r in rotors])
+        print_json([{"name": r.name, "description": r.description, **_geometry_record(r)} for r in rotors])
         return
     print_table(
         ("name", "blades", "radius", "solidity", "description"),
-        [
-            (r.name, f"{r.blades}", f"{1e3 * r.radius_m:g} mm", f"{r.solidity:.3f}", r.description)
-            for r in rotors
-        ],
+        [(r.name, f"{r.blades}", f"{1e3 * r.radius_m:g} mm", f"{r.solidity:.3f}", r.description) for r in rotors],
         text=(0, 4),
     )
 
 
-def _geometry(rotor: Rotor) -> dict[str, Any]:
+def _geometry_record(rotor: Rotor) -> dict[str, Any]:
     return {
         "blades": rotor.blades,
         "radius_m": rotor.radius_m,
@@ -125,13 +122,11 @@ def _geometry(rotor: Rotor) -> dict[str, Any]:
 def show(
     rotor: RotorArgument = "naca4412-r60-c20",
     rpm: Annotated[
-        float, option("--rpm", "Speed for the Reynolds numbers.", unit="rpm", within=SPEED)
+        float, define_option("--rpm", "Speed for the Reynolds numbers.", unit="rpm", within=SPEED_RANGE)
     ] = 5000.0,
     out: OutOption = None,
     as_json: JsonOption = False,
-    toml: Annotated[
-        bool, option("--toml", "Print the whole file: a rotor of your own starts from it.")
-    ] = False,
+    toml: Annotated[bool, define_option("--toml", "Print the whole file: a rotor of your own starts from it.")] = False,
 ) -> None:
     """Show a rotor's geometry: solidity, aspect ratio, thickness, Reynolds numbers.
 
@@ -140,24 +135,24 @@ def show(
     """
     import numpy as np
 
-    from mufly.rotor import Air, blade_picture, blade_thickness_m, load_rotor, rotor_toml
+    from mufly.rotor import Air, blade_picture, blade_thickness_m, format_rotor_toml, load_rotor
 
     speed = rpm * RPM
     r, air = load_rotor(rotor), Air()
     if toml:
-        print(rotor_toml(r), end="")
+        print(format_rotor_toml(r), end="")
         return
     x = np.unique(np.concatenate(([float(r.hub_cutout)], r.blade.r_over_R.array(), [0.25, 0.5, 0.75, 1.0])))
     x = x[x >= float(r.hub_cutout)]
     chord, twist, thick = r.chord_m(x), r.twist_rad(x), blade_thickness_m(r, x)
     reynolds = x * r.radius_m * speed * chord * air.density_kg_m3 / air.viscosity_Pa_s
-    picture = save_picture(blade_picture(r), out, "blade") if out is not None else None
+    picture = save_figure(blade_picture(r), out, "blade") if out is not None else None
     if as_json:
         print_json(
             {
                 "name": r.name,
                 "description": r.description,
-                **_geometry(r),
+                **_geometry_record(r),
                 "airfoils": r.airfoil_names(),
                 "speed_rpm": rpm,
                 "stations": {
@@ -166,7 +161,7 @@ def show(
             }
         )  # fmt: skip
         return
-    c = console()
+    c = make_console()
     c.print(f"[bold]{r.name}[/bold]  {r.description}", highlight=False)
     c.print(
         f"{r.blades} blades, R {1e3 * r.radius_m:g} mm, cut-out {1e3 * r.hub_radius_m:.3g} mm, solidity "
@@ -199,37 +194,36 @@ def show(
 def import_blade(
     blade: Annotated[
         Path,
-        argument(
+        define_argument(
             "FILE", "APC's ...-PERF.PE0, UIUC's geometry (r/R c/R beta), or a table with units in its header."
         ),
     ],
     diameter: Annotated[
         float | None,
-        option(
+        define_option(
             "--diameter",
             "Of the rotor, as 5in or 127mm; needed where the file gives ratios.",
             unit="m",
-            within=_DIAMETER,
+            within=_DIAMETER_RANGE,
         ),
     ] = None,
-    blades: Annotated[int | None, option("N", "Number of blades.", min=1, max=20)] = None,
-    airfoil: Annotated[
-        str | None, option("NAME", "Airfoil of the whole blade, instead of the file's.")
-    ] = None,
+    blades: Annotated[int | None, define_option("N", "Number of blades.", min=1, max=20)] = None,
+    airfoil: Annotated[str | None, define_option("NAME", "Airfoil of the whole blade, instead of the file's.")] = None,
     trailing_edge: Annotated[
         float | None,
-        option(
+        define_option(
             "--trailing-edge",
             "Its thickness, as 0.3mm; as the airfoils have it where it is not given.",
             unit="m",
-            within=_EDGE,
+            within=_EDGE_THICKNESS_RANGE,
         ),
     ] = None,
     unit: Annotated[
-        str | None, option("NAME", "Of an STL file, which knows none: mm (as taken without it), m, cm, in.")
+        str | None,
+        define_option("NAME", "Of an STL file, which knows none: mm (as taken without it), m, cm, in."),
     ] = None,
-    name: Annotated[str | None, option("NAME", "Name of the rotor.")] = None,
-    out: Annotated[Path | None, option("--out FILE.toml", "Write the rotor file.")] = None,
+    name: Annotated[str | None, define_option("NAME", "Name of the rotor.")] = None,
+    out: Annotated[Path | None, define_option("--out FILE.toml", "Write the rotor file.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Make a rotor file of somebody else's table of a blade; what had to be guessed is said.
@@ -239,36 +233,36 @@ def import_blade(
     rotor import blade.stl --unit mm --out cut.toml (blade along x, shaft along z; also .step)
     """
     from mufly.errors import InputError
-    from mufly.rotor import read_blade, replace_rotor, rotor_toml
+    from mufly.rotor import format_rotor_toml, read_blade, replace_rotor
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
     radius = None if diameter is None else 0.5 * diameter
-    if unit is not None and (unit not in units_of("m") or blade.suffix.lower() != ".stl"):
-        problem, remedy = f"{unit!r} is no length", f"use one of: {', '.join(units_of('m'))}"
+    if unit is not None and (unit not in compatible_units("m") or blade.suffix.lower() != ".stl"):
+        problem, remedy = f"{unit!r} is no length", f"use one of: {', '.join(compatible_units('m'))}"
         if blade.suffix.lower() != ".stl":
             problem, remedy = "is of STL files", f"leave it out: {blade.name} has units of its own"
         raise InputError("--unit", "", problem, remedy)
     if blade.suffix.lower() in (".stl", ".step", ".stp"):
-        from mufly.rotor.solid import rotor_of_body
+        from mufly.rotor.blade_solid import rotor_from_body
 
         if out is None:
             raise InputError("--out", "", "is missing", "give one: a body's sections are written beside it")
-        r, notes = rotor_of_body(
+        r, notes = rotor_from_body(
             blade, folder=out.parent, blades=blades, name=name or out.stem,
-            unit_m=None if unit is None else units_of("m")[unit],
+            unit_m=None if unit is None else compatible_units("m")[unit],
         )  # fmt: skip
     else:
         r, notes = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
     if trailing_edge is not None:
         r = replace_rotor(r, {"trailing_edge": trailing_edge}, source="measured")
     if out is not None:
-        with writing(out):
-            out.write_text(rotor_toml(r), encoding="utf-8")
+        with report_place_errors(out):
+            out.write_text(format_rotor_toml(r), encoding="utf-8")
     if as_json:
-        print_json({"name": r.name, **_geometry(r), "airfoils": r.airfoil_names(), "notes": notes})
+        print_json({"name": r.name, **_geometry_record(r), "airfoils": r.airfoil_names(), "notes": notes})
         return
-    c = console()
+    c = make_console()
     c.print(
         f"[bold]{r.name}[/bold]: {r.blades} blades, R {1e3 * r.radius_m:g} mm, {len(r.blade.chord.value)} stations, "
         f"solidity {r.solidity:.3f}, airfoils {', '.join(r.airfoil_names())}",
@@ -278,27 +272,28 @@ def import_blade(
         c.print(f"Note: {note}", style="yellow", highlight=False)
     if out is None:
         return c.print("Nothing written; add --out FILE.toml")
-    tell_files([out])
+    print_files([out])
 
 
 @app.command()
 def hover(
     rotor: RotorArgument = "naca4412-r60-c20",
     pitch: Annotated[
-        float | None, option("--pitch", "Pitch setting: 12, 12deg or 0.2rad.", unit="deg", within=PITCH)
+        float | None,
+        define_option("--pitch", "Pitch setting: 12, 12deg or 0.2rad.", unit="deg", within=PITCH_RANGE),
     ] = None,
-    rpm: Annotated[float | None, option("--rpm", "Rotor speed.", unit="rpm", within=SPEED)] = None,
+    rpm: Annotated[float | None, define_option("--rpm", "Rotor speed.", unit="rpm", within=SPEED_RANGE)] = None,
     thrust: Annotated[
         float | None,
-        option("--thrust", "Thrust; with --pitch the speed is found, with --rpm the pitch.", unit="N"),
+        define_option("--thrust", "Thrust; with --pitch the speed is found, with --rpm the pitch.", unit="N"),
     ] = None,
     climb: ClimbOption = 0.0,
     density: DensityOption = 1.2,
     drive: DriveOption = None,
-    theory: Theory = BEMT,
+    theory: TheoryOptions = DEFAULT_BEMT_OPTIONS,
     band: Annotated[
         float | None,
-        option(
+        define_option(
             "--band",
             "Add the interval of this nominal probability: 0.5, 0.8, 0.9, 0.95. How often nominal 90 % hold: "
             "docs/validation.md.",
@@ -307,7 +302,7 @@ def hover(
     ] = None,
     section: Annotated[
         str,
-        option(
+        define_option(
             "--section NAME",
             "For --band: 'known' airfoils; 'guessed' ones (a stand-in, a look at the blade): the mean over what such a "
             "blade may have is told; 'measured': the rotor is one that `mufly rotor fit` wrote.",
@@ -328,26 +323,24 @@ def hover(
     """
     import numpy as np
 
-    from mufly.drive import blade_load, operating_point, scaled_load
+    from mufly.drive import find_operating_point, make_blade_load, make_scaled_load
     from mufly.errors import InputError, MuflyError
     from mufly.rotor import (
         Air,
-        Condition,
-        System,
+        OperatingCondition,
+        RotorSystem,
         field_picture,
         history_picture,
-        interval,
         load_rotor,
-        solve,
+        predict_interval,
+        solve_system,
         stations_picture,
         wake_picture,
     )
     from mufly.study import write_stations
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
-        raise InputError(
-            "rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found"
-        )
+        raise InputError("rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found")
     if theory.method == "cfd":
         from mufly.cli.aero.cfd import run
 
@@ -355,21 +348,21 @@ def hover(
             raise InputError("--method", "cfd", "finds neither speed nor pitch", "give --pitch and --rpm")
         run(rotor, pitch, rpm, climb, density, out=out or Path("case"), as_json=as_json)
         return
-    settings, count = theory.wakes()
+    settings, count = theory.wake_settings()
     if band is not None and theory.method == "wake":
         raise InputError("--band", "", "is of blade element theory", "leave --method wake or --band out")
-    one_of("--section", section, _BAND_SECTIONS)
+    check_choice("--section", section, _BAND_SECTION_CHOICES)
     if section != "known" and band is None:
         raise InputError("--section", section, "changes an interval only", "add --band 0.9")
     if family and section != "guessed":
         raise InputError("--family", family, "says what a guessed section may be", "add --section guessed")
-    r, d, air = load_rotor(rotor), drive_or_none(drive), Air(density_kg_m3=density)
-    blading = theory.blading(r, count)
+    r, d, air = load_rotor(rotor), load_drive_option(drive), Air(density_kg_m3=density)
+    blading = theory.prepare_blading(r, count)
     theta = math.radians(pitch) if pitch is not None else None
     speed = rpm * RPM if rpm is not None else None
     with wake_progress("wake", theory.method == "wake" and not as_json, out) as progress:
-        found = solve(
-            System.single(blading), Condition(theta, speed, thrust, climb, air), theory.method,  # type: ignore[arg-type]
+        found = solve_system(
+            RotorSystem.single_rotor(blading), OperatingCondition(theta, speed, thrust, climb, air), theory.method,  # type: ignore[arg-type]
             settings=settings, progress=progress,
         )  # fmt: skip
     result, solution = found.rotors[0], found if found.wakes else None
@@ -380,35 +373,35 @@ def hover(
         raise MuflyError(f"wake: {found.message}{kept}")
     point = None
     if d is not None and result.thrust_N > 0:
-        load = blade_load(blading, pitch_rad=result.pitch_rad, climb_m_s=climb, air=air)
+        load = make_blade_load(blading, pitch_rad=result.pitch_rad, climb_m_s=climb, air=air)
         if solution is not None:
-            load = scaled_load(load, result.speed_rad_s, result.thrust_N, result.torque_Nm)
-        point = operating_point(d, load, thrust_N=result.thrust_N)
+            load = make_scaled_load(load, result.speed_rad_s, result.thrust_N, result.torque_Nm)
+        point = find_operating_point(d, load, thrust_N=result.thrust_N)
     around = None
     if band is not None:
-        around = interval(
+        around = predict_interval(
             r, pitch_rad=result.pitch_rad, speed_rad_s=result.speed_rad_s, climb_m_s=climb, air=air, level=band,
-            corrections=theory.corrections(), n_crit=theory.n_crit, engine=theory.polar_engine(),
-            section=cast("Known", section), family=family,
+            corrections=theory.select_corrections(), n_crit=theory.n_crit, engine=theory.check_engine(),
+            section=cast("SectionKnowledge", section), family=family,
         )  # fmt: skip
     files = []
     if out is not None:
-        files = [save_picture(stations_picture(result), out, "stations"), write_stations(result, out)]
+        files = [save_figure(stations_picture(result), out, "stations"), write_stations(result, out)]
         if solution is not None:
             history = history_picture(solution.history, residual=settings.residual, note=solution.message)
             files += [
-                out / "history.csv", save_picture(history, out, "history"),
-                save_picture(wake_picture(solution), out, "wake"), save_picture(field_picture(solution), out, "air"),
-                save_picture(field_picture(solution, mean=False), out, "air-instant"),
+                out / "history.csv", save_figure(history, out, "history"),
+                save_figure(wake_picture(solution), out, "wake"), save_figure(field_picture(solution), out, "air"),
+                save_figure(field_picture(solution, mean=False), out, "air-instant"),
             ]  # fmt: skip
     if as_json:
-        answer = _hover_json(r, result, point, around, theory)
+        answer = _hover_to_json(r, result, point, around, theory)
         if solution is not None:
             told = {k: getattr(solution, k) for k in ("converged", "message", "iterations", "residual")}
             answer["wake"] = {**told, "settings": vars(solution.settings)}
         print_json({**answer, "method": theory.method, "files": [str(f) for f in files]})
         return
-    c = console()
+    c = make_console()
     c.print(
         f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / RPM:.0f} rpm"
         + ("" if solution is None else f"; {settings.model} wake, {solution.message}"),
@@ -466,10 +459,10 @@ def hover(
             "the thrust.",
             style="yellow",
         )
-    tell_files(files)
+    print_files(files)
 
 
-def _line(name: str, line: int, bench: Measurements) -> int:
+def _point_index(name: str, line: int, bench: RotorMeasurements) -> int:
     """Position of a measured point that a user counted from 1."""
     from mufly.errors import InputError
 
@@ -479,16 +472,16 @@ def _line(name: str, line: int, bench: Measurements) -> int:
     return line - 1
 
 
-_SECTIONS = ("known", "guessed")
-_BAND_SECTIONS = (*_SECTIONS, "measured")
+_SECTION_CHOICES = ("known", "guessed")
+_BAND_SECTION_CHOICES = (*_SECTION_CHOICES, "measured")
 
 
-def _hover_json(
+def _hover_to_json(
     rotor: Rotor,
     result: RotorResult,
     point: OperatingPoint | None,
-    band: Band | None,
-    theory: Theory,
+    band: PredictionInterval | None,
+    theory: TheoryOptions,
 ) -> dict[str, Any]:
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     size = result.r_m.size
@@ -512,7 +505,7 @@ def _hover_json(
     }
 
 
-def _measured(
+def _read_measurements(
     path: Path,
     rotor: Rotor,
     columns: str | None,
@@ -521,7 +514,7 @@ def _measured(
     rpm: float | None,
     *,
     quiet: bool,
-) -> Measurements:
+) -> RotorMeasurements:
     """Read the points of a bench, and say what the file left to be taken for granted."""
     from mufly.bench import read_measurements
     from mufly.rotor import Air
@@ -536,9 +529,7 @@ def _measured(
         typer.echo(f"air of {bench.air.density_kg_m3:.4g} kg/m3, as the file says")
     if pitch is None and not bench.pitch_rad.any() and not quiet:
         stands = math.degrees(float(rotor.twist_rad(0.75)))
-        typer.echo(
-            f"pitch 0: the blades stand as in the rotor file, {stands:.1f}° at 0.75 R (--pitch if not)"
-        )
+        typer.echo(f"pitch 0: the blades stand as in the rotor file, {stands:.1f}° at 0.75 R (--pitch if not)")
     return bench
 
 
@@ -547,24 +538,26 @@ def fit(
     rotor: RotorArgument,
     measurements: Annotated[
         Path,
-        argument(
+        define_argument(
             "FILE", "Points of a bench, as for 'rotor compare'; one is enough, a sweep of speeds says more."
         ),
     ],
     section: Annotated[
-        str, option("--section NAME", "'guessed': the file's airfoils are one guess among others; 'known'.")
+        str,
+        define_option("--section NAME", "'guessed': the file's airfoils are one guess among others; 'known'."),
     ] = "guessed",
     family: FamilyOption = "",
     point: Annotated[
-        int | None, option("--point LINE", "Fit to this measured point alone, counted from 1.")
+        int | None, define_option("--point LINE", "Fit to this measured point alone, counted from 1.")
     ] = None,
-    density: BenchDensity = None,
+    density: BenchDensityOption = None,
     columns: ColumnsOption = None,
-    pitch: BenchPitch = None,
-    rpm: BenchSpeed = None,
-    polars: Polars = POLARS,
+    pitch: BenchPitchOption = None,
+    rpm: BenchSpeedOption = None,
+    polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
     out: Annotated[
-        Path | None, option("--out FILE.toml", "Write the rotor with its fit, and a picture beside it.")
+        Path | None,
+        define_option("--out FILE.toml", "Write the rotor with its fit, and a picture beside it."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -577,47 +570,45 @@ def fit(
     import numpy as np
 
     from mufly.errors import InputError
-    from mufly.rotor import fit_picture, fit_rotor, load_rotor, rotor_toml
-    from mufly.rotor.fitting import CHANGES
+    from mufly.rotor import fit_picture, fit_rotor, format_rotor_toml, load_rotor
+    from mufly.rotor.rotor_fit import FIT_PARAMETERS
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
     r = load_rotor(rotor)
-    bench = _measured(measurements, r, columns, density, pitch, rpm, quiet=as_json)
+    bench = _read_measurements(measurements, r, columns, density, pitch, rpm, quiet=as_json)
     air = bench.air
-    one_of("--section", section, _SECTIONS)
+    check_choice("--section", section, _SECTION_CHOICES)
     if point is not None:
-        bench = bench.part(np.array([_line("--point", point, bench)]))
+        bench = bench.select_points(np.array([_point_index("--point", point, bench)]))
     with progress_bar("sections", not as_json) as progress:
         found = fit_rotor(
             r, bench, section=cast("Literal['guessed', 'known']", section), family=family, air=air,
-            n_crit=polars.n_crit, engine=polars.polar_engine(),
-            corrections=polars.corrections(), progress=progress,
+            n_crit=polars.n_crit, engine=polars.check_engine(),
+            corrections=polars.select_corrections(), progress=progress,
         )  # fmt: skip
     files = []
     if out is not None:
-        with writing(out):
-            out.write_text(rotor_toml(found.rotor), encoding="utf-8")
-        files = [out, save_picture(fit_picture(found), out.parent, out.stem)]
+        with report_place_errors(out):
+            out.write_text(format_rotor_toml(found.rotor), encoding="utf-8")
+        files = [out, save_figure(fit_picture(found), out.parent, out.stem)]
     if as_json:
         print_json(
             {
-                "rotor": r.name, "measurements": bench.source, "names": CHANGES, "change": found.change,
+                "rotor": r.name, "measurements": bench.source, "names": FIT_PARAMETERS, "change": found.change,
                 "std": found.std, "prior_std": found.prior_std, "correlation": found.correlation,
                 "undecided": found.undecided,
-                "sections": [{"airfoils": name, "probability": share} for name, share in found.fit.sections()],
+                "sections": [{"airfoils": name, "probability": share} for name, share in found.fit.list_sections()],
                 "error_before": found.before, "error_after": found.after, "held_out_error": found.held_out,
                 "held_out": found.held_out_note, "files": [str(f) for f in files],
             }
         )  # fmt: skip
         return
-    c = console()
-    c.print(
-        f"[bold]{r.name}[/bold] fitted to {bench.thrust_N.size} point(s) of {bench.source}", highlight=False
-    )
+    c = make_console()
+    c.print(f"[bold]{r.name}[/bold] fitted to {bench.thrust_N.size} point(s) of {bench.source}", highlight=False)
     print_table(
         ("section", "probability"),
-        [(name, f"{share:.0%}") for name, share in found.fit.sections()],
+        [(name, f"{share:.0%}") for name, share in found.fit.list_sections()],
     )
     size = [math.degrees(1.0), 100.0, 100.0, 1.0, 1.0]
     unit = ["°", " %", " %", "", ""]
@@ -629,7 +620,7 @@ def fit(
                 f"{size[k] * found.change[k]:+.3g} ± {size[k] * found.std[k]:.2g}{unit[k]}",
                 f"± {size[k] * found.prior_std[k]:.2g}{unit[k]}",
             )
-            for k, name in enumerate(CHANGES)
+            for k, name in enumerate(FIT_PARAMETERS)
         ],
     )
     for line in found.undecided:
@@ -638,14 +629,14 @@ def fit(
     print_table(
         ("mean size of the error", "thrust", "torque"),
         [
-            *((name, *(_mean_error(e) for e in errors)) for name, errors in rows),
-            (found.held_out_note, *(_mean_error(e) for e in found.held_out)),
+            *((name, *(_format_mean_error(e) for e in errors)) for name, errors in rows),
+            (found.held_out_note, *(_format_mean_error(e) for e in found.held_out)),
         ],
     )
-    tell_files(files)
+    print_files(files)
 
 
-def _mean_error(errors: Any) -> str:
+def _format_mean_error(errors: Any) -> str:
     import numpy as np
 
     known = np.abs(np.atleast_1d(errors))
@@ -658,7 +649,7 @@ def compare(
     rotor: RotorArgument,
     measurements: Annotated[
         Path,
-        argument(
+        define_argument(
             "FILE",
             "Text with a header: pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm, in these or other "
             "units; or RPM, CT, CP as in UIUC's propeller data. docs/bench.md lists the names that are understood.",
@@ -666,18 +657,18 @@ def compare(
     ],
     calibrate: Annotated[
         int | None,
-        option(
+        define_option(
             "LINE",
             "Scale lift and drag to this measured point, counted from 1, as the "
             "dissertation did. The factors are printed; `mufly rotor fit --point LINE --out FILE.toml` writes a rotor "
             "that keeps what the point said.",
         ),
     ] = None,
-    density: BenchDensity = None,
+    density: BenchDensityOption = None,
     columns: ColumnsOption = None,
-    pitch: BenchPitch = None,
-    rpm: BenchSpeed = None,
-    theory: Theory = BEMT,
+    pitch: BenchPitchOption = None,
+    rpm: BenchSpeedOption = None,
+    theory: TheoryOptions = DEFAULT_BEMT_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
     """Set the prediction beside a measurement, untuned unless --calibrate asks for it.
@@ -686,19 +677,19 @@ def compare(
     Examples: mufly rotor compare naca0012-r60-c20 bench.csv; mufly rotor compare walkera-5g6 b.csv --method wake
     """
     from mufly.errors import InputError
-    from mufly.rotor import calibrate as scale
-    from mufly.rotor import compare as beside
+    from mufly.rotor import calibrate_blading as scale
+    from mufly.rotor import compare_measurements as beside
     from mufly.rotor import load_rotor
 
     r = load_rotor(rotor)
-    bench = _measured(measurements, r, columns, density, pitch, rpm, quiet=as_json)
+    bench = _read_measurements(measurements, r, columns, density, pitch, rpm, quiet=as_json)
     air = bench.air
-    settings, stations = theory.wakes()
+    settings, stations = theory.wake_settings()
     if calibrate is not None and theory.method == "wake":
         raise InputError("--calibrate", "", "scales blade element theory", "leave it or --method wake out")
-    blading = theory.blading(r, stations)
+    blading = theory.prepare_blading(r, stations)
     if calibrate is not None:
-        blading = scale(blading, bench, _line("--calibrate", calibrate, bench), air=air)
+        blading = scale(blading, bench, _point_index("--calibrate", calibrate, bench), air=air)
     with progress_bar("points", theory.method == "wake" and not as_json) as progress:
         c = beside(
             blading, bench, air=air, method=theory.method, settings=settings, progress=progress,  # type: ignore[arg-type]
@@ -725,9 +716,7 @@ def compare(
     typer.echo(str(c))
     if calibrate is not None:
         lift, drag = blading.corrections.lift_factor, blading.corrections.drag_factor
-        typer.echo(
-            f"lift is scaled by {lift:.4f}, drag by {drag:.4f}; 'rotor fit --point {calibrate}' keeps the point"
-        )
+        typer.echo(f"lift is scaled by {lift:.4f}, drag by {drag:.4f}; 'rotor fit --point {calibrate}' keeps the point")
     for k, fault in enumerate(c.faults):
         if fault:
             typer.secho(f"point {k + 1}: wake {fault}", fg=typer.colors.YELLOW)

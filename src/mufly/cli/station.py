@@ -19,26 +19,26 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.options import argument, one_of, option
-from mufly.cli.present import LiveDisplay, console, progress_bar, say
+from mufly.cli.options import check_choice, define_argument, define_option
+from mufly.cli.output import LiveDisplay, make_console, print_lines, progress_bar
 from mufly.errors import InputError
-from mufly.grammar import read_vector
+from mufly.quantity_grammar import read_vector
 
 if TYPE_CHECKING:
     from types import FrameType
 
-    from mufly.flight.software import Computing
-    from mufly.link import Endpoint, Report
-    from mufly.link.process import Sensing
+    from mufly.flight.flight_software import ControlImplementation
+    from mufly.link import Endpoint, LoopReport
+    from mufly.link.vehicle_process import SensorMode
     from mufly.sensors import Fault
-    from mufly.station.page.address import Address
+    from mufly.station.page.page_address import PageAddress
     from mufly.vehicle import Vehicle
 
 
-VehicleOption = Annotated[str, option("--vehicle -v", "Vehicle file, or a built-in vehicle.")]
+VehicleOption = Annotated[str, define_option("--vehicle -v", "Vehicle file, or a built-in vehicle.")]
 WindOption = Annotated[
     str | None,
-    option(
+    define_option(
         "--wind",
         "Steady wind: a speed, from a direction that is drawn by the seed, as in 0.5; or N,E,D, as in 0.5,0,0; "
         "instead of the mission's.",
@@ -48,12 +48,12 @@ WindOption = Annotated[
 ]
 GustOption = Annotated[
     float | None,
-    option("--gust", "Gusts, standard deviation, 0 to 5 m/s; instead of the mission's.", unit="m/s"),
+    define_option("--gust", "Gusts, standard deviation, 0 to 5 m/s; instead of the mission's.", unit="m/s"),
 ]
-SeedOption = Annotated[int, option("--seed", "Seed of everything random.")]
+SeedOption = Annotated[int, define_option("--seed", "Seed of everything random.")]
 SensorsOption = Annotated[
     str,
-    option(
+    define_option(
         "--sensors WHICH",
         "What it flies on: fitted (what the vehicle file has in \\[sensors], and a filter that makes an estimate of "
         "it) or ideal (what is true).",
@@ -61,7 +61,7 @@ SensorsOption = Annotated[
 ]
 FaultOption = Annotated[
     list[str] | None,
-    option(
+    define_option(
         "--fault NAME.KIND=AMOUNT@STARTs+DURATIONs",
         "What goes wrong, as sonar.jump=0.3@15s+2s or accelerometer.clip@20s; can be given several times. "
         "`mufly sensors faults` lists them.",
@@ -69,18 +69,18 @@ FaultOption = Annotated[
 ]
 
 
-def wind_of(text: str | None) -> float | tuple[float, float, float] | None:
+def parse_wind(text: str | None) -> float | tuple[float, float, float] | None:
     """The speed, or the wind N, E, D (m/s), of ``--wind``; None without it."""
-    from mufly.mission import GREATEST_WIND_M_S
+    from mufly.mission import MAX_WIND_M_S
 
     if text is None:
         return None
     numbers = read_vector("--wind", text, "m/s")
-    least = 0.0 if len(numbers) == 1 else -GREATEST_WIND_M_S
-    if not all(least <= n <= GREATEST_WIND_M_S for n in numbers):
+    least = 0.0 if len(numbers) == 1 else -MAX_WIND_M_S
+    if not all(least <= n <= MAX_WIND_M_S for n in numbers):
         raise InputError(
             "--wind", "", f"{text!r} is no wind",
-            f"give a speed of 0 to {GREATEST_WIND_M_S:g} m/s, or N,E,D as in 0.5,0,0, each that much at most",
+            f"give a speed of 0 to {MAX_WIND_M_S:g} m/s, or N,E,D as in 0.5,0,0, each that much at most",
         )  # fmt: skip
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1], numbers[2])
 
@@ -92,19 +92,17 @@ def _steady_wind(wind: float | tuple[float, float, float] | None, seed: int) -> 
     towards = random.Random(seed).uniform(-math.pi, math.pi)
     drawn = [wind * math.cos(towards), wind * math.sin(towards), 0.0]
     given = ",".join(f"{x:.3f}" for x in drawn)
-    typer.echo(
-        f"Wind: {wind:g} m/s, its direction drawn by --seed {seed}; the same as --wind={given}", err=True
-    )
+    typer.echo(f"Wind: {wind:g} m/s, its direction drawn by --seed {seed}; the same as --wind={given}", err=True)
     return drawn
 
 
-def check_air(wind: str | None, gust: float | None, seed: int) -> list[float] | None:
+def resolve_wind(wind: str | None, gust: float | None, seed: int) -> list[float] | None:
     """The wind N, E, D (m/s) of ``--wind``; gusts and seeds that are none are refused."""
-    from mufly.mission import GREATEST_GUST_M_S
+    from mufly.mission import MAX_GUST_M_S
 
-    given = wind_of(wind)
-    if gust is not None and not 0.0 <= gust <= GREATEST_GUST_M_S:
-        raise InputError("--gust", "", f"{gust:g} m/s is no gust", f"give 0 to {GREATEST_GUST_M_S:g} m/s")
+    given = parse_wind(wind)
+    if gust is not None and not 0.0 <= gust <= MAX_GUST_M_S:
+        raise InputError("--gust", "", f"{gust:g} m/s is no gust", f"give 0 to {MAX_GUST_M_S:g} m/s")
     if not 0 <= seed < 2**63:
         raise InputError("--seed", "", f"{seed} is no seed", "give a whole number from 0 to 2^63 - 1")
     return _steady_wind(given, seed)
@@ -112,7 +110,7 @@ def check_air(wind: str | None, gust: float | None, seed: int) -> list[float] | 
 
 FirmwareOption = Annotated[
     bool,
-    option(
+    define_option(
         "--firmware",
         "Let the exported C code fly, built by this machine's compiler (`mufly firmware`).",
     ),
@@ -121,30 +119,28 @@ FirmwareOption = Annotated[
 
 FixedPointOption = Annotated[
     bool,
-    option("--fixed-point", "With --firmware: in whole numbers, as for a processor without a floating unit."),
+    define_option("--fixed-point", "With --firmware: in whole numbers, as for a processor without a floating unit."),
 ]
 
 
-def on_board(wanted: bool, fixed_point: bool = False) -> Computing | None:
+def select_flight_software(wanted: bool, fixed_point: bool = False) -> ControlImplementation | None:
     """What computes the control law: the exported code if it is wanted; without a compiler that is refused."""
     if fixed_point and not wanted:
-        raise InputError(
-            "--fixed-point", "", "is a way of computing the exported code", "give --firmware, too"
-        )
+        raise InputError("--fixed-point", "", "is a way of computing the exported code", "give --firmware, too")
     if not wanted:
         return None
-    from mufly.firmware import FirmwareSoftware, FixedFirmwareControllers, compiler
+    from mufly.firmware import FirmwareSoftware, FixedPointFirmwareControllers, find_compiler
 
-    compiler()
-    return FixedFirmwareControllers if fixed_point else FirmwareSoftware
+    find_compiler()
+    return FixedPointFirmwareControllers if fixed_point else FirmwareSoftware
 
 
-def check_sensors(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) -> tuple[Fault, ...]:
+def check_sensor_options(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) -> tuple[Fault, ...]:
     """The faults of ``--fault``; words of ``--sensors`` that are none, and faults that cannot be, are refused."""
     from mufly.sensors.faults import parse_fault
-    from mufly.sensors.suite import check_faults
+    from mufly.sensors.sensor_suite import check_faults
 
-    one_of("--sensors", sensors, ("fitted", "ideal"))
+    check_choice("--sensors", sensors, ("fitted", "ideal"))
     found = tuple(parse_fault(text) for text in faults or ())
     if found and sensors == "ideal":
         raise InputError("--fault", str(found[0]), "what is true has no faults", "leave out --sensors ideal")
@@ -152,31 +148,31 @@ def check_sensors(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) 
     return found
 
 
-def flies_on(vehicle: Vehicle, sensors: str) -> str:
+def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
     """What a vehicle flies on, in words."""
-    from mufly.sensors.suite import FITTED
+    from mufly.sensors.sensor_suite import SENSOR_TABLES
 
     if sensors == "ideal":
         return "It flies on what is true (--sensors ideal)"
     if vehicle.sensors is None:
         return f"{vehicle.name} has no table [sensors]: it flies on what is true"
-    names = [name.replace("_", " ") for name in FITTED if getattr(vehicle.sensors, name) is not None]
+    names = [name.replace("_", " ") for name in SENSOR_TABLES if getattr(vehicle.sensors, name) is not None]
     return f"It flies on its sensors: {', '.join(names)}"
 
 
-def computed_by(vehicle: Vehicle, sensors: str, firmware: bool) -> str:
+def describe_computation(vehicle: Vehicle, sensors: str, firmware: bool) -> str:
     """Who computes law and estimator, in words; the estimator in C is built if it is not there yet."""
     by = "The exported C code flies: mission and control law" if firmware else ""
     if sensors == "ideal" or vehicle.sensors is None:
         return by
-    from mufly.estimate.native import chosen
+    from mufly.estimate.filter_backend import explain_numba_choice
 
-    why = chosen(vehicle)
+    why = explain_numba_choice(vehicle)
     estimator = "its estimator in C" if not why else f"its estimator compiled by Numba: {why}"
     return f"{by}, with {estimator}" if firmware else f"It flies with {estimator}"
 
 
-def endpoints_of(
+def parse_endpoints(
     texts: Sequence[str] | None,
     role: Literal["vehicle", "station"],
     option: str = "--link",
@@ -192,7 +188,7 @@ def endpoints_of(
     return found
 
 
-def check_place(folder: Path) -> None:
+def check_output_folder(folder: Path) -> None:
     """Refuse a folder that cannot be made or written, without making it yet."""
     try:
         nearest = next(p for p in (folder, *folder.absolute().parents) if p.exists())
@@ -205,7 +201,7 @@ def check_place(folder: Path) -> None:
         raise InputError("--out", "", f"{nearest} cannot be written", "name a folder that can")
 
 
-def dated_folder() -> Path:
+def new_dated_folder() -> Path:
     """``flights/<date-time>``, which does not exist yet."""
     base = Path("flights") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     folder, n = base, 1
@@ -215,7 +211,7 @@ def dated_folder() -> Path:
     return folder
 
 
-class Ending:
+class ShutdownHandler:
     """What Ctrl-C (SIGINT), SIGTERM and SIGHUP mean to a command that flies or watches: it ends, in order.
 
     The first one asks for that; loops look between two steps, so that nothing is cut off in mid-write. A second Ctrl-C
@@ -230,40 +226,40 @@ class Ending:
         Whether loops look; where they do not yet (nothing is open), the first signal is an interrupt at once.
     """
 
-    signalled = False
+    was_signalled = False
     """Whether this process ends for a signal: what is closed by then need not be taken apart."""
 
     def __init__(self, *, patient: bool = True) -> None:
-        self.asked = threading.Event()
-        self.status = 0
-        self.patient = patient
+        self.stop_requested = threading.Event()
+        self.exit_status = 0
+        self.waits_for_loop = patient
 
     @property
-    def hurried(self) -> bool:
+    def is_hurried(self) -> bool:
         """Whether it is to end as soon as its files are closed, with nothing computed or drawn any more."""
-        return self.status not in (0, 128 + signal.SIGINT)
+        return self.exit_status not in (0, 128 + signal.SIGINT)
 
-    def __enter__(self) -> Ending:
+    def __enter__(self) -> ShutdownHandler:
         known = [getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP")]
         heard = [s for s in known if s is not None and signal.getsignal(s) is not signal.SIG_IGN]
-        self._before = {s: signal.signal(s, self._ask) for s in heard}
+        self._before = {s: signal.signal(s, self._handle_signal) for s in heard}
         return self
 
     def __exit__(self, *exc: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def _ask(self, number: int, frame: FrameType | None) -> None:
-        again, self.status = self.asked.is_set(), self.status or 128 + number
-        Ending.signalled = True
-        self.asked.set()
+    def _handle_signal(self, number: int, frame: FrameType | None) -> None:
+        again, self.exit_status = self.stop_requested.is_set(), self.exit_status or 128 + number
+        ShutdownHandler.was_signalled = True
+        self.stop_requested.set()
         if number == getattr(signal, "SIGHUP", None):
-            _without_terminal()
-        if not self.patient or (again and number == signal.SIGINT):
+            _silence_terminal()
+        if not self.waits_for_loop or (again and number == signal.SIGINT):
             raise KeyboardInterrupt
 
 
-def _without_terminal() -> None:
+def _silence_terminal() -> None:
     """The terminal has gone: whatever is still said goes nowhere."""
     with contextlib.suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -278,7 +274,7 @@ def _without_terminal() -> None:
 
 DEFAULT_ENDPOINT = "udp:127.0.0.1:14550"
 
-HELP = """Open the ground station in the browser, for any MAVLink vehicles.
+STATION_HELP = """Open the ground station in the browser, for any MAVLink vehicles.
 
 Shows the vehicle in its world, instruments, plots of any signal, ranges, spectrum, messages, mission, checks and \
 parameters; commands it; records what it hears (station.mcap and station.tlog, in a folder for each session). Several \
@@ -299,41 +295,43 @@ Examples:
 
 PortOption = Annotated[
     int | None,
-    option("--port", r"Port of the page. \[default: 8080, or the next that is free]", min=1, max=65535),
+    define_option("--port", r"Port of the page. \[default: 8080, or the next that is free]", min=1, max=65535),
 ]
 HostOption = Annotated[
-    str, option("--host ADDRESS", "Address to serve the page on; any but loopback needs a token.")
+    str, define_option("--host ADDRESS", "Address to serve the page on; any but loopback needs a token.")
 ]
 TokenOption = Annotated[
     str | None,
-    option(
+    define_option(
         "--token",
         r"What a browser has to show to be let in. \[default: none on loopback, else made and "
         "printed]",
     ),
 ]
-BrowserOption = Annotated[bool, option("--browser/--no-browser", "Open the page in the default browser.")]
+BrowserOption = Annotated[bool, define_option("--browser/--no-browser", "Open the page in the default browser.")]
 
 
-def station(
+def open_station(
     connect: Annotated[
         list[str] | None,
-        option(
+        define_option(
             "--connect -c LINK",
             rf"Where vehicles are; can be given several times. \[default: {DEFAULT_ENDPOINT}]",
         ),
     ] = None,
     open_file: Annotated[
-        Path | None, option("--open RECORDING", "Show a recording, of any format of mufly log.")
+        Path | None, define_option("--open RECORDING", "Show a recording, of any format of mufly log.")
     ] = None,
     mission: Annotated[
-        str | None, option("--mission -m NAME|FILE", "Mission whose world (boxes, walls, room) is drawn.")
+        str | None,
+        define_option("--mission -m NAME|FILE", "Mission whose world (boxes, walls, room) is drawn."),
     ] = None,
-    out: Annotated[Path, option("--out -o DIR", "Where recordings are written and looked for.")] = Path(
+    out: Annotated[Path, define_option("--out -o DIR", "Where recordings are written and looked for.")] = Path(
         "flights"
     ),
     record: Annotated[
-        bool, option("--record/--no-record", "Record from the beginning; the page can do it later too.")
+        bool,
+        define_option("--record/--no-record", "Record from the beginning; the page can do it later too."),
     ] = True,
     port: PortOption = None,
     host: HostOption = "127.0.0.1",
@@ -344,83 +342,79 @@ def station(
     from mufly.mission import load_mission
 
     words = connect or ([] if open_file is not None else [DEFAULT_ENDPOINT])
-    endpoints = endpoints_of(words, "station", "--connect")
+    endpoints = parse_endpoints(words, "station", "--connect")
     world = load_mission(mission) if mission is not None else None
     if out.exists() and not out.is_dir():
         raise InputError("--out", "", f"{out} is a file", "name a folder")
 
-    from mufly.station.page.address import choose_address
-    from mufly.station.page.starting import StartPage, Startup
+    from mufly.station.page.page_address import bind_page_address
+    from mufly.station.page.start_page import StartPage, Startup
 
-    address = choose_address(host, port, token)
+    address = bind_page_address(host, port, token)
     startup = Startup("the ground station")
-    announce(address, [e.explanation for e in endpoints])
-    ending = Ending()
+    print_page_address(address, [e.explanation for e in endpoints])
+    ending = ShutdownHandler()
     with StartPage(address, startup) as page:
         if browser:
             open_in_background(address)
-        with LiveDisplay(console(stderr=True)) as display:
-            display.follow(startup)
-            startup.begin("loading the libraries")
-            from mufly.station import Station
-            from mufly.station.page.server import serve
-            from mufly.station.page.session import Session
+        with LiveDisplay(make_console(stderr=True)) as display:
+            display.follow_startup(startup)
+            startup.begin_stage("loading the libraries")
+            from mufly.station import GroundStation
+            from mufly.station.page.page_server import serve_page
+            from mufly.station.page.page_session import StationSession
             from mufly.station.replay import open_recording
 
         recording = None
         if open_file is not None:
-            startup.begin(f"reading {open_file.name}")
+            startup.begin_stage(f"reading {open_file.name}")
             with progress_bar("Reading", True) as progress:
                 recording = open_recording(open_file, progress)
         startup.finish()
 
-        ground = Station(endpoints, folder=out, record=record and bool(endpoints))
-        session = Session(
+        ground = GroundStation(endpoints, folder=out, record=record and bool(endpoints))
+        session = StationSession(
             lambda: ground.vehicles,
             out if open_file is None else open_file.absolute().parent,
             mission=world,
             recorder=ground.recorder if endpoints else None,
-            to_open=recording,
-            trouble=ground.trouble,
+            initial_recording=recording,
+            link_problems=ground.describe_link_problems,
         )
 
-        async def work() -> None:
+        async def run_station() -> None:
             try:
                 await ground.start()
-                for line in ground.trouble():
-                    console(stderr=True).print(line, highlight=False, style="yellow", markup=False)
+                for line in ground.describe_link_problems():
+                    make_console(stderr=True).print(line, highlight=False, style="yellow", markup=False)
                 page.stop()
-                await serve(session, address, open_browser=False, stop=ending.asked.is_set)
+                await serve_page(session, address, open_browser=False, stop=ending.stop_requested.is_set)
             finally:
                 await ground.stop()
 
         with contextlib.suppress(KeyboardInterrupt), ending:
-            asyncio.run(work())
+            asyncio.run(run_station())
     if ground.recorder.path is not None:
         typer.echo(f"Recorded to {ground.recorder.path}")
-    if ending.hurried:
-        raise typer.Exit(ending.status)
+    if ending.is_hurried:
+        raise typer.Exit(ending.exit_status)
 
 
-def open_in_background(address: Address) -> None:
+def open_in_background(address: PageAddress) -> None:
     """Open the page in the default browser without waiting for it."""
-    from mufly.station.page.address import open_in_browser
+    from mufly.station.page.page_address import open_in_browser
 
     threading.Thread(target=open_in_browser, args=(address,), daemon=True).start()
 
 
-def announce(address: Address, links: list[str]) -> None:
+def print_page_address(address: PageAddress, links: list[str]) -> None:
     """Say where the page is, what it listens to, and how to end it."""
-    terminal = console(stderr=True)
+    terminal = make_console(stderr=True)
     for link in links:
         terminal.print(f"The station {link}", highlight=False)
-    terminal.print(
-        f"Page: [bold]{address.url}[/bold]   (Ctrl-C ends the station)", soft_wrap=True, highlight=False
-    )
+    terminal.print(f"Page: [bold]{address.url}[/bold]   (Ctrl-C ends the station)", soft_wrap=True, highlight=False)
     if address.token:
-        terminal.print(
-            "Whoever has this address can command the vehicle; it travels unencrypted.", style="yellow"
-        )
+        terminal.print("Whoever has this address can command the vehicle; it travels unencrypted.", style="yellow")
 
 
 # ----------------------------------------------------------------------------
@@ -447,35 +441,33 @@ Examples:
 """
 
 
-def link(
+def run_link(
     mission: Annotated[
-        str | None, argument("", "Mission file, or a built-in mission (see: mufly mission list).")
+        str | None, define_argument("", "Mission file, or a built-in mission (see: mufly mission list).")
     ] = None,
     vehicle: VehicleOption = "mufly-1.1",
     ends: Annotated[
         list[str] | None,
-        option(
+        define_option(
             "--link --connect ENDPOINT",
             "Where stations are: udp:HOST:PORT (send there), udpin:HOST:PORT (listen), "
             "tcpin:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD. Can be given several times. "
             r"\[default: udp:127.0.0.1:14550 and udp:127.0.0.1:14540]",
         ),
     ] = None,
-    system: Annotated[int, option("", "Its MAVLink system number, 1 to 255.")] = 1,
+    system: Annotated[int, define_option("", "Its MAVLink system number, 1 to 255.")] = 1,
     origin: Annotated[
         str | None,
-        option(
+        define_option(
             "LAT,LON,ALT",
-            "Where on the globe N = E = D = 0 is (degrees, metres), for programs that insist on a "
-            "global position.",
+            "Where on the globe N = E = D = 0 is (degrees, metres), for programs that insist on a global position.",
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        option(
+        define_option(
             "--out -o DIR",
-            "Record to this folder: flight.mcap and link.tlog; those of an earlier flight there are "
-            "replaced.",
+            "Record to this folder: flight.mcap and link.tlog; those of an earlier flight there are replaced.",
         ),
     ] = None,
     wind: WindOption = None,
@@ -486,55 +478,53 @@ def link(
     firmware: FirmwareOption = False,
 ) -> None:
     """The simulated helicopter as a MAVLink vehicle, in real time."""
-    endpoints = endpoints_of(ends or _DEFAULT, "vehicle", each="endpoint")
+    endpoints = parse_endpoints(ends or _DEFAULT_LINK_ENDPOINTS, "vehicle", each="endpoint")
     if not 1 <= system <= 255:
         raise InputError("--system", "", f"{system} is no MAVLink system", "give 1 to 255")
-    steady = check_air(wind, gust, seed)
+    steady = resolve_wind(wind, gust, seed)
     if out is not None:
-        check_place(out)
+        check_output_folder(out)
 
     # Whatever can be wrong with the input is found before the heavy libraries are loaded.
     from mufly.link.codec import parse_origin
-    from mufly.mission import Mission, load_mission, preflight
+    from mufly.mission import Mission, check_preflight, load_mission
     from mufly.vehicle import load_vehicle
 
     place = None if origin is None else parse_origin(origin)
     helicopter = load_vehicle(vehicle)
     plan = Mission(name="no mission") if mission is None else load_mission(mission)
     if mission is not None:
-        preflight(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
-    faults = check_sensors(helicopter, sensors, fault)
-    controllers = on_board(firmware)
+        check_preflight(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
+    faults = check_sensor_options(helicopter, sensors, fault)
+    controllers = select_flight_software(firmware)
 
-    from mufly.station.page.starting import Startup
+    from mufly.station.page.start_page import Startup
 
-    terminal = console()
-    terminal.print(
-        f"[bold]{helicopter.name}[/bold] is MAVLink system {system}, with {plan.name}", highlight=False
-    )
-    say(flies_on(helicopter, sensors))
+    terminal = make_console()
+    terminal.print(f"[bold]{helicopter.name}[/bold] is MAVLink system {system}, with {plan.name}", highlight=False)
+    print_lines(describe_sensor_source(helicopter, sensors))
     for end in endpoints:
-        say(f"  it {end.explanation}")
-        if end.beyond_loopback:
-            say(
+        print_lines(f"  it {end.explanation}")
+        if end.is_beyond_loopback:
+            print_lines(
                 f"  anyone who can reach {end.host} port {end.port} may command it: MAVLink has no password",
                 style="yellow",
             )
-    sensing: Sensing = "ideal" if sensors == "ideal" else "fitted"
+    sensing: SensorMode = "ideal" if sensors == "ideal" else "fitted"
     startup = Startup()
     with LiveDisplay(terminal) as display:
-        display.follow(startup)
-        startup.begin("building the estimator")
-        say(*filter(None, [computed_by(helicopter, sensors, firmware)]))
-        startup.begin("loading the libraries")
-        from mufly.control import design
+        display.follow_startup(startup)
+        startup.begin_stage("building the estimator")
+        print_lines(*filter(None, [describe_computation(helicopter, sensors, firmware)]))
+        startup.begin_stage("loading the libraries")
+        from mufly.control import design_flight_controller
         from mufly.flight import Flight
-        from mufly.link import TlogWriter, VehicleLink, run
-        from mufly.link.process import COMPILING, DESIGNING, warm_up
+        from mufly.link import TlogWriter, VehicleLink, run_real_time
+        from mufly.link.vehicle_process import STAGE_COMPILING, STAGE_DESIGNING, warm_up
 
-        startup.begin(DESIGNING)
-        controller = design(helicopter)
-        startup.begin(COMPILING)
+        startup.begin_stage(STAGE_DESIGNING)
+        controller = design_flight_controller(helicopter)
+        startup.begin_stage(STAGE_COMPILING)
         warm_up(helicopter, controller, sensing)
         startup.finish()
     recording = None if out is None else out / "flight.mcap"
@@ -542,45 +532,45 @@ def link(
         helicopter, plan, controller=controller, wind=steady, gust=gust, seed=seed, path=recording, keep=False,
         sensors=sensing, faults=faults, controllers=controllers,
     )  # fmt: skip
-    say(*filter(None, [flight.outside]), mark="Warning", style="yellow")
+    print_lines(*filter(None, [flight.outside_model_note]), mark="Warning", style="yellow")
     log = None if out is None else TlogWriter(out / "link.tlog")
-    over = Ending()
+    over = ShutdownHandler()
     try:
         with flight, over, LiveDisplay(terminal) as display:
-            pace = run(
+            pace = run_real_time(
                 flight,
                 endpoints,
                 link=VehicleLink(flight, system=system, origin=place),
-                stop=over.asked.is_set,
+                stop=over.stop_requested.is_set,
                 tlog=log,
-                on_event=display.event,
-                on_notice=display.notice,
+                on_event=display.show_event,
+                on_notice=display.show_notice,
                 on_open=lambda: terminal.print("Ctrl-C ends it.", style="dim"),
-                on_report=lambda report: display.now(_line_of(report)),
+                on_report=lambda report: display.set_live_line(_format_loop_report(report)),
                 where="--link",
             )
-            flight.close(*flight.judge(), **pace.attributes)
+            flight.close(*flight.judge_outcome(), **pace.recording_attributes)
     finally:
         if log is not None:
             log.close()
     if recording is not None:
-        say(f"Ended; the recording is in {recording}, the telemetry log beside it")
-    raise typer.Exit(over.status)
+        print_lines(f"Ended; the recording is in {recording}, the telemetry log beside it")
+    raise typer.Exit(over.exit_status)
 
 
-_DEFAULT = ("udp:127.0.0.1:14550", "udp:127.0.0.1:14540")
+_DEFAULT_LINK_ENDPOINTS = ("udp:127.0.0.1:14550", "udp:127.0.0.1:14540")
 
 
-def _line_of(r: Report) -> str:
+def _format_loop_report(r: LoopReport) -> str:
     """How the loop is doing."""
-    from mufly.link.telemetry import SLOW
+    from mufly.link.telemetry_streams import SLOW_REAL_TIME_FACTOR
 
     s = r.state
     who = f"commanded by {r.commander}" if r.commander else "nobody commands"
-    slipped = f", {r.slips} slips, {r.slipped_s:.1f} s lost" if r.slips else ""
-    slow = f"  {r.real_time_factor:.2f} OF REAL TIME" if r.real_time_factor < SLOW else ""
+    slipped = f", {r.slip_count} slips, {r.lost_time_s:.1f} s lost" if r.slip_count else ""
+    slow = f"  {r.real_time_factor:.2f} OF REAL TIME" if r.real_time_factor < SLOW_REAL_TIME_FACTOR else ""
     return (
         f"{s.time_s:7.1f} s  {s.state:<9}  {'armed' if s.armed else 'disarmed'}  {-s.estimate.position[2]:5.2f} m  "
-        f"{s.estimate.battery_voltage:.2f} V  {who}  in {r.received_Hz:.0f}/s, out {r.sent_Hz:.0f}/s  "
-        f"late {r.late_ms:.1f} ms{slipped}{slow}"
+        f"{s.estimate.battery_voltage:.2f} V  {who}  in {r.received_rate_Hz:.0f}/s, out {r.sent_rate_Hz:.0f}/s  "
+        f"late {r.mean_lateness_ms:.1f} ms{slipped}{slow}"
     )

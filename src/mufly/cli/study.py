@@ -9,62 +9,65 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mufly.cli import coax
-from mufly.cli.coax import THESIS, LowerArgument, UpperArgument, pair_of
+from mufly.cli.coax import THESIS_ROTOR, LowerArgument, UpperArgument, make_pair_setup
 from mufly.cli.options import (
-    BEMT,
-    PITCH,
-    POLARS,
-    WAKE,
-    Commands,
+    DEFAULT_BEMT_OPTIONS,
+    DEFAULT_FREE_WAKE_OPTIONS,
+    DEFAULT_POLAR_OPTIONS,
+    PITCH_RANGE,
+    CommandGroup,
     DriveOption,
     JsonOption,
-    Polars,
+    PolarOptions,
     RotorArgument,
-    Theory,
-    argument,
-    drive_or_none,
-    option,
+    TheoryOptions,
+    define_argument,
+    define_option,
+    load_drive_option,
 )
-from mufly.cli.present import (
-    answer,
-    console,
+from mufly.cli.output import (
+    make_console,
+    print_answer,
+    print_files,
     print_json,
     print_table,
     progress_bar,
-    save_picture,
-    tell_files,
+    report_place_errors,
+    save_figure,
 )
 from mufly.cli.rotor import app as rotor_commands
-from mufly.errors import InputError, report_write_errors, suggest_name
-from mufly.grammar import read_values
+from mufly.errors import InputError, suggest_name
+from mufly.quantity_grammar import read_values
 from mufly.units import RPM
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from mufly.study.parameters import Parameter, Value
-    from mufly.thesis import Answer
+    from mufly.study.study_parameters import ParameterValue, StudyParameter
+    from mufly.thesis import StudyAnswer
 
-_SHOWN = 40  # rows of a sweep in the terminal
+_MAX_PRINTED_ROWS = 40  # rows of a sweep in the terminal
 
 SetOption = Annotated[
     list[str] | None,
-    option("--set NAME=VALUE", "Fix a parameter, as thrust=0.4N, speed=5000rpm, gear=adapted."),
+    define_option("--set NAME=VALUE", "Fix a parameter, as thrust=0.4N, speed=5000rpm, gear=adapted."),
 ]
-_Cluster = Annotated[
+_ClusterOption = Annotated[
     str | None,
-    option("--cluster ADDRESS", "Scheduler of a dask cluster, as tcp://host:8786."),
+    define_option("--cluster ADDRESS", "Scheduler of a dask cluster, as tcp://host:8786."),
 ]
 AirfoilsOption = Annotated[
     list[str] | None,
-    option(
+    define_option(
         "--airfoils SET|DIR|NAMES",
         "'thesis' (247 by rule), 'database' (all), a folder of .dat files, or names separated by commas.",
     ),
 ]
 
 
-def settings_of(texts: list[str] | None, table: dict[str, Parameter], remedy: str) -> dict[str, Value]:
+def parse_set_options(
+    texts: list[str] | None, table: dict[str, StudyParameter], remedy: str
+) -> dict[str, ParameterValue]:
     """Settings of ``--set``, each with one value."""
     from mufly.study import parse_settings
 
@@ -75,15 +78,15 @@ def settings_of(texts: list[str] | None, table: dict[str, Parameter], remedy: st
     return {name: values[0] for name, values in settings.items()}
 
 
-def _list_parameters(table: dict[str, Parameter], as_json: bool) -> None:
+def _list_parameters(table: dict[str, StudyParameter], as_json: bool) -> None:
     if as_json:
         print_json(
-            {k: {"unit": p.unit, "units": list(p.units), "meaning": p.meaning} for k, p in table.items()}
+            {k: {"unit": p.unit, "units": list(p.accepted_units), "meaning": p.meaning} for k, p in table.items()}
         )
         return
     print_table(
         ("parameter", "units", "meaning"),
-        [(name, ", ".join(u or "-" for u in p.units), p.meaning) for name, p in table.items()],
+        [(name, ", ".join(u or "-" for u in p.accepted_units), p.meaning) for name, p in table.items()],
         text=(0, 1, 2),
     )
 
@@ -91,55 +94,55 @@ def _list_parameters(table: dict[str, Parameter], as_json: bool) -> None:
 @rotor_commands.command()
 def parameters(as_json: JsonOption = False) -> None:
     """List everything that can be varied or set, with its units."""
-    from mufly.study import PARAMETERS
+    from mufly.study import ROTOR_PARAMETERS
 
-    _list_parameters(PARAMETERS, as_json)
+    _list_parameters(ROTOR_PARAMETERS, as_json)
 
 
 @coax.app.command("parameters")
-def pair_parameters(as_json: JsonOption = False) -> None:
+def list_pair_parameters(as_json: JsonOption = False) -> None:
     """List everything that `mufly coax sweep` can vary or set, with its units."""
-    from mufly.study import PAIR
+    from mufly.study import PAIR_PARAMETERS
 
-    _list_parameters(PAIR, as_json)
+    _list_parameters(PAIR_PARAMETERS, as_json)
     if not as_json:
         text = "upper_rpm=5000:7000:500 is short for upper_speed=5000:7000:500rpm."
-        console().print(text, style="dim", highlight=False)
+        make_console().print(text, style="dim", highlight=False)
 
 
-def in_words(name: str, value: Value, form: str = "g") -> str:
+def format_parameter(name: str, value: ParameterValue, form: str = "g") -> str:
     """A value of a parameter for reading, with its unit."""
-    from mufly.study.parameters import in_unit
+    from mufly.study.study_parameters import to_display_unit
 
-    values, unit = in_unit(name, [value])
+    values, unit = to_display_unit(name, [value])
     return f"{values[0]:{form}} {unit}".strip() if values.dtype.kind == "f" else str(values[0])
 
 
-def _print_faults(data: xr.Dataset) -> None:
+def _print_failure_reasons(data: xr.Dataset) -> None:
     """Print the commonest reasons of cases that failed."""
     import numpy as np
 
     fault = data["fault"].values
     reasons, counts = np.unique(fault[fault != ""], return_counts=True)
     for reason, count in list(zip(reasons, counts, strict=True))[:5]:
-        console().print(f"failed, {count}: {reason}", style="yellow", highlight=False)
+        make_console().print(f"failed, {count}: {reason}", style="yellow", highlight=False)
     if len(reasons) > 5:
         text = f"and {len(reasons) - 5} other reasons, in the table's column 'fault'"
-        console().print(text, style="yellow")
+        make_console().print(text, style="yellow")
 
 
 def _write_sweep(
     data: xr.Dataset, folder: Path, variable: str, x: str | None = None, *, quiet: bool = False
 ) -> list[Path]:
-    from mufly.study import lines_picture, write_results
+    from mufly.study import sweep_picture, write_results
 
     files = write_results(data, folder)
     try:
-        picture = lines_picture(data, variable, x=x, title=data.attrs["rotor"])
-        files.append(save_picture(picture, folder, variable))
+        picture = sweep_picture(data, variable, x=x, title=data.attrs["rotor"])
+        files.append(save_figure(picture, folder, variable))
     except InputError as error:  # too many lines for a picture: the tables are there all the same
         if not quiet:
-            console().print(f"No picture: {error}", style="yellow")
+            make_console().print(f"No picture: {error}", style="yellow")
     return files
 
 
@@ -152,17 +155,17 @@ def sweep(
     rotor: RotorArgument = "naca4412-r60-c20",
     vary: Annotated[
         list[str] | None,
-        option("NAME=VALUES", "As chord=10:30:5mm or airfoil=goe394,naca4412. Repeat it."),
+        define_option("NAME=VALUES", "As chord=10:30:5mm or airfoil=goe394,naca4412. Repeat it."),
     ] = None,
     set_: SetOption = None,
     drive: DriveOption = None,
-    show: Annotated[str | None, option("--plot VARIABLE", "What to draw over the pitch.")] = None,
+    show: Annotated[str | None, define_option("--plot VARIABLE", "What to draw over the pitch.")] = None,
     out: Annotated[
         Path | None,
-        option("--out DIR", "Write tables and a picture there; a stopped sweep resumes."),
+        define_option("--out DIR", "Write tables and a picture there; a stopped sweep resumes."),
     ] = None,
-    cluster: _Cluster = None,
-    theory: Theory = BEMT,
+    cluster: _ClusterOption = None,
+    theory: TheoryOptions = DEFAULT_BEMT_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
     """Evaluate every combination of some parameters' values: geometry, drive, air.
@@ -175,11 +178,14 @@ def sweep(
     Example: mufly rotor sweep naca4412-r60-c20 --vary chord=10:30:5mm --vary pitch=6:20:1deg --set thrust=0.4N
     --set gear=adapted --drive mufly --out chords
     """
-    from mufly.study import PARAMETERS, parse_settings
-    from mufly.study import sweep as run
+    from mufly.study import ROTOR_PARAMETERS, parse_settings
+    from mufly.study import sweep_parameters as run
 
-    setup = theory.setup(
-        rotor, settings_of(set_, PARAMETERS, "vary it with --vary"), drive=drive_or_none(drive), flags=True
+    setup = theory.make_setup(
+        rotor,
+        parse_set_options(set_, ROTOR_PARAMETERS, "vary it with --vary"),
+        drive=load_drive_option(drive),
+        with_outside_share=True,
     )
     varied = parse_settings(vary or [])
     if not varied:
@@ -187,20 +193,18 @@ def sweep(
     sought = {k: v[0] for k, v in varied.items() if v in (("adapted",), ("best",))}
     if sought:
         raise InputError("--vary", "gear", f"{sought['gear']!r} is one value", "fix it: --set gear=adapted")
-    both = [name for name in varied if name in setup.fixed and name != "n_crit"]
+    both = [name for name in varied if name in setup.fixed_parameters and name != "n_crit"]
     if both:
         raise InputError("--set", both[0], "is varied too", "leave one of the two out")
     with progress_bar("sweep", not as_json) as progress:
         data = run(setup, varied, folder=out, progress=progress, cluster=cluster)
-    files = _write_sweep(data, out, _plotted(data, show)) if out is not None else []
-    answer(as_json, data.to_dict, lambda: _print_best(data, _plotted(data, show)), files)
+    files = _write_sweep(data, out, _select_plotted_result(data, show)) if out is not None else []
+    print_answer(as_json, data.to_dict, lambda: _print_best(data, _select_plotted_result(data, show)), files)
 
 
-def _plotted(data: xr.Dataset, asked: str | None) -> str:
+def _select_plotted_result(data: xr.Dataset, asked: str | None) -> str:
     if asked is not None and asked not in data.data_vars:
-        raise InputError(
-            "--plot", "", f"{asked!r} is no result", suggest_name(asked, map(str, data.data_vars))
-        )
+        raise InputError("--plot", "", f"{asked!r} is no result", suggest_name(asked, map(str, data.data_vars)))
     return asked or ("thrust_per_power_N_W" if "thrust_per_power_N_W" in data else "figure_of_merit")
 
 
@@ -208,7 +212,7 @@ def _print_best(data: xr.Dataset, variable: str) -> None:
     """Print the best case over the pitch for every combination of the rest, best first, at most 40."""
     import numpy as np
 
-    c = console()
+    c = make_console()
     values = data[variable]
     solved = np.isfinite(values.values)
     c.print(
@@ -221,18 +225,18 @@ def _print_best(data: xr.Dataset, variable: str) -> None:
     flat = np.where(np.isfinite(table[variable].values), table[variable].values, -np.inf)
     flat = flat.reshape(int(np.prod([data.sizes[d] for d in others], dtype=int)), -1)
     best = flat.argmax(axis=1)
-    order = np.argsort(-flat[np.arange(flat.shape[0]), best], kind="stable")[:_SHOWN]
+    order = np.argsort(-flat[np.arange(flat.shape[0]), best], kind="stable")[:_MAX_PRINTED_ROWS]
     rows = []
     for k in order:
         index = np.unravel_index(k, tuple(data.sizes[d] for d in others)) if others else ()
-        row = [in_words(d, data[d].values[int(i)].item()) for d, i in zip(others, index, strict=True)]
+        row = [format_parameter(d, data[d].values[int(i)].item()) for d, i in zip(others, index, strict=True)]
         if "pitch" in data.dims:
-            row.append(in_words("pitch", data["pitch"].values[int(best[k])].item()))
+            row.append(format_parameter("pitch", data["pitch"].values[int(best[k])].item()))
         top = flat[k, best[k]]
         rows.append([*row, f"{top:.5g}" if np.isfinite(top) else "-"])
     heads = [*others, *(["best pitch"] if "pitch" in data.dims else []), f"{variable}"]
     print_table(heads, rows)
-    _print_faults(data)
+    _print_failure_reasons(data)
 
 
 @rotor_commands.command()
@@ -241,15 +245,15 @@ def rank(
     airfoils: AirfoilsOption = None,
     pitch: Annotated[
         str,
-        option("--pitch", "Pitch settings to try, as 6:20:1.", unit="deg", form="values", within=PITCH),
+        define_option("--pitch", "Pitch settings to try, as 6:20:1.", unit="deg", form="values", within=PITCH_RANGE),
     ] = "6:20:1deg",
     set_: SetOption = None,
     drive: DriveOption = "mufly",
-    by: Annotated[str | None, option("VARIABLE", "What to rank by, the greatest first.")] = None,
-    top: Annotated[int, option("N", "How many of each end to print.")] = 10,
-    out: Annotated[Path | None, option("--out DIR", "Write ranking.nc, ranking.csv and a picture.")] = None,
-    cluster: _Cluster = None,
-    polars: Polars = POLARS,
+    by: Annotated[str | None, define_option("VARIABLE", "What to rank by, the greatest first.")] = None,
+    top: Annotated[int, define_option("N", "How many of each end to print.")] = 10,
+    out: Annotated[Path | None, define_option("--out DIR", "Write ranking.nc, ranking.csv and a picture.")] = None,
+    cluster: _ClusterOption = None,
+    polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
     """Rank airfoils by what the rotor makes of them, each at its best pitch.
@@ -261,16 +265,16 @@ def rank(
     import numpy as np
 
     from mufly.study import (
-        PARAMETERS,
+        ROTOR_PARAMETERS,
         choose_airfoils,
         rank_airfoils,
-        rank_picture,
+        ranking_picture,
         write_results,
     )
 
     standard = ["thrust=0.4N", "gear=adapted"] if drive not in (None, "none") else ["thrust=0.4N"]
-    given = settings_of(set_ or standard, PARAMETERS, "give one value of something else")
-    setup = polars.setup(rotor, given, drive=drive_or_none(drive), flags=False)
+    given = parse_set_options(set_ or standard, ROTOR_PARAMETERS, "give one value of something else")
+    setup = polars.make_setup(rotor, given, drive=load_drive_option(drive), with_outside_share=False)
     if "pitch" in given or "airfoil" in given:
         raise InputError("--set", "", "holds what a ranking varies", "give one value of something else")
     pitches = [math.radians(p) for p in read_values("--pitch", pitch, "deg")]
@@ -279,7 +283,10 @@ def rank(
         ranking = rank_airfoils(setup, names, pitches, by=by, folder=out, progress=progress, cluster=cluster)
     files = []
     if out is not None:
-        files = [*write_results(ranking, out, "ranking"), save_picture(rank_picture(ranking), out, "ranking")]
+        files = [
+            *write_results(ranking, out, "ranking"),
+            save_figure(ranking_picture(ranking), out, "ranking"),
+        ]
     key = ranking.attrs["by"]
     if as_json:
         columns = {str(v): ranking[v].values for v in ranking.data_vars}
@@ -308,20 +315,20 @@ def rank(
     failed = [k for k in range(n) if ranking["fault"].values[k]]
     for k in failed[:5]:
         reason = f"{ranking['airfoil'].values[k]}: {ranking['fault'].values[k]}"
-        console().print(reason, style="yellow", highlight=False)
-    tell_files(files)
+        make_console().print(reason, style="yellow", highlight=False)
+    print_files(files)
 
 
 # ----------------------------------------------------------------------------
 # Coaxial pairs.
 
 
-_STANDARD: dict[str, Value] = {"spacing": 0.02, "pitch": math.radians(14.0)}
+_DEFAULT_PAIR_SETTINGS: dict[str, ParameterValue] = {"spacing": 0.02, "pitch": math.radians(14.0)}
 
 
-def _pair_settings(texts: list[str]) -> dict[str, tuple[Value, ...]]:
+def _parse_pair_settings(texts: list[str]) -> dict[str, tuple[ParameterValue, ...]]:
     """Settings of a pair; ``upper_rpm=6000`` is ``upper_speed=6000rpm``."""
-    from mufly.study import PAIR, parse_settings
+    from mufly.study import PAIR_PARAMETERS, parse_settings
 
     full = []
     for text in texts:
@@ -330,33 +337,33 @@ def _pair_settings(texts: list[str]) -> dict[str, tuple[Value, ...]]:
             speeds = ",".join(map(repr, read_values(text, listed, "rpm")))
             text = f"{name.removesuffix('rpm')}speed={speeds}rpm"
         full.append(text)
-    return parse_settings(full, PAIR)
+    return parse_settings(full, PAIR_PARAMETERS)
 
 
 @coax.app.command("sweep")
 def sweep_pairs(
-    upper: UpperArgument = THESIS,
+    upper: UpperArgument = THESIS_ROTOR,
     lower: LowerArgument = None,
     vary: Annotated[
         list[str] | None,
-        option("NAME=VALUES", "As spacing=10:40:10mm or lower_rpm=5000:7000:500. Repeat it."),
+        define_option("NAME=VALUES", "As spacing=10:40:10mm or lower_rpm=5000:7000:500. Repeat it."),
     ] = None,
     set_: Annotated[
         list[str] | None,
-        option("--set NAME=VALUE", "Fix a parameter: upper_rpm=6000, thrust=0.9N. Repeat it."),
+        define_option("--set NAME=VALUE", "Fix a parameter: upper_rpm=6000, thrust=0.9N. Repeat it."),
     ] = None,
     free: Annotated[
-        str, option("NAME", "What balances the torques where they are: lower-speed, lower-pitch.")
+        str, define_option("NAME", "What balances the torques where they are: lower-speed, lower-pitch.")
     ] = "lower-speed",
-    show: Annotated[str, option("--plot VARIABLE", "What to draw and to print.")] = "thrust_ratio",
+    show: Annotated[str, define_option("--plot VARIABLE", "What to draw and to print.")] = "thrust_ratio",
     over: Annotated[
-        str | None, option("NAME", "What is on the horizontal axis; else the first that is varied.")
+        str | None, define_option("NAME", "What is on the horizontal axis; else the first that is varied.")
     ] = None,
-    theory: Theory = WAKE,
+    theory: TheoryOptions = DEFAULT_FREE_WAKE_OPTIONS,
     out: Annotated[
-        Path | None, option("--out DIR", "Tables and a picture; a stopped sweep resumes there.")
+        Path | None, define_option("--out DIR", "Tables and a picture; a stopped sweep resumes there.")
     ] = None,
-    cluster: _Cluster = None,
+    cluster: _ClusterOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Evaluate a pair for every combination of some parameters' values.
@@ -369,17 +376,17 @@ def sweep_pairs(
     Examples: mufly coax sweep --vary spacing=10:40:10mm --set upper_rpm=6000 --set speed_ratio=1 --out spacing;
     mufly coax sweep --vary upper_rpm=5000:7000:500 --vary lower_rpm=4000:8000:500 --method bemt --plot lower_thrust_N
     """
-    from mufly.study import PAIR
-    from mufly.study import sweep as run
-    from mufly.study.setup import PAIR_OUTPUTS
+    from mufly.study import PAIR_PARAMETERS
+    from mufly.study import sweep_parameters as run
+    from mufly.study.study_setup import PAIR_OUTPUTS
 
     if show not in PAIR_OUTPUTS:
         raise InputError("--plot", "", f"{show!r} is no result", suggest_name(show, PAIR_OUTPUTS))
-    varied, given = _pair_settings(vary or []), _pair_settings(set_ or [])
+    varied, given = _parse_pair_settings(vary or []), _parse_pair_settings(set_ or [])
     if not varied:
         raise InputError("--vary", "", "nothing is varied", "give for example --vary spacing=10:40:10mm")
     if over is not None and over not in varied:
-        where = "is not varied" if over in PAIR else "is unknown"
+        where = "is not varied" if over in PAIR_PARAMETERS else "is unknown"
         raise InputError("--over", "", f"{over!r} {where}", suggest_name(over, varied))
     for name, values in given.items():
         if len(values) > 1:
@@ -387,27 +394,25 @@ def sweep_pairs(
         if name in varied:
             raise InputError("--set", name, "is varied too", "leave one of the two out")
     named = {*varied, *given}
-    fixed: dict[str, Value] = {k: v[0] for k, v in given.items()}
-    for name, value in _STANDARD.items():
+    fixed: dict[str, ParameterValue] = {k: v[0] for k, v in given.items()}
+    for name, value in _DEFAULT_PAIR_SETTINGS.items():
         if name not in named and not (name == "pitch" and "upper_pitch" in named):
             fixed[name] = value
     if "upper_pitch" in fixed or "upper_pitch" in varied:
         fixed.pop("pitch", None)
     if not named & {"thrust", "upper_speed"}:
         fixed["upper_speed"] = 6000.0 * RPM
-    setup = pair_of(upper, lower, fixed, theory, balance=free)
+    setup = make_pair_setup(upper, lower, fixed, theory, balance=free)
     with progress_bar("pairs", not as_json) as progress:
         data = run(setup, varied, folder=out, progress=progress, cluster=cluster)
-    files = (
-        _write_sweep(data, out, show, over or next(iter(varied)), quiet=as_json) if out is not None else []
-    )
-    answer(as_json, data.to_dict, lambda: _print_pairs(data, show), files)
+    files = _write_sweep(data, out, show, over or next(iter(varied)), quiet=as_json) if out is not None else []
+    print_answer(as_json, data.to_dict, lambda: _print_pair_sweep(data, show), files)
 
 
-def _print_pairs(data: xr.Dataset, variable: str) -> None:
+def _print_pair_sweep(data: xr.Dataset, variable: str) -> None:
     import numpy as np
 
-    c = console()
+    c = make_console()
     names = [str(d) for d in data.dims]
     fault = data["fault"].values.ravel()
     c.print(f"{fault.size} cases, {int((fault != '').sum())} failed.", highlight=False)
@@ -426,63 +431,61 @@ def _print_pairs(data: xr.Dataset, variable: str) -> None:
     values = [scale * data[v].values.ravel() for v, scale in zip(columns, scales, strict=True)]
     rows = []
     for k, index in enumerate(np.ndindex(*(data.sizes[n] for n in names))):
-        if k == _SHOWN:
+        if k == _MAX_PRINTED_ROWS:
             break
-        row = [in_words(name, data[name].values[i].item()) for name, i in zip(names, index, strict=True)]
+        row = [format_parameter(name, data[name].values[i].item()) for name, i in zip(names, index, strict=True)]
         rows.append([*row, *(f"{v[k]:.4g}" if np.isfinite(v[k]) else "-" for v in values)])
     print_table([*names, *heads], rows, text=())
-    if fault.size > _SHOWN:
-        c.print(f"and {fault.size - _SHOWN} more; --out writes them all", style="dim")
-    _print_faults(data)
+    if fault.size > _MAX_PRINTED_ROWS:
+        c.print(f"and {fault.size - _MAX_PRINTED_ROWS} more; --out writes them all", style="dim")
+    _print_failure_reasons(data)
 
 
 # ----------------------------------------------------------------------------
 # The dissertation's studies, ours beside theirs.
 
 
-thesis_commands = Commands(
+thesis_commands = CommandGroup(
     help="Repeat the studies of the dissertation and say where we agree with it. What each assumes: docs/studies.md.",
     no_args_is_help=True,
 )
 
 
-_Name = Annotated[str, argument("NAME", "A name of `mufly thesis list`, as fig-3.26 or table-5.3.")]
-_Kept = Annotated[
+_NameArgument = Annotated[str, define_argument("NAME", "A name of `mufly thesis list`, as fig-3.26 or table-5.3.")]
+_KeepOption = Annotated[
     Path | None,
-    option(
+    define_option(
         "--out DIR", "Keep picture, tables and verdicts there too; a run that was stopped goes on from them."
     ),
 ]
 
 
 @thesis_commands.command("list")
-def list_thesis(as_json: JsonOption = False) -> None:
+def list_thesis_items(as_json: JsonOption = False) -> None:
     """List the dissertation's 91 figures and 7 tables, each with the verdict on it as far as it has run."""
-    from mufly.thesis import ITEMS, recall, totals
+    from mufly.thesis import THESIS_ITEMS, count_verdicts, load_cached_answer
 
-    answers = [recall(name) for name in ITEMS]
+    answers = [load_cached_answer(name) for name in THESIS_ITEMS]
     if as_json:
         print_json([a.to_dict() for a in answers])
         return
     print_table(
         ("name", "kind", "section", "verdict", "agree", "title"),
-        [(a.item.name, a.item.kind, a.item.section, a.word, a.share, a.item.title) for a in answers],
+        [(a.item.name, a.item.kind, a.item.section, a.verdict_word, a.agreement_share, a.item.title) for a in answers],
         text=(0, 1, 2, 3, 4, 5),
     )
-    console().print(", ".join(f"{n} {word}" for word, n in totals(answers).items()) + ".", highlight=False)
+    make_console().print(", ".join(f"{n} {word}" for word, n in count_verdicts(answers).items()) + ".", highlight=False)
 
 
 @thesis_commands.command("run")
-def run_thesis(
-    name: Annotated[str, argument("NAME|all", "A name of `mufly thesis list`, or all.")],
-    out: _Kept = None,
+def run_thesis_study(
+    name: Annotated[str, define_argument("NAME|all", "A name of `mufly thesis list`, or all.")],
+    out: _KeepOption = None,
     case: Annotated[
         Path | None,
-        option(
-            "--case DIR", "A solved CFD case, or a folder of several, for fig-3.22, fig-3.23 and fig-3.24."
-        ),
+        define_option("--case DIR", "A solved CFD case, or a folder of several, for fig-3.22, fig-3.23 and fig-3.24."),
     ] = None,
-    again: Annotated[bool, option("--again", "Compute what is kept, too.")] = False,
+    again: Annotated[bool, define_option("--again", "Compute what is kept, too.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Repeat a figure or table: a line for every claim of the dissertation, with our numbers and the rule of agreement.
@@ -493,16 +496,23 @@ def run_thesis(
 
     Examples: mufly thesis run fig-3.26; mufly thesis run all --out thesis; mufly thesis run fig-3.23 --case DIR
     """
-    from mufly.thesis import ITEMS, answer, cheap_first, item, recall, totals
+    from mufly.thesis import (
+        THESIS_ITEMS,
+        answer_study,
+        count_verdicts,
+        find_item,
+        load_cached_answer,
+        studies_by_cost,
+    )
 
     if name == "all" and case is not None:
         raise InputError("thesis", "--case", "goes with one figure", "mufly thesis run fig-3.23 --case DIR")
-    names = cheap_first() if name == "all" else [item(name).name]
+    names = studies_by_cost() if name == "all" else [find_item(name).name]
     answers: list[dict[str, Any]] = []
     for k, one in enumerate(names):
         count = f"{k + 1} of {len(names)}: " if len(names) > 1 else ""
         with progress_bar(f"{count}{one}", not as_json) as progress:
-            found = answer(one, out, progress, case=case, again=again)
+            found = answer_study(one, out, progress, case=case, again=again)
         answers.append(found.to_dict())
         if not as_json:
             _print_answer(found)
@@ -510,22 +520,24 @@ def run_thesis(
         print_json(answers if name == "all" else answers[0])
     elif name == "all":
         agree, every = sum(a["agree"] for a in answers), sum(len(a["verdicts"]) for a in answers)
-        words = ", ".join(f"{n} {w}" for w, n in totals([recall(i, out) for i in ITEMS]).items())
-        console().print(f"[bold]{words}. {agree} of {every} verdicts agree.[/bold]")
+        words = ", ".join(
+            f"{n} {w}" for w, n in count_verdicts([load_cached_answer(i, out) for i in THESIS_ITEMS]).items()
+        )
+        make_console().print(f"[bold]{words}. {agree} of {every} verdicts agree.[/bold]")
 
 
 @thesis_commands.command("show")
-def show_thesis(name: _Name, as_json: JsonOption = False) -> None:
+def show_thesis_item(name: _NameArgument, as_json: JsonOption = False) -> None:
     """Show a figure or table: what is printed, ours, the verdict and where our picture is; it is computed if need be.
 
     Example: mufly thesis show fig-6.11
     """
-    from mufly.thesis import answer, recall
+    from mufly.thesis import answer_study, load_cached_answer
 
-    found = recall(name)
+    found = load_cached_answer(name)
     if not found.known:
         with progress_bar(found.item.name, not as_json) as progress:
-            found = answer(name, None, progress)
+            found = answer_study(name, None, progress)
     if as_json:
         print_json(found.to_dict())
     else:
@@ -533,11 +545,11 @@ def show_thesis(name: _Name, as_json: JsonOption = False) -> None:
 
 
 @thesis_commands.command("report")
-def report_thesis(
-    out: Annotated[Path, option("--out FILE", "The page, as thesis.html.")],
+def write_thesis_report(
+    out: Annotated[Path, define_option("--out FILE", "The page, as thesis.html.")],
     from_folder: Annotated[
         Path | None,
-        option("--from DIR", "A folder that `mufly thesis run all --out` wrote, instead of the cache."),
+        define_option("--from DIR", "A folder that `mufly thesis run all --out` wrote, instead of the cache."),
     ] = None,
 ) -> None:
     """Write one page of HTML with every figure and table, verdicts and our pictures; it needs no other file.
@@ -546,25 +558,28 @@ def report_thesis(
 
     Example: mufly thesis report --out thesis.html
     """
-    from mufly.thesis import ITEMS, recall, report, totals
+    from mufly.thesis import THESIS_ITEMS, count_verdicts, load_cached_answer, render_html_page
 
-    answers = [recall(name, from_folder) for name in ITEMS]
-    with report_write_errors(out, "give another file"):
-        out.write_text(report(answers), encoding="utf-8")
-    tell_files([out])
-    console().print(", ".join(f"{n} {word}" for word, n in totals(answers).items()) + ".", highlight=False)
+    answers = [load_cached_answer(name, from_folder) for name in THESIS_ITEMS]
+    with report_place_errors(out, "give another file"):
+        out.write_text(render_html_page(answers), encoding="utf-8")
+    print_files([out])
+    make_console().print(", ".join(f"{n} {word}" for word, n in count_verdicts(answers).items()) + ".", highlight=False)
 
 
-def _print_answer(found: Answer) -> None:
-    c = console()
+def _print_answer(found: StudyAnswer) -> None:
+    c = make_console()
     i = found.item
-    share = f" ({found.share})" if found.share else ""
-    c.print(f"[bold]{i.name}[/bold]  {i.title}  [bold]{found.word}{share}[/bold]", highlight=False)
+    share = f" ({found.agreement_share})" if found.agreement_share else ""
+    c.print(f"[bold]{i.name}[/bold]  {i.title}  [bold]{found.verdict_word}{share}[/bold]", highlight=False)
     if i.kind != "result":
-        c.print(f"  A {i.kind}. For it stands: {i.stands}.", highlight=False, markup=False)
+        c.print(f"  A {i.kind}. For it stands: {i.substitute}.", highlight=False, markup=False)
     for verdict in found.verdicts:
         c.print(
-            f"  {verdict.line()}", style=None if verdict.agrees else "yellow", highlight=False, markup=False
+            f"  {verdict.format_line()}",
+            style=None if verdict.agrees else "yellow",
+            highlight=False,
+            markup=False,
         )
     if found.note:
         c.print(f"  {found.note}", style="dim", highlight=False, markup=False)

@@ -9,41 +9,48 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import GEAR, Commands, JsonOption, Range, argument, option
-from mufly.cli.present import (
-    Column,
-    check_folder,
-    console,
+from mufly.cli.options import (
+    GEAR_RATIO_RANGE,
+    CommandGroup,
+    JsonOption,
+    OptionRange,
+    define_argument,
+    define_option,
+)
+from mufly.cli.output import (
+    ResultColumn,
+    ensure_folder,
+    make_console,
     print_json,
+    print_lines,
+    print_result_lines,
+    print_result_table,
     print_table,
-    say,
-    show_lines,
-    show_table,
-    writing,
+    report_place_errors,
 )
 from mufly.errors import InputError
-from mufly.grammar import read_quantity
-from mufly.units import RPM, conversion
+from mufly.quantity_grammar import read_quantity
+from mufly.units import RPM, unit_conversion
 
 if TYPE_CHECKING:
     from mufly.dynamics import HoverPerformance
     from mufly.vehicle import Parameter, Vehicle
 
-app = Commands(
+app = CommandGroup(
     help="List vehicles, show what one is made of, check a vehicle file. docs/vehicles.md says how to write one.",
     no_args_is_help=True,
 )
 
 # SI unit -> the unit that people read.
-_READABLE = {
+_READABLE_UNITS = {
     "kg": "g", "m": "mm", "m2": "cm2", "kg m2": "g cm2", "rad": "deg", "A s": "mA h", "V s": "mV s",
     "N m/A": "mN m/A",
 }  # fmt: skip
-_BUDGET = "mass_budget"
+_BUDGET_TABLE = "mass_budget"
 
-_Vehicle = Annotated[str, argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
-_Toml = Annotated[
-    bool, option("--toml", "Print the whole file, in SI units: a vehicle of your own starts from it.")
+_VehicleArgument = Annotated[str, define_argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
+_TomlOption = Annotated[
+    bool, define_option("--toml", "Print the whole file, in SI units: a vehicle of your own starts from it.")
 ]
 
 
@@ -68,24 +75,24 @@ def list_vehicles(as_json: JsonOption = False) -> None:
     if as_json:
         print_json(rows)
         return
-    show_table(
+    print_result_table(
         rows,
-        ["name", "description", Column("mass_kg", "g", ".0f"), Column("rotor_diameter_m", "mm", ".0f"),
-         Column("hover_motor_input", form=".2f", head="hover inputs\nupper, lower")],
+        ["name", "description", ResultColumn("mass_kg", "g", ".0f"), ResultColumn("rotor_diameter_m", "mm", ".0f"),
+         ResultColumn("hover_motor_input", form=".2f", head="hover inputs\nupper, lower")],
     )  # fmt: skip
-    say("Hover inputs with the battery half full.", style="dim")
+    print_lines("Hover inputs with the battery half full.", style="dim")
 
 
 @app.command()
-def show(vehicle: _Vehicle = "mufly-1.1", as_json: JsonOption = False, toml: _Toml = False) -> None:
+def show(vehicle: _VehicleArgument = "mufly-1.1", as_json: JsonOption = False, toml: _TomlOption = False) -> None:
     """Show every parameter: symbol, value, unit, where it comes from, and what it means."""
-    from mufly.vehicle import load_vehicle, parameters, vehicle_toml
+    from mufly.vehicle import format_vehicle_toml, list_parameters, load_vehicle
 
     v = load_vehicle(vehicle)
     if toml:
-        print(vehicle_toml(v), end="")
+        print(format_vehicle_toml(v), end="")
         return
-    rows = parameters(v)
+    rows = list_parameters(v)
     if as_json:
         print_json(
             {
@@ -101,23 +108,26 @@ def show(vehicle: _Vehicle = "mufly-1.1", as_json: JsonOption = False, toml: _To
             }
         )
         return
-    console().print(f"[bold]{v.name}[/bold]  {v.description}", highlight=False)
+    make_console().print(f"[bold]{v.name}[/bold]  {v.description}", highlight=False)
     for group, members in groupby(rows, lambda row: row.key.rpartition(".")[0]):
-        if group == _BUDGET:
-            _print_budget(list(members), float(v.body.mass))
+        if group == _BUDGET_TABLE:
+            _print_mass_budget(list(members), float(v.body.mass))
         elif not group.startswith("sensors."):
-            print_group(group, list(members))
+            print_parameter_group(group, list(members))
     if v.sensors is not None:
-        say(f"\nWhat it feels with: mufly sensors show {vehicle}")
-    say(f"\nbattery.model = {v.battery.model!r}, range_ring.count = {v.range_ring.count}", _coefficients(v))
+        print_lines(f"\nWhat it feels with: mufly sensors show {vehicle}")
+    print_lines(
+        f"\nbattery.model = {v.battery.model!r}, range_ring.count = {v.range_ring.count}",
+        _describe_coefficients(v),
+    )
 
 
 @app.command()
-def check(vehicle: _Vehicle, as_json: JsonOption = False) -> None:
+def check(vehicle: _VehicleArgument, as_json: JsonOption = False) -> None:
     """Read a vehicle file, check every value, and find out whether it can hover and for how long."""
     from mufly.dynamics import (
         DEFAULT_STEP_S,
-        fastest_part,
+        fastest_mode_key,
         hover_performance,
         longest_step,
         model_parameters,
@@ -128,7 +138,7 @@ def check(vehicle: _Vehicle, as_json: JsonOption = False) -> None:
     try:
         h = hover_performance(v)
     except InputError as error:
-        raise error.at(vehicle) from None
+        raise error.with_location(vehicle) from None
     p = model_parameters(v)
     step = longest_step(p)
     if as_json:
@@ -136,16 +146,16 @@ def check(vehicle: _Vehicle, as_json: JsonOption = False) -> None:
         return
     _print_hover(v, h)
     if h.thrust_to_weight_half < 1.15:
-        say("Little thrust is left to climb or to fight gusts with.", style="yellow")
+        print_lines("Little thrust is left to climb or to fight gusts with.", style="yellow")
     if step < DEFAULT_STEP_S:
-        say(
-            f"Its fastest part ({fastest_part(p)}) needs steps below {step * 1e3:.2g} ms: too fast to be simulated "
+        print_lines(
+            f"Its fastest part ({fastest_mode_key(p)}) needs steps below {step * 1e3:.2g} ms: too fast to be simulated "
             f"at the usual {DEFAULT_STEP_S * 1e3:g} ms.",
             style="yellow",
         )
 
 
-def _coefficients(v: Vehicle) -> str:
+def _describe_coefficients(v: Vehicle) -> str:
     """Say which thrust and torque coefficients hold in flight."""
     m = v.rotors.coefficient_map
     if m is None:
@@ -154,7 +164,7 @@ def _coefficients(v: Vehicle) -> str:
         "computed": "as computed: the constants cT and cQ above are not used",
         "constants": "scaled to the constants cT and cQ above at hover",
     }[v.rotors.map_level]
-    shape = m.tables().shape
+    shape = m.parse_tables().grid_shape
     return (
         f"In flight cT and cQ come from coefficient map {m.name!r} ({m.description}; {shape[0]} mean "
         f"speeds, {shape[1]} ratios, {shape[2]} climbs), {level}."
@@ -163,15 +173,15 @@ def _coefficients(v: Vehicle) -> str:
 
 def _print_hover(v: Vehicle, h: HoverPerformance) -> None:
     both = ("upper", "lower")
-    console().print(
+    make_console().print(
         f"[bold]{v.name}[/bold] is valid and hovers, here with the battery half full:", highlight=False
     )
-    show_lines(
+    print_result_lines(
         h,
         [
-            Column("rotor_speed_rad_s", "rpm", ".0f", each=both),
-            Column("motor_input", form=".3f", each=both),
-            Column("thrust_N", form=".3f", each=both),
+            ResultColumn("rotor_speed_rad_s", "rpm", ".0f", entry_names=both),
+            ResultColumn("motor_input", form=".3f", entry_names=both),
+            ResultColumn("thrust_N", form=".3f", entry_names=both),
             ("battery", f"{h.voltage_V:.2f} V, {h.current_A:.2f} A, {h.power_W:.1f} W with electronics"),
             ("endurance", f"{h.endurance_s / 60:.1f} min of hover from a full battery"),
             (
@@ -182,9 +192,9 @@ def _print_hover(v: Vehicle, h: HoverPerformance) -> None:
     )
 
 
-def print_group(group: str, rows: list[Parameter]) -> None:
+def print_parameter_group(group: str, rows: list[Parameter]) -> None:
     lines = [
-        (row.key.rpartition(".")[2], row.symbol, *_readable(row.value, row.unit), row.source,
+        (row.key.rpartition(".")[2], row.symbol, *_to_readable(row.value, row.unit), row.source,
          row.description + (f" ({row.note})" if row.note else ""))
         for row in rows
     ]  # fmt: skip
@@ -192,13 +202,11 @@ def print_group(group: str, rows: list[Parameter]) -> None:
     print_table(heads, lines, title=f"\n\\[{group}]", text=(0, 1, 3, 4, 5))
 
 
-def _print_budget(rows: list[Parameter], mass: float) -> None:
+def _print_mass_budget(rows: list[Parameter], mass: float) -> None:
     from rich.bar import Bar
     from rich.table import Table
 
-    table = Table(
-        title=f"\n\\[{_BUDGET}]", title_justify="left", title_style="bold", box=None, show_header=False
-    )
+    table = Table(title=f"\n\\[{_BUDGET_TABLE}]", title_justify="left", title_style="bold", box=None, show_header=False)
     for row in rows:
         share = row.value / mass
         table.add_row(
@@ -209,20 +217,20 @@ def _print_budget(rows: list[Parameter], mass: float) -> None:
             row.source,
         )
     table.add_row("total", f"{sum(r.value for r in rows) * 1e3:.1f} g", style="bold")
-    console().print(table)
+    make_console().print(table)
 
 
-def _readable(value: Any, unit: str) -> tuple[str, str]:
-    name = _READABLE.get(unit, unit)
-    factor = conversion(unit, name)[1] if name != unit else 1.0
+def _to_readable(value: Any, unit: str) -> tuple[str, str]:
+    name = _READABLE_UNITS.get(unit, unit)
+    factor = unit_conversion(unit, name)[1] if name != unit else 1.0
 
-    def text(v: Any) -> str:
+    def format_number(v: Any) -> str:
         if isinstance(v, tuple):
             brackets = "()" if v and not isinstance(v[0], tuple) else "  "
-            return (brackets[0] + ", ".join(text(x) for x in v) + brackets[1]).strip()
+            return (brackets[0] + ", ".join(format_number(x) for x in v) + brackets[1]).strip()
         return f"{v * factor:.5g}"
 
-    return text(value), "" if name == "1" else name
+    return format_number(value), "" if name == "1" else name
 
 
 NEW_HELP = """Begin a helicopter of your own: write vehicle, rotor and mission files that fly.
@@ -233,49 +241,51 @@ its rule: measure them and write them in.
 
 Example: mufly new my-helicopter --mass 120 --radius 90 --kv 1800 --resistance 0.3 --cells 2"""
 
-_MASS = Range(1.0, 1e4, "g", "similarity does not reach from 95 g to there")
-_RADIUS = Range(10.0, 1000.0, "mm", "similarity does not reach from 87.5 mm to there")
-_KV = Range(10.0, 1e5, "rpm/V", "no motor is wound so")
-_RESISTANCE = Range(1e-3, 1e3, "ohm", "no motor is wound so")
-_CURRENT = Range(1e-3, 100.0, "A", "no motor of this size draws it")
-_CELLS = Range(1, 24, "", "packs have 1 to 24 cells in series")
-_CAPACITY = Range(1.0, 1e5, "mA h", "no such battery flies")
+_MASS_RANGE = OptionRange(1.0, 1e4, "g", "similarity does not reach from 95 g to there")
+_RADIUS_RANGE = OptionRange(10.0, 1000.0, "mm", "similarity does not reach from 87.5 mm to there")
+_SPEED_CONSTANT_RANGE = OptionRange(10.0, 1e5, "rpm/V", "no motor is wound so")
+_RESISTANCE_RANGE = OptionRange(1e-3, 1e3, "ohm", "no motor is wound so")
+_CURRENT_RANGE = OptionRange(1e-3, 100.0, "A", "no motor of this size draws it")
+_CELL_COUNT_RANGE = OptionRange(1, 24, "", "packs have 1 to 24 cells in series")
+_CAPACITY_RANGE = OptionRange(1.0, 1e5, "mA h", "no such battery flies")
 
 
-def new(
-    name: Annotated[str, argument("NAME", "Its name, and that of the folder that is made.")],
-    mass: Annotated[float | None, option("--mass", "Take-off mass.", unit="g", within=_MASS)] = None,
+def create_vehicle_project(
+    name: Annotated[str, define_argument("NAME", "Its name, and that of the folder that is made.")],
+    mass: Annotated[float | None, define_option("--mass", "Take-off mass.", unit="g", within=_MASS_RANGE)] = None,
     radius: Annotated[
-        float | None, option("--radius", "Radius of both rotors.", unit="mm", within=_RADIUS)
+        float | None, define_option("--radius", "Radius of both rotors.", unit="mm", within=_RADIUS_RANGE)
     ] = None,
     kv: Annotated[
-        float | None, option("--kv", "Speed constant of a motor.", unit="rpm/V", within=_KV)
+        float | None,
+        define_option("--kv", "Speed constant of a motor.", unit="rpm/V", within=_SPEED_CONSTANT_RANGE),
     ] = None,
     resistance: Annotated[
         float | None,
-        option("--resistance", "Of a motor with its controller.", unit="ohm", within=_RESISTANCE),
+        define_option("--resistance", "Of a motor with its controller.", unit="ohm", within=_RESISTANCE_RANGE),
     ] = None,
     no_load_current: Annotated[
         float | None,
-        option("--no-load-current", "Of a motor, at the nominal voltage.", unit="A", within=_CURRENT),
+        define_option("--no-load-current", "Of a motor, at the nominal voltage.", unit="A", within=_CURRENT_RANGE),
     ] = None,
     gear: Annotated[
         float | None,
-        option("--gear", "Motor speed over rotor speed; 1 is direct drive.", unit="", within=GEAR),
+        define_option("--gear", "Motor speed over rotor speed; 1 is direct drive.", unit="", within=GEAR_RATIO_RANGE),
     ] = None,
     cells: Annotated[
-        int | None, option("--cells", "Of the battery, in series.", unit="", form="count", within=_CELLS)
+        int | None,
+        define_option("--cells", "Of the battery, in series.", unit="", form="count", within=_CELL_COUNT_RANGE),
     ] = None,
     capacity: Annotated[
-        float | None, option("--capacity", "Of the battery.", unit="mA h", within=_CAPACITY)
+        float | None, define_option("--capacity", "Of the battery.", unit="mA h", within=_CAPACITY_RANGE)
     ] = None,
-    out: Annotated[Path | None, option("--out DIR", "Folder for the files; NAME if not given.")] = None,
+    out: Annotated[Path | None, define_option("--out DIR", "Folder for the files; NAME if not given.")] = None,
 ) -> None:
     """See :data:`NEW_HELP`."""
     from mufly.dynamics import hover_performance, similar_vehicle
     from mufly.mission import dump_mission, load_mission
-    from mufly.rotor import load_rotor, replace_rotor, rotor_toml
-    from mufly.vehicle import load_vehicle, parameters, vehicle_toml
+    from mufly.rotor import format_rotor_toml, load_rotor, replace_rotor
+    from mufly.vehicle import format_vehicle_toml, list_parameters, load_vehicle
 
     folder = Path(name) if out is None else out
     known, blade = load_vehicle("mufly-1.1"), load_rotor("walkera-5g6")
@@ -283,16 +293,16 @@ def new(
     for file in files.values():
         if file.exists():
             raise InputError(str(file), "", "is there already", "give another NAME, or --out")
-    mass = _asked(mass, "--mass", "Take-off mass in g", _MASS, needed=True)
-    radius = _asked(radius, "--radius", "Rotor radius in mm", _RADIUS, needed=True)
+    mass = _ask_if_missing(mass, "--mass", "Take-off mass in g", _MASS_RANGE, needed=True)
+    radius = _ask_if_missing(radius, "--radius", "Rotor radius in mm", _RADIUS_RANGE, needed=True)
     assert mass is not None  # needed
     assert radius is not None
     if kv is None and resistance is None:
-        kv = _asked(kv, "--kv", "Motor: KV in rpm/V", _KV)
+        kv = _ask_if_missing(kv, "--kv", "Motor: KV in rpm/V", _SPEED_CONSTANT_RANGE)
         if kv is not None:
-            resistance = _asked(resistance, "--resistance", "Motor: resistance in ohm", _RESISTANCE)
-    given_cells = _asked(cells, "--cells", "Battery: cells in series", _CELLS)
-    capacity = _asked(capacity, "--capacity", "Battery: capacity in mA h", _CAPACITY)
+            resistance = _ask_if_missing(resistance, "--resistance", "Motor: resistance in ohm", _RESISTANCE_RANGE)
+    given_cells = _ask_if_missing(cells, "--cells", "Battery: cells in series", _CELL_COUNT_RANGE)
+    capacity = _ask_if_missing(capacity, "--capacity", "Battery: capacity in mA h", _CAPACITY_RANGE)
     vehicle = similar_vehicle(
         known, Path(name).name,
         mass_kg=mass / 1e3,
@@ -313,40 +323,40 @@ def new(
         "blade.chord": chord,
     }
     rotor = replace_rotor(blade, shape, source="estimated")
-    check_folder("--out", folder)
+    ensure_folder("--out", folder)
     texts = {
-        "vehicle": vehicle_toml(vehicle),
-        "rotor": rotor_toml(rotor),
+        "vehicle": format_vehicle_toml(vehicle),
+        "rotor": format_rotor_toml(rotor),
         "mission": dump_mission(load_mission("demonstration")),
     }
     for part, file in files.items():
-        with writing(file):
+        with report_place_errors(file):
             file.write_text(texts[part], encoding="utf-8")
     _print_hover(vehicle, hover_performance(vehicle))
-    guesses = sum(row.note.startswith("guess:") for row in parameters(vehicle))
+    guesses = sum(row.note.startswith("guess:") for row in list_parameters(vehicle))
     place = f"gear {float(vehicle.gear.ratio):.3g}, battery {float(vehicle.battery.capacity) / 3.6:.0f} mA h"
-    say(
+    print_lines(
         f"  {place}",
-        f"\n{guesses} of its {len(parameters(vehicle))} numbers are guesses, each with its rule in the file:",
+        f"\n{guesses} of its {len(list_parameters(vehicle))} numbers are guesses, each with its rule in the file:",
         f"  {files['vehicle']}    to be measured and filled in",
         f"  {files['rotor']}      blades of mufly-1.1's shape",
         f"  {files['mission']}    a square; change it",
         "\nNext:",
         f"  mufly fly {files['mission']} --vehicle {files['vehicle']}",
         f"  mufly vehicle show {files['vehicle']}",
-        f"  mufly rotor hover {files['rotor']} --pitch 12 --rpm {_hover_rpm(vehicle):.0f}",
+        f"  mufly rotor hover {files['rotor']} --pitch 12 --rpm {_mean_hover_speed_rpm(vehicle):.0f}",
     )
 
 
-def _hover_rpm(vehicle: Vehicle) -> float:
+def _mean_hover_speed_rpm(vehicle: Vehicle) -> float:
     """Mean rotor speed in hover (rpm)."""
     from mufly.dynamics import hover_speeds, model_parameters
 
     return float(hover_speeds(model_parameters(vehicle)).mean()) / RPM
 
 
-def _asked(
-    value: float | None, name: str, question: str, limits: Range, needed: bool = False
+def _ask_if_missing(
+    value: float | None, name: str, question: str, limits: OptionRange, needed: bool = False
 ) -> float | None:
     """Return an option's value; at a terminal ask for one that is missing, an empty answer leaves it to be guessed."""
     if value is not None:
@@ -356,14 +366,12 @@ def _asked(
             raise InputError(name, "", "is missing", "give it: mufly new --help has an example")
         return None
     while True:
-        text = str(
-            typer.prompt(question if needed else f"{question} (Enter: guess)", default="", show_default=False)
-        )
+        text = str(typer.prompt(question if needed else f"{question} (Enter: guess)", default="", show_default=False))
         if not text.strip() and not needed:
             return None
         try:
             number = read_quantity(name, text, limits.unit)
-            limits.check(name, number)
+            limits.check_value(name, number)
             return number
         except InputError as error:
-            say(f"{error.problem}; {error.remedy}", style="yellow")
+            print_lines(f"{error.problem}; {error.remedy}", style="yellow")

@@ -1,7 +1,7 @@
 """All controllers of a vehicle: synthesis, reduction, discretisation, analysis, and the gains for the law on board.
 
-Choices, with their reasons, stand in docs/control.md; weights, scaling and limits in :class:`Settings`. What the thesis
-prints about its controllers stands beside ours (Sec. 6.1; facts.csv, keys S6.1-*).
+Choices, with their reasons, stand in docs/control.md; weights, scaling and limits in :class:`DesignSettings`. What the
+thesis prints about its controllers stands beside ours (Sec. 6.1; facts.csv, keys S6.1-*).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mufly.control.implementation import (
     DiscreteController,
     Reduction,
     analyse_cascade,
-    discretise,
+    discretise_controller,
     reduce_controller,
 )
 from mufly.control.law import (
@@ -27,23 +27,23 @@ from mufly.control.law import (
     ROLL_PITCH_GAINS,
     ROLL_PITCH_ORDER,
     VELOCITY_ORDER,
-    pack,
+    pack_gains,
 )
-from mufly.control.linear import (
+from mufly.control.linear_systems import (
     Array,
     LoopAnalysis,
-    analyse,
-    crossovers,
+    analyse_loop,
     feedback_part,
+    find_crossovers,
     frequency_response,
     sample_plant,
     singular_values,
     state_space,
 )
-from mufly.control.schemes import (
-    Scaling,
-    Settings,
-    heave_per_input,
+from mufly.control.weighting_schemes import (
+    DesignSettings,
+    SignalScaling,
+    heave_acceleration_per_input,
     heave_yaw_scaling,
     one_degree_plant,
     roll_pitch_scaling,
@@ -51,18 +51,18 @@ from mufly.control.schemes import (
     two_degree_plant,
     unscale_controller,
 )
-from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise, model_parameters
-from mufly.dynamics.state import RS_CHARGE
+from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise_vehicle, model_parameters
+from mufly.dynamics.model_state import RS_CHARGE
 from mufly.errors import ArgumentError, MuflyError
-from mufly.results import plain, result
-from mufly.vehicle import Vehicle, voltage_range
+from mufly.results import result, to_plain_data
+from mufly.vehicle import Vehicle, battery_voltage_range
 
 DEFAULT_RATE_HZ = 200.0
 POSITION_DIVIDER = 4  # the position cascade runs in every fourth period
 
 
 @result
-class PublishedDesign:
+class PublishedFigures:
     """Printed figures of one design; None where the text gives none.
 
     Attributes
@@ -90,7 +90,7 @@ class PublishedDesign:
     order: int | None = None
 
 
-HEAVE_YAW = PublishedDesign(
+HEAVE_YAW = PublishedFigures(
     gamma=1.38,
     plant_crossovers=(2.82, 575.0),
     crossover=3.26,
@@ -98,12 +98,12 @@ HEAVE_YAW = PublishedDesign(
     complementary_peak_dB=3.93,
     order=10,
 )
-ROLL_PITCH = PublishedDesign(crossover=36.0, complementary_peak_dB=1.9, resonance=14.5, order=8)
-VELOCITY = PublishedDesign()
+ROLL_PITCH = PublishedFigures(crossover=36.0, complementary_peak_dB=1.9, resonance=14.5, order=8)
+VELOCITY = PublishedFigures()
 
 
 @result(picture="mufly.control.plots:draw_loop")
-class Design:
+class ControllerDesign:
     """One controller, from synthesis to difference equations.
 
     Attributes
@@ -134,7 +134,7 @@ class Design:
 
     name: str
     plant: control.StateSpace
-    scaling: Scaling
+    scaling: SignalScaling
     generalised: control.StateSpace
     controller: control.StateSpace
     gamma: float
@@ -148,10 +148,10 @@ class Design:
     sampled_loop: LoopAnalysis
     plant_crossovers: tuple[float, ...]
     feedback_inputs: tuple[int, ...]
-    published: PublishedDesign
+    published: PublishedFigures
 
     @property
-    def loops(self) -> tuple[tuple[str, int, LoopAnalysis], ...]:
+    def loop_analyses(self) -> tuple[tuple[str, int, LoopAnalysis], ...]:
         """Name, order and figures of the full, the reduced and the sampled controller's loop."""
         return (
             ("full", self.controller.nstates, self.full_loop),
@@ -159,11 +159,9 @@ class Design:
             ("sampled", self.discrete.order, self.sampled_loop),
         )
 
-    def feedback(self, controller: control.StateSpace | None = None) -> control.StateSpace:
+    def feedback_controller(self, controller: control.StateSpace | None = None) -> control.StateSpace:
         """K of ``u = -K y``, of the full controller or of another one with the same inputs."""
-        return feedback_part(
-            self.controller if controller is None else controller, self.plant, self.feedback_inputs
-        )
+        return feedback_part(self.controller if controller is None else controller, self.plant, self.feedback_inputs)
 
     def to_dict(self) -> dict[str, Any]:
         """The figures, ready for JSON: units in the keys, None for what is infinite."""
@@ -181,10 +179,10 @@ class Design:
             "rate_Hz": 1 / self.discrete.period_s,
             "form": self.discrete.form,
             "anti_windup": self.discrete.anti_windup,
-            "full": plain(self.full_loop),
-            "reduced": plain(self.reduced_loop),
-            "sampled_with_one_sample_of_delay": plain(self.sampled_loop),
-            "thesis": plain(self.published),
+            "full": to_plain_data(self.full_loop),
+            "reduced": to_plain_data(self.reduced_loop),
+            "sampled_with_one_sample_of_delay": to_plain_data(self.sampled_loop),
+            "thesis": to_plain_data(self.published),
         }
 
     def __str__(self) -> str:
@@ -196,7 +194,7 @@ class Design:
             f"  {'loop':8} {'order':>5} {'crossovers rad/s':>17} {'S_u dB':>7} {'T_u dB':>7} {'GM dB':>6} "
             f"{'PM deg':>7} {'delay ms':>9}",
         ]
-        for label, order, loop in self.loops:
+        for label, order, loop in self.loop_analyses:
             crossovers = ", ".join(f"{w:.1f}" for w in loop.crossovers)
             lines.append(
                 f"  {label:8} {order:5d} {crossovers:>17} {loop.sensitivity_peak_dB:7.2f} "
@@ -236,25 +234,25 @@ class FlightController:
     position_divider: int
     voltage_V: float
     motor_trim: Array
-    heave_yaw: Design
-    roll_pitch: Design
-    velocity: Design
+    heave_yaw: ControllerDesign
+    roll_pitch: ControllerDesign
+    velocity: ControllerDesign
     cascade: LoopAnalysis
     heave_yaw_gains: np.void
     roll_pitch_gains: np.void
     position_gains: np.void
-    settings: Settings
+    settings: DesignSettings
 
     @property
-    def designs(self) -> tuple[Design, Design, Design]:
+    def all_designs(self) -> tuple[ControllerDesign, ControllerDesign, ControllerDesign]:
         """Heave-yaw, roll-pitch, velocity."""
         return self.heave_yaw, self.roll_pitch, self.velocity
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def design_warnings(self) -> tuple[str, ...]:
         """What a user should know before flying: sampled loops with peaks above 6 dB, and how to mend them."""
         found = []
-        for d in self.designs:
+        for d in self.all_designs:
             loop = d.sampled_loop
             peak = max(loop.sensitivity_peak_dB, loop.complementary_peak_dB)
             if peak > 6.0:
@@ -268,15 +266,15 @@ class FlightController:
     def to_dict(self) -> dict[str, Any]:
         """The figures of all designs, ready for JSON."""
         return {
-            "warnings": list(self.warnings),
+            "warnings": list(self.design_warnings),
             "vehicle": self.vehicle_name,
             "rate_Hz": self.rate_Hz,
             "position_rate_Hz": self.rate_Hz / self.position_divider,
             "design_voltage_V": self.voltage_V,
             "motor_trim_upper_lower": [float(v) for v in self.motor_trim],
             "position_gain_1_s": self.settings.position_gain,
-            "designs": [d.to_dict() for d in self.designs],
-            "cascade": plain(self.cascade),
+            "designs": [d.to_dict() for d in self.all_designs],
+            "cascade": to_plain_data(self.cascade),
         }
 
     def __str__(self) -> str:
@@ -292,16 +290,16 @@ class FlightController:
             f"delay margin {1e3 * c.delay_margin_s:.0f} ms"
         )
         return "\n".join(
-            [head, *map(str, self.designs), tail, *(f"warning: {text}" for text in self.warnings)]
+            [head, *map(str, self.all_designs), tail, *(f"warning: {text}" for text in self.design_warnings)]
         )
 
 
-def design(
+def design_flight_controller(
     vehicle: Vehicle,
     *,
     rate_Hz: float | None = None,
     voltage: float | None = None,
-    settings: Settings | None = None,
+    settings: DesignSettings | None = None,
 ) -> FlightController:
     """Design all controllers of a vehicle.
 
@@ -328,17 +326,17 @@ def design(
         If the vehicle cannot hover, or a design fails: the message names the design and the mode, weight or step at
         fault.
     """
-    s = Settings() if settings is None else settings
+    s = DesignSettings() if settings is None else settings
     rate = DEFAULT_RATE_HZ if rate_Hz is None else float(rate_Hz)
     if not (np.isfinite(rate) and 20.0 <= rate <= 5000.0):
         raise ArgumentError("rate_Hz", "", f"{rate:g} Hz is out of range", "give 20 to 5000 Hz; 200 is usual")
-    low, full = voltage_range(vehicle.battery)
+    low, full = battery_voltage_range(vehicle.battery)
     if voltage is not None and not low <= voltage <= full:
         raise ArgumentError(
             "voltage", "", f"{voltage:g} V is out of the battery's range",
             f"give {low:g} V (where {vehicle.name} has to land) to {full:g} V (full, at rest)",
         )  # fmt: skip
-    linear = linearise(vehicle, voltage=voltage)
+    linear = linearise_vehicle(vehicle, voltage=voltage)
     period = 1.0 / rate
     try:
         heave_yaw = design_heave_yaw(linear.heave_yaw, s, period)
@@ -371,7 +369,7 @@ def design(
         roll_pitch=roll_pitch,
         velocity=velocity,
         cascade=cascade,
-        heave_yaw_gains=pack(
+        heave_yaw_gains=pack_gains(
             HEAVE_YAW_GAINS,
             heave_yaw.discrete,
             trim=lower_upper,
@@ -388,13 +386,13 @@ def design(
             yaw_rate=s.yaw_rate,
             yaw_lead=s.reference_lead * lags[1],
         ),
-        roll_pitch_gains=pack(
+        roll_pitch_gains=pack_gains(
             ROLL_PITCH_GAINS,
             roll_pitch.discrete,
             trim=np.asarray(linear.trim.servo_input, dtype=float),
             tilt_limit=s.command_tilt_limit,
         ),
-        position_gains=pack(
+        position_gains=pack_gains(
             POSITION_GAINS,
             velocity.discrete,
             position_gain=s.position_gain,
@@ -406,10 +404,10 @@ def design(
     )
 
 
-def _designed(
+def _design_controller(
     name: str,
     plant: control.StateSpace,
-    scaling: Scaling,
+    scaling: SignalScaling,
     generalise: Callable[[control.StateSpace], control.StateSpace],
     relaxation: float,
     period_s: float,
@@ -417,10 +415,10 @@ def _designed(
     references: tuple[int, ...] = (),
     orders: tuple[int, int],
     slow: tuple[float, ...],
-    published: PublishedDesign,
+    published: PublishedFigures,
     scheme: str = "one-degree scheme",
     windup_rate: float | None = None,
-) -> Design:
+) -> ControllerDesign:
     """Synthesise, reduce, discretise, analyse; it reads the outputs ``references``, then all errors."""
     rows = tuple(range(len(references), len(references) + plant.noutputs))
     output_scale, input_scale = np.array(scaling.outputs), np.array(scaling.inputs)
@@ -441,13 +439,13 @@ def _designed(
         )
         full = unscale_controller(found.controller, read, input_scale)
         reduced = unscale_controller(reduction.controller, read, input_scale)
-        discrete = discretise(reduced, reduction.actuation / input_scale, period_s, windup_rate)
+        discrete = discretise_controller(reduced, reduction.actuation / input_scale, period_s, windup_rate)
         full_loop, reduced_loop, sampled_loop = (
-            analyse(G, feedback_part(K, plant, rows), output_scale=output_scale)
+            analyse_loop(G, feedback_part(K, plant, rows), output_scale=output_scale)
             for G, K in (
                 (plant, full),
                 (plant, reduced),
-                (sample_plant(plant, period_s, 1), discrete.system()),
+                (sample_plant(plant, period_s, 1), discrete.to_state_space()),
             )
         )
         if not sampled_loop.stable:
@@ -457,7 +455,7 @@ def _designed(
             )
     except MuflyError as error:
         raise MuflyError(f"{name} design, {scheme}: {error}") from None
-    return Design(
+    return ControllerDesign(
         name=name,
         plant=plant,
         scaling=scaling,
@@ -480,12 +478,12 @@ def _designed(
 
 def _plant_crossovers(plant: control.StateSpace) -> tuple[float, ...]:
     frequency = np.geomspace(1e-2, 1e5, 1500)
-    return crossovers(frequency, singular_values(plant, frequency))
+    return find_crossovers(frequency, singular_values(plant, frequency))
 
 
-def design_heave_yaw(plant: control.StateSpace, settings: Settings, period_s: float) -> Design:
+def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
     """Heave-yaw: two degrees of freedom (Sec. 6.1.4). Inputs of the controller: z, psi references, then errors."""
-    return _designed(
+    return _design_controller(
         "heave-yaw",
         plant,
         settings.heave_yaw_scaling or heave_yaw_scaling(plant),
@@ -501,9 +499,9 @@ def design_heave_yaw(plant: control.StateSpace, settings: Settings, period_s: fl
     )
 
 
-def design_roll_pitch(plant: control.StateSpace, settings: Settings, period_s: float) -> Design:
+def design_roll_pitch(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
     """Roll-pitch: one degree of freedom (Sec. 6.1.5). Inputs of the controller: errors of phi, theta, p, q."""
-    return _designed(
+    return _design_controller(
         "roll-pitch",
         plant,
         settings.roll_pitch_scaling or roll_pitch_scaling(plant),
@@ -517,7 +515,7 @@ def design_roll_pitch(plant: control.StateSpace, settings: Settings, period_s: f
     )
 
 
-def design_velocity(settings: Settings, period_s: float) -> Design:
+def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesign:
     """Velocity under ideal tilt (eq. 6.10): ``udot = -g theta``, ``vdot = g phi``; one degree of freedom (Sec. 6.1.6).
 
     Inputs of the controller: errors of u, v.
@@ -533,7 +531,7 @@ def design_velocity(settings: Settings, period_s: float) -> Design:
         outputs=("u", "v"),
         states=("u", "v"),
     )
-    return _designed(
+    return _design_controller(
         "velocity",
         plant,
         settings.velocity_scaling,
@@ -547,18 +545,18 @@ def design_velocity(settings: Settings, period_s: float) -> Design:
     )
 
 
-def reference_lags(heave_yaw: Design) -> tuple[float, float]:
+def reference_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
     """Time (s) by which height and heading trail a reference of constant rate: phase lag over a low frequency."""
     frequency = np.array([0.05])
     sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)
     g = frequency_response(sampled, frequency)[0]
-    k = frequency_response(heave_yaw.discrete.system(), frequency)[0]
+    k = frequency_response(heave_yaw.discrete.to_state_space(), frequency)[0]
     response = np.linalg.solve(np.eye(g.shape[0]) + g @ k[:, 2:], g @ k[:, :2])
     z, psi = (max(0.0, float(-np.angle(response[i, i]) / frequency[0])) for i in (0, 1))
     return z, psi
 
 
-def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Settings) -> float:
+def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: DesignSettings) -> float:
     """Acceleration (m/s2) of a heave reference that the motors follow, with the battery run down and sagging.
 
     A step of ``du`` on both motors ends in ``per_input * du``; ``du`` is what the battery's voltage at full input, with
@@ -570,5 +568,5 @@ def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Settin
     sagged = float(battery_state(state, 1.0, 1.0, model_parameters(vehicle))[0])
     lower_upper = linear.trim.motor_input[::-1]
     headroom = np.maximum(sagged / linear.trim.voltage_V - lower_upper, 0.0)
-    available = abs(float(heave_per_input(linear.heave_yaw) @ headroom))
+    available = abs(float(heave_acceleration_per_input(linear.heave_yaw) @ headroom))
     return float(np.clip(settings.heave_share * available, 0.1, settings.heave_acceleration_max))

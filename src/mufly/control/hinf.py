@@ -29,7 +29,7 @@ import control
 import numpy as np
 from scipy import linalg
 
-from mufly.control.linear import Array, altered, hinf_norm, state_space
+from mufly.control.linear_systems import Array, hinf_norm, replace_matrices, state_space
 from mufly.errors import ArgumentError, MuflyError
 from mufly.results import result
 
@@ -69,7 +69,7 @@ class HinfResult:
     iterations: int
 
 
-class _Parts(NamedTuple):
+class _PartitionedPlant(NamedTuple):
     """A generalised plant by its signals."""
 
     A: Array
@@ -83,11 +83,11 @@ class _Parts(NamedTuple):
     D22: Array
 
 
-def _parts(A: Array, B: Array, C: Array, D: Array, ny: int, nu: int) -> _Parts:
+def _partition_plant(A: Array, B: Array, C: Array, D: Array, ny: int, nu: int) -> _PartitionedPlant:
     """Part the matrices of a plant before its last ``ny`` outputs and ``nu`` inputs."""
     nz, nw = D.shape[0] - ny, D.shape[1] - nu
     rows = D[:nz], D[nz:]
-    return _Parts(
+    return _PartitionedPlant(
         A, B[:, :nw], B[:, nw:], C[:nz], C[nz:], *(part for d in rows for part in (d[:, :nw], d[:, nw:]))
     )
 
@@ -100,7 +100,7 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
     MuflyError
         If the loop is not well posed (I - D22 Dk singular).
     """
-    A, B1, B2, C1, C2, D11, D12, D21, D22 = _parts(P.A, P.B, P.C, P.D, K.ninputs, K.noutputs)
+    A, B1, B2, C1, C2, D11, D12, D21, D22 = _partition_plant(P.A, P.B, P.C, P.D, K.ninputs, K.noutputs)
     (nz, nw), ny = D11.shape, K.ninputs
     loop = np.eye(ny) - D22 @ K.D
     if np.linalg.cond(loop) > 1e12:
@@ -115,18 +115,18 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
     return state_space(A, B, C, D11 + D12 @ Du, inputs=P.input_labels[:nw], outputs=P.output_labels[:nz])
 
 
-_MOST, _LEAST = 1e20, 1e-18  # levels of a plant with all signals near one that the search goes to
-_NEAR_BITS = (
+_MAX_GAMMA, _MIN_GAMMA = 1e20, 1e-18  # levels of a plant with all signals near one that the search goes to
+_UNSCALED_BITS = (
     10  # a signal within 2^10 of one is taken as it stands, so that a plant of ordinary size keeps every bit
 )
 
 
-def _scaled(P: control.StateSpace, inputs: Array, outputs: Array) -> control.StateSpace:
+def _scale_signals(P: control.StateSpace, inputs: Array, outputs: Array) -> control.StateSpace:
     """The plant with its inputs and outputs in other units."""
-    return altered(P, B=P.B * inputs, C=P.C * outputs[:, None], D=P.D * inputs * outputs[:, None])
+    return replace_matrices(P, B=P.B * inputs, C=P.C * outputs[:, None], D=P.D * inputs * outputs[:, None])
 
 
-def _even(P: control.StateSpace) -> control.StateSpace:
+def _balance_states(P: control.StateSpace) -> control.StateSpace:
     """The plant after the diagonal similarity, in powers of two, that evens out rows and columns of [A B; C 0]."""
     n = P.nstates
     whole = np.block([[P.A, P.B], [P.C, np.zeros(P.D.shape)]])
@@ -141,10 +141,10 @@ def _even(P: control.StateSpace) -> control.StateSpace:
                 whole[:, i] /= f
         if np.array_equal(before, whole):
             break
-    return altered(P, A=whole[:n, :n], B=whole[:n, n:], C=whole[n:, :n])
+    return replace_matrices(P, A=whole[:n, :n], B=whole[:n, n:], C=whole[n:, :n])
 
 
-def _units(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Array]:
+def _signal_scales(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Array]:
     """Factors on inputs and outputs (one for all of w, one for all of z) that bring every signal near one.
 
     What a signal is worth is the length of its column of ``[B / sqrt(r); D]``, or row of ``[C / sqrt(r), D]``, with the
@@ -154,8 +154,8 @@ def _units(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Array]:
     inputs, outputs = np.ones(P.ninputs), np.ones(P.noutputs)
     nw, nz = P.ninputs - nu, P.noutputs - ny
     for _ in range(20):
-        even = _even(_scaled(P, inputs, outputs))
-        p = _parts(even.A, even.B, even.C, even.D, ny, nu)
+        even = _balance_states(_scale_signals(P, inputs, outputs))
+        p = _partition_plant(even.A, even.B, even.C, even.D, ny, nu)
         loops = ((p.B2 @ np.linalg.pinv(p.D12), p.C1), (p.B1, np.linalg.pinv(p.D21) @ p.C2))
         rate = max(np.linalg.norm(p.A), *(1e-6 * np.linalg.norm(M) * np.linalg.norm(N) for M, N in loops))
         root = np.sqrt(rate or 1.0)
@@ -166,7 +166,7 @@ def _units(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Array]:
         ):
             size[:common] = np.linalg.norm(size[:common])
             bits = np.round(np.log2(np.where(size > 0, size, 1.0)))
-            far = np.abs(bits) > _NEAR_BITS
+            far = np.abs(bits) > _UNSCALED_BITS
             if far.any() and not changed:
                 factors *= np.exp2(np.where(far, -bits, 0.0))
                 changed = True
@@ -175,10 +175,12 @@ def _units(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Array]:
     return inputs, outputs
 
 
-def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -> tuple[_Parts, Array, Array]:
+def _normalise_plant(
+    P: control.StateSpace, ny: int, nu: int, regularisation: float
+) -> tuple[_PartitionedPlant, Array, Array]:
     """Return the plant with D12 = [0; I], D21 = [0, I]; Ru, Ry of u = Ru u~, y~ = Ry y."""
     n = P.nstates
-    p = _parts(P.A, P.B, P.C, P.D, ny, nu)
+    p = _partition_plant(P.A, P.B, P.C, P.D, ny, nu)
     if regularisation > 0.0:
         eps = regularisation
         p = p._replace(
@@ -208,7 +210,7 @@ def _normalise(P: control.StateSpace, ny: int, nu: int, regularisation: float) -
     return normal, Ru, Ry
 
 
-def _riccati(H: Array) -> Array | None:
+def _solve_riccati(H: Array) -> Array | None:
     """Stabilising solution X of the Riccati equation of Hamiltonian ``H``; None if an eigenvalue is on the axis."""
     n = H.shape[0] // 2
     with np.errstate(invalid="ignore"):  # scipy casts a permutation that is not asked for
@@ -230,24 +232,22 @@ def _riccati(H: Array) -> Array | None:
     # it as negative as -E, with E of the Lyapunov equation Ac' E + E Ac + N = 0.
     even = np.sqrt(d[:n] / d[n:])
 
-    def negative(M: Array) -> bool:
+    def is_negative(M: Array) -> bool:
         values = np.linalg.eigvalsh(M * even * even[:, None])
         return bool(values[0] < -1e-7 * values[-1])
 
-    if negative(symmetric):
+    if is_negative(symmetric):
         noise = 100.0 * np.finfo(float).eps * np.linalg.norm(balanced) * np.diag(even**-2)
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", RuntimeWarning
-            )  # a mode next to the axis: the doubt is large, and said so
+            warnings.simplefilter("ignore", RuntimeWarning)  # a mode next to the axis: the doubt is large, and said so
             doubt = linalg.solve_continuous_lyapunov((H[:n, :n] + H[:n, n:] @ symmetric).T, -noise)
         # A doubt that is itself large says nothing.
-        if negative(symmetric + doubt) or np.linalg.norm(doubt * even * even[:, None]) > 1.0:
+        if is_negative(symmetric + doubt) or np.linalg.norm(doubt * even * even[:, None]) > 1.0:
             return None
     return symmetric
 
 
-def _central(p: _Parts, gamma: float) -> tuple[Array, Array, Array, Array] | None:
+def _central_controller(p: _PartitionedPlant, gamma: float) -> tuple[Array, Array, Array, Array] | None:
     """Central controller of level ``gamma`` for the normalised plant, or None where there is none."""
     n, nw, nu = p.A.shape[0], p.B1.shape[1], p.B2.shape[1]
     nz, ny = p.C1.shape[0], p.C2.shape[0]
@@ -261,12 +261,12 @@ def _central(p: _Parts, gamma: float) -> tuple[Array, Array, Array, Array] | Non
     S = Dcol @ Dcol.T - linalg.block_diag(g2 * np.eye(nz), np.zeros((ny, ny)))
     M = np.linalg.solve(R, np.hstack([Drow.T @ p.C1, B.T]))
     H = np.block([[p.A, np.zeros((n, n))], [-p.C1.T @ p.C1, -p.A.T]]) - np.vstack([B, -p.C1.T @ Drow]) @ M
-    X = _riccati(H)
+    X = _solve_riccati(H)
     if X is None:
         return None
     M = np.linalg.solve(S, np.hstack([Dcol @ p.B1.T, C]))
     J = np.block([[p.A.T, np.zeros((n, n))], [-p.B1 @ p.B1.T, -p.A]]) - np.vstack([C.T, -p.B1 @ Dcol.T]) @ M
-    Y = _riccati(J)
+    Y = _solve_riccati(J)
     if Y is None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
@@ -294,11 +294,11 @@ def _central(p: _Parts, gamma: float) -> tuple[Array, Array, Array, Array] | Non
     return Ak, Bk, Ck, Dk
 
 
-def _controller(
-    p: _Parts, Ru: Array, Ry: Array, gamma: float, P: control.StateSpace
+def _recover_controller(
+    p: _PartitionedPlant, Ru: Array, Ry: Array, gamma: float, P: control.StateSpace
 ) -> control.StateSpace | None:
     """Central controller of level ``gamma`` for the plant as given: turned back, and shifted by D22."""
-    matrices = _central(p, gamma)
+    matrices = _central_controller(p, gamma)
     if matrices is None:
         return None
     (ny, nu), D22 = p.D22.shape, p.D22
@@ -372,9 +372,7 @@ def hinfsyn(
             raise ArgumentError(name, "", f"{value:g} is not possible", f"give {least:g}{upto}")
     nw, nz = P.ninputs - n_controls, P.noutputs - n_measurements
     if P.dt not in (0, None):
-        raise MuflyError(
-            "H-infinity synthesis: the plant is in discrete time; give its continuous-time model"
-        )
+        raise MuflyError("H-infinity synthesis: the plant is in discrete time; give its continuous-time model")
     if nw < 1 or nz < 1 or n_controls < 1 or n_measurements < 1:
         raise MuflyError(
             f"H-infinity synthesis: a plant of {P.noutputs} outputs and {P.ninputs} inputs leaves no errors or "
@@ -382,39 +380,37 @@ def hinfsyn(
         )
     if not all(np.isfinite(M).all() for M in (P.A, P.B, P.C, P.D)):
         raise MuflyError("H-infinity synthesis: the plant holds a number that is not finite")
-    inputs, outputs = _units(P, n_measurements, n_controls)
+    inputs, outputs = _signal_scales(P, n_measurements, n_controls)
     unit = float(inputs[0] * outputs[0])  # a level of the scaled plant over one of the plant as given
-    scaled = _even(_scaled(P, inputs, outputs))
-    p, Ru, Ry = _normalise(scaled, n_measurements, n_controls, regularisation)
+    scaled = _balance_states(_scale_signals(P, inputs, outputs))
+    p, Ru, Ry = _normalise_plant(scaled, n_measurements, n_controls, regularisation)
     a, b = p.C1.shape[0] - n_controls, p.B1.shape[1] - n_measurements
-    floor = float(
-        max(np.linalg.norm(p.D11[:a], 2) if a else 0.0, np.linalg.norm(p.D11[:, :b], 2) if b else 0.0)
-    )
-    most = _MOST if gamma_max is None else gamma_max * unit
+    floor = float(max(np.linalg.norm(p.D11[:a], 2) if a else 0.0, np.linalg.norm(p.D11[:, :b], 2) if b else 0.0))
+    most = _MAX_GAMMA if gamma_max is None else gamma_max * unit
     iterations = 0
 
-    def feasible(gamma: float) -> bool:
+    def is_feasible(gamma: float) -> bool:
         nonlocal iterations
         iterations += 1
         try:
-            return _central(p, gamma) is not None
+            return _central_controller(p, gamma) is not None
         except (np.linalg.LinAlgError, linalg.LinAlgError, ValueError):
             return False
 
     lower, upper, promised = floor, min(max(1.0, 1.01 * floor), most), None
     while True:
-        while not feasible(upper):
+        while not is_feasible(upper):
             if upper >= most:
-                raise MuflyError(_refusal(p, scaled, promised, most, unit))
+                raise MuflyError(_explain_infeasible(p, scaled, promised, most, unit))
             lower, upper = upper, min(3.0 * upper, most)
-        while upper > (1 + gamma_tolerance) * lower and upper > _LEAST:
+        while upper > (1 + gamma_tolerance) * lower and upper > _MIN_GAMMA:
             # Geometric once a scale is known, so that a small optimum is found as fast as a large one.
             middle = float(np.sqrt(lower * upper)) if lower > upper / 100 else upper / 10
             if middle <= floor:
                 middle = (floor + upper) / 2
             if not lower < middle < upper:  # as near as numbers are
                 break
-            if feasible(middle):
+            if is_feasible(middle):
                 upper = middle
             else:
                 lower = middle
@@ -425,7 +421,7 @@ def hinfsyn(
             gamma = best * relaxation * (1.0 if k < 0 else 1.0 + max(gamma_tolerance, 1e-9) * 2.0**k)
             if gamma > 2.0 * best * relaxation:
                 break
-            K = _controller(p, Ru, Ry, gamma, scaled)
+            K = _recover_controller(p, Ru, Ry, gamma, scaled)
             if K is not None:
                 try:
                     loop = close_loop(scaled, K)
@@ -436,45 +432,47 @@ def hinfsyn(
                     u, y = inputs[-n_controls:], outputs[-n_measurements:]
                     actuation = (p.B2 @ np.linalg.inv(Ru) - K.B @ p.D22) / u
                     return HinfResult(
-                        _scaled(K, y, u),
+                        _scale_signals(K, y, u),
                         gamma / unit,
                         min(best, norm) / unit,
                         norm / unit,
                         where,
-                        _scaled(loop, 1 / inputs[:-n_controls], 1 / outputs[:-n_measurements]),
+                        _scale_signals(loop, 1 / inputs[:-n_controls], 1 / outputs[:-n_measurements]),
                         actuation,
                         iterations,
                     )
         # No loop keeps it: a level in name only. Look above it.
         lower, upper = gamma, min(3.0 * gamma, most)
         if lower >= most:
-            raise MuflyError(_refusal(p, scaled, promised, most, unit))
+            raise MuflyError(_explain_infeasible(p, scaled, promised, most, unit))
 
 
-def _refusal(p: _Parts, P: control.StateSpace, promised: float | None, most: float, unit: float) -> str:
+def _explain_infeasible(
+    p: _PartitionedPlant, P: control.StateSpace, promised: float | None, most: float, unit: float
+) -> str:
     """Why there is no controller: levels in units of the scaled plant, and the mode that is hardest to hold."""
     if promised is None:
         said = f"no controller found with gamma below {most / unit:.3g}"
     else:
-        said = (
-            f"level {promised / unit:.4g} is feasible in theory, but no closed loop keeps it in these numbers"
-        )
+        said = f"level {promised / unit:.4g} is feasible in theory, but no closed loop keeps it in these numbers"
     ny, nu = p.D22.shape
-    modes = zip(_modes(p.A, p.B2, "unstable"), _modes(p.A.T, p.C2.T, "unstable"), strict=True)
-    (mode, moved, state), (_, seen, _) = min(
-        modes, key=lambda m: m[0][1] * m[1][1], default=((0j, 1.0, 0),) * 2
+    modes = zip(
+        _mode_controllability(p.A, p.B2, "unstable"),
+        _mode_controllability(p.A.T, p.C2.T, "unstable"),
+        strict=True,
     )
+    (mode, moved, state), (_, seen, _) = min(modes, key=lambda m: m[0][1] * m[1][1], default=((0j, 1.0, 0),) * 2)
     if moved * seen > 1e-2:
         return f"H-infinity synthesis: {said}; the weights contradict each other or ask more than the plant allows"
     return (
-        f"H-infinity synthesis: {said}; mode {_written(mode)} rad/s (mainly state {P.state_labels[state]!r}) can "
+        f"H-infinity synthesis: {said}; mode {_format_mode(mode)} rad/s (mainly state {P.state_labels[state]!r}) can "
         f"hardly be held: its reach by {', '.join(P.input_labels[-nu:])} is {moved:.1e}, its sight from "
         f"{', '.join(P.output_labels[-ny:])} {seen:.1e} (1 is full, below 1e-11 none); add a control or a measurement "
         "for it, or make its weight stable"
     )
 
 
-def _modes(A: Array, B: Array, which: str) -> list[tuple[complex, float, int]]:
+def _mode_controllability(A: Array, B: Array, which: str) -> list[tuple[complex, float, int]]:
     """Modes of A, how well B reaches each, and its main state, counted.
 
     Those not stable ("unstable") or on the axis ("axis"). Popov-Belevitch-Hautus: the mode is out of reach when
@@ -490,11 +488,11 @@ def _modes(A: Array, B: Array, which: str) -> list[tuple[complex, float, int]]:
     return found
 
 
-def _written(mode: complex) -> str:
+def _format_mode(mode: complex) -> str:
     return f"{mode.real:.4g}" if abs(mode.imag) < 1e-12 * abs(mode) else f"{mode.real:.4g}{mode.imag:+.4g}j"
 
 
-def _check_assumptions(p: _Parts, P: control.StateSpace) -> None:
+def _check_assumptions(p: _PartitionedPlant, P: control.StateSpace) -> None:
     """Raise a MuflyError that names the first assumption of the synthesis that the plant violates.
 
     (A, B2) stabilisable, (C2, A) detectable; D12 of full column rank, D21 of full row rank; no invariant zero of
@@ -515,10 +513,10 @@ def _check_assumptions(p: _Parts, P: control.StateSpace) -> None:
         (p.A, p.B2, f"not stabilisable by {', '.join(controls)}", "cannot be moved; remove it"),
         (p.A.T, p.C2.T, f"not detectable from {', '.join(measured)}", "is not seen; measure it"),
     ):
-        for mode, reach, state in _modes(A, B, "unstable"):
+        for mode, reach, state in _mode_controllability(A, B, "unstable"):
             if reach < 1e-11:
                 raise MuflyError(
-                    f"H-infinity synthesis: {start}: mode {_written(mode)} rad/s (mainly state {states[state]!r}) "
+                    f"H-infinity synthesis: {start}: mode {_format_mode(mode)} rad/s (mainly state {states[state]!r}) "
                     f"{end} or make its weight stable"
                 )
     for D, name, names, remedy in (
@@ -537,7 +535,7 @@ def _check_assumptions(p: _Parts, P: control.StateSpace) -> None:
         ((p.A - p.B2 @ D12i @ p.C1).T, ((np.eye(nz) - p.D12 @ D12i) @ p.C1).T, "(A, B2, C1, D12)"),
         (p.A - p.B1 @ D21i @ p.C2, p.B1 @ (np.eye(nw) - D21i @ p.D21), "(A, B1, C2, D21)"),
     ):
-        for zero, reach, state in _modes(F, G, "axis"):
+        for zero, reach, state in _mode_controllability(F, G, "axis"):
             if reach < 1e-11:
                 raise MuflyError(
                     f"H-infinity synthesis: {name} has an invariant zero on the imaginary axis at {abs(zero.imag):.4g} "

@@ -33,31 +33,31 @@ import numpy as np
 from scipy import linalg
 
 from mufly.control.hinf import close_loop
-from mufly.control.linear import (
+from mufly.control.linear_systems import (
     Array,
     LoopAnalysis,
-    altered,
-    analyse,
-    connect,
+    analyse_loop,
+    connect_blocks,
     feedback_part,
     frequency_response,
     hinf_norm,
     is_stable_loop,
     largest_gain,
+    loop_sensitivities,
+    replace_matrices,
     sample_plant,
-    sensitivities,
     state_space,
 )
-from mufly.dynamics import submodel
+from mufly.dynamics import extract_submodel
 from mufly.errors import MuflyError
 from mufly.results import result
 
-TOLERANCES = ((0.1, 1.01), (0.2, 1.05), (0.5, 1.2))  # dB on the peaks, factor on the norm
-_SAME = 1e-6  # share by which two norms may differ and are the same
+LOOP_TOLERANCES = ((0.1, 1.01), (0.2, 1.05), (0.5, 1.2))  # dB on the peaks, factor on the norm
+_NORM_TOLERANCE = 1e-6  # share by which two norms may differ and are the same
 
 
 @result
-class Candidate:
+class ReducedCandidate:
     """One reduced controller and its loop.
 
     Attributes
@@ -103,21 +103,21 @@ class Reduction:
 
     controller: control.StateSpace
     actuation: Array
-    chosen: Candidate
+    chosen: ReducedCandidate
     tolerance_dB: float
     norm_factor: float
     full_order: int
     full_norm: float
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[ReducedCandidate, ...]
 
 
-def _split(A: Array, slow: float) -> tuple[Array, int]:
+def _split_modes(A: Array, slow: float) -> tuple[Array, int]:
     """Similarity that block-diagonalises A into modes slower than ``slow`` (rad/s) or not stable, and the rest."""
 
-    def keep(real: float, imag: float) -> bool:
+    def is_kept(real: float, imag: float) -> bool:
         return real >= 0.0 or np.hypot(real, imag) < slow
 
-    T, Z, count = linalg.schur(A, output="real", sort=keep)
+    T, Z, count = linalg.schur(A, output="real", sort=is_kept)
     n = A.shape[0]
     if 0 < count < n:
         # A11 R - R A22 = -A12 removes the coupling.
@@ -126,15 +126,15 @@ def _split(A: Array, slow: float) -> tuple[Array, int]:
     return Z, count
 
 
-def _root(gramian: Array) -> Array:
+def _gramian_root(gramian: Array) -> Array:
     """R with R R' = gramian, negative rounding errors removed."""
     values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def balance(P: Array, Q: Array) -> tuple[Array, Array]:
+def balancing_transform(P: Array, Q: Array) -> tuple[Array, Array]:
     """Return T and its inverse that make two Gramians equal (square-root balancing), null directions orthonormal."""
-    R, S = _root(P), _root(Q)
+    R, S = _gramian_root(P), _gramian_root(Q)
     U, sigma, Vt = np.linalg.svd(S.T @ R)
     keep = sigma > 1e-14 * sigma[0]
     scale = 1 / np.sqrt(np.where(keep, sigma, 1.0))
@@ -147,9 +147,7 @@ def balance(P: Array, Q: Array) -> tuple[Array, Array]:
     return T, Tinv
 
 
-def _remove(
-    K: control.StateSpace, M: Array, order: int, match: bool
-) -> tuple[control.StateSpace, Array] | None:
+def _remove_states(K: control.StateSpace, M: Array, order: int, match: bool) -> tuple[control.StateSpace, Array] | None:
     """Remove the states after ``order``; ``M`` is an input that has no feedthrough."""
     A, B, C, D = K.A, np.hstack([K.B, M]), K.C, np.hstack([K.D, np.zeros((K.noutputs, M.shape[1]))])
     if match and order < K.nstates:
@@ -167,7 +165,7 @@ def _remove(
     else:
         A, B, C = A[:order, :order], B[:order], C[:, :order]
     m = K.ninputs
-    return altered(K, A=A, B=B[:, :m], C=C, D=D[:, :m]), B[:, m:]
+    return replace_matrices(K, A=A, B=B[:, :m], C=C, D=D[:, :m]), B[:, m:]
 
 
 def reduce_controller(
@@ -179,7 +177,7 @@ def reduce_controller(
     *,
     order_max: int,
     order_min: int = 1,
-    tolerances: Sequence[tuple[float, float]] = TOLERANCES,
+    tolerances: Sequence[tuple[float, float]] = LOOP_TOLERANCES,
     slow: Sequence[float] = (0.1,),
 ) -> Reduction:
     """Reduce a controller to the least order whose closed loop stays within the tolerance.
@@ -213,31 +211,31 @@ def reduce_controller(
         When no order up to ``order_max`` passes; the message tells the best.
     """
     rows = list(feedback_inputs)
-    judge = _Judge(plant, rows)
-    full_s, full_t = judge.peaks(controller)
+    judge = _LoopPeaks(plant, rows)
+    full_s, full_t = judge.sensitivity_peaks(controller)
     full_loop = close_loop(generalised, controller)
     full_norm = hinf_norm(full_loop, tolerance=1e-4)[0]
     n = controller.nstates
     loosest = max(t[0] for t in tolerances)
-    tried: list[tuple[Candidate, control.StateSpace, Array]] = []
+    tried: list[tuple[ReducedCandidate, control.StateSpace, Array]] = []
     counts: set[int] = set()
     for threshold in slow:
-        Z, kept = _split(controller.A, threshold)
+        Z, kept = _split_modes(controller.A, threshold)
         if kept in counts:
             continue
         counts.add(kept)
-        for name, (K, M) in _realisations(generalised, controller, actuation, Z, kept).items():
+        for name, (K, M) in _balanced_realisations(generalised, controller, actuation, Z, kept).items():
             for order in range(max(kept, order_min, 1), min(order_max, n) + 1):
                 for match in (True, False):
-                    removed = _remove(K, M, order, match)
+                    removed = _remove_states(K, M, order, match)
                     if removed is None:
                         continue
-                    s, t = judge.peaks(removed[0])
+                    s, t = judge.sensitivity_peaks(removed[0])
                     norm = np.nan
                     if max(s - full_s, t - full_t) <= loosest:
                         norm = hinf_norm(close_loop(generalised, removed[0]), tolerance=1e-3)[0]
                     method = f"{name} {'match' if match else 'truncate'}"
-                    tried.append((Candidate(order, method, kept, s, t, norm, False), *removed))
+                    tried.append((ReducedCandidate(order, method, kept, s, t, norm, False), *removed))
 
     for tolerance, factor in tolerances:
         good = [
@@ -249,16 +247,12 @@ def reduce_controller(
         ]
         if good:
             sound = [e for e in good if np.linalg.eigvals(e[1].A - e[2] @ e[1].C).real.max() < -1e-4]
-            chosen, K, M = _best(sound or good)
+            chosen, K, M = _choose_candidate(sound or good)
             passed = {id(entry[0]) for entry in good}
-            listed = tuple(
-                replace(c, passed=id(c) in passed) for c, _, _ in sorted(tried, key=lambda e: e[0].order)
-            )
+            listed = tuple(replace(c, passed=id(c) in passed) for c, _, _ in sorted(tried, key=lambda e: e[0].order))
             chosen = replace(chosen, passed=True)
             return Reduction(K, M, chosen, tolerance, factor, n, full_norm, listed)
-    best = min(
-        (entry[0] for entry in tried), key=lambda c: max(c.sensitivity_peak_dB, c.complementary_peak_dB)
-    )
+    best = min((entry[0] for entry in tried), key=lambda c: max(c.sensitivity_peak_dB, c.complementary_peak_dB))
     raise MuflyError(
         f"order reduction: no controller of order {order_max} or less keeps the loop (full order {n}: peaks "
         f"{full_s:.2f} and {full_t:.2f} dB, norm {full_norm:.3g}; nearest: order {best.order} by {best.method!r}, "
@@ -267,15 +261,15 @@ def reduce_controller(
     )
 
 
-def _best(
-    entries: Sequence[tuple[Candidate, control.StateSpace, Array]],
-) -> tuple[Candidate, control.StateSpace, Array]:
+def _choose_candidate(
+    entries: Sequence[tuple[ReducedCandidate, control.StateSpace, Array]],
+) -> tuple[ReducedCandidate, control.StateSpace, Array]:
     """Least order, then least norm; of equal norms the first, or each processor's rounding would choose another one."""
     least = min((c.order, c.norm) for c, _, _ in entries)
-    return next(e for e in entries if e[0].order == least[0] and e[0].norm <= least[1] * (1.0 + _SAME))
+    return next(e for e in entries if e[0].order == least[0] and e[0].norm <= least[1] * (1.0 + _NORM_TOLERANCE))
 
 
-class _Judge:
+class _LoopPeaks:
     """Peaks of S_u and T_u for one controller after another; the plant's response is computed once."""
 
     def __init__(self, plant: control.StateSpace, rows: list[int]) -> None:
@@ -284,16 +278,16 @@ class _Judge:
         self.frequency = np.unique(np.concatenate([np.geomspace(1e-3, 3e3, 200), poles[poles > 1e-3]]))
         self.response = frequency_response(plant, self.frequency)
 
-    def peaks(self, K: control.StateSpace) -> tuple[float, float]:
+    def sensitivity_peaks(self, K: control.StateSpace) -> tuple[float, float]:
         feedback = feedback_part(K, self.plant, self.rows)
         if not is_stable_loop(self.plant, feedback):
             return np.inf, np.inf
         loop = frequency_response(feedback, self.frequency) @ self.response
-        s, t = (largest_gain(X).max() for X in sensitivities(loop))
+        s, t = (largest_gain(X).max() for X in loop_sensitivities(loop))
         return float(20 * np.log10(s)), float(20 * np.log10(t))
 
 
-def _realisations(
+def _balanced_realisations(
     generalised: control.StateSpace, controller: control.StateSpace, actuation: Array, Z: Array, kept: int
 ) -> dict[str, tuple[control.StateSpace, Array]]:
     """The controller with its kept modes first and the others balanced, by each choice of Gramians."""
@@ -306,14 +300,14 @@ def _realisations(
     if kept < n:
         gramians["loop"] = _loop_gramians(generalised, controller, Zinv[rest], Ar, Cr)
         gramians["open"] = (
-            linalg.solve_continuous_lyapunov(Ar, -_outer(Br)),
-            linalg.solve_continuous_lyapunov(Ar.T, -_outer(Cr.T)),
+            linalg.solve_continuous_lyapunov(Ar, -_outer_product(Br)),
+            linalg.solve_continuous_lyapunov(Ar.T, -_outer_product(Cr.T)),
         )
     found: dict[str, tuple[control.StateSpace, Array]] = {}
     for name, (P, Q) in gramians.items():
-        T, Tinv = balance(P, Q)
+        T, Tinv = balancing_transform(P, Q)
         T, Tinv = linalg.block_diag(np.eye(kept), T), linalg.block_diag(np.eye(kept), Tinv)
-        found[name] = altered(controller, A=Tinv @ A @ T, B=Tinv @ B, C=C @ T), Tinv @ M
+        found[name] = replace_matrices(controller, A=Tinv @ A @ T, B=Tinv @ B, C=C @ T), Tinv @ M
     return found
 
 
@@ -328,22 +322,22 @@ def _loop_gramians(
     nu = controller.noutputs
     nw, nz = generalised.ninputs - nu, generalised.noutputs - controller.ninputs
     G = generalised
-    opened = altered(
+    opened = replace_matrices(
         G,
         B=np.hstack([G.B, G.B[:, nw:]]),
         D=np.hstack([G.D, G.D[:, nw:]]),
         inputs=[*G.input_labels[:nw], *(f"added[{i}]" for i in range(nu)), *G.input_labels[nw:]],
     )
     loop = close_loop(opened, controller)
-    P = linalg.solve_continuous_lyapunov(loop.A, -_outer(loop.B[:, :nw]))[G.nstates :, G.nstates :]
+    P = linalg.solve_continuous_lyapunov(loop.A, -_outer_product(loop.B[:, :nw]))[G.nstates :, G.nstates :]
     Bu, Du = loop.B[:, nw:], loop.D[:nz, nw:]
     r = Ar.shape[0]
     series = np.block([[Ar, np.zeros((r, loop.nstates))], [Bu @ Cr, loop.A]])
-    Q = linalg.solve_continuous_lyapunov(series.T, -_outer(np.hstack([Du @ Cr, loop.C]).T))
+    Q = linalg.solve_continuous_lyapunov(series.T, -_outer_product(np.hstack([Du @ Cr, loop.C]).T))
     return rows @ P @ rows.T, Q[:r, :r]
 
 
-def _outer(M: Array) -> Array:
+def _outer_product(M: Array) -> Array:
     return M @ M.T
 
 
@@ -414,14 +408,12 @@ class DiscreteController:
         """Number of states."""
         return self.A.shape[0]
 
-    def system(self) -> control.StateSpace:
+    def to_state_space(self) -> control.StateSpace:
         """As ``control.StateSpace``, without the anti-windup input."""
-        return state_space(
-            self.A, self.B, self.C, self.D, inputs=self.inputs, outputs=self.outputs, dt=self.period_s
-        )
+        return state_space(self.A, self.B, self.C, self.D, inputs=self.inputs, outputs=self.outputs, dt=self.period_s)
 
 
-def _modal(A: Array) -> tuple[Array, Array] | None:
+def _modal_transform(A: Array) -> tuple[Array, Array] | None:
     """T and inv(T) with inv(T) A T real modal; None where the eigenvectors are too nearly dependent."""
     values, vectors = np.linalg.eig(A)
     columns = []
@@ -444,7 +436,7 @@ def _modal(A: Array) -> tuple[Array, Array] | None:
     return T, np.linalg.inv(T)
 
 
-def _even_out(A: Array, B: Array, C: Array) -> Array:
+def _state_scales(A: Array, B: Array, C: Array) -> Array:
     """Scale of each state that makes its input row and its output column equally long; blocks are kept."""
     n = A.shape[0]
     scale = np.ones(n)
@@ -458,7 +450,7 @@ def _even_out(A: Array, B: Array, C: Array) -> Array:
     return scale
 
 
-def discretise(
+def discretise_controller(
     controller: control.StateSpace, actuation: Array, period_s: float, windup_rate: float | None = None
 ) -> DiscreteController:
     """Discretise a controller and give it well-conditioned coordinates and an anti-windup.
@@ -489,16 +481,14 @@ def discretise(
     n = controller.nstates
     left = np.eye(n) - controller.A * (T / 2)
     if n and np.linalg.cond(left) > 1e12:
-        raise MuflyError(
-            f"discretisation: the controller has a mode at {2 / T:.4g} rad/s; choose another rate"
-        )
+        raise MuflyError(f"discretisation: the controller has a mode at {2 / T:.4g} rad/s; choose another rate")
     A = np.linalg.solve(left, np.eye(n) + controller.A * (T / 2))
     B = T * np.linalg.solve(left, controller.B)
     C = np.linalg.solve(left.T, controller.C.T).T
     D = controller.D + C @ controller.B * (T / 2)
     M = T * actuation
 
-    changed = _modal(A)
+    changed = _modal_transform(A)
     form = "modal"
     if changed is None:
         form = "schur"
@@ -507,7 +497,7 @@ def discretise(
     S, Sinv = changed
     A, B, C, M = Sinv @ A @ S, Sinv @ B, C @ S, Sinv @ M
     A[np.abs(A) < 1e-12] = 0.0
-    scale = _even_out(A, B, C)
+    scale = _state_scales(A, B, C)
     A, B, C, M = A * scale / scale[:, None], B / scale[:, None], C * scale, M / scale[:, None]
 
     anti_windup = "observer"
@@ -516,7 +506,7 @@ def discretise(
         anti_windup, M = "integrators", back
     if n and np.abs(np.linalg.eigvals(A - M @ C)).max() >= 1.0 - 1e-7:
         anti_windup = "kalman"
-        M = _kalman(A, C)
+        M = _predictor_gain(A, C)
     return DiscreteController(
         A, B, C, D, M, T, form, anti_windup, tuple(controller.input_labels), tuple(controller.output_labels)
     )
@@ -540,7 +530,7 @@ def _back_calculation(A: Array, C: Array, pole: float) -> Array | None:
     return M
 
 
-def _kalman(A: Array, C: Array) -> Array:
+def _predictor_gain(A: Array, C: Array) -> Array:
     """Gain M with A - M C stable: predictor for process noise spread evenly over the states."""
     W, R = 1e-4 * np.eye(A.shape[0]), np.eye(C.shape[0])
     P = linalg.solve_discrete_are(A.T, C.T, W, R)
@@ -548,25 +538,25 @@ def _kalman(A: Array, C: Array) -> Array:
     return gain
 
 
-LATERAL = ("x", "y", "u", "v", "phi", "theta", "p", "q", "a_dw", "b_dw", "bar_roll", "bar_pitch")
-SERVOS, TILT = ("servo_1", "servo_2"), ("phi_reference", "theta_reference")
+LATERAL_STATES = ("x", "y", "u", "v", "phi", "theta", "p", "q", "a_dw", "b_dw", "bar_roll", "bar_pitch")
+SERVO_INPUTS, TILT_REFERENCES = ("servo_1", "servo_2"), ("phi_reference", "theta_reference")
 
 
-def _tilted(full: control.StateSpace, roll_pitch: DiscreteController, divider: int) -> control.StateSpace:
+def _tilt_to_position(full: control.StateSpace, roll_pitch: DiscreteController, divider: int) -> control.StateSpace:
     """Tilt reference (phi, theta) to position and velocity (x, y, u, v), at the cascade's rate."""
-    plant = sample_plant(submodel(full, LATERAL, SERVOS, LATERAL), roll_pitch.period_s, 1)
+    plant = sample_plant(extract_submodel(full, LATERAL_STATES, SERVO_INPUTS, LATERAL_STATES), roll_pitch.period_s, 1)
     errors = roll_pitch.inputs
-    wiring: dict[str, dict[str, float]] = {servo: {f"command_{servo}": 1.0} for servo in SERVOS}
+    wiring: dict[str, dict[str, float]] = {servo: {f"command_{servo}": 1.0} for servo in SERVO_INPUTS}
     for error, output in zip(errors, ("phi", "theta", "p", "q"), strict=True):
         wiring[error] = {output: -1.0}
-    for error, reference in zip(errors[:2], TILT, strict=True):
+    for error, reference in zip(errors[:2], TILT_REFERENCES, strict=True):
         wiring[error][reference] = 1.0
-    K = altered(roll_pitch.system(), outputs=[f"command_{servo}" for servo in SERVOS])
-    loop = connect([plant, K], wiring, TILT, LATERAL[:4])
+    K = replace_matrices(roll_pitch.to_state_space(), outputs=[f"command_{servo}" for servo in SERVO_INPUTS])
+    loop = connect_blocks([plant, K], wiring, TILT_REFERENCES, LATERAL_STATES[:4])
     A, B = np.eye(loop.nstates), np.zeros_like(loop.B)
     for _ in range(divider):
         A, B = loop.A @ A, loop.A @ B + loop.B
-    return altered(loop, A=A, B=B, D=np.zeros((4, 2)), dt=divider * roll_pitch.period_s)
+    return replace_matrices(loop, A=A, B=B, D=np.zeros((4, 2)), dt=divider * roll_pitch.period_s)
 
 
 def analyse_cascade(
@@ -602,6 +592,6 @@ def analyse_cascade(
     LoopAnalysis
     """
     mix = np.hstack([position_gain * np.eye(2), np.eye(2)])
-    K = velocity.system()
-    K = altered(K, B=K.B @ mix, D=K.D @ mix, inputs=LATERAL[:4], outputs=TILT)
-    return analyse(_tilted(full, roll_pitch, divider), K)
+    K = velocity.to_state_space()
+    K = replace_matrices(K, B=K.B @ mix, D=K.D @ mix, inputs=LATERAL_STATES[:4], outputs=TILT_REFERENCES)
+    return analyse_loop(_tilt_to_position(full, roll_pitch, divider), K)

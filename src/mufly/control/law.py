@@ -14,10 +14,10 @@ the motor input is command over that bound. Where both motors cannot have what t
 difference of the two is kept, their mean gives way. Otherwise a rail in heave would spin the fuselage.
 
 Where in flight the height trails the filtered reference (a blow, a fall, sticks beyond what the motors give), the
-reference goes on the more slowly, and no further away than the slack, until the height has come back (``heave_wait``).
-A greater error would ask the motors for more than they can take back in time; a reference that stopped at once would
-take the thrust of a heavy vehicle, which has none to spare. On the floor the error may grow, which is what gets the
-motors going.
+reference goes on the more slowly, and no further away than the slack, until the height has come back
+(``limit_heave_reference``). A greater error would ask the motors for more than they can take back in time; a reference
+that stopped at once would take the thrust of a heavy vehicle, which has none to spare. On the floor the error may grow,
+which is what gets the motors going.
 
 Roll-pitch. Tilt references are limited; servos saturate one by one.
 
@@ -47,15 +47,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from mufly.compiled import compiled
 from mufly.control.implementation import DiscreteController
-from mufly.control.linear import Array
+from mufly.control.linear_systems import Array
 from mufly.errors import MuflyError
-from mufly.trigonometry import sine_cosine
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import sine_cosine
 
 
-@compiled
-def _clip(value: float, low: float, high: float) -> float:
+@cached_njit
+def _clip_value(value: float, low: float, high: float) -> float:
     # Written out because min and max of equal or missing numbers are each language's own (docs/firmware.md).
     if value < low:
         return low
@@ -64,16 +64,16 @@ def _clip(value: float, low: float, high: float) -> float:
     return value
 
 
-@compiled
-def _share(rate: float, whole: float) -> float:
+@cached_njit
+def _limit_lead_rate(rate: float, whole: float) -> float:
     """What of a rate goes the way of ``whole``, and no further."""
     if whole > 0.0:
-        return _clip(rate, 0.0, whole)
-    return _clip(rate, whole, 0.0)
+        return _clip_value(rate, 0.0, whole)
+    return _clip_value(rate, whole, 0.0)
 
 
-@compiled
-def _output(g: Any, x: Array, e: Array, u: Array) -> None:
+@cached_njit
+def _compute_output(g: Any, x: Array, e: Array, u: Array) -> None:
     for i in range(u.shape[0]):
         s = 0.0
         for j in range(g.F.shape[0]):
@@ -83,8 +83,8 @@ def _output(g: Any, x: Array, e: Array, u: Array) -> None:
         u[i] = s
 
 
-@compiled
-def _change(g: Any, i: int, x: Array, e: Array, excess: Array) -> float:
+@cached_njit
+def _state_change(g: Any, i: int, x: Array, e: Array, excess: Array) -> float:
     """By what state ``i`` changes in a period."""
     s = 0.0
     for j in range(g.F.shape[0]):
@@ -96,22 +96,22 @@ def _change(g: Any, i: int, x: Array, e: Array, excess: Array) -> float:
     return s
 
 
-@compiled
-def _advance(g: Any, x: Array, e: Array, excess: Array, new: Array) -> None:
+@cached_njit
+def _update_state(g: Any, x: Array, e: Array, excess: Array, new: Array) -> None:
     for i in range(g.F.shape[0]):
-        new[i] = x[i] + _change(g, i, x, e, excess)
+        new[i] = x[i] + _state_change(g, i, x, e, excess)
 
 
-@compiled
-def _added(value: float, change: float, dropped: float) -> tuple[float, float]:
+@cached_njit
+def _add_compensated(value: float, change: float, dropped: float) -> tuple[float, float]:
     """Sum, and what it drops now, which is added the next time."""
     more = change + dropped
     total = value + more
     return total, more - (total - value)
 
 
-@compiled
-def _shape(
+@cached_njit
+def _filter_reference(
     value: float,
     dropped: float,
     rate: float,
@@ -130,14 +130,14 @@ def _shape(
     wanted = slope * gap
     if abs(gap) > linear:
         wanted = math.copysign(math.sqrt(2.0 * braking * (abs(gap) - 0.5 * linear)), gap)
-    wanted = _clip(wanted + target_rate, -speed, speed)
-    rate += period * _clip(2.0 * bandwidth * (wanted - rate), -acceleration, acceleration)
-    value, dropped = _added(value, period * rate, dropped)
+    wanted = _clip_value(wanted + target_rate, -speed, speed)
+    rate += period * _clip_value(2.0 * bandwidth * (wanted - rate), -acceleration, acceleration)
+    value, dropped = _add_compensated(value, period * rate, dropped)
     return value, dropped, rate
 
 
-@compiled
-def heave_wait(gains: Any, state: Array, z: float) -> Array:
+@cached_njit
+def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
     """State of heave-yaw, in flight, with a filtered reference no further from the height z (m, down) than the slack.
 
     The further it is away, the slower it may go on: not at all at the slack. It brakes by twice the acceleration that
@@ -148,7 +148,7 @@ def heave_wait(gains: Any, state: Array, z: float) -> Array:
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
     state : (29,) array
-        From ``heave_yaw_initial`` or the previous step; not changed.
+        From ``heave_yaw_init`` or the previous step; not changed.
     z : float
         Measured (m).
 
@@ -156,22 +156,22 @@ def heave_wait(gains: Any, state: Array, z: float) -> Array:
     -------
     (29,) array
     """
-    trails = z - state[SHAPED_Z]
+    trails = z - state[FILTERED_Z]
     left = 1.0 - abs(trails) / gains.heave_slack
     fastest = gains.heave_speed * left if left > 0.0 else 0.0
-    away = state[SHAPED_W] if trails < 0.0 else -state[SHAPED_W]
+    away = state[FILTERED_W] if trails < 0.0 else -state[FILTERED_W]
     if left >= 0.0 and away <= fastest:
         return state
     new = state.copy()
     if left < 0.0:
-        new[SHAPED_Z] = z - math.copysign(gains.heave_slack, trails)
-        new[DROPPED_Z] = 0.0
-    less = _clip(away - fastest, 0.0, 2.0 * gains.heave_acceleration * gains.period)
-    new[SHAPED_W] += -less if trails < 0.0 else less
+        new[FILTERED_Z] = z - math.copysign(gains.heave_slack, trails)
+        new[ROUNDING_REST_Z] = 0.0
+    less = _clip_value(away - fastest, 0.0, 2.0 * gains.heave_acceleration * gains.period)
+    new[FILTERED_W] += -less if trails < 0.0 else less
     return new
 
 
-@compiled
+@cached_njit
 def heave_yaw_step(
     gains: Any, state: Array, reference: Array, measurement: Array, voltage: float
 ) -> tuple[Array, Array]:
@@ -181,7 +181,7 @@ def heave_yaw_step(
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
     state : (29,) array
-        From ``heave_yaw_initial`` or the previous call; not changed.
+        From ``heave_yaw_init`` or the previous call; not changed.
     reference : (4,) array
         z (m, down), psi (rad, continuous), and their rates (m/s, rad/s; zero is allowed).
     measurement : (3,) array
@@ -195,12 +195,12 @@ def heave_yaw_step(
         Upper, lower; 0..1.
     state : (29,) array
     """
-    new = np.empty(HEAVE_YAW_STATE)
+    new = np.empty(HEAVE_YAW_STATE_SIZE)
     new[ORIGIN_Z], new[ORIGIN_PSI] = state[ORIGIN_Z], state[ORIGIN_PSI]
-    new[SHAPED_Z], new[DROPPED_Z], new[SHAPED_W] = _shape(
-        state[SHAPED_Z],
-        state[DROPPED_Z],
-        state[SHAPED_W],
+    new[FILTERED_Z], new[ROUNDING_REST_Z], new[FILTERED_W] = _filter_reference(
+        state[FILTERED_Z],
+        state[ROUNDING_REST_Z],
+        state[FILTERED_W],
         reference[0],
         reference[2],
         gains.heave_bandwidth,
@@ -208,10 +208,10 @@ def heave_yaw_step(
         gains.heave_speed,
         gains.period,
     )
-    new[SHAPED_PSI], new[DROPPED_PSI], new[SHAPED_R] = _shape(
-        state[SHAPED_PSI],
-        state[DROPPED_PSI],
-        state[SHAPED_R],
+    new[FILTERED_PSI], new[ROUNDING_REST_PSI], new[FILTERED_R] = _filter_reference(
+        state[FILTERED_PSI],
+        state[ROUNDING_REST_PSI],
+        state[FILTERED_R],
         reference[1],
         reference[3],
         gains.yaw_bandwidth,
@@ -220,34 +220,36 @@ def heave_yaw_step(
         gains.period,
     )
     # A reading far off the design voltage is a fault of the sensor, not a battery.
-    believed = _clip(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
-    new[VOLTAGE] = state[VOLTAGE] + gains.voltage_blend * (believed - state[VOLTAGE])
-    top = new[VOLTAGE] / gains.design_voltage
+    believed = _clip_value(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
+    new[FILTERED_VOLTAGE] = state[FILTERED_VOLTAGE] + gains.voltage_blend * (believed - state[FILTERED_VOLTAGE])
+    top = new[FILTERED_VOLTAGE] / gains.design_voltage
 
     e = np.empty(5)
     # Lead only on the rate that the reference itself brings: a bare step must not be sharpened.
-    climb = _share(new[SHAPED_W], reference[2])
-    turn = _share(new[SHAPED_R], reference[3])
-    e[0] = new[SHAPED_Z] + gains.heave_lead * climb - new[ORIGIN_Z]
-    e[1] = new[SHAPED_PSI] + gains.yaw_lead * turn - new[ORIGIN_PSI]
+    climb = _limit_lead_rate(new[FILTERED_W], reference[2])
+    turn = _limit_lead_rate(new[FILTERED_R], reference[3])
+    e[0] = new[FILTERED_Z] + gains.heave_lead * climb - new[ORIGIN_Z]
+    e[1] = new[FILTERED_PSI] + gains.yaw_lead * turn - new[ORIGIN_PSI]
     e[2], e[3], e[4] = new[ORIGIN_Z] - measurement[0], new[ORIGIN_PSI] - measurement[1], -measurement[2]
     u = np.empty(2)
-    _output(gains, state, e, u)
+    _compute_output(gains, state, e, u)
     lower, upper = gains.trim[0] + u[0], gains.trim[1] + u[1]
-    half = _clip(0.5 * (upper - lower), -0.5 * top, 0.5 * top)
-    mean = _clip(0.5 * (upper + lower), abs(half), top - abs(half))
+    half = _clip_value(0.5 * (upper - lower), -0.5 * top, 0.5 * top)
+    mean = _clip_value(0.5 * (upper + lower), abs(half), top - abs(half))
     excess = np.empty(2)
     excess[0], excess[1] = mean - half - lower, mean + half - upper
     for i in range(HEAVE_YAW_ORDER):
-        new[i], new[DROPPED + i] = _added(state[i], _change(gains, i, state, e, excess), state[DROPPED + i])
+        new[i], new[ROUNDING_REST + i] = _add_compensated(
+            state[i], _state_change(gains, i, state, e, excess), state[ROUNDING_REST + i]
+        )
     motor_input = np.empty(2)
     # top - |half| + |half| may be a little more than top: rounding.
-    motor_input[0] = _clip((mean + half) / top, 0.0, 1.0)
-    motor_input[1] = _clip((mean - half) / top, 0.0, 1.0)
+    motor_input[0] = _clip_value((mean + half) / top, 0.0, 1.0)
+    motor_input[1] = _clip_value((mean - half) / top, 0.0, 1.0)
     return motor_input, new
 
 
-@compiled
+@cached_njit
 def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Array) -> tuple[Array, Array]:
     """One period of the roll-pitch controller.
 
@@ -255,7 +257,7 @@ def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Arr
     ----------
     gains : record of type ``ROLL_PITCH_GAINS``
     state : (8,) array
-        From ``roll_pitch_initial`` or the previous call; not changed.
+        From ``roll_pitch_init`` or the previous call; not changed.
     reference : (2,) array
         phi, theta (rad).
     measurement : (4,) array
@@ -269,19 +271,19 @@ def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Arr
     """
     e = np.empty(4)
     for i in range(2):
-        e[i] = _clip(reference[i], -gains.tilt_limit, gains.tilt_limit) - measurement[i]
+        e[i] = _clip_value(reference[i], -gains.tilt_limit, gains.tilt_limit) - measurement[i]
         e[i + 2] = -measurement[i + 2]
     servo, excess, new = np.empty(2), np.empty(2), np.empty(ROLL_PITCH_ORDER)
-    _output(gains, state, e, servo)
+    _compute_output(gains, state, e, servo)
     for i in range(2):
         wanted = servo[i] + gains.trim[i]
-        servo[i] = _clip(wanted, -1.0, 1.0)
+        servo[i] = _clip_value(wanted, -1.0, 1.0)
         excess[i] = servo[i] - wanted
-    _advance(gains, state, e, excess, new)
+    _update_state(gains, state, e, excess, new)
     return servo, new
 
 
-@compiled
+@cached_njit
 def position_step(
     gains: Any,
     state: Array,
@@ -298,7 +300,7 @@ def position_step(
     ----------
     gains : record of type ``POSITION_GAINS``
     state : (6,) array
-        From ``position_initial`` or the previous call; not changed.
+        From ``position_init`` or the previous call; not changed.
     position_reference, velocity_reference, acceleration_reference : (3,) array
         N, E, D (m, m/s, m/s2); zero velocity and acceleration mean no feedforward. D is not used.
     position, velocity : (3,) array
@@ -321,7 +323,7 @@ def position_step(
         v_n, v_e = v_n * gains.speed_limit / speed, v_e * gains.speed_limit / speed
     e, tilt, excess, new = np.empty(2), np.empty(2), np.empty(2), np.empty(VELOCITY_ORDER)
     e[0], e[1] = v_n - velocity[0], v_e - velocity[1]
-    _output(gains, state, e, tilt)
+    _compute_output(gains, state, e, tilt)
     phi = tilt[0] + acceleration_reference[1] / gains.gravity
     theta = tilt[1] - acceleration_reference[0] / gains.gravity
     size = math.sqrt(phi * phi + theta * theta)
@@ -330,7 +332,7 @@ def position_step(
     sine, cosine = sine_cosine(heading)
     c, s = factor * cosine, factor * sine
     tilt[0], tilt[1] = c * phi + s * theta, c * theta - s * phi
-    _advance(gains, state, e, excess, new)
+    _update_state(gains, state, e, excess, new)
     return tilt, new
 
 
@@ -338,7 +340,7 @@ HEAVE_YAW_ORDER, ROLL_PITCH_ORDER, VELOCITY_ORDER = 10, 8, 6
 _f8 = np.float64
 
 
-def _matrices(order: int, inputs: int, outputs: int) -> list[tuple[str, type, tuple[int, ...]]]:
+def _matrix_fields(order: int, inputs: int, outputs: int) -> list[tuple[str, type, tuple[int, ...]]]:
     return [
         ("F", _f8, (order, order)),
         ("B", _f8, (order, inputs)),
@@ -350,7 +352,7 @@ def _matrices(order: int, inputs: int, outputs: int) -> list[tuple[str, type, tu
     ]
 
 
-UNITS = {
+GAIN_UNITS = {
     "trim": "1",  # heave-yaw: lower, upper, as fractions of the design voltage; roll-pitch: servo 1, servo 2
     "design_voltage": "V",
     "voltage_blend": "1",  # share of a new voltage measurement in its filter
@@ -371,30 +373,34 @@ UNITS = {
 }
 """Units of the gains beside the matrices."""
 
-_HEAVE_YAW = (
+_HEAVE_YAW_FIELDS = (
     "design_voltage", "voltage_blend", "period", "heave_bandwidth", "heave_acceleration", "heave_speed",
     "heave_lead", "heave_slack", "yaw_bandwidth", "yaw_acceleration", "yaw_rate", "yaw_lead",
 )  # fmt: skip
 HEAVE_YAW_GAINS = np.dtype(
-    [*_matrices(HEAVE_YAW_ORDER, 5, 2), ("trim", _f8, (2,)), *((name, _f8) for name in _HEAVE_YAW)]
+    [
+        *_matrix_fields(HEAVE_YAW_ORDER, 5, 2),
+        ("trim", _f8, (2,)),
+        *((name, _f8) for name in _HEAVE_YAW_FIELDS),
+    ]
 )
-ROLL_PITCH_GAINS = np.dtype([*_matrices(ROLL_PITCH_ORDER, 4, 2), ("trim", _f8, (2,)), ("tilt_limit", _f8)])
+ROLL_PITCH_GAINS = np.dtype([*_matrix_fields(ROLL_PITCH_ORDER, 4, 2), ("trim", _f8, (2,)), ("tilt_limit", _f8)])
 POSITION_GAINS = np.dtype(
     [
-        *_matrices(VELOCITY_ORDER, 2, 2),
+        *_matrix_fields(VELOCITY_ORDER, 2, 2),
         *((name, _f8) for name in ("position_gain", "speed_limit", "tilt_limit", "gravity")),
     ]
 )
 # State of heave-yaw behind the controller's own: filtered references, origins, filtered voltage, what was dropped of
 # the controller's own and of the references.
-SHAPED_Z, SHAPED_W, SHAPED_PSI, SHAPED_R, ORIGIN_Z, ORIGIN_PSI, VOLTAGE, DROPPED = range(
+FILTERED_Z, FILTERED_W, FILTERED_PSI, FILTERED_R, ORIGIN_Z, ORIGIN_PSI, FILTERED_VOLTAGE, ROUNDING_REST = range(
     HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 8
 )
-DROPPED_Z, DROPPED_PSI = DROPPED + HEAVE_YAW_ORDER, DROPPED + HEAVE_YAW_ORDER + 1
-HEAVE_YAW_STATE = DROPPED_PSI + 1
+ROUNDING_REST_Z, ROUNDING_REST_PSI = ROUNDING_REST + HEAVE_YAW_ORDER, ROUNDING_REST + HEAVE_YAW_ORDER + 1
+HEAVE_YAW_STATE_SIZE = ROUNDING_REST_PSI + 1
 
 
-def pack(dtype: np.dtype, controller: DiscreteController, **values: object) -> np.void:
+def pack_gains(dtype: np.dtype, controller: DiscreteController, **values: object) -> np.void:
     """Gains record of a controller, its states padded with zeros to the record's order.
 
     Raises
@@ -414,13 +420,13 @@ def pack(dtype: np.dtype, controller: DiscreteController, **values: object) -> n
     record["F"][:n, :n] += controller.A
     record["B"][:n], record["C"][:, :n] = controller.B, controller.C
     record["D"], record["M"][:n] = controller.D, controller.M
-    record["E"][:n], record["U"][:n] = _start(controller)
+    record["E"][:n], record["U"][:n] = _initial_state_gains(controller)
     for name, value in values.items():
         record[name] = value
     return cast(np.void, record[()])
 
 
-def _start(controller: DiscreteController) -> tuple[Array, Array]:
+def _initial_state_gains(controller: DiscreteController) -> tuple[Array, Array]:
     """E, U: the state ``E e + U output`` gives ``output`` at input ``e`` and moves least from there.
 
     Lagrange: ``G = I - A``, minimise |G x - B e|^2 subject to C x = output - D e::
@@ -437,8 +443,8 @@ def _start(controller: DiscreteController) -> tuple[Array, Array]:
     return E, solved[:, n:]
 
 
-@compiled
-def _at_rest(g: Any, e: Array, output: Array, x: Array) -> None:
+@cached_njit
+def _initialise_state(g: Any, e: Array, output: Array, x: Array) -> None:
     for i in range(g.F.shape[0]):
         s = 0.0
         for j in range(e.shape[0]):
@@ -448,8 +454,8 @@ def _at_rest(g: Any, e: Array, output: Array, x: Array) -> None:
         x[i] = s
 
 
-@compiled
-def heave_yaw_initial(gains: Any, measurement: Array, motor_input: Array, voltage: float) -> Array:
+@cached_njit
+def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: float) -> Array:
     """State that engages heave-yaw without a bump.
 
     Parameters
@@ -467,24 +473,24 @@ def heave_yaw_initial(gains: Any, measurement: Array, motor_input: Array, voltag
     (29,) array
         State for the first ``heave_yaw_step``; with the reference at the measurement its output is ``motor_input``.
     """
-    believed = _clip(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
-    e, output, state = np.zeros(5), np.empty(2), np.zeros(HEAVE_YAW_STATE)
+    believed = _clip_value(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
+    e, output, state = np.zeros(5), np.empty(2), np.zeros(HEAVE_YAW_STATE_SIZE)
     e[4] = -measurement[2]
     for i in range(2):  # lower, upper
         output[i] = motor_input[1 - i] * believed / gains.design_voltage - gains.trim[i]
-    _at_rest(gains, e, output, state)
-    state[SHAPED_Z], state[SHAPED_W], state[SHAPED_PSI], state[SHAPED_R] = (
+    _initialise_state(gains, e, output, state)
+    state[FILTERED_Z], state[FILTERED_W], state[FILTERED_PSI], state[FILTERED_R] = (
         measurement[0],
         0.0,
         measurement[1],
         0.0,
     )
-    state[ORIGIN_Z], state[ORIGIN_PSI], state[VOLTAGE] = measurement[0], measurement[1], believed
+    state[ORIGIN_Z], state[ORIGIN_PSI], state[FILTERED_VOLTAGE] = measurement[0], measurement[1], believed
     return state
 
 
-@compiled
-def roll_pitch_initial(gains: Any, measurement: Array) -> Array:
+@cached_njit
+def roll_pitch_init(gains: Any, measurement: Array) -> Array:
     """State that engages roll-pitch without a bump: servos at trim, the reference level.
 
     Parameters
@@ -500,11 +506,11 @@ def roll_pitch_initial(gains: Any, measurement: Array) -> Array:
     e, state = np.empty(4), np.empty(ROLL_PITCH_ORDER)
     for i in range(4):
         e[i] = -measurement[i]
-    _at_rest(gains, e, np.zeros(2), state)
+    _initialise_state(gains, e, np.zeros(2), state)
     return state
 
 
-def position_initial(gains: np.void) -> Array:
+def position_init(gains: np.void) -> Array:
     """State of the position cascade at rest.
 
     Returns

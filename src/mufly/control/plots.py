@@ -14,21 +14,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mufly.control.designs import Design, FlightController
-from mufly.control.linear import Array, LoopCurves, loop_curves, sample_plant, singular_values
+from mufly.control.designs import ControllerDesign, FlightController
+from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
 
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#7f7f7f"
-_FREQUENCY = np.geomspace(1e-4, 1e4, 700)
-_FIGURES = {"heave-yaw": ("6.3", "6.5"), "roll-pitch": ("6.7", "6.8")}
+_FREQUENCY_GRID = np.geomspace(1e-4, 1e4, 700)
+_THESIS_FIGURES = {"heave-yaw": ("6.3", "6.5"), "roll-pitch": ("6.7", "6.8")}
 
 
-def _dB(values: Array) -> Array:
+def _to_decibel(values: Array) -> Array:
     return 20 * np.log10(np.maximum(values, 1e-30))
 
 
-def _frame(axes: Axes, title: str, low: float, high: float) -> None:
+def _set_up_axes(axes: Axes, title: str, low: float, high: float) -> None:
     axes.set_xscale("log")
-    axes.set_xlim(_FREQUENCY[0], _FREQUENCY[-1])
+    axes.set_xlim(_FREQUENCY_GRID[0], _FREQUENCY_GRID[-1])
     axes.set_ylim(low, high)
     axes.axhline(0.0, color="black", linewidth=0.7)
     axes.grid(True, which="major", color="0.88", linewidth=0.6)
@@ -40,7 +40,7 @@ def _frame(axes: Axes, title: str, low: float, high: float) -> None:
         axes.spines[side].set_visible(False)
 
 
-def _vertical(axes: Axes, frequency: float, text: str, colour: str, level: float) -> None:
+def _mark_frequency(axes: Axes, frequency: float, text: str, colour: str, level: float) -> None:
     axes.axvline(frequency, color=colour, linewidth=0.9, linestyle=(0, (4, 3)))
     axes.annotate(
         text,
@@ -54,54 +54,54 @@ def _vertical(axes: Axes, frequency: float, text: str, colour: str, level: float
     )
 
 
-def _lines(axes: Axes, frequency: Array, values: Array, colour: str, label: str | None, **style: Any) -> None:
-    for i, column in enumerate(_dB(values).T):
+def _plot_columns(axes: Axes, frequency: Array, values: Array, colour: str, label: str | None, **style: Any) -> None:
+    for i, column in enumerate(_to_decibel(values).T):
         axes.plot(frequency, column, color=colour, label=label if i == 0 else None, **style)
 
 
-def _crossed(axes: Axes, crossovers: tuple[float, ...]) -> None:
+def _mark_crossovers(axes: Axes, crossovers: tuple[float, ...]) -> None:
     if crossovers:
         label = "0 dB at " + ", ".join(f"{w:.3g}" for w in crossovers) + " rad/s"
         axes.plot(crossovers, np.zeros(len(crossovers)), "o", color=BLUE, markersize=5, label=label)
 
 
-def _figure_of(design: Design, which: int) -> str:
-    return f"(thesis Fig. {_FIGURES[design.name][which]})" if design.name in _FIGURES else ""
+def _thesis_figure(design: ControllerDesign, which: int) -> str:
+    return f"(thesis Fig. {_THESIS_FIGURES[design.name][which]})" if design.name in _THESIS_FIGURES else ""
 
 
-def draw_plant(design: Design) -> Figure:
+def draw_plant(design: ControllerDesign) -> Figure:
     """Singular values of the unscaled plant (Figs 6.3 and 6.7), its 0 dB crossings and the thesis's marked."""
     figure = Figure(figsize=(7.0, 3.6), dpi=150, layout="constrained")
     axes = figure.add_subplot()
-    values = singular_values(design.plant, _FREQUENCY)
-    shown = _dB(values)
-    _frame(
+    values = singular_values(design.plant, _FREQUENCY_GRID)
+    shown = _to_decibel(values)
+    _set_up_axes(
         axes,
-        f"{design.name}: plant {_figure_of(design, 0)}",
+        f"{design.name}: plant {_thesis_figure(design, 0)}",
         max(20 * np.floor(shown.min() / 20), -160.0),
         20 * np.ceil(shown.max() / 20),
     )
-    _lines(axes, _FREQUENCY, values, BLUE, "G", linewidth=1.6)
-    _crossed(axes, design.plant_crossovers)
+    _plot_columns(axes, _FREQUENCY_GRID, values, BLUE, "G", linewidth=1.6)
+    _mark_crossovers(axes, design.plant_crossovers)
     thesis = design.published
     for k, w in enumerate(thesis.plant_crossovers or ()):
-        _vertical(axes, w, f"thesis: {w:g} rad/s", VERMILION, 0.92 - 0.07 * k)
+        _mark_frequency(axes, w, f"thesis: {w:g} rad/s", VERMILION, 0.92 - 0.07 * k)
     if thesis.resonance:
-        _vertical(axes, thesis.resonance, f"thesis: resonance {thesis.resonance:g} rad/s", VERMILION, 0.92)
+        _mark_frequency(axes, thesis.resonance, f"thesis: resonance {thesis.resonance:g} rad/s", VERMILION, 0.92)
     axes.set_xlabel("frequency (rad/s)")
     axes.legend(fontsize=8, frameon=False, loc="lower left")
     return figure
 
 
-def _curves(design: Design, controller: control.StateSpace) -> LoopCurves:
+def _design_curves(design: ControllerDesign, controller: control.StateSpace) -> LoopCurves:
     dt = controller.dt or 0.0
     if dt:
-        frequency = _FREQUENCY[: int(np.searchsorted(_FREQUENCY, np.pi / dt))]
-        return loop_curves(sample_plant(design.plant, dt, 1), design.feedback(controller), frequency)
-    return loop_curves(design.plant, design.feedback(controller), _FREQUENCY)
+        frequency = _FREQUENCY_GRID[: int(np.searchsorted(_FREQUENCY_GRID, np.pi / dt))]
+        return loop_curves(sample_plant(design.plant, dt, 1), design.feedback_controller(controller), frequency)
+    return loop_curves(design.plant, design.feedback_controller(controller), _FREQUENCY_GRID)
 
 
-def draw_loop(design: Design) -> Figure:
+def draw_loop(design: ControllerDesign) -> Figure:
     """Loop gain above, sensitivities below (Figs 6.5 and 6.8): full order, reduced, and sampled with delay."""
     figure = Figure(figsize=(7.0, 6.6), dpi=150, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -109,30 +109,28 @@ def draw_loop(design: Design) -> Figure:
     cases = (
         (design.controller, "continuous", "-", 1.6),
         (design.reduced, "continuous", "--", 1.2),
-        (design.discrete.system(), f"{rate:g} Hz, one sample of delay", ":", 1.4),
+        (design.discrete.to_state_space(), f"{rate:g} Hz, one sample of delay", ":", 1.4),
     )
-    _frame(upper, f"{design.name}: loop gain $L_u$ at the plant's input {_figure_of(design, 1)}", -80, 120)
-    _frame(lower, f"{design.name}: sensitivity $S_u$ and complementary sensitivity $T_u$", -60, 12)
+    _set_up_axes(upper, f"{design.name}: loop gain $L_u$ at the plant's input {_thesis_figure(design, 1)}", -80, 120)
+    _set_up_axes(lower, f"{design.name}: sensitivity $S_u$ and complementary sensitivity $T_u$", -60, 12)
     for controller, label, line, width in cases:
-        curves, label = _curves(design, controller), f"order {controller.nstates}, {label}"
-        _lines(upper, curves.frequency, curves.loop, BLUE, label, linestyle=line, linewidth=width)
+        curves, label = _design_curves(design, controller), f"order {controller.nstates}, {label}"
+        _plot_columns(upper, curves.frequency, curves.loop, BLUE, label, linestyle=line, linewidth=width)
         for name, values, colour in (
             ("$S_u$", curves.sensitivity, GREEN),
             ("$T_u$", curves.complementary, ORANGE),
         ):
             shown = name if line == "-" else None
-            _lines(lower, curves.frequency, values, colour, shown, linestyle=line, linewidth=width)
+            _plot_columns(lower, curves.frequency, values, colour, shown, linestyle=line, linewidth=width)
         nyquist = curves.frequency[-1]
         if line == ":":
             for axes in (upper, lower):
-                axes.axvspan(nyquist, _FREQUENCY[-1], color="0.95", zorder=0)
-            upper.annotate(
-                "above half the\nsampling rate", (nyquist * 1.15, 100), fontsize=7, color=GREY, va="center"
-            )
+                axes.axvspan(nyquist, _FREQUENCY_GRID[-1], color="0.95", zorder=0)
+            upper.annotate("above half the\nsampling rate", (nyquist * 1.15, 100), fontsize=7, color=GREY, va="center")
     loop, thesis = design.full_loop, design.published
-    _crossed(upper, loop.crossovers)
+    _mark_crossovers(upper, loop.crossovers)
     if thesis.crossover:
-        _vertical(upper, thesis.crossover, f"thesis: {thesis.crossover:g} rad/s", VERMILION, 0.92)
+        _mark_frequency(upper, thesis.crossover, f"thesis: {thesis.crossover:g} rad/s", VERMILION, 0.92)
     peaks = f"peaks: $S_u$ {loop.sensitivity_peak_dB:.2f} dB, $T_u$ {loop.complementary_peak_dB:.2f} dB"
     printed = [
         f"${name}$ {value:.2f} dB"
@@ -155,17 +153,17 @@ def draw_loop(design: Design) -> Figure:
 def draw_sensitivities(controller: FlightController) -> Figure:
     """Sensitivity and complementary sensitivity of every design as it flies, sampled with one sample of delay."""
     figure = Figure(figsize=(10.5, 3.4), layout="constrained")
-    for axes, design in zip(figure.subplots(1, 3, sharey=True), controller.designs, strict=True):
-        curves, loop = _curves(design, design.discrete.system()), design.sampled_loop
-        _frame(axes, design.name, -60, 12)
-        _lines(
+    for axes, design in zip(figure.subplots(1, 3, sharey=True), controller.all_designs, strict=True):
+        curves, loop = _design_curves(design, design.discrete.to_state_space()), design.sampled_loop
+        _set_up_axes(axes, design.name, -60, 12)
+        _plot_columns(
             axes,
             curves.frequency,
             curves.sensitivity,
             GREEN,
             f"$S_u$, peak {loop.sensitivity_peak_dB:.1f} dB",
         )
-        _lines(
+        _plot_columns(
             axes,
             curves.frequency,
             curves.complementary,
@@ -201,7 +199,7 @@ def draw_designs(
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     written = []
-    for design in controller.designs:
+    for design in controller.all_designs:
         for what, draw in (("plant", draw_plant), ("loop", draw_loop)):
             figure = draw(design)
             for suffix in formats:

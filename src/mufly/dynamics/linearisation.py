@@ -1,7 +1,8 @@
 """Trim, and what hovering costs. Trim is inputs, rotor speeds and attitude at which nothing accelerates.
 
 Unknowns: both rotor speeds, both motor inputs, both tilts of the lower rotor (through the servos), roll and pitch.
-Equations: the six accelerations and the two rotor accelerations of :func:`mufly.dynamics.model.derivative` vanish.
+Equations: the six accelerations and the two rotor accelerations of
+:func:`mufly.dynamics.equations_of_motion.state_derivative` vanish.
 In steady flight the stabiliser bar is square to the mast. Hover in closed form starts the search::
 
     cT_up k_T Wu^2 + cT_dw k_T Wd^2 = m g + W_hub        cQ_up Wu^2 = cQ_dw Wd^2        (eq. 5.1)
@@ -25,10 +26,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
-from mufly.drawing import shown
-from mufly.dynamics.model import battery_state, climb_velocity, derivative, inside_map, rotor_loads
-from mufly.dynamics.simulation import fastest_part
-from mufly.dynamics.state import (
+from mufly.dynamics.equations_of_motion import (
+    battery_state,
+    climb_velocity,
+    inside_map,
+    rotor_loads,
+    state_derivative,
+)
+from mufly.dynamics.model_state import (
     ATTITUDE,
     BAR_NORMAL,
     MOTORS,
@@ -46,14 +51,16 @@ from mufly.dynamics.state import (
     SERVOS,
     STATE_SIZE,
     VELOCITY,
+    body_to_ned_matrix,
     euler_from_quaternion,
     hover_speeds,
     initial_state,
     model_parameters,
     quaternion_from_euler,
-    rotation,
 )
+from mufly.dynamics.simulation import fastest_mode_key
 from mufly.errors import InputError, MuflyError
+from mufly.result_figure import enable_notebook_display
 from mufly.results import result
 from mufly.units import GRAVITY, RPM
 from mufly.vehicle import Vehicle
@@ -61,7 +68,7 @@ from mufly.vehicle import Vehicle
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_HOVER_ROUNDS = 30
+_HOVER_ITERATIONS = 30
 
 
 @result
@@ -71,7 +78,7 @@ class Trim:
     Attributes
     ----------
     state : (21,) array
-        See :mod:`mufly.dynamics.state`; at the origin of N-E-D.
+        See :mod:`mufly.dynamics.model_state`; at the origin of N-E-D.
     input : (4,) array
         Motor upper, motor lower, servo 1, servo 2.
     wind : (3,) array
@@ -127,7 +134,7 @@ class Trim:
         return self.state[ROTOR_SPEEDS]
 
 
-def trim(
+def find_trim(
     vehicle: Vehicle,
     *,
     velocity: ArrayLike = (0.0, 0.0, 0.0),
@@ -161,7 +168,7 @@ def trim(
     MuflyError
         If no trim exists at this velocity.
     """
-    velocity_, wind_ = _three(velocity, "velocity"), _three(wind, "wind")
+    velocity_, wind_ = _check_vector(velocity, "velocity"), _check_vector(wind, "wind")
     if charge is not None and voltage is not None:
         raise InputError("trim", "voltage", "given together with charge", "give one of them")
     if charge is not None and not 0.0 <= charge <= 1.0:
@@ -182,7 +189,7 @@ def trim(
             "lower it, raise the battery voltage, or change rotors, gear or motors",
         )
 
-    def build(unknown: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def assemble_state(unknown: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         upper, lower, motor_up, motor_dw, servo_1, servo_2, roll, pitch = unknown
         x = initial_state(
             position=(0.0, 0.0, -1e3),  # out of the floor's reach
@@ -196,22 +203,22 @@ def trim(
 
     rates = np.empty(STATE_SIZE)
 
-    def residual(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
-        x, u = build(unknown)
-        derivative(x, u, wind_, p, rates)
+    def trim_residual(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, u = assemble_state(unknown)
+        state_derivative(x, u, wind_, p, rates)
         return np.concatenate([rates[VELOCITY] / GRAVITY, rates[RATES] / 100.0, rates[ROTOR_SPEEDS] / 1000.0])
 
     start = np.array([1.0, 1.0, duty[0], duty[1], 0.0, 0.0, 0.0, 0.0])
-    found = root(residual, start, method="hybr", options={"xtol": 1e-13})
-    x, u = build(found.x)
+    found = root(trim_residual, start, method="hybr", options={"xtol": 1e-13})
+    x, u = assemble_state(found.x)
     motor_up, motor_dw, servo_1, servo_2 = u
-    worst = float(np.max(np.abs(residual(found.x))))
+    worst = float(np.max(np.abs(trim_residual(found.x))))
     if not worst < 1e-9 or np.any(u[MOTORS] >= 1.0) or np.any(np.abs(u[SERVOS]) > 1.0):
         if not (velocity_.any() or wind_.any()):  # nothing to ask less of: it is the vehicle
             raise MuflyError(
                 f"{vehicle.name}: no hover is found within the inputs' range (motors {motor_up:.2f}, {motor_dw:.2f}, "
                 f"servos {servo_1:.2f}, {servo_2:.2f}; {worst:.1g} of an acceleration is left); its fastest part is "
-                f"{fastest_part(p)}: check that and the rotors' coefficients and inertias"
+                f"{fastest_mode_key(p)}: check that and the rotors' coefficients and inertias"
             )
         raise MuflyError(
             f"{vehicle.name}: no steady flight at velocity {velocity_.tolist()} m/s in wind {wind_.tolist()} m/s "
@@ -236,7 +243,7 @@ def trim(
     )
 
 
-def _three(vector: ArrayLike, name: str) -> NDArray[np.float64]:
+def _check_vector(vector: ArrayLike, name: str) -> NDArray[np.float64]:
     v = np.asarray(vector, dtype=np.float64)
     if v.shape != (3,) or not np.all(np.isfinite(v)):
         raise InputError("trim", name, f"{vector!r}", "give three finite numbers N, E, D in m/s")
@@ -249,7 +256,7 @@ def _hover_estimate(
     """Return rotor speeds, motor inputs (not limited to 1) and voltage in hover."""
     thrust = np.array([p["thrust_up"], p["thrust_dw"]])  # over the squares of the speeds
     drag = np.array([p["torque_up"], p["torque_dw"]])
-    for _ in range(_HOVER_ROUNDS if p["map_nodes"] else 1):
+    for _ in range(_HOVER_ITERATIONS if p["map_nodes"] else 1):
         speed = hover_speeds(p, thrust, drag)
         if p["map_nodes"]:
             loads = np.array(rotor_loads(p, speed[0], speed[1])).reshape(2, 2) / speed**2
@@ -270,7 +277,7 @@ def _hover_estimate(
     return speed, armature_voltage / voltage, voltage
 
 
-_CHARGES = 21
+_CHARGE_POINTS = 21
 
 
 @result
@@ -308,7 +315,7 @@ def hover_current_A(vehicle: Vehicle) -> float:
     MuflyError
         If the vehicle is too heavy for that.
     """
-    return trim(vehicle, charge=0.5).current_A
+    return find_trim(vehicle, charge=0.5).current_A
 
 
 def hover_performance(vehicle: Vehicle) -> HoverPerformance:
@@ -319,7 +326,7 @@ def hover_performance(vehicle: Vehicle) -> HoverPerformance:
     MuflyError
         If the vehicle is too heavy to hover on a half-full battery.
     """
-    t = trim(vehicle, charge=0.5)
+    t = find_trim(vehicle, charge=0.5)
     return HoverPerformance(
         rotor_speed_rad_s=(float(t.rotor_speed[0]), float(t.rotor_speed[1])),
         motor_input=(float(t.motor_input[0]), float(t.motor_input[1])),
@@ -327,38 +334,38 @@ def hover_performance(vehicle: Vehicle) -> HoverPerformance:
         voltage_V=t.voltage_V,
         current_A=t.current_A,
         power_W=t.power_W,
-        endurance_s=_endurance(vehicle),
+        endurance_s=_hover_endurance(vehicle),
         thrust_to_weight_full=_thrust_to_weight(vehicle, 1.0),
         thrust_to_weight_half=_thrust_to_weight(vehicle, 0.5),
     )
 
 
-def _endurance(vehicle: Vehicle) -> float:
-    charges = np.linspace(1.0, 0.0, _CHARGES)
+def _hover_endurance(vehicle: Vehicle) -> float:
+    charges = np.linspace(1.0, 0.0, _CHARGE_POINTS)
     seconds_per_charge: list[float] = []
     for charge in charges:
         try:
-            t = trim(vehicle, charge=float(charge))
+            t = find_trim(vehicle, charge=float(charge))
         except MuflyError:
             break
         if t.voltage_V < float(vehicle.battery.low_voltage):
             break
         seconds_per_charge.append(float(vehicle.battery.capacity) / t.current_A)
     y = np.array(seconds_per_charge)
-    return float(np.sum((y[1:] + y[:-1]) / 2) / (_CHARGES - 1))
+    return float(np.sum((y[1:] + y[:-1]) / 2) / (_CHARGE_POINTS - 1))
 
 
 def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
     p, rates = model_parameters(vehicle), np.empty(STATE_SIZE)
     full, calm = np.array([1.0, 1.0, 0.0, 0.0]), np.zeros(3)
 
-    def acceleration(speed: NDArray[np.float64]) -> NDArray[np.float64]:
+    def downward_acceleration(speed: NDArray[np.float64]) -> NDArray[np.float64]:
         x = initial_state(position=(0, 0, -1e3), rotor_speed=speed, charge=charge)
-        derivative(x, full, calm, p, rates)
+        state_derivative(x, full, calm, p, rates)
         return rates[ROTOR_SPEEDS].copy()
 
-    start = trim(vehicle, charge=0.5).rotor_speed
-    up, dw = root(acceleration, start, tol=1e-10).x
+    start = find_trim(vehicle, charge=0.5).rotor_speed
+    up, dw = root(downward_acceleration, start, tol=1e-10).x
     thrust_up, thrust_dw, _, _ = rotor_loads(p, up, dw)
     return float((thrust_up + thrust_dw) / (p["mass"] * GRAVITY))
 
@@ -366,7 +373,8 @@ def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
 # ----------------------------------------------------------------------------
 # Linear models about a trim, in the thesis's state (eq. 4.30), with the two parts of appendix B.
 #
-# The Jacobian is that of :func:`mufly.dynamics.model.derivative` by central differences, taken in coordinates without
+# The Jacobian is that of :func:`mufly.dynamics.equations_of_motion.state_derivative` by central differences, taken in
+# coordinates without
 # redundancy: body velocity, Euler angles, and roll and pitch of the bar's disc seen at the trim's heading::
 #
 #     d(phi, theta, psi)/dt from (p, q, r)  by eq. 4.3, correctly written     (docs/thesis-errata.md, point 4)
@@ -377,13 +385,13 @@ def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
 # that rolls (tilt_roll).
 
 
-STATES = ["x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r", "a_dw", "b_dw"]
-STATES += ["bar_roll", "bar_pitch", "Omega_dw", "Omega_up", "charge"]
+LINEAR_STATES = ["x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r", "a_dw", "b_dw"]
+LINEAR_STATES += ["bar_roll", "bar_pitch", "Omega_dw", "Omega_up", "charge"]
 LX_POS, LX_VEL, LX_ATT, LX_RATES, LX_TILT_PITCH, LX_TILT_ROLL = 0, 3, 6, 9, 12, 13
 LX_BAR_ROLL, LX_BAR_PITCH, LX_SPEED_LOWER, LX_SPEED_UPPER, LX_CHARGE = 14, 15, 16, 17, 18
-"""Indices into :data:`STATES`, the first of each three for position, velocity, angles and rates."""
-INPUTS = ["motor_lower", "motor_upper", "servo_1", "servo_2"]
-_SCALE = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 400, 400, 1], dtype=np.float64)
+"""Indices into :data:`LINEAR_STATES`, the first of each three for position, velocity, angles and rates."""
+LINEAR_INPUTS = ["motor_lower", "motor_upper", "servo_1", "servo_2"]
+_STATE_SCALE = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 400, 400, 1], dtype=np.float64)
 _RELATIVE_STEP = 1e-5
 
 
@@ -419,14 +427,12 @@ class Linearisation:
             axes.plot(poles.real, poles.imag, "x")
             axes.set_xscale("symlog", linthresh=1.0)  # the swash plate's lie at -1000
             axes.axvline(0.0, color="0.4", lw=0.8)
-            axes.set(
-                xlabel="real part (1/s)", ylabel="imaginary part (rad/s)", title=f"{name}, {poles.size} poles"
-            )
+            axes.set(xlabel="real part (1/s)", ylabel="imaginary part (rad/s)", title=f"{name}, {poles.size} poles")
             axes.grid(alpha=0.3)
-        return shown(figure)
+        return enable_notebook_display(figure)
 
 
-def linearise(vehicle: Vehicle, at: Trim | None = None, *, voltage: float | None = None) -> Linearisation:
+def linearise_vehicle(vehicle: Vehicle, at: Trim | None = None, *, voltage: float | None = None) -> Linearisation:
     """Linearise the flight model.
 
     Parameters
@@ -449,46 +455,53 @@ def linearise(vehicle: Vehicle, at: Trim | None = None, *, voltage: float | None
 
     Thesis: eqs 4.30, 6.1, 6.2; Sec. 6.1.3.
     """
-    point = trim(vehicle, voltage=voltage) if at is None else at
+    point = find_trim(vehicle, voltage=voltage) if at is None else at
     p = model_parameters(vehicle, point.constant_voltage_V)
     full_state = point.state.copy()
     full_state[RS_POS + 2] = -1e3  # out of the floor's reach; nothing else depends on the place
     heading = float(euler_from_quaternion(full_state[ATTITUDE])[2])
-    x0 = _minimal(full_state, heading)
+    x0 = _to_minimal_state(full_state, heading)
     u0 = point.input[MOTORS_SWAPPED]
 
-    def rates(x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
+    def state_rates(x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
         return _minimal_rates(x, u, point.wind, p, heading)
 
     h = _RELATIVE_STEP
-    n = len(STATES)
+    n = len(LINEAR_STATES)
     A, B = np.empty((n, n)), np.empty((n, 4))
     for j in range(n):
         d = np.zeros(n)
-        d[j] = h * _SCALE[j]
-        A[:, j] = (rates(x0 + d, u0) - rates(x0 - d, u0)) / (2 * d[j])
+        d[j] = h * _STATE_SCALE[j]
+        A[:, j] = (state_rates(x0 + d, u0) - state_rates(x0 - d, u0)) / (2 * d[j])
     for j in range(4):
         d = np.zeros(4)
         d[j] = h
-        B[:, j] = (rates(x0, u0 + d) - rates(x0, u0 - d)) / (2 * h)
+        B[:, j] = (state_rates(x0, u0 + d) - state_rates(x0, u0 - d)) / (2 * h)
     # Entries below the differences' own error (round-off, and h drag / m from |v| v around rest) are zeros.
-    A[np.abs(A) < 1e-6 * _SCALE[:, None] / _SCALE[None, :]] = 0.0
-    B[np.abs(B) < 1e-6 * _SCALE[:, None]] = 0.0
+    A[np.abs(A) < 1e-6 * _STATE_SCALE[:, None] / _STATE_SCALE[None, :]] = 0.0
+    B[np.abs(B) < 1e-6 * _STATE_SCALE[:, None]] = 0.0
 
     full = control.ss(
-        A, B, np.eye(n), np.zeros((n, 4)), states=STATES, inputs=INPUTS, outputs=STATES, name="full"
+        A,
+        B,
+        np.eye(n),
+        np.zeros((n, 4)),
+        states=LINEAR_STATES,
+        inputs=LINEAR_INPUTS,
+        outputs=LINEAR_STATES,
+        name="full",
     )
     vertical = ["z", "w", "psi", "r", "Omega_dw", "Omega_up"]
     tilting = ["phi", "theta", "p", "q", "a_dw", "b_dw", "bar_roll", "bar_pitch"]
     return Linearisation(
         trim=point,
         full=full,
-        heave_yaw=submodel(full, vertical, INPUTS[:2], ["z", "psi", "r"], name="heave_yaw"),
-        roll_pitch=submodel(full, tilting, INPUTS[2:], ["phi", "theta", "p", "q"], name="roll_pitch"),
+        heave_yaw=extract_submodel(full, vertical, LINEAR_INPUTS[:2], ["z", "psi", "r"], name="heave_yaw"),
+        roll_pitch=extract_submodel(full, tilting, LINEAR_INPUTS[2:], ["phi", "theta", "p", "q"], name="roll_pitch"),
     )
 
 
-def submodel(
+def extract_submodel(
     full: control.StateSpace,
     states: Sequence[str],
     inputs: Sequence[str],
@@ -498,8 +511,7 @@ def submodel(
 ) -> control.StateSpace:
     """Return the part of a linear model that some states and inputs make, the others held; outputs are states."""
     i, j = (
-        [known.index(s) for s in some]
-        for known, some in ((full.state_labels, states), (full.input_labels, inputs))
+        [known.index(s) for s in some] for known, some in ((full.state_labels, states), (full.input_labels, inputs))
     )
     C = np.array([[float(s == o) for s in states] for o in outputs])
     D = np.zeros((len(outputs), len(inputs)))
@@ -507,8 +519,8 @@ def submodel(
     return control.ss(full.A[np.ix_(i, i)], full.B[np.ix_(i, j)], C, D, **labels)
 
 
-def _minimal(x: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
-    a = rotation(x[ATTITUDE])
+def _to_minimal_state(x: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
+    a = body_to_ned_matrix(x[ATTITUDE])
     c, s = np.cos(heading), np.sin(heading)
     bar_n, bar_e, bar_d = x[BAR_NORMAL]
     ahead, aside = c * bar_n + s * bar_e, -s * bar_n + c * bar_e
@@ -524,14 +536,14 @@ def _minimal(x: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
     )
 
 
-def _full(m: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
+def _to_full_state(m: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
     x = np.empty(STATE_SIZE)
     x[POSITION] = m[LX_POS:LX_VEL]
     x[ATTITUDE] = quaternion_from_euler(*m[LX_ATT:LX_RATES])
-    x[VELOCITY] = rotation(x[ATTITUDE]) @ m[LX_VEL:LX_ATT]
+    x[VELOCITY] = body_to_ned_matrix(x[ATTITUDE]) @ m[LX_VEL:LX_ATT]
     x[RATES] = m[LX_RATES:LX_TILT_PITCH]
     x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = m[LX_TILT_ROLL], -m[LX_TILT_PITCH]
-    x[BAR_NORMAL] = -rotation(quaternion_from_euler(m[LX_BAR_ROLL], m[LX_BAR_PITCH], heading))[:, 2]
+    x[BAR_NORMAL] = -body_to_ned_matrix(quaternion_from_euler(m[LX_BAR_ROLL], m[LX_BAR_PITCH], heading))[:, 2]
     x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], x[RS_CHARGE] = m[LX_SPEED_UPPER], m[LX_SPEED_LOWER], m[LX_CHARGE]
     return x
 
@@ -543,9 +555,9 @@ def _minimal_rates(
 
     Thesis: eqs 4.3, 4.4.
     """
-    x, dx = _full(m, heading), np.empty(STATE_SIZE)
-    derivative(x, u[MOTORS_SWAPPED], wind, p, dx)
-    a = rotation(x[ATTITUDE])
+    x, dx = _to_full_state(m, heading), np.empty(STATE_SIZE)
+    state_derivative(x, u[MOTORS_SWAPPED], wind, p, dx)
+    a = body_to_ned_matrix(x[ATTITUDE])
     phi, theta = m[LX_ATT], m[LX_ATT + 1]
     p_, q_, r_ = m[LX_RATES:LX_TILT_PITCH]
     turn = q_ * np.sin(phi) + r_ * np.cos(phi)

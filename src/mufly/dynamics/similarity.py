@@ -17,9 +17,9 @@ legs: pressed in by the weight as far as size     stiffness mu / la, damping mu 
 A motor of which nothing is known is the known one wound for the new voltage ``U`` and power: kE w / U, kM w / U and
 R P / U^2 stay. Of one that is known by its speed constant, kE = kM = 60 / (2 pi KV); its friction comes from the
 current without load or, where that is not known, is the known motor's share of the electrical damping kM^2 / R. Its
-gear, if not given, is that which needs the least power (:func:`mufly.drive.best_gear`) with at most 80 % of the half-
-full battery's voltage, so that a fifth is left to steer with; nothing is geared up. The battery holds a hover as long
-as the known one's, the electronics' power included; its cells have the same curve, their resistance goes with 1 /
+gear, if not given, is that which needs the least power (:func:`mufly.drive.best_gear_ratio`) with at most 80 % of the
+half- full battery's voltage, so that a fifth is left to steer with; nothing is geared up. The battery holds a hover as
+long as the known one's, the electronics' power included; its cells have the same curve, their resistance goes with 1 /
 capacity.
 
 What similarity does not know: scale effects (thrust per power falls below a Reynolds number of about 30 000), the real
@@ -31,14 +31,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from mufly.drive import Constants, best_gear
-from mufly.dynamics.linearisation import Trim, trim
-from mufly.dynamics.state import hover_speeds, model_parameters
+from mufly.drive import MotorConstants, best_gear_ratio
+from mufly.dynamics.linearisation import Trim, find_trim
+from mufly.dynamics.model_state import hover_speeds, model_parameters
 from mufly.errors import ArgumentError, MuflyError
-from mufly.tables import validated
-from mufly.vehicle import Vehicle, voltage_range
+from mufly.input_files import validate_model
+from mufly.vehicle import Vehicle, battery_voltage_range
 
-STEERING_SHARE = 0.8
+MAX_HOVER_VOLTAGE_SHARE = 0.8
 """Of the half-full battery's voltage, what a hover may take at most: the rest is for climbing and for gusts."""
 
 
@@ -118,7 +118,7 @@ def similar_vehicle(
     mu, la = mass_kg / float(k.body.mass), radius_m / float(k.rotors.radius)
     speed, power = math.sqrt(mu) / la**2, mu**1.5 / la
     volts = (cells or 2) / 2
-    hover = trim(k, charge=0.5)
+    hover = find_trim(k, charge=0.5)
     electronics = float(k.battery.electronics_current) * hover.voltage_V / hover.power_W
     energy = (1.0 - electronics) * power + electronics
     charge = energy / volts if capacity_As is None else capacity_As / float(k.battery.capacity)
@@ -128,7 +128,7 @@ def similar_vehicle(
         "name": name,
         "description": f"guessed from {k.name} by similarity; what was not given is marked",
     }
-    _rescale(tables, k.name, {
+    _scale_entries(tables, k.name, {
         "body.inertia_xx": (mu * la**2, "mass times size squared"),
         "body.inertia_yy": (mu * la**2, "mass times size squared"),
         "body.inertia_zz": (mu * la**2, "mass times size squared"),
@@ -173,25 +173,25 @@ def similar_vehicle(
             "reaction_inertia": (mu * la**2, "mass times size squared"),
         }.items()},
     })  # fmt: skip
-    _sense(tables, k, la)
-    _give(tables, "body.mass", mass_kg)
-    _give(tables, "rotors.radius", radius_m)
-    _give(tables, "battery.capacity", capacity_As)
+    _scale_sensors(tables, k, la)
+    _set_specified(tables, "body.mass", mass_kg)
+    _set_specified(tables, "rotors.radius", radius_m)
+    _set_specified(tables, "battery.capacity", capacity_As)
     for group in tables.get("mass_budget", {}).values():
         group |= {"value": group["value"] * mu, "source": "estimated", "note": f"guess: share of {k.name}"}
     if speed_constant_rad_Vs is not None and resistance_ohm is not None:
-        _motor(tables, k, speed_constant_rad_Vs, resistance_ohm, no_load_current_A)
+        _set_motor(tables, k, speed_constant_rad_Vs, resistance_ohm, no_load_current_A)
     if gear_ratio is not None:
-        _give(tables, "gear.ratio", gear_ratio)
-        _regear(tables, float(k.gear.ratio), gear_ratio)
-    vehicle = validated(Vehicle, tables, name)
+        _set_specified(tables, "gear.ratio", gear_ratio)
+        _change_gear(tables, float(k.gear.ratio), gear_ratio)
+    vehicle = validate_model(Vehicle, tables, name)
     if gear_ratio is None and speed_constant_rad_Vs is not None:
-        vehicle = _geared(vehicle, tables)
-    _hover(vehicle)
+        vehicle = _choose_gear(vehicle, tables)
+    _trim_hover(vehicle)
     return vehicle
 
 
-def _at(tables: dict[str, Any], key: str) -> dict[str, Any]:
+def _find_entry(tables: dict[str, Any], key: str) -> dict[str, Any]:
     found: Any = tables
     for part in key.split("."):
         found = found[part]
@@ -199,51 +199,51 @@ def _at(tables: dict[str, Any], key: str) -> dict[str, Any]:
     return found
 
 
-def _give(tables: dict[str, Any], key: str, value: float | None) -> None:
+def _set_specified(tables: dict[str, Any], key: str, value: float | None) -> None:
     if value is not None:
-        entry = _at(tables, key)
+        entry = _find_entry(tables, key)
         entry.pop("std", None)
         entry |= {"value": value, "source": "specified", "note": "given"}
 
 
-def _rescale(tables: dict[str, Any], known: str, rules: dict[str, tuple[float, str]]) -> None:
+def _scale_entries(tables: dict[str, Any], known: str, rules: dict[str, tuple[float, str]]) -> None:
     for key, (factor, why) in rules.items():
-        entry = _at(tables, key)
-        entry |= {"value": _times(entry["value"], factor), "source": "estimated"}
+        entry = _find_entry(tables, key)
+        entry |= {"value": _scale_value(entry["value"], factor), "source": "estimated"}
         entry["note"] = f"guess: {known}'s, by {why}" if factor != 1.0 else f"guess: as {known}, {why}"
         if "std" in entry:
-            entry["std"] = _times(entry["std"], factor)
+            entry["std"] = _scale_value(entry["std"], factor)
 
 
-def _times(value: Any, factor: float) -> Any:
+def _scale_value(value: Any, factor: float) -> Any:
     """Return a number, or numbers in lists, times a factor; to five digits, which is more than a guess knows."""
     if isinstance(value, list | tuple):
-        return [_times(v, factor) for v in value]
+        return [_scale_value(v, factor) for v in value]
     return float(f"{value * factor:.5g}")
 
 
-def _sense(tables: dict[str, Any], known: Vehicle, la: float) -> None:
+def _scale_sensors(tables: dict[str, Any], known: Vehicle, la: float) -> None:
     """Leave the sensors as they are but for their places on board."""
     for sensor in tables.get("sensors", {}).values():
         for entry in sensor.values():
             if isinstance(entry, dict) and "source" in entry:
                 entry |= {"source": "estimated", "note": f"guess: as {known.name}"}
         if "place" in sensor:
-            sensor["place"]["value"] = _times(sensor["place"]["value"], la)
+            sensor["place"]["value"] = _scale_value(sensor["place"]["value"], la)
 
 
-def _motor(
+def _set_motor(
     tables: dict[str, Any], known: Vehicle, speed_constant: float, resistance: float, no_load: float | None
 ) -> None:
     constant = float(f"{1.0 / speed_constant:.5g}")
-    _give(tables, "motor.back_emf_constant", constant)
-    _give(tables, "motor.torque_constant", constant)
+    _set_specified(tables, "motor.back_emf_constant", constant)
+    _set_specified(tables, "motor.torque_constant", constant)
     tables["motor"]["torque_constant"]["note"] = "as the back-EMF constant: given"
-    _give(tables, "motor.resistance", resistance)
+    _set_specified(tables, "motor.resistance", resistance)
     m, friction = known.motor, tables["motor"]["friction"]
     if no_load is None:
         share = float(m.friction) * float(m.resistance) / float(m.torque_constant) ** 2
-        friction |= {"value": _times(share, constant**2 / resistance), "source": "estimated"}
+        friction |= {"value": _scale_value(share, constant**2 / resistance), "source": "estimated"}
         friction["note"] = f"guess: {known.name}'s share of the electrical damping"
         return
     volts = tables["battery"]["nominal_voltage"]["value"]
@@ -253,52 +253,52 @@ def _motor(
             "correct it, or the resistance",
         )  # fmt: skip
     turns = (volts - no_load * resistance) / constant
-    _give(tables, "motor.friction", _times(constant * no_load, 1.0 / turns))
+    _set_specified(tables, "motor.friction", _scale_value(constant * no_load, 1.0 / turns))
     tables["motor"]["friction"]["note"] = "from the current without load: given"
 
 
-def _regear(tables: dict[str, Any], before: float, ratio: float) -> None:
+def _change_gear(tables: dict[str, Any], before: float, ratio: float) -> None:
     """Let the motors see the rotors through another gear; one of 1 is none and loses nothing."""
     for rotor in ("upper", "lower"):
         entry = tables["rotors"][rotor]["drive_inertia"]
-        entry["value"] = _times(entry["value"], (before / ratio) ** 2)
+        entry["value"] = _scale_value(entry["value"], (before / ratio) ** 2)
         entry["note"] += ", and the gear squared"
     if ratio == 1.0:
         tables["gear"]["efficiency"] |= {"value": 1.0, "source": "specified", "note": "direct drive"}
 
 
-def _geared(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
+def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
     """Choose the gear with which a hover needs the least power; direct drive where none above 1 needs less."""
     m, p = vehicle.motor, model_parameters(vehicle)
     upper, lower = hover_speeds(p)
     torque = float(p["torque_up"]) * upper**2  # the lower rotor's too: they balance
     curve = vehicle.battery.open_circuit_voltage
-    available = STEERING_SHARE * float(curve.sample(3)[1])
-    constants = Constants(
+    available = MAX_HOVER_VOLTAGE_SHARE * float(curve.sample_evenly(3)[1])
+    constants = MotorConstants(
         back_emf_V_s=float(m.back_emf_constant), torque_Nm_A=float(m.torque_constant),
         resistance_ohm=float(m.resistance), friction_Nm_s=float(m.friction), gear_ratio=1.0,
         gear_efficiency=float(vehicle.gear.efficiency), friction_Nm=float(m.friction_torque),
     )  # fmt: skip
-    ratio = float(best_gear(constants, max(upper, lower), torque, available))
+    ratio = float(best_gear_ratio(constants, max(upper, lower), torque, available))
     if not math.isfinite(ratio):
-        raise _too_weak(vehicle, "no gear lets it hover")
+        raise _underpowered_error(vehicle, "no gear lets it hover")
     note = "guess: the least power in hover" if ratio > 1.0 else "guess: direct drive; gearing up is no use"
-    ratio = _times(max(ratio, 1.0), 1.0)
+    ratio = _scale_value(max(ratio, 1.0), 1.0)
     tables["gear"]["ratio"] |= {"value": ratio, "source": "estimated", "note": note}
-    _regear(tables, float(vehicle.gear.ratio), ratio)
-    return validated(Vehicle, tables, vehicle.name)
+    _change_gear(tables, float(vehicle.gear.ratio), ratio)
+    return validate_model(Vehicle, tables, vehicle.name)
 
 
-def _hover(vehicle: Vehicle) -> Trim:
+def _trim_hover(vehicle: Vehicle) -> Trim:
     try:
-        return trim(vehicle, charge=0.5)
+        return find_trim(vehicle, charge=0.5)
     except MuflyError:
         pass
-    raise _too_weak(vehicle, "too weak to hover on a half-full battery")
+    raise _underpowered_error(vehicle, "too weak to hover on a half-full battery")
 
 
-def _too_weak(vehicle: Vehicle, what: str) -> ArgumentError:
-    _, full = voltage_range(vehicle.battery)
+def _underpowered_error(vehicle: Vehicle, what: str) -> ArgumentError:
+    _, full = battery_voltage_range(vehicle.battery)
     return ArgumentError(
         "resistance_ohm", "", f"{what} ({full:.3g} V, {1e3 * float(vehicle.body.mass):.4g} g)",
         "give another gear, a motor of less resistance, more cells, larger rotors or less mass",

@@ -37,11 +37,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 from scipy.special import gammainc
 
-from mufly.calling import lent
-from mufly.compiled import compiled
-from mufly.drive.train import RUBBING_FROM
-from mufly.dynamics.model import battery_state, coefficient_bounds, derivative
-from mufly.dynamics.state import (
+from mufly.drive.drive_train import FULL_FRICTION_SPEED_rad_s
+from mufly.dynamics.equations_of_motion import battery_state, coefficient_bounds, state_derivative
+from mufly.dynamics.model_state import (
     ATTITUDE,
     INPUT_SIZE,
     MOTORS,
@@ -61,8 +59,10 @@ from mufly.dynamics.state import (
     model_parameters,
 )
 from mufly.errors import InputError
-from mufly.quantities import labelled
-from mufly.rotor.system import VORTEX_RING
+from mufly.numba_cache import cached_njit
+from mufly.numba_intrinsics import borrow_arrays
+from mufly.quantities import make_dataset
+from mufly.rotor.rotor_system import VORTEX_RING_RANGE
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
@@ -71,7 +71,7 @@ _Array = NDArray[np.float64]
 DEFAULT_STEP_S = 1e-3
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def normalise_state(x: _Array) -> None:
     """Make attitude quaternion and bar's normal unit again, in place; charge does not fall below zero."""
     w, a, b, c = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
@@ -85,8 +85,8 @@ def normalise_state(x: _Array) -> None:
     x[RS_CHARGE] = max(x[RS_CHARGE], 0.0)
 
 
-@compiled(error_model="numpy")
-def advance(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: float, steps: int) -> None:
+@cached_njit(error_model="numpy")
+def integrate_state(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: float, steps: int) -> None:
     """Integrate the state ``x`` in place over ``steps`` steps of ``dt`` with input and wind held.
 
     Parameters
@@ -103,27 +103,33 @@ def advance(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: float, s
     steps : int
     """
     work = np.empty((5, x.shape[0]))
-    x, u, wind = lent(x), lent(u), lent(wind)
-    k1, k2, k3, k4, y = lent(work[0]), lent(work[1]), lent(work[2]), lent(work[3]), lent(work[4])
+    x, u, wind = borrow_arrays(x), borrow_arrays(u), borrow_arrays(wind)
+    k1, k2, k3, k4, y = (
+        borrow_arrays(work[0]),
+        borrow_arrays(work[1]),
+        borrow_arrays(work[2]),
+        borrow_arrays(work[3]),
+        borrow_arrays(work[4]),
+    )
     for _ in range(steps):
-        derivative(x, u, wind, p, k1)
+        state_derivative(x, u, wind, p, k1)
         for i in range(x.shape[0]):
             y[i] = x[i] + 0.5 * dt * k1[i]
-        derivative(y, u, wind, p, k2)
+        state_derivative(y, u, wind, p, k2)
         for i in range(x.shape[0]):
             y[i] = x[i] + 0.5 * dt * k2[i]
-        derivative(y, u, wind, p, k3)
+        state_derivative(y, u, wind, p, k3)
         for i in range(x.shape[0]):
             y[i] = x[i] + dt * k3[i]
-        derivative(y, u, wind, p, k4)
+        state_derivative(y, u, wind, p, k4)
         for i in range(x.shape[0]):  # by the table, which is held until here
             x[i] += dt / 6.0 * (work[0, i] + 2.0 * work[1, i] + 2.0 * work[2, i] + work[3, i])
         normalise_state(x)
 
 
-@compiled(parallel=True, error_model="numpy")
-def advance_batch(x: _Array, u: _Array, wind: _Array, p: NDArray[np.void], dt: float, steps: int) -> None:
-    """Integrate ``n`` vehicles in place, on all cores; see :func:`advance`.
+@cached_njit(parallel=True, error_model="numpy")
+def integrate_batch(x: _Array, u: _Array, wind: _Array, p: NDArray[np.void], dt: float, steps: int) -> None:
+    """Integrate ``n`` vehicles in place, on all cores; see :func:`integrate_state`.
 
     Parameters
     ----------
@@ -131,14 +137,14 @@ def advance_batch(x: _Array, u: _Array, wind: _Array, p: NDArray[np.void], dt: f
         States; overwritten.
     u : (n, 4) array
     wind : (n, 3) array
-    p : (n,) structured array of type :data:`~mufly.dynamics.PARAMETERS`
+    p : (n,) structured array of type :data:`~mufly.dynamics.PARAMETER_DTYPE`
         One record a vehicle.
     dt : float
         Step (s).
     steps : int
     """
     for k in prange(x.shape[0]):
-        advance(x[k], u[k], wind[k], p[k], dt, steps)
+        integrate_state(x[k], u[k], wind[k], p[k], dt, steps)
 
 
 def longest_step(p: np.void) -> float:
@@ -152,23 +158,21 @@ def longest_step(p: np.void) -> float:
     ----------
     p : record of :class:`~mufly.dynamics.ModelParameters`
     """
-    return 2.7 / max(_fastest(p).values())
+    return 2.7 / max(_mode_rates(p).values())
 
 
-def fastest_part(p: np.void) -> str:
+def fastest_mode_key(p: np.void) -> str:
     """The vehicle file's key of the part that sets :func:`longest_step`."""
-    rates = _fastest(p)
+    rates = _mode_rates(p)
     return max(rates, key=lambda key: rates[key])
 
 
-def _fastest(p: np.void) -> dict[str, float]:
+def _mode_rates(p: np.void) -> dict[str, float]:
     """Rates (rad/s) of the modes that :func:`longest_step` speaks of, by the key that each depends on most."""
-    damping = p["kE"] * p["kM"] / p["R_ohm"] + p["dR"] + p["Mf"] / (p["gear_ratio"] * RUBBING_FROM)
+    damping = p["kE"] * p["kM"] / p["R_ohm"] + p["dR"] + p["Mf"] / (p["gear_ratio"] * FULL_FRICTION_SPEED_rad_s)
     gear = p["gear_efficiency"] * p["gear_ratio"] ** 2
     speed = float(np.max(p["battery_curve"])) / (p["kE"] * p["gear_ratio"])
-    bounds = {
-        name: coefficient_bounds(p, name) for name in ("thrust_up", "thrust_dw", "torque_up", "torque_dw")
-    }
+    bounds = {name: coefficient_bounds(p, name) for name in ("thrust_up", "thrust_dw", "torque_up", "torque_dw")}
     motors = [(damping + bounds[f"torque_{k}"][1] * speed / gear) / p[f"J_{k}"] for k in ("up", "dw")]
     up, dw = motors
     thrust = max(bounds["thrust_up"][0], bounds["thrust_dw"][0]) * speed**2
@@ -193,7 +197,7 @@ def _fastest(p: np.void) -> dict[str, float]:
     }
 
 
-def simulate(
+def simulate_open_loop(
     vehicle: Vehicle,
     state: ArrayLike,
     inputs: ArrayLike,
@@ -243,7 +247,7 @@ def simulate(
             f"{min(step_s, sample_s) * 1e3:g} ms is too long for {vehicle.name}'s fastest part",
             f"give a step below {longest_step(p) * 1e3:.3g} ms",
         )
-    x = _checked(state, (STATE_SIZE,), "state").copy()
+    x = _check_shape(state, (STATE_SIZE,), "state").copy()
     samples = max(1, round(duration_s / sample_s))
     steps = max(1, math.ceil(sample_s / step_s - 1e-9))
     u = _per_sample(inputs, INPUT_SIZE, samples, "inputs")
@@ -251,14 +255,12 @@ def simulate(
     states = np.empty((samples + 1, STATE_SIZE))
     states[0] = x
     for k in range(samples):
-        advance(x, u[k], w[k], p, sample_s / steps, steps)
+        integrate_state(x, u[k], w[k], p, sample_s / steps, steps)
         states[k + 1] = x
-    return state_dataset(
-        np.arange(samples + 1, dtype=np.float64) * sample_s, states, np.vstack([u, u[-1:]]), p
-    )
+    return state_dataset(np.arange(samples + 1, dtype=np.float64) * sample_s, states, np.vstack([u, u[-1:]]), p)
 
 
-def _checked(array: ArrayLike, shape: Sequence[int], name: str) -> NDArray[np.float64]:
+def _check_shape(array: ArrayLike, shape: Sequence[int], name: str) -> NDArray[np.float64]:
     a = np.ascontiguousarray(array, dtype=np.float64)
     if a.shape != tuple(shape):
         raise InputError("simulate", name, f"has shape {a.shape}", f"give shape {tuple(shape)}")
@@ -270,7 +272,7 @@ def _checked(array: ArrayLike, shape: Sequence[int], name: str) -> NDArray[np.fl
 def _per_sample(array: ArrayLike, width: int, samples: int, name: str) -> NDArray[np.float64]:
     a = np.atleast_2d(np.asarray(array, dtype=np.float64))
     rows = a[np.minimum(np.arange(samples), len(a) - 1)]
-    return _checked(rows, (samples, width), name)
+    return _check_shape(rows, (samples, width), name)
 
 
 def state_dataset(
@@ -306,10 +308,10 @@ def state_dataset(
         "battery_voltage": voltage,
         "battery_charge": states[:, RS_CHARGE],
     }
-    return labelled(time_s, values)
+    return make_dataset(time_s, values)
 
 
-_LEAST_SPEED = 0.5  # m/s
+_MIN_WIND_SPEED = 0.5  # m/s
 
 
 def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.float64], ...]:
@@ -336,11 +338,11 @@ def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.flo
     return transition, noise, np.array([0.5, math.sqrt(0.75)]), np.eye(2)
 
 
-INFLOW_CHANGE = 0.1
+MAX_INFLOW_CHANGE = 0.1
 """Change of the hover's inflow from which on constant coefficients do not describe a rotor any more."""
 
 
-def model_air(vehicle: Vehicle) -> tuple[float, float, float]:
+def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
     """Induced velocity in hover, and the air speeds along and across the mast up to which the model holds (m/s).
 
     With both rotors as one disc, ``v_h = sqrt((m g + W_hub) / (2 rho pi R^2))``. In momentum theory at constant thrust
@@ -349,9 +351,9 @@ def model_air(vehicle: Vehicle) -> tuple[float, float, float]:
 
         x/2 + sqrt(x^2/4 + 1)                  sqrt(sqrt(y^4/4 + 1) - y^2/2)
 
-    which differs from one by ``INFLOW_CHANGE`` at ``x = 0.19`` and ``y = 0.65``. (For muFly that is 0.8 and 2.6 m/s;
-    the thesis relies on its constant coefficients up to 0.5 m/s, Sec. 4.3.1.) A coefficient map holds climb and descent
-    up to half of v_h, where the vortex ring state begins.
+    which differs from one by ``MAX_INFLOW_CHANGE`` at ``x = 0.19`` and ``y = 0.65``. (For muFly that is 0.8 and 2.6
+    m/s; the thesis relies on its constant coefficients up to 0.5 m/s, Sec. 4.3.1.) A coefficient map holds climb and
+    descent up to half of v_h, where the vortex ring state begins.
 
     Parameters
     ----------
@@ -360,12 +362,12 @@ def model_air(vehicle: Vehicle) -> tuple[float, float, float]:
     area = math.pi * float(vehicle.rotors.radius) ** 2
     weight = float(vehicle.body.mass) * GRAVITY + float(vehicle.body.downwash_drag)
     induced = math.sqrt(weight / (2.0 * float(vehicle.air.density) * area))
-    more, less = 1.0 + INFLOW_CHANGE, (1.0 - INFLOW_CHANGE) ** 2
-    along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else VORTEX_RING[0]
+    more, less = 1.0 + MAX_INFLOW_CHANGE, (1.0 - MAX_INFLOW_CHANGE) ** 2
+    along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else VORTEX_RING_RANGE[0]
     return induced, along * induced, math.sqrt((1.0 - less**2) / less) * induced
 
 
-def outside_model(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
+def describe_model_excess(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
     """Say in one line that a wind leaves the range of the model; nothing where it does not.
 
     Parameters
@@ -376,14 +378,14 @@ def outside_model(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
     gust : float
         Standard deviation of each component (m/s); twice that is reckoned with.
     """
-    induced, along, across = model_air(vehicle)
+    induced, along, across = model_air_limits(vehicle)
     north, east, down = (float(v) for v in np.asarray(wind, dtype=np.float64))
     level, rising = math.hypot(north, east) + 2.0 * gust, abs(down) + 2.0 * gust
     if level <= across and rising <= along:
         return ""
     ring = ""
-    if -down + 2.0 * gust >= VORTEX_RING[0] * induced:
-        state = "vortex ring" if -down <= VORTEX_RING[1] * induced else "windmill"
+    if -down + 2.0 * gust >= VORTEX_RING_RANGE[0] * induced:
+        state = "vortex ring" if -down <= VORTEX_RING_RANGE[1] * induced else "windmill"
         rises = f"in air that rises at {-down + 2.0 * gust:.1f} m/s"
         ring = f"; {rises} rotors are in {state} state, of which it knows nothing"
     return (
@@ -432,8 +434,8 @@ class DrydenWind:
         if seed < 0:
             raise InputError("wind", "seed", f"{seed}", "give a whole number that is not negative")
         self._gust = gust
-        self._random = np.random.default_rng(seed)
-        speed = max(float(np.linalg.norm(self.steady)), _LEAST_SPEED)
+        self._rng = np.random.default_rng(seed)
+        speed = max(float(np.linalg.norm(self.steady)), _MIN_WIND_SPEED)
         T = length_m / speed
         self._decay = math.exp(-step_s / T)
         self._lateral = dryden_filter(T, step_s)
@@ -441,27 +443,30 @@ class DrydenWind:
         along = self.steady * [1.0, 1.0, 0.0]
         along = along / np.linalg.norm(along) if np.linalg.norm(along) > 0 else np.array([1.0, 0.0, 0.0])
         self._axes = np.column_stack([along, [-along[1], along[0], 0.0], [0.0, 0.0, 1.0]])
-        self._along, self._s1 = self._random.standard_normal(1), self._random.standard_normal(2)
-        self._both = self._s1 + self._random.standard_normal(2)
+        self._longitudinal_state, self._lateral_state = (
+            self._rng.standard_normal(1),
+            self._rng.standard_normal(2),
+        )
+        self._both = self._lateral_state + self._rng.standard_normal(2)
 
-    def block(self, n: int) -> NDArray[np.float64]:
+    def next_samples(self, n: int) -> NDArray[np.float64]:
         """Return the next ``n`` samples of the wind, N-E-D (m/s), shape (n, 3)."""
         if self._gust == 0.0:
             return np.tile(self.steady, (n, 1))
-        noise = self._random.standard_normal((n, 5))
+        noise = self._rng.standard_normal((n, 5))
         transition, scale, output, _ = self._lateral
-        along = self._chain(self._along, math.sqrt(1.0 - self._decay**2) * noise[:, 0:1])
+        along = self._filter_samples(self._longitudinal_state, math.sqrt(1.0 - self._decay**2) * noise[:, 0:1])
         # s1 + s2 decays like exp(-h) by itself and drives s1, so two first-order recursions do.
         n1, n2 = noise[:, 1:3], noise[:, 3:5]
         first, second = scale[0, 0] * n1, scale[1, 0] * n1 + scale[1, 1] * n2
-        both = self._chain(self._both, first + second)
-        s1 = self._chain(self._s1, transition[0, 1] * both[:n] + first)
-        self._along, self._both, self._s1 = along[n], both[n], s1[n]
+        both = self._filter_samples(self._both, first + second)
+        s1 = self._filter_samples(self._lateral_state, transition[0, 1] * both[:n] + first)
+        self._longitudinal_state, self._both, self._lateral_state = along[n], both[n], s1[n]
         across = output[0] * s1 + output[1] * (both - s1)
         a, b, c = self._gust * along[:n], self._gust * across[:n, :1], self._gust * across[:n, 1:]
         return self.steady + a * self._axes[:, 0] + b * self._axes[:, 1] + c * self._axes[:, 2]
 
-    def _chain(self, start: NDArray[np.float64], driven: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _filter_samples(self, start: NDArray[np.float64], driven: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the n + 1 values of ``y[k+1] = decay y[k] + driven[k]`` from ``y[0] = start``, by columns."""
         rest, _ = lfilter([1.0], [1.0, -self._decay], driven, axis=0, zi=self._decay * start[None])
         return np.vstack([start, rest])

@@ -1,47 +1,54 @@
 """What does it believe? Readings in, an estimate with its covariance out."""
 
-from mufly.estimate.beliefs import Beliefs, Check, Status
-from mufly.estimate.estimate import EXACT, Estimate, Estimator, IdealEstimator, Watch, watch
-from mufly.estimate.fitted import KalmanEstimator, fitted_estimator
-from mufly.estimate.layout import ERROR_STATES
-from mufly.estimate.log import (
-    Aids,
-    Foretold,
-    InertialLog,
-    Noise,
-    check_inertial,
-    foretold,
-    noise_at_rest,
-    noise_in_flight,
-    run_log,
-    standing,
+from mufly.estimate.estimator import (
+    ZERO_COVARIANCE,
+    Estimate,
+    EstimateMonitor,
+    Estimator,
+    IdealEstimator,
+    check_estimate,
 )
-from mufly.estimate.nees import Consistency, consistency, consistency_of
+from mufly.estimate.filter_records import ERROR_STATES
+from mufly.estimate.inertial_log import (
+    AidInnovations,
+    InertialLog,
+    InertialNoise,
+    PositionAids,
+    aid_innovations,
+    check_inertial_log,
+    detect_flight,
+    estimate_flight_noise,
+    estimate_rest_noise,
+    run_log,
+)
+from mufly.estimate.kalman_estimator import KalmanEstimator, fitted_estimator
+from mufly.estimate.nees import Consistency, measure_consistency, measure_row_consistency
+from mufly.estimate.sensor_status import AuxiliaryStates, FusionStatus, SensorStatus
 
 __all__ = [
     "ERROR_STATES",
-    "EXACT",
-    "Aids",
-    "Beliefs",
-    "Check",
+    "ZERO_COVARIANCE",
+    "AidInnovations",
+    "AuxiliaryStates",
     "Consistency",
     "Estimate",
+    "EstimateMonitor",
     "Estimator",
-    "Foretold",
+    "FusionStatus",
     "IdealEstimator",
     "InertialLog",
+    "InertialNoise",
     "KalmanEstimator",
-    "Noise",
-    "Status",
-    "Watch",
-    "check_inertial",
-    "consistency",
-    "consistency_of",
+    "PositionAids",
+    "SensorStatus",
+    "aid_innovations",
+    "check_estimate",
+    "check_inertial_log",
+    "detect_flight",
+    "estimate_flight_noise",
+    "estimate_rest_noise",
     "fitted_estimator",
-    "foretold",
-    "noise_at_rest",
-    "noise_in_flight",
+    "measure_consistency",
+    "measure_row_consistency",
     "run_log",
-    "standing",
-    "watch",
 ]

@@ -7,12 +7,13 @@ a block by velocity and yaw rate.
 
 The output is the state of the horizon, propagated to now through the inputs since (:mod:`output_predictor`).
 
-Inputs are averaged over blocks of :data:`mufly.estimate.layout.BLOCK_S`, and the horizon moves from the end of one
-block to the end of the next. A measurement counts at the nearest end of a block (10 ms away at most).
+Inputs are averaged over blocks of :data:`mufly.estimate.filter_records.INPUT_BLOCK_S`, and the horizon moves from the
+end of one block to the end of the next. A measurement counts at the nearest end of a block (10 ms away at most).
 
 Work is bounded: a period has time for ``work_limit`` scalar measurements (:func:`_run_next_task`). With more work the
-horizon falls behind; from :data:`mufly.estimate.layout.LAG` blocks on, measurements that are due are dropped. One bias
-is predicted a period, in turn. The bias of the fix is predicted when a fix is fused, over the time since the last one.
+horizon falls behind; from :data:`mufly.estimate.filter_records.MAX_LAG_BLOCKS` blocks on, measurements that are due are
+dropped. One bias is predicted a period, in turn. The bias of the fix is predicted when a fix is fused, over the time
+since the last one.
 
 The inertial unit's filter delays its output by ``lag``: a state belongs to ``lag`` before its tick."""
 
@@ -23,8 +24,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.dynamics.state import (
+from mufly.dynamics.model_state import (
     RS_ATT,
     RS_BAR,
     RS_CHARGE,
@@ -34,10 +34,65 @@ from mufly.dynamics.state import (
     RS_SPEED_UPPER,
     ModelParameters,
 )
+from mufly.estimate.filter_records import (
+    BIAS_CYCLE_TICKS,
+    ERROR_STATE_COUNT,
+    EX_ATT,
+    EX_FIX_BIAS,
+    EX_FIX_HEADING,
+    EX_GYRO_BIAS,
+    EX_POS,
+    EX_TERRAIN,
+    EX_THRUST_SCALE,
+    EX_VEL,
+    FLOOR_SETTLED_SIGMA,
+    IN_ACCEL,
+    IN_NOISE,
+    IN_PHASE,
+    IN_REST,
+    IN_SHARE,
+    IN_SLOPE,
+    IN_STATIC,
+    INPUT_BLOCK_COUNT,
+    INPUT_ROW_SIZE,
+    MAX_FLOOR_HEIGHT,
+    MAX_LAG_BLOCKS,
+    MODEL_ACCEL,
+    PHASE_COASTING,
+    PHASE_FLYING,
+    PHASE_LIGHT,
+    PHASE_RUNNING,
+    PHASE_STANDING,
+    QUEUE_SIZE,
+    R_ACCELERATION,
+    R_BATTERY,
+    R_FIX,
+    R_PRESSURE,
+    R_RATES,
+    R_RING,
+    R_ROTOR,
+    R_SONAR,
+    READING_STARTS,
+    RF_ANG_ACCEL,
+    RF_STATIC,
+    ROTOR_FORCE_HISTORY,
+    STATE_COUNT,
+    SX_ACCEL_BIAS,
+    SX_ATT,
+    SX_GYRO_BIAS,
+    SX_POS,
+    SX_TERRAIN,
+    SX_THRUST_SCALE,
+    SX_VEL,
+    SX_WIND,
+    TERRAIN_EDGE_S,
+    FilterMemory,
+    FilterSettings,
+)
 from mufly.estimate.fusion import (
-    CLEAR,
-    LEAST_FLOOR,
-    LIFTS_OFF,
+    LEG_CLEARANCE_HEIGHT,
+    LIFTOFF_THRUST_SIGMA,
+    MIN_TERRAIN_HEIGHT,
     fuse_accel_residual,
     fuse_ground_contact,
     fuse_liftoff_thrust,
@@ -50,73 +105,23 @@ from mufly.estimate.fusion import (
     height_above_ground,
     reset_terrain,
 )
-from mufly.estimate.layout import (
-    COASTING,
-    EDGE_S,
-    ERRORS,
-    EX_ATT,
-    EX_FIX_BIAS,
-    EX_FIX_HEADING,
-    EX_GYRO_BIAS,
-    EX_POS,
-    EX_TERRAIN,
-    EX_THRUST_SCALE,
-    EX_VEL,
-    FLYING,
-    IN_ACCEL,
-    IN_NOISE,
-    IN_PHASE,
-    IN_REST,
-    IN_SHARE,
-    IN_SLOPE,
-    IN_STATIC,
-    INPUTS,
-    KEPT,
-    LAG,
-    LIGHT,
-    LOW,
-    MODEL_ACCEL,
-    MODELLED,
-    R_ACCELERATION,
-    R_BATTERY,
-    R_FIX,
-    R_PRESSURE,
-    R_RATES,
-    R_RING,
-    R_ROTOR,
-    R_SONAR,
-    RF_ANG_ACCEL,
-    RF_STATIC,
-    RUNNING,
-    SETTLED,
-    STANDING,
-    STARTS,
-    STATES,
-    SX_ACCEL_BIAS,
-    SX_ATT,
-    SX_GYRO_BIAS,
-    SX_POS,
-    SX_TERRAIN,
-    SX_THRUST_SCALE,
-    SX_VEL,
-    SX_WIND,
-    TURNS,
-    WAITING,
-    FilterMemory,
-    FilterSettings,
+from mufly.estimate.output_predictor import (
+    COVARIANCE_INTERVAL_TICKS,
+    FORCE_MEAN_TICKS,
+    predict_output,
+    velocity_noise_density,
 )
-from mufly.estimate.output_predictor import LONGEST, TOLD_EVERY, predict_output, velocity_noise_density
 from mufly.estimate.sensor_checks import (
-    ACTING,
-    ADRIFT,
-    FAULTY,
-    FINE,
-    FUSED,
-    LATE,
-    MISSING,
-    OFF,
-    ONCE_ADRIFT,
-    REJECTED,
+    ACTUATOR_START,
+    DIVERGED_BIAS_WALK,
+    LATER_BIAS_WALK,
+    REASON_INNOVATION,
+    REASON_LATE,
+    REASON_NONE,
+    STATUS_FAULTY,
+    STATUS_FUSED,
+    STATUS_MISSING,
+    STATUS_REJECTED,
     battery_voltage_consistent,
     check_readings,
     replace_gyro_spikes,
@@ -131,81 +136,82 @@ from mufly.estimate.strapdown import (
     rotation_matrix,
 )
 from mufly.estimate.ud_filter import gauss_markov_update, inflate_variance, state_variance, ud_time_update
-from mufly.trigonometry import whole
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import floor_int
 from mufly.units import GRAVITY
 
 _Array = NDArray[np.float64]
 
-BACK_S = 0.1
+MAX_BACKDATE_S = 0.1
 """How long before the horizon a measurement may have been made: speed and turning carry it there, and what they change
 by meanwhile, 1 m/s^2, moves it by 5 mm."""
-SLOWLY = 32
+SLOW_NOISE_TICKS = 32
 """Periods over which the noise of forces at low frequencies is looked at."""
-TELLING, STEPPING, WANDERING, FIXING, RESTING = 3, 2, 1, 4, 3
+COST_COVARIANCE, COST_HORIZON_STEP, COST_FIX_BIAS, COST_FIX, COST_REST_AXIS = 3, 2, 1, 4, 3
 """What a covariance that is told costs, a step of the horizon, one of what the fix is off by, a fix, and an axis on the
 floor, in scalar measurements."""
-EDGES, MEANS, AXES, LEGS, DONE = 1, 2, 3, 6, 7
+STAGE_TERRAIN, STAGE_FORCE_MEANS, STAGE_AXES, STAGE_GROUND_CONTACT, STAGE_DONE = 1, 2, 3, 6, 7
 """Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
-_ALIGNED_S = 0.8
-_BLIND_S = 0.1  # without gyroscopes
-BLIND_TURN = 0.002
+_INITIAL_REST_S = 0.8
+_GYRO_OUTAGE_S = 0.1  # without gyroscopes
+GYRO_OUTAGE_DENSITY = 0.002
 """Density of the turning (rad^2/s) that is not known without them: the stabiliser bar keeps the rotors level."""
-STOPPED = 0.02
+STOPPED_SPEED_SHARE = 0.02
 """Share of the speeds in hover below which rotors stand. Those that run down with the motors off turn the vehicle."""
-MOST_DOUBT = 2.5
+LIFTOFF_SIGMA_LIMIT = 2.5
 """Deviations of the thrust's scale by which lift-off may come sooner or later."""
-KNOWN_THRUST, UNKNOWN_S = 0.03, 0.02
+MODELLED_THRUST_SIGMA, THRUST_ERROR_TIME_S = 0.03, 0.02
 """Deviation of the thrust's scale that the filter bears; what is beyond makes noise, together over so long (s)."""
-TOGETHER = 0.3
+ERROR_TIME_TWICE_S = 0.3
 """Twice the time (s) for which an error counts as one, so that over the delay it moves the velocity by what it is."""
-CLIPPED = 0.25
+CLIPPING_ERROR_SHARE = 0.25
 """What means of accelerometers that clip are off by, of the range times the share of clipped samples (0.1 to 0.3), and
 for how long together."""
-LEAST_SPREAD = 1.0
+GROUND_FORCE_ERROR = 1.0
 """What rotors and legs together may be off by (m/s^2)."""
-BELIEVED_LOW, LIFTED = 0.3, 0.015
+SONAR_LIFTOFF_HEIGHT, LIFTOFF_CLEARANCE = 0.3, 0.015
 """Heights (m) up to which the sonar has a say in whether it flies, and beyond its least reading that say so."""
-SCATTER = 5.0
+INITIAL_ACCEL_DENSITY = 5.0
 """Density of the accelerometers' noise before it is known, m^2/s^3: none would be believed more than the model."""
-ASUNDER = 0.4
+MAX_MODEL_DISAGREEMENT = 0.4
 """What accelerometers and model may be apart by over 160 ms (m/s^2), beside two deviations of the thrust's scale; what
 is beyond is noise, together over a second."""
-_Z = STARTS
+_Z = READING_STARTS
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
     """Set the memory to the state at the reset."""
-    for i in range(STATES):
-        m.x[i] = m.x_repropagating[i] = m.x_now[i] = s.start[i]
-    for i in range(ERRORS):
-        m.d[i] = s.sigma[i] * s.sigma[i] + 1e-12
-        for j in range(ERRORS):
-            m.ut[i, j] = 1.0 if i == j else 0.0
-    for i in range(WAITING):
+    for i in range(STATE_COUNT):
+        m.x[i] = m.x_repropagating[i] = m.x_now[i] = s.initial_state[i]
+    for i in range(ERROR_STATE_COUNT):
+        m.d[i] = s.initial_sigma[i] * s.initial_sigma[i] + 1e-12
+        for j in range(ERROR_STATE_COUNT):
+            m.u_transposed[i, j] = 1.0 if i == j else 0.0
+    for i in range(QUEUE_SIZE):
         m.queue_due[i] = -1
-    m.task_stage = DONE
+    m.task_stage = STAGE_DONE
     m.x_output[SX_ATT] = m.rotor_state[RS_ATT] = m.rotor_state[RS_CHARGE] = 1.0
     m.rotor_state[RS_POS + 2] = -1000.0  # far above the floor
     m.rotor_state[RS_BAR + 2] = -1.0
     for k in range(3):
-        m.accel_noise[k] = m.accel_noise_slow[k] = SCATTER
+        m.accel_noise[k] = m.accel_noise_slow[k] = INITIAL_ACCEL_DENSITY
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _queue_measurement(
     m: FilterMemory, s: FilterSettings, kind: int, at: float, z: _Array, start: int, count: int
 ) -> bool:
     """Queue a measurement of tick ``at`` until the horizon reaches it.
 
-    Returns False if the horizon has passed it by more than :data:`BACK_S`, or the queue is full."""
-    due = s.block_ticks * whole(at / s.block_ticks + 0.5)
-    if due <= m.horizon:
-        due = m.horizon + s.block_ticks  # by what it moves and turns, the next end of a block will do
+    Returns False if the horizon has passed it by more than :data:`MAX_BACKDATE_S`, or the queue is full."""
+    due = s.block_ticks * floor_int(at / s.block_ticks + 0.5)
+    if due <= m.horizon_tick:
+        due = m.horizon_tick + s.block_ticks  # by what it moves and turns, the next end of a block will do
     ahead = (at - due) * s.dt
-    if -ahead > BACK_S:
+    if -ahead > MAX_BACKDATE_S:
         return False
-    for i in range(WAITING):
+    for i in range(QUEUE_SIZE):
         if m.queue_due[i] < 0:
             m.queue_due[i] = due
             m.queue_sensor[i] = kind
@@ -216,80 +222,82 @@ def _queue_measurement(
     return False
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float:
     """Update the flight phase from the rotors' lift and the height.
 
     Returns the model's lift over the weight in the period in which the sonar sees it leave the floor, else 0.
     """
     lift = (
-        -m.rotor_force[m.tick % MODELLED, RF_STATIC + 2] * m.x[SX_THRUST_SCALE] / GRAVITY
+        -m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, RF_STATIC + 2] * m.x[SX_THRUST_SCALE] / GRAVITY
         if s.has_rotor_model > 0
         else 1.0
     )
     height = height_above_ground(m.x_output, s)
-    off = z[ACTING] + z[ACTING + 1] < 0.02
+    off = z[ACTUATOR_START] + z[ACTUATOR_START + 1] < 0.02
     # Rotors that lift more than the model says fly sooner, others later.
-    doubt = MOST_DOUBT * m.sigma_output[EX_THRUST_SCALE] if s.has_rotor_model > 0 else 0.0
+    doubt = LIFTOFF_SIGMA_LIMIT * m.sigma_output[EX_THRUST_SCALE] if s.has_rotor_model > 0 else 0.0
     # What the sonar says is fresher than the height that is believed; but not one that sees below the floor.
-    says = m.status[R_SONAR] == FUSED and height < BELIEVED_LOW and m.x[SX_TERRAIN] > LEAST_FLOOR
-    near = says and m.last_value[_Z[R_SONAR]] <= s.sonar_min + 0.5 * s.sonar_step
-    clear = says and m.last_value[_Z[R_SONAR]] > s.sonar_min + LIFTED
+    says = m.status[R_SONAR] == STATUS_FUSED and height < SONAR_LIFTOFF_HEIGHT and m.x[SX_TERRAIN] > MIN_TERRAIN_HEIGHT
+    near = says and m.last_value[_Z[R_SONAR]] <= s.sonar_min + 0.5 * s.sonar_resolution
+    clear = says and m.last_value[_Z[R_SONAR]] > s.sonar_min + LIFTOFF_CLEARANCE
     rises = 0.0
-    m.near_ground = 1 if near else 0
-    if m.flight_phase <= RUNNING:
+    m.is_sonar_at_minimum = 1 if near else 0
+    if m.flight_phase <= PHASE_RUNNING:
         turning = m.rotor_state[RS_SPEED_UPPER] + m.rotor_state[RS_SPEED_LOWER]
-        stands = turning <= STOPPED * (s.hover_speed[0] + s.hover_speed[1])
-        m.flight_phase = RUNNING if not off else STANDING if stands else COASTING
-        if lift * (1.0 + doubt) > 0.9 and m.flight_phase == RUNNING:
-            m.flight_phase = LIGHT
-            m.initialised = 1
-    elif m.flight_phase == LIGHT:
+        stands = turning <= STOPPED_SPEED_SHARE * (s.hover_speed[0] + s.hover_speed[1])
+        m.flight_phase = PHASE_RUNNING if not off else PHASE_STANDING if stands else PHASE_COASTING
+        if lift * (1.0 + doubt) > 0.9 and m.flight_phase == PHASE_RUNNING:
+            m.flight_phase = PHASE_LIGHT
+            m.is_initialised = 1
+    elif m.flight_phase == PHASE_LIGHT:
         up = height > 0.03 + min(2.0 * m.sigma_output[EX_POS + 2], 0.1) and not near
         if up or clear or lift > 1.1 + doubt:
-            m.flight_phase = FLYING
+            m.flight_phase = PHASE_FLYING
             if says and not near and s.has_rotor_model > 0:
                 rises = lift / m.x[SX_THRUST_SCALE]
         elif lift * (1.0 + doubt) < 0.85 and height < 0.02:
-            m.flight_phase = RUNNING
+            m.flight_phase = PHASE_RUNNING
     elif (height < 0.015 and lift < 0.9 and not clear) or (near and lift < 1.1 + doubt):
-        m.flight_phase = LIGHT
+        m.flight_phase = PHASE_LIGHT
     if (
         off
-        and m.flight_phase >= LIGHT
+        and m.flight_phase >= PHASE_LIGHT
         and height < 0.05
         and m.rotor_state[RS_SPEED_UPPER] < 0.3 * s.hover_speed[0]
     ):
-        m.flight_phase = RUNNING
-    if m.flight_phase != FLYING:
+        m.flight_phase = PHASE_RUNNING
+    if m.flight_phase != PHASE_FLYING:
         m.grounded_tick = m.tick
     return rises
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _ground_force_noise(m: FilterMemory, force: float) -> float:
     """Return the density of the force's error on the legs or just off them (m^2/s^3).
 
     ``force`` is the rotors' force per mass, down (m/s^2). The error shrinks as the rotors lift more or less than the
     weight."""
     spread = (
-        LEAST_SPREAD if m.near_ground == 1 else max(m.sigma_output[EX_THRUST_SCALE] * -force, LEAST_SPREAD)
+        GROUND_FORCE_ERROR
+        if m.is_sonar_at_minimum == 1
+        else max(m.sigma_output[EX_THRUST_SCALE] * -force, GROUND_FORCE_ERROR)
     )
     over = (-m.x_output[SX_THRUST_SCALE] * force - GRAVITY) / spread
-    may = min(max(1.0 + over / MOST_DOUBT, 0.0), 1.0) * spread
-    return TOGETHER * may * may
+    may = min(max(1.0 + over / LIFTOFF_SIGMA_LIMIT, 0.0), 1.0) * spread
+    return ERROR_TIME_TWICE_S * may * may
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _sample_inputs(
     m: FilterMemory, s: FilterSettings, p: ModelParameters, z: _Array, new: NDArray[np.int32], r: _Array
 ) -> float:
     """Write the row of inputs of the period that has just ended, and average it into its block.
 
     Returns the same as :func:`_update_flight_phase`."""
-    now = m.tick % MODELLED
+    now = m.tick % ROTOR_FORCE_HISTORY
     for j in range(4):
-        sent = z[ACTING + j]
+        sent = z[ACTUATOR_START + j]
         m.actuators[j] = min(max(sent, -1.0), 1.0) if sent == sent else 0.0
     rotation_matrix(m.x_output[SX_ATT : SX_ATT + 4], r)
     n, e, d = (
@@ -309,40 +317,40 @@ def _sample_inputs(
             if rotor_speed_consistent(m, s, z, a):
                 for k in range(2):
                     off = z[a + k] - m.rotor_state[RS_SPEED_UPPER + k]
-                    m.rotor_state[RS_SPEED_UPPER + k] += s.rotor_gain * off
-                    m.motor_accel_bias[k] += s.rotor_drift * off
+                    m.rotor_state[RS_SPEED_UPPER + k] += s.rotor_speed_gain * off
+                    m.motor_accel_bias[k] += s.motor_error_gain * off
         if new[R_BATTERY] == 1:
             off = z[_Z[R_BATTERY]] - predict_terminal_voltage(m, p)
             if battery_voltage_consistent(m, s, off):
                 fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
                 m.rotor_state[RS_CHARGE] = min(max(m.rotor_state[RS_CHARGE] + fast * off, 0.0), 1.0)
     rises = _update_flight_phase(m, s, z)
-    a, b = (now - s.lag_ticks) % MODELLED, (now - s.lag_ticks - 1) % MODELLED
-    row = m.input_now
+    a, b = (now - s.imu_lag_ticks) % ROTOR_FORCE_HISTORY, (now - s.imu_lag_ticks - 1) % ROTOR_FORCE_HISTORY
+    row = m.inputs_now
     model = s.has_rotor_model > 0
     for k in range(3):
         row[k] = 0.5 * (m.gyro_rates[k] + m.gyro_rates_prev[k])
         row[IN_ACCEL + k] = z[k]
         for g in range(3):
-            row[IN_STATIC + 3 * g + k] = (1 - s.lag_share) * m.rotor_force[
+            row[IN_STATIC + 3 * g + k] = (1 - s.imu_lag_share) * m.rotor_force[
                 a, RF_STATIC + 3 * g + k
-            ] + s.lag_share * m.rotor_force[b, RF_STATIC + 3 * g + k]
-        clip = m.clip_share[k] * CLIPPED * s.accel_range
+            ] + s.imu_lag_share * m.rotor_force[b, RF_STATIC + 3 * g + k]
+        clip = m.clip_share[k] * CLIPPING_ERROR_SHARE * s.accel_range
         # Without what a shaking leaves; but whose attitude is not known knows the force of the air better.
-        noise = m.accel_noise_slow[k] if m.status[R_RATES] < MISSING else m.accel_noise[k]
+        noise = m.accel_noise_slow[k] if m.status[R_RATES] < STATUS_MISSING else m.accel_noise[k]
         felt = (
             max(s.accel_density, noise) if s.has_rotor_model > 0 else s.accel_density
-        ) + TOGETHER * clip * clip
+        ) + ERROR_TIME_TWICE_S * clip * clip
         made = s.model_accel_density[k]
-        if m.flight_phase <= RUNNING:
+        if m.flight_phase <= PHASE_RUNNING:
             row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY * r[6 + k], 0.0
             felt, made = 1e6, 1e-3
-        elif m.flight_phase == LIGHT:
+        elif m.flight_phase == PHASE_LIGHT:
             # Legs may carry what the rotors do not: nothing is learnt of these.
             row[IN_REST + k] += m.x_output[SX_THRUST_SCALE] * row[IN_STATIC + k]
             if k == 2:
                 row[IN_REST + 2] = (
-                    -GRAVITY * r[8] if m.near_ground == 1 else min(row[IN_REST + 2], -GRAVITY * r[8])
+                    -GRAVITY * r[8] if m.is_sonar_at_minimum == 1 else min(row[IN_REST + 2], -GRAVITY * r[8])
                 )
             made = 0.05
             if k == 2:
@@ -350,46 +358,46 @@ def _sample_inputs(
             row[IN_STATIC + k] = 0.0
         elif model:
             # Until the thrust is known, which takes the delay and more, it flies by the accelerometers.
-            unknown = max(m.sigma_output[EX_THRUST_SCALE] - KNOWN_THRUST, 0.0) * row[IN_STATIC + k]
-            made += UNKNOWN_S * unknown * unknown
-        if not model and m.flight_phase > RUNNING:
+            unknown = max(m.sigma_output[EX_THRUST_SCALE] - MODELLED_THRUST_SIGMA, 0.0) * row[IN_STATIC + k]
+            made += THRUST_ERROR_TIME_S * unknown * unknown
+        if not model and m.flight_phase > PHASE_RUNNING:
             row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
             made = 10.0
-        if m.status[R_ACCELERATION] >= MISSING or m.accel_distrusted == 1 or s.fitted[R_ACCELERATION] == 0:
+        if m.status[R_ACCELERATION] >= STATUS_MISSING or m.is_accel_distrusted == 1 or s.is_fitted[R_ACCELERATION] == 0:
             felt = 1e6
         share = made / (felt + made)
         row[IN_SHARE + k] = share
         row[IN_NOISE + k] = felt * share
     row[IN_PHASE] = m.flight_phase
     # Mean over the block so far
-    into = m.input_blocks[(m.tick - 1) // s.block_ticks % KEPT]
+    into = m.input_blocks[(m.tick - 1) // s.block_ticks % INPUT_BLOCK_COUNT]
     share = 1.0 / ((m.tick - 1) % s.block_ticks + 1)
-    for j in range(INPUTS - 1):
+    for j in range(INPUT_ROW_SIZE - 1):
         into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
     into[IN_PHASE] = m.flight_phase
     return rises
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _pass_terrain_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
     """Inflate the terrain's variance while the sonar's cone passes over an edge: the nearest point moves along an
     arc."""
     away = max(-m.x[SX_POS + 2] - m.x[SX_TERRAIN], 0.1)
     speed = math.sqrt(m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1])
     arc = s.sonar_arc * away
-    passed = span * max(speed / max(s.sonar_reach * away, 0.05), 1.0 / EDGE_S)
-    inflate_variance(m.ut, m.d, EX_TERRAIN, arc * arc * passed, m.f)
-    m.terrain_edge = max(m.terrain_edge - passed, 0.0)
-    if not m.terrain_edge > 0.0:
+    passed = span * max(speed / max(s.sonar_cone_slope * away, 0.05), 1.0 / TERRAIN_EDGE_S)
+    inflate_variance(m.u_transposed, m.d, EX_TERRAIN, arc * arc * passed, m.f)
+    m.terrain_edge_weight = max(m.terrain_edge_weight - passed, 0.0)
+    if not m.terrain_edge_weight > 0.0:
         m.terrain_steps = 0
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
     """Move the horizon on by a block: state and covariance."""
     span = s.block_ticks * s.dt
-    e = m.input_blocks[m.horizon // s.block_ticks % KEPT]
-    m.horizon += s.block_ticks
+    e = m.input_blocks[m.horizon_tick // s.block_ticks % INPUT_BLOCK_COUNT]
+    m.horizon_tick += s.block_ticks
     m.task_stage = 0
     predict_state(m.x, e, span, r, a)
     for k in range(3):
@@ -405,66 +413,64 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
         m.yaw_rate += r[6 + k] * (e[k] - m.x[SX_GYRO_BIAS + k])
         m.q_work[k] = s.process_variance[k]
         m.q_work[EX_VEL + k] = velocity_noise_density(r, k, e) * span
-        spread = s.gyro_density + (BLIND_TURN if m.status[R_RATES] >= MISSING else 0.0)
+        spread = s.gyro_density + (GYRO_OUTAGE_DENSITY if m.status[R_RATES] >= STATUS_MISSING else 0.0)
         for i in range(3):
             own = m.rates_lp[i] ** 2
             spread += (
-                r[3 * k + i]
-                * r[3 * k + i]
-                * (s.gyro_cross_density[0] * (all_ - own) + s.gyro_cross_density[1] * own)
+                r[3 * k + i] * r[3 * k + i] * (s.gyro_cross_density[0] * (all_ - own) + s.gyro_cross_density[1] * own)
             )
         m.q_work[EX_ATT + k] = spread * span
     error_transition(e, span, r, a, m.transition_work)
-    ud_time_update(m.ut, m.d, span, m.transition_work, m.q_work, m.w_work, m.f)
-    if m.terrain_edge > 0.0:
+    ud_time_update(m.u_transposed, m.d, span, m.transition_work, m.q_work, m.w_work, m.f)
+    if m.terrain_edge_weight > 0.0:
         _pass_terrain_edge(m, s, span)
-    m.mean_ticks += s.block_ticks
+    m.block_mean_ticks += s.block_ticks
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _predict_bias(m: FilterMemory, s: FilterSettings) -> None:
     """Predict the bias whose turn it is, except those of the fix."""
-    k = EX_GYRO_BIAS + m.tick % TURNS
+    k = EX_GYRO_BIAS + m.tick % BIAS_CYCLE_TICKS
     if k >= EX_FIX_BIAS:
         k += EX_FIX_HEADING + 1 - EX_FIX_BIAS
-    m.x[k + 1] = s.start[k + 1] + (m.x[k + 1] - s.start[k + 1]) * s.decay[k]
+    m.x[k + 1] = s.initial_state[k + 1] + (m.x[k + 1] - s.initial_state[k + 1]) * s.decay[k]
     q = s.process_variance[k]
     if k < EX_GYRO_BIAS + 3 and m.divergence_ticks > 0:
-        may = ADRIFT if m.divergence_ticks > 1 else ONCE_ADRIFT
-        q += may * may * (TURNS * s.dt)
+        may = DIVERGED_BIAS_WALK if m.divergence_ticks > 1 else LATER_BIAS_WALK
+        q += may * may * (BIAS_CYCLE_TICKS * s.dt)
     elif k == EX_TERRAIN:
         q *= math.sqrt(
             m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1]
         )  # another floor lies elsewhere, not later
     if q > 0.0:
-        gauss_markov_update(m.ut, m.d, k, s.decay[k], q, m.f)
+        gauss_markov_update(m.u_transposed, m.d, k, s.decay[k], q, m.f)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
     """Predict the bias of the fix to the horizon; N and E over the same time."""
     for k in range(EX_FIX_BIAS, EX_FIX_HEADING + 1):
         keep, by = 1.0, s.decay[k]
-        blocks = (m.horizon - m.fix_bias_tick) // s.block_ticks
+        blocks = (m.horizon_tick - m.fix_bias_tick) // s.block_ticks
         while blocks > 0:
             if blocks % 2 == 1:
                 keep *= by
             by *= by
             blocks //= 2
         m.x[k + 1] *= keep
-        q = s.sigma[k] * s.sigma[k] * (1.0 - keep * keep)
+        q = s.initial_sigma[k] * s.initial_sigma[k] * (1.0 - keep * keep)
         if q > 0.0:
-            gauss_markov_update(m.ut, m.d, k, keep, q, m.f)
-    m.fix_bias_tick = m.horizon
+            gauss_markov_update(m.u_transposed, m.d, k, keep, q, m.f)
+    m.fix_bias_tick = m.horizon_tick
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: int) -> int:
     """Fuse the next queued measurement of the horizon; return its cost, 0 without time for it, -1 without any."""
-    behind = m.tick - s.delay_ticks - m.horizon >= LAG * s.block_ticks
+    behind = m.tick - s.delay_ticks - m.horizon_tick >= MAX_LAG_BLOCKS * s.block_ticks
     i = -1
-    for j in range(WAITING if m.task_stage == 0 else 0):
-        if m.queue_due[j] == m.horizon:
+    for j in range(QUEUE_SIZE if m.task_stage == 0 else 0):
+        if m.queue_due[j] == m.horizon_tick:
             if behind:
                 m.late_count[m.queue_sensor[j]] += 1
                 m.next_beam = 0
@@ -475,13 +481,13 @@ def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: 
         kind, z, ahead = m.queue_sensor[i], m.queue_value[i], m.queue_ahead[i]
         cost = 1
         if kind == R_FIX:
-            cost = WANDERING if m.fix_bias_tick < m.horizon else FIXING
+            cost = COST_FIX_BIAS if m.fix_bias_tick < m.horizon_tick else COST_FIX
         elif kind == R_RING:
             cost = max(min(s.beam_count - m.next_beam, left), 1)
         if cost > left:
             return 0
         done = True
-        if kind == R_FIX and m.fix_bias_tick < m.horizon:
+        if kind == R_FIX and m.fix_bias_tick < m.horizon_tick:
             _predict_fix_bias(m, s)
             done = False
         elif kind == R_FIX:
@@ -500,11 +506,11 @@ def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: 
     return -1
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
     """Average accelerometers and model since the last comparison."""
-    e = m.input_blocks[(m.horizon // s.block_ticks - 1) % KEPT]
-    n = m.mean_ticks // s.block_ticks
+    e = m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT]
+    n = m.block_mean_ticks // s.block_ticks
     for k in range(3):
         m.accel_mean[k] /= n
         m.model_accel_mean[k] /= n
@@ -516,63 +522,63 @@ def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
         m.residual_density[k] = e[IN_NOISE + k] / share / max(1 - share, 1e-9) + m.accel_noise[k]
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left: int) -> int:
     """Run the next task at the horizon if it costs no more than ``left``; return its cost, 0 if none was run."""
     cost = _fuse_next_measurement(m, s, r, left)
     if cost >= 0:
         return cost
     if m.task_stage == 0:
-        m.task_stage = EDGES
-    if m.task_stage == EDGES:
-        m.task_stage = MEANS
-        if not m.terrain_edge > 0.0 and abs(m.x[SX_TERRAIN]) < LOW:
-            sure = state_variance(m.ut, m.d, EX_TERRAIN)
-            if sure > SETTLED * SETTLED and m.x[SX_TERRAIN] * m.x[SX_TERRAIN] < 9.0 * sure:
+        m.task_stage = STAGE_TERRAIN
+    if m.task_stage == STAGE_TERRAIN:
+        m.task_stage = STAGE_FORCE_MEANS
+        if not m.terrain_edge_weight > 0.0 and abs(m.x[SX_TERRAIN]) < MAX_FLOOR_HEIGHT:
+            sure = state_variance(m.u_transposed, m.d, EX_TERRAIN)
+            if sure > FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA and m.x[SX_TERRAIN] * m.x[SX_TERRAIN] < 9.0 * sure:
                 reset_terrain(m)
                 return 1
-    if m.task_stage == MEANS:
-        m.task_stage = DONE
-        if m.mean_ticks >= LONGEST:
+    if m.task_stage == STAGE_FORCE_MEANS:
+        m.task_stage = STAGE_DONE
+        if m.block_mean_ticks >= FORCE_MEAN_TICKS:
             _average_block_forces(m, s)
-            m.task_stage = AXES
-    mode = int(m.input_blocks[(m.horizon // s.block_ticks - 1) % KEPT, IN_PHASE])
-    while AXES <= m.task_stage < LEGS:
-        i = m.task_stage - AXES
+            m.task_stage = STAGE_AXES
+    mode = int(m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT, IN_PHASE])
+    while STAGE_AXES <= m.task_stage < STAGE_GROUND_CONTACT:
+        i = m.task_stage - STAGE_AXES
         cost = 0
-        if mode <= RUNNING:
-            cost = RESTING
+        if mode <= PHASE_RUNNING:
+            cost = COST_REST_AXIS
             if cost > left:
                 return 0
-            fuse_zero_motion(m, s, r, m.mean_ticks, mode, i)
-            m.standing_ticks += m.mean_ticks if mode == STANDING and i == 0 else 0
-        elif mode == FLYING and s.has_rotor_model > 0 and s.fitted[R_ACCELERATION] > 0:
+            fuse_zero_motion(m, s, r, m.block_mean_ticks, mode, i)
+            m.standing_ticks += m.block_mean_ticks if mode == PHASE_STANDING and i == 0 else 0
+        elif mode == PHASE_FLYING and s.has_rotor_model > 0 and s.is_fitted[R_ACCELERATION] > 0:
             cost = 1
-            fuse_accel_residual(m, s, r, m.mean_ticks, i)
+            fuse_accel_residual(m, s, r, m.block_mean_ticks, i)
         m.task_stage += 1
         if cost > 0:
             return cost
-    if m.task_stage == LEGS:
-        m.task_stage = DONE
-        cost = 1 if mode > RUNNING and fuse_ground_contact(m, s) else 0
+    if m.task_stage == STAGE_GROUND_CONTACT:
+        m.task_stage = STAGE_DONE
+        cost = 1 if mode > PHASE_RUNNING and fuse_ground_contact(m, s) else 0
         for k in range(3):
             m.accel_mean[k] = m.model_accel_mean[k] = m.gyro_mean[k] = 0.0
             m.thrust_slope[k] = m.velocity_slope[k] = 0.0
         m.residual_ratio = 0.0
-        m.mean_ticks = 0
+        m.block_mean_ticks = 0
         if cost > 0:
             return cost
-    if m.horizon + s.block_ticks > m.tick - s.delay_ticks or left < STEPPING:
+    if m.horizon_tick + s.block_ticks > m.tick - s.delay_ticks or left < COST_HORIZON_STEP:
         return 0
     _advance_horizon(m, s, r, a)
-    return STEPPING
+    return COST_HORIZON_STEP
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
     """Apply the new noise of an accelerometer to buffered inputs that the horizon has not reached."""
-    for at in range(m.horizon, m.tick, s.block_ticks):
-        e = m.input_blocks[at // s.block_ticks % KEPT]
+    for at in range(m.horizon_tick, m.tick, s.block_ticks):
+        e = m.input_blocks[at // s.block_ticks % INPUT_BLOCK_COUNT]
         share = max(e[IN_SHARE + k], 1e-9)
         felt = max(e[IN_NOISE + k] / share, m.accel_noise_slow[k])
         made = e[IN_NOISE + k] / max(1.0 - share, 1e-9)
@@ -580,25 +586,25 @@ def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
         e[IN_NOISE + k] = felt * e[IN_SHARE + k]
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
     """Estimate the noise of accelerometers less model from means over short and over long blocks.
 
     Short means hold what vibration leaves in the velocity; the triangular weights of the long ones suppress vibration.
     """
-    row = m.input_now
+    row = m.inputs_now
     m.accel_noise_count += 1
     m.slow_count += 1
-    weight = m.slow_count if m.slow_count <= SLOWLY // 2 else SLOWLY + 1 - m.slow_count
+    weight = m.slow_count if m.slow_count <= SLOW_NOISE_TICKS // 2 else SLOW_NOISE_TICKS + 1 - m.slow_count
     for k in range(3):
         off = z[k] - (m.x[SX_THRUST_SCALE] * row[IN_STATIC + k] + row[IN_REST + k])
         m.accel_noise_sum[k] += off
         m.slow_sum[k] += weight * (off - row[IN_SLOPE + k] * m.axis_work[k])
-    if m.slow_count >= SLOWLY:
-        half = float(SLOWLY // 2)
-        span = 0.75 * SLOWLY * s.dt
+    if m.slow_count >= SLOW_NOISE_TICKS:
+        half = float(SLOW_NOISE_TICKS // 2)
+        span = 0.75 * SLOW_NOISE_TICKS * s.dt
         # Off the floor the model has another force, and the thrust's scale is found.
-        settled = m.flight_phase != FLYING or m.tick - m.grounded_tick > 2 * SLOWLY
+        settled = m.flight_phase != PHASE_FLYING or m.tick - m.grounded_tick > 2 * SLOW_NOISE_TICKS
         for k in range(3):
             mean = m.slow_sum[k] / (half * (half + 1.0))
             # What the model may be off by, at lift-off by much, is not the accelerometers'.
@@ -606,13 +612,20 @@ def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None
             step = max(abs(mean - m.slow_mean_prev[k]) - unknown, 0.0)
             made = row[IN_NOISE + k] / max(1.0 - row[IN_SHARE + k], 1e-9)
             density = max(0.5 * step * step * span - made, 0.0)
-            if m.flight_phase == FLYING and settled:
-                apart = abs(mean - m.x[SX_ACCEL_BIAS + k]) - (ASUNDER + unknown)
+            if m.flight_phase == PHASE_FLYING and settled:
+                apart = abs(mean - m.x[SX_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + unknown)
                 density += max(apart, 0.0) * max(apart, 0.0)
-                if apart > (m.clip_share[0] + m.clip_share[1] + m.clip_share[2]) * CLIPPED * s.accel_range:
-                    set_fault(m, s, R_ACCELERATION, REJECTED, OFF, mean - m.x[SX_ACCEL_BIAS + k])
+                if apart > (m.clip_share[0] + m.clip_share[1] + m.clip_share[2]) * CLIPPING_ERROR_SHARE * s.accel_range:
+                    set_fault(
+                        m,
+                        s,
+                        R_ACCELERATION,
+                        STATUS_REJECTED,
+                        REASON_INNOVATION,
+                        mean - m.x[SX_ACCEL_BIAS + k],
+                    )
             density = min(density, 100.0)
-            most = max(0.6 if density > m.accel_noise_slow[k] else 0.2, 1.0 / (m.slow_means + 1))
+            most = max(0.6 if density > m.accel_noise_slow[k] else 0.2, 1.0 / (m.slow_mean_count + 1))
             m.slow_mean_prev[k] = mean
             m.slow_sum[k] = 0.0
             if settled:
@@ -620,10 +633,10 @@ def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None
                 if density > made:
                     _backdate_accel_noise(m, s, k)
         m.slow_count = 0
-        m.slow_means += 1
-        if m.status[R_ACCELERATION] == REJECTED and m.tick >= m.fault_until_tick[R_ACCELERATION]:
-            m.status[R_ACCELERATION], m.reason[R_ACCELERATION] = FUSED, FINE
-    if m.accel_noise_count >= LONGEST:
+        m.slow_mean_count += 1
+        if m.status[R_ACCELERATION] == STATUS_REJECTED and m.tick >= m.fault_until_tick[R_ACCELERATION]:
+            m.status[R_ACCELERATION], m.reason[R_ACCELERATION] = STATUS_FUSED, REASON_NONE
+    if m.accel_noise_count >= FORCE_MEAN_TICKS:
         span = m.accel_noise_count * s.dt
         for k in range(3):
             mean = m.accel_noise_sum[k] / m.accel_noise_count
@@ -636,7 +649,7 @@ def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None
         m.accel_noise_count = 0
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def estimator_step(
     m: FilterMemory, s: FilterSettings, p: ModelParameters, z: _Array, new: NDArray[np.int32], age: _Array
 ) -> bool:
@@ -647,8 +660,8 @@ def estimator_step(
     m, s, p : records
         Memory, settings, parameters of the flight model.
     z : (n,) array
-        Readings, in the order of :data:`mufly.estimate.layout.CHECKED`, then what acted (4) and the share of clipped
-        samples (3).
+        Readings, in the order of :data:`mufly.estimate.filter_records.READING_NAMES`, then what acted (4) and the share
+        of clipped samples (3).
     new : (9,) array of int
         0: nothing new; 1: a new reading; 2: one that says of itself that it is none.
     age : (9,) array
@@ -659,36 +672,42 @@ def estimator_step(
     r, a = m.rotation_work, m.accel_work
     for k in range(3):
         m.gyro_rates_prev[k] = m.gyro_rates[k]
-        if m.status[R_RATES] < MISSING:
+        if m.status[R_RATES] < STATUS_MISSING:
             m.gyro_rates[k] = z[_Z[R_RATES] + k] - m.gyro_offset[k]
-        elif s.has_rotor_model > 0 and m.flight_phase >= LIGHT:
+        elif s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIGHT:
             # What the model turns: the bar holds it to the rotors, so it does not drift but about the mast.
             m.gyro_rates[k] = (
                 m.gyro_rates_prev[k]
-                + s.dt * m.rotor_force[(m.tick - 1) % MODELLED, RF_ANG_ACCEL + k]
+                + s.dt * m.rotor_force[(m.tick - 1) % ROTOR_FORCE_HISTORY, RF_ANG_ACCEL + k]
                 + m.ang_accel_bias[k]
             )
         else:
             m.gyro_rates[k] = m.x_output[SX_GYRO_BIAS + k]
     # A floor below the room's, or a fix that is apart from the sonar: the height is off by as much
     doubt = m.fix_height_gap - min(m.x_output[SX_TERRAIN], 0.0)
-    replace_gyro_spikes(m, s, m.flight_phase == FLYING and height_above_ground(m.x_output, s) > CLEAR + doubt)
+    replace_gyro_spikes(
+        m,
+        s,
+        m.flight_phase == PHASE_FLYING and height_above_ground(m.x_output, s) > LEG_CLEARANCE_HEIGHT + doubt,
+    )
     rises = _sample_inputs(m, s, p, z, new, r)
-    if s.has_rotor_model > 0 and m.flight_phase >= RUNNING and m.status[R_ACCELERATION] < MISSING:
+    if s.has_rotor_model > 0 and m.flight_phase >= PHASE_RUNNING and m.status[R_ACCELERATION] < STATUS_MISSING:
         _estimate_accel_noise(m, s, z)
     for kind in range(R_SONAR, R_FIX + 1):
-        if kind == R_ROTOR or new[kind] != 1 or m.skipped[kind] > 0:
+        if kind == R_ROTOR or new[kind] != 1 or m.is_decimated[kind] > 0:
             continue
         # The state of tick k belongs to k dt - lag.
-        at = m.tick + (s.lag - age[kind] - s.latency[kind] * (1 if kind == R_PRESSURE else 0)) / s.dt
-        if not _queue_measurement(m, s, kind, at, z, STARTS[kind], STARTS[kind + 1] - STARTS[kind]):
+        at = m.tick + (s.imu_lag - age[kind] - s.latency[kind] * (1 if kind == R_PRESSURE else 0)) / s.dt
+        if not _queue_measurement(
+            m, s, kind, at, z, READING_STARTS[kind], READING_STARTS[kind + 1] - READING_STARTS[kind]
+        ):
             m.late_count[kind] += 1
             # One alone is no fault: jitter has a longer tail than the horizon waits for.
             if (m.tick - m.last_fused_tick[kind]) * s.dt > s.timeout[kind]:
-                set_fault(m, s, kind, FAULTY, LATE, age[kind])
-    left = s.work_limit - (TELLING if m.tick % TOLD_EVERY == 0 else 0)
+                set_fault(m, s, kind, STATUS_FAULTY, REASON_LATE, age[kind])
+    left = s.work_limit - (COST_COVARIANCE if m.tick % COVARIANCE_INTERVAL_TICKS == 0 else 0)
     _predict_bias(m, s)
-    if rises > 0.0 and m.sigma_output[EX_THRUST_SCALE] > LIFTS_OFF:
+    if rises > 0.0 and m.sigma_output[EX_THRUST_SCALE] > LIFTOFF_THRUST_SIGMA:
         fuse_liftoff_thrust(m, rises)
         left -= 1
     while left > 0:
@@ -697,13 +716,13 @@ def estimator_step(
             break
         left -= cost
     predict_output(m, s, r, a)
-    found = s.fitted[R_FIX] == 0 or m.heading_aligned > 0
-    if m.initialised == 0 and found and (m.standing_ticks * s.dt >= _ALIGNED_S or m.tick * s.dt > 3.0):
-        m.initialised = 1
-    turns = s.has_rotor_model > 0 and m.flight_phase >= LIGHT
-    seen = m.status[R_RATES] < MISSING or turns or (m.tick - m.last_fused_tick[R_RATES]) * s.dt < _BLIND_S
+    found = s.is_fitted[R_FIX] == 0 or m.is_heading_aligned > 0
+    if m.is_initialised == 0 and found and (m.standing_ticks * s.dt >= _INITIAL_REST_S or m.tick * s.dt > 3.0):
+        m.is_initialised = 1
+    turns = s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIGHT
+    seen = m.status[R_RATES] < STATUS_MISSING or turns or (m.tick - m.last_fused_tick[R_RATES]) * s.dt < _GYRO_OUTAGE_S
     for k in range(3):
         # Nonsense may have the model run away: what no gyroscope could say is no estimate.
         if not abs(m.rates_output[k]) < 2.0 * s.value_limit[R_RATES]:
             seen = False
-    return m.initialised > 0 and seen
+    return m.is_initialised > 0 and seen

@@ -1,7 +1,7 @@
 """Fusion of each measurement: its model, its gate and its reset.
 
 A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. It is fused if the innovation lies
-within :data:`GATE` standard deviations; a measurement of several numbers if all of them do.
+within :data:`INNOVATION_GATE` standard deviations; a measurement of several numbers if all of them do.
 
 | measurement | h(x) | reset after rejections that agree with each other |
 |---|---|---|
@@ -21,10 +21,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.estimate.layout import (
-    COASTING,
-    ERRORS,
+from mufly.estimate.filter_records import (
+    ERROR_STATE_COUNT,
     EX_ACCEL_BIAS,
     EX_ATT,
     EX_FIX_BIAS,
@@ -37,7 +35,9 @@ from mufly.estimate.layout import (
     EX_THRUST_SCALE,
     EX_VEL,
     EX_WIND,
-    LOW,
+    MAX_FLOOR_HEIGHT,
+    PHASE_COASTING,
+    PHASE_STANDING,
     R_ACCELERATION,
     R_FIX,
     R_MAGNET,
@@ -45,7 +45,6 @@ from mufly.estimate.layout import (
     R_RATES,
     R_RING,
     R_SONAR,
-    STANDING,
     SX_ACCEL_BIAS,
     SX_ATT,
     SX_FIX_BIAS,
@@ -61,21 +60,21 @@ from mufly.estimate.layout import (
     FilterSettings,
 )
 from mufly.estimate.sensor_checks import (
-    AWAY,
-    FAULTY,
-    FINE,
-    FUSED,
-    NO_WALL,
-    NOTHING,
-    OFF,
-    REJECTED,
-    SLOPE,
-    STEP,
-    STRAINED,
-    STUCK_,
-    TAKEN_OVER,
-    TOO_FAR,
-    WANDERS,
+    REASON_HEIGHT_CONFLICT,
+    REASON_INNOVATION,
+    REASON_LARGE_BIAS,
+    REASON_NO_WALL,
+    REASON_NONE,
+    REASON_PERSISTENT_OFFSET,
+    REASON_RESET,
+    REASON_STUCK,
+    REASON_TERRAIN_SLOPE,
+    REASON_TERRAIN_STEP,
+    REASON_WALLS_TOO_FAR,
+    STATUS_FAULTY,
+    STATUS_FUSED,
+    STATUS_REJECTED,
+    STATUS_WAITING,
     check_accel_model,
     mark_fused,
     mark_rejected,
@@ -89,43 +88,44 @@ from mufly.estimate.ud_filter import (
     state_variance,
     ud_measurement_update,
 )
-from mufly.trigonometry import direction, wrapped
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import portable_atan2, wrap_angle
 from mufly.units import GRAVITY
 
 _Array = NDArray[np.float64]
 
-GATE = 5.0
+INNOVATION_GATE = 5.0
 """Standard deviations: one healthy reading in two million is turned away."""
-LEAN = 2.2
+SONAR_MEAN_GATE = 2.2
 """Mean of five ratios or so of the sonar: six and a half deviations."""
-STRAIN = 11.0
+FIX_MEAN_SQUARE_GATE = 11.0
 """Mean square of the worst of the fix's four ratios over half a second; 2.4 is usual."""
-LED_AWAY = 5.0
+DIVERGENCE_MEAN_SQUARE = 5.0
 """... from which on a fix that does not fit is no fix that jumps."""
-_AGREE_S = 1.0
-RANGE = 5.5
+_RESET_TIMEOUT_S = 1.0
+BIAS_RANGE_SIGMAS = 5.5
 """Deviations a of a wandering beyond which it is no wandering. One of time constant tau goes beyond them, to either
 side, 2 a phi(a) / tau times a second (phi: normal density; Pickands, 1969): three axes with tau of 2 s do so 0.06 times
 in ten hours (5: 0.8 times, and once it was seen)."""
-GYRO_RANGE = 8.0
+GYRO_BIAS_RANGE_SIGMAS = 8.0
 """Deviations of the gyroscopes' bias at the start beyond which they cannot be flown on for long."""
-STUCK = 1e-11
+MAX_STUCK_CHANCE = 1e-11
 """Chance that a sonar that works repeats itself for so long."""
-CLEAR = 0.15
+LEG_CLEARANCE_HEIGHT = 0.15
 """Height (m) above which no leg touches: what turns it then is in the flight model."""
-LED_SPEED, LED_FORCE, LED_THRUST, LED_S = 0.3, 0.3, 0.1, 1.0
+HEIGHT_RESET_SPEED, HEIGHT_RESET_ACCEL, HEIGHT_RESET_THRUST, HEIGHT_RESET_WINDOW_S = 0.3, 0.3, 0.1, 1.0
 """What speed (m/s), accelerometers (m/s^2) and thrust (1) may be off by where the height is led away
-again within ``LED_S`` (s)."""
-SUDDEN, MOST_STEPS = 3.0, 8
+again within ``HEIGHT_RESET_WINDOW_S`` (s)."""
+TERRAIN_STEP_GATE, MAX_TERRAIN_STEPS = 3.0, 8
 """Deviations of the sonar beyond which it is the surface that jumps, over an edge; how often it may."""
-LIFTS, LIFTS_OFF = 1.08, 0.08
+LIFTOFF_THRUST_RATIO, LIFTOFF_THRUST_SIGMA = 1.08, 0.08
 """What rotors lift, of the weight, as the sonar says that it leaves the floor, and what share of it that is off by."""
 _BEAM_GATE = 4.0
-LEAST_FLOOR = -0.1
+MIN_TERRAIN_HEIGHT = -0.1
 """A room has nothing below its floor (m)."""
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _h_row_begin(m: FilterMemory, i: int, h: float) -> None:
     """Begin the row H of a measurement with ``h`` times error state ``i``."""
     m.h_terms = 1
@@ -133,7 +133,7 @@ def _h_row_begin(m: FilterMemory, i: int, h: float) -> None:
     m.h[0] = h
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _h_row_add(m: FilterMemory, i: int, h: float) -> None:
     """Add ``h`` times error state ``i`` to the row H."""
     m.h_state[m.h_terms] = i
@@ -141,7 +141,7 @@ def _h_row_add(m: FilterMemory, i: int, h: float) -> None:
     m.h_terms += 1
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _shift_state(x: _Array, by: _Array, span: float, push: _Array) -> None:
     """Add an error to a state, propagated over ``span`` (s), in which ``push`` (3,) was added to the velocity without
     gravity."""
@@ -155,42 +155,42 @@ def _shift_state(x: _Array, by: _Array, span: float, push: _Array) -> None:
     x[SX_VEL + 1] += v_y
     x[SX_VEL + 2] += v_z
     rotate_attitude(x, by[EX_ATT], by[EX_ATT + 1], by[EX_ATT + 2], False)
-    for i in range(9, ERRORS):
+    for i in range(9, ERROR_STATE_COUNT):
         x[i + 1] += by[i]
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _apply_correction(m: FilterMemory, innovation: float, r: float) -> None:
     """Fuse a scalar measurement whose ``m.f`` is known; correct the horizon's state and those propagated from it."""
-    ud_measurement_update(m.ut, m.d, m.f, r, m.gain)
-    for i in range(ERRORS):
+    ud_measurement_update(m.u_transposed, m.d, m.f, r, m.gain)
+    for i in range(ERROR_STATE_COUNT):
         m.gain[i] *= innovation
-    _shift_state(m.x, m.gain, 0.0, m.repropagating_gain)
-    _shift_state(m.x_repropagating, m.gain, m.repropagating_span, m.repropagating_gain)
-    _shift_state(m.x_now, m.gain, m.delay_span, m.now_gain)
+    _shift_state(m.x, m.gain, 0.0, m.repropagating_velocity_gain)
+    _shift_state(m.x_repropagating, m.gain, m.repropagating_span, m.repropagating_velocity_gain)
+    _shift_state(m.x_now, m.gain, m.now_span, m.now_velocity_gain)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _fuse_scalar(m: FilterMemory, innovation: float, r: float) -> None:
     """Fuse a scalar measurement of variance ``r`` without a gate; its row is in ``m.h``."""
-    innovation_variance(m.ut, m.d, m.h_state, m.h, m.h_terms, m.f)
+    innovation_variance(m.u_transposed, m.d, m.h_state, m.h, m.h_terms, m.f)
     _apply_correction(m, innovation, r)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _innovation_ratio(m: FilterMemory, innovation: float, r: float) -> float:
     """Return the innovation over its standard deviation."""
-    return innovation / math.sqrt(innovation_variance(m.ut, m.d, m.h_state, m.h, m.h_terms, m.f) + r)
+    return innovation / math.sqrt(innovation_variance(m.u_transposed, m.d, m.h_state, m.h, m.h_terms, m.f) + r)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _log_innovation(m: FilterMemory, k: int, innovation: float, ratio: float) -> None:
     """Record innovation and standard deviation of a sensor."""
     m.innovation[k] = innovation
     m.innovation_sigma[k] = abs(innovation / ratio) if ratio != 0.0 else 0.0
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _reject_measurement(
     m: FilterMemory, s: FilterSettings, k: int, innovation: float, z: _Array, count: int, near: float
 ) -> None:
@@ -203,21 +203,19 @@ def _reject_measurement(
         m.agree_count[k] += 1
     else:
         m.agree_count[k] = 0
-        m.reject_since_tick[k] = m.horizon
-    if k != R_SONAR and abs(innovation) > 2.0 * GATE * m.innovation_sigma[k]:
-        m.reject_score[k] += (
-            1.0  # by so much nothing healthy is off, but for a sonar that hears a second surface
-        )
-    mark_rejected(m, s, k, OFF, innovation)
+        m.reject_since_tick[k] = m.horizon_tick
+    if k != R_SONAR and abs(innovation) > 2.0 * INNOVATION_GATE * m.innovation_sigma[k]:
+        m.reject_score[k] += 1.0  # by so much nothing healthy is off, but for a sonar that hears a second surface
+    mark_rejected(m, s, k, REASON_INNOVATION, innovation)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _reset_timeout_expired(m: FilterMemory, s: FilterSettings, k: int) -> bool:
-    """Return whether rejected readings have agreed with each other for :data:`_AGREE_S`."""
-    return m.agree_count[k] >= 3 and (m.horizon - m.reject_since_tick[k]) * s.dt >= _AGREE_S
+    """Return whether rejected readings have agreed with each other for :data:`_RESET_TIMEOUT_S`."""
+    return m.agree_count[k] >= 3 and (m.horizon_tick - m.reject_since_tick[k]) * s.dt >= _RESET_TIMEOUT_S
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _fix_h_row(m: FilterMemory, i: int) -> None:
     """Write the row H of component ``i`` of the fix."""
     if i < 3:
@@ -228,27 +226,27 @@ def _fix_h_row(m: FilterMemory, i: int) -> None:
         _h_row_add(m, EX_FIX_HEADING, 1.0)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _fix_innovation(m: FilterMemory, z: _Array, i: int, ahead: float) -> float:
     """Return the innovation of component ``i`` of the fix."""
     x = m.x
     if i < 3:
         return z[i] - x[i] - ahead * x[SX_VEL + i] - x[SX_FIX_BIAS + i]
-    yaw = direction(
+    yaw = portable_atan2(
         2 * (x[SX_ATT] * x[SX_ATT + 3] + x[SX_ATT + 1] * x[SX_ATT + 2]),
         1 - 2 * (x[SX_ATT + 2] * x[SX_ATT + 2] + x[SX_ATT + 3] * x[SX_ATT + 3]),
     )
     off = z[3] - yaw - ahead * m.yaw_rate - x[SX_FIX_HEADING]
-    return wrapped(off)
+    return wrap_angle(off)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def height_above_ground(x: _Array, s: FilterSettings) -> float:
     """Return the height of the legs above the surface below (m); that surface is not below the floor."""
     return -x[SX_POS + 2] - max(x[SX_TERRAIN], 0.0) - s.ground_clearance
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
     """Return the estimated bias of component ``i`` of the fix over the largest that its model allows.
 
@@ -256,19 +254,19 @@ def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
     not show such an error, because the bias follows it."""
     noise = s.fix_variance if i < 3 else s.heading_variance
     return abs(m.x[SX_FIX_BIAS + i]) / (
-        RANGE * math.sqrt(s.sigma[EX_FIX_BIAS + i] * s.sigma[EX_FIX_BIAS + i] + noise)
+        BIAS_RANGE_SIGMAS * math.sqrt(s.initial_sigma[EX_FIX_BIAS + i] * s.initial_sigma[EX_FIX_BIAS + i] + noise)
     )
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _sonar_height_valid(m: FilterMemory, s: FilterSettings) -> bool:
     """Return whether the sonar measures the height, over a known floor."""
     k = R_SONAR
     fresh = m.last_fused_tick[k] > 0 and (m.tick - m.last_fused_tick[k]) * s.dt < 0.3
-    return fresh and m.status[k] == FUSED and m.reason[k] == FINE and not m.terrain_edge > 0.0
+    return fresh and m.status[k] == STATUS_FUSED and m.reason[k] == REASON_NONE and not m.terrain_edge_weight > 0.0
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _fix_height_consistent(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> bool:
     """Return whether fix and sonar agree on the height; if not, write the gap to ``m.fix_height_gap``.
 
@@ -283,13 +281,13 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, z: _Array, ahead:
         blind = (m.tick - m.last_fused_tick[R_SONAR]) * s.dt > 0.3
         m.fix_height_gap = 0.0 if blind or off < 2.5 else whole
     elif _sonar_height_valid(m, s) and (
-        _fix_bias_ratio(m, s, 2) > 1.0 or (off > GATE and _reset_timeout_expired(m, s, k))
+        _fix_bias_ratio(m, s, 2) > 1.0 or (off > INNOVATION_GATE and _reset_timeout_expired(m, s, k))
     ):
         m.fix_height_gap = whole
     return m.fix_height_gap == 0.0
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse position and heading of a fix; no height while it disagrees with the sonar."""
     k, worst, at = R_FIX, 0.0, 0.0
@@ -307,77 +305,82 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     _log_innovation(m, k, at, worst)
     # Off by more and more, it is not a fix that jumps: the filter is led away. Without a rotor model its
     # deviations are a guess, and a record whose axes are wrong would be followed from fix to fix.
-    led = s.has_rotor_model > 0 and m.fix_ratio_lp > LED_AWAY and GATE < abs(worst) < 2.0 * GATE
-    if abs(worst) > GATE and not led:
-        _reject_measurement(m, s, k, at, z, 3, 2.0 * s.period[k] + 8 * math.sqrt(s.fix_variance) + 0.05)
+    led = (
+        s.has_rotor_model > 0
+        and m.fix_ratio_lp > DIVERGENCE_MEAN_SQUARE
+        and INNOVATION_GATE < abs(worst) < 2.0 * INNOVATION_GATE
+    )
+    if abs(worst) > INNOVATION_GATE and not led:
+        _reject_measurement(m, s, k, at, z, 3, 2.0 * s.sensor_period[k] + 8 * math.sqrt(s.fix_variance) + 0.05)
         if not _reset_timeout_expired(m, s, k):
             return
         # What other sensors hold is not given up: the fix is off there.
-        held = m.status[R_SONAR] == FUSED, m.status[R_RING] == FUSED
+        held = m.status[R_SONAR] == STATUS_FUSED, m.status[R_RING] == STATUS_FUSED
         for i in range(3):
             nu = _fix_innovation(m, z, i, ahead)
             if held[0] if i == 2 else held[1]:
-                inflate_variance(m.ut, m.d, EX_FIX_BIAS + i, nu * nu, m.f)
+                inflate_variance(m.u_transposed, m.d, EX_FIX_BIAS + i, nu * nu, m.f)
             else:
-                inflate_variance(m.ut, m.d, EX_POS + i, nu * nu, m.f)
-                inflate_variance(m.ut, m.d, EX_VEL + i, 0.01 + 0.1 * nu * nu, m.f)
+                inflate_variance(m.u_transposed, m.d, EX_POS + i, nu * nu, m.f)
+                inflate_variance(m.u_transposed, m.d, EX_VEL + i, 0.01 + 0.1 * nu * nu, m.f)
         nu = _fix_innovation(m, z, 3, ahead)
-        inflate_variance(m.ut, m.d, EX_ATT + 2, nu * nu, m.f)
+        inflate_variance(m.u_transposed, m.d, EX_ATT + 2, nu * nu, m.f)
         nu = at
-        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
+        set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
     # Off by much again and again: something carries the filter astray that it does not know, as gyroscopes that drift.
     m.fix_ratio_lp += 0.15 * (worst * worst - m.fix_ratio_lp)
     out = max(_fix_bias_ratio(m, s, 0), _fix_bias_ratio(m, s, 1), _fix_bias_ratio(m, s, 3))
-    if led or m.fix_ratio_lp > STRAIN or out > 1.0:
+    if led or m.fix_ratio_lp > FIX_MEAN_SQUARE_GATE or out > 1.0:
         reset_on_divergence(m, s)
-        set_fault(m, s, k, FUSED, STRAINED, at)
+        set_fault(m, s, k, STATUS_FUSED, REASON_PERSISTENT_OFFSET, at)
     for i in range(4):
         if i == 2 and not down:
             continue
         _fix_h_row(m, i)
         _fuse_scalar(m, _fix_innovation(m, z, i, ahead), s.fix_variance if i < 3 else s.heading_variance)
     for i in range(3):
-        most = GYRO_RANGE * s.sigma[EX_GYRO_BIAS + i] + 2.0 * m.sigma_output[EX_GYRO_BIAS + i]
-        if abs(m.x[SX_GYRO_BIAS + i]) > most and m.status[R_RATES] == FUSED:
-            set_fault(m, s, R_RATES, REJECTED, WANDERS, m.x[SX_GYRO_BIAS + i])
+        most = GYRO_BIAS_RANGE_SIGMAS * s.initial_sigma[EX_GYRO_BIAS + i] + 2.0 * m.sigma_output[EX_GYRO_BIAS + i]
+        if abs(m.x[SX_GYRO_BIAS + i]) > most and m.status[R_RATES] == STATUS_FUSED:
+            set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.x[SX_GYRO_BIAS + i])
     mark_fused(m, k)
     if not down:
-        set_fault(m, s, k, FAULTY, AWAY, m.fix_height_gap)
-    m.heading_aligned = 1
+        set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m.fix_height_gap)
+    m.is_heading_aligned = 1
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _sonar_h_row(m: FilterMemory, s: FilterSettings, r: _Array) -> float:
     """Write the row H of the sonar; return the sonar's place below the centre of gravity (m)."""
     rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
     _h_row_begin(m, EX_POS + 2, -1.0)
     _h_row_add(m, EX_TERRAIN, -1.0)
     # (exp(t) R r)_D = (R r)_D + t_N (R r)_E - t_E (R r)_N
-    n = r[0] * s.sonar_place[0] + r[1] * s.sonar_place[1] + r[2] * s.sonar_place[2]
-    e = r[3] * s.sonar_place[0] + r[4] * s.sonar_place[1] + r[5] * s.sonar_place[2]
-    d = r[6] * s.sonar_place[0] + r[7] * s.sonar_place[1] + r[8] * s.sonar_place[2]
+    n = r[0] * s.sonar_position[0] + r[1] * s.sonar_position[1] + r[2] * s.sonar_position[2]
+    e = r[3] * s.sonar_position[0] + r[4] * s.sonar_position[1] + r[5] * s.sonar_position[2]
+    d = r[6] * s.sonar_position[0] + r[7] * s.sonar_position[1] + r[8] * s.sonar_position[2]
     _h_row_add(m, EX_ATT, -e)
     _h_row_add(m, EX_ATT + 1, n)
     return d
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _reset_height(m: FilterMemory, s: FilterSettings, nu: float) -> None:
     """Reset the height after innovations ``nu`` of the sonar.
 
-    The foot of a wall in the sonar's cone gives a wrong height once. A second reset within :data:`LED_S` says that a
-    force is wrong: then the vertical speed, the accelerometer's bias and the thrust's scale are freed too."""
-    inflate_variance(m.ut, m.d, EX_POS + 2, nu * nu, m.f)
+    The foot of a wall in the sonar's cone gives a wrong height once. A second reset within
+    :data:`HEIGHT_RESET_WINDOW_S` says that a force is wrong: then the vertical speed, the accelerometer's bias and the
+    thrust's scale are freed too."""
+    inflate_variance(m.u_transposed, m.d, EX_POS + 2, nu * nu, m.f)
     before = m.height_reset_tick
-    m.height_reset_tick = m.horizon
-    if not (before > 0 and (m.horizon - before) * s.dt < LED_S):
+    m.height_reset_tick = m.horizon_tick
+    if not (before > 0 and (m.horizon_tick - before) * s.dt < HEIGHT_RESET_WINDOW_S):
         return
-    inflate_variance(m.ut, m.d, EX_VEL + 2, LED_SPEED * LED_SPEED, m.f)
-    inflate_variance(m.ut, m.d, EX_ACCEL_BIAS + 2, LED_FORCE * LED_FORCE, m.f)
-    inflate_variance(m.ut, m.d, EX_THRUST_SCALE, LED_THRUST * LED_THRUST, m.f)
+    inflate_variance(m.u_transposed, m.d, EX_VEL + 2, HEIGHT_RESET_SPEED * HEIGHT_RESET_SPEED, m.f)
+    inflate_variance(m.u_transposed, m.d, EX_ACCEL_BIAS + 2, HEIGHT_RESET_ACCEL * HEIGHT_RESET_ACCEL, m.f)
+    inflate_variance(m.u_transposed, m.d, EX_THRUST_SCALE, HEIGHT_RESET_THRUST * HEIGHT_RESET_THRUST, m.f)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> bool:
     """Whether the sonar repeats itself for longer than its noise and the vehicle's moving allow.
 
@@ -386,17 +389,17 @@ def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> boo
     """
     same = z == m.sonar_prev
     m.sonar_prev = z
-    if not same or height_above_ground(m.x, s) < CLEAR:
+    if not same or height_above_ground(m.x, s) < LEG_CLEARANCE_HEIGHT:
         m.sonar_repeat_chance = 1.0
         return False
     # A height that is hardly known has no part in it: it may be better than believed.
     sigma = 1.3 * math.sqrt(s.sonar_variance)
-    likely = 0.399 * s.sonar_step / sigma / (1.0 + 0.5 * min(nu * nu / (sigma * sigma), 9.0))
+    likely = 0.399 * s.sonar_resolution / sigma / (1.0 + 0.5 * min(nu * nu / (sigma * sigma), 9.0))
     m.sonar_repeat_chance *= min(likely, 1.0)
-    return m.sonar_repeat_chance < STUCK
+    return m.sonar_repeat_chance < MAX_STUCK_CHANCE
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
     """Fuse the range to the surface below; a step that no other sensor sees belongs to the terrain."""
     k = R_SONAR
@@ -405,7 +408,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         return
     expect = -(m.x[SX_POS + 2] + ahead * m.x[SX_VEL + 2]) - down - m.x[SX_TERRAIN]
     said, r_ = z[0], s.sonar_variance
-    nearest, standing = s.sonar_min + 0.005, s.ground_clearance - s.sonar_place[2]
+    nearest, standing = s.sonar_min + 0.005, s.ground_clearance - s.sonar_position[2]
     if z[0] <= nearest and standing < nearest:
         # Nearer than it can tell: anywhere between there and where it stands.
         said = 0.5 * (nearest + standing)
@@ -418,80 +421,80 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
     ratio = _innovation_ratio(m, nu, r_)
     _log_innovation(m, k, nu, ratio)
     if _sonar_stuck(m, s, z[0], nu):
-        set_fault(m, s, k, FAULTY, STUCK_, z[0])
+        set_fault(m, s, k, STATUS_FAULTY, REASON_STUCK, z[0])
         return
     floor = m.x[SX_TERRAIN] - nu
-    over = m.terrain_edge > 0.0 or abs(m.x[SX_TERRAIN]) > LOW
+    over = m.terrain_edge_weight > 0.0 or abs(m.x[SX_TERRAIN]) > MAX_FLOOR_HEIGHT
     # Always off to the same side: over an edge it is the surface, and nearer may be an object that comes into the cone
     # from the side. Below the floor lies nothing, so else it is the height, which a force carries away that is not as
     # it is believed: the accelerometers' or the model's.
-    if abs(ratio) < GATE:
+    if abs(ratio) < INNOVATION_GATE:
         m.sonar_ratio_lp += 0.2 * (ratio - m.sonar_ratio_lp)
-    if abs(m.sonar_ratio_lp) > LEAN:
+    if abs(m.sonar_ratio_lp) > SONAR_MEAN_GATE:
         m.sonar_ratio_lp = 0.0
-        set_fault(m, s, k, FUSED, SLOPE, nu)
+        set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu)
         if over or nu < 0.0:
-            m.terrain_edge = 1.0
+            m.terrain_edge_weight = 1.0
         else:
             _reset_height(m, s, nu)
             _sonar_h_row(m, s, r)
-    if over and abs(ratio) > SUDDEN and m.terrain_steps < MOST_STEPS and floor > LEAST_FLOOR:
+    if over and abs(ratio) > TERRAIN_STEP_GATE and m.terrain_steps < MAX_TERRAIN_STEPS and floor > MIN_TERRAIN_HEIGHT:
         # Over an object it is the surface that jumps.
         m.terrain_steps += 1
-        m.terrain_edge = 1.0
-        inflate_variance(m.ut, m.d, EX_TERRAIN, nu * nu, m.f)
+        m.terrain_edge_weight = 1.0
+        inflate_variance(m.u_transposed, m.d, EX_TERRAIN, nu * nu, m.f)
         _sonar_h_row(m, s, r)
-    elif abs(ratio) > GATE:
-        _reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.period[k])
-        step = m.agree_count[k] >= 2 and floor > LEAST_FLOOR
-        if step and m.terrain_steps >= MOST_STEPS:
+    elif abs(ratio) > INNOVATION_GATE:
+        _reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.sensor_period[k])
+        step = m.agree_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT
+        if step and m.terrain_steps >= MAX_TERRAIN_STEPS:
             # Step after step: it is not the floor that goes, it is the height.
-            inflate_variance(m.ut, m.d, EX_POS + 2, nu * nu, m.f)
-            inflate_variance(m.ut, m.d, EX_VEL + 2, 0.1, m.f)
-            inflate_variance(m.ut, m.d, EX_THRUST_SCALE, 0.01, m.f)
-            set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
+            inflate_variance(m.u_transposed, m.d, EX_POS + 2, nu * nu, m.f)
+            inflate_variance(m.u_transposed, m.d, EX_VEL + 2, 0.1, m.f)
+            inflate_variance(m.u_transposed, m.d, EX_THRUST_SCALE, 0.01, m.f)
+            set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         elif step and nu > 0.0:
             # Lower than the floor nothing lies; over an edge it was the surface that jumped.
             _reset_height(m, s, nu)
-            set_fault(m, s, k, FUSED, SLOPE, nu)
+            set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu)
         elif step:
-            inflate_variance(m.ut, m.d, EX_TERRAIN, nu * nu, m.f)
+            inflate_variance(m.u_transposed, m.d, EX_TERRAIN, nu * nu, m.f)
             m.reject_score[k] = 0.0
-            set_fault(m, s, k, FUSED, STEP, floor)
-            m.terrain_edge = 1.0
+            set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_STEP, floor)
+            m.terrain_edge_weight = 1.0
         elif _reset_timeout_expired(m, s, k):
-            if (m.tick - m.last_fused_tick[R_FIX]) * s.dt < _AGREE_S and m.last_fused_tick[R_FIX] > 0:
-                inflate_variance(m.ut, m.d, EX_TERRAIN, nu * nu, m.f)  # the fix holds the height
+            if (m.tick - m.last_fused_tick[R_FIX]) * s.dt < _RESET_TIMEOUT_S and m.last_fused_tick[R_FIX] > 0:
+                inflate_variance(m.u_transposed, m.d, EX_TERRAIN, nu * nu, m.f)  # the fix holds the height
             else:
-                inflate_variance(m.ut, m.d, EX_POS + 2, nu * nu, m.f)
-                inflate_variance(m.ut, m.d, EX_VEL + 2, 0.1 + nu * nu, m.f)
-            set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
+                inflate_variance(m.u_transposed, m.d, EX_POS + 2, nu * nu, m.f)
+                inflate_variance(m.u_transposed, m.d, EX_VEL + 2, 0.1 + nu * nu, m.f)
+            set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         else:
             if m.agree_count[k] >= 2:
-                set_fault(m, s, k, REJECTED, OFF, nu)  # below the room's floor, and not by chance
+                set_fault(m, s, k, STATUS_REJECTED, REASON_INNOVATION, nu)  # below the room's floor, and not by chance
             return
         _sonar_h_row(m, s, r)
     _fuse_scalar(m, nu, r_)
     mark_fused(m, k)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def reset_terrain(m: FilterMemory) -> None:
     """Reset the terrain to the floor's height."""
     _h_row_begin(m, EX_TERRAIN, 1.0)
     _fuse_scalar(m, -m.x[SX_TERRAIN], 2.5e-5)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
     """Fuse the thrust's scale at lift-off, where the rotors lift the weight; ``lift``: the model's lift over it."""
-    scale = LIFTS / lift
-    spread = LIFTS_OFF * scale
+    scale = LIFTOFF_THRUST_RATIO / lift
+    spread = LIFTOFF_THRUST_SIGMA * scale
     _h_row_begin(m, EX_THRUST_SCALE, 1.0)
     _fuse_scalar(m, scale - m.x[SX_THRUST_SCALE], spread * spread)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
     """Keep the legs above the surface below, and stop a fall into it; return whether they were below.
 
@@ -510,10 +513,8 @@ def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
     return True
 
 
-@compiled(error_model="numpy")
-def fuse_wall_ranges(
-    m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array, most: int
-) -> bool:
+@cached_njit(error_model="numpy")
+def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array, most: int) -> bool:
     """Distances to the walls of the room, beam by beam, ``most`` at a time; returns whether that was all.
 
     What a beam is off by is mostly constant (docs/estimation.md), so no number of readings tells of a position more
@@ -525,17 +526,17 @@ def fuse_wall_ranges(
     if m.next_beam == 0:
         m.beams_seen = m.beams_fused = 0
         for i in range(2):
-            told = m.wall_info_limit[i] * state_variance(m.ut, m.d, EX_POS + i)
-            m.wall_info_gained[i] = 1.0 - 1.0 / told if told > 1.0 else 0.0
+            told = m.wall_info_limit[i] * state_variance(m.u_transposed, m.d, EX_POS + i)
+            m.wall_info_share[i] = 1.0 - 1.0 / told if told > 1.0 else 0.0
             m.wall_info_limit[i] = 0.0
     last = min(m.next_beam + most, s.beam_count)
     for b in range(m.next_beam, last):
         if not (0.0 < z[b] < 0.995 * s.ring_max):
             continue
         m.beams_seen += 1
-        n = r[0] * s.beam_direction[b, 0] + r[1] * s.beam_direction[b, 1] + r[2] * s.beam_direction[b, 2]
-        e = r[3] * s.beam_direction[b, 0] + r[4] * s.beam_direction[b, 1] + r[5] * s.beam_direction[b, 2]
-        d = r[6] * s.beam_direction[b, 0] + r[7] * s.beam_direction[b, 1] + r[8] * s.beam_direction[b, 2]
+        n = r[0] * s.beam_directions[b, 0] + r[1] * s.beam_directions[b, 1] + r[2] * s.beam_directions[b, 2]
+        e = r[3] * s.beam_directions[b, 0] + r[4] * s.beam_directions[b, 1] + r[5] * s.beam_directions[b, 2]
+        d = r[6] * s.beam_directions[b, 0] + r[7] * s.beam_directions[b, 1] + r[8] * s.beam_directions[b, 2]
         best, axis, along = 1e9, -1, 1.0
         for i in range(3):
             u = n if i == 0 else (e if i == 1 else d)
@@ -560,8 +561,8 @@ def fuse_wall_ranges(
             _log_innovation(m, k, nu, ratio)
             m.beams_fused += 1
             m.wall_info_limit[axis] += h * h / lasts
-            if m.wall_info_gained[axis] > 0.0:
-                _apply_correction(m, nu, scatters + lasts / m.wall_info_gained[axis])
+            if m.wall_info_share[axis] > 0.0:
+                _apply_correction(m, nu, scatters + lasts / m.wall_info_share[axis])
                 rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
     m.next_beam = last
     if last < s.beam_count:
@@ -570,27 +571,27 @@ def fuse_wall_ranges(
     if m.beams_fused > 0:
         mark_fused(m, k)
     elif m.tick >= m.fault_until_tick[k]:
-        m.status[k] = NOTHING
-        m.reason[k] = TOO_FAR if m.beams_seen == 0 else NO_WALL
+        m.status[k] = STATUS_WAITING
+        m.reason[k] = REASON_WALLS_TOO_FAR if m.beams_seen == 0 else REASON_NO_WALL
     return True
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _gate_drifting_aid(
     m: FilterMemory, s: FilterSettings, k: int, bias: int, nu: float, ratio: float, z: _Array, count: int, near: float
 ) -> bool:  # fmt: skip
     """Gate an aid with one bias, and free that bias after a second of consistent rejections; return whether to fuse."""
     _log_innovation(m, k, nu, ratio)
-    if abs(ratio) > GATE:
+    if abs(ratio) > INNOVATION_GATE:
         _reject_measurement(m, s, k, nu, z, count, near)
         if not _reset_timeout_expired(m, s, k):
             return False
-        inflate_variance(m.ut, m.d, bias, nu * nu, m.f)
-        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu)
+        inflate_variance(m.u_transposed, m.d, bias, nu * nu, m.f)
+        set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
     return True
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse the pressure less the standard one and less the rotors' part."""
     k = R_PRESSURE
@@ -603,7 +604,7 @@ def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: f
         mark_fused(m, k)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
     """Fuse the heading by the direction of the magnetic field."""
     k = R_MAGNET
@@ -611,17 +612,17 @@ def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: 
     north = r[0] * z[0] + r[1] * z[1] + r[2] * z[2]
     east = r[3] * z[0] + r[4] * z[1] + r[5] * z[2]
     _h_row_begin(m, EX_ATT + 2, 1.0)
-    _h_row_add(m, EX_ATT, -s.earth[2] / s.earth[0])
+    _h_row_add(m, EX_ATT, -s.earth_field[2] / s.earth_field[0])
     _h_row_add(m, EX_MAG_BIAS, 1.0)
-    off = -direction(east, north) - ahead * m.yaw_rate - m.x[SX_MAG_BIAS]
-    nu = wrapped(off)
-    ratio = _innovation_ratio(m, nu, s.magnet_variance)
+    off = -portable_atan2(east, north) - ahead * m.yaw_rate - m.x[SX_MAG_BIAS]
+    nu = wrap_angle(off)
+    ratio = _innovation_ratio(m, nu, s.mag_heading_variance)
     if _gate_drifting_aid(m, s, k, EX_MAG_BIAS, nu, ratio, z, 3, 1e-5):
-        _fuse_scalar(m, nu, s.magnet_variance)
+        _fuse_scalar(m, nu, s.mag_heading_variance)
         mark_fused(m, k)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: int, i: int) -> None:
     """Fuse accelerometers less model along axis ``i``, a mean over ``count`` periods: biases, thrust, wind,
     velocity."""
@@ -635,37 +636,37 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
     _h_row_add(m, EX_WIND + 1, -slope * r[3 + i])
     nu = m.accel_mean[i] - m.model_accel_mean[i] - m.x[SX_ACCEL_BIAS + i]
     r_ = m.residual_density[i] / (count * s.dt)
-    known = innovation_variance(m.ut, m.d, m.h_state, m.h, m.h_terms, m.f)
+    known = innovation_variance(m.u_transposed, m.d, m.h_state, m.h, m.h_terms, m.f)
     ratio = nu / math.sqrt(known + r_)
     check_accel_model(m, s, nu, r_, known, i)
-    if abs(ratio) < GATE and m.accel_distrusted == 0:
+    if abs(ratio) < INNOVATION_GATE and m.is_accel_distrusted == 0:
         _fuse_scalar(m, nu, r_)
     if i == 0 or abs(ratio) > m.residual_ratio:
         _log_innovation(m, R_ACCELERATION, nu, ratio)
         m.residual_ratio = abs(ratio)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, mode: int, i: int) -> None:
     """Fuse zero velocity along axis ``i`` on the floor, zero rate unless rotors run down, gravity where they stand."""
     _h_row_begin(m, EX_VEL + i, 1.0)
     _fuse_scalar(m, -m.x[SX_VEL + i], 4e-4)
-    if mode == COASTING:
+    if mode == PHASE_COASTING:
         return  # such rotors turn the vehicle on its legs: that is no noise, but a rate that lasts
-    still = mode == STANDING
+    still = mode == PHASE_STANDING
     _h_row_begin(m, EX_GYRO_BIAS + i, 1.0)
-    calm = s.rest_gyro * s.rest_gyro / count if still else 2.5e-5
+    calm = s.rest_gyro_sigma * s.rest_gyro_sigma / count if still else 2.5e-5
     off = m.gyro_mean[i] - m.x[SX_GYRO_BIAS + i]
     # With its rotors running it may slide and turn on its legs.
-    if still or abs(_innovation_ratio(m, off, calm * 2)) < GATE:
+    if still or abs(_innovation_ratio(m, off, calm * 2)) < INNOVATION_GATE:
         _fuse_scalar(m, off, calm * 2)
-    if still and s.fitted[R_ACCELERATION] > 0:
+    if still and s.is_fitted[R_ACCELERATION] > 0:
         rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
         # R^T (-g e_D), and d(R^T u) = R^T (u x t)
         _h_row_begin(m, EX_ACCEL_BIAS + i, 1.0)
         _h_row_add(m, EX_ATT, -r[3 + i] * GRAVITY)
         _h_row_add(m, EX_ATT + 1, r[i] * GRAVITY)
         nu = m.accel_mean[i] + GRAVITY * r[6 + i] - m.x[SX_ACCEL_BIAS + i]
-        r_ = 2 * s.rest_accel * s.rest_accel / count
-        if abs(_innovation_ratio(m, nu, r_)) < 2 * GATE:
+        r_ = 2 * s.rest_accel_sigma * s.rest_accel_sigma / count
+        if abs(_innovation_ratio(m, nu, r_)) < 2 * INNOVATION_GATE:
             _fuse_scalar(m, nu, r_)

@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from mufly.errors import InputError
-from mufly.estimate.estimate import Estimate
-from mufly.estimate.layout import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
+from mufly.estimate.estimator import Estimate
+from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
 from mufly.results import result
 from mufly.sensors import Truth
 
 _Array = NDArray[np.float64]
 
 
-def normalised(errors: _Array, covariances: _Array) -> _Array:
+def normalised_errors(errors: _Array, covariances: _Array) -> _Array:
     """Return e^T P^-1 e of each row; errors (k, n), covariances (k, n, n)."""
     solved = np.linalg.solve(covariances, errors[..., None])[..., 0]
     found: _Array = np.einsum("ki,ki->k", errors, solved)
@@ -66,7 +66,7 @@ class Consistency:
     yaw_rms: float
 
     @classmethod
-    def merged(cls, several: Sequence[Consistency]) -> Consistency:
+    def merge_flights(cls, several: Sequence[Consistency]) -> Consistency:
         """Of many flights: means of squares, worst of peaks."""
         n = np.array([c.count for c in several], dtype=float)
         n /= n.sum()
@@ -80,7 +80,7 @@ class Consistency:
         parts = (a, b, d)
         return cls(count=sum(one.count for one in several), parts=parts, **mean, **rms, **peak)
 
-    def row(self) -> str:
+    def format_row(self) -> str:
         """In centimetres and degrees, for a table."""
         d = np.degrees
         cells = (
@@ -92,7 +92,7 @@ class Consistency:
         return "".join(f"{c:>9s}" for c in cells) + "   pva " + " ".join(f"{p:.2f}" for p in self.parts)
 
 
-def consistency(
+def measure_consistency(
     truths: Sequence[Truth], told: Sequence[Estimate], *, after_s: float = 0.0, every: int = 10
 ) -> Consistency:
     """Return how estimates compare with the truth.
@@ -107,10 +107,10 @@ def consistency(
         Of how many instants one counts for NEES.
     """
     true = np.array([np.concatenate([t.position, t.velocity, t.attitude]) for t in truths])
-    return consistency_of(true, told, after_s=after_s, every=every)
+    return measure_row_consistency(true, told, after_s=after_s, every=every)
 
 
-def consistency_of(
+def measure_row_consistency(
     true: _Array, told: Sequence[Estimate], *, after_s: float = 0.0, every: int = 10
 ) -> Consistency:
     """Return the same of rows.
@@ -120,7 +120,7 @@ def consistency_of(
     true : (n, 9) array
         Position, velocity, attitude (m, m/s, rad). Of a component that is nowhere known (NaN) nothing is said.
     told, after_s, every
-        As for :func:`consistency`.
+        As for :func:`measure_consistency`.
 
     Raises
     ------
@@ -139,25 +139,33 @@ def consistency_of(
     e[:, EX_ATT:] = np.angle(np.exp(1j * e[:, EX_ATT:]))
     some = e[::every]
     p = np.array([told[k].covariance[:EX_GYRO_BIAS, :EX_GYRO_BIAS] for k in use[::every]])
-    nees = normalised(some[:, known], p[:, known][:, :, known])
+    nees = normalised_errors(some[:, known], p[:, known][:, :, known])
     place, speed, turn = (
-        float(normalised(some[:, i : i + 3], p[:, i : i + 3, i : i + 3]).mean()) / 3
+        float(normalised_errors(some[:, i : i + 3], p[:, i : i + 3, i : i + 3]).mean()) / 3
         if known[i : i + 3].all() else math.nan
         for i in (EX_POS, EX_VEL, EX_ATT)
     )  # fmt: skip
     ratios = []
     for k in use[::every]:
-        b = told[k].beliefs
+        b = told[k].auxiliary_states
         ratios += [c.ratio for c in b.checks if c.name == "position_fix"] if b else []
     xy, z, tilt = np.hypot(e[:, 0], e[:, 1]), np.abs(e[:, 2]), np.hypot(e[:, EX_ATT], e[:, EX_ATT + 1])
     count = int(known.sum())
     return Consistency(
-        count=len(use), nees=float(nees.mean()) / count, inside=float(np.mean(nees < stats.chi2.ppf(0.95, count))),
-        parts=(place, speed, turn), nis=float(np.mean(np.square(ratios))) if ratios else np.nan,
-        xy_rms=_rms(xy), xy_peak=float(xy.max()), z_rms=_rms(z), z_peak=float(z.max()), tilt_rms=_rms(tilt),
-        tilt_peak=float(tilt.max()), yaw_rms=_rms(e[:, EX_ATT + 2]),
-    )  # fmt: skip
+        count=len(use),
+        nees=float(nees.mean()) / count,
+        inside=float(np.mean(nees < stats.chi2.ppf(0.95, count))),
+        parts=(place, speed, turn),
+        nis=float(np.mean(np.square(ratios))) if ratios else np.nan,
+        xy_rms=_root_mean_square(xy),
+        xy_peak=float(xy.max()),
+        z_rms=_root_mean_square(z),
+        z_peak=float(z.max()),
+        tilt_rms=_root_mean_square(tilt),
+        tilt_peak=float(tilt.max()),
+        yaw_rms=_root_mean_square(e[:, EX_ATT + 2]),
+    )
 
 
-def _rms(x: _Array) -> float:
+def _root_mean_square(x: _Array) -> float:
     return float(np.sqrt(np.mean(np.square(x))))

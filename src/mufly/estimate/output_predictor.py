@@ -9,44 +9,44 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.estimate.layout import (
-    ERRORS,
+from mufly.estimate.filter_records import (
+    ERROR_STATE_COUNT,
     EX_ATT,
     EX_VEL,
-    FLYING,
+    FULL_TURN_RAD,
     IN_NOISE,
     IN_SHARE,
-    KEPT,
-    LOW,
-    MODELLED,
+    INPUT_BLOCK_COUNT,
+    MAX_FLOOR_HEIGHT,
+    PHASE_FLYING,
     RF_ANG_ACCEL,
-    STATES,
+    ROTOR_FORCE_HISTORY,
+    STATE_COUNT,
     SX_ATT,
     SX_GYRO_BIAS,
     SX_POS,
     SX_TERRAIN,
     SX_VEL,
-    TURN_RAD,
     FilterMemory,
     FilterSettings,
 )
 from mufly.estimate.strapdown import error_transition, predict_state, rotate_attitude
 from mufly.estimate.ud_filter import propagate_column, state_variance
-from mufly.trigonometry import direction, sine_cosine, whole
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import floor_int, portable_atan2, sine_cosine
 from mufly.units import GRAVITY
 
 _Array = NDArray[np.float64]
 
-LONGEST = 8
+FORCE_MEAN_TICKS = 8
 """Periods over which forces are compared."""
-TOLD_EVERY = 20
+COVARIANCE_INTERVAL_TICKS = 20
 """Periods between two covariances that are told."""
-JUMP, SLIP_S = 0.05, 0.4
+OUTPUT_JUMP_M, OUTPUT_JUMP_DECAY_S = 0.05, 0.4
 """A jump of the state of more than this (m) is told over some time (s)."""
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def velocity_noise_density(r: _Array, k: int, e: _Array) -> float:
     """Return the density of the velocity's noise along axis ``k`` of N-E-D (m^2/s^3)."""
     spread = 0.0
@@ -55,72 +55,70 @@ def velocity_noise_density(r: _Array, k: int, e: _Array) -> float:
     return spread
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _smooth_output(m: FilterMemory, s: FilterSettings) -> None:
-    """Remove a jump of the output's position and let it decay over :data:`SLIP_S`."""
+    """Remove a jump of the output's position and let it decay over :data:`OUTPUT_JUMP_DECAY_S`."""
     x = m.x_output
     for k in range(3):
         jump = x[k] - (m.position_prev[k] + s.dt * x[SX_VEL + k])
-        if m.initialised > 0 and abs(jump) > JUMP:
+        if m.is_initialised > 0 and abs(jump) > OUTPUT_JUMP_M:
             m.position_slip[k] -= jump
         m.position_prev[k] = x[k]
-        m.position_slip[k] -= s.dt / SLIP_S * m.position_slip[k]
+        m.position_slip[k] -= s.dt / OUTPUT_JUMP_DECAY_S * m.position_slip[k]
         x[k] += m.position_slip[k]
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _output_angles(m: FilterMemory) -> None:
     """Write roll, pitch and yaw of the output."""
     w, x, y, z = m.x_output[SX_ATT], m.x_output[SX_ATT + 1], m.x_output[SX_ATT + 2], m.x_output[SX_ATT + 3]
     sine = min(max(2 * (w * y - z * x), -1.0), 1.0)
-    m.angles_output[0] = direction(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    m.angles_output[1] = direction(sine, math.sqrt((1 - sine) * (1 + sine)))
-    yaw = direction(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    m.angles_output[2] = yaw + TURN_RAD * whole((m.angles_output[2] - yaw) / TURN_RAD + 0.5)
+    m.angles_output[0] = portable_atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    m.angles_output[1] = portable_atan2(sine, math.sqrt((1 - sine) * (1 + sine)))
+    yaw = portable_atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    m.angles_output[2] = yaw + FULL_TURN_RAD * floor_int((m.angles_output[2] - yaw) / FULL_TURN_RAD + 0.5)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None:
     """Propagate the covariance of position, velocity and attitude over the delay, F P F^T + Q, in one step."""
-    span = m.delay_span
+    span = m.now_span
     for k in range(3):
-        m.axis_work[k] = m.now_gain[k] / span
-    error_transition(m.input_now, span, r, m.axis_work, m.transition_work)
+        m.axis_work[k] = m.now_velocity_gain[k] / span
+    error_transition(m.inputs_now, span, r, m.axis_work, m.transition_work)
     for i in range(9):
         for j in range(i, 9):
             m.covariance_output[i, j] = 0.0
-    for k in range(ERRORS):
-        propagate_column(m.ut[k], span, m.transition_work, m.gain)
+    for k in range(ERROR_STATE_COUNT):
+        propagate_column(m.u_transposed[k], span, m.transition_work, m.gain)
         for i in range(9):
             c = m.d[k] * m.gain[i]
             for j in range(i, 9):
                 m.covariance_output[i, j] += c * m.gain[j]
     for k in range(3):
-        m.covariance_output[k, k] += m.now_noise[k] * span * span / 3.0
-        m.covariance_output[k, EX_VEL + k] += m.now_noise[k] * span / 2.0
-        m.covariance_output[EX_VEL + k, EX_VEL + k] += m.now_noise[k]
+        m.covariance_output[k, k] += m.now_velocity_variance[k] * span * span / 3.0
+        m.covariance_output[k, EX_VEL + k] += m.now_velocity_variance[k] * span / 2.0
+        m.covariance_output[EX_VEL + k, EX_VEL + k] += m.now_velocity_variance[k]
         for i in range(3):
             # A shaking is in the velocity for half a turn; what stays in means over blocks tells how much.
-            share = r[3 * k + i] * m.input_now[IN_SHARE + i]
+            share = r[3 * k + i] * m.inputs_now[IN_SHARE + i]
             shaking = max(m.accel_noise[i] - m.accel_noise_slow[i], 0.0)
-            m.covariance_output[EX_VEL + k, EX_VEL + k] += share * share * ((LONGEST * s.dt) * shaking)
+            m.covariance_output[EX_VEL + k, EX_VEL + k] += share * share * ((FORCE_MEAN_TICKS * s.dt) * shaking)
         m.covariance_output[EX_ATT + k, EX_ATT + k] += s.gyro_density * span
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _output_covariance(m: FilterMemory) -> None:
     """Write covariance and deviations of the output, those of the attitude for roll, pitch and yaw."""
     for i in range(9):
         for j in range(i):
             m.covariance_output[i, j] = m.covariance_output[j, i]
-    for i in range(9, ERRORS):
-        m.sigma_output[i] = math.sqrt(state_variance(m.ut, m.d, i))
+    for i in range(9, ERROR_STATE_COUNT):
+        m.sigma_output[i] = math.sqrt(state_variance(m.u_transposed, m.d, i))
     for i in range(9):
         if i < 3:
             # Whoever is off in height, fix or sonar, the fix may be off by as much in any direction
-            m.covariance_output[i, i] += (
-                m.position_slip[i] * m.position_slip[i] + m.fix_height_gap * m.fix_height_gap
-            )
+            m.covariance_output[i, i] += m.position_slip[i] * m.position_slip[i] + m.fix_height_gap * m.fix_height_gap
         m.sigma_output[i] = math.sqrt(m.covariance_output[i, i])
     # Turns about N, E, D to roll, pitch and yaw
     x = m.x_output
@@ -139,54 +137,56 @@ def _output_covariance(m: FilterMemory) -> None:
         m.covariance_output[j, EX_ATT + 2] += sine / cosine * (c * n_ + t * e_)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _repropagate_state(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
     """Propagate the horizon's state towards now by some blocks; ``m.x_now`` is the last one that arrived."""
     for _ in range(s.work_limit):
-        e = m.input_blocks[m.repropagating_tick // s.block_ticks % KEPT]
+        e = m.input_blocks[m.repropagating_tick // s.block_ticks % INPUT_BLOCK_COUNT]
         periods = min(s.block_ticks - m.repropagating_tick % s.block_ticks, m.tick - m.repropagating_tick)
         span = periods * s.dt
         predict_state(m.x_repropagating, e, span, r, a)
         for k in range(3):
-            m.repropagating_noise[k] += velocity_noise_density(r, k, e) * span
-            m.repropagating_gain[k] += a[k] * span
+            m.repropagating_velocity_variance[k] += velocity_noise_density(r, k, e) * span
+            m.repropagating_velocity_gain[k] += a[k] * span
         m.repropagating_tick += periods
         m.repropagating_span += span
         if m.repropagating_tick == m.tick:
             for k in range(3):
-                m.now_noise[k] = m.repropagating_noise[k]
-                m.now_gain[k] = m.repropagating_gain[k]
-                m.repropagating_noise[k] = m.repropagating_gain[k] = 0.0
-            m.delay_span = m.repropagating_span
+                m.now_velocity_variance[k] = m.repropagating_velocity_variance[k]
+                m.now_velocity_gain[k] = m.repropagating_velocity_gain[k]
+                m.repropagating_velocity_variance[k] = m.repropagating_velocity_gain[k] = 0.0
+            m.now_span = m.repropagating_span
             m.repropagating_span = 0.0
-            for i in range(STATES):
+            for i in range(STATE_COUNT):
                 m.x_now[i] = m.x_repropagating[i]
                 m.x_repropagating[i] = m.x[i]
-            m.repropagating_tick = m.horizon
+            m.repropagating_tick = m.horizon_tick
             return
-    predict_state(m.x_now, m.input_now, s.dt, r, a)
+    predict_state(m.x_now, m.inputs_now, s.dt, r, a)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def predict_output(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
-    """Write the state of now; every :data:`TOLD_EVERY` periods also its covariance."""
+    """Write the state of now; every :data:`COVARIANCE_INTERVAL_TICKS` periods also its covariance."""
     _repropagate_state(m, s, r, a)
     x = m.x_output
-    for i in range(STATES):
+    for i in range(STATE_COUNT):
         x[i] = m.x_now[i]
-    much = m.tick % TOLD_EVERY == 0
+    much = m.tick % COVARIANCE_INTERVAL_TICKS == 0
     if much:
         _propagate_covariance(m, s, r)
     # States belong to `lag` before the tick: the last bit with the last rates and acceleration.
     a[2] += GRAVITY
     for k in range(3):
-        x[k] += s.lag * (x[SX_VEL + k] + 0.5 * s.lag * a[k])
-        x[SX_VEL + k] += s.lag * a[k]
+        x[k] += s.imu_lag * (x[SX_VEL + k] + 0.5 * s.imu_lag * a[k])
+        x[SX_VEL + k] += s.imu_lag * a[k]
         m.rates_output[k] = m.gyro_rates[k] - x[SX_GYRO_BIAS + k]
-        if s.has_rotor_model > 0 and m.flight_phase == FLYING:
-            m.rates_output[k] += s.lag * m.rotor_force[m.tick % MODELLED, RF_ANG_ACCEL + k]
-    rotate_attitude(x, s.lag * m.rates_output[0], s.lag * m.rates_output[1], s.lag * m.rates_output[2], True)
-    if s.has_rotor_model > 0 and x[SX_TERRAIN] < LOW:
+        if s.has_rotor_model > 0 and m.flight_phase == PHASE_FLYING:
+            m.rates_output[k] += s.imu_lag * m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, RF_ANG_ACCEL + k]
+    rotate_attitude(
+        x, s.imu_lag * m.rates_output[0], s.imu_lag * m.rates_output[1], s.imu_lag * m.rates_output[2], True
+    )
+    if s.has_rotor_model > 0 and x[SX_TERRAIN] < MAX_FLOOR_HEIGHT:
         # Legs do not go into the floor on the way either, nor on.
         lowest = -(max(x[SX_TERRAIN], 0.0) + s.ground_clearance)
         if x[SX_POS + 2] >= lowest:

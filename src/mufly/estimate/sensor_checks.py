@@ -12,8 +12,8 @@
 
 The sonar rounds to centimetres and the battery monitor to 10 mV, so equal readings in a row are usual; a stuck one is
 detected by its innovations. One rejected reading is no alarm: the sonar of a healthy vehicle hears a second surface
-every 16 s. Rejections are counted in a score that decays by 7 % with every fused reading; above :data:`ALARM` they are
-reported (:data:`SONAR_ALARM` for the sonar: four of 14).
+every 16 s. Rejections are counted in a score that decays by 7 % with every fused reading; above :data:`REJECT_ALARM`
+they are reported (:data:`SONAR_REJECT_ALARM` for the sonar: four of 14).
 """
 
 from __future__ import annotations
@@ -23,15 +23,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.dynamics.state import RS_SPEED_UPPER
-from mufly.estimate.layout import (
+from mufly.dynamics.model_state import RS_SPEED_UPPER
+from mufly.estimate.filter_records import (
     EX_ATT,
     EX_GYRO_BIAS,
     EX_VEL,
-    FLYING,
-    LIGHT,
-    MODELLED,
+    PHASE_FLYING,
+    PHASE_LIGHT,
     R_ACCELERATION,
     R_BATTERY,
     R_FIX,
@@ -39,86 +37,105 @@ from mufly.estimate.layout import (
     R_RING,
     R_ROTOR,
     R_SONAR,
+    READING_STARTS,
     RF_ANG_ACCEL,
-    SENSORS,
-    STARTS,
+    ROTOR_FORCE_HISTORY,
+    SENSOR_COUNT,
     FilterMemory,
     FilterSettings,
 )
 from mufly.estimate.ud_filter import inflate_variance
+from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 
-ACTING = STARTS[-1]
-CLIPPING = ACTING + 4
-VALUES = CLIPPING + 3
-NOTHING, FUSED, REJECTED, MISSING, FAULTY = range(5)
+ACTUATOR_START = READING_STARTS[-1]
+CLIPPING_START = ACTUATOR_START + 4
+VALUE_COUNT = CLIPPING_START + 3
+STATUS_WAITING, STATUS_FUSED, STATUS_REJECTED, STATUS_MISSING, STATUS_FAULTY = range(5)
 """Status of a sensor, as a number."""
 (
-    FINE, NOTHING_YET, SILENT, LATE, INSANE, FROZEN, DOUBLED, OFF, CLIPS, STEP, TAKEN_OVER, NO_ECHO, TOO_FAR, NO_WALL,
-    SPIKES, JUMPED, SLOPE, STRAINED, AWAY, STUCK_, WANDERS,
-) = range(21)  # fmt: skip
-"""Why, as a number; the words are in :mod:`mufly.estimate.beliefs`."""
-ALARM, SONAR_ALARM, FORGET = 1.5, 3.0, 0.93
-LASTS_S = 0.5
+    REASON_NONE,
+    REASON_NO_READING,
+    REASON_TIMEOUT,
+    REASON_LATE,
+    REASON_OUT_OF_RANGE,
+    REASON_FROZEN,
+    REASON_DUPLICATED,
+    REASON_INNOVATION,
+    REASON_CLIPPING,
+    REASON_TERRAIN_STEP,
+    REASON_RESET,
+    REASON_NO_ECHO,
+    REASON_WALLS_TOO_FAR,
+    REASON_NO_WALL,
+    REASON_SPIKES,
+    REASON_JUMP,
+    REASON_TERRAIN_SLOPE,
+    REASON_PERSISTENT_OFFSET,
+    REASON_HEIGHT_CONFLICT,
+    REASON_STUCK,
+    REASON_LARGE_BIAS,
+) = range(21)
+"""Why, as a number; the words are in :mod:`mufly.estimate.sensor_status`."""
+REJECT_ALARM, SONAR_REJECT_ALARM, REJECT_DECAY = 1.5, 3.0, 0.93
+FAULT_HOLD_S = 0.5
 """A fault that shows for one reading is told of for this long (s)."""
-_OLDEST_S = 10.0
+_MAX_READING_AGE_S = 10.0
 """Age beyond which a reading is none, as is one of the future or of no time."""
-_SPIKE, _ALIKE = 0.12, 0.06  # rad/s within a period, beyond what the model says
-_LARGEST_SHIFT = (
-    5.0  # rad/s: no gyroscope is off by more; what jumps on and on follows a model that runs away
-)
-_LINGERS = 0.7  # of what was off in the period before
-_ROUGH = 3.0  # of the mean difference of some 50 ms
-_TURN_OFF = 0.02  # of a difference that is taken for an error of the model's moments
-_SHARE = 0.02  # of clipped samples that is told of
-ADRIFT, ADRIFT_S, ONCE_ADRIFT = 0.1, 3.0, 0.03
+_SPIKE_RATE, _SPIKE_AGREEMENT = 0.12, 0.06  # rad/s within a period, beyond what the model says
+_MAX_GYRO_OFFSET = 5.0  # rad/s: no gyroscope is off by more; what jumps on and on follows a model that runs away
+_SPIKE_CARRY_SHARE = 0.7  # of what was off in the period before
+_ROUGHNESS_FACTOR = 3.0  # of the mean difference of some 50 ms
+_ANG_ACCEL_BIAS_GAIN = 0.02  # of a difference that is taken for an error of the model's moments
+_MIN_CLIP_SHARE = 0.02  # of clipped samples that is told of
+DIVERGED_BIAS_WALK, DIVERGED_WALK_S, LATER_BIAS_WALK = 0.1, 3.0, 0.03
 """What the gyroscopes' bias may do once they have carried the filter astray (rad/s in a second), for how long, and what
 from then on: one that has drifted drifts."""
-ASTRAY_BIAS, ASTRAY_TURN, ASTRAY_SPEED = 0.15, 0.06, 0.3
+DIVERGED_BIAS, DIVERGED_ATTITUDE, DIVERGED_SPEED = 0.15, 0.06, 0.3
 """By how much bias (rad/s), attitude (rad) and speed (m/s) may be off by then."""
-_ROTOR_OFF, _ROTOR_SURE = 0.08, 0.02  # of the hover speed; of one that was off just now
-_ROTOR_LED, _ROTOR_MEAN_S, _ROTOR_KNOWN_S = 0.03, 4.0, 1.0
+_ROTOR_SPEED_GATE, _ROTOR_SPEED_RECOVERY_GATE = 0.08, 0.02  # of the hover speed; of one that was off just now
+_ROTOR_ACCEL_LIMIT, _ROTOR_ACCEL_MEAN_S, _ROTOR_ACCEL_SETTLING_S = 0.03, 4.0, 1.0
 """By what acceleration (of the hover speed, 1/s) the motors' equations may be off more than in the mean over so long
 (s), and how long after lift-off that is known (s); flights in gusts need a fifth."""
-_VOLTS_OFF = 0.6
+_VOLTAGE_GATE = 0.6
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def set_fault(m: FilterMemory, s: FilterSettings, k: int, code: int, why: int, number: float) -> None:
-    """Set status and reason of a sensor for :data:`LASTS_S`."""
+    """Set status and reason of a sensor for :data:`FAULT_HOLD_S`."""
     m.status[k] = code
     m.reason[k] = why
     m.fault_number[k] = number
-    m.fault_until_tick[k] = m.tick + int(LASTS_S / s.dt)
+    m.fault_until_tick[k] = m.tick + int(FAULT_HOLD_S / s.dt)
     if k == R_FIX:
         m.fault_component = m.fix_component
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def mark_fused(m: FilterMemory, k: int) -> None:
     """Mark a reading as fused: reset its rejections and clear a fault that has run out."""
     m.last_fused_tick[k] = m.tick
     m.reject_count[k] = 0
     m.agree_count[k] = 0
-    m.reject_score[k] *= FORGET
+    m.reject_score[k] *= REJECT_DECAY
     if m.tick >= m.fault_until_tick[k] and m.reject_score[k] < 1.0:
-        m.status[k] = FUSED
-        m.reason[k] = FINE
-    elif m.status[k] == REJECTED and m.tick >= m.fault_until_tick[k]:
-        m.status[k] = FUSED
+        m.status[k] = STATUS_FUSED
+        m.reason[k] = REASON_NONE
+    elif m.status[k] == STATUS_REJECTED and m.tick >= m.fault_until_tick[k]:
+        m.status[k] = STATUS_FUSED
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def mark_rejected(m: FilterMemory, s: FilterSettings, k: int, why: int, number: float) -> None:
     """Mark a reading as rejected; report it when the rejections reach the alarm."""
     m.reject_count[k] += 1
     m.reject_score[k] += 1.0
-    if m.reject_score[k] > (SONAR_ALARM if k == R_SONAR else ALARM):
-        set_fault(m, s, k, REJECTED, why, number)
+    if m.reject_score[k] > (SONAR_REJECT_ALARM if k == R_SONAR else REJECT_ALARM):
+        set_fault(m, s, k, STATUS_REJECTED, why, number)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _is_repeated(m: FilterMemory, s: FilterSettings, z: _Array, k: int, start: int, count: int) -> bool:
     """Return whether a reading equals the last one to the last bit although the sensor has noise."""
     if s.has_noise[k] == 0 or m.last_new_tick[k] == 0:
@@ -127,25 +144,21 @@ def _is_repeated(m: FilterMemory, s: FilterSettings, z: _Array, k: int, start: i
     for j in range(3 if k == R_FIX else count):  # a camera that hangs may still turn with the gyroscopes
         if z[start + j] != m.last_value[start + j]:
             return False
-        told = told or (
-            (k != R_ROTOR or z[start + j] != 0.0) and (k != R_RING or z[start + j] < 0.995 * s.ring_max)
-        )
+        told = told or ((k != R_ROTOR or z[start + j] != 0.0) and (k != R_RING or z[start + j] < 0.995 * s.ring_max))
     return told
 
 
-@compiled(error_model="numpy")
-def check_readings(
-    m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[np.int32], age: _Array
-) -> None:
+@cached_njit(error_model="numpy")
+def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[np.int32], age: _Array) -> None:
     """Check new readings for limits, age, repetition and silence.
 
     A reading that cannot be used is marked in ``new`` as not new and replaced by the last one."""
-    for k in range(SENSORS):
-        if s.fitted[k] == 0:
+    for k in range(SENSOR_COUNT):
+        if s.is_fitted[k] == 0:
             new[k] = 0
             continue
-        start, count = STARTS[k], STARTS[k + 1] - STARTS[k]
-        m.skipped[k] = 0
+        start, count = READING_STARTS[k], READING_STARTS[k + 1] - READING_STARTS[k]
+        m.is_decimated[k] = 0
         if new[k] == 2:
             m.invalid_count[k] += 1
             new[k] = 0
@@ -154,51 +167,51 @@ def check_readings(
                 if not (abs(z[start + j]) < s.value_limit[k]):
                     new[k] = 0
             if new[k] == 0:
-                set_fault(m, s, k, FAULTY, INSANE, 0.0)
-            elif not (-s.dt <= age[k] <= _OLDEST_S):
+                set_fault(m, s, k, STATUS_FAULTY, REASON_OUT_OF_RANGE, 0.0)
+            elif not (-s.dt <= age[k] <= _MAX_READING_AGE_S):
                 new[k] = 0
-                set_fault(m, s, k, FAULTY, LATE, 0.0)
+                set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, 0.0)
         elif new[k] != 0:
             new[k] = 0
-            set_fault(m, s, k, FAULTY, INSANE, 0.0)
+            set_fault(m, s, k, STATUS_FAULTY, REASON_OUT_OF_RANGE, 0.0)
         if new[k] == 1 and _is_repeated(m, s, z, k, start, count):
             # Nothing new was measured: taken for new it would be the past, believed to be now.
             new[k] = 0
-            if (m.tick - m.last_new_tick[k]) * s.dt < 0.6 * s.period[k]:
+            if (m.tick - m.last_new_tick[k]) * s.dt < 0.6 * s.sensor_period[k]:
                 m.double_count[k] += 1
                 if m.double_count[k] >= 2:
-                    set_fault(m, s, k, m.status[k], DOUBLED, 0.0)
+                    set_fault(m, s, k, m.status[k], REASON_DUPLICATED, 0.0)
             else:
                 m.repeat_count[k] += 1
                 m.last_new_tick[k] = m.tick
                 m.double_count[k] = 0
                 if m.repeat_count[k] >= 2:
-                    set_fault(m, s, k, FAULTY, FROZEN, m.repeat_count[k] * s.period[k])
+                    set_fault(m, s, k, STATUS_FAULTY, REASON_FROZEN, m.repeat_count[k] * s.sensor_period[k])
         elif new[k] == 1:
             m.repeat_count[k] = 0
             if (
                 (s.has_noise[k] == 0 or k == R_RING)
                 and m.last_new_tick[k] > 0
-                and (m.tick - m.last_new_tick[k]) * s.dt < 0.6 * s.period[k]
+                and (m.tick - m.last_new_tick[k]) * s.dt < 0.6 * s.sensor_period[k]
             ):
                 new[k] = 0
                 m.double_count[k] += 1
                 if m.double_count[k] >= 3:
-                    set_fault(m, s, k, m.status[k], DOUBLED, 0.0)
+                    set_fault(m, s, k, m.status[k], REASON_DUPLICATED, 0.0)
         if new[k] == 1:
             m.last_new_tick[k] = m.tick
             m.invalid_count[k] = 0
-            again = m.status[k] >= MISSING and m.tick >= m.fault_until_tick[k]
-            if again or (m.status[k] == NOTHING and k != R_RING):
+            again = m.status[k] >= STATUS_MISSING and m.tick >= m.fault_until_tick[k]
+            if again or (m.status[k] == STATUS_WAITING and k != R_RING):
                 # Whether a ring that sees is of use is said by what it sees: in a large room it sees no wall.
-                m.status[k], m.reason[k] = NOTHING if k == R_RING else FUSED, FINE
+                m.status[k], m.reason[k] = STATUS_WAITING if k == R_RING else STATUS_FUSED, REASON_NONE
             if age[k] > s.latency[k] + s.latency_slack[k]:
-                set_fault(m, s, k, FAULTY, LATE, age[k])
+                set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age[k])
                 if k <= R_RATES or k in (R_ROTOR, R_BATTERY):
                     new[k] = 0
             if s.decimation[k] > 1:
                 m.decimation_count[k] += 1
-                m.skipped[k] = 1 if m.decimation_count[k] % s.decimation[k] else 0
+                m.is_decimated[k] = 1 if m.decimation_count[k] % s.decimation[k] else 0
             for j in range(count):
                 m.last_value[start + j] = z[start + j]
             if k <= R_RATES or k == R_RING:
@@ -207,83 +220,83 @@ def check_readings(
             for j in range(count):
                 z[start + j] = m.last_value[start + j]
             if m.last_new_tick[k] > 0 and (m.tick - m.last_new_tick[k]) * s.dt > s.timeout[k]:
-                m.status[k] = MISSING
-                m.reason[k] = NO_ECHO if m.invalid_count[k] > 2 else SILENT
+                m.status[k] = STATUS_MISSING
+                m.reason[k] = REASON_NO_ECHO if m.invalid_count[k] > 2 else REASON_TIMEOUT
                 m.fault_number[k] = (m.tick - m.last_new_tick[k]) * s.dt
     clip = 0.0
     for k in range(3):
-        share = z[CLIPPING + k]
+        share = z[CLIPPING_START + k]
         m.clip_share[k] += 0.1 * ((share if 0.0 <= share <= 1.0 else 1.0) - m.clip_share[k])
         clip = max(clip, m.clip_share[k])
-    if clip > _SHARE and m.status[R_ACCELERATION] == FUSED:
-        set_fault(m, s, R_ACCELERATION, FUSED, CLIPS, clip)
+    if clip > _MIN_CLIP_SHARE and m.status[R_ACCELERATION] == STATUS_FUSED:
+        set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_CLIPPING, clip)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
     """Free the gyroscopes' bias, the attitude and the velocity after persistent innovations of the fix."""
     if m.divergence_ticks <= 1:
         for k in range(3):
-            inflate_variance(m.ut, m.d, EX_GYRO_BIAS + k, ASTRAY_BIAS * ASTRAY_BIAS, m.f)
-            inflate_variance(m.ut, m.d, EX_ATT + k, ASTRAY_TURN * ASTRAY_TURN, m.f)
+            inflate_variance(m.u_transposed, m.d, EX_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS, m.f)
+            inflate_variance(m.u_transposed, m.d, EX_ATT + k, DIVERGED_ATTITUDE * DIVERGED_ATTITUDE, m.f)
         for k in range(2):
-            inflate_variance(m.ut, m.d, EX_VEL + k, ASTRAY_SPEED * ASTRAY_SPEED, m.f)
-    m.divergence_ticks = int(ADRIFT_S / s.dt)
+            inflate_variance(m.u_transposed, m.d, EX_VEL + k, DIVERGED_SPEED * DIVERGED_SPEED, m.f)
+    m.divergence_ticks = int(DIVERGED_WALK_S / s.dt)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> None:
     """Replace a spike of the gyroscopes by the model's rate, and remove a jump as an offset.
 
     ``m.gyro_rates`` are the new rates, ``m.gyro_rates_prev`` those of the period before."""
-    now = (m.tick - 1) % MODELLED
+    now = (m.tick - 1) % ROTOR_FORCE_HISTORY
     worst, led = 0.0, 0.0
     for k in range(3):
-        m.axis_work[k] = (
-            m.gyro_rates_prev[k] + s.dt * m.rotor_force[now, RF_ANG_ACCEL + k] + m.ang_accel_bias[k]
-        )
+        m.axis_work[k] = m.gyro_rates_prev[k] + s.dt * m.rotor_force[now, RF_ANG_ACCEL + k] + m.ang_accel_bias[k]
         off = m.gyro_rates[k] - m.axis_work[k]
         worst = max(worst, abs(off))
         # A spike may come in two steps, of which each would pass.
-        led = max(led, abs(_LINGERS * m.spike_carry[k] + off))
+        led = max(led, abs(_SPIKE_CARRY_SHARE * m.spike_residual_carry[k] + off))
         # What its moments are off by, in flight and on the legs
-        m.ang_accel_bias[k] += _TURN_OFF * min(max(off, -_SPIKE), _SPIKE) if m.flight_phase >= LIGHT else 0.0
+        m.ang_accel_bias[k] += (
+            _ANG_ACCEL_BIAS_GAIN * min(max(off, -_SPIKE_RATE), _SPIKE_RATE) if m.flight_phase >= PHASE_LIGHT else 0.0
+        )
     # A model that is off again and again cannot tell a spike from a motion.
-    most = _SPIKE + _ROUGH * m.rate_residual_lp
-    m.rate_residual_lp += 0.1 * (min(worst, _SPIKE) - m.rate_residual_lp)
+    most = _SPIKE_RATE + _ROUGHNESS_FACTOR * m.rate_residual_lp
+    m.rate_residual_lp += 0.1 * (min(worst, _SPIKE_RATE) - m.rate_residual_lp)
     m.divergence_ticks = max(m.divergence_ticks - 1, min(m.divergence_ticks, 1))  # once astray, it remembers
     if not flying or s.has_rotor_model == 0:
         m.spike_repeats = 0
         return
     alike = m.spike_repeats > 0
     for k in range(3):
-        alike = alike and abs(m.gyro_rates[k] - m.spike_rates[k]) < _ALIKE
-        m.spike_rates[k] = m.gyro_rates[k]
+        alike = alike and abs(m.gyro_rates[k] - m.rates_with_spikes[k]) < _SPIKE_AGREEMENT
+        m.rates_with_spikes[k] = m.gyro_rates[k]
     fine = max(worst, led) < most
     for k in range(3):
-        m.spike_carry[k] *= _LINGERS
+        m.spike_residual_carry[k] *= _SPIKE_CARRY_SHARE
         if fine:
-            m.spike_carry[k] += m.gyro_rates[k] - m.axis_work[k]
+            m.spike_residual_carry[k] += m.gyro_rates[k] - m.axis_work[k]
     if fine:
         m.spike_repeats = m.spike_count = 0
         return
     m.spike_count += 1
     m.spike_repeats = m.spike_repeats + 1 if alike else 1
     if m.spike_count == 1:
-        m.reject_score[R_RATES] = m.reject_score[R_RATES] * FORGET + 1.0
+        m.reject_score[R_RATES] = m.reject_score[R_RATES] * REJECT_DECAY + 1.0
         if m.reject_score[R_RATES] > 3.0:
-            set_fault(m, s, R_RATES, FUSED, SPIKES, worst)
+            set_fault(m, s, R_RATES, STATUS_FUSED, REASON_SPIKES, worst)
     small = True
     for k in range(3):
-        small = small and abs(m.gyro_offset[k] + (m.gyro_rates[k] - m.axis_work[k])) < _LARGEST_SHIFT
+        small = small and abs(m.gyro_offset[k] + (m.gyro_rates[k] - m.axis_work[k])) < _MAX_GYRO_OFFSET
     if m.spike_repeats >= 2 and small:
         # Twice the same: an offset that came at once is no motion. It is taken off from now on.
         for k in range(3):
             off = m.gyro_rates[k] - m.axis_work[k]
             m.gyro_offset[k] += off
-            inflate_variance(m.ut, m.d, EX_GYRO_BIAS + k, 0.1 * off * (0.1 * off), m.f)
+            inflate_variance(m.u_transposed, m.d, EX_GYRO_BIAS + k, 0.1 * off * (0.1 * off), m.f)
         m.spike_repeats = m.spike_count = 0
-        set_fault(m, s, R_RATES, FUSED, JUMPED, worst)
+        set_fault(m, s, R_RATES, STATUS_FUSED, REASON_JUMP, worst)
     elif m.spike_count > 8:
         m.spike_count = 0
         return
@@ -291,7 +304,7 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
         m.gyro_rates[k] = m.axis_work[k]
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def rotor_speed_consistent(m: FilterMemory, s: FilterSettings, z: _Array, start: int) -> bool:
     """Return whether measured rotor speeds agree with the motors' equations.
 
@@ -304,36 +317,34 @@ def rotor_speed_consistent(m: FilterMemory, s: FilterSettings, z: _Array, start:
         worst = max(worst, abs(z[start + j] - m.rotor_state[RS_SPEED_UPPER + j]) / s.hover_speed[j])
         away = max(away, abs(m.motor_accel_bias[j] - m.motor_accel_mean[j]) / s.hover_speed[j])
     # On the floor it is the equations that have to learn.
-    if m.flight_phase == FLYING:
-        if flown > _ROTOR_KNOWN_S and away > _ROTOR_LED:
+    if m.flight_phase == PHASE_FLYING:
+        if flown > _ROTOR_ACCEL_SETTLING_S and away > _ROTOR_ACCEL_LIMIT:
             for j in range(2):
                 m.motor_accel_bias[j] = m.motor_accel_mean[j]
-            mark_rejected(m, s, k, OFF, worst * s.hover_speed[0])
+            mark_rejected(m, s, k, REASON_INNOVATION, worst * s.hover_speed[0])
             return False
-        if worst > (_ROTOR_SURE if m.reject_score[k] > 0.5 else _ROTOR_OFF):
-            mark_rejected(m, s, k, OFF, worst * s.hover_speed[0])
+        if worst > (_ROTOR_SPEED_RECOVERY_GATE if m.reject_score[k] > 0.5 else _ROTOR_SPEED_GATE):
+            mark_rejected(m, s, k, REASON_INNOVATION, worst * s.hover_speed[0])
             return False
-    share = s.period[k] / max(min(flown, _ROTOR_MEAN_S), s.period[k])
+    share = s.sensor_period[k] / max(min(flown, _ROTOR_ACCEL_MEAN_S), s.sensor_period[k])
     for j in range(2):
         m.motor_accel_mean[j] += share * (m.motor_accel_bias[j] - m.motor_accel_mean[j])
     mark_fused(m, k)
     return True
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def battery_voltage_consistent(m: FilterMemory, s: FilterSettings, off: float) -> bool:
     """Return whether the measured voltage agrees with the battery's model."""
-    if abs(off) > _VOLTS_OFF and m.tick * s.dt > 1.0:
-        mark_rejected(m, s, R_BATTERY, OFF, off)
+    if abs(off) > _VOLTAGE_GATE and m.tick * s.dt > 1.0:
+        mark_rejected(m, s, R_BATTERY, REASON_INNOVATION, off)
         return False
     mark_fused(m, R_BATTERY)
     return True
 
 
-@compiled(error_model="numpy")
-def check_accel_model(
-    m: FilterMemory, s: FilterSettings, nu: float, variance: float, known: float, i: int
-) -> None:
+@cached_njit(error_model="numpy")
+def check_accel_model(m: FilterMemory, s: FilterSettings, nu: float, variance: float, known: float, i: int) -> None:
     """Compare the mean of accelerometers less model over 0.4 s with its expected deviation.
 
     ``nu`` is the residual of axis ``i`` over a block, ``variance`` that of its noise, ``known`` that of the prediction.
@@ -348,11 +359,11 @@ def check_accel_model(
                 if m.accel_residual_sigma[j] > 0.0
                 else worst
             )
-        if m.accel_distrusted == 0 and worst > 6.0:
-            m.accel_distrusted = 1
-        elif m.accel_distrusted == 1 and worst < 2.0:
-            m.accel_distrusted = 0
-        if m.accel_distrusted == 1:
-            set_fault(m, s, k, FAULTY, OFF, m.accel_residual_lp[2])
+        if m.is_accel_distrusted == 0 and worst > 6.0:
+            m.is_accel_distrusted = 1
+        elif m.is_accel_distrusted == 1 and worst < 2.0:
+            m.is_accel_distrusted = 0
+        if m.is_accel_distrusted == 1:
+            set_fault(m, s, k, STATUS_FAULTY, REASON_INNOVATION, m.accel_residual_lp[2])
     # The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance.
     m.accel_residual_sigma[i] = math.sqrt(variance * 0.0526 + known + 0.04)

@@ -6,8 +6,8 @@ body axes:
     dR/dt = R [w - b_w]x,       dv/dt = R f + g e_D,       dp/dt = v
 
 Specific force is known twice. The accelerometers feel it; the rotors and drag *make* it, and the flight model says
-how much (:func:`mufly.dynamics.derivative`, asked in body axes, far above the floor). Two measurements of the same
-force with densities q_a and q_m of their noise are weighed by them,
+how much (:func:`mufly.dynamics.state_derivative`, asked in body axes, far above the floor). Two measurements of the
+same force with densities q_a and q_m of their noise are weighed by them,
 
     f = W (a - b_a) + (1 - W) m(x),         W = q_m / (q_a + q_m),
 
@@ -28,10 +28,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
 from mufly.dynamics import battery_state
-from mufly.dynamics.model import _clip, derivative_tilted
-from mufly.dynamics.state import (
+from mufly.dynamics.equations_of_motion import _clip_value, state_derivative_tilted
+from mufly.dynamics.model_state import (
     RS_BAR,
     RS_CHARGE,
     RS_RATES,
@@ -46,7 +45,7 @@ from mufly.dynamics.state import (
     U_SERVO_2,
     ModelParameters,
 )
-from mufly.estimate.layout import (
+from mufly.estimate.filter_records import (
     IN_ACCEL,
     IN_PHASE,
     IN_RATES,
@@ -55,11 +54,11 @@ from mufly.estimate.layout import (
     IN_SLOPE,
     IN_STATIC,
     MODEL_ACCEL,
+    PHASE_RUNNING,
     RF_ANG_ACCEL,
     RF_REST,
     RF_SLOPE,
     RF_STATIC,
-    RUNNING,
     SX_ACCEL_BIAS,
     SX_ATT,
     SX_GYRO_BIAS,
@@ -73,15 +72,16 @@ from mufly.estimate.layout import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.trigonometry import sine_cosine
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import sine_cosine
 from mufly.units import GRAVITY
 
 _Array = NDArray[np.float64]
 
-_SLOPE_STEP = 0.05  # m/s, for the slope of drag
+_DRAG_SLOPE_STEP = 0.05  # m/s, for the slope of drag
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def rotation_matrix(q: _Array, r: _Array) -> None:
     """Write the matrix (9 numbers, by rows) from body axes to N-E-D; ``q`` (4,) is w x y z."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -90,7 +90,7 @@ def rotation_matrix(q: _Array, r: _Array) -> None:
     r[6], r[7], r[8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def rotate_attitude(x: _Array, t_x: float, t_y: float, t_z: float, own: bool) -> None:
     """Rotate the attitude in state ``x`` by a small turn (rad), about body axes if ``own``, else about N, E, D."""
     square = t_x * t_x + t_y * t_y + t_z * t_z
@@ -111,7 +111,7 @@ def rotate_attitude(x: _Array, t_x: float, t_y: float, t_z: float, own: bool) ->
     x[SX_ATT], x[SX_ATT + 1], x[SX_ATT + 2], x[SX_ATT + 3] = n_w * size, n_x * size, n_y * size, n_z * size
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None:
     """Predict the state ``x`` over ``dt`` (s) with a row of inputs ``e``.
 
@@ -145,7 +145,7 @@ def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None
         x[SX_VEL + k] += dt * gain
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Array) -> None:
     """Write how position, velocity and attitude depend on errors after a step.
 
@@ -180,7 +180,7 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
             out[TR_ACCEL + 3 * i + j] = -own * e[IN_SHARE + j]
             k_ += own * ((1 - e[IN_SHARE + j]) * e[IN_STATIC + j])
         out[TR_THRUST + i] = k_
-        out[TR_TURN + i] = 0.0 if e[IN_PHASE] <= RUNNING else span * push[i]
+        out[TR_TURN + i] = 0.0 if e[IN_PHASE] <= PHASE_RUNNING else span * push[i]
     for i in range(3):
         for j in range(i, 3):
             s = 0.0
@@ -190,7 +190,7 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
             out[TR_AIR + 3 * j + i] = s
 
 
-@compiled(error_model="numpy", inline="never")
+@cached_njit(error_model="numpy", inline="never")
 def _model_derivative(
     x: _Array,
     u: _Array,
@@ -202,13 +202,11 @@ def _model_derivative(
     cos_b: float,
     dx: _Array,
 ) -> None:
-    derivative_tilted(x, u, still, p, sin_a, cos_a, sin_b, cos_b, False, dx)
+    state_derivative_tilted(x, u, still, p, sin_a, cos_a, sin_b, cos_b, False, dx)
 
 
-@compiled(error_model="numpy")
-def predict_rotor_force(
-    m: FilterMemory, s: FilterSettings, p: ModelParameters, air: _Array, out: _Array
-) -> None:
+@cached_njit(error_model="numpy")
+def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, air: _Array, out: _Array) -> None:
     """Carry what the rotors remember on by a period, and write the force that they and the air make.
 
     Parameters
@@ -225,9 +223,9 @@ def predict_rotor_force(
     """
     x, dx, u, dt = m.rotor_state, m.derivative_work, m.actuators, s.dt
     # The swash plate settles within the period: its mean counts.
-    settled, mean = s.swash_settled, s.swash_mean
-    to_roll = p.swash_gain * _clip(u[U_SERVO_2], -1.0, 1.0)
-    to_pitch = -p.swash_gain * _clip(u[U_SERVO_1], -1.0, 1.0)
+    settled, mean = s.swash_decay, s.swash_decay_mean
+    to_roll = p.swash_gain * _clip_value(u[U_SERVO_2], -1.0, 1.0)
+    to_pitch = -p.swash_gain * _clip_value(u[U_SERVO_1], -1.0, 1.0)
     roll, pitch = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
     x[RS_SWASH_ROLL] = to_roll + (roll - to_roll) * mean
     x[RS_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * mean
@@ -255,11 +253,11 @@ def predict_rotor_force(
         out[RF_ANG_ACCEL + k] = dx[RS_RATES + k]
     d_x, d_y, d_z = dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] - GRAVITY
     for k in range(3):
-        x[RS_VEL + k] = air[k] + _SLOPE_STEP
+        x[RS_VEL + k] = air[k] + _DRAG_SLOPE_STEP
     _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
-    out[RF_SLOPE] = min((dx[RS_VEL] - d_x) / _SLOPE_STEP, 0.0)
-    out[RF_SLOPE + 1] = min((dx[RS_VEL + 1] - d_y) / _SLOPE_STEP, 0.0)
-    out[RF_SLOPE + 2] = min((dx[RS_VEL + 2] - GRAVITY - d_z) / _SLOPE_STEP, 0.0)
+    out[RF_SLOPE] = min((dx[RS_VEL] - d_x) / _DRAG_SLOPE_STEP, 0.0)
+    out[RF_SLOPE + 1] = min((dx[RS_VEL + 1] - d_y) / _DRAG_SLOPE_STEP, 0.0)
+    out[RF_SLOPE + 2] = min((dx[RS_VEL + 2] - GRAVITY - d_z) / _DRAG_SLOPE_STEP, 0.0)
     out[RF_REST] = d_x - f_x - out[RF_SLOPE] * air[0]
     out[RF_REST + 1] = d_y - f_y - out[RF_SLOPE + 1] * air[1]
     out[RF_REST + 2] = d_z - f_z - out[RF_SLOPE + 2] * air[2]
@@ -271,7 +269,7 @@ def predict_rotor_force(
     x[RS_CHARGE] = min(max(x[RS_CHARGE] + dt * dx[RS_CHARGE], 0.0), 1.0)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def predict_terminal_voltage(m: FilterMemory, p: ModelParameters) -> float:
     """Return the terminal voltage (V) of the battery's model at the estimated charge and speeds."""
     return battery_state(m.rotor_state, m.actuators[U_MOTOR_UPPER], m.actuators[U_MOTOR_LOWER], p)[0]

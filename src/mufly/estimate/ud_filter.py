@@ -10,11 +10,11 @@ Estimation, ch. V): with f = U^T h, v = D f, and a_0 = r, for j = 1..n
 
 starting from K_j = v_j; the gain is K / a_n, and a_n = h P h^T + r.
 
-Step in time. What moves (position, velocity, attitude: the first :data:`MOVING` states) is pushed by biases that carry
-on by themselves, so the factors are stepped in two parts (Bierman 1977, ch. VII): the moving states with the biases
-held (:func:`ud_time_update`), and one bias after the other as x' = keep x + w (:func:`gauss_markov_update`). Rows of
-biases stay as they are in the first, so U stays triangular but for the three columns of the velocity, which drag
-turns into each other: they are made orthogonal from the last to the first (Thornton 1976, modified weighted
+Step in time. What moves (position, velocity, attitude: the first :data:`MOTION_STATE_COUNT` states) is pushed by biases
+that carry on by themselves, so the factors are stepped in two parts (Bierman 1977, ch. VII): the moving states with the
+biases held (:func:`ud_time_update`), and one bias after the other as x' = keep x + w (:func:`gauss_markov_update`).
+Rows of biases stay as they are in the first, so U stays triangular but for the three columns of the velocity, which
+drag turns into each other: they are made orthogonal from the last to the first (Thornton 1976, modified weighted
 Gram-Schmidt). Noise is added as P + c v v^T, factor by factor (Agee and Turner 1972).
 
 U is held by columns: ``ut[j, i] = U_ij``, so that inner loops run over neighbours; ones on its diagonal and zeros
@@ -26,8 +26,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.estimate.layout import (
+from mufly.estimate.filter_records import (
     EX_ACCEL_BIAS,
     EX_ATT,
     EX_GYRO_BIAS,
@@ -41,17 +40,16 @@ from mufly.estimate.layout import (
     TR_THRUST,
     TR_TURN,
 )
+from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 
-MOVING = 9
-_TINY = 1e-20
+MOTION_STATE_COUNT = 9
+_MIN_DIAGONAL = 1e-20
 
 
-@compiled(error_model="numpy")
-def innovation_variance(
-    ut: _Array, d: _Array, at: NDArray[np.int32], h: _Array, terms: int, f: _Array
-) -> float:
+@cached_njit(error_model="numpy")
+def innovation_variance(ut: _Array, d: _Array, at: NDArray[np.int32], h: _Array, terms: int, f: _Array) -> float:
     """Write f = U^T h and return h P h^T; ``h[t]`` belongs to state ``at[t]``, and there are ``terms`` of them."""
     spread = 0.0
     for j in range(d.shape[0]):
@@ -63,7 +61,7 @@ def innovation_variance(
     return spread
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def ud_measurement_update(ut: _Array, d: _Array, f: _Array, r: float, gain: _Array) -> None:
     """Update U and D by a measurement of variance ``r``, with ``f`` of :func:`innovation_variance`; write its gain."""
     n = d.shape[0]
@@ -83,13 +81,13 @@ def ud_measurement_update(ut: _Array, d: _Array, f: _Array, r: float, gain: _Arr
         gain[j] /= a
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _rank_one_update(ut: _Array, d: _Array, last: int, c: float, v: _Array) -> None:
     """Add c v v^T to P, ``v`` zero behind ``last`` (Agee and Turner 1972); ``v`` is overwritten."""
     for k in range(last, -1, -1):
         old = d[k]
         new = old + c * v[k] * v[k]
-        if new <= _TINY:
+        if new <= _MIN_DIAGONAL:
             continue
         b = c * v[k] / new
         for i in range(k):
@@ -99,7 +97,7 @@ def _rank_one_update(ut: _Array, d: _Array, last: int, c: float, v: _Array) -> N
         d[k] = new
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
     """Write the first nine errors of column ``u`` (n,) after a step; ``out`` may be ``u``."""
     g_x, g_y, g_z = u[EX_GYRO_BIAS], u[EX_GYRO_BIAS + 1], u[EX_GYRO_BIAS + 2]
@@ -151,7 +149,7 @@ def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
     out[EX_ATT + 2] = u[EX_ATT + 2] - r_z
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
     """Do the same as :func:`propagate_column`, in place, for a column without biases."""
     n, e, o = u[EX_VEL], u[EX_VEL + 1], u[EX_VEL + 2]
@@ -169,10 +167,8 @@ def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
     u[EX_VEL + 2] = o + z
 
 
-@compiled(error_model="numpy")
-def ud_time_update(
-    ut: _Array, d: _Array, span: float, transition: _Array, q: _Array, w: _Array, v: _Array
-) -> None:
+@cached_njit(error_model="numpy")
+def ud_time_update(ut: _Array, d: _Array, span: float, transition: _Array, q: _Array, w: _Array, v: _Array) -> None:
     """Step the moving states in time.
 
     Parameters
@@ -188,9 +184,9 @@ def ud_time_update(
     w, v : (3, 6), (n,) arrays
         Work space.
     """
-    for k in range(EX_VEL, MOVING):
+    for k in range(EX_VEL, MOTION_STATE_COUNT):
         _propagate_moving_column(ut[k], span, transition)
-    for k in range(MOVING, d.shape[0]):
+    for k in range(MOTION_STATE_COUNT, d.shape[0]):
         propagate_column(ut[k], span, transition, ut[k])
     for k in range(3):
         for i in range(EX_ATT):
@@ -199,7 +195,7 @@ def ud_time_update(
         total = 0.0
         for k in range(3):
             total += d[EX_VEL + k] * w[k, j] * w[k, j]
-        size = total if total > _TINY else _TINY
+        size = total if total > _MIN_DIAGONAL else _MIN_DIAGONAL
         v[j] = size
         for i in range(j):
             s = 0.0
@@ -214,7 +210,7 @@ def ud_time_update(
             ut[j, i] = 0.0
     for j in range(EX_VEL, EX_ATT):
         d[j] = v[j]
-    for j in range(MOVING):
+    for j in range(MOTION_STATE_COUNT):
         for i in range(j):
             v[i] = 0.0
         v[j] = 1.0
@@ -223,7 +219,7 @@ def ud_time_update(
         _rank_one_update(ut, d, j, q[j], v)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def gauss_markov_update(ut: _Array, d: _Array, j: int, keep: float, q: float, v: _Array) -> None:
     """Predict one bias, x' = keep x + w, with variance ``q`` of w; ``v`` (n,) is work space."""
     for k in range(j + 1, d.shape[0]):
@@ -238,7 +234,7 @@ def gauss_markov_update(ut: _Array, d: _Array, j: int, keep: float, q: float, v:
     _rank_one_update(ut, d, j - 1, old * q / new, v)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def inflate_variance(ut: _Array, d: _Array, j: int, variance: float, v: _Array) -> None:
     """Add a variance to state ``j``; ``v`` (n,) is work space."""
     for i in range(j):
@@ -247,7 +243,7 @@ def inflate_variance(ut: _Array, d: _Array, j: int, variance: float, v: _Array) 
     _rank_one_update(ut, d, j, variance, v)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def state_variance(ut: _Array, d: _Array, i: int) -> float:
     """Return the variance of state ``i``."""
     s = d[i]

@@ -1,44 +1,54 @@
 """What runs on board? The controllers as C99, exported with a vehicle's numbers, built and flown on this machine."""
 
-from mufly.firmware.checks import PilResult, SilResult, deepest_stack, missing_tools, pil, sil
-from mufly.firmware.fixed import FixedLaw, FixedLoss, Proof, cascade_loss, fixed_law
-from mufly.firmware.fixed_checks import FixedFlight, fly_fixed
-from mufly.firmware.fuzzing import FuzzResult, fuzz, missing_fuzzer, run_fuzzer
-from mufly.firmware.host import Firmware, FirmwareControllers, build
-from mufly.firmware.integer_law import FixedControllers, FixedFirmwareControllers, export_fixed
-from mufly.firmware.onboard import FirmwareSoftware, QuickSoftware
-from mufly.firmware.report import write_report
-from mufly.firmware.tables import export, tables_c
-from mufly.toolchain import compiler
+from mufly.firmware.compiled_software import FirmwareSoftware, GenericFirmwareSoftware
+from mufly.firmware.evidence_report import write_report
+from mufly.firmware.fixed_point_design import (
+    FixedPointLaw,
+    OverflowProof,
+    QuantisationLoss,
+    measure_cascade_loss,
+    quantise_law,
+)
+from mufly.firmware.fixed_point_flights import FixedPointFlight, fly_fixed_point
+from mufly.firmware.fixed_point_law import (
+    FixedPointControllers,
+    FixedPointFirmwareControllers,
+    export_fixed_point,
+)
+from mufly.firmware.fuzzing import FuzzResult, fuzz_firmware, missing_fuzzer_tools, run_fuzzer
+from mufly.firmware.host_build import Firmware, FirmwareControllers, build_library
+from mufly.firmware.sil_pil import PilResult, SilResult, find_deepest_stack, missing_tools, run_pil, run_sil
+from mufly.firmware.source_export import export_firmware, render_gains_source
+from mufly.toolchain import find_compiler
 
 __all__ = [
     "Firmware",
     "FirmwareControllers",
     "FirmwareSoftware",
-    "FixedControllers",
-    "FixedFirmwareControllers",
-    "FixedFlight",
-    "FixedLaw",
-    "FixedLoss",
+    "FixedPointControllers",
+    "FixedPointFirmwareControllers",
+    "FixedPointFlight",
+    "FixedPointLaw",
     "FuzzResult",
+    "GenericFirmwareSoftware",
+    "OverflowProof",
     "PilResult",
-    "Proof",
-    "QuickSoftware",
+    "QuantisationLoss",
     "SilResult",
-    "build",
-    "cascade_loss",
-    "compiler",
-    "deepest_stack",
-    "export",
-    "export_fixed",
-    "fixed_law",
-    "fly_fixed",
-    "fuzz",
-    "missing_fuzzer",
+    "build_library",
+    "export_firmware",
+    "export_fixed_point",
+    "find_compiler",
+    "find_deepest_stack",
+    "fly_fixed_point",
+    "fuzz_firmware",
+    "measure_cascade_loss",
+    "missing_fuzzer_tools",
     "missing_tools",
-    "pil",
+    "quantise_law",
+    "render_gains_source",
     "run_fuzzer",
-    "sil",
-    "tables_c",
+    "run_pil",
+    "run_sil",
     "write_report",
 ]

@@ -1,4 +1,5 @@
-"""The estimator's numbers of one vehicle: ``records.h``, which says what it remembers, and ``estimate_tables.c``."""
+"""The estimator's numbers of one vehicle: ``records.h``, which says what it remembers, and
+``estimate_tables.c``."""
 
 from __future__ import annotations
 
@@ -8,27 +9,27 @@ from collections.abc import Iterator
 import numpy as np
 
 from mufly.dynamics import model_parameters
-from mufly.estimate.layout import (
-    KEPT,
-    LAG,
+from mufly.estimate.c_records import FIELD_UNITS, model_record, render_records_header
+from mufly.estimate.filter_records import (
+    INPUT_BLOCK_COUNT,
+    MAX_LAG_BLOCKS,
+    QUEUE_SIZE,
     R_FIX,
     R_MAGNET,
     R_PRESSURE,
     R_RING,
     R_SONAR,
-    WAITING,
     filter_settings,
 )
-from mufly.estimate.records import UNITS, model_record, records_h
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 from mufly.world import World
 
-NO_VEHICLE = {"map_nodes": 0}
+NO_VEHICLE_PARAMETERS = {"map_nodes": 0}
 """Of which ``records.h`` is as on the machine that simulates."""
 
 
-def estimate_files(vehicle: Vehicle | None, world: World | None, rate_Hz: float) -> dict[str, str]:
+def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz: float) -> dict[str, str]:
     """Return the text of what is made of a vehicle's estimator, by its file's name.
 
     Parameters
@@ -41,7 +42,7 @@ def estimate_files(vehicle: Vehicle | None, world: World | None, rate_Hz: float)
         Of the flight software.
     """
     if vehicle is None:
-        return {"records.h": records_h(NO_VEHICLE)}
+        return {"records.h": render_records_header(NO_VEHICLE_PARAMETERS)}
     settings = np.array([filter_settings(vehicle, world or World(), rate_Hz)])
     p = model_parameters(vehicle)
     lines = [
@@ -49,50 +50,53 @@ def estimate_files(vehicle: Vehicle | None, world: World | None, rate_Hz: float)
         '#include "ekf_step.h"',
         "",
         "const estimator_settings_t mufly_settings = {",
-        *_fields(settings),
+        *_initialiser_lines(settings),
         "};",
         "",
         "const flight_model_t mufly_flight_model = {",
-        *_fields(model_record(p)),
+        *_initialiser_lines(model_record(p)),
         "};",
         "",
     ]
-    return {"records.h": records_h(p, *_remembered(settings[0])), "estimate_tables.c": "\n".join(lines)}
+    return {
+        "records.h": render_records_header(p, *_buffer_sizes(settings[0])),
+        "estimate_tables.c": "\n".join(lines),
+    }
 
 
-def _remembered(s: np.void) -> tuple[int, int]:
+def _buffer_sizes(s: np.void) -> tuple[int, int]:
     """How many blocks of input, and how many measurements: from the horizon to now, be it behind as far as it may."""
-    blocks = int(s["delay_ticks"]) // int(s["block_ticks"]) + LAG + 4
-    span = (int(s["delay_ticks"]) + (LAG + 1) * int(s["block_ticks"])) * float(s["dt"])
+    blocks = int(s["delay_ticks"]) // int(s["block_ticks"]) + MAX_LAG_BLOCKS + 4
+    span = (int(s["delay_ticks"]) + (MAX_LAG_BLOCKS + 1) * int(s["block_ticks"])) * float(s["dt"])
     waiting = sum(
-        math.ceil((span - s["latency"][k]) / (s["period"][k] * s["decimation"][k])) + 1
+        math.ceil((span - s["latency"][k]) / (s["sensor_period"][k] * s["decimation"][k])) + 1
         for k in (R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_FIX)
-        if s["fitted"][k]
+        if s["is_fitted"][k]
     )
-    return min(blocks, KEPT), max(1, min(waiting, WAITING))
+    return min(blocks, INPUT_BLOCK_COUNT), max(1, min(waiting, QUEUE_SIZE))
 
 
-def _fields(record: np.ndarray) -> Iterator[str]:
+def _initialiser_lines(record: np.ndarray) -> Iterator[str]:
     for name in record.dtype.names or ():
         value = record[name][0]
-        unit = UNITS.get(name, "")
+        unit = FIELD_UNITS.get(name, "")
         if value.ndim == 0:
-            yield f"    .{name} = {_number(value)}, /* {_said(value, unit)} */"
+            yield f"    .{name} = {_c_literal(value)}, /* {_value_comment(value, unit)} */"
             continue
         yield f"    .{name} ="
         yield "        {"
         for row in value:
-            numbers = [_number(v) for v in np.atleast_1d(row)]
+            numbers = [_c_literal(v) for v in np.atleast_1d(row)]
             text = numbers[0] if row.ndim == 0 else f"{{{', '.join(numbers)}}}"
-            yield f"            {text}, /* {_said(row, unit)} */"
+            yield f"            {text}, /* {_value_comment(row, unit)} */"
         yield "        },"
 
 
-def _said(value: np.ndarray | np.generic, unit: str) -> str:
+def _value_comment(value: np.ndarray | np.generic, unit: str) -> str:
     return f"{', '.join(f'{v:.9g}' for v in np.atleast_1d(value))} {unit}".rstrip()
 
 
-def _number(value: np.generic) -> str:
+def _c_literal(value: np.generic) -> str:
     if np.issubdtype(value.dtype, np.integer):
         return str(int(value))
     number = float(value)

@@ -13,15 +13,15 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from mufly.control import design
+from mufly.control import design_flight_controller
 from mufly.errors import MuflyError
-from mufly.firmware.checks import built
-from mufly.firmware.integer_law import export_fixed
-from mufly.firmware.tables import export
+from mufly.firmware.fixed_point_law import export_fixed_point
+from mufly.firmware.sil_pil import run_compiler
+from mufly.firmware.source_export import export_firmware
 from mufly.results import result
 from mufly.vehicle import Vehicle
 
-_FLAGS = (
+_FUZZER_FLAGS = (
     "-std=gnu99", "-g", "-O1", "-ffp-contract=off", "-fno-math-errno",
     "-fsanitize=fuzzer,address,undefined,float-cast-overflow", "-fno-sanitize-recover=all", "-I.", "-Icheck", "-Ifixed",
 )  # fmt: skip
@@ -56,8 +56,8 @@ class FuzzResult:
 
 
 @functools.cache
-def missing_fuzzer() -> str:
-    """Return what has to be installed for :func:`fuzz`, as one line; "" if all is there.
+def missing_fuzzer_tools() -> str:
+    """Return what has to be installed for :func:`fuzz_firmware`, as one line; "" if all is there.
 
     Debian packs clang's fuzzer and sanitizers apart from clang, so a program is linked with them to see.
     """
@@ -65,7 +65,7 @@ def missing_fuzzer() -> str:
         return "install clang (Debian, Ubuntu: apt-get install clang)"
     empty = "int LLVMFuzzerTestOneInput(const unsigned char *d, unsigned long n) { return d && n ? 0 : 0; }"
     with tempfile.TemporaryDirectory() as folder:
-        flags = [f for f in _FLAGS if f.startswith("-f")]
+        flags = [f for f in _FUZZER_FLAGS if f.startswith("-f")]
         build = ["clang", *flags, "-x", "c", "-", "-o", f"{folder}/empty"]
         made = subprocess.run(build, input=empty, text=True, capture_output=True, timeout=120, check=False)
     if made.returncode:
@@ -73,7 +73,7 @@ def missing_fuzzer() -> str:
     return ""
 
 
-def fuzz(vehicle: Vehicle, *, seconds: float, seed: int = 1) -> FuzzResult:
+def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1) -> FuzzResult:
     """Feed the exported code any bytes.
 
     Parameters
@@ -89,14 +89,14 @@ def fuzz(vehicle: Vehicle, *, seconds: float, seed: int = 1) -> FuzzResult:
     MuflyError
         If there is no clang, or it has no libFuzzer.
     """
-    absent = missing_fuzzer()
+    absent = missing_fuzzer_tools()
     if absent:
         raise MuflyError(f"fuzzing: {absent}")
     with tempfile.TemporaryDirectory(prefix="mufly-fuzz-") as temporary:
         folder = Path(temporary) / "fw"
-        controller = design(vehicle)
-        export(controller, folder, vehicle)
-        export_fixed(controller, folder)
+        controller = design_flight_controller(vehicle)
+        export_firmware(controller, folder, vehicle)
+        export_fixed_point(controller, folder)
         return run_fuzzer(folder, seconds=seconds, seed=seed)
 
 
@@ -113,14 +113,14 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1) -> FuzzResult:
         "flight software": "-DFUZZ_MISSION",
         "estimator": "-DFUZZ_ESTIMATE",
     }
-    flags = ["clang", *_FLAGS, *(flag for part, flag in define.items() if there[part])]
+    flags = ["clang", *_FUZZER_FLAGS, *(flag for part, flag in define.items() if there[part])]
     objects = []
     for source in sorted((*folder.glob("*.c"), *folder.glob("fixed/*.c"), folder / "check" / "fuzz.c")):
         made = source.with_suffix(".fuzz.o")
         if not made.exists() or made.stat().st_mtime_ns < source.stat().st_mtime_ns:
-            built([*flags, "-c", str(source), "-o", str(made)], folder)
+            run_compiler([*flags, "-c", str(source), "-o", str(made)], folder)
         objects.append(str(made))
-    built([*flags, *objects, "-o", "fuzz", "-lm"], folder)
+    run_compiler([*flags, *objects, "-o", "fuzz", "-lm"], folder)
     done = subprocess.run(
         [str(folder / "fuzz"), f"-max_total_time={max(1, round(seconds))}", f"-seed={seed}", "-max_len=4096",
          "-len_control=20", "-print_final_stats=1", "-timeout=20", f"-artifact_prefix={folder}/found-", "corpus"],
@@ -132,9 +132,7 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1) -> FuzzResult:
         line = re.search(r"(\S+: runtime error: .*|ERROR: .*|.*SUMMARY: .*)", said)
         where = re.findall(r"#\d+ 0x\w+ in (\w+) .*?(\w+\.c:\d+)", said)
         told = [f"{name} ({place})" for name, place in where if not name.startswith(("__", "fuzzer"))]
-        found = (
-            f"{line[1] if line else 'it ended with status ' + str(done.returncode)}: {' < '.join(told[:5])}"
-        )
+        found = f"{line[1] if line else 'it ended with status ' + str(done.returncode)}: {' < '.join(told[:5])}"
     broken = next(iter(sorted(folder.glob("found-*"))), None)
     executed = re.search(r"stat::number_of_executed_units:\s*(\d+)", said)
     covered = re.findall(r"cov: (\d+)", said)

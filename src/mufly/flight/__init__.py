@@ -1,69 +1,75 @@
 """All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
 
 from mufly.flight.autopilot import Autopilot
-from mufly.flight.controllers import Actuators, Controllers, able
-from mufly.flight.flight import ALIGNED_WITHIN_S, Flight, Progress, fly
-from mufly.flight.parameters import Parameter
-from mufly.flight.plant import Demand, Plant, respond
-from mufly.flight.record.estimate_pictures import draw_belief, draw_checks, draw_estimate
-from mufly.flight.record.pictures import draw_flight
-from mufly.flight.record.recorder import Recorder
+from mufly.flight.controllers import Actuators, Controllers, controller_limits
+from mufly.flight.flight_software import FlightSoftware
+from mufly.flight.flight_state import FlightState
+from mufly.flight.record.estimate_pictures import draw_checks, draw_estimate, draw_estimate_pictures
+from mufly.flight.record.flight_pictures import draw_flight
+from mufly.flight.record.flight_summary import FlightSummary, summarise_flight, summary_rows
+from mufly.flight.record.recorder import FlightRecorder
 from mufly.flight.record.sensor_log import (
     ReadingErrors,
-    SensorLog,
+    ReadingLog,
     draw_sensors,
-    listen,
+    log_sensors,
     reading_errors,
     write_sensor_logs,
 )
-from mufly.flight.record.summary import Summary, summarise, summary_rows
-from mufly.flight.sensed import believed, is_sensed, readings_of, replay, truths_of
-from mufly.flight.software import FlightSoftware
-from mufly.flight.state import FlightState
-from mufly.logs.mcap import Event, events_of, standard_layout, to_csv
-from mufly.logs.recording import read_attachments, read_recording
-from mufly.mission import Answer, SetPoint
+from mufly.flight.sensor_recording import (
+    is_sensed,
+    iterate_readings,
+    list_truths,
+    replace_estimates,
+    replay_estimator,
+)
+from mufly.flight.simulated_flight import ALIGNMENT_TIMEOUT_S, Flight, FlightProgress, fly_mission
+from mufly.flight.simulated_plant import ControllerReference, SimulatedPlant, simulate_response
+from mufly.flight.tunable_parameters import TunableParameter
+from mufly.logs.mcap import FlightEvent, flight_layout, read_events, to_csv
+from mufly.logs.mcap_recording import read_attachments, read_recording
+from mufly.mission import RequestAnswer, SetPoint
 
 __all__ = [
-    "ALIGNED_WITHIN_S",
+    "ALIGNMENT_TIMEOUT_S",
     "Actuators",
-    "Answer",
     "Autopilot",
+    "ControllerReference",
     "Controllers",
-    "Demand",
-    "Event",
     "Flight",
+    "FlightEvent",
+    "FlightProgress",
+    "FlightRecorder",
     "FlightSoftware",
     "FlightState",
-    "Parameter",
-    "Plant",
-    "Progress",
+    "FlightSummary",
     "ReadingErrors",
-    "Recorder",
-    "SensorLog",
+    "ReadingLog",
+    "RequestAnswer",
     "SetPoint",
-    "Summary",
-    "able",
-    "believed",
-    "draw_belief",
+    "SimulatedPlant",
+    "TunableParameter",
+    "controller_limits",
     "draw_checks",
     "draw_estimate",
+    "draw_estimate_pictures",
     "draw_flight",
     "draw_sensors",
-    "events_of",
-    "fly",
+    "flight_layout",
+    "fly_mission",
     "is_sensed",
-    "listen",
+    "iterate_readings",
+    "list_truths",
+    "log_sensors",
     "read_attachments",
+    "read_events",
     "read_recording",
     "reading_errors",
-    "readings_of",
-    "replay",
-    "respond",
-    "standard_layout",
-    "summarise",
+    "replace_estimates",
+    "replay_estimator",
+    "simulate_response",
+    "summarise_flight",
     "summary_rows",
     "to_csv",
-    "truths_of",
     "write_sensor_logs",
 ]

@@ -8,19 +8,19 @@ import numpy as np
 
 from mufly.errors import InputError
 from mufly.estimate import Estimate
-from mufly.flight.trust import checks_of, told
+from mufly.flight.estimator_health import describe_check, sensor_checks
 from mufly.mission import Mission, check_geometry, check_mission
-from mufly.world import World, distance, distances
+from mufly.world import World, obstacle_distance, obstacle_distances
 
 BATTERY_MARGIN_V = 0.2
 """Above the voltage that it lands at (V): what a cell gives back in rest is lost in the first seconds of hover."""
 
-LEVEL = math.radians(10.0)
-STILL_M_S, STILL_RAD_S = 0.1, 0.2
-STALE_S = 0.5
+MAX_ARMING_TILT = math.radians(10.0)
+MAX_ARMING_SPEED_M_S, MAX_ARMING_RATE_RAD_S = 0.1, 0.2
+MAX_ESTIMATE_AGE_S = 0.5
 
 
-def not_ready(
+def find_arming_faults(
     m: Estimate | None, stale_s: float, low_V: float, world: World, radius_m: float, crashed: str
 ) -> list[str]:
     """Why it cannot be armed; empty if it can.
@@ -45,57 +45,53 @@ def not_ready(
     if m is None:
         return ["nothing is measured yet; wait a moment"]
     why = []
-    missing = [
-        n for n in ("position", "velocity", "attitude", "rates") if not np.isfinite(getattr(m, n)).all()
-    ]
+    missing = [n for n in ("position", "velocity", "attitude", "rates") if not np.isfinite(getattr(m, n)).all()]
     if missing:
         why.append(f"{' and '.join(missing)} not measured; check the sensors")
-    if stale_s > STALE_S:
+    if stale_s > MAX_ESTIMATE_AGE_S:
         why.append(f"measurements are {stale_s:.1f} s old; check the link to the sensors")
     volts = m.battery_voltage
     if not volts > 0.0 or not math.isfinite(volts):
         why.append("battery voltage not measured; check its monitor")
     elif volts < low_V + BATTERY_MARGIN_V:
         needed = low_V + BATTERY_MARGIN_V
-        why.append(
-            f"battery low: {volts:.2f} V at rest, and it lands at {low_V:.2f} V; charge it to {needed:.2f} V"
-        )
+        why.append(f"battery low: {volts:.2f} V at rest, and it lands at {low_V:.2f} V; charge it to {needed:.2f} V")
     if not m.valid and not missing:
-        wrong = [told(c) for c in checks_of(m) if c.status in ("missing", "faulty", "rejected")]
+        wrong = [describe_check(c) for c in sensor_checks(m) if c.status in ("missing", "faulty", "rejected")]
         because = f" ({'; '.join(wrong)})" if wrong else ""
         why.append(f"it does not know yet how it stands{because}; let it stand still")
     if missing:
         return why
     tilt = math.degrees(max(abs(float(m.attitude[0])), abs(float(m.attitude[1]))))
-    if tilt > math.degrees(LEVEL):
+    if tilt > math.degrees(MAX_ARMING_TILT):
         why.append(f"tilted by {tilt:.0f} deg; set it on level ground")
-    if np.linalg.norm(m.velocity) > STILL_M_S or np.abs(m.rates).max() > STILL_RAD_S:
+    if np.linalg.norm(m.velocity) > MAX_ARMING_SPEED_M_S or np.abs(m.rates).max() > MAX_ARMING_RATE_RAD_S:
         why.append("it is being moved; set it down and let it rest")
-    near = place_fault(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)
+    near = check_place(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)
     if near:
         why.append(f"it stands {near}")
     return why
 
 
-def place_fault(world: World, position: tuple[float, float, float], keep_m: float) -> str:
+def check_place(world: World, position: tuple[float, float, float], keep_m: float) -> str:
     """Words for a place nearer than ``keep_m`` (m) to anything known; "" for a free one."""
-    if world.empty:
+    if world.is_empty:
         return ""
-    away, name = distance(world, position)
+    away, name = obstacle_distance(world, position)
     if away >= keep_m:
         return ""
     where = f"{away:.2f} m from the {name}" if away >= 0.0 else f"in or beyond the {name}"
     return f"{where}; keep {keep_m:.2f} m from it"
 
 
-def column_fault(world: World, position: tuple[float, float, float], up_to_m: float, keep_m: float) -> str:
+def check_climb_column(world: World, position: tuple[float, float, float], up_to_m: float, keep_m: float) -> str:
     """Words for a climb to the height ``up_to_m`` (m) that passes anything known too closely; "" for a free one."""
-    if world.empty:
+    if world.is_empty:
         return ""
     count = max(2, math.ceil((up_to_m + position[2]) / 0.05) + 1)
     column = np.tile(np.array(position), (count, 1))
     column[:, 2] = np.linspace(position[2], -up_to_m, count)
-    away, which = distances(world, column)
+    away, which = obstacle_distances(world, column)
     k = int(np.argmin(away))
     if away[k] >= keep_m:
         return ""
@@ -103,7 +99,7 @@ def column_fault(world: World, position: tuple[float, float, float], up_to_m: fl
     return f"at {-column[k, 2]:.2f} m it would be {near:.2f} m from the {name}; keep {keep_m:.2f} m"
 
 
-def mission_fault(
+def check_mission_start(
     mission: Mission,
     standing: tuple[float, float],
     heading: float,
@@ -116,7 +112,7 @@ def mission_fault(
     Parameters
     ----------
     mission : Mission
-        As it is flown (:func:`mufly.mission.slowed`).
+        As it is flown (:func:`mufly.mission.reduce_limits`).
     standing : (2,) tuple
         N, E (m).
     heading : float

@@ -2,9 +2,9 @@
 
 It stands between whoever commands and the flight software: it steps that, turns what was asked into its signals, keeps
 the clock on what has to be repeated, arms and disarms, and tells what happened. Each request answers at once, and what
-it asks for happens in the next step; the mission's state machine (:mod:`mufly.mission.machine`) hears it when its logic
-runs next, within 20 ms. Which state lets what happen is in :mod:`mufly.mission.state`. The clock is that of the
-measurements. Nothing here knows of MAVLink or of the simulator.
+it asks for happens in the next step; the mission's state machine (:mod:`mufly.mission.state_machine`) hears it when its
+logic runs next, within 20 ms. Which state lets what happen is in :mod:`mufly.mission.mission_state`. The clock is that
+of the measurements. Nothing here knows of MAVLink or of the simulator.
 
 A geofence is judged here, not in the flight software's C: like arming it belongs to whoever commands, and it acts by
 the same requests as a pilot does. Outside it the action of the fence is carried out once; nothing outside is accepted.
@@ -25,70 +25,70 @@ import numpy as np
 from mufly.control import FlightController
 from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
-from mufly.estimate import Check, Estimate
-from mufly.flight.arming import column_fault, mission_fault, not_ready, place_fault
+from mufly.estimate import Estimate, SensorStatus
+from mufly.flight.arming import check_climb_column, check_mission_start, check_place, find_arming_faults
 from mufly.flight.controllers import Actuators
-from mufly.flight.parameters import Parameter, Parameters
-from mufly.flight.software import FlightSoftware
-from mufly.flight.state import FlightState
-from mufly.flight.trust import SensorWatch, outlook
-from mufly.logs.mcap import Event
+from mufly.flight.estimator_health import SensorEventReporter, preflight_warning
+from mufly.flight.flight_software import FlightSoftware
+from mufly.flight.flight_state import FlightState
+from mufly.flight.tunable_parameters import TunableParameter, TunableParameters
+from mufly.logs.mcap import FlightEvent
 from mufly.mission import (
-    ACCEPTED,
-    HIGHEST_M,
-    LOWEST_M,
-    NO_SIGNAL,
-    STOPPING,
-    Answer,
-    Ask,
+    MAX_HEIGHT_M,
+    MIN_WAYPOINT_HEIGHT_M,
+    MOTORS_STOPPING,
+    NO_COMMAND,
+    REQUEST_ACCEPTED,
     Command,
     Fence,
     Mission,
+    RequestAnswer,
     SetPoint,
     State,
-    fault_of,
+    VehicleRequest,
+    deny_request,
     fence_depth,
     fence_fault,
-    later,
-    never,
-    way_fault,
-    waypoint_fault,
+    fence_path_fault,
+    reject_temporarily,
+    set_point_fault,
+    user_waypoint_fault,
 )
-from mufly.mission.fence import KEEP_M
-from mufly.mission.timing import reach_time
+from mufly.mission.geofence import FENCE_MARGIN_M
+from mufly.mission.mission_timing import compute_reach_time
 from mufly.vehicle import Vehicle
 
-UNUSED_S = 10.0
+AUTO_DISARM_S = 10.0
 """After arming without a take-off it disarms (s)."""
 
-SET_POINT_S, STICKS_S = 0.5, 1.0
+SET_POINT_TIMEOUT_S, STICKS_TIMEOUT_S = 0.5, 1.0
 """For how long a set-point, and the position of the sticks, hold (s)."""
 
-BACK_M, FURTHER_M = 0.1, 1.0
+FENCE_RETURN_MARGIN_M, FENCE_REPEAT_DEPTH_M = 0.1, 1.0
 """Inside its fence by so much it is back; outside by so much more the fence acts again (m)."""
 
-HELD_S = 2.0
+STICKS_BLOCKED_S = 2.0
 """For so long after a breach no sticks are taken, so that it comes to rest first (s)."""
 
-KEPT_EVENTS = 1000
-_IDLE = Actuators.idle()
+EVENT_CAPACITY = 1000
+_IDLE_ACTUATORS = Actuators.idle()
 
 
 class Autopilot:
     """The flight software of one vehicle, armed and commanded.
 
-    ``listeners`` are called with every event as it happens; ``crashed`` is set by a simulation that knows; ``excused``
-    tells which sensors may be silent now: nothing is said of these.
+    ``listeners`` are called with every event as it happens; ``crash_cause`` is set by a simulation that knows;
+    ``excused_sensors`` tells which sensors may be silent now: nothing is said of these.
 
     Parameters
     ----------
     vehicle : Vehicle
     controller : FlightController
-        From :func:`mufly.control.design`.
+        From :func:`mufly.control.design_flight_controller`.
     mission : Mission
         Checked; one without waypoints is no mission, but has limits and surroundings.
     software : class
-        What flies: :class:`mufly.flight.software.FlightSoftware`, or one that has other code compute all of it.
+        What flies: :class:`mufly.flight.flight_software.FlightSoftware`, or one that has other code compute all of it.
 
     Raises
     ------
@@ -104,22 +104,22 @@ class Autopilot:
         software: type[FlightSoftware] = FlightSoftware,
     ) -> None:
         self.software = software(vehicle, controller, mission)
-        self.listeners: list[Callable[[Event], None]] = []
-        self.excused: Callable[[], Collection[str]] = lambda: ()
-        self.hover_A = hover_current_A(vehicle)
+        self.listeners: list[Callable[[FlightEvent], None]] = []
+        self.excused_sensors: Callable[[], Collection[str]] = lambda: ()
+        self.hover_current_A = hover_current_A(vehicle)
         self._capacity_Ah = float(vehicle.battery.capacity) / 3600.0
         self._radius_m = float(vehicle.rotors.radius)
         self._period_s = 1.0 / controller.rate_Hz
-        self._parameters = Parameters(vehicle, controller, self.software)
-        self._outbox: deque[Event] = deque(maxlen=KEPT_EVENTS)
-        self._begin()
+        self._parameters = TunableParameters(vehicle, controller, self.software)
+        self._outbox: deque[FlightEvent] = deque(maxlen=EVENT_CAPACITY)
+        self._reset_flight()
 
-    def _begin(self) -> None:
-        self.crashed = ""
+    def _reset_flight(self) -> None:
+        self.crash_cause = ""
         self._armed, self._armed_s = False, 0.0
         self._ran = False
-        self._sent = _IDLE
-        self._command = NO_SIGNAL
+        self._sent = _IDLE_ACTUATORS
+        self._command = NO_COMMAND
         self._sticks: Command | None = None
         self._sticks_s = 0.0
         self._set_point: SetPoint | None = None
@@ -128,7 +128,7 @@ class Autopilot:
         self._estimate: Estimate | None = None
         self._now, self._heard_s = 0.0, -math.inf
         self._stale_s = 0.0
-        self._sensors = SensorWatch()
+        self._sensors = SensorEventReporter()
         self._logged = 0
         self._suits: tuple[Mission | None, tuple[float, ...], str] = (None, (), "")
         self._breach, self._breaches, self._breach_s = "", 0, math.nan
@@ -137,11 +137,11 @@ class Autopilot:
     def reset(self) -> None:
         """Forget the flight, disarmed; mission and parameters stay."""
         self.software.reset()
-        self._begin()
+        self._reset_flight()
 
     # one period
 
-    def observe(self, estimate: Estimate) -> None:
+    def observe_estimate(self, estimate: Estimate) -> None:
         """Take notice of a measurement without a step: what arming is judged by before the first one."""
         t = estimate.time_s
         # A clock that was set back goes on; one that stands still has nothing new to say.
@@ -165,44 +165,46 @@ class Autopilot:
         Actuators
             All zero while it is not armed.
         """
-        self.observe(estimate)
+        self.observe_estimate(estimate)
         software = self.software
-        due = software.due
-        actuators = software.step(estimate, self._wanted() if due or self._command.stop else NO_SIGNAL)
-        if estimate.beliefs is not None:
-            for text, level in self._sensors.step(estimate.beliefs.checks, self._period_s, self.excused()):
-                self.note(text, level)
+        due = software.is_mission_step_due
+        actuators = software.step(estimate, self._collect_command() if due or self._command.stop_reason else NO_COMMAND)
+        if estimate.auxiliary_states is not None:
+            for text, level in self._sensors.step(
+                estimate.auxiliary_states.checks, self._period_s, self.excused_sensors()
+            ):
+                self.log_event(text, level)
         if due:
-            if software.logged != self._logged:
-                self._report()
-            self._look_after()
+            if software.logged_count != self._logged:
+                self._forward_mission_events()
+            self._check_after_step()
         # While the software has its motors off, what it gives is zero too.
-        self._sent = actuators if self._armed or software.motors == "off" else _IDLE
+        self._sent = actuators if self._armed or software.motors == "off" else _IDLE_ACTUATORS
         return self._sent
 
     # many periods that others computed
 
     @property
-    def asked(self) -> bool:
+    def has_pending_request(self) -> bool:
         """Whether anything is asked of it that the next period has to hear."""
-        fenced = self.software.asked.fence is not None
-        return self._command is not NO_SIGNAL or self._sticks is not None or self._offboard or fenced
+        fenced = self.software.requested_mission.fence is not None
+        return self._command is not NO_COMMAND or self._sticks is not None or self._offboard or fenced
 
     @property
     def armed(self) -> bool:
         """Whether its motors may run."""
         return self._armed
 
-    def untroubled(self, checks: Sequence[Check]) -> bool:
+    def has_no_sensor_events(self, checks: Sequence[SensorStatus]) -> bool:
         """Whether there is nothing to say of sensors of which this is thought, however long."""
-        return self._sensors.calm(checks)
+        return self._sensors.has_nothing_to_report(checks)
 
-    def hear(self, checks: Sequence[Check], time_s: float, state: str) -> None:
+    def report_sensor_checks(self, checks: Sequence[SensorStatus], time_s: float, state: str) -> None:
         """Say what is to be said of sensors in one period."""
         for text, level in self._sensors.step(checks, self._period_s):
-            self._emit(Event(time_s, state, text, level))
+            self._emit_event(FlightEvent(time_s, state, text, level))
 
-    def went_on(
+    def account_for_periods(
         self, estimate: Estimate | None, sent: Actuators, periods: int, due: int, tick: int, ran: bool
     ) -> None:
         """Take notice of periods that the flight software was stepped through by others; nothing was asked meanwhile.
@@ -218,68 +220,69 @@ class Autopilot:
             Whether the motors ran before the last.
         """
         if estimate is not None:
-            self.observe(estimate)
+            self.observe_estimate(estimate)
         self._sent = sent
         if due < 0:
             return
         if estimate is not None and due == tick:
-            if periods > self.software.every:
+            if periods > self.software.mission_step_periods:
                 self._ran = ran
-            if self.software.logged != self._logged:
-                self._report()
-            self._look_after()
+            if self.software.logged_count != self._logged:
+                self._forward_mission_events()
+            self._check_after_step()
         else:
             self._ran = ran
             if self._armed and ran:
                 self._armed_s = due * self._period_s
 
-    def _wanted(self) -> Command:
+    def _collect_command(self) -> Command:
         """The signals for the mission logic: what was asked once, and what holds for as long as it is repeated."""
-        c, self._command = self._command, NO_SIGNAL
+        c, self._command = self._command, NO_COMMAND
         if self._sticks is not None:
-            if self._now - self._sticks_s > STICKS_S:
+            if self._now - self._sticks_s > STICKS_TIMEOUT_S:
                 self._sticks = None
-                self.note(f"sticks lost: nothing heard of them for {STICKS_S:g} s", "warning")
+                self.log_event(f"sticks lost: nothing heard of them for {STICKS_TIMEOUT_S:g} s", "warning")
             else:
-                climb = self._sticks.climb if self._armed else min(self._sticks.climb, 0.0)
-                c = replace(self._sticks, climb=climb, stop=c.stop)
+                climb = self._sticks.climb_rate if self._armed else min(self._sticks.climb_rate, 0.0)
+                c = replace(self._sticks, climb_rate=climb, stop_reason=c.stop_reason)
         if self._offboard:
-            if self._now - self._set_point_s > SET_POINT_S:
+            if self._now - self._set_point_s > SET_POINT_TIMEOUT_S:
                 self._offboard = False
-                self.note(f"set-points lost: none for {SET_POINT_S:g} s", "warning")
+                self.log_event(f"set-points lost: none for {SET_POINT_TIMEOUT_S:g} s", "warning")
             elif self._armed:
                 c = replace(c, set_point=self._set_point)
         return c
 
-    def _look_after(self) -> None:
+    def _check_after_step(self) -> None:
         """What follows from how the step went: disarming, and leaving offboard."""
         software = self.software
         ran, self._ran = self._ran, software.motors != "off"
         if self._offboard and software.state not in ("offboard", "init"):
             self._offboard = False
-        self._keep_in_fence()
+        self._enforce_fence()
         if not self._armed:
             return
         if ran and not self._ran:
-            self._disarm()
+            self._set_disarmed()
         elif self._ran:
             self._armed_s = self._now
-        elif self._now - self._armed_s > UNUSED_S:
-            self._disarm()
-            self.note(f"disarmed: no take-off within {UNUSED_S:g} s")
+        elif self._now - self._armed_s > AUTO_DISARM_S:
+            self._set_disarmed()
+            self.log_event(f"disarmed: no take-off within {AUTO_DISARM_S:g} s")
 
-    def _keep_in_fence(self) -> None:
-        """Act where it has left its fence, and again for every :data:`FURTHER_M` that it is further outside."""
-        fence, m = self.software.asked.fence, self._estimate
+    def _enforce_fence(self) -> None:
+        """Act where it has left its fence, and again for every :data:`FENCE_REPEAT_DEPTH_M` that it is further
+        outside."""
+        fence, m = self.software.requested_mission.fence, self._estimate
         if fence is None or m is None or not self.software.flying or not np.isfinite(m.position).all():
             self._breach = ""
             return
         before = self._breach
-        self._breach = fence_fault(fence, m.position, BACK_M if before else 0.0)
+        self._breach = fence_fault(fence, m.position, FENCE_RETURN_MARGIN_M if before else 0.0)
         if before and not self._breach:
-            self.note("inside the fence again")
+            self.log_event("inside the fence again")
         depth = fence_depth(fence, m.position) if self._breach else 0.0
-        if not self._breach or (before and depth > self._breach_depth - FURTHER_M):
+        if not self._breach or (before and depth > self._breach_depth - FENCE_REPEAT_DEPTH_M):
             return
         self._breach_depth = depth
         self._breaches, self._breach_s = self._breaches + 1, self._now
@@ -288,24 +291,26 @@ class Autopilot:
         by_hand = self._sticks is not None
         self._sticks = None
         landing = self.software.mission_state.state == State.LANDING
-        answer = ACCEPTED if landing else act()
+        answer = REQUEST_ACCEPTED if landing else act()
         if by_hand and not answer:
-            answer = self._ask(Command(land=True) if fence.action == "land" else Command(pause=True))
+            answer = self._send_command(Command(land=True) if fence.action == "land" else Command(pause=True))
         done = "landing" if landing else words if answer else f"cannot be helped: {answer.reason}"
-        self.note(f"fence breached, {self._breach}: {done}", "error")
+        self.log_event(f"fence breached, {self._breach}: {done}", "error")
 
-    def _disarm(self) -> None:
+    def _set_disarmed(self) -> None:
         self._armed = self._offboard = False
-        self._command = NO_SIGNAL
+        self._command = NO_COMMAND
 
     # arming
 
-    def not_ready(self) -> list[str]:
+    def list_arming_faults(self) -> list[str]:
         """Why it cannot be armed, each a sentence with its remedy; empty: it can."""
         plan = self.software.plan
         m = self._estimate
-        why = not_ready(m, self._stale_s, plan.low_V, plan.mission.world, self._radius_m, self.crashed)
-        if m is not None and not self.crashed and np.isfinite(m.position).all():
+        why = find_arming_faults(
+            m, self._stale_s, plan.low_battery_V, plan.mission.world, self._radius_m, self.crash_cause
+        )
+        if m is not None and not self.crash_cause and np.isfinite(m.position).all():
             fault = self._mission_fault(m)
             why += [fault] if fault else []
         return why
@@ -317,85 +322,85 @@ class Autopilot:
         heading = round(float(m.attitude[2]), 1) if math.isfinite(m.attitude[2]) else 0.0
         where = (north, east, heading)
         if self._suits[0] is not mission or self._suits[1] != where:
-            self._suits = (mission, where, self._fault_of(mission, (north, east), heading))
+            self._suits = (mission, where, self._compute_mission_fault(mission, (north, east), heading))
         return self._suits[2]
 
-    def _fault_of(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
-        return mission_fault(
-            mission, standing, heading, hover_current_A=self.hover_A, capacity_Ah=self._capacity_Ah
+    def _compute_mission_fault(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
+        return check_mission_start(
+            mission, standing, heading, hover_current_A=self.hover_current_A, capacity_Ah=self._capacity_Ah
         )
 
-    def arm(self, *, force: bool = False, quiet: bool = False) -> Answer:
+    def arm(self, *, force: bool = False, quiet: bool = False) -> RequestAnswer:
         """Let the motors run. ``force`` skips all checks but that of a crash; ``quiet`` leaves no note of it."""
         if self._armed:
-            return ACCEPTED
-        answer = later(STOPPING) if self._stopping else self._may(Ask.ARM)
+            return REQUEST_ACCEPTED
+        answer = reject_temporarily(MOTORS_STOPPING) if self._is_stopping else self._check_request(VehicleRequest.ARM)
         if not answer:
             return answer
-        why = self.not_ready() if not force else [self.crashed] if self.crashed else []
-        if self._sticks is not None and self._sticks.climb > 0.0:
+        why = self.list_arming_faults() if not force else [self.crash_cause] if self.crash_cause else []
+        if self._sticks is not None and self._sticks.climb_rate > 0.0:
             why.append("the climb stick is up; lower it first")
         if why:
             more = f" (and {len(why) - 1} more)" if len(why) > 1 else ""
-            return later(why[0] + more)
+            return reject_temporarily(why[0] + more)
         self._armed, self._armed_s = True, self._now
         beware = (
-            outlook(self._estimate, self.software.plan.ring.max_range) if self._estimate is not None else ""
+            preflight_warning(self._estimate, self.software.plan.ring.max_range) if self._estimate is not None else ""
         )
         if beware:
-            self.note(beware, "warning")
+            self.log_event(beware, "warning")
         if not quiet:
-            self.note("armed, by force" if force else "armed")
-        return ACCEPTED
+            self.log_event("armed, by force" if force else "armed")
+        return REQUEST_ACCEPTED
 
-    def disarm(self, force: bool = False) -> Answer:
+    def disarm(self, force: bool = False) -> RequestAnswer:
         """Motors off. Refused in flight, unless by ``force``, which is an emergency stop."""
         if force:
             return self.emergency_stop()
         if not self._armed:
-            return ACCEPTED
-        answer = self._may(Ask.DISARM)
+            return REQUEST_ACCEPTED
+        answer = self._check_request(VehicleRequest.DISARM)
         if answer:
-            self._stop("disarmed")
+            self._stop_motors("disarmed")
         return answer
 
-    def emergency_stop(self) -> Answer:
+    def emergency_stop(self) -> RequestAnswer:
         """Motors off at once; it falls. Always accepted."""
-        self._stop("emergency stop, motors off")
-        return ACCEPTED
+        self._stop_motors("emergency stop, motors off")
+        return REQUEST_ACCEPTED
 
     @property
-    def _stopping(self) -> bool:
+    def _is_stopping(self) -> bool:
         """Whether a stop has been asked for that the next step carries out."""
-        return bool(self._command.stop)
+        return bool(self._command.stop_reason)
 
-    def _stop(self, why: str) -> None:
+    def _stop_motors(self, why: str) -> None:
         idle = self.software.motors == "off" and self.software.mission_state.state == "init"
-        self._disarm()
+        self._set_disarmed()
         self._sticks = None
         if idle:
-            self.note(why, "error" if "stop" in why else "info")
+            self.log_event(why, "error" if "stop" in why else "info")
         else:
-            self._command = Command(stop=why)
+            self._command = Command(stop_reason=why)
 
-    def _in_the_air(self) -> bool:
+    def _is_in_air(self) -> bool:
         """Off the floor: by how it is flown, and by height unless that is not known."""
         m, s = self._estimate, self.software.mission_state
         if not self.software.flying or m is None:
             return False
-        height = s.standing[2] - float(m.position[2])
+        height = s.home_position[2] - float(m.position[2])
         lies = height < 0.05 and float(np.abs(m.velocity).max()) < 0.1
         return not lies
 
     @property
-    def parameters(self) -> Mapping[str, Parameter]:
+    def parameters(self) -> Mapping[str, TunableParameter]:
         """Everything that may be tuned, by name."""
         return self._parameters
 
-    def set_parameter(self, name: str, value: float) -> Answer:
+    def set_parameter(self, name: str, value: float) -> RequestAnswer:
         """Tune one number; it acts at once."""
-        fault = self._parameters.set(name, float(value))
-        return never(fault) if fault else ACCEPTED
+        fault = self._parameters.set_value(name, float(value))
+        return deny_request(fault) if fault else REQUEST_ACCEPTED
 
     # what there is to know
 
@@ -410,27 +415,27 @@ class Autopilot:
         return FlightState(
             time_s=estimate.time_s,
             armed=self._armed,
-            flying=self._in_the_air(),
+            flying=self._is_in_air(),
             landed=software.motors in ("off", "ramp_down"),
             state=str(s.state),
             motors=software.motors,
-            mission_running=s.begun and not s.manual and in_air and not s.outcome,
-            begun=s.begun,
+            mission_running=s.mission_begun and not s.manual and in_air and not s.outcome,
+            mission_begun=s.mission_begun,
             manual=s.manual,
-            homing=s.homing,
-            waypoint=s.index,
-            reached=s.reached,
-            offboard=self._offboard,
-            sticks=self._sticks is not None,
+            returning_home=s.returning_home,
+            waypoint_index=s.waypoint_index,
+            reached_count=s.reached_count,
+            offboard_active=self._offboard,
+            sticks_active=self._sticks is not None,
             outcome=s.outcome,
             reason=s.reason,
             oscillation=str(software.oscillation or ""),
-            crashed=self.crashed,
-            fence_breach=self._breach,
-            fence_breaches=self._breaches,
-            fence_breach_s=self._breach_s,
-            mission=software.asked,
-            home=s.standing if s.started else None,
+            crash_cause=self.crash_cause,
+            fence_breach_text=self._breach,
+            fence_breach_count=self._breaches,
+            fence_breach_time_s=self._breach_s,
+            mission=software.requested_mission,
+            home_position=s.home_position if s.has_taken_off else None,
             goal=s.goal if in_air else None,
             estimate=estimate,
             reference_position=position,
@@ -439,225 +444,229 @@ class Autopilot:
             actuators=self._sent,
         )
 
-    def note(self, text: str, level: str = "info") -> None:
+    def log_event(self, text: str, level: str = "info") -> None:
         """Put a line into the log of events."""
-        self._emit(Event(self._now, str(self.software.mission_state.state), text, level))
+        self._emit_event(FlightEvent(self._now, str(self.software.mission_state.state), text, level))
 
-    def events(self) -> list[Event]:
+    def take_events(self) -> list[FlightEvent]:
         """What happened since the last call; the latest thousand if nobody asked for long."""
         out = list(self._outbox)
         self._outbox.clear()
         return out
 
-    def _report(self) -> None:
-        events, logged = self.software.mission_state.events, self.software.mission_state.logged
+    def _forward_mission_events(self) -> None:
+        events, logged = self.software.mission_state.events, self.software.mission_state.logged_count
         fresh = min(logged - self._logged, len(events)) if logged > self._logged else len(events)
         self._logged = logged
         for e in events[len(events) - fresh :]:
-            self._emit(e)
+            self._emit_event(e)
 
-    def _emit(self, event: Event) -> None:
+    def _emit_event(self, event: FlightEvent) -> None:
         self._outbox.append(event)
         for listener in self.listeners:
             listener(event)
 
     # flight
 
-    def take_off(self, height_m: float | None = None) -> Answer:
+    def take_off(self, height_m: float | None = None) -> RequestAnswer:
         """Take off to a height above the floor (m; by default parameter MIS_TAKEOFF_ALT) and hover."""
         if height_m is None:
             height_m = self.software.plan.mission.take_off.height_m
-        if not (math.isfinite(height_m) and LOWEST_M <= height_m <= HIGHEST_M):
-            return never(f"take-off height {height_m:g} m refused: give {LOWEST_M:g} to {HIGHEST_M:g} m")
-        answer = self._may_climb(Ask.TAKE_OFF, height_m)
-        return self._ask(Command(take_off=float(height_m))) if answer else answer
+        if not (math.isfinite(height_m) and MIN_WAYPOINT_HEIGHT_M <= height_m <= MAX_HEIGHT_M):
+            return deny_request(
+                f"take-off height {height_m:g} m refused: give {MIN_WAYPOINT_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m"
+            )
+        answer = self._check_climb(VehicleRequest.TAKE_OFF, height_m)
+        return self._send_command(Command(take_off_height=float(height_m))) if answer else answer
 
-    def _may_climb(self, ask: Ask, height_m: float) -> Answer:
+    def _check_climb(self, ask: VehicleRequest, height_m: float) -> RequestAnswer:
         """May it, from where it stands, and is the way up free?"""
-        answer = self._may(ask)
+        answer = self._check_request(ask)
         if not answer:
             return answer
         m, mission = self._estimate, self.software.plan.mission
         if m is not None and np.isfinite(m.position).all():
             place = (float(m.position[0]), float(m.position[1]), float(m.position[2]))
-            fault = column_fault(mission.world, place, height_m, mission.avoidance.clearance_m)
-            fault = fault or fence_fault(mission.fence, (*place[:2], -height_m), KEEP_M)
+            fault = check_climb_column(mission.world, place, height_m, mission.avoidance.clearance_m)
+            fault = fault or fence_fault(mission.fence, (*place[:2], -height_m), FENCE_MARGIN_M)
             if fault:
-                return later(f"no take-off to {height_m:g} m here: {fault}")
-        return ACCEPTED
+                return reject_temporarily(f"no take-off to {height_m:g} m here: {fault}")
+        return REQUEST_ACCEPTED
 
-    def start_mission(self, first: int | None = None) -> Answer:
+    def start_mission(self, first: int | None = None) -> RequestAnswer:
         """On the floor: take off and fly the mission; in the air: go on, or from waypoint ``first`` (from 0)."""
         n = len(self.software.plan.mission.waypoint)
         if n == 0:
-            return later("no mission loaded; load one first")
+            return reject_temporarily("no mission loaded; load one first")
         if first is not None and not 0 <= first < n:
-            return never(f"waypoint {first} refused: the mission has 0 to {n - 1}")
+            return deny_request(f"waypoint {first} refused: the mission has 0 to {n - 1}")
         if self.software.mission_state.state == "init":
-            answer = self._may_climb(Ask.START, self.software.plan.mission.take_off.height_m)
+            answer = self._check_climb(VehicleRequest.START, self.software.plan.mission.take_off.height_m)
             if answer and self._estimate is not None:
                 fault = self._mission_fault(self._estimate)
-                answer = later(fault) if fault else answer
+                answer = reject_temporarily(fault) if fault else answer
         else:
-            answer = self._may(Ask.START)
-        return self._ask(Command(start=True, first=first)) if answer else answer
+            answer = self._check_request(VehicleRequest.START)
+        return self._send_command(Command(start=True, first_waypoint=first)) if answer else answer
 
-    def pause(self) -> Answer:
+    def pause(self) -> RequestAnswer:
         """Stop and hover; :meth:`start_mission` goes on. Breaks off a landing that is still above 0.4 m.
 
         Asked for before it is 0.2 m off the floor, it hovers once it is.
         """
-        return self._do(Ask.PAUSE, Command(pause=True))
+        return self._request_command(VehicleRequest.PAUSE, Command(pause=True))
 
-    def go_to(self, position_m: Sequence[float], heading_rad: float | None = None) -> Answer:
+    def go_to(self, position_m: Sequence[float], heading_rad: float | None = None) -> RequestAnswer:
         """Fly to a place (N, E, D; m) and hold there, with a heading on the way if given; the mission waits."""
         if len(position_m) != 3:
-            return never("a place needs three numbers: N, E, D")
+            return deny_request("a place needs three numbers: N, E, D")
         place = (float(position_m[0]), float(position_m[1]), float(position_m[2]))
         heading = None if heading_rad is None or math.isnan(heading_rad) else float(heading_rad)
-        fault = waypoint_fault(place, heading)
+        fault = user_waypoint_fault(place, heading)
         if fault:
-            return never(fault)
+            return deny_request(fault)
         mission = self.software.plan.mission
-        fault = place_fault(mission.world, place, mission.avoidance.clearance_m)
+        fault = check_place(mission.world, place, mission.avoidance.clearance_m)
         if fault:
-            return never(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
+            return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         here = place if self._estimate is None else self._estimate.position
-        fault = fence_fault(mission.fence, place, KEEP_M) or way_fault(mission.fence, here, place)
-        fault = fault or self._out_of_reach(place)
+        fault = fence_fault(mission.fence, place, FENCE_MARGIN_M) or fence_path_fault(mission.fence, here, place)
+        fault = fault or self._reach_fault(place)
         if fault:
-            return never(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
-        return self._do(Ask.GO_TO, Command(waypoint=place, heading=heading))
+            return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
+        return self._request_command(VehicleRequest.GO_TO, Command(waypoint=place, heading=heading))
 
-    def _out_of_reach(self, place: tuple[float, float, float]) -> str:
+    def _reach_fault(self, place: tuple[float, float, float]) -> str:
         """Why a place is too far for what a full battery lasts, there and down; "" if it is not."""
         m, mission = self._estimate, self.software.plan.mission
         if m is None or not np.isfinite(m.position).all():
             return ""
-        needed = reach_time(mission, m.position, place)
-        lasts = 3600.0 * mission.battery.usable * self._capacity_Ah / self.hover_A
+        needed = compute_reach_time(mission, m.position, place)
+        lasts = 3600.0 * mission.battery.usable * self._capacity_Ah / self.hover_current_A
         if needed <= lasts:
             return ""
+        return f"out of reach: getting there and down takes {needed:.0f} s, a full battery lasts {lasts:.0f} s"
+
+    def turn_to(self, heading_rad: float) -> RequestAnswer:
+        """Stop, and turn on the spot to a heading (rad, from north to east)."""
+        fault = user_waypoint_fault(None, heading_rad)
         return (
-            f"out of reach: getting there and down takes {needed:.0f} s, a full battery lasts {lasts:.0f} s"
+            deny_request(fault)
+            if fault
+            else self._request_command(VehicleRequest.GO_TO, Command(heading=float(heading_rad)))
         )
 
-    def turn_to(self, heading_rad: float) -> Answer:
-        """Stop, and turn on the spot to a heading (rad, from north to east)."""
-        fault = waypoint_fault(None, heading_rad)
-        return never(fault) if fault else self._do(Ask.GO_TO, Command(heading=float(heading_rad)))
-
-    def set_speed(self, speed_m_s: float) -> Answer:
+    def set_speed(self, speed_m_s: float) -> RequestAnswer:
         """Horizontal speed from the next leg on: parameter LIM_SPEED."""
         answer = self.set_parameter("LIM_SPEED", speed_m_s)
         underway = answer and self.software.mission_state.state in ("waypoint", "obstacle")
-        return Answer(True, "from the next leg on") if underway else answer
+        return RequestAnswer(True, "from the next leg on") if underway else answer
 
-    def return_home(self) -> Answer:
+    def return_home(self) -> RequestAnswer:
         """Fly to above where it took off, no lower than now, and land."""
-        return self._do(Ask.RETURN, Command(home=True))
+        return self._request_command(VehicleRequest.RETURN, Command(return_requested=True))
 
-    def land(self) -> Answer:
+    def land(self) -> RequestAnswer:
         """Land where it comes to rest."""
         if self.software.mission_state.state == "landing":
-            return ACCEPTED
-        return self._do(Ask.LAND, Command(land=True))
+            return REQUEST_ACCEPTED
+        return self._request_command(VehicleRequest.LAND, Command(land=True))
 
-    def _ask(self, command: Command) -> Answer:
+    def _send_command(self, command: Command) -> RequestAnswer:
         """Hand a request to the mission logic, unless the motors are about to stop: nothing may take its place."""
-        if self._stopping:
-            return later(STOPPING)
+        if self._is_stopping:
+            return reject_temporarily(MOTORS_STOPPING)
         self._offboard = False
         self._command = command
-        return ACCEPTED
+        return REQUEST_ACCEPTED
 
-    def _do(self, ask: Ask, command: Command) -> Answer:
-        answer = self._may(ask)
-        return self._ask(command) if answer else answer
+    def _request_command(self, ask: VehicleRequest, command: Command) -> RequestAnswer:
+        answer = self._check_request(ask)
+        return self._send_command(command) if answer else answer
 
-    def _may(self, ask: Ask) -> Answer:
+    def _check_request(self, ask: VehicleRequest) -> RequestAnswer:
         """Whether its state lets it."""
-        return self.status.may(ask)
+        return self.status.check_request(ask)
 
     # set-points and sticks
 
-    def set_point(self, s: SetPoint) -> Answer:
-        """Take a set-point; it is followed while :meth:`offboard` is on."""
-        fault = fault_of(s)
-        fence, place = self.software.asked.fence, s.position_m
+    def send_set_point(self, s: SetPoint) -> RequestAnswer:
+        """Take a set-point; it is followed while :meth:`set_offboard` is on."""
+        fault = set_point_fault(s)
+        fence, place = self.software.requested_mission.fence, s.position_m
         if not fault and fence is not None and place is not None and self._estimate is not None:
             here = self._estimate.position.tolist()
             fault = fence_fault(fence, [h if math.isnan(p) else p for p, h in zip(place, here, strict=True)])
         if fault:
-            return never(f"set-point refused: {fault}")
+            return deny_request(f"set-point refused: {fault}")
         self._set_point, self._set_point_s = s, self._now
-        return ACCEPTED
+        return REQUEST_ACCEPTED
 
-    def offboard(self, on: bool) -> Answer:
+    def set_offboard(self, on: bool) -> RequestAnswer:
         """Follow set-points from now on, or no more. It needs one that is younger than half a second."""
         if not on:
             self._offboard = False
-            return ACCEPTED
-        if self._now - self._set_point_s > SET_POINT_S or self._set_point is None:
-            return later(f"no set-point in the last {SET_POINT_S:g} s; stream them first")
-        if self._stopping:
-            return later(STOPPING)
-        answer = self._may(Ask.OFFBOARD)
+            return REQUEST_ACCEPTED
+        if self._now - self._set_point_s > SET_POINT_TIMEOUT_S or self._set_point is None:
+            return reject_temporarily(f"no set-point in the last {SET_POINT_TIMEOUT_S:g} s; stream them first")
+        if self._is_stopping:
+            return reject_temporarily(MOTORS_STOPPING)
+        answer = self._check_request(VehicleRequest.OFFBOARD)
         self._offboard = self._offboard or answer.accepted
         return answer
 
-    def sticks(self, roll_rad: float, pitch_rad: float, yaw_rate_rad_s: float, climb_m_s: float) -> Answer:
+    def set_sticks(self, roll_rad: float, pitch_rad: float, yaw_rate_rad_s: float, climb_m_s: float) -> RequestAnswer:
         """The pilot's sticks (rad, rad/s, m/s upwards), within parameters ``STK_...``; the state is RC meanwhile."""
         values = (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s)
         if not all(math.isfinite(v) for v in values):
-            return never("sticks refused: give finite numbers")
-        answer = self._may(Ask.STICKS)
-        if answer and self._breach and self._now - self._breach_s < HELD_S:
-            answer = later("it has just left its fence; wait until it holds, then fly it back")
+            return deny_request("sticks refused: give finite numbers")
+        answer = self._check_request(VehicleRequest.STICKS)
+        if answer and self._breach and self._now - self._breach_s < STICKS_BLOCKED_S:
+            answer = reject_temporarily("it has just left its fence; wait until it holds, then fly it back")
         if not answer:
             return answer
-        most = self._parameters.sticks
+        most = self._parameters.stick_ranges
         roll, pitch, turn, climb = (
             min(max(float(v), -limit), limit)
             for v, limit in zip(values, (most.tilt, most.tilt, most.yaw_rate, most.climb), strict=True)
         )
         self._offboard = False
-        self._sticks = Command(rc=True, roll=roll, pitch=pitch, yaw_rate=turn, climb=climb)
+        self._sticks = Command(rc_active=True, roll=roll, pitch=pitch, yaw_rate=turn, climb_rate=climb)
         self._sticks_s = self._now
-        return ACCEPTED
+        return REQUEST_ACCEPTED
 
-    def sticks_off(self) -> Answer:
+    def release_sticks(self) -> RequestAnswer:
         """The pilot lets go: it hovers, or stays on the floor."""
         self._sticks = None
-        return ACCEPTED
+        return REQUEST_ACCEPTED
 
     # mission and parameters
 
-    def load_fence(self, fence: Fence | None) -> Answer:
+    def load_fence(self, fence: Fence | None) -> RequestAnswer:
         """Take another fence, or none; refused where it stands, or hovers, outside."""
         m = self._estimate
         if m is not None and np.isfinite(m.position).all() and (fault := fence_fault(fence, m.position)):
-            return later(f"fence refused: it is {fault}")
-        self.software.change(self.software.asked.with_parts(fence=fence))
-        return ACCEPTED
+            return reject_temporarily(f"fence refused: it is {fault}")
+        self.software.change_limits(self.software.requested_mission.with_parts(fence=fence))
+        return REQUEST_ACCEPTED
 
-    def load_mission(self, mission: Mission) -> Answer:
+    def load_mission(self, mission: Mission) -> RequestAnswer:
         """Take another mission, whole or not at all, to be flown when it is started; not while one is being flown."""
         software = self.software
-        answer = self._may(Ask.LOAD)
+        answer = self._check_request(VehicleRequest.LOAD)
         if not answer:
             return answer
-        if self._command is not NO_SIGNAL:
-            return later("another request is being carried out; ask again")
+        if self._command is not NO_COMMAND:
+            return reject_temporarily("another request is being carried out; ask again")
         m = self._estimate
         known = m is not None and bool(np.isfinite(m.position).all())
         n, e = (float(m.position[0]), float(m.position[1])) if m is not None and known else mission.start_m
         heading = float(m.attitude[2]) if m is not None and known else 0.0
-        fault = self._fault_of(software.flown(mission), (n, e), heading)
+        fault = self._compute_mission_fault(software.limit_mission(mission), (n, e), heading)
         if fault:
-            return never(fault)
+            return deny_request(fault)
         try:
-            software.load(mission)
+            software.load_mission(mission)
         except InputError as error:
-            return never(str(error))
-        return ACCEPTED
+            return deny_request(str(error))
+        return REQUEST_ACCEPTED

@@ -9,19 +9,19 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import boxed, compiled
 from mufly.control import (
     FlightController,
-    heave_wait,
-    heave_yaw_initial,
+    heave_yaw_init,
     heave_yaw_step,
-    position_initial,
+    limit_heave_reference,
+    position_init,
     position_step,
-    roll_pitch_initial,
+    roll_pitch_init,
     roll_pitch_step,
 )
 from mufly.estimate import Estimate
-from mufly.mission import Limits
+from mufly.mission import TrajectoryLimits
+from mufly.numba_cache import cached_njit, record_as_array
 
 _Array = NDArray[np.floating[Any]]
 
@@ -48,14 +48,14 @@ class Actuators:
         return cls(np.zeros(2), np.zeros(2))
 
     @property
-    def array(self) -> _Array:
+    def input_array(self) -> _Array:
         """The input of the flight model: motor upper, motor lower, servo 1, servo 2."""
         if not self._joined:  # asked for several times a period
             self._joined.append(np.concatenate((self.motor_input, self.servo_input)))
         return self._joined[0]
 
 
-HEAVE_YAW_TUNED = (
+HEAVE_YAW_TUNABLE = (
     "heave_bandwidth",
     "heave_acceleration",
     "heave_speed",
@@ -63,18 +63,18 @@ HEAVE_YAW_TUNED = (
     "yaw_acceleration",
     "yaw_rate",
 )
-POSITION_TUNED = ("position_gain", "speed_limit", "tilt_limit")
+POSITION_TUNABLE = ("position_gain", "speed_limit", "tilt_limit")
 """Numbers of the control law that may change in flight: limits, and gains outside of the H-infinity controllers."""
 
-RETUNE_S = 0.5
+RETUNE_TIME_S = 0.5
 """Time constant with which a changed number is gone over to (s): a step of a gain would be a step of the output."""
 
 
-def able(controller: FlightController) -> Limits:
+def controller_limits(controller: FlightController) -> TrajectoryLimits:
     """What the controllers can follow: limits of their reference filters and of the position cascade."""
     heave_yaw, position = controller.heave_yaw_gains, controller.position_gains
     speed = float(heave_yaw["heave_speed"])
-    return Limits(
+    return TrajectoryLimits(
         speed=float(position["speed_limit"]),
         climb=speed,
         descent=speed,
@@ -91,41 +91,41 @@ class Controllers:
     Parameters
     ----------
     design : FlightController
-        From :func:`mufly.control.design`.
+        From :func:`mufly.control.design_flight_controller`.
     """
 
     def __init__(self, design: FlightController) -> None:
         self._design = self._target = design
         self._settled = True
         self._heave_yaw: _Array = np.zeros(0)
-        self._roll_pitch = roll_pitch_initial(design.roll_pitch_gains, np.zeros(4))
-        self._position = position_initial(design.position_gains)
+        self._roll_pitch = roll_pitch_init(design.roll_pitch_gains, np.zeros(4))
+        self._position = position_init(design.position_gains)
         self._boxed_of: FlightController | None = None
         self._boxes: tuple[NDArray[np.void], ...] = ()
 
-    def retune(self, design: FlightController) -> None:
+    def retune_gains(self, design: FlightController) -> None:
         """Go over to the numbers of ``design``, which differs from the present one only in those that are tuned."""
         if self._settled:
             now = self._design
             self._design = replace(
                 now,
-                heave_yaw_gains=copied(now.heave_yaw_gains),
-                position_gains=copied(now.position_gains),
+                heave_yaw_gains=copy_record(now.heave_yaw_gains),
+                position_gains=copy_record(now.position_gains),
             )
         self._target, self._settled = design, False
 
     @property
-    def settled(self) -> bool:
+    def is_settled(self) -> bool:
         """Whether it goes over to no other numbers."""
         return self._settled
 
-    def _go_over(self) -> None:
+    def _blend_gains(self) -> None:
         """One period of going over to the target's numbers."""
-        blend = 1.0 - math.exp(-self._design.period_s / RETUNE_S)
+        blend = 1.0 - math.exp(-self._design.period_s / RETUNE_TIME_S)
         far = False
         for mine, wanted, names in (
-            (self._design.heave_yaw_gains, self._target.heave_yaw_gains, HEAVE_YAW_TUNED),
-            (self._design.position_gains, self._target.position_gains, POSITION_TUNED),
+            (self._design.heave_yaw_gains, self._target.heave_yaw_gains, HEAVE_YAW_TUNABLE),
+            (self._design.position_gains, self._target.position_gains, POSITION_TUNABLE),
         ):
             for name in names:
                 gap = float(wanted[name]) - float(mine[name])
@@ -136,18 +136,16 @@ class Controllers:
 
     def engage(self, estimate: Estimate, motor_input: _Array) -> None:
         """Let heave-yaw take over, without a bump, from motors that run at ``motor_input`` (upper, lower)."""
-        self._heave_yaw = heave_yaw_initial(
-            self._design.heave_yaw_gains, _heave_yaw(estimate), motor_input, estimate.battery_voltage
+        self._heave_yaw = heave_yaw_init(
+            self._design.heave_yaw_gains, _measure_heave_yaw(estimate), motor_input, estimate.battery_voltage
         )
 
     def lift_off(self, estimate: Estimate) -> None:
         """Let roll-pitch and position take over, from neutral servos."""
-        self._roll_pitch = roll_pitch_initial(self._design.roll_pitch_gains, _roll_pitch(estimate))
-        self._position = position_initial(self._design.position_gains)
+        self._roll_pitch = roll_pitch_init(self._design.roll_pitch_gains, _measure_roll_pitch(estimate))
+        self._position = position_init(self._design.position_gains)
 
-    def tilt_for(
-        self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array
-    ) -> _Array:
+    def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
         """Advance the position cascade by one of its periods.
 
         Parameters
@@ -190,16 +188,19 @@ class Controllers:
         Actuators
         """
         if not self._settled:
-            self._go_over()
+            self._blend_gains()
         if self._boxed_of is not self._design:
             self._boxed_of = self._design
-            self._boxes = boxed(self._design.heave_yaw_gains), boxed(self._design.roll_pitch_gains)
-        motor, servo, self._heave_yaw, self._roll_pitch = _law(
+            self._boxes = (
+                record_as_array(self._design.heave_yaw_gains),
+                record_as_array(self._design.roll_pitch_gains),
+            )
+        motor, servo, self._heave_yaw, self._roll_pitch = _step_control_law(
             *self._boxes,
             self._heave_yaw,
             self._roll_pitch,
             heave_yaw,
-            _LEVEL if tilt is None else tilt,
+            _LEVEL_TILT if tilt is None else tilt,
             tilt is not None,
             estimate.position,
             estimate.attitude,
@@ -209,11 +210,11 @@ class Controllers:
         return Actuators(motor, servo)
 
 
-_LEVEL = np.zeros(2)
+_LEVEL_TILT = np.zeros(2)
 
 
-@compiled
-def _law(
+@cached_njit
+def _step_control_law(
     heave_yaw_gains: Any,
     roll_pitch_gains: Any,
     heave_yaw: _Array,
@@ -229,7 +230,7 @@ def _law(
     """One period of both controllers in one call: motor and servo inputs, and their states."""
     servo = np.zeros(2)
     if tilts:
-        heave_yaw = heave_wait(heave_yaw_gains[0], heave_yaw, position[2])
+        heave_yaw = limit_heave_reference(heave_yaw_gains[0], heave_yaw, position[2])
         measured = np.array([attitude[0], attitude[1], rates[0], rates[1]])
         servo, roll_pitch = roll_pitch_step(roll_pitch_gains[0], roll_pitch, tilt, measured)
     seen = np.array([position[2], attitude[2], rates[2]])
@@ -237,16 +238,16 @@ def _law(
     return motor, servo, heave_yaw, roll_pitch
 
 
-def copied(record: np.void) -> np.void:
+def copy_record(record: np.void) -> np.void:
     """A record of its own with the same numbers, which may be written to."""
     own = np.zeros((), dtype=record.dtype)  # np.array(record) would share its memory
     own[...] = record
     return cast(np.void, own[()])
 
 
-def _heave_yaw(m: Estimate) -> _Array:
+def _measure_heave_yaw(m: Estimate) -> _Array:
     return np.array([m.position[2], m.attitude[2], m.rates[2]])
 
 
-def _roll_pitch(m: Estimate) -> _Array:
+def _measure_roll_pitch(m: Estimate) -> _Array:
     return np.array([m.attitude[0], m.attitude[1], m.rates[0], m.rates[1]])

@@ -1,58 +1,63 @@
 """What are its parameters? Fits to bench and flight data, with uncertainty and validation."""
 
-from mufly.identify.consistency import check_record
-from mufly.identify.flight.demo import Demo, run_demo
-from mufly.identify.flight.fit import fit_flights, fit_split
-from mufly.identify.flight.free import Free, choose_free
-from mufly.identify.flight.plan import Limits, Plan, design
-from mufly.identify.flight.polarity import check_flights
-from mufly.identify.flight.search import Progress
-from mufly.identify.flight.signals import Excitation, excitation
-from mufly.identify.linear.fit import LinearFit
-from mufly.identify.linear.identification import LinearResult, identify_linear
-from mufly.identify.motor import GearKnowledge, MotorFit, fit_motor
-from mufly.identify.record import Columns, Record, read_columns, record_from, split
-from mufly.identify.report import Section, write_report
-from mufly.identify.residuals import Quality, qualities, quality, what_is_missing
-from mufly.identify.result import Estimate, Fit, RecordFit, with_estimates
-from mufly.identify.rotor import RotorFit, fit_rotor
+from mufly.identify.fit_report import ReportSection, write_report
+from mufly.identify.fit_result import FitResult, ParameterEstimate, RecordPrediction, apply_estimates
+from mufly.identify.flight.excitation_plan import ExcitationPlan, FlightLimits, design_excitation
+from mufly.identify.flight.excitation_signals import ExcitationSignal, make_excitation
+from mufly.identify.flight.flight_fit import fit_flight_records, fit_parts_separately
+from mufly.identify.flight.free_parameters import FreeParameter, choose_free_parameters
+from mufly.identify.flight.identification_demo import IdentificationDemo, run_identification_demo
+from mufly.identify.flight.input_polarity import check_flight_records
+from mufly.identify.flight.staged_search import FitProgress
+from mufly.identify.flight_record import FlightRecord, LogColumns, make_record, read_columns, split_record
+from mufly.identify.linear.linear_fit import LinearFit
+from mufly.identify.linear.linear_identification import LinearResult, identify_linear_model
+from mufly.identify.motor_fit import GearKnowledge, MotorFit, fit_motor
+from mufly.identify.record_consistency import check_record
+from mufly.identify.residual_analysis import (
+    PredictionQuality,
+    assess_prediction,
+    assess_record,
+    describe_residuals,
+)
+from mufly.identify.rotor_fit import RotorFit, fit_rotor_coefficients
 
 __all__ = [
-    "Columns",
-    "Demo",
-    "Estimate",
-    "Excitation",
-    "Fit",
-    "Free",
+    "ExcitationPlan",
+    "ExcitationSignal",
+    "FitProgress",
+    "FitResult",
+    "FlightLimits",
+    "FlightRecord",
+    "FreeParameter",
     "GearKnowledge",
-    "Limits",
+    "IdentificationDemo",
     "LinearFit",
     "LinearResult",
+    "LogColumns",
     "MotorFit",
-    "Plan",
-    "Progress",
-    "Quality",
-    "Record",
-    "RecordFit",
+    "ParameterEstimate",
+    "PredictionQuality",
+    "RecordPrediction",
+    "ReportSection",
     "RotorFit",
-    "Section",
-    "check_flights",
+    "apply_estimates",
+    "assess_prediction",
+    "assess_record",
+    "check_flight_records",
     "check_record",
-    "choose_free",
-    "design",
-    "excitation",
-    "fit_flights",
+    "choose_free_parameters",
+    "describe_residuals",
+    "design_excitation",
+    "fit_flight_records",
     "fit_motor",
-    "fit_rotor",
-    "fit_split",
-    "identify_linear",
-    "qualities",
-    "quality",
+    "fit_parts_separately",
+    "fit_rotor_coefficients",
+    "identify_linear_model",
+    "make_excitation",
+    "make_record",
     "read_columns",
-    "record_from",
-    "run_demo",
-    "split",
-    "what_is_missing",
-    "with_estimates",
+    "run_identification_demo",
+    "split_record",
     "write_report",
 ]

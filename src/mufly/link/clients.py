@@ -1,8 +1,8 @@
 """Whom the vehicle talks to: each peer with its own numbering, its own wishes, and its last sign of life.
 
 A peer is a channel of bytes; behind it speak stations, each a system and component. Which message goes out how often
-is each peer's own wish: by default the rates of :data:`mufly.link.telemetry.STREAMS`, else what it asked for by
-SET_MESSAGE_INTERVAL (one message, interval in us; 0: default, -1: never) or, as older programs do, by
+is each peer's own wish: by default the rates of :data:`mufly.link.telemetry_streams.MESSAGE_STREAMS`, else what it
+asked for by SET_MESSAGE_INTERVAL (one message, interval in us; 0: default, -1: never) or, as older programs do, by
 REQUEST_DATA_STREAM (a group of messages at a rate).
 """
 
@@ -16,31 +16,33 @@ from typing import Literal, NamedTuple
 from mufly.estimate import Estimate
 from mufly.flight import Autopilot
 from mufly.link.codec import (
-    ABOVE_ORIGIN,
-    ABOVE_SEA,
-    Encoder,
+    FRAMES_ABOVE_ORIGIN,
+    FRAMES_ABOVE_SEA,
+    FrameEncoder,
+    GlobalOrigin,
     MavMessage,
-    Origin,
-    Outgoing,
-    Texts,
+    OutgoingFrame,
+    StatusTextSplitter,
     mavlink,
-    unscaled,
+    scale_coordinate,
 )
-from mufly.link.telemetry import STREAMS
-from mufly.mission import ACCEPTED, Answer, SetPoint, later
+from mufly.link.telemetry_streams import MESSAGE_STREAMS
+from mufly.mission import REQUEST_ACCEPTED, RequestAnswer, SetPoint, reject_temporarily
 
-MOST_HZ = 200.0
+MAX_STREAM_HZ = 200.0
 """No message is streamed faster, whatever is asked (Hz)."""
-CLIENTS = 32
+MAX_CLIENTS = 32
 """So many peers are served; the one that was silent for longest makes room."""
-GONE_S = 15.0
+CLIENT_TIMEOUT_S = 15.0
 """A peer that called and has been silent for so long is sent nothing more (s)."""
-_TELL_EVERY_S = 2.0
+_REFUSAL_PERIOD_S = 2.0
 
-_BY_NUMBER = {n: [k for k, s in enumerate(STREAMS) if s.number == n] for n in {s.number for s in STREAMS}}
+_STREAMS_BY_MESSAGE_ID = {
+    n: [k for k, s in enumerate(MESSAGE_STREAMS) if s.message_id == n] for n in {s.message_id for s in MESSAGE_STREAMS}
+}
 
 
-class Source(NamedTuple):
+class MessageSource(NamedTuple):
     """Who said something: MAVLink's source system and component, behind a peer."""
 
     peer: Hashable
@@ -52,7 +54,7 @@ class Source(NamedTuple):
         return f"system {self.system} at {address}"
 
 
-class Wishes:
+class StreamSchedule:
     """What one peer wants, and when each message is due.
 
     Parameters
@@ -61,47 +63,47 @@ class Wishes:
     """
 
     def __init__(self, now_s: float) -> None:
-        self._period_s = [_period(s.default_Hz) for s in STREAMS]
-        self._due_s = [now_s] * len(STREAMS)
+        self._period_s = [_period_from_rate(s.default_rate_Hz) for s in MESSAGE_STREAMS]
+        self._due_s = [now_s] * len(MESSAGE_STREAMS)
         self._once: list[int] = []
 
-    def known(self, number: int) -> bool:
+    def is_streamable(self, number: int) -> bool:
         """Whether a message can be streamed or asked for."""
-        return number in _BY_NUMBER
+        return number in _STREAMS_BY_MESSAGE_ID
 
-    def set_interval(self, now_s: float, number: int, interval_us: float) -> bool:
+    def set_message_interval(self, now_s: float, number: int, interval_us: float) -> bool:
         """Take a wish; returns whether there is such a message and interval."""
-        if number not in _BY_NUMBER or not (interval_us == -1.0 or 0.0 <= interval_us < math.inf):
+        if number not in _STREAMS_BY_MESSAGE_ID or not (interval_us == -1.0 or 0.0 <= interval_us < math.inf):
             return False
-        for k in _BY_NUMBER[number]:
+        for k in _STREAMS_BY_MESSAGE_ID[number]:
             if interval_us == 0.0:
-                period = _period(STREAMS[k].default_Hz)
+                period = _period_from_rate(MESSAGE_STREAMS[k].default_rate_Hz)
             else:
-                period = math.inf if interval_us < 0.0 else max(interval_us * 1e-6, 1.0 / MOST_HZ)
-            self._set(now_s, k, period)
+                period = math.inf if interval_us < 0.0 else max(interval_us * 1e-6, 1.0 / MAX_STREAM_HZ)
+            self._set_period(now_s, k, period)
         return True
 
     def interval_us(self, number: int) -> int:
         """The interval of a message (us); -1: never, 0: there is no such message."""
-        if number not in _BY_NUMBER:
+        if number not in _STREAMS_BY_MESSAGE_ID:
             return 0
-        period = min(self._period_s[k] for k in _BY_NUMBER[number])
+        period = min(self._period_s[k] for k in _STREAMS_BY_MESSAGE_ID[number])
         return -1 if period == math.inf else min(round(period * 1e6), 2**31 - 1)
 
-    def set_group(self, now_s: float, group: int, rate_Hz: float) -> None:
+    def set_group_rate(self, now_s: float, group: int, rate_Hz: float) -> None:
         """Take the older form of a wish: a group of messages (0: all that are streamed by default) at a rate."""
-        for k, stream in enumerate(STREAMS):
-            if stream.default_Hz and stream.group and group in (0, stream.group):
-                self._set(now_s, k, _period(min(rate_Hz, MOST_HZ)))
+        for k, stream in enumerate(MESSAGE_STREAMS):
+            if stream.default_rate_Hz and stream.stream_group and group in (0, stream.stream_group):
+                self._set_period(now_s, k, _period_from_rate(min(rate_Hz, MAX_STREAM_HZ)))
 
-    def ask_once(self, number: int) -> bool:
+    def request_once(self, number: int) -> bool:
         """Want a message once, now; returns whether there is such a message."""
-        wanted = _BY_NUMBER.get(number, [])
+        wanted = _STREAMS_BY_MESSAGE_ID.get(number, [])
         self._once += [k for k in wanted if k not in self._once]
         return bool(wanted)
 
-    def due(self, now_s: float) -> Iterator[int]:
-        """Yield the places in :data:`STREAMS` of what is due, and count it as sent.
+    def take_due_streams(self, now_s: float) -> Iterator[int]:
+        """Yield the places in :data:`MESSAGE_STREAMS` of what is due, and count it as sent.
 
         A peer that could not be served for a while gets the next message of each kind, not all that it missed.
         """
@@ -114,13 +116,13 @@ class Wishes:
                 if k not in once and period < math.inf:
                     yield k
 
-    def _set(self, now_s: float, k: int, period_s: float) -> None:
+    def _set_period(self, now_s: float, k: int, period_s: float) -> None:
         if period_s != self._period_s[k]:
             self._period_s[k] = period_s
             self._due_s[k] = now_s if period_s < math.inf else math.inf
 
 
-def _period(rate_Hz: float) -> float:
+def _period_from_rate(rate_Hz: float) -> float:
     return 1.0 / rate_Hz if rate_Hz > 0.0 else math.inf
 
 
@@ -142,11 +144,11 @@ class Client:
     """
 
     peer: Hashable
-    encode: Encoder
-    wishes: Wishes
-    fixed: bool
-    heard_s: float
-    told_s: float = -math.inf
+    encode: FrameEncoder
+    schedule: StreamSchedule
+    is_permanent: bool
+    last_heard_s: float
+    last_refusal_s: float = -math.inf
 
 
 class Clients:
@@ -161,8 +163,8 @@ class Clients:
     def __init__(self, system: int, component: int) -> None:
         self._who = (system, component)
         self._all: dict[Hashable, Client] = {}
-        self._texts = Texts()
-        self._out: list[Outgoing] = []
+        self._texts = StatusTextSplitter()
+        self._out: list[OutgoingFrame] = []
 
     def __iter__(self) -> Iterator[Client]:
         return iter(list(self._all.values()))
@@ -170,51 +172,51 @@ class Clients:
     def __len__(self) -> int:
         return len(self._all)
 
-    def get(self, peer: Hashable) -> Client | None:
+    def find_client(self, peer: Hashable) -> Client | None:
         """Return a peer that is served."""
         return self._all.get(peer)
 
-    def hear(self, now_s: float, peer: Hashable) -> Client:
+    def mark_heard(self, now_s: float, peer: Hashable) -> Client:
         """Note a sign of life of a peer, which is served from now on."""
         client = self._all.get(peer)
         if client is None:
-            client = self.add(now_s, peer, fixed=False)
-        client.heard_s = now_s
+            client = self.add_client(now_s, peer, fixed=False)
+        client.last_heard_s = now_s
         return client
 
-    def add(self, now_s: float, peer: Hashable, *, fixed: bool) -> Client:
+    def add_client(self, now_s: float, peer: Hashable, *, fixed: bool) -> Client:
         """Serve a peer."""
-        client = self._all[peer] = Client(peer, Encoder(*self._who), Wishes(now_s), fixed, now_s)
+        client = self._all[peer] = Client(peer, FrameEncoder(*self._who), StreamSchedule(now_s), fixed, now_s)
         return client
 
-    def drop_silent(self, now_s: float) -> list[Hashable]:
+    def drop_silent_clients(self, now_s: float) -> list[Hashable]:
         """Serve no more who has been silent for too long, and whom there is no room for; returns who that is."""
-        guests = sorted((c for c in self._all.values() if not c.fixed), key=lambda c: c.heard_s)
-        surplus = max(0, len(self._all) - CLIENTS)
-        leaving = [c.peer for k, c in enumerate(guests) if k < surplus or now_s - c.heard_s > GONE_S]
+        guests = sorted((c for c in self._all.values() if not c.is_permanent), key=lambda c: c.last_heard_s)
+        surplus = max(0, len(self._all) - MAX_CLIENTS)
+        leaving = [c.peer for k, c in enumerate(guests) if k < surplus or now_s - c.last_heard_s > CLIENT_TIMEOUT_S]
         for peer in leaving:
             del self._all[peer]
         return leaving
 
-    def send(self, peer: Hashable | None, message: MavMessage) -> None:
+    def send_message(self, peer: Hashable | None, message: MavMessage) -> None:
         """Send a message to a peer; to all if None."""
         for client in self._all.values():
             if peer is None or client.peer == peer:
-                self._out.append(Outgoing(client.peer, client.encode(message)))
+                self._out.append(OutgoingFrame(client.peer, client.encode(message)))
 
-    def say(self, text: str, level: str = "info", peer: Hashable | None = None) -> None:
+    def send_text(self, text: str, level: str = "info", peer: Hashable | None = None) -> None:
         """Say a line to a peer; to all if None."""
         for message in self._texts(text, level):
-            self.send(peer, message)
+            self.send_message(peer, message)
 
-    def tell(self, now_s: float, station: Source, why: str) -> None:
+    def send_refusal(self, now_s: float, station: MessageSource, why: str) -> None:
         """Tell a station why something is refused, but not with every message of a stream."""
         client = self._all.get(station.peer)
-        if why and client is not None and now_s - client.told_s > _TELL_EVERY_S:
-            client.told_s = now_s
-            self.say(why, "warning", station.peer)
+        if why and client is not None and now_s - client.last_refusal_s > _REFUSAL_PERIOD_S:
+            client.last_refusal_s = now_s
+            self.send_text(why, "warning", station.peer)
 
-    def taken(self) -> list[Outgoing]:
+    def take_outgoing(self) -> list[OutgoingFrame]:
         """Hand over what is to be sent."""
         out, self._out = self._out, []
         return out
@@ -224,7 +226,8 @@ class Clients:
 # Who commands: one station at a time, the others watch; and what happens when the commander is lost.
 #
 # The first to command takes command. It keeps it until it hands over (CHANGE_OPERATOR_CONTROL), or has not been heard
-# for :data:`SILENT_S`; then the next to command has it. Anything that a station says is a sign of life. In flight:
+# for :data:`COMMANDER_TIMEOUT_S`; then the next to command has it. Anything that a station says is a sign of life. In
+# flight:
 #
 # ====================================  ===============================================
 # for ``COM_DL_LOSS_T`` not a word      stop and hover
@@ -236,15 +239,15 @@ class Clients:
 # and a flight home, go on: they end on the floor anyway.
 
 
-SILENT_S = 5.0
+COMMANDER_TIMEOUT_S = 5.0
 """After so long without a word the commander may be replaced (s)."""
-_ACK_CONTROL, _NACK_KEY, _NACK_HELD = 0, 2, 3
+_CONTROL_GRANTED, _CONTROL_WRONG_KEY, _CONTROL_HELD_BY_OTHER = 0, 2, 3
 
-Stage = Literal["", "hover", "land"]
+FailsafeStage = Literal["", "hover", "land"]
 """How far the failsafe has gone: nothing, or what has been ordered."""
 
 
-class Authority:
+class CommandAuthority:
     """Where command is held.
 
     Parameters
@@ -262,61 +265,67 @@ class Authority:
     """
 
     def __init__(self, autopilot: Autopilot, clients: Clients, manual: ManualControl) -> None:
-        self.commander: Source | None = None
-        self.on_change: list[Callable[[], None]] = [manual.forget]
+        self.commander: MessageSource | None = None
+        self.on_change: list[Callable[[], None]] = [manual.forget_sticks]
         self._autopilot, self._clients, self._manual = autopilot, clients, manual
         self._heard_s = -math.inf
-        self._stage: Stage = ""
-        self._owed: Stage = ""
+        self._stage: FailsafeStage = ""
+        self._owed: FailsafeStage = ""
 
-    def hear(self, now_s: float, station: Source) -> None:
+    def mark_heard(self, now_s: float, station: MessageSource) -> None:
         """Note a sign of life."""
         if station == self.commander:
             self._heard_s = now_s
 
-    def silent_s(self, now_s: float) -> float:
+    def commander_silence_s(self, now_s: float) -> float:
         """For how long the commander has not been heard (s); 0 if there is none."""
         return 0.0 if self.commander is None else max(0.0, now_s - self._heard_s)
 
-    def may(self, now_s: float, station: Source) -> bool:
+    def may_command(self, now_s: float, station: MessageSource) -> bool:
         """Whether a station commands; the first to ask does. One that may not is told who does."""
-        if self.commander not in (None, station) and self.silent_s(now_s) < SILENT_S:
-            self._clients.tell(now_s, station, f"denied: commanded by {self.commander}; ask it to hand over")
+        if self.commander not in (None, station) and self.commander_silence_s(now_s) < COMMANDER_TIMEOUT_S:
+            self._clients.send_refusal(now_s, station, f"denied: commanded by {self.commander}; ask it to hand over")
             return False
         self._heard_s = now_s
         if station != self.commander:
-            self._give(station)
-            self._autopilot.note(f"commanded by {station}")
+            self._set_commander(station)
+            self._autopilot.log_event(f"commanded by {station}")
         return True
 
-    def operator_control(self, now_s: float, station: Source, m: MavMessage) -> None:
+    def handle_operator_control(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
         """Take a CHANGE_OPERATOR_CONTROL: 0 asks for command, 1 hands it over."""
         if m.control_request == 0:
-            answer = _NACK_KEY if m.version else _ACK_CONTROL if self.may(now_s, station) else _NACK_HELD
+            answer = (
+                _CONTROL_WRONG_KEY
+                if m.version
+                else _CONTROL_GRANTED
+                if self.may_command(now_s, station)
+                else _CONTROL_HELD_BY_OTHER
+            )
         elif station == self.commander:
-            answer = _ACK_CONTROL
-            self._give(None)
-            self._autopilot.note(f"{station} has handed over command")
+            answer = _CONTROL_GRANTED
+            self._set_commander(None)
+            self._autopilot.log_event(f"{station} has handed over command")
         else:
-            answer = _NACK_HELD
-        self._clients.send(
+            answer = _CONTROL_HELD_BY_OTHER
+        self._clients.send_message(
             station.peer,
             mavlink.MAVLink_change_operator_control_ack_message(station.system, m.control_request, answer),
         )
 
-    def watch(self, now_s: float, *, loss_s: float, land_s: float) -> None:
+    def step_link_failsafe(self, now_s: float, *, loss_s: float, land_s: float) -> None:
         """Hover, then land, when the commander is lost: after COM_DL_LOSS_T, and COM_DL_LAND_T more (s)."""
-        status, silent = self._autopilot.status, self.silent_s(now_s)
-        ending = status.state == "landing" or status.homing
-        self._stage, order = watch_link(
+        status, silent = self._autopilot.status, self.commander_silence_s(now_s)
+        ending = status.state == "landing" or status.returning_home
+        self._stage, order = judge_link_loss(
             self._stage, silent_s=silent, flying=status.flying, ending=ending, loss_s=loss_s, land_s=land_s
         )
         if order == "back":
-            self._autopilot.note("the commander is heard again")
+            self._autopilot.log_event("the commander is heard again")
         elif order:
-            self._manual.off()
+            self._manual.release_sticks()
             then = f"stop and hover, land in {land_s:g} s" if order == "hover" else "land"
-            self._autopilot.note(f"commander not heard for {silent:.0f} s: {then}", "warning")
+            self._autopilot.log_event(f"commander not heard for {silent:.0f} s: {then}", "warning")
             self._owed = order
         # What is refused for the moment (just off the floor, sticks in the hand) is asked for until it is done.
         if self._stage == "" or ending:
@@ -325,15 +334,15 @@ class Authority:
             answer = self._autopilot.pause() if self._owed == "hover" else self._autopilot.land()
             self._owed = "" if answer else self._owed
 
-    def _give(self, station: Source | None) -> None:
+    def _set_commander(self, station: MessageSource | None) -> None:
         self.commander = station
         for changed in self.on_change:
             changed()
 
 
-def watch_link(
-    stage: Stage, *, silent_s: float, flying: bool, ending: bool, loss_s: float, land_s: float
-) -> tuple[Stage, Literal["", "hover", "land", "back"]]:
+def judge_link_loss(
+    stage: FailsafeStage, *, silent_s: float, flying: bool, ending: bool, loss_s: float, land_s: float
+) -> tuple[FailsafeStage, Literal["", "hover", "land", "back"]]:
     """Judge the link once.
 
     Parameters
@@ -402,13 +411,13 @@ def watch_link(
 # of PX4 and ArduPilot (MAVLink's own text has r the other way round).
 
 
-Triple = tuple[float, float, float]
+FloatTriple = tuple[float, float, float]
 
-_NO_HEADING, _NO_YAW_RATE, _KNOWN_BITS = 0x400, 0x800, 0xFFF
-_LOCAL, _OFFSET, _BODY = 1, 7, (8, 9, 12)
+_IGNORE_HEADING, _IGNORE_YAW_RATE, _KNOWN_MASK_BITS = 0x400, 0x800, 0xFFF
+_FRAME_LOCAL, _FRAME_LOCAL_OFFSET, _FRAMES_BODY = 1, 7, (8, 9, 12)
 
 
-def set_point_of(message: MavMessage, measured: Estimate, origin: Origin | None) -> SetPoint | None:
+def parse_set_point(message: MavMessage, measured: Estimate, origin: GlobalOrigin | None) -> SetPoint | None:
     """Return what a message asks for; None if that is nothing, or nothing that is understood here.
 
     Parameters
@@ -420,20 +429,24 @@ def set_point_of(message: MavMessage, measured: Estimate, origin: Origin | None)
         For frames on the globe.
     """
     mask, frame = message.type_mask, message.coordinate_frame
-    if mask & ~_KNOWN_BITS:
+    if mask & ~_KNOWN_MASK_BITS:
         return None
     on_globe = message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
-    given = _from_globe(message, origin) if on_globe else (message.x, message.y, message.z)
-    if given is None or (not on_globe and frame not in (_LOCAL, _OFFSET, *_BODY)):
+    given = _parse_global_position(message, origin) if on_globe else (message.x, message.y, message.z)
+    if given is None or (not on_globe and frame not in (_FRAME_LOCAL, _FRAME_LOCAL_OFFSET, *_FRAMES_BODY)):
         return None
-    place = _masked(given, mask)
-    speed = _masked((message.vx, message.vy, message.vz), mask >> 3)
-    heading = math.nan if mask & _NO_HEADING else float(message.yaw)
-    yaw_rate = math.nan if mask & _NO_YAW_RATE else float(message.yaw_rate)
-    if not on_globe and frame in _BODY:
+    place = _apply_mask(given, mask)
+    speed = _apply_mask((message.vx, message.vy, message.vz), mask >> 3)
+    heading = math.nan if mask & _IGNORE_HEADING else float(message.yaw)
+    yaw_rate = math.nan if mask & _IGNORE_YAW_RATE else float(message.yaw_rate)
+    if not on_globe and frame in _FRAMES_BODY:
         yaw = float(measured.attitude[2])
-        place, speed, heading = _turned(place, yaw), _turned(speed, yaw), heading + yaw
-    if not on_globe and frame != _LOCAL:
+        place, speed, heading = (
+            _rotate_body_to_ned(place, yaw),
+            _rotate_body_to_ned(speed, yaw),
+            heading + yaw,
+        )
+    if not on_globe and frame != _FRAME_LOCAL:
         n, e, d = measured.position.tolist()
         place = (place[0] + n, place[1] + e, place[2] + d)
     out = SetPoint(
@@ -445,12 +458,12 @@ def set_point_of(message: MavMessage, measured: Estimate, origin: Origin | None)
     return None if out == SetPoint() else out
 
 
-def _masked(values: Triple, mask: int) -> Triple:
+def _apply_mask(values: FloatTriple, mask: int) -> FloatTriple:
     n, e, d = (math.nan if mask & 1 << k else float(v) for k, v in enumerate(values))
     return n, e, d
 
 
-def _turned(ahead_right_down: Triple, yaw: float) -> Triple:
+def _rotate_body_to_ned(ahead_right_down: FloatTriple, yaw: float) -> FloatTriple:
     """Ahead and right as north and east; an axis that is not given has no direction, so neither has the other."""
     a, r, d = ahead_right_down
     if math.isnan(a) != math.isnan(r):
@@ -459,23 +472,23 @@ def _turned(ahead_right_down: Triple, yaw: float) -> Triple:
     return c * a - s * r, s * a + c * r, d
 
 
-def _from_globe(message: MavMessage, origin: Origin | None) -> Triple | None:
+def _parse_global_position(message: MavMessage, origin: GlobalOrigin | None) -> FloatTriple | None:
     frame = message.coordinate_frame
-    if origin is None or frame not in (*ABOVE_SEA, *ABOVE_ORIGIN):
+    if origin is None or frame not in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN):
         return None
-    lat, lon = (unscaled(v, 1e-7) for v in (message.lat_int, message.lon_int))
+    lat, lon = (scale_coordinate(v, 1e-7) for v in (message.lat_int, message.lon_int))
     return origin.to_local(lat, lon, message.alt, frame)
 
 
-FRESH_S = 1.0
+STICK_TIMEOUT_S = 1.0
 """Sticks that have not been heard for so long are not there (s)."""
-_DEAD = 0.03
-_RELEASED = (0, 65535)
-_NOT_GIVEN = 32767
+_STICK_DEADBAND = 0.03
+_CHANNEL_RELEASED = (0, 65535)
+_AXIS_NOT_GIVEN = 32767
 
 
 @dataclass(frozen=True, slots=True)
-class Deflection:
+class StickDeflection:
     """Sticks from -1 to 1: right, back (nose up), up, turn right."""
 
     roll: float = 0.0
@@ -484,25 +497,28 @@ class Deflection:
     yaw: float = 0.0
 
 
-def _deflection(*values: float) -> Deflection:
+def _apply_deadband(*values: float) -> StickDeflection:
     held = [min(max(v, -1.0), 1.0) for v in values]
-    return Deflection(
-        *(math.copysign((abs(v) - _DEAD) / (1.0 - _DEAD), v) if abs(v) > _DEAD else 0.0 for v in held)
+    return StickDeflection(
+        *(
+            math.copysign((abs(v) - _STICK_DEADBAND) / (1.0 - _STICK_DEADBAND), v) if abs(v) > _STICK_DEADBAND else 0.0
+            for v in held
+        )
     )
 
 
-def of_channels(message: MavMessage) -> Deflection | None:
+def parse_rc_override(message: MavMessage) -> StickDeflection | None:
     """Return the sticks of an RC_CHANNELS_OVERRIDE; None if channels 1 to 4 are all released."""
     pulses = [message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw]
-    if all(us in _RELEASED for us in pulses):
+    if all(us in _CHANNEL_RELEASED for us in pulses):
         return None
-    return _deflection(*(0.0 if us in _RELEASED else (us - 1500) / 500 for us in pulses))
+    return _apply_deadband(*(0.0 if us in _CHANNEL_RELEASED else (us - 1500) / 500 for us in pulses))
 
 
-def of_manual_control(message: MavMessage) -> Deflection:
+def parse_manual_control(message: MavMessage) -> StickDeflection:
     """Return the sticks of a MANUAL_CONTROL."""
-    x, y, z, r = (None if v == _NOT_GIVEN else v / 1000 for v in (message.x, message.y, message.z, message.r))
-    return _deflection(y or 0.0, -(x or 0.0), 0.0 if z is None else 2.0 * z - 1.0, r or 0.0)
+    x, y, z, r = (None if v == _AXIS_NOT_GIVEN else v / 1000 for v in (message.x, message.y, message.z, message.r))
+    return _apply_deadband(y or 0.0, -(x or 0.0), 0.0 if z is None else 2.0 * z - 1.0, r or 0.0)
 
 
 class ManualControl:
@@ -515,54 +531,54 @@ class ManualControl:
 
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot = autopilot
-        self._manual, self._heard_s = Deflection(), -math.inf
+        self._manual, self._heard_s = StickDeflection(), -math.inf
         self._by_hand = False
         self._overridden = False
 
     @property
-    def by_mode(self) -> bool:
+    def is_manual_mode(self) -> bool:
         """Whether they count because a mode for flying by hand was asked for."""
         return self._by_hand
 
-    def override(self, message: MavMessage) -> Answer:
+    def handle_rc_override(self, message: MavMessage) -> RequestAnswer:
         """Take an RC_CHANNELS_OVERRIDE."""
-        wanted = of_channels(message)
+        wanted = parse_rc_override(message)
         if wanted is not None:
             self._overridden = True
-            return self._fly(wanted)
+            return self._send_sticks(wanted)
         if self._overridden:
             self._overridden = False
-            return self._autopilot.sticks_off()
-        return ACCEPTED
+            return self._autopilot.release_sticks()
+        return REQUEST_ACCEPTED
 
-    def manual(self, now_s: float, message: MavMessage) -> Answer:
+    def handle_manual_control(self, now_s: float, message: MavMessage) -> RequestAnswer:
         """Take a MANUAL_CONTROL."""
-        self._manual, self._heard_s = of_manual_control(message), now_s
-        return self._fly(self._manual) if self._by_hand else ACCEPTED
+        self._manual, self._heard_s = parse_manual_control(message), now_s
+        return self._send_sticks(self._manual) if self._by_hand else REQUEST_ACCEPTED
 
-    def by_hand(self, now_s: float) -> Answer:
+    def enter_manual_mode(self, now_s: float) -> RequestAnswer:
         """A mode for flying by hand is asked for."""
         if self._overridden:
-            return ACCEPTED
-        if now_s - self._heard_s > FRESH_S:
-            return later("no sticks; stream MANUAL_CONTROL or RC_CHANNELS_OVERRIDE first")
+            return REQUEST_ACCEPTED
+        if now_s - self._heard_s > STICK_TIMEOUT_S:
+            return reject_temporarily("no sticks; stream MANUAL_CONTROL or RC_CHANNELS_OVERRIDE first")
         self._by_hand = True
-        return self._fly(self._manual)
+        return self._send_sticks(self._manual)
 
-    def off(self) -> None:
+    def release_sticks(self) -> None:
         """Another mode is asked for, or the pilot is not heard any more."""
         if self._by_hand or self._overridden:
-            self._autopilot.sticks_off()
+            self._autopilot.release_sticks()
         self._by_hand = self._overridden = False
 
-    def forget(self) -> None:
+    def forget_sticks(self) -> None:
         """There is another commander: what was heard of sticks was not said by that one."""
-        self.off()
-        self._manual, self._heard_s = Deflection(), -math.inf
+        self.release_sticks()
+        self._manual, self._heard_s = StickDeflection(), -math.inf
 
-    def _fly(self, d: Deflection) -> Answer:
+    def _send_sticks(self, d: StickDeflection) -> RequestAnswer:
         tilt, turn, climb = (
             self._autopilot.parameters[name].value for name in ("STK_TILT", "STK_YAWRATE", "STK_CLIMB")
         )
         tilt, turn = math.radians(tilt), math.radians(turn)
-        return self._autopilot.sticks(d.roll * tilt, d.pitch * tilt, d.yaw * turn, d.climb * climb)
+        return self._autopilot.set_sticks(d.roll * tilt, d.pitch * tilt, d.yaw * turn, d.climb * climb)

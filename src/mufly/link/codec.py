@@ -10,7 +10,7 @@ a little behind came out of order. Frames of MAVLink 1 and 2 are read, MAVLink 2
 (https://mavlink.io/en/guide/serialization.html).
 
 Nothing that arrives raises an error: bytes that are no frame are skipped one by one until a frame is found, and
-counted. The memory kept for a peer is bounded by the longest frame and by :data:`SENDERS` senders.
+counted. The memory kept for a peer is bounded by the longest frame and by :data:`MAX_SENDERS` senders.
 
 A line for people (STATUSTEXT) is cut into pieces of 50 bytes where it is longer. The pieces carry the same id and count
 from 0; the last one is the first that is not full. Of pieces that were lost ``...`` stays in their place.
@@ -27,15 +27,15 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from mufly.errors import ArgumentError, InputError
-from mufly.grammar import read_quantity
 from mufly.logs.tlog import packet_length
 from mufly.mission import State
-from mufly.mission.items import ABOVE_ORIGIN as ABOVE_ORIGIN
-from mufly.mission.items import ABOVE_SEA as ABOVE_SEA
-from mufly.mission.items import ABOVE_TERRAIN as ABOVE_TERRAIN
-from mufly.mission.items import NOT_GIVEN as NOT_GIVEN
-from mufly.mission.items import Origin as Origin
-from mufly.mission.items import unscaled as unscaled
+from mufly.mission.mission_items import COORDINATE_NOT_GIVEN as COORDINATE_NOT_GIVEN
+from mufly.mission.mission_items import FRAMES_ABOVE_ORIGIN as FRAMES_ABOVE_ORIGIN
+from mufly.mission.mission_items import FRAMES_ABOVE_SEA as FRAMES_ABOVE_SEA
+from mufly.mission.mission_items import FRAMES_ABOVE_TERRAIN as FRAMES_ABOVE_TERRAIN
+from mufly.mission.mission_items import GlobalOrigin as GlobalOrigin
+from mufly.mission.mission_items import scale_coordinate as scale_coordinate
+from mufly.quantity_grammar import read_quantity
 
 os.environ["MAVLINK20"] = "1"
 with contextlib.redirect_stdout(io.StringIO()):
@@ -46,55 +46,55 @@ MavMessage = Any
 """A message of pymavlink (``mavlink.MAVLink_message``), which carries no types worth checking."""
 MavlinkError: type[Exception] = mavlink.MAVError
 
-FRAME_MOST = 280
+MAX_FRAME_BYTES = 280
 """Length of the longest frame: ten bytes of header, 255 of payload, two of checksum, thirteen of signature."""
-SENDERS = 64
+MAX_SENDERS = 64
 """So many senders are told apart on one channel; those beyond are heard, but their losses are not counted."""
-CHANNELS = 128
+MAX_CHANNELS = 128
 """So many peers are remembered; the one that was silent for longest is forgotten."""
-_WINDOW = 32  # numbers so far behind the newest are late, those further off are a jump
-_DUPLICATE_S = 1.0  # the same packet after this time is said anew, by a program that was started again
-_V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
-_PIECE = 50
-LONGEST = 400
+_REORDER_WINDOW = 32  # numbers so far behind the newest are late, those further off are a jump
+_DUPLICATE_WINDOW_S = 1.0  # the same packet after this time is said anew, by a program that was started again
+_MARKER_V1, _MARKER_V2, _FLAG_SIGNED = 0xFE, 0xFD, 0x01
+_TEXT_CHUNK_BYTES = 50
+MAX_TEXT_BYTES = 400
 """Bytes of the longest line; what is beyond is cut."""
-SEVERITY = {
+SEVERITY_BY_LEVEL = {
     "error": mavlink.MAV_SEVERITY_ERROR,
     "warning": mavlink.MAV_SEVERITY_WARNING,
     "info": mavlink.MAV_SEVERITY_INFO,
 }
-_TEXTS = 8  # so many texts of one vehicle may wait
-_WAIT_S = 2.0  # for so long a text waits for pieces that are missing
+_MAX_PARTIAL_TEXTS = 8  # so many texts of one vehicle may wait
+_CHUNK_TIMEOUT_S = 2.0  # for so long a text waits for pieces that are missing
 
 """In x and y of an integer message: not given."""
-FLOAT_MOST = 3.4028234663852886e38
+MAX_FLOAT32 = 3.4028234663852886e38
 """The largest number that a ``float`` field can hold."""
 
 
-def single(value: float) -> float:
+def to_float32(value: float) -> float:
     """Return ``value`` as a ``float`` field can hold it: beyond its range it is not known (NaN)."""
-    return float(value) if abs(value) <= FLOAT_MOST else math.nan
+    return float(value) if abs(value) <= MAX_FLOAT32 else math.nan
 
 
-def within(value: float, least: int, greatest: int, unknown: int = 0) -> int:
-    """Return ``value`` rounded and held within the bounds of an integer field; ``unknown`` if it is no number."""
+def clip_to_integer(value: float, least: int, greatest: int, unknown: int = 0) -> int:
+    """Return ``value`` rounded and held within the bounds of an integer field; ``unknown_count`` if it is no number."""
     if not math.isfinite(value):
         return unknown
     return int(min(max(round(value), least), greatest))
 
 
-def scaled(value: float, factor: float) -> int:
+def scale_to_integer(value: float, factor: float) -> int:
     """Return ``value`` times ``factor`` as x or y of an integer message; what does not fit is "not given" there."""
     number = value * factor
-    return round(number) if math.isfinite(number) and abs(number) <= NOT_GIVEN else NOT_GIVEN
+    return round(number) if math.isfinite(number) and abs(number) <= COORDINATE_NOT_GIVEN else COORDINATE_NOT_GIVEN
 
 
-def text_of(text: str, size: int = 50) -> bytes:
+def encode_text_field(text: str, size: int = 50) -> bytes:
     """Return ``text`` as a ``char[size]`` field takes it: UTF-8, never cut inside a character."""
     return text.encode(errors="replace")[:size].decode(errors="ignore").encode()
 
 
-class Outgoing(NamedTuple):
+class OutgoingFrame(NamedTuple):
     """Bytes for a peer, or for all of them (None)."""
 
     peer: Hashable | None
@@ -102,54 +102,54 @@ class Outgoing(NamedTuple):
 
 
 @dataclass(slots=True)
-class Counts:
+class PacketCounts:
     """What became of the packets of one sender, or of all of a peer's."""
 
-    received: int = 0
-    lost: int = 0
-    duplicates: int = 0
-    reordered: int = 0
-    unknown: int = 0
+    received_count: int = 0
+    lost_count: int = 0
+    duplicate_count: int = 0
+    reordered_count: int = 0
+    unknown_count: int = 0
     garbage_bytes: int = 0
 
     @property
-    def loss(self) -> float:
+    def loss_ratio(self) -> float:
         """Share of packets that were lost, 0..1."""
-        sent = self.received + self.lost
-        return self.lost / sent if sent else 0.0
+        sent = self.received_count + self.lost_count
+        return self.lost_count / sent if sent else 0.0
 
 
 @dataclass(slots=True)
-class _Sequence:
+class _SequenceTracker:
     """Numbers of one sender's packets: the newest, and when and with which checksum each was heard."""
 
-    newest: int
-    heard: dict[int, tuple[float, int]] = field(default_factory=dict)
+    newest_number: int
+    heard_packets: dict[int, tuple[float, int]] = field(default_factory=dict)
 
-    def take(self, now_s: float, number: int, checksum: int, counts: Counts) -> bool:
+    def accept_number(self, now_s: float, number: int, checksum: int, counts: PacketCounts) -> bool:
         """Judge a number; returns whether the packet is new."""
-        ahead = (number - self.newest) % 256
+        ahead = (number - self.newest_number) % 256
         behind = (256 - ahead) % 256
-        before = self.heard.get(number)
-        if behind < _WINDOW and before is not None:
-            if before[1] == checksum and now_s - before[0] < _DUPLICATE_S:
-                counts.duplicates += 1
+        before = self.heard_packets.get(number)
+        if behind < _REORDER_WINDOW and before is not None:
+            if before[1] == checksum and now_s - before[0] < _DUPLICATE_WINDOW_S:
+                counts.duplicate_count += 1
                 return False
-            self.heard.clear()  # the number again, but another packet: the sender started anew
-            self.newest = number
-        elif behind < _WINDOW:
-            counts.reordered += 1
-            counts.lost = max(0, counts.lost - 1)
-        elif ahead <= 256 - 2 * _WINDOW:
-            counts.lost += ahead - 1
+            self.heard_packets.clear()  # the number again, but another packet: the sender started anew
+            self.newest_number = number
+        elif behind < _REORDER_WINDOW:
+            counts.reordered_count += 1
+            counts.lost_count = max(0, counts.lost_count - 1)
+        elif ahead <= 256 - 2 * _REORDER_WINDOW:
+            counts.lost_count += ahead - 1
             for k in range(1, ahead):
-                self.heard.pop((self.newest + k) % 256, None)
-            self.newest = number
+                self.heard_packets.pop((self.newest_number + k) % 256, None)
+            self.newest_number = number
         else:  # neither ahead nor a little behind: the sender started anew
-            self.heard.clear()
-            self.newest = number
-        self.heard[number] = (now_s, checksum)
-        counts.received += 1
+            self.heard_packets.clear()
+            self.newest_number = number
+        self.heard_packets[number] = (now_s, checksum)
+        counts.received_count += 1
         return True
 
 
@@ -158,11 +158,11 @@ class _Channel:
     """What is kept of one peer."""
 
     buffer: bytearray = field(default_factory=bytearray)
-    senders: dict[tuple[int, int], _Sequence] = field(default_factory=dict)
-    counts: Counts = field(default_factory=Counts)
+    senders: dict[tuple[int, int], _SequenceTracker] = field(default_factory=dict)
+    counts: PacketCounts = field(default_factory=PacketCounts)
 
 
-class Codec:
+class FrameDecoder:
     """Reads what peers send.
 
     Parameters
@@ -192,7 +192,7 @@ class Codec:
         channel = self._channels.get(peer)
         if channel is None:
             channel = _Channel()
-            if len(self._channels) >= CHANNELS:
+            if len(self._channels) >= MAX_CHANNELS:
                 del self._channels[next(iter(self._channels))]
         else:
             del self._channels[peer]  # and in again at the end: the first one is the longest silent
@@ -201,25 +201,25 @@ class Codec:
         buffer += data
         at = 0
         while True:
-            start = _next_marker(buffer, at)
+            start = _find_next_marker(buffer, at)
             counts.garbage_bytes += start - at
             at = start
             size = packet_length(buffer, at)
             if size and at + size <= len(buffer):
                 frame = bytes(buffer[at : at + size])
-                message = self._decode(frame)
-                if message is None and not _unknown(frame, buffer, at + size):
+                message = self._decode_frame(frame)
+                if message is None and not _is_unknown_message(frame, buffer, at + size):
                     counts.garbage_bytes += 1
                     at += 1
                     continue
                 at += size
                 if message is None:
-                    counts.unknown += 1
-                elif self._fresh(now_s, channel, message):
+                    counts.unknown_count += 1
+                elif self._is_new(now_s, channel, message):
                     out.append(message)
                 continue
             # Not complete. If a whole frame stands further on, this marker was none.
-            later = self._whole_frame_after(buffer, at)
+            later = self._find_next_frame(buffer, at)
             if later is None:
                 break
             counts.garbage_bytes += later - at
@@ -227,27 +227,27 @@ class Codec:
         del buffer[:at]
         return out
 
-    def counts(self, peer: Hashable) -> Counts:
+    def packet_counts(self, peer: Hashable) -> PacketCounts:
         """What became of a peer's packets so far."""
         channel = self._channels.get(peer)
-        return channel.counts if channel is not None else Counts()
+        return channel.counts if channel is not None else PacketCounts()
 
-    def forget(self, peer: Hashable) -> None:
+    def forget_peer(self, peer: Hashable) -> None:
         """Drop what is kept of a peer that has gone."""
         self._channels.pop(peer, None)
 
-    def _fresh(self, now_s: float, channel: _Channel, message: MavMessage) -> bool:
+    def _is_new(self, now_s: float, channel: _Channel, message: MavMessage) -> bool:
         header = message.get_header()
         sender = (header.srcSystem, header.srcComponent)
         known = channel.senders.get(sender)
         if known is None:
-            if len(channel.senders) >= SENDERS:
-                channel.counts.received += 1
+            if len(channel.senders) >= MAX_SENDERS:
+                channel.counts.received_count += 1
                 return True
-            known = channel.senders[sender] = _Sequence((header.seq - 1) % 256)
-        return known.take(now_s, header.seq, message.get_crc(), channel.counts) or self._keep
+            known = channel.senders[sender] = _SequenceTracker((header.seq - 1) % 256)
+        return known.accept_number(now_s, header.seq, message.get_crc(), channel.counts) or self._keep
 
-    def _decode(self, frame: bytes) -> MavMessage | None:
+    def _decode_frame(self, frame: bytes) -> MavMessage | None:
         """Return the message in a frame; None if its checksum is wrong or its id unknown."""
         if _message_id(frame) not in mavlink.mavlink_map:
             return None
@@ -256,16 +256,16 @@ class Codec:
         except MavlinkError:
             return None
 
-    def _whole_frame_after(self, buffer: bytearray, at: int) -> int | None:
+    def _find_next_frame(self, buffer: bytearray, at: int) -> int | None:
         while at < len(buffer):
-            at = _next_marker(buffer, at + 1)
+            at = _find_next_marker(buffer, at + 1)
             size = packet_length(buffer, at)
-            if size and at + size <= len(buffer) and self._decode(bytes(buffer[at : at + size])) is not None:
+            if size and at + size <= len(buffer) and self._decode_frame(bytes(buffer[at : at + size])) is not None:
                 return at
         return None
 
 
-class Encoder:
+class FrameEncoder:
     """Packs messages of one sender for one channel, numbered in the order in which they are packed.
 
     Parameters
@@ -284,24 +284,24 @@ class Encoder:
         return data
 
 
-def _next_marker(buffer: bytearray, at: int) -> int:
+def _find_next_marker(buffer: bytearray, at: int) -> int:
     """Where the next frame may begin; the end of the buffer if nowhere."""
-    found = [k for k in (buffer.find(_V1, at), buffer.find(_V2, at)) if k >= 0]
+    found = [k for k in (buffer.find(_MARKER_V1, at), buffer.find(_MARKER_V2, at)) if k >= 0]
     return min(found, default=len(buffer))
 
 
 def _message_id(frame: bytes) -> int:
-    return frame[5] if frame[0] == _V1 else int.from_bytes(frame[7:10], "little")
+    return frame[5] if frame[0] == _MARKER_V1 else int.from_bytes(frame[7:10], "little")
 
 
-def _unknown(frame: bytes, buffer: bytearray, end: int) -> bool:
+def _is_unknown_message(frame: bytes, buffer: bytearray, end: int) -> bool:
     """Whether a frame is one of a message that this dialect lacks, as far as one can tell without its checksum."""
-    if _message_id(frame) in mavlink.mavlink_map or (frame[0] == _V2 and frame[2] & ~_SIGNED):
+    if _message_id(frame) in mavlink.mavlink_map or (frame[0] == _MARKER_V2 and frame[2] & ~_FLAG_SIGNED):
         return False
-    return end == len(buffer) or buffer[end] in (_V1, _V2)
+    return end == len(buffer) or buffer[end] in (_MARKER_V1, _MARKER_V2)
 
 
-class Texts:
+class StatusTextSplitter:
     """Makes messages of lines."""
 
     def __init__(self) -> None:
@@ -309,61 +309,60 @@ class Texts:
 
     def __call__(self, text: str, level: str = "info") -> list[MavMessage]:
         """Return the messages that carry a line, in order; ``level`` is "info", "warning" or "error"."""
-        severity = SEVERITY.get(level, mavlink.MAV_SEVERITY_INFO)
-        data = " ".join(text.split()).encode(errors="replace")[:LONGEST]
-        if len(data) <= _PIECE:
+        severity = SEVERITY_BY_LEVEL.get(level, mavlink.MAV_SEVERITY_INFO)
+        data = " ".join(text.split()).encode(errors="replace")[:MAX_TEXT_BYTES]
+        if len(data) <= _TEXT_CHUNK_BYTES:
             return [mavlink.MAVLink_statustext_message(severity, data)]
         self._last_id = self._last_id % 65535 + 1
-        pieces = [data[k : k + _PIECE] for k in range(0, len(data), _PIECE)]
-        if len(pieces[-1]) == _PIECE:
+        pieces = [data[k : k + _TEXT_CHUNK_BYTES] for k in range(0, len(data), _TEXT_CHUNK_BYTES)]
+        if len(pieces[-1]) == _TEXT_CHUNK_BYTES:
             pieces.append(b"")  # so that there is one that is not full
-        return [
-            mavlink.MAVLink_statustext_message(severity, piece, self._last_id, k)
-            for k, piece in enumerate(pieces)
-        ]
+        return [mavlink.MAVLink_statustext_message(severity, piece, self._last_id, k) for k, piece in enumerate(pieces)]
 
 
 @dataclass(slots=True)
-class _Waiting:
+class _PartialText:
     """A text of which pieces are missing."""
 
-    since_s: float
+    started_s: float
     severity: int
-    pieces: dict[int, str] = field(default_factory=dict)
-    last: int | None = None
+    chunks: dict[int, str] = field(default_factory=dict)
+    last_chunk: int | None = None
 
 
-class TextPieces:
-    """Makes lines of messages, whatever becomes of the pieces: the inverse of :class:`Texts`."""
+class StatusTextAssembler:
+    """Makes lines of messages, whatever becomes of the pieces: the inverse of :class:`StatusTextSplitter`."""
 
     def __init__(self) -> None:
-        self._waiting: dict[tuple[int, int], _Waiting] = {}
+        self._waiting: dict[tuple[int, int], _PartialText] = {}
 
-    def take(self, now_s: float, message: MavMessage) -> list[tuple[int, str]]:
+    def add_chunk(self, now_s: float, message: MavMessage) -> list[tuple[int, str]]:
         """Take a STATUSTEXT; returns the lines (MAV_SEVERITY, text) that are whole with it, or given up for it."""
         text = str(message.text).rstrip("\0")
         if message.id == 0:
             return [(message.severity, text)]
         key, out = (message.get_srcComponent(), message.id), []
-        if key not in self._waiting and len(self._waiting) >= _TEXTS:
-            out.append(self._line(next(iter(self._waiting))))
-        waiting = self._waiting.setdefault(key, _Waiting(now_s, message.severity))
-        waiting.pieces[message.chunk_seq] = text
-        if len(text.encode()) < _PIECE:
-            waiting.last = message.chunk_seq
-        if waiting.last is not None and len(waiting.pieces) > waiting.last:
-            out.append(self._line(key))
+        if key not in self._waiting and len(self._waiting) >= _MAX_PARTIAL_TEXTS:
+            out.append(self._join_chunks(next(iter(self._waiting))))
+        waiting = self._waiting.setdefault(key, _PartialText(now_s, message.severity))
+        waiting.chunks[message.chunk_seq] = text
+        if len(text.encode()) < _TEXT_CHUNK_BYTES:
+            waiting.last_chunk = message.chunk_seq
+        if waiting.last_chunk is not None and len(waiting.chunks) > waiting.last_chunk:
+            out.append(self._join_chunks(key))
         return out
 
-    def overdue(self, now_s: float) -> list[tuple[int, str]]:
+    def take_overdue(self, now_s: float) -> list[tuple[int, str]]:
         """What came of texts that have waited too long for a piece that was lost."""
-        return [self._line(key) for key, w in list(self._waiting.items()) if now_s - w.since_s > _WAIT_S]
+        return [
+            self._join_chunks(key) for key, w in list(self._waiting.items()) if now_s - w.started_s > _CHUNK_TIMEOUT_S
+        ]
 
-    def _line(self, key: tuple[int, int]) -> tuple[int, str]:
+    def _join_chunks(self, key: tuple[int, int]) -> tuple[int, str]:
         waiting = self._waiting.pop(key)
-        last = max(waiting.pieces) if waiting.last is None else waiting.last
-        text = "".join(waiting.pieces.get(k, "...") for k in range(last + 1))
-        return waiting.severity, text + ("..." if waiting.last is None else "")
+        last = max(waiting.chunks) if waiting.last_chunk is None else waiting.last_chunk
+        text = "".join(waiting.chunks.get(k, "...") for k in range(last + 1))
+        return waiting.severity, text + ("..." if waiting.last_chunk is None else "")
 
 
 # ----------------------------------------------------------------------------
@@ -380,8 +379,8 @@ class TextPieces:
 # longitude in 1e-7 degrees, which is 1.1 cm. Source: P. D. Groves, Principles of GNSS, Inertial and Multisensor
 # Integrated Navigation Systems, 2nd ed., Sec. 2.4.
 #
-# States of the mission are flight modes of PX4, whose words MAVLink programs know. MAVLink leaves ``custom_mode`` to
-# each autopilot; PX4 puts a main mode in its third byte and a sub mode in its fourth (PX4-Autopilot,
+# States of the mission are flight modes of PX4, whose words MAVLink programs know. MAVLink leaves ``pack_custom_mode``
+# to each autopilot; PX4 puts a main mode in its third byte and a sub mode in its fourth (PX4-Autopilot,
 # ``src/modules/commander/px4_custom_mode.h``).
 #
 # ============= ==================== =============================================================================
@@ -399,7 +398,7 @@ class TextPieces:
 # ============= ==================== =============================================================================
 
 
-def parse_origin(text: str) -> Origin:
+def parse_origin(text: str) -> GlobalOrigin:
     """Read ``LAT,LON,ALT`` in degrees and metres.
 
     Raises
@@ -418,44 +417,44 @@ def parse_origin(text: str) -> Origin:
     if abs(lat) > 85.0 or abs(lon) > 180.0 or not -500.0 <= alt <= 9000.0:
         problem = f"{text!r} is outside of +-85, +-180 degrees and -500 to 9000 m"
         raise ArgumentError("origin", "", problem, example)
-    return Origin(lat, lon, alt)
+    return GlobalOrigin(lat, lon, alt)
 
 
-Ask = Literal["take-off", "hover", "mission", "return", "land", "rc", "offboard", ""]
+ModeAction = Literal["take-off", "hover", "mission", "return", "land", "rc", "offboard", ""]
 
 
-class Mode(NamedTuple):
+class Px4Mode(NamedTuple):
     """Main and sub mode."""
 
-    main: int
-    sub: int
+    main_mode: int
+    sub_mode: int
 
 
-READY, TAKE_OFF, LOITER, MISSION, RETURN, LAND = (Mode(4, sub) for sub in range(1, 7))
-ALTITUDE, OFFBOARD = Mode(2, 0), Mode(6, 0)
+MODE_READY, MODE_TAKE_OFF, MODE_LOITER, MODE_MISSION, MODE_RETURN, MODE_LAND = (Px4Mode(4, sub) for sub in range(1, 7))
+MODE_ALTITUDE, MODE_OFFBOARD = Px4Mode(2, 0), Px4Mode(6, 0)
 
-_ASKED: dict[Mode, Ask] = {
-    TAKE_OFF: "take-off",
-    LOITER: "hover",
-    MISSION: "mission",
-    RETURN: "return",
-    LAND: "land",
-    OFFBOARD: "offboard",
+_ACTION_BY_MODE: dict[Px4Mode, ModeAction] = {
+    MODE_TAKE_OFF: "take-off",
+    MODE_LOITER: "hover",
+    MODE_MISSION: "mission",
+    MODE_RETURN: "return",
+    MODE_LAND: "land",
+    MODE_OFFBOARD: "offboard",
 }
-_BY_HAND = (1, 2, 3, 7)
-_OF_STATE: dict[str, Mode] = {
-    State.INIT: READY,
-    State.TAKE_OFF: TAKE_OFF,
-    State.HOVER: LOITER,
-    State.WAYPOINT: MISSION,
-    State.OBSTACLE: MISSION,
-    State.LANDING: LAND,
-    State.RC: ALTITUDE,
-    State.OFFBOARD: OFFBOARD,
+_MANUAL_MAIN_MODES = (1, 2, 3, 7)
+_MODE_BY_STATE: dict[str, Px4Mode] = {
+    State.INIT: MODE_READY,
+    State.TAKE_OFF: MODE_TAKE_OFF,
+    State.HOVER: MODE_LOITER,
+    State.WAYPOINT: MODE_MISSION,
+    State.OBSTACLE: MODE_MISSION,
+    State.LANDING: MODE_LAND,
+    State.RC: MODE_ALTITUDE,
+    State.OFFBOARD: MODE_OFFBOARD,
 }
 
 
-def mode_of(state: str, manual: bool = False, returning: bool = False) -> Mode:
+def mode_from_state(state: str, manual: bool = False, returning: bool = False) -> Px4Mode:
     """Return the mode that shows a state of the mission.
 
     Parameters
@@ -468,24 +467,24 @@ def mode_of(state: str, manual: bool = False, returning: bool = False) -> Mode:
         Whether it is on its way home.
     """
     if returning and state in (State.WAYPOINT, State.OBSTACLE):
-        return RETURN
+        return MODE_RETURN
     if manual and state in (State.WAYPOINT, State.OBSTACLE):
-        return LOITER
-    return _OF_STATE[state]
+        return MODE_LOITER
+    return _MODE_BY_STATE[state]
 
 
-def custom_mode(mode: Mode) -> int:
+def pack_custom_mode(mode: Px4Mode) -> int:
     """Return the number that a heartbeat carries."""
-    return mode.main << 16 | mode.sub << 24
+    return mode.main_mode << 16 | mode.sub_mode << 24
 
 
-def mode_of_custom(number: int) -> Mode:
-    """Inverse of :func:`custom_mode`."""
-    return Mode(number >> 16 & 0xFF, number >> 24 & 0xFF)
+def unpack_custom_mode(number: int) -> Px4Mode:
+    """Inverse of :func:`pack_custom_mode`."""
+    return Px4Mode(number >> 16 & 0xFF, number >> 24 & 0xFF)
 
 
-def asked(mode: Mode) -> Ask:
+def action_for_mode(mode: Px4Mode) -> ModeAction:
     """Return what to do when a mode is asked for; "" if there is no such thing here."""
-    if mode.main in _BY_HAND:
+    if mode.main_mode in _MANUAL_MAIN_MODES:
         return "rc"
-    return _ASKED.get(Mode(6, 0) if mode.main == 6 else mode, "")
+    return _ACTION_BY_MODE.get(Px4Mode(6, 0) if mode.main_mode == 6 else mode, "")

@@ -1,15 +1,16 @@
 """A companion of a vehicle that sees where it is: hears attitude and height, answers with VISION_POSITION_ESTIMATE.
 
-The other end of :mod:`mufly.link.vision`, for any autopilot that takes the message. It goes by the vehicle's clock:
-TIMESYNC is asked for once a second, and of its answers of the last half minute the one with the shortest way counts,
-offset = theirs - (sent + received) / 2, which is off by half of the way at most: where two contradict, a clock was set,
-and those of before are forgotten. Until there is one, the least of arrival - stamp is taken. ATTITUDE tells the
-tilt; DISTANCE_SENSOR that looks down tells the height, or else LOCAL_POSITION_NED. That tells velocity and place, too,
-ESTIMATOR_STATUS how good the place is: where the map begins, and where to look for what was lost. ODOMETRY tells
+The other end of :mod:`mufly.link.vision_input`, for any autopilot that takes the message. It goes by the vehicle's
+clock: TIMESYNC is asked for once a second, and of its answers of the last half minute the one with the shortest way
+counts, offset = theirs - (sent + received) / 2, which is off by half of the way at most: where two contradict, a clock
+was set, and those of before are forgotten. Until there is one, the least of arrival - stamp is taken. ATTITUDE tells
+the tilt; DISTANCE_SENSOR that looks down tells the height, or else LOCAL_POSITION_NED. That tells velocity and place,
+too, ESTIMATOR_STATUS how good the place is: where the map begins, and where to look for what was lost. ODOMETRY tells
 how good the tilt is, else it is taken for one degree, and RAW_RPM how fast the first two rotors shake the camera.
 
 On the floor a camera sees nothing that it could be sure of, and an autopilot that has no other position is not armed
-without one: until the map begins it is told that it stands where places count from (:meth:`Companion.stands`).
+without one: until the map begins it is told that it stands where places count from
+(:meth:`VisionCompanion.stationary_result`).
 
 Source: https://mavlink.io/en/services/timesync.html; component number MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY.
 """
@@ -25,31 +26,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.link.codec import Codec, Encoder, MavMessage, mavlink, single
+from mufly.link.codec import FrameDecoder, FrameEncoder, MavMessage, mavlink, to_float32
 from mufly.link.ports import Endpoint, Peer, open_port
-from mufly.link.vision import OURS_S, WINDOW_S, triangle_of
-from mufly.slam import Answer, Telling
+from mufly.link.vision_input import CLOCK_OFFSET_WINDOW_S, SAME_CLOCK_TOLERANCE_S, pack_covariance
+from mufly.slam import FrameInfo, TrackingResult
 
 _Array = NDArray[np.float64]
-COMPONENT = 197
-ASKED_HZ = 50.0
-KEPT_S, OLD_S = 3.0, 0.5
+COMPANION_COMPONENT_ID = 197
+REQUESTED_RATE_HZ = 50.0
+HISTORY_S, MAX_AGE_S = 3.0, 0.5
 """What was told is kept for so long; what is older than a picture by more does not belong to it (s)."""
-_ASK_S = 1.0
-_ASKED_FOR = (
+_REQUEST_PERIOD_S = 1.0
+_REQUESTED_MESSAGE_IDS = (
     mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mavlink.MAVLINK_MSG_ID_RAW_RPM
 )  # fmt: skip
-_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
-_TILT_SIGMA, _HEIGHT_SIGMA = math.radians(1.0), 0.02
-_LEAST_TILT_SIGMA, _TILT_TIME_S = math.radians(0.15), 20.0
+_ORIENTATION_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
+_TILT_SIGMA_RAD, _HEIGHT_SIGMA_M = math.radians(1.0), 0.02
+_MIN_TILT_SIGMA_RAD, _TILT_CORRELATION_TIME_S = math.radians(0.15), 20.0
 """What nobody knows better, and over which errors of a filter's tilt hang together (docs/slam.md)."""
-_PLACE_SIGMA, _HEADING_SIGMA = 0.1, math.radians(2.0)
+_POSITION_SIGMA_M, _HEADING_SIGMA_RAD = 0.1, math.radians(2.0)
 """Of a place whose accuracy nobody tells (m), and of the heading that goes with it."""
-_STANDS_SIGMA = 0.002
-_DRIFT_S = 0.003  # of two clocks in half a minute
+_STATIONARY_SIGMA_M = 0.002
+_CLOCK_DRIFT_S = 0.003  # of two clocks in half a minute
 
 
-class Companion:
+class VisionCompanion:
     """Speaks to one autopilot; sockets and clocks are the caller's.
 
     Attributes
@@ -61,31 +62,32 @@ class Companion:
     """
 
     def __init__(self) -> None:
-        self.stamped = False
+        self.has_sender_stamps = False
         self.system: int | None = None
-        self._codec = Codec()
-        self._encode: Encoder | None = None
+        self._codec = FrameDecoder()
+        self._encode: FrameEncoder | None = None
         self._asked_s = -math.inf
         self._synced: deque[tuple[float, float, float]] = deque()  # when, way (s), offset (s)
         self._guessed: deque[tuple[float, float]] = deque()
         self._tilt: deque[tuple[float, ...]] = deque()  # their time, roll, pitch, yaw, p, q, r
         self._motion: deque[tuple[float, ...]] = deque()  # their time, N, E, velocities
         self._height: deque[tuple[float, float]] = deque()
-        self._ranged_s, self._accuracy = -math.inf, _PLACE_SIGMA
-        self._rotors, self._tilt_sigma = np.zeros(2), _TILT_SIGMA
+        self._ranged_s, self._accuracy = -math.inf, _POSITION_SIGMA_M
+        self._rotors, self._tilt_sigma = np.zeros(2), _TILT_SIGMA_RAD
         self._rng = np.random.default_rng(0)
 
     @property
-    def offset_s(self) -> float:
+    def clock_offset_s(self) -> float:
         """The vehicle's clock less ours (s); NaN while it is not known."""
         if self._synced:
             return min(self._synced, key=lambda s: s[1])[2]
         return max((offset for _, offset in self._guessed), default=math.nan)
 
-    def offset_at(self, time_s: float) -> float:
-        """The vehicle's clock less that of a picture's time (s): 0 where that is the vehicle's, else ``offset_s``."""
-        ours = self.stamped and self._tilt and abs(time_s - self._tilt[-1][0]) < OURS_S
-        return 0.0 if ours else self.offset_s
+    def clock_offset_at(self, time_s: float) -> float:
+        """The vehicle's clock less that of a picture's time (s): 0 where that is the vehicle's, else
+        ``clock_offset_s``."""
+        ours = self.has_sender_stamps and self._tilt and abs(time_s - self._tilt[-1][0]) < SAME_CLOCK_TOLERANCE_S
+        return 0.0 if ours else self.clock_offset_s
 
     def receive(self, now_s: float, data: bytes) -> None:
         """Take bytes that came."""
@@ -94,60 +96,63 @@ class Companion:
             if kind == "HEARTBEAT" and self.system is None:
                 if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID and m.type != mavlink.MAV_TYPE_GCS:
                     self.system = system
-                    self._encode = Encoder(system, COMPONENT)
+                    self._encode = FrameEncoder(system, COMPANION_COMPONENT_ID)
             elif system != self.system:
                 continue
             elif kind == "TIMESYNC" and m.tc1:
                 sent_s = m.ts1 * 1e-9
                 if 0.0 <= now_s - sent_s < 1.0:
                     way, offset = now_s - sent_s, m.tc1 * 1e-9 - 0.5 * (sent_s + now_s)
-                    if any(abs(offset - o) > 0.5 * (way + w) + _DRIFT_S for _, w, o in self._synced):
+                    if any(abs(offset - o) > 0.5 * (way + w) + _CLOCK_DRIFT_S for _, w, o in self._synced):
                         self._synced.clear()  # none is off by more than half its way: a clock was set
                         self._guessed.clear()
-                    self._keep(self._synced, now_s, way, offset)
+                    self._append_recent(self._synced, now_s, way, offset)
             elif kind == "ATTITUDE":
-                t = self._stamped(now_s, m.time_boot_ms)
-                self._add(self._tilt, (t, m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed))
-            elif kind == "DISTANCE_SENSOR" and m.orientation == _DOWN:
+                t = self._record_boot_time(now_s, m.time_boot_ms)
+                self._append_in_order(self._tilt, (t, m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed))
+            elif kind == "DISTANCE_SENSOR" and m.orientation == _ORIENTATION_DOWN:
                 if m.min_distance <= m.current_distance <= m.max_distance:
                     self._ranged_s = now_s
-                    self._add(self._height, (self._stamped(now_s, m.time_boot_ms), 0.01 * m.current_distance))
+                    self._append_in_order(
+                        self._height,
+                        (self._record_boot_time(now_s, m.time_boot_ms), 0.01 * m.current_distance),
+                    )
             elif kind == "LOCAL_POSITION_NED":
-                t = self._stamped(now_s, m.time_boot_ms)
-                self._add(self._motion, (t, m.x, m.y, m.vx, m.vy, m.vz))
+                t = self._record_boot_time(now_s, m.time_boot_ms)
+                self._append_in_order(self._motion, (t, m.x, m.y, m.vx, m.vy, m.vz))
                 if now_s - self._ranged_s > 1.0:
-                    self._add(self._height, (t, -m.z))
+                    self._append_in_order(self._height, (t, -m.z))
             elif kind == "ODOMETRY" and (told := m.pose_covariance) and told[15] > 0.0 and told[18] > 0.0:
-                self._tilt_sigma = max(_LEAST_TILT_SIGMA, math.sqrt(max(told[15], told[18])))  # roll, pitch
+                self._tilt_sigma = max(_MIN_TILT_SIGMA_RAD, math.sqrt(max(told[15], told[18])))  # roll, pitch
             elif kind == "RAW_RPM" and m.index < len(self._rotors) and math.isfinite(m.frequency):
                 self._rotors[m.index] = abs(m.frequency) * 2 * math.pi / 60
             elif kind == "ESTIMATOR_STATUS" and 0.0 < m.pos_horiz_accuracy < math.inf:
                 self._accuracy = m.pos_horiz_accuracy
 
-    def _stamped(self, now_s: float, boot_ms: int) -> float:
+    def _record_boot_time(self, now_s: float, boot_ms: int) -> float:
         theirs_s = 1e-3 * boot_ms
-        self._keep(self._guessed, now_s, theirs_s - now_s)
+        self._append_recent(self._guessed, now_s, theirs_s - now_s)
         return theirs_s
 
     @staticmethod
-    def _keep(row: deque[Any], now_s: float, *values: float) -> None:
+    def _append_recent(row: deque[Any], now_s: float, *values: float) -> None:
         row.append((now_s, *values))
-        while row[0][0] < now_s - WINDOW_S:
+        while row[0][0] < now_s - CLOCK_OFFSET_WINDOW_S:
             row.popleft()
 
     @staticmethod
-    def _add(row: deque[Any], values: tuple[float, ...]) -> None:
+    def _append_in_order(row: deque[Any], values: tuple[float, ...]) -> None:
         if row and values[0] <= row[-1][0]:
-            if values[0] > row[-1][0] - KEPT_S:
+            if values[0] > row[-1][0] - HISTORY_S:
                 return
             row.clear()  # the vehicle was started anew
         row.append(values)
-        while row[0][0] < values[0] - KEPT_S:
+        while row[0][0] < values[0] - HISTORY_S:
             row.popleft()
 
     def step(self, now_s: float) -> list[bytes]:
         """Return what is due to be sent: a heartbeat, a question for the time, and for what is needed."""
-        if self._encode is None or now_s - self._asked_s < _ASK_S:
+        if self._encode is None or now_s - self._asked_s < _REQUEST_PERIOD_S:
             return []
         first, self._asked_s = math.isinf(self._asked_s), now_s
         said: list[MavMessage] = [
@@ -157,53 +162,65 @@ class Companion:
             mavlink.MAVLink_timesync_message(0, round(now_s * 1e9)),
         ]
         if first or not self._tilt:
-            for number in _ASKED_FOR:
-                said.append(mavlink.MAVLink_command_long_message(
-                    self.system, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, 1e6 / ASKED_HZ, 0, 0, 0, 0, 0
-                ))  # fmt: skip
+            for number in _REQUESTED_MESSAGE_IDS:
+                said.append(
+                    mavlink.MAVLink_command_long_message(
+                        self.system,
+                        1,
+                        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+                        0,
+                        number,
+                        1e6 / REQUESTED_RATE_HZ,
+                        0,
+                        0,
+                        0,
+                        0,
+                        0,
+                    )
+                )
         return [self._encode(m) for m in said]
 
-    def telling(self, time_s: float) -> Telling | None:
+    def frame_info_at(self, time_s: float) -> FrameInfo | None:
         """Return what the vehicle told of an instant by our clock or its own; None where it told nothing near it."""
-        t = time_s + self.offset_at(time_s)
+        t = time_s + self.clock_offset_at(time_s)
         if not self._tilt or not self._height or not math.isfinite(t):
             return None
         if (
-            t - self._tilt[-1][0] > OLD_S
-            or self._tilt[0][0] - t > OLD_S
-            or abs(t - self._height[-1][0]) > 2 * OLD_S
+            t - self._tilt[-1][0] > MAX_AGE_S
+            or self._tilt[0][0] - t > MAX_AGE_S
+            or abs(t - self._height[-1][0]) > 2 * MAX_AGE_S
         ):
             return None
         a, h = np.array(self._tilt), np.array(self._height)
         roll, pitch, yaw, *rates = (float(np.interp(t, a[:, 0], c)) for c in np.unwrap(a[:, 1:], axis=0).T)
         height = float(np.interp(t, h[:, 0], h[:, 1]))
         velocity = place = None
-        if self._motion and abs(t - self._motion[-1][0]) < OLD_S:
+        if self._motion and abs(t - self._motion[-1][0]) < MAX_AGE_S:
             m = np.array(self._motion)
             n, e, *v = (float(np.interp(t, m[:, 0], c)) for c in m.T[1:])
             velocity, place = np.array(v), np.array([n, e, math.remainder(yaw, 2 * math.pi)])
-        return Telling(
+        return FrameInfo(
             roll, pitch, max(0.02, height), np.array(rates), self._rotors.copy(), tilt_sigma=self._tilt_sigma,
-            tilt_time_s=_TILT_TIME_S, height_sigma=_HEIGHT_SIGMA, velocity=velocity, place=place,
-            place_sigma=(self._accuracy, _HEADING_SIGMA),
+            tilt_time_s=_TILT_CORRELATION_TIME_S, height_sigma=_HEIGHT_SIGMA_M, velocity=velocity, place=place,
+            place_sigma=(self._accuracy, _HEADING_SIGMA_RAD),
         )  # fmt: skip
 
-    def stands(self, time_s: float, told: Telling) -> Answer:
+    def stationary_result(self, time_s: float, told: FrameInfo) -> TrackingResult:
         """Return the answer to a picture of one that has not left the floor: where it begins, to 2 mm. A position that
         never moves at all would be taken for one that has stopped."""
-        off = _STANDS_SIGMA * self._rng.standard_normal(4)
+        off = _STATIONARY_SIGMA_M * self._rng.standard_normal(4)
         place = np.array([0.0, 0.0, -told.height_m]) + off[:3]
-        return Answer(time_s, True, "it stands", place, float(off[3]), _STANDS_SIGMA**2 * np.eye(4))
+        return TrackingResult(time_s, True, "it stands", place, float(off[3]), _STATIONARY_SIGMA_M**2 * np.eye(4))
 
-    def say(self, answer: Answer) -> bytes | None:
+    def encode_position(self, answer: TrackingResult) -> bytes | None:
         """Return the message for a trusted answer whose time is by our clock, or by the vehicle's; None while there is
         nobody to hear it."""
-        if self._encode is None or not answer.trusted or math.isnan(self.offset_at(answer.time_s)):
+        if self._encode is None or not answer.trusted or math.isnan(self.clock_offset_at(answer.time_s)):
             return None
-        usec = round(1e6 * (answer.time_s + self.offset_at(answer.time_s)))
-        n, e, d = (single(float(v)) for v in answer.position)
+        usec = round(1e6 * (answer.time_s + self.clock_offset_at(answer.time_s)))
+        n, e, d = (to_float32(float(v)) for v in answer.position)
         return self._encode(mavlink.MAVLink_vision_position_estimate_message(
-            max(0, usec), n, e, d, math.nan, math.nan, single(answer.heading), triangle_of(answer.covariance), 0
+            max(0, usec), n, e, d, math.nan, math.nan, to_float32(answer.heading), pack_covariance(answer.covariance), 0
         ))  # fmt: skip
 
 
@@ -226,11 +243,11 @@ class CompanionPort:
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
-        self.companion = Companion()
+        self.companion = VisionCompanion()
         self._port = open_port(endpoint, "--link")
         self._peer: Peer | None = None
 
-    def serve(self, now_s: float) -> None:
+    def exchange_messages(self, now_s: float) -> None:
         """Take what has come, and send what is due; ``now_s`` by the clock of the day (s)."""
         for peer, data in self._port.receive():
             self.companion.receive(now_s, data)
@@ -239,14 +256,14 @@ class CompanionPort:
         for data in self.companion.step(now_s):
             self._port.send(self._peer, data)
 
-    def told(self, times: _Array) -> Sequence[Telling | None]:
+    def frame_infos_at(self, times: _Array) -> Sequence[FrameInfo | None]:
         """What the vehicle told of times (n,) by the clock of the day."""
-        self.serve(time.time())
-        return [self.companion.telling(t) for t in times.tolist()]
+        self.exchange_messages(time.time())
+        return [self.companion.frame_info_at(t) for t in times.tolist()]
 
-    def say(self, answer: Answer) -> None:
+    def send_position(self, answer: TrackingResult) -> None:
         """Send a trusted answer."""
-        if self._peer is not None and (data := self.companion.say(answer)) is not None:
+        if self._peer is not None and (data := self.companion.encode_position(answer)) is not None:
             self._port.send(self._peer, data)
 
     def close(self) -> None:

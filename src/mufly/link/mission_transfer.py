@@ -1,6 +1,7 @@
 """The mission protocol, both ends of it, as two machines that know neither sockets nor what an item means.
 
-Whoever has the items is a :class:`Sender`, whoever wants them a :class:`Receiver` (mavlink.io, "Mission Protocol")::
+Whoever has the items is a :class:`MissionSender`, whoever wants them a :class:`MissionReceiver` (mavlink.io, "Mission
+Protocol")::
 
     upload      Sender (station)            Receiver (vehicle)        download    Receiver (station)    Sender (vehicle)
                 Count          ─────▶                                             RequestList   ─────▶
@@ -12,8 +13,9 @@ Whoever has the items is a :class:`Sender`, whoever wants them a :class:`Receive
 Packets get lost, doubled, late and out of order. The receiver holds the reins: it asks for one item after the other,
 asks again when none comes, and passes over items that it does not wait for. What it has is given away once, when it is
 whole. MAVLink does not say which transfer an item belongs to; so that two missions are not mixed, a receiver that
-begins anew first lets the packets of the last transfer run dry (`SETTLE_S`), and a sender that does so first tells the
-receiver to stop (`HUSH_S`): else its items could be taken as the answer to the requests of the transfer before.
+begins anew first lets the packets of the last transfer run dry (`SETTLE_TIME_S`), and a sender that does so first tells
+the receiver to stop (`QUIET_PERIOD_S`): else its items could be taken as the answer to the requests of the transfer
+before.
 
 An answer is expected after a round trip; the time after which it is asked for again follows the round trips seen.
 
@@ -27,55 +29,55 @@ import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
-from mufly.link.codec import MavMessage, mavlink, scaled
-from mufly.mission.items import Item as Item
-from mufly.mission.items import MissionResult as MissionResult
+from mufly.link.codec import MavMessage, mavlink, scale_to_integer
+from mufly.mission.mission_items import MissionItem as MissionItem
+from mufly.mission.mission_items import MissionResult as MissionResult
 
-RETRY_S = (0.25, 1.5)
+RETRY_BOUNDS_S = (0.25, 1.5)
 """Least and greatest time before asking again (s); MAVLink recommends 0.25 s for items and 1.5 s for the rest."""
 FIRST_RETRY_S = 0.8
 """Before any round trip was seen (s): longer than one over a link of 300 ms each way."""
-GIVE_UP_S = 12.0
+TRANSFER_TIMEOUT_S = 12.0
 """A transfer that has not moved for so long is given up (s).
 
 With 30 % lost and 300 ms each way an item is asked for 16 times by then; each time it comes with probability 0.49, so
 one item in 48 000 is given up.
 """
-SETTLE_S = 1.0
+SETTLE_TIME_S = 1.0
 """For how long packets of an earlier transfer may still be under way (s)."""
-LIMIT = 500
+MAX_ITEMS = 500
 """Most items that a receiver takes."""
-HUSH_S = 2.0
+QUIET_PERIOD_S = 2.0
 """A sender that begins anew first tells the receiver to stop, until it has not asked for so long (s)."""
 _LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
 
 
 @dataclass(frozen=True, slots=True)
-class RequestList:
+class MissionRequestList:
     """MISSION_REQUEST_LIST: how many are there?"""
 
     mission_type: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class Count:
+class MissionCount:
     """MISSION_COUNT: so many items are on offer."""
 
-    count: int
+    item_count: int
     mission_type: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class RequestItem:
-    """MISSION_REQUEST_INT (or, where ``old``, MISSION_REQUEST, which is answered alike)."""
+class MissionRequestItem:
+    """MISSION_REQUEST_INT (or, where ``is_legacy``, MISSION_REQUEST, which is answered alike)."""
 
     seq: int
     mission_type: int = 0
-    old: bool = False
+    is_legacy: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Ack:
+class MissionAck:
     """MISSION_ACK; ``result`` is a number of :class:`MissionResult` or one that it does not know yet."""
 
     result: int
@@ -83,48 +85,46 @@ class Ack:
 
 
 @dataclass(frozen=True, slots=True)
-class ClearAll:
-    """MISSION_CLEAR_ALL; answered by an :class:`Ack`. No machine here takes it, one request has one answer."""
+class MissionClearAll:
+    """MISSION_CLEAR_ALL; answered by an :class:`MissionAck`. No machine here takes it, one request has one answer."""
 
     mission_type: int = 0
 
 
-Note = RequestList | Count | RequestItem | Item | Ack | ClearAll
+TransferMessage = MissionRequestList | MissionCount | MissionRequestItem | MissionItem | MissionAck | MissionClearAll
 """What travels between the two."""
 
-Notes = list[tuple[Hashable, Note]]
+AddressedMessages = list[tuple[Hashable, TransferMessage]]
 """Notes to be sent, each with the peer that it is for."""
 
 
-def note_of(message: MavMessage) -> Note | None:
+def parse_transfer_message(message: MavMessage) -> TransferMessage | None:
     """Return what a MAVLink message says about a transfer; None if nothing."""
     m, kind = message, message.get_type()
     match kind:
         case "MISSION_ITEM_INT" | "MISSION_ITEM":
             factor = 1e4 if m.frame in _LOCAL_FRAMES else 1e7
-            x, y = (m.x, m.y) if kind == "MISSION_ITEM_INT" else (scaled(v, factor) for v in (m.x, m.y))
+            x, y = (m.x, m.y) if kind == "MISSION_ITEM_INT" else (scale_to_integer(v, factor) for v in (m.x, m.y))
             params = (m.param1, m.param2, m.param3, m.param4)
-            return Item(
-                m.seq, m.frame, m.command, m.current, m.autocontinue, params, x, y, m.z, m.mission_type
-            )
+            return MissionItem(m.seq, m.frame, m.command, m.current, m.autocontinue, params, x, y, m.z, m.mission_type)
         case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
-            return RequestItem(m.seq, m.mission_type, kind == "MISSION_REQUEST")
+            return MissionRequestItem(m.seq, m.mission_type, kind == "MISSION_REQUEST")
         case "MISSION_COUNT":
-            return Count(m.count, m.mission_type)
+            return MissionCount(m.count, m.mission_type)
         case "MISSION_ACK":
-            return Ack(m.type, m.mission_type)
+            return MissionAck(m.type, m.mission_type)
         case "MISSION_REQUEST_LIST":
-            return RequestList(m.mission_type)
+            return MissionRequestList(m.mission_type)
         case "MISSION_CLEAR_ALL":
-            return ClearAll(m.mission_type)
+            return MissionClearAll(m.mission_type)
     return None
 
 
-def to_mavlink(note: Note, system: int, component: int) -> MavMessage:
+def to_mavlink(note: TransferMessage, system: int, component: int) -> MavMessage:
     """Return a note as the MAVLink message to ``system`` and ``component``, ready for a codec to send."""
     n, to = note, (system, component)
     match n:
-        case Item():
+        case MissionItem():
             return mavlink.MAVLink_mission_item_int_message(
                 *to,
                 n.seq,
@@ -138,19 +138,19 @@ def to_mavlink(note: Note, system: int, component: int) -> MavMessage:
                 n.z,
                 n.mission_type,
             )
-        case RequestItem():
+        case MissionRequestItem():
             return mavlink.MAVLink_mission_request_int_message(*to, n.seq, n.mission_type)
-        case Count():
-            return mavlink.MAVLink_mission_count_message(*to, n.count, n.mission_type)
-        case Ack():
+        case MissionCount():
+            return mavlink.MAVLink_mission_count_message(*to, n.item_count, n.mission_type)
+        case MissionAck():
             return mavlink.MAVLink_mission_ack_message(*to, n.result, n.mission_type)
-        case RequestList():
+        case MissionRequestList():
             return mavlink.MAVLink_mission_request_list_message(*to, n.mission_type)
-        case ClearAll():
+        case MissionClearAll():
             return mavlink.MAVLink_mission_clear_all_message(*to, n.mission_type)
 
 
-class Retry:
+class RetryTimer:
     """When to ask again, and when to stop asking."""
 
     def __init__(self) -> None:
@@ -158,7 +158,7 @@ class Retry:
         self._asked_s = self._moved_s = 0.0
         self._repeated = False
 
-    def moved(self, now_s: float) -> None:
+    def mark_progress(self, now_s: float) -> None:
         """Note that the transfer got on, and that the next question goes out now."""
         took = now_s - self._asked_s
         # After a repetition nobody knows which one was answered.
@@ -168,29 +168,30 @@ class Retry:
         self._asked_s = self._moved_s = now_s
         self._repeated = False
 
-    def begin(self, now_s: float) -> None:
+    def mark_started(self, now_s: float) -> None:
         """Note that the first question goes out now."""
         self._asked_s = self._moved_s = now_s
         self._repeated = False
 
-    def again(self, now_s: float) -> bool:
+    def should_retry(self, now_s: float) -> bool:
         """Whether to ask again now; notes that it was done."""
         trip = self._round_trip_s
-        wait = FIRST_RETRY_S if trip is None else min(max(1.1 * trip + 0.05, RETRY_S[0]), RETRY_S[1])
+        wait = FIRST_RETRY_S if trip is None else min(max(1.1 * trip + 0.05, RETRY_BOUNDS_S[0]), RETRY_BOUNDS_S[1])
         if now_s - self._asked_s < wait:
             return False
         self._asked_s, self._repeated = now_s, True
         return True
 
-    def hopeless(self, now_s: float) -> bool:
+    def has_timed_out(self, now_s: float) -> bool:
         """Whether nothing has moved for too long."""
-        return now_s - self._moved_s > GIVE_UP_S
+        return now_s - self._moved_s > TRANSFER_TIMEOUT_S
 
 
-class Receiver:
+class MissionReceiver:
     """Fetches items from one peer at a time and hands them on whole.
 
-    At a vehicle it waits for somebody's ``Count``; at a station :meth:`fetch` begins. It can be used again and again.
+    At a vehicle it waits for somebody's ``MissionCount``; at a station :meth:`fetch_items` begins. It can be used again
+    and again.
 
     Parameters
     ----------
@@ -202,7 +203,7 @@ class Receiver:
     limit : int
         More items are refused with ``NO_SPACE``.
     unasked : bool
-        Whether a ``Count`` may begin a transfer (at a vehicle), or :meth:`fetch` alone (at a station).
+        Whether a ``MissionCount`` may begin a transfer (at a vehicle), or :meth:`fetch_items` alone (at a station).
 
     Attributes
     ----------
@@ -216,10 +217,10 @@ class Receiver:
 
     def __init__(
         self,
-        judge: Callable[[tuple[Item, ...]], int],
+        judge: Callable[[tuple[MissionItem, ...]], int],
         *,
         mission_type: int = 0,
-        limit: int = LIMIT,
+        limit: int = MAX_ITEMS,
         unasked: bool = True,
     ) -> None:
         self.mission_type, self.limit = mission_type, limit
@@ -229,15 +230,13 @@ class Receiver:
         self._judge, self._unasked = judge, unasked
         self._fetching = False
         self._count: int | None = None
-        self._items: list[Item] = []
+        self._items: list[MissionItem] = []
         self._settled_s = self._touched_s = -math.inf
-        self._done: tuple[Hashable, int, int] | None = (
-            None  # peer, number of items and result of the last one
-        )
-        self._retry = Retry()
+        self._done: tuple[Hashable, int, int] | None = None  # peer, number of items and result of the last one
+        self._retry = RetryTimer()
 
     @property
-    def busy(self) -> bool:
+    def is_busy(self) -> bool:
         """Whether a transfer is under way."""
         return self.peer is not None
 
@@ -246,113 +245,113 @@ class Receiver:
         """Share of the items that are there, 0..1."""
         return len(self._items) / self._count if self._count else 0.0
 
-    def fetch(self, now_s: float, peer: Hashable) -> Notes:
+    def fetch_items(self, now_s: float, peer: Hashable) -> AddressedMessages:
         """Ask a peer for its items; one transfer that is under way is dropped."""
         dropped = self.cancel()
-        self._begin(now_s, peer, fetching=True)
-        return [*dropped, (peer, RequestList(self.mission_type))]
+        self._begin_transfer(now_s, peer, fetching=True)
+        return [*dropped, (peer, MissionRequestList(self.mission_type))]
 
-    def receive(self, now_s: float, peer: Hashable, note: Note) -> Notes:
+    def receive(self, now_s: float, peer: Hashable, note: TransferMessage) -> AddressedMessages:
         """Take a note of a peer; notes that mean nothing here are passed over."""
         if getattr(note, "mission_type", None) != self.mission_type:
             return []
-        if isinstance(note, Count):
-            return self._offered(now_s, peer, note)
-        if isinstance(note, Item):
-            return self._given(now_s, peer, note)
-        if isinstance(note, Ack) and peer == self.peer and note.result != MissionResult.ACCEPTED:
-            self._end(now_s, note.result)
+        if isinstance(note, MissionCount):
+            return self._handle_count(now_s, peer, note)
+        if isinstance(note, MissionItem):
+            return self._handle_item(now_s, peer, note)
+        if isinstance(note, MissionAck) and peer == self.peer and note.result != MissionResult.ACCEPTED:
+            self._end_transfer(now_s, note.result)
         return []
 
-    def step(self, now_s: float) -> Notes:
+    def step(self, now_s: float) -> AddressedMessages:
         """Ask again for what may have been lost, or give up."""
         if self.peer is None:
             return []
-        if self._retry.hopeless(now_s):
+        if self._retry.has_timed_out(now_s):
             self.timed_out = True
-            return self._refuse(now_s, MissionResult.OPERATION_CANCELLED)
-        if now_s < self._settled_s or not self._retry.again(now_s):
+            return self._refuse_transfer(now_s, MissionResult.OPERATION_CANCELLED)
+        if now_s < self._settled_s or not self._retry.should_retry(now_s):
             return []
-        return [(self.peer, self._question(now_s))]
+        return [(self.peer, self._next_request(now_s))]
 
-    def cancel(self) -> Notes:
+    def cancel(self) -> AddressedMessages:
         """Stop; the peer is told, nothing is handed on."""
         if self.peer is None:
             return []
-        return self._refuse(self._touched_s, MissionResult.OPERATION_CANCELLED)
+        return self._refuse_transfer(self._touched_s, MissionResult.OPERATION_CANCELLED)
 
-    def _offered(self, now_s: float, peer: Hashable, note: Count) -> Notes:
+    def _handle_count(self, now_s: float, peer: Hashable, note: MissionCount) -> AddressedMessages:
         if self._fetching or not self._unasked:
             if not self._fetching or peer != self.peer or self._count is not None:
                 return []
-        elif self.busy and peer != self.peer:
-            return [(peer, Ack(MissionResult.DENIED, self.mission_type))]
+        elif self.is_busy and peer != self.peer:
+            return [(peer, MissionAck(MissionResult.DENIED, self.mission_type))]
         else:
-            self._begin(now_s, peer, fetching=False)
-        if note.count > self.limit:
-            return self._refuse(now_s, MissionResult.NO_SPACE)
-        self._count = note.count
-        if note.count == 0:
-            return self._finish(now_s)
-        self._retry.moved(now_s)
-        return [] if now_s < self._settled_s else [(peer, self._question(now_s))]
+            self._begin_transfer(now_s, peer, fetching=False)
+        if note.item_count > self.limit:
+            return self._refuse_transfer(now_s, MissionResult.NO_SPACE)
+        self._count = note.item_count
+        if note.item_count == 0:
+            return self._finish_transfer(now_s)
+        self._retry.mark_progress(now_s)
+        return [] if now_s < self._settled_s else [(peer, self._next_request(now_s))]
 
-    def _given(self, now_s: float, peer: Hashable, item: Item) -> Notes:
+    def _handle_item(self, now_s: float, peer: Hashable, item: MissionItem) -> AddressedMessages:
         if peer != self.peer:
-            return self._acknowledge_again(now_s, peer, item)
+            return self._repeat_last_ack(now_s, peer, item)
         if now_s < self._settled_s or self._count is None or item.seq != len(self._items):
             self._touched_s = now_s
             return []
         self._items.append(item)
-        self._retry.moved(now_s)
+        self._retry.mark_progress(now_s)
         if len(self._items) == self._count:
-            return self._finish(now_s)
-        return [(peer, self._question(now_s))]
+            return self._finish_transfer(now_s)
+        return [(peer, self._next_request(now_s))]
 
-    def _acknowledge_again(self, now_s: float, peer: Hashable, item: Item) -> Notes:
+    def _repeat_last_ack(self, now_s: float, peer: Hashable, item: MissionItem) -> AddressedMessages:
         """Answer the last item of the last transfer, which comes again when the answer was lost."""
         if self._done is None or self._done[:2] != (peer, item.seq + 1):
             return []
         self._touched_s = now_s
-        return [(peer, Ack(self._done[2], self.mission_type))]
+        return [(peer, MissionAck(self._done[2], self.mission_type))]
 
-    def _question(self, now_s: float) -> Note:
+    def _next_request(self, now_s: float) -> TransferMessage:
         if self._count is None:
-            return RequestList(self.mission_type)
+            return MissionRequestList(self.mission_type)
         self._touched_s = now_s
-        return RequestItem(len(self._items), self.mission_type)
+        return MissionRequestItem(len(self._items), self.mission_type)
 
-    def _begin(self, now_s: float, peer: Hashable, *, fetching: bool) -> None:
+    def _begin_transfer(self, now_s: float, peer: Hashable, *, fetching: bool) -> None:
         self.peer, self._fetching = peer, fetching
         self.result, self.timed_out, self._done = None, False, None
         self._count, self._items = None, []
-        self._settled_s = self._touched_s + SETTLE_S
-        self._retry = Retry()
-        self._retry.begin(now_s)
+        self._settled_s = self._touched_s + SETTLE_TIME_S
+        self._retry = RetryTimer()
+        self._retry.mark_started(now_s)
 
-    def _finish(self, now_s: float) -> Notes:
+    def _finish_transfer(self, now_s: float) -> AddressedMessages:
         peer, items = self.peer, tuple(self._items)
         result = int(self._judge(items))
-        self._end(now_s, result)
+        self._end_transfer(now_s, result)
         self._done = (peer, len(items), result)
-        return [(peer, Ack(result, self.mission_type))]
+        return [(peer, MissionAck(result, self.mission_type))]
 
-    def _refuse(self, now_s: float, result: MissionResult) -> Notes:
+    def _refuse_transfer(self, now_s: float, result: MissionResult) -> AddressedMessages:
         peer = self.peer
-        self._end(now_s, result)
-        return [(peer, Ack(result, self.mission_type))]
+        self._end_transfer(now_s, result)
+        return [(peer, MissionAck(result, self.mission_type))]
 
-    def _end(self, now_s: float, result: int) -> None:
+    def _end_transfer(self, now_s: float, result: int) -> None:
         self.peer, self.result, self._fetching = None, result, False
         self._items, self._count = [], None
         self._touched_s = max(self._touched_s, now_s)
 
 
-class Sender:
+class MissionSender:
     """Gives its items to one peer, item by item as that one asks.
 
     ``result`` is None until it is over, then the receiver's word; ``OPERATION_CANCELLED`` if it was stopped from either
-    side or nothing was heard for `GIVE_UP_S` (``timed_out`` tells which).
+    side or nothing was heard for `TRANSFER_TIMEOUT_S` (``timed_out`` tells which).
 
     Parameters
     ----------
@@ -363,13 +362,13 @@ class Sender:
     mission_type : int
         MAV_MISSION_TYPE.
     uploading : bool
-        True at a station that wants to be rid of its mission: says ``Count`` until it is asked for an item, and ends
-        with the vehicle's ``Ack``. False at a vehicle that was asked for its list: says ``Count`` once; a list that is
-        asked for again is answered again.
+        True at a station that wants to be rid of its mission: says ``MissionCount`` until it is asked for an item, and
+        ends with the vehicle's ``MissionAck``. False at a vehicle that was asked for its list: says ``MissionCount``
+        once; a list that is asked for again is answered again.
     """
 
     def __init__(
-        self, peer: Hashable, items: Sequence[Item], *, mission_type: int = 0, uploading: bool = True
+        self, peer: Hashable, items: Sequence[MissionItem], *, mission_type: int = 0, uploading: bool = True
     ) -> None:
         self.peer = peer
         self.items = tuple(replace(item, seq=k, mission_type=mission_type) for k, item in enumerate(items))
@@ -379,14 +378,14 @@ class Sender:
         self._uploading = uploading
         self._served = -1
         self._hush_s = self._hushed_s = -math.inf
-        self._retry = Retry()
+        self._retry = RetryTimer()
 
     @property
     def progress(self) -> float:
         """Share of the items that were asked for, 0..1."""
         return (self._served + 1) / len(self.items) if self.items else float(self.result is not None)
 
-    def start(self, now_s: float, *, hush: bool = False) -> Notes:
+    def start(self, now_s: float, *, hush: bool = False) -> AddressedMessages:
         """Offer the items.
 
         Parameters
@@ -394,73 +393,73 @@ class Sender:
         now_s : float
             Clock (s).
         hush : bool
-            Another transfer to this peer was not ended in order less than `GIVE_UP_S` ago; stop it first.
+            Another transfer to this peer was not ended in order less than `TRANSFER_TIMEOUT_S` ago; stop it first.
         """
-        self._retry.begin(now_s)
+        self._retry.mark_started(now_s)
         if not hush:
-            return [(self.peer, self._count())]
-        self._hush_s, self._hushed_s = now_s + HUSH_S, now_s
-        return [(self.peer, self._cancel_note())]
+            return [(self.peer, self._count_message())]
+        self._hush_s, self._hushed_s = now_s + QUIET_PERIOD_S, now_s
+        return [(self.peer, self._cancel_message())]
 
-    def receive(self, now_s: float, note: Note) -> Notes:
+    def receive(self, now_s: float, note: TransferMessage) -> AddressedMessages:
         """Answer a note of the peer; notes that mean nothing here are passed over."""
         if getattr(note, "mission_type", None) != self.mission_type:
             return []
         if self.result is not None:
             # Somebody waits for items of a transfer that is over, perhaps begun by a Count that came twice.
-            return [(self.peer, self._cancel_note())] if isinstance(note, RequestItem) else []
+            return [(self.peer, self._cancel_message())] if isinstance(note, MissionRequestItem) else []
         if self._hush_s > -math.inf:
-            if isinstance(note, RequestItem):
-                self._hush_s = now_s + HUSH_S
-                return [(self.peer, self._cancel_note())]
+            if isinstance(note, MissionRequestItem):
+                self._hush_s = now_s + QUIET_PERIOD_S
+                return [(self.peer, self._cancel_message())]
             return []
-        if isinstance(note, RequestList) and not self._uploading:
-            self._retry.moved(now_s)
-            return [(self.peer, self._count())]
-        if isinstance(note, RequestItem):
+        if isinstance(note, MissionRequestList) and not self._uploading:
+            self._retry.mark_progress(now_s)
+            return [(self.peer, self._count_message())]
+        if isinstance(note, MissionRequestItem):
             # Item by item: what is asked for out of turn is a question to another sender, before this one.
             if not 0 <= note.seq < len(self.items) or note.seq > self._served + 1:
                 return []
             if note.seq > self._served:
                 self._served = note.seq
-                self._retry.moved(now_s)
+                self._retry.mark_progress(now_s)
             return [(self.peer, self.items[note.seq])]
-        return self._acknowledged(now_s, note) if isinstance(note, Ack) else []
+        return self._handle_ack(now_s, note) if isinstance(note, MissionAck) else []
 
-    def step(self, now_s: float) -> Notes:
+    def step(self, now_s: float) -> AddressedMessages:
         """Repeat what may have been lost, or give up."""
         if self.result is not None:
             return []
-        if self._retry.hopeless(now_s):
+        if self._retry.has_timed_out(now_s):
             self.timed_out, self.result = True, MissionResult.OPERATION_CANCELLED
-            return [(self.peer, self._cancel_note())] if self._uploading else []
+            return [(self.peer, self._cancel_message())] if self._uploading else []
         if self._hush_s > -math.inf:
-            return self._hush(now_s)
-        if not self._uploading or not self._retry.again(now_s):
+            return self._quiet_receiver(now_s)
+        if not self._uploading or not self._retry.should_retry(now_s):
             return []
         if self._served < 0:
-            return [(self.peer, self._count())]
+            return [(self.peer, self._count_message())]
         # In between the receiver asks again; after the last item it may be its Ack that was lost.
         last = self._served == len(self.items) - 1
         return [(self.peer, self.items[-1])] if last else []
 
-    def cancel(self) -> Notes:
+    def cancel(self) -> AddressedMessages:
         """Stop; the receiver is told."""
         if self.result is not None:
             return []
         self.result = MissionResult.OPERATION_CANCELLED
-        return [(self.peer, self._cancel_note())]
+        return [(self.peer, self._cancel_message())]
 
-    def _hush(self, now_s: float) -> Notes:
+    def _quiet_receiver(self, now_s: float) -> AddressedMessages:
         if now_s >= self._hush_s:
             self._hush_s = -math.inf
             return self.start(now_s)
-        if now_s - self._hushed_s < 0.2 * HUSH_S:
+        if now_s - self._hushed_s < 0.2 * QUIET_PERIOD_S:
             return []
         self._hushed_s = now_s
-        return [(self.peer, self._cancel_note())]
+        return [(self.peer, self._cancel_message())]
 
-    def _acknowledged(self, now_s: float, note: Ack) -> Notes:
+    def _handle_ack(self, now_s: float, note: MissionAck) -> AddressedMessages:
         if note.result == MissionResult.INVALID_SEQUENCE:
             return []  # some vehicles say so to an item that came twice, and go on
         if note.result == MissionResult.ACCEPTED and self._served < len(self.items) - 1:
@@ -468,13 +467,13 @@ class Sender:
                 return []  # the late answer to another transfer
             # It counts on fewer items than there are: it never heard our Count. Say it again.
             self._served = -1
-            self._retry.moved(now_s)
-            return [(self.peer, self._count())]
+            self._retry.mark_progress(now_s)
+            return [(self.peer, self._count_message())]
         self.result = note.result
         return []
 
-    def _count(self) -> Count:
-        return Count(len(self.items), self.mission_type)
+    def _count_message(self) -> MissionCount:
+        return MissionCount(len(self.items), self.mission_type)
 
-    def _cancel_note(self) -> Ack:
-        return Ack(MissionResult.OPERATION_CANCELLED, self.mission_type)
+    def _cancel_message(self) -> MissionAck:
+        return MissionAck(MissionResult.OPERATION_CANCELLED, self.mission_type)

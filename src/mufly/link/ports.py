@@ -29,22 +29,22 @@ from typing import Any, Literal, NamedTuple
 
 from mufly.errors import ArgumentError
 
-PEERS = 32
+MAX_PEERS = 32
 """So many peers a listening port serves; the one that was silent for longest makes room."""
-READS, READ_BYTES = 256, 65_536
+MAX_READS, MAX_READ_BYTES = 256, 65_536
 """Datagrams or blocks taken in one call, and the greatest size of one (bytes)."""
-RETRY_S = 1.0
+RECONNECT_PERIOD_S = 1.0
 """Time between two attempts to call a TCP server or to open a serial device (s)."""
-_DISCARDS = 100
-_UNHEARD_MS = 2000
+_MAX_DISCARD_READS = 100
+_TCP_USER_TIMEOUT_MS = 2000
 """A TCP connection whose other end acknowledges nothing for so long is given up, with all that waits in it (ms)."""
-_STALE = "hung up: bytes waited in it while nobody was there to hear them"
-_QUEUE = 65_536  # bytes that may wait to go out
-_SERIAL_BLOCK = 4096
-_LOST = "the connection was lost; trying again"
-_SERIAL_LAG_S = 0.3
-_RECEIVE_BUFFER = 1 << 20
-_DEVICE_WORDS = {
+_STALE_INPUT_TEXT = "hung up: bytes waited in it while nobody was there to hear them"
+_MAX_QUEUE_BYTES = 65_536  # bytes that may wait to go out
+_SERIAL_BLOCK_BYTES = 4096
+_CONNECTION_LOST_TEXT = "the connection was lost; trying again"
+_SERIAL_QUEUE_S = 0.3
+_RECEIVE_BUFFER_BYTES = 1 << 20
+_DEVICE_ERROR_TEXTS = {
     errno.ENOENT: "there is no such device; plug it in",
     errno.ENODEV: "there is no such device; plug it in",
     errno.ENXIO: "there is no such device; plug it in",
@@ -55,17 +55,17 @@ _DEVICE_WORDS = {
     errno.EISDIR: "it is no serial device",
     errno.EINVAL: "it is no serial device, or does not know this baud rate",
 }
-_LATER = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR, errno.ENOBUFS, errno.ECONNREFUSED}
+_TRANSIENT_ERRORS = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR, errno.ENOBUFS, errno.ECONNREFUSED}
 
-Kind = Literal["udpin", "udpout", "tcp", "tcpin", "serial"]
-_KINDS: tuple[Kind, ...] = ("udpin", "udpout", "tcp", "tcpin", "serial")
-_EXAMPLES = (
+EndpointKind = Literal["udpin", "udpout", "tcp", "tcpin", "serial"]
+_ENDPOINT_KINDS: tuple[EndpointKind, ...] = ("udpin", "udpout", "tcp", "tcpin", "serial")
+_ENDPOINT_EXAMPLES = (
     "write for example udp:127.0.0.1:14550, udpin:0.0.0.0:14550, udpout:192.168.0.7:14550, tcp:127.0.0.1:5760, "
     "tcpin:127.0.0.1:5760, udp:[::1]:14550 or serial:/dev/ttyUSB0:57600"
 )
 _SERIAL_EXAMPLE = "write for example serial:/dev/ttyUSB0:57600"
-_BAUD = 57_600  # the custom of telemetry radios
-_HOST_PORT = re.compile(r"(?:(?P<host>\[[^\]]*\]|[^:\[\]]*):)?(?P<port>[^:]*)")
+_DEFAULT_BAUD = 57_600  # the custom of telemetry radios
+_HOST_PORT_PATTERN = re.compile(r"(?:(?P<host>\[[^\]]*\]|[^:\[\]]*):)?(?P<port>[^:]*)")
 
 
 def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
@@ -83,7 +83,7 @@ def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
         If its host is unknown or its port is in use. A server that does not answer or a device that is not there is
         no error: the port tries again, and says so.
     """
-    kinds: dict[Kind, Callable[[Endpoint], Port]] = {
+    kinds: dict[EndpointKind, Callable[[Endpoint], Port]] = {
         "udpin": UdpPort,
         "udpout": UdpPort,
         "tcp": TcpClient,
@@ -93,23 +93,23 @@ def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
     try:
         return kinds[endpoint.kind](endpoint)
     except ArgumentError as error:
-        raise error.at(where) from error
+        raise error.with_location(where) from error
 
 
-LATE_S = 1.0
+MAX_STALL_S = 1.0
 """What is asked of a vehicle is not carried out later than this (s): whoever asked has other things in view by then."""
-_CLOCK = getattr(time, "CLOCK_BOOTTIME", None)
+_BOOT_CLOCK_ID = getattr(time, "CLOCK_BOOTTIME", None)
 
 
-def elapsed_s() -> float:
+def read_boot_clock() -> float:
     """Return a monotonic clock (s) that also runs while the machine is suspended.
 
     Linux stops ``time.monotonic`` during a suspension and has CLOCK_BOOTTIME for this; elsewhere they are the same.
     """
-    return time.monotonic() if _CLOCK is None else time.clock_gettime(_CLOCK)
+    return time.monotonic() if _BOOT_CLOCK_ID is None else time.clock_gettime(_BOOT_CLOCK_ID)
 
 
-def wait(ports: Iterable[Port], timeout_s: float) -> None:
+def wait_readable(ports: Iterable[Port], timeout_s: float) -> None:
     """Sleep until a port has something to receive, for ``timeout_s`` at most."""
     numbers = [n for n in (port.fileno() for port in ports) if n >= 0]
     if not numbers or timeout_s <= 0.0:
@@ -135,7 +135,7 @@ class Endpoint:
         Number of the port; the baud rate of a serial link.
     """
 
-    kind: Kind
+    kind: EndpointKind
     host: str
     port: int
 
@@ -144,14 +144,14 @@ class Endpoint:
         return f"{self.kind}:{host}:{self.port}"
 
     @property
-    def listens(self) -> bool:
+    def is_listening(self) -> bool:
         """Whether it waits for others to call."""
         return self.kind in ("udpin", "tcpin")
 
     @property
-    def beyond_loopback(self) -> bool:
+    def is_beyond_loopback(self) -> bool:
         """Whether it listens where other machines can reach it."""
-        if not self.listens or self.host == "localhost":
+        if not self.is_listening or self.host == "localhost":
             return False
         try:
             return not ipaddress.ip_address(self.host).is_loopback
@@ -195,39 +195,40 @@ def parse_endpoint(
         If it is none.
     """
 
-    def wrong(problem: str, remedy: str = _EXAMPLES) -> ArgumentError:
+    def make_error(problem: str, remedy: str = _ENDPOINT_EXAMPLES) -> ArgumentError:
         return ArgumentError(where, "", f"{text!r}{problem}", remedy)
 
     word, colon, rest = text.strip().partition(":")
     kind = ("udpout" if role == "vehicle" else "udpin") if word.lower() == "udp" else word.lower()
-    if kind not in _KINDS or not colon:
-        raise wrong(" is no MAVLink endpoint")
+    if kind not in _ENDPOINT_KINDS or not colon:
+        raise make_error(" is no MAVLink endpoint")
     if kind == "serial":
         device, colon, baud = rest.rpartition(":")
         # Names of devices may hold colons themselves (/dev/serial/by-path/pci-0000:00:14.0-usb-0:1).
         if not colon or not (baud.isascii() and baud.isdigit()):
-            device, baud = rest, str(_BAUD)
+            device, baud = rest, str(_DEFAULT_BAUD)
         if not device:
-            raise wrong(" names no device", _SERIAL_EXAMPLE)
+            raise make_error(" names no device", _SERIAL_EXAMPLE)
         if not 300 <= int(baud) <= 12_000_000:
-            raise wrong(f": {baud} is no baud rate", _SERIAL_EXAMPLE)
+            raise make_error(f": {baud} is no baud rate", _SERIAL_EXAMPLE)
         return Endpoint("serial", device, int(baud))
-    found = _HOST_PORT.fullmatch(rest)
+    found = _HOST_PORT_PATTERN.fullmatch(rest)
     if found is None:
         brackets = "put an IPv6 address in brackets, as in udp:[::1]:14550"
-        raise wrong(
-            " has no host and port that can be told apart", brackets if rest.count(":") > 1 else _EXAMPLES
+        raise make_error(
+            " has no host and port that can be told apart",
+            brackets if rest.count(":") > 1 else _ENDPOINT_EXAMPLES,
         )
     number = found["port"]
     if not (number.isascii() and number.isdigit()) or not least_port <= int(number) <= 65535:
-        raise wrong(f": port {number!r} is no number from 1 to 65535")
+        raise make_error(f": port {number!r} is no number from 1 to 65535")
     given = found["host"] or "127.0.0.1"
     host = given.strip("[]")
     if given.startswith("["):
         try:
             ipaddress.ip_address(host.partition("%")[0])
         except ValueError:
-            raise wrong(f": {host!r} is no IPv6 address") from None
+            raise make_error(f": {host!r} is no IPv6 address") from None
     return Endpoint(kind, host, int(number))
 
 
@@ -264,11 +265,11 @@ class Port(ABC):
         """Return what came in since the last call, a bounded amount of it. Also calls again where a call failed."""
 
     @abstractmethod
-    def _send(self, peer: Peer, data: bytes) -> None:
+    def _send_frame(self, peer: Peer, data: bytes) -> None:
         """Send a frame to a peer that can be sent to; raises OSError."""
 
     @abstractmethod
-    def _failed(self, peer: Peer, error: OSError) -> None:
+    def _handle_send_error(self, peer: Peer, error: OSError) -> None:
         """A frame could not be sent."""
 
     def send(self, peer: Peer | None, data: bytes) -> None:
@@ -276,9 +277,9 @@ class Port(ABC):
         for name in self.peers if peer is None else [peer]:
             if name in self._lines:
                 try:
-                    self._send(name, data)
+                    self._send_frame(name, data)
                 except OSError as error:
-                    self._failed(name, error)
+                    self._handle_send_error(name, error)
 
     @property
     def peers(self) -> list[Peer]:
@@ -286,13 +287,13 @@ class Port(ABC):
         return list(self._lines)
 
     @property
-    def targets(self) -> list[Peer]:
+    def call_targets(self) -> list[Peer]:
         """Those of its peers whom it was told to call, and has, if they can be called."""
         return []
 
-    def discard(self) -> None:
+    def discard_input(self) -> None:
         """Throw away what waits to be received: it came while nobody was there to hear it."""
-        for _ in range(_DISCARDS):
+        for _ in range(_MAX_DISCARD_READS):
             if not self.receive():
                 return
 
@@ -304,7 +305,7 @@ class Port(ABC):
         number = getattr(self._selector, "fileno", None)
         return -1 if number is None else int(number())
 
-    def notices(self) -> list[str]:
+    def take_notices(self) -> list[str]:
         """What happened to the port since the last call, one line each."""
         said, self._notices = self._notices, []
         return said
@@ -318,14 +319,14 @@ class Port(ABC):
                 close()
         self._selector.close()
 
-    def _say(self, text: str) -> None:
+    def _note_change(self, text: str) -> None:
         """Say what changed, once."""
         if text != self._said:
             self._said = text
             self._notices.append(f"{self.endpoint}: {text}")
 
 
-def _resolve(endpoint: Endpoint, kind: int) -> tuple[int, Any]:
+def _resolve_address(endpoint: Endpoint, kind: int) -> tuple[int, Any]:
     try:
         found = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)
     except (OSError, UnicodeError) as error:
@@ -337,7 +338,7 @@ def _resolve(endpoint: Endpoint, kind: int) -> tuple[int, Any]:
     return family, address
 
 
-def _bind(line: socket.socket, address: Any, endpoint: Endpoint) -> None:
+def _bind_socket(line: socket.socket, address: Any, endpoint: Endpoint) -> None:
     try:
         line.bind(address)
     except OSError as error:
@@ -350,7 +351,7 @@ def _bind(line: socket.socket, address: Any, endpoint: Endpoint) -> None:
         ) from error
 
 
-def _text_of(address: Any) -> str:
+def _format_address(address: Any) -> str:
     host, port = address[0], address[1]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
@@ -360,17 +361,17 @@ class UdpPort(Port):
 
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
-        family, address = _resolve(endpoint, socket.SOCK_DGRAM)
-        self._target = Peer(str(endpoint), _text_of(address))
+        family, address = _resolve_address(endpoint, socket.SOCK_DGRAM)
+        self._target = Peer(str(endpoint), _format_address(address))
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         for option in (socket.SO_RCVBUF, socket.SO_BROADCAST):
             with contextlib.suppress(OSError):
                 self._socket.setsockopt(
-                    socket.SOL_SOCKET, option, _RECEIVE_BUFFER if option == socket.SO_RCVBUF else 1
+                    socket.SOL_SOCKET, option, _RECEIVE_BUFFER_BYTES if option == socket.SO_RCVBUF else 1
                 )
-        if endpoint.listens:
-            _bind(self._socket, address, endpoint)
+        if endpoint.is_listening:
+            _bind_socket(self._socket, address, endpoint)
         else:
             self._socket.bind(("", 0))
             self._lines[self._target] = address
@@ -382,40 +383,40 @@ class UdpPort(Port):
         return int(self._socket.getsockname()[1])
 
     @property
-    def targets(self) -> list[Peer]:
-        return [] if self.endpoint.listens else [self._target]
+    def call_targets(self) -> list[Peer]:
+        return [] if self.endpoint.is_listening else [self._target]
 
     def receive(self) -> list[tuple[Peer, bytes]]:
         out = []
-        for _ in range(READS):
+        for _ in range(MAX_READS):
             try:
-                data, address = self._socket.recvfrom(READ_BYTES)
+                data, address = self._socket.recvfrom(MAX_READ_BYTES)
             except (BlockingIOError, InterruptedError):
                 break
             except OSError:  # an earlier datagram found nobody there: its sender is told here
                 continue
-            peer = Peer(str(self.endpoint), _text_of(address))
-            if peer not in self._lines and len(self._lines) >= PEERS:
-                oldest = next(p for p in self._lines if self.endpoint.listens or p != self._target)
+            peer = Peer(str(self.endpoint), _format_address(address))
+            if peer not in self._lines and len(self._lines) >= MAX_PEERS:
+                oldest = next(p for p in self._lines if self.endpoint.is_listening or p != self._target)
                 del self._lines[oldest]
             self._lines[peer] = address
             self._lines.move_to_end(peer)
             out.append((peer, data))
         return out
 
-    def _send(self, peer: Peer, data: bytes) -> None:
+    def _send_frame(self, peer: Peer, data: bytes) -> None:
         self._socket.sendto(data, self._lines[peer])
 
-    def _failed(self, peer: Peer, error: OSError) -> None:
-        if error.errno not in _LATER:
-            self._say(f"cannot send to {peer.address} ({error.strerror or error})")
+    def _handle_send_error(self, peer: Peer, error: OSError) -> None:
+        if error.errno not in _TRANSIENT_ERRORS:
+            self._note_change(f"cannot send to {peer.address} ({error.strerror or error})")
 
 
 class ByteStream:
     """A connection that carries bytes in order: frames wait here until there is room for them."""
 
     def __init__(
-        self, read: Callable[[int], bytes], write: Callable[[Any], int], most_waiting: int = _QUEUE
+        self, read: Callable[[int], bytes], write: Callable[[Any], int], most_waiting: int = _MAX_QUEUE_BYTES
     ) -> None:
         self._read, self._write, self._most = read, write, most_waiting
         self._waiting = bytearray()
@@ -425,8 +426,8 @@ class ByteStream:
         out = bytearray()
         try:
             self.flush()
-            for _ in range(READS):
-                block = self._read(READ_BYTES)
+            for _ in range(MAX_READS):
+                block = self._read(MAX_READ_BYTES)
                 if not block:
                     return bytes(out), True
                 out += block
@@ -458,11 +459,11 @@ class TcpServer(Port):
 
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
-        family, address = _resolve(endpoint, socket.SOCK_STREAM)
+        family, address = _resolve_address(endpoint, socket.SOCK_STREAM)
         self._server = socket.socket(family, socket.SOCK_STREAM)
         self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._server.setblocking(False)
-        _bind(self._server, address, endpoint)
+        _bind_socket(self._server, address, endpoint)
         self._server.listen(8)
         self._selector.register(self._server, selectors.EVENT_READ)
 
@@ -472,7 +473,7 @@ class TcpServer(Port):
         return int(self._server.getsockname()[1])
 
     def receive(self) -> list[tuple[Peer, bytes]]:
-        self._accept()
+        self._accept_connections()
         out = []
         for peer, (_, stream) in list(self._lines.items()):
             data, gone = stream.receive()
@@ -480,91 +481,91 @@ class TcpServer(Port):
                 self._lines.move_to_end(peer)
                 out.append((peer, data))
             if gone:
-                self._drop(peer)
+                self._drop_peer(peer)
         return out
 
-    def discard(self) -> None:
+    def discard_input(self) -> None:
         # More of it waits at the other end: only a new connection is without it.
         for peer in self.peers:
-            self._drop(peer)
+            self._drop_peer(peer)
 
-    def _send(self, peer: Peer, data: bytes) -> None:
+    def _send_frame(self, peer: Peer, data: bytes) -> None:
         self._lines[peer][1].send(data)
 
-    def _failed(self, peer: Peer, error: OSError) -> None:
-        self._drop(peer)
+    def _handle_send_error(self, peer: Peer, error: OSError) -> None:
+        self._drop_peer(peer)
 
-    def _accept(self) -> None:
-        for _ in range(PEERS):
+    def _accept_connections(self) -> None:
+        for _ in range(MAX_PEERS):
             try:
                 connection, address = self._server.accept()
             except OSError:
                 return
-            if len(self._lines) >= PEERS:
-                self._drop(next(iter(self._lines)))
-            _prepare(connection)
+            if len(self._lines) >= MAX_PEERS:
+                self._drop_peer(next(iter(self._lines)))
+            _configure_socket(connection)
             self._selector.register(connection, selectors.EVENT_READ)
-            peer = Peer(str(self.endpoint), _text_of(address))
+            peer = Peer(str(self.endpoint), _format_address(address))
             self._lines[peer] = (connection, ByteStream(connection.recv, connection.send))
             self._notices.append(f"{self.endpoint}: {peer.address} has called")
 
-    def _drop(self, peer: Peer) -> None:
+    def _drop_peer(self, peer: Peer) -> None:
         connection, _ = self._lines.pop(peer)
         self._selector.unregister(connection)
         connection.close()
         self._notices.append(f"{self.endpoint}: {peer.address} has hung up")
 
 
-class Caller(Port):
+class ReconnectingPort(Port):
     """A connection that is made again whenever it breaks: to a TCP server, or to a serial device."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
         self._peer = Peer(str(endpoint), f"{endpoint.host}:{endpoint.port}")
         self._line: Any = None
-        self._retry_s = -RETRY_S
+        self._retry_s = -RECONNECT_PERIOD_S
 
     @abstractmethod
-    def _open(self) -> None:
+    def _open_connection(self) -> None:
         """Try to connect; raises OSError. Sets the line, and the stream once it stands."""
 
     @property
-    def targets(self) -> list[Peer]:
+    def call_targets(self) -> list[Peer]:
         return self.peers
 
     def receive(self) -> list[tuple[Peer, bytes]]:
         if self._peer not in self._lines:
-            self._try()
+            self._try_connect()
         if self._peer not in self._lines:
             return []
         data, gone = self._lines[self._peer].receive()
         if gone:
-            self._lose(_LOST)
+            self._drop_connection(_CONNECTION_LOST_TEXT)
         return [(self._peer, data)] if data else []
 
-    def _send(self, peer: Peer, data: bytes) -> None:
+    def _send_frame(self, peer: Peer, data: bytes) -> None:
         self._lines[peer].send(data)
 
-    def _failed(self, peer: Peer, error: OSError) -> None:
-        self._lose(_LOST)
+    def _handle_send_error(self, peer: Peer, error: OSError) -> None:
+        self._drop_connection(_CONNECTION_LOST_TEXT)
 
-    def _try(self) -> None:
+    def _try_connect(self) -> None:
         now_s = time.monotonic()
-        if self._line is None and now_s - self._retry_s < RETRY_S:
+        if self._line is None and now_s - self._retry_s < RECONNECT_PERIOD_S:
             return
         try:
             if self._line is None:
                 self._retry_s = now_s
-            self._open()
+            self._open_connection()
         except OSError as error:
-            self._lose(f"cannot connect ({error.strerror or error}); trying again")
+            self._drop_connection(f"cannot connect ({error.strerror or error}); trying again")
 
-    def _up(self, stream: ByteStream) -> None:
+    def _set_connected(self, stream: ByteStream) -> None:
         self._lines[self._peer] = stream
         self.problem = ""
-        self._say("connected")
+        self._note_change("connected")
 
-    def _lose(self, why: str) -> None:
+    def _drop_connection(self, why: str) -> None:
         if self._line is not None:
             with contextlib.suppress(KeyError, ValueError):
                 self._selector.unregister(self._line)
@@ -572,35 +573,35 @@ class Caller(Port):
         self._line = None
         self._lines.clear()
         self.problem = f"{self.endpoint}: {why}"
-        self._say(why)
+        self._note_change(why)
 
 
-class TcpClient(Caller):
+class TcpClient(ReconnectingPort):
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
-        self._family, self._address = _resolve(endpoint, socket.SOCK_STREAM)
+        self._family, self._address = _resolve_address(endpoint, socket.SOCK_STREAM)
 
-    def discard(self) -> None:
+    def discard_input(self) -> None:
         if self.peers:
-            self._lose(_STALE)
+            self._drop_connection(_STALE_INPUT_TEXT)
 
-    def _open(self) -> None:
+    def _open_connection(self) -> None:
         if self._line is None:
             self._line = socket.socket(self._family, socket.SOCK_STREAM)
-            _prepare(self._line)
+            _configure_socket(self._line)
         state = self._line.connect_ex(self._address)
         if state in (errno.EINPROGRESS, errno.EALREADY, errno.EWOULDBLOCK):
-            if time.monotonic() - self._retry_s > 5.0 * RETRY_S:
+            if time.monotonic() - self._retry_s > 5.0 * RECONNECT_PERIOD_S:
                 raise TimeoutError(errno.ETIMEDOUT, "nobody answers")
             return
         if state not in (0, errno.EISCONN):
             raise OSError(state, os.strerror(state))
         self._selector.register(self._line, selectors.EVENT_READ)
-        self._up(ByteStream(self._line.recv, self._line.send))
+        self._set_connected(ByteStream(self._line.recv, self._line.send))
 
 
-class SerialPort(Caller):
-    def _open(self) -> None:
+class SerialPort(ReconnectingPort):
+    def _open_connection(self) -> None:
         import serial
 
         try:
@@ -617,29 +618,29 @@ class SerialPort(Caller):
             # pyserial tells the number of some of its errors in words only.
             told = re.search(r"\((\d+), '", str(error))
             number = error.errno or (int(told[1]) if told else errno.EIO)
-            raise OSError(number, _DEVICE_WORDS.get(number) or str(error.strerror or error)) from error
+            raise OSError(number, _DEVICE_ERROR_TEXTS.get(number) or str(error.strerror or error)) from error
         self._line = line
         if os.name == "posix":
             self._selector.register(line, selectors.EVENT_READ)
 
-        def read(size: int) -> bytes:
-            data = line.read(min(size, _SERIAL_BLOCK))
+        def read_block(size: int) -> bytes:
+            data = line.read(min(size, _SERIAL_BLOCK_BYTES))
             if not data:
                 raise BlockingIOError
             return bytes(data)
 
-        def write(data: bytearray) -> int:
+        def write_block(data: bytearray) -> int:
             # pyserial would go round and round on a full line; the system says so at once.
             return os.write(line.fileno(), data) if os.name == "posix" else line.write(data) or 0
 
         # Ten bits to a byte; what would be older than this when it leaves is better not sent.
-        self._up(ByteStream(read, write, max(600, round(_SERIAL_LAG_S * self.endpoint.port / 10))))
+        self._set_connected(
+            ByteStream(read_block, write_block, max(600, round(_SERIAL_QUEUE_S * self.endpoint.port / 10)))
+        )
 
 
-def _prepare(line: socket.socket) -> None:
+def _configure_socket(line: socket.socket) -> None:
     line.setblocking(False)
     line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    if hasattr(
-        socket, "TCP_USER_TIMEOUT"
-    ):  # else a command waits in the system for minutes, and is carried out then
-        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNHEARD_MS)
+    if hasattr(socket, "TCP_USER_TIMEOUT"):  # else a command waits in the system for minutes, and is carried out then
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _TCP_USER_TIMEOUT_MS)

@@ -1,34 +1,39 @@
 """What was recorded? Logs of flights and benches, ours and others', as labelled tables on one clock."""
 
-from mufly.logs.delay import Delay, DelayReport, body_rates_of_attitude, check_delays, estimate_delay
-from mufly.logs.mapping import ColumnMap, builtin_maps, load_map
-from mufly.logs.mcap import (
-    Event,
-    Layout,
-    McapFile,
-    columns_of,
-    events_of,
-    read_mcap,
-    standard_layout,
-    to_csv,
-    to_dataset,
-)
-from mufly.logs.quality import (
+from mufly.logs.channel_checks import (
     ChannelReport,
     UnitGuess,
-    channels_of,
     check_channel,
     check_channels,
     find_frozen,
     find_outliers,
     find_saturation,
     guess_angle_units,
+    numeric_channels,
 )
-from mufly.logs.read import FORMATS, chosen, kind_of, read_log, read_raw, write_log
-from mufly.logs.recording import read_attachments, read_facts, read_recording
-from mufly.logs.report import LogReport, channels, draw_channels, examine, grouped
-from mufly.logs.tables import read_fields
-from mufly.logs.topics import (
+from mufly.logs.column_map import ColumnMap, builtin_column_maps, load_column_map
+from mufly.logs.delay_estimation import (
+    DelayEstimate,
+    DelayReport,
+    check_delays,
+    differentiate_attitude,
+    estimate_delay,
+)
+from mufly.logs.log_io import LOG_WRITERS, detect_log_format, read_log, read_raw, select_channels, write_log
+from mufly.logs.log_report import LogReport, draw_channels, examine_log, group_channels, read_channels
+from mufly.logs.mcap import (
+    FlightEvent,
+    McapWriter,
+    RecordingLayout,
+    component_channels,
+    flight_layout,
+    read_events,
+    read_mcap,
+    rows_to_dataset,
+    to_csv,
+)
+from mufly.logs.mcap_recording import read_attachments, read_recording, read_recording_summary
+from mufly.logs.raw_log import (
     Channel,
     ClockReport,
     LogWarning,
@@ -37,60 +42,61 @@ from mufly.logs.topics import (
     check_clock,
     common_clock,
     find_gaps,
-    resample,
-    usable_samples,
+    resample_signal,
+    select_usable_samples,
 )
+from mufly.logs.tables import read_table_columns
 
 __all__ = [
-    "FORMATS",
+    "LOG_WRITERS",
     "Channel",
     "ChannelReport",
     "ClockReport",
     "ColumnMap",
-    "Delay",
+    "DelayEstimate",
     "DelayReport",
-    "Event",
-    "Layout",
+    "FlightEvent",
     "LogReport",
     "LogWarning",
-    "McapFile",
+    "McapWriter",
     "RawLog",
     "RawTable",
+    "RecordingLayout",
     "UnitGuess",
-    "body_rates_of_attitude",
-    "builtin_maps",
-    "channels",
-    "channels_of",
+    "builtin_column_maps",
     "check_channel",
     "check_channels",
     "check_clock",
     "check_delays",
-    "chosen",
-    "columns_of",
     "common_clock",
+    "component_channels",
+    "detect_log_format",
+    "differentiate_attitude",
     "draw_channels",
     "estimate_delay",
-    "events_of",
-    "examine",
+    "examine_log",
     "find_frozen",
     "find_gaps",
     "find_outliers",
     "find_saturation",
-    "grouped",
+    "flight_layout",
+    "group_channels",
     "guess_angle_units",
-    "kind_of",
-    "load_map",
+    "load_column_map",
+    "numeric_channels",
     "read_attachments",
-    "read_facts",
-    "read_fields",
+    "read_channels",
+    "read_events",
     "read_log",
     "read_mcap",
     "read_raw",
     "read_recording",
-    "resample",
-    "standard_layout",
+    "read_recording_summary",
+    "read_table_columns",
+    "resample_signal",
+    "rows_to_dataset",
+    "select_channels",
+    "select_usable_samples",
     "to_csv",
-    "to_dataset",
-    "usable_samples",
     "write_log",
 ]

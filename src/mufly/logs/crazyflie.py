@@ -24,21 +24,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.topics import RawLog, RawTable, describe_skipped
+from mufly.logs.raw_log import RawLog, RawTable, describe_skipped
 
-FIXED = "fixedFrequency"
+FIXED_RATE_TOPIC = "fixedFrequency"
 """Topic of what is written at a fixed rate; the name that the firmware gives it."""
 
-_EVENTS = 0xBC
-_TICK = b"tick(I),"
-_TYPES = {
+_EVENT_FORMAT_BYTE = 0xBC
+_TICK_COLUMN = b"tick(I),"
+_NUMPY_TYPES = {
     "B": "u1", "b": "i1", "H": "<u2", "h": "<i2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "e": "<f2",
     "f": "<f4", "d": "<f8",
 }  # fmt: skip
-_BACK_S, _AHEAD_S = 1.0, 3600.0  # from one event to the next, in a file that is not whole
-_CLOCKS = {1: ("<u4", 1e3), 2: ("<u8", 1e6)}
+_MAX_STEP_BACK_S, _MAX_STEP_AHEAD_S = 1.0, 3600.0  # from one event to the next, in a file that is not whole
+_CLOCK_BY_VERSION = {1: ("<u4", 1e3), 2: ("<u8", 1e6)}
 # Units of the variables that documents of the firmware give; angles in degrees, accelerations in g.
-_UNITS = {
+_UNITS_BY_VARIABLE = {
     "gyro": "deg/s", "acc": "gee", "stateEstimate.roll": "deg", "stateEstimate.pitch": "deg",
     "stateEstimate.yaw": "deg", "stateEstimate.x": "m", "stateEstimate.y": "m", "stateEstimate.z": "m",
     "stateEstimate.vx": "m/s", "stateEstimate.vy": "m/s", "stateEstimate.vz": "m/s", "stabilizer.roll": "deg",
@@ -50,20 +50,20 @@ _UNITS = {
 
 def looks_like_crazyflie(head: bytes) -> bool:
     """Whether a file that begins so is such a log, of either form."""
-    if head[1 : 1 + len(_TICK)] == _TICK:
+    if head[1 : 1 + len(_TICK_COLUMN)] == _TICK_COLUMN:
         return True
-    if len(head) < 7 or head[0] != _EVENTS:
+    if len(head) < 7 or head[0] != _EVENT_FORMAT_BYTE:
         return False
     version, kinds = struct.unpack_from("<HH", head, 1)
-    return version in _CLOCKS and 0 < kinds < 256
+    return version in _CLOCK_BY_VERSION and 0 < kinds < 256
 
 
-class _Kind(NamedTuple):
+class _EventKind(NamedTuple):
     """A kind of event: its name, the layout of time and values, and where its events begin."""
 
     name: str
-    row: np.dtype[Any]
-    starts: list[int]
+    row_dtype: np.dtype[Any]
+    row_offsets: list[int]
 
 
 def read_crazyflie(path: str | Path) -> RawLog:
@@ -77,125 +77,121 @@ def read_crazyflie(path: str | Path) -> RawLog:
     where = str(path)
     data = Path(path).read_bytes()
     try:
-        tables, skipped, ended = (_by_events if data[0] == _EVENTS else _by_rows)(data)
+        tables, skipped, ended = (_read_event_format if data[0] == _EVENT_FORMAT_BYTE else _read_row_format)(data)
     except (struct.error, ValueError, IndexError, KeyError) as error:
         problem = f"is a damaged log of the micro-SD deck ({error})"
         raise InputError(where, "", problem, "give another copy of the file") from error
     if not tables:
-        raise InputError(
-            where, "", "is a log of the micro-SD deck without data", "set usd.logging to 1 while it flies"
-        )
+        raise InputError(where, "", "is a log of the micro-SD deck without data", "set usd.logging to 1 while it flies")
     zero = min(float(t.time.min()) for t in tables)
     shifted = {t.name: RawTable(t.name, t.time - zero, t.fields, t.units) for t in tables}
     damage = describe_skipped(data, skipped, "event")
     damage = damage or ("" if ended else "its checksum at the end is missing or wrong")
-    return RawLog(
-        where, "Crazyflie", shifted, info={"system": "Crazyflie"}, complete=not damage, damage=damage
-    )
+    return RawLog(where, "Crazyflie", shifted, info={"system": "Crazyflie"}, is_complete=not damage, damage_text=damage)
 
 
-def _by_events(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
+def _read_event_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
     version, count = struct.unpack_from("<HH", data, 1)
-    clock, tick = _CLOCKS[version]
+    clock, tick = _CLOCK_BY_VERSION[version]
     whole = len(data) > 9 and crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
     end = len(data) - 4 if whole else len(data)
     at = 5
-    kinds: dict[int, _Kind] = {}
+    kinds: dict[int, _EventKind] = {}
     for _ in range(count):
         number = struct.unpack_from("<H", data, at)[0]
-        name, at = _text(data, at + 2)
+        name, at = _read_string(data, at + 2)
         columns = struct.unpack_from("<H", data, at)[0]
         at += 2
         fields = [("", clock)]
         for _ in range(columns):
-            column, at = _text(data, at)
-            fields.append(_typed(column))
-        kinds[number] = _Kind(name, _layout(fields), [])
+            column, at = _read_string(data, at)
+            fields.append(_parse_variable(column))
+        kinds[number] = _EventKind(name, _row_dtype(fields), [])
     # A file without its end may have a broken event there; so may have one whose CRC is wrong for a flipped bit.
     last, width = -1, np.dtype(clock).itemsize
     skipped: list[tuple[int, int]] = []
 
-    def event_at(place: int, after: int) -> tuple[_Kind, int] | None:
+    def match_event(place: int, after: int) -> tuple[_EventKind, int] | None:
         """The kind and time of an event that stands at a place, not long after another."""
         kind = kinds.get(data[place] | data[place + 1] << 8) if place + 2 <= end else None
-        if kind is None or place + 2 + kind.row.itemsize > end:
+        if kind is None or place + 2 + kind.row_dtype.itemsize > end:
             return None
-        if not whole and after >= 0 and not any(data[place : place + 2 + kind.row.itemsize]):
+        if not whole and after >= 0 and not any(data[place : place + 2 + kind.row_dtype.itemsize]):
             return None  # zeros that nobody wrote
         now = int.from_bytes(data[place + 2 : place + 2 + width], "little")
-        near = whole or after < 0 or -_BACK_S * tick <= now - after <= _AHEAD_S * tick
+        near = whole or after < 0 or -_MAX_STEP_BACK_S * tick <= now - after <= _MAX_STEP_AHEAD_S * tick
         return (kind, now) if near else None
 
     while at + 2 <= end:
-        found = event_at(at, last)
+        found = match_event(at, last)
         if found is None:  # nothing marks where the next event begins: two in a row do
             start = at
             while at + 2 <= end:
                 at += 1
-                found = event_at(at, last)
+                found = match_event(at, last)
                 if found is None or found[1] < last:
                     continue
-                if event_at(at + 2 + found[0].row.itemsize, found[1]) is not None:
+                if match_event(at + 2 + found[0].row_dtype.itemsize, found[1]) is not None:
                     break
             else:
                 skipped.append((start, end))
                 break
             skipped.append((start, at))
         kind, last = found
-        kind.starts.append(at + 2)
-        at += 2 + kind.row.itemsize
+        kind.row_offsets.append(at + 2)
+        at += 2 + kind.row_dtype.itemsize
     else:
         skipped += [(at, end)] if at < end else []
     begin = skipped[-1][0] if skipped and skipped[-1][1] == end else end
     if begin < end and not any(data[begin - 1 : end]):  # the zeros may have begun inside the event before
-        latest = max(kinds.values(), key=lambda k: k.starts[-1:])
-        if latest.starts and latest.starts[-1] + latest.row.itemsize == begin:
-            skipped[-1] = (latest.starts.pop() - 2, end)
-    return [_table(data, k, tick) for k in kinds.values() if k.starts], skipped, whole
+        latest = max(kinds.values(), key=lambda k: k.row_offsets[-1:])
+        if latest.row_offsets and latest.row_offsets[-1] + latest.row_dtype.itemsize == begin:
+            skipped[-1] = (latest.row_offsets.pop() - 2, end)
+    return [_make_table(data, k, tick) for k in kinds.values() if k.row_offsets], skipped, whole
 
 
-def _by_rows(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
+def _read_row_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
     at = 1
     fields = []
     for _ in range(data[0]):
         end = data.index(b",", at)
-        fields.append(_typed(data[at:end].decode()))
+        fields.append(_parse_variable(data[at:end].decode()))
         at = end + 1
-    skipped = [] if _sound(data[: at + 4]) else [(0, at + 4)]
+    skipped = [] if _crc_matches(data[: at + 4]) else [(0, at + 4)]
     at += 4
-    kind = _Kind(FIXED, _layout(fields), [])
-    size = kind.row.itemsize
+    kind = _EventKind(FIXED_RATE_TOPIC, _row_dtype(fields), [])
+    size = kind.row_dtype.itemsize
     while at < len(data):
         start = at
-        while at < len(data) and not _sound(data[at : at + 1 + data[at] * size + 4]):
+        while at < len(data) and not _crc_matches(data[at : at + 1 + data[at] * size + 4]):
             at += 1  # the next block is found by its checksum
         if at > start:
             skipped.append((start, at))
         if at < len(data):
-            kind.starts.extend(range(at + 1, at + 1 + data[at] * size, size))
+            kind.row_offsets.extend(range(at + 1, at + 1 + data[at] * size, size))
             at += 1 + data[at] * size + 4
-    return [_table(data, kind, 1e3)] if kind.starts else [], skipped, True
+    return [_make_table(data, kind, 1e3)] if kind.row_offsets else [], skipped, True
 
 
-def _sound(block: bytes) -> bool:
+def _crc_matches(block: bytes) -> bool:
     """Whether a block ends with its complemented CRC, which makes the CRC of the whole all ones."""
     return crc32(block) == 0xFFFFFFFF
 
 
-def _text(data: bytes, at: int) -> tuple[str, int]:
+def _read_string(data: bytes, at: int) -> tuple[str, int]:
     end = data.index(b"\0", at)
     return data[at:end].decode(), end + 1
 
 
-def _typed(column: str) -> tuple[str, str]:
+def _parse_variable(column: str) -> tuple[str, str]:
     """Name and type of a variable: ``acc.x(f)``."""
     name, _, letter = column.strip().removesuffix(")").rpartition("(")
-    if not name or letter not in _TYPES:
+    if not name or letter not in _NUMPY_TYPES:
         raise ValueError(f"variable {column!r:.40}")
-    return name, _TYPES[letter]
+    return name, _NUMPY_TYPES[letter]
 
 
-def _layout(fields: list[tuple[str, str]]) -> np.dtype[Any]:
+def _row_dtype(fields: list[tuple[str, str]]) -> np.dtype[Any]:
     """Layout of a row; the clock comes first and has no name."""
     names = ["", *(name for name, _ in fields[1:])]
     if len(set(names)) < len(names):
@@ -203,12 +199,12 @@ def _layout(fields: list[tuple[str, str]]) -> np.dtype[Any]:
     return np.dtype([(name or "clock", kind) for name, (_, kind) in zip(names, fields, strict=True)])
 
 
-def _table(data: bytes, kind: _Kind, tick: float) -> RawTable:
+def _make_table(data: bytes, kind: _EventKind, tick: float) -> RawTable:
     stream = np.frombuffer(data, dtype=np.uint8)
-    starts = np.array(kind.starts, dtype=np.int64)
-    block = np.ascontiguousarray(stream[starts[:, None] + np.arange(kind.row.itemsize)])
-    rows: NDArray[Any] = block.view(kind.row)[:, 0]
-    clock, *names = kind.row.names or ()
+    starts = np.array(kind.row_offsets, dtype=np.int64)
+    block = np.ascontiguousarray(stream[starts[:, None] + np.arange(kind.row_dtype.itemsize)])
+    rows: NDArray[Any] = block.view(kind.row_dtype)[:, 0]
+    clock, *names = kind.row_dtype.names or ()
     fields = {name: rows[name] for name in names}
-    units = {name: _UNITS.get(name) or _UNITS.get(name.partition(".")[0], "") for name in names}
+    units = {name: _UNITS_BY_VARIABLE.get(name) or _UNITS_BY_VARIABLE.get(name.partition(".")[0], "") for name in names}
     return RawTable(kind.name, rows[clock] / tick, fields, {k: u for k, u in units.items() if u})

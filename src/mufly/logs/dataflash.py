@@ -29,14 +29,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.logs.topics import RawLog, RawTable, describe_skipped, foreign_stamps, gps_to_unix, wall_time
-from mufly.vehicle_types import ModeFamily, ardupilot_mode
+from mufly.logs.raw_log import (
+    RawLog,
+    RawTable,
+    describe_skipped,
+    find_foreign_stamps,
+    format_wall_time,
+    gps_to_unix,
+)
+from mufly.vehicle_types import ModeFamily, ardupilot_mode_name
 
 MAGIC = b"\xa3\x95"
-DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT")
+DEFINITION_MESSAGES = ("FMT", "FMTU", "UNIT", "MULT")
 _FMT, _FMT_LENGTH = 128, 89
 # Letter: NumPy type (little-endian), factor that the letter implies.
-_LETTERS: dict[str, tuple[str, float]] = {
+_FORMAT_LETTERS: dict[str, tuple[str, float]] = {
     "a": ("32<i2", 1.0), "b": ("i1", 1.0), "B": ("u1", 1.0), "g": ("<f2", 1.0), "h": ("<i2", 1.0),
     "H": ("<u2", 1.0), "i": ("<i4", 1.0), "I": ("<u4", 1.0), "f": ("<f4", 1.0), "d": ("<f8", 1.0),
     "n": ("S4", 1.0), "N": ("S16", 1.0), "Z": ("S64", 1.0), "c": ("<i2", 1e2), "C": ("<u2", 1e2),
@@ -44,46 +51,46 @@ _LETTERS: dict[str, tuple[str, float]] = {
     "Q": ("<u8", 1.0),
 }  # fmt: skip
 # Units of fields that say none, by message, field and whether their letter is a whole number's.
-_UNITS_OF_OLD = {
+_UNITS_OF_OLD_LOGS = {
     ("CURR", "Volt", True): "cV", ("CURR", "Curr", True): "cA", ("CURR", "Vcc", True): "mV",
     ("CURR", "Volt", False): "V", ("CURR", "Curr", False): "A",
 }  # fmt: skip
-_RATES_OF_OLD = ("RDes", "R", "PDes", "P", "YDes", "Y")
-_FIRMWARE = re.compile(
+_RATE_FIELDS_OF_OLD_LOGS = ("RDes", "R", "PDes", "P", "YDes", "Y")
+_FIRMWARE_PATTERN = re.compile(
     r"^(?:APM:\s?|)(?:Ardu)?(Copter|Plane|Rover|Sub|Blimp|AntennaTracker)\b.*?(\d+)\.(\d+)", re.IGNORECASE
 )
 # "I" is an instance where it is a whole number: of the messages of PID controllers it is the integral part.
-_INSTANCES = ("I", "Instance", "Inst")
-_FAMILIES: dict[str, ModeFamily] = {
+_INSTANCE_FIELDS = ("I", "Instance", "Inst")
+_FAMILY_BY_FIRMWARE: dict[str, ModeFamily] = {
     "copter": "copter", "plane": "plane", "rover": "rover", "sub": "submarine", "antennatracker": "tracker",
     "blimp": "airship",
 }  # fmt: skip
-_BUILDS: dict[int, ModeFamily] = {
+_FAMILY_BY_BUILD_TYPE: dict[int, ModeFamily] = {
     1: "rover", 2: "copter", 3: "plane", 4: "tracker", 7: "submarine", 12: "airship", 13: "copter",
 }  # fmt: skip
 # Multipliers that are part of a unit's name.
-_PREFIXES = {1e3: "k", 1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "u", 1e-9: "n"}
+_UNIT_PREFIXES = {1e3: "k", 1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "u", 1e-9: "n"}
 
 
 @dataclass
-class _Kind:
+class _MessageKind:
     """A kind of message: its name, size, letters, columns, and where its messages begin."""
 
     name: str
-    size: int
-    letters: str
+    message_size: int
+    format_letters: str
     columns: list[str]
-    starts: list[int] = field(default_factory=list)
+    message_offsets: list[int] = field(default_factory=list)
 
 
-def _index(data: bytes) -> tuple[dict[int, _Kind], list[tuple[int, int]]]:
+def _index_messages(data: bytes) -> tuple[dict[int, _MessageKind], list[tuple[int, int]]]:
     """Find every whole message; where bytes that belong to none begin and end comes beside."""
-    kinds = {_FMT: _Kind("FMT", _FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])}
+    kinds = {_FMT: _MessageKind("FMT", _FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])}
     at, end = 0, len(data)
     skipped: list[tuple[int, int]] = []
     while at + 3 <= end:
         kind = kinds.get(data[at + 2]) if data[at] == 0xA3 and data[at + 1] == 0x95 else None
-        if kind is None or at + kind.size > end:
+        if kind is None or at + kind.message_size > end:
             found = data.find(MAGIC, at + 1)
             after = end if found < 0 else found
             if skipped and skipped[-1][1] == at:
@@ -92,90 +99,88 @@ def _index(data: bytes) -> tuple[dict[int, _Kind], list[tuple[int, int]]]:
                 skipped.append((at, after))
             at = after
             continue
-        kind.starts.append(at)
+        kind.message_offsets.append(at)
         if data[at + 2] == _FMT:
-            _define(kinds, data[at + 3 : at + _FMT_LENGTH])
-        at += kind.size
+            _add_format(kinds, data[at + 3 : at + _FMT_LENGTH])
+        at += kind.message_size
     skipped += [(at, end)] if at < end else []
     begin = skipped[-1][0] if skipped and skipped[-1][1] == end else end
     if begin < end and not any(data[begin - 1 : end]):  # the zeros may have begun inside the message before
-        last = max(kinds.values(), key=lambda kind: kind.starts[-1:])
-        if last.starts and last.starts[-1] + last.size == begin:
-            skipped[-1] = (last.starts.pop(), end)
+        last = max(kinds.values(), key=lambda kind: kind.message_offsets[-1:])
+        if last.message_offsets and last.message_offsets[-1] + last.message_size == begin:
+            skipped[-1] = (last.message_offsets.pop(), end)
     return kinds, skipped
 
 
-def _define(kinds: dict[int, _Kind], body: bytes) -> None:
+def _add_format(kinds: dict[int, _MessageKind], body: bytes) -> None:
     number, size = body[0], body[1]
-    name, letters, columns = (_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
+    name, letters, columns = (_decode_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
     names = [c.strip() for c in columns.split(",")]
-    sound = len(names) == len(letters) == len(set(names)) and set(letters) <= set(_LETTERS) and all(names)
-    if number == _FMT or not sound or size != 3 + _dtype(letters, names).itemsize:
+    sound = len(names) == len(letters) == len(set(names)) and set(letters) <= set(_FORMAT_LETTERS) and all(names)
+    if number == _FMT or not sound or size != 3 + _message_dtype(letters, names).itemsize:
         return  # what contradicts itself cannot be unpacked
     before = kinds.get(number)
-    if before is None or (before.letters, before.columns) != (letters, names):
-        kinds[number] = _Kind(name, size, letters, names)
+    if before is None or (before.format_letters, before.columns) != (letters, names):
+        kinds[number] = _MessageKind(name, size, letters, names)
 
 
-def _dtype(letters: str, columns: list[str]) -> np.dtype[Any]:
-    return np.dtype([(c, _LETTERS[k][0]) for c, k in zip(columns, letters, strict=True)])
+def _message_dtype(letters: str, columns: list[str]) -> np.dtype[Any]:
+    return np.dtype([(c, _FORMAT_LETTERS[k][0]) for c, k in zip(columns, letters, strict=True)])
 
 
-def _text(raw: bytes) -> str:
+def _decode_text(raw: bytes) -> str:
     return raw.split(b"\0")[0].decode(errors="replace")
 
 
-def read_binary(data: bytes) -> tuple[list[RawTable], _Instances, str]:
+def read_binary(data: bytes) -> tuple[list[RawTable], _InstanceTopics, str]:
     """Return the tables (times as written), the topics of each kind's instances, and which bytes were not known."""
-    kinds, skipped = _index(data)
+    kinds, skipped = _index_messages(data)
     stream = np.frombuffer(data, dtype=np.uint8)
     rows = {}
     for number, kind in kinds.items():
-        if kind.starts:
-            starts = np.array(kind.starts, dtype=np.int64)
-            body = np.ascontiguousarray(stream[starts[:, None] + np.arange(3, kind.size)])
-            rows[number] = body.view(_dtype(kind.letters, kind.columns))[:, 0]
-    named = {kinds[n].name: part for n, part in rows.items() if kinds[n].name in DEFINITIONS}
-    units, instances = _units(kinds, {name: _definition_rows(part) for name, part in named.items()})
-    messages: list[_Messages] = []
+        if kind.message_offsets:
+            starts = np.array(kind.message_offsets, dtype=np.int64)
+            body = np.ascontiguousarray(stream[starts[:, None] + np.arange(3, kind.message_size)])
+            rows[number] = body.view(_message_dtype(kind.format_letters, kind.columns))[:, 0]
+    named = {kinds[n].name: part for n, part in rows.items() if kinds[n].name in DEFINITION_MESSAGES}
+    units, instances = _field_units(kinds, {name: _definition_rows(part) for name, part in named.items()})
+    messages: list[_MessageTable] = []
     for number, part in rows.items():
         kind = kinds[number]
-        if kind.name not in DEFINITIONS:
-            values = {c: _numbers(part[c], k) for c, k in zip(kind.columns, kind.letters, strict=True)}
-            places = np.array(kind.starts, dtype=np.int64)
-            own = _old_units(kind.name, kind.letters, kind.columns) | units.get(number, {})
-            instance = instances.get(number) or _known_instance(kind)
-            messages.append(_Messages(kind.name, places, values, own, instance))
-    return *_tables(messages), describe_skipped(data, skipped, "message")
+        if kind.name not in DEFINITION_MESSAGES:
+            values = {c: _to_numbers(part[c], k) for c, k in zip(kind.columns, kind.format_letters, strict=True)}
+            places = np.array(kind.message_offsets, dtype=np.int64)
+            own = _units_of_old_log(kind.name, kind.format_letters, kind.columns) | units.get(number, {})
+            instance = instances.get(number) or _guess_instance_field(kind)
+            messages.append(_MessageTable(kind.name, places, values, own, instance))
+    return *_make_tables(messages), describe_skipped(data, skipped, "message")
 
 
-def _known_instance(kind: _Kind) -> str | None:
+def _guess_instance_field(kind: _MessageKind) -> str | None:
     """The field that counts instances, by its name, for logs that do not mark it with the unit ``#``."""
-    whole = {c for c, letter in zip(kind.columns, kind.letters, strict=False) if letter in "bBhHiI"}
-    names = ("C", *_INSTANCES) if kind.name.startswith(("NK", "XK")) else _INSTANCES
+    whole = {c for c, letter in zip(kind.columns, kind.format_letters, strict=False) if letter in "bBhHiI"}
+    names = ("C", *_INSTANCE_FIELDS) if kind.name.startswith(("NK", "XK")) else _INSTANCE_FIELDS
     return next((name for name in names if name in whole), None)
 
 
-class _Messages(NamedTuple):
+class _MessageTable(NamedTuple):
     """All messages of a kind: where each stands in the file, its fields, their units, which counts instances."""
 
     name: str
-    places: NDArray[np.int64]
+    file_positions: NDArray[np.int64]
     values: dict[str, NDArray[Any]]
     units: dict[str, str]
-    instance: str | None
+    instance_field: str | None
 
 
-def _old_units(name: str, letters: str, columns: list[str]) -> dict[str, str]:
-    found = {
-        c: _UNITS_OF_OLD.get((name, c, k in "bBhHiIqQ"), "") for c, k in zip(columns, letters, strict=False)
-    }
+def _units_of_old_log(name: str, letters: str, columns: list[str]) -> dict[str, str]:
+    found = {c: _UNITS_OF_OLD_LOGS.get((name, c, k in "bBhHiIqQ"), "") for c, k in zip(columns, letters, strict=False)}
     if name == "RATE" and "TimeMS" in columns:
-        found |= dict.fromkeys(_RATES_OF_OLD, "cdeg/s")
+        found |= dict.fromkeys(_RATE_FIELDS_OF_OLD_LOGS, "cdeg/s")
     return {c: u for c, u in found.items() if u}
 
 
-def _clock(values: Mapping[str, NDArray[Any]]) -> tuple[str, float]:
+def _find_clock(values: Mapping[str, NDArray[Any]]) -> tuple[str, float]:
     """Field that holds the board's clock and its ticks a second; ``""`` if none does."""
     if "TimeUS" in values:
         return "TimeUS", 1e6
@@ -185,65 +190,65 @@ def _clock(values: Mapping[str, NDArray[Any]]) -> tuple[str, float]:
     return ("TimeMS", 1e3) if "TimeMS" in values else ("", 1.0)
 
 
-_Instances = dict[str, dict[int, str]]  # topic of each instance, by kind of message
+_InstanceTopics = dict[str, dict[int, str]]  # topic of each instance, by kind of message
 
 
-def _tables(messages: list[_Messages]) -> tuple[list[RawTable], _Instances]:
+def _make_tables(messages: list[_MessageTable]) -> tuple[list[RawTable], _InstanceTopics]:
     """Make tables of messages; what has no clock takes the time of the message before it."""
     times: dict[int, NDArray[np.float64]] = {}
     for k, m in enumerate(messages):
-        clock, tick = _clock(m.values)
+        clock, tick = _find_clock(m.values)
         if clock and m.values[clock].dtype.kind not in "US" and m.values[clock].ndim == 1:
             times[k] = m.values[clock].astype(np.float64) / tick
     if not times:
         return [], {}
-    foreign, _ = foreign_stamps({str(k): t for k, t in times.items()})
+    foreign, _ = find_foreign_stamps({str(k): t for k, t in times.items()})
     sound = {k: np.isfinite(t) & ~foreign[str(k)] for k, t in times.items()}
-    place = np.concatenate([messages[k].places[sound[k]] for k in times])
+    place = np.concatenate([messages[k].file_positions[sound[k]] for k in times])
     stamp = np.concatenate([t[sound[k]] for k, t in times.items()])
     order = np.argsort(place, kind="stable")
     place, stamp = place[order], stamp[order]
     out: list[RawTable] = []
-    topics: _Instances = {}
+    topics: _InstanceTopics = {}
     for k, m in enumerate(messages):
         time = times.get(k)
         if time is None:
-            time = stamp[np.clip(np.searchsorted(place, m.places) - 1, 0, None)]
-        rest = {key: v for key, v in m.values.items() if k not in times or key != _clock(m.values)[0]}
-        parts = split_tables(m.name, time, rest, m.units, m.instance)
-        if m.instance in rest:
-            which = rest[m.instance]
+            time = stamp[np.clip(np.searchsorted(place, m.file_positions) - 1, 0, None)]
+        rest = {key: v for key, v in m.values.items() if k not in times or key != _find_clock(m.values)[0]}
+        parts = split_tables(m.name, time, rest, m.units, m.instance_field)
+        if m.instance_field in rest:
+            which = rest[m.instance_field]
             numbers = np.unique(which[np.isfinite(which)]).astype(int).tolist()
             topics[m.name] = {n: part.name for n, part in zip(numbers, parts, strict=True)}
         out += parts
     return out, topics
 
 
-def _numbers(column: NDArray[Any], letter: str) -> NDArray[Any]:
+def _to_numbers(column: NDArray[Any], letter: str) -> NDArray[Any]:
     if column.dtype.kind == "S":
-        return np.array([_text(c) for c in column.tolist()], dtype=str)
-    factor = _LETTERS[letter][1]
+        return np.array([_decode_text(c) for c in column.tolist()], dtype=str)
+    factor = _FORMAT_LETTERS[letter][1]
     return column if factor == 1.0 else column / factor
 
 
 def _definition_rows(part: NDArray[Any]) -> list[dict[str, Any]]:
     names = part.dtype.names or ()
     return [
-        {n: _text(v) if isinstance(v, bytes) else v for n, v in zip(names, row, strict=True)}
+        {n: _decode_text(v) if isinstance(v, bytes) else v for n, v in zip(names, row, strict=True)}
         for row in part.tolist()
     ]
 
 
-def _units(
-    kinds: Mapping[int, _Kind], named: Mapping[str, list[dict[str, Any]]]
+def _field_units(
+    kinds: Mapping[int, _MessageKind], named: Mapping[str, list[dict[str, Any]]]
 ) -> tuple[dict[int, dict[str, str]], dict[int, str]]:
     """Units of the fields of every kind, and the field that counts instances (its unit is ``#``)."""
 
-    def pairs(name: str, key: str, value: str) -> list[tuple[str, Any]]:
-        return [(_id(row[key]), row[value]) for row in named.get(name, ()) if {key, value} <= set(row)]
+    def definition_pairs(name: str, key: str, value: str) -> list[tuple[str, Any]]:
+        return [(_unit_letter(row[key]), row[value]) for row in named.get(name, ()) if {key, value} <= set(row)]
 
-    labels = {i: str(label) for i, label in pairs("UNIT", "Id", "Label")}
-    factors = {i: float(f"{float(m):.6g}") for i, m in pairs("MULT", "Id", "Mult")}
+    labels = {i: str(label) for i, label in definition_pairs("UNIT", "Id", "Label")}
+    factors = {i: float(f"{float(m):.6g}") for i, m in definition_pairs("MULT", "Id", "Mult")}
     units: dict[int, dict[str, str]] = {}
     instances: dict[int, str] = {}
     for entry in named.get("FMTU", ()):
@@ -254,21 +259,19 @@ def _units(
             continue
         kind, out = kinds[number], {}
         ids, multipliers = entry["UnitIds"], entry["MultIds"].ljust(len(kind.columns), "-")
-        for column, letter, unit, multiplier in zip(
-            kind.columns, kind.letters, ids, multipliers, strict=False
-        ):
+        for column, letter, unit, multiplier in zip(kind.columns, kind.format_letters, ids, multipliers, strict=False):
             if unit == "#":
                 instances[number] = column
                 continue
-            factor = 1.0 if _LETTERS[letter][1] != 1.0 else factors.get(multiplier, 1.0) or 1.0
-            label = _unit(labels.get(unit, ""))
-            if label and (factor == 1.0 or factor in _PREFIXES):
-                out[column] = f"{_PREFIXES.get(factor, '')}{label}"
+            factor = 1.0 if _FORMAT_LETTERS[letter][1] != 1.0 else factors.get(multiplier, 1.0) or 1.0
+            label = _normalise_unit(labels.get(unit, ""))
+            if label and (factor == 1.0 or factor in _UNIT_PREFIXES):
+                out[column] = f"{_UNIT_PREFIXES.get(factor, '')}{label}"
         units[number] = out
     return units, instances
 
 
-def _id(value: Any) -> str:
+def _unit_letter(value: Any) -> str:
     """Letter of a unit or multiplier: its code, or in some text logs the letter itself."""
     text = str(value)
     return chr(int(text) & 0xFF) if len(text) > 1 and text.lstrip("-").isdigit() else text
@@ -303,11 +306,9 @@ def split_tables(
     return out
 
 
-def _unit(label: str) -> str:
+def _normalise_unit(label: str) -> str:
     """Unit as this package writes it; ArduPilot's labels run letters together."""
-    return {"degrees": "deg", "rad/s/s": "rad/s^2", "m/s/s": "m/s^2", "UNKNOWN": "", "instance": ""}.get(
-        label, label
-    )
+    return {"degrees": "deg", "rad/s/s": "rad/s^2", "m/s/s": "m/s^2", "UNKNOWN": "", "instance": ""}.get(label, label)
 
 
 def is_text_log(head: bytes) -> bool:
@@ -327,97 +328,94 @@ def read_dataflash(path: str | Path) -> RawLog:
     with open(path, "rb") as stream:
         text = not stream.read(2).startswith(MAGIC)
     try:
-        tables, topics, damage = _read_text(Path(path)) if text else read_binary(Path(path).read_bytes())
+        tables, topics, damage = _read_text_log(Path(path)) if text else read_binary(Path(path).read_bytes())
     except InputError:
         raise
     except Exception as error:  # whatever a damaged format definition provokes
         problem = f"is a damaged DataFlash log ({error})"
         raise InputError(where, "", problem, "give another copy of the file") from error
     tables = [t for t in tables if len(t.time)]
-    foreign, notes = foreign_stamps({t.name: t.time for t in tables})
+    foreign, notes = find_foreign_stamps({t.name: t.time for t in tables})
     tables = [replace(t, time=np.where(foreign[t.name], np.nan, t.time)) for t in tables]
     zero = min((float(np.nanmin(t.time)) for t in tables if np.isfinite(t.time).any()), default=None)
     if zero is None:
-        raise InputError(
-            where, "", "is a DataFlash log without timed messages", "the log ended before its first"
-        )
+        raise InputError(where, "", "is a DataFlash log without timed messages", "the log ended before its first")
     shifted = {t.name: replace(t, time=t.time - zero) for t in tables}
     said = shifted.pop("MSG", None)
     texts = [] if said is None else said.fields.get("Message", np.empty(0)).tolist()
     times = [] if said is None else said.time.tolist()
     parameters = shifted.pop("PARM", None)
-    firmware = next((t for t in map(str, texts) if _FIRMWARE.match(t)), "")
+    firmware = next((t for t in map(str, texts) if _FIRMWARE_PATTERN.match(t)), "")
     info: dict[str, Any] = {"system": firmware} if firmware else {}
     if parameters is not None and {"Name", "Value"} <= set(parameters.fields):
         names, values = parameters.fields["Name"].tolist(), parameters.fields["Value"].tolist()
         info["parameters"] = dict(zip(names, values, strict=True))
     rate = shifted.get("RATE")
     if rate is not None and "R" in rate.fields:
-        unit, why = _unit_of_rates(rate, shifted.get("IMU"), firmware)
-        shifted["RATE"] = replace(rate, units=dict.fromkeys(_RATES_OF_OLD, unit) | rate.units)
+        unit, why = _find_rate_unit(rate, shifted.get("IMU"), firmware)
+        shifted["RATE"] = replace(rate, units=dict.fromkeys(_RATE_FIELDS_OF_OLD_LOGS, unit) | rate.units)
         notes += [f"RATE is in hundredths of a degree per second{why}"] if unit == "cdeg/s" else []
     active, words = _active_estimate(shifted, topics, parameters)
     notes += words
     shifted |= {active.name: active} if active is not None else {}
     if "MODE" in shifted:
-        shifted["MODE"] = _with_names(shifted["MODE"], _family(firmware, shifted.get("VER")))
+        shifted["MODE"] = _name_flight_modes(shifted["MODE"], _firmware_family(firmware, shifted.get("VER")))
     if "CURR" in shifted and shifted["CURR"].units.get("Volt") == "cV":
         notes.append("voltage and current of CURR are whole hundredths, as ArduPilot wrote them up to 2016")
     return RawLog(
         path=where,
-        kind="DataFlash",
-        tables=shifted,
+        format_name="DataFlash",
+        tables_by_topic=shifted,
         start_time=_start_time(shifted),
         info=info,
         messages=tuple((t, "info", str(m)) for t, m in zip(times, texts, strict=False)),
-        complete=not damage,
+        is_complete=not damage,
         notes=tuple(notes),
-        damage=damage,
+        damage_text=damage,
     )
 
 
-ACTIVE = "EKF:active"  # position and velocity of the estimator and lane that the vehicle flew by
-_MOTION = ("PN", "PE", "PD", "VN", "VE", "VD")
+ACTIVE_ESTIMATE_TOPIC = "EKF:active"  # position and velocity of the estimator and lane that the vehicle flew by
+_MOTION_FIELDS = ("PN", "PE", "PD", "VN", "VE", "VD")
 # EKFType of ArduPilot's AP_AHRS: name, message with position and velocity, message that tells the primary core.
-_ESTIMATORS = {
+_ESTIMATOR_MESSAGES = {
     0: ("DCM", "", ""), 1: ("EKF1", "EKF1", ""), 2: ("EKF2", "NKF1", "NKF4"), 3: ("EKF3", "XKF1", "XKF4"),
     10: ("the simulator", "SIM2", ""), 11: ("the external AHRS", "EAHR", ""),
 }  # fmt: skip
 # Before 2020 cores 1 and 2 had messages of their own: NKF6 and NKF11 are those of NKF1, NKF9 and NKF14 of NKF4.
-_CORE_STEP, _MOST_CHANGES = 5, 6
+_CORE_NUMBER_STEP, _MAX_LISTED_CHANGES = 5, 6
 
 
 def _active_estimate(
-    tables: Mapping[str, RawTable], topics: _Instances, parameters: RawTable | None
+    tables: Mapping[str, RawTable], topics: _InstanceTopics, parameters: RawTable | None
 ) -> tuple[RawTable | None, list[str]]:
     """Position and velocity by the estimator and lane that were active, where that is not the first core throughout.
 
     The estimator is that of ATT.AEKF, else of the parameter AHRS_EKF_TYPE, else the newest in the log; its lane is what
     XKF4.PI (NKF4.PI) names. Where no local position was estimated (DCM, an external AHRS) it is missing.
     """
-    cores = {kind: _cores_of(message, tables, topics) for kind, (_, message, _) in _ESTIMATORS.items()}
+    cores = {kind: _core_topics(message, tables, topics) for kind, (_, message, _) in _ESTIMATOR_MESSAGES.items()}
     default = next((kind for kind in (3, 2, 1) if cores[kind]), None)
     if default is None:
         return None, []
     kinds = _estimator_steps(tables, parameters) or (np.array([-np.inf]), np.array([default]))
     notes = [
-        f"{_ESTIMATORS[k][0]} was active, but the log has no position of it; that of {_ESTIMATORS[default][0]} is taken"
+        f"{_ESTIMATOR_MESSAGES[k][0]} was active, but the log has no position of it; that of "
+        f"{_ESTIMATOR_MESSAGES[default][0]} is taken"
         for k in np.unique(kinds[1]).tolist()
         if k and not cores[k]
     ]
     kinds = (kinds[0], np.array([k if cores[k] or not k else default for k in kinds[1].tolist()]))
     parts: list[tuple[str, NDArray[np.bool_]]] = []
     for kind in np.unique(kinds[1][kinds[1] > 0]).tolist():
-        name, _, primary = _ESTIMATORS[kind]
+        name, _, primary = _ESTIMATOR_MESSAGES[kind]
         lanes = _lane_steps(primary, tables, topics)
         unlogged = sorted(set(lanes[1].tolist()) - set(cores[kind]))
         if unlogged:
-            notes.append(
-                f"core {', '.join(map(str, unlogged))} of {name} was active, and the log does not hold it"
-            )
+            notes.append(f"core {', '.join(map(str, unlogged))} of {name} was active, and the log does not hold it")
         for core, topic in cores[kind].items():
             time = tables[topic].time
-            mine = (_held(kinds, time) == kind) & (_held(lanes, time) == core)
+            mine = (_sample_and_hold(kinds, time) == kind) & (_sample_and_hold(lanes, time) == core)
             parts += [(topic, mine)] if mine.any() else []
     first = cores[default][min(cores[default])]
     if not parts:
@@ -430,16 +428,16 @@ def _active_estimate(
     time = np.concatenate([tables[topic].time[mine] for topic, mine in parts])
     order = np.argsort(time, kind="stable")
     fields: dict[str, NDArray[Any]] = {}
-    for name in _MOTION:
+    for name in _MOTION_FIELDS:
         held = [tables[topic].fields.get(name, np.full(len(mine), np.nan))[mine] for topic, mine in parts]
         fields[name] = np.concatenate(held)[order]
     source = np.concatenate([np.full(mine.sum(), topic) for topic, mine in parts])[order]
-    units = {name: "m" if name[0] == "P" else "m/s" for name in _MOTION}
-    notes.append(_changes(time[order], source, kinds))
-    return RawTable(ACTIVE, time[order], fields | {"Source": source}, units), notes
+    units = {name: "m" if name[0] == "P" else "m/s" for name in _MOTION_FIELDS}
+    notes.append(_describe_changes(time[order], source, kinds))
+    return RawTable(ACTIVE_ESTIMATE_TOPIC, time[order], fields | {"Source": source}, units), notes
 
 
-def _cores_of(message: str, tables: Mapping[str, RawTable], topics: _Instances) -> dict[int, str]:
+def _core_topics(message: str, tables: Mapping[str, RawTable], topics: _InstanceTopics) -> dict[int, str]:
     """Topic of each core of an estimator."""
     if not message:
         return {}
@@ -447,19 +445,19 @@ def _cores_of(message: str, tables: Mapping[str, RawTable], topics: _Instances) 
         return {core: topic for core, topic in topics[message].items() if topic in tables}
     names = [message]
     if message[:3] in ("NKF", "XKF"):
-        names += [f"{message[:3]}{int(message[3:]) + _CORE_STEP * k}" for k in (1, 2)]
+        names += [f"{message[:3]}{int(message[3:]) + _CORE_NUMBER_STEP * k}" for k in (1, 2)]
     return {k: name for k, name in enumerate(names) if name in tables}
 
 
-_Steps = tuple[NDArray[np.float64], NDArray[Any]]  # instants (s) and the value from each on
+_StepSignal = tuple[NDArray[np.float64], NDArray[Any]]  # instants (s) and the value from each on
 
 
-def _held(steps: _Steps, time: NDArray[np.float64]) -> NDArray[Any]:
+def _sample_and_hold(steps: _StepSignal, time: NDArray[np.float64]) -> NDArray[Any]:
     """The value at each time; the first one before the first instant."""
     return steps[1][np.clip(np.searchsorted(steps[0], time, side="right") - 1, 0, None)]
 
 
-def _estimator_steps(tables: Mapping[str, RawTable], parameters: RawTable | None) -> _Steps | None:
+def _estimator_steps(tables: Mapping[str, RawTable], parameters: RawTable | None) -> _StepSignal | None:
     attitude = tables.get("ATT")
     if attitude is not None and "AEKF" in attitude.fields:
         steps = attitude.time, attitude.fields["AEKF"]
@@ -468,61 +466,61 @@ def _estimator_steps(tables: Mapping[str, RawTable], parameters: RawTable | None
         steps = parameters.time[mine], parameters.fields["Value"][mine]
     else:
         return None
-    known = np.isin(steps[1], list(_ESTIMATORS)) & np.isfinite(steps[0])
-    return _changed(steps[0][known], steps[1][known].astype(int)) if known.any() else None
+    known = np.isin(steps[1], list(_ESTIMATOR_MESSAGES)) & np.isfinite(steps[0])
+    return _change_points(steps[0][known], steps[1][known].astype(int)) if known.any() else None
 
 
-def _changed(time: NDArray[np.float64], value: NDArray[Any]) -> _Steps:
+def _change_points(time: NDArray[np.float64], value: NDArray[Any]) -> _StepSignal:
     new = np.flatnonzero(np.append(True, value[1:] != value[:-1]))
     return time[new], value[new]
 
 
-def _lane_steps(primary: str, tables: Mapping[str, RawTable], topics: _Instances) -> _Steps:
+def _lane_steps(primary: str, tables: Mapping[str, RawTable], topics: _InstanceTopics) -> _StepSignal:
     """Core that is the primary one from each instant on; 0 where nothing tells."""
-    told = [tables[t] for t in _cores_of(primary, tables, topics).values() if "PI" in tables[t].fields]
+    told = [tables[t] for t in _core_topics(primary, tables, topics).values() if "PI" in tables[t].fields]
     time = np.concatenate([t.time for t in told]) if told else np.empty(0)
     lane = np.concatenate([t.fields["PI"] for t in told]) if told else np.empty(0)
     known = np.isfinite(time) & (lane >= 0) & (lane < 100)  # -1 and 255: no core has begun
     if not known.any():
         return np.array([-np.inf]), np.array([0])
     order = np.argsort(time[known], kind="stable")
-    return _changed(time[known][order], lane[known][order].astype(int))
+    return _change_points(time[known][order], lane[known][order].astype(int))
 
 
-def _changes(time: NDArray[np.float64], source: NDArray[Any], kinds: _Steps) -> str:
+def _describe_changes(time: NDArray[np.float64], source: NDArray[Any], kinds: _StepSignal) -> str:
     """The topics that were followed, in words."""
     at = [0, *(np.flatnonzero(source[1:] != source[:-1]) + 1).tolist()]
     steps = [f"{source[k]} from {time[k]:.1f} s" for k in at]
-    if (more := len(steps) - _MOST_CHANGES) > 0:
-        steps = [*steps[:_MOST_CHANGES], f"and {more} changes more"]
+    if (more := len(steps) - _MAX_LISTED_CHANGES) > 0:
+        steps = [*steps[:_MAX_LISTED_CHANGES], f"and {more} changes more"]
     text = f"position and velocity are those of the active estimator and lane: {', '.join(steps)}"
     return f"{text}; none while DCM was active" if (kinds[1] == 0).any() else text
 
 
-def _family(firmware: str, version: RawTable | None) -> ModeFamily:
+def _firmware_family(firmware: str, version: RawTable | None) -> ModeFamily:
     """Which of ArduPilot's firmwares wrote the log: by its first message, else by its type of build."""
-    match = _FIRMWARE.match(firmware)
+    match = _FIRMWARE_PATTERN.match(firmware)
     if match is not None:
-        return _FAMILIES[match[1].lower()]
+        return _FAMILY_BY_FIRMWARE[match[1].lower()]
     build = version.fields.get("BU", np.empty(0)) if version is not None else np.empty(0)
-    return _BUILDS.get(int(build[0]), "") if len(build) and np.isfinite(build[0]) else ""
+    return _FAMILY_BY_BUILD_TYPE.get(int(build[0]), "") if len(build) and np.isfinite(build[0]) else ""
 
 
-def _with_names(mode: RawTable, family: ModeFamily) -> RawTable:
+def _name_flight_modes(mode: RawTable, family: ModeFamily) -> RawTable:
     """MODE with the names of the flight modes in words, by the firmware; modes that are text already stay."""
     field = next((f for f in ("ModeNum", "Mode") if f in mode.fields), None)
     if field is None or mode.fields.get("Mode", np.empty(0)).dtype.kind in "US":
         return mode
     numbers = mode.fields[field].astype(np.float64)
-    names = [ardupilot_mode(family, int(n)) if np.isfinite(n) else "" for n in numbers.tolist()]
+    names = [ardupilot_mode_name(family, int(n)) if np.isfinite(n) else "" for n in numbers.tolist()]
     return replace(mode, fields={**mode.fields, "Name": np.array(names, dtype=str)})
 
 
-def _unit_of_rates(rate: RawTable, gyro: RawTable | None, firmware: str) -> tuple[str, str]:
+def _find_rate_unit(rate: RawTable, gyro: RawTable | None, firmware: str) -> tuple[str, str]:
     """Unit of RATE and why: the file's or its time's, that of the firmware's version, or what the gyroscope says."""
     if "R" in rate.units:
         return rate.units["R"], ""
-    match = _FIRMWARE.match(firmware)
+    match = _FIRMWARE_PATTERN.match(firmware)
     if match is not None and match[1].lower() == "copter":
         old = (int(match[2]), int(match[3])) < (3, 4)
         return ("cdeg/s", f", as {firmware.split('(')[0].strip()} wrote it") if old else ("deg/s", "")
@@ -538,9 +536,9 @@ def _unit_of_rates(rate: RawTable, gyro: RawTable | None, firmware: str) -> tupl
     return "deg/s", ""
 
 
-def _read_text(path: Path) -> tuple[list[RawTable], _Instances, str]:
-    kinds: dict[str, _Kind] = {}
-    numbers: dict[int, _Kind] = {}
+def _read_text_log(path: Path) -> tuple[list[RawTable], _InstanceTopics, str]:
+    kinds: dict[str, _MessageKind] = {}
+    numbers: dict[int, _MessageKind] = {}
     rows: dict[str, list[list[str]]] = {}
     bad: list[int] = []
     for place, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
@@ -550,7 +548,7 @@ def _read_text(path: Path) -> tuple[list[RawTable], _Instances, str]:
             parts = [p.strip() for p in rest.split(",", 4)]
             if len(parts) == 5:
                 columns = [c.strip() for c in parts[4].split(",")]
-                kind = kinds.setdefault(parts[2], _Kind(parts[2], 0, parts[3], columns))
+                kind = kinds.setdefault(parts[2], _MessageKind(parts[2], 0, parts[3], columns))
                 bad += [place + 1] if kind.columns != columns else []  # the same name for another message
                 if parts[0].isdigit():
                     numbers[int(parts[0])] = kind
@@ -562,46 +560,40 @@ def _read_text(path: Path) -> tuple[list[RawTable], _Instances, str]:
         cells = [c.strip() for c in rest.split(",", len(columns) - 1)]
         if len(cells) == len(columns):
             rows.setdefault(name, []).append(cells)
-            kinds[name].starts.append(place)
+            kinds[name].message_offsets.append(place)
         else:
             bad.append(place + 1)
     named = {
         name: [dict(zip(kinds[name].columns, row, strict=True)) for row in rows.get(name, ())]
-        for name in DEFINITIONS
+        for name in DEFINITION_MESSAGES
     }
-    units, instances = _units(numbers, named)
-    messages: list[_Messages] = []
+    units, instances = _field_units(numbers, named)
+    messages: list[_MessageTable] = []
     for kind in kinds.values():
         number = next((n for n, k in numbers.items() if k is kind), -1)
-        if kind.name in DEFINITIONS or not kind.starts:
+        if kind.name in DEFINITION_MESSAGES or not kind.message_offsets:
             continue
         values: dict[str, NDArray[Any]] = {}
-        for k, (column, letter) in enumerate(zip(kind.columns, kind.letters, strict=False)):
+        for k, (column, letter) in enumerate(zip(kind.columns, kind.format_letters, strict=False)):
             cells = [row[k] for row in rows[kind.name]]
-            values[column] = np.array(cells, dtype=str) if letter in "nNZa" else _read_cells(cells, letter)
-        places = np.array(kind.starts, dtype=np.int64)
-        own = _old_units(kind.name, kind.letters, kind.columns) | units.get(number, {})
-        instance = instances.get(number) or _known_instance(kind)
-        messages.append(_Messages(kind.name, places, values, own, instance if instance in values else None))
-    first = (
-        f"line {bad[0]} is"
-        if len(bad) == 1
-        else f"{len(bad)} lines, the first line {bad[0]}, are"
-        if bad
-        else ""
-    )
-    return *_tables(messages), f"{first} no whole message" if bad else ""
+            values[column] = np.array(cells, dtype=str) if letter in "nNZa" else _parse_cells(cells, letter)
+        places = np.array(kind.message_offsets, dtype=np.int64)
+        own = _units_of_old_log(kind.name, kind.format_letters, kind.columns) | units.get(number, {})
+        instance = instances.get(number) or _guess_instance_field(kind)
+        messages.append(_MessageTable(kind.name, places, values, own, instance if instance in values else None))
+    first = f"line {bad[0]} is" if len(bad) == 1 else f"{len(bad)} lines, the first line {bad[0]}, are" if bad else ""
+    return *_make_tables(messages), f"{first} no whole message" if bad else ""
 
 
-def _read_cells(cells: list[str], letter: str) -> NDArray[Any]:
+def _parse_cells(cells: list[str], letter: str) -> NDArray[Any]:
     """Numbers; flight modes as text where the log writes them so."""
-    found = np.array([_number(c) for c in cells])
+    found = np.array([_parse_number(c) for c in cells])
     if letter == "M" and np.isnan(found).any() and any(c.strip() for c in cells):
         return np.array(cells, dtype=str)
     return found
 
 
-def _number(cell: str) -> float:
+def _parse_number(cell: str) -> float:
     try:
         return float(cell)
     except ValueError:
@@ -618,4 +610,4 @@ def _start_time(tables: dict[str, RawTable]) -> str:
     if not len(known):
         return ""
     k = known[0]
-    return wall_time(gps_to_unix(float(week[k]), float(ms[k]) / 1e3) - float(gps.time[k]))
+    return format_wall_time(gps_to_unix(float(week[k]), float(ms[k]) / 1e3) - float(gps.time[k]))

@@ -19,31 +19,31 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-Key = tuple[int, int, str]
+MessageKey = tuple[int, int, str]
 """System, component, name of the message."""
-Places = Mapping[Key, NDArray[np.int64]]
+PacketPlaces = Mapping[MessageKey, NDArray[np.int64]]
 """Places of the packets of each sender and kind."""
-Clock = tuple[str, NDArray[np.float64]]
+SenderClock = tuple[str, NDArray[np.float64]]
 """Name of the field that holds a clock, or ``"since 1970"``; and the clock (s)."""
 _Array = NDArray[np.float64]
 # A clock that steps back by more than this was reset.
-_RESET_S = 1.0
-_LATEST_S = 5.0
+_MIN_CLOCK_RESET_S = 1.0
+_MAX_LATENESS_S = 5.0
 _LONGEST_UPTIME_S, _YEAR_2000_S = 1e8, 946_684_800.0
-_WRAP_S, _NEAR_WRAP_S = 2**32 / 1e3, 60.0  # of 32 bits in ms
-_WILD_S = 2.0
+_WRAP_PERIOD_S, _NEAR_WRAP_S = 2**32 / 1e3, 60.0  # of 32 bits in ms
+_MIN_OUTLIER_S = 2.0
 # So many samples agree on what a clock says.
-_FEW = 11
+_MEDIAN_SAMPLES = 11
 # An arrival that leaps by more than this while the clock goes on by less than that (s); and by so many usual steps.
-_LEAP_S, _CONTINUES_S, _SUDDEN = 5.0, 2.0, 10.0
+_MIN_ARRIVAL_LEAP_S, _MAX_CLOCK_STEP_S, _MIN_LEAP_STEPS = 5.0, 2.0, 10.0
 # The same packet within this time, and so many others of its sender, came twice (s).
-_TWICE_S, _NEAR = 1.0, 100
-_BEFORE_S = 1e-6  # by so much a late packet is put before its follower
+_DUPLICATE_WINDOW_S, _DUPLICATE_WINDOW_PACKETS = 1.0, 100
+_REORDER_STEP_S = 1e-6  # by so much a late packet is put before its follower
 # More packets behind their forerunner than this share, and numbers do not count; a silence of so many median steps.
-_MOST_BEHIND, _PAUSE = 0.05, 20.0
+_MAX_UNORDERED_SHARE, _MIN_PAUSE_STEPS = 0.05, 20.0
 
 
-def steady_arrival(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, NDArray[np.int64], list[str]]:
+def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, NDArray[np.int64], list[str]]:
     """Return times of arrival that run forward, as the order in the file is that of arrival.
 
     Single stamps far from those on either side are interpolated; where the recording computer's clock was set back,
@@ -66,7 +66,7 @@ def steady_arrival(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, ND
     """
     t = arrival[kept]
     words = []
-    wild = np.abs(t - median_filter(t, size=5, mode="nearest")) > _WILD_S
+    wild = np.abs(t - median_filter(t, size=5, mode="nearest")) > _MIN_OUTLIER_S
     if len(t) >= 5 and wild.any() and not wild.all():
         index = np.arange(len(t))
         t = np.where(wild, np.interp(index, index[~wild], t[~wild]), t)
@@ -74,7 +74,7 @@ def steady_arrival(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, ND
             f"{int(wild.sum())} packets have a time of arrival far from their neighbours', and stand between them"
         )
     back = np.minimum(np.diff(t, prepend=t[0]), 0.0)
-    back[back > -_RESET_S] = 0.0
+    back[back > -_MIN_CLOCK_RESET_S] = 0.0
     if back.any():
         times = int((back < 0).sum())
         words.append(
@@ -87,16 +87,16 @@ def steady_arrival(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, ND
     return out, kept[back < 0], words
 
 
-def _sending_order(numbers: NDArray[np.int64], arrival: _Array) -> NDArray[np.int64] | None:
+def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDArray[np.int64] | None:
     """Count in which one sender's packets were sent, from their numbers of 8 bits; None where those do not count.
 
     Two links that were recorded together count separately, and some programs do not count at all.
     """
     step = (np.diff(numbers) + 128) % 256 - 128
     behind = np.flatnonzero(step <= 0)
-    if len(behind) > _MOST_BEHIND * len(numbers):
+    if len(behind) > _MAX_UNORDERED_SHARE * len(numbers):
         return None
-    pause = _PAUSE * float(np.median(np.diff(arrival))) if len(arrival) > 1 else 0.0
+    pause = _MIN_PAUSE_STEPS * float(np.median(np.diff(arrival))) if len(arrival) > 1 else 0.0
     for k in behind.tolist():
         # A late packet is followed by those that it belongs before; after an outage or a start the count goes on.
         returns = np.cumsum(step[k : k + 64]).max() > 0
@@ -106,7 +106,7 @@ def _sending_order(numbers: NDArray[np.int64], arrival: _Array) -> NDArray[np.in
 
 
 def order_by_number(
-    places: Places, arrival: _Array, number: NDArray[np.int64]
+    places: PacketPlaces, arrival: _Array, number: NDArray[np.int64]
 ) -> tuple[_Array, NDArray[np.bool_]]:
     """Put packets into the order in which their sender numbered them, and find those that came twice.
 
@@ -133,20 +133,20 @@ def order_by_number(
         own = np.sort(np.concatenate(parts))
         order = np.argsort(number[own], kind="stable")
         same = np.diff(number[own[order]]) == 0
-        same &= (np.diff(order) < _NEAR) & (np.diff(arrival[own[order]]) < _TWICE_S)
+        same &= (np.diff(order) < _DUPLICATE_WINDOW_PACKETS) & (np.diff(arrival[own[order]]) < _DUPLICATE_WINDOW_S)
         repeated = np.zeros(len(own), dtype=bool)
         repeated[order[1:][same]] = True
         once = own[~repeated]
-        count = _sending_order(number[once] % 256, arrival[once])
+        count = _unwrap_sequence_numbers(number[once] % 256, arrival[once])
         if count is not None:
             again[own] = repeated
             sent = once[np.argsort(count, kind="stable")]
             came = np.minimum.accumulate(arrival[sent][::-1])[::-1]
-            arrival[sent] = np.where(came < arrival[sent], came - _BEFORE_S, came)
+            arrival[sent] = np.where(came < arrival[sent], came - _REORDER_STEP_S, came)
     return arrival, again
 
 
-def own_clock(fields: Mapping[str, NDArray[Any]]) -> Clock | None:
+def find_sender_clock(fields: Mapping[str, NDArray[Any]]) -> SenderClock | None:
     """Return the name of the field that holds the sender's clock, and that clock: s since it started, or since 1970.
 
     None where no field does, or a stamp was never set.
@@ -162,65 +162,67 @@ def own_clock(fields: Mapping[str, NDArray[Any]]) -> Clock | None:
     return None
 
 
-class _Run(NamedTuple):
+class _ClockSamples(NamedTuple):
     """What one sender's clock says over the log: the clocks of its leading topics in the order of the file."""
 
-    places: NDArray[np.int64]
-    came: _Array
-    sent: _Array
+    file_positions: NDArray[np.int64]
+    arrival_s: _Array
+    clock_s: _Array
 
 
-def _clock_of(arrival: _Array, places: Places, clocks: Mapping[Key, Clock], own: Sequence[Key]) -> _Run:
+def _collect_clock_samples(
+    arrival: _Array, places: PacketPlaces, clocks: Mapping[MessageKey, SenderClock], own: Sequence[MessageKey]
+) -> _ClockSamples:
     lead = [key for key in own if clocks[key][0] == "time_boot_ms"] or list(own)
     at = np.concatenate([places[key] for key in lead])
     sent = np.concatenate([clocks[key][1] for key in lead])
     order = np.argsort(at, kind="stable")
-    return _Run(at[order], arrival[at[order]], sent[order])
+    return _ClockSamples(at[order], arrival[at[order]], sent[order])
 
 
-class _Border(NamedTuple):
+class _ClockRestart(NamedTuple):
     """The sample at which a clock begins anew, whether the sender started there (else its clock was set back), and
     the least difference of arrival and clock that packets behind it can have (s)."""
 
-    sample: int
-    started: bool
-    least: float
+    first_sample: int
+    sender_restarted: bool
+    min_difference_s: float
 
 
-def _borders(run: _Run) -> list[_Border]:
-    since = run.came - run.sent
+def _find_clock_restarts(run: _ClockSamples) -> list[_ClockRestart]:
+    since = run.arrival_s - run.clock_s
     rest = np.minimum.accumulate(since[::-1])[::-1]
-    silence = np.diff(run.came)
-    back = (np.diff(run.sent) < -_RESET_S) & (rest[1:] > since[:-1] + _RESET_S / 4)
-    new = (run.sent[1:] <= silence + _RESET_S) & (np.diff(since) > _RESET_S)
-    out: list[_Border] = []
+    silence = np.diff(run.arrival_s)
+    back = (np.diff(run.clock_s) < -_MIN_CLOCK_RESET_S) & (rest[1:] > since[:-1] + _MIN_CLOCK_RESET_S / 4)
+    new = (run.clock_s[1:] <= silence + _MIN_CLOCK_RESET_S) & (np.diff(since) > _MIN_CLOCK_RESET_S)
+    out: list[_ClockRestart] = []
     for k in (np.flatnonzero(back | new) + 1).tolist():
-        begun = out[-1].sample if out else 0
+        begun = out[-1].first_sample if out else 0
         # Of the run that goes on, whatever packet of the one before came late into it.
-        level = max(float(since[begun]), float(np.median(since[max(begun, k - _FEW) : k])))
-        by = float(np.median(since[k : k + _FEW])) - level
-        if by <= _RESET_S:
+        level = max(float(since[begun]), float(np.median(since[max(begun, k - _MEDIAN_SAMPLES) : k])))
+        by = float(np.median(since[k : k + _MEDIAN_SAMPLES])) - level
+        if by <= _MIN_CLOCK_RESET_S:
             continue
-        earliest = float(run.came[k - 1]) - _RESET_S
+        earliest = float(run.arrival_s[k - 1]) - _MIN_CLOCK_RESET_S
         if new[k - 1] and level + by >= earliest:
-            out.append(_Border(k, True, earliest))
-        elif back[k - 1] and len(since) - k >= _FEW and rest[k] > level + 0.5 * by:
+            out.append(_ClockRestart(k, True, earliest))
+        elif back[k - 1] and len(since) - k >= _MEDIAN_SAMPLES and rest[k] > level + 0.5 * by:
             # Set back to another time: the clock never again agrees with what it said before.
-            out.append(_Border(k, False, level + 0.5 * by))
+            out.append(_ClockRestart(k, False, level + 0.5 * by))
     return out
 
 
-def _quickest(since: _Array, borders: Sequence[_Border]) -> _Array:
+def _min_differences(since: _Array, borders: Sequence[_ClockRestart]) -> _Array:
     """The least difference of arrival and clock in each run (s); packets of the run before do not count."""
-    parts = np.split(since, [b.sample for b in borders])
-    least = [-np.inf, *(b.least for b in borders)]
+    parts = np.split(since, [b.first_sample for b in borders])
+    least = [-np.inf, *(b.min_difference_s for b in borders)]
     return np.array([part[part >= bound].min() for part, bound in zip(parts, least, strict=True)])
 
 
-def remove_leaps(
+def remove_arrival_leaps(
     arrival: _Array,
-    places: Places,
-    clocks: Mapping[Key, Clock],
+    places: PacketPlaces,
+    clocks: Mapping[MessageKey, SenderClock],
     vehicle: tuple[int, int],
     set_back: NDArray[np.int64],
 ) -> tuple[_Array, list[str]]:
@@ -237,24 +239,26 @@ def remove_leaps(
     own = [key for key in clocks if key[:2] == vehicle and clocks[key][0] != "since 1970"]
     if not own:
         return arrival, []
-    run = _clock_of(arrival, places, clocks, own)
-    since, arrival = run.came - run.sent, arrival.copy()
+    run = _collect_clock_samples(arrival, places, clocks, own)
+    since, arrival = run.arrival_s - run.clock_s, arrival.copy()
     step = np.diff(since)
     usual = float(np.median(np.abs(step))) if len(step) else 0.0
-    sudden = (step > max(_LEAP_S, _SUDDEN * usual)) & (np.abs(np.diff(run.sent)) < _CONTINUES_S)
+    sudden = (step > max(_MIN_ARRIVAL_LEAP_S, _MIN_LEAP_STEPS * usual)) & (
+        np.abs(np.diff(run.clock_s)) < _MAX_CLOCK_STEP_S
+    )
     words: list[str] = []
     for place in set_back.tolist():
-        k = int(np.searchsorted(run.places, place))
-        if 0 < k < len(since) and 0 <= run.sent[k] - run.sent[k - 1] < _CONTINUES_S:
-            by = float(since[k : k + _FEW].min() - since[max(0, k - _FEW) : k].min())
+        k = int(np.searchsorted(run.file_positions, place))
+        if 0 < k < len(since) and 0 <= run.clock_s[k] - run.clock_s[k - 1] < _MAX_CLOCK_STEP_S:
+            by = float(since[k : k + _MEDIAN_SAMPLES].min() - since[max(0, k - _MEDIAN_SAMPLES) : k].min())
             arrival[place:] -= by
             since[k:] -= by
     for k in (np.flatnonzero(sudden) + 1).tolist():
-        before = float(since[max(0, k - _FEW) : k].min())
-        by = float(since[k : k + _FEW].min()) - before
-        if len(since) - k >= _FEW and by > _LEAP_S and since[k:].min() > before + 0.8 * by:
-            between = arrival[run.places[k - 1] : run.places[k] + 1]
-            at = int(run.places[k - 1] + 1 + np.diff(between).argmax())
+        before = float(since[max(0, k - _MEDIAN_SAMPLES) : k].min())
+        by = float(since[k : k + _MEDIAN_SAMPLES].min()) - before
+        if len(since) - k >= _MEDIAN_SAMPLES and by > _MIN_ARRIVAL_LEAP_S and since[k:].min() > before + 0.8 * by:
+            between = arrival[run.file_positions[k - 1] : run.file_positions[k] + 1]
+            at = int(run.file_positions[k - 1] + 1 + np.diff(between).argmax())
             words.append(
                 f"the time of arrival leaps by {by:.6g} s at {arrival[at - 1]:.0f} s, the vehicle's clock does not"
             )
@@ -263,9 +267,9 @@ def remove_leaps(
     return arrival, words
 
 
-def place_messages(
-    arrival: _Array, places: Places, clocks: Mapping[Key, Clock], vehicle: tuple[int, int]
-) -> tuple[dict[Key, _Array], list[str]]:
+def estimate_sending_times(
+    arrival: _Array, places: PacketPlaces, clocks: Mapping[MessageKey, SenderClock], vehicle: tuple[int, int]
+) -> tuple[dict[MessageKey, _Array], list[str]]:
     """Tie each sender's clock to the time of arrival, anew each time that it starts.
 
     Parameters
@@ -283,48 +287,44 @@ def place_messages(
     words : list of str
         What is to be said of the clocks.
     """
-    out: dict[Key, _Array] = {}
+    out: dict[MessageKey, _Array] = {}
     words: list[str] = []
-    senders: defaultdict[tuple[int, int, bool], list[Key]] = defaultdict(list)
+    senders: defaultdict[tuple[int, int, bool], list[MessageKey]] = defaultdict(list)
     for key, (name, _) in clocks.items():
         senders[key[0], key[1], name == "since 1970"].append(key)
     for (system, component, since_1970), own in senders.items():
-        run = _clock_of(arrival, places, clocks, own)
-        wrapped = np.flatnonzero((run.sent[:-1] > _WRAP_S - _NEAR_WRAP_S) & (run.sent[1:] < _NEAR_WRAP_S))
-        after = int(run.places[wrapped[0] + 1]) if len(wrapped) else len(arrival)
-        run = run._replace(sent=_unwrapped(run.sent, run.places, after))
-        borders = _borders(run)
-        at = np.array([b.sample for b in borders], dtype=np.int64)
-        quickest = _quickest(run.came - run.sent, borders)
+        run = _collect_clock_samples(arrival, places, clocks, own)
+        wrapped = np.flatnonzero((run.clock_s[:-1] > _WRAP_PERIOD_S - _NEAR_WRAP_S) & (run.clock_s[1:] < _NEAR_WRAP_S))
+        after = int(run.file_positions[wrapped[0] + 1]) if len(wrapped) else len(arrival)
+        run = run._replace(clock_s=_unwrap_clock(run.clock_s, run.file_positions, after))
+        borders = _find_clock_restarts(run)
+        at = np.array([b.first_sample for b in borders], dtype=np.int64)
+        quickest = _min_differences(run.arrival_s - run.clock_s, borders)
         for key in own:
             name, clock = clocks[key]
-            clock = _unwrapped(clock, places[key], after) if name == "time_boot_ms" else clock
+            clock = _unwrap_clock(clock, places[key], after) if name == "time_boot_ms" else clock
             came = arrival[places[key]]
-            k = np.searchsorted(run.places[at], places[key], side="right")
+            k = np.searchsorted(run.file_positions[at], places[key], side="right")
             # A packet may be late over a start, or a topic be the first to speak after one.
             near = np.clip(k + np.array([[-1], [0], [1]]), 0, len(quickest) - 1)
             delay = came - clock - quickest[near]
-            delay[delay < -_RESET_S / 2] = np.inf
+            delay[delay < -_MIN_CLOCK_RESET_S / 2] = np.inf
             best = np.take_along_axis(near, delay.argmin(axis=0)[None], axis=0)[0]
             time = clock + quickest[np.where(np.isfinite(delay.min(axis=0)), best, k)]
             lag = came - time
             # A clock of another kind (that of the GPS receiver) does not fit, a lazy link does.
-            if name == "time_boot_ms" or (lag.min() > -_RESET_S and np.median(lag) < _LATEST_S):
+            if name == "time_boot_ms" or (lag.min() > -_MIN_CLOCK_RESET_S and np.median(lag) < _MAX_LATENESS_S):
                 out[key] = time
         who = "the vehicle" if (system, component) == vehicle else f"component {system}.{component}"
         for started, what in ((True, "started anew"), (False, "had its clock set back")):
-            when = ", ".join(f"{run.came[k]:.0f}" for k, new, _ in borders if new is started)
+            when = ", ".join(f"{run.arrival_s[k]:.0f}" for k, new, _ in borders if new is started)
             if when and not since_1970:
-                words.append(
-                    f"{who} {what} at {when} s of the log; its clock was tied to the log's each time"
-                )
+                words.append(f"{who} {what} at {when} s of the log; its clock was tied to the log's each time")
     if not any(key[:2] == vehicle for key in out):
-        words.append(
-            "no message holds the vehicle's own clock; times are those of arrival, with the link's jitter"
-        )
+        words.append("no message holds the vehicle's own clock; times are those of arrival, with the link's jitter")
     return out, words
 
 
-def _unwrapped(clock: _Array, places: NDArray[np.int64], after: int) -> _Array:
+def _unwrap_clock(clock: _Array, places: NDArray[np.int64], after: int) -> _Array:
     """A clock of 32 bits in ms (s), of which packets behind the place ``after`` were sent after it wrapped."""
-    return np.where((places >= after) & (clock < 0.5 * _WRAP_S), clock + _WRAP_S, clock)
+    return np.where((places >= after) & (clock < 0.5 * _WRAP_PERIOD_S), clock + _WRAP_PERIOD_S, clock)

@@ -5,7 +5,7 @@ The time is a big-endian count of microseconds since 1970 (eight bytes); the pac
 (``time_boot_ms``, ``time_usec``) are therefore placed by that clock; it is tied to the time of arrival by the packet
 that was quickest, which no link can be faster than, anew each time that the sender starts. Clock, packet numbers and
 parameters belong to one sender each (system and component). What a field says where nothing is known (a current of
--1, a voltage of 65535) is missing: :mod:`mufly.logs.unknown`.
+-1, a voltage of 65535) is missing: :mod:`mufly.logs.mavlink_unknown_values`.
 """
 
 from __future__ import annotations
@@ -26,32 +26,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, report_write_errors
+from mufly.logs.mavlink_unknown_values import replace_unknown_values
+from mufly.logs.raw_log import RawLog, RawTable, describe_skipped, find_foreign_stamps, format_wall_time
 from mufly.logs.sender_clocks import (
-    Key,
+    MessageKey,
+    estimate_sending_times,
+    find_sender_clock,
     order_by_number,
-    own_clock,
-    place_messages,
-    remove_leaps,
-    steady_arrival,
+    remove_arrival_leaps,
+    repair_arrival_times,
 )
-from mufly.logs.topics import RawLog, RawTable, describe_skipped, foreign_stamps, wall_time
-from mufly.logs.unknown import without_unknown
 from mufly.vehicle_types import (
     AUTOPILOT_COMPONENT,
     PX4,
-    VEHICLE_WORDS,
+    VEHICLE_TYPE_NAMES,
+    flight_mode_name,
     is_vehicle,
-    mode_words,
-    type_words,
     vehicle_rank,
+    vehicle_type_name,
 )
 
-_STAMP = struct.Struct(">Q")
-_VERSION_2 = 0xFD
+_STAMP_STRUCT = struct.Struct(">Q")
+_MAVLINK_2_MAGIC = 0xFD
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800 * 10**6, 4_102_444_800 * 10**6
-_SEVERITY = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
-_WHOLE = {1: "<Bxxx", 2: "<bxxx", 3: "<Hxx", 4: "<hxx", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE of whole numbers
-FLUSH_S = 1.0
+_SEVERITY_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+_INTEGER_PARAM_LAYOUTS = {
+    1: "<Bxxx",
+    2: "<bxxx",
+    3: "<Hxx",
+    4: "<hxx",
+    5: "<I",
+    6: "<i",
+}  # MAV_PARAM_TYPE of whole numbers
+FLUSH_INTERVAL_S = 1.0
 """Of what is written so much is lost with a process that is killed (s)."""
 
 
@@ -66,9 +73,9 @@ def packet_length(data: bytes | bytearray, at: int) -> int:
     return 0
 
 
-def _entry(data: bytes, at: int) -> int:
+def _entry_length(data: bytes, at: int) -> int:
     """Length of the entry (stamp and packet) that begins at ``at``; 0 if none does."""
-    if at + 11 > len(data) or not _YEAR_2000_US < _STAMP.unpack_from(data, at)[0] < _YEAR_2100_US:
+    if at + 11 > len(data) or not _YEAR_2000_US < _STAMP_STRUCT.unpack_from(data, at)[0] < _YEAR_2100_US:
         return 0
     size = packet_length(data, at + 8)
     return 8 + size if size else 0
@@ -76,15 +83,15 @@ def _entry(data: bytes, at: int) -> int:
 
 def looks_like_tlog(head: bytes) -> bool:
     """Whether a file that begins so is a telemetry log: two entries in a row, or one that fills it."""
-    size = _entry(head, 0)
-    return bool(size) and (len(head) <= size + 11 or bool(_entry(head, size)))
+    size = _entry_length(head, 0)
+    return bool(size) and (len(head) <= size + 11 or bool(_entry_length(head, size)))
 
 
-def _packets(data: bytes) -> Iterator[tuple[int, bytes]]:
+def _iterate_packets(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield (offset of the entry, packet); bytes that are no entry are skipped."""
     at = 0
     while at + 11 <= len(data):
-        size = _entry(data, at)
+        size = _entry_length(data, at)
         if not size or at + size > len(data):
             at += 1
             continue
@@ -120,7 +127,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     raw_rows: defaultdict[bytes, tuple[list[int], list[Any]]] = defaultdict(lambda: ([], []))
     bad = behind = 0
     skipped: list[tuple[int, int]] = []
-    for k, (at, packet) in enumerate(_packets(data)):
+    for k, (at, packet) in enumerate(_iterate_packets(data)):
         if progress is not None and k % 2000 == 0:
             progress(at, len(data))
         if at > behind:
@@ -131,41 +138,43 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         except Exception:  # wrong checksum, unknown message: counted
             bad += 1
             continue
-        offsets, messages = raw_rows[packet[5:10] if packet[0] == _VERSION_2 else packet[3:6]]
+        offsets, messages = raw_rows[packet[5:10] if packet[0] == _MAVLINK_2_MAGIC else packet[3:6]]
         offsets.append(at)
         messages.append(message)
     if behind < len(data):
         skipped.append((behind, len(data)))
-    bad += sum(len(messages) for _, messages in raw_rows.values() if _is_unknown(messages[0]))
-    rows, offset = _by_sender(raw_rows)
+    bad += sum(len(messages) for _, messages in raw_rows.values() if _is_unknown_message(messages[0]))
+    rows, offset = _group_by_sender(raw_rows)
     if not rows:
         raise InputError(where, "", "holds no packet that can be decoded", "give a MAVLink 1 or 2 log")
     notes = [f"{bad} packets were damaged or unknown and are left out"] if bad else []
-    came_us, number = _headers(data, offset)
-    foreign, _ = foreign_stamps({str(key): came_us[places] / 1e6 for key, (places, _) in rows.items()})
+    came_us, number = _read_headers(data, offset)
+    foreign, _ = find_foreign_stamps({str(key): came_us[places] / 1e6 for key, (places, _) in rows.items()})
     lost = sum(int(f.sum()) for f in foreign.values())
     if lost:
-        _leave_out(rows, {key: ~foreign[str(key)] for key in rows})
+        _drop_packets(rows, {key: ~foreign[str(key)] for key in rows})
         notes.append(f"{lost} packets whose time of arrival is of another day are left out")
-    vehicle, said = _vehicle(rows)
+    vehicle, said = _choose_vehicle(rows)
     notes += said
     kept = np.sort(np.concatenate([places for places, _ in rows.values()]))
     zero = int(came_us[kept[0]])
-    arrival, set_back, said = steady_arrival((came_us - zero) / 1e6, kept)
+    arrival, set_back, said = repair_arrival_times((came_us - zero) / 1e6, kept)
     notes += said
     zero += round(1e6 * arrival[kept].min())
-    arrival, again = order_by_number(_places(rows), arrival - arrival[kept].min(), number)
+    arrival, again = order_by_number(_packet_places(rows), arrival - arrival[kept].min(), number)
     twice = int(again.sum())
     if twice:
-        _leave_out(rows, {key: ~again[places] for key, (places, _) in rows.items()})
-    contents = {key: _columns(messages) for key, (_, messages) in rows.items() if key[2] not in _NO_TABLES}
+        _drop_packets(rows, {key: ~again[places] for key, (places, _) in rows.items()})
+    contents = {
+        key: _message_columns(messages) for key, (_, messages) in rows.items() if key[2] not in _MESSAGES_WITHOUT_TABLE
+    }
     if (beats := (*vehicle, "HEARTBEAT")) in contents:
-        modes = _mode_names(rows[beats][1], vehicle[1])
+        modes = _flight_mode_names(rows[beats][1], vehicle[1])
         contents[beats][0].update({"mode": modes} if modes.any() else {})
-    clocks = {key: clock for key, (fields, _) in contents.items() if (clock := own_clock(fields)) is not None}
-    arrival, said = remove_leaps(arrival, _places(rows), clocks, vehicle, set_back)
+    clocks = {key: clock for key, (fields, _) in contents.items() if (clock := find_sender_clock(fields)) is not None}
+    arrival, said = remove_arrival_leaps(arrival, _packet_places(rows), clocks, vehicle, set_back)
     notes += said
-    times, said = place_messages(arrival, _places(rows), clocks, vehicle)
+    times, said = estimate_sending_times(arrival, _packet_places(rows), clocks, vehicle)
     notes += said
     tables: dict[str, RawTable] = {}
     late = 0
@@ -175,57 +184,57 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         behind = int((time < np.maximum.accumulate(time)).sum())
         if behind:
             late += behind
-            time, fields = _chosen(np.argsort(time, kind="stable"), time, fields)
-        repeated = _repeats(time, fields) if key in clocks else np.zeros(0, dtype=bool)
+            time, fields = _select_rows(np.argsort(time, kind="stable"), time, fields)
+        repeated = _find_repeated_rows(time, fields) if key in clocks else np.zeros(0, dtype=bool)
         if repeated.any():
             twice += int(repeated.sum())
-            time, fields = _chosen(np.flatnonzero(~repeated), time, fields)
+            time, fields = _select_rows(np.flatnonzero(~repeated), time, fields)
         tables[label] = RawTable(label, time, fields, units)
     if late:
-        notes.append(
-            f"{late} packets came late, as their clock or number says, and stand where they were sent"
-        )
+        notes.append(f"{late} packets came late, as their clock or number says, and stand where they were sent")
     if twice:
         notes.append(f"{twice} packets came twice and are left out")
     texts = [
         (t, level, text if key[:2] == vehicle else f"{key[0]}.{key[1]}: {text}")
         for key, (places, messages) in rows.items()
         if key[2] == "STATUSTEXT"
-        for t, level, text in _texts(arrival[places], messages)
+        for t, level, text in _join_status_texts(arrival[places], messages)
     ]
     return RawLog(
         path=where,
-        kind="MAVLink tlog",
-        tables=dict(sorted(tables.items())),
-        start_time=wall_time(zero / 1e6),
-        info={"system": _described(dialect, vehicle, rows), **_parameters(rows, vehicle)},
+        format_name="MAVLink tlog",
+        tables_by_topic=dict(sorted(tables.items())),
+        start_time=format_wall_time(zero / 1e6),
+        info={"system": _describe_vehicle(dialect, vehicle, rows), **_collect_parameters(rows, vehicle)},
         messages=tuple(sorted(texts)),
-        complete=not skipped,
+        is_complete=not skipped,
         notes=tuple(notes),
-        damage=describe_skipped(data, skipped, "packet"),
+        damage_text=describe_skipped(data, skipped, "packet"),
     )
 
 
-_Rows = dict[Key, tuple[NDArray[np.int64], list[Any]]]
+_MessageRows = dict[MessageKey, tuple[NDArray[np.int64], list[Any]]]
 """Places in the order of the file (0, 1, ...) and messages, by sender and kind."""
-_NO_TABLES = ("STATUSTEXT", "PARAM_VALUE")
+_MESSAGES_WITHOUT_TABLE = ("STATUSTEXT", "PARAM_VALUE")
 
 
-def _is_unknown(message: Any) -> bool:
+def _is_unknown_message(message: Any) -> bool:
     return str(message.get_type()).startswith("UNKNOWN")
 
 
-def _by_sender(raw_rows: Mapping[bytes, tuple[list[int], list[Any]]]) -> tuple[_Rows, NDArray[np.int64]]:
+def _group_by_sender(
+    raw_rows: Mapping[bytes, tuple[list[int], list[Any]]],
+) -> tuple[_MessageRows, NDArray[np.int64]]:
     """Sort messages of both versions of MAVLink by sender and kind; returns the offset of each place beside."""
-    parts: defaultdict[Key, list[tuple[NDArray[np.int64], list[Any]]]] = defaultdict(list)
+    parts: defaultdict[MessageKey, list[tuple[NDArray[np.int64], list[Any]]]] = defaultdict(list)
     for offsets, messages in raw_rows.values():
         one = messages[0]
-        if not _is_unknown(one):
+        if not _is_unknown_message(one):
             key = (one.get_srcSystem(), one.get_srcComponent(), one.get_type())
             parts[key].append((np.array(offsets, dtype=np.int64), messages))
     every = [offsets for part in parts.values() for offsets, _ in part]
     offset = np.sort(np.concatenate(every)) if every else np.empty(0, dtype=np.int64)
-    rows: _Rows = {}
+    rows: _MessageRows = {}
     for key, part in parts.items():
         places = np.searchsorted(offset, np.concatenate([offsets for offsets, _ in part]))
         together = [message for _, messages in part for message in messages]
@@ -236,17 +245,17 @@ def _by_sender(raw_rows: Mapping[bytes, tuple[list[int], list[Any]]]) -> tuple[_
     return rows, offset
 
 
-def _headers(data: bytes, offset: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _read_headers(data: bytes, offset: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Stamp (us) of each entry, and number and checksum of its packet as one integer: checksum * 256 + number."""
     stream = np.frombuffer(data, dtype=np.uint8)
     stamp = stream[offset[:, None] + np.arange(8)].copy().view(">u8")[:, 0].astype(np.int64)
-    newer = stream[offset + 8] == _VERSION_2
+    newer = stream[offset + 8] == _MAVLINK_2_MAGIC
     end = offset + 8 + np.where(newer, 10, 6) + stream[offset + 9]
     checksum = stream[end].astype(np.int64) + 256 * stream[end + 1].astype(np.int64)
     return stamp, checksum * 256 + stream[offset + np.where(newer, 12, 10)]
 
 
-def _leave_out(rows: _Rows, keep: Mapping[Key, NDArray[np.bool_]]) -> None:
+def _drop_packets(rows: _MessageRows, keep: Mapping[MessageKey, NDArray[np.bool_]]) -> None:
     for key, sound in keep.items():
         places, messages = rows[key]
         rows[key] = places[sound], [m for m, good in zip(messages, sound.tolist(), strict=True) if good]
@@ -258,7 +267,7 @@ def _leave_out(rows: _Rows, keep: Mapping[Key, NDArray[np.bool_]]) -> None:
 # Who speaks.
 
 
-def _heartbeats(rows: _Rows) -> dict[tuple[int, int], tuple[int, int, int]]:
+def _summarise_heartbeats(rows: _MessageRows) -> dict[tuple[int, int], tuple[int, int, int]]:
     """Of every sender of heartbeats: its rank, its MAV_TYPE and how many it sent; of several kinds the best."""
     out: dict[tuple[int, int], tuple[int, int, int]] = {}
     for (system, component, name), (_, messages) in rows.items():
@@ -270,37 +279,35 @@ def _heartbeats(rows: _Rows) -> dict[tuple[int, int], tuple[int, int, int]]:
     return out
 
 
-def _vehicle(rows: _Rows) -> tuple[tuple[int, int], list[str]]:
+def _choose_vehicle(rows: _MessageRows) -> tuple[tuple[int, int], list[str]]:
     """System and component of the vehicle, and what has to be said of the choice.
 
     The sender of the best heartbeats, of equals the one with a known type of vehicle, then the one heard most. Without
     any, a sender without heartbeats is taken (component 1 first), then an antenna tracker, then whoever says most.
     """
-    beats = _heartbeats(rows)
+    beats = _summarise_heartbeats(rows)
     counts: Counter[tuple[int, int]] = Counter()
     for (system, component, _), (places, _) in rows.items():
         counts[system, component] += len(places)
     real = {who: beat for who, beat in beats.items() if beat[0] >= 2}
     if real:
-        best = max(real, key=lambda w: (real[w][0], real[w][1] in VEHICLE_WORDS, real[w][2], -w[0]))
+        best = max(real, key=lambda w: (real[w][0], real[w][1] in VEHICLE_TYPE_NAMES, real[w][2], -w[0]))
         others = sorted(w for w, beat in real.items() if w[0] != best[0] and beat[0] == real[best][0])
         if not others:
             return best, []
-        named = ", ".join(f"{type_words(real[w][1]) or 'vehicle'} {w[0]}.{w[1]}" for w in others)
-        words = (
-            f"several vehicles speak; the signals are those of {best[0]}.{best[1]}, topics of others end in @"
-        )
+        named = ", ".join(f"{vehicle_type_name(real[w][1]) or 'vehicle'} {w[0]}.{w[1]}" for w in others)
+        words = f"several vehicles speak; the signals are those of {best[0]}.{best[1]}, topics of others end in @"
         return best, [f"{words} ({named})"]
     silent = [w for w in counts if w not in beats]
     trackers = [w for w, beat in beats.items() if beat[0] == 1]
     if silent and not trackers:
         return max(silent, key=lambda w: (w[1] == AUTOPILOT_COMPONENT, counts[w])), []
     best = max(trackers or list(counts), key=lambda w: counts[w])
-    what = type_words(beats[best][1]) or "equipment"
+    what = vehicle_type_name(beats[best][1]) or "equipment"
     return best, [f"no vehicle speaks here; the signals are those of the {what} {best[0]}.{best[1]}"]
 
 
-def _described(dialect: Any, vehicle: tuple[int, int], rows: _Rows) -> str:
+def _describe_vehicle(dialect: Any, vehicle: tuple[int, int], rows: _MessageRows) -> str:
     """The vehicle in words, from its heartbeat: kind, autopilot, number of system and component."""
     number = f"{vehicle[0]}.{vehicle[1]}"
     if (*vehicle, "HEARTBEAT") not in rows:
@@ -308,25 +315,25 @@ def _described(dialect: Any, vehicle: tuple[int, int], rows: _Rows) -> str:
     beats = rows[*vehicle, "HEARTBEAT"][1]
     beat = max(reversed(beats), key=lambda m: vehicle_rank(m.type, m.autopilot, vehicle[1]))
 
-    def word(enum: str, value: int) -> str:
+    def enum_word(enum: str, value: int) -> str:
         known = dialect.enums[enum].get(value)
         return "" if known is None else known.name.removeprefix(f"{enum}_").lower().replace("_", " ")
 
-    said = [word("MAV_TYPE", beat.type), word("MAV_AUTOPILOT", beat.autopilot)]
+    said = [enum_word("MAV_TYPE", beat.type), enum_word("MAV_AUTOPILOT", beat.autopilot)]
     return ", ".join([*(w for w in said if w not in ("", "generic", "invalid")), f"system {number}"])
 
 
-def _mode_names(beats: list[Any], component: int) -> NDArray[Any]:
+def _flight_mode_names(beats: list[Any], component: int) -> NDArray[Any]:
     """Flight mode of each heartbeat in words, the last one known where equipment sent it under the same numbers."""
     out, last = [], ""
     for m in beats:
         if is_vehicle(m.type, m.autopilot, component):
-            last = mode_words(m.autopilot, m.type, m.base_mode, m.custom_mode)
+            last = flight_mode_name(m.autopilot, m.type, m.base_mode, m.custom_mode)
         out.append(last)
     return np.array(out, dtype=str)
 
 
-def _parameters(rows: _Rows, vehicle: tuple[int, int]) -> dict[str, dict[str, float]]:
+def _collect_parameters(rows: _MessageRows, vehicle: tuple[int, int]) -> dict[str, dict[str, float]]:
     """Parameters of every component; those of the vehicle under ``parameters``, there in any case."""
     out: dict[str, dict[str, float]] = {"parameters": {}}
     for (system, component, name), (_, messages) in rows.items():
@@ -334,29 +341,29 @@ def _parameters(rows: _Rows, vehicle: tuple[int, int]) -> dict[str, dict[str, fl
             key = "parameters" if (system, component) == vehicle else f"parameters@{system}.{component}"
             beats = rows[who][1] if (who := (system, component, "HEARTBEAT")) in rows else []
             bytewise = any(m.autopilot == PX4 for m in beats)
-            out[key] = {m.param_id: _parameter(m, bytewise) for m in messages}
+            out[key] = {m.param_id: _parameter_value(m, bytewise) for m in messages}
     return out
 
 
-def _parameter(message: Any, bytewise: bool) -> float:
+def _parameter_value(message: Any, bytewise: bool) -> float:
     """Value of a PARAM_VALUE; PX4 puts the bytes of whole numbers into the float field."""
-    layout = _WHOLE.get(message.param_type) if bytewise else None
+    layout = _INTEGER_PARAM_LAYOUTS.get(message.param_type) if bytewise else None
     if layout is None:
         return float(message.param_value)
     return float(struct.unpack(layout, struct.pack("<f", message.param_value))[0])
 
 
-def _places(rows: _Rows) -> dict[Key, NDArray[np.int64]]:
+def _packet_places(rows: _MessageRows) -> dict[MessageKey, NDArray[np.int64]]:
     return {key: places for key, (places, _) in rows.items()}
 
 
-def _chosen(
+def _select_rows(
     index: NDArray[np.int64], time: NDArray[np.float64], fields: Mapping[str, NDArray[Any]]
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]]]:
     return time[index], {name: values[index] for name, values in fields.items()}
 
 
-def _repeats(time: NDArray[np.float64], fields: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+def _find_repeated_rows(time: NDArray[np.float64], fields: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
     """Rows that say the same at the same instant as the row before: a packet that came by two links."""
     again = np.zeros(len(time), dtype=bool)
     same = np.flatnonzero(np.diff(time) == 0) + 1
@@ -369,7 +376,7 @@ def _repeats(time: NDArray[np.float64], fields: Mapping[str, NDArray[Any]]) -> N
     return again
 
 
-def _columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+def _message_columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
     kind = type(messages[0])
     out: dict[str, NDArray[Any]] = {}
     units: dict[str, str] = {}
@@ -386,10 +393,10 @@ def _columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, st
         else:
             out[name] = np.array(values)
             units |= {name: unit} if unit else {}
-    return without_unknown(kind.msgname, out), units
+    return replace_unknown_values(kind.msgname, out), units
 
 
-def _texts(arrival: NDArray[np.float64], messages: list[Any]) -> list[tuple[float, str, str]]:
+def _join_status_texts(arrival: NDArray[np.float64], messages: list[Any]) -> list[tuple[float, str, str]]:
     """(s, level, text) of one sender's STATUSTEXT; what came in chunks of 50 characters is one text again."""
     out: list[tuple[float, str, str]] = []
     before = (0, -1)
@@ -398,7 +405,7 @@ def _texts(arrival: NDArray[np.float64], messages: list[Any]) -> list[tuple[floa
         if m.id and here == (before[0], before[1] + 1) and m.chunk_seq:
             out[-1] = (*out[-1][:2], out[-1][2] + m.text)
         else:
-            out.append((t, _SEVERITY[m.severity & 7], m.text))
+            out.append((t, _SEVERITY_WORDS[m.severity & 7], m.text))
         before = here
     return out
 
@@ -427,7 +434,7 @@ class TlogWriter:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("wb")
 
-    def write(self, packet: bytes, time_us: int | None = None) -> None:
+    def write_packet(self, packet: bytes, time_us: int | None = None) -> None:
         """Add one packet.
 
         Parameters
@@ -437,9 +444,9 @@ class TlogWriter:
         time_us : int, optional
             Microseconds since 1970; by default now.
         """
-        self._file.write(_STAMP.pack(time.time_ns() // 1000 if time_us is None else time_us) + packet)
+        self._file.write(_STAMP_STRUCT.pack(time.time_ns() // 1000 if time_us is None else time_us) + packet)
         now_s = time.monotonic()
-        if now_s - self._flushed_s >= FLUSH_S:
+        if now_s - self._flushed_s >= FLUSH_INTERVAL_S:
             self._flushed_s = now_s
             self._file.flush()
 

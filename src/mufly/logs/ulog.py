@@ -32,55 +32,70 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
-from mufly.logs.mcap import columns_of, describe, events_of
-from mufly.logs.tables import TOPIC
-from mufly.logs.topics import RawLog, RawTable, foreign_stamps, wall_time
-from mufly.logs.unknown import without_unknown
+from mufly.logs.mavlink_unknown_values import replace_unknown_values
+from mufly.logs.mcap import component_channels, describe_dataset, read_events
+from mufly.logs.raw_log import RawLog, RawTable, find_foreign_stamps, format_wall_time
+from mufly.logs.tables import TABLE_TOPIC
 
 MAGIC = b"ULog\x01\x12\x35"
-_HEADER = 16
-_SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
-_LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
-_NEAR_US = 600_000_000
-_TYPES = {
+_HEADER_SIZE = 16
+_SYNC_BYTES = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
+_LEVEL_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+_MAX_HEADER_OFFSET_US = 600_000_000
+_NUMPY_TYPES = {
     "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
     "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8", "bool": "i1", "char": "i1",
 }  # fmt: skip
-_FIELD = re.compile(r"([A-Za-z0-9_/]+)(?:\[(\d{1,5})\])? (\S+)")
-_LONGEST_ARRAY, _MOST_FIELDS = 0xFFFF, 20_000
-_DATA, _FORMAT, _SUBSCRIPTION, _REMOVAL, _TEXT, _TAGGED = b"DFARLC"
-_INFO, _MULTIPLE, _PARAMETER, _DEFAULT, _DROPOUT, _SYNCHRONISATION, _FLAGS = b"IMPQOSB"
-_KINDS = frozenset(b"DFARLCIMPQOSB")
-_APPENDED = 1  # the only incompatible flag that is known: data behind what was logged
+_FIELD_PATTERN = re.compile(r"([A-Za-z0-9_/]+)(?:\[(\d{1,5})\])? (\S+)")
+_MAX_ARRAY_LENGTH, _MAX_FIELDS = 0xFFFF, 20_000
+(
+    _DATA_MESSAGE,
+    _FORMAT_MESSAGE,
+    _SUBSCRIPTION_MESSAGE,
+    _REMOVAL_MESSAGE,
+    _LOG_TEXT_MESSAGE,
+    _TAGGED_TEXT_MESSAGE,
+) = b"DFARLC"
+(
+    _INFO_MESSAGE,
+    _INFO_MULTIPLE_MESSAGE,
+    _PARAMETER_MESSAGE,
+    _DEFAULT_PARAMETER_MESSAGE,
+    _DROPOUT_MESSAGE,
+    _SYNC_MESSAGE,
+    _FLAG_BITS_MESSAGE,
+) = b"IMPQOSB"
+_MESSAGE_TYPES = frozenset(b"DFARLCIMPQOSB")
+_APPENDED_DATA_FLAG = 1  # the only incompatible flag that is known: data behind what was logged
 
 
 @dataclass
-class _Topic:
+class _SubscribedTopic:
     """A subscribed topic: its layout, and where the bodies of its messages begin."""
 
     name: str
     dtype: np.dtype[Any]
-    sizes: tuple[int, int]  # of a message, least and most: padding at the end may be left out
-    stamp_at: int
-    starts: array[int] = field(default_factory=lambda: array("q"))
+    message_sizes: tuple[int, int]  # of a message, least and most: padding at the end may be left out
+    stamp_offset: int
+    body_offsets: array[int] = field(default_factory=lambda: array("q"))
 
 
 @dataclass
-class _Scan:
+class _ScanResult:
     """What a pass over a file found."""
 
     formats: dict[str, list[tuple[str, int, str]]] = field(default_factory=dict)
     info: dict[str, Any] = field(default_factory=dict)
-    multiple: dict[str, list[bytes]] = field(default_factory=dict)
+    multi_info: dict[str, list[bytes]] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
-    topics: dict[str, _Topic] = field(default_factory=dict)
-    numbers: dict[int, _Topic] = field(default_factory=dict)
-    said: list[tuple[int, int, str]] = field(default_factory=list)  # stamp, level, text
+    topics: dict[str, _SubscribedTopic] = field(default_factory=dict)
+    topics_by_id: dict[int, _SubscribedTopic] = field(default_factory=dict)
+    log_texts: list[tuple[int, int, str]] = field(default_factory=list)  # stamp, level, text
     dropouts: list[tuple[int, int]] = field(default_factory=list)  # stamp, duration (ms)
     in_data: bool = False
-    unknown: dict[str, int] = field(default_factory=dict)  # messages of unknown types
-    undescribed: int = 0  # data of topics that nothing describes
-    appended: list[int] = field(default_factory=list)
+    unknown_type_counts: dict[str, int] = field(default_factory=dict)  # messages of unknown types
+    undescribed_count: int = 0  # data of topics that nothing describes
+    appended_offsets: list[int] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     damaged_places: list[tuple[int, int]] = field(default_factory=list)
 
@@ -95,106 +110,100 @@ def read_ulog(path: str | Path) -> RawLog:
     """
     where = str(path)
     data = Path(path).read_bytes()
-    if len(data) < _HEADER:
-        raise InputError(where, "", f"is a ULog file cut in its header, {len(data)} of {_HEADER} bytes are there",
+    if len(data) < _HEADER_SIZE:
+        raise InputError(where, "", f"is a ULog file cut in its header, {len(data)} of {_HEADER_SIZE} bytes are there",
                          "give another copy of the file")  # fmt: skip
     header = struct.unpack_from("<Q", data, 8)[0]
     scan = _scan_messages(data, header, where)
-    log_rows = {name: _unpack_rows(data, topic) for name, topic in scan.topics.items() if topic.starts}
+    log_rows = {name: _unpack_rows(data, topic) for name, topic in scan.topics.items() if topic.body_offsets}
     log_rows = {name: rows for name, rows in log_rows.items() if "timestamp" in (rows.dtype.names or ())}
     if not log_rows:
         why = f" ({'; '.join(scan.damage)})" if scan.damage else ""
-        raise InputError(
-            where, "", f"is a ULog file without data{why}", "the log ended before its first message"
-        )
+        raise InputError(where, "", f"is a ULog file without data{why}", "the log ended before its first message")
     stamps = {name: rows["timestamp"] for name, rows in log_rows.items()}
-    stamps[_SAID] = np.array([t for t, _, _ in scan.said], dtype=np.uint64)
-    stamps[_LOST] = np.array([t for t, _ in scan.dropouts], dtype=np.uint64)
-    times, notes = _times(header, stamps)
-    if scan.unknown:
-        count, types = sum(scan.unknown.values()), ", ".join(map(repr, scan.unknown))
+    stamps[_LOG_TEXTS_KEY] = np.array([t for t, _, _ in scan.log_texts], dtype=np.uint64)
+    stamps[_DROPOUTS_KEY] = np.array([t for t, _ in scan.dropouts], dtype=np.uint64)
+    times, notes = _seconds_since_start(header, stamps)
+    if scan.unknown_type_counts:
+        count, types = sum(scan.unknown_type_counts.values()), ", ".join(map(repr, scan.unknown_type_counts))
         notes.append(f"{count} messages of types that are not known here ({types}) are left out")
     tables = {}
     for name, rows in log_rows.items():
-        values = {str(k): _plain_text(rows[k]) for k in rows.dtype.names or () if k != "timestamp"}
-        tables[name] = RawTable(name, times[name], without_unknown(name.partition(":")[0], values))
+        values = {str(k): _decode_text_column(rows[k]) for k in rows.dtype.names or () if k != "timestamp"}
+        tables[name] = RawTable(name, times[name], replace_unknown_values(name.partition(":")[0], values))
     info = {key: value for key, value in scan.info.items() if key != "time_ref_utc"}
     # Text too long for one message comes in several.
     info |= {
         key: b"".join(parts).decode(errors="replace")
-        for key, parts in scan.multiple.items()
+        for key, parts in scan.multi_info.items()
         if key.startswith("mufly_")
     }
     info["parameters"] = scan.parameters
-    damage = scan.damage + _missing_rows(info, tables)
-    info.pop(_ROWS, None)
+    damage = scan.damage + _describe_missing_rows(info, tables)
+    info.pop(_ROW_COUNT_KEY, None)
     return RawLog(
         path=where,
-        kind="ULog",
-        tables=tables,
-        start_time=_start_time(tables, scan.info),
+        format_name="ULog",
+        tables_by_topic=tables,
+        start_time=_find_start_time(tables, scan.info),
         info=info,
         messages=tuple(
-            (t, _level(level), text)
-            for t, (_, level, text) in zip(times[_SAID].tolist(), scan.said, strict=True)
+            (t, _level_word(level), text)
+            for t, (_, level, text) in zip(times[_LOG_TEXTS_KEY].tolist(), scan.log_texts, strict=True)
         ),
         dropouts=tuple(
-            (t, duration / 1e3) for t, (_, duration) in zip(times[_LOST].tolist(), scan.dropouts, strict=True)
+            (t, duration / 1e3) for t, (_, duration) in zip(times[_DROPOUTS_KEY].tolist(), scan.dropouts, strict=True)
         ),
-        complete=not damage,
+        is_complete=not damage,
         notes=tuple(notes),
-        damage="; ".join(damage),
+        damage_text="; ".join(damage),
     )
 
 
-def _scan_messages(data: bytes, header: int, where: str) -> _Scan:
+def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
     """Find every whole message; what is no data is taken at once."""
-    scan = _Scan()
-    at, end = _HEADER, len(data)
+    scan = _ScanResult()
+    at, end = _HEADER_SIZE, len(data)
     limits = [end]
     heads: re.Pattern[bytes] | None = None
-    unpack, numbers, kinds = struct.Struct("<HBH").unpack_from, scan.numbers, _KINDS
+    unpack, numbers, kinds = struct.Struct("<HBH").unpack_from, scan.topics_by_id, _MESSAGE_TYPES
     while limits:
         limit = limits.pop(0)
         while at + 5 <= limit:
             size, kind, number = unpack(data, at)
             stop = at + 3 + size
-            if kind == _DATA:
+            if kind == _DATA_MESSAGE:
                 topic = numbers.get(number)
-                if topic is not None and topic.sizes[0] <= size <= topic.sizes[1] and stop <= limit:
-                    topic.starts.append(at + 5)
+                if topic is not None and topic.message_sizes[0] <= size <= topic.message_sizes[1] and stop <= limit:
+                    topic.body_offsets.append(at + 5)
                     at = stop
                     continue
-                if topic is None and scan.in_data and stop <= limit and _stands(data, stop, limit, scan):
-                    scan.undescribed += 1
+                if topic is None and scan.in_data and stop <= limit and _messages_follow(data, stop, limit, scan):
+                    scan.undescribed_count += 1
                     at = stop
                     continue
-            elif (
-                kind in kinds
-                and stop <= limit
-                and _take_message(scan, kind, data[at + 3 : stop], header, data)
-            ):
+            elif kind in kinds and stop <= limit and _process_message(scan, kind, data[at + 3 : stop], header, data):
                 at = stop
-                if kind == _FLAGS and not limits:
+                if kind == _FLAG_BITS_MESSAGE and not limits:
                     limits = _check_flags(scan, where, end)
                     limit = limits.pop(0)
-                elif kind == _SUBSCRIPTION:
+                elif kind == _SUBSCRIPTION_MESSAGE:
                     heads = None
                 continue
-            elif kind not in kinds and kind > 0x20 and _stands(data, stop, limit, scan) and stop <= limit:
-                scan.unknown[chr(kind)] = scan.unknown.get(chr(kind), 0) + 1
+            elif kind not in kinds and kind > 0x20 and _messages_follow(data, stop, limit, scan) and stop <= limit:
+                scan.unknown_type_counts[chr(kind)] = scan.unknown_type_counts.get(chr(kind), 0) + 1
                 at = stop  # a type of a later version
                 continue
-            heads = heads or _heads_of(scan)
-            after = stop if stop < limit and _stands(data, stop, limit, scan) else None
-            after = after or _next_message(data, at + 1, limit, scan, heads)
+            heads = heads or _message_head_pattern(scan)
+            after = stop if stop < limit and _messages_follow(data, stop, limit, scan) else None
+            after = after or _find_next_message(data, at + 1, limit, scan, heads)
             _note_damage(scan, data, at, stop, after, limit)
             at = after
         if at < limit:
             _note_damage(scan, data, at, end + 1, limit, limit)
         at = max(at, limit)
-    if scan.undescribed:
-        scan.damage.append(f"{scan.undescribed} messages are of topics that nothing describes any more")
+    if scan.undescribed_count:
+        scan.damage.append(f"{scan.undescribed_count} messages are of topics that nothing describes any more")
     if len(scan.damaged_places) > 1:
         size = sum(s for _, s in scan.damaged_places)
         scan.damage.insert(0, f"{size} bytes in {len(scan.damaged_places)} places are no whole messages, "
@@ -205,60 +214,56 @@ def _scan_messages(data: bytes, header: int, where: str) -> _Scan:
     return scan
 
 
-def _note_damage(scan: _Scan, data: bytes, at: int, stop: int, after: int, limit: int) -> None:
+def _note_damage(scan: _ScanResult, data: bytes, at: int, stop: int, after: int, limit: int) -> None:
     """Note bytes that are no whole message, and whether they are one that a cut left."""
     if after == limit and not any(data[at:limit]):
-        last = max(scan.topics.values(), key=lambda topic: topic.starts[-1:], default=None)
-        if not data[at - 1] and last and last.starts and last.starts[-1] + last.sizes[0] - 2 == at:
-            at = last.starts.pop() - 5  # the zeros may have begun inside it
+        last = max(scan.topics.values(), key=lambda topic: topic.body_offsets[-1:], default=None)
+        if not data[at - 1] and last and last.body_offsets and last.body_offsets[-1] + last.message_sizes[0] - 2 == at:
+            at = last.body_offsets.pop() - 5  # the zeros may have begun inside it
         scan.damage.append(f"{limit - at} bytes from byte {at} on are zero")
     elif after < limit or stop <= limit:
         scan.damaged_places.append((at, after - at))
     elif limit < len(data):
-        scan.damage.append(
-            f"logging stopped inside a message at byte {limit}, behind which data were appended"
-        )
+        scan.damage.append(f"logging stopped inside a message at byte {limit}, behind which data were appended")
     elif at + 3 > limit:
         scan.damage.append(f"it ends inside a message's head, at byte {at}")
     else:
-        scan.damage.append(
-            f"it ends inside a message at byte {at}, {limit - at} of {stop - at} bytes of it are there"
-        )
+        scan.damage.append(f"it ends inside a message at byte {at}, {limit - at} of {stop - at} bytes of it are there")
 
 
-def _check_flags(scan: _Scan, where: str, end: int) -> list[int]:
+def _check_flags(scan: _ScanResult, where: str, end: int) -> list[int]:
     """Where parts of the file end: what was logged, and what was appended to it."""
-    flags, offsets = scan.info.pop(_FLAG_BITS)
-    if flags[0] & ~_APPENDED or any(flags[1:]):
+    flags, offsets = scan.info.pop(_FLAG_BITS_NAME)
+    if flags[0] & ~_APPENDED_DATA_FLAG or any(flags[1:]):
         raise InputError(where, "flag bits", f"has incompatible flags ({flags.hex()}) that are not known here",
                          "convert it with PX4's own tools: ulog2csv")  # fmt: skip
-    return [*sorted(o for o in offsets if flags[0] & _APPENDED and _HEADER < o < end), end]
+    return [*sorted(o for o in offsets if flags[0] & _APPENDED_DATA_FLAG and _HEADER_SIZE < o < end), end]
 
 
-def _heads_of(scan: _Scan) -> re.Pattern[bytes]:
+def _message_head_pattern(scan: _ScanResult) -> re.Pattern[bytes]:
     """Heads of messages of subscribed topics and of synchronisation."""
-    heads = [struct.pack("<HB", len(_SYNC), _SYNCHRONISATION) + _SYNC]
-    for number, topic in scan.numbers.items():
-        heads += [struct.pack("<HBH", size, _DATA, number) for size in dict.fromkeys(topic.sizes)]
+    heads = [struct.pack("<HB", len(_SYNC_BYTES), _SYNC_MESSAGE) + _SYNC_BYTES]
+    for number, topic in scan.topics_by_id.items():
+        heads += [struct.pack("<HBH", size, _DATA_MESSAGE, number) for size in dict.fromkeys(topic.message_sizes)]
     return re.compile(b"|".join(map(re.escape, heads)))
 
 
-def _next_message(data: bytes, start: int, limit: int, scan: _Scan, heads: re.Pattern[bytes]) -> int:
+def _find_next_message(data: bytes, start: int, limit: int, scan: _ScanResult, heads: re.Pattern[bytes]) -> int:
     """Where the next message stands; ``limit`` if none does. Definitions stand where three follow each other."""
     for found in heads.finditer(data, start, limit):
-        if _stands(data, found.start(), limit, scan):
+        if _messages_follow(data, found.start(), limit, scan):
             start, limit = start, found.start()
             break
     if not scan.in_data:
         for at in range(start, min(limit, start + 70_000)):
-            if data[at + 2 : at + 3] in (b"F", b"I", b"M", b"P", b"Q", b"A") and _stands(
+            if data[at + 2 : at + 3] in (b"F", b"I", b"M", b"P", b"Q", b"A") and _messages_follow(
                 data, at, len(data), scan, 3
             ):
                 return at
     return limit
 
 
-def _stands(data: bytes, at: int, limit: int, scan: _Scan, chain: int = 2) -> bool:
+def _messages_follow(data: bytes, at: int, limit: int, scan: _ScanResult, chain: int = 2) -> bool:
     """Whether so many messages whose heads are sound stand one behind the other, or as many as there are left."""
     for _ in range(chain):
         if at == limit:
@@ -266,80 +271,75 @@ def _stands(data: bytes, at: int, limit: int, scan: _Scan, chain: int = 2) -> bo
         if at + 5 > limit:
             return False
         size, kind, number = struct.unpack_from("<HBH", data, at)
-        topic = scan.numbers.get(number)
-        if kind not in _KINDS or not size:
+        topic = scan.topics_by_id.get(number)
+        if kind not in _MESSAGE_TYPES or not size:
             return False
-        if kind == _DATA and topic is not None and not topic.sizes[0] <= size <= topic.sizes[1]:
+        if kind == _DATA_MESSAGE and topic is not None and not topic.message_sizes[0] <= size <= topic.message_sizes[1]:
             return False
         at += 3 + size
     return at <= limit
 
 
-_FLAG_BITS, _ROWS = "flag bits", "mufly_rows"
+_FLAG_BITS_NAME, _ROW_COUNT_KEY = "flag bits", "mufly_rows"
 
 
-def _take_message(scan: _Scan, kind: int, body: bytes, header: int, data: bytes) -> bool:
+def _process_message(scan: _ScanResult, kind: int, body: bytes, header: int, data: bytes) -> bool:
     """Take a message that holds no data of a topic; False if its content is not what its kind says."""
     try:
-        if kind == _FORMAT:
+        if kind == _FORMAT_MESSAGE:
             name, _, fields = body.decode("ascii").partition(":")
-            parts = [_FIELD.fullmatch(part) for part in fields.split(";") if part]
-            if (
-                not name
-                or not parts
-                or not all(parts)
-                or any(int(p[2] or 0) > _LONGEST_ARRAY for p in parts if p)
-            ):
+            parts = [_FIELD_PATTERN.fullmatch(part) for part in fields.split(";") if part]
+            if not name or not parts or not all(parts) or any(int(p[2] or 0) > _MAX_ARRAY_LENGTH for p in parts if p):
                 return False
             scan.formats[name] = [(p[1], int(p[2] or 0), p[3]) for p in parts if p]
-        elif kind == _SUBSCRIPTION:
-            _subscribe(scan, body)
-        elif kind in (_INFO, _PARAMETER):
-            type_name, key, value = _key_and_value(body)
-            known = scan.info if kind == _INFO else scan.parameters
-            if kind == _INFO or not scan.in_data:
-                known[key] = _value(type_name, value)
-        elif kind == _MULTIPLE:
-            _, key, value = _key_and_value(body[1:])
-            scan.multiple.setdefault(key, []).append(value)
-        elif kind in (_TEXT, _TAGGED):
-            skip = 1 if kind == _TEXT else 3
+        elif kind == _SUBSCRIPTION_MESSAGE:
+            _add_subscription(scan, body)
+        elif kind in (_INFO_MESSAGE, _PARAMETER_MESSAGE):
+            type_name, key, value = _split_key_value(body)
+            known = scan.info if kind == _INFO_MESSAGE else scan.parameters
+            if kind == _INFO_MESSAGE or not scan.in_data:
+                known[key] = _decode_value(type_name, value)
+        elif kind == _INFO_MULTIPLE_MESSAGE:
+            _, key, value = _split_key_value(body[1:])
+            scan.multi_info.setdefault(key, []).append(value)
+        elif kind in (_LOG_TEXT_MESSAGE, _TAGGED_TEXT_MESSAGE):
+            skip = 1 if kind == _LOG_TEXT_MESSAGE else 3
             if not (body[0] < 8 or ord("0") <= body[0] < ord("8")) or len(body) < skip + 8:
                 return False
             stamp = struct.unpack_from("<Q", body, skip)[0]
-            scan.said.append((stamp, body[0], body[skip + 8 :].decode(errors="ignore")))
+            scan.log_texts.append((stamp, body[0], body[skip + 8 :].decode(errors="ignore")))
             scan.in_data = True
-        elif kind == _DROPOUT:
+        elif kind == _DROPOUT_MESSAGE:
             (duration,) = struct.unpack("<H", body)
-            last = (struct.unpack_from("<Q", data, t.starts[-1] + t.stamp_at)[0]
-                    for t in scan.topics.values() if t.starts)  # fmt: skip
+            last = (struct.unpack_from("<Q", data, t.body_offsets[-1] + t.stamp_offset)[0]
+                    for t in scan.topics.values() if t.body_offsets)  # fmt: skip
             scan.dropouts.append((max(last, default=header), duration))
-        elif kind == _SYNCHRONISATION:
-            return body == _SYNC
-        elif kind == _FLAGS:
-            scan.info[_FLAG_BITS] = (body[8:16], struct.unpack_from("<QQQ", body, 16))
-        return kind != _REMOVAL or len(body) == 2
+        elif kind == _SYNC_MESSAGE:
+            return body == _SYNC_BYTES
+        elif kind == _FLAG_BITS_MESSAGE:
+            scan.info[_FLAG_BITS_NAME] = (body[8:16], struct.unpack_from("<QQQ", body, 16))
+        return kind != _REMOVAL_MESSAGE or len(body) == 2
     except (ValueError, KeyError, IndexError, struct.error, RecursionError):
         return False
 
 
-def _key_and_value(body: bytes) -> tuple[str, str, bytes]:
+def _split_key_value(body: bytes) -> tuple[str, str, bytes]:
     """Type, name and value of information or a parameter."""
     type_name, key = body[1 : 1 + body[0]].decode("ascii").split(" ")
     return type_name, key, body[1 + body[0] :]
 
 
-def _value(type_name: str, value: bytes) -> Any:
+def _decode_value(type_name: str, value: bytes) -> Any:
     if type_name.startswith("char["):
         return value.decode(errors="ignore")
-    return np.frombuffer(value, _TYPES[type_name])[0].item() if type_name in _TYPES else value
+    return np.frombuffer(value, _NUMPY_TYPES[type_name])[0].item() if type_name in _NUMPY_TYPES else value
 
 
-def _subscribe(scan: _Scan, body: bytes) -> None:
+def _add_subscription(scan: _ScanResult, body: bytes) -> None:
     """Take a subscription; KeyError, ValueError if its format is not known or contradicts itself."""
     instance, number = struct.unpack_from("<BH", body)
     name = body[3:].decode("ascii")
-    fields = _fields_of(scan.formats, name)
+    fields = _expand_fields(scan.formats, name)
     most = 2 + np.dtype(fields).itemsize
     while fields and fields[-1][0].startswith("_padding"):
         fields.pop()
@@ -348,12 +348,12 @@ def _subscribe(scan: _Scan, body: bytes) -> None:
     known = scan.topics.get(label)
     if known is None or known.dtype != dtype:
         stamp_at = dtype.fields["timestamp"][1] if dtype.fields and "timestamp" in dtype.fields else 0
-        known = scan.topics[label] = _Topic(label, dtype, (2 + dtype.itemsize, most), stamp_at)
-    scan.numbers[number] = known
+        known = scan.topics[label] = _SubscribedTopic(label, dtype, (2 + dtype.itemsize, most), stamp_at)
+    scan.topics_by_id[number] = known
     scan.in_data = True
 
 
-def _fields_of(
+def _expand_fields(
     formats: Mapping[str, list[tuple[str, int, str]]], name: str, prefix: str = ""
 ) -> list[tuple[str, str]]:
     """Names and NumPy types of a format's fields, those of formats inside it too; text is one field."""
@@ -363,44 +363,44 @@ def _fields_of(
         names = [f"{whole}[{k}]" for k in range(count)] if count else [whole]
         if type_name == "char" and count:
             out.append((whole, f"S{count}"))
-        elif type_name in _TYPES:
-            out += [(n, _TYPES[type_name]) for n in names]
+        elif type_name in _NUMPY_TYPES:
+            out += [(n, _NUMPY_TYPES[type_name]) for n in names]
         else:
             for n in names:
-                out += _fields_of(formats, type_name, f"{n}.")
-        if len(out) > _MOST_FIELDS:
+                out += _expand_fields(formats, type_name, f"{n}.")
+        if len(out) > _MAX_FIELDS:
             raise ValueError("too many fields")
     return out
 
 
-def _unpack_rows(data: bytes, topic: _Topic) -> NDArray[Any]:
+def _unpack_rows(data: bytes, topic: _SubscribedTopic) -> NDArray[Any]:
     """All messages of a topic."""
     size = topic.dtype.itemsize
     bodies = np.ndarray((len(data) - size + 1,), dtype=f"V{size}", buffer=data, strides=(1,))
-    return bodies[np.frombuffer(topic.starts, dtype=np.int64)].view(topic.dtype)
+    return bodies[np.frombuffer(topic.body_offsets, dtype=np.int64)].view(topic.dtype)
 
 
-def _plain_text(values: NDArray[Any]) -> NDArray[Any]:
+def _decode_text_column(values: NDArray[Any]) -> NDArray[Any]:
     if values.dtype.kind != "S":
         return values
     return np.array([v.split(b"\0")[0].decode(errors="replace") for v in values.tolist()], dtype=str)
 
 
-def _missing_rows(info: Mapping[str, Any], tables: Mapping[str, RawTable]) -> list[str]:
+def _describe_missing_rows(info: Mapping[str, Any], tables: Mapping[str, RawTable]) -> list[str]:
     """What is missing of a file that this package wrote, which says how many rows it has."""
     try:
-        rows = int(info[_ROWS])
+        rows = int(info[_ROW_COUNT_KEY])
     except (KeyError, ValueError, TypeError):
         return []
-    there = len(tables[TOPIC].time) if TOPIC in tables else 0
+    there = len(tables[TABLE_TOPIC].time) if TABLE_TOPIC in tables else 0
     return [f"{there} of {rows} rows are here"] if there < rows else []
 
 
 # What has a time besides the topics.
-_SAID, _LOST = "the vehicle's messages", "the logger's drop-outs"
+_LOG_TEXTS_KEY, _DROPOUTS_KEY = "the vehicle's messages", "the logger's drop-outs"
 
 
-def _times(
+def _seconds_since_start(
     header: int, stamps: Mapping[str, NDArray[Any]]
 ) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
     """Seconds since the instant 0 of everything that has a stamp (us), NaN where it is none of the log's clock.
@@ -412,13 +412,13 @@ def _times(
     if header > 0:
         seconds = {k: np.where(s == 0, np.nan, s) for k, s in seconds.items()}
     unset = {k: int(np.isnan(s).sum()) for k, s in seconds.items()}
-    foreign, notes = foreign_stamps(seconds)
+    foreign, notes = find_foreign_stamps(seconds)
     notes += [f"{k}: {n} of {len(stamps[k])} time stamps were never set (0)" for k, n in unset.items() if n]
     known = {k: s[~foreign[k] & np.isfinite(seconds[k])].astype(np.int64) for k, s in stamps.items()}
     running = [s for s in known.values() if len(s) and s[-1] > s[0]] or [s for s in known.values() if len(s)]
     first = min((int(s[0]) for s in running), default=header)
     last = max((int(s[-1]) for s in running), default=header)
-    zero = header if first - _NEAR_US < header < last + _NEAR_US else first
+    zero = header if first - _MAX_HEADER_OFFSET_US < header < last + _MAX_HEADER_OFFSET_US else first
     out = {
         k: np.where(foreign[k] | np.isnan(seconds[k]), np.nan, (s.astype(np.int64) - zero) / 1e6)
         for k, s in stamps.items()
@@ -426,12 +426,12 @@ def _times(
     return out, notes
 
 
-def _level(number: int) -> str:
+def _level_word(number: int) -> str:
     index = number - ord("0") if number >= ord("0") else number
-    return _LEVELS[index] if 0 <= index < len(_LEVELS) else "info"
+    return _LEVEL_WORDS[index] if 0 <= index < len(_LEVEL_WORDS) else "info"
 
 
-def _start_time(tables: dict[str, RawTable], info: dict[str, Any]) -> str:
+def _find_start_time(tables: dict[str, RawTable], info: dict[str, Any]) -> str:
     """Wall time of the instant 0, from the first position fix or from what our own writer noted."""
     if isinstance(info.get("mufly_start_time"), str):
         return str(info["mufly_start_time"])
@@ -443,33 +443,33 @@ def _start_time(tables: dict[str, RawTable], info: dict[str, Any]) -> str:
         known = np.flatnonzero((utc.astype(np.int64) > 10**15) & np.isfinite(table.time))
         if len(known):
             at = int(utc[known[0]]) / 1e6 - table.time[known[0]]
-            return wall_time(at)
+            return format_wall_time(at)
     return ""
 
 
-TEXTS = "mufly_texts"
+TEXTS_INFO_KEY = "mufly_texts"
 _ULOG_WRITE_LEVELS = {"error": b"3", "warning": b"4", "info": b"6"}
-_LONGEST = 65535
-_NAME = re.compile(r"[A-Za-z0-9_]+")
+_MAX_TEXT_LENGTH = 65535
+_NAME_PATTERN = re.compile(r"[A-Za-z0-9_]+")
 
 
-def _message(kind: bytes, body: bytes) -> bytes:
+def _encode_message(kind: bytes, body: bytes) -> bytes:
     return struct.pack("<H", len(body)) + kind + body
 
 
-def _information(key: str, text: str) -> bytes:
+def _encode_information(key: str, text: str) -> bytes:
     """Information; text that does not fit one message goes on in further ones (M)."""
     data = text.encode()
     name = f"char[{{}}] {key}"
-    room = _LONGEST - 300
+    room = _MAX_TEXT_LENGTH - 300
     if len(data) <= room:
         head = name.format(len(data)).encode()
-        return _message(b"I", bytes([len(head)]) + head + data)
+        return _encode_message(b"I", bytes([len(head)]) + head + data)
     out = b""
     for at in range(0, len(data), room):
         part = data[at : at + room]
         head = name.format(len(part)).encode()
-        out += _message(b"M", bytes([at > 0, len(head)]) + head + part)
+        out += _encode_message(b"M", bytes([at > 0, len(head)]) + head + part)
     return out
 
 
@@ -482,7 +482,7 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
         If it lasts from before the instant 0 (the clock of the format has no sign), is too wide for one message, or a
         name is none that the format allows.
     """
-    columns = columns_of(dataset)
+    columns = component_channels(dataset)
     time = dataset["time"].values.astype(np.float64)
     if len(time) and time[0] < 0:
         raise ArgumentError(
@@ -500,50 +500,50 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
     values: list[NDArray[Any]] = []
     declared = ["uint64_t timestamp", "double time"]
     for column in columns:
-        if not _NAME.fullmatch(column.column):
+        if not _NAME_PATTERN.fullmatch(column.column_name):
             raise InputError(
-                str(path), column.column, "is no name for ULog", "use letters, digits and underscores"
+                str(path), column.column_name, "is no name for ULog", "use letters, digits and underscores"
             )
         if column.values.dtype.kind in "US":
             known, number = np.unique(column.values, return_inverse=True)
-            texts[column.column] = known.tolist()
-            declared.append(f"uint16_t {column.column}")
-            layout.append((column.column, "<u2"))
+            texts[column.column_name] = known.tolist()
+            declared.append(f"uint16_t {column.column_name}")
+            layout.append((column.column_name, "<u2"))
             values.append(number)
         else:
-            declared.append(f"double {column.column}")
-            layout.append((column.column, "<f8"))
+            declared.append(f"double {column.column_name}")
+            layout.append((column.column_name, "<f8"))
             values.append(column.values)
-    format_text = f"{TOPIC}:{';'.join(declared)};".encode()
+    format_text = f"{TABLE_TOPIC}:{';'.join(declared)};".encode()
     rows = np.zeros(len(time), dtype=np.dtype(layout))
-    if len(format_text) > _LONGEST:  # a row is shorter than its definition
-        raise InputError(
-            str(path), "", f"{len(columns)} columns do not fit one ULog message", "choose fewer signals"
-        )
+    if len(format_text) > _MAX_TEXT_LENGTH:  # a row is shorter than its definition
+        raise InputError(str(path), "", f"{len(columns)} columns do not fit one ULog message", "choose fewer signals")
     rows["size"], rows["kind"], rows["id"] = rows.itemsize - 3, ord("D"), 0
     rows["stamp"] = np.rint(np.where(np.isfinite(time), time, 0) * 1e6).astype(np.uint64)
     rows["time"] = time
     for column, value in zip(columns, values, strict=True):
-        rows[column.column] = value
-    head = MAGIC + b"\x01" + struct.pack("<Q", 0) + _message(b"B", bytes(40))
-    head += _message(b"F", format_text)
-    head += _information("sys_name", "mufly") + _information(
+        rows[column.column_name] = value
+    head = MAGIC + b"\x01" + struct.pack("<Q", 0) + _encode_message(b"B", bytes(40))
+    head += _encode_message(b"F", format_text)
+    head += _encode_information("sys_name", "mufly") + _encode_information(
         "mufly_start_time", str(dataset.attrs.get("start_time", ""))
     )
-    head += _information(_ROWS, str(len(time)))
-    head += _information(TEXTS, json.dumps(texts)) + _information("mufly_dataset", describe(dataset))
-    head += _message(b"A", struct.pack("<BH", 0, 0) + TOPIC.encode())
+    head += _encode_information(_ROW_COUNT_KEY, str(len(time)))
+    head += _encode_information(TEXTS_INFO_KEY, json.dumps(texts)) + _encode_information(
+        "mufly_dataset", describe_dataset(dataset)
+    )
+    head += _encode_message(b"A", struct.pack("<BH", 0, 0) + TABLE_TOPIC.encode())
     said = b"".join(
-        _message(
+        _encode_message(
             b"L",
             _ULOG_WRITE_LEVELS.get(e.level, b"6")
             + struct.pack("<Q", max(round(e.time_s * 1e6), 0))
-            + _said(e.state, e.text),
+            + _encode_log_text(e.state, e.text),
         )
-        for e in (events_of(dataset) if "event_time" in dataset else [])
+        for e in (read_events(dataset) if "event_time" in dataset else [])
     )
     path.write_bytes(head + rows.tobytes() + said)
 
 
-def _said(state: str, text: str) -> bytes:
-    return (f"{state}: {text}" if state else text).encode()[: _LONGEST - 16]
+def _encode_log_text(state: str, text: str) -> bytes:
+    return (f"{state}: {text}" if state else text).encode()[: _MAX_TEXT_LENGTH - 16]

@@ -18,9 +18,9 @@ behind. (That a beam passes a point by proves nothing: it may graze the edge of 
 floor are floor. Own derivation.
 
 Many points and beams are much work for a period of a small processor. So from one step of the mission to the next
-they are gone through in parts, some in every period (:func:`look_around`): an eighth of the beams, and a share of the
-points, of which a :class:`Sight` keeps what matters: what is in the way, and in each of sixteen directions the nearest
-point. The next step goes by that, with distances from where it is by then.
+they are gone through in parts, some in every period (:func:`check_map_part`): an eighth of the beams, and a share of
+the points, of which a :class:`PathCheck` keeps what matters: what is in the way, and in each of sixteen directions the
+nearest point. The next step goes by that, with distances from where it is by then.
 
 What stands here runs on board as C too (``avoid.c`` of :mod:`mufly.firmware`), equal to the last bit: sums keep their
 order, and lengths are square roots of sums.
@@ -36,25 +36,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.trigonometry import sine_cosine
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import sine_cosine
 
 _Array = NDArray[np.float64]
 
-CAPACITY = 160
+MAP_CAPACITY = 160
 """Points remembered; at 5 cm from one another they cover 8 m of contour."""
 
-MEMORY_S = 30.0
+POINT_LIFETIME_S = 30.0
 """How long a point is believed in without being hit again (s)."""
 
-_APART = 0.05
-_AMONG = 8
-_FLOOR = 0.12
-_SAME_HEIGHT = 0.15
+_MERGE_DISTANCE_M = 0.05
+_REPLACE_CANDIDATES = 8
+_FLOOR_HEIGHT_M = 0.12
+_MERGE_HEIGHT_M = 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Ring:
+class BeamRing:
     """Range beams around the body, all in its x-y plane.
 
     Attributes
@@ -80,13 +80,13 @@ class Ring:
         return math.tau / len(self.cos)
 
 
-def ring(count: int, first_angle: float, max_range: float) -> Ring:
+def make_beam_ring(count: int, first_angle: float, max_range: float) -> BeamRing:
     """Ring of ``count`` beams evenly spread from ``first_angle`` (rad, from x towards y)."""
     angles = first_angle + math.tau / count * np.arange(count)
-    return Ring(np.cos(angles), np.sin(angles), max_range)
+    return BeamRing(np.cos(angles), np.sin(angles), max_range)
 
 
-def repulsion(ranges: Sequence[float], beams: Ring, threshold: float) -> tuple[float, float]:
+def repulsive_force(ranges: Sequence[float], beams: BeamRing, threshold: float) -> tuple[float, float]:
     """Sum of the repulsive forces (eqs 6.14 to 6.17).
 
     Parameters
@@ -115,29 +115,29 @@ def repulsion(ranges: Sequence[float], beams: Ring, threshold: float) -> tuple[f
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
-    """Points that beams have hit: in the first ``used`` rows N, E, D (m) and when they were hit last (s).
+class ObstacleMap:
+    """Points that beams have hit: in the first ``point_count`` rows N, E, D (m) and when they were hit last (s).
 
-    Once all rows are in use, the oldest of eight makes room for the next, from row ``turn`` on.
+    Once all rows are in use, the oldest of eight makes room for the next, from row ``replace_index`` on.
     """
 
     points: _Array
-    used: int = 0
-    turn: int = 0
+    point_count: int = 0
+    replace_index: int = 0
 
     @staticmethod
-    def empty() -> Memory:
+    def empty() -> ObstacleMap:
         """Nothing seen yet."""
-        return Memory(np.zeros((CAPACITY, 4)))
+        return ObstacleMap(np.zeros((MAP_CAPACITY, 4)))
 
 
-@compiled
-def _length(x: float, y: float) -> float:
+@cached_njit
+def _planar_length(x: float, y: float) -> float:
     return math.sqrt(x * x + y * y)
 
 
-@compiled
-def _observe(
+@cached_njit
+def _insert_hits(
     old: _Array,
     used: int,
     turn: int,
@@ -164,39 +164,39 @@ def _observe(
         n = x[0] + reach * (cos[i] * cp * cy + sin[i] * (sr * sp * cy - cr * sy))
         e = x[1] + reach * (cos[i] * cp * sy + sin[i] * (sr * sp * sy + cr * cy))
         d = x[2] + reach * (-cos[i] * sp + sin[i] * sr * cp)
-        if d > -_FLOOR:
+        if d > -_FLOOR_HEIGHT_M:
             continue
         known = False
         for k in range(used):
             dn, de = points[k, 0] - n, points[k, 1] - e
-            if dn * dn + de * de < _APART * _APART and abs(points[k, 2] - d) < _SAME_HEIGHT:
+            if dn * dn + de * de < _MERGE_DISTANCE_M * _MERGE_DISTANCE_M and abs(points[k, 2] - d) < _MERGE_HEIGHT_M:
                 points[k, 3] = time
                 known = True
         if not known:
             row = 0
-            if used < CAPACITY:
+            if used < MAP_CAPACITY:
                 row = used
                 used += 1
             else:
                 row = turn
-                for k in range(turn, turn + _AMONG):
+                for k in range(turn, turn + _REPLACE_CANDIDATES):
                     if points[k, 3] < points[row, 3]:
                         row = k
-                turn = turn + _AMONG if turn + _AMONG < CAPACITY else 0
+                turn = turn + _REPLACE_CANDIDATES if turn + _REPLACE_CANDIDATES < MAP_CAPACITY else 0
             points[row, 0], points[row, 1], points[row, 2], points[row, 3] = n, e, d, time
     return points, used, turn
 
 
-def observe(
-    memory: Memory,
-    beams: Ring,
+def insert_beam_hits(
+    memory: ObstacleMap,
+    beams: BeamRing,
     time_s: float,
     position: _Array,
     attitude: _Array,
     ranges: _Array,
     first: int = 0,
     count: int | None = None,
-) -> Memory:
+) -> ObstacleMap:
     """Add what beams hit now to the memory.
 
     Parameters
@@ -214,10 +214,10 @@ def observe(
     first, count : int
         The beams that are taken, from which on and how many; after the last comes beam 0. All by default.
     """
-    known = _observe(
+    known = _insert_hits(
         memory.points,
-        memory.used,
-        memory.turn,
+        memory.point_count,
+        memory.replace_index,
         time_s,
         position,
         attitude,
@@ -228,34 +228,34 @@ def observe(
         first,
         len(beams.cos) if count is None else count,
     )
-    return Memory(*known)
+    return ObstacleMap(*known)
 
 
 # ----------------------------------------------------------------------------
 # What seen points mean for a way: how near they are, whether they block it, how fast they may be approached.
 
 
-LOOK_M = 1.2
+LOOK_AHEAD_M = 1.2
 """How far ahead on its way the helicopter minds obstacles."""
 
-_ONWARD_M = LOOK_M + 0.3
+_LEAVING_CLEAR_M = LOOK_AHEAD_M + 0.3
 """So much of a way has to be clear where a contour is left."""
 
-ENTER_M = 0.05
+BLOCKED_MARGIN_M = 0.05
 """A way nearer to a seen point than the clearance and this is blocked (m)."""
 
-_APPROACH = 0.8
+_APPROACH_GAIN = 0.8
 """lambda (1/s): slower than the position loop's lag of 0.3 s lets through."""
 
-_SAME_HEIGHT_M = 0.5
+_RELEVANT_HEIGHT_M = 0.5
 
 
-_NEAR_M = 2.0
-SECTORS = 16
-_SLOPE = math.sqrt(2.0) - 1.0  # tan(pi / 8)
+_NEAR_RANGE_M = 2.0
+SECTOR_COUNT = 16
+_SECTOR_SLOPE = math.sqrt(2.0) - 1.0  # tan(pi / 8)
 
 
-class Sight(NamedTuple):
+class PathCheck(NamedTuple):
     """What seen points mean for a way, of those that have been gone through since it was begun.
 
     Attributes
@@ -284,62 +284,63 @@ class Sight(NamedTuple):
         there is none. Others in its direction hardly bound a velocity more than it does.
     """
 
-    north: float
-    east: float
-    down: float
+    from_north: float
+    from_east: float
+    from_down: float
     goal_north: float
     goal_east: float
-    ahead: float
-    row: int
-    way: float
-    onward: float
-    goal: float
-    across: float
-    blockers: int
-    block: float
-    block_north: float
-    block_east: float
-    near: _Array
+    look_ahead_m: float
+    points_checked: int
+    path_distance_sq: float
+    onward_distance_sq: float
+    goal_distance_sq: float
+    lateral_offset_sum: float
+    blocker_count: int
+    blocker_distance_sq: float
+    blocker_north: float
+    blocker_east: float
+    nearest_points: _Array
 
     @property
-    def offset(self) -> float:
+    def mean_blocker_offset(self) -> float:
         """Mean distance of the points that block the way from it, positive to the right (m)."""
-        return self.across / self.blockers if self.blockers > 0 else 0.0
+        return self.lateral_offset_sum / self.blocker_count if self.blocker_count > 0 else 0.0
 
-    def nearest(self, place: tuple[float, ...]) -> tuple[float, float, float]:
+    def nearest_point(self, place: tuple[float, ...]) -> tuple[float, float, float]:
         """Distance of the nearest point from a place N, E (m), and the unit vector N, E from that to the place."""
-        return _nearest(self.near, place[0], place[1])
+        return _find_nearest(self.nearest_points, place[0], place[1])
 
-    def blocking(self, place: tuple[float, ...]) -> tuple[float, float, float]:
-        """As :meth:`nearest`, of the point that blocks the way."""
-        if self.block == math.inf:
+    def nearest_blocker(self, place: tuple[float, ...]) -> tuple[float, float, float]:
+        """As :meth:`nearest_point`, of the point that blocks the way."""
+        if self.blocker_distance_sq == math.inf:
             return math.inf, 0.0, 0.0
-        return _away_from(self.block_north, self.block_east, place[0], place[1])
+        return _direction_from(self.blocker_north, self.blocker_east, place[0], place[1])
 
 
-def begin_sight(position: Sequence[float], goal: Sequence[float], ahead: float = LOOK_M) -> Sight:
-    """Begin to look from a position to a goal (N, E, D; m), ``ahead`` metres of that at most; nothing seen yet."""
+def begin_path_check(position: Sequence[float], goal: Sequence[float], ahead: float = LOOK_AHEAD_M) -> PathCheck:
+    """Begin to look from a position to a goal (N, E, D; m), ``look_ahead_m`` metres of that at most; nothing seen
+    yet."""
     n, e, d = position
     none = math.inf
-    return Sight(n, e, d, goal[0], goal[1], ahead, 0, none, none, none, 0.0, 0, none, 0.0, 0.0, _NOTHING_NEAR)
+    return PathCheck(n, e, d, goal[0], goal[1], ahead, 0, none, none, none, 0.0, 0, none, 0.0, 0.0, _NO_NEAR_POINTS)
 
 
-_NOTHING_NEAR = np.full((SECTORS, 2), np.inf)
-UNSEEN = begin_sight((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+_NO_NEAR_POINTS = np.full((SECTOR_COUNT, 2), np.inf)
+EMPTY_PATH_CHECK = begin_path_check((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 """What is seen before anything is looked at."""
 
 
-@compiled
-def _away_from(pn: float, pe: float, n: float, e: float) -> tuple[float, float, float]:
+@cached_njit
+def _direction_from(pn: float, pe: float, n: float, e: float) -> tuple[float, float, float]:
     dn, de = n - pn, e - pe
-    far = _length(dn, de)
+    far = _planar_length(dn, de)
     if far > 1e-9:
         return far, dn / far, de / far
     return far, 0.0, 0.0
 
 
-@compiled
-def _nearest(near: _Array, n: float, e: float) -> tuple[float, float, float]:
+@cached_njit
+def _find_nearest(near: _Array, n: float, e: float) -> tuple[float, float, float]:
     least, row = np.inf, -1
     for k in range(near.shape[0]):
         dn, de = n - near[k, 0], e - near[k, 1]
@@ -348,63 +349,66 @@ def _nearest(near: _Array, n: float, e: float) -> tuple[float, float, float]:
             least, row = square, k
     if row < 0:
         return np.inf, 0.0, 0.0
-    return _away_from(near[row, 0], near[row, 1], n, e)
+    return _direction_from(near[row, 0], near[row, 1], n, e)
 
 
-@compiled
-def _beyond(along: float, stretch: float) -> float:
+@cached_njit
+def _distance_beyond(along: float, stretch: float) -> float:
     """How far before or behind a stretch."""
     if along < 0.0:
         return along
     return along - stretch if along > stretch else 0.0
 
 
-@compiled
-def _sector(n: float, e: float) -> int:
+@cached_njit
+def _sector_index(n: float, e: float) -> int:
     """Which of sixteen directions it is; their order does not matter."""
     an, ae = abs(n), abs(e)
     steep = an < ae
     long, short = (ae, an) if steep else (an, ae)
     return (
-        (1 if n < 0.0 else 0)
-        + (2 if e < 0.0 else 0)
-        + (4 if steep else 0)
-        + (8 if short > _SLOPE * long else 0)
+        (1 if n < 0.0 else 0) + (2 if e < 0.0 else 0) + (4 if steep else 0) + (8 if short > _SECTOR_SLOPE * long else 0)
     )
 
 
-@compiled
-def _examine(
-    old: _Array, used: int, s: Sight, time: float, blocked_at: float, part: int, parts: int
-) -> tuple[_Array, int, Sight]:
-    points, near = old.copy(), s.near.copy()
-    n, e = s.north, s.east
+@cached_njit
+def _check_points(
+    old: _Array, used: int, s: PathCheck, time: float, blocked_at: float, part: int, parts: int
+) -> tuple[_Array, int, PathCheck]:
+    points, near = old.copy(), s.nearest_points.copy()
+    n, e = s.from_north, s.from_east
     wn, we = s.goal_north - n, s.goal_east - e
-    length = _length(wn, we)
+    length = _planar_length(wn, we)
     if length > 1e-9:
         wn, we = wn / length, we / length
     else:
         wn, we = 1.0, 0.0
-    stretch = s.ahead if s.ahead < length else length
+    stretch = s.look_ahead_m if s.look_ahead_m < length else length
     wide = 2.0 * blocked_at
-    first = _ONWARD_M if stretch > _ONWARD_M else stretch
-    way, onward, goal, across_all, count = s.way, s.onward, s.goal, s.across, s.blockers
-    block, bn, be = s.block, s.block_north, s.block_east
-    k = s.row
+    first = _LEAVING_CLEAR_M if stretch > _LEAVING_CLEAR_M else stretch
+    way, onward, goal, across_all, count = (
+        s.path_distance_sq,
+        s.onward_distance_sq,
+        s.goal_distance_sq,
+        s.lateral_offset_sum,
+        s.blocker_count,
+    )
+    block, bn, be = s.blocker_distance_sq, s.blocker_north, s.blocker_east
+    k = s.points_checked
     end = used * part // parts
     while k < end and k < used:
-        if time - points[k, 3] > MEMORY_S:
+        if time - points[k, 3] > POINT_LIFETIME_S:
             used -= 1
             points[k] = points[used]
             continue
         pn, pe, height = points[k, 0], points[k, 1], points[k, 2]
         k += 1
-        if abs(height - s.down) > _SAME_HEIGHT_M:
+        if abs(height - s.from_down) > _RELEVANT_HEIGHT_M:
             continue
         qn, qe = pn - n, pe - e
         square = qn * qn + qe * qe
-        if square < _NEAR_M * _NEAR_M:
-            sector = _sector(qn, qe)
+        if square < _NEAR_RANGE_M * _NEAR_RANGE_M:
+            sector = _sector_index(qn, qe)
             on, oe = near[sector, 0] - n, near[sector, 1] - e
             if square < on * on + oe * oe:
                 near[sector, 0], near[sector, 1] = pn, pe
@@ -415,7 +419,7 @@ def _examine(
         across = qe * wn - qn * we
         if not (abs(across) < wide and along > -wide):
             continue  # neither in the way nor near it
-        beyond, beyond_first = _beyond(along, stretch), _beyond(along, first)
+        beyond, beyond_first = _distance_beyond(along, stretch), _distance_beyond(along, first)
         off = beyond * beyond + across * across
         near_first = beyond_first * beyond_first + across * across
         way = off if off < way else way
@@ -426,15 +430,30 @@ def _examine(
         if along > -blocked_at and along < stretch + blocked_at:
             across_all += across
             count += 1
-    seen = Sight(
-        n, e, s.down, s.goal_north, s.goal_east, s.ahead, k, way, onward, goal, across_all, count, block, bn, be, near
-    )  # fmt: skip
+    seen = PathCheck(
+        n,
+        e,
+        s.from_down,
+        s.goal_north,
+        s.goal_east,
+        s.look_ahead_m,
+        k,
+        way,
+        onward,
+        goal,
+        across_all,
+        count,
+        block,
+        bn,
+        be,
+        near,
+    )
     return points, used, seen
 
 
-def look_around(
-    memory: Memory, sight: Sight, time_s: float, clearance: float, part: int = 1, parts: int = 1
-) -> tuple[Memory, Sight]:
+def check_map_part(
+    memory: ObstacleMap, sight: PathCheck, time_s: float, clearance: float, part: int = 1, parts: int = 1
+) -> tuple[ObstacleMap, PathCheck]:
     """Go through a part of the points: drop what has not been hit for long, see what the others mean for the way.
 
     Parameters
@@ -449,38 +468,41 @@ def look_around(
     part, parts : int
         Which part this is (from 1), of how many; after the last all points have been gone through.
     """
-    points, used, seen = _examine(memory.points, memory.used, sight, time_s, clearance + ENTER_M, part, parts)
-    return Memory(points, used, memory.turn), seen
+    points, used, seen = _check_points(
+        memory.points, memory.point_count, sight, time_s, clearance + BLOCKED_MARGIN_M, part, parts
+    )
+    return ObstacleMap(points, used, memory.replace_index), seen
 
 
-def look(
-    memory: Memory,
+def check_path(
+    memory: ObstacleMap,
     position: tuple[float, ...],
     goal: tuple[float, ...],
     clearance: float,
-    ahead: float = LOOK_M,
-) -> Sight:
-    """Judge the straight level way from ``position`` to ``goal`` (N, E, D; m), ``ahead`` metres of it at most."""
-    return look_around(memory, begin_sight(position, goal, ahead), -math.inf, clearance)[1]
+    ahead: float = LOOK_AHEAD_M,
+) -> PathCheck:
+    """Judge the straight level way from ``position`` to ``goal_distance_sq`` (N, E, D; m), ``look_ahead_m`` metres of
+    it at most."""
+    return check_map_part(memory, begin_path_check(position, goal, ahead), -math.inf, clearance)[1]
 
 
-def blocked(sight: Sight, clearance: float) -> bool:
+def is_path_blocked(sight: PathCheck, clearance: float) -> bool:
     """Whether something stands in the way."""
-    at = clearance + ENTER_M
-    return sight.way < at * at
+    at = clearance + BLOCKED_MARGIN_M
+    return sight.path_distance_sq < at * at
 
 
-@compiled
-def _hold_off(near: _Array, n: float, e: float, vn: float, ve: float, keep: float) -> tuple[float, float]:
+@cached_njit
+def _limit_approach(near: _Array, n: float, e: float, vn: float, ve: float, keep: float) -> tuple[float, float]:
     """Least change of velocity that approaches no point faster than the barrier allows (cyclic projection)."""
     for _ in range(8):
         changed = False
         for k in range(near.shape[0]):
             qn, qe = n - near[k, 0], e - near[k, 1]
-            dist = _length(qn, qe)
+            dist = _planar_length(qn, qe)
             if dist > 2.0 or dist < 1e-9:
                 continue
-            short = -_APPROACH * (dist - keep) - (vn * qn + ve * qe) / dist
+            short = -_APPROACH_GAIN * (dist - keep) - (vn * qn + ve * qe) / dist
             if short > 1e-6:
                 vn += short * qn / dist
                 ve += short * qe / dist
@@ -490,9 +512,9 @@ def _hold_off(near: _Array, n: float, e: float, vn: float, ve: float, keep: floa
     return vn, ve
 
 
-def hold_off(
-    sight: Sight, position: tuple[float, ...], velocity: tuple[float, float], keep: float
+def limit_approach_velocity(
+    sight: PathCheck, position: tuple[float, ...], velocity: tuple[float, float], keep: float
 ) -> tuple[float, float]:
     """The velocity N, E (m/s) nearest to the wanted one that comes near ``keep`` (m) of a point only exponentially."""
     vn, ve = velocity
-    return _hold_off(sight.near, position[0], position[1], vn, ve, keep)
+    return _limit_approach(sight.nearest_points, position[0], position[1], vn, ve, keep)

@@ -31,25 +31,32 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from mufly.mission.avoidance import ENTER_M, LOOK_M, Ring, Sight, hold_off, repulsion
-from mufly.trigonometry import decay, sine_cosine
+from mufly.mission.avoidance import (
+    BLOCKED_MARGIN_M,
+    LOOK_AHEAD_M,
+    BeamRing,
+    PathCheck,
+    limit_approach_velocity,
+    repulsive_force,
+)
+from mufly.portable_math import exp_decay, sine_cosine
 
-BRAKE_M_S2 = 1.0
+DETOUR_ACCELERATION_M_S2 = 1.0
 """Acceleration that avoiding an obstacle may ask for: a tilt of 6 degrees."""
 
-LEAVE_M, FOLLOW_M, KEEP_M = 0.08, 0.15, 0.06
+LEAVE_MARGIN_M, FOLLOW_MARGIN_M, KEEP_MARGIN_M = 0.08, 0.15, 0.06
 """Added to the clearance: a way this far from all points is clear; distance to follow a contour at; distance that is
 approached only exponentially. They cover the 5 cm between remembered points and the lag of the position loop."""
 
-_FIELD_GAIN = 0.15
+_REPULSION_GAIN = 0.15
 """k of eqs 6.18 and 6.19, as a velocity: m/s per 1/m."""
 
-_LEAN_M = 0.4
-_LAG_S = 0.2
-_SMOOTH_S = 0.08
-_STRAY_M = 3.0
-_STUCK_S = 5.0
-_CONTACT_M = 0.15
+_CONTOUR_BLEND_M = 0.4
+_VELOCITY_LAG_S = 0.2
+_ACCELERATION_LAG_S = 0.08
+_MAX_STRAY_M = 3.0
+_STUCK_TIME_S = 5.0
+_CONTACT_MARGIN_M = 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +76,9 @@ class Detour:
     count : int
         How many times an obstacle was met on this leg.
     stray : float
-        Distance from the straight way between ``hit`` and the goal at which the other side is tried (m).
+        Distance from the straight way between ``hit_point`` and the goal at which the other side is tried (m).
     clear_s, anchor_s : float
-        For how long the way has been clear; since when ``anchor`` (2,) has not been left by 0.25 m (s).
+        For how long the way has been clear; since when ``anchor_point`` (2,) has not been left by 0.25 m (s).
     lap : (2,) tuple or None
         N, E of where it came to the contour (m).
     laps : int
@@ -87,33 +94,33 @@ class Detour:
     position: tuple[float, float, float]
     velocity: tuple[float, float, float]
     acceleration: tuple[float, float, float]
-    side: float
-    hit: tuple[float, float]
-    hit_distance: float
-    count: int = 1
-    stray: float = _STRAY_M
-    clear_s: float = 0.0
-    anchor: tuple[float, float] = (0.0, 0.0)
-    anchor_s: float = 0.0
-    lap: tuple[float, float] | None = None
-    laps: int = 0
-    lap_way: float = 0.0
-    best: float = math.inf
-    leaving: bool = False
-    obstacle: tuple[float, float] = (math.nan, math.nan)
+    passing_side: float
+    hit_point: tuple[float, float]
+    hit_goal_distance: float
+    obstacle_count: int = 1
+    max_stray: float = _MAX_STRAY_M
+    clear_duration_s: float = 0.0
+    anchor_point: tuple[float, float] = (0.0, 0.0)
+    anchor_duration_s: float = 0.0
+    lap_start: tuple[float, float] | None = None
+    lap_count: int = 0
+    lap_distance: float = 0.0
+    least_goal_distance: float = math.inf
+    is_leaving: bool = False
+    obstacle_point: tuple[float, float] = (math.nan, math.nan)
 
     @property
-    def done(self) -> bool:
+    def is_finished(self) -> bool:
         """Whether the obstacle is avoided and the reference has come to rest."""
-        return self.leaving and _norm(*self.velocity) < 0.01 and _norm(*self.acceleration) < 0.05
+        return self.is_leaving and _vector_norm(*self.velocity) < 0.01 and _vector_norm(*self.acceleration) < 0.05
 
 
-def _norm(x: float, y: float, z: float = 0.0) -> float:
+def _vector_norm(x: float, y: float, z: float = 0.0) -> float:
     return math.sqrt(x * x + y * y + z * z)
 
 
-def _apart(a: Sequence[float], b: Sequence[float]) -> float:
-    return _norm(a[0] - b[0], a[1] - b[1])
+def _planar_distance(a: Sequence[float], b: Sequence[float]) -> float:
+    return _vector_norm(a[0] - b[0], a[1] - b[1])
 
 
 def begin_detour(
@@ -121,25 +128,35 @@ def begin_detour(
     velocity: tuple[float, float, float],
     acceleration: tuple[float, float, float],
     goal: tuple[float, float, float],
-    sight: Sight,
+    sight: PathCheck,
     before: Detour | None,
 ) -> Detour:
     """Start a detour from where the reference is; ``before`` is the last one on this leg, if there was one."""
     here = (position[0], position[1])
-    far = _apart(goal, here)
-    side = -1.0 if sight.offset > 0.0 else 1.0
-    count, stray = 1, _STRAY_M
+    far = _planar_distance(goal, here)
+    side = -1.0 if sight.mean_blocker_offset > 0.0 else 1.0
+    count, stray = 1, _MAX_STRAY_M
     if before is not None:
-        count, stray = before.count + 1, before.stray
-        if _apart(here, before.position) < 1.5:
-            side = before.side
-    return Detour(position, velocity, acceleration, side, here, far, count=count, stray=stray, anchor=here)
+        count, stray = before.obstacle_count + 1, before.max_stray
+        if _planar_distance(here, before.position) < 1.5:
+            side = before.passing_side
+    return Detour(
+        position,
+        velocity,
+        acceleration,
+        side,
+        here,
+        far,
+        obstacle_count=count,
+        max_stray=stray,
+        anchor_point=here,
+    )
 
 
-def go_round(
+def follow_contour(
     detour: Detour,
-    sight: Sight,
-    beams: Ring,
+    sight: PathCheck,
+    beams: BeamRing,
     position: tuple[float, ...],
     heading: float,
     ranges: list[float],
@@ -175,26 +192,28 @@ def go_round(
     Thesis: eqs 6.18, 6.19; Sec. 6.2.3.
     """
     reference = detour.position
-    planned, real = sight.nearest(reference), sight.nearest(position)
+    planned, real = sight.nearest_point(reference), sight.nearest_point(position)
     # Plan from whichever is nearer to an obstacle: the reference, or the helicopter that the wind has moved off it.
     at = position if real[0] < planned[0] else reference
     distance, north, east = real if real[0] < planned[0] else planned
-    to_goal = _apart(goal, reference)
+    to_goal = _planar_distance(goal, reference)
 
-    nearer_goal = to_goal < detour.hit_distance - 0.1
-    wide = (clearance + LEAVE_M) * (clearance + LEAVE_M)
-    onward = nearer_goal and sight.onward > wide
-    clear = real[0] > clearance and (onward or (detour.count < 3 and sight.way > wide))
-    clear_s = detour.clear_s + dt if clear else 0.0
+    nearer_goal = to_goal < detour.hit_goal_distance - 0.1
+    wide = (clearance + LEAVE_MARGIN_M) * (clearance + LEAVE_MARGIN_M)
+    onward = nearer_goal and sight.onward_distance_sq > wide
+    clear = real[0] > clearance and (onward or (detour.obstacle_count < 3 and sight.path_distance_sq > wide))
+    clear_s = detour.clear_duration_s + dt if clear else 0.0
     leaving = clear_s > 0.3
 
-    follow = clearance + FOLLOW_M
-    touching = distance < follow + _CONTACT_M
-    goal_blocked = sight.goal < (clearance + ENTER_M) * (clearance + ENTER_M) and to_goal < 1.0
+    follow = clearance + FOLLOW_MARGIN_M
+    touching = distance < follow + _CONTACT_MARGIN_M
+    goal_blocked = (
+        sight.goal_distance_sq < (clearance + BLOCKED_MARGIN_M) * (clearance + BLOCKED_MARGIN_M) and to_goal < 1.0
+    )
     here = (reference[0], reference[1])
     if not leaving and not goal_blocked:
-        detour = _keep_course(detour, here, goal, to_goal, touching, dt)
-    side = detour.side
+        detour = _choose_side(detour, here, goal, to_goal, touching, dt)
+    side = detour.passing_side
 
     vn = ve = 0.0
     if leaving:
@@ -202,16 +221,16 @@ def go_round(
     elif goal_blocked:
         push = min(speed, max(0.0, follow - distance))
         vn, ve = push * north, push * east
-    elif distance < LOOK_M + 0.5:
+    elif distance < LOOK_AHEAD_M + 0.5:
         far, n, e = distance, north, east
         # Off any contour, or where a lap around the wrong one came nearest to the goal: make for the one in the way.
-        block = sight.blocking(at)
-        lost = detour.laps > 0 and nearer_goal and block[0] > follow + 0.05
+        block = sight.nearest_blocker(at)
+        lost = detour.lap_count > 0 and nearer_goal and block[0] > follow + 0.05
         if (lost or not touching) and block[0] < math.inf:
             far, n, e = block
         error = far - follow
-        slant = _norm(error, _LEAN_M)
-        along, inward = _LEAN_M / slant, error / slant  # cos a, sin a
+        slant = _vector_norm(error, _CONTOUR_BLEND_M)
+        along, inward = _CONTOUR_BLEND_M / slant, error / slant  # cos a, sin a
         # Facing the obstacle, along -n, the way to the right is (n_E, -n_N).
         vn = speed * (along * side * e - inward * n)
         ve = speed * (-along * side * n - inward * e)
@@ -219,25 +238,25 @@ def go_round(
         pace = min(speed, 0.5 * to_goal)
         vn, ve = pace * (goal[0] - reference[0]) / to_goal, pace * (goal[1] - reference[1]) / to_goal
 
-    fx, fy = repulsion(ranges, beams, follow)
+    fx, fy = repulsive_force(ranges, beams, follow)
     if fx != 0.0 or fy != 0.0:
         s, c = sine_cosine(heading)
-        vn += _FIELD_GAIN * (c * fx - s * fy)
-        ve += _FIELD_GAIN * (s * fx + c * fy)
-    vn, ve = hold_off(sight, at, (vn, ve), clearance + KEEP_M)
-    fast = _norm(vn, ve)
-    limit = speed * max(0.0, 1.0 - max(0.0, _apart(here, position) - 0.15) / 0.15)
+        vn += _REPULSION_GAIN * (c * fx - s * fy)
+        ve += _REPULSION_GAIN * (s * fx + c * fy)
+    vn, ve = limit_approach_velocity(sight, at, (vn, ve), clearance + KEEP_MARGIN_M)
+    fast = _vector_norm(vn, ve)
+    limit = speed * max(0.0, 1.0 - max(0.0, _planar_distance(here, position) - 0.15) / 0.15)
     if fast > limit:
         vn, ve = vn * limit / fast, ve * limit / fast
 
-    obstacle = detour.obstacle
+    obstacle = detour.obstacle_point
     if distance < 2.0:
         obstacle = (at[0] - distance * north, at[1] - distance * east)
-    moved = _follow(detour, (vn, ve, 0.0), dt)
-    return replace(moved, clear_s=clear_s, leaving=leaving, obstacle=obstacle)
+    moved = _move_reference(detour, (vn, ve, 0.0), dt)
+    return replace(moved, clear_duration_s=clear_s, is_leaving=leaving, obstacle_point=obstacle)
 
 
-def _keep_course(
+def _choose_side(
     detour: Detour,
     here: tuple[float, float],
     goal: tuple[float, float, float],
@@ -246,35 +265,40 @@ def _keep_course(
     dt: float,
 ) -> Detour:
     """Change sides when stuck or far off; after a whole lap leave at the best place that it found."""
-    side, stray, hit_distance = detour.side, detour.stray, detour.hit_distance
-    anchor, anchor_s = detour.anchor, detour.anchor_s + dt
-    if _apart(here, anchor) > 0.25:
+    side, stray, hit_distance = detour.passing_side, detour.max_stray, detour.hit_goal_distance
+    anchor, anchor_s = detour.anchor_point, detour.anchor_duration_s + dt
+    if _planar_distance(here, anchor) > 0.25:
         anchor, anchor_s = here, 0.0
-    elif anchor_s > _STUCK_S:
+    elif anchor_s > _STUCK_TIME_S:
         side, anchor_s = -side, 0.0
-    if _off_course(here, detour.hit, goal) > stray:
+    if _distance_from_line(here, detour.hit_point, goal) > stray:
         side, stray = -side, 2.0 * stray
-    lap, laps, lap_way, best = detour.lap, detour.laps, detour.lap_way, min(detour.best, to_goal)
-    lap_way += _norm(*detour.velocity) * dt
-    if lap is None or side != detour.side:
+    lap, laps, lap_way, best = (
+        detour.lap_start,
+        detour.lap_count,
+        detour.lap_distance,
+        min(detour.least_goal_distance, to_goal),
+    )
+    lap_way += _vector_norm(*detour.velocity) * dt
+    if lap is None or side != detour.passing_side:
         lap, lap_way, best = (here if touching else None), 0.0, to_goal
-    elif lap_way > 1.5 and _apart(here, lap) < 0.3:
+    elif lap_way > 1.5 and _planar_distance(here, lap) < 0.3:
         hit_distance, laps, lap_way, best = best + 0.25, laps + 1, 0.0, to_goal
     return replace(
         detour,
-        side=side,
-        stray=stray,
-        hit_distance=hit_distance,
-        anchor=anchor,
-        anchor_s=anchor_s,
-        lap=lap,
-        laps=laps,
-        lap_way=lap_way,
-        best=best,
+        passing_side=side,
+        max_stray=stray,
+        hit_goal_distance=hit_distance,
+        anchor_point=anchor,
+        anchor_duration_s=anchor_s,
+        lap_start=lap,
+        lap_count=laps,
+        lap_distance=lap_way,
+        least_goal_distance=best,
     )
 
 
-def _off_course(
+def _distance_from_line(
     here: tuple[float, float], start: tuple[float, float], goal: tuple[float, float, float]
 ) -> float:
     """Distance of a point from the straight stretch between two others (m), in the horizontal plane."""
@@ -282,15 +306,15 @@ def _off_course(
     square = n * n + e * e
     share = ((here[0] - start[0]) * n + (here[1] - start[1]) * e) / square if square > 0.0 else 0.0
     share = min(max(share, 0.0), 1.0)
-    return _norm(here[0] - start[0] - share * n, here[1] - start[1] - share * e)
+    return _vector_norm(here[0] - start[0] - share * n, here[1] - start[1] - share * e)
 
 
-def _follow(detour: Detour, wanted: tuple[float, float, float], dt: float) -> Detour:
+def _move_reference(detour: Detour, wanted: tuple[float, float, float], dt: float) -> Detour:
     """Move the reference: velocity follows what is wanted, acceleration limited and low-pass filtered."""
-    ask = [(w - v) / _LAG_S for w, v in zip(wanted, detour.velocity, strict=True)]
-    size = _norm(*ask)
-    scale = min(1.0, BRAKE_M_S2 / size) if size > 0.0 else 0.0
-    blend = 1.0 - decay(dt / _SMOOTH_S)
+    ask = [(w - v) / _VELOCITY_LAG_S for w, v in zip(wanted, detour.velocity, strict=True)]
+    size = _vector_norm(*ask)
+    scale = min(1.0, DETOUR_ACCELERATION_M_S2 / size) if size > 0.0 else 0.0
+    blend = 1.0 - exp_decay(dt / _ACCELERATION_LAG_S)
     (n, e, d), (vn, ve, vd), (an, ae, ad) = detour.position, detour.velocity, detour.acceleration
     an, ae, ad = (
         an + blend * (scale * ask[0] - an),

@@ -18,20 +18,34 @@ from dataclasses import dataclass
 from typing import Any
 
 from mufly.errors import InputError
-from mufly.mission.fence import CIRCLE_IN, CIRCLE_OUT, VERTEX_IN, VERTEX_OUT, fence_of
-from mufly.mission.items import LOCAL_FRAMES, NOT_GIVEN, Item, Origin, Refusal, on_globe, plan_of
-from mufly.mission.schema import Mission
+from mufly.mission.geofence import (
+    EXCLUSION_CIRCLE,
+    EXCLUSION_VERTEX,
+    INCLUSION_CIRCLE,
+    INCLUSION_VERTEX,
+    fence_from_items,
+)
+from mufly.mission.mission_items import (
+    COORDINATE_NOT_GIVEN,
+    LOCAL_FRAMES,
+    GlobalOrigin,
+    MissionItem,
+    MissionRefusedError,
+    is_global,
+    mission_from_items,
+)
+from mufly.mission.mission_schema import Mission
 
 FILE_ENDINGS = (".toml", ".plan", ".waypoints", ".txt")
 """Endings of the mission files that are read."""
 
-FROM_GROUND_FILE = "from a ground station's file"
+GROUND_FILE_DESCRIPTION = "from a ground station's file"
 """So begins the description of a mission that was read from one."""
 
-_HEAD = "QGC WPL"
+_WAYPOINT_FILE_HEADER = "QGC WPL"
 _REMEDY = "change or delete it in the ground station, and save the plan again"
 _NAN = math.nan
-_CARRIED: tuple[str, ...] = ("take_off", "waypoint", "at_end", "fence")
+_TAKEN_TABLES: tuple[str, ...] = ("take_off", "waypoint", "at_end", "fence")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,17 +66,17 @@ class GroundFile:
         Its geofence.
     """
 
-    items: tuple[Item, ...]
-    places: tuple[str, ...]
-    home: Origin | None
-    left_out: tuple[str, ...] = ()
-    fence: tuple[Item, ...] = ()
+    items: tuple[MissionItem, ...]
+    item_locations: tuple[str, ...]
+    home: GlobalOrigin | None
+    ignored_parts: tuple[str, ...] = ()
+    fence_items: tuple[MissionItem, ...] = ()
 
 
 def is_ground_file(text: str) -> bool:
     """Whether a text is a file of another ground station, not TOML."""
     head = text.lstrip("\ufeff \t\r\n")
-    return head.startswith((_HEAD, "{"))
+    return head.startswith((_WAYPOINT_FILE_HEADER, "{"))
 
 
 def read_ground_file(text: str, where: str) -> dict[str, Any]:
@@ -80,51 +94,51 @@ def read_ground_file(text: str, where: str) -> dict[str, Any]:
         Naming the item or line that cannot be read or flown, and what to do.
     """
     head = text.lstrip("\ufeff \t\r\n")
-    found = _waypoint_file(head, where) if head.startswith(_HEAD) else _plan(head, where)
+    found = _parse_waypoint_file(head, where) if head.startswith(_WAYPOINT_FILE_HEADER) else _parse_plan(head, where)
     if not found.items:
         raise InputError(where, "mission", "holds no items", "plan a take-off and waypoints first")
-    home = found.home or _first_place(found.items)
+    home = found.home or _first_global_place(found.items)
     try:
-        plan = plan_of(found.items, Mission(), home)
-    except Refusal as refusal:
-        key = "" if refusal.item is None else found.places[refusal.item]
-        raise InputError(where, key, refusal.why, _remedy(refusal, found)) from None
+        plan = mission_from_items(found.items, Mission(), home)
+    except MissionRefusedError as refusal:
+        key = "" if refusal.item is None else found.item_locations[refusal.item]
+        raise InputError(where, key, refusal.why, _refusal_remedy(refusal, found)) from None
     try:
-        fence = fence_of(found.fence, None, home)
-    except Refusal as refusal:
+        fence = fence_from_items(found.fence_items, None, home)
+    except MissionRefusedError as refusal:
         raise InputError(where, "geoFence", refusal.why, _REMEDY) from None
     tables: dict[str, Any] = plan.mission.with_parts(fence=fence).model_dump(exclude_none=True)
-    kept = {key: tables[key] for key in _CARRIED if key in tables}
-    return {"description": _description(found, home), **kept}
+    kept = {key: tables[key] for key in _TAKEN_TABLES if key in tables}
+    return {"description": _describe_mission(found, home), **kept}
 
 
-def _remedy(refusal: Refusal, found: GroundFile) -> str:
+def _refusal_remedy(refusal: MissionRefusedError, found: GroundFile) -> str:
     item = None if refusal.item is None else found.items[refusal.item]
     if item is not None and item.frame in (10, 11):
         return "set its altitude mode to relative to launch, and save the plan again"
     return _REMEDY
 
 
-def _description(found: GroundFile, home: Origin | None) -> str:
-    words = [FROM_GROUND_FILE]
-    if any(on_globe(item) for item in found.items) and home is not None:
+def _describe_mission(found: GroundFile, home: GlobalOrigin | None) -> str:
+    words = [GROUND_FILE_DESCRIPTION]
+    if any(is_global(item) for item in found.items) and home is not None:
         of = "its planned home" if found.home is not None else "its first waypoint"
         words.append(f"metres from {of}, {home.lat_deg:.7g}, {home.lon_deg:.7g}")
-    words += [f"{part} left out" for part in found.left_out]
+    words += [f"{part} left out" for part in found.ignored_parts]
     return "; ".join(words)
 
 
-def _first_place(items: Sequence[Item]) -> Origin | None:
+def _first_global_place(items: Sequence[MissionItem]) -> GlobalOrigin | None:
     """The first place on the globe, for want of a home."""
-    first = next((i for i in items if on_globe(i) and NOT_GIVEN not in (i.x, i.y)), None)
-    return None if first is None else Origin(first.x / 1e7, first.y / 1e7, 0.0)
+    first = next((i for i in items if is_global(i) and COORDINATE_NOT_GIVEN not in (i.x, i.y)), None)
+    return None if first is None else GlobalOrigin(first.x / 1e7, first.y / 1e7, 0.0)
 
 
 # ---- waypoint files
 
 
-def _waypoint_file(text: str, where: str) -> GroundFile:
-    items: list[Item] = []
+def _parse_waypoint_file(text: str, where: str) -> GroundFile:
+    items: list[MissionItem] = []
     places: list[str] = []
     for k, line in enumerate(text.splitlines()[1:], 2):
         parts = line.split()
@@ -142,35 +156,35 @@ def _waypoint_file(text: str, where: str) -> GroundFile:
             raise InputError(where, key, f"{line.strip()[:60]!r} is no waypoint", remedy) from None
         if numbers[3] == 0.0:
             numbers[3] = _NAN  # these files have no word for "no heading", and their programs write 0
-        items.append(_item(len(items), frame, command, numbers, where, key))
+        items.append(_make_item(len(items), frame, command, numbers, where, key))
         places.append(key)
     home = None
     # Its first line is the home: a waypoint, in height above the sea, before all others.
-    if len(items) > 1 and items[0].command == 16 and items[0].frame in (0, 5) and on_globe(items[0]):
+    if len(items) > 1 and items[0].command == 16 and items[0].frame in (0, 5) and is_global(items[0]):
         first = items.pop(0)
         places.pop(0)
-        home = Origin(first.x / 1e7, first.y / 1e7, first.z if math.isfinite(first.z) else 0.0)
-    numbered = tuple(_numbered(item, k) for k, item in enumerate(items))
+        home = GlobalOrigin(first.x / 1e7, first.y / 1e7, first.z if math.isfinite(first.z) else 0.0)
+    numbered = tuple(_renumber_item(item, k) for k, item in enumerate(items))
     return GroundFile(numbered, tuple(places), home)
 
 
-def _numbered(item: Item, k: int) -> Item:
-    return Item(k, item.frame, item.command, params=item.params, x=item.x, y=item.y, z=item.z)
+def _renumber_item(item: MissionItem, k: int) -> MissionItem:
+    return MissionItem(k, item.frame, item.command, params=item.params, x=item.x, y=item.y, z=item.z)
 
 
-def _item(seq: int, frame: int, command: int, numbers: Sequence[float], where: str, key: str) -> Item:
+def _make_item(seq: int, frame: int, command: int, numbers: Sequence[float], where: str, key: str) -> MissionItem:
     scale = 1e4 if frame in LOCAL_FRAMES else 1e7
-    if any(math.isinf(v) for v in numbers) or any(abs(v) * scale >= NOT_GIVEN for v in numbers[4:6]):
+    if any(math.isinf(v) for v in numbers) or any(abs(v) * scale >= COORDINATE_NOT_GIVEN for v in numbers[4:6]):
         raise InputError(where, key, "has a number that is no place", _REMEDY)
-    x, y = (NOT_GIVEN if math.isnan(v) else round(v * scale) for v in numbers[4:6])
+    x, y = (COORDINATE_NOT_GIVEN if math.isnan(v) else round(v * scale) for v in numbers[4:6])
     p = (numbers[0], numbers[1], numbers[2], numbers[3])
-    return Item(seq, frame, command, params=p, x=x, y=y, z=numbers[6])
+    return MissionItem(seq, frame, command, params=p, x=x, y=y, z=numbers[6])
 
 
 # ---- plans
 
 
-def _plan(text: str, where: str) -> GroundFile:
+def _parse_plan(text: str, where: str) -> GroundFile:
     try:
         content = json.loads(text)
     except ValueError as error:
@@ -178,66 +192,60 @@ def _plan(text: str, where: str) -> GroundFile:
     kind = content.get("fileType") if isinstance(content, dict) else None
     if kind != "Plan":
         problem = "is JSON, but no plan" if kind is None else f"is of the type {str(kind)[:30]!r}, no plan"
-        raise InputError(
-            where, "fileType", problem, "give a QGroundControl plan (.plan), or a mission file in TOML"
-        )
-    mission = _table(content.get("mission"), where, "mission")
-    items: list[Item] = []
+        raise InputError(where, "fileType", problem, "give a QGroundControl plan (.plan), or a mission file in TOML")
+    mission = _require_table(content.get("mission"), where, "mission")
+    items: list[MissionItem] = []
     places: list[str] = []
-    for k, entry in enumerate(_list(mission.get("items"), where, "mission.items"), 1):
-        for one in _simple(_table(entry, where, f"item {k}"), where, f"item {k}"):
-            items.append(_plan_item(len(items), one, where, f"item {k}"))
+    for k, entry in enumerate(_require_list(mission.get("items"), where, "mission.items"), 1):
+        for one in _flatten_items(_require_table(entry, where, f"item {k}"), where, f"item {k}"):
+            items.append(_parse_plan_item(len(items), one, where, f"item {k}"))
             places.append(f"item {k}")
     rally = content.get("rallyPoints")
     points = rally.get("points") if isinstance(rally, dict) else None
     left_out = [f"{len(points)} rally points"] if isinstance(points, list) and points else []
-    home = _place_of(mission.get("plannedHomePosition"))
-    fence = _fence_items(content.get("geoFence"), where)
+    home = _parse_home(mission.get("plannedHomePosition"))
+    fence = _parse_fence_items(content.get("geoFence"), where)
     return GroundFile(tuple(items), tuple(places), home, tuple(left_out), fence)
 
 
-def _fence_items(content: object, where: str) -> tuple[Item, ...]:
+def _parse_fence_items(content: object, where: str) -> tuple[MissionItem, ...]:
     """The zones of a plan's geofence as items."""
     if not isinstance(content, dict):
         return ()
     made: list[tuple[int, float, object]] = []
     for k, zone in enumerate(content.get("polygons") or (), 1):
-        table = _table(zone, where, f"geoFence.polygons[{k}]")
-        corners = _list(table.get("polygon"), where, f"geoFence.polygons[{k}]")
-        command = VERTEX_IN if table.get("inclusion", True) else VERTEX_OUT
+        table = _require_table(zone, where, f"geoFence.polygons[{k}]")
+        corners = _require_list(table.get("polygon"), where, f"geoFence.polygons[{k}]")
+        command = INCLUSION_VERTEX if table.get("inclusion", True) else EXCLUSION_VERTEX
         made += [(command, float(len(corners)), corner) for corner in corners]
     for k, zone in enumerate(content.get("circles") or (), 1):
-        table = _table(zone, where, f"geoFence.circles[{k}]")
-        circle = _table(table.get("circle"), where, f"geoFence.circles[{k}]")
+        table = _require_table(zone, where, f"geoFence.circles[{k}]")
+        circle = _require_table(table.get("circle"), where, f"geoFence.circles[{k}]")
         radius = circle.get("radius")
-        command = CIRCLE_IN if table.get("inclusion", True) else CIRCLE_OUT
-        made.append(
-            (command, float(radius) if isinstance(radius, int | float) else _NAN, circle.get("center"))
-        )
+        command = INCLUSION_CIRCLE if table.get("inclusion", True) else EXCLUSION_CIRCLE
+        made.append((command, float(radius) if isinstance(radius, int | float) else _NAN, circle.get("center")))
     items = []
     for k, (command, first, place) in enumerate(made):
-        at = _place_of(place)
+        at = _parse_home(place)
         if at is None:
             raise InputError(where, "geoFence", f"{place!r:.40} is no place", "save the plan again")
-        items.append(
-            _item(k, 0, command, (first, 0.0, 0.0, 0.0, at.lat_deg, at.lon_deg, 0.0), where, "geoFence")
-        )
+        items.append(_make_item(k, 0, command, (first, 0.0, 0.0, 0.0, at.lat_deg, at.lon_deg, 0.0), where, "geoFence"))
     return tuple(items)
 
 
-def _simple(entry: Mapping[str, Any], where: str, key: str) -> list[Mapping[str, Any]]:
+def _flatten_items(entry: Mapping[str, Any], where: str, key: str) -> list[Mapping[str, Any]]:
     """The simple items of one entry: itself, or those that a survey was made into."""
     if entry.get("type") != "ComplexItem":
         return [entry]
     made = entry.get("TransectStyleComplexItem")
     parts = made.get("Items") if isinstance(made, dict) else None
     if isinstance(parts, list) and parts:
-        return [_table(part, where, key) for part in parts]
+        return [_require_table(part, where, key) for part in parts]
     kind = str(entry.get("complexItemType", "complex item"))[:40]
     raise InputError(where, key, f"a {kind} cannot be flown", "plan simple waypoints in its place")
 
 
-def _plan_item(seq: int, entry: Mapping[str, Any], where: str, key: str) -> Item:
+def _parse_plan_item(seq: int, entry: Mapping[str, Any], where: str, key: str) -> MissionItem:
     frame, command, params = entry.get("frame"), entry.get("command"), entry.get("params")
     whole = all(isinstance(v, int) and not isinstance(v, bool) for v in (frame, command))
     if not whole or not isinstance(params, list) or len(params) != 7:
@@ -248,28 +256,26 @@ def _plan_item(seq: int, entry: Mapping[str, Any], where: str, key: str) -> Item
         raise InputError(where, key, "has params that are no numbers", "save the plan again") from None
     assert isinstance(frame, int)
     assert isinstance(command, int)
-    return _item(seq, frame, command, numbers, where, key)
+    return _make_item(seq, frame, command, numbers, where, key)
 
 
-def _place_of(value: object) -> Origin | None:
+def _parse_home(value: object) -> GlobalOrigin | None:
     """A home, unless it is missing, zero or no place."""
     if not isinstance(value, list) or len(value) < 2:
         return None
-    numbers = [
-        float(v) if isinstance(v, int | float) and not isinstance(v, bool) else _NAN for v in value[:3]
-    ]
+    numbers = [float(v) if isinstance(v, int | float) and not isinstance(v, bool) else _NAN for v in value[:3]]
     lat, lon, alt = [*numbers, 0.0][:3]
     known = abs(lat) <= 85.0 and abs(lon) <= 180.0 and (lat, lon) != (0.0, 0.0)
-    return Origin(lat, lon, alt if math.isfinite(alt) else 0.0) if known else None
+    return GlobalOrigin(lat, lon, alt if math.isfinite(alt) else 0.0) if known else None
 
 
-def _table(value: object, where: str, key: str) -> Mapping[str, Any]:
+def _require_table(value: object, where: str, key: str) -> Mapping[str, Any]:
     if not isinstance(value, dict):
         raise InputError(where, key, "is missing or no table", "save the plan again in QGroundControl")
     return value
 
 
-def _list(value: object, where: str, key: str) -> list[Any]:
+def _require_list(value: object, where: str, key: str) -> list[Any]:
     if not isinstance(value, list):
         raise InputError(where, key, "is missing or no list", "save the plan again in QGroundControl")
     return value

@@ -24,22 +24,22 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mufly.mission.schema import LOWEST_M
-from mufly.mission.trajectory import Limits, Point, Triple, shorter_way_round
-from mufly.trigonometry import decay, length
+from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M
+from mufly.mission.trajectory import TrajectoryLimits, TrajectoryPoint, Triple, wrap_turn
+from mufly.portable_math import exp_decay, vector_length
 
-HIGHEST_M = 50.0
+MAX_HEIGHT_M = 50.0
 """Greatest height of a reference above the floor (m)."""
 
-BANDWIDTH = 3.0
+TRACKER_BANDWIDTH_RAD_S = 3.0
 """b (rad/s): half of what the position loop has, so that the loop does not lag behind the end of a braking."""
 
-_STEP_S = 0.02
-_TRAILS_M = 0.5
-_SMOOTH_S = 0.08
-_FAR_M, _FAST_M_S, _FAST_RAD_S = 1e4, 50.0, 50.0
+_MAX_STEP_S = 0.02
+_MAX_LAG_M = 0.5
+_ACCELERATION_LAG_S = 0.08
+_MAX_POSITION_M, _MAX_SPEED_M_S, _MAX_YAW_RATE_RAD_S = 1e4, 50.0, 50.0
 
-_NAN = (math.nan, math.nan, math.nan)
+_NOT_GIVEN = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +61,9 @@ class SetPoint:
     yaw_rate_rad_s: float | None = None
 
 
-def fault_of(s: SetPoint) -> str:
+def set_point_fault(s: SetPoint) -> str:
     """What is wrong with a set-point, in words; "" if nothing is."""
-    position, velocity = s.position_m or _NAN, s.velocity_m_s or _NAN
+    position, velocity = s.position_m or _NOT_GIVEN, s.velocity_m_s or _NOT_GIVEN
     if len(position) != 3 or len(velocity) != 3:
         return "position and velocity need three numbers each, N, E, D"
     turn = (
@@ -73,10 +73,10 @@ def fault_of(s: SetPoint) -> str:
     if all(math.isnan(v) for v in (*position, *velocity, *turn)):
         return "it says nothing; give a position, a velocity, a heading or a rate of turn"
     for name, values, most in (
-        ("position", position, _FAR_M),
-        ("velocity", velocity, _FAST_M_S),
-        ("heading", turn[:1], _FAR_M),
-        ("rate of turn", turn[1:], _FAST_RAD_S),
+        ("position", position, _MAX_POSITION_M),
+        ("velocity", velocity, _MAX_SPEED_M_S),
+        ("heading", turn[:1], _MAX_POSITION_M),
+        ("rate of turn", turn[1:], _MAX_YAW_RATE_RAD_S),
     ):
         for v in values:
             if abs(v) > most:
@@ -84,20 +84,20 @@ def fault_of(s: SetPoint) -> str:
     return ""
 
 
-def wants_up(s: SetPoint, standing: Triple) -> bool:
+def needs_lift_off(s: SetPoint, standing: Triple) -> bool:
     """Whether a helicopter that stands at ``standing`` (N, E, D; m) has to lift off for it."""
-    higher = s.position_m is not None and s.position_m[2] < min(standing[2] - 0.1, -LOWEST_M + 1e-9)
+    higher = s.position_m is not None and s.position_m[2] < min(standing[2] - 0.1, -MIN_WAYPOINT_HEIGHT_M + 1e-9)
     return higher or (s.velocity_m_s is not None and s.velocity_m_s[2] < -0.01)
 
 
-def follow(
-    tracker: Point,
+def follow_set_point(
+    tracker: TrajectoryPoint,
     wanted: SetPoint,
-    limits: Limits,
+    limits: TrajectoryLimits,
     measured: tuple[float, ...],
     dt: float,
     hold_off: Callable[[float, float], tuple[float, float]] | None = None,
-) -> Point:
+) -> TrajectoryPoint:
     """Advance the reference.
 
     Parameters
@@ -115,54 +115,57 @@ def follow(
     hold_off : callable, optional
         Changes a wanted velocity N, E (m/s) to one that hits nothing.
     """
-    parts = max(1, math.ceil(dt / _STEP_S - 1e-9))
+    parts = max(1, math.ceil(dt / _MAX_STEP_S - 1e-9))
     for _ in range(parts if dt > 0.0 else 0):
-        tracker = _part(tracker, wanted, limits, measured, dt / parts, hold_off)
+        tracker = _step_set_point(tracker, wanted, limits, measured, dt / parts, hold_off)
     return tracker
 
 
-def _part(
-    t: Point,
+def _step_set_point(
+    t: TrajectoryPoint,
     wanted: SetPoint,
-    limits: Limits,
+    limits: TrajectoryLimits,
     measured: tuple[float, ...],
     dt: float,
     hold_off: Callable[[float, float], tuple[float, float]] | None,
-) -> Point:
-    target, given = wanted.position_m or _NAN, wanted.velocity_m_s or _NAN
+) -> TrajectoryPoint:
+    target, given = wanted.position_m or _NOT_GIVEN, wanted.velocity_m_s or _NOT_GIVEN
     (n, e, d), (vn, ve, vd) = t.position, t.velocity
-    trails = length(n - measured[0], e - measured[1], d - measured[2])
-    share = min(1.0, max(0.0, 2.0 - trails / _TRAILS_M))
+    trails = vector_length(n - measured[0], e - measured[1], d - measured[2])
+    share = min(1.0, max(0.0, 2.0 - trails / _MAX_LAG_M))
 
-    gn, ge = _gap(target[0], n), _gap(target[1], e)
-    gap = length(gn, ge)
-    pace = min(_approach(gap, limits.acceleration), limits.speed) / gap if gap > 0.0 else 0.0
+    gn, ge = _gap_to(target[0], n), _gap_to(target[1], e)
+    gap = vector_length(gn, ge)
+    pace = min(_approach_speed(gap, limits.acceleration), limits.speed) / gap if gap > 0.0 else 0.0
     wn, we = _or_zero(given[0]) + pace * gn, _or_zero(given[1]) + pace * ge
     if hold_off is not None:
         wn, we = hold_off(wn, we)
-    fast = length(wn, we)
+    fast = vector_length(wn, we)
     slow = share * (limits.speed / fast if fast > limits.speed else 1.0)
-    an, ae = _acceleration(slow * wn - vn, slow * we - ve, limits.acceleration, dt)
+    an, ae = _limited_acceleration(slow * wn - vn, slow * we - ve, limits.acceleration, dt)
 
     # The greatest height first: where both are broken (a mad estimate), down is wrong and up is worse.
-    goal = min(max(target[2], -HIGHEST_M), -LOWEST_M)
-    gd = _gap(goal, d) if not math.isnan(target[2]) else 0.0
-    wd = _or_zero(given[2]) + math.copysign(_approach(abs(gd), limits.climb_acceleration), gd)
+    goal = min(max(target[2], -MAX_HEIGHT_M), -MIN_WAYPOINT_HEIGHT_M)
+    gd = _gap_to(goal, d) if not math.isnan(target[2]) else 0.0
+    wd = _or_zero(given[2]) + math.copysign(_approach_speed(abs(gd), limits.climb_acceleration), gd)
     wd = min(max(wd, -limits.climb), limits.descent)
-    wd = min(max(wd, _toward(-HIGHEST_M - d, limits)), _toward(-LOWEST_M - d, limits))
-    ad, _ = _acceleration(share * wd - vd, 0.0, limits.climb_acceleration, dt)
+    wd = min(
+        max(wd, _bound_velocity(-MAX_HEIGHT_M - d, limits)),
+        _bound_velocity(-MIN_WAYPOINT_HEIGHT_M - d, limits),
+    )
+    ad, _ = _limited_acceleration(share * wd - vd, 0.0, limits.climb_acceleration, dt)
 
     heading = wanted.heading_rad
-    turn = 0.0 if heading is None or math.isnan(heading) else shorter_way_round(heading - t.heading)
+    turn = 0.0 if heading is None or math.isnan(heading) else wrap_turn(heading - t.heading)
     rate = _or_zero(math.nan if wanted.yaw_rate_rad_s is None else wanted.yaw_rate_rad_s)
-    rate += math.copysign(_approach(abs(turn), limits.yaw_acceleration), turn)
+    rate += math.copysign(_approach_speed(abs(turn), limits.yaw_acceleration), turn)
     rate = min(max(rate, -limits.yaw_rate), limits.yaw_rate)
-    yaw, _ = _acceleration(rate - t.heading_rate, 0.0, limits.yaw_acceleration, dt)
+    yaw, _ = _limited_acceleration(rate - t.heading_rate, 0.0, limits.yaw_acceleration, dt)
 
-    blend = 1.0 - decay(dt / _SMOOTH_S)
+    blend = 1.0 - exp_decay(dt / _ACCELERATION_LAG_S)
     sn, se, sd = (s + blend * (a - s) for s, a in zip(t.acceleration, (an, ae, ad), strict=True))
     vn, ve, vd, psi_rate = vn + dt * an, ve + dt * ae, vd + dt * ad, t.heading_rate + dt * yaw
-    return Point(
+    return TrajectoryPoint(
         (n + dt * vn, e + dt * ve, d + dt * vd),
         (vn, ve, vd),
         (sn, se, sd),
@@ -171,7 +174,7 @@ def _part(
     )
 
 
-def _gap(target: float, at: float) -> float:
+def _gap_to(target: float, at: float) -> float:
     return 0.0 if math.isnan(target) else target - at
 
 
@@ -179,21 +182,21 @@ def _or_zero(x: float) -> float:
     return 0.0 if math.isnan(x) else x
 
 
-def _approach(gap: float, acceleration: float) -> float:
+def _approach_speed(gap: float, acceleration: float) -> float:
     """s(g): speed from which half the acceleration brakes in time."""
-    half, slope = 0.5 * acceleration, 0.5 * BANDWIDTH
+    half, slope = 0.5 * acceleration, 0.5 * TRACKER_BANDWIDTH_RAD_S
     linear = half / (slope * slope)
     return slope * gap if gap < linear else math.sqrt(2.0 * half * (gap - 0.5 * linear))
 
 
-def _toward(gap: float, limits: Limits) -> float:
+def _bound_velocity(gap: float, limits: TrajectoryLimits) -> float:
     """Velocity with which a bound at ``gap`` (m, down) may be approached, or has to be returned to."""
-    return math.copysign(_approach(abs(gap), limits.climb_acceleration), gap)
+    return math.copysign(_approach_speed(abs(gap), limits.climb_acceleration), gap)
 
 
-def _acceleration(dx: float, dy: float, most: float, dt: float) -> tuple[float, float]:
+def _limited_acceleration(dx: float, dy: float, most: float, dt: float) -> tuple[float, float]:
     """Acceleration towards a change of velocity (dx, dy): at most ``most``, and never past it."""
-    gain = min(2.0 * BANDWIDTH, 1.0 / dt)
-    size = gain * length(dx, dy)
+    gain = min(2.0 * TRACKER_BANDWIDTH_RAD_S, 1.0 / dt)
+    size = gain * vector_length(dx, dy)
     scale = gain * (most / size if size > most else 1.0)
     return scale * dx, scale * dy

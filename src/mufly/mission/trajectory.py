@@ -19,14 +19,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.trigonometry import direction, length, wrapped
+from mufly.portable_math import portable_atan2, vector_length, wrap_angle
 
 Triple = tuple[float, float, float]
-_PEAK = 15.0 / 8.0
+_PEAK_SPEED_RATIO = 15.0 / 8.0
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class MotionProfile:
     """Way over time, from rest to rest.
 
     Attributes
@@ -39,8 +39,8 @@ class Profile:
         Duration of one ramp and of the cruise (s).
     """
 
-    way: float
-    speed: float
+    distance: float
+    peak_speed: float
     ramp_s: float
     cruise_s: float
 
@@ -49,25 +49,25 @@ class Profile:
         """Time from rest to rest (s)."""
         return 2.0 * self.ramp_s + self.cruise_s
 
-    def at(self, t: float) -> Triple:
+    def evaluate(self, t: float) -> Triple:
         """Way, speed and acceleration at time ``t`` (s); at rest before 0 and after the end."""
         ramp = self.ramp_s
         if t <= 0.0 or ramp == 0.0:
-            return (0.0 if t <= 0.0 else self.way), 0.0, 0.0
+            return (0.0 if t <= 0.0 else self.distance), 0.0, 0.0
         left = 2.0 * ramp + self.cruise_s - t
         if left <= 0.0:
-            return self.way, 0.0, 0.0
+            return self.distance, 0.0, 0.0
         if t >= ramp and left >= ramp:
-            return self.speed * (t - 0.5 * ramp), self.speed, 0.0
+            return self.peak_speed * (t - 0.5 * ramp), self.peak_speed, 0.0
         x = min(t, left) / ramp
         x2 = x * x
-        way = self.speed * ramp * x2 * x2 * (2.5 - 3.0 * x + x2)
-        speed = self.speed * x2 * x * (10.0 - 15.0 * x + 6.0 * x2)
-        acceleration = self.speed / ramp * 30.0 * x2 * ((1.0 - x) * (1.0 - x))
-        return (way, speed, acceleration) if t < left else (self.way - way, speed, -acceleration)
+        way = self.peak_speed * ramp * x2 * x2 * (2.5 - 3.0 * x + x2)
+        speed = self.peak_speed * x2 * x * (10.0 - 15.0 * x + 6.0 * x2)
+        acceleration = self.peak_speed / ramp * 30.0 * x2 * ((1.0 - x) * (1.0 - x))
+        return (way, speed, acceleration) if t < left else (self.distance - way, speed, -acceleration)
 
 
-def profile(way: float, speed: float, acceleration: float) -> Profile:
+def make_profile(way: float, speed: float, acceleration: float) -> MotionProfile:
     """Make the quickest profile of this family.
 
     Parameters
@@ -83,13 +83,13 @@ def profile(way: float, speed: float, acceleration: float) -> Profile:
         Its speed and acceleration never exceed the limits and reach at least one of them.
     """
     if way <= 0.0:
-        return Profile(0.0, 0.0, 0.0, 0.0)
-    peak = min(speed, math.sqrt(acceleration * way / _PEAK))
-    ramp = _PEAK * peak / acceleration
-    return Profile(way, peak, ramp, max(0.0, way / peak - ramp))
+        return MotionProfile(0.0, 0.0, 0.0, 0.0)
+    peak = min(speed, math.sqrt(acceleration * way / _PEAK_SPEED_RATIO))
+    ramp = _PEAK_SPEED_RATIO * peak / acceleration
+    return MotionProfile(way, peak, ramp, max(0.0, way / peak - ramp))
 
 
-def step_down(x: float) -> Triple:
+def smooth_step_down(x: float) -> Triple:
     """Smooth step from 1 to 0 over x in [0, 1]: value 1 - S, its slope, and its integral from 0 to x."""
     if x <= 0.0:
         return 1.0, 0.0, 0.0
@@ -103,9 +103,9 @@ def step_down(x: float) -> Triple:
     )
 
 
-def step_down_way(speed: float, acceleration: float) -> tuple[float, float]:
-    """Time (s) and way to stop from ``speed`` with `step_down` and no more than ``acceleration``."""
-    duration = _PEAK * abs(speed) / acceleration
+def smooth_stop_distance(speed: float, acceleration: float) -> tuple[float, float]:
+    """Time (s) and way to stop from ``peak_speed`` with `smooth_step_down` and no more than ``acceleration``."""
+    duration = _PEAK_SPEED_RATIO * abs(speed) / acceleration
     return duration, 0.5 * abs(speed) * duration
 
 
@@ -120,7 +120,7 @@ def step_down_way(speed: float, acceleration: float) -> tuple[float, float]:
 # velocities are read here. (T x Q) x T / |T|^4 is the curvature vector: it points to the centre of curvature and its
 # length is one over the radius.
 #
-# Flying it: the way s(t) along the curve follows a `Profile`, x = P(u(s)), so that
+# Flying it: the way s(t) along the curve follows a `MotionProfile`, x = P(u(s)), so that
 #
 #     v = s' T/|T|,   a = s'' T/|T| + s'^2 K.
 #
@@ -130,13 +130,13 @@ def step_down_way(speed: float, acceleration: float) -> tuple[float, float]:
 
 
 _Array = NDArray[np.float64]
-_Cubic = tuple[float, float, float, float]
-_PIECES = 32
+_CubicCoefficients = tuple[float, float, float, float]
+_ARC_PIECES = 32
 """Of the table of arc lengths; also the steps in which the worst points of a curve are sought."""
-_HALVINGS = 5
+_REFINE_HALVINGS = 5
 """Of a step, around each worst point."""
-_NODES = tuple(float.fromhex(x) for x in ("-0x1.8c97ef43f7248p-1", "0x0.0p+0", "0x1.8c97ef43f7248p-1"))
-_WEIGHTS = tuple(
+_GAUSS_NODES = tuple(float.fromhex(x) for x in ("-0x1.8c97ef43f7248p-1", "0x0.0p+0", "0x1.8c97ef43f7248p-1"))
+_GAUSS_WEIGHTS = tuple(
     float.fromhex(x) for x in ("0x1.1c71c71c71c72p-1", "0x1.c71c71c71c71cp-1", "0x1.1c71c71c71c72p-1")
 )
 """Of Gauss and Legendre, three points; written out, so that they are the same everywhere."""
@@ -144,58 +144,58 @@ _TINY = 1e-9
 
 
 @dataclass(frozen=True)
-class Spline:
+class CubicSpline:
     """One cubic piece; ``coefficients`` is the (4, 3) array A, B, C, D of eq. 6.12."""
 
     coefficients: _Array
 
-    def at(self, t: ArrayLike) -> tuple[_Array, _Array, _Array]:
+    def evaluate(self, t: ArrayLike) -> tuple[_Array, _Array, _Array]:
         """Point P, tangent T and second derivative Q, each (..., 3), at parameters ``t`` (...)."""
         a, b, c, d = self.coefficients
         u = np.asarray(t, dtype=np.float64)[..., None]
         return ((a * u + b) * u + c) * u + d, (3.0 * a * u + 2.0 * b) * u + c, 6.0 * a * u + 2.0 * b
 
-    def curvature(self, t: ArrayLike) -> _Array:
+    def curvature_vector(self, t: ArrayLike) -> _Array:
         """Curvature vectors K (..., 3) in 1/m (eq. 6.13); zero where the tangent vanishes."""
-        _, tangent, second = self.at(t)
-        square = _square(tangent)[..., None]
+        _, tangent, second = self.evaluate(t)
+        square = _squared_length(tangent)[..., None]
         bend = np.cross(np.cross(tangent, second), tangent)
         return np.divide(bend, square * square, out=np.zeros_like(bend), where=square > 1e-12)
 
 
-def spline(x0: ArrayLike, xg: ArrayLike, dx0: ArrayLike, dxg: ArrayLike) -> Spline:
+def make_spline(x0: ArrayLike, xg: ArrayLike, dx0: ArrayLike, dxg: ArrayLike) -> CubicSpline:
     """Cubic from x0 to xg (3,) with boundary derivatives dx0 and dxg (3,) (eq. 6.12).
 
     Thesis: eqs 6.11 to 6.13; Fig. 6.16.
     """
     p, g, dp, dg = (np.asarray(v, dtype=np.float64) for v in (x0, xg, dx0, dxg))
-    return Spline(np.stack([2.0 * (p - g) + dp + dg, 3.0 * (g - p) - 2.0 * dp - dg, dp, p]))
+    return CubicSpline(np.stack([2.0 * (p - g) + dp + dg, 3.0 * (g - p) - 2.0 * dp - dg, dp, p]))
 
 
-def _square(x: _Array) -> _Array:
+def _squared_length(x: _Array) -> _Array:
     """Sum of squares over the last axis of three, from left to right."""
     return x[..., 0] * x[..., 0] + x[..., 1] * x[..., 1] + x[..., 2] * x[..., 2]
 
 
-class SplinePath(NamedTuple):
+class TimedSpline(NamedTuple):
     """A spline with its timing, laid out for quick evaluation."""
 
-    coefficients: tuple[_Cubic, ...]
+    coefficients: tuple[_CubicCoefficients, ...]
     """A, B, C, D for each axis."""
-    arc: tuple[float, ...]
+    arc_lengths: tuple[float, ...]
     """Arc length at equal steps of the parameter (m)."""
-    timing: Profile
+    speed_profile: MotionProfile
 
-    def at(self, t: float) -> tuple[Triple, Triple, Triple]:
+    def evaluate(self, t: float) -> tuple[Triple, Triple, Triple]:
         """Position, velocity and acceleration (3 each; m, m/s, m/s2) at time ``t`` (s)."""
-        s, ds, dds = self.timing.at(t)
-        arc = self.arc
-        k = min(max(bisect.bisect_right(arc, s) - 1, 0), _PIECES - 1)
-        u = (k + (s - arc[k]) / (arc[k + 1] - arc[k])) / _PIECES
+        s, ds, dds = self.speed_profile.evaluate(t)
+        arc = self.arc_lengths
+        k = min(max(bisect.bisect_right(arc, s) - 1, 0), _ARC_PIECES - 1)
+        u = (k + (s - arc[k]) / (arc[k + 1] - arc[k])) / _ARC_PIECES
         p, q, r = self.coefficients
         # The table inverts s(u) linearly; a Newton step with the arc up to u makes it smooth.
-        u -= (self._arc_at(k, u) - s) / _speed_at(self.coefficients, u)
-        tn, te, td = (_slope(c, u) for c in (p, q, r))
+        u -= (self._arc_length_at(k, u) - s) / _tangent_length(self.coefficients, u)
+        tn, te, td = (_cubic_derivative(c, u) for c in (p, q, r))
         square = tn * tn + te * te + td * td
         tangent = math.sqrt(square)
         bn, be, bd = (6.0 * c[0] * u + 2.0 * c[1] for c in (p, q, r))
@@ -210,35 +210,35 @@ class SplinePath(NamedTuple):
         )
         return (n, e, d), velocity, acceleration
 
-    def _arc_at(self, k: int, u: float) -> float:
-        start = k / _PIECES
-        return self.arc[k] + _arc_from(self.coefficients, start, 0.5 * (u - start))
+    def _arc_length_at(self, k: int, u: float) -> float:
+        start = k / _ARC_PIECES
+        return self.arc_lengths[k] + _arc_length(self.coefficients, start, 0.5 * (u - start))
 
 
-def _slope(c: _Cubic, u: float) -> float:
+def _cubic_derivative(c: _CubicCoefficients, u: float) -> float:
     return (3.0 * c[0] * u + 2.0 * c[1]) * u + c[2]
 
 
-def _speed_at(cubics: tuple[_Cubic, ...], u: float) -> float:
+def _tangent_length(cubics: tuple[_CubicCoefficients, ...], u: float) -> float:
     """Length of the tangent."""
-    n, e, d = (_slope(c, u) for c in cubics)
+    n, e, d = (_cubic_derivative(c, u) for c in cubics)
     return math.sqrt(n * n + e * e + d * d)
 
 
-def _arc_from(cubics: tuple[_Cubic, ...], u: float, half: float) -> float:
+def _arc_length(cubics: tuple[_CubicCoefficients, ...], u: float, half: float) -> float:
     """Arc length from a parameter on, over twice ``half``."""
     total = 0.0
-    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-        total += weight * _speed_at(cubics, u + half * (1.0 + node))
+    for node, weight in zip(_GAUSS_NODES, _GAUSS_WEIGHTS, strict=True):
+        total += weight * _tangent_length(cubics, u + half * (1.0 + node))
     return half * total
 
 
-def _asks(cubics: tuple[_Cubic, ...], u: float) -> tuple[float, tuple[float, float, float, float]]:
+def _curve_demands(cubics: tuple[_CubicCoefficients, ...], u: float) -> tuple[float, tuple[float, float, float, float]]:
     """Square of the tangent's length; shares of the speed that are level, rise and sink, and curvature, all squared.
 
     Of rising and sinking, one is negative. Zero where there is no tangent.
     """
-    n, e, d = (_slope(c, u) for c in cubics)
+    n, e, d = (_cubic_derivative(c, u) for c in cubics)
     square = n * n + e * e + d * d
     if square <= 1e-12:
         return square, (0.0, 0.0, 0.0, 0.0)
@@ -249,34 +249,34 @@ def _asks(cubics: tuple[_Cubic, ...], u: float) -> tuple[float, tuple[float, flo
     return square, ((n * n + e * e) / square, -sink, sink, bend)
 
 
-def _worst(cubics: tuple[_Cubic, ...]) -> tuple[float, list[float]]:
+def _find_extreme_demands(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
     """Least and greatest of what the points of a curve ask.
 
     Each greatest one is sought in equal steps, and in halves of a step to either side of the best yet.
     """
     least, worst, where = math.inf, [0.0] * 4, [0.0] * 4
-    for k in range(_PIECES + 1):
-        u = k / _PIECES
-        square, asks = _asks(cubics, u)
+    for k in range(_ARC_PIECES + 1):
+        u = k / _ARC_PIECES
+        square, asks = _curve_demands(cubics, u)
         least = min(least, square)
         for j in range(4):
             if asks[j] > worst[j]:
                 worst[j], where[j] = asks[j], u
     for j in range(4):
-        step = 1.0 / _PIECES
-        for _ in range(_HALVINGS if worst[j] > 0.0 else 0):
+        step = 1.0 / _ARC_PIECES
+        for _ in range(_REFINE_HALVINGS if worst[j] > 0.0 else 0):
             step, middle = 0.5 * step, where[j]
             for u in (middle - step, middle + step):
-                square, asks = _asks(cubics, u)
+                square, asks = _curve_demands(cubics, u)
                 if 0.0 <= u <= 1.0 and asks[j] > worst[j]:
                     least = min(least, square)
                     worst[j], where[j] = asks[j], u
     return least, worst
 
 
-def spline_path(
-    curve: Spline, *, speed: float, climb: float, descent: float, acceleration: float
-) -> SplinePath | None:
+def time_spline(
+    curve: CubicSpline, *, speed: float, climb: float, descent: float, acceleration: float
+) -> TimedSpline | None:
     """Time-parametrise a spline, from rest to rest, within limits.
 
     Parameters
@@ -294,39 +294,39 @@ def spline_path(
         None where the curve has a point without tangent (a cusp or no length) or so tight a bend that it would
         have to be flown below 5 cm/s; a straight line is the better way then.
     """
-    return Unmade(_cubics(curve), speed, climb, descent, acceleration).made()
+    return PendingCurve(_axis_cubics(curve), speed, climb, descent, acceleration).time_curve()
 
 
-def _cubics(curve: Spline) -> tuple[_Cubic, ...]:
+def _axis_cubics(curve: CubicSpline) -> tuple[_CubicCoefficients, ...]:
     n, e, d = curve.coefficients.T.tolist()
     return tuple(n), tuple(e), tuple(d)
 
 
-class Unmade(NamedTuple):
+class PendingCurve(NamedTuple):
     """A curve whose length and bends have not been looked at yet.
 
     On board that is too much for one period: it is done in those that follow (``trajectory.c``).
     """
 
-    coefficients: tuple[_Cubic, ...]
+    coefficients: tuple[_CubicCoefficients, ...]
     """A, B, C, D for each axis."""
     speed: float
     climb: float
     descent: float
     acceleration: float
 
-    def made(self) -> SplinePath | None:
-        """As :func:`spline_path`."""
-        return _timed(*self)
+    def time_curve(self) -> TimedSpline | None:
+        """As :func:`time_spline`."""
+        return _time_curve(*self)
 
 
-def _timed(
-    cubics: tuple[_Cubic, ...], speed: float, climb: float, descent: float, acceleration: float
-) -> SplinePath | None:
+def _time_curve(
+    cubics: tuple[_CubicCoefficients, ...], speed: float, climb: float, descent: float, acceleration: float
+) -> TimedSpline | None:
     arc = [0.0]
-    for k in range(_PIECES):
-        arc.append(arc[k] + _arc_from(cubics, k / _PIECES, 0.5 / _PIECES))
-    least, (level, rise, sink, bend) = _worst(cubics)
+    for k in range(_ARC_PIECES):
+        arc.append(arc[k] + _arc_length(cubics, k / _ARC_PIECES, 0.5 / _ARC_PIECES))
+    least, (level, rise, sink, bend) = _find_extreme_demands(cubics)
     if math.sqrt(least) < 0.05 * max(arc[-1], _TINY):
         return None
     share = acceleration / math.sqrt(2.0)
@@ -338,26 +338,26 @@ def _timed(
     )
     if peak < 0.05:
         return None
-    return SplinePath(cubics, tuple(arc), profile(arc[-1], peak, share))
+    return TimedSpline(cubics, tuple(arc), make_profile(arc[-1], peak, share))
 
 
 # ----------------------------------------------------------------------------
 # Trajectories: where to be, how fast, and where to look, as functions of time.
 #
 # muFly reaches a waypoint in the simplest way (Sec. 6.2.2): first it adapts heading and height on the spot, then it
-# flies a straight level line. A cubic spline through the waypoints is the other kind. Either is a `Trajectory` of two
-# parts: on the spot (height and heading together) up to `gate_s`, then the way. The one who flies it holds the clock
-# at the gate until the helicopter is there in fact, which is the thesis's "if the desired point is reached".
+# flies a straight level line. A cubic spline through the waypoints is the other kind. Either is a `Trajectory` of
+# two parts: on the spot (height and heading together) up to `departure_s`, then the way. The one who flies it holds the
+# clock at the gate until the helicopter is there in fact, which is the thesis's "if the desired point is reached".
 #
-# Every part runs from rest to rest with continuous acceleration (`profile`). A turn takes the shorter way round; the
-# heading is continuous with the one it started from (it may pass +-pi and go on).
+# Every part runs from rest to rest with continuous acceleration (`make_profile`). A turn takes the shorter way round;
+# the heading is continuous with the one it started from (it may pass +-pi and go on).
 
 
-_SPOT = 1e-3
+_MIN_DISTANCE_M = 1e-3
 """Ways shorter than this (m) are no ways: there is no direction to look in."""
 
 
-class Point(NamedTuple):
+class TrajectoryPoint(NamedTuple):
     """A trajectory at one instant: N-E-D in m, m/s and m/s2; heading in rad and rad/s."""
 
     position: Triple
@@ -368,7 +368,7 @@ class Point(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class TrajectoryLimits:
     """What a trajectory may ask for, SI units.
 
     Attributes
@@ -409,89 +409,89 @@ class Trajectory:
     curve : SplinePath or None
         Flown in place of the line.
     lead : Stop or None
-        Braking that comes first; `gate_s` and `duration_s` include it.
+        Braking that comes first; `departure_s` and `duration_s` include it.
     unmade : Unmade or None
-        The curve that it is to be once :meth:`made`; until then a line.
+        The curve that it is to be once :meth:`finish_curve`; until then a line.
 
     Thesis: Fig. 6.17; Sec. 6.2.2.
     """
 
     start: Triple
     goal: Triple
-    heading: float
-    turn: float
-    rise: Profile
-    yaw: Profile
-    way: Profile
-    gate_s: float
+    start_heading: float
+    turn_angle: float
+    height_profile: MotionProfile
+    yaw_profile: MotionProfile
+    path_profile: MotionProfile
+    departure_s: float
     duration_s: float
-    curve: SplinePath | None = None
-    lead: Stop | None = None
-    unmade: Unmade | None = None
+    spline_curve: TimedSpline | None = None
+    initial_braking: BrakingMotion | None = None
+    pending_curve: PendingCurve | None = None
 
-    def made(self) -> Trajectory:
+    def finish_curve(self) -> Trajectory:
         """The same with its curve, or the line where no curve can be flown."""
-        path = None if self.unmade is None else self.unmade.made()
+        path = None if self.pending_curve is None else self.pending_curve.time_curve()
         if path is None:
-            return replace(self, unmade=None)
-        gate = self.yaw.duration_s
+            return replace(self, pending_curve=None)
+        gate = self.yaw_profile.duration_s
         way = replace(
             self,
-            rise=profile(0.0, 1.0, 1.0),
-            way=path.timing,
-            gate_s=gate,
-            duration_s=gate + path.timing.duration_s,
-            curve=path,
-            lead=None,
-            unmade=None,
+            height_profile=make_profile(0.0, 1.0, 1.0),
+            path_profile=path.speed_profile,
+            departure_s=gate,
+            duration_s=gate + path.speed_profile.duration_s,
+            spline_curve=path,
+            initial_braking=None,
+            pending_curve=None,
         )
-        return way if self.lead is None else way.after(self.lead)
+        return way if self.initial_braking is None else way.add_initial_braking(self.initial_braking)
 
-    def after(self, brake: Stop) -> Trajectory:
+    def add_initial_braking(self, brake: BrakingMotion) -> Trajectory:
         """The same trajectory with a braking before it, which has to end where it starts."""
-        t = brake.rest_s
-        return replace(self, lead=brake, gate_s=self.gate_s + t, duration_s=self.duration_s + t)
+        t = brake.rest_time_s
+        return replace(self, initial_braking=brake, departure_s=self.departure_s + t, duration_s=self.duration_s + t)
 
-    def at(self, t: float) -> Point:
+    def evaluate(self, t: float) -> TrajectoryPoint:
         """Evaluate at time ``t`` (s) after its start; at rest before 0 and after `duration_s`."""
-        gate = self.gate_s
-        if self.lead is not None:
-            if t < self.lead.rest_s:
-                return self.lead.at(t)
-            t, gate = t - self.lead.rest_s, gate - self.lead.rest_s
-        psi, rate = self.heading + self.turn, 0.0
-        if t < self.yaw.duration_s:
-            angle, rate, _ = self.yaw.at(t)
-            sign = math.copysign(1.0, self.turn)
-            psi, rate = self.heading + sign * angle, sign * rate
+        gate = self.departure_s
+        if self.initial_braking is not None:
+            if t < self.initial_braking.rest_time_s:
+                return self.initial_braking.evaluate(t)
+            t, gate = t - self.initial_braking.rest_time_s, gate - self.initial_braking.rest_time_s
+        psi, rate = self.start_heading + self.turn_angle, 0.0
+        if t < self.yaw_profile.duration_s:
+            angle, rate, _ = self.yaw_profile.evaluate(t)
+            sign = math.copysign(1.0, self.turn_angle)
+            psi, rate = self.start_heading + sign * angle, sign * rate
         (n, e, d), (gn, ge, gd) = self.start, self.goal
-        if self.curve is not None:
-            return Point(*self.curve.at(t - gate), psi, rate)
+        if self.spline_curve is not None:
+            return TrajectoryPoint(*self.spline_curve.evaluate(t - gate), psi, rate)
         climbing = t < gate
         if climbing:
-            z, w, a = self.rise.at(t)
+            z, w, a = self.height_profile.evaluate(t)
             sign = 1.0 if gd > d else -1.0
-            return Point((n, e, d + sign * z), (0.0, 0.0, sign * w), (0.0, 0.0, sign * a), psi, rate)
-        if self.way.way == 0.0:
-            return Point(self.goal, _ZERO, _ZERO, psi, rate)
-        s, v, a = self.way.at(t - gate)
-        un, ue = (gn - n) / self.way.way, (ge - e) / self.way.way
-        return Point((n + s * un, e + s * ue, gd), (v * un, v * ue, 0.0), (a * un, a * ue, 0.0), psi, rate)
+            return TrajectoryPoint((n, e, d + sign * z), (0.0, 0.0, sign * w), (0.0, 0.0, sign * a), psi, rate)
+        if self.path_profile.distance == 0.0:
+            return TrajectoryPoint(self.goal, _ZERO_VECTOR, _ZERO_VECTOR, psi, rate)
+        s, v, a = self.path_profile.evaluate(t - gate)
+        un, ue = (gn - n) / self.path_profile.distance, (ge - e) / self.path_profile.distance
+        return TrajectoryPoint((n + s * un, e + s * ue, gd), (v * un, v * ue, 0.0), (a * un, a * ue, 0.0), psi, rate)
 
 
-_ZERO = (0.0, 0.0, 0.0)
+_ZERO_VECTOR = (0.0, 0.0, 0.0)
 
 
-def shorter_way_round(angle: float) -> float:
+def wrap_turn(angle: float) -> float:
     """The same turn the shorter way round, in [-pi, pi] (rad)."""
-    return float(wrapped(angle))
+    return float(wrap_angle(angle))
 
 
-def straight(
+def plan_straight(
     start: ArrayLike,
     goal: ArrayLike,
     heading: float,
-    limits: Limits,
+    limits: TrajectoryLimits,
     *,
     final_heading: float | None = None,
     nose_offset: float = 0.0,
@@ -512,26 +512,26 @@ def straight(
     nose_offset : float
         Added to the direction of the line when no ``final_heading`` is given (rad).
     """
-    a, b = _triple(start), _triple(goal)
-    way = length(b[0] - a[0], b[1] - a[1])
-    turn = _turn(a, b, way, heading, final_heading, nose_offset)
-    if way < _SPOT:
+    a, b = _to_triple(start), _to_triple(goal)
+    way = vector_length(b[0] - a[0], b[1] - a[1])
+    turn = _turn_to_path(a, b, way, heading, final_heading, nose_offset)
+    if way < _MIN_DISTANCE_M:
         way, b = 0.0, (a[0], a[1], b[2])
     fall = b[2] - a[2]
-    rise = profile(abs(fall), limits.descent if fall > 0.0 else limits.climb, limits.climb_acceleration)
-    yaw = profile(abs(turn), limits.yaw_rate, limits.yaw_acceleration)
+    rise = make_profile(abs(fall), limits.descent if fall > 0.0 else limits.climb, limits.climb_acceleration)
+    yaw = make_profile(abs(turn), limits.yaw_rate, limits.yaw_acceleration)
     gate = max(rise.duration_s, yaw.duration_s)
-    line = profile(way, limits.speed, limits.acceleration)
+    line = make_profile(way, limits.speed, limits.acceleration)
     return Trajectory(a, b, heading, turn, rise, yaw, line, gate, gate + line.duration_s)
 
 
-def curved(
+def plan_curved(
     start: ArrayLike,
     goal: ArrayLike,
     leaving: ArrayLike,
     arriving: ArrayLike,
     heading: float,
-    limits: Limits,
+    limits: TrajectoryLimits,
     *,
     final_heading: float | None = None,
     nose_offset: float = 0.0,
@@ -545,50 +545,50 @@ def curved(
     leaving, arriving : (3,) arrays
         Directions of the curve at its ends; their lengths do not matter.
     heading, limits, final_heading, nose_offset
-        As for `straight`: the heading is that of the chord and does not follow the curve.
+        As for `plan_straight`: the heading is that of the chord and does not follow the curve.
 
     Returns
     -------
     Trajectory
         The straight one where no curve can be flown (no length, a cusp, a bend too tight).
     """
-    way = begin_curved(
+    way = plan_pending_curve(
         start, goal, leaving, arriving, heading, limits, final_heading=final_heading, nose_offset=nose_offset
     )
-    return way.made()
+    return way.finish_curve()
 
 
-def begin_curved(
+def plan_pending_curve(
     start: ArrayLike,
     goal: ArrayLike,
     leaving: ArrayLike,
     arriving: ArrayLike,
     heading: float,
-    limits: Limits,
+    limits: TrajectoryLimits,
     *,
     final_heading: float | None = None,
     nose_offset: float = 0.0,
 ) -> Trajectory:
-    """As `curved`, but its curve is not made yet."""
-    plain = straight(start, goal, heading, limits, final_heading=final_heading, nose_offset=nose_offset)
+    """As `plan_curved`, but its curve is not made yet."""
+    plain = plan_straight(start, goal, heading, limits, final_heading=final_heading, nose_offset=nose_offset)
     a, b = np.array(plain.start), np.array(plain.goal)
-    reach = length(*(b - a).tolist())
-    if reach < _SPOT:
+    reach = vector_length(*(b - a).tolist())
+    if reach < _MIN_DISTANCE_M:
         return plain
     ends = []
     for end in (leaving, arriving):
         u = np.asarray(end, dtype=np.float64)
-        size = length(*u.tolist())
+        size = vector_length(*u.tolist())
         ends.append(u / size * reach if size > 1e-9 else b - a)
     # A curve that rises or sinks has its whole acceleration within the vertical limit.
     level = a[2] == b[2] and all(u[2] == 0.0 for u in ends)
     acceleration = limits.acceleration if level else min(limits.acceleration, limits.climb_acceleration)
-    curve = _cubics(spline(a, b, *ends))
-    return replace(plain, unmade=Unmade(curve, limits.speed, limits.climb, limits.descent, acceleration))
+    curve = _axis_cubics(make_spline(a, b, *ends))
+    return replace(plain, pending_curve=PendingCurve(curve, limits.speed, limits.climb, limits.descent, acceleration))
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class BrakingMotion:
     """Coming to rest from a given velocity along its own direction: v(t) = v0 (1 - S(t / T)); likewise turning."""
 
     start: Triple
@@ -596,24 +596,24 @@ class Stop:
     heading: float
     duration_s: float
     heading_rate: float = 0.0
-    turn_s: float = 0.0
+    turn_duration_s: float = 0.0
 
     @property
-    def rest_s(self) -> float:
+    def rest_time_s(self) -> float:
         """When both have come to rest (s)."""
-        return max(self.duration_s, self.turn_s)
+        return max(self.duration_s, self.turn_duration_s)
 
-    def at(self, t: float) -> Point:
-        """Evaluate at time ``t`` (s) after the start; at rest after `rest_s`."""
+    def evaluate(self, t: float) -> TrajectoryPoint:
+        """Evaluate at time ``t`` (s) after the start; at rest after `rest_time_s`."""
         span = self.duration_s
-        value, slope, way = step_down(t / span) if span > 0.0 else (0.0, 0.0, 0.0)
+        value, slope, way = smooth_step_down(t / span) if span > 0.0 else (0.0, 0.0, 0.0)
         (n, e, d), (u, v, w) = self.start, self.velocity
         s, a = way * span, slope / span if span > 0.0 else 0.0
         psi, rate = self.heading, 0.0
-        if self.turn_s > 0.0:
-            slower, _, turned = step_down(t / self.turn_s)
-            psi, rate = psi + self.heading_rate * self.turn_s * turned, self.heading_rate * slower
-        return Point(
+        if self.turn_duration_s > 0.0:
+            slower, _, turned = smooth_step_down(t / self.turn_duration_s)
+            psi, rate = psi + self.heading_rate * self.turn_duration_s * turned, self.heading_rate * slower
+        return TrajectoryPoint(
             (n + u * s, e + v * s, d + w * s),
             (u * value, v * value, w * value),
             (u * a, v * a, w * a),
@@ -622,7 +622,7 @@ class Stop:
         )
 
 
-def stop(
+def plan_stop(
     position: ArrayLike,
     velocity: ArrayLike,
     heading: float,
@@ -630,23 +630,23 @@ def stop(
     *,
     heading_rate: float = 0.0,
     yaw_acceleration: float = math.inf,
-) -> Stop:
+) -> BrakingMotion:
     """Brake from ``velocity`` (3,) at ``position`` (3,) with at most ``acceleration`` (m/s2).
 
     A ``heading_rate`` (rad/s) is brought to rest with at most ``yaw_acceleration`` (rad/s2).
     """
-    v = _triple(velocity)
-    duration, _ = step_down_way(length(*v), acceleration)
-    turn_s, _ = step_down_way(heading_rate, yaw_acceleration)
-    return Stop(_triple(position), v, heading, duration, heading_rate, turn_s)
+    v = _to_triple(velocity)
+    duration, _ = smooth_stop_distance(vector_length(*v), acceleration)
+    turn_s, _ = smooth_stop_distance(heading_rate, yaw_acceleration)
+    return BrakingMotion(_to_triple(position), v, heading, duration, heading_rate, turn_s)
 
 
-def _triple(x: ArrayLike) -> Triple:
+def _to_triple(x: ArrayLike) -> Triple:
     n, e, d = np.asarray(x, dtype=np.float64).tolist()
     return n, e, d
 
 
-def _turn(
+def _turn_to_path(
     a: Triple,
     b: Triple,
     way: float,
@@ -655,7 +655,7 @@ def _turn(
     nose_offset: float,
 ) -> float:
     if final_heading is not None:
-        return shorter_way_round(final_heading - heading)
-    if way < _SPOT:
+        return wrap_turn(final_heading - heading)
+    if way < _MIN_DISTANCE_M:
         return 0.0
-    return shorter_way_round(direction(b[1] - a[1], b[0] - a[0]) + nose_offset - heading)
+    return wrap_turn(portable_atan2(b[1] - a[1], b[0] - a[0]) + nose_offset - heading)

@@ -1,29 +1,29 @@
 """How do its rotors lift? Airfoils, polars, blade geometry, blade element momentum theory, the coaxial pair."""
 
-from mufly.rotor.bemt import BatchResult, hover, hover_batch, warn_of_reynolds
+from mufly.rotor.bemt import BatchResult, solve_rotor, solve_rotor_batch, warn_reynolds_range
+from mufly.rotor.bench_comparison import (
+    MeasurementComparison,
+    RotorMeasurements,
+    calibrate_blading,
+    compare_measurements,
+)
+from mufly.rotor.blade_families import BLADE_FAMILIES
 from mufly.rotor.blade_files import read_blade
-from mufly.rotor.blading import PLAIN, Blading, Corrections, prepare
-from mufly.rotor.families import FAMILIES
-from mufly.rotor.fitting import RotorFit, fit_rotor
+from mufly.rotor.blading import TEXTBOOK_CORRECTIONS, Blading, Corrections, prepare_blading
+from mufly.rotor.coax_maps import compute_coax_map, map_climb_ratios
 from mufly.rotor.geometry import (
     BladeSections,
     Rotor,
     blade_thickness_m,
     builtin_rotors,
+    format_rotor_toml,
     load_rotor,
     make_rotor,
     replace_rotor,
-    rotor_from,
-    rotor_toml,
+    rotor_from_tables,
 )
-from mufly.rotor.maps import climb_ratios, coax_map
-from mufly.rotor.measurements import (
-    Comparison,
-    Measurements,
-    calibrate,
-    compare,
-)
-from mufly.rotor.pictures import (
+from mufly.rotor.rotor_fit import RotorFit, fit_rotor
+from mufly.rotor.rotor_pictures import (
     blade_picture,
     field_picture,
     fit_picture,
@@ -34,86 +34,92 @@ from mufly.rotor.pictures import (
     stations_picture,
     wake_picture,
 )
-from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoil
-from mufly.rotor.sections.engines import polar, polars
-from mufly.rotor.sections.polar_file import is_polar_file
-from mufly.rotor.sections.polar_table import PolarStack, PolarTable, lookup, outside, stack_polars
-from mufly.rotor.solution import FASTEST_TIP_M_S, METHODS, solve, solve_thrust
-from mufly.rotor.system import (
+from mufly.rotor.rotor_solver import MAX_TIP_SPEED_M_S, METHODS, solve_for_thrust, solve_system
+from mufly.rotor.rotor_system import (
     Air,
-    Condition,
-    Method,
-    Result,
+    OperatingCondition,
     RotorResult,
+    RotorSystem,
     RotorWarning,
-    System,
+    SolverMethod,
+    SystemSolution,
     VortexRingWarning,
-    tip_mach,
+    compute_tip_mach,
 )
-from mufly.rotor.uncertainty import Band, Doubt, interval
+from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoil
+from mufly.rotor.sections.polar_engines import compute_polar, compute_polars
+from mufly.rotor.sections.polar_file import is_polar_file
+from mufly.rotor.sections.polar_table import (
+    PolarStack,
+    PolarTable,
+    extrapolation_flags,
+    lookup_lift_drag,
+    stack_polars,
+)
+from mufly.rotor.uncertainty import InputUncertainty, PredictionInterval, predict_interval
 
 __all__ = [
-    "FAMILIES",
-    "FASTEST_TIP_M_S",
+    "BLADE_FAMILIES",
+    "MAX_TIP_SPEED_M_S",
     "METHODS",
-    "PLAIN",
+    "TEXTBOOK_CORRECTIONS",
     "Air",
     "Airfoil",
-    "Band",
     "BatchResult",
     "BladeSections",
     "Blading",
-    "Comparison",
-    "Condition",
     "Corrections",
-    "Doubt",
-    "Measurements",
-    "Method",
+    "InputUncertainty",
+    "MeasurementComparison",
+    "OperatingCondition",
     "PolarStack",
     "PolarTable",
-    "Result",
+    "PredictionInterval",
     "Rotor",
     "RotorFit",
+    "RotorMeasurements",
     "RotorResult",
+    "RotorSystem",
     "RotorWarning",
-    "System",
+    "SolverMethod",
+    "SystemSolution",
     "VortexRingWarning",
     "blade_picture",
     "blade_thickness_m",
     "builtin_rotors",
-    "calibrate",
-    "climb_ratios",
-    "coax_map",
-    "compare",
+    "calibrate_blading",
+    "compare_measurements",
+    "compute_coax_map",
+    "compute_polar",
+    "compute_polars",
+    "compute_tip_mach",
     "database_airfoils",
+    "extrapolation_flags",
     "field_picture",
     "fit_picture",
     "fit_rotor",
+    "format_rotor_toml",
     "history_picture",
-    "hover",
-    "hover_batch",
-    "interval",
     "is_polar_file",
     "load_airfoil",
     "load_rotor",
-    "lookup",
+    "lookup_lift_drag",
     "make_rotor",
+    "map_climb_ratios",
     "map_picture",
-    "outside",
     "plane_velocity",
-    "polar",
-    "polars",
-    "prepare",
+    "predict_interval",
+    "prepare_blading",
     "read_blade",
     "replace_rotor",
-    "rotor_from",
+    "rotor_from_tables",
     "rotor_loads_picture",
-    "rotor_toml",
-    "solve",
-    "solve_thrust",
+    "solve_for_thrust",
+    "solve_rotor",
+    "solve_rotor_batch",
+    "solve_system",
     "stack_polars",
     "stations_picture",
-    "tip_mach",
     "wake_picture",
-    "warn_of_reynolds",
+    "warn_reynolds_range",
 ]

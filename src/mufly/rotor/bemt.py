@@ -26,7 +26,7 @@ between the zero-lift angle (R has the sign of theta - alpha_0 - phi_U) and alph
 sign of -c_l); where these signs agree, at angles at which the lift has already turned over, e is dropped for
 that station.
 
-Compressible flow: :func:`compressible`, at the Mach number of the wind W.
+Compressible flow: :func:`equivalent_incompressible_alpha`, at the Mach number of the wind W.
 
 Forces per span:  dT = rho/2 W^2 c N (c_l cos phi - c_d sin phi),  dQ = rho/2 W^2 c N (c_l sin phi + c_d cos phi) r.
 """
@@ -43,24 +43,43 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.compiled import compiled
 from mufly.errors import InputError
+from mufly.numba_cache import cached_njit
 from mufly.results import result
-from mufly.rotor.blading import Blading, as_blading
+from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.sections.polar_table import PolarStack, coefficients, outside_of
-from mufly.rotor.system import Air, Placed, RotorResult, RotorWarning, check_pitch, tip_mach, warn_of_mach
+from mufly.rotor.rotor_system import (
+    Air,
+    PlacedRotor,
+    RotorResult,
+    RotorWarning,
+    check_pitch,
+    compute_tip_mach,
+    warn_tip_mach,
+)
+from mufly.rotor.sections.polar_table import PolarStack, stack_coefficients, stack_extrapolation_flags
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_MODES = {"none": 0, "prandtl": 1, "effective_radius": 2}
-_CHUNK = 128  # cases below which a second thread costs more than it brings
+_TIP_LOSS_CODES = {"none": 0, "prandtl": 1, "effective_radius": 2}
+_MIN_CASES_PER_THREAD = 128  # cases below which a second thread costs more than it brings
 # Columns of the station table.
-FIELDS = ("alpha_rad", "phi_rad", "inflow_m_s", "swirl_m_s", "cl", "cd", "reynolds", "loss", "dT_N", "dQ_Nm")
-_MAX_STEPS = 80
-_TOLERANCE = 1e-10  # rad
-_FADE_FROM, _FADE_TO = math.radians(30.0), math.radians(50.0)
+STATION_COLUMNS = (
+    "alpha_rad",
+    "phi_rad",
+    "inflow_m_s",
+    "swirl_m_s",
+    "cl",
+    "cd",
+    "reynolds",
+    "loss",
+    "dT_N",
+    "dQ_Nm",
+)
+_MAX_ITERATIONS = 80
+_ROOT_TOLERANCE_RAD = 1e-10  # rad
+_FADE_START_RAD, _FADE_END_RAD = math.radians(30.0), math.radians(50.0)
 
 
 @result(eq=False)
@@ -81,13 +100,13 @@ class BatchResult:
     c_Q: Array
 
 
-def _merit(thrust: Array, power: Array, density: Array, area: Array) -> Array:
+def _compute_figure_of_merit(thrust: Array, power: Array, density: Array, area: Array) -> Array:
     useful = (thrust > 0.0) & (power > 0.0)
     ideal = np.where(useful, thrust, 0.0) * np.sqrt(np.where(useful, thrust, 0.0) / (2.0 * density * area))
     return np.where(useful, ideal / np.where(useful, power, 1.0), np.nan)
 
 
-def _checked(name: str, values: Array, *, positive: bool) -> None:
+def _check_values(name: str, values: Array, *, positive: bool) -> None:
     if name == "pitch_rad":
         return check_pitch("rotor", name, values)
     bad = ~np.isfinite(values) | (values <= 0.0 if positive else np.zeros(values.shape, dtype=bool))
@@ -97,7 +116,7 @@ def _checked(name: str, values: Array, *, positive: bool) -> None:
         raise InputError("rotor", name, f"is {value:g}", remedy)
 
 
-def _solve(
+def _solve_points(
     blading: Blading,
     which: ArrayLike,
     pitch: Array,
@@ -108,7 +127,7 @@ def _solve(
     stream: Array | None = None,
 ) -> tuple[Array, Array]:
     n, fixes = pitch.size, blading.corrections
-    cases = Cases(
+    cases = BemtCases(
         np.broadcast_to(np.asarray(which, dtype=np.int64), pitch.shape).flatten(),
         pitch,
         speed,
@@ -118,8 +137,8 @@ def _solve(
         float(air.viscosity_Pa_s / air.density_kg_m3),
         float(air.sound_m_s),
     )
-    on = Switches(
-        _MODES[fixes.tip_loss],
+    on = CorrectionSwitches(
+        _TIP_LOSS_CODES[fixes.tip_loss],
         int(fixes.hub_loss),
         int(fixes.swirl),
         int(fixes.rotation == "chaviaropoulos-hansen"),
@@ -127,33 +146,31 @@ def _solve(
         float(fixes.drag_factor),
     )
     totals = np.empty((n, 2))
-    stations = np.empty((n if keep else 0, blading.r_m.shape[1], len(FIELDS)))
-    args = (cases, blading.record, on, totals, stations)
-    workers = min(os.cpu_count() or 1, n // _CHUNK) if n >= 2 * _CHUNK else 1
+    stations = np.empty((n if keep else 0, blading.r_m.shape[1], len(STATION_COLUMNS)))
+    args = (cases, blading.kernel_arrays, on, totals, stations)
+    workers = min(os.cpu_count() or 1, n // _MIN_CASES_PER_THREAD) if n >= 2 * _MIN_CASES_PER_THREAD else 1
     if workers < 2:
         solve_cases(0, n, *args)
     else:
         # The kernel lets go of the interpreter; plain threads also work inside other people's threads.
         bounds = np.linspace(0, n, 4 * workers + 1).astype(int)
         with ThreadPoolExecutor(workers) as pool:
-            list(
-                pool.map(lambda k: solve_cases(int(bounds[k]), int(bounds[k + 1]), *args), range(4 * workers))
-            )
+            list(pool.map(lambda k: solve_cases(int(bounds[k]), int(bounds[k + 1]), *args), range(4 * workers)))
     return totals, stations
 
 
-def _outside(blading: Blading, which: int, alpha: Array, reynolds: Array) -> NDArray[np.uint8]:
+def _flag_extrapolated_stations(blading: Blading, which: int, alpha: Array, reynolds: Array) -> NDArray[np.uint8]:
     """Flags of one rotor's stations; a mixed section is outside where either polar is."""
     both, weight = np.stack((blading.first[which], blading.second[which])), blading.weight[which]
-    first, second = outside_of(blading.polars, both, alpha, reynolds)
+    first, second = stack_extrapolation_flags(blading.polars, both, alpha, reynolds)
     flags: NDArray[np.uint8] = first * (weight < 1.0) | second * (weight > 0.0)
     return flags
 
 
-_CHARACTERISTIC = 0.75  # r/R at which a blade's Reynolds number is told
+_REYNOLDS_RADIUS = 0.75  # r/R at which a blade's Reynolds number is told
 
 
-def warn_of_reynolds(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLike, air: Air) -> None:
+def warn_reynolds_range(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLike, air: Air) -> None:
     """Give a :class:`RotorWarning` where a blade at 0.75 R turns beyond the Reynolds numbers of its polar.
 
     Parameters
@@ -165,7 +182,7 @@ def warn_of_reynolds(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLike,
     air : Air
     """
     rotors = np.arange(len(blading.rotors))
-    station = np.argmin(np.abs(blading.r_m - _CHARACTERISTIC * blading.radius_m[:, None]), axis=1)
+    station = np.argmin(np.abs(blading.r_m - _REYNOLDS_RADIUS * blading.radius_m[:, None]), axis=1)
     size = blading.r_m[rotors, station] * blading.chord_m[rotors, station]
     speed = np.asarray(speed_rad_s, dtype=np.float64)
     reynolds = size[np.asarray(which)] * speed * air.density_kg_m3 / air.viscosity_Pa_s
@@ -178,13 +195,13 @@ def warn_of_reynolds(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLike,
         lowest, highest = float(low.flat[beyond[0]]), float(high.flat[beyond[0]])
         table = f"{lowest:.3g}" if highest < 1.005 * lowest else f"{lowest:.3g} to {highest:.3g}"
         warnings.warn(
-            f"the Reynolds number at {_CHARACTERISTIC:g} R, {at}, is beyond that of its polar, {table}: the "
+            f"the Reynolds number at {_REYNOLDS_RADIUS:g} R, {at}, is beyond that of its polar, {table}: the "
             "coefficients are those of the polar's edge",
             RotorWarning, stacklevel=3,
         )  # fmt: skip
 
 
-def hover(
+def solve_rotor(
     blading: Blading | Rotor,
     *,
     pitch_rad: float,
@@ -199,7 +216,7 @@ def hover(
     Parameters
     ----------
     blading : Blading or Rotor
-        From :func:`mufly.rotor.blading.prepare`; a rotor is prepared with all defaults at every call.
+        From :func:`mufly.rotor.blading.prepare_blading`; a rotor is prepared with all defaults at every call.
     pitch_rad : float
         Pitch setting, added to the twist (rad).
     speed_rad_s : float
@@ -213,42 +230,43 @@ def hover(
     stream : (axial, tangential, wake), optional
         Velocity that the air brings to each station, (stations,) arrays in m/s: down through the disc, against the
         blade's motion, and what of the first counts as flow through the annulus in the momentum balance (all of it, or
-        nothing where :mod:`mufly.rotor.tubes` knows what it does to the wake). What another rotor sends.
+        nothing where :mod:`mufly.rotor.vortex_tube` knows what it does to the wake). What another rotor sends.
 
     Raises
     ------
     InputError
         If the speed is not above zero or a number is not finite.
     """
-    placed = Placed(as_blading(blading), float(pitch_rad), float(speed_rad_s), which=which)
+    placed = PlacedRotor(ensure_blading(blading), float(pitch_rad), float(speed_rad_s), rotor_index=which)
     gas, climb = air or Air(), float(climb_m_s)
     pitch, speed, axial = (np.array([v]) for v in (placed.pitch_rad, placed.speed_rad_s, climb))
     for name, value in (("pitch_rad", pitch), ("speed_rad_s", speed), ("climb_m_s", axial)):
-        _checked(name, value, positive=name == "speed_rad_s")
+        _check_values(name, value, positive=name == "speed_rad_s")
     wind = None if stream is None else np.stack(stream, axis=-1)[None]
-    totals, stations = _solve(placed.blading, which, pitch, speed, axial, gas, True, wind)
-    columns = {name: stations[0, :, i].copy() for i, name in enumerate(FIELDS)}
-    return result_of(placed, climb, gas, float(totals[0, 0]), float(totals[0, 1]), columns)
+    totals, stations = _solve_points(placed.blading, which, pitch, speed, axial, gas, True, wind)
+    columns = {name: stations[0, :, i].copy() for i, name in enumerate(STATION_COLUMNS)}
+    return build_rotor_result(placed, climb, gas, float(totals[0, 0]), float(totals[0, 1]), columns)
 
 
-def result_of(
-    placed: Placed,
+def build_rotor_result(
+    placed: PlacedRotor,
     climb_m_s: float,
     air: Air,
     thrust_N: float,
     torque_Nm: float,
     columns: Mapping[str, Array],
 ) -> RotorResult:
-    """Put an operating point together from its thrust, torque and station table (``FIELDS``), whatever the method.
+    """Put an operating point together from its thrust, torque and station table (``STATION_COLUMNS``), whatever the
+    method.
 
     Thesis: eqs 3.3 to 3.5.
     """
-    blading, which, speed_rad_s = placed.blading, placed.which, placed.speed_rad_s
+    blading, which, speed_rad_s = placed.blading, placed.rotor_index, placed.speed_rad_s
     rotor = blading.rotors[which]
     area = rotor.disc_area_m2
     power = torque_Nm * speed_rad_s
     scale = air.density_kg_m3 * area * rotor.radius_m**2 * speed_rad_s**2
-    flags = _outside(blading, which, columns["alpha_rad"], columns["reynolds"])
+    flags = _flag_extrapolated_stations(blading, which, columns["alpha_rad"], columns["reynolds"])
     size = np.abs(columns["dT_N"])
     return RotorResult(
         pitch_rad=placed.pitch_rad,
@@ -258,7 +276,7 @@ def result_of(
         torque_Nm=torque_Nm,
         power_W=power,
         figure_of_merit=float(
-            _merit(np.array(thrust_N), np.array(power), np.array(air.density_kg_m3), np.array(area))
+            _compute_figure_of_merit(np.array(thrust_N), np.array(power), np.array(air.density_kg_m3), np.array(area))
         ),
         c_T=thrust_N / scale,
         c_Q=torque_Nm / (scale * rotor.radius_m),
@@ -269,14 +287,14 @@ def result_of(
         **columns,
         outside=flags,
         outside_share=float(size[flags > 0].sum() / size.sum()) if size.sum() > 0 else 0.0,
-        calibrated=blading.calibrated,
+        calibrated=blading.is_calibrated,
     )
 
 
-_LEAST_STREAM = 0.2  # of the greatest axial velocity through a disc: at least this takes drag's turning down
+_MIN_THROUGHFLOW_RATIO = 0.2  # of the greatest axial velocity through a disc: at least this takes drag's turning down
 
 
-def drag_turning(pull_N_m: Array, down_m_s: Array, density_kg_m3: float) -> Array:
+def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float) -> Array:
     """Moment of momentum r u (m^2/s) that the profile drag of a rotor's blades gives to its stream, (stations,).
 
     Vortices carry only the turning that comes with lift. The torque of N blades' profile drag is angular momentum of
@@ -287,12 +305,12 @@ def drag_turning(pull_N_m: Array, down_m_s: Array, density_kg_m3: float) -> Arra
 
     Where hardly anything goes through, as at the root, nothing takes it down: it stays there.
     """
-    least = _LEAST_STREAM * float(np.max(np.abs(down_m_s))) + 1e-9
+    least = _MIN_THROUGHFLOW_RATIO * float(np.max(np.abs(down_m_s))) + 1e-9
     turning: Array = pull_N_m / (2.0 * math.pi * density_kg_m3 * np.maximum(down_m_s, least))
     return turning
 
 
-def stream_of(
+def compute_slipstream(
     blading: Blading,
     *,
     pitch_rad: float,
@@ -306,24 +324,24 @@ def stream_of(
     """What a rotor gives to the air at its stations; quick, for iterations.
 
     Axial velocity at the blades (m/s), loss factor F, and moment of momentum r u of the stream below (m^2/s): of lift
-    twice the mean velocity F u_t in the disc, of profile drag :func:`drag_turning`; none without swirl, nor
+    twice the mean velocity F u_t in the disc, of profile drag :func:`drag_angular_momentum`; none without swirl, nor
     without ``turns``, which spares what nobody below meets.
     """
     pitch, speed, climb = (np.array([float(v)]) for v in (pitch_rad, speed_rad_s, climb_m_s))
-    _, stations = _solve(blading, which, pitch, speed, climb, air, True, np.stack(stream, axis=-1)[None])
+    _, stations = _solve_points(blading, which, pitch, speed, climb, air, True, np.stack(stream, axis=-1)[None])
     _, phi, inflow, swirl, cl, cd, _, loss, thrust, torque = stations[0].T
     turning = np.zeros_like(inflow)
     if turns and blading.corrections.swirl:
         r, dr = blading.r_m[which], blading.dr_m[which]
         force = np.hypot(thrust, torque / r) / np.hypot(cl, cd)  # of a coefficient of 1
         pull = force / dr * cd * np.cos(phi)
-        turning = 2.0 * loss * swirl * r + drag_turning(
+        turning = 2.0 * loss * swirl * r + drag_angular_momentum(
             pull, climb_m_s + stream[0] + loss * inflow, air.density_kg_m3
         )
     return inflow, loss, turning
 
 
-def hover_batch(
+def solve_rotor_batch(
     blading: Blading | Rotor,
     *,
     pitch_rad: ArrayLike,
@@ -332,14 +350,14 @@ def hover_batch(
     air: Air | None = None,
     which: ArrayLike = 0,
 ) -> BatchResult:
-    """Solve many points, on all cores; the numbers are bit by bit those of :func:`hover`.
+    """Solve many points, on all cores; the numbers are bit by bit those of :func:`solve_rotor`.
 
     Parameters
     ----------
     blading : Blading or Rotor
         One or several rotors.
     pitch_rad, speed_rad_s, climb_m_s : array_like
-        As for :func:`hover`, broadcast against each other and ``which``.
+        As for :func:`solve_rotor`, broadcast against each other and ``rotor_index``.
     air : Air, optional
         Density and viscosity of all points.
     which : array_like of int
@@ -350,22 +368,22 @@ def hover_batch(
     InputError
         If a speed is not above zero, a number is not finite or a rotor does not exist.
     """
-    gas, blading = air or Air(), as_blading(blading)
+    gas, blading = air or Air(), ensure_blading(blading)
     given = np.broadcast_arrays(
         *(np.asarray(v, dtype=np.float64) for v in (pitch_rad, speed_rad_s, climb_m_s)), np.asarray(which)
     )
     shape = given[0].shape
     for name, values in zip(("pitch_rad", "speed_rad_s", "climb_m_s"), given, strict=False):
-        _checked(name, values, positive=name == "speed_rad_s")
+        _check_values(name, values, positive=name == "speed_rad_s")
     index = given[3].astype(np.int64).ravel()
     if index.size and (index.min() < 0 or index.max() >= len(blading.rotors)):
         raise InputError("rotor", "which", f"there are {len(blading.rotors)} rotors", "count from 0")
     pitch, speed, climb = (v.flatten() for v in given[:3])
-    totals, _ = _solve(blading, index, pitch, speed, climb, gas, False)
+    totals, _ = _solve_points(blading, index, pitch, speed, climb, gas, False)
     thrust, torque = totals[:, 0], totals[:, 1]
     radius = blading.radius_m[index]
     if index.size:
-        warn_of_mach(tip_mach(1.0, float(np.max(radius * speed)), gas))
+        warn_tip_mach(compute_tip_mach(1.0, float(np.max(radius * speed)), gas))
     area = math.pi * radius**2
     power = torque * speed
     scale = gas.density_kg_m3 * area * radius**2 * speed**2
@@ -373,7 +391,7 @@ def hover_batch(
         thrust_N=thrust.reshape(shape),
         torque_Nm=torque.reshape(shape),
         power_W=power.reshape(shape),
-        figure_of_merit=_merit(thrust, power, np.array(gas.density_kg_m3), area).reshape(shape),
+        figure_of_merit=_compute_figure_of_merit(thrust, power, np.array(gas.density_kg_m3), area).reshape(shape),
         c_T=(thrust / scale).reshape(shape),
         c_Q=(torque / (scale * radius)).reshape(shape),
     )
@@ -382,7 +400,7 @@ def hover_batch(
 # The kernel
 
 
-class Cases(NamedTuple):
+class BemtCases(NamedTuple):
     """What is to be solved.
 
     Attributes
@@ -398,17 +416,17 @@ class Cases(NamedTuple):
         The air; kinematic viscosity.
     """
 
-    which: Integers
+    rotor_index: Integers
     pitch_rad: Array
     speed_rad_s: Array
     climb_m_s: Array
     stream_m_s: Array
     density_kg_m3: float
-    viscosity_m2_s: float
-    sound_m_s: float
+    kinematic_viscosity_m2_s: float
+    speed_of_sound_m_s: float
 
 
-class Switches(NamedTuple):
+class CorrectionSwitches(NamedTuple):
     """The corrections in numbers.
 
     Attributes
@@ -421,16 +439,16 @@ class Switches(NamedTuple):
         Factors on the section coefficients.
     """
 
-    tip_loss: int
-    hub_loss: int
-    swirl: int
-    cos4: int
-    lift: float
-    drag: float
+    tip_loss_code: int
+    has_hub_loss: int
+    has_swirl: int
+    has_cos4_stall_delay: int
+    lift_factor: float
+    drag_factor: float
 
 
-@compiled(error_model="numpy")
-def descent_inflow(x: float) -> float:
+@cached_njit(error_model="numpy")
+def induced_velocity_ratio(x: float) -> float:
     """Induced over hover-induced velocity, g(x), at V / u_h = x, continuous for all x."""
     if x >= 0.0:
         return -0.5 * x + math.sqrt(0.25 * x * x + 1.0)
@@ -440,13 +458,13 @@ def descent_inflow(x: float) -> float:
     return -0.5 * x - math.sqrt(max(0.25 * x * x - 1.0, 0.0))
 
 
-@compiled(error_model="numpy")
-def _prandtl(f: float) -> float:
+@cached_njit(error_model="numpy")
+def _prandtl_loss(f: float) -> float:
     """Prandtl's loss factor; beyond f = 37 it is 1 to the last bit."""
     return 2.0 / math.pi * math.acos(math.exp(-f)) if f < 37.0 else 1.0
 
 
-class Section(NamedTuple):
+class SectionParameters(NamedTuple):
     """A blade section, as a kernel sees it.
 
     Attributes
@@ -462,29 +480,29 @@ class Section(NamedTuple):
     thickness : float
         Over chord.
     edge : float
-        Of the trailing edge's drag (:func:`mufly.rotor.blading.edge_drag`).
+        Of the trailing edge's drag (:func:`mufly.rotor.blading.blunt_edge_drag`).
     """
 
-    first: int
-    second: int
-    weight: float
-    zero_lift: float
-    rotation: float
-    lift: float
-    drag: float
-    thickness: float
-    edge: float
+    first_polar: int
+    second_polar: int
+    second_weight: float
+    zero_lift_rad: float
+    stall_delay: float
+    lift_factor: float
+    drag_factor: float
+    thickness_ratio: float
+    edge_drag: float
 
 
-class Station(NamedTuple):
+class StationGeometry(NamedTuple):
     """Where a section stands: radius and chord (m), pitch theta (rad), number of blades, R, hub radius (m)."""
 
-    r: float
-    chord: float
-    theta: float
-    blades: float
-    radius: float
-    hub_radius: float
+    r_m: float
+    chord_m: float
+    pitch_rad: float
+    blade_count: float
+    rotor_radius_m: float
+    hub_radius_m: float
 
 
 class PolarGrid(NamedTuple):
@@ -495,23 +513,23 @@ class PolarGrid(NamedTuple):
     per_log_reynolds: float
 
 
-class Flow(NamedTuple):
+class StationFlow(NamedTuple):
     """What a station meets: V of the momentum balance (m/s); size (m/s) and angle (rad) of U, its log Re and Mach."""
 
-    axial: float
-    speed: float
-    phi: float
-    log_re: float
+    axial_m_s: float
+    speed_m_s: float
+    inflow_angle_rad: float
+    log_reynolds: float
     mach: float
 
 
-_DIVERGENCE = 0.87  # of Korn's rule, for sections that were not made for it
-_CREST = (0.1 / 80.0) ** (1.0 / 3.0)
-_FASTEST = 0.95  # Mach number beyond which the rules are held, so that every speed has an answer
+_KORN_FACTOR = 0.87  # of Korn's rule, for sections that were not made for it
+_CRITICAL_MACH_OFFSET = (0.1 / 80.0) ** (1.0 / 3.0)
+_MAX_MACH = 0.95  # Mach number beyond which the rules are held, so that every speed has an answer
 
 
-@compiled(error_model="numpy")
-def compressible(alpha: float, mach: float, zero_lift: float) -> float:
+@cached_njit(error_model="numpy")
+def equivalent_incompressible_alpha(alpha: float, mach: float, zero_lift: float) -> float:
     """Angle of attack (rad) at which a section in incompressible flow has the coefficients that it has at ``mach`` < 1.
 
     Prandtl and Glauert's rule as Goethert writes it (NACA TM 1105, 1946): to first order the pressures at an angle
@@ -520,57 +538,63 @@ def compressible(alpha: float, mach: float, zero_lift: float) -> float:
     Full to |alpha| = 30 degrees, gone at 50, where no potential flow is left. The drag of shocks:
     :func:`section_coefficients`.
     """
-    fade = min(max((_FADE_TO - abs(alpha)) / (_FADE_TO - _FADE_FROM), 0.0), 1.0)
+    fade = min(max((_FADE_END_RAD - abs(alpha)) / (_FADE_END_RAD - _FADE_START_RAD), 0.0), 1.0)
     return alpha + fade * (alpha - zero_lift) * (1.0 / math.sqrt(1.0 - mach * mach) - 1.0)
 
 
-@compiled(error_model="numpy")
+@cached_njit(error_model="numpy")
 def section_coefficients(
-    alpha: float, log_re: float, mach: float, section: Section, polars: PolarStack
+    alpha: float, log_re: float, mach: float, section: SectionParameters, polars: PolarStack
 ) -> tuple[float, float]:
     """Lift and drag coefficient of a section: mixed polars, blunt edge, compressible flow, rotation, calibration.
 
     Shocks add Lock's drag, 20 (M - M_cr)^4, M_cr = M_dd - (0.1 / 80)^(1/3), with Korn's drag divergence M_dd = 0.87 -
     t/c - |c_l| / 10 (Mason, AIAA 90-3262, 1990; 0.87: NACA 6 series).
     """
-    weight, rotation = section.weight, section.rotation
-    mach = min(mach, _FASTEST)
-    alpha = compressible(alpha, mach, section.zero_lift)
-    cl, cd = coefficients(polars, section.first, alpha, log_re)
+    weight, rotation = section.second_weight, section.stall_delay
+    mach = min(mach, _MAX_MACH)
+    alpha = equivalent_incompressible_alpha(alpha, mach, section.zero_lift_rad)
+    cl, cd = stack_coefficients(polars, section.first_polar, alpha, log_re)
     if weight > 0.0:
-        cl2, cd2 = coefficients(polars, section.second, alpha, log_re)
+        cl2, cd2 = stack_coefficients(polars, section.second_polar, alpha, log_re)
         cl, cd = cl + weight * (cl2 - cl), cd + weight * (cd2 - cd)
-    if section.edge > 0.0:
-        cd += section.edge / max(cd, 1e-4) ** (1.0 / 3.0)
+    if section.edge_drag > 0.0:
+        cd += section.edge_drag / max(cd, 1e-4) ** (1.0 / 3.0)
     if rotation > 0.0:
-        fade = min(max((_FADE_TO - abs(alpha)) / (_FADE_TO - _FADE_FROM), 0.0), 1.0)
+        fade = min(max((_FADE_END_RAD - abs(alpha)) / (_FADE_END_RAD - _FADE_START_RAD), 0.0), 1.0)
         if fade > 0.0:
-            a = alpha - section.zero_lift
+            a = alpha - section.zero_lift_rad
             attached = 2.0 * math.pi * math.sin(a) * math.cos(a) ** 2
             if attached * (attached - cl) > 0.0:
                 gain = rotation * fade * (attached - cl)
                 cl += gain
                 cd += max(gain * math.tan(alpha), 0.0)  # the recovered force is normal to the chord
-    beyond = mach - (_DIVERGENCE - section.thickness - 0.1 * abs(cl) - _CREST)
+    beyond = mach - (_KORN_FACTOR - section.thickness_ratio - 0.1 * abs(cl) - _CRITICAL_MACH_OFFSET)
     if beyond > 0.0 and mach > 0.0:
         cd += 20.0 * beyond**4
-    return section.lift * cl, section.drag * cd
+    return section.lift_factor * cl, section.drag_factor * cd
 
 
-@compiled(error_model="numpy")
-def _residual(
-    alpha: float, e: float, flow: Flow, at: Station, section: Section, polars: PolarStack, on: Switches
+@cached_njit(error_model="numpy")
+def _momentum_residual(
+    alpha: float,
+    e: float,
+    flow: StationFlow,
+    at: StationGeometry,
+    section: SectionParameters,
+    polars: PolarStack,
+    on: CorrectionSwitches,
 ) -> Any:
     """Return R of the module docstring and what comes with it: phi, c_l, c_d, W, F, u, u_t, log Re.
 
     Thesis: eqs 3.11, 3.12.
     """
-    speed = flow.speed
-    part = max(math.cos(at.theta - alpha - flow.phi), 1e-3)
-    log_re = flow.log_re + math.log(part)
+    speed = flow.speed_m_s
+    part = max(math.cos(at.pitch_rad - alpha - flow.inflow_angle_rad), 1e-3)
+    log_re = flow.log_reynolds + math.log(part)
     cl, cd = section_coefficients(alpha, log_re, flow.mach * part, section, polars)
-    phi = at.theta - alpha - e * cl
-    turn = phi - flow.phi
+    phi = at.pitch_rad - alpha - e * cl
+    turn = phi - flow.inflow_angle_rad
     if turn >= 0.5 * math.pi:
         return speed, phi, cl, cd, 0.0, 1.0, speed, 0.0, log_re
     if turn <= -0.5 * math.pi:
@@ -579,20 +603,20 @@ def _residual(
     cosine, sine = math.cos(phi), math.sin(phi)
     loss, size = 1.0, abs(sine)
     if size > 1e-12:
-        if on.tip_loss == 1:
-            loss = _prandtl(0.5 * at.blades * (at.radius - at.r) / (at.r * size))
-        if on.hub_loss == 1 and at.hub_radius > 0.0:
-            loss *= _prandtl(0.5 * at.blades * (at.r - at.hub_radius) / (at.hub_radius * size))
+        if on.tip_loss_code == 1:
+            loss = _prandtl_loss(0.5 * at.blade_count * (at.rotor_radius_m - at.r_m) / (at.r_m * size))
+        if on.has_hub_loss == 1 and at.hub_radius_m > 0.0:
+            loss *= _prandtl_loss(0.5 * at.blade_count * (at.r_m - at.hub_radius_m) / (at.hub_radius_m * size))
         loss = max(loss, 1e-6)
-    if on.swirl == 0 and cosine > 1e-9:
-        wind = speed * math.cos(flow.phi) / cosine
-    load = at.blades * at.chord * wind * wind * cl * cosine / (8.0 * math.pi * at.r * loss)
+    if on.has_swirl == 0 and cosine > 1e-9:
+        wind = speed * math.cos(flow.inflow_angle_rad) / cosine
+    load = at.blade_count * at.chord_m * wind * wind * cl * cosine / (8.0 * math.pi * at.r_m * loss)
     hover = math.sqrt(abs(load))
     momentum = 0.0
     if hover > 0.0:
         sign = 1.0 if load > 0.0 else -1.0
-        momentum = sign * hover * descent_inflow(sign * flow.axial / hover)
-    if on.swirl == 0:
+        momentum = sign * hover * induced_velocity_ratio(sign * flow.axial_m_s / hover)
+    if on.has_swirl == 0:
         axial = normal
         u = axial / cosine if cosine > 1e-9 else 0.0
         return axial - momentum * cosine, phi, cl, cd, wind, loss, u, 0.0, log_re
@@ -600,38 +624,45 @@ def _residual(
     return normal - momentum / over, phi, cl, cd, wind, loss, normal * cosine, normal * sine, log_re
 
 
-@compiled(error_model="numpy")
-def _station(e: float, flow: Flow, at: Station, section: Section, polars: PolarStack, on: Switches) -> Any:
+@cached_njit(error_model="numpy")
+def _solve_station(
+    e: float,
+    flow: StationFlow,
+    at: StationGeometry,
+    section: SectionParameters,
+    polars: PolarStack,
+    on: CorrectionSwitches,
+) -> Any:
     """Solve one station; return alpha and the values at the root.
 
     Thesis: eqs 3.6 to 3.10.
     """
-    speed = flow.speed
-    middle = at.theta - flow.phi
+    speed = flow.speed_m_s
+    middle = at.pitch_rad - flow.inflow_angle_rad
     b = x = middle
-    out = _residual(b, e, flow, at, section, polars, on)
+    out = _momentum_residual(b, e, flow, at, section, polars, on)
     a, fa, fb = b, out[0], out[0]
     if e > 0.0:
-        a = section.zero_lift
-        fa = _residual(a, e, flow, at, section, polars, on)[0]
+        a = section.zero_lift_rad
+        fa = _momentum_residual(a, e, flow, at, section, polars, on)[0]
         if fa * fb > 0.0 or abs(a - b) > 0.5 * math.pi:
             e = 0.0
-            out = _residual(b, e, flow, at, section, polars, on)
+            out = _momentum_residual(b, e, flow, at, section, polars, on)
             fb = out[0]
     if e <= 0.0:
         # phi grows as alpha falls: R < 0 at phi_U puts the root at smaller alpha.
         a = middle - 0.5 * math.pi if fb < 0.0 else middle + 0.5 * math.pi
         fa = -speed if fb > 0.0 else speed  # where the wind vanishes
     side, width = 0, abs(b - a)
-    for step in range(_MAX_STEPS):
-        if abs(out[0]) <= _TOLERANCE * speed:
+    for step in range(_MAX_ITERATIONS):
+        if abs(out[0]) <= _ROOT_TOLERANCE_RAD * speed:
             break
         x = b - fb * (b - a) / (fb - fa)
         if step % 3 == 2:  # halve when three secants have not
             if abs(b - a) > 0.5 * width:
                 x = 0.5 * (a + b)
             width = abs(b - a)
-        out = _residual(x, e, flow, at, section, polars, on)
+        out = _momentum_residual(x, e, flow, at, section, polars, on)
         if out[0] * fb > 0.0:
             b, fb = x, out[0]
             if side == 1:
@@ -642,14 +673,20 @@ def _station(e: float, flow: Flow, at: Station, section: Section, polars: PolarS
             if side == -1:
                 fb *= 0.5
             side = -1
-        if abs(b - a) < _TOLERANCE:
+        if abs(b - a) < _ROOT_TOLERANCE_RAD:
             break
     return x, out
 
 
-@compiled(nogil=True, error_model="numpy")
+@cached_njit(nogil=True, error_model="numpy")
 def solve_cases(
-    start: int, stop: int, cases: Cases, blades: Any, on: Switches, totals: Array, stations: Array
+    start: int,
+    stop: int,
+    cases: BemtCases,
+    blades: Any,
+    on: CorrectionSwitches,
+    totals: Array,
+    stations: Array,
 ) -> None:
     """Thrust and torque of the cases ``start`` to ``stop``.
 
@@ -662,27 +699,27 @@ def solve_cases(
     totals : (cases, 2) array
         Filled with thrust (N) and torque (N m).
     stations : (cases, stations, 10) array or (0, ...)
-        Filled with :data:`FIELDS` unless its first axis is empty.
+        Filled with :data:`STATION_COLUMNS` unless its first axis is empty.
     """
     density, stack = cases.density_kg_m3, blades.polars
     polars = PolarGrid(stack.grid, stack.log_reynolds_min, stack.per_log_reynolds)
     keep, meets = stations.shape[0] > 0, cases.stream_m_s.shape[0] > 0
     for case in range(start, stop):
-        k = cases.which[case]
+        k = cases.rotor_index[case]
         pitch, speed, climb = cases.pitch_rad[case], cases.speed_rad_s[case], cases.climb_m_s[case]
         count, radius = blades.blades[k], blades.radius_m[k]
         effective = radius
         # The effective radius depends on the mean inflow: four passes settle it to 1e-4 R.
-        for _ in range(4 if on.tip_loss == 2 else 1):
+        for _ in range(4 if on.tip_loss_code == 2 else 1):
             thrust, torque, inflow, area = 0.0, 0.0, 0.0, 0.0
             for i in range(blades.r_m.shape[1]):
                 r, dr, chord = blades.r_m[k, i], blades.dr_m[k, i], blades.chord_m[k, i]
                 theta = pitch + blades.twist_rad[k, i]
                 rotation = blades.rotation[k, i]
-                if on.cos4 == 1:
+                if on.has_cos4_stall_delay == 1:
                     rotation *= math.cos(theta) ** 4
                 share = 1.0
-                if on.tip_loss == 2:
+                if on.tip_loss_code == 2:
                     share = min(max((effective - r) / dr + 0.5, 0.0), 1.0)
                 first, second, weight = blades.first[k, i], blades.second[k, i], blades.weight[k, i]
                 zero = blades.zero_lift_rad[first]
@@ -690,19 +727,21 @@ def solve_cases(
                 thick = blades.thickness[first]
                 thick += weight * (blades.thickness[second] - thick)
                 edge = blades.edge_drag[k, i]
-                section = Section(
-                    first, second, weight, zero, rotation, on.lift * share, on.drag, thick, edge
+                section = SectionParameters(
+                    first, second, weight, zero, rotation, on.lift_factor * share, on.drag_factor, thick, edge
                 )
-                at = Station(r, chord, theta, count, radius, blades.hub_radius_m[k])
+                at = StationGeometry(r, chord, theta, count, radius, blades.hub_radius_m[k])
                 axial, across, carried = climb, speed * r, climb
                 if meets:
                     axial += cases.stream_m_s[case, i, 0]
                     across += cases.stream_m_s[case, i, 1]
                     carried += cases.stream_m_s[case, i, 2]
                 total = math.hypot(axial, across)
-                log_unit = math.log(max(total * chord / cases.viscosity_m2_s, 1e-3))
-                flow = Flow(carried, total, math.atan2(axial, across), log_unit, total / cases.sound_m_s)
-                alpha, out = _station(blades.chord_factor[k, i], flow, at, section, polars, on)
+                log_unit = math.log(max(total * chord / cases.kinematic_viscosity_m2_s, 1e-3))
+                flow = StationFlow(
+                    carried, total, math.atan2(axial, across), log_unit, total / cases.speed_of_sound_m_s
+                )
+                alpha, out = _solve_station(blades.chord_factor[k, i], flow, at, section, polars, on)
                 _, phi, cl, cd, wind, loss, u, u_t, log_re = out
                 push = 0.5 * density * wind * wind * chord * count * dr
                 d_thrust = push * (cl * math.cos(phi) - cd * math.sin(phi))
@@ -715,7 +754,7 @@ def solve_cases(
                     row = stations[case, i]
                     row[0], row[1], row[2], row[3], row[4] = alpha, phi, u, u_t, cl
                     row[5], row[6], row[7], row[8], row[9] = cd, math.exp(log_re), loss, d_thrust, d_torque
-            if on.tip_loss == 2:
+            if on.tip_loss_code == 2:
                 lam = max(inflow / area + climb, 0.0) / (speed * radius)
                 effective = radius * (1.0 - 1.386 / count * lam / math.sqrt(1.0 + lam * lam))
         totals[case, 0], totals[case, 1] = thrust, torque

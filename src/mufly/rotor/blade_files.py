@@ -1,8 +1,8 @@
 """Blades as others write them down: tables of radius, chord and angle, UIUC's and APC's own files.
 
-A table is any text that :func:`mufly.tables.text_columns` reads. A column is known by its name, its unit stands in the
-header; a length without one is refused. Angles without one are in degrees, unless all could be radians: then the unit
-is asked for. Stations run from hub to tip or from tip to hub.
+A table is any text that :func:`mufly.input_files.read_text_columns` reads. A column is known by its name, its unit
+stands in the header; a length without one is refused. Angles without one are in degrees, unless all could be radians:
+then the unit is asked for. Stations run from hub to tip or from tip to hub.
 
 =======  =====================================================================================================
 radius   ``r/R``, ``r_over_R``, ``x``; or a length: ``r_mm``, ``radius (in)``, ``station``
@@ -31,26 +31,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
-from mufly.rotor.geometry import Rotor, rotor_from
+from mufly.input_files import read_text_columns
+from mufly.rotor.geometry import Rotor, rotor_from_tables
 from mufly.rotor.sections.airfoil import load_airfoil
-from mufly.tables import text_columns
-from mufly.units import conversion, known_unit, split_header, split_suffix, units_of
+from mufly.units import compatible_units, normalise_unit, split_header, split_unit_suffix, unit_conversion
 
 Array = NDArray[np.float64]
 
-_OVER_R = {"radius": ("r/r", "r_over_r", "x", "r_r"), "chord": ("c/r", "c_over_r", "c_r")}
-_LENGTH = {"radius": ("r", "radius", "station"), "chord": ("c", "chord")}
-_ANGLE, _FOIL = ("beta", "twist", "angle", "pitch", "theta"), ("airfoil", "section")
-_INCH = 0.0254
-_STAND_IN = "naca4412"
-_NO_FOIL = f"airfoil {_STAND_IN}"
-_DOUBTFUL_DEG = 1.6  # angles all below are radians as likely as degrees
-_MOST_SHARE = 1.5  # of the radius
-_LEAST_RADIUS = 5e-3  # m
-_LEAST_CHORD = 1e-3  # of the radius
+_RELATIVE_HEADERS = {"radius": ("r/r", "r_over_r", "x", "r_r"), "chord": ("c/r", "c_over_r", "c_r")}
+_LENGTH_HEADERS = {"radius": ("r", "radius", "station"), "chord": ("c", "chord")}
+_ANGLE_HEADERS, _AIRFOIL_HEADERS = ("beta", "twist", "angle", "pitch", "theta"), ("airfoil", "section")
+_INCH_M = 0.0254
+_DEFAULT_AIRFOIL = "naca4412"
+_DEFAULT_AIRFOIL_NOTE = f"airfoil {_DEFAULT_AIRFOIL}"
+_SUSPECTED_RADIANS_DEG = 1.6  # angles all below are radians as likely as degrees
+_MAX_RELATIVE_RADIUS = 1.5  # of the radius
+_MIN_RADIUS_M = 5e-3  # m
+_MIN_CHORD_RATIO = 1e-3  # of the radius
 
 
-class Read(NamedTuple):
+class ImportedRotor(NamedTuple):
     """A rotor, and what was guessed of it in words."""
 
     rotor: Rotor
@@ -64,7 +64,7 @@ def read_blade(
     blades: int | None = None,
     airfoil: str | None = None,
     name: str | None = None,
-) -> Read:
+) -> ImportedRotor:
     """Read a rotor from a table of stations, UIUC's geometry or APC's ``PE0``.
 
     Parameters
@@ -89,11 +89,11 @@ def read_blade(
         raise ArgumentError("radius", f"{radius_m:g} m", "is not possible", "give a length above 0")
     notes: list[str] = []
     if Path(path).suffix.lower() == ".pe0":
-        r, chord, twist, foils, radius, count = _apc(Path(path), notes)
+        r, chord, twist, foils, radius, count = _read_apc_file(Path(path), notes)
     else:
-        r, chord, twist, foils, radius, count = _table(path, radius_m, notes)
+        r, chord, twist, foils, radius, count = _read_station_table(path, radius_m, notes)
     radius = radius_m or radius
-    if radius < _LEAST_RADIUS:
+    if radius < _MIN_RADIUS_M:
         raise InputError(
             where, "", f"the radius would be {1e3 * radius:.3g} mm", "correct the unit of the radii"
         )  # fmt: skip
@@ -102,10 +102,10 @@ def read_blade(
         notes.append("the stations run from tip to hub and were turned round")
     if airfoil is not None:
         foils = [airfoil]
-        notes = [n for n in notes if not n.startswith(_NO_FOIL)]
+        notes = [n for n in notes if not n.startswith(_DEFAULT_AIRFOIL_NOTE)]
     for foil in dict.fromkeys(foils):
         load_airfoil(foil)
-    keep = (r <= radius * (1 + 1e-6)) & (chord > _LEAST_CHORD * radius)
+    keep = (r <= radius * (1 + 1e-6)) & (chord > _MIN_CHORD_RATIO * radius)
     if not keep.all():
         notes.append(f"{int((~keep).sum())} station(s) beyond the tip or without chord left out")
     if keep.sum() < 2:
@@ -123,7 +123,7 @@ def read_blade(
         blades = 2
         notes.append("two blades, since the file does not say")
     source = {"source": "datasheet", "note": f"from {where}"}
-    rotor = rotor_from(
+    rotor = rotor_from_tables(
         {
             "name": name or Path(path).stem.lower(),
             "description": f"from {where}",
@@ -140,60 +140,54 @@ def read_blade(
         },
         where,
     )  # fmt: skip
-    return Read(rotor, tuple(notes))
+    return ImportedRotor(rotor, tuple(notes))
 
 
-_Stations = tuple[Array, Array, Array, list[str], float, int | None]
+_StationTable = tuple[Array, Array, Array, list[str], float, int | None]
 
 
-def _table(path: str | Path, radius_m: float | None, notes: list[str]) -> _Stations:
+def _read_station_table(path: str | Path, radius_m: float | None, notes: list[str]) -> _StationTable:
     where = Path(path).name
-    headers, rows = text_columns(path)
-    known: dict[
-        str, tuple[int, float]
-    ] = {}  # quantity: column, and what one of it is in SI (R for ratios: below 0)
+    headers, rows = read_text_columns(path)
+    known: dict[str, tuple[int, float]] = {}  # quantity: column, and what one of it is in SI (R for ratios: below 0)
     for k, header in enumerate(headers):
         stem, unit = split_header(header)
-        stem, unit = (stem, unit) if unit else split_suffix(stem)  # c_m is a chord here, no coefficient
+        stem, unit = (stem, unit) if unit else split_unit_suffix(stem)  # c_m is a chord here, no coefficient
         if not unit and stem.lower().endswith(("_in", "_inch")):
             stem, unit = stem.rpartition("_")[0], "in"  # elsewhere "in" at a name's end is what goes in
         low, whole = stem.lower(), header.lower()
         for quantity in ("radius", "chord"):
-            if whole in _OVER_R[quantity]:
+            if whole in _RELATIVE_HEADERS[quantity]:
                 known.setdefault(quantity, (k, -1.0))
-            elif low in _LENGTH[quantity]:
-                if unit not in units_of("m"):
+            elif low in _LENGTH_HEADERS[quantity]:
+                if unit not in compatible_units("m"):
                     said = f"has the unit {unit!r}" if unit else "has no unit"
                     raise InputError(where, header, said, f"name a length's, as {stem}_mm or {stem} (in)")
-                known.setdefault(quantity, (k, conversion(unit, "m")[1]))
-        if low in _ANGLE or whole in _ANGLE:
-            if unit and not known_unit(unit, "rad"):
-                raise InputError(
-                    where, header, f"has the unit {unit!r}", f"give an angle, as {stem}_deg or {stem}_rad"
-                )
-            known.setdefault("twist", (k, conversion(unit or "deg", "rad")[1]))
-        if whole in _FOIL:
+                known.setdefault(quantity, (k, unit_conversion(unit, "m")[1]))
+        if low in _ANGLE_HEADERS or whole in _ANGLE_HEADERS:
+            if unit and not normalise_unit(unit, "rad"):
+                raise InputError(where, header, f"has the unit {unit!r}", f"give an angle, as {stem}_deg or {stem}_rad")
+            known.setdefault("twist", (k, unit_conversion(unit or "deg", "rad")[1]))
+        if whole in _AIRFOIL_HEADERS:
             known.setdefault("airfoil", (k, 1.0))
     for quantity, example in (("radius", "r/R or r_mm"), ("chord", "c/R or chord_mm"), ("twist", "beta_deg")):
         if quantity not in known:
-            raise InputError(
-                where, quantity, f"is not among the columns ({', '.join(headers)})", f"name it {example}"
-            )
+            raise InputError(where, quantity, f"is not among the columns ({', '.join(headers)})", f"name it {example}")
     if radius_m is None and min(known["radius"][1], known["chord"][1]) < 0.0:
         raise ArgumentError("radius", "", "is not known: the file gives ratios", "give the rotor's radius")
 
-    def column(quantity: str) -> Array:
+    def scaled_column(quantity: str) -> Array:
         index, factor = known[quantity]
         scale = factor if factor > 0.0 else radius_m or math.nan
-        return np.array([scale * _number(where, n, cells, index, headers) for n, cells in rows])
+        return np.array([scale * _parse_number(where, n, cells, index, headers) for n, cells in rows])
 
-    r, chord, twist = column("radius"), column("chord"), column("twist")
+    r, chord, twist = scaled_column("radius"), scaled_column("chord"), scaled_column("twist")
     _check_columns(where, {q: headers[k] for q, (k, _) in known.items()}, known, r, chord, twist, radius_m)
     if "airfoil" in known:
-        foils = [_cell(where, n, cells, known["airfoil"][0], headers) for n, cells in rows]
+        foils = [_get_cell(where, n, cells, known["airfoil"][0], headers) for n, cells in rows]
     else:
-        foils = [_STAND_IN]
-        notes.append(f"{_NO_FOIL}, since the file names none; `mufly rotor fit` asks a bench for it")
+        foils = [_DEFAULT_AIRFOIL]
+        notes.append(f"{_DEFAULT_AIRFOIL_NOTE}, since the file names none; `mufly rotor fit` asks a bench for it")
     return r, chord, twist, foils, radius_m or float(r.max(initial=0.0)), None
 
 
@@ -203,7 +197,7 @@ def _check_columns(
 ) -> None:  # fmt: skip
     """Refuse angles that may be radians, and shares of the radius above one, as in per cent."""
     widest = float(np.max(np.abs(np.degrees(twist)), initial=0.0))
-    if not split_header(header["twist"])[1] and 0.0 < widest <= _DOUBTFUL_DEG:
+    if not split_header(header["twist"])[1] and 0.0 < widest <= _SUSPECTED_RADIANS_DEG:
         least = float(np.min(np.degrees(twist)))
         raise InputError(
             where, header["twist"], f"goes from {least:.4g} to {widest:.4g} without a unit: degrees or radians?",
@@ -211,13 +205,13 @@ def _check_columns(
         )  # fmt: skip
     for quantity, values in (("radius", r), ("chord", chord)):
         share = float(np.max(values, initial=0.0)) / (radius_m or math.nan)
-        if known[quantity][1] < 0.0 and share > _MOST_SHARE:
+        if known[quantity][1] < 0.0 and share > _MAX_RELATIVE_RADIUS:
             raise InputError(
                 where, header[quantity], f"reaches {share:.4g}: no share of the radius", "write 0.15 for 15 %"
             )
 
 
-def _cell(where: str, line: int, cells: list[str], index: int, headers: list[str]) -> str:
+def _get_cell(where: str, line: int, cells: list[str], index: int, headers: list[str]) -> str:
     if index >= len(cells):
         raise InputError(
             where, f"line {line}, {headers[index]}", f"is missing: {len(cells)} cells, the header has {len(headers)}",
@@ -226,8 +220,8 @@ def _cell(where: str, line: int, cells: list[str], index: int, headers: list[str
     return cells[index]
 
 
-def _number(where: str, line: int, cells: list[str], index: int, headers: list[str]) -> float:
-    cell = _cell(where, line, cells, index, headers)
+def _parse_number(where: str, line: int, cells: list[str], index: int, headers: list[str]) -> float:
+    cell = _get_cell(where, line, cells, index, headers)
     try:
         value = float(cell)
     except ValueError:
@@ -237,7 +231,7 @@ def _number(where: str, line: int, cells: list[str], index: int, headers: list[s
     return value
 
 
-def _apc(path: Path, notes: list[str]) -> _Stations:
+def _read_apc_file(path: Path, notes: list[str]) -> _StationTable:
     where = path.name
     try:
         lines = path.read_text(encoding="latin-1").splitlines()
@@ -247,9 +241,7 @@ def _apc(path: Path, notes: list[str]) -> _Stations:
     head = next((k for k, line in enumerate(lines) if line.split()[:2] == ["STATION", "CHORD"]), None)
     radius, count = re.search(r"RADIUS:\s*([\d.]+)", text), re.search(r"BLADES:\s*(\d+)", text)
     if head is None or radius is None:
-        raise InputError(
-            where, "", "has no table of STATION and CHORD, or no RADIUS", "give APC's ...-PERF.PE0"
-        )
+        raise InputError(where, "", "has no table of STATION and CHORD, or no RADIUS", "give APC's ...-PERF.PE0")
     names = lines[head].split()
     table: list[list[float]] = []
     for line in lines[head + 1 :]:
@@ -261,9 +253,7 @@ def _apc(path: Path, notes: list[str]) -> _Stations:
                 break
             continue
         if values and len(values) != len(names):
-            raise InputError(
-                where, line.strip()[:40], f"has {len(values)} numbers", f"there are {len(names)} columns"
-            )
+            raise InputError(where, line.strip()[:40], f"has {len(values)} numbers", f"there are {len(names)} columns")
         if values:
             table.append(values)
         elif table:
@@ -271,12 +261,12 @@ def _apc(path: Path, notes: list[str]) -> _Stations:
     if "TWIST" not in names or len(table) < 2:
         raise InputError(where, "", "has no stations with a TWIST", "give APC's ...-PERF.PE0")
     data = np.array(table)
-    r = _INCH * data[:, names.index("STATION")]
+    r = _INCH_M * data[:, names.index("STATION")]
     ends = [re.search(rf"AIRFOIL{k}:\s*([\d.]+)\s*,\s*([^\s(,]+(?: \d+)?)", text) for k in (1, 2)]
-    foils = [_STAND_IN] * r.size
+    foils = [_DEFAULT_AIRFOIL] * r.size
     if all(ends):
         (from_m, inner), (to_m, outer) = (
-            (_INCH * float(e[1]), _known(e[2], notes)) for e in ends if e is not None
+            (_INCH_M * float(e[1]), _resolve_airfoil(e[2], notes)) for e in ends if e is not None
         )
         middle = 0.5 * (from_m + to_m)
         foils = [inner if here <= middle else outer for here in r.tolist()]
@@ -289,15 +279,15 @@ def _apc(path: Path, notes: list[str]) -> _Stations:
                 f"{1e3 * to_m:.1f} mm"
             )
     else:
-        notes.append(f"{_NO_FOIL}, since the file names none")
-    chord, twist = _INCH * data[:, names.index("CHORD")], np.radians(data[:, names.index("TWIST")])
-    whole = _INCH * float(radius[1])
-    if whole < float(r.max()) <= whole + 0.005 * _INCH:
+        notes.append(f"{_DEFAULT_AIRFOIL_NOTE}, since the file names none")
+    chord, twist = _INCH_M * data[:, names.index("CHORD")], np.radians(data[:, names.index("TWIST")])
+    whole = _INCH_M * float(radius[1])
+    if whole < float(r.max()) <= whole + 0.005 * _INCH_M:
         whole = float(r.max())
     return r, chord, twist, foils, whole, int(count[1]) if count else None
 
 
-def _known(name: str, notes: list[str]) -> str:
+def _resolve_airfoil(name: str, notes: list[str]) -> str:
     """The airfoil of APC's name, or what stands for it."""
     low = re.sub(r"[\s-]", "", name.lower())
     if low == "clarky":
@@ -305,6 +295,6 @@ def _known(name: str, notes: list[str]) -> str:
     try:
         load_airfoil(low)
     except InputError:
-        notes.append(f"{name} is not published: {_STAND_IN} in its place")
-        return _STAND_IN
+        notes.append(f"{name} is not published: {_DEFAULT_AIRFOIL} in its place")
+        return _DEFAULT_AIRFOIL
     return low

@@ -59,17 +59,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
 from mufly.errors import InputError
+from mufly.numba_cache import cached_njit
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.sections import engines
-from mufly.rotor.sections.engines import Engine
+from mufly.rotor.sections import polar_engines
+from mufly.rotor.sections.polar_engines import PolarEngine
 from mufly.rotor.sections.polar_table import PolarStack, PolarTable, stack_polars
 
 Array = NDArray[np.float64]
 
-TipLoss = Literal["prandtl", "effective_radius", "none"]
-Rotation = Literal["dumitrescu-cardos", "snel", "chaviaropoulos-hansen", "none"]
+TipLossModel = Literal["prandtl", "effective_radius", "none"]
+StallDelayModel = Literal["dumitrescu-cardos", "snel", "chaviaropoulos-hansen", "none"]
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,11 @@ class Corrections:
     Thesis: eq. 3.13.
     """
 
-    tip_loss: TipLoss = "prandtl"
+    tip_loss: TipLossModel = "prandtl"
     hub_loss: bool = True
     swirl: bool = True
     lifting_surface: bool = True
-    rotation: Rotation = "dumitrescu-cardos"
+    rotation: StallDelayModel = "dumitrescu-cardos"
     lift_factor: float = 1.0
     drag_factor: float = 1.0
 
@@ -108,20 +108,18 @@ class Corrections:
                 )
         for key in ("lift_factor", "drag_factor"):
             if not 0.0 < getattr(self, key) < 10.0:
-                raise InputError(
-                    "corrections", key, f"is {getattr(self, key):g}", "give a factor between 0 and 10"
-                )
+                raise InputError("corrections", key, f"is {getattr(self, key):g}", "give a factor between 0 and 10")
 
     @property
-    def calibrated(self) -> bool:
+    def is_calibrated(self) -> bool:
         """True if a factor was set by hand or by calibration."""
         return self.lift_factor != 1.0 or self.drag_factor != 1.0
 
 
-PLAIN = Corrections(lifting_surface=False, rotation="none")  # textbook blade element momentum theory
+TEXTBOOK_CORRECTIONS = Corrections(lifting_surface=False, rotation="none")  # textbook blade element momentum theory
 
 
-def rotation_strength(kind: Rotation, chord_over_r: Array) -> Array:
+def stall_delay_strength(kind: StallDelayModel, chord_over_r: Array) -> Array:
     """Return g of the module docstring, for Chaviaropoulos and Hansen without their cos^4 theta.
 
     Parameters
@@ -140,7 +138,7 @@ def rotation_strength(kind: Rotation, chord_over_r: Array) -> Array:
     return np.zeros_like(chord_over_r)
 
 
-def edge_drag(edge_m: float, chord_m: Array) -> Array:
+def blunt_edge_drag(edge_m: float, chord_m: Array) -> Array:
     """Return c_d of a blunt trailing edge times c_f^(1/3), c_f the drag of the section without it.
 
     Hoerner (Fluid-Dynamic Drag, 1965, ch. III): air that leaves a blunt edge of thickness h with the boundary layer of
@@ -156,7 +154,7 @@ def edge_drag(edge_m: float, chord_m: Array) -> Array:
     return np.asarray(0.135 * np.minimum(edge_m / chord_m, 0.1) ** (4.0 / 3.0), dtype=np.float64)
 
 
-def zero_lift_angle(table: PolarTable) -> float:
+def find_zero_lift_angle(table: PolarTable) -> float:
     """Angle of zero lift (rad) of a table at Re 3e5 or its nearest, closest to zero; 0 if there is none.
 
     The potential lift line of the rotation models goes through it: the boundary layer is thin there, and the angle is
@@ -174,13 +172,13 @@ def zero_lift_angle(table: PolarTable) -> float:
 
 Integers = NDArray[np.int64]
 
-STATIONS = 24
-_THICKNESS = 0.12  # over chord, of a section whose table does not say
+STATION_COUNT = 24
+_DEFAULT_THICKNESS_RATIO = 0.12  # over chord, of a section whose table does not say
 
 
 @dataclass(frozen=True, eq=False)
 class Blading:
-    """One or several rotors, ready to be solved. Make it with :func:`prepare`.
+    """One or several rotors, ready to be solved. Make it with :func:`prepare_blading`.
 
     Attributes
     ----------
@@ -191,7 +189,7 @@ class Blading:
     r_m, dr_m, chord_m, twist_rad, chord_factor, rotation : (n, stations) arrays
         Stations; loss of angle per lift coefficient (rad), strength of the rotation model.
     edge_drag : (n, stations) array
-        Drag of the trailing edge's base times the third root of the section's drag: :func:`edge_drag`.
+        Drag of the trailing edge's base times the third root of the section's drag: :func:`blunt_edge_drag`.
     first, second, weight : (n, stations) arrays
         Polars of the stack and their mix.
     polars : PolarStack
@@ -217,15 +215,15 @@ class Blading:
     thickness: Array
 
     @cached_property
-    def record(self) -> Any:
+    def kernel_arrays(self) -> Any:
         """All of it under the same names, a :data:`Blades`, as kernels take it."""
         names: tuple[str, ...] = Blades._fields
         return Blades(*(getattr(self, name) for name in names))
 
     @property
-    def calibrated(self) -> bool:
+    def is_calibrated(self) -> bool:
         """True if factors were set by hand, or a rotor's sections were fitted to measurements."""
-        return self.corrections.calibrated or any(rotor.fit is not None for rotor in self.rotors)
+        return self.corrections.is_calibrated or any(rotor.fit is not None for rotor in self.rotors)
 
     @property
     def radius_m(self) -> Array:
@@ -248,7 +246,7 @@ Blades = namedtuple(  # type: ignore[misc]
 )
 
 
-def panel_edges(cutout: float, stations: int) -> tuple[Array, Array]:
+def compute_panel_edges(cutout: float, stations: int) -> tuple[Array, Array]:
     """Middle and edges of the panels, over R.
 
     Returns
@@ -263,16 +261,16 @@ def panel_edges(cutout: float, stations: int) -> tuple[Array, Array]:
     return middle, edges
 
 
-def prepare(
+def prepare_blading(
     rotors: Rotor | Sequence[Rotor],
     polars: Mapping[str, PolarTable] | None = None,
     *,
     n_crit: float = 0.1,
-    engine: Engine = "neuralfoil",
+    engine: PolarEngine = "neuralfoil",
     corrections: Corrections | None = None,
-    stations: int = STATIONS,
+    stations: int = STATION_COUNT,
 ) -> Blading:
-    """Lay blades out for :func:`mufly.rotor.bemt.hover` and its companions.
+    """Lay blades out for :func:`mufly.rotor.bemt.solve_rotor` and its companions.
 
     Parameters
     ----------
@@ -297,21 +295,15 @@ def prepare(
         raise InputError("rotor", "", "no rotor given", "give at least one")
     if stations < 4:
         raise InputError("rotor", "stations", f"{stations} is too few for a blade", "give 4 or more")
-    fits = [
-        None if rotor.fit is None else (rotor.fit.candidates[0].change, rotor.fit.reynolds) for rotor in many
-    ]
+    fits = [None if rotor.fit is None else (rotor.fit.candidates[0].change, rotor.fit.reynolds) for rotor in many]
     keys = list(
-        dict.fromkeys(
-            (name, fit) for rotor, fit in zip(many, fits, strict=True) for name in rotor.airfoil_names()
-        )
+        dict.fromkeys((name, fit) for rotor, fit in zip(many, fits, strict=True) for name in rotor.airfoil_names())
     )
     names = list(dict.fromkeys(name for name, _ in keys))
-    known = engines.polars(names, n_crit=n_crit, engine=engine) if polars is None else polars
+    known = polar_engines.compute_polars(names, n_crit=n_crit, engine=engine) if polars is None else polars
     for name in names:
         if name not in known:
-            raise InputError(
-                "rotor", f"airfoil {name}", "has no polar", f"give one of {', '.join(sorted(known))}"
-            )
+            raise InputError("rotor", f"airfoil {name}", "has no polar", f"give one of {', '.join(sorted(known))}")
     for rotor in many:
         made = rotor.fit.n_crit if rotor.fit is not None else math.nan
         for name in rotor.airfoil_names():
@@ -320,23 +312,27 @@ def prepare(
                     f"rotor {rotor.name}", "fit", f"was made with polars at n_crit {made:g}, these are at "
                     f"{known[name].n_crit:g}", "use the same, or take [fit] out of the file",
                 )  # fmt: skip
-    tables = [fitted(known[name], *fit) if fit is not None else known[name] for name, fit in keys]
+    tables = [apply_section_fit(known[name], *fit) if fit is not None else known[name] for name, fit in keys]
     shape = (len(many), stations)
     r, dr, chord, twist, e, g, base, weight = (np.zeros(shape) for _ in range(8))
     first, second = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     for k, rotor in enumerate(many):
         big = rotor.radius_m
-        mid, edges = panel_edges(float(rotor.hub_cutout), stations)
-        cut = rotor.sections(mid)
-        index = np.array([keys.index((name, fits[k])) for name in cut.names], dtype=np.int64)
+        mid, edges = compute_panel_edges(float(rotor.hub_cutout), stations)
+        cut = rotor.sections_at(mid)
+        index = np.array([keys.index((name, fits[k])) for name in cut.airfoil_names], dtype=np.int64)
         r[k], dr[k], chord[k], twist[k] = mid * big, np.diff(edges) * big, cut.chord_m, cut.twist_rad
         if rotor.fit is not None:
             twist[k] += rotor.fit.candidates[0].change[0]
-        first[k], second[k], weight[k] = index[cut.first], index[cut.second], cut.weight
+        first[k], second[k], weight[k] = (
+            index[cut.first_airfoil],
+            index[cut.second_airfoil],
+            cut.second_weight,
+        )
         if fixes.lifting_surface:
-            e[k] = chord_factor(mid, edges, cut.chord_m / big, rotor.chord_m(edges) / big)
-        g[k] = rotation_strength(fixes.rotation, chord[k] / r[k])
-        base[k] = edge_drag(float(rotor.trailing_edge), chord[k])
+            e[k] = lifting_surface_chord_factor(mid, edges, cut.chord_m / big, rotor.chord_m(edges) / big)
+        g[k] = stall_delay_strength(fixes.rotation, chord[k] / r[k])
+        base[k] = blunt_edge_drag(float(rotor.trailing_edge), chord[k])
     stack = stack_polars(tables)
     return Blading(
         rotors=many,
@@ -352,18 +348,18 @@ def prepare(
         second=second,
         weight=weight,
         polars=stack,
-        zero_lift_rad=np.array([zero_lift_angle(table) for table in tables]),
-        thickness=np.nan_to_num([table.thickness_ratio for table in tables], nan=_THICKNESS),
+        zero_lift_rad=np.array([find_zero_lift_angle(table) for table in tables]),
+        thickness=np.nan_to_num([table.thickness_ratio for table in tables], nan=_DEFAULT_THICKNESS_RATIO),
     )
 
 
-def fitted(table: PolarTable, change: Sequence[float], reynolds: float) -> PolarTable:
+def apply_section_fit(table: PolarTable, change: Sequence[float], reynolds: float) -> PolarTable:
     """Return a polar with the change of a :class:`mufly.rotor.geometry.SectionFit` in its coefficients.
 
-    Equations: :mod:`mufly.rotor.fitting`.
+    Equations: :mod:`mufly.rotor.rotor_fit`.
     """
     _, lift, drag, lift_exponent, drag_exponent = change
-    ratio = np.log(np.clip(table.reynolds / reynolds, *_RATIOS))[:, None]
+    ratio = np.log(np.clip(table.reynolds / reynolds, *_FIT_REYNOLDS_RATIOS))[:, None]
     place = np.log(table.reynolds)
     k = int(np.clip(np.searchsorted(place, math.log(reynolds)) - 1, 0, place.size - 2))
     part = min(max((math.log(reynolds) - place[k]) / (place[k + 1] - place[k]), 0.0), 1.0)
@@ -372,27 +368,25 @@ def fitted(table: PolarTable, change: Sequence[float], reynolds: float) -> Polar
     return replace(
         table,
         cl=table.cl * np.exp(lift + lift_exponent * ratio),
-        cd=np.maximum(cd, _LEAST_DRAG * table.cd),
+        cd=np.maximum(cd, _MIN_DRAG_FRACTION * table.cd),
     )
 
 
-_LEAST_DRAG = 0.3  # of the polar's that a fit leaves
-_RATIOS = (0.2, 5.0)  # of Reynolds numbers, within which a bench run says something
+_MIN_DRAG_FRACTION = 0.3  # of the polar's that a fit leaves
+_FIT_REYNOLDS_RATIOS = (0.2, 5.0)  # of Reynolds numbers, within which a bench run says something
 
 
-def as_blading(rotor: Rotor | Blading) -> Blading:
+def ensure_blading(rotor: Rotor | Blading) -> Blading:
     """Return a blading as it is, and a rotor laid out with all defaults (a millisecond; keep it for loops)."""
-    return rotor if isinstance(rotor, Blading) else prepare(rotor)
+    return rotor if isinstance(rotor, Blading) else prepare_blading(rotor)
 
 
-NEAR_WAKE_RAD = (
-    0.5 * math.pi
-)  # a quarter turn: longer wakes change e by less than 0.003 outside the inner fifth
-_ARC_POINTS = 14  # thrust within 0.03 % of 96
+NEAR_WAKE_RAD = 0.5 * math.pi  # a quarter turn: longer wakes change e by less than 0.003 outside the inner fifth
+_NEAR_WAKE_POINTS = 14  # thrust within 0.03 % of 96
 
 
-@compiled
-def _segment_w(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
+@cached_njit
+def _segment_downwash(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Velocity along +z at (px, py, 0) from a unit vortex from a to b in the same plane (Biot and Savart)."""
     ux, uy, vx, vy = px - ax, py - ay, px - bx, py - by
     lu, lv = math.sqrt(ux * ux + uy * uy), math.sqrt(vx * vx + vy * vy)
@@ -402,7 +396,7 @@ def _segment_w(px: float, py: float, ax: float, ay: float, bx: float, by: float)
     return (ux * vy - uy * vx) * (lu + lv) / depth / (4.0 * math.pi)
 
 
-@compiled
+@cached_njit
 def near_wake_downwash(
     points: Array, edge_x: Array, edge_c: Array, turn: float, straight: float, arc_points: int
 ) -> Array:
@@ -442,19 +436,19 @@ def near_wake_downwash(
         for i in range(m):
             w = 0.0
             for k in range(arc_points):
-                w += _segment_w(
+                w += _segment_downwash(
                     points[i, 0], points[i, 1], path[k, 0], path[k, 1], path[k + 1, 0], path[k + 1, 1]
                 )
             trail[i, j] = w
     out = np.empty((m, n))
     for i in range(m):
         for j in range(n):
-            bound = _segment_w(points[i, 0], points[i, 1], edge_x[j], 0.0, edge_x[j + 1], 0.0)
+            bound = _segment_downwash(points[i, 0], points[i, 1], edge_x[j], 0.0, edge_x[j + 1], 0.0)
             out[i, j] = bound + trail[i, j + 1] - trail[i, j]
     return out
 
 
-def chord_factor(
+def lifting_surface_chord_factor(
     mid_x: Array, edge_x: Array, mid_c: Array, edge_c: Array, *, straight_wake: float = 0.0
 ) -> Array:
     """e of the module docstring, at every panel: angle lost (rad) per unit of lift coefficient.
@@ -469,18 +463,16 @@ def chord_factor(
         For checks against wings: straight wake of this length and uniform wind. 0 for a rotor.
     """
     key = tuple(np.ascontiguousarray(v, dtype=np.float64).tobytes() for v in (mid_x, edge_x, mid_c, edge_c))
-    return _chord_factor(*key, straight_wake).copy()
+    return _cached_chord_factor(*key, straight_wake).copy()
 
 
 @lru_cache(maxsize=4096)  # sweeps over airfoils, pitch and speed keep the planform
-def _chord_factor(
-    mid: bytes, edge: bytes, mid_chord: bytes, edge_chord: bytes, straight_wake: float
-) -> Array:
+def _cached_chord_factor(mid: bytes, edge: bytes, mid_chord: bytes, edge_chord: bytes, straight_wake: float) -> Array:
     mid_x, edge_x, mid_c, edge_c = (np.frombuffer(v) for v in (mid, edge, mid_chord, edge_chord))
     n = mid_x.size
     quarter = np.column_stack((mid_x, np.zeros(n)))
     behind = np.column_stack((mid_x, 0.5 * mid_c))
-    args = (edge_x, edge_c, NEAR_WAKE_RAD, straight_wake, _ARC_POINTS)
+    args = (edge_x, edge_c, NEAR_WAKE_RAD, straight_wake, _NEAR_WAKE_POINTS)
     a34 = near_wake_downwash(behind, *args)
     a14 = near_wake_downwash(quarter, *args)
     wind = np.ones(n) if straight_wake > 0 else mid_x

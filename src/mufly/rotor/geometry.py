@@ -32,25 +32,25 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
+from mufly.input_files import builtin_file_names, read_toml, validate_model
 from mufly.rotor.sections.airfoil import load_airfoil
 from mufly.rotor.sections.polar_file import is_polar_file
-from mufly.tables import builtin_names, read_tables, validated
-from mufly.vehicle.quantity import Group, Quantity, Source, parameter
+from mufly.vehicle.quantity import ParameterGroup, Quantity, ValueSource, declare_parameter
 
 Array = NDArray[np.float64]
 
 
-def _fault(key: str, problem: str, remedy: str) -> PydanticCustomError:
+def _make_validation_error(key: str, problem: str, remedy: str) -> PydanticCustomError:
     context = {"key": key, "problem": problem, "remedy": remedy}
     return PydanticCustomError("mufly", "{problem}; {remedy}", context)
 
 
-class Column(Group):
+class StationColumn(ParameterGroup):
     """One quantity at every station of a blade, with unit and provenance."""
 
     value: tuple[float, ...]
     unit: str
-    source: Source
+    source: ValueSource
     note: str = ""
 
     def array(self) -> Array:
@@ -65,20 +65,20 @@ class BladeSections(NamedTuple):
     r_over_R: Array
     chord_m: Array
     twist_rad: Array
-    names: tuple[str, ...]
-    first: NDArray[np.int64]
-    second: NDArray[np.int64]
-    weight: Array
+    airfoil_names: tuple[str, ...]
+    first_airfoil: NDArray[np.int64]
+    second_airfoil: NDArray[np.int64]
+    second_weight: Array
 
 
-class Blade(Group):
+class Blade(ParameterGroup):
     """Chord, twist and airfoil from hub to tip."""
 
-    r_over_R: Column = parameter(
+    r_over_R: StationColumn = declare_parameter(
         "1", "x", "radius of each station over R, rising to 1", at_least=0, at_most=1
     )
-    chord: Column = parameter("m", "c", "chord at each station", above=0)
-    twist: Column = parameter(
+    chord: StationColumn = declare_parameter("m", "c", "chord at each station", above=0)
+    twist: StationColumn = declare_parameter(
         "rad", "theta_tw", "twist at each station, nose up", at_least=-math.pi, at_most=math.pi
     )
     airfoils: tuple[str, ...] = Field(
@@ -86,32 +86,32 @@ class Blade(Group):
     )
 
     @model_validator(mode="after")
-    def _table_is_sound(self) -> Blade:
+    def _check_stations(self) -> Blade:
         x, n = self.r_over_R.value, len(self.r_over_R.value)
         if n < 2:
-            raise _fault("blade.r_over_R", f"{n} station(s)", "give two stations at least, hub and tip")
+            raise _make_validation_error("blade.r_over_R", f"{n} station(s)", "give two stations at least, hub and tip")
         for i, (a, b) in enumerate(pairwise(x)):
             if not b > a:
-                raise _fault(
+                raise _make_validation_error(
                     "blade.r_over_R", f"station {i + 2} ({b:g}) is not beyond station {i + 1} ({a:g})",
                     "list stations from hub to tip",
                 )  # fmt: skip
         if abs(x[-1] - 1.0) > 1e-9:
-            raise _fault(
+            raise _make_validation_error(
                 "blade.r_over_R", f"the last station is {x[-1]:g}", "let the last station be the tip, 1"
             )
         for key in ("chord", "twist"):
             m = len(getattr(self, key).value)
             if m != n:
-                raise _fault(f"blade.{key}", f"{m} values for {n} stations", f"give {n} values")
+                raise _make_validation_error(f"blade.{key}", f"{m} values for {n} stations", f"give {n} values")
         if len(self.airfoils) not in (1, n):
-            raise _fault(
+            raise _make_validation_error(
                 "blade.airfoils", f"{len(self.airfoils)} airfoils for {n} stations", f"give 1 or {n} names"
             )
         return self
 
 
-class Candidate(Group):
+class SectionCandidate(ParameterGroup):
     """One section that a bench run leaves possible, and what it asks of that section."""
 
     airfoils: tuple[str, ...] = Field(min_length=1, description="as in [blade]")
@@ -122,20 +122,20 @@ class Candidate(Group):
     covariance: tuple[tuple[float, ...], ...] = Field(description="of the change", min_length=5, max_length=5)
 
     @model_validator(mode="after")
-    def _is_small(self) -> Candidate:
+    def _check_change_limits(self) -> SectionCandidate:
         if any(abs(v) > most for v, most in zip(self.change, (0.3, 1.5, 1.5, 1.0, 2.0), strict=True)):
-            raise _fault(
+            raise _make_validation_error(
                 "fit.candidates.change", f"{self.change} is no small correction", "fit the rotor again"
             )
         if any(len(row) != 5 for row in self.covariance):
-            raise _fault("fit.candidates.covariance", "is no 5 by 5 matrix", "fit the rotor again")
+            raise _make_validation_error("fit.candidates.covariance", "is no 5 by 5 matrix", "fit the rotor again")
         return self
 
 
-class SectionFit(Group):
+class SectionFit(ParameterGroup):
     """What a bench run said about a rotor's sections (:func:`mufly.rotor.fit_rotor`), the likeliest first.
 
-    The twist is turned and the coefficients of the polars are changed as :mod:`mufly.rotor.fitting` writes it, Re
+    The twist is turned and the coefficients of the polars are changed as :mod:`mufly.rotor.rotor_fit` writes it, Re
     over ``reynolds`` kept between 0.2 and 5. A section may be there with several widths of its priors.
     """
 
@@ -149,9 +149,9 @@ class SectionFit(Group):
         default=(0.0, 0.0), description="range of the airspeed along the shaft over that of the tips"
     )
     scatter: tuple[float, float] = Field(description="what the fit misses of thrust and torque, relative")
-    candidates: tuple[Candidate, ...] = Field(min_length=1)
+    candidates: tuple[SectionCandidate, ...] = Field(min_length=1)
 
-    def sections(self) -> list[tuple[str, float]]:
+    def list_sections(self) -> list[tuple[str, float]]:
         """Return the sections that are left, in words, with their probabilities, the likeliest first."""
         shares: dict[str, float] = {}
         for c in self.candidates:
@@ -160,41 +160,43 @@ class SectionFit(Group):
         return sorted(shares.items(), key=lambda item: -item[1])
 
 
-class Rotor(Group):
+class Rotor(ParameterGroup):
     """A rotor, as read from a rotor file. All values in SI units."""
 
     name: str = Field(min_length=1, description="short name")
     description: str = Field(default="", description="one line about the rotor")
     blades: int = Field(ge=1, le=20, strict=True, description="number of blades")
-    radius: Quantity = parameter("m", "R", "radius of the rotor", above=0)
-    hub_cutout: Quantity = parameter(
+    radius: Quantity = declare_parameter("m", "R", "radius of the rotor", above=0)
+    hub_cutout: Quantity = declare_parameter(
         "1", "x0", "radius over R at which the blade begins", at_least=0, below=1
     )  # fmt: skip
-    trailing_edge: Quantity = parameter(
+    trailing_edge: Quantity = declare_parameter(
         "m", "h", "thickness of the trailing edge; 0: as its airfoils have it", at_least=0, absent=0.0
     )
     blade: Blade
     fit: SectionFit | None = Field(default=None, description="what a bench run said about the sections")
 
     @model_validator(mode="after")
-    def _cutout_on_blade(self) -> Rotor:
+    def _check_cutout(self) -> Rotor:
         x = self.blade.r_over_R.value
         if float(self.hub_cutout) > 0.9:
-            raise _fault("hub_cutout", f"{float(self.hub_cutout):g} leaves no blade", "give at most 0.9")
+            raise _make_validation_error(
+                "hub_cutout", f"{float(self.hub_cutout):g} leaves no blade", "give at most 0.9"
+            )
         widest = max(self.blade.chord.value)
         if widest > float(self.radius):
-            raise _fault(
+            raise _make_validation_error(
                 "blade.chord", f"{1e3 * widest:g} mm is more than the radius, {1e3 * float(self.radius):g} mm",
                 "check both, and their units",
             )  # fmt: skip
         edge = float(self.trailing_edge)
         if edge > 0.1 * widest:
-            raise _fault(
+            raise _make_validation_error(
                 "trailing_edge", f"{1e3 * edge:g} mm is no edge on a chord of {1e3 * widest:g} mm",
                 "check both, and their units",
             )  # fmt: skip
         if sum(v > float(self.hub_cutout) for v in x) < 1:
-            raise _fault("hub_cutout", "no station lies beyond it", "give stations out to the tip")
+            raise _make_validation_error("hub_cutout", "no station lies beyond it", "give stations out to the tip")
         return self
 
     @property
@@ -215,7 +217,7 @@ class Rotor(Group):
     @property
     def blade_area_m2(self) -> float:
         """Area of one blade from cut-out to tip."""
-        return self.radius_m * self._moment(0)
+        return self.radius_m * self._chord_moment(0)
 
     @property
     def solidity(self) -> float:
@@ -225,14 +227,14 @@ class Rotor(Group):
     @property
     def thrust_solidity(self) -> float:
         """Thrust-weighted solidity, 3 int sigma(x) x^2 dx."""
-        return 3.0 * self.blades * self._moment(2) / (math.pi * self.radius_m)
+        return 3.0 * self.blades * self._chord_moment(2) / (math.pi * self.radius_m)
 
     @property
     def aspect_ratio(self) -> float:
         """Span from cut-out to tip over mean chord."""
         return (self.radius_m - self.hub_radius_m) ** 2 / self.blade_area_m2
 
-    def _moment(self, power: int) -> float:
+    def _chord_moment(self, power: int) -> float:
         """Integral of c x^power over x from the cut-out to 1, exact for the piecewise linear chord."""
         x0 = float(self.hub_cutout)
         inner = self.blade.r_over_R.array()
@@ -244,21 +246,17 @@ class Rotor(Group):
 
     def chord_m(self, r_over_R: ArrayLike) -> Array:
         """Chord (m) at ``r/R``, linear between stations."""
-        return np.interp(
-            np.asarray(r_over_R, dtype=np.float64), self.blade.r_over_R.value, self.blade.chord.value
-        )
+        return np.interp(np.asarray(r_over_R, dtype=np.float64), self.blade.r_over_R.value, self.blade.chord.value)
 
     def twist_rad(self, r_over_R: ArrayLike) -> Array:
         """Twist (rad) at ``r/R``, linear between stations."""
-        return np.interp(
-            np.asarray(r_over_R, dtype=np.float64), self.blade.r_over_R.value, self.blade.twist.value
-        )
+        return np.interp(np.asarray(r_over_R, dtype=np.float64), self.blade.r_over_R.value, self.blade.twist.value)
 
     def airfoil_names(self) -> tuple[str, ...]:
         """Return the different airfoils, hub first."""
         return tuple(dict.fromkeys(self.blade.airfoils))
 
-    def sections(self, r_over_R: ArrayLike) -> BladeSections:
+    def sections_at(self, r_over_R: ArrayLike) -> BladeSections:
         """Return chord, twist and airfoil mix at the given radii.
 
         Parameters
@@ -309,19 +307,19 @@ def blade_thickness_m(rotor: Rotor, r_over_R: ArrayLike) -> Array:
     InputError
         If an airfoil is unknown or unsound.
     """
-    s = rotor.sections(r_over_R)
+    s = rotor.sections_at(r_over_R)
     ratio = np.array(
-        [math.nan if is_polar_file(name) else load_airfoil(name).thickness_ratio for name in s.names]
+        [math.nan if is_polar_file(name) else load_airfoil(name).thickness_ratio for name in s.airfoil_names]
     )
-    return s.chord_m * ((1.0 - s.weight) * ratio[s.first] + s.weight * ratio[s.second])
+    return s.chord_m * ((1.0 - s.second_weight) * ratio[s.first_airfoil] + s.second_weight * ratio[s.second_airfoil])
 
 
-_BUILTIN = resources.files("mufly.rotor") / "builtin"
+_BUILTIN_FOLDER = resources.files("mufly.rotor") / "builtin"
 
 
 def builtin_rotors() -> list[str]:
     """Return the names of the rotors that come with mufly."""
-    return builtin_names(_BUILTIN)
+    return builtin_file_names(_BUILTIN_FOLDER)
 
 
 def load_rotor(name_or_path: str | Path) -> Rotor:
@@ -345,15 +343,15 @@ def load_rotor(name_or_path: str | Path) -> Rotor:
         If there is no such rotor, the file is not TOML, or a value is missing, unknown, without a unit or
         impossible. The message names file, key, value and remedy.
     """
-    tables, where = read_tables(name_or_path, _BUILTIN, "rotor")
+    tables, where = read_toml(name_or_path, _BUILTIN_FOLDER, "rotor")
     blade = tables.get("blade")
     if where == str(name_or_path) and isinstance(blade, dict) and isinstance(blade.get("airfoils"), list):
         folder = Path(where).parent
-        blade["airfoils"] = [_beside(folder, name) for name in blade["airfoils"]]
-    return rotor_from({"name": Path(where).stem, **tables}, where)
+        blade["airfoils"] = [_resolve_airfoil_path(folder, name) for name in blade["airfoils"]]
+    return rotor_from_tables({"name": Path(where).stem, **tables}, where)
 
 
-def _beside(folder: Path, name: Any) -> Any:
+def _resolve_airfoil_path(folder: Path, name: Any) -> Any:
     if (
         isinstance(name, str)
         and name.lower().endswith((".dat", ".txt", ".csv", ".pol", ".plr", ".polar"))
@@ -363,7 +361,7 @@ def _beside(folder: Path, name: Any) -> Any:
     return name
 
 
-def rotor_from(tables: Mapping[str, Any], where: str = "rotor") -> Rotor:
+def rotor_from_tables(tables: Mapping[str, Any], where: str = "rotor") -> Rotor:
     """Make a checked rotor of nested dictionaries with the keys of a rotor file.
 
     Raises
@@ -371,7 +369,7 @@ def rotor_from(tables: Mapping[str, Any], where: str = "rotor") -> Rotor:
     InputError
         As for :func:`load_rotor`.
     """
-    return validated(Rotor, tables, where)
+    return validate_model(Rotor, tables, where)
 
 
 def make_rotor(
@@ -415,7 +413,7 @@ def make_rotor(
     """
     x = np.asarray(r_over_R, dtype=np.float64)
 
-    def column(values: ArrayLike, unit: str) -> dict[str, Any]:
+    def make_column(values: ArrayLike, unit: str) -> dict[str, Any]:
         array = np.asarray(values, dtype=np.float64)
         return {
             "value": (np.full(x.size, array) if array.ndim == 0 else array).tolist(),
@@ -430,13 +428,13 @@ def make_rotor(
         "radius": {"value": radius_m, "unit": "m", "source": source},
         "hub_cutout": {"value": hub_cutout, "unit": "1", "source": source},
         "blade": {
-            "r_over_R": column(x, "1"),
-            "chord": column(chord_m, "m"),
-            "twist": column(twist_rad, "rad"),
+            "r_over_R": make_column(x, "1"),
+            "chord": make_column(chord_m, "m"),
+            "twist": make_column(twist_rad, "rad"),
             "airfoils": [airfoils] if isinstance(airfoils, str) else list(airfoils),
         },
     }
-    return rotor_from(tables, name)
+    return rotor_from_tables(tables, name)
 
 
 def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "specified") -> Rotor:
@@ -483,9 +481,9 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
             table[last] = {**table[last], "value": listed, "source": source, "note": "set by hand"}
         else:
             table[last] = value
-    return rotor_from(tables, rotor.name)
+    return rotor_from_tables(tables, rotor.name)
 
 
-def rotor_toml(rotor: Rotor) -> str:
+def format_rotor_toml(rotor: Rotor) -> str:
     """Return the rotor as the text of a rotor file, in SI units, that :func:`load_rotor` reads back."""
     return tomli_w.dumps(rotor.toml_tables())

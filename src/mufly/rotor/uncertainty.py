@@ -11,13 +11,13 @@ Causes are varied one at a time about the nominal rotor, each by one standard de
 * ``method``: 5 % of thrust, 8 % of torque, the size of what a lattice with a contracting wake changes (docs/bemt.md).
 
 Where the section is a guess, the prediction is the mean over the sections that a blade may have
-(:mod:`mufly.rotor.families`), weighted with their probabilities, and their variance about it adds to the causes;
+(:mod:`mufly.rotor.blade_families`), weighted with their probabilities, and their variance about it adds to the causes;
 camber and thickness are then unknown between neighbours of that list only.
 
 The causes are taken as independent, variances add. None of these numbers was fitted. What they leave out, nobody can
-list; so the sum is widened by :data:`WIDER`, the two numbers here that were fitted: with them nominal 90 % intervals
-hold 90 % of the points of the benchmark's rotors, each rotor with the same weight. What that is worth on a family of
-rotors that the numbers have not seen, `mufly rotor benchmark --held-out` tells (docs/benchmark.md).
+list; so the sum is widened by :data:`INTERVAL_WIDENING`, the two numbers here that were fitted: with them nominal 90 %
+intervals hold 90 % of the points of the benchmark's rotors, each rotor with the same weight. What that is worth on a
+family of rotors that the numbers have not seen, `mufly rotor benchmark --held-out` tells (docs/benchmark.md).
 """
 
 from __future__ import annotations
@@ -32,25 +32,30 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import ArgumentError, InputError
 from mufly.results import result
-from mufly.rotor.bemt import hover_batch
-from mufly.rotor.blading import Blading, Corrections, prepare
-from mufly.rotor.families import BETWEEN, DRAG_PER_THICKNESS, ZERO_LIFT_PER_CAMBER, section_weights
-from mufly.rotor.geometry import Candidate, Rotor, SectionFit, replace_rotor
-from mufly.rotor.sections import engines
-from mufly.rotor.sections.engines import Engine
-from mufly.rotor.system import Air
+from mufly.rotor.bemt import solve_rotor_batch
+from mufly.rotor.blade_families import (
+    DRAG_PER_THICKNESS,
+    GRID_STEP_STD,
+    ZERO_LIFT_PER_CAMBER,
+    section_probabilities,
+)
+from mufly.rotor.blading import Blading, Corrections, prepare_blading
+from mufly.rotor.geometry import Rotor, SectionCandidate, SectionFit, replace_rotor
+from mufly.rotor.rotor_system import Air
+from mufly.rotor.sections import polar_engines
+from mufly.rotor.sections.polar_engines import PolarEngine
 
 Array = NDArray[np.float64]
-Known = Literal["known", "guessed", "measured"]
-SECTIONS: tuple[Known, ...] = ("known", "guessed", "measured")
+SectionKnowledge = Literal["known", "guessed", "measured"]
+SECTION_KNOWLEDGE_LEVELS: tuple[SectionKnowledge, ...] = ("known", "guessed", "measured")
 
-WIDER = (1.06, 1.55)
+INTERVAL_WIDENING = (1.06, 1.55)
 """Of thrust and torque: fitted to the 90 % intervals of 21 rotors (docs/benchmark.md)."""
-_UNLIKELY = 0.003  # sections below this probability are left out of a mean
+_MIN_SECTION_PROBABILITY = 0.003  # sections below this probability are left out of a mean
 
 
 @dataclass(frozen=True)
-class Doubt:
+class InputUncertainty:
     """Standard deviations of what is not known; the defaults belong to a known section."""
 
     n_crit: tuple[float, ...] = (4.0, 9.0)
@@ -68,13 +73,13 @@ class Doubt:
                 raise InputError("uncertainty", key, f"is {getattr(self, key):g}", "give 0 or more, below 1")
 
     @classmethod
-    def of_guessed_section(cls) -> Doubt:
+    def for_guessed_section(cls) -> InputUncertainty:
         """Return the doubt that is left where the mean was taken over the sections that a blade may have."""
-        return cls(camber=BETWEEN[0], thickness=BETWEEN[1])
+        return cls(camber=GRID_STEP_STD[0], thickness=GRID_STEP_STD[1])
 
 
 @result(eq=False)
-class Band:
+class PredictionInterval:
     """A prediction with its interval.
 
     Attributes
@@ -100,10 +105,10 @@ class Band:
     torque_share: Mapping[str, Array]
 
 
-_SIGMAS = {0.5: 0.674, 0.68: 0.994, 0.8: 1.282, 0.9: 1.645, 0.95: 1.960, 0.99: 2.576}
+_SIGMAS_BY_LEVEL = {0.5: 0.674, 0.68: 0.994, 0.8: 1.282, 0.9: 1.645, 0.95: 1.960, 0.99: 2.576}
 
 
-def interval(
+def predict_interval(
     rotor: Rotor,
     *,
     pitch_rad: ArrayLike,
@@ -112,13 +117,13 @@ def interval(
     air: Air | None = None,
     corrections: Corrections | None = None,
     n_crit: float = 0.1,
-    engine: Engine = "neuralfoil",
-    section: Known = "known",
+    engine: PolarEngine = "neuralfoil",
+    section: SectionKnowledge = "known",
     family: str = "",
-    doubt: Doubt | None = None,
+    doubt: InputUncertainty | None = None,
     level: float = 0.9,
     wider: tuple[float, float] | None = None,
-) -> Band:
+) -> PredictionInterval:
     """Predict thrust and torque with an interval.
 
     For a rotor that was fitted to a bench (:func:`mufly.rotor.fit_rotor`) it is made of what that left open: the five
@@ -133,31 +138,32 @@ def interval(
     pitch_rad, speed_rad_s, climb_m_s : array_like
         Points, broadcast against each other.
     air, corrections, n_crit, engine
-        As for :func:`mufly.rotor.blading.prepare` and :func:`mufly.rotor.bemt.hover`.
+        As for :func:`mufly.rotor.blading.prepare_blading` and :func:`mufly.rotor.bemt.solve_rotor`.
     section : 'known', 'guessed' or 'measured'
         The rotor file's airfoils; of a fitted rotor they are measured, whatever is said.
     family : str
-        Of a guessed section: one of :data:`mufly.rotor.families.FAMILIES`, if it is known.
+        Of a guessed section: one of :data:`mufly.rotor.blade_families.BLADE_FAMILIES`, if it is known.
     doubt : Doubt, optional
         What is not known; by default that of a known or guessed section.
     level : float
         0.5, 0.68, 0.8, 0.9, 0.95 or 0.99.
     wider : (float, float), optional
-        In place of :data:`WIDER`.
+        In place of :data:`INTERVAL_WIDENING`.
 
     Raises
     ------
     InputError
         If the level, section or family is none of these, or the section is 'measured' and the rotor was never fitted.
     """
-    if level not in _SIGMAS:
-        known = ", ".join(map(str, _SIGMAS))
-        raise ArgumentError(
-            "band", f"{level:g}", "is no share an interval is known for", f"choose one of {known}"
-        )
-    if section not in SECTIONS:
+    if level not in _SIGMAS_BY_LEVEL:
+        known = ", ".join(map(str, _SIGMAS_BY_LEVEL))
+        raise ArgumentError("band", f"{level:g}", "is no share an interval is known for", f"choose one of {known}")
+    if section not in SECTION_KNOWLEDGE_LEVELS:
         raise InputError(
-            "uncertainty", "section", f"{section!r} is unknown", f"use one of: {', '.join(SECTIONS)}"
+            "uncertainty",
+            "section",
+            f"{section!r} is unknown",
+            f"use one of: {', '.join(SECTION_KNOWLEDGE_LEVELS)}",
         )
     if section == "measured" and rotor.fit is None:
         raise InputError(
@@ -165,32 +171,32 @@ def interval(
             "run `mufly rotor fit` on a bench file, or say known or guessed",
         )  # fmt: skip
     guessed = section == "guessed" and rotor.fit is None
-    unsure = doubt or (Doubt.of_guessed_section() if guessed else Doubt())
+    unsure = doubt or (InputUncertainty.for_guessed_section() if guessed else InputUncertainty())
     fixes = corrections or Corrections()
     pitch, speed, climb = np.broadcast_arrays(*np.atleast_1d(pitch_rad, speed_rad_s, climb_m_s))
     if rotor.fit is not None:
 
-        def at(one: Rotor) -> Array:
-            blading = prepare(one, n_crit=n_crit, engine=engine, corrections=fixes)
-            out = hover_batch(blading, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=air)
+        def solve_rotor_loads(one: Rotor) -> Array:
+            blading = prepare_blading(one, n_crit=n_crit, engine=engine, corrections=fixes)
+            out = solve_rotor_batch(blading, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=air)
             return np.stack((out.thrust_N, out.torque_Nm))
 
         ratio = climb / (rotor.radius_m * speed)
-        values, parts = _after_bench(rotor, rotor.fit, at, (pitch, speed, ratio), unsure)
-        return _band(values, parts, level)
-    nominal = prepare(rotor, n_crit=n_crit, engine=engine, corrections=fixes)
+        values, parts = _predict_fitted_rotor(rotor, rotor.fit, solve_rotor_loads, (pitch, speed, ratio), unsure)
+        return _make_interval(values, parts, level)
+    nominal = prepare_blading(rotor, n_crit=n_crit, engine=engine, corrections=fixes)
 
-    def solve(blading: Blading = nominal, turned: float = 0.0) -> tuple[Array, Array]:
-        out = hover_batch(blading, pitch_rad=pitch + turned, speed_rad_s=speed, climb_m_s=climb, air=air)
+    def solve_loads(blading: Blading = nominal, turned: float = 0.0) -> tuple[Array, Array]:
+        out = solve_rotor_batch(blading, pitch_rad=pitch + turned, speed_rad_s=speed, climb_m_s=climb, air=air)
         return out.thrust_N, out.torque_Nm
 
-    def scaled(lift: float, drag: float) -> tuple[Array, Array]:
+    def solve_scaled_loads(lift: float, drag: float) -> tuple[Array, Array]:
         changed = replace(fixes, lift_factor=fixes.lift_factor * lift, drag_factor=fixes.drag_factor * drag)
-        return solve(replace(nominal, corrections=changed))
+        return solve_loads(replace(nominal, corrections=changed))
 
-    thrust, torque = solve()
+    thrust, torque = solve_loads()
 
-    def spread(*others: tuple[Array, Array]) -> tuple[Array, Array]:
+    def rms_departure(*others: tuple[Array, Array]) -> tuple[Array, Array]:
         """Root mean square departure from the nominal point."""
         return (
             np.sqrt(np.mean([(t - thrust) ** 2 for t, _ in others], axis=0)),
@@ -199,58 +205,60 @@ def interval(
 
     shift = ZERO_LIFT_PER_CAMBER * unsure.camber
     causes = {
-        "n_crit": spread(
-            *(solve(prepare(rotor, n_crit=n, engine=engine, corrections=fixes)) for n in unsure.n_crit),
+        "n_crit": rms_departure(
+            *(solve_loads(prepare_blading(rotor, n_crit=n, engine=engine, corrections=fixes)) for n in unsure.n_crit),
             (thrust, torque),
         ),
-        "engine": _added(
-            spread(scaled(1 + unsure.lift, 1.0), scaled(1 - unsure.lift, 1.0)),
-            spread(scaled(1.0, 1 + unsure.drag), scaled(1.0, 1 - unsure.drag)),
+        "engine": _combine_deviations(
+            rms_departure(solve_scaled_loads(1 + unsure.lift, 1.0), solve_scaled_loads(1 - unsure.lift, 1.0)),
+            rms_departure(solve_scaled_loads(1.0, 1 + unsure.drag), solve_scaled_loads(1.0, 1 - unsure.drag)),
         ),
-        "camber": spread(solve(turned=shift), solve(turned=-shift)),
-        "thickness": spread(
-            scaled(1.0, 1 + DRAG_PER_THICKNESS * unsure.thickness),
-            scaled(1.0, 1 - DRAG_PER_THICKNESS * unsure.thickness),
+        "camber": rms_departure(solve_loads(turned=shift), solve_loads(turned=-shift)),
+        "thickness": rms_departure(
+            solve_scaled_loads(1.0, 1 + DRAG_PER_THICKNESS * unsure.thickness),
+            solve_scaled_loads(1.0, 1 - DRAG_PER_THICKNESS * unsure.thickness),
         ),
-        "pitch": spread(solve(turned=unsure.pitch_rad), solve(turned=-unsure.pitch_rad)),
+        "pitch": rms_departure(solve_loads(turned=unsure.pitch_rad), solve_loads(turned=-unsure.pitch_rad)),
         "method": (unsure.method_thrust * np.abs(thrust), unsure.method_torque * np.abs(torque)),
     }
     values, all_causes = np.stack((thrust, torque)), {name: np.stack(pair) for name, pair in causes.items()}
     if guessed:
-        listed = [(a, w) for a, w in section_weights(rotor, family) if w >= _UNLIKELY]
-        tables = engines.polars({a for airfoils, _ in listed for a in airfoils}, n_crit=n_crit, engine=engine)
+        listed = [(a, w) for a, w in section_probabilities(rotor, family) if w >= _MIN_SECTION_PROBABILITY]
+        tables = polar_engines.compute_polars(
+            {a for airfoils, _ in listed for a in airfoils}, n_crit=n_crit, engine=engine
+        )
         ones = [replace_rotor(rotor, {"blade.airfoils": a}) for a, _ in listed]
-        several = np.array([solve(prepare(one, tables, corrections=fixes)) for one in ones])
+        several = np.array([solve_loads(prepare_blading(one, tables, corrections=fixes)) for one in ones])
         weights = np.array([w for _, w in listed])
         weights /= weights.sum()
         values = np.tensordot(weights, several, 1)
         all_causes["section"] = np.sqrt(np.tensordot(weights, (several - values) ** 2, 1))
-    return _band(values, all_causes, level, wider or WIDER)
+    return _make_interval(values, all_causes, level, wider or INTERVAL_WIDENING)
 
 
-def _band(
+def _make_interval(
     values: Array, causes: Mapping[str, Array], level: float, wider: tuple[float, float] = (1.0, 1.0)
-) -> Band:
+) -> PredictionInterval:
     """Thrust and torque (2, n), standard deviations of each cause likewise."""
     sigma = (
         np.array(wider)[:, None]
-        * _SIGMAS[level]
+        * _SIGMAS_BY_LEVEL[level]
         * np.sqrt(np.sum([np.square(c) for c in causes.values()], axis=0))
     )
     size = np.where(values == 0.0, np.nan, np.abs(values))
     low, high = values - sigma, values + sigma
-    return Band(
+    return PredictionInterval(
         values[0], values[1], low[0], high[0], low[1], high[1], level,
         {name: c[0] / size[0] for name, c in causes.items()}, {name: c[1] / size[1] for name, c in causes.items()},
     )  # fmt: skip
 
 
-def _after_bench(
+def _predict_fitted_rotor(
     rotor: Rotor,
     fit: SectionFit,
     at: Callable[[Rotor], Array],
     points: tuple[Array, Array, Array],
-    unsure: Doubt,
+    unsure: InputUncertainty,
 ) -> tuple[Array, dict[str, Array]]:
     """Prediction of a fitted rotor and the standard deviation that each cause brings, (2, n) each."""
     pitch, speed, climb = points
@@ -259,24 +267,22 @@ def _after_bench(
     for candidate in fit.candidates:
         one = replace_rotor(rotor, {"blade.airfoils": candidate.airfoils})
 
-        def with_change(change: Array, one: Rotor = one, candidate: Candidate = candidate) -> Array:
+        def solve_with_change(change: Array, one: Rotor = one, candidate: SectionCandidate = candidate) -> Array:
             now = candidate.model_copy(update={"change": tuple(change.tolist())})
             return at(one.model_copy(update={"fit": fit.model_copy(update={"candidates": (now,)})}))
 
         change, covariance = np.array(candidate.change), np.array(candidate.covariance)
         # Along the principal axes, a standard deviation to either side
         size, axes = np.linalg.eigh(covariance)
-        mean = with_change(change)
+        mean = solve_with_change(change)
         spread = [
-            0.5 * (with_change(change + step) - with_change(change - step))
+            0.5 * (solve_with_change(change + step) - solve_with_change(change - step))
             for step in (np.sqrt(np.maximum(size, 0.0)) * axes).T
         ]
         means.append(mean)
         within.append(np.sum(np.square(spread), axis=0))
     between = np.tensordot(weights, (np.array(means) - means[0]) ** 2, 1)
-    off_pitch = np.maximum(
-        np.maximum(fit.pitch_rad[0] - pitch, pitch - fit.pitch_rad[1]), 0.0
-    ) / math.radians(5.0)
+    off_pitch = np.maximum(np.maximum(fit.pitch_rad[0] - pitch, pitch - fit.pitch_rad[1]), 0.0) / math.radians(5.0)
     off_speed = np.maximum(np.maximum(fit.speed_rad_s[0] / speed, speed / fit.speed_rad_s[1]), 1.0)
     off_climb = np.maximum(np.maximum(fit.climb_ratio[0] - climb, climb - fit.climb_ratio[1]), 0.0) / 0.1
     away = np.minimum(np.sqrt(off_pitch**2 + np.log2(off_speed) ** 2 + off_climb**2), 1.0)
@@ -290,10 +296,10 @@ def _after_bench(
     }
 
 
-def _added(*pairs: tuple[Array, Array]) -> tuple[Array, Array]:
+def _combine_deviations(*pairs: tuple[Array, Array]) -> tuple[Array, Array]:
     """Standard deviations of independent causes, together."""
 
-    def root(parts: Sequence[Array]) -> Array:
+    def root_sum_square(parts: Sequence[Array]) -> Array:
         return np.sqrt(np.sum(np.square(parts), axis=0))
 
-    return root([t for t, _ in pairs]), root([q for _, q in pairs])
+    return root_sum_square([t for t, _ in pairs]), root_sum_square([q for _, q in pairs])

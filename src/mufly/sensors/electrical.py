@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.dynamics.state import RS_SPEED_UPPER
-from mufly.sensors.drawing import normals
-from mufly.sensors.periodic import STANDS, VALUES, Periodic
+from mufly.dynamics.model_state import RS_SPEED_UPPER
+from mufly.numba_cache import cached_njit
+from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth
+from mufly.sensors.rng import draw_normals
 from mufly.vehicle import Vehicle
-from mufly.vehicle.sensing import BatteryMonitor, RotorSpeed
+from mufly.vehicle.sensor_schema import BatteryMonitorParameters, RotorSpeedSensorParameters
 
 _Array = NDArray[np.float64]
 # Of the numbers of each: scales of both speeds, noise (rad/s); of voltage and current (V, A)
@@ -31,8 +31,8 @@ _SPEED_SCALE, _SPEED_NOISE = 0, 2
 _VOLTAGE_NOISE, _VOLTAGE_STEP, _CURRENT_SCALE, _CURRENT_NOISE = range(4)
 
 
-@compiled(error_model="numpy")
-def _speeds(
+@cached_njit(error_model="numpy")
+def _sample_rotor_speeds(
     t: float,
     x: _Array,
     attitude: _Array,
@@ -43,33 +43,33 @@ def _speeds(
 ) -> float:
     (numbers,) = parts
     n = np.empty(2)
-    normals(source, n)
-    row[STANDS] = 1.0
+    draw_normals(source, n)
+    row[IS_VALID] = 1.0
     for k in range(2):
-        row[VALUES + k] = max(
+        row[FIRST_VALUE + k] = max(
             x[RS_SPEED_UPPER + k] * numbers[_SPEED_SCALE + k] + numbers[_SPEED_NOISE] * n[k], 0.0
         )
     return 0.0
 
 
-class BackEmfSensor(Periodic):
+class BackEmfSensor(PeriodicSensor):
     """Reads ``rotor_speed`` (2,), upper and lower (rad/s)."""
 
-    says = {"rotor_speed": slice(0, 2)}  # noqa: RUF012
-    compute = _speeds
+    published_readings = {"rotor_speed": slice(0, 2)}  # noqa: RUF012
+    sample_function = _sample_rotor_speeds
 
-    def __init__(self, table: RotorSpeed, vehicle: Vehicle, rng: np.random.Generator) -> None:
+    def __init__(self, table: RotorSpeedSensorParameters, vehicle: Vehicle, rng: np.random.Generator) -> None:
         s = table
         noise = float(s.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
         scale = 1.0 + float(s.constant_error) * rng.standard_normal(2)
         super().__init__(float(s.period), rng, (np.array([*scale, noise]),))
 
-    def right(self, truth: Truth) -> dict[str, Any]:
+    def true_readings(self, truth: Truth) -> dict[str, Any]:
         return {"rotor_speed": truth.rotor_speed}
 
 
-@compiled(error_model="numpy")
-def _battery(
+@cached_njit(error_model="numpy")
+def _sample_battery(
     t: float,
     x: _Array,
     attitude: _Array,
@@ -80,26 +80,26 @@ def _battery(
 ) -> float:
     (numbers,) = parts
     n = np.empty(2)
-    normals(source, n)
+    draw_normals(source, n)
     volts, step = supply[0] + numbers[_VOLTAGE_NOISE] * n[0], numbers[_VOLTAGE_STEP]
     if step > 0.0:
         volts = np.rint(volts / step) * step
-    row[STANDS], row[VALUES] = 1.0, max(volts, 0.0)
-    row[VALUES + 1] = supply[1] * numbers[_CURRENT_SCALE] + numbers[_CURRENT_NOISE] * n[1]
+    row[IS_VALID], row[FIRST_VALUE] = 1.0, max(volts, 0.0)
+    row[FIRST_VALUE + 1] = supply[1] * numbers[_CURRENT_SCALE] + numbers[_CURRENT_NOISE] * n[1]
     return 0.0
 
 
-class BatterySensor(Periodic):
+class BatterySensor(PeriodicSensor):
     """Reads ``battery_voltage`` (V) and ``battery_current`` (A)."""
 
-    says = {"battery_voltage": 0, "battery_current": 1}  # noqa: RUF012
-    compute = _battery
+    published_readings = {"battery_voltage": 0, "battery_current": 1}  # noqa: RUF012
+    sample_function = _sample_battery
 
-    def __init__(self, table: BatteryMonitor, vehicle: Vehicle, rng: np.random.Generator) -> None:
+    def __init__(self, table: BatteryMonitorParameters, vehicle: Vehicle, rng: np.random.Generator) -> None:
         b = table
         scale = 1.0 + float(b.current_scale) * float(rng.standard_normal())
         numbers = [float(b.voltage_noise), float(b.voltage_resolution), scale, float(b.current_noise)]
         super().__init__(float(b.period), rng, (np.array(numbers),))
 
-    def right(self, truth: Truth) -> dict[str, Any]:
+    def true_readings(self, truth: Truth) -> dict[str, Any]:
         return {"battery_voltage": truth.voltage, "battery_current": truth.current}

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from mufly.errors import ArgumentError, InputError, suggest_name
-from mufly.grammar import read_quantity, read_span
+from mufly.quantity_grammar import read_quantity, read_time_span
 from mufly.sensors.imu import Imu
-from mufly.sensors.readings import READINGS, Reading, Sensor, Truth
+from mufly.sensors.readings import READING_KINDS, Reading, Sensor, Truth
 
-KINDS: Mapping[str, str] = {
+FAULT_KINDS: Mapping[str, str] = {
     "freeze": "says again and again what it said last, with new times",
     "dropout": "says nothing: its last reading grows old",
     "jump": "is off by an amount at once",
@@ -38,20 +38,20 @@ KINDS: Mapping[str, str] = {
 
 
 @dataclass(frozen=True)
-class Target:
+class FaultTarget:
     """What a fault is about: sensor of the suite, name of its reading, and how much is wrong by default."""
 
     sensor: str
     reading: str
-    amount: Mapping[str, float]
+    default_amounts: Mapping[str, float]
 
     @property
-    def unit(self) -> str:
+    def reading_unit(self) -> str:
         """Of the amounts, but for seconds of ``late``."""
-        return READINGS[self.reading].unit
+        return READING_KINDS[self.reading].unit
 
 
-def _amounts(off: float, per_s: float, bound: float, stuck: float) -> dict[str, float]:
+def _default_amounts(off: float, per_s: float, bound: float, stuck: float) -> dict[str, float]:
     return {
         "jump": off,
         "bias": off,
@@ -63,23 +63,23 @@ def _amounts(off: float, per_s: float, bound: float, stuck: float) -> dict[str, 
     }
 
 
-TARGETS: Mapping[str, Target] = {
-    "accelerometer": Target("imu", "acceleration", _amounts(3.0, 0.3, 20.0, 0.0)),
-    "gyro": Target("imu", "rates", _amounts(0.2, 0.02, 0.5, 0.0)),
-    "sonar": Target("sonar", "ground_distance", _amounts(0.3, 0.05, 0.5, 1.0)),
-    "ring": Target("ring_camera", "ranges", _amounts(0.5, 0.1, 0.7, 0.3)),
-    "pressure": Target("pressure", "pressure", _amounts(20.0, 2.0, 1e5, 1e5)),
-    "magnetometer": Target("magnetometer", "magnetic_field", _amounts(2e-5, 1e-6, 2e-5, 0.0)),
-    "rotor_speed": Target("rotor_speed", "rotor_speed", _amounts(50.0, 5.0, 200.0, 0.0)),
-    "battery": Target("battery", "battery_voltage", _amounts(1.0, 0.1, 6.0, 6.0)),
-    "position": Target("position_fix", "position_fix", _amounts(0.5, 0.1, 0.5, 0.0)),
+FAULT_TARGETS: Mapping[str, FaultTarget] = {
+    "accelerometer": FaultTarget("imu", "acceleration", _default_amounts(3.0, 0.3, 20.0, 0.0)),
+    "gyro": FaultTarget("imu", "rates", _default_amounts(0.2, 0.02, 0.5, 0.0)),
+    "sonar": FaultTarget("sonar", "ground_distance", _default_amounts(0.3, 0.05, 0.5, 1.0)),
+    "ring": FaultTarget("ring_camera", "ranges", _default_amounts(0.5, 0.1, 0.7, 0.3)),
+    "pressure": FaultTarget("pressure", "pressure", _default_amounts(20.0, 2.0, 1e5, 1e5)),
+    "magnetometer": FaultTarget("magnetometer", "magnetic_field", _default_amounts(2e-5, 1e-6, 2e-5, 0.0)),
+    "rotor_speed": FaultTarget("rotor_speed", "rotor_speed", _default_amounts(50.0, 5.0, 200.0, 0.0)),
+    "battery": FaultTarget("battery", "battery_voltage", _default_amounts(1.0, 0.1, 6.0, 6.0)),
+    "position": FaultTarget("position_fix", "position_fix", _default_amounts(0.5, 0.1, 0.5, 0.0)),
 }
 """What can be wrong about what."""
 
-_LATEST_S = 86400.0  # no battery lasts a day
-_WORST = 1000.0  # over the usual amount of a kind, or of a jump
+_MAX_START_S = 86400.0  # no battery lasts a day
+_MAX_AMOUNT_FACTOR = 1000.0  # over the usual amount of a kind, or of a jump
 
-_FORM = "NAME.KIND=AMOUNT@STARTs+DURATIONs, as sonar.jump=0.3@15s+2s"
+_FAULT_SYNTAX = "NAME.KIND=AMOUNT@STARTs+DURATIONs, as sonar.jump=0.3@15s+2s"
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Fault:
     Attributes
     ----------
     name, kind : str
-        Of :data:`TARGETS` and :data:`KINDS`.
+        Of :data:`FAULT_TARGETS` and :data:`FAULT_KINDS`.
     start_s, stop_s : float
         From when to when (s).
     amount : float
@@ -103,28 +103,28 @@ class Fault:
     amount: float = math.nan
 
     def __post_init__(self) -> None:
-        if self.name not in TARGETS:
-            raise ArgumentError("fault", self.name, "is no sensor", suggest_name(self.name, TARGETS))
-        if self.kind not in KINDS:
-            raise ArgumentError("fault", self.kind, "is no fault", suggest_name(self.kind, KINDS))
-        if not (0.0 <= self.start_s <= _LATEST_S and self.stop_s > self.start_s):
+        if self.name not in FAULT_TARGETS:
+            raise ArgumentError("fault", self.name, "is no sensor", suggest_name(self.name, FAULT_TARGETS))
+        if self.kind not in FAULT_KINDS:
+            raise ArgumentError("fault", self.kind, "is no fault", suggest_name(self.kind, FAULT_KINDS))
+        if not (0.0 <= self.start_s <= _MAX_START_S and self.stop_s > self.start_s):
             span = f"{self.start_s:g} to {self.stop_s:g} s"
-            raise ArgumentError("fault", str(self), f"{span} is no time", f"write {_FORM}")
+            raise ArgumentError("fault", str(self), f"{span} is no time", f"write {_FAULT_SYNTAX}")
         if math.isnan(self.amount):
-            object.__setattr__(self, "amount", TARGETS[self.name].amount.get(self.kind, 0.0))
-        usual = TARGETS[self.name].amount
-        most = _WORST * max(usual.get(self.kind, 0.0), usual["jump"])
+            object.__setattr__(self, "amount", FAULT_TARGETS[self.name].default_amounts.get(self.kind, 0.0))
+        usual = FAULT_TARGETS[self.name].default_amounts
+        most = _MAX_AMOUNT_FACTOR * max(usual.get(self.kind, 0.0), usual["jump"])
         if not abs(self.amount) <= most:
-            unit = "s" if self.kind == "late" else TARGETS[self.name].unit
+            unit = "s" if self.kind == "late" else FAULT_TARGETS[self.name].reading_unit
             raise ArgumentError(
                 "fault", str(self), f"{self.amount:g} {unit} is more than a reading is ever wrong by",
                 f"give up to {most:g} {unit}",
             )  # fmt: skip
 
     @property
-    def sensor(self) -> str:
+    def sensor_name(self) -> str:
         """Of the suite."""
-        return TARGETS[self.name].sensor
+        return FAULT_TARGETS[self.name].sensor
 
     def __str__(self) -> str:
         span = "" if math.isinf(self.stop_s) else f"+{self.stop_s - self.start_s:g}s"
@@ -143,38 +143,38 @@ def parse_fault(text: str) -> Fault:
     named, _, amount = what.partition("=")
     name, point, kind = (part.strip() for part in named.partition("."))
     if not (point and name and kind):
-        raise ArgumentError("fault", text, "is none", f"write {_FORM}")
-    if name not in TARGETS:
-        raise ArgumentError("fault", name, "is no sensor", suggest_name(name, TARGETS))
-    unit = "s" if kind == "late" else TARGETS[name].unit
+        raise ArgumentError("fault", text, "is none", f"write {_FAULT_SYNTAX}")
+    if name not in FAULT_TARGETS:
+        raise ArgumentError("fault", name, "is no sensor", suggest_name(name, FAULT_TARGETS))
+    unit = "s" if kind == "late" else FAULT_TARGETS[name].reading_unit
     try:
         size = read_quantity("", amount, unit) if amount.strip() else math.nan
-        return Fault(name, kind, *read_span("", when), size)
+        return Fault(name, kind, *read_time_span("", when), size)
     except ArgumentError:
         raise
     except InputError as error:
         raise ArgumentError("fault", text, error.problem, error.remedy) from None
 
 
-class Faulty(Sensor):
+class FaultySensor(Sensor):
     """A sensor with ``faults``, which may come and go; what they are about they change, the rest passes."""
 
     def __init__(self, sensor: Sensor, faults: Sequence[Fault], rng: np.random.Generator) -> None:
         self.sensor, self.faults, self._rng = sensor, tuple(faults), rng
         self._imu = sensor if isinstance(sensor, Imu) else None
-        self._clear()
+        self._clear_history()
 
-    def right(self, truth: Truth) -> Mapping[str, Any]:
-        return self.sensor.right(truth)
+    def true_readings(self, truth: Truth) -> Mapping[str, Any]:
+        return self.sensor.true_readings(truth)
 
     def reset(self) -> None:
         self.sensor.reset()
-        self._clear()
+        self._clear_history()
 
-    def _clear(self) -> None:
-        self._before: Mapping[str, Reading] = {}  # as it last left
-        self._seen: dict[str, Reading] = {}  # as it last came from the sensor
-        self._coming: list[tuple[float, str, Reading]] = []
+    def _clear_history(self) -> None:
+        self._last_output: Mapping[str, Reading] = {}  # as it last left
+        self._last_input: dict[str, Reading] = {}  # as it last came from the sensor
+        self._delayed_readings: list[tuple[float, str, Reading]] = []
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t = truth.time_s
@@ -183,26 +183,26 @@ class Faulty(Sensor):
             clips = [f.amount for f in active if f.name == "accelerometer" and f.kind == "clip"]
             self._imu.clip_at(min(clips) if clips else None)
         if not active:
-            self._before = self.sensor.read(truth)
-            return self._before
+            self._last_output = self.sensor.read(truth)
+            return self._last_output
         said = dict(self.sensor.read(truth))
         for f in active:
-            name = TARGETS[f.name].reading
+            name = FAULT_TARGETS[f.name].reading
             if name in said:
-                self._spoil(f, name, said, truth)
-        self._before = {**self._before, **said}
+                self._apply_fault(f, name, said, truth)
+        self._last_output = {**self._last_output, **said}
         return said
 
-    def went_on(self, said: Mapping[str, Reading]) -> None:
+    def accept_external_readings(self, said: Mapping[str, Reading]) -> None:
         """Take notice of what the sensor said last while nothing was wrong and others asked it."""
-        self._before = said
+        self._last_output = said
 
-    def _spoil(self, f: Fault, name: str, said: dict[str, Reading], truth: Truth) -> None:
+    def _apply_fault(self, f: Fault, name: str, said: dict[str, Reading], truth: Truth) -> None:
         """Change what is said under a name."""
         t, r = truth.time_s, said[name]
-        new = self._seen.get(name) is not r
-        self._seen[name] = r
-        last = self._before.get(name)
+        new = self._last_input.get(name) is not r
+        self._last_input[name] = r
+        last = self._last_output.get(name)
         if not new and last is not None and f.kind not in ("late", "doubled", "freeze"):
             said[name] = last  # nothing came: what was said stays
             return
@@ -217,9 +217,9 @@ class Faulty(Sensor):
                 said[name] = last
         elif f.kind == "late":
             if new:
-                self._coming.append((t + f.amount, name, r))
-            there = [x for x in self._coming if x[0] <= t + 1e-9 and x[1] == name]
-            self._coming = [x for x in self._coming if x not in there]
+                self._delayed_readings.append((t + f.amount, name, r))
+            there = [x for x in self._delayed_readings if x[0] <= t + 1e-9 and x[1] == name]
+            self._delayed_readings = [x for x in self._delayed_readings if x not in there]
             if there:
                 said[name] = there[-1][2]
             elif last is None:
@@ -231,9 +231,9 @@ class Faulty(Sensor):
         elif f.kind == "clip" and name == "acceleration":
             pass  # at the element
         else:
-            said[name] = Reading(self._changed(f, value, own, t), r.time_s, r.valid)
+            said[name] = Reading(self._faulty_value(f, value, own, t), r.time_s, r.valid)
 
-    def _changed(self, f: Fault, value: np.ndarray, own: slice, t: float) -> np.ndarray | float:
+    def _faulty_value(self, f: Fault, value: np.ndarray, own: slice, t: float) -> np.ndarray | float:
         out = np.atleast_1d(value).copy()
         part = out[own]
         match f.kind:

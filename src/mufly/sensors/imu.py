@@ -33,10 +33,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.calling import lent
-from mufly.compiled import compiled
-from mufly.dynamics import rotation, trim
-from mufly.dynamics.state import (
+from mufly.dynamics import body_to_ned_matrix, find_trim
+from mufly.dynamics.model_state import (
     ATTITUDE,
     ROTOR_SPEEDS,
     RS_RATES,
@@ -45,17 +43,19 @@ from mufly.dynamics.state import (
     RS_VEL,
     STATE_SIZE,
 )
-from mufly.sensors.drawing import normals, source_of
+from mufly.numba_cache import cached_njit
+from mufly.numba_intrinsics import borrow_arrays
 from mufly.sensors.readings import Reading, Sensor, Truth
+from mufly.sensors.rng import draw_normals, make_source
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
-from mufly.vehicle.sensing import Imu as ImuTable
-from mufly.vehicle.sensing import Vibration
+from mufly.vehicle.sensor_schema import ImuParameters as ImuTable
+from mufly.vehicle.sensor_schema import VibrationParameters
 
 _Array = NDArray[np.float64]
-_ELEVATION = math.asin(math.sqrt(1 / 3))  # of the shaking above the horizon: all axes share alike
-ROOM_K = 293.15
-_LINES = 5  # once and twice of both rotors, and the passing of blades
+_TRIPOD_ELEVATION = math.asin(math.sqrt(1 / 3))  # of the shaking above the horizon: all axes share alike
+ROOM_TEMPERATURE_K = 293.15
+_VIBRATION_LINES = 5  # once and twice of both rotors, and the passing of blades
 GYRO = 3  # of the six axes, the first of the gyroscopes
 # Of its numbers: amplitudes, resonance and damping of the shaking, hover speeds, time of the drift, warming, its time
 (
@@ -70,7 +70,7 @@ class Imu(Sensor):
 
     Parameters
     ----------
-    table : mufly.vehicle.sensing.Imu
+    table : mufly.vehicle.sensor_schema.ImuParameters
     vehicle : Vehicle
     rng : numpy.random.Generator
         All that is random: errors of this unit, directions and phases of the shaking, noise.
@@ -83,116 +83,137 @@ class Imu(Sensor):
     ) -> None:
         imu = table
         self._rng, self._imu = rng, imu
-        hover = np.asarray(trim(vehicle).state[ROTOR_SPEEDS] if hover_rad_s is None else hover_rad_s)
+        hover = np.asarray(find_trim(vehicle).state[ROTOR_SPEEDS] if hover_rad_s is None else hover_rad_s)
         shake = imu.vibration
-        self._numbers = np.array(
+        self._vibration_numbers = np.array(
             [float(q) for q in (shake.once, shake.twice, shake.passing, shake.resonance, shake.damping)]
             + [*hover, *(float(q) for q in (imu.drift_time, imu.warming, imu.warming_time))]
         )
-        self._place = imu.place.array()[0].copy()
+        self._place = imu.place.to_array()[0].copy()
         self._dt = float(imu.sample_period)
         density = np.repeat([float(imu.accelerometer_noise), float(imu.gyro_noise)], 3)
-        self._white = density * math.sqrt(0.5 / self._dt)
+        self._white_noise = density * math.sqrt(0.5 / self._dt)
         self._limit = np.repeat([float(imu.accelerometer_range), float(imu.gyro_range)], 3)
         self._range = self._limit.copy()
-        self._filter = butterworth(float(imu.bandwidth), self._dt)
+        self._filter = butterworth_coefficients(float(imu.bandwidth), self._dt)
         # What this unit is like, for good
-        self._axes = np.stack([_axes(rng, float(imu.scale_error), float(imu.misalignment)) for _ in range(2)])
+        self._axes = np.stack([_axis_matrix(rng, float(imu.scale_error), float(imu.misalignment)) for _ in range(2)])
         on = np.repeat([float(imu.accelerometer_bias), float(imu.gyro_bias)], 3)
         heat = np.repeat([float(imu.accelerometer_temperature), float(imu.gyro_temperature)], 3)
-        self.switched_on = on * rng.standard_normal(6)
-        self._heat = heat * rng.standard_normal(6)
-        self._feigned = float(imu.gyro_g_sensitivity) * rng.standard_normal((3, 3))
+        self.turn_on_bias = on * rng.standard_normal(6)
+        self._temperature_bias = heat * rng.standard_normal(6)
+        self._g_sensitivity = float(imu.gyro_g_sensitivity) * rng.standard_normal((3, 3))
         azimuth = rng.uniform(0.0, 2 * math.pi, 3)
-        level = math.cos(_ELEVATION)
-        e = np.column_stack(
-            [level * np.cos(azimuth), level * np.sin(azimuth), np.full(3, math.sin(_ELEVATION))]
-        )
-        self._directions = np.ascontiguousarray(e[[0, 0, 1, 1, 2]])
-        self._phases = np.array([(math.cos(p), math.sin(p)) for p in rng.uniform(0.0, 2 * math.pi, _LINES)])
-        self.source = source_of(rng)
+        level = math.cos(_TRIPOD_ELEVATION)
+        e = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.full(3, math.sin(_TRIPOD_ELEVATION))])
+        self._vibration_directions = np.ascontiguousarray(e[[0, 0, 1, 1, 2]])
+        self._phases = np.array([(math.cos(p), math.sin(p)) for p in rng.uniform(0.0, 2 * math.pi, _VIBRATION_LINES)])
+        self.source = make_source(rng)
         self.reset()
 
     def reset(self) -> None:
         drift = np.repeat([float(self._imu.accelerometer_drift), float(self._imu.gyro_drift)], 3)
-        self._drift, self._wander = drift, drift * self._rng.standard_normal(6)
+        self._drift_sigma, self._bias_drift = drift, drift * self._rng.standard_normal(6)
         self._azimuth = self._rng.uniform(0.0, 2 * math.pi, 2)
-        self._memory = np.zeros((6, 2))
-        self._before: Truth | None = None
-        self._was, self._now = np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)
-        self._force_now = np.zeros(3)
-        self._last: Mapping[str, Reading] = {}
+        self._filter_memory = np.zeros((6, 2))
+        self._previous_truth: Truth | None = None
+        self._previous_state, self._current_state = np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)
+        self._current_force = np.zeros(3)
+        self._last_readings: Mapping[str, Reading] = {}
 
     @property
-    def bias(self) -> _Array:
+    def current_bias(self) -> _Array:
         """Of accelerometers (m/s^2) and gyroscopes (rad/s) now, but for warming: what an estimator looks for (6,)."""
-        return self.switched_on + self._wander
+        return self.turn_on_bias + self._bias_drift
 
     def clip_at(self, limit_m_s2: float | None) -> None:
         """Let the accelerometers clip at another limit (a fault); None for their own."""
         self._limit[:GYRO] = self._range[:GYRO] if limit_m_s2 is None else limit_m_s2
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
-        before, self._before = self._before, truth
+        before, self._previous_truth = self._previous_truth, truth
         if before is not None and truth.time_s <= before.time_s:
-            self._before = before
-            return self._last
-        self._was, self._now = self._now, self._was
-        self._now[:] = truth.state
+            self._previous_truth = before
+            return self._last_readings
+        self._previous_state, self._current_state = self._current_state, self._previous_state
+        self._current_state[:] = truth.state
         if before is None:
-            _felt_force(self._now, self._now, 1.0, self._place, self._force_now)
-            self._memory[:] = np.concatenate([self._force_now, truth.rates])[:, None]
-            return self._say(truth.time_s, self._memory[:, 0] + self.bias, np.zeros(6))
+            _mean_specific_force(self._current_state, self._current_state, 1.0, self._place, self._current_force)
+            self._filter_memory[:] = np.concatenate([self._current_force, truth.rates])[:, None]
+            return self._make_readings(truth.time_s, self._filter_memory[:, 0] + self.current_bias, np.zeros(6))
         elapsed = truth.time_s - before.time_s
-        normal = np.empty(6 + 6 * self.samples(elapsed))
-        normals(self.source, normal)
+        normal = np.empty(6 + 6 * self.sample_count(elapsed))
+        draw_normals(self.source, normal)
         out, clipped = np.empty(6), np.empty(6)
-        imu_period(self._was, self._now, elapsed, truth.time_s, normal, *self.parts, out, clipped)
-        return self._say(truth.time_s, out, clipped)
+        simulate_imu_period(
+            self._previous_state,
+            self._current_state,
+            elapsed,
+            truth.time_s,
+            normal,
+            *self.period_arguments,
+            out,
+            clipped,
+        )
+        return self._make_readings(truth.time_s, out, clipped)
 
     @property
-    def parts(self) -> tuple[_Array, ...]:
-        """What :func:`imu_period` takes after the normal numbers: what this unit is like, and what it remembers."""
+    def period_arguments(self) -> tuple[_Array, ...]:
+        """What :func:`simulate_imu_period` takes after the normal numbers: what this unit is like, and what it
+        remembers."""
         return (
-            self._numbers, self._place, self._axes, self._feigned, self._directions, self._phases, self._heat,
-            self.switched_on, self._drift, self._white, self._limit, self._filter, self._azimuth, self._wander,
-            self._memory, self._force_now,
-        )  # fmt: skip
+            self._vibration_numbers,
+            self._place,
+            self._axes,
+            self._g_sensitivity,
+            self._vibration_directions,
+            self._phases,
+            self._temperature_bias,
+            self.turn_on_bias,
+            self._drift_sigma,
+            self._white_noise,
+            self._limit,
+            self._filter,
+            self._azimuth,
+            self._bias_drift,
+            self._filter_memory,
+            self._current_force,
+        )
 
-    def samples(self, elapsed_s: float) -> int:
+    def sample_count(self, elapsed_s: float) -> int:
         """How many there are in a period (s)."""
         return max(1, round(elapsed_s / self._dt))
 
-    def went_on(self, truth: Truth, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
+    def accept_external_samples(self, truth: Truth, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
         """Take notice that others computed up to this instant, and what was read (6,), (6,); return its readings."""
-        self._now[:] = truth.state
-        self._before = truth
-        return self._say(truth.time_s, values.copy(), clipped.copy())
+        self._current_state[:] = truth.state
+        self._previous_truth = truth
+        return self._make_readings(truth.time_s, values.copy(), clipped.copy())
 
-    def right(self, truth: Truth) -> Mapping[str, Any]:
+    def true_readings(self, truth: Truth) -> Mapping[str, Any]:
         """Of the period that was read last."""
-        return {"acceleration": self._force_now.copy(), "rates": truth.rates}
+        return {"acceleration": self._current_force.copy(), "rates": truth.rates}
 
-    def warmth(self, time_s: float) -> float:
+    def warming_K(self, time_s: float) -> float:
         """How much warmer than when it was switched on (K)."""
-        return float(_warmth(time_s, self._numbers))
+        return float(_warming_K(time_s, self._vibration_numbers))
 
-    def _say(self, t: float, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
-        self._last = {
+    def _make_readings(self, t: float, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
+        self._last_readings = {
             "acceleration": Reading(values[:GYRO], t),
             "rates": Reading(values[GYRO:], t),
             "clipping": Reading(clipped[:GYRO], t),
-            "temperature": Reading(ROOM_K + self.warmth(t), t),
+            "temperature": Reading(ROOM_TEMPERATURE_K + self.warming_K(t), t),
         }
-        return self._last
+        return self._last_readings
 
 
-def resonance(vibration: Vibration, speed_rad_s: float) -> float:
+def board_resonance(vibration: VibrationParameters, speed_rad_s: float) -> float:
     """How much the board exaggerates a shaking of this speed (rad/s): |H|."""
-    return float(_exaggerated(speed_rad_s, float(vibration.resonance), float(vibration.damping)))
+    return float(_resonance_gain(speed_rad_s, float(vibration.resonance), float(vibration.damping)))
 
 
-def butterworth(cutoff_rad_s: float, step_s: float) -> _Array:
+def butterworth_coefficients(cutoff_rad_s: float, step_s: float) -> _Array:
     """Coefficients b0, b1, b2, a1, a2 of the second-order low pass, by the bilinear transform at its cut-off."""
     k = math.tan(min(0.5 * cutoff_rad_s * step_s, 0.49 * math.pi))
     norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
@@ -200,7 +221,7 @@ def butterworth(cutoff_rad_s: float, step_s: float) -> _Array:
     return np.array([b0, 2 * b0, b0, 2 * (k * k - 1) * norm, (1 - math.sqrt(2.0) * k + k * k) * norm])
 
 
-def _axes(rng: np.random.Generator, scale: float, misalignment: float) -> _Array:
+def _axis_matrix(rng: np.random.Generator, scale: float, misalignment: float) -> _Array:
     """What three axes feel of three: the identity with errors."""
     off = misalignment * rng.standard_normal((3, 3))
     return np.eye(3) + np.diag(scale * rng.standard_normal(3)) + off - np.diag(np.diag(off))
@@ -213,21 +234,21 @@ def _axes(rng: np.random.Generator, scale: float, misalignment: float) -> _Array
 # summed up together, in vector registers.
 
 
-@compiled(error_model="numpy")
-def _exaggerated(speed: float, natural: float, damping: float) -> float:
+@cached_njit(error_model="numpy")
+def _resonance_gain(speed: float, natural: float, damping: float) -> float:
     x = speed / natural
     return 1.0 / math.sqrt((1.0 - x * x) ** 2 + (2.0 * damping * x) ** 2)
 
 
-@compiled(error_model="numpy")
-def _warmth(t: float, numbers: _Array) -> float:
+@cached_njit(error_model="numpy")
+def _warming_K(t: float, numbers: _Array) -> float:
     return numbers[_WARMING] * (1.0 - math.exp(-t / numbers[_WARMING_TIME]))
 
 
-@compiled(error_model="numpy")
-def _felt_force(was: _Array, now: _Array, elapsed: float, place: _Array, force: _Array) -> None:
+@cached_njit(error_model="numpy")
+def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array, force: _Array) -> None:
     """Specific force at the element (m/s^2), as the mean of a period, into ``force``."""
-    turn = rotation(now[ATTITUDE])
+    turn = body_to_ned_matrix(now[ATTITUDE])
     wx, wy, wz = now[RS_RATES], now[RS_RATES + 1], now[RS_RATES + 2]
     px, py = (wx - was[RS_RATES]) / elapsed, (wy - was[RS_RATES + 1]) / elapsed
     pz = (wz - was[RS_RATES + 2]) / elapsed
@@ -240,8 +261,8 @@ def _felt_force(was: _Array, now: _Array, elapsed: float, place: _Array, force: 
     force[2] = turn[0, 2] * a + turn[1, 2] * b + turn[2, 2] * c + px * y - py * x + wx * vy - wy * vx
 
 
-@compiled(error_model="numpy")
-def imu_period(
+@cached_njit(error_model="numpy")
+def simulate_imu_period(
     was: _Array,
     now: _Array,
     elapsed: float,
@@ -272,11 +293,11 @@ def imu_period(
     ``normal`` (6 + 6 n) are unit normal numbers: of the wandering, then of each axis' samples. ``force`` is what is
     felt at the element, ``out`` and ``clipped`` (6,) what is said and the share of samples that clipped.
     """
-    n, warmth = normal.size // 6 - 1, _warmth(t, numbers)
+    n, warmth = normal.size // 6 - 1, _warming_K(t, numbers)
     once, twice, passing = numbers[_ONCE], numbers[_TWICE], numbers[_PASSING]
     natural, damping = numbers[_RESONANCE], numbers[_DAMPING]
     hover_up, hover_dw, drift_time = numbers[_HOVER_UPPER], numbers[_HOVER_LOWER], numbers[_DRIFT_TIME]
-    _felt_force(was, now, elapsed, place, force)
+    _mean_specific_force(was, now, elapsed, place, force)
     step = math.sqrt(2.0 * elapsed / drift_time)
     for j in range(6):
         wander[j] += -wander[j] * elapsed / drift_time + drift[j] * step * normal[j]
@@ -301,9 +322,7 @@ def imu_period(
             speed, hover, times, amplitude = up + dw, hover_up + hover_dw, 2.0, passing
         share = speed / hover
         amplitude *= share * share
-        amplitude *= _exaggerated(times * speed, natural, damping) / _exaggerated(
-            times * hover, natural, damping
-        )
+        amplitude *= _resonance_gain(times * speed, natural, damping) / _resonance_gain(times * hover, natural, damping)
         c, s = amplitude * phases[line, 0], amplitude * phases[line, 1]
         for j in range(3):
             a = w = 0.0
@@ -341,12 +360,16 @@ def imu_period(
         lines[_PASSES, i], lines[_PASSES + 1, i] = up_c * dw_c - up_s * dw_s, up_c * dw_s + up_s * dw_c
     # An axis after the other, all samples of it together.
     for j in range(6):
-        x, noise, w = lent(felt[j]), lent(normal[6 + n * j : 6 + n * (j + 1)]), lent(wave[j])
+        x, noise, w = (
+            borrow_arrays(felt[j]),
+            borrow_arrays(normal[6 + n * j : 6 + n * (j + 1)]),
+            borrow_arrays(wave[j]),
+        )
         start, more, loud, most, beyond = begin[j], slope[j], white[j], limit[j], 0
         for i in range(n):
             x[i] = start + (i + 0.5) / n * more + loud * noise[i]
         for m in range(10):
-            line, weight = lent(lines[m]), w[m]
+            line, weight = borrow_arrays(lines[m]), w[m]
             for i in range(n):
                 x[i] += weight * line[i]
         for i in range(n):
@@ -357,7 +380,7 @@ def imu_period(
     b0, b1, b2, a1, a2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
     gain = 1.0 + a1 + a2
     for j in range(6):
-        x, first, second = lent(felt[j]), memory[j, 0], memory[j, 1]
+        x, first, second = borrow_arrays(felt[j]), memory[j, 0], memory[j, 1]
         for i in range(n - 1):
             first, second = gain * x[i] - a1 * first - a2 * second, first
         s = gain * x[n - 1] - a1 * first - a2 * second

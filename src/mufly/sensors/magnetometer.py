@@ -15,24 +15,24 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.dynamics import rotation
-from mufly.dynamics.state import ATTITUDE
-from mufly.sensors.drawing import normals
-from mufly.sensors.periodic import STANDS, VALUES, Periodic
+from mufly.dynamics import body_to_ned_matrix
+from mufly.dynamics.model_state import ATTITUDE
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import sine_cosine
+from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth
-from mufly.trigonometry import sine_cosine
+from mufly.sensors.rng import draw_normals
 from mufly.vehicle import Vehicle
-from mufly.vehicle.sensing import Magnetometer
+from mufly.vehicle.sensor_schema import MagnetometerParameters
 
 _Array = NDArray[np.float64]
-_FEATURES = 64
+_DISTORTION_WAVES = 64
 # Of its numbers: earth's field, hard iron, field of an ampere (3 each), strength of the distortion, noise (T)
 _EARTH, _HARD_IRON, _PER_AMPERE, _STRENGTH, _NOISE = 0, 3, 6, 9, 10
 
 
-@compiled(error_model="numpy", inline="always")
-def _disturbed(x: _Array, waves: _Array, shifts: _Array, strength: float, field: _Array) -> None:
+@cached_njit(error_model="numpy", inline="always")
+def _add_distortion(x: _Array, waves: _Array, shifts: _Array, strength: float, field: _Array) -> None:
     """Add to a field (3,) what the surroundings make of it at a place.
 
     ``shifts`` (n, 3, 2) are sines and cosines of the shifts, so that a wave's phase is looked up once, not thrice.
@@ -48,8 +48,8 @@ def _disturbed(x: _Array, waves: _Array, shifts: _Array, strength: float, field:
     field[2] += strength * c
 
 
-@compiled(error_model="numpy")
-def _field(
+@cached_njit(error_model="numpy")
+def _sample_magnetic_field(
     t: float,
     x: _Array,
     attitude: _Array,
@@ -59,46 +59,52 @@ def _field(
     row: _Array,
 ) -> float:
     numbers, waves, shifts = parts
-    there, n, turn = np.empty(3), np.empty(3), rotation(x[ATTITUDE])
+    there, n, turn = np.empty(3), np.empty(3), body_to_ned_matrix(x[ATTITUDE])
     for j in range(3):  # an assignment to a slice compiles the message that two shapes differ: 2 s
         there[j] = numbers[_EARTH + j]
-    _disturbed(x, waves, shifts, numbers[_STRENGTH], there)
-    normals(source, n)
-    row[STANDS] = 1.0
+    _add_distortion(x, waves, shifts, numbers[_STRENGTH], there)
+    draw_normals(source, n)
+    row[IS_VALID] = 1.0
     for j in range(3):
         felt = turn[0, j] * there[0] + turn[1, j] * there[1] + turn[2, j] * there[2]
-        row[VALUES + j] = (
+        row[FIRST_VALUE + j] = (
             felt + numbers[_HARD_IRON + j] + numbers[_PER_AMPERE + j] * supply[1] + numbers[_NOISE] * n[j]
         )
     return 0.0
 
 
-class MagnetometerSensor(Periodic):
+class MagnetometerSensor(PeriodicSensor):
     """Reads ``magnetic_field`` (3,) in body axes (T)."""
 
-    says = {"magnetic_field": slice(0, 3)}  # noqa: RUF012
-    compute = _field
+    published_readings = {"magnetic_field": slice(0, 3)}  # noqa: RUF012
+    sample_function = _sample_magnetic_field
 
-    def __init__(self, table: Magnetometer, vehicle: Vehicle, rng: np.random.Generator) -> None:
+    def __init__(self, table: MagnetometerParameters, vehicle: Vehicle, rng: np.random.Generator) -> None:
         m = table
-        self.earth = earth_field(float(m.field), float(m.inclination))
-        self._waves = rng.standard_normal((_FEATURES, 3)) / float(m.distortion_length)
-        shifts = rng.uniform(0.0, 2 * math.pi, (_FEATURES, 3))
-        self._shifts = np.array([[sine_cosine(p) for p in row] for row in shifts])
-        self._strength = float(m.distortion) * math.sqrt(2.0 / _FEATURES)
+        self.earth_field_T = earth_field(float(m.field), float(m.inclination))
+        self._waves = rng.standard_normal((_DISTORTION_WAVES, 3)) / float(m.distortion_length)
+        shifts = rng.uniform(0.0, 2 * math.pi, (_DISTORTION_WAVES, 3))
+        self._wave_phases = np.array([[sine_cosine(p) for p in row] for row in shifts])
+        self._strength = float(m.distortion) * math.sqrt(2.0 / _DISTORTION_WAVES)
         self.hard_iron = float(m.hard_iron) * rng.standard_normal(3)
-        self.per_ampere = float(m.motor_field) * rng.standard_normal(3)
-        numbers = [*self.earth, *self.hard_iron, *self.per_ampere, self._strength, float(m.noise)]
-        super().__init__(float(m.period), rng, (np.array(numbers), self._waves, self._shifts))
+        self.motor_field_per_ampere = float(m.motor_field) * rng.standard_normal(3)
+        numbers = [
+            *self.earth_field_T,
+            *self.hard_iron,
+            *self.motor_field_per_ampere,
+            self._strength,
+            float(m.noise),
+        ]
+        super().__init__(float(m.period), rng, (np.array(numbers), self._waves, self._wave_phases))
 
-    def distortion(self, position: _Array) -> _Array:
+    def field_distortion(self, position: _Array) -> _Array:
         """The field (T, N-E-D) that the surroundings add at a place."""
         field = np.zeros(3)
-        _disturbed(np.asarray(position, dtype=np.float64), self._waves, self._shifts, self._strength, field)
+        _add_distortion(np.asarray(position, dtype=np.float64), self._waves, self._wave_phases, self._strength, field)
         return field
 
-    def right(self, truth: Truth) -> dict[str, _Array]:
-        return {"magnetic_field": rotation(truth.state[ATTITUDE]).T @ self.earth}
+    def true_readings(self, truth: Truth) -> dict[str, _Array]:
+        return {"magnetic_field": body_to_ned_matrix(truth.state[ATTITUDE]).T @ self.earth_field_T}
 
 
 def earth_field(strength_T: float, inclination: float) -> _Array:

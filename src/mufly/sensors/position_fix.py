@@ -17,20 +17,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.sensors.drawing import normals, uniforms
-from mufly.sensors.periodic import NOTHING, STANDS, VALUES, Periodic, start_wandering, wander
+from mufly.numba_cache import cached_njit
+from mufly.sensors.periodic import (
+    FIRST_VALUE,
+    IS_VALID,
+    NO_MEASUREMENT,
+    PeriodicSensor,
+    gauss_markov_reset,
+    gauss_markov_step,
+)
 from mufly.sensors.readings import Truth
+from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.vehicle import Vehicle
-from mufly.vehicle.sensing import PositionFix
+from mufly.vehicle.sensor_schema import PositionFixParameters
 
 _Array = NDArray[np.float64]
 # Of its numbers: chance of none, jitter, latency, time of wandering (s), white noise (4)
 _DROPOUT, _JITTER, _LATENCY, _WANDER_TIME, _WHITE = range(5)
 
 
-@compiled(error_model="numpy")
-def _fix(
+@cached_njit(error_model="numpy")
+def _sample_position_fix(
     t: float,
     x: _Array,
     attitude: _Array,
@@ -41,26 +48,26 @@ def _fix(
 ) -> float:
     numbers, sigma, memory = parts
     share, late, n = np.empty(1), np.empty(1), np.empty(4)
-    uniforms(source, share)
-    normals(source, late)
-    wander(t, sigma, numbers[_WANDER_TIME], memory, source)
-    normals(source, n)
+    draw_uniforms(source, share)
+    draw_normals(source, late)
+    gauss_markov_step(t, sigma, numbers[_WANDER_TIME], memory, source)
+    draw_normals(source, n)
     if share[0] < numbers[_DROPOUT]:
-        return NOTHING
-    row[STANDS] = 1.0
+        return NO_MEASUREMENT
+    row[IS_VALID] = 1.0
     for k in range(4):
         true = x[k] if k < 3 else attitude[2]
-        row[VALUES + k] = true + (memory[1 + k] + numbers[_WHITE + k] * n[k])
+        row[FIRST_VALUE + k] = true + (memory[1 + k] + numbers[_WHITE + k] * n[k])
     return numbers[_LATENCY] + abs(numbers[_JITTER] * late[0])
 
 
-class PositionFixSensor(Periodic):
+class PositionFixSensor(PeriodicSensor):
     """Reads ``position_fix`` (4,): N, E, D (m) and heading (rad)."""
 
-    says = {"position_fix": slice(0, 4)}  # noqa: RUF012
-    compute = _fix
+    published_readings = {"position_fix": slice(0, 4)}  # noqa: RUF012
+    sample_function = _sample_position_fix
 
-    def __init__(self, table: PositionFix, vehicle: Vehicle, rng: np.random.Generator) -> None:
+    def __init__(self, table: PositionFixParameters, vehicle: Vehicle, rng: np.random.Generator) -> None:
         f = table
         jitter, latency = float(f.jitter), float(f.latency)
         white = [*[float(f.noise)] * 3, float(f.heading_noise)]
@@ -72,7 +79,7 @@ class PositionFixSensor(Periodic):
 
     def reset(self) -> None:
         super().reset()
-        start_wandering(self._rng, self._sigma, self._memory)
+        gauss_markov_reset(self._rng, self._sigma, self._memory)
 
-    def right(self, truth: Truth) -> dict[str, Any]:
+    def true_readings(self, truth: Truth) -> dict[str, Any]:
         return {"position_fix": np.append(truth.position, truth.attitude[2])}

@@ -17,14 +17,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.dynamics.state import RS_POS, RS_SPEED_LOWER, RS_SPEED_UPPER
-from mufly.sensors.drawing import normals
-from mufly.sensors.periodic import STANDS, VALUES, Periodic, start_wandering, wander
+from mufly.dynamics.model_state import RS_POS, RS_SPEED_LOWER, RS_SPEED_UPPER
+from mufly.numba_cache import cached_njit
+from mufly.sensors.periodic import (
+    FIRST_VALUE,
+    IS_VALID,
+    PeriodicSensor,
+    gauss_markov_reset,
+    gauss_markov_step,
+)
 from mufly.sensors.readings import Truth
+from mufly.sensors.rng import draw_normals
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
-from mufly.vehicle.sensing import Pressure
+from mufly.vehicle.sensor_schema import PressureSensorParameters
 
 _Array = NDArray[np.float64]
 
@@ -34,8 +40,8 @@ STANDARD_PRESSURE_PA = 101_325.0
 _NOISE, _DELAY, _DRIFT_TIME, _WEIGHT, _DOWNWASH, _LOADING_UPPER, _LOADING_LOWER = range(7)
 
 
-@compiled(error_model="numpy")
-def _pressure(
+@cached_njit(error_model="numpy")
+def _sample_pressure(
     t: float,
     x: _Array,
     attitude: _Array,
@@ -47,8 +53,8 @@ def _pressure(
     # numbers, what wanders, and what is felt, and when it was (s)
     numbers, sigma, memory, felt = parts
     delay, n = numbers[_DELAY], np.empty(1)
-    wander(t, sigma, numbers[_DRIFT_TIME], memory, source)
-    normals(source, n)
+    gauss_markov_step(t, sigma, numbers[_DRIFT_TIME], memory, source)
+    draw_normals(source, n)
     upper, lower = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER]
     loading = numbers[_LOADING_UPPER] * (upper * upper) + numbers[_LOADING_LOWER] * (lower * lower)
     true = STANDARD_PRESSURE_PA + numbers[_WEIGHT] * x[RS_POS + 2] + numbers[_DOWNWASH] * loading + memory[1]
@@ -57,38 +63,38 @@ def _pressure(
     else:
         felt[0] += (true - felt[0]) * (1.0 - math.exp(-(t - felt[1]) / delay))
     felt[1] = t
-    row[STANDS], row[VALUES] = 1.0, felt[0] + numbers[_NOISE] * n[0]
+    row[IS_VALID], row[FIRST_VALUE] = 1.0, felt[0] + numbers[_NOISE] * n[0]
     return 0.0
 
 
-class PressureSensor(Periodic):
+class PressureSensor(PeriodicSensor):
     """Reads ``pressure`` (Pa)."""
 
-    says = {"pressure": 0}  # noqa: RUF012
-    compute = _pressure
+    published_readings = {"pressure": 0}  # noqa: RUF012
+    sample_function = _sample_pressure
 
-    def __init__(self, table: Pressure, vehicle: Vehicle, rng: np.random.Generator) -> None:
+    def __init__(self, table: PressureSensorParameters, vehicle: Vehicle, rng: np.random.Generator) -> None:
         p = table
         density, radius = float(vehicle.air.density), float(vehicle.rotors.radius)
         # T / A = rho c_T R^2 Omega^2 of each rotor, by the definition of c_T
         both = (vehicle.rotors.upper, vehicle.rotors.lower)
         loading = density * radius**2 * np.array([float(r.thrust_coefficient) for r in both])
-        self._weight = density * GRAVITY
+        self._air_weight = density * GRAVITY
         numbers = [
             float(p.noise),
             float(p.delay),
             float(p.drift_time),
-            self._weight,
+            self._air_weight,
             float(p.downwash),
             *loading,
         ]
-        self._sigma, self._memory, self._felt = np.array([float(p.drift)]), np.empty(2), np.empty(2)
-        super().__init__(float(p.period), rng, (np.array(numbers), self._sigma, self._memory, self._felt))
+        self._sigma, self._memory, self._rotor_pressure = np.array([float(p.drift)]), np.empty(2), np.empty(2)
+        super().__init__(float(p.period), rng, (np.array(numbers), self._sigma, self._memory, self._rotor_pressure))
 
     def reset(self) -> None:
         super().reset()
-        start_wandering(self._rng, self._sigma, self._memory)
-        self._felt[:] = math.nan, 0.0
+        gauss_markov_reset(self._rng, self._sigma, self._memory)
+        self._rotor_pressure[:] = math.nan, 0.0
 
-    def right(self, truth: Truth) -> dict[str, float]:
-        return {"pressure": STANDARD_PRESSURE_PA + self._weight * float(truth.position[2])}
+    def true_readings(self, truth: Truth) -> dict[str, float]:
+        return {"pressure": STANDARD_PRESSURE_PA + self._air_weight * float(truth.position[2])}

@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.dynamics import rotation
-from mufly.dynamics.state import ATTITUDE, POSITION, RATES, ROTOR_SPEEDS, RS_CHARGE, VELOCITY
+from mufly.dynamics import body_to_ned_matrix
+from mufly.dynamics.model_state import ATTITUDE, POSITION, RATES, ROTOR_SPEEDS, RS_CHARGE, VELOCITY
+from mufly.numba_cache import cached_njit
 from mufly.vehicle import Vehicle
 from mufly.world import World, first_hit
 
@@ -38,7 +38,7 @@ class Truth:
     tick : int
         Periods of the flight software since the start.
     state : (21,) array
-        State of the flight model (:mod:`mufly.dynamics.state`), at this instant and for good.
+        State of the flight model (:mod:`mufly.dynamics.model_state`), at this instant and for good.
     attitude : (3,) array
         Of it: roll, pitch, yaw (rad); yaw is continuous (it does not jump at +-pi).
     wind : (3,) array
@@ -76,7 +76,7 @@ class Truth:
         return self.state[ROTOR_SPEEDS]
 
     @property
-    def charge(self) -> float:
+    def battery_charge(self) -> float:
         """Of the battery (0..1)."""
         return float(self.state[RS_CHARGE])
 
@@ -93,26 +93,26 @@ class Reading(NamedTuple):
     covariance: _Array | None = None
 
 
-class Kind(NamedTuple):
+class ReadingKind(NamedTuple):
     """Unit and components of a reading."""
 
     unit: str
     components: tuple[str, ...] = ()
 
 
-READINGS: Mapping[str, Kind] = {
-    "acceleration": Kind("m/s^2", ("x", "y", "z")),
-    "rates": Kind("rad/s", ("p", "q", "r")),
-    "clipping": Kind("1", ("x", "y", "z")),
-    "temperature": Kind("K"),
-    "ground_distance": Kind("m"),
-    "ranges": Kind("m"),
-    "pressure": Kind("Pa"),
-    "magnetic_field": Kind("T", ("x", "y", "z")),
-    "rotor_speed": Kind("rad/s", ("upper", "lower")),
-    "battery_voltage": Kind("V"),
-    "battery_current": Kind("A"),
-    "position_fix": Kind("m", ("N", "E", "D", "heading")),
+READING_KINDS: Mapping[str, ReadingKind] = {
+    "acceleration": ReadingKind("m/s^2", ("x", "y", "z")),
+    "rates": ReadingKind("rad/s", ("p", "q", "r")),
+    "clipping": ReadingKind("1", ("x", "y", "z")),
+    "temperature": ReadingKind("K"),
+    "ground_distance": ReadingKind("m"),
+    "ranges": ReadingKind("m"),
+    "pressure": ReadingKind("Pa"),
+    "magnetic_field": ReadingKind("T", ("x", "y", "z")),
+    "rotor_speed": ReadingKind("rad/s", ("upper", "lower")),
+    "battery_voltage": ReadingKind("V"),
+    "battery_current": ReadingKind("A"),
+    "position_fix": ReadingKind("m", ("N", "E", "D", "heading")),
 }
 """What the sensors of a vehicle say. The heading of a fix is in rad; ranges are as many as the ring has beams."""
 
@@ -146,7 +146,7 @@ class Sensor:
         """What it says at this instant, by name; asked in every period of the flight software."""
         raise NotImplementedError
 
-    def right(self, truth: Truth) -> Mapping[str, Any]:
+    def true_readings(self, truth: Truth) -> Mapping[str, Any]:
         """What it would say without any error, by name."""
         raise NotImplementedError
 
@@ -154,7 +154,7 @@ class Sensor:
         """The simulation is back at its start."""
 
 
-class Sensors:
+class SensorSet:
     """All sensors of a vehicle."""
 
     def __init__(self, *sensors: Sensor) -> None:
@@ -176,9 +176,9 @@ class Sensors:
 # Ideal sensors
 
 
-def ideal_sensors(vehicle: Vehicle, world: World, ring_every: int = 1) -> Sensors:
+def ideal_sensors(vehicle: Vehicle, world: World, ring_every: int = 1) -> SensorSet:
     """Everything that the flight software needs, without error; the ring is read in every ``ring_every``-th period."""
-    return Sensors(IdealMotion(), IdealRing(vehicle, world, ring_every), IdealBattery())
+    return SensorSet(IdealMotion(), IdealRing(vehicle, world, ring_every), IdealBattery())
 
 
 class IdealMotion(Sensor):
@@ -205,29 +205,29 @@ class IdealRing(Sensor):
     """Distances along the ring of beams (m), the ring's greatest range where nothing is seen."""
 
     def __init__(self, vehicle: Vehicle, world: World, every: int = 1) -> None:
-        self._world, self.every = world, every
+        self._world, self.read_interval = world, every
         self._directions = beam_directions(vehicle)
         ring = vehicle.range_ring
         self._limits = {"min_range_m": float(ring.min_range), "max_range_m": float(ring.max_range)}
-        self._last: Reading | None = None
+        self._last_reading: Reading | None = None
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
-        if self._last is None or truth.tick % self.every == 0:
+        if self._last_reading is None or truth.tick % self.read_interval == 0:
             seen = ideal_ranges(truth.state, self._world, self._directions, **self._limits)
-            self._last = Reading(seen, truth.time_s)
-        return {"ranges": self._last}
+            self._last_reading = Reading(seen, truth.time_s)
+        return {"ranges": self._last_reading}
 
     def reset(self) -> None:
-        self._last = None
+        self._last_reading = None
 
     @property
-    def parts(self) -> tuple[Any, ...]:
-        """What :func:`see` takes after the state."""
-        return self._directions, *self._limits.values(), *self._world.packed
+    def range_arguments(self) -> tuple[Any, ...]:
+        """What :func:`measure_ranges` takes after the state."""
+        return self._directions, *self._limits.values(), *self._world.packed_tables
 
-    def went_on(self, seen: NDArray[np.float64], time_s: float) -> None:
+    def accept_external_ranges(self, seen: NDArray[np.float64], time_s: float) -> None:
         """Take notice of what it saw last (n,) while others asked it, and when (s)."""
-        self._last = Reading(seen.copy(), time_s)
+        self._last_reading = Reading(seen.copy(), time_s)
 
 
 def beam_angles(vehicle: Vehicle) -> NDArray[np.float64]:
@@ -245,7 +245,7 @@ def beam_directions(vehicle: Vehicle) -> NDArray[np.float64]:
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
 
 
-def nearest_turn(angle: float, near: float) -> float:
+def unwrap_near(angle: float, near: float) -> float:
     """Return ``angle`` plus the whole turns that bring it nearest to ``near`` (rad)."""
     return angle + 2 * math.pi * round((near - angle) / (2 * math.pi))
 
@@ -271,12 +271,12 @@ def ideal_ranges(
         Readings are held within these.
     """
     seen = np.empty(len(directions))
-    see(state, directions, min_range_m, max_range_m, *world.packed, seen)
+    measure_ranges(state, directions, min_range_m, max_range_m, *world.packed_tables, seen)
     return seen
 
 
-@compiled(error_model="numpy")
-def see(
+@cached_njit(error_model="numpy")
+def measure_ranges(
     x: _Array,
     directions: _Array,
     least: float,
@@ -287,7 +287,7 @@ def see(
     out: _Array,
 ) -> None:
     """Distances to the nearest surface along beams of the body (n, 3) into ``out`` (n,), held within least and most."""
-    turn = rotation(x[ATTITUDE])
+    turn = body_to_ned_matrix(x[ATTITUDE])
     for k in range(directions.shape[0]):
         a, b, c = directions[k, 0], directions[k, 1], directions[k, 2]
         n = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c

@@ -12,7 +12,7 @@ ambient light adds an offset that differs from column to column; every pixel has
 
 The decoder knows where each beam points. It takes the columns around it, takes away the median of each, adds them up
 with the spot's own profile as weight, finds the brightest row, and the centroid around it if that stands out of the
-noise by :data:`THRESHOLD` deviations. Too near, too dark or swallowed: nothing seen, which reads as the greatest
+noise by :data:`SPOT_THRESHOLD` deviations. Too near, too dark or swallowed: nothing seen, which reads as the greatest
 distance, as with ideal beams.
 
 Thesis: Fig. 2.7.
@@ -26,24 +26,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.calling import lent
-from mufly.compiled import compiled
-from mufly.sensors.drawing import normals, uniforms
-from mufly.sensors.periodic import STANDS, VALUES, Periodic
-from mufly.sensors.readings import Truth, beam_angles, beam_directions, see
+from mufly.numba_cache import cached_njit
+from mufly.numba_intrinsics import borrow_arrays
+from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
+from mufly.sensors.readings import Truth, beam_angles, beam_directions, measure_ranges
+from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.vehicle import Vehicle
-from mufly.vehicle.sensing import RingCamera as RingTable
+from mufly.vehicle.sensor_schema import RingCameraParameters as RingTable
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-THRESHOLD = 5.0
+SPOT_THRESHOLD = 5.0
 """A spot has to stand this many standard deviations above the noise: one false spot in some million windows."""
-_WIDE = 3.0  # columns on either side that the decoder looks at, in radii of a spot
-MARGIN = 1.25  # rows reach this much above the elevation of the shortest distance
+_SPOT_HALF_WIDTH = 3.0  # columns on either side that the decoder looks at, in radii of a spot
+ELEVATION_MARGIN = 1.25  # rows reach this much above the elevation of the shortest distance
 
 
-@compiled(error_model="numpy")
-def _sort(a: _Array, lanes: int) -> None:
+@cached_njit(error_model="numpy")
+def _sort_columns(a: _Array, lanes: int) -> None:
     """Sort many columns at once: ``a`` (rows * lanes,), a row after the other, each lane for itself.
 
     By exchanges that do not depend on the numbers (Batcher's, as Knuth, The Art of Computer Programming 3, 5.2.2 M), so
@@ -60,8 +60,8 @@ def _sort(a: _Array, lanes: int) -> None:
         while True:
             for i in range(rows - d):
                 if i & p == r:
-                    first = lent(a[i * lanes : (i + 1) * lanes])
-                    second = lent(a[(i + d) * lanes : (i + d + 1) * lanes])
+                    first = borrow_arrays(a[i * lanes : (i + 1) * lanes])
+                    second = borrow_arrays(a[(i + d) * lanes : (i + d + 1) * lanes])
                     for k in range(lanes):
                         u, v = first[k], second[k]
                         first[k], second[k] = u if u < v else v, v if u < v else u
@@ -71,8 +71,8 @@ def _sort(a: _Array, lanes: int) -> None:
         p //= 2
 
 
-@compiled(error_model="numpy")
-def _decode(
+@cached_njit(error_model="numpy")
+def _decode_ranges(
     seen: _Array,
     order: _Array,
     distance: _Array,
@@ -109,7 +109,7 @@ def _decode(
     rows, wide = seen.size // lanes, lanes // distance.size
     reach = max(1, math.ceil(1.5 * blur))
     for r in range(rows):
-        line = lent(seen[r * lanes : (r + 1) * lanes])
+        line = borrow_arrays(seen[r * lanes : (r + 1) * lanes])
         for k in range(lanes):
             line[k] += light[k]
     for k in range(distance.size):
@@ -123,7 +123,7 @@ def _decode(
                     seen[r * lanes + c] += bright * across[c]
     for k in range(seen.size):
         order[k] = seen[k]
-    _sort(order, lanes)
+    _sort_columns(order, lanes)
     sums, low, high = np.empty(rows), (rows - 1) // 2 * lanes, rows // 2 * lanes
     for k in range(distance.size):
         best, median = 0, 0.0
@@ -136,7 +136,7 @@ def _decode(
             sums[r] = total
             if total > sums[best]:
                 best = r
-        if sums[best] < THRESHOLD:
+        if sums[best] < SPOT_THRESHOLD:
             continue
         total = moment = 0.0
         for r in range(max(0, best - reach), min(rows, best + reach + 1)):
@@ -150,8 +150,8 @@ def _decode(
                 told[k] = found
 
 
-@compiled(error_model="numpy")
-def _seen(
+@cached_njit(error_model="numpy")
+def _sample_ranges(
     t: float,
     x: _Array,
     attitude: _Array,
@@ -160,26 +160,24 @@ def _seen(
     parts: tuple[Any, ...],
     row: _Array,
 ) -> float:
-    limits, numbers, directions, boxes, cylinders, walls, across, light, weight, offset, work, pictures = (
-        parts
-    )
+    limits, numbers, directions, boxes, cylinders, walls, across, light, weight, offset, work, pictures = parts
     distance, share = work[0], work[1]
-    see(x, directions, 0.0, math.inf, boxes, cylinders, walls, distance)
-    uniforms(source, share)
-    row[STANDS] = 1.0
+    measure_ranges(x, directions, 0.0, math.inf, boxes, cylinders, walls, distance)
+    draw_uniforms(source, share)
+    row[IS_VALID] = 1.0
     for k in range(share.size):
-        row[VALUES + k] = limits[0]
+        row[FIRST_VALUE + k] = limits[0]
         if share[k] < limits[1]:
             distance[k] = math.inf
-    normals(source, pictures[0])
-    _decode(pictures[0], pictures[1], distance, across, light, weight, offset, numbers, row[VALUES:])
+    draw_normals(source, pictures[0])
+    _decode_ranges(pictures[0], pictures[1], distance, across, light, weight, offset, numbers, row[FIRST_VALUE:])
     return 0.0
 
 
-class RingCamera(Periodic):
+class RingCamera(PeriodicSensor):
     """Reads ``ranges`` (n,): distance along each beam of the ring (m), its greatest range where nothing was decoded."""
 
-    compute = _seen
+    sample_function = _sample_ranges
 
     def __init__(self, table: RingTable, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         c = table
@@ -187,59 +185,69 @@ class RingCamera(Periodic):
         self._directions = beam_directions(vehicle)
         self._baseline, self._blur = float(c.baseline), float(c.blur)
         self._nearest, self._farthest = float(c.min_range), float(c.max_range)
-        self._nothing = float(vehicle.range_ring.max_range)
-        self._top = MARGIN * math.atan(self._baseline / self._nearest)
-        self._row = self._top / c.radial_pixels  # elevation of a row
+        self._no_return_range = float(vehicle.range_ring.max_range)
+        self._max_elevation = ELEVATION_MARGIN * math.atan(self._baseline / self._nearest)
+        self._row_elevation = self._max_elevation / c.radial_pixels  # elevation of a row
         column = 2 * math.pi / c.angular_pixels
         self._centres = np.mod(beam_angles(vehicle), 2 * math.pi) / column  # of the beams, in columns
-        half = max(1, math.ceil(_WIDE * self._blur))
-        self._columns = np.floor(self._centres)[:, None].astype(int) + np.arange(
-            -half, half + 1
-        )  # (n, w), not wrapped
+        half = max(1, math.ceil(_SPOT_HALF_WIDTH * self._blur))
+        self._columns = np.floor(self._centres)[:, None].astype(int) + np.arange(-half, half + 1)  # (n, w), not wrapped
         self._rows = np.arange(c.radial_pixels) + 0.5
-        self._offset = float(c.calibration) * rng.standard_normal(len(self._centres))
+        self._calibration_offset = float(c.calibration) * rng.standard_normal(len(self._centres))
         self._ambient = float(c.ambient) * rng.uniform(0.5, 1.5, c.angular_pixels)
-        self._across = np.exp(-0.5 * ((self._columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)
+        self._column_profile = np.exp(-0.5 * ((self._columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)
         # Weights are such that the noise of the sum stays one.
-        self._weight = self._across / np.sqrt((self._across**2).sum(axis=1, keepdims=True))
-        self._light = self._ambient[self._columns % c.angular_pixels]
+        self._column_weights = self._column_profile / np.sqrt((self._column_profile**2).sum(axis=1, keepdims=True))
+        self._ambient_light = self._ambient[self._columns % c.angular_pixels]
         self._numbers = np.array(
-            [float(c.brightness), self._blur, self._row, self._baseline, self._nearest, self._farthest]
+            [
+                float(c.brightness),
+                self._blur,
+                self._row_elevation,
+                self._baseline,
+                self._nearest,
+                self._farthest,
+            ]
         )
         count = len(self._centres)
         parts = (
-            np.array([self._nothing, float(c.missed)]), self._numbers, self._directions, *world.packed,
-            self._across.ravel(), self._light.ravel(), self._weight.ravel(), self._offset, np.empty((2, count)),
-            np.empty((2, self._rows.size * self._across.size)),
-        )  # fmt: skip
-        self.says = {"ranges": slice(0, count)}
+            np.array([self._no_return_range, float(c.missed)]),
+            self._numbers,
+            self._directions,
+            *world.packed_tables,
+            self._column_profile.ravel(),
+            self._ambient_light.ravel(),
+            self._column_weights.ravel(),
+            self._calibration_offset,
+            np.empty((2, count)),
+            np.empty((2, self._rows.size * self._column_profile.size)),
+        )
+        self.published_readings = {"ranges": slice(0, count)}
         super().__init__(float(c.period), rng, parts)
 
-    def right(self, truth: Truth) -> dict[str, _Array]:
-        return {"ranges": np.minimum(self.true_ranges_m(truth.state), self._nothing)}
+    def true_readings(self, truth: Truth) -> dict[str, _Array]:
+        return {"ranges": np.minimum(self.true_ranges_m(truth.state), self._no_return_range)}
 
     def true_ranges_m(self, state: _Array) -> _Array:
         """Distance along each beam (m), however far."""
         out = np.empty(len(self._directions))
-        see(state, self._directions, 0.0, math.inf, *self._world.packed, out)
+        measure_ranges(state, self._directions, 0.0, math.inf, *self._world.packed_tables, out)
         return out
 
-    def picture(self, state: _Array) -> _Array:
+    def render_picture(self, state: _Array) -> _Array:
         """The whole picture (rows, columns), in deviations of a pixel's noise: for people to look at."""
         columns = np.arange(self._camera.angular_pixels)
         true = self.true_ranges_m(state)
-        near = (
-            np.mod(columns + 0.5 - self._centres[:, None] + columns.size / 2, columns.size) - columns.size / 2
-        )
-        light = (self._brightness(true)[:, None, None] * self._profile(true)[:, :, None]
+        near = np.mod(columns + 0.5 - self._centres[:, None] + columns.size / 2, columns.size) - columns.size / 2
+        light = (self._spot_brightness(true)[:, None, None] * self._row_profile(true)[:, :, None]
                  * np.exp(-0.5 * (near / self._blur) ** 2)[:, None, :])  # fmt: skip
         return light.sum(axis=0) + self._ambient + self._rng.standard_normal(light.shape[1:])
 
-    def _brightness(self, distance: _Array) -> _Array:
+    def _spot_brightness(self, distance: _Array) -> _Array:
         with np.errstate(divide="ignore"):
             return float(self._camera.brightness) / np.maximum(distance, 0.05) ** 2
 
-    def _profile(self, distance: _Array) -> _Array:
+    def _row_profile(self, distance: _Array) -> _Array:
         """Share of a spot's brightness in each row (n, rows)."""
-        row = np.arctan2(self._baseline, distance) / self._row
+        row = np.arctan2(self._baseline, distance) / self._row_elevation
         return np.exp(-0.5 * ((self._rows - row[:, None]) / self._blur) ** 2)

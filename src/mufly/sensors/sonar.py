@@ -21,27 +21,27 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled import compiled
-from mufly.dynamics import rotation
-from mufly.dynamics.state import ATTITUDE
-from mufly.sensors.drawing import normals, uniforms
-from mufly.sensors.periodic import STANDS, VALUES, Periodic
+from mufly.dynamics import body_to_ned_matrix
+from mufly.dynamics.model_state import ATTITUDE
+from mufly.numba_cache import cached_njit
+from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth
+from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.vehicle import Vehicle
-from mufly.vehicle.sensing import Sonar
+from mufly.vehicle.sensor_schema import SonarParameters
 from mufly.world import World, first_hit
 
 _Array = NDArray[np.float64]
 SPEED_OF_SOUND_M_S = 343.2  # dry air of 20 degC
-_RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, rays
+_CONE_RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, rays
 
 
-@compiled(error_model="numpy")
-def _way(
+@cached_njit(error_model="numpy")
+def _cone_distance(
     x: _Array, place: _Array, rays: _Array, upright: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> float:
     """Distance from the element to the nearest surface in the cone (m); ``upright`` is the cosine of its half angle."""
-    turn, here = rotation(x[ATTITUDE]), np.empty(3)
+    turn, here = body_to_ned_matrix(x[ATTITUDE]), np.empty(3)
     for j in range(3):
         here[j] = x[j] + (turn[j, 0] * place[0] + turn[j, 1] * place[1] + turn[j, 2] * place[2])
     best = math.inf
@@ -56,8 +56,8 @@ def _way(
     return best
 
 
-@compiled(error_model="numpy")
-def _echo(
+@cached_njit(error_model="numpy")
+def _sample_echo(
     t: float,
     x: _Array,
     attitude: _Array,
@@ -71,48 +71,48 @@ def _echo(
         numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5],
     )  # fmt: skip
     share, n = np.empty(2), np.empty(1)
-    uniforms(source, share)
-    normals(source, n)
+    draw_uniforms(source, share)
+    draw_normals(source, n)
     heard, doubled = share[0], share[1]
-    way = _way(x, place, rays, numbers[6], boxes, cylinders, limits)
+    way = _cone_distance(x, place, rays, numbers[6], boxes, cylinders, limits)
     if doubled < multipath:
-        uniforms(source, share[:1])
+        draw_uniforms(source, share[:1])
         way *= 1.0 + share[0]
     wait = 2.0 * min(way, longest) / SPEED_OF_SOUND_M_S
     if heard < dropout or way > longest:
-        row[STANDS], row[VALUES] = 0.0, math.nan
+        row[IS_VALID], row[FIRST_VALUE] = 0.0, math.nan
         return wait
     told = max(way + noise * n[0], least)
     if step > 0.0:
         told = np.rint(told / step) * step
-    row[STANDS], row[VALUES] = 1.0, min(told, longest)
+    row[IS_VALID], row[FIRST_VALUE] = 1.0, min(told, longest)
     return wait
 
 
-class UltrasonicSensor(Periodic):
+class UltrasonicSensor(PeriodicSensor):
     """Reads ``ground_distance`` (m); not valid without an echo."""
 
-    says = {"ground_distance": 0}  # noqa: RUF012
-    compute = _echo
+    published_readings = {"ground_distance": 0}  # noqa: RUF012
+    sample_function = _sample_echo
 
-    def __init__(self, table: Sonar, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
+    def __init__(self, table: SonarParameters, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         s, half = table, 0.5 * float(table.cone)
         longest = float(s.max_range)
         numbers = [float(q) for q in (s.noise, s.dropout, s.multipath, longest, s.min_range, s.resolution)]
         self._numbers = np.array([*numbers, math.cos(half)])
-        parts = (self._numbers, s.place.array()[0].copy(), cone_rays(half), *world.packed)
+        parts = (self._numbers, s.place.to_array()[0].copy(), cone_rays(half), *world.packed_tables)
         super().__init__(float(s.period), rng, parts, 2.0 * longest / SPEED_OF_SOUND_M_S)
 
-    def right(self, truth: Truth) -> dict[str, float]:
+    def true_readings(self, truth: Truth) -> dict[str, float]:
         """Distance to the nearest surface in the cone (m); infinite if there is none."""
-        _, place, rays, *world = self.parts
-        return {"ground_distance": float(_way(truth.state, place, rays, self._numbers[6], *world))}
+        _, place, rays, *world = self.sample_arguments
+        return {"ground_distance": float(_cone_distance(truth.state, place, rays, self._numbers[6], *world))}
 
 
 def cone_rays(half_angle: float) -> _Array:
     """Unit vectors (n, 3) that sample a cone around z with this half angle (rad)."""
     rays = [[0.0, 0.0, 1.0]]
-    for share, count in _RINGS:
+    for share, count in _CONE_RINGS:
         off = share * half_angle
         for k in range(count):
             around = 2 * math.pi * k / count

@@ -1,55 +1,75 @@
 """Where does it see itself? Visual SLAM over a floor: tracking, keyframes, loops, and data sets to try it on."""
 
-from mufly.slam.calibration import Calibration, board_pictures, calibrate
-from mufly.slam.datasets import PHASE_SIGMA, Path3, Teller, frames, path_of, rounds
-from mufly.slam.evaluation import Evaluation, evaluate, read_truth
-from mufly.slam.frame import Frame, Telling
-from mufly.slam.mapping import Keyframe, Map
-from mufly.slam.process import Counts, Sight, Sketch, SlamProcess, features_of, sketched
-from mufly.slam.readers import Source, open_live, open_pictures, read_telemetry, standing_at
-from mufly.slam.system import TOO_NEAR, Answer, Slam
-from mufly.slam.trajectory import Trajectory, draw, gathered, read_trajectory, run
-from mufly.slam.vision import opencv
-from mufly.slam.writers import LAYOUTS, camera_toml, write_dataset
+from mufly.slam.camera_frame import CameraFrame, FrameInfo
+from mufly.slam.dataset_readers import FrameSource, info_from_height, open_live, open_pictures, read_telemetry
+from mufly.slam.dataset_writers import DATASET_LAYOUTS, format_camera_toml, write_dataset
+from mufly.slam.image_tools import load_opencv
+from mufly.slam.keyframe_map import FloorMap, Keyframe
+from mufly.slam.lens_calibration import LensCalibration, calibrate_lens, list_board_pictures
+from mufly.slam.slam_process import (
+    MapView,
+    PictureCounts,
+    SlamProcess,
+    TrackedPicture,
+    locate_features,
+    make_map_view,
+)
+from mufly.slam.slam_system import TOO_NEAR_REASON, SlamSystem, TrackingResult
+from mufly.slam.slam_trajectory import (
+    SlamTrajectory,
+    collect_results,
+    plot_trajectory,
+    read_trajectory,
+    run_slam,
+)
+from mufly.slam.synthetic_datasets import (
+    PHASE_SIGMA_RAD,
+    FrameInfoSimulator,
+    VehiclePath,
+    make_square_path,
+    path_from_recording,
+    render_frames,
+)
+from mufly.slam.trajectory_evaluation import TrajectoryEvaluation, evaluate_trajectory, read_truth
 
 __all__ = [
-    "LAYOUTS",
-    "PHASE_SIGMA",
-    "TOO_NEAR",
-    "Answer",
-    "Calibration",
-    "Counts",
-    "Evaluation",
-    "Frame",
+    "DATASET_LAYOUTS",
+    "PHASE_SIGMA_RAD",
+    "TOO_NEAR_REASON",
+    "CameraFrame",
+    "FloorMap",
+    "FrameInfo",
+    "FrameInfoSimulator",
+    "FrameSource",
     "Keyframe",
-    "Map",
-    "Path3",
-    "Sight",
-    "Sketch",
-    "Slam",
+    "LensCalibration",
+    "MapView",
+    "PictureCounts",
     "SlamProcess",
-    "Source",
-    "Teller",
-    "Telling",
-    "Trajectory",
-    "board_pictures",
-    "calibrate",
-    "camera_toml",
-    "draw",
-    "evaluate",
-    "features_of",
-    "frames",
-    "gathered",
+    "SlamSystem",
+    "SlamTrajectory",
+    "TrackedPicture",
+    "TrackingResult",
+    "TrajectoryEvaluation",
+    "VehiclePath",
+    "calibrate_lens",
+    "collect_results",
+    "evaluate_trajectory",
+    "format_camera_toml",
+    "info_from_height",
+    "list_board_pictures",
+    "load_opencv",
+    "locate_features",
+    "make_map_view",
+    "make_square_path",
     "open_live",
     "open_pictures",
-    "opencv",
-    "path_of",
+    "path_from_recording",
+    "plot_trajectory",
     "read_telemetry",
     "read_trajectory",
     "read_truth",
-    "rounds",
-    "run",
-    "sketched",
-    "standing_at",
+    "render_frames",
+    "run_slam",
     "write_dataset",
 ]

@@ -10,37 +10,53 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mufly.flight.parameters import Parameter
-    from mufly.station.ground import GroundLink, Station
-    from mufly.station.history import Check, History, Message, MissionRow, Outcome, Request, Snapshot
-    from mufly.station.recorder import StationRecorder
-    from mufly.station.remote import RemoteVehicle
+    from mufly.flight.tunable_parameters import TunableParameter
+    from mufly.station.ground_station import GroundLink, GroundStation
+    from mufly.station.remote_vehicle import RemoteVehicle
+    from mufly.station.signal_history import (
+        MissionRow,
+        OperatorRequest,
+        PreflightCheck,
+        RequestOutcome,
+        SignalHistory,
+        StatusMessage,
+        VehicleSnapshot,
+    )
+    from mufly.station.station_recorder import StationRecorder
 
-_HOMES = {
-    "mufly.flight.parameters": ("Parameter",),
-    "mufly.station.ground": ("GroundLink", "Station"),
-    "mufly.station.history": ("Check", "History", "Message", "MissionRow", "Outcome", "Request", "Snapshot"),
-    "mufly.station.recorder": ("StationRecorder",),
-    "mufly.station.remote": ("RemoteVehicle",),
+_MODULES_BY_NAME = {
+    "mufly.flight.tunable_parameters": ("TunableParameter",),
+    "mufly.station.ground_station": ("GroundLink", "GroundStation"),
+    "mufly.station.signal_history": (
+        "PreflightCheck",
+        "SignalHistory",
+        "StatusMessage",
+        "MissionRow",
+        "RequestOutcome",
+        "OperatorRequest",
+        "VehicleSnapshot",
+    ),
+    "mufly.station.station_recorder": ("StationRecorder",),
+    "mufly.station.remote_vehicle": ("RemoteVehicle",),
 }
 __all__ = [
-    "Check",
     "GroundLink",
-    "History",
-    "Message",
+    "GroundStation",
     "MissionRow",
-    "Outcome",
-    "Parameter",
+    "OperatorRequest",
+    "PreflightCheck",
     "RemoteVehicle",
-    "Request",
-    "Snapshot",
-    "Station",
+    "RequestOutcome",
+    "SignalHistory",
     "StationRecorder",
+    "StatusMessage",
+    "TunableParameter",
+    "VehicleSnapshot",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    for home, names in _HOMES.items():
+    for home, names in _MODULES_BY_NAME.items():
         if name in names:
             return getattr(importlib.import_module(home), name)
     raise AttributeError(f"module 'mufly.station' has no attribute {name!r}")

@@ -10,17 +10,17 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from mufly.link.codec import Origin
-from mufly.link.commands import FORCE, Command
+from mufly.link.codec import GlobalOrigin
+from mufly.link.command_protocol import FORCE_DISARM_MAGIC, Command
 from mufly.vehicle_types import ARDUPILOT, PX4, ModeFamily, ardupilot_mode_number
 
 NAN = math.nan
-LOCAL_NED, GLOBAL = 1, 0  # MAV_FRAME
+FRAME_LOCAL_NED, FRAME_GLOBAL = 1, 0  # MAV_FRAME
 
-Firmware = Literal["mufly", "PX4", "ArduPilot", "other"]
+FirmwareKind = Literal["mufly", "PX4", "ArduPilot", "other"]
 
 
-def firmware_of(autopilot: int, ours: bool) -> Firmware:
+def identify_firmware(autopilot: int, ours: bool) -> FirmwareKind:
     """Return whose vehicle it is, which says how it wants to be asked.
 
     Parameters
@@ -35,62 +35,79 @@ def firmware_of(autopilot: int, ours: bool) -> Firmware:
     return "PX4" if autopilot == PX4 else "ArduPilot" if autopilot == ARDUPILOT else "other"
 
 
-def _command(number: int, *params: float) -> Command:
+def _make_command(number: int, *params: float) -> Command:
     return Command(number, (*params, *(0.0,) * (7 - len(params))))
 
 
-def _mode(main: int, sub: int = 0) -> Command:
-    return _command(176, 1.0, main, sub)  # DO_SET_MODE
+def _set_mode_command(main: int, sub: int = 0) -> Command:
+    return _make_command(176, 1.0, main, sub)  # DO_SET_MODE
 
 
-ARM, DISARM = _command(400, 1.0), _command(400)  # COMPONENT_ARM_DISARM; disarming is refused in flight
-EMERGENCY_STOP = _command(400, 0.0, FORCE)
+ARM_COMMAND, DISARM_COMMAND = (
+    _make_command(400, 1.0),
+    _make_command(400),
+)  # COMPONENT_ARM_DISARM; disarming is refused in flight
+EMERGENCY_STOP_COMMAND = _make_command(400, 0.0, FORCE_DISARM_MAGIC)
 """Disarming by force: the motors stop at once."""
-REBOOT = _command(246, 1.0)
+REBOOT_COMMAND = _make_command(246, 1.0)
 """PREFLIGHT_REBOOT_SHUTDOWN of the autopilot; a simulation begins anew."""
 
-Table = dict[str, tuple[Command, ...]]
+CommandTable = dict[str, tuple[Command, ...]]
 
 
-def _ardupilot(modes: dict[ModeFamily, str], *before: Command) -> Table:
+def _ardupilot_mode_rows(modes: dict[ModeFamily, str], *before: Command) -> CommandTable:
     """Rows of ArduPilot's firmwares: what comes before, then the mode of this name."""
     return {
-        f"ArduPilot {family}": (*before, _mode(ardupilot_mode_number(family, words)))
+        f"ArduPilot {family}": (*before, _set_mode_command(ardupilot_mode_number(family, words)))
         for family, words in modes.items()
     }
 
 
-_HOVER: dict[ModeFamily, str] = {
+_HOVER_MODES: dict[ModeFamily, str] = {
     "copter": "brake", "plane": "loiter", "rover": "hold", "submarine": "position hold", "airship": "loiter",
 }  # fmt: skip
-_AUTO: dict[ModeFamily, str] = {"copter": "auto", "plane": "auto", "rover": "auto", "submarine": "auto"}
-_HAND: dict[ModeFamily, str] = {
+_AUTO_MODES: dict[ModeFamily, str] = {"copter": "auto", "plane": "auto", "rover": "auto", "submarine": "auto"}
+_MANUAL_MODES: dict[ModeFamily, str] = {
     "copter": "loiter", "plane": "fly by wire A", "rover": "manual", "submarine": "position hold",
     "airship": "velocity",
 }  # fmt: skip
-_RETURN: dict[ModeFamily, str] = {
+_RETURN_MODES: dict[ModeFamily, str] = {
     "copter": "return", "plane": "return", "rover": "return", "airship": "return",
 }  # fmt: skip
-BEFORE_ARMING: Table = {**_ardupilot({"copter": "guided"}), "": ()}
+PRE_ARM_COMMANDS: CommandTable = {**_ardupilot_mode_rows({"copter": "guided"}), "": ()}
 """What has to come before arming for a take-off: ArduPilot's copters must be in their mode "guided"."""
-START_MISSION: Table = {"PX4": (_mode(4, 4),), **_ardupilot(_AUTO, _command(300)), "": (_command(300),)}
+START_MISSION_COMMANDS: CommandTable = {
+    "PX4": (_set_mode_command(4, 4),),
+    **_ardupilot_mode_rows(_AUTO_MODES, _make_command(300)),
+    "": (_make_command(300),),
+}
 """What makes an armed vehicle fly its mission, or go on with it."""
-PAUSE: Table = {"PX4": (_mode(4, 3),), **_ardupilot(_HOVER), "": (_command(193),)}
+PAUSE_COMMANDS: CommandTable = {
+    "PX4": (_set_mode_command(4, 3),),
+    **_ardupilot_mode_rows(_HOVER_MODES),
+    "": (_make_command(193),),
+}
 """Stop and hover; a plane circles."""
-BY_HAND: Table = {"PX4": (_mode(3),), **_ardupilot(_HAND), "": (_mode(2),)}
+MANUAL_CONTROL_COMMANDS: CommandTable = {
+    "PX4": (_set_mode_command(3),),
+    **_ardupilot_mode_rows(_MANUAL_MODES),
+    "": (_set_mode_command(2),),
+}
 """Fly by sticks: the mode of each that stops, or flies level, when they are in the middle."""
-LET_GO: Table = {**_ardupilot(_HOVER), "": (_mode(4, 3),)}
+RELEASE_STICKS_COMMANDS: CommandTable = {**_ardupilot_mode_rows(_HOVER_MODES), "": (_set_mode_command(4, 3),)}
 """No more sticks: hover where it is. A mode, since it is taken on the floor too."""
-RETURN: Table = {**_ardupilot(_RETURN), "": (_command(20),)}
+RETURN_COMMANDS: CommandTable = {**_ardupilot_mode_rows(_RETURN_MODES), "": (_make_command(20),)}
 """Return to where it took off and land."""
-LAND: Table = {
-    **_ardupilot({"copter": "landing", "airship": "landing"}),
+LAND_COMMANDS: CommandTable = {
+    **_ardupilot_mode_rows({"copter": "landing", "airship": "landing"}),
     "": (Command(21, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),),
 }
 """Land here."""
 
 
-def commands_of(table: Table, firmware: Firmware, family: ModeFamily = "copter") -> tuple[Command, ...] | str:
+def select_commands(
+    table: CommandTable, firmware: FirmwareKind, family: ModeFamily = "copter"
+) -> tuple[Command, ...] | str:
     """Return what such a vehicle is asked with; text if its firmware has no mode for it.
 
     Parameters
@@ -103,21 +120,22 @@ def commands_of(table: Table, firmware: Firmware, family: ModeFamily = "copter")
     """
     if firmware == "ArduPilot":
         what = f"ArduPilot's {family}" if family else "an ArduPilot vehicle of this type"
-        return table.get(
-            f"ArduPilot {family}", f"{what} has no flight mode for this; fly it by its own transmitter"
-        )
+        return table.get(f"ArduPilot {family}", f"{what} has no flight mode for this; fly it by its own transmitter")
     return table.get(firmware, table[""])
 
 
-def take_off(firmware: Firmware, height_m: float) -> Command:
+def take_off_command(firmware: FirmwareKind, height_m: float) -> Command:
     """What makes an armed vehicle take off to a height above where it stands; PX4 takes the height from a parameter."""
     if firmware == "mufly":
-        return Command(22, (NAN,) * 6 + (-height_m,), frame=LOCAL_NED)
-    return Command(22) if firmware == "PX4" else _command(22, 0.0, 0.0, 0.0, NAN, 0.0, 0.0, height_m)
+        return Command(22, (NAN,) * 6 + (-height_m,), frame=FRAME_LOCAL_NED)
+    return Command(22) if firmware == "PX4" else _make_command(22, 0.0, 0.0, 0.0, NAN, 0.0, 0.0, height_m)
 
 
-def go_to(
-    firmware: Firmware, position_m: tuple[float, float, float], heading_rad: float, origin: Origin | None
+def go_to_command(
+    firmware: FirmwareKind,
+    position_m: tuple[float, float, float],
+    heading_rad: float,
+    origin: GlobalOrigin | None,
 ) -> Command | str:
     """Fly to N, E, D and hold; text if that cannot be asked of this vehicle.
 
@@ -131,26 +149,27 @@ def go_to(
         Where N, E, D are 0, as far as the vehicle has told.
     """
     if firmware == "mufly":
-        return Command(192, (-1.0, 0.0, 0.0, heading_rad, *position_m), frame=LOCAL_NED)
+        return Command(192, (-1.0, 0.0, 0.0, heading_rad, *position_m), frame=FRAME_LOCAL_NED)
     if origin is None:
         return "this autopilot flies to places on the globe only, and has told no origin"
     # Flag 1: change to the mode that it takes.
-    return Command(192, (-1.0, 1.0, 0.0, heading_rad, *origin.to_global(*position_m)), frame=GLOBAL)
+    return Command(192, (-1.0, 1.0, 0.0, heading_rad, *origin.to_global(*position_m)), frame=FRAME_GLOBAL)
 
 
-def request_message(number: int) -> Command:
+def request_message_command(number: int) -> Command:
     """REQUEST_MESSAGE."""
-    return _command(512, number)
+    return _make_command(512, number)
 
 
-def inject_failure(unit: int, kind: int, amount: float = NAN, duration_s: float = NAN) -> Command:
-    """INJECT_FAILURE: FAILURE_UNIT and FAILURE_TYPE of :data:`mufly.link.commands.FAILURES`; type 0 clears all.
+def inject_failure_command(unit: int, kind: int, amount: float = NAN, duration_s: float = NAN) -> Command:
+    """INJECT_FAILURE: FAILURE_UNIT and FAILURE_TYPE of :data:`mufly.link.command_protocol.FAILURE_NAMES`; type 0 clears
+    all.
 
     Parameters 5 and 6, which the specification leaves open, are how much and for how long (s); NaN: as usual, for ever.
     """
-    return _command(420, float(unit), float(kind), 0.0, 0.0, amount, duration_s)
+    return _make_command(420, float(unit), float(kind), 0.0, 0.0, amount, duration_s)
 
 
-def message_interval(number: int, rate_Hz: float) -> Command:
+def message_interval_command(number: int, rate_Hz: float) -> Command:
     """SET_MESSAGE_INTERVAL; a rate of 0 is never."""
-    return _command(511, number, 1e6 / rate_Hz if rate_Hz > 0 else -1.0)
+    return _make_command(511, number, 1e6 / rate_Hz if rate_Hz > 0 else -1.0)

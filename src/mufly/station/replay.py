@@ -1,8 +1,8 @@
 """A finished recording behind the same seam as a vehicle: read, played back, and moved through with a slider.
 
 :func:`open_recording` reads any log that :func:`mufly.logs.read_log` reads. A :class:`Replay` is one viewer's place
-in it; many may share one :class:`Recording`. What the vehicle believed of itself is taken from ``estimated_*`` where
-it was recorded, else from ``measured_*``, else from ``truth_*``.
+in it; many may share one :class:`FlightRecording`. What the vehicle believed of itself is taken from ``estimated_*``
+where it was recorded, else from ``measured_*``, else from ``truth_*``.
 """
 
 from __future__ import annotations
@@ -21,22 +21,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.flight.parameters import Parameter
-from mufly.logs import events_of, kind_of, read_attachments, read_log
-from mufly.logs.mcap import columns_of
-from mufly.mission import Mission, mission_from
-from mufly.quantities import quantity_named
-from mufly.station.history import Check, Message, MissionRow, Snapshot, unknown
+from mufly.flight.tunable_parameters import TunableParameter
+from mufly.logs import detect_log_format, read_attachments, read_events, read_log
+from mufly.logs.mcap import component_channels
+from mufly.mission import Mission, parse_mission
+from mufly.quantities import find_quantity
+from mufly.station.signal_history import (
+    MissionRow,
+    PreflightCheck,
+    StatusMessage,
+    VehicleSnapshot,
+    unknown_values,
+)
 
-SOURCES = ("estimated", "measured", "truth")
+MOTION_SOURCES = ("estimated", "measured", "truth")
 """Whom to believe of the vehicle's motion, in this order."""
-AIRBORNE_M = 0.02
+AIRBORNE_HEIGHT_M = 0.02
 
 _Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Recording:
+class FlightRecording:
     """A log, read whole.
 
     Attributes
@@ -62,18 +68,18 @@ class Recording:
     """
 
     name: str
-    times: _Array
+    times_s: _Array
     columns: dict[str, _Array]
     units: dict[str, str]
-    states: NDArray[Any]
-    messages: tuple[Message, ...]
+    mission_states: NDArray[Any]
+    messages: tuple[StatusMessage, ...]
     mission: Mission | None
     range_angles: _Array
     range_max_m: float
-    facts: dict[str, Any]
+    recording_facts: dict[str, Any]
 
 
-def open_recording(path: str | Path, progress: Callable[[int, int], None] | None = None) -> Recording:
+def open_recording(path: str | Path, progress: Callable[[int, int], None] | None = None) -> FlightRecording:
     """Read a recording of any known format.
 
     Parameters
@@ -94,35 +100,35 @@ def open_recording(path: str | Path, progress: Callable[[int, int], None] | None
     times = data["time"].values.astype(np.float64)
     if not len(times):
         raise InputError(str(path), "", "holds no samples", "choose another recording")
-    numbers = [c for c in columns_of(data) if c.values.dtype.kind in "fiub"]
-    columns = {c.column: c.values.astype(np.float64) for c in numbers}
+    numbers = [c for c in component_channels(data) if c.values.dtype.kind in "fiub"]
+    columns = {c.column_name: c.values.astype(np.float64) for c in numbers}
     states = np.full(len(times), "")
     if "mission_state" in data:
         states = data["mission_state"].values.astype(str)
     has_events = all(f"event_{part}" in data for part in ("time", "state", "text", "level"))
-    messages = [Message(e.time_s, e.level, e.text) for e in events_of(data)] if has_events else []
-    vehicle, mission = _attached(path)
+    messages = [StatusMessage(e.time_s, e.level, e.text) for e in read_events(data)] if has_events else []
+    vehicle, mission = _read_vehicle_and_mission(path)
     beams = sum(1 for name in columns if name.startswith("range_"))
     ring = vehicle.get("range_ring", {})
-    first = _number(ring.get("first_angle"), math.pi / beams if beams else 0.0)
-    farthest = _number(ring.get("max_range"), _largest(columns, beams))
-    return Recording(
+    first = _number_or_default(ring.get("first_angle"), math.pi / beams if beams else 0.0)
+    farthest = _number_or_default(ring.get("max_range"), _largest_range(columns, beams))
+    return FlightRecording(
         name=Path(path).name,
-        times=times,
+        times_s=times,
         columns=columns,
-        units={c.column: c.units for c in numbers},
-        states=states,
+        units={c.column_name: c.units for c in numbers},
+        mission_states=states,
         messages=tuple(sorted(messages, key=lambda m: m.time_s)),
         mission=mission,
         range_angles=first + 2.0 * math.pi * np.arange(beams) / max(beams, 1),
         range_max_m=farthest,
-        facts=dict(data.attrs),
+        recording_facts=dict(data.attrs),
     )
 
 
-def _attached(path: str | Path) -> tuple[dict[str, Any], Mission | None]:
+def _read_vehicle_and_mission(path: str | Path) -> tuple[dict[str, Any], Mission | None]:
     """Return the vehicle's tables and the mission that a recording carries; empty and None where it has none."""
-    if kind_of(path) != "MCAP":
+    if detect_log_format(path) != "MCAP":
         return {}, None
     attachments = read_attachments(path)
     vehicle: dict[str, Any] = {}
@@ -130,24 +136,24 @@ def _attached(path: str | Path) -> tuple[dict[str, Any], Mission | None]:
     try:
         vehicle = tomllib.loads(attachments.get("vehicle.toml", b"").decode())
         if "mission.toml" in attachments:
-            mission = mission_from(tomllib.loads(attachments["mission.toml"].decode()), str(path))
+            mission = parse_mission(tomllib.loads(attachments["mission.toml"].decode()), str(path))
     except (ValueError, InputError):
         pass  # written by another version: the flight is worth showing without its world
     return vehicle, mission
 
 
-def _number(entry: Any, otherwise: float) -> float:
+def _number_or_default(entry: Any, otherwise: float) -> float:
     value = entry.get("value") if isinstance(entry, dict) else entry
     return float(value) if isinstance(value, int | float) else otherwise
 
 
-def _largest(columns: dict[str, _Array], beams: int) -> float:
+def _largest_range(columns: dict[str, _Array], beams: int) -> float:
     seen = [columns[f"range_{k}"] for k in range(beams) if f"range_{k}" in columns]
     finite = [float(np.nanmax(c)) for c in seen if np.isfinite(c).any()]
     return max(finite, default=math.nan)
 
 
-def mission_rows(mission: Mission, reached: int = 0) -> list[MissionRow]:
+def make_mission_rows(mission: Mission, reached: int = 0) -> list[MissionRow]:
     """Return the mission table of a mission file: take-off, its waypoints, landing.
 
     Parameters
@@ -166,7 +172,8 @@ def mission_rows(mission: Mission, reached: int = 0) -> list[MissionRow]:
 
 
 class ReplayHistory:
-    """The history of a recording up to the moment that is shown, as :class:`mufly.station.history.History`.
+    """The history of a recording up to the moment that is shown, as
+    :class:`mufly.station.signal_history.SignalHistory`.
 
     Attributes
     ----------
@@ -174,32 +181,32 @@ class ReplayHistory:
         Gives the values at some times of a signal that the recording has not; None where it is not known either.
     """
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: FlightRecording) -> None:
         self._recording = recording
         self.names = tuple(recording.columns)
-        self.end = len(recording.times)
-        self.also: Callable[[str, _Array], _Array | None] = lambda name, times: None
+        self.end = len(recording.times_s)
+        self.extra_values: Callable[[str, _Array], _Array | None] = lambda name, times: None
 
-    def unit(self, name: str) -> str:
+    def signal_unit(self, name: str) -> str:
         """Unit of a signal, "1" for a pure number."""
         return self._recording.units.get(name, "1")
 
-    def since(self, time_s: float, names: Sequence[str]) -> tuple[_Array, _Array]:
+    def rows_since(self, time_s: float, names: Sequence[str]) -> tuple[_Array, _Array]:
         """Return the times (n,) later than ``time_s`` and the values (n, k) of ``names``; unknown names are NaN."""
-        first = int(np.searchsorted(self._recording.times[: self.end], time_s, side="right"))
-        times = self._recording.times[first : self.end]
+        first = int(np.searchsorted(self._recording.times_s[: self.end], time_s, side="right"))
+        times = self._recording.times_s[first : self.end]
         values = np.full((len(times), len(names)), math.nan)
         for k, name in enumerate(names):
             if name in self._recording.columns:
                 values[:, k] = self._recording.columns[name][first : self.end]
-            elif (found := self.also(name, times)) is not None:
+            elif (found := self.extra_values(name, times)) is not None:
                 values[:, k] = found
         return times, values
 
-    def window(self, seconds: float, names: Sequence[str]) -> tuple[_Array, _Array]:
-        """Return the last ``seconds``, as :meth:`since`."""
-        newest_s = self._recording.times[self.end - 1] if self.end else 0.0
-        return self.since(float(newest_s) - seconds - 1e-9, names)
+    def recent_rows(self, seconds: float, names: Sequence[str]) -> tuple[_Array, _Array]:
+        """Return the last ``seconds``, as :meth:`rows_since`."""
+        newest_s = self._recording.times_s[self.end - 1] if self.end else 0.0
+        return self.rows_since(float(newest_s) - seconds - 1e-9, names)
 
 
 class Replay:
@@ -225,26 +232,26 @@ class Replay:
     color = 0
     parameters_missing = 0
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: FlightRecording) -> None:
         self.recording, self.name = recording, recording.name
-        self.start_s, self.end_s = float(recording.times[0]), float(recording.times[-1])
+        self.start_s, self.end_s = float(recording.times_s[0]), float(recording.times_s[-1])
         self.history = ReplayHistory(recording)
         self.playing = False
         self.speed = 1.0
         self.jumps = 0
-        self.parameters: dict[str, Parameter] = {}
-        self.checks: list[Check] = []
-        self._rows = mission_rows(recording.mission) if recording.mission is not None else []
+        self.parameters: dict[str, TunableParameter] = {}
+        self.checks: list[PreflightCheck] = []
+        self._rows = make_mission_rows(recording.mission) if recording.mission is not None else []
         # When the state turned to "hover" after a leg: a row of the mission was reached.
-        states = recording.states
+        states = recording.mission_states
         legs = {"waypoint", "obstacle", "take-off"}
         turned = [k for k in range(1, len(states)) if states[k] == "hover" and states[k - 1] in legs]
-        self._reached_at = [float(recording.times[k]) for k in turned]
+        self._reached_at = [float(recording.times_s[k]) for k in turned]
         self.seek(self.start_s)
 
     def seek(self, time_s: float) -> None:
         """Show another moment (s), held within the recording."""
-        self._move(time_s)
+        self._set_time(time_s)
         self.jumps += 1
 
     def play(self) -> None:
@@ -260,16 +267,16 @@ class Replay:
     def advance(self, seconds: float) -> None:
         """Let ``seconds`` of wall-clock time pass."""
         if self.playing:
-            self._move(self.time_s + seconds * self.speed)
+            self._set_time(self.time_s + seconds * self.speed)
             if self.time_s >= self.end_s:
                 self.playing = False
 
-    def _move(self, time_s: float) -> None:
+    def _set_time(self, time_s: float) -> None:
         self.time_s = min(max(time_s, self.start_s), self.end_s) if math.isfinite(time_s) else self.start_s
-        self.history.end = int(np.searchsorted(self.recording.times, self.time_s, side="right"))
+        self.history.end = int(np.searchsorted(self.recording.times_s, self.time_s, side="right"))
 
     @property
-    def messages(self) -> list[Message]:
+    def messages(self) -> list[StatusMessage]:
         """What had been said by then."""
         known = self.recording.messages
         return list(known[: bisect.bisect_right([m.time_s for m in known], self.time_s)])
@@ -284,47 +291,47 @@ class Replay:
         """The mission table as it stood then."""
         if self.recording.mission is None:
             return []
-        landed = self.time_s >= self.end_s and self.recording.facts.get("outcome") == "succeeded"
-        return mission_rows(self.recording.mission, len(self._rows) if landed else self.mission_progress)
+        landed = self.time_s >= self.end_s and self.recording.recording_facts.get("outcome") == "succeeded"
+        return make_mission_rows(self.recording.mission, len(self._rows) if landed else self.mission_progress)
 
     @property
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> VehicleSnapshot:
         """The moment that is shown."""
         recording, progress = self.recording, self.mission_progress
         beams = [f"range_{b}" for b in range(len(recording.range_angles))]
-        motors = self._signal("motor_input")
-        s = Snapshot.of(
-            self._signal,
-            SOURCES,
+        motors = self._signal_value("motor_input")
+        s = VehicleSnapshot.from_signals(
+            self._signal_value,
+            MOTION_SOURCES,
             self.time_s,
-            self._values(beams),
+            self._row_values(beams),
             connected=True,
             silent_s=0.0,
             armed=bool(np.nanmax(np.nan_to_num(motors)) > 0.0),
-            state=str(recording.states[self._row]),
+            state=str(recording.mission_states[self._row_index]),
             range_angles=recording.range_angles,
             range_max_m=recording.range_max_m,
             mission_row=progress if progress < len(self._rows) else None,
         )
         # Not flying where the recording does not say how high it stood.
-        return replace(s, flying=bool(s.estimate.position[2] < self._stood - AIRBORNE_M))
+        return replace(s, flying=bool(s.estimate.position[2] < self._initial_down_m - AIRBORNE_HEIGHT_M))
 
     @property
-    def _row(self) -> int:
+    def _row_index(self) -> int:
         return max(self.history.end - 1, 0)
 
-    def _signal(self, name: str) -> _Array:
+    def _signal_value(self, name: str) -> _Array:
         """A variable at the moment that is shown; NaN where it was not recorded."""
-        known = quantity_named(name)
-        labels = known.labels if known is not None else ()
-        return self._values([f"{name}_{label}" for label in labels] or [name])
+        known = find_quantity(name)
+        labels = known.component_labels if known is not None else ()
+        return self._row_values([f"{name}_{label}" for label in labels] or [name])
 
-    def _values(self, names: Sequence[str]) -> _Array:
+    def _row_values(self, names: Sequence[str]) -> _Array:
         columns = self.recording.columns
-        return np.array([columns[name][self._row] if name in columns else math.nan for name in names])
+        return np.array([columns[name][self._row_index] if name in columns else math.nan for name in names])
 
     @cached_property
-    def _stood(self) -> float:
+    def _initial_down_m(self) -> float:
         """Where it stood at first, D (m); NaN if the recording does not say."""
-        columns = [self.recording.columns.get(f"{source}_position_D", unknown(0)) for source in SOURCES]
+        columns = [self.recording.columns.get(f"{source}_position_D", unknown_values(0)) for source in MOTION_SOURCES]
         return next((float(c[np.isfinite(c)][0]) for c in columns if np.isfinite(c).any()), math.nan)

@@ -1,6 +1,6 @@
 """Every combination of some parameters' values, on all cores or on a cluster, resumed where it was stopped.
 
-The combinations are cut into chunks. Each is evaluated at once (``evaluate``) and, when a folder is given, kept
+The combinations are cut into chunks. Each is evaluated at once (``evaluate_cases``) and, when a folder is given, kept
 there as a file; a sweep that is run again in the same folder computes only what is missing. The folder belongs
 to one question: its ``sweep.json`` holds a hash of rotor, drive, parameters and program version, and another
 question is refused. Chunks are functions of their cases alone, so it does not matter who computes them: threads
@@ -27,25 +27,25 @@ import xarray as xr
 from mufly.answer_store import claim_folder, hash_question, read_answer, write_answer
 from mufly.errors import InputError, MuflyError, report_write_errors
 from mufly.rotor import RotorResult, database_airfoils, load_airfoil
-from mufly.study.evaluation import Case, Results, evaluate
-from mufly.study.parameters import PAIR, PARAMETERS, Value, known
-from mufly.study.setup import Setup, check_names
+from mufly.study.case_evaluation import StudyCase, StudyResults, evaluate_cases
+from mufly.study.study_parameters import PAIR_PARAMETERS, ROTOR_PARAMETERS, ParameterValue, find_parameter
+from mufly.study.study_setup import StudySetup, check_parameters
 from mufly.version import __version__
 
-Progress = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 
-CHUNK = 512  # cases of a single rotor by blade elements
-_CHUNK_OF_PAIRS = 16
-_MOST_CASES = 50_000_000
-_PATIENCE = "10s"  # for a scheduler to answer
+CASES_PER_CHUNK = 512  # cases of a single rotor by blade elements
+_PAIRS_PER_CHUNK = 16
+_MAX_CASES = 50_000_000
+_SCHEDULER_TIMEOUT = "10s"  # for a scheduler to answer
 
 
-def sweep(
-    setup: Setup,
-    vary: Mapping[str, Sequence[Value]],
+def sweep_parameters(
+    setup: StudySetup,
+    vary: Mapping[str, Sequence[ParameterValue]],
     *,
     folder: str | Path | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     cluster: str | None = None,
     workers: int | None = None,
     chunk: int | None = None,
@@ -61,7 +61,7 @@ def sweep(
     folder : str or Path, optional
         Where chunks are kept, so that a sweep that was stopped resumes.
     progress : callable, optional
-        ``progress(done, total)`` is called with numbers of cases, from the thread that called ``sweep``.
+        ``progress(done, total)`` is called with numbers of cases, from the thread that called ``sweep_parameters``.
     cluster : str, optional
         Address of a dask.distributed scheduler, as ``tcp://host:8786``; its workers need mufly.
     workers : int, optional
@@ -73,7 +73,7 @@ def sweep(
     Returns
     -------
     xarray.Dataset
-        Dimensions are the varied parameters. Variables are those of ``setup.outputs()`` with units in their
+        Dimensions are the varied parameters. Variables are those of ``setup.output_meanings()`` with units in their
         attributes, nan where a case failed, and ``fault``, the reason, empty where there is none.
 
     Raises
@@ -85,54 +85,54 @@ def sweep(
     """
     names = list(vary)
     values = [list(vary[name]) for name in names]
-    subject = "sweep" if setup.lower is None else setup.subject
-    check_names(setup, names)
+    subject = "sweep" if setup.lower_rotor is None else setup.error_subject
+    check_parameters(setup, names)
     for name, listed in zip(names, values, strict=True):
         if not listed:
             raise InputError(subject, name, "has no value", "give at least one")
         if len(set(listed)) != len(listed):
             raise InputError(subject, name, "lists a value twice", "give each value once")
-    if setup.lower is not None:
-        setup = replace(setup, fixed={k: v for k, v in setup.fixed.items() if k not in names})
-    chunk = chunk if chunk is not None else CHUNK if setup.lower is None else _CHUNK_OF_PAIRS
+    if setup.lower_rotor is not None:
+        setup = replace(setup, fixed_parameters={k: v for k, v in setup.fixed_parameters.items() if k not in names})
+    chunk = chunk if chunk is not None else CASES_PER_CHUNK if setup.lower_rotor is None else _PAIRS_PER_CHUNK
     if chunk < 1:
         raise InputError(subject, "chunk", f"{chunk} cases", "give 1 or more")
     total = int(np.prod([len(v) for v in values], dtype=np.int64))
-    if total > _MOST_CASES:
-        raise InputError(subject, "", f"{total} cases", f"vary less ({_MOST_CASES} cases at most)")
+    if total > _MAX_CASES:
+        raise InputError(subject, "", f"{total} cases", f"vary less ({_MAX_CASES} cases at most)")
     if setup.method == "wake":
         workers, chunk = 1, 1
-    question = _question(setup, names, values, chunk)
-    parts = _grid(setup, names, values, chunk, question, folder, progress, cluster, workers)
-    pair = {} if setup.lower is None else {"balanced_by": setup.free}
-    drive = {} if setup.lower is not None else {"drive": setup.drive.name if setup.drive is not None else ""}
+    question = _sweep_digest(setup, names, values, chunk)
+    parts = _evaluate_grid(setup, names, values, chunk, question, folder, progress, cluster, workers)
+    pair = {} if setup.lower_rotor is None else {"balanced_by": setup.balance_by}
+    drive = {} if setup.lower_rotor is not None else {"drive": setup.drive.name if setup.drive is not None else ""}
     attributes = {
         "rotor": " over ".join(r.name for r in setup.rotors),
         **drive,
-        "fixed": json.dumps(dict(setup.fixed), sort_keys=True),
-        "polars": f"{setup.engine} {setup.model}",
+        "fixed": json.dumps(dict(setup.fixed_parameters), sort_keys=True),
+        "polars": f"{setup.polar_engine} {setup.polar_model}",
         "corrections": json.dumps(vars(setup.corrections)),
-        "method": f"wake, {setup.wake.model}" if setup.method == "wake" else setup.method,
+        "method": f"wake, {setup.wake_settings.model}" if setup.method == "wake" else setup.method,
         **pair,
         "mufly": __version__,
     }
-    return _dataset(setup.outputs(), names, values, parts, attributes)
+    return _build_dataset(setup.output_meanings(), names, values, parts, attributes)
 
 
-def _grid(
-    setup: Setup, names: Sequence[str], values: Sequence[Sequence[Value]], chunk: int, question: str,
-    folder: str | Path | None, progress: Progress | None, cluster: str | None, workers: int | None,
-) -> list[Results]:  # fmt: skip
+def _evaluate_grid(
+    setup: StudySetup, names: Sequence[str], values: Sequence[Sequence[ParameterValue]], chunk: int, question: str,
+    folder: str | Path | None, progress: ProgressCallback | None, cluster: str | None, workers: int | None,
+) -> list[StudyResults]:  # fmt: skip
     """Answers to every combination, chunk by chunk; kept in and recalled from a folder."""
     total = int(np.prod([len(v) for v in values], dtype=np.int64))
     starts = list(range(0, total, chunk))
     place = None if folder is None else Path(folder)
     if place is not None:
         claim_folder(place, "sweep.json", question, {"version": __version__}, _OTHER_SWEEP)
-    answers: dict[int, Results] = {}
+    answers: dict[int, StudyResults] = {}
     done = 0
 
-    def cases(start: int) -> list[Case]:
+    def chunk_cases(start: int) -> list[StudyCase]:
         every = itertools.islice(itertools.product(*values), start, start + chunk)
         return [dict(zip(names, combination, strict=True)) for combination in every]
 
@@ -143,12 +143,12 @@ def _grid(
             done += len(known.fault)
     if progress is not None:
         progress(done, total)
-    with executor_of(cluster, workers) as executor:
+    with open_executor(cluster, workers) as executor:
         waiting = {}
         todo = iter([s for s in starts if s not in answers])
         # A few more than there are workers: enough to keep them busy, few enough to stop soon and to fit in memory.
         for start in itertools.islice(todo, 4 * (os.cpu_count() or 1) if cluster is None else 256):
-            waiting[executor.submit(evaluate, setup, cases(start))] = start
+            waiting[executor.submit(evaluate_cases, setup, chunk_cases(start))] = start
         try:
             while waiting:
                 future = next(as_completed(waiting))
@@ -165,7 +165,7 @@ def _grid(
                     progress(done, total)
                 following = next(todo, None)
                 if following is not None:
-                    waiting[executor.submit(evaluate, setup, cases(following))] = following
+                    waiting[executor.submit(evaluate_cases, setup, chunk_cases(following))] = following
         except BaseException:
             for future in waiting:
                 future.cancel()
@@ -174,7 +174,7 @@ def _grid(
 
 
 @contextmanager
-def executor_of(cluster: str | None, workers: int | None = None) -> Iterator[Executor]:
+def open_executor(cluster: str | None, workers: int | None = None) -> Iterator[Executor]:
     """Threads here, or the workers of the dask cluster whose scheduler has this address.
 
     Raises
@@ -193,41 +193,41 @@ def executor_of(cluster: str | None, workers: int | None = None) -> Iterator[Exe
             "a cluster needs dask.distributed, which is not installed; pip install 'mufly[cluster]'"
         ) from error
     try:
-        client = distributed.Client(cluster, timeout=_PATIENCE)
+        client = distributed.Client(cluster, timeout=_SCHEDULER_TIMEOUT)
     except (OSError, ValueError) as error:
-        raise MuflyError(
-            f"no scheduler answers at {cluster} ({error}); start one with `dask scheduler`"
-        ) from error
+        raise MuflyError(f"no scheduler answers at {cluster} ({error}); start one with `dask scheduler`") from error
     try:
         yield client.get_executor(pure=False)
     finally:
         client.close()
 
 
-def _question(setup: Setup, names: Sequence[str], values: Sequence[Sequence[Value]], chunk: int) -> str:
+def _sweep_digest(
+    setup: StudySetup, names: Sequence[str], values: Sequence[Sequence[ParameterValue]], chunk: int
+) -> str:
     """Hash of everything that the answers depend on; airfoil files count by their contour."""
     listed = (v for vs in values for v in vs if isinstance(v, str))
     content = {
         "version": __version__,
         "rotors": [r.model_dump(mode="json") for r in setup.rotors],
         "drive": setup.drive.model_dump(mode="json") if setup.drive is not None else None,
-        "fixed": dict(sorted(setup.fixed.items())),
+        "fixed": dict(sorted(setup.fixed_parameters.items())),
         "corrections": vars(setup.corrections),
-        "polars": [setup.engine, setup.model, setup.flags],
+        "polars": [setup.polar_engine, setup.polar_model, setup.with_outside_share],
         "method": [
             setup.method,
-            setup.free,
-            setup.stations,
-            vars(setup.wake) if setup.method == "wake" else None,
+            setup.balance_by,
+            setup.station_count,
+            vars(setup.wake_settings) if setup.method == "wake" else None,
         ],
         "vary": [names, values],
         "chunk": chunk,
-        "contours": _contours([*(n for r in setup.rotors for n in r.airfoil_names()), *listed]),
+        "contours": _airfoil_digests([*(n for r in setup.rotors for n in r.airfoil_names()), *listed]),
     }
     return hash_question(content)
 
 
-def _contours(names: Iterable[str]) -> dict[str, str]:
+def _airfoil_digests(names: Iterable[str]) -> dict[str, str]:
     """Digests of the airfoils that are files."""
     found: dict[str, str] = {}
     for name in sorted(set(names)):
@@ -236,7 +236,7 @@ def _contours(names: Iterable[str]) -> dict[str, str]:
             found[name] = hash_question(path.read_bytes())
         elif path.is_file():
             try:
-                found[name] = load_airfoil(name).digest()
+                found[name] = load_airfoil(name).contour_hash()
             except InputError:
                 found[name] = "faulty"
     return found
@@ -249,16 +249,16 @@ def _chunk_file(folder: Path, start: int) -> Path:
     return folder / "chunks" / f"{start:09d}.npz"
 
 
-def _recall_chunk(folder: Path, start: int, question: str) -> Results | None:
+def _recall_chunk(folder: Path, start: int, question: str) -> StudyResults | None:
     content = read_answer(_chunk_file(folder, start), question)
-    return None if content is None else Results(content, [str(reason) for reason in content.pop("fault")])
+    return None if content is None else StudyResults(content, [str(reason) for reason in content.pop("fault")])
 
 
-def _dataset(
+def _build_dataset(
     outputs: Mapping[str, tuple[str, str]],
     names: Sequence[str],
-    values: Sequence[Sequence[Value]],
-    parts: Sequence[Results],
+    values: Sequence[Sequence[ParameterValue]],
+    parts: Sequence[StudyResults],
     attributes: Mapping[str, str],
 ) -> xr.Dataset:
     """Answers of a grid as labelled arrays; ``outputs``: name to unit and meaning."""
@@ -270,7 +270,11 @@ def _dataset(
     fault = np.array([reason for part in parts for reason in part.fault], dtype=np.str_).reshape(shape)
     variables["fault"] = (names, fault, {"long_name": "reason of a failed case; empty if there is none"})
     coordinates = {
-        name: (name, np.asarray(listed), {"units": known(name).unit, "long_name": known(name).meaning})
+        name: (
+            name,
+            np.asarray(listed),
+            {"units": find_parameter(name).unit, "long_name": find_parameter(name).meaning},
+        )
         for name, listed in zip(names, values, strict=True)
     }
     return xr.Dataset(variables, coordinates, dict(attributes))
@@ -300,7 +304,7 @@ def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> 
         nc, table = target / f"{name}.nc", target / f"{name}.csv"
         data.to_netcdf(nc, engine="scipy")
         names = [str(d) for d in data.dims]
-        heads = [_head(d, str(data[d].attrs.get("units", ""))) for d in names]
+        heads = [_column_header(d, str(data[d].attrs.get("units", ""))) for d in names]
         columns = [np.asarray(data[v].transpose(*names)).ravel() for v in data.data_vars]
         grid = np.meshgrid(*(data[d].values for d in names), indexing="ij")
         with table.open("w", newline="", encoding="utf-8") as file:
@@ -311,8 +315,8 @@ def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> 
     return [nc, table]
 
 
-def _head(name: str, unit: str) -> str:
-    known = (name in PARAMETERS or name in PAIR) and unit not in ("", "1", "text")
+def _column_header(name: str, unit: str) -> str:
+    known = (name in ROTOR_PARAMETERS or name in PAIR_PARAMETERS) and unit not in ("", "1", "text")
     return f"{name}_{unit.replace(' ', '').replace('/', '_')}" if known else name
 
 
@@ -328,9 +332,7 @@ def read_results(file: str | Path) -> xr.Dataset:
         with xr.open_dataset(file, engine="scipy") as data:
             return data.load()
     except (OSError, ValueError, TypeError) as error:
-        raise InputError(
-            str(file), "", f"is no result file ({error})", "give a .nc file of a sweep"
-        ) from error
+        raise InputError(str(file), "", f"is no result file ({error})", "give a .nc file of a sweep") from error
 
 
 def write_stations(result: RotorResult, folder: str | Path, name: str = "stations") -> Path:
@@ -362,17 +364,24 @@ def write_stations(result: RotorResult, folder: str | Path, name: str = "station
 # pitch comes last, with the reason.
 
 
-_OUTPUTS = ("electrical_power_W", "power_W", "speed_rad_s", "gear_ratio", "figure_of_merit", "reynolds_75")
+_RANKING_OUTPUTS = (
+    "electrical_power_W",
+    "power_W",
+    "speed_rad_s",
+    "gear_ratio",
+    "figure_of_merit",
+    "reynolds_75",
+)
 
 
 def rank_airfoils(
-    setup: Setup,
+    setup: StudySetup,
     airfoils: Sequence[str],
     pitch_rad: Sequence[float],
     *,
     by: str | None = None,
     folder: str | Path | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     cluster: str | None = None,
 ) -> xr.Dataset:
     """Rank airfoils on one rotor.
@@ -389,7 +398,7 @@ def rank_airfoils(
         Variable to rank by, the greatest first. Default: ``thrust_per_power_N_W`` with a drive, else
         ``figure_of_merit``.
     folder, progress, cluster
-        As for :func:`mufly.study.sweep`.
+        As for :func:`mufly.study.sweep_parameters`.
 
     Returns
     -------
@@ -400,12 +409,12 @@ def rank_airfoils(
     Raises
     ------
     InputError
-        If there is no such variable, or as :func:`mufly.study.sweep`.
+        If there is no such variable, or as :func:`mufly.study.sweep_parameters`.
     """
     key = by or ("thrust_per_power_N_W" if setup.drive is not None else "figure_of_merit")
-    if key not in setup.outputs():
-        raise InputError("rank", key, "is no result", f"use one of: {', '.join(setup.outputs())}")
-    data = sweep(
+    if key not in setup.output_meanings():
+        raise InputError("rank", key, "is no result", f"use one of: {', '.join(setup.output_meanings())}")
+    data = sweep_parameters(
         setup,
         {"airfoil": list(airfoils), "pitch": list(pitch_rad)},
         folder=folder,
@@ -418,11 +427,11 @@ def rank_airfoils(
     rows = np.arange(value.shape[0])
     order = np.argsort(-np.where(solved.any(axis=1), value[rows, best], -np.inf), kind="stable")
     at = (rows[order], best[order])
-    kept = [key, *(name for name in _OUTPUTS if name in data and name != key)]
+    kept = [key, *(name for name in _RANKING_OUTPUTS if name in data and name != key)]
     variables = {name: ("airfoil", data[name].values[at], data[name].attrs) for name in kept}
     ok = solved.any(axis=1)[order]
     names = [str(airfoils[k]) for k in order]
-    shapes = np.array([_shape(name) for name in names])
+    shapes = np.array([_airfoil_shape(name) for name in names])
     pitch = np.where(ok, np.asarray(pitch_rad)[best[order]], np.nan)
     return xr.Dataset(
         {
@@ -438,7 +447,7 @@ def rank_airfoils(
     )
 
 
-def _shape(name: str) -> tuple[float, float]:
+def _airfoil_shape(name: str) -> tuple[float, float]:
     try:
         section = load_airfoil(name)
     except MuflyError:
@@ -458,7 +467,7 @@ def _shape(name: str) -> tuple[float, float]:
 
 # Name in Table 3.3 -> name here. n642-015 is "n64015" in the database, the only 64-015 there. NACA "25516" is no
 # five-digit section: its third digit must be 0 (normal) or 1 (reflexed); 25016 is the nearest that exists.
-TABLE_3_3: dict[str, str] = {
+TABLE_3_3_AIRFOILS: dict[str, str] = {
     "goe394": "goe394",
     "goe342": "goe342",
     "gm15sm": "gm15sm",
@@ -468,8 +477,8 @@ TABLE_3_3: dict[str, str] = {
     "n642-015": "n64015",
     "NACA6415": "naca6415",
 }
-_COUNT = 247
-_SUFFIXES = (".dat", ".txt")
+_THESIS_AIRFOIL_COUNT = 247
+_AIRFOIL_SUFFIXES = (".dat", ".txt")
 
 
 def thesis_airfoils() -> list[str]:
@@ -480,19 +489,19 @@ def thesis_airfoils() -> list[str]:
     MuflyError
         If the database is not installed.
     """
-    eight = list(TABLE_3_3.values())
+    eight = list(TABLE_3_3_AIRFOILS.values())
     rest = [name for name in database_airfoils() if name not in eight]
-    if len(rest) < _COUNT - len(eight):
+    if len(rest) < _THESIS_AIRFOIL_COUNT - len(eight):
         raise MuflyError("AeroSandbox's airfoil database is not installed; pip install aerosandbox")
-    n = _COUNT - len(eight)
+    n = _THESIS_AIRFOIL_COUNT - len(eight)
     chosen = list(eight)
     for k in range(n):
         place, end = k * len(rest) // n, (k + 1) * len(rest) // n
-        chosen.append(next((name for name in rest[place:end] if _is_sound(name)), rest[place]))
+        chosen.append(next((name for name in rest[place:end] if _is_readable_airfoil(name)), rest[place]))
     return chosen
 
 
-def _is_sound(name: str) -> bool:
+def _is_readable_airfoil(name: str) -> bool:
     try:
         load_airfoil(name)
     except InputError:
@@ -522,7 +531,7 @@ def choose_airfoils(wanted: str | Sequence[str]) -> list[str]:
         elif item == "database":
             names += database_airfoils()
         elif item and Path(item).is_dir():
-            files = sorted(str(f) for f in Path(item).iterdir() if f.suffix.lower() in _SUFFIXES)
+            files = sorted(str(f) for f in Path(item).iterdir() if f.suffix.lower() in _AIRFOIL_SUFFIXES)
             if not files:
                 raise InputError(item, "", "holds no airfoil file", "give a folder with .dat files")
             names += files

@@ -1,25 +1,33 @@
 """Does it agree with the source? Every figure and table of the dissertation, ours beside theirs."""
 
-from mufly.thesis.catalogue import ITEMS, Item, item
 from mufly.thesis.claims import CLAIMS, Claim, Verdict
-from mufly.thesis.outcomes import Answer, Outcome, answer, cheap_first, recall, run_study, studies
-from mufly.thesis.pages import report, table_page, totals
+from mufly.thesis.comparison_pages import count_verdicts, render_html_page, render_markdown_page
+from mufly.thesis.figure_catalogue import THESIS_ITEMS, ThesisItem, find_item
+from mufly.thesis.study_runner import (
+    StudyAnswer,
+    StudyOutcome,
+    answer_study,
+    list_studies,
+    load_cached_answer,
+    run_study,
+    studies_by_cost,
+)
 
 __all__ = [
     "CLAIMS",
-    "ITEMS",
-    "Answer",
+    "THESIS_ITEMS",
     "Claim",
-    "Item",
-    "Outcome",
+    "StudyAnswer",
+    "StudyOutcome",
+    "ThesisItem",
     "Verdict",
-    "answer",
-    "cheap_first",
-    "item",
-    "recall",
-    "report",
+    "answer_study",
+    "count_verdicts",
+    "find_item",
+    "list_studies",
+    "load_cached_answer",
+    "render_html_page",
+    "render_markdown_page",
     "run_study",
-    "studies",
-    "table_page",
-    "totals",
+    "studies_by_cost",
 ]

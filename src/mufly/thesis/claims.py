@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-Basis = Literal["text", "table", "axis"]
+ClaimBasis = Literal["text", "table", "axis"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Claim:
     text: str
     value: float = float("nan")
     unit: str = ""
-    basis: Basis = "text"
+    basis: ClaimBasis = "text"
     reason: str = ""
 
 
@@ -54,7 +54,8 @@ class Verdict:
     ----------
     claim : Claim
     model : str
-        What ``ours`` was computed with: a name of ``mufly.study.MODELS``, ``"wake"``, ``"constant coefficients"``, ...
+        What ``ours`` was computed with: a name of ``mufly.study.BEMT_MODELS``, ``"wake"``, ``"constant coefficients"``,
+        ...
     ours : str
         Our numbers.
     agrees : bool
@@ -68,7 +69,7 @@ class Verdict:
     agrees: bool
     rule: str
 
-    def line(self) -> str:
+    def format_line(self) -> str:
         """Return the verdict in one line."""
         word = "agrees" if self.agrees else "DIFFERS"
         known = f" Why: {self.claim.reason}." if self.claim.reason and not self.agrees else ""
@@ -79,7 +80,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class StudyFindings:
     """What a study computed.
 
     Attributes
@@ -102,7 +103,7 @@ class Found:
     lacking: str = ""
 
 
-Progress = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -112,16 +113,16 @@ class Study:
     Attributes
     ----------
     compute : callable
-        ``compute(progress)`` gives :class:`Found`; progress is called with (done, total), or is None.
+        ``compute(progress)`` gives :class:`StudyFindings`; progress is called with (done, total), or is None.
     cost_s : float
         About how long one core takes, for the order of ``run all``.
     """
 
-    compute: Callable[[Progress | None], Found]
+    compute: Callable[[ProgressCallback | None], StudyFindings]
     cost_s: float
 
 
-def figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure (inches)."""
     from matplotlib.figure import Figure
 
@@ -129,20 +130,12 @@ def figure(width: float, height: float) -> Figure:
 
 
 _CLAIMS: dict[str, Claim] = {
-    "gear-power": Claim(
-        "Fig. 3.7", "mechanical power and thrust are greatest at a gear ratio of about 1.5", 1.5
-    ),
+    "gear-power": Claim("Fig. 3.7", "mechanical power and thrust are greatest at a gear ratio of about 1.5", 1.5),
     "gear-efficiency": Claim("Fig. 3.7", "the drive is most efficient at a gear ratio of about 3", 3.0),
-    "gear-thrust-per-power": Claim(
-        "Fig. 3.7", "thrust per power is greatest at a gear ratio of about 4", 4.0
-    ),
+    "gear-thrust-per-power": Claim("Fig. 3.7", "thrust per power is greatest at a gear ratio of about 4", 4.0),
     "gear-thrust": Claim("Fig. 3.7", "0.6 N are reached with a gear ratio of about 2", 2.0),
-    "coefficients-torque": Claim(
-        "Fig. 3.25", "the torque coefficient hardly changes from 3 000 to 7 000 rpm"
-    ),
-    "coefficients-thrust": Claim(
-        "Fig. 3.25", "the thrust coefficient changes more, and grows with the speed"
-    ),
+    "coefficients-torque": Claim("Fig. 3.25", "the torque coefficient hardly changes from 3 000 to 7 000 rpm"),
+    "coefficients-thrust": Claim("Fig. 3.25", "the thrust coefficient changes more, and grows with the speed"),
     "blades-two": Claim("Fig. 3.26", "two blades are best up to 16 degrees of pitch", 16.0, "deg"),
     "blades-more": Claim("Fig. 3.26", "at higher pitch three and four blades are slightly better"),
     "blades-five": Claim("Fig. 3.26", "five blades are worst at every pitch"),
@@ -155,34 +148,18 @@ _CLAIMS: dict[str, Claim] = {
     "camber": Claim("Fig. 3.31", "at 12 % thickness a camber of 4 % is best", 4.0, "%"),
     "camber-position": Claim("Fig. 3.32", "the place of the camber hardly matters"),
     "airfoils-top": Claim("Table 3.3", "goe394, goe342, gm15sm and goe142 are the best four of 247"),
-    "airfoils-bottom": Claim(
-        "Table 3.3", "lnv109a, NACA25516, n642-015 and NACA6415 are the worst four of 247"
-    ),
+    "airfoils-bottom": Claim("Table 3.3", "lnv109a, NACA25516, n642-015 and NACA6415 are the worst four of 247"),
     "airfoils-spread": Claim("Table 3.3", "the best takes 6.04 W, NACA6415 9.63 W: 3.6 W more", 3.585, "W"),
-    "taper": Claim(
-        "Fig. 3.35", "the strongest taper is better than the straight blade by more than 10 %", 10.0, "%"
-    ),
+    "taper": Claim("Fig. 3.35", "the strongest taper is better than the straight blade by more than 10 %", 10.0, "%"),
     "twist": Claim("Fig. 3.36", "strong twist is better"),
     "twist-pitch": Claim("Fig. 3.36", "the best pitch falls with stronger twist"),
-    "coax-thrust": Claim(
-        "Fig. 3.43", "at equal speeds the lower rotor has 55 % of the upper one's thrust", 0.55
-    ),
-    "coax-torque": Claim(
-        "Fig. 3.43", "at equal speeds the lower rotor's torque is about 20 % less", 20.0, "%"
-    ),
-    "coax-constant": Claim(
-        "Fig. 3.43", "at equal speeds the lower rotor's coefficients hardly change with the speed"
-    ),
+    "coax-thrust": Claim("Fig. 3.43", "at equal speeds the lower rotor has 55 % of the upper one's thrust", 0.55),
+    "coax-torque": Claim("Fig. 3.43", "at equal speeds the lower rotor's torque is about 20 % less", 20.0, "%"),
+    "coax-constant": Claim("Fig. 3.43", "at equal speeds the lower rotor's coefficients hardly change with the speed"),
     "coax-upper": Claim("Fig. 3.43", "the upper rotor has slightly more thrust and torque than alone"),
-    "coax-upper-speed": Claim(
-        "Fig. 3.44", "the lower coefficients fall strongly as the upper rotor turns faster"
-    ),
-    "coax-lower-speed": Claim(
-        "Fig. 3.44", "they rise even more with the lower speed, from a negative thrust on"
-    ),
-    "coax-trim": Claim(
-        "Sec. 3.4.7", "with the upper rotor at 6 000 rpm torques cancel at 6 650 rpm", 6650.0, "rpm"
-    ),
+    "coax-upper-speed": Claim("Fig. 3.44", "the lower coefficients fall strongly as the upper rotor turns faster"),
+    "coax-lower-speed": Claim("Fig. 3.44", "they rise even more with the lower speed, from a negative thrust on"),
+    "coax-trim": Claim("Sec. 3.4.7", "with the upper rotor at 6 000 rpm torques cancel at 6 650 rpm", 6650.0, "rpm"),
     "coax-deficit": Claim("Sec. 3.4.7", "the lower rotor then has 23 % less thrust", 23.0, "%"),
     "coax-excess": Claim("Sec. 3.4.7", "and takes 10 % more mechanical power", 10.0, "%"),
     "coax-pitch-speed": Claim("Table 3.4", "lower speeds at 14, 16 and 18 deg: 6 650, 5 750 and 5 025 rpm"),
@@ -191,27 +168,23 @@ _CLAIMS: dict[str, Claim] = {
     "coax-spacing": Claim("Fig. 3.45", "a spacing of 1 to 4 cm has little influence on the lower rotor"),
 }
 
-_TUNING = (
-    "polars, the unstated hub cut-out (here 0.15 R) and the tuning, which is not printed (docs/studies.md)"
-)
-_WAKES = (
-    "our wakes take more from the lower rotor: no swirl from drag, a stream with a sharp edge (docs/wake.md)"
-)
-_REASONS = {
+_TUNING_REASON = "polars, the unstated hub cut-out (here 0.15 R) and the tuning, which is not printed (docs/studies.md)"
+_WAKE_REASON = "our wakes take more from the lower rotor: no swirl from drag, a stream with a sharp edge (docs/wake.md)"
+_REASONS_BY_CLAIM = {
     "gear-thrust": "it holds at 6.4 V, the voltage of a used battery (docs/thesis-errata.md, points 6 and 22)",
     "coefficients-torque": "the corrections for a short blade move with the Reynolds number",
     "coefficients-thrust": "the corrections for a short blade move with the Reynolds number; without them it agrees",
-    "blades-two": _TUNING,
-    "blades-more": _TUNING,
-    "blades-five": _TUNING,
+    "blades-two": _TUNING_REASON,
+    "blades-more": _TUNING_REASON,
+    "blades-five": _TUNING_REASON,
     "radius-size": "momentum theory alone gives +60 % from 50 to 80 mm; 15 % is one step of 10 mm (docs/studies.md)",
-    "thickness": _TUNING,
+    "thickness": _TUNING_REASON,
     "airfoils-bottom": "polars that did not converge would explain it (docs/thesis-errata.md, points 23 and 24)",
     "airfoils-spread": "NACA6415's 9.6 W cannot be had from theory and polar alone (docs/thesis-errata.md, point 24)",
     "taper": "a hub chord of 35 mm is no lifting line, and the tip works at Re 10 000 (docs/studies.md)",
     "twist": "within 1 % of each other with the corrections; with the dissertation's own theory it agrees",
-    "coax-thrust": _WAKES,
-    "coax-torque": _WAKES,
+    "coax-thrust": _WAKE_REASON,
+    "coax-torque": _WAKE_REASON,
     "coax-upper": "coaxial blade elements let the lower rotor's suction through to the upper one (docs/coax.md)",
     "coax-pitch-power": "the printed torque is above its own bench's (docs/thesis-errata.md, point 26)",
     "coax-lower-speed": "a lower rotor that windmills in the upper one's wake has no wake that settles (docs/wake.md)",
@@ -222,7 +195,7 @@ CLAIMS: dict[str, Claim] = {
     key: replace(
         claim,
         basis="table" if claim.where.startswith("Table") else "text",
-        reason=_REASONS.get(key, ""),
+        reason=_REASONS_BY_CLAIM.get(key, ""),
     )
     for key, claim in _CLAIMS.items()
 }

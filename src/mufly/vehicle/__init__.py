@@ -1,15 +1,21 @@
 """What is it made of? Vehicle files, the built-in vehicles and the mass budget."""
 
-from mufly.vehicle.coefficient_map import CoefficientMap, MapTables, builtin_maps, load_map, map_toml
-from mufly.vehicle.schema import (
+from mufly.vehicle.coefficient_map import (
+    CoefficientMap,
+    MapTables,
+    builtin_coefficient_maps,
+    format_map_toml,
+    load_coefficient_map,
+)
+from mufly.vehicle.vehicle_schema import (
     Parameter,
     Vehicle,
+    battery_voltage_range,
     builtin_vehicles,
+    format_vehicle_toml,
+    list_parameters,
     load_vehicle,
-    parameters,
-    replace,
-    vehicle_toml,
-    voltage_range,
+    replace_parameters,
 )
 
 __all__ = [
@@ -17,13 +23,13 @@ __all__ = [
     "MapTables",
     "Parameter",
     "Vehicle",
-    "builtin_maps",
+    "battery_voltage_range",
+    "builtin_coefficient_maps",
     "builtin_vehicles",
-    "load_map",
+    "format_map_toml",
+    "format_vehicle_toml",
+    "list_parameters",
+    "load_coefficient_map",
     "load_vehicle",
-    "map_toml",
-    "parameters",
-    "replace",
-    "vehicle_toml",
-    "voltage_range",
+    "replace_parameters",
 ]

@@ -6,8 +6,8 @@ needs two or three values only. Coefficients are the vehicle's own, ``c_T = T / 
 ``c_Q = Q / (rho pi R^5 Omega^2)``, each with its own rotor's speed.
 
 A map is a TOML file: what it was made of, and ``table``, one line for each point, that a person can read and a
-spreadsheet can paste. A vehicle file names it (``rotors.coefficient_map``); once read, the vehicle carries the whole
-map, so a recording or a copied vehicle file needs nothing beside it.
+spreadsheet can paste. A vehicle file names it (``rotors.coefficient_map``); once read, the vehicle carries
+the whole map, so a recording or a copied vehicle file needs nothing beside it.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from mufly.errors import InputError
-from mufly.tables import builtin_names, fault, read_tables, validated
+from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
 
 MAP_NODES = 512  # of the flight model's record: 3 mean speeds x 13 ratios x 13 climbs, say
-COLUMNS = (
+TABLE_COLUMNS = (
     "mean_speed_rad_s",
     "ratio",
     "climb_ratio",
@@ -37,8 +37,8 @@ COLUMNS = (
     "solved",
 )
 
-_BUILTIN = resources.files("mufly.vehicle") / "maps"
-_UNEVEN = 1e-3  # of a step
+_BUILTIN_MAPS_FOLDER = resources.files("mufly.vehicle") / "maps"
+_MAX_STEP_DEVIATION = 1e-3  # of a step
 
 
 class MapTables(NamedTuple):
@@ -64,16 +64,16 @@ class MapTables(NamedTuple):
     solved: NDArray[np.bool_]
 
     @property
-    def shape(self) -> tuple[int, int, int]:
+    def grid_shape(self) -> tuple[int, int, int]:
         """Numbers of mean speeds, ratios and climbs."""
         return self.mean_speed_rad_s.size, self.ratio.size, self.climb_ratio.size
 
 
-_table_fault = partial(fault, key="table")
+_table_error = partial(model_error, key="table")
 
 
 class CoefficientMap(BaseModel):
-    """A checked map; :meth:`tables` gives its arrays."""
+    """A checked map; :meth:`parse_tables` gives its arrays."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -89,92 +89,88 @@ class CoefficientMap(BaseModel):
     density_kg_m3: float = Field(gt=0, description="density of the air, for the Reynolds number")
     viscosity_Pa_s: float = Field(gt=0, description="viscosity of the air, for the Reynolds number")
     settings: str = Field(default="", description="how the method was set")
-    table: str = Field(description=f"one line a point: {' '.join(COLUMNS)}")
+    table: str = Field(description=f"one line a point: {' '.join(TABLE_COLUMNS)}")
 
-    def tables(self) -> MapTables:
+    def parse_tables(self) -> MapTables:
         """Return axes and coefficients as arrays that cannot be written to."""
-        return _parsed(self.table)
+        return _parse_table(self.table)
 
     @model_validator(mode="after")
-    def _is_a_map(self) -> CoefficientMap:
-        self.tables()
+    def _check_table(self) -> CoefficientMap:
+        self.parse_tables()
         return self
 
 
 @lru_cache(maxsize=32)
-def _parsed(text: str) -> MapTables:
+def _parse_table(text: str) -> MapTables:
     lines = [line.split() for line in text.strip().splitlines() if line.strip()]
-    if not lines or tuple(lines[0]) != COLUMNS:
-        raise _table_fault("the first line does not name the columns", f"begin with: {' '.join(COLUMNS)}")
+    if not lines or tuple(lines[0]) != TABLE_COLUMNS:
+        raise _table_error("the first line does not name the columns", f"begin with: {' '.join(TABLE_COLUMNS)}")
     try:
         rows = np.array([[float(v) for v in line] for line in lines[1:]], dtype=np.float64)
     except ValueError as error:
-        raise _table_fault(f"a line is not {len(COLUMNS)} numbers ({error})", "correct that line") from None
-    if rows.ndim != 2 or rows.shape[1] != len(COLUMNS) or not np.all(np.isfinite(rows)):
-        raise _table_fault(f"a line is not {len(COLUMNS)} finite numbers", "correct that line")
+        raise _table_error(f"a line is not {len(TABLE_COLUMNS)} numbers ({error})", "correct that line") from None
+    if rows.ndim != 2 or rows.shape[1] != len(TABLE_COLUMNS) or not np.all(np.isfinite(rows)):
+        raise _table_error(f"a line is not {len(TABLE_COLUMNS)} finite numbers", "correct that line")
     axes = [np.unique(rows[:, k]) for k in range(3)]
     shape = tuple(a.size for a in axes)
     full = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     if len(full) != len(rows) or len(np.unique(rows[:, :3], axis=0)) != len(rows):
-        raise _table_fault(
+        raise _table_error(
             f"{len(rows)} points are no full grid of {shape[0]} mean speeds, {shape[1]} ratios and {shape[2]} climbs",
             "give every combination once",
         )
     if len(rows) > MAP_NODES:
-        raise _table_fault(f"{len(rows)} points", f"give {MAP_NODES} at most")
+        raise _table_error(f"{len(rows)} points", f"give {MAP_NODES} at most")
     for name, axis, least, positive in zip(
-        COLUMNS, axes, (1, 2, 2), (True, True, False), strict=False
+        TABLE_COLUMNS, axes, (1, 2, 2), (True, True, False), strict=False
     ):  # fmt: skip
         step = np.diff(axis)
         if axis.size < least:
-            raise _table_fault(f"{name} has {axis.size} value", f"give {least} or more")
+            raise _table_error(f"{name} has {axis.size} value", f"give {least} or more")
         if positive and not axis[0] > 0:
-            raise _table_fault(f"{name} {axis[0]:g} is not possible", "give numbers above 0")
-        if step.size and float(np.ptp(step)) > _UNEVEN * float(step.mean()) + 1e-5 * float(
+            raise _table_error(f"{name} {axis[0]:g} is not possible", "give numbers above 0")
+        if step.size and float(np.ptp(step)) > _MAX_STEP_DEVIATION * float(step.mean()) + 1e-5 * float(
             np.abs(axis).max()
         ):
-            raise _table_fault(f"{name} is not evenly spaced", "give equal steps")
+            raise _table_error(f"{name} is not evenly spaced", "give equal steps")
     if not axes[2][0] <= 0.0 <= axes[2][-1]:
-        raise _table_fault("climb_ratio leaves out 0, hover", "give a range that holds it")
+        raise _table_error("climb_ratio leaves out 0, hover", "give a range that holds it")
     ordered = rows[np.lexsort(rows[:, 2::-1].T)]
     grids = [np.ascontiguousarray(ordered[:, k].reshape(shape)) for k in range(3, 8)]
     if float(np.max(np.abs(grids[0]))) > 1.0 or float(np.max(np.abs(grids[2]))) > 1.0:
-        raise _table_fault("a thrust coefficient is above 1", "use c_T = T / (rho pi R^4 Omega^2)")
-    result = MapTables(
-        axes[0], axes[1], axes[2], grids[0], grids[1], grids[2], grids[3], solved=grids[4] > 0.5
-    )
+        raise _table_error("a thrust coefficient is above 1", "use c_T = T / (rho pi R^4 Omega^2)")
+    result = MapTables(axes[0], axes[1], axes[2], grids[0], grids[1], grids[2], grids[3], solved=grids[4] > 0.5)
     for array in result:
         array.setflags(write=False)
     return result
 
 
-def table_text(tables: MapTables) -> str:
+def format_table(tables: MapTables) -> str:
     """Return the ``table`` of a map."""
     grid = np.meshgrid(*tables[:3], indexing="ij")
     columns = [np.ravel(a) for a in (*grid, *tables[3:])]
-    lines = [
-        " ".join(f"{v:.7g}" for v in row[:-1]) + f" {int(row[-1])}" for row in zip(*columns, strict=True)
-    ]
-    return "\n".join([" ".join(COLUMNS), *lines]) + "\n"
+    lines = [" ".join(f"{v:.7g}" for v in row[:-1]) + f" {int(row[-1])}" for row in zip(*columns, strict=True)]
+    return "\n".join([" ".join(TABLE_COLUMNS), *lines]) + "\n"
 
 
-def map_toml(coefficients: CoefficientMap) -> str:
-    """Return the text of a map file that :func:`load_map` reads back."""
+def format_map_toml(coefficients: CoefficientMap) -> str:
+    """Return the text of a map file that :func:`load_coefficient_map` reads back."""
     return tomli_w.dumps(coefficients.model_dump(), multiline_strings=True)
 
 
-def builtin_maps() -> list[str]:
+def builtin_coefficient_maps() -> list[str]:
     """Return the names of the maps that come with mufly."""
-    return builtin_names(_BUILTIN)
+    return builtin_file_names(_BUILTIN_MAPS_FOLDER)
 
 
-def load_map(name_or_path: str | Path, folder: Path | None = None) -> CoefficientMap:
+def load_coefficient_map(name_or_path: str | Path, folder: Path | None = None) -> CoefficientMap:
     """Read a map by built-in name or from its file.
 
     Parameters
     ----------
     name_or_path : str or Path
-        A name that :func:`builtin_maps` lists, or a path.
+        A name that :func:`builtin_coefficient_maps` lists, or a path.
     folder : Path, optional
         Where a path that is not absolute begins; by default the working directory.
 
@@ -184,17 +180,15 @@ def load_map(name_or_path: str | Path, folder: Path | None = None) -> Coefficien
         If there is no such file, it is not TOML, or no map.
     """
     place = name_or_path
-    if str(name_or_path) not in builtin_maps() and folder is not None:
+    if str(name_or_path) not in builtin_coefficient_maps() and folder is not None:
         place = folder / name_or_path
-    tables, where = read_tables(place, _BUILTIN, "coefficient map")
+    tables, where = read_toml(place, _BUILTIN_MAPS_FOLDER, "coefficient map")
     if "table" not in tables:
-        raise InputError(
-            where, "table", "is missing, so this is no coefficient map", "make one: mufly coax map"
-        )
-    return validated(CoefficientMap, tables, where)
+        raise InputError(where, "table", "is missing, so this is no coefficient map", "make one: mufly coax map")
+    return validate_model(CoefficientMap, tables, where)
 
 
-def named_maps(tables: dict[str, Any], folder: Path | None, where: str) -> dict[str, Any]:
+def load_named_maps(tables: dict[str, Any], folder: Path | None, where: str) -> dict[str, Any]:
     """Return a vehicle's tables with the file that ``rotors.coefficient_map`` names put in its place."""
     rotors = tables.get("rotors")
     name = rotors.get("coefficient_map") if isinstance(rotors, dict) else None
@@ -207,4 +201,7 @@ def named_maps(tables: dict[str, Any], folder: Path | None, where: str) -> dict[
             f"{name!r} is no name of a file",
             'write coefficient_map = "pair.toml"',
         )
-    return {**tables, "rotors": {**rotors, "coefficient_map": load_map(name, folder).model_dump()}}
+    return {
+        **tables,
+        "rotors": {**rotors, "coefficient_map": load_coefficient_map(name, folder).model_dump()},
+    }

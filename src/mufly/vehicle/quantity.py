@@ -3,7 +3,8 @@
     mass = { value = 95, unit = "g", source = "measured", note = "on a scale" }
 
 Values are converted to SI when the file is read; the unit must be given, so that no number is ever guessed at. What a
-file may hold is declared once, as groups of :func:`parameter` s: unit, symbol, meaning and the values that make sense.
+file may hold is declared once, as groups of :func:`declare_parameter` s: unit, symbol, meaning and the values that make
+sense.
 """
 
 from __future__ import annotations
@@ -17,21 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-from mufly.tables import TOO_MANY_DIGITS, fault
-from mufly.units import units_of
+from mufly.input_files import TOO_MANY_DIGITS, model_error
+from mufly.units import compatible_units
 
-Source = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
+ValueSource = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
 
-_LIMITS = {"above": gt, "at_least": ge, "below": lt, "at_most": le}
-_REPR_WIDTH = 64  # characters of values in a line of a short representation
-_ABSURD = 1e9  # no parameter of a vehicle is as large in SI units; powers of larger ones overflow
+_LIMIT_OPERATORS = {"above": gt, "at_least": ge, "below": lt, "at_most": le}
+_MAX_REPR_VALUE_WIDTH = 64  # characters of values in a line of a short representation
+_MAX_PLAUSIBLE_VALUE = 1e9  # no parameter of a vehicle is as large in SI units; powers of larger ones overflow
 
 
-class _Frozen(BaseModel):
+class _FrozenModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Quantity(_Frozen):
+class Quantity(_FrozenModel):
     """One number with its unit and provenance. ``float(quantity)`` is the SI value.
 
     ``std``, its standard deviation in the same unit, may be stated; identification takes one by the source otherwise.
@@ -39,7 +40,7 @@ class Quantity(_Frozen):
 
     value: float
     unit: str
-    source: Source
+    source: ValueSource
     note: str = ""
     std: float | None = Field(default=None, ge=0.0)
 
@@ -47,34 +48,34 @@ class Quantity(_Frozen):
         return self.value
 
 
-class Points(_Frozen):
+class BodyPoints(_FrozenModel):
     """Points in body axes (x forward, y right, z down from the centre of gravity)."""
 
     value: tuple[tuple[float, float, float], ...]
     unit: str
-    source: Source
+    source: ValueSource
     note: str = ""
 
-    def array(self) -> NDArray[np.float64]:
+    def to_array(self) -> NDArray[np.float64]:
         """Return the points as an (n, 3) array in SI units."""
         return np.array(self.value, dtype=np.float64).reshape(-1, 3)
 
 
-class Curve(_Frozen):
+class TabulatedCurve(_FrozenModel):
     """A quantity tabulated over a fraction that rises from 0 to 1."""
 
     fraction: tuple[float, ...]
     value: tuple[float, ...]
     unit: str
-    source: Source
+    source: ValueSource
     note: str = ""
 
-    def sample(self, n: int) -> NDArray[np.float64]:
+    def sample_evenly(self, n: int) -> NDArray[np.float64]:
         """Return ``n`` values at equal steps of the fraction, interpolated linearly."""
         return np.interp(np.linspace(0.0, 1.0, n), self.fraction, self.value)
 
 
-def parameter(
+def declare_parameter(
     unit: str,
     symbol: str,
     description: str,
@@ -98,29 +99,29 @@ def parameter(
 
 
 def _check_limits(value: float, unit: str, limits: dict[str, Any]) -> None:
-    set_ = {k: limits[k] for k in _LIMITS if limits.get(k) is not None}
-    if not abs(value) < _ABSURD or not all(_LIMITS[k](value, limit) for k, limit in set_.items()):
+    set_ = {k: limits[k] for k in _LIMIT_OPERATORS if limits.get(k) is not None}
+    if not abs(value) < _MAX_PLAUSIBLE_VALUE or not all(_LIMIT_OPERATORS[k](value, limit) for k, limit in set_.items()):
         words = " and ".join(f"{k.replace('_', ' ')} {limit:g}" for k, limit in set_.items())
         wanted = words or "of ordinary size"
-        raise fault(f"{value:g} {unit} is not possible", f"give a value {wanted} ({unit})")
+        raise model_error(f"{value:g} {unit} is not possible", f"give a value {wanted} ({unit})")
 
 
-def _scaled(value: Any, factor: float) -> Any:
+def _scale_value(value: Any, factor: float) -> Any:
     if isinstance(value, list | tuple):
-        return [_scaled(v, factor) for v in value]
+        return [_scale_value(v, factor) for v in value]
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise fault(f"{value!r} is not a number", "give a number")
+        raise model_error(f"{value!r} is not a number", "give a number")
     try:
         return float(value) * factor
     except OverflowError:
-        raise fault(*TOO_MANY_DIGITS) from None
+        raise model_error(*TOO_MANY_DIGITS) from None
 
 
-def _flat(value: Any) -> list[float]:
-    return [x for v in value for x in _flat(v)] if isinstance(value, list) else [value]
+def _flatten_values(value: Any) -> list[float]:
+    return [x for v in value for x in _flatten_values(v)] if isinstance(value, list) else [value]
 
 
-class Line(NamedTuple):
+class ParameterLine(NamedTuple):
     """A line of what a file holds: its table, its key, and what stands there in words."""
 
     table: str
@@ -132,54 +133,54 @@ class Line(NamedTuple):
     meaning: str
 
 
-def lines_of(group: _Frozen, table: str = "") -> Iterator[Line]:
+def iterate_parameter_lines(group: _FrozenModel, table: str = "") -> Iterator[ParameterLine]:
     """Yield every parameter of a group and of the groups in it, those of a table together."""
-    inner: list[tuple[str, _Frozen]] = []
+    inner: list[tuple[str, _FrozenModel]] = []
     for name, declared in type(group).model_fields.items():
         value = getattr(group, name)
         extra = declared.json_schema_extra if isinstance(declared.json_schema_extra, dict) else {}
         said, symbol = declared.description or "", str(extra.get("symbol", ""))
-        if isinstance(value, Quantity | Points | Curve):
+        if isinstance(value, Quantity | BodyPoints | TabulatedCurve):
             meaning = f"{said} ({value.note})" if value.note else said
             unit = "" if value.unit == "1" else value.unit
-            yield Line(table, name, symbol, _in_words(value.value), unit, value.source, meaning)
-        elif isinstance(value, _Frozen):
+            yield ParameterLine(table, name, symbol, _format_value(value.value), unit, value.source, meaning)
+        elif isinstance(value, _FrozenModel):
             inner.append((name, value))
-        elif isinstance(value, tuple) and value and isinstance(value[0], _Frozen):
+        elif isinstance(value, tuple) and value and isinstance(value[0], _FrozenModel):
             inner += [(f"{name}[{k}]", v) for k, v in enumerate(value, 1)]
         elif value not in (None, "", ()):
-            yield Line(table, name, symbol, _in_words(value), str(extra.get("unit", "")), "", said)
+            yield ParameterLine(table, name, symbol, _format_value(value), str(extra.get("unit", "")), "", said)
     for name, part in inner:
-        yield from lines_of(part, f"{table}.{name}".lstrip("."))
+        yield from iterate_parameter_lines(part, f"{table}.{name}".lstrip("."))
 
 
-def _in_words(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.5g}"
     if isinstance(value, tuple | list):
-        shown = ", ".join(_in_words(v) for v in value[:6])
+        shown = ", ".join(_format_value(v) for v in value[:6])
         return f"({shown}, ... {len(value)} in all)" if len(value) > 6 else f"({shown})"
     return str(value)
 
 
-def _first_values(rows: list[Line]) -> str:
+def _format_first_values(rows: list[ParameterLine]) -> str:
     """The first values of a table, as many as a line holds, and how many more there are."""
     shown: list[str] = []
     for row in rows:
         text = f"{row.key} {row.value} {row.unit}".strip()
-        if sum(map(len, shown)) + len(text) > _REPR_WIDTH:
+        if sum(map(len, shown)) + len(text) > _MAX_REPR_VALUE_WIDTH:
             break
         shown.append(text)
     more = len(rows) - len(shown)
     return ", ".join([*shown, *([f"{more} {'more' if shown else 'values'}"] if more else [])])
 
 
-class Group(_Frozen):
+class ParameterGroup(_FrozenModel):
     """A named group of parameters. Converts what the file says to SI and checks it against the declaration."""
 
     def __str__(self) -> str:
         """Every parameter with unit, source and meaning, a line each."""
-        rows = list(lines_of(self))
+        rows = list(iterate_parameter_lines(self))
         widths = [max((len(r[k]) for r in rows), default=0) for k in range(6)]
         out, table = [f"{type(self).__name__} {getattr(self, 'name', '')}".strip()], ""
         for r in rows:
@@ -198,20 +199,20 @@ class Group(_Frozen):
         title = f"{type(self).__name__} {getattr(self, 'name', '')}".strip()
         if said := getattr(self, "description", ""):
             title += f": {said}"
-        rows = list(lines_of(self))
-        tables: dict[str, list[Line]] = {}
+        rows = list(iterate_parameter_lines(self))
+        tables: dict[str, list[ParameterLine]] = {}
         for row in rows:
             if row.key not in ("name", "description"):
                 tables.setdefault(row.table.partition(".")[0], []).append(row)
         width = max((len(name) for name in tables), default=0)
-        out = [title, *(f"  {name:<{width}}  {_first_values(held)}" for name, held in tables.items())]
+        out = [title, *(f"  {name:<{width}}  {_format_first_values(held)}" for name, held in tables.items())]
         return "\n".join([*out, f"  {len(rows)} values in all: print(...) shows each with its source"])
 
     def _repr_html_(self) -> str:
         """Return the same as a table for notebooks."""
         heads = "".join(f"<th>{h}</th>" for h in ("key", "symbol", "value", "unit", "source", "meaning"))
         out, table = [f"<tr>{heads}</tr>"], ""
-        for r in lines_of(self):
+        for r in iterate_parameter_lines(self):
             if r.table != table:
                 out.append(f'<tr><th colspan="6" style="text-align:left">[{html.escape(r.table)}]</th></tr>')
                 table = r.table
@@ -224,22 +225,22 @@ class Group(_Frozen):
     @classmethod
     def _to_si(cls, raw: Any, info: ValidationInfo) -> Any:
         declared = cls.model_fields[str(info.field_name)].json_schema_extra
-        if not isinstance(declared, dict) or "unit" not in declared or isinstance(raw, _Frozen):
+        if not isinstance(declared, dict) or "unit" not in declared or isinstance(raw, _FrozenModel):
             return raw
         si = str(declared["unit"])
         example = f'{{ value = ..., unit = "{si}", source = "measured" }}'
         if not isinstance(raw, dict):
-            raise fault(f"{raw!r} has no unit and no source", f"write {info.field_name} = {example}")
+            raise model_error(f"{raw!r} has no unit and no source", f"write {info.field_name} = {example}")
         if "unit" not in raw:
-            raise fault("the unit is missing", f"write {info.field_name} = {example}")
-        if not isinstance(raw["unit"], str) or raw["unit"] not in units_of(si):
-            accepted = ", ".join(units_of(si))
-            raise fault(f"unit {raw['unit']!r} does not fit here", f"use one of: {accepted}")
+            raise model_error("the unit is missing", f"write {info.field_name} = {example}")
+        if not isinstance(raw["unit"], str) or raw["unit"] not in compatible_units(si):
+            accepted = ", ".join(compatible_units(si))
+            raise model_error(f"unit {raw['unit']!r} does not fit here", f"use one of: {accepted}")
         if "value" not in raw:
-            raise fault("the value is missing", f"write {info.field_name} = {example}")
-        value = _scaled(raw["value"], units_of(si)[raw["unit"]])
-        for v in _flat(value):
+            raise model_error("the value is missing", f"write {info.field_name} = {example}")
+        value = _scale_value(raw["value"], compatible_units(si)[raw["unit"]])
+        for v in _flatten_values(value):
             _check_limits(v, si, declared)
         std = raw.get("std")
-        scaled = {} if std is None else {"std": _scaled(std, units_of(si)[raw["unit"]])}
+        scaled = {} if std is None else {"std": _scale_value(std, compatible_units(si)[raw["unit"]])}
         return {**raw, "value": value, "unit": si, **scaled}

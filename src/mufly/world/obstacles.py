@@ -24,20 +24,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.compiled import compiled
 from mufly.errors import InputError
+from mufly.numba_cache import cached_njit
 
 _ROOM_FACES = ("south wall", "north wall", "west wall", "east wall", "ceiling")
 
 
-def _finite(where: str, key: str, *values: float) -> None:
+def _require_finite(where: str, key: str, *values: float) -> None:
     for value in values:
         if not math.isfinite(value):
             raise InputError(where, key, f"{value} is not a number", "give finite metres and radians")
 
 
-def _positive(where: str, key: str, *values: float) -> None:
-    _finite(where, key, *values)
+def _require_positive(where: str, key: str, *values: float) -> None:
+    _require_finite(where, key, *values)
     for value in values:
         if value <= 0.0:
             raise InputError(where, key, f"{value:g} is not positive", "give a length above zero")
@@ -65,9 +65,9 @@ class Box:
     name: str = "box"
 
     def __post_init__(self) -> None:
-        _finite(self.name, "centre", *self.centre)
-        _positive(self.name, "size", *self.size)
-        _finite(self.name, "yaw", self.yaw)
+        _require_finite(self.name, "centre", *self.centre)
+        _require_positive(self.name, "size", *self.size)
+        _require_finite(self.name, "yaw", self.yaw)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +95,10 @@ class Cylinder:
     name: str = "cylinder"
 
     def __post_init__(self) -> None:
-        _finite(self.name, "centre", *self.centre)
-        _positive(self.name, "radius", self.radius)
-        _positive(self.name, "height", self.height)
-        _finite(self.name, "foot", self.foot)
+        _require_finite(self.name, "centre", *self.centre)
+        _require_positive(self.name, "radius", self.radius)
+        _require_positive(self.name, "height", self.height)
+        _require_finite(self.name, "foot", self.foot)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,11 +119,9 @@ class Room:
 
     def __post_init__(self) -> None:
         for key, (low, high) in (("north", self.north), ("east", self.east)):
-            _finite("room", key, low, high)
+            _require_finite("room", key, low, high)
             if low >= high:
-                raise InputError(
-                    "room", key, f"[{low:g}, {high:g}] encloses nothing", "give [least, greatest]"
-                )
+                raise InputError("room", key, f"[{low:g}, {high:g}] encloses nothing", "give [least, greatest]")
         if not self.height > 0.0:
             raise InputError("room", "height", f"{self.height} is not positive", "give a height above zero")
 
@@ -139,9 +137,9 @@ class World:
     room : Room or None
         Walls and ceiling, or an open plain.
     floor : bool
-        Whether beams see the plane D = 0. It is never an obstacle in `distance`.
+        Whether beams see the plane D = 0. It is never an obstacle in `obstacle_distance`.
     names : tuple of str
-        Name of every obstacle in the order in which `distances` counts them: boxes, cylinders, then the walls
+        Name of every obstacle in the order in which `obstacle_distances` counts them: boxes, cylinders, then the walls
         (south, north, west, east) and the ceiling.
     """
 
@@ -150,7 +148,7 @@ class World:
     room: Room | None = None
     floor: bool = True
     names: tuple[str, ...] = field(init=False, compare=False)
-    packed: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] = field(
+    packed_tables: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] = field(
         init=False, repr=False, compare=False
     )
 
@@ -159,29 +157,27 @@ class World:
         object.__setattr__(self, "cylinders", tuple(self.cylinders))
         names = [*(b.name for b in self.boxes), *(c.name for c in self.cylinders)]
         object.__setattr__(self, "names", (*names, *_ROOM_FACES))
-        object.__setattr__(self, "packed", _pack(self))
+        object.__setattr__(self, "packed_tables", _pack_world(self))
 
     @property
-    def empty(self) -> bool:
+    def is_empty(self) -> bool:
         """Whether there is nothing to hit but the floor."""
         return not (self.boxes or self.cylinders or self.room)
 
 
-def _pack(world: World) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _pack_world(world: World) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Flat tables for the compiled loops: boxes (n, 8), cylinders (n, 5), limits (6,)."""
     boxes = np.array(
         [(*b.centre, *(0.5 * s for s in b.size), math.cos(b.yaw), math.sin(b.yaw)) for b in world.boxes]
     ).reshape(-1, 8)
-    cylinders = np.array(
-        [(*c.centre, c.radius, -(c.foot + c.height), -c.foot) for c in world.cylinders]
-    ).reshape(-1, 5)
+    cylinders = np.array([(*c.centre, c.radius, -(c.foot + c.height), -c.foot) for c in world.cylinders]).reshape(-1, 5)
     r = world.room
     inside = (*r.north, *r.east, -r.height) if r else (-math.inf, math.inf, -math.inf, math.inf, -math.inf)
     limits = np.array([*inside, 0.0 if world.floor else math.inf])
     return boxes, cylinders, limits
 
 
-def wall(
+def make_wall(
     start: tuple[float, float],
     end: tuple[float, float],
     *,
@@ -216,8 +212,8 @@ def wall(
 _Array = NDArray[np.float64]
 
 
-@compiled
-def _slab(x: float, u: float, half: float, near: float, far: float) -> tuple[float, float]:
+@cached_njit
+def _clip_to_slab(x: float, u: float, half: float, near: float, far: float) -> tuple[float, float]:
     """Cut the stretch [near, far] of a ray to the part where |x + t u| <= half (an empty stretch has near > far)."""
     if u == 0.0:
         return (near, far) if abs(x) <= half else (1.0, -1.0)
@@ -225,21 +221,21 @@ def _slab(x: float, u: float, half: float, near: float, far: float) -> tuple[flo
     return max(near, min(a, b)), min(far, max(a, b))
 
 
-@compiled
+@cached_njit
 def first_hit(
     x: _Array, un: float, ue: float, ud: float, best: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> float:
     """Distance from ``x`` (3,) along a unit vector to the first surface of a packed world, ``best`` at most (m)."""
     for b in boxes:
         dn, de = x[0] - b[0], x[1] - b[1]
-        near, far = _slab(b[6] * dn + b[7] * de, b[6] * un + b[7] * ue, b[3], 0.0, best)
-        near, far = _slab(-b[7] * dn + b[6] * de, -b[7] * un + b[6] * ue, b[4], near, far)
-        near, far = _slab(x[2] - b[2], ud, b[5], near, far)
+        near, far = _clip_to_slab(b[6] * dn + b[7] * de, b[6] * un + b[7] * ue, b[3], 0.0, best)
+        near, far = _clip_to_slab(-b[7] * dn + b[6] * de, -b[7] * un + b[6] * ue, b[4], near, far)
+        near, far = _clip_to_slab(x[2] - b[2], ud, b[5], near, far)
         if near <= far:
             best = near
     for c in cylinders:
         mid, half = 0.5 * (c[3] + c[4]), 0.5 * (c[4] - c[3])
-        near, far = _slab(x[2] - mid, ud, half, 0.0, best)
+        near, far = _clip_to_slab(x[2] - mid, ud, half, 0.0, best)
         dn, de = x[0] - c[0], x[1] - c[1]
         uu, du, dd = un * un + ue * ue, dn * un + de * ue, dn * dn + de * de - c[2] * c[2]
         if uu == 0.0:
@@ -266,8 +262,8 @@ def first_hit(
     return best
 
 
-@compiled
-def _cast(
+@cached_njit
+def _cast_beams(
     x: _Array, directions: _Array, max_range: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> _Array:
     out = np.empty(directions.shape[0])
@@ -277,8 +273,8 @@ def _cast(
     return out
 
 
-@compiled
-def nearest(
+@cached_njit
+def nearest_obstacles(
     points: _Array, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> tuple[_Array, NDArray[np.int64]]:
     """Signed distance of points (n, 3) to the nearest obstacle of a packed world, and which it is."""
@@ -313,7 +309,7 @@ def nearest(
     return least, which
 
 
-def ranges(world: World, position: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> _Array:
+def cast_ranges(world: World, position: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> _Array:
     """Distance along each beam to the first surface it meets.
 
     Parameters
@@ -332,15 +328,15 @@ def ranges(world: World, position: ArrayLike, directions: ArrayLike, max_range: 
     (n,) array
         Ranges (m) in [0, max_range]; 0 for a beam that starts inside an obstacle or outside the room.
     """
-    return _cast(
+    return _cast_beams(
         np.ascontiguousarray(position, dtype=np.float64),
         np.ascontiguousarray(directions, dtype=np.float64),
         float(max_range),
-        *world.packed,
+        *world.packed_tables,
     )
 
 
-def distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray[np.int64]]:
+def obstacle_distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray[np.int64]]:
     """Signed distance of many points to the nearest obstacle.
 
     Parameters
@@ -357,18 +353,18 @@ def distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray[np.int64
     which : (n,) array of int
         Index of the nearest obstacle in ``world.names``, -1 in an empty world.
     """
-    return nearest(np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3), *world.packed)
+    return nearest_obstacles(np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3), *world.packed_tables)
 
 
-def distance(world: World, point: ArrayLike) -> tuple[float, str]:
+def obstacle_distance(world: World, point: ArrayLike) -> tuple[float, str]:
     """Signed distance (m) of one point (3,) to the nearest obstacle, and that obstacle's name ("" if none)."""
-    least, which = distances(world, point)
+    least, which = obstacle_distances(world, point)
     return float(least[0]), world.names[which[0]] if which[0] >= 0 else ""
 
 
-def contains(world: World, point: ArrayLike) -> str:
+def find_enclosing(world: World, point: ArrayLike) -> str:
     """Name of what the point (3,) is inside of: an obstacle, the wall it is beyond, "floor", or "" in free air."""
-    least, name = distance(world, point)
+    least, name = obstacle_distance(world, point)
     if least < 0.0:
         return name
     return "floor" if world.floor and float(np.asarray(point, dtype=np.float64)[2]) > 0.0 else ""

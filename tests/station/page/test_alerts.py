@@ -3,27 +3,27 @@
 import math
 from dataclasses import replace
 
-from mufly.station import Message, MissionRow, Outcome, Request, Snapshot
-from mufly.station.page.alerts import MOST_AT_ONCE, REPEAT_S, Alert, Watch
+from mufly.station import MissionRow, OperatorRequest, RequestOutcome, StatusMessage, VehicleSnapshot
+from mufly.station.page.alerts import MAX_ALERTS, REPEAT_PERIOD_S, AlertWatch, SpokenAlert
 
-FLIES = Snapshot(connected=True, armed=True, flying=True, state="waypoint", battery_charge=0.8)
+FLIES = VehicleSnapshot(connected=True, armed=True, flying=True, state="waypoint", battery_charge=0.8)
 
 
-def said(watch: Watch, now_s: float, s: Snapshot = FLIES, *others: object) -> list[tuple[str, str]]:
-    return [(a.level, a.text) for a in watch.look(now_s, s, *others)]  # type: ignore[arg-type]
+def said(watch: AlertWatch, now_s: float, s: VehicleSnapshot = FLIES, *others: object) -> list[tuple[str, str]]:
+    return [(a.level, a.text) for a in watch.find_new_alerts(now_s, s, *others)]  # type: ignore[arg-type]
 
 
 def test_a_link_that_goes_and_comes_is_said_once_each() -> None:
-    watch, gone = Watch(), replace(FLIES, connected=False)
+    watch, gone = AlertWatch(), replace(FLIES, connected=False)
     assert said(watch, 0.0) == []  # what was so from the beginning is no news
     assert said(watch, 1.0, gone) == [("error", "link lost")]
     assert said(watch, 2.0, gone) == []
     assert said(watch, 3.0) == [("info", "link is back")]
-    assert said(Watch(), 0.0, gone) == []
+    assert said(AlertWatch(), 0.0, gone) == []
 
 
 def test_a_battery_that_hovers_about_a_limit_is_said_once_a_limit() -> None:
-    watch, out = Watch(), []
+    watch, out = AlertWatch(), []
     charges = [0.5, 0.31, 0.299, 0.301, 0.299, 0.31, 0.2, 0.149, 0.151, 0.149, math.nan, 0.14]
     for k, charge in enumerate(charges):
         out += said(watch, 30.0 * k, replace(FLIES, battery_charge=charge))
@@ -33,10 +33,10 @@ def test_a_battery_that_hovers_about_a_limit_is_said_once_a_limit() -> None:
 
 
 def test_a_mission_is_done_once_its_last_row_is_behind_it() -> None:
-    watch = Watch()
+    watch = AlertWatch()
     rows = [MissionRow("take off", reached=True), MissionRow("land")]
     done = [replace(r, reached=True) for r in rows]
-    assert said(Watch(), 0.0, FLIES, (), done) == []  # it was done before this window was opened
+    assert said(AlertWatch(), 0.0, FLIES, (), done) == []  # it was done before this window was opened
     assert said(watch, 0.0, FLIES, (), rows) == []
     assert said(watch, 1.0, FLIES, (), done) == [("info", "mission done")]
     assert said(watch, 2.0, FLIES, (), done) == []
@@ -44,38 +44,46 @@ def test_a_mission_is_done_once_its_last_row_is_behind_it() -> None:
 
 
 def test_what_was_refused_or_not_answered_is_said_and_what_was_given_up_is_not() -> None:
-    watch = Watch()
-    old = Request("arm", Outcome.REFUSED, "battery low")
+    watch = AlertWatch()
+    old = OperatorRequest("arm", RequestOutcome.REFUSED, "battery low")
     assert said(watch, 0.0, FLIES, (), (), [old]) == []
-    asked = [Request("land"), Request("take off to 1 m"), Request("arm"), Request("go on")]
+    asked = [
+        OperatorRequest("land"),
+        OperatorRequest("take off to 1 m"),
+        OperatorRequest("arm"),
+        OperatorRequest("go on"),
+    ]
     assert said(watch, 1.0, FLIES, (), (), [old, *asked]) == []
-    asked[0].end(Outcome.REFUSED, "on the floor")
-    asked[1].end(Outcome.TIMED_OUT)
-    asked[2].end(Outcome.ACCEPTED)
-    asked[3].end(Outcome.REFUSED, "given up for: EMERGENCY STOP")
+    asked[0].set_outcome(RequestOutcome.REFUSED, "on the floor")
+    asked[1].set_outcome(RequestOutcome.TIMED_OUT)
+    asked[2].set_outcome(RequestOutcome.ACCEPTED)
+    asked[3].set_outcome(RequestOutcome.REFUSED, "given up for: EMERGENCY STOP")
     found = said(watch, 2.0, FLIES, (), (), [old, *asked])
     assert found == [("warning", "refused: land"), ("warning", "no answer: take off to 1 m")]
     assert said(watch, 3.0, FLIES, (), (), [old, *asked]) == []
 
 
 def test_warnings_in_words_are_said_the_gravest_first_and_not_all_the_time() -> None:
-    watch = Watch()
-    told = [Message(0.0, "error", "an old one")]
+    watch = AlertWatch()
+    told = [StatusMessage(0.0, "error", "an old one")]
     assert said(watch, 0.0, FLIES, told) == []
-    told += [Message(1.0, "info", "on to waypoint 2"), Message(1.0, "warning", "limit cycle in height, 1.2 Hz"),
-             Message(1.1, "error", "battery low: 6.10 V, below 6.20 V")]  # fmt: skip
+    told += [
+        StatusMessage(1.0, "info", "on to waypoint 2"),
+        StatusMessage(1.0, "warning", "limit cycle in height, 1.2 Hz"),
+        StatusMessage(1.1, "error", "battery low: 6.10 V, below 6.20 V"),
+    ]
     assert said(watch, 1.0, FLIES, told) == [
         ("error", "battery low: 6.10 V, below 6.20 V"),
         ("warning", "limit cycle in height, 1.2 Hz"),
     ]
-    told.append(Message(2.0, "warning", "limit cycle in height, 1.2 Hz"))
+    told.append(StatusMessage(2.0, "warning", "limit cycle in height, 1.2 Hz"))
     assert said(watch, 2.0, FLIES, told) == []
-    told.append(Message(3.0, "warning", "limit cycle in height, 1.2 Hz"))
-    assert len(said(watch, 1.0 + REPEAT_S, FLIES, told)) == 1
-    told.append(Message(3.5, "warning", "limit cycle in height, 1.3 Hz"))
-    assert said(watch, 2.0 + REPEAT_S, FLIES, told) == []  # the same with other numbers
-    told += [Message(4.0, "warning", f"fault {letter}") for letter in "abcdefghi"]
-    assert len(watch.look(60.0, FLIES, told)) == MOST_AT_ONCE
-    told.append(Message(5.0, "warning", "mufly, system 1 is not heard any more"))  # the link says it, graver
-    lost = watch.look(70.0, replace(FLIES, connected=False), told)
-    assert lost == [Alert("error", "link lost")]
+    told.append(StatusMessage(3.0, "warning", "limit cycle in height, 1.2 Hz"))
+    assert len(said(watch, 1.0 + REPEAT_PERIOD_S, FLIES, told)) == 1
+    told.append(StatusMessage(3.5, "warning", "limit cycle in height, 1.3 Hz"))
+    assert said(watch, 2.0 + REPEAT_PERIOD_S, FLIES, told) == []  # the same with other numbers
+    told += [StatusMessage(4.0, "warning", f"fault {letter}") for letter in "abcdefghi"]
+    assert len(watch.find_new_alerts(60.0, FLIES, told)) == MAX_ALERTS
+    told.append(StatusMessage(5.0, "warning", "mufly, system 1 is not heard any more"))  # the link says it, graver
+    lost = watch.find_new_alerts(70.0, replace(FLIES, connected=False), told)
+    assert lost == [SpokenAlert("error", "link lost")]

@@ -210,9 +210,7 @@ def test_the_scene_is_drawn_and_nothing_overflows(window: Page) -> None:
         assert window.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert window.whole(STOP)
         # Fields and buttons of the commands stand beside each other, cut nowhere.
-        boxes = [
-            b.bounding_box() for b in window.page.locator(".mf-commands :is(button, input):visible").all()
-        ]
+        boxes = [b.bounding_box() for b in window.page.locator(".mf-commands :is(button, input):visible").all()]
         for k, a in enumerate(boxes):
             assert a["x"] >= 0
             assert a["x"] + a["width"] <= width
@@ -484,9 +482,7 @@ def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
     wait(lambda: verdict("can be flown"), "the check")
     assert verdict("% of the battery")
     page.get_by_role("button", name="look from above, north up").click()
-    page.evaluate(
-        "new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))"
-    )  # it has been drawn
+    page.evaluate("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")  # it has been drawn
     x, y = page.evaluate("window.muflyScene.onFloor(0.8, -0.6)")
     page.locator(".mf-scene canvas").first.click(position={"x": x, "y": y})
     wait(lambda: len(rows()) == 3, "a third waypoint")
@@ -517,9 +513,7 @@ def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
     wait(lambda: verdict("can be flown"), "the check again")
     page.click("[data-testid=plan-send]")
     page.get_by_role("tab", name="Mission").click()
-    wait(
-        lambda: page.locator(".mf-mission tbody tr").count() == 6, "the mission in the vehicle"
-    )  # its speed, too
+    wait(lambda: page.locator(".mf-mission tbody tr").count() == 6, "the mission in the vehicle")  # its speed, too
     with page.expect_download() as saved:
         page.get_by_title("save the mission as a file").click()
     held = load_mission(saved.value.path())
@@ -690,9 +684,7 @@ def test_a_recording_is_opened_and_its_slider_moves_everything(fly: Fly, window:
     page.get_by_role("tab", name="Recordings").click()
 
     def rows() -> list[str]:
-        return [
-            text.replace("\t", " ") for text in page.locator(".mf-flight-list tbody tr").all_inner_texts()
-        ]
+        return [text.replace("\t", " ") for text in page.locator(".mf-flight-list tbody tr").all_inner_texts()]
 
     def broken() -> bool:
         return any("broken.tlog" in r and "cannot be read: is no log" in r for r in rows())
@@ -717,7 +709,7 @@ def test_a_recording_is_opened_and_its_slider_moves_everything(fly: Fly, window:
     heard = open_recording(next(fly.folder.rglob("station.mcap")))
     highest = int(np.nanargmin(heard.columns["measured_position_D"]))
     shown = []
-    for moment_s in (0.0, float(heard.times[highest] - heard.times[0])):
+    for moment_s in (0.0, float(heard.times_s[highest] - heard.times_s[0])):
         slider.evaluate(f"e => {{ e.value = {moment_s}; e.dispatchEvent(new Event('input')); }}")
         slider.evaluate("e => e.dispatchEvent(new Event('change'))")
         wait(lambda t=moment_s: abs(window.frame()["time_s"] - t) < 0.1, "the slider's moment")  # type: ignore[misc, index]
@@ -730,7 +722,5 @@ def test_a_recording_is_opened_and_its_slider_moves_everything(fly: Fly, window:
 
 def test_nothing_was_complained_of_and_nothing_asked_for_elsewhere(fly: Fly, window: Page) -> None:
     assert window.complaints == []
-    assert [
-        u for u in window.requests if not u.startswith((fly.url, f"ws://127.0.0.1:{fly.port}/", "blob:"))
-    ] == []
+    assert [u for u in window.requests if not u.startswith((fly.url, f"ws://127.0.0.1:{fly.port}/", "blob:"))] == []
     assert "Traceback" not in fly.said()

@@ -11,18 +11,18 @@ import pytest
 
 from mufly.estimate import Estimate
 from mufly.mission import Fence, Mission
-from mufly.station import Check, Snapshot
-from mufly.station.page.caution import (
-    CONFIRM_S,
+from mufly.station import PreflightCheck, VehicleSnapshot
+from mufly.station.page.command_checks import (
+    CONFIRM_TIMEOUT_S,
     Confirmation,
-    battery_words,
-    drawn_fence,
-    failed_checks,
-    judge_errand,
+    check_destination,
+    describe_battery,
+    encode_fence,
+    failed_check_names,
 )
 
 HERE = replace(Estimate(), position=np.array([0.0, 0.0, -1.0]))
-FLIES = Snapshot(connected=True, armed=True, flying=True, state="hover", estimate=HERE, battery_left_s=300.0)
+FLIES = VehicleSnapshot(connected=True, armed=True, flying=True, state="hover", estimate=HERE, battery_left_s=300.0)
 
 
 @pytest.mark.parametrize(
@@ -41,8 +41,8 @@ FLIES = Snapshot(connected=True, armed=True, flying=True, state="hover", estimat
 def test_a_place_is_refused_or_asked_for_twice(
     fence: Fence | None, place: Any, left_s: float, refused: str, beware: str
 ) -> None:
-    errand = judge_errand(replace(FLIES, battery_left_s=left_s), fence, Mission(), place)
-    for said, words in ((errand.refused, refused), (errand.beware, beware)):
+    errand = check_destination(replace(FLIES, battery_left_s=left_s), fence, Mission(), place)
+    for said, words in ((errand.refusal_reason, refused), (errand.caution_reason, beware)):
         assert words in said
         assert bool(said) == bool(words)
 
@@ -50,21 +50,21 @@ def test_a_place_is_refused_or_asked_for_twice(
 def test_a_second_press_counts_within_three_seconds_and_of_the_same() -> None:
     now = [100.0]
     confirm = Confirmation(lambda: now[0])
-    assert not confirm.press("land")
-    assert not confirm.press("take-off")  # another
-    assert not confirm.press("land")
-    now[0] += CONFIRM_S + 0.1
-    assert not confirm.waits_for("land")
-    assert not confirm.press("land")
+    assert not confirm.register_press("land")
+    assert not confirm.register_press("take-off")  # another
+    assert not confirm.register_press("land")
+    now[0] += CONFIRM_TIMEOUT_S + 0.1
+    assert not confirm.is_second_press("land")
+    assert not confirm.register_press("land")
     now[0] += 1.0
-    assert confirm.press("land")
-    assert not confirm.press("land")  # the next one begins anew
+    assert confirm.register_press("land")
+    assert not confirm.register_press("land")  # the next one begins anew
 
 
 def test_failed_checks_are_named_and_what_cannot_be_judged_is_no_failure() -> None:
-    checks = [Check("heard", True, ""), Check("battery", False, ""), Check("disk", None, ""),
-              Check("vehicle's own checks", False, ""), Check("time to fly", False, "")]  # fmt: skip
-    assert failed_checks(checks) == ["battery", "time to fly"]
+    checks = [PreflightCheck("heard", True, ""), PreflightCheck("battery", False, ""), PreflightCheck("disk", None, ""),
+              PreflightCheck("vehicle's own checks", False, ""), PreflightCheck("time to fly", False, "")]  # fmt: skip
+    assert failed_check_names(checks) == ["battery", "time to fly"]
 
 
 @pytest.mark.parametrize(
@@ -80,14 +80,14 @@ def test_failed_checks_are_named_and_what_cannot_be_judged_is_no_failure() -> No
     ],
 )
 def test_the_battery_in_words(charge: float, left_s: float, words: Any) -> None:
-    assert battery_words(replace(FLIES, battery_charge=charge, battery_left_s=left_s)) == words
+    assert describe_battery(replace(FLIES, battery_charge=charge, battery_left_s=left_s)) == words
 
 
 def test_a_fence_is_drawn_with_its_zones_and_ceiling() -> None:
     square = ((0.0, 0.0), (2.0, 0.0), (2.0, 2.0))
-    drawn = drawn_fence(Fence(polygon_m=square, keep_out_circles_m=((1.0, 0.5, 0.2),), ceiling_m=2.0))
+    drawn = encode_fence(Fence(polygon_m=square, keep_out_circles_m=((1.0, 0.5, 0.2),), ceiling_m=2.0))
     assert drawn is not None
     assert [zone["in"] for zone in drawn["zones"]] == [True, False]
     assert drawn["zones"][0]["p"] == list(square)
     assert drawn["ceiling"] == 2.0
-    assert drawn_fence(None) is None
+    assert encode_fence(None) is None

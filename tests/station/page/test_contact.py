@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from mufly.link.ports import LATE_S, elapsed_s
-from mufly.station import Outcome
-from mufly.station.page.contact import FrameTimes, LateFiles, drop_late_events
+from mufly.link.ports import MAX_STALL_S, read_boot_clock
+from mufly.station import RequestOutcome
+from mufly.station.page.late_requests import FrameTimes, LateUploadFilter, drop_late_events
 
 
 class Clock:
@@ -75,7 +75,7 @@ def test_a_press_is_obeyed_within_a_second_of_it_and_of_its_frame(window, waits_
     window.clock.now_s += waits_s
     window.client.handle_event({**press, "held_ms": held_ms, "seen_ms": seen_ms})
     assert bool(window.client.handled) == obeyed
-    assert [r.outcome for r in window.said] == ([] if obeyed else [Outcome.REFUSED])
+    assert [r.outcome for r in window.said] == ([] if obeyed else [RequestOutcome.REFUSED])
     assert window.client.elements[7].updates == (not obeyed)  # the browser shows again what the station has
 
 
@@ -104,11 +104,11 @@ def test_what_names_no_frame_or_one_of_another_stream_is_dropped_and_told_once_a
 
 def test_a_sleep_of_the_machine_counts():
     """Its clock runs on where ``time.monotonic`` stands still; it never goes back."""
-    first = elapsed_s()
-    assert elapsed_s() >= first
+    first = read_boot_clock()
+    assert read_boot_clock() >= first
 
 
-@pytest.mark.parametrize(("waits_s", "status"), [(0.3, 200), (LATE_S + 0.1, 408)])
+@pytest.mark.parametrize(("waits_s", "status"), [(0.3, 200), (MAX_STALL_S + 0.1, 408)])
 def test_a_file_that_began_to_travel_too_late_is_refused(waits_s, status):
     clock, sent = Clock(), []
     frames = FrameTimes(clock)
@@ -120,7 +120,7 @@ def test_a_file_that_began_to_travel_too_late_is_refused(waits_s, status):
     async def send(message):
         sent.append(message)
 
-    layer = LateFiles(app, {"a-window": frames}.get)
+    layer = LateUploadFilter(app, {"a-window": frames}.get)
 
     def ask(method, path, *headers):
         sent.clear()

@@ -9,31 +9,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
-from mufly.mission import Mission, dump_mission, load_mission, mission_from
-from mufly.mission.items import items_of
-from mufly.station.page.drafts import (
-    NEW_NAME,
-    Draft,
-    Sketch,
-    edited,
-    judge,
-    kept_back,
-    of_vehicle,
-    opened,
-    shown,
+from mufly.mission import Mission, dump_mission, load_mission, parse_mission
+from mufly.mission.mission_items import mission_to_items
+from mufly.station.page.mission_draft import (
+    NEW_MISSION_NAME,
+    MissionDraft,
+    SharedDraft,
+    apply_edit,
+    encode_draft,
+    find_untransmitted_keys,
+    judge_draft,
+    mission_from_vehicle,
+    parse_mission_draft,
 )
 
 BASE = load_mission("box-on-leg")
-EMPTY = Draft(Mission(name="new"))
+EMPTY = MissionDraft(Mission(name="new"))
 
 
-def after(draft: Draft, *orders: dict[str, object]) -> Draft:
+def after(draft: MissionDraft, *orders: dict[str, object]) -> MissionDraft:
     for order in orders:
-        draft = edited(draft, order)
+        draft = apply_edit(draft, order)
     return draft
 
 
-def places(draft: Draft) -> list[tuple[float, float, float]]:
+def places(draft: MissionDraft) -> list[tuple[float, float, float]]:
     return [w.position_m for w in draft.mission.waypoint]
 
 
@@ -50,15 +50,13 @@ def test_points_are_added_inserted_moved_turned_round_and_deleted() -> None:
     ]  # half way, from the take-off too
     d = after(d, {"op": "move", "row": 3, "at": [0, 1, -2]}, {"op": "shift", "row": 1, "by": 1})
     assert places(d) == [(2, 0, -1), (1, 0, -1), (0, 1, -2), (2, 3, -1.5)]
-    assert (
-        after(d, {"op": "shift", "row": 4, "by": 1}) is d
-    )  # nothing is later than the last: no step of undo
+    assert after(d, {"op": "shift", "row": 4, "by": 1}) is d  # nothing is later than the last: no step of undo
     d = after(d, {"op": "move", "row": 0, "at": [0.5, 0.25, -0.8]}, {"op": "end", "value": "return"})
     assert (d.mission.start_m, d.mission.take_off.height_m, d.mission.at_end) == ((0.5, 0.25), 0.8, "return")
 
 
 def test_fields_are_those_of_the_file_and_empty_ones_go_back_to_their_default() -> None:
-    d = Draft(BASE)
+    d = MissionDraft(BASE)
     for name, value in (
         ("wait_s", 4.0),
         ("heading_deg", -90.0),
@@ -97,12 +95,10 @@ def test_fields_are_those_of_the_file_and_empty_ones_go_back_to_their_default() 
         ({"op": "fly"}, "nothing that is done to a mission"),
     ],
 )
-def test_what_the_schema_refuses_changes_nothing_and_names_the_item(
-    order: dict[str, object], words: str
-) -> None:
-    draft = Draft(BASE)
+def test_what_the_schema_refuses_changes_nothing_and_names_the_item(order: dict[str, object], words: str) -> None:
+    draft = MissionDraft(BASE)
     with pytest.raises(InputError) as caught:
-        edited(draft, order)
+        apply_edit(draft, order)
     assert words in str(caught.value)
     assert draft.mission is BASE
 
@@ -111,48 +107,46 @@ _ORDERS = st.one_of(
     st.builds(lambda n, h: {"op": "add", "at": [n, 0.0, -h]}, st.floats(-3, 3), st.floats(0.3, 2)),
     st.builds(lambda k: {"op": "delete", "row": k}, st.integers(1, 4)),
     st.builds(lambda k, by: {"op": "shift", "row": k, "by": by}, st.integers(1, 4), st.integers(-2, 2)),
-    st.builds(
-        lambda k, e: {"op": "move", "row": k, "at": [0.0, e, -1.0]}, st.integers(0, 4), st.floats(-2, 2)
-    ),
+    st.builds(lambda k, e: {"op": "move", "row": k, "at": [0.0, e, -1.0]}, st.integers(0, 4), st.floats(-2, 2)),
 )
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(_ORDERS, max_size=12))
 def test_undo_of_everything_is_the_beginning_and_redo_the_end(orders: list[dict[str, object]]) -> None:
-    draft = Draft(BASE)
+    draft = MissionDraft(BASE)
     for order in orders:
         with suppress(InputError):
-            draft = edited(draft, order)
-    steps, back = len(draft.past), draft
+            draft = apply_edit(draft, order)
+    steps, back = len(draft.undo_stack), draft
     for _ in range(steps):
-        back = edited(back, {"op": "undo"})
+        back = apply_edit(back, {"op": "undo"})
     assert back.mission == BASE
-    assert edited(back, {"op": "undo"}) is back
+    assert apply_edit(back, {"op": "undo"}) is back
     for _ in range(steps):
-        back = edited(back, {"op": "redo"})
+        back = apply_edit(back, {"op": "redo"})
     assert back.mission == draft.mission
     assert back.redo() is back
-    again = back.undo().to(Mission()) if steps else back
-    assert not again.future  # what was undone before another edit is gone
+    again = back.undo().with_mission(Mission()) if steps else back
+    assert not again.redo_stack  # what was undone before another edit is gone
 
 
 def test_a_drag_is_one_step_of_undo() -> None:
     drag = [{"op": "move", "row": 1, "at": [4, 0.1 * k, -1], "gesture": "a"} for k in range(1, 9)]
-    d = after(Draft(BASE), *drag)
-    assert len(d.past) == 1
+    d = after(MissionDraft(BASE), *drag)
+    assert len(d.undo_stack) == 1
     d = after(d, {"op": "move", "row": 1, "at": [4, 1, -1], "gesture": "b"})
-    assert len(d.past) == 2
+    assert len(d.undo_stack) == 2
     assert d.undo().undo().mission == BASE
 
 
 def test_the_check_is_that_of_a_mission_file_and_names_the_row() -> None:
     """The line under the table is the one that the command line prints for the same mission in a file."""
-    good = judge(BASE)
+    good = judge_draft(BASE)
     assert good.fault == ""
     assert good.estimate is not None
     assert math.isnan(good.estimate.fraction)  # of what battery?
-    with_battery = judge(BASE, (3.0, 0.3)).estimate
+    with_battery = judge_draft(BASE, (3.0, 0.3)).estimate
     assert with_battery is not None
     assert with_battery.charge_Ah == pytest.approx(with_battery.duration_s * 3.0 / 3600.0)
     faults = [
@@ -163,81 +157,79 @@ def test_the_check_is_that_of_a_mission_file_and_names_the_row() -> None:
         ({"op": "empty"}, None, "no waypoint"),
     ]
     for order, row, words in faults:
-        bad = after(Draft(BASE), order).mission
-        found = judge(bad)
-        assert found.row == row
+        bad = after(MissionDraft(BASE), order).mission
+        found = judge_draft(bad)
+        assert found.fault_row == row
         assert words in found.fault
         with pytest.raises(InputError) as caught:
-            mission_from(bad.model_dump(exclude_none=True), bad.name)
+            parse_mission(bad.model_dump(exclude_none=True), bad.name)
         assert str(caught.value) == f"{bad.name}: {found.fault}"
-    long = after(Draft(BASE), {"op": "put", "row": 2, "name": "wait_s", "value": 3000.0}).mission
-    assert judge(long).fault == ""
-    assert judge(long, (3.0, 0.3)).row == 2
-    there = after(Draft(BASE), {"op": "delete", "row": 2})
-    lands = judge(there.mission).estimate
+    long = after(MissionDraft(BASE), {"op": "put", "row": 2, "name": "wait_s", "value": 3000.0}).mission
+    assert judge_draft(long).fault == ""
+    assert judge_draft(long, (3.0, 0.3)).fault_row == 2
+    there = after(MissionDraft(BASE), {"op": "delete", "row": 2})
+    lands = judge_draft(there.mission).estimate
     assert lands is not None
     capacity_Ah = (lands.duration_s + 1.0) * 3.0 / 3600.0 / there.mission.battery.usable
-    assert judge(there.mission, (3.0, capacity_Ah)).fault == ""
+    assert judge_draft(there.mission, (3.0, capacity_Ah)).fault == ""
     home = after(there, {"op": "end", "value": "return"}).mission
-    assert judge(home).fault == ""
-    assert judge(home, (3.0, capacity_Ah)).row == 2  # the end is a row too
+    assert judge_draft(home).fault == ""
+    assert judge_draft(home, (3.0, capacity_Ah)).fault_row == 2  # the end is a row too
 
 
 def test_a_file_with_a_fault_in_its_geometry_is_opened_to_be_mended_and_comes_back_equal() -> None:
-    broken = after(Draft(BASE), {"op": "move", "row": 2, "at": [2.0, 0.1, -1.0]}).mission
-    mission = opened(dump_mission(broken), "mine.toml")
+    broken = after(MissionDraft(BASE), {"op": "move", "row": 2, "at": [2.0, 0.1, -1.0]}).mission
+    mission = parse_mission_draft(dump_mission(broken), "mine.toml")
     assert mission == broken
     with pytest.raises(InputError, match=r"mine\.toml: waypoint\[1\]\.wait"):
-        opened("[[waypoint]]\nposition_m=[1.0, 0.0, -1.0]\nwait = 2", "mine.toml")
+        parse_mission_draft("[[waypoint]]\nposition_m=[1.0, 0.0, -1.0]\nwait = 2", "mine.toml")
     with pytest.raises(InputError, match="is not valid TOML"):
-        opened("[[", "mine.toml")
-    assert opened("[[waypoint]]\nposition_m=[1.0, 0.0, -1.0]", "mine.toml").name == "mine"
+        parse_mission_draft("[[", "mine.toml")
+    assert parse_mission_draft("[[waypoint]]\nposition_m=[1.0, 0.0, -1.0]", "mine.toml").name == "mine"
 
 
 def test_what_a_vehicle_holds_comes_back_with_speeds_headings_and_end() -> None:
     d = after(
-        Draft(BASE),
+        MissionDraft(BASE),
         {"op": "put", "row": 1, "name": "speed_m_s", "value": 0.25},
         {"op": "put", "row": 2, "name": "heading_deg", "value": 90.0},
         {"op": "end", "value": "return"},
     )
-    sent = items_of(d.mission).items
-    assert of_vehicle(sent, BASE, None) == d.mission
+    sent = mission_to_items(d.mission).items
+    assert mission_from_vehicle(sent, BASE, None) == d.mission
     with pytest.raises(InputError, match=r"item 0: frame"):
-        of_vehicle([sent[0].__class__(0, 3, 16, z=1.0)], BASE, None)
-    assert kept_back(d.mission, BASE) == []  # all that differs is carried
-    other = d.mission.with_parts(
-        take_off=d.mission.take_off.model_copy(update={"wait_s": 9.0, "height_m": 2.0})
-    )
+        mission_from_vehicle([sent[0].__class__(0, 3, 16, z=1.0)], BASE, None)
+    assert find_untransmitted_keys(d.mission, BASE) == []  # all that differs is carried
+    other = d.mission.with_parts(take_off=d.mission.take_off.model_copy(update={"wait_s": 9.0, "height_m": 2.0}))
     other = other.with_parts(room=None, limits=other.limits.model_copy(update={"speed_m_s": 0.3}))
-    assert kept_back(other, BASE) == ["take_off.wait_s", "limits", "room"]
-    assert kept_back(Mission(), None) == []
+    assert find_untransmitted_keys(other, BASE) == ["take_off.wait_s", "limits", "room"]
+    assert find_untransmitted_keys(Mission(), None) == []
 
 
 def test_the_newest_state_is_judged_while_one_draws_on() -> None:
-    async def draw() -> Sketch:
-        sketch = Sketch()
-        sketch.take(Draft(BASE))
+    async def draw() -> SharedDraft:
+        sketch = SharedDraft()
+        sketch.set_draft(MissionDraft(BASE))
         checks = []
         for k in range(5):
-            sketch.take(after(sketch.draft, {"op": "move", "row": 1, "at": [2.0 + 0.5 * k, 0.1, -1.0]}))
-            checks.append(asyncio.create_task(sketch.check(None)))
+            sketch.set_draft(after(sketch.draft, {"op": "move", "row": 1, "at": [2.0 + 0.5 * k, 0.1, -1.0]}))
+            checks.append(asyncio.create_task(sketch.check_draft(None)))
             await asyncio.sleep(0)
         verdicts = await asyncio.gather(*checks)
         assert len({v.fault for v in verdicts}) == 1
         return sketch
 
     sketch = asyncio.run(draw())
-    assert sketch.verdict == judge(sketch.draft.mission)
-    state = shown(sketch.draft, sketch.verdict, "")
+    assert sketch.verdict == judge_draft(sketch.draft.mission)
+    state = encode_draft(sketch.draft, sketch.verdict, "")
     assert (state["undo"], state["bad"], state["checked"], len(state["rows"])) == (5, None, True, 2)
     assert state["rows"][0]["at"] == [4.0, 0.1, 1.0]  # a person reads heights
 
 
 def test_a_mission_that_is_begun_anew_has_a_name_of_its_own() -> None:
     """Saved, it must not replace the file of the one before."""
-    new = after(Draft(BASE), {"op": "empty"})
-    assert new.mission.name == NEW_NAME != BASE.name
+    new = after(MissionDraft(BASE), {"op": "empty"})
+    assert new.mission.name == NEW_MISSION_NAME != BASE.name
     assert new.mission.world == BASE.world
     named = after(new, {"op": "name", "value": "two laps"})
-    assert (named.mission.name, named.undo().mission.name) == ("two laps", NEW_NAME)
+    assert (named.mission.name, named.undo().mission.name) == ("two laps", NEW_MISSION_NAME)

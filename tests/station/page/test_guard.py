@@ -7,7 +7,13 @@ from typing import Any
 import pytest
 
 from mufly.errors import InputError
-from mufly.station.page.address import COOKIE, Guard, choose_address, is_loopback, new_token
+from mufly.station.page.page_address import (
+    COOKIE_NAME,
+    AccessGuard,
+    bind_page_address,
+    is_loopback,
+    make_token,
+)
 
 TOKEN = "correct-horse-battery"
 
@@ -21,7 +27,16 @@ async def inner(scope: Any, receive: Any, send: Any) -> None:
     await send({"type": "http.response.body", "body": b"secret"})
 
 
-def call(guard: Guard, path: str = "/", *, kind: str = "http", method: str = "GET", query: str = "", body: bytes = b"", **headers: str) -> tuple[int, str, dict[str, str]]:  # fmt: skip  # noqa: E501
+def call(
+    guard: AccessGuard,
+    path: str = "/",
+    *,
+    kind: str = "http",
+    method: str = "GET",
+    query: str = "",
+    body: bytes = b"",
+    **headers: str,
+) -> tuple[int, str, dict[str, str]]:
     """Ask for something; return status (101: the socket was accepted), body and headers."""
     sent: list[dict[str, Any]] = []
     headers = {"host": "127.0.0.1:8080"} | {k.replace("_", "-"): v for k, v in headers.items()}
@@ -31,9 +46,7 @@ def call(guard: Guard, path: str = "/", *, kind: str = "http", method: str = "GE
     }  # fmt: skip
 
     async def receive() -> dict[str, Any]:
-        return (
-            {"type": "websocket.connect"} if kind == "websocket" else {"type": "http.request", "body": body}
-        )
+        return {"type": "websocket.connect"} if kind == "websocket" else {"type": "http.request", "body": body}
 
     async def send(message: Any) -> None:
         sent.append(message)
@@ -46,8 +59,8 @@ def call(guard: Guard, path: str = "/", *, kind: str = "http", method: str = "GE
     return first["status"], sent[1]["body"].decode(), answered
 
 
-OPEN = Guard(inner)
-CLOSED = Guard(inner, host="0.0.0.0", token=TOKEN)
+OPEN = AccessGuard(inner)
+CLOSED = AccessGuard(inner, host="0.0.0.0", token=TOKEN)
 
 
 @pytest.mark.parametrize("kind", ["http", "websocket"])
@@ -68,13 +81,11 @@ def test_a_rebound_name_and_a_foreign_page_are_refused(kind: str) -> None:
     assert call(OPEN, kind=kind, origin="null")[0] == 403
 
 
-@pytest.mark.parametrize(
-    "path", ["/", "/mufly/x/station.css", "/_nicegui_ws/socket.io", "/live/abc", "/login"]
-)
+@pytest.mark.parametrize("path", ["/", "/mufly/x/station.css", "/_nicegui_ws/socket.io", "/live/abc", "/login"])
 def test_without_the_token_nothing_is_served(path: str) -> None:
     assert call(CLOSED, path)[0] == 401
-    assert call(CLOSED, path, cookie=f"{COOKIE}=guess")[0] == 401
-    assert call(CLOSED, path, cookie=f"{COOKIE}={TOKEN}")[0] == 401  # the cookie is not the token itself
+    assert call(CLOSED, path, cookie=f"{COOKIE_NAME}=guess")[0] == 401
+    assert call(CLOSED, path, cookie=f"{COOKIE_NAME}={TOKEN}")[0] == 401  # the cookie is not the token itself
     assert call(CLOSED, path, kind="websocket")[0] == 403
     assert "secret" not in call(CLOSED, path)[1]
 
@@ -122,18 +133,18 @@ def test_loopback_is_known_by_name_and_number() -> None:
 
 
 def test_tokens_are_long_and_differ() -> None:
-    assert len({new_token() for _ in range(50)}) == 50
-    assert min(len(new_token()) for _ in range(50)) >= 20
+    assert len({make_token() for _ in range(50)}) == 50
+    assert min(len(make_token()) for _ in range(50)) >= 20
 
 
 def test_a_port_in_use_is_stepped_over_unless_it_was_asked_for() -> None:
-    one = choose_address()
-    two = choose_address()
+    one = bind_page_address()
+    two = bind_page_address()
     try:
         assert one.port != two.port
         assert one.url == f"http://127.0.0.1:{one.port}/"
         with pytest.raises(InputError, match=str(one.port)):
-            choose_address(port=one.port)
+            bind_page_address(port=one.port)
     finally:
         one.socket.close()
         two.socket.close()
@@ -143,10 +154,10 @@ def test_another_address_gets_a_token_unasked() -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    address = choose_address("0.0.0.0", port)
+    address = bind_page_address("0.0.0.0", port)
     address.socket.close()
     assert len(address.token) >= 20
     assert address.token in address.url
     for bad in ({"host": "no.such.host.invalid"}, {"token": "short"}):
         with pytest.raises(InputError):
-            choose_address(**bad)  # type: ignore[arg-type]
+            bind_page_address(**bad)  # type: ignore[arg-type]

@@ -10,21 +10,27 @@ import pytest
 
 from mufly.errors import InputError
 from mufly.estimate import Estimate
-from mufly.flight import Parameter
-from mufly.station import Outcome, Request, Snapshot
-from mufly.station.page.feed import catalog, display_unit, folded, marks, spectrum
-from mufly.station.page.layout import Sent
-from mufly.station.page.session import (
-    COMMANDS,
-    ParameterSheet,
-    availability,
+from mufly.flight import TunableParameter
+from mufly.station import OperatorRequest, RequestOutcome, VehicleSnapshot
+from mufly.station.page.frame_feed import (
+    alias_frequency,
+    build_catalog,
+    compute_spectrum,
+    display_unit,
+    mark_rotor_frequencies,
+)
+from mufly.station.page.page_layout import SentDestination
+from mufly.station.page.page_session import (
+    COMMAND_NAMES,
+    ParameterEdits,
+    describe_pace,
     find_recordings,
+    find_refusal_reasons,
+    format_parameter_file,
     mission_label,
-    pace,
-    parameter_file,
     read_parameter_file,
 )
-from mufly.station.transfers import refused
+from mufly.station.remote_transfers import refusal_reason
 
 
 def test_one_quantity_holds_all_who_speak_of_it() -> None:
@@ -33,7 +39,7 @@ def test_one_quantity_holds_all_who_speak_of_it() -> None:
         for source in ("truth", "estimated", "reference")
         for angle in ("roll", "pitch", "yaw")
     ]
-    found = catalog([*names, "battery_voltage", "motor_input_upper", "gyro_temperature"], lambda n: "rad")
+    found = build_catalog([*names, "battery_voltage", "motor_input_upper", "gyro_temperature"], lambda n: "rad")
     attitude = next(q for q in found if q["key"] == "attitude")
     assert attitude["components"] == ["roll", "pitch", "yaw"]
     assert attitude["sources"] == ["estimated", "reference", "truth"]
@@ -46,9 +52,7 @@ def test_one_quantity_holds_all_who_speak_of_it() -> None:
 
 
 def test_height_and_climb_are_called_that_and_grow_upward() -> None:
-    place, speed = catalog(
-        [f"estimated_{q}_{a}" for q in ("position", "velocity") for a in "NED"], lambda n: "m"
-    )
+    place, speed = build_catalog([f"estimated_{q}_{a}" for q in ("position", "velocity") for a in "NED"], lambda n: "m")
     assert (place["components"], place["upward"]) == (["N", "E", "height"], ["height"])
     assert (speed["components"], speed["upward"]) == (["N", "E", "climb"], ["climb"])
     assert place["signals"]["estimated/height"] == "estimated_position_D"
@@ -65,7 +69,7 @@ def test_units_are_those_that_people_read() -> None:
 def test_the_spectrum_of_a_sine_is_a_peak_that_holds_its_power() -> None:
     rate, frequency, amplitude = 100.0, 12.5, 0.3
     t = np.arange(0, 20, 1 / rate)
-    found = spectrum(t, amplitude * np.sin(2 * math.pi * frequency * t))
+    found = compute_spectrum(t, amplitude * np.sin(2 * math.pi * frequency * t))
     assert found is not None
     fs, f, density = found
     assert fs == pytest.approx(rate)
@@ -77,11 +81,11 @@ def test_gaps_and_missing_samples_are_bridged_and_too_few_say_nothing() -> None:
     t = np.arange(0, 10, 0.01)
     x = np.sin(2 * math.pi * 3 * t)
     x[::7] = np.nan
-    found = spectrum(t, x)
+    found = compute_spectrum(t, x)
     assert found is not None
     assert found[1][np.argmax(found[2])] == pytest.approx(3.0, abs=0.15)
-    assert spectrum(t[:20], x[:20]) is None
-    assert spectrum(t, np.full_like(t, np.nan)) is None
+    assert compute_spectrum(t[:20], x[:20]) is None
+    assert compute_spectrum(t, np.full_like(t, np.nan)) is None
 
 
 def test_frequencies_above_half_the_rate_fold() -> None:
@@ -89,13 +93,13 @@ def test_frequencies_above_half_the_rate_fold() -> None:
     rate = 100.0
     t = np.arange(200) / rate
     for f in (12.0, 60.0, 70.6, 141.2, 250.0):
-        image = folded(f, rate)
+        image = alias_frequency(f, rate)
         assert 0 <= image <= rate / 2
         np.testing.assert_allclose(np.cos(2 * np.pi * f * t), np.cos(2 * np.pi * image * t), atol=1e-9)
 
 
 def test_rotors_are_marked_once_and_twice_a_turn() -> None:
-    found = {m["name"]: m for m in marks(np.array([2 * math.pi * 20, math.nan]), 100.0)}
+    found = {m["name"]: m for m in mark_rotor_frequencies(np.array([2 * math.pi * 20, math.nan]), 100.0)}
     assert set(found) == {"upper", "upper ×2"}
     assert found["upper"] == {
         "name": "upper",
@@ -104,15 +108,15 @@ def test_rotors_are_marked_once_and_twice_a_turn() -> None:
         "folded": False,
     }
     assert found["upper ×2"]["hz"] == pytest.approx(40)
-    assert marks(np.array([0.0, 0.0]), 100.0) == []
+    assert mark_rotor_frequencies(np.array([0.0, 0.0]), 100.0) == []
 
 
-HOVER = Snapshot(connected=True, armed=True, flying=True, in_command=True, state="hover")
-FLOOR = Snapshot(connected=True, state="init")
+HOVER = VehicleSnapshot(connected=True, armed=True, flying=True, in_command=True, state="hover")
+FLOOR = VehicleSnapshot(connected=True, state="init")
 
 
-def ask(s: Snapshot | None, **changes: object) -> dict[str, str]:
-    return availability(s, **({"kind": "mufly", "has_controls": True, "rows": 3} | changes))  # type: ignore[arg-type]
+def ask(s: VehicleSnapshot | None, **changes: object) -> dict[str, str]:
+    return find_refusal_reasons(s, **({"kind": "mufly", "has_controls": True, "rows": 3} | changes))  # type: ignore[arg-type]
 
 
 def test_on_the_floor_one_takes_off_and_in_the_air_one_lands() -> None:
@@ -141,29 +145,29 @@ def test_a_button_offers_what_the_autopilot_accepts_in_that_state(
     state: str, flying: bool, refused_then: set[str]
 ) -> None:
     """One table for all three: while it lands it could be sent elsewhere by the page, and the vehicle refused."""
-    found = ask(Snapshot(connected=True, armed=True, flying=flying, state=state))
+    found = ask(VehicleSnapshot(connected=True, armed=True, flying=flying, state=state))
     assert {c for c, why in found.items() if why} - {"arm", "disarm"} == refused_then
     assert all(len(why) < 30 for why in found.values())
 
 
 @pytest.mark.parametrize("mode", ["landing", "take-off", "return", "offboard", "stabilise", ""])
 def test_a_flight_mode_of_another_autopilot_is_no_state_of_ours(mode: str) -> None:
-    air = ask(Snapshot(connected=True, armed=True, flying=True, state=mode), kind="other")
+    air = ask(VehicleSnapshot(connected=True, armed=True, flying=True, state=mode), kind="other")
     assert not any(air[c] for c in ("land", "return", "go_to", "pause", "stop"))
-    floor = ask(Snapshot(connected=True, state=mode), kind="other")
+    floor = ask(VehicleSnapshot(connected=True, state=mode), kind="other")
     assert not any(floor[c] for c in ("arm", "take_off", "mission"))
     assert floor["land"] == "on the floor"
 
 
 def test_every_command_is_always_judged_and_the_reasons_are_words() -> None:
-    for s in (None, FLOOR, HOVER, Snapshot()):
+    for s in (None, FLOOR, HOVER, VehicleSnapshot()):
         for kind in ("mufly", "other", "recording"):
             for has in (True, False):
-                assert set(ask(s, kind=kind, has_controls=has)) == set(COMMANDS)
+                assert set(ask(s, kind=kind, has_controls=has)) == set(COMMAND_NAMES)
 
 
 def test_who_only_watches_can_stop_the_motors_but_nothing_else() -> None:
-    watching = Snapshot(connected=True, armed=True, flying=True, commander="station 255")
+    watching = VehicleSnapshot(connected=True, armed=True, flying=True, commander="station 255")
     for found in (ask(HOVER, has_controls=False), ask(watching)):
         assert not found.pop("stop")
         assert all(found.values())
@@ -172,7 +176,7 @@ def test_who_only_watches_can_stop_the_motors_but_nothing_else() -> None:
 
 def test_a_recording_commands_nothing_and_a_lost_link_lets_one_try_to_stop() -> None:
     assert all(ask(FLOOR, kind="recording").values())
-    lost = ask(Snapshot(connected=False, armed=True, flying=True))
+    lost = ask(VehicleSnapshot(connected=False, armed=True, flying=True))
     assert lost["stop"] == ""
     assert lost["land"] == "no link"
 
@@ -191,45 +195,47 @@ MISSION = [
     (HOVER, False, True, "Resume mission", True),  # interrupted, before a waypoint was reached too
     (replace(HOVER, state="waypoint"), False, True, "Resume mission", True),  # sent elsewhere meanwhile
     (HOVER, False, False, "Fly the mission", True),  # took off by hand
-    (replace(FLOOR, begun=True), False, False, "Fly the mission", True),
+    (replace(FLOOR, mission_begun=True), False, False, "Fly the mission", True),
 ]
 
 
 @pytest.mark.parametrize(("s", "runs", "begun", "label", "open_"), MISSION)
 def test_the_main_button_says_what_the_mission_does(
-    s: Snapshot, runs: bool, begun: bool, label: str, open_: bool
+    s: VehicleSnapshot, runs: bool, begun: bool, label: str, open_: bool
 ) -> None:
-    now = replace(s, mission_running=runs, begun=begun)
+    now = replace(s, mission_running=runs, mission_begun=begun)
     assert mission_label(now) == label
     assert (not ask(now)["mission"]) is open_
 
 
 def test_real_time_that_is_lost_is_told() -> None:
-    assert pace(Snapshot()) == pace(Snapshot(real_time_factor=0.96, slips=0)) == ""
-    assert pace(Snapshot(real_time_factor=0.194, slips=3)) == "0.19 of real time, 3 slips"
-    assert pace(Snapshot(real_time_factor=1.0, slips=1)) == "1 slip"
+    assert describe_pace(VehicleSnapshot()) == describe_pace(VehicleSnapshot(real_time_factor=0.96, slips=0)) == ""
+    assert describe_pace(VehicleSnapshot(real_time_factor=0.194, slips=3)) == "0.19 of real time, 3 slips"
+    assert describe_pace(VehicleSnapshot(real_time_factor=1.0, slips=1)) == "1 slip"
 
 
 def test_undo_takes_back_in_order_and_redo_makes_again() -> None:
-    sheet = ParameterSheet()
-    sheet.observe({"A": Parameter("A", 1.0), "B": Parameter("B", 5.0)})
-    sheet.wrote("A", 1.0, 2.0)
-    sheet.wrote("B", 5.0, 6.0)
-    assert sheet.can_undo == "B"
+    sheet = ParameterEdits()
+    sheet.record_baseline({"A": TunableParameter("A", 1.0), "B": TunableParameter("B", 5.0)})
+    sheet.record_change("A", 1.0, 2.0)
+    sheet.record_change("B", 5.0, 6.0)
+    assert sheet.undo_name == "B"
     assert sheet.undo() == ("B", 5.0)
     assert sheet.undo() == ("A", 1.0)
     assert sheet.undo() is None
     assert sheet.redo() == ("A", 2.0)
-    sheet.wrote("A", 2.0, 3.0)
+    sheet.record_change("A", 2.0, 3.0)
     assert sheet.redo() is None  # what was undone before another change is gone
-    sheet.observe({"A": Parameter("A", 3.0), "B": Parameter("B", 5.0), "C": Parameter("C", 0.0)})
+    sheet.record_baseline(
+        {"A": TunableParameter("A", 3.0), "B": TunableParameter("B", 5.0), "C": TunableParameter("C", 0.0)}
+    )
     assert sheet.baseline == {"A": 1.0, "B": 5.0, "C": 0.0}
 
 
 def test_the_undo_list_does_not_grow_for_ever() -> None:
-    sheet = ParameterSheet()
+    sheet = ParameterEdits()
     for k in range(1000):
-        sheet.wrote("A", k, k + 1)
+        sheet.record_change("A", k, k + 1)
     steps = 0
     while sheet.undo():
         steps += 1
@@ -237,22 +243,30 @@ def test_the_undo_list_does_not_grow_for_ever() -> None:
 
 
 def test_bounds_are_named_before_anything_is_sent() -> None:
-    p = Parameter("SPEED", 0.5, "m/s", 0.1, 2.0)
-    assert refused(p, "SPEED", 1.0) == ""
-    assert "0.1 to 2 m/s" in refused(p, "SPEED", 3.0)
-    assert refused(p, "SPEED", math.nan)
-    assert refused(None, "X", 1.0)
-    assert "whole" in refused(Parameter("N", 1, whole=True), "N", 1.5)
+    p = TunableParameter("SPEED", 0.5, "m/s", 0.1, 2.0)
+    assert refusal_reason(p, "SPEED", 1.0) == ""
+    assert "0.1 to 2 m/s" in refusal_reason(p, "SPEED", 3.0)
+    assert refusal_reason(p, "SPEED", math.nan)
+    assert refusal_reason(None, "X", 1.0)
+    assert "whole" in refusal_reason(TunableParameter("N", 1, is_integer=True), "N", 1.5)
 
 
 def test_a_file_of_parameters_comes_back_whole() -> None:
-    known = {"A_B": Parameter("A_B", 0.1), "N": Parameter("N", 3, whole=True), "Z": Parameter("Z", -1e-7)}
-    back = read_parameter_file(parameter_file(known, 1), "x.params")
+    known = {
+        "A_B": TunableParameter("A_B", 0.1),
+        "N": TunableParameter("N", 3, is_integer=True),
+        "Z": TunableParameter("Z", -1e-7),
+    }
+    back = read_parameter_file(format_parameter_file(known, 1), "x.params")
     assert back == pytest.approx({n: p.value for n, p in known.items()}, rel=1e-8)
     # One that the vehicle calls no number is left out with a note, and does not spoil the file.
-    odd = {**known, "B": Parameter("B", math.nan), "C": Parameter("C", math.nan, whole=True)}
-    assert read_parameter_file(parameter_file(odd, 1), "x.params") == back
-    assert "# B is nan" in parameter_file(odd, 1)
+    odd = {
+        **known,
+        "B": TunableParameter("B", math.nan),
+        "C": TunableParameter("C", math.nan, is_integer=True),
+    }
+    assert read_parameter_file(format_parameter_file(odd, 1), "x.params") == back
+    assert "# B is nan" in format_parameter_file(odd, 1)
     assert read_parameter_file("RC1_MIN,1100\n# note\nB = 2\nC 3.5\n", "x.param") == {
         "RC1_MIN": 1100,
         "B": 2,
@@ -284,12 +298,14 @@ def test_parameters_of_a_gimbal_do_not_replace_those_of_the_vehicle() -> None:
         read_parameter_file("1 154 GAIN 0.7 9\n", "x.params")
     with pytest.raises(InputError, match=r"line 2.*GAIN is 0.3 here and 0.2 in line 1"):
         read_parameter_file("GAIN,0.2\nGAIN,0.3\n", "x.param")
-    assert parameter_file({"GAIN": Parameter("GAIN", 0.2)}, 1, 154).splitlines()[1].startswith("1\t154\tGAIN")
+    assert (
+        format_parameter_file({"GAIN": TunableParameter("GAIN", 0.2)}, 1, 154)
+        .splitlines()[1]
+        .startswith("1\t154\tGAIN")
+    )
 
 
-@pytest.mark.parametrize(
-    "text", ["", "# nothing\n", "A,b\n", "one two three\n", "A # 3\n", "A 3 @WRITABLE\n"]
-)
+@pytest.mark.parametrize("text", ["", "# nothing\n", "A,b\n", "one two three\n", "A # 3\n", "A 3 @WRITABLE\n"])
 def test_a_file_that_is_none_is_refused_with_its_line(text: str) -> None:
     with pytest.raises(InputError):
         read_parameter_file(text, "x.params")
@@ -328,12 +344,12 @@ def test_recordings_of_other_flights_are_found_beside_this_one(tmp_path: Path) -
 def test_the_mark_of_where_it_was_sent_goes_when_it_does_not_fly_there_any_more() -> None:
     there = replace(HOVER, state="waypoint", estimate=Estimate(position=np.array([0.0, 0.0, -1.0])))
 
-    def left(*seen: Snapshot, outcome: Outcome = Outcome.ACCEPTED, kind: str = "mufly") -> bool:
+    def left(*seen: VehicleSnapshot, outcome: RequestOutcome = RequestOutcome.ACCEPTED, kind: str = "mufly") -> bool:
         vehicle = SimpleNamespace(kind=kind, snapshot=there)
-        sent = Sent(vehicle, Request("go", outcome), (2.0, 0.0, 1.0))  # type: ignore[arg-type]
+        sent = SentDestination(vehicle, OperatorRequest("go", outcome), (2.0, 0.0, 1.0))  # type: ignore[arg-type]
         stays = True
         for vehicle.snapshot in seen:
-            stays = stays and sent.on_its_way(vehicle)  # type: ignore[arg-type]
+            stays = stays and sent.is_under_way(vehicle)  # type: ignore[arg-type]
         return not stays
 
     assert not left(there, there)
@@ -343,10 +359,8 @@ def test_the_mark_of_where_it_was_sent_goes_when_it_does_not_fly_there_any_more(
     assert left(there, replace(there, mission_running=True))  # the mission goes on
     assert left(replace(there, flying=False))
     assert left(there, replace(there, estimate=Estimate(position=np.array([1.9, 0.0, -1.0]))))  # it is there
-    assert left(there, outcome=Outcome.REFUSED)
-    assert not left(there, outcome=Outcome.WAITING)
-    assert not left(
-        there, replace(there, state="hover"), kind="other"
-    )  # a mode of a foreign autopilot says nothing
+    assert left(there, outcome=RequestOutcome.REFUSED)
+    assert not left(there, outcome=RequestOutcome.WAITING)
+    assert not left(there, replace(there, state="hover"), kind="other")  # a mode of a foreign autopilot says nothing
     elsewhere = SimpleNamespace(kind="mufly", snapshot=there)
-    assert not Sent(elsewhere, Request("go"), (2.0, 0.0, 1.0)).on_its_way(None)  # type: ignore[arg-type]
+    assert not SentDestination(elsewhere, OperatorRequest("go"), (2.0, 0.0, 1.0)).is_under_way(None)  # type: ignore[arg-type]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mufly.errors import InputError
-from mufly.flight import fly
-from mufly.mission import mission_from
-from mufly.station.replay import Recording, Replay, open_recording
+from mufly.flight import fly_mission
+from mufly.mission import parse_mission
+from mufly.station.replay import FlightRecording, Replay, open_recording
 
 HOP = {
     "take_off": {"height_m": 0.5, "wait_s": 0.5},
@@ -20,35 +20,35 @@ HOP = {
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recording(tmp_path_factory: pytest.TempPathFactory) -> FlightRecording:
     path = tmp_path_factory.mktemp("replay") / "hop.mcap"
-    fly("mufly-1.1", mission_from(HOP), path=path)
+    fly_mission("mufly-1.1", parse_mission(HOP), path=path)
     return open_recording(path)
 
 
 @pytest.fixture
-def replay(recording: Recording) -> Replay:
+def replay(recording: FlightRecording) -> Replay:
     return Replay(recording)
 
 
-def test_it_carries_its_mission_and_its_world(recording: Recording) -> None:
+def test_it_carries_its_mission_and_its_world(recording: FlightRecording) -> None:
     assert recording.mission is not None
     assert recording.mission.world.boxes[0].name == "far box"
     assert len(recording.range_angles) == 8
     assert np.degrees(recording.range_angles) == pytest.approx(22.5 + 45.0 * np.arange(8))
     assert recording.range_max_m == pytest.approx(1.5)
-    assert recording.facts["outcome"] == "succeeded"
+    assert recording.recording_facts["outcome"] == "succeeded"
 
 
 def test_the_moment_that_is_shown_is_that_of_the_file(replay: Replay) -> None:
-    k = len(replay.recording.times) // 2
-    replay.seek(float(replay.recording.times[k]))
+    k = len(replay.recording.times_s) // 2
+    replay.seek(float(replay.recording.times_s[k]))
     s = replay.snapshot
     columns = replay.recording.columns
-    assert s.time_s == replay.recording.times[k]
+    assert s.time_s == replay.recording.times_s[k]
     assert s.estimate.position.tolist() == [columns[f"measured_position_{a}"][k] for a in "NED"]
     assert s.rotor_speed.tolist() == [columns[f"truth_rotor_speed_{r}"][k] for r in ("upper", "lower")]
-    assert s.state == replay.recording.states[k]
+    assert s.state == replay.recording.mission_states[k]
     assert s.connected
     assert s.armed
     assert s.flying
@@ -56,7 +56,7 @@ def test_the_moment_that_is_shown_is_that_of_the_file(replay: Replay) -> None:
 
 def test_nothing_of_the_future_is_shown(replay: Replay) -> None:
     replay.seek(replay.start_s + 3.0)
-    times, values = replay.history.window(100.0, ["measured_position_D", "no such signal"])
+    times, values = replay.history.recent_rows(100.0, ["measured_position_D", "no such signal"])
     assert times[-1] <= replay.time_s
     assert values.shape == (len(times), 2)
     assert np.isnan(values[:, 1]).all()
@@ -64,7 +64,7 @@ def test_nothing_of_the_future_is_shown(replay: Replay) -> None:
     before = len(replay.messages)
     replay.seek(replay.end_s)
     assert len(replay.messages) > before
-    times, _ = replay.history.window(0.5, ["measured_position_D"])
+    times, _ = replay.history.recent_rows(0.5, ["measured_position_D"])
     assert (times[0], times[-1]) == (pytest.approx(replay.end_s - 0.5, abs=0.011), replay.end_s)
 
 
@@ -78,7 +78,7 @@ def test_the_mission_goes_on_as_it_went_then(replay: Replay) -> None:
     assert reached[-1] == 3
     assert all(b >= a for a, b in pairwise(reached))
     # A row is behind it from the sample on at which it hovers.
-    times, states = replay.recording.times, replay.recording.states.tolist()
+    times, states = replay.recording.times_s, replay.recording.mission_states.tolist()
     for row, leg in enumerate(("take-off", "waypoint")):
         k = next(k for k, (a, b) in enumerate(pairwise(states), 1) if (a, b) == (leg, "hover"))
         replay.seek(float(times[k - 1]))
@@ -116,11 +116,11 @@ def test_play_pause_speed_and_the_end(replay: Replay) -> None:
         assert replay.start_s <= replay.time_s <= replay.end_s
 
 
-def test_two_viewers_share_a_recording_and_not_their_place(recording: Recording) -> None:
+def test_two_viewers_share_a_recording_and_not_their_place(recording: FlightRecording) -> None:
     one, two = Replay(recording), Replay(recording)
     one.seek(one.end_s)
     assert two.time_s == two.start_s
-    assert len(two.history.window(1e9, ["measured_position_N"])[0]) == 1
+    assert len(two.history.recent_rows(1e9, ["measured_position_N"])[0]) == 1
 
 
 def test_a_bare_table_is_a_recording_too(tmp_path: Path) -> None:

@@ -30,9 +30,7 @@ def served(port: int) -> bool:
 
 
 @pytest.fixture(scope="module", params=["open", "with token"])
-def station(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[tuple[int, bool]]:
+def station(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, bool]]:
     """A running `mufly station` on the loopback address; its port, and whether it wants a token."""
     folder, port = tmp_path_factory.mktemp("server"), free_port()
     closed = request.param == "with token"

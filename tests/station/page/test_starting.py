@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from mufly.station.page.address import COOKIE, Address, choose_address, cookie_of
-from mufly.station.page.session import Session
-from mufly.station.page.starting import StartPage, Startup
+from mufly.station.page.page_address import COOKIE_NAME, PageAddress, bind_page_address, cookie_for_token
+from mufly.station.page.page_session import StationSession
+from mufly.station.page.start_page import StartPage, Startup
 
 TOKEN = "a-token-for-tests"
 
@@ -32,24 +32,24 @@ def startup(clock: Clock) -> Startup:
     """Libraries took 3 s, controllers 0.2 s; the model has been compiled for 12 s."""
     made = Startup("mufly-1.1 flies square", clock)
     for text, seconds in (("loading the libraries", 3.0), ("designing the controllers", 0.2)):
-        made.begin(text)
+        made.begin_stage(text)
         clock.now_s += seconds
-    made.begin("compiling the model")
+    made.begin_stage("compiling the model")
     clock.now_s += 12.0
     return made
 
 
 @pytest.fixture(params=["", TOKEN])
-def address(request: pytest.FixtureRequest) -> Iterator[Address]:
+def address(request: pytest.FixtureRequest) -> Iterator[PageAddress]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])
-    found = choose_address("127.0.0.1", port, request.param or None)
+    found = bind_page_address("127.0.0.1", port, request.param or None)
     yield found
     found.socket.close()
 
 
-def get(address: Address, path: str, **headers: str) -> tuple[int, str]:
+def get(address: PageAddress, path: str, **headers: str) -> tuple[int, str]:
     connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=5)
     connection.request("GET", path, headers=headers)
     answer = connection.getresponse()
@@ -59,8 +59,8 @@ def get(address: Address, path: str, **headers: str) -> tuple[int, str]:
 
 
 def test_every_stage_has_its_seconds(startup: Startup, clock: Clock) -> None:
-    startup.begin("compiling the model")  # said twice, it goes on
-    told = startup.told()
+    startup.begin_stage("compiling the model")  # said twice, it goes on
+    told = startup.encode_status()
     assert [text for text, _, _ in told["stages"]] == [
         "loading the libraries",
         "designing the controllers",
@@ -68,11 +68,11 @@ def test_every_stage_has_its_seconds(startup: Startup, clock: Clock) -> None:
     ]
     assert [seconds for _, seconds, _ in told["stages"]] == pytest.approx([3.0, 0.2, 12.0])
     assert [ended for _, _, ended in told["stages"]] == [True, True, False]
-    assert startup.line() == "compiling the model, 12 s"
+    assert startup.describe_stage() == "compiling the model, 12 s"
     startup.finish()
     clock.now_s += 50.0
-    startup.begin("something else")
-    assert startup.summary() == "15 s (loading the libraries 3 s; compiling the model 12 s)"
+    startup.begin_stage("something else")
+    assert startup.describe_duration() == "15 s (loading the libraries 3 s; compiling the model 12 s)"
 
 
 def test_a_stage_is_said_once_and_the_end_of_all(clock: Clock) -> None:
@@ -80,36 +80,36 @@ def test_a_stage_is_said_once_and_the_end_of_all(clock: Clock) -> None:
     startup = Startup(clock=clock)
     startup.on_change = said.append
     for text in ("a", "a", "b"):
-        startup.begin(text)
+        startup.begin_stage(text)
     startup.fail("no room on the disk")
     startup.finish()
     assert said == ["a", "b", ""]
-    assert (startup.done, startup.fault) == (True, "no room on the disk")
+    assert (startup.is_done, startup.fault) == (True, "no room on the disk")
 
 
 def test_a_window_is_told_until_the_vehicle_stands_and_why_it_does_not(startup: Startup) -> None:
-    session = Session(lambda: [], Path(), startup=startup)
-    view = session.open("one")
-    assert view.about()["start"]["stages"][-1][0] == "compiling the model"
+    session = StationSession(lambda: [], Path(), startup=startup)
+    view = session.open_view("one")
+    assert view.encode_status()["start"]["stages"][-1][0] == "compiling the model"
     startup.finish()
-    assert view.about()["start"] is None
+    assert view.encode_status()["start"] is None
     startup.fail("the vehicle's process ended while it flew")  # later than the start
-    assert view.about()["start"]["fault"] == "the vehicle's process ended while it flew"
-    session.close("one")
-    assert session.opened == 1  # one that was opened and closed was opened
+    assert view.encode_status()["start"]["fault"] == "the vehicle's process ended while it flew"
+    session.close_view("one")
+    assert session.opened_count == 1  # one that was opened and closed was opened
 
 
-def test_the_page_is_there_from_the_first_moment(address: Address, startup: Startup) -> None:
+def test_the_page_is_there_from_the_first_moment(address: PageAddress, startup: Startup) -> None:
     with StartPage(address, startup) as page:
         query = f"?token={TOKEN}" if address.token else ""
         status, text = get(address, f"/{query}")
         assert status == 200
         assert "mufly starts" in text
-        assert startup.visits == 1
+        assert startup.visit_count == 1
         status, text = get(address, f"/starting{query}")
         assert status == 200
         assert json.loads(text)["stages"][-1] == ["compiling the model", 12.0, False]
-        assert startup.visits == 1
+        assert startup.visit_count == 1
         assert get(address, f"/_nicegui/x{query}")[0] == 503
         page.stop()
         # What calls now waits for the station's page, which answers on the same socket.
@@ -125,22 +125,22 @@ def _accept(listening: socket.socket) -> tuple[socket.socket, object]:
     return listening.accept()
 
 
-def test_strangers_learn_nothing_of_a_start(address: Address, startup: Startup) -> None:
+def test_strangers_learn_nothing_of_a_start(address: PageAddress, startup: Startup) -> None:
     with StartPage(address, startup):
         for path in ("/", "/starting", "/?token=wrong-token"):
             if address.token:
                 assert get(address, path) == (401, "the station starts; it needs the token that it printed")
             else:
                 assert get(address, path, Host="rebound.example")[0] == 403
-        assert startup.visits == 0
+        assert startup.visit_count == 0
         if address.token:
-            cookie = f"{COOKIE}={cookie_of(TOKEN)}"
+            cookie = f"{COOKIE_NAME}={cookie_for_token(TOKEN)}"
             assert get(address, "/", Cookie=cookie)[0] == 200
-            assert get(address, "/", Cookie=f"{COOKIE}=other")[0] == 401
+            assert get(address, "/", Cookie=f"{COOKIE_NAME}=other")[0] == 401
 
 
 def test_a_start_that_fails_says_why_and_ends_at_once_where_nobody_looks(
-    address: Address, startup: Startup
+    address: PageAddress, startup: Startup
 ) -> None:
     with pytest.raises(OSError, match="no such device"), StartPage(address, startup):
         raise OSError("no such device")

@@ -7,43 +7,51 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from mufly.cli.options import JsonOption, OutOption, option
-from mufly.cli.present import (
-    check_folder,
-    console,
+from mufly.cli.options import JsonOption, OutOption, define_option
+from mufly.cli.output import (
+    ensure_folder,
+    make_console,
+    print_files,
     print_json,
     print_table,
     progress_bar,
-    save_picture,
-    tell_files,
+    save_figure,
     write_csv,
 )
 from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import MuflyError
 
 if TYPE_CHECKING:
-    from mufly.study.benchmark import AdvancingRow, AdvancingScore, Code, Prediction, RotorCase, Row, Score
+    from mufly.study.benchmark import (
+        PredictionCode,
+        PropellerScore,
+        PropellerScoreRow,
+        RotorCase,
+        RotorPrediction,
+        RotorScore,
+        ScoreRow,
+    )
 
 
 @rotor_commands.command()
 def benchmark(
     data: Annotated[
         Path,
-        option("--data DIR", "Measurements; which, and where they are to be had: docs/benchmark.md."),
+        define_option("--data DIR", "Measurements; which, and where they are to be had: docs/benchmark.md."),
     ],
     code: Annotated[
         list[str] | None,
-        option(
+        define_option(
             "[NAME=]WHAT",
             "bemt, wake, cfd:DIR (solved cases of `mufly cfd`), module:function, or a command with {folder} among its "
             "words. May be given several times.",
         ),
     ] = None,
-    only: Annotated[str, option("NAMES", "Rotors or groups, with commas; a part of the name will do.")] = "",
-    points: Annotated[int, option("N", "Points a rotor, at most; 0: all. Wakes: 3.", min=0)] = 0,
+    only: Annotated[str, define_option("NAMES", "Rotors or groups, with commas; a part of the name will do.")] = "",
+    points: Annotated[int, define_option("N", "Points a rotor, at most; 0: all. Wakes: 3.", min=0)] = 0,
     held_out: Annotated[
         bool,
-        option(
+        define_option(
             "--held-out",
             "Also the 90 % intervals, fitted to the other families of rotors; a point and half of each sweep fitted, "
             "scored on the rest.",
@@ -51,10 +59,10 @@ def benchmark(
     ] = False,
     n_crit: Annotated[
         float | None,
-        option("--n-crit N", "Transition, for bemt and wake; default 0.1, and that of the air in tunnels."),
+        define_option("--n-crit N", "Transition, for bemt and wake; default 0.1, and that of the air in tunnels."),
     ] = None,
     limit: Annotated[
-        float, option("--limit", "Time that a command may take for one rotor.", unit="s", min=0.1)
+        float, define_option("--limit", "Time that a command may take for one rotor.", unit="s", min=0.1)
     ] = 600.0,
     out: OutOption = None,
     as_json: JsonOption = False,
@@ -67,81 +75,87 @@ def benchmark(
     """
     from mufly.study import benchmark as room
 
-    check_folder("--out", out)
-    codes = [_code(text, n_crit, limit) for text in code or ["bemt"]]
+    ensure_folder("--out", out)
+    codes = [_parse_code(text, n_crit, limit) for text in code or ["bemt"]]
     cases, missing = room.load_cases(data, only)
     with progress_bar("rotors", not as_json) as progress:
-        scores = room.run(cases, codes, points=points, slow_points=points or 3, folder=out, progress=progress)
+        scores = room.score_codes(cases, codes, points=points, slow_points=points or 3, folder=out, progress=progress)
     if held_out:
         with progress_bar("intervals", not as_json) as progress:
-            scores += room.cross_validated(cases, progress)
+            scores += room.score_cross_validated(cases, progress)
     for share in ("one", "half") if held_out else ():
         with progress_bar(f"fitted to {share}", not as_json) as progress:
-            scores += room.held_out(cases, share, progress)
+            scores += room.score_held_out_points(cases, share, progress)
     with progress_bar("tunnel", not as_json) as progress:
-        advancing = room.run_advancing(cases, codes, progress)
-    tunnel = room.advancing_table(advancing)
-    rows, by_family = room.table(scores), room.families(scores)
+        advancing = room.score_propellers(cases, codes, progress)
+    tunnel = room.tabulate_propellers(advancing)
+    rows, by_family = room.tabulate_by_group(scores), room.tabulate_by_family(scores)
     files = []
     if out is not None:
-        files = [save_picture(room.picture(scores), out, "errors"), _points_csv(scores, out / "points.csv")]
-        files.append(write_csv(out / "scores.csv", _HEADS, [_cells(r) for r in rows]))
-        files.append(write_csv(out / "families.csv", _HEADS, [_cells(r) for r in by_family]))
+        files = [
+            save_figure(room.score_picture(scores), out, "errors"),
+            _write_points_csv(scores, out / "points.csv"),
+        ]
+        files.append(write_csv(out / "scores.csv", _CSV_HEADS, [_csv_row(r) for r in rows]))
+        files.append(write_csv(out / "families.csv", _CSV_HEADS, [_csv_row(r) for r in by_family]))
         if advancing:
-            files.append(
-                write_csv(out / "advancing.csv", _TUNNEL_HEADS, [_tunnel_cells(s) for s in advancing])
-            )
+            files.append(write_csv(out / "advancing.csv", _TUNNEL_CSV_HEADS, [_tunnel_csv_row(s) for s in advancing]))
     if as_json:
         print_json(
-            {"scores": rows, "families": by_family, "missing": missing, "rotors": [_rotor(s) for s in scores],
-             "advancing": tunnel,
-             "advancing_runs": [dict(zip(_TUNNEL_HEADS, _tunnel_cells(s), strict=True)) for s in advancing],
-             "files": [str(f) for f in files]}
-        )  # fmt: skip
+            {
+                "scores": rows,
+                "families": by_family,
+                "missing": missing,
+                "rotors": [_rotor_score_record(s) for s in scores],
+                "advancing": tunnel,
+                "advancing_runs": [dict(zip(_TUNNEL_CSV_HEADS, _tunnel_csv_row(s), strict=True)) for s in advancing],
+                "files": [str(f) for f in files],
+            }
+        )
         return
-    _show(rows, "mean size of the error, of rotors in a group")
+    _print_scores(rows, "mean size of the error, of rotors in a group")
     if len(by_family) > len(rows):
-        _show(by_family, "by family")
+        _print_scores(by_family, "by family")
     if tunnel:
-        _show_tunnel(tunnel + room.advancing_table(advancing, by_family=True))
-    c = console()
+        _print_tunnel_scores(tunnel + room.tabulate_propellers(advancing, by_family=True))
+    c = make_console()
     faults = [f"{s.code}, {s.case.name}: {s.fault}" for s in scores if s.fault]
     faults += [f"{a.code}, {a.case.name}: {a.fault}" for a in advancing if a.fault]
     for text in dict.fromkeys(faults):
         c.print(text, style="yellow", highlight=False)
     for text in missing:
         c.print(f"not in {data}: {text}", style="dim", highlight=False)
-    tell_files(files)
+    print_files(files)
     silent = sorted({r.code for r in rows} - {r.code for r in rows if r.without < r.points})
     if silent:
         raise MuflyError(f"{', '.join(silent)}: has no answer for any point; see the lines above")
 
 
-_HEADS = (
+_CSV_HEADS = (
     "code", "group", "rotors", "points", "thrust_error", "thrust_bias", "torque_error", "torque_bias",
     "thrust_inside_90", "torque_inside_90", "without_answer",
 )  # fmt: skip
 
 
-def _cells(row: Row) -> list[float | str]:
+def _csv_row(row: ScoreRow) -> list[float | str]:
     return [
         row.code, row.group, float(row.rotors), float(row.points), row.thrust, row.thrust_bias, row.torque,
         row.torque_bias, row.thrust_inside, row.torque_inside, float(row.without),
     ]  # fmt: skip
 
 
-def _show(rows: list[Row], title: str) -> None:
-    def share(value: float) -> str:
+def _print_scores(rows: list[ScoreRow], title: str) -> None:
+    def format_share(value: float) -> str:
         return f"{100 * value:.0f}" if np.isfinite(value) else "-"
 
-    console().print(title, style="bold")
+    make_console().print(title, style="bold")
     print_table(
         ("code", "of", "rotors", "points", "thrust (bias)", "torque (bias)", "held by 90 %"),
         [
             (
                 r.code, r.group, f"{r.rotors}", f"{r.points}" + (f" ({r.without} without answer)" if r.without else ""),
-                _pair(r.thrust, r.thrust_bias), _pair(r.torque, r.torque_bias),
-                f"{share(r.thrust_inside)}, {share(r.torque_inside)}",
+                _format_error_and_bias(r.thrust, r.thrust_bias), _format_error_and_bias(r.torque, r.torque_bias),
+                f"{format_share(r.thrust_inside)}, {format_share(r.torque_inside)}",
             )
             for r in rows
         ],
@@ -149,43 +163,62 @@ def _show(rows: list[Row], title: str) -> None:
     )  # fmt: skip
 
 
-def _pair(size: float, bias: float) -> str:
+def _format_error_and_bias(size: float, bias: float) -> str:
     return f"{100 * size:.1f} % ({100 * bias:+.1f})" if np.isfinite(size) else "-"
 
 
-_TUNNEL_HEADS = (
+_TUNNEL_CSV_HEADS = (
     "code", "rotor", "family", "speed_rad_s", "efficiency", "best_advance_ratio", "zero_thrust_advance_ratio",
     "efficiency_error", "best_advance_ratio_error", "zero_thrust_advance_ratio_error",
 )  # fmt: skip
 
 
-def _tunnel_cells(s: AdvancingScore) -> list[float | str]:
+def _tunnel_csv_row(s: PropellerScore) -> list[float | str]:
     m = s.measured
     return [
-        s.code, s.case.name, s.case.family, s.speed_rad_s, m.efficiency, m.best_advance, m.zero_thrust, *s.errors
-    ]  # fmt: skip
+        s.code,
+        s.case.name,
+        s.case.family,
+        s.speed_rad_s,
+        m.max_efficiency,
+        m.best_advance_ratio,
+        m.zero_thrust_advance_ratio,
+        *s.relative_errors,
+    ]
 
 
-def _show_tunnel(rows: list[AdvancingRow]) -> None:
-    console().print("runs in a tunnel: mean size of the error, of rotors in a group", style="bold")
+def _print_tunnel_scores(rows: list[PropellerScoreRow]) -> None:
+    make_console().print("runs in a tunnel: mean size of the error, of rotors in a group", style="bold")
     print_table(
         ("code", "of", "rotors", "runs", "greatest efficiency (bias)", "its advance ratio", "that without thrust"),
         [
-            (r.code, r.group, f"{r.rotors}", f"{r.runs}", *(_pair(s, b) for s, b in zip(r.size, r.bias, strict=True)))
+            (
+                r.code,
+                r.group,
+                f"{r.rotors}",
+                f"{r.runs}",
+                *(_format_error_and_bias(s, b) for s, b in zip(r.size, r.bias, strict=True)),
+            )
             for r in rows
         ],
         text=(0, 1),
-    )  # fmt: skip
+    )
 
 
-def _rotor(s: Score) -> dict[str, object]:
+def _rotor_score_record(s: RotorScore) -> dict[str, object]:
     return {
-        "code": s.code, "rotor": s.case.name, "group": s.case.group, "family": s.case.family,
-        "section_known": s.case.known, "thrust_error": s.thrust_error, "torque_error": s.torque_error, "fault": s.fault,
-    }  # fmt: skip
+        "code": s.code,
+        "rotor": s.case.name,
+        "group": s.case.group,
+        "family": s.case.family,
+        "section_known": s.case.section_known,
+        "thrust_error": s.thrust_error,
+        "torque_error": s.torque_error,
+        "fault": s.fault,
+    }
 
 
-def _points_csv(scores: list[Score], path: Path) -> Path:
+def _write_points_csv(scores: list[RotorScore], path: Path) -> Path:
     rows: list[list[float | str]] = []
     for s in scores:
         m = s.case.measured
@@ -200,26 +233,24 @@ def _points_csv(scores: list[Score], path: Path) -> Path:
     return write_csv(path, heads, rows)
 
 
-def _code(text: str, n_crit: float | None, limit_s: float) -> Code:
-    from mufly.study.benchmark import Code, code_of
+def _parse_code(text: str, n_crit: float | None, limit_s: float) -> PredictionCode:
+    from mufly.study.benchmark import PredictionCode, parse_code
 
     name, _, what = text.rpartition("=")
     kind, colon, folder = what.partition(":")
     if kind == "cfd" and colon:
-        return Code(name or "cfd", lambda case: _solved(Path(folder), case))
-    return code_of(text, n_crit=n_crit, limit_s=limit_s)
+        return PredictionCode(name or "cfd", lambda case: _read_solved_cases(Path(folder), case))
+    return parse_code(text, n_crit=n_crit, limit_s=limit_s)
 
 
-def _solved(folder: Path, case: RotorCase) -> Prediction:
+def _read_solved_cases(folder: Path, case: RotorCase) -> RotorPrediction:
     """What solved OpenFOAM cases below a folder say of a rotor's points; those within half a per cent are the same."""
     from mufly.cfd import read_point, read_solution
     from mufly.errors import InputError, MuflyError
-    from mufly.study.benchmark import Prediction
+    from mufly.study.benchmark import RotorPrediction
 
     if not folder.is_dir():
-        raise InputError(
-            "--code", f"cfd:{folder}", "is no folder", "name one that holds cases of `mufly cfd run`"
-        )
+        raise InputError("--code", f"cfd:{folder}", "is no folder", "name one that holds cases of `mufly cfd run`")
     m = case.measured
     thrust, torque = (np.full(m.thrust_N.size, np.nan) for _ in range(2))
     faults = []
@@ -237,4 +268,4 @@ def _solved(folder: Path, case: RotorCase) -> Prediction:
                 thrust[same], torque[same] = found.thrust_N, found.torque_Nm
         except MuflyError as error:
             faults.append(f"{at.name}: {error}")
-    return Prediction(thrust, torque, "; ".join(faults))
+    return RotorPrediction(thrust, torque, "; ".join(faults))

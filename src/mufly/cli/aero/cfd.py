@@ -10,58 +10,63 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.aero.cfd_report import tell_case, tell_inflow, tell_pair
+from mufly.cli.aero.cfd_case_report import report_case, report_inflow, report_pair
 from mufly.cli.options import (
-    PITCH,
-    SPEED,
+    PITCH_RANGE,
+    SPEED_RANGE,
     ClimbOption,
-    Commands,
+    CommandGroup,
     DensityOption,
     JsonOption,
     OutOption,
     RotorArgument,
     RpmOption,
-    argument,
-    one_of,
-    option,
+    check_choice,
+    define_argument,
+    define_option,
 )
-from mufly.cli.present import answer, console, print_table, save_picture, show_lines, write_csv
-from mufly.grammar import read_values
+from mufly.cli.output import (
+    make_console,
+    print_answer,
+    print_result_lines,
+    print_table,
+    save_figure,
+    write_csv,
+)
+from mufly.quantity_grammar import read_values
 from mufly.units import RPM
 
 if TYPE_CHECKING:
-    from mufly.cfd import Progress
+    from mufly.cfd import SolverProgress
 
-app = Commands(
+app = CommandGroup(
     help="Navier-Stokes answers for a rotor in hover or climb, by OpenFOAM; what stands and what not: docs/cfd.md.",
     no_args_is_help=True,
 )
 
 PitchOption = Annotated[
-    float, option("--pitch", "Pitch setting: 12, 12deg or 0.2rad.", unit="deg", within=PITCH)
+    float, define_option("--pitch", "Pitch setting: 12, 12deg or 0.2rad.", unit="deg", within=PITCH_RANGE)
 ]
 MeshOption = Annotated[
     str,
-    option(
-        "--mesh LEVEL", "'coarse', 'medium' or 'fine': 61, 136, 376 thousand cells; 'tiny' to try things."
-    ),
+    define_option("--mesh LEVEL", "'coarse', 'medium' or 'fine': 61, 136, 376 thousand cells; 'tiny' to try things."),
 ]
-TurbulenceOption = Annotated[str, option("--model NAME", "'laminar', 'k-epsilon', 'sst' or 'k-omega'.")]
+TurbulenceOption = Annotated[str, define_option("--model NAME", "'laminar', 'k-epsilon', 'sst' or 'k-omega'.")]
 TipOption = Annotated[
-    str, option("--tip NAME", "The blades' tip: 'round', 'swept', 'winglet-up', ... (docs/cfd.md).")
+    str, define_option("--tip NAME", "The blades' tip: 'round', 'swept', 'winglet-up', ... (docs/cfd.md).")
 ]
 HubOption = Annotated[
-    float, option("--hub", "Radius of a hub with grips; 0 for none, which may slosh.", unit="mm", min=0.0)
+    float,
+    define_option("--hub", "Radius of a hub with grips; 0 for none, which may slosh.", unit="mm", min=0.0),
 ]
 GurneyOption = Annotated[
-    float, option("--gurney", "Height of a plate below the trailing edge, of the chord.", unit="%", min=0.0)
+    float,
+    define_option("--gurney", "Height of a plate below the trailing edge, of the chord.", unit="%", min=0.0),
 ]
-CaseOption = Annotated[
-    Path, option("--out DIR", "The case: its folder; a run that was stopped goes on there.")
-]
+CaseOption = Annotated[Path, define_option("--out DIR", "The case: its folder; a run that was stopped goes on there.")]
 
 
-SPEEDS = "5000,6000,7000"
+DEFAULT_SPEEDS_RPM = "5000,6000,7000"
 
 
 @app.command()
@@ -81,37 +86,42 @@ def mesh(
     Example: mufly cfd mesh naca0012-r60-c20 --pitch 12 --out case
     """
     from mufly.cfd import (
-        LEVELS,
-        TIPS,
-        blade_mesh,
+        BLADE_TIPS,
+        MESH_LEVELS,
+        make_blade_geometry,
+        make_poly_mesh,
+        make_sector_mesh,
+        measure_mesh_quality,
         mesh_picture,
-        named_form,
-        poly_mesh,
-        quality,
         write_poly_mesh,
     )
-    from mufly.cli.present import writing
+    from mufly.cli.output import report_place_errors
     from mufly.rotor import load_rotor
 
-    one_of("--mesh", level, LEVELS)
-    one_of("--tip", tip, TIPS)
-    form = named_form(tip, 1e-3 * hub, 0.01 * gurney)
-    found = poly_mesh(blade_mesh(load_rotor(rotor), math.radians(pitch), level=level, form=form))
-    good, files = quality(found), []
+    check_choice("--mesh", level, MESH_LEVELS)
+    check_choice("--tip", tip, BLADE_TIPS)
+    form = make_blade_geometry(tip, 1e-3 * hub, 0.01 * gurney)
+    found = make_poly_mesh(make_sector_mesh(load_rotor(rotor), math.radians(pitch), level=level, form=form))
+    good, files = measure_mesh_quality(found), []
     if out is not None:
-        with writing(out):
+        with report_place_errors(out):
             files.append(write_poly_mesh(found, out))
-        files.append(save_picture(mesh_picture(found), out, "mesh"))
+        files.append(save_figure(mesh_picture(found), out, "mesh"))
 
-    def show() -> None:
-        show_lines(
+    def print_mesh_quality() -> None:
+        print_result_lines(
             good,
             ["cells", "non_orthogonality_deg", "mean_non_orthogonality_deg", "severe", "skewness", "smallest_volume_m3",
              "aspect_ratio", ("verdict", "good" if good.good else "not good: a solver may fail on it")],
             title=f"{rotor}, {level} mesh",
         )  # fmt: skip
 
-    answer(as_json, lambda: {"rotor": rotor, "level": level, "good": good.good, "quality": good}, show, files)
+    print_answer(
+        as_json,
+        lambda: {"rotor": rotor, "level": level, "good": good.good, "quality": good},
+        print_mesh_quality,
+        files,
+    )
 
 
 @app.command()
@@ -127,26 +137,26 @@ def run(
     hub: HubOption = 0.0,
     gurney: GurneyOption = 0.0,
     gap: Annotated[
-        float, option("--gap", "Distance of a second rotor below; 0 for none.", unit="mm", min=0.0)
+        float, define_option("--gap", "Distance of a second rotor below; 0 for none.", unit="mm", min=0.0)
     ] = 0.0,
     frozen: Annotated[
-        bool, option("--frozen", "The pair's blades stand above each other for good, in one mesh.")
+        bool, define_option("--frozen", "The pair's blades stand above each other for good, in one mesh.")
     ] = False,
     lower_pitch: Annotated[
         float | None,
-        option("--lower-pitch", "Its pitch setting; default: the same.", unit="deg", within=PITCH),
+        define_option("--lower-pitch", "Its pitch setting; default: the same.", unit="deg", within=PITCH_RANGE),
     ] = None,
     lower_rpm: Annotated[
         float | None,
-        option("--lower-rpm", "Its speed, the other way; default: the same.", unit="rpm", within=SPEED),
+        define_option("--lower-rpm", "Its speed, the other way; default: the same.", unit="rpm", within=SPEED_RANGE),
     ] = None,
     start: Annotated[
         Path | None,
-        option("--start DIR", "A case that differs in speed, pitch or tip: start from its solution."),
+        define_option("--start DIR", "A case that differs in speed, pitch or tip: start from its solution."),
     ] = None,
     out: CaseOption = Path("case"),
-    save_only: Annotated[bool, option("--save-only", "Write the case and do not run it.")] = False,
-    cores: Annotated[int, option("N", "Processes of the solver.", min=1, max=256)] = 1,
+    save_only: Annotated[bool, define_option("--save-only", "Write the case and do not run it.")] = False,
+    cores: Annotated[int, define_option("N", "Processes of the solver.", min=1, max=256)] = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Solve one operating point: mesh, run, judge, loads along the blade, pictures.
@@ -156,13 +166,21 @@ def run(
     other's mean around the shaft, in turns. An answer that did not settle is told, and ends with status 1.
     Example: mufly cfd run naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out case
     """
-    from mufly.cfd import LEVELS, MODELS, TIPS, find_solver, run_case, save_case, solve_pair
+    from mufly.cfd import (
+        BLADE_TIPS,
+        MESH_LEVELS,
+        TURBULENCE_MODELS,
+        find_solver,
+        run_case,
+        save_case,
+        solve_pair,
+    )
     from mufly.errors import InputError
     from mufly.rotor import Air, load_rotor
 
-    one_of("--model", model, MODELS)
-    one_of("--mesh", level, LEVELS)
-    one_of("--tip", tip, TIPS)
+    check_choice("--model", model, TURBULENCE_MODELS)
+    check_choice("--mesh", level, MESH_LEVELS)
+    check_choice("--tip", tip, BLADE_TIPS)
     r, air = load_rotor(rotor), Air(density_kg_m3=density)
     theta, speed = math.radians(pitch), rpm * RPM
     if not save_only:
@@ -181,36 +199,36 @@ def run(
             raise InputError(
                 "--gap", f"{gap:g}", "takes turns between two cases that are run", "add --frozen, or run it"
             )
-        with _telling(not as_json) as tell:
+        with _show_solver_progress(not as_json) as tell:
             pair = solve_pair(out, r, neighbour=start, progress=tell, **second, **given)
-        settled = tell_pair(out, r, pair, as_json)
+        settled = report_pair(out, r, pair, as_json)
         raise typer.Exit(int(not settled))
     good = save_case(out, r, neighbour=start, **second, **given)
     if save_only:
-        answer(as_json, lambda: {"quality": good}, lambda: None, [out])
+        print_answer(as_json, lambda: {"quality": good}, lambda: None, [out])
         return
-    with _telling(not as_json) as tell:
+    with _show_solver_progress(not as_json) as tell:
         run_case(out, cores=cores, progress=tell)
-    if not tell_case(out, r, as_json):
+    if not report_case(out, r, as_json):
         raise typer.Exit(1)
 
 
 @contextmanager
-def _telling(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
+def _show_solver_progress(shown: bool) -> Iterator[Callable[[SolverProgress], None] | None]:
     """Tell on standard error how far the solver is."""
     if not shown:
         yield None
         return
-    with console(stderr=True).status("solver starts") as status:
+    with make_console(stderr=True).status("solver starts") as status:
 
-        def tell(p: Progress) -> None:
+        def show_progress(p: SolverProgress) -> None:
             worst = max(p.residuals.values(), default=math.nan)
             status.update(
                 f"iteration {p.iteration}: thrust {p.thrust_N:.4g} N, torque {1e3 * p.torque_Nm:.4g} mN m, residual "
                 f"{worst:.1e}, {p.seconds_left:.0f} s left of this stretch"
             )
 
-        yield tell
+        yield show_progress
 
 
 @app.command()
@@ -219,8 +237,8 @@ def sweep(
     pitch: PitchOption = 12.0,
     rpm: Annotated[
         str,
-        option("--rpm", "Rotor speeds, best from low to high.", unit="rpm", form="values", within=SPEED),
-    ] = SPEEDS,
+        define_option("--rpm", "Rotor speeds, best from low to high.", unit="rpm", form="values", within=SPEED_RANGE),
+    ] = DEFAULT_SPEEDS_RPM,
     density: DensityOption = 1.2,
     model: TurbulenceOption = "laminar",
     level: MeshOption = "medium",
@@ -229,7 +247,7 @@ def sweep(
     gurney: GurneyOption = 0.0,
     climb: Annotated[
         str | None,
-        option(
+        define_option(
             "--climb",
             "Climbs (below 0 descent) at the first speed, in place of speeds, as -0.5,0,0.5.",
             unit="m/s",
@@ -237,9 +255,9 @@ def sweep(
         ),
     ] = None,
     out: Annotated[
-        Path, option("--out DIR", "A folder for each point in it; what is solved there is kept.")
+        Path, define_option("--out DIR", "A folder for each point in it; what is solved there is kept.")
     ] = Path("sweep"),
-    cores: Annotated[int, option("N", "Processes of the solver.", min=1, max=256)] = 1,
+    cores: Annotated[int, define_option("N", "Processes of the solver.", min=1, max=256)] = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Solve several speeds, each but the first started from its neighbour's solution, scaled; or several climbs.
@@ -249,17 +267,17 @@ def sweep(
     Example: mufly cfd sweep naca0012-r60-c20 --pitch 12 --rpm 5000,6000,7000 --mesh coarse --out sweep
     Example: mufly cfd sweep naca0012-r60-c20 --pitch 12 --rpm 5000 --climb -1,0,1 --mesh coarse --out climbs
     """
-    from mufly.cfd import LEVELS, MODELS, TIPS, find_solver, sweep_climb
-    from mufly.cfd import sweep as sweep_speeds
+    from mufly.cfd import BLADE_TIPS, MESH_LEVELS, TURBULENCE_MODELS, find_solver, sweep_climb
+    from mufly.cfd import sweep_speed as sweep_speeds
     from mufly.errors import InputError
     from mufly.rotor import Air, load_rotor
 
-    one_of("--model", model, MODELS)
-    one_of("--mesh", level, LEVELS)
-    one_of("--tip", tip, TIPS)
+    check_choice("--model", model, TURBULENCE_MODELS)
+    check_choice("--mesh", level, MESH_LEVELS)
+    check_choice("--tip", tip, BLADE_TIPS)
     speeds = [value * RPM for value in read_values("--rpm", rpm, "rpm")]
     climbs = None if climb is None else list(read_values("--climb", climb, "m/s"))
-    if climbs is not None and len(speeds) > 1 and rpm != SPEEDS:
+    if climbs is not None and len(speeds) > 1 and rpm != DEFAULT_SPEEDS_RPM:
         raise InputError("--climb", "", f"goes with one speed, and --rpm is {rpm}", "give one speed")
     find_solver()
     r = load_rotor(rotor)
@@ -267,11 +285,9 @@ def sweep(
         "pitch_rad": math.radians(pitch), "air": Air(density_kg_m3=density), "model": model, "level": level,
         "tip": tip, "hub_m": 1e-3 * hub, "gurney": 0.01 * gurney, "cores": cores,
     }  # fmt: skip
-    with _telling(not as_json) as tell:
+    with _show_solver_progress(not as_json) as tell:
         if climbs is not None:
-            tell_inflow(
-                out, r, sweep_climb(out, r, climbs, speed_rad_s=speeds[0], progress=tell, **given), as_json
-            )
+            report_inflow(out, r, sweep_climb(out, r, climbs, speed_rad_s=speeds[0], progress=tell, **given), as_json)
             return
         found = sweep_speeds(out, r, speeds, progress=tell, **given)
     heads = ("rpm", "thrust_N", "torque_Nm", "c_T", "c_Q", "figure_of_merit", "verdict")
@@ -289,7 +305,7 @@ def sweep(
     ]
     files = [write_csv(out / "sweep.csv", heads, rows)]
 
-    def show() -> None:
+    def print_sweep() -> None:
         texts = [(*(f"{x:.4g}" for x in row[:-1]), str(row[-1])) for row in rows]
         print_table(
             ("rpm", "thrust (N)", "torque (N m)", "c_T", "c_Q", "figure of merit", "verdict"),
@@ -297,35 +313,35 @@ def sweep(
             text=(6,),
         )
 
-    answer(as_json, lambda: {"points": [dict(zip(heads, row, strict=True)) for row in rows]}, show, files)
+    print_answer(as_json, lambda: {"points": [dict(zip(heads, row, strict=True)) for row in rows]}, print_sweep, files)
 
 
 @app.command()
 def study(
-    what: Annotated[str, argument("mesh|domain|model", "What is varied.")],
+    what: Annotated[str, define_argument("mesh|domain|model", "What is varied.")],
     rotor: RotorArgument = "naca0012-r60-c20",
     pitch: PitchOption = 12.0,
     rpm: RpmOption = 5000.0,
     density: DensityOption = 1.2,
     level: MeshOption = "coarse",
     out: Annotated[
-        Path, option("--out DIR", "A folder for each case in it; what is solved there is kept.")
+        Path, define_option("--out DIR", "A folder for each case in it; what is solved there is kept.")
     ] = Path("study"),
-    cores: Annotated[int, option("N", "Processes of the solver.", min=1, max=256)] = 1,
+    cores: Annotated[int, define_option("N", "Processes of the solver.", min=1, max=256)] = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Solve one point on three meshes, in a domain with each limit 1.5 times as far, or with every model.
 
     Example: mufly cfd study domain naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out study
     """
-    from mufly.cfd import LEVELS, find_solver, study_cases
-    from mufly.cfd import study as solve_all
+    from mufly.cfd import MESH_LEVELS, find_solver, list_study_cases
+    from mufly.cfd import solve_study as solve_all
     from mufly.rotor import Air, load_rotor
 
-    study_cases(what)
-    one_of("--mesh", level, LEVELS)
+    list_study_cases(what)
+    check_choice("--mesh", level, MESH_LEVELS)
     find_solver()
-    with _telling(not as_json) as tell:
+    with _show_solver_progress(not as_json) as tell:
         found = solve_all(
             out, load_rotor(rotor), what, cores=cores, progress=tell, pitch_rad=math.radians(pitch),
             speed_rad_s=rpm * RPM, air=Air(density_kg_m3=density), level=level,
@@ -348,7 +364,7 @@ def study(
     )
     files = [write_csv(out / f"{what}.csv", heads, rows)]
 
-    def show() -> None:
+    def print_study() -> None:
         texts = [
             (
                 n,
@@ -367,15 +383,15 @@ def study(
             text=(0, 7),
         )  # fmt: skip
 
-    answer(as_json, lambda: {"cases": [dict(zip(heads, row, strict=True)) for row in rows]}, show, files)
+    print_answer(as_json, lambda: {"cases": [dict(zip(heads, row, strict=True)) for row in rows]}, print_study, files)
 
 
 @app.command()
 def show(
-    case: Annotated[Path, argument("DIR", "A case that `mufly cfd run` wrote.")],
+    case: Annotated[Path, define_argument("DIR", "A case that `mufly cfd run` wrote.")],
     rotor: Annotated[
         str | None,
-        option("--rotor NAME|FILE", "The rotor, to lay other methods' loads beside; default: by its name."),
+        define_option("--rotor NAME|FILE", "The rotor, to lay other methods' loads beside; default: by its name."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -393,28 +409,28 @@ def show(
     name = rotor or read_point(case / "upper" if both else (climbs or [case])[0]).rotor
     known = load_rotor(name) if rotor is not None or name in builtin_rotors() else None
     if climbs:
-        tell_inflow(case, known, [read_solution(place) for place in climbs], as_json)
+        report_inflow(case, known, [read_solution(place) for place in climbs], as_json)
     elif both:
-        tell_pair(case, known, read_pair(case), as_json)
+        report_pair(case, known, read_pair(case), as_json)
     else:
-        tell_case(case, known, as_json)
+        report_case(case, known, as_json)
 
 
 @app.command()
 def compare(
-    table: Annotated[Path, argument("FILE.csv", "Columns pitch_deg, rpm, T_... (N), Q_... (N m).")],
-    cases: Annotated[list[Path], argument("DIR...", "Cases that `mufly cfd run` wrote.")],
+    table: Annotated[Path, define_argument("FILE.csv", "Columns pitch_deg, rpm, T_... (N), Q_... (N m).")],
+    cases: Annotated[list[Path], define_argument("DIR...", "Cases that `mufly cfd run` wrote.")],
     as_json: JsonOption = False,
 ) -> None:
     """Lay cases beside a table of measurements and of others' computations.
 
     Example: mufly cfd compare thesis_table_3_2.csv case-12-5000 case-12-7000
     """
-    from mufly.cfd import compare as lay_beside
+    from mufly.cfd import compare_cases as lay_beside
 
     found = lay_beside(table, cases)
 
-    def show() -> None:
+    def print_comparison() -> None:
         parts = (
             ("Thrust (N)", [(c.verdict.thrust_N, c.thrust) for c in found]),
             ("Torque (mN m)", [(1e3 * c.verdict.torque_Nm, c.torque) for c in found]),
@@ -423,7 +439,7 @@ def compare(
             names = list(values[0][1])
             rows = [
                 (
-                    Path(c.case).name + (f" ({c.point.form})" if c.point.form else ""),
+                    Path(c.case).name + (f" ({c.point.geometry_note})" if c.point.geometry_note else ""),
                     f"{math.degrees(c.point.pitch_rad):.4g}°, {c.point.speed_rad_s / RPM:.0f}",
                     c.verdict.what,
                     f"{ours:.4g}",
@@ -434,23 +450,23 @@ def compare(
             heads = ("case", "pitch, rpm", "verdict", "ours", *(f"against {n}" for n in names))
             print_table(heads, rows, title=title, text=(0, 1, 2))
 
-    answer(as_json, lambda: {"cases": [vars(c) | {"point": vars(c.point)} for c in found]}, show)
+    print_answer(as_json, lambda: {"cases": [vars(c) | {"point": vars(c.point)} for c in found]}, print_comparison)
 
 
 @app.command("convergence")
-def convergence_of(
-    cases: Annotated[list[Path], argument("DIR DIR DIR", "Settled cases of one point on three meshes.")],
+def show_convergence(
+    cases: Annotated[list[Path], define_argument("DIR DIR DIR", "Settled cases of one point on three meshes.")],
     as_json: JsonOption = False,
 ) -> None:
     """Observed order and grid convergence index of three meshes (Celik and others, 2008).
 
     Example: mufly cfd convergence case-coarse case-medium case-fine
     """
-    from mufly.cfd import mesh_study
+    from mufly.cfd import study_grid_convergence
 
-    found = mesh_study(cases)
+    found = study_grid_convergence(cases)
 
-    def show() -> None:
+    def print_convergence() -> None:
         rows = [
             (c.name, *(f"{v:.5g}" for v in c.values[::-1]), f"{100 * c.last_step:+.2g} %", f"{c.order:.2f}",
              f"{c.limit:.5g}", f"{100 * c.index:.2g} %", "" if c.sound else "not to be relied on")
@@ -459,4 +475,4 @@ def convergence_of(
         names = [f"{n} cells" for n in found[0].cells[::-1]]
         print_table(("", *names, "last step", "order", "limit", "index", ""), rows, text=(0, 8))
 
-    answer(as_json, lambda: {c.name: c for c in found}, show)
+    print_answer(as_json, lambda: {c.name: c for c in found}, print_convergence)

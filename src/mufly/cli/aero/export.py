@@ -6,31 +6,29 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-from mufly.cli.options import PITCH, JsonOption, RotorArgument, argument, option
-from mufly.cli.present import console, print_json, tell_files, write_csv, writing
+from mufly.cli.options import PITCH_RANGE, JsonOption, RotorArgument, define_argument, define_option
+from mufly.cli.output import make_console, print_files, print_json, report_place_errors, write_csv
 
-_KINDS = (".stl", ".step", ".stp", ".csv")
+_FILE_ENDINGS = (".stl", ".step", ".stp", ".csv")
 
 
 def export(
     rotor: RotorArgument,
-    out: Annotated[Path, argument("FILE", "What to write: name.stl, name.step or name.csv.")],
+    out: Annotated[Path, define_argument("FILE", "What to write: name.stl, name.step or name.csv.")],
     pitch: Annotated[
-        float, option("--pitch", "Pitch setting, added to the twist.", unit="deg", within=PITCH)
+        float, define_option("--pitch", "Pitch setting, added to the twist.", unit="deg", within=PITCH_RANGE)
     ] = 0.0,
-    whole: Annotated[bool, option("--whole", "All blades about the shaft, not one along x.")] = False,
+    whole: Annotated[bool, define_option("--whole", "All blades about the shaft, not one along x.")] = False,
     clockwise: Annotated[
-        bool, option("--clockwise", "For a rotor that turns clockwise, seen from above.")
+        bool, define_option("--clockwise", "For a rotor that turns clockwise, seen from above.")
     ] = False,
     tail: Annotated[
         float,
-        option("--tail", "Least thickness of the trailing edge, as a printer needs it.", unit="mm", min=0.0),
+        define_option("--tail", "Least thickness of the trailing edge, as a printer needs it.", unit="mm", min=0.0),
     ] = 0.0,
-    hub: Annotated[
-        float, option("--hub", "Radius of a hub, with --whole; 0: none.", unit="mm", min=0.0)
-    ] = 0.0,
-    bore: Annotated[float, option("--bore", "Radius of its bore.", unit="mm", min=0.0)] = 0.0,
-    stations: Annotated[int, option("N", "Stations along the blade.", min=4, max=1000)] = 60,
+    hub: Annotated[float, define_option("--hub", "Radius of a hub, with --whole; 0: none.", unit="mm", min=0.0)] = 0.0,
+    bore: Annotated[float, define_option("--bore", "Radius of its bore.", unit="mm", min=0.0)] = 0.0,
+    stations: Annotated[int, define_option("N", "Stations along the blade.", min=4, max=1000)] = 60,
     as_json: JsonOption = False,
 ) -> None:
     """Write a blade as a closed body (STL in mm, STEP), or its stations as a table.
@@ -42,65 +40,63 @@ def export(
     import numpy as np
 
     from mufly.errors import InputError, MuflyError
+    from mufly.rotor import blade_solid as bodies
     from mufly.rotor import load_rotor
-    from mufly.rotor import solid as bodies
 
     r, kind = load_rotor(rotor), out.suffix.lower()
-    if kind not in _KINDS:
-        raise InputError("FILE", str(out), "is of no kind known here", f"let it end with {', '.join(_KINDS)}")
+    if kind not in _FILE_ENDINGS:
+        raise InputError("FILE", str(out), "is of no kind known here", f"let it end with {', '.join(_FILE_ENDINGS)}")
     if not hub < 1e3 * r.radius_m:
-        raise InputError(
-            "--hub", f"{hub:g} mm", f"is not inside a rotor of {1e3 * r.radius_m:g} mm", "give less"
-        )
+        raise InputError("--hub", f"{hub:g} mm", f"is not inside a rotor of {1e3 * r.radius_m:g} mm", "give less")
     if hub > 0.0 and not bore < hub:
         raise InputError("--bore", f"{bore:g} mm", f"does not fit in a hub of {hub:g} mm", "give less")
     if hub > 0.0 and not whole:
         raise InputError("--hub", "", "belongs to a whole rotor", "add --whole")
     if kind == ".csv":
         x = np.linspace(float(r.hub_cutout), 1.0, stations)
-        cut = r.sections(x)
+        cut = r.sections_at(x)
         rows = [
             [1e3 * x[k] * r.radius_m, 1e3 * cut.chord_m[k], math.degrees(cut.twist_rad[k]) + pitch,
-             cut.names[cut.first[k] if cut.weight[k] < 0.5 else cut.second[k]]]
+             cut.airfoil_names[cut.first_airfoil[k] if cut.second_weight[k] < 0.5 else cut.second_airfoil[k]]]
             for k in range(x.size)
         ]  # fmt: skip
         write_csv(out, ("r_mm", "chord_mm", "beta_deg", "airfoil"), rows)
         told = {"file": str(out), "stations": stations}
     else:
-        sections = bodies.blade_sections(r, along=stations, tail_m=1e-3 * tail, pitch_rad=math.radians(pitch))
-        blade = bodies.solid_of(sections)
+        sections = bodies.blade_contours(r, along=stations, tail_m=1e-3 * tail, pitch_rad=math.radians(pitch))
+        blade = bodies.loft_solid(sections)
         parts = [blade]
         if whole:
-            parts = [bodies.turned_about_shaft(blade, 2.0 * math.pi * k / r.blades) for k in range(r.blades)]
+            parts = [bodies.rotate_about_shaft(blade, 2.0 * math.pi * k / r.blades) for k in range(r.blades)]
         if hub > 0.0:
             low, high = (float(f(sections[0, :, 2])) for f in (np.min, np.max))
-            parts.append(bodies.hub_solid(1e-3 * hub, 1e-3 * bore, low, high))
-        parts = [bodies.mirrored(p) for p in parts] if clockwise else parts
-        body = bodies.joined(parts)
+            parts.append(bodies.make_hub_solid(1e-3 * hub, 1e-3 * bore, low, high))
+        parts = [bodies.mirror_solid(p) for p in parts] if clockwise else parts
+        body = bodies.join_solids(parts)
         if kind == ".stl":
-            if body.open_edges():
+            if body.count_open_edges():
                 raise MuflyError(
-                    f"{r.name}: {body.open_edges()} edges of the surface are open; give fewer stations"
+                    f"{r.name}: {body.count_open_edges()} edges of the surface are open; give fewer stations"
                 )
-            with writing(out):
+            with report_place_errors(out):
                 bodies.write_stl(out, body, r.name)
         else:
             if whole:
                 raise InputError("--whole", "", "is for STL", "STEP holds one blade; a CAD program copies it")
-            with writing(out):
+            with report_place_errors(out):
                 bodies.write_step(out, sections * ([1.0, -1.0, 1.0] if clockwise else [1.0, 1.0, 1.0]))
         told = {
             "file": str(out), "triangles": len(body.triangles), "volume_mm3": 1e9 * body.volume_m3,
-            "area_mm2": 1e6 * body.area_m2, "open_edges": body.open_edges(),
+            "area_mm2": 1e6 * body.area_m2, "open_edges": body.count_open_edges(),
         }  # fmt: skip
     if as_json:
         print_json(told)
         return
-    c = console()
+    c = make_console()
     if kind != ".csv":
         c.print(
             f"{r.name}: {told['volume_mm3']:.0f} mm3, {told['area_mm2']:.0f} mm2, closed"
             + ("; bodies overlap where they meet, as slicers allow" if hub > 0.0 else ""),
             highlight=False,
         )
-    tell_files([out])
+    print_files([out])

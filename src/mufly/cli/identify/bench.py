@@ -10,44 +10,45 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from mufly.cli.options import (
-    PITCH,
-    SPACING,
-    SPEED,
+    PITCH_RANGE,
+    SPACING_RANGE,
+    SPEED_RANGE,
     ColumnsOption,
     JsonOption,
     PictureOption,
     VehicleOption,
     WriteOption,
-    argument,
-    option,
-    start_vehicle,
-    today,
-    with_doubt,
+    define_argument,
+    define_option,
+    format_today,
+    load_start_vehicle,
+    read_optional_with_std,
     write_vehicle,
 )
-from mufly.cli.present import (
-    answer,
-    check_folder,
+from mufly.cli.output import (
+    ensure_folder,
+    print_answer,
     print_estimates,
+    print_lines,
     print_table,
     progress_bar,
-    save_picture,
-    say,
+    save_figure,
     write_csv,
 )
 from mufly.errors import InputError, suggest_name
-from mufly.grammar import read_band, read_quantity
-from mufly.units import RPM, split_suffix
+from mufly.quantity_grammar import read_interval, read_quantity
+from mufly.units import RPM, split_unit_suffix
 
 if TYPE_CHECKING:
-    from mufly.identify.flight.plan import Candidate, Limits, Plan
-    from mufly.identify.flight.signals import Kind
+    from mufly.bench.bench_loads import CellCalibration
+    from mufly.identify.flight.excitation_plan import ExcitationCandidate, ExcitationPlan, FlightLimits
+    from mufly.identify.flight.excitation_signals import SignalKind
 
 
 def rotor(
     bench: Annotated[
         list[Path],
-        argument(
+        define_argument(
             "CSV...",
             "Columns speed_rpm, thrust_N, torque_Nm of a single rotor, or speed_upper_rpm, "
             "thrust_upper_N, torque_lower_Nm ... of a pair; thrust_raw_V with --calibration. Lines "
@@ -56,7 +57,7 @@ def rotor(
     ],
     radius: Annotated[
         str | None,
-        option(
+        define_option(
             "--radius",
             "Radius, as 60mm or 0.06+-0.0002. Default: of --rotor or --vehicle.",
             unit="m",
@@ -65,7 +66,7 @@ def rotor(
     ] = None,
     density: Annotated[
         str | None,
-        option(
+        define_option(
             "--density",
             "Density of the air, as 1.19 or 1.19+-0.01. Default: the file's, else 1.2.",
             unit="kg/m3",
@@ -74,17 +75,17 @@ def rotor(
     ] = None,
     calibration: Annotated[
         Path | None,
-        option(
+        define_option(
             "CSV",
             "Known loads and readings of the load cells: thrust_N, thrust_raw_V, torque_Nm, torque_raw_V.",
         ),
     ] = None,
     calibration_columns: Annotated[
-        str | None, option("OLD=NEW,...", "As --columns, for the calibration file.")
+        str | None, define_option("OLD=NEW,...", "As --columns, for the calibration file.")
     ] = None,
     columns: Annotated[
         list[str] | None,
-        option(
+        define_option(
             "OLD=NEW,...",
             "What headers mean; for files of several kinds repeat it. A map holds for the files that "
             "have all its columns.",
@@ -92,28 +93,36 @@ def rotor(
     ] = None,
     at_rpm: Annotated[
         float | None,
-        option("--at-rpm", "Give coefficients that change with speed at this one.", unit="rpm", within=SPEED),
+        define_option(
+            "--at-rpm",
+            "Give coefficients that change with speed at this one.",
+            unit="rpm",
+            within=SPEED_RANGE,
+        ),
     ] = None,
     predict_with: Annotated[
-        str | None, option("--rotor NAME|FILE", "Compare with blade element theory of this rotor.")
+        str | None, define_option("--rotor NAME|FILE", "Compare with blade element theory of this rotor.")
     ] = None,
     pitch: Annotated[
         float | None,
-        option(
+        define_option(
             "--pitch",
             "Pitch setting for the prediction where the file has no pitch, as 12.",
             unit="deg",
-            within=PITCH,
+            within=PITCH_RANGE,
         ),
     ] = None,
     spacing: Annotated[
         float | None,
-        option(
-            "--spacing", "Distance between the discs of a pair, for the prediction.", unit="m", within=SPACING
+        define_option(
+            "--spacing",
+            "Distance between the discs of a pair, for the prediction.",
+            unit="m",
+            within=SPACING_RANGE,
         ),
     ] = None,
     place: Annotated[
-        str | None, option("--as upper|lower", "Which rotor of --vehicle a single rotor is.")
+        str | None, define_option("--as upper|lower", "Which rotor of --vehicle a single rotor is.")
     ] = None,
     vehicle: VehicleOption = None,
     write: WriteOption = None,
@@ -124,47 +133,50 @@ def rotor(
 
     Example: mufly identify rotor bench.csv --radius 0.0875 --calibration cells.csv --out rotor
     """
-    from mufly.bench import Calibration, calibrate_cells, corrected_loads, predict, read_bench
-    from mufly.identify.pictures import rotor_picture
-    from mufly.identify.rotor import RotorFit, fit_rotor, interference, placed
-    from mufly.rotor import load_rotor, prepare
+    from mufly.bench import calibrate_cells, compute_loads, predict_loads, read_bench_file
+    from mufly.identify.fit_pictures import rotor_picture
+    from mufly.identify.rotor_fit import (
+        RotorFit,
+        assign_rotor_side,
+        describe_interference,
+        fit_rotor_coefficients,
+    )
+    from mufly.rotor import load_rotor, prepare_blading
 
-    start = start_vehicle(vehicle, write)
-    check_folder("--out", out)
+    start = load_start_vehicle(vehicle, write)
+    ensure_folder("--out", out)
     if place not in (None, "upper", "lower"):
         raise InputError("--as", "", f"{place!r} is no rotor of a vehicle", "use upper or lower")
     blades = load_rotor(predict_with) if predict_with is not None else None
-    maps = _maps(columns or [], bench)
-    tables = [read_bench(file, columns=m) for file, m in zip(bench, maps, strict=True)]
-    value, std = with_doubt("--radius", radius, "m")
+    maps = _assign_column_maps(columns or [], bench)
+    tables = [read_bench_file(file, columns=m) for file, m in zip(bench, maps, strict=True)]
+    value, std = read_optional_with_std("--radius", radius, "m")
     if value is None:
         known = [*([blades.radius_m] if blades else []), *([float(start.rotors.radius)] if start else [])]
         known += [0.5 * t.diameter_m for t in tables if math.isfinite(t.diameter_m)]
         if not known:
-            raise InputError(
-                "--radius", "", "is missing", "give the rotor's radius in metres, or --rotor or --vehicle"
-            )
+            raise InputError("--radius", "", "is missing", "give the rotor's radius in metres, or --rotor or --vehicle")
         value = known[0]
-    rho, rho_std = with_doubt("--density", density, "kg/m3")
-    cells: Calibration | None = None
+    rho, rho_std = read_optional_with_std("--density", density, "kg/m3")
+    cells: CellCalibration | None = None
     if calibration is not None:
-        cells = calibrate_cells(read_bench(calibration, columns=calibration_columns))
-    loads = [corrected_loads(t, cells, radius_m=value, density_kg_m3=rho) for t in tables]
+        cells = calibrate_cells(read_bench_file(calibration, columns=calibration_columns))
+    loads = [compute_loads(t, cells, radius_m=value, density_kg_m3=rho) for t in tables]
     by_file = [
-        fit_rotor(
+        fit_rotor_coefficients(
             one, radius_m=value, radius_std_m=std, density_kg_m3=rho, density_std_kg_m3=rho_std,
             at_speed_rad_s=None if at_rpm is None else at_rpm * RPM, vehicle=start,
         )
         for one in loads
     ]  # fmt: skip
-    fits: list[RotorFit] = [f if place is None else placed(f, place, start) for one in by_file for f in one]
+    fits: list[RotorFit] = [f if place is None else assign_rotor_side(f, place, start) for one in by_file for f in one]
     predictions, drawn = {}, {}
     if blades is not None:
-        blading = prepare(blades)
+        blading = prepare_blading(blades)
         for one in by_file:
             first, source = one[0], one[0].source
             with progress_bar("points", shown=first.coaxial and not as_json) as move:
-                p = predict(
+                p = predict_loads(
                     first.loads, blading, density_kg_m3=float(first.density_kg_m3.mean()), spacing_m=spacing,
                     pitch_rad=None if pitch is None else math.radians(pitch), progress=move,
                 )  # fmt: skip
@@ -175,49 +187,52 @@ def rotor(
     if write is not None and len({round(f.pitch_rad, 4) for f in fits if math.isfinite(f.pitch_rad)}) > 1:
         raise InputError("--write", sources, "has several pitch settings", "leave one in the file")
     files = write_vehicle(
-        start, (e for f in fits for e in f.estimates), write, f"mufly identify rotor {sources}, {today()}"
+        start,
+        (e for f in fits for e in f.estimates),
+        write,
+        f"mufly identify rotor {sources}, {format_today()}",
     )
     if out is not None:
-        files.append(save_picture(rotor_picture(fits, predicted=drawn, title=sources), out, "rotor"))
-    effects = interference(fits)
+        files.append(save_figure(rotor_picture(fits, predicted=drawn, title=sources), out, "rotor"))
+    effects = describe_interference(fits)
 
-    def told() -> None:
+    def print_results() -> None:
         if cells is not None:
-            say(f"load cells, from {cells.source}:", *(f"  {line}" for line in cells.in_words()))
+            print_lines(f"load cells, from {cells.source}:", *(f"  {line}" for line in cells.describe_calibration()))
         for fit in fits:
             kind = "coaxial pair" if fit.coaxial else "single rotor"
             at = "" if math.isnan(fit.pitch_rad) else f" at {math.degrees(fit.pitch_rad):.3g} deg"
-            shares = fit.systematic_shares()
+            shares = fit.systematic_variance_shares()
             print_estimates(
                 fit.estimates, f"{fit.source}: {kind}{at}, R {1e3 * fit.radius_m:g} mm",
                 {"systematic": {e.symbol: f"{100 * shares.get(e.symbol, 0.0):.0f} %" for e in fit.estimates}},
             )  # fmt: skip
-            say(*(t.in_words() for f in fit.fits for t in f.trends))
-            say(*fit.unseen, mark="not seen")
-        say(*dict.fromkeys(n for f in fits for n in f.notes), mark="note")
-        say(*effects)
-        say(*(f"{source}: {line}" for source, p in predictions.items() for line in p.in_words()))
+            print_lines(*(t.describe_trend() for f in fit.fits for t in f.trends))
+            print_lines(*fit.unseen, mark="not seen")
+        print_lines(*dict.fromkeys(n for f in fits for n in f.notes), mark="note")
+        print_lines(*effects)
+        print_lines(*(f"{source}: {line}" for source, p in predictions.items() for line in p.describe_errors()))
 
-    def content() -> dict[str, Any]:
+    def make_content() -> dict[str, Any]:
         return {
-            "calibration": None if cells is None else cells.in_words(),
-            "results": [_rotor_json(f) for f in fits],
+            "calibration": None if cells is None else cells.describe_calibration(),
+            "results": [_rotor_fit_to_json(f) for f in fits],
             "interference": effects,
             "prediction": {k: {"load": p.load, "error": p.error} for k, p in predictions.items()},
         }
 
-    answer(as_json, content, told, files)
+    print_answer(as_json, make_content, print_results, files)
 
 
-def _rotor_json(fit: Any) -> dict[str, Any]:
+def _rotor_fit_to_json(fit: Any) -> dict[str, Any]:
     return {
         "source": fit.source, "coaxial": fit.coaxial, "pitch_rad": fit.pitch_rad, "radius_m": fit.radius_m,
         "density_kg_m3": float(fit.density_kg_m3.mean()), "estimates": fit.estimates,
-        "trends": [t.in_words() for f in fit.fits for t in f.trends], "unseen": fit.unseen, "notes": fit.notes,
+        "trends": [t.describe_trend() for f in fit.fits for t in f.trends], "unseen": fit.unseen, "notes": fit.notes,
     }  # fmt: skip
 
 
-def _maps(columns: list[str], files: list[Path]) -> list[str | None]:
+def _assign_column_maps(columns: list[str], files: list[Path]) -> list[str | None]:
     """Return the map of headers for each file: the first of which it has all columns.
 
     Raises
@@ -225,19 +240,17 @@ def _maps(columns: list[str], files: list[Path]) -> list[str | None]:
     InputError
         If a map fits no file.
     """
-    from mufly.bench import header_of
+    from mufly.bench import read_headers
 
     chosen: list[str | None] = [None] * len(files)
-    headers = [set(header_of(file)) for file in files]
+    headers = [set(read_headers(file)) for file in files]
     for one in columns:
         wanted = {part.partition("=")[0].strip() for part in one.split(",") if part.strip()}
         fitting = [k for k, header in enumerate(headers) if wanted <= header]
         if not fitting and len(files) == 1:
             fitting = [0]  # reading it will name the column that is not there
         if not fitting:
-            raise InputError(
-                "--columns", one, "names columns that no file has together", "give one map a kind of file"
-            )
+            raise InputError("--columns", one, "names columns that no file has together", "give one map a kind of file")
         for k in fitting:
             chosen[k] = chosen[k] or one
     return chosen
@@ -248,20 +261,20 @@ def _maps(columns: list[str], files: list[Path]) -> list[str | None]:
 
 
 def plan(
-    vehicle: Annotated[str, argument("NAME|FILE", "The vehicle as far as it is known.")],
+    vehicle: Annotated[str, define_argument("NAME|FILE", "The vehicle as far as it is known.")],
     free: Annotated[
-        str, option("SYMBOL,...", "Parameters to be identified, as `mufly vehicle show` prints them.")
+        str, define_option("SYMBOL,...", "Parameters to be identified, as `mufly vehicle show` prints them.")
     ],
     channel: Annotated[
-        str, option("NAME,...", "yaw, heave, roll or pitch; several make a plan for several flights.")
+        str, define_option("NAME,...", "yaw, heave, roll or pitch; several make a plan for several flights.")
     ] = "yaw",
     kind: Annotated[
-        str, option("NAME", "chirp, multisine, 3211 or doublet; 'best' compares them all.")
+        str, define_option("NAME", "chirp, multisine, 3211 or doublet; 'best' compares them all.")
     ] = "best",
-    duration: Annotated[float, option("--duration", "Length of each flight.", unit="s")] = 10.0,
+    duration: Annotated[float, define_option("--duration", "Length of each flight.", unit="s")] = 10.0,
     amplitude: Annotated[
         float | None,
-        option(
+        define_option(
             "--amplitude",
             "Largest addition to an input, 0 to 1; lowered if it is not safe. Default: the largest that is.",
             unit="1",
@@ -269,7 +282,7 @@ def plan(
     ] = None,
     band: Annotated[
         str | None,
-        option(
+        define_option(
             "--band",
             "Frequencies, as 0.1:3. Default: around the channel's modes.",
             unit="Hz",
@@ -278,7 +291,7 @@ def plan(
     ] = None,
     limit: Annotated[
         str | None,
-        option(
+        define_option(
             "NAME=VALUE,...",
             "attitude_deg, heading_deg, rates_deg_s, height_m, place_m from hover; motor, servo: "
             "distance of inputs from their ends. Default: "
@@ -287,95 +300,99 @@ def plan(
     ] = None,
     noise: Annotated[
         str | None,
-        option(
+        define_option(
             "OUTPUT=STD,...",
             "Sensors (SI), as 'height=0.005,speed_up=2,yaw=none'; added to the defaults height 0.01 "
             "m, roll and pitch 0.01, yaw 0.02 rad, p, q, r 0.03 rad/s.",
         ),
     ] = None,
-    delay: Annotated[float, option("--delay", "From command to input.", unit="s")] = 0.02,
+    delay: Annotated[float, define_option("--delay", "From command to input.", unit="s")] = 0.02,
     window: Annotated[
         float,
-        option(
+        define_option(
             "--window",
             "The motion counts as unknown anew every so often, which stands for gusts; 0: only at "
             "the start, the bound of a perfect world.",
             unit="s",
         ),
     ] = 2.0,
-    sample: Annotated[float, option("--sample", "Time between samples of the log.", unit="s")] = 0.01,
-    out: Annotated[Path | None, option("--out DIR", "Write signals (CSV) and pictures (PNG) there.")] = None,
+    sample: Annotated[float, define_option("--sample", "Time between samples of the log.", unit="s")] = 0.01,
+    out: Annotated[Path | None, define_option("--out DIR", "Write signals (CSV) and pictures (PNG) there.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Design flights for identification: signals within safe limits, and what they will tell before anyone flies.
 
     Example: mufly identify plan mufly-1.1 --free cT_dw,cQ_dw,Jdrive_dw --channel yaw,heave --out plan
     """
-    from mufly.identify.flight.plan import NOISE, design, together
-    from mufly.identify.flight.signals import KINDS
-    from mufly.identify.pictures import plan_picture
+    from mufly.identify.fit_pictures import plan_picture
+    from mufly.identify.flight.excitation_plan import (
+        SENSOR_NOISE_STD,
+        combined_information,
+        design_excitation,
+    )
+    from mufly.identify.flight.excitation_signals import SIGNAL_KINDS
     from mufly.vehicle import load_vehicle
 
     v = load_vehicle(vehicle)
     symbols = [s.strip() for s in free.split(",") if s.strip()]
     channels = list(dict.fromkeys(c.strip() for c in channel.split(",") if c.strip()))
-    kinds = KINDS if kind == "best" else (cast("Kind", kind),)
-    check_folder("--out", out)
-    _check_times(duration, delay, sample, window)
-    limits, std, frequencies = _limits(limit), _noise(noise, NOISE), _band(band)
-    plans: list[Plan] = []
+    kinds = SIGNAL_KINDS if kind == "best" else (cast("SignalKind", kind),)
+    ensure_folder("--out", out)
+    _check_time_grid(duration, delay, sample, window)
+    limits, std, frequencies = _parse_limits(limit), _parse_noise(noise, SENSOR_NOISE_STD), _parse_band(band)
+    plans: list[ExcitationPlan] = []
     for name in channels:
         with progress_bar(f"{name} flights", shown=not as_json) as move:
             plans.append(
-                design(
+                design_excitation(
                     v, symbols, name, kinds=kinds, duration_s=duration, amplitude=amplitude, band_rad_s=frequencies,
                     limits=limits, noise=std, sample_s=sample, delay_s=delay, progress=move,
                     window_s=window if window > 0 else None,
                 )
             )  # fmt: skip
-    chosen = [p.best for p in plans]
-    relative, unseen = together(plans, chosen)
+    chosen = [p.best_candidate for p in plans]
+    relative, unseen = combined_information(plans, chosen)
     files = []
     if out is not None:
         for p, c in zip(plans, chosen, strict=True):
-            files.append(save_picture(plan_picture(p, c), out, f"plan_{p.channel}"))
+            files.append(save_figure(plan_picture(p, c), out, f"plan_{p.channel}"))
             files.append(_write_signal(out / f"signal_{p.channel}_{c.signal.kind}.csv", c))
 
-    def told() -> None:
+    def print_plans() -> None:
         for p in plans:
-            _print(p)
+            _print_plan(p)
         if len(plans) > 1:
             print_table(
-                ["", *symbols], [["all flights", *(_percent(s) for s in relative)]],
+                ["", *symbols], [["all flights", *(_format_percent(s) for s in relative)]],
                 title="Expected standard deviation, together",
             )  # fmt: skip
-        say(*unseen, mark="not seen")
-        say(
+        print_lines(*unseen, mark="not seen")
+        print_lines(
             "These are bounds for the model as it is and white sensor noise; what the model leaves out makes real fits "
             "worse, often several times.",
             style="dim",
         )
 
-    def content() -> dict[str, Any]:
+    def make_content() -> dict[str, Any]:
         return {
             "vehicle": v.name,
             "free": symbols,
-            "channels": [_plan_json(p) for p in plans],
+            "channels": [_plan_to_json(p) for p in plans],
             "together": dict(zip(symbols, relative, strict=True)),
             "unseen": unseen,
         }
 
-    answer(as_json, content, told, files)
+    print_answer(as_json, make_content, print_plans, files)
 
 
-def _check_times(duration: float, delay: float, sample: float, window: float) -> None:
-    def whole(time: float, of: float) -> bool:
+def _check_time_grid(duration: float, delay: float, sample: float, window: float) -> None:
+    def is_multiple(time: float, of: float) -> bool:
         return abs(time / of - round(time / of)) <= 1e-6
 
-    sampled = 1e-3 <= sample <= 0.1 and whole(sample, 1e-3)
+    sampled = 1e-3 <= sample <= 0.1 and is_multiple(sample, 1e-3)
     for its, value, fine, remedy in (
         ("--sample", sample, sampled, "give whole milliseconds from 0.001 to 0.1"),
-        ("--delay", delay, sampled and 0 <= delay <= 0.2 and whole(delay, sample),
+        ("--delay", delay, sampled and 0 <= delay <= 0.2 and is_multiple(delay, sample),
          f"give a multiple of {sample:g} s up to 0.2"),
         ("--window", window, window == 0 or 10 * sample <= window < math.inf, f"give 0, or {10 * sample:g} s or more"),
         ("--duration", duration, 2.0 <= duration <= 300.0, "give 2 to 300 s"),
@@ -384,7 +401,7 @@ def _check_times(duration: float, delay: float, sample: float, window: float) ->
             raise InputError(its, "", f"{value:g} s is not possible", remedy)
 
 
-def _numbers(
+def _parse_named_numbers(
     option: str, text: str | None, known: Mapping[str, str], *, none: bool = False
 ) -> dict[str, float | None]:
     """Numbers of ``NAME=VALUE,...``; ``known`` says in which unit a bare one is."""
@@ -403,49 +420,52 @@ def _numbers(
     return found
 
 
-def _limits(text: str | None) -> Limits:
-    from mufly.identify.flight.plan import Limits
+def _parse_limits(text: str | None) -> FlightLimits:
+    from mufly.identify.flight.excitation_plan import FlightLimits
 
     names = {
         "attitude_deg": ("attitude_rad", math.radians(1)), "heading_deg": ("heading_rad", math.radians(1)),
         "rates_deg_s": ("rates_rad_s", math.radians(1)), "height_m": ("height_m", 1.0), "place_m": ("place_m", 1.0),
         "motor": ("motor", 1.0), "servo": ("servo", 1.0),
     }  # fmt: skip
-    units = {name: split_suffix(name)[1] or "1" for name in names}
-    given = _numbers("--limit", text, units)
+    units = {name: split_unit_suffix(name)[1] or "1" for name in names}
+    given = _parse_named_numbers("--limit", text, units)
     for name, top in (("motor", 0.5), ("servo", 1.0)):
         if (given.get(name) or 0.0) >= top:
             raise InputError("--limit", name, f"{given[name]} leaves no room", f"give a number below {top:g}")
-    return Limits(**{names[k][0]: v * names[k][1] for k, v in given.items() if v is not None})
+    return FlightLimits(**{names[k][0]: v * names[k][1] for k, v in given.items() if v is not None})
 
 
-def _noise(text: str | None, default: dict[str, float]) -> dict[str, float]:
-    from mufly.identify.record import OUTPUT_UNITS
+def _parse_noise(text: str | None, default: dict[str, float]) -> dict[str, float]:
+    from mufly.identify.flight_record import OUTPUT_UNITS
 
-    merged: dict[str, float | None] = {**default, **_numbers("--noise", text, OUTPUT_UNITS, none=True)}
+    merged: dict[str, float | None] = {
+        **default,
+        **_parse_named_numbers("--noise", text, OUTPUT_UNITS, none=True),
+    }
     return {k: v for k, v in merged.items() if v is not None}
 
 
-def _band(text: str | None) -> tuple[float, float] | None:
+def _parse_band(text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
-    low, high = read_band("--band", text, "Hz")
+    low, high = read_interval("--band", text, "Hz")
     return 2 * math.pi * low, 2 * math.pi * high
 
 
-def _percent(share: float) -> str:
+def _format_percent(share: float) -> str:
     if not math.isfinite(share) or share > 10:
         return "not seen"
     return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 
-def _print(p: Plan) -> None:
+def _print_plan(p: ExcitationPlan) -> None:
     symbols = [f.symbol for f in p.free]
     low, high = (w / (2 * math.pi) for w in p.band_rad_s)
     rows = [
         [
-            c.signal.kind, f"{100 * c.amplitude:.1f} %", c.bound_by, f"{c.signal.crest:.2f}",
-            *(_percent(s) for s in c.relative_std), _percent(c.figure),
+            c.signal.kind, f"{100 * c.amplitude:.1f} %", c.binding_limit, f"{c.signal.crest:.2f}",
+            *(_format_percent(s) for s in c.relative_std), _format_percent(c.geometric_mean_std),
         ]
         for c in p.candidates
     ]  # fmt: skip
@@ -455,27 +475,35 @@ def _print(p: Plan) -> None:
         ["kind", "amplitude", "bound by", "crest", *symbols, "mean"], rows,
         title=f"{p.vehicle}, {p.channel}: expected standard deviations; {frequencies}, modes at {modes} Hz",
     )  # fmt: skip
-    say(f"{p.best.signal.kind}: {p.best.signal.words}")
+    print_lines(f"{p.best_candidate.signal.kind}: {p.best_candidate.signal.words}")
 
 
-def _plan_json(p: Plan) -> dict[str, Any]:
+def _plan_to_json(p: ExcitationPlan) -> dict[str, Any]:
     return {
-        "channel": p.channel, "band_Hz": [w / (2 * math.pi) for w in p.band_rad_s],
-        "modes_Hz": [w / (2 * math.pi) for w in p.modes_rad_s], "noise": p.noise, "limits": p.limits,
+        "channel": p.channel,
+        "band_Hz": [w / (2 * math.pi) for w in p.band_rad_s],
+        "modes_Hz": [w / (2 * math.pi) for w in p.modes_rad_s],
+        "noise": p.noise,
+        "limits": p.limits,
         "candidates": [
             {
-                "kind": c.signal.kind, "amplitude": c.amplitude, "bound_by": c.bound_by, "limit_used": c.share,
-                "crest_factor": c.signal.crest, "signal": c.signal.words, "mean": c.figure,
+                "kind": c.signal.kind,
+                "amplitude": c.amplitude,
+                "bound_by": c.binding_limit,
+                "limit_used": c.limit_share,
+                "crest_factor": c.signal.crest,
+                "signal": c.signal.words,
+                "mean": c.geometric_mean_std,
                 "relative_std": dict(zip((f.symbol for f in p.free), c.relative_std, strict=True)),
             }
             for c in p.candidates
         ],
-    }  # fmt: skip
+    }
 
 
-def _write_signal(path: Path, c: Candidate) -> Path:
+def _write_signal(path: Path, c: ExcitationCandidate) -> Path:
     heads = ("time_s", "signal", "motor_upper", "motor_lower", "servo_1", "servo_2")
-    values = zip(c.signal.time_s, c.amplitude * c.signal.value, c.added, strict=True)
+    values = zip(c.signal.time_s, c.amplitude * c.signal.value, c.added_inputs, strict=True)
     rows = ([f"{x + 0.0:.6g}" for x in (t, s, *row)] for t, s, row in values)
     return write_csv(
         path, heads, rows, f"{c.channel}, {c.signal.kind}: {c.signal.words}; add the columns to the inputs"
@@ -486,7 +514,7 @@ def _write_signal(path: Path, c: Candidate) -> Path:
 # ``mufly identify motor``: constants of a motor from a bench file; and the commands on benches registered.
 
 
-def add_to(app: typer.Typer) -> None:
+def register_bench_commands(app: typer.Typer) -> None:
     """Register the commands of this module."""
     app.command()(motor)
     app.command()(rotor)
@@ -496,7 +524,7 @@ def add_to(app: typer.Typer) -> None:
 def motor(
     bench: Annotated[
         Path,
-        argument(
+        define_argument(
             "CSV",
             "Columns voltage_V (and duty), current_A, speed_rpm, torque_mNm; docs/bench.md lists the "
             "names and units that are understood.",
@@ -504,7 +532,7 @@ def motor(
     ],
     gear_ratio: Annotated[
         str,
-        option(
+        define_option(
             "--gear --gear-ratio",
             "Motor speed over measured speed: 1.5, 1.5+-0.01 or 'free'.",
             unit="1",
@@ -514,7 +542,7 @@ def motor(
     ] = "1",
     gear_efficiency: Annotated[
         str,
-        option(
+        define_option(
             "--gear-efficiency",
             "Of the gear between motor and torque sensor: 0.84, 0.84+-0.02 or 'free'.",
             unit="1",
@@ -524,7 +552,7 @@ def motor(
     ] = "1",
     noise: Annotated[
         str | None,
-        option(
+        define_option(
             "CHANNEL=AMOUNT,...",
             "Errors to expect, as 'current=1%+0.01,speed=0.5%fs' (of the reading, of full scale, or "
             "SI); only their proportions matter. Default: the likeliest shape.",
@@ -540,40 +568,40 @@ def motor(
 
     Example: mufly identify motor motor.csv --vehicle mufly-1.1 --write mine.toml --out motor
     """
-    from mufly.bench import read_bench
-    from mufly.identify.motor import CHANNELS, GearKnowledge, fit_motor, parse_noise
-    from mufly.identify.pictures import motor_picture
+    from mufly.bench import read_bench_file
+    from mufly.identify.fit_pictures import motor_picture
+    from mufly.identify.motor_fit import MOTOR_CHANNELS, GearKnowledge, fit_motor, parse_noise
 
-    start = start_vehicle(vehicle, write)
-    check_folder("--out", out)
-    ratio, ratio_std = with_doubt("--gear", gear_ratio, "1")
-    eta, eta_std = with_doubt("--gear-efficiency", gear_efficiency, "1")
+    start = load_start_vehicle(vehicle, write)
+    ensure_folder("--out", out)
+    ratio, ratio_std = read_optional_with_std("--gear", gear_ratio, "1")
+    eta, eta_std = read_optional_with_std("--gear-efficiency", gear_efficiency, "1")
     if eta is not None and eta > 1.0:
         raise InputError("--gear-efficiency", "", f"{eta:g} is not possible", "give a number up to 1")
-    table = read_bench(bench, columns=columns)
+    table = read_bench_file(bench, columns=columns)
     fit = fit_motor(
         table, gear=GearKnowledge(ratio, eta, ratio_std, eta_std), vehicle=start,
-        noise=parse_noise(noise, CHANNELS) if noise else None,
+        noise=parse_noise(noise, MOTOR_CHANNELS) if noise else None,
     )  # fmt: skip
-    files = write_vehicle(start, fit.estimates, write, f"mufly identify motor {table.source}, {today()}")
+    files = write_vehicle(start, fit.estimates, write, f"mufly identify motor {table.source}, {format_today()}")
     if out is not None:
         picture = motor_picture(fit, title=f"{table.source}: motor constants by least squares")
-        files.append(save_picture(picture, out, "motor"))
+        files.append(save_figure(picture, out, "motor"))
 
-    def told() -> None:
+    def print_results() -> None:
         print_estimates(fit.estimates, f"{table.source}: {fit.data.voltage_V.size} points")
         rms = [float((fit.residual[:, k] ** 2).mean() ** 0.5) for k in (0, 1)]
-        say(
+        print_lines(
             f"residuals: {1e3 * rms[0]:.3g} mV in the voltage's balance, {1e3 * rms[1]:.3g} mN m in the torque's"
         )
-        say(*fit.notes, mark="note")
-        say(*fit.unseen, mark="not seen")
+        print_lines(*fit.notes, mark="note")
+        print_lines(*fit.unseen, mark="not seen")
 
-    def content() -> dict[str, Any]:
+    def make_content() -> dict[str, Any]:
         return {
             "source": table.source, "points": fit.data.voltage_V.size, "estimates": fit.estimates,
             "covariance": fit.covariance, "scales": fit.scales, "pattern": fit.spread.pattern, "unseen": fit.unseen,
             "notes": fit.notes,
         }  # fmt: skip
 
-    answer(as_json, content, told, files)
+    print_answer(as_json, make_content, print_results, files)

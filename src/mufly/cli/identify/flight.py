@@ -11,29 +11,37 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mufly.cli.identify import bench, linear
-from mufly.cli.options import Commands, JsonOption, argument, one_of, option, today, write_vehicle
-from mufly.cli.present import (
-    check_file,
-    check_folder,
-    console,
+from mufly.cli.options import (
+    CommandGroup,
+    JsonOption,
+    check_choice,
+    define_argument,
+    define_option,
+    format_today,
+    write_vehicle,
+)
+from mufly.cli.output import (
+    check_writable_file,
+    ensure_folder,
+    make_console,
     print_estimates,
+    print_files,
     print_json,
+    print_lines,
     print_table,
     progress_bar,
-    say,
-    tell_files,
 )
 from mufly.errors import InputError
-from mufly.grammar import read_quantity
+from mufly.quantity_grammar import read_quantity
 
 if TYPE_CHECKING:
-    from mufly.identify import Demo, Fit, Progress, Record
+    from mufly.identify import FitProgress, FitResult, FlightRecord, IdentificationDemo
     from mufly.vehicle import Vehicle
 
-_PARTS = ("both", "heave-yaw", "roll-pitch", "split")
+_MODEL_PARTS = ("both", "heave-yaw", "roll-pitch", "split")
 
 
-app = Commands(
+app = CommandGroup(
     help="Find a vehicle's parameters: from bench data, from flights, and plan the flights that show them.",
     no_args_is_help=True,
 )
@@ -42,45 +50,43 @@ app = Commands(
 @app.command()
 def flight(
     logs: Annotated[
-        list[Path], argument("LOG...", "Flight records that `mufly log` reads: MCAP, CSV, ULog, ...")
+        list[Path], define_argument("LOG...", "Flight records that `mufly log` reads: MCAP, CSV, ULog, ...")
     ],
     free: Annotated[
         str,
-        option(
+        define_option(
             "SYMBOLS",
             "What to find: symbols of `mufly vehicle show`, besides 'delay' (input to vehicle) and "
             "'bias_p' and the like; commas between.",
         ),
     ],
     vehicle: Annotated[
-        str, option("NAME|FILE", "Start values; their sources say how far they may be pulled.")
+        str, define_option("NAME|FILE", "Start values; their sources say how far they may be pulled.")
     ] = "mufly-1.1",
-    out: Annotated[
-        Path | None, option("--out --write NEW.toml", "Write the identified vehicle there.")
-    ] = None,
-    report: Annotated[Path | None, option("DIR", "Write report.html with its pictures there.")] = None,
+    out: Annotated[Path | None, define_option("--out --write NEW.toml", "Write the identified vehicle there.")] = None,
+    report: Annotated[Path | None, define_option("DIR", "Write report.html with its pictures there.")] = None,
     hold_out: Annotated[
-        list[Path] | None, option("LOG", "Predict this record, do not fit it. May be repeated.")
+        list[Path] | None, define_option("LOG", "Predict this record, do not fit it. May be repeated.")
     ] = None,
     hold_out_share: Annotated[
         float,
-        option("--hold-out-share", "Without --hold-out: the last share of every log is held out.", unit="1"),
+        define_option("--hold-out-share", "Without --hold-out: the last share of every log is held out.", unit="1"),
     ] = 0.25,
     part: Annotated[
-        str, option("NAME", "both at once, heave-yaw, roll-pitch, or split: one after the other.")
+        str, define_option("NAME", "both at once, heave-yaw, roll-pitch, or split: one after the other.")
     ] = "both",
     outputs: Annotated[
-        str | None, option("NAMES", "Use these measurements only: height, yaw, r, roll, p, ...")
+        str | None, define_option("NAMES", "Use these measurements only: height, yaw, r, roll, p, ...")
     ] = None,
     prefix: Annotated[
-        str, option("NAME", "What to take from a recording: measured, estimated or truth.")
+        str, define_option("NAME", "What to take from a recording: measured, estimated or truth.")
     ] = "measured",
     columns: Annotated[
-        Path | None, option("--map MAP.toml", "Column map of foreign logs; see docs/logs.md.")
+        Path | None, define_option("--map MAP.toml", "Column map of foreign logs; see docs/logs.md.")
     ] = None,
     voltage: Annotated[
         str,
-        option(
+        define_option(
             "--voltage",
             "Battery: 'model' (charge found), 'measured', 'nominal', or a number.",
             unit="V",
@@ -88,38 +94,39 @@ def flight(
         ),
     ] = "model",
     delay_ms: Annotated[
-        float, option("--delay", "Time from recorded input to vehicle; start value if free.", unit="ms")
+        float,
+        define_option("--delay", "Time from recorded input to vehicle; start value if free.", unit="ms"),
     ] = 0.0,
     window: Annotated[
         float | None,
-        option("--window", "Last stage in windows of this length, not whole records.", unit="s"),
+        define_option("--window", "Last stage in windows of this length, not whole records.", unit="s"),
     ] = None,
     method: Annotated[
-        str, option("NAME", "lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation).")
+        str, define_option("NAME", "lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation).")
     ] = "lm",
-    seed: Annotated[int, option("K", "Of CMA-ES.", min=0)] = 0,
-    restarts: Annotated[int, option("N", "Of CMA-ES, each with twice the population.", min=0)] = 0,
-    no_prior: Annotated[bool, option("--no-prior", "Start values do not weigh in.")] = False,
+    seed: Annotated[int, define_option("K", "Of CMA-ES.", min=0)] = 0,
+    restarts: Annotated[int, define_option("N", "Of CMA-ES, each with twice the population.", min=0)] = 0,
+    no_prior: Annotated[bool, define_option("--no-prior", "Start values do not weigh in.")] = False,
     held_exact: Annotated[
         bool,
-        option("--held-exact", "What is not free is known exactly; its doubt does not widen the intervals."),
+        define_option("--held-exact", "What is not free is known exactly; its doubt does not widen the intervals."),
     ] = False,
     as_is: Annotated[
         bool,
-        option(
+        define_option(
             "--as-is",
             "Fit records whose units, signs, axes or clocks seem wrong; say so instead of refusing.",
         ),
     ] = False,
     checkpoint: Annotated[
         Path | None,
-        option(
+        define_option(
             "FILE",
             "Kept every iteration; a stopped fit goes on from it. Default: beside --out, none without.",
         ),
     ] = None,
-    cluster: Annotated[str | None, option("ADDRESS", "Fly on a dask cluster, as tcp://host:8786.")] = None,
-    fresh: Annotated[bool, option("--fresh", "Do not go on from a checkpoint.")] = False,
+    cluster: Annotated[str | None, define_option("ADDRESS", "Fly on a dask cluster, as tcp://host:8786.")] = None,
+    fresh: Annotated[bool, define_option("--fresh", "Do not go on from a checkpoint.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Fit the flight model to flight records, and predict records that the fit did not see.
@@ -129,99 +136,97 @@ def flight(
     Example: mufly identify flight yaw.mcap heave.mcap roll.mcap pitch.mcap --hold-out mixed.mcap
     --free cQ_up,cQ_dw,Izz,Iyy,l_up,l_dw,Tf_up,delay --delay 20 --out mine.toml --report report
     """
-    from mufly.identify import choose_free, fit_flights, fit_split
-    from mufly.identify import split as cut
-    from mufly.identify.flight.simulate import on_cluster
-    from mufly.identify.record import OUTPUTS
+    from mufly.identify import choose_free_parameters, fit_flight_records, fit_parts_separately
+    from mufly.identify import split_record as cut
+    from mufly.identify.flight.batch_simulation import run_on_cluster
+    from mufly.identify.flight_record import FLIGHT_OUTPUTS
     from mufly.vehicle import load_vehicle
 
-    one_of("--part", part, _PARTS)
-    one_of("--method", method, ("lm", "cma"))
+    check_choice("--part", part, _MODEL_PARTS)
+    check_choice("--method", method, ("lm", "cma"))
     if not 0.0 <= hold_out_share <= 0.8:
         raise InputError("--hold-out-share", "", f"{hold_out_share:g} is no share", "give 0 to 0.8")
     if not 0.0 <= delay_ms <= 1000.0:
         raise InputError("--delay", "", f"{delay_ms:g} ms is not possible", "give 0 to 1000 ms")
     if window is not None and not window > 0.0:
-        raise InputError(
-            "--window", "", f"{window:g} s is no length", "give a number above 0, or leave it out"
-        )
-    one_of("--prefix", prefix, ("measured", "estimated", "truth"))
+        raise InputError("--window", "", f"{window:g} s is no length", "give a number above 0, or leave it out")
+    check_choice("--prefix", prefix, ("measured", "estimated", "truth"))
     chosen = None if outputs is None else [o.strip() for o in outputs.split(",") if o.strip()]
     for name in chosen or ():
-        one_of("--outputs", name, OUTPUTS)
-    check_file("--out", out)
-    check_folder("--report", report)
-    check_file("--checkpoint", checkpoint)
+        check_choice("--outputs", name, FLIGHT_OUTPUTS)
+    check_writable_file("--out", out)
+    ensure_folder("--report", report)
+    check_writable_file("--checkpoint", checkpoint)
     start = load_vehicle(vehicle)
-    records, said = _read(logs, columns, prefix, start, as_is)
-    held, more = _read(hold_out or [], columns, prefix, start, as_is)
+    records, said = _read_records(logs, columns, prefix, start, as_is)
+    held, more = _read_records(hold_out or [], columns, prefix, start, as_is)
     if not hold_out and hold_out_share > 0:
         parts = [cut(r, hold_out_share) for r in records]
         records, held = [p[0] for p in parts], [p[1] for p in parts]
     if not as_json:
-        say(*said, *more, mark="Note", style="yellow")
+        print_lines(*said, *more, mark="Note", style="yellow")
     measured = sorted({o for r in records for o in r.outputs})
     symbols = [s.strip() for s in free.split(",") if s.strip()]
-    wanted = choose_free(start, symbols, measured, delay_s=delay_ms / 1e3)
+    wanted = choose_free_parameters(start, symbols, measured, delay_s=delay_ms / 1e3)
     keep = checkpoint or (None if out is None else out.with_name(f"{out.name}.checkpoint.json"))
-    kept = [] if keep is None else [keep, *(keep.with_name(f"{keep.name}.{p}") for p in _PARTS[1:3])]
+    kept = [] if keep is None else [keep, *(keep.with_name(f"{keep.name}.{p}") for p in _MODEL_PARTS[1:3])]
     if fresh:
         for path in kept:
             path.unlink(missing_ok=True)
     elif any(p.exists() for p in kept) and not as_json:
-        say(f"Going on from {keep}.")
+        print_lines(f"Going on from {keep}.")
     options: dict[str, Any] = {
-        "held_out": held, "voltage": _voltage(voltage), "delay_s": delay_ms / 1e3, "prior": not no_prior,
+        "held_out": held, "voltage": _parse_voltage(voltage), "delay_s": delay_ms / 1e3, "prior": not no_prior,
         "window_s": window, "method": method, "seed": seed, "restarts": restarts, "checkpoint": keep,
         "outputs": chosen, "held_exact": held_exact,
     }  # fmt: skip
     try:
-        with on_cluster(cluster), _fit_progress(not as_json) as on_progress:
+        with run_on_cluster(cluster), _fit_progress(not as_json) as on_progress:
             if part == "split":
-                fit = fit_split(start, wanted, records, on_progress=on_progress, **options)
+                fit = fit_parts_separately(start, wanted, records, on_progress=on_progress, **options)
             else:
-                fit = fit_flights(start, wanted, records, part=part, on_progress=on_progress, **options)  # type: ignore[arg-type]
+                fit = fit_flight_records(start, wanted, records, part=part, on_progress=on_progress, **options)  # type: ignore[arg-type]
     except KeyboardInterrupt:
         where = "" if keep is None else f"; the same command goes on from {keep}"
         typer.secho(f"mufly: stopped{where}", fg=typer.colors.YELLOW, err=True)
         raise typer.Exit(130) from None
-    note = f"identified {today()} from {', '.join(p.name for p in logs)}"
+    note = f"identified {format_today()} from {', '.join(p.name for p in logs)}"
     written = write_vehicle(start, fit.estimates, out, note, "--out")
-    page = _report(fit, report, not as_json)
+    page = _write_report(fit, report, not as_json)
     for path in kept:
         path.unlink(missing_ok=True)
     if as_json:
-        print_json(_json(fit))
+        print_json(_fit_to_json(fit))
         return
     print_estimates(fit.estimates, fit.vehicle)
-    _print_rest(fit)
-    tell_files(written, "Vehicle")
-    tell_files(page, "Report")
+    _print_fit_remarks(fit)
+    print_files(written, "Vehicle")
+    print_files(page, "Report")
 
 
-def _voltage(text: str) -> str | float:
+def _parse_voltage(text: str) -> str | float:
     return text if text in ("model", "measured", "nominal") else read_quantity("--voltage", text, "V")
 
 
-def _read(
+def _read_records(
     paths: list[Path], columns: Path | None, prefix: str, vehicle: Vehicle, as_is: bool
-) -> tuple[list[Record], list[str]]:
-    from mufly.identify import check_flights, record_from
+) -> tuple[list[FlightRecord], list[str]]:
+    from mufly.identify import check_flight_records, make_record
     from mufly.logs import LogWarning, read_log
 
-    records: list[Record] = []
+    records: list[FlightRecord] = []
     said: list[str] = []
     for path in paths:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LogWarning)  # printed with the others
             data = read_log(path, columns=columns)
         said += [f"{path.name}: {note}" for note in data.attrs.get("notes", [])]
-        records.append(record_from(data, path.name, prefix=prefix))
-    return records, [*said, *check_flights(records, vehicle, as_is=as_is)]
+        records.append(make_record(data, path.name, prefix=prefix))
+    return records, [*said, *check_flight_records(records, vehicle, as_is=as_is)]
 
 
 @contextmanager
-def _fit_progress(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
+def _fit_progress(shown: bool) -> Iterator[Callable[[FitProgress], None] | None]:
     """Show stage, iteration, cost, parameters and an upper bound of the time left, on standard error."""
     if not shown:
         yield None
@@ -233,20 +238,20 @@ def _fit_progress(shown: bool) -> Iterator[Callable[[Progress], None] | None]:
         TextColumn("{task.description}"), BarColumn(bar_width=20), TimeElapsedColumn(), TextColumn("at most"),
         TimeRemainingColumn(), TextColumn("left"),
     )  # fmt: skip
-    with Bar(*columns, console=console(stderr=True), transient=True) as bar:
+    with Bar(*columns, console=make_console(stderr=True), transient=True) as bar:
         task, values = bar.add_task("start", total=None), bar.add_task("", total=None, visible=False)
 
-        def show(p: Progress) -> None:
-            done = p.stage - 1 + min(1.0, p.iteration / p.iterations)
-            text = f"{p.what} ({p.stage}/{p.stages}), iteration {p.iteration}, cost {p.cost:.6g}"
-            bar.update(task, description=text, completed=done, total=p.stages)
+        def show_progress(p: FitProgress) -> None:
+            done = p.stage - 1 + min(1.0, p.iteration / p.max_iterations)
+            text = f"{p.stage_name} ({p.stage}/{p.stage_count}), iteration {p.iteration}, cost {p.cost:.6g}"
+            bar.update(task, description=text, completed=done, total=p.stage_count)
             named = "  ".join(f"{s} {v:.4g}" for s, v in list(p.values.items())[:6])
             bar.update(values, description=named, visible=True)
 
-        yield show
+        yield show_progress
 
 
-def _report(fit: Fit, folder: Path | None, shown: bool) -> list[Path]:
+def _write_report(fit: FitResult, folder: Path | None, shown: bool) -> list[Path]:
     """Write the report of a fit, with a bar if ``shown``; return its page, nothing without a folder."""
     if folder is None:
         return []
@@ -256,25 +261,25 @@ def _report(fit: Fit, folder: Path | None, shown: bool) -> list[Path]:
         return [write_report(fit, folder, progress=progress)]
 
 
-def _print_rest(fit: Fit) -> None:
+def _print_fit_remarks(fit: FitResult) -> None:
     """Print what stands below the table: what is not seen, errors by record, how the fit ended."""
-    say(*(f"{text}." for text in fit.unseen), mark="Not told apart", style="yellow")
-    say(*(f"{text}." for text in fit.held), mark="In doubt for what was held")
+    print_lines(*(f"{text}." for text in fit.unseen), mark="Not told apart", style="yellow")
+    print_lines(*(f"{text}." for text in fit.held), mark="In doubt for what was held")
     rows = []
     for r in fit.records:
         ratios = zip(r.outputs, r.rms_over_noise(), strict=True)
         rows.append((r.name, r.role, ", ".join(f"{o} {v:.2f}" for o, v in ratios)))
     print_table(("record", "", "error over the sensor's noise (1: nothing else)"), rows, text=(0, 1, 2))
-    say(*(f"{r.doubt}." for r in fit.records if r.doubt), mark="Warning", style="red")
+    print_lines(*(f"{r.doubt}." for r in fit.records if r.doubt), mark="Warning", style="red")
     state = "Converged" if fit.converged else "NOT converged"
     detail = "" if fit.message == "converged" else f" ({fit.message})"
-    say(
+    print_lines(
         f"{state}{detail}: cost {fit.cost:.6g}, {fit.simulations} simulated flights, {fit.seconds:.1f} s",
         style="green" if fit.converged else "red",
     )
 
 
-def _json(fit: Fit) -> dict[str, Any]:
+def _fit_to_json(fit: FitResult) -> dict[str, Any]:
     return {
         "vehicle": fit.vehicle,
         "method": fit.method,
@@ -297,14 +302,12 @@ def _json(fit: Fit) -> dict[str, Any]:
 
 @app.command()
 def demo(
-    seed: Annotated[int, option("K", "Of pilot, noise and starts.", min=0)] = 0,
-    method: Annotated[str, option("NAME", "lm or cma.")] = "lm",
-    moving: Annotated[
-        bool, option("--moving", "Records begin in mid-flight, not in a steady hover.")
-    ] = False,
-    report: Annotated[Path | None, option("DIR", "Write report.html with its pictures there.")] = None,
+    seed: Annotated[int, define_option("K", "Of pilot, noise and starts.", min=0)] = 0,
+    method: Annotated[str, define_option("NAME", "lm or cma.")] = "lm",
+    moving: Annotated[bool, define_option("--moving", "Records begin in mid-flight, not in a steady hover.")] = False,
+    report: Annotated[Path | None, define_option("DIR", "Write report.html with its pictures there.")] = None,
     logs: Annotated[
-        Path | None, option("DIR", "Write the five flights there (MCAP), for `identify flight`.")
+        Path | None, define_option("DIR", "Write the five flights there (MCAP), for `identify flight`.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -312,48 +315,48 @@ def demo(
 
     Twelve parameters start 50 % off. Example: mufly identify demo --seed 3 --report report
     """
-    from mufly.identify import run_demo
+    from mufly.identify import run_identification_demo
 
-    one_of("--method", method, ("lm", "cma"))
-    check_folder("--report", report)
-    check_folder("--logs", logs)
+    check_choice("--method", method, ("lm", "cma"))
+    ensure_folder("--report", report)
+    ensure_folder("--logs", logs)
     if logs is not None:
         _write_flights(logs, seed, moving)
     with _fit_progress(not as_json) as on_progress:
-        shown = run_demo(seed=seed, method=method, moving=moving, on_progress=on_progress)  # type: ignore[arg-type]
-    page = _report(shown.fit, report, not as_json)
+        shown = run_identification_demo(seed=seed, method=method, moving=moving, on_progress=on_progress)  # type: ignore[arg-type]
+    page = _write_report(shown.fit, report, not as_json)
     if as_json:
         print_json(shown.as_dict())
         return
     _print_demo(shown)
-    tell_files(page, "Report")
+    print_files(page, "Report")
 
 
 def _write_flights(folder: Path, seed: int, moving: bool) -> None:
-    from mufly.identify.flight.demo import demo_flights
-    from mufly.identify.record import dataset_of
+    from mufly.identify.flight.identification_demo import fly_demo_flights
+    from mufly.identify.flight_record import record_to_dataset
     from mufly.logs import write_log
     from mufly.vehicle import load_vehicle
 
-    fit, held = demo_flights(load_vehicle("mufly-1.1"), seed=seed, moving=moving)
+    fit, held = fly_demo_flights(load_vehicle("mufly-1.1"), seed=seed, moving=moving)
     for r in (*fit, *held):
-        write_log(dataset_of(r), folder / f"{r.name}.mcap")
+        write_log(record_to_dataset(r), folder / f"{r.name}.mcap")
 
 
-def _print_demo(shown: Demo) -> None:
-    inside, estimates = shown.inside(), shown.fit.estimates
+def _print_demo(shown: IdentificationDemo) -> None:
+    inside, estimates = shown.truth_inside_interval(), shown.fit.estimates
     beside = {
         "truth": {k: f"{v:.5g}" for k, v in shown.truth.items()},
         "off": {e.symbol: f"{100 * (e.value / shown.truth[e.symbol] - 1):+.2f} %" for e in estimates},
         "": {k: "" if held else "outside" for k, held in inside.items()},
     }
     print_estimates(estimates, f"Demonstration, seed {shown.seed}", beside)
-    _print_rest(shown.fit)
-    say(
+    _print_fit_remarks(shown.fit)
+    print_lines(
         f"{sum(inside.values())} of {len(inside)} intervals hold the truth; prediction error of the flight that was "
         f"not fitted is {shown.held_out_over_noise:.3f} of the sensors' noise."
     )
 
 
-bench.add_to(app)
-linear.add_to(app)
+bench.register_bench_commands(app)
+linear.register_linear_commands(app)

@@ -8,52 +8,59 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from mufly.cli.options import Commands, JsonOption, Range, argument, one_of, option
-from mufly.cli.present import (
-    check_folder,
+from mufly.cli.options import (
+    CommandGroup,
+    JsonOption,
+    OptionRange,
+    check_choice,
+    define_argument,
+    define_option,
+)
+from mufly.cli.output import (
+    ensure_folder,
+    print_files,
     print_json,
+    print_lines,
     print_table,
     progress_bar,
-    save_picture,
-    say,
-    tell_files,
+    save_figure,
     write_csv,
 )
 from mufly.errors import InputError
-from mufly.grammar import read_band, read_values
-from mufly.results import plain
+from mufly.quantity_grammar import read_interval, read_values
+from mufly.results import to_plain_data
 
 if TYPE_CHECKING:
-    from mufly.identify import Columns, LinearResult
+    from mufly.identify import LinearResult, LogColumns
     from mufly.identify.linear.bandwidth import Bandwidth
-    from mufly.identify.linear.equations import EquationModel
-    from mufly.identify.linear.frequency import FrequencyResponse
-    from mufly.identify.linear.sweep import TransferFit
+    from mufly.identify.linear.equation_model import EquationModel
+    from mufly.identify.linear.frequency_response import FrequencyResponse
+    from mufly.identify.linear.sweep_response import TransferFunctionFit
 
 LogsArgument = Annotated[
-    list[Path], argument("LOG...", "CSV, MATLAB file, or any flight log that `mufly log` reads.")
+    list[Path], define_argument("LOG...", "CSV, MATLAB file, or any flight log that `mufly log` reads.")
 ]
 InputsOption = Annotated[
     str,
-    option(
+    define_option(
         "NAMES",
         "lat, lon, ped, col, each with =COLUMN if the log calls it otherwise; =-COLUMN turns the sign, "
         "=m3+m4-m1-m2 adds columns, =0.5*COLUMN scales.",
     ),
 ]
 OutputsOption = Annotated[
-    str, option("NAMES", "Some of p, q, r, phi, theta, u, v, w, with =COLUMN where needed.")
+    str, define_option("NAMES", "Some of p, q, r, phi, theta, u, v, w, with =COLUMN where needed.")
 ]
 ColumnsOption = Annotated[
     list[str] | None,
-    option(
+    define_option(
         "[ARRAY=]NAMES",
         "Names of a file's columns where it has none: a,b,c for CSV, inr=lat,lon,ped,col for an "
         "array of a MATLAB file ('-' skips one). May be repeated.",
     ),
 ]
-FromOption = Annotated[float | None, option("--from", "Begin at this time of the log's own clock.", unit="s")]
-ToOption = Annotated[float | None, option("--to", "End at this time.", unit="s")]
+FromOption = Annotated[float | None, define_option("--from", "Begin at this time of the log's own clock.", unit="s")]
+ToOption = Annotated[float | None, define_option("--to", "End at this time.", unit="s")]
 
 
 def linear(
@@ -63,7 +70,7 @@ def linear(
     columns: ColumnsOption = None,
     method: Annotated[
         str,
-        option(
+        define_option(
             "NAME",
             "output-error (one log, simulated as a whole) or equation-error (any number of logs, terms chosen "
             "step by step: for vehicles flown under feedback).",
@@ -71,7 +78,7 @@ def linear(
     ] = "output-error",
     model: Annotated[
         str,
-        option(
+        define_option(
             "NAME",
             "auto (cross-validated inside the fitted part), helicopter (hybrid flapping, coupled, "
             "yaw gyro), or first-order, second-order, hybrid with any of -coupled, -collective, "
@@ -79,20 +86,21 @@ def linear(
         ),
     ] = "auto",
     split: Annotated[
-        float, option("--split", "First share of the record that the fit may see; 1: all.", unit="1")
+        float, define_option("--split", "First share of the record that the fit may see; 1: all.", unit="1")
     ] = 0.5,
     split_at: Annotated[
-        float | None, option("--split-at", "The same as a time in the record, before --split.", unit="s")
+        float | None,
+        define_option("--split-at", "The same as a time in the record, before --split.", unit="s"),
     ] = None,
     hold_out: Annotated[
         list[Path] | None,
-        option("LOG", "With equation-error: predict this log, do not fit it. May be repeated."),
+        define_option("LOG", "With equation-error: predict this log, do not fit it. May be repeated."),
     ] = None,
     start_s: FromOption = None,
     end_s: ToOption = None,
     lowpass: Annotated[
         float | None,
-        option(
+        define_option(
             "--lowpass",
             "Inputs and outputs are filtered alike for the fit; 0: not at all. Default: 5, of equation error 10.",
             unit="Hz",
@@ -100,26 +108,26 @@ def linear(
     ] = None,
     highpass: Annotated[
         float | None,
-        option(
+        define_option(
             "--highpass",
             "With equation-error: lowest frequency that counts. Default: where the inputs explain the output.",
             unit="Hz",
         ),
     ] = None,
-    domain: Annotated[str, option("NAME", "With equation-error: frequency or time.")] = "frequency",
+    domain: Annotated[str, define_option("NAME", "With equation-error: frequency or time.")] = "frequency",
     products: Annotated[
-        bool, option("--products", "With equation-error: products of two rates are candidates, too.")
+        bool, define_option("--products", "With equation-error: products of two rates are candidates, too.")
     ] = False,
     without: Annotated[
-        str, option("SYMBOLS", "With equation-error: terms that are no candidates, as L_p,M_q.")
+        str, define_option("SYMBOLS", "With equation-error: terms that are no candidates, as L_p,M_q.")
     ] = "",
     rate: Annotated[
-        float, option("--rate", "Rate of the samples that the fit uses; 0: all of them.", unit="Hz")
+        float, define_option("--rate", "Rate of the samples that the fit uses; 0: all of them.", unit="Hz")
     ] = 25.0,
-    starts: Annotated[int, option("N", "Searches from different starts.", min=1)] = 6,
-    seed: Annotated[int, option("K", "Of the random starts.")] = 0,
-    hold: Annotated[bool, option("--hold", "Inputs are held between samples, not joined.")] = False,
-    out: Annotated[Path | None, option("DIR", "Write report.html and its pictures (PNG) there.")] = None,
+    starts: Annotated[int, define_option("N", "Searches from different starts.", min=1)] = 6,
+    seed: Annotated[int, define_option("K", "Of the random starts.")] = 0,
+    hold: Annotated[bool, define_option("--hold", "Inputs are held between samples, not joined.")] = False,
+    out: Annotated[Path | None, define_option("DIR", "Write report.html and its pictures (PNG) there.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Fit a linear model to the first part of a flight record, or to several, and predict the rest from its inputs.
@@ -128,23 +136,23 @@ def linear(
 
     Example: mufly identify linear a.csv b.csv --hold-out c.csv --method equation-error --inputs lat,lon --outputs p,q
     """
-    one_of("--method", method, ("output-error", "equation-error"))
-    one_of("--domain", domain, ("time", "frequency"))
-    check_folder("--out", out)
+    check_choice("--method", method, ("output-error", "equation-error"))
+    check_choice("--domain", domain, ("time", "frequency"))
+    ensure_folder("--out", out)
     if starts < 1:
         raise InputError("--starts", "", f"{starts} is no number of searches", "give 1 or more")
-    records = [_record(log, columns, start_s, end_s) for log in logs]
+    records = [_read_record(log, columns, start_s, end_s) for log in logs]
     if method == "equation-error":
-        held = [_record(log, columns, None, None) for log in hold_out or ()]
+        held = [_read_record(log, columns, None, None) for log in hold_out or ()]
         if len(records) == 1 and not held and split < 1.0:
             n = len(records[0].time_s)
             cut = round(split * n) if split_at is None else int((records[0].time_s < split_at).sum())
-            records, held = [records[0].part(0, cut)], [records[0].part(cut, n)]
-        _by_equations(
+            records, held = [records[0].slice_samples(0, cut)], [records[0].slice_samples(cut, n)]
+        _fit_by_equations(
             records,
             held,
-            _names(inputs),
-            _names(outputs),
+            _parse_column_names(inputs),
+            _parse_column_names(outputs),
             products,
             without,
             domain,
@@ -159,32 +167,41 @@ def linear(
             "--method", method, "fits one record and holds out its second part",
             "give one LOG, or --method equation-error",
         )  # fmt: skip
-    from mufly.identify.linear.identification import identify_linear
+    from mufly.identify.linear.linear_identification import identify_linear_model
 
     with progress_bar("structures and searches", not as_json) as progress:
-        result = identify_linear(
-            records[0], _names(inputs), _names(outputs), model=model, split=split, split_at_s=split_at,
-            lowpass_hz=(5.0 if lowpass is None else lowpass) or None, rate_hz=rate or None, starts=starts, seed=seed,
-            hold=hold, progress=progress,
-        )  # fmt: skip
+        result = identify_linear_model(
+            records[0],
+            _parse_column_names(inputs),
+            _parse_column_names(outputs),
+            model=model,
+            split=split,
+            split_at_s=split_at,
+            lowpass_hz=(5.0 if lowpass is None else lowpass) or None,
+            rate_hz=rate or None,
+            starts=starts,
+            seed=seed,
+            hold=hold,
+            progress=progress,
+        )
     report = []
     if out is not None:
-        from mufly.identify.report import write_linear_report
+        from mufly.identify.fit_report import write_linear_report
 
         with progress_bar("pictures", not as_json) as progress:
             report.append(write_linear_report(result, out, progress=progress))
     if as_json:
-        print_json(_linear_json(result))
+        print_json(_linear_result_to_json(result))
         return
     _print_linear(result)
-    tell_files(report, "Report")
+    print_files(report, "Report")
 
 
-def _record(log: Path, columns: Sequence[str] | None, start_s: float | None, end_s: float | None) -> Columns:
+def _read_record(log: Path, columns: Sequence[str] | None, start_s: float | None, end_s: float | None) -> LogColumns:
     """Read a log, or a part of it."""
-    from mufly.identify.record import read_columns
+    from mufly.identify.flight_record import read_columns
 
-    record = read_columns(log, columns=_columns(columns or ()))
+    record = read_columns(log, columns=_parse_array_columns(columns or ()))
     if start_s is None and end_s is None:
         return record
     t = record.time_s
@@ -195,46 +212,46 @@ def _record(log: Path, columns: Sequence[str] | None, start_s: float | None, end
             "--from, --to", "", f"leave {max(b - a, 0)} samples of {log.name}, which lasts from {t[0]:.2f} to "
             f"{t[-1]:.2f} s", "leave at least 100",
         )  # fmt: skip
-    return record.part(a, b)
+    return record.slice_samples(a, b)
 
 
-def _by_equations(
-    records: Sequence[Columns], held: Sequence[Columns], inputs: Mapping[str, str], outputs: Mapping[str, str],
+def _fit_by_equations(
+    records: Sequence[LogColumns], held: Sequence[LogColumns], inputs: Mapping[str, str], outputs: Mapping[str, str],
     products: bool, without: str, domain: str, lowpass: float | None, highpass: float | None, out: Path | None,
     as_json: bool,
 ) -> None:  # fmt: skip
-    from mufly.identify.linear import equations as e
+    from mufly.identify.linear import equation_model as e
 
     with progress_bar("equations", not as_json) as progress:
-        model = e.identify_equations(
+        model = e.identify_equation_model(
             records, inputs, outputs, held_out=held, products=products, domain=domain, low_hz=highpass,
             without=[w.strip() for w in without.split(",") if w.strip()], cut_hz=lowpass or 10.0, progress=progress,
         )  # fmt: skip
     report = []
     if out is not None:
-        from mufly.identify import Section, write_report
+        from mufly.identify import ReportSection, write_report
 
         sections = [
-            Section("Equations", (), *e.equation_rows(model)),
-            Section("How the terms were chosen", (), *e.step_rows(model)),
-            Section("How well the equations tell the records", (e.SCORES,), *e.score_rows(model)),
+            ReportSection("Equations", (), *e.equation_table(model)),
+            ReportSection("How the terms were chosen", (), *e.stepwise_table(model)),
+            ReportSection("How well the equations tell the records", (e.SCORES_EXPLANATION,), *e.score_table(model)),
         ]
         with progress_bar("pictures", not as_json) as progress:
-            report.append(write_report(e.equation_fit(model), out, sections=sections, progress=progress))
+            report.append(write_report(e.equation_fit_result(model), out, sections=sections, progress=progress))
     if as_json:
-        print_json(_equation_json(model))
+        print_json(_equation_model_to_json(model))
         return
-    say(*model.notes, mark="Note")
-    print_table(*e.equation_rows(model), title="Equations", text=(0, 1, 2, 3, 7))
-    print_table(*e.score_rows(model), title="How well they tell the records (%)", text=(0, 1))
-    say(*(f"{k + 1}: {f.name}" for k, f in enumerate(model.records)), style="dim")
-    say(e.SCORES, style="dim")
-    tell_files(report, "Report")
+    print_lines(*model.notes, mark="Note")
+    print_table(*e.equation_table(model), title="Equations", text=(0, 1, 2, 3, 7))
+    print_table(*e.score_table(model), title="How well they tell the records (%)", text=(0, 1))
+    print_lines(*(f"{k + 1}: {f.name}" for k, f in enumerate(model.records)), style="dim")
+    print_lines(e.SCORES_EXPLANATION, style="dim")
+    print_files(report, "Report")
 
 
-def _equation_json(model: EquationModel) -> dict[str, Any]:
+def _equation_model_to_json(model: EquationModel) -> dict[str, Any]:
     equations = [
-        {**plain(e), "symbols": e.symbols, "units": e.units, "terms": ["*".join(t) for t in e.terms]}
+        {**to_plain_data(e), "symbols": e.symbols, "units": e.units, "terms": ["*".join(t) for t in e.terms]}
         for e in model.equations
     ]
     return {
@@ -243,7 +260,7 @@ def _equation_json(model: EquationModel) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _names(text: str) -> dict[str, str]:
+def _parse_column_names(text: str) -> dict[str, str]:
     found = {}
     for part in text.split(","):
         name, _, column = part.strip().partition("=")
@@ -252,95 +269,107 @@ def _names(text: str) -> dict[str, str]:
     return found
 
 
-def _columns(given: Sequence[str]) -> Mapping[str, Sequence[str]] | Sequence[str]:
+def _parse_array_columns(given: Sequence[str]) -> Mapping[str, Sequence[str]] | Sequence[str]:
     arrays = {a: names.split(",") for a, equals, names in (g.partition("=") for g in given) if equals}
     return arrays if arrays else [n for g in given for n in g.split(",")]
 
 
 def _print_linear(r: LinearResult) -> None:
-    from mufly.identify.report import ahead_rows, candidate_rows, estimate_rows, pole_text, quality_rows
+    from mufly.identify.fit_report import (
+        candidate_table,
+        estimate_table,
+        format_pole,
+        prediction_table,
+        quality_table,
+    )
 
-    say(*r.notes, mark="Note")
+    print_lines(*r.notes, mark="Note")
     if r.candidates:
-        print_table(*candidate_rows(r), title="Structures, cross-validated inside the fitted part")
-    print_table(*estimate_rows(r), title=f"Model {r.fit.vehicle}")
-    say(f"Poles: {', '.join(pole_text(p) for p in r.linear.poles)} rad/s", r.linear.message)
-    print_table(*quality_rows(r), title="Pure simulation from inputs", text=(0, 1))
-    say(
+        print_table(*candidate_table(r), title="Structures, cross-validated inside the fitted part")
+    print_table(*estimate_table(r), title=f"Model {r.fit.vehicle}")
+    print_lines(f"Poles: {', '.join(format_pole(p) for p in r.linear.poles)} rad/s", r.linear.message)
+    print_table(*quality_table(r), title="Pure simulation from inputs", text=(0, 1))
+    print_lines(
         "at most: with no error but the noise floor; to angle: against the derivative of the measured angle; error and "
         f"noise: rms below {r.slow_hz:g} Hz (noise >: above it), in the output's unit; Theil: 0 exact, 1 no relation",
         style="dim",
     )
     if r.ahead:
         print_table(
-            *ahead_rows(r), title=f"Held-out part, predicted a time ahead (low-passed at {r.slow_hz:g} Hz)"
+            *prediction_table(r),
+            title=f"Held-out part, predicted a time ahead (low-passed at {r.slow_hz:g} Hz)",
         )
     for title, words in (
         ("What the residuals of the fitted part show:", r.missing),
         ("What the data cannot tell:", r.fit.unseen),
     ):
         if words:
-            say(title, *(f"- {w}" for w in words))
+            print_lines(title, *(f"- {w}" for w in words))
 
 
-def _linear_json(r: LinearResult) -> dict[str, Any]:
-    def each(name: str) -> dict[str, list[Any]]:
+def _linear_result_to_json(r: LinearResult) -> dict[str, Any]:
+    def check_values(name: str) -> dict[str, list[Any]]:
         return {role: [getattr(c, name) for c in checks] for role, checks in r.checks.items()}
 
-    floors = {role: [{**plain(f), "total": f.total} for f in found] for role, found in each("floor").items()}
+    floors = {
+        role: [{**to_plain_data(f), "total": f.total} for f in found] for role, found in check_values("floor").items()
+    }
     return {
         "model": r.fit.vehicle, "estimates": r.fit.estimates, "poles_rad_s": r.linear.poles,
-        "candidates": r.candidates, "outputs": r.linear.structure.outputs, "quality": each("quality"),
-        "quality_slow": each("slow"), "slow_hz": r.slow_hz, "noise_floor": floors,
-        "ceiling_percent": each("ceiling"), "ceiling_slow_percent": each("ceiling_slow"),
-        "against_angle_percent": each("against_angle"), "ahead": r.ahead, "missing": r.missing,
+        "candidates": r.candidates, "outputs": r.linear.structure.outputs, "quality": check_values("quality"),
+        "quality_slow": check_values("slow"), "slow_hz": r.slow_hz, "noise_floor": floors,
+        "ceiling_percent": check_values("ceiling"), "ceiling_slow_percent": check_values("ceiling_slow"),
+        "against_angle_percent": check_values("against_angle"), "ahead": r.ahead, "missing": r.missing,
         "unseen": r.fit.unseen, "notes": r.notes, "subspace_fit_percent": r.subspace_percent,
         "message": r.linear.message,
     }  # fmt: skip
 
 
-_ABOVE_ZERO = Range(1e-9, None)
+_POSITIVE_RANGE = OptionRange(1e-9, None)
 BandOption = Annotated[
     str | None,
-    option(
+    define_option(
         "--band",
         "Frequencies. Default: 2 periods in half the shortest log, to 10 Hz.",
         unit="Hz",
         form="band",
-        within=_ABOVE_ZERO,
+        within=_POSITIVE_RANGE,
     ),
 ]
 WindowsOption = Annotated[
     str | None,
-    option(
+    define_option(
         "--windows",
         "Lengths of the windows, as 20,10,5. Default: five, from half the shortest log down.",
         unit="s",
         form="values",
-        within=_ABOVE_ZERO,
+        within=_POSITIVE_RANGE,
     ),
 ]
 
 
-def _responses(
+def _compute_responses(
     logs: Sequence[Path], inputs: Mapping[str, str], outputs: Mapping[str, str], columns: Sequence[str] | None,
     start_s: float | None, end_s: float | None, band: str | None, windows: str | None, points: int,
 ) -> FrequencyResponse:  # fmt: skip
     """Composite responses of several logs together."""
-    from mufly.identify.linear.sweep import composite_response, window_lengths
+    from mufly.identify.linear.sweep_response import choose_window_lengths, estimate_composite_response
 
-    records = [_record(log, columns, start_s, end_s) for log in logs]
+    records = [_read_record(log, columns, start_s, end_s) for log in logs]
     dt = records[0].dt
     for r in records:
         if abs(r.dt / dt - 1.0) > 0.01:
             raise InputError(
                 r.name, "time", f"has {1 / r.dt:.4g} Hz, {records[0].name} {1 / dt:.4g} Hz", "resample one"
             )
-    us, ys = [r.stack(inputs, "inputs") for r in records], [r.stack(outputs, "outputs") for r in records]
+    us, ys = (
+        [r.stack_columns(inputs, "inputs") for r in records],
+        [r.stack_columns(outputs, "outputs") for r in records],
+    )
     shortest = min(len(u) for u in us) * dt
-    low, high = read_band("--band", band, "Hz") if band else (4.0 / shortest, min(10.0, 0.4 / dt))
-    lengths = read_values("--windows", windows, "s") if windows else window_lengths(shortest, low, high)
-    return composite_response(
+    low, high = read_interval("--band", band, "Hz") if band else (4.0 / shortest, min(10.0, 0.4 / dt))
+    lengths = read_values("--windows", windows, "s") if windows else choose_window_lengths(shortest, low, high)
+    return estimate_composite_response(
         us, ys, dt, windows_s=lengths, low_hz=low, high_hz=high, points=points, input_names=tuple(inputs),
         output_names=tuple(outputs),
     )  # fmt: skip
@@ -350,20 +379,20 @@ def frequency(
     logs: LogsArgument,
     inputs: Annotated[
         str,
-        option("NAMES", "Columns that drive, as lat,lon; NAME=COLUMN, =-COLUMN and sums as for `linear`."),
+        define_option("NAMES", "Columns that drive, as lat,lon; NAME=COLUMN, =-COLUMN and sums as for `linear`."),
     ] = "lat,lon,ped,col",
-    outputs: Annotated[str, option("NAMES", "Columns that answer, likewise.")] = "p,q,r",
+    outputs: Annotated[str, define_option("NAMES", "Columns that answer, likewise.")] = "p,q,r",
     columns: ColumnsOption = None,
     start_s: FromOption = None,
     end_s: ToOption = None,
     band: BandOption = None,
     windows: WindowsOption = None,
-    points: Annotated[int, option("N", "Frequencies.", min=8)] = 80,
+    points: Annotated[int, define_option("N", "Frequencies.", min=8)] = 80,
     fit: Annotated[
         str | None,
-        option("ZEROS/POLES", "Fit transfer functions with delay to coherent pairs, as 0/1 or 1/2."),
+        define_option("ZEROS/POLES", "Fit transfer functions with delay to coherent pairs, as 0/1 or 1/2."),
     ] = None,
-    out: Annotated[Path | None, option("DIR", "Write pictures (PNG) and responses.csv there.")] = None,
+    out: Annotated[Path | None, define_option("DIR", "Write pictures (PNG) and responses.csv there.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find frequency responses from sweeps: each input conditioned on the others, several windows in one, coherence.
@@ -373,9 +402,9 @@ def frequency(
     Example: mufly identify frequency lat.csv lon.csv --inputs lat,lon --outputs p,q --band 0.2:8 --fit 0/1 --out sweep
     """
     from mufly.errors import ArgumentError
-    from mufly.identify.linear.sweep import COHERENT, fit_transfer
+    from mufly.identify.linear.sweep_response import MIN_COHERENCE, fit_transfer_function
 
-    check_folder("--out", out)
+    ensure_folder("--out", out)
     orders = None
     if fit is not None:
         try:
@@ -383,12 +412,22 @@ def frequency(
             orders = (zeros, poles)
         except ValueError:
             raise InputError("--fit", "", f"{fit!r} is not ZEROS/POLES", "write 0/1 or 1/2") from None
-    data = _responses(logs, _names(inputs), _names(outputs), columns, start_s, end_s, band, windows, points)
+    data = _compute_responses(
+        logs,
+        _parse_column_names(inputs),
+        _parse_column_names(outputs),
+        columns,
+        start_s,
+        end_s,
+        band,
+        windows,
+        points,
+    )
     pairs = [(o, i) for o in range(len(data.outputs)) for i in range(len(data.inputs))]
     fits, unfitted, why = [], [], ""
     for o, i, (zeros, poles) in ((o, i, orders) for o, i in pairs if orders is not None):
         try:
-            fits.append(fit_transfer(data, o, i, zeros=zeros, poles=poles))
+            fits.append(fit_transfer_function(data, o, i, zeros=zeros, poles=poles))
         except ArgumentError:
             raise
         except InputError as error:
@@ -398,7 +437,7 @@ def frequency(
     if as_json:
         print_json(
             {
-                **_response_json(data),
+                **_responses_to_json(data),
                 "transfer_functions": fits,
                 "not_fitted": unfitted,
                 "files": [str(f) for f in files],
@@ -408,23 +447,21 @@ def frequency(
     rows = []
     f = data.frequency_hz
     for o, i in pairs:
-        good = data.partial[:, o, i] >= COHERENT
+        good = data.partial[:, o, i] >= MIN_COHERENCE
         text = f"{f[good][0]:.2g} to {f[good][-1]:.2g}" if good.any() else "none"
         size = f"{100 * np.median(data.error[good, o, i]):.1f} %" if good.any() else "-"
         numbers = (f"{int(good.sum())} of {len(f)}", f"{data.partial[:, o, i].max():.2f}", size)
         rows.append((f"{data.inputs[i]} to {data.outputs[o]}", text, *numbers))
-    heads = ("pair", f"coherence >= {COHERENT:g} (Hz)", "points", "most", "random error")
-    print_table(
-        heads, rows, title="Frequency responses, each input without what the others explain", text=(0, 1)
-    )
+    heads = ("pair", f"coherence >= {MIN_COHERENCE:g} (Hz)", "points", "most", "random error")
+    print_table(heads, rows, title="Frequency responses, each input without what the others explain", text=(0, 1))
     for one in fits:
         _print_transfer(one)
     if unfitted:
-        say(f"{', '.join(unfitted)}: {why}", mark="Not fitted")
-    tell_files(files)
+        print_lines(f"{', '.join(unfitted)}: {why}", mark="Not fitted")
+    print_files(files)
 
 
-def _print_transfer(t: TransferFit) -> None:
+def _print_transfer(t: TransferFunctionFit) -> None:
     rows = [
         (f"{letter}{power}", f"{value:.4g}", f"{std:.2g}")
         for letter, values, stds in (
@@ -441,12 +478,12 @@ def _print_transfer(t: TransferFit) -> None:
         rows,
         title=f"{t.input} to {t.output}, {low:.2g} to {high:.2g} Hz, J = {t.cost:.0f}",
     )
-    from mufly.identify.report import pole_text
+    from mufly.identify.fit_report import format_pole
 
-    say(f"Poles: {', '.join(pole_text(p) for p in t.poles)} rad/s")
+    print_lines(f"Poles: {', '.join(format_pole(p) for p in t.poles)} rad/s")
 
 
-def _response_json(data: FrequencyResponse) -> dict[str, Any]:
+def _responses_to_json(data: FrequencyResponse) -> dict[str, Any]:
     pairs = {
         f"{data.inputs[i]} to {data.outputs[o]}": {
             "magnitude_dB": 20.0 * np.log10(np.maximum(np.abs(data.response[:, o, i]), 1e-12)),
@@ -458,39 +495,39 @@ def _response_json(data: FrequencyResponse) -> dict[str, Any]:
     return {"frequency_hz": data.frequency_hz, "responses": pairs, "coherence": data.coherence}
 
 
-def _write_responses(data: FrequencyResponse, out: Path, fits: Sequence[TransferFit]) -> list[Path]:
-    from mufly.identify import pictures
-    from mufly.identify.linear.drawing import response_picture
+def _write_responses(data: FrequencyResponse, out: Path, fits: Sequence[TransferFunctionFit]) -> list[Path]:
+    from mufly.identify import fit_pictures
+    from mufly.identify.linear.response_pictures import response_picture
 
     heads, columns = ["frequency_Hz"], [data.frequency_hz]
-    for name, pair in _response_json(data)["responses"].items():
+    for name, pair in _responses_to_json(data)["responses"].items():
         heads += [f"{name.replace(' ', '_')}_{key}" for key in pair]
         columns += list(pair.values())
     heads += [f"{o}_multiple_coherence" for o in data.outputs]
     columns += list(data.coherence.T)
     files = [write_csv(out / "responses.csv", heads, np.column_stack(columns).tolist())]
     for k, name in enumerate(data.outputs):
-        with pictures.style():
-            files.append(save_picture(response_picture(data, k, fits=fits), out, f"response-{name}"))
+        with fit_pictures.report_style():
+            files.append(save_figure(response_picture(data, k, fits=fits), out, f"response-{name}"))
     return files
 
 
 def bandwidth(
     logs: LogsArgument,
     input_: Annotated[
-        str, option("--input NAME", "The stick: a column, or NAME=-COLUMN and sums as for `linear`.")
+        str, define_option("--input NAME", "The stick: a column, or NAME=-COLUMN and sums as for `linear`.")
     ] = "lat",
     output: Annotated[
-        str, option("NAME", "What answers: phi, theta, psi, or a rate p, q, r, which is integrated.")
+        str, define_option("NAME", "What answers: phi, theta, psi, or a rate p, q, r, which is integrated.")
     ] = "phi",
-    others: Annotated[str, option("NAMES", "Other inputs that moved, whose share is taken away.")] = "",
+    others: Annotated[str, define_option("NAMES", "Other inputs that moved, whose share is taken away.")] = "",
     columns: ColumnsOption = None,
     start_s: FromOption = None,
     end_s: ToOption = None,
     band: BandOption = None,
     windows: WindowsOption = None,
-    points: Annotated[int, option("N", "Frequencies.", min=8)] = 120,
-    out: Annotated[Path | None, option("DIR", "Write a picture (PNG) and the response (CSV) there.")] = None,
+    points: Annotated[int, define_option("N", "Frequencies.", min=8)] = 120,
+    out: Annotated[Path | None, define_option("DIR", "Write a picture (PNG) and the response (CSV) there.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Read bandwidth and phase delay of an attitude's response off a sweep, as ADS-33 defines them.
@@ -499,23 +536,26 @@ def bandwidth(
     """
     from dataclasses import replace
 
-    from mufly.identify.linear.bandwidth import bandwidth as read_off
-    from mufly.identify.linear.sweep import COHERENT
+    from mufly.identify.linear.bandwidth import measure_bandwidth as read_off
+    from mufly.identify.linear.sweep_response import MIN_COHERENCE
 
-    check_folder("--out", out)
-    inputs, outputs = _names(",".join(x for x in (input_, others) if x)), _names(output)
+    ensure_folder("--out", out)
+    inputs, outputs = (
+        _parse_column_names(",".join(x for x in (input_, others) if x)),
+        _parse_column_names(output),
+    )
     if len(outputs) != 1:
         raise InputError("--output", "", f"{output!r} is not one output", "give one")
-    data = _responses(logs, inputs, outputs, columns, start_s, end_s, band, windows, points)
+    data = _compute_responses(logs, inputs, outputs, columns, start_s, end_s, band, windows, points)
     name = data.outputs[0]
     if name in ("p", "q", "r"):
         turned = data.response / (2j * np.pi * data.frequency_hz[:, None, None])
         data = replace(data, response=turned, outputs=(f"{name}/s",))
-    good = data.partial[:, 0, 0] >= COHERENT
+    good = data.partial[:, 0, 0] >= MIN_COHERENCE
     found = read_off(data.frequency_hz, np.where(good, data.response[:, 0, 0], np.nan), data.error[:, 0, 0])
     files = [] if out is None else _write_bandwidth(data, found, out)
     if as_json:
-        print_json({**plain(found), **_response_json(data), "files": [str(f) for f in files]})
+        print_json({**to_plain_data(found), **_responses_to_json(data), "files": [str(f) for f in files]})
         return
     rows = []
     for label, field in (
@@ -528,18 +568,16 @@ def bandwidth(
     rows.append(("phase delay", *(("-", "-") if np.isnan(delay) else (f"{delay:.3g}", f"{std:.2g}")), "s"))
     line = found.phase_delay_line_s
     rows.append(("phase delay, by a straight line", "-" if np.isnan(line) else f"{line:.3g}", "", "s"))
-    print_table(
-        ("", "value", "std", "unit"), rows, title=f"{data.inputs[0]} to {data.outputs[0]}", text=(0, 3)
-    )
-    say(*found.notes, mark="Note")
-    tell_files(files)
+    print_table(("", "value", "std", "unit"), rows, title=f"{data.inputs[0]} to {data.outputs[0]}", text=(0, 3))
+    print_lines(*found.notes, mark="Note")
+    print_files(files)
 
 
 def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> list[Path]:
     from dataclasses import replace
 
-    from mufly.identify import pictures
-    from mufly.identify.linear.drawing import response_picture
+    from mufly.identify import fit_pictures
+    from mufly.identify.linear.response_pictures import response_picture
 
     first = slice(0, 1)
     one = replace(
@@ -547,18 +585,18 @@ def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> li
         error=data.error[:, :, first], freedom=data.freedom[:, :, first],
         outputs=(data.outputs[0].replace("/", "-over-"),),
     )  # fmt: skip
-    with pictures.style():
-        picture = save_picture(response_picture(one, 0, read=found), out, "bandwidth")
-    columns = [one.frequency_hz, *next(iter(_response_json(one)["responses"].values())).values()]
+    with fit_pictures.report_style():
+        picture = save_figure(response_picture(one, 0, read=found), out, "bandwidth")
+    columns = [one.frequency_hz, *next(iter(_responses_to_json(one)["responses"].values())).values()]
     heads = ("frequency_Hz", "magnitude_dB", "phase_deg", "random_error", "partial_coherence")
     return [write_csv(out / "response.csv", heads, np.column_stack(columns).tolist()), picture]
 
 
 def compatibility(
-    log: Annotated[Path, argument("LOG", "CSV, MATLAB file, or any flight log that `mufly log` reads.")],
+    log: Annotated[Path, define_argument("LOG", "CSV, MATLAB file, or any flight log that `mufly log` reads.")],
     imu: Annotated[
         str,
-        option(
+        define_option(
             "NAMES",
             "p, q, r (rad/s), ax, ay, az (m/s^2, body axes, z down: -9.8 at rest), each with =COLUMN, =-COLUMN or "
             "=9.80665*COLUMN where needed.",
@@ -566,7 +604,7 @@ def compatibility(
     ] = "p,q,r,ax,ay,az",
     measured: Annotated[
         str,
-        option(
+        define_option(
             "NAMES",
             "phi, theta, psi (rad), and any of v_north, v_east, v_down (m/s), north, east, down (m), likewise.",
         ),
@@ -575,7 +613,7 @@ def compatibility(
     start_s: FromOption = None,
     end_s: ToOption = None,
     out: Annotated[
-        Path | None, option("DIR", "Write a picture (PNG) and the reconstructed path (CSV) there.")
+        Path | None, define_option("DIR", "Write a picture (PNG) and the reconstructed path (CSV) there.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -583,22 +621,29 @@ def compatibility(
 
     Example: mufly identify compatibility flight.csv --imu p,q,r,ax,ay,az --measured phi,theta,psi,north,east,down
     """
-    from mufly.identify.linear.compatibility import STATES
-    from mufly.identify.linear.compatibility import compatibility as reconstruct
+    from mufly.identify.linear.flight_path_reconstruction import FLIGHT_PATH_STATES
+    from mufly.identify.linear.flight_path_reconstruction import reconstruct_flight_path as reconstruct
 
-    check_folder("--out", out)
-    found = reconstruct(_record(log, columns, start_s, end_s), _names(imu), _names(measured))
+    ensure_folder("--out", out)
+    found = reconstruct(
+        _read_record(log, columns, start_s, end_s), _parse_column_names(imu), _parse_column_names(measured)
+    )
     files = []
     if out is not None:
-        from mufly.identify import pictures
-        from mufly.identify.linear.drawing import path_picture
+        from mufly.identify import fit_pictures
+        from mufly.identify.linear.response_pictures import reconstruction_picture
 
-        heads = ["time_s", *STATES, *(f"{s}_std" for s in STATES), *(f"{n}_corrected" for n in _names(imu))]
+        heads = [
+            "time_s",
+            *FLIGHT_PATH_STATES,
+            *(f"{s}_std" for s in FLIGHT_PATH_STATES),
+            *(f"{n}_corrected" for n in _parse_column_names(imu)),
+        ]
         rows = np.column_stack([found.time_s, found.states, found.states_std, found.corrected])
-        with pictures.style():
+        with fit_pictures.report_style():
             files = [
                 write_csv(out / "path.csv", heads, rows.tolist()),
-                save_picture(path_picture(found), out, "path"),
+                save_figure(reconstruction_picture(found), out, "path"),
             ]
     residual = np.sqrt(np.mean(found.residual**2, axis=0))
     innovation = np.sqrt(np.mean(found.innovations**2, axis=0))
@@ -610,7 +655,7 @@ def compatibility(
              "files": [str(f) for f in files]}
         )  # fmt: skip
         return
-    say(*found.notes, mark="Note")
+    print_lines(*found.notes, mark="Note")
     white = {e.symbol: f"{w:.2g}" for e, w in zip(found.estimates, found.std_white, strict=True)}
     rows_ = [
         (
@@ -624,21 +669,17 @@ def compatibility(
         for e in found.estimates
     ]
     heads_ = ("", "value", "std", "std if white", "95 % interval", "unit")
-    print_table(
-        heads_, rows_, title="Bias b and scale factor lambda: measured = (1 + lambda) true + b", text=(0, 5)
-    )
+    print_table(heads_, rows_, title="Bias b and scale factor lambda: measured = (1 + lambda) true + b", text=(0, 5))
     lines = zip(found.outputs, residual, found.output_noise, innovation, strict=True)
     below = ("", "rms residual", "its noise", "innovation over expected")
-    print_table(
-        below, [(o, f"{r:.2g}", f"{s:.2g}", f"{i:.2f}") for o, r, s, i in lines], title="The path, SI"
-    )
+    print_table(below, [(o, f"{r:.2g}", f"{s:.2g}", f"{i:.2f}") for o, r, s, i in lines], title="The path, SI")
     if found.unseen:
-        say("What the flight does not show:", *(f"- {w}" for w in found.unseen))
-    say("Converged" if found.converged else "NOT converged", style="green" if found.converged else "red")
-    tell_files(files)
+        print_lines("What the flight does not show:", *(f"- {w}" for w in found.unseen))
+    print_lines("Converged" if found.converged else "NOT converged", style="green" if found.converged else "red")
+    print_files(files)
 
 
-def add_to(app: Commands) -> None:
+def register_linear_commands(app: CommandGroup) -> None:
     """Add the commands of linear models."""
     for command in (linear, frequency, bandwidth, compatibility):
         app.command()(command)

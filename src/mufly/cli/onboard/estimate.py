@@ -10,42 +10,49 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mufly.cli.log import ColumnOption, MapOption, columns_of
-from mufly.cli.options import Commands, JsonOption, OutOption, argument, option
-from mufly.cli.present import answer, check_folder, print_table, progress_bar, say, writing
+from mufly.cli.log import ColumnOption, MapOption, column_map_from_options
+from mufly.cli.options import CommandGroup, JsonOption, OutOption, define_argument, define_option
+from mufly.cli.output import (
+    ensure_folder,
+    print_answer,
+    print_lines,
+    print_table,
+    progress_bar,
+    report_place_errors,
+)
 from mufly.errors import InputError
-from mufly.results import plain
+from mufly.results import to_plain_data
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from mufly.cli.onboard.inertial import Foreign
-    from mufly.estimate import Estimate, Foretold, Noise
+    from mufly.cli.onboard.foreign_log import ForeignLog
+    from mufly.estimate import AidInnovations, Estimate, InertialNoise
     from mufly.estimate.nees import Consistency
     from mufly.vehicle import Vehicle
     from mufly.world import World
 
-app = Commands(
+app = CommandGroup(
     help="Estimation: readings of sensors in, position, velocity, attitude and their bounds out.",
     no_args_is_help=True,
 )
-_SETTLED_S = 2.0  # of flight, after which errors count
+_SETTLING_TIME_S = 2.0  # of flight, after which errors count
 
 
 @app.command()
 def run(
     log: Annotated[
-        Path, argument("LOG", "A recorded flight: of `mufly fly`, or any log that `mufly log` reads.")
+        Path, define_argument("LOG", "A recorded flight: of `mufly fly`, or any log that `mufly log` reads.")
     ],
     vehicle: Annotated[
         str | None,
-        option("--vehicle NAME|FILE", "What the filter takes it for. Default: the vehicle that flew."),
+        define_option("--vehicle NAME|FILE", "What the filter takes it for. Default: the vehicle that flew."),
     ] = None,
     map_file: MapOption = None,
     column: ColumnOption = None,
     aid: Annotated[
         list[str] | None,
-        option(
+        define_option(
             "--aid KIND=SIGNAL",
             "What tells position or heading: position=truth_position, position=x,-y,-z (columns as N, E, D), "
             "heading=yaw(deg). Default: the log's own position and attitude. May be repeated.",
@@ -53,32 +60,33 @@ def run(
     ] = None,
     aid_std: Annotated[
         float | None,
-        option(
+        define_option(
             "--aid-std",
             "Noise of a position, one sigma. Default: its scatter. Is added to an aid made from the truth.",
             unit="m",
         ),
     ] = None,
     aid_heading_std: Annotated[
-        float | None, option("--aid-heading-std", "Noise of a heading, one sigma. Default: 2.", unit="deg")
+        float | None,
+        define_option("--aid-heading-std", "Noise of a heading, one sigma. Default: 2.", unit="deg"),
     ] = None,
-    aid_rate: Annotated[float | None, option("--aid-rate", "Take no more than so many.", unit="Hz")] = None,
+    aid_rate: Annotated[float | None, define_option("--aid-rate", "Take no more than so many.", unit="Hz")] = None,
     aid_delay: Annotated[
-        float, option("--aid-delay", "How long after its measurement an aid comes.", unit="s")
+        float, define_option("--aid-delay", "How long after its measurement an aid comes.", unit="s")
     ] = 0.0,
     gyro_noise: Annotated[
         float | None,
-        option("--gyro-noise", "Density. Default: what the log tells.", unit="rad/s/sqrt(Hz)"),
+        define_option("--gyro-noise", "Density. Default: what the log tells.", unit="rad/s/sqrt(Hz)"),
     ] = None,
     accelerometer_noise: Annotated[
         float | None,
-        option("--accelerometer-noise", "Density. Default: what the log tells.", unit="m/s^2/sqrt(Hz)"),
+        define_option("--accelerometer-noise", "Density. Default: what the log tells.", unit="m/s^2/sqrt(Hz)"),
     ] = None,
     rate: Annotated[
         float | None,
-        option("--rate", "Of the filter on a log of others. Default: the log's, 250 at most.", unit="Hz"),
+        define_option("--rate", "Of the filter on a log of others. Default: the log's, 250 at most.", unit="Hz"),
     ] = None,
-    seed: Annotated[int, option("--seed N", "Of the noise that is added to an aid made from the truth.")] = 0,
+    seed: Annotated[int, define_option("--seed N", "Of the noise that is added to an aid made from the truth.")] = 0,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -104,11 +112,11 @@ def run(
 
     mufly estimate run circle.csv.gz --map nanobench --aid position=truth_position --aid-std 0.02 --aid-rate 15
     """
-    from mufly.cli.onboard.inertial import Asked, read_aid, read_foreign
+    from mufly.cli.onboard.foreign_log import AidRequest, parse_aid, read_foreign_log
     from mufly.flight import is_sensed, read_recording
-    from mufly.logs import kind_of
+    from mufly.logs import detect_log_format
 
-    check_folder("--out", out)
+    ensure_folder("--out", out)
     of_aids = {
         "--map": map_file, "--column": column, "--aid": aid, "--aid-std": aid_std, "--aid-heading-std": aid_heading_std,
         "--aid-rate": aid_rate, "--aid-delay": aid_delay or None, "--gyro-noise": gyro_noise,
@@ -118,108 +126,120 @@ def run(
         if isinstance(value, float) and not (0.0 < value < math.inf):
             raise InputError(name, f"{value:g}", "is not above zero", "give a positive number")
     said = [name for name, value in of_aids.items() if value is not None]
-    data = read_recording(log) if not said and kind_of(log) == "MCAP" else None
+    data = read_recording(log) if not said and detect_log_format(log) == "MCAP" else None
     if data is not None and is_sensed(data):
-        _ours(log, data, vehicle, out, as_json)
+        _estimate_own_flight(log, data, vehicle, out, as_json)
         return
     if vehicle is not None:
         raise InputError(
             "--vehicle", vehicle, "needs a flight of `mufly fly` on sensors, with no option of aids" if said else
             "needs a flight of `mufly fly` on sensors: of this log no rotor model is used", "leave it out",
         )  # fmt: skip
-    kinds = dict(read_aid(text) for text in aid or ())
-    asked = Asked(
+    kinds = dict(parse_aid(text) for text in aid or ())
+    asked = AidRequest(
         kinds.get("position"), kinds.get("heading"), aid_std,
         None if aid_heading_std is None else math.radians(aid_heading_std), aid_rate, aid_delay, seed,
     )  # fmt: skip
     notes: list[str] = []
-    found = read_foreign(log, columns_of(map_file, column), asked, rate, notes)
+    found = read_foreign_log(log, column_map_from_options(map_file, column), asked, rate, notes)
     for note in notes:
         typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
-    _foreign(log, found, (gyro_noise, accelerometer_noise), out, as_json)
+    _estimate_foreign_log(log, found, (gyro_noise, accelerometer_noise), out, as_json)
 
 
-def _ours(log: Path, data: xr.Dataset, vehicle: str | None, out: Path | None, as_json: bool) -> None:
+def _estimate_own_flight(log: Path, data: xr.Dataset, vehicle: str | None, out: Path | None, as_json: bool) -> None:
     """A flight of ``mufly fly``."""
     from mufly.estimate import fitted_estimator
-    from mufly.estimate.nees import consistency
-    from mufly.flight import believed, replay, truths_of
+    from mufly.estimate.nees import measure_consistency
+    from mufly.flight import list_truths, replace_estimates, replay_estimator
 
-    flown, world = _carried(log, vehicle)
+    flown, world = _read_attached_vehicle(log, vehicle)
     with progress_bar("estimating", not as_json):
-        estimates = replay(data, fitted_estimator(flown, world, float(data.attrs["rate_Hz"])))
-    again = believed(data, estimates)
-    figures = consistency(truths_of(data), estimates, after_s=_off_floor_s(data))
-    answer(as_json, lambda: plain(figures), lambda: _print(figures), _write(again, estimates, out))
+        estimates = replay_estimator(data, fitted_estimator(flown, world, float(data.attrs["rate_Hz"])))
+    again = replace_estimates(data, estimates)
+    figures = measure_consistency(list_truths(data), estimates, after_s=_lift_off_time_s(data))
+    print_answer(
+        as_json,
+        lambda: to_plain_data(figures),
+        lambda: _print_consistency(figures),
+        _write_results(again, estimates, out),
+    )
 
 
-def _foreign(
-    path: Path, f: Foreign, given: tuple[float | None, float | None], out: Path | None, as_json: bool
+def _estimate_foreign_log(
+    path: Path, f: ForeignLog, given: tuple[float | None, float | None], out: Path | None, as_json: bool
 ) -> None:
     """A log of any vehicle."""
-    from mufly.cli.onboard.inertial import recording_of, truth_rows
-    from mufly.estimate import Noise, consistency_of, foretold, noise_at_rest, noise_in_flight, run_log
+    from mufly.cli.onboard.foreign_log import make_recording, truth_rows
+    from mufly.estimate import (
+        InertialNoise,
+        aid_innovations,
+        estimate_flight_noise,
+        estimate_rest_noise,
+        measure_row_consistency,
+        run_log,
+    )
 
     if not as_json:
-        say(*f.said)
-    rest = noise_at_rest(f.log)
+        print_lines(*f.notes)
+    rest = estimate_rest_noise(f.log)
     if None in given:
         with progress_bar("noise", not as_json) as progress:
-            noise = noise_in_flight(f.log, f.aids, rest, progress)
-        noise = Noise(gyro=given[0] or noise.gyro, accelerometer=given[1] or noise.accelerometer)
+            noise = estimate_flight_noise(f.log, f.aids, rest, progress)
+        noise = InertialNoise(gyro=given[0] or noise.gyro, accelerometer=given[1] or noise.accelerometer)
     else:
-        noise = Noise(gyro=given[0] or rest.gyro, accelerometer=given[1] or rest.accelerometer)
+        noise = InertialNoise(gyro=given[0] or rest.gyro, accelerometer=given[1] or rest.accelerometer)
     with progress_bar("estimating", not as_json) as progress:
         told = run_log(f.log, f.aids, noise, on_progress=progress)
     time = f.log.time_s
-    began = float(time[f.log.flying.argmax()]) if f.log.flying.any() else float(time[0])
-    after = began + _SETTLED_S
+    began = float(time[f.log.is_flying.argmax()]) if f.log.is_flying.any() else float(time[0])
+    after = began + _SETTLING_TIME_S
     if not any(e.valid and e.time_s + time[0] >= after for e in told):
         raise InputError(
             str(path), "", f"has no valid estimate after {after:.1f} s: too few aids, or none believed",
             "check units, axes and time of the aids (--aid, --aid-delay)",
         )  # fmt: skip
-    fore = foretold(f.log, f.aids, told, from_s=after, to_s=float(time[-1]))
+    fore = aid_innovations(f.log, f.aids, told, from_s=after, to_s=float(time[-1]))
     figures: Consistency | None = None
     mounted: Consistency | None = None
     if f.truth:
-        figures = consistency_of(truth_rows(f), told, after_s=after - float(time[0]))
+        figures = measure_row_consistency(truth_rows(f), told, after_s=after - float(time[0]))
         if f.mounting is not None:
-            mounted = consistency_of(truth_rows(f, mounted=True), told, after_s=after - float(time[0]))
+            mounted = measure_row_consistency(truth_rows(f, mounted=True), told, after_s=after - float(time[0]))
     content = {
-        "said": f.said, "noise_at_rest": plain(rest), "noise": plain(noise), "from_s": after,
-        "mounting_rad": None if f.mounting is None else f.mounting.tolist(), "aids": plain(fore),
-        "errors": None if figures is None else plain(figures),
-        "errors_without_mounting": None if mounted is None else plain(mounted),
+        "said": f.notes, "noise_at_rest": to_plain_data(rest), "noise": to_plain_data(noise), "from_s": after,
+        "mounting_rad": None if f.mounting is None else f.mounting.tolist(), "aids": to_plain_data(fore),
+        "errors": None if figures is None else to_plain_data(figures),
+        "errors_without_mounting": None if mounted is None else to_plain_data(mounted),
     }  # fmt: skip
 
-    def show() -> None:
+    def print_results() -> None:
         _print_noise(rest, noise, given)
         if figures is not None:
-            _print(figures, f"true, from {after:.1f} s")
+            _print_consistency(figures, f"true, from {after:.1f} s")
         if mounted is not None and f.mounting is not None:
             roll, pitch = (math.degrees(x) for x in f.mounting)
-            say(
+            print_lines(
                 f"The true attitude and the accelerometers are apart by {roll:+.2f} and {pitch:+.2f} degrees (roll, "
                 "pitch) at rest: mounting, or bias of the accelerometers.",
                 f"Less that: tilt {math.degrees(mounted.tilt_rms):.2f} degrees rms, NEES / n {mounted.nees:.2f}",
             )  # fmt: skip
-        _print_aids(fore)
+        _print_aid_innovations(fore)
 
-    data = recording_of(f, told, path.name)
-    answer(as_json, lambda: content, show, _write(data, told, out, csv=True))
+    data = make_recording(f, told, path.name)
+    print_answer(as_json, lambda: content, print_results, _write_results(data, told, out, csv=True))
 
 
-def _write(data: xr.Dataset, told: Sequence[Estimate], out: Path | None, csv: bool = False) -> list[Path]:
+def _write_results(data: xr.Dataset, told: Sequence[Estimate], out: Path | None, csv: bool = False) -> list[Path]:
     """Pictures and recording."""
-    from mufly.flight import draw_belief
+    from mufly.flight import draw_estimate_pictures
     from mufly.logs import write_log
 
     if out is None:
         return []
-    with writing(out):
+    with report_place_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-        files = [*draw_belief(_with_bounds(data, told), out), out / "estimate.mcap"]
+        files = [*draw_estimate_pictures(_add_bias_std(data, told), out), out / "estimate.mcap"]
         write_log(data, files[-1])
         if csv:
             files.append(out / "estimate.csv")
@@ -227,22 +247,25 @@ def _write(data: xr.Dataset, told: Sequence[Estimate], out: Path | None, csv: bo
     return files
 
 
-def _with_bounds(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
+def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
     """The same with standard deviations of the biases, which recordings do not hold."""
     import numpy as np
 
-    from mufly.estimate.layout import EX_ACCEL_BIAS, EX_GYRO_BIAS
+    from mufly.estimate.filter_records import EX_ACCEL_BIAS, EX_GYRO_BIAS
 
     out = {}
     for name, first in (("gyro_bias", EX_GYRO_BIAS), ("accelerometer_bias", EX_ACCEL_BIAS)):
         block = np.array(
-            [np.full(3, math.nan) if e.beliefs is None else e.beliefs.sigma[first : first + 3] for e in told]
+            [
+                np.full(3, math.nan) if e.auxiliary_states is None else e.auxiliary_states.sigma[first : first + 3]
+                for e in told
+            ]
         )
         out[f"estimated_{name}_sigma"] = data[f"estimated_{name}"].copy(data=block)
     return data.assign(out)
 
 
-def _print_noise(rest: Noise, noise: Noise, given: tuple[float | None, float | None]) -> None:
+def _print_noise(rest: InertialNoise, noise: InertialNoise, given: tuple[float | None, float | None]) -> None:
     rows = [
         (name, f"{a:.2g}", f"{b:.2g}", "given" if told else "by how well the log foretells its aids", unit)
         for name, a, b, told, unit in (
@@ -253,45 +276,49 @@ def _print_noise(rest: Noise, noise: Noise, given: tuple[float | None, float | N
     print_table(("noise", "at rest", "in flight", "", "unit"), rows, text=(0, 3, 4))
 
 
-def _print_aids(fore: Foretold) -> None:
+def _print_aid_innovations(fore: AidInnovations) -> None:
     if fore.count:
-        say(
+        print_lines(
             f"NIS / n {fore.nis:.2f} of {fore.count} aids (1 if it knows how well it foretells them); they were "
             f"{100 * fore.off:.1f} cm rms from what was believed before they came"
         )  # fmt: skip
         if fore.nis > 5.0:
-            say(
+            print_lines(
                 "Aids and inertial unit hardly belong together: check axes, signs, units and --aid-delay.",
                 style="yellow",
             )
 
 
-def _print(c: Consistency, what: str = "by") -> None:
-    def cell(x: float, unit: str, digits: int) -> str:
+def _print_consistency(c: Consistency, what: str = "by") -> None:
+    def format_cell(x: float, unit: str, digits: int) -> str:
         return f"{x:.{digits}f} {unit}" if math.isfinite(x) else ""
 
     rows = [
-        ("horizontal position", cell(100 * c.xy_rms, "cm", 1), cell(100 * c.xy_peak, "cm", 1)),
-        ("height", cell(100 * c.z_rms, "cm", 1), cell(100 * c.z_peak, "cm", 1)),
-        ("tilt", cell(math.degrees(c.tilt_rms), "deg", 2), cell(math.degrees(c.tilt_peak), "deg", 2)),
-        ("heading", cell(math.degrees(c.yaw_rms), "deg", 2), ""),
+        ("horizontal position", format_cell(100 * c.xy_rms, "cm", 1), format_cell(100 * c.xy_peak, "cm", 1)),
+        ("height", format_cell(100 * c.z_rms, "cm", 1), format_cell(100 * c.z_peak, "cm", 1)),
+        (
+            "tilt",
+            format_cell(math.degrees(c.tilt_rms), "deg", 2),
+            format_cell(math.degrees(c.tilt_peak), "deg", 2),
+        ),
+        ("heading", format_cell(math.degrees(c.yaw_rms), "deg", 2), ""),
     ]
     print_table((f"off {what}", "rms", "worst"), rows, text=(0, 1, 2))
     parts = ", ".join(
         f"{name} {x:.2f}" for name, x in zip(("position", "velocity", "attitude"), c.parts, strict=True)
         if math.isfinite(x)
     )  # fmt: skip
-    say(
+    print_lines(
         f"NEES / n {c.nees:.2f} (1 if it knows how good it is; {parts}); {c.inside:.1%} inside the 95 % ellipsoid"
     )
 
 
-def _carried(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
+def _read_attached_vehicle(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
     """The vehicle asked for, or the one that flew, and the world of the mission, which the recording carries."""
     import tempfile
 
     from mufly.flight import read_attachments
-    from mufly.mission import mission_from
+    from mufly.mission import parse_mission
     from mufly.vehicle import load_vehicle
     from mufly.world import World
 
@@ -299,7 +326,7 @@ def _carried(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
     world = World()
     if "mission.toml" in carried:
         tables = tomllib.loads(carried["mission.toml"].decode())
-        world = mission_from(tables, f"{log}: mission.toml").world if tables.get("waypoint") else world
+        world = parse_mission(tables, f"{log}: mission.toml").world if tables.get("waypoint") else world
     if vehicle is not None:
         return load_vehicle(vehicle), world
     if "vehicle.toml" not in carried:
@@ -310,7 +337,7 @@ def _carried(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
         return load_vehicle(path), world
 
 
-def _off_floor_s(data: xr.Dataset) -> float:
+def _lift_off_time_s(data: xr.Dataset) -> float:
     """When it left the floor (s); the beginning, if it did not."""
     import numpy as np
 

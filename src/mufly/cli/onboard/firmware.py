@@ -8,36 +8,49 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mufly.cli.options import Commands, JsonOption, argument, option
-from mufly.cli.present import answer, print_json, print_table, progress_bar, say, tell_files, writing
-from mufly.cli.station import FaultOption, GustOption, SensorsOption, WindOption, check_air, check_sensors
+from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
+from mufly.cli.output import (
+    print_answer,
+    print_files,
+    print_json,
+    print_lines,
+    print_table,
+    progress_bar,
+    report_place_errors,
+)
+from mufly.cli.station import (
+    FaultOption,
+    GustOption,
+    SensorsOption,
+    WindOption,
+    check_sensor_options,
+    resolve_wind,
+)
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
     from mufly.control import FlightController
-    from mufly.firmware import FixedFlight, FixedLaw, PilResult, SilResult
+    from mufly.firmware import FixedPointFlight, FixedPointLaw, PilResult, SilResult
     from mufly.vehicle import Vehicle
 
-app = Commands(
+app = CommandGroup(
     help="Control law and estimator as C99 for a board: exported with a vehicle's numbers, flown, proved equal "
     "(docs/firmware.md).",
     no_args_is_help=True,
 )
 
-_VehicleOption = Annotated[
-    str, option("--vehicle NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")
-]
+_VehicleOption = Annotated[str, define_option("--vehicle NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
 _FixedOption = Annotated[
-    bool, option("--fixed-point", "In whole numbers, for a processor without a floating unit.")
+    bool, define_option("--fixed-point", "In whole numbers, for a processor without a floating unit.")
 ]
 
 
 @app.command()
 def export(
-    out: Annotated[Path, option("--out DIR", "A new or empty folder, or one of an earlier export.")],
+    out: Annotated[Path, define_option("--out DIR", "A new or empty folder, or one of an earlier export.")],
     vehicle: _VehicleOption = "mufly-1.1",
     mission: Annotated[
-        str, option("--mission NAME|FILE", "A built-in mission, or a mission file (TOML).")
+        str, define_option("--mission NAME|FILE", "A built-in mission, or a mission file (TOML).")
     ] = "demonstration",
     fixed_point: _FixedOption = False,
     as_json: JsonOption = False,
@@ -51,33 +64,33 @@ def export(
     Example: mufly firmware export --vehicle mine.toml --mission m.toml --out fw, then make -C fw check
     """
     from mufly import firmware
-    from mufly.control import design
+    from mufly.control import design_flight_controller
     from mufly.mission import load_mission
     from mufly.vehicle import load_vehicle
 
     helicopter = load_vehicle(vehicle)
     flown = load_mission(mission)
-    controller = design(helicopter)
+    controller = design_flight_controller(helicopter)
     law = None
-    with writing(out):
-        files = firmware.export(controller, out, helicopter, flown.world, flown)
+    with report_place_errors(out):
+        files = firmware.export_firmware(controller, out, helicopter, flown.world, flown)
         if fixed_point:
-            law = firmware.export_fixed(controller, out)
+            law = firmware.export_fixed_point(controller, out)
             files = sorted(p for p in out.rglob("*") if p.is_file())
     if as_json:
-        more = {} if law is None else {"losses": law.losses, "proofs": [c.proof for c in law.controllers]}
+        more = {} if law is None else {"losses": law.candidate_losses, "proofs": [c.proof for c in law.controllers]}
         print_json({"files": [str(f) for f in files], **more})
         return
     if law is not None:
-        _print_fixed(helicopter, controller, law)
-    tell_files([out])
+        _print_fixed_law(helicopter, controller, law)
+    print_files([out])
     if helicopter.sensors is None:
-        say(
+        print_lines(
             f"{helicopter.name} has no table [sensors]: the estimator in these files believes no sensor; give it the "
             "position and attitude it flies on, or add the table (docs/sensors.md).",
             mark="Warning", style="yellow",
         )  # fmt: skip
-    say(
+    print_lines(
         f"{len(files)} files for {controller.vehicle_name}: try `make -C {shlex.quote(str(out))} check`, "
         f"read {out / 'README.md'}."
     )
@@ -87,22 +100,21 @@ def export(
 def sil(
     missions: Annotated[
         list[str] | None,
-        argument("[MISSION]...", "Built-in missions or files; both built-in ones by default."),
+        define_argument("[MISSION]...", "Built-in missions or files; both built-in ones by default."),
     ] = None,
     vehicle: _VehicleOption = "mufly-1.1",
-    flights: Annotated[int, option("N", "Of each mission, with seeds from 0 on.", min=1)] = 1,
+    flights: Annotated[int, define_option("N", "Of each mission, with seeds from 0 on.", min=1)] = 1,
     wind: WindOption = None,
     gust: GustOption = None,
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
     drawn: Annotated[
-        bool, option("--drawn", "Draw wind, gusts and a fault of a sensor for every flight, by its seed.")
+        bool,
+        define_option("--drawn", "Draw wind, gusts and a fault of a sensor for every flight, by its seed."),
     ] = False,
     keep: Annotated[
         Path | None,
-        option(
-            "--keep FILE", "Add a line of JSON a flight to this file; what stands there is not flown again."
-        ),
+        define_option("--keep FILE", "Add a line of JSON a flight to this file; what stands there is not flown again."),
     ] = None,
     fixed_point: _FixedOption = False,
     as_json: JsonOption = False,
@@ -115,7 +127,7 @@ def sil(
 
     Needs a C compiler. Ends with status 1 if a bit differs, or a whole number overflows.
     """
-    from mufly.firmware import sil as compare
+    from mufly.firmware import run_sil as compare
     from mufly.vehicle import load_vehicle
 
     names = missions or ["demonstration", "box-on-leg"]
@@ -124,29 +136,27 @@ def sil(
             raise InputError("--fixed-point", "", "chooses its own gusts", "leave out --wind and --gust")
         if fault or drawn:
             raise InputError("--fixed-point", "", "flies on what is true", "leave out --fault and --drawn")
-        _fly_fixed(load_vehicle(vehicle), names, flights, keep, as_json)
+        _compare_fixed_point(load_vehicle(vehicle), names, flights, keep, as_json)
         return
     if drawn and (fault or wind is not None or gust is not None):
-        raise InputError(
-            "--drawn", "", "draws wind, gusts and faults itself", "leave out --wind, --gust and --fault"
-        )
-    steady = check_air(wind, gust, 0)
+        raise InputError("--drawn", "", "draws wind, gusts and faults itself", "leave out --wind, --gust and --fault")
+    steady = resolve_wind(wind, gust, 0)
     helicopter = load_vehicle(vehicle)
-    faults = check_sensors(helicopter, sensors, fault)
+    faults = check_sensor_options(helicopter, sensors, fault)
     done = 0
     with progress_bar("flights", not as_json) as progress:
 
-        def flown(_: SilResult) -> None:
+        def count_flight(_: SilResult) -> None:
             nonlocal done
             done += 1
             if progress is not None:
                 progress(done, len(names) * flights)
 
         results = compare(
-            helicopter, names, flights=flights, wind=steady, gust=gust, faults=faults, on_flight=flown,
+            helicopter, names, flights=flights, wind=steady, gust=gust, faults=faults, on_flight=count_flight,
             sensors="ideal" if sensors == "ideal" else "fitted", drawn=drawn, keep=keep,
         )  # fmt: skip
-    answer(as_json, lambda: {"flights": results}, lambda: _print_sil(results))
+    print_answer(as_json, lambda: {"flights": results}, lambda: _print_sil(results))
     if any(r.different + r.beliefs_different + r.steps_different for r in results):
         raise typer.Exit(1)
 
@@ -166,43 +176,40 @@ def _print_sil(results: list[SilResult]) -> None:
     )  # fmt: skip
     law, estimator = sum(r.periods for r in results), sum(r.beliefs for r in results)
     steps = sum(r.steps for r in results)
-    off = [
-        sum(getattr(r, name) for r in results)
-        for name in ("different", "beliefs_different", "steps_different")
-    ]
+    off = [sum(getattr(r, name) for r in results) for name in ("different", "beliefs_different", "steps_different")]
     if any(off):
-        say(
+        print_lines(
             f"{off[0]} of {law} periods of the law, {off[1]} of {estimator} of the estimator and {off[2]} of {steps} "
             "of the flight differ: the exported code is not what was flown.",
             style="red",
         )
     else:
-        say(
+        print_lines(
             f"No bit differs in {law} periods of the law, {estimator} of the estimator and {steps} of the flight "
             f"(actuators, reference, mission), and no word in {sum(r.entries for r in results)} lines of the log. "
             "Single: the law's greatest difference in single precision, over an actuator's range."
         )
 
 
-def _fly_fixed(vehicle: Vehicle, names: list[str], flights: int, keep: Path | None, as_json: bool) -> None:
-    from mufly.firmware import fly_fixed
+def _compare_fixed_point(vehicle: Vehicle, names: list[str], flights: int, keep: Path | None, as_json: bool) -> None:
+    from mufly.firmware import fly_fixed_point
 
     done = 0
     with progress_bar("flights", not as_json) as progress:
 
-        def flown(_: FixedFlight) -> None:
+        def count_flight(_: FixedPointFlight) -> None:
             nonlocal done
             done += 1
             if progress is not None:
                 progress(done, len(names) * flights)
 
-        results = fly_fixed(vehicle, names, flights=flights, keep=keep, on_flight=flown)
-    answer(as_json, lambda: {"flights": results}, lambda: _print_flown(results))
+        results = fly_fixed_point(vehicle, names, flights=flights, keep=keep, on_flight=count_flight)
+    print_answer(as_json, lambda: {"flights": results}, lambda: _print_fixed_flights(results))
     if any(r.overflows for r in results):
         raise typer.Exit(1)
 
 
-def _print_flown(results: list[FixedFlight]) -> None:
+def _print_fixed_flights(results: list[FixedPointFlight]) -> None:
     print_table(
         ("mission", "seed", "outcome", "periods", "overflows", "apart (mm)"),
         [
@@ -211,17 +218,15 @@ def _print_flown(results: list[FixedFlight]) -> None:
         ],
         text=(0, 2),
     )
-    say(
-        "Apart: greatest distance from the flight in double precision. Seeds from 1 on fly in wind and gusts."
-    )
+    print_lines("Apart: greatest distance from the flight in double precision. Seeds from 1 on fly in wind and gusts.")
 
 
-def _print_fixed(vehicle: Vehicle, controller: FlightController, law: FixedLaw) -> None:
-    from mufly.firmware import cascade_loss
+def _print_fixed_law(vehicle: Vehicle, controller: FlightController, law: FixedPointLaw) -> None:
+    from mufly.firmware import measure_cascade_loss
 
-    taken = {(one.loop, one.form) for one in law.taken}
-    rows = [(one, (one.loop, one.form) in taken) for one in law.losses]
-    rows.append((cascade_loss(vehicle, controller, law), True))
+    taken = {(one.loop, one.form) for one in law.chosen_losses}
+    rows = [(one, (one.loop, one.form) in taken) for one in law.candidate_losses]
+    rows.append((measure_cascade_loss(vehicle, controller, law), True))
     print_table(
         ("loop", "form", "taken", "peaks (dB)", "gain margin (dB)", "phase (dB)", "delay (dB)"),
         [
@@ -233,7 +238,7 @@ def _print_fixed(vehicle: Vehicle, controller: FlightController, law: FixedLaw) 
         ],
         text=(0, 1, 2),
     )  # fmt: skip
-    say("Lost by whole coefficients of 16 bits: growth of peaks, loss of margins; phase and delay as ratios.")
+    print_lines("Lost by whole coefficients of 16 bits: growth of peaks, loss of margins; phase and delay as ratios.")
     print_table(
         ("controller", "form", "greatest state of 32 bits", "greatest sum of 64", "refused of 32", "slowest pole"),
         [
@@ -245,15 +250,13 @@ def _print_fixed(vehicle: Vehicle, controller: FlightController, law: FixedLaw) 
         ],
         text=(0, 1),
     )  # fmt: skip
-    say(
+    print_lines(
         "Bounds for any inputs within their limits, by the L1 norm, as a share of what the bits hold: below 1 in all."
     )
 
 
 @app.command()
-def pil(
-    vehicle: _VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False, as_json: JsonOption = False
-) -> None:
+def pil(vehicle: _VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False, as_json: JsonOption = False) -> None:
     """Run the self-test on emulated Cortex-M4 processors and compare it with this machine (processor in the loop).
 
     With --fixed-point that of the law in whole numbers, on a Cortex-M3, an M4 and an M0.
@@ -263,8 +266,8 @@ def pil(
     from mufly import firmware
     from mufly.vehicle import load_vehicle
 
-    results = firmware.pil(load_vehicle(vehicle), fixed_point=fixed_point)
-    answer(as_json, lambda: {"processors": results}, lambda: _print_pil(results, fixed_point))
+    results = firmware.run_pil(load_vehicle(vehicle), fixed_point=fixed_point)
+    print_answer(as_json, lambda: {"processors": results}, lambda: _print_pil(results, fixed_point))
     if not all(r.same for r in results):
         raise typer.Exit(1)
 
@@ -282,7 +285,7 @@ def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
         text=(0, 1, 2),
     )  # fmt: skip
     how = "Whole numbers, gcc -O2" if fixed_point else "Single precision, gcc -Os"
-    say(
+    print_lines(
         f"{how}. Flight: the law, the mission and what watches over it, on made-up estimates; estimator: on a "
         "made-up hop in a room. Flash: code and numbers of the whole tree; stack: deepest call."
     )
@@ -291,7 +294,7 @@ def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
 @app.command()
 def report(
     vehicle: _VehicleOption = "mufly-1.1",
-    out: Annotated[Path, option("--out DIR", "Folder for report.md, its pictures and report.json.")] = Path(
+    out: Annotated[Path, define_option("--out DIR", "Folder for report.md, its pictures and report.json.")] = Path(
         "firmware-report"
     ),
     as_json: JsonOption = False,
@@ -307,27 +310,27 @@ def report(
     from mufly.vehicle import load_vehicle
 
     helicopter = load_vehicle(vehicle)
-    with writing(out), progress_bar("sections", not as_json) as progress:
+    with report_place_errors(out), progress_bar("sections", not as_json) as progress:
 
-        def done(_: object, count: int, of: int) -> None:
+        def show_progress(_: object, count: int, of: int) -> None:
             if progress is not None:
                 progress(count, of)
 
-        sections = write_report(helicopter, out, on_section=done)
+        sections = write_report(helicopter, out, on_section=show_progress)
     if as_json:
         print_json({s.title: s.data for s in sections})
         return
     for s in sections:
         if "missing" in s.data:
-            say(f"{s.title}: {s.data['missing']}", style="yellow")
-    tell_files([out / "report.md", out / "report.json"])
+            print_lines(f"{s.title}: {s.data['missing']}", style="yellow")
+    print_files([out / "report.md", out / "report.json"])
 
 
 @app.command()
 def fuzz(
     vehicle: _VehicleOption = "mufly-1.1",
-    minutes: Annotated[float, option("--minutes", "How long.", unit="min", min=0.01, max=6000.0)] = 10.0,
-    seed: Annotated[int, option("--seed N", "Of the fuzzer's random numbers.", min=1)] = 1,
+    minutes: Annotated[float, define_option("--minutes", "How long.", unit="min", min=0.01, max=6000.0)] = 10.0,
+    seed: Annotated[int, define_option("--seed N", "Of the fuzzer's random numbers.", min=1)] = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Feed the exported code any bytes as readings, beliefs and commands, with clang's sanitizers on.
@@ -335,21 +338,21 @@ def fuzz(
     Needs clang with libFuzzer. Ends with status 1 if it crashes, does what C leaves undefined, or an output is out of
     range; then the bytes that did it are printed.
     """
-    from mufly.firmware import fuzz as feed
+    from mufly.firmware import fuzz_firmware as feed
     from mufly.vehicle import load_vehicle
 
     result = feed(load_vehicle(vehicle), seconds=60.0 * minutes, seed=seed)
 
-    def tell() -> None:
-        say(
+    def print_result() -> None:
+        print_lines(
             f"Fed: {', '.join(result.parts)}. {result.runs} inputs, {result.covered} places of the code reached."
         )
         if result.found:
-            say(result.found, style="red")
-            say(f"Bytes: {result.input_hex}")
+            print_lines(result.found, style="red")
+            print_lines(f"Bytes: {result.input_hex}")
         else:
-            say("Nothing crashed, nothing undefined was done, no output was out of range.")
+            print_lines("Nothing crashed, nothing undefined was done, no output was out of range.")
 
-    answer(as_json, lambda: {"fuzz": result}, tell)
+    print_answer(as_json, lambda: {"fuzz": result}, print_result)
     if result.found:
         raise typer.Exit(1)

@@ -5,68 +5,68 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING, Annotated
 
-from mufly.cli.options import Commands, JsonOption, OutOption, argument, option
-from mufly.cli.present import (
-    answer,
-    check_folder,
+from mufly.cli.options import CommandGroup, JsonOption, OutOption, define_argument, define_option
+from mufly.cli.output import (
+    ensure_folder,
+    print_answer,
     print_json,
+    print_lines,
     print_table,
     progress_bar,
-    save_picture,
-    say,
-    writing,
+    report_place_errors,
+    save_figure,
 )
-from mufly.cli.station import FaultOption, GustOption, WindOption, check_air
-from mufly.cli.vehicle import print_group
-from mufly.results import number
+from mufly.cli.station import FaultOption, GustOption, WindOption, resolve_wind
+from mufly.cli.vehicle import print_parameter_group
+from mufly.results import format_value
 
 if TYPE_CHECKING:
     from mufly.flight import ReadingErrors
 
-app = Commands(
+app = CommandGroup(
     help="Sensors: what a vehicle file says about them, and what they would say on a flight. Equations and sources: "
     "docs/sensors.md.",
     no_args_is_help=True,
 )
 
-_VehicleArgument = Annotated[str, argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
+_VehicleFileArgument = Annotated[str, define_argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
 
 
 @app.command()
-def show(vehicle: _VehicleArgument = "mufly-1.1", as_json: JsonOption = False) -> None:
+def show(vehicle: _VehicleFileArgument = "mufly-1.1", as_json: JsonOption = False) -> None:
     r"""Show what a vehicle feels with: every number of the table \[sensors] of its file, and where it came from."""
-    from mufly.vehicle import load_vehicle, parameters
+    from mufly.vehicle import list_parameters, load_vehicle
 
     v = load_vehicle(vehicle)
-    rows = [p for p in parameters(v) if p.key.startswith("sensors.")]
+    rows = [p for p in list_parameters(v) if p.key.startswith("sensors.")]
     if as_json:
         print_json([p._asdict() for p in rows])
         return
     if not rows:
-        say(f"{v.name} has no table [sensors]: it flies on what is true.")
+        print_lines(f"{v.name} has no table [sensors]: it flies on what is true.")
         return
     for group, members in groupby(rows, lambda row: row.key.rpartition(".")[0]):
-        print_group(group.removeprefix("sensors."), list(members))
+        print_parameter_group(group.removeprefix("sensors."), list(members))
 
 
 @app.command()
 def faults(as_json: JsonOption = False) -> None:
     """List what can go wrong with which sensor, and by how much if nothing is said."""
-    from mufly.sensors import KINDS, TARGETS
+    from mufly.sensors import FAULT_KINDS, FAULT_TARGETS
 
     if as_json:
         print_json(
             {
-                "kinds": dict(KINDS),
-                "targets": {name: {**vars(t), "unit": t.unit} for name, t in TARGETS.items()},
+                "kinds": dict(FAULT_KINDS),
+                "targets": {name: {**vars(t), "unit": t.reading_unit} for name, t in FAULT_TARGETS.items()},
             }
         )
         return
-    print_table(("kind", "meaning"), list(KINDS.items()), text=(0, 1))
-    kinds = [kind for kind in KINDS if any(kind in t.amount for t in TARGETS.values())]
+    print_table(("kind", "meaning"), list(FAULT_KINDS.items()), text=(0, 1))
+    kinds = [kind for kind in FAULT_KINDS if any(kind in t.default_amounts for t in FAULT_TARGETS.values())]
     print_table(
         ("sensor", "unit", *kinds),
-        [(name, t.unit, *(f"{t.amount[k]:g}" for k in kinds)) for name, t in TARGETS.items()],
+        [(name, t.reading_unit, *(f"{t.default_amounts[k]:g}" for k in kinds)) for name, t in FAULT_TARGETS.items()],
         title="Amounts by default",
         text=(0, 1),
     )
@@ -75,12 +75,12 @@ def faults(as_json: JsonOption = False) -> None:
 @app.command()
 def simulate(
     mission: Annotated[
-        str, argument("MISSION", "A built-in mission, or a mission file (TOML).")
+        str, define_argument("MISSION", "A built-in mission, or a mission file (TOML).")
     ] = "demonstration",
     vehicle: Annotated[
-        str, option("--vehicle NAME|FILE", "A built-in vehicle or a file, with \\[sensors].")
+        str, define_option("--vehicle NAME|FILE", "A built-in vehicle or a file, with \\[sensors].")
     ] = "mufly-1.1",
-    seed: Annotated[int, option("K", "Same seed, same gusts and errors.")] = 0,
+    seed: Annotated[int, define_option("K", "Same seed, same gusts and errors.")] = 0,
     fault: FaultOption = None,
     wind: WindOption = None,
     gust: GustOption = None,
@@ -97,16 +97,16 @@ def simulate(
     """
     import numpy as np
 
-    from mufly.flight import draw_sensors, listen, reading_errors, write_sensor_logs
+    from mufly.flight import draw_sensors, log_sensors, reading_errors, write_sensor_logs
     from mufly.mission import load_mission
     from mufly.sensors import parse_fault
     from mufly.vehicle import load_vehicle
 
     wrong = [parse_fault(text) for text in fault or []]
-    steady = check_air(wind, gust, seed)
-    check_folder("--out", out)
+    steady = resolve_wind(wind, gust, seed)
+    ensure_folder("--out", out)
     with progress_bar("flight", not as_json) as progress:
-        logs = listen(
+        logs = log_sensors(
             load_vehicle(vehicle), load_mission(mission), seed=seed, faults=wrong,
             wind=None if steady is None else np.array(steady), gust=gust,
             on_progress=None if progress is None else lambda p: progress(round(p.time_s), round(p.expected_s)),
@@ -114,17 +114,17 @@ def simulate(
     errors = [reading_errors(log) for log in logs.values()]
     files = []
     if out is not None:
-        with writing(out):
+        with report_place_errors(out):
             files = write_sensor_logs(logs, out)
-        files.append(save_picture(draw_sensors(logs), out, "sensors"))
-    answer(as_json, lambda: {"readings": errors}, lambda: _print_errors(errors), files)
+        files.append(save_figure(draw_sensors(logs), out, "sensors"))
+    print_answer(as_json, lambda: {"readings": errors}, lambda: _print_reading_errors(errors), files)
 
 
-def _print_errors(errors: list[ReadingErrors]) -> None:
+def _print_reading_errors(errors: list[ReadingErrors]) -> None:
     heads = ("", "Hz", "late (ms)", "invalid", "mean error", "std", "worst", "unit")
     rows = [
         (e.name, f"{e.rate_Hz:.0f}", f"{1e3 * e.delay_s:.0f}", f"{e.invalid:.1%}",
-         *(number(x, ".2g") for x in (e.mean, e.deviation, e.worst)), e.unit)
+         *(format_value(x, ".2g") for x in (e.mean, e.deviation, e.worst)), e.unit)
         for e in errors
     ]  # fmt: skip
     print_table(heads, rows, text=(0, 7))

@@ -1,5 +1,5 @@
 """How does it fly quickly? Many periods of a flight with the exported software in one compiled call."""
 
-from mufly.firmware.quick.many import Many
+from mufly.firmware.quick.compiled_flight import CompiledFlight
 
-__all__ = ["Many"]
+__all__ = ["CompiledFlight"]

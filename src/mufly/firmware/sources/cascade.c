@@ -2,7 +2,7 @@
 
 #include "linear.h"
 
-void position_start(position_state_t *state)
+void position_init(position_state_t *state)
 {
     for (int32_t i = 0; i < VELOCITY_ORDER; i++) {
         state->x[i] = REAL(0.0);

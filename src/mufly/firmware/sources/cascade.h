@@ -33,7 +33,7 @@ typedef struct {
 } path_t;
 
 /* At rest. */
-void position_start(position_state_t *state);
+void position_init(position_state_t *state);
 
 /* One of its periods. position, velocity: believed, N, E, D; heading (rad); tilt: phi, theta to hold (rad). */
 void position_step(const position_gains_t *g, position_state_t *state, const path_t *reference,

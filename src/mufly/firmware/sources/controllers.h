@@ -13,7 +13,7 @@ typedef struct {
     real_t attitude[3]; /* roll, pitch, yaw (rad); yaw does not jump at half a turn */
     real_t rates[3];    /* p, q, r (rad/s) */
     real_t voltage;     /* of the battery (V) */
-} motion_t;
+} motion_estimate_t;
 
 typedef struct {
     heave_yaw_gains_t heave_yaw;
@@ -35,21 +35,21 @@ typedef struct {
 /* The numbers of the vehicle this was made for: tables.c. */
 extern const gains_t mufly_gains;
 extern const int32_t mufly_rate_Hz;          /* of controllers_step */
-extern const int32_t mufly_position_divider; /* of these, every so many call controllers_tilt first */
+extern const int32_t mufly_position_divider; /* of these, every so many call controllers_tilt_for first */
 
 /* On the floor, motors running at motor_input: heave-yaw takes over without a bump. */
-void controllers_engage(const gains_t *g, controllers_t *c, const motion_t *now, const real_t motor_input[2]);
+void controllers_engage(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const real_t motor_input[2]);
 
 /* Off the floor: roll-pitch and position take over, servos at trim. */
-void controllers_lift_off(const gains_t *g, controllers_t *c, const motion_t *now);
+void controllers_lift_off(const gains_t *g, controllers_t *c, const motion_estimate_t *now);
 
 /* The position cascade: phi, theta to hold (rad). */
-void controllers_tilt(const gains_t *g, controllers_t *c, const motion_t *now, const path_t *reference,
+void controllers_tilt_for(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const path_t *reference,
                       real_t tilt[2]);
 
 /* heave_yaw: z (m, down), psi (rad) and their rates to follow; flying: whether it is off the floor, where tilt is
  * held; before that the servos stay neutral, since on its legs it cannot tilt and a controller that tries winds up. */
-void controllers_step(const gains_t *g, controllers_t *c, const motion_t *now, const real_t heave_yaw[4],
+void controllers_step(const gains_t *g, controllers_t *c, const motion_estimate_t *now, const real_t heave_yaw[4],
                       bool flying, const real_t tilt[2], actuators_t *out);
 
 #endif

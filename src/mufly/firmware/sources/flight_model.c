@@ -1,6 +1,6 @@
 #include "flight_model.h"
 
-#define RUBBING_FROM REAL(1.0) /* rad/s from which on constant friction acts in full */
+#define FULL_FRICTION_SPEED REAL(1.0) /* rad/s from which on constant friction acts in full */
 
 /* Thrust and torque over the speed's square. */
 typedef struct {
@@ -8,14 +8,14 @@ typedef struct {
     real_t thrust_dw;
     real_t torque_up;
     real_t torque_dw;
-} loads_t;
+} rotor_loads_t;
 
-static int32_t lesser(int32_t a, int32_t b)
+static int32_t min_int(int32_t a, int32_t b)
 {
     return (b < a) ? b : a;
 }
 
-static real_t within(real_t value, real_t low, real_t high)
+static real_t clip_with_nan(real_t value, real_t low, real_t high)
 {
     return real_min(real_max(value, low), high);
 }
@@ -25,23 +25,23 @@ static real_t within(real_t value, real_t low, real_t high)
 typedef struct {
     int32_t first;
     real_t weight[4];
-} cubic_t;
+} cubic_weights_t;
 
-static int32_t greater(int32_t a, int32_t b)
+static int32_t max_int(int32_t a, int32_t b)
 {
     return (b > a) ? b : a;
 }
 
-static cubic_t cubic(real_t at, int32_t n)
+static cubic_weights_t cubic_weights(real_t at, int32_t n)
 {
     const real_t x = real_min(real_max(at, REAL(0.0)), (real_t)n - REAL(1.0));
-    const int32_t i = lesser(real_whole(x), n - 2);
+    const int32_t i = min_int(real_floor_int(x), n - 2);
     const real_t t = x - (real_t)i;
     real_t a = t * (REAL(-0.5) + (t * (REAL(1.0) - (REAL(0.5) * t))));
     real_t b = REAL(1.0) + ((t * t) * (REAL(-2.5) + (REAL(1.5) * t)));
     real_t c = t * (REAL(0.5) + (t * (REAL(2.0) - (REAL(1.5) * t))));
     real_t d = (t * t) * (REAL(-0.5) + (REAL(0.5) * t));
-    cubic_t found;
+    cubic_weights_t found;
 
     if (i == 0) {
         b = b + (REAL(2.0) * a);
@@ -53,7 +53,7 @@ static cubic_t cubic(real_t at, int32_t n)
         b = b - d;
         d = REAL(0.0);
     }
-    found.first = i - 1;
+    found.first_waypoint = i - 1;
     found.weight[0] = a;
     found.weight[1] = b;
     found.weight[2] = c;
@@ -61,14 +61,14 @@ static cubic_t cubic(real_t at, int32_t n)
     return found;
 }
 
-static real_t along_climb(const real_t table[MAP_NODES], const int32_t at[4], const real_t weight[4])
+static real_t interpolate_climb(const real_t table[MAP_NODES], const int32_t at[4], const real_t weight[4])
 {
     return (((weight[0] * table[at[0]]) + (weight[1] * table[at[1]])) + (weight[2] * table[at[2]])) +
            (weight[3] * table[at[3]]);
 }
 
 /* By the coefficient map over mean speed, ratio of the speeds and climb. */
-static void by_map(const real_t x[MODEL_STATES], const real_t wind[3], const flight_model_t *p, loads_t *out)
+static void loads_from_map(const real_t x[MODEL_STATES], const real_t wind[3], const flight_model_t *p, rotor_loads_t *out)
 {
     const real_t up_n = REAL(-2.0) * ((x[RS_ATT + 1] * x[RS_ATT + 3]) + (x[RS_ATT] * x[RS_ATT + 2]));
     const real_t up_e = REAL(-2.0) * ((x[RS_ATT + 2] * x[RS_ATT + 3]) - (x[RS_ATT] * x[RS_ATT + 1]));
@@ -77,17 +77,17 @@ static void by_map(const real_t x[MODEL_STATES], const real_t wind[3], const fli
     const real_t up = real_abs(x[RS_SPEED_UPPER]);
     const real_t dw = real_abs(x[RS_SPEED_LOWER]);
     const real_t mean = REAL(0.5) * (up + dw);
-    const real_t ratio = dw / real_max(up, RUBBING_FROM);
-    const real_t climb_ratio = climb / (real_max(mean, RUBBING_FROM) * p->map_radius);
+    const real_t ratio = dw / real_max(up, FULL_FRICTION_SPEED);
+    const real_t climb_ratio = climb / (real_max(mean, FULL_FRICTION_SPEED) * p->map_radius);
     const int32_t speeds = p->map_size[0];
     const int32_t ratios = p->map_size[1];
     const int32_t climbs = p->map_size[2];
     const real_t fraction = real_min(
         real_max((mean - p->map_start[0]) * p->map_per_step[0], REAL(0.0)), (real_t)speeds - REAL(1.0));
-    const int32_t k0 = lesser(real_whole(fraction), greater(speeds - 2, 0));
+    const int32_t k0 = min_int(real_floor_int(fraction), max_int(speeds - 2, 0));
     const real_t s = fraction - (real_t)k0;
-    const cubic_t by_ratio = cubic((ratio - p->map_start[1]) * p->map_per_step[1], ratios);
-    const cubic_t by_climb = cubic((climb_ratio - p->map_start[2]) * p->map_per_step[2], climbs);
+    const cubic_weights_t by_ratio = cubic_weights((ratio - p->map_start[1]) * p->map_per_step[1], ratios);
+    const cubic_weights_t by_climb = cubic_weights((climb_ratio - p->map_start[2]) * p->map_per_step[2], climbs);
 
     out->thrust_up = REAL(0.0);
     out->thrust_dw = REAL(0.0);
@@ -100,30 +100,30 @@ static void by_map(const real_t x[MODEL_STATES], const real_t wind[3], const fli
             for (int32_t j = 0; j < 4; j++) {
                 const real_t v = w * by_ratio.weight[j];
                 const int32_t row =
-                    (((k0 + k) * ratios) + lesser(greater(by_ratio.first + j, 0), ratios - 1)) * climbs;
-                const int32_t at[4] = {row + greater(by_climb.first, 0), row + by_climb.first + 1,
-                                       row + by_climb.first + 2,
-                                       row + lesser(by_climb.first + 3, climbs - 1)};
+                    (((k0 + k) * ratios) + min_int(max_int(by_ratio.first_waypoint + j, 0), ratios - 1)) * climbs;
+                const int32_t at[4] = {row + max_int(by_climb.first_waypoint, 0), row + by_climb.first_waypoint + 1,
+                                       row + by_climb.first_waypoint + 2,
+                                       row + min_int(by_climb.first_waypoint + 3, climbs - 1)};
 
-                out->thrust_up += v * along_climb(p->map_thrust_up, at, by_climb.weight);
-                out->torque_up += v * along_climb(p->map_torque_up, at, by_climb.weight);
-                out->thrust_dw += v * along_climb(p->map_thrust_dw, at, by_climb.weight);
-                out->torque_dw += v * along_climb(p->map_torque_dw, at, by_climb.weight);
+                out->thrust_up += v * interpolate_climb(p->map_thrust_up, at, by_climb.weight);
+                out->torque_up += v * interpolate_climb(p->map_torque_up, at, by_climb.weight);
+                out->thrust_dw += v * interpolate_climb(p->map_thrust_dw, at, by_climb.weight);
+                out->torque_dw += v * interpolate_climb(p->map_torque_dw, at, by_climb.weight);
             }
         }
     }
 }
 #endif
 
-void battery(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_dw, const flight_model_t *p,
+void battery_state(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_dw, const flight_model_t *p,
              real_t *voltage, real_t *current)
 {
     const int32_t last = CURVE_POINTS - 1;
     const real_t emf = p->kE * p->gear_ratio;
     const real_t conductance = ((motor_up * motor_up) + (motor_dw * motor_dw)) / p->R_ohm;
     const real_t source = (((motor_up * emf) * x[RS_SPEED_UPPER]) + ((motor_dw * emf) * x[RS_SPEED_LOWER])) / p->R_ohm;
-    const real_t position = within(x[RS_CHARGE], REAL(0.0), REAL(1.0)) * (real_t)last;
-    const int32_t k = lesser(real_whole(position), last - 1);
+    const real_t position = clip_with_nan(x[RS_CHARGE], REAL(0.0), REAL(1.0)) * (real_t)last;
+    const int32_t k = min_int(real_floor_int(position), last - 1);
     const real_t open = p->battery_curve[k] +
                         ((position - (real_t)k) * (p->battery_curve[k + 1] - p->battery_curve[k]));
     const real_t loaded = (open + (p->battery_resistance * (source - p->electronics_current))) /
@@ -138,14 +138,14 @@ static real_t rotor_acceleration(const flight_model_t *p, real_t duty, real_t vo
 {
     const real_t current = ((duty * voltage) - ((p->kE * p->gear_ratio) * speed)) / p->R_ohm;
     const real_t turning =
-        (real_abs(speed + RUBBING_FROM) - real_abs(speed - RUBBING_FROM)) / (REAL(2.0) * RUBBING_FROM);
+        (real_abs(speed + FULL_FRICTION_SPEED) - real_abs(speed - FULL_FRICTION_SPEED)) / (REAL(2.0) * FULL_FRICTION_SPEED);
     const real_t drive = (((p->kM * current) / p->gear_ratio) - (p->dR * speed)) - ((p->Mf / p->gear_ratio) * turning);
 
     return (drive - (drag / ((p->gear_ratio * p->gear_ratio) * p->gear_efficiency))) / inertia;
 }
 
 /* Drag of a rotor in its disc plane, added to its force. */
-static void add_inplane(const real_t n[3], const real_t air[3], const real_t x[MODEL_STATES], real_t hub_z, real_t slope,
+static void add_inplane_drag(const real_t n[3], const real_t air[3], const real_t x[MODEL_STATES], real_t hub_z, real_t slope,
                         real_t force[3])
 {
     const real_t much = real_abs(slope);
@@ -161,10 +161,10 @@ static void add_inplane(const real_t n[3], const real_t air[3], const real_t x[M
 void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t wind[3], const flight_model_t *p,
                   const swash_t *swash, real_t dx[MODEL_STATES])
 {
-    const real_t motor_up = within(u[U_MOTOR_UPPER], REAL(0.0), REAL(1.0));
-    const real_t motor_dw = within(u[U_MOTOR_LOWER], REAL(0.0), REAL(1.0));
-    const real_t servo_1 = within(u[U_SERVO_1], REAL(-1.0), REAL(1.0));
-    const real_t servo_2 = within(u[U_SERVO_2], REAL(-1.0), REAL(1.0));
+    const real_t motor_up = clip_with_nan(u[U_MOTOR_UPPER], REAL(0.0), REAL(1.0));
+    const real_t motor_dw = clip_with_nan(u[U_MOTOR_LOWER], REAL(0.0), REAL(1.0));
+    const real_t servo_1 = clip_with_nan(u[U_SERVO_1], REAL(-1.0), REAL(1.0));
+    const real_t servo_2 = clip_with_nan(u[U_SERVO_2], REAL(-1.0), REAL(1.0));
     const real_t qw = x[RS_ATT];
     const real_t qx = x[RS_ATT + 1];
     const real_t qy = x[RS_ATT + 2];
@@ -186,7 +186,7 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     const real_t a20 = REAL(2.0) * ((qx * qz) - (qw * qy));
     const real_t a21 = REAL(2.0) * ((qy * qz) + (qw * qx));
     const real_t a22 = REAL(1.0) - (REAL(2.0) * ((qx * qx) + (qy * qy)));
-    loads_t k = {p->thrust_up, p->thrust_dw, p->torque_up, p->torque_dw};
+    rotor_loads_t k = {p->thrust_up, p->thrust_dw, p->torque_up, p->torque_dw};
     real_t voltage;
     real_t current;
     real_t drag_up;
@@ -216,11 +216,11 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
 
 #if MAP_NODES > 1
     if (p->map_nodes > 0) {
-        by_map(x, wind, p, &k);
+        loads_from_map(x, wind, p, &k);
     }
 #endif
     /* Motors and battery. */
-    battery(x, motor_up, motor_dw, p, &voltage, &current);
+    battery_state(x, motor_up, motor_dw, p, &voltage, &current);
     drag_up = (k.torque_up * speed_up) * real_abs(speed_up);
     drag_dw = (k.torque_dw * speed_dw) * real_abs(speed_dw);
     accel_up = rotor_acceleration(p, motor_up, voltage, speed_up, drag_up, p->J_up);
@@ -250,8 +250,8 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     if (p->inplane > REAL(0.0)) {
         const real_t n_dw[3] = {-swash->sin_b, swash->cos_b * swash->sin_a, -swash->cos_a * swash->cos_b};
 
-        add_inplane(n_up, air, x, p->z_up, p->inplane * speed_up, f_up);
-        add_inplane(n_dw, air, x, p->z_dw, p->inplane * speed_dw, f_dw);
+        add_inplane_drag(n_up, air, x, p->z_up, p->inplane * speed_up, f_up);
+        add_inplane_drag(n_dw, air, x, p->z_dw, p->inplane * speed_dw, f_dw);
     }
     fx = (f_up[0] + f_dw[0]) - ((p->drag_x * real_abs(air[0])) * air[0]);
     fy = (f_up[1] + f_dw[1]) - ((p->drag_y * real_abs(air[1])) * air[1]);

@@ -21,7 +21,7 @@ static void h_row_add(estimator_t *m, int32_t state, real_t h)
 }
 
 /* Move a state by errors that it had a span (s) ago, since when `push` has changed its velocity, but for gravity. */
-static void shift_state(real_t x[STATES], const real_t by[ERRORS], real_t span, const real_t push[3])
+static void shift_state(real_t x[STATE_COUNT], const real_t by[ERROR_STATE_COUNT], real_t span, const real_t push[3])
 {
     real_t v[3] = {by[EX_VEL], by[EX_VEL + 1], by[EX_VEL + 2]};
 
@@ -35,7 +35,7 @@ static void shift_state(real_t x[STATES], const real_t by[ERRORS], real_t span, 
         x[SX_VEL + i] += v[i];
     }
     rotate_attitude(x, by[EX_ATT], by[EX_ATT + 1], by[EX_ATT + 2], false);
-    for (int32_t i = EX_GYRO_BIAS; i < ERRORS; i++) {
+    for (int32_t i = EX_GYRO_BIAS; i < ERROR_STATE_COUNT; i++) {
         x[i + 1] += by[i];
     }
 }
@@ -44,12 +44,12 @@ static void shift_state(real_t x[STATES], const real_t by[ERRORS], real_t span, 
 static void apply_correction(estimator_t *m, real_t innovation, real_t variance)
 {
     ud_measurement_update(m, variance);
-    for (int32_t i = 0; i < ERRORS; i++) {
+    for (int32_t i = 0; i < ERROR_STATE_COUNT; i++) {
         m->gain[i] *= innovation;
     }
-    shift_state(m->x, m->gain, REAL(0.0), m->repropagating_gain);
-    shift_state(m->x_repropagating, m->gain, m->repropagating_span, m->repropagating_gain);
-    shift_state(m->x_now, m->gain, m->delay_span, m->now_gain);
+    shift_state(m->x, m->gain, REAL(0.0), m->repropagating_velocity_gain);
+    shift_state(m->x_repropagating, m->gain, m->repropagating_span, m->repropagating_velocity_gain);
+    shift_state(m->x_now, m->gain, m->now_span, m->now_velocity_gain);
 }
 
 /* Fuse a scalar measurement of variance r without a gate; its row is in m->h. */
@@ -86,18 +86,18 @@ static void reject_measurement(estimator_t *m, const estimator_settings_t *s, in
         m->agree_count[k] += 1;
     } else {
         m->agree_count[k] = 0;
-        m->reject_since_tick[k] = m->horizon;
+        m->reject_since_tick[k] = m->horizon_tick;
     }
-    if ((k != R_SONAR) && (real_abs(innovation) > ((REAL(2.0) * GATE) * m->innovation_sigma[k]))) {
+    if ((k != R_SONAR) && (real_abs(innovation) > ((REAL(2.0) * INNOVATION_GATE) * m->innovation_sigma[k]))) {
         m->reject_score[k] += REAL(1.0); /* by so much nothing healthy is off, but for a sonar that hears a second surface */
     }
-    mark_rejected(m, s, k, OFF, innovation);
+    mark_rejected(m, s, k, REASON_INNOVATION, innovation);
 }
 
-/* Return whether rejected readings have agreed with each other for AGREE_S. */
+/* Return whether rejected readings have agreed with each other for RESET_TIMEOUT_S. */
 static bool reset_timeout_expired(const estimator_t *m, const estimator_settings_t *s, int32_t k)
 {
-    return (m->agree_count[k] >= 3) && (((real_t)(m->horizon - m->reject_since_tick[k]) * s->dt) >= AGREE_S);
+    return (m->agree_count[k] >= 3) && (((real_t)(m->horizon_tick - m->reject_since_tick[k]) * s->dt) >= RESET_TIMEOUT_S);
 }
 
 /* Write the row H of component i of the fix. */
@@ -124,7 +124,7 @@ static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i,
         const real_t yaw = real_atan2(REAL(2.0) * ((x[SX_ATT] * x[SX_ATT + 3]) + (x[SX_ATT + 1] * x[SX_ATT + 2])),
                                        REAL(1.0) - (REAL(2.0) * ((x[SX_ATT + 2] * x[SX_ATT + 2]) + (x[SX_ATT + 3] * x[SX_ATT + 3]))));
 
-        off = real_wrapped(((z[3] - yaw) - (ahead * m->yaw_rate)) - x[SX_FIX_HEADING]);
+        off = real_wrap_angle(((z[3] - yaw) - (ahead * m->yaw_rate)) - x[SX_FIX_HEADING]);
     }
     return off;
 }
@@ -135,7 +135,7 @@ static real_t fix_variance(const estimator_settings_t *s, int32_t i)
     return (i < 3) ? s->fix_variance : s->heading_variance;
 }
 
-real_t height_above_ground(const real_t x[STATES], const estimator_settings_t *s)
+real_t height_above_ground(const real_t x[STATE_COUNT], const estimator_settings_t *s)
 {
     return (-x[SX_POS + 2] - real_max(x[SX_TERRAIN], REAL(0.0))) - s->ground_clearance;
 }
@@ -143,9 +143,9 @@ real_t height_above_ground(const real_t x[STATES], const estimator_settings_t *s
 /* Return the estimated bias of component i of the fix over the largest that its model allows. */
 static real_t fix_bias_ratio(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
-    const real_t sigma = s->sigma[EX_FIX_BIAS + i];
+    const real_t sigma = s->initial_sigma[EX_FIX_BIAS + i];
 
-    return real_abs(m->x[SX_FIX_BIAS + i]) / (RANGE * real_sqrt((sigma * sigma) + fix_variance(s, i)));
+    return real_abs(m->x[SX_FIX_BIAS + i]) / (BIAS_RANGE_SIGMAS * real_sqrt((sigma * sigma) + fix_variance(s, i)));
 }
 
 /* Return whether the sonar measures the height, over a known floor. */
@@ -154,7 +154,7 @@ static bool sonar_height_valid(const estimator_t *m, const estimator_settings_t 
     const int32_t k = R_SONAR;
     const bool fresh = (m->last_fused_tick[k] > 0) && (((real_t)(m->tick - m->last_fused_tick[k]) * s->dt) < REAL(0.3));
 
-    return fresh && (m->status[k] == FUSED) && (m->reason[k] == FINE) && !(m->terrain_edge > REAL(0.0));
+    return fresh && (m->status[k] == STATUS_FUSED) && (m->reason[k] == REASON_NONE) && !(m->terrain_edge_weight > REAL(0.0));
 }
 
 /* Return whether fix and sonar agree on the height; if not, write the gap to m->fix_height_gap. */
@@ -169,7 +169,7 @@ static bool fix_height_consistent(estimator_t *m, const estimator_settings_t *s,
 
         m->fix_height_gap = (blind || (off < REAL(2.5))) ? REAL(0.0) : apart;
     } else if (sonar_height_valid(m, s) &&
-               ((fix_bias_ratio(m, s, 2) > REAL(1.0)) || ((off > GATE) && reset_timeout_expired(m, s, k)))) {
+               ((fix_bias_ratio(m, s, 2) > REAL(1.0)) || ((off > INNOVATION_GATE) && reset_timeout_expired(m, s, k)))) {
         m->fix_height_gap = apart;
     } else {
         /* they agree */
@@ -180,8 +180,8 @@ static bool fix_height_consistent(estimator_t *m, const estimator_settings_t *s,
 /* Reset the position to the fix; where other sensors hold it, reset the bias of the fix instead. */
 static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
 {
-    const bool height_held = m->status[R_SONAR] == FUSED;
-    const bool place_held = m->status[R_RING] == FUSED;
+    const bool height_held = m->status[R_SONAR] == STATUS_FUSED;
+    const bool place_held = m->status[R_RING] == STATUS_FUSED;
     real_t nu;
 
     for (int32_t i = 0; i < 3; i++) {
@@ -224,23 +224,23 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
     }
     log_innovation(m, k, at, worst);
     /* Off by more and more, it is not a fix that jumps: the filter is led away. */
-    led = (s->has_rotor_model > 0) && (m->fix_ratio_lp > LED_AWAY) && (real_abs(worst) > GATE) &&
-          (real_abs(worst) < (REAL(2.0) * GATE));
-    if ((real_abs(worst) > GATE) && !led) {
+    led = (s->has_rotor_model > 0) && (m->fix_ratio_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
+          (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
+    if ((real_abs(worst) > INNOVATION_GATE) && !led) {
         reject_measurement(m, s, k, at, z, 3,
-                  ((REAL(2.0) * s->period[k]) + (REAL(8.0) * real_sqrt(s->fix_variance))) + REAL(0.05));
+                  ((REAL(2.0) * s->sensor_period[k]) + (REAL(8.0) * real_sqrt(s->fix_variance))) + REAL(0.05));
         if (!reset_timeout_expired(m, s, k)) {
             return;
         }
         reset_to_fix(m, z, ahead);
-        set_fault(m, s, k, REJECTED, TAKEN_OVER, at);
+        set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, at);
     }
     /* Off by much again and again: something carries the filter astray that it does not know. */
     m->fix_ratio_lp += REAL(0.15) * ((worst * worst) - m->fix_ratio_lp);
     out = real_max(real_max(fix_bias_ratio(m, s, 0), fix_bias_ratio(m, s, 1)), fix_bias_ratio(m, s, 3));
-    if (led || (m->fix_ratio_lp > STRAIN) || (out > REAL(1.0))) {
+    if (led || (m->fix_ratio_lp > FIX_MEAN_SQUARE_GATE) || (out > REAL(1.0))) {
         reset_on_divergence(m, s);
-        set_fault(m, s, k, FUSED, STRAINED, at);
+        set_fault(m, s, k, STATUS_FUSED, REASON_PERSISTENT_OFFSET, at);
     }
     for (int32_t i = 0; i < 4; i++) {
         if ((i != 2) || down) {
@@ -249,23 +249,23 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         }
     }
     for (int32_t i = 0; i < 3; i++) {
-        const real_t most = (GYRO_RANGE * s->sigma[EX_GYRO_BIAS + i]) + (REAL(2.0) * m->sigma_output[EX_GYRO_BIAS + i]);
+        const real_t most = (GYRO_BIAS_RANGE_SIGMAS * s->initial_sigma[EX_GYRO_BIAS + i]) + (REAL(2.0) * m->sigma_output[EX_GYRO_BIAS + i]);
 
-        if ((real_abs(m->x[SX_GYRO_BIAS + i]) > most) && (m->status[R_RATES] == FUSED)) {
-            set_fault(m, s, R_RATES, REJECTED, WANDERS, m->x[SX_GYRO_BIAS + i]);
+        if ((real_abs(m->x[SX_GYRO_BIAS + i]) > most) && (m->status[R_RATES] == STATUS_FUSED)) {
+            set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m->x[SX_GYRO_BIAS + i]);
         }
     }
     mark_fused(m, k);
     if (!down) {
-        set_fault(m, s, k, FAULTY, AWAY, m->fix_height_gap);
+        set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m->fix_height_gap);
     }
-    m->heading_aligned = 1;
+    m->is_heading_aligned = 1;
 }
 
 /* Write the row H of the sonar; return the sonar's place below the centre of gravity (m). */
 static real_t sonar_h_row(estimator_t *m, const estimator_settings_t *s, real_t r[9])
 {
-    const real_t *at = s->sonar_place;
+    const real_t *at = s->sonar_position;
     real_t n;
     real_t e;
 
@@ -286,13 +286,13 @@ static void reset_height(estimator_t *m, const estimator_settings_t *s, real_t n
     const int32_t before = m->height_reset_tick;
 
     inflate_variance(m, EX_POS + 2, nu * nu); /* the foot of a wall in the cone may have been taken for the floor */
-    m->height_reset_tick = m->horizon;
-    if (!((before > 0) && (((real_t)(m->horizon - before) * s->dt) < LED_S))) {
+    m->height_reset_tick = m->horizon_tick;
+    if (!((before > 0) && (((real_t)(m->horizon_tick - before) * s->dt) < HEIGHT_RESET_WINDOW_S))) {
         return;
     }
-    inflate_variance(m, EX_VEL + 2, LED_SPEED * LED_SPEED);
-    inflate_variance(m, EX_ACCEL_BIAS + 2, LED_FORCE * LED_FORCE);
-    inflate_variance(m, EX_THRUST_SCALE, LED_THRUST * LED_THRUST);
+    inflate_variance(m, EX_VEL + 2, HEIGHT_RESET_SPEED * HEIGHT_RESET_SPEED);
+    inflate_variance(m, EX_ACCEL_BIAS + 2, HEIGHT_RESET_ACCEL * HEIGHT_RESET_ACCEL);
+    inflate_variance(m, EX_THRUST_SCALE, HEIGHT_RESET_THRUST * HEIGHT_RESET_THRUST);
 }
 
 /* Decide whether terrain or height is wrong after rejected ranges; return whether the range may be fused. */
@@ -303,34 +303,34 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
     real_t floor_height;
     bool step;
 
-    reject_measurement(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->period[k]));
+    reject_measurement(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->sensor_period[k]));
     floor_height = m->x[SX_TERRAIN] - nu;
-    step = (m->agree_count[k] >= 2) && (floor_height > LEAST_FLOOR);
-    if (step && (m->terrain_steps >= MOST_STEPS)) {
+    step = (m->agree_count[k] >= 2) && (floor_height > MIN_TERRAIN_HEIGHT);
+    if (step && (m->terrain_steps >= MAX_TERRAIN_STEPS)) {
         /* Step after step: it is not the floor that goes, it is the height. */
         inflate_variance(m, EX_POS + 2, nu * nu);
         inflate_variance(m, EX_VEL + 2, REAL(0.1));
         inflate_variance(m, EX_THRUST_SCALE, REAL(0.01));
-        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu);
+        set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
     } else if (step && (nu > REAL(0.0))) {
         reset_height(m, s, nu); /* lower than the floor nothing lies; over an edge it was the surface that jumped */
-        set_fault(m, s, k, FUSED, SLOPE, nu);
+        set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu);
     } else if (step) {
         inflate_variance(m, EX_TERRAIN, nu * nu);
         m->reject_score[k] = REAL(0.0);
-        set_fault(m, s, k, FUSED, STEP, floor_height);
-        m->terrain_edge = REAL(1.0);
+        set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_STEP, floor_height);
+        m->terrain_edge_weight = REAL(1.0);
     } else if (reset_timeout_expired(m, s, k)) {
-        if ((((real_t)(m->tick - m->last_fused_tick[R_FIX]) * s->dt) < AGREE_S) && (m->last_fused_tick[R_FIX] > 0)) {
+        if ((((real_t)(m->tick - m->last_fused_tick[R_FIX]) * s->dt) < RESET_TIMEOUT_S) && (m->last_fused_tick[R_FIX] > 0)) {
             inflate_variance(m, EX_TERRAIN, nu * nu); /* the fix holds the height */
         } else {
             inflate_variance(m, EX_POS + 2, nu * nu);
             inflate_variance(m, EX_VEL + 2, REAL(0.1) + (nu * nu));
         }
-        set_fault(m, s, k, REJECTED, TAKEN_OVER, nu);
+        set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
     } else {
         if (m->agree_count[k] >= 2) {
-            set_fault(m, s, k, REJECTED, OFF, nu); /* below the room's floor, and not by chance */
+            set_fault(m, s, k, STATUS_REJECTED, REASON_INNOVATION, nu); /* below the room's floor, and not by chance */
         }
         taken = false;
     }
@@ -343,17 +343,17 @@ static bool sonar_stuck(estimator_t *m, const estimator_settings_t *s, real_t z,
     const bool same = (z <= m->sonar_prev) && (z >= m->sonar_prev);
 
     m->sonar_prev = z;
-    if ((!same) || (height_above_ground(m->x, s) < CLEAR)) {
+    if ((!same) || (height_above_ground(m->x, s) < LEG_CLEARANCE_HEIGHT)) {
         m->sonar_repeat_chance = REAL(1.0);
     } else {
         /* A height that is hardly known has no part in it: it may be better than believed. */
         const real_t sigma = REAL(1.3) * real_sqrt(s->sonar_variance);
-        const real_t likely = ((REAL(0.399) * s->sonar_step) / sigma) /
+        const real_t likely = ((REAL(0.399) * s->sonar_resolution) / sigma) /
                               (REAL(1.0) + (REAL(0.5) * real_min((nu * nu) / (sigma * sigma), REAL(9.0))));
 
         m->sonar_repeat_chance *= real_min(likely, REAL(1.0));
     }
-    return (m->sonar_repeat_chance < STUCK) && same;
+    return (m->sonar_repeat_chance < MAX_STUCK_CHANCE) && same;
 }
 
 void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
@@ -362,7 +362,7 @@ void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, const real_
     real_t r[9];
     const real_t down = sonar_h_row(m, s, r);
     const real_t nearest = s->sonar_min + REAL(0.005);
-    const real_t standing = s->ground_clearance - s->sonar_place[2];
+    const real_t standing = s->ground_clearance - s->sonar_position[2];
     real_t said = z[0];
     real_t variance = s->sonar_variance;
     real_t expect;
@@ -388,31 +388,31 @@ void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, const real_
     ratio = innovation_ratio(m, nu, variance);
     log_innovation(m, k, nu, ratio);
     if (sonar_stuck(m, s, z[0], nu)) {
-        set_fault(m, s, k, FAULTY, STUCK_, z[0]);
+        set_fault(m, s, k, STATUS_FAULTY, REASON_STUCK, z[0]);
         return;
     }
-    over = (m->terrain_edge > REAL(0.0)) || (real_abs(m->x[SX_TERRAIN]) > LOW);
+    over = (m->terrain_edge_weight > REAL(0.0)) || (real_abs(m->x[SX_TERRAIN]) > MAX_FLOOR_HEIGHT);
     /* Always off to the same side: over an edge it is the surface. Tops are flat, so else it is the height. */
-    if (real_abs(ratio) < GATE) {
+    if (real_abs(ratio) < INNOVATION_GATE) {
         m->sonar_ratio_lp += REAL(0.2) * (ratio - m->sonar_ratio_lp);
     }
-    if (real_abs(m->sonar_ratio_lp) > LEAN) {
+    if (real_abs(m->sonar_ratio_lp) > SONAR_MEAN_GATE) {
         m->sonar_ratio_lp = REAL(0.0);
-        set_fault(m, s, k, FUSED, SLOPE, nu);
+        set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu);
         if (over || (nu < REAL(0.0))) {
-            m->terrain_edge = REAL(1.0);
+            m->terrain_edge_weight = REAL(1.0);
         } else {
             reset_height(m, s, nu);
             (void)sonar_h_row(m, s, r);
         }
     }
-    if (over && (real_abs(ratio) > SUDDEN) && (m->terrain_steps < MOST_STEPS) && ((m->x[SX_TERRAIN] - nu) > LEAST_FLOOR)) {
+    if (over && (real_abs(ratio) > TERRAIN_STEP_GATE) && (m->terrain_steps < MAX_TERRAIN_STEPS) && ((m->x[SX_TERRAIN] - nu) > MIN_TERRAIN_HEIGHT)) {
         /* Over an object it is the surface that jumps. */
         m->terrain_steps += 1;
-        m->terrain_edge = REAL(1.0);
+        m->terrain_edge_weight = REAL(1.0);
         inflate_variance(m, EX_TERRAIN, nu * nu);
         (void)sonar_h_row(m, s, r);
-    } else if (real_abs(ratio) > GATE) {
+    } else if (real_abs(ratio) > INNOVATION_GATE) {
         if (!reset_to_sonar(m, s, z, nu)) {
             return;
         }
@@ -432,8 +432,8 @@ void reset_terrain(estimator_t *m)
 
 void fuse_liftoff_thrust(estimator_t *m, real_t lift)
 {
-    const real_t scale = LIFTS / lift;
-    const real_t spread = LIFTS_OFF * scale;
+    const real_t scale = LIFTOFF_THRUST_RATIO / lift;
+    const real_t spread = LIFTOFF_THRUST_SIGMA * scale;
 
     h_row_begin(m, EX_THRUST_SCALE, REAL(1.0));
     fuse_scalar(m, scale - m->x[SX_THRUST_SCALE], spread * spread);
@@ -479,7 +479,7 @@ static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, 
     return best;
 }
 
-bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[BEAMS], real_t ahead, int32_t most)
+bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[MAX_FUSED_BEAMS], real_t ahead, int32_t most)
 {
     const int32_t k = R_RING;
     const int32_t last_beam = ((m->next_beam + most) < s->beam_count) ? (m->next_beam + most) : s->beam_count;
@@ -494,12 +494,12 @@ bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_
         for (int32_t i = 0; i < 2; i++) {
             const real_t told = m->wall_info_limit[i] * state_variance(m, EX_POS + i);
 
-            m->wall_info_gained[i] = (told > REAL(1.0)) ? (REAL(1.0) - (REAL(1.0) / told)) : REAL(0.0);
+            m->wall_info_share[i] = (told > REAL(1.0)) ? (REAL(1.0) - (REAL(1.0) / told)) : REAL(0.0);
             m->wall_info_limit[i] = REAL(0.0);
         }
     }
     for (int32_t b = m->next_beam; b < last_beam; b++) {
-        const real_t *beam = s->beam_direction[b];
+        const real_t *beam = s->beam_directions[b];
         real_t u[3];
         int32_t axis;
         real_t best;
@@ -529,8 +529,8 @@ bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_
                 log_innovation(m, k, nu, ratio);
                 m->beams_fused += 1;
                 m->wall_info_limit[axis] += (h * h) / lasts;
-                if (m->wall_info_gained[axis] > REAL(0.0)) {
-                    apply_correction(m, nu, scatters + (lasts / m->wall_info_gained[axis]));
+                if (m->wall_info_share[axis] > REAL(0.0)) {
+                    apply_correction(m, nu, scatters + (lasts / m->wall_info_share[axis]));
                     rotation_matrix(&m->x[SX_ATT], r);
                 }
             }
@@ -542,8 +542,8 @@ bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_
     } else if (m->beams_fused > 0) {
         mark_fused(m, k);
     } else if (m->tick >= m->fault_until_tick[k]) {
-        m->status[k] = NOTHING;
-        m->reason[k] = (m->beams_seen == 0) ? TOO_FAR : NO_WALL;
+        m->status[k] = STATUS_WAITING;
+        m->reason[k] = (m->beams_seen == 0) ? REASON_WALLS_TOO_FAR : REASON_NO_WALL;
     } else {
         /* told of for a while yet */
     }
@@ -557,12 +557,12 @@ static bool gate_drifting_aid(estimator_t *m, const estimator_settings_t *s, int
     bool taken = true;
 
     log_innovation(m, k, nu, ratio);
-    if (real_abs(ratio) > GATE) {
+    if (real_abs(ratio) > INNOVATION_GATE) {
         reject_measurement(m, s, k, nu, z, count, near);
         taken = reset_timeout_expired(m, s, k);
         if (taken) {
             inflate_variance(m, bias, nu * nu);
-            set_fault(m, s, k, REJECTED, TAKEN_OVER, nu);
+            set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
         }
     }
     return taken;
@@ -597,12 +597,12 @@ void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s, const 
     north = ((r[0] * z[0]) + (r[1] * z[1])) + (r[2] * z[2]);
     east = ((r[3] * z[0]) + (r[4] * z[1])) + (r[5] * z[2]);
     h_row_begin(m, EX_ATT + 2, REAL(1.0));
-    h_row_add(m, EX_ATT, -s->earth[2] / s->earth[0]);
+    h_row_add(m, EX_ATT, -s->earth_field[2] / s->earth_field[0]);
     h_row_add(m, EX_MAG_BIAS, REAL(1.0));
-    nu = real_wrapped((-real_atan2(east, north) - (ahead * m->yaw_rate)) - m->x[SX_MAG_BIAS]);
-    ratio = innovation_ratio(m, nu, s->magnet_variance);
+    nu = real_wrap_angle((-real_atan2(east, north) - (ahead * m->yaw_rate)) - m->x[SX_MAG_BIAS]);
+    ratio = innovation_ratio(m, nu, s->mag_heading_variance);
     if (gate_drifting_aid(m, s, k, EX_MAG_BIAS, nu, ratio, z, 3, REAL(1e-5))) {
-        fuse_scalar(m, nu, s->magnet_variance);
+        fuse_scalar(m, nu, s->mag_heading_variance);
         mark_fused(m, k);
     }
 }
@@ -627,7 +627,7 @@ void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t 
     known = innovation_variance(m);
     ratio = nu / real_sqrt(known + variance);
     check_accel_model(m, s, nu, variance, known, i);
-    if ((real_abs(ratio) < GATE) && (m->accel_distrusted == 0)) {
+    if ((real_abs(ratio) < INNOVATION_GATE) && (m->is_accel_distrusted == 0)) {
         apply_correction(m, nu, variance);
     }
     if ((i == 0) || (real_abs(ratio) > m->residual_ratio)) {
@@ -638,23 +638,23 @@ void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t 
 
 void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t mode, int32_t i)
 {
-    const bool still = mode == STANDING;
-    const real_t calm = still ? ((s->rest_gyro * s->rest_gyro) / (real_t)count) : REAL(2.5e-5);
+    const bool still = mode == PHASE_STANDING;
+    const real_t calm = still ? ((s->rest_gyro_sigma * s->rest_gyro_sigma) / (real_t)count) : REAL(2.5e-5);
     real_t off;
 
     h_row_begin(m, EX_VEL + i, REAL(1.0));
     fuse_scalar(m, -m->x[SX_VEL + i], REAL(4e-4));
-    if (mode == COASTING) {
+    if (mode == PHASE_COASTING) {
         return; /* such rotors turn the vehicle on its legs: that is no noise, but a rate that lasts */
     }
     off = m->gyro_mean[i] - m->x[SX_GYRO_BIAS + i];
     h_row_begin(m, EX_GYRO_BIAS + i, REAL(1.0));
     /* With its rotors running it may slide and turn on its legs. */
-    if (still || (real_abs(innovation_ratio(m, off, calm * REAL(2.0))) < GATE)) {
+    if (still || (real_abs(innovation_ratio(m, off, calm * REAL(2.0))) < INNOVATION_GATE)) {
         fuse_scalar(m, off, calm * REAL(2.0));
     }
-    if (still && (s->fitted[R_ACCELERATION] > 0)) {
-        const real_t variance = ((REAL(2.0) * s->rest_accel) * s->rest_accel) / (real_t)count;
+    if (still && (s->is_fitted[R_ACCELERATION] > 0)) {
+        const real_t variance = ((REAL(2.0) * s->rest_accel_sigma) * s->rest_accel_sigma) / (real_t)count;
         real_t r[9];
         real_t nu;
 
@@ -664,7 +664,7 @@ void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t cou
         /* R^T (-g e_D), and d(R^T u) = R^T (u x t) */
         h_row_add(m, EX_ATT, -r[3 + i] * GRAVITY);
         h_row_add(m, EX_ATT + 1, r[i] * GRAVITY);
-        if (real_abs(innovation_ratio(m, nu, variance)) < (REAL(2.0) * GATE)) {
+        if (real_abs(innovation_ratio(m, nu, variance)) < (REAL(2.0) * INNOVATION_GATE)) {
             apply_correction(m, nu, variance);
         }
     }

@@ -9,7 +9,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
 /* Fuse the range to the surface below; a step that no other sensor sees belongs to the terrain. */
 void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead);
 /* Fuse at most this many beams; return whether that was the last. */
-bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[BEAMS], real_t ahead, int32_t most);
+bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[MAX_FUSED_BEAMS], real_t ahead, int32_t most);
 /* Fuse the pressure less the standard one and less the rotors' part. */
 void fuse_pressure_height(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead);
 /* Fuse the heading by the direction of the magnetic field. */
@@ -22,7 +22,7 @@ void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t 
 void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t mode, int32_t i);
 
 /* Return the height of the legs above the surface below (m); that surface is not below the floor. */
-real_t height_above_ground(const real_t x[STATES], const estimator_settings_t *s);
+real_t height_above_ground(const real_t x[STATE_COUNT], const estimator_settings_t *s);
 
 /* Reset the terrain to the floor's height. */
 void reset_terrain(estimator_t *m);

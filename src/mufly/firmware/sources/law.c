@@ -4,7 +4,7 @@
 #include "mixer.h"
 
 /* value += change; what the sum drops is added the next time. */
-static void add(real_t *value, real_t *dropped, real_t change)
+static void add_compensated(real_t *value, real_t *dropped, real_t change)
 {
     const real_t more = change + *dropped;
     const real_t total = *value + more;
@@ -14,7 +14,7 @@ static void add(real_t *value, real_t *dropped, real_t change)
 }
 
 /* A reference filter: critically damped near the target, on a braking parabola far from it. */
-static void shape(real_t *value, real_t *dropped, real_t *rate, real_t target, real_t target_rate,
+static void filter_reference(real_t *value, real_t *dropped, real_t *rate, real_t target, real_t target_rate,
                   real_t bandwidth, real_t acceleration, real_t speed, real_t period)
 {
     const real_t gap = target - *value;
@@ -24,36 +24,36 @@ static void shape(real_t *value, real_t *dropped, real_t *rate, real_t target, r
     real_t wanted = slope * gap;
 
     if (real_abs(gap) > linear) {
-        wanted = real_with_sign(real_sqrt((REAL(2.0) * braking) * (real_abs(gap) - (REAL(0.5) * linear))), gap);
+        wanted = real_copysign(real_sqrt((REAL(2.0) * braking) * (real_abs(gap) - (REAL(0.5) * linear))), gap);
     }
     wanted = real_clip(wanted + target_rate, -speed, speed);
     *rate += period * real_clip((REAL(2.0) * bandwidth) * (wanted - *rate), -acceleration, acceleration);
-    add(value, dropped, period * *rate);
+    add_compensated(value, dropped, period * *rate);
 }
 
 /* What of a rate goes the way of whole, and no further. */
-static real_t share(real_t rate, real_t whole)
+static real_t limit_lead_rate(real_t rate, real_t whole)
 {
     return (whole > REAL(0.0)) ? real_clip(rate, REAL(0.0), whole) : real_clip(rate, whole, REAL(0.0));
 }
 
 /* A reading far off the design voltage is a fault of the sensor, not a battery. */
-static real_t believed(const heave_yaw_gains_t *g, real_t voltage)
+static real_t limit_voltage(const heave_yaw_gains_t *g, real_t voltage)
 {
     return real_clip(voltage, REAL(0.5) * g->design_voltage, REAL(1.5) * g->design_voltage);
 }
 
-void heave_yaw_start(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t measured[3],
-                     const real_t motor_input[PAIR], real_t voltage)
+void heave_yaw_init(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t measured[3],
+                     const real_t motor_input[OUTPUT_PAIR], real_t voltage)
 {
-    const real_t volts = believed(g, voltage);
+    const real_t volts = limit_voltage(g, voltage);
     const real_t e[HEAVE_YAW_ERRORS] = {REAL(0.0), REAL(0.0), REAL(0.0), REAL(0.0), -measured[2]};
-    real_t u[PAIR];
+    real_t u[OUTPUT_PAIR];
 
-    for (int32_t i = 0; i < PAIR; i++) { /* lower, upper */
+    for (int32_t i = 0; i < OUTPUT_PAIR; i++) { /* lower, upper */
         u[i] = ((motor_input[1 - i] * volts) / g->design_voltage) - g->trim[i];
     }
-    linear_start(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->E[0][0], &g->U[0][0], e, u, state->x);
+    linear_init(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->E[0][0], &g->U[0][0], e, u, state->x);
     for (int32_t i = 0; i < HEAVE_YAW_ORDER; i++) {
         state->dropped[i] = REAL(0.0);
     }
@@ -68,7 +68,7 @@ void heave_yaw_start(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const
     state->voltage = volts;
 }
 
-void heave_wait(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z)
+void limit_heave_reference(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z)
 {
     const real_t trails = z - state->shaped_z;
     const real_t left = REAL(1.0) - (real_abs(trails) / g->heave_slack);
@@ -76,7 +76,7 @@ void heave_wait(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z)
     const real_t away = (trails < REAL(0.0)) ? state->shaped_w : -state->shaped_w;
 
     if (left < REAL(0.0)) {
-        state->shaped_z = z - real_with_sign(g->heave_slack, trails);
+        state->shaped_z = z - real_copysign(g->heave_slack, trails);
         state->dropped_z = REAL(0.0);
     }
     if ((left < REAL(0.0)) || (away > fastest)) {
@@ -88,70 +88,70 @@ void heave_wait(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z)
 }
 
 void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t reference[4],
-                    const real_t measured[3], real_t voltage, real_t motor_input[PAIR])
+                    const real_t measured[3], real_t voltage, real_t motor_input[OUTPUT_PAIR])
 {
     real_t e[HEAVE_YAW_ERRORS];
-    real_t u[PAIR];
-    real_t excess[PAIR];
+    real_t u[OUTPUT_PAIR];
+    real_t excess[OUTPUT_PAIR];
     real_t change[HEAVE_YAW_ORDER];
     real_t top;
     real_t half;
     real_t mean;
 
-    shape(&state->shaped_z, &state->dropped_z, &state->shaped_w, reference[0], reference[2], g->heave_bandwidth,
+    filter_reference(&state->shaped_z, &state->dropped_z, &state->shaped_w, reference[0], reference[2], g->heave_bandwidth,
           g->heave_acceleration, g->heave_speed, g->period);
-    shape(&state->shaped_psi, &state->dropped_psi, &state->shaped_r, reference[1], reference[3], g->yaw_bandwidth,
+    filter_reference(&state->shaped_psi, &state->dropped_psi, &state->shaped_r, reference[1], reference[3], g->yaw_bandwidth,
           g->yaw_acceleration, g->yaw_rate, g->period);
-    state->voltage += g->voltage_blend * (believed(g, voltage) - state->voltage);
+    state->voltage += g->voltage_blend * (limit_voltage(g, voltage) - state->voltage);
     top = state->voltage / g->design_voltage;
 
     /* Lead only on the rate that the reference itself brings: a bare step must not be sharpened. */
-    e[0] = (state->shaped_z + (g->heave_lead * share(state->shaped_w, reference[2]))) - state->origin_z;
-    e[1] = (state->shaped_psi + (g->yaw_lead * share(state->shaped_r, reference[3]))) - state->origin_psi;
+    e[0] = (state->shaped_z + (g->heave_lead * limit_lead_rate(state->shaped_w, reference[2]))) - state->origin_z;
+    e[1] = (state->shaped_psi + (g->yaw_lead * limit_lead_rate(state->shaped_r, reference[3]))) - state->origin_psi;
     e[2] = state->origin_z - measured[0];
     e[3] = state->origin_psi - measured[1];
     e[4] = -measured[2];
     linear_output(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->C[0][0], &g->D[0][0], state->x, e, u);
     u[0] += g->trim[0];
     u[1] += g->trim[1];
-    mixer_share(u, top, &mean, &half);
+    mixer_allocate(u, top, &mean, &half);
     excess[0] = (mean - half) - u[0];
     excess[1] = (mean + half) - u[1];
     linear_change(HEAVE_YAW_ORDER, HEAVE_YAW_ERRORS, &g->F[0][0], &g->B[0][0], &g->M[0][0], state->x, e, excess,
                   change);
     for (int32_t i = 0; i < HEAVE_YAW_ORDER; i++) {
-        add(&state->x[i], &state->dropped[i], change[i]);
+        add_compensated(&state->x[i], &state->dropped[i], change[i]);
     }
     /* top - |half| + |half| may be a little more than top: rounding. */
     motor_input[0] = real_clip((mean + half) / top, REAL(0.0), REAL(1.0));
     motor_input[1] = real_clip((mean - half) / top, REAL(0.0), REAL(1.0));
 }
 
-void roll_pitch_start(const roll_pitch_gains_t *g, roll_pitch_state_t *state,
+void roll_pitch_init(const roll_pitch_gains_t *g, roll_pitch_state_t *state,
                       const real_t measured[ROLL_PITCH_ERRORS])
 {
-    const real_t u[PAIR] = {REAL(0.0), REAL(0.0)};
+    const real_t u[OUTPUT_PAIR] = {REAL(0.0), REAL(0.0)};
     real_t e[ROLL_PITCH_ERRORS];
 
     for (int32_t i = 0; i < ROLL_PITCH_ERRORS; i++) {
         e[i] = -measured[i];
     }
-    linear_start(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->E[0][0], &g->U[0][0], e, u, state->x);
+    linear_init(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->E[0][0], &g->U[0][0], e, u, state->x);
 }
 
-void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, const real_t reference[PAIR],
-                     const real_t measured[ROLL_PITCH_ERRORS], real_t servo_input[PAIR])
+void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, const real_t reference[OUTPUT_PAIR],
+                     const real_t measured[ROLL_PITCH_ERRORS], real_t servo_input[OUTPUT_PAIR])
 {
     real_t e[ROLL_PITCH_ERRORS];
-    real_t excess[PAIR];
+    real_t excess[OUTPUT_PAIR];
     real_t change[ROLL_PITCH_ORDER];
 
-    for (int32_t i = 0; i < PAIR; i++) {
+    for (int32_t i = 0; i < OUTPUT_PAIR; i++) {
         e[i] = real_clip(reference[i], -g->tilt_limit, g->tilt_limit) - measured[i];
         e[i + 2] = -measured[i + 2];
     }
     linear_output(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->C[0][0], &g->D[0][0], state->x, e, servo_input);
-    for (int32_t i = 0; i < PAIR; i++) {
+    for (int32_t i = 0; i < OUTPUT_PAIR; i++) {
         const real_t wanted = servo_input[i] + g->trim[i];
         servo_input[i] = real_clip(wanted, REAL(-1.0), REAL(1.0));
         excess[i] = servo_input[i] - wanted;

@@ -11,17 +11,17 @@
 #define HEAVE_YAW_ERRORS 5
 #define ROLL_PITCH_ORDER 8
 #define ROLL_PITCH_ERRORS 4
-#define PAIR 2 /* both motors, both servos */
+#define OUTPUT_PAIR 2 /* both motors, both servos */
 
 typedef struct {
     real_t F[HEAVE_YAW_ORDER][HEAVE_YAW_ORDER];
     real_t B[HEAVE_YAW_ORDER][HEAVE_YAW_ERRORS];
-    real_t C[PAIR][HEAVE_YAW_ORDER];
-    real_t D[PAIR][HEAVE_YAW_ERRORS];
-    real_t M[HEAVE_YAW_ORDER][PAIR];
+    real_t C[OUTPUT_PAIR][HEAVE_YAW_ORDER];
+    real_t D[OUTPUT_PAIR][HEAVE_YAW_ERRORS];
+    real_t M[HEAVE_YAW_ORDER][OUTPUT_PAIR];
     real_t E[HEAVE_YAW_ORDER][HEAVE_YAW_ERRORS];
-    real_t U[HEAVE_YAW_ORDER][PAIR];
-    real_t trim[PAIR]; /* lower, upper; fraction of the design voltage */
+    real_t U[HEAVE_YAW_ORDER][OUTPUT_PAIR];
+    real_t trim[OUTPUT_PAIR]; /* lower, upper; fraction of the design voltage */
     real_t design_voltage;
     real_t voltage_blend;
     real_t period;
@@ -48,12 +48,12 @@ typedef struct {
 typedef struct {
     real_t F[ROLL_PITCH_ORDER][ROLL_PITCH_ORDER];
     real_t B[ROLL_PITCH_ORDER][ROLL_PITCH_ERRORS];
-    real_t C[PAIR][ROLL_PITCH_ORDER];
-    real_t D[PAIR][ROLL_PITCH_ERRORS];
-    real_t M[ROLL_PITCH_ORDER][PAIR];
+    real_t C[OUTPUT_PAIR][ROLL_PITCH_ORDER];
+    real_t D[OUTPUT_PAIR][ROLL_PITCH_ERRORS];
+    real_t M[ROLL_PITCH_ORDER][OUTPUT_PAIR];
     real_t E[ROLL_PITCH_ORDER][ROLL_PITCH_ERRORS];
-    real_t U[ROLL_PITCH_ORDER][PAIR];
-    real_t trim[PAIR]; /* servo 1, servo 2 */
+    real_t U[ROLL_PITCH_ORDER][OUTPUT_PAIR];
+    real_t trim[OUTPUT_PAIR]; /* servo 1, servo 2 */
     real_t tilt_limit;
 } roll_pitch_gains_t;
 
@@ -62,22 +62,22 @@ typedef struct {
 } roll_pitch_state_t;
 
 /* Engage heave-yaw without a bump from motors at motor_input; measured: z (m, down), psi, r; battery voltage (V). */
-void heave_yaw_start(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t measured[3],
-                     const real_t motor_input[PAIR], real_t voltage);
+void heave_yaw_init(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t measured[3],
+                     const real_t motor_input[OUTPUT_PAIR], real_t voltage);
 
 /* In flight: let the filtered reference wait for a height z (m, down) that trails it by more than the slack. */
-void heave_wait(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z);
+void limit_heave_reference(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z);
 
 /* One period. reference: z, psi and their rates; measured: z, psi, r; voltage (V). */
 void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t reference[4],
-                    const real_t measured[3], real_t voltage, real_t motor_input[PAIR]);
+                    const real_t measured[3], real_t voltage, real_t motor_input[OUTPUT_PAIR]);
 
 /* Engage roll-pitch with servos at trim; measured: phi, theta, p, q. */
-void roll_pitch_start(const roll_pitch_gains_t *g, roll_pitch_state_t *state,
+void roll_pitch_init(const roll_pitch_gains_t *g, roll_pitch_state_t *state,
                       const real_t measured[ROLL_PITCH_ERRORS]);
 
 /* One period. reference: phi, theta; measured: phi, theta, p, q. */
-void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, const real_t reference[PAIR],
-                     const real_t measured[ROLL_PITCH_ERRORS], real_t servo_input[PAIR]);
+void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, const real_t reference[OUTPUT_PAIR],
+                     const real_t measured[ROLL_PITCH_ERRORS], real_t servo_input[OUTPUT_PAIR]);
 
 #endif

@@ -4,18 +4,18 @@
 
 #include "real.h"
 
-#define OUTPUTS 2
+#define LINEAR_OUTPUTS 2
 
 /* u = C x + D e */
 void linear_output(int32_t n, int32_t m, const real_t C[], const real_t D[], const real_t x[], const real_t e[],
-                   real_t u[OUTPUTS]);
+                   real_t u[LINEAR_OUTPUTS]);
 
 /* F x + B e + M excess, by which x changes in a period; into change, which is another place than x */
 void linear_change(int32_t n, int32_t m, const real_t F[], const real_t B[], const real_t M[], const real_t x[],
-                   const real_t e[], const real_t excess[OUTPUTS], real_t change[]);
+                   const real_t e[], const real_t excess[LINEAR_OUTPUTS], real_t change[]);
 
 /* x = E e + U u */
-void linear_start(int32_t n, int32_t m, const real_t E[], const real_t U[], const real_t e[],
-                  const real_t u[OUTPUTS], real_t x[]);
+void linear_init(int32_t n, int32_t m, const real_t E[], const real_t U[], const real_t e[],
+                  const real_t u[LINEAR_OUTPUTS], real_t x[]);
 
 #endif

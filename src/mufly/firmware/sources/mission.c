@@ -4,74 +4,74 @@
 
 #include "phases.h"
 
-#define TIPPED (REAL(60.0) * DEGREE)
-#define LOW_FOR_S REAL(1.0)
+#define TIPPED_ANGLE (REAL(60.0) * DEGREE)
+#define LOW_BATTERY_S REAL(1.0)
 #define VOLTAGE_LAG_S REAL(0.5)
-#define GATE_HEIGHT_M REAL(0.1)
-#define GATE_HEADING (REAL(8.0) * DEGREE)
-#define LOOK_AROUND_S REAL(3.0)
+#define DEPARTURE_HEIGHT_TOLERANCE_M REAL(0.1)
+#define DEPARTURE_HEADING_TOLERANCE (REAL(8.0) * DEGREE)
+#define LOOK_AROUND_TIME_S REAL(3.0)
 #define LONGEST_STEP_S REAL(0.5)
-#define FARTHEST_M REAL(1e4)
-#define GO_AROUND_M REAL(0.4)
-#define OFF_FLOOR_M REAL(0.2)
+#define MAX_EXTENT_M REAL(1e4)
+#define GO_AROUND_HEIGHT_M REAL(0.4)
+#define OFF_FLOOR_HEIGHT_M REAL(0.2)
 #define PER_DEGREE (REAL(180.0) / REAL_PI)
 
 /* What may be asked in which state */
 
-typedef enum { NEVER, ALWAYS, AT_REST, GROUNDED, ARMED, SEEN, KNOWS, HIGH, LIFTED, STILL, WAITS } condition_t;
+typedef enum { DENY, ALLOW_ALWAYS, ALLOW_AT_REST, ALLOW_GROUNDED, ALLOW_ARMED, ALLOW_UNLESS_BLIND, ALLOW_UNLESS_FAILED, ALLOW_GO_AROUND, ALLOW_LIFTED, ALLOW_MOTORS_OFF, ALLOW_MISSION_WAITING } condition_t;
 
-static const condition_t table[ASK_COUNT][STATE_COUNT] = {
+static const condition_t request_table[REQUEST_COUNT][MISSION_STATE_COUNT] = {
     /* init, take-off, hover, waypoint, obstacle, landing, rc, offboard */
-    {AT_REST, AT_REST, AT_REST, AT_REST, AT_REST, AT_REST, AT_REST, AT_REST},                         /* arm */
-    {GROUNDED, GROUNDED, GROUNDED, GROUNDED, GROUNDED, GROUNDED, GROUNDED, GROUNDED},                 /* disarm */
-    {ARMED, NEVER, NEVER, NEVER, NEVER, NEVER, NEVER, NEVER},                                         /* take-off */
-    {ARMED, KNOWS, KNOWS, KNOWS, KNOWS, NEVER, NEVER, LIFTED},                                        /* start */
-    {NEVER, KNOWS, KNOWS, KNOWS, KNOWS, HIGH, NEVER, LIFTED},                                         /* pause */
-    {NEVER, LIFTED, KNOWS, KNOWS, KNOWS, NEVER, NEVER, LIFTED},                                       /* go-to */
-    {NEVER, LIFTED, KNOWS, KNOWS, KNOWS, NEVER, NEVER, LIFTED},                                       /* return */
-    {NEVER, KNOWS, KNOWS, KNOWS, KNOWS, ALWAYS, NEVER, KNOWS},                                        /* land */
-    {ALWAYS, LIFTED, KNOWS, KNOWS, KNOWS, NEVER, NEVER, ALWAYS},                                      /* offboard */
-    {SEEN, SEEN, SEEN, SEEN, SEEN, SEEN, SEEN, SEEN},                                                 /* sticks */
-    {STILL, WAITS, WAITS, WAITS, WAITS, NEVER, NEVER, NEVER},                                         /* load */
-    {ALWAYS, ALWAYS, ALWAYS, ALWAYS, ALWAYS, ALWAYS, ALWAYS, ALWAYS},                                 /* stop */
+    {ALLOW_AT_REST, ALLOW_AT_REST, ALLOW_AT_REST, ALLOW_AT_REST, ALLOW_AT_REST, ALLOW_AT_REST, ALLOW_AT_REST, ALLOW_AT_REST},                         /* arm */
+    {ALLOW_GROUNDED, ALLOW_GROUNDED, ALLOW_GROUNDED, ALLOW_GROUNDED, ALLOW_GROUNDED, ALLOW_GROUNDED, ALLOW_GROUNDED, ALLOW_GROUNDED},                 /* disarm */
+    {ALLOW_ARMED, DENY, DENY, DENY, DENY, DENY, DENY, DENY},                                         /* take-off */
+    {ALLOW_ARMED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, DENY, DENY, ALLOW_LIFTED},                                        /* start */
+    {DENY, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_GO_AROUND, DENY, ALLOW_LIFTED},                                         /* pause */
+    {DENY, ALLOW_LIFTED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, DENY, DENY, ALLOW_LIFTED},                                       /* go-to */
+    {DENY, ALLOW_LIFTED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, DENY, DENY, ALLOW_LIFTED},                                       /* return */
+    {DENY, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_ALWAYS, DENY, ALLOW_UNLESS_FAILED},                                        /* land */
+    {ALLOW_ALWAYS, ALLOW_LIFTED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, ALLOW_UNLESS_FAILED, DENY, DENY, ALLOW_ALWAYS},                                      /* offboard */
+    {ALLOW_UNLESS_BLIND, ALLOW_UNLESS_BLIND, ALLOW_UNLESS_BLIND, ALLOW_UNLESS_BLIND, ALLOW_UNLESS_BLIND, ALLOW_UNLESS_BLIND, ALLOW_UNLESS_BLIND, ALLOW_UNLESS_BLIND},                                                 /* sticks */
+    {ALLOW_MOTORS_OFF, ALLOW_MISSION_WAITING, ALLOW_MISSION_WAITING, ALLOW_MISSION_WAITING, ALLOW_MISSION_WAITING, DENY, DENY, DENY},                                         /* load */
+    {ALLOW_ALWAYS, ALLOW_ALWAYS, ALLOW_ALWAYS, ALLOW_ALWAYS, ALLOW_ALWAYS, ALLOW_ALWAYS, ALLOW_ALWAYS, ALLOW_ALWAYS},                                 /* stop */
 };
 
-bool mission_may(int32_t ask, const mission_t *s, real_t height, bool armed, bool flying)
+bool check_request(int32_t ask, const mission_t *s, real_t height, bool armed, bool flying)
 {
     const bool off = s->motors == MOTORS_OFF;
     const bool seen = s->motors != MOTORS_BLIND;
     const bool knows = seen && (s->outcome != OUTCOME_FAILED);
     bool can = false;
 
-    switch (table[ask][s->state]) {
-    case ALWAYS:
+    switch (request_table[ask][s->state]) {
+    case ALLOW_ALWAYS:
         can = true;
         break;
-    case AT_REST:
+    case ALLOW_AT_REST:
         can = armed || off;
         break;
-    case GROUNDED:
+    case ALLOW_GROUNDED:
         can = !flying;
         break;
-    case ARMED:
+    case ALLOW_ARMED:
         can = armed && off;
         break;
-    case SEEN:
+    case ALLOW_UNLESS_BLIND:
         can = seen;
         break;
-    case KNOWS:
+    case ALLOW_UNLESS_FAILED:
         can = knows;
         break;
-    case HIGH: /* still high enough for a landing to be broken off */
-        can = knows && (s->motors == MOTORS_FLY) && !(height <= GO_AROUND_M);
+    case ALLOW_GO_AROUND: /* still high enough for a landing to be broken off */
+        can = knows && (s->motors == MOTORS_FLY) && !(height <= GO_AROUND_HEIGHT_M);
         break;
-    case LIFTED: /* off the floor for good */
-        can = knows && (s->motors != MOTORS_SPIN_UP) && !(height < OFF_FLOOR_M);
+    case ALLOW_LIFTED: /* off the floor for good */
+        can = knows && (s->motors != MOTORS_SPIN_UP) && !(height < OFF_FLOOR_HEIGHT_M);
         break;
-    case STILL:
+    case ALLOW_MOTORS_OFF:
         can = off;
         break;
-    case WAITS: /* it hovers or flies where it was sent, and no mission is being flown */
+    case ALLOW_MISSION_WAITING: /* it hovers or flies where it was sent, and no mission is being flown */
         can = knows && s->manual && ((s->motors == MOTORS_SPIN_UP) || (s->motors == MOTORS_FLY));
         break;
     default:
@@ -81,12 +81,12 @@ bool mission_may(int32_t ask, const mission_t *s, real_t height, bool armed, boo
     return can;
 }
 
-static bool granted(int32_t ask, const mission_t *s, const belief_t *m)
+static bool is_granted(int32_t ask, const mission_t *s, const estimate_t *m)
 {
-    return mission_may(ask, s, s->standing[2] - m->motion.position[2], true, s->state != STATE_INIT);
+    return check_request(ask, s, s->home_position[2] - m->motion.position[2], true, s->state != STATE_INIT);
 }
 
-static bool in_flight(const mission_t *s)
+static bool is_in_flight(const mission_t *s)
 {
     return (s->state != STATE_INIT) && (s->state != STATE_LANDING) && (s->state != STATE_RC);
 }
@@ -94,21 +94,21 @@ static bool in_flight(const mission_t *s)
 /* Clocks, battery, what the beams see */
 
 /* Whether height and heading are adapted in fact, and the beams have had a look around. */
-static bool gate_open(const plan_t *plan, const mission_t *s, const belief_t *m)
+static bool may_depart(const plan_t *plan, const mission_t *s, const estimate_t *m)
 {
     const trajectory_t *way = &s->course.way;
-    point_t at;
+    trajectory_point_t at;
     real_t angle;
     real_t rate;
 
-    trajectory_at(way, way->gate_s, &at);
-    phases_swing(plan, s, &angle, &rate);
-    return (real_abs(m->motion.position[2] - at.position[2]) < GATE_HEIGHT_M) &&
-           (real_abs((m->motion.attitude[2] - at.heading) - angle) < (GATE_HEADING + real_abs(angle))) &&
-           (!plan->scan || s->resumed || !(way->way.way > REAL(0.0)) || (s->swing >= LOOK_AROUND_S));
+    trajectory_evaluate(way, way->departure_s, &at);
+    scan_yaw(plan, s, &angle, &rate);
+    return (real_abs(m->motion.position[2] - at.position[2]) < DEPARTURE_HEIGHT_TOLERANCE_M) &&
+           (real_abs((m->motion.attitude[2] - at.heading) - angle) < (DEPARTURE_HEADING_TOLERANCE + real_abs(angle))) &&
+           (!plan->scan || s->resumed_after_detour || !(way->path_profile.distance > REAL(0.0)) || (s->scan_duration_s >= LOOK_AROUND_TIME_S));
 }
 
-static bool anything_near(const plan_t *plan, const belief_t *m)
+static bool sees_anything(const plan_t *plan, const estimate_t *m)
 {
     real_t least = REAL_INFINITY;
 
@@ -118,60 +118,60 @@ static bool anything_near(const plan_t *plan, const belief_t *m)
     return least < plan->ring.max_range;
 }
 
-static void sense(const plan_t *plan, mission_t *s, const belief_t *m, real_t dt)
+static void update_clocks(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt)
 {
-    real_t clock = s->clock_s + dt;
-    const bool scanning = phases_scanning(plan, s);
+    real_t clock = s->motion_clock_s + dt;
+    const bool scanning = is_scanning(plan, s);
 
     if (s->state == STATE_WAYPOINT) {
-        const real_t gate = s->course.way.gate_s;
+        const real_t gate = s->course.way.departure_s;
 
-        if ((s->clock_s <= gate) && (gate < clock) && !gate_open(plan, s, m)) {
+        if ((s->motion_clock_s <= gate) && (gate < clock) && !may_depart(plan, s, m)) {
             clock = gate;
         }
     }
-    s->voltage = s->voltage + ((m->motion.voltage - s->voltage) * real_min(REAL(1.0), dt / VOLTAGE_LAG_S));
+    s->battery_V = s->battery_V + ((m->motion.voltage - s->battery_V) * real_min(REAL(1.0), dt / VOLTAGE_LAG_S));
     if (scanning) {
-        s->swing = real_min(LOOK_AROUND_S, s->swing + dt);
+        s->scan_duration_s = real_min(LOOK_AROUND_TIME_S, s->scan_duration_s + dt);
     } else {
-        s->swing = real_max(REAL(0.0), real_min(REAL(1.0), s->swing) - dt);
+        s->scan_duration_s = real_max(REAL(0.0), real_min(REAL(1.0), s->scan_duration_s) - dt);
     }
     s->time_s = m->time_s;
-    s->clock_s = clock;
-    s->step_s = dt;
-    s->low_s = (s->voltage < plan->low_voltage) ? (s->low_s + dt) : REAL(0.0);
+    s->motion_clock_s = clock;
+    s->step_duration_s = dt;
+    s->low_battery_duration_s = (s->battery_V < plan->low_voltage) ? (s->low_battery_duration_s + dt) : REAL(0.0);
 }
 
 /* The user: stop, waypoints, pause, home */
 
-void mission_stop_at_once(mission_t *s, const message_t *why)
+void stop_motors(mission_t *s, const message_t *why)
 {
     if ((s->state != STATE_INIT) || (s->motors != MOTORS_OFF)) {
-        if (s->started || s->begun) {
-            phases_fail(s, why);
+        if (s->has_taken_off || s->mission_begun) {
+            fail_mission(s, why);
         }
-        phases_enter(s, STATE_INIT, why, LEVEL_ERROR);
+        enter_state(s, STATE_INIT, why, LEVEL_ERROR);
         s->motors = MOTORS_OFF;
         s->has_detour = false;
         s->finished = s->outcome != OUTCOME_OPEN;
     }
 }
 
-/* Why a user's waypoint is refused; SAY_NOTHING if it is not. */
-static message_t waypoint_fault(const command_t *c)
+/* Why a user's waypoint is refused; SAY_NO_MESSAGE if it is not. */
+static message_t user_waypoint_fault(const command_t *c)
 {
-    message_t fault = say(SAY_NOTHING);
+    message_t fault = make_message(SAY_NO_MESSAGE);
     const real_t *where = c->waypoint;
 
-    if (c->has_heading && !real_finite(c->heading)) {
-        fault = say_1(SAY_HEADING_REFUSED, c->heading);
+    if (c->has_heading && !real_is_finite(c->heading)) {
+        fault = make_message_1(SAY_HEADING_REFUSED, c->heading);
     } else if (c->has_waypoint) {
-        const bool finite = real_finite(where[0]) && real_finite(where[1]) && real_finite(where[2]);
+        const bool finite = real_is_finite(where[0]) && real_is_finite(where[1]) && real_is_finite(where[2]);
 
-        if (!finite || (where[2] > -LOWEST_M)) {
-            fault = say_4(SAY_TOO_LOW, where[0], where[1], where[2], -LOWEST_M);
-        } else if ((where[2] < -HIGHEST_M) || (real_hypot(where[0], where[1]) > FARTHEST_M)) {
-            fault = say_4(SAY_TOO_FAR, where[0], where[1], where[2], -HIGHEST_M);
+        if (!finite || (where[2] > -MIN_WAYPOINT_HEIGHT_M)) {
+            fault = make_message_4(SAY_USER_WAYPOINT_TOO_LOW, where[0], where[1], where[2], -MIN_WAYPOINT_HEIGHT_M);
+        } else if ((where[2] < -MAX_HEIGHT_M) || (real_hypot(where[0], where[1]) > MAX_EXTENT_M)) {
+            fault = make_message_4(SAY_USER_WAYPOINT_TOO_FAR, where[0], where[1], where[2], -MAX_HEIGHT_M);
         } else {
             /* it can be flown to */
         }
@@ -183,12 +183,12 @@ static message_t waypoint_fault(const command_t *c)
 
 static real_t compass_deg(real_t heading)
 {
-    const real_t deg = real_wrapped(heading) * PER_DEGREE;
+    const real_t deg = real_wrap_angle(heading) * PER_DEGREE;
 
     return deg + ((deg < REAL(0.0)) ? REAL(360.0) : REAL(0.0));
 }
 
-static bool same_place(const real_t a[3], const real_t b[3])
+static bool is_same_place(const real_t a[3], const real_t b[3])
 {
     bool same = true;
 
@@ -199,244 +199,244 @@ static bool same_place(const real_t a[3], const real_t b[3])
 }
 
 /* What the user asks for is what it does already. */
-static bool asked_already(const mission_t *s, const command_t *c)
+static bool is_already_requested(const mission_t *s, const command_t *c)
 {
     const bool heading = c->has_heading
-                             ? (s->has_asked_heading && (c->heading <= s->asked_heading) && (c->heading >= s->asked_heading))
-                             : !s->has_asked_heading;
+                             ? (s->has_requested_heading && (c->heading <= s->requested_heading) && (c->heading >= s->requested_heading))
+                             : !s->has_requested_heading;
 
-    return s->manual && !s->homing && heading && (!c->has_waypoint || same_place(c->waypoint, s->goal));
+    return s->manual && !s->returning_home && heading && (!c->has_waypoint || is_same_place(c->waypoint, s->goal));
 }
 
-static void to_users_waypoint(const plan_t *plan, mission_t *s, const command_t *c)
+static void fly_to_user_waypoint(const plan_t *plan, mission_t *s, const command_t *c)
 {
-    message_t what = waypoint_fault(c);
+    message_t what = user_waypoint_fault(c);
 
-    if (what.code != SAY_NOTHING) {
-        const entry_t *last = &s->log[(s->logged - 1) % MISSION_LOG];
+    if (what.code != SAY_NO_MESSAGE) {
+        const log_entry_t *last = &s->log[(s->logged_count - 1) % MISSION_LOG];
 
-        if (!say_same(&last->message, &what)) {
-            mission_log(s, &what, LEVEL_WARNING);
+        if (!is_same_message(&last->message, &what)) {
+            log_event(s, &what, LEVEL_WARNING);
         }
-    } else if (!asked_already(s, c)) {
-        errand_t errand = {ERRAND_USER, false, {REAL(0.0), REAL(0.0), REAL(0.0)}, false, REAL(0.0)};
+    } else if (!is_already_requested(s, c)) {
+        leg_request_t errand = {LEG_TO_USER_WAYPOINT, false, {REAL(0.0), REAL(0.0), REAL(0.0)}, false, REAL(0.0)};
 
         errand.has_goal = c->has_waypoint;
-        phases_copy(c->waypoint, errand.goal);
+        copy_vector(c->waypoint, errand.goal);
         errand.has_heading = c->has_heading;
         errand.heading = c->heading;
         if (!c->has_waypoint) {
-            what = say_1(SAY_TURNING, compass_deg(c->heading));
+            what = make_message_1(SAY_TURNING_TO_HEADING, compass_deg(c->heading));
         } else if (c->has_heading) {
-            what = say_4(SAY_USERS_WAYPOINT_HEADING, c->waypoint[0], c->waypoint[1], c->waypoint[2],
+            what = make_message_4(SAY_TO_USER_WAYPOINT_WITH_HEADING, c->waypoint[0], c->waypoint[1], c->waypoint[2],
                          c->heading * PER_DEGREE);
         } else {
-            what = say_3(SAY_USERS_WAYPOINT, c->waypoint[0], c->waypoint[1], c->waypoint[2]);
+            what = make_message_3(SAY_TO_USER_WAYPOINT, c->waypoint[0], c->waypoint[1], c->waypoint[2]);
         }
-        phases_set_out(plan, s, &what, &errand);
+        start_leg(plan, s, &what, &errand);
     } else {
         /* it goes there already */
     }
 }
 
-void mission_pause(const plan_t *plan, mission_t *s, const message_t *why)
+void pause_mission(const plan_t *plan, mission_t *s, const message_t *why)
 {
     if (s->state == STATE_HOVER) {
         if (!s->manual) {
-            mission_log(s, why, LEVEL_INFO);
+            log_event(s, why, LEVEL_INFO);
             s->manual = true;
-            s->quit = say(SAY_NOTHING);
+            s->abort_reason = make_message(SAY_NO_MESSAGE);
         }
     } else {
-        stop_t brake;
-        point_t at;
+        braking_motion_t brake;
+        trajectory_point_t at;
 
-        phases_braking(plan, s, &brake);
-        stop_at(&brake, REAL_INFINITY, &at);
+        plan_braking(plan, s, &brake);
+        braking_evaluate(&brake, REAL_INFINITY, &at);
         if (s->state == STATE_LANDING) {
-            at.position[2] = real_min(at.position[2], -LOWEST_M);
+            at.position[2] = real_min(at.position[2], -MIN_WAYPOINT_HEIGHT_M);
         }
-        phases_rest(s, why, at.position, at.heading, LEVEL_INFO);
+        enter_hover(s, why, at.position, at.heading, LEVEL_INFO);
         s->course.kind = COURSE_STOP;
         s->course.brake = brake;
-        s->ready_s = s->time_s;
+        s->hover_until_s = s->time_s;
         s->manual = true;
-        s->homing = false;
-        s->quit = say(SAY_NOTHING);
-        s->has_asked_heading = false;
+        s->returning_home = false;
+        s->abort_reason = make_message(SAY_NO_MESSAGE);
+        s->has_requested_heading = false;
         s->motors = MOTORS_FLY;
     }
 }
 
-void mission_go_on(const plan_t *plan, mission_t *s, const int32_t *first)
+void resume_mission(const plan_t *plan, mission_t *s, const int32_t *first)
 {
-    const bool over = (s->outcome == OUTCOME_SUCCEEDED) || (s->index >= plan->count);
-    int32_t index = over ? 0 : s->index;
+    const bool over = (s->outcome == OUTCOME_SUCCEEDED) || (s->waypoint_index >= plan->count);
+    int32_t index = over ? 0 : s->waypoint_index;
 
     if (first != NULL) {
         index = *first;
     }
-    if ((s->state != STATE_WAYPOINT) || s->manual || (index != s->index)) {
-        message_t why = (s->begun && !over) ? say(SAY_GOES_ON) : say(SAY_BEGINS);
+    if ((s->state != STATE_WAYPOINT) || s->manual || (index != s->waypoint_index)) {
+        message_t why = (s->mission_begun && !over) ? make_message(SAY_MISSION_CONTINUES) : make_message(SAY_MISSION_BEGINS);
 
         if (first != NULL) {
-            why = say_1(SAY_ON_TO, (real_t)(*first + 1));
+            why = make_message_1(SAY_ON_TO_WAYPOINT, (real_t)(*first + 1));
         }
         if (s->state == STATE_HOVER) {
-            mission_log(s, &why, LEVEL_INFO);
-            s->ready_s = s->time_s;
+            log_event(s, &why, LEVEL_INFO);
+            s->hover_until_s = s->time_s;
         } else {
-            mission_pause(plan, s, &why);
+            pause_mission(plan, s, &why);
         }
         s->manual = false;
-        s->begun = true;
-        s->index = index;
+        s->mission_begun = true;
+        s->waypoint_index = index;
         s->outcome = OUTCOME_OPEN;
-        s->reason = say(SAY_NOTHING);
-        s->quit = say(SAY_NOTHING);
+        s->reason = make_message(SAY_NO_MESSAGE);
+        s->abort_reason = make_message(SAY_NO_MESSAGE);
     }
 }
 
-void mission_loaded(const plan_t *plan, mission_t *s)
+void reset_for_loaded_mission(const plan_t *plan, mission_t *s)
 {
-    const message_t what = say_1((plan->count == 1) ? SAY_LOADED_ONE : SAY_LOADED, (real_t)plan->count);
+    const message_t what = make_message_1((plan->count == 1) ? SAY_ONE_WAYPOINT_LOADED : SAY_WAYPOINTS_LOADED, (real_t)plan->count);
 
-    mission_log(s, &what, LEVEL_INFO);
-    s->index = 0;
-    s->begun = false;
+    log_event(s, &what, LEVEL_INFO);
+    s->waypoint_index = 0;
+    s->mission_begun = false;
     if (s->state != STATE_INIT) { /* a flight that goes on is one without a mission until that is started */
         s->outcome = OUTCOME_OPEN;
-        s->reason = say(SAY_NOTHING);
+        s->reason = make_message(SAY_NO_MESSAGE);
         s->manual = true;
-        s->quit = say(SAY_NOTHING);
+        s->abort_reason = make_message(SAY_NO_MESSAGE);
     }
 }
 
-static void go_on_after_take_off(mission_t *s, int32_t first)
+static void resume_after_take_off(mission_t *s, int32_t first)
 {
-    const message_t what = (first > 0) ? say_1(SAY_FOLLOWS_FROM, (real_t)(first + 1)) : say(SAY_FOLLOWS);
+    const message_t what = (first > 0) ? make_message_1(SAY_MISSION_AFTER_TAKE_OFF_FROM, (real_t)(first + 1)) : make_message(SAY_MISSION_AFTER_TAKE_OFF);
 
-    mission_log(s, &what, LEVEL_INFO);
+    log_event(s, &what, LEVEL_INFO);
     s->manual = false;
-    s->begun = true;
-    s->index = first;
-    s->quit = say(SAY_NOTHING);
-    s->halt = false;
+    s->mission_begun = true;
+    s->waypoint_index = first;
+    s->abort_reason = make_message(SAY_NO_MESSAGE);
+    s->hover_after_take_off = false;
 }
 
-static void broken_off(const plan_t *plan, mission_t *s, int32_t last, int32_t early)
+static void set_abort_reason(const plan_t *plan, mission_t *s, int32_t last, int32_t early)
 {
-    const int32_t left = plan->count - s->index;
+    const int32_t left = plan->count - s->waypoint_index;
 
-    if (s->begun && (left > 0)) {
-        s->quit = say_1((left > 1) ? early : last, (real_t)left);
+    if (s->mission_begun && (left > 0)) {
+        s->abort_reason = make_message_1((left > 1) ? early : last, (real_t)left);
     }
 }
 
 /* A pilot */
 
-static void to_hand(mission_t *s, const belief_t *m)
+static void enter_manual(mission_t *s, const estimate_t *m)
 {
-    const message_t why = say(SAY_RC_ON);
+    const message_t why = make_message(SAY_RC_ON);
 
-    phases_enter(s, STATE_RC, &why, LEVEL_INFO);
-    phases_copy(m->motion.position, s->hold);
-    s->heading = m->motion.attitude[2];
+    enter_state(s, STATE_RC, &why, LEVEL_INFO);
+    copy_vector(m->motion.position, s->hold_position);
+    s->hold_heading = m->motion.attitude[2];
     s->has_detour = false;
-    s->homing = false;
-    s->sink = REAL(0.0);
+    s->returning_home = false;
+    s->descent_rate = REAL(0.0);
 }
 
-static void by_hand(mission_t *s, const belief_t *m, const command_t *c, real_t dt)
+static void step_manual(mission_t *s, const estimate_t *m, const command_t *c, real_t dt)
 {
     const real_t *x = m->motion.position;
 
-    if ((s->motors == MOTORS_OFF) && (c->climb <= REAL(0.0))) {
-        phases_copy(x, s->hold);
-        s->heading = m->motion.attitude[2];
-        s->sink = REAL(0.0);
+    if ((s->motors == MOTORS_OFF) && (c->climb_rate <= REAL(0.0))) {
+        copy_vector(x, s->hold_position);
+        s->hold_heading = m->motion.attitude[2];
+        s->descent_rate = REAL(0.0);
     } else if (s->motors == MOTORS_OFF) {
-        s->started = true;
-        s->begun = false;
+        s->has_taken_off = true;
+        s->mission_begun = false;
         s->manual = true;
-        s->index = 0;
-        s->reached = 0;
-        phases_copy(x, s->standing);
+        s->waypoint_index = 0;
+        s->reached_count = 0;
+        copy_vector(x, s->home_position);
         s->outcome = OUTCOME_OPEN;
-        s->reason = say(SAY_NOTHING);
-        s->quit = say(SAY_NOTHING);
+        s->reason = make_message(SAY_NO_MESSAGE);
+        s->abort_reason = make_message(SAY_NO_MESSAGE);
         s->finished = false;
         s->motors = MOTORS_SPIN_UP;
-        s->clock_s = REAL(0.0);
-        phases_copy(x, s->hold);
+        s->motion_clock_s = REAL(0.0);
+        copy_vector(x, s->hold_position);
     } else if (s->motors == MOTORS_SPIN_UP) {
-        if (phases_spun_up(s, m)) {
+        if (has_spun_up(s, m)) {
             s->motors = MOTORS_FLY;
         }
     } else {
         /* The reference stays near the helicopter, so that the sticks answer at once. */
-        s->hold[2] = real_min(real_max(s->hold[2] - (c->climb * dt), x[2] - REAL(0.5)), x[2] + REAL(0.5));
-        s->hold[0] = x[0];
-        s->hold[1] = x[1];
-        s->heading = s->heading + (c->yaw_rate * dt);
-        s->sink = -c->climb;
+        s->hold_position[2] = real_min(real_max(s->hold_position[2] - (c->climb_rate * dt), x[2] - REAL(0.5)), x[2] + REAL(0.5));
+        s->hold_position[0] = x[0];
+        s->hold_position[1] = x[1];
+        s->hold_heading = s->hold_heading + (c->yaw_rate * dt);
+        s->descent_rate = -c->climb_rate;
     }
 }
 
-static bool lies(const mission_t *s, const belief_t *m)
+static bool is_on_floor(const mission_t *s, const estimate_t *m)
 {
-    return (m->motion.position[2] > (s->standing[2] - REAL(0.1))) &&
+    return (m->motion.position[2] > (s->home_position[2] - REAL(0.1))) &&
            (real_abs(m->motion.velocity[2]) < REAL(0.1));
 }
 
-static void down(mission_t *s, int32_t code)
+static void end_on_floor(mission_t *s, int32_t code)
 {
-    const message_t why = say(code);
+    const message_t why = make_message(code);
     const bool running = s->motors != MOTORS_OFF;
 
-    phases_enter(s, STATE_INIT, &why, LEVEL_INFO);
+    enter_state(s, STATE_INIT, &why, LEVEL_INFO);
     s->motors = running ? MOTORS_RAMP_DOWN : MOTORS_OFF;
     s->finished = (s->outcome != OUTCOME_OPEN) && !running;
 }
 
-static void from_hand(mission_t *s, const belief_t *m)
+static void exit_manual(mission_t *s, const estimate_t *m)
 {
     const real_t *x = m->motion.position;
     real_t v[3];
     const real_t psi = m->motion.attitude[2];
     message_t why;
 
-    if ((s->motors != MOTORS_FLY) || lies(s, m)) {
-        why = say(SAY_BY_PILOT);
-        if (s->begun && (s->outcome == OUTCOME_OPEN)) {
-            phases_fail(s, &why);
-        } else if (s->started && (s->outcome == OUTCOME_OPEN)) {
+    if ((s->motors != MOTORS_FLY) || is_on_floor(s, m)) {
+        why = make_message(SAY_LANDED_BY_PILOT);
+        if (s->mission_begun && (s->outcome == OUTCOME_OPEN)) {
+            fail_mission(s, &why);
+        } else if (s->has_taken_off && (s->outcome == OUTCOME_OPEN)) {
             s->outcome = OUTCOME_SUCCEEDED;
             s->reason = why;
         } else {
             /* judged already, or never in the air */
         }
-        down(s, SAY_RC_OFF_FLOOR);
+        end_on_floor(s, SAY_RC_OFF_ON_FLOOR);
     } else {
-        stop_t brake;
-        point_t at;
+        braking_motion_t brake;
+        trajectory_point_t at;
 
-        phases_copy(m->motion.velocity, v);
-        stop_make(x, v, psi, BRAKE_M_S2, REAL(0.0), REAL_INFINITY, &brake);
-        stop_at(&brake, REAL_INFINITY, &at);
-        if (at.position[2] > s->standing[2]) {
+        copy_vector(m->motion.velocity, v);
+        plan_stop(x, v, psi, DETOUR_ACCELERATION_M_S2, REAL(0.0), REAL_INFINITY, &brake);
+        braking_evaluate(&brake, REAL_INFINITY, &at);
+        if (at.position[2] > s->home_position[2]) {
             /* It falls too fast to stop above the floor: a way down goes with w sqrt(u^2 + w^2). */
             const real_t u = real_hypot(v[0], v[1]);
             const real_t w = v[2];
-            const real_t most = ((real_max(REAL(0.0), s->standing[2] - x[2]) / (at.position[2] - x[2])) * w) *
+            const real_t most = ((real_max(REAL(0.0), s->home_position[2] - x[2]) / (at.position[2] - x[2])) * w) *
                                 real_hypot(u, w);
 
             v[2] = real_sqrt(REAL(0.5) * (real_hypot(u * u, REAL(2.0) * most) - (u * u)));
-            stop_make(x, v, psi, BRAKE_M_S2, REAL(0.0), REAL_INFINITY, &brake);
-            stop_at(&brake, REAL_INFINITY, &at);
+            plan_stop(x, v, psi, DETOUR_ACCELERATION_M_S2, REAL(0.0), REAL_INFINITY, &brake);
+            braking_evaluate(&brake, REAL_INFINITY, &at);
         }
-        why = say(SAY_RC_OFF);
-        phases_rest(s, &why, at.position, psi, LEVEL_INFO);
+        why = make_message(SAY_RC_OFF);
+        enter_hover(s, &why, at.position, psi, LEVEL_INFO);
         s->course.kind = COURSE_STOP;
         s->course.brake = brake;
         s->manual = true;
@@ -445,27 +445,27 @@ static void from_hand(mission_t *s, const belief_t *m)
 
 /* A program's set-points */
 
-static void to_set_points(mission_t *s, const belief_t *m, const set_point_t *wanted)
+static void enter_offboard(mission_t *s, const estimate_t *m, const set_point_t *wanted)
 {
-    message_t why = say(SAY_OFFBOARD);
+    message_t why = make_message(SAY_OFFBOARD_ON);
 
-    if (!offboard_right(wanted)) {
+    if (!is_set_point_valid(wanted)) {
         /* nothing to follow */
     } else if (s->state != STATE_INIT) {
-        point_t at;
+        trajectory_point_t at;
 
-        phases_onward(s, &at);
-        phases_enter(s, STATE_OFFBOARD, &why, LEVEL_INFO);
-        s->tracker = at;
-        s->has_tracker = true;
+        predict_reference(s, &at);
+        enter_state(s, STATE_OFFBOARD, &why, LEVEL_INFO);
+        s->set_point_reference = at;
+        s->has_set_point_reference = true;
         s->has_detour = false;
         s->manual = true;
-        s->homing = false;
-    } else if (offboard_wants_up(wanted, m->motion.position)) {
-        why = say(SAY_OFFBOARD_UP);
-        phases_anew(s, m);
+        s->returning_home = false;
+    } else if (needs_lift_off(wanted, m->motion.position)) {
+        why = make_message(SAY_OFFBOARD_TAKE_OFF);
+        reset_mission(s, m);
         s->manual = true;
-        phases_enter(s, STATE_OFFBOARD, &why, LEVEL_INFO);
+        enter_state(s, STATE_OFFBOARD, &why, LEVEL_INFO);
         s->motors = MOTORS_SPIN_UP;
     } else {
         /* it stays on the floor */
@@ -473,206 +473,206 @@ static void to_set_points(mission_t *s, const belief_t *m, const set_point_t *wa
 }
 
 /* Follow the set-point, no faster than the mission's limits and into nothing that the beams have seen. */
-static void track(const plan_t *plan, mission_t *s, const belief_t *m, const command_t *c, real_t dt)
+static void step_offboard(const plan_t *plan, mission_t *s, const estimate_t *m, const command_t *c, real_t dt)
 {
     bool ready = true;
 
     if (s->motors == MOTORS_SPIN_UP) {
-        ready = phases_spun_up(s, m);
+        ready = has_spun_up(s, m);
         if (ready) {
             s->motors = MOTORS_FLY;
             s->course.kind = COURSE_NONE;
-            s->has_tracker = false;
-            phases_point(s, &s->tracker);
-            s->has_tracker = true;
+            s->has_set_point_reference = false;
+            current_reference(s, &s->set_point_reference);
+            s->has_set_point_reference = true;
         }
     }
     /* It was begun for the end of the step in which it was entered. */
-    if (ready && (s->entered_s < s->time_s) && offboard_right(&c->set_point)) {
-        const bool guard = plan->avoid && (s->memory.used > 0);
+    if (ready && (s->state_entered_s < s->time_s) && is_set_point_valid(&c->set_point)) {
+        const bool guard = plan->avoid && (s->obstacle_map.point_count > 0);
 
-        offboard_follow(&s->tracker, &c->set_point, &plan->limits, m->motion.position, dt,
-                        guard ? &s->sight : NULL, plan->clearance);
-        phases_copy(s->tracker.position, s->hold);
-        phases_copy(s->tracker.position, s->goal);
-        s->heading = s->tracker.heading;
+        follow_set_point(&s->set_point_reference, &c->set_point, &plan->limits, m->motion.position, dt,
+                        guard ? &s->path_check : NULL, plan->clearance);
+        copy_vector(s->set_point_reference.position, s->hold_position);
+        copy_vector(s->set_point_reference.position, s->goal);
+        s->hold_heading = s->set_point_reference.heading;
     }
 }
 
-static void from_set_points(const plan_t *plan, mission_t *s, const belief_t *m)
+static void exit_offboard(const plan_t *plan, mission_t *s, const estimate_t *m)
 {
-    if ((s->motors != MOTORS_FLY) || lies(s, m)) {
+    if ((s->motors != MOTORS_FLY) || is_on_floor(s, m)) {
         if (s->outcome == OUTCOME_OPEN) {
             s->outcome = OUTCOME_SUCCEEDED;
-            s->reason = say(SAY_LANDED);
+            s->reason = make_message(SAY_LANDED);
         }
-        down(s, SAY_OFFBOARD_OFF_FLOOR);
+        end_on_floor(s, SAY_OFFBOARD_OFF_ON_FLOOR);
     } else {
-        const message_t why = say(SAY_OFFBOARD_OFF);
+        const message_t why = make_message(SAY_OFFBOARD_OFF);
 
-        mission_pause(plan, s, &why);
+        pause_mission(plan, s, &why);
     }
 }
 
 /* What the user wants, where the state lets it */
 
-static void stop_or_wait(const plan_t *plan, mission_t *s, const belief_t *m)
+static void pause_or_defer(const plan_t *plan, mission_t *s, const estimate_t *m)
 {
     message_t what;
 
-    if ((s->state == STATE_TAKE_OFF) && !granted(ASK_GO_TO, s, m)) {
-        if (!s->halt) {
-            what = say(SAY_WILL_HOVER);
-            mission_log(s, &what, LEVEL_INFO);
-            s->halt = true;
+    if ((s->state == STATE_TAKE_OFF) && !is_granted(REQUEST_GO_TO, s, m)) {
+        if (!s->hover_after_take_off) {
+            what = make_message(SAY_WILL_HOVER_AFTER_TAKE_OFF);
+            log_event(s, &what, LEVEL_INFO);
+            s->hover_after_take_off = true;
             s->manual = true;
         }
     } else {
-        what = say((s->state == STATE_LANDING) ? SAY_LANDING_BROKEN_OFF : SAY_PAUSED);
-        mission_pause(plan, s, &what);
+        what = make_message((s->state == STATE_LANDING) ? SAY_LANDING_ABORTED : SAY_MISSION_PAUSED);
+        pause_mission(plan, s, &what);
     }
 }
 
-static void asked(const plan_t *plan, mission_t *s, const belief_t *m, const command_t *c)
+static void handle_request(const plan_t *plan, mission_t *s, const estimate_t *m, const command_t *c)
 {
-    const message_t land = say(SAY_LAND_SIGNAL);
-    const message_t home = say(SAY_RETURN_SIGNAL);
-    const int32_t first = (c->has_first && (c->first > 0)) ? c->first : 0;
+    const message_t land = make_message(SAY_LAND_SIGNAL);
+    const message_t home = make_message(SAY_RETURN_SIGNAL);
+    const int32_t first = (c->has_first_waypoint && (c->first_waypoint > 0)) ? c->first_waypoint : 0;
     bool waits = true; /* for what is asked */
     bool fresh;
 
-    if (c->land && (s->state != STATE_LANDING) && granted(ASK_LAND, s, m)) {
-        broken_off(plan, s, SAY_LAND_EARLY_LAST, SAY_LAND_EARLY);
-        phases_land(s, &land, LEVEL_INFO);
+    if (c->land && (s->state != STATE_LANDING) && is_granted(REQUEST_LAND, s, m)) {
+        set_abort_reason(plan, s, SAY_LAND_BEFORE_LAST_WAYPOINT, SAY_LAND_WITH_WAYPOINTS_LEFT);
+        start_landing(s, &land, LEVEL_INFO);
         waits = false;
     }
     if (waits && (s->state == STATE_OFFBOARD) && !c->has_set_point) {
-        from_set_points(plan, s, m);
+        exit_offboard(plan, s, m);
         waits = s->state != STATE_INIT;
     }
-    fresh = s->manual || c->has_first;
+    fresh = s->manual || c->has_first_waypoint;
     if (!waits) {
         /* done */
-    } else if (c->start && (s->state == STATE_INIT) && granted(ASK_START, s, m)) {
-        phases_start(plan, s, m, NULL, first);
-    } else if (c->start && (s->state == STATE_TAKE_OFF) && fresh && granted(ASK_START, s, m)) {
-        go_on_after_take_off(s, first);
-    } else if (c->has_take_off && granted(ASK_TAKE_OFF, s, m)) {
-        phases_start(plan, s, m, &c->take_off, 0);
-    } else if ((c->pause || s->halt) && granted(ASK_PAUSE, s, m)) {
-        stop_or_wait(plan, s, m);
-    } else if (c->home && granted(ASK_RETURN, s, m)) {
-        if (!s->homing) {
-            broken_off(plan, s, SAY_RETURN_EARLY_LAST, SAY_RETURN_EARLY);
-            phases_go_home(plan, s, &home);
+    } else if (c->start && (s->state == STATE_INIT) && is_granted(REQUEST_START, s, m)) {
+        start_flight(plan, s, m, NULL, first);
+    } else if (c->start && (s->state == STATE_TAKE_OFF) && fresh && is_granted(REQUEST_START, s, m)) {
+        resume_after_take_off(s, first);
+    } else if (c->has_take_off_height && is_granted(REQUEST_TAKE_OFF, s, m)) {
+        start_flight(plan, s, m, &c->take_off_height, 0);
+    } else if ((c->pause || s->hover_after_take_off) && is_granted(REQUEST_PAUSE, s, m)) {
+        pause_or_defer(plan, s, m);
+    } else if (c->return_requested && is_granted(REQUEST_RETURN, s, m)) {
+        if (!s->returning_home) {
+            set_abort_reason(plan, s, SAY_RETURN_BEFORE_LAST_WAYPOINT, SAY_RETURN_WITH_WAYPOINTS_LEFT);
+            start_leg_home(plan, s, &home);
         }
-    } else if (c->has_set_point && granted(ASK_OFFBOARD, s, m)) {
+    } else if (c->has_set_point && is_granted(REQUEST_OFFBOARD, s, m)) {
         if (s->state != STATE_OFFBOARD) {
-            to_set_points(s, m, &c->set_point);
+            enter_offboard(s, m, &c->set_point);
         }
-    } else if ((c->has_waypoint || c->has_heading) && granted(ASK_GO_TO, s, m)) {
-        to_users_waypoint(plan, s, c);
-    } else if (c->start && fresh && granted(ASK_START, s, m)) {
-        mission_go_on(plan, s, c->has_first ? &first : NULL);
+    } else if ((c->has_waypoint || c->has_heading) && is_granted(REQUEST_GO_TO, s, m)) {
+        fly_to_user_waypoint(plan, s, c);
+    } else if (c->start && fresh && is_granted(REQUEST_START, s, m)) {
+        resume_mission(plan, s, c->has_first_waypoint ? &first : NULL);
     } else {
         /* nothing, or nothing that it may do */
     }
 }
 
-static bool tipped_over(const mission_t *s, const belief_t *m)
+static bool has_tipped_over(const mission_t *s, const estimate_t *m)
 {
-    const bool near = m->motion.position[2] > (s->standing[2] - REAL(0.3));
+    const bool near = m->motion.position[2] > (s->home_position[2] - REAL(0.3));
 
     return near && (s->motors != MOTORS_OFF) &&
-           (real_max(real_abs(m->motion.attitude[0]), real_abs(m->motion.attitude[1])) > TIPPED);
+           (real_max(real_abs(m->motion.attitude[0]), real_abs(m->motion.attitude[1])) > TIPPED_ANGLE);
 }
 
-static void battery_low(const plan_t *plan, mission_t *s)
+static void land_on_low_battery(const plan_t *plan, mission_t *s)
 {
-    const message_t why = say_2(SAY_BATTERY_LOW, s->voltage, plan->low_voltage);
+    const message_t why = make_message_2(SAY_BATTERY_LOW, s->battery_V, plan->low_voltage);
 
     /* A mission that is complete and holds has not failed when its battery is used up. */
     if (s->outcome != OUTCOME_SUCCEEDED) {
-        phases_fail(s, &why);
+        fail_mission(s, &why);
     }
-    phases_land(s, &why, LEVEL_WARNING);
+    start_landing(s, &why, LEVEL_WARNING);
 }
 
 /* Transitions that do not depend on what the present state is busy with. */
-static void signals(const plan_t *plan, mission_t *s, const belief_t *m, const command_t *c, real_t dt)
+static void apply_signals(const plan_t *plan, mission_t *s, const estimate_t *m, const command_t *c, real_t dt)
 {
     message_t what;
 
-    if (c->stop != 0) {
-        what = say_1(SAY_GIVEN, (real_t)c->stop);
-        mission_stop_at_once(s, &what);
-    } else if ((s->state != STATE_INIT) && tipped_over(s, m)) {
-        what = say(SAY_TIPPED_OVER);
-        phases_fail(s, &what);
-        what = say(SAY_TIPPED_OFF);
-        mission_stop_at_once(s, &what);
-    } else if (c->rc && (s->motors != MOTORS_RAMP_DOWN)) {
+    if (c->stop_reason != 0) {
+        what = make_message_1(SAY_GIVEN_TEXT, (real_t)c->stop_reason);
+        stop_motors(s, &what);
+    } else if ((s->state != STATE_INIT) && has_tipped_over(s, m)) {
+        what = make_message(SAY_TIPPED_OVER);
+        fail_mission(s, &what);
+        what = make_message(SAY_TIPPED_MOTORS_OFF);
+        stop_motors(s, &what);
+    } else if (c->rc_active && (s->motors != MOTORS_RAMP_DOWN)) {
         /* Rotors that run down after touchdown stop first: sticks in their middle must not start them again. */
         if (s->state != STATE_RC) {
-            to_hand(s, m);
+            enter_manual(s, m);
         }
-        if ((s->motors == MOTORS_FLY) && ((s->low_s - dt) <= LOW_FOR_S) && (LOW_FOR_S < s->low_s)) {
-            what = say_2(SAY_BATTERY_LOW_PILOT, s->voltage, plan->low_voltage); /* the pilot's own decision */
-            mission_log(s, &what, LEVEL_WARNING);
+        if ((s->motors == MOTORS_FLY) && ((s->low_battery_duration_s - dt) <= LOW_BATTERY_S) && (LOW_BATTERY_S < s->low_battery_duration_s)) {
+            what = make_message_2(SAY_BATTERY_LOW_PILOT, s->battery_V, plan->low_voltage); /* the pilot's own decision */
+            log_event(s, &what, LEVEL_WARNING);
         }
-        by_hand(s, m, c, dt);
+        step_manual(s, m, c, dt);
     } else if (s->state == STATE_RC) {
-        from_hand(s, m);
-    } else if (in_flight(s) && (s->low_s > LOW_FOR_S)) {
-        battery_low(plan, s);
+        exit_manual(s, m);
+    } else if (is_in_flight(s) && (s->low_battery_duration_s > LOW_BATTERY_S)) {
+        land_on_low_battery(plan, s);
     } else if ((s->state == STATE_INIT) && (s->motors != MOTORS_OFF)) {
         /* its motors run down */
     } else {
-        asked(plan, s, m, c);
+        handle_request(plan, s, m, c);
     }
 }
 
 /* Whether it has just set out along a curve, on which some work is left. */
-static bool unmade(const mission_t *s)
+static bool has_pending_curve(const mission_t *s)
 {
-    return (s->course.kind == COURSE_TRAJECTORY) && (s->course.way.making > 0);
+    return (s->course.kind == COURSE_TRAJECTORY) && (s->course.way.pending_parts > 0);
 }
 
-void mission_step(const plan_t *plan, mission_t *s, const belief_t *m, const command_t *command, reference_t *out)
+void step_mission(const plan_t *plan, mission_t *s, const estimate_t *m, const command_t *command, reference_t *out)
 {
     const real_t dt = real_min(real_max(m->time_s - s->time_s, REAL(0.0)), LONGEST_STEP_S);
 
-    while (unmade(s)) { /* a period was left out */
-        trajectory_go_on(&s->course.way);
+    while (has_pending_curve(s)) { /* a period was left out */
+        advance_pending_curve(&s->course.way);
     }
-    sense(plan, s, m, dt);
-    signals(plan, s, m, command, dt);
+    update_clocks(plan, s, m, dt);
+    apply_signals(plan, s, m, command, dt);
     if (s->state == STATE_OFFBOARD) {
-        track(plan, s, m, command, dt);
+        step_offboard(plan, s, m, command, dt);
     }
-    phases_step(plan, s, m, dt);
-    phases_reference(plan, s, m, command, out);
-    if (plan->avoid && in_flight(s)) {
+    step_phase(plan, s, m, dt);
+    make_reference(plan, s, m, command, out);
+    if (plan->avoid && is_in_flight(s)) {
         const bool sent = (s->state == STATE_WAYPOINT) || (s->state == STATE_OBSTACLE);
 
-        avoid_begin_sight(out->path.position, sent ? s->goal : out->path.position,
-                          (s->state == STATE_OBSTACLE) ? REAL_INFINITY : AVOID_LOOK_M, &s->sight);
+        begin_path_check(out->path.position, sent ? s->goal : out->path.position,
+                          (s->state == STATE_OBSTACLE) ? REAL_INFINITY : LOOK_AHEAD_M, &s->path_check);
     }
 }
 
-void mission_watch_out(const plan_t *plan, mission_t *s, const belief_t *m, int32_t part, int32_t parts)
+void update_obstacle_map(const plan_t *plan, mission_t *s, const estimate_t *m, int32_t part, int32_t parts)
 {
-    if (unmade(s)) { /* it stands or brakes */
-        trajectory_go_on(&s->course.way);
-    } else if (plan->avoid && in_flight(s) && ((s->memory.used > 0) || anything_near(plan, m))) {
+    if (has_pending_curve(s)) { /* it stands or brakes */
+        advance_pending_curve(&s->course.way);
+    } else if (plan->avoid && is_in_flight(s) && ((s->obstacle_map.point_count > 0) || sees_anything(plan, m))) {
         const int32_t count = (plan->ring.count + 7) / 8;
 
-        avoid_observe(&s->memory, &plan->ring, m->time_s, m->motion.position, m->motion.attitude, m->ranges, s->beam,
+        insert_beam_hits(&s->obstacle_map, &plan->ring, m->time_s, m->motion.position, m->motion.attitude, m->ranges, s->next_beam,
                       count);
-        avoid_look_around(&s->memory, &s->sight, m->time_s, plan->clearance, part, parts);
-        s->beam += count;
-        if (s->beam >= plan->ring.count) {
-            s->beam -= plan->ring.count;
+        check_map_part(&s->obstacle_map, &s->path_check, m->time_s, plan->clearance, part, parts);
+        s->next_beam += count;
+        if (s->next_beam >= plan->ring.count) {
+            s->next_beam -= plan->ring.count;
         }
     } else {
         /* there is nothing to look at */

@@ -6,6 +6,6 @@
 
 /* asked: lower, upper, as fractions of the design voltage; top: what the battery has. Yaw goes first: half the
  * difference (upper less lower) is kept as far as it goes, the mean of both gives way. */
-void mixer_share(const real_t asked[2], real_t top, real_t *mean, real_t *half);
+void mixer_allocate(const real_t asked[2], real_t top, real_t *mean, real_t *half);
 
 #endif

@@ -5,10 +5,10 @@
 
 real_t *input_block(estimator_t *m, const estimator_settings_t *s, int32_t tick)
 {
-    return m->input_blocks[cycle(tick / s->block_ticks, KEPT)];
+    return m->input_blocks[wrap_index(tick / s->block_ticks, INPUT_BLOCK_COUNT)];
 }
 
-real_t velocity_noise_density(const real_t r[9], int32_t k, const real_t e[INPUTS])
+real_t velocity_noise_density(const real_t r[9], int32_t k, const real_t e[INPUT_ROW_SIZE])
 {
     real_t spread = REAL(0.0);
 
@@ -18,7 +18,7 @@ real_t velocity_noise_density(const real_t r[9], int32_t k, const real_t e[INPUT
     return spread;
 }
 
-/* Remove a jump of the output's position and let it decay over SLIP_S. */
+/* Remove a jump of the output's position and let it decay over OUTPUT_JUMP_DECAY_S. */
 static void smooth_output(estimator_t *m, const estimator_settings_t *s)
 {
     real_t *x = m->x_output;
@@ -26,11 +26,11 @@ static void smooth_output(estimator_t *m, const estimator_settings_t *s)
     for (int32_t k = 0; k < 3; k++) {
         const real_t jump = x[k] - (m->position_prev[k] + (s->dt * x[SX_VEL + k]));
 
-        if ((m->initialised > 0) && (real_abs(jump) > JUMP)) {
+        if ((m->is_initialised > 0) && (real_abs(jump) > OUTPUT_JUMP_M)) {
             m->position_slip[k] -= jump;
         }
         m->position_prev[k] = x[k];
-        m->position_slip[k] -= (s->dt / SLIP_S) * m->position_slip[k];
+        m->position_slip[k] -= (s->dt / OUTPUT_JUMP_DECAY_S) * m->position_slip[k];
         x[k] += m->position_slip[k];
     }
 }
@@ -50,7 +50,7 @@ static void output_angles(estimator_t *m)
     m->angles_output[0] = real_atan2(REAL(2.0) * ((w * x) + (y * z)),
                                REAL(1.0) - (REAL(2.0) * ((x * x) + (y * y))));
     m->angles_output[1] = real_atan2(sine, real_sqrt((REAL(1.0) - sine) * (REAL(1.0) + sine)));
-    m->angles_output[2] = yaw + (TURN_RAD * (real_t)real_whole(((m->angles_output[2] - yaw) / TURN_RAD) + REAL(0.5)));
+    m->angles_output[2] = yaw + (FULL_TURN_RAD * (real_t)real_floor_int(((m->angles_output[2] - yaw) / FULL_TURN_RAD) + REAL(0.5)));
 }
 
 /* Convert a row or column from turns about N, E, D to roll, pitch and yaw. */
@@ -67,38 +67,38 @@ static void turns_to_angles(real_t *north, real_t *east, real_t *down, real_t c,
 /* Propagate the covariance of position, velocity and attitude over the delay, F P F^T + Q, in one step. */
 static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, const real_t r[9])
 {
-    const real_t span = m->delay_span;
-    real_t transition[TRANSITION];
+    const real_t span = m->now_span;
+    real_t transition[TRANSITION_SIZE];
 
     for (int32_t k = 0; k < 3; k++) {
-        m->axis_work[k] = m->now_gain[k] / span;
+        m->axis_work[k] = m->now_velocity_gain[k] / span;
     }
-    error_transition(m->input_now, span, r, m->axis_work, transition);
-    for (int32_t i = 0; i < MOVING; i++) {
-        for (int32_t j = i; j < MOVING; j++) {
+    error_transition(m->inputs_now, span, r, m->axis_work, transition);
+    for (int32_t i = 0; i < MOTION_STATE_COUNT; i++) {
+        for (int32_t j = i; j < MOTION_STATE_COUNT; j++) {
             m->covariance_output[i][j] = REAL(0.0);
         }
     }
-    for (int32_t k = 0; k < ERRORS; k++) {
-        propagate_column(m->ut[k], span, transition, m->gain);
-        for (int32_t i = 0; i < MOVING; i++) {
+    for (int32_t k = 0; k < ERROR_STATE_COUNT; k++) {
+        propagate_column(m->u_transposed[k], span, transition, m->gain);
+        for (int32_t i = 0; i < MOTION_STATE_COUNT; i++) {
             const real_t c = m->d[k] * m->gain[i];
 
-            for (int32_t j = i; j < MOVING; j++) {
+            for (int32_t j = i; j < MOTION_STATE_COUNT; j++) {
                 m->covariance_output[i][j] += c * m->gain[j];
             }
         }
     }
     for (int32_t k = 0; k < 3; k++) {
-        m->covariance_output[k][k] += ((m->now_noise[k] * span) * span) / REAL(3.0);
-        m->covariance_output[k][EX_VEL + k] += (m->now_noise[k] * span) / REAL(2.0);
-        m->covariance_output[EX_VEL + k][EX_VEL + k] += m->now_noise[k];
+        m->covariance_output[k][k] += ((m->now_velocity_variance[k] * span) * span) / REAL(3.0);
+        m->covariance_output[k][EX_VEL + k] += (m->now_velocity_variance[k] * span) / REAL(2.0);
+        m->covariance_output[EX_VEL + k][EX_VEL + k] += m->now_velocity_variance[k];
         for (int32_t i = 0; i < 3; i++) {
             /* A shaking is in the velocity for half a turn; what stays in means over blocks tells how much. */
-            const real_t share = r[(3 * k) + i] * m->input_now[IN_SHARE + i];
+            const real_t share = r[(3 * k) + i] * m->inputs_now[IN_SHARE + i];
             const real_t shaking = real_max(m->accel_noise[i] - m->accel_noise_slow[i], REAL(0.0));
 
-            m->covariance_output[EX_VEL + k][EX_VEL + k] += (share * share) * (((real_t)LONGEST * s->dt) * shaking);
+            m->covariance_output[EX_VEL + k][EX_VEL + k] += (share * share) * (((real_t)FORCE_MEAN_TICKS * s->dt) * shaking);
         }
         m->covariance_output[EX_ATT + k][EX_ATT + k] += s->gyro_density * span;
     }
@@ -114,15 +114,15 @@ static void output_covariance(estimator_t *m)
     real_t c;
     real_t t;
 
-    for (int32_t i = 0; i < MOVING; i++) {
+    for (int32_t i = 0; i < MOTION_STATE_COUNT; i++) {
         for (int32_t j = 0; j < i; j++) {
             m->covariance_output[i][j] = m->covariance_output[j][i];
         }
     }
-    for (int32_t i = MOVING; i < ERRORS; i++) {
+    for (int32_t i = MOTION_STATE_COUNT; i < ERROR_STATE_COUNT; i++) {
         m->sigma_output[i] = real_sqrt(state_variance(m, i));
     }
-    for (int32_t i = 0; i < MOVING; i++) {
+    for (int32_t i = 0; i < MOTION_STATE_COUNT; i++) {
         if (i < 3) {
             /* Whoever is off in height, fix or sonar, the fix may be off by as much in any direction. */
             m->covariance_output[i][i] += (m->position_slip[i] * m->position_slip[i]) + (m->fix_height_gap * m->fix_height_gap);
@@ -130,10 +130,10 @@ static void output_covariance(estimator_t *m)
         m->sigma_output[i] = real_sqrt(m->covariance_output[i][i]);
     }
     sine_cosine(m->angles_output[2], &t, &c);
-    for (int32_t j = 0; j < MOVING; j++) {
+    for (int32_t j = 0; j < MOTION_STATE_COUNT; j++) {
         turns_to_angles(&m->covariance_output[EX_ATT][j], &m->covariance_output[EX_ATT + 1][j], &m->covariance_output[EX_ATT + 2][j], c, t, sine, cosine);
     }
-    for (int32_t j = 0; j < MOVING; j++) {
+    for (int32_t j = 0; j < MOTION_STATE_COUNT; j++) {
         turns_to_angles(&m->covariance_output[j][EX_ATT], &m->covariance_output[j][EX_ATT + 1], &m->covariance_output[j][EX_ATT + 2], c, t, sine, cosine);
     }
 }
@@ -145,14 +145,14 @@ static void repropagate_state(estimator_t *m, const estimator_settings_t *s, rea
 
     for (int32_t n = 0; (n < s->work_limit) && !come; n++) {
         const real_t *e = input_block(m, s, m->repropagating_tick);
-        const int32_t rest = s->block_ticks - cycle(m->repropagating_tick, s->block_ticks);
+        const int32_t rest = s->block_ticks - wrap_index(m->repropagating_tick, s->block_ticks);
         const int32_t periods = (rest < (m->tick - m->repropagating_tick)) ? rest : (m->tick - m->repropagating_tick);
         const real_t span = (real_t)periods * s->dt;
 
         predict_state(m->x_repropagating, e, span, r, a);
         for (int32_t k = 0; k < 3; k++) {
-            m->repropagating_noise[k] += velocity_noise_density(r, k, e) * span;
-            m->repropagating_gain[k] += a[k] * span;
+            m->repropagating_velocity_variance[k] += velocity_noise_density(r, k, e) * span;
+            m->repropagating_velocity_gain[k] += a[k] * span;
         }
         m->repropagating_tick += periods;
         m->repropagating_span += span;
@@ -160,32 +160,32 @@ static void repropagate_state(estimator_t *m, const estimator_settings_t *s, rea
     }
     if (come) {
         for (int32_t k = 0; k < 3; k++) {
-            m->now_noise[k] = m->repropagating_noise[k];
-            m->now_gain[k] = m->repropagating_gain[k];
-            m->repropagating_noise[k] = REAL(0.0);
-            m->repropagating_gain[k] = REAL(0.0);
+            m->now_velocity_variance[k] = m->repropagating_velocity_variance[k];
+            m->now_velocity_gain[k] = m->repropagating_velocity_gain[k];
+            m->repropagating_velocity_variance[k] = REAL(0.0);
+            m->repropagating_velocity_gain[k] = REAL(0.0);
         }
-        m->delay_span = m->repropagating_span;
+        m->now_span = m->repropagating_span;
         m->repropagating_span = REAL(0.0);
-        for (int32_t i = 0; i < STATES; i++) {
+        for (int32_t i = 0; i < STATE_COUNT; i++) {
             m->x_now[i] = m->x_repropagating[i];
             m->x_repropagating[i] = m->x[i];
         }
-        m->repropagating_tick = m->horizon;
+        m->repropagating_tick = m->horizon_tick;
     } else {
-        predict_state(m->x_now, m->input_now, s->dt, r, a);
+        predict_state(m->x_now, m->inputs_now, s->dt, r, a);
     }
 }
 
 void predict_output(estimator_t *m, const estimator_settings_t *s)
 {
-    const bool much = (m->tick % TOLD_EVERY) == 0;
+    const bool much = (m->tick % COVARIANCE_INTERVAL_TICKS) == 0;
     real_t *x = m->x_output;
     real_t r[9];
     real_t a[6];
 
     repropagate_state(m, s, r, a);
-    for (int32_t i = 0; i < STATES; i++) {
+    for (int32_t i = 0; i < STATE_COUNT; i++) {
         x[i] = m->x_now[i];
     }
     if (much) {
@@ -194,15 +194,15 @@ void predict_output(estimator_t *m, const estimator_settings_t *s)
     /* States belong to `lag` before the tick: the last bit with the last rates and acceleration. */
     a[2] += GRAVITY;
     for (int32_t k = 0; k < 3; k++) {
-        x[k] += s->lag * (x[SX_VEL + k] + ((REAL(0.5) * s->lag) * a[k]));
-        x[SX_VEL + k] += s->lag * a[k];
+        x[k] += s->imu_lag * (x[SX_VEL + k] + ((REAL(0.5) * s->imu_lag) * a[k]));
+        x[SX_VEL + k] += s->imu_lag * a[k];
         m->rates_output[k] = m->gyro_rates[k] - x[SX_GYRO_BIAS + k];
-        if ((s->has_rotor_model > 0) && (m->flight_phase == FLYING)) {
-            m->rates_output[k] += s->lag * m->rotor_force[cycle(m->tick, MODELLED)][RF_ANG_ACCEL + k];
+        if ((s->has_rotor_model > 0) && (m->flight_phase == PHASE_FLYING)) {
+            m->rates_output[k] += s->imu_lag * m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][RF_ANG_ACCEL + k];
         }
     }
-    rotate_attitude(x, s->lag * m->rates_output[0], s->lag * m->rates_output[1], s->lag * m->rates_output[2], true);
-    if ((s->has_rotor_model > 0) && (x[SX_TERRAIN] < LOW)) {
+    rotate_attitude(x, s->imu_lag * m->rates_output[0], s->imu_lag * m->rates_output[1], s->imu_lag * m->rates_output[2], true);
+    if ((s->has_rotor_model > 0) && (x[SX_TERRAIN] < MAX_FLOOR_HEIGHT)) {
         /* Legs do not go into the floor on the way either, nor on. */
         const real_t lowest = -(real_max(x[SX_TERRAIN], REAL(0.0)) + s->ground_clearance);
 

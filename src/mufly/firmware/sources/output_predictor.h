@@ -8,9 +8,9 @@
 real_t *input_block(estimator_t *m, const estimator_settings_t *s, int32_t tick);
 
 /* Density of the velocity's noise along axis k of N-E-D (m2/s3); e: a row of inputs. */
-real_t velocity_noise_density(const real_t r[9], int32_t k, const real_t e[INPUTS]);
+real_t velocity_noise_density(const real_t r[9], int32_t k, const real_t e[INPUT_ROW_SIZE]);
 
-/* Write the state of now; every TOLD_EVERY periods also its covariance. */
+/* Write the state of now; every COVARIANCE_INTERVAL_TICKS periods also its covariance. */
 void predict_output(estimator_t *m, const estimator_settings_t *s);
 
 #endif

@@ -4,43 +4,43 @@
 
 #include "mission.h"
 
-#define BRAKE_M_S2 REAL(1.0)
+#define DETOUR_ACCELERATION_M_S2 REAL(1.0)
 
 /* Where a leg leads: set by whoever sets out. */
-enum { ERRAND_WAYPOINT, ERRAND_USER, ERRAND_HOME };
+enum { LEG_TO_WAYPOINT, LEG_TO_USER_WAYPOINT, LEG_TO_HOME };
 typedef struct {
     int32_t kind;
     bool has_goal; /* of the user: without one, turn on the spot */
     real_t goal[3];
     bool has_heading;
     real_t heading;
-} errand_t;
+} leg_request_t;
 
-void phases_copy(const real_t from[3], real_t to[3]);
-void phases_log_as(mission_t *s, int32_t state, const message_t *what, int32_t level);
-void phases_enter(mission_t *s, int32_t state, const message_t *why, int32_t level);
-void phases_rest(mission_t *s, const message_t *why, const real_t at[3], real_t heading, int32_t level);
-void phases_fail(mission_t *s, const message_t *why);
+void copy_vector(const real_t from[3], real_t to[3]);
+void log_event_as(mission_t *s, int32_t state, const message_t *what, int32_t level);
+void enter_state(mission_t *s, int32_t state, const message_t *why, int32_t level);
+void enter_hover(mission_t *s, const message_t *why, const real_t at[3], real_t heading, int32_t level);
+void fail_mission(mission_t *s, const message_t *why);
 
 /* The reference now, without the swing of the nose; and once this step is over. */
-void phases_point(const mission_t *s, point_t *out);
-void phases_onward(const mission_t *s, point_t *out);
-bool phases_at_gate(const mission_t *s);
-bool phases_scanning(const plan_t *plan, const mission_t *s);
-void phases_swing(const plan_t *plan, const mission_t *s, real_t *angle, real_t *rate);
+void current_reference(const mission_t *s, trajectory_point_t *out);
+void predict_reference(const mission_t *s, trajectory_point_t *out);
+bool has_departed(const mission_t *s);
+bool is_scanning(const plan_t *plan, const mission_t *s);
+void scan_yaw(const plan_t *plan, const mission_t *s, real_t *angle, real_t *rate);
 
-bool phases_spun_up(const mission_t *s, const belief_t *m);
-void phases_anew(mission_t *s, const belief_t *m);
-void phases_start(const plan_t *plan, mission_t *s, const belief_t *m, const real_t *height, int32_t first);
-void phases_land(mission_t *s, const message_t *why, int32_t level);
-void phases_braking(const plan_t *plan, const mission_t *s, stop_t *out);
-void phases_set_out(const plan_t *plan, mission_t *s, const message_t *why, const errand_t *errand);
-void phases_go_home(const plan_t *plan, mission_t *s, const message_t *why);
+bool has_spun_up(const mission_t *s, const estimate_t *m);
+void reset_mission(mission_t *s, const estimate_t *m);
+void start_flight(const plan_t *plan, mission_t *s, const estimate_t *m, const real_t *height, int32_t first);
+void start_landing(mission_t *s, const message_t *why, int32_t level);
+void plan_braking(const plan_t *plan, const mission_t *s, braking_motion_t *out);
+void start_leg(const plan_t *plan, mission_t *s, const message_t *why, const leg_request_t *errand);
+void start_leg_home(const plan_t *plan, mission_t *s, const message_t *why);
 
 /* One step of what the present state is busy with. */
-void phases_step(const plan_t *plan, mission_t *s, const belief_t *m, real_t dt);
+void step_phase(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt);
 
-void phases_reference(const plan_t *plan, const mission_t *s, const belief_t *m, const command_t *c,
+void make_reference(const plan_t *plan, const mission_t *s, const estimate_t *m, const command_t *c,
                       reference_t *out);
 
 #endif

@@ -3,37 +3,37 @@
  * it is, with which sign, says the quadrant. Decay: two to the power of -n, times the series. */
 #include "real.h"
 
-#define GREATEST REAL(1e5)
-#define LONGEST REAL(1e30)
+#define MAX_ANGLE REAL(1e5)
+#define MAX_COMPONENT REAL(1e30)
 #define TWO_OVER_PI REAL(0x1.45f306dc9c883p-1)
 #define PER_LN2 REAL(0x1.71547652b82fep+0)
 #ifdef MUFLY_FLOAT
 #define PI_HALF_1 REAL(0x1.92p+0)
 #define PI_HALF_2 REAL(0x1.fbp-12)
 #define PI_HALF_3 REAL(0x1.5110b4p-22)
-#define TURN_1 REAL(0x1.92p+2)
-#define TURN_2 REAL(0x1.fb6p-10)
+#define FULL_TURN_1 REAL(0x1.92p+2)
+#define FULL_TURN_2 REAL(0x1.fb6p-10)
 #define LN2_1 REAL(0x1.62e3p-1)
 #define LN2_2 REAL(0x1.2fefa2p-17)
 #else
 #define PI_HALF_1 REAL(0x1.921fb54400000p+0)
 #define PI_HALF_2 REAL(0x1.0b4611a600000p-34)
 #define PI_HALF_3 REAL(0x1.3198a2e037073p-69)
-#define TURN_1 REAL(0x1.921fb544p+2)
-#define TURN_2 REAL(0x1.0b46p-32)
+#define FULL_TURN_1 REAL(0x1.921fb544p+2)
+#define FULL_TURN_2 REAL(0x1.0b46p-32)
 #define LN2_1 REAL(0x1.62e42fee00000p-1)
 #define LN2_2 REAL(0x1.a39ef35793c76p-33)
 #endif
 
 #ifdef MUFLY_FLOAT
-#define WITH_SIGN __builtin_copysignf
+#define COPYSIGN __builtin_copysignf
 #else
-#define WITH_SIGN __builtin_copysign
+#define COPYSIGN __builtin_copysign
 #endif
 
-real_t real_with_sign(real_t size, real_t sign)
+real_t real_copysign(real_t size, real_t sign)
 {
-    return WITH_SIGN(size, sign);
+    return COPYSIGN(size, sign);
 }
 
 real_t real_clip(real_t value, real_t low, real_t high)
@@ -49,17 +49,17 @@ real_t real_clip(real_t value, real_t low, real_t high)
     return held;
 }
 
-bool real_missing(real_t x)
+bool real_is_nan(real_t x)
 {
     return !(x <= REAL(0.0)) && !(x >= REAL(0.0));
 }
 
-bool real_finite(real_t x)
+bool real_is_finite(real_t x)
 {
     return ABS(x) < REAL_INFINITY;
 }
 
-int32_t real_whole(real_t x)
+int32_t real_floor_int(real_t x)
 {
     int32_t n = 0;
 
@@ -72,7 +72,7 @@ int32_t real_whole(real_t x)
     return n;
 }
 
-int32_t cycle(int32_t k, int32_t n)
+int32_t wrap_index(int32_t k, int32_t n)
 {
     const int32_t rest = k % n;
 
@@ -84,7 +84,7 @@ real_t real_hypot(real_t x, real_t y)
     return SQRT((x * x) + (y * y));
 }
 
-real_t real_length(const real_t v[3])
+real_t real_vector_length(const real_t v[3])
 {
     return SQRT(((v[0] * v[0]) + (v[1] * v[1])) + (v[2] * v[2]));
 }
@@ -108,7 +108,7 @@ real_t real_atan2(real_t y, real_t x)
     const real_t small = (a >= b) ? b : a;
     real_t angle = REAL(0.0);
 
-    if ((big > REAL(0.0)) && (big < LONGEST) && (small <= big)) {
+    if ((big > REAL(0.0)) && (big < MAX_COMPONENT) && (small <= big)) {
         const int32_t n = (int32_t)(((REAL(8.0) * small) / big) + REAL(0.5));
         const real_t c = REAL(0.125) * (real_t)n;
         const real_t r = (small - (c * big)) / (big + (c * small));
@@ -127,22 +127,22 @@ real_t real_atan2(real_t y, real_t x)
         if (x < REAL(0.0)) {
             angle = REAL_PI - angle;
         }
-        angle = WITH_SIGN(angle, y);
+        angle = COPYSIGN(angle, y);
     }
     return angle;
 }
 
-real_t real_wrapped(real_t angle)
+real_t real_wrap_angle(real_t angle)
 {
     real_t rest = REAL(0.0);
 
     if (real_abs(angle) <= REAL_PI) {
         rest = angle;
-    } else if (real_abs(angle) < GREATEST) {
+    } else if (real_abs(angle) < MAX_ANGLE) {
         const real_t half = (angle >= REAL(0.0)) ? REAL(0.5) : REAL(-0.5);
         const real_t turns = (real_t)(int32_t)((angle * (REAL(0.25) * TWO_OVER_PI)) + half);
 
-        rest = (angle - (turns * TURN_1)) - (turns * TURN_2);
+        rest = (angle - (turns * FULL_TURN_1)) - (turns * FULL_TURN_2);
     } else {
         /* a fault elsewhere */
     }
@@ -153,7 +153,7 @@ void sine_cosine(real_t angle, real_t *sine, real_t *cosine)
 {
     *sine = REAL(0.0);
     *cosine = REAL(1.0);
-    if (real_abs(angle) < GREATEST) {
+    if (real_abs(angle) < MAX_ANGLE) {
         const real_t half = (angle >= REAL(0.0)) ? REAL(0.5) : REAL(-0.5);
         const int32_t n = (int32_t)((angle * TWO_OVER_PI) + half);
         const real_t turns = (real_t)n;
@@ -204,7 +204,7 @@ void sine_cosine(real_t angle, real_t *sine, real_t *cosine)
     }
 }
 
-real_t decay(real_t x)
+real_t exp_decay(real_t x)
 {
     real_t s = REAL(1.0);
 

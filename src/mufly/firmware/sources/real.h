@@ -15,12 +15,12 @@
 typedef float real_t;
 #define REAL(x) (x##F)
 #define REAL_INFINITY __builtin_inff()
-#define REAL_NONE __builtin_nanf("")
+#define REAL_NAN __builtin_nanf("")
 #else
 typedef double real_t;
 #define REAL(x) (x)
 #define REAL_INFINITY __builtin_inf()
-#define REAL_NONE __builtin_nan("") /* no number */
+#define REAL_NAN __builtin_nan("") /* no number */
 #endif
 
 #define REAL_PI REAL(0x1.921fb54442d18p+1)
@@ -59,31 +59,31 @@ static inline real_t real_max(real_t a, real_t b)
 #endif
 
 /* A number with the sign of another; a number held within bounds (what is no number passes). */
-real_t real_with_sign(real_t size, real_t sign);
+real_t real_copysign(real_t size, real_t sign);
 real_t real_clip(real_t value, real_t low, real_t high);
 
 /* Whether it is no number, whether it is one, and finite. */
-bool real_missing(real_t x);
-bool real_finite(real_t x);
+bool real_is_nan(real_t x);
+bool real_is_finite(real_t x);
 
 /* The greatest integer that is not above x, zero of what is beyond 1e9 or no number; k modulo n, from 0 to n - 1. */
-int32_t real_whole(real_t x);
-int32_t cycle(int32_t k, int32_t n);
+int32_t real_floor_int(real_t x);
+int32_t wrap_index(int32_t k, int32_t n);
 
 /* Length of a vector: the root of the sum of squares from left to right. */
 real_t real_hypot(real_t x, real_t y);
-real_t real_length(const real_t v[3]);
+real_t real_vector_length(const real_t v[3]);
 
 /* The angle (rad) from the first axis to (x, y); zero where there is no direction. */
 real_t real_atan2(real_t y, real_t x);
 
 /* The same turn the shorter way round, -pi to pi (rad). */
-real_t real_wrapped(real_t angle);
+real_t real_wrap_angle(real_t angle);
 
 /* Sine and cosine of an angle (rad), the same to the last bit everywhere. Beyond 1e5 rad: those of zero. */
 void sine_cosine(real_t angle, real_t *sine, real_t *cosine);
 
 /* exp(-x) for x from 0 on, the same to the last bit everywhere; 1 below, 0 beyond 40. */
-real_t decay(real_t x);
+real_t exp_decay(real_t x);
 
 #endif

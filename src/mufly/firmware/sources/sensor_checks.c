@@ -7,7 +7,7 @@ void set_fault(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t
     m->status[k] = code;
     m->reason[k] = why;
     m->fault_number[k] = number;
-    m->fault_until_tick[k] = m->tick + (int32_t)(LASTS_S / s->dt);
+    m->fault_until_tick[k] = m->tick + (int32_t)(FAULT_HOLD_S / s->dt);
     if (k == R_FIX) {
         m->fault_component = m->fix_component;
     }
@@ -18,12 +18,12 @@ void mark_fused(estimator_t *m, int32_t k)
     m->last_fused_tick[k] = m->tick;
     m->reject_count[k] = 0;
     m->agree_count[k] = 0;
-    m->reject_score[k] *= FORGET;
+    m->reject_score[k] *= REJECT_DECAY;
     if ((m->tick >= m->fault_until_tick[k]) && (m->reject_score[k] < REAL(1.0))) {
-        m->status[k] = FUSED;
-        m->reason[k] = FINE;
-    } else if ((m->status[k] == REJECTED) && (m->tick >= m->fault_until_tick[k])) {
-        m->status[k] = FUSED;
+        m->status[k] = STATUS_FUSED;
+        m->reason[k] = REASON_NONE;
+    } else if ((m->status[k] == STATUS_REJECTED) && (m->tick >= m->fault_until_tick[k])) {
+        m->status[k] = STATUS_FUSED;
     } else {
         /* told of for a while yet */
     }
@@ -33,8 +33,8 @@ void mark_rejected(estimator_t *m, const estimator_settings_t *s, int32_t k, int
 {
     m->reject_count[k] += 1;
     m->reject_score[k] += REAL(1.0);
-    if (m->reject_score[k] > ((k == R_SONAR) ? SONAR_ALARM : ALARM)) {
-        set_fault(m, s, k, REJECTED, why, number);
+    if (m->reject_score[k] > ((k == R_SONAR) ? SONAR_REJECT_ALARM : REJECT_ALARM)) {
+        set_fault(m, s, k, STATUS_REJECTED, why, number);
     }
 }
 
@@ -46,7 +46,7 @@ static bool is_repeated(const estimator_t *m, const estimator_settings_t *s, con
 
     /* A camera that hangs may still turn with the gyroscopes. */
     for (int32_t j = 0; (j < ((k == R_FIX) ? 3 : count)) && same; j++) {
-        same = !(z[j] != m->last_value[STARTS[k] + j]);
+        same = !(z[j] != m->last_value[READING_STARTS[k] + j]);
         told = told || (((k != R_ROTOR) || (z[j] != REAL(0.0))) &&
                         ((k != R_RING) || (z[j] < (REAL(0.995) * s->ring_max))));
     }
@@ -56,7 +56,7 @@ static bool is_repeated(const estimator_t *m, const estimator_settings_t *s, con
 /* Return whether a reading is new; of two equal ones the second must have come in its own time. */
 static bool is_new_sample(estimator_t *m, const estimator_settings_t *s, const real_t *z, int32_t k, int32_t count)
 {
-    const bool early = ((real_t)(m->tick - m->last_new_tick[k]) * s->dt) < (REAL(0.6) * s->period[k]);
+    const bool early = ((real_t)(m->tick - m->last_new_tick[k]) * s->dt) < (REAL(0.6) * s->sensor_period[k]);
     bool usable = true;
 
     if (is_repeated(m, s, z, k, count)) {
@@ -64,14 +64,14 @@ static bool is_new_sample(estimator_t *m, const estimator_settings_t *s, const r
         if (early) {
             m->double_count[k] += 1;
             if (m->double_count[k] >= 2) {
-                set_fault(m, s, k, m->status[k], DOUBLED, REAL(0.0));
+                set_fault(m, s, k, m->status[k], REASON_DUPLICATED, REAL(0.0));
             }
         } else {
             m->repeat_count[k] += 1;
             m->last_new_tick[k] = m->tick;
             m->double_count[k] = 0;
             if (m->repeat_count[k] >= 2) {
-                set_fault(m, s, k, FAULTY, FROZEN, (real_t)m->repeat_count[k] * s->period[k]);
+                set_fault(m, s, k, STATUS_FAULTY, REASON_FROZEN, (real_t)m->repeat_count[k] * s->sensor_period[k]);
             }
         }
     } else {
@@ -80,7 +80,7 @@ static bool is_new_sample(estimator_t *m, const estimator_settings_t *s, const r
             usable = false;
             m->double_count[k] += 1;
             if (m->double_count[k] >= 3) {
-                set_fault(m, s, k, m->status[k], DOUBLED, REAL(0.0));
+                set_fault(m, s, k, m->status[k], REASON_DUPLICATED, REAL(0.0));
             }
         }
     }
@@ -94,24 +94,24 @@ static bool accept_sample(estimator_t *m, const estimator_settings_t *s, const r
 
     m->last_new_tick[k] = m->tick;
     m->invalid_count[k] = 0;
-    bool again = (m->status[k] >= MISSING) && (m->tick >= m->fault_until_tick[k]);
-    if (again || ((m->status[k] == NOTHING) && (k != R_RING))) {
+    bool again = (m->status[k] >= STATUS_MISSING) && (m->tick >= m->fault_until_tick[k]);
+    if (again || ((m->status[k] == STATUS_WAITING) && (k != R_RING))) {
         /* Whether a ring that sees is of use is said by what it sees: in a large room it sees no wall. */
-        m->status[k] = (k == R_RING) ? NOTHING : FUSED;
-        m->reason[k] = FINE;
+        m->status[k] = (k == R_RING) ? STATUS_WAITING : STATUS_FUSED;
+        m->reason[k] = REASON_NONE;
     }
     if (age > (s->latency[k] + s->latency_slack[k])) {
-        set_fault(m, s, k, FAULTY, LATE, age);
+        set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age);
         if ((k <= R_RATES) || (k == R_ROTOR) || (k == R_BATTERY)) {
             usable = false;
         }
     }
     if (s->decimation[k] > 1) {
         m->decimation_count[k] += 1;
-        m->skipped[k] = ((m->decimation_count[k] % s->decimation[k]) != 0) ? 1 : 0;
+        m->is_decimated[k] = ((m->decimation_count[k] % s->decimation[k]) != 0) ? 1 : 0;
     }
     for (int32_t j = 0; j < count; j++) {
-        m->last_value[STARTS[k] + j] = z[j];
+        m->last_value[READING_STARTS[k] + j] = z[j];
     }
     if ((k <= R_RATES) || (k == R_RING)) {
         m->last_fused_tick[k] = m->tick;
@@ -130,23 +130,23 @@ static void check_clipping(estimator_t *m, const estimator_settings_t *s, const 
         m->clip_share[k] += REAL(0.1) * ((possible ? share[k] : REAL(1.0)) - m->clip_share[k]);
         clip = real_max(clip, m->clip_share[k]);
     }
-    if ((clip > SHARE) && (m->status[R_ACCELERATION] == FUSED)) {
-        set_fault(m, s, R_ACCELERATION, FUSED, CLIPS, clip);
+    if ((clip > MIN_CLIP_SHARE) && (m->status[R_ACCELERATION] == STATUS_FUSED)) {
+        set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_CLIPPING, clip);
     }
 }
 
-void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALUES], int32_t fresh[SENSORS],
-             const real_t age[SENSORS])
+void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALUE_COUNT], int32_t fresh[SENSOR_COUNT],
+             const real_t age[SENSOR_COUNT])
 {
-    for (int32_t k = 0; k < SENSORS; k++) {
-        real_t *value = &z[STARTS[k]];
-        const int32_t count = STARTS[k + 1] - STARTS[k];
+    for (int32_t k = 0; k < SENSOR_COUNT; k++) {
+        real_t *value = &z[READING_STARTS[k]];
+        const int32_t count = READING_STARTS[k + 1] - READING_STARTS[k];
 
-        if (s->fitted[k] == 0) {
+        if (s->is_fitted[k] == 0) {
             fresh[k] = 0;
             continue;
         }
-        m->skipped[k] = 0;
+        m->is_decimated[k] = 0;
         if (fresh[k] == 2) {
             m->invalid_count[k] += 1;
             fresh[k] = 0;
@@ -158,16 +158,16 @@ void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALU
                 }
             }
             if (fresh[k] == 0) {
-                set_fault(m, s, k, FAULTY, INSANE, REAL(0.0));
-            } else if (!((age[k] >= -s->dt) && (age[k] <= OLDEST_S))) {
+                set_fault(m, s, k, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
+            } else if (!((age[k] >= -s->dt) && (age[k] <= MAX_READING_AGE_S))) {
                 fresh[k] = 0;
-                set_fault(m, s, k, FAULTY, LATE, REAL(0.0));
+                set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, REAL(0.0));
             } else {
                 /* it is looked at */
             }
         } else if (fresh[k] != 0) {
             fresh[k] = 0;
-            set_fault(m, s, k, FAULTY, INSANE, REAL(0.0));
+            set_fault(m, s, k, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
         } else {
             /* nothing new */
         }
@@ -184,34 +184,34 @@ void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALU
             const real_t since = (real_t)(m->tick - m->last_new_tick[k]) * s->dt;
 
             for (int32_t j = 0; j < count; j++) {
-                value[j] = m->last_value[STARTS[k] + j];
+                value[j] = m->last_value[READING_STARTS[k] + j];
             }
             if ((m->last_new_tick[k] > 0) && (since > s->timeout[k])) {
-                m->status[k] = MISSING;
-                m->reason[k] = (m->invalid_count[k] > 2) ? NO_ECHO : SILENT;
+                m->status[k] = STATUS_MISSING;
+                m->reason[k] = (m->invalid_count[k] > 2) ? REASON_NO_ECHO : REASON_TIMEOUT;
                 m->fault_number[k] = since;
             }
         }
     }
-    check_clipping(m, s, &z[CLIPPING]);
+    check_clipping(m, s, &z[CLIPPING_START]);
 }
 
 void reset_on_divergence(estimator_t *m, const estimator_settings_t *s)
 {
     if (m->divergence_ticks <= 1) {
         for (int32_t k = 0; k < 3; k++) {
-            inflate_variance(m, EX_GYRO_BIAS + k, ASTRAY_BIAS * ASTRAY_BIAS);
-            inflate_variance(m, EX_ATT + k, ASTRAY_TURN * ASTRAY_TURN);
+            inflate_variance(m, EX_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS);
+            inflate_variance(m, EX_ATT + k, DIVERGED_ATTITUDE * DIVERGED_ATTITUDE);
         }
-        inflate_variance(m, EX_VEL, ASTRAY_SPEED * ASTRAY_SPEED);
-        inflate_variance(m, EX_VEL + 1, ASTRAY_SPEED * ASTRAY_SPEED);
+        inflate_variance(m, EX_VEL, DIVERGED_SPEED * DIVERGED_SPEED);
+        inflate_variance(m, EX_VEL + 1, DIVERGED_SPEED * DIVERGED_SPEED);
     }
-    m->divergence_ticks = (int32_t)(ADRIFT_S / s->dt);
+    m->divergence_ticks = (int32_t)(DIVERGED_WALK_S / s->dt);
 }
 
 void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool flying)
 {
-    const int32_t now = cycle(m->tick - 1, MODELLED);
+    const int32_t now = wrap_index(m->tick - 1, ROTOR_FORCE_HISTORY);
     real_t worst = REAL(0.0);
     real_t led = REAL(0.0);
     real_t most;
@@ -226,27 +226,27 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
         off = m->gyro_rates[k] - m->axis_work[k];
         worst = real_max(worst, real_abs(off));
         /* A spike may come in two steps, of which each would pass. */
-        led = real_max(led, real_abs((LINGERS * m->spike_carry[k]) + off));
+        led = real_max(led, real_abs((SPIKE_CARRY_SHARE * m->spike_residual_carry[k]) + off));
         /* What its moments are off by, in flight and on the legs */
-        m->ang_accel_bias[k] += (m->flight_phase >= LIGHT) ? (TURN_OFF * real_min(real_max(off, -SPIKE), SPIKE)) : REAL(0.0);
+        m->ang_accel_bias[k] += (m->flight_phase >= PHASE_LIGHT) ? (ANG_ACCEL_BIAS_GAIN * real_min(real_max(off, -SPIKE_RATE), SPIKE_RATE)) : REAL(0.0);
     }
     /* A model that is off again and again cannot tell a spike from a motion. */
-    most = SPIKE + (ROUGH * m->rate_residual_lp);
-    m->rate_residual_lp += REAL(0.1) * (real_min(worst, SPIKE) - m->rate_residual_lp);
+    most = SPIKE_RATE + (ROUGHNESS_FACTOR * m->rate_residual_lp);
+    m->rate_residual_lp += REAL(0.1) * (real_min(worst, SPIKE_RATE) - m->rate_residual_lp);
     m->divergence_ticks = (m->divergence_ticks > 1) ? (m->divergence_ticks - 1) : m->divergence_ticks; /* once astray, it remembers */
     if ((!flying) || (s->has_rotor_model == 0)) {
         m->spike_repeats = 0;
         return;
     }
     for (int32_t k = 0; k < 3; k++) {
-        alike = alike && (real_abs(m->gyro_rates[k] - m->spike_rates[k]) < ALIKE);
-        m->spike_rates[k] = m->gyro_rates[k];
+        alike = alike && (real_abs(m->gyro_rates[k] - m->rates_with_spikes[k]) < SPIKE_AGREEMENT);
+        m->rates_with_spikes[k] = m->gyro_rates[k];
     }
     fine = real_max(worst, led) < most;
     for (int32_t k = 0; k < 3; k++) {
-        m->spike_carry[k] *= LINGERS;
+        m->spike_residual_carry[k] *= SPIKE_CARRY_SHARE;
         if (fine) {
-            m->spike_carry[k] += m->gyro_rates[k] - m->axis_work[k];
+            m->spike_residual_carry[k] += m->gyro_rates[k] - m->axis_work[k];
         }
     }
     if (fine) {
@@ -257,13 +257,13 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     m->spike_count += 1;
     m->spike_repeats = alike ? (m->spike_repeats + 1) : 1;
     if (m->spike_count == 1) {
-        m->reject_score[R_RATES] = (m->reject_score[R_RATES] * FORGET) + REAL(1.0);
+        m->reject_score[R_RATES] = (m->reject_score[R_RATES] * REJECT_DECAY) + REAL(1.0);
         if (m->reject_score[R_RATES] > REAL(3.0)) {
-            set_fault(m, s, R_RATES, FUSED, SPIKES, worst);
+            set_fault(m, s, R_RATES, STATUS_FUSED, REASON_SPIKES, worst);
         }
     }
     for (int32_t k = 0; k < 3; k++) {
-        small = small && (real_abs(m->gyro_offset[k] + (m->gyro_rates[k] - m->axis_work[k])) < LARGEST_SHIFT);
+        small = small && (real_abs(m->gyro_offset[k] + (m->gyro_rates[k] - m->axis_work[k])) < MAX_GYRO_OFFSET);
     }
     if ((m->spike_repeats >= 2) && small) {
         /* Twice the same: an offset that came at once is no motion. It is taken off from now on. */
@@ -275,7 +275,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
         }
         m->spike_repeats = 0;
         m->spike_count = 0;
-        set_fault(m, s, R_RATES, FUSED, JUMPED, worst);
+        set_fault(m, s, R_RATES, STATUS_FUSED, REASON_JUMP, worst);
     } else if (m->spike_count > 8) {
         m->spike_count = 0;
         return;
@@ -301,17 +301,17 @@ bool rotor_speed_consistent(estimator_t *m, const estimator_settings_t *s, const
         away = real_max(away, real_abs(m->motor_accel_bias[k] - mean[k]) / s->hover_speed[k]);
     }
     /* On the floor it is the equations that have to learn. */
-    led = (m->flight_phase == FLYING) && (flown > ROTOR_KNOWN_S) && (away > ROTOR_LED);
-    off = (m->flight_phase == FLYING) && (worst > ((m->reject_score[R_ROTOR] > REAL(0.5)) ? ROTOR_SURE : ROTOR_OFF));
+    led = (m->flight_phase == PHASE_FLYING) && (flown > ROTOR_ACCEL_SETTLING_S) && (away > ROTOR_ACCEL_LIMIT);
+    off = (m->flight_phase == PHASE_FLYING) && (worst > ((m->reject_score[R_ROTOR] > REAL(0.5)) ? ROTOR_SPEED_RECOVERY_GATE : ROTOR_SPEED_GATE));
     if (led || off) {
         if (led) {
             m->motor_accel_bias[0] = mean[0];
             m->motor_accel_bias[1] = mean[1];
         }
-        mark_rejected(m, s, R_ROTOR, OFF, worst * s->hover_speed[0]);
+        mark_rejected(m, s, R_ROTOR, REASON_INNOVATION, worst * s->hover_speed[0]);
     } else {
-        const real_t period = s->period[R_ROTOR];
-        const real_t share = period / real_max(real_min(flown, ROTOR_MEAN_S), period);
+        const real_t period = s->sensor_period[R_ROTOR];
+        const real_t share = period / real_max(real_min(flown, ROTOR_ACCEL_MEAN_S), period);
 
         for (int32_t k = 0; k < 2; k++) {
             mean[k] += share * (m->motor_accel_bias[k] - mean[k]);
@@ -325,8 +325,8 @@ bool battery_voltage_consistent(estimator_t *m, const estimator_settings_t *s, r
 {
     bool believed = true;
 
-    if ((real_abs(off) > VOLTS_OFF) && (((real_t)m->tick * s->dt) > REAL(1.0))) {
-        mark_rejected(m, s, R_BATTERY, OFF, off);
+    if ((real_abs(off) > VOLTAGE_GATE) && (((real_t)m->tick * s->dt) > REAL(1.0))) {
+        mark_rejected(m, s, R_BATTERY, REASON_INNOVATION, off);
         believed = false;
     } else {
         mark_fused(m, R_BATTERY);
@@ -345,15 +345,15 @@ void check_accel_model(estimator_t *m, const estimator_settings_t *s, real_t nu,
                 worst = real_max(worst, real_abs(m->accel_residual_lp[j]) / m->accel_residual_sigma[j]);
             }
         }
-        if ((m->accel_distrusted == 0) && (worst > REAL(6.0))) {
-            m->accel_distrusted = 1;
-        } else if ((m->accel_distrusted == 1) && (worst < REAL(2.0))) {
-            m->accel_distrusted = 0;
+        if ((m->is_accel_distrusted == 0) && (worst > REAL(6.0))) {
+            m->is_accel_distrusted = 1;
+        } else if ((m->is_accel_distrusted == 1) && (worst < REAL(2.0))) {
+            m->is_accel_distrusted = 0;
         } else {
             /* as before */
         }
-        if (m->accel_distrusted == 1) {
-            set_fault(m, s, R_ACCELERATION, FAULTY, OFF, m->accel_residual_lp[2]);
+        if (m->is_accel_distrusted == 1) {
+            set_fault(m, s, R_ACCELERATION, STATUS_FAULTY, REASON_INNOVATION, m->accel_residual_lp[2]);
         }
     }
     /* The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance. */

@@ -4,7 +4,7 @@
 
 #include "records.h"
 
-/* Set status and reason of a sensor for LASTS_S. */
+/* Set status and reason of a sensor for FAULT_HOLD_S. */
 void set_fault(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t code, int32_t why, real_t number);
 
 /* Mark a reading as fused: reset its rejections and clear a fault that has run out. */
@@ -13,8 +13,8 @@ void mark_fused(estimator_t *m, int32_t k);
 void mark_rejected(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t why, real_t number);
 
 /* Check new readings for limits, age, repetition and silence. */
-void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALUES], int32_t fresh[SENSORS],
-             const real_t age[SENSORS]);
+void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALUE_COUNT], int32_t fresh[SENSOR_COUNT],
+             const real_t age[SENSOR_COUNT]);
 
 /* Free the gyroscopes' bias, the attitude and the velocity after persistent innovations of the fix. */
 void reset_on_divergence(estimator_t *m, const estimator_settings_t *s);

@@ -13,9 +13,9 @@ typedef struct {
     const gains_t *gains;
     const plan_t *plan;
     real_t period_s;
-    int32_t every;      /* periods from one step of the mission's logic to the next */
+    int32_t mission_step_periods;      /* periods from one step of the mission's logic to the next */
     real_t hover_V[2];  /* motor voltages of hover; upper, lower */
-} setup_t;
+} flight_setup_t;
 
 typedef struct {
     mission_t mission;
@@ -23,34 +23,34 @@ typedef struct {
     command_t command; /* kept for the next step of the mission's logic */
     int32_t tick;      /* 0 when that is due */
     int32_t motors;
-    real_t since_s;
+    real_t motors_since_s;
     real_t motor_input[2];
     real_t tilt[2];
     controllers_t controllers;
-    real_t released[2];
-    bool lifted;
-    real_t late_s;
-    watch_t watch;
-    oscillations_t oscillations;
+    real_t released_motor_input[2];
+    bool is_lifted;
+    real_t since_mission_step_s;
+    estimate_monitor_t watch;
+    oscillation_detector_t oscillations;
     oscillation_t oscillation;
-    doubts_t doubts;
-    bool holds, waits;
-    smooth_t smooth;
-    actuators_t given;
-    real_t held_up[2]; /* motor voltages, averaged over the last second of flight */
-    real_t volts; /* of the battery, while the rotors speed up */
-    real_t trusts_until_s; /* on a blind way down: until when a height that is still known counts */
+    health_monitor_t doubts;
+    bool is_holding, resumes_mission;
+    correction_smoother_t smooth;
+    actuators_t limited_actuators;
+    real_t hover_voltages[2]; /* motor voltages, averaged over the last second of flight */
+    real_t filtered_battery_V; /* of the battery, while the rotors speed up */
+    real_t height_trusted_until_s; /* on a blind way down: until when a height that is still known counts */
 } software_t;
 
 /* The numbers of the vehicle and the mission this was made for: tables.c. */
 extern const plan_t mufly_plan;
-extern const setup_t mufly_setup;
+extern const flight_setup_t mufly_setup;
 
 /* Before the first period. */
-void software_start(const setup_t *setup, software_t *s);
+void software_reset(const flight_setup_t *setup, software_t *s);
 
 /* One period. */
-void software_step(const setup_t *setup, software_t *s, const belief_t *belief, const command_t *command,
+void software_step(const flight_setup_t *setup, software_t *s, const estimate_t *belief, const command_t *command,
                    actuators_t *out);
 
 /* Whether it is off the floor. */

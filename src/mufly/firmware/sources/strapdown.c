@@ -68,14 +68,14 @@ static void multiply_quaternion(real_t q[4], const delta_quaternion_t *by, real_
     q[3] = n_z * size;
 }
 
-void rotate_attitude(real_t x[STATES], real_t t_x, real_t t_y, real_t t_z, bool own)
+void rotate_attitude(real_t x[STATE_COUNT], real_t t_x, real_t t_y, real_t t_z, bool own)
 {
     const delta_quaternion_t by = half_angle_quaternion(t_x, t_y, t_z);
 
     multiply_quaternion(&x[SX_ATT], &by, own ? REAL(1.0) : REAL(-1.0));
 }
 
-void predict_state(real_t x[STATES], const real_t e[INPUTS], real_t dt, real_t r[9], real_t a[6])
+void predict_state(real_t x[STATE_COUNT], const real_t e[INPUT_ROW_SIZE], real_t dt, real_t r[9], real_t a[6])
 {
     const real_t t_x = dt * (e[IN_RATES] - x[SX_GYRO_BIAS]);
     const real_t t_y = dt * (e[IN_RATES + 1] - x[SX_GYRO_BIAS + 1]);
@@ -110,12 +110,12 @@ void predict_state(real_t x[STATES], const real_t e[INPUTS], real_t dt, real_t r
     }
 }
 
-void error_transition(const real_t e[INPUTS], real_t span, const real_t r[9], const real_t a[3],
-                   real_t out[TRANSITION])
+void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t r[9], const real_t a[3],
+                   real_t out[TRANSITION_SIZE])
 {
     const real_t rest[3] = {REAL(1.0) - e[IN_SHARE], REAL(1.0) - e[IN_SHARE + 1], REAL(1.0) - e[IN_SHARE + 2]};
     const real_t slope[3] = {rest[0] * e[IN_SLOPE], rest[1] * e[IN_SLOPE + 1], rest[2] * e[IN_SLOPE + 2]};
-    const bool stands = (int32_t)e[IN_PHASE] <= RUNNING;
+    const bool stands = (int32_t)e[IN_PHASE] <= PHASE_RUNNING;
 
     for (int32_t i = 0; i < 3; i++) {
         real_t thrust = REAL(0.0);
@@ -164,8 +164,8 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     real_t moving[3];
 
     /* The swash plate settles within the period: its mean counts. */
-    x[RS_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_mean);
-    x[RS_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_mean);
+    x[RS_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay_mean);
+    x[RS_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_decay_mean);
     x[RS_VEL] = REAL(0.0);
     x[RS_VEL + 1] = REAL(0.0);
     x[RS_VEL + 2] = REAL(0.0);
@@ -201,18 +201,18 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     moving[1] = dx[RS_VEL + 1];
     moving[2] = dx[RS_VEL + 2] - GRAVITY;
     for (int32_t k = 0; k < 3; k++) {
-        x[RS_VEL + k] = air[k] + SLOPE_STEP;
+        x[RS_VEL + k] = air[k] + DRAG_SLOPE_STEP;
     }
     flight_model(x, m->actuators, no_wind, p, &swash, dx);
-    out[RF_SLOPE] = real_min((dx[RS_VEL] - moving[0]) / SLOPE_STEP, REAL(0.0));
-    out[RF_SLOPE + 1] = real_min((dx[RS_VEL + 1] - moving[1]) / SLOPE_STEP, REAL(0.0));
-    out[RF_SLOPE + 2] = real_min(((dx[RS_VEL + 2] - GRAVITY) - moving[2]) / SLOPE_STEP, REAL(0.0));
+    out[RF_SLOPE] = real_min((dx[RS_VEL] - moving[0]) / DRAG_SLOPE_STEP, REAL(0.0));
+    out[RF_SLOPE + 1] = real_min((dx[RS_VEL + 1] - moving[1]) / DRAG_SLOPE_STEP, REAL(0.0));
+    out[RF_SLOPE + 2] = real_min(((dx[RS_VEL + 2] - GRAVITY) - moving[2]) / DRAG_SLOPE_STEP, REAL(0.0));
     for (int32_t k = 0; k < 3; k++) {
         out[RF_REST + k] = (moving[k] - still[k]) - (out[RF_SLOPE + k] * air[k]);
         x[RS_BAR + k] = normal[k] * size;
     }
-    x[RS_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_settled);
-    x[RS_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_settled);
+    x[RS_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay);
+    x[RS_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_decay);
     x[RS_SPEED_UPPER] = real_max(x[RS_SPEED_UPPER] + ((REAL(0.5) * dt) * up), REAL(0.0));
     x[RS_SPEED_LOWER] = real_max(x[RS_SPEED_LOWER] + ((REAL(0.5) * dt) * dw), REAL(0.0));
     x[RS_CHARGE] = real_min(real_max(x[RS_CHARGE] + (dt * dx[RS_CHARGE]), REAL(0.0)), REAL(1.0));

@@ -2,8 +2,8 @@
 
 /* Python goes column by column. Here some go together, so that what they share stays in registers: the same operations on
  * each number, a third less instructions. */
-#define GROUP 5
-#if (ERRORS % GROUP) != 0
+#define COLUMN_GROUP 5
+#if (ERROR_STATE_COUNT % COLUMN_GROUP) != 0
 #error "columns go together in fives"
 #endif
 
@@ -11,8 +11,8 @@ real_t innovation_variance(estimator_t *m)
 {
     real_t spread = REAL(0.0);
 
-    for (int32_t j = 0; j < ERRORS; j += GROUP) {
-        real_t(*const u)[ERRORS] = &m->ut[j];
+    for (int32_t j = 0; j < ERROR_STATE_COUNT; j += COLUMN_GROUP) {
+        real_t(*const u)[ERROR_STATE_COUNT] = &m->u_transposed[j];
         real_t s0 = REAL(0.0);
         real_t s1 = REAL(0.0);
         real_t s2 = REAL(0.0);
@@ -35,7 +35,7 @@ real_t innovation_variance(estimator_t *m)
         m->f[j + 3] = s3;
         m->f[j + 4] = s4;
     }
-    for (int32_t j = 0; j < ERRORS; j++) {
+    for (int32_t j = 0; j < ERROR_STATE_COUNT; j++) {
         spread += (m->d[j] * m->f[j]) * m->f[j];
     }
     return spread;
@@ -51,27 +51,27 @@ static inline real_t update_gain(real_t *of_u, real_t gain, real_t step, real_t 
 }
 
 /* Pass the gain through all columns. */
-static void update_columns(estimator_t *m, const real_t step[ERRORS], const real_t v[ERRORS])
+static void update_columns(estimator_t *m, const real_t step[ERROR_STATE_COUNT], const real_t v[ERROR_STATE_COUNT])
 {
-    for (int32_t i = 0; i < ERRORS; i += GROUP) {
+    for (int32_t i = 0; i < ERROR_STATE_COUNT; i += COLUMN_GROUP) {
         real_t g0 = v[i];
         real_t g1 = v[i + 1];
         real_t g2 = v[i + 2];
         real_t g3 = v[i + 3];
         real_t g4 = v[i + 4];
 
-        g0 = update_gain(&m->ut[i + 1][i], g0, step[i + 1], v[i + 1]);
-        g0 = update_gain(&m->ut[i + 2][i], g0, step[i + 2], v[i + 2]);
-        g1 = update_gain(&m->ut[i + 2][i + 1], g1, step[i + 2], v[i + 2]);
-        g0 = update_gain(&m->ut[i + 3][i], g0, step[i + 3], v[i + 3]);
-        g1 = update_gain(&m->ut[i + 3][i + 1], g1, step[i + 3], v[i + 3]);
-        g2 = update_gain(&m->ut[i + 3][i + 2], g2, step[i + 3], v[i + 3]);
-        g0 = update_gain(&m->ut[i + 4][i], g0, step[i + 4], v[i + 4]);
-        g1 = update_gain(&m->ut[i + 4][i + 1], g1, step[i + 4], v[i + 4]);
-        g2 = update_gain(&m->ut[i + 4][i + 2], g2, step[i + 4], v[i + 4]);
-        g3 = update_gain(&m->ut[i + 4][i + 3], g3, step[i + 4], v[i + 4]);
-        for (int32_t j = i + GROUP; j < ERRORS; j++) {
-            real_t *u = &m->ut[j][i];
+        g0 = update_gain(&m->u_transposed[i + 1][i], g0, step[i + 1], v[i + 1]);
+        g0 = update_gain(&m->u_transposed[i + 2][i], g0, step[i + 2], v[i + 2]);
+        g1 = update_gain(&m->u_transposed[i + 2][i + 1], g1, step[i + 2], v[i + 2]);
+        g0 = update_gain(&m->u_transposed[i + 3][i], g0, step[i + 3], v[i + 3]);
+        g1 = update_gain(&m->u_transposed[i + 3][i + 1], g1, step[i + 3], v[i + 3]);
+        g2 = update_gain(&m->u_transposed[i + 3][i + 2], g2, step[i + 3], v[i + 3]);
+        g0 = update_gain(&m->u_transposed[i + 4][i], g0, step[i + 4], v[i + 4]);
+        g1 = update_gain(&m->u_transposed[i + 4][i + 1], g1, step[i + 4], v[i + 4]);
+        g2 = update_gain(&m->u_transposed[i + 4][i + 2], g2, step[i + 4], v[i + 4]);
+        g3 = update_gain(&m->u_transposed[i + 4][i + 3], g3, step[i + 4], v[i + 4]);
+        for (int32_t j = i + COLUMN_GROUP; j < ERROR_STATE_COUNT; j++) {
+            real_t *u = &m->u_transposed[j][i];
 
             g0 = update_gain(&u[0], g0, step[j], v[j]);
             g1 = update_gain(&u[1], g1, step[j], v[j]);
@@ -89,11 +89,11 @@ static void update_columns(estimator_t *m, const real_t step[ERRORS], const real
 
 void ud_measurement_update(estimator_t *m, real_t variance)
 {
-    real_t step[ERRORS];
-    real_t v[ERRORS];
+    real_t step[ERROR_STATE_COUNT];
+    real_t v[ERROR_STATE_COUNT];
     real_t a = variance;
 
-    for (int32_t j = 0; j < ERRORS; j++) {
+    for (int32_t j = 0; j < ERROR_STATE_COUNT; j++) {
         const real_t before = a;
 
         v[j] = m->d[j] * m->f[j];
@@ -102,7 +102,7 @@ void ud_measurement_update(estimator_t *m, real_t variance)
         step[j] = -m->f[j] / before;
     }
     update_columns(m, step, v);
-    for (int32_t j = 0; j < ERRORS; j++) {
+    for (int32_t j = 0; j < ERROR_STATE_COUNT; j++) {
         m->gain[j] /= a;
     }
 }
@@ -115,7 +115,7 @@ static real_t update_diagonal(estimator_t *m, int32_t k, real_t *c)
     const real_t fresh = old + ((*c * v) * v);
     real_t share = REAL(0.0);
 
-    if (!(fresh <= TINY)) {
+    if (!(fresh <= MIN_DIAGONAL)) {
         share = (*c * v) / fresh;
         *c *= old / fresh;
         m->d[k] = fresh;
@@ -143,10 +143,10 @@ static void rank_one_update(estimator_t *m, int32_t last, real_t much)
     int32_t k = last;
 
     for (; k > 2; k -= 4) {
-        real_t *u0 = m->ut[k];
-        real_t *u1 = m->ut[k - 1];
-        real_t *u2 = m->ut[k - 2];
-        real_t *u3 = m->ut[k - 3];
+        real_t *u0 = m->u_transposed[k];
+        real_t *u1 = m->u_transposed[k - 1];
+        real_t *u2 = m->u_transposed[k - 2];
+        real_t *u3 = m->u_transposed[k - 3];
         const real_t share0 = update_diagonal(m, k, &c);
         const real_t by0 = v[k];
         real_t share1;
@@ -178,12 +178,12 @@ static void rank_one_update(estimator_t *m, int32_t last, real_t much)
         const real_t by = v[k];
 
         for (int32_t i = 0; i < k; i++) {
-            v[i] = update_entry(&m->ut[k][i], v[i], by, share);
+            v[i] = update_entry(&m->u_transposed[k][i], v[i], by, share);
         }
     }
 }
 
-void propagate_column(const real_t u[ERRORS], real_t span, const real_t transition[TRANSITION], real_t out[MOVING])
+void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE], real_t out[MOTION_STATE_COUNT])
 {
     const real_t *a = transition;
     const real_t *turning = &a[TR_TURN];
@@ -216,7 +216,7 @@ void propagate_column(const real_t u[ERRORS], real_t span, const real_t transiti
 }
 
 /* Do the same as propagate_column, in place, for a column without biases. */
-static void propagate_moving_column(real_t u[MOVING], real_t span, const real_t transition[TRANSITION])
+static void propagate_moving_column(real_t u[MOTION_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE])
 {
     const real_t *turning = &transition[TR_TURN];
     const real_t velocity[3] = {u[EX_VEL], u[EX_VEL + 1], u[EX_VEL + 2]};
@@ -243,9 +243,9 @@ static void orthogonalise_velocity(estimator_t *m)
     real_t size[3];
 
     for (int32_t i = 0; i < 6; i++) {
-        w[0][i] = m->ut[EX_VEL][i];
-        w[1][i] = m->ut[EX_VEL + 1][i];
-        w[2][i] = m->ut[EX_VEL + 2][i];
+        w[0][i] = m->u_transposed[EX_VEL][i];
+        w[1][i] = m->u_transposed[EX_VEL + 1][i];
+        w[2][i] = m->u_transposed[EX_VEL + 2][i];
     }
     for (int32_t j = 5; j >= EX_VEL; j--) {
         real_t total = REAL(0.0);
@@ -253,7 +253,7 @@ static void orthogonalise_velocity(estimator_t *m)
         for (int32_t k = 0; k < 3; k++) {
             total += (m->d[EX_VEL + k] * w[k][j]) * w[k][j];
         }
-        size[j - EX_VEL] = (total > TINY) ? total : TINY;
+        size[j - EX_VEL] = (total > MIN_DIAGONAL) ? total : MIN_DIAGONAL;
         for (int32_t i = 0; i < j; i++) {
             real_t s = REAL(0.0);
 
@@ -261,14 +261,14 @@ static void orthogonalise_velocity(estimator_t *m)
                 s += (m->d[EX_VEL + k] * w[k][j]) * w[k][i];
             }
             s /= size[j - EX_VEL];
-            m->ut[j][i] = s;
+            m->u_transposed[j][i] = s;
             for (int32_t k = 0; k < 3; k++) {
                 w[k][i] -= w[k][j] * s;
             }
         }
-        m->ut[j][j] = REAL(1.0);
+        m->u_transposed[j][j] = REAL(1.0);
         for (int32_t i = j + 1; i < 6; i++) {
-            m->ut[j][i] = REAL(0.0);
+            m->u_transposed[j][i] = REAL(0.0);
         }
     }
     for (int32_t k = 0; k < 3; k++) {
@@ -276,16 +276,16 @@ static void orthogonalise_velocity(estimator_t *m)
     }
 }
 
-void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSITION], const real_t q[MOVING])
+void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSITION_SIZE], const real_t q[MOTION_STATE_COUNT])
 {
-    for (int32_t k = EX_VEL; k < MOVING; k++) {
-        propagate_moving_column(m->ut[k], span, transition);
+    for (int32_t k = EX_VEL; k < MOTION_STATE_COUNT; k++) {
+        propagate_moving_column(m->u_transposed[k], span, transition);
     }
-    for (int32_t k = MOVING; k < ERRORS; k++) {
-        propagate_column(m->ut[k], span, transition, m->ut[k]);
+    for (int32_t k = MOTION_STATE_COUNT; k < ERROR_STATE_COUNT; k++) {
+        propagate_column(m->u_transposed[k], span, transition, m->u_transposed[k]);
     }
     orthogonalise_velocity(m);
-    for (int32_t j = 0; j < MOVING; j++) {
+    for (int32_t j = 0; j < MOTION_STATE_COUNT; j++) {
         for (int32_t i = 0; i < j; i++) {
             m->f[i] = REAL(0.0);
         }
@@ -303,13 +303,13 @@ void gauss_markov_update(estimator_t *m, int32_t state, real_t keep, real_t q)
     const real_t fresh = ((keep * keep) * old) + q;
     const real_t by = (keep * old) / fresh;
 
-    for (int32_t k = state + 1; k < ERRORS; k++) {
-        m->ut[k][state] *= keep;
+    for (int32_t k = state + 1; k < ERROR_STATE_COUNT; k++) {
+        m->u_transposed[k][state] *= keep;
     }
     m->d[state] = fresh;
     for (int32_t i = 0; i < state; i++) {
-        m->f[i] = m->ut[state][i];
-        m->ut[state][i] = by * m->f[i];
+        m->f[i] = m->u_transposed[state][i];
+        m->u_transposed[state][i] = by * m->f[i];
     }
     rank_one_update(m, state - 1, (old * q) / fresh);
 }
@@ -327,8 +327,8 @@ real_t state_variance(const estimator_t *m, int32_t state)
 {
     real_t s = m->d[state];
 
-    for (int32_t k = state + 1; k < ERRORS; k++) {
-        s += (m->d[k] * m->ut[k][state]) * m->ut[k][state];
+    for (int32_t k = state + 1; k < ERROR_STATE_COUNT; k++) {
+        s += (m->d[k] * m->u_transposed[k][state]) * m->u_transposed[k][state];
     }
     return s;
 }

@@ -11,10 +11,10 @@ real_t innovation_variance(estimator_t *m);
 void ud_measurement_update(estimator_t *m, real_t variance);
 
 /* Predict the moving states over a span (s), with error_transition and the variances q of the noise (Bierman, Thornton). */
-void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSITION], const real_t q[MOVING]);
+void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSITION_SIZE], const real_t q[MOTION_STATE_COUNT]);
 
 /* Write the first nine errors of column u (n,) after a step; out may be u. */
-void propagate_column(const real_t u[ERRORS], real_t span, const real_t transition[TRANSITION], real_t out[MOVING]);
+void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE], real_t out[MOTION_STATE_COUNT]);
 
 /* Predict one bias, x' = keep x + w, with variance q of w. */
 void gauss_markov_update(estimator_t *m, int32_t state, real_t keep, real_t q);

@@ -6,86 +6,86 @@
 #include "real.h"
 
 enum {
-    SAY_NOTHING,
-    SAY_GIVEN,
-    SAY_READY,
-    SAY_LOADED,
-    SAY_LOADED_ONE,
+    SAY_NO_MESSAGE,
+    SAY_GIVEN_TEXT,
+    SAY_READY_FOR_MISSION,
+    SAY_WAYPOINTS_LOADED,
+    SAY_ONE_WAYPOINT_LOADED,
     SAY_START_SIGNAL,
     SAY_TAKE_OFF_SIGNAL,
-    SAY_ALTITUDE,
+    SAY_ALTITUDE_REACHED,
     SAY_TAKE_OFF_FAILED,
     SAY_TAKE_OFF_SHORT,
     SAY_TO_WAYPOINT,
-    SAY_COMPLETE,
-    SAY_COMPLETE_HOLDS,
-    SAY_COMPLETE_RETURNS,
-    SAY_REACHED,
-    SAY_REACHED_USERS,
-    SAY_REACHED_HOME,
-    SAY_MISSED,
-    SAY_MISSED_USERS,
-    SAY_MISSED_HOME,
+    SAY_MISSION_COMPLETE,
+    SAY_MISSION_COMPLETE_HOLDING,
+    SAY_MISSION_COMPLETE_RETURNING,
+    SAY_WAYPOINT_REACHED,
+    SAY_USER_WAYPOINT_REACHED,
+    SAY_HOME_REACHED,
+    SAY_WAYPOINT_MISSED,
+    SAY_USER_WAYPOINT_MISSED,
+    SAY_HOME_MISSED,
     SAY_OBSTACLE_AHEAD,
     SAY_OBSTACLE_NEAR,
-    SAY_BLOCKED,
-    SAY_AVOIDED,
+    SAY_BLOCKED_BY_OBSTACLE,
+    SAY_OBSTACLE_AVOIDED,
     SAY_TOUCHDOWN,
     SAY_HARD_TOUCHDOWN,
     SAY_LANDED,
     SAY_TIPPED_OVER,
-    SAY_TIPPED_OFF,
+    SAY_TIPPED_MOTORS_OFF,
     SAY_BATTERY_LOW,
     SAY_BATTERY_LOW_PILOT,
-    SAY_WILL_HOVER,
-    SAY_LANDING_BROKEN_OFF,
-    SAY_PAUSED,
+    SAY_WILL_HOVER_AFTER_TAKE_OFF,
+    SAY_LANDING_ABORTED,
+    SAY_MISSION_PAUSED,
     SAY_HEADING_REFUSED,
-    SAY_TOO_LOW,
-    SAY_TOO_FAR,
-    SAY_USERS_WAYPOINT,
-    SAY_USERS_WAYPOINT_HEADING,
-    SAY_TURNING,
-    SAY_GOES_ON,
-    SAY_BEGINS,
-    SAY_ON_TO,
-    SAY_FOLLOWS,
-    SAY_FOLLOWS_FROM,
+    SAY_USER_WAYPOINT_TOO_LOW,
+    SAY_USER_WAYPOINT_TOO_FAR,
+    SAY_TO_USER_WAYPOINT,
+    SAY_TO_USER_WAYPOINT_WITH_HEADING,
+    SAY_TURNING_TO_HEADING,
+    SAY_MISSION_CONTINUES,
+    SAY_MISSION_BEGINS,
+    SAY_ON_TO_WAYPOINT,
+    SAY_MISSION_AFTER_TAKE_OFF,
+    SAY_MISSION_AFTER_TAKE_OFF_FROM,
     SAY_RETURN_SIGNAL,
     SAY_LAND_SIGNAL,
-    SAY_RETURN_EARLY_LAST,
-    SAY_RETURN_EARLY,
-    SAY_LAND_EARLY_LAST,
-    SAY_LAND_EARLY,
+    SAY_RETURN_BEFORE_LAST_WAYPOINT,
+    SAY_RETURN_WITH_WAYPOINTS_LEFT,
+    SAY_LAND_BEFORE_LAST_WAYPOINT,
+    SAY_LAND_WITH_WAYPOINTS_LEFT,
     SAY_RC_ON,
     SAY_RC_OFF,
-    SAY_RC_OFF_FLOOR,
-    SAY_BY_PILOT,
-    SAY_OFFBOARD,
-    SAY_OFFBOARD_UP,
+    SAY_RC_OFF_ON_FLOOR,
+    SAY_LANDED_BY_PILOT,
+    SAY_OFFBOARD_ON,
+    SAY_OFFBOARD_TAKE_OFF,
     SAY_OFFBOARD_OFF,
-    SAY_OFFBOARD_OFF_FLOOR,
-    SAY_CAME_DOWN,
-    SAY_LOST,
-    SAY_HOLDS,
-    SAY_KNOWN,
+    SAY_OFFBOARD_OFF_ON_FLOOR,
+    SAY_MOTORS_OFF_AFTER_DESCENT,
+    SAY_MEASUREMENT_LOST,
+    SAY_WAITING_FOR_POSITION,
+    SAY_POSITION_KNOWN_AGAIN,
     SAY_OSCILLATES_UPPER,
     SAY_OSCILLATES_LOWER,
     SAY_OSCILLATES_SERVO_1,
     SAY_OSCILLATES_SERVO_2,
-    SAY_TILT_DOUBT,
-    SAY_HEADING_DOUBT,
-    SAY_HEIGHT_DOUBT,
-    SAY_PLACE_DOUBT,
-    SAY_PLACE_WAITED,
-    SAY_CONTRADICTED,
+    SAY_ATTITUDE_UNCERTAIN,
+    SAY_HEADING_UNCERTAIN,
+    SAY_HEIGHT_UNCERTAIN,
+    SAY_POSITION_UNCERTAIN,
+    SAY_POSITION_UNCERTAIN_TOO_LONG,
+    SAY_ATTITUDE_CONTRADICTED,
     SAY_COUNT
 };
 
 enum { LEVEL_INFO, LEVEL_WARNING, LEVEL_ERROR };
 
-#define SAID_NUMBERS 4
-#define SAID_SENSORS 3
+#define MESSAGE_NUMBERS 4
+#define MESSAGE_SENSORS 3
 
 /* What is wrong with a sensor: its place, status and reason in belief.h. */
 typedef struct {
@@ -93,21 +93,21 @@ typedef struct {
     int16_t status;
     int32_t why;
     real_t number;
-} said_t;
+} message_sensor_t;
 
 typedef struct {
     int32_t code;
-    real_t number[SAID_NUMBERS];
-    said_t because[SAID_SENSORS];
+    real_t number[MESSAGE_NUMBERS];
+    message_sensor_t faulty_sensors[MESSAGE_SENSORS];
 } message_t;
 
-message_t say(int32_t code);
-message_t say_1(int32_t code, real_t a);
-message_t say_2(int32_t code, real_t a, real_t b);
-message_t say_3(int32_t code, real_t a, real_t b, real_t c);
-message_t say_4(int32_t code, real_t a, real_t b, real_t c, real_t d);
+message_t make_message(int32_t code);
+message_t make_message_1(int32_t code, real_t a);
+message_t make_message_2(int32_t code, real_t a, real_t b);
+message_t make_message_3(int32_t code, real_t a, real_t b, real_t c);
+message_t make_message_4(int32_t code, real_t a, real_t b, real_t c, real_t d);
 
 /* The same template with the same numbers. */
-bool say_same(const message_t *a, const message_t *b);
+bool is_same_message(const message_t *a, const message_t *b);
 
 #endif

@@ -1,32 +1,47 @@
 """A thousand flights: what varies, who flies, how often it succeeds, and which flights are the worst."""
 
-from mufly.flight.monte_carlo.campaign import Campaign, Case, Flown, fly_case, judged
-from mufly.flight.monte_carlo.crew import Crew, case_of, run, search, severity, worst_first
-from mufly.flight.monte_carlo.pictures import draw_distributions, draw_influences
-from mufly.flight.monte_carlo.results import Measure, Outcome, Worst, measures, outcome_of, table_of, wilson
-from mufly.flight.monte_carlo.variation import Variation, parse_variations
+from mufly.flight.monte_carlo.campaign import Campaign, FlightCase, FlightResult, fly_case, judge_flight
+from mufly.flight.monte_carlo.campaign_pictures import draw_distributions, draw_influences
+from mufly.flight.monte_carlo.campaign_results import (
+    CampaignOutcome,
+    FlightMetric,
+    MetricSummary,
+    list_metrics,
+    results_dataset,
+    summarise_outcome,
+    wilson_interval,
+)
+from mufly.flight.monte_carlo.variation import ParameterVariation, parse_variations
+from mufly.flight.monte_carlo.worker_pool import (
+    WorkerPool,
+    case_from_result,
+    flight_severity,
+    run_campaign,
+    search_worst_case,
+    worst_first,
+)
 
 __all__ = [
     "Campaign",
-    "Case",
-    "Crew",
-    "Flown",
-    "Measure",
-    "Outcome",
-    "Variation",
-    "Worst",
-    "case_of",
+    "CampaignOutcome",
+    "FlightCase",
+    "FlightMetric",
+    "FlightResult",
+    "MetricSummary",
+    "ParameterVariation",
+    "WorkerPool",
+    "case_from_result",
     "draw_distributions",
     "draw_influences",
+    "flight_severity",
     "fly_case",
-    "judged",
-    "measures",
-    "outcome_of",
+    "judge_flight",
+    "list_metrics",
     "parse_variations",
-    "run",
-    "search",
-    "severity",
-    "table_of",
-    "wilson",
+    "results_dataset",
+    "run_campaign",
+    "search_worst_case",
+    "summarise_outcome",
+    "wilson_interval",
     "worst_first",
 ]

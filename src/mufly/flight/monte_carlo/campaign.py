@@ -25,34 +25,34 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from mufly.answer_store import hash_question
-from mufly.control import FlightController, design
+from mufly.control import FlightController, design_flight_controller
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
-from mufly.estimate.layout import EX_ATT, EX_GYRO_BIAS
-from mufly.estimate.nees import normalised
-from mufly.flight.flight import fly
-from mufly.flight.monte_carlo.variation import Variation
-from mufly.flight.record.summary import Summary, summarise
-from mufly.flight.software import Computing
-from mufly.mission import Mission, dump_mission, preflight
-from mufly.results import plain, result
+from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS
+from mufly.estimate.nees import normalised_errors
+from mufly.flight.flight_software import ControlImplementation
+from mufly.flight.monte_carlo.variation import ParameterVariation
+from mufly.flight.record.flight_summary import FlightSummary, summarise_flight
+from mufly.flight.simulated_flight import fly_mission
+from mufly.mission import Mission, check_preflight, dump_mission
+from mufly.results import result, to_plain_data
 from mufly.sensors import Truth, parse_fault
-from mufly.vehicle import Vehicle, replace, vehicle_toml
+from mufly.vehicle import Vehicle, format_vehicle_toml, replace_parameters
 from mufly.version import __version__
 
 _Array = NDArray[np.float64]
 
-MOST_DRAWS = 200
+MAX_VEHICLE_DRAWS = 200
 """After so many impossible vehicles one after the other a campaign is given up."""
 
-STANDS_M, RESTS_M_S, UPRIGHT_DEG = 0.02, 0.05, 10.0
+LANDED_HEIGHT_TOLERANCE_M, LANDED_MAX_SPEED_M_S, LANDED_MAX_TILT_DEG = 0.02, 0.05, 10.0
 """Of a helicopter that has landed: off its standing height, still moving, tilted by no more than this."""
 
-NEES_EVERY = 10  # periods
+NEES_INTERVAL_PERIODS = 10  # periods
 
 
 @dataclass(frozen=True)
-class Case:
+class FlightCase:
     """What one flight differs in; all in SI units.
 
     Attributes
@@ -70,13 +70,13 @@ class Case:
 
     index: int
     seed: int
-    values: dict[str, float]
+    parameter_values: dict[str, float]
     wind: tuple[float, float, float] | None
-    refused: int = 0
+    refused_draws: int = 0
 
 
 @result
-class Flown:
+class FlightResult:
     """One flight, judged by the truth.
 
     Attributes
@@ -146,8 +146,8 @@ class Flown:
     nees: float | None = None
 
     @classmethod
-    def from_json(cls, content: dict[str, Any]) -> Flown:
-        """Inverse of :func:`mufly.results.plain`."""
+    def from_json(cls, content: dict[str, Any]) -> FlightResult:
+        """Inverse of :func:`mufly.results.to_plain_data`."""
         wind = content["wind"]
         return cls(**{**content, "wind": None if wind is None else tuple(wind)})
 
@@ -178,7 +178,7 @@ class Campaign:
         As for :class:`mufly.flight.Flight`.
     quickly : callable, optional
         What flies in place of Python's flight software where ``controllers`` is None, and gives the same flights sooner
-        (:class:`mufly.firmware.QuickSoftware`): no part of the question.
+        (:class:`mufly.firmware.GenericFirmwareSoftware`): no part of the question.
     computed_by : tuple of str
         Options of a command line that stand for ``controllers``.
     vehicle_name, mission_name : str
@@ -187,7 +187,7 @@ class Campaign:
 
     vehicle: Vehicle
     mission: Mission
-    variations: tuple[Variation, ...] = ()
+    variations: tuple[ParameterVariation, ...] = ()
     wind: float | tuple[float, float, float] | None = None
     gust: float | None = None
     sensors: Literal["fitted", "ideal"] = "fitted"
@@ -195,15 +195,15 @@ class Campaign:
     seed: int = 0
     tolerance_m: float = 0.3
     redesign: bool = False
-    controllers: Computing | None = None
-    quickly: Computing | None = None
+    controllers: ControlImplementation | None = None
+    quickly: ControlImplementation | None = None
     computed_by: tuple[str, ...] = ()
     vehicle_name: str = "mufly-1.1"
     mission_name: str = "demonstration"
     controller: FlightController | None = field(default=None, repr=False)
 
     @classmethod
-    def of(cls, vehicle: Vehicle, mission: Mission, **more: Any) -> Campaign:
+    def create_checked(cls, vehicle: Vehicle, mission: Mission, **more: Any) -> Campaign:
         """Check that the mission can be flown as designed, design the controllers, and return the campaign.
 
         Raises
@@ -211,19 +211,24 @@ class Campaign:
         InputError
             If vehicle and mission do not go together, or a fault is none.
         """
-        preflight(vehicle, mission)
+        check_preflight(vehicle, mission)
         for text in more.get("faults", ()):
             parse_fault(text)
-        return cls(vehicle, mission, controller=None if more.get("redesign") else design(vehicle), **more)
+        return cls(
+            vehicle,
+            mission,
+            controller=None if more.get("redesign") else design_flight_controller(vehicle),
+            **more,
+        )
 
     @cached_property
-    def question(self) -> str:
+    def settings_hash(self) -> str:
         """Hash of everything that flights depend on."""
         content = {
             "version": __version__,
-            "vehicle": vehicle_toml(self.vehicle),
+            "vehicle": format_vehicle_toml(self.vehicle),
             "mission": dump_mission(self.mission),
-            "variations": [v.content() for v in self.variations],
+            "variations": [v.to_json() for v in self.variations],
             "air": [self.wind, self.gust],
             "sensors": [self.sensors, list(self.faults)],
             "seed": self.seed,
@@ -232,7 +237,7 @@ class Campaign:
         }
         return hash_question(content)
 
-    def case(self, index: int) -> Case:
+    def draw_case(self, index: int) -> FlightCase:
         """Return flight ``index``.
 
         Raises
@@ -242,46 +247,46 @@ class Campaign:
         """
         rng = np.random.default_rng([self.seed, index])
         seed, towards = int(rng.integers(2**53)), rng.uniform(-1.0, 1.0)
-        for refused in range(MOST_DRAWS):
-            case = self._case(index, seed, towards, [v.draw(rng) for v in self.variations], refused)
+        for refused in range(MAX_VEHICLE_DRAWS):
+            case = self._make_case(index, seed, towards, [v.draw_variables(rng) for v in self.variations], refused)
             try:
-                self.drawn(case)
+                self.make_vehicle(case)
             except InputError as error:
                 why = error
             else:
                 return case
         raise ArgumentError(
-            "vary", "", f"{MOST_DRAWS} vehicles in a row cannot be (the last: {why})", "vary less"
+            "vary", "", f"{MAX_VEHICLE_DRAWS} vehicles in a row cannot be (the last: {why})", "vary less"
         ) from why
 
     @property
-    def searched(self) -> int:
+    def search_dimension(self) -> int:
         """Numbers that :meth:`case_at` takes."""
-        return sum(v.size for v in self.variations) + isinstance(self.wind, float)
+        return sum(v.variable_count for v in self.variations) + isinstance(self.wind, float)
 
-    def case_at(self, point: _Array, index: int) -> Case:
+    def case_at(self, point: _Array, index: int) -> FlightCase:
         """Return the flight at a point of the box -1..1 in which a worst case is searched (searched,).
 
         The seed is that of flight 0. A normal ``z`` is looked for within two standard deviations.
         """
         seed = int(np.random.default_rng([self.seed, 0]).integers(2**53))
         towards, rest = (float(point[0]), point[1:]) if isinstance(self.wind, float) else (0.0, point)
-        parts = np.split(rest, np.cumsum([v.size for v in self.variations])[:-1]) if self.variations else []
-        z = [(1.0 if v.shape == "uniform" else 2.0) * p for v, p in zip(self.variations, parts, strict=True)]
-        return self._case(index, seed, towards, z, 0)
+        parts = np.split(rest, np.cumsum([v.variable_count for v in self.variations])[:-1]) if self.variations else []
+        z = [(1.0 if v.distribution == "uniform" else 2.0) * p for v, p in zip(self.variations, parts, strict=True)]
+        return self._make_case(index, seed, towards, z, 0)
 
-    def _case(self, index: int, seed: int, towards: float, z: list[_Array], refused: int) -> Case:
+    def _make_case(self, index: int, seed: int, towards: float, z: list[_Array], refused: int) -> FlightCase:
         values: dict[str, float] = {}
         for variation, numbers in zip(self.variations, z, strict=True):
-            values |= variation.values(numbers)
+            values |= variation.parameter_values(numbers)
         wind: tuple[float, float, float] | None
         if isinstance(self.wind, float):
             wind = (self.wind * math.cos(math.pi * towards), self.wind * math.sin(math.pi * towards), 0.0)
         else:
             wind = self.wind
-        return Case(index, seed, values, wind, refused)
+        return FlightCase(index, seed, values, wind, refused)
 
-    def drawn(self, case: Case) -> Vehicle:
+    def make_vehicle(self, case: FlightCase) -> Vehicle:
         """Return the vehicle of a flight.
 
         Raises
@@ -289,9 +294,9 @@ class Campaign:
         InputError
             If there cannot be such a vehicle.
         """
-        return replace(self.vehicle, dict(case.values)) if case.values else self.vehicle
+        return replace_parameters(self.vehicle, dict(case.parameter_values)) if case.parameter_values else self.vehicle
 
-    def command(self, case: Case, folder: Path, vehicle_file: Path | None) -> str:
+    def replay_command(self, case: FlightCase, folder: Path, vehicle_file: Path | None) -> str:
         """Return the command that flies a flight again; ``vehicle_file`` holds the vehicle drawn, if one was."""
         words = ["mufly", "fly", self.mission_name, "--headless", "--sensors", self.sensors]
         words += ["--vehicle", self.vehicle_name if vehicle_file is None else str(vehicle_file)]
@@ -307,45 +312,45 @@ class Campaign:
         return shlex.join([*words, *self.computed_by, "--out", str(folder)])
 
 
-def fly_case(campaign: Campaign, case: Case, path: Path | None = None) -> Flown:
+def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> FlightResult:
     """Fly one flight, with a full recording if a path (MCAP) is given, and judge it.
 
     A flight that raises is one that failed.
     """
-    heard = _Heard()
+    heard = _EstimateScore()
     sensed = campaign.sensors == "fitted" and campaign.vehicle.sensors is not None
 
     same: dict[str, Any] = {
         "index": case.index,
         "seed": case.seed,
-        "refused": case.refused,
+        "refused": case.refused_draws,
         "wind": case.wind,
-        "values": case.values,
+        "values": case.parameter_values,
     }
     try:
-        with _pools().limit(limits=1):  # the last bits of a design are not to depend on the number of cores
-            data = fly(
-                campaign.drawn(case), campaign.mission,
+        with _thread_pools().limit(limits=1):  # the last bits of a design are not to depend on the number of cores
+            data = fly_mission(
+                campaign.make_vehicle(case), campaign.mission,
                 controller=campaign.controller, designed_for=None if campaign.redesign else campaign.vehicle,
                 wind=case.wind, gust=campaign.gust, seed=case.seed,
                 sensors=campaign.sensors, faults=[parse_fault(text) for text in campaign.faults],
                 controllers=campaign.controllers or campaign.quickly, path=path, brief=path is None,
-                on_tick=heard if sensed else None, tick_every=NEES_EVERY,
+                on_tick=heard if sensed else None, tick_every=NEES_INTERVAL_PERIODS,
             )  # fmt: skip
     except MuflyError as error:
-        return Flown(**same, success=False, reason=f"did not fly: {error}", told="")
+        return FlightResult(**same, success=False, reason=f"did not fly: {error}", told="")
     except Exception as error:  # a fault of the program; the others fly on
-        return Flown(**same, success=False, reason=f"raised {type(error).__name__}: {error}", told="")
-    return judged(data, campaign.mission, campaign.tolerance_m, nees=heard.nees, **same)
+        return FlightResult(**same, success=False, reason=f"raised {type(error).__name__}: {error}", told="")
+    return judge_flight(data, campaign.mission, campaign.tolerance_m, nees=heard.mean_nees, **same)
 
 
 @functools.cache
-def _pools() -> Any:
+def _thread_pools() -> Any:
     """The libraries that compute in threads, looked for once: that takes a fortieth of a flight."""
     return ThreadpoolController()
 
 
-class _Heard:
+class _EstimateScore:
     """How estimates compare with the truth while a flight goes on."""
 
     def __init__(self) -> None:
@@ -355,31 +360,31 @@ class _Heard:
         true = np.concatenate([truth.position, truth.velocity, truth.attitude])
         estimated = np.concatenate([told.position, told.velocity, told.attitude])
         covariance = told.covariance[None, :EX_GYRO_BIAS, :EX_GYRO_BIAS]
-        self.many(true[None], estimated[None], covariance, np.array([told.valid]))
+        self.add_estimates(true[None], estimated[None], covariance, np.array([told.valid]))
 
-    def many(self, true: _Array, told: _Array, covariances: _Array, valid: NDArray[np.bool_]) -> None:
+    def add_estimates(self, true: _Array, told: _Array, covariances: _Array, valid: NDArray[np.bool_]) -> None:
         """Take (n, 9), (n, 9), (n, 9, 9), (n,): position, velocity, attitude (m, m/s, rad)."""
         self._parts.append((true[valid], told[valid], covariances[valid]))
 
     @property
-    def nees(self) -> float | None:
+    def mean_nees(self) -> float | None:
         """Mean of NEES / n; None if no estimate was valid."""
         if not any(len(true) for true, _, _ in self._parts):
             return None
         true, told, covariances = (np.concatenate(p) for p in zip(*self._parts, strict=True))
         error = told - true
         error[:, EX_ATT:] = np.angle(np.exp(1j * error[:, EX_ATT:]))
-        return float(normalised(error, covariances).mean()) / error.shape[1]
+        return float(normalised_errors(error, covariances).mean()) / error.shape[1]
 
 
-def judged(
+def judge_flight(
     data: xr.Dataset, mission: Mission, tolerance_m: float, *, nees: float | None = None, **same: Any
-) -> Flown:
-    """Judge a recording by its truth; ``same`` are the other fields of :class:`Flown`."""
+) -> FlightResult:
+    """Judge a recording by its truth; ``same`` are the other fields of :class:`FlightResult`."""
     # Sensors are recorded in every period, what is true counts at 100 Hz: a flight is the same with both.
     step = round(0.01 / float(np.median(np.diff(data.time.values[:100]))))
     data = data.isel(time=slice(None, None, max(1, step)))
-    s = summarise(
+    s = summarise_flight(
         data,
         [w.position_m for w in mission.waypoint],
         take_off=(*mission.start_m, -mission.take_off.height_m),
@@ -387,25 +392,35 @@ def judged(
         world=mission.world,
     )
     x, reference = data.truth_position.values, data.reference_position.values
-    airborne = x[0, 2] - x[:, 2] > STANDS_M
+    airborne = x[0, 2] - x[:, 2] > LANDED_HEIGHT_TOLERANCE_M
     away = np.linalg.norm(x - reference, axis=1)[airborne]
-    reason = _why_not(s, data, tolerance_m)
+    reason = _failure_reason(s, data, tolerance_m)
 
-    def worst(name: str) -> float | None:
+    def worst_waypoint_value(name: str) -> float | None:
         return max((v for w in s.waypoints if (v := getattr(w, name)) is not None), default=None)
 
-    return Flown(
-        **same, success=not reason, reason=reason, told=f"{s.outcome}: {s.reason}" if s.reason else s.outcome,
-        duration_s=s.duration_s, overshoot_m=worst("overshoot_m"), waypoint_error_m=worst("distance_at_reach_m"),
+    return FlightResult(
+        **same,
+        success=not reason,
+        reason=reason,
+        told=f"{s.outcome}: {s.reason}" if s.reason else s.outcome,
+        duration_s=s.duration_s,
+        overshoot_m=worst_waypoint_value("overshoot_m"),
+        waypoint_error_m=worst_waypoint_value("distance_at_reach_m"),
         tracking_peak_m=float(away.max()) if len(away) else None,
         tracking_rms_m=float(np.sqrt(np.mean(away**2))) if len(away) else None,
-        touchdown_speed_m_s=s.touchdown_speed_m_s, landing_error_m=s.landing_distance_m,
-        tilt_peak_deg=s.max_tilt_deg, railed_s=s.longest_railed_s, oscillation_s=s.longest_oscillation_s,
-        clearance_m=s.least_clearance_m, battery_left=s.battery_end_charge, nees=nees,
-    )  # fmt: skip
+        touchdown_speed_m_s=s.touchdown_speed_m_s,
+        landing_error_m=s.landing_distance_m,
+        tilt_peak_deg=s.max_tilt_deg,
+        railed_s=s.longest_railed_s,
+        oscillation_s=s.longest_oscillation_s,
+        clearance_m=s.least_clearance_m,
+        battery_left=s.battery_end_charge,
+        nees=nees,
+    )
 
 
-def _why_not(s: Summary, data: xr.Dataset, tolerance_m: float) -> str:
+def _failure_reason(s: FlightSummary, data: xr.Dataset, tolerance_m: float) -> str:
     """Why a flight is no success, the first reason that holds; "" for a success."""
     if s.outcome != "succeeded":
         return s.reason or s.outcome
@@ -417,14 +432,14 @@ def _why_not(s: Summary, data: xr.Dataset, tolerance_m: float) -> str:
             return f"{name} was said to be reached, {w.distance_at_reach_m:.2f} m from it"
     last = data.isel(time=-1)
     up = float(data.truth_position.values[0, 2] - last.truth_position.values[2])
-    if abs(up) > STANDS_M:
+    if abs(up) > LANDED_HEIGHT_TOLERANCE_M:
         return f"it ends {up:.2f} m above where it stood"
     roll, pitch = last.truth_attitude.values[:2]
     tilt = math.degrees(math.acos(math.cos(roll) * math.cos(pitch)))
-    if tilt > UPRIGHT_DEG:
+    if tilt > LANDED_MAX_TILT_DEG:
         return f"it ends tilted by {tilt:.0f} degrees"
     speed = float(np.linalg.norm(last.truth_velocity.values))
-    if speed > RESTS_M_S:
+    if speed > LANDED_MAX_SPEED_M_S:
         return f"it still moves at the end, with {speed:.2f} m/s"
     if np.any(last.motor_input.values > 0.0):
         return "its motors still run at the end"
@@ -433,6 +448,10 @@ def _why_not(s: Summary, data: xr.Dataset, tolerance_m: float) -> str:
     return ""
 
 
-def differences(a: Flown, b: Flown) -> list[str]:
+def list_differences(a: FlightResult, b: FlightResult) -> list[str]:
     """Return the names of the fields in which two flights differ."""
-    return [f.name for f in fields_of(Flown) if plain(getattr(a, f.name)) != plain(getattr(b, f.name))]
+    return [
+        f.name
+        for f in fields_of(FlightResult)
+        if to_plain_data(getattr(a, f.name)) != to_plain_data(getattr(b, f.name))
+    ]

@@ -1,8 +1,8 @@
 """What differs from one flight to the next: parameters of the vehicle, drawn around what its file or a fit says.
 
-A :class:`Variation` is linear: ``values = centre + factor z`` with ``z`` uniform within -1..1 or normal with unit
-variance, each component for itself. So a spread in percent, a range, and the covariance of an identification are one
-thing, and a search for the worst case moves in ``z``.
+A :class:`ParameterVariation` is linear: ``values = centre + factor z`` with ``z`` uniform within -1..1 or normal with
+unit variance, each component for itself. So a spread in percent, a range, and the covariance of an identification are
+one thing, and a search for the worst case moves in ``z``.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError, suggest_name
-from mufly.grammar import read_quantity
-from mufly.vehicle import Parameter, Vehicle, load_vehicle, parameters
+from mufly.quantity_grammar import read_quantity
+from mufly.vehicle import Parameter, Vehicle, list_parameters, load_vehicle
 
 _Array = NDArray[np.float64]
 
-EVERYTHING = "parameters"
+ALL_PARAMETERS = "parameters"
 """Name of all parameters of the flight model: everything but the mass budget, the range ring and the sensors."""
 
-_APART = ("mass_budget.", "range_ring.", "sensors.")
-_FORMS = "NAME=10%, NAME=+-2g, NAME=90:100g, NAME=normal:3%, NAME=std, or a file of `mufly identify flight`"
-_SPREAD = re.compile(r"(?P<normal>normal:)?(?P<sides>\+-|±)?(?P<number>[0-9.eE+-]+) *(?P<unit>[^0-9: ].*)?")
-_RANGE = re.compile(r"(?P<low>[0-9.eE+-]+) *: *(?P<high>[0-9.eE+-]+) *(?P<unit>.*)")
+_EXCLUDED_PREFIXES = ("mass_budget.", "range_ring.", "sensors.")
+_SYNTAX_HELP = "NAME=10%, NAME=+-2g, NAME=90:100g, NAME=normal:3%, NAME=std, or a file of `mufly identify flight`"
+_SPREAD_PATTERN = re.compile(r"(?P<normal>normal:)?(?P<sides>\+-|±)?(?P<number>[0-9.eE+-]+) *(?P<unit>[^0-9: ].*)?")
+_RANGE_PATTERN = re.compile(r"(?P<low>[0-9.eE+-]+) *: *(?P<high>[0-9.eE+-]+) *(?P<unit>.*)")
 
 
 @dataclass(frozen=True, eq=False)
-class Variation:
+class ParameterVariation:
     """Parameters that are drawn together.
 
     Attributes
@@ -52,49 +52,54 @@ class Variation:
         What is to be known about it, in words; empty if nothing.
     """
 
-    text: str
+    source_text: str
     keys: tuple[str, ...]
-    shape: Literal["uniform", "normal"]
-    centre: _Array
-    factor: _Array
+    distribution: Literal["uniform", "normal"]
+    nominal_values: _Array
+    spread_matrix: _Array
     note: str = ""
 
     @property
-    def size(self) -> int:
+    def variable_count(self) -> int:
         """How many ``z`` it takes."""
-        return self.factor.shape[1]
+        return self.spread_matrix.shape[1]
 
-    def values(self, z: _Array) -> dict[str, float]:
+    def parameter_values(self, z: _Array) -> dict[str, float]:
         """Return the parameters (SI) at ``z`` (m,)."""
-        return dict(zip(self.keys, (self.centre + self.factor @ z).tolist(), strict=True))
+        return dict(zip(self.keys, (self.nominal_values + self.spread_matrix @ z).tolist(), strict=True))
 
-    def draw(self, rng: np.random.Generator) -> _Array:
+    def draw_variables(self, rng: np.random.Generator) -> _Array:
         """Return a random ``z`` (m,)."""
         return (
-            rng.uniform(-1.0, 1.0, self.size) if self.shape == "uniform" else rng.standard_normal(self.size)
+            rng.uniform(-1.0, 1.0, self.variable_count)
+            if self.distribution == "uniform"
+            else rng.standard_normal(self.variable_count)
         )
 
-    def without(self, keys: Iterable[str]) -> Variation:
+    def without_keys(self, keys: Iterable[str]) -> ParameterVariation:
         """Return it with some parameters left as they are."""
         kept = [k for k, key in enumerate(self.keys) if key not in set(keys)]
-        factor = self.factor[kept]
-        used = np.flatnonzero(np.any(factor != 0.0, axis=0)) if self.shape == "uniform" else slice(None)
+        factor = self.spread_matrix[kept]
+        used = np.flatnonzero(np.any(factor != 0.0, axis=0)) if self.distribution == "uniform" else slice(None)
         return replace(
-            self, keys=tuple(self.keys[k] for k in kept), centre=self.centre[kept], factor=factor[:, used]
+            self,
+            keys=tuple(self.keys[k] for k in kept),
+            nominal_values=self.nominal_values[kept],
+            spread_matrix=factor[:, used],
         )
 
-    def content(self) -> list[Any]:
+    def to_json(self) -> list[Any]:
         """Return everything that values depend on, as JSON can hold it."""
-        return [list(self.keys), self.shape, self.centre.tolist(), self.factor.tolist()]
+        return [list(self.keys), self.distribution, self.nominal_values.tolist(), self.spread_matrix.tolist()]
 
 
-def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[Variation, ...]:
+def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterVariation, ...]:
     """Return what texts as ``"parameters=10%"`` say.
 
     Parameters
     ----------
     texts : sequence of str
-        ``NAME`` is ``parameters``, a table (``rotors``), a key (``body.mass``) or a symbol (``m``). ``10%`` and
+        ``NAME`` is ``list_parameters``, a table (``rotors``), a key (``body.mass``) or a symbol (``m``). ``10%`` and
         ``+-2g`` draw uniformly around the vehicle's value, ``90:100g`` uniformly in between; ``normal:3%`` and
         ``normal:2g`` normally with this standard deviation, ``std`` with the one that the vehicle file states. A file
         is what ``mufly identify flight --json`` printed (with the covariance) or a vehicle file (with standard
@@ -107,21 +112,19 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[Variation,
     InputError
         If a text is none of these, or two draw the same parameter.
     """
-    found: list[Variation] = []
+    found: list[ParameterVariation] = []
     for text in texts:
-        new = _from_file(text, vehicle) if _is_file(text) else _from_words(text, vehicle)
+        new = _read_variation_file(text, vehicle) if _is_file(text) else _parse_assignment(text, vehicle)
         for k, other in enumerate(found):
             shared = [key for key in new.keys if key in other.keys]
             if not shared:
                 continue
             if len(new.keys) == len(other.keys):
-                raise ArgumentError(
-                    "vary", text, f"{shared[0]} is drawn by {other.text!r} too", "draw it once"
-                )
+                raise ArgumentError("vary", text, f"{shared[0]} is drawn by {other.source_text!r} too", "draw it once")
             if len(new.keys) < len(other.keys):
-                found[k] = other.without(shared)
+                found[k] = other.without_keys(shared)
             else:
-                new = new.without(shared)
+                new = new.without_keys(shared)
         found.append(new)
     return tuple(v for v in found if v.keys)
 
@@ -130,32 +133,32 @@ def _is_file(text: str) -> bool:
     return "=" not in text and Path(text).suffix.lower() in (".json", ".toml")
 
 
-_NAMES = "use `parameters`, a table, or a key or symbol that `mufly vehicle show` lists"
+_NAMES_HELP = "use `parameters`, a table, or a key or symbol that `mufly vehicle show` lists"
 
 
-def _names(known: Sequence[Parameter]) -> list[str]:
+def _parameter_names(known: Sequence[Parameter]) -> list[str]:
     return list(dict.fromkeys([*(p.key for p in known), *(p.symbol for p in known if len(p.symbol) > 2)]))
 
 
-def _named(name: str, text: str, vehicle: Vehicle) -> list[Parameter]:
-    numbers = [p for p in parameters(vehicle) if isinstance(p.value, float)]
-    if name == EVERYTHING:
-        return [p for p in numbers if not p.key.startswith(_APART)]
+def _select_parameters(name: str, text: str, vehicle: Vehicle) -> list[Parameter]:
+    numbers = [p for p in list_parameters(vehicle) if isinstance(p.value, float)]
+    if name == ALL_PARAMETERS:
+        return [p for p in numbers if not p.key.startswith(_EXCLUDED_PREFIXES)]
     chosen = [p for p in numbers if p.key == name or p.key.startswith(f"{name}.")]
     chosen = chosen or [p for p in numbers if p.symbol == name]
     if not chosen:
         raise ArgumentError(
             "vary", text, f"{name!r} is no parameter of {vehicle.name}",
-            suggest_name(name, _names(numbers), _NAMES),
+            suggest_name(name, _parameter_names(numbers), _NAMES_HELP),
         )  # fmt: skip
     return chosen
 
 
-def _from_words(text: str, vehicle: Vehicle) -> Variation:
+def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
     name, equals, how = (part.strip() for part in text.partition("="))
     if not equals or not how:
-        raise ArgumentError("vary", text, "does not say how to vary what", f"write {_FORMS}")
-    chosen = _named(name, text, vehicle)
+        raise ArgumentError("vary", text, "does not say how to vary what", f"write {_SYNTAX_HELP}")
+    chosen = _select_parameters(name, text, vehicle)
     keys = tuple(p.key for p in chosen)
     if how == "std":
         stated = [p for p in chosen if p.std is not None]
@@ -164,22 +167,18 @@ def _from_words(text: str, vehicle: Vehicle) -> Variation:
                 "vary", text, "no standard deviation is stated in the vehicle file", "give one: normal:3%"
             )
         missing = len(chosen) - len(stated)
-        note = (
-            f"{missing} of {len(chosen)} parameters state no standard deviation: not varied"
-            if missing
-            else ""
-        )
-        return replace(_alone(text, stated, [float(p.std or 0.0) for p in stated], "normal"), note=note)
-    if match := _RANGE.fullmatch(how):
-        low, high = (_amount(match[k], match["unit"], chosen, text) for k in ("low", "high"))
+        note = f"{missing} of {len(chosen)} parameters state no standard deviation: not varied" if missing else ""
+        return replace(_independent_variation(text, stated, [float(p.std or 0.0) for p in stated], "normal"), note=note)
+    if match := _RANGE_PATTERN.fullmatch(how):
+        low, high = (_to_si_amount(match[k], match["unit"], chosen, text) for k in ("low", "high"))
         if not low < high:
             raise ArgumentError("vary", text, f"{how} holds nothing", "write LOW:HIGH with LOW below HIGH")
         half = np.full(len(keys), 0.5 * (high - low))
-        return Variation(text, keys, "uniform", half + low, np.diag(half))
-    match = _SPREAD.fullmatch(how)
+        return ParameterVariation(text, keys, "uniform", half + low, np.diag(half))
+    match = _SPREAD_PATTERN.fullmatch(how)
     if match is None:
-        raise ArgumentError("vary", text, f"{how!r} is no spread", f"write {_FORMS}")
-    number, unit = _number(match["number"], text), (match["unit"] or "").strip()
+        raise ArgumentError("vary", text, f"{how!r} is no spread", f"write {_SYNTAX_HELP}")
+    number, unit = _parse_number(match["number"], text), (match["unit"] or "").strip()
     if not number > 0.0:
         raise ArgumentError("vary", text, f"{number:g} is no spread", "give a number above 0")
     if unit == "%":
@@ -188,55 +187,49 @@ def _from_words(text: str, vehicle: Vehicle) -> Variation:
         # A share of what a vehicle has not (ground effect, friction) is nothing, and draws no number.
         chosen = [p for p in chosen if p.value != 0.0]
         if not chosen:
-            raise ArgumentError(
-                "vary", text, "a share of 0 is 0", "write +-AMOUNT, or LOW:HIGH, with its unit"
-            )
+            raise ArgumentError("vary", text, "a share of 0 is 0", "write +-AMOUNT, or LOW:HIGH, with its unit")
         widths = number / 100.0 * np.abs([p.value for p in chosen])
     elif match["normal"] or match["sides"]:
-        widths = np.full(len(keys), _amount(match["number"], unit, chosen, text))
+        widths = np.full(len(keys), _to_si_amount(match["number"], unit, chosen, text))
     else:
-        raise ArgumentError(
-            "vary", text, f"{how!r} may be a value or a spread", "write +-2g or normal:2g for a spread"
-        )
-    return _alone(text, chosen, widths.tolist(), "normal" if match["normal"] else "uniform")
+        raise ArgumentError("vary", text, f"{how!r} may be a value or a spread", "write +-2g or normal:2g for a spread")
+    return _independent_variation(text, chosen, widths.tolist(), "normal" if match["normal"] else "uniform")
 
 
-def _alone(
+def _independent_variation(
     text: str, chosen: Sequence[Parameter], widths: Sequence[float], shape: Literal["uniform", "normal"]
-) -> Variation:
+) -> ParameterVariation:
     centre = np.array([p.value for p in chosen])
-    return Variation(text, tuple(p.key for p in chosen), shape, centre, np.diag(np.array(widths)))
+    return ParameterVariation(text, tuple(p.key for p in chosen), shape, centre, np.diag(np.array(widths)))
 
 
-def _number(text: str, where: str) -> float:
+def _parse_number(text: str, where: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ArgumentError("vary", where, f"{text!r} is no number", f"write {_FORMS}") from None
+        raise ArgumentError("vary", where, f"{text!r} is no number", f"write {_SYNTAX_HELP}") from None
 
 
-def _amount(number: str, unit: str, chosen: Sequence[Parameter], text: str) -> float:
+def _to_si_amount(number: str, unit: str, chosen: Sequence[Parameter], text: str) -> float:
     """A number with a unit in the unit that the parameters have in common (SI)."""
     own = {p.unit for p in chosen}
     if len(own) > 1:
-        raise ArgumentError(
-            "vary", text, f"its {len(chosen)} parameters have no unit in common", "vary them in %"
-        )
+        raise ArgumentError("vary", text, f"its {len(chosen)} parameters have no unit in common", "vary them in %")
     try:
         return read_quantity("", f"{number} {unit}", own.pop(), bare=False)
     except InputError as error:
         raise ArgumentError("vary", text, error.problem, f"{error.remedy}, or %") from None
 
 
-def _from_file(text: str, vehicle: Vehicle) -> Variation:
+def _read_variation_file(text: str, vehicle: Vehicle) -> ParameterVariation:
     path = Path(text)
     if path.suffix.lower() == ".toml":
-        stated = [p for p in parameters(load_vehicle(path)) if p.std and isinstance(p.value, float)]
+        stated = [p for p in list_parameters(load_vehicle(path)) if p.std and isinstance(p.value, float)]
         if not stated:
             raise ArgumentError(
                 "vary", text, "states no standard deviation", "write it with `mufly identify flight --out`"
             )
-        return _alone(text, stated, [float(p.std or 0.0) for p in stated], "normal")
+        return _independent_variation(text, stated, [float(p.std or 0.0) for p in stated], "normal")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         rows, correlation = content["parameters"], np.array(content["correlation"], dtype=np.float64)
@@ -244,9 +237,7 @@ def _from_file(text: str, vehicle: Vehicle) -> Variation:
         if correlation.shape != (len(fitted), len(fitted)):
             raise ValueError(f"correlation of {correlation.shape} for {len(fitted)} parameters")
     except OSError as error:
-        raise ArgumentError(
-            "vary", text, f"cannot be read ({error.strerror})", "give a file that is there"
-        ) from None
+        raise ArgumentError("vary", text, f"cannot be read ({error.strerror})", "give a file that is there") from None
     except (ValueError, KeyError, TypeError) as error:
         raise ArgumentError(
             "vary",
@@ -254,16 +245,10 @@ def _from_file(text: str, vehicle: Vehicle) -> Variation:
             f"is no result of an identification ({error})",
             "write one with `mufly identify flight --json`",
         ) from None
-    known = {p.key for p in parameters(vehicle)}
-    use = [
-        k
-        for k, (key, value, std, _) in enumerate(fitted)
-        if key in known and value is not None and std is not None
-    ]
+    known = {p.key for p in list_parameters(vehicle)}
+    use = [k for k, (key, value, std, _) in enumerate(fitted) if key in known and value is not None and std is not None]
     if not use:
-        raise ArgumentError(
-            "vary", text, f"holds no parameter of {vehicle.name}", "identify some of its parameters"
-        )
+        raise ArgumentError("vary", text, f"holds no parameter of {vehicle.name}", "identify some of its parameters")
     held = [fitted[k][0] for k in use if fitted[k][3]]
     left = [fitted[k][0] for k in range(len(fitted)) if k not in use and fitted[k][0]]
     std = np.array([0.0 if fitted[k][3] else float(fitted[k][2]) for k in use])
@@ -272,4 +257,4 @@ def _from_file(text: str, vehicle: Vehicle) -> Variation:
     told = [f"{', '.join(held)} at a bound: held at the value found"] if held else []
     told += [f"{', '.join(left)} not seen by the data: not varied"] if left else []
     centre = np.array([float(fitted[k][1]) for k in use])
-    return Variation(text, tuple(fitted[k][0] for k in use), "normal", centre, factor, "; ".join(told))
+    return ParameterVariation(text, tuple(fitted[k][0] for k in use), "normal", centre, factor, "; ".join(told))

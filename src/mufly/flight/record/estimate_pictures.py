@@ -19,34 +19,34 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Patch
 from numpy.typing import NDArray
 
-from mufly.flight.record.pictures import (
+from mufly.flight.estimator_health import describe_sensor
+from mufly.flight.record.flight_pictures import (
     BLACK,
     BLUE,
+    FAST_PNG_OPTIONS,
     GREEN,
     GREY,
     ORANGE,
-    QUICKLY,
+    PLOT_STYLE,
     SKY,
-    STYLE,
     VERMILION,
-    bands,
-    state_handles,
-    stretches,
-    tint,
-    title,
+    draw_bands,
+    flight_title,
+    state_legend_handles,
+    state_stretches,
+    state_tint,
 )
-from mufly.flight.record.summary import runs
-from mufly.flight.trust import sensor_name
-from mufly.quantities import CHECKED, STATUSES
+from mufly.flight.record.flight_summary import state_runs
+from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
 
 _Array = NDArray[np.float64]
-_BAND = 3.0
-_CLIPPED = 6.0  # innovations beyond stand at the edge
-STATUS_COLOURS = dict(zip(STATUSES, ("#d9d9d9", GREEN, ORANGE, GREY, VERMILION), strict=True))
+_BAND_SIGMAS = 3.0
+_CLIP_SIGMAS = 6.0  # innovations beyond stand at the edge
+CHECK_STATUS_COLOURS = dict(zip(FUSION_STATUSES, ("#d9d9d9", GREEN, ORANGE, GREY, VERMILION), strict=True))
 """Colour of what an estimator makes of a reading."""
 
 # quantity, component, heading, factor, what measures it: (quantity, component)
-_PANELS: tuple[tuple[str, int, str, float, tuple[str, int] | None], ...] = (
+_ESTIMATE_PANELS: tuple[tuple[str, int, str, float, tuple[str, int] | None], ...] = (
     ("position", 0, "North (m)", 1.0, ("position_fix", 0)),
     ("position", 1, "East (m)", 1.0, ("position_fix", 1)),
     ("position", 2, "Height (m)", -1.0, ("position_fix", 2)),
@@ -59,7 +59,7 @@ _PANELS: tuple[tuple[str, int, str, float, tuple[str, int] | None], ...] = (
 )
 
 
-def draw_belief(dataset: xr.Dataset, folder: str | Path, *, dpi: int = 110) -> list[Path]:
+def draw_estimate_pictures(dataset: xr.Dataset, folder: str | Path, *, dpi: int = 110) -> list[Path]:
     """Draw what was believed on a flight on sensors into a folder; nothing, of a flight on what is true.
 
     Returns
@@ -70,10 +70,10 @@ def draw_belief(dataset: xr.Dataset, folder: str | Path, *, dpi: int = 110) -> l
     if "estimated_valid" not in dataset:
         return []
     paths = [Path(folder) / f"{name}.png" for name in ("estimate", "sensors", "way")]
-    with mpl.rc_context(STYLE):
-        figures = draw_estimate(dataset), draw_checks(dataset), draw_way(dataset)
+    with mpl.rc_context(PLOT_STYLE):
+        figures = draw_estimate(dataset), draw_checks(dataset), draw_ground_track(dataset)
         for path, figure in zip(paths, figures, strict=True):
-            figure.savefig(path, dpi=dpi, **QUICKLY["png"])
+            figure.savefig(path, dpi=dpi, **FAST_PNG_OPTIONS["png"])
     return paths
 
 
@@ -83,20 +83,20 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
     Parameters
     ----------
     dataset : xarray.Dataset
-        Recording of a flight on sensors, or what :func:`mufly.flight.sensed.estimated` makes of one. Without truth the
-        errors are left out, and the band is drawn around the estimate.
+        Recording of a flight on sensors, or what :func:`mufly.flight.sensor_recording.estimated` makes of one. Without
+        truth the errors are left out, and the band is drawn around the estimate.
     """
     figure = Figure(figsize=(12.0, 14.5))
-    panels: Any = figure.subplots(len(_PANELS), 2, sharex=True)
+    panels: Any = figure.subplots(len(_ESTIMATE_PANELS), 2, sharex=True)
     figure.subplots_adjust(left=0.065, right=0.985, top=0.945, bottom=0.035, hspace=0.34, wspace=0.13)
-    time, good = dataset["time"].values, _flown(dataset)
-    states = [(time[a], time[b], tint(state)) for state, a, b in stretches(dataset)]
-    for (name, k, heading, factor, measured), (left, right) in zip(_PANELS, panels, strict=True):
+    time, good = dataset["time"].values, _flying_rows(dataset)
+    states = [(time[a], time[b], state_tint(state)) for state, a, b in state_stretches(dataset)]
+    for (name, k, heading, factor, measured), (left, right) in zip(_ESTIMATE_PANELS, panels, strict=True):
         estimate = factor * dataset[f"estimated_{name}"].values[:, k]
         sigma = abs(factor) * dataset[f"estimated_{name}_sigma"].values[:, k]
         truth = factor * dataset[f"truth_{name}"].values[:, k]
         for ax in (left, right):
-            bands(ax, states, low=0.93)  # at the top: the bands of the estimate need the rest
+            draw_bands(ax, states, low=0.93)  # at the top: the bands of the estimate need the rest
         if measured is not None:
             which, part = measured
             when = dataset[f"measured_{which}_time"].values
@@ -107,28 +107,34 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
                 said = near + (said - near + 180.0) % 360.0 - 180.0
             left.plot(when[came], said, ".", ms=2.5, color=GREY, label="measured", zorder=2)
         left.fill_between(
-            time, estimate - _BAND * sigma, estimate + _BAND * sigma, color=SKY, alpha=0.45, lw=0, zorder=1
+            time,
+            estimate - _BAND_SIGMAS * sigma,
+            estimate + _BAND_SIGMAS * sigma,
+            color=SKY,
+            alpha=0.45,
+            lw=0,
+            zorder=1,
         )
         left.plot(time, estimate, color=BLUE, lw=1.1, label="estimated", zorder=4)
         left.plot(time, truth, color=BLACK, lw=0.9, ls=(0, (4, 2)), label="true", zorder=5)
         left.set_title(heading, pad=4)
-        right.fill_between(time, -_BAND * sigma, _BAND * sigma, color=SKY, alpha=0.45, lw=0, zorder=1)
+        right.fill_between(time, -_BAND_SIGMAS * sigma, _BAND_SIGMAS * sigma, color=SKY, alpha=0.45, lw=0, zorder=1)
         error = estimate - truth
         right.plot(time, error, color=VERMILION, lw=1.0, zorder=3)
         what, _, unit = heading.partition(" (")
         right.set_title(f"{what}: estimated less true ({unit}", pad=4)
-        wide = _BAND * sigma[good]
-        _limit(left, np.concatenate([truth, estimate]))
-        _limit(right, np.concatenate([error[good], -error[good], wide, -wide]))
+        wide = _BAND_SIGMAS * sigma[good]
+        _set_axis_limits(left, np.concatenate([truth, estimate]))
+        _set_axis_limits(right, np.concatenate([error[good], -error[good], wide, -wide]))
         left.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
     for ax in panels[-1]:
         ax.set_xlabel("Time (s)")
     panels[0][0].legend(loc="lower right", bbox_to_anchor=(1.01, 0.95), ncols=3, borderpad=0.1)
-    _header(figure, dataset)
+    _draw_header(figure, dataset)
     return figure
 
 
-def draw_way(dataset: xr.Dataset) -> Figure:
+def draw_ground_track(dataset: xr.Dataset) -> Figure:
     """Where it went, from above, with an ellipse of three standard deviations every second or so; biases over time.
 
     Parameters
@@ -140,7 +146,7 @@ def draw_way(dataset: xr.Dataset) -> Figure:
     figure = Figure(figsize=(13.0, 7.0))
     grid = figure.add_gridspec(3, 3, width_ratios=(1.6, 1.0, 1.0))
     figure.subplots_adjust(left=0.06, right=0.985, top=0.91, bottom=0.075, hspace=0.35, wspace=0.25)
-    time, good = dataset["time"].values, _flown(dataset)
+    time, good = dataset["time"].values, _flying_rows(dataset)
     plan: Any = figure.add_subplot(grid[:, 0])
     fix = dataset["measured_position_fix"].values
     plan.plot(fix[:, 1], fix[:, 0], ".", ms=2.5, color=GREY, label="measured", zorder=2)
@@ -152,7 +158,7 @@ def draw_way(dataset: xr.Dataset) -> Figure:
     every = max(1, int(max(1.0, (time[-1] - time[0]) / 60.0) / max(float(np.median(np.diff(time))), 1e-6)))
     for k in range(0, len(time), every):
         if good[k] and np.isfinite(x[k]).all():
-            wide, high = 2 * _BAND * sigma[k, 1], 2 * _BAND * sigma[k, 0]
+            wide, high = 2 * _BAND_SIGMAS * sigma[k, 1], 2 * _BAND_SIGMAS * sigma[k, 0]
             plan.add_patch(Ellipse((x[k, 1], x[k, 0]), wide, high, color=SKY, alpha=0.3, lw=0, zorder=1))
     plan.set_aspect("equal", adjustable="datalim")
     plan.set_xlabel("East (m)")
@@ -170,28 +176,29 @@ def draw_way(dataset: xr.Dataset) -> Figure:
         for k, axis in enumerate("xyz"):
             ax: Any = figure.add_subplot(grid[k, 1 + j])
             if spread is not None:
-                low, high = block[:, k] - _BAND * spread[:, k], block[:, k] + _BAND * spread[:, k]
+                low, high = (
+                    block[:, k] - _BAND_SIGMAS * spread[:, k],
+                    block[:, k] + _BAND_SIGMAS * spread[:, k],
+                )
                 ax.fill_between(time, low, high, color=SKY, alpha=0.45, lw=0)
-                _limit(ax, np.concatenate([low[good], high[good]]))
+                _set_axis_limits(ax, np.concatenate([low[good], high[good]]))
             ax.plot(time, block[:, k], color=BLUE, lw=1.1)
             ax.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
             ax.set_title(f"{heading}, {axis}" if k == 0 else axis, pad=3)
             if k == 2:
                 ax.set_xlabel("Time (s)")
-    figure.text(0.02, 0.985, title(dataset), fontsize=10, va="top")
-    figure.text(
-        0.02, 0.955, "ellipses and bands: three standard deviations", fontsize=8.5, va="top", color=GREY
-    )
+    figure.text(0.02, 0.985, flight_title(dataset), fontsize=10, va="top")
+    figure.text(0.02, 0.955, "ellipses and bands: three standard deviations", fontsize=8.5, va="top", color=GREY)
     return figure
 
 
-def _flown(dataset: xr.Dataset) -> NDArray[np.bool_]:
+def _flying_rows(dataset: xr.Dataset) -> NDArray[np.bool_]:
     """Where it flies: before, an estimate that is not yet one would set the scale."""
     flown = dataset["estimated_valid"].values > 0.5
     return flown if flown.any() else np.ones(len(flown), dtype=bool)
 
 
-def _limit(ax: Any, values: _Array) -> None:
+def _set_axis_limits(ax: Any, values: _Array) -> None:
     good = values[np.isfinite(values)]
     if not len(good):
         return
@@ -200,16 +207,16 @@ def _limit(ax: Any, values: _Array) -> None:
     ax.set_ylim(low - room, high + 1.5 * room)
 
 
-def _header(figure: Figure, dataset: xr.Dataset) -> None:
-    handles = state_handles([name for name, _, _ in runs(dataset)])
+def _draw_header(figure: Figure, dataset: xr.Dataset) -> None:
+    handles = state_legend_handles([name for name, _, _ in state_runs(dataset)])
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.995), ncols=len(handles))
-    figure.text(0.02, 0.99, title(dataset), fontsize=10, va="top")
+    figure.text(0.02, 0.99, flight_title(dataset), fontsize=10, va="top")
     figure.text(0.02, 0.974, "bands: three standard deviations", fontsize=8.5, va="top", color=GREY)
 
 
 def draw_checks(dataset: xr.Dataset) -> Figure:
     """Innovations of every sensor in standard deviations, and what was made of it: fused, rejected, missing, faulty."""
-    names = [name for name in CHECKED if np.isfinite(dataset[f"status_{name}"].values).any()]
+    names = [name for name in CHECKED_READINGS if np.isfinite(dataset[f"status_{name}"].values).any()]
     height = 1.2 + 1.15 * max(1, len(names))
     figure = Figure(figsize=(12.0, height))
     panels: Any = np.atleast_1d(figure.subplots(max(1, len(names)), 1, sharex=True))
@@ -219,37 +226,33 @@ def draw_checks(dataset: xr.Dataset) -> Figure:
     for name, ax in zip(names, panels, strict=False):
         code, ratio = dataset[f"status_{name}"].values, dataset[f"innovation_{name}"].values
         edges = [0, *(np.flatnonzero(code[1:] != code[:-1]) + 1), len(code)]
-        shades = [STATUS_COLOURS[status] for status in STATUSES]
-        bands(
+        shades = [CHECK_STATUS_COLOURS[status] for status in FUSION_STATUSES]
+        draw_bands(
             ax,
-            [
-                (time[a], time[b - 1] + step, shades[int(code[a])])
-                for a, b in pairwise(edges)
-                if np.isfinite(code[a])
-            ],
+            [(time[a], time[b - 1] + step, shades[int(code[a])]) for a, b in pairwise(edges) if np.isfinite(code[a])],
             high=0.09,
         )
         new = np.concatenate(([True], ratio[1:] != ratio[:-1])) & np.isfinite(ratio)
-        for k, status in enumerate(STATUSES):
+        for k, status in enumerate(FUSION_STATUSES):
             mine = new & (code == k)
             if mine.any() and status != "waiting":
                 ax.plot(
                     time[mine],
-                    np.clip(ratio[mine], -_CLIPPED, _CLIPPED),
+                    np.clip(ratio[mine], -_CLIP_SIGMAS, _CLIP_SIGMAS),
                     ".",
                     ms=2.5,
-                    color=STATUS_COLOURS[status],
+                    color=CHECK_STATUS_COLOURS[status],
                 )
-        for line in (-_BAND, _BAND):
+        for line in (-_BAND_SIGMAS, _BAND_SIGMAS):
             ax.axhline(line, color=BLACK, lw=0.7, ls=":")
-        ax.set_ylim(-1.25 * _CLIPPED, 1.05 * _CLIPPED)
+        ax.set_ylim(-1.25 * _CLIP_SIGMAS, 1.05 * _CLIP_SIGMAS)
         ax.set_yticks((-3, 0, 3))
-        ax.set_ylabel(sensor_name(name).replace(" ", "\n", 1), rotation=0, ha="right", va="center")
+        ax.set_ylabel(describe_sensor(name).replace(" ", "\n", 1), rotation=0, ha="right", va="center")
         ax.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
     panels[-1].set_xlabel("Time (s)")
-    handles = [Patch(color=colour, label=status) for status, colour in STATUS_COLOURS.items()]
+    handles = [Patch(color=colour, label=status) for status, colour in CHECK_STATUS_COLOURS.items()]
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.995), ncols=len(handles))
-    figure.text(0.02, 1 - 0.12 / height, title(dataset), fontsize=10, va="top")
+    figure.text(0.02, 1 - 0.12 / height, flight_title(dataset), fontsize=10, va="top")
     figure.text(
         0.02, 1 - 0.36 / height,
         "dots: innovation in standard deviations, of the axis that is furthest off (6 and more at the edge); "

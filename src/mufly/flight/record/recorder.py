@@ -24,17 +24,17 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.logs.mcap import Event, Layout, McapFile, standard_layout, to_dataset
-from mufly.logs.recording import (
-    FORMAT,
-    METADATA_FLIGHT,
-    METADATA_LAYOUT,
-    METADATA_OUTCOME,
+from mufly.logs.mcap import FlightEvent, McapWriter, RecordingLayout, flight_layout, rows_to_dataset
+from mufly.logs.mcap_recording import (
+    FLIGHT_METADATA,
+    LAYOUT_METADATA,
+    OUTCOME_METADATA,
+    RECORDING_FORMAT,
     TopicEncoder,
-    json_rows,
-    json_schema,
-    seal,
-    stamp,
+    add_checksum,
+    encode_json_numbers,
+    foxglove_time,
+    object_schema,
 )
 from mufly.world import World
 
@@ -45,83 +45,89 @@ WAYPOINT_COLOUR = (0.84, 0.37, 0.00, 0.90)
 TRACK_COLOUR = (0.00, 0.45, 0.70, 1.0)
 
 
-def _array(items: dict[str, Any]) -> dict[str, Any]:
+def _array_schema(items: dict[str, Any]) -> dict[str, Any]:
     return {"type": "array", "items": items}
 
 
-_number, _text, _flag = {"type": "number"}, {"type": "string"}, {"type": "boolean"}
-_integer = {"type": "integer"}
-_time = json_schema({"sec": _integer, "nsec": _integer}, "time")
-_duration = json_schema({"sec": _integer, "nsec": _integer}, "duration")
-_vector = json_schema(dict.fromkeys("xyz", _number), "foxglove.Vector3")
-_point = json_schema(dict.fromkeys("xyz", _number), "foxglove.Point3")
-_quaternion = json_schema(dict.fromkeys("xyzw", _number), "foxglove.Quaternion")
-_colour = json_schema(dict.fromkeys("rgba", _number), "foxglove.Color")
-_pose = json_schema({"position": _vector, "orientation": _quaternion}, "foxglove.Pose")
-_transform = json_schema(
+_NUMBER_SCHEMA, _TEXT_SCHEMA, _FLAG_SCHEMA = {"type": "number"}, {"type": "string"}, {"type": "boolean"}
+_INTEGER_SCHEMA = {"type": "integer"}
+_TIME_SCHEMA = object_schema({"sec": _INTEGER_SCHEMA, "nsec": _INTEGER_SCHEMA}, "time")
+_DURATION_SCHEMA = object_schema({"sec": _INTEGER_SCHEMA, "nsec": _INTEGER_SCHEMA}, "duration")
+_VECTOR_SCHEMA = object_schema(dict.fromkeys("xyz", _NUMBER_SCHEMA), "foxglove.Vector3")
+_POINT_SCHEMA = object_schema(dict.fromkeys("xyz", _NUMBER_SCHEMA), "foxglove.Point3")
+_QUATERNION_SCHEMA = object_schema(dict.fromkeys("xyzw", _NUMBER_SCHEMA), "foxglove.Quaternion")
+_COLOUR_SCHEMA = object_schema(dict.fromkeys("rgba", _NUMBER_SCHEMA), "foxglove.Color")
+_POSE_SCHEMA = object_schema({"position": _VECTOR_SCHEMA, "orientation": _QUATERNION_SCHEMA}, "foxglove.Pose")
+_TRANSFORM_SCHEMA = object_schema(
     {
-        "timestamp": _time,
-        "parent_frame_id": _text,
-        "child_frame_id": _text,
-        "translation": _vector,
-        "rotation": _quaternion,
+        "timestamp": _TIME_SCHEMA,
+        "parent_frame_id": _TEXT_SCHEMA,
+        "child_frame_id": _TEXT_SCHEMA,
+        "translation": _VECTOR_SCHEMA,
+        "rotation": _QUATERNION_SCHEMA,
     },
     "foxglove.FrameTransform",
 )
-_solid = {"pose": _pose, "size": _vector, "color": _colour}
-_line = {
-    "type": _integer,
-    "pose": _pose,
-    "thickness": _number,
-    "scale_invariant": _flag,
-    "points": _array(_point),
-    "color": _colour,
-    "colors": _array(_colour),
-    "indices": _array(_integer),
+_SOLID_FIELDS = {"pose": _POSE_SCHEMA, "size": _VECTOR_SCHEMA, "color": _COLOUR_SCHEMA}
+_LINE_FIELDS = {
+    "type": _INTEGER_SCHEMA,
+    "pose": _POSE_SCHEMA,
+    "thickness": _NUMBER_SCHEMA,
+    "scale_invariant": _FLAG_SCHEMA,
+    "points": _array_schema(_POINT_SCHEMA),
+    "color": _COLOUR_SCHEMA,
+    "colors": _array_schema(_COLOUR_SCHEMA),
+    "indices": _array_schema(_INTEGER_SCHEMA),
 }
-_label = {
-    "pose": _pose,
-    "billboard": _flag,
-    "font_size": _number,
-    "scale_invariant": _flag,
-    "color": _colour,
-    "text": _text,
+_LABEL_FIELDS = {
+    "pose": _POSE_SCHEMA,
+    "billboard": _FLAG_SCHEMA,
+    "font_size": _NUMBER_SCHEMA,
+    "scale_invariant": _FLAG_SCHEMA,
+    "color": _COLOUR_SCHEMA,
+    "text": _TEXT_SCHEMA,
 }
-_entity = json_schema(
+_ENTITY_SCHEMA = object_schema(
     {
-        "timestamp": _time,
-        "frame_id": _text,
-        "id": _text,
-        "lifetime": _duration,
-        "frame_locked": _flag,
-        "metadata": _array(json_schema({"key": _text, "value": _text})),
-        "cubes": _array(json_schema(_solid, "foxglove.CubePrimitive")),
-        "spheres": _array(json_schema(_solid, "foxglove.SpherePrimitive")),
-        "cylinders": _array(
-            json_schema(
-                _solid | {"bottom_scale": _number, "top_scale": _number}, "foxglove.CylinderPrimitive"
+        "timestamp": _TIME_SCHEMA,
+        "frame_id": _TEXT_SCHEMA,
+        "id": _TEXT_SCHEMA,
+        "lifetime": _DURATION_SCHEMA,
+        "frame_locked": _FLAG_SCHEMA,
+        "metadata": _array_schema(object_schema({"key": _TEXT_SCHEMA, "value": _TEXT_SCHEMA})),
+        "cubes": _array_schema(object_schema(_SOLID_FIELDS, "foxglove.CubePrimitive")),
+        "spheres": _array_schema(object_schema(_SOLID_FIELDS, "foxglove.SpherePrimitive")),
+        "cylinders": _array_schema(
+            object_schema(
+                _SOLID_FIELDS | {"bottom_scale": _NUMBER_SCHEMA, "top_scale": _NUMBER_SCHEMA},
+                "foxglove.CylinderPrimitive",
             )
         ),
-        "lines": _array(json_schema(_line, "foxglove.LinePrimitive")),
-        "texts": _array(json_schema(_label, "foxglove.TextPrimitive")),
+        "lines": _array_schema(object_schema(_LINE_FIELDS, "foxglove.LinePrimitive")),
+        "texts": _array_schema(object_schema(_LABEL_FIELDS, "foxglove.TextPrimitive")),
     },
     "foxglove.SceneEntity",
 )
-_deletion = json_schema({"timestamp": _time, "type": _integer, "id": _text}, "foxglove.SceneEntityDeletion")
+_DELETION_SCHEMA = object_schema(
+    {"timestamp": _TIME_SCHEMA, "type": _INTEGER_SCHEMA, "id": _TEXT_SCHEMA}, "foxglove.SceneEntityDeletion"
+)
 
 SCHEMAS: dict[str, dict[str, Any]] = {
-    "foxglove.FrameTransforms": json_schema({"transforms": _array(_transform)}, "foxglove.FrameTransforms"),
-    "foxglove.PoseInFrame": json_schema(
-        {"timestamp": _time, "frame_id": _text, "pose": _pose}, "foxglove.PoseInFrame"
+    "foxglove.FrameTransforms": object_schema(
+        {"transforms": _array_schema(_TRANSFORM_SCHEMA)}, "foxglove.FrameTransforms"
     ),
-    "foxglove.SceneUpdate": json_schema(
-        {"deletions": _array(_deletion), "entities": _array(_entity)}, "foxglove.SceneUpdate"
+    "foxglove.PoseInFrame": object_schema(
+        {"timestamp": _TIME_SCHEMA, "frame_id": _TEXT_SCHEMA, "pose": _POSE_SCHEMA}, "foxglove.PoseInFrame"
+    ),
+    "foxglove.SceneUpdate": object_schema(
+        {"deletions": _array_schema(_DELETION_SCHEMA), "entities": _array_schema(_ENTITY_SCHEMA)},
+        "foxglove.SceneUpdate",
     ),
 }
 """JSON schemas of the messages written here, by name."""
 
 
-def quaternions(attitude: NDArray[np.float64]) -> NDArray[np.float64]:
+def attitude_quaternions(attitude: NDArray[np.float64]) -> NDArray[np.float64]:
     """Quaternions (x, y, z, w) that turn body axes into N-E-D.
 
     Parameters
@@ -146,7 +152,7 @@ def quaternions(attitude: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def transform_pieces() -> tuple[list[bytes], list[bytes]]:
+def transform_templates() -> tuple[list[bytes], list[bytes]]:
     """Constant text around the numbers of a ``/tf`` and of a pose message.
 
     Returns
@@ -177,23 +183,23 @@ def transform_pieces() -> tuple[list[bytes], list[bytes]]:
     return transforms, pose
 
 
-def _xyz(values: ArrayLike) -> dict[str, float]:
+def _to_xyz(values: ArrayLike) -> dict[str, float]:
     return dict(zip("xyz", (round(float(v), 6) for v in np.asarray(values).ravel()), strict=True))
 
 
-def _rgba(colour: Sequence[float]) -> dict[str, float]:
+def _to_rgba(colour: Sequence[float]) -> dict[str, float]:
     return dict(zip("rgba", colour, strict=True))
 
 
-def _place(position: ArrayLike, yaw: float = 0.0) -> dict[str, Any]:
+def _make_pose(position: ArrayLike, yaw: float = 0.0) -> dict[str, Any]:
     turn = {"x": 0.0, "y": 0.0, "z": float(np.sin(yaw / 2)), "w": float(np.cos(yaw / 2))}
-    return {"position": _xyz(position), "orientation": turn}
+    return {"position": _to_xyz(position), "orientation": turn}
 
 
-def _entity_of(time_ns: int, frame: str, name: str, **primitives: list[dict[str, Any]]) -> dict[str, Any]:
+def _make_entity(time_ns: int, frame: str, name: str, **primitives: list[dict[str, Any]]) -> dict[str, Any]:
     kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
     return {
-        "timestamp": stamp(time_ns),
+        "timestamp": foxglove_time(time_ns),
         "frame_id": frame,
         "id": name,
         "lifetime": {"sec": 0, "nsec": 0},
@@ -203,13 +209,13 @@ def _entity_of(time_ns: int, frame: str, name: str, **primitives: list[dict[str,
     }
 
 
-def _cylinder(position: ArrayLike, diameter: float, height: float, colour: Sequence[float]) -> dict[str, Any]:
+def _make_cylinder(position: ArrayLike, diameter: float, height: float, colour: Sequence[float]) -> dict[str, Any]:
     return {
-        "pose": _place(position),
-        "size": _xyz((diameter, diameter, height)),
+        "pose": _make_pose(position),
+        "size": _to_xyz((diameter, diameter, height)),
         "bottom_scale": 1.0,
         "top_scale": 1.0,
-        "color": _rgba(colour),
+        "color": _to_rgba(colour),
     }
 
 
@@ -235,52 +241,54 @@ def scene_message(
     """
     r = rotor_radius
     entities = [
-        _entity_of(
+        _make_entity(
             time_ns,
             "body",
             "helicopter",
             cylinders=[
-                _cylinder((0, 0, 0.1 * r), 0.5 * r, 1.4 * r, BODY_COLOUR),
-                _cylinder((0, 0, -0.65 * r), 2 * r, 0.02 * r, ROTOR_COLOUR),
-                _cylinder((0, 0, -1.0 * r), 2 * r, 0.02 * r, ROTOR_COLOUR),
+                _make_cylinder((0, 0, 0.1 * r), 0.5 * r, 1.4 * r, BODY_COLOUR),
+                _make_cylinder((0, 0, -0.65 * r), 2 * r, 0.02 * r, ROTOR_COLOUR),
+                _make_cylinder((0, 0, -1.0 * r), 2 * r, 0.02 * r, ROTOR_COLOUR),
             ],
             cubes=[
                 {
-                    "pose": _place((0.35 * r, 0, 0.5 * r)),
-                    "size": _xyz((0.5 * r, 0.12 * r, 0.12 * r)),
-                    "color": _rgba(WAYPOINT_COLOUR),
+                    "pose": _make_pose((0.35 * r, 0, 0.5 * r)),
+                    "size": _to_xyz((0.5 * r, 0.12 * r, 0.12 * r)),
+                    "color": _to_rgba(WAYPOINT_COLOUR),
                 }
             ],
         )
     ]
     for number, waypoint in enumerate(waypoints, 1):
         sphere = {
-            "pose": _place(waypoint),
-            "size": _xyz((0.1, 0.1, 0.1)),
-            "color": _rgba(WAYPOINT_COLOUR),
+            "pose": _make_pose(waypoint),
+            "size": _to_xyz((0.1, 0.1, 0.1)),
+            "color": _to_rgba(WAYPOINT_COLOUR),
         }
         label = {
-            "pose": _place(np.subtract(waypoint, (0.0, 0.0, 0.15))),
+            "pose": _make_pose(np.subtract(waypoint, (0.0, 0.0, 0.15))),
             "billboard": True,
             "font_size": 14.0,
             "scale_invariant": True,
-            "color": _rgba((0.0, 0.0, 0.0, 1.0)),
+            "color": _to_rgba((0.0, 0.0, 0.0, 1.0)),
             "text": str(number),
         }
-        entities.append(_entity_of(time_ns, "ned", f"waypoint {number}", spheres=[sphere], texts=[label]))
+        entities.append(_make_entity(time_ns, "ned", f"waypoint {number}", spheres=[sphere], texts=[label]))
     world = world or World()
     cubes = [
-        {"pose": _place(box.centre, box.yaw), "size": _xyz(box.size), "color": _rgba(OBSTACLE_COLOUR)}
+        {
+            "pose": _make_pose(box.centre, box.yaw),
+            "size": _to_xyz(box.size),
+            "color": _to_rgba(OBSTACLE_COLOUR),
+        }
         for box in world.boxes
     ]
     posts = [
-        _cylinder(
-            (*post.centre, -post.foot - 0.5 * post.height), 2 * post.radius, post.height, OBSTACLE_COLOUR
-        )
+        _make_cylinder((*post.centre, -post.foot - 0.5 * post.height), 2 * post.radius, post.height, OBSTACLE_COLOUR)
         for post in world.cylinders
     ]
     if cubes or posts:
-        entities.append(_entity_of(time_ns, "ned", "obstacles", cubes=cubes, cylinders=posts))
+        entities.append(_make_entity(time_ns, "ned", "obstacles", cubes=cubes, cylinders=posts))
     return orjson.dumps({"deletions": [], "entities": entities})
 
 
@@ -297,34 +305,34 @@ def track_message(time_ns: int, track: NDArray[np.float64]) -> bytes:
     points = [dict(zip("xyz", p, strict=True)) for p in np.round(track, 4).tolist()]
     line = {
         "type": 0,
-        "pose": _place((0, 0, 0)),
+        "pose": _make_pose((0, 0, 0)),
         "thickness": 2.0,
         "scale_invariant": True,
         "points": points,
-        "color": _rgba(TRACK_COLOUR),
+        "color": _to_rgba(TRACK_COLOUR),
         "colors": [],
         "indices": [],
     }
-    return orjson.dumps({"deletions": [], "entities": [_entity_of(time_ns, "ned", "track", lines=[line])]})
+    return orjson.dumps({"deletions": [], "entities": [_make_entity(time_ns, "ned", "track", lines=[line])]})
 
 
 # ----------------------------------------------------------------------------
 # From rows of numbers to the messages of a chunk.
 #
-# The topics of the layout, the clock and the events are those of every recording (:mod:`mufly.logs.recording`); a
+# The topics of the layout, the clock and the events are those of every recording (:mod:`mufly.logs.mcap_recording`); a
 # flight adds what the 3-D view needs (:mod:`mufly.flight.record.recorder`).
 
 
-TRACK_POINTS = 400
+TRACK_POINT_COUNT = 400
 TF_TOPIC, REFERENCE_POSE_TOPIC, SCENE_TOPIC, TRACK_TOPIC = "/tf", "/reference_pose", "/scene", "/track"
 
 
-class Encoder:
+class RecordingEncoder:
     """Turns a block of rows into the messages of one chunk."""
 
-    def __init__(self, file: McapFile, layout: Layout, start_time_ns: int) -> None:
+    def __init__(self, file: McapWriter, layout: RecordingLayout, start_time_ns: int) -> None:
         self._start = start_time_ns
-        self._columns = layout.columns
+        self._columns = layout.column_slices
         self._rows = TopicEncoder(file, layout, start_time_ns)
         views = {
             TF_TOPIC: "foxglove.FrameTransforms",
@@ -339,33 +347,29 @@ class Encoder:
         self._track_step = 1
         self._track_seen = 0
 
-    def scene(self, view: Mapping[str, Any]) -> tuple[int, int, bytes]:
+    def encode_scene(self, view: Mapping[str, Any]) -> tuple[int, int, bytes]:
         return self._views[SCENE_TOPIC], self._start, scene_message(self._start, **view)
 
-    def messages(
-        self, rows: NDArray[np.float64], states: Sequence[str], events: Sequence[Event]
+    def encode_rows(
+        self, rows: NDArray[np.float64], states: Sequence[str], events: Sequence[FlightEvent]
     ) -> list[tuple[int, int, bytes]]:
-        out = self._rows.messages(rows, states, events)
+        out = self._rows.encode_messages(rows, states, events)
         if len(rows):
             with np.errstate(over="ignore", invalid="ignore"):  # absurd numbers are recorded, not drawn
-                self._poses(out, rows, self._rows.times(rows))
+                self._add_poses(out, rows, self._rows.wall_times_ns(rows))
         out.sort(key=lambda message: message[1])
         return out
 
-    def _poses(
-        self, out: list[tuple[int, int, bytes]], rows: NDArray[np.float64], times: Sequence[int]
-    ) -> None:
+    def _add_poses(self, out: list[tuple[int, int, bytes]], rows: NDArray[np.float64], times: Sequence[int]) -> None:
         """Helicopter, reference and track for the 3-D view."""
-        sec, nsec = (
-            [str(part).encode() for part in parts] for parts in zip(*map(_split_time, times), strict=True)
-        )
+        sec, nsec = ([str(part).encode() for part in parts] for parts in zip(*map(_split_time, times), strict=True))
         for prefix, topic, pieces in zip(
-            ("truth", "reference"), (TF_TOPIC, REFERENCE_POSE_TOPIC), transform_pieces(), strict=True
+            ("truth", "reference"), (TF_TOPIC, REFERENCE_POSE_TOPIC), transform_templates(), strict=True
         ):
-            position, attitude = self._place(rows, prefix)
-            turn = quaternions(attitude)
+            position, attitude = self._drawn_pose(rows, prefix)
+            turn = attitude_quaternions(attitude)
             drawn = np.round(np.hstack((position, turn)), 6).astype(np.float64)
-            numbers = json_rows(drawn)
+            numbers = encode_json_numbers(drawn)
             repeat = 2 if topic == TF_TOPIC else 1
             for time_ns, s, ns, row in zip(times, sec, nsec, numbers, strict=True):
                 if b"null" not in row:
@@ -373,26 +377,22 @@ class Encoder:
                     gaps[::2] = pieces
                     gaps[1::2] = [s, ns] * repeat + row
                     out.append((self._views[topic], time_ns, b"".join(gaps)))
-        position, _ = self._place(rows, "truth")
+        position, _ = self._drawn_pose(rows, "truth")
         mine = np.arange(self._track_seen, self._track_seen + len(rows)) % self._track_step == 0
         self._track_seen += len(rows)
         self._track = np.concatenate((self._track, position[mine & np.isfinite(position).all(axis=1)]))
-        if len(self._track) > TRACK_POINTS:
+        if len(self._track) > TRACK_POINT_COUNT:
             self._track = self._track[::2]
             self._track_step *= 2
         shown = np.concatenate((self._track, position[-1:][np.isfinite(position[-1:]).all(axis=1)]))
         out.append((self._views[TRACK_TOPIC], times[-1], track_message(times[-1], shown)))
 
-    def _place(
-        self, rows: NDArray[np.float64], prefix: str
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _drawn_pose(self, rows: NDArray[np.float64], prefix: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Position and attitude to be drawn; where the truth is not known, what the vehicle believes of itself."""
         both = [rows[:, self._columns[f"{prefix}_{name}"]] for name in ("position", "attitude")]
         if prefix == "truth" and "estimated_position" in self._columns and np.isnan(both[0]).any():
             believed = [rows[:, self._columns[f"estimated_{name}"]] for name in ("position", "attitude")]
-            both = [
-                np.where(np.isnan(known), other, known) for known, other in zip(both, believed, strict=True)
-            ]
+            both = [np.where(np.isnan(known), other, known) for known, other in zip(both, believed, strict=True)]
         return both[0], both[1]
 
 
@@ -407,11 +407,11 @@ def _split_time(time_ns: int) -> tuple[int, int]:
 # MCAP file. A crash, a full disk or a pulled plug costs at most the second that was being collected.
 
 
-BLOCK_S = 1.0
+BLOCK_DURATION_S = 1.0
 BLOCK_ROWS = 1024
 
 
-class Recorder:
+class FlightRecorder:
     """Record a flight, row by row.
 
     Parameters
@@ -422,7 +422,7 @@ class Recorder:
         Vehicle name, mission name, seed, wind, versions, ...: whatever JSON can hold. ``start_time`` (ISO 8601,
         UTC), ``start_time_ns`` and ``format`` are added.
     layout : Layout, optional
-        Columns of a row; default :func:`standard_layout` with eight beams.
+        Columns of a row; default :func:`flight_layout` with eight beams.
     attachments : mapping, optional
         Texts to carry along, ``{"mission.toml": ..., "vehicle.toml": ...}``.
     scene_view : mapping, optional
@@ -430,7 +430,7 @@ class Recorder:
     start_time_ns : int, optional
         Wall time of the instant 0 (ns since 1970); default now.
     keep : bool
-        Keep all rows in memory for :meth:`dataset`; without it a flight of hours needs no more than one of seconds.
+        Keep all rows in memory for :meth:`to_dataset`; without it a flight of hours needs no more than one of seconds.
 
     Raises
     ------
@@ -448,37 +448,35 @@ class Recorder:
         path: str | Path | None,
         attributes: Mapping[str, Any] | None = None,
         *,
-        layout: Layout | None = None,
+        layout: RecordingLayout | None = None,
         attachments: Mapping[str, str | bytes] | None = None,
         scene_view: Mapping[str, Any] | None = None,
         start_time_ns: int | None = None,
         keep: bool = True,
     ) -> None:
         self._keep = keep
-        self.layout = layout or standard_layout()
+        self.layout = layout or flight_layout()
         self.start_time_ns = time.time_ns() if start_time_ns is None else start_time_ns
         started = datetime.fromtimestamp(self.start_time_ns / 1e9, UTC).isoformat(timespec="milliseconds")
-        clock = {"start_time": started, "start_time_ns": self.start_time_ns, "format": FORMAT}
+        clock = {"start_time": started, "start_time_ns": self.start_time_ns, "format": RECORDING_FORMAT}
         self._attributes: dict[str, Any] = {**(attributes or {}), **clock}
         self._outcome: dict[str, Any] = {"outcome": "unfinished", "reason": ""}
-        self._block = np.empty((BLOCK_ROWS, self.layout.width))
+        self._block = np.empty((BLOCK_ROWS, self.layout.column_count))
         self._states: list[str] = []
         self._n = 0
         self._flush_at = -np.inf
         self._last_time = -np.inf
-        self._events: list[Event] = []
+        self._events: list[FlightEvent] = []
         self._all_rows: list[NDArray[np.float64]] = []
         self._all_states: list[str] = []
-        self._all_events: list[Event] = []
+        self._all_events: list[FlightEvent] = []
         self._closed = False
         self._path = None if path is None else Path(path)
         self._stream: BinaryIO | None = None
         if self._path is not None:
-            self._open(self._path, attachments or {}, scene_view or {})
+            self._open_file(self._path, attachments or {}, scene_view or {})
 
-    def _open(
-        self, path: Path, attachments: Mapping[str, str | bytes], scene_view: Mapping[str, Any]
-    ) -> None:
+    def _open_file(self, path: Path, attachments: Mapping[str, str | bytes], scene_view: Mapping[str, Any]) -> None:
         values = _json_values(str(path), self._attributes)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -486,16 +484,16 @@ class Recorder:
         except OSError as error:
             problem = f"cannot be written ({error.strerror})"
             raise InputError(str(path), "", problem, "choose another folder") from error
-        self._file = McapFile(self._stream, f"mufly {self._attributes.get('version', '')}".strip())
-        self._encoder = Encoder(self._file, self.layout, self.start_time_ns)
-        self._file.write_metadata(METADATA_FLIGHT, seal(values))
-        self._file.write_metadata(METADATA_LAYOUT, seal({"layout": self.layout.to_json()}))
+        self._file = McapWriter(self._stream, f"mufly {self._attributes.get('version', '')}".strip())
+        self._encoder = RecordingEncoder(self._file, self.layout, self.start_time_ns)
+        self._file.write_metadata(FLIGHT_METADATA, add_checksum(values))
+        self._file.write_metadata(LAYOUT_METADATA, add_checksum({"layout": self.layout.to_json()}))
         for name, content in attachments.items():
             data = content.encode() if isinstance(content, str) else bytes(content)
             self._file.write_attachment(name, "text/plain", data, self.start_time_ns)
-        self._file.write_chunk([self._encoder.scene(scene_view)])
+        self._file.write_chunk([self._encoder.encode_scene(scene_view)])
 
-    def append(self, row: NDArray[np.float64], state: str) -> None:
+    def append_row(self, row: NDArray[np.float64], state: str) -> None:
         """Add one instant.
 
         Parameters
@@ -506,17 +504,17 @@ class Recorder:
             State of the mission.
         """
         if row[0] >= self._flush_at or self._n == BLOCK_ROWS:
-            self._roll(float(row[0]))
+            self._flush_block(float(row[0]))
         self._block[self._n] = row
         self._states.append(state)
         self._n += 1
 
-    def extend(self, rows: NDArray[np.float64], states: Sequence[str]) -> None:
+    def append_rows(self, rows: NDArray[np.float64], states: Sequence[str]) -> None:
         """Add many instants: rows (n, layout.width), and the state of each."""
         first = 0
         while first < len(rows):
             if rows[first, 0] >= self._flush_at or self._n == BLOCK_ROWS:
-                self._roll(float(rows[first, 0]))
+                self._flush_block(float(rows[first, 0]))
             before = first + int(np.searchsorted(rows[first:, 0], self._flush_at))
             stop = min(max(before, first + 1), first + BLOCK_ROWS - self._n)
             self._block[self._n : self._n + stop - first] = rows[first:stop]
@@ -524,11 +522,11 @@ class Recorder:
             self._n += stop - first
             first = stop
 
-    def event(self, time_s: float, state: str, text: str, level: str = "info") -> None:
+    def add_event(self, time_s: float, state: str, text: str, level: str = "info") -> None:
         """Add an event: a transition, a warning (``level="warning"``) or an error."""
-        self._events.append(Event(float(time_s), state, text, level))
+        self._events.append(FlightEvent(float(time_s), state, text, level))
 
-    def finish(self, outcome: str, reason: str = "", **attributes: Any) -> None:
+    def set_outcome(self, outcome: str, reason: str = "", **attributes: Any) -> None:
         """State how the flight ended; written when the recorder closes, with any further attributes."""
         self._outcome = {"outcome": outcome, "reason": reason, **attributes}
 
@@ -538,20 +536,20 @@ class Recorder:
             return
         self._closed = True
         if self._stream is None:
-            self._roll(np.inf)
+            self._flush_block(np.inf)
             return
         try:
-            self._roll(np.inf)
+            self._flush_block(np.inf)
             outcome = _json_values(str(self._path), self._outcome)
-            self._file.write_metadata(METADATA_OUTCOME, seal(outcome))
-            self._file.finish()
+            self._file.write_metadata(OUTCOME_METADATA, add_checksum(outcome))
+            self._file.finish_file()
         except OSError as error:
             raise self._write_error(error) from error
         finally:
             with suppress(OSError):  # what the buffer could not get rid of on a full disk
                 self._stream.close()
 
-    def dataset(self) -> xr.Dataset:
+    def to_dataset(self) -> xr.Dataset:
         """The flight so far, as :func:`mufly.flight.read_recording` would return it.
 
         Raises
@@ -563,7 +561,7 @@ class Recorder:
             raise MuflyError(f"the rows were not kept in memory; read {self._path or 'a recording on disk'}")
         rows = np.concatenate([*self._all_rows, self._block[: self._n]])
         attributes = {**self._attributes, **(self._outcome if self._closed else {}), "complete": self._closed}
-        return to_dataset(
+        return rows_to_dataset(
             rows,
             self._all_states + self._states,
             self.layout,
@@ -571,7 +569,7 @@ class Recorder:
             events=self._all_events + self._events,
         )
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> FlightRecorder:
         return self
 
     def __exit__(
@@ -579,10 +577,10 @@ class Recorder:
     ) -> None:
         if error is not None and self._outcome["outcome"] == "unfinished":
             stopped = isinstance(error, KeyboardInterrupt)
-            self.finish("interrupted" if stopped else "crashed", "" if stopped else str(error))
+            self.set_outcome("interrupted" if stopped else "crashed", "" if stopped else str(error))
         self.close()
 
-    def _roll(self, time_s: float) -> None:
+    def _flush_block(self, time_s: float) -> None:
         """Put the block on disk and begin the next one at ``time_s``."""
         rows = self._block[: self._n].copy()
         times = np.concatenate(([self._last_time], rows[:, 0]))
@@ -597,7 +595,7 @@ class Recorder:
         states, events = self._states, self._events
         if self._stream is not None and (len(rows) or events):
             try:
-                self._file.write_chunk(self._encoder.messages(rows, states, events))
+                self._file.write_chunk(self._encoder.encode_rows(rows, states, events))
             except OSError as error:
                 raise self._write_error(error) from error
         # Nothing here calls out, so that Ctrl-C falls before or after these lines, not between them.
@@ -605,7 +603,7 @@ class Recorder:
         self._states = []
         self._events = []
         self._last_time = times[-1]
-        self._flush_at = time_s + BLOCK_S
+        self._flush_at = time_s + BLOCK_DURATION_S
         if self._keep:
             self._all_rows += (rows,)
             self._all_states += states

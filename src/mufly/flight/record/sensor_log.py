@@ -16,20 +16,29 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mufly.control import design
-from mufly.drawing import shown
-from mufly.flight.flight import RING_HZ, Progress, fly
+from mufly.control import design_flight_controller
+from mufly.flight.simulated_flight import RANGE_RING_RATE_HZ, FlightProgress, fly_mission
 from mufly.mission import Mission
+from mufly.result_figure import enable_notebook_display
 from mufly.results import result
-from mufly.sensors import READINGS, Fault, Reading, Readings, Sensors, Truth, fitted_sensors, ideal_sensors
+from mufly.sensors import (
+    READING_KINDS,
+    Fault,
+    Reading,
+    Readings,
+    SensorSet,
+    Truth,
+    fitted_sensors,
+    ideal_sensors,
+)
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
-_REMEMBERED = 2000  # periods: readings may come late by ten seconds at 200 Hz
+_TRUTH_CAPACITY = 2000  # periods: readings may come late by ten seconds at 200 Hz
 
 
 @result
-class SensorLog:
+class ReadingLog:
     """Every reading of one name, in the order in which they came.
 
     Attributes
@@ -51,11 +60,11 @@ class SensorLog:
 
     def plot(self) -> Figure:
         """Draw it; returns a matplotlib figure."""
-        return shown(draw_sensors({self.name: self}))
+        return enable_notebook_display(draw_sensors({self.name: self}))
 
-    def labels(self) -> Sequence[str]:
+    def component_labels(self) -> Sequence[str]:
         """Names of the components."""
-        known = READINGS[self.name].components
+        known = READING_KINDS[self.name].components
         return known or ([str(k) for k in range(self.value[0].size)] if self.value[0].size > 1 else [""])
 
 
@@ -90,34 +99,34 @@ class ReadingErrors:
     unit: str
 
 
-class _Listener(Sensors):
+class _LoggingSensors(SensorSet):
     """Ideal sensors for the flight; beside them the fitted ones, whose readings are kept."""
 
-    def __init__(self, ideal: Sensors, fitted: Sensors) -> None:
+    def __init__(self, ideal: SensorSet, fitted: SensorSet) -> None:
         super().__init__(*ideal.sensors)
         self._fitted = fitted
-        self.logs: dict[str, SensorLog] = {}
-        self._clear()
+        self.logs: dict[str, ReadingLog] = {}
+        self._clear_history()
 
-    def _clear(self) -> None:
+    def _clear_history(self) -> None:
         self._last: dict[str, Reading] = {}
-        self._right: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_REMEMBERED)
+        self._right: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_TRUTH_CAPACITY)
 
     def read(self, truth: Truth) -> Readings:
         right: dict[str, Any] = {}
         said: dict[str, Reading] = {}
         for sensor in self._fitted.sensors:
             said |= sensor.read(truth)
-            right |= sensor.right(truth)
+            right |= sensor.true_readings(truth)
         self._right.append((truth.time_s, right))
         for name, r in said.items():
             if self._last.get(name) is not r:
-                self._keep(name, r, truth.time_s)
+                self._log_reading(name, r, truth.time_s)
         self._last = said
         return super().read(truth)
 
-    def _keep(self, name: str, r: Reading, time_s: float) -> None:
-        log = self.logs.setdefault(name, SensorLog(name))
+    def _log_reading(self, name: str, r: Reading, time_s: float) -> None:
+        log = self.logs.setdefault(name, ReadingLog(name))
         value = np.atleast_1d(np.asarray(r.value, dtype=np.float64))
         then: dict[str, Any] = next((w for t, w in reversed(self._right) if abs(t - r.time_s) < 1e-6), {})
         log.came_s.append(time_s)
@@ -130,10 +139,10 @@ class _Listener(Sensors):
         super().reset()
         self._fitted.reset()
         self.logs.clear()
-        self._clear()
+        self._clear_history()
 
 
-def listen(
+def log_sensors(
     vehicle: Vehicle,
     mission: Mission,
     *,
@@ -141,8 +150,8 @@ def listen(
     faults: Sequence[Fault] = (),
     wind: _Array | None = None,
     gust: float | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
-) -> dict[str, SensorLog]:
+    on_progress: Callable[[FlightProgress], None] | None = None,
+) -> dict[str, ReadingLog]:
     """Fly a mission on ideal sensors and return what the vehicle's own would have said.
 
     Parameters
@@ -154,12 +163,12 @@ def listen(
         Of the gusts and of every error.
     faults : sequence of Fault
     wind, gust, on_progress : optional
-        As for :func:`mufly.flight.fly`.
+        As for :func:`mufly.flight.fly_mission`.
 
     Returns
     -------
     dict
-        Name of the reading to its :class:`SensorLog`.
+        Name of the reading to its :class:`ReadingLog`.
 
     Raises
     ------
@@ -167,20 +176,20 @@ def listen(
         If the vehicle has no sensors, or a fault is of one that it has not.
     """
     fitted = fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
-    controller = design(vehicle)
-    every = max(1, round(controller.rate_Hz / RING_HZ))  # as without a listener: the same flight
-    listener = _Listener(ideal_sensors(vehicle, mission.world, every), fitted)
-    fly(
+    controller = design_flight_controller(vehicle)
+    every = max(1, round(controller.rate_Hz / RANGE_RING_RATE_HZ))  # as without a listener: the same flight
+    listener = _LoggingSensors(ideal_sensors(vehicle, mission.world, every), fitted)
+    fly_mission(
         vehicle, mission, controller=controller, seed=seed, wind=wind, gust=gust, on_progress=on_progress,
         sensors=listener,
     )  # fmt: skip
     return listener.logs
 
 
-def reading_errors(log: SensorLog) -> ReadingErrors:
+def reading_errors(log: ReadingLog) -> ReadingErrors:
     """Return how the readings of one name were off."""
     error = np.array(log.value) - np.array(log.true)
-    turns = [k for k, label in enumerate(log.labels()) if label == "heading"]
+    turns = [k for k, label in enumerate(log.component_labels()) if label == "heading"]
     error[:, turns] = np.angle(np.exp(1j * error[:, turns]))
     good = np.array(log.valid) & np.isfinite(error).all(axis=1)
     span = log.came_s[-1] - log.came_s[0] if len(log.came_s) > 1 else np.nan
@@ -192,11 +201,11 @@ def reading_errors(log: SensorLog) -> ReadingErrors:
         name=log.name, count=len(log.came_s), rate_Hz=(len(log.came_s) - 1) / span,
         delay_s=float(np.mean(np.array(log.came_s) - np.array(log.taken_s))),
         invalid=1.0 - float(np.mean(log.valid)), mean=float(some.mean()), deviation=float(some.std()),
-        worst=float(np.abs(some).max()), unit=READINGS[log.name].unit,
+        worst=float(np.abs(some).max()), unit=READING_KINDS[log.name].unit,
     )  # fmt: skip
 
 
-def draw_sensors(logs: Mapping[str, SensorLog]) -> Figure:
+def draw_sensors(logs: Mapping[str, ReadingLog]) -> Figure:
     """Draw every reading over the time of its measurement, the truth behind it."""
     shown = [log for log in logs.values() if log.came_s]
     figure = Figure(figsize=(11.0, 2.0 * len(shown)), layout="constrained")
@@ -205,7 +214,7 @@ def draw_sensors(logs: Mapping[str, SensorLog]) -> Figure:
         t, order = np.array(log.taken_s), np.argsort(log.taken_s, kind="stable")
         value, true = np.array(log.value), np.array(log.true)
         bad = ~np.array(log.valid)
-        for k, label in enumerate(log.labels()):
+        for k, label in enumerate(log.component_labels()):
             line = ax.plot(t[order], value[order, k], ".", ms=2, label=label or None)[0]
             ax.plot(
                 t[order],
@@ -217,9 +226,9 @@ def draw_sensors(logs: Mapping[str, SensorLog]) -> Figure:
         if bad.any():
             for x in t[bad]:
                 ax.axvline(x, color="0.8", lw=0.5, zorder=0)
-        unit = READINGS[log.name].unit
+        unit = READING_KINDS[log.name].unit
         ax.set_ylabel(f"{log.name.replace('_', ' ')}\n({unit})" if unit not in ("", "1") else log.name)
-        if any(log.labels()):
+        if any(log.component_labels()):
             ax.legend(loc="upper right", ncols=4, fontsize="x-small")
         ax.grid(alpha=0.3)
     axes[-1].set_xlabel("time of the measurement (s)")
@@ -227,18 +236,16 @@ def draw_sensors(logs: Mapping[str, SensorLog]) -> Figure:
     return figure
 
 
-def write_sensor_logs(logs: Mapping[str, SensorLog], folder: Path) -> list[Path]:
+def write_sensor_logs(logs: Mapping[str, ReadingLog], folder: Path) -> list[Path]:
     """Write a CSV for every reading: when it came, when it was taken, what it said, what is true."""
     files = []
     folder.mkdir(parents=True, exist_ok=True)
     for log in logs.values():
-        labels = [f"_{label}" if label else "" for label in log.labels()]
+        labels = [f"_{label}" if label else "" for label in log.component_labels()]
         heads = ["came_s", "taken_s", "valid", *(f"said{x}" for x in labels), *(f"true{x}" for x in labels)]
         table = np.column_stack([log.came_s, log.taken_s, log.valid, np.array(log.value), np.array(log.true)])
-        unit = READINGS[log.name].unit
+        unit = READING_KINDS[log.name].unit
         path = folder / f"{log.name}.csv"
-        np.savetxt(
-            path, table, "%.9g", ",", header=f"{log.name} in {unit}\n" + ",".join(heads), comments="# "
-        )
+        np.savetxt(path, table, "%.9g", ",", header=f"{log.name} in {unit}\n" + ",".join(heads), comments="# ")
         files.append(path)
     return files

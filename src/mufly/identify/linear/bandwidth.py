@@ -24,7 +24,7 @@ from mufly.results import result
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_MARGIN_DEG, _MARGIN_DB = 45.0, 6.0
+_PHASE_MARGIN_DEG, _GAIN_MARGIN_DB = 45.0, 6.0
 
 
 @result
@@ -62,7 +62,7 @@ class Bandwidth:
     notes: tuple[str, ...]
 
 
-def bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None = None) -> Bandwidth:
+def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None = None) -> Bandwidth:
     """Read bandwidth and phase delay off a response.
 
     Parameters
@@ -94,10 +94,10 @@ def bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None =
     gain = 20.0 * np.log10(np.abs(h))
     notes: list[str] = []
     sigma_phase, sigma_gain = np.degrees(eps), 8.686 * eps
-    at_phase, std_phase = _crossing(w, phase, -180.0 + _MARGIN_DEG, sigma_phase)
-    at_180, std_180 = _crossing(w, phase, -180.0, sigma_phase)
+    at_phase, std_phase = _find_crossing(w, phase, -180.0 + _PHASE_MARGIN_DEG, sigma_phase)
+    at_180, std_180 = _find_crossing(w, phase, -180.0, sigma_phase)
     if np.isnan(at_phase):
-        begins = phase[0] <= -180.0 + _MARGIN_DEG
+        begins = phase[0] <= -180.0 + _PHASE_MARGIN_DEG
         notes.append(
             "the phase begins below -135 deg: give a band that begins lower" if begins
             else "the phase does not reach -135 deg: give a band that ends higher"
@@ -111,9 +111,9 @@ def bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None =
         low = w <= at_180
         # The level is in doubt by its own error, and because the frequency at which it is taken is.
         at = int(np.searchsorted(w, at_180))
-        doubt = np.hypot(np.interp(at_180, w, sigma_gain), _slope(w, gain, at - 1) * std_180)
-        at_gain, std_gain = _crossing(
-            w[low], gain[low], level + _MARGIN_DB, np.hypot(sigma_gain, doubt)[low], last=True
+        doubt = np.hypot(np.interp(at_180, w, sigma_gain), _local_slope(w, gain, at - 1) * std_180)
+        at_gain, std_gain = _find_crossing(
+            w[low], gain[low], level + _GAIN_MARGIN_DB, np.hypot(sigma_gain, doubt)[low], last=True
         )
         if np.isnan(at_gain):
             notes.append("the gain is nowhere 6 dB above that at -180 deg: no gain bandwidth")
@@ -133,9 +133,7 @@ def bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None =
     both = [(v, s) for v, s in ((at_phase, std_phase), (at_gain, std_gain)) if not np.isnan(v)]
     least = min(both) if both else (float("nan"), float("nan"))
     if not np.isnan(at_gain) and at_gain < at_phase:
-        notes.append(
-            "the gain margin decides: for an attitude response that warns of pilot-induced oscillations"
-        )
+        notes.append("the gain margin decides: for an attitude response that warns of pilot-induced oscillations")
     return Bandwidth(
         least[0],
         at_phase,
@@ -152,7 +150,7 @@ def bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None =
     )
 
 
-def _crossing(w: Array, y: Array, level: float, sigma: Array, *, last: bool = False) -> tuple[float, float]:
+def _find_crossing(w: Array, y: Array, level: float, sigma: Array, *, last: bool = False) -> tuple[float, float]:
     """First (or last) frequency at which a falling curve passes a level, and its deviation."""
     places = np.flatnonzero((y[:-1] > level) & (y[1:] <= level))
     if not places.size:
@@ -160,12 +158,12 @@ def _crossing(w: Array, y: Array, level: float, sigma: Array, *, last: bool = Fa
     k = int(places[-1 if last else 0])
     share = (level - y[k]) / (y[k + 1] - y[k])
     at = float(np.exp(np.log(w[k]) + share * np.log(w[k + 1] / w[k])))
-    slope = _slope(w, y, k)
+    slope = _local_slope(w, y, k)
     doubt = float(sigma[k] + share * (sigma[k + 1] - sigma[k]))
     return at, doubt / abs(slope) if slope else float("nan")
 
 
-def _slope(w: Array, y: Array, k: int) -> float:
+def _local_slope(w: Array, y: Array, k: int) -> float:
     """Slope of a curve between points ``k`` and ``k + 1``, from four points: two are mostly noise."""
     near = slice(max(k - 1, 0), k + 3)
     return float(np.polyfit(w[near], y[near], 1)[0])

@@ -26,23 +26,23 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 
 from mufly.errors import InputError
-from mufly.logs.mcap.mcap_writer import MAGIC, MESSAGE, MESSAGE_FIELDS, UNFINISHED
+from mufly.logs.mcap.mcap_writer import MAGIC, MESSAGE_FIELDS_SIZE, MESSAGE_HEAD, UNFINISHED_METADATA
 
-_HEAD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
-_FOOTER_SIZE = _HEAD.size + 20
-_MESSAGE_SIZE = _HEAD.size + MESSAGE_FIELDS
-_PRIVATE = 0x80
-_PASSED_OVER = (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX,
-                Opcode.STATISTICS, Opcode.SUMMARY_OFFSET, *range(_PRIVATE, 256))  # fmt: skip
+_RECORD_HEAD = struct.Struct("<BQ")
+_CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
+_FOOTER_SIZE = _RECORD_HEAD.size + 20
+_MESSAGE_SIZE = _RECORD_HEAD.size + MESSAGE_FIELDS_SIZE
+_FIRST_PRIVATE_OPCODE = 0x80
+_IGNORED_OPCODES = (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX,
+                Opcode.STATISTICS, Opcode.SUMMARY_OFFSET, *range(_FIRST_PRIVATE_OPCODE, 256))  # fmt: skip
 # A chunk's head: opcode; lengths below 1 TB; a compression that is read here.
-_CHUNK_LIKE = re.compile(
+_CHUNK_HEAD_PATTERN = re.compile(
     rb"\x06.{5}\x00{3}.{21}\x00{3}.{4}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})", re.DOTALL
 )
 # Heads of other records that stand beside chunks, and of messages, shorter than 4 GB.
-_RECORD_LIKE = re.compile(rb"[\x09\x0c\x0f].{4}\x00{4}", re.DOTALL)
-_MESSAGE_LIKE = re.compile(rb"[\x03\x04\x05\x09\x0c\x0f].{4}\x00{4}", re.DOTALL)
-_NAMED_PARTS = 3
+_RECORD_HEAD_PATTERN = re.compile(rb"[\x09\x0c\x0f].{4}\x00{4}", re.DOTALL)
+_MESSAGE_HEAD_PATTERN = re.compile(rb"[\x03\x04\x05\x09\x0c\x0f].{4}\x00{4}", re.DOTALL)
+_MAX_DESCRIBED_PARTS = 3
 
 
 class LostPart(NamedTuple):
@@ -60,10 +60,10 @@ class LostPart(NamedTuple):
         Times of the first and the last of them; 0 if nobody knows.
     """
 
-    what: str
+    description: str
     offset: int
     size: int
-    messages: int = 0
+    message_count: int = 0
     first_ns: int = 0
     last_ns: int = 0
 
@@ -88,10 +88,10 @@ class McapContents:
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
-    messages: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
-    complete: bool = False
-    lost: list[LostPart] = field(default_factory=list)
-    expected: int = 0
+    messages_by_topic: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
+    is_complete: bool = False
+    lost_parts: list[LostPart] = field(default_factory=list)
+    expected_messages: int = 0
     remarks: list[str] = field(default_factory=list)
 
     def describe_damage(self, zero_ns: int | None = None) -> str:
@@ -100,23 +100,23 @@ class McapContents:
         It is ``""`` for a whole file.
         """
         if zero_ns is None:
-            zero_ns = min((p.first_ns for p in self.lost if p.first_ns), default=0)
-        said = [_part_in_words(part, zero_ns) for part in self.lost[:_NAMED_PARTS]]
-        more = self.lost[_NAMED_PARTS:]
+            zero_ns = min((p.first_ns for p in self.lost_parts if p.first_ns), default=0)
+        said = [_describe_part(part, zero_ns) for part in self.lost_parts[:_MAX_DESCRIBED_PARTS]]
+        more = self.lost_parts[_MAX_DESCRIBED_PARTS:]
         if more:
             said.append(f"{sum(p.size for p in more)} bytes in {len(more)} more places, too")
-        count = sum(len(m) for m in self.messages.values())
-        if self.expected > count:
-            said.append(f"{count} of {self.expected} messages are here")
+        count = sum(len(m) for m in self.messages_by_topic.values())
+        if self.expected_messages > count:
+            said.append(f"{count} of {self.expected_messages} messages are here")
         return "; ".join(said + self.remarks)
 
 
-def _part_in_words(part: LostPart, zero_ns: int) -> str:
+def _describe_part(part: LostPart, zero_ns: int) -> str:
     if not part.first_ns:
-        return part.what + (f", {part.messages} messages are missing" if part.messages else "")
+        return part.description + (f", {part.message_count} messages are missing" if part.message_count else "")
     first_s, last_s = (part.first_ns - zero_ns) / 1e9, (part.last_ns - zero_ns) / 1e9
-    which = f"{part.messages} messages" if part.messages else "messages"
-    return f"{part.what}, {which} from {first_s:.2f} to {last_s:.2f} s are missing"
+    which = f"{part.message_count} messages" if part.message_count else "messages"
+    return f"{part.description}, {which} from {first_s:.2f} to {last_s:.2f} s are missing"
 
 
 def read_mcap(path: str | Path) -> McapContents:
@@ -137,56 +137,56 @@ def read_mcap(path: str | Path) -> McapContents:
         raise InputError(where, "", "is empty", "give a recording (.mcap)")
     if not data.startswith(MAGIC):
         raise InputError(where, "", "is not an MCAP file", "give a recording (.mcap)")
-    return _McapWalk(data).walk_records()
+    return _McapScanner(data).read_records()
 
 
-class _Summary(NamedTuple):
+class _IndexSummary(NamedTuple):
     """The index at the end: what it repeats, and where records begin."""
 
     channels: tuple[tuple[int, str], ...] = ()
-    expected: int = 0
-    places: tuple[int, ...] = ()
-    sound: bool = True
-    end: int = 0
+    expected_messages: int = 0
+    record_offsets: tuple[int, ...] = ()
+    is_valid: bool = True
+    end_offset: int = 0
 
 
-def _stream(content: bytes) -> ReadDataStream:
+def _to_stream(content: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(content))
 
 
-def _read_summary(data: bytes) -> _Summary | None:
+def _read_summary(data: bytes) -> _IndexSummary | None:
     """Return what the index tells; None for a file without an end mark, nothing of it if its checksum is wrong."""
     mark = data.rfind(MAGIC, len(MAGIC))
     at = mark - _FOOTER_SIZE
-    if mark < 0 or at < len(MAGIC) or _HEAD.unpack_from(data, at) != (Opcode.FOOTER, 20):
+    if mark < 0 or at < len(MAGIC) or _RECORD_HEAD.unpack_from(data, at) != (Opcode.FOOTER, 20):
         return None
-    start, _, crc = struct.unpack_from("<QQI", data, at + _HEAD.size)
+    start, _, crc = struct.unpack_from("<QQI", data, at + _RECORD_HEAD.size)
     end = mark + len(MAGIC)
     if not start:
-        return _Summary(end=end)
+        return _IndexSummary(end_offset=end)
     if not len(MAGIC) <= start <= at or (crc and zlib.crc32(memoryview(data)[start : mark - 4]) != crc):
-        return _Summary(sound=False, end=end)
+        return _IndexSummary(is_valid=False, end_offset=end)
     channels, places, expected = [], [start], 0
     try:
         while start < at:
-            opcode, length = _HEAD.unpack_from(data, start)
-            content = data[start + _HEAD.size : start + _HEAD.size + length]
-            start += _HEAD.size + length
+            opcode, length = _RECORD_HEAD.unpack_from(data, start)
+            content = data[start + _RECORD_HEAD.size : start + _RECORD_HEAD.size + length]
+            start += _RECORD_HEAD.size + length
             if opcode == Opcode.CHANNEL:
-                channel = records.Channel.read(_stream(content))
+                channel = records.Channel.read(_to_stream(content))
                 channels.append((channel.id, channel.topic))
             elif opcode == Opcode.STATISTICS:
-                expected = records.Statistics.read(_stream(content)).message_count
+                expected = records.Statistics.read(_to_stream(content)).message_count
             elif opcode == Opcode.CHUNK_INDEX:
                 places.append(struct.unpack_from("<Q", content, 16)[0])
             elif opcode in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
                 places.append(struct.unpack_from("<Q", content)[0])
     except Exception:  # An index without checksum can be damaged in any way.
-        return _Summary(sound=False, end=end)
-    return _Summary(tuple(channels), expected, tuple(sorted(places)), end=end)
+        return _IndexSummary(is_valid=False, end_offset=end)
+    return _IndexSummary(tuple(channels), expected, tuple(sorted(places)), end_offset=end)
 
 
-class _McapWalk:
+class _McapScanner:
     """One pass over a file, record after record."""
 
     def __init__(self, data: bytes) -> None:
@@ -195,60 +195,58 @@ class _McapWalk:
         self._summary = _read_summary(data)
         self._topics: dict[int, list[tuple[int, bytes]]] = {}
         for number, topic in self._summary.channels if self._summary else ():
-            self._topics[number] = self._contents.messages.setdefault(topic, [])
+            self._topics[number] = self._contents.messages_by_topic.setdefault(topic, [])
         self._counts: dict[int, int] = {}
         self._numbered = False  # our own writer counts the messages of each channel
         self._chunked = False
         self._skipped = 0  # messages that their numbers say were there
         self._crc_wrong = False
 
-    def walk_records(self) -> McapContents:
+    def read_records(self) -> McapContents:
         """Read every record that is whole."""
         data, contents, end = self._data, self._contents, len(self._data)
         at, finished = len(MAGIC), False
         passed = at  # where a run of records begins that are passed over: their lengths are not proven
-        while at + _HEAD.size <= end and not finished:
-            opcode, length = _HEAD.unpack_from(data, at)
-            stop = at + _HEAD.size + length
+        while at + _RECORD_HEAD.size <= end and not finished:
+            opcode, length = _RECORD_HEAD.unpack_from(data, at)
+            stop = at + _RECORD_HEAD.size + length
             if opcode == Opcode.FOOTER and length == 20:
                 finished = True
-            elif stop > end or not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE):
+            elif stop > end or not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _FIRST_PRIVATE_OPCODE):
                 at = self._skip_part(at, stop, opcode, passed)
                 passed = at
             else:
-                problem = self._take_record(opcode, at, stop)
+                problem = self._read_record(opcode, at, stop)
                 finished = opcode == Opcode.DATA_END and not problem
-                passed = passed if opcode in _PASSED_OVER else stop
+                passed = passed if opcode in _IGNORED_OPCODES else stop
                 at = stop if not problem else self._skip_damaged(problem, opcode, at, stop)
         if not finished and at < end:
-            contents.lost.append(LostPart(f"at byte {at} the file ends inside a record", at, end - at))
-        count = sum(len(m) for m in contents.messages.values())
-        contents.expected = self._summary.expected if self._summary else 0
-        if not contents.expected and self._skipped:
-            contents.expected = count + self._skipped
-        contents.remarks += self._describe_rest(finished)
-        contents.complete = not contents.remarks and not contents.lost and contents.expected <= count
+            contents.lost_parts.append(LostPart(f"at byte {at} the file ends inside a record", at, end - at))
+        count = sum(len(m) for m in contents.messages_by_topic.values())
+        contents.expected_messages = self._summary.expected_messages if self._summary else 0
+        if not contents.expected_messages and self._skipped:
+            contents.expected_messages = count + self._skipped
+        contents.remarks += self._describe_other_faults(finished)
+        contents.is_complete = not contents.remarks and not contents.lost_parts and contents.expected_messages <= count
         return contents
 
-    def _take_record(self, opcode: int, at: int, stop: int) -> str:
+    def _read_record(self, opcode: int, at: int, stop: int) -> str:
         """Take a record beside the chunks, or a chunk; return what is wrong with it, ``""`` if nothing is."""
-        start = at + _HEAD.size
+        start = at + _RECORD_HEAD.size
         try:
             if opcode == Opcode.CHUNK:
                 self._chunked = True
                 plain = _unpack_chunk(self._data, start, stop)
                 return (
-                    ""
-                    if self._take_messages(plain) == len(plain)
-                    else f"part of a chunk at byte {at} is damaged"
+                    "" if self._read_chunk_records(plain) == len(plain) else f"part of a chunk at byte {at} is damaged"
                 )
             if opcode == Opcode.MESSAGE:
                 return (
                     ""
-                    if self._take_messages(self._data[at:stop]) == stop - at
+                    if self._read_chunk_records(self._data[at:stop]) == stop - at
                     else f"a message at byte {at} is damaged"
                 )
-            self._take_other(opcode, self._data[start:stop])
+            self._read_other_record(opcode, self._data[start:stop])
             if opcode == Opcode.DATA_END:
                 (crc,) = struct.unpack_from("<I", self._data, start)
                 self._crc_wrong = bool(crc) and zlib.crc32(memoryview(self._data)[:at]) != crc
@@ -258,19 +256,24 @@ class _McapWalk:
             return f"{what} of {stop - at} bytes at byte {at} cannot be read ({reason[:90]})"
         return ""
 
-    def _take_messages(self, plain: bytes) -> int:
+    def _read_chunk_records(self, plain: bytes) -> int:
         """Take the records of a chunk; return how many bytes of it stand as they should."""
         at, end = 0, len(plain)
-        unpack, topics, counts, numbered = MESSAGE.unpack_from, self._topics, self._counts, self._numbered
+        unpack, topics, counts, numbered = (
+            MESSAGE_HEAD.unpack_from,
+            self._topics,
+            self._counts,
+            self._numbered,
+        )
         while at < end:
             if plain[at] == Opcode.MESSAGE and at + _MESSAGE_SIZE <= end:
                 _, size, number, count, time_ns, _ = unpack(plain, at)
                 stop = at + 9 + size
-                if stop > end or size < MESSAGE_FIELDS:
+                if stop > end or size < MESSAGE_FIELDS_SIZE:
                     return at
                 found = topics.get(number)
                 if found is None:
-                    found = topics[number] = self._contents.messages.setdefault(f"channel {number}", [])
+                    found = topics[number] = self._contents.messages_by_topic.setdefault(f"channel {number}", [])
                 found.append((time_ns, plain[at + _MESSAGE_SIZE : stop]))
                 if numbered:
                     expected = counts.get(number, 0)
@@ -278,30 +281,30 @@ class _McapWalk:
                         self._skipped += (count - expected) & 0xFFFFFFFF
                     counts[number] = (count + 1) & 0xFFFFFFFF
             else:
-                if at + _HEAD.size > end:
+                if at + _RECORD_HEAD.size > end:
                     return at
-                opcode, size = _HEAD.unpack_from(plain, at)
-                stop = at + _HEAD.size + size
+                opcode, size = _RECORD_HEAD.unpack_from(plain, at)
+                stop = at + _RECORD_HEAD.size + size
                 if stop > end or opcode == Opcode.MESSAGE:
                     return at
-                self._take_other(opcode, plain[at + _HEAD.size : stop])
+                self._read_other_record(opcode, plain[at + _RECORD_HEAD.size : stop])
             at = stop
         return at
 
-    def _take_other(self, opcode: int, content: bytes) -> None:
+    def _read_other_record(self, opcode: int, content: bytes) -> None:
         """Take a record that is no message; ValueError and others if it is damaged."""
         contents = self._contents
         if opcode == Opcode.CHANNEL:
-            channel = records.Channel.read(_stream(content))
-            before = contents.messages.pop(f"channel {channel.id}", [])
-            self._topics[channel.id] = contents.messages.setdefault(channel.topic, before)
+            channel = records.Channel.read(_to_stream(content))
+            before = contents.messages_by_topic.pop(f"channel {channel.id}", [])
+            self._topics[channel.id] = contents.messages_by_topic.setdefault(channel.topic, before)
         elif opcode == Opcode.HEADER:
-            self._numbered = records.Header.read(_stream(content)).library.startswith("mufly")
+            self._numbered = records.Header.read(_to_stream(content)).library.startswith("mufly")
         elif opcode == Opcode.METADATA:
-            metadata = records.Metadata.read(_stream(content))
+            metadata = records.Metadata.read(_to_stream(content))
             contents.metadata[metadata.name] = metadata.metadata
         elif opcode == Opcode.ATTACHMENT:
-            attachment = records.Attachment.read(_stream(content))
+            attachment = records.Attachment.read(_to_stream(content))
             crc = struct.unpack_from("<I", content, len(content) - 4)[0]
             if crc and zlib.crc32(content[:-4]) != crc:
                 raise ValueError("wrong checksum")
@@ -309,120 +312,122 @@ class _McapWalk:
 
     def _skip_damaged(self, problem: str, opcode: int, at: int, stop: int) -> int:
         """Note a damaged record and return where reading goes on."""
-        after = stop if self._stands(stop) else self._next_record(at + 1)
-        messages, first_ns, last_ns = self._indexed_messages(stop) if opcode == Opcode.CHUNK else (0, 0, 0)
-        self._contents.lost.append(LostPart(problem, at, after - at, messages, first_ns, last_ns))
+        after = stop if self._is_record_at(stop) else self._find_next_record(at + 1)
+        messages, first_ns, last_ns = self._read_message_indexes(stop) if opcode == Opcode.CHUNK else (0, 0, 0)
+        self._contents.lost_parts.append(LostPart(problem, at, after - at, messages, first_ns, last_ns))
         return after
 
     def _skip_part(self, at: int, stop: int, opcode: int, passed: int) -> int:
         """Note a record that the file's end cuts, or bytes that are none, and return where reading goes on."""
         data, end = self._data, len(self._data)
-        after = self._next_record(passed + 1)
+        after = self._find_next_record(passed + 1)
         at = at if after >= at else passed
         if after < end or stop <= end or opcode != Opcode.CHUNK:
             cut = after == end and stop > end and Opcode.HEADER <= opcode <= Opcode.DATA_END
             what = (
-                f"at byte {at} the file ends inside a record"
-                if cut
-                else f"{after - at} bytes at byte {at} are damaged"
+                f"at byte {at} the file ends inside a record" if cut else f"{after - at} bytes at byte {at} are damaged"
             )
-            self._contents.lost.append(LostPart(what, at, after - at))
+            self._contents.lost_parts.append(LostPart(what, at, after - at))
             return after
         self._chunked = True
-        first_ns, last_ns = struct.unpack_from("<QQ", data.ljust(at + 25, b"\0"), at + _HEAD.size)
-        before = sum(len(m) for m in self._contents.messages.values())
+        first_ns, last_ns = struct.unpack_from("<QQ", data.ljust(at + 25, b"\0"), at + _RECORD_HEAD.size)
+        before = sum(len(m) for m in self._contents.messages_by_topic.values())
         try:
-            self._take_messages(_unpack_cut_chunk(data, at + _HEAD.size))
+            self._read_chunk_records(_unpack_truncated_chunk(data, at + _RECORD_HEAD.size))
         except Exception:  # Nothing of it can be unpacked.
             before = -1
-        kept = sum(len(m) for m in self._contents.messages.values()) - before if before >= 0 else 0
+        kept = sum(len(m) for m in self._contents.messages_by_topic.values()) - before if before >= 0 else 0
         what = f"at byte {at} the file ends inside a chunk, {end - at} of {stop - at} bytes of it are there"
         if kept:  # times of what is missing are not known
             what, first_ns, last_ns = f"{what}, with {kept} whole messages", 0, 0
-        self._contents.lost.append(LostPart(what, at, end - at, 0, first_ns, last_ns))
+        self._contents.lost_parts.append(LostPart(what, at, end - at, 0, first_ns, last_ns))
         return end
 
-    def _stands(self, at: int) -> bool:
+    def _is_record_at(self, at: int) -> bool:
         """Whether a record stands at an offset, and another or the end mark behind it."""
         data, end = self._data, len(self._data)
         for _ in range(2):
-            if at + _HEAD.size > end:
+            if at + _RECORD_HEAD.size > end:
                 return False
-            opcode, length = _HEAD.unpack_from(data, at)
-            if not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE):
+            opcode, length = _RECORD_HEAD.unpack_from(data, at)
+            if not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _FIRST_PRIVATE_OPCODE):
                 return False
-            at += _HEAD.size + length
+            at += _RECORD_HEAD.size + length
             if at > end:
                 return False
             if at == end or (opcode == Opcode.FOOTER and data.startswith(MAGIC, at)):
                 return True
         return True
 
-    def _next_record(self, start: int) -> int:
+    def _find_next_record(self, start: int) -> int:
         """Where the next record stands at or behind an offset; the end of the file if none does."""
         data, end = self._data, len(self._data)
         best = next(
-            (p for p in (self._summary.places if self._summary else ()) if p >= start and self._stands(p)),
+            (
+                p
+                for p in (self._summary.record_offsets if self._summary else ())
+                if p >= start and self._is_record_at(p)
+            ),
             end,
         )
-        patterns = [_CHUNK_LIKE, _RECORD_LIKE] if self._chunked else [_CHUNK_LIKE, _MESSAGE_LIKE]
+        patterns = (
+            [_CHUNK_HEAD_PATTERN, _RECORD_HEAD_PATTERN]
+            if self._chunked
+            else [_CHUNK_HEAD_PATTERN, _MESSAGE_HEAD_PATTERN]
+        )
         for pattern in patterns:
             for found in pattern.finditer(data, start, best):
-                if self._stands(found.start()):
+                if self._is_record_at(found.start()):
                     best = found.start()
                     break
         return best
 
-    def _indexed_messages(self, at: int) -> tuple[int, int, int]:
+    def _read_message_indexes(self, at: int) -> tuple[int, int, int]:
         """Count and times of the messages that the message indexes at an offset list; zeros without any."""
         data, end, times = self._data, len(self._data), list[int]()
-        while at + _HEAD.size + 6 <= end and data[at] == Opcode.MESSAGE_INDEX:
-            length = _HEAD.unpack_from(data, at)[1]
-            stop = at + _HEAD.size + length
+        while at + _RECORD_HEAD.size + 6 <= end and data[at] == Opcode.MESSAGE_INDEX:
+            length = _RECORD_HEAD.unpack_from(data, at)[1]
+            stop = at + _RECORD_HEAD.size + length
             if stop > end or length < 6 or (length - 6) % 16:
                 break
-            values = struct.unpack_from(f"<{(length - 6) // 8}Q", data, at + _HEAD.size + 6)
+            values = struct.unpack_from(f"<{(length - 6) // 8}Q", data, at + _RECORD_HEAD.size + 6)
             times += values[::2]
             at = stop
         return len(times), min(times, default=0), max(times, default=0)
 
-    def _describe_rest(self, finished: bool) -> list[str]:
+    def _describe_other_faults(self, finished: bool) -> list[str]:
         """What is wrong besides lost parts, in words."""
         summary, data = self._summary, self._data
-        nameless = [t for t in self._contents.messages if t.startswith("channel ")]
-        said = (
-            [f"the names of some topics are lost, which are here as {', '.join(nameless)}"]
-            if nameless
-            else []
-        )
-        if self._crc_wrong and not self._contents.lost:
+        nameless = [t for t in self._contents.messages_by_topic if t.startswith("channel ")]
+        said = [f"the names of some topics are lost, which are here as {', '.join(nameless)}"] if nameless else []
+        if self._crc_wrong and not self._contents.lost_parts:
             said.append("something outside its chunks is damaged (wrong checksum of the data)")
-        if UNFINISHED in self._contents.metadata:
+        if UNFINISHED_METADATA in self._contents.metadata:
             return [*said, "its writer was stopped before it had finished, or still writes"]
         if summary is None or not finished:
             return [*said, "it has no end mark"]
-        if not summary.sound:
+        if not summary.is_valid:
             return [*said, "the index at its end is damaged"]
-        behind = len(data) - summary.end
+        behind = len(data) - summary.end_offset
         return [*said, f"{behind} bytes behind its end mark are none of it"] if behind else said
 
 
-def _chunk_parts(data: bytes, start: int) -> tuple[str, int, int, int, int]:
+def _parse_chunk_head(data: bytes, start: int) -> tuple[str, int, int, int, int]:
     """Compression, uncompressed size, CRC, and where the packed records begin and should end."""
-    _, _, size, crc, name_length = _CHUNK.unpack_from(data, start)
-    at = start + _CHUNK.size
+    _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(data, start)
+    at = start + _CHUNK_HEAD.size
     name = data[at : at + name_length].decode("ascii", "replace") if name_length <= 32 else "?"
     (packed,) = struct.unpack_from("<Q", data, at + name_length)
     at += name_length + 8
     return name, size, crc, at, at + packed
 
 
-_UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
+_DECOMPRESSORS: dict[str, Callable[[bytes, int], bytes]] = {
     "": lambda packed, size: packed,
     "zstd": lambda packed, size: zstandard.ZstdDecompressor().decompress(packed, max_output_size=size),
     "lz4": lambda packed, size: lz4.frame.decompress(packed),
 }
-_UNPACK_CUT: dict[str, Callable[[bytes], bytes]] = {
+_PARTIAL_DECOMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
     "": lambda packed: packed,
     "zstd": lambda packed: zstandard.ZstdDecompressor().decompressobj().decompress(packed),
     "lz4": lambda packed: lz4.frame.LZ4FrameDecompressor().decompress(packed),
@@ -431,18 +436,18 @@ _UNPACK_CUT: dict[str, Callable[[bytes], bytes]] = {
 
 def _unpack_chunk(data: bytes, start: int, stop: int) -> bytes:
     """Return the records of a chunk; ValueError if its size, checksum or compression is wrong."""
-    name, size, crc, first, last = _chunk_parts(data, start)
+    name, size, crc, first, last = _parse_chunk_head(data, start)
     if last != stop:
         raise ValueError("wrong size")
-    if name not in _UNPACK:
+    if name not in _DECOMPRESSORS:
         raise ValueError(f"packed by {name!r}, which is not read here; repack it: mcap compress")
-    plain = bytes(_UNPACK[name](data[first:last], size))
+    plain = bytes(_DECOMPRESSORS[name](data[first:last], size))
     if crc and zlib.crc32(plain) != crc:
         raise ValueError("wrong checksum")
     return plain
 
 
-def _unpack_cut_chunk(data: bytes, start: int) -> bytes:
+def _unpack_truncated_chunk(data: bytes, start: int) -> bytes:
     """Return the records of a chunk that the file's end cuts, up to the cut."""
-    name, _, _, first, _ = _chunk_parts(data, start)
-    return bytes(_UNPACK_CUT[name](data[first:]))
+    name, _, _, first, _ = _parse_chunk_head(data, start)
+    return bytes(_PARTIAL_DECOMPRESSORS[name](data[first:]))

@@ -25,32 +25,32 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
 MAGIC = b"\x89MCAP0\r\n"
-MESSAGE = struct.Struct("<BQHIQQ")
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 """Head of a message: opcode, length, channel, sequence, log time, publish time."""
-MESSAGE_FIELDS = 2 + 4 + 8 + 8
+MESSAGE_FIELDS_SIZE = 2 + 4 + 8 + 8
 """Bytes of a message before its content, opcode and length left out."""
-UNFINISHED = "mufly.unfinished"
+UNFINISHED_METADATA = "mufly.unfinished"
 """Name of the metadata that stand before the end mark of a file that was not finished."""
 
 
-def _bytes(record: Any) -> bytes:
+def _encode_record(record: Any) -> bytes:
     builder: Any = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
 
 
-def _packed(records_of_a_kind: Iterable[Any]) -> bytes:
-    return b"".join(_bytes(record) for record in records_of_a_kind)
+def _encode_records(records_of_a_kind: Iterable[Any]) -> bytes:
+    return b"".join(_encode_record(record) for record in records_of_a_kind)
 
 
-_OPEN_END = (
-    _packed((records.Metadata(UNFINISHED, {}), records.DataEnd(0)))
+_UNFINISHED_END = (
+    _encode_records((records.Metadata(UNFINISHED_METADATA, {}), records.DataEnd(0)))
     + struct.pack("<BQQQI", Opcode.FOOTER, 8 + 8 + 4, 0, 0, 0)
     + MAGIC
 )
 
 
-class McapFile:
+class McapWriter:
     """Append-only MCAP file of JSON messages.
 
     Parameters
@@ -81,9 +81,9 @@ class McapFile:
         self._metadata_indexes: list[records.MetadataIndex] = []
         self._counts: defaultdict[int, int] = defaultdict(int)
         self._end = 0
-        self._append(MAGIC + _bytes(records.Header(profile="", library=library)))
+        self._append_data(MAGIC + _encode_record(records.Header(profile="", library=library)))
 
-    def _append(self, data: bytes, end: bytes = _OPEN_END) -> int:
+    def _append_data(self, data: bytes, end: bytes = _UNFINISHED_END) -> int:
         """Write in place of the end mark (what an interrupted write left behind goes); the offset of the data."""
         start = self._end
         self._stream.seek(start)
@@ -105,14 +105,14 @@ class McapFile:
 
     def write_metadata(self, name: str, content: dict[str, str]) -> None:
         """Append a record of names and texts."""
-        data = _bytes(records.Metadata(name=name, metadata=content))
-        start = self._append(data)
+        data = _encode_record(records.Metadata(name=name, metadata=content))
+        start = self._append_data(data)
         self._metadata_indexes.append(records.MetadataIndex(start, len(data), name))
 
     def write_attachment(self, name: str, media_type: str, content: bytes, time_ns: int) -> None:
         """Append a file."""
-        data = _bytes(records.Attachment(time_ns, time_ns, name, media_type, content))
-        start = self._append(data)
+        data = _encode_record(records.Attachment(time_ns, time_ns, name, media_type, content))
+        start = self._append_data(data)
         index = records.AttachmentIndex(start, len(data), time_ns, time_ns, len(content), name, media_type)
         self._attachment_indexes.append(index)
 
@@ -124,14 +124,14 @@ class McapFile:
         messages : sequence of (channel, time_ns, content)
             In order of time, at least one.
         """
-        head = b"".join(_bytes(r) for r in [*self._schemas, *self._channels]) if not self._introduced else b""
+        head = b"".join(_encode_record(r) for r in [*self._schemas, *self._channels]) if not self._introduced else b""
         parts, offset, counts = [head], len(head), dict(self._counts)
         entries: defaultdict[int, array[int]] = defaultdict(lambda: array("Q"))
-        pack = MESSAGE.pack
+        pack = MESSAGE_HEAD.pack
         for channel, time_ns, content in messages:
             count = counts.get(channel, 0)
             counts[channel] = count + 1
-            size = MESSAGE_FIELDS + len(content)
+            size = MESSAGE_FIELDS_SIZE + len(content)
             parts.append(pack(Opcode.MESSAGE, size, channel, count & 0xFFFFFFFF, time_ns, time_ns))
             parts.append(content)
             entries[channel].extend((time_ns, offset))
@@ -139,22 +139,20 @@ class McapFile:
         plain = b"".join(parts)
         packed = self._compress(plain)
         first, last = messages[0][1], messages[-1][1]
-        chunk = _bytes(records.Chunk("zstd", packed, last, first, zlib.crc32(plain), len(plain)))
+        chunk = _encode_record(records.Chunk("zstd", packed, last, first, zlib.crc32(plain), len(plain)))
         indexes, places = [], {}
         place = self._end + len(chunk)
         for channel, values in entries.items():
             content = values.tobytes()  # little-endian, as on every machine that Numba supports
-            index = (
-                struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(content), channel, len(content)) + content
-            )
+            index = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(content), channel, len(content)) + content
             places[channel] = place
             place += len(index)
             indexes.append(index)
         tail = b"".join(indexes)
-        start = self._append(chunk + tail)
+        start = self._append_data(chunk + tail)
         self._counts = defaultdict(int, counts)
         self._introduced = 1
-        self._chunk_indexes += _bytes(
+        self._chunk_indexes += _encode_record(
             records.ChunkIndex(
                 chunk_length=len(chunk),
                 chunk_start_offset=start,
@@ -171,7 +169,7 @@ class McapFile:
         self._first_ns = first if self._first_ns is None else min(self._first_ns, first)
         self._last_ns = max(self._last_ns, last)
 
-    def finish(self) -> None:
+    def finish_file(self) -> None:
         """Append the index and the end mark."""
         statistics = records.Statistics(
             attachment_count=len(self._attachment_indexes),
@@ -184,23 +182,23 @@ class McapFile:
             metadata_count=len(self._metadata_indexes),
             schema_count=len(self._schemas),
         )
-        data_end = _bytes(records.DataEnd(0))
+        data_end = _encode_record(records.DataEnd(0))
         summary_start = self._end + len(data_end)
         summary, offsets = b"", []
         groups: list[tuple[Opcode, bytes]] = [
-            (Opcode.SCHEMA, _packed(self._schemas)),
-            (Opcode.CHANNEL, _packed(self._channels)),
-            (Opcode.STATISTICS, _bytes(statistics)),
+            (Opcode.SCHEMA, _encode_records(self._schemas)),
+            (Opcode.CHANNEL, _encode_records(self._channels)),
+            (Opcode.STATISTICS, _encode_record(statistics)),
             (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
-            (Opcode.ATTACHMENT_INDEX, _packed(self._attachment_indexes)),
-            (Opcode.METADATA_INDEX, _packed(self._metadata_indexes)),
+            (Opcode.ATTACHMENT_INDEX, _encode_records(self._attachment_indexes)),
+            (Opcode.METADATA_INDEX, _encode_records(self._metadata_indexes)),
         ]
         for opcode, content in groups:
             if content:
                 offsets.append(records.SummaryOffset(opcode, summary_start + len(summary), len(content)))
                 summary += content
         offset_start = summary_start + len(summary)
-        summary += b"".join(_bytes(record) for record in offsets)
+        summary += b"".join(_encode_record(record) for record in offsets)
         footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 8 + 8 + 4, summary_start, offset_start)
         crc = zlib.crc32(footer_head, zlib.crc32(summary))
-        self._append(data_end + summary + footer_head + struct.pack("<I", crc), MAGIC)
+        self._append_data(data_end + summary + footer_head + struct.pack("<I", crc), MAGIC)

@@ -2,8 +2,8 @@
 
 A flight is a row of float64 values every sampling instant: column 0 is the time (s), the others are the quantities
 of :mod:`mufly.quantities` in their order. The writer, the schemas inside the file, the reader, the CSV header and
-``docs/recordings.md`` follow a :class:`Layout`; a file carries its own copy, so that it stays readable when the
-table grows.
+``docs/recordings.md`` follow a :class:`RecordingLayout`; a file carries its own copy, so that it stays readable when
+the table grows.
 
 As a plain column a component is called ``variable_label`` (``measured_attitude_roll``). What columns alone cannot
 say (the dataset's attributes, events, labels of a user's own dimensions) travels as one JSON text where the format
@@ -26,15 +26,15 @@ import orjson
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.logs.topics import Channel
-from mufly.quantities import LABELS, Quantity, kept_by, quantity_named
+from mufly.logs.raw_log import Channel
+from mufly.quantities import DIMENSION_LABELS, Quantity, find_quantity, quantities_recorded_in
 
-_TOLD = ("name", "topic", "field", "dim", "units", "long_name")  # what a file says of a quantity
-_TIME = {"units": "s", "long_name": "time"}
-_EVENT = ("event_time", "event_state", "event_text", "event_level")
+_LAYOUT_FIELDS = ("name", "topic", "field", "dim", "units", "long_name")  # what a file says of a quantity
+_TIME_ATTRIBUTES = {"units": "s", "long_name": "time"}
+_EVENT_VARIABLES = ("event_time", "event_state", "event_text", "event_level")
 
 
-class Event(NamedTuple):
+class FlightEvent(NamedTuple):
     """Something that happened: time (s), mission state entered or held, text, level (info, warning, error)."""
 
     time_s: float
@@ -44,7 +44,7 @@ class Event(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Layout:
+class RecordingLayout:
     """Which column of a row holds what.
 
     Attributes
@@ -58,39 +58,39 @@ class Layout:
     """
 
     quantities: tuple[Quantity, ...]
-    beams: int
+    beam_count: int
     other_labels: tuple[tuple[str, tuple[str, ...] | tuple[int, ...]], ...] = ()
 
     def __post_init__(self) -> None:
-        if list(self.topics) != [topic for topic, _ in groupby(q.topic for q in self.quantities)]:
+        if list(self.quantities_by_topic) != [topic for topic, _ in groupby(q.topic for q in self.quantities)]:
             raise ValueError("the quantities of a topic must stand together")
 
-    def labels(self, quantity: Quantity) -> tuple[str, ...] | tuple[int, ...]:
+    def component_labels(self, quantity: Quantity) -> tuple[str, ...] | tuple[int, ...]:
         """Labels along the quantity's dimension; empty for a scalar."""
         if quantity.dim is None:
             return ()
         if quantity.dim == "beam":
-            return tuple(range(self.beams))
-        return dict(self.other_labels).get(quantity.dim) or LABELS[quantity.dim]
+            return tuple(range(self.beam_count))
+        return dict(self.other_labels).get(quantity.dim) or DIMENSION_LABELS[quantity.dim]
 
     @cached_property
-    def columns(self) -> dict[str, slice]:
+    def column_slices(self) -> dict[str, slice]:
         """Columns of each variable in a row, ``{"truth_position": slice(1, 4), ...}``; time is column 0."""
         found: dict[str, slice] = {}
         first = 1
         for quantity in self.quantities:
-            width = len(self.labels(quantity)) if quantity.dim else 1
+            width = len(self.component_labels(quantity)) if quantity.dim else 1
             found[quantity.name] = slice(first, first + width)
             first += width
         return found
 
     @cached_property
-    def width(self) -> int:
+    def column_count(self) -> int:
         """Number of columns of a row, the time included."""
-        return max((part.stop for part in self.columns.values()), default=1)
+        return max((part.stop for part in self.column_slices.values()), default=1)
 
     @cached_property
-    def topics(self) -> dict[str, tuple[Quantity, ...]]:
+    def quantities_by_topic(self) -> dict[str, tuple[Quantity, ...]]:
         """The quantities of each topic, in order."""
         names = dict.fromkeys(quantity.topic for quantity in self.quantities)
         return {name: tuple(q for q in self.quantities if q.topic == name) for name in names}
@@ -98,33 +98,35 @@ class Layout:
     def to_json(self) -> str:
         """Text form, kept inside every recording."""
         content: dict[str, object] = {
-            "beams": self.beams,
-            "quantities": [{k: getattr(q, k) for k in _TOLD} for q in self.quantities],
+            "beams": self.beam_count,
+            "quantities": [{k: getattr(q, k) for k in _LAYOUT_FIELDS} for q in self.quantities],
         }
         if self.other_labels:
             content["labels"] = dict(self.other_labels)
         return orjson.dumps(content).decode()
 
     @classmethod
-    def from_json(cls, text: str) -> Layout:
+    def from_json(cls, text: str) -> RecordingLayout:
         """Inverse of :meth:`to_json`."""
         content = orjson.loads(text)
         others = tuple((dim, tuple(labels)) for dim, labels in content.get("labels", {}).items())
         return cls(tuple(Quantity(**q) for q in content["quantities"]), int(content["beams"]), others)
 
 
-def standard_layout(beams: int = 8, *, sensors: bool = False) -> Layout:
-    """Layout of the rows of a flight with ``beams`` range beams, on ideal sensors or on its own."""
-    return Layout(kept_by("flight", "sensors") if sensors else kept_by("flight"), beams)
+def flight_layout(beams: int = 8, *, sensors: bool = False) -> RecordingLayout:
+    """Layout of the rows of a flight with ``beam_count`` range beams, on ideal sensors or on its own."""
+    return RecordingLayout(
+        quantities_recorded_in("flight", "sensors") if sensors else quantities_recorded_in("flight"), beams
+    )
 
 
-def to_dataset(
+def rows_to_dataset(
     rows: NDArray[np.float64],
     states: Sequence[str],
-    layout: Layout,
+    layout: RecordingLayout,
     *,
     attributes: Mapping[str, Any] | None = None,
-    events: Sequence[Event] = (),
+    events: Sequence[FlightEvent] = (),
 ) -> xr.Dataset:
     """Give the columns of a flight their names.
 
@@ -139,43 +141,43 @@ def to_dataset(
     attributes : mapping, optional
         Attributes of the dataset (vehicle, mission, seed, ...).
     events : sequence of Event, optional
-        Become ``event_time``, ``event_state``, ``event_text``, ``event_level`` over the dimension ``event``.
+        Become ``find_event_time``, ``event_state``, ``event_text``, ``event_level`` over the dimension ``event``.
 
     Returns
     -------
     xarray.Dataset
         Coordinate ``time`` (s); every variable has ``units`` and ``long_name``.
     """
-    coords: dict[str, Any] = {"time": ("time", rows[:, 0].copy(), _TIME)}
+    coords: dict[str, Any] = {"time": ("time", rows[:, 0].copy(), _TIME_ATTRIBUTES)}
     variables: dict[str, Any] = {}
     for quantity in layout.quantities:
-        block = rows[:, layout.columns[quantity.name]].copy()
+        block = rows[:, layout.column_slices[quantity.name]].copy()
         attrs = {"units": quantity.units, "long_name": quantity.long_name}
         if quantity.dim is None:
             variables[quantity.name] = ("time", block[:, 0], attrs)
         else:
-            coords[quantity.dim] = list(layout.labels(quantity))
+            coords[quantity.dim] = list(layout.component_labels(quantity))
             variables[quantity.name] = (("time", quantity.dim), block, attrs)
     variables["mission_state"] = ("time", np.array(states, dtype=str), {"long_name": "state of the mission"})
-    parts = zip(*events, strict=True) if events else [()] * len(_EVENT)
-    variables |= {name: _event_part(name, values) for name, values in zip(_EVENT, parts, strict=True)}
+    parts = zip(*events, strict=True) if events else [()] * len(_EVENT_VARIABLES)
+    variables |= {name: _event_variable(name, values) for name, values in zip(_EVENT_VARIABLES, parts, strict=True)}
     return xr.Dataset(variables, coords, dict(attributes or {}))
 
 
-def _event_part(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
+def _event_variable(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
     if name == "event_time":
         attrs = {"units": "s", "long_name": "time of the event"}
         return "event", np.array(values, dtype=np.float64), attrs
     return "event", np.array(values, dtype=str)
 
 
-def events_of(dataset: xr.Dataset) -> list[Event]:
+def read_events(dataset: xr.Dataset) -> list[FlightEvent]:
     """The events of a recording, in order of time."""
-    parts = (dataset[name].values.tolist() for name in _EVENT)
-    return [Event(*values) for values in zip(*parts, strict=True)]
+    parts = (dataset[name].values.tolist() for name in _EVENT_VARIABLES)
+    return [FlightEvent(*values) for values in zip(*parts, strict=True)]
 
 
-def columns_of(dataset: xr.Dataset) -> list[Channel]:
+def component_channels(dataset: xr.Dataset) -> list[Channel]:
     """Return the components of every variable over time, in order."""
     time = dataset["time"].values
     out = []
@@ -195,7 +197,7 @@ def columns_of(dataset: xr.Dataset) -> list[Channel]:
     return out
 
 
-def dataset_of(time: NDArray[np.float64], channels: Sequence[Channel]) -> xr.Dataset:
+def make_dataset(time: NDArray[np.float64], channels: Sequence[Channel]) -> xr.Dataset:
     """Put channels whose values are on one clock together as a dataset; components that are missing are NaN.
 
     Parameters
@@ -205,61 +207,61 @@ def dataset_of(time: NDArray[np.float64], channels: Sequence[Channel]) -> xr.Dat
     channels : sequence of Channel
         With n values each; their own clocks do not matter.
     """
-    coords: dict[str, Any] = {"time": ("time", time, _TIME)}
+    coords: dict[str, Any] = {"time": ("time", time, _TIME_ATTRIBUTES)}
     variables: dict[str, Any] = {}
     groups: dict[str, list[Channel]] = {}
     for channel in channels:
-        groups.setdefault(channel.variable, []).append(channel)
+        groups.setdefault(channel.signal_name, []).append(channel)
     # Variables that count their channels share that dimension, so it is as long as the longest of them.
     counted: dict[str, list[int]] = {}
     for name, group in groups.items():
-        known = quantity_named(name)
-        if known is not None and known.dim and not known.labels:
-            counted.setdefault(known.dim, []).extend(int(str(c.label)) for c in group)
+        known = find_quantity(name)
+        if known is not None and known.dim and not known.component_labels:
+            counted.setdefault(known.dim, []).extend(int(str(c.component_label)) for c in group)
     for name, group in groups.items():
-        known, values = quantity_named(name), group[0].values
+        known, values = find_quantity(name), group[0].values
         attrs = {} if values.dtype.kind in "US" else {"units": group[0].units}
         attrs["long_name"] = known.long_name if known else name.replace("_", " ")
         if known is None or known.dim is None:
             variables[name] = ("time", values, attrs)
             continue
-        labels: tuple[Any, ...] = known.labels or tuple(sorted(set(counted[known.dim])))
+        labels: tuple[Any, ...] = known.component_labels or tuple(sorted(set(counted[known.dim])))
         coords[known.dim] = list(labels)
-        found = {c.label: c.values for c in group}
+        found = {c.component_label: c.values for c in group}
         missing = np.full(len(time), np.nan)
         block = np.column_stack([found.get(str(k), missing) for k in labels])
         variables[name] = (("time", known.dim), block, attrs)
     return xr.Dataset(variables, coords)
 
 
-def plain(value: Any) -> Any:
+def to_json_value(value: Any) -> Any:
     """Return a value as JSON can hold it."""
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {str(k): to_json_value(v) for k, v in value.items()}
     if isinstance(value, list | tuple | set):
-        return [plain(v) for v in value]
+        return [to_json_value(v) for v in value]
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return to_json_value(value.tolist())
     if isinstance(value, np.generic):
         return value.item()
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
-def describe(dataset: xr.Dataset) -> str:
-    """Return as JSON what the columns do not say, for :func:`restore`."""
+def describe_dataset(dataset: xr.Dataset) -> str:
+    """Return as JSON what the columns do not say, for :func:`restore_dataset`."""
     variables = {}
     for key, variable in dataset.data_vars.items():
         if "time" in variable.dims and variable.ndim <= 2:
             dim = next((str(d) for d in variable.dims if d != "time"), None)
-            labels = None if dim is None else plain(variable[dim].values)
-            variables[str(key)] = {"dim": dim, "labels": labels, "attrs": plain(variable.attrs)}
-    events = {str(k): plain(v.values) for k, v in dataset.data_vars.items() if v.dims == ("event",)}
-    content = {"variables": variables, "events": events, "attributes": plain(dataset.attrs)}
+            labels = None if dim is None else to_json_value(variable[dim].values)
+            variables[str(key)] = {"dim": dim, "labels": labels, "attrs": to_json_value(variable.attrs)}
+    events = {str(k): to_json_value(v.values) for k, v in dataset.data_vars.items() if v.dims == ("event",)}
+    content = {"variables": variables, "events": events, "attributes": to_json_value(dataset.attrs)}
     return json.dumps(content)
 
 
-def restore(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], description: str) -> xr.Dataset:
-    """Inverse of :func:`columns_of` and :func:`describe`.
+def restore_dataset(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], description: str) -> xr.Dataset:
+    """Inverse of :func:`component_channels` and :func:`describe_dataset`.
 
     Raises
     ------
@@ -267,19 +269,19 @@ def restore(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], desc
         If columns and description do not belong together.
     """
     content = json.loads(description)
-    coords: dict[str, Any] = {"time": ("time", time, _TIME)}
+    coords: dict[str, Any] = {"time": ("time", time, _TIME_ATTRIBUTES)}
     variables: dict[str, Any] = {}
     for name, about in content["variables"].items():
         dim, labels, attrs = about["dim"], about["labels"], about["attrs"]
         if dim is None:
             variables[name] = ("time", columns[name], attrs)
             continue
-        known = LABELS.get(dim)
+        known = DIMENSION_LABELS.get(dim)
         coords[dim] = list(known) if known and list(map(str, known)) == list(map(str, labels)) else labels
         block = np.column_stack([columns[f"{name}_{label}"] for label in labels])
         variables[name] = (("time", dim), block, attrs)
     for name, values in content["events"].items():
-        variables[name] = _event_part(name, values)
+        variables[name] = _event_variable(name, values)
     return xr.Dataset(variables, coords, content["attributes"])
 
 
@@ -294,8 +296,11 @@ def to_csv(dataset: xr.Dataset, path: str | Path) -> Path:
     Path
         The file written.
     """
-    channels = [Channel("time", "s", dataset["time"].values, dataset["time"].values), *columns_of(dataset)]
-    header = [c.column + (f" [{c.units}]" if c.units != "1" else "") for c in channels]
+    channels = [
+        Channel("time", "s", dataset["time"].values, dataset["time"].values),
+        *component_channels(dataset),
+    ]
+    header = [c.column_name + (f" [{c.units}]" if c.units != "1" else "") for c in channels]
     columns = [c.values.tolist() for c in channels]
     target = Path(path)
     with target.open("w", newline="", encoding="utf-8") as stream:

@@ -1,6 +1,6 @@
 """Tables in files of other programs, and logs that were converted once: text, Parquet, Feather, NetCDF."""
 
-from mufly.logs.tables.containers import (
+from mufly.logs.tables.columnar_files import (
     FEATHER_MAGIC,
     NETCDF_MAGIC,
     PARQUET_MAGIC,
@@ -9,20 +9,27 @@ from mufly.logs.tables.containers import (
     write_netcdf,
     write_parquet,
 )
-from mufly.logs.tables.text import GZIP_MAGIC, TOPIC, looks_like_table, read_csv, read_fields, unpacked
+from mufly.logs.tables.text_table import (
+    GZIP_MAGIC,
+    TABLE_TOPIC,
+    looks_like_table,
+    read_csv,
+    read_table_columns,
+    read_unpacked,
+)
 
 __all__ = [
     "FEATHER_MAGIC",
     "GZIP_MAGIC",
     "NETCDF_MAGIC",
     "PARQUET_MAGIC",
-    "TOPIC",
+    "TABLE_TOPIC",
     "looks_like_table",
     "read_arrow",
     "read_csv",
-    "read_fields",
     "read_netcdf",
-    "unpacked",
+    "read_table_columns",
+    "read_unpacked",
     "write_netcdf",
     "write_parquet",
 ]

@@ -39,12 +39,12 @@ from numpy.typing import NDArray
 from mufly.answer_store import hash_question
 from mufly.errors import InputError, suggest_name
 from mufly.results import result
-from mufly.rotor.sections.contour_file import read_contour, read_own_contour
+from mufly.rotor.sections.contour_file import read_contour, read_custom_contour
 
 Array = NDArray[np.float64]
 
 
-@result(eq=False, picture="mufly.rotor.pictures:section_picture")
+@result(eq=False, picture="mufly.rotor.rotor_pictures:section_picture")
 class Airfoil:
     """A section.
 
@@ -74,7 +74,7 @@ class Airfoil:
     camber_at: float = field(init=False)
 
     def __post_init__(self) -> None:
-        upper, lower = sides(self.coordinates)
+        upper, lower = split_sides(self.coordinates)
         x = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, 401)))
         y_u, y_l = np.interp(x, *upper.T), np.interp(x, *lower.T)
         thick, mean = y_u - y_l, 0.5 * (y_u + y_l)
@@ -88,13 +88,13 @@ class Airfoil:
             object.__setattr__(self, name, float(value))
         self.coordinates.setflags(write=False)
 
-    def digest(self) -> str:
+    def contour_hash(self) -> str:
         """Return a hash of the contour, to a ten-millionth of the chord."""
         rounded = np.round(self.coordinates * 1e7).astype(np.int64)
         return hash_question(rounded)
 
 
-def sides(coordinates: Array) -> tuple[Array, Array]:
+def split_sides(coordinates: Array) -> tuple[Array, Array]:
     """Split a Selig contour at its nose into upper and lower side, each with x rising."""
     nose = int(np.argmin(coordinates[:, 0]))
     upper, lower = coordinates[: nose + 1][::-1], coordinates[nose:]
@@ -102,7 +102,7 @@ def sides(coordinates: Array) -> tuple[Array, Array]:
 
 
 @cache
-def _database() -> dict[str, Path]:
+def _index_database() -> dict[str, Path]:
     found = find_spec("aerosandbox")  # looked up, not imported: that takes two seconds
     if found is None or found.origin is None:
         return {}
@@ -112,7 +112,7 @@ def _database() -> dict[str, Path]:
 
 def database_airfoils() -> list[str]:
     """Return the names in AeroSandbox's database (UIUC's collection, about 2 000)."""
-    return list(_database())
+    return list(_index_database())
 
 
 def load_airfoil(name_or_path: str | Path) -> Airfoil:
@@ -133,40 +133,38 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     text = str(name_or_path)
     base, plus, flap = text.rpartition("+gurney")
     if plus:
-        return with_gurney(load_airfoil(base), _percent(text, flap, "a Gurney flap", "a height", 8.0))
+        return with_gurney(load_airfoil(base), _parse_percent(text, flap, "a Gurney flap", "a height", 8.0))
     base, plus, thick = text.rpartition("+thick")
     if plus:
-        return with_thickness(load_airfoil(base), _percent(text, thick, "a section", "a thickness", 40.0))
+        return with_thickness(load_airfoil(base), _parse_percent(text, thick, "a section", "a thickness", 40.0))
     path = Path(name_or_path)
     if path.is_file():
-        contour, words = read_own_contour(path)
+        contour, words = read_custom_contour(path)
         return Airfoil(path.stem.lower(), contour, f"{path}; {words}" if words else str(path))
     name = re.sub(r"^naca[\s_-]*", "naca", text.lower().strip())
     digits = re.fullmatch(r"naca(\d{4,5})", name)
     # Five digits that begin with 6, or that no five-digit mean line fits, are series 6 or 16 in the database.
-    series = name in _database() and digits is not None and (len(digits[1]) == 5 and digits[1][0] == "6")
+    series = name in _index_database() and digits is not None and (len(digits[1]) == 5 and digits[1][0] == "6")
     if digits is not None and not series:
         try:
-            return Airfoil(name, naca(digits[1]), f"NACA {digits[1]}, formula")
+            return Airfoil(name, naca_contour(digits[1]), f"NACA {digits[1]}, formula")
         except InputError:
-            if name not in _database():
+            if name not in _index_database():
                 raise
     for key in (text.lower(), name, text.lower().removesuffix(".dat")):
-        if key in _database():
-            return Airfoil(key, read_contour(_database()[key]), "AeroSandbox's database (UIUC)")
+        if key in _index_database():
+            return Airfoil(key, read_contour(_index_database()[key]), "AeroSandbox's database (UIUC)")
     otherwise = "give a NACA number, a database name or a .dat file"
-    raise InputError(text, "", "no such airfoil or file", suggest_name(name, _database(), otherwise))
+    raise InputError(text, "", "no such airfoil or file", suggest_name(name, _index_database(), otherwise))
 
 
-def _percent(where: str, text: str, what: str, size: str, most: float) -> float:
+def _parse_percent(where: str, text: str, what: str, size: str, most: float) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not 0.0 < value <= most:
-        raise InputError(
-            where, "", f"{what} of {text!r} % is not possible", f"give {size} above 0 and up to {most:g}"
-        )
+        raise InputError(where, "", f"{what} of {text!r} % is not possible", f"give {size} above 0 and up to {most:g}")
     return value / 100.0
 
 
@@ -192,7 +190,7 @@ def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:
     height : float
         Flap height over chord, above 0 and up to 0.08.
     """
-    upper, lower = sides(airfoil.coordinates)
+    upper, lower = split_sides(airfoil.coordinates)
     start = 1.0 - 1.5 * height
     ramp = np.linspace(start, 1.0, 16)
     x = np.concatenate((lower[lower[:, 0] < start - 1e-9, 0], ramp))
@@ -200,28 +198,26 @@ def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:
     y = np.interp(x, *lower.T) - height * s**2 * (3.0 - 2.0 * s)
     contour = np.concatenate((upper[::-1], np.column_stack((x, y))[1:]))
     percent = f"{100 * height:g}"
-    return Airfoil(
-        f"{airfoil.name}+gurney{percent}", contour, f"{airfoil.source}; Gurney flap {percent} %", height
-    )
+    return Airfoil(f"{airfoil.name}+gurney{percent}", contour, f"{airfoil.source}; Gurney flap {percent} %", height)
 
 
-_PER_SIDE = 100
+_POINTS_PER_SIDE = 100
 # Mean lines for a design lift of 0.3, by the place of camber in twentieths: r, k1.
-_NORMAL = {
+_NORMAL_CAMBER_LINES = {
     1: (0.0580, 361.400),
     2: (0.1260, 51.640),
     3: (0.2025, 15.957),
     4: (0.2900, 6.643),
     5: (0.3910, 3.230),
 }
-_REFLEXED = {2: (0.1300, 51.990), 3: (0.2170, 15.793), 4: (0.3180, 6.520), 5: (0.4410, 3.191)}
+_REFLEX_CAMBER_LINES = {2: (0.1300, 51.990), 3: (0.2170, 15.793), 4: (0.3180, 6.520), 5: (0.4410, 3.191)}
 
 
-def _thickness(x: Array, t: float) -> Array:
+def _naca_half_thickness(x: Array, t: float) -> Array:
     return 5 * t * (0.2969 * np.sqrt(x) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
 
 
-def _four_digit_mean(x: Array, m: float, p: float) -> tuple[Array, Array]:
+def _four_digit_camber_line(x: Array, m: float, p: float) -> tuple[Array, Array]:
     if m == 0.0:
         return np.zeros_like(x), np.zeros_like(x)
     front = x <= p
@@ -230,9 +226,9 @@ def _four_digit_mean(x: Array, m: float, p: float) -> tuple[Array, Array]:
     return y, 2 * m / divisor * (p - x)
 
 
-def _five_digit_mean(x: Array, digits: str) -> tuple[Array, Array]:
+def _five_digit_camber_line(x: Array, digits: str) -> tuple[Array, Array]:
     lift, twentieth, reflexed = int(digits[0]), int(digits[1]), digits[2] == "1"
-    r, k1 = (_REFLEXED if reflexed else _NORMAL)[twentieth]
+    r, k1 = (_REFLEX_CAMBER_LINES if reflexed else _NORMAL_CAMBER_LINES)[twentieth]
     front = x <= r
     if not reflexed:
         y = np.where(front, x**3 - 3 * r * x**2 + r**2 * (3 - r) * x, r**3 * (1 - x))
@@ -246,7 +242,7 @@ def _five_digit_mean(x: Array, digits: str) -> tuple[Array, Array]:
     return scale * y, scale * slope
 
 
-def naca(digits: str, per_side: int = _PER_SIDE) -> Array:
+def naca_contour(digits: str, per_side: int = _POINTS_PER_SIDE) -> Array:
     """Return the contour of a NACA four- or five-digit section.
 
     Parameters
@@ -267,24 +263,18 @@ def naca(digits: str, per_side: int = _PER_SIDE) -> Array:
     """
     where = f"naca{digits}"
     if not (digits.isdigit() and len(digits) in (4, 5)):
-        raise InputError(
-            where, "", "is no NACA designation", "give four or five digits, as naca4412 or naca23012"
-        )
+        raise InputError(where, "", "is no NACA designation", "give four or five digits, as naca4412 or naca23012")
     t = int(digits[-2:]) / 100
     if not 0.01 <= t <= 0.40:
-        raise InputError(
-            where, "", f"a thickness of {t:.0%} is not possible", "let the last two digits be 01 to 40"
-        )
+        raise InputError(where, "", f"a thickness of {t:.0%} is not possible", "let the last two digits be 01 to 40")
     x = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, per_side)))
     if len(digits) == 4:
         m, p = int(digits[0]) / 100, int(digits[1]) / 10
         if (m == 0) != (p == 0):
-            raise InputError(
-                where, "", "has camber without a place, or a place without camber", "as in naca4412"
-            )
-        y_c, slope = _four_digit_mean(x, m, p)
+            raise InputError(where, "", "has camber without a place, or a place without camber", "as in naca4412")
+        y_c, slope = _four_digit_camber_line(x, m, p)
     else:
-        families = {"0": _NORMAL, "1": _REFLEXED}
+        families = {"0": _NORMAL_CAMBER_LINES, "1": _REFLEX_CAMBER_LINES}
         if int(digits[0]) == 0 or digits[2] not in families:
             normal = f"naca{digits[:2]}0{digits[3:]}"
             remedy = f"let the first digit be 1 to 9, the third 0 (normal) or 1 (reflexed), as {normal}"
@@ -293,8 +283,8 @@ def naca(digits: str, per_side: int = _PER_SIDE) -> Array:
             places = ", ".join(str(k) for k in families[digits[2]])
             remedy = f"let the second digit be one of {places}"
             raise InputError(where, "", f"mean line {digits[:3]} is unknown", remedy)
-        y_c, slope = _five_digit_mean(x, digits)
-    y_t, a = _thickness(x, t), np.arctan(slope)
+        y_c, slope = _five_digit_camber_line(x, digits)
+    y_t, a = _naca_half_thickness(x, t), np.arctan(slope)
     upper = np.column_stack((x - y_t * np.sin(a), y_c + y_t * np.cos(a)))
     lower = np.column_stack((x + y_t * np.sin(a), y_c - y_t * np.cos(a)))
     return np.concatenate((upper[::-1], lower[1:]))

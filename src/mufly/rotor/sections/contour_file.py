@@ -9,8 +9,10 @@ sound contour has points enough, closes at the tail (up to a blunt base), enclos
 A file of one's own may stand anywhere in the plane. With p_t the middle of the tail, p_n the point furthest from it
 (nose), c their distance and the tilt of the chord line, nose up, a = atan2(y_n - y_t, x_t - x_n):
 
-* both ends off the x axis by more than :data:`_OFF_AXIS` c: the contour is moved so that one of them lies on the axis;
-* abs(a) > :data:`_TILTED`: the contour is turned about its nose by a, so that the chord line is the x axis. Below, the
+* both ends off the x axis by more than :data:`_AXIS_TOLERANCE` c: the contour is moved so that one of them lies on the
+  axis;
+* abs(a) > :data:`_MAX_KEPT_TILT_RAD`: the contour is turned about its nose by a, so that the chord line is the x axis.
+  Below, the
   frame of the file stays, as flat undersides of catalogues (up to 3.9 degrees) are meant to lie along x;
 * always: x is shifted and both are scaled so that x runs from 0 to 1.
 """
@@ -26,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.tables import decoded
+from mufly.input_files import decode_text
 
 Array = NDArray[np.float64]
 
@@ -35,15 +37,18 @@ class SectionWarning(UserWarning):
     """A section's data is used in another way than it is written."""
 
 
-_FEWEST = 20
-_WIDEST_TAIL = 0.12  # of chord; a contour whose ends lie further apart is not closed
-_OFF_AXIS = 2e-3  # of chord
-_RESCALED = 0.02  # of chord: of a smaller change of scale nobody is told
-_TILTED = math.radians(4.0)
-_LEVEL = math.radians(0.6)  # the tail, a sharper point than the nose, then says where the axis lies
-_NAMED_TILT = math.radians(1.5)  # of which a user is told
-_NEAR_END, _SQUARE = 0.05, 1e-3  # of chord: where nose and tail differ; between the corners of a blunt tail
-_FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
+_MIN_POINTS = 20
+_MAX_TAIL_GAP = 0.12  # of chord; a contour whose ends lie further apart is not closed
+_AXIS_TOLERANCE = 2e-3  # of chord
+_SCALE_WARNING_CHANGE = 0.02  # of chord: of a smaller change of scale nobody is told
+_MAX_KEPT_TILT_RAD = math.radians(4.0)
+_LEVEL_TILT_RAD = math.radians(0.6)  # the tail, a sharper point than the nose, then says where the axis lies
+_TILT_WARNING_RAD = math.radians(1.5)  # of which a user is told
+_END_REGION, _BLUNT_TAIL_TOLERANCE = (
+    0.05,
+    1e-3,
+)  # of chord: where nose and tail differ; between the corners of a blunt tail
+_FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
 
 
 def read_contour(path: Path) -> Array:
@@ -52,7 +57,7 @@ def read_contour(path: Path) -> Array:
     Returns
     -------
     (n, 2) array
-        Chord one, Selig order, as :func:`checked_contour` leaves it.
+        Chord one, Selig order, as :func:`validate_contour` leaves it.
 
     Raises
     ------
@@ -60,10 +65,10 @@ def read_contour(path: Path) -> Array:
         If the file cannot be read or holds no sound contour.
     """
     where = str(path)
-    return checked_contour(_from_tail(_read_points(path, where), where), where)
+    return validate_contour(_order_from_tail(_read_points(path, where), where), where)
 
 
-def read_own_contour(path: Path) -> tuple[Array, str]:
+def read_custom_contour(path: Path) -> tuple[Array, str]:
     """Read a coordinate file that may stand anywhere in the plane; warn where it was moved or turned.
 
     Returns
@@ -79,14 +84,14 @@ def read_own_contour(path: Path) -> tuple[Array, str]:
         If the file cannot be read or holds no sound contour.
     """
     where = str(path)
-    contour, words = placed_contour(_from_tail(_read_points(path, where), where))
-    checked = checked_contour(contour, where)
+    contour, words = align_contour(_order_from_tail(_read_points(path, where), where))
+    checked = validate_contour(contour, where)
     if words:
         warnings.warn(f"{path.name}: {words}", SectionWarning, stacklevel=2)
     return checked, words
 
 
-def placed_contour(contour: Array) -> tuple[Array, str]:
+def align_contour(contour: Array) -> tuple[Array, str]:
     """Move, turn and mirror a contour until its chord line is along x, as the module's docstring says.
 
     Parameters
@@ -110,21 +115,21 @@ def placed_contour(contour: Array) -> tuple[Array, str]:
         done.append("mirrored, as its nose is at the greater x")
     chord = float(np.hypot(*(tail - nose)))
     tilt = math.atan2(nose[1] - tail[1], tail[0] - nose[0])
-    end = tail if abs(tilt) < _LEVEL else nose
-    up = -float(end[1]) if min(abs(nose[1]), abs(tail[1])) > _OFF_AXIS * chord else 0.0
-    if abs(tilt) > _TILTED:
+    end = tail if abs(tilt) < _LEVEL_TILT_RAD else nose
+    up = -float(end[1]) if min(abs(nose[1]), abs(tail[1])) > _AXIS_TOLERANCE * chord else 0.0
+    if abs(tilt) > _MAX_KEPT_TILT_RAD:
         c, s = math.cos(tilt), math.sin(tilt)
         contour = nose + (contour - nose) @ np.array([[c, s], [-s, c]])
         done.append(f"turned by {math.degrees(tilt):+.2f} degrees onto its chord line")
     if up:
         contour = contour + np.array([0.0, up])
     low, size = float(contour[:, 0].min()), float(np.ptp(contour[:, 0]))
-    if up or abs(low) > _OFF_AXIS * size:
+    if up or abs(low) > _AXIS_TOLERANCE * size:
         done.append(f"moved by ({-low / size + 0.0:.3g}, {up / size:.3g}) chords")
-    if abs(size - 1.0) > _RESCALED:
+    if abs(size - 1.0) > _SCALE_WARNING_CHANGE:
         done.append(f"scaled by {1.0 / size:.3g}")
     words = f"the contour was {', '.join(done)}: x now runs from 0 to 1" if done else ""
-    if _NAMED_TILT < abs(tilt) <= _TILTED:
+    if _TILT_WARNING_RAD < abs(tilt) <= _MAX_KEPT_TILT_RAD:
         words += f"{'; ' if words else ''}its chord line stands {math.degrees(tilt):+.1f} degrees to the x axis, from "
         words += "which the angle of attack counts"
     return contour, words
@@ -133,7 +138,7 @@ def placed_contour(contour: Array) -> tuple[Array, str]:
 def _read_points(path: Path, where: str) -> list[tuple[int, list[float]]]:
     """Points with their lines: two numbers each, or three with the same third."""
     try:
-        lines = decoded(path.read_bytes()).splitlines()
+        lines = decode_text(path.read_bytes()).splitlines()
     except OSError as error:
         raise InputError(where, "", f"cannot be read ({error})", "give a text file of coordinates") from error
     points: list[tuple[int, list[float]]] = []
@@ -141,7 +146,7 @@ def _read_points(path: Path, where: str) -> list[tuple[int, list[float]]]:
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        numbers = _numbers(line)
+        numbers = _parse_numbers(line)
         if len(numbers) not in (2, 3) or (points and len(numbers) != len(points[0][1])):
             odd = odd or ((number, line.strip()) if points else None)
         elif odd is not None:
@@ -150,34 +155,28 @@ def _read_points(path: Path, where: str) -> list[tuple[int, list[float]]]:
             points.append((number, numbers))
     for number, numbers in points:
         if not all(map(math.isfinite, numbers)):
-            raise InputError(
-                where, f"line {number}", "a coordinate is not a number", "give finite coordinates"
-            )
+            raise InputError(where, f"line {number}", "a coordinate is not a number", "give finite coordinates")
         if len(numbers) == 3 and numbers[2] != points[0][1][2]:
-            raise InputError(
-                where, f"line {number}", "has three coordinates", "give x and y of a flat section"
-            )
+            raise InputError(where, f"line {number}", "has three coordinates", "give x and y of a flat section")
     return [(number, numbers[:2]) for number, numbers in points]
 
 
-def _numbers(line: str) -> list[float]:
+def _parse_numbers(line: str) -> list[float]:
     """The numbers of a line, none if one of its words is no number."""
     words = [w.rstrip(",;") for w in line.replace(";", " ").split()]
     decimal = "." not in line and len(words) > 1 and any("," in w for w in words)  # 0,25 0,1
-    words = (
-        [w.replace(",", ".") for w in words] if decimal else line.replace(",", " ").replace(";", " ").split()
-    )
+    words = [w.replace(",", ".") for w in words] if decimal else line.replace(",", " ").replace(";", " ").split()
     try:
         return [float(w) for w in words]
     except ValueError:
         pass
     try:
-        return [float(_FORTRAN.sub("e", w)) for w in words]
+        return [float(_FORTRAN_EXPONENT.sub("e", w)) for w in words]
     except ValueError:
         return []
 
 
-def _from_tail(points: list[tuple[int, list[float]]], where: str) -> Array:
+def _order_from_tail(points: list[tuple[int, list[float]]], where: str) -> Array:
     """Contour (n, 2) in any scale, from the tail around to the tail, whatever the order of the file."""
     contour = np.array([p for _, p in points], dtype=np.float64).reshape(-1, 2)
     if len(contour) < 3:
@@ -185,7 +184,7 @@ def _from_tail(points: list[tuple[int, list[float]]], where: str) -> Array:
     counts = contour[0]
     if counts.min() > 1.5 and np.allclose(counts, np.round(counts), atol=1e-3):
         if len(contour) - 1 == round(float(counts.sum())):
-            return _from_lednicer(contour[1:], round(float(counts[0])))
+            return _lednicer_to_selig(contour[1:], round(float(counts[0])))
         if contour[1:].max() < 0.5 * counts.max():  # no point of a contour in this scale
             raise InputError(
                 where, "", f"announces {counts[0]:g} + {counts[1]:g} points and has {len(contour) - 1}",
@@ -197,20 +196,20 @@ def _from_tail(points: list[tuple[int, list[float]]], where: str) -> Array:
     x = (contour[:, 0] - low) / size
     back = np.flatnonzero((x[:-1] > 0.9) & (x[1:] < 0.1))
     if x[0] < 0.1 and back.size == 1:
-        return _from_lednicer(contour, int(back[0]) + 1)
+        return _lednicer_to_selig(contour, int(back[0]) + 1)
     gap = float(np.hypot(*(contour[0] - contour[-1]))) / size
-    if gap > _WIDEST_TAIL or x[0] > 0.9:
+    if gap > _MAX_TAIL_GAP or x[0] > 0.9:
         return contour
     # A closed line that begins elsewhere, or at a tail that lies at the least x.
     ring = contour[:-1] if gap < 1e-9 else contour
     x = x[: len(ring)]
-    if _thickness_near(ring, x < _NEAR_END) < 0.5 * _thickness_near(ring, x > 1.0 - _NEAR_END):
+    if _thickness_near(ring, x < _END_REGION) < 0.5 * _thickness_near(ring, x > 1.0 - _END_REGION):
         x = 1.0 - x
     tail = int(np.argmax(x))
     ring, x = np.roll(ring, -tail, axis=0), np.roll(x, -tail)
-    if x[-1] > 1.0 - _SQUARE:  # a blunt tail, begun at its second corner
+    if x[-1] > 1.0 - _BLUNT_TAIL_TOLERANCE:  # a blunt tail, begun at its second corner
         return ring
-    if x[1] > 1.0 - _SQUARE:
+    if x[1] > 1.0 - _BLUNT_TAIL_TOLERANCE:
         return np.roll(ring, -1, axis=0)
     return np.concatenate((ring, ring[:1]))
 
@@ -219,14 +218,14 @@ def _thickness_near(ring: Array, end: NDArray[np.bool_]) -> float:
     return float(np.ptp(ring[end, 1])) if np.count_nonzero(end) > 1 else math.inf
 
 
-def _from_lednicer(table: Array, n_upper: int) -> Array:
+def _lednicer_to_selig(table: Array, n_upper: int) -> Array:
     """Lednicer: upper and lower side, each from nose to tail."""
     upper, lower = table[:n_upper], table[n_upper:]
     first = 1 if len(lower) and len(upper) and np.allclose(lower[0], upper[0], atol=1e-6) else 0
     return np.concatenate((upper[::-1], lower[first:]))
 
 
-def checked_contour(contour: Array, where: str) -> Array:
+def validate_contour(contour: Array, where: str) -> Array:
     """Bring a contour to chord one in Selig order, or say what is wrong with it.
 
     Parameters
@@ -246,10 +245,10 @@ def checked_contour(contour: Array, where: str) -> Array:
     if len(contour) > 1:
         step = np.linalg.norm(np.diff(contour, axis=0), axis=1)
         contour = contour[np.concatenate(([True], step > 1e-9))]
-    if len(contour) < _FEWEST:
+    if len(contour) < _MIN_POINTS:
         raise InputError(
             where, "", f"{len(contour)} points are too few for a contour",
-            f"give at least {_FEWEST} lines of x and y",
+            f"give at least {_MIN_POINTS} lines of x and y",
         )  # fmt: skip
     low, chord = contour[:, 0].min(), np.ptp(contour[:, 0])
     if not chord > 0:
@@ -257,7 +256,7 @@ def checked_contour(contour: Array, where: str) -> Array:
     contour = (contour - [low, 0.0]) / chord
     nose = int(np.argmin(contour[:, 0]))
     gap = float(np.linalg.norm(contour[0] - contour[-1]))
-    if gap > _WIDEST_TAIL or min(contour[0, 0], contour[-1, 0]) < 0.9:
+    if gap > _MAX_TAIL_GAP or min(contour[0, 0], contour[-1, 0]) < 0.9:
         raise InputError(
             where, "", f"the contour is open: its ends are {gap:.3g} chords apart",
             "list points from the tail over the nose back to the tail",
@@ -276,9 +275,7 @@ def checked_contour(contour: Array, where: str) -> Array:
             "correct or remove those points",
         )  # fmt: skip
     if not abs(area) > 1e-3:
-        raise InputError(
-            where, "", f"the contour encloses {abs(area):.2g} chord^2", "give a section with thickness"
-        )
+        raise InputError(where, "", f"the contour encloses {abs(area):.2g} chord^2", "give a section with thickness")
     return np.ascontiguousarray(contour)
 
 
@@ -287,16 +284,16 @@ def _first_crossing(contour: Array) -> tuple[int, int] | None:
     p, d = contour[:-1], np.diff(contour, axis=0)
     q = contour[1:]
 
-    def cross(ax: Array, ay: Array, bx: Array, by: Array) -> Array:
+    def cross_product(ax: Array, ay: Array, bx: Array, by: Array) -> Array:
         return ax * by - ay * bx
 
-    def side(point: Array) -> Array:
+    def side_of_segment(point: Array) -> Array:
         """Side of each segment (row) on which each point (column) lies."""
-        return cross(
+        return cross_product(
             d[:, None, 0], d[:, None, 1], point[None, :, 0] - p[:, None, 0], point[None, :, 1] - p[:, None, 1]
         )
 
-    parts = side(p) * side(q) < -1e-18
+    parts = side_of_segment(p) * side_of_segment(q) < -1e-18
     hit = np.triu(parts & parts.T, k=2)
     if not hit.any():
         return None

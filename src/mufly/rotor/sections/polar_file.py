@@ -1,13 +1,13 @@
 """Polars from files: tables of one's own, XFOIL's and XFLR5's polars, Airfoil Tools' CSV, AeroDyn's airfoil tables.
 
-A table has the columns of :data:`_NAMES`, in any order and notation that :mod:`mufly.tables` reads; ``#`` begins a
-comment. XFOIL and XFLR5 write a preface with ``Re = 0.100 e 6``, Airfoil Tools one with ``Reynolds number,50000``,
-AeroDyn lines such as ``0.75 Re ! Reynolds number in millions``: they hold for the rows below. AeroDyn's files up to
-version 13 have no header: their rows are angle (degrees), lift, drag and moment, up to ``EOT``. A file without any
-Reynolds number holds for all.
+A table has the columns of :data:`_COLUMN_ALIASES`, in any order and notation that :mod:`mufly.input_files` reads; ``#``
+begins a comment. XFOIL and XFLR5 write a preface with ``Re = 0.100 e 6``, Airfoil Tools one with
+``Reynolds number,50000``, AeroDyn lines such as ``0.75 Re ! Reynolds number in millions``: they hold for the rows
+below. AeroDyn's files up to version 13 have no header: their rows are angle (degrees), lift, drag and moment, up to
+``EOT``. A file without any Reynolds number holds for all.
 
 A number is refused where its unit is in doubt: angles without a unit that could be radians, angles in degrees over
-which the lift rises more than ten times as fast as 2 pi a radian, Reynolds numbers below :data:`_LEAST_REYNOLDS`.
+which the lift rises more than ten times as fast as 2 pi a radian, Reynolds numbers below :data:`_MIN_REYNOLDS`.
 
 Several Reynolds numbers make several blocks, each with its own angles; they are brought to a geometric progression of
 as many numbers (linear in log Re) and to the angles of the densest block, which is exact where the file is regular.
@@ -25,28 +25,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.rotor.sections.section import SectionData
-from mufly.tables import cells_of, decoded, layout_of, plain_number
-from mufly.units import known_unit
+from mufly.input_files import decode_text, detect_layout, normalise_number, split_cells
+from mufly.rotor.sections.section_data import SectionData
+from mufly.units import normalise_unit
 
 Array = NDArray[np.float64]
 
-_NAMES = {
+_COLUMN_ALIASES = {
     "alpha_deg": "alpha alfa aoa angle angle_of_attack \u03b1",
     "cl": "cl c_l",
     "cd": "cd c_d",
     "cm": "cm c_m",
     "reynolds": "reynolds re reynolds_number rn",
 }
-_PASSED_OVER = frozenset(
-    ["cdp", "top_xtr", "bot_xtr", "cpmin", "chinge", "xcp", "top_itr", "bot_itr", "cpmn"]
-)
-_NEEDED = ("alpha_deg", "cl", "cd")
-_TIMES = {
+_IGNORED_COLUMNS = frozenset(["cdp", "top_xtr", "bot_xtr", "cpmin", "chinge", "xcp", "top_itr", "bot_itr", "cpmn"])
+_REQUIRED_COLUMNS = ("alpha_deg", "cl", "cd")
+_REYNOLDS_UNIT_FACTORS = {
     "": 1.0, "-": 1.0, "millions": 1e6, "million": 1e6, "1e6": 1e6, "10^6": 1e6, "x1e6": 1e6, "x10^6": 1e6, "*1e6": 1e6,
     "thousands": 1e3, "1e3": 1e3, "10^3": 1e3, "x1e3": 1e3, "x10^3": 1e3, "*1e3": 1e3, "k": 1e3,
 }  # fmt: skip
-_PREFACES: tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], float]], ...] = (
+_REYNOLDS_PATTERNS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], float]], ...] = (
     (re.compile(r"\bRe\s*=\s*([\d.]+)\s*e\s*(\d+)"), lambda m: float(m[1]) * 10.0 ** int(m[2])),
     (re.compile(r"^\s*Reynolds number\s*[,;=:]\s*([\d.]+(?:e\d+)?)", re.IGNORECASE), lambda m: float(m[1])),
     (
@@ -54,12 +52,12 @@ _PREFACES: tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], float]], ...] 
         lambda m: 1e6 * float(m[1]),
     ),
 )
-_LEAST_REYNOLDS = 100.0
-_DOUBTFUL_DEG = 1.6  # angles all below are radians as likely as degrees
-_STEEPEST_PER_DEG = 10.0 * 2.0 * math.pi * math.pi / 180.0
-_HEADLESS_ROW = re.compile(r"\s*(?:[-+]?[\d.]+(?:[eE][-+]?\d+)?\s+){2,3}[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*")
-_TWO_WORDS = re.compile(r"\b(top|bot) (xtr|itr)\b", re.IGNORECASE)
-_LOOKED_AT = 60  # lines among which a header stands
+_MIN_REYNOLDS = 100.0
+_SUSPECTED_RADIANS_DEG = 1.6  # angles all below are radians as likely as degrees
+_MAX_LIFT_SLOPE_PER_DEG = 10.0 * 2.0 * math.pi * math.pi / 180.0
+_AERODYN_ROW = re.compile(r"\s*(?:[-+]?[\d.]+(?:[eE][-+]?\d+)?\s+){2,3}[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*")
+_SPLIT_HEADER_WORDS = re.compile(r"\b(top|bot) (xtr|itr)\b", re.IGNORECASE)
+_MAX_HEADER_LINES = 60  # lines among which a header stands
 
 
 def is_polar_file(name: str) -> bool:
@@ -68,15 +66,15 @@ def is_polar_file(name: str) -> bool:
         return True
     path = Path(name)
     try:
-        lines = decoded(path.read_bytes()[:20_000]).splitlines() if path.is_file() else []
+        lines = decode_text(path.read_bytes()[:20_000]).splitlines() if path.is_file() else []
     except OSError:
         return False
-    return _header_line(lines) is not None or _is_headless(lines)
+    return _header_line(lines) is not None or _is_old_aerodyn(lines)
 
 
-def _is_headless(lines: Sequence[str]) -> bool:
+def _is_old_aerodyn(lines: Sequence[str]) -> bool:
     """Whether a file is one of AeroDyn's up to version 13."""
-    first = [line.lower() for line in lines[:_LOOKED_AT]]
+    first = [line.lower() for line in lines[:_MAX_HEADER_LINES]]
     return any("number of airfoil tables" in s for s in first) and any("in millions" in s for s in first)
 
 
@@ -90,7 +88,7 @@ def read_polar_file(path: str | Path) -> SectionData:
         positive, the unit of a column is in doubt or a block has fewer than three angles.
     """
     where = str(path)
-    blocks = _blocks(_rows(Path(path), where), where)
+    blocks = _group_by_reynolds(_read_rows(Path(path), where), where)
     numbers = np.array(sorted(blocks))
     single = not math.isfinite(numbers[0])
     reynolds = np.array([1e5]) if single else np.geomspace(numbers[0], numbers[-1], numbers.size)
@@ -102,18 +100,16 @@ def read_polar_file(path: str | Path) -> SectionData:
         for c in range(3):
             tables[c, j, inside] = np.interp(alpha[inside], block[:, 0], block[:, c + 1])
     if not single:
-        tables = np.stack([_at_log_reynolds(t, np.log(numbers), np.log(reynolds)) for t in tables])
+        tables = np.stack([_interpolate_log_reynolds(t, np.log(numbers), np.log(reynolds)) for t in tables])
     known = np.all(np.isfinite(tables), axis=0)
     cl, cd, cm = np.nan_to_num(tables)
     if single:  # one polar for every Reynolds number
         reynolds = np.array([1.0, 1e9])
         cl, cd, cm, known = (np.repeat(v, 2, axis=0) for v in (cl, cd, cm, known))
-    return SectionData(
-        Path(path).stem, np.deg2rad(alpha), reynolds, cl, cd, cm, known, known.copy(), f"table {where}"
-    )
+    return SectionData(Path(path).stem, np.deg2rad(alpha), reynolds, cl, cd, cm, known, known.copy(), f"table {where}")
 
 
-def _at_log_reynolds(table: Array, own: Array, wanted: Array) -> Array:
+def _interpolate_log_reynolds(table: Array, own: Array, wanted: Array) -> Array:
     if own.size == 1:
         return table
     j = np.clip(np.searchsorted(own, wanted, side="right") - 1, 0, own.size - 2)
@@ -124,64 +120,65 @@ def _at_log_reynolds(table: Array, own: Array, wanted: Array) -> Array:
     return low + np.where(s > 0, table[j + 1] * s, 0.0)
 
 
-def _named(header: str) -> tuple[str, str]:
+def _identify_column(header: str) -> tuple[str, str]:
     """Return the column that a header means (its own name in lower case where it is none) and its unit as written."""
     low = " ".join(header.strip().strip('"').lower().split())
     match = re.fullmatch(r"(.*?)\s*[(\[]([^)\]]*)[)\]]", low)
     stem, unit = (match[1], match[2].strip()) if match else (low, "")
     stem = stem.replace(" ", "_")
-    names = {word: column for column, words in _NAMES.items() for word in words.split()}
+    names = {word: column for column, words in _COLUMN_ALIASES.items() for word in words.split()}
     if not match and stem not in names:
         first, _, last = stem.rpartition("_")
-        if first in names and (last in _TIMES or known_unit(last, "rad")):
+        if first in names and (last in _REYNOLDS_UNIT_FACTORS or normalise_unit(last, "rad")):
             stem, unit = first, last
     return names.get(stem, stem), unit
 
 
 def _header_line(lines: Sequence[str]) -> int | None:
     """Position of the first line that names angle, lift and drag; None if there is none."""
-    for k, line in enumerate(lines[:_LOOKED_AT]):
+    for k, line in enumerate(lines[:_MAX_HEADER_LINES]):
         words = line.lstrip("! \t")
         if "c" in words.lower() and any(
-            {_named(c)[0] for c in cells_of(words, s)} >= set(_NEEDED) for s in ("\t", ";", ",", " ")
+            {_identify_column(c)[0] for c in split_cells(words, s)} >= set(_REQUIRED_COLUMNS)
+            for s in ("\t", ";", ",", " ")
         ):
             return k
     return None
 
 
-def _rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
+def _read_rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
     """Numbers of each row by column (degrees), with ``reynolds`` infinite where nothing says it."""
     try:
-        lines = decoded(path.read_bytes()).splitlines()
+        lines = decode_text(path.read_bytes()).splitlines()
     except OSError as error:
         raise InputError(where, "", f"cannot be read ({error.strerror})", "give a text file") from error
     written = [(n, s) for n, s in enumerate(lines, 1) if s.strip() and not s.lstrip().startswith("#")]
     if not written:
         raise InputError(where, "", "is empty", "give a header and at least one line")
-    if _header_line([s for _, s in written]) is None and _is_headless([s for _, s in written]):
-        table = [(n, s) for n, s in written if _preface(s, math.nan) > 0 or _HEADLESS_ROW.fullmatch(s)]
+    if _header_line([s for _, s in written]) is None and _is_old_aerodyn([s for _, s in written]):
+        table = [(n, s) for n, s in written if _find_stated_reynolds(s, math.nan) > 0 or _AERODYN_ROW.fullmatch(s)]
         written = [(0, "alpha_deg cl cd cm"[: 18 if len(table[-1][1].split()) > 3 else 15]), *table]
     start = _header_line([s for _, s in written]) or 0
     lined = [
-        (n, _TWO_WORDS.sub(r"\1_\2", s.lstrip("! \t")) if k == start else s)
+        (n, _SPLIT_HEADER_WORDS.sub(r"\1_\2", s.lstrip("! \t")) if k == start else s)
         for k, (n, s) in enumerate(written)
     ]
-    separator, decimal = layout_of([s for _, s in lined[start:] if not s.lstrip().startswith(("!", "-"))])
-    header = cells_of(lined[start][1], separator)
-    columns = _columns(header, where)
+    separator, decimal = detect_layout([s for _, s in lined[start:] if not s.lstrip().startswith(("!", "-"))])
+    header = split_cells(lined[start][1], separator)
+    columns = _identify_columns(header, where)
     reynolds = math.inf
     for _, line in lined[:start]:
-        reynolds = _preface(line, reynolds)
+        reynolds = _find_stated_reynolds(line, reynolds)
     rows: list[tuple[int, dict[str, float]]] = []
     for number, line in lined[start + 1 :]:
-        stated = _preface(line, math.nan)
+        stated = _find_stated_reynolds(line, math.nan)
         if math.isfinite(stated):
             reynolds = stated
         # AeroDyn's remarks and counts stand between its tables, XFOIL's rule and units below a header.
         data, remark, _ = ("", "", "") if math.isfinite(stated) else line.partition("!")
         if set(data.strip()) <= set("-= \t") or data.lstrip().startswith(("(", "[")):
             continue
-        cells = [plain_number(c, decimal) for c in cells_of(data, separator)]
+        cells = [normalise_number(c, decimal) for c in split_cells(data, separator)]
         if remark and len(cells) != len(header):
             continue
         if len(cells) != len(header):
@@ -195,47 +192,45 @@ def _rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
             except ValueError:
                 values[name] = math.nan
             if not math.isfinite(values[name]):
-                raise InputError(
-                    where, f"line {number}", f"{name} {cell!r} is no number", "give finite numbers"
-                )
+                raise InputError(where, f"line {number}", f"{name} {cell!r} is no number", "give finite numbers")
         rows.append((number, values))
     _check_units(rows, dict(zip((n for n, _ in columns), header, strict=True)), where)
     return rows
 
 
-def _preface(line: str, otherwise: float) -> float:
+def _find_stated_reynolds(line: str, otherwise: float) -> float:
     """The Reynolds number that a line states beside the table."""
-    for pattern, value in _PREFACES:
+    for pattern, value in _REYNOLDS_PATTERNS:
         match = pattern.search(line)
         if match is not None:
             return value(match)
     return otherwise
 
 
-def _columns(header: Sequence[str], where: str) -> list[tuple[str, float]]:
+def _identify_columns(header: Sequence[str], where: str) -> list[tuple[str, float]]:
     """Name and factor of each column, the name empty where it is passed over."""
     found = []
     for written in header:
-        name, unit = _named(written)
+        name, unit = _identify_column(written)
         factor = 1.0
         if name == "alpha_deg" and unit:
-            known = known_unit(unit, "rad")
+            known = normalise_unit(unit, "rad")
             if known not in ("deg", "rad"):
                 raise InputError(where, written, f"has the unit {unit!r}", "give degrees or radians")
             factor = 1.0 if known == "deg" else 180.0 / math.pi
         elif name == "reynolds":
-            if unit.replace(" ", "") not in _TIMES:
+            if unit.replace(" ", "") not in _REYNOLDS_UNIT_FACTORS:
                 raise InputError(where, written, f"has the unit {unit!r}", "write Re, or Re (millions)")
-            factor = _TIMES[unit.replace(" ", "")]
-        elif name not in _NAMES:
-            if name not in _PASSED_OVER:
-                raise InputError(where, written, "unknown column", f"known columns: {', '.join(_NAMES)}")
+            factor = _REYNOLDS_UNIT_FACTORS[unit.replace(" ", "")]
+        elif name not in _COLUMN_ALIASES:
+            if name not in _IGNORED_COLUMNS:
+                raise InputError(where, written, "unknown column", f"known columns: {', '.join(_COLUMN_ALIASES)}")
             name = ""
         found.append((name, factor))
     names = [name for name, _ in found]
-    for name in _NEEDED:
+    for name in _REQUIRED_COLUMNS:
         if name not in names:
-            raise InputError(where, name, "the column is missing", f"give the columns {', '.join(_NEEDED)}")
+            raise InputError(where, name, "the column is missing", f"give the columns {', '.join(_REQUIRED_COLUMNS)}")
     for k, name in enumerate(names):
         if name and name in names[:k]:
             raise InputError(where, header[k], f"is {name} again", "give one column of it")
@@ -248,19 +243,19 @@ def _check_units(rows: list[tuple[int, dict[str, float]]], headers: dict[str, st
         return
     alpha, cl = (np.array([v[k] for _, v in rows]) for k in ("alpha_deg", "cl"))
     header, widest = headers["alpha_deg"], float(np.max(np.abs(alpha)))
-    if not _named(header)[1] and 0.0 < widest <= _DOUBTFUL_DEG:
+    if not _identify_column(header)[1] and 0.0 < widest <= _SUSPECTED_RADIANS_DEG:
         raise InputError(
             where, header, f"goes up to {widest:g} without a unit: degrees or radians?",
             "name the column alpha_deg or alpha_rad",
         )  # fmt: skip
     near = np.abs(alpha) <= max(0.5 * widest, 1e-9)
     rise = float(np.ptp(cl[near])) / max(float(np.ptp(alpha[near])), 1e-9) if near.sum() > 2 else 0.0
-    if rise > _STEEPEST_PER_DEG:
+    if rise > _MAX_LIFT_SLOPE_PER_DEG:
         raise InputError(
             where, header, f"lift would rise by {rise:.3g} a degree", "name the column alpha_rad if that is its unit"
         )  # fmt: skip
     numbers = np.array([v["reynolds"] for _, v in rows])
-    if np.any(numbers > 0) and float(np.max(numbers)) < _LEAST_REYNOLDS:
+    if np.any(numbers > 0) and float(np.max(numbers)) < _MIN_REYNOLDS:
         least, most = float(np.min(numbers)), float(np.max(numbers))
         raise InputError(
             where, headers.get("reynolds", "reynolds"), f"{least:g} to {most:g} is no Reynolds number of a blade",
@@ -268,15 +263,13 @@ def _check_units(rows: list[tuple[int, dict[str, float]]], headers: dict[str, st
         )  # fmt: skip
 
 
-def _blocks(rows: list[tuple[int, dict[str, float]]], where: str) -> dict[float, Array]:
+def _group_by_reynolds(rows: list[tuple[int, dict[str, float]]], where: str) -> dict[float, Array]:
     """Arrays (n, 4) of alpha_deg, cl, cd, cm with rising angles, by Reynolds number (infinity if there is none)."""
     blocks: dict[float, list[list[float]]] = {}
     for number, values in rows:
         re_, cd, alpha = values["reynolds"], values["cd"], values["alpha_deg"]
         if not re_ > 0:
-            raise InputError(
-                where, f"line {number}", f"reynolds {re_:g} is not possible", "give values above 0"
-            )
+            raise InputError(where, f"line {number}", f"reynolds {re_:g} is not possible", "give values above 0")
         if not cd > 0:
             raise InputError(where, f"line {number}", f"cd {cd:g} is not possible", "give values above 0")
         if not -180.0 - 1e-9 <= alpha <= 180.0 + 1e-9:
@@ -288,9 +281,7 @@ def _blocks(rows: list[tuple[int, dict[str, float]]], where: str) -> dict[float,
         block = np.array(sorted(points))
         label = "" if math.isinf(number_) else f" at reynolds {number_:g}"
         if len(block) < 3:
-            raise InputError(
-                where, "alpha_deg", f"{len(block)} angles{label} are too few", "give three at least"
-            )
+            raise InputError(where, "alpha_deg", f"{len(block)} angles{label} are too few", "give three at least")
         if np.any(np.diff(block[:, 0]) < 1e-9):
             raise InputError(where, "alpha_deg", f"an angle appears twice{label}", "give each angle once")
         result[number_] = block

@@ -13,8 +13,8 @@ number, so that finding the cell is one multiplication. Inside a cell:
 * over log Re straight lines: the coefficients change slowly there (the same polar, a third apart), no solver takes
   a derivative along it, and a straight line cannot overshoot into negative drag.
 
-Beyond its Reynolds numbers a table answers with its nearest edge; :func:`outside` says for which points that was
-so, and which angles lie outside the range that the engine computed (there the values are an extension).
+Beyond its Reynolds numbers a table answers with its nearest edge; :func:`extrapolation_flags` says for which points
+that was so, and which angles lie outside the range that the engine computed (there the values are an extension).
 
 From the range that an engine covers to the full circle of angle of attack.
 
@@ -48,10 +48,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from mufly.compiled import compiled
 from mufly.errors import InputError, MuflyError
+from mufly.numba_cache import cached_njit
 from mufly.results import result
-from mufly.rotor.sections.section import SectionData
+from mufly.rotor.sections.section_data import SectionData
 
 Array = NDArray[np.float64]
 
@@ -59,13 +59,13 @@ ALPHA_GRID: Array = np.linspace(-math.pi, math.pi, 721)  # half a degree
 OUTSIDE_ALPHA = 1  # bit: angle beyond what the engine computed, value is extended
 OUTSIDE_REYNOLDS = 2  # bit: Reynolds number beyond the table, value is that of its edge
 
-_CELLS = ALPHA_GRID.size - 1
-_PER_RADIAN = _CELLS / (2.0 * math.pi)
-_TURN = 2.0 * math.pi
-_SLACK = 1e-9
+_ALPHA_CELL_COUNT = ALPHA_GRID.size - 1
+_CELLS_PER_RADIAN = _ALPHA_CELL_COUNT / (2.0 * math.pi)
+_FULL_TURN_RAD = 2.0 * math.pi
+_RANGE_TOLERANCE = 1e-9
 
 
-@result(eq=False, picture="mufly.rotor.pictures:polar_picture")
+@result(eq=False, picture="mufly.rotor.rotor_pictures:polar_picture")
 class PolarTable:
     """Lift, drag and moment of a section.
 
@@ -104,9 +104,7 @@ class PolarTable:
     def __post_init__(self) -> None:
         shape = (self.reynolds.size, self.alpha_rad.size)
         if not np.allclose(self.alpha_rad, ALPHA_GRID, atol=1e-9, rtol=0):
-            raise MuflyError(
-                f"polar {self.name}: alpha is not the grid of half a degree from -180 to 180 degrees"
-            )
+            raise MuflyError(f"polar {self.name}: alpha is not the grid of half a degree from -180 to 180 degrees")
         if any(c.shape != shape or not np.all(np.isfinite(c)) for c in (self.cl, self.cd, self.cm)):
             raise MuflyError(f"polar {self.name}: coefficients are not finite arrays of shape {shape}")
         steps = np.diff(np.log(self.reynolds))
@@ -128,8 +126,8 @@ class PolarStack(NamedTuple):
     alpha_valid_rad: Array  # (tables, nr, 2)
 
 
-@compiled
-def coefficients(stack: PolarStack, k: int, alpha: float, log_reynolds: float) -> tuple[float, float]:
+@cached_njit
+def stack_coefficients(stack: PolarStack, k: int, alpha: float, log_reynolds: float) -> tuple[float, float]:
     """Lift and drag coefficient of table ``k`` of a stack at one point; for use inside kernels.
 
     Parameters
@@ -143,10 +141,10 @@ def coefficients(stack: PolarStack, k: int, alpha: float, log_reynolds: float) -
         Natural logarithm of the Reynolds number; clamped to the table.
     """
     grid = stack.grid
-    u = (alpha + math.pi) * _PER_RADIAN
-    u -= _CELLS * math.floor(u / _CELLS)
+    u = (alpha + math.pi) * _CELLS_PER_RADIAN
+    u -= _ALPHA_CELL_COUNT * math.floor(u / _ALPHA_CELL_COUNT)
     i = int(u)
-    if i >= _CELLS:  # rounding just below a full turn
+    if i >= _ALPHA_CELL_COUNT:  # rounding just below a full turn
         i, u = 0, 0.0
     t = u - i
     t2, t3 = t * t, t * t * t
@@ -167,10 +165,10 @@ def coefficients(stack: PolarStack, k: int, alpha: float, log_reynolds: float) -
     return cl_a + s * (cl_b - cl_a), cd_a + s * (cd_b - cd_a)
 
 
-@compiled
-def _many(stack: PolarStack, alpha: Array, log_re: Array, out: Array) -> None:
+@cached_njit
+def _fill_coefficients(stack: PolarStack, alpha: Array, log_re: Array, out: Array) -> None:
     for n in range(alpha.size):
-        out[n, 0], out[n, 1] = coefficients(stack, 0, alpha[n], log_re[n])
+        out[n, 0], out[n, 1] = stack_coefficients(stack, 0, alpha[n], log_re[n])
 
 
 def stack_polars(tables: Sequence[PolarTable]) -> PolarStack:
@@ -193,23 +191,23 @@ def stack_polars(tables: Sequence[PolarTable]) -> PolarStack:
         n = max(t.reynolds.size for t in tables)
         low, high = min(t.reynolds[0] for t in tables), max(t.reynolds[-1] for t in tables)
         reynolds = np.geomspace(low, high, max(n, 2))
-    grid = np.empty((len(tables), reynolds.size, _CELLS + 3, 2))
+    grid = np.empty((len(tables), reynolds.size, _ALPHA_CELL_COUNT + 3, 2))
     valid = np.empty((len(tables), reynolds.size, 2))
     log_re = np.log(reynolds)
     for k, table in enumerate(tables):
         own = np.log(table.reynolds)
         for c, coefficient in enumerate((table.cl, table.cd)):
-            rows = _at_log_reynolds(coefficient, own, log_re)
+            rows = _interpolate_log_reynolds(coefficient, own, log_re)
             grid[k, :, 1:-1, c] = rows
             grid[k, :, 0, c] = rows[:, -2]
             grid[k, :, -1, c] = rows[:, 1]
-        valid[k] = _at_log_reynolds(table.alpha_valid_rad, own, log_re)
+        valid[k] = _interpolate_log_reynolds(table.alpha_valid_rad, own, log_re)
     span = np.array([[math.log(t.reynolds[0]), math.log(t.reynolds[-1])] for t in tables])
     per_step = (log_re.size - 1) / (log_re[-1] - log_re[0]) if log_re.size > 1 else 0.0
     return PolarStack(grid, float(log_re[0]), float(per_step), span, valid)
 
 
-def _at_log_reynolds(rows: Array, own: Array, wanted: Array) -> Array:
+def _interpolate_log_reynolds(rows: Array, own: Array, wanted: Array) -> Array:
     """Rows (nr, n) at other Reynolds numbers, linear in log Re, clamped."""
     if own.shape == wanted.shape and np.allclose(own, wanted, atol=1e-12, rtol=0):
         return rows
@@ -221,18 +219,16 @@ def _at_log_reynolds(rows: Array, own: Array, wanted: Array) -> Array:
     return rows[j] * (1 - s) + rows[j + 1] * s
 
 
-def _read(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> tuple[Array, Array]:
+def _interpolate_table(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> tuple[Array, Array]:
     a, re = np.broadcast_arrays(np.asarray(alpha, dtype=np.float64), np.asarray(reynolds, dtype=np.float64))
     if not (np.all(np.isfinite(a)) and np.all(re > 0)):
-        raise MuflyError(
-            f"polar {table.name}: angle of attack has to be finite and the Reynolds number above 0"
-        )
+        raise MuflyError(f"polar {table.name}: angle of attack has to be finite and the Reynolds number above 0")
     out = np.empty((a.size, 2))
-    _many(stack_polars([table]), a.ravel(), np.log(re).ravel(), out)
+    _fill_coefficients(stack_polars([table]), a.ravel(), np.log(re).ravel(), out)
     return out[:, 0].reshape(a.shape), out[:, 1].reshape(a.shape)
 
 
-def lookup(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> tuple[Array, Array]:
+def lookup_lift_drag(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> tuple[Array, Array]:
     """Lift and drag coefficient.
 
     Parameters
@@ -242,7 +238,7 @@ def lookup(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> tuple[Ar
     alpha : array_like
         Angle of attack (rad), any finite value; whole turns do not matter.
     reynolds : array_like
-        Chord Reynolds number, broadcast against ``alpha``; clamped to the table (see :func:`outside`).
+        Chord Reynolds number, broadcast against ``alpha``; clamped to the table (see :func:`extrapolation_flags`).
 
     Returns
     -------
@@ -255,15 +251,15 @@ def lookup(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> tuple[Ar
 
     Thesis: eqs 3.1, 3.2.
     """
-    return _read(table, alpha, reynolds)
+    return _interpolate_table(table, alpha, reynolds)
 
 
-def lookup_cm(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> Array:
-    """Moment coefficient about the quarter chord; arguments as for :func:`lookup`."""
-    return _read(replace(table, cl=table.cm), alpha, reynolds)[0]
+def lookup_moment(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> Array:
+    """Moment coefficient about the quarter chord; arguments as for :func:`lookup_lift_drag`."""
+    return _interpolate_table(replace(table, cl=table.cm), alpha, reynolds)[0]
 
 
-def outside(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> NDArray[np.uint8]:
+def extrapolation_flags(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> NDArray[np.uint8]:
     """Say which points a table answers by extension.
 
     Returns
@@ -273,10 +269,10 @@ def outside(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> NDArray
         bit ``OUTSIDE_REYNOLDS`` where the Reynolds number lies beyond the table.
     """
     a, re = np.broadcast_arrays(np.asarray(alpha, dtype=np.float64), np.asarray(reynolds, dtype=np.float64))
-    return outside_of(stack_polars([table]), 0, a.ravel(), re.ravel()).reshape(a.shape)
+    return stack_extrapolation_flags(stack_polars([table]), 0, a.ravel(), re.ravel()).reshape(a.shape)
 
 
-def outside_of(
+def stack_extrapolation_flags(
     stack: PolarStack, k: int | NDArray[np.int64], alpha: Array, reynolds: Array
 ) -> NDArray[np.uint8]:
     """The same for tables ``k`` of a stack, at points (n,): one, or (..., n) for a table a point."""
@@ -284,22 +280,20 @@ def outside_of(
     v = np.clip((log_re - stack.log_reynolds_min) * stack.per_log_reynolds, 0.0, rows - 1.0)
     j = np.minimum(v.astype(np.int64), max(rows - 2, 0))
     s = (v - j)[:, None]
-    limits = (1.0 - s) * stack.alpha_valid_rad[k, j] + s * stack.alpha_valid_rad[
-        k, np.minimum(j + 1, rows - 1)
-    ]
+    limits = (1.0 - s) * stack.alpha_valid_rad[k, j] + s * stack.alpha_valid_rad[k, np.minimum(j + 1, rows - 1)]
     span = stack.log_reynolds_range[k]
-    a = (alpha + math.pi) % _TURN - math.pi
-    beyond_alpha = (a < limits[..., 0] - _SLACK) | (a > limits[..., 1] + _SLACK)
-    beyond_re = (log_re < span[..., 0] - _SLACK) | (log_re > span[..., 1] + _SLACK)
+    a = (alpha + math.pi) % _FULL_TURN_RAD - math.pi
+    beyond_alpha = (a < limits[..., 0] - _RANGE_TOLERANCE) | (a > limits[..., 1] + _RANGE_TOLERANCE)
+    beyond_re = (log_re < span[..., 0] - _RANGE_TOLERANCE) | (log_re > span[..., 1] + _RANGE_TOLERANCE)
     return (beyond_alpha * OUTSIDE_ALPHA + beyond_re * OUTSIDE_REYNOLDS).astype(np.uint8)
 
 
-ASPECT_RATIO = 5.0  # blades of micro rotors have 2.5 to 8; C_max then lies within 5 % of the value for 5
-_COARSE = math.radians(2.5)  # known angles further apart than this are joined without overshoot
-_LEAST_DRAG = 0.5  # of the least known drag; guards against overshoot of the spline
+DEFAULT_ASPECT_RATIO = 5.0  # blades of micro rotors have 2.5 to 8; C_max then lies within 5 % of the value for 5
+_MAX_SPLINE_STEP_RAD = math.radians(2.5)  # known angles further apart than this are joined without overshoot
+_MIN_DRAG_FRACTION = 0.5  # of the least known drag; guards against overshoot of the spline
 
 
-def plate_drag(aspect_ratio: float) -> float:
+def flat_plate_drag(aspect_ratio: float) -> float:
     """Drag coefficient of a flat plate across the flow (Viterna and Corrigan, NASA CP-2230, after Hoerner).
 
     Parameters
@@ -323,10 +317,10 @@ _MEASURED_CD = np.array([
     0.570, 0.745, 0.920, 1.075, 1.215, 1.345, 1.470, 1.575, 1.665, 1.735, 1.780, 1.800, 1.800, 1.780, 1.750, 1.700,
     1.635, 1.555, 1.465, 1.350, 1.225, 1.085, 0.925, 0.755, 0.575, 0.420, 0.320, 0.230, 0.140, 0.055, 0.025,
 ])  # fmt: skip
-_FADES_WITHIN, _FADED_BY = math.radians(20.0), math.radians(40.0)
+_FADE_WIDTH_RAD, _FADE_END_RAD = math.radians(20.0), math.radians(40.0)
 
 
-def _stalled() -> tuple[Array, Array]:
+def _stalled_shape() -> tuple[Array, Array]:
     """m_l and m_d - m_d(180) of the module docstring over :data:`ALPHA_GRID`, over m_d(90)."""
     size = np.abs(ALPHA_GRID)
     at = np.deg2rad(np.linspace(_MEASURED_FROM_DEG, 180.0, _MEASURED_CL.size))
@@ -342,10 +336,10 @@ def _stalled() -> tuple[Array, Array]:
     return np.sign(ALPHA_GRID) * lift / across, push / across
 
 
-_STALLED_CL, _STALLED_CD = _stalled()
+_STALLED_CL, _STALLED_CD = _stalled_shape()
 
 
-def extend(data: SectionData, *, aspect_ratio: float = ASPECT_RATIO) -> PolarTable:
+def extend_full_circle(data: SectionData, *, aspect_ratio: float = DEFAULT_ASPECT_RATIO) -> PolarTable:
     """Make the full-circle table of what an engine computed.
 
     Parameters
@@ -360,7 +354,7 @@ def extend(data: SectionData, *, aspect_ratio: float = ASPECT_RATIO) -> PolarTab
     MuflyError
         If a Reynolds number has fewer than two known angles, or all of them on one side of 60 degrees.
     """
-    c_max = plate_drag(aspect_ratio)
+    c_max = flat_plate_drag(aspect_ratio)
     shape = (data.reynolds.size, ALPHA_GRID.size)
     cl, cd, cm, valid = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((shape[0], 2))
     for known in np.unique(data.known, axis=0):  # rows that know the same angles are done together
@@ -372,7 +366,7 @@ def extend(data: SectionData, *, aspect_ratio: float = ASPECT_RATIO) -> PolarTab
                 "give two at least between -60 and 60 degrees"
             )
         values = tuple(v[np.ix_(rows, known)] for v in (data.cl, data.cd, data.cm))
-        cl[rows], cd[rows], cm[rows] = _circle(a, values, c_max)
+        cl[rows], cd[rows], cm[rows] = _blend_into_stall(a, values, c_max)
     for row, inside in enumerate(data.valid):
         span = data.alpha_rad[inside]
         valid[row] = (span[0], span[-1]) if span.size else (0.0, 0.0)
@@ -382,7 +376,7 @@ def extend(data: SectionData, *, aspect_ratio: float = ASPECT_RATIO) -> PolarTab
     )  # fmt: skip
 
 
-def _circle(a: Array, values: tuple[Array, ...], c_max: float) -> tuple[Array, Array, Array]:
+def _blend_into_stall(a: Array, values: tuple[Array, ...], c_max: float) -> tuple[Array, Array, Array]:
     """Rows that know the angles ``a``: spline inside, the measured circle beyond, what is their own fading into it."""
     grid, rows = ALPHA_GRID, len(values[0])
     skin = values[1].min(axis=1, keepdims=True)
@@ -394,7 +388,7 @@ def _circle(a: Array, values: tuple[Array, ...], c_max: float) -> tuple[Array, A
     )
     out = tuple(c.copy() for c in circle)
     for sign, end, k in ((1.0, float(a[-1]), -1), (-1.0, -float(a[0]), 0)):
-        gone = min(max(end + _FADES_WITHIN, _FADED_BY), math.pi)
+        gone = min(max(end + _FADE_WIDTH_RAD, _FADE_END_RAD), math.pi)
         part = (sign * grid > end) & (sign * grid < gone)
         s = (gone - sign * grid[part]) / max(gone - end, 1e-9)
         own = s**2 * (3.0 - 2.0 * s)
@@ -402,8 +396,8 @@ def _circle(a: Array, values: tuple[Array, ...], c_max: float) -> tuple[Array, A
         for c, base, value in zip(out, circle, values, strict=True):
             c[:, part] += own * (value[:, k] - base[:, last])[:, None]
     inside = (grid >= a[0] - 1e-12) & (grid <= a[-1] + 1e-12)
-    spline = CubicSpline if a.size > 3 and np.diff(a).max() < _COARSE else PchipInterpolator
+    spline = CubicSpline if a.size > 3 and np.diff(a).max() < _MAX_SPLINE_STEP_RAD else PchipInterpolator
     for c, value in zip(out, values, strict=True):
         c[:, inside] = spline(a, value, axis=1)(np.clip(grid[inside], a[0], a[-1]))
     cl, cd, cm = out
-    return cl, np.maximum(cd, _LEAST_DRAG * skin), cm
+    return cl, np.maximum(cd, _MIN_DRAG_FRACTION * skin), cm

@@ -1,16 +1,21 @@
 """The wake method: blades as lifting surfaces, wakes of vortex filaments, prescribed or free, one rotor or two."""
 
-from mufly.rotor.system import Placed, Wake, WakeSettings, check_rotors
-from mufly.rotor.wake.field import BladePassing, blade_passing, induced_velocity, momentum_thrust
-from mufly.rotor.wake.solver import solve_wake
+from mufly.rotor.rotor_system import PlacedRotor, RotorWake, WakeSettings, check_rotors
+from mufly.rotor.wake.induced_flow import (
+    BladePassing,
+    compute_blade_passing,
+    induced_velocity,
+    momentum_thrust,
+)
+from mufly.rotor.wake.wake_solver import solve_wake
 
 __all__ = [
     "BladePassing",
-    "Placed",
-    "Wake",
+    "PlacedRotor",
+    "RotorWake",
     "WakeSettings",
-    "blade_passing",
     "check_rotors",
+    "compute_blade_passing",
     "induced_velocity",
     "momentum_thrust",
     "solve_wake",

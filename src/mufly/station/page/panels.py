@@ -15,50 +15,50 @@ from nicegui.element import Element
 from nicegui.events import GenericEventArguments, UploadEventArguments
 
 from mufly.errors import MuflyError
-from mufly.link.commands import FAILURES
-from mufly.link.ports import elapsed_s
-from mufly.mission import FILE_ENDINGS, Mission, dump_mission, mission_from, mission_tables
-from mufly.sensors import TARGETS
-from mufly.station.history import Outcome, Request
-from mufly.station.page.drafts import kept_back, of_vehicle
-from mufly.station.page.session import (
-    ANSWER_S,
-    Source,
-    View,
-    availability,
-    parameter_file,
+from mufly.link.command_protocol import FAILURE_NAMES
+from mufly.link.ports import read_boot_clock
+from mufly.mission import FILE_ENDINGS, Mission, dump_mission, parse_mission, read_mission_tables
+from mufly.sensors import FAULT_TARGETS
+from mufly.station.page.mission_draft import find_untransmitted_keys, mission_from_vehicle
+from mufly.station.page.page_session import (
+    ANSWER_DISPLAY_S,
+    PanelSource,
+    WindowView,
+    find_refusal_reasons,
+    format_parameter_file,
     read_parameter_file,
 )
-from mufly.station.remote import RemoteVehicle
-from mufly.station.transfers import refused
+from mufly.station.remote_transfers import refusal_reason
+from mufly.station.remote_vehicle import RemoteVehicle
+from mufly.station.signal_history import OperatorRequest, RequestOutcome
 from mufly.vehicle_types import AUTOPILOT_COMPONENT
 
-STATIC = Path(__file__).parent / "static"
-MOST_BYTES, MOST_RECORDING_BYTES = 2_000_000, 1_000_000_000
-WATCHED_S = 30.0
-_LOOK_S = 0.05
-_THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
-CONFIRM_S = 3.0
-_STOP_WORDS = {
-    Outcome.WAITING: "asked",
-    Outcome.ACCEPTED: "done: motors off",
-    Outcome.REFUSED: "REFUSED",
-    Outcome.TIMED_OUT: "NO ANSWER",
+STATIC_FOLDER = Path(__file__).parent / "static"
+MAX_UPLOAD_BYTES, MAX_RECORDING_BYTES = 2_000_000, 1_000_000_000
+REQUEST_WATCH_S = 30.0
+_POLL_PERIOD_S = 0.05
+_THREE_JS_FOLDER = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
+CONFIRM_TIMEOUT_S = 3.0
+_STOP_OUTCOME_TEXTS = {
+    RequestOutcome.WAITING: "asked",
+    RequestOutcome.ACCEPTED: "done: motors off",
+    RequestOutcome.REFUSED: "REFUSED",
+    RequestOutcome.TIMED_OUT: "NO ANSWER",
 }
 
 
 def static_url() -> str:
     """Where the static files are served: the name changes with their content, so that no browser keeps old ones."""
     digest = hashlib.sha256()
-    for path in sorted(STATIC.iterdir()):
+    for path in sorted(STATIC_FOLDER.iterdir()):
         digest.update(path.name.encode() + path.read_bytes())
     return f"/mufly/{digest.hexdigest()[:12]}"
 
 
-_URL = static_url()
+_STATIC_URL = static_url()
 
 
-class Panel(Element, component=STATIC / "mufly_panel.js", esm={"nicegui-scene": str(_THREE)}):
+class BrowserPanel(Element, component=STATIC_FOLDER / "mufly_panel.js", esm={"nicegui-scene": str(_THREE_JS_FOLDER)}):
     """A panel that the browser draws by itself from the stream of frames: one of the modules in ``static/``.
 
     Parameters
@@ -71,15 +71,15 @@ class Panel(Element, component=STATIC / "mufly_panel.js", esm={"nicegui-scene": 
 
     def __init__(self, module: str, options: dict[str, Any] | None = None) -> None:
         super().__init__()
-        self._props.update(module=module, base=_URL, options=options or {})
+        self._props.update(module=module, base=_STATIC_URL, options=options or {})
         self.classes(f"mf-{module}")
 
-    def call(self, name: str, *arguments: Any) -> None:
+    def call_method(self, name: str, *arguments: Any) -> None:
         """Call a method of the module in the browser."""
         self.run_method("call", name, *arguments)
 
 
-def element(tag: str, text: str = "", classes: str = "") -> Element:
+def make_element(tag: str, text: str = "", classes: str = "") -> Element:
     """Return an element with a text."""
     made = ui.element(tag).classes(classes)
     if text:
@@ -87,15 +87,15 @@ def element(tag: str, text: str = "", classes: str = "") -> Element:
     return made
 
 
-def button(
+def make_button(
     text: str, press: Callable[..., object], *, test: str = "", title: str = "", classes: str = ""
 ) -> Element:
     """Return a plain button."""
-    made = element("button", text, classes).props(f'type=button data-testid="{test}" title="{title or text}"')
+    made = make_element("button", text, classes).props(f'type=button data-testid="{test}" title="{title or text}"')
     return made.on("click", press, args=[])
 
 
-class Action:
+class ActionButton:
     """A button of two lines: what it does, and why it cannot.
 
     Parameters
@@ -125,24 +125,24 @@ class Action:
         self._press, self._refuse = press, refuse
         self._state: tuple[str, str, str] = ("", "?", "")
         self._caution = False
-        self._button = element("button", classes=f"mf-action {classes}")
+        self._button = make_element("button", classes=f"mf-action {classes}")
         self._button.props(f'type=button data-testid={test_id} data-key="{key}"')
-        self._button.on("click", self._clicked, args=[])
+        self._button.on("click", self._handle_click, args=[])
         with self._button:
             self._lines = (
-                element("span", classes="mf-action-label"),
-                element("span", classes="mf-action-reason"),
+                make_element("span", classes="mf-action-label"),
+                make_element("span", classes="mf-action-reason"),
             )
-        self.show(label, "")
+        self.show_state(label, "")
 
-    def _clicked(self) -> None:
+    def _handle_click(self) -> None:
         label, reason, _ = self._state
         if reason:  # the click was under way when it was disabled
             self._refuse(label.lower(), reason)
         else:
             self._press()
 
-    def show(self, label: str, reason: str, note: str = "", caution: bool = False) -> None:
+    def show_state(self, label: str, reason: str, note: str = "", caution: bool = False) -> None:
         """Say what it does, why it cannot be used ("": it can), and what else there is to know of it.
 
         ``caution``: something speaks against it, or it waits for a second press.
@@ -161,43 +161,43 @@ class Action:
         self._button.update()
 
 
-def pick(
+def add_file_picker(
     label: str,
     ending: str,
     taken: Callable[[UploadEventArguments], object],
     test: str,
-    most_bytes: int = MOST_BYTES,
+    most_bytes: int = MAX_UPLOAD_BYTES,
     classes: str = "",
 ) -> None:
     """Add a button that opens a file: the uploader itself stays out of sight."""
     upload = ui.upload(auto_upload=True, max_file_size=most_bytes, on_upload=taken)
     upload.props(f'accept="{ending}" data-testid="{test}"').classes("mf-hidden")
     upload.props(':headers="() => window.muflyLive.headers()"')
-    upload.on_rejected(lambda: refuse("that file is too large or of another kind"))
+    upload.on_rejected(lambda: show_refusal("that file is too large or of another kind"))
     upload.on(
         "failed",
-        lambda: refuse("that file was not taken: it reached the station too late; choose it again"),
+        lambda: show_refusal("that file was not taken: it reached the station too late; choose it again"),
         args=[],
     )
 
-    async def choose() -> None:
+    async def open_picker() -> None:
         upload.run_method("pickFiles")
 
-    button(label, choose, title=f"{label} ({ending})", classes=classes)
+    make_button(label, open_picker, title=f"{label} ({ending})", classes=classes)
 
 
-def say(text: str, good: bool = True) -> None:
+def show_notice(text: str, good: bool = True) -> None:
     kind: Any = "positive" if good else "warning"
     ui.notify(text, type=kind, position="bottom", timeout=4000, close_button="OK")
 
 
-def refuse(text: str) -> None:
-    say(text, good=False)
+def show_refusal(text: str) -> None:
+    show_notice(text, good=False)
 
 
-def _blocked(view: View) -> str:
+def _blocking_reason(view: WindowView) -> str:
     """Why this window may not change the vehicle; "" if it may."""
-    vehicle = view.vehicle()
+    vehicle = view.shown_vehicle()
     if vehicle is None:
         return "no vehicle is shown"
     if not view.has_controls:
@@ -206,258 +206,266 @@ def _blocked(view: View) -> str:
     return f"commanded by {s.commander}" if s.commander and not s.in_command else ""
 
 
-def may_change(view: View, what: str) -> RemoteVehicle | None:
+def vehicle_to_change(view: WindowView, what: str) -> RemoteVehicle | None:
     """The vehicle, if this window may change it; else None, and why ``what`` was not done is said."""
-    if why := _blocked(view):
-        refuse(f"not {what}: {why}")
+    if why := _blocking_reason(view):
+        show_refusal(f"not {what}: {why}")
         return None
-    return view.vehicle()
+    return view.shown_vehicle()
 
 
-def check_drawer(view: View) -> None:
+def build_check_drawer(view: WindowView) -> None:
     """Pre-flight checks, and what one does before and after a flight."""
 
-    def release() -> None:
-        vehicle = view.vehicle()
+    def release_command() -> None:
+        vehicle = view.shown_vehicle()
         if vehicle is None or not view.has_controls:
-            refuse("not released: " + _blocked(view))
+            show_refusal("not released: " + _blocking_reason(view))
         else:
-            view.ask(vehicle.release_command())
+            view.keep_request(vehicle.release_command())
 
-    def restart() -> None:
-        vehicle = may_change(view, "started anew")
+    def restart_autopilot() -> None:
+        vehicle = vehicle_to_change(view, "started anew")
         if vehicle is not None and vehicle.snapshot.flying:
-            refuse("not started anew: it flies")
+            show_refusal("not started anew: it flies")
         elif vehicle is not None:
-            view.ask(vehicle.reboot())
+            view.keep_request(vehicle.reboot())
 
-    Panel("checks")
-    with element("div", classes="mf-tools mf-foot mf-live-only"):
-        button("Release command", release, title="let another station command the vehicle")
-        button("Start anew", restart, title="reboot the vehicle; a simulation stands at its start again")
+    BrowserPanel("checks")
+    with make_element("div", classes="mf-tools mf-foot mf-live-only"):
+        make_button("Release command", release_command, title="let another station command the vehicle")
+        make_button(
+            "Start anew",
+            restart_autopilot,
+            title="reboot the vehicle; a simulation stands at its start again",
+        )
 
 
-async def ended(request: Request) -> bool:
+async def wait_until_accepted(request: OperatorRequest) -> bool:
     """Wait for what becomes of a request; whether it was accepted. What became of it stands with the commands."""
-    for _ in range(int(WATCHED_S / _LOOK_S)):
-        if request.done:
+    for _ in range(int(REQUEST_WATCH_S / _POLL_PERIOD_S)):
+        if request.is_done:
             break
-        await asyncio.sleep(_LOOK_S)
-    return request.outcome is Outcome.ACCEPTED
+        await asyncio.sleep(_POLL_PERIOD_S)
+    return request.outcome is RequestOutcome.ACCEPTED
 
 
-async def send_mission(view: View, vehicle: RemoteVehicle, mission: Mission) -> None:
+async def send_mission(view: WindowView, vehicle: RemoteVehicle, mission: Mission) -> None:
     """Send a mission; once the vehicle has taken it, show it, and say what of it the vehicle did not get."""
     if mission.fence is not None and mission.fence != vehicle.fence:
-        view.ask(request := vehicle.upload_fence(mission.fence))  # first: the mission may need it
-        if not await ended(request):
+        view.keep_request(request := vehicle.upload_fence(mission.fence))  # first: the mission may need it
+        if not await wait_until_accepted(request):
             return
-    view.ask(request := vehicle.upload_mission(mission))
-    if not await ended(request):
+    view.keep_request(request := vehicle.upload_mission(mission))
+    if not await wait_until_accepted(request):
         return
-    kept = kept_back(mission, view.session.sketch.held)
+    kept = find_untransmitted_keys(mission, view.session.shared_draft.vehicle_mission)
     view.session.mission = mission
-    vehicle.show_mission(mission)
+    vehicle.set_shown_mission(mission)
     words = f"sent: {len(mission.waypoint)} waypoints"
-    say(words + (f"; the vehicle keeps its own {', '.join(kept)}" if kept else ""))
+    show_notice(words + (f"; the vehicle keeps its own {', '.join(kept)}" if kept else ""))
 
 
-def sensor_drawer(view: View) -> None:
+def build_sensor_drawer(view: WindowView) -> None:
     """What the estimator thinks of each sensor; a simulation's may be let fail."""
 
-    def ask(kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan) -> None:
-        vehicle = view.vehicle()
+    def request_failure(kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan) -> None:
+        vehicle = view.shown_vehicle()
         if vehicle is None or not view.has_controls:
-            refuse(f"{text}: " + _blocked(view))
+            show_refusal(f"{text}: " + _blocking_reason(view))
         else:
-            view.ask(vehicle.inject(int(unit.value), kind, text, amount, duration_s))
+            view.keep_request(vehicle.inject_failure(int(unit.value), kind, text, amount, duration_s))
 
-    def inject() -> None:
+    def inject_selected() -> None:
         how, much, lasts = (
             kinds[kind.value],
             (amount.enabled and amount.value) or math.nan,
             seconds.value or math.nan,
         )
         text = f"{units[unit.value]}: {how}"
-        text += "" if math.isnan(much) else f" {much:g} {unit_of(int(unit.value), how)}"
-        ask(int(kind.value), text + ("" if math.isnan(lasts) else f", {lasts:g} s"), much, lasts)
+        text += "" if math.isnan(much) else f" {much:g} {find_fault_unit(int(unit.value), how)}"
+        request_failure(int(kind.value), text + ("" if math.isnan(lasts) else f", {lasts:g} s"), much, lasts)
 
-    def unit_of(which: int, how: str) -> str:
-        return "s" if how == "late" else TARGETS[FAILURES[0][float(which)]].unit
+    def find_fault_unit(which: int, how: str) -> str:
+        return "s" if how == "late" else FAULT_TARGETS[FAILURE_NAMES[0][float(which)]].reading_unit
 
-    def usual() -> None:
+    def describe_usual() -> None:
         """Say in the field how much is usual, and in which unit."""
         how = kinds[kind.value]
-        known = TARGETS[FAILURES[0][float(unit.value)]].amount.get(how)
-        words = "nothing" if known is None else f"{known:g} {unit_of(int(unit.value), how)}"
+        known = FAULT_TARGETS[FAILURE_NAMES[0][float(unit.value)]].default_amounts.get(how)
+        words = "nothing" if known is None else f"{known:g} {find_fault_unit(int(unit.value), how)}"
         amount.props(f'placeholder="{words}"')
         amount.set_enabled(known is not None)
 
-    Panel("sensors")
-    units = {int(k): name.replace("_", " ") for k, name in FAILURES[0].items()}
-    kinds = {int(k): name for k, name in FAILURES[1].items()}
-    with element("div", classes="mf-tools mf-foot mf-faults mf-live-only"):
-        unit = ui.select(units, value=next(iter(units))).props(
-            "dense options-dense outlined aria-label=sensor"
-        )
-        kind = ui.select(kinds, value=next(iter(kinds))).props(
-            "dense options-dense outlined aria-label=fault"
-        )
+    BrowserPanel("sensors")
+    units = {int(k): name.replace("_", " ") for k, name in FAILURE_NAMES[0].items()}
+    kinds = {int(k): name for k, name in FAILURE_NAMES[1].items()}
+    with make_element("div", classes="mf-tools mf-foot mf-faults mf-live-only"):
+        unit = ui.select(units, value=next(iter(units))).props("dense options-dense outlined aria-label=sensor")
+        kind = ui.select(kinds, value=next(iter(kinds))).props("dense options-dense outlined aria-label=fault")
         amount = ui.number("how much").props("dense outlined stack-label clearable aria-label=amount")
         seconds = ui.number("for (s)", min=0).props(
             'dense outlined stack-label clearable aria-label=seconds placeholder="ever"'
         )
         for one in (unit, kind):
-            one.on_value_change(usual)
-        usual()
-        button("Inject", inject, test="inject", title="let this sensor of a simulated flight go wrong")
-        button(
-            "Clear", lambda: ask(0, "clear faults"), test="clear-faults", title="nothing is wrong any more"
+            one.on_value_change(describe_usual)
+        describe_usual()
+        make_button("Inject", inject_selected, test="inject", title="let this sensor of a simulated flight go wrong")
+        make_button(
+            "Clear",
+            lambda: request_failure(0, "clear faults"),
+            test="clear-faults",
+            title="nothing is wrong any more",
         )
 
 
-def mission_drawer(view: View) -> None:
+def build_mission_drawer(view: WindowView) -> None:
     """Table of the mission, with files up and down."""
 
-    async def upload(e: UploadEventArguments) -> None:
-        vehicle = may_change(view, "sent")
+    async def upload_file(e: UploadEventArguments) -> None:
+        vehicle = vehicle_to_change(view, "sent")
         if vehicle is None:
             return
         try:
             text = (await e.file.read()).decode()
-            mission = mission_from(mission_tables(text, e.file.name), e.file.name)
+            mission = parse_mission(read_mission_tables(text, e.file.name), e.file.name)
         except (MuflyError, ValueError) as error:
-            refuse(str(error))
+            show_refusal(str(error))
             return
         await send_mission(view, vehicle, mission)
 
-    def download() -> None:
-        if (vehicle := view.vehicle()) is not None:
-            view.ask(vehicle.download_mission())
+    def download_mission() -> None:
+        if (vehicle := view.shown_vehicle()) is not None:
+            view.keep_request(vehicle.download_mission())
 
-    def clear() -> None:
-        if (vehicle := may_change(view, "cleared")) is not None:
-            view.ask(vehicle.clear_mission())
+    def clear_mission() -> None:
+        if (vehicle := vehicle_to_change(view, "cleared")) is not None:
+            view.keep_request(vehicle.clear_mission())
 
-    def save() -> None:
-        vehicle, mission = view.vehicle(), None
+    def save_file() -> None:
+        vehicle, mission = view.shown_vehicle(), None
         try:
             if view.replay is not None:
                 mission = view.replay.recording.mission
             elif vehicle is not None and vehicle.transfers.items:
                 base = view.session.mission or Mission(name="from-vehicle")
-                mission = of_vehicle(vehicle.transfers.items, base, vehicle.telemetry.origin)
+                mission = mission_from_vehicle(vehicle.transfers.items, base, vehicle.telemetry.origin)
         except MuflyError as error:
-            refuse(f"not saved: {error}")
+            show_refusal(f"not saved: {error}")
             return
         if mission is None:
-            refuse("there is no mission to save")
+            show_refusal("there is no mission to save")
             return
         ui.download.content(dump_mission(mission), f"{mission.name or 'mission'}.toml")
 
-    with element("div", classes="mf-tools"):
-        pick("Upload…", ",".join(FILE_ENDINGS), upload, "mission-file", classes="mf-live-only")
-        button("Fetch", download, title="fetch the mission that is in the vehicle", classes="mf-live-only")
-        button("Save", save, title="save the mission as a file")
-        button("Clear", clear, title="delete the mission in the vehicle", classes="mf-live-only")
-    Panel("mission")
+    with make_element("div", classes="mf-tools"):
+        add_file_picker("Upload…", ",".join(FILE_ENDINGS), upload_file, "mission-file", classes="mf-live-only")
+        make_button(
+            "Fetch",
+            download_mission,
+            title="fetch the mission that is in the vehicle",
+            classes="mf-live-only",
+        )
+        make_button("Save", save_file, title="save the mission as a file")
+        make_button("Clear", clear_mission, title="delete the mission in the vehicle", classes="mf-live-only")
+    BrowserPanel("mission")
 
 
-def parameter_drawer(view: View) -> Callable[[], None]:
+def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
     """Table of the parameters, undo, files. Returns the function that brings its buttons up to date."""
 
-    written: list[tuple[str, Request]] = []  # what was sent and is not answered yet
+    written: list[tuple[str, OperatorRequest]] = []  # what was sent and is not answered yet
 
-    def write(name: str, value: float, undoable: bool = True) -> str:
+    def write_parameter(name: str, value: float, undoable: bool = True) -> str:
         """Write one parameter; return why not, "" if it was sent."""
-        vehicle, why = view.vehicle(), _blocked(view)
+        vehicle, why = view.shown_vehicle(), _blocking_reason(view)
         if why or vehicle is None:
             return f"{name} not written: {why}"
         known = vehicle.parameters.get(name)
-        if why := refused(known, name, value):
+        if why := refusal_reason(known, name, value):
             return f"{name}: {why}"
-        view.ask(request := vehicle.set_parameter(name, value))
+        view.keep_request(request := vehicle.set_parameter(name, value))
         written.append((name, request))
         # A number that is none cannot be written again.
         if undoable and known is not None and math.isfinite(known.value):
-            view.session.sheet(vehicle).wrote(name, known.value, value)
+            view.session.parameter_edits(vehicle).record_change(name, known.value, value)
         return ""
 
-    def edited(e: GenericEventArguments) -> None:
+    def handle_edit(e: GenericEventArguments) -> None:
         content = e.args if isinstance(e.args, dict) else {}
         name, value = content.get("name"), content.get("value")
-        if view.vehicle() is None or not isinstance(name, str) or not isinstance(value, int | float):
+        if view.shown_vehicle() is None or not isinstance(name, str) or not isinstance(value, int | float):
             return
-        if why := write(name, float(value)):
-            refuse(why)
-            table.call("refused", name, why)
-        refresh()
+        if why := write_parameter(name, float(value)):
+            show_refusal(why)
+            table.call_method("refused", name, why)
+        refresh_buttons()
 
-    def step(which: str) -> None:
-        vehicle = view.vehicle()
+    def step_history(which: str) -> None:
+        vehicle = view.shown_vehicle()
         if vehicle is None:
             return
-        why = _blocked(view)
-        if not why and (found := getattr(view.session.sheet(vehicle), which)()) is not None:
+        why = _blocking_reason(view)
+        if not why and (found := getattr(view.session.parameter_edits(vehicle), which)()) is not None:
             name, value = found
-            why = write(name, value, undoable=False)
+            why = write_parameter(name, value, undoable=False)
         if why:
-            refuse(why)
-        refresh()
+            show_refusal(why)
+        refresh_buttons()
 
-    def component_of(vehicle: Source | None) -> int:
+    def find_component_id(vehicle: PanelSource | None) -> int:
         return vehicle.component if isinstance(vehicle, RemoteVehicle) else AUTOPILOT_COMPONENT
 
-    def save() -> None:
-        vehicle = view.vehicle()
+    def save_file() -> None:
+        vehicle = view.shown_vehicle()
         if vehicle is None or not vehicle.parameters:
-            refuse("there are no parameters to save")
+            show_refusal("there are no parameters to save")
             return
-        text = parameter_file(vehicle.parameters, vehicle.system, component_of(vehicle))
+        text = format_parameter_file(vehicle.parameters, vehicle.system, find_component_id(vehicle))
         ui.download.content(text, f"{vehicle.name.split(',')[0].replace(' ', '-')}.params")
 
-    async def load(e: UploadEventArguments) -> None:
-        vehicle = view.vehicle()
+    async def load_file(e: UploadEventArguments) -> None:
+        vehicle = view.shown_vehicle()
         try:
             text = (await e.file.read()).decode()
-            values = read_parameter_file(text, e.file.name, component_of(vehicle))
+            values = read_parameter_file(text, e.file.name, find_component_id(vehicle))
         except (MuflyError, ValueError) as error:
-            refuse(str(error))
+            show_refusal(str(error))
             return
         if vehicle is None:
             return
         # All or nothing: a file with one bad line changes nothing.
-        faults = [f"{n}: {w}" for n, v in values.items() if (w := refused(vehicle.parameters.get(n), n, v))]
-        if why := _blocked(view) or (faults[0] if faults else ""):
-            refuse(f"nothing was written: {why}")
+        faults = [f"{n}: {w}" for n, v in values.items() if (w := refusal_reason(vehicle.parameters.get(n), n, v))]
+        if why := _blocking_reason(view) or (faults[0] if faults else ""):
+            show_refusal(f"nothing was written: {why}")
             return
         changed = {n: v for n, v in values.items() if vehicle.parameters[n].value != v}
         for name, value in changed.items():
-            write(name, value)
-        say(f"{len(changed)} of {len(values)} parameters differed and were written")
-        refresh()
+            write_parameter(name, value)
+        show_notice(f"{len(changed)} of {len(values)} parameters differed and were written")
+        refresh_buttons()
 
-    def fetch() -> None:
-        if (vehicle := view.vehicle()) is not None:
-            view.ask(vehicle.refresh_parameters())
+    def fetch_parameters() -> None:
+        if (vehicle := view.shown_vehicle()) is not None:
+            view.keep_request(vehicle.refresh_parameters())
 
-    with element("div", classes="mf-tools"):
-        undo = button("↶ Undo", lambda: step("undo"), test="undo")
-        redo = button("↷ Redo", lambda: step("redo"), test="redo")
-        button("Fetch", fetch, title="fetch all parameters again")
-        pick("Load…", ".params,.param,.parm,.txt", load, "parameter-file")
-        button("Save", save, title="save all parameters as a file")
-    table = Panel("parameters").on("write", edited)
+    with make_element("div", classes="mf-tools"):
+        undo = make_button("↶ Undo", lambda: step_history("undo"), test="undo")
+        redo = make_button("↷ Redo", lambda: step_history("redo"), test="redo")
+        make_button("Fetch", fetch_parameters, title="fetch all parameters again")
+        add_file_picker("Load…", ".params,.param,.parm,.txt", load_file, "parameter-file")
+        make_button("Save", save_file, title="save all parameters as a file")
+    table = BrowserPanel("parameters").on("write", handle_edit)
     shown: list[object] = [None]
 
-    def refresh() -> None:
-        for name, request in [entry for entry in written if entry[1].done]:
+    def refresh_buttons() -> None:
+        for name, request in [entry for entry in written if entry[1].is_done]:
             written.remove((name, request))
-            if request.outcome is not Outcome.ACCEPTED:
-                table.call("refused", name, request.answer)
-        vehicle = view.vehicle()
-        sheet = view.session.sheet(vehicle) if vehicle is not None else None
-        state = (sheet.can_undo, sheet.can_redo) if sheet is not None else ("", "")
+            if request.outcome is not RequestOutcome.ACCEPTED:
+                table.call_method("refused", name, request.answer)
+        vehicle = view.shown_vehicle()
+        sheet = view.session.parameter_edits(vehicle) if vehicle is not None else None
+        state = (sheet.undo_name, sheet.redo_name) if sheet is not None else ("", "")
         if state == shown[0]:
             return
         shown[0] = state
@@ -466,8 +474,8 @@ def parameter_drawer(view: View) -> Callable[[], None]:
             made.props(*([] if name else ["disabled"]), remove="disabled" if name else "")
             made.update()
 
-    refresh()
-    return refresh
+    refresh_buttons()
+    return refresh_buttons
 
 
 class FlightStrip:
@@ -482,41 +490,46 @@ class FlightStrip:
     view : View
     """
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: WindowView) -> None:
         self._view = view
         self._aimed_s = self._asked_s = -math.inf
         self._aim: RemoteVehicle | None = None
-        self._request: Request | None = None
-        with element("section", classes="mf-flightbar").props('aria-label="flight and emergency stop"'):
-            Panel("strip")
-            self._stop = Action(
-                "EMERGENCY STOP", "emergency-stop", "Shift+Backspace", self._press, "mf-stop", "Shift+⌫ twice"
+        self._request: OperatorRequest | None = None
+        with make_element("section", classes="mf-flightbar").props('aria-label="flight and emergency stop"'):
+            BrowserPanel("strip")
+            self._stop = ActionButton(
+                "EMERGENCY STOP",
+                "emergency-stop",
+                "Shift+Backspace",
+                self._press_stop,
+                "mf-stop",
+                "Shift+⌫ twice",
             )
         self.refresh()
 
-    def _press(self) -> None:
-        now, vehicle = elapsed_s(), self._view.aircraft()
-        if not self._sure(now, vehicle):
+    def _press_stop(self) -> None:
+        now, vehicle = read_boot_clock(), self._view.selected_vehicle()
+        if not self._is_confirmed(now, vehicle):
             self._aim, self._aimed_s = vehicle, now
         elif vehicle is not None:
             self._aim, self._asked_s = None, now
             self._request = vehicle.emergency_stop()
-            self._view.ask(self._request)
+            self._view.keep_request(self._request)
         self.refresh()
 
-    def _sure(self, now: float, vehicle: RemoteVehicle | None) -> bool:
+    def _is_confirmed(self, now: float, vehicle: RemoteVehicle | None) -> bool:
         """Whether a press is the second one for this vehicle."""
-        return vehicle is self._aim is not None and now - self._aimed_s < CONFIRM_S
+        return vehicle is self._aim is not None and now - self._aimed_s < CONFIRM_TIMEOUT_S
 
     def refresh(self) -> None:
         """Bring the button up to date."""
-        vehicle, now = self._view.aircraft(), elapsed_s()
+        vehicle, now = self._view.selected_vehicle(), read_boot_clock()
         label, note = "EMERGENCY STOP", ""
-        if self._sure(now, vehicle):
+        if self._is_confirmed(now, vehicle):
             label = "PRESS AGAIN TO STOP"
-        elif self._request is not None and now - self._asked_s < ANSWER_S:
-            note = _STOP_WORDS[self._request.outcome]
-        reasons = availability(
+        elif self._request is not None and now - self._asked_s < ANSWER_DISPLAY_S:
+            note = _STOP_OUTCOME_TEXTS[self._request.outcome]
+        reasons = find_refusal_reasons(
             None if vehicle is None else vehicle.snapshot,
             kind="other" if vehicle is None else vehicle.kind,
             has_controls=self._view.has_controls,
@@ -524,5 +537,5 @@ class FlightStrip:
         )
         # Of several vehicles the button says which one it stops.
         if vehicle is not None and len(self._view.session.vehicles()) > 1:
-            note = ": ".join(filter(None, (self._view.session.label(vehicle), note)))
-        self._stop.show(label, reasons["stop"], note)
+            note = ": ".join(filter(None, (self._view.session.vehicle_label(vehicle), note)))
+        self._stop.show_state(label, reasons["stop"], note)

@@ -1,30 +1,50 @@
 """How near do predictions come? Measured rotors, codes of anybody, scores: `mufly rotor benchmark`."""
 
-from mufly.study.benchmark.advancing import AdvancingRow, AdvancingScore, advancing_table, run_advancing
-from mufly.study.benchmark.cases import SECTIONS, SOURCES, RotorCase, load_cases
-from mufly.study.benchmark.codes import Code, Prediction, Question, code_of, question_of
-from mufly.study.benchmark.scores import Row, Score, cross_validated, families, held_out, picture, run, table
+from mufly.study.benchmark.benchmark_scores import (
+    RotorScore,
+    ScoreRow,
+    score_codes,
+    score_cross_validated,
+    score_held_out_points,
+    score_picture,
+    tabulate_by_family,
+    tabulate_by_group,
+)
+from mufly.study.benchmark.prediction_codes import (
+    PredictionCode,
+    RotorDescription,
+    RotorPrediction,
+    describe_case,
+    parse_code,
+)
+from mufly.study.benchmark.propeller_efficiency import (
+    PropellerScore,
+    PropellerScoreRow,
+    score_propellers,
+    tabulate_propellers,
+)
+from mufly.study.benchmark.rotor_cases import DATA_SOURCES, SECTION_BY_PREFIX, RotorCase, load_cases
 
 __all__ = [
-    "SECTIONS",
-    "SOURCES",
-    "AdvancingRow",
-    "AdvancingScore",
-    "Code",
-    "Prediction",
-    "Question",
+    "DATA_SOURCES",
+    "SECTION_BY_PREFIX",
+    "PredictionCode",
+    "PropellerScore",
+    "PropellerScoreRow",
     "RotorCase",
-    "Row",
-    "Score",
-    "advancing_table",
-    "code_of",
-    "cross_validated",
-    "families",
-    "held_out",
+    "RotorDescription",
+    "RotorPrediction",
+    "RotorScore",
+    "ScoreRow",
+    "describe_case",
     "load_cases",
-    "picture",
-    "question_of",
-    "run",
-    "run_advancing",
-    "table",
+    "parse_code",
+    "score_codes",
+    "score_cross_validated",
+    "score_held_out_points",
+    "score_picture",
+    "score_propellers",
+    "tabulate_by_family",
+    "tabulate_by_group",
+    "tabulate_propellers",
 ]

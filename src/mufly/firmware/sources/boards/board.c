@@ -1,6 +1,6 @@
 #include "board.h"
 
-static void idle(actuators_t *out)
+static void set_idle(actuators_t *out)
 {
     for (int32_t i = 0; i < 2; i++) {
         out->motor_input[i] = REAL(0.0);
@@ -11,15 +11,15 @@ static void idle(actuators_t *out)
 void board_start(board_t *b, uint32_t fitted)
 {
     estimator_reset(&b->estimator, &mufly_settings);
-    software_start(&mufly_setup, &b->software);
-    idle(&b->acting);
-    idle(&b->sent);
+    software_reset(&mufly_setup, &b->software);
+    set_idle(&b->acting);
+    set_idle(&b->sent);
     for (int32_t k = 0; k < 3; k++) {
-        for (int32_t i = 0; i < AVOID_BEAMS; i++) {
+        for (int32_t i = 0; i < MAX_BEAMS; i++) {
             b->pictures[k][i] = mufly_plan.ring.max_range;
         }
     }
-    for (int32_t i = 0; i < AVOID_BEAMS; i++) {
+    for (int32_t i = 0; i < MAX_BEAMS; i++) {
         b->belief.ranges[i] = mufly_plan.ring.max_range;
     }
     b->fitted = fitted;
@@ -27,12 +27,12 @@ void board_start(board_t *b, uint32_t fitted)
 }
 
 /* Of each beam the middle of the last three pictures: a spot that is seen once is noise. */
-static void look(board_t *b, const real_t ranges[])
+static void filter_ranges(board_t *b, const real_t ranges[])
 {
     for (int32_t i = 0; i < mufly_plan.ring.count; i++) {
         const real_t a = b->pictures[1][i];
         const real_t m = b->pictures[2][i];
-        const real_t c = real_finite(ranges[i]) ? ranges[i] : mufly_plan.ring.max_range;
+        const real_t c = real_is_finite(ranges[i]) ? ranges[i] : mufly_plan.ring.max_range;
 
         b->pictures[0][i] = a;
         b->pictures[1][i] = m;
@@ -41,10 +41,10 @@ static void look(board_t *b, const real_t ranges[])
     }
 }
 
-static void believe(board_t *b, bool valid, real_t time_s, real_t voltage)
+static void fill_estimate(board_t *b, bool valid, real_t time_s, real_t voltage)
 {
     const estimator_t *e = &b->estimator;
-    belief_t *m = &b->belief;
+    estimate_t *m = &b->belief;
 
     m->time_s = time_s;
     m->valid = valid;
@@ -58,36 +58,36 @@ static void believe(board_t *b, bool valid, real_t time_s, real_t voltage)
         m->position_variance[i] = e->covariance_output[i][i];
         m->attitude_variance[i] = e->covariance_output[6 + i][6 + i];
     }
-    for (int32_t k = 0; k < SENSORS; k++) {
+    for (int32_t k = 0; k < SENSOR_COUNT; k++) {
         const bool there = (b->fitted & (1UL << (uint32_t)k)) != 0U;
 
-        m->checks[k].status = there ? e->status[k] : BELIEF_NOT_FITTED;
+        m->checks[k].status = there ? e->status[k] : SENSOR_NOT_FITTED;
         m->checks[k].why = e->reason[k];
         m->checks[k].number = e->fault_number[k];
     }
 }
 
-void board_period(board_t *b, hal_readings_t *readings, const command_t *command, real_t time_s, bool armed)
+void board_step(board_t *b, hal_readings_t *readings, const command_t *command, real_t time_s, bool armed)
 {
-    const real_t voltage = readings->z[STARTS[R_BATTERY]];
+    const real_t voltage = readings->z[READING_STARTS[R_BATTERY]];
     actuators_t out;
     bool valid;
 
     if (readings->fresh[R_RING] == 1) {
-        look(b, readings->ranges);
+        filter_ranges(b, readings->ranges);
     }
     for (int32_t i = 0; i < 2; i++) {
-        readings->z[ACTING + i] = b->acting.motor_input[i];
-        readings->z[ACTING + 2 + i] = b->acting.servo_input[i];
+        readings->z[ACTUATOR_START + i] = b->acting.motor_input[i];
+        readings->z[ACTUATOR_START + 2 + i] = b->acting.servo_input[i];
     }
     valid = estimator_step(&b->estimator, &mufly_settings, &mufly_flight_model, readings->z, readings->fresh,
                            readings->age);
-    believe(b, valid, time_s, voltage);
+    fill_estimate(b, valid, time_s, voltage);
     software_step(&mufly_setup, &b->software, &b->belief, command, &out);
     b->acting = b->sent;
     b->sent = out;
     if (!armed) {
-        idle(&b->sent);
+        set_idle(&b->sent);
     }
 }
 
@@ -97,18 +97,18 @@ void board_run(board_t *b)
     static command_t command;
 
     for (;;) {
-        (void)hal_wait();
-        hal_read(&readings);
-        hal_command(&command);
-        board_period(b, &readings, &command, hal_time_s(), hal_armed());
-        hal_actuate(&b->sent);
-        while (b->told < b->software.mission.logged) {
-            if ((b->software.mission.logged - b->told) > MISSION_LOG) {
-                b->told = b->software.mission.logged - MISSION_LOG; /* what was before is lost */
+        (void)hal_wait_period();
+        hal_read_sensors(&readings);
+        hal_read_command(&command);
+        board_step(b, &readings, &command, hal_time_s(), hal_is_armed());
+        hal_write_actuators(&b->sent);
+        while (b->told < b->software.mission.logged_count) {
+            if ((b->software.mission.logged_count - b->told) > MISSION_LOG) {
+                b->told = b->software.mission.logged_count - MISSION_LOG; /* what was before is lost */
             }
-            hal_tell(&b->software.mission.log[b->told % MISSION_LOG]);
+            hal_send_log_entry(&b->software.mission.log[b->told % MISSION_LOG]);
             b->told++;
         }
-        hal_alive();
+        hal_feed_watchdog();
     }
 }

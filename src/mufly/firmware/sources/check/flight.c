@@ -6,23 +6,23 @@
 #include "software.h"
 
 #define PERIODS 16000
-#define LINES 40
-#define ALONE 8400 /* so long it flies its mission undisturbed */
+#define DIGEST_LINES 40
+#define UNDISTURBED_PERIODS 8400 /* so long it flies its mission undisturbed */
 
-static int32_t one_of(int32_t count)
+static int32_t random_below(int32_t count)
 {
-    (void)any(REAL(1.0));
+    (void)random_number(REAL(1.0));
     return (int32_t)((seed >> 8) % (uint32_t)count);
 }
 
-static void nothing(command_t *c)
+static void clear_command(command_t *c)
 {
     static const command_t none;
 
     *c = none;
 }
 
-static void ask(command_t *c, int32_t what)
+static void add_random_command(command_t *c, int32_t what)
 {
     switch (what) {
     case 0:
@@ -30,42 +30,42 @@ static void ask(command_t *c, int32_t what)
         break;
     case 1:
         c->has_waypoint = true;
-        c->waypoint[0] = any(REAL(2.0));
-        c->waypoint[1] = any(REAL(2.0));
-        c->waypoint[2] = REAL(-1.2) + any(REAL(0.5));
+        c->waypoint[0] = random_number(REAL(2.0));
+        c->waypoint[1] = random_number(REAL(2.0));
+        c->waypoint[2] = REAL(-1.2) + random_number(REAL(0.5));
         break;
     case 2:
         c->pause = true;
         break;
     case 3:
-        c->home = true;
+        c->return_requested = true;
         break;
     case 4:
         c->has_set_point = true;
-        c->set_point.position[0] = any(REAL(2.0));
-        c->set_point.position[1] = any(REAL(2.0));
+        c->set_point.position[0] = random_number(REAL(2.0));
+        c->set_point.position[1] = random_number(REAL(2.0));
         c->set_point.position[2] = REAL(-1.0);
-        c->set_point.velocity[0] = REAL_NONE;
-        c->set_point.velocity[1] = REAL_NONE;
-        c->set_point.velocity[2] = REAL_NONE;
-        c->set_point.heading = any(REAL(3.0));
-        c->set_point.yaw_rate = REAL_NONE;
+        c->set_point.velocity[0] = REAL_NAN;
+        c->set_point.velocity[1] = REAL_NAN;
+        c->set_point.velocity[2] = REAL_NAN;
+        c->set_point.heading = random_number(REAL(3.0));
+        c->set_point.yaw_rate = REAL_NAN;
         break;
     case 5:
         c->land = true;
         break;
     default:
-        c->rc = true;
-        c->climb = any(REAL(0.5));
-        c->yaw_rate = any(REAL(0.5));
+        c->rc_active = true;
+        c->climb_rate = random_number(REAL(0.5));
+        c->yaw_rate = random_number(REAL(0.5));
         break;
     }
 }
 
 /* It moves after its reference; walls stand to the north and the east of it, sometimes. */
-static void follow(const software_t *s, belief_t *b)
+static void follow_reference(const software_t *s, estimate_t *b)
 {
-    motion_t *now = &b->motion;
+    motion_estimate_t *now = &b->motion;
     const bool up = (s->motors == MOTORS_FLY) || (s->motors == MOTORS_BLIND);
 
     b->time_s += mufly_setup.period_s;
@@ -73,12 +73,12 @@ static void follow(const software_t *s, belief_t *b)
         now->velocity[i] = up ? real_clip(REAL(2.0) * (s->reference.path.position[i] - now->position[i]), REAL(-0.8),
                                           REAL(0.8))
                               : REAL(0.0);
-        now->position[i] += (mufly_setup.period_s * now->velocity[i]) + any(REAL(1e-4));
-        now->attitude[i] = (i == 2) ? s->reference.heading : any(REAL(0.02));
-        now->rates[i] = any(REAL(0.02));
+        now->position[i] += (mufly_setup.period_s * now->velocity[i]) + random_number(REAL(1e-4));
+        now->attitude[i] = (i == 2) ? s->reference.heading : random_number(REAL(0.02));
+        now->rates[i] = random_number(REAL(0.02));
     }
     if (now->position[2] > REAL(-0.07)) {
-        now->position[2] = REAL(-0.07) + any(REAL(1e-4));
+        now->position[2] = REAL(-0.07) + random_number(REAL(1e-4));
         now->velocity[2] = REAL(0.0);
     }
     for (int32_t i = 0; i < mufly_plan.ring.count; i++) {
@@ -91,7 +91,7 @@ static void follow(const software_t *s, belief_t *b)
 int main(void)
 {
     static software_t s;
-    static belief_t b;
+    static estimate_t b;
     static command_t command;
     static actuators_t out;
     uint64_t digest = DIGEST_START;
@@ -104,24 +104,24 @@ int main(void)
     b.judged = true;
     b.motion.voltage = REAL(7.4);
     b.motion.position[2] = REAL(-0.07);
-    for (int32_t k = 0; k < BELIEF_SENSORS; k++) {
-        b.checks[k].status = BELIEF_FUSED;
+    for (int32_t k = 0; k < ESTIMATE_SENSORS; k++) {
+        b.checks[k].status = SENSOR_FUSED;
     }
-    software_start(&mufly_setup, &s);
+    software_reset(&mufly_setup, &s);
     for (int32_t k = 0; k < PERIODS; k++) {
         uint32_t before;
         uint32_t took;
 
-        follow(&s, &b);
-        nothing(&command);
+        follow_reference(&s, &b);
+        clear_command(&command);
         if (k == 0) {
-            ask(&command, 0);
-        } else if ((k >= ALONE) && ((k % 600) == 0)) {
-            held = one_of(9);
-            b.position_variance[0] = (one_of(4) == 0) ? REAL(0.1) : REAL(1e-4);
-            ask(&command, one_of(6));
+            add_random_command(&command, 0);
+        } else if ((k >= UNDISTURBED_PERIODS) && ((k % 600) == 0)) {
+            held = random_below(9);
+            b.position_variance[0] = (random_below(4) == 0) ? REAL(0.1) : REAL(1e-4);
+            add_random_command(&command, random_below(6));
         } else if ((held == 4) || (held == 6)) {
-            ask(&command, held);
+            add_random_command(&command, held);
         } else {
             /* it flies by itself */
         }
@@ -131,21 +131,21 @@ int main(void)
         spent += took;
         worst = (took > worst) ? took : worst;
         for (int32_t i = 0; i < 2; i++) {
-            take_bits(&digest, bits(out.motor_input[i]));
-            take_bits(&digest, bits(out.servo_input[i]));
+            digest_bits(&digest, real_bits(out.motor_input[i]));
+            digest_bits(&digest, real_bits(out.servo_input[i]));
         }
-        take_bits(&digest, (uint64_t)s.mission.logged);
-        take_bits(&digest, bits(s.reference.path.position[0]));
-        if ((k % (PERIODS / LINES)) == 0) {
-            platform_say("outputs ", digest);
+        digest_bits(&digest, (uint64_t)s.mission.logged_count);
+        digest_bits(&digest, real_bits(s.reference.path.position[0]));
+        if ((k % (PERIODS / DIGEST_LINES)) == 0) {
+            platform_print("outputs ", digest);
         }
     }
-    platform_say("outputs ", digest);
-    platform_say("state ", sizeof(software_t));
-    platform_say("entries ", (uint64_t)s.mission.logged);
-    platform_say("periods ", PERIODS);
-    platform_say("ticks ", spent);
-    platform_say("worst ", worst);
+    platform_print("outputs ", digest);
+    platform_print("state ", sizeof(software_t));
+    platform_print("entries ", (uint64_t)s.mission.logged_count);
+    platform_print("periods ", PERIODS);
+    platform_print("ticks ", spent);
+    platform_print("worst ", worst);
     platform_end();
     return 0;
 }

@@ -23,10 +23,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 static const uint8_t *at;
 static size_t left;
-static bool wild;  /* whether something came that does not happen */
-static bool tamed; /* whether everything is to be as it happens */
+static bool input_is_unphysical;  /* whether something came that does not happen */
+static bool limit_inputs; /* whether everything is to be as it happens */
 
-static uint8_t byte(void)
+static uint8_t next_byte(void)
 {
     uint8_t b = 0U;
 
@@ -38,72 +38,72 @@ static uint8_t byte(void)
     return b;
 }
 
-static void raw(void *to, size_t size)
+static void fill_raw(void *to, size_t size)
 {
     for (size_t i = 0U; i < size; i++) {
-        ((uint8_t *)to)[i] = byte();
+        ((uint8_t *)to)[i] = next_byte();
     }
 }
 
-static int32_t whole(void)
+static int32_t next_int(void)
 {
     int32_t v;
 
-    raw(&v, sizeof v);
+    fill_raw(&v, sizeof v);
     return v;
 }
 
 /* Mostly within -size..size. */
-static real_t number(real_t size)
+static real_t next_number(real_t size)
 {
     static const real_t special[] = {
         REAL(0.0), REAL(-0.0), REAL(1e-30), REAL(-1e-30), REAL(1e5), REAL(-1e5), REAL(2147483648.0), REAL(-2147483649.0),
         REAL(1e30), REAL(-1e30),
     };
-    const uint8_t how = byte();
+    const uint8_t how = next_byte();
     real_t v;
 
-    if (tamed || (how < 200U)) {
+    if (limit_inputs || (how < 200U)) {
         int16_t share;
-        raw(&share, sizeof share);
+        fill_raw(&share, sizeof share);
         v = size * ((real_t)share / REAL(32768.0));
     } else if (how < 220U) {
-        raw(&v, sizeof v);
-        wild = true;
+        fill_raw(&v, sizeof v);
+        input_is_unphysical = true;
     } else if (how < 235U) {
-        v = special[byte() % (sizeof special / sizeof special[0])];
-        wild = true;
+        v = special[next_byte() % (sizeof special / sizeof special[0])];
+        input_is_unphysical = true;
     } else if (how < 245U) {
         v = (how % 2U) ? REAL_INFINITY : -REAL_INFINITY;
-        wild = true;
+        input_is_unphysical = true;
     } else {
-        v = REAL_NONE;
-        wild = true;
+        v = REAL_NAN;
+        input_is_unphysical = true;
     }
     return v;
 }
 
 /* More than nothing, as a mission's file is checked to be. */
-static real_t some(real_t size)
+static real_t next_positive(real_t size)
 {
-    return REAL(0.01) + real_abs(number(size));
+    return REAL(0.01) + real_abs(next_number(size));
 }
 
-static void numbers(int32_t n, real_t size, real_t out[])
+static void fill_numbers(int32_t n, real_t size, real_t out[])
 {
     for (int32_t i = 0; i < n; i++) {
-        out[i] = number(size);
+        out[i] = next_number(size);
     }
 }
 
-static void check(bool right)
+static void require_true(bool right)
 {
     if (!right) {
         abort();
     }
 }
 
-static bool between(real_t v, real_t low, real_t high)
+static bool is_between(real_t v, real_t low, real_t high)
 {
     return (v >= low) && (v <= high);
 }
@@ -111,25 +111,25 @@ static bool between(real_t v, real_t low, real_t high)
 static void check_actuators(const actuators_t *out)
 {
     for (int32_t i = 0; i < 2; i++) {
-        check(between(out->motor_input[i], REAL(0.0), REAL(1.0)));
-        check(between(out->servo_input[i], REAL(-1.0), REAL(1.0)));
+        require_true(is_between(out->motor_input[i], REAL(0.0), REAL(1.0)));
+        require_true(is_between(out->servo_input[i], REAL(-1.0), REAL(1.0)));
     }
 }
 
-static void any_motion(motion_t *m)
+static void any_motion(motion_estimate_t *m)
 {
-    numbers(3, REAL(5.0), m->position);
-    numbers(3, REAL(3.0), m->velocity);
-    numbers(2, REAL(1.5), m->attitude);
-    m->attitude[2] = number(REAL(100.0));
-    numbers(3, REAL(10.0), m->rates);
-    m->voltage = number(REAL(10.0));
+    fill_numbers(3, REAL(5.0), m->position);
+    fill_numbers(3, REAL(3.0), m->velocity);
+    fill_numbers(2, REAL(1.5), m->attitude);
+    m->attitude[2] = next_number(REAL(100.0));
+    fill_numbers(3, REAL(10.0), m->rates);
+    m->voltage = next_number(REAL(10.0));
 }
 
 static void fuzz_controllers(void)
 {
     static controllers_t c;
-    motion_t now;
+    motion_estimate_t now;
     path_t path;
     actuators_t out;
     real_t tilt[2] = {REAL(0.0), REAL(0.0)};
@@ -138,79 +138,79 @@ static void fuzz_controllers(void)
 
     (void)memset(&c, 0, sizeof c);
     any_motion(&now);
-    numbers(2, REAL(1.0), motors);
+    fill_numbers(2, REAL(1.0), motors);
     controllers_engage(&mufly_gains, &c, &now, motors);
     controllers_lift_off(&mufly_gains, &c, &now);
     while (left > 0U) {
-        const uint8_t what = byte();
+        const uint8_t what = next_byte();
         any_motion(&now);
         if ((what & 1U) != 0U) {
-            numbers(3, REAL(5.0), path.position);
-            numbers(3, REAL(2.0), path.velocity);
-            numbers(3, REAL(2.0), path.acceleration);
-            controllers_tilt(&mufly_gains, &c, &now, &path, tilt);
+            fill_numbers(3, REAL(5.0), path.position);
+            fill_numbers(3, REAL(2.0), path.velocity);
+            fill_numbers(3, REAL(2.0), path.acceleration);
+            controllers_tilt_for(&mufly_gains, &c, &now, &path, tilt);
         }
         if ((what & 2U) != 0U) {
             controllers_lift_off(&mufly_gains, &c, &now);
         }
-        numbers(4, REAL(5.0), wanted);
+        fill_numbers(4, REAL(5.0), wanted);
         controllers_step(&mufly_gains, &c, &now, wanted, (what & 4U) != 0U, tilt, &out);
-        if (!wild) {
+        if (!input_is_unphysical) {
             check_actuators(&out);
         }
     }
 }
 
-static void any_ring(ring_t *ring)
+static void any_ring(beam_ring_t *ring)
 {
-    ring->count = (int32_t)(byte() % (AVOID_BEAMS + 1U));
-    numbers(AVOID_BEAMS, REAL(1.0), ring->cos);
-    numbers(AVOID_BEAMS, REAL(1.0), ring->sin);
-    ring->max_range = number(REAL(3.0));
-    ring->first_angle = number(REAL(3.2));
-    ring->spacing = number(REAL(3.2));
+    ring->count = (int32_t)(next_byte() % (MAX_BEAMS + 1U));
+    fill_numbers(MAX_BEAMS, REAL(1.0), ring->cos);
+    fill_numbers(MAX_BEAMS, REAL(1.0), ring->sin);
+    ring->max_range = next_number(REAL(3.0));
+    ring->first_angle = next_number(REAL(3.2));
+    ring->spacing = next_number(REAL(3.2));
 }
 
 static void fuzz_avoid(void)
 {
-    static memory_t memory;
-    static ring_t ring;
-    real_t ranges[AVOID_BEAMS];
+    static obstacle_map_t memory;
+    static beam_ring_t ring;
+    real_t ranges[MAX_BEAMS];
     real_t position[3];
     real_t attitude[3];
     real_t goal[3];
     real_t velocity[3];
-    sight_t sight;
+    path_check_t sight;
     detour_t detour;
     bool under_way = false;
 
-    avoid_forget(&memory);
+    clear_obstacle_map(&memory);
     any_ring(&ring);
     while (left > 0U) {
-        const uint8_t what = byte();
-        numbers(AVOID_BEAMS, REAL(2.0), ranges);
-        numbers(3, REAL(5.0), position);
-        numbers(3, REAL(5.0), goal);
-        numbers(3, REAL(1.0), attitude);
-        numbers(3, REAL(1.0), velocity);
-        avoid_observe(&memory, &ring, number(REAL(100.0)), position, attitude, ranges, 0, ring.count);
-        check((memory.used >= 0) && (memory.used <= AVOID_CAPACITY));
+        const uint8_t what = next_byte();
+        fill_numbers(MAX_BEAMS, REAL(2.0), ranges);
+        fill_numbers(3, REAL(5.0), position);
+        fill_numbers(3, REAL(5.0), goal);
+        fill_numbers(3, REAL(1.0), attitude);
+        fill_numbers(3, REAL(1.0), velocity);
+        insert_beam_hits(&memory, &ring, next_number(REAL(100.0)), position, attitude, ranges, 0, ring.count);
+        require_true((memory.point_count >= 0) && (memory.point_count <= MAP_CAPACITY));
         if (!under_way || ((what & 2U) != 0U)) {
-            avoid_begin_sight(position, goal, number(REAL(2.0)), &sight);
+            begin_path_check(position, goal, next_number(REAL(2.0)), &sight);
         }
-        avoid_look_around(&memory, &sight, number(REAL(100.0)), number(REAL(1.0)), 1 + (int32_t)(what >> 6U), 4);
-        check((memory.used >= 0) && (sight.row <= AVOID_CAPACITY));
-        (void)avoid_blocked(&sight, number(REAL(1.0)));
+        check_map_part(&memory, &sight, next_number(REAL(100.0)), next_number(REAL(1.0)), 1 + (int32_t)(what >> 6U), 4);
+        require_true((memory.point_count >= 0) && (sight.points_checked <= MAP_CAPACITY));
+        (void)is_path_blocked(&sight, next_number(REAL(1.0)));
         if (!under_way || ((what & 1U) != 0U)) {
-            avoid_begin(&detour, position, velocity, attitude, goal, &sight, under_way ? &detour : NULL);
+            begin_detour(&detour, position, velocity, attitude, goal, &sight, under_way ? &detour : NULL);
             under_way = true;
         }
-        avoid_go_round(&detour, &sight, &ring, position, attitude[2], ranges, goal, some(REAL(0.5)),
-                       some(REAL(0.5)), some(REAL(0.5)));
-        (void)avoid_done(&detour);
-        if (!wild) {
-            check(between(detour.position[0], REAL(-1e6), REAL(1e6)));
-            check(between(detour.velocity[0], REAL(-1e6), REAL(1e6)));
+        follow_contour(&detour, &sight, &ring, position, attitude[2], ranges, goal, next_positive(REAL(0.5)),
+                       next_positive(REAL(0.5)), next_positive(REAL(0.5)));
+        (void)is_detour_finished(&detour);
+        if (!input_is_unphysical) {
+            require_true(is_between(detour.position[0], REAL(-1e6), REAL(1e6)));
+            require_true(is_between(detour.velocity[0], REAL(-1e6), REAL(1e6)));
         }
     }
 }
@@ -227,27 +227,27 @@ static void fuzz_fixed(void)
     int32_t motors[2];
 
     (void)memset(&c, 0, sizeof c);
-    raw(&now, sizeof now);
-    raw(motors, sizeof motors);
+    fill_raw(&now, sizeof now);
+    fill_raw(motors, sizeof motors);
     fixed_engage(&mufly_fixed_gains, &c, &now, motors);
     fixed_lift_off(&mufly_fixed_gains, &c, &now);
     while (left > 0U) {
-        const uint8_t what = byte();
-        raw(&now, sizeof now);
+        const uint8_t what = next_byte();
+        fill_raw(&now, sizeof now);
         if ((what & 1U) != 0U) {
-            raw(&path, sizeof path);
-            fixed_tilt(&mufly_fixed_gains, &c, &now, &path, tilt);
+            fill_raw(&path, sizeof path);
+            fixed_tilt_for(&mufly_fixed_gains, &c, &now, &path, tilt);
         }
         if ((what & 2U) != 0U) {
-            raw(tilt, sizeof tilt);
+            fill_raw(tilt, sizeof tilt);
         }
-        raw(wanted, sizeof wanted);
+        fill_raw(wanted, sizeof wanted);
         fixed_step(&mufly_fixed_gains, &c, &now, wanted, (what & 4U) != 0U, tilt, &out);
         for (int32_t i = 0; i < 2; i++) {
-            check((out.motor_input[i] >= 0) && (out.motor_input[i] <= FIXED_ONE));
-            check((out.servo_input[i] >= -FIXED_ONE) && (out.servo_input[i] <= FIXED_ONE));
+            require_true((out.motor_input[i] >= 0) && (out.motor_input[i] <= FIXED_ONE));
+            require_true((out.servo_input[i] >= -FIXED_ONE) && (out.servo_input[i] <= FIXED_ONE));
         }
-        check(c.overflows == 0U); /* by the proof */
+        require_true(c.overflows == 0U); /* by the proof */
     }
 }
 #endif
@@ -256,94 +256,94 @@ static void fuzz_fixed(void)
 /* Of a mission's numbers those come that its file may hold: they are checked where it is read. */
 static void any_plan(plan_t *p)
 {
-    const bool as_it_was = tamed;
+    const bool as_it_was = limit_inputs;
 
-    tamed = true;
+    limit_inputs = true;
     (void)memset(p, 0, sizeof *p);
-    p->count = (int32_t)(byte() % (MISSION_WAYPOINTS + 1U));
+    p->count = (int32_t)(next_byte() % (MISSION_WAYPOINTS + 1U));
     for (int32_t i = 0; i < p->count; i++) {
         waypoint_t *const w = &p->waypoint[i];
-        numbers(3, REAL(5.0), w->position);
-        w->wait_s = real_abs(number(REAL(2.0)));
-        w->speed = some(REAL(1.0));
-        w->has_heading = (byte() & 1U) != 0U;
-        w->heading = number(REAL(7.0));
+        fill_numbers(3, REAL(5.0), w->position);
+        w->wait_s = real_abs(next_number(REAL(2.0)));
+        w->peak_speed = next_positive(REAL(1.0));
+        w->has_heading = (next_byte() & 1U) != 0U;
+        w->heading = next_number(REAL(7.0));
     }
-    p->at_end = (int32_t)(byte() % 3U);
-    p->spline = (byte() & 1U) != 0U;
-    numbers(2, REAL(2.0), p->start);
-    p->take_off_height = some(REAL(2.0));
-    p->take_off_wait_s = real_abs(number(REAL(2.0)));
-    p->limits.speed = some(REAL(1.0));
-    p->limits.climb = some(REAL(1.0));
-    p->limits.descent = some(REAL(1.0));
-    p->limits.acceleration = some(REAL(1.0));
-    p->limits.climb_acceleration = some(REAL(1.0));
-    p->limits.yaw_rate = some(REAL(2.0));
-    p->limits.yaw_acceleration = some(REAL(4.0));
-    p->touchdown = some(REAL(0.5));
-    p->reach = some(REAL(0.5));
-    p->reach_speed = some(REAL(0.5));
-    p->avoid = (byte() & 1U) != 0U;
-    p->scan = (byte() & 1U) != 0U;
-    p->clearance = some(REAL(0.5));
-    p->avoid_speed = some(REAL(0.5));
-    p->give_up_s = some(REAL(60.0));
-    p->nose_offset = number(REAL(3.0));
-    p->low_voltage = number(REAL(7.0));
+    p->at_end = (int32_t)(next_byte() % 3U);
+    p->spline = (next_byte() & 1U) != 0U;
+    fill_numbers(2, REAL(2.0), p->initial_state);
+    p->take_off_height = next_positive(REAL(2.0));
+    p->take_off_wait_s = real_abs(next_number(REAL(2.0)));
+    p->limits.peak_speed = next_positive(REAL(1.0));
+    p->limits.climb_rate = next_positive(REAL(1.0));
+    p->limits.descent = next_positive(REAL(1.0));
+    p->limits.acceleration = next_positive(REAL(1.0));
+    p->limits.climb_acceleration = next_positive(REAL(1.0));
+    p->limits.yaw_rate = next_positive(REAL(2.0));
+    p->limits.yaw_acceleration = next_positive(REAL(4.0));
+    p->touchdown = next_positive(REAL(0.5));
+    p->reach = next_positive(REAL(0.5));
+    p->reach_speed = next_positive(REAL(0.5));
+    p->avoid = (next_byte() & 1U) != 0U;
+    p->scan = (next_byte() & 1U) != 0U;
+    p->clearance = next_positive(REAL(0.5));
+    p->avoid_speed = next_positive(REAL(0.5));
+    p->give_up_s = next_positive(REAL(60.0));
+    p->nose_offset = next_number(REAL(3.0));
+    p->low_voltage = next_number(REAL(7.0));
     any_ring(&p->ring);
-    tamed = as_it_was;
+    limit_inputs = as_it_was;
 }
 
-static void any_belief(belief_t *m, real_t time_s)
+static void any_belief(estimate_t *m, real_t time_s)
 {
-    m->time_s = ((byte() & 63U) == 0U) ? number(REAL(100.0)) : time_s;
+    m->time_s = ((next_byte() & 63U) == 0U) ? next_number(REAL(100.0)) : time_s;
     any_motion(&m->motion);
-    numbers(AVOID_BEAMS, REAL(2.0), m->ranges);
-    m->valid = (byte() & 7U) != 0U;
-    m->judged = (byte() & 1U) != 0U;
-    numbers(3, REAL(0.5), m->position_variance);
-    numbers(3, REAL(0.5), m->attitude_variance);
-    for (int32_t i = 0; i < BELIEF_SENSORS; i++) {
-        m->checks[i].status = (int32_t)(byte() % 6U);
-        m->checks[i].why = (int32_t)(byte() % 16U);
-        m->checks[i].number = number(REAL(10.0));
+    fill_numbers(MAX_BEAMS, REAL(2.0), m->ranges);
+    m->valid = (next_byte() & 7U) != 0U;
+    m->judged = (next_byte() & 1U) != 0U;
+    fill_numbers(3, REAL(0.5), m->position_variance);
+    fill_numbers(3, REAL(0.5), m->attitude_variance);
+    for (int32_t i = 0; i < ESTIMATE_SENSORS; i++) {
+        m->checks[i].status = (int32_t)(next_byte() % 6U);
+        m->checks[i].reason = (int32_t)(next_byte() % 16U);
+        m->checks[i].number = next_number(REAL(10.0));
     }
 }
 
 static void any_command(command_t *c)
 {
-    const uint8_t a = byte();
-    const uint8_t b = byte();
-    const bool as_it_was = tamed;
+    const uint8_t a = next_byte();
+    const uint8_t b = next_byte();
+    const bool as_it_was = limit_inputs;
 
     (void)memset(c, 0, sizeof *c);
-    c->start = (a & 1U) != 0U;
-    c->has_first = (a & 2U) != 0U;
-    c->first = (b < 250U) ? (int32_t)(b % 4U) : whole();
-    c->has_take_off = (a & 4U) != 0U;
+    c->initial_state = (a & 1U) != 0U;
+    c->has_first_waypoint = (a & 2U) != 0U;
+    c->first_waypoint = (b < 250U) ? (int32_t)(b % 4U) : next_int();
+    c->has_take_off_height = (a & 4U) != 0U;
     c->pause = (a & 24U) == 24U;
     c->has_waypoint = (a & 96U) == 96U;
-    numbers(3, REAL(5.0), c->waypoint);
+    fill_numbers(3, REAL(5.0), c->waypoint);
     c->has_heading = (b & 1U) != 0U;
-    c->heading = number(REAL(7.0));
-    c->home = (b & 6U) == 6U;
+    c->heading = next_number(REAL(7.0));
+    c->return_requested = (b & 6U) == 6U;
     c->land = (b & 24U) == 24U;
-    c->stop = ((b & 224U) == 224U) ? (int32_t)(byte() % 8U) : 0;
-    c->rc = (a & 160U) == 160U;
+    c->stop_reason = ((b & 224U) == 224U) ? (int32_t)(next_byte() % 8U) : 0;
+    c->rc_active = (a & 160U) == 160U;
     /* Sticks and heights are checked where they come in: autopilot.py, on a board whoever fills a command_t. */
-    tamed = true;
-    c->roll = number(REAL(0.5));
-    c->pitch = number(REAL(0.5));
-    c->yaw_rate = number(REAL(2.0));
-    c->climb = number(REAL(1.0));
-    c->take_off = some(REAL(2.0));
-    tamed = as_it_was;
+    limit_inputs = true;
+    c->roll = next_number(REAL(0.5));
+    c->pitch = next_number(REAL(0.5));
+    c->yaw_rate = next_number(REAL(2.0));
+    c->climb_rate = next_number(REAL(1.0));
+    c->take_off_height = next_positive(REAL(2.0));
+    limit_inputs = as_it_was;
     c->has_set_point = (a & 136U) == 136U;
-    numbers(3, REAL(5.0), c->set_point.position);
-    numbers(3, REAL(1.0), c->set_point.velocity);
-    c->set_point.heading = number(REAL(7.0));
-    c->set_point.yaw_rate = number(REAL(2.0));
+    fill_numbers(3, REAL(5.0), c->set_point.position);
+    fill_numbers(3, REAL(1.0), c->set_point.last_velocity);
+    c->set_point.heading = next_number(REAL(7.0));
+    c->set_point.yaw_rate = next_number(REAL(2.0));
 }
 
 /* The whole flight software: whatever is believed and asked, actuators stay within their range. */
@@ -351,8 +351,8 @@ static void fuzz_software(void)
 {
     static software_t s;
     static plan_t plan;
-    static setup_t setup;
-    belief_t belief;
+    static flight_setup_t setup;
+    estimate_t belief;
     command_t command;
     actuators_t out;
     real_t time_s = REAL(0.0);
@@ -362,14 +362,14 @@ static void fuzz_software(void)
     setup.gains = &mufly_gains;
     setup.plan = &plan;
     setup.period_s = REAL(0.005);
-    setup.every = 4;
+    setup.mission_step_periods = 4;
     setup.hover_V[0] = REAL(4.8);
     setup.hover_V[1] = REAL(4.8);
-    software_start(&setup, &s);
+    software_reset(&setup, &s);
     while (left > 0U) {
         any_belief(&belief, time_s);
         any_command(&command);
-        repeat = byte();
+        repeat = next_byte();
         for (uint32_t k = 0U; k <= repeat; k++) {
             time_s += setup.period_s;
             belief.time_s += setup.period_s;
@@ -385,30 +385,30 @@ static void fuzz_software(void)
 static void fuzz_estimate(void)
 {
     static estimator_t m;
-    real_t z[VALUES];
-    int32_t fresh[SENSORS];
-    real_t age[SENSORS];
+    real_t z[VALUE_COUNT];
+    int32_t fresh[SENSOR_COUNT];
+    real_t age[SENSOR_COUNT];
 
     estimator_reset(&m, &mufly_settings);
     while (left > 0U) {
-        const uint8_t repeat = byte();
-        real_t kept[VALUES];
-        int32_t came[SENSORS];
+        const uint8_t repeat = next_byte();
+        real_t kept[VALUE_COUNT];
+        int32_t came[SENSOR_COUNT];
 
-        numbers(VALUES, REAL(20.0), kept);
-        for (int32_t i = 0; i < SENSORS; i++) {
-            const uint8_t how = byte();
+        fill_numbers(VALUE_COUNT, REAL(20.0), kept);
+        for (int32_t i = 0; i < SENSOR_COUNT; i++) {
+            const uint8_t how = next_byte();
 
             came[i] = (how < 240U) ? (int32_t)(how % 3U) : ((int32_t)how - 247);
-            age[i] = ((how & 12U) != 0U) ? real_abs(number(REAL(0.2))) : number(REAL(20.0));
+            age[i] = ((how & 12U) != 0U) ? real_abs(next_number(REAL(0.2))) : next_number(REAL(20.0));
         }
         for (uint32_t k = 0U; k <= (repeat % 32U); k++) {
             (void)memcpy(z, kept, sizeof z);
             (void)memcpy(fresh, came, sizeof fresh);
             if (estimator_step(&m, &mufly_settings, &mufly_flight_model, z, fresh, age)) {
                 for (int32_t i = 0; i < 3; i++) {
-                    check(between(m.angles[i], REAL(-1e9), REAL(1e9)));
-                    check(between(m.out_rates[i], REAL(-1e9), REAL(1e9)));
+                    require_true(is_between(m.angles[i], REAL(-1e9), REAL(1e9)));
+                    require_true(is_between(m.out_rates[i], REAL(-1e9), REAL(1e9)));
                 }
             }
         }
@@ -435,9 +435,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 
     at = data;
     left = size;
-    wild = false;
-    first = byte();
-    tamed = (first & 128U) != 0U;
+    input_is_unphysical = false;
+    first = next_byte();
+    limit_inputs = (first & 128U) != 0U;
     parts[(first & 127U) % (sizeof parts / sizeof parts[0])]();
     return 0;
 }

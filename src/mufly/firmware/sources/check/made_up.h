@@ -9,7 +9,7 @@
 static uint32_t seed = 2463534242U;
 
 /* xorshift (Marsaglia 2003); a number in -1..1 of 24 bits, which either precision holds. */
-static real_t any(real_t size)
+static real_t random_number(real_t size)
 {
     seed ^= seed << 13;
     seed ^= seed >> 17;
@@ -17,7 +17,7 @@ static real_t any(real_t size)
     return size * (((real_t)(int32_t)(seed >> 8) - REAL(8388608.0)) * REAL(0x1p-23));
 }
 
-static uint64_t bits(real_t x)
+static uint64_t real_bits(real_t x)
 {
     union {
         real_t number;
@@ -33,15 +33,15 @@ static uint64_t bits(real_t x)
 }
 
 /* FNV-1a over the bits of every output so far */
-static inline void take_bits(uint64_t *digest, uint64_t what)
+static inline void digest_bits(uint64_t *digest, uint64_t what)
 {
     *digest = (*digest ^ what) * 1099511628211ULL;
 }
 
-static inline void take_all(uint64_t *digest, const real_t *numbers, int32_t count)
+static inline void digest_all(uint64_t *digest, const real_t *numbers, int32_t count)
 {
     for (int32_t i = 0; i < count; i++) {
-        take_bits(digest, bits(numbers[i]));
+        digest_bits(digest, real_bits(numbers[i]));
     }
 }
 

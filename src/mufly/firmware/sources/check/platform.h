@@ -6,7 +6,7 @@
 
 void platform_start(void);
 uint32_t platform_count(void); /* ticks of a clock since the start; 0 where nobody counts */
-void platform_say(const char *what, uint64_t number);
+void platform_print(const char *what, uint64_t number);
 void platform_end(void);
 
 #endif

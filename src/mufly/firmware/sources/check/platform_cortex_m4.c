@@ -10,7 +10,7 @@
 extern uint32_t stack_top, data_load, data_begin, data_end, bss_begin, bss_end;
 int main(void);
 void reset(void);
-void trap(void);
+void trap_fault(void);
 void *memcpy(void *to, const void *from, uint32_t count);
 void *memset(void *to, int32_t value, uint32_t count);
 
@@ -60,7 +60,7 @@ void reset(void)
     }
 }
 
-void trap(void)
+void trap_fault(void)
 {
     (void)ask_host(0x04U, "trap: the processor met a fault\n");
     (void)ask_host(0x18U, (const void *)0x20023U);
@@ -75,7 +75,7 @@ typedef struct {
 
 __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
     &stack_top,
-    {reset, trap, trap, trap, trap, trap},
+    {reset, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault},
 };
 
 void platform_start(void)
@@ -97,7 +97,7 @@ uint32_t platform_count(void)
     return ticks;
 }
 
-void platform_say(const char *what, uint64_t number)
+void platform_print(const char *what, uint64_t number)
 {
     char line[20];
 

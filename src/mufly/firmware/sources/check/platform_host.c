@@ -12,7 +12,7 @@ uint32_t platform_count(void)
     return 0U;
 }
 
-void platform_say(const char *what, uint64_t number)
+void platform_print(const char *what, uint64_t number)
 {
     (void)printf("%s%016" PRIx64 "\n", what, number);
 }

@@ -7,36 +7,36 @@
 #include "platform.h"
 
 #define PERIODS 4000
-#define LINES 40
+#define DIGEST_LINES 40
 
 static void any_three(real_t size, real_t out[3])
 {
     for (int32_t i = 0; i < 3; i++) {
-        out[i] = any(size);
+        out[i] = random_number(size);
     }
 }
 
-static void take(uint64_t *digest, const actuators_t *out)
+static void digest_actuators(uint64_t *digest, const actuators_t *out)
 {
     const real_t all[4] = {out->motor_input[0], out->motor_input[1], out->servo_input[0], out->servo_input[1]};
 
-    take_all(digest, all, 4);
+    digest_all(digest, all, 4);
 }
 
-static void any_motion(motion_t *now)
+static void any_motion(motion_estimate_t *now)
 {
     any_three(REAL(0.5), now->position);
     any_three(REAL(0.5), now->velocity);
     any_three(REAL(0.3), now->attitude);
     now->attitude[2] *= REAL(40.0);
     any_three(REAL(1.0), now->rates);
-    now->voltage = REAL(7.0) + any(REAL(1.5));
+    now->voltage = REAL(7.0) + random_number(REAL(1.5));
 }
 
 int main(void)
 {
     static controllers_t c;
-    static motion_t now;
+    static motion_estimate_t now;
     static path_t path;
     static actuators_t out;
     real_t tilt[2] = {REAL(0.0), REAL(0.0)};
@@ -59,25 +59,25 @@ int main(void)
         any_three(REAL(0.5), path.velocity);
         any_three(REAL(1.0), path.acceleration);
         for (int32_t i = 0; i < 4; i++) {
-            wanted[i] = any(REAL(0.5));
+            wanted[i] = random_number(REAL(0.5));
         }
         before = platform_count();
         if ((k % mufly_position_divider) == 0) {
-            controllers_tilt(&mufly_gains, &c, &now, &path, tilt);
+            controllers_tilt_for(&mufly_gains, &c, &now, &path, tilt);
         }
         controllers_step(&mufly_gains, &c, &now, wanted, true, tilt, &out);
         took = platform_count() - before;
         spent += took;
         worst = (took > worst) ? took : worst;
-        take(&digest, &out);
-        if ((k % (PERIODS / LINES)) == 0) {
-            platform_say("outputs ", digest);
+        digest_actuators(&digest, &out);
+        if ((k % (PERIODS / DIGEST_LINES)) == 0) {
+            platform_print("outputs ", digest);
         }
     }
-    platform_say("outputs ", digest);
-    platform_say("periods ", PERIODS);
-    platform_say("ticks ", spent);
-    platform_say("worst ", worst);
+    platform_print("outputs ", digest);
+    platform_print("periods ", PERIODS);
+    platform_print("ticks ", spent);
+    platform_print("worst ", worst);
     platform_end();
     return 0;
 }

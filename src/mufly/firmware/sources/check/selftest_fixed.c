@@ -3,12 +3,12 @@
 #include "platform.h"
 
 #define PERIODS 4000
-#define LINES 40
+#define DIGEST_LINES 40
 
 static uint32_t seed = 2463534242U;
 
 /* xorshift (Marsaglia 2003); within -size..size, size in 2^-20. */
-static int32_t any(int32_t size)
+static int32_t random_int(int32_t size)
 {
     seed ^= seed << 13;
     seed ^= seed >> 17;
@@ -19,12 +19,12 @@ static int32_t any(int32_t size)
 static void any_three(int32_t size, int32_t out[3])
 {
     for (int32_t i = 0; i < 3; i++) {
-        out[i] = any(size);
+        out[i] = random_int(size);
     }
 }
 
 /* FNV-1a over every output so far */
-static void take(uint64_t *digest, const fixed_actuators_t *out)
+static void digest_actuators(uint64_t *digest, const fixed_actuators_t *out)
 {
     const int32_t all[4] = {out->motor_input[0], out->motor_input[1], out->servo_input[0], out->servo_input[1]};
 
@@ -40,7 +40,7 @@ static void any_motion(fixed_motion_t *now)
     any_three(FIXED_ONE / 4, now->attitude);
     now->attitude[2] *= 40;
     any_three(FIXED_ONE, now->rates);
-    now->voltage = (7 * FIXED_ONE) + any(FIXED_ONE + (FIXED_ONE / 2));
+    now->voltage = (7 * FIXED_ONE) + random_int(FIXED_ONE + (FIXED_ONE / 2));
 }
 
 int main(void)
@@ -69,26 +69,26 @@ int main(void)
         any_three(FIXED_ONE / 2, path.velocity);
         any_three(FIXED_ONE, path.acceleration);
         for (int32_t i = 0; i < 4; i++) {
-            wanted[i] = any(FIXED_ONE / 2);
+            wanted[i] = random_int(FIXED_ONE / 2);
         }
         before = platform_count();
         if ((k % mufly_fixed_position_divider) == 0) {
-            fixed_tilt(&mufly_fixed_gains, &c, &now, &path, tilt);
+            fixed_tilt_for(&mufly_fixed_gains, &c, &now, &path, tilt);
         }
         fixed_step(&mufly_fixed_gains, &c, &now, wanted, true, tilt, &out);
         took = platform_count() - before;
         spent += took;
         worst = (took > worst) ? took : worst;
-        take(&digest, &out);
-        if ((k % (PERIODS / LINES)) == 0) {
-            platform_say("outputs ", digest);
+        digest_actuators(&digest, &out);
+        if ((k % (PERIODS / DIGEST_LINES)) == 0) {
+            platform_print("outputs ", digest);
         }
     }
-    platform_say("outputs ", digest);
-    platform_say("overflows ", c.overflows);
-    platform_say("periods ", PERIODS);
-    platform_say("ticks ", spent);
-    platform_say("worst ", worst);
+    platform_print("outputs ", digest);
+    platform_print("overflows ", c.overflows);
+    platform_print("periods ", PERIODS);
+    platform_print("ticks ", spent);
+    platform_print("worst ", worst);
     platform_end();
     return 0;
 }

@@ -13,9 +13,9 @@
 #define FIXED_ROLL_PITCH_ERRORS 4
 #define FIXED_POSITION_ORDER 6
 #define FIXED_POSITION_ERRORS 2
-#define FIXED_PAIR 2
-#define FIXED_MOST_INPUTS 17 /* states, errors, refused, of heave-yaw */
-#define FIXED_MOST_STATES 10
+#define FIXED_OUTPUT_PAIR 2
+#define FIXED_MAX_INPUTS 17 /* states, errors, refused, of heave-yaw */
+#define FIXED_MAX_STATES 10
 
 /* A reference filter: 2^-20, but rates and accelerations 2^-24. */
 typedef struct {
@@ -26,19 +26,19 @@ typedef struct {
     int32_t acceleration;  /* 2^-24 */
     int32_t speed;
     int32_t lead; /* s */
-} fixed_shape_t;
+} fixed_reference_filter_t;
 
 typedef struct {
     fixed_coefficient_t update[FIXED_HEAVE_YAW_ORDER][17];
-    fixed_coefficient_t output[FIXED_PAIR][15];
+    fixed_coefficient_t output[FIXED_OUTPUT_PAIR][15];
     fixed_coefficient_t start[FIXED_HEAVE_YAW_ORDER][7];
     uint8_t update_down[FIXED_HEAVE_YAW_ORDER];
-    uint8_t output_down[FIXED_PAIR];
+    uint8_t output_down[FIXED_OUTPUT_PAIR];
     uint8_t start_down[FIXED_HEAVE_YAW_ORDER];
     int32_t kept; /* 1: what is summed is added to the state (delta form); 0: it is the state */
     int32_t limit[FIXED_HEAVE_YAW_ERRORS];
-    int32_t trim[FIXED_PAIR];
-    fixed_shape_t height, heading;
+    int32_t trim[FIXED_OUTPUT_PAIR];
+    fixed_reference_filter_t height, heading;
     int32_t slack;          /* m */
     int32_t period;         /* 2^-36 s */
     int32_t design_voltage; /* V */
@@ -48,22 +48,22 @@ typedef struct {
 
 typedef struct {
     fixed_coefficient_t update[FIXED_ROLL_PITCH_ORDER][14];
-    fixed_coefficient_t output[FIXED_PAIR][12];
+    fixed_coefficient_t output[FIXED_OUTPUT_PAIR][12];
     fixed_coefficient_t start[FIXED_ROLL_PITCH_ORDER][6];
     uint8_t update_down[FIXED_ROLL_PITCH_ORDER];
-    uint8_t output_down[FIXED_PAIR];
+    uint8_t output_down[FIXED_OUTPUT_PAIR];
     uint8_t start_down[FIXED_ROLL_PITCH_ORDER];
     int32_t kept;
     int32_t limit[FIXED_ROLL_PITCH_ERRORS];
-    int32_t trim[FIXED_PAIR];
+    int32_t trim[FIXED_OUTPUT_PAIR];
     int32_t tilt_limit;
 } fixed_roll_pitch_t;
 
 typedef struct {
     fixed_coefficient_t update[FIXED_POSITION_ORDER][10];
-    fixed_coefficient_t output[FIXED_PAIR][8];
+    fixed_coefficient_t output[FIXED_OUTPUT_PAIR][8];
     uint8_t update_down[FIXED_POSITION_ORDER];
-    uint8_t output_down[FIXED_PAIR];
+    uint8_t output_down[FIXED_OUTPUT_PAIR];
     int32_t kept;
     int32_t limit[FIXED_POSITION_ERRORS];
     int32_t position_gain;
@@ -81,20 +81,20 @@ typedef struct {
 typedef struct {
     int64_t value; /* filtered reference, 2^-40 */
     int32_t rate;  /* 2^-24 */
-} fixed_shaped_t;
+} fixed_reference_t;
 
 typedef struct {
     int32_t heave_yaw[FIXED_HEAVE_YAW_ORDER];
     int32_t roll_pitch[FIXED_ROLL_PITCH_ORDER];
     int32_t position[FIXED_POSITION_ORDER];
-    fixed_shaped_t height, heading;
+    fixed_reference_t height, heading;
     int32_t origin_z, origin_psi;
     int32_t voltage;    /* filtered, 2^-24 V */
     uint32_t overflows; /* numbers that did not fit; none, by the proof */
 } fixed_controllers_t;
 
 typedef struct {
-    int32_t position[3], velocity[3], attitude[3], rates[3], voltage; /* as motion_t of controllers.h */
+    int32_t position[3], velocity[3], attitude[3], rates[3], voltage; /* as motion_estimate_t of controllers.h */
 } fixed_motion_t;
 
 typedef struct {
@@ -115,7 +115,7 @@ extern const int32_t mufly_fixed_position_divider;
 void fixed_engage(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
                   const int32_t motor_input[2]);
 void fixed_lift_off(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now);
-void fixed_tilt(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
+void fixed_tilt_for(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
                 const fixed_path_t *reference, int32_t tilt[2]);
 void fixed_step(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
                 const int32_t heave_yaw[4], bool flying, const int32_t tilt[2], fixed_actuators_t *out);

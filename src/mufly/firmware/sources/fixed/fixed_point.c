@@ -1,9 +1,9 @@
 #include "fixed_point.h"
 
 #define TWO_OVER_PI 683565276LL   /* 2^-30 */
-#define PI_HALF 1727108826179LL   /* 2^-40 */
+#define HALF_PI 1727108826179LL   /* 2^-40 */
 
-int64_t fixed_rounded(int64_t value, uint32_t bits)
+int64_t fixed_round_shift(int64_t value, uint32_t bits)
 {
     int64_t rounded = value;
 
@@ -18,9 +18,9 @@ int64_t fixed_rounded(int64_t value, uint32_t bits)
     return rounded;
 }
 
-int64_t fixed_times(int64_t a, int64_t b, uint32_t bits)
+int64_t fixed_multiply_shift(int64_t a, int64_t b, uint32_t bits)
 {
-    return fixed_rounded(a * b, bits);
+    return fixed_round_shift(a * b, bits);
 }
 
 int64_t fixed_clip(int64_t value, int64_t low, int64_t high)
@@ -42,7 +42,7 @@ int64_t fixed_abs(int64_t value)
     return (value < 0) ? -value : value;
 }
 
-int32_t fixed_narrow(int64_t value, uint32_t *overflows)
+int32_t fixed_saturate_int32(int64_t value, uint32_t *overflows)
 {
     const int64_t held = fixed_clip(value, INT32_MIN, INT32_MAX);
 
@@ -52,7 +52,7 @@ int32_t fixed_narrow(int64_t value, uint32_t *overflows)
     return (int32_t)held;
 }
 
-int64_t fixed_root(int64_t value)
+int64_t fixed_integer_sqrt(int64_t value)
 {
     uint64_t left = (value > 0) ? (uint64_t)value : 0U;
     uint64_t root = 0U;
@@ -76,22 +76,22 @@ int64_t fixed_root(int64_t value)
 /* The angle less n quarter turns, then the series of Taylor. */
 void fixed_sine_cosine(int32_t angle, int32_t *sine, int32_t *cosine)
 {
-    const int64_t n = fixed_times(angle, TWO_OVER_PI, 50U);
-    const int64_t r = fixed_rounded(((int64_t)angle * FIXED_ONE) - (n * PI_HALF), 10U);
-    const int64_t q = fixed_times(r, r, 30U);
+    const int64_t n = fixed_multiply_shift(angle, TWO_OVER_PI, 50U);
+    const int64_t r = fixed_round_shift(((int64_t)angle * FIXED_ONE) - (n * HALF_PI), 10U);
+    const int64_t q = fixed_multiply_shift(r, r, 30U);
     int64_t s = 2959; /* 1/9! */
     int64_t c = -296; /* -1/10! */
     int32_t quadrant = (int32_t)(n % 4);
 
-    s = -213044 + fixed_times(q, s, 30U);
-    s = 8947849 + fixed_times(q, s, 30U);
-    s = -178956971 + fixed_times(q, s, 30U);
-    s = r + fixed_times(r, fixed_times(q, s, 30U), 30U);
-    c = 26631 + fixed_times(q, c, 30U);
-    c = -1491308 + fixed_times(q, c, 30U);
-    c = 44739243 + fixed_times(q, c, 30U);
-    c = -536870912 + fixed_times(q, c, 30U);
-    c = FIXED_UNIT + fixed_times(q, c, 30U);
+    s = -213044 + fixed_multiply_shift(q, s, 30U);
+    s = 8947849 + fixed_multiply_shift(q, s, 30U);
+    s = -178956971 + fixed_multiply_shift(q, s, 30U);
+    s = r + fixed_multiply_shift(r, fixed_multiply_shift(q, s, 30U), 30U);
+    c = 26631 + fixed_multiply_shift(q, c, 30U);
+    c = -1491308 + fixed_multiply_shift(q, c, 30U);
+    c = 44739243 + fixed_multiply_shift(q, c, 30U);
+    c = -536870912 + fixed_multiply_shift(q, c, 30U);
+    c = FIXED_UNIT + fixed_multiply_shift(q, c, 30U);
     if (quadrant < 0) {
         quadrant += 4;
     }
@@ -115,7 +115,7 @@ void fixed_sine_cosine(int32_t angle, int32_t *sine, int32_t *cosine)
     }
 }
 
-int64_t fixed_row(int32_t count, const fixed_coefficient_t row[], const int32_t by[], uint32_t down)
+int64_t fixed_dot(int32_t count, const fixed_coefficient_t row[], const int32_t by[], uint32_t down)
 {
     int64_t sum = 0;
 
@@ -124,5 +124,5 @@ int64_t fixed_row(int32_t count, const fixed_coefficient_t row[], const int32_t 
             sum += ((int64_t)row[j].c * by[j]) * (int64_t)((uint64_t)1U << row[j].up);
         }
     }
-    return fixed_rounded(sum, down);
+    return fixed_round_shift(sum, down);
 }

@@ -21,24 +21,24 @@ typedef struct {
 } fixed_coefficient_t;
 
 /* value / 2^bits, rounded; bits below 63. */
-int64_t fixed_rounded(int64_t value, uint32_t bits);
+int64_t fixed_round_shift(int64_t value, uint32_t bits);
 
 /* a b / 2^bits, rounded. */
-int64_t fixed_times(int64_t a, int64_t b, uint32_t bits);
+int64_t fixed_multiply_shift(int64_t a, int64_t b, uint32_t bits);
 
 int64_t fixed_clip(int64_t value, int64_t low, int64_t high);
 int64_t fixed_abs(int64_t value);
 
 /* Held within 32 bits; one more in *overflows where it was not. */
-int32_t fixed_narrow(int64_t value, uint32_t *overflows);
+int32_t fixed_saturate_int32(int64_t value, uint32_t *overflows);
 
 /* The greatest whole number whose square is no more; 0 for negative ones. */
-int64_t fixed_root(int64_t value);
+int64_t fixed_integer_sqrt(int64_t value);
 
 /* Sine and cosine (2^-30) of an angle (2^-20 rad). */
 void fixed_sine_cosine(int32_t angle, int32_t *sine, int32_t *cosine);
 
 /* A row of a controller: the sum of its products, rounded by down bits. */
-int64_t fixed_row(int32_t count, const fixed_coefficient_t row[], const int32_t by[], uint32_t down);
+int64_t fixed_dot(int32_t count, const fixed_coefficient_t row[], const int32_t by[], uint32_t down);
 
 #endif

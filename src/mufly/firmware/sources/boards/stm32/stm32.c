@@ -15,11 +15,11 @@ int main(void);
 /* Set by interrupts. */
 static volatile uint32_t periods;     /* of the loop's timer */
 static volatile uint32_t microseconds; /* of a free-running 32-bit timer; TODO: TIM2->CNT */
-static volatile bool imu_came;
+static volatile bool imu_is_new;
 static volatile real_t imu[6];        /* specific force (m/s2), rates (rad/s); body axes forward, right, down */
 
-static entry_t telemetry[TELEMETRY_SLOTS];
-static uint32_t written;
+static log_entry_t telemetry[TELEMETRY_SLOTS];
+static uint32_t telemetry_count;
 
 /* TODO: the timer's interrupt at mufly_rate_Hz calls this. */
 void stm32_period(void);
@@ -36,16 +36,16 @@ void stm32_imu(const real_t force[3], const real_t rates[3])
         imu[i] = force[i];
         imu[3 + i] = rates[i];
     }
-    imu_came = true;
+    imu_is_new = true;
 }
 
-static void pwm(int32_t channel, real_t share)
+static void write_pwm(int32_t channel, real_t share)
 {
     (void)channel; /* TODO: TIMx->CCRy = (uint32_t)(share * TIMx->ARR) */
     (void)share;
 }
 
-int32_t hal_wait(void)
+int32_t hal_wait_period(void)
 {
     static uint32_t last;
     uint32_t missed;
@@ -69,20 +69,20 @@ real_t hal_time_s(void)
     return seconds;
 }
 
-void hal_read(hal_readings_t *readings)
+void hal_read_sensors(hal_readings_t *readings)
 {
-    for (int32_t k = 0; k < SENSORS; k++) {
+    for (int32_t k = 0; k < SENSOR_COUNT; k++) {
         readings->fresh[k] = 0;
         readings->age[k] = REAL(0.0);
     }
     for (int32_t i = 0; i < 3; i++) {
-        readings->z[CLIPPING + i] = REAL(0.0); /* TODO: the share of samples at full scale */
+        readings->z[CLIPPING_START + i] = REAL(0.0); /* TODO: the share of samples at full scale */
     }
-    if (imu_came) {
-        imu_came = false; /* TODO: with interrupts off, or from the half of the buffer that DMA does not write */
+    if (imu_is_new) {
+        imu_is_new = false; /* TODO: with interrupts off, or from the half of the buffer that DMA does not write */
         for (int32_t i = 0; i < 3; i++) {
-            readings->z[STARTS[R_ACCELERATION] + i] = imu[i];
-            readings->z[STARTS[R_RATES] + i] = imu[3 + i];
+            readings->z[READING_STARTS[R_ACCELERATION] + i] = imu[i];
+            readings->z[READING_STARTS[R_RATES] + i] = imu[3 + i];
         }
         readings->fresh[R_ACCELERATION] = 1;
         readings->fresh[R_RATES] = 1;
@@ -90,34 +90,34 @@ void hal_read(hal_readings_t *readings)
     /* TODO: sonar, ring, pressure (less 101325 Pa), compass, rotor speeds, position fix, battery voltage. */
 }
 
-void hal_actuate(const actuators_t *out)
+void hal_write_actuators(const actuators_t *out)
 {
-    pwm(UPPER_CHANNEL, out->motor_input[0]);
-    pwm(LOWER_CHANNEL, out->motor_input[1]);
+    write_pwm(UPPER_CHANNEL, out->motor_input[0]);
+    write_pwm(LOWER_CHANNEL, out->motor_input[1]);
     /* Servos: 1 to 2 ms of a 20 ms frame, the middle at rest. */
-    pwm(SERVO_1_CHANNEL, (REAL(1.5) + (REAL(0.5) * out->servo_input[0])) / REAL(20.0));
-    pwm(SERVO_2_CHANNEL, (REAL(1.5) + (REAL(0.5) * out->servo_input[1])) / REAL(20.0));
+    write_pwm(SERVO_1_CHANNEL, (REAL(1.5) + (REAL(0.5) * out->servo_input[0])) / REAL(20.0));
+    write_pwm(SERVO_2_CHANNEL, (REAL(1.5) + (REAL(0.5) * out->servo_input[1])) / REAL(20.0));
 }
 
-void hal_command(command_t *command)
+void hal_read_command(command_t *command)
 {
     static const command_t none;
 
     *command = none; /* TODO: COMMAND_LONG, MANUAL_CONTROL, SET_POSITION_TARGET_LOCAL_NED from the UART, bounded */
 }
 
-bool hal_armed(void)
+bool hal_is_armed(void)
 {
     return false; /* TODO: MAV_CMD_COMPONENT_ARM_DISARM, and a switch on the board */
 }
 
-void hal_tell(const entry_t *entry)
+void hal_send_log_entry(const log_entry_t *entry)
 {
-    telemetry[written % TELEMETRY_SLOTS] = *entry; /* TODO: the UART's DMA sends them as MAVLink V2_EXTENSION or TUNNEL */
-    written++;
+    telemetry[telemetry_count % TELEMETRY_SLOTS] = *entry; /* TODO: the UART's DMA sends them as MAVLink V2_EXTENSION or TUNNEL */
+    telemetry_count++;
 }
 
-void hal_alive(void)
+void hal_feed_watchdog(void)
 {
     /* TODO: IWDG->KR = 0xAAAA, with a reload that leaves 50 ms */
 }

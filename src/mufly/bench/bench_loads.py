@@ -1,0 +1,557 @@
+"""From readings to loads: zero taken off, gains and cross-talk undone, and what that leaves in doubt.
+
+With sensitivities S and zeros z(t) (:mod:`mufly.bench.bench_loads`) the loads of a line are
+``F = S^-1 (y - z(t))``. An error of a calibration or of a zero shifts many lines together, so it does not average out;
+its effect is carried along as
+
+    dF/dS_kl = -S^-1[:, k] F_l,      dF/dz_k = -S^-1[:, k],      z_k = basis(t) a_k
+
+beside the covariance of all S, b and a. A channel in SI units that was never calibrated has S = 1; its zero is still
+followed when there are readings at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.bench.bench_table import SI_UNITS, BenchTable, base_quantity_of
+from mufly.bench.residual_covariance import CovarianceEstimate, estimate_covariance, join_covariances
+from mufly.bench.series.moist_air import moist_air_density
+from mufly.bench.unit_conventions import (
+    LOAD_QUANTITIES,
+    add_loads_from_coefficients,
+    select_axial_lines,
+    select_rest_lines,
+)
+from mufly.errors import ArgumentError
+from mufly.results import result
+from mufly.rotor import (
+    Air,
+    Blading,
+    OperatingCondition,
+    RotorSystem,
+    solve_rotor_batch,
+    solve_system,
+    warn_reynolds_range,
+)
+
+# ----------------------------------------------------------------------------
+# Load cells: from known loads to gain, offset and cross-talk, with what is not known about them.
+#
+# Sensor ``k`` reads, under the loads ``F_1 ... F_c`` (thrust, torque, ...),
+#
+#     y_k = b_k + sum_l S_kl F_l + error          so          F = S^-1 (y - b).
+#
+# Every row of ``[b S]`` is a linear least-squares fit over the lines of a calibration file, with its covariance from
+# :mod:`mufly.bench.residual_covariance` (drift during the calibration widens it). The off-diagonal terms are the
+# cross-talk; loads that the file does not name are taken to have none. Known weights count as exact. Own derivation;
+# textbook treatment of multi-component balances: Tropea, Yarin and Foss (eds.), Springer Handbook of Experimental Fluid
+# Mechanics, 2007.
+#
+# The zero drifts: readings at zero speed come in blocks (consecutive lines at rest). Over the time ``t`` of the
+# measurement, or the number of the line where no time was kept, a polynomial
+#
+#     zero(t) = a_0 + a_1 tau + ... + a_d tau^d,      tau = (t - middle) / half the span of the zeros
+#
+# is fitted to them. Its degree, at most one less than the number of blocks and at most 3, has the least AICc (Hurvich
+# and Tsai, Biometrika 76, 1989) of the readings; the covariance of ``a`` is that of
+# :mod:`mufly.bench.residual_covariance`, with readings of one block allowed to err alike. From a single block the zero
+# is constant by assumption, which is said.
+
+
+Array = NDArray[np.float64]
+
+
+@result(eq=False)
+class CellCalibration:
+    """Sensitivity of load cells.
+
+    Attributes
+    ----------
+    channels : tuple of str
+        Loads and readings: ``"thrust"``, ``"torque"``, ``"torque_upper"``, ...; reading k belongs to ``<channel>_raw``.
+    offset : (c,) array
+        Readings without load.
+    sensitivity : (c, c) array
+        Reading (row) per load (column, N or N m).
+    covariance : (c (c + 1), c (c + 1)) array
+        Of ``parameter_vector``: row by row ``b_k, S_k1 ... S_kc``.
+    spreads : tuple of Spread
+        Of every sensor; ``scale`` is the standard deviation of its readings.
+    applied : (c, 2) array
+        Least and greatest load of each kind.
+    source : str
+    notes : tuple of str
+    """
+
+    channels: tuple[str, ...]
+    offset: Array
+    sensitivity: Array
+    covariance: Array
+    spreads: tuple[CovarianceEstimate, ...]
+    applied: Array
+    source: str
+    notes: tuple[str, ...]
+
+    @property
+    def parameter_vector(self) -> Array:
+        """Offsets and sensitivities in the order of ``covariance``."""
+        return np.column_stack([self.offset, self.sensitivity]).ravel()
+
+    def readings_to_loads(self, readings: Array, zero: Array | None = None) -> Array:
+        """Return loads (n, c) of readings (n, c).
+
+        Parameters
+        ----------
+        readings : (n, c) array
+        zero : (n, c) or (c,) array, optional
+            Readings without load at that time; default: those of the calibration.
+        """
+        above = readings - (self.offset if zero is None else zero)
+        return np.asarray(np.linalg.solve(self.sensitivity, above.T).T, dtype=np.float64)
+
+    def channel_gains(self) -> tuple[Array, Array]:
+        """Return gains dF_k/dy_k (c,), N or N m per unit of reading, and their standard deviations."""
+        c = len(self.channels)
+        inverse = np.linalg.inv(self.sensitivity)
+        gain = np.diag(inverse)
+        # d(S^-1) = -S^-1 dS S^-1
+        jacobian = np.zeros((c, c, c + 1))
+        for k in range(c):
+            jacobian[k, :, 1:] = -np.outer(inverse[k], inverse[:, k])
+        flat = jacobian.reshape(c, -1)
+        return gain, np.sqrt(np.diag(flat @ self.covariance @ flat.T))
+
+    def describe_calibration(self) -> list[str]:
+        """Describe gains, offsets and cross-talk with 95 % intervals, a line each."""
+        gain, gain_std = self.channel_gains()
+        c = len(self.channels)
+        std = np.sqrt(np.diag(self.covariance)).reshape(c, c + 1)
+        lines = []
+        for k, name in enumerate(self.channels):
+            t, unit = self.spreads[k].t_quantile_95, SI_UNITS[name.split("_")[0]]
+            lines.append(
+                f"{name}: gain {gain[k]:.6g} +- {t * gain_std[k]:.2g} {unit} per unit of reading, reading without load "
+                f"{self.offset[k]:.6g} +- {t * std[k, 0]:.2g}; readings scatter by {self.spreads[k].scale:.2g}"
+            )
+            for j, other in enumerate(self.channels):
+                s, doubt = self.sensitivity[k, j], t * std[k, 1 + j]
+                if j != k and doubt > 0:
+                    per = SI_UNITS[other.split("_")[0]]
+                    seen = "is there" if abs(s) > doubt else "is within its error"
+                    lines.append(f"  cross-talk of {other} on {name}: {s:.3g} +- {doubt:.2g} per {per}, {seen}")
+        return lines + list(self.notes)
+
+
+def calibrate_cells(table: BenchTable) -> CellCalibration:
+    """Fit load cells to known loads.
+
+    Parameters
+    ----------
+    table : BenchTable
+        Pairs of columns ``<channel>`` (known load) and ``<channel>_raw`` (reading); optional ``time``, ``run``.
+
+    Raises
+    ------
+    InputError
+        If there is no such pair, a load was not varied, or the lines are too few.
+    """
+    channels = tuple(n for n in table.columns if not n.endswith("_raw") and f"{n}_raw" in table)
+    if not channels:
+        remedy = "give columns as thrust_N and thrust_raw_V"
+        raise table.column_error("", "has no pair of known load and reading", remedy)
+    table.require_columns([*channels, *(f"{n}_raw" for n in channels)])
+    loads = np.column_stack([table[n] for n in channels])
+    notes: list[str] = []
+    for k, name in enumerate(channels):
+        if np.ptp(loads[:, k]) == 0:
+            raise table.column_error(name, "is the same in every line", "hang different known loads on the cell")
+    a = np.column_stack([np.ones(len(table)), loads])
+    n, p = a.shape
+    if n < p + 2:
+        raise table.column_error("", f"{n} lines are too few for {p} numbers a sensor", f"give {p + 2} or more")
+    size = np.abs(loads).max(axis=0)
+    if np.linalg.matrix_rank(a / np.r_[1.0, size], tol=1e-6) < p:
+        problem = "rise and fall together, so that cross-talk cannot be told from gain"
+        raise table.column_error(" and ".join(channels), problem, "load each cell also without the other")
+    order = np.argsort(table["time"], kind="stable") if "time" in table else np.arange(n)
+    a, run = a[order], (table["run"].astype(np.int64)[order] if "run" in table else None)
+    group = np.unique(loads[order], axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+    rows, spreads = [], []
+    for name in channels:
+        y = table[f"{name}_raw"][order]
+        solution = np.linalg.lstsq(a, y, rcond=None)[0]
+        s = estimate_covariance(a, y - a @ solution, run=run, group=group)
+        if s.pattern != "white":
+            notes.append(f"{name}: {s.describe_pattern()}")
+        rows.append(solution)
+        spreads.append(s)
+    b = np.array(rows)
+    if abs(np.linalg.det(b[:, 1:] / np.abs(b[:, 1:]).max(axis=0))) < 1e-9:
+        raise table.column_error("", "the sensors do not tell the loads apart", "check the columns")
+    return CellCalibration(
+        channels=channels,
+        offset=b[:, 0],
+        sensitivity=b[:, 1:],
+        covariance=join_covariances(*(s.covariance for s in spreads)),
+        spreads=tuple(spreads),
+        applied=np.column_stack([loads.min(axis=0), loads.max(axis=0)]),
+        source=table.source,
+        notes=tuple(notes),
+    )
+
+
+_MAX_DEGREE = 3
+
+
+@result(eq=False)
+class ZeroDrift:
+    """Reading of one sensor without load, over time.
+
+    Attributes
+    ----------
+    coefficients : (d + 1,) array
+        a of the module docstring, in units of the reading.
+    spread : Spread
+        Covariance of the coefficients; ``scale`` is the scatter of the zero readings.
+    middle, half : float
+        Of the time.
+    blocks : int
+        How often the zero was read.
+    change : float
+        Zero at the end less zero at the beginning of the span.
+    """
+
+    coefficients: Array
+    spread: CovarianceEstimate
+    middle: float
+    half: float
+    blocks: int
+    change: float
+
+    def time_powers(self, time: Array) -> Array:
+        """Return powers of tau, (n, d + 1)."""
+        return np.vander((time - self.middle) / self.half, self.coefficients.size, increasing=True)
+
+    def zero_at(self, time: Array) -> Array:
+        """Return the zero reading (n,) at times (n,)."""
+        return self.time_powers(time) @ self.coefficients
+
+    def zero_std_at(self, time: Array) -> Array:
+        """Return the standard deviation (n,) of the zero."""
+        b = self.time_powers(time)
+        return np.sqrt(np.einsum("ij,jk,ik->i", b, self.spread.covariance, b))
+
+
+def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> ZeroDrift | None:
+    """Fit the zero of a sensor.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Of all readings, in the order of measurement.
+    reading : (n,) array
+    at_rest : (n,) array of bool
+        Which were taken without load.
+
+    Returns
+    -------
+    ZeroDrift or None
+        None without a reading at rest.
+    """
+    if not at_rest.any():
+        return None
+    starts = np.diff(np.r_[False, at_rest].astype(int)) == 1
+    block = np.cumsum(starts)[at_rest].astype(np.int64)
+    t, y = time[at_rest], reading[at_rest]
+    blocks = int(block.max())
+    middle, half = 0.5 * (t.max() + t.min()), max(0.5 * float(np.ptp(t)), 1e-9)
+    tau, n = (t - middle) / half, y.size
+    chosen, least = 0, np.inf
+    for degree in range(min(_MAX_DEGREE, blocks - 1, n - 3) + 1 if n > 3 else 1):
+        a = np.vander(tau, degree + 1, increasing=True)
+        rest = y - a @ np.linalg.lstsq(a, y, rcond=None)[0]
+        k = degree + 2
+        if n - k - 1 <= 0:
+            break
+        score = n * np.log(max(float(rest @ rest) / n, 1e-300)) + 2 * k + 2 * k * (k + 1) / (n - k - 1)
+        if score < least:
+            chosen, least = degree, score
+    if n <= 3 and blocks >= 2:
+        chosen = 1  # before and after: a straight line, and no reading left over to judge it by
+    a = np.vander(tau, chosen + 1, increasing=True)
+    solution = np.asarray(np.linalg.lstsq(a, y, rcond=None)[0], dtype=np.float64)
+    if n > chosen + 1:
+        s = estimate_covariance(a, y - a @ solution, group=block)
+    else:
+        s = CovarianceEstimate(np.zeros((chosen + 1, chosen + 1)), 0.0, 1.0, "white", 0.0)
+    ends = np.vander(np.array([-1.0, 1.0]), chosen + 1, increasing=True) @ solution
+    return ZeroDrift(solution, s, float(middle), half, blocks, float(ends[1] - ends[0]))
+
+
+@result(eq=False)
+class BenchLoads:
+    """Loads at the lines where something turned.
+
+    Attributes
+    ----------
+    table : BenchTable
+        These lines.
+    values : dict of str to (n,) array
+        Loads by channel (N, N m): ``"thrust"``, ``"torque_upper"``, ...
+    by_systematic : dict of str to (n, s) array
+        Derivatives of each by the common numbers (calibration, zeros).
+    systematic : (s, s) array
+        Their covariance.
+    drifts : dict of str to ZeroDrift
+        Zero of each channel, where it was read, in units of the reading.
+    zeros : BenchTable
+        The lines at rest.
+    notes : tuple of str
+    """
+
+    table: BenchTable
+    values: dict[str, Array]
+    by_systematic: dict[str, Array]
+    systematic: Array
+    drifts: dict[str, ZeroDrift]
+    zeros: BenchTable
+    notes: tuple[str, ...]
+
+
+def compute_loads(
+    table: BenchTable,
+    calibration: CellCalibration | None = None,
+    *,
+    radius_m: float | None = None,
+    density_kg_m3: float | None = None,
+) -> BenchLoads:
+    """Return the loads of a bench file at its static lines.
+
+    Parameters
+    ----------
+    table : BenchTable
+        ``thrust``, ``torque`` (with ``_upper``, ``_lower``) in SI units, or ``_raw`` with a calibration; ``speed``
+        (``speed_upper``, ``speed_lower``), zero in the lines at rest; optional ``time``. Coefficients in their place
+        need the radius (:mod:`mufly.bench.unit_conventions`).
+    calibration : Calibration, optional
+    radius_m, density_kg_m3 : float, optional
+        Of the rotor, and of the air (default: :func:`resolve_air_density`), for coefficients.
+
+    Raises
+    ------
+    InputError
+        If a raw channel has no calibration, or a calibration no raw channel; if a unit is none of its column's, a
+        coefficient has no radius, all lines are in axial flight, or no speed was read although there is a load.
+    """
+    table.reject_wrong_units(c for c in table.misread if base_quantity_of(c) in (*LOAD_QUANTITIES, "speed"))
+    table = add_loads_from_coefficients(table, radius_m, resolve_air_density(table, density_kg_m3)[0])
+    axial = select_axial_lines(table, radius_m)
+    if axial.any():
+        left = int(np.sum(~axial))
+        if not left:
+            raise table.column_error("", "has no static line: all are in axial flight", "give lines at airspeed or J 0")
+        table = table.select_lines(~axial).with_columns(
+            f"{int(axial.sum())} lines in axial flight are left out: {left} are static"
+        )
+    speeds = [c for c in table.columns if c.split("_")[0] == "speed"]
+    if not speeds:
+        table.require_columns(("speed",))
+    table.require_columns(speeds)
+    raw = [
+        c.removesuffix("_raw") for c in table.columns if c.endswith("_raw") and base_quantity_of(c) in LOAD_QUANTITIES
+    ]
+    known = calibration.channels if calibration is not None else ()
+    for channel in raw:
+        if channel not in known:
+            remedy = f"give calibration=FILE, with {channel} and {channel}_raw in it"
+            raise table.column_error(f"{channel}_raw", "is a reading without a calibration", remedy)
+    for channel in known:
+        if channel not in raw:
+            remedy = f"name the reading {channel}_raw_V, or map it with columns=OLD=NEW"
+            problem = "is not among the columns, but the calibration has it"
+            raise table.column_error(f"{channel}_raw", problem, remedy)
+    direct = [
+        c for c in table.columns if base_quantity_of(c) in LOAD_QUANTITIES and not c.endswith("_raw") and c not in raw
+    ]
+    if not raw and not direct:
+        table.require_columns(("thrust",))
+    time = table["time"] if "time" in table else table.line.astype(np.float64)
+    order = np.argsort(time, kind="stable")
+    table, time = table.reorder_lines(order), time[order]
+    at_rest, lost = select_rest_lines(table, speeds)
+    turning, notes, drifts = ~at_rest & ~lost, list(table.notes), {}
+    if lost.any():
+        if not turning.any():
+            remedy = "map another column of speed, columns=OLD=speed_rpm"
+            raise table.column_error(speeds[0], "is 0 in every line, although there are loads", remedy)
+        notes.append(
+            f"{int(lost.sum())} lines (first: {table.line[lost].min()}) have speed 0 under load or throttle and are "
+            "left out: their speed reading failed"
+        )
+    for channel in (*known, *direct):
+        column = f"{channel}_raw" if channel in raw else channel
+        rest = at_rest & np.isfinite(table[column])
+        drift = fit_zero_drift(time, table[column], rest)
+        if drift is not None:
+            drifts[channel] = drift
+            notes.append(_describe_drift(table, channel, drift, time[turning], raw=channel in raw))
+    if not drifts:
+        notes.append("no reading at zero speed: the zero of the load cells is taken on trust")
+    running, t = table.select_lines(turning), time[turning]
+    values = {name: running[name] for name in direct}
+    inverse, blocks = np.eye(len(direct)), []
+    if calibration is not None:
+        zero = [
+            drifts[c].zero_at(t) if c in drifts else np.full(t.size, b)
+            for c, b in zip(known, calibration.offset, strict=True)
+        ]
+        loads = calibration.readings_to_loads(
+            np.column_stack([running[f"{c}_raw"] for c in known]), np.column_stack(zero)
+        )
+        values = dict(zip(known, loads.T, strict=True)) | values
+        inverse = join_covariances(np.linalg.inv(calibration.sensitivity), inverse)
+        blocks = [calibration.covariance]
+    k, start = len(known), sum(len(b) for b in blocks)
+    blocks += [drifts[c].spread.covariance for c in values if c in drifts]
+    systematic = join_covariances(*blocks) if blocks else np.zeros((0, 0))
+    by = {name: np.zeros((t.size, len(systematic))) for name in values}
+    for j, name in enumerate(known):
+        part = by[name][:, :start].reshape(t.size, k, k + 1)
+        for i, sensor in enumerate(known):
+            part[:, i, 0] = 0.0 if sensor in drifts else -inverse[j, i]
+            part[:, i, 1:] = -inverse[j, i] * loads
+        by[name][:, :start] = part.reshape(t.size, start)
+    for i, sensor in enumerate(values):
+        if sensor in drifts:
+            d = drifts[sensor]
+            if sensor in direct:
+                values[sensor] = values[sensor] - d.zero_at(t)
+            for j, name in enumerate(values):
+                by[name][:, start : start + d.coefficients.size] = -inverse[j, i] * d.time_powers(t)
+            start += d.coefficients.size
+    return BenchLoads(running, values, by, systematic, drifts, table.select_lines(at_rest), tuple(notes))
+
+
+def _describe_drift(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, raw: bool) -> str:
+    unit = "units of the reading" if raw else SI_UNITS[channel.split("_")[0]]
+    if d.blocks == 1:
+        return f"{channel}: zero read once, {d.coefficients[0]:.4g} {unit}; that it stayed there is taken on trust"
+    kind = ("constant", "a straight line", "a parabola", "a cubic")[d.coefficients.size - 1]
+    doubt = f" +- {2 * float(np.max(d.zero_std_at(t))):.2g}" if d.spread.scale > 0 and t.size else ""
+    return f"{channel}: zero read {d.blocks} times, followed as {kind}{doubt}, changes by {d.change:.3g} {unit}"
+
+
+def resolve_air_density(table: BenchTable, density_kg_m3: float | None) -> tuple[Array, str]:
+    """Return the density of the air (n,) in kg/m3 and where it comes from.
+
+    A column ``density`` goes first, then ``temperature`` and ``pressure``, with ``humidity`` by the CIPM-2007 formula,
+    without it as dry air's ``p / (287.05 T)`` (humid air is up to 1 % lighter), then the given number, then 1.2.
+    """
+    n = len(table)
+    if density_kg_m3 is not None:
+        return np.full(n, density_kg_m3), f"density {density_kg_m3:g} kg/m3 as given"
+    if "density" in table:
+        table.require_columns(("density",))
+        return table["density"], "density from the file"
+    if "temperature" in table and "pressure" in table:
+        table.require_columns(("temperature", "pressure"))
+        if "humidity" in table:
+            table.require_columns(("humidity",))
+            moist = moist_air_density(table["pressure"], table["temperature"] + 273.15, table["humidity"])
+            return moist, f"density {moist.mean():.4g} kg/m3 from temperature, pressure and humidity"
+        rho = table["pressure"] / (287.05 * (table["temperature"] + 273.15))
+        return rho, f"density {rho.mean():.4g} kg/m3 from temperature and pressure (dry air)"
+    return np.full(n, 1.2), "density 1.2 kg/m3 assumed: every coefficient is wrong by as much as it is"
+
+
+@result(eq=False)
+class BenchPrediction:
+    """Predicted loads at the measured points.
+
+    Attributes
+    ----------
+    speed_rad_s, load : dict of str to (n,) array
+        By channel; N or N m.
+    error : dict of str to (n,) array
+        Prediction over measurement less one.
+    """
+
+    speed_rad_s: dict[str, Array]
+    load: dict[str, Array]
+    error: dict[str, Array]
+
+    def describe_errors(self) -> list[str]:
+        """Return mean and mean absolute error of each channel."""
+        return [
+            f"{name}: prediction {100 * np.mean(e):+.1f} % from the measured on average, "
+            f"{100 * np.mean(np.abs(e)):.1f} % in the mean of absolute errors ({e.size} points)"
+            for name, e in self.error.items()
+        ]
+
+
+def predict_loads(
+    loads: BenchLoads, blading: Blading, *, density_kg_m3: float, pitch_rad: float | None = None,
+    spacing_m: float | None = None, progress: Callable[[int, int], None] | None = None,
+) -> BenchPrediction:  # fmt: skip
+    """Predict the measured points.
+
+    Parameters
+    ----------
+    loads : Loads
+    blading : Blading
+        The rotor; a pair has two of them.
+    density_kg_m3 : float
+        Of the air.
+    pitch_rad : float, optional
+        Pitch setting where the file does not say; default 0, the blades as in the rotor file.
+    spacing_m : float, optional
+        Between the discs of a pair.
+    progress : callable, optional
+        Called with points done and all points.
+
+    Raises
+    ------
+    InputError
+        For a pair without a spacing.
+    """
+    table = loads.table
+    air = Air(density_kg_m3=density_kg_m3)
+    pitch = table["pitch"] if "pitch" in table else np.full(len(table), 0.0 if pitch_rad is None else pitch_rad)
+    values: dict[str, Array] = {}
+    speeds: dict[str, Array] = {}
+    if "speed_upper" in table and "speed_lower" in table:
+        if spacing_m is None:
+            raise ArgumentError(
+                "spacing_m", "", "is missing for a coaxial pair", "give the distance between the discs in m"
+            )
+        system = RotorSystem.coaxial_pair(blading, blading, spacing_m=spacing_m)
+        up, dw = table["speed_upper"], table["speed_lower"]
+        found = np.full((len(table), 4), np.nan)
+        both = np.flatnonzero((up > 0) & (dw > 0))
+        for done, k in enumerate(both):
+            u, d = solve_system(system, OperatingCondition(float(pitch[k]), (up[k], dw[k]), air=air)).rotors
+            found[k] = u.thrust_N, u.torque_Nm, d.thrust_N, d.torque_Nm
+            if progress is not None:
+                progress(done + 1, both.size)
+        values = dict(zip(("thrust_upper", "torque_upper", "thrust_lower", "torque_lower"), found.T, strict=True))
+        values["thrust"] = values["thrust_upper"] + values["thrust_lower"]
+        speeds = {name: dw if name.endswith("lower") else up for name in values}
+    else:
+        table.require_columns(("speed",))
+        speed = np.abs(table["speed"])
+        warn_reynolds_range(blading, np.zeros(speed.size, dtype=np.int64), speed, air)
+        out = solve_rotor_batch(blading, pitch_rad=pitch, speed_rad_s=speed, air=air)
+        values = {"thrust": out.thrust_N, "torque": out.torque_Nm}
+        speeds = dict.fromkeys(values, table["speed"])
+    chosen = {
+        name: np.isfinite(v) & np.isfinite(loads.values[name]) for name, v in values.items() if name in loads.values
+    }
+    return BenchPrediction(
+        {name: np.abs(speeds[name][c]) for name, c in chosen.items()},
+        {name: values[name][c] for name, c in chosen.items()},
+        {name: values[name][c] / np.abs(loads.values[name][c]) - 1.0 for name, c in chosen.items()},
+    )

@@ -1,0 +1,554 @@
+"""A bench file read: columns in SI units under one set of names, with what was guessed on the way.
+
+A text with a header, its columns set apart by comma, semicolon, tab or blanks (without commas, decimal commas will
+do); lines that begin with ``#`` are skipped. A header is a name and a unit, in brackets or after the last
+underscore: ``current_A``, ``Current [mA]``, ``Q(Nm)``. The name may carry the rotor (``upper`` or ``lower``), and
+``raw`` for the reading of a sensor that is still to be calibrated: ``thrust_upper_N``, ``torque_raw_V``. Capitals do
+not matter. Other headers are passed over (docs/bench.md).
+
+A quantity in several columns is read from the one that has most readings: an electrical speed that drops out gives way
+to an optical one, and of two speeds at a fixed whole ratio the slower is the shaft's, the other counts pole pairs. A
+throttle in microseconds is a pulse, 1000 us for nothing and 2000 us for all; the current beside one is that of the
+supply. Makers' tables of propellers: :mod:`mufly.bench.apc_performance_files`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.bench.apc_performance_files import read_apc_performance
+from mufly.errors import ArgumentError, InputError
+from mufly.input_files import read_text_columns
+from mufly.results import result
+from mufly.units import compatible_units, conversion_factor, normalise_unit, unit_conversion
+
+Array = NDArray[np.float64]
+
+
+class TruncatedFileWarning(UserWarning):
+    """A file's last line ends before its last cell."""
+
+
+_CONSTANT_TOLERANCE = 1e-3  # spread over size below which a channel counts as constant
+
+
+@result(eq=False)
+class BenchTable:
+    """Readings of a bench.
+
+    Attributes
+    ----------
+    source : str
+        Name of the file.
+    columns : dict of str to (n,) array
+        SI values by name (:class:`mufly.bench.bench_table.ColumnMeaning`); NaN where a cell is empty. ``run`` is a
+        number from 0.
+    headers : dict of str to str
+        The header of each, as written.
+    line : (n,) array of int
+        Lines of the file.
+    unitless : tuple of str
+        Columns whose unit the file does not say; taken as SI until :meth:`rescale_column` says otherwise.
+    notes : tuple of str
+        What was passed over or guessed, in words.
+    misread : dict of str to (str, str)
+        Quantities whose columns have a unit that is none of theirs: header and unit.
+    diameter_m : float
+        Of the rotor, where the file says it, else nan.
+    """
+
+    source: str
+    columns: dict[str, Array]
+    headers: dict[str, str]
+    line: NDArray[np.int64]
+    unitless: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    misread: dict[str, tuple[str, str]] = field(default_factory=dict)
+    diameter_m: float = math.nan
+
+    def __len__(self) -> int:
+        return int(self.line.size)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    def column_error(self, key: str, problem: str, remedy: str) -> InputError:
+        """Return the error about a column, called by its header, or about the file (key "")."""
+        return InputError(self.source, self.headers.get(key, key), problem, remedy)
+
+    def require_columns(self, names: Iterable[str], *, remedy: str = "") -> None:
+        """Check that columns are there and filled in every line.
+
+        Raises
+        ------
+        InputError
+            Naming the first that is not.
+        """
+        for name in names:
+            if name not in self.columns:
+                self.reject_wrong_units([name])
+                known = f"known here: {', '.join(self.headers.values())}; map others with columns=OLD=NEW"
+                if name == "speed" and "electrical_speed" in self.columns:
+                    known = f"divide {self.headers['electrical_speed']} by the number of pole pairs"
+                raise InputError(self.source, name, "is not among the columns", remedy or known)
+            empty = np.flatnonzero(~np.isfinite(self.columns[name]))
+            if empty.size:
+                cell = f"line {self.line[empty[0]]}, {self.headers[name]}"
+                raise self.column_error(cell, "is empty", "fill it in, or leave the line out")
+
+    def reject_wrong_units(self, names: Iterable[str]) -> None:
+        """Refuse a file that has one of these quantities only in a unit that is none of it.
+
+        Raises
+        ------
+        InputError
+            Naming column and unit.
+        """
+        for name in names:
+            if name not in self.columns and name in self.misread:
+                header, unit = self.misread[name]
+                si = SI_UNITS[base_quantity_of(name)]
+                raise InputError(
+                    self.source, header, f"the unit {unit!r} is none of {base_quantity_of(name)} that is known",
+                    f"use one of: {', '.join(compatible_units(si))}",
+                )  # fmt: skip
+
+    def with_columns(self, *notes: str, **columns: Array) -> BenchTable:
+        """Return the table with other columns (headers as before, or their names) and notes."""
+        headers = {name: name for name in columns} | self.headers
+        left = tuple(u for u in self.unitless if u not in columns)
+        return replace(
+            self,
+            columns={**self.columns, **columns},
+            headers=headers,
+            unitless=left,
+            notes=(*self.notes, *notes),
+        )
+
+    def is_constant(self, name: str) -> bool:
+        """Return whether a column hardly varies (by less than a thousandth of its size)."""
+        v = self.columns[name]
+        size = float(np.max(np.abs(v)))
+        return size == 0.0 or float(np.ptp(v)) <= _CONSTANT_TOLERANCE * size
+
+    def rescale_column(self, name: str, factor: float, note: str) -> BenchTable:
+        """Return the table with one column multiplied, and a note that says why."""
+        return self.with_columns(note, **{name: self.columns[name] * factor})
+
+    def select_lines(self, keep: NDArray[np.bool_]) -> BenchTable:
+        """Return the lines that ``keep`` (n,) selects."""
+        return self.reorder_lines(np.flatnonzero(keep))
+
+    def reorder_lines(self, index: NDArray[np.intp]) -> BenchTable:
+        """Return the lines with these positions, in their order."""
+        return replace(self, columns={k: v[index] for k, v in self.columns.items()}, line=self.line[index])
+
+
+def read_bench_file(path: str | Path, *, columns: str | None = None) -> BenchTable:
+    """Read a bench file.
+
+    Parameters
+    ----------
+    path : str or Path
+    columns : str, optional
+        Map of headers, ``"T_A(N)=thrust_lower_N,RPM=speed_lower_rpm"``.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, has no column that is understood, or a cell of a column in use is no number.
+    """
+    where = Path(path).name
+    made = read_apc_performance(path)
+    if made is not None:
+        return BenchTable(
+            where, made.columns, {name: name for name in made.columns}, made.line, (), made.notes,
+            diameter_m=made.diameter_m,
+        )  # fmt: skip
+    written, numbered = read_text_columns(path)
+    if not numbered:
+        raise InputError(where, "", "holds no measurements", "give a header and at least one line")
+    if len(numbered) > 1 and len(numbered[-1][1]) < min(len(written), *(len(c) for _, c in numbered[:-1])):
+        # Its last number may have lost digits, which nobody can see.
+        cut = f"line {numbered[-1][0]}, the last, is cut short and left out"
+        warnings.warn(f"{where}: {cut}", TruncatedFileWarning, stacklevel=2)
+        notes, numbered = [cut], numbered[:-1]
+    else:
+        notes = []
+    headers = rename_headers(written, columns, where)
+    rows = [cells for _, cells in numbered]
+    line = np.array([i for i, _ in numbered], dtype=np.int64)
+    found: dict[str, list[_ColumnReading]] = {}
+    misread: dict[str, tuple[str, str]] = {}
+    unused: list[str] = []
+    for index, header in enumerate(headers):
+        column = parse_header(header)
+        if column is None:
+            unused.append(written[index])
+            doubt = _mismatched_unit(header)
+            if doubt is not None:
+                misread.setdefault(doubt[0], (written[index], doubt[1]))
+            continue
+        cells = [row[index] if index < len(row) else "" for row in rows]
+        if column.base_quantity == "run":
+            values = _number_labels(cells)
+        else:
+            raw = [_parse_number(where, int(n), written[index], c, column) for n, c in zip(line, cells, strict=True)]
+            values = np.array(raw) * column.factor + column.offset
+        found.setdefault(column.name, []).append(_ColumnReading(written[index], column, values))
+    if not found and misread:
+        BenchTable(where, {}, {}, line, misread=misread).reject_wrong_units(misread)
+    if not found:
+        raise InputError(
+            where, "", f"no column is understood ({', '.join(written)})", "name quantity and unit, as torque_mNm, or "
+            "map them with columns=OLD=NEW"
+        )  # fmt: skip
+    chosen: dict[str, _ColumnReading] = {}
+    told: list[str] = []
+    for name, readings in found.items():
+        chosen[name], words = _choose_reading(name, readings)
+        told += words
+    if unused:
+        told.append(f"columns that are not used: {', '.join(unused)}")
+    notes = [*told, *notes]
+    unitless = tuple(n for n, r in chosen.items() if r.column.unit == "" and not n.endswith("_raw"))
+    notes += [
+        f"{r.header}: no unit is written, taken as {SI_UNITS[r.column.base_quantity]}"
+        for n, r in chosen.items()
+        if n in unitless and r.column.base_quantity not in ("speed", "pitch")
+    ]
+    table = BenchTable(
+        where, {n: r.values for n, r in chosen.items()}, {n: r.header for n, r in chosen.items()}, line, unitless,
+        tuple(notes), misread,
+    )  # fmt: skip
+    return _resolve_pitch_unit(_convert_duty(table, chosen.get("duty")))
+
+
+def read_headers(path: str | Path) -> list[str]:
+    """Return the headers of a bench file as written.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    return read_text_columns(path)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class _ColumnReading:
+    """A column as read: header, meaning, SI values."""
+
+    header: str
+    column: ColumnMeaning
+    values: Array
+
+    @property
+    def is_nonzero(self) -> NDArray[np.bool_]:
+        """Lines with a reading that is not zero."""
+        return np.isfinite(self.values) & (self.values != 0.0)
+
+
+def _choose_reading(name: str, readings: list[_ColumnReading]) -> tuple[_ColumnReading, list[str]]:
+    """Return the column to read a quantity from, and why."""
+    best, words = readings[0], []
+    for other in readings[1:]:
+        first, why = best, ""
+        lost, gained = (
+            int(np.sum(a & ~b)) for a, b in ((best.is_nonzero, other.is_nonzero), (other.is_nonzero, best.is_nonzero))
+        )
+        if lost != gained and name.startswith("speed"):
+            best = other if gained > lost else best
+            why = f", which is 0 or empty in {max(lost, gained)} lines that have the other"
+        elif best.column.factor != 1.0 and other.column.factor == 1.0 and other.column.unit:
+            best = other  # RPM and omega, gf and N: the SI one is more finely written as a rule
+        if name.startswith("speed"):
+            slower, more = _resolve_pole_pairs(first, other)
+            best, why = (slower, more) if slower is not None else (best, why)
+        out = other if best is first else first
+        words.append(f"{name} is read from {best.header!r}, not from {out.header!r}{why}")
+    return best, words
+
+
+def _resolve_pole_pairs(a: _ColumnReading, b: _ColumnReading) -> tuple[_ColumnReading | None, str]:
+    """Return the shaft's speed of two at a whole ratio, or the optical one of two that differ otherwise."""
+    both = a.is_nonzero & b.is_nonzero
+    if both.sum() < 2:
+        return None, ""
+    ratios = np.abs(a.values[both] / b.values[both])
+    ratio = float(np.median(ratios))
+    slower, ratio = (b, ratio) if ratio > 1.0 else (a, 1.0 / ratio)
+    steady = float(np.ptp(ratios)) <= 0.05 * float(np.median(ratios))
+    if steady and ratio > 1.5 and abs(ratio - round(ratio)) < 0.02 * ratio:
+        return (
+            slower,
+            f", which turns {round(ratio)} times as fast: electrical revolutions of {round(ratio)} pole pairs",
+        )
+    seen = [r for r in (a, b) if "optical" in r.header.lower()]
+    if ratio > 1.03 and len(seen) == 1:
+        return seen[0], f", from which it differs by {100 * (ratio - 1):.0f} %: check the number of poles"
+    return None, ""
+
+
+def _convert_duty(table: BenchTable, reading: _ColumnReading | None) -> BenchTable:
+    """Turn a throttle in per cent, from -1 to 1 or in pulses into shares of the voltage, and say so."""
+    if reading is None:
+        return table
+    v, header = reading.values, reading.header
+    low, high = (float(f(v)) if np.isfinite(v).any() else math.nan for f in (np.nanmin, np.nanmax))
+    bare = reading.column.unit in ("", "1")
+    pulses = 700.0 <= high <= 2600.0 if bare else bool(normalise_unit(reading.column.unit, "s"))
+    if pulses:
+        v = 1e-3 * v - 1.0 if bare else v
+        words = [f"{header}: a pulse, 1000 us taken as duty 0 and 2000 us as 1; give a column duty for another range"]
+        if np.any(v < 0):
+            words.append(f"{header}: {int(np.sum(v < 0))} pulses below 1000 us are taken as 0")
+        table = table.with_columns(*words, duty=np.where(v < 0, 0.0, v))
+    elif bare and 10.0 <= high <= 100.5 and low >= 0:
+        table = table.with_columns(f"{header} goes up to {high:g}: taken as per cent", duty=v / 100.0)
+    elif bare and low < -0.01 and low >= -1.005 and high <= 1.005:
+        speed = np.abs(table["speed"]) if "speed" in table else np.zeros(0)
+        reverse = speed.size > 0 and np.nanmax(speed[v < -0.05], initial=0.0) > np.nanmin(
+            speed[v >= -0.05], initial=np.inf
+        )
+        if not speed.any() or reverse:
+            raise table.column_error(
+                "duty", f"goes from {low:g} to {high:g}: the speed does not say which end is rest",
+                "give a column duty from 0 to 1",
+            )  # fmt: skip
+        table = table.with_columns(
+            f"{header} goes from {low:g} to {high:g}, the speed rises over all of it: -1 taken as duty 0",
+            duty=0.5 * (v + 1.0),
+        )
+    esc = pulses or any(w in header.lower() for w in ("esc", "throttle"))
+    if esc and "current" in table and "supply_current" not in table and "motor" not in table.headers["current"].lower():
+        columns = {("supply_current" if k == "current" else k): c for k, c in table.columns.items()}
+        headers = {("supply_current" if k == "current" else k): h for k, h in table.headers.items()}
+        note = f"{table.headers['current']}: beside {header} taken as the supply's; the motor's is motor_current_A"
+        table = replace(table, columns=columns, headers=headers, notes=(*table.notes, note))
+    return table
+
+
+def _resolve_pitch_unit(table: BenchTable) -> BenchTable:
+    """Take a pitch without a unit as degrees where it cannot be radians; ask where it could be either.
+
+    Raises
+    ------
+    InputError
+        If all angles could be radians as well as degrees.
+    """
+    if "pitch" not in table.unitless:
+        return table
+    widest = float(np.nanmax(np.abs(table["pitch"]), initial=0.0))
+    if 0.0 < widest <= 0.5 * math.pi:
+        raise table.column_error(
+            "pitch",
+            f"goes up to {widest:g} without a unit: degrees or radians?",
+            "name it pitch_deg or pitch_rad",
+        )
+    factor = math.pi / 180.0
+    return table.rescale_column("pitch", factor, f"{table.headers['pitch']}: no unit is written, taken as degrees")
+
+
+def _number_labels(cells: list[str]) -> Array:
+    known: dict[str, float] = {}
+    return np.array([known.setdefault(c, float(len(known))) for c in cells])
+
+
+def _parse_number(where: str, line: int, header: str, cell: str, column: ColumnMeaning) -> float:
+    if not cell:
+        return math.nan
+    try:
+        share = cell.endswith("%") and SI_UNITS[column.base_quantity] == "1"
+        value = float(cell[:-1]) / 100.0 / column.factor if share else float(cell)
+    except ValueError:
+        raise InputError(where, f"line {line}, {header}", f"{cell!r} is not a number", "give one") from None
+    if not math.isfinite(value):
+        raise InputError(where, f"line {line}, {header}", f"is {value:g}", "give a finite number or leave it empty")
+    return value
+
+
+_QUANTITY_NAMES = {
+    # quantity: its unit here, and its names
+    "voltage": (
+        "V",
+        "voltage u v volts supply_voltage motor_voltage input_voltage esc_voltage battery_voltage",
+    ),
+    "duty": (
+        "1",
+        "duty duty_cycle pwm throttle motor_input esc esc_signal esc_throttle esc_pwm esc_pulse throttle_signal",
+    ),
+    "current": ("A", "current i motor_current amps"),
+    "supply_current": ("A", "supply_current battery_current input_current esc_current"),
+    "speed": (
+        "rad/s",
+        "speed rpm omega rotor_speed motor_speed w motor_electrical_speed motor_optical_speed rotation_speed "
+        "rotational_speed optical_speed electrical_speed mechanical_speed motor_rpm rotor_rpm optical_rpm n",
+    ),
+    "electrical_speed": ("rad/s", "erpm electrical_rpm"),
+    "torque": ("N m", "torque q moment load q_meas"),
+    "thrust": ("N", "thrust t force lift t_meas"),
+    "power": ("W", "power p mechanical_power shaft_power"),
+    "electrical_power": ("W", "electrical_power electric_power input_power"),
+    "pitch": ("rad", "pitch blade_pitch"),
+    "thrust_coefficient": ("1", "ct"),
+    "propeller_thrust_coefficient": ("1", "propeller_ct"),
+    "power_coefficient": ("1", "cp propeller_cp"),
+    "torque_coefficient": ("1", "cq propeller_cq"),
+    "rotor_thrust_coefficient": ("1", "c_t rotor_ct"),
+    "rotor_torque_coefficient": ("1", "c_q rotor_cq c_p rotor_cp"),
+    "advance_ratio": ("1", "j advance_ratio"),
+    "airspeed": ("m/s", "airspeed air_speed climb tunnel_speed v"),
+    "time": ("s", "time t_s seconds"),
+    "run": ("1", "run series test repeat"),
+    "density": ("kg/m3", "density rho air_density"),
+    "temperature": ("degC", "temperature temp"),
+    "pressure": ("Pa", "pressure"),
+    "humidity": ("1", "humidity relative_humidity rh"),
+}
+SI_UNITS = {quantity: unit for quantity, (unit, _) in _QUANTITY_NAMES.items()}
+
+_SIDE_WORDS = {"upper": "upper up top", "lower": "lower dw low down bottom"}
+_BRACKETED_UNIT = re.compile(r"^(.*?)\s*[\(\[]\s*([^\)\]]*?)\s*[\)\]]$")
+_DIMENSIONLESS_QUANTITIES = (
+    "duty", "run", "thrust_coefficient", "propeller_thrust_coefficient", "power_coefficient", "torque_coefficient",
+    "rotor_thrust_coefficient", "rotor_torque_coefficient", "advance_ratio", "humidity",
+)  # fmt: skip
+_UNIT_BY_NAME = dict.fromkeys(["rpm", "erpm", "electrical_rpm", "motor_rpm", "rotor_rpm", "optical_rpm"], "rpm") | {
+    "omega": "rad/s"
+}
+
+
+@dataclass(frozen=True)
+class ColumnMeaning:
+    """What a header means.
+
+    Attributes
+    ----------
+    name : str
+        Quantity, with ``_upper`` or ``_lower`` and ``_raw`` where the header says so: ``"torque_lower_raw"``.
+    factor, offset : float
+        SI value = factor * written value + offset.
+    unit : str
+        As written, ``""`` if the header has none.
+    """
+
+    name: str
+    factor: float
+    unit: str
+    offset: float = 0.0
+
+    @property
+    def base_quantity(self) -> str:
+        """The quantity without rotor and ``_raw``."""
+        return base_quantity_of(self.name)
+
+
+def base_quantity_of(name: str) -> str:
+    """Return the quantity of a column's name, without rotor and ``_raw``: ``"torque"`` of ``"torque_lower_raw"``."""
+    return re.sub(r"(_upper|_lower)?(_raw)?$", "", name)
+
+
+def parse_header(header: str) -> ColumnMeaning | None:
+    """Return what one header means, None if it is no quantity of a bench.
+
+    Examples: ``"torque_mNm"``, ``"T(N)"``, ``"RPM"``, ``"speed_upper_rpm"``, ``"thrust_raw_mV"``.
+    """
+    for name, unit in _header_candidates(header):
+        found = _match_column(name, unit)
+        if found is not None:
+            return found
+    return None
+
+
+def _header_candidates(header: str) -> list[tuple[str, str]]:
+    """Names and units that a header may mean, the likeliest first."""
+    text = " ".join(header.strip().lower().split())
+    match = _BRACKETED_UNIT.match(text)
+    if match:
+        return [(match[1], match[2])]
+    parts = text.split("_")
+    # The unit may hold an underscore itself (rad_s), so one and two last parts are tried, longest first.
+    return [("_".join(parts[:-k]), "_".join(parts[-k:])) for k in (2, 1) if len(parts) > k] + [(text, "")]
+
+
+def _mismatched_unit(header: str) -> tuple[str, str] | None:
+    """Return the quantity that a header names in a unit that is none of it, and that unit as written."""
+    for name, unit in _header_candidates(header):
+        stem, full = _split_column_name(name)
+        if unit and (len(stem) > 1 or not normalise_unit(unit)):
+            for quantity, (_, names) in _QUANTITY_NAMES.items():
+                if stem in names.split():
+                    written = re.search(re.escape(unit), header, re.IGNORECASE)
+                    return full.format(quantity), written[0] if written else unit
+    return None
+
+
+def _split_column_name(name: str) -> tuple[str, str]:
+    """Return a name without rotor and ``raw``, and the form of the full name with them."""
+    words = [w for w in re.split(r"[_\s]+", name) if w]
+    sides = {word: side for side, known in _SIDE_WORDS.items() for word in known.split()}
+    side = next((sides[w] for w in words if w in sides), "")
+    stem = "_".join(w for w in words if w != "raw" and w not in sides)
+    return stem, "{}" + (f"_{side}" if side else "") + ("_raw" if "raw" in words else "")
+
+
+def _match_column(name: str, unit: str) -> ColumnMeaning | None:
+    stem, form = _split_column_name(name)
+    raw = form.endswith("_raw")
+    for quantity, (si, names) in _QUANTITY_NAMES.items():
+        if stem not in names.split():
+            continue
+        full = form.format(quantity)
+        if raw:
+            return ColumnMeaning(full, 1.0, unit)
+        if unit == "" and (stem in _UNIT_BY_NAME or quantity in _DIMENSIONLESS_QUANTITIES):
+            unit = _UNIT_BY_NAME.get(stem, "1")
+        if unit == "":
+            return ColumnMeaning(full, 1.0, "")
+        known = normalise_unit(unit, si)
+        if known:
+            _, factor, offset = unit_conversion(known, si)
+            return ColumnMeaning(full, factor, unit, offset)
+        if quantity == "duty" and normalise_unit(unit, "s"):  # a servo's pulse: 1 ms for nothing, 2 ms for all
+            return ColumnMeaning(full, conversion_factor(unit, "s") * 1e3, unit, -1.0)
+    return None
+
+
+def rename_headers(headers: list[str], columns: str | None, where: str) -> list[str]:
+    """Apply a user's map ``"T_A(N)=thrust_lower_N,RPM=speed_lower_rpm"`` to headers.
+
+    Raises
+    ------
+    InputError
+        If the map names a column that is not there, is no map, or its right side is no known quantity.
+    """
+    result = list(headers)
+    for part in (columns or "").split(","):
+        if not part.strip():
+            continue
+        old, equals, new = (t.strip() for t in part.partition("="))
+        if not equals or not old or not new:
+            raise ArgumentError("columns", part.strip(), "is no OLD=NEW", "write columns='RPM=speed_upper_rpm'")
+        if old not in headers:
+            raise InputError(where, old, "is not among the columns", f"the header is {', '.join(headers)}")
+        if parse_header(new) is None:
+            raise ArgumentError(
+                "columns",
+                new,
+                "is no quantity with a unit",
+                f"use one of {', '.join(_QUANTITY_NAMES)} with its unit",
+            )
+        result[headers.index(old)] = new
+    return result

@@ -1,0 +1,414 @@
+"""A bench whose rotors are our own aerodynamics, with what makes benches hard.
+
+Loads: blade element momentum theory, once for every pair of blades, as a map over speed (:func:`compute_rotor_map`,
+:func:`compute_pair_map`); they go with the density of the air in the room. Between them and the readings stand
+
+* blades that are mounted a little off their pitch, anew each time;
+* cells with gain, offset and cross-talk, known to the program only through a calibration with errors of its own; their
+  zeros warm up, and walk; their gains go with the temperature; noise with a memory; quantisation, and an end of range;
+* vibration of the rotors' frequencies on both cells, growing with the square of the speed; ripple of torque and speed;
+* motors whose resistance, torque constant and friction change as they warm up:
+
+      k I = Q + c_0 + c_1 W,    R = R_0 (1 + 0.00393 dT_w),    k = k_0 (1 - 0.0011 dT_m),    c = c_00 (1 - 0.004 dT_m)
+
+  winding and magnet each with a time constant (copper and neodymium by the textbooks; friction a guess);
+* a room whose temperature, pressure and humidity wander, and sensors of them that are off by their tolerance.
+
+The clock is simulated: an hour takes as long as its samples take to be drawn. Numbers of the default bench are
+guesses at that of the dissertation, Sec. 3.2.1 (Maxon EC 45 flat, a 20 mN m torque cell); ``true_loads`` says what is
+right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+from scipy.signal import lfilter
+
+from mufly.bench.bench_loads import calibrate_cells
+from mufly.bench.bench_table import BenchTable
+from mufly.bench.rig.bench_devices import BenchFacts, DeviceError, SampleCallback, calibration_to_dict
+from mufly.bench.series.moist_air import moist_air_density
+from mufly.bench.series.series_plan import BladeMounting
+from mufly.rotor import (
+    Air,
+    Blading,
+    OperatingCondition,
+    RotorSystem,
+    load_rotor,
+    prepare_blading,
+    solve_rotor_batch,
+    solve_system,
+)
+from mufly.units import RPM
+
+Array = NDArray[np.float64]
+
+MAP_AIR = Air()
+SAMPLE_RATE_Hz = 100.0
+_MAP_SPEEDS_rad_s = np.geomspace(800.0, 12000.0, 12) * RPM
+_MAP_PITCH_OFFSETS_rad = np.radians([-0.6, 0.0, 0.6])  # about the pitch that is wanted
+_MAP_SPEED_RATIOS = np.array([0.6, 0.8, 1.0, 1.25, 1.6])
+ROTOR_SIDES = ("upper", "lower")
+
+
+@lru_cache(maxsize=32)
+def _load_blading(rotor: str) -> Blading:
+    return prepare_blading(load_rotor(rotor))
+
+
+@lru_cache(maxsize=256)
+def compute_rotor_map(rotor: str, pitch_deg: float) -> tuple[RectBivariateSpline, RectBivariateSpline]:
+    """Return thrust and torque over speed squared, as functions of pitch offset (rad) and log speed, at MAP_AIR."""
+    at = solve_rotor_batch(
+        _load_blading(rotor),
+        pitch_rad=np.radians(pitch_deg) + _MAP_PITCH_OFFSETS_rad[:, None],
+        speed_rad_s=_MAP_SPEEDS_rad_s[None, :],
+        air=MAP_AIR,
+    )
+    x, y = _MAP_PITCH_OFFSETS_rad, np.log(_MAP_SPEEDS_rad_s)
+    thrust, torque = (
+        RectBivariateSpline(x, y, v / _MAP_SPEEDS_rad_s**2, kx=2, ky=3) for v in (at.thrust_N, at.torque_Nm)
+    )
+    return thrust, torque
+
+
+@lru_cache(maxsize=64)
+def compute_pair_map(
+    upper: str, lower: str, upper_pitch_deg: float, lower_pitch_deg: float, spacing_m: float
+) -> tuple[RectBivariateSpline, ...]:
+    """Return T_up, Q_up, T_dw, Q_dw over their speed squared, over log mean speed and log speed ratio, at MAP_AIR."""
+    system = RotorSystem.coaxial_pair(_load_blading(upper), _load_blading(lower), spacing_m=spacing_m)
+    speeds = np.geomspace(1500.0, 9000.0, 5) * RPM
+    pitch = (np.radians(upper_pitch_deg), np.radians(lower_pitch_deg))
+    found = np.empty((4, speeds.size, _MAP_SPEED_RATIOS.size))
+    for i, s in enumerate(speeds):
+        for j, r in enumerate(_MAP_SPEED_RATIOS):
+            up = 2.0 * s / (1.0 + r)
+            a, b = solve_system(system, OperatingCondition(pitch, (up, r * up), air=MAP_AIR)).rotors
+            found[:, i, j] = (
+                a.thrust_N / up**2, a.torque_Nm / up**2, b.thrust_N / (r * up) ** 2, b.torque_Nm / (r * up) ** 2,
+            )  # fmt: skip
+    return tuple(RectBivariateSpline(np.log(speeds), np.log(_MAP_SPEED_RATIOS), v, kx=2, ky=2) for v in found)
+
+
+@dataclass(frozen=True)
+class SimulatedMotor:
+    """A motor of the simulated bench, cold: torque constant, resistance, friction, heat."""
+
+    torque_Nm_A: float = 0.0255
+    resistance_ohm: float = 1.2
+    friction_Nm: float = 1.2e-3
+    friction_Nm_s: float = 3.0e-6
+    winding_resistance_K_W: float = 4.0
+    winding_time_constant_s: float = 40.0
+    magnet_heating_share: float = 0.6
+    magnet_time_constant_s: float = 500.0
+
+
+@dataclass(frozen=True)
+class SimulatedFaults:
+    """What goes wrong on purpose.
+
+    Attributes
+    ----------
+    reference_moved_deg : float
+        By how much the pitch of the reference blades slips ...
+    reference_moved_after : int
+        ... after this many of its mountings.
+    saturated : bool
+        The force cell's amplifier is set so that greater loads are beyond its range.
+    silent_after_s : float
+        The bench stops answering at this time.
+    spikes : float
+        Share of samples of the cells that are nonsense.
+    stuck_speed : float
+        Share by which a motor fails to reach its commanded speed.
+    """
+
+    reference_moved_deg: float = 0.0
+    reference_moved_after: int = 2
+    force_cell_saturates: bool = False
+    silent_from_s: float = np.inf
+    spike_share: float = 0.0
+    speed_shortfall_share: float = 0.0
+
+
+@dataclass
+class _MotorHeat:
+    winding_rise_K: float = 0.0
+    magnet_rise_K: float = 0.0
+
+
+@dataclass(frozen=True)
+class BenchImperfections:
+    """How far the simulated bench is from an ideal one; all of it off makes a bench that tells the truth."""
+
+    zero_warm_up_V: tuple[float, float] = (
+        0.012,
+        0.0,
+    )  # V, of each cell: how far the zero goes while it warms up
+    zero_walk_V_per_sqrt_h: tuple[float, float] = (0.004, 0.003)  # V in an hour
+    white_noise_V: tuple[float, float] = (0.010, 0.010)  # V, white
+    correlated_noise_V: tuple[float, float] = (0.004, 0.004)  # V, with a memory of 0.3 s
+    vibration_V: tuple[float, float] = (0.06, 0.06)  # V at 7000 rpm
+    gain_per_K: tuple[float, float] = (4e-4, 6e-4)
+    current_noise_A: float = 0.008
+    mounting_pitch_std_deg: float = 0.03  # standard deviation of a mounting
+    reference_pitch_std_deg: float = 0.02
+    calibration_noise_V: float = 0.003  # V, of a reading of the calibration
+    room_temperature_std_K: float = 0.8
+    speed_ripple: float = 0.002
+    motor_warms_up: bool = True
+
+    @classmethod
+    def ideal_bench(cls) -> BenchImperfections:
+        """Return a bench without a fault, but for noise that is hardly there."""
+        z = (0.0, 0.0)
+        return cls(z, z, (1e-5, 1e-5), z, z, z, 1e-5, 0.0, 0.0, 1e-6, 0.0, 0.0, False)
+
+
+@dataclass(eq=False)
+class SimulatedRig:
+    """A bench in memory; a :class:`mufly.bench.rig.bench_devices.BenchRig`.
+
+    Parameters
+    ----------
+    seed : int
+        Of everything that is drawn.
+    behaviour : Behaviour, optional
+    faults : Faults, optional
+    spacing_m : float
+        Between the discs of a pair.
+    with_torque_cell : bool
+    """
+
+    seed: int = 0
+    imperfections: BenchImperfections = field(default_factory=BenchImperfections)
+    faults: SimulatedFaults = field(default_factory=SimulatedFaults)
+    spacing_m: float = 0.04
+    time_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        rng = self._rng = np.random.default_rng([self.seed, 7])
+        self.axes = ROTOR_SIDES
+        self._sensitivity = np.array([[2.0, 5.0], [0.01, 150.0]]) * (1 + 0.02 * rng.standard_normal((2, 2)))
+        self._zero_offset_V = np.array([0.12, -0.4])
+        if self.faults.force_cell_saturates:
+            self._sensitivity[0] *= 12.0
+        self.facts = self._calibrate_cells()
+        self._motors = {s: SimulatedMotor(0.0255 * (1 + 0.03 * rng.standard_normal())) for s in ROTOR_SIDES}
+        self._motor_heat = {s: _MotorHeat() for s in ROTOR_SIDES}
+        self.speed = dict.fromkeys(ROTOR_SIDES, 0.0)
+        self.commanded_speed = dict.fromkeys(ROTOR_SIDES, 0.0)
+        self._zero_walk_V, self._correlated_noise_V = np.zeros(2), np.zeros(2)
+        self._room_state = np.array([295.0 + rng.standard_normal(), 96500.0 + 800 * rng.standard_normal(), 0.45])
+        self._room_temperature_offset = np.zeros(1)
+        self._sensor_error = rng.standard_normal(3) * (
+            self.facts.temperature_std_K, self.facts.pressure_std_Pa, self.facts.humidity_std
+        )  # fmt: skip
+        self._warm_up_signs = rng.choice([-1.0, 1.0], 2)
+        self._gain_drift_signs = rng.choice([-1.0, 1.0], 2)
+        self.mounting: BladeMounting | None = None
+        self._pitch_error_rad, self._reference_mountings, self.open_count = 0.0, 0, 0
+
+    def _calibrate_cells(self) -> BenchFacts:
+        """Hang known weights on the cells, as on any bench."""
+        thrust, torque = np.meshgrid([0.0, 0.2, 0.5, 1.0], [0.0, 2e-3, 5e-3, 10e-3])
+        loads = np.column_stack([thrust.ravel(), torque.ravel()])
+        y = loads @ self._sensitivity.T + self._zero_offset_V
+        y += self.imperfections.calibration_noise_V * self._rng.standard_normal(y.shape)
+        columns = {"thrust": loads[:, 0], "torque": loads[:, 1], "thrust_raw": y[:, 0], "torque_raw": y[:, 1]}
+        table = BenchTable("simulated", columns, {k: k for k in columns}, np.arange(2, 2 + len(y)))
+        return BenchFacts(
+            "simulated", calibration_to_dict(calibrate_cells(table)), dict.fromkeys(("thrust_raw", "torque_raw"), (-5.0,
+            5.0)), manual=False,
+        )  # fmt: skip
+
+    # --- the bench, as the program sees it ---------------------------------------------------------------------------
+
+    def now(self) -> float:
+        return self.time_s
+
+    def open(self) -> None:
+        self.open_count += 1
+        if self.time_s >= self.faults.silent_from_s:
+            raise DeviceError("simulated bench: does not answer")
+
+    def mount(self, mounting: BladeMounting) -> None:
+        is_reference = mounting.use == "reference"
+        b = self.imperfections
+        self.mounting = mounting
+        self._pitch_error_rad = float(
+            np.radians(
+                (b.reference_pitch_std_deg if is_reference else b.mounting_pitch_std_deg) * self._rng.standard_normal()
+            )
+        )
+        if is_reference:
+            self._reference_mountings += 1
+            if self._reference_mountings > self.faults.reference_moved_after:
+                self._pitch_error_rad += np.radians(self.faults.reference_moved_deg)
+        self.time_s += 90.0  # somebody changes blades
+        self._cool_motors(90.0)
+
+    def set_speeds(self, speeds_rad_s: Mapping[str, float]) -> None:
+        for side in ROTOR_SIDES:
+            self.commanded_speed[side] = float(speeds_rad_s.get(side, 0.0)) * (1.0 - self.faults.speed_shortfall_share)
+
+    def stop(self) -> None:
+        self.commanded_speed = dict.fromkeys(ROTOR_SIDES, 0.0)
+
+    def close(self) -> None:
+        self.stop()
+
+    def collect_samples(self, duration_s: float, watch: SampleCallback) -> dict[str, Array]:
+        parts: list[dict[str, Array]] = []
+        for _ in range(count := max(1, round(duration_s / 2.0))):
+            parts.append(self.advance_time(duration_s / count))
+            watch(parts[-1])
+        return {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+
+    # --- what happens ------------------------------------------------------------------------------------------------
+
+    def true_density(self) -> float:
+        """Return the true density of the air (kg/m3)."""
+        t, p, h = self._room_state
+        return float(moist_air_density(p, t + self._room_temperature_offset[0], h))
+
+    def true_loads_at(self, speed: Mapping[str, Any], pitch_off: float = 0.0) -> tuple[Any, dict[str, Any]]:
+        """Return the true thrust of all rotors (N) and torque of each (N m), at 1.2 kg/m3, for speeds (rad/s)."""
+        m = self.mounting
+        zero = np.zeros(np.shape(next(iter(speed.values()))))
+        torque: dict[str, Any] = dict.fromkeys(ROTOR_SIDES, zero)
+        if m is None:
+            return zero, torque
+        if m.axis != "pair":
+            w = np.maximum(speed[m.axis], 1.0)
+            t, q = compute_rotor_map(m.rotor, m.pitch_deg)
+            x, y = np.full(np.shape(w), pitch_off), np.log(w)
+            torque[m.axis] = q(x, y, grid=False) * w**2
+            return t(x, y, grid=False) * w**2, torque
+        maps = compute_pair_map(m.rotor, m.lower_rotor, m.pitch_deg, m.lower_pitch_deg, self.spacing_m)
+        up, low = (np.maximum(speed[s], 1.0) for s in ROTOR_SIDES)
+        x = np.clip(np.log(0.5 * (up + low)), np.log(1500 * RPM), np.log(9000 * RPM))
+        y = np.clip(np.log(low / up), np.log(_MAP_SPEED_RATIOS[0]), np.log(_MAP_SPEED_RATIOS[-1]))
+        tu, qu, td, qd = (f(x, y, grid=False) for f in maps)
+        # Both rotors of a pair stand off by the same angle; its effect is that on a single one.
+        w, mean = np.exp(x), np.zeros(np.shape(x))
+        single_t, single_q = compute_rotor_map(m.rotor, m.pitch_deg)
+        ft, fq = (
+            f(mean + pitch_off, np.log(w), grid=False) / f(mean, np.log(w), grid=False) for f in (single_t, single_q)
+        )
+        return ft * (tu * up**2 + td * low**2), {"upper": fq * qu * up**2, "lower": fq * qd * low**2}
+
+    def true_loads(self, speeds_rad_s: Mapping[str, float], *, as_mounted: bool = True) -> dict[str, float]:
+        """Return the true loads now, in the air that there is: thrust (N), torque of each axis (N m)."""
+        thrust, torque = self.true_loads_at(speeds_rad_s, self._pitch_error_rad if as_mounted else 0.0)
+        scale = self.true_density() / MAP_AIR.density_kg_m3
+        return {
+            "thrust": scale * float(thrust),
+            **{f"torque_{s}": scale * float(torque[s]) for s in ROTOR_SIDES},
+        }
+
+    def _cool_motors(self, duration_s: float) -> None:
+        for side in ROTOR_SIDES:
+            heat, motor = self._motor_heat[side], self._motors[side]
+            heat.winding_rise_K *= np.exp(-duration_s / motor.winding_time_constant_s)
+            heat.magnet_rise_K *= np.exp(-duration_s / motor.magnet_time_constant_s)
+        self._drift_sensors(duration_s)
+
+    def _drift_sensors(self, duration_s: float) -> None:
+        b, rng = self.imperfections, self._rng
+        self._zero_walk_V += np.array(b.zero_walk_V_per_sqrt_h) * np.sqrt(duration_s / 3600.0) * rng.standard_normal(2)
+        keep = np.exp(-duration_s / 2400.0)
+        self._room_temperature_offset = keep * self._room_temperature_offset + b.room_temperature_std_K * np.sqrt(
+            1 - keep**2
+        ) * rng.standard_normal(1)
+        if b.room_temperature_std_K:
+            self._room_state[1] += 40.0 * np.sqrt(duration_s / 3600.0) * rng.standard_normal()
+            self._room_state[2] += 0.01 * np.sqrt(duration_s / 3600.0) * rng.standard_normal()
+
+    def advance_time(self, duration_s: float) -> dict[str, Array]:
+        """Let time pass; return the samples of it."""
+        n = max(2, round(duration_s * SAMPLE_RATE_Hz))
+        if self.time_s + duration_s > self.faults.silent_from_s:
+            raise DeviceError("simulated bench: does not answer")
+        b, rng = self.imperfections, self._rng
+        dt = duration_s / n
+        t = self.time_s + dt * np.arange(1, n + 1)
+        speed: dict[str, Array] = {}
+        for side in ROTOR_SIDES:
+            went = np.exp(-dt * np.arange(1, n + 1) / 0.35)
+            smooth = self.commanded_speed[side] + (self.speed[side] - self.commanded_speed[side]) * went
+            self.speed[side] = float(smooth[-1])
+            speed[side] = smooth * (1 + b.speed_ripple * np.sin(2 * np.pi * 2.7 * t + rng.uniform(0, 6.3)))
+        scale = self.true_density() / MAP_AIR.density_kg_m3
+        thrust, torque = self.true_loads_at(speed, self._pitch_error_rad)
+        thrust = scale * thrust
+        total = scale * sum(self.facts.torque_signs[s] * torque[s] for s in ROTOR_SIDES)
+        before = self._zero_walk_V.copy()
+        self._drift_sensors(duration_s)
+        along = np.linspace(0, 1, n)[:, None]
+        zero = before + (self._zero_walk_V - before) * along
+        zero = zero + self._warm_up_signs * np.array(b.zero_warm_up_V) * (1 - np.exp(-t / 900.0))[:, None]
+        slow = np.empty((n, 2))
+        keep = np.exp(-dt / 0.3)
+        for k in range(2):
+            kick = b.correlated_noise_V[k] * np.sqrt(1 - keep**2) * rng.standard_normal(n)
+            slow[:, k], _ = lfilter([1.0], [1.0, -keep], kick, zi=np.array([keep * self._correlated_noise_V[k]]))
+        self._correlated_noise_V = slow[-1]
+        gain = 1.0 + self._gain_drift_signs * np.array(b.gain_per_K) * self._room_temperature_offset[0]
+        y = self._zero_offset_V + gain * (np.column_stack([thrust, total]) @ self._sensitivity.T) + zero + slow
+        y += np.array(b.white_noise_V) * rng.standard_normal((n, 2))
+        for side in ROTOR_SIDES:
+            phase = np.cumsum(speed[side]) * dt
+            # Converters average over their sample: this much is left of a vibration (else 6000 rpm would stand still).
+            size = (speed[side] / (7000 * RPM)) ** 2 * np.sinc(speed[side] * dt / (2 * np.pi))
+            for k in range(2):
+                y[:, k] += b.vibration_V[k] * size * np.sin(phase + rng.uniform(0, 6.3))
+        if self.faults.spike_share:
+            hit = rng.random((n, 2)) < self.faults.spike_share
+            y[hit] = rng.uniform(-5, 5, int(hit.sum()))
+        y = np.clip(np.round(y / 1e-4) * 1e-4, -5.0, 5.0)
+        out = {"thrust_raw": y[:, 0], "torque_raw": y[:, 1]}
+        for side in ROTOR_SIDES:
+            out |= self._motor_samples(side, speed[side], scale * torque[side], duration_s)
+        shaken = float(sum(float(np.mean(speed[s]) / (7000 * RPM)) ** 2 for s in ROTOR_SIDES))
+        out["vibration"] = np.abs(12.0 * shaken * (1 + 0.1 * rng.standard_normal(n)))
+        air = self._room_state + np.array([self._room_temperature_offset[0], 0.0, 0.0]) + self._sensor_error
+        for name, value, noise in zip(("temperature", "pressure", "humidity"), air, (0.02, 3.0, 0.002), strict=True):
+            out[name] = value + noise * rng.standard_normal(max(2, n // 25))
+        self.time_s += duration_s
+        return out
+
+    def _motor_samples(self, side: str, speed: Array, torque: Array, duration_s: float) -> dict[str, Array]:
+        motor, heat, b, rng = self._motors[side], self._motor_heat[side], self.imperfections, self._rng
+        turning = speed > 2.0
+        k = motor.torque_Nm_A * (1.0 - 0.0011 * heat.magnet_rise_K)
+        slack = 1.0 - 0.004 * heat.magnet_rise_K
+        current = np.where(turning, (torque + slack * (motor.friction_Nm + motor.friction_Nm_s * speed)) / k, 0.0)
+        resistance = motor.resistance_ohm * (1.0 + 0.00393 * heat.winding_rise_K)
+        if b.motor_warms_up:
+            power = resistance * float(np.mean(current)) ** 2
+            goal = motor.winding_resistance_K_W * power + heat.magnet_rise_K
+            heat.winding_rise_K += (goal - heat.winding_rise_K) * (
+                1 - np.exp(-duration_s / motor.winding_time_constant_s)
+            )
+            loss = slack * float(np.mean(motor.friction_Nm * speed))
+            to = motor.magnet_heating_share * motor.winding_resistance_K_W * (power + loss)
+            heat.magnet_rise_K += (to - heat.magnet_rise_K) * (1 - np.exp(-duration_s / motor.magnet_time_constant_s))
+        voltage = np.where(turning, k * speed + resistance * current, 0.0)
+        n = speed.size
+        quiet = float(b.speed_ripple > 0)
+        return {
+            f"speed_{side}": np.where(turning, speed * (1 + 2e-4 * quiet * rng.standard_normal(n)), 0.0),
+            f"current_{side}": current + b.current_noise_A * rng.standard_normal(n),
+            f"voltage_{side}": voltage + 0.01 * quiet * rng.standard_normal(n),
+            f"motor_temperature_{side}": np.full(2, self._room_state[0] + heat.winding_rise_K),
+        }

@@ -1,0 +1,162 @@
+"""A thrust stand of the RCbenchmark kind: it measures loads itself, and takes pulses for a speed controller.
+
+Such stands give rows of comma-separated values and take a pulse width. Theirs differ; the columns are named by the
+stand in its first row, with any headers that :mod:`mufly.bench.bench_table` understands, and again whenever it is
+asked:
+
+    to the stand        head                ask for the row of headers
+                        esc,MICROSECONDS    1000 (stop) to 2000
+                        stop
+    from the stand      #time (s),thrust (N),torque (N m),voltage (V),current (A),rpm,...        headers, after a #
+                        12.34,0.513,0.0042,11.1,1.52,5021,...                                   20 to 100 times a second
+
+The stand holds a pulse, not a speed; the driver moves the pulse until the speed is there, four times a second by a
+third of what the error asks for, with the slope that the last steps showed. A file that the maker's program has
+written needs no driver: ``mufly identify``, ``mufly rotor fit`` and ``compare`` read it (docs/bench.md).
+
+Rows have no check sum, so a row counts only if all its cells are numbers and as many as there are headers, and a value
+that is far from any that a bench may have is passed over.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+from mufly.bench.bench_table import ColumnMeaning, parse_header
+from mufly.bench.rig.bench_devices import DeviceError, Samples
+from mufly.bench.rig.serial_line import SerialLine, SILENCE_TIMEOUT_s
+
+MIN_PULSE_us, MAX_PULSE_us = 1000.0, 2000.0
+_SPEED_GAIN = 0.35  # share of the error that one step is meant to take away
+_INITIAL_SLOPE_us = 0.12  # microseconds for a rad/s, until it is known
+_MAX_PULSE_STEP_us = 60.0  # us a step
+_PLAUSIBLE_LIMITS = {"thrust": 1e3, "torque": 100.0, "speed": 2e4, "current": 1e3, "voltage": 1e3}
+
+
+class ThrustStand:
+    """A thrust stand; a :class:`mufly.bench.rig.bench_devices.Device`.
+
+    Parameters
+    ----------
+    port : str
+    axis : 'upper' or 'lower'
+    baud : int
+    """
+
+    def __init__(self, port: str, axis: str = "upper", *, baud: int = 115_200, pace: float = 1.0) -> None:
+        self._line = SerialLine(port, baud, "stand")
+        self.name, self.axes, self._axis, self._pace = self._line.name, (axis,), axis, pace
+        self.channels: tuple[str, ...] = (
+            "thrust",
+            "torque",
+            f"speed_{axis}",
+            f"current_{axis}",
+            f"voltage_{axis}",
+        )
+        self.broken_rows = 0
+        self._columns: list[ColumnMeaning | None] = []
+        self._partial_row, self._last_row_s, self._last_pulse_s = b"", 0.0, 0.0
+        self._target_speed, self._pulse_us, self._pulse_per_speed = 0.0, MIN_PULSE_us, _INITIAL_SLOPE_us
+        self._last_pulse_and_speed: tuple[float, float] | None = None
+        self._is_open = False
+
+    def open(self) -> None:
+        self._line.open()
+        self._partial_row, self._columns, self._target_speed, self._pulse_us = b"", [], 0.0, MIN_PULSE_us
+        self._is_open = True
+        self._line.write(b"stop\n")
+        for _ in range(20):
+            self._line.write(b"head\n")
+            self._read_rows(0.1)
+            if self._columns:
+                self._last_row_s = time.monotonic()
+                return
+        raise DeviceError(f"{self.name}: gives no row of headers; are port and baud rate right?")
+
+    def _read_rows(self, wait_s: float = 0.0) -> list[list[float]]:
+        data = self._partial_row + self._line.read(wait_s)
+        *whole, self._partial_row = data.split(b"\n")
+        self._partial_row = self._partial_row[-4096:]
+        out = []
+        for raw in whole:
+            text = raw.decode("ascii", errors="replace").strip()
+            if text.startswith("#"):
+                columns = [parse_header(h) for h in text[1:].split(",")]
+                if any(c is not None and c.name == "speed" for c in columns):
+                    self._columns = columns
+                continue
+            try:
+                values = [float(c) for c in text.split(",")]
+            except ValueError:
+                values = []
+            if self._columns and len(values) == len(self._columns) and all(map(math.isfinite, values)):
+                out.append(values)
+            elif text:
+                self.broken_rows += 1
+        return out
+
+    def set_speed(self, axis: str, speed_rad_s: float) -> None:
+        self._target_speed = speed_rad_s
+        if speed_rad_s == 0.0:
+            self._pulse_us, self._last_pulse_and_speed = MIN_PULSE_us, None
+            self._line.write(b"stop\n")
+
+    def read(self) -> Samples:
+        out: dict[str, list[float]] = {}
+        side = ("speed", "current", "voltage")
+        for values in self._read_rows():
+            row: dict[str, float] = {}
+            for column, value in zip(self._columns, values, strict=True):
+                if column is not None:
+                    si = column.factor * value + column.offset
+                    if abs(si) > _PLAUSIBLE_LIMITS.get(column.base_quantity, math.inf):
+                        row = {}
+                        self.broken_rows += 1
+                        break
+                    row[f"{column.name}_{self._axis}" if column.name in side else column.name] = si
+            for name, si in row.items():
+                if name not in ("time", "run"):
+                    out.setdefault(name, []).append(si)
+            if row:
+                self._last_row_s = time.monotonic()
+        if time.monotonic() - self._last_row_s > SILENCE_TIMEOUT_s:
+            raise DeviceError(f"{self.name}: silent for {time.monotonic() - self._last_row_s:.1f} s")
+        if speeds := out.get(f"speed_{self._axis}"):
+            self._regulate_speed(sum(speeds[-5:]) / len(speeds[-5:]))
+        return out
+
+    def _regulate_speed(self, speed: float) -> None:
+        """Move the pulse towards the speed that is wanted, a few times a second."""
+        now = time.monotonic() * self._pace
+        if self._target_speed <= 0.0 or now - self._last_pulse_s < 0.25:
+            return
+        if self._last_pulse_and_speed is not None:
+            moved, turned = (
+                self._pulse_us - self._last_pulse_and_speed[0],
+                speed - self._last_pulse_and_speed[1],
+            )
+            if abs(moved) > 2.0 and moved * turned > 0.0:
+                self._pulse_per_speed = min(max(0.5 * self._pulse_per_speed + 0.5 * moved / turned, 0.02), 2.0)
+        self._last_pulse_and_speed, self._last_pulse_s = (self._pulse_us, speed), now
+        step = _SPEED_GAIN * self._pulse_per_speed * (self._target_speed - speed)
+        self._pulse_us = min(
+            max(self._pulse_us + min(max(step, -_MAX_PULSE_STEP_us), _MAX_PULSE_STEP_us), MIN_PULSE_us),
+            MAX_PULSE_us,
+        )
+        self._line.write(f"esc,{self._pulse_us:.1f}\n".encode())
+
+    def stop(self) -> None:
+        self._target_speed, self._pulse_us, self._last_pulse_and_speed = 0.0, MIN_PULSE_us, None
+        if not self._is_open:
+            return
+        # No answer is given; that rows still come says that the line stands, and the speed in them is watched.
+        self._line.write(b"\nstop\n")
+        self._line.write(b"stop\n")
+
+    def close(self) -> None:
+        try:
+            self.stop()
+        finally:
+            self._is_open = False
+            self._line.close()

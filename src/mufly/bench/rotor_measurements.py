@@ -1,0 +1,173 @@
+"""Measured points of a rotor, from the files of test benches and of propeller data sites.
+
+A file is a bench file as any other (:mod:`mufly.bench.bench_table`: units in the headers, several separators). Of its
+columns
+
+=========  ===========================================================================================
+pitch      ``pitch_deg``; without it as the caller says, else the blades stand as in the rotor file (0)
+speed      ``speed_rpm``, ``RPM``
+thrust     ``thrust_N``, ``T(gf)``, or a coefficient, as ``CT`` = T / (rho n^2 D^4), n in revolutions a second
+torque     ``torque_mNm``, ``Q(Nm)``, ``power_W``, or a coefficient, as ``CP`` = P / (rho n^3 D^5); it may be left out
+air        ``airspeed_m_s``, ``climb_m_s`` along the shaft, or ``J`` = V / (n D); without it the rotor hovers
+=========  ===========================================================================================
+
+are used. Coefficients need diameter and density; their conventions, and units that are not written, are decided by
+:mod:`mufly.bench.unit_conventions`. APC's performance files are read, too. A power that is the product of voltage and
+current beside it is no rotor's. Torque that is negative throughout has the sign of the sense of rotation. Where the
+file says in which air it was measured (``density_kg_m3``, or ``temperature_degC`` and ``pressure_hPa``), its loads are
+taken to the mean of its densities, as they go with it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mufly.bench.bench_loads import resolve_air_density
+from mufly.bench.bench_table import BenchTable, read_bench_file
+from mufly.bench.unit_conventions import (
+    COEFFICIENT_CONVENTIONS,
+    add_loads_from_coefficients,
+    guess_load_units,
+    is_electrical_power,
+    resolve_speed_unit,
+)
+from mufly.errors import InputError
+from mufly.rotor import Air, RotorMeasurements
+
+_PITCH_LIMIT_RAD = math.pi / 2
+
+
+def read_measurements(
+    path: str | Path,
+    *,
+    columns: str | None = None,
+    diameter_m: float | None = None,
+    density_kg_m3: float | None = None,
+    speed_rad_s: float | None = None,
+    pitch_rad: float | None = None,
+) -> RotorMeasurements:
+    """Read the measured points of a rotor.
+
+    Parameters
+    ----------
+    path : str or Path
+    columns : str, optional
+        Map of headers, as for :func:`mufly.bench.read_bench_file`.
+    diameter_m, density_kg_m3 : float, optional
+        Of the rotor and of the air at the bench; the diameter is needed where the file gives coefficients, the density
+        is 1.2 there unless given. A density that is given goes before the file's.
+    speed_rad_s : float, optional
+        Of all points, where the file has no column of it (UIUC's runs in a tunnel have it in their names).
+    pitch_rad : float, optional
+        Pitch setting of all points, where the file has no column of it; 0 unless given.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, a column is missing, or a value is not possible: speed, torque and power are above
+        zero and thrust is not zero but in axial flight, the pitch lies within 90 degrees.
+    """
+    table = read_bench_file(path, columns=columns)
+    radius = 0.5 * diameter_m if diameter_m else None
+    if "speed" in table and speed_rad_s is not None:
+        raise table.column_error("speed", "is a column of the file", "leave out the speed given beside it")
+    if "speed" not in table and speed_rad_s:
+        table = table.with_columns(speed=np.full(len(table), speed_rad_s))
+    each, density = np.ones(len(table)), density_kg_m3 or math.nan
+    coefficients = [n for n in COEFFICIENT_CONVENTIONS if n in table]
+    if density_kg_m3 is None and ("density" in table or ("temperature" in table and "pressure" in table)):
+        each, _ = resolve_air_density(table, None)
+        density = float(each.mean())
+    elif density_kg_m3 is None and any(c.partition("_")[0] not in table for c in coefficients):
+        density = Air().density_kg_m3
+    table.reject_wrong_units(("thrust", "torque", "speed"))
+    if "power" in table and "torque" not in table and is_electrical_power(table):
+        words = f"{table.headers['power']} is the product of voltage and current: no torque is read from it"
+        kept = {k: v for k, v in table.columns.items() if k != "power"}
+        table = replace(table, columns=kept, notes=(*table.notes, words))
+    # Loads of coefficients are made in the mean density, to which measured ones are taken below.
+    table = add_loads_from_coefficients(table, radius, density)
+    made = {n for n in ("thrust", "torque") if n in table and table.headers[n] == n and coefficients}
+    if "torque" not in table and "power" in table:
+        table.require_columns(("speed",))
+        header = table.headers["power"]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            table = table.with_columns(torque=table["power"] / table["speed"])
+        table = replace(table, headers={**table.headers, "torque": header})
+    table.require_columns(("speed", "thrust"))
+    _check_pitch_and_speed(table, pitch_rad)
+    table = _resolve_units(table, radius, density if math.isfinite(density) else Air().density_kg_m3)
+    table = _fix_signs(table)
+    if not {"airspeed", "advance_ratio"} & set(table.columns):
+        # In a tunnel thrust ends, and beyond that the air turns the rotor.
+        _require_column(table, "thrust", table["thrust"] != 0.0, "not be 0; leave the line out")
+        if "torque" in table:  # an empty cell is a point without torque
+            must = "be above 0: what the motor has to overcome, whichever way the rotor turns"
+            _require_column(table, "torque", ~(table["torque"] <= 0.0), must)
+    speed = table["speed"]
+    thinner = {n: 1.0 if n in made or not math.isfinite(density) else density / each for n in ("thrust", "torque")}
+    if density_kg_m3 is not None:
+        thinner = dict.fromkeys(thinner, 1.0)
+    torque = table["torque"] * thinner["torque"] if "torque" in table else np.full(len(table), math.nan)
+    pitch = table["pitch"] if "pitch" in table else np.full(len(table), pitch_rad or 0.0)
+    climb = table["airspeed"] if "airspeed" in table else np.zeros(len(table))
+    if "airspeed" not in table and "advance_ratio" in table:
+        if not diameter_m:
+            raise table.column_error(
+                "advance_ratio", "is a ratio", "say to which rotor it belongs, or give airspeed_m_s"
+            )
+        climb = table["advance_ratio"] * speed / (2.0 * math.pi) * diameter_m
+    notes = list(table.notes)
+    if math.isfinite(table.diameter_m) and diameter_m and abs(table.diameter_m / diameter_m - 1.0) > 0.02:
+        notes.append(f"the file's rotor is {1e3 * table.diameter_m:.4g} mm across, this one {1e3 * diameter_m:.4g} mm")
+    return RotorMeasurements(
+        pitch, speed, table["thrust"] * thinner["thrust"], torque, table.source, climb, density, tuple(notes)
+    )
+
+
+def _check_pitch_and_speed(table: BenchTable, pitch_rad: float | None) -> None:
+    """Refuse pitch and speed that cannot be."""
+    if "pitch" in table:
+        table.require_columns(("pitch",))
+        if pitch_rad is not None:
+            raise table.column_error("pitch", "is a column of the file", "leave out the pitch given beside it")
+        within = np.abs(table["pitch"]) <= _PITCH_LIMIT_RAD
+        _require_column(table, "pitch", within, "lie within 90 degrees; is its unit right?")
+    _require_column(table, "speed", table["speed"] > 0.0, "be above 0")
+    table.require_columns([n for n in ("airspeed", "advance_ratio") if n in table])
+
+
+def _resolve_units(table: BenchTable, radius_m: float | None, density_kg_m3: float) -> BenchTable:
+    """Decide the units of speed and loads that have none, by the sizes that they give, or ask."""
+    unsaid = [n for n in ("speed", "thrust", "torque") if n in table.unitless]
+    if unsaid and radius_m is None:
+        example = {"speed": "speed_rpm", "thrust": "thrust_N", "torque": "torque_Nm"}[unsaid[0]]
+        raise table.column_error(unsaid[0], "has no unit", f"name it with its unit, as {example}")
+    if unsaid and radius_m is not None:
+        table = resolve_speed_unit(table, radius_m)
+        loads = {n: table[n] for n in ("thrust", "torque") if n in table}
+        for name, (factor, words) in guess_load_units(table, loads, radius_m, density_kg_m3).items():
+            table = table.rescale_column(name, factor, words)
+    return table
+
+
+def _fix_signs(table: BenchTable) -> BenchTable:
+    """Turn round a thrust or torque that is negative in every line."""
+    for name, sign in (("thrust", "the load cell"), ("torque", "the sense of rotation")):
+        if name in table:
+            known = table[name][np.isfinite(table[name])]
+            if known.size and np.all(known < 0.0):
+                words = f"{table.headers[name]} is negative throughout and was turned round: the sign of {sign}"
+                table = table.rescale_column(name, -1.0, words)
+    return table
+
+
+def _require_column(table: BenchTable, name: str, good: np.ndarray[tuple[int], np.dtype[np.bool_]], must: str) -> None:
+    bad = np.flatnonzero(~good)
+    if bad.size:
+        where = f"line {table.line[bad[0]]}, {table.headers[name]}"
+        raise InputError(table.source, where, f"is {table[name][bad[0]]:g} in SI units", f"it must {must}")

@@ -1,0 +1,166 @@
+"""What drifts: a linear model, an error that walks at random, and readings that err independently of each other.
+
+    y_i = x_i' beta + W(t_i) + e_i,     cov W(s), W(t) = q (min(s, t) - t_0),     var e_i = kappa u_i^2
+
+beta (p,) is unknown without prior, q >= 0 is how fast the drift walks, u_i the stated uncertainty of a reading and
+kappa >= 1 by how much it was stated too small. With V = q K + kappa U the restricted likelihood of (q, kappa) is
+
+    -2 ln L = ln |V| + ln |X' V^-1 X| + r' V^-1 r,      r = y - X beta_hat      (Patterson and Thompson 1971)
+
+and, given both, the prediction of ``x*' beta + W(t*)`` is that of kriging with a fitted mean (Rasmussen and Williams,
+Gaussian Processes for Machine Learning, 2006, sec. 2.7):
+
+    m* = x*' b + k*' V^-1 r,     C* = K** - k*' V^-1 k* + g (X' V^-1 X)^-1 g',    g = x* - X' V^-1 k*
+
+A handful of zeros does not say how fast a zero walks. So q and kappa are not set to their best values, which would
+state too little, but averaged over a grid by their likelihoods: mean and covariance of the mixture. Before the data,
+kappa has the weight 1 / kappa, and the drift over the span, ``d = sqrt(q span)``, is even in its logarithm below the
+scatter s of the readings about the model and falls off beyond it as ``1 / (1 + d^2 / s^2)``. Between two readings
+without error and one q, this is the Brownian bridge: linear interpolation with variance ``q (t - t1)(t2 - t) / (t2 -
+t1)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+Array = NDArray[np.float64]
+
+_DRIFT_GRID_POINTS = 14  # of the walk, on the grid
+_VARIANCE_INFLATION_GRID = (1.0, 2.0, 4.0, 8.0, 16.0, 64.0)
+
+
+@dataclass(frozen=True, eq=False)
+class RandomWalkDrift:
+    """A linear model with a drift, fitted to readings.
+
+    Attributes
+    ----------
+    time, reading, std : (n,) arrays
+        What it was fitted to.
+    design : (n, p) array
+    start : float
+        Time t_0 at which the drift is zero.
+    weights : (g,) array
+        Of the grid's nodes, by likelihood.
+    nodes : (g, 2) array
+        q (unit of the reading squared, a second) and kappa.
+    """
+
+    time_s: Array
+    reading: Array
+    reading_std: Array
+    design_matrix: Array
+    start_time: float
+    grid_weights: Array
+    grid_nodes: Array
+
+    def _solve_node(self, q: float, kappa: float) -> tuple[Array, Array, Array, Array, Array]:
+        v = q * self._walk_covariance(self.time_s, self.time_s) + np.diag(kappa * self.reading_std**2)
+        factor = cho_factor(v, lower=True)
+        vx = cho_solve(factor, self.design_matrix)
+        a: Array = np.linalg.inv(self.design_matrix.T @ vx).astype(np.float64)
+        b = a @ (vx.T @ self.reading)
+        return (
+            b,
+            a,
+            cho_solve(factor, self.reading - self.design_matrix @ b),
+            cho_solve(factor, np.eye(v.shape[0])),
+            vx,
+        )
+
+    def _walk_covariance(self, s: Array, t: Array) -> Array:
+        return np.maximum(np.minimum.outer(s, t) - self.start_time, 0.0)
+
+    def predict(self, time: Array, design: Array) -> tuple[Array, Array]:
+        """Return the model with the drift at times (m,) and rows (m, p): mean (m,) and covariance (m, m)."""
+        means, parts = [], []
+        for (q, kappa), w in zip(self.grid_nodes, self.grid_weights, strict=True):
+            if w < 1e-4:
+                continue
+            b, a, vr, vi, vx = self._solve_node(float(q), float(kappa))
+            k = q * self._walk_covariance(time, self.time_s)
+            g = design - k @ vx
+            means.append((w, design @ b + k @ vr))
+            parts.append(w * (q * self._walk_covariance(time, time) - k @ vi @ k.T + g @ a @ g.T))
+        total = sum(w for w, _ in means)
+        mean = np.sum([w * m for w, m in means], axis=0) / total
+        cov = np.sum(parts, axis=0) / total
+        for w, m in means:
+            cov += w / total * np.outer(m - mean, m - mean)
+        return mean, 0.5 * (cov + cov.T)
+
+    def predict_drift(self, time: Array) -> tuple[Array, Array]:
+        """Return the drift alone since ``start_time``, mean (m,) and covariance (m, m)."""
+        return self.predict(time, np.zeros((time.size, self.design_matrix.shape[1])))
+
+    def estimate_coefficients(self) -> tuple[Array, Array]:
+        """Return beta (p,) and its covariance (p, p)."""
+        p = self.design_matrix.shape[1]
+        return self.predict(np.full(p, self.start_time), np.eye(p))
+
+    @property
+    def drift_per_hour(self) -> float:
+        """How far the drift goes in an hour, as one standard deviation, in units of the reading."""
+        return float(np.sqrt(3600.0 * (self.grid_weights @ self.grid_nodes[:, 0])))
+
+    @property
+    def mean_variance_inflation(self) -> float:
+        """Mean of kappa: by how much the variance of the readings was stated too small."""
+        return float(self.grid_weights @ self.grid_nodes[:, 1])
+
+
+def fit_random_walk(
+    time: Array, reading: Array, std: Array, design: Array | None = None, start: float | None = None
+) -> RandomWalkDrift:
+    """Fit a linear model with a drift.
+
+    Parameters
+    ----------
+    time : (n,) array
+        s.
+    reading, std : (n,) arrays
+        Readings and their standard uncertainties, in any one unit.
+    design : (n, p) array, optional
+        Rows x_i of full rank; default a constant.
+    start : float, optional
+        Time at which the drift is zero; default the first reading's.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer readings than coefficients, or a number is not finite.
+    """
+    x = np.ones((time.size, 1)) if design is None else design
+    if time.size < x.shape[1] or not (np.all(np.isfinite(reading)) and np.all(np.isfinite(std))):
+        raise ValueError("too few readings, or readings that are no numbers")
+    at = float(time.min()) if start is None else start
+    floor = 1e-9 * max(float(np.abs(reading).max()), 1e-12)
+    u = np.maximum(std, floor)
+    blank = RandomWalkDrift(time, reading, u, x, at, np.ones(1), np.zeros((1, 2)))
+    n, p = x.shape
+    span = max(float(np.ptp(time)), float(time.max()) - at, 1e-9)
+    rest = reading - x @ np.linalg.lstsq(x / u[:, None], reading / u, rcond=None)[0]
+    typical = max(float(np.sqrt(np.mean(rest**2))), 0.3 * float(np.median(u)))
+    walks = np.concatenate(
+        ([0.0], np.geomspace(0.05, 8.0, _DRIFT_GRID_POINTS) * typical)
+    )  # standard deviation over the span
+    speeds = walks**2 / span
+    nodes = np.array([(q, k) for q in speeds for k in _VARIANCE_INFLATION_GRID])
+    if n == p:  # nothing is left over to judge by: the prior alone, without the absurd
+        nodes = np.array([(0.0, 1.0)])
+    log = np.empty(len(nodes))
+    kernel = blank._walk_covariance(time, time)
+    for i, (q, kappa) in enumerate(nodes):
+        factor = np.linalg.cholesky(q * kernel + np.diag(kappa * u**2))
+        white = np.linalg.solve(factor, np.column_stack([x, reading]))
+        orthogonal, upper = np.linalg.qr(white[:, :p])
+        r = white[:, p] - orthogonal @ (orthogonal.T @ white[:, p])
+        log[i] = -np.sum(np.log(np.diag(factor))) - np.sum(np.log(np.abs(np.diag(upper)))) - 0.5 * float(r @ r)
+        log[i] -= np.log(kappa) + np.log1p(q * span / typical**2)
+    weights = np.exp(log - log.max())
+    return RandomWalkDrift(time, reading, u, x, at, weights / weights.sum(), nodes)

@@ -1,0 +1,127 @@
+"""The raw record of a series: a line for each thing done, never changed once it is written.
+
+A line is JSON, a tab, and the CRC-32 of the JSON in hexadecimal. It is flushed to the disk (fsync) before the next
+thing is done, so that a crash, a pulled plug or a kill at any moment loses at most the point that was being measured.
+The line that was being written then has no valid sum; a reader passes it over, and a writer begins on a new line
+after it.
+
+The first line says what the bench is (:class:`mufly.bench.rig.bench_devices.BenchFacts`) and what the plan was; every
+other is a ``reading`` (zero or point), or an ``event`` (mounted, stopped, resumed, limit).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from pathlib import Path
+from typing import Any, TextIO
+
+from mufly.bench.series.block_means import BlockMean
+from mufly.errors import InputError, report_write_errors
+
+RECORD_FILE_NAME = "raw.jsonl"
+
+
+class SeriesRecord:
+    """The lines of a series, in memory and, if a folder is given, in its file.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Where ``raw.jsonl`` lies or will lie; without it, memory alone (trials by the hundred).
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self.lines: list[dict[str, Any]] = []
+        self.broken_lines = 0
+        self._file: TextIO | None = None
+        if folder is None:
+            return
+        path = folder / RECORD_FILE_NAME
+        if path.is_file():
+            self.lines, self.broken_lines = read_lines(path)
+        with report_write_errors(path, "free it"):
+            self._file = path.open("a", encoding="utf-8", newline="\n")
+            if path.stat().st_size and not path.read_bytes().endswith(b"\n"):
+                self._file.write("\n")
+
+    def write(self, line: dict[str, Any]) -> None:
+        """Add a line; on the disk when this returns."""
+        self.lines.append(line)
+        if self._file is not None:
+            text = json.dumps(line, allow_nan=True, separators=(",", ":"))
+            self._file.write(f"{text}\t{zlib.crc32(text.encode()):08x}\n")
+            self._file.flush()
+            os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    @property
+    def header_line(self) -> dict[str, Any]:
+        """The first line, empty where nothing is recorded."""
+        return self.lines[0] if self.lines else {}
+
+    @property
+    def readings(self) -> list[dict[str, Any]]:
+        """What was measured, in order."""
+        return [line for line in self.lines if line["kind"] == "reading"]
+
+    @property
+    def completed_steps(self) -> set[tuple[int, int]]:
+        """Mounting and step of everything that need not be done again."""
+        return {(x["mounting"], x["step"]) for x in self.lines if x["kind"] in ("reading", "warmed") and x["step"] >= 0}
+
+
+def read_lines(path: Path) -> tuple[list[dict[str, Any]], int]:
+    """Return the lines whose sums hold, and how many did not.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or its first line is not that of a record.
+    """
+    try:
+        raw = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InputError(str(path), "", f"cannot be read ({error.strerror})", "name a series' folder") from error
+    lines, broken = [], 0
+    for text in raw.split("\n"):
+        if not text:
+            continue
+        body, _, total = text.rpartition("\t")
+        if total != f"{zlib.crc32(body.encode()):08x}":
+            broken += 1
+            continue
+        lines.append(json.loads(body))
+    if lines and lines[0].get("kind") != "head":
+        raise InputError(str(path), "", "does not begin as a record does", "take the file out and measure again")
+    return lines, broken
+
+
+def read_record(folder: str | Path) -> SeriesRecord:
+    """Read the record of a series.
+
+    Raises
+    ------
+    InputError
+        If the folder holds none.
+    """
+    path = Path(folder) / RECORD_FILE_NAME
+    if not path.is_file():
+        raise InputError(str(folder), "", f"holds no {RECORD_FILE_NAME}", "name the folder of `mufly bench run`")
+    record = SeriesRecord()
+    record.lines, record.broken_lines = read_lines(path)
+    if not record.lines:
+        raise InputError(str(path), "", "holds no line that is whole", "measure again")
+    return record
+
+
+def mean_from_line(values: list[float]) -> BlockMean:
+    """Return a mean as a line holds it."""
+    value, std, dof, size, spikes, low, high, trend = values
+    return BlockMean(value, std, dof, int(size), int(spikes), low, high, trend)

@@ -1,0 +1,423 @@
+"""A series, run: mount, wait, settle, average, watch, write down; stop whatever happens.
+
+    for every step of the plan that is not yet in the record
+        tell which blades have to be on, if they change
+        a zero:   stop, wait until the rotors stand still, average
+        a point:  command the speed, wait until speed and loads stand, average until it is known well enough
+        write it down (on the disk before the next step begins)
+
+Every batch of samples is looked at as it comes (:class:`LimitGuard`): a limit that is passed, a request to stop
+(Ctrl-C, SIGTERM) or a device that is silent ends the gathering there, and all motors are told to stop before anything
+else is done. A device that fails is opened again and the step repeated, twice at most, after a new zero: rotors have
+stopped in between, and a microcontroller that was reset may have lost its scale.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.bench.bench_loads import CellCalibration
+from mufly.bench.rig.bench_devices import BenchFacts, BenchRig, DeviceError, Samples
+from mufly.bench.series.block_means import BlockMean, compute_block_mean, has_settled
+from mufly.bench.series.series_plan import BenchLimits, BladeMounting, PlanStep, SeriesPlan
+from mufly.bench.series.series_record import SeriesRecord
+from mufly.errors import InputError, MuflyError
+from mufly.units import RPM
+
+Array = NDArray[np.float64]
+
+STEP_TRIES = 3
+_SPEED_TOLERANCE, _LOAD_TOLERANCE = 0.002, 0.004  # shares, of the reading and of the largest load so far
+_REST_SPEED_rad_s = 1.0
+_THRUST_PRECISION = 0.002  # standard uncertainty of thrust over thrust at which a point is known well enough
+_SPEED_DEVIATION_LIMIT = 0.02  # share of the commanded speed beyond which a point is not at its speed
+_MAX_WARM_PAUSE_s = 900.0  # after a longer pause a bench that was warm is not
+
+
+class LimitError(MuflyError):
+    """A limit was passed; the bench has been stopped."""
+
+
+class Stopped(MuflyError):
+    """Somebody asked for it; the bench has been stopped."""
+
+
+@dataclass(frozen=True)
+class SeriesProgress:
+    """How far a series is.
+
+    Attributes
+    ----------
+    done, total : int
+        Steps.
+    what : str
+        Now, in words.
+    line : dict, optional
+        What was just written to the record.
+    """
+
+    done_steps: int
+    total_steps: int
+    activity: str
+    record_line: dict[str, Any] | None = None
+
+
+@dataclass(eq=False)
+class LimitGuard:
+    """Looks at samples as they come, and raises before they do harm.
+
+    Attributes
+    ----------
+    limits : Limits
+    facts : Facts
+    asked : callable
+        Whether somebody wants it to stop.
+    saturated : set of str
+        Channels that have met an end of their range since :meth:`clear_saturation`.
+    """
+
+    limits: BenchLimits
+    facts: BenchFacts
+    stop_requested: Callable[[], bool]
+    saturated_channels: set[str] = field(default_factory=set)
+    zero_readings: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._cells: CellCalibration | None = self.facts.cell_calibration()
+
+    def clear_saturation(self) -> None:
+        """Forget what was saturated."""
+        self.saturated_channels = set()
+
+    def __call__(self, samples: Samples) -> None:
+        if self.stop_requested():
+            raise Stopped("stopped as asked; the series goes on from here when it is run again")
+        most = {
+            "speed": (self.limits.speed_rpm * RPM, 1 / RPM, "rpm"), "current": (self.limits.current_A, 1.0, "A"),
+            "vibration": (self.limits.vibration_m_s2, 1.0, "m/s2"),
+        }  # fmt: skip
+        for name, values in samples.items():
+            if not len(values):
+                continue
+            x = np.asarray(values, dtype=np.float64)
+            quantity = name.split("_")[0]
+            if quantity in most:
+                limit, scale, unit = most[quantity]
+                # Single samples of a current or a speed may be noise; a quarter of them are not.
+                worst = float(np.quantile(np.abs(x), 0.75))
+                if worst > limit:
+                    raise LimitError(f"{name} is {worst * scale:.4g} {unit}, beyond the limit of {limit * scale:g}")
+            celsius = float(x[-1]) - 273.15
+            if name.startswith("motor_temperature") and celsius > self.limits.motor_temperature_degC:
+                raise LimitError(
+                    f"{name} is {celsius:.0f} degC, beyond the limit of {self.limits.motor_temperature_degC:g}"
+                )
+            if name in self.facts.ranges:
+                low, high = self.facts.ranges[name]
+                if np.mean((x <= low) | (x >= high)) > 0.01:
+                    self.saturated_channels.add(name)
+        self._check_loads(samples)
+
+    def estimate_loads(self, means: Mapping[str, BlockMean]) -> dict[str, float]:
+        """Return thrust and torque of the cells by the last zero alone, for whoever watches."""
+        if self._cells is None:
+            return {n: means[n].value - self.zero_readings.get(n, 0.0) for n in ("thrust", "torque") if n in means}
+        names = [f"{c}_raw" for c in self._cells.channels]
+        if any(n not in means for n in names):
+            return {}
+        y, zero = [means[n].value for n in names], [self.zero_readings.get(n, math.nan) for n in names]
+        return dict(
+            zip(
+                self._cells.channels,
+                self._cells.readings_to_loads(np.array([y]), np.array(zero))[0].tolist(),
+                strict=True,
+            )
+        )
+
+    def _check_loads(self, samples: Samples) -> None:
+        """Look at force and torque, as far as they can be told from the readings of a batch."""
+        cells = self._cells
+        found: dict[str, float] = {}
+        if cells is not None:
+            y = [
+                np.median(samples[f"{c}_raw"]) if len(samples.get(f"{c}_raw", ())) else math.nan for c in cells.channels
+            ]
+            zero = [self.zero_readings.get(f"{c}_raw", b) for c, b in zip(cells.channels, cells.offset, strict=True)]
+            if np.all(np.isfinite(y)):
+                f = cells.readings_to_loads(np.array([y]), np.array(zero))[0]
+                found = dict(zip(cells.channels, f.tolist(), strict=True))
+        for name in ("thrust", "torque"):
+            if len(samples.get(name, ())):
+                found[name] = float(np.median(np.asarray(samples[name])))
+        for name, limit, unit in (
+            ("thrust", self.limits.thrust_N, "N"),
+            ("torque", self.limits.torque_Nm, "N m"),
+        ):
+            if abs(found.get(name, 0.0)) > limit:
+                raise LimitError(f"{name} is {found[name]:.4g} {unit}, beyond the limit of {limit:g}")
+
+
+def run_series(
+    plan: SeriesPlan, rig: BenchRig, record: SeriesRecord, *, asked: Callable[[], bool] = lambda: False,
+    told: Callable[[SeriesProgress], None] = lambda _: None, mounted: Callable[[BladeMounting], None] = lambda _: None,
+    keep_samples: bool = False, truth: Callable[[PlanStep], Mapping[str, float]] | None = None,
+) -> SeriesRecord:  # fmt: skip
+    """Measure what of a plan is not yet in the record.
+
+    Parameters
+    ----------
+    plan : Plan
+    rig : Rig
+        Opened here, and stopped whatever happens.
+    record : Record
+        Empty, or of the same plan: then the series goes on.
+    asked : callable
+        Whether to stop; looked at several times a second.
+    told : callable
+        Hears how far it is.
+    mounted : callable
+        Called before blades have to be on; returns when they are, or raises.
+    keep_samples : bool
+        Write every sample down, not only what was made of them.
+    truth : callable, optional
+        True loads of a step, for trials on a simulated bench.
+
+    Raises
+    ------
+    InputError
+        If the record is of another plan, or the bench lacks what the plan needs.
+    LimitError, Stopped, DeviceError, StopError
+        The bench has been stopped; the record holds everything that was measured.
+    """
+    _check_plan(plan, rig, record)
+    guard = LimitGuard(plan.limits, rig.facts, asked)
+    steps = plan.steps
+    try:
+        rig.open()
+        if not record.lines:
+            record.write({"kind": "head", "plan": plan.to_toml(), "digest": plan.digest(), "facts": rig.facts.to_dict(),
+                          "time": rig.now()})  # fmt: skip
+        else:
+            record.write({"kind": "event", "what": "resumed", "time": rig.now()})
+        runner = _SeriesRunner(plan, rig, record, guard, told, mounted, keep_samples, truth)
+        for number, step in enumerate(steps):
+            if (step.mounting_index, step.step_index) not in record.completed_steps:
+                runner.run_step(number, step)
+        told(SeriesProgress(len(steps), len(steps), "done"))
+    except (LimitError, Stopped, DeviceError) as error:
+        rig.stop()
+        record.write({"kind": "event", "what": type(error).__name__, "why": str(error), "time": rig.now()})
+        raise
+    finally:
+        # Whatever it was, a fault of this program too: rotors stop before anybody hears of it.
+        rig.stop()
+    return record
+
+
+def _check_plan(plan: SeriesPlan, rig: BenchRig, record: SeriesRecord) -> None:
+    missing = {a for m in plan.mounting for a in m.turning_sides} - set(rig.axes)
+    if missing:
+        raise InputError("plan", "mounting", f"needs the axis {', '.join(sorted(missing))}", "this bench has "
+                         f"{', '.join(rig.axes) or 'none'}; plan for that")  # fmt: skip
+    if record.lines and record.header_line.get("digest") != plan.digest():
+        raise InputError("plan", "", "is not the one of this record", "give another folder, or the plan of this one")
+    if not record.lines:
+        return
+    then, now = (json.loads(json.dumps(f)) for f in (record.header_line["facts"], rig.facts.to_dict()))
+    for facts in (then, now):
+        facts.get("calibration", {}).pop("source", None)  # a file may move
+    if other := [name for name in now if now[name] != then.get(name)]:
+        raise InputError(
+            "rig", ", ".join(other), "is not as on the bench on which this series began",
+            "go on with that one (its file, calibration, seed), or give another folder",
+        )  # fmt: skip
+
+
+class _SeriesRunner:
+    """What :func:`run_series` knows between two steps."""
+
+    def __init__(
+        self,
+        plan: SeriesPlan,
+        rig: BenchRig,
+        record: SeriesRecord,
+        guard: LimitGuard,
+        told: Callable[[SeriesProgress], None],
+        mounted: Callable[[BladeMounting], None],
+        keep: bool,
+        truth: Callable[[PlanStep], Mapping[str, float]] | None,
+    ) -> None:
+        self.plan, self.rig, self.record, self.guard = plan, rig, record, guard
+        self.on_progress, self.on_mount, self.keep_samples, self.true_loads = told, mounted, keep, truth
+        self.mounted_index = -1  # the mounting whose blades are on
+        self.step_count = len(plan.steps)
+        self.largest_loads: dict[str, float] = {}
+        self.needs_zero = bool(record.readings)  # a series that goes on: the zero of before is of another time
+        last = record.lines[-2]["time"] if len(record.lines) > 1 else rig.now()
+        self.is_cold = bool(record.readings) and rig.now() - float(last) > _MAX_WARM_PAUSE_s
+
+    def run_step(self, number: int, step: PlanStep) -> None:
+        """Do one step, again if a device fails."""
+        mounting = self.plan.mounting[step.mounting_index]
+        if self.mounted_index != step.mounting_index:
+            self.rig.stop()
+            self._wait_for_rest(number)
+            self._report_progress(number, f"mount {mounting.describe_mounting()}")
+            self.on_mount(mounting)
+            self.rig.mount(mounting)
+            self.mounted_index = step.mounting_index
+            self.record.write(
+                {"kind": "event", "what": "mounted", "mounting": step.mounting_index, "time": self.rig.now()}
+            )
+        for tries in range(1, STEP_TRIES + 1):
+            try:
+                if self.is_cold and step.kind != "warm-up":
+                    self._run_warm_up(number, mounting, float(np.median(mounting.speeds_rpm)), -1, step.mounting_index)
+                if self.needs_zero and step.kind == "point":
+                    self._take_reading(number, PlanStep(step.mounting_index, -1, "tare", 0.0), mounting)
+                if step.kind == "warm-up":
+                    self._run_warm_up(number, mounting, step.speed_rpm, step.step_index, step.mounting_index)
+                else:
+                    self._take_reading(number, step, mounting)
+                return
+            except DeviceError as error:
+                self.rig.stop()
+                self.record.write(
+                    {
+                        "kind": "event",
+                        "what": "device",
+                        "why": str(error),
+                        "mounting": step.mounting_index,
+                        "step": step.step_index,
+                        "try": tries,
+                        "time": self.rig.now(),
+                    }
+                )
+                if tries == STEP_TRIES:
+                    raise
+                self._report_progress(number, f"{error}; trying again")
+                self.rig.open()
+                self.needs_zero = True
+
+    def _report_progress(self, number: int, what: str, line: dict[str, Any] | None = None) -> None:
+        self.on_progress(SeriesProgress(number, self.step_count, what, line))
+
+    def _collect_samples(self, seconds: float) -> dict[str, Array]:
+        return self.rig.collect_samples(seconds, self.guard)
+
+    def _wait_for_rest(self, number: int) -> None:
+        """Wait until nothing turns: somebody is about to put hands on the blades."""
+        until = self.rig.now() + self.plan.times.settle_s
+        while self.rig.now() < until:
+            self._report_progress(number, "waiting for the rotors to stand still")
+            block = self._collect_samples(0.5)
+            if all(len(v) and abs(float(v[-1])) < _REST_SPEED_rad_s for k, v in block.items() if k.startswith("speed")):
+                return
+        raise LimitError("a rotor still turns, though it was told to stop; cut the power before going near it")
+
+    def _run_warm_up(self, number: int, mounting: BladeMounting, speed_rpm: float, index: int, of: int) -> None:
+        began, until = self.rig.now(), self.plan.times.warm_up_s
+        self.rig.set_speeds(mounting.speeds_rad_s(speed_rpm))
+        currents = []
+        while (spent := self.rig.now() - began) < until - 0.1:
+            self._report_progress(number, f"warming up, {spent / 60:.0f} of {until / 60:.0f} min at {speed_rpm:g} rpm")
+            block = self._collect_samples(min(20.0, until - spent))
+            currents.append(
+                [float(np.mean(block[f"current_{a}"])) for a in mounting.turning_sides if f"current_{a}" in block]
+            )
+        line = {
+            "kind": "warmed",
+            "mounting": of,
+            "step": index,
+            "time": self.rig.now(),
+            "currents": currents[::3],
+        }
+        self.record.write(line)
+        self.is_cold = False
+
+    def _take_reading(self, number: int, step: PlanStep, mounting: BladeMounting) -> None:
+        times, point = self.plan.times, step.kind == "point"
+        wanted = mounting.speeds_rad_s(step.speed_rpm) if point else {}
+        name = f"{step.speed_rpm:g} rpm" if point else "zero"
+        self._report_progress(number, f"{name}: settling")
+        self.rig.set_speeds(wanted)
+        settled = self._wait_until_settled(wanted)
+        self.guard.clear_saturation()
+        self._report_progress(number, f"{name}: averaging")
+        began, blocks = self.rig.now(), [self._collect_samples(times.average_s if point else times.tare_s)]
+        while True:
+            block = {k: np.concatenate([b[k] for b in blocks if k in b]) for k in blocks[0]}
+            means = {k: compute_block_mean(v) for k, v in block.items()}
+            spent = self.rig.now() - began
+            if not point or spent >= times.longest_s - 0.1 or self._is_precise_enough(means):
+                break
+            blocks.append(self._collect_samples(min(times.average_s, times.longest_s - spent)))
+        at_speed = all(
+            abs(means[f"speed_{a}"].value - w) <= _SPEED_DEVIATION_LIMIT * w
+            for a, w in wanted.items()
+            if f"speed_{a}" in means
+        )
+        for k, m in means.items():
+            if not point and k.startswith(("thrust", "torque")):
+                self.guard.zero_readings[k] = m.value
+        line: dict[str, Any] = {
+            "kind": "reading", "what": step.kind, "mounting": step.mounting_index, "step": step.step_index,
+            "time": 0.5 * (began + self.rig.now()), "seconds": self.rig.now() - began, "speed_rpm": step.speed_rpm,
+            "settled": settled, "at_speed": at_speed, "saturated": sorted(self.guard.saturated_channels),
+            "channels": {k: list(m) for k, m in means.items()},
+        }  # fmt: skip
+        if point:
+            line["quick"] = self.guard.estimate_loads(means)
+        if self.keep_samples:
+            line["samples"] = {k: [float(f"{x:.7g}") for x in v] for k, v in block.items()}
+        if self.true_loads is not None and point:
+            line["truth"] = dict(self.true_loads(step))
+        self.record.write(line)
+        self.needs_zero = False
+        self._report_progress(number + 1, f"{name}: done" + ("" if settled else ", but it had not settled"), line)
+
+    def _wait_until_settled(self, wanted: Mapping[str, float]) -> bool:
+        """Wait until two windows agree in speed and loads."""
+        times, before = self.plan.times, dict[str, BlockMean]()
+        until = self.rig.now() + times.settle_s
+        while self.rig.now() < until:
+            now = {k: compute_block_mean(v) for k, v in self._collect_samples(times.window_s).items()
+                   if k.startswith(("speed", "thrust", "torque"))}  # fmt: skip
+            good = bool(before)
+            for k, m in now.items():
+                if k.startswith("speed"):
+                    goal = wanted.get(k.removeprefix("speed_"), 0.0)
+                    tolerance = max(_SPEED_TOLERANCE * abs(goal), _REST_SPEED_rad_s)
+                    # Standing at the wrong speed is told apart from not standing, afterwards.
+                    good = (
+                        good
+                        and abs(m.value - before.get(k, m).value) <= tolerance
+                        and (goal > 0 or m.value < tolerance)
+                    )
+                else:
+                    self.largest_loads[k] = max(
+                        self.largest_loads.get(k, 0.0),
+                        abs(m.value - self.guard.zero_readings.get(k, m.value)),
+                    )
+                    tolerance = max(_LOAD_TOLERANCE * self.largest_loads[k], m.std)
+                    good = good and k in before and has_settled(before[k], m, tolerance)
+            if good:
+                return True
+            before = now
+        return False
+
+    def _is_precise_enough(self, means: Mapping[str, BlockMean]) -> bool:
+        """Whether the loads of a point are known well enough to go on."""
+        for k in ("thrust_raw", "torque_raw", "thrust", "torque"):
+            if k in means:
+                load = abs(means[k].value - self.guard.zero_readings.get(k, 0.0))
+                if means[k].std > _THRUST_PRECISION * load:
+                    return False
+        return True

@@ -1,0 +1,142 @@
+"""Whose torque is it? The two rotors of a pair, told apart by the currents of their motors (dissertation, Sec. 3.2.1).
+
+The torque cell under both rotors reads the sum ``M = s_up Q_up + s_dw Q_dw`` (s = +1, -1). The current of a motor says
+
+    Q = k I - c_0 - c_1 W + w(t) + error                  torque constant, friction that is constant and viscous
+
+with a friction that walks as bearings and magnets warm (:mod:`mufly.bench.series.random_walk_drift`). k, c_0, c_1 of
+each axis are fitted to the points at which its rotor turned alone, mostly the reference's, where the cell reads Q
+itself. The errors of the fit are those of cell and current, ``u_Q^2 + k^2 u_I^2``. For the points of a pair the fit is
+evaluated at their currents and times, and the cell's M, which is better known than either, is brought in as a
+measurement of
+the sum:
+
+    Q' = Q + P H' (H P H' + C_M)^-1 (M - H Q),     P' = P - P H' (H P H' + C_M)^-1 H P,     H = [s_up, s_dw]
+
+(least squares with a condition; Deming 1943). ``M - H Q`` before that is the test: the split is believed only if it
+is as small as its covariance says. Where a bench has no torque cell, known torques of the reference take its place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.bench.rig.bench_devices import BenchFacts
+from mufly.bench.series.random_walk_drift import RandomWalkDrift, fit_random_walk
+from mufly.bench.series.series_plan import SeriesPlan
+from mufly.bench.series.series_readings import LoadChannel, SeriesReadings
+
+Array = NDArray[np.float64]
+
+_MIN_TRAINING_POINTS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueSplit:
+    """Torque of each axis at the points of pairs.
+
+    Attributes
+    ----------
+    where : (m,) array of int
+        The points.
+    value : dict of str to (m,) array
+        ``"upper"``, ``"lower"`` (N m).
+    covariance : dict of str to (m, m) array
+    fits : dict of str to Walk
+        Coefficients k, c_0, c_1 of each axis.
+    mismatch : (m,) array
+        What the cell's sum says beyond the currents, in standard uncertainties; NaN without a torque cell.
+    """
+
+    point_index: NDArray[np.int64]
+    torque_Nm: dict[str, Array]
+    covariance: dict[str, Array]
+    motor_fits: dict[str, RandomWalkDrift]
+    cell_mismatch: Array
+
+
+def split_torque(
+    points: SeriesReadings, plan: SeriesPlan, facts: BenchFacts, speed: dict[str, Array], torque: LoadChannel | None,
+    known: Array, known_relative: float, start: float,
+) -> TorqueSplit | str:  # fmt: skip
+    """Tell the torques of pairs apart; of single rotors too, where there is no torque cell.
+
+    Parameters
+    ----------
+    points, plan, facts, speed
+        As in :mod:`mufly.bench.series.series_readings`.
+    torque : Channel, optional
+        Of the torque cell.
+    known : (n,) array
+        Torque of the rotor that turns alone, where it is known without a cell; NaN elsewhere.
+    known_relative : float
+        Its relative standard uncertainty, common to all.
+    start : float
+
+    Returns
+    -------
+    Split, or in words why there is none.
+    """
+    axis = np.array([plan.mounting[k].axis for k in points.mounting_index])
+    where = np.flatnonzero(axis == "pair") if torque is not None else np.flatnonzero(np.isnan(known))
+    if not where.size:
+        return ""
+    n = len(points)
+    value, covariance, fits = {}, {}, {}
+    for side in ("upper", "lower"):
+        current, std = points.channel_means(f"current_{side}"), points.std.get(f"current_{side}", np.zeros(n))
+        if torque is not None:
+            q, own = facts.torque_signs[side] * torque.value, np.diag(torque.own_covariance)
+        else:
+            q, own = known, np.zeros(n)
+        train = np.flatnonzero((axis == side) & np.isfinite(q) & np.isfinite(current))
+        turns = where[speed[side][where] > 0]
+        value[side], covariance[side] = np.zeros(where.size), np.zeros((where.size, where.size))
+        if not turns.size:
+            continue
+        if train.size < _MIN_TRAINING_POINTS or np.ptp(speed[side][train]) < 0.2 * speed[side][train].max():
+            return (
+                f"the torques of a pair cannot be told apart: the {side} motor's current was calibrated at "
+                f"{train.size} points; mount the reference alone on that axis, at five speeds over the whole range"
+            )
+        design = np.column_stack([current, -np.ones(n), -speed[side]])
+        k = float(np.linalg.lstsq(design[train], q[train], rcond=None)[0][0])
+        u = np.sqrt(own[train] + (k * std[train]) ** 2)
+        fit = fits[side] = fit_random_walk(points.time_s[train], q[train], u, design[train], start)
+        mean, cov = fit.predict(points.time_s[turns], design[turns])
+        # Scatter of the currents; friction may scatter from mounting to mounting as the fit found it to.
+        own_part = (k * std[turns]) ** 2 * fit.mean_variance_inflation + 0.25 * np.median(u) ** 2 * (
+            fit.mean_variance_inflation - 1.0
+        )
+        cov = cov + np.diag(own_part)
+        scale = known_relative**2
+        if torque is not None:
+            # What the cell's gain may be off, all torques share.
+            relative = torque.common_covariance[np.ix_(train, train)] / np.outer(
+                torque.value[train], torque.value[train]
+            )
+            scale = float(np.abs(relative).mean())
+        cov = cov + scale * np.outer(mean, mean)
+        at = np.flatnonzero(speed[side][where] > 0)
+        value[side][at] = mean
+        covariance[side][np.ix_(at, at)] = cov
+    mismatch = np.full(where.size, np.nan)
+    if torque is not None:
+        m = where.size
+        h = np.hstack([facts.torque_signs[s] * np.eye(m) for s in ("upper", "lower")])
+        p = np.zeros((2 * m, 2 * m))
+        p[:m, :m], p[m:, m:] = covariance["upper"], covariance["lower"]
+        q = np.concatenate([value["upper"], value["lower"]])
+        total = torque.covariance[np.ix_(where, where)]
+        middle = h @ p @ h.T + total
+        off = torque.value[where] - h @ q
+        mismatch = off / np.sqrt(np.diag(middle))
+        gain = p @ h.T @ np.linalg.inv(middle)
+        q = q + gain @ off
+        p = p - gain @ h @ p
+        value = {"upper": q[:m], "lower": q[m:]}
+        covariance = {"upper": p[:m, :m], "lower": p[m:, m:]}
+    return TorqueSplit(where.astype(np.int64), value, covariance, fits, mismatch)

@@ -1,0 +1,203 @@
+"""The floor that the camera sees: pictures that repeat themselves after some metres, from rich to hopeless.
+
+A floor is a picture in grey with a length for its pixels, laid edge to edge, as a pyramid of halves (each pixel the
+mean of four), so that a camera far above it does not see what it cannot resolve. Below half a metre a second, finer
+picture is added to it. Light is uneven: a map of shadows that stay where they are.
+
+| kind | what |
+|---|---|
+| rich | a carpet: noise of all sizes, and coloured shapes on it |
+| poor | concrete: the same noise with a sixth of the contrast, no shapes |
+| tiles | tiles of 256 mm with a joint, each exactly as the next |
+| plain | nothing at all |
+
+Pink noise: of each size of detail, halved from step to step, the same contrast. Own derivation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import ArgumentError, InputError
+
+FLOOR_KINDS = ("rich", "poor", "tiles", "plain")
+PIXEL_SIZE_M = 2e-3
+"""Of a pixel of the built-in floors (m)."""
+DETAIL_PIXEL_M, DETAIL_PIXELS = 5e-4, 512
+SHADOW_PIXEL_M, SHADOW_PIXELS = 0.04, 256
+TILE_PIXELS = 128
+_MEAN_GREY = 118.0
+_CONTRAST_BY_KIND = {"rich": 20.0, "poor": 6.0, "tiles": 20.0, "plain": 0.0}
+_DETAIL_CONTRAST_BY_KIND = {"rich": 12.0, "poor": 3.0, "tiles": 8.0, "plain": 0.0}
+
+
+@dataclass(frozen=True)
+class Floor:
+    """A floor.
+
+    Attributes
+    ----------
+    name : str
+    levels : tuple of (n, m) uint8 arrays
+        North along the first axis, east along the second; sides are powers of two, each level half of the one before.
+    step_m : (2,) tuple
+        Length of a pixel of the first level along each axis (m).
+    detail : (512, 512) float32 array
+        What is added from near, in grey levels, :data:`DETAIL_PIXEL_M` a pixel.
+    shade : (256, 256) float32 array
+        Share of the light that arrives, :data:`SHADOW_PIXEL_M` a pixel.
+    """
+
+    name: str
+    mip_levels: tuple[NDArray[np.uint8], ...]
+    pixel_size_m: tuple[float, float]
+    detail_map: NDArray[np.float32]
+    shadow_map: NDArray[np.float32]
+
+    @property
+    def packed_levels(self) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """All levels in one row, and of each where it begins and its sides as powers of two."""
+        starts = np.cumsum([0, *(level.size for level in self.mip_levels)])
+        table = np.array(
+            [
+                (start, level.shape[0].bit_length() - 1, level.shape[1].bit_length() - 1)
+                for start, level in zip(starts, self.mip_levels, strict=False)
+            ]
+        )
+        return np.concatenate([level.ravel() for level in self.mip_levels]), table
+
+
+def make_floor(kind: str = "rich", seed: int = 0, *, size: int = 4096, shadows: float = 0.0) -> Floor:
+    """Make a floor by chance.
+
+    Parameters
+    ----------
+    kind : str
+        Of :data:`FLOOR_KINDS`.
+    seed : int
+        Same seed, same floor.
+    size : int
+        Pixels of 2 mm along a side after which it repeats itself; a power of two.
+    shadows : float
+        Share of the light that the darkest shadows take, 0 to 1.
+    """
+    if kind not in FLOOR_KINDS:
+        raise ArgumentError("floor", kind, "is no kind of floor", f"use one of: {', '.join(FLOOR_KINDS)}, or a picture")
+    if size < 128 or size & (size - 1):
+        raise ArgumentError("size", str(size), "is no power of two from 128", "give 1024, 2048 or 4096")
+    rng = np.random.default_rng([seed, FLOOR_KINDS.index(kind)])
+    n = TILE_PIXELS if kind == "tiles" else size
+    picture = _MEAN_GREY + _CONTRAST_BY_KIND[kind] * _make_pink_noise(rng, n)
+    if kind in ("rich", "tiles"):
+        _draw_random_shapes(picture, rng, round(90 * (n * PIXEL_SIZE_M) ** 2))
+    if kind == "tiles":
+        picture[:2] = picture[:, :2] = 60.0
+        picture = np.tile(picture, (size // n, size // n))
+    detail = _DETAIL_CONTRAST_BY_KIND[kind] * _make_pink_noise(rng, DETAIL_PIXELS)
+    return Floor(
+        kind,
+        _build_mip_levels(_to_uint8(picture)),
+        (PIXEL_SIZE_M, PIXEL_SIZE_M),
+        detail.astype(np.float32),
+        _make_shadow_map(rng, shadows),
+    )
+
+
+def load_floor_picture(path: str | Path, width_m: float, *, seed: int = 0, shadows: float = 0.0) -> Floor:
+    """Lay a user's picture edge to edge; its top is north.
+
+    Parameters
+    ----------
+    path : str or Path
+        Any picture that Pillow reads.
+    width_m : float
+        Of the picture, from west to east (m).
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    if not 0.01 <= width_m <= 1e4:
+        raise ArgumentError("width", f"{width_m:g} m", "is no width of a floor", "give 0.01 to 10 000 m")
+    try:
+        with Image.open(path) as opened:
+            picture = opened.convert("L")
+    except (OSError, UnidentifiedImageError, ValueError) as error:
+        raise InputError(str(path), "", f"is no picture that can be read ({error})", "give a PNG or JPEG") from error
+    height_m = width_m * picture.height / picture.width
+    wide, high = (min(8192, max(64, 1 << (n - 1).bit_length())) for n in picture.size)
+    grey = np.asarray(picture.resize((wide, high), Image.Resampling.LANCZOS))[::-1]  # rows go north
+    nothing = np.zeros((DETAIL_PIXELS, DETAIL_PIXELS), np.float32)
+    shade = _make_shadow_map(np.random.default_rng(seed), shadows)
+    return Floor(
+        str(path),
+        _build_mip_levels(np.ascontiguousarray(grey)),
+        (height_m / high, width_m / wide),
+        nothing,
+        shade,
+    )
+
+
+def _to_uint8(a: NDArray[np.floating]) -> NDArray[np.uint8]:
+    return np.clip(np.rint(a), 0, 255).astype(np.uint8)
+
+
+def _upsample_twice(a: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Twice as many pixels by straight lines between them; the edges meet."""
+    for axis in (0, 1):
+        before, after = np.roll(a, 1, axis), np.roll(a, -1, axis)
+        out = np.empty([n * (2 if k == axis else 1) for k, n in enumerate(a.shape)], np.float32)
+        even, odd = [slice(None)] * 2, [slice(None)] * 2
+        even[axis], odd[axis] = slice(0, None, 2), slice(1, None, 2)
+        out[tuple(even)] = 0.25 * before + 0.75 * a
+        out[tuple(odd)] = 0.75 * a + 0.25 * after
+        a = out
+    return a
+
+
+def _make_pink_noise(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
+    """Noise (n, n) of all sizes, periodic, mean 0 and deviation 1."""
+    a = rng.standard_normal((4, 4), dtype=np.float32)
+    while len(a) < n:
+        a = _upsample_twice(a)
+        a += 0.8 * rng.standard_normal(a.shape, dtype=np.float32)
+    return (a - a.mean()) / a.std()
+
+
+def _draw_random_shapes(picture: NDArray[np.float32], rng: np.random.Generator, count: int) -> None:
+    """Lay rectangles and discs of 1 to 8 cm on a picture, half covering what lies below."""
+    n = len(picture)
+    for _ in range(count):
+        r, c = rng.integers(0, n, 2)
+        h, w = (int(x) for x in rng.integers(5, 40, 2))
+        if rng.uniform() < 0.5:
+            w = h
+            y, x = np.ogrid[:h, :w]
+            inside = (y - h / 2 + 0.5) ** 2 + (x - w / 2 + 0.5) ** 2 < h * h / 4
+        else:
+            inside = np.ones((h, w), bool)
+        at = np.ix_((r + np.arange(h)) % n, (c + np.arange(w)) % n)
+        part = picture[at]
+        part[inside] = 0.4 * part[inside] + 0.6 * rng.uniform(20, 235)
+        picture[at] = part
+
+
+def _build_mip_levels(a: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], ...]:
+    levels = [a]
+    while min(a.shape) > 32 and len(levels) < 9:
+        b = a.astype(np.uint16)
+        a = ((b[::2, ::2] + b[1::2, ::2] + b[::2, 1::2] + b[1::2, 1::2] + 2) // 4).astype(np.uint8)
+        levels.append(a)
+    return tuple(levels)
+
+
+def _make_shadow_map(rng: np.random.Generator, depth: float) -> NDArray[np.float32]:
+    """Shadows of what stands around: soft bands and blotches."""
+    n = SHADOW_PIXELS
+    a = rng.standard_normal((8, 8), dtype=np.float32)
+    while len(a) < n:
+        a = _upsample_twice(a)
+    soft = 1.0 / (1.0 + np.exp(-8.0 * (a - 0.6 * a.std())))
+    return (1.0 - depth * soft).astype(np.float32)

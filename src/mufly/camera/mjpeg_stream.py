@@ -1,0 +1,298 @@
+"""Pictures over HTTP as browsers, OpenCV and network cameras have them: JPEGs that replace each other (MJPEG).
+
+    GET /stream       200, multipart/x-mixed-replace; each part a JPEG with Content-Length and X-Timestamp (s)
+    GET /picture.jpg  the latest
+    GET /             a page that shows the stream
+
+``X-Timestamp`` is what mjpg-streamer sends: when the picture was taken, by the sender's clock. Who does not keep up
+misses pictures: a quarter of a second of them waits for him, no more.
+
+:class:`StreamServer` sends, :func:`iterate_parts` reads any such stream, with and without Content-Length.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import threading
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, BinaryIO
+from urllib.parse import urlsplit
+
+from mufly.errors import ArgumentError, InputError
+
+MJPEG_BOUNDARY = "mufly-picture"
+MAX_QUEUED_PICTURES = 8  # pictures, for somebody who is slow
+MAX_WATCHERS = 16
+SOCKET_TIMEOUT_S = 5.0
+MAX_PICTURE_BYTES = 32_000_000
+"""Of a picture that is read; no more is kept of what has no end."""
+_MAX_LINE_BYTES = 8192
+_VIEWER_HTML = (
+    "<!doctype html><html lang=en><meta charset=utf-8><title>mufly camera</title>"
+    "<style>body{margin:0;background:#11161c;display:grid;place-items:center;min-height:100vh}"
+    "img{width:min(100vw,133vh);image-rendering:pixelated}</style><img src=/stream alt='camera'>"
+)
+
+
+def parse_address(text: str, where: str = "--stream") -> tuple[str, int]:
+    """Return host and port of ``"8090"``, ``":8090"`` or ``"HOST:8090"``; this machine only where none is given.
+
+    Raises
+    ------
+    ArgumentError
+        If it is none.
+    """
+    host, _, port = text.strip().rpartition(":")
+    if not (port.isdecimal() and 0 <= int(port) <= 65535):
+        raise ArgumentError(where, text, "is no port", "write PORT or HOST:PORT, as 8090 or 0.0.0.0:8090")
+    return host.strip("[]") or "127.0.0.1", int(port)
+
+
+def is_local_host(host: str) -> bool:
+    """Whether an address means this machine only."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class StreamServer:
+    """Sends pictures to whoever asks, from threads of its own.
+
+    Parameters
+    ----------
+    host, port : str, int
+        Port 0: any that is free.
+
+    Attributes
+    ----------
+    url : str
+        Where the stream is.
+    watchers : int
+        How many look at it.
+
+    Raises
+    ------
+    ArgumentError
+        If it cannot listen there.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
+        self._change = threading.Condition()
+        self._latest: tuple[bytes, float] | None = None
+        self._queues: list[deque[tuple[bytes, float]]] = []
+        self._open = True
+        server = self
+
+        class Handler(_PictureRequestHandler):
+            stream_server = server
+
+        try:
+            self._http = _PictureHttpServer((host, port), Handler)
+        except OSError as error:
+            raise ArgumentError(
+                "stream",
+                "",
+                f"cannot listen on {host}:{port} ({error.strerror or error})",
+                "give another port",
+            ) from None
+        self.is_local_only = is_local_host(host)
+        name = f"[{host}]" if ":" in host else "127.0.0.1" if host in ("", "0.0.0.0") else host
+        self.url = f"http://{name}:{self._http.server_address[1]}/stream"
+        threading.Thread(target=self._http.serve_forever, args=(0.1,), name="camera stream", daemon=True).start()
+
+    @property
+    def watcher_count(self) -> int:
+        return len(self._queues)
+
+    def publish_picture(self, jpeg: bytes, time_s: float) -> None:
+        """Send a picture; never waits for anybody."""
+        with self._change:
+            self._latest = jpeg, time_s
+            for queue in self._queues:
+                queue.append(self._latest)
+            self._change.notify_all()
+
+    def close(self) -> None:
+        """Send what waits, and end."""
+        with self._change:
+            self._open = False
+            self._change.notify_all()
+        self._http.shutdown()
+        self._http.server_close()
+
+    def __enter__(self) -> StreamServer:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    # for the handlers
+
+    def latest_jpeg(self) -> bytes | None:
+        with self._change:
+            return None if self._latest is None else self._latest[0]
+
+    def iterate_pictures(self) -> Iterator[tuple[bytes, float]]:
+        """Yield pictures as they come, the latest at once; none where too many look already."""
+        queue: deque[tuple[bytes, float]] = deque(maxlen=MAX_QUEUED_PICTURES)
+        with self._change:
+            if len(self._queues) >= MAX_WATCHERS:
+                return
+            self._queues.append(queue)
+            if self._latest is not None:
+                queue.append(self._latest)
+        try:
+            while True:
+                with self._change:
+                    while not queue:
+                        if not self._open:
+                            return
+                        self._change.wait(1.0)
+                    one = queue.popleft()
+                yield one
+        finally:
+            with self._change:
+                self._queues = [q for q in self._queues if q is not queue]
+
+
+class _PictureHttpServer(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Whoever looks may go when he likes."""
+
+
+class _PictureRequestHandler(BaseHTTPRequestHandler):
+    stream_server: StreamServer
+    protocol_version = "HTTP/1.0"
+    timeout = SOCKET_TIMEOUT_S
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+    def do_GET(self) -> None:
+        path = urlsplit(self.path).path
+        if not self._is_request_allowed():
+            self._send_content(403, "text/plain", b"this camera answers its own pages only")
+        elif path == "/":
+            self._send_content(200, "text/html", _VIEWER_HTML.encode())
+        elif path == "/picture.jpg" and (jpeg := self.stream_server.latest_jpeg()) is not None:
+            self._send_content(200, "image/jpeg", jpeg)
+        elif path == "/stream":
+            self._send_stream()
+        else:
+            self._send_content(404, "text/plain", b"there are /stream and /picture.jpg")
+
+    def _is_request_allowed(self) -> bool:
+        """Whether no foreign web page looks through somebody's browser; names may be turned to point here."""
+        headers = self.headers
+        try:
+            name = urlsplit(f"//{headers.get('Host', '')}").hostname or ""
+        except ValueError:
+            return False
+        known = not self.stream_server.is_local_only or is_local_host(name)
+        foreign = headers.get("Sec-Fetch-Site", "none") == "cross-site"
+        return known and (not foreign or headers.get("Sec-Fetch-Mode") == "navigate")
+
+    def _send_content(self, status: int, kind: str, content: bytes) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        self.wfile.write(content)
+
+    def _send_stream(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={MJPEG_BOUNDARY}")
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        with suppress(OSError):
+            self.wfile.write(f"--{MJPEG_BOUNDARY}\r\n".encode())
+            for jpeg, time_s in self.stream_server.iterate_pictures():
+                head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\nX-Timestamp: {time_s:.6f}\r\n\r\n"
+                self.wfile.write(head.encode() + jpeg + f"\r\n--{MJPEG_BOUNDARY}\r\n".encode())
+
+
+def parse_boundary(content_type: str, where: str) -> bytes:
+    """Return what separates the parts of a stream, by its Content-Type.
+
+    Raises
+    ------
+    InputError
+        If it is no stream of pictures.
+    """
+    kind, _, rest = content_type.partition(";")
+    words = dict(part.strip().partition("=")[::2] for part in rest.split(";"))
+    boundary = words.get("boundary", "").strip('"')
+    if not kind.strip().lower().startswith("multipart/") or not boundary:
+        raise InputError(
+            where, "", f"sends {kind.strip() or 'nothing named'}, no stream of JPEGs",
+            "give the address of the stream itself (multipart/x-mixed-replace)",
+        )  # fmt: skip
+    # Some servers put the two hyphens into the name, too.
+    return b"--" + boundary.removeprefix("--").encode()
+
+
+def iterate_parts(stream: BinaryIO, boundary: bytes) -> Iterator[tuple[bytes, float | None]]:
+    """Yield JPEG and ``X-Timestamp`` (s; None without) of each part, until the stream ends.
+
+    Raises
+    ------
+    ValueError
+        If a part is too long to be a picture.
+    """
+    begun = False
+    while True:
+        if not begun:
+            line = stream.readline(_MAX_LINE_BYTES)
+            if not line or line.strip() == boundary + b"--":
+                return
+            if line.strip() != boundary:
+                continue  # between two parts, or what a broken one left behind
+        begun = False
+        headers: dict[str, str] = {}
+        while (line := stream.readline(_MAX_LINE_BYTES)).strip():
+            name, _, value = line.decode("latin-1").partition(":")
+            headers[name.strip().lower()] = value.strip()
+        if not line:
+            return
+        length = headers.get("content-length", "")
+        if length.isdecimal() and int(length) <= MAX_PICTURE_BYTES:
+            data = stream.read(int(length))
+            if len(data) < int(length):
+                return
+        else:
+            data, begun = _read_unsized_part(stream, boundary)
+            if not data:
+                return
+        try:
+            when = float(headers["x-timestamp"])
+        except (KeyError, ValueError):
+            when = None
+        yield data, when
+
+
+def _read_unsized_part(stream: BinaryIO, boundary: bytes) -> tuple[bytes, bool]:
+    """A part without its length, up to the end mark of its JPEG, and whether the next boundary was read with it.
+
+    b"" if it is cut off.
+    """
+    data = bytearray()
+    while True:
+        line = stream.readline(_MAX_LINE_BYTES)
+        data += line
+        if len(data) > MAX_PICTURE_BYTES:
+            raise ValueError("a part is too long to be a picture")
+        # The end mark may be broken over two lines; what follows it is a line end, or the boundary at once.
+        end = data.rfind(b"\xff\xd9", max(0, len(data) - len(line) - 2))
+        rest = bytes(data[end + 2 :].strip()) if end >= 0 else None
+        if rest in (b"", boundary, boundary + b"--"):
+            return bytes(data[: end + 2]), rest != b""
+        if not line:
+            return b"", False  # cut off

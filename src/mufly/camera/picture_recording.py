@@ -1,0 +1,191 @@
+"""Pictures of a flight in a file of their own, ``camera.mcap`` beside ``flight.mcap``: what the ground station
+got.
+
+Topic ``/camera`` has JPEGs as ``foxglove.CompressedImage`` (Foxglove shows them; JSON, the picture in base64), topic
+``/camera/told`` what the vehicle told with each, the camera's file is an attachment. A chunk a second: a file that was
+cut off is readable up to its last whole second.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from mufly.errors import InputError, MuflyError, report_write_errors
+from mufly.logs.mcap import McapWriter, read_mcap
+from mufly.logs.mcap_recording import foxglove_time, object_schema
+
+CAMERA_FILE_NAME = "camera.mcap"
+IMAGE_SCHEMA_NAME = "foxglove.CompressedImage"
+_CHUNK_S = 1.0
+_TOPICS = ("/camera", "/camera/told")
+_TEXT_TYPE, _NUMBER_TYPE, _INTEGER_TYPE = {"type": "string"}, {"type": "number"}, {"type": "integer"}
+_TIME_SCHEMA = object_schema({"sec": _INTEGER_TYPE, "nsec": _INTEGER_TYPE}, "time")
+_IMAGE_SCHEMA = object_schema(
+    {
+        "timestamp": _TIME_SCHEMA,
+        "frame_id": _TEXT_TYPE,
+        "data": {**_TEXT_TYPE, "contentEncoding": "base64"},
+        "format": _TEXT_TYPE,
+    },
+    IMAGE_SCHEMA_NAME,
+)
+
+
+class PictureRecorder:
+    """Writes pictures as they come.
+
+    Parameters
+    ----------
+    path : Path
+        Overwritten.
+    camera : str
+        The camera's file.
+    start_ns : int
+        Wall time of the instant 0 (ns since 1970).
+    facts : mapping
+        Names and texts to keep: floor, ...
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+
+    def __init__(self, path: Path, camera: str, start_ns: int, facts: Mapping[str, str]) -> None:
+        with report_write_errors(path, "choose another folder"):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._out = path.open("wb")
+        self._start_ns, self._waiting, self._due_s = start_ns, list[tuple[int, int, bytes]](), -1e9
+        self._path = path
+        self._file = McapWriter(self._out, "mufly")
+        self._file.write_metadata("mufly.camera", {**facts, "start_ns": str(start_ns)})
+        self._file.write_attachment("camera.toml", "text/plain", camera.encode(), start_ns)
+        told = orjson.dumps({"title": "mufly.Told", "type": "object"})
+        self._image = self._file.add_channel(_TOPICS[0], IMAGE_SCHEMA_NAME, orjson.dumps(_IMAGE_SCHEMA))
+        self._told = self._file.add_channel(_TOPICS[1], "mufly.Told", told)
+
+    def add_picture(self, time_s: float, jpeg: bytes, told: Mapping[str, Any]) -> None:
+        """Add a picture, and what was told with it; MuflyError if the disk takes no more."""
+        if time_s >= self._due_s:
+            self._flush_chunk()
+            self._due_s = time_s + _CHUNK_S
+        at = self._start_ns + round(time_s * 1e9)
+        image = {
+            "timestamp": foxglove_time(at),
+            "frame_id": "camera",
+            "data": base64.b64encode(jpeg).decode(),
+            "format": "jpeg",
+        }
+        self._waiting.append((self._image, at, orjson.dumps(image)))
+        self._waiting.append((self._told, at, orjson.dumps(told, option=orjson.OPT_SERIALIZE_NUMPY)))
+
+    def _flush_chunk(self) -> None:
+        if not self._waiting:
+            return
+        try:
+            self._file.write_chunk(self._waiting)
+        except OSError as error:
+            raise MuflyError(f"{self._path}: pictures cannot be written ({error.strerror})") from error
+        self._waiting = []
+
+    def close(self) -> None:
+        """Write what is left, and the index."""
+        if self._out.closed:
+            return
+        with suppress(OSError, MuflyError):  # a full disk: what is there is readable
+            self._flush_chunk()
+            self._file.finish_file()
+        with suppress(OSError):
+            self._out.close()
+
+
+@dataclass(frozen=True)
+class RecordedPictures:
+    """What a recording has of a camera.
+
+    Attributes
+    ----------
+    path : Path
+    camera : str
+        Its file; "" where it is not there.
+    times : list of float
+        s, on the recording's clock.
+    told : list of dict
+        As they were given to :meth:`PictureRecorder.add_picture`; empty where nothing was.
+    """
+
+    path: Path
+    camera: str
+    times_s: list[float]
+    frame_infos: list[dict[str, Any]]
+    _images: list[bytes]
+
+    def iterate_jpegs(self) -> Iterator[bytes]:
+        """Yield the pictures' bytes.
+
+        Raises
+        ------
+        InputError
+            If one of them is no picture message.
+        """
+        for t, content in zip(self.times_s, self._images, strict=True):
+            try:
+                yield base64.b64decode(orjson.loads(content)["data"])
+            except (ValueError, KeyError, TypeError):
+                raise InputError(
+                    str(self.path),
+                    f"picture at {t:.3f} s",
+                    "is damaged",
+                    "give another copy of the recording",
+                ) from None
+
+
+def read_pictures(path: Path) -> RecordedPictures:
+    """Read the pictures of a recording: ``camera.mcap``, the flight beside it, or any MCAP with a topic of
+    ``foxglove.CompressedImage`` in JSON.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    beside = path.with_name(CAMERA_FILE_NAME)
+    contents = read_mcap(path)
+    images = contents.messages_by_topic.get(_TOPICS[0]) or _find_image_messages(contents.messages_by_topic)
+    if not images and path.name != CAMERA_FILE_NAME and beside.is_file():
+        path, contents = beside, read_mcap(beside)
+        images = contents.messages_by_topic.get(_TOPICS[0], [])
+    if not images:
+        raise InputError(
+            str(path),
+            "",
+            "holds no pictures",
+            f"give {CAMERA_FILE_NAME} of a flight on the camera (mufly fly --position camera), or one with "
+            f"{IMAGE_SCHEMA_NAME} in JSON",
+        )
+    facts = contents.metadata.get("mufly.camera", {})
+    start_ns = int(facts.get("start_ns", images[0][0]))
+    tellings = contents.messages_by_topic.get(_TOPICS[1], [])
+    if tellings and not contents.is_complete:  # a picture and what was told with it have one time
+        both = {t for t, _ in images} & {t for t, _ in tellings}
+        images, tellings = ([m for m in kind if m[0] in both] for kind in (images, tellings))
+    told = [orjson.loads(c) for _, c in tellings]
+    count = min(len(images), len(told)) if told else len(images)  # cut off between two
+    camera = contents.attachments.get("camera.toml", b"").decode()
+    times = [(t - start_ns) * 1e-9 for t, _ in images[:count]]
+    return RecordedPictures(path, camera, times, told[:count], [c for _, c in images[:count]])
+
+
+def _find_image_messages(messages: Mapping[str, list[tuple[int, bytes]]]) -> list[tuple[int, bytes]]:
+    """Messages of the first topic that looks like pictures."""
+    for found in messages.values():
+        if found and b'"data"' in found[0][1] and b'"format"' in found[0][1]:
+            return found
+    return []

@@ -1,0 +1,490 @@
+"""Pictures of the floor and what lies on it, from a camera that moves while it looks.
+
+A row r of the picture is exposed around t_r = t + (r / (h - 1) - 1/2) T_roll for T_exp; its pixels are means over
+instants in that time. At each instant the camera has moved on evenly from the middle of the picture (velocity v,
+rates w: R(t + s) = R(t) exp([w s])), and the rotors shake it. A pixel's ray d = R (x, y, 1) meets the floor D = 0 at
+c + d (-c_D / d_D), boxes by the slab method, and takes the grey of that place there. Then
+
+    I = jpeg(quantised(gain light vignette (blur * (shade grey)) + n))
+
+The shaking of rotor i turns the camera a little, so that the picture's middle moves by a_i cos(phi_i(t) + beta_ij)
+pixels along its axis j; a_i goes with the square of the speed, the phases are those of the rotors. Both rotors share
+evenly, so the amplitude of their sum is that of the file on average (rms). The directions beta are drawn by the
+seed: nobody measured them.
+
+Own derivation; rolling shutter as in Meingast, Geyer and Sastry 2005.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.camera.camera_model import Camera, body_from_camera_rotation, unproject_pixels
+from mufly.camera.floor_texture import DETAIL_PIXEL_M, DETAIL_PIXELS, SHADOW_PIXEL_M, SHADOW_PIXELS, Floor
+from mufly.numba_cache import cached_njit
+from mufly.world import Box, World
+
+_Array = NDArray[np.float64]
+STRIP_ROWS = 16
+"""Rows of a picture that are lost together, as JPEG's blocks are."""
+_EXPOSURE_SAMPLES = 3  # instants of an exposure
+_NOISE_TABLE_SIZE = 1 << 16
+_DETAIL_MAX_HEIGHT_M = 0.6
+_TARGET_GREY = 112.0  # mean grey that the exposure is set to
+_EXPOSURE_TIME_CONSTANT_S = 0.4
+
+
+@dataclass(frozen=True)
+class VehicleMotion:
+    """How the vehicle moves at the middle of a picture.
+
+    Attributes
+    ----------
+    time_s : float
+    position, velocity : (3,) arrays
+        N, E, D (m, m/s), of the centre of gravity.
+    attitude : (3, 3) array
+        Turns body vectors into N-E-D.
+    rates : (3,) array
+        p, q, r (rad/s).
+    rotor_speed, rotor_phase : (2,) arrays
+        Upper, lower (rad/s, rad).
+    shaking : float
+        Of the amplitude of the file: what share there is, 1 at hover speed.
+    """
+
+    time_s: float
+    position: _Array
+    velocity: _Array
+    attitude: _Array
+    rates: _Array
+    rotor_speed: _Array = field(default_factory=lambda: np.zeros(2))
+    rotor_phase: _Array = field(default_factory=lambda: np.zeros(2))
+    vibration_scale: float = 1.0
+
+
+class Renderer:
+    """Makes pictures of a floor.
+
+    Parameters
+    ----------
+    camera : Camera
+    floor : Floor
+    world : World
+        Of it the boxes on the floor.
+    seed : int
+        Of noise, losses and the directions of the shaking.
+    own_shadow : float
+        Share of the light that the vehicle takes from the floor below, 0 to 1.
+    perfect : bool
+        Geometry alone: neither noise nor blur, vignette, JPEG, shaking and losses; a global shutter without exposure.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        floor: Floor,
+        world: World | None = None,
+        *,
+        seed: int = 0,
+        own_shadow: float = 0.25,
+        perfect: bool = False,
+    ) -> None:
+        self.camera, self.floor = camera, floor
+        self._rng = np.random.default_rng(seed)
+        s, q = camera.sensor, camera.quality
+        row, column = np.mgrid[: s.height, : s.width].astype(np.float64)
+        pixels = np.stack([column, row], axis=-1)
+        self._rays = np.ascontiguousarray(unproject_pixels(camera, pixels)).astype(np.float32)
+        self._mount, self._turn = camera.mount.place.to_array()[0], body_from_camera_rotation(camera)
+        self._texture, self._table = floor.packed_levels
+        self._boxes = _pack_boxes(world.boxes if world else ())
+        middle = np.array([(s.width - 1) / 2, (s.height - 1) / 2])
+        off = ((pixels - middle) ** 2).sum(axis=-1) / (middle**2).sum()
+        self._perfect = perfect
+        self._vignette = (1.0 - (0.0 if perfect else float(q.vignette)) * off).astype(np.float32)
+        self._kernel = _gaussian_kernel(0.0 if perfect else float(q.blur))
+        self._noise = 0.0 if perfect else float(q.noise)
+        self._normals = self._rng.standard_normal(_NOISE_TABLE_SIZE, dtype=np.float32)
+        # Amplitude along each axis of the picture and its phase, a row a rotor: an ellipse by chance.
+        amplitude = 0.0 if perfect else float(q.shaking) / math.sqrt(2.0)
+        share = self._rng.uniform(0.15 * math.pi, 0.35 * math.pi, 2)
+        self._shake = np.stack(
+            [amplitude * math.sqrt(2.0) * np.cos(share), self._rng.uniform(0, 2 * math.pi, 2),
+             amplitude * math.sqrt(2.0) * np.sin(share), self._rng.uniform(0, 2 * math.pi, 2)], axis=1
+        )  # fmt: skip
+        self._own_shadow = 0.0 if perfect else own_shadow
+        self._gain, self._last_s = 1.0, math.nan
+        self._before: NDArray[np.uint8] | None = None
+        self._out = np.empty((s.height, s.width), np.float32)
+        self._work = np.empty_like(self._out)
+
+    def render(self, motion: VehicleMotion, light: float = 1.0) -> NDArray[np.uint8]:
+        """Return the picture (rows, columns), uint8.
+
+        Parameters
+        ----------
+        motion : Motion
+        light : float
+            Of the room, 1 as it was when the exposure was set first; the exposure follows it within half a second.
+        """
+        s, shutter, q = self.camera.sensor, self.camera.shutter, self.camera.quality
+        readout, exposure = (0.0, 0.0) if self._perfect else (float(shutter.readout), float(shutter.exposure))
+        place = np.concatenate([motion.position, motion.velocity, motion.rates, motion.rotor_speed, motion.rotor_phase])
+        height = max(1e-3, -float(motion.position[2]))
+        footprint = height / float(self.camera.lens.focal_x) / self.floor.pixel_size_m[0]
+        level = min(max(0, round(math.log2(max(footprint, 1e-9)))), len(self._table) - 1)
+        shake = self._shake * np.array([motion.vibration_scale, 1.0, motion.vibration_scale, 1.0])
+        shake[:, 0] /= float(self.camera.lens.focal_x)
+        shake[:, 2] /= float(self.camera.lens.focal_y)
+        seen = self._box_pixel_bounds(motion)
+        _render_irradiance(
+            self._out,
+            self._rays,
+            self._turn,
+            self._mount,
+            motion.attitude,
+            place,
+            shake,
+            readout,
+            exposure,
+            1 if exposure <= 0.0 else _EXPOSURE_SAMPLES,
+            self._texture,
+            self._table,
+            level,
+            np.array(self.floor.pixel_size_m),
+            self.floor.detail_map,
+            min(1.0, max(0.0, _DETAIL_MAX_HEIGHT_M / height - 1.0)),
+            self.floor.shadow_map,
+            self._own_shadow,
+            self._boxes,
+            seen,
+        )
+        if len(self._kernel) > 1:
+            _blur_in_place(self._out, self._work, self._kernel)
+        self._adapt_exposure(motion.time_s, light)
+        starts = self._rng.integers(0, _NOISE_TABLE_SIZE, s.height)
+        picture = np.empty((s.height, s.width), np.uint8)
+        _convert_to_grey_levels(
+            picture, self._out, self._vignette, self._gain * light, self._noise, self._normals, starts
+        )
+        if self._perfect:
+            return picture
+        if q.jpeg:
+            picture = decode_picture(encode_jpeg(picture, q.jpeg))
+        return self._lose_strips(picture)
+
+    def _adapt_exposure(self, time_s: float, light: float) -> None:
+        """Set the exposure: at once for the first picture, then drawn to what would be right."""
+        mean = float(self._out[::8, ::8].mean()) * light
+        wanted = min(4.0, max(0.25, _TARGET_GREY / max(mean, 1e-3)))
+        if self._perfect:
+            return
+        if math.isnan(self._last_s):
+            self._gain = wanted
+        else:
+            share = 1.0 - math.exp(-max(0.0, time_s - self._last_s) / _EXPOSURE_TIME_CONSTANT_S)
+            self._gain *= (wanted / self._gain) ** share
+        self._last_s = time_s
+
+    def _lose_strips(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """What is left when strips are lost: the decoder shows what was there before."""
+        lost = float(self.camera.quality.strips_lost)
+        if lost > 0.0:
+            for first in range(0, len(picture), STRIP_ROWS):
+                if self._rng.uniform() < lost:
+                    strip = slice(first, first + STRIP_ROWS)
+                    picture[strip] = 128 if self._before is None else self._before[strip]
+            self._before = picture.copy()
+        return picture
+
+    def _box_pixel_bounds(self, motion: VehicleMotion) -> NDArray[np.int64]:
+        """Rows and columns (n, 4) between which each box can be seen: first, last row; first, last column."""
+        s = self.camera.sensor
+        out = np.zeros((len(self._boxes), 4), np.int64)
+        turn = motion.attitude @ self._turn
+        here = motion.position + motion.attitude @ self._mount
+        reach = float(np.abs(self._rays).max()) + 0.2
+        for k, b in enumerate(self._boxes):
+            corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * b[3:6]
+            c, si = b[6], b[7]
+            at = np.stack(
+                [
+                    c * corners[:, 0] - si * corners[:, 1],
+                    si * corners[:, 0] + c * corners[:, 1],
+                    corners[:, 2],
+                ],
+                1,
+            )
+            p = (at + b[0:3] - here) @ turn
+            if (p[:, 2] < 0.02).any():
+                out[k] = 0, s.height - 1, 0, s.width - 1
+                continue
+            xy = np.clip(p[:, :2] / p[:, 2:], -2 * reach, 2 * reach)
+            # Where distorted rays lie, row by row, is looked up in the table of rays.
+            columns = np.nonzero(
+                (self._rays[..., 0].max(0) >= xy[:, 0].min()) & (self._rays[..., 0].min(0) <= xy[:, 0].max())
+            )[0]
+            rows = np.nonzero(
+                (self._rays[..., 1].max(1) >= xy[:, 1].min()) & (self._rays[..., 1].min(1) <= xy[:, 1].max())
+            )[0]
+            if len(rows) and len(columns):
+                out[k] = max(0, rows[0] - 24), rows[-1] + 24, max(0, columns[0] - 24), columns[-1] + 24
+            else:
+                out[k] = 1, 0, 1, 0
+        return out
+
+
+def encode_jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
+    """Return a picture as JPEG."""
+    from PIL import Image
+
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "JPEG", quality=quality)
+    return out.getvalue()
+
+
+def decode_picture(data: bytes) -> NDArray[np.uint8]:
+    """Return the grey picture in the bytes of a file; ValueError where there is none."""
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(data)) as opened:
+            return np.array(opened.convert("L"))
+    except (OSError, SyntaxError) as error:
+        raise ValueError(f"no picture ({error})") from error
+
+
+def _gaussian_kernel(sigma: float) -> NDArray[np.float32]:
+    if sigma <= 0.0:
+        return np.ones(1, np.float32)
+    reach = max(1, math.ceil(3 * sigma))
+    k = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    return (k / k.sum()).astype(np.float32)
+
+
+def _pack_boxes(boxes: tuple[Box, ...]) -> _Array:
+    rows = [(*b.centre, *(0.5 * s for s in b.size), math.cos(b.yaw), math.sin(b.yaw)) for b in boxes]
+    return np.array(rows, dtype=np.float64).reshape(-1, 8)
+
+
+_FAST_MATH_OPTIONS: Any = {
+    "fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"},
+    "error_model": "numpy",
+    "nogil": True,
+}
+
+
+@cached_njit(**_FAST_MATH_OPTIONS)
+def _sample_texture(texture: NDArray[np.uint8], start: int, rows: int, columns: int, u: float, v: float) -> float:
+    """Grey of a level at u, v (its pixels, from the middle of the first), by straight lines."""
+    i, j = math.floor(u), math.floor(v)
+    a, b = u - i, v - j
+    i, j = int(i), int(j)
+    top, bottom = start + ((i & rows) * (columns + 1)), start + (((i + 1) & rows) * (columns + 1))
+    left, right = j & columns, (j + 1) & columns
+    return (1.0 - a) * ((1.0 - b) * texture[top + left] + b * texture[top + right]) + a * (
+        (1.0 - b) * texture[bottom + left] + b * texture[bottom + right]
+    )
+
+
+@cached_njit(**_FAST_MATH_OPTIONS)
+def _sample_periodic_map(a: _Array, n: int, u: float, v: float) -> float:
+    """Value of a square map (n, n) that repeats itself, by straight lines; n a power of two."""
+    i, j = math.floor(u), math.floor(v)
+    x, y = u - i, v - j
+    i, j, m = int(i), int(j), n - 1
+    return (1.0 - x) * ((1.0 - y) * a[i & m, j & m] + y * a[i & m, (j + 1) & m]) + x * (
+        (1.0 - y) * a[(i + 1) & m, j & m] + y * a[(i + 1) & m, (j + 1) & m]
+    )
+
+
+@cached_njit(**_FAST_MATH_OPTIONS)
+def _apply_rotation_vector(turn: _Array, w: _Array, s: float, out: _Array) -> None:
+    """out = turn exp([w s]) (Rodrigues)."""
+    x, y, z = w[0] * s, w[1] * s, w[2] * s
+    angle = math.sqrt(x * x + y * y + z * z)
+    a = 1.0 if angle < 1e-9 else math.sin(angle) / angle
+    b = 0.5 if angle < 1e-9 else (1.0 - math.cos(angle)) / (angle * angle)
+    e00, e01, e02 = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    e10, e11, e12 = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
+    e20, e21, e22 = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+    for i in range(3):
+        p, q, r = turn[i, 0], turn[i, 1], turn[i, 2]
+        out[i, 0] = p * e00 + q * e10 + r * e20
+        out[i, 1] = p * e01 + q * e11 + r * e21
+        out[i, 2] = p * e02 + q * e12 + r * e22
+
+
+@cached_njit(**_FAST_MATH_OPTIONS)
+def _render_irradiance(
+    out: _Array,
+    rays: _Array,
+    axes: _Array,
+    mount: _Array,
+    attitude: _Array,
+    place: _Array,
+    shake: _Array,
+    readout: float,
+    exposure: float,
+    samples: int,
+    texture: NDArray[np.uint8],
+    table: NDArray[np.int64],
+    level: int,
+    step: _Array,
+    detail: _Array,
+    near: float,
+    shade: _Array,
+    own_shadow: float,
+    boxes: _Array,
+    seen: NDArray[np.int64],
+) -> None:
+    """Grey as it would be without what lens and sensor do to it."""
+    high, wide = out.shape
+    start, rows, columns = table[level, 0], (1 << table[level, 1]) - 1, (1 << table[level, 2]) - 1
+    scale_n, scale_e = 1.0 / (step[0] * (1 << level)), 1.0 / (step[1] * (1 << level))
+    body, m, at = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    shade_of = np.ones(wide)
+    share = 1.0 / samples
+    for r in range(high):
+        middle = (r / (high - 1.0) - 0.5) * readout
+        some = False
+        for k in range(len(boxes)):
+            some = some or (seen[k, 0] <= r <= seen[k, 1])
+        for c in range(wide):
+            out[r, c] = 0.0
+        for q in range(samples):
+            s = middle + ((q + 0.5) * share - 0.5) * exposure
+            _apply_rotation_vector(attitude, place[6:9], s, body)
+            for i in range(3):
+                for j in range(3):
+                    m[i, j] = body[i, 0] * axes[0, j] + body[i, 1] * axes[1, j] + body[i, 2] * axes[2, j]
+            for i in range(3):
+                at[i] = place[i] + place[3 + i] * s
+                for j in range(3):
+                    at[i] += body[i, j] * mount[j]
+            at_n, at_e, at_d = at[0], at[1], at[2]
+            shift_x = shift_y = 0.0
+            for k in range(2):
+                phase = place[11 + k] + place[9 + k] * s
+                shift_x += shake[k, 0] * math.cos(phase + shake[k, 1])
+                shift_y += shake[k, 2] * math.cos(phase + shake[k, 3])
+            for i in range(3):  # turned: (x, y, 1) looks where (x - s_x, y - s_y, 1 + s_x x + s_y y) did
+                a, b, g = m[i, 0], m[i, 1], m[i, 2]
+                m[i, 0], m[i, 1], m[i, 2] = a + g * shift_x, b + g * shift_y, g - a * shift_x - b * shift_y
+            height = max(-at_d, 1e-4)
+            for c in range(wide):
+                x, y = rays[r, c, 0], rays[r, c, 1]
+                n = m[0, 0] * x + m[0, 1] * y + m[0, 2]
+                e = m[1, 0] * x + m[1, 1] * y + m[1, 2]
+                d = m[2, 0] * x + m[2, 1] * y + m[2, 2]
+                if d < 0.02:
+                    out[r, c] += 118.0 * share  # walls, which are not drawn
+                    continue
+                far = height / d
+                dark, off = 1.0, 0.0
+                if some:
+                    for k in range(len(boxes)):
+                        if seen[k, 0] <= r <= seen[k, 1] and seen[k, 2] <= c <= seen[k, 3]:
+                            hit, top = _intersect_box(boxes, k, at_n, at_e, at_d, n, e, d)
+                            if 0.0 < hit < far:
+                                far, dark, off = hit, (1.0 if top else 0.6), 1.7 * (k + 1)
+                to_n, to_e = at_n + n * far, at_e + e * far
+                grey = _sample_texture(
+                    texture, start, rows, columns, (to_n + off) * scale_n - 0.5, (to_e - off) * scale_e - 0.5
+                )
+                if near > 0.0:
+                    grey += near * _sample_periodic_map(
+                        detail, DETAIL_PIXELS, to_n / DETAIL_PIXEL_M, to_e / DETAIL_PIXEL_M
+                    )
+                if q == 0:
+                    # Light changes slowly over the floor: once a pixel is enough.
+                    light = _sample_periodic_map(shade, SHADOW_PIXELS, to_n / SHADOW_PIXEL_M, to_e / SHADOW_PIXEL_M)
+                    if own_shadow > 0.0:
+                        a, b = to_n - place[0] + 0.25 * place[2], to_e - place[1] - 0.15 * place[2]
+                        soft = 0.03 + 0.15 * height
+                        light *= 1.0 - own_shadow / (
+                            1.0 + math.exp(min(30.0, (math.sqrt(a * a + b * b) - 0.12) / soft * 3.0))
+                        )
+                    shade_of[c] = light
+                out[r, c] += grey * dark * shade_of[c] * share
+
+
+@cached_njit(**_FAST_MATH_OPTIONS)
+def _intersect_box(
+    boxes: _Array, k: int, at_n: float, at_e: float, at_d: float, n: float, e: float, d: float
+) -> tuple[float, bool]:
+    """How far along the ray box k begins (negative: it is missed), and whether that is its top."""
+    c, s = boxes[k, 6], boxes[k, 7]
+    on, oe, od = at_n - boxes[k, 0], at_e - boxes[k, 1], at_d - boxes[k, 2]
+    px, py = c * on + s * oe, -s * on + c * oe
+    ux, uy = c * n + s * e, -s * n + c * e
+    enter, leave, top = -1e9, 1e9, False
+    for i in range(3):
+        p = px if i == 0 else (py if i == 1 else od)
+        u = ux if i == 0 else (uy if i == 1 else d)
+        half = boxes[k, 3 + i]
+        if abs(u) < 1e-12:
+            if abs(p) > half:
+                return -1.0, False
+            continue
+        a, b = (-half - p) / u, (half - p) / u
+        if a > b:
+            a, b = b, a
+        if a > enter:
+            enter, top = a, i == 2
+        leave = min(leave, b)
+    return (enter, top) if enter < leave else (-1.0, False)
+
+
+@cached_njit(**_FAST_MATH_OPTIONS)
+def _blur_in_place(a: _Array, work: _Array, kernel: _Array) -> None:
+    """Blur in place, rows then columns; the edges go on as they end."""
+    high, wide = a.shape
+    reach = len(kernel) // 2
+    for r in range(high):
+        for c in range(reach, wide - reach):
+            total = np.float32(0.0)
+            for k in range(len(kernel)):
+                total += kernel[k] * a[r, c + k - reach]
+            work[r, c] = total
+        for side in range(2):
+            for i in range(reach):
+                c = i if side == 0 else wide - 1 - i
+                total = np.float32(0.0)
+                for k in range(len(kernel)):
+                    total += kernel[k] * a[r, min(max(c + k - reach, 0), wide - 1)]
+                work[r, c] = total
+    for r in range(high):
+        for c in range(wide):
+            a[r, c] = np.float32(0.0)
+        for k in range(len(kernel)):
+            from_ = min(max(r + k - reach, 0), high - 1)
+            w = kernel[k]
+            for c in range(wide):
+                a[r, c] += w * work[from_, c]
+
+
+@cached_njit(**_FAST_MATH_OPTIONS)
+def _convert_to_grey_levels(
+    picture: NDArray[np.uint8],
+    a: _Array,
+    vignette: _Array,
+    gain: float,
+    noise: float,
+    normals: _Array,
+    starts: NDArray[np.int64],
+) -> None:
+    """Light into grey levels, with noise."""
+    high, wide = a.shape
+    for r in range(high):
+        first = starts[r]
+        for c in range(wide):
+            value = a[r, c] * vignette[r, c] * gain + noise * normals[(first + c) & (_NOISE_TABLE_SIZE - 1)] + 0.5
+            picture[r, c] = np.uint8(min(max(value, 0.0), 255.0))

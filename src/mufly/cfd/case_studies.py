@@ -1,0 +1,511 @@
+"""From a rotor and an operating point to a case on disk, and what other methods say of the same point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.cfd.blade_geometry import BladeGeometry, make_blade_geometry
+from mufly.cfd.cfd_solution import CfdSolution, read_field, read_solution, scale_state
+from mufly.cfd.openfoam_case import (
+    MIN_ITERATIONS,
+    TURBULENCE_MODELS,
+    OperatingPoint,
+    momentum_induced_velocity,
+    read_point,
+    write_case,
+)
+from mufly.cfd.polymesh import MeshQuality, PolyMesh, make_poly_mesh, measure_mesh_quality, read_poly_mesh
+from mufly.cfd.rotor_pair import (
+    ActuatorDisc,
+    find_disc_cells,
+    make_pair_mesh,
+    read_actuator_disc,
+    write_actuator_disc,
+)
+from mufly.cfd.sector_mesh import MeshDomain, blade_vertical_reach, make_sector_mesh
+from mufly.cfd.solver_process import (
+    MAX_ITERATIONS,
+    SolverProgress,
+    list_complete_states,
+    list_processor_states,
+    run_case,
+)
+from mufly.errors import InputError, MuflyError
+from mufly.results import result
+from mufly.rotor import (
+    Air,
+    OperatingCondition,
+    Rotor,
+    RotorResult,
+    RotorSystem,
+    prepare_blading,
+    solve_rotor,
+    solve_system,
+)
+from mufly.units import RPM
+
+Array = NDArray[np.float64]
+SCALED_START_ITERATIONS = 400
+"""Iterations before a verdict where the start is a neighbour's solution, scaled."""
+RESHAPED_START_ITERATIONS = 800
+"""The same where the neighbour has another pitch setting or tip."""
+
+
+def save_case(
+    folder: Path,
+    rotor: Rotor,
+    *,
+    pitch_rad: float,
+    speed_rad_s: float,
+    climb_m_s: float = 0.0,
+    air: Air | None = None,
+    model: str = "laminar",
+    level: str = "medium",
+    domain: MeshDomain | None = None,
+    tip: str = "square",
+    hub_m: float = 0.0,
+    gurney: float = 0.0,
+    gap_m: float = 0.0,
+    lower_pitch_rad: float | None = None,
+    lower_speed_rad_s: float | None = None,
+    other_m: float = 0.0,
+    cores: int = 1,
+    neighbour: Path | None = None,
+) -> MeshQuality:
+    """Mesh a rotor and write a case of one operating point; return the mesh's quality.
+
+    Tip, hub and Gurney flap are those of :func:`mufly.cfd.blade_geometry.make_blade_geometry`. With ``gap_m`` a second
+    rotor of the same file turns the other way so far below (:mod:`mufly.cfd.rotor_pair`), by default with the same
+    pitch setting and speed, frozen. ``other_m`` is for :func:`solve_pair`.
+
+    With ``neighbour``, a solved case of another speed, pitch setting or tip whose mesh has the same cells, it starts
+    from that solution, scaled.
+
+    A folder that holds a begun case of the same point is left as it is, so that it can go on.
+
+    Raises
+    ------
+    InputError
+        If the rotor cannot be meshed, its mesh is not good, or the folder holds another point's solution.
+    """
+    air = air or Air()
+    guess = solve_rotor(
+        prepare_blading(rotor), pitch_rad=pitch_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air
+    )
+    # At one speed the lower rotor of a pair has about half of the upper one's thrust.
+    induced = momentum_induced_velocity(guess.thrust_N * (1.5 if gap_m or other_m else 1.0), rotor.radius_m, air)
+    lower = pitch_rad if lower_pitch_rad is None else lower_pitch_rad
+    lower_speed = speed_rad_s if lower_speed_rad_s is None else lower_speed_rad_s
+    point = OperatingPoint(
+        rotor.name,
+        rotor.blades,
+        rotor.radius_m,
+        pitch_rad,
+        speed_rad_s,
+        climb_m_s,
+        model,
+        level,
+        air.density_kg_m3,
+        air.viscosity_Pa_s,
+        induced,
+        tip=tip,
+        hub_m=hub_m,
+        gurney=gurney,
+        domain=domain or MeshDomain(),
+        other_m=other_m,
+    )
+    if gap_m:
+        point = replace(point, gap_m=gap_m, lower_pitch_rad=lower, lower_rad_s=lower_speed)
+    near = None if neighbour is None else read_point(neighbour)
+    if near is not None:
+        alike = near.pitch_rad == pitch_rad and near.tip == tip
+        point = replace(point, upwind=0, least=SCALED_START_ITERATIONS if alike else RESHAPED_START_ITERATIONS)
+    form = make_blade_geometry(tip, hub_m, gurney)
+    if gap_m:
+        if form != BladeGeometry() or neighbour is not None:
+            raise InputError(
+                "pair",
+                "gap",
+                "goes with neither a hub, a tip or a flap nor a neighbour's solution",
+                "leave them out",
+            )
+        meshed = make_pair_mesh(rotor, pitch_rad, lower, gap_m, level=level, domain=domain)
+    else:
+        meshed = make_sector_mesh(rotor, pitch_rad, level=level, domain=domain, form=form)
+    mesh = make_poly_mesh(meshed)
+    found = measure_mesh_quality(mesh)
+    if not found.good:
+        raise InputError(
+            rotor.name, "",
+            f"its mesh is not good: non-orthogonality {found.non_orthogonality_deg:.0f} deg, skewness "
+            f"{found.skewness:.2g}, smallest cell {found.smallest_volume_m3:.2g} m3",
+            "change pitch, twist or cut-out a little, or the level of the mesh",
+        )  # fmt: skip
+    if (folder / "mufly.json").is_file() and max(
+        list_complete_states(folder) + list_processor_states(folder), default=0
+    ) > 0:
+        if read_point(folder) != point:
+            raise InputError(
+                "--out",
+                str(folder),
+                "holds the solution of another point",
+                "give another folder, or delete it",
+            )
+        return found
+    state = None
+    if neighbour is not None and near is not None:
+        ratio = speed_rad_s / near.speed_rad_s
+        same = (
+            "rotor",
+            "blades",
+            "radius_m",
+            "climb_m_s",
+            "model",
+            "level",
+            "density_kg_m3",
+            "viscosity_Pa_s",
+            "hub_m",
+            "gurney",
+            "domain",
+            "gap_m",
+            "other_m",
+        )
+        other = [name for name in same if getattr(near, name) != getattr(point, name)]
+        if other:
+            raise InputError(
+                str(neighbour), other[0], f"is {getattr(near, other[0])}, not {getattr(point, other[0])}",
+                "start from a case that differs in speed, pitch setting or tip only",
+            )  # fmt: skip
+        state = scale_state(neighbour, mesh, ratio)
+    write_case(folder, mesh, point, cores=cores, state=state)
+    return found
+
+
+def solve_operating_point(
+    folder: Path,
+    rotor: Rotor,
+    *,
+    cores: int = 1,
+    progress: Callable[[SolverProgress], None] | None = None,
+    **given: Any,
+) -> CfdSolution:
+    """Mesh, run, judge and read one operating point; arguments as for :func:`save_case`."""
+    save_case(folder, rotor, cores=cores, **given)
+    run_case(folder, cores=cores, progress=progress)
+    return read_solution(folder)
+
+
+def sweep_speed(
+    folder: Path,
+    rotor: Rotor,
+    speeds_rad_s: Sequence[float],
+    *,
+    cores: int = 1,
+    progress: Callable[[SolverProgress], None] | None = None,
+    **given: Any,
+) -> list[CfdSolution]:
+    """Solve several speeds, each but the first from its neighbour's solution; those that are solved are kept.
+
+    Parameters
+    ----------
+    folder : Path
+        Each speed gets a folder in it, ``rpm-5000``.
+    rotor : Rotor
+    speeds_rad_s : sequence of float
+    cores, progress, given
+        As for :func:`solve_operating_point`.
+    """
+    out: list[CfdSolution] = []
+    before: Path | None = None
+    for speed in speeds_rad_s:
+        place = folder / f"rpm-{speed / RPM:.6g}"
+        save_case(place, rotor, speed_rad_s=speed, cores=cores, neighbour=before, **given)
+        verdict = run_case(place, cores=cores, progress=progress)
+        out.append(read_solution(place))
+        # What did not settle is nothing to start from.
+        before = place if verdict.settled else before
+    return out
+
+
+def sweep_climb(
+    folder: Path,
+    rotor: Rotor,
+    climbs_m_s: Sequence[float],
+    *,
+    cores: int = 1,
+    progress: Callable[[SolverProgress], None] | None = None,
+    **given: Any,
+) -> list[CfdSolution]:
+    """Solve several climbs at one speed, each from its own start; those that are solved are kept.
+
+    Parameters
+    ----------
+    folder : Path
+        Each climb gets a folder in it, ``climb-0.5``; descent ``climb--0.5``.
+    rotor : Rotor
+    climbs_m_s : sequence of float
+    cores, progress, given
+        As for :func:`solve_operating_point`.
+
+    Raises
+    ------
+    InputError
+        If the rotor descends too fast; before anything is solved.
+    """
+    # The fastest descent comes first, as it may be refused.
+    return [
+        solve_operating_point(folder / f"climb-{w:g}", rotor, climb_m_s=w, cores=cores, progress=progress, **given)
+        for w in sorted(set(climbs_m_s))
+    ]
+
+
+@result(eq=False, picture="mufly.cfd.cfd_pictures:pair_picture")
+class PairSolution:
+    """Two rotors that turn against each other, each beside the other's mean around the shaft.
+
+    Attributes
+    ----------
+    upper, lower : Solution
+        Each in the frame of its own, in which it turns about +z.
+    settled : bool
+        Whether both stand, and neither would change the other any more.
+    between_m_s : (2,) array
+        Mean velocity down within R half way between the discs, as the upper and the lower rotor's case have it: the
+        same air, once under blades and once under a disc.
+    """
+
+    upper: CfdSolution
+    lower: CfdSolution
+    settled: bool
+    between_m_s: Array
+
+    @property
+    def thrust_ratio(self) -> float:
+        """Lower over upper."""
+        return self.lower.verdict.thrust_N / self.upper.verdict.thrust_N
+
+    @property
+    def torque_ratio(self) -> float:
+        """Lower over upper."""
+        return self.lower.verdict.torque_Nm / self.upper.verdict.torque_Nm
+
+
+PAIR_FOLDERS = ("upper", "lower")
+"""The two cases of a pair."""
+MAX_PAIR_ROUNDS, PAIR_LOAD_TOLERANCE = 6, 0.01
+"""Of a pair: how often the rotors take turns at most, and the change of thrust or torque that is none."""
+
+
+def solve_pair(
+    folder: Path,
+    rotor: Rotor,
+    *,
+    pitch_rad: float,
+    speed_rad_s: float,
+    gap_m: float,
+    lower_pitch_rad: float | None = None,
+    lower_speed_rad_s: float | None = None,
+    neighbour: Path | None = None,
+    cores: int = 1,
+    progress: Callable[[SolverProgress], None] | None = None,
+    **given: Any,
+) -> PairSolution:
+    """Solve two rotors of one file that turn against each other, in folders ``upper`` and ``lower``.
+
+    Each stands beside the mean of the other (:mod:`mufly.cfd.rotor_pair`), first as blade elements have it, then as its
+    own case does, until that changes by less than :data:`PAIR_LOAD_TOLERANCE`. What is solved is kept; a pair that was
+    stopped goes on.
+
+    Parameters
+    ----------
+    folder : Path
+    rotor : Rotor
+        Both.
+    pitch_rad, speed_rad_s : float
+        Of the upper one.
+    gap_m : float
+        Between the discs.
+    lower_pitch_rad, lower_speed_rad_s : float, optional
+        Of the lower one; default: as the upper.
+    neighbour : Path, optional
+        A solved pair of other speeds or pitch settings to start from.
+    cores, progress, given
+        As for :func:`solve_operating_point`.
+
+    Raises
+    ------
+    InputError
+        If the rotors would meet, or blade elements find no first guess.
+    """
+    pitches = (pitch_rad, pitch_rad if lower_pitch_rad is None else lower_pitch_rad)
+    speeds = (speed_rad_s, speed_rad_s if lower_speed_rad_s is None else lower_speed_rad_s)
+    least = blade_vertical_reach(rotor, pitches[0]) + blade_vertical_reach(rotor, pitches[1])
+    if not least < gap_m <= 2.0 * rotor.radius_m:
+        raise InputError(
+            "pair", "gap", f"is {1e3 * gap_m:g} mm", f"give {1e3 * least:.3g} to {2e3 * rotor.radius_m:g} mm"
+        )
+    air, climb = given.get("air") or Air(), given.get("climb_m_s", 0.0)
+    ready = prepare_blading(rotor)
+    guess = solve_system(
+        RotorSystem.coaxial_pair(ready, ready, spacing_m=gap_m),
+        OperatingCondition(pitches, speeds, None, climb, air),
+        "bemt",
+    )
+    if not guess.converged:
+        raise MuflyError(f"the pair has no first guess by blade elements: {guess.message}")
+    settings = list(zip(pitches, speeds, strict=True))
+    loads = [_make_disc(span_loads(one, "bemt"), *at) for one, at in zip(guess.rotors, settings, strict=True)]
+    for i, name in enumerate(PAIR_FOLDERS):
+        if neighbour is not None:
+            before = read_solution(neighbour / name)
+            ratio = (speeds[i] / before.point.speed_rad_s) ** 2
+            loads[i] = _make_disc(before, *settings[i]).scale_loads(ratio)
+        if (
+            read_actuator_disc(folder / name) is not None
+            and max(list_complete_states(folder / name), default=0) >= MIN_ITERATIONS
+        ):
+            loads[i] = _make_disc(read_solution(folder / name), *settings[i])
+    meshes: dict[str, PolyMesh] = {}
+    for _ in range(MAX_PAIR_ROUNDS):
+        for i, name in enumerate(PAIR_FOLDERS):
+            place, (theta, speed) = folder / name, settings[i]
+            if name not in meshes:
+                save_case(
+                    place,
+                    rotor,
+                    pitch_rad=theta,
+                    speed_rad_s=speed,
+                    other_m=(-gap_m, gap_m)[i],
+                    neighbour=None if neighbour is None else neighbour / name,
+                    cores=cores,
+                    **given,
+                )
+                meshes[name] = read_poly_mesh(place)
+            stands = read_actuator_disc(place)
+            if stands is None or stands.load_difference(loads[1 - i]) > PAIR_LOAD_TOLERANCE:
+                stands = replace(loads[1 - i], since=max(list_complete_states(place), default=0))
+                write_actuator_disc(place, meshes[name], read_point(place), stands)
+            verdict = run_case(place, cores=cores, progress=progress, most=MAX_ITERATIONS + stands.since)
+            if verdict.what == "diverged":
+                raise MuflyError(f"{place}: the {name} rotor's solution diverged; see its log")
+            loads[i] = _make_disc(read_solution(place, meshes[name]), theta, speed)
+        if _is_pair_consistent(folder, loads):
+            break
+    return read_pair(folder)
+
+
+def read_pair(folder: Path) -> PairSolution:
+    """Read a pair that :func:`solve_pair` solved.
+
+    Raises
+    ------
+    InputError
+        If one of its cases holds no solution.
+    """
+    upper, lower = (read_solution(folder / name) for name in PAIR_FOLDERS)
+    loads = [_make_disc(one, one.point.pitch_rad, one.point.speed_rad_s) for one in (upper, lower)]
+    between = np.array(
+        [_mean_downwash(folder / n, 0.5 * s.point.other_m) for n, s in zip(PAIR_FOLDERS, (upper, lower), strict=True)]
+    )
+    stands = upper.verdict.settled and lower.verdict.settled
+    return PairSolution(upper, lower, stands and _is_pair_consistent(folder, loads), between)
+
+
+def _is_pair_consistent(folder: Path, loads: Sequence[ActuatorDisc]) -> bool:
+    """Whether each rotor's case has the loads of the other one."""
+    standing = [read_actuator_disc(folder / name) for name in PAIR_FOLDERS]
+    return all(
+        one is not None and one.load_difference(loads[1 - i]) <= PAIR_LOAD_TOLERANCE for i, one in enumerate(standing)
+    )
+
+
+def _make_disc(loads: SpanLoads | CfdSolution, pitch_rad: float, speed_rad_s: float) -> ActuatorDisc:
+    r, t, q = (tuple(float(x) for x in v) for v in (loads.r_m, loads.thrust_N_m, loads.torque_Nm_m))
+    return ActuatorDisc(r, t, q, float(loads.thrust_N), float(loads.torque_Nm), pitch_rad, speed_rad_s)
+
+
+def _mean_downwash(folder: Path, height_m: float) -> float:
+    """Mean velocity (m/s) down through a level plane within R."""
+    point, mesh = read_point(folder), read_poly_mesh(folder)
+    speed = -read_field(folder / str(list_complete_states(folder)[-1]) / "U", mesh.cell_count)[:, 2]
+    cells, area = find_disc_cells(mesh, height_m, point.radius_m)
+    return float(speed[cells] @ area / area.sum())
+
+
+DOMAIN_WIDENING = 1.5
+"""By how much the study of the domain moves each of its limits out."""
+
+
+def list_study_cases(what: str) -> dict[str, dict[str, Any]]:
+    """Return names and arguments for :func:`save_case` of a study's cases: 'mesh', 'domain' or 'model'.
+
+    Raises
+    ------
+    InputError
+        If there is no such study.
+    """
+    if what == "mesh":
+        return {level: {"level": level} for level in ("coarse", "medium", "fine")}
+    if what == "model":
+        return {model: {"model": model} for model in TURBULENCE_MODELS}
+    if what == "domain":
+        own, names = MeshDomain(), ("radius", "above", "below")
+        wider = {name: replace(own, **{name: DOMAIN_WIDENING * getattr(own, name)}) for name in names}
+        return {"usual": {}, **{name: {"domain": domain} for name, domain in wider.items()}}
+    raise InputError("study", what, "is unknown", "use one of: mesh, domain, model")
+
+
+def solve_study(
+    folder: Path,
+    rotor: Rotor,
+    what: str,
+    *,
+    cores: int = 1,
+    progress: Callable[[SolverProgress], None] | None = None,
+    **given: Any,
+) -> dict[str, CfdSolution]:
+    """Solve one operating point on several meshes, domains or with several models, each in a folder of its name.
+
+    Parameters
+    ----------
+    folder : Path
+    rotor : Rotor
+    what : str
+        'mesh', 'domain' or 'model' (:func:`list_study_cases`).
+    cores, progress, given
+        As for :func:`solve_operating_point`.
+    """
+    return {
+        name: solve_operating_point(folder / name, rotor, cores=cores, progress=progress, **{**given, **own})
+        for name, own in list_study_cases(what).items()
+    }
+
+
+@result(eq=False)
+class SpanLoads:
+    """Loads per span (N/m, N m/m) of another method at its own radii (m)."""
+
+    method: str
+    r_m: Array
+    thrust_N_m: Array
+    torque_Nm_m: Array
+    thrust_N: float
+    torque_Nm: float
+
+
+def span_loads(result: RotorResult, method: str) -> SpanLoads:
+    """A method's result as loads per span, to lay beside a solution's."""
+    return SpanLoads(
+        method,
+        result.r_m,
+        result.dT_N / result.dr_m,
+        result.dQ_Nm / result.dr_m,
+        result.thrust_N,
+        result.torque_Nm,
+    )

@@ -1,0 +1,180 @@
+"""Solved cases beside a table of measurements and of others' computations, and over the inflow beside other methods."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.cfd.cfd_solution import CfdSolution
+from mufly.cfd.openfoam_case import OperatingPoint, read_point
+from mufly.cfd.solver_process import ConvergenceVerdict, judge_case
+from mufly.errors import InputError, MuflyError
+from mufly.results import result
+from mufly.rotor import OperatingCondition, Rotor, RotorSystem, SolverMethod, prepare_blading, solve_system
+from mufly.rotor.coax_maps import interpolate_map
+from mufly.units import RPM
+from mufly.vehicle import CoefficientMap
+
+Array = NDArray[np.float64]
+
+
+@result
+class CaseComparison:
+    """One case beside its row of a table.
+
+    Attributes
+    ----------
+    case : str
+    point : Point
+    verdict : Verdict
+    thrust, torque : dict of str to float
+        Ours over the table's, less 1, by the column's name without ``T_`` or ``Q_`` and unit.
+    """
+
+    case: str
+    point: OperatingPoint
+    verdict: ConvergenceVerdict
+    thrust: dict[str, float]
+    torque: dict[str, float]
+
+
+def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
+    """Lay cases beside the rows of a table with the same pitch (to 0.05 degrees) and speed (to 0.5 %).
+
+    Parameters
+    ----------
+    table : Path
+        CSV with ``pitch_deg``, ``rpm`` and columns ``T_...`` (N) and ``Q_...`` (N m); # begins a note.
+    cases : sequence of Path
+
+    Raises
+    ------
+    InputError
+        If the table cannot be read or lacks a column, a case is none, or no row is at a case's point.
+    """
+    try:
+        lines = [x for x in table.read_text(encoding="utf-8").splitlines() if x.strip() and not x.startswith("#")]
+    except OSError as error:
+        raise InputError(str(table), "", f"cannot be read ({error.strerror})", "give a CSV file") from error
+    rows = list(csv.DictReader(lines))
+    for key in ("pitch_deg", "rpm"):
+        if not rows or key not in rows[0]:
+            raise InputError(str(table), key, "is missing", "give columns pitch_deg, rpm, T_... and Q_...")
+    out = []
+    for case in cases:
+        point = read_point(case)
+        pitch, rpm = math.degrees(point.pitch_rad), point.speed_rad_s / RPM
+        verdict = judge_case(case)
+        if verdict.what == "not begun":
+            raise InputError(str(case), "", "has not been run", "run it first: `mufly cfd run --out` its folder")
+        for i, row in enumerate(rows):
+            try:
+                values = {k: float(v) for k, v in row.items() if k and v}
+            except ValueError as error:
+                raise InputError(str(table), f"row {i + 1}", str(error), "give numbers") from error
+            if abs(values["pitch_deg"] - pitch) < 0.05 and abs(values["rpm"] / rpm - 1.0) < 5e-3:
+                break
+        else:
+            raise InputError(
+                str(table), "", f"has no row at {pitch:.3g} degrees and {rpm:.0f} rpm", f"leave {case} out"
+            )
+        beside = [
+            {
+                k.removeprefix(letter).removesuffix(unit): ours / v - 1.0
+                for k, v in values.items()
+                if k.startswith(letter)
+            }
+            for letter, unit, ours in (("T_", "_N", verdict.thrust_N), ("Q_", "_Nm", verdict.torque_Nm))
+        ]
+        out.append(CaseComparison(str(case), point, verdict, beside[0], beside[1]))
+    return out
+
+
+@result(eq=False, picture="mufly.cfd.cfd_pictures:climb_picture")
+class ClimbComparison:
+    """Thrust over the climb, each as a part of the same method's thrust in hover.
+
+    Attributes
+    ----------
+    solutions : tuple of Solution
+        One a climb, rising; what has not settled is among them.
+    climb_m_s : (points,) array
+    c_T : (points,) array
+        Of the solutions: means of the last iterations.
+    others : dict of (points,) arrays
+        Coefficient by blade elements (``bemt``) and vortex wake (``wake``) at the same climbs; nan where there is none.
+    map_name : str
+        The flight model's coefficient map.
+    map_part : (points,) array
+        What it makes of the upper rotor's thrust in hover at the same climb over tip speed, at equal speeds; nan
+        beyond its edges.
+    """
+
+    solutions: tuple[CfdSolution, ...]
+    climb_m_s: Array
+    c_T: Array
+    others: dict[str, Array]
+    map_name: str
+    map_part: Array
+
+    def thrust_slope(self, values: Array, reach_m_s: float) -> float:
+        """Part of the thrust in hover that 1 m/s of climb adds, from -reach to reach (m/s); nan if not told."""
+        at_zero, ends = np.flatnonzero(self.climb_m_s == 0.0), []
+        for climb in (-reach_m_s, reach_m_s):
+            ends.append(np.flatnonzero(np.abs(self.climb_m_s - climb) < 1e-9))
+        if not (at_zero.size and ends[0].size and ends[1].size):
+            return math.nan
+        return float((values[ends[1][0]] - values[ends[0][0]]) / values[at_zero[0]] / (2.0 * reach_m_s))
+
+
+def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight: CoefficientMap) -> ClimbComparison:
+    """Lay solutions of one rotor at several climbs beside other methods and the flight model's map.
+
+    Parameters
+    ----------
+    solutions : sequence of Solution
+        Alike but for the climb.
+    rotor : Rotor, optional
+        Whose loads blade elements and the wake shall tell; without it they are left out.
+    flight : CoefficientMap
+
+    Raises
+    ------
+    InputError
+        If they differ in more than the climb.
+    """
+    found = sorted(solutions, key=lambda s: s.point.climb_m_s)
+    first = found[0].point
+    for name in ("rotor", "pitch_rad", "speed_rad_s", "model", "level", "geometry_note"):
+        for s in found[1:]:
+            if getattr(s.point, name) != getattr(first, name):
+                raise InputError("climb", name, "differs between the cases", "give cases that differ in the climb only")
+    climb = np.array([s.point.climb_m_s for s in found])
+    scale = first.density_kg_m3 * math.pi * first.radius_m**4 * first.speed_rad_s**2
+    others: dict[str, Array] = {}
+    if rotor is not None:
+        system = RotorSystem.single_rotor(prepare_blading(rotor))
+        methods: tuple[SolverMethod, ...] = ("bemt", "wake")
+        for method in methods:
+            values = others.setdefault(method, np.full(len(climb), math.nan))
+            for i, w in enumerate(climb):
+                at_point = OperatingCondition(first.pitch_rad, first.speed_rad_s, None, float(w), first.air)
+                try:
+                    told = solve_system(system, at_point, method)
+                except MuflyError:
+                    continue
+                if told.converged:
+                    values[i] = told.rotors[0].thrust_N / scale
+    tip = abs(first.speed_rad_s) * first.radius_m
+    mean = float(np.mean(flight.parse_tables().mean_speed_rad_s))
+    thrust, outside = interpolate_map(flight, mean, 1.0, climb / tip)
+    hover = interpolate_map(flight, mean, 1.0, 0.0)[0][..., 0]
+    part = np.where(outside, math.nan, thrust[:, 0] / hover)
+    return ClimbComparison(
+        tuple(found), climb, np.array([s.verdict.thrust_N for s in found]) / scale, others, flight.name, part
+    )

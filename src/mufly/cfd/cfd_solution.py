@@ -1,0 +1,514 @@
+"""What a solved case says: loads along the blade, pressure and friction on it, y+.
+
+On a face of the blade with centre x and area vector S out of the air, the air pushes with (p in units of pressure)
+
+    dF = p S + mu (u_t - Omega x x) / d |S|          u_t: velocity along the wall in the cell beside it, d its distance
+
+summed by the spanwise strips of the mesh; the caps at root and tip belong to the first and the last strip. The sum is
+what OpenFOAM's own ``forces`` gives (a test of the reading, not of the physics). With a turbulence model the wall's
+turbulent viscosity adds to mu.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from mufly.cfd.openfoam_case import OperatingPoint, read_point
+from mufly.cfd.polymesh import PolyMesh, read_poly_mesh
+from mufly.cfd.rotor_pair import read_actuator_disc
+from mufly.cfd.solver_process import ConvergenceVerdict, judge_case, list_complete_states
+from mufly.errors import InputError
+from mufly.results import result
+
+Array = NDArray[np.float64]
+
+
+@result(eq=False, picture="mufly.cfd.cfd_pictures:loads_picture")
+class CfdSolution:
+    """A solved case.
+
+    Attributes
+    ----------
+    point : Point
+        What was computed.
+    verdict : Verdict
+        Whether it stands.
+    thrust_N, torque_Nm, power_W : float
+        Of the whole rotor: of the last state, summed from the fields.
+    c_T, c_Q, figure_of_merit : float
+        As everywhere in mufly.
+    friction_torque : float
+        Part of the torque that friction is.
+    r_m, dr_m : (strips,) arrays
+        Middle and width of the spanwise strips.
+    thrust_N_m, torque_Nm_m : (strips,) arrays
+        Loads per span of all blades (N/m, N m/m).
+    yplus : (faces,) array
+        Of the blade's faces.
+    pressure_Pa : (faces,) array
+        On the blade's faces.
+    friction_Pa : (faces, 3) array
+        Shear stress that the air puts on the blade's faces.
+    eddy_ratio : float
+        Greatest turbulent viscosity over the air's within 1.5 R of the hub; 0 for laminar.
+    wake_torque, wake_thrust : float
+        What of torque and thrust the air under the rotor carries (:func:`wake_load_ratios`); 1 where nothing is lost.
+        Beside another rotor's mean, of both thrusts, and what is missing of both torques over its own.
+    reversed_share : (strips,) array
+        Part of the upper side over which the air rubs towards the nose: the flow has left the blade there.
+    """
+
+    point: OperatingPoint
+    verdict: ConvergenceVerdict
+    thrust_N: float
+    torque_Nm: float
+    power_W: float
+    c_T: float
+    c_Q: float
+    figure_of_merit: float
+    friction_torque: float
+    r_m: Array
+    dr_m: Array
+    thrust_N_m: Array
+    torque_Nm_m: Array
+    yplus: Array
+    pressure_Pa: Array
+    friction_Pa: Array
+    eddy_ratio: float = 0.0
+    wake_torque: float = math.nan
+    wake_thrust: float = math.nan
+    reversed_share: Array = field(default_factory=lambda: np.empty(0))
+
+
+def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "blade") -> CfdSolution:
+    """Read the last state of a case; of a pair one rotor's loads, the upper's or with ``blade_lower`` the lower's.
+
+    Raises
+    ------
+    InputError
+        If there is none, or a file is cut short.
+    """
+    point = read_point(folder)
+    at = [t for t in list_complete_states(folder) if t > 0]
+    if not at:
+        raise InputError(str(folder), "", "holds no solution", "run it first: mufly cfd run")
+    mesh = mesh or read_poly_mesh(folder)
+    place = folder / str(at[-1])
+    velocity, pressure = read_field(place / "U", mesh.cell_count), read_field(place / "p", mesh.cell_count)
+    faces, speed = mesh.patch_faces(patch), point.patch_speeds_rad_s[patch]
+    cell = mesh.owner[faces]
+    area, centre = mesh.face_areas[faces], mesh.face_centres[faces]
+    size = np.linalg.norm(area, axis=1)
+    normal = area / size[:, None]  # out of the air, into the blade
+    distance = np.einsum("fi,fi->f", centre - mesh.cell_centres[cell], normal)
+    wall = speed * np.stack((-centre[:, 1], centre[:, 0], np.zeros(len(centre))), axis=-1)
+    slip = velocity[cell] - wall
+    slip -= np.einsum("fi,fi->f", slip, normal)[:, None] * normal
+    mu, eddy = np.full(len(cell), point.viscosity_Pa_s), 0.0
+    if (place / "nut").is_file():
+        close = np.linalg.norm(mesh.cell_centres, axis=1) < 1.5 * point.radius_m
+        eddy = float(np.max(read_field(place / "nut", mesh.cell_count)[close])) / point.kinematic_viscosity_m2_s
+        mu += point.density_kg_m3 * read_patch_field(place / "nut", patch, len(cell))
+    friction = mu[:, None] * slip / distance[:, None]
+    p = point.density_kg_m3 * pressure[cell]
+    force = p[:, None] * area + friction * size[:, None]
+    moment = centre[:, 0] * force[:, 1] - centre[:, 1] * force[:, 0]
+    of_friction = centre[:, 0] * friction[:, 1] - centre[:, 1] * friction[:, 0]
+    edges = mesh.strip_edges_m
+    # Caps belong to cells of no strip: the root's (and the hub) count to the first, the tip's to the last.
+    strip = np.where(centre[:, 1] < 0.5 * (edges[0] + edges[-1]), 0, len(edges) - 2)
+    width, sense = np.diff(edges), math.copysign(1.0, speed)
+    strip = np.where(mesh.cell_strip[cell] >= 0, mesh.cell_strip[cell] % len(width), strip)  # a lower rotor's count on
+    thrust = point.blades * np.bincount(strip, force[:, 2], len(width))
+    torque = -sense * point.blades * np.bincount(strip, moment, len(width))
+    over, back = area[:, 2] < 0.0, sense * friction[:, 0] < 0.0
+    upper = np.bincount(strip[over], size[over], len(width))
+    left = np.bincount(strip[over & back], size[over & back], len(width)) / np.maximum(upper, 1e-300)
+    u_tau = np.sqrt(np.linalg.norm(friction, axis=1) / point.density_kg_m3)
+    t, q = float(thrust.sum()), float(torque.sum())
+    tip = abs(speed) * point.radius_m
+    disc = math.pi * point.radius_m**2
+    ideal = t * math.sqrt(t / (2.0 * point.density_kg_m3 * disc)) if t > 0 else math.nan
+    power = q * abs(speed)
+    # What a pair's wake carries is both rotors'.
+    below, other = (math.nan, math.nan), read_actuator_disc(folder)
+    if not point.gap_m:
+        more = (0.0, 0.0) if other is None else (other.thrust_N, other.torque_Nm)
+        found = wake_load_ratios(mesh, point, velocity, pressure, t + more[0], q)
+        below = (found[0] + more[1] / q, found[1])
+    return CfdSolution(
+        point,
+        judge_case(folder, patch=patch),
+        t,
+        q,
+        power,
+        t / (point.density_kg_m3 * disc * tip**2),
+        q / (point.density_kg_m3 * disc * tip**2 * point.radius_m),
+        ideal / power if power > 0 else math.nan,
+        float(-sense * point.blades * np.sum(of_friction * size) / q),
+        0.5 * (edges[1:] + edges[:-1]),
+        width,
+        thrust / width,
+        torque / width,
+        u_tau * distance / point.kinematic_viscosity_m2_s,
+        p,
+        friction,
+        eddy,
+        *below,
+        left,
+    )
+
+
+def wake_load_ratios(
+    mesh: PolyMesh, point: OperatingPoint, velocity: Array, pressure: Array, thrust_N: float, torque_Nm: float
+) -> tuple[float, float]:
+    """Torque and thrust that the air between 1 and 2 R under the disc carries within 2 R, over the rotor's.
+
+    Nothing turns the air but the blades (and friction far out, which is small), so the torque is where the flow of
+    angular momentum is; the momentum of what flows in from the side is small too::
+
+        Q = -rho int u_theta u_z r dA,    T = int (p + rho u_z (u_z + climb)) dA
+
+    With a mesh that lets the turning frame push on the air a third to a half of the torque is missing.
+    """
+    c, v = mesh.cell_centres, mesh.cell_volumes
+    r = np.hypot(c[:, 0], c[:, 1])
+    low = max(-2.0, -0.8 * point.domain.below) * point.radius_m
+    slab = (c[:, 2] < -point.radius_m) & (c[:, 2] > low)  # whole layers: there the mesh is level
+    k = slab & (r < 2.0 * point.radius_m)
+    if not k.any() or thrust_N == 0.0 or torque_Nm == 0.0:
+        return math.nan, math.nan
+    thick = float(v[slab].sum() / -mesh.face_areas[mesh.patch_faces("bottom"), 2].sum())
+    axial, swirl = velocity[k, 2], velocity[k, 1] * c[k, 0] - velocity[k, 0] * c[k, 1]
+    share = point.blades * point.density_kg_m3 * v[k] / thick
+    return (
+        float(-share @ (swirl * axial)) / torque_Nm,
+        float(share @ (pressure[k] + axial * (axial + point.climb_m_s))) / thrust_N,
+    )
+
+
+@result(eq=False)
+class FlowField:
+    """The air around a solved rotor.
+
+    Attributes
+    ----------
+    velocity_m_s : (cells, 3) array
+        Absolute; with an oncoming stream in climb and descent.
+    gradient_1_s : (cells, 3, 3) array
+        Of the velocity; ``[:, i, j]`` is the derivative of component j along axis i.
+    """
+
+    velocity_m_s: Array
+    gradient_1_s: Array
+
+    @property
+    def vorticity_1_s(self) -> Array:
+        """Curl of the velocity; (cells, 3)."""
+        g = self.gradient_1_s
+        return np.stack((g[:, 1, 2] - g[:, 2, 1], g[:, 2, 0] - g[:, 0, 2], g[:, 0, 1] - g[:, 1, 0]), axis=-1)
+
+    @property
+    def q_1_s2(self) -> Array:
+        """Half of spin squared less strain squared, above 0 in a vortex's core but not in a shear layer; (cells,).
+
+        Source: Hunt, Wray and Moin, Center for Turbulence Research CTR-S88, 1988.
+        """
+        g = self.gradient_1_s
+        return -0.5 * np.einsum("cij,cji->c", g, g) + 0.5 * np.trace(g, axis1=1, axis2=2) ** 2
+
+
+def read_flow(folder: Path, mesh: PolyMesh) -> FlowField:
+    """Read the velocity of a case's last state, with its gradient.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it is cut short.
+    """
+    at = [t for t in list_complete_states(folder) if t > 0]
+    if not at:
+        raise InputError(str(folder), "", "holds no solution", "run it first: mufly cfd run")
+    velocity = read_field(folder / str(at[-1]) / "U", mesh.cell_count)
+    return FlowField(velocity, velocity_gradient(mesh, velocity, read_point(folder).patch_speeds_rad_s))
+
+
+def velocity_gradient(mesh: PolyMesh, velocity: Array, walls: dict[str, float]) -> Array:
+    """Gradient of the velocity in the cells, by least squares over the neighbours: exact where it is constant.
+
+    Neighbours count by one over their distance squared. Across the periodic planes they are the other plane's, turned
+    by one sector; a wall counts with its own speed (no slip).
+
+    Parameters
+    ----------
+    mesh : PolyMesh
+    velocity : (cells, 3) array
+        m/s.
+    walls : dict of float
+        Speed (rad/s) of the walls by patch.
+
+    Returns
+    -------
+    (cells, 3, 3) array
+        1/s; ``[:, i, j]`` is the derivative of component j along axis i.
+    """
+    inside = len(mesh.neighbour)
+    a, b = mesh.owner[:inside], mesh.neighbour
+    cells, offset, change = (
+        [a, b],
+        [mesh.cell_centres[b] - mesh.cell_centres[a]] * 2,
+        [velocity[b] - velocity[a]] * 2,
+    )
+    left, right = (mesh.owner[mesh.patch_faces(name)] for name in ("sector_left", "sector_right"))
+    for here, there, sense in ((left, right, 1.0), (right, left, -1.0)):
+        turn = _rotation_matrix(sense * 2.0 * math.pi / mesh.blade_count)
+        cells.append(here)
+        offset.append(mesh.cell_centres[there] @ turn - mesh.cell_centres[here])
+        change.append(velocity[there] @ turn - velocity[here])
+    for name, speed in walls.items():
+        faces = mesh.patch_faces(name)
+        here, centre = mesh.owner[faces], mesh.face_centres[faces]
+        wall = speed * np.stack((-centre[:, 1], centre[:, 0], np.zeros(len(centre))), axis=-1)
+        cells.append(here)
+        offset.append(centre - mesh.cell_centres[here])
+        change.append(wall - velocity[here])
+    normal, moment = np.zeros((mesh.cell_count, 3, 3)), np.zeros((mesh.cell_count, 3, 3))
+    for c, d, u in zip(cells, offset, change, strict=True):
+        weight = 1.0 / np.einsum("fi,fi->f", d, d)
+        for i in range(3):
+            for j in range(3):
+                normal[:, i, j] += np.bincount(c, weight * d[:, i] * d[:, j], mesh.cell_count)
+                moment[:, i, j] += np.bincount(c, weight * d[:, i] * u[:, j], mesh.cell_count)
+    found: Array = np.asarray(np.linalg.solve(normal, moment), dtype=np.float64)
+    return found
+
+
+def _rotation_matrix(angle_rad: float) -> Array:
+    """Matrix that turns rows of vectors about z: ``v @ matrix``."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+class FlowProbe:
+    """Velocity and vorticity anywhere: those of the cell whose centre is nearest, the velocity with its gradient."""
+
+    def __init__(self, mesh: PolyMesh, flow: FlowField) -> None:
+        self._mesh, self._flow, self._tree = mesh, flow, cKDTree(mesh.cell_centres)
+
+    def sample_cylindrical(self, r_m: Array, azimuth_rad: Array, z_m: Array) -> tuple[Array, Array]:
+        """Velocity (m/s) and vorticity (1/s) outwards, around and up, at points given by radius, azimuth and height.
+
+        The blade lies at an azimuth of pi/2; it repeats every sector. Returns two (points, 3) arrays.
+        """
+        at, c, s = self._rotate_into_sector(r_m, azimuth_rad, z_m)
+        cell = self._tree.query(at)[1]
+        away = at - self._mesh.cell_centres[cell]
+        u = self._flow.velocity_m_s[cell] + np.einsum("pi,pij->pj", away, self._flow.gradient_1_s[cell])
+        both = []
+        for v in (u, self._flow.vorticity_1_s[cell]):
+            both.append(np.stack((v[:, 0] * c + v[:, 1] * s, v[:, 1] * c - v[:, 0] * s, v[:, 2]), axis=-1))
+        return both[0], both[1]
+
+    def is_inside_solid(self, r_m: Array, azimuth_rad: Array, z_m: Array, walls: Iterable[str]) -> NDArray[np.bool_]:
+        """Whether points lie in a blade or the hub: behind the nearest wall, which is nearer than any cell."""
+        at = self._rotate_into_sector(r_m, azimuth_rad, z_m)[0]
+        faces = np.concatenate([np.arange(len(self._mesh.faces))[self._mesh.patch_faces(name)] for name in walls])
+        away, nearest = cKDTree(self._mesh.face_centres[faces]).query(at)
+        near = faces[nearest]
+        # Area vectors leave the air.
+        behind = np.einsum("pi,pi->p", at - self._mesh.face_centres[near], self._mesh.face_areas[near]) > 0.0
+        return np.asarray(behind & (away < self._tree.query(at)[0]))
+
+    def _rotate_into_sector(self, r_m: Array, azimuth_rad: Array, z_m: Array) -> tuple[Array, Array, Array]:
+        """Points turned into the mesh's sector, and cosine and sine of their azimuths there."""
+        sector = 2.0 * math.pi / self._mesh.blade_count
+        into = (azimuth_rad - 0.5 * math.pi + 0.5 * sector) % sector + 0.5 * math.pi - 0.5 * sector
+        c, s = np.cos(into), np.sin(into)
+        return np.stack((r_m * c, r_m * s, z_m), axis=-1), c, s
+
+
+WAKE_PROFILE_DEPTHS = (0.25, 0.5, 1.0)
+"""Distances below the disc, in radii, at which the wake's velocity is told."""
+
+
+@result(eq=False, picture="mufly.cfd.cfd_pictures:wake_picture")
+class WakeProfile:
+    """Mean velocity around the shaft in level planes under the disc.
+
+    Attributes
+    ----------
+    below_m : (planes,) array
+    r_m : (radii,) array
+    down_m_s, swirl_m_s : (planes, radii) arrays
+        Downwards, and around with the rotor.
+    edge_m, mean_m_s : (planes,) arrays
+        Radius and velocity of momentum theory's stream tube there: the disc's induced velocity v from the thrust, at a
+        distance h grown to v (1 + h / sqrt(h^2 + R^2)) as under a cylinder of vortices.
+    """
+
+    below_m: Array
+    r_m: Array
+    down_m_s: Array
+    swirl_m_s: Array
+    edge_m: Array
+    mean_m_s: Array
+
+
+def compute_wake_profile(
+    mesh: PolyMesh,
+    flow: FlowField,
+    point: OperatingPoint,
+    thrust_N: float,
+    *,
+    below: tuple[float, ...] = WAKE_PROFILE_DEPTHS,
+) -> WakeProfile:
+    """Average the velocity over a sector, 40 radii to 1.4 R and 72 azimuths a plane.
+
+    Parameters
+    ----------
+    mesh : PolyMesh
+    flow : Flow
+    point : Point
+    thrust_N : float
+        Of the whole rotor, for momentum theory; of a pair both rotors'.
+    below : tuple of float
+        Distances under the disc in radii.
+    """
+    radius, probe = point.radius_m, FlowProbe(mesh, flow)
+    h = radius * np.array(below)
+    r = radius * 1.4 * (np.arange(40) + 0.5) / 40
+    around = 2.0 * math.pi / mesh.blade_count * (np.arange(72) + 0.5) / 72
+    z, rr, psi = (x.ravel() for x in np.meshgrid(-h, r, around, indexing="ij"))
+    u = probe.sample_cylindrical(rr, psi, z)[0].reshape(len(h), len(r), len(around), 3).mean(axis=2)
+    w = point.climb_m_s
+    # T = 2 rho A (w + v) v
+    whole = w * w + 2.0 * max(thrust_N, 0.0) / (point.density_kg_m3 * math.pi * radius**2)
+    v = 0.5 * (math.sqrt(whole) - w)
+    speed = w + v * (1.0 + h / np.hypot(h, radius))
+    edge = radius * np.sqrt(np.clip((w + v) / np.maximum(speed, 1e-12), 0.0, None))
+    sense = math.copysign(1.0, point.speed_rad_s)
+    return WakeProfile(h, r, -u[..., 2], sense * u[..., 1], edge, speed)
+
+
+_SPEED_EXPONENTS = {"U": 1, "p": 2, "phi": 1, "k": 2, "epsilon": 3, "omega": 1, "nut": 1}
+
+
+def scale_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
+    """A case's last state for another speed, pitch setting or tip.
+
+    Velocities and fluxes are multiplied by the ratio of speeds, pressure by its square.
+
+    At another speed that is exact but for what the Reynolds number does. For another shape the cells keep their values
+    and the faces their fluxes, which still balance in every cell: a start without sources. The meshes have to have the
+    same cells and faces, in other places.
+
+    Raises
+    ------
+    InputError
+        If there is no state, or it is of a mesh of other cells.
+    """
+    at = [t for t in list_complete_states(folder) if t > 0]
+    if not at:
+        raise InputError(str(folder), "", "holds no solution", "run it first: mufly cfd run")
+    before = read_poly_mesh(folder)
+    of = _match_faces(before, mesh)
+    if of is None:
+        raise InputError(
+            str(folder),
+            "",
+            "has a mesh of other cells",
+            "start from a case of the same level and kind of tip",
+        )
+    place, out = folder / str(at[-1]), {}
+    for name, power in _SPEED_EXPONENTS.items():
+        file = place / name
+        if not file.is_file():
+            continue
+        inside = len(mesh.neighbour) if name == "phi" else mesh.cell_count
+        values = read_field(file, inside)
+        if name == "phi":
+            parts = [read_patch_field(file, p, n) for p, (_, n) in before.patches.items()]
+            values = np.concatenate([values, *parts])[of]
+        out[name] = values * ratio**power
+    return out
+
+
+def _match_faces(before: PolyMesh, mesh: PolyMesh) -> NDArray[np.int64] | None:
+    """Which face of another mesh is each one of this; None if they are not the same faces of the same cells."""
+    if before.faces.shape != mesh.faces.shape or before.patches != mesh.patches:
+        return None
+    orders = [np.lexsort(np.sort(m.faces, axis=1).T) for m in (before, mesh)]
+    of = np.empty(len(mesh.faces), dtype=np.int64)
+    of[orders[1]] = orders[0]
+    alike = np.array_equal(np.sort(before.faces[of], axis=1), np.sort(mesh.faces, axis=1))
+    inside = len(mesh.neighbour)
+    alike = (
+        alike and np.array_equal(before.owner[of], mesh.owner) and np.array_equal(before.is_rotating, mesh.is_rotating)
+    )
+    return of if alike and np.array_equal(before.neighbour[of[:inside]], mesh.neighbour) else None
+
+
+def read_field(file: Path, cells: int) -> Array:
+    """Read the cells' values of a field, ASCII or binary; (cells,) or (cells, 3).
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or is cut short.
+    """
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise InputError(str(file), "", f"cannot be read ({error.strerror})", "run the case again") from error
+    at = data.find(b"internalField")
+    return _parse_values(data, at + len(b"internalField"), cells, file)
+
+
+def read_patch_field(file: Path, patch: str, faces: int) -> Array:
+    """Read a field's values on a patch; zeros where it has none.
+
+    Raises
+    ------
+    InputError
+        If it is cut short.
+    """
+    data = file.read_bytes()
+    begin = data.find(f"{patch}\n".encode(), data.find(b"boundaryField"))
+    at = data.find(b"value", begin)
+    if begin < 0 or at < 0:
+        return np.zeros(faces)
+    return _parse_values(data, at + len(b"value"), faces, file)
+
+
+def _parse_values(data: bytes, at: int, count: int, file: Path) -> Array:
+    head = data[at : at + 200]
+    words = head.split()
+    if words[:1] == [b"uniform"]:
+        text = head[head.index(b"uniform") + 7 : head.index(b";")].replace(b"(", b" ").replace(b")", b" ")
+        numbers = np.array([float(x) for x in text.split()])
+        return np.full(count, numbers[0]) if numbers.size == 1 else np.tile(numbers, (count, 1))
+    size = 3 if b"vector" in head else 1
+    begin = data.index(b"(", at) + 1
+    told = int(data[data.index(b">", at) + 1 : begin - 1].split()[0])
+    if told != count:
+        raise InputError(str(file), "", f"holds {told} values for {count} cells", "run the case again")
+    if re.search(rb"format\s+binary", data[: data.index(b"}")]):
+        end = begin + 8 * size * count
+        if end > len(data):
+            raise InputError(str(file), "", "is cut short", "delete its folder and run the case again")
+        values = np.frombuffer(data[begin:end], dtype="<f8")
+    else:
+        end = data.index(b"\n)", begin)
+        text = data[begin:end].replace(b"(", b" ").replace(b")", b" ")
+        values = np.array(text.split(), dtype=np.float64)
+        if values.size != size * count:
+            raise InputError(str(file), "", "is cut short", "delete its folder and run the case again")
+    return values.reshape(count, size) if size > 1 else values

@@ -1,0 +1,141 @@
+"""What a mesh is worth: observed order and grid convergence index of three meshes.
+
+Celik and others, *Procedure for estimation and reporting of uncertainty due to discretization in CFD applications*,
+J. Fluids Eng. 130 (2008) 078001. With cells of mean size h1 < h2 < h3 (finest first), answers phi, e = differences::
+
+    p = |ln|e32 / e21| + q(p)| / ln r21,   q = ln((r21^p - s) / (r32^p - s)),   s = sign(e32 / e21),  r = ratios of h
+    phi_ext = (r21^p phi1 - phi2) / (r21^p - 1)
+    GCI = 1.25 |phi1 - phi2| / |phi1| / (r21^p - 1)
+
+The procedure asks for answers that run one way as the mesh is refined. Where they swing (s = -1), or the order comes
+out beyond what a scheme of second order can have, order and index are told and marked as not to be relied on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from mufly.cfd.openfoam_case import read_point
+from mufly.cfd.polymesh import read_poly_mesh
+from mufly.cfd.solver_process import judge_case
+from mufly.errors import InputError
+from mufly.results import result
+
+_ORDER_LIMITS = (0.5, 3.0)
+_MAX_ITERATIONS = 200
+
+
+@result
+class GridConvergence:
+    """Three meshes' answers, the finest first.
+
+    Attributes
+    ----------
+    name : str
+        What was computed.
+    cells : tuple of int
+        Numbers of cells.
+    values : tuple of float
+        Answers.
+    order : float
+        Observed order; nan where the answers agree to rounding.
+    limit : float
+        Answer that the order leads to.
+    index : float
+        Grid convergence index of the finest mesh, relative.
+    last_step : float
+        Relative change from the middle to the finest mesh.
+    sound : bool
+        Whether the answers run one way, with an order that such a scheme can have.
+    """
+
+    name: str
+    cells: tuple[int, ...]
+    values: tuple[float, ...]
+    order: float
+    limit: float
+    index: float
+    last_step: float
+    sound: bool
+
+
+def estimate_grid_convergence(name: str, cells: Sequence[int], values: Sequence[float]) -> GridConvergence:
+    """Observed order and grid convergence index.
+
+    Parameters
+    ----------
+    name : str
+    cells : three int
+        Numbers of cells of meshes of one volume, in any order.
+    values : three float
+        Their answers.
+
+    Raises
+    ------
+    InputError
+        If there are not three, or two have the same number of cells.
+    """
+    if len(cells) != 3 or len(values) != 3 or len(set(cells)) != 3:
+        raise InputError("mesh", name, f"{len(set(cells))} different meshes", "give three cases of three meshes")
+    (n1, v1), (n2, v2), (n3, v3) = sorted(zip(cells, values, strict=True), reverse=True)
+    r21, r32 = (n1 / n2) ** (1 / 3), (n2 / n3) ** (1 / 3)
+    e21, e32 = v2 - v1, v3 - v2
+    last = (v1 - v2) / abs(v2)
+    if e21 == 0.0 or e32 == 0.0:
+        return GridConvergence(name, (n1, n2, n3), (v1, v2, v3), math.nan, v1, math.nan, last, False)
+    s = math.copysign(1.0, e32 / e21)
+    p = 1.0
+    for _ in range(_MAX_ITERATIONS):
+        up, low = r21**p - s, r32**p - s
+        q = math.log(up / low) if up > 0.0 and low > 0.0 else 0.0
+        new = abs(math.log(abs(e32 / e21)) + q) / math.log(r21)
+        new = min(max(new, 1e-3), 20.0)
+        if abs(new - p) < 1e-10:
+            break
+        p = 0.5 * (p + new)
+    gain = r21**p - 1.0
+    return GridConvergence(
+        name, (n1, n2, n3), (v1, v2, v3), p, (r21**p * v1 - v2) / gain, 1.25 * abs((v1 - v2) / v1) / gain, last,
+        s > 0.0 and _ORDER_LIMITS[0] <= p <= _ORDER_LIMITS[1],
+    )  # fmt: skip
+
+
+def study_grid_convergence(cases: Sequence[Path]) -> tuple[GridConvergence, GridConvergence]:
+    """Thrust and torque of three settled cases of one point on three meshes.
+
+    Raises
+    ------
+    InputError
+        If there are not three, they differ in more than the mesh, or one is not settled.
+    """
+    points = [read_point(case) for case in cases]
+    for case, point in zip(cases, points, strict=True):
+        for key in (
+            "rotor",
+            "pitch_rad",
+            "speed_rad_s",
+            "climb_m_s",
+            "model",
+            "density_kg_m3",
+            "viscosity_Pa_s",
+            "tip",
+            "hub_m",
+            "gurney",
+            "domain",
+        ):
+            if getattr(point, key) != getattr(points[0], key):
+                raise InputError(
+                    str(case), key, f"is {getattr(point, key)}, not {getattr(points[0], key)}",
+                    "give cases that differ in their meshes only",
+                )  # fmt: skip
+    verdicts = [judge_case(case) for case in cases]
+    for case, verdict in zip(cases, verdicts, strict=True):
+        if not verdict.settled:
+            raise InputError(str(case), "", f"is not settled: {verdict.what}", "run it on, or leave it out")
+    cells = [read_poly_mesh(case).cell_count for case in cases]
+    return (
+        estimate_grid_convergence("thrust", cells, [v.thrust_N for v in verdicts]),
+        estimate_grid_convergence("torque", cells, [v.torque_Nm for v in verdicts]),
+    )

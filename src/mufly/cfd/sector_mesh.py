@@ -1,0 +1,589 @@
+r"""The mesh of one blade's sector: sections stacked along the blade, and around them the rest of a cylinder.
+
+Frame: z up along the shaft, the blade along +y, x against its motion (nose at negative x); the rotor turns about +z.
+A rotor of N blades is meshed as a sector of 2 pi / N with one blade, between two planes through the shaft that are each
+other's image in x, point by point, so that plain cyclic boundaries do.
+
+Section k is bent so that the first lies in those planes and the one at the tip not at all::
+
+    y = y_k + f_k (sqrt(y_k^2 + (|x| cot(pi/N))^2) - y_k)          two blades: y = y_k;  f_k from 1 at the root to 0
+
+In plan view the sections fill a box, from the shaft to beyond the tip; from its three free sides lines fan out to a
+cylinder around it and on, radially, to the outer one (``wings`` to the left and right, the last sections themselves
+beyond the tip)::
+
+              ______________
+            /   \  tip   /   \        outer cylinder
+           /     |______|     \
+          | wing |  ||  | wing |
+          |______|__||__|______|      the two periodic planes, or one plane of a two-bladed rotor
+
+Air within the inner cylinder, up to a level plane above the disc and down to the bottom, is computed in the blade's
+frame, all other air in a frame at rest (``is_rotating``). The surfaces between them are surfaces of revolution, through
+which the turning frame carries nothing. In the blade's frame air at rest flows past at Omega r; any velocity across the
+shaft, such as the inflow u_r, has to be turned by convection as fast as Coriolis' force turns it back. What a mesh of
+second order lacks of that, 0.3 to 0.9 % here, is a force of that part of Omega u_r against the rotor's sense, and on
+air that takes a second to come to the rotor it made a swirl of a tenth of the induced velocity, and 4 % of thrust.
+
+Between shaft and root there is a gap of air; the section changes in it from the blade's to one that is its own image.
+With a hub the core of those sections is left out like the blade's, and its half width is the hub's, sqrt(r^2 - y^2),
+out to 0.4 r; from there it runs on into the root, or ends.
+
+Plates (Gurney flaps, tip plates) have no thickness: faces between two cells that become walls on both sides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.cfd.blade_geometry import BladeGeometry, blade_line_length, compute_blade_line, place_sections
+from mufly.cfd.section_mesh import (
+    BLOCK_HALF_HEIGHT_CHORDS,
+    BLOCK_MARGIN_CHORDS,
+    CellCounts,
+    SectionBox,
+    SectionLayout,
+    SectionShape,
+    compute_section_points,
+    geometric_spacing,
+    layer_at_height,
+    load_meshable_airfoil,
+    ring_contour,
+    vinokur_spacing,
+)
+from mufly.errors import InputError
+from mufly.rotor import Rotor
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_MEDIUM_COUNTS = CellCounts(
+    along=34, across=8, ring=16, side=8, above=11, below=14, gap=6, blade=20, beyond=6, inner=5, outer=4, wall=0.002,
+    tip=0.0067,
+)  # fmt: skip
+
+
+def _scale_counts(factor: float) -> CellCounts:
+    def scale_count(name: str) -> int:
+        return max(2, round(factor * getattr(_MEDIUM_COUNTS, name)))
+
+    numbers = {
+        name: scale_count(name)
+        for name in ("ring", "side", "above", "below", "gap", "blade", "beyond", "inner", "outer")
+    }
+    even = {name: 2 * max(2, round(factor * getattr(_MEDIUM_COUNTS, name) / 2)) for name in ("along", "across")}
+    return replace(
+        _MEDIUM_COUNTS, **numbers, **even, wall=_MEDIUM_COUNTS.wall / factor, tip=_MEDIUM_COUNTS.tip / factor
+    )
+
+
+MESH_LEVELS: Mapping[str, CellCounts] = MappingProxyType(
+    {
+        "tiny": _scale_counts(0.5),
+        "coarse": _scale_counts(0.77),
+        "medium": _MEDIUM_COUNTS,
+        "fine": _scale_counts(1.4),
+    }
+)
+"""Numbers of cells, each direction finer by one factor: the sizes of cells are as 2 : 1.3 : 1 : 0.71."""
+
+_MIN_ROOT_CUTOUT = 0.04  # root cut-out over R
+
+
+_BOX_HALF_WIDTH, _BOX_SPAN, _BOX_LEVEL_HEIGHT = 0.75, 1.2, 0.6  # of the sections' box, over R
+_CYLINDER_FACTOR = 1.06  # radius of the cylinder around the box over that of its corners
+
+
+@dataclass(frozen=True)
+class MeshDomain:
+    """Limits of the air that is meshed, over the rotor's radius.
+
+    Attributes
+    ----------
+    radius, above, below : float
+        Of the outer cylinder; from the disc to its top and its bottom. 300, 200 and 400 mm for R 60 mm.
+    turning_above, turning_below : float
+        From the disc to where the air is no longer computed in the blade's frame (the nearest plane of the mesh). Below
+        it is best the whole of the wake: what leaves that frame is taken to be steady at rest, blades or no blades.
+    """
+
+    radius: float = 5.0
+    above: float = 200.0 / 60.0
+    below: float = 400.0 / 60.0
+    turning_above: float = 0.7
+    turning_below: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name, least in (("radius", 2.5), ("above", 1.5), ("below", 1.5)):
+            if not least <= getattr(self, name) <= 50.0:
+                raise InputError("domain", name, f"is {getattr(self, name):g} R", f"give {least:g} to 50")
+        for name in ("turning_above", "turning_below"):
+            if not getattr(self, name) >= 0.5:
+                raise InputError("domain", name, f"is {getattr(self, name):g} R", "give 0.5 or more")
+
+
+@dataclass(frozen=True, eq=False)
+class SectorMesh:
+    """Hexahedra of one sector.
+
+    Attributes
+    ----------
+    points : (points, 3) array
+        m.
+    hexahedra : (cells, 8) array
+        Points of each cell, in OpenFOAM's order.
+    strip : (cells,) array
+        Which of the blade's spanwise strips a cell lies in; -1 elsewhere.
+    edges_m : (strips + 1,) array
+        Radii between the strips.
+    marks : dict of (points,) bool arrays
+        Which points lie on ``sector``, ``outer``, ``top``, ``bottom``; of a pair, which are the ``lower`` rotor's.
+    blades : int
+    plates : (faces, 4) array
+        Faces between two cells that are walls.
+    turning : (cells,) bool array
+        Which cells are computed in the blade's frame.
+    middle_m : float
+        Height of the plane under which a second rotor's cells lie; -inf: there is none.
+    """
+
+    points: Array
+    hexahedra: Index
+    cell_strip: Index
+    strip_edges_m: Array
+    point_marks: Mapping[str, NDArray[np.bool_]]
+    blade_count: int
+    plate_faces: Index
+    is_rotating: NDArray[np.bool_]
+    interface_height_m: float = -math.inf
+
+
+def make_sector_mesh(
+    rotor: Rotor,
+    pitch_rad: float,
+    *,
+    level: str | CellCounts = "medium",
+    domain: MeshDomain | None = None,
+    form: BladeGeometry | None = None,
+    other_m: float = 0.0,
+) -> SectorMesh:
+    """Mesh one sector of a rotor.
+
+    Parameters
+    ----------
+    rotor : Rotor
+    pitch_rad : float
+        Pitch setting, added to the twist; about the quarter chord line.
+    level : {'tiny', 'coarse', 'medium', 'fine'} or Counts
+        16, 61, 136 and 376 thousand cells.
+    domain : Domain, optional
+    form : Form, optional
+        Hub, tip, plates; default: none, a square tip.
+    other_m : float
+        Height of a second rotor's disc over this one's (below 0: under it); the mesh then ends half way to it in a
+        level plane that is its own mirror image in x. 0: there is none.
+
+    Raises
+    ------
+    InputError
+        If the rotor cannot be meshed: one blade, blades that reach the shaft or meet, a section without a contour.
+    """
+    domain, form = domain or MeshDomain(), form or BladeGeometry()
+    if isinstance(level, str) and level not in MESH_LEVELS:
+        raise InputError("mesh", level, "is no level", f"use one of: {', '.join(MESH_LEVELS)}")
+    k = _refine_for_geometry(MESH_LEVELS[level] if isinstance(level, str) else level, form)
+    radius, root = rotor.radius_m, rotor.hub_radius_m
+    _check_rotor(rotor, pitch_rad, form)
+    x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
+    widest = float(np.max(rotor.chord_m(x)))
+    steepest = math.sin(float(np.max(np.abs(rotor.twist_rad(x) + pitch_rad))))
+    slope = 1.0 / math.tan(math.pi / rotor.blades) if rotor.blades > 2 else 0.0
+    # Room for the centre block to be turned back in, and for the sections of a winglet.
+    room = 0.6 * widest if form.tip.cant_rad else 0.0
+    half, far = max(_BOX_HALF_WIDTH * radius, (1.4 + 2.4 * steepest) * widest), _BOX_SPAN * radius + room
+    level_m = max(_BOX_LEVEL_HEIGHT * radius + room, (BLOCK_HALF_HEIGHT_CHORDS + 4.0 * steepest) * widest)
+    if slope:
+        half = min(half, 0.6 * radius / slope)
+        if half < 1.5 * widest:
+            raise InputError(
+                rotor.name, "blade.chord", f"{1e3 * widest:.3g} mm is too wide for a sector of {rotor.blades} blades",
+                f"give at most {1e3 * half / 1.5:.3g} mm, or fewer blades",
+            )  # fmt: skip
+    box = SectionBox(half, domain.above * radius, -domain.below * radius, level_m)
+    outer, inside = domain.radius * radius, _CYLINDER_FACTOR * math.hypot(half, far)
+    if other_m:
+        tall = _pair_block_height(rotor, pitch_rad, 0.5 * abs(other_m))
+        box = replace(box, **{"top_m" if other_m > 0.0 else "bottom_m": 0.5 * other_m})
+    if outer < 1.2 * inside or domain.above * radius < 1.2 * box.level_height_m:
+        raise InputError(
+            "domain", "", f"is {domain.radius:g} R wide, {domain.above:g} R above the disc: too close to the blade",
+            f"give at least {1.2 * inside / radius:.2g} and {1.2 * box.level_height_m / radius:.2g}",
+        )  # fmt: skip
+
+    size = (inside - 0.5 * (half + far)) / k.inner
+    k = _adapt_row_counts(k, domain, radius, widest, inside, size)
+    if other_m:
+        k = replace(k, **{"above" if other_m > 0.0 else "below": max(2, k.across // 3)})
+    layout = SectionLayout(k)
+    tip_chord, tip_angle = float(rotor.chord_m(1.0)), float(rotor.twist_rad(1.0)) + pitch_rad
+    span = blade_line_length(form.tip, root, radius, tip_chord)
+    blade = (root, root + span)
+    tip = min(k.tip * radius, 0.5 * span / k.blade)
+    at_root = min(1.5 * tip, 0.5 * root / k.gap, 0.5 * span / k.blade)
+    inner, hub = _root_stations(k, root, at_root, form)
+    # Beyond the end the line turns back to the disc's direction, so that it is longer than it is far.
+    rest = far - float(compute_blade_line(form.tip, np.array([blade[1]]), blade, tip_chord).radius_m[0])
+    behind = compute_blade_line(form.tip, np.array([blade[1] + rest]), blade, tip_chord).radius_m[0]
+    rest += far - float(behind)
+    s = np.concatenate(
+        (
+            inner,
+            root + span * vinokur_spacing(k.blade, at_root / span, tip / span)[1:],
+            blade[1] + rest * geometric_spacing(k.beyond, tip / rest)[1:],
+        )
+    )
+    line = compute_blade_line(form.tip, s, blade, tip_chord)
+    first, last, top = k.gap, k.gap + k.blade, len(s) - 1
+    y = line.radius_m
+    if abs(y[-1] - far) > 1e-9 * far:
+        raise InputError("tip", "bend", f"is {form.tip.bend:g} chords, too much for this blade", "give less")
+    y[-1] = far
+    block = (_PAIR_BLOCK_HALF_CHORDS * widest, tall) if other_m else None
+    stack, plate_layers = _build_sections(rotor, pitch_rad, layout, s, blade, far, box, form, line.chord_ratio, block)
+    t = np.clip((s - root) / span, 0.0, 1.0)
+    fade = 1.0 - t * t * (3.0 - 2.0 * t)
+
+    def sector_bend(x: Array) -> Array:
+        return fade[:, None] * (np.hypot(y[:, None], np.abs(x) * slope) - y[:, None])
+
+    n2, nz = layout.point_count, layout.nz
+    flat = place_sections(
+        stack, line, form.tip, angle_rad=tip_angle, chord_m=tip_chord, half_m=half, level_m=box.level_height_m
+    )
+    flat[..., 1] += sector_bend(stack[..., 0])
+    # Beyond the box the last section fans out to the cylinder around it and on to the outer one.
+    corner = math.atan2(half, far)
+    near = np.linspace(0.0, 1.0, k.inner + 1)[1:]
+    beyond = (
+        1.0 + (outer / inside - 1.0) * geometric_spacing(k.outer, min(1.2 * size / (outer - inside), 1.0 / k.outer))[1:]
+    )
+    phi = corner * flat[-1, :, 0] / half
+    arc = np.stack((inside * np.sin(phi), inside * np.cos(phi)), axis=-1)
+    fan = np.repeat(flat[-1:], k.inner + k.outer, axis=0)
+    fan[: k.inner, :, :2] += near[:, None, None] * (arc - flat[-1, :, :2])
+    fan[k.inner :, :, :2] = beyond[:, None, None] * arc
+    # The wings, from the box's sides.
+    side_y = y + sector_bend(np.array([half]))[:, 0]
+    share = (side_y - side_y[0]) / (side_y[-1] - side_y[0])
+    angle = math.pi / rotor.blades + (corner - math.pi / rotor.blades) * share
+    ends = inside * np.stack((np.sin(angle), np.cos(angle)), axis=-1)[:-1]
+    starts = np.stack((np.full(top, half), side_y[:-1]), axis=-1)
+    wings = k.inner + k.outer
+    plan = np.empty((top, wings, 2))
+    plan[:, : k.inner] = starts[:, None] + near[None, :, None] * (ends - starts)[:, None]
+    plan[:, k.inner :] = beyond[None, :, None] * ends[:, None]
+    # Lines of z at the box's side; on the cylinder they are those of the last section.
+    z_side = stack[:, layout.tensor_ids[0], 1]
+    levelled = np.minimum(np.arange(1, wings + 1) / k.inner, 1.0)[None, :, None]
+    z_wing = z_side[:-1, None] + levelled * (z_side[-1] - z_side[:-1, None])
+
+    sections = np.concatenate((flat, fan)).reshape(-1, 3)
+    ids = np.arange(len(sections)).reshape(-1, n2)
+    points, cells, strips = [sections], [], []
+    count = len(sections)
+    quads = {True: layout.outer_quads, False: np.concatenate((layout.outer_quads, layout.core_quads))}
+    for i in range(len(ids) - 1):
+        on_blade = first <= i < last
+        q = quads[on_blade or i < hub]
+        cells.append(np.concatenate((ids[i + 1][q], ids[i][q]), axis=1))
+        strips.append(np.full(len(q), i - first if on_blade else -1))
+    on_outer = [ids[-1]]
+    for edge, sign in ((layout.tensor_ids[-1], 1.0), (layout.tensor_ids[0], -1.0)):
+        more = np.empty((top, wings, nz + 1, 3))
+        more[..., 0] = sign * plan[:, :, None, 0]
+        more[..., 1] = plan[:, :, None, 1]
+        more[..., 2] = z_wing
+        wing = np.empty((top + 1, wings + 1, nz + 1), dtype=np.int64)
+        wing[:-1, 1:] = count + np.arange(more[..., 0].size).reshape(more.shape[:3])
+        wing[:, 0] = ids[: top + 1][:, edge]
+        wing[-1] = ids[top:][:, edge]
+        points.append(more.reshape(-1, 3))
+        count += more[..., 0].size
+        w = wing
+        lower = np.stack((w[:-1, :-1], w[:-1, 1:], w[1:, 1:], w[1:, :-1]), axis=-1)
+        if sign < 0:
+            lower = lower[..., ::-1]
+        hexes = np.concatenate((lower[:, :, :-1], lower[:, :, 1:]), axis=-1).reshape(-1, 8)
+        cells.append(hexes)
+        strips.append(np.full(len(hexes), -1))
+        on_outer.append(wing[:-1, -1].ravel())
+    all_points, hexahedra = np.concatenate(points), np.concatenate(cells)
+    n = len(all_points)
+    marks = {name: np.zeros(n, dtype=bool) for name in ("sector", "outer", "top", "bottom")}
+    for i in on_outer:
+        marks["outer"][i] = True
+    marks["sector"][ids[0]] = True
+    beside = len(sections) + np.arange(2 * top * wings * (nz + 1)).reshape(2, top, wings, nz + 1)
+    marks["sector"][beside[:, 0].ravel()] = True
+    for name, j in (("bottom", 0), ("top", nz)):
+        marks[name][ids[:, layout.tensor_ids[:, j]].ravel()] = True
+        marks[name][beside[..., j].ravel()] = True
+    used = np.zeros(n, dtype=bool)
+    used[hexahedra.ravel()] = True
+    number = np.cumsum(used) - 1
+    return SectorMesh(
+        all_points[used], number[hexahedra], np.concatenate(strips), y[first : last + 1],
+        {name: mark[used] for name, mark in marks.items()}, rotor.blades,
+        number[_find_plate_faces(layout, ids, first, last, form, plate_layers)],
+        _find_rotating_cells(
+            all_points[hexahedra].mean(axis=1), inside, z_side[-1], domain, radius, tall if other_m else level_m
+        ),
+    )  # fmt: skip
+
+
+def blade_vertical_reach(rotor: Rotor, pitch_rad: float) -> float:
+    """How far (m) a blade reaches over or under its disc, its thickness included."""
+    x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
+    angle = np.abs(rotor.twist_rad(x) + pitch_rad)
+    return float(np.max(rotor.chord_m(x) * (0.75 * np.sin(angle) + 0.1)))
+
+
+def _pair_block_height(rotor: Rotor, pitch_rad: float, half_gap: float) -> float:
+    """Half height (m) of the centre block between two rotors; InputError if the blade has no room in it."""
+    reach = blade_vertical_reach(rotor, pitch_rad)
+    tall = _PAIR_BLOCK_HEIGHT_RATIO * half_gap
+    if reach > 0.8 * tall:
+        raise InputError(
+            "pair", "gap", f"of {2e3 * half_gap:.3g} mm lets the blades come too near to the plane between the rotors",
+            f"give at least {2e3 * reach / (0.8 * _PAIR_BLOCK_HEIGHT_RATIO):.3g} mm",
+        )  # fmt: skip
+    return tall
+
+
+_PAIR_BLOCK_HEIGHT_RATIO, _PAIR_BLOCK_HALF_CHORDS = 0.82, 1.05
+"""Beside another rotor: half height of the centre block over half the distance, its half width in chords."""
+
+
+def _find_rotating_cells(
+    centres: Array, around: float, lines: Array, domain: MeshDomain, radius: float, level_m: float
+) -> NDArray[np.bool_]:
+    """Cells within a cylinder and between the mesh's level planes nearest to the domain's."""
+    level = lines[np.abs(lines) >= level_m]
+    low, high = (
+        level[int(np.argmin(np.abs(level - z * radius)))]
+        for z in (-min(domain.turning_below, domain.below), min(domain.turning_above, domain.above))
+    )
+    r, z = np.hypot(centres[:, 0], centres[:, 1]), centres[:, 2]
+    return (r < around) & (z > low) & (z < high)
+
+
+def _adapt_row_counts(
+    k: CellCounts, domain: MeshDomain, radius: float, chord: float, inside: float, size: float
+) -> CellCounts:
+    """Rows of cells for a domain other than the levels' own: as many more or fewer as keep the sizes near the blade."""
+    own, high, dz = (
+        MeshDomain(),
+        BLOCK_HALF_HEIGHT_CHORDS * chord,
+        2.0 * BLOCK_HALF_HEIGHT_CHORDS * chord / k.across,
+    )
+
+    def adapt_row_count(count: int, first: float, usual: float, length: float) -> int:
+        if length == usual:
+            return count
+        lines = geometric_spacing(count, min(first / usual, 1.0 / count))
+        ratio = float((lines[-1] - lines[-2]) / (lines[-2] - lines[-3])) if count > 2 else 1.5
+        if ratio < 1.01:
+            return max(2, round(length / first))
+        return max(2, round(math.log1p(length * (ratio - 1.0) / first) / math.log(ratio)))
+
+    return replace(
+        k,
+        above=adapt_row_count(k.above, dz, own.above * radius - high, domain.above * radius - high),
+        below=adapt_row_count(k.below, dz, own.below * radius - high, domain.below * radius - high),
+        outer=adapt_row_count(k.outer, 1.2 * size, own.radius * radius - inside, domain.radius * radius - inside),
+    )
+
+
+def _refine_for_geometry(k: CellCounts, form: BladeGeometry) -> CellCounts:
+    """More cells along the blade where its end has a shape, and along the shaft where there is a hub."""
+    shaped = bool(form.tip.length or form.tip.cant_rad)
+    return replace(k, blade=k.blade + (k.blade // 4 if shaped else 0), gap=k.gap + (3 if form.hub else 0))
+
+
+def _root_stations(k: CellCounts, root: float, at_root: float, form: BladeGeometry) -> tuple[Array, int]:
+    """Radii of the sections from the shaft to the root, and how many of the cells between them hold the hub."""
+    if form.hub is None:
+        return root * (1.0 - geometric_spacing(k.gap, at_root / root)[::-1]), 0
+    edge = _HUB_FLAT_RADIUS_RATIO * form.hub.radius_m
+    n = max(2, round(0.4 * k.gap))
+    rest = k.gap - n
+    if form.hub.joined:
+        outside = np.linspace(0.0, 1.0, rest + 1)
+    else:
+        outside = vinokur_spacing(
+            rest, min(at_root / (root - edge), 1.0 / rest), min(at_root / (root - edge), 1.0 / rest)
+        )
+    return np.concatenate((np.linspace(0.0, edge, n + 1), edge + (root - edge) * outside[1:])), (
+        k.gap if form.hub.joined else n
+    )
+
+
+_HUB_FLAT_RADIUS_RATIO = 0.4
+"""Where a hub's flats begin, or its grips, over its radius."""
+
+
+def _find_plate_faces(
+    layout: SectionLayout, ids: Index, first: int, last: int, form: BladeGeometry, count: tuple[int, int]
+) -> Index:
+    """Faces of the Gurney flap and of the tip's plates, (faces, 4)."""
+    k, out = layout.counts, [np.empty((0, 4), dtype=np.int64)]
+    flap, plate = count
+    if form.gurney_height:
+        line = layout.ring_ids[::-1][: flap + 1, k.along + k.across]
+        p = ids[first : last + 1][:, line]
+        out.append(np.stack((p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]), axis=-1).reshape(-1, 4))
+    n, m = k.along, k.across
+    around = layout.ring_ids[::-1][: plate + 1]
+    around = ids[last][np.concatenate((around, around[:, :1]), axis=1)]
+    quads = np.stack((around[:-1, :-1], around[:-1, 1:], around[1:, 1:], around[1:, :-1]), axis=-1)
+    # Above: the upper side; below: the lower one; both: all around.
+    tip = form.tip
+    if tip.plate_above and tip.plate_below:
+        out.append(quads.reshape(-1, 4))
+    elif tip.plate_above:
+        out.append(quads[:, :n].reshape(-1, 4))
+    elif tip.plate_below:
+        out.append(quads[:, n + m : 2 * n + m].reshape(-1, 4))
+    return np.concatenate(out)
+
+
+def _build_sections(
+    rotor: Rotor,
+    pitch_rad: float,
+    layout: SectionLayout,
+    s: Array,
+    ends: tuple[float, float],
+    far: float,
+    box: SectionBox,
+    form: BladeGeometry,
+    factor: Array,
+    level_block: tuple[float, float] | None,
+) -> tuple[Array, tuple[int, int]]:
+    """Every section's points, (sections, points, 2), and the layers that flap and tip plate take.
+
+    ``level_block``: half width and half height of the centre block where another rotor is near.
+    """
+    k, (root, end), hub = layout.counts, ends, form.hub
+    # The rotor file's stations are radii of the straight blade; a winglet's line is longer.
+    x = (root + np.clip((s - root) / (end - root), 0.0, 1.0) * (rotor.radius_m - root)) / rotor.radius_m
+    at = rotor.sections_at(x)
+    chord = at.chord_m * factor
+    loops = np.stack([ring_contour(load_meshable_airfoil(name), k) for name in at.airfoil_names]) - np.array(
+        [0.25, 0.0]
+    )
+    w = at.second_weight[:, None, None]
+    loop = (1.0 - w) * loops[at.first_airfoil] + w * loops[at.second_airfoil]
+    begin = _HUB_FLAT_RADIUS_RATIO * hub.radius_m if hub else 0.0
+    t = np.clip((root - s) / (root - begin), 0.0, 1.0)
+    plain = t * t * (3.0 - 2.0 * t)
+    t = np.clip((s - end) / (far - end), 0.0, 1.0)
+    plain = np.maximum(plain, t * t * (3.0 - 2.0 * t))
+    relaxed = np.maximum(plain, t)
+    if hub:
+        relaxed[s < root] = 0.0
+    gurney = plate = (0.0, 0)
+    if form.gurney_height:
+        gurney = (
+            form.gurney_height,
+            layer_at_height(k, form.gurney_height, math.hypot(BLOCK_MARGIN_CHORDS, BLOCK_HALF_HEIGHT_CHORDS)),
+        )
+    high = max(form.tip.plate_above, form.tip.plate_below)
+    if high:
+        plate = (high, layer_at_height(k, high, BLOCK_HALF_HEIGHT_CHORDS - 0.06))
+    typical = float(np.max(at.chord_m))
+    sine = math.sin(math.pi / rotor.blades)
+    out = np.empty((len(s), layout.point_count, 2))
+    for i in range(len(s)):
+        inside = s[i] < root
+        half = 0.9 * (float(chord[0]) if inside else typical)
+        block, core = (half, 0.5 * half), ((0.5 if inside else 0.75) * half, 0.175 * half)
+        if inside and hub:
+            # The section's plane meets the hub's cylinder at this half width; three blades and more: it is bent.
+            wide = sine * math.sqrt(hub.radius_m**2 - min(float(s[i]), begin) ** 2)
+            core = (wide, hub.half_height_m)
+            block = (
+                max(0.7 * half / 0.9, 1.5 * wide),
+                max(BLOCK_HALF_HEIGHT_CHORDS * half / 0.9, 2.0 * hub.half_height_m),
+            )
+        shape = SectionShape(
+            loop[i], float(chord[i]), float(at.twist_rad[i]) + pitch_rad, float(plain[i]), level_block or block, core,
+            float(relaxed[i]), typical, gurney, plate, level_block is not None,
+        )  # fmt: skip
+        out[i] = compute_section_points(layout, shape, box)
+    # What turning left off zero on the plane of symmetry is rounding; the two periodic planes are to match to the bit.
+    first = out[0]
+    mirror = _mirror_indices(layout)
+    first[:, 0] = 0.5 * (first[:, 0] - first[mirror, 0])
+    first[:, 1] = 0.5 * (first[:, 1] + first[mirror, 1])
+    return out, (gurney[1], plate[1])
+
+
+def _mirror_indices(layout: SectionLayout) -> Index:
+    """Number of each point's image in x."""
+    image = np.arange(layout.point_count)
+    on = layout.tensor_ids >= 0
+    image[layout.tensor_ids[on]] = layout.tensor_ids[::-1][on]
+    image[layout.core_ids.ravel()] = layout.core_ids[::-1].ravel()
+    n, m = layout.counts.along, layout.counts.across
+    # Around the loop: the upper side runs back to front, nose and tail change places.
+    around = (n - np.arange(2 * (n + m))) % (2 * (n + m))
+    image[layout.ring_ids] = layout.ring_ids[:, around]
+    return image
+
+
+def _check_rotor(rotor: Rotor, pitch_rad: float, form: BladeGeometry) -> None:
+    """InputError for a rotor that cannot be meshed."""
+    if form.hub and not 0.02 * rotor.radius_m < form.hub.radius_m < 0.95 * rotor.hub_radius_m:
+        raise InputError(
+            "hub", "radius", f"is {1e3 * form.hub.radius_m:.3g} mm",
+            f"give {20 * rotor.radius_m:.2g} to {950 * rotor.hub_radius_m:.3g} mm: the blades begin at "
+            f"{1e3 * rotor.hub_radius_m:.3g} mm",
+        )  # fmt: skip
+    if form.hub and form.hub.half_height_m > 0.2 * rotor.radius_m:
+        raise InputError(
+            "hub", "half_height", f"is {1e3 * form.hub.half_height_m:.3g} mm",
+            f"give at most {200 * rotor.radius_m:.3g} mm",
+        )  # fmt: skip
+    if rotor.blades < 2:
+        raise InputError(rotor.name, "blades", "is 1", "give two or more: one blade has no periodic sector")
+    if float(rotor.hub_cutout) < _MIN_ROOT_CUTOUT:
+        raise InputError(
+            rotor.name, "hub_cutout", f"{float(rotor.hub_cutout):g} lets the blades meet at the shaft",
+            f"give at least {_MIN_ROOT_CUTOUT:g}, where the blades begin",
+        )  # fmt: skip
+    if not abs(pitch_rad) <= math.radians(60.0):
+        raise InputError(rotor.name, "pitch", f"{math.degrees(pitch_rad):g} deg", "give -60 to 60 degrees")
+    x = np.linspace(float(rotor.hub_cutout), 1.0, 201)
+    angle = rotor.twist_rad(x) + pitch_rad
+    if float(np.max(np.abs(angle))) > math.radians(75.0):
+        raise InputError(
+            rotor.name, "twist", f"and pitch turn a section by {math.degrees(float(np.max(np.abs(angle)))):.0f} deg",
+            "give at most 75 in all",
+        )  # fmt: skip
+    if rotor.blades > 2:
+        # The tail reaches furthest: 0.75 chords aft, in a sector whose planes lie at |x| cot(pi/N).
+        aft = 0.75 * rotor.chord_m(x) * np.cos(angle)
+        wall = aft / math.tan(math.pi / rotor.blades)
+        room = x * rotor.radius_m - wall
+        if float(np.min(room)) < 0.1 * rotor.hub_radius_m:
+            at = float(x[int(np.argmin(room))])
+            raise InputError(
+                rotor.name, "blade.chord", f"the blades meet at r/R {at:.2g}",
+                "give a larger hub_cutout, a smaller chord or fewer blades",
+            )  # fmt: skip

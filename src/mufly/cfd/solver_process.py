@@ -1,0 +1,471 @@
+"""Runs of a case: the solver as a process of its own, watched, judged, resumed after it was killed.
+
+The solver runs in stretches: 80 iterations upwind, then at second order to 1200, and on by 400 until thrust and torque
+stand, or 2800. Every 40 iterations it writes its state with its fluxes, so that a case whose process was killed goes on
+from there when it is run again; what was told after that state is told anew.
+
+A solution is settled when, after 1200 iterations at least,
+
+* thrust and torque of the last 400 iterations drift by less than 0.3 % (a straight line through them, end to end) and
+  their range about that line is below 1 %. Shorter windows were deceived: thrust stands still for 200 to 300
+  iterations, at 500 and again at 1000, 3 to 4 % below where it ends;
+* air leaves through the bottom (but in descent, where it comes from there);
+* the solver's sum of local continuity errors (mean of |div u| over the volume, 1/s; median of the last iterations) is
+  below 1e-3.
+
+Otherwise the verdict names what is wrong: ``diverged`` (a load that is no number, or ten times the first guess),
+``sloshing`` (swings about its mean), ``plateau`` (still drifting), ``blown back`` (air enters through the bottom),
+``leaking`` (continuity).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.cfd.openfoam_case import (
+    LOAD_FUNCTION_OBJECTS,
+    WRITE_INTERVAL,
+    OperatingPoint,
+    read_point,
+    set_solver_phase,
+)
+from mufly.cfd.rotor_pair import read_actuator_disc
+from mufly.errors import MuflyError
+from mufly.results import result
+
+Array = NDArray[np.float64]
+
+MAX_ITERATIONS, VERDICT_WINDOW = 2800, 400
+"""Iterations at most, and of the window that is judged."""
+_MAX_DRIFT, _MAX_SWING, _MAX_LEAK = 3e-3, 1e-2, 1e-3
+_DEBIAN_OPENFOAM = Path("/usr/share/openfoam")
+_LOG_FILE = "log.simpleFoam"
+
+
+@dataclass(frozen=True)
+class SolverProgress:
+    """How far a run is.
+
+    Attributes
+    ----------
+    iteration : int
+    thrust_N, torque_Nm : float
+        Of the whole rotor.
+    residuals : dict of str to float
+        Initial residual of each equation in this iteration.
+    continuity : float
+        Sum of local continuity errors, as the solver says it.
+    seconds_left : float
+        Until the stretch's end.
+    """
+
+    iteration: int
+    thrust_N: float
+    torque_Nm: float
+    residuals: dict[str, float]
+    continuity: float
+    seconds_left: float
+
+
+@result
+class ConvergenceVerdict:
+    """Whether a solution stands.
+
+    Attributes
+    ----------
+    settled : bool
+        Whether it does.
+    what : str
+        'settled', or what is wrong.
+    iterations : int
+        Iterations done.
+    thrust_N : float
+        Thrust of the whole rotor, mean of the window.
+    torque_Nm : float
+        Torque of the whole rotor, mean of the window.
+    drift : float
+        Greater drift of the two in the window, relative.
+    swing : float
+        Greater range of the two about their drift, relative.
+    outflow_m3_s : float
+        Volume flow out of the sector's bottom.
+    leak : float
+        The solver's sum of local continuity errors, median of the last iterations.
+    """
+
+    settled: bool
+    what: str
+    iterations: int
+    thrust_N: float
+    torque_Nm: float
+    drift: float
+    swing: float
+    outflow_m3_s: float
+    leak: float
+
+
+def find_solver(name: str = "simpleFoam") -> str:
+    """Return the solver's program.
+
+    Raises
+    ------
+    MuflyError
+        If there is none; the message says how to get it.
+    """
+    found = shutil.which(name)
+    if found is None:
+        raise MuflyError(
+            f"{name} is not to be found: install OpenFOAM (Debian, Ubuntu: apt-get install --no-install-recommends "
+            "openfoam; elsewhere: openfoam.com) or use --save-only and run the case where it is"
+        )
+    return found
+
+
+def openfoam_environment() -> dict[str, str]:
+    """Return the environment in which OpenFOAM's programs find their own files."""
+    env = dict(os.environ)
+    if "WM_PROJECT_DIR" not in env and _DEBIAN_OPENFOAM.is_dir():
+        env["WM_PROJECT_DIR"] = str(_DEBIAN_OPENFOAM)
+    return env
+
+
+def list_complete_states(folder: Path) -> list[int]:
+    """Iterations at which a case's state is written whole, rising; 0 is the start."""
+    found = []
+    for place in folder.glob("[0-9]*"):
+        if place.name.isdigit():
+            names = ("U", "p") if place.name == "0" else ("U", "p", "phi")
+            if all(_is_complete(place / name) for name in names):
+                found.append(int(place.name))
+    return sorted(found)
+
+
+def list_processor_states(folder: Path) -> list[int]:
+    """Iterations whose state stands whole in every part of a run of several cores, rising."""
+    of = [set(list_complete_states(place)) for place in folder.glob("processor[0-9]*")]
+    return sorted(set.intersection(*of)) if of else []
+
+
+def _is_complete(file: Path) -> bool:
+    """Whether a field's file has its end: a full disk or a kill leaves it cut short."""
+    try:
+        with file.open("rb") as f:
+            f.seek(max(0, f.seek(0, 2) - 200))
+            return f.read().rstrip().endswith((b"}", b"//"))
+    except OSError:
+        return False
+
+
+def run_case(
+    folder: Path,
+    *,
+    cores: int = 1,
+    progress: Callable[[SolverProgress], None] | None = None,
+    most: int = MAX_ITERATIONS,
+) -> ConvergenceVerdict:
+    """Run a case to its verdict; one that was begun goes on where its last written state is.
+
+    Parameters
+    ----------
+    folder : Path
+        A case of :func:`mufly.cfd.openfoam_case.write_case`.
+    cores : int
+        Processes.
+    progress : callable, optional
+        Called with each iteration.
+    most : int
+        Iterations after which it is given up.
+
+    Raises
+    ------
+    MuflyError
+        If there is no solver, it fails (the message holds what it said first), the disk is full, or another run is at
+        this case.
+
+    Thesis: Sec. 3.3.3.
+    """
+    find_solver()
+    point = _effective_point(folder)
+    verdict, done = _judge_rotors(folder, point)
+    if _is_finished(verdict, done, most):
+        return verdict
+    try:
+        with (folder / _LOG_FILE).open("a", encoding="utf-8") as log:
+            _lock_case(log, folder)
+            _reconstruct_state(folder, done)
+            verdict, done = _judge_rotors(folder, point)
+            while not _is_finished(verdict, done, most):
+                end = point.upwind if done < point.upwind else min(most, max(point.least, done + VERDICT_WINDOW))
+                end = WRITE_INTERVAL * math.ceil(end / WRITE_INTERVAL)  # its last state is to be written
+                set_solver_phase(folder, upwind=done < point.upwind, end=end)
+                _remove_partial_states(folder, done)
+                _run_solver(folder, log, done, end, cores, progress)
+                verdict, done = _judge_rotors(folder, point)
+    except BrokenPipeError:
+        raise  # whoever was told of the progress is gone
+    except OSError as error:
+        raise MuflyError(
+            f"{error.filename or folder}: cannot be written ({error.strerror}): make room; what was written stands, "
+            "give the same command again to go on"
+        ) from error
+    return verdict
+
+
+def _judge_rotors(folder: Path, point: OperatingPoint) -> tuple[ConvergenceVerdict, int]:
+    """The worse of the rotors' verdicts, and the last state."""
+    done = (list_complete_states(folder) or [0])[-1]
+    return min((judge_case(folder, patch=name) for name in point.patch_speeds_rad_s), key=lambda v: v.settled), done
+
+
+def _is_finished(verdict: ConvergenceVerdict, done: int, most: int) -> bool:
+    return verdict.settled or done >= most or verdict.what == "diverged"
+
+
+def _lock_case(log: IO[str], folder: Path) -> None:
+    """Keep a second run away from a case as long as this one has its log open; a killed one lets go of it."""
+    try:
+        from fcntl import LOCK_EX, LOCK_NB, flock
+    except ImportError:  # where OpenFOAM does not run either
+        return
+    try:
+        flock(log, LOCK_EX | LOCK_NB)
+    except BlockingIOError as error:
+        raise MuflyError(f"{folder}: another run is at this case: wait for it, or give another --out") from error
+
+
+def _reconstruct_state(folder: Path, done: int) -> None:
+    """Put together the last state that a run of several cores left in its parts when it was killed."""
+    last = max(list_processor_states(folder), default=0)
+    if last > done:
+        _run_utility(folder, ("reconstructPar", "-time", str(last)), openfoam_environment())
+
+
+def _remove_partial_states(folder: Path, after: int) -> None:
+    """Drop states cut off in mid-write: the solver would start from the last folder that bears a number."""
+    whole = list_complete_states(folder)
+    for place in folder.glob("[0-9]*"):
+        if place.name.isdigit() and int(place.name) > after and int(place.name) not in whole:
+            shutil.rmtree(place, ignore_errors=True)
+
+
+def _run_solver(
+    folder: Path,
+    log: IO[str],
+    done: int,
+    end: int,
+    cores: int,
+    progress: Callable[[SolverProgress], None] | None,
+) -> None:
+    env = openfoam_environment()
+    if cores > 1:
+        _run_utility(folder, ("decomposePar", "-force", "-latestTime"), env)
+        command = [
+            "mpirun",
+            "--allow-run-as-root",
+            "--oversubscribe",
+            "-np",
+            str(cores),
+            "simpleFoam",
+            "-parallel",
+        ]
+    else:
+        command = ["simpleFoam"]
+    began = time.monotonic()
+    residuals: dict[str, float] = {}
+    iteration, continuity = done, math.nan
+    process = subprocess.Popen(
+        command,
+        cwd=folder,
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+    )
+    assert process.stdout is not None
+    try:
+        for line in process.stdout:
+            log.write(line)
+            if line.startswith("Time = "):
+                iteration = int(float(line.split()[2]))
+            elif found := _RESIDUAL.search(line):
+                residuals[found[1]] = float(found[2])
+            elif found := _CONTINUITY.search(line):
+                continuity = float(found[1])
+            elif line.startswith("ExecutionTime") and progress is not None:
+                loads = read_history(folder, last=1)
+                spent = time.monotonic() - began
+                left = spent / max(iteration - done, 1) * (end - iteration)
+                thrust, torque = (loads[-1, 1], loads[-1, 2]) if len(loads) else (math.nan, math.nan)
+                progress(SolverProgress(iteration, thrust, torque, dict(residuals), continuity, left))
+    except BaseException:
+        process.terminate()
+        process.wait()
+        raise
+    status = process.wait()
+    log.flush()
+    if status:
+        if iteration > done and "Floating point" in _read_tail(folder / _LOG_FILE):
+            return  # judged as diverged
+        if status < 0:
+            raise MuflyError(
+                f"simpleFoam was killed (signal {-status}) at iteration {iteration}: what it wrote stands, give the "
+                "same command again to go on"
+            )
+        raise MuflyError(
+            f"simpleFoam ended with status {status}: {_find_first_error(folder / _LOG_FILE)}; see {folder / _LOG_FILE}"
+        )
+    if cores > 1:
+        _run_utility(folder, ("reconstructPar", "-latestTime"), env)
+
+
+def _run_utility(folder: Path, command: tuple[str, ...], env: dict[str, str]) -> None:
+    find_solver(command[0])
+    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, errors="replace")
+    (folder / f"log.{command[0]}").write_text(done.stdout + done.stderr, encoding="utf-8")
+    if done.returncode:
+        raise MuflyError(f"{command[0]} ended with status {done.returncode}; see {folder / f'log.{command[0]}'}")
+
+
+_RESIDUAL = re.compile(r"Solving for (\w+), Initial residual = ([^,]+),")
+_CONTINUITY = re.compile(r"continuity errors : sum local = ([^,]+),")
+
+
+def _read_tail(log: Path, size: int = 6000) -> str:
+    data = log.read_bytes()[-size:]
+    return data.decode("utf-8", errors="replace")
+
+
+def _find_first_error(log: Path) -> str:
+    lines = _read_tail(log).splitlines()
+    for i, line in enumerate(lines):
+        if "FOAM FATAL" in line:
+            return " ".join(" ".join(lines[i : i + 3]).split())
+    return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+
+
+def read_history(folder: Path, last: int | None = None, *, patch: str = "blade") -> Array:
+    """Thrust and torque of every iteration; of a pair the upper rotor's, or with ``patch`` ``blade_lower`` the other's.
+
+    Returns
+    -------
+    (iterations, 3) array
+        Iteration, thrust (N) and torque (N m) of the whole rotor. Iterations that a resumed run repeated stand once,
+        as last told.
+    """
+    point = read_point(folder)
+    rows: dict[int, tuple[float, float]] = {}
+    sense = math.copysign(1.0, point.patch_speeds_rad_s[patch])
+    forces = _read_function_rows(folder, LOAD_FUNCTION_OBJECTS[patch], "force.dat", last)
+    moments = _read_function_rows(folder, LOAD_FUNCTION_OBJECTS[patch], "moment.dat", last)
+    for iteration, values in forces.items():
+        if iteration in moments:
+            rows[iteration] = (point.blades * values[2], -sense * point.blades * moments[iteration][2])
+    return np.array([(i, *rows[i]) for i in sorted(rows)]).reshape(-1, 3)
+
+
+def _read_function_rows(folder: Path, what: str, file: str, last: int | None = None) -> dict[int, list[float]]:
+    """Rows that a function object wrote, by iteration; each start of the solver wrote a file of its own."""
+    out: dict[int, list[float]] = {}
+    places = sorted((folder / "postProcessing" / what).glob("*"), key=lambda p: float(p.name))
+    for place in places[-1:] if last else places:
+        for each in sorted(place.glob(f"{Path(file).stem}*{Path(file).suffix}")):
+            with each.open("rb") as f:
+                if last:
+                    f.seek(max(0, f.seek(0, 2) - 600 * last))
+                lines = f.read().decode("utf-8", errors="replace").split("\n")[:-1]
+            for line in lines[1:] if last else lines:
+                if line.startswith("#"):
+                    continue
+                numbers = line.replace("(", " ").replace(")", " ").split()
+                try:
+                    out[int(float(numbers[0]))] = [float(x) for x in numbers[1:]]
+                except (ValueError, IndexError):
+                    continue  # a line cut off in mid-write
+    return out
+
+
+def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
+    """Judge a case, of a pair one rotor, by what its run has told so far."""
+    point = _effective_point(folder)
+    loads = read_history(folder, patch=patch)
+    flow = _read_function_rows(folder, "flows", "surfaceFieldValue.dat")
+    continuity = _last_continuity(folder / _LOG_FILE)
+    outflow = flow[max(flow)][0] if flow else math.nan
+    return judge_loads(loads, outflow, continuity, point)
+
+
+def _effective_point(folder: Path) -> OperatingPoint:
+    """What a case computes; after another rotor's loads were put there, a window has to pass before a verdict."""
+    point, disc = read_point(folder), read_actuator_disc(folder)
+    return point if disc is None else replace(point, least=max(point.least, disc.since + VERDICT_WINDOW))
+
+
+def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: OperatingPoint) -> ConvergenceVerdict:
+    """Judge loads, the flow through the bottom and the solver's continuity error.
+
+    Parameters
+    ----------
+    loads : (iterations, 3) array
+        As :func:`read_history` returns.
+    outflow_m3_s : float
+        Out of the bottom of the sector.
+    continuity : float
+        What the solver calls ``sum local``: divergence of the fluxes, averaged over volume, times its step of 1 s.
+    point : Point
+    """
+    count = int(loads[-1, 0]) if len(loads) else 0
+    if not len(loads):
+        return ConvergenceVerdict(False, "not begun", 0, math.nan, math.nan, math.nan, math.nan, outflow_m3_s, math.nan)
+    window = loads[-VERDICT_WINDOW:]
+    mean = window[:, 1:].mean(axis=0)
+    size = np.maximum(np.abs(mean), 1e-300)
+    # A thrust that no blade of that size gives: c_T 1 and more.
+    area = math.pi * point.radius_m**2
+    most = point.density_kg_m3 * area * (point.speed_rad_s * point.radius_m) ** 2
+    x = window[:, 0] - window[:, 0].mean()
+    leak = continuity
+    if not np.all(np.isfinite(loads[-20:, 1:])) or np.max(np.abs(loads[-20:, 1])) > most:
+        nan = math.nan
+        return ConvergenceVerdict(
+            False, "diverged", count, float(mean[0]), float(mean[1]), nan, nan, outflow_m3_s, leak
+        )
+    slope = (x @ (window[:, 1:] - mean)) / max(float(x @ x), 1e-300)
+    drift = np.abs(slope) * max(float(np.ptp(window[:, 0])), 1.0) / size
+    rest = window[:, 1:] - mean - x[:, None] * slope
+    swing = np.ptp(rest, axis=0) / size
+    what = "settled"
+    if count < point.least:
+        what = "not done"
+    elif not outflow_m3_s > 0.0 and not point.climb_m_s < 0.0:
+        what = "blown back"
+    elif swing.max() > _MAX_SWING:
+        what = "sloshing"
+    elif drift.max() > _MAX_DRIFT:
+        what = "plateau"
+    elif not leak < _MAX_LEAK:
+        what = "leaking"
+    return ConvergenceVerdict(
+        what == "settled", what, count, float(mean[0]), float(mean[1]), float(drift.max()), float(swing.max()),
+        float(outflow_m3_s), float(leak),
+    )  # fmt: skip
+
+
+def _last_continuity(log: Path) -> float:
+    if not log.is_file():
+        return math.nan
+    # One iteration's jumps by a factor of two and more; some twenty fit in there.
+    found = _CONTINUITY.findall(_read_tail(log, 20000))
+    return float(np.median([float(x) for x in found])) if found else math.nan

@@ -1,0 +1,394 @@
+"""The blades' surface with what the air does to it, for viewers of others: VTP (ParaView) and glTF 2.0 (browsers).
+
+VTP is VTK's XML of polygons, version 1.0: arrays of little-endian numbers, each led by its length in bytes, appended in
+base64 (VTK File Formats, kitware). A binary glTF is two chunks, JSON and numbers (Khronos glTF 2.0, sec. 4.4); it is
+y up and in metres, so that the shaft lies along y there. Faces have colours of their own, not blended at corners.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from mufly.cfd.cfd_solution import CfdSolution, FlowField
+from mufly.cfd.openfoam_case import OperatingPoint
+from mufly.cfd.polymesh import PolyMesh
+from mufly.errors import report_write_errors
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+_VTK_TYPES = {
+    "float64": "Float64",
+    "float32": "Float32",
+    "int64": "Int64",
+    "int32": "Int32",
+    "uint8": "UInt8",
+}
+
+
+def extract_blade_surface(mesh: PolyMesh, solution: CfdSolution) -> tuple[Array, Index, dict[str, NDArray]]:
+    """The walls of all blades: points, faces and what holds on the faces.
+
+    Returns
+    -------
+    points : (points, 3) array
+        m.
+    faces : (faces, 4) array
+        Anticlockwise from outside.
+    data : dict of (faces,) and (faces, 3) arrays
+        ``pressure_Pa``, ``friction_Pa`` (shear stress of the air on the wall), ``yplus``, ``blade``.
+    """
+    own = mesh.faces[mesh.patch_faces("blade")][:, ::-1]  # the mesh's leave the air
+    used, faces = np.unique(own, return_inverse=True)
+    faces = faces.reshape(own.shape)
+    points, shear, rings = [], [], []
+    for i in range(mesh.blade_count):
+        turn = 2.0 * math.pi * i / mesh.blade_count
+        c, s = math.cos(turn), math.sin(turn)
+        rotation = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        points.append(mesh.points[used] @ rotation)
+        shear.append(solution.friction_Pa @ rotation)
+        rings.append(faces + i * len(used))
+    n = mesh.blade_count
+    data: dict[str, NDArray] = {
+        "pressure_Pa": np.tile(solution.pressure_Pa, n), "friction_Pa": np.concatenate(shear),
+        "yplus": np.tile(solution.yplus, n), "blade": np.repeat(np.arange(n), len(faces)),
+    }  # fmt: skip
+    return np.concatenate(points), np.concatenate(rings), data
+
+
+def interpolate_to_points(mesh: PolyMesh, values: Array) -> Array:
+    """Values of the cells brought to the points, by one over the distance; the same on both periodic planes."""
+    total, weight = np.zeros(len(mesh.points)), np.zeros(len(mesh.points))
+    inside = len(mesh.neighbour)
+    for faces, cells in ((mesh.faces, mesh.owner), (mesh.faces[:inside], mesh.neighbour)):
+        near = 1.0 / np.linalg.norm(mesh.points[faces] - mesh.cell_centres[cells][:, None], axis=-1)
+        total += np.bincount(faces.ravel(), (near * values[cells][:, None]).ravel(), len(total))
+        weight += np.bincount(faces.ravel(), near.ravel(), len(total))
+    left = mesh.faces[mesh.patch_faces("sector_left")]
+    right = mesh.faces[mesh.patch_faces("sector_right")][:, [0, 3, 2, 1]]  # it runs the other way round
+    pairs = np.unique(np.stack((left.ravel(), right.ravel()), axis=-1), axis=0)
+    for sums in (total, weight):
+        both = sums[pairs].sum(axis=1)
+        sums[pairs[:, 0]], sums[pairs[:, 1]] = both, both
+    return total / np.maximum(weight, 1e-300)
+
+
+def extract_iso_surface(
+    mesh: PolyMesh, values: Array, level: float, *, among: NDArray[np.bool_] | None = None
+) -> tuple[Array, Index]:
+    """Surface on which a quantity of the cells has a value, by marching through tetrahedra, without gaps.
+
+    Every cell is cut into 24 tetrahedra, from its centre and the centres of its faces to their edges, in which the
+    quantity is linear; points have the cells' mean around them (:func:`interpolate_to_points`). Source: Doi and Koide,
+    IEICE Transactions E74-D, 1991.
+
+    Parameters
+    ----------
+    mesh : PolyMesh
+    values : (cells,) array
+    level : float
+    among : (cells,) array of bool, optional
+        The cells that are looked at; default: all.
+
+    Returns
+    -------
+    points : (points, 3) array
+        m.
+    triangles : (triangles, 3) array
+        Anticlockwise seen from where the quantity is lower. Neighbours share their points, so where the surface does
+        not leave the cells every edge is one of two triangles.
+    """
+    at_points = interpolate_to_points(mesh, values)
+    inside = len(mesh.neighbour)
+    faces = np.concatenate((mesh.faces, mesh.faces[:inside]))
+    cell = np.concatenate((mesh.owner, mesh.neighbour))
+    # Only cells whose values lie on both sides are cut.
+    low, high = values.copy(), values.copy()
+    np.minimum.at(low, cell, at_points[faces].min(axis=1))
+    np.maximum.at(high, cell, at_points[faces].max(axis=1))
+    wanted = (low < level) & (high > level)
+    if among is not None:
+        wanted &= among
+    faces, cell = faces[wanted[cell]], cell[wanted[cell]]
+    corner, value = mesh.points[faces], at_points[faces]
+    n = 4 * len(faces)
+    place, scalar = np.empty((len(faces), 4, 4, 3)), np.empty((len(faces), 4, 4))
+    place[:, :, 0], scalar[:, :, 0] = mesh.cell_centres[cell][:, None], values[cell][:, None]
+    place[:, :, 1], scalar[:, :, 1] = corner.mean(axis=1)[:, None], value.mean(axis=1)[:, None]
+    place[:, :, 2], scalar[:, :, 2] = corner, value
+    place[:, :, 3], scalar[:, :, 3] = np.roll(corner, -1, axis=1), np.roll(value, -1, axis=1)
+    four: Array = place.reshape(n, 4, 3)
+    four_values: Array = scalar.reshape(n, 4)
+    order = np.argsort(-four_values, axis=1)  # the highest first
+    four, four_values = (
+        np.take_along_axis(four, order[..., None], 1),
+        np.take_along_axis(four_values, order, 1),
+    )
+    above = (four_values > level).sum(axis=1)
+
+    # Which edges a tetrahedron is cut on, by how many of its corners lie above.
+    cuts = {1: [(0, 1, 0, 2, 0, 3)], 2: [(0, 2, 0, 3, 1, 2), (0, 3, 1, 3, 1, 2)], 3: [(0, 3, 1, 3, 2, 3)]}
+    parts = []
+    for count, triangles in cuts.items():
+        p, s = four[above == count], four_values[above == count]
+        down = p[:, count:].mean(axis=1) - p[:, :count].mean(axis=1)
+        for ends in triangles:
+            one = []
+            for a, b in zip(ends[::2], ends[1::2], strict=True):
+                share = (s[:, a] - level) / (s[:, a] - s[:, b])
+                one.append(p[:, a] + share[:, None] * (p[:, b] - p[:, a]))
+            t = np.stack(one, axis=1)
+            normal = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
+            wrong = np.einsum("ti,ti->t", normal, down) < 0.0
+            t[wrong] = t[wrong][:, ::-1]
+            parts.append(t[np.linalg.norm(normal, axis=1) > 0.0])
+    return _weld_triangles(np.concatenate(parts))
+
+
+_WELD_TOLERANCE = 1e-6
+"""Points nearer than that to each other, of the largest coordinate, are one."""
+
+
+def _weld_triangles(triangles: Array) -> tuple[Array, Index]:
+    """Points and indices of (triangles, 3, 3) corners; a triangle that shrinks to less than three points is dropped."""
+    corners = triangles.reshape(-1, 3)
+    if not len(corners):
+        return corners, np.empty((0, 3), dtype=np.int64)
+    key = np.round(corners / (_WELD_TOLERANCE * float(np.abs(corners).max()))).astype(np.int64)
+    _, first, of = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    index = of.reshape(-1, 3)
+    a, b, c = index.T
+    return corners[first], index[(a != b) & (b != c) & (c != a)]
+
+
+VORTEX_Q_LEVEL = 0.03
+"""Level of Q, over (tip speed / chord) squared, of the surfaces that show vortices.
+
+A vortex of circulation G spread evenly over a core of radius a turns with a vorticity w = G / (pi a^2), and
+Q = w^2 / 4 in it. A blade at a lift coefficient of 0.6 sheds G = 0.3 c V: with this level its tip vortex is shown until
+it is spread over half a chord, a = 0.52 c.
+"""
+
+
+def extract_vortex_surface(
+    mesh: PolyMesh, flow: FlowField, point: OperatingPoint
+) -> tuple[Array, Index, dict[str, NDArray]]:
+    """Vortices of all blades within 2 R: surfaces of :data:`VORTEX_Q_LEVEL`, outside the blades' boundary layer.
+
+    Cells nearer to a wall than a laminar boundary layer is thick at the tip's tail, 5 c / sqrt(V c / nu), are left out:
+    their Q is friction's. Source: Blasius, in Schlichting, Boundary-Layer Theory, 1979, ch. VII.
+
+    Returns
+    -------
+    points : (points, 3) array
+        m.
+    triangles : (triangles, 3) array
+    data : dict of (triangles,) arrays
+        ``vorticity_1_s`` (its magnitude) and ``down_m_s``, of the cell whose centre is nearest, and ``blade``.
+    """
+    speed, chord = (
+        point.radius_m * max(abs(speed) for speed in point.patch_speeds_rad_s.values()),
+        _middle_chord(mesh),
+    )
+    wall = np.concatenate([mesh.face_centres[mesh.patch_faces(name)] for name in point.patch_speeds_rad_s])
+    layer = 5.0 * chord / math.sqrt(speed * chord / point.kinematic_viscosity_m2_s)
+    among = np.linalg.norm(mesh.cell_centres, axis=1) < 2.0 * point.radius_m
+    among &= cKDTree(wall).query(mesh.cell_centres, distance_upper_bound=layer)[0] > layer
+    points, triangles = extract_iso_surface(mesh, flow.q_1_s2, VORTEX_Q_LEVEL * (speed / chord) ** 2, among=among)
+    cell = cKDTree(mesh.cell_centres).query(points[triangles].mean(axis=1))[1] if len(triangles) else np.empty(0, int)
+    spin = np.linalg.norm(flow.vorticity_1_s, axis=1)[cell]
+    n, around = mesh.blade_count, []
+    for i in range(n):
+        c, s = math.cos(2.0 * math.pi * i / n), math.sin(2.0 * math.pi * i / n)
+        around.append(points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+    rings = [triangles + i * len(points) for i in range(n)]
+    data: dict[str, NDArray] = {
+        "vorticity_1_s": np.tile(spin, n).astype(np.float32),
+        "down_m_s": np.tile(-flow.velocity_m_s[cell, 2], n).astype(np.float32),
+        "blade": np.repeat(np.arange(n, dtype=np.uint8), len(triangles)),
+    }
+    return np.concatenate(around), np.concatenate(rings), data
+
+
+def _middle_chord(mesh: PolyMesh) -> float:
+    """The blade's chord (m) in the middle of its strips: half of the wall's area per span."""
+    faces = mesh.patch_faces("blade")
+    strip, width = mesh.cell_strip[mesh.owner[faces]], np.diff(mesh.strip_edges_m)
+    area = np.linalg.norm(mesh.face_areas[faces], axis=1)
+    own = (strip >= 0) & (strip < len(width))
+    return float(np.median(np.bincount(strip[own], area[own], len(width)) / (2.0 * width)))
+
+
+def average_at_points(points: Array, faces: Index, values: NDArray) -> Array:
+    """Mean at each point of the values (faces,) around it; (points,) array."""
+    each = faces.shape[1]
+    count = np.bincount(faces.ravel(), minlength=len(points))
+    total = np.bincount(faces.ravel(), np.repeat(values, each), len(points))
+    return np.asarray(total / np.maximum(count, 1), dtype=np.float64)
+
+
+def write_vtp(file: Path, points: Array, faces: Index, data: Mapping[str, NDArray]) -> Path:
+    """Write polygons with data on their faces; points in single precision.
+
+    Parameters
+    ----------
+    file : Path
+    points : (points, 3) array
+        m.
+    faces : (faces, corners) array
+    data : dict of (faces,) or (faces, 3) arrays
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    blocks: list[bytes] = []
+    at = 0
+
+    def append_array(name: str, values: NDArray) -> str:
+        nonlocal at
+        little = np.ascontiguousarray(values)
+        raw = little.astype(little.dtype.newbyteorder("<")).tobytes()
+        block = base64.b64encode(struct.pack("<Q", len(raw)) + raw)
+        width = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
+        text = (
+            f'<DataArray type="{_VTK_TYPES[little.dtype.name]}" Name={quoteattr(name)}{width} format="appended" '
+            f'offset="{at}"/>'
+        )
+        blocks.append(block)
+        at += len(block)
+        return text
+
+    each = faces.shape[1]
+    parts = [
+        "<Points>" + append_array("Points", np.asarray(points, dtype=np.float32)) + "</Points>",
+        "<Polys>" + append_array("connectivity", faces.astype(np.int32).ravel())
+        + append_array("offsets", each * np.arange(1, len(faces) + 1, dtype=np.int32)) + "</Polys>",
+        "<CellData>" + "".join(append_array(name, values) for name, values in data.items()) + "</CellData>",
+    ]  # fmt: skip
+    text = (
+        '<?xml version="1.0"?>\n<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" '
+        'header_type="UInt64">\n<PolyData>\n'
+        f'<Piece NumberOfPoints="{len(points)}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" '
+        f'NumberOfPolys="{len(faces)}">\n' + "\n".join(parts) + "\n</Piece>\n</PolyData>\n"
+        '<AppendedData encoding="base64">\n_'
+    )
+    return _write_bytes(file, text.encode() + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n")
+
+
+def write_glb(
+    file: Path,
+    points: Array,
+    faces: Index,
+    colours: NDArray[np.uint8],
+    name: str = "rotor",
+    *,
+    shared: bool = False,
+) -> Path:
+    """Write quadrilaterals or triangles as a binary glTF, each in its own colour or with colours of its points.
+
+    Parameters
+    ----------
+    file : Path
+    points : (points, 3) array
+        m, z up.
+    faces : (faces, 4) or (faces, 3) array
+        Anticlockwise from outside.
+    colours : (faces, 3) array of uint8
+        Red, green, blue, linear; with ``shared`` (points, 3).
+    name : str
+    shared : bool
+        The points have the colours and neighbours share them, which takes a fifth of the room; there are no normals,
+        and a viewer shades every face evenly.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    each = faces.shape[1]
+    turned = points[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])  # z up becomes y up
+    corner = turned[faces]
+    position = (turned if shared else corner.reshape(-1, 3)).astype("<f4")
+    ring = [0, 1, 2, 0, 2, 3][: 3 * each - 6]
+    index = faces[:, ring] if shared else each * np.arange(len(faces))[:, None] + np.array(ring)
+    paint = np.full((len(colours), 4), 255, dtype=np.uint8)
+    paint[:, :3] = colours
+    arrays = {"POSITION": (position, 5126, "VEC3")}
+    if not shared:
+        normal = np.cross(corner[:, 2] - corner[:, 0], corner[:, -1] - corner[:, 1])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        arrays["NORMAL"] = (np.repeat(normal, each, axis=0).astype("<f4"), 5126, "VEC3")
+    arrays["COLOR_0"] = (paint if shared else np.repeat(paint, each, axis=0), 5121, "VEC4")
+    arrays["indices"] = (index.astype("<u4").ravel(), 5125, "SCALAR")
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    at = 0
+    for what, (values, kind, shape) in arrays.items():
+        size = values.nbytes
+        views.append(
+            {
+                "buffer": 0,
+                "byteOffset": at,
+                "byteLength": size,
+                "target": 34963 if what == "indices" else 34962,
+            }
+        )
+        accessors.append(
+            {"bufferView": len(accessors), "componentType": kind, "count": len(values), "type": shape}
+            | ({"normalized": True} if what == "COLOR_0" else {})
+            | (
+                {"min": position.min(axis=0).tolist(), "max": position.max(axis=0).tolist()}
+                if what == "POSITION" and len(position)
+                else {}
+            )
+        )
+        at += size
+    tree = {
+        "asset": {"version": "2.0", "generator": "mufly"},
+        "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, "name": name}],
+        "meshes": [{"name": name, "primitives": [
+            {"attributes": {k: i for i, k in enumerate(arrays) if k != "indices"},
+             "indices": len(arrays) - 1, "material": 0}
+        ]}],
+        "materials": [{
+            "doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+        }],
+        "buffers": [{"byteLength": at}], "bufferViews": views, "accessors": accessors,
+    }  # fmt: skip
+    text = json.dumps(tree, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    body = b"".join(values.tobytes() for values, _, _ in arrays.values())  # every part is a multiple of 4 long
+    head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(body))
+    return _write_bytes(
+        file,
+        head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(body), b"BIN\0") + body,
+    )
+
+
+def map_colours(values: Array) -> NDArray[np.uint8]:
+    """Colours of values, of the 1st to the 99th percentile; (faces, 3) array, linear as glTF wants them."""
+    from matplotlib import colormaps
+
+    low, high = np.percentile(values, (1, 99)) if len(values) else (0.0, 1.0)
+    shown = colormaps["viridis"]((values - low) / max(high - low, 1e-300))[:, :3]
+    return np.round(255.0 * np.clip(shown, 0.0, 1.0) ** 2.2).astype(np.uint8)
+
+
+def _write_bytes(file: Path, content: bytes) -> Path:
+    with report_write_errors(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content)
+    return file

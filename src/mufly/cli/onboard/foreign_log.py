@@ -1,0 +1,319 @@
+"""What ``mufly estimate run`` takes of a log of any vehicle: inertial unit, aids, truth; and the recording it makes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from mufly.estimate import Estimate
+    from mufly.estimate.inertial_log import InertialLog, PositionAids
+    from mufly.logs import Channel, ColumnMap
+
+_Array = NDArray[np.float64]
+_MAX_RATE_HZ = 250.0
+_MIN_STD_M = 0.01
+_HEADING_STD_RAD = math.radians(2.0)
+_MAX_BRIDGED_GAP_S = 0.1
+_RUNNING_MOTOR_SHARE = 0.03  # share of full power at which motors turn
+_AXIS_LABELS = {
+    "position": ("N", "E", "D"),
+    "velocity": ("N", "E", "D"),
+    "attitude": ("roll", "pitch", "yaw"),
+}
+
+
+@dataclass(frozen=True)
+class AidRequest:
+    """What the user said about aids; None: find it out.
+
+    Attributes
+    ----------
+    position, heading : str or None
+        Signals.
+    std_m, heading_std_rad, rate_hz, delay_s : float or None
+    seed : int
+        Of the noise that is added to an aid made from the truth.
+    """
+
+    position: str | None = None
+    heading: str | None = None
+    std_m: float | None = None
+    heading_std_rad: float | None = None
+    rate_hz: float | None = None
+    delay_s: float = 0.0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class ForeignLog:
+    """A log of any vehicle, ready for the filter.
+
+    Attributes
+    ----------
+    log : InertialLog
+    aids : Aids
+    truth : dict of str to (n, 3) array
+        ``position``, ``velocity``, ``attitude``, those that the log has, on the clock of ``log``.
+    mounting : (2,) array or None
+        Roll and pitch (rad) of the true attitude less those of the accelerometers at rest.
+    said : list of str
+        What was found, in words.
+    """
+
+    log: InertialLog
+    aids: PositionAids
+    truth: dict[str, _Array]
+    mounting: _Array | None
+    notes: list[str]
+
+
+def parse_aid(text: str, where: str = "--aid") -> tuple[str, str]:
+    """Return kind and signal of ``position=...`` or ``heading=...``."""
+    kind, _, signal = text.partition("=")
+    if kind not in ("position", "heading") or not signal:
+        raise InputError(
+            where, text, "is no aid", "write position=SIGNAL or heading=SIGNAL, as in position=truth_position"
+        )
+    return kind, signal
+
+
+def read_foreign_log(
+    path: Path, columns: ColumnMap | None, asked: AidRequest, rate_hz: float | None, notes: list[str]
+) -> ForeignLog:
+    """Read what the filter needs of a log.
+
+    Raises
+    ------
+    InputError
+        If it has no inertial unit or nothing to aid it with, or they are in wrong units or axes.
+    """
+    from mufly.estimate.inertial_log import InertialLog, check_inertial_log, detect_flight
+    from mufly.logs import common_clock, load_column_map, read_channels, resample_signal
+    from mufly.logs.channel_checks import fit_rate_ratio
+
+    where = str(path)
+    extra = []
+    if asked.position is not None and "," in asked.position:
+        extra += _component_map_lines(asked.position)
+    if asked.heading is not None and not asked.heading.startswith(("truth_", "measured_", "estimated_")):
+        extra.append(f"measured_attitude.yaw={asked.heading}")
+    if extra:
+        first = load_column_map(extra)
+        columns = first if columns is None else columns.model_copy(update={"signal": (*first.signal, *columns.signal)})
+    _, found, _, said = read_channels(path, columns)
+    notes += said
+    by = {c.name: c for c in found}
+    rates = _find_vector(by, "measured_rates", ("p", "q", "r"))
+    felt = _find_vector(by, "measured_acceleration", ("x", "y", "z"))
+    for name, have in (("measured_rates", rates), ("measured_acceleration", felt)):
+        if have is None:
+            raise InputError(
+                where,
+                name,
+                "is not in the log",
+                f"name its columns by --column {name}=...,...,... or a --map",
+            )
+    assert rates is not None
+    assert felt is not None
+    native = min(_median_rate_hz(rates[0]), _median_rate_hz(felt[0]))
+    rate = float(round(rate_hz or min(native, _MAX_RATE_HZ)))
+    if not 10.0 <= rate <= 1000.0:
+        raise InputError("--rate", f"{rate:g} Hz", "is outside 10 to 1000 Hz", "give one in between")
+    span = max(c.time[0] for c in (*rates, *felt)), min(c.time[-1] for c in (*rates, *felt))
+    time = common_clock([span], rate)
+
+    def resample_group(group: Sequence[Channel]) -> _Array:
+        return np.column_stack(
+            [resample_signal(c.time, c.values, time, gap_s=max(_MAX_BRIDGED_GAP_S, 5 / rate)) for c in group]
+        )
+
+    w, f = resample_group(rates), resample_group(felt)
+    holes = int((~np.isfinite(w).all(axis=1) | ~np.isfinite(f).all(axis=1)).sum())
+    motors = [
+        c
+        for c in found
+        if c.signal_name in ("actuator_command", "motor_input") and np.ptp(c.values) > _RUNNING_MOTOR_SHARE
+    ]
+    tells = "its motors"
+    if motors:
+        power = np.nanmean([resample_signal(c.time, c.values, time, hold=True) for c in motors], axis=0)
+        on = power > _RUNNING_MOTOR_SHARE
+        flying = np.arange(len(time)) >= (np.argmax(on) if on.any() else len(time))
+    else:
+        flying, tells = detect_flight(time, w, f), "its inertial unit"
+    log = InertialLog(time, w, f, flying)
+    check_inertial_log(log, where)
+    for source in ("truth", "estimated", "measured"):
+        attitude = _find_vector(by, f"{source}_attitude", _AXIS_LABELS["attitude"])
+        if attitude is not None:
+            angles = resample_group(attitude)
+            for k, (angle, turn) in enumerate((("roll", "p"), ("pitch", "q"))):
+                _, correlation = fit_rate_ratio(time, angles[:, k], w[:, k])
+                if correlation < -0.5:
+                    raise InputError(
+                        where, f"measured_rates.{turn}", f"runs against {source}_attitude.{angle} (correlation "
+                        f"{correlation:.2f})", "one of them needs the other sign: axes are forward, right, down",
+                    )  # fmt: skip
+            break
+    truth = {}
+    for name, axes in _AXIS_LABELS.items():
+        group = _find_vector(by, f"truth_{name}", axes)
+        if group is not None:
+            truth[name] = resample_group(group)
+    aids, words = _find_aids(by, asked, where, log)
+    out = [
+        f"inertial unit at {rate:g} Hz" + (f" of {native:.0f}" if native > 1.02 * rate else "")
+        + (f", {holes} rows missing" if holes else ""),
+        f"{words}",
+        f"stands for the first {log.rest_rows.stop * log.step_s:.1f} s, by {tells}" if log.rest_rows.stop else
+        f"flies from the beginning, by {tells}: level and biases are to be found in flight",
+    ]  # fmt: skip
+    return ForeignLog(log, aids, truth, _estimate_mounting(log, truth), out)
+
+
+def _component_map_lines(text: str) -> list[str]:
+    """Lines of a column map for ``x,-y,-z(unit)``: north, east and down."""
+    columns, bracket, unit = text.partition("(")
+    parts = [part.strip() for part in columns.split(",")]
+    if len(parts) != 3 or not all(parts):
+        raise InputError("--aid", text, "is not three columns", "write position=x,-y,-z: north, east, down")
+    return [
+        f"measured_position.{axis}={part}{bracket}{unit}"
+        for axis, part in zip(_AXIS_LABELS["position"], parts, strict=True)
+    ]
+
+
+def _find_vector(by: dict[str, Channel], name: str, labels: Sequence[str]) -> list[Channel] | None:
+    found = [by.get(f"{name}.{label}") for label in labels]
+    whole = [c for c in found if c is not None and len(c.time) > 2]
+    return whole if len(whole) == len(labels) else None
+
+
+def _median_rate_hz(c: Channel) -> float:
+    step = float(np.median(np.diff(c.time)))
+    return 1.0 / step if step > 0 else math.inf
+
+
+def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: InertialLog) -> tuple[PositionAids, str]:
+    """Position and heading as asked for, or the first that the log has."""
+    from mufly.estimate.inertial_log import PositionAids
+
+    known = [n for n in ("measured_position", "estimated_position", "truth_position") if f"{n}.N" in by]
+    name = asked.position if asked.position in known or "," not in (asked.position or ",") else "measured_position"
+    if asked.position is None:
+        name = known[0] if known and known[0] != "truth_position" else None
+    group = None if name is None else _find_vector(by, name, _AXIS_LABELS["position"])
+    if group is None:
+        have = ", ".join(known) or "none"
+        raise InputError(
+            where, "--aid" if asked.position else "",
+            f"has no position {asked.position or 'that was measured'} to aid with",
+            f"name one by --aid position=SIGNAL or position=x,y,z (positions in the log: {have}); with truth_position "
+            "noise of --aid-std is added",
+        )  # fmt: skip
+    made = str(name).startswith("truth_")
+    if made and asked.std_m is None:
+        raise InputError("--aid-std", "", "is wanted where an aid is made from the truth", "give metres, as 0.02")
+    time = group[0].time
+    x = np.column_stack([np.interp(time, c.time, c.values) for c in group])
+    yaw_name = asked.heading if asked.heading in by or f"{asked.heading}.yaw" in by else None
+    yaw_name = yaw_name or ("measured_attitude" if asked.heading else None)
+    for one in ("truth_attitude",) if made else ("measured_attitude", "estimated_attitude"):
+        yaw_name = yaw_name or (one if f"{one}.yaw" in by else None)
+    yaw = None
+    if yaw_name is not None:
+        c = by[yaw_name if yaw_name in by else f"{yaw_name}.yaw"]
+        yaw = np.interp(time, c.time, np.unwrap(c.values))
+    native = _median_rate_hz(group[0])
+    wanted = min(asked.rate_hz or native, native)
+    every = max(1, round(native / wanted))
+    pick = np.arange(0, len(time), every)
+    pick = pick[(time[pick] >= log.time_s[0]) & np.isfinite(x[pick]).all(axis=1)]
+    if len(pick) < 5:
+        raise InputError(where, str(name), f"has {len(pick)} positions while the inertial unit runs", "give more")
+    taken, place = time[pick].astype(float), x[pick].astype(float)
+    std = asked.std_m
+    if std is None:
+        scatter = float(np.std(np.diff(place, 2, axis=0), axis=0).max()) / math.sqrt(6.0)
+        std = max(scatter, _MIN_STD_M)
+    turn = asked.heading_std_rad or _HEADING_STD_RAD
+    heading = None if yaw is None else yaw[pick].astype(float)
+    if made:
+        rng = np.random.default_rng(asked.seed)
+        place = place + std * rng.standard_normal(place.shape)
+        if heading is not None:
+            heading = heading + turn * rng.standard_normal(len(heading))
+    aids = PositionAids(taken, taken + asked.delay_s, place, heading, std, turn)
+    words = (
+        f"aids from {name}: {1 / np.median(np.diff(taken)):.3g} Hz, {1e3 * asked.delay_s:.0f} ms late, one sigma "
+        f"{100 * std:.2g} cm" + (", that much noise added" if made else ("" if asked.std_m else " by their scatter"))
+        + (f"; heading from {yaw_name}, {math.degrees(turn):.2g} degrees" if yaw is not None else "; no heading: it is "
+        "found by accelerating, or not at all")
+    )  # fmt: skip
+    return aids, words
+
+
+def _estimate_mounting(log: InertialLog, truth: dict[str, _Array]) -> _Array | None:
+    """What the true attitude and the accelerometers are apart by at rest: by mounting, or by a bias."""
+    if "attitude" not in truth or not log.rest_rows.stop:
+        return None
+    felt = np.nanmean(log.acceleration[log.rest_rows], axis=0)
+    roll, pitch = math.atan2(-felt[1], -felt[2]), math.atan2(felt[0], math.hypot(felt[1], felt[2]))
+    said = np.nanmean(truth["attitude"][log.rest_rows, :2], axis=0)
+    apart: _Array = said - (roll, pitch)
+    return apart
+
+
+def truth_rows(f: ForeignLog, *, mounted: bool = False) -> _Array:
+    """Position, velocity and attitude (n, 9), NaN where the log does not tell; attitude less the mounting if asked."""
+    n = len(f.log.time_s)
+    rows = np.full((n, 9), math.nan)
+    for k, name in enumerate(_AXIS_LABELS):
+        if name in f.truth:
+            rows[:, 3 * k : 3 * k + 3] = f.truth[name]
+    if "position" in f.truth and "velocity" not in f.truth:
+        rows[:, 3:6] = np.gradient(rows[:, 0:3], f.log.step_s, axis=0)
+    if mounted and f.mounting is not None:
+        rows[:, 6:8] -= f.mounting
+    return rows
+
+
+def make_recording(f: ForeignLog, told: Sequence[Estimate], title: str) -> xr.Dataset:
+    """Return what was measured, believed and true, as a recording of a flight on sensors."""
+    from mufly.flight import replace_estimates
+    from mufly.logs import flight_layout
+    from mufly.logs.mcap import rows_to_dataset
+
+    layout = flight_layout(sensors=True)
+    n = len(f.log.time_s)
+    rows = np.full((n, layout.column_count), math.nan)
+    rows[:, 0] = f.log.time_s
+    part: dict[str, Any] = {name: rows[:, columns] for name, columns in layout.column_slices.items()}
+    for name, values in (("acceleration", f.log.acceleration), ("rates", f.log.rates)):
+        part[f"measured_{name}"][:] = values
+        part[f"measured_{name}_time"][:, 0] = np.where(np.isfinite(values).all(axis=1), f.log.time_s, math.nan)
+        part[f"measured_{name}_valid"][:, 0] = np.isfinite(values).all(axis=1)
+    at = np.searchsorted(f.log.time_s, f.aids.received_s - 1e-9)
+    inside = at < n
+    at = at[inside]
+    part["measured_position_fix"][at, :3] = f.aids.position[inside]
+    if f.aids.heading is not None:
+        part["measured_position_fix"][at, 3] = f.aids.heading[inside]
+    part["measured_position_fix_time"][at, 0] = f.aids.measured_s[inside]
+    part["measured_position_fix_valid"][at, 0] = 1.0
+    true = truth_rows(f)
+    for k, name in enumerate(_AXIS_LABELS):
+        part[f"truth_{name}"][:] = true[:, 3 * k : 3 * k + 3]
+    states = np.where(f.log.is_flying, "flying", "standing").tolist()
+    return replace_estimates(rows_to_dataset(rows, states, layout, attributes={"vehicle": title}), told)

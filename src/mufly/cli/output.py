@@ -1,0 +1,402 @@
+"""What commands say and write: tables, JSON, CSV, pictures, and how far the work is.
+
+Results say themselves what their fields mean and which unit they have (:mod:`mufly.results`); here they become a table
+for people, with :class:`ResultColumn` where a unit is to be a readable one, or JSON.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from mufly.errors import InputError, report_write_errors
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+    from rich.text import Text
+
+    from mufly.identify import ParameterEstimate
+    from mufly.logs.mcap import FlightEvent
+    from mufly.station.page.start_page import Startup
+
+TableRow = Sequence[str]
+_MIN_TEXT_WIDTH = 26  # columns: with less, a last column of words stands below its row
+
+
+def make_console(*, stderr: bool = False) -> Console:
+    """Return a console for tables."""
+    from rich.console import Console
+
+    return Console(stderr=stderr)
+
+
+def print_lines(*lines: str, mark: str = "", style: str | None = None) -> None:
+    """Print lines as they stand, without markup."""
+    out = make_console()
+    for line in lines:
+        out.print(f"{mark}: {line}" if mark else line, style=style, highlight=False, markup=False, soft_wrap=True)
+
+
+def print_json(content: Any) -> None:
+    """Print as JSON; results and arrays become tables and lists, numbers that are not finite null."""
+    from mufly.results import to_plain_data
+
+    typer.echo(json.dumps(to_plain_data(content), indent=2, allow_nan=False))
+
+
+def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = "", text: Sequence[int] = (0,)) -> None:
+    """Print a table; columns whose numbers are in ``text`` are text, the others numbers.
+
+    A last column of text for which a narrow terminal has no room stands under its row.
+    """
+    from rich.padding import Padding
+    from rich.table import Table
+    from rich.text import Text
+
+    marked = [[Text.from_markup(cell) for cell in row] for row in rows]
+    # Heads may be folded, numbers and keys not: half a number is a wrong one.
+    words = [max((len(w) for row in marked for w in row[k].plain.split()), default=0) for k in range(len(heads))]
+    cells = [max((len(row[k]) for row in marked), default=0) for k in range(len(heads))]
+    heading = [max(map(len, head.split()), default=0) for head in heads]
+    last = len(heads) - 1
+    taken = sum(max(w, h) + 2 for w, h in zip(cells[:last], heading[:last], strict=True))
+    below = last in text and make_console().width - _MIN_TEXT_WIDTH < taken <= make_console().width
+    shown = last if below else len(heads)
+
+    def build_table(members: Sequence[Sequence[Text]], *, head: bool) -> Table:
+        made = Table(
+            box=None, header_style="bold", title=title if head and title else None, title_justify="left",
+            title_style="bold", show_header=head and any(heads),
+        )  # fmt: skip
+        for k, name in enumerate(heads[:shown]):
+            made.add_column(
+                name, justify="left" if k in text else "right", overflow="fold",
+                width=max(cells[k], heading[k]) if below else None,
+                min_width=0 if k in text and (k == last or words[k] > _MIN_TEXT_WIDTH) else words[k],
+            )  # fmt: skip
+        for row in members:
+            made.add_row(*row[:shown])
+        return made
+
+    out = make_console()
+    out.print(build_table([] if below else marked, head=True), highlight=False)
+    for row in marked if below else ():
+        out.print(build_table([row], head=False), Padding(row[last], (0, 0, 0, 5)), highlight=False)
+
+
+@dataclass(frozen=True)
+class ResultColumn:
+    """A field of results as a column of a table, or as a line of a table of one result.
+
+    Parameters
+    ----------
+    name : str
+        The field, ``"speed_rad_s"``; of a part of the result with dots, ``"upper.thrust_N"``.
+    unit : str
+        The unit to print, ``"rpm"``; default the field's own.
+    form : str
+        As for :func:`format`.
+    head : str
+        Default: the field's name without its unit.
+    each : tuple of str
+        What the entries of a pair are, ``("upper", "lower")``.
+    """
+
+    name: str
+    unit: str = ""
+    form: str = ".4g"
+    head: str = ""
+    entry_names: tuple[str, ...] = ()
+
+    def header_text(self, item: Any) -> str:
+        """The column's head, with the unit."""
+        label, unit = self._label_and_unit(item)
+        unit = self.unit or unit
+        return f"{self.head or label} ({unit})" if unit else self.head or label
+
+    def value_text(self, item: Any, *, unit: bool = False) -> str:
+        """The value of one result, with its unit if asked."""
+        from mufly.results import format_value
+        from mufly.units import unit_conversion
+
+        value: Any = item
+        for part in self.name.split("."):
+            value = value[part] if isinstance(value, dict) else getattr(value, part)
+        own = self._label_and_unit(item)[1]
+        if self.unit and value is not None:
+            _, factor, offset = unit_conversion(own or "1", self.unit)
+            value = [factor * v + offset for v in value] if isinstance(value, tuple | list) else factor * value + offset
+        if isinstance(value, str):
+            return value
+        shown = format_value(value, self.form)
+        if self.entry_names:
+            shown = ", ".join(f"{format_value(v, self.form)} {n}" for v, n in zip(value, self.entry_names, strict=True))
+        return shown if not unit or shown == "-" else f"{shown} {self.unit or own}".rstrip()
+
+    def _label_and_unit(self, item: Any) -> tuple[str, str]:
+        from mufly.results import field_meaning
+
+        found = field_meaning(item, self.name)
+        return found.label, found.unit
+
+
+def print_result_table(
+    items: Sequence[Any], columns: Sequence[ResultColumn | str], *, title: str = "", names: Sequence[str] = ()
+) -> None:
+    """Print results as a table, one a line; with ``names`` before them."""
+    if not items:
+        return
+    wanted = [ResultColumn(c) if isinstance(c, str) else c for c in columns]
+    heads = [c.header_text(items[0]) for c in wanted]
+    lines = [[c.value_text(item) for c in wanted] for item in items]
+    if names:
+        heads, lines = ["", *heads], [[name, *line] for name, line in zip(names, lines, strict=True)]
+    texts = [k for k, _ in enumerate(heads) if (k == 0 and names) or not any(_looks_like_number(x[k]) for x in lines)]
+    print_table(heads, lines, title=title, text=texts)
+
+
+def print_result_lines(item: Any, columns: Sequence[ResultColumn | str | tuple[str, str]], *, title: str = "") -> None:
+    """Print one result as a table, a field a line; a pair is a label and its text."""
+    from mufly.results import field_meaning
+
+    lines: list[tuple[str, str]] = []
+    for one in columns:
+        if isinstance(one, tuple):
+            lines.append(one)
+        else:
+            c = ResultColumn(one) if isinstance(one, str) else one
+            lines.append((c.head or field_meaning(item, c.name).label, c.value_text(item, unit=True)))
+    print_table(("", ""), lines, title=title, text=(0, 1))
+
+
+def _looks_like_number(text: str) -> bool:
+    return text[-1:].isdigit() or text == "-"
+
+
+def print_estimates(
+    estimates: Iterable[ParameterEstimate], title: str, beside: Mapping[str, Mapping[str, str]] | None = None
+) -> None:
+    """Print a table of estimates with intervals; ``beside`` them further columns, by head and symbol."""
+    more = beside or {}
+    rows = []
+    for e in estimates:
+        start = "-" if math.isnan(e.start) else f"{e.start:.4g}"
+        if math.isinf(e.std):
+            value, interval, doubt = "not seen", "-", "-"
+        elif math.isnan(e.std) and not e.at_bound:
+            value, interval, doubt = f"{e.value:.5g}", "-", "-"
+        elif e.at_bound:
+            value, interval, doubt = f"{e.value:.5g}", "at its bound", "-"
+        else:
+            value, interval = f"{e.value:.5g}", f"{e.low:.4g} to {e.high:.4g}"
+            doubt = f"{100 * e.std / abs(e.value):.2g} %" if e.value else "-"
+        unit = "" if e.unit == "1" else e.unit
+        rows.append([e.symbol, value, doubt, interval, unit, start, *(m.get(e.symbol, "") for m in more.values())])
+    print_table(["symbol", "value", "std", "95 % interval", "unit", "start", *more], rows, title=title)
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def print_answer(
+    as_json: bool, content: Callable[[], dict[str, Any]], show: Callable[[], None], files: Sequence[Path] = ()
+) -> None:
+    """Answer a command: JSON with the files that were written, or what ``show`` prints and a line for each file."""
+    if as_json:
+        print_json({**content(), "files": [str(f) for f in files]})
+        return
+    show()
+    print_files(files)
+
+
+def print_files(files: Iterable[Path], label: str = "Written") -> None:
+    """Say which files were written."""
+    for file in files:
+        make_console().print(f"{label}: {file}", highlight=False, markup=False, soft_wrap=True)
+
+
+def report_place_errors(
+    place: Path, remedy: str = "give another folder", option: str = "--out"
+) -> AbstractContextManager[None]:
+    """Turn what goes wrong while a file is written into an InputError that names the option and the place."""
+    return report_write_errors(option, remedy, str(place))
+
+
+def save_figure(figure: Figure, folder: Path, name: str, endings: Sequence[str] = (".png",)) -> Path:
+    """Write a picture into a folder, which is made if need be; return the first file.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    with report_place_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for ending in endings:
+            figure.savefig(folder / f"{name}{ending}", dpi=150)
+    return folder / f"{name}{endings[0]}"
+
+
+def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Iterable[float | str]], first: str = "") -> Path:
+    """Write a table as CSV, numbers with nine digits, after a comment if ``first`` is one.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    with report_place_errors(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", newline="", encoding="utf-8") as file:
+            file.write(f"# {first}\n" if first else "")
+            writer = csv.writer(file)
+            writer.writerow(heads)
+            writer.writerows([x if isinstance(x, str) else f"{x:.9g}" for x in row] for row in rows)
+    return path
+
+
+def ensure_folder(option: str, folder: Path | None) -> None:
+    """Make a folder that results will go to, so that a long fit does not end without a place for them.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made or written to.
+    """
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(option, str(folder), f"cannot be made ({error.strerror})", "give another folder") from error
+    if not os.access(folder, os.W_OK):
+        raise InputError(option, str(folder), "cannot be written to", "give another folder")
+
+
+def check_writable_file(option: str, file: Path | None) -> None:
+    """Look whether a file can be written, before the work that fills it.
+
+    Raises
+    ------
+    InputError
+        If its folder is not there, or either may not be written.
+    """
+    if file is None:
+        return
+    if file.is_dir():
+        raise InputError(option, str(file), "is a folder", "give the name of a file")
+    if not file.parent.is_dir():
+        raise InputError(option, str(file), "its folder is not there", "make it, or give another place")
+    if not os.access(file if file.exists() else file.parent, os.W_OK):
+        raise InputError(option, str(file), "cannot be written", "give another place")
+
+
+# --- how far the work is ----------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """Show a bar on standard error while cases are computed; yields the function that moves it."""
+    if not shown:
+        yield None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=make_console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total or None)
+
+
+# What a flight shows in the terminal: its events as lines, and on a terminal a live line below them.
+
+
+class LiveDisplay:
+    """Events and notices as lines, and a live line below them, while it is open.
+
+    Parameters
+    ----------
+    console : Console
+        Without a terminal there is no live line.
+    """
+
+    def __init__(self, console: Console) -> None:
+        from rich.live import Live
+
+        self._console = console
+        self._startup: Startup | None = None
+        self._live = Live(console=console, refresh_per_second=10) if console.is_terminal else None
+
+    def __enter__(self) -> LiveDisplay:
+        if self._live is not None:
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        if self._live is not None:
+            self._live.update("")
+            self._live.__exit__(None, None, None)
+
+    def show_event(self, e: FlightEvent) -> None:
+        """Show an event of the flight."""
+        from rich.text import Text
+
+        colour = {"error": "red", "warning": "yellow"}.get(e.level, "default")
+        line = Text(f"{e.time_s:7.1f} s  ").append(f"{e.state:<9}  ", style="bold")
+        self._console.print(line.append(e.text, style=colour), highlight=False)
+
+    def show_notice(self, text: str) -> None:
+        """Show what happened beside the flight, to a port for example."""
+        from rich.text import Text
+
+        self._console.print(Text(text, style="dim"), highlight=False)
+
+    def follow_startup(self, startup: Startup) -> None:
+        """Show the stages of a start: the present one with its seconds in the live line, or each as a line."""
+        self._startup = startup
+        startup.on_change = self._on_stage_change
+        if startup.stages and not startup.is_done:
+            self._on_stage_change(startup.stages[-1].text)
+
+    def _on_stage_change(self, stage: str) -> None:
+        startup = self._startup
+        if startup is None:
+            return
+        if not stage:
+            self.set_live_line("")
+            if not startup.fault:
+                self.show_notice(f"Started within {startup.describe_duration()}")
+        elif self._live is None:
+            self.show_notice(f"Starting: {stage}")
+        else:
+            self._live.update(_StartupLine(startup))
+
+    def set_live_line(self, line: str) -> None:
+        """Put this into the live line."""
+        if self._live is not None:
+            from rich.text import Text
+
+            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"))
+
+
+@dataclass(frozen=True)
+class _StartupLine:
+    """The present stage of a start; its seconds go on by themselves."""
+
+    startup: Startup
+
+    def __rich__(self) -> Text:
+        from rich.text import Text
+
+        page = f"   page: {self.startup.url}" if self.startup.url else ""
+        return Text(f"Starting: {self.startup.describe_stage()}{page}", no_wrap=True, overflow="ellipsis", style="dim")

@@ -1,0 +1,495 @@
+"""Equations of motion of a coaxial micro helicopter: the only place where they are written.
+
+Simulation, trim, linearisation, identification, estimation and code export all call :func:`state_derivative`.
+Source: thesis chapter 4 and appendix A, read as docs/thesis-errata.md says; derivations in docs/dynamics.md.
+
+Rigid body, N-E-D velocity ``v``, body rates ``W``, attitude ``A`` (body to N-E-D)::
+
+    m dv/dt = A F + m g e_D                                   F, M in body axes
+    I dW/dt = M - W x I W                                     (A.6)
+
+Rotors, ``T = cT pi rho R^4 Omega^2`` and ``Q`` alike (constants, or a map over speeds and climb: see below), thrust
+along the tilted disc normal ``n``::
+
+    F = T_up n_up + H_up + T_dw n_dw + H_dw + fuselage drag
+    M = sum r_i x (T_i n_i + H_i) + z_B [(Q_up + Jr_up dOmega_up) - (Q_dw + Jr_dw dOmega_dw)]          (A.8, 4.13)
+    n_dw = (-sin b, cos b sin a, -cos a cos b)                a, b: tilt_roll, tilt_pitch
+    n_up = mast + l_up * (component of the bar's normal across the mast), made unit
+
+Swash plate: ``T_f,dw da/dt = l_dw theta_max servo_2 - a``, ``T_f,dw db/dt = l_dw theta_max servo_1 - b`` with the
+sign that pitches the nose down for positive servo 1. Stabiliser bar: its normal ``s`` (N-E-D) follows the mast
+axis ``u``: ``T_f,up ds/dt = u - (u.s) s``. Motors and battery: :mod:`mufly.drive`. Fuselage: downwash drag,
+constant in flight (eq. 4.19) and fading with the thrust once that is below half the weight, and
+``-rho/2 cD_i A_i |w_i| w_i`` along each body axis, ``w`` the velocity through the air (eq. 4.18).
+
+Thrust and torque by constants (eqs 4.11, 4.12): ``T = cT pi rho R^4 Omega^2``, ``Q = cQ pi rho R^5 Omega |Omega|``.
+With a map (Sec. 4.3.1 asks for one beyond 0.5 m/s) ``cT`` and ``cQ`` of each rotor are functions of
+
+    mean speed (Omega_up + Omega_dw)/2,    Omega_dw / Omega_up,    climb velocity / (mean speed R)
+
+with the climb velocity that of the mast through the air, along the mast.
+
+Drag in the disc plane (H-force; linear in the edgewise velocity as long as that is small beside the tip speed)::
+
+    H = -cH rho pi R^3 |Omega| (w - n (n.w))         w = A^T (v - wind) + W x r, the hub's velocity through the air
+
+It comes from what the advancing blade meets more than the retreating one (blade elements in docs/dynamics.md; Leishman
+2006, Sec. 3.5 for the forces, Mahony, Kumar and Corke 2012 for the linear form), and never drives: ``H.w <= 0``.
+
+The map is held at its edges, so thrust and
+torque go to zero with the speeds as ``Omega^2`` does, whatever the ratios are then.
+
+Contact with the floor (D = 0): compliant legs, and the rim of the upper rotor once it has tipped over. Every contact
+point below the floor by ``d`` is pushed up as a spring with damper that cannot pull, and rubs by Coulomb friction,
+smoothed around rest so that the equations stay integrable::
+
+    N = max(0, k d + c dd/dt)            F_t = -min(mu N / sqrt(v_t^2 + v_slip^2), c_t) v_t
+
+Around rest friction is viscous, so a steady push ``F < mu N`` lets the vehicle creep at about
+``v_slip F / (mu N)``. The bound ``c_t`` keeps the viscous yaw mode ``sum(c_t r^2) / Izz`` slower than 2000 1/s, which
+steps of 1 ms resolve even when a hard landing presses a point down with many times its share of the weight.
+
+The legs' compliance stands for legs and floor together. Own derivation; the thesis has no ground model.
+
+Ground effect, where a vehicle file asks for it (``rotors.ground_effect``): the floor turns a rotor's wake
+aside, and at the same speed and torque it lifts more. Cheeseman and Bennett (ARC R&M 3021, 1955) put the image of a
+source below the floor; with h the hub's height, V the air's velocity along the floor and v the induced velocity in
+hover,
+
+    T / T_free = 1 / (1 - s),    s = (R / 4h)^2 / (1 + (V / v)^2),    v^2 = T_free / (2 rho pi R^2)
+
+times ``rotors.ground_effect`` in what it adds. Each rotor has its own height and image. Below h = R/2,
+where the source is too near to stand for a disc, the value there holds. Measured and computed curves beside it:
+docs/wake.md.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.drive.drive_train import armature_current, interpolate_table, rotor_acceleration, terminal_voltage
+from mufly.dynamics.model_state import (
+    ATTITUDE,
+    RS_ATT,
+    RS_BAR,
+    RS_CHARGE,
+    RS_POS,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    RS_VEL,
+    U_MOTOR_LOWER,
+    U_MOTOR_UPPER,
+    U_SERVO_1,
+    U_SERVO_2,
+    ModelParameters,
+    body_to_ned_matrix,
+    initial_state,
+)
+from mufly.numba_cache import cached_njit
+from mufly.rotor.coax_maps import interpolate_map
+from mufly.rotor.coax_maps import interpolate_tables as maps_interpolate
+from mufly.units import GRAVITY
+from mufly.vehicle import Vehicle
+
+_Array = NDArray[np.float64]
+
+
+@cached_njit(error_model="numpy")
+def _clip_value(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
+
+
+@cached_njit(error_model="numpy")
+def battery_state(x: _Array, motor_up: float, motor_dw: float, p: ModelParameters) -> tuple[float, float]:
+    """Return terminal voltage (V) and supply current (A) for motor inputs 0..1 at state ``x``."""
+    emf = p.kE * p.gear_ratio
+    conductance = (motor_up * motor_up + motor_dw * motor_dw) / p.R_ohm
+    source = (motor_up * emf * x[RS_SPEED_UPPER] + motor_dw * emf * x[RS_SPEED_LOWER]) / p.R_ohm
+    open_circuit = interpolate_table(p.battery_curve, x[RS_CHARGE])
+    voltage = terminal_voltage(open_circuit, p.battery_resistance, conductance, source, p.electronics_current)
+    return voltage, p.electronics_current + conductance * voltage - source
+
+
+@cached_njit(error_model="numpy")
+def _inplane_drag(
+    nx: float,
+    ny: float,
+    nz: float,
+    air_x: float,
+    air_y: float,
+    air_z: float,
+    p: float,
+    q: float,
+    z: float,
+    slope: float,
+) -> tuple[float, float, float]:
+    """Return the drag of a rotor in its disc plane (N, body axes): unit normal, air velocity, rates, hub, N s/m."""
+    slope = abs(slope)
+    x, y = air_x + q * z, air_y - p * z
+    along = nx * x + ny * y + nz * air_z
+    return slope * (along * nx - x), slope * (along * ny - y), slope * (along * nz - air_z)
+
+
+@cached_njit(error_model="numpy", forceinline=True)
+def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx: _Array) -> None:
+    """Write the time derivative of the state into ``dx``.
+
+    Parameters
+    ----------
+    x : (21,) array
+        State, see :mod:`mufly.dynamics.model_state`.
+    u : (4,) array
+        Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1); saturated here.
+    wind : (3,) array
+        Velocity of the air, N-E-D (m/s).
+    p : record of :class:`ModelParameters`
+    dx : (21,) array
+        Overwritten with dx/dt.
+
+    Thesis: eqs 4.5 to 4.10, 4.13 to 4.23, 4.31.
+    """
+    a, b = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
+    state_derivative_tilted(x, u, wind, p, math.sin(a), math.cos(a), math.sin(b), math.cos(b), True, dx)
+    if p.ground_effect > 0.0:
+        _add_ground_effect(x, wind, p, dx)
+
+
+# Inlined by force: with a map in it LLVM finds it too long, and single flights would slow down by a tenth.
+@cached_njit(error_model="numpy", forceinline=True)
+def state_derivative_tilted(
+    x: _Array,
+    u: _Array,
+    wind: _Array,
+    p: ModelParameters,
+    sin_a: float,
+    cos_a: float,
+    sin_b: float,
+    cos_b: float,
+    floor: bool,
+    dx: _Array,
+) -> None:
+    """:func:`state_derivative` with sine and cosine of the swash plate's tilt about x and y from whoever asks.
+
+    What runs on board has its own (:mod:`mufly.portable_math`). Without ``floor`` none is touched.
+    """
+    # First of all, because what is in registers would not outlive the call.
+    speed_up, speed_dw = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER]
+    kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
+    if p.map_nodes > 0:
+        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
+    motor_up, motor_dw = _clip_value(u[U_MOTOR_UPPER], 0.0, 1.0), _clip_value(u[U_MOTOR_LOWER], 0.0, 1.0)
+    servo_1, servo_2 = _clip_value(u[U_SERVO_1], -1.0, 1.0), _clip_value(u[U_SERVO_2], -1.0, 1.0)
+    qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    wx, wy, wz = x[RS_RATES], x[RS_RATES + 1], x[RS_RATES + 2]
+    alpha, beta = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
+    bar_n, bar_e, bar_d = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
+
+    # Attitude: columns are the body axes in N-E-D.
+    a00, a01, a02 = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qw * qz), 2 * (qx * qz + qw * qy)
+    a10, a11, a12 = 2 * (qx * qy + qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qw * qx)
+    a20, a21, a22 = 2 * (qx * qz - qw * qy), 2 * (qy * qz + qw * qx), 1 - 2 * (qx * qx + qy * qy)
+
+    # Motors and battery.
+    voltage, supply_current = battery_state(x, motor_up, motor_dw, p)
+    drag_up, drag_dw = kQ_up * speed_up * abs(speed_up), kQ_dw * speed_dw * abs(speed_dw)
+    current_up = armature_current(motor_up, voltage, speed_up, p.kE, p.R_ohm, p.gear_ratio)
+    current_dw = armature_current(motor_dw, voltage, speed_dw, p.kE, p.R_ohm, p.gear_ratio)
+    accel_up = rotor_acceleration(
+        current_up, speed_up, drag_up, p.kM, p.dR, p.Mf, p.gear_ratio, p.gear_efficiency, p.J_up
+    )
+    accel_dw = rotor_acceleration(
+        current_dw, speed_dw, drag_dw, p.kM, p.dR, p.Mf, p.gear_ratio, p.gear_efficiency, p.J_dw
+    )
+
+    # Thrust directions. Lower rotor: tilted by the swash plate.
+    thrust_dw = kT_dw * speed_dw * speed_dw
+    fx_dw = -sin_b * thrust_dw
+    fy_dw = cos_b * sin_a * thrust_dw
+    fz_dw = -cos_a * cos_b * thrust_dw
+    # Upper rotor: tilted against the mast as the bar's disc is, times l_up.
+    nx = p.bar_gain * (a00 * bar_n + a10 * bar_e + a20 * bar_d)
+    ny = p.bar_gain * (a01 * bar_n + a11 * bar_e + a21 * bar_d)
+    nz = -math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
+    thrust_up = kT_up * speed_up * speed_up
+    fx_up = nx * thrust_up
+    fy_up = ny * thrust_up
+    fz_up = nz * thrust_up
+
+    # Fuselage: velocity through the air in body axes.
+    air_n, air_e, air_d = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1], x[RS_VEL + 2] - wind[2]
+    air_x = a00 * air_n + a10 * air_e + a20 * air_d
+    air_y = a01 * air_n + a11 * air_e + a21 * air_d
+    air_z = a02 * air_n + a12 * air_e + a22 * air_d
+    if p.inplane > 0.0:
+        h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_up, p.inplane * speed_up)
+        fx_up, fy_up, fz_up = fx_up + h_x, fy_up + h_y, fz_up + h_z
+        nx, ny, nz = -sin_b, cos_b * sin_a, -cos_a * cos_b
+        h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_dw, p.inplane * speed_dw)
+        fx_dw, fy_dw, fz_dw = fx_dw + h_x, fy_dw + h_y, fz_dw + h_z
+    fx = fx_up + fx_dw - p.drag_x * abs(air_x) * air_x
+    fy = fy_up + fy_dw - p.drag_y * abs(air_y) * air_y
+    # No thrust, no downwash: a helicopter at rest or lying on its side is not pushed along.
+    downwash = p.downwash * min(1.0, 2.0 * (thrust_up + thrust_dw) / (p.mass * GRAVITY))
+    fz = fz_up + fz_dw - p.drag_z * abs(air_z) * air_z + downwash
+
+    mx = -p.z_up * fy_up - p.z_dw * fy_dw
+    my = p.z_up * fx_up + p.z_dw * fx_dw
+    mz = (drag_up + p.Jreact_up * accel_up) - (drag_dw + p.Jreact_dw * accel_dw)
+
+    f_n = a00 * fx + a01 * fy + a02 * fz
+    f_e = a10 * fx + a11 * fy + a12 * fz
+    f_d = a20 * fx + a21 * fy + a22 * fz
+    if floor and x[RS_POS + 2] + p.contact_reach > 0.0:
+        c_n, c_e, c_d, c_mx, c_my, c_mz = contact_wrench(x, p)
+        f_n += c_n
+        f_e += c_e
+        f_d += c_d
+        mx += c_mx
+        my += c_my
+        mz += c_mz
+
+    dx[RS_POS], dx[RS_POS + 1], dx[RS_POS + 2] = x[RS_VEL], x[RS_VEL + 1], x[RS_VEL + 2]
+    dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] = f_n / p.mass, f_e / p.mass, f_d / p.mass + GRAVITY
+    dx[RS_ATT] = 0.5 * (-qx * wx - qy * wy - qz * wz)
+    dx[RS_ATT + 1] = 0.5 * (qw * wx + qy * wz - qz * wy)
+    dx[RS_ATT + 2] = 0.5 * (qw * wy - qx * wz + qz * wx)
+    dx[RS_ATT + 3] = 0.5 * (qw * wz + qx * wy - qy * wx)
+    dx[RS_RATES] = (mx - (p.Izz - p.Iyy) * wy * wz) / p.Ixx
+    dx[RS_RATES + 1] = (my - (p.Ixx - p.Izz) * wz * wx) / p.Iyy
+    dx[RS_RATES + 2] = (mz - (p.Iyy - p.Ixx) * wx * wy) / p.Izz
+    # z_dw < 0: the tilt that pitches the nose down is negative in beta.
+    dx[RS_SWASH_ROLL] = p.swash_rate * (p.swash_gain * servo_2 - alpha)
+    dx[RS_SWASH_PITCH] = p.swash_rate * (-p.swash_gain * servo_1 - beta)
+    along = -(a02 * bar_n + a12 * bar_e + a22 * bar_d)
+    dx[RS_BAR] = p.bar_rate * (-a02 - along * bar_n)
+    dx[RS_BAR + 1] = p.bar_rate * (-a12 - along * bar_e)
+    dx[RS_BAR + 2] = p.bar_rate * (-a22 - along * bar_d)
+    dx[RS_SPEED_UPPER], dx[RS_SPEED_LOWER] = accel_up, accel_dw
+    dx[RS_CHARGE] = -supply_current / p.battery_capacity
+
+
+_MIN_GROUND_HEIGHT_RATIO = 0.5  # over R, of a rotor whose ground effect is known
+
+
+@cached_njit(error_model="numpy")
+def ground_effect_thrust(thrust: float, height: float, across_squared: float, p: ModelParameters) -> float:
+    """Return what the floor adds to a rotor's thrust (N), at the hub's height (m) and (air velocity along it)^2."""
+    if thrust <= 0.0:
+        return 0.0
+    near = 0.25 * p.ground_radius / max(height, _MIN_GROUND_HEIGHT_RATIO * p.ground_radius)
+    induced_squared = thrust / p.ground_disc
+    s = near * near * induced_squared / (induced_squared + across_squared)
+    return p.ground_effect * thrust * s / (1.0 - s)
+
+
+@cached_njit(error_model="numpy")
+def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) -> None:
+    """Add to the time derivative what the floor does to the rotors' thrust; see the module docstring."""
+    speed_up, speed_dw, height = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], -x[RS_POS + 2]
+    kT_up, kT_dw = p.thrust_up, p.thrust_dw
+    if p.map_nodes > 0:
+        kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
+    a = body_to_ned_matrix(x[ATTITUDE])
+    v_n, v_e = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1]
+    across = v_n * v_n + v_e * v_e
+    up = ground_effect_thrust(kT_up * speed_up * speed_up, height - a[2, 2] * p.z_up, across, p)
+    dw = ground_effect_thrust(kT_dw * speed_dw * speed_dw, height - a[2, 2] * p.z_dw, across, p)
+    nx = p.bar_gain * (a[0, 0] * x[RS_BAR] + a[1, 0] * x[RS_BAR + 1] + a[2, 0] * x[RS_BAR + 2])
+    ny = p.bar_gain * (a[0, 1] * x[RS_BAR] + a[1, 1] * x[RS_BAR + 1] + a[2, 1] * x[RS_BAR + 2])
+    alpha, beta = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
+    sin_b, cos_b = math.sin(beta), math.cos(beta)
+    fx_up, fy_up, fz_up = up * nx, up * ny, -up * math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
+    fx_dw, fy_dw, fz_dw = -dw * sin_b, dw * cos_b * math.sin(alpha), -dw * cos_b * math.cos(alpha)
+    fx, fy, fz = fx_up + fx_dw, fy_up + fy_dw, fz_up + fz_dw
+    for k in range(3):
+        dx[RS_VEL + k] += (a[k, 0] * fx + a[k, 1] * fy + a[k, 2] * fz) / p.mass
+    dx[RS_RATES] -= (p.z_up * fy_up + p.z_dw * fy_dw) / p.Ixx
+    dx[RS_RATES + 1] += (p.z_up * fx_up + p.z_dw * fx_dw) / p.Iyy
+
+
+_MIN_ROTOR_SPEED = 1e-3  # rad/s; below this a rotor makes no force that could be measured
+
+
+@cached_njit(error_model="numpy")
+def climb_velocity(x: _Array, wind: _Array) -> float:
+    """Return the velocity through the air along the mast, positive upwards (m/s), at state ``x``."""
+    qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    up_n, up_e, up_d = -2 * (qx * qz + qw * qy), -2 * (qy * qz - qw * qx), 2 * (qx * qx + qy * qy) - 1
+    return up_n * (x[RS_VEL] - wind[0]) + up_e * (x[RS_VEL + 1] - wind[1]) + up_d * (x[RS_VEL + 2] - wind[2])
+
+
+@cached_njit(error_model="numpy")
+def map_coefficients(
+    speed_up: float, speed_dw: float, climb: float, p: ModelParameters
+) -> tuple[float, float, float, float]:
+    """Return thrust over the speed's square (N s2) of upper and lower rotor, then torque (N m s2), by the map."""
+    up, dw = abs(speed_up), abs(speed_dw)
+    mean = 0.5 * (up + dw)
+    ratio = dw / max(up, _MIN_ROTOR_SPEED)
+    climb_ratio = climb / (max(mean, _MIN_ROTOR_SPEED) * p.map_radius)
+    t_up, q_up, t_dw, q_dw = maps_interpolate(
+        p.map_thrust_up, p.map_torque_up, p.map_thrust_dw, p.map_torque_dw,
+        p.map_size, p.map_start, p.map_per_step, mean, ratio, climb_ratio,
+    )  # fmt: skip
+    return t_up, t_dw, q_up, q_dw
+
+
+def rotor_loads(p: np.void, speed_up: float, speed_dw: float, climb: float = 0.0) -> tuple[float, ...]:
+    """Return thrust (N) of upper and lower rotor, then torque (N m) of upper and lower, as the flight model has them.
+
+    Parameters
+    ----------
+    p : record of :class:`ModelParameters`
+    speed_up, speed_dw : float
+        Rotor speeds (rad/s).
+    climb : float
+        Velocity through the air along the mast, positive upwards (m/s).
+    """
+    c = (p["thrust_up"], p["thrust_dw"], p["torque_up"], p["torque_dw"])
+    if p["map_nodes"] > 0:
+        c = map_coefficients(speed_up, speed_dw, climb, p)
+    up, dw = speed_up * abs(speed_up), speed_dw * abs(speed_dw)
+    return float(c[0] * speed_up**2), float(c[1] * speed_dw**2), float(c[2] * up), float(c[3] * dw)
+
+
+def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float) -> bool:
+    """Tell whether a vehicle's coefficient map holds a point, or answers from its edge; True without a map.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    speed_up, speed_dw, climb : float
+        As for :func:`rotor_loads`.
+    """
+    m = vehicle.rotors.coefficient_map
+    if m is None:
+        return True
+    mean = 0.5 * (abs(speed_up) + abs(speed_dw))
+    tip = max(mean, _MIN_ROTOR_SPEED) * float(vehicle.rotors.radius)
+    return not bool(interpolate_map(m, mean, abs(speed_dw) / max(abs(speed_up), _MIN_ROTOR_SPEED), climb / tip)[1])
+
+
+def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
+    """Return what a coefficient and its slopes cannot exceed; for ``longest_step``.
+
+    With c over s (mean speed), r (ratio of the speeds) and m (climb ratio V / (s R)), thrust or torque is
+    ``c Omega^2``. Its slope over the speed of either rotor is at most ``(2 |c| + s |dc/ds| + r |dc/dr| + m |dc/dm|)
+    Omega``, and over the climb velocity ``|dc/dm| Omega^2 / (s R)``, at most ``2 |dc/dm| Omega / R``, because Omega is
+    at most 2 s. Slopes of c are those between neighbouring points.
+
+    Parameters
+    ----------
+    p : record of :class:`ModelParameters`
+    name : str
+        ``"thrust_up"``, ``"thrust_dw"``, ``"torque_up"`` or ``"torque_dw"``.
+
+    Returns
+    -------
+    greatest, per_speed, per_climb : float
+        Of ``|c|``; of the slope over the rotor's own speed over ``Omega``; of that over climb over ``Omega``.
+    """
+    n = int(p["map_nodes"])
+    if n == 0:
+        return float(p[name]), 2 * float(p[name]), 0.0
+    table = p[f"map_{name}"][:n].reshape(p["map_size"])
+    steps = np.array([1.0 / q if q > 0 else 0.0 for q in p["map_per_step"]])
+    last = p["map_start"] + (p["map_size"] - 1) * steps
+    reach = np.maximum(np.abs(p["map_start"]), np.abs(last))
+    slopes = [float(np.max(np.abs(np.diff(table, axis=k)), initial=0.0) * p["map_per_step"][k]) for k in range(3)]
+    greatest = float(np.max(np.abs(table)))
+    return greatest, 2 * greatest + float(reach @ slopes), 2 * slopes[2] / float(p["map_radius"])
+
+
+@cached_njit(error_model="numpy")
+def contact_wrench(x: _Array, p: ModelParameters) -> tuple[float, float, float, float, float, float]:
+    """Return the force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
+    a = body_to_ned_matrix(x[ATTITUDE])
+    f_n = f_e = f_d = m_x = m_y = m_z = 0.0
+    for k in range(p.contact_count):
+        rx, ry, rz = p.contact_points[k, 0], p.contact_points[k, 1], p.contact_points[k, 2]
+        depth = x[RS_POS + 2] + a[2, 0] * rx + a[2, 1] * ry + a[2, 2] * rz
+        if depth <= 0.0:
+            continue
+        # Velocity of the point: body v + W x r, in N-E-D.
+        vx = x[RS_RATES + 1] * rz - x[RS_RATES + 2] * ry
+        vy = x[RS_RATES + 2] * rx - x[RS_RATES] * rz
+        vz = x[RS_RATES] * ry - x[RS_RATES + 1] * rx
+        v_n = x[RS_VEL] + a[0, 0] * vx + a[0, 1] * vy + a[0, 2] * vz
+        v_e = x[RS_VEL + 1] + a[1, 0] * vx + a[1, 1] * vy + a[1, 2] * vz
+        v_d = x[RS_VEL + 2] + a[2, 0] * vx + a[2, 1] * vy + a[2, 2] * vz
+        normal = max(0.0, p.leg_stiffness * depth + p.leg_damping * v_d)
+        rub = p.leg_friction * normal / math.sqrt(v_n * v_n + v_e * v_e + p.slip_speed * p.slip_speed)
+        rub = min(rub, p.friction_bound[k])
+        g_n, g_e, g_d = -rub * v_n, -rub * v_e, -normal
+        f_n += g_n
+        f_e += g_e
+        f_d += g_d
+        gx = a[0, 0] * g_n + a[1, 0] * g_e + a[2, 0] * g_d
+        gy = a[0, 1] * g_n + a[1, 1] * g_e + a[2, 1] * g_d
+        gz = a[0, 2] * g_n + a[1, 2] * g_e + a[2, 2] * g_d
+        m_x += ry * gz - rz * gy
+        m_y += rz * gx - rx * gz
+        m_z += rx * gy - ry * gx
+    return f_n, f_e, f_d, m_x, m_y, m_z
+
+
+@cached_njit(error_model="numpy")
+def lowest_point(x: _Array, p: ModelParameters) -> tuple[float, int]:
+    """Return depth below the floor (m; negative: above) and index of the lowest contact point."""
+    a = body_to_ned_matrix(x[ATTITUDE])
+    depth, index = -math.inf, 0
+    for k in range(p.contact_count):
+        c = p.contact_points[k]
+        d = x[RS_POS + 2] + a[2, 0] * c[0] + a[2, 1] * c[1] + a[2, 2] * c[2]
+        if d > depth:
+            depth, index = d, k
+    return depth, index
+
+
+def _standing_down_axis(vehicle: Vehicle) -> NDArray[np.float64]:
+    """Return which way is down in body axes (3,) when it stands: square to the plane of its legs' tips.
+
+    Tips that lie in no plane (to 0.01 mm) rock; which of them carry nobody knows, and it is taken to stand upright.
+    """
+    legs = vehicle.contact.legs.to_array()
+    if np.ptp(legs[:, 2]) == 0.0:
+        return np.array([0.0, 0.0, 1.0])
+    normal = np.linalg.svd(legs - legs.mean(axis=0))[2][2]
+    if np.ptp(legs @ normal) > 1e-5 or abs(normal[2]) < 0.5:
+        return np.array([0.0, 0.0, 1.0])
+    return np.asarray(normal * np.sign(normal[2]))
+
+
+def standing_attitude(vehicle: Vehicle) -> tuple[float, float]:
+    """Return roll and pitch (rad) with which the vehicle stands on a level floor: legs of unlike length lean it.
+
+    With the tips in a plane square to ``n`` (body axes, down) it stands so that ``n`` is down, the third row of the
+    rotation to the earth's axes: ``n = (-sin theta, sin phi cos theta, cos phi cos theta)``. Own derivation.
+    """
+    n = _standing_down_axis(vehicle)
+    return math.atan2(n[1], n[2]), -math.asin(n[0])
+
+
+def standing_height(vehicle: Vehicle) -> float:
+    """Return the height (m) of the centre of gravity when the vehicle stands still with its rotors at rest.
+
+    The weight is taken to be shared equally by the legs that reach lowest.
+    """
+    z: NDArray[np.float64] = vehicle.contact.legs.to_array() @ _standing_down_axis(vehicle)
+    lowest = float(z.max())
+    carrying = int(np.sum(z > lowest - 1e-6))
+    return lowest - float(vehicle.body.mass) * GRAVITY / (carrying * float(vehicle.contact.stiffness))
+
+
+def standing_state(vehicle: Vehicle, north_east_m: tuple[float, float], heading_rad: float) -> NDArray[np.float64]:
+    """Return the state (21,) in which the vehicle stands still on the floor with its rotors at rest."""
+    return initial_state(
+        position=(*north_east_m, -standing_height(vehicle)),
+        attitude=(*standing_attitude(vehicle), heading_rad),
+    )

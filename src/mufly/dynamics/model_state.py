@@ -1,0 +1,377 @@
+"""The state of the flight model in one flat array, its input, and the record of the model's parameters.
+
+The state has the indices ``RS_...``; parts of several numbers have a slice, too:
+
+==================  ================  =======================================================================
+first index         slice             meaning
+==================  ================  =======================================================================
+``RS_POS``          ``POSITION``      N, E, D of the centre of gravity (m)
+``RS_VEL``          ``VELOCITY``      N, E, D (m/s)
+``RS_ATT``          ``ATTITUDE``      quaternion w, x, y, z: turns body vectors into N-E-D, unit length
+``RS_RATES``        ``RATES``         p, q, r (rad/s), body axes
+``RS_SWASH_ROLL``                     alpha_dw, tilt of the lower tip-path plane about x (rad)
+``RS_SWASH_PITCH``                    beta_dw, tilt of the lower tip-path plane about y (rad)
+``RS_BAR``          ``BAR_NORMAL``    upward normal of the stabiliser bar's disc in N-E-D, unit length
+``RS_SPEED_UPPER``  ``ROTOR_SPEEDS``  speeds of upper and, at ``RS_SPEED_LOWER``, lower rotor (rad/s)
+``RS_CHARGE``                         fraction of the battery's charge that is left
+==================  ================  =======================================================================
+
+The input is ``[motor upper, motor lower, servo 1, servo 2]``, with the indices ``U_...``: motors 0..1, servos -1..1.
+Positive servo 1 pitches the nose down, positive servo 2 rolls to the right (docs/thesis-errata.md, point 2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from operator import attrgetter
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.errors import InputError
+from mufly.numba_cache import cached_njit
+from mufly.record_fields import int_field as _int
+from mufly.record_fields import real_field as _real
+from mufly.record_fields import record_fields, record_type
+from mufly.rotor.coax_maps import interpolate_map, pack_map_tables
+from mufly.units import GRAVITY
+from mufly.vehicle import Vehicle
+from mufly.vehicle.coefficient_map import MAP_NODES
+from mufly.vehicle.vehicle_schema import MAX_LEGS
+
+_Array = NDArray[np.float64]
+
+STATE_SIZE = 21
+INPUT_SIZE = 4
+RS_POS, RS_VEL, RS_ATT, RS_RATES, RS_SWASH_ROLL, RS_SWASH_PITCH = 0, 3, 6, 10, 13, 14
+RS_BAR, RS_SPEED_UPPER, RS_SPEED_LOWER, RS_CHARGE = 15, 18, 19, 20
+POSITION, VELOCITY, ATTITUDE = slice(RS_POS, RS_VEL), slice(RS_VEL, RS_ATT), slice(RS_ATT, RS_RATES)
+RATES, BAR_NORMAL = slice(RS_RATES, RS_SWASH_ROLL), slice(RS_BAR, RS_SPEED_UPPER)
+ROTOR_SPEEDS = slice(RS_SPEED_UPPER, RS_CHARGE)
+U_MOTOR_UPPER, U_MOTOR_LOWER, U_SERVO_1, U_SERVO_2 = range(INPUT_SIZE)
+MOTORS, SERVOS = slice(U_MOTOR_UPPER, U_SERVO_1), slice(U_SERVO_1, INPUT_SIZE)
+MOTORS_SWAPPED = [U_MOTOR_LOWER, U_MOTOR_UPPER, U_SERVO_1, U_SERVO_2]  # the order of the linear models
+
+
+@cached_njit(error_model="numpy")
+def body_to_ned_matrix(quaternion: _Array) -> _Array:
+    """Return the 3x3 matrix that turns body vectors into N-E-D, for a unit quaternion (w, x, y, z).
+
+    Thesis: eqs 4.1, 4.2.
+    """
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
+    """Return the quaternion (w, x, y, z) of yaw, then pitch, then roll (rad); inverse of eq. 4.2."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+def euler_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
+    """Return roll, pitch, yaw (rad).
+
+    Parameters
+    ----------
+    quaternion : (..., 4) array_like
+        Unit quaternions (w, x, y, z).
+
+    Returns
+    -------
+    (..., 3) array
+        Roll and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
+    """
+    q = np.asarray(quaternion, dtype=np.float64)
+    if q.ndim == 1:
+        # A flight asks in every period for one: plain numbers take a third of the time of arrays without dimension.
+        w, x, y, z = q.tolist()
+        sine = min(max(2 * (w * y - z * x), -1.0), 1.0)
+        roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return np.array([roll, np.arcsin(sine), yaw])
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def initial_state(
+    *,
+    position: ArrayLike = (0.0, 0.0, 0.0),
+    velocity: ArrayLike = (0.0, 0.0, 0.0),
+    attitude: ArrayLike = (0.0, 0.0, 0.0),
+    rates: ArrayLike = (0.0, 0.0, 0.0),
+    rotor_speed: ArrayLike = (0.0, 0.0),
+    bar_attitude: ArrayLike | None = None,
+    charge: float = 1.0,
+) -> NDArray[np.float64]:
+    """Build a state.
+
+    Parameters
+    ----------
+    position, velocity : (3,) array_like
+        N, E, D (m, m/s).
+    attitude : (3,) array_like
+        Roll, pitch, yaw (rad).
+    rates : (3,) array_like
+        p, q, r (rad/s).
+    rotor_speed : (2,) array_like
+        Upper, lower (rad/s).
+    bar_attitude : (2,) array_like, optional
+        Roll and pitch (rad) of the stabiliser bar's disc at the heading of the fuselage; by default the disc is
+        square to the mast.
+    charge : float
+        Fraction of the battery's charge.
+
+    Returns
+    -------
+    (21,) array
+    """
+    roll, pitch, yaw = np.asarray(attitude, dtype=np.float64)
+    state = np.zeros(STATE_SIZE)
+    state[POSITION] = position
+    state[VELOCITY] = velocity
+    state[ATTITUDE] = quaternion_from_euler(roll, pitch, yaw)
+    state[RATES] = rates
+    bar_roll, bar_pitch = (roll, pitch) if bar_attitude is None else np.asarray(bar_attitude, np.float64)
+    state[BAR_NORMAL] = -body_to_ned_matrix(quaternion_from_euler(float(bar_roll), float(bar_pitch), yaw))[:, 2]
+    state[ROTOR_SPEEDS] = rotor_speed
+    state[RS_CHARGE] = charge
+    return state
+
+
+# ----------------------------------------------------------------------------
+# The numbers of the equations of motion, taken from a vehicle once.
+#
+# A NumPy record, because Numba reads ``p.mass`` from it as fast as from a C struct, and an array of records is a
+# batch of different vehicles.
+
+
+_CURVE_POINTS = 101
+_ROTOR_RIM_POINTS = 8
+_MAX_CONTACT_POINTS = MAX_LEGS + _ROTOR_RIM_POINTS
+_MAX_FRICTION_RATE = 2000.0  # 1/s, resolved by Runge-Kutta steps of 1 ms
+
+
+class ModelParameters:
+    """Parameters of the equations of motion (:func:`model_parameters`), SI units.
+
+    Without a coefficient map its tables are zero; with one ``thrust_up`` to ``torque_dw`` are not used.
+    """
+
+    mass: float = _real("mass", unit="kg", source="body.mass")
+    Ixx: float = _real("moment of inertia about x", unit="kg m2", source="body.inertia_xx")
+    Iyy: float = _real("moment of inertia about y", unit="kg m2", source="body.inertia_yy")
+    Izz: float = _real("moment of inertia about z", unit="kg m2", source="body.inertia_zz")
+    thrust_up: float = _real("upper thrust over the speed's square", unit="N s2")
+    thrust_dw: float = _real("lower thrust over the speed's square", unit="N s2")
+    torque_up: float = _real("upper torque over the speed's square", unit="N m s2")
+    torque_dw: float = _real("lower torque over the speed's square", unit="N m s2")
+    inplane: float = _real("drag in a disc's plane over speed and edgewise velocity", unit="N s2/m")
+    ground_effect: float = _real("0: none, 1: Cheeseman and Bennett's", source="rotors.ground_effect")
+    ground_radius: float = _real("rotor radius", unit="m", source="rotors.radius")
+    ground_disc: float = _real("thrust over the square of the induced velocity", unit="kg/m")
+    z_up: float = _real("hub of the upper rotor, body axes", unit="m", source="rotors.upper.hub_z")
+    z_dw: float = _real("hub of the lower rotor, body axes", unit="m", source="rotors.lower.hub_z")
+    J_up: float = _real("inertia that the motor sees", unit="kg m2", source="rotors.upper.drive_inertia")
+    J_dw: float = _real("inertia that the motor sees", unit="kg m2", source="rotors.lower.drive_inertia")
+    Jreact_up: float = _real("inertia reacting on the fuselage", unit="kg m2", source="rotors.upper.reaction_inertia")
+    Jreact_dw: float = _real("inertia reacting on the fuselage", unit="kg m2", source="rotors.lower.reaction_inertia")
+    kE: float = _real("back-EMF constant", unit="V s", source="motor.back_emf_constant")
+    kM: float = _real("torque constant", unit="N m/A", source="motor.torque_constant")
+    dR: float = _real("viscous friction of a motor", unit="N m s", source="motor.friction")
+    Mf: float = _real("dry friction of a motor", unit="N m", source="motor.friction_torque")
+    R_ohm: float = _real("armature resistance", unit="ohm", source="motor.resistance")
+    gear_ratio: float = _real("motor speed over rotor speed", source="gear.ratio")
+    gear_efficiency: float = _real("efficiency of a gear", source="gear.efficiency")
+    swash_rate: float = _real("1 / T_f,dw", unit="1/s")
+    swash_gain: float = _real("tilt at full servo input", unit="rad")
+    bar_rate: float = _real("1 / T_f,up", unit="1/s")
+    bar_gain: float = _real("l_up", source="stabiliser_bar.linkage")
+    downwash: float = _real("drag in the downwash", unit="N", source="body.downwash_drag")
+    drag_x: float = _real("rho cD A / 2 along x", unit="N s2/m2")
+    drag_y: float = _real("rho cD A / 2 along y", unit="N s2/m2")
+    drag_z: float = _real("rho cD A / 2 along z", unit="N s2/m2")
+    battery_capacity: float = _real("charge of the full battery", unit="A s", source="battery.capacity")
+    battery_resistance: float = _real("internal resistance of the battery", unit="ohm")
+    electronics_current: float = _real("of the electronics", unit="A", source="battery.electronics_current")
+    battery_curve: _Array = _real("open-circuit voltage over charge 0..1", _CURVE_POINTS, unit="V")
+    leg_stiffness: float = _real("stiffness of a leg", unit="N/m", source="contact.stiffness")
+    leg_damping: float = _real("damping of a leg", unit="N s/m", source="contact.damping")
+    leg_friction: float = _real("coefficient of friction", source="contact.friction")
+    slip_speed: float = _real("where friction becomes Coulomb's", unit="m/s", source="contact.slip_speed")
+    friction_bound: _Array = _real("bound of each point's friction", _MAX_CONTACT_POINTS, unit="N s/m")
+    contact_reach: float = _real("farthest contact point from the centre of gravity", unit="m")
+    contact_count: int = _int("contact points")
+    contact_points: _Array = _real("legs, then the upper rotor's rim, body axes", _MAX_CONTACT_POINTS, 3, unit="m")
+    map_nodes: int = _int("nodes of a table of the coefficient map; 0: no map")
+    map_size: NDArray[np.int64] = _int("mean speeds, ratios, climbs of the map", 3)
+    map_start: _Array = _real("first of each", 3)
+    map_per_step: _Array = _real("inverse of the step of each", 3)
+    map_radius: float = _real("rotor radius", unit="m")
+    map_thrust_up: _Array = _real("upper thrust over the speed's square", MAP_NODES, unit="N s2")
+    map_torque_up: _Array = _real("upper torque over the speed's square", MAP_NODES, unit="N m s2")
+    map_thrust_dw: _Array = _real("lower thrust over the speed's square", MAP_NODES, unit="N s2")
+    map_torque_dw: _Array = _real("lower torque over the speed's square", MAP_NODES, unit="N m s2")
+
+
+_PARAMETER_GETTERS = {
+    name: attrgetter(field.source) for name, field in record_fields(ModelParameters).items() if field.source
+}
+PARAMETER_DTYPE = record_type(ModelParameters, int_kind=np.int64)
+"""Type of a record of :class:`ModelParameters`."""
+
+
+def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
+    """Return the parameters of the equations of motion.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    voltage : float, optional
+        Holds the battery at this voltage (V), whatever current is drawn. By default the vehicle's own battery
+        model holds: ``"lithium-polymer"`` sags, ``"constant"`` keeps the nominal voltage.
+
+    Returns
+    -------
+    record of type :data:`PARAMETER_DTYPE`
+        SI units. ``np.array([first, second], dtype=PARAMETERS)`` makes a batch of different vehicles.
+
+    Raises
+    ------
+    InputError
+        If the voltage is not positive.
+
+    Thesis: eqs 4.11, 4.12.
+    """
+    if voltage is not None and not (np.isfinite(voltage) and voltage > 0):
+        raise InputError(vehicle.name, "voltage", f"{voltage} V is not possible", "give a positive voltage")
+    b, r, c = vehicle.body, vehicle.rotors, vehicle.contact
+    rho, radius = float(vehicle.air.density), float(r.radius)
+    constant = voltage if voltage is not None else float(vehicle.battery.nominal_voltage)
+    sags = voltage is None and vehicle.battery.model == "lithium-polymer"
+    curve = vehicle.battery.open_circuit_voltage
+
+    legs = c.legs.to_array()
+    angle = np.arange(_ROTOR_RIM_POINTS) * 2 * np.pi / _ROTOR_RIM_POINTS
+    rim = np.column_stack(
+        [radius * np.cos(angle), radius * np.sin(angle), np.full(_ROTOR_RIM_POINTS, float(r.upper.hub_z))]
+    )
+    points = np.vstack([legs, rim])
+    padded = np.zeros((_MAX_CONTACT_POINTS, 3))
+    padded[: len(points)] = points
+    arm = np.sum(points[:, :2] ** 2, axis=1)
+    share = np.concatenate(
+        [np.full(len(legs), arm[: len(legs)].sum()), np.full(_ROTOR_RIM_POINTS, arm[len(legs) :].sum())]
+    )
+    bound = np.full(_MAX_CONTACT_POINTS, np.inf)
+    bound[: len(points)] = _MAX_FRICTION_RATE * float(b.inertia_zz) / np.maximum(share, 1e-12)
+
+    values: dict[str, Any] = {name: float(take(vehicle)) for name, take in _PARAMETER_GETTERS.items()}
+    for side, rotor in (("up", r.upper), ("dw", r.lower)):
+        values[f"thrust_{side}"] = float(rotor.thrust_coefficient) * (np.pi * rho * radius**4)  # eq. 4.11
+        values[f"torque_{side}"] = float(rotor.torque_coefficient) * (np.pi * rho * radius**5)  # eq. 4.12
+    values |= {
+        "inplane": float(r.inplane_drag) * (np.pi * rho * radius**3),
+        "ground_disc": 2.0 * rho * np.pi * radius**2,
+        "swash_rate": 1.0 / float(vehicle.swash_plate.time_constant),
+        "swash_gain": float(vehicle.swash_plate.linkage) * float(vehicle.swash_plate.max_tilt),
+        "bar_rate": 1.0 / float(vehicle.stabiliser_bar.time_constant),
+        "drag_x": 0.5 * rho * float(b.drag_area_x),
+        "drag_y": 0.5 * rho * float(b.drag_area_y),
+        "drag_z": 0.5 * rho * float(b.drag_area_z),
+        "battery_resistance": float(vehicle.battery.internal_resistance) if sags else 0.0,
+        "battery_curve": curve.sample_evenly(_CURVE_POINTS) if sags else np.full(_CURVE_POINTS, constant),
+        "friction_bound": bound,
+        "contact_reach": float(np.max(np.linalg.norm(points, axis=1))),
+        "contact_count": len(points),
+        "contact_points": padded,
+    }
+    values |= _map_fields(vehicle, values)
+    record = np.zeros((), dtype=PARAMETER_DTYPE)
+    for name, value in values.items():
+        record[name] = value
+    return cast(np.void, record[()])
+
+
+def hover_speeds(
+    p: np.void | NDArray[Any] | Mapping[str, float],
+    thrust: ArrayLike | None = None,
+    torque: ArrayLike | None = None,
+) -> NDArray[np.float64]:
+    """Return the rotor speeds (upper, lower; rad/s; shape (..., 2)) in hover: eq. 5.1.
+
+    The rotors carry weight and downwash drag, and their torques balance::
+
+        cT_up k_T Wu^2 + cT_dw k_T Wd^2 = m g + W_hub        cQ_up Wu^2 = cQ_dw Wd^2
+
+    Parameters
+    ----------
+    p : record of type :data:`PARAMETER_DTYPE`, or array of them
+        A mapping with its fields will do.
+    thrust, torque : (2, ...) array_like, optional
+        Of upper and lower rotor over the squares of their speeds (N s2, N m s2); the constants of ``p`` by default.
+
+    Thesis: eq. 5.1.
+    """
+    t_up, t_dw = (p["thrust_up"], p["thrust_dw"]) if thrust is None else np.asarray(thrust)
+    q_up, q_dw = (p["torque_up"], p["torque_dw"]) if torque is None else np.asarray(torque)
+    ratio = q_up / q_dw  # (lower speed / upper speed)^2
+    upper = np.sqrt((p["mass"] * GRAVITY + p["downwash"]) / (t_up + t_dw * ratio))
+    return np.stack([upper, upper * np.sqrt(ratio)], axis=-1)
+
+
+def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]:
+    """Return what a record holds of a vehicle's map, beside its constants; nothing without one.
+
+    Tables hold thrust and torque over ``Omega^2`` (N s2, N m s2), the rest of a table its last value. With
+    ``rotors.map_level = "constants"`` each table is scaled so that at the hover point of the constant coefficients
+    (eq. 5.1) it gives them.
+    """
+    r, m = vehicle.rotors, vehicle.rotors.coefficient_map
+    if m is None:
+        return {}
+    rho, radius = float(vehicle.air.density), float(r.radius)
+    unit = np.pi * rho * radius**4 * np.array([1.0, radius, 1.0, radius])
+    each = [f"{what}_{side}" for side in ("up", "dw") for what in ("thrust", "torque")]
+    level = np.ones(4)
+    if r.map_level == "constants":
+        up, dw = hover_speeds(constants)
+        there, _ = interpolate_map(m, 0.5 * (up + dw), dw / up, 0.0)
+        if not np.all(there > 0.0):
+            raise InputError(
+                vehicle.name, "rotors.map_level", f"map {m.name!r} has no lift or no drag at hover to be scaled",
+                "use 'computed', or another map",
+            )  # fmt: skip
+        level = np.array([constants[name] for name in each]) / unit / there
+    *tables, size, start, per_step = pack_map_tables(m)
+    full = np.array([np.concatenate([t, np.full(MAP_NODES - t.size, t[-1])]) for t in tables])
+    full *= (level * unit)[:, None]
+    return {
+        "map_nodes": int(tables[0].size),
+        "map_size": size,
+        "map_start": start,
+        "map_per_step": per_step,
+        "map_radius": radius,
+        **{f"map_{name}": row for name, row in zip(each, full, strict=True)},
+    }

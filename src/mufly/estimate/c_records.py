@@ -1,0 +1,165 @@
+"""The filter's records and constants as C: what ``firmware/sources/records.h`` is made of.
+
+Struct and record have the same fields in the same order and of the same size, so in double precision both languages
+work on the same bytes. A field or a constant that is added in Python is in C with the next build.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from mufly.dynamics import equations_of_motion, model_state
+from mufly.dynamics.model_state import PARAMETER_DTYPE, STATE_SIZE, ModelParameters
+from mufly.estimate import (
+    ekf_step,
+    filter_records,
+    fusion,
+    output_predictor,
+    sensor_checks,
+    strapdown,
+    ud_filter,
+)
+from mufly.record_fields import Field, record_fields
+from mufly.units import GRAVITY
+
+PYTHON_ONLY_FIELDS = (
+    "rotation_work", "accel_work", "transition_work", "q_work", "w_work", "derivative_work", "no_wind",
+)  # fmt: skip
+"""Last fields of the memory, which C has on its stack."""
+FIELD_UNITS: dict[str, str] = {
+    name: field.unit
+    for record in (ModelParameters, filter_records.FilterSettings)
+    for name, field in record_fields(record).items()
+}
+"""Unit of each number of the settings and of the flight model, by the field's name; "" for none."""
+_GROUND_PREFIXES = (
+    "leg_",
+    "slip_",
+    "friction_",
+    "contact_",
+    "ground_",
+)  # of the flight model's: it is asked far above the floor
+_MAP_FIELDS = ("map_thrust_up", "map_torque_up", "map_thrust_dw", "map_torque_dw")
+_FILTER_MODULES: tuple[types.ModuleType, ...] = (
+    filter_records,
+    sensor_checks,
+    ud_filter,
+    strapdown,
+    fusion,
+    output_predictor,
+    ekf_step,
+)
+
+
+def model_type(p: np.void | Mapping[str, int], kind: Any = np.float64) -> np.dtype:
+    """Return the type of what the filter takes of the flight model's parameters, for a record of them."""
+    nodes = max(int(p["map_nodes"]), 1)
+    fields = []
+    for name in PARAMETER_DTYPE.names or ():
+        if not name.startswith(_GROUND_PREFIXES):
+            field = PARAMETER_DTYPE[name]
+            shape = (nodes,) if name in _MAP_FIELDS else field.shape
+            fields.append((name, np.int32 if field.base.kind == "i" else kind, shape))
+    return np.dtype(fields, align=True)
+
+
+def model_record(p: np.void, kind: Any = np.float64) -> np.ndarray:
+    """Return the flight model's parameters as the filter in C takes them."""
+    out = np.zeros(1, model_type(p, kind))
+    for name in out.dtype.names or ():
+        value = p[name]
+        out[name][0] = value[: out[name].shape[1]] if name in _MAP_FIELDS else value
+    return out
+
+
+def collect_constants() -> dict[str, int | float | tuple[int, ...]]:
+    """Return every constant of the filter's modules, by its name in C: no underscore before it, one behind a single
+    letter."""
+    found: dict[str, int | float | tuple[int, ...]] = {
+        "GRAVITY": GRAVITY,
+        **{name: value for name, value in vars(model_state).items() if name.startswith(("RS_", "U_"))},
+        "STANDSTILL": equations_of_motion._MIN_ROTOR_SPEED,
+        "MODEL_STATES": STATE_SIZE,
+        "CURVE_POINTS": PARAMETER_DTYPE["battery_curve"].shape[0],
+    }
+    for module in _FILTER_MODULES:
+        for name, value in vars(module).items():
+            whole = isinstance(value, tuple) and bool(value) and all(isinstance(v, int) for v in value)
+            if name.isupper() and name != "_Z" and (isinstance(value, (int, float)) or whole):
+                known = found.setdefault(_macro_name(name), value)
+                if known != value:
+                    raise ValueError(f"{module.__name__}.{name} = {value!r} is {known!r} elsewhere")
+    return found
+
+
+def _macro_name(name: str) -> str:
+    plain = name.lstrip("_")
+    return plain + "_" if len(plain) == 1 else plain
+
+
+def render_records_header(
+    p: np.void | Mapping[str, int],
+    kept: int = filter_records.INPUT_BLOCK_COUNT,
+    waiting: int = filter_records.QUEUE_SIZE,
+) -> str:
+    """Return ``records.h`` for a vehicle.
+
+    Parameters
+    ----------
+    p : record
+        Parameters of the flight model; of them the size of the map.
+    kept, waiting : int
+        Blocks of input that are remembered, and measurements that wait.
+    """
+    numbers = {
+        **collect_constants(),
+        "INPUT_BLOCK_COUNT": kept,
+        "QUEUE_SIZE": waiting,
+        "MAP_NODES": max(int(p["map_nodes"]), 1),
+    }
+    lines = [
+        "/* Constants and records of the estimator, made from those of Python (mufly.estimate); do not edit. */",
+        "#ifndef MUFLY_RECORDS_H",
+        "#define MUFLY_RECORDS_H",
+        "",
+        '#include "real.h"',
+        "",
+        *(_constant_definition(name, value) for name, value in numbers.items()),
+        "",
+    ]
+    sizes = {max(int(p["map_nodes"]), 1): "MAP_NODES"}
+    memory = filter_records.memory_type(kept=kept, waiting=waiting)
+    for name, record, fields in (
+        (
+            "estimator_settings_t",
+            filter_records.settings_type(),
+            record_fields(filter_records.FilterSettings),
+        ),
+        ("flight_model_t", model_type(p), record_fields(ModelParameters)),
+        ("estimator_t", memory, record_fields(filter_records.FilterMemory)),
+    ):
+        lines += ["typedef struct {", *_struct_members(record, sizes, fields), f"}} {name};", ""]
+    return "\n".join([*lines, "#endif", ""])
+
+
+def _struct_members(record: np.dtype, sizes: Mapping[int, str], fields: Mapping[str, Field]) -> Iterator[str]:
+    for name in record.names or ():
+        if name not in PYTHON_ONLY_FIELDS:
+            field = record[name]
+            kind = "int32_t" if field.base.kind == "i" else "real_t"
+            extent = "".join(f"[{sizes.get(n, n)}]" for n in field.shape)
+            unit = f" ({fields[name].unit})" if fields[name].unit else ""
+            yield f"    {kind} {name}{extent}; /* {fields[name].meaning}{unit} */"
+
+
+def _constant_definition(name: str, value: int | float | tuple[int, ...]) -> str:
+    if isinstance(value, tuple):
+        return f"static const int32_t {name}[{len(value)}] = {{{', '.join(map(str, value))}}};"
+    if isinstance(value, int):
+        return f"#define {name} {value if value >= 0 else f'({value})'}"
+    number = f"REAL({abs(value).hex()})"
+    return f"#define {name} {number if value >= 0 else f'(-{number})'} /* {value:.9g} */"

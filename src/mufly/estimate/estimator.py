@@ -1,0 +1,196 @@
+"""What does it believe? The estimate that flight software works with, and the ideal estimator, which passes truth on.
+
+An estimator turns the :class:`mufly.sensors.Readings` of every instant into an :class:`Estimate`. Whatever it
+is made of, the flight software judges it before it flies by it: an estimate that cannot be right is bridged for a
+moment (:func:`check_estimate`), then reported as lost.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.estimate.sensor_status import AuxiliaryStates
+from mufly.sensors import Reading, Readings
+
+_Array = NDArray[np.float64]
+
+ZERO_COVARIANCE = np.zeros((12, 12))
+"""Covariance of an estimate without error."""
+ZERO_COVARIANCE.flags.writeable = False
+
+
+def _nan_vector() -> _Array:
+    return np.full(3, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What is believed at one instant; NaN is not known.
+
+    Attributes
+    ----------
+    time_s : float
+        Time since the start of the recording.
+    position : (3,) array
+        N, E, D (m), of the centre of gravity.
+    velocity : (3,) array
+        N, E, D (m/s).
+    attitude : (3,) array
+        Roll, pitch, yaw (rad); yaw is continuous (it does not jump at +-pi).
+    rates : (3,) array
+        p, q, r (rad/s), body axes.
+    ranges : (n,) array
+        Distance to the nearest obstacle along each beam of the range ring (m); the ring's greatest range
+        where nothing was seen.
+    battery_voltage : float
+        Terminal voltage (V).
+    covariance : (12, 12) array
+        Of the errors of position, velocity, attitude and rates, in SI units.
+    valid : bool
+        Whether the estimator stands by it.
+    beliefs : Beliefs or None
+        What else a filter believes; None of an estimator that is told the truth.
+    """
+
+    time_s: float = math.nan
+    position: _Array = field(default_factory=_nan_vector)
+    velocity: _Array = field(default_factory=_nan_vector)
+    attitude: _Array = field(default_factory=_nan_vector)
+    rates: _Array = field(default_factory=_nan_vector)
+    ranges: _Array = field(default_factory=lambda: np.zeros(0))
+    battery_voltage: float = math.nan
+    covariance: _Array = field(default_factory=lambda: ZERO_COVARIANCE)
+    valid: bool = True
+    auxiliary_states: AuxiliaryStates | None = None
+
+
+class Estimator:
+    """From readings to an estimate, once a period of the flight software."""
+
+    def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
+        """Take what the sensors say now.
+
+        Parameters
+        ----------
+        readings : Readings
+        acting : (4,) array, optional
+            Motor upper, lower (0..1), servo 1, 2 (-1..1) that acted over the period that has just ended.
+        """
+        raise NotImplementedError
+
+    def reset(self) -> None:
+        """Everything is back at its start."""
+
+
+_MISSING_READING = Reading(_nan_vector(), math.nan)
+_NO_BEAMS, _NO_BATTERY = Reading(np.full(1, math.inf), math.nan), Reading(math.nan, math.nan)
+_REQUIRED_ESTIMATES = ("position", "velocity", "attitude", "rates")
+
+
+class IdealEstimator(Estimator):
+    """Believes what it is told: for sensors without error."""
+
+    def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
+        latest = readings.latest
+        x, v, angles, rates = motion = [latest.get(name, _MISSING_READING) for name in _REQUIRED_ESTIMATES]
+        return Estimate(
+            readings.time_s,
+            x.value,
+            v.value,
+            angles.value,
+            rates.value,
+            latest.get("ranges", _NO_BEAMS).value,
+            latest.get("battery_voltage", _NO_BATTERY).value,
+            ZERO_COVARIANCE,
+            all(reading.valid for reading in motion),
+        )
+
+
+# An estimate that cannot be right: bridged for a moment, then reported as lost.
+#
+# A value that is not finite, or all of position, velocity, attitude and rates repeated to the last bit (a sensor or
+# link that hangs; in flight the battery alone sees to it that something moves), or an estimate that its estimator does
+# not stand by, is a fault. The last good values stand in for it. That is good for as long as they are nearly true; how
+# long it has lasted is told to the flight software.
+#
+# Ranges that are not finite count as nothing seen. A voltage that is not positive is replaced by the last good one, for
+# as long as it takes: the battery changes slowly, and the control law bounds what it believes.
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateMonitor:
+    """What is remembered from one estimate to the next.
+
+    Attributes
+    ----------
+    values : list of 12 floats
+        Position, velocity, attitude and rates as they came last.
+    good : Estimate
+        The last good value of each quantity.
+    lost_s : float
+        For how long position, velocity, attitude or rates have been missing or frozen (s).
+    what : str
+        Which, in words.
+    """
+
+    last_values: list[float]
+    last_good: Estimate
+    lost_s: float = 0.0
+    lost_quantities: str = ""
+
+
+def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float, max_range_m: float) -> EstimateMonitor:
+    """Judge an estimate.
+
+    Parameters
+    ----------
+    before : Watch or None
+        From the estimate before; None at the first.
+    m : Estimate
+        As received.
+    period_s : float
+        Time since the one before (s), by the clock of the flight software.
+    max_range_m : float
+        What a beam that sees nothing returns (m).
+
+    Returns
+    -------
+    Watch
+        Its ``last_good`` is the estimate to work with: finite, and on a clock that moves on.
+    """
+    values = [*m.position.tolist(), *m.velocity.tolist(), *m.attitude.tolist(), *m.rates.tolist()]
+    frozen = before is not None and values == before.last_values
+    later = before is None or m.time_s > before.last_good.time_s
+    # The sum of finite numbers of any sensible size is finite: one question for all, since this runs in every period.
+    whole = math.isfinite(sum(values)) and math.isfinite(m.time_s) and later
+    seen = (before is not None and m.ranges is before.last_good.ranges) or math.isfinite(sum(m.ranges.tolist()))
+    if whole and seen and 0.0 < m.battery_voltage < math.inf and m.valid and not frozen:
+        return EstimateMonitor(values, m)
+    bad = [name for name in _REQUIRED_ESTIMATES if not (m.valid and np.all(np.isfinite(getattr(m, name))))]
+    good = _replace_bad_values(before, m, bad, period_s, max_range_m)
+    if not bad and not frozen:
+        return EstimateMonitor(values, good)
+    lost_s = 0.0 if before is None else before.lost_s
+    return EstimateMonitor(values, good, lost_s + period_s, " and ".join(bad) or "all, which is frozen")
+
+
+def _replace_bad_values(
+    before: EstimateMonitor | None, m: Estimate, bad: list[str], period_s: float, max_range_m: float
+) -> Estimate:
+    """The estimate with the last good values in place of bad ones; zero where there are none yet."""
+    replaced: dict[str, Any] = {
+        name: np.zeros(3) if before is None else getattr(before.last_good, name) for name in bad
+    }
+    last_s = 0.0 if before is None else before.last_good.time_s
+    if not math.isfinite(m.time_s) or (before is not None and m.time_s <= last_s):
+        replaced["time_s"] = last_s + period_s
+    if not np.all(np.isfinite(m.ranges)):
+        replaced["ranges"] = np.where(np.isfinite(m.ranges), m.ranges, max_range_m)
+    if not 0.0 < m.battery_voltage < math.inf:
+        replaced["battery_voltage"] = 1.0 if before is None else before.last_good.battery_voltage
+    return replace(m, **replaced)

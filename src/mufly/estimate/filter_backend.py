@@ -1,0 +1,248 @@
+"""The filter's step, by whichever of two equal codes starts sooner: the C that flies on board, or Numba's.
+
+The C sources of :mod:`mufly.firmware` are a translation by hand of this room's compiled functions and give the same
+numbers to the last bit (``tests/firmware/test_estimate_c.py``). A C compiler builds them in a second or two, Numba
+needs half a minute for the same; both are kept on disk afterwards. So C is taken where there is a compiler, in double
+precision, and as long as the Python sources are those that it was proved equal to (:data:`VERIFIED_STAMP`): whoever
+changes a line of them flies with Numba until C has followed.
+
+``MUFLY_ESTIMATOR=numba`` or ``c`` in the environment takes one or the other without asking.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import os
+import types
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from mufly import portable_math
+from mufly.drive import drive_train
+from mufly.dynamics import equations_of_motion, model_parameters
+from mufly.errors import MuflyError
+from mufly.estimate import ekf_step, fusion, output_predictor, sensor_checks, strapdown, ud_filter
+from mufly.estimate.c_records import model_record, render_records_header
+from mufly.rotor import coax_maps
+from mufly.toolchain import COMPILER_FLAGS, build_cached_library
+from mufly.vehicle import Vehicle
+
+VERIFIED_STAMP = "aa80e63c5b06937d"
+"""Stamp of the Python sources (:func:`source_stamp`) to which C was last proved equal."""
+
+FILTER_SOURCES = (
+    "ekf_step",
+    "output_predictor",
+    "fusion",
+    "sensor_checks",
+    "ud_filter",
+    "strapdown",
+    "flight_model",
+    "real",
+)
+"""Of the filter, in ``firmware/sources``."""
+_SOURCE_FOLDER = Path(__file__).resolve().parents[1] / "firmware" / "sources"
+_BACKEND_VARIABLE = "MUFLY_ESTIMATOR"
+_C_DECLARATIONS = """
+void estimator_reset(void *m, const void *s);
+_Bool estimator_step(void *m, const void *s, const void *p, double *z, int32_t *fresh, const double *age);
+"""
+
+
+BackendName = Literal["", "c", "numba"]
+
+
+@dataclass(frozen=True)
+class FilterBackend:
+    """What computes the filter.
+
+    Attributes
+    ----------
+    name : str
+        ``"C"`` or ``"Numba"``.
+    why : str
+        Why not C; empty with C.
+    begin : callable
+        Of the memory.
+    step : callable
+        Of the memory; says whether the estimate is valid. Readings, which are new, and their ages are in the arrays
+        that were given.
+    place : tuple of int
+        With C, addresses of its step and of the records of settings and flight model, for other compiled code.
+    settings : record
+        As it reads them in every step.
+    """
+
+    name: str
+    selection_reason: str
+    reset_memory: Callable[[np.ndarray], None]
+    step_filter: Callable[[np.ndarray], bool]
+    call_addresses: tuple[int, ...] = ()
+    settings: Any = None
+
+
+def make_backend(
+    settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: np.ndarray, code: BackendName = ""
+) -> FilterBackend:
+    """Return what computes the filter from now on.
+
+    Parameters
+    ----------
+    settings, parameters : records
+        Of the filter (:func:`mufly.estimate.filter_records.filter_settings`) and of the flight model.
+    z, new, age : arrays
+        In which every period's readings will stand (:func:`mufly.estimate.ekf_step.estimator_step`).
+    code : "", "c" or "numba"
+        Which; ``""``: what the environment says, or else C where it can be had.
+
+    Raises
+    ------
+    MuflyError
+        If C is asked for and cannot be had.
+    """
+    asked = code or os.environ.get(_BACKEND_VARIABLE, "")
+    why = _reason_against_c(asked, z.dtype)
+    if not why:
+        try:
+            return make_c_backend(settings, parameters, z, new, age)
+        except (MuflyError, OSError) as error:
+            if asked == "c":
+                raise MuflyError(f"the estimator in C: {error}") from None
+            why = str(error)
+
+    def step_with_numba(memory: np.ndarray) -> bool:
+        return bool(ekf_step.estimator_step(memory[0], settings, parameters, z, new, age))
+
+    return FilterBackend(
+        "Numba",
+        why,
+        lambda memory: ekf_step.estimator_reset(memory[0], settings),
+        step_with_numba,
+        settings=settings,
+    )
+
+
+def explain_numba_choice(vehicle: Vehicle) -> str:
+    """Return why Numba computes the filter of a vehicle; "" if it is C, which is built now if it is not there yet."""
+    asked = os.environ.get(_BACKEND_VARIABLE, "")
+    why = _reason_against_c(asked, np.float64)
+    if not why:
+        try:
+            _load_filter_library(render_records_header(model_parameters(vehicle)))
+        except (MuflyError, OSError) as error:
+            why = str(error)
+    return why
+
+
+def _reason_against_c(asked: str, kind: Any) -> str:
+    """Why C is not taken, before it is tried."""
+    if asked == "numba":
+        return "Numba was asked for"
+    if kind != np.float64:
+        return "single precision"
+    if asked != "c" and source_stamp() != VERIFIED_STAMP:
+        return "the Python sources of the filter have changed since its C was proved equal to them"
+    return ""
+
+
+def make_c_backend(
+    settings: Any,
+    parameters: Any,
+    z: np.ndarray,
+    new: np.ndarray,
+    age: np.ndarray,
+    flags: tuple[str, ...] = COMPILER_FLAGS,
+) -> FilterBackend:
+    """Return the C, as :func:`make_backend` does, built with these flags.
+
+    Raises
+    ------
+    MuflyError
+        If there is no compiler.
+    """
+    ffi, lib = _load_filter_library(render_records_header(parameters), flags)
+    # The records' bytes are the structs'; ffi keeps hold of the arrays.
+    own = np.array([settings])
+    s = ffi.from_buffer(own)
+    p = ffi.from_buffer(model_record(parameters))
+    values, fresh, ages = (
+        ffi.from_buffer("double[]", z),
+        ffi.from_buffer("int32_t[]", new),
+        ffi.from_buffer("double[]", age),
+    )
+    begin, advance, view = lib.estimator_reset, lib.estimator_step, ffi.from_buffer
+    held: list[Any] = [None, None]
+
+    def step_in_c(memory: np.ndarray) -> bool:
+        if held[0] is not memory:
+            held[:] = memory, view(memory)
+        return advance(held[1], s, p, values, fresh, ages)
+
+    place = tuple(int(ffi.cast("uintptr_t", p)) for p in (ffi.addressof(lib, "estimator_step"), s, p))
+    return FilterBackend("C", "", lambda memory: begin(view(memory), s), step_in_c, place, settings=own[0])
+
+
+@functools.lru_cache(maxsize=8)
+def _load_filter_library(records: str, flags: tuple[str, ...] = COMPILER_FLAGS) -> tuple[Any, Any]:
+    import cffi  # what a machine without a compiler never needs
+
+    ffi = cffi.FFI()
+    ffi.cdef(_C_DECLARATIONS)
+    return ffi, ffi.dlopen(str(build_cached_library("estimate", collect_sources(records), flags=flags)))
+
+
+def collect_sources(records: str) -> dict[str, str]:
+    """Return the text of every source and header of the filter in C, by its name."""
+    files = {path.name: path.read_text(encoding="utf-8") for path in sorted(_SOURCE_FOLDER.glob("*.h"))}
+    files |= {f"{name}.c": (_SOURCE_FOLDER / f"{name}.c").read_text(encoding="utf-8") for name in FILTER_SOURCES}
+    return {**files, "records.h": records}
+
+
+_TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
+    *((module, ()) for module in (ekf_step, output_predictor, fusion, sensor_checks, ud_filter, strapdown)),
+    (portable_math, ("sine_cosine", "portable_atan2", "wrap_angle", "floor_int")),
+    (
+        equations_of_motion,
+        (
+            "state_derivative_tilted",
+            "battery_state",
+            "map_coefficients",
+            "climb_velocity",
+            "_inplane_drag",
+            "_clip_value",
+        ),
+    ),
+    (drive_train, ("armature_current", "rotor_acceleration", "interpolate_table", "terminal_voltage")),
+    (coax_maps, ("interpolate", "_cubic_weights")),
+)
+"""Of which modules all compiled functions, or which, stand in C."""
+
+
+@functools.cache
+def source_stamp() -> str:
+    """Return a hash of the compiled functions of which C is the translation, blind to layout and comments.
+
+    Constants of modules are generated for C, so they may change; what stands inside a function may not.
+    """
+    digest = hashlib.sha256()
+    for module, names in _TRANSLATED_MODULES:
+        for node in ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and (node.name in names if names else node.decorator_list):
+                digest.update("\0".join(_node_tokens(node)).encode())
+    return digest.hexdigest()[:16]
+
+
+def _node_tokens(function: ast.FunctionDef) -> Iterator[str]:
+    """What a function says: the kinds of its nodes and their names and numbers, without its docstring."""
+    yield from (function.name, *(argument.arg for argument in function.args.args))
+    body = function.body[1:] if ast.get_docstring(function, clean=False) is not None else function.body
+    for part in body:
+        for node in ast.walk(part):
+            yield type(node).__name__
+            yield from (repr(v) for k, v in ast.iter_fields(node) if isinstance(v, (str, int, float)) and k != "kind")

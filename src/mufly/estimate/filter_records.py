@@ -1,0 +1,555 @@
+"""The filter's two records, memory and settings, and the names of their indices: each becomes a struct in C.
+
+The nominal state ``x`` has the indices ``SX_...``, in SI units:
+
+====================== ======================================================================================
+``SX_POS``             position N, E, D of the centre of gravity
+``SX_VEL``             velocity N, E, D
+``SX_ATT``             attitude, quaternion w x y z
+``SX_GYRO_BIAS``       bias of the gyroscopes, body axes
+``SX_ACCEL_BIAS``      bias of the accelerometers, body axes
+``SX_TERRAIN``         height of the surface under the sonar above D = 0, up
+``SX_FIX_BIAS``        bias of the position fix, N, E, D
+``SX_FIX_HEADING``     bias of the position fix's heading
+``SX_WIND``            wind N, E
+``SX_THRUST_SCALE``    true thrust over the model's
+``SX_PRESSURE_BIAS``   bias of the pressure (Pa)
+``SX_MAG_BIAS``        bias of the magnetic heading (rad)
+====================== ======================================================================================
+
+The error state has one number less, with the indices ``EX_...``: the attitude errs by a small turn about N, E and D
+(true = exp(turn) estimated). :data:`ERROR_STATES` has its names.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics import GRAVITY, model_parameters, standing_height
+from mufly.dynamics.model_state import hover_speeds
+from mufly.record_fields import int_field as _int
+from mufly.record_fields import real_field as _real
+from mufly.record_fields import record_type
+from mufly.sensors import beam_directions, earth_field
+from mufly.sensors.ring_camera import ELEVATION_MARGIN
+from mufly.vehicle import Vehicle
+from mufly.vehicle.sensor_schema import DEFAULT_LEVEL_ERROR_RAD, SensorSuite
+from mufly.world import World
+
+_Array = NDArray[np.float64]
+_Ints = NDArray[np.int32]
+
+ERROR_STATES: tuple[str, ...] = (
+    "position_N", "position_E", "position_D",
+    "velocity_N", "velocity_E", "velocity_D",
+    "turn_N", "turn_E", "turn_D",
+    "gyro_bias_p", "gyro_bias_q", "gyro_bias_r",
+    "accelerometer_bias_x", "accelerometer_bias_y", "accelerometer_bias_z",
+    "floor_height",
+    "fix_bias_N", "fix_bias_E", "fix_bias_D", "fix_bias_heading",
+    "wind_N", "wind_E",
+    "thrust_scale",
+    "pressure_bias",
+    "magnetic_heading_bias",
+)  # fmt: skip
+"""The error state, in order: m, m/s, rad (turns about N, E, D), rad/s, m/s^2, m, m and rad, m/s, 1, Pa, rad."""
+
+ERROR_STATE_COUNT = len(ERROR_STATES)
+STATE_COUNT = ERROR_STATE_COUNT + 1
+SX_POS, SX_VEL, SX_ATT, SX_GYRO_BIAS, SX_ACCEL_BIAS, SX_TERRAIN = 0, 3, 6, 10, 13, 16
+SX_FIX_BIAS, SX_FIX_HEADING, SX_WIND, SX_THRUST_SCALE, SX_PRESSURE_BIAS, SX_MAG_BIAS = 17, 20, 21, 23, 24, 25
+EX_POS, EX_VEL, EX_ATT, EX_GYRO_BIAS, EX_ACCEL_BIAS, EX_TERRAIN = 0, 3, 6, 9, 12, 15
+EX_FIX_BIAS, EX_FIX_HEADING, EX_WIND, EX_THRUST_SCALE, EX_PRESSURE_BIAS, EX_MAG_BIAS = 16, 19, 20, 22, 23, 24
+MODEL_ACCEL = 3
+"""Where the model's acceleration starts in ``accel_work``."""
+RF_STATIC, RF_REST, RF_SLOPE, RF_ANG_ACCEL = 0, 3, 6, 9
+ROTOR_FORCE_SIZE = 12
+"""A row of the rotor model, three numbers each: force per mass without motion through the air (m/s^2), the rest of the
+force (m/s^2), its slope over the velocity through the air (1/s), angular acceleration (rad/s^2); body axes."""
+IN_RATES, IN_ACCEL, IN_STATIC, IN_REST, IN_SLOPE, IN_SHARE, IN_NOISE, IN_PHASE = 0, 3, 6, 9, 12, 15, 18, 21
+INPUT_ROW_SIZE = 22
+"""A row of inputs, means over a block, three numbers each: measured rates (rad/s) and acceleration (m/s^2), the model's
+force as in a row of the rotor model, weight of the accelerometer, density of the noise (m^2/s^3); and the flight phase
+of the last period."""
+
+BIAS_CYCLE_TICKS = ERROR_STATE_COUNT - EX_GYRO_BIAS - 4
+"""Periods in which each bias steps once, but for those of the fix, which step with it."""
+
+READING_NAMES = (
+    "acceleration", "rates", "ground_distance", "ranges", "pressure", "magnetic_field", "rotor_speed",
+    "position_fix", "battery_voltage",
+)  # fmt: skip
+"""Readings of the filter, in the order of all its tables."""
+READING_WIDTHS = (3, 3, 1, 8, 1, 3, 2, 4, 1)
+READING_STARTS = tuple(int(k) for k in np.cumsum([0, *READING_WIDTHS]))
+"""Where each reading starts in the row of values of one instant."""
+SENSOR_COUNT = len(READING_NAMES)
+(
+    R_ACCELERATION, R_RATES, R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_FIX, R_BATTERY,
+) = range(SENSOR_COUNT)  # fmt: skip
+MAX_FUSED_BEAMS = 8
+PHASE_STANDING, PHASE_COASTING, PHASE_RUNNING, PHASE_LIGHT, PHASE_FLYING = range(5)
+"""On the floor with motors off, with motors on, perhaps just off it, in the air."""
+INPUT_BLOCK_S = 0.02
+"""Inputs are averaged over this time (s), and the filter moves on by it: attitude and force of a turn of 2 rad/s are
+right to 1e-4 in it."""
+INPUT_BLOCK_COUNT = 40  # blocks of input that are remembered
+MAX_LAG_BLOCKS = 4  # blocks by which the filter may be behind when much has come at once
+MAX_DELAY_BLOCKS = INPUT_BLOCK_COUNT - 2 * MAX_LAG_BLOCKS  # blocks by which the horizon may be behind now
+QUEUE_SIZE = 64  # measurements that wait for the horizon
+MAX_WORK_LIMIT = 4  # scalar measurements, or what costs as much, for which there is time in a period of 5 ms
+TR_GYRO, TR_ACCEL, TR_AIR, TR_THRUST, TR_TURN = 0, 9, 18, 27, 30
+TRANSITION_SIZE = 33
+"""Numbers of :func:`mufly.estimate.strapdown.error_transition`, and where its parts start."""
+MAX_H_TERMS = 8  # states of which a measurement tells at most
+ROTOR_FORCE_HISTORY = 8  # periods for which forces of the model wait for the slower inertial unit
+
+
+class FilterMemory:
+    """Everything that the filter keeps between two periods, all zero before its reset; ``lp``: low-pass filtered."""
+
+    # The filter at the horizon
+    x: _Array = _real("nominal state at the horizon, indices SX", STATE_COUNT)
+    u_transposed: _Array = _real("U of P = U D U^T by columns, ut[j, i] = U_ij", ERROR_STATE_COUNT, ERROR_STATE_COUNT)
+    d: _Array = _real("diagonal of D", ERROR_STATE_COUNT)
+    horizon_tick: int = _int("period of the state x")
+    fix_bias_tick: int = _int("period up to which the bias of the fix is predicted")
+    task_stage: int = _int("next stage of the work at the horizon")
+    next_beam: int = _int("next beam of the ring to fuse")
+    beams_seen: int = _int("beams of this picture with a range")
+    beams_fused: int = _int("beams of this picture within their gate")
+    yaw_rate: float = _real("rate about the vertical at the horizon", unit="rad/s")
+    wall_info_limit: _Array = _real("information on N and E that a picture can hold at most", 2, unit="1/m2")
+    wall_info_share: _Array = _real("share of it that this picture adds", 2)
+    # Inputs
+    input_blocks: _Array = _real(
+        "rows of inputs, at their block modulo INPUT_BLOCK_COUNT", "INPUT_BLOCK_COUNT", INPUT_ROW_SIZE
+    )
+    inputs_now: _Array = _real("inputs of the last period", INPUT_ROW_SIZE)
+    tick: int = _int("periods since the reset")
+    gyro_rates: _Array = _real("rates without spikes and offset, body axes", 3, unit="rad/s")
+    # Rotor model
+    rotor_state: _Array = _real("state of the flight model in body axes, indices RS", 21)
+    actuators: _Array = _real("actuators that acted: motors, servos", 4)
+    motor_accel_bias: _Array = _real("error of the motors' equations", 2, unit="rad/s2")
+    ang_accel_bias: _Array = _real("error of the model's moments a period, body axes", 3, unit="rad/s")
+    rate_residual_lp: float = _real("rates less the model's, lp", unit="rad/s")
+    rotor_force: _Array = _real(
+        "rows of the rotor model, at their period modulo ROTOR_FORCE_HISTORY", ROTOR_FORCE_HISTORY, ROTOR_FORCE_SIZE
+    )
+    # Measurements that wait for the horizon
+    queue_due: _Ints = _int("period of the horizon at which each is fused; -1: free", "QUEUE_SIZE")
+    queue_sensor: _Ints = _int("sensor of each", "QUEUE_SIZE")
+    queue_value: _Array = _real("value of each", "QUEUE_SIZE", MAX_FUSED_BEAMS)
+    queue_ahead: _Array = _real("time of each after its period", "QUEUE_SIZE", unit="s")
+    # Noise of the accelerometers about the model
+    accel_noise_sum: _Array = _real("sum of residuals since the last mean", 3, unit="m/s2")
+    gyro_rates_prev: _Array = _real("rates of the period before, body axes", 3, unit="rad/s")
+    accel_noise_count: int = _int("residuals in accel_noise_sum")
+    accel_noise: _Array = _real("density of the noise by means over short blocks", 3, unit="m2/s3")
+    accel_noise_slow: _Array = _real("density of the noise at low frequencies", 3, unit="m2/s3")
+    slow_sum: _Array = _real("weighted sum of residuals since the last slow mean", 3, unit="m/s2")
+    slow_mean_prev: _Array = _real("last slow mean", 3, unit="m/s2")
+    slow_count: int = _int("residuals in slow_sum")
+    slow_mean_count: int = _int("slow means so far")
+    clip_share: _Array = _real("share of clipped samples, lp", 3)
+    # Means since accelerometers and model were compared last
+    accel_mean: _Array = _real("measured acceleration", 3, unit="m/s2")
+    model_accel_mean: _Array = _real("acceleration of the model", 3, unit="m/s2")
+    thrust_slope: _Array = _real("slope of the model's force over the thrust's scale", 3, unit="m/s2")
+    velocity_slope: _Array = _real("slope of the model's force over the velocity through the air", 3, unit="1/s")
+    residual_density: _Array = _real("density of the noise of measured less modelled", 3, unit="m2/s3")
+    residual_ratio: float = _real("largest innovation ratio of the axes so far")
+    block_mean_ticks: int = _int("periods in these means")
+    # Flight phase, terrain, faults
+    rates_lp: _Array = _real("rates without bias at the horizon, lp", 3, unit="rad/s")
+    terrain_edge_weight: float = _real("1 at an edge in the sonar's cone, falling to 0")
+    divergence_ticks: int = _int("periods for which the gyroscopes' bias stays free; 1: has been freed once")
+    flight_phase: int = _int("STANDING, COASTING, RUNNING, LIGHT or FLYING")
+    fix_component: int = _int("component of the last position fix that is off most: N, E, D, heading")
+    fault_component: int = _int("the same of the fix's fault_number")
+    is_sonar_at_minimum: int = _int("1: the sonar reads its least range")
+    spike_repeats: int = _int("gyroscope readings in a row that are off alike")
+    gyro_offset: _Array = _real("jumps of the gyroscopes, taken off", 3, unit="rad/s")
+    sonar_ratio_lp: float = _real("innovation ratio of the sonar, lp")
+    spike_count: int = _int("gyroscope readings in a row that are off")
+    rates_with_spikes: _Array = _real("rates of the period before, spikes included", 3, unit="rad/s")
+    terrain_steps: int = _int("steps of the terrain over this edge")
+    fix_ratio_lp: float = _real("square of the largest innovation ratio of the fix, lp")
+    is_accel_distrusted: int = _int("1: accelerometers and model disagree, the accelerometers are not used")
+    accel_residual_lp: _Array = _real("accelerometers less model, lp", 3, unit="m/s2")
+    accel_residual_sigma: _Array = _real("standard deviation expected of it", 3, unit="m/s2")
+    position_prev: _Array = _real("position of the output of the period before", 3, unit="m")
+    standing_ticks: int = _int("periods on the floor with the motors off")
+    is_heading_aligned: int = _int("1: a fix has been fused")
+    gyro_mean: _Array = _real("measured rates, mean since the last comparison", 3, unit="rad/s")
+    is_initialised: int = _int("1: the state may be used")
+    # Output: the state of now
+    x_output: _Array = _real("nominal state of now, indices SX", STATE_COUNT)
+    rates_output: _Array = _real("rates of now, body axes", 3, unit="rad/s")
+    angles_output: _Array = _real("roll, pitch, and yaw without jumps at half a turn", 3, unit="rad")
+    covariance_output: _Array = _real("covariance of position, velocity and roll, pitch, yaw", 9, 9)
+    sigma_output: _Array = _real("standard deviations of the error state", ERROR_STATE_COUNT)
+    position_slip: _Array = _real("what is left of jumps of the position, subtracted", 3, unit="m")
+    # From the horizon to now
+    x_repropagating: _Array = _real("state on its way from the horizon to now", STATE_COUNT)
+    repropagating_tick: int = _int("its period")
+    repropagating_velocity_variance: _Array = _real("variance of the velocity added on the way", 3, unit="m2/s2")
+    repropagating_velocity_gain: _Array = _real("velocity gained on the way without gravity", 3, unit="m/s")
+    repropagating_span: float = _real("time since the horizon", unit="s")
+    x_now: _Array = _real("last state that arrived, predicted since", STATE_COUNT)
+    now_velocity_variance: _Array = _real("variance of its velocity added on the way", 3, unit="m2/s2")
+    now_velocity_gain: _Array = _real("velocity gained on its way without gravity", 3, unit="m/s")
+    now_span: float = _real("time of its way", unit="s")
+    # Health of each sensor
+    last_value: _Array = _real("last value of each sensor, at STARTS", READING_STARTS[-1])
+    last_new_tick: _Ints = _int("period of the last new reading", SENSOR_COUNT)
+    last_fused_tick: _Ints = _int("period of the last fused reading", SENSOR_COUNT)
+    repeat_count: _Ints = _int("readings in a row equal to the last bit", SENSOR_COUNT)
+    reject_count: _Ints = _int("readings rejected in a row", SENSOR_COUNT)
+    reject_since_tick: _Ints = _int("period since which rejected readings agree with each other", SENSOR_COUNT)
+    grounded_tick: int = _int("last period in which it did not fly")
+    status: _Ints = _int("NOTHING, FUSED, REJECTED, MISSING or FAULTY", SENSOR_COUNT)
+    reason: _Ints = _int("reason of the status, of sensor_checks.py", SENSOR_COUNT)
+    fault_until_tick: _Ints = _int("period until which a fault is reported", SENSOR_COUNT)
+    fault_number: _Array = _real("number in the reason's text", SENSOR_COUNT)
+    innovation: _Array = _real("innovation of the worst component", SENSOR_COUNT)
+    innovation_sigma: _Array = _real("its standard deviation", SENSOR_COUNT)
+    late_count: _Ints = _int("readings that came too late to be fused", SENSOR_COUNT)
+    rejected_value: _Array = _real("last rejected value", SENSOR_COUNT, 3)
+    agree_count: _Ints = _int("rejected readings in a row that agree with each other", SENSOR_COUNT)
+    is_decimated: _Ints = _int("1: this reading is left out by decimation", SENSOR_COUNT)
+    reject_score: _Array = _real("rejections, decaying with every fused reading", SENSOR_COUNT)
+    invalid_count: _Ints = _int("readings in a row that are marked invalid by the sensor", SENSOR_COUNT)
+    double_count: _Ints = _int("readings in a row that came twice", SENSOR_COUNT)
+    decimation_count: _Ints = _int("readings so far, for the decimation", SENSOR_COUNT)
+    fix_height_gap: float = _real("height of the fix less the sonar's where they disagree, else 0", unit="m")
+    sonar_prev: float = _real("last range of the sonar", unit="m")
+    sonar_repeat_chance: float = _real("chance that a working sonar repeats itself so often")
+    height_reset_tick: int = _int("period of the last reset of the height by the sonar")
+    spike_residual_carry: _Array = _real("gyroscope residuals carried to the next period", 3, unit="rad/s")
+    motor_accel_mean: _Array = _real("motor_accel_bias, mean over seconds", 2, unit="rad/s2")
+    accel_noise_mean: _Array = _real("last mean of residuals over a short block", 3, unit="m/s2")
+    # Work
+    axis_work: _Array = _real("work", 3)
+    h_terms: int = _int("terms of the row of H")
+    h_state: _Ints = _int("error state of each term", MAX_H_TERMS)
+    h: _Array = _real("value of each term", MAX_H_TERMS)
+    f: _Array = _real("U^T h", ERROR_STATE_COUNT)
+    gain: _Array = _real("Kalman gain", ERROR_STATE_COUNT)
+    # Work of Python alone: in C it is on the stack
+    rotation_work: _Array = _real("rotation matrix", 9)
+    accel_work: _Array = _real("acceleration without gravity N, E, D, and the model's in body axes", 6)
+    transition_work: _Array = _real("transition of the errors", TRANSITION_SIZE)
+    q_work: _Array = _real("process noise", 9)
+    w_work: _Array = _real("columns of the velocity", 3, 6)
+    derivative_work: _Array = _real("derivative of the flight model", 21)
+    no_wind: _Array = _real("zeros", 3)
+
+
+class FilterSettings:
+    """Everything that the filter is told of its vehicle (:func:`filter_settings`)."""
+
+    dt: float = _real("period", unit="s")
+    block_ticks: int = _int("periods of a block")
+    work_limit: int = _int("scalar measurements that a period has time for")
+    imu_lag: float = _real("delay of the inertial unit's filter", unit="s")
+    imu_lag_ticks: int = _int("its whole periods")
+    imu_lag_share: float = _real("its rest, of a period")
+    delay_ticks: int = _int("periods by which the horizon is behind")
+    has_rotor_model: int = _int("1: the rotor model is used")
+    swash_decay: float = _real("decay of the swash plate in a period")
+    swash_decay_mean: float = _real("mean of that decay over the period")
+    initial_state: _Array = _real("state at the reset", STATE_COUNT)
+    initial_sigma: _Array = _real("standard deviations at the reset", ERROR_STATE_COUNT)
+    decay: _Array = _real("decay of each bias in its step", ERROR_STATE_COUNT)
+    process_variance: _Array = _real("variance that each error gains in its step", ERROR_STATE_COUNT)
+    gyro_density: float = _real("density of the gyroscopes' noise", unit="rad2/s")
+    gyro_cross_density: _Array = _real("the same per square of the rate: across the axis, along it", 2, unit="s")
+    accel_density: float = _real("density of the accelerometers' noise", unit="m2/s3")
+    model_accel_density: _Array = _real("density of the rotor model's error", 3, unit="m2/s3")
+    accel_range: float = _real("range of the accelerometers", unit="m/s2")
+    gyro_range: float = _real("range of the gyroscopes", unit="rad/s")
+    rest_accel_sigma: float = _real("standard deviation of the accelerometers at rest", unit="m/s2")
+    rest_gyro_sigma: float = _real("standard deviation of the gyroscopes at rest", unit="rad/s")
+    rest_tilt_sigma: float = _real("standard deviation of the tilt on the floor", unit="rad")
+    ground_clearance: float = _real("height of the centre of gravity on the floor", unit="m")
+    weight: float = _real("weight", unit="N")
+    thrust_coefficients: _Array = _real("thrust over the square of the speed: upper, lower", 2, unit="N s2")
+    hover_speed: _Array = _real("rotor speed in hover: upper, lower", 2, unit="rad/s")
+    is_fitted: _Ints = _int("1: the sensor is on board", SENSOR_COUNT)
+    sensor_period: _Array = _real("time between two readings", SENSOR_COUNT, unit="s")
+    latency: _Array = _real("usual age of a new reading", SENSOR_COUNT, unit="s")
+    timeout: _Array = _real("time without a reading after which it is missing", SENSOR_COUNT, unit="s")
+    latency_slack: _Array = _real("age beyond the latency that is allowed", SENSOR_COUNT, unit="s")
+    has_noise: _Ints = _int("1: equal readings in a row are a fault", SENSOR_COUNT)
+    value_limit: _Array = _real("largest value that can be right", SENSOR_COUNT)
+    decimation: _Ints = _int("one of so many readings is fused", SENSOR_COUNT)
+    sonar_position: _Array = _real("place of the sonar, body axes", 3, unit="m")
+    sonar_variance: float = _real("variance of a range", unit="m2")
+    sonar_resolution: float = _real("resolution of a range", unit="m")
+    sonar_cone: float = _real("cosine of half the cone")
+    sonar_min: float = _real("least range", unit="m")
+    sonar_max: float = _real("largest range", unit="m")
+    sonar_arc: float = _real("range at the cone's edge over that along its axis, less 1")
+    sonar_cone_slope: float = _real("radius of the cone over the range")
+    fix_variance: float = _real("variance of the fix's position", unit="m2")
+    heading_variance: float = _real("variance of the fix's heading", unit="rad2")
+    beam_count: int = _int("beams of the ring")
+    beam_directions: _Array = _real("their directions, body axes", MAX_FUSED_BEAMS, 3)
+    ring_max: float = _real("largest range of a beam", unit="m")
+    ring_constant_variance: float = _real("variance of a beam's constant error", unit="1/m2")
+    ring_noise_variance: float = _real("variance of a beam's noise", unit="1/m6")
+    ring_baseline: float = _real("baseline of the ring camera", unit="m")
+    wall_planes: _Array = _real("walls of the room: N from, to; E from, to; D of ceiling and floor", 6, unit="m")
+    pressure_variance: float = _real("variance of a pressure", unit="Pa2 s")
+    pressure_slope: float = _real("pressure over the height down", unit="Pa/m")
+    pressure_thrust: _Array = _real("pressure over the square of the rotor speed: upper, lower", 2)
+    mag_heading_variance: float = _real("variance of the magnetic heading", unit="rad2")
+    earth_field: _Array = _real("field of the earth N, E, D", 3, unit="T")
+    rotor_speed_gain: float = _real("gain of the rotor speed's filter")
+    motor_error_gain: float = _real("gain of the motors' error", unit="1/s")
+    imu_position: _Array = _real("place of the inertial unit, body axes", 3, unit="m")
+
+
+def memory_type(kind: Any = np.float64, kept: int = INPUT_BLOCK_COUNT, waiting: int = QUEUE_SIZE) -> np.dtype:
+    """Return the type of :class:`FilterMemory` in numbers of this kind, with room for so many blocks of input and
+    waiting measurements."""
+    return record_type(FilterMemory, kind, INPUT_BLOCK_COUNT=kept, QUEUE_SIZE=waiting)
+
+
+def settings_type(kind: Any = np.float64) -> np.dtype:
+    """Return the type of :class:`FilterSettings` in numbers of this kind."""
+    return record_type(FilterSettings, kind)
+
+
+# What is assumed beyond the vehicle's file (docs/estimation.md)
+MODEL_FORCE_SIGMA = (0.035, 0.035, 0.035)
+"""What the rotor model is off by in flight, one sigma an axis (m/s^2), and for how long together (s)."""
+MODEL_FORCE_TIME_S = 0.1
+THRUST_SCALE_SIGMA, THRUST_SCALE_WALK = 0.3, 0.0055
+"""What the model's thrust is off by, one sigma; what it goes on changing by (1/sqrt(s)). Vehicles whose parameters are
+10 % off their model have 0.65 to 1.7 of its thrust: the radius counts to the fourth power."""
+WIND_SIGMA_AND_TIME = (0.5, 10.0)
+"""Of an axis (m/s), and for how long (s): a mean of 0.5 m/s from anywhere and gusts of 0.3 m/s make 0.46."""
+MOTOR_SPEED_NOISE = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
+HOVER_CURRENT_A = 2.0  # of both motors in a hover (A)
+TERRAIN_EDGE_S, MAX_FLOOR_HEIGHT, FLOOR_SETTLED_SIGMA = 3.0, 0.05, 0.01
+"""An edge in the sonar's cone counts for this long (s) where it is not flown over sooner; what is lower is the floor
+(m), and known to be once its height is uncertain by more than the last (m)."""
+TERRAIN_WALK = 5e-4  # of the way over it (m/sqrt(m)): floors are not quite flat
+INITIAL_TERRAIN_SIGMA = 1e-4  # m: where it stands is D = 0, by definition
+INITIAL_POSITION_SIGMA_M = 5.0  # where it stands before anything is heard
+FULL_TURN_RAD = 2 * math.pi
+_MIN_BEAM_ERROR = 1e-4  # 1/m: what a wall is off by, 0.1 mm at 1 m, where beams have no error
+_TURN_CORRELATION_S = 1.5  # turns go the same way for about as long
+
+
+def filter_settings(
+    vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64, block_s: float = INPUT_BLOCK_S
+) -> np.void:
+    """Return what the filter knows of a vehicle: its table ``sensors``, its dimensions, the walls of the room.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    world : World
+        Of it the room alone.
+    rate_Hz : float
+        Of the flight software (Hz).
+    kind : type
+        Of the numbers.
+    block_s : float
+        Time over which inputs are averaged (s).
+    """
+    sensing = vehicle.sensors or SensorSuite()
+    s = np.zeros((), settings_type(kind))
+    dt = 1.0 / rate_Hz
+    p = model_parameters(vehicle)
+    sigma, tau = np.zeros(ERROR_STATE_COUNT), np.full(ERROR_STATE_COUNT, np.inf)
+    walk = np.zeros(ERROR_STATE_COUNT)  # random walk on top (unit per sqrt(s))
+    start = np.zeros(STATE_COUNT)
+    start[SX_ATT] = start[SX_THRUST_SCALE] = 1.0
+    stands = standing_height(vehicle)
+    start[SX_POS + 2] = -stands
+    sigma[EX_POS : EX_POS + 2], sigma[EX_POS + 2], sigma[EX_VEL:EX_ATT] = INITIAL_POSITION_SIGMA_M, 3e-3, 0.01
+    level = DEFAULT_LEVEL_ERROR_RAD if sensing.imu is None else float(sensing.imu.level)
+    sigma[EX_ATT : EX_ATT + 2], sigma[EX_ATT + 2] = level, math.pi
+    sigma[EX_TERRAIN], walk[EX_TERRAIN] = (
+        INITIAL_TERRAIN_SIGMA,
+        TERRAIN_WALK,
+    )  # the last times the root of the speed
+    sigma[EX_WIND : EX_WIND + 2], tau[EX_WIND : EX_WIND + 2] = WIND_SIGMA_AND_TIME
+    sigma[EX_THRUST_SCALE], walk[EX_THRUST_SCALE] = THRUST_SCALE_SIGMA, THRUST_SCALE_WALK
+    walk[EX_POS:EX_VEL] = 1e-4
+    s["dt"] = dt
+    s["ground_clearance"], s["weight"], s["rest_tilt_sigma"] = stands, p["mass"] * GRAVITY, level
+    s["thrust_coefficients"] = p["thrust_up"], p["thrust_dw"]
+    s["hover_speed"] = hover_speeds(p)
+    swash = float(p["swash_rate"]) * dt
+    s["swash_decay"], s["swash_decay_mean"] = math.exp(-swash), (1.0 - math.exp(-swash)) / swash
+    s["has_rotor_model"], s["model_accel_density"] = 1, 2 * MODEL_FORCE_TIME_S * np.square(MODEL_FORCE_SIGMA)
+    fitted, period, latency, bound = (
+        np.zeros(SENSOR_COUNT),
+        np.full(SENSOR_COUNT, dt),
+        np.zeros(SENSOR_COUNT),
+        np.full(SENSOR_COUNT, 1e9),
+    )
+    every, noisy, slack = np.ones(SENSOR_COUNT), np.zeros(SENSOR_COUNT), np.full(SENSOR_COUNT, 0.05)
+    delay_s = 0.0
+    if (imu := sensing.imu) is not None:
+        fitted[[R_ACCELERATION, R_RATES]] = 1
+        lag = math.sqrt(2.0) / float(imu.bandwidth)  # of a second-order Butterworth filter at low frequencies
+        noisy[R_ACCELERATION], noisy[R_RATES] = float(imu.accelerometer_noise) > 0, float(imu.gyro_noise) > 0
+        slack[[R_ACCELERATION, R_RATES]] = 1.5 * dt
+        s["imu_lag"], s["imu_lag_ticks"], s["imu_lag_share"] = lag, int(lag / dt), lag / dt - int(lag / dt)
+        s["imu_position"] = imu.place.to_array()[0]
+        s["gyro_density"], s["accel_density"] = (
+            float(imu.gyro_noise) ** 2,
+            float(imu.accelerometer_noise) ** 2,
+        )
+        # Misalignment and scale make a rate of another: noise that grows with the turning
+        s["gyro_cross_density"] = 2 * _TURN_CORRELATION_S * np.square([float(imu.misalignment), float(imu.scale_error)])
+        s["accel_range"], s["gyro_range"] = float(imu.accelerometer_range), float(imu.gyro_range)
+        bound[R_ACCELERATION], bound[R_RATES] = 1.2 * s["accel_range"], 1.2 * s["gyro_range"]
+        heat = float(imu.warming)
+        band = float(imu.bandwidth) / (2 * math.pi)
+        # Scale and misalignment of axes that stand level are a bias; so is what gyroscopes feel of gravity.
+        off = math.hypot(float(imu.scale_error), float(imu.misalignment)) * GRAVITY
+        sigma[EX_ACCEL_BIAS:EX_TERRAIN] = math.hypot(float(imu.accelerometer_bias), off)
+        sigma[EX_GYRO_BIAS:EX_ACCEL_BIAS] = math.hypot(float(imu.gyro_bias), float(imu.gyro_g_sensitivity) * GRAVITY)
+        time = float(imu.drift_time)
+        for at, drift, warm in (
+            (EX_ACCEL_BIAS, imu.accelerometer_drift, imu.accelerometer_temperature),
+            (EX_GYRO_BIAS, imu.gyro_drift, imu.gyro_temperature),
+        ):
+            # Wandering, and warming taken as a random walk that reaches as far in the warming's time
+            walk[at : at + 3] = math.hypot(
+                float(drift) * math.sqrt(2.0 / time),
+                0.6 * float(warm) * heat / math.sqrt(float(imu.warming_time)),
+            )
+        s["rest_accel_sigma"] = max(float(imu.accelerometer_noise) * math.sqrt(1.1 * band), 0.02)
+        s["rest_gyro_sigma"] = max(float(imu.gyro_noise) * math.sqrt(1.1 * band), 1e-4)
+    else:
+        s["imu_lag_share"] = 0.0
+    if (sonar := sensing.sonar) is not None:
+        fitted[R_SONAR], period[R_SONAR] = 1, float(sonar.period)
+        s["sonar_position"] = sonar.place.to_array()[0]
+        s["sonar_variance"] = float(sonar.noise) ** 2 + float(sonar.resolution) ** 2 / 12 + 1e-6
+        s["sonar_resolution"] = float(sonar.resolution)
+        s["sonar_cone"] = math.cos(0.5 * float(sonar.cone))
+        # Of an edge that comes into the cone: how much farther than its top it is, and how far ahead
+        s["sonar_arc"], s["sonar_cone_slope"] = 1.0 / s["sonar_cone"] - 1.0, math.tan(0.5 * float(sonar.cone))
+        s["sonar_min"], s["sonar_max"] = float(sonar.min_range), float(sonar.max_range)
+        bound[R_SONAR] = 1.01 * s["sonar_max"]
+        latency[R_SONAR] = 2 * float(sonar.max_range) / 340.0
+        delay_s = max(delay_s, latency[R_SONAR])
+    ring = sensing.ring_camera
+    if ring is not None:
+        fitted[R_RING], period[R_RING] = 1, float(ring.period)
+        directions = beam_directions(vehicle)
+        count = min(len(directions), MAX_FUSED_BEAMS)
+        pick = fused_beam_indices(len(directions))
+        s["beam_count"], s["beam_directions"][:count] = count, directions[pick]
+        s["ring_max"], s["ring_baseline"] = float(ring.max_range), float(ring.baseline)
+        # An error of so many rows is one of (l^2 + b^2) / b of their angle. What calibration left of a beam lasts.
+        # Noise of one in each pixel moves the centroid of a spot by so many rows at 1 m (docs/estimation.md).
+        row = ELEVATION_MARGIN * math.atan(float(ring.baseline) / float(ring.min_range)) / ring.radial_pixels
+        row /= float(ring.baseline)
+        blur = float(ring.blur)
+        reach = max(1, math.ceil(1.5 * blur))
+        columns = math.sqrt(math.sqrt(math.pi) * blur)
+        rows = math.sqrt(reach * (reach + 1) * (2 * reach + 1) / 3)
+        rows /= float(ring.brightness) * columns * math.sqrt(2 * math.pi) * blur
+        s["ring_constant_variance"] = max(row * float(ring.calibration), _MIN_BEAM_ERROR) ** 2
+        s["ring_noise_variance"] = (row * rows) ** 2
+        bound[R_RING] = 1.01 * max(float(vehicle.range_ring.max_range), float(ring.max_range))
+        noisy[R_RING] = 1
+    north, east, up = ((-1e6, 1e6), (-1e6, 1e6), -1e6)
+    if world.room is not None:
+        north, east = world.room.north, world.room.east
+        up = -min(world.room.height, 1e6)
+    s["wall_planes"] = (*north, *east, up, 0.0)
+    if (air := sensing.pressure) is not None:
+        fitted[R_PRESSURE], period[R_PRESSURE], latency[R_PRESSURE] = 1, float(air.period), 0.0
+        every[R_PRESSURE] = max(1, round(0.1 / float(air.period)))
+        noisy[R_PRESSURE] = float(air.noise) > 0
+        s["pressure_variance"] = float(air.noise) ** 2
+        density = float(vehicle.air.density)
+        s["pressure_slope"] = density * GRAVITY
+        area = math.pi * float(vehicle.rotors.radius) ** 2
+        s["pressure_thrust"] = float(air.downwash) * np.array([p["thrust_up"], p["thrust_dw"]]) / area
+        sigma[EX_PRESSURE_BIAS], tau[EX_PRESSURE_BIAS] = float(air.drift), float(air.drift_time)
+        bound[R_PRESSURE] = 2e5
+    if (compass := sensing.magnetometer) is not None:
+        fitted[R_MAGNET], period[R_MAGNET] = 1, float(compass.period)
+        every[R_MAGNET] = max(1, round(0.1 / float(compass.period)))
+        noisy[R_MAGNET] = float(compass.noise) > 0
+        s["earth_field"] = earth_field(float(compass.field), float(compass.inclination))
+        field = max(float(s["earth_field"][0]), 1e-9)
+        # Heave control swings the current by half of a hover's, and its field with it
+        swing = 0.5 * HOVER_CURRENT_A * float(compass.motor_field)
+        s["mag_heading_variance"] = (math.hypot(float(compass.noise), swing) / field) ** 2
+        current = float(vehicle.battery.electronics_current) + HOVER_CURRENT_A
+        wrong = math.hypot(float(compass.distortion), float(compass.hard_iron), float(compass.motor_field) * current)
+        sigma[EX_MAG_BIAS], tau[EX_MAG_BIAS] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
+        bound[R_MAGNET] = 1e-3
+    if (rotor := sensing.rotor_speed) is not None:
+        fitted[R_ROTOR], period[R_ROTOR] = 1, float(rotor.period)
+        noise = float(rotor.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
+        noisy[R_ROTOR] = noise > 0
+        # Steady Kalman filter of a random walk of these steps, read with this noise
+        s["rotor_speed_gain"] = 2.0 / (
+            1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_SPEED_NOISE * s["hover_speed"][0])) ** 2)
+        )
+        # What the equations are off by for long: learnt in some 0.7 s
+        s["motor_error_gain"] = 0.06 * s["rotor_speed_gain"] ** 2 / float(rotor.period)
+        bound[R_ROTOR] = 5 * float(s["hover_speed"].max())
+    if sensing.battery is not None:
+        fitted[R_BATTERY], period[R_BATTERY] = 1, float(sensing.battery.period)
+        bound[R_BATTERY] = 5 * float(vehicle.battery.nominal_voltage)
+    if (fix := sensing.position_fix) is not None:
+        fitted[R_FIX], period[R_FIX], latency[R_FIX] = 1, float(fix.period), float(fix.latency)
+        delay_s = max(delay_s, float(fix.latency))
+        s["fix_variance"], s["heading_variance"] = float(fix.noise) ** 2, float(fix.heading_noise) ** 2
+        sigma[EX_FIX_BIAS : EX_FIX_BIAS + 3], sigma[EX_FIX_HEADING] = (
+            float(fix.wander),
+            float(fix.heading_wander),
+        )
+        tau[EX_FIX_BIAS : EX_FIX_BIAS + 4] = float(fix.wander_time)
+        bound[R_FIX] = 1e4
+        noisy[R_FIX] = float(fix.noise) > 0
+        slack[R_FIX] = 6 * float(fix.jitter) + dt
+    # What moves steps by blocks, what the fix is off by so many of them; of other biases one a period, in turn.
+    block = max(1, round(block_s / dt))
+    state = np.arange(ERROR_STATE_COUNT)
+    span = np.where(
+        (state < EX_GYRO_BIAS) | ((state >= EX_FIX_BIAS) & (state <= EX_FIX_HEADING)),
+        block * dt,
+        BIAS_CYCLE_TICKS * dt,
+    )
+    keep = np.exp(-span / tau)
+    s["block_ticks"], s["work_limit"] = block, max(MAX_WORK_LIMIT, math.ceil(4 * MAX_WORK_LIMIT / block))
+    s["initial_state"], s["initial_sigma"], s["decay"] = start, sigma, keep
+    s["process_variance"] = sigma**2 * (1 - keep**2) + walk**2 * span
+    s["is_fitted"], s["sensor_period"], s["latency"], s["value_limit"], s["decimation"] = (
+        fitted,
+        period,
+        latency,
+        bound,
+        every,
+    )
+    s["latency_slack"], s["has_noise"] = slack, noisy
+    s["timeout"] = np.maximum(6 * period, 3.5 * dt)
+    # What comes later than usual is carried to the horizon; all that is fresher would wait for it.
+    s["delay_ticks"] = min(round(delay_s / dt), MAX_DELAY_BLOCKS * block)
+    return cast(np.void, s[()])
+
+
+def fused_beam_indices(count: int) -> NDArray[np.intp]:
+    """Return which beams of a ring the filter looks at: all, or :data:`MAX_FUSED_BEAMS` spread evenly."""
+    return np.unique(np.linspace(0, count, min(count, MAX_FUSED_BEAMS), endpoint=False).astype(np.intp))

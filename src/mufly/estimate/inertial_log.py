@@ -1,0 +1,447 @@
+"""The filter on a log of any vehicle: inertial unit and aids alone, as a strapdown filter without a rotor model.
+
+What is not in the log is taken from it by rules that are the same for every log:
+
+- *Standing.* Until the motors run or, where nothing tells of motors, until the inertial unit scatters or turns, it
+  stands: level and bias of the gyroscopes come from there.
+- *Noise at rest.* Overlapping Allan deviation (IEEE Std 952-1997, annex C) of that part: N = sigma(tau) sqrt(tau), the
+  largest over tau of 0.1 to 1 s.
+- *Noise in flight.* What vibration, lost rows, clocks that warp and bandwidth do to a log is not in the scatter of its
+  rows: rows lost on a radio link and filled in are smoother than the truth. It shows in how well the log foretells its
+  aids. With nu the difference of an aid from what was told *at its time*, before it came, and S what that was expected
+  to be,
+
+      log L = -1/2 sum (nu^T S^-1 nu + log det S)
+
+  is largest at the densities that make the aids likeliest (Bar-Shalom, Li and Kirubarajan, ch. 5.5; errors that two
+  aids share make this a composite likelihood, whose maximum is the same). Two numbers are sought, one density a kind of
+  sensor, never below those at rest, over a minute of flight at most. No truth is asked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from mufly.errors import InputError
+from mufly.estimate.estimator import Estimate
+from mufly.estimate.filter_records import (
+    EX_ACCEL_BIAS,
+    EX_ATT,
+    EX_FIX_HEADING,
+    EX_GYRO_BIAS,
+    EX_POS,
+    EX_TERRAIN,
+    EX_VEL,
+    INPUT_BLOCK_S,
+    MAX_DELAY_BLOCKS,
+    R_FIX,
+    STATE_COUNT,
+    SX_ACCEL_BIAS,
+    SX_ATT,
+    SX_GYRO_BIAS,
+    SX_POS,
+    SX_THRUST_SCALE,
+    SX_VEL,
+)
+from mufly.estimate.kalman_estimator import KalmanEstimator
+from mufly.estimate.nees import normalised_errors
+from mufly.results import result
+from mufly.sensors import Reading, Readings
+from mufly.units import GRAVITY
+from mufly.vehicle import load_vehicle, replace_parameters
+from mufly.world import World
+
+_Array = NDArray[np.float64]
+_MOTORS_ON_INPUT, _MOTORS_OFF_INPUT = np.array([1.0, 1.0, 0.0, 0.0]), np.zeros(4)
+_UNKNOWN_HEADING_SIGMA = 3.2  # rad: nobody knows the heading
+_REST_BLOCK_S, _MIN_REST_S = 0.5, 1.0
+_REST_LIMITS = 0.3, 0.05
+"""Scatter of specific force (m/s^2) and of rates (rad/s) in half a second, and mean rate, below which it stands."""
+_MIN_GYRO_DENSITY, _MIN_ACCEL_DENSITY = 2e-4, 2e-3
+"""Least densities (rad/s/sqrt(Hz), m/s^2/sqrt(Hz)) where nothing is heard at rest: those of a good MEMS unit."""
+ACCEL_BIAS_SIGMA = 0.3
+"""One sigma (m/s^2): 30 mg, what small MEMS units are off by over temperature."""
+_GYRO_BIAS_SIGMAS = 0.03, 0.01
+"""One sigma (rad/s), before anything is heard and after it was taken off at rest: vibration and warmth move it."""
+_TILT_SIGMA_AT_REST, _TILT_SIGMA_IN_FLIGHT = math.radians(2.0), math.radians(15.0)
+_SPEED_SIGMA = 1.0  # m/s, of one that flies when the log begins
+
+
+@dataclass(frozen=True)
+class InertialLog:
+    """An inertial unit on an even clock.
+
+    Attributes
+    ----------
+    time_s : (n,) array
+    rates, acceleration : (n, 3) arrays
+        Rates (rad/s) and specific force (m/s^2), forward, right, down. NaN where the log has a hole.
+    flying : (n,) array of bool
+        False as long as it stands at the beginning, True from then on.
+    """
+
+    time_s: _Array
+    rates: _Array
+    acceleration: _Array
+    is_flying: NDArray[np.bool_]
+
+    @property
+    def step_s(self) -> float:
+        """Time between two rows (s)."""
+        return float(np.median(np.diff(self.time_s)))
+
+    @property
+    def rest_rows(self) -> slice:
+        """The rows at the beginning at which it stands; less than a second is none."""
+        n = int(np.argmax(self.is_flying)) if self.is_flying.any() else len(self.is_flying)
+        return slice(0, n if n * self.step_s >= _MIN_REST_S else 0)
+
+
+@dataclass(frozen=True)
+class PositionAids:
+    """Positions, and headings where they are known, that were measured from outside.
+
+    Attributes
+    ----------
+    taken_s, came_s : (m,) arrays
+        When each was measured and when it was known (s).
+    position : (m, 3) array
+        N, E, D (m).
+    heading : (m,) array or None
+        (rad).
+    std_m, heading_std_rad : float
+        White noise, one sigma an axis.
+    """
+
+    measured_s: _Array
+    received_s: _Array
+    position: _Array
+    heading: _Array | None
+    std_m: float
+    heading_std_rad: float
+
+
+@result
+class InertialNoise:
+    """Densities of an inertial unit's noise.
+
+    Attributes
+    ----------
+    gyro : float
+        (rad/s/sqrt(Hz)).
+    accelerometer : float
+        (m/s2/sqrt(Hz)).
+    """
+
+    gyro: float
+    accelerometer: float
+
+
+@result
+class AidInnovations:
+    """How far the aids were from what was told before they came.
+
+    Attributes
+    ----------
+    count : int
+        Aids.
+    nis : float
+        Mean of nu^T S^-1 nu over its number of components; 1 where it knows how good it is.
+    off : float
+        Root mean square of the distance (m).
+    likelihood : float
+        Mean logarithm, without its constant.
+    """
+
+    count: int
+    nis: float
+    off: float
+    likelihood: float
+
+
+def detect_flight(time_s: _Array, rates: _Array, acceleration: _Array) -> NDArray[np.bool_]:
+    """Return whether it flies yet, by the inertial unit alone: the first half second that is not still begins it."""
+    step = float(np.median(np.diff(time_s)))
+    n = max(2, round(_REST_BLOCK_S / step))
+    for k in range(0, len(time_s) - n, n):
+        f, w = acceleration[k : k + n], rates[k : k + n]
+        still = np.nanmax(np.nanstd(f, axis=0)) < _REST_LIMITS[0] and np.nanmax(np.nanstd(w, axis=0)) < _REST_LIMITS[1]
+        if not (still and np.nanmax(np.abs(np.nanmean(w, axis=0))) < 2 * _REST_LIMITS[1]):
+            return np.arange(len(time_s)) >= k
+    return np.zeros(len(time_s), dtype=bool)
+
+
+def check_inertial_log(log: InertialLog, where: str) -> None:
+    """Refuse what cannot be an inertial unit in our units and axes.
+
+    Raises
+    ------
+    InputError
+        If the clock does not rise, the size of gravity is not that of m/s^2, the vertical axis has the wrong sign, or
+        rates are those of degrees.
+    """
+    if len(log.time_s) < 10 or not log.step_s > 0.0:
+        raise InputError(where, "time", "does not rise", "give a log in the order of its times")
+    held = log.rest_rows if log.rest_rows.stop else slice(None)
+    felt = np.nanmedian(log.acceleration[held], axis=0)
+    size = float(np.nanmedian(np.linalg.norm(log.acceleration[held], axis=1)))
+    if not np.isfinite(size):
+        raise InputError(where, "measured_acceleration", "holds no numbers", "choose another signal")
+    if abs(size - 1.0) < 0.2:
+        raise InputError(
+            where, "measured_acceleration", f"feels {size:.3g}, which is gravity in g", "name its unit: ...(gee)"
+        )  # fmt: skip
+    if abs(size / GRAVITY - 1.0) > 0.2:
+        raise InputError(
+            where, "measured_acceleration", f"feels {size:.3g} m/s^2 on average where gravity is 9.81",
+            "name its unit, or another signal: it should be specific force, gravity not taken off",
+        )  # fmt: skip
+    if felt[2] > -0.5 * GRAVITY:
+        axis = "xyz"[int(np.argmax(np.abs(felt)))]
+        problem = (
+            "points up: at rest z should feel -9.81" if felt[2] > 0.5 * size
+            else f"has gravity along {axis} ({np.array2string(felt, precision=2)} m/s^2)"
+        )  # fmt: skip
+        raise InputError(
+            where,
+            "measured_acceleration",
+            problem,
+            "axes are forward, right, down: change signs or order of columns",
+        )
+    turning = np.abs(np.nanmean(log.rates[held], axis=0)).max() if log.rest_rows.stop else 0.0
+    if np.nanquantile(np.abs(log.rates), 0.999) > 70.0 or turning > 0.5:
+        raise InputError(
+            where, "measured_rates", f"turns at {max(turning, float(np.nanmax(np.abs(log.rates)))):.3g} rad/s"
+            + (" while it stands" if turning > 0.5 else ""), "name its unit: ...(deg/s)",
+        )  # fmt: skip
+
+
+def estimate_rest_noise(log: InertialLog) -> InertialNoise:
+    """Return the densities by the Allan deviation at rest; those of a good unit where it never stands."""
+    part = log.rest_rows
+    gyro = _allan_density(log.rates[part], log.step_s)
+    felt = _allan_density(log.acceleration[part], log.step_s)
+    return InertialNoise(gyro=max(gyro, _MIN_GYRO_DENSITY), accelerometer=max(felt, _MIN_ACCEL_DENSITY))
+
+
+def _allan_density(x: _Array, step: float) -> float:
+    """Largest sigma(tau) sqrt(tau) over axes and tau of 0.1 to 1 s; 0 of less than five times tau."""
+    x = x[np.isfinite(x).all(axis=1)]
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(x, axis=0)]) * step
+    found = 0.0
+    for tau in (0.1, 0.2, 0.5, 1.0):
+        m = max(1, round(tau / step))
+        if len(x) >= 5 * m:
+            second = total[2 * m :] - 2 * total[m:-m] + total[: -2 * m]
+            variance = np.mean(np.square(second), axis=0) / (2 * (m * step) ** 2)
+            found = max(found, float(np.sqrt(variance.max() * m * step)))
+    return found
+
+
+def run_log(
+    log: InertialLog,
+    aids: PositionAids,
+    noise: InertialNoise,
+    *,
+    until_s: float = math.inf,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> list[Estimate]:
+    """Return what the filter makes of a log, an estimate a row.
+
+    Parameters
+    ----------
+    log : InertialLog
+    aids : Aids
+    noise : Noise
+    until_s : float
+        Rows after it are left out (s).
+    on_progress : callable, optional
+        Called with (rows done, rows in all).
+
+    Raises
+    ------
+    InputError
+        If aids come later than the filter can reach back.
+    """
+    e = _make_log_estimator(log, aids, noise)
+    latest: dict[str, Reading] = {}
+    coming = np.argsort(aids.received_s, kind="stable").tolist()
+    heading = np.zeros(len(aids.measured_s)) if aids.heading is None else aids.heading
+    rows = np.column_stack([aids.position, heading])
+    known: Any = np.isfinite(np.hstack([log.rates, log.acceleration])).all(axis=1)
+    begin, next_ = float(log.time_s[0]), 0
+    count = int(np.searchsorted(log.time_s, until_s, side="right"))
+    told: list[Estimate] = []
+    for k in range(count):
+        t = float(log.time_s[k])
+        if known[k]:
+            latest["rates"] = Reading(log.rates[k], t - begin)
+            latest["acceleration"] = Reading(log.acceleration[k], t - begin)
+        while next_ < len(coming) and aids.received_s[coming[next_]] <= t + 1e-9:
+            i = coming[next_]
+            next_ += 1
+            if aids.measured_s[i] >= begin and np.isfinite(rows[i]).all():
+                latest["position_fix"] = Reading(rows[i], float(aids.measured_s[i]) - begin)
+        told.append(
+            e.update(Readings(t - begin, dict(latest)), _MOTORS_ON_INPUT if log.is_flying[k] else _MOTORS_OFF_INPUT)
+        )
+        if on_progress is not None and (k % 500 == 0 or k + 1 == count):
+            on_progress(k + 1, count)
+    return told
+
+
+def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoise) -> KalmanEstimator:
+    """The filter without a rotor model, where and how it stands or flies at the beginning."""
+    step = log.step_s
+    late = float(np.max(aids.received_s - aids.measured_s, initial=0.0))
+    # A row a block where that reaches back far enough: no processor is short of time here.
+    rows = max(1, math.ceil(late / step / MAX_DELAY_BLOCKS - 1e-9))
+    if rows > max(1, round(INPUT_BLOCK_S / step)):
+        raise InputError(
+            "--aid-delay",
+            f"{late:.3g} s",
+            f"is more than {MAX_DELAY_BLOCKS * max(INPUT_BLOCK_S, step):.2g} s, as far as the filter reaches back",
+            "give aids that come sooner, or a lower --rate",
+        )
+    v = load_vehicle("mufly-2.0")
+    standard = "sensors.imu.", "sensors.position_fix."
+    v = replace_parameters(
+        v,
+        {
+            **{
+                standard[0] + key: value
+                for key, value in {
+                    "bandwidth": 1e4,
+                    "gyro_noise": noise.gyro,
+                    "accelerometer_noise": noise.accelerometer,
+                    "accelerometer_bias": ACCEL_BIAS_SIGMA,
+                    "accelerometer_range": 200.0,
+                    "gyro_range": 70.0,
+                }.items()
+            },
+            **{
+                standard[1] + key: value
+                for key, value in {
+                    "period": float(np.clip(np.median(np.diff(aids.measured_s)), 0.001, 100.0))
+                    if len(aids.measured_s) > 1
+                    else 0.1,
+                    "latency": late,
+                    "jitter": 0.0,
+                    "noise": aids.std_m,
+                    "wander": 0.1 * aids.std_m,
+                    "heading_noise": aids.heading_std_rad,
+                    "heading_wander": 0.05 * aids.heading_std_rad,
+                }.items()
+            },
+        },
+    )
+    assert v.sensors is not None
+    only = {name: None for name in type(v.sensors).model_fields if name not in ("imu", "position_fix")}
+    v = v.model_copy(update={"sensors": v.sensors.model_copy(update=only)})
+    e = KalmanEstimator(v, World(), 1.0 / step, block_s=rows * step)
+    s: Any = e._settings.copy()
+    s["has_rotor_model"] = 0
+    s["ground_clearance"] = -1e6  # no floor: nobody knows where it is
+    s["has_noise"][R_FIX] = 0  # an aid may say the same twice
+    start, sigma = np.zeros(STATE_COUNT), s["initial_sigma"]
+    start[SX_THRUST_SCALE] = 1.0
+    start[SX_POS:SX_VEL] = aids.position[0]
+    sigma[EX_POS:EX_VEL] = 3 * aids.std_m + 1e-3
+    yaw = 0.0 if aids.heading is None else float(aids.heading[0])
+    sigma[EX_ATT + 2] = math.pi if aids.heading is None else 3 * aids.heading_std_rad
+    rest = log.rest_rows
+    roll = pitch = 0.0
+    if rest.stop:
+        felt = np.nanmean(log.acceleration[rest], axis=0)
+        roll, pitch = math.atan2(-felt[1], -felt[2]), math.atan2(felt[0], math.hypot(felt[1], felt[2]))
+        start[SX_GYRO_BIAS:SX_ACCEL_BIAS] = np.nanmean(log.rates[rest], axis=0)
+        s["rest_tilt_sigma"] = math.hypot(_TILT_SIGMA_AT_REST, ACCEL_BIAS_SIGMA / GRAVITY)
+        s["rest_accel_sigma"] = max(float(np.nanstd(log.acceleration[rest], axis=0).max()), 0.02)
+        s["rest_gyro_sigma"] = max(float(np.nanstd(log.rates[rest], axis=0).max()), 1e-4)
+        sigma[EX_VEL:EX_ATT] = 0.01
+    else:
+        s["rest_tilt_sigma"], sigma[EX_VEL:EX_ATT] = _TILT_SIGMA_IN_FLIGHT, _SPEED_SIGMA
+        sigma[EX_POS:EX_VEL] += _SPEED_SIGMA * (float(aids.measured_s[0]) - float(log.time_s[0]))
+    start[SX_ATT:SX_GYRO_BIAS] = _quaternion_from_euler(roll, pitch, yaw)
+    sigma[EX_ATT : EX_ATT + 2] = s["rest_tilt_sigma"]
+    sigma[EX_GYRO_BIAS:EX_ACCEL_BIAS] = _GYRO_BIAS_SIGMAS[1 if rest.stop else 0]
+    sigma[EX_ACCEL_BIAS:EX_TERRAIN] = ACCEL_BIAS_SIGMA
+    if aids.heading is None:
+        s["heading_variance"], sigma[EX_FIX_HEADING] = 1e6, 1e-6
+    s["initial_state"] = start
+    e.set_settings(s)
+    return e
+
+
+def _quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    a, b, c = math.cos(roll / 2), math.cos(pitch / 2), math.cos(yaw / 2)
+    d, e, f = math.sin(roll / 2), math.sin(pitch / 2), math.sin(yaw / 2)
+    return a * b * c + d * e * f, d * b * c - a * e * f, a * e * c + d * b * f, a * b * f - d * e * c
+
+
+def aid_innovations(
+    log: InertialLog, aids: PositionAids, told: list[Estimate], *, from_s: float, to_s: float
+) -> AidInnovations:
+    """Return how far aids taken in a part of the log were from what was told at their time, before they came."""
+    row = np.searchsorted(log.time_s, aids.measured_s - 0.5 * log.step_s)
+    use = [
+        i for i, k in enumerate(row.tolist())
+        if k < len(told) and from_s <= aids.measured_s[i] <= to_s and aids.received_s[i] > aids.measured_s[i] - 1e-9
+        and told[max(k - 1, 0)].valid and np.isfinite(aids.position[i]).all()
+    ]  # fmt: skip
+    if not use:
+        return AidInnovations(count=0, nis=math.nan, off=math.nan, likelihood=-math.inf)
+    # An aid that comes at once is in the estimate of its own row already: the row before is carried on.
+    late = aids.received_s[use] - aids.measured_s[use] > 0.5 * log.step_s
+    nu, s = np.empty((len(use), 3)), np.empty((len(use), 3, 3))
+    for j, i in enumerate(use):
+        k = int(row[i]) if late[j] else max(int(row[i]) - 1, 0)
+        e = told[k]
+        ahead = float(aids.measured_s[i] - log.time_s[k])
+        nu[j] = aids.position[i] - e.position - ahead * e.velocity
+        s[j] = e.covariance[:EX_VEL, :EX_VEL] + aids.std_m**2 * np.eye(3)
+    square = normalised_errors(nu, s)
+    return AidInnovations(
+        count=len(use), nis=float(square.mean()) / 3, off=float(np.sqrt(np.square(nu).sum(axis=1).mean())),
+        likelihood=float(-0.5 * (square + np.linalg.slogdet(s)[1]).mean()),
+    )  # fmt: skip
+
+
+def estimate_flight_noise(
+    log: InertialLog,
+    aids: PositionAids,
+    least: InertialNoise,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> InertialNoise:
+    """Return the densities under which the aids of the flight's first minute are likeliest, not below ``least``."""
+    if not log.is_flying.any():
+        return least
+    begin, end = float(log.time_s[np.argmax(log.is_flying)]), float(log.time_s[-1])
+    half = min(end, begin + 60.0)
+    lowest = np.log([least.gyro, least.accelerometer])
+    tried = 0
+
+    def noise_cost(x: _Array) -> float:
+        nonlocal tried
+        tried += 1
+        if on_progress is not None:
+            on_progress(min(tried, 29), 30)
+        gyro, felt = np.exp(np.maximum(x, lowest))
+        told = run_log(log, aids, InertialNoise(gyro=float(gyro), accelerometer=float(felt)), until_s=half)
+        found = aid_innovations(log, aids, told, from_s=begin + 1.0, to_s=half)
+        return -found.likelihood + float(np.square(np.minimum(x - lowest, 0.0)).sum())
+
+    start: Any = np.maximum(np.log([10 * least.gyro, 5 * least.accelerometer]), lowest)
+    corners = start + np.array([[0.0, 0.0], [1.2, 0.0], [0.0, 1.2]])
+    options: Any = {"initial_simplex": corners, "xatol": 0.1, "fatol": 0.01, "maxfev": 30}
+    best = np.exp(np.maximum(minimize(noise_cost, start, method="Nelder-Mead", options=options).x, lowest))
+    if on_progress is not None:
+        on_progress(30, 30)
+    return InertialNoise(gyro=float(best[0]), accelerometer=float(best[1]))

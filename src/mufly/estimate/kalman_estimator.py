@@ -1,0 +1,344 @@
+"""The estimator of a vehicle with sensors: the filter, with what the flight software wants of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics import model_parameters
+from mufly.estimate.estimator import Estimate, Estimator
+from mufly.estimate.filter_backend import BackendName, make_backend
+from mufly.estimate.filter_records import (
+    EX_ACCEL_BIAS,
+    EX_FIX_BIAS,
+    EX_FIX_HEADING,
+    EX_GYRO_BIAS,
+    INPUT_BLOCK_S,
+    R_BATTERY,
+    R_FIX,
+    R_PRESSURE,
+    R_RING,
+    READING_NAMES,
+    READING_STARTS,
+    READING_WIDTHS,
+    SENSOR_COUNT,
+    SX_ACCEL_BIAS,
+    SX_ATT,
+    SX_FIX_BIAS,
+    SX_GYRO_BIAS,
+    SX_POS,
+    SX_TERRAIN,
+    SX_THRUST_SCALE,
+    SX_VEL,
+    SX_WIND,
+    filter_settings,
+    fused_beam_indices,
+    memory_type,
+)
+from mufly.estimate.output_predictor import COVARIANCE_INTERVAL_TICKS
+from mufly.estimate.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
+from mufly.estimate.sensor_status import AuxiliaryStates, LazySensorStatuses, SensorStatus
+from mufly.sensors import Reading, Readings
+from mufly.sensors.pressure import STANDARD_PRESSURE_PA
+from mufly.vehicle import Vehicle
+from mufly.world import World
+
+_Array = NDArray[np.float64]
+_VOLTAGE_START = READING_STARTS[R_BATTERY]
+PUBLISHED_FIELDS = (
+    "covariance_output", "sigma_output", "status", "reason", "fault_number", "innovation", "innovation_sigma",
+    "last_fused_tick", "last_new_tick", "fault_component", "tick",
+)  # fmt: skip
+"""Of the memory, what is told every :data:`mufly.estimate.output_predictor.COVARIANCE_INTERVAL_TICKS` periods."""
+
+
+def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimator:
+    """Return the estimator for what the vehicle has on board.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        With the table ``sensors``.
+    world : World
+        Its room, which is known beforehand.
+    rate_Hz : float
+        Of the flight software (Hz).
+    """
+    return KalmanEstimator(vehicle, world, rate_Hz)
+
+
+class KalmanEstimator(Estimator):
+    """The error-state Kalman filter of :mod:`mufly.estimate.ekf_step`.
+
+    Parameters
+    ----------
+    vehicle, world, rate_Hz
+        As for :func:`fitted_estimator`.
+    kind : type
+        Of the filter's numbers; a processor on board has ``numpy.float32``.
+    code : "", "c" or "numba"
+        What computes it (:mod:`mufly.estimate.filter_backend`); what starts sooner by default. ``make_backend`` says
+        which it is.
+    block_s : float
+        Time over which inputs are averaged (s).
+
+    Attributes
+    ----------
+    by_covariance : bool
+        Whether position fixes that come with a covariance are taken for as good as that says.
+    wander_s : float
+        Over which errors of such fixes hang together; 0: not at all, each is white noise, and the wandering of all
+        stays as the vehicle's file has it. Else they wander by as much as the covariance says, where that is more than
+        the file does (a map that has drifted is off by the same for long), and noise stays as in the file. A bias that
+        the filter holds for small gets as large but over that time; until then the rest r of the variance is told as
+        noise that is worth as much over long, of variance r (1 + 2 wander_s / period).
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        world: World,
+        rate_Hz: float,
+        kind: Any = np.float64,
+        code: BackendName = "",
+        block_s: float = INPUT_BLOCK_S,
+    ) -> None:
+        self._number_type, self._rate_Hz = kind, rate_Hz
+        self._settings = filter_settings(vehicle, world, rate_Hz, kind, block_s)
+        self._parameters = model_parameters(vehicle)
+        self._fitted_indices = [k for k in range(SENSOR_COUNT) if self._settings["is_fitted"][k]]
+        self._reading_indices = {READING_NAMES[k]: k for k in self._fitted_indices}
+        ring = vehicle.range_ring
+        self._empty_ranges = np.full(ring.count, float(ring.max_range))
+        self._beam_indices = fused_beam_indices(ring.count)
+        # A record of an array is a view of it: the compiled step writes into the array.
+        self._memory_array = np.zeros(1, memory_type(self._number_type))
+        self.memory = m = self._memory_array[0]
+        self._output_state, self._output_rates, self._output_angles = (
+            m["x_output"],
+            m["rates_output"],
+            m["angles_output"],
+        )
+        self._input_values = np.zeros(VALUE_COUNT, self._number_type)
+        self._input_is_new, self._input_age = (
+            np.zeros(SENSOR_COUNT, np.int32),
+            np.zeros(SENSOR_COUNT, self._number_type),
+        )
+        self._backend_name: BackendName = code
+        self.uses_fix_covariance, self.fix_correlation_s = False, 0.0
+        self.set_settings(self._settings)
+
+    def set_settings(self, settings: Any) -> None:
+        """Take other settings (:func:`mufly.estimate.filter_records.filter_settings`), and start anew."""
+        self._settings = settings
+        self._vehicle_noise = {
+            name: np.array(settings[name]) for name in ("fix_variance", "heading_variance", "initial_sigma")
+        }
+        self.backend = make_backend(
+            settings,
+            self._parameters,
+            self._input_values,
+            self._input_is_new,
+            self._input_age,
+            self._backend_name,
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        for row in (self._memory_array, self._input_values, self._input_is_new, self._input_age):
+            row.view(np.uint8)[:] = 0
+        for name, own in self._vehicle_noise.items():
+            self.backend.settings[name] = own
+        self._fix_bias_variance = self._fix_bias_variance_target = (
+            self._vehicle_noise["initial_sigma"][EX_FIX_BIAS : EX_FIX_HEADING + 1] ** 2
+        )
+        self.backend.reset_memory(self._memory_array)
+        self._period_count = 0
+        self._last_readings: dict[str, Reading] = {}
+        self._sensor_statuses: Sequence[SensorStatus] = ()
+        self._published: tuple[Any, ...] = ()
+        self._first_time_s = math.nan
+        self._last_pictures = [self._empty_ranges] * 3
+        self._filtered_ranges = self._empty_ranges
+
+    def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
+        self._fill_inputs(readings, acting)
+        valid = self.backend.step_filter(self._memory_array)
+        return self.read_estimate(readings.time_s, valid)
+
+    def read_estimate(self, time_s: float, valid: bool, periods: int = 1) -> Estimate:
+        """What is believed after so many more periods; of those whose turn it is to tell much, none is left out."""
+        self._period_count += periods
+        if (periods and self._period_count % COVARIANCE_INTERVAL_TICKS == 0) or not self._published:
+            self.publish_status(self.memory.copy())
+        return self.make_estimate(
+            time_s,
+            valid,
+            self._output_state,
+            self._output_rates,
+            self._output_angles,
+            float(self._input_values[_VOLTAGE_START]),
+            self._filtered_ranges,
+        )
+
+    def publish_status(self, m: Mapping[str, Any] | np.void) -> None:
+        """Tell much from now on, of a memory, or of as much of it as :data:`PUBLISHED_FIELDS` names, that does not
+        change any more."""
+        self._sensor_statuses = LazySensorStatuses(m, self._settings, self._fitted_indices)
+        sigma, covariance = m["sigma_output"].astype(np.float64), np.zeros((EX_ACCEL_BIAS, EX_ACCEL_BIAS))
+        bias = range(EX_GYRO_BIAS, EX_ACCEL_BIAS)
+        covariance[:EX_GYRO_BIAS, :EX_GYRO_BIAS] = m["covariance_output"]
+        covariance[bias, bias] = sigma[bias] ** 2 + self._settings["rest_gyro_sigma"] ** 2
+        self._published = (covariance, sigma)
+
+    def make_estimate(
+        self, time_s: float, valid: bool, out: _Array, rates: _Array, angles: _Array, volts: float, ranges: _Array
+    ) -> Estimate:  # fmt: skip
+        """Return the estimate of these numbers, with what is told every so often as it stands."""
+        x = out.astype(np.float64)
+        return Estimate(
+            time_s, x[SX_POS:SX_VEL], x[SX_VEL:SX_ATT], angles.astype(np.float64), rates.astype(np.float64), ranges,
+            volts or math.nan, self._published[0], valid,
+            AuxiliaryStates(
+                x[SX_GYRO_BIAS:SX_ACCEL_BIAS], x[SX_ACCEL_BIAS:SX_TERRAIN], float(x[SX_TERRAIN]),
+                x[SX_FIX_BIAS:SX_WIND], x[SX_WIND:SX_THRUST_SCALE], float(x[SX_THRUST_SCALE]),
+                self._published[1], self._sensor_statuses,
+            ),
+        )  # fmt: skip
+
+    def _filter_ranges(self, seen: _Array) -> None:
+        """Take a picture of the ring: of each beam the middle of the last three is told.
+
+        In a flight of minutes noise makes a spot where none is, and an obstacle that is seen once is a detour; it costs
+        an obstacle that is there the time of one picture.
+        """
+        a, b, c = self._last_pictures = [
+            *self._last_pictures[1:],
+            np.where(np.isfinite(seen), seen, self._empty_ranges),
+        ]
+        self._filtered_ranges = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
+
+    def _fill_inputs(self, readings: Readings, acting: _Array | None) -> None:
+        """Lay what has come anew into one row."""
+        self._input_values[ACTUATOR_START : ACTUATOR_START + 4] = 0.0 if acting is None else acting
+        self._input_is_new[:] = 0
+        for k in self._fitted_indices:
+            r = readings.latest.get(READING_NAMES[k])
+            if r is not None:
+                self._fill_reading(k, r, readings.time_s)
+        clipping = readings.latest.get("clipping")
+        self._input_values[CLIPPING_START:] = 0.0 if clipping is None else clipping.value
+
+    def fill_readings(self, said: Mapping[str, Reading], time_s: float) -> None:
+        """Lay what some of the sensors say into the row of this period."""
+        for name, r in said.items():
+            k = self._reading_indices.get(name)
+            if k is not None:
+                self._fill_reading(k, r, time_s)
+            elif name == "clipping":
+                self._input_values[CLIPPING_START:] = r.value
+
+    def _fill_reading(self, k: int, r: Reading, t: float) -> None:
+        """Lay what one sensor says into the row, if it is new."""
+        name, z = READING_NAMES[k], self._input_values
+        before = self._last_readings.get(name)
+        if r is before or (before is not None and r.time_s == before.time_s):
+            return
+        self._last_readings[name] = r
+        self._input_age[k] = t - r.time_s
+        self._input_is_new[k] = 1 if r.valid else 2
+        start = READING_STARTS[k]
+        if k == R_RING:
+            seen = np.asarray(r.value, dtype=np.float64)
+            self._filter_ranges(seen)
+            z[start : start + len(self._beam_indices)] = seen[self._beam_indices]
+        elif k == R_PRESSURE:
+            z[start] = r.value - STANDARD_PRESSURE_PA
+        else:
+            if k == R_FIX and self.uses_fix_covariance:
+                self._set_fix_noise(r, 0.0 if before is None else r.time_s - before.time_s)
+            z[start : start + READING_WIDTHS[k]] = r.value
+
+    def _set_fix_noise(self, fix: Reading, since_s: float) -> None:
+        """Take a fix for as good as it says that it is, or else as the vehicle's file says."""
+        s, file, four = self.backend.settings, self._vehicle_noise, slice(EX_FIX_BIAS, EX_FIX_HEADING + 1)
+        noise = np.array([file["fix_variance"], file["heading_variance"]])
+        own = None if fix.covariance is None else np.diag(fix.covariance)
+        wander = file["initial_sigma"][four] ** 2
+        if own is not None and self.fix_correlation_s > 0.0:
+            # What the filter's bias may be off by by now
+            grown = 1.0 - math.exp(-2.0 * since_s / self.fix_correlation_s)
+            self._fix_bias_variance = self._fix_bias_variance + grown * (
+                self._fix_bias_variance_target - self._fix_bias_variance
+            )
+            self._fix_bias_variance_target = wander = np.maximum(wander, own)
+            self._fix_bias_variance = np.minimum(self._fix_bias_variance, wander)
+            rest = np.maximum(own - self._fix_bias_variance, 0.0) * (
+                1.0 + 2.0 * self.fix_correlation_s / float(s["sensor_period"][R_FIX])
+            )
+            noise += [rest[:3].max(), rest[3]]
+        elif own is not None:
+            noise = np.array([own[:3].max(), own[3]])
+        s["fix_variance"], s["heading_variance"] = noise
+        s["initial_sigma"][four] = np.sqrt(wander)
+
+    # What others do who lay readings into the row themselves
+
+    def export_reading_state(self, taken: _Array, pictures: _Array, ranges: _Array) -> None:
+        """Write when each sensor's latest reading was taken (s), the last three pictures (3, n), and what is told of
+        them (n,)."""
+        taken[:] = math.nan
+        for name, reading in self._last_readings.items():
+            taken[self._reading_indices[name]] = reading.time_s
+        pictures[:], ranges[:] = self._last_pictures, self._filtered_ranges
+
+    def accept_external_readings(self, said: Mapping[str, Reading], pictures: _Array, ranges: _Array) -> None:
+        """Take notice of readings that others laid into the row."""
+        self._last_readings |= {name: reading for name, reading in said.items() if name in self._reading_indices}
+        if "ranges" in said:
+            self._last_pictures, self._filtered_ranges = list(pictures.copy()), ranges.copy()
+
+    @property
+    def reading_indices(self) -> Mapping[str, int]:
+        """Readings that it takes, and their places in :data:`mufly.estimate.filter_records.READING_NAMES`."""
+        return self._reading_indices
+
+    @property
+    def beam_indices(self) -> NDArray[np.intp]:
+        """Which of the ring's it looks at."""
+        return self._beam_indices
+
+    @property
+    def period_count(self) -> int:
+        """How many it has been told."""
+        return self._period_count
+
+    @property
+    def covariance(self) -> _Array:
+        """That was told last (12, 12)."""
+        covariance: _Array = self._published[0]
+        return covariance
+
+    @property
+    def sensor_statuses(self) -> Sequence[SensorStatus]:
+        """What is thought of the sensors."""
+        return self._sensor_statuses
+
+    @property
+    def ranges(self) -> _Array:
+        """Of the beams, as told (m)."""
+        return self._filtered_ranges
+
+    @property
+    def input_row(self) -> tuple[_Array, NDArray[np.int32], _Array]:
+        """Values of this period, which of the sensors are new, and their ages: what :mod:`kernel` takes."""
+        return self._input_values, self._input_is_new, self._input_age
+
+    @property
+    def memory_array(self) -> NDArray[np.void]:
+        """The memory (1,)."""
+        return self._memory_array

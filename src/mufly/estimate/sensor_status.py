@@ -1,0 +1,203 @@
+"""What a filter believes beyond position, velocity, attitude and rates, and what it says of each of its sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.estimate import sensor_checks as g
+from mufly.estimate.filter_records import R_FIX, R_MAGNET, R_PRESSURE, R_SONAR, READING_NAMES
+from mufly.sensors import READING_KINDS
+
+_Array = NDArray[np.float64]
+
+FusionStatus = Literal["fused", "rejected", "missing", "faulty", "waiting"]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorStatus:
+    """What is thought of one sensor.
+
+    Attributes
+    ----------
+    name : str
+        Of its reading (:data:`mufly.sensors.READING_KINDS`).
+    status : str
+        ``"fused"``: believed. ``"rejected"``: it comes, but what it says does not fit. ``"missing"``: it was there and
+        comes no more. ``"faulty"``: what it says cannot be right in itself. ``"waiting"``: not needed, or nothing yet.
+    innovation, sigma, ratio : float
+        Of its worst component: reading less what was expected, the deviation that this was expected to have (both in
+        SI units), and the quotient.
+    age_s : float
+        Since the last measurement that was used (s).
+    reason : str
+        Why it is so, in plain words; empty while all is well.
+    odd : bool
+        Whether something is wrong with it though it is fused: the reason says what.
+    """
+
+    name: str
+    status: FusionStatus = "waiting"
+    innovation: float = 0.0
+    sigma: float = 0.0
+    ratio: float = 0.0
+    age_s: float = 0.0
+    reason: str = ""
+    is_suspicious: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class AuxiliaryStates:
+    """What a filter believes besides the motion.
+
+    Attributes
+    ----------
+    gyro_bias : (3,) array
+        (rad/s), body axes.
+    accelerometer_bias : (3,) array
+        (m/s^2), body axes.
+    floor_height : float
+        Of the surface under the sonar above D = 0 (m, positive up).
+    fix_bias : (4,) array
+        What the position fix is off by: N, E, D (m), heading (rad).
+    wind : (2,) array
+        N, E (m/s).
+    thrust_scale : float
+        True thrust over that of the model (1).
+    sigma : (n,) array
+        Standard deviations of the whole error state, in the order of
+        :data:`mufly.estimate.filter_records.ERROR_STATES`.
+    checks : sequence of Check
+        One for each sensor of the vehicle.
+    """
+
+    gyro_bias: _Array
+    accelerometer_bias: _Array
+    floor_height: float
+    fix_bias: _Array
+    wind: _Array
+    thrust_scale: float
+    sigma: _Array
+    checks: Sequence[SensorStatus] = ()
+
+
+_STATUS_NAMES: tuple[FusionStatus, ...] = ("waiting", "fused", "rejected", "missing", "faulty")
+_REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
+    g.REASON_NONE: lambda x, u: "",
+    g.REASON_NO_READING: lambda x, u: "nothing has come yet",
+    g.REASON_TIMEOUT: lambda x, u: f"nothing has come for {x:.2f} s",
+    g.REASON_LATE: lambda x, u: f"comes {1e3 * x:.0f} ms after it was measured, later than it should",
+    g.REASON_OUT_OF_RANGE: lambda x, u: "says what is no number, or beyond all bounds",
+    g.REASON_FROZEN: lambda x, u: f"has said the same to the last digit for {x:.2f} s",
+    g.REASON_DUPLICATED: lambda x, u: "every reading comes twice: the second ones are left out",
+    g.REASON_INNOVATION: lambda x, u: f"is off by {x:.3g} {u} from what all others say",
+    g.REASON_CLIPPING: lambda x, u: f"clips {100 * x:.0f} % of its samples: the rotor model takes over",
+    g.REASON_TERRAIN_STEP: lambda x, u: f"sees a step: what lies below is {x:.2f} m above the floor",
+    g.REASON_RESET: lambda x, u: f"was off by {x:.3g} {u} for a second and agreed with itself: it is believed anew",
+    g.REASON_NO_ECHO: lambda x, u: f"has had no echo for {x:.2f} s",
+    g.REASON_WALLS_TOO_FAR: lambda x, u: "sees no wall: all are too far",
+    g.REASON_NO_WALL: lambda x, u: "sees something, but no wall of the room",
+    g.REASON_SPIKES: lambda x, u: f"has spikes of {x:.2g} {u}: the flight model fills in",
+    g.REASON_TERRAIN_SLOPE: lambda x, u: f"leads away by {x:.3g} {u} and more: the surface below slopes, or it drifts",
+    g.REASON_HEIGHT_CONFLICT: lambda x, u: f"is {x:.2f} m apart from the sonar about the height: one of them is wrong",
+    g.REASON_STUCK: lambda x, u: f"says {x:.2f} m again and again, more alike than a flight is",
+    g.REASON_LARGE_BIAS: lambda x, u: f"has a bias of {x:.2g} {u} by now, more than it can have",
+    g.REASON_PERSISTENT_OFFSET: lambda x, u: f"keeps being off, by {x:.3g} {u} now: it or the gyroscopes drift",
+    g.REASON_JUMP: lambda x, u: f"has jumped by {x:.2g} {u}, which no moment has made",
+}
+
+REASON_COUNT = len(_REASON_TEXTS)
+SUSPICIOUS_REASONS = (g.REASON_DUPLICATED, g.REASON_SPIKES, g.REASON_JUMP, g.REASON_PERSISTENT_OFFSET)
+"""Reasons of sensors that are fused though something is wrong with them; that some clip is usual, and weighed."""
+
+
+class LazySensorStatuses(Sequence[SensorStatus]):
+    """What is thought of each sensor that is on board, put into words when somebody looks.
+
+    Parameters
+    ----------
+    m, s : records
+        Memory and settings of the filter; what they hold is not to change any more.
+    fitted : sequence of int
+        Which of :data:`mufly.estimate.filter_records.READING_NAMES`.
+    """
+
+    def __init__(self, m: Mapping[str, Any] | np.void, s: np.void, fitted: Sequence[int]) -> None:
+        self._source_records = (m, s, fitted)
+        self._evaluated: tuple[SensorStatus, ...] | None = None
+
+    @overload
+    def __getitem__(self, k: int) -> SensorStatus: ...
+    @overload
+    def __getitem__(self, k: slice) -> tuple[SensorStatus, ...]: ...
+    def __getitem__(self, k: int | slice) -> SensorStatus | tuple[SensorStatus, ...]:
+        return self._evaluate_statuses()[k]
+
+    def __iter__(self) -> Iterator[SensorStatus]:
+        return iter(self._evaluate_statuses())
+
+    def __len__(self) -> int:
+        return len(self._source_records[2])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, LazySensorStatuses | tuple) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(self._evaluate_statuses())
+
+    def __repr__(self) -> str:
+        return repr(self._evaluate_statuses())
+
+    def _evaluate_statuses(self) -> tuple[SensorStatus, ...]:
+        if self._evaluated is None:
+            m, s, fitted = self._source_records
+            dt, tick = float(s["dt"]), int(m["tick"])
+            rows = zip(*(m[name].tolist() for name in _STATUS_FIELDS), strict=True)
+            part = int(m["fault_component"])
+            self._evaluated = tuple(_make_status(k, row, dt, tick, part) for k, row in enumerate(rows) if k in fitted)
+        return self._evaluated
+
+
+_STATUS_FIELDS = (
+    "status", "reason", "fault_number", "innovation", "innovation_sigma", "last_fused_tick", "last_new_tick",
+)  # fmt: skip
+
+
+def _make_status(k: int, row: Sequence[float], dt: float, tick: int, part: int) -> SensorStatus:
+    code, why, number, nu, spread, used, came = row
+    if code == g.STATUS_WAITING and why == g.REASON_NONE:
+        why = g.REASON_NONE if came else g.REASON_NO_READING
+    return SensorStatus(
+        READING_NAMES[k],
+        _STATUS_NAMES[int(code)],
+        nu,
+        spread,
+        nu / spread if spread > 0.0 else 0.0,
+        (tick - int(used)) * dt,
+        describe_reason(int(why), number, k, part),
+        code == g.STATUS_FUSED and int(why) in SUSPICIOUS_REASONS,
+    )
+
+
+_HEADING_COMPONENT = 3
+_INNOVATION_REASONS = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_PERSISTENT_OFFSET)
+
+
+def describe_reason(why: int, number: float, sensor: int, component: int = 0) -> str:
+    """Return why a sensor, by its place in :data:`mufly.estimate.filter_records.READING_NAMES`, is thought of as it is.
+
+    ``component`` is that of a position fix that the number is of: N, E, D (m) or the heading (rad).
+    """
+    if sensor == R_FIX and component == _HEADING_COMPONENT and why in _INNOVATION_REASONS:
+        return _REASON_TEXTS[why](math.degrees(number), "deg in heading")
+    return _REASON_TEXTS[why](number, _reason_unit(sensor))
+
+
+def _reason_unit(k: int) -> str:
+    unit = READING_KINDS[READING_NAMES[k]].unit
+    return {R_FIX: "m", R_MAGNET: "rad", R_SONAR: "m", R_PRESSURE: "Pa"}.get(k, unit)

@@ -1,0 +1,164 @@
+"""Which branches of the C are reached? Built with counts, flown and fed in a process that writes them as it ends.
+
+``python -m mufly.firmware.branch_coverage TREE VEHICLE``, as :mod:`mufly.firmware.evidence_report` calls it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+
+from mufly.control import FlightController, design_flight_controller
+from mufly.estimate import filter_backend
+from mufly.firmware import fixed_point_law
+from mufly.firmware.compiled_software import FirmwareSoftware
+from mufly.firmware.fixed_point_design import quantise_law
+from mufly.firmware.host_build import Firmware, cffi_declarations
+from mufly.firmware.proof_flights import add_random_obstacle, draw_conditions
+from mufly.firmware.sil_pil import run_compiler
+from mufly.flight import fly_mission
+from mufly.mission import Mission, load_mission, parse_mission
+from mufly.sensors.faults import parse_fault
+from mufly.toolchain import COMPILER_FLAGS
+from mufly.vehicle import Vehicle, load_vehicle
+
+FUZZ_PARTS, FUZZ_INPUT_COUNT = 5, 3000
+"""Of the harness of the fuzzer, and how many inputs are drawn for it."""
+
+
+FLIGHT_COUNT, COMMAND_EXAMPLE_COUNT = 8, 150
+SENSOR_FAULTS = (
+    "sonar.jump=0.3@14s+2s gyro.jump=0.3@16s position.dropout@14s+3s ring.insane@13s pressure.doubled@11s",
+    "sonar.stuck=1.0@14s accelerometer.clip=12@15s ring.doubled@13s battery.jump@14s magnetometer.insane@15s",
+    "position.late@14s pressure.drift@14s gyro.insane@16s+0.5s ring.outliers@13s gyro.outliers@17s sonar.outliers@15s",
+    "position.drift=0.3@14s magnetometer.jump@14s pressure.jump@15s rotor_speed.jump@15s sonar.drift@14s",
+)
+"""Drawn flights, and sequences of commands; faults of sensors, all together, beside those drawn."""
+
+
+HOP_MISSION = {
+    "waypoint": [
+        {"position_m": [0.6, 0.3, -1.0], "wait_s": 1.0},
+        {"position_m": [-0.4, -0.3, -1.0], "wait_s": 9.0},
+    ],
+    "room": {"north_m": [-1.5, 1.5], "east_m": [-1.5, 1.5], "height_m": 3.0},
+}
+"""In a room whose walls the ring sees."""
+
+
+def build_instrumented(folder: Path) -> Path:
+    """Build an exported tree, whole numbers and the fuzzer's harness included, with counts of branches."""
+    flags = [
+        "gcc",
+        *COMPILER_FLAGS,
+        "-O0",
+        "--coverage",
+        "-fPIC",
+        "-I.",
+        "-Ifixed",
+        "-Icheck",
+        "-DFUZZ_FIXED",
+        "-DFUZZ_MISSION",
+    ]
+    objects = []
+    for source in (*folder.glob("*.c"), *folder.glob("fixed/*.c"), folder / "check" / "fuzz.c"):
+        name = source.relative_to(folder).with_suffix("")
+        run_compiler([*flags, "-DFUZZ_ESTIMATE", "-c", f"{name}.c", "-o", f"{name}.o"], folder)
+        objects.append(f"{name}.o")
+    run_compiler(["gcc", "--coverage", "-shared", *objects, "-o", "counted.so", "-lm"], folder)
+    return folder / "counted.so"
+
+
+def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
+    """Fly both missions by the counted code, on sensors and by whole numbers; feed it bytes, of ``corpus/`` and any."""
+    library = str(build_instrumented(folder))
+    controller = design_flight_controller(vehicle)
+    firmware = Firmware.__new__(Firmware)
+    firmware.real_dtype, firmware.is_generic = np.dtype(np.float64), False
+    firmware.ffi = cffi.FFI()
+    firmware.ffi.cdef(cffi_declarations(folder))
+    firmware.ffi.cdef("int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);")
+    firmware.lib = firmware.ffi.dlopen(library)
+    fixed_ffi = cffi.FFI()
+    fixed_ffi.cdef(cffi_declarations(folder / "fixed"))
+    whole = quantise_law(controller)
+
+    class Flown(FirmwareSoftware):
+        def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
+            super().__init__(vehicle, controller, mission, firmware)
+
+    def make_fixed_point_controllers(c: FlightController) -> fixed_point_law.FixedPointFirmwareControllers:
+        return fixed_point_law.FixedPointFirmwareControllers(c, whole)
+
+    # Its own libraries give way to the one that counts; the records are laid out alike.
+    changed: Any = fixed_point_law
+    changed._loaded = lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library))
+    kept: Any = filter_backend._load_filter_library
+    records = (folder / "records.h").read_text(encoding="utf-8")
+
+    def load_instrumented_filter(asked: str, flags: Any = COMPILER_FLAGS) -> Any:
+        ffi, lib = kept(asked, flags)
+        return ffi, ffi.dlopen(library) if asked == records and flags == COMPILER_FLAGS else lib
+
+    changed = filter_backend
+    counts: Any = load_instrumented_filter
+    counts.cache_clear = kept.cache_clear
+    changed._library = counts
+    for name in ("demonstration", "box-on-leg"):
+        fly_mission(vehicle, load_mission(name), controller=controller, controllers=Flown, sensors="fitted", gust=0.3)
+    fly_mission(vehicle, load_mission("box-on-leg"), controller=controller, controllers=make_fixed_point_controllers)
+    for seed in range(FLIGHT_COUNT):
+        met = draw_conditions(seed)
+        faults = [parse_fault(f) for f in (*met.faults, *SENSOR_FAULTS[seed % len(SENSOR_FAULTS)].split())]
+        mission = parse_mission(HOP_MISSION) if seed % 2 else add_random_obstacle(load_mission("demonstration"), seed)
+        fly_mission(
+            vehicle, mission, controller=controller, controllers=Flown, sensors="fitted", faults=faults, seed=seed,
+            gust=met.gust, wind=[met.wind, 0.0, 0.0],
+        )  # fmt: skip
+    _run_comparison_tests(firmware)
+    for kept_input in sorted((folder / "corpus").glob("*")):
+        found = kept_input.read_bytes()
+        firmware.lib.LLVMFuzzerTestOneInput(firmware.ffi.from_buffer("uint8_t[]", found), len(found))
+    rng = np.random.default_rng(0)
+    for k in range(FUZZ_INPUT_COUNT):
+        data = rng.integers(0, 256, int(rng.integers(64, 4096)), dtype=np.uint8)
+        if k % 3:  # calm: small numbers of everything, no special ones
+            data = (data.astype(float) ** 2 / 300.0).astype(np.uint8)
+        data[0] = k % FUZZ_PARTS + (130 if k % 4 == 0 else 0)  # 130 is a multiple of the parts: no wild number comes
+        firmware.lib.LLVMFuzzerTestOneInput(firmware.ffi.from_buffer("uint8_t[]", data.tobytes()), len(data))
+
+
+def _run_comparison_tests(counted: Firmware) -> None:
+    """Run the tests that compare the languages, with the code that counts, where they are at hand."""
+    tests = Path(__file__).resolve().parents[3] / "tests" / "firmware"
+    try:
+        import pytest
+    except ImportError:
+        return
+    if not tests.is_dir():
+        return
+    plainly: Any = Firmware.__init__
+
+    def init_instrumented(
+        self: Firmware, controller: FlightController | None, *, single: bool = False, cc: Any = None
+    ) -> None:
+        plainly(self, controller, single=single, cc=cc)
+        if controller is not None and not single and cc is None:
+            self.ffi, self.lib = counted.ffi, counted.lib
+
+    changed: Any = Firmware
+    changed.__init__ = init_instrumented
+    os.environ["MUFLY_EXAMPLES"] = str(COMMAND_EXAMPLE_COUNT)
+    files = [str(tests / f"test_{name}.py") for name in ("mission_c", "avoid", "estimate_c")]
+    failed = pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *files])
+    if failed:
+        print(f"pytest ended with {int(failed)}")
+
+
+if __name__ == "__main__":
+    run_coverage_workload(Path(sys.argv[1]), load_vehicle(sys.argv[2]))

@@ -1,0 +1,726 @@
+"""The exported flight software on this machine: called through cffi, told and asked in the words of Python.
+
+What goes in (an estimate, a command, a mission) becomes the records of the C headers; what comes out (state of the
+mission, log, reference, actuators) becomes the objects that the rest of the simulation knows. A line of the log is a
+template and numbers on board (:mod:`mufly.mission.log_messages`); here it is made the text that Python would have
+written. Texts that go in, the reason of a stop or what an estimator says of a sensor, are known on board by a number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.control import FlightController
+from mufly.errors import MuflyError
+from mufly.estimate import Estimate, SensorStatus
+from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL, READING_NAMES
+from mufly.estimate.sensor_status import REASON_COUNT, SUSPICIOUS_REASONS, describe_reason
+from mufly.firmware.host_build import Firmware, FirmwareControllers
+from mufly.firmware.plan_tables import make_plan, plan_numbers, setup_numbers
+from mufly.flight.controllers import Actuators
+from mufly.flight.estimator_health import describe_check, describe_sensor
+from mufly.flight.flight_software import FlightSoftware
+from mufly.flight.oscillation_detector import INPUT_NAMES, Oscillation
+from mufly.logs.mcap import FlightEvent
+from mufly.mission import (
+    NO_COMMAND,
+    Command,
+    LogMessage,
+    Mission,
+    MissionPlan,
+    MissionState,
+    Reference,
+    State,
+)
+from mufly.mission.avoidance import MAP_CAPACITY, ObstacleMap, PathCheck
+from mufly.mission.detour import Detour
+from mufly.mission.mission_state import LOG_CAPACITY
+from mufly.mission.trajectory import (
+    BrakingMotion,
+    MotionProfile,
+    PendingCurve,
+    TimedSpline,
+    Trajectory,
+    TrajectoryPoint,
+)
+from mufly.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from cffi import FFI
+
+_MISSION_STATES = tuple(State)
+_MOTOR_MODES: tuple[Any, ...] = ("off", "spin_up", "fly", "ramp_down", "blind")
+_MISSION_OUTCOMES: tuple[Any, ...] = ("", "succeeded", "failed")
+_LOG_LEVELS = ("info", "warning", "error")
+_SENSOR_STATUSES = ("waiting", "fused", "rejected", "missing", "faulty")
+_NOT_FITTED = len(_SENSOR_STATUSES)
+_REQUIRED_ESTIMATES = ("position", "velocity", "attitude", "rates")
+_MESSAGE_TEMPLATES = tuple(LogMessage)
+
+
+class TextTable:
+    """Texts that the board knows by a number."""
+
+    def __init__(self) -> None:
+        self._texts_by_number: list[str] = [""]
+        self._numbers_by_text: dict[str, int] = {"": 0}
+
+    def assign_number(self, text: str) -> int:
+        """Return the number of a text; 0 is that of none."""
+        if text not in self._numbers_by_text:
+            self._numbers_by_text[text] = len(self._texts_by_number)
+            self._texts_by_number.append(text)
+        return self._numbers_by_text[text]
+
+    def look_up_text(self, number: int) -> str:
+        """Return the text of a number."""
+        return self._texts_by_number[number]
+
+
+class SoftwareInstance:
+    """One ``software_t`` with its plan, from Python.
+
+    Parameters
+    ----------
+    firmware : Firmware
+    controller : FlightController
+    plan : MissionPlan
+    """
+
+    def __init__(self, firmware: Firmware, controller: FlightController, plan: MissionPlan) -> None:
+        f = self.firmware = firmware
+        self.text_table = TextTable()
+        self.estimate_record, self.command_record = f.ffi.new("estimate_t *"), f.ffi.new("command_t *")
+        self.actuators_record, self.software_record = f.ffi.new("actuators_t *"), f.ffi.new("software_t *")
+        self._plan_record, self.setup_record = f.ffi.new("plan_t *"), f.ffi.new("flight_setup_t *")
+        for name, value in setup_numbers(controller).items():
+            setattr(self.setup_record, name, value)
+        self.setup_record.plan = self._plan_record
+        self.setup_record.make_gains = self._gains_record = (
+            f.make_gains(controller) if f.is_generic else f.ffi.addressof(f.lib.mufly_gains)
+        )
+        self._last_command: Command | None = None
+        self.set_plan(plan)
+        self.start_software()
+
+    def start_software(self) -> None:
+        """Before the first period."""
+        self.firmware.lib.software_reset(self.setup_record, self.software_record)
+        self._events: tuple[FlightEvent, ...] = ()
+        self._log_count = 0
+
+    def set_plan(self, plan: MissionPlan) -> None:
+        """Take another mission's numbers."""
+        ffi = self.firmware.ffi
+        numbers = plan_numbers(plan)
+        fresh = ffi.new("plan_t *", numbers)
+        ffi.memmove(self._plan_record, fresh, ffi.sizeof("plan_t"))
+        self._mission_name = plan.mission.name
+
+    def report_loaded_mission(self, name: str) -> None:
+        """Another mission has been loaded; it is flown when it is started."""
+        self._mission_name = name or "a mission"
+        self.firmware.lib.reset_for_loaded_mission(
+            self._plan_record, self.firmware.ffi.addressof(self.software_record, "mission")
+        )
+        self.read_log()
+
+    def step(self, m: Estimate, command: Command) -> Actuators:
+        """One period."""
+        self.write_estimate(m)
+        self._write_command(command)
+        self.firmware.lib.software_step(
+            self.setup_record,
+            self.software_record,
+            self.estimate_record,
+            self.command_record,
+            self.actuators_record,
+        )
+        self.read_log()
+        out = self.actuators_record
+        return Actuators(np.array(list(out.motor_input)), np.array(list(out.servo_input)))
+
+    # in
+
+    def write_estimate(self, m: Estimate) -> None:
+        """Lay an estimate into the record."""
+        b = self.estimate_record
+        b.time_s, b.valid = m.time_s, m.valid
+        now = b.motion
+        now.position, now.velocity = m.position.tolist(), m.velocity.tolist()
+        now.attitude, now.rates, now.voltage = m.attitude.tolist(), m.rates.tolist(), m.battery_voltage
+        self.write_ranges(m.ranges)
+        b.judged = m.auxiliary_states is not None
+        if m.auxiliary_states is None:
+            return
+        variance = m.covariance.diagonal().tolist()
+        b.position_variance, b.attitude_variance = variance[EX_POS:EX_VEL], variance[EX_ATT:EX_GYRO_BIAS]
+        for one in b.checks:
+            one.status = _NOT_FITTED
+        for check in m.auxiliary_states.checks:
+            one = b.checks[READING_NAMES.index(check.name)]
+            one.status, one.why = (
+                _SENSOR_STATUSES.index(check.status),
+                self.text_table.assign_number(check.reason),
+            )
+
+    def write_ranges(self, ranges: NDArray[np.floating[Any]]) -> None:
+        """Lay what the beams see into the record."""
+        ring = self._plan_record.ring
+        count = min(len(ranges), ring.count)
+        self.estimate_record.ranges[0 : ring.count] = [
+            *ranges.tolist()[:count],
+            *[ring.max_range] * (ring.count - count),
+        ]
+
+    def reason_text_numbers(self) -> NDArray[np.int64]:
+        """Return the number of each reason's text, by the reasons of :mod:`mufly.estimate.sensor_checks`.
+
+        It is -1 where the text holds a number, or is to be reported.
+        """
+        words = [
+            (
+                describe_reason(why, 1.0, 0),
+                why not in SUSPICIOUS_REASONS and describe_reason(why, 1.0, 0) == describe_reason(why, 2.0, 0),
+            )
+            for why in range(REASON_COUNT)
+        ]
+        return np.array([self.text_table.assign_number(text) if plain else -1 for text, plain in words])
+
+    @property
+    def beam_count(self) -> int:
+        """How many the ring has."""
+        return int(self._plan_record.ring.count)
+
+    def prepare_compiled_periods(self, law: FirmwareControllers) -> None:
+        """Take the numbers of the law and no command, for periods that others step through."""
+        self.setup_record.make_gains = law.current_gains()
+        self._write_command(NO_COMMAND)
+
+    def _write_command(self, c: Command) -> None:
+        if c is NO_COMMAND and self._last_command is NO_COMMAND:
+            return
+        self._last_command = c
+        to = self.command_record
+        to.start, to.pause, to.home, to.land, to.rc_active = (
+            c.start,
+            c.pause,
+            c.return_requested,
+            c.land,
+            c.rc_active,
+        )
+        to.has_first, to.first = c.first_waypoint is not None, c.first_waypoint or 0
+        to.has_take_off, to.take_off = c.take_off_height is not None, c.take_off_height or 0.0
+        to.has_waypoint, to.waypoint = c.waypoint is not None, c.waypoint or (0.0, 0.0, 0.0)
+        to.has_heading, to.heading = c.heading is not None, c.heading or 0.0
+        to.stop = self.text_table.assign_number(c.stop_reason)
+        to.roll, to.pitch, to.yaw_rate, to.climb = c.roll, c.pitch, c.yaw_rate, c.climb_rate
+        to.has_set_point = c.set_point is not None
+        if c.set_point is not None:
+            nan = (math.nan, math.nan, math.nan)
+            p = c.set_point
+            to.set_point.position, to.set_point.velocity = p.position_m or nan, p.velocity_m_s or nan
+            to.set_point.heading = math.nan if p.heading_rad is None else p.heading_rad
+            to.set_point.yaw_rate = math.nan if p.yaw_rate_rad_s is None else p.yaw_rate_rad_s
+
+    # out
+
+    def read_log(self) -> None:
+        """Read what has been logged since."""
+        s = self.software_record.mission
+        kept = len(s.log)
+        if s.logged_count < self._log_count:
+            self._events, self._log_count = (), 0
+        for k in range(max(self._log_count, s.logged_count - kept), s.logged_count):
+            e = s.log[k % kept]
+            self._events = (
+                *self._events[1 - LOG_CAPACITY :],
+                FlightEvent(
+                    e.time_s,
+                    str(_MISSION_STATES[e.state]),
+                    self.format_message(e.message),
+                    _LOG_LEVELS[e.level],
+                ),
+            )
+        self._log_count = s.logged_count
+
+    def format_message(self, message: Any) -> str:
+        """Return the words of a ``message_t``."""
+        word, numbers = _MESSAGE_TEMPLATES[message.code], list(message.number)
+        wrong = [
+            SensorStatus(
+                READING_NAMES[b.sensor],
+                _SENSOR_STATUSES[b.status],  # type: ignore[arg-type]
+                reason=self.text_table.look_up_text(b.why),
+            )
+            for b in message.because
+            if b.sensor >= 0
+        ]
+        because = f" ({'; '.join(describe_check(c) for c in wrong)})" if wrong else ""
+        if word is LogMessage.GIVEN_TEXT:
+            return describe_check(wrong[0]) if wrong else self.text_table.look_up_text(int(numbers[0]))
+        if word is LogMessage.READY_FOR_MISSION:
+            return word(self._mission_name)
+        if word in (LogMessage.WAYPOINTS_LOADED, LogMessage.ONE_WAYPOINT_LOADED):
+            return word(self._mission_name, numbers[0])
+        if word is LogMessage.MEASUREMENT_LOST:
+            names = [name for k, name in enumerate(_REQUIRED_ESTIMATES) if int(numbers[0]) >> k & 1]
+            return word(" and ".join(names) or "all, which is frozen")
+        if word is LogMessage.ATTITUDE_CONTRADICTED:
+            return word(" and ".join(describe_sensor(c.name) for c in wrong))
+        if word is LogMessage.POSITION_UNCERTAIN_TOO_LONG:
+            return word(numbers[0], because, numbers[1])
+        return word(*numbers) + because
+
+    @property
+    def state(self) -> MissionState:
+        """What the mission remembers."""
+        s = self.software_record.mission
+        return MissionState(
+            state=_MISSION_STATES[s.state],
+            time_s=s.time_s,
+            state_entered_s=s.state_entered_s,
+            motion_clock_s=s.motion_clock_s,
+            step_duration_s=s.step_duration_s,
+            motors=_MOTOR_MODES[s.motors],
+            waypoint_index=s.waypoint_index,
+            outcome=_MISSION_OUTCOMES[s.outcome],
+            reason=self.format_message(s.reason),
+            finished=s.finished,
+            manual=s.manual,
+            has_taken_off=s.has_taken_off,
+            mission_begun=s.mission_begun,
+            reached_count=s.reached_count,
+            abort_reason=self.format_message(s.abort_reason),
+            returning_home=s.returning_home,
+            events=self._events,
+            logged_count=self._log_count,
+            home_position=tuple(s.home_position),
+            hold_position=tuple(s.hold_position),
+            goal=tuple(s.goal),
+            hold_heading=s.heading,
+            motion=_read_course(s.course),
+            hover_until_s=s.hover_until_s,
+            descent_rate=s.descent_rate,
+            descent_acceleration=s.descent_acceleration,
+            still_duration_s=s.still_duration_s,
+            touchdown_speed=s.touchdown_speed,
+            battery_V=s.voltage,
+            low_battery_duration_s=s.low_battery_duration_s,
+            obstacle_map=self._read_obstacle_map(s.obstacle_map),
+            next_beam=s.next_beam,
+            path_check=_read_path_check(s.path_check),
+            detour=_read_detour(s.detour) if s.has_detour else None,
+            resume_state=_MISSION_STATES[s.resume_state],
+            detour_duration_s=s.detour_duration_s,
+            resumed_after_detour=s.resumed_after_detour,
+            scan_duration_s=s.scan_duration_s,
+            requested_heading=s.requested_heading if s.has_asked_heading else None,
+            set_point_reference=_read_point(s.set_point_reference) if s.has_tracker else None,
+            hover_after_take_off=s.hover_after_take_off,
+        )
+
+    def _read_obstacle_map(self, m: FFI.CData) -> ObstacleMap:
+        raw = np.frombuffer(self.firmware.ffi.buffer(m.points), dtype=self.firmware.real_dtype)
+        return ObstacleMap(raw.reshape(MAP_CAPACITY, 4).astype(np.float64), m.point_count, m.replace_index)
+
+    @property
+    def reference(self) -> Reference:
+        """What is followed."""
+        r = self.software_record.reference
+        p = r.path
+        return Reference(
+            np.array(list(p.position)), np.array(list(p.velocity)), np.array(list(p.acceleration)), r.heading,
+            r.heading_rate, _MOTOR_MODES[r.motors], rc_active=r.rc_active, roll=r.roll, pitch=r.pitch,
+        )  # fmt: skip
+
+    @property
+    def oscillation(self) -> Oscillation | None:
+        """What the actuators do that they should not, if anything."""
+        o = self.software_record.oscillation
+        if not o.there:
+            return None
+        return Oscillation(INPUT_NAMES[o.input], o.since_s, o.duration_s, o.size, o.frequency_Hz)
+
+
+def _read_profile(p: FFI.CData) -> MotionProfile:
+    return MotionProfile(p.way, p.peak_speed, p.ramp_s, p.cruise_s)
+
+
+def _read_stop(b: FFI.CData) -> BrakingMotion:
+    return BrakingMotion(tuple(b.start), tuple(b.velocity), b.heading, b.duration_s, b.heading_rate, b.turn_duration_s)
+
+
+def _read_point(p: FFI.CData) -> TrajectoryPoint:
+    return TrajectoryPoint(tuple(p.position), tuple(p.velocity), tuple(p.acceleration), p.heading, p.heading_rate)
+
+
+def _read_course(c: FFI.CData) -> Trajectory | BrakingMotion | None:
+    if c.kind == 0:
+        return None
+    if c.kind == 2:
+        return _read_stop(c.brake)
+    w, curve = c.way, None
+    if w.has_curve:
+        curve = TimedSpline(
+            tuple(tuple(row) for row in w.spline_curve.coefficients),
+            tuple(w.spline_curve.arc_lengths),
+            _read_profile(w.spline_curve.timing),
+        )
+    return Trajectory(
+        tuple(w.start),
+        tuple(w.goal),
+        w.heading,
+        w.turn,
+        _read_profile(w.height_profile),
+        _read_profile(w.yaw),
+        _read_profile(w.way),
+        w.departure_s,
+        w.duration_s,
+        curve,
+        _read_stop(w.initial_braking) if w.has_lead else None,
+        PendingCurve(tuple(tuple(row) for row in w.spline_curve.coefficients), *w.pace) if w.making else None,
+    )
+
+
+def _read_path_check(s: FFI.CData) -> PathCheck:
+    n, e, d = s.place
+    goal_n, goal_e = s.goal
+    block_n, block_e = s.block_at
+    return PathCheck(
+        n,
+        e,
+        d,
+        goal_n,
+        goal_e,
+        s.ahead,
+        s.points_checked,
+        s.path_distance_sq,
+        s.onward_distance_sq,
+        s.from_goal,
+        s.lateral_offset_sum,
+        s.blocker_count,
+        s.blocker_distance_sq,
+        block_n,
+        block_e,
+        np.array([list(row) for row in s.nearest_points]),
+    )
+
+
+def _read_detour(d: FFI.CData) -> Detour:
+    return Detour(
+        tuple(d.position),
+        tuple(d.velocity),
+        tuple(d.acceleration),
+        d.side,
+        tuple(d.hit_point),
+        d.hit_goal_distance,
+        obstacle_count=d.count,
+        max_stray=d.max_stray,
+        clear_duration_s=d.clear_duration_s,
+        anchor_point=tuple(d.anchor),
+        anchor_duration_s=d.anchor_duration_s,
+        lap_start=tuple(d.lap_start) if d.has_lap else None,
+        lap_count=d.lap_count,
+        lap_distance=d.lap_distance,
+        least_goal_distance=d.best,
+        is_leaving=d.is_leaving,
+        obstacle_point=tuple(d.obstacle_point),
+    )
+
+
+def diff_fields(ours: Any, theirs: Any, where: str = "") -> list[str]:
+    """Return where two records of the same kind differ in some bit, each with both values."""
+    if isinstance(ours, ObstacleMap) and isinstance(theirs, ObstacleMap):
+        # Beyond the rows in use lies what each language left there.
+        pairs = [
+            ("used", ours.point_count, theirs.point_count),
+            ("turn", ours.replace_index, theirs.replace_index),
+            ("points", ours.points[: ours.point_count], theirs.points[: theirs.point_count]),
+        ]
+    elif is_dataclass(ours) and type(ours) is type(theirs):
+        pairs = [(f.name, getattr(ours, f.name), getattr(theirs, f.name)) for f in fields(ours)]
+    elif isinstance(ours, tuple) and isinstance(theirs, tuple) and len(ours) == len(theirs):
+        pairs = [(str(k), a, b) for k, (a, b) in enumerate(zip(ours, theirs, strict=True))]
+    elif isinstance(ours, np.ndarray) and isinstance(theirs, np.ndarray):
+        return [] if ours.tobytes() == theirs.tobytes() else [f"{where}: {ours} and {theirs}"]
+    else:
+        # The sign of a zero is no part of what is compared: nothing that is computed from it differs.
+        same = ours == theirs or (ours != ours and theirs != theirs)
+        return [] if same else [f"{where}: {ours!r} and {theirs!r}"]
+    return [line for name, a, b in pairs for line in diff_fields(a, b, f"{where}.{name}".lstrip("."))]
+
+
+class FirmwareSoftware(FlightSoftware):
+    """:class:`mufly.flight.flight_software.FlightSoftware`, all of it computed by the exported code.
+
+    Parameters
+    ----------
+    vehicle, controller, mission
+        As there.
+    firmware : Firmware, optional
+        Built already; by default from ``controller``.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        controller: FlightController,
+        mission: Mission,
+        firmware: Firmware | None = None,
+    ) -> None:
+        self._software_instance: SoftwareInstance | None = None
+        self._initial_values: dict[str, Any] = {}
+        self._cached_records: dict[str, Any] = {}
+        self.firmware = firmware or Firmware(controller)
+        super().__init__(vehicle, controller, mission)
+
+    def _start(self) -> None:
+        self._software_instance = SoftwareInstance(self.firmware, self._controller, self.plan)
+        self.law = FirmwareControllers(self._controller, self.firmware)
+
+    def reset(self) -> None:
+        """Forget the flight: before the first step."""
+        super().reset()
+        self._start()
+        self.clear_cached_records()
+
+    def change_limits(self, mission: Mission) -> None:
+        """Fly by another mission's limits from now on."""
+        super().change_limits(mission)
+        if self._software_instance is not None:
+            self._software_instance.set_plan(self.plan)
+
+    def load_mission(self, mission: Mission) -> None:
+        """Take another mission, from its first waypoint on, when it is started."""
+        self.change_limits(mission)
+        assert self._software_instance is not None
+        if self._software_instance.software_record.watch.begun:
+            self._software_instance.report_loaded_mission(mission.name)
+            self.clear_cached_records()
+
+    def retune_controllers(self, controller: FlightController) -> None:
+        """Go over to other numbers of the same control law, without a bump."""
+        self.law.retune_gains(controller)
+        super().retune_controllers(controller)
+
+    @property
+    def is_mission_step_due(self) -> bool:
+        """Whether the next step runs the mission logic."""
+        return self._software_instance is None or bool(self._software_instance.software_record.tick == 0)
+
+    def step(self, estimate: Estimate, command: Command) -> Actuators:
+        """Advance by one period."""
+        board = self._software_instance
+        assert board is not None
+        board.setup_record.make_gains = self.law.current_gains()
+        actuators = board.step(estimate, command)
+        self.clear_cached_records()
+        return actuators
+
+    # What the rest of the simulation asks for is made when it asks: a period takes a tenth of the time of telling all.
+
+    def clear_cached_records(self) -> None:
+        """What was made of the record is no longer true."""
+        self._cached_records = {}
+
+    def _read_record(self, name: str) -> Any:
+        """What the record holds under a name, in the words of Python; before there is one, what Python began with."""
+        board = self._software_instance
+        if board is None:
+            return self._initial_values[name]
+        if name not in self._cached_records:
+            self._cached_records[name] = getattr(board, name)
+        return self._cached_records[name]
+
+    @property
+    def software_instance(self) -> SoftwareInstance:
+        """The records that it works on."""
+        assert self._software_instance is not None
+        return self._software_instance
+
+    def make_batch_runner(self, flight: Any) -> Callable[..., bool] | None:
+        """Return what advances a flight by many periods in one call."""
+        from mufly.firmware.quick import CompiledFlight  # it imports the flight, which imports the software
+
+        loop = CompiledFlight(flight)
+        return loop.run_periods if loop.is_supported else None
+
+    @property
+    def motors(self) -> str:
+        """What the motors do."""
+        return (
+            "off"
+            if self._software_instance is None
+            else str(_MOTOR_MODES[self._software_instance.software_record.motors])
+        )
+
+    @property
+    def flying(self) -> bool:
+        """Whether it is off the floor."""
+        board = self._software_instance
+        return board is not None and bool(self.firmware.lib.software_flying(board.software_record))
+
+    @property
+    def logged_count(self) -> int:
+        """Entries of the log so far."""
+        return (
+            0 if self._software_instance is None else int(self._software_instance.software_record.mission.logged_count)
+        )
+
+    @property
+    def finished(self) -> bool:
+        """Whether the mission is over."""
+        return self._software_instance is not None and bool(self._software_instance.software_record.mission.finished)
+
+    @property
+    def state(self) -> State:
+        """State of the mission."""
+        return (
+            State.INIT
+            if self._software_instance is None
+            else _MISSION_STATES[self._software_instance.software_record.mission.state]
+        )
+
+    @property
+    def mission_state(self) -> MissionState:
+        """What the mission remembers."""
+        return cast(MissionState, self._read_record("state"))
+
+    @mission_state.setter
+    def mission_state(self, value: MissionState) -> None:
+        self._initial_values["state"] = value
+
+    @property
+    def oscillation(self) -> Oscillation | None:
+        """What the actuators do that they should not, if anything."""
+        return cast("Oscillation | None", self._read_record("oscillation"))
+
+    @oscillation.setter
+    def oscillation(self, value: Oscillation | None) -> None:
+        self._initial_values["oscillation"] = value
+
+    @property
+    def reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """What is being followed: position, velocity (N-E-D), and roll, pitch, yaw."""
+        if self._software_instance is not None:
+            c = self._software_instance.software_record
+            self._reference, self._late_s = self._read_record("reference"), c.late_s
+            self._tilt = np.array(list(c.tilt))
+        return super().reference
+
+
+class GenericFirmwareSoftware(FirmwareSoftware):
+    """The same without tables of its own, for flights that are to be over soon; nothing differs in any bit.
+
+    Where there is no compiler, or the mission is too long for a board, it is a :class:`FlightSoftware` that is made.
+    """
+
+    def __new__(
+        cls,
+        vehicle: Vehicle,
+        controller: FlightController,
+        mission: Mission,
+        firmware: Firmware | None = None,
+    ) -> Any:
+        """Return the exported code or, where it cannot be had, the software in Python."""
+        try:
+            Firmware(None)
+            plan_numbers(make_plan(vehicle, controller, mission))
+        except (MuflyError, OSError):
+            return FlightSoftware(vehicle, controller, mission)
+        return super().__new__(cls)
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        controller: FlightController,
+        mission: Mission,
+        firmware: Firmware | None = None,
+    ) -> None:
+        super().__init__(vehicle, controller, mission, firmware or Firmware(None))
+
+
+class ComparedSoftware(FlightSoftware):
+    """Python flies; the exported code is told the same, and compared in all that it gives and remembers.
+
+    Attributes
+    ----------
+    periods, different : int
+        Compared, and in how many something was not the same.
+    entries : int
+        Of the log.
+    first : str
+        Where it differed first, and how; "" if it did not.
+    """
+
+    firmware: Firmware
+    controllers: Any
+
+    def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
+        self.period_count = self.mismatch_count = 0
+        self.first_mismatch = ""
+        self._software_instance: SoftwareInstance | None = None
+        super().__init__(vehicle, controller, mission)
+        self.use_controllers(self.controllers)
+
+    def reset(self) -> None:
+        """Forget the flight: before the first step."""
+        super().reset()
+        if self._software_instance is not None:
+            self._software_instance.start_software()
+
+    def change_limits(self, mission: Mission) -> None:
+        """Fly by another mission's limits from now on."""
+        super().change_limits(mission)
+        if self._software_instance is not None:
+            self._software_instance.set_plan(self.plan)
+
+    @property
+    def log_entry_count(self) -> int:
+        """How many of the log's lines have been compared."""
+        return self.mission_state.logged_count
+
+    def step(self, estimate: Estimate, command: Command) -> Actuators:
+        """Advance by one period."""
+        if self._software_instance is None:
+            self._software_instance = SoftwareInstance(self.firmware, self._controller, self.plan)
+        board, logged = self._software_instance, self.mission_state.logged_count
+        ours, theirs = super().step(estimate, command), board.step(estimate, command)
+        wrong = diff_fields(ours.input_array, theirs.input_array, "actuators")
+        wrong += diff_fields(self._reference, board.reference, "reference")
+        if self._late_s == 0.0 or self.mission_state.logged_count != logged:
+            wrong += diff_fields(self.mission_state, board.state, "mission")
+        self.period_count += 1
+        self.mismatch_count += bool(wrong)
+        if wrong and not self.first_mismatch:
+            self.first_mismatch = f"{estimate.time_s:.3f} s: {wrong[0]}"
+        return ours
+
+
+def make_compared_software(
+    controllers: Any, firmware: Firmware, kept: list[ComparedSoftware]
+) -> type[ComparedSoftware]:
+    """Return a class of flight software that compares; ``kept`` gets what is made of it.
+
+    Parameters
+    ----------
+    controllers : callable
+        What computes the control law of the Python side.
+    firmware : Firmware
+    kept : list
+    """
+
+    class Beside(ComparedSoftware):
+        def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
+            super().__init__(vehicle, controller, mission)
+            kept.append(self)
+
+    Beside.firmware, Beside.controllers = firmware, staticmethod(controllers)
+    return Beside

@@ -1,0 +1,512 @@
+"""One report of what is known of the exported code: is it the same, what does it need, who has read it, what is tested.
+
+Each section measures and says how; where a tool is missing it says what to install and the others go on.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+from mufly.control import design_flight_controller
+from mufly.errors import MuflyError
+from mufly.firmware.estimate_tables import render_estimator_files
+from mufly.firmware.fixed_point_design import measure_cascade_loss, quantise_law
+from mufly.firmware.fixed_point_flights import fly_fixed_point
+from mufly.firmware.fixed_point_law import export_fixed_point
+from mufly.firmware.fuzzing import fuzz_firmware, missing_fuzzer_tools, run_fuzzer
+from mufly.firmware.sil_pil import (
+    CORTEX_M4_FLAGS,
+    SINGLE_PRECISION_BUILD,
+    compile_objects,
+    find_deepest_stack,
+    measure_code_size,
+    missing_tools,
+    run_pil,
+    run_sil,
+)
+from mufly.firmware.source_export import export_firmware
+from mufly.results import to_plain_data
+from mufly.toolchain import COMPILER_FLAGS
+from mufly.vehicle import Vehicle
+from mufly.version import __version__
+
+ADVISORY_RULES = frozenset([
+    "2.3", "2.4", "2.5", "2.6", "2.7", "4.2", "5.9", "8.7", "8.9", "8.11", "8.13", "10.5", "11.4",
+    "11.5", "12.1", "12.3", "12.4", "13.3", "13.4", "15.1", "15.4", "15.5", "17.5", "17.8", "18.4",
+    "18.5", "19.2", "20.1", "20.5", "20.10", "21.12",
+])  # fmt: skip
+"""Rules of MISRA C:2012 that only advise; all others are required or mandatory."""
+
+RESOURCE_TARGETS = {
+    "flash_bytes": 64_000,
+    "ram_bytes": 16_000,
+    "instructions": 50_000,
+    "margin_dB": 0.5,
+    "single": 1e-4,
+}
+
+
+@dataclass(frozen=True)
+class EvidenceSection:
+    """A part of the report.
+
+    Attributes
+    ----------
+    title : str
+    text : str
+        Markdown.
+    data : dict
+        What it says, in numbers; ``missing`` names what has to be installed.
+    """
+
+    title: str
+    text: str
+    data: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class MisraFinding:
+    """What a checker has found: rule, place, and the written reason why it stays; "" if there is none."""
+
+    rule: str
+    place: str
+    reason: str
+
+
+def _markdown_table(head: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return "\n".join([*lines, *("| " + " | ".join(str(v) for v in row) + " |" for row in rows)])
+
+
+def _require_tool(tool: str, package: str) -> None:
+    if shutil.which(tool) is None:
+        raise MuflyError(f"not measured: install {package} (Debian, Ubuntu: apt-get install {package})")
+
+
+# ----------------------------------------------------------------------------
+# The same?
+
+
+def _report_equality(vehicle: Vehicle, out: Path) -> EvidenceSection:
+    flights = run_sil(vehicle, ["demonstration", "box-on-leg"])
+    rows = [(r.mission, r.outcome, r.periods, r.different, f"{r.worst_single:.1e}") for r in flights]
+    return EvidenceSection(
+        "The same as Python",
+        _markdown_table(("mission", "outcome", "periods", "differ", "single precision off by, of full range"), rows)
+        + f"\n\nDouble precision: no bit may differ. Single: {RESOURCE_TARGETS['single']:.0e} is the aim.",
+        {"flights": to_plain_data(flights)},
+    )
+
+
+def _report_emulated(vehicle: Vehicle, out: Path) -> EvidenceSection:
+    absent = missing_tools()
+    if absent:
+        raise MuflyError(f"not measured: {absent}")
+    boards = [("single precision", r) for r in run_pil(vehicle)] + [
+        ("whole numbers", r) for r in run_pil(vehicle, fixed_point=True)
+    ]
+    from matplotlib.figure import Figure  # half a second at every start, else
+
+    figure = Figure(figsize=(7, 3.2), layout="constrained")
+    axes = figure.subplots()
+    names = [f"{r.what}: {r.machine}, {kind}" for kind, r in boards]
+    axes.barh(names, [r.worst_instructions for _, r in boards], color="#9db8d2", label="worst")
+    axes.barh(names, [r.mean_instructions for _, r in boards], color="#31587a", height=0.5, label="mean")
+    axes.invert_yaxis()
+    axes.set_xlabel("instructions of a period")
+    axes.legend(frameon=False)
+    figure.savefig(out / "instructions.png", dpi=130)
+    rows = [
+        (
+            r.what, r.machine, kind, "the same" if r.same else "**differ**", f"{r.mean_instructions:.0f}",
+            f"{r.worst_instructions:.0f}",
+        )
+        for kind, r in boards
+    ]  # fmt: skip
+    return EvidenceSection(
+        "On emulated processors",
+        _markdown_table(("what", "board", "numbers", "outputs", "instructions, mean", "worst"), rows)
+        + "\n\n![instructions of a period](instructions.png)\n\nLaw: the controllers; flight: they, the mission "
+        "and what watches over it, without the estimator. Self-tests in "
+        f"`check/`. Aim for the whole stack: {RESOURCE_TARGETS['instructions']}.",
+        {"boards": [{"numbers": kind, **_to_dict(r)} for kind, r in boards]},
+    )
+
+
+def _to_dict(one: Any) -> dict[str, Any]:
+    found: dict[str, Any] = to_plain_data(one)
+    return found
+
+
+def _report_memory(vehicle: Vehicle, out: Path) -> EvidenceSection:
+    _require_tool("arm-none-eabi-gcc", "gcc-arm-none-eabi")
+    with tempfile.TemporaryDirectory(prefix="mufly-report-") as temporary:
+        folder = Path(temporary) / "fw"
+        export_firmware(design_flight_controller(vehicle), folder, vehicle)
+        objects = compile_objects(folder, SINGLE_PRECISION_BUILD, CORTEX_M4_FLAGS)
+        flash, _ = measure_code_size(objects)
+        (folder / "sizes.c").write_text(
+            '#include "software.h"\n#include "ekf_step.h"\n'
+            "software_t software; estimator_t estimator; estimate_t belief;\n",
+            encoding="utf-8",
+        )
+        command = [
+            "arm-none-eabi-gcc", "-std=c99", "-mcpu=cortex-m4", "-mthumb", "-DMUFLY_FLOAT", "-I.", "-fno-common", "-c",
+            "sizes.c", "-o", "sizes.o",
+        ]  # fmt: skip
+        subprocess.run(command, cwd=folder, check=True, capture_output=True)
+        said = subprocess.run(["arm-none-eabi-nm", "-S", "sizes.o"], cwd=folder, capture_output=True, text=True).stdout
+        ram = {name: int(size, 16) for size, name in re.findall(r"^\w+ (\w+) [BbDdCc] (\w+)$", said, re.M)}
+        stack = {
+            name: find_deepest_stack(objects, name) for name in ("software_step", "estimator_step", "controllers_")
+        }
+    rows = [
+        ("flash, all of it (bytes)", flash, RESOURCE_TARGETS["flash_bytes"]),
+        *((f"RAM, one {name} (bytes)", size, "") for name, size in sorted(ram.items())),
+        ("RAM, sum (bytes)", sum(ram.values()), RESOURCE_TARGETS["ram_bytes"]),
+        *((f"stack below {name.rstrip('_')} (bytes)", size, "bounded") for name, size in stack.items()),
+    ]
+    return EvidenceSection(
+        "What it needs",
+        _markdown_table(("", "measured", "aim"), rows)
+        + "\n\nSingle precision, Cortex-M4, gcc -Os. State is the caller's; stack: deepest path of calls with each "
+        "function's own use, from -fstack-usage; no recursion.",
+        {"flash_bytes": flash, "ram_bytes": ram, "stack_bytes": stack},
+    )
+
+
+# ----------------------------------------------------------------------------
+# What whole numbers cost
+
+
+def _report_fixed_point(vehicle: Vehicle, out: Path) -> EvidenceSection:
+    controller = design_flight_controller(vehicle)
+    law = quantise_law(controller)
+    losses = [*law.chosen_losses, measure_cascade_loss(vehicle, controller, law)]
+    flights = fly_fixed_point(vehicle, ["demonstration", "box-on-leg"], law=law)
+    proofs = [c.proof for c in law.controllers]
+    text = [
+        _markdown_table(
+            ("loop", "form", "peaks (dB)", "gain (dB)", "phase (dB)", "delay (dB)"),
+            [(x.loop, x.form, *(f"{v:.4f}" for v in (x.peaks_dB, x.gain_dB, x.phase_dB, x.delay_dB))) for x in losses],
+        ),
+        f"Lost by coefficients of 16 bits; aim: {RESOURCE_TARGETS['margin_dB']} dB.",
+        _markdown_table(
+            ("controller", "state, of 32 bits", "sum, of 64", "refused, of 32", "slowest pole"),
+            [
+                (
+                    p.controller,
+                    f"{p.states.max():.2f}",
+                    f"{p.sums.max():.2f}",
+                    f"{p.refused:.2f}",
+                    f"{p.slowest:.5f}",
+                )
+                for p in proofs
+            ],
+        ),
+        "Greatest bounds, by the L1 norm, for any inputs: below 1 nothing overflows.",
+        _markdown_table(
+            ("mission", "outcome", "periods", "overflows", "apart from double precision (mm)"),
+            [(f.mission, f.outcome, f.periods, f.overflows, f"{1e3 * f.apart_m:.1f}") for f in flights],
+        ),
+    ]
+    data = {
+        "losses": to_plain_data(losses),
+        "proofs": to_plain_data(proofs),
+        "flights": to_plain_data(flights),
+    }
+    return EvidenceSection("In whole numbers", "\n\n".join(text), data)
+
+
+# ----------------------------------------------------------------------------
+# What checkers say
+
+
+def parse_deviations(text: str) -> list[tuple[str, tuple[str, ...], str]]:
+    """Rule, files and reason of every line of ``deviations.txt``."""
+    found = []
+    for line in text.splitlines():
+        if line.strip() and not line.startswith("#"):
+            rule, files, reason = (part.strip() for part in line.split("|"))
+            found.append((rule, tuple(files.split()), reason))
+    return found
+
+
+def judge_findings(
+    said: str, reasons: list[tuple[str, tuple[str, ...], str]]
+) -> tuple[list[MisraFinding], Counter[str]]:
+    """Findings against required rules of what cppcheck's MISRA addon said, with their reasons; advice, counted."""
+    required, advice = [], Counter[str]()
+    for file, line, rule in sorted(set(re.findall(r"^(\S+?):(\d+): misra-c2012-(\d+\.\d+):", said, re.M))):
+        if rule in ADVISORY_RULES:
+            advice[rule] += 1
+            continue
+        reason = next((r for ours, files, r in reasons if ours == rule and any(fnmatch(file, f) for f in files)), "")
+        required.append(MisraFinding(rule, f"{file}:{line}", reason))
+    return required, advice
+
+
+def _export_tree(vehicle: Vehicle, folder: Path) -> list[str]:
+    controller = design_flight_controller(vehicle)
+    export_firmware(controller, folder, vehicle)
+    export_fixed_point(controller, folder)
+    return sorted(str(p.relative_to(folder)) for p in (*folder.glob("*.c"), *folder.glob("fixed/*.c")))
+
+
+def _report_misra(vehicle: Vehicle, out: Path) -> EvidenceSection:
+    _require_tool("cppcheck", "cppcheck")
+    with tempfile.TemporaryDirectory(prefix="mufly-report-") as temporary:
+        folder = Path(temporary) / "fw"
+        sources = _export_tree(vehicle, folder)
+        command = [
+            "cppcheck", "--addon=misra", "--std=c99", "--platform=unix32", "-DMUFLY_FLOAT",
+            "-UMUFLY_DECLARATIONS", "-I.",
+            "-Ifixed", "--suppress=missingIncludeSystem", "--template={file}:{line}: {id}: {message}", "-q", *sources,
+        ]  # fmt: skip
+        said = subprocess.run(command, cwd=folder, capture_output=True, text=True).stderr
+        reasons = parse_deviations((folder / "check" / "deviations.txt").read_text(encoding="utf-8"))
+    required, advice = judge_findings(said, reasons)
+    others = [line for line in said.splitlines() if "misra-c2012" not in line and re.match(r"\S+:\d+: \w+:", line)]
+    unexplained = [f for f in required if not f.reason]
+    groups = Counter((f.rule, f.reason or "**none written**") for f in required)
+    places = {
+        key: ", ".join(f.place for f in required if (f.rule, f.reason or "**none written**") == key) for key in groups
+    }
+    text = [
+        f"{len(required)} findings against required rules, {len(unexplained)} without a written reason; none against "
+        "mandatory ones is allowed a reason.",
+        _markdown_table(
+            ("rule", "findings", "where", "why it stays"),
+            [(r, n, places[r, w], w) for (r, w), n in sorted(groups.items())],
+        ),
+        "Advice not followed: " + (", ".join(f"{r} ({n})" for r, n in sorted(advice.items())) or "none") + ".",
+        "Other findings of cppcheck: " + ("; ".join(others) or "none") + ".",
+    ]
+    data = {
+        "required": [f.__dict__ for f in required],
+        "unexplained": len(unexplained),
+        "advisory": advice,
+        "other": others,
+    }
+    return EvidenceSection("MISRA C:2012", "\n\n".join(text), data)
+
+
+def _report_compilers(vehicle: Vehicle, out: Path) -> EvidenceSection:
+    _require_tool("gcc", "gcc")
+    with tempfile.TemporaryDirectory(prefix="mufly-report-") as temporary:
+        folder = Path(temporary) / "fw"
+        sources = _export_tree(vehicle, folder)
+        flags = [
+            *COMPILER_FLAGS,
+            "-Wall",
+            "-Wextra",
+            "-Wconversion",
+            "-Wshadow",
+            "-Wdouble-promotion",
+            "-fanalyzer",
+            "-I.",
+            "-Ifixed",
+        ]
+        warnings: dict[str, list[str]] = {}
+        for kind, more in (("double", []), ("single", ["-DMUFLY_FLOAT"])):
+            said = subprocess.run(
+                ["gcc", *flags, *more, "-c", *sources], cwd=folder, capture_output=True, text=True
+            ).stderr
+            warnings[kind] = re.findall(r"^(\S+:\d+:\d+: (?:warning|error): .*)$", said, re.M)
+    rows = [(kind, len(found), "; ".join(found[:5]) or "none") for kind, found in warnings.items()]
+    return EvidenceSection(
+        "What gcc says",
+        "`gcc -Wall -Wextra -Wconversion -Wshadow -Wdouble-promotion -fanalyzer`\n\n"
+        + _markdown_table(("numbers", "warnings", "which"), rows),
+        {"warnings": warnings},
+    )
+
+
+# ----------------------------------------------------------------------------
+# What tests reach
+
+
+def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
+    _require_tool("gcc", "gcc")
+    _require_tool("gcov", "gcc")
+    with tempfile.TemporaryDirectory(prefix="mufly-report-") as temporary:
+        folder = Path(temporary) / "fw"
+        _export_tree(vehicle, folder)
+        if not missing_fuzzer_tools():
+            run_fuzzer(folder, seconds=40.0)
+        # Records as long as those that Python shares with the code.
+        for name, text in render_estimator_files(None, None, 0.0).items():
+            (folder / name).write_text(text, encoding="utf-8")
+        # In a process of its own: counts are written when it ends.
+        command = [sys.executable, "-m", "mufly.firmware.branch_coverage", str(folder), vehicle.name]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            raise MuflyError(f"not measured: {done.stderr.strip().splitlines()[-1:] or done.returncode}")
+        files = read_branches(folder)
+        gaps = explain_gaps(folder, files)
+    rows = []
+    for name, lines in sorted(files.items()):
+        total, taken = sum(n for _, n, _ in lines), sum(k for _, _, k in lines)
+        open_ones = [str(g.line) for g in gaps if g.file == name and not g.reason]
+        if total:
+            share = f"{100 * taken / total:.0f} %"
+            rows.append((name, f"{taken} of {total}", share, total - taken, ", ".join(open_ones) or "none"))
+    reasons = dict.fromkeys(g.reason for g in gaps if g.reason)
+    why = [
+        (
+            sum(g.missing for g in gaps if g.reason == r),
+            ", ".join(f"{g.file}:{g.line}" for g in gaps if g.reason == r),
+            r,
+        )
+        for r in reasons
+    ]
+    total = sum(n for lines in files.values() for _, n, _ in lines)
+    taken = sum(k for lines in files.values() for _, _, k in lines)
+    return EvidenceSection(
+        "Branches reached",
+        f"{taken} of {total} branches ({100 * taken / max(total, 1):.1f} %), by both missions flown by the C code "
+        "on sensors, by eight drawn flights with faults, by the law in whole numbers, by what the fuzzer finds in 40 s "
+        "and 3000 random inputs, and by the tests that compare the languages, where they are at hand. "
+        f"Of the {total - taken} others {sum(g.missing for g in gaps if g.reason)} have a written reason.\n\n"
+        + _markdown_table(("file", "taken", "share", "not taken", "of these lines without a reason"), rows)
+        + "\n\n"
+        + _markdown_table(("branches", "where", "why they are not taken"), why),
+        {
+            "total": total,
+            "taken": taken,
+            "unexplained": sum(g.missing for g in gaps if not g.reason),
+            "files": {f: [x for x in lines if x[2] < x[1]] for f, lines in files.items()},
+        },
+    )
+
+
+@dataclass(frozen=True)
+class CoverageGap:
+    """A line of which some branches are not taken, and why; "" if nobody has said."""
+
+    file: str
+    line: int
+    missing: int
+    reason: str
+
+
+def explain_gaps(folder: Path, files: dict[str, list[tuple[int, int, int]]]) -> list[CoverageGap]:
+    """Gaps in an exported tree, with the reasons of ``check/branches.txt`` (file | part of the line | why)."""
+    known = parse_deviations((folder / "check" / "branches.txt").read_text(encoding="utf-8"))
+    gaps = []
+    for name, lines in sorted(files.items()):
+        place = next((p for p in (folder / name, folder / "check" / name) if p.exists()), None)
+        text = place.read_text(encoding="utf-8").splitlines() if place else []
+        for line, n, k in lines:
+            if k < n:
+                said = text[line - 1] if line <= len(text) else ""
+                reason = next((r for f, parts, r in known if f == name and " ".join(parts) in said), "")
+                gaps.append(CoverageGap(name, line, n - k, reason))
+    return gaps
+
+
+def read_branches(folder: Path) -> dict[str, list[tuple[int, int, int]]]:
+    """Of every source in a folder with counts: line, branches, and how many were taken (gcov)."""
+    found: dict[str, list[tuple[int, int, int]]] = {}
+    for notes in sorted(folder.rglob("*.gcno")):
+        said = subprocess.run(
+            ["gcov", "--json-format", "--branch-probabilities", "--stdout", str(notes)],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for text in said.splitlines():
+            for file in json.loads(text)["files"]:
+                name = file["file"]
+                if name.endswith(".h") or name.startswith(("/", "check")):
+                    continue
+                found[name] = [
+                    (
+                        line["line_number"],
+                        len(line["branches"]),
+                        sum(b["count"] > 0 for b in line["branches"]),
+                    )
+                    for line in file["lines"]
+                    if line["branches"]
+                ]
+    return found
+
+
+def _report_fuzzing(vehicle: Vehicle, out: Path) -> EvidenceSection:
+    r = fuzz_firmware(vehicle, seconds=30.0)
+    ended = f"**{r.found}** by {r.input_hex}" if r.found else "Nothing crashed, was undefined or out of range"
+    return EvidenceSection(
+        "Any bytes",
+        f"{ended} in {r.runs} inputs of {r.seconds:g} s, fed to: {', '.join(r.parts)}. Longer: "
+        "`mufly firmware fuzz --minutes 60`.",
+        {"fuzz": to_plain_data(r)},
+    )
+
+
+REPORT_SECTIONS: tuple[tuple[str, Callable[[Vehicle, Path], EvidenceSection]], ...] = (
+    ("The same as Python", _report_equality),
+    ("On emulated processors", _report_emulated),
+    ("What it needs", _report_memory),
+    ("In whole numbers", _report_fixed_point),
+    ("What gcc says", _report_compilers),
+    ("MISRA C:2012", _report_misra),
+    ("Branches reached", _report_coverage),
+    ("Any bytes", _report_fuzzing),
+)
+
+
+def write_report(
+    vehicle: Vehicle,
+    out: Path,
+    *,
+    only: tuple[str, ...] = (),
+    on_section: Callable[[EvidenceSection, int, int], None] | None = None,
+) -> list[EvidenceSection]:
+    """Measure all of it and write ``report.md``, its pictures and ``report.json``.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    out : Path
+        Folder; made if it is not there.
+    only : tuple of str, optional
+        Titles of the sections wanted; all by default.
+    on_section : callable, optional
+        Told every section as it is done, how many are, and of how many.
+
+    Returns
+    -------
+    list of Section
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    wanted = [(title, make) for title, make in REPORT_SECTIONS if not only or title in only]
+    done = []
+    for title, make in wanted:
+        try:
+            section = make(vehicle, out)
+        except MuflyError as error:
+            section = EvidenceSection(title, str(error), {"missing": str(error)})
+        done.append(section)
+        if on_section is not None:
+            on_section(section, len(done), len(wanted))
+    text = [
+        f"# The exported code of {vehicle.name}",
+        f"Written by mufly {__version__} (`mufly firmware report`).",
+    ]
+    text += [f"## {s.title}\n\n{s.text}" for s in done]
+    (out / "report.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
+    (out / "report.json").write_text(
+        json.dumps({s.title: s.data for s in done}, indent=2, default=str) + "\n", encoding="utf-8"
+    )
+    return done

@@ -1,0 +1,186 @@
+"""The exported code on this machine: built by its C compiler, called through cffi, flown in the simulation."""
+
+from __future__ import annotations
+
+import functools
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.answer_store import replace_file
+from mufly.control import FlightController
+from mufly.estimate import Estimate
+from mufly.firmware.source_export import copy_sources, render_gains_source, write_tree
+from mufly.flight.controllers import Actuators, Controllers
+from mufly.toolchain import COMPILER_FLAGS, build_cached_library, compile_library, find_compiler
+
+_Array = NDArray[np.floating[Any]]
+
+
+def build_library(
+    folder: Path, *, single: bool = False, flags: tuple[str, ...] = COMPILER_FLAGS, cc: str | None = None
+) -> Path:
+    """Build the exported sources in a folder as a shared library and return it.
+
+    Raises
+    ------
+    MuflyError
+        If there is no compiler, or it refuses; the message holds what it said first.
+    """
+    library = folder / ("mufly_single.so" if single else "mufly.so")
+    sources = sorted(folder.glob("*.c"))
+    extra = ("-DMUFLY_FLOAT",) if single else ()
+    compile_library(sources, library, flags=(*flags, *extra), cc=cc)
+    return library
+
+
+def cffi_declarations(folder: Path, single: bool = False) -> str:
+    """What the headers declare, for cffi."""
+    command = [find_compiler(), "-E", "-P", "-DMUFLY_DECLARATIONS", *(("-DMUFLY_FLOAT",) if single else ())]
+    headers = "".join(f'#include "{h.name}"\n' for h in sorted(folder.glob("*.h")))
+    done = subprocess.run(
+        [*command, f"-I{folder}", "-x", "c", "-"], input=headers, capture_output=True, text=True, check=True
+    )
+    return done.stdout.replace("extern const ", "extern ")  # to cffi a constant has no address
+
+
+@functools.lru_cache(maxsize=8)
+def _load_firmware(tables: str, single: bool, cc: str) -> tuple[cffi.FFI, Any]:
+    ffi = cffi.FFI()
+    with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
+        tree = Path(folder) / "fw"
+        write_tree(tables, tree)
+        library = build_library(tree, single=single, cc=cc)
+        ffi.cdef(cffi_declarations(tree, single))
+        return ffi, ffi.dlopen(str(library))
+
+
+@functools.lru_cache(maxsize=1)
+def _load_generic_firmware() -> tuple[cffi.FFI, Any]:
+    """The code without numbers of its own, in double precision, kept on disk: for whom a design's are handed over."""
+    with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
+        tree = Path(folder) / "fw"
+        copy_sources(tree)
+        files = {p.name: p.read_text(encoding="utf-8") for p in sorted(tree.glob("*.[ch]"))}
+        library = build_cached_library("firmware", {**files, "tables.c": _GENERIC_TABLES})
+        words = library.with_suffix(".h")
+        if not words.exists():
+            with replace_file(words) as made:
+                made.write_text(cffi_declarations(tree), encoding="utf-8")
+    ffi = cffi.FFI()
+    ffi.cdef(words.read_text(encoding="utf-8"))
+    return ffi, ffi.dlopen(str(library))
+
+
+_GENERIC_TABLES = """#include "controllers.h"
+const int32_t mufly_rate_Hz = 0;
+const int32_t mufly_position_divider = 0;
+const gains_t mufly_gains;
+"""
+
+
+class Firmware:
+    """The exported code of one vehicle, built and loaded; the same code is built once in a process.
+
+    Parameters
+    ----------
+    controller : FlightController or None
+        From :func:`mufly.control.design_flight_controller`. None: code without numbers of its own, built once for all
+        vehicles.
+    single : bool
+        In single precision, as a processor without double computes.
+    cc : str, optional
+        The compiler, instead of :func:`find_compiler`.
+
+    Raises
+    ------
+    MuflyError
+        If there is no C compiler.
+    """
+
+    def __init__(self, controller: FlightController | None, *, single: bool = False, cc: str | None = None) -> None:
+        self.real_dtype = np.dtype(np.float32 if single else np.float64)
+        self.is_generic = controller is None
+        if controller is None:
+            self.ffi, self.lib = _load_generic_firmware()
+        else:
+            self.ffi, self.lib = _load_firmware(render_gains_source(controller), single, cc or find_compiler())
+
+    def make_gains(self, controller: FlightController) -> Any:
+        """A ``gains_t`` of the numbers of a controller, which may be another than was exported."""
+        g = self.ffi.new("gains_t *")
+        for group in ("heave_yaw", "roll_pitch", "position"):
+            record = getattr(controller, f"{group}_gains")
+            numbers = np.frombuffer(record.tobytes(), dtype=np.float64).astype(self.real_dtype)
+            self.ffi.memmove(self.ffi.addressof(g, group), numbers.tobytes(), numbers.nbytes)
+        return g
+
+
+class FirmwareControllers(Controllers):
+    """:class:`mufly.flight.controllers.Controllers`, computed by the exported code with its own tables.
+
+    What :class:`mufly.flight.Flight` takes as ``controllers``.
+    """
+
+    def __init__(self, design: FlightController, firmware: Firmware | None = None) -> None:
+        super().__init__(design)
+        f = self.firmware = firmware or Firmware(design)
+        # Its tables, until something is tuned
+        self._gains_record = f.make_gains(design) if f.is_generic else f.ffi.addressof(f.lib.mufly_gains)
+        self._state_record, self._motion_record = f.ffi.new("controllers_t *"), f.ffi.new("motion_estimate_t *")
+        self._path_record, self._actuators_record = f.ffi.new("path_t *"), f.ffi.new("actuators_t *")
+        self._tilt_buffer, self._motor_buffer = f.ffi.new("real_t[2]"), f.ffi.new("real_t[4]")
+        f.lib.position_init(f.ffi.addressof(self._state_record, "position"))
+
+    def _blend_gains(self) -> None:
+        super()._blend_gains()
+        self._gains_record = self.firmware.make_gains(self._design)
+
+    def current_gains(self) -> Any:
+        """The ``gains_t`` of this period, one further on the way to those of a design that it goes over to."""
+        if not self._settled:
+            self._blend_gains()
+        return self._gains_record
+
+    def _write_motion(self, m: Estimate) -> None:
+        now = self._motion_record
+        now.position, now.velocity = m.position.tolist(), m.velocity.tolist()
+        now.attitude, now.rates, now.voltage = m.attitude.tolist(), m.rates.tolist(), m.battery_voltage
+
+    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
+        self._write_motion(estimate)
+        self.firmware.lib.controllers_engage(
+            self._gains_record, self._state_record, self._motion_record, motor_input.tolist()
+        )
+
+    def lift_off(self, estimate: Estimate) -> None:
+        self._write_motion(estimate)
+        self.firmware.lib.controllers_lift_off(self._gains_record, self._state_record, self._motion_record)
+
+    def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
+        self._write_motion(estimate)
+        path = self._path_record
+        path.position_m, path.velocity_m_s = position.tolist(), velocity.tolist()
+        path.acceleration = acceleration.tolist()
+        self.firmware.lib.controllers_tilt_for(
+            self._gains_record, self._state_record, self._motion_record, path, self._tilt_buffer
+        )
+        return np.array(list(self._tilt_buffer))
+
+    def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
+        if not self._settled:
+            self._blend_gains()
+        self._write_motion(estimate)
+        self.firmware.lib.controllers_step(
+            self._gains_record, self._state_record, self._motion_record, heave_yaw.tolist(), tilt is not None,
+            [0.0, 0.0] if tilt is None else tilt.tolist(), self._actuators_record,
+        )  # fmt: skip
+        return Actuators(
+            np.array(list(self._actuators_record.motor_input)),
+            np.array(list(self._actuators_record.servo_input)),
+        )

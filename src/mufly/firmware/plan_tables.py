@@ -1,0 +1,170 @@
+"""A mission as numbers: ``plan_t`` and ``flight_setup_t`` of the exported code, from a mission and its vehicle."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from mufly.control import FlightController
+from mufly.errors import InputError
+from mufly.flight.controllers import controller_limits
+from mufly.mission import Mission, MissionPlan, prepare_plan, reduce_limits
+from mufly.mission.phases import nose_offset
+from mufly.mission.trajectory import TrajectoryLimits
+from mufly.vehicle import Vehicle
+from mufly.version import __version__
+
+MAX_WAYPOINTS = 32
+MAX_BEAMS = 64
+_END_ACTIONS = ("land", "hover", "return")
+
+
+def plan_numbers(plan: MissionPlan) -> dict[str, Any]:
+    """Return the fields of ``plan_t``, names and order as there; SI units and radians.
+
+    Raises
+    ------
+    InputError
+        If the mission has more waypoints, or the vehicle more beams, than the code has room for.
+    """
+    m, q = plan.mission, plan.mission.limits
+    if len(m.waypoint) > MAX_WAYPOINTS:
+        raise InputError(
+            m.name,
+            "waypoint",
+            f"{len(m.waypoint)} are more than the {MAX_WAYPOINTS} that the exported code has room for",
+            "fly it in parts",
+        )
+    count = len(plan.ring.cos)
+    if count > MAX_BEAMS:
+        raise InputError("range_ring.count", str(count), f"is more than {MAX_BEAMS}", "leave some beams out")
+    return {
+        "count": len(m.waypoint),
+        "waypoint": [_waypoint_fields(m, k) for k in range(len(m.waypoint))],
+        "at_end": _END_ACTIONS.index(m.at_end),
+        "spline": m.path.kind == "spline",
+        "start": list(m.start_m),
+        "take_off_height": m.take_off.height_m,
+        "take_off_wait_s": m.take_off.wait_s,
+        "limits": _limit_fields(plan.trajectory_limits),
+        "touchdown": q.touchdown_m_s,
+        "reach": q.reach_m,
+        "reach_speed": q.reach_m_s,
+        "avoid": plan.avoids_obstacles,
+        "scan": plan.scans_with_nose,
+        "clearance": m.avoidance.clearance_m,
+        "avoid_speed": m.avoidance.speed_m_s,
+        "give_up_s": m.avoidance.give_up_s,
+        "nose_offset": nose_offset(plan),
+        "low_voltage": plan.low_battery_V,
+        "ring": {
+            "count": count,
+            "cos": plan.ring.cos.tolist(),
+            "sin": plan.ring.sin.tolist(),
+            "max_range": float(plan.ring.max_range),
+            "first_angle": plan.ring.first_angle,
+            "spacing": plan.ring.spacing,
+        },
+    }
+
+
+def make_plan(vehicle: Vehicle, controller: FlightController, mission: Mission) -> MissionPlan:
+    """Return the plan of a mission as this vehicle flies it: no faster than its controllers can follow."""
+    return prepare_plan(reduce_limits(mission, controller_limits(controller))[0], vehicle)
+
+
+def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:
+    """Return ``plan.c``: the mission, and what does not change in a flight."""
+    lines = [
+        f"/* The mission {(plan.mission.name or 'without a name').replace('*/', '* /')}, made by mufly {__version__}; "
+        "do not edit. */",
+        '#include "software.h"',
+        "",
+        "const plan_t mufly_plan = {",
+        *render_initialiser(plan_numbers(plan)),
+        "};",
+        "",
+        "const flight_setup_t mufly_setup = {",
+        "    .gains = &mufly_gains,",
+        "    .plan = &mufly_plan,",
+        *render_initialiser(setup_numbers(controller)),
+        "};",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def setup_numbers(controller: FlightController) -> dict[str, Any]:
+    """Return the fields of ``flight_setup_t`` that are numbers."""
+    return {
+        "period_s": 1.0 / controller.rate_Hz,
+        "mission_step_periods": controller.position_divider,
+        "hover_V": (controller.motor_trim * controller.voltage_V).tolist(),
+    }
+
+
+def _limit_fields(q: TrajectoryLimits) -> dict[str, float]:
+    return {
+        name: getattr(q, name)
+        for name in (
+            "speed", "climb", "descent", "acceleration", "climb_acceleration", "yaw_rate", "yaw_acceleration",
+        )
+    }  # fmt: skip
+
+
+def _waypoint_fields(m: Mission, k: int) -> dict[str, Any]:
+    w = m.waypoint[k]
+    return {
+        "position": list(w.position_m),
+        "wait_s": w.wait_s,
+        "speed": m.leg_limits(k).speed,
+        "has_heading": w.heading_deg is not None,
+        "heading": 0.0 if w.heading_deg is None else math.radians(w.heading_deg),
+    }
+
+
+_FIELD_UNITS = {
+    "position": "m", "start": "m", "take_off_height": "m", "reach": "m", "clearance": "m", "max_range": "m",
+    "wait_s": "s", "take_off_wait_s": "s", "give_up_s": "s", "period_s": "s", "hover_V": "V", "low_voltage": "V",
+    "speed": "m/s", "climb": "m/s", "descent": "m/s", "touchdown": "m/s", "reach_speed": "m/s", "avoid_speed": "m/s",
+    "acceleration": "m/s2", "climb_acceleration": "m/s2", "yaw_rate": "rad/s", "yaw_acceleration": "rad/s2",
+    "heading": "rad", "nose_offset": "rad", "first_angle": "rad", "spacing": "rad",
+}  # fmt: skip
+
+
+def render_initialiser(fields: dict[str, Any], indent: str = "    ") -> list[str]:
+    """Return the lines of a C initialiser: hexadecimal floats with decimal and unit in a comment."""
+    lines = []
+    for name, value in fields.items():
+        unit = _FIELD_UNITS.get(name, "")
+        if isinstance(value, dict):
+            lines += [
+                f"{indent}.{name} =",
+                f"{indent}    {{",
+                *render_initialiser(value, indent + " " * 8),
+                f"{indent}    }},",
+            ]
+        elif isinstance(value, bool):
+            lines.append(f"{indent}.{name} = {'true' if value else 'false'},")
+        elif isinstance(value, int):
+            lines.append(f"{indent}.{name} = {value},")
+        elif isinstance(value, float):
+            lines.append(f"{indent}.{name} = {_real_literal(value)}, /* {value:.9g} {unit}".rstrip() + " */")
+        elif value and isinstance(value[0], dict):
+            lines += [f"{indent}.{name} =", f"{indent}    {{"]
+            for one in value:
+                lines += [
+                    f"{indent}        {{",
+                    *render_initialiser(one, indent + " " * 12),
+                    f"{indent}        }},",
+                ]
+            lines += [f"{indent}    }},"]
+        elif value:
+            numbers = ", ".join(_real_literal(float(v)) for v in value)
+            said = ", ".join(f"{float(v):.9g}" for v in value)
+            lines.append(f"{indent}.{name} = {{{numbers}}}, /* {said} {unit}".rstrip() + " */")
+    return lines
+
+
+def _real_literal(value: float) -> str:
+    return f"REAL({value.hex()})"

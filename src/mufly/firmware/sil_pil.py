@@ -1,0 +1,527 @@
+"""Is it the same? The exported code against the simulation's, and on an emulated processor against this machine.
+
+Software in the loop (:func:`run_sil`): a mission is flown by Python's controllers, on sensors by Python's estimator
+too; the exported code gets the same inputs in every period, and its outputs, of the estimator all that it remembers,
+are compared bit by bit. Processor in the loop (:func:`run_pil`): a self-test of made-up inputs runs on this machine and
+on Cortex-M processors emulated by QEMU; both print digests of all outputs so far.
+Instructions are counted by the processor's own clock, which QEMU advances by a nanosecond an instruction.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.control import FlightController, design_flight_controller
+from mufly.errors import MuflyError
+from mufly.estimate import Estimate, Estimator, KalmanEstimator
+from mufly.estimate.c_records import PYTHON_ONLY_FIELDS
+from mufly.firmware.compiled_software import ComparedSoftware, make_compared_software
+from mufly.firmware.fixed_point_law import export_fixed_point
+from mufly.firmware.host_build import Firmware, FirmwareControllers
+from mufly.firmware.proof_flights import add_random_obstacle, draw_conditions, resume_flights
+from mufly.firmware.source_export import export_firmware
+from mufly.flight import fly_mission
+from mufly.flight.controllers import Actuators, Controllers
+from mufly.mission import load_mission, parse_mission
+from mufly.results import result
+from mufly.sensors import Readings
+from mufly.sensors.faults import Fault, parse_fault
+from mufly.toolchain import COMPILER_FLAGS, find_compiler
+from mufly.vehicle import Vehicle
+from mufly.world import Room, World
+
+_Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class ArithmeticBuild:
+    """How the code of one arithmetic is built, and on which emulated processors its self-tests run.
+
+    Attributes
+    ----------
+    sources : str
+        Its C files in the tree, as a pattern.
+    flags : tuple of str
+        For every compiler.
+    includes : tuple of str
+        Folders of the tree.
+    memory : str
+        RAM of the smallest board, for the linker; all boards do with as much.
+    tests : dict
+        Programs of ``check/``, and how the functions are called that they measure.
+    boards : dict
+        Processor, and instructions between two ticks of the board's clock.
+    """
+
+    source_pattern: str
+    compiler_flags: tuple[str, ...]
+    include_folders: tuple[str, ...]
+    ram_size: str
+    self_tests: Mapping[str, tuple[str, str]]
+    emulated_boards: Mapping[str, tuple[tuple[str, ...], float]]
+
+
+CORTEX_M4_FLAGS = ("-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-Os")
+SPEED_OPTIMISED_SOURCES = ("linear.c",)
+"""Where ``-O2`` takes fewer instructions; elsewhere ``-Os`` takes as many, or fewer, in four fifths of the flash."""
+SINGLE_PRECISION_BUILD = ArithmeticBuild(
+    source_pattern="*.c",
+    compiler_flags=("-DMUFLY_FLOAT",),
+    include_folders=(".",),
+    ram_size="64K",
+    self_tests={
+        "law": ("selftest", "controllers_"),
+        "flight": ("flight", "software_"),
+        "estimator": ("selftest_estimate", "estimator_"),
+    },
+    emulated_boards={
+        "mps2-an386": (CORTEX_M4_FLAGS, 40.0),
+        "netduinoplus2": (CORTEX_M4_FLAGS, 1000.0 / 168.0),
+    },  # 25 and 168 MHz
+)
+"""Single precision, on processors with a floating unit."""
+
+FIXED_POINT_BUILD = ArithmeticBuild(
+    source_pattern="fixed/*.c",
+    compiler_flags=(),
+    include_folders=("fixed", "check"),
+    ram_size="16K",
+    self_tests={"law": ("selftest_fixed", "fixed_")},
+    emulated_boards={
+        "mps2-an385 (cortex-m3)": (("-mcpu=cortex-m3",), 40.0),
+        "mps2-an386 (cortex-m4)": (("-mcpu=cortex-m4",), 40.0),
+        "microbit (cortex-m0)": (("-mcpu=cortex-m0",), 62.5),  # 16 MHz
+    },
+)
+"""The law in whole numbers, on processors without."""
+
+_SELFTEST_WORLD = World(room=Room((-1.2, 1.2), (-1.2, 1.2), 3.0))
+"""Of the estimator's self-test: all beams of the ring see a wall, which costs most."""
+_SELFTEST_MISSION: dict[str, Any] = {
+    "name": "curves",
+    "avoidance": {"scan": True},
+    "path": {"kind": "spline"},
+    "waypoint": [
+        {"position_m": [1.0, 0.0, -1.0]},
+        {"position_m": [2.0, 1.0, -1.5], "speed_m_s": 0.3},
+        {"position_m": [1.0, 2.0, -1.0]},
+    ],
+}
+"""Of the flight's: curves, looking around, and walls until all is remembered that can be, which costs most."""
+_REQUIRED_TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
+
+
+@result
+class SilResult:
+    """A mission flown by Python and computed by the exported code beside it.
+
+    Attributes
+    ----------
+    mission : str
+    seed : int
+    outcome : str
+        Of the flight.
+    faults : str
+        Of its sensors.
+    periods : int
+        Compared.
+    different : int
+        Outputs (of the position cascade, or of all actuators) of which some bit differs in double precision.
+    beliefs : int
+        Periods of the estimator that were compared; none on ideal sensors.
+    beliefs_different : int
+        Of these, after which some bit of its memory differs.
+    steps : int
+        Periods of the whole flight software that were compared: actuators, reference, state and log of the mission.
+    steps_different : int
+        Of these, in which some bit or some text differs.
+    entries : int
+        Of the log, compared as texts.
+    worst_single : float
+        Greatest difference of an actuator in single precision, over its full range (1).
+    """
+
+    mission: str
+    seed: int
+    outcome: str
+    faults: str
+    periods: int
+    different: int
+    beliefs: int
+    beliefs_different: int
+    steps: int
+    steps_different: int
+    entries: int
+    worst_single: float
+
+
+@result
+class PilResult:
+    """The self-test on one emulated processor.
+
+    Attributes
+    ----------
+    machine : str
+    what : str
+        ``"law"``: the controllers; ``"flight"``: they, the mission and all that watches over it; ``"estimator"``.
+    same : bool
+        Whether every digest of outputs is that of this machine in single precision.
+    mean_instructions, worst_instructions : float
+        Of one period.
+    flash_bytes, ram_bytes : int
+        Of all code and numbers of the tree, estimator and mission included; variables are the caller's.
+    stack_bytes : int
+        Deepest call, by the compiler's account of every function along the call graph.
+    """
+
+    machine: str
+    what: str
+    same: bool
+    mean_instructions: float
+    worst_instructions: float
+    flash_bytes: int
+    ram_bytes: int
+    stack_bytes: int
+
+
+class _ComparedControllers(Controllers):
+    """Python flies; the exported code, in double and single precision, is told the same and compared."""
+
+    def __init__(self, design: FlightController, double: Firmware, single: Firmware) -> None:
+        super().__init__(design)
+        self._implementations: tuple[Controllers, ...] = (
+            Controllers(design),
+            FirmwareControllers(design, double),
+            FirmwareControllers(design, single),
+        )
+        self.period_count = self.mismatch_count = 0
+        self.worst_single = 0.0
+
+    def retune_gains(self, design: FlightController) -> None:
+        for one in self._implementations:
+            one.retune_gains(design)
+
+    def engage(self, estimate: Estimate, motor_input: _Array) -> None:
+        for one in self._implementations:
+            one.engage(estimate, motor_input)
+
+    def lift_off(self, estimate: Estimate) -> None:
+        for one in self._implementations:
+            one.lift_off(estimate)
+
+    def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
+        right, double, _ = (one.tilt_for(estimate, position, velocity, acceleration) for one in self._implementations)
+        self.mismatch_count += right.tobytes() != double.tobytes()
+        return right
+
+    def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
+        right, double, single = (one.step(estimate, heave_yaw, tilt).input_array for one in self._implementations)
+        self.period_count += 1
+        self.mismatch_count += right.tobytes() != double.tobytes()
+        # Motors go from 0 to 1, servos from -1 to 1.
+        off = np.abs(single - right) / [1.0, 1.0, 2.0, 2.0]
+        self.worst_single = max(self.worst_single, float(off.max()))
+        return Actuators(right[:2], right[2:])
+
+
+class _ComparedEstimators(Estimator):
+    """Python believes; the exported code is told the same, and compared in all that it remembers."""
+
+    def __init__(self, vehicle: Vehicle, world: World, rate_Hz: float) -> None:
+        self._python_estimator = KalmanEstimator(vehicle, world, rate_Hz, code="numba")
+        self._c_estimator = KalmanEstimator(vehicle, world, rate_Hz, code="c")
+        self.period_count = self.mismatch_count = 0
+
+    def update(self, readings: Readings, acting: NDArray[np.float64] | None = None) -> Estimate:
+        told = self._python_estimator.update(readings, acting)
+        also = self._c_estimator.update(readings, acting)
+        self.period_count += 1
+        self.mismatch_count += told.valid != also.valid or memory_bytes(self._python_estimator) != memory_bytes(
+            self._c_estimator
+        )
+        return told
+
+    def reset(self) -> None:
+        self._python_estimator.reset()
+        self._c_estimator.reset()
+
+
+def memory_bytes(estimator: KalmanEstimator) -> bytes:
+    """All that an estimator of either language remembers."""
+    memory = estimator.memory
+    return memory.tobytes()[: memory.dtype.fields[PYTHON_ONLY_FIELDS[0]][1]]
+
+
+def run_sil(
+    vehicle: Vehicle,
+    missions: Sequence[str],
+    *,
+    flights: int = 1,
+    wind: Sequence[float] | None = None,
+    gust: float | None = None,
+    sensors: Literal["fitted", "ideal"] = "fitted",
+    faults: Sequence[Fault] = (),
+    drawn: bool = False,
+    keep: Path | None = None,
+    on_flight: Callable[[SilResult], None] | None = None,
+) -> list[SilResult]:
+    """Fly missions and compare the exported code with Python in every period.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    missions : sequence of str
+        Names or files.
+    flights : int
+        Of each mission, with seeds from 0 on.
+    wind : (3,) sequence, optional
+        Steady wind, where it blows to, N, E, D (m/s), instead of the missions'.
+    gust : float, optional
+        Gusts (m/s), instead of the missions'.
+    sensors : "fitted" or "ideal"
+        What it flies on; the estimator is compared on fitted ones.
+    faults : sequence of Fault
+        Of the sensors.
+    drawn : bool
+        Draw wind, gusts, faults and an obstacle by the seed (:mod:`mufly.firmware.proof_flights`).
+    keep : path, optional
+        Where results are kept; what is there is not flown again.
+    on_flight : callable, optional
+        Told every result as it comes.
+
+    Raises
+    ------
+    MuflyError
+        If there is no C compiler, or vehicle or mission is impossible.
+    """
+    controller = design_flight_controller(vehicle)
+    double, single = Firmware(controller), Firmware(controller, single=True)
+
+    def fly_compared(name: str, seed: int) -> SilResult:
+        mission = load_mission(name)
+        w, g, wrong = wind, gust, tuple(faults)
+        if drawn:
+            met, mission = draw_conditions(seed), add_random_obstacle(mission, seed)
+            w, g, wrong = [met.wind, 0.0, 0.0], met.gust, tuple(parse_fault(f) for f in met.faults)
+        twins: list[_ComparedControllers] = []
+        flown: list[ComparedSoftware] = []
+
+        def make(c: FlightController) -> _ComparedControllers:
+            twins.append(_ComparedControllers(c, double, single))
+            return twins[-1]
+
+        felt = sensors == "fitted" and vehicle.sensors is not None
+        believing = _ComparedEstimators(vehicle, mission.world, controller.rate_Hz) if felt else None
+        record = fly_mission(
+            vehicle, mission, controller=controller, seed=seed, gust=g,
+            controllers=make_compared_software(make, double, flown),
+            wind=w, estimator=believing,
+            sensors="fitted" if felt else "ideal", faults=wrong,
+        )  # fmt: skip
+        return SilResult(
+            mission=mission.name or name, seed=seed, outcome=record.attrs["outcome"],
+            faults=" ".join(map(str, wrong)),
+            periods=sum(t.period_count for t in twins), different=sum(t.mismatch_count for t in twins),
+            beliefs=0 if believing is None else believing.period_count,
+            beliefs_different=0 if believing is None else believing.mismatch_count,
+            steps=sum(f.period_count for f in flown), steps_different=sum(f.mismatch_count for f in flown),
+            entries=sum(f.log_entry_count for f in flown), worst_single=max(t.worst_single for t in twins),
+        )  # fmt: skip
+
+    asked = [(name, seed) for seed in range(flights) for name in missions]
+    return resume_flights(SilResult, keep, asked, fly_compared, on_flight)
+
+
+def missing_tools() -> str:
+    """Return what has to be installed for :func:`run_pil`, as one line; "" if all is there."""
+    absent = [package for tool, package in _REQUIRED_TOOLS.items() if shutil.which(tool) is None]
+    return f"install {' and '.join(absent)} (Debian, Ubuntu: apt-get install {' '.join(absent)})" if absent else ""
+
+
+def run_pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 120.0) -> list[PilResult]:
+    """Run self-tests on emulated Cortex-M processors: of all that flies, or of the law in whole numbers.
+
+    Raises
+    ------
+    MuflyError
+        If a tool is missing, or an emulated processor does not end.
+    """
+    absent = missing_tools()
+    if absent:
+        raise MuflyError(f"processor in the loop: {absent}")
+    how = FIXED_POINT_BUILD if fixed_point else SINGLE_PRECISION_BUILD
+    with tempfile.TemporaryDirectory(prefix="mufly-pil-") as temporary:
+        folder = Path(temporary) / "fw"
+        controller = design_flight_controller(vehicle)
+        export_firmware(controller, folder, vehicle, _SELFTEST_WORLD, parse_mission(_SELFTEST_MISSION))
+        if fixed_point:
+            export_fixed_point(controller, folder)
+        objects = {cpu: compile_objects(folder, how, cpu) for cpu in {cpu for cpu, _ in how.emulated_boards.values()}}
+        found = []
+        for what, (test, entry) in how.self_tests.items():
+            right = parse_digests(run_program([str(_build_host_selftest(folder, how, test))], timeout_s))
+            programs = {cpu: _link_selftest(folder, how, cpu, test) for cpu in objects}
+            for board, (cpu, per_tick) in how.emulated_boards.items():
+                flash, ram = measure_code_size(objects[cpu])
+                found.append(
+                    PilResult(
+                        machine=board,
+                        what=what,
+                        **run_emulated(board.split()[0], per_tick, programs[cpu], right, timeout_s),
+                        flash_bytes=flash,
+                        ram_bytes=ram,
+                        stack_bytes=find_deepest_stack(objects[cpu], entry),
+                    )
+                )
+        return found
+
+
+def run_emulated(machine: str, per_tick: float, elf: Path, right: list[str], timeout_s: float) -> dict[str, Any]:
+    """Run a self-test on an emulated board: whether it says what is right, and its instructions a period.
+
+    Raises
+    ------
+    MuflyError
+        If it does not end.
+    """
+    said = run_program(
+        [
+            "qemu-system-arm", "-M", machine, "-nographic", "-monitor", "none", "-serial", "none",
+            "-semihosting-config", "enable=on,target=native", "-icount", "shift=0", "-kernel", str(elf),
+        ],
+        timeout_s,
+    )  # fmt: skip
+    numbers = {k: int(v, 16) for k, v in re.findall(r"^(periods|ticks|worst) ([0-9a-f]{16})$", said, re.M)}
+    if len(numbers) < 3:
+        raise MuflyError(f"{machine}: the self-test did not end; it said {said[-200:]!r}")
+    return {
+        "same": parse_digests(said) == right and bool(right),
+        "mean_instructions": numbers["ticks"] * per_tick / numbers["periods"],
+        "worst_instructions": numbers["worst"] * per_tick,
+    }
+
+
+def parse_digests(said: str) -> list[str]:
+    """Digests that a self-test told."""
+    return re.findall(r"^outputs ([0-9a-f]{16})$", said, re.M)
+
+
+def run_program(command: list[str], timeout_s: float) -> str:
+    """What a program says, errors included."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
+    except subprocess.TimeoutExpired:
+        raise MuflyError(f"{command[0]} did not end within {timeout_s:g} s") from None
+    return done.stdout + done.stderr  # an emulated processor's words come out as errors
+
+
+def run_compiler(command: list[str], folder: Path) -> None:
+    """Run a compiler in a folder; its first error is raised as ours."""
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    if done.returncode:
+        first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
+        raise MuflyError(f"{command[0]} could not build the self-test: {first}")
+
+
+def _compiler_command(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...], *more: object) -> list[str]:
+    """Return a compiler's command: for the emulated ``cpu``, for this machine where that is empty."""
+    there = ("arm-none-eabi-gcc", *COMPILER_FLAGS, *cpu, "-mthumb", "-ffreestanding", "-nostdlib")
+    cc = there if cpu else (find_compiler(), *COMPILER_FLAGS)
+    return [
+        *cc,
+        *how.compiler_flags,
+        *(f"-I{folder / name}" for name in how.include_folders),
+        *map(str, more),
+    ]
+
+
+def _build_host_selftest(folder: Path, how: ArithmeticBuild, test: str) -> Path:
+    out = folder / test
+    parts = (*sorted(folder.glob(how.source_pattern)), f"check/{test}.c", "check/platform_host.c")
+    run_compiler(_compiler_command(folder, how, (), *parts, "-o", out, "-lm"), folder)
+    return out
+
+
+def compile_objects(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...]) -> Path:
+    """Compile a tree for a processor; return the folder of objects, with what the compiler says of their stack."""
+    objects = folder / cpu[0].removeprefix("-mcpu=")
+    objects.mkdir()
+    told = ("-fstack-usage", "-fdump-rtl-expand", "-c")
+    sources = sorted(folder.glob(how.source_pattern))
+    quick = [c for c in sources if c.name in SPEED_OPTIMISED_SOURCES]
+    run_compiler(_compiler_command(folder, how, cpu, *told, *(c for c in sources if c not in quick)), objects)
+    if quick:
+        run_compiler(_compiler_command(folder, how, cpu, "-O2", *told, *quick), objects)
+    return objects
+
+
+def _link_selftest(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...], test: str) -> Path:
+    objects = folder / cpu[0].removeprefix("-mcpu=")
+    script = (
+        (folder / "check" / "cortex_m4.ld")
+        .read_text(encoding="utf-8")
+        .replace("LENGTH = 64K", f"LENGTH = {how.ram_size}")
+    )
+    (objects / "board.ld").write_text(script, encoding="utf-8")
+    out = objects / f"{test}.elf"
+    parts = (*sorted(objects.glob("*.o")), f"check/{test}.c", "check/platform_cortex_m4.c")
+    run_compiler(_compiler_command(folder, how, cpu, *parts, "-T", objects / "board.ld", "-o", out, "-lgcc"), folder)
+    return out
+
+
+def measure_code_size(folder: Path) -> tuple[int, int]:
+    """Flash and RAM (bytes) of the controllers' objects."""
+    objects = sorted(p.name for p in folder.glob("*.o"))
+    said = subprocess.run(["arm-none-eabi-size", *objects], capture_output=True, text=True, cwd=folder).stdout
+    rows = [line.split() for line in said.splitlines()[1:]]
+    text, data, bss = (sum(int(row[k]) for row in rows) for k in range(3))
+    return text + data, data + bss
+
+
+def find_deepest_stack(folder: Path, entry: str) -> int:
+    """Return the stack (bytes) of the deepest call that begins in a function whose name starts with ``entry``.
+
+    From what the compiler noted of every function (``-fstack-usage``) and who calls whom (its ``expand`` dumps).
+
+    Raises
+    ------
+    MuflyError
+        If some function calls itself, or its stack is not known beforehand: then there is no bound.
+    """
+    own: dict[str, int] = {}
+    for file in folder.glob("*.su"):
+        for line in file.read_text(encoding="utf-8").splitlines():
+            place, size, kind = line.split("\t")
+            name = place.rsplit(":", 1)[1]
+            if kind != "static":
+                raise MuflyError(f"stack: that of {name} is {kind}; there is no bound")
+            own[name] = int(size)
+    calls: dict[str, set[str]] = {name: set() for name in own}
+    for file in folder.glob("*.expand"):
+        inside = ""
+        for line in file.read_text(encoding="utf-8").splitlines():
+            head = re.match(r";; Function (\S+)", line)
+            if head:
+                inside = head[1]
+            elif "call_insn" in line or "(call (mem" in line:
+                for name in re.findall(r'symbol_ref:SI \("([^"]+)"\)', line):
+                    calls.setdefault(inside, set()).add(name)
+
+    @functools.cache
+    def stack_below(name: str, above: tuple[str, ...] = ()) -> int:
+        if name in above:
+            raise MuflyError(f"stack: {name} calls itself; there is no bound")
+        return own.get(name, 0) + max((stack_below(c, (*above, name)) for c in calls.get(name, ())), default=0)
+
+    return max((stack_below(name) for name in own if name.startswith(entry)), default=0)

@@ -1,0 +1,149 @@
+"""What runs on board: a source tree in C99 with the numbers of one vehicle.
+
+The algorithms are written by hand and are the same for every vehicle (``sources/``); only ``tables.c`` is made, every
+number as a hexadecimal float, which no compiler rounds, with its decimal and unit beside it.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mufly.control import FlightController
+from mufly.control.law import GAIN_UNITS
+from mufly.errors import InputError
+from mufly.firmware.estimate_tables import render_estimator_files
+from mufly.firmware.plan_tables import make_plan, render_plan_source
+from mufly.mission import Mission
+from mufly.vehicle import Vehicle
+from mufly.version import __version__
+from mufly.world import World
+
+SOURCE_FOLDER = resources.files("mufly.firmware") / "sources"
+_GAIN_GROUPS = ("heave_yaw", "roll_pitch", "position")
+
+
+def export_firmware(
+    controller: FlightController,
+    out: Path,
+    vehicle: Vehicle | None = None,
+    world: World | None = None,
+    mission: Mission | None = None,
+) -> list[Path]:
+    """Write the source tree of a vehicle's flight software: C99, Makefile, CMake file and a README.
+
+    Parameters
+    ----------
+    controller : FlightController
+        From :func:`mufly.control.design_flight_controller`.
+    out : Path
+        Folder; what is there of an earlier export is replaced.
+    vehicle : Vehicle, optional
+        Whose estimator it is; without one the tree has no numbers of an estimator.
+    world : World, optional
+        Its room is known to the estimator beforehand; that of the mission by default.
+    mission : Mission, optional
+        Of the vehicle; without one the tree has no ``plan.c``.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    InputError
+        If the folder holds something else, the rate is no whole number, or the mission is too long.
+    """
+    out = Path(out)
+    if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not (out / "tables.c").exists())):
+        raise InputError("out", str(out), "holds something else", "name a new or empty folder")
+    known = mission.world if world is None and mission is not None else world
+    others = dict(render_estimator_files(vehicle, known, controller.rate_Hz))
+    if vehicle is not None and mission is not None:
+        others["plan.c"] = render_plan_source(make_plan(vehicle, controller, mission), controller)
+    write_tree(render_gains_source(controller), out, others)
+    return sorted(p for p in out.rglob("*") if p.is_file())
+
+
+def write_tree(tables: str, out: Path, others: Mapping[str, str] | None = None) -> None:
+    """Write the sources with given tables into a folder, and other files that are made, by their names."""
+    copy_sources(out)
+    for name, text in {"tables.c": tables, **(others or {})}.items():
+        (out / name).write_text(text, encoding="utf-8")
+
+
+def copy_sources(out: Path) -> None:
+    """Copy the sources without tables into a folder, but for those in whole numbers."""
+    with resources.as_file(SOURCE_FOLDER) as sources:
+        shutil.copytree(sources, out, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*fixed*"))
+    for name, text in render_estimator_files(None, None, 0.0).items():
+        (out / name).write_text(text, encoding="utf-8")
+
+
+def copy_fixed_point(out: Path) -> None:
+    """Copy the sources in whole numbers into a tree."""
+    with resources.as_file(SOURCE_FOLDER) as sources:
+        shutil.copytree(sources / "fixed", out / "fixed", dirs_exist_ok=True)
+        (out / "check").mkdir(exist_ok=True)
+        shutil.copy(sources / "check" / "selftest_fixed.c", out / "check")
+
+
+def render_gains_source(controller: FlightController) -> str:
+    """Return ``tables.c``: every number of a vehicle's controllers."""
+    rate = controller.rate_Hz
+    if rate != round(rate):
+        raise InputError("rate_Hz", f"{rate:g}", "is no whole number", "design for a whole rate")
+    lines = [
+        f"/* The numbers of {escape_comment(controller.vehicle_name)}, made by mufly {__version__}; do not edit. */",
+        '#include "controllers.h"',
+        "",
+        f"const int32_t mufly_rate_Hz = {round(rate)};",
+        f"const int32_t mufly_position_divider = {controller.position_divider};",
+        "",
+        "const gains_t mufly_gains = {",
+    ]
+    for group in _GAIN_GROUPS:
+        record = getattr(controller, f"{group}_gains")
+        lines += [f"    .{group} =", "        {"]
+        for name in record.dtype.names:
+            lines += _gains_field_lines(name, record[name])
+        lines += ["        },"]
+    return "\n".join([*lines, "};", ""])
+
+
+def _gains_field_lines(name: str, value: Any) -> Iterator[str]:
+    array = np.asarray(value, dtype=np.float64)
+    pad = " " * 12
+    unit = GAIN_UNITS.get(name, "")
+    if array.ndim == 0:
+        yield f"{pad}.{name} = {to_hexadecimal(float(array))}, /* {_format_decimal(float(array), unit)} */"
+        return
+    yield f"{pad}.{name} ="
+    yield f"{pad}    {{"
+    for row in array:
+        if array.ndim == 1:
+            yield f"{pad}        {to_hexadecimal(float(row))}, /* {_format_decimal(float(row), unit)} */"
+        else:
+            numbers = ", ".join(to_hexadecimal(float(v)) for v in row)
+            yield f"{pad}        {{{numbers}}}, /* {', '.join(f'{v:.9g}' for v in row)} */"
+    yield f"{pad}    }},"
+
+
+def to_hexadecimal(value: float) -> str:
+    """Return a constant of C99 that is this number to the last bit."""
+    return f"REAL({value.hex()})"
+
+
+def _format_decimal(value: float, unit: str) -> str:
+    return f"{value:.9g} {unit}".rstrip()
+
+
+def escape_comment(text: str) -> str:
+    """Text that does not end a comment of C."""
+    return text.replace("*/", "* /").replace("\n", " ")

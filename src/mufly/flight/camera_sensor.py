@@ -1,0 +1,415 @@
+"""Position by camera: pictures of the flight as it is flown, SLAM in a process of its own, and a radio between.
+
+    truth --> picture --radio--> SLAM's process --radio--> position_fix, with the picture's own time
+
+The picture is rendered at the middle of its exposure; with it goes what the vehicle's filter believes then of tilt,
+height, velocity and rates (its state one period of the flight software before, turned on by the rates). What the
+radio loses does not come back. An answer is known at t + latency + |jitter|, whatever the wall's clock says: the
+flight waits for the other process, so the same seed flies the same flight. Answers that are not trusted are not sent;
+after half a second without one the reason is told. Of the others go as many as the statistical fix would have made:
+errors of pictures that follow each other hang together, and the filter has no time for all.
+
+It takes the place of the statistical ``position_fix`` and goes through the same door. For the filter its errors are
+described in the same words: white noise, and a bias that wanders (docs/slam.md has them measured).
+
+Until the sonar first says more than the least that it can, the vehicle stands where it was put, or has just left it:
+that is told, with 2 mm of noise. A filter that heard nothing while the legs carry a part of the weight would lose its
+height. The map begins with the first picture from 10 cm up, where the vehicle then believes to be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.camera import (
+    Camera,
+    PictureRecorder,
+    Renderer,
+    StreamServer,
+    VehicleMotion,
+    encode_jpeg,
+    make_floor,
+)
+from mufly.dynamics import standing_height
+from mufly.errors import MuflyError
+from mufly.estimate import Estimate
+from mufly.estimate.filter_records import EX_FIX_BIAS, EX_FIX_HEADING, EX_GYRO_BIAS
+from mufly.flight.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
+from mufly.sensors import Reading, Sensor, Truth
+from mufly.slam import (
+    PHASE_SIGMA_RAD,
+    CameraFrame,
+    FrameInfo,
+    PictureCounts,
+    SlamProcess,
+    TrackedPicture,
+    TrackingResult,
+    format_camera_toml,
+    load_opencv,
+    locate_features,
+)
+from mufly.vehicle import Vehicle
+from mufly.vehicle.quantity import Quantity
+from mufly.vehicle.sensor_schema import PositionFixParameters
+from mufly.world import World
+
+_Array = NDArray[np.float64]
+MIN_FIX_INTERVAL_S, SILENCE_TIMEOUT_S, RECOVERY_TIME_S = 0.066, 0.5, 1.0
+"""Between two answers that are sent; without any, until that is told; with some again, until that is told (s)."""
+_STATIONARY_NOISE_M = 0.002
+LANDED_HEIGHT_M = 0.2
+"""Height as believed, below which one that flew and whose sonar says its least has landed: sonars fail in the air."""
+PATH_SPACING_M, MAX_PATH_POINTS = 0.03, 1500
+_TILT_CORRELATION_S, _HEIGHT_CORRELATION_S = 20.0, 2.0
+"""Over which the filter's errors of tilt and height hang together: in three flights tilts were off by 0.12 degrees on
+average over ten seconds, and went by 0.05 around that (s)."""
+MAX_FIX_SIGMA_M = 0.2
+"""A place from outside that is known less well is refused (m)."""
+_MAX_SENT_SIGMA_M = 0.6
+"""A place of its own that is known less well is not sent: a mission would land for that (m)."""
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """What a flight on pictures needs to know.
+
+    Attributes
+    ----------
+    camera : Camera
+    floor : str
+        Of :data:`mufly.camera.FLOOR_KINDS`.
+    shadows : float
+        Share of the light that shadows take.
+    spoils : tuple of Spoil
+    on_answer : callable, optional
+        Called with each answer as it is known.
+    stream : (str, int), optional
+        Host and port where its pictures are sent as MJPEG, before the radio spoils them.
+    """
+
+    camera: Camera
+    floor_texture: str = "rich"
+    shadow_share: float = 0.3
+    camera_faults: tuple[CameraFault, ...] = ()
+    on_tracking_result: Callable[[TrackingResult], None] | None = None
+    stream_address: tuple[str, int] | None = None
+
+
+def make_camera(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) -> OnboardCamera:
+    """Return the camera of a flight."""
+    return OnboardCamera(
+        eye.camera,
+        make_floor(eye.floor_texture, seed, shadows=eye.shadow_share),
+        vehicle,
+        world,
+        seed,
+        eye.camera_faults,
+    )
+
+
+def make_picture_stream(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) -> PictureStream | None:
+    """Return what sends the pictures of a flight that another program looks at; None where they are sent nowhere."""
+    return (
+        None
+        if eye.stream_address is None
+        else PictureStream(make_camera(eye, vehicle, world, seed), StreamServer(*eye.stream_address))
+    )
+
+
+def position_fix_errors(camera: Camera) -> PositionFixParameters:
+    """Return how the filter describes fixes by this camera: the table ``sensors.position_fix`` of a
+    vehicle."""
+
+    def make_quantity(value: float, unit: str) -> Quantity:
+        return Quantity(value=value, unit=unit, source="estimated", note=f"V-SLAM by {camera.name}")
+
+    return PositionFixParameters(
+        period=make_quantity(max(MIN_FIX_INTERVAL_S, float(camera.sensor.period)), "s"),
+        latency=make_quantity(float(camera.radio.latency), "s"),
+        jitter=make_quantity(float(camera.radio.jitter), "s"),
+        noise=make_quantity(0.01, "m"), wander=make_quantity(0.03, "m"), wander_time=make_quantity(3.0, "s"),
+        heading_noise=make_quantity(math.radians(0.3), "rad"), heading_wander=make_quantity(math.radians(1.2), "rad"),
+        dropout=make_quantity(float(camera.radio.loss), "1"),
+    )  # fmt: skip
+
+
+def with_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
+    """Return the vehicle with the camera in place of its statistical position fix.
+
+    Raises
+    ------
+    MuflyError
+        If it has no sensors that a filter could fly on.
+    """
+    if vehicle.sensors is None or vehicle.sensors.imu is None or vehicle.sensors.sonar is None:
+        raise MuflyError(f"{vehicle.name} has no inertial unit and sonar, without which pictures tell no place")
+    sensors = vehicle.sensors.model_copy(update={"position_fix": position_fix_errors(camera)})
+    return vehicle.model_copy(update={"sensors": sensors})
+
+
+def minimum_sonar_height(vehicle: Vehicle) -> float:
+    """Return up to which reading the sonar says no more than the least that it can (m)."""
+    sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
+    return 0.0 if sonar is None else float(sonar.min_range) + 0.5 * float(sonar.resolution)
+
+
+class CameraSensor(Sensor):
+    """Reads ``position_fix`` (4,): N, E, D (m) and heading (rad), from pictures.
+
+    Parameters
+    ----------
+    eye : Eye
+    vehicle : Vehicle
+    world : World
+        Its boxes are seen.
+    start : (3,) tuple
+        N, E (m) and heading (rad) where the vehicle stands.
+    seed : int
+
+    Attributes
+    ----------
+    believe : callable
+        Returns the latest estimate, or None, and what the sonar said last (m), or NaN.
+    answer : Answer or None
+        The latest that came, trusted or not.
+    picture : (rows, columns) uint8 array or None
+        The latest.
+    wander_s : float
+        Over which errors of its fixes hang together.
+    on_sight : callable or None
+        Told of every picture that was looked at (:class:`mufly.slam.TrackedPicture`); with it pictures are made on the
+        floor, too, which nobody looks at.
+    """
+
+    def __init__(
+        self, eye: CameraConfig, vehicle: Vehicle, world: World, start: tuple[float, float, float], seed: int
+    ) -> None:
+        load_opencv()  # say at once what is missing
+        self._eye, self._start, self._seed = eye, start, seed
+        self._least_m = minimum_sonar_height(vehicle)
+        self._stands_m = standing_height(vehicle)
+        self._film = make_camera(eye, vehicle, world, seed)
+        self._fixes = position_fix_errors(eye.camera)
+        self.fix_drift_time_s = float(self._fixes.wander_time)
+        self.estimate_source: Callable[[], tuple[Estimate | None, float]] = lambda: (None, math.nan)
+        self.on_map_view: Callable[[TrackedPicture], None] | None = None
+        self._process: SlamProcess | None = None
+        self.stream_server = None if eye.stream_address is None else StreamServer(*eye.stream_address)
+        self._record: PictureRecorder | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        self._stop_slam()
+        self._rng = np.random.default_rng([self._seed, 91])
+        self._film.reset()
+        self._scale = 1.0 + 0.01 * float(self._rng.standard_normal())
+        self._offset = self._rng.uniform(0.0, 2 * math.pi, 2)
+        # When due; what is known without looking, or the picture as it is shown
+        self._queue: list[tuple[float, TrackingResult | bytes]] = []
+        self.taken_count = self.lost_count = self.answered_count = self.trusted_count = 0
+        self._path: list[tuple[float, float]] = []
+        self._floor_view: Renderer | None = None
+        self._begun, self._stood = False, True
+        self.last_result: TrackingResult | None = None
+        self.last_picture: NDArray[np.uint8] | None = None
+        self._fix: dict[str, Reading] = {}
+        self._wrong, self._trusted_s, self._since_s = "", math.inf, math.nan
+
+    def close(self) -> None:
+        """End the other process, and the stream."""
+        self._stop_slam()
+        if self.stream_server is not None:
+            self.stream_server.close()
+            self.stream_server = None
+        if self._record is not None:
+            self._record.close()
+
+    def record_pictures(self, path: Path, start_ns: int) -> None:
+        """Keep the pictures that are looked at, and what is told with them, from now on; ``start_ns`` is the wall's
+        time (ns since 1970) of the instant 0."""
+        facts = {"floor": self._eye.floor_texture, "seed": str(self._seed), "camera": self._eye.camera.name}
+        self._record = PictureRecorder(path, format_camera_toml(self._eye.camera), start_ns, facts)
+
+    def _stop_slam(self) -> None:
+        if self._process is not None:
+            self._process.close()
+            self._process = None
+
+    def true_readings(self, truth: Truth) -> dict[str, Any]:
+        return {"position_fix": np.append(truth.position, truth.attitude[2])}
+
+    def read(self, truth: Truth) -> Mapping[str, Reading]:
+        t = truth.time_s
+        if self._film.is_picture_due(truth):
+            self._take_picture(truth)
+        while self._queue and self._queue[0][0] <= t + 1e-9:
+            self._receive_result(self._queue.pop(0)[1])
+        return self._fix
+
+    def tracking_message(self) -> str:
+        """What there is to be told: that it has given no position for a while, and why, or that it does again."""
+        t = self._film.last_time_s
+        if not self._wrong and t - self._trusted_s > SILENCE_TIMEOUT_S and not self._stood:
+            late = self.last_result is None or t - self.last_result.time_s > SILENCE_TIMEOUT_S + float(
+                self._eye.camera.radio.latency
+            )
+            why = "no pictures come" if late or self.last_result is None else self.last_result.reason
+            self._wrong, self._since_s = why, math.nan
+            return f"the camera gives no position: {why}"
+        if self._wrong and t - self._trusted_s < SILENCE_TIMEOUT_S:
+            self._since_s = t if math.isnan(self._since_s) else self._since_s
+            if t - self._since_s >= RECOVERY_TIME_S:
+                self._wrong = ""
+                return "the camera gives its position again"
+        return ""
+
+    def _take_picture(self, truth: Truth) -> None:
+        """Take a picture and send it."""
+        t, camera = truth.time_s, self._eye.camera
+        lost, jitter = (
+            self._rng.uniform() < float(camera.radio.loss),
+            abs(float(self._rng.standard_normal())),
+        )
+        if self._process is None:  # while it stands, so that no flight waits until it can look
+            self._process = SlamProcess(camera, start=self._start, seed=self._seed)
+        told = self._make_frame_info(truth)
+        if told is None:
+            return
+        self._stood = told.standing and (not self._begun or told.height_m < LANDED_HEIGHT_M)
+        light = self._film.light_level(t)
+        if light is None:
+            return
+        # They come back in the order in which they were sent.
+        due = t + float(camera.radio.latency)
+        due = max(due + float(camera.radio.jitter) * jitter, self._queue[-1][0] if self._queue else 0.0)
+        if told.standing and not self._begun:
+            if not lost:
+                self._queue.append((due, self._stationary_pose(t)))
+            if self._has_viewers:
+                self._show_stationary_view(self._film.camera_motion(truth), light)
+            return
+        self._begun = True
+        self.last_picture = self._film.renderer.render(self._film.camera_motion(truth), light)
+        self.taken_count += 1
+        self.lost_count += bool(lost)
+        shown = self._encode_shown(t)
+        if lost:
+            return
+        assert self._process is not None
+        self._process.send_frame(CameraFrame(t, self.last_picture, told))
+        if self._record is not None:
+            self._record.add_picture(t, shown, asdict(told))
+        self._queue.append((due, shown))
+
+    def _show_stationary_view(self, motion: VehicleMotion, light: float) -> None:
+        """A picture for those who watch: by chance of its own, so that a flight is the same with and without them."""
+        if self._floor_view is None:
+            self._floor_view = self._film.make_renderer()
+        self.last_picture = self._floor_view.render(motion, light)
+        shown = self._encode_shown(motion.time_s)
+        if self.on_map_view is not None:
+            self.on_map_view(TrackedPicture(motion.time_s, shown, is_standing=True, counts=self._picture_counts()))
+
+    @property
+    def _has_viewers(self) -> bool:
+        return self.on_map_view is not None or self.stream_server is not None
+
+    def _encode_shown(self, time_s: float) -> bytes:
+        """The picture as a JPEG, sent to who watches; b"" where nobody does."""
+        if self.last_picture is None or not (self._has_viewers or self._record):
+            return b""
+        jpeg = encode_jpeg(self.last_picture, SHOWN_JPEG_QUALITY)
+        if self.stream_server is not None:
+            self.stream_server.publish_picture(jpeg, time_s)
+        return jpeg
+
+    def _picture_counts(self) -> PictureCounts:
+        return PictureCounts(self.taken_count, self.lost_count, self.answered_count, self.trusted_count)
+
+    def _stationary_pose(self, time_s: float) -> TrackingResult:
+        """It has not moved since it was put there."""
+        *noise, turn = _STATIONARY_NOISE_M * self._rng.standard_normal(4)
+        place = np.array([self._start[0], self._start[1], -self._stands_m]) + noise
+        covariance = _STATIONARY_NOISE_M**2 * np.eye(4)
+        return TrackingResult(time_s, True, "it stands", place, self._start[2] + turn, covariance)
+
+    def _make_frame_info(self, truth: Truth) -> FrameInfo | None:
+        """What the vehicle believes at this instant: its estimate of a period ago, turned on."""
+        estimate, sonar = self.estimate_source()
+        if estimate is None or not np.isfinite(estimate.attitude).all():
+            return None
+        dt = max(0.0, truth.time_s - estimate.time_s)
+        roll, pitch, yaw = (float(a) for a in estimate.attitude)
+        p, q, r = (float(w) for w in estimate.rates)
+        roll += dt * (p + math.tan(pitch) * (q * math.sin(roll) + r * math.cos(roll)))
+        pitch += dt * (q * math.cos(roll) - r * math.sin(roll))
+        sigma = np.sqrt(np.diag(estimate.covariance))
+        x = estimate.position + dt * estimate.velocity
+        # Places of the map are those of fixes: with what these are believed to be off by, and without its uncertainty.
+        bias = np.zeros(4) if estimate.auxiliary_states is None else estimate.auxiliary_states.fix_bias
+        north, east, height, v_north, v_east, _, roll_off, pitch_off, yaw_off = sigma[:EX_GYRO_BIAS].tolist()
+        place = math.sqrt(max(max(north, east) ** 2 - float(self._fixes.wander) ** 2, 0.01**2))
+        heading = math.sqrt(max(yaw_off**2 - float(self._fixes.heading_wander) ** 2, 0.005**2))
+        return FrameInfo(
+            roll, pitch, max(0.02, -float(x[2])), estimate.rates.copy(), self._scale * truth.rotor_speed,
+            self._film.rotor_phase + self._offset + PHASE_SIGMA_RAD * self._rng.standard_normal(2),
+            tilt_sigma=max(math.radians(0.15), roll_off, pitch_off), height_sigma=max(0.006, height),
+            tilt_time_s=_TILT_CORRELATION_S, height_time_s=_HEIGHT_CORRELATION_S,
+            velocity=estimate.velocity.copy(), standing=not sonar > self._least_m,
+            place=np.array([x[0] + bias[0], x[1] + bias[1], yaw + bias[EX_FIX_HEADING - EX_FIX_BIAS]]),
+            place_sigma=(place, heading), velocity_sigma=max(0.01, v_north, v_east),
+        )  # fmt: skip
+
+    def _receive_result(self, known: TrackingResult | bytes) -> None:
+        if not isinstance(known, TrackingResult):
+            assert self._process is not None
+            jpeg, known = known, _reject_uncertain(self._process.receive_result())
+            self.answered_count += 1
+            self.trusted_count += known.trusted
+            if self.on_map_view is not None:
+                self.on_map_view(self._make_map_view(jpeg, known))
+        self.last_result = known
+        if self._eye.on_tracking_result is not None:
+            self._eye.on_tracking_result(known)
+        if known.trusted:
+            self._trusted_s = self._film.last_time_s
+        last = self._fix.get("position_fix")
+        if known.trusted and (last is None or known.time_s - last.time_s > MIN_FIX_INTERVAL_S - 1e-3):
+            place = np.append(known.position, known.heading)
+            self._fix = {"position_fix": Reading(place, known.time_s, True, known.covariance)}
+
+    def _make_map_view(self, jpeg: bytes, answer: TrackingResult) -> TrackedPicture:
+        assert self._process is not None
+        path, place = self._path, (float(answer.position[0]), float(answer.position[1]))
+        if answer.trusted and (not path or math.dist(path[-1], place) > PATH_SPACING_M):
+            path.append(place)
+            if len(path) > MAX_PATH_POINTS:
+                del path[::2]
+        return TrackedPicture(
+            answer.time_s,
+            jpeg,
+            answer,
+            locate_features(self._eye.camera, answer),
+            self._film.last_time_s - answer.time_s,
+            self._process.processing_time_s,
+            self._wrong,
+            self._picture_counts(),
+            self._process.map_view,
+            np.array(path, np.float32).reshape(-1, 2),
+            self._stood,
+        )
+
+
+def _reject_uncertain(answer: TrackingResult) -> TrackingResult:
+    """The answer, not trusted where it is not sure enough."""
+    sigma = math.sqrt(max(float(answer.covariance[0, 0]), float(answer.covariance[1, 1])))
+    if not answer.trusted or sigma <= _MAX_SENT_SIGMA_M:
+        return answer
+    return replace(answer, trusted=False, reason=f"its place is known to {sigma:.2f} m only")

@@ -1,0 +1,401 @@
+"""What the flight software makes of an estimate that knows how good it is: go on, hold, land; what it says of sensors.
+
+An estimator says how uncertain it is (its covariance), whether it stands by what it says, and what it thinks of each
+sensor. Flying goes by the first two alone, whatever the reason; the third gives the words.
+
+================================================ ===================================================================
+horizontal position uncertain by more than 0.25 m the mission waits in a hover; below 0.15 m for a second, it goes on
+... by more than 0.6 m, or waiting for 10 s       it lands where it is
+height uncertain by more than 0.3 m for 0.3 s     it lands
+roll or pitch uncertain by more than 8 degrees,   it sinks with its servos at trim, which the stabiliser bar makes a
+or two of fix, sonar and compass not believed     level attitude
+for 0.15 s at once
+heading uncertain by more than 30 degrees, or     it lands; without gyroscopes on the rates of turn of the rotor
+a bias of the gyroscopes that they cannot have,   model, and 3 cm above the floor its servos go to trim and its
+or gyroscopes gone for 0.1 s                      motors run down
+================================================ ===================================================================
+
+Uncertainties are standard deviations, that of the position beyond the one with which it stood on the floor. Besides
+them what is thought of sensors decides in two cases: without gyroscopes the attitude is what a model says, and
+where two that know nothing of each other contradict, it is the attitude between them that is wrong. In
+the air only, and not against a pilot, who is told and decides.
+
+What the controllers get moves on smoothly (:class:`CorrectionSmoother`): a filter corrects itself at every measurement,
+a few millimetres at a time, and heave control answers a step of 1 cm with a fifth of the motors' range.
+
+Something is said of a sensor when it has not been used, or not believed, for most of a quarter of a second, or is used
+though something is wrong with it, and again when it has been fused for a second. A reading that is left out now and
+then is none of these: a level rises with the time that a sensor is not believed and sinks with a tenth of the time that
+it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.estimate import Estimate, SensorStatus
+from mufly.estimate.filter_records import EX_ATT, EX_POS
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import sine_cosine
+
+_Array = NDArray[np.float64]
+
+HOLD_SIGMA_M, RESUME_SIGMA_M, LAND_SIGMA_M = 0.25, 0.15, 0.6
+"""Horizontal standard deviations from which it waits, below which it goes on, from which it lands (m)."""
+RESUME_DELAY_S, MAX_HOLD_S = 1.0, 10.0
+"""For how long it has to be certain to go on; how long it waits at most (s)."""
+MAX_HEIGHT_SIGMA_M, HEIGHT_DELAY_S = 0.3, 0.3
+"""Standard deviation of the height from which it lands (m), once it has lasted (s): a board that is shaken until it
+clips does not know its height for an instant as it leaves the floor, and the sonar tells it right after."""
+GYRO_LOSS_DELAY_S, CONTRADICTION_DELAY_S = 0.1, 0.15
+"""For how long gyroscopes may be gone, two aids contradict (s)."""
+MAX_TILT_SIGMA, MAX_HEADING_SIGMA = math.radians(8.0), math.radians(30.0)
+
+FAULT_REPORT_DELAY_S, RECOVERY_REPORT_DELAY_S = 0.2, 1.0
+"""For how long a sensor is not believed until that is said; fused, until it is said to be used again (s)."""
+_FAULT_DECAY_RATE = 0.1
+
+FailsafeAction = Literal["", "hold", "land", "sink"]
+
+
+class HealthVerdict(NamedTuple):
+    """What an estimate is not good enough for, and why."""
+
+    action: FailsafeAction = ""
+    reason: str = ""
+
+
+HEALTHY_VERDICT = HealthVerdict()
+
+_SENSOR_NAMES = {
+    "acceleration": "accelerometer", "rates": "gyroscope", "ground_distance": "sonar", "ranges": "laser ring",
+    "pressure": "pressure sensor", "magnetic_field": "magnetometer", "rotor_speed": "rotor speed",
+    "position_fix": "position fix", "battery_voltage": "battery monitor",
+}  # fmt: skip
+_POSITION_READINGS = ("position_fix", "ranges")
+_HEIGHT_READINGS = ("ground_distance", "position_fix", "pressure")
+_TILT_READINGS = ("rates", "acceleration")
+_ATTITUDE_AIDS = ("position_fix", "ground_distance", "magnetic_field")
+_HEADING_READINGS = ("position_fix", "magnetic_field", "rates")
+
+
+def describe_sensor(reading: str) -> str:
+    """Return what a reading comes from, in words."""
+    return _SENSOR_NAMES.get(reading, reading.replace("_", " "))
+
+
+def sensor_checks(m: Estimate) -> Sequence[SensorStatus]:
+    """Return what the estimator thinks of its sensors; nothing where it is told the truth."""
+    return () if m.auxiliary_states is None else m.auxiliary_states.checks
+
+
+def gyro_unavailable(m: Estimate) -> bool:
+    """Whether the rates of turn are those of the rotor model, as its gyroscopes say nothing that can be right."""
+    return any(c.name == "rates" and c.status in ("missing", "faulty", "rejected") for c in sensor_checks(m))
+
+
+def describe_check(check: SensorStatus) -> str:
+    """A sensor, what is thought of it, and why."""
+    state = {"missing": "says nothing", "rejected": "is not believed", "faulty": "is faulty"}
+    if check.is_suspicious:
+        state["fused"] = "is used, but something is wrong"
+    return f"{describe_sensor(check.name)} {state.get(check.status, check.status)}" + (
+        f": {check.reason}" if check.reason else ""
+    )
+
+
+def _fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
+    """What is wrong with the sensors that would tell."""
+    wrong = [
+        describe_check(c)
+        for c in sensor_checks(m)
+        if c.name in sources and c.status in ("missing", "rejected", "faulty")
+    ]
+    return f" ({'; '.join(wrong)})" if wrong else ""
+
+
+def position_std_growth(m: Estimate, stood: float = 0.0) -> float:
+    """By how much the horizontal position is uncertain beyond the variance ``floor_variance_m2`` (m2) with which it
+    stood (m)."""
+    variance = m.covariance.diagonal()
+    return math.sqrt(max(float(variance[0]), float(variance[1]), stood) - stood)
+
+
+def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = True) -> HealthVerdict:
+    """Return what an estimate is not good enough for, whatever it was before.
+
+    Parameters
+    ----------
+    m : Estimate
+    stood : float
+        Greatest variance of the horizontal position on the floor (m2): one that nothing tells where it is takes off
+        where it believes to stand, and can go on for as long as that does not become much worse.
+    height_counts : bool
+        Whether an uncertain height has lasted for long enough to land for.
+    """
+    if m.auxiliary_states is None:
+        return HEALTHY_VERDICT
+    variance = m.covariance.diagonal()
+    place, height = position_std_growth(m, stood), math.sqrt(variance[EX_POS + 2])
+    tilt = math.sqrt(max(variance[EX_ATT], variance[EX_ATT + 1]))
+    heading = math.sqrt(variance[EX_ATT + 2])
+    if tilt > MAX_TILT_SIGMA:
+        return HealthVerdict(
+            "sink", f"attitude uncertain by {math.degrees(tilt):.0f} deg{_fault_note(m, _TILT_READINGS)}"
+        )
+    if heading > MAX_HEADING_SIGMA:
+        return HealthVerdict(
+            "land", f"heading uncertain by {math.degrees(heading):.0f} deg{_fault_note(m, _HEADING_READINGS)}"
+        )
+    rates = next((c for c in sensor_checks(m) if c.name == "rates"), None)
+    if rates is not None and rates.status == "rejected":
+        return HealthVerdict("land", describe_check(rates))
+    if height > MAX_HEIGHT_SIGMA_M and height_counts:
+        return HealthVerdict("land", f"height uncertain by {height:.2f} m{_fault_note(m, _HEIGHT_READINGS)}")
+    if place > HOLD_SIGMA_M:
+        why = f"position uncertain by {place:.2f} m{_fault_note(m, _POSITION_READINGS)}"
+        return HealthVerdict("land" if place > LAND_SIGMA_M else "hold", why)
+    return HEALTHY_VERDICT
+
+
+@dataclass
+class HealthMonitor:
+    """What is remembered of doubts, for their hysteresis.
+
+    Attributes
+    ----------
+    now : Doubt
+    stood : float
+        Variance of the horizontal position on the floor (m2).
+    """
+
+    verdict: HealthVerdict = HEALTHY_VERDICT
+    floor_variance_m2: float = 0.0
+    _fault_since_s: dict[str, float] = field(default_factory=dict)
+    _hold_since_s: float = math.nan
+    _certain_since_s: float = math.nan
+    _height_uncertain_since_s: float = math.nan
+
+    def step(self, m: Estimate) -> HealthVerdict:
+        """Judge an estimate in the air; what was doubted stays so until it is certain again."""
+        t = m.time_s
+        if not math.sqrt(m.covariance[2, 2]) > MAX_HEIGHT_SIGMA_M:
+            self._height_uncertain_since_s = math.nan
+        elif math.isnan(self._height_uncertain_since_s):
+            self._height_uncertain_since_s = t
+        found = judge_estimate(
+            m, self.floor_variance_m2, height_counts=t - self._height_uncertain_since_s >= HEIGHT_DELAY_S
+        )
+        apart = self._judge_attitude_sensors(m)
+        if apart.action and found.action != "sink":
+            found = apart
+        if self.verdict.action in ("land", "sink"):
+            return self.verdict if found.action != "sink" else self._set_verdict(found)
+        if found.action in ("land", "sink"):
+            return self._set_verdict(found)
+        if found.action == "hold":
+            self._certain_since_s = math.nan
+            if self.verdict.action != "hold":
+                self._hold_since_s = t
+                return self._set_verdict(found)
+        elif self.verdict.action == "hold":
+            if position_std_growth(m, self.floor_variance_m2) >= RESUME_SIGMA_M:
+                self._certain_since_s = math.nan
+            elif math.isnan(self._certain_since_s):
+                self._certain_since_s = t
+            elif t - self._certain_since_s >= RESUME_DELAY_S:
+                return self._set_verdict(HEALTHY_VERDICT)
+        if self.verdict.action == "hold" and t - self._hold_since_s > MAX_HOLD_S:
+            return self._set_verdict(
+                HealthVerdict("land", f"{found.reason or self.verdict.reason}, for {MAX_HOLD_S:g} s")
+            )
+        return self.verdict
+
+    def _judge_attitude_sensors(self, m: Estimate) -> HealthVerdict:
+        """What is thought of sensors that an attitude depends on: it cannot be right, or is told by the model."""
+        for c in sensor_checks(m):
+            bad = c.status in (("missing", "faulty") if c.name == "rates" else ("rejected",))
+            if not bad:
+                self._fault_since_s.pop(c.name, None)
+            elif c.name == "rates" or c.name in _ATTITUDE_AIDS:
+                self._fault_since_s.setdefault(c.name, m.time_s)
+        lasting = {n: m.time_s - since for n, since in self._fault_since_s.items()}
+        against = [n for n in _ATTITUDE_AIDS if lasting.get(n, 0.0) > CONTRADICTION_DELAY_S]
+        if len(against) > 1:
+            why = f"attitude contradicted by {' and '.join(describe_sensor(n) for n in against)}"
+            return HealthVerdict("sink", why)
+        if lasting.get("rates", 0.0) > GYRO_LOSS_DELAY_S:
+            return HealthVerdict("land", next(describe_check(c) for c in sensor_checks(m) if c.name == "rates"))
+        return HEALTHY_VERDICT
+
+    def _set_verdict(self, found: HealthVerdict) -> HealthVerdict:
+        self.verdict = found
+        return found
+
+
+CORRECTION_TIME_S = 0.3
+"""Time constant with which corrections of position and heading reach the controllers (s)."""
+MAX_CORRECTION_M_S, MAX_CORRECTION_RAD_S = 0.5, 0.5
+"""How fast, at most."""
+
+
+class CorrectionSmoother:
+    """Position and heading without the steps of a filter's corrections.
+
+    They move with the estimated velocity and rate of turn, and are pulled towards the estimate::
+
+        x' = v + clip((x_est - x) / tau, +-v_max)
+
+    so that motion comes without lag and corrections within a second: what autopilots call an output predictor.
+    """
+
+    def __init__(self) -> None:
+        self._last: Estimate | None = None
+        self._place = np.zeros(3)
+        self._heading = 0.0
+
+    def step(self, m: Estimate, *, anew: bool = False) -> Estimate:
+        """Return the estimate to control by; ``anew``: nothing is controlled yet."""
+        last, self._last = self._last, m
+        if anew or last is None or not 0.0 < m.time_s - last.time_s < 0.1:
+            self._place, self._heading = m.position.copy(), float(m.attitude[2])
+            return m
+        self._place, attitude = _propagate_smoothed(
+            self._place,
+            self._heading,
+            last.velocity,
+            m.position,
+            m.velocity,
+            m.attitude,
+            m.rates,
+            m.time_s - last.time_s,
+        )
+        self._heading = float(attitude[2])
+        return Estimate(
+            m.time_s, self._place, m.velocity, attitude, m.rates, m.ranges, m.battery_voltage, m.covariance, m.valid,
+            m.auxiliary_states,
+        )  # fmt: skip
+
+
+@cached_njit
+def _propagate_smoothed(
+    place: _Array,
+    heading: float,
+    before: _Array,
+    position: _Array,
+    velocity: _Array,
+    attitude: _Array,
+    rates: _Array,
+    dt: float,
+) -> tuple[_Array, _Array]:
+    """Position and attitude a period later; ``before`` is the velocity then."""
+    moved, turned = np.empty(3), np.empty(3)
+    for k in range(3):
+        v = 0.5 * (before[k] + velocity[k])
+        off = (position[k] - place[k] - dt * v) / CORRECTION_TIME_S
+        moved[k] = place[k] + dt * (v + min(max(off, -MAX_CORRECTION_M_S), MAX_CORRECTION_M_S))
+    roll, pitch = attitude[0], attitude[1]
+    sine, cosine = sine_cosine(roll)
+    turn = (sine * rates[1] + cosine * rates[2]) / max(sine_cosine(pitch)[1], 0.1)
+    away = (attitude[2] - heading - dt * turn) / CORRECTION_TIME_S
+    turned[0], turned[1] = roll, pitch
+    turned[2] = heading + dt * (turn + min(max(away, -MAX_CORRECTION_RAD_S), MAX_CORRECTION_RAD_S))
+    return moved, turned
+
+
+@dataclass
+class SensorEventReporter:
+    """Turns what an estimator thinks of its sensors into events that are worth a line.
+
+    Attributes
+    ----------
+    told : dict
+        Reading to the status that was told last, of those that are not believed.
+    """
+
+    reported_status: dict[str, str] = field(default_factory=dict)
+    _fault_level: dict[str, float] = field(default_factory=dict)
+    _fused_duration_s: dict[str, float] = field(default_factory=dict)
+    _last_fault: dict[str, SensorStatus] = field(default_factory=dict)
+
+    def has_nothing_to_report(self, checks: Sequence[SensorStatus]) -> bool:
+        """Whether a step with these changes nothing: all is believed, and nothing else was told."""
+        return (
+            not self.reported_status
+            and all(level <= 0.0 for level in self._fault_level.values())
+            and all(c.status in ("fused", "waiting") and not c.is_suspicious for c in checks)
+        )
+
+    def step(
+        self, checks: Sequence[SensorStatus], period_s: float, excused: Collection[str] = ()
+    ) -> list[tuple[str, str]]:
+        """Return (text, level) of what has changed, a period later; of those that are ``excused`` nothing is said
+        when they are missing."""
+        said: list[tuple[str, str]] = []
+        for check in checks:
+            name = check.name
+            if check.status == "missing" and name in excused:
+                continue
+            if check.is_suspicious or check.status in ("rejected", "missing", "faulty"):
+                self._last_fault[name] = check
+                self._fused_duration_s[name] = 0.0
+                # What is missing has been waited for already.
+                more = 4.0 * period_s if check.status == "missing" else period_s
+                level = self._fault_level[name] = min(
+                    self._fault_level.get(name, 0.0) + more, FAULT_REPORT_DELAY_S + period_s
+                )
+                if level >= FAULT_REPORT_DELAY_S and name not in self.reported_status:
+                    self.reported_status[name] = check.status
+                    said.append((describe_check(check), "warning"))
+            elif check.status == "fused":
+                level = self._fault_level.get(name, 0.0)
+                if level > 0.0:
+                    self._fault_level[name] = level - _FAULT_DECAY_RATE * period_s
+                if name in self.reported_status:
+                    self._fused_duration_s[name] += period_s
+                    if self._fused_duration_s[name] >= RECOVERY_REPORT_DELAY_S:
+                        del self.reported_status[name]
+                        self._fault_level[name] = 0.0
+                        said.append((f"{describe_sensor(name)} is used again", "info"))
+        return said
+
+
+# Before take-off: what cannot work
+
+
+def preflight_warning(m: Estimate, reach_m: float) -> str:
+    """One line on what an estimate that is valid on the floor will not be good for in the air; "" if nothing.
+
+    Parameters
+    ----------
+    m : Estimate
+    reach_m : float
+        How far the laser ring sees (m).
+    """
+    checks = {c.name: c for c in sensor_checks(m)}
+    if not checks:
+        return ""
+    fix, ring = checks.get("position_fix"), checks.get("ranges")
+    fixed = fix is not None and fix.status == "fused"
+    walls = ring is not None and bool(np.any(m.ranges < reach_m))
+    lines = []
+    if not fixed and not walls:
+        why = (
+            "no position fix on board"
+            if fix is None
+            else describe_check(fix)
+            if fix.status != "waiting"
+            else "no position fix"
+        )
+        seen = "no laser ring" if ring is None else f"no wall within the {reach_m:g} m of the lasers"
+        lines.append(
+            f"nothing tells where it is: {why}, {seen}; it holds by drag and rotor model for as long as that goes, "
+            "then lands"
+        )
+    return "; ".join(lines)

@@ -1,0 +1,523 @@
+"""The flight software: what runs on board, as a function of time steps.
+
+``step(estimate, command) -> actuators``, called at the control design's rate. It knows nothing of the simulator.
+The mission logic runs in every n-th step, with the position cascade (50 Hz), and says what the motors are to do and
+what to follow:
+
+=========== =========================================================================================
+off         motors and servos at rest
+spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim. A vehicle that lifts off all
+            the same, being lighter than its controllers believe, goes on to ``fly`` at once
+fly         heave-yaw controller; from 2 cm above the floor, or once it turns on its legs, also roll-pitch and,
+            every n-th step, position
+ramp_down   after touchdown motor inputs fall to zero
+blind       the estimate is lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
+            voltages around those of the last second that keep to a rate of descent while the height is known all
+            the same, else a little below them, until the floor has come
+=========== =========================================================================================
+
+Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
+for more than the controllers can follow, it is flown more slowly (:mod:`mufly.mission.mission_checks`). Estimates that
+are missing or frozen are bridged for half a second (:func:`mufly.estimate.check_estimate`), then the flight is given
+up; what is done about uncertain ones is in :mod:`mufly.flight.estimator_health`. Actuators that oscillate
+(:mod:`mufly.flight.oscillation_detector`) end the mission too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.control import FlightController
+from mufly.estimate import Estimate, EstimateMonitor, check_estimate
+from mufly.flight.controllers import Actuators, Controllers, controller_limits
+from mufly.flight.estimator_health import (
+    MAX_HEIGHT_SIGMA_M,
+    CorrectionSmoother,
+    HealthMonitor,
+    gyro_unavailable,
+)
+from mufly.flight.oscillation_detector import Oscillation, OscillationDetector, steering_demands
+from mufly.mission import (
+    NO_COMMAND,
+    RAMP_DOWN_TIME_S,
+    SPIN_UP_S,
+    Command,
+    LogMessage,
+    Mission,
+    MissionState,
+    Reference,
+    State,
+    begin_mission,
+    enter_blind_descent,
+    fail_and_land,
+    finish_blind_descent,
+    has_lifted_off,
+    is_tipping,
+    log_event,
+    pause_mission,
+    prepare_plan,
+    reduce_limits,
+    resume_mission,
+    step_mission,
+    stop_motors,
+    update_obstacle_map,
+)
+from mufly.numba_cache import cached_njit
+from mufly.units import GRAVITY
+from mufly.vehicle import Vehicle
+
+_Array = NDArray[np.floating[Any]]
+
+MEASUREMENT_TIMEOUT_S = 0.5
+"""How long a measurement may be missing or frozen in flight (s)."""
+
+RAMP_DOWN_SKIPPED_SHARE = 0.8
+"""How much of the motors' running down is left out where it is known to be down."""
+
+MAX_MOTOR_STEP, MAX_SERVO_STEP = 0.1, 0.2
+"""How far an input moves in a period at most, on an estimate: twice what flights in gusts need (quantile 0.999)."""
+
+_HOVER_VOLTAGE_FILTER_S = 1.0
+_BATTERY_FILTER_S = 0.5  # in which the battery's reading counts while the rotors speed up, on an estimate
+
+
+class FlightSoftware:
+    """Mission logic and controllers of one vehicle.
+
+    ``plan`` is the mission as it is flown, ``requested_mission`` as it was loaded; ``slowdown_note`` says in words
+    which of its limits were brought down to what the controllers can follow. ``mission_state`` is what the
+    state machine remembers, ``oscillation`` what the actuators do that they should not, if anything.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        For its range ring and battery limit.
+    controller : FlightController
+        From :func:`mufly.control.design_flight_controller`.
+    mission : Mission
+        Checked.
+
+    Raises
+    ------
+    InputError
+        If the mission does not suit the vehicle.
+    """
+
+    def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
+        self._vehicle = vehicle
+        self._controller = controller
+        self._make: Callable[[FlightController], Controllers] = Controllers
+        self.change_limits(mission)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the flight: before the first step."""
+        controller = self._controller
+        self._period_s = 1.0 / controller.rate_Hz
+        self._every = controller.position_divider
+        self.mission_state = MissionState()
+        self._reference = Reference(np.zeros(3), np.zeros(3), np.zeros(3), 0.0, 0.0, "off")
+        self._command = NO_COMMAND
+        self._ticks = 0
+        self._motors = "off"
+        self._since_s = 0.0
+        self._motor_input: _Array = np.zeros(2)
+        self._tilt: _Array = np.zeros(2)
+        self._controllers = self._make(controller)
+        self._released: _Array = np.zeros(2)
+        self._lifted = False
+        self._late_s = 0.0
+        self._watch: EstimateMonitor | None = None
+        self._oscillations = OscillationDetector()
+        self.oscillation: Oscillation | None = None
+        self._doubts, self._held, self._waits = HealthMonitor(), False, False
+        self._smooth = CorrectionSmoother()
+        self._given = Actuators.idle()
+        # Motor voltages, averaged over the last second of flight.
+        self._held_up: _Array = np.zeros(2)
+        self._trusts_until_s = 0.0
+        self._volts = 0.0
+
+    def use_controllers(self, make: Callable[[FlightController], Controllers]) -> None:
+        """Let other code compute the control law, such as that for a board; on the floor, before the first step."""
+        self._make = make
+        self.reset()
+
+    def change_limits(self, mission: Mission) -> None:
+        """Fly by another mission's limits from now on; its waypoints and index have to be those of the present one.
+
+        Raises
+        ------
+        InputError
+            If it does not suit the vehicle; nothing has changed then.
+        """
+        flown, slower = reduce_limits(mission, controller_limits(self._controller))
+        self.plan = prepare_plan(flown, self._vehicle)
+        self.requested_mission, self.slowdown_note = mission, slower
+
+    def limit_mission(self, mission: Mission) -> Mission:
+        """A mission as it would be flown: no faster than the controllers can follow."""
+        return reduce_limits(mission, controller_limits(self._controller))[0]
+
+    def load_mission(self, mission: Mission) -> None:
+        """Take another mission, from its first waypoint on, when it is started.
+
+        Raises
+        ------
+        InputError
+            If it does not suit the vehicle; nothing has changed then.
+        """
+        self.change_limits(mission)
+        if self._watch is not None:
+            n = len(mission.waypoint)
+            loaded = LogMessage.ONE_WAYPOINT_LOADED if n == 1 else LogMessage.WAYPOINTS_LOADED
+            s = log_event(self.mission_state, loaded(mission.name or "a mission", n))
+            s = replace(s, waypoint_index=0, mission_begun=False)
+            # A flight that goes on is one without a mission until that is started.
+            flying = s.state is not State.INIT
+            self.mission_state = replace(s, outcome="", reason="", manual=True, abort_reason="") if flying else s
+
+    def retune_controllers(self, controller: FlightController) -> None:
+        """Go over to other numbers of the same control law, without a bump."""
+        self._controller = controller
+        self._controllers.retune_gains(controller)
+        self.change_limits(self.requested_mission)
+
+    @property
+    def is_mission_step_due(self) -> bool:
+        """Whether the next step runs the mission logic, which hears the user's signals."""
+        return self._ticks % self._every == 0
+
+    @property
+    def mission_step_periods(self) -> int:
+        """Periods from one step of the mission logic to the next."""
+        return self._every
+
+    def make_batch_runner(self, flight: Any) -> Callable[..., bool] | None:
+        """Return what advances a flight by many periods in one call, if there is such code: ``run(until)``."""
+        return None
+
+    @property
+    def motors(self) -> str:
+        """What the motors do: the table above."""
+        return self._motors
+
+    @property
+    def state(self) -> State:
+        """State of the mission."""
+        return self.mission_state.state
+
+    @property
+    def logged_count(self) -> int:
+        """Entries of the mission's log so far."""
+        return self.mission_state.logged_count
+
+    @property
+    def finished(self) -> bool:
+        """Whether the mission is over."""
+        return self.mission_state.finished
+
+    @property
+    def flying(self) -> bool:
+        """Whether it is off the floor."""
+        return self._lifted and self._motors in ("fly", "blind")
+
+    @property
+    def reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """What is being followed: position, velocity (N-E-D), and roll, pitch, yaw."""
+        r = self._reference
+        heading = r.heading + self._late_s * r.heading_rate
+        return r.position + self._late_s * r.velocity, r.velocity, np.array([*self._tilt, heading])
+
+    def step(self, estimate: Estimate, command: Command) -> Actuators:
+        """Advance by one period.
+
+        Parameters
+        ----------
+        estimate : Estimate
+        command : Command
+            The user's signals; one given between two steps of the mission logic is kept for the next.
+
+        Returns
+        -------
+        Actuators
+        """
+        first = self._watch is None
+        self._watch = check_estimate(self._watch, estimate, self._period_s, self.plan.ring.max_range)
+        m = self._watch.last_good
+        if m.auxiliary_states is not None:
+            m = self._smooth.step(m, anew=self._motors == "off")
+        if first:
+            self.mission_state = begin_mission(self.plan, m)
+        if command is not NO_COMMAND and command != NO_COMMAND:
+            self._command = command
+        if command.stop_reason:
+            return self._stop_at_once(command.stop_reason, m)
+        self._late_s = (self._ticks % self._every) * self._period_s
+        self._ticks += 1
+        if self._is_lost(self._watch):
+            return self._limit_actuator_rates(
+                m,
+                self._step_blind_descent(
+                    self._watch, estimate, LogMessage.MEASUREMENT_LOST(self._watch.lost_quantities)
+                ),
+            )
+        if self._late_s == 0.0 and m.auxiliary_states is not None:
+            doubt = self._act_on_health(m)
+            if doubt:
+                return self._limit_actuator_rates(m, self._step_blind_descent(self._watch, estimate, doubt))
+        if self._late_s == 0.0:
+            self.mission_state, self._reference = step_mission(self.plan, self.mission_state, m, self._command)
+            self._command = NO_COMMAND
+        self._update_map_part(m)
+        r = self._reference
+        if r.motors != self._motors:
+            self._switch_motors(r.motors, m)
+        if r.motors == "fly":
+            return self._limit_actuator_rates(m, self._step_control(r, m))
+        self._given = self._step_floor_motors(r.motors, m)
+        return self._given
+
+    def _update_map_part(self, m: Estimate) -> None:
+        """What the beams see, in parts from one step of the mission logic to the next."""
+        parts = max(1, self._every - 1)
+        part = (self._ticks - 1) % self._every if self._every > 1 else 1
+        if part > 0:
+            self.mission_state = update_obstacle_map(self.plan, self.mission_state, m, part, parts)
+
+    def _limit_actuator_rates(self, m: Estimate, wanted: Actuators) -> Actuators:
+        """What is wanted, no faster than :data:`MAX_MOTOR_STEP` and :data:`MAX_SERVO_STEP` where it comes from an
+        estimate."""
+        if m.auxiliary_states is not None:
+            before = self._given
+            motor, servo = _limit_actuator_step(
+                before.motor_input, before.servo_input, wanted.motor_input, wanted.servo_input
+            )
+            wanted = Actuators(motor, servo)
+        self._given = wanted
+        return wanted
+
+    def _stop_at_once(self, why: str, m: Estimate) -> Actuators:
+        self._ticks += 1
+        self.mission_state = stop_motors(replace(self.mission_state, time_s=m.time_s), why)
+        self._reference = replace(
+            self._reference, velocity=np.zeros(3), heading_rate=0.0, motors="off", rc_active=False
+        )
+        self._command, self._motors, self._lifted, self._late_s = NO_COMMAND, "off", False, 0.0
+        self._given = Actuators.idle()
+        self._motor_input, self._tilt = np.zeros(2), np.zeros(2)
+        return Actuators.idle()
+
+    def _is_lost(self, w: EstimateMonitor) -> bool:
+        """Whether it flies without knowing where it is or how it moves; it does not come back from that."""
+        if self._motors == "blind":
+            return True
+        # While the motors are off it stands still, and a repeated measurement is no fault.
+        running_s = w.last_good.time_s - self._since_s if self._motors in ("spin_up", "fly") else 0.0
+        return min(w.lost_s, running_s) > MEASUREMENT_TIMEOUT_S
+
+    def _act_on_health(self, m: Estimate) -> str:
+        """Hold or land where the estimate is not good enough for more; why it has to sink at once, "" if it has not."""
+        s = self.mission_state
+        if not (self._lifted and self._motors == "fly"):
+            stood = max(m.covariance[0, 0], m.covariance[1, 1])
+            self._doubts, self._held, self._waits = (
+                HealthMonitor(floor_variance_m2=float(stood)),
+                False,
+                False,
+            )
+            return ""
+        before, now = self._doubts.verdict, self._doubts.step(m)
+        if now.action == "sink" or (
+            now.action == "land" and gyro_unavailable(m) and self._height_above_home(m) < TOUCHDOWN_HEIGHT_M
+        ):
+            return now.reason
+        if now.action == "hold" and not self._held and s.state in (State.WAYPOINT, State.OBSTACLE, State.HOVER):
+            self._held, self._waits = True, s.mission_begun and not s.manual and s.outcome == ""
+            s = log_event(s, now.reason, level="warning")
+            self.mission_state = pause_mission(self.plan, s, LogMessage.WAITING_FOR_POSITION())
+        elif now is not before and now.action == "land":
+            self.mission_state = fail_and_land(s, now.reason)
+        elif now is not before and s.state is State.RC:
+            self.mission_state = log_event(s, now.reason or LogMessage.POSITION_KNOWN_AGAIN(), level="warning")
+        elif self._held and now.action == "":
+            goes_on = self._waits and s.state is State.HOVER and s.manual
+            self._held = self._waits = False
+            if goes_on:
+                self.mission_state = resume_mission(self.plan, log_event(s, LogMessage.POSITION_KNOWN_AGAIN()), None)
+        return ""
+
+    def _step_blind_descent(self, w: EstimateMonitor, told: Estimate, why: str) -> Actuators:
+        now = w.last_good.time_s
+        height = self._height_if_known(told)
+        if self._motors != "blind":
+            self._motors = "blind"
+            span = self._descent_time_s(self._height_above_home(w.last_good)) if self._lifted else 0.0
+            self._since_s, self._trusts_until_s = now + span, now + 2.0 * span
+            self.mission_state = enter_blind_descent(self.mission_state, now, why)
+            self._reference = replace(self._reference, motors="blind", velocity=np.zeros(3), heading_rate=0.0)
+            self._tilt, self._command = np.zeros(2), NO_COMMAND
+        knows = self._lifted and now < self._trusts_until_s and TOUCHDOWN_HEIGHT_M < height < math.inf
+        if knows:  # should that end, it goes on from here
+            self._since_s = now + self._descent_time_s(height)
+        elif height <= TOUCHDOWN_HEIGHT_M:  # it is down: on its legs nothing holds a rotor that still lifts
+            self._since_s = min(self._since_s, now - RAMP_DOWN_SKIPPED_SHARE * RAMP_DOWN_TIME_S)
+        left_s = self._since_s + RAMP_DOWN_TIME_S - now
+        if left_s <= 0.0:
+            self.mission_state = finish_blind_descent(self.mission_state, now)
+            self._reference = replace(self._reference, motors="off")
+            self._motors, self._motor_input = "off", np.zeros(2)
+        else:
+            share = descent_voltage_share(height, float(told.velocity[2])) if knows else DESCENT_VOLTAGE_SHARE
+            self._motor_input = descent_motor_input(self._held_up, share, left_s, w.last_good.battery_voltage)
+        return Actuators(self._motor_input, np.zeros(2))
+
+    def _height_above_home(self, m: Estimate) -> float:
+        return float(self.mission_state.home_position[2] - m.position[2])
+
+    def _height_if_known(self, m: Estimate) -> float:
+        """Height above where it stood (m) of an estimate that is lost as a whole; infinite if that is lost too."""
+        certain = m.auxiliary_states is not None and m.covariance[2, 2] < MAX_HEIGHT_SIGMA_M * MAX_HEIGHT_SIGMA_M
+        height = self._height_above_home(m)
+        return height if certain and abs(height) + abs(float(m.velocity[2])) < 1e3 else math.inf
+
+    def _descent_time_s(self, height: float) -> float:
+        return descent_time_s(height, float(self._controller.position_gains["gravity"]))
+
+    def _switch_motors(self, motors: str, m: Estimate) -> None:
+        """Engage or release the controllers without a bump."""
+        if motors == "fly":
+            self._controllers.engage(m, self._motor_input)
+            self._lifted = False
+            self._oscillations, self.oscillation = OscillationDetector(), None
+            self._held_up = self._controller.motor_trim * self._controller.voltage_V
+        elif motors == "spin_up":
+            self._held_up, self._lifted = np.zeros(2), False
+        self._motors, self._since_s = motors, m.time_s
+        self._released = self._motor_input
+
+    def _step_floor_motors(self, motors: str, m: Estimate) -> Actuators:
+        elapsed = m.time_s - self._since_s
+        if motors == "spin_up" and m.auxiliary_states is not None:
+            self._volts += self._period_s / _BATTERY_FILTER_S * (m.battery_voltage - self._volts)
+        else:
+            self._volts = m.battery_voltage
+        if motors == "spin_up":
+            hover_V = self._controller.motor_trim * self._controller.voltage_V
+            self._motor_input = spin_up_motor_input(hover_V, elapsed, self._volts)
+        elif motors == "ramp_down":
+            known = m.auxiliary_states is None  # else it may slide, and a rotor that still lifts tips it over
+            ahead = 0.0 if known else RAMP_DOWN_SKIPPED_SHARE * RAMP_DOWN_TIME_S
+            self._motor_input = ramp_down_motor_input(self._released, elapsed + ahead)
+        else:
+            self._motor_input = np.zeros(2)
+        self._tilt = np.zeros(2)
+        return Actuators(self._motor_input, np.zeros(2))
+
+    def _step_control(self, r: Reference, m: Estimate) -> Actuators:
+        if not self._lifted and (has_lifted_off(self.mission_state, m) or is_tipping(m)):
+            self._lifted = True
+            self._controllers.lift_off(m)
+        if not self._lifted:
+            self._tilt = np.zeros(2)
+        elif r.rc_active:
+            self._tilt = np.array([r.roll, r.pitch])
+        elif self._late_s == 0.0:
+            self._tilt = self._controllers.tilt_for(m, r.position, r.velocity, r.acceleration)
+        down, turn = float(r.velocity[2]), r.heading_rate
+        heave_yaw = np.array([r.position[2] + self._late_s * down, r.heading + self._late_s * turn, down, turn])
+        actuators = self._controllers.step(m, heave_yaw, self._tilt if self._lifted else None)
+        self._motor_input = actuators.motor_input
+        if self._late_s == 0.0:
+            blend = self._every * self._period_s / _HOVER_VOLTAGE_FILTER_S
+            self._held_up += blend * (actuators.motor_input * m.battery_voltage - self._held_up)
+            self._detect_oscillation(actuators, r, m.time_s)
+        return actuators
+
+    def _detect_oscillation(self, actuators: Actuators, r: Reference, time_s: float) -> None:
+        before = self.oscillation
+        asked = steering_demands(self.mission_state.state, r.velocity.tolist(), r.heading_rate, r.roll, r.pitch)
+        self.oscillation = self._oscillations.step(time_s, actuators.input_array.tolist(), asked)
+        if self.oscillation is not None and before is None:
+            self.mission_state = fail_and_land(self.mission_state, str(self.oscillation))
+
+
+@cached_njit
+def _limit_actuator_step(
+    motor: _Array, servo: _Array, wanted_motor: _Array, wanted_servo: _Array
+) -> tuple[_Array, _Array]:
+    """Both inputs, from what they are towards what is wanted, by no more than a step."""
+    return (
+        motor + np.minimum(np.maximum(wanted_motor - motor, -MAX_MOTOR_STEP), MAX_MOTOR_STEP),
+        servo + np.minimum(np.maximum(wanted_servo - servo, -MAX_SERVO_STEP), MAX_SERVO_STEP),
+    )
+
+
+ControlImplementation = Callable[[FlightController], Controllers] | type[FlightSoftware]
+"""What may fly in place of the classes above: what computes the control law, or all of the flight software."""
+
+
+# Motors without a controller: speeding up and running down on the floor, and coming down when the estimate is lost
+#
+# Two rotors at a share s of the voltages that hold the helicopter up turn s times as fast and lift s^2 times as much.
+# Speeding up to 0.9 leaves a fifth of the weight on the legs. Sinking blindly at 0.98 the weight is 0.04 short: it
+# falls at 0.04 g and touches down from 2 m at 1.3 m/s (drag left out). Where height and rate of descent are known, the
+# share s keeps to a rate: (1 - s^2) g is the acceleration, which takes 0.4 s for the rate.
+
+
+SPIN_UP_VOLTAGE_SHARE = 0.9
+DESCENT_VOLTAGE_SHARE = 0.98
+TOUCHDOWN_HEIGHT_M = 0.03
+"""Height from which it counts as down (m)."""
+_MAX_DESCENT_M_S, _TOUCHDOWN_M_S = (
+    0.9,
+    0.5,
+)  # high up and near the floor: the longer it takes, the faster it drifts
+_DESCENT_GAIN = 1.0 / (2.0 * GRAVITY * 0.4)  # of the share, to the rate of descent (s/m)
+_MIN_DESCENT_SHARE, _MAX_DESCENT_SHARE = 0.92, 1.08
+_DESCENT_MARGIN_S = 1.0
+
+
+def spin_up_motor_input(hover_V: _Array, elapsed_s: float, battery_V: float) -> _Array:
+    """Motor inputs (2,) while the rotors speed up, ``elapsed_s`` (s) after they began.
+
+    Half of the time is to rise, half for the slow upper rotor to follow.
+
+    Parameters
+    ----------
+    hover_V : (2,) array
+        Motor voltages of hover (V).
+    elapsed_s, battery_V : float
+    """
+    share = SPIN_UP_VOLTAGE_SHARE * min(1.0, 2.0 * elapsed_s / SPIN_UP_S)
+    return np.minimum(share * hover_V / battery_V, 1.0)
+
+
+def ramp_down_motor_input(released: _Array, elapsed_s: float) -> _Array:
+    """Motor inputs (2,) after touchdown: from ``released`` (2,) to zero within a second."""
+    return released * max(0.0, 1.0 - elapsed_s / RAMP_DOWN_TIME_S)
+
+
+def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_V: float) -> _Array:
+    """Motor inputs (2,) of a blind way down: a share of what held it up (V), to zero in its last second."""
+    return np.minimum(share * min(1.0, left_s / RAMP_DOWN_TIME_S) * held_up_V / battery_V, 1.0)
+
+
+def descent_voltage_share(height_m: float, descent_m_s: float) -> float:
+    """Share of the voltages that held it up with which it comes down, at a height above the floor (m)."""
+    wanted = min(max(height_m, _TOUCHDOWN_M_S), _MAX_DESCENT_M_S)
+    return min(max(1.0 + _DESCENT_GAIN * (descent_m_s - wanted), _MIN_DESCENT_SHARE), _MAX_DESCENT_SHARE)
+
+
+def descent_time_s(height_m: float, gravity: float) -> float:
+    """How long a blind way down takes from a height (m), with a second to spare (s); ``gravity`` in m/s2."""
+    return (
+        math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - DESCENT_VOLTAGE_SHARE * DESCENT_VOLTAGE_SHARE) * gravity))
+        + _DESCENT_MARGIN_S
+    )

@@ -1,0 +1,356 @@
+"""Many flights on all cores or on a cluster, kept as they land; the worst case searched by CMA-ES.
+
+Every flight that is over becomes a line of ``flights.jsonl`` at once, so that whatever ends a campaign costs no more
+than the flights that were in the air. ``campaign.json`` holds the hash of the question: a folder goes on with the same
+one, and another is refused.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import cma
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from mufly.answer_store import AnswerLines, claim_folder
+from mufly.errors import ArgumentError, MuflyError
+from mufly.flight.monte_carlo.campaign import Campaign, FlightCase, FlightResult, fly_case
+from mufly.results import to_plain_data
+from mufly.study.sweeps import open_executor
+from mufly.version import __version__
+
+ProgressCallback = Callable[[int, int], None]
+StopCheck = Callable[[], bool]
+
+RESULTS_FILE, SETTINGS_FILE = "flights.jsonl", "campaign.json"
+_QUEUED_PER_WORKER = 2  # flights handed out a worker, so that none waits for the next
+_QUEUED_ON_CLUSTER = 256
+
+
+class WorkerPool:
+    """Who flies: processes here, threads here, or the workers of a dask cluster. A context manager.
+
+    Parameters
+    ----------
+    jobs : int, optional
+        Processes; default one a core. One flies in this process.
+    cluster : str, optional
+        Address of a dask scheduler, as ``tcp://host:8786``; its workers need mufly.
+    how : "processes" or "threads"
+        Threads wait for each other in Python; they are for where processes cannot be had.
+    """
+
+    def __init__(
+        self,
+        jobs: int | None = None,
+        *,
+        cluster: str | None = None,
+        how: Literal["processes", "threads"] = "processes",
+    ) -> None:
+        self.worker_count = jobs or os.cpu_count() or 1
+        self._cluster, self._how = cluster, how
+        self._ahead = _QUEUED_ON_CLUSTER if cluster is not None else _QUEUED_PER_WORKER * self.worker_count
+
+    def __enter__(self) -> WorkerPool:
+        self._opened = self._open_executor()
+        self._executor = self._opened.__enter__()
+        return self
+
+    def __exit__(self, *exc: Any) -> None:
+        self._opened.__exit__(*exc)
+
+    @contextmanager
+    def _open_executor(self) -> Iterator[Executor]:
+        if self._cluster is not None or self._how == "threads":
+            with open_executor(self._cluster, self.worker_count) as executor:
+                yield executor
+        elif self.worker_count == 1:
+            with ThreadPoolExecutor(1) as alone:
+                yield alone
+        else:
+            pool = ProcessPoolExecutor(self.worker_count, _process_context(), initializer=_begin_worker)
+            try:
+                yield pool
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+
+    def fly_cases(
+        self,
+        campaign: Campaign,
+        cases: Iterable[tuple[FlightCase, Path | None]],
+        stop: StopCheck = lambda: False,
+    ) -> Iterator[FlightResult]:
+        """Yield flights as they land, in any order; where a path stands, with a recording.
+
+        Asked to stop, no more begin, and those in the air are waited for.
+
+        Raises
+        ------
+        MuflyError
+            If a worker has died.
+        """
+        todo, flying = iter(cases), set[Future[FlightResult]]()
+        more = True
+        try:
+            while True:
+                while more and not stop() and len(flying) < self._ahead:
+                    case, path = next(todo, (None, None))
+                    more = case is not None
+                    if case is not None:
+                        flying.add(self._executor.submit(fly_case, campaign, case, path))
+                if not flying:
+                    return
+                landed, flying = wait(flying, timeout=0.2, return_when=FIRST_COMPLETED)
+                if stop():
+                    more = False
+                    flying = {f for f in flying if not f.cancel()}
+                for future in landed:
+                    yield future.result()
+        except BrokenProcessPool as error:
+            raise MuflyError(
+                "a process that flew has died (out of memory, or killed); give fewer --jobs, the same command goes on"
+            ) from error
+        finally:
+            for future in flying:
+                future.cancel()
+
+
+def _process_context() -> Any:
+    """Workers that share one import of the package, where the system can; else each begins anew."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    return context
+
+
+def _begin_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when it is over
+    threadpool_limits(1)
+    gc.freeze()  # what has been imported stays, and is not looked through again and again for garbage
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would wait for more to fly for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+_OTHER_CAMPAIGN = (
+    "holds another campaign's flights (other settings, or another version of mufly)",
+    "give another folder, or delete this one",
+)
+
+
+def _kept_flights(folder: Path | None, campaign: Campaign, file: str = RESULTS_FILE) -> AnswerLines[FlightResult]:
+    """Flights of a campaign on disk, by index.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another campaign, or cannot be written.
+    """
+
+    def read(content: Any) -> tuple[int, FlightResult]:
+        flown = FlightResult.from_json(content)
+        return flown.index, flown
+
+    if folder is None:
+        return AnswerLines(None, read)
+    settings = {"version": __version__, **to_plain_data(describe_campaign(campaign))}
+    claim_folder(folder, SETTINGS_FILE, campaign.settings_hash, settings, _OTHER_CAMPAIGN)
+    return AnswerLines(folder / file, read, damaged=("is damaged", "delete it; its flights are flown again"))
+
+
+def describe_campaign(campaign: Campaign) -> dict[str, Any]:
+    """The settings of a campaign for people, as JSON can hold them."""
+    return {
+        "vehicle": campaign.vehicle_name,
+        "mission": campaign.mission_name,
+        "vary": [v.source_text for v in campaign.variations],
+        "varied": sorted({key for v in campaign.variations for key in v.keys}),
+        "wind_m_s": campaign.wind,
+        "gust_m_s": campaign.gust,
+        "sensors": campaign.sensors,
+        "faults": campaign.faults,
+        "seed": campaign.seed,
+        "tolerance_m": campaign.tolerance_m,
+        "redesign": campaign.redesign,
+    }
+
+
+def run_campaign(
+    campaign: Campaign,
+    flights: int,
+    *,
+    crew: WorkerPool,
+    folder: Path | None = None,
+    progress: ProgressCallback | None = None,
+    stop: StopCheck = lambda: False,
+) -> list[FlightResult]:
+    """Fly flights 0 to ``flights`` - 1 of a campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    flights : int
+    crew : Crew
+        Entered.
+    folder : Path, optional
+        Where flights are kept; those that are there are not flown again.
+    progress : callable, optional
+        ``progress(done, total)``.
+    stop : callable, optional
+        Asked between flights; once it is true no more begin.
+
+    Returns
+    -------
+    list of Flown
+        By index; fewer than asked for if it was stopped. The same whoever flew them.
+
+    Raises
+    ------
+    InputError
+        If a folder holds another campaign, or hardly any vehicle that is drawn can be.
+    """
+    if flights < 1:
+        raise ArgumentError("flights", "", f"{flights} flights", "give 1 or more")
+    kept = _kept_flights(folder, campaign)
+    known = {k: f for k, f in kept.known.items() if k < flights}
+    done = dict(known)
+    if progress is not None:
+        progress(len(done), flights)
+    todo = ((campaign.draw_case(k), None) for k in range(flights) if k not in known)
+    for flown in crew.fly_cases(campaign, todo, stop):
+        done[flown.index] = flown
+        kept.add(flown.index, flown, to_plain_data(flown))
+        if progress is not None:
+            progress(len(done), flights)
+    return [done[k] for k in sorted(done)]
+
+
+def case_from_result(flown: FlightResult) -> FlightCase:
+    """Return what to fly to have the same flight again."""
+    return FlightCase(flown.index, flown.seed, flown.values, flown.wind, flown.refused)
+
+
+# The worst case: where in the box of everything that varies does a flight come nearest to failing?
+
+
+def flight_severity(flown: FlightResult, tolerance_m: float) -> float:
+    """How near to failing a flight is: the worst of its numbers over what is allowed of it; from 10 on it failed.
+
+    Allowed are the tolerance at waypoints and for the landing, twice that for tracking, 0.5 m/s at touchdown, 30
+    degrees of tilt, one second at a limit. A failed flight is the worse the earlier it ends.
+    """
+    parts = (
+        (flown.waypoint_error_m, tolerance_m),
+        (flown.landing_error_m, tolerance_m),
+        (flown.overshoot_m, tolerance_m),
+        (flown.tracking_peak_m, 2.0 * tolerance_m),
+        (flown.touchdown_speed_m_s, 0.5),
+        (flown.tilt_peak_deg, 30.0),
+        (flown.railed_s, 1.0),
+    )
+    worst = max((v / most for v, most in parts if v is not None), default=0.0)
+    if flown.success:
+        return min(worst, 9.0)
+    return 10.0 + 10.0 / (1.0 + (flown.duration_s or 0.0) / 60.0)
+
+
+def search_worst_case(
+    campaign: Campaign,
+    flights: int,
+    *,
+    crew: WorkerPool,
+    folder: Path | None = None,
+    progress: ProgressCallback | None = None,
+    stop: StopCheck = lambda: False,
+) -> list[FlightResult]:
+    """Look for the worst flight within what varies, by CMA-ES (Hansen, The CMA Evolution Strategy, arXiv:1604.00772).
+
+    Gusts and sensors are those of flight 0 in all of them: searched are the vehicle and where the wind comes from.
+
+    Parameters
+    ----------
+    campaign, crew, folder, progress, stop
+        As for :func:`run_campaign`.
+    flights : int
+        About how many to fly: whole generations.
+
+    Returns
+    -------
+    list of Flown
+        In the order of the search; vehicles that cannot be are flights that failed to begin and do not count.
+
+    Raises
+    ------
+    InputError
+        If nothing varies.
+    """
+    n = campaign.search_dimension
+    if n == 0:
+        raise ArgumentError("search", "", "nothing varies but chance", "vary something with --vary or --wind")
+    kept = _kept_flights(folder, campaign, "search.jsonl")
+    size = 4 + int(3 * math.log(max(n, 2)))
+    total = max(1, math.ceil(flights / size)) * size
+    options = {
+        "bounds": [-1.0, 1.0], "popsize": size, "seed": campaign.seed % (2**31) + 1, "verbose": -9, "maxiter": 10**9,
+        "tolfun": 0, "tolx": 0,
+    }  # fmt: skip
+    # With one dimension pycma refuses to work; a second that nothing depends on does no harm.
+    strategy = cma.CMAEvolutionStrategy(np.zeros(max(n, 2)), 0.5, options)
+    found: dict[int, FlightResult] = {}
+    for first in range(0, total, size):
+        points = strategy.ask()
+        cases = [campaign.case_at(np.asarray(p)[:n], first + k) for k, p in enumerate(points)]
+        known = {k: f for k, f in kept.known.items() if first <= k < first + size}
+        landed = dict(known)
+        for flown in crew.fly_cases(campaign, ((c, None) for c in cases if c.index not in known), stop):
+            landed[flown.index] = flown
+            kept.add(flown.index, flown, to_plain_data(flown))
+            if progress is not None:
+                progress(len(found) + len(landed), total)
+        found |= landed
+        if len(landed) < size:
+            break
+        strategy.tell(points, [_search_cost(landed[first + k], campaign) for k in range(size)])
+    return [found[k] for k in sorted(found)]
+
+
+def _search_cost(flown: FlightResult, campaign: Campaign) -> float:
+    return 0.0 if _is_impossible(flown) else -flight_severity(flown, campaign.tolerance_m)
+
+
+def _is_impossible(flown: FlightResult) -> bool:
+    return flown.reason.startswith("did not fly")
+
+
+def worst_first(flights: Sequence[FlightResult], tolerance_m: float) -> list[FlightResult]:
+    """Return flights by how near to failing they are, the worst first."""
+    return sorted(
+        (f for f in flights if not _is_impossible(f)),
+        key=lambda f: (-flight_severity(f, tolerance_m), f.index),
+    )

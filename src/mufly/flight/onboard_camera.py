@@ -1,0 +1,143 @@
+"""The camera of a flight: when a picture is due, how the vehicle moves at its middle, what is wrong with the camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mufly.camera import Camera, Floor, Renderer, StreamServer, VehicleMotion, encode_jpeg
+from mufly.dynamics import body_to_ned_matrix, model_parameters
+from mufly.dynamics.model_state import ATTITUDE, hover_speeds
+from mufly.errors import ArgumentError, InputError, suggest_name
+from mufly.quantity_grammar import read_time_span
+from mufly.sensors import Truth
+from mufly.vehicle import Vehicle
+from mufly.world import World
+
+CAMERA_FAULTS: Mapping[str, str] = {
+    "covered": "the lens is covered: pictures are black",
+    "dark": "the light is off: a hundredth of it is left",
+    "unplugged": "no pictures come",
+}
+"""What can go wrong with the camera."""
+SHOWN_JPEG_QUALITY = 85
+"""Of the JPEG of pictures that are shown; they have been through the radio's before."""
+
+
+@dataclass(frozen=True)
+class CameraFault:
+    """What goes wrong with the camera, and when (s)."""
+
+    kind: str
+    start_s: float = 0.0
+    stop_s: float = math.inf
+
+
+def parse_camera_fault(text: str) -> CameraFault:
+    """Return what ``"covered@20s+5s"`` says; start and duration may be left out.
+
+    Raises
+    ------
+    InputError
+        If it is none of :data:`CAMERA_FAULTS`.
+    """
+    kind, _, when = text.strip().partition("@")
+    if kind not in CAMERA_FAULTS:
+        raise ArgumentError("camera_fault", text, "is none", suggest_name(kind, CAMERA_FAULTS))
+    try:
+        return CameraFault(kind, *read_time_span("", when))
+    except InputError as error:
+        raise ArgumentError("camera_fault", text, error.problem, error.remedy) from None
+
+
+class OnboardCamera:
+    """A camera on a vehicle that flies.
+
+    Parameters
+    ----------
+    camera : Camera
+    floor : Floor
+    vehicle : Vehicle
+    world : World
+        Its boxes are seen.
+    seed : int
+    spoils : tuple of Spoil
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        floor: Floor,
+        vehicle: Vehicle,
+        world: World,
+        seed: int,
+        spoils: tuple[CameraFault, ...] = (),
+    ) -> None:
+        self._given = camera, floor, world
+        self._seed, self._spoils = seed, spoils
+        self._hover = float(np.mean(hover_speeds(model_parameters(vehicle))))
+        self.reset()
+
+    def reset(self) -> None:
+        self.renderer = self.make_renderer()
+        self.rotor_phase, self.last_time_s, self._due_s = np.zeros(2), math.nan, -math.inf
+
+    def make_renderer(self) -> Renderer:
+        """Return one more renderer of the same pictures."""
+        return Renderer(*self._given, seed=self._seed)
+
+    def is_picture_due(self, truth: Truth) -> bool:
+        """Turn the rotors on to this instant, and say whether a picture is due; asked in every period."""
+        t = truth.time_s
+        if not math.isnan(self.last_time_s):
+            self.rotor_phase = np.mod(self.rotor_phase + truth.rotor_speed * (t - self.last_time_s), 2 * math.pi)
+        self.last_time_s = t
+        if t < self._due_s - 1e-9:
+            return False
+        period = float(self._given[0].sensor.period)
+        self._due_s = (t if t - self._due_s > period else self._due_s) + period
+        return True
+
+    def light_level(self, time_s: float) -> float | None:
+        """Return how much light there is, 1 as it should be; None: no pictures come."""
+        active = {s.kind for s in self._spoils if s.start_s <= time_s < s.stop_s}
+        if "unplugged" in active:
+            return None
+        return 0.0 if "covered" in active else (0.01 if "dark" in active else 1.0)
+
+    def camera_motion(self, truth: Truth) -> VehicleMotion:
+        """How it moves at the middle of a picture."""
+        share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
+        return VehicleMotion(
+            truth.time_s, truth.position.copy(), truth.velocity.copy(), body_to_ned_matrix(truth.state[ATTITUDE]),
+            truth.rates.copy(), truth.rotor_speed.copy(), self.rotor_phase.copy(), share,
+        )  # fmt: skip
+
+
+class PictureStream:
+    """Pictures of a flight for others to look at: rendered and sent, no more.
+
+    Parameters
+    ----------
+    film : Film
+    server : StreamServer
+    """
+
+    def __init__(self, film: OnboardCamera, server: StreamServer) -> None:
+        self._film, self._server = film, server
+
+    def send_if_due(self, truth: Truth) -> None:
+        """Send a picture, if one is due."""
+        light = self._film.light_level(truth.time_s)
+        if self._film.is_picture_due(truth) and light is not None:
+            picture = self._film.renderer.render(self._film.camera_motion(truth), light)
+            self._server.publish_picture(encode_jpeg(picture, SHOWN_JPEG_QUALITY), truth.time_s)
+
+    def reset(self) -> None:
+        self._film.reset()
+
+    def close(self) -> None:
+        self._server.close()

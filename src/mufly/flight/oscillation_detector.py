@@ -1,0 +1,184 @@
+"""Whether actuators oscillate: a limit cycle, told from what they do.
+
+An input *oscillates* when it goes to and fro by half of its range or more, in even periods of at most 4 s, four of them
+on end and for 2 s or longer, and nobody asked for it. Loops that are unstable with their delay, or that saturation
+makes so (docs/control.md), end like that: they neither settle nor diverge, and what the helicopter does meanwhile may
+look like flying.
+
+A turn is where the input has come back from its extreme by half of the range; the period at a turn is the time since
+the one before the last. Even means that it differs from the period before by no more than a factor of 1.6: gusts do not
+keep time. Where a pilot's sticks or a program's set-points go to and fro themselves, counting begins anew with each of
+their turns. (Own definition; flights in 1.5 m/s of wind with gusts of 0.6 m/s stay below a tenth of the range.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.mission import State
+from mufly.numba_cache import cached_njit
+
+_Array = NDArray[np.float64]
+
+INPUT_NAMES = ("motor_input upper", "motor_input lower", "servo_input 1", "servo_input 2")
+INPUT_RANGES = (1.0, 1.0, 2.0, 2.0)
+MIN_SWING_SHARE, MIN_PERIOD_COUNT, MIN_DURATION_S = 0.5, 4, 2.0
+"""Part of its range that an input has to go to and fro by, how often on end, and for how long (s)."""
+MAX_PERIOD_S, MAX_PERIOD_RATIO = 4.0, 1.6
+"""Longest period (s), and by what factor one may differ from the one before."""
+
+_STEERING_THRESHOLDS = (0.1, 0.1, 0.1, 0.2, 0.05, 0.05)
+"""What counts as a turn of what is asked for: velocity N-E-D (m/s), rate of turn (rad/s), roll, pitch (rad)."""
+
+
+@dataclass(slots=True)
+class _TurningPoints:
+    """Turns of one signal: it has turned when it has come back by ``reversal_threshold`` from its extreme."""
+
+    reversal_threshold: float
+    is_rising: bool = True
+    last_extreme: float = -float("inf")
+    extreme_time_s: float = 0.0
+    turn_times_s: list[float] = field(default_factory=list)
+
+    def step(self, time_s: float, value: float) -> bool:
+        ahead = value - self.last_extreme if self.is_rising else self.last_extreme - value
+        if ahead > 0.0:
+            self.last_extreme, self.extreme_time_s = value, time_s
+            return False
+        if -ahead < self.reversal_threshold:
+            return False
+        self.turn_times_s = [*self.turn_times_s[-2:], self.extreme_time_s]
+        self.is_rising, self.last_extreme, self.extreme_time_s = not self.is_rising, value, time_s
+        return True
+
+
+@dataclass(slots=True)
+class _InputOscillation:
+    """Even periods of one input so far, and how far it went in them."""
+
+    turning_points: _TurningPoints
+    start_s: float = 0.0
+    half_period_count: int = 0
+    period_s: float = 0.0
+    lowest_value: float = 0.0
+    highest_value: float = 0.0
+
+    def reset_count(self) -> None:
+        self.half_period_count, self.period_s = 0, 0.0
+        self.turning_points.turn_times_s = []
+
+
+@dataclass(frozen=True, slots=True)
+class Oscillation:
+    """One input's oscillation: name, since when and for how long (s), size (in its unit), frequency (Hz)."""
+
+    input_name: str
+    start_s: float
+    duration_s: float
+    amplitude: float
+    frequency_Hz: float
+
+    def __str__(self) -> str:
+        return f"{self.input_name} oscillates by {self.amplitude:.2f} at {self.frequency_Hz:.2g} Hz"
+
+
+@cached_njit(error_model="numpy")
+def may_oscillate(inputs: _Array) -> bool:
+    """Whether any of the inputs (n, 4) turns often enough to oscillate, however slowly and whoever asks for it."""
+    for k in range(4):
+        back, rising, extreme, turns = MIN_SWING_SHARE * INPUT_RANGES[k], True, -math.inf, 0
+        for value in inputs[:, k]:
+            ahead = value - extreme if rising else extreme - value
+            if ahead > 0.0:
+                extreme = value
+            elif not -ahead < back:
+                rising, extreme, turns = not rising, value, turns + 1
+        if turns >= 2 * MIN_PERIOD_COUNT:
+            return True
+    return False
+
+
+class OscillationDetector:
+    """Looks at the inputs of one flight, period by period."""
+
+    def __init__(self) -> None:
+        self._inputs = tuple(_InputOscillation(_TurningPoints(MIN_SWING_SHARE * r)) for r in INPUT_RANGES)
+        self._asked = tuple(_TurningPoints(back) for back in _STEERING_THRESHOLDS)
+
+    def step(self, time_s: float, inputs: Sequence[float], asked: Sequence[float] | None = None) -> Oscillation | None:
+        """Take one more instant.
+
+        Parameters
+        ----------
+        time_s : float
+        inputs : (4,) sequence of float
+            Motor upper, lower (0..1), servo 1, 2 (-1..1).
+        asked : (6,) sequence of float, optional
+            What a pilot or a program asks for: velocity N-E-D (m/s), rate of turn (rad/s), roll and pitch (rad);
+            without it, nobody steers.
+
+        Returns
+        -------
+        Oscillation or None
+            That which lasts longest, if any.
+        """
+        if asked is not None and self._is_steered(time_s, asked):
+            for one in self._inputs:
+                one.reset_count()
+        longest: Oscillation | None = None
+        for name, one, value in zip(INPUT_NAMES, self._inputs, inputs, strict=True):
+            turned = one.turning_points.step(time_s, value)
+            if one.half_period_count:
+                one.lowest_value, one.highest_value = (
+                    min(one.lowest_value, value),
+                    max(one.highest_value, value),
+                )
+            if turned:
+                self._add_turn(one, value)
+            elif one.half_period_count and time_s - one.turning_points.turn_times_s[-1] > MAX_PERIOD_S:
+                one.reset_count()
+            lasting = one.turning_points.turn_times_s[-1] - one.start_s if one.half_period_count else 0.0
+            if one.half_period_count >= 2 * MIN_PERIOD_COUNT and lasting >= MIN_DURATION_S:
+                found = Oscillation(
+                    name, one.start_s, lasting, one.highest_value - one.lowest_value, 1.0 / one.period_s
+                )
+                longest = found if longest is None or lasting > longest.duration_s else longest
+        return longest
+
+    def _is_steered(self, time_s: float, asked: Sequence[float]) -> bool:
+        turned = [t.step(time_s, v) for t, v in zip(self._asked, asked, strict=True)]
+        return any(turned)
+
+    @staticmethod
+    def _add_turn(one: _InputOscillation, value: float) -> None:
+        turned = one.turning_points.turn_times_s
+        if len(turned) < 3:
+            return
+        period = turned[-1] - turned[-3]
+        even = period <= MAX_PERIOD_RATIO * one.period_s and one.period_s <= MAX_PERIOD_RATIO * period
+        if period > MAX_PERIOD_S or (one.half_period_count and not even):
+            one.reset_count()
+        elif one.half_period_count:
+            one.half_period_count, one.period_s = one.half_period_count + 1, period
+        else:
+            one.half_period_count, one.period_s, one.start_s = 2, period, turned[-3]
+            one.lowest_value = one.highest_value = value
+
+
+def steering_demands(
+    state: str, velocity: Sequence[float], heading_rate: float, roll: float, pitch: float
+) -> tuple[float, ...] | None:
+    """What a pilot or a program asks for in this state of the mission; None where the mission flies.
+
+    Of a pilot's references the horizontal velocity is the measured one, which he does not ask for.
+    """
+    n, e, d = velocity
+    if state == State.RC:
+        return 0.0, 0.0, d, heading_rate, roll, pitch
+    return (n, e, d, heading_rate, 0.0, 0.0) if state == State.OFFBOARD else None

@@ -1,0 +1,186 @@
+"""What is recorded of a flight on sensors beside the truth: what they said, what was made of it; and both read back.
+
+A row for every period of the flight software. A reading stands in the row in which it came, with the time at which it
+was measured and whether the sensor stood by it; where nothing new came it is NaN. So a recording holds all that an
+estimator was told, and running it again over the recording (:func:`replay_estimator`) gives the same estimate to the
+bit. Of the covariance that a position fix may come with, variances are kept: an estimator asks for no more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from mufly.dynamics.model_state import POSITION, RATES, VELOCITY
+from mufly.estimate import Estimate, Estimator, KalmanEstimator
+from mufly.flight.controllers import Actuators
+from mufly.flight.record.recorder import FlightRecorder
+from mufly.flight.simulated_plant import make_blank_row, make_common_writer
+from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
+from mufly.sensors import READING_KINDS, Reading, Readings, Truth
+
+_Array = NDArray[np.float64]
+FIX_DRIFT_ATTRIBUTE = "fix_wander_s"
+"""Attribute of a recording whose filter took fixes for as good as their covariance says: over how long their errors
+hang together (s), :attr:`mufly.estimate.KalmanEstimator.wander_s`."""
+_STATUS_CODES = {status: float(k) for k, status in enumerate(FUSION_STATUSES)}
+_READINGS_WITHOUT_TIME = ("clipping", "temperature")  # of the inertial unit: its accelerations tell the time
+_FIX_SIGNAL, _FIX_VARIANCE_SIGNAL = "position_fix", "measured_position_fix_variance"
+_MOTION_FIELDS = ("position", "velocity", "attitude", "rates")
+_BELIEF_FIELDS = ("gyro_bias", "accelerometer_bias", "floor_height", "fix_bias", "wind", "thrust_scale")
+
+
+def make_sensed_row_writer(
+    recorder: FlightRecorder,
+) -> Callable[[Truth, Readings, Estimate, Actuators, tuple[_Array, _Array, _Array], str], None]:
+    """Return the function that appends a row of a flight on sensors.
+
+    ``write(truth, readings, estimate, actuators, reference, state)``, as
+    :func:`mufly.flight.simulated_plant.make_row_writer`.
+    """
+    row, part = make_blank_row(recorder)
+    fill, put = make_common_writer(part), make_estimate_writer(part)
+    said = {name: part[f"measured_{name}"] for name in READING_KINDS}
+    timed = {
+        name: (part[f"measured_{name}_time"], part[f"measured_{name}_valid"])
+        for name in READING_KINDS
+        if name not in _READINGS_WITHOUT_TIME
+    }
+    variance = part[_FIX_VARIANCE_SIGNAL]
+    before: dict[str, Reading] = {}
+    raw = row[
+        _reading_columns(recorder, [*(f"measured_{name}" for name in READING_KINDS), _FIX_VARIANCE_SIGNAL], timed)
+    ]
+
+    def write_row(
+        truth: Truth,
+        readings: Readings,
+        estimate: Estimate,
+        actuators: Actuators,
+        reference: tuple[_Array, _Array, _Array],
+        state: str,
+    ) -> None:
+        row[0] = truth.time_s
+        fill(truth, actuators, reference)
+        raw[:] = math.nan
+        for name, reading in readings.latest.items():
+            if before.get(name) is not reading and name in said:
+                before[name] = reading
+                said[name][:] = reading.value
+                if name in timed:
+                    when, valid = timed[name]
+                    when[0], valid[0] = reading.time_s, reading.valid
+                if reading.covariance is not None and name == _FIX_SIGNAL:
+                    variance[:] = reading.covariance.diagonal()
+        put(estimate)
+        part["range"][:] = estimate.ranges
+        recorder.append_row(row, state)
+
+    return write_row
+
+
+def _reading_columns(recorder: FlightRecorder, names: list[str], timed: dict[str, Any]) -> slice:
+    """The columns of all readings, which stand together."""
+    columns = recorder.layout.column_slices
+    found = [columns[n] for n in [*names, *(f"measured_{t}_{x}" for t in timed for x in ("time", "valid"))]]
+    return slice(min(c.start for c in found), max(c.stop for c in found))
+
+
+def make_estimate_writer(part: dict[str, _Array]) -> Callable[[Estimate], None]:
+    """Return what fills the part of a row (or its like) that is believed: ``write(estimate)``."""
+    motion = [part[f"estimated_{name}"] for name in _MOTION_FIELDS]
+    sigma = [part[f"estimated_{name}_sigma"] for name in _MOTION_FIELDS]
+    beliefs = {name: part[f"estimated_{name}"] for name in _BELIEF_FIELDS}
+    checks = {name: (part[f"innovation_{name}"], part[f"status_{name}"]) for name in CHECKED_READINGS}
+    valid = part["estimated_valid"]
+
+    def write_estimate(m: Estimate) -> None:
+        for target, value in zip(motion, (m.position, m.velocity, m.attitude, m.rates), strict=True):
+            target[:] = value
+        deviation = np.sqrt(m.covariance.diagonal())
+        for k, target in enumerate(sigma):
+            target[:] = deviation[3 * k : 3 * k + 3]
+        valid[0] = m.valid
+        if m.auxiliary_states is not None:
+            for name, target in beliefs.items():
+                target[:] = getattr(m.auxiliary_states, name)
+            for check in m.auxiliary_states.checks:
+                if check.name in checks:
+                    innovation, status = checks[check.name]
+                    innovation[0], status[0] = check.ratio, _STATUS_CODES[check.status]
+
+    return write_estimate
+
+
+def iterate_readings(dataset: xr.Dataset) -> Iterator[tuple[Readings, _Array]]:
+    """Yield the readings of every row of a flight on sensors, and what acted over the period that ended with it."""
+    time = dataset["time"].values
+    columns = {
+        name: (
+            dataset[f"measured_{name}"].values,
+            dataset[f"measured_{'acceleration' if name in _READINGS_WITHOUT_TIME else name}_time"].values,
+            np.ones(len(time)) if name in _READINGS_WITHOUT_TIME else dataset[f"measured_{name}_valid"].values,
+        )
+        for name in READING_KINDS
+    }
+    inputs = np.hstack([dataset["motor_input"].values, dataset["servo_input"].values])
+    came = {name: np.isfinite(when) for name, (_, when, _) in columns.items()}
+    # Recordings of before have none
+    told = (
+        dataset[_FIX_VARIANCE_SIGNAL].values if _FIX_VARIANCE_SIGNAL in dataset else np.full((len(time), 4), math.nan)
+    )
+    latest: dict[str, Reading] = {}
+    for k, t in enumerate(time.tolist()):
+        for name, (value, when, valid) in columns.items():
+            if came[name][k]:
+                one = value[k].copy() if value.ndim == 2 else float(value[k])
+                weighed = name == _FIX_SIGNAL and bool(np.isfinite(told[k]).all())
+                latest[name] = Reading(one, float(when[k]), bool(valid[k]), np.diag(told[k]) if weighed else None)
+        yield Readings(t, dict(latest)), inputs[k - 1] if k else np.zeros(4)
+
+
+def replay_estimator(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate]:
+    """Return what an estimator makes of the readings of a recording, row by row; it weighs fixes as the one that flew
+    did."""
+    if isinstance(estimator, KalmanEstimator) and FIX_DRIFT_ATTRIBUTE in dataset.attrs:
+        estimator.uses_fix_covariance, estimator.fix_correlation_s = (
+            True,
+            float(dataset.attrs[FIX_DRIFT_ATTRIBUTE]),
+        )
+    estimator.reset()
+    return [estimator.update(readings, acting) for readings, acting in iterate_readings(dataset)]
+
+
+def is_sensed(dataset: xr.Dataset) -> bool:
+    """Whether a recording holds what sensors said, as flights on sensors record it."""
+    return all(f"measured_{name}_time" in dataset for name in READING_KINDS if name not in _READINGS_WITHOUT_TIME)
+
+
+def replace_estimates(dataset: xr.Dataset, estimates: Sequence[Estimate]) -> xr.Dataset:
+    """Return a recording with other estimates, one for each row, in place of those that were made in flight."""
+    blocks = {
+        str(name): np.full(dataset[name].shape, math.nan)
+        for name in dataset.data_vars
+        if str(name).startswith(("estimated_", "innovation_", "status_"))
+    }
+    for k, m in enumerate(estimates):
+        row = {name: block[k : k + 1] if block.ndim == 1 else block[k] for name, block in blocks.items()}
+        make_estimate_writer(row)(m)
+    return dataset.assign({name: dataset[name].copy(data=block) for name, block in blocks.items()})
+
+
+def list_truths(dataset: xr.Dataset) -> list[Truth]:
+    """Return what was true at every row, as far as a recording has it."""
+    columns = [dataset[f"truth_{name}"].values for name in ("position", "velocity", "attitude", "rates")]
+    out = []
+    for k, t in enumerate(dataset["time"].values.tolist()):
+        x, v, attitude, rates = (c[k] for c in columns)
+        state = np.full(21, math.nan)
+        state[POSITION], state[VELOCITY], state[RATES] = x, v, rates
+        out.append(Truth(t, k, state, attitude, np.full(3, math.nan), math.nan, math.nan))
+    return out

@@ -1,0 +1,399 @@
+"""The other side of the loop: the true helicopter, its air and its world."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from mufly.control import FlightController, design_flight_controller
+from mufly.dynamics import (
+    DEFAULT_STEP_S,
+    DrydenWind,
+    battery_state,
+    fastest_mode_key,
+    find_trim,
+    integrate_state,
+    longest_step,
+    lowest_point,
+    model_parameters,
+)
+from mufly.dynamics.model_state import (
+    POSITION,
+    RATES,
+    ROTOR_SPEEDS,
+    RS_ATT,
+    RS_CHARGE,
+    RS_POS,
+    U_MOTOR_LOWER,
+    U_MOTOR_UPPER,
+    VELOCITY,
+)
+from mufly.errors import InputError, MuflyError
+from mufly.estimate import IdealEstimator
+from mufly.flight.controllers import Actuators, Controllers
+from mufly.flight.record.recorder import FlightRecorder
+from mufly.numba_cache import cached_njit, record_as_array
+from mufly.portable_math import portable_atan2
+from mufly.sensors import Readings, Truth, ideal_sensors
+from mufly.vehicle import Vehicle
+from mufly.world import World, nearest_obstacles, obstacle_distance
+
+MIN_STEP_S = 1e-5
+_WIND_BLOCK_S = 5.0  # of wind drawn at once; what it is does not depend on it
+
+
+@cached_njit(error_model="numpy")
+def advance_period(x: _Array, u: _Array, wind: _Array, parameters: Any, dt: float, steps: int, supply: _Array) -> None:
+    """Advance the state by one period; write voltage and current of the battery at its end into ``battery_output``
+    (2,)."""
+    p = parameters[0]
+    integrate_state(x, u, wind, p, dt, steps)
+    supply[0], supply[1] = battery_state(x, u[U_MOTOR_UPPER], u[U_MOTOR_LOWER], p)
+
+
+@cached_njit(error_model="numpy")
+def true_attitude(x: _Array, attitude: _Array) -> None:
+    """Roll, pitch, yaw (rad) of a state into ``attitude`` (3,); yaw is the one nearest to what stands there.
+
+    By :mod:`mufly.portable_math`, so that it is the same on every processor.
+    """
+    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    sine = min(max(2.0 * (w * j - k * i), -1.0), 1.0)
+    yaw = portable_atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
+    attitude[0] = portable_atan2(2.0 * (w * i + j * k), 1.0 - 2.0 * (i * i + j * j))
+    attitude[1] = portable_atan2(sine, math.sqrt((1.0 - sine) * (1.0 + sine)))
+    attitude[2] = yaw + 2.0 * math.pi * np.rint((attitude[2] - yaw) / (2.0 * math.pi))
+
+
+@cached_njit(error_model="numpy")
+def find_collision(
+    x: _Array,
+    parameters: Any,
+    legs: int,
+    radius: float,
+    obstacles: bool,
+    boxes: _Array,
+    cylinders: _Array,
+    limits: _Array,
+) -> int:
+    """What a helicopter has hit: 0 nothing, 1 an obstacle, 2 the floor with a rotor."""
+    p = parameters[0]
+    if obstacles and nearest_obstacles(x[POSITION].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:
+        return 1
+    if x[RS_POS + 2] + p.contact_reach > 0.0:
+        depth, point = lowest_point(x, p)
+        if depth > 0.0 and point >= legs:
+            return 2
+    return 0
+
+
+class SimulatedPlant:
+    """The true helicopter in its world: state, wind and clock.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    world : World
+    air : DrydenWind
+        Sampled at ``rate_Hz``.
+    rate_Hz : float
+        Rate of the flight software: how often it is measured, and for how long actuators are held.
+    state : (21,) array
+        Where it starts.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, world: World, air: DrydenWind, rate_Hz: float, state: NDArray[np.float64]
+    ) -> None:
+        self.rate_Hz = rate_Hz
+        self.world = world
+        self.parameters = model_parameters(vehicle)
+        self.packed_parameters, self.battery_output = record_as_array(self.parameters), np.empty(2)
+        self.state = state.copy()
+        self.period_count = 0
+        self.wind = np.zeros(3)
+        self.voltage, self.current = battery_state(self.state, 0.0, 0.0, self.parameters)
+        self.crash_cause = ""
+        self._air, self._block = air, max(1, round(_WIND_BLOCK_S * rate_Hz))
+        self._coming, self._blown = air.next_samples(self._block), 0
+        longest = min(DEFAULT_STEP_S, longest_step(self.parameters))
+        if longest < MIN_STEP_S:
+            raise MuflyError(
+                f"{vehicle.name}: its fastest mode needs steps of {longest * 1e6:.2g} us, too short to simulate a "
+                f"flight; it is that of {fastest_mode_key(self.parameters)}"
+            )
+        self.step_count = math.ceil(1.0 / rate_Hz / longest - 1e-9)
+        self.step_s = 1.0 / rate_Hz / self.step_count
+        self.collision_shape = (
+            len(vehicle.contact.legs.value),
+            float(vehicle.rotors.radius),
+            not world.is_empty,
+            *world.packed_tables,
+        )
+        self.attitude = np.zeros(3)
+        true_attitude(self.state, self.attitude)
+
+    def reset(self, state: NDArray[np.float64]) -> None:
+        """Put the helicopter somewhere else, whole and at rest, one period later; air and clock go on."""
+        self.state[:] = state
+        self.period_count += 1
+        self.crash_cause = ""
+        self.voltage, self.current = battery_state(self.state, 0.0, 0.0, self.parameters)
+        self.attitude[:] = 0.0
+        true_attitude(self.state, self.attitude)
+
+    @property
+    def time_s(self) -> float:
+        return self.period_count / self.rate_Hz
+
+    def check_collision(self) -> None:
+        """See whether anything was hit."""
+        if self.crash_cause:
+            return
+        hit = find_collision(self.state, self.packed_parameters, *self.collision_shape)
+        if hit == 1:
+            _, name = obstacle_distance(self.world, self.state[POSITION])
+            self.crash_cause = f"a rotor hit the {name} at {self._describe_place()}"
+        elif hit == 2:
+            self.crash_cause = f"tipped over: a rotor touched the floor at {self._describe_place()}"
+
+    def _describe_place(self) -> str:
+        n, e, d = self.state[POSITION]
+        return f"[{n:.2f}, {e:.2f}, {d:.2f}] m, {self.time_s:.1f} s"
+
+    @property
+    def truth(self) -> Truth:
+        """All that there is to know of this instant; the state is copied."""
+        true_attitude(self.state, self.attitude)
+        return Truth(
+            self.time_s,
+            self.period_count,
+            self.state.copy(),
+            self.attitude.copy(),
+            self.wind,
+            self.voltage,
+            self.current,
+        )
+
+    def advance_period(self, actuators: Actuators) -> None:
+        """Advance by one period."""
+        self.consume_wind(self.upcoming_wind(1)[0], 1)
+        advance_period(
+            self.state,
+            actuators.input_array,
+            self.wind,
+            self.packed_parameters,
+            self.step_s,
+            self.step_count,
+            self.battery_output,
+        )
+        self.count_periods(1)
+
+    def upcoming_wind(self, most: int) -> NDArray[np.float64]:
+        """The wind of the periods to come (n, 3): as many as are known, at least one, at most ``most``."""
+        if self._blown == self._block:
+            self._coming, self._blown = self._air.next_samples(self._block), 0
+        return self._coming[self._blown : self._blown + most]
+
+    def consume_wind(self, wind: NDArray[np.float64], periods: int) -> None:
+        """Take notice that the wind of so many periods has passed, and what it was last (3,)."""
+        self.wind = wind
+        self._blown += periods
+
+    def count_periods(self, periods: int) -> None:
+        """Take notice that the state has been advanced by so many."""
+        self.voltage, self.current = self.battery_output.tolist()
+        self.period_count += periods
+        if not math.isfinite(self.state[RS_POS + 2]):
+            raise MuflyError(
+                f"the simulation became unstable at {self.time_s:.3f} s with steps of {self.step_s * 1e3:g} ms; "
+                "check the vehicle's parameters with `mufly vehicle check`"
+            )
+
+
+# ----------------------------------------------------------------------------
+# One row of a recording: what is true, measured, wanted and done at one instant.
+
+
+_Array = NDArray[np.float64]
+
+
+def make_row_writer(
+    recorder: FlightRecorder, *, measured: bool = True
+) -> Callable[[Truth, Readings, Actuators, tuple[_Array, _Array, _Array], str], None]:
+    """Return the function that appends a row: ``write(truth, readings, actuators, reference, state)``.
+
+    ``reference`` is position and velocity (N-E-D) and attitude; ``state`` the state of the mission. What the table
+    of quantities holds beyond that stays NaN, and so does what no sensor reads, or all of it without ``measured``.
+    """
+    row, part = make_blank_row(recorder)
+    fill = make_common_writer(part)
+    seen = {name: part[f"measured_{name}"] for name in ("position", "velocity", "attitude", "rates")}
+    seen["ranges"] = part["range"]
+    if not measured:
+        seen = {}
+
+    def write_row(
+        truth: Truth,
+        readings: Readings,
+        actuators: Actuators,
+        reference: tuple[_Array, _Array, _Array],
+        state: str,
+    ) -> None:
+        row[0] = truth.time_s
+        fill(truth, actuators, reference)
+        for name, target in seen.items():
+            target[:] = readings[name].value if name in readings else math.nan
+        recorder.append_row(row, state)
+
+    return write_row
+
+
+def append_rows(
+    recorder: FlightRecorder,
+    truth: Truth,
+    measured: Mapping[str, _Array],
+    actuators: Actuators,
+    reference: tuple[_Array, _Array, _Array],
+    states: list[str],
+) -> None:
+    """Append many rows at once: as :func:`make_row_writer`, all arrays (n, ...), ``measured`` by the names of
+    columns."""
+    rows = np.full((len(states), recorder.layout.column_count), np.nan)
+    part = {name: rows[:, column] for name, column in recorder.layout.column_slices.items()}
+    rows[:, 0] = truth.time_s
+    make_common_writer(part)(truth, actuators, reference)
+    for name, value in measured.items():
+        part[name][:] = value
+    recorder.append_rows(rows, states)
+
+
+def make_blank_row(recorder: FlightRecorder) -> tuple[_Array, dict[str, _Array]]:
+    """A row of a recording where nothing is known yet, and its parts by the names of the quantities."""
+    row = np.full(recorder.layout.column_count, np.nan)
+    return row, {name: row[column] for name, column in recorder.layout.column_slices.items()}
+
+
+def make_common_writer(
+    part: Mapping[str, _Array],
+) -> Callable[[Truth, Actuators, tuple[_Array, _Array, _Array]], None]:
+    """Return what fills the part of a row, or of many, that every flight has: truth, reference, actuators, battery."""
+    position, velocity, attitude, rates, speed = (
+        part[f"truth_{name}"] for name in ("position", "velocity", "attitude", "rates", "rotor_speed")
+    )
+    place, way, turned = (part[f"reference_{name}"] for name in ("position", "velocity", "attitude"))
+    wind, motor, servo = part["wind"], part["motor_input"], part["servo_input"]
+    charge, voltage, current = (part[f"battery_{name}"] for name in ("charge", "voltage", "current"))
+
+    def fill_row(truth: Truth, actuators: Actuators, reference: tuple[_Array, _Array, _Array]) -> None:
+        x = truth.state
+        position[:], velocity[:], attitude[:], rates[:], speed[:] = (
+            x[..., POSITION],
+            x[..., VELOCITY],
+            truth.attitude,
+            x[..., RATES],
+            x[..., ROTOR_SPEEDS],
+        )
+        place[:], way[:], turned[:] = reference
+        wind[:], motor[:], servo[:] = truth.wind, actuators.motor_input, actuators.servo_input
+        charge[..., 0], voltage[..., 0], current[..., 0] = x[..., RS_CHARGE], truth.voltage, truth.current
+
+    return fill_row
+
+
+# ----------------------------------------------------------------------------
+# Step responses: the controllers alone on the nonlinear model, without a mission (Figs 6.10 and 6.12).
+
+
+START_HEIGHT_M = 5.0  # out of the floor's reach for any sensible step
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerReference:
+    """What the low-level controllers have to follow: z (m, down, from the start), angles (rad)."""
+
+    down_m: float = 0.0
+    heading: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+
+
+def simulate_response(
+    vehicle: Vehicle,
+    demand: Callable[[float], ControllerReference],
+    *,
+    duration_s: float,
+    controller: FlightController | None = None,
+    charge: float = 0.8,
+    wind: DrydenWind | None = None,
+) -> xr.Dataset:
+    """Let the low-level controllers follow a reference on the full nonlinear model, from hover.
+
+    Inputs saturate, the battery sags, and the actuators act one period after the measurement, as in flight.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    demand : callable
+        From time (s) to :class:`ControllerReference`.
+    duration_s : float
+        (s).
+    controller : FlightController, optional
+        By default ``mufly.control.design_flight_controller(vehicle)``.
+    charge : float
+        Battery charge at the start (fraction).
+    wind : DrydenWind, optional
+        Sampled at the controller's rate; still air by default.
+
+    Returns
+    -------
+    xarray.Dataset
+        A recording in memory, a row every period; positions count from the start.
+
+    Raises
+    ------
+    InputError
+        If the duration is not positive.
+    """
+    if not (math.isfinite(duration_s) and duration_s > 0):
+        raise InputError("respond", "duration_s", f"{duration_s} s", "give a positive time")
+    controller = design_flight_controller(vehicle) if controller is None else controller
+    hover = find_trim(vehicle, charge=charge)
+    start = hover.state.copy()
+    start[2] = -START_HEIGHT_M
+    air = DrydenWind(step_s=controller.period_s) if wind is None else wind
+    plant = SimulatedPlant(vehicle, World(), air, controller.rate_Hz, start)
+    plant.voltage, plant.current = hover.voltage_V, hover.current_A
+    controllers = Controllers(controller)
+    recorder = FlightRecorder(None, {"vehicle": vehicle.name, "rate_Hz": controller.rate_Hz})
+    write = make_row_writer(recorder)
+    sensors, estimator = ideal_sensors(vehicle, World(), round(controller.rate_Hz)), IdealEstimator()
+    start_estimate = estimator.update(sensors.read(plant.truth))
+    controllers.engage(start_estimate, hover.motor_input)
+    controllers.lift_off(start_estimate)
+    pending = Actuators(hover.motor_input, hover.servo_input)
+    zero = np.zeros(3)
+    for _ in range(round(duration_s * controller.rate_Hz) + 1):
+        truth = plant.truth
+        readings = sensors.read(truth)
+        s = demand(truth.time_s)
+        z = s.down_m - START_HEIGHT_M
+        actuators = controllers.step(
+            estimator.update(readings), np.array([z, s.heading, 0.0, 0.0]), np.array([s.roll, s.pitch])
+        )
+        wanted = np.array([0.0, 0.0, z]), zero, np.array([s.roll, s.pitch, s.heading])
+        write(truth, readings, pending, wanted, "follow")
+        plant.advance_period(pending)
+        pending = actuators
+    recorder.set_outcome("succeeded")
+    recorder.close()
+    dataset = recorder.to_dataset()
+    for name in ("truth_position", "measured_position", "reference_position"):
+        dataset[name][:, 2] += START_HEIGHT_M
+    return dataset

@@ -1,0 +1,214 @@
+"""Every number that may be tuned while the helicopter flies: name, unit, bounds, where it is kept.
+
+Names are those of a MAVLink parameter: at most 16 characters. Values at this edge are in the unit that the table
+names (degrees, not radians); inside they stay SI. Three kinds:
+
+- of the mission (``MIS_``, ``LIM_``, ``AVD_``, ``BAT_``): keys of a mission file (docs/missions.md), with its bounds.
+  A limit is never above 80 % of what the controllers can follow (:mod:`mufly.mission.mission_checks`), so its greatest
+  value moves with the controllers'.
+- of the control law (``CTL_``): limits of the reference filters, and the one gain outside of the H-infinity
+  controllers. They are gone over to within half a second (:class:`mufly.flight.controllers.Controllers`).
+- of the pilot's sticks (``STK_``): what a stick at its end asks for.
+
+Bounds of the control law. The position gain closes a loop: with it between 0.2 and 2 1/s the cascade of both built-in
+vehicles keeps its sensitivities below 4.9 dB and a phase margin above 36 degrees (at 2.5 1/s they pass 6 dB);
+``tests/flight/test_parameters.py`` asks ``analyse_cascade`` again. The others are limits and filters in front of the
+loops, which cannot make them unstable; between their bounds simulated steps still settle (same test).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from mufly.control import FlightController
+from mufly.errors import InputError
+from mufly.flight.controllers import controller_limits, copy_record
+from mufly.flight.flight_software import FlightSoftware
+from mufly.mission import USABLE_LIMIT_SHARE, limits_to_file_units
+from mufly.vehicle import Vehicle
+
+DEGREES_PER_RADIAN = math.degrees(1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class TunableParameter:
+    """One number that may be tuned, as a vehicle offers it and a station shows it.
+
+    Attributes
+    ----------
+    name : str
+        At most 16 characters.
+    value : float
+        In ``unit``.
+    unit : str
+        "" for a pure number, or where it is not known.
+    least, greatest : float
+        Bounds, themselves permitted; infinite where none are known.
+    help : str
+    whole : bool
+        A whole number.
+    """
+
+    name: str
+    value: float
+    unit: str = ""
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    description: str = ""
+    is_integer: bool = False
+
+
+_PARAMETER_ROWS = """
+MIS_TAKEOFF_ALT m      0.2  50   take_off.height_m              height to take off to
+LIM_SPEED       m/s    0.05 3    limits.speed_m_s               horizontal speed
+LIM_CLIMB       m/s    0.05 2    limits.climb_m_s               rate of climb
+LIM_DESCENT     m/s    0.05 1    limits.descent_m_s             rate of descent
+LIM_TOUCHDOWN   m/s    0.05 0.25 limits.touchdown_m_s           rate of descent over the last 0.4 m before the floor
+LIM_ACCEL       m/s2   0.05 2    limits.acceleration_m_s2       horizontal acceleration
+LIM_CLIMB_ACC   m/s2   0.05 2    limits.climb_acceleration_m_s2 acceleration of climb and descent
+LIM_YAWRATE     deg/s  1    360  limits.yaw_rate_deg_s          rate of turn
+LIM_YAWACC      deg/s2 5    1000 limits.yaw_acceleration_deg_s2 acceleration of a turn
+LIM_REACH       m      0.01 1    limits.reach_m                 a waypoint counts as reached from this near
+AVD_ENABLE      -      0    1    avoidance.enabled              1: look out for obstacles and avoid them
+AVD_CLEARANCE   m      0.15 1    avoidance.clearance_m          distance to keep from obstacles, from the centre
+AVD_SPEED       m/s    0.06 1    avoidance.speed_m_s            speed around an obstacle
+BAT_LOW_V       V      0    inf  battery.low_V                  land below this voltage
+CTL_POS_GAIN    1/s    0.2  1.9  position.position_gain         velocity asked for a metre off place
+CTL_SPEED_MAX   m/s    0.3  3    position.speed_limit           greatest velocity that the position loop asks for
+CTL_TILT_MAX    deg    3    15   position.tilt_limit            greatest tilt that the position loop asks for
+CTL_HEAVE_BW    rad/s  2    16   heave_yaw.heave_bandwidth      bandwidth of the reference filter of height
+CTL_HEAVE_SPD   m/s    0.2  2    heave_yaw.heave_speed          greatest speed of the reference of height
+CTL_HEAVE_ACC   m/s2   0.1  1.5  heave_yaw.heave_acceleration   greatest acceleration of the reference of height
+CTL_YAW_BW      rad/s  2    16   heave_yaw.yaw_bandwidth        bandwidth of the reference filter of heading
+CTL_YAW_RATE    deg/s  10   200  heave_yaw.yaw_rate             greatest rate of the reference of heading
+CTL_YAW_ACC     deg/s2 30   600  heave_yaw.yaw_acceleration     greatest acceleration of the reference of heading
+STK_TILT        deg    1    15   sticks.tilt                    tilt at the end of a stick
+STK_YAWRATE     deg/s  5    110  sticks.yaw_rate                rate of turn at the end of a stick
+STK_CLIMB       m/s    0.1  1    sticks.climb                   climb at the end of a stick
+"""
+
+
+def _parse_rows() -> tuple[dict[str, TunableParameter], dict[str, tuple[str, str]]]:
+    rows = [line.split(maxsplit=5) for line in _PARAMETER_ROWS.strip().splitlines()]
+    known = {
+        name: TunableParameter(
+            name, math.nan, unit.strip("-"), float(least), float(greatest), text, is_integer=unit == "-"
+        )
+        for name, unit, least, greatest, _, text in rows
+    }
+    return known, {row[0]: (row[4].split(".")[0], row[4].split(".")[1]) for row in rows}
+
+
+PARAMETERS, STORAGE_KEYS = _parse_rows()
+"""Every parameter without its value, by name; and the table and key under which its value is kept."""
+
+
+@dataclass(slots=True)
+class StickRanges:
+    """What the pilot's sticks ask for at their ends: tilt (rad), rate of turn (rad/s), climb (m/s)."""
+
+    tilt: float = math.radians(8.0)
+    yaw_rate: float = math.radians(60.0)
+    climb: float = 0.4
+
+
+_BOUND_TOLERANCE = 1e-6
+"""A value that travelled in single precision may miss a bound by this share."""
+
+
+class TunableParameters(Mapping[str, TunableParameter]):
+    """The numbers that may be tuned, as they are now.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Its battery bounds the low voltage.
+    controller : FlightController
+        The design; tuned copies of it go to the flight software.
+    software : FlightSoftware
+        Which they act on.
+    """
+
+    def __init__(self, vehicle: Vehicle, controller: FlightController, software: FlightSoftware) -> None:
+        self.stick_ranges = StickRanges()
+        self._vehicle = vehicle
+        self._controller = controller
+        self._software = software
+
+    def __len__(self) -> int:
+        return len(PARAMETERS)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(PARAMETERS)
+
+    def __getitem__(self, name: str) -> TunableParameter:
+        table, key = STORAGE_KEYS[name]
+        p = PARAMETERS[name]
+        least, greatest = p.minimum, p.maximum
+        most = limits_to_file_units(controller_limits(self._controller)).get(key) if table == "limits" else None
+        if key == "low_V":
+            greatest = float(self._vehicle.battery.nominal_voltage)
+            least = 0.5 * greatest
+        elif most is not None:
+            least, greatest = min(least, USABLE_LIMIT_SHARE * most), min(greatest, USABLE_LIMIT_SHARE * most)
+        return replace(p, value=self._stored_value(table, key) * _unit_scale(p, table), minimum=least, maximum=greatest)
+
+    def set_value(self, name: str, value: float) -> str:
+        """Change one.
+
+        Returns
+        -------
+        str
+            Why not, in words; "" if it is done.
+        """
+        if name not in PARAMETERS:
+            return f"there is no parameter {name[:40]!r}; the list names them all"
+        p = self[name]
+        least, greatest = p.minimum, p.maximum
+        slack = _BOUND_TOLERANCE * max(abs(least), abs(greatest), 1.0)
+        if not (math.isfinite(value) and least - slack <= value <= greatest + slack):
+            return f"{name} {value:g} refused: give {least:g} to {greatest:g} {p.unit}".rstrip()
+        if p.is_integer and abs(value - round(value)) > _BOUND_TOLERANCE:
+            return f"{name} {value:g} refused: give a whole number, {least:g} to {greatest:g}"
+        value = min(max(value, least), greatest)
+        try:
+            self._store_value(p, value)
+        except InputError as error:
+            return f"{name} {value:g} refused: {error.problem}; {error.remedy}"
+        return ""
+
+    def _stored_value(self, table: str, key: str) -> float:
+        """The number itself, in the unit that it is kept in."""
+        if table == "sticks":
+            return float(getattr(self.stick_ranges, key))
+        if table in _GAIN_RECORDS:
+            return float(getattr(self._controller, _GAIN_RECORDS[table])[key])
+        if key == "low_V":
+            return self._software.plan.low_battery_V
+        return float(getattr(getattr(self._software.plan.mission, table), key))
+
+    def _store_value(self, p: TunableParameter, value: float) -> None:
+        table, key = STORAGE_KEYS[p.name]
+        value /= _unit_scale(p, table)
+        if table == "sticks":
+            setattr(self.stick_ranges, key, value)
+        elif table in _GAIN_RECORDS:
+            record = copy_record(getattr(self._controller, _GAIN_RECORDS[table]))
+            record[key] = value
+            self._controller = replace(self._controller, **{_GAIN_RECORDS[table]: record})  # type: ignore[arg-type]
+            self._software.retune_controllers(self._controller)
+        else:
+            asked = self._software.requested_mission
+            held = getattr(asked, table)
+            given = {**held.model_dump(), key: bool(round(value)) if p.is_integer else value}
+            self._software.change_limits(asked.with_parts(**{table: type(held)(**given)}))
+
+
+_GAIN_RECORDS = {"position": "position_gains", "heave_yaw": "heave_yaw_gains"}
+
+
+def _unit_scale(p: TunableParameter, table: str) -> float:
+    """From the unit that it is kept in to its own: a mission file is in degrees itself."""
+    return DEGREES_PER_RADIAN if p.unit.startswith("deg") and table in (*_GAIN_RECORDS, "sticks") else 1.0

@@ -1,0 +1,395 @@
+"""Output-error simulation: many parameter sets fly through the recorded inputs of one record, on all cores.
+
+The equations are those of :func:`mufly.dynamics.state_derivative`; this file only samples and integrates them. Inputs
+are held from each sample of the record to the next and reach the vehicle ``delay`` later; every integration step ends
+where an input changes, so held inputs are exact at any delay. Classical Runge-Kutta steps of up to 10 ms resolve
+all modes of a vehicle of this size but one: the swash plate follows within ``T = 1 ms``. Its tilt obeys
+``T da/dt = a_in - a`` with ``a_in`` held, and hangs on nothing else, so its exact solution is used::
+
+    a(t) = a_in + (a_0 - a_in) e^(-t/T)
+
+and inside a step of length ``h`` the Runge-Kutta stages see, in place of the exponential, the straight line with
+the same integral and the same first moment over the step (own derivation, ``z = h/T``)::
+
+    e^(-t/T) ~ A + B t/h,   B = 6 m_0 - 12 m_1,  A = m_0 - B/2,  m_0 = (1 - e^-z)/z,  m_1 = 1/z - (1 - e^-z)/z^2
+
+so that rate and angle which the tilt leaves behind are right at the end of the step, whatever ``h/T``. The error
+against steps of 0.1 ms is measured in ``tests/identify/test_simulate.py`` and stated in docs/identification.md.
+
+The simulation can be restarted at chosen samples (multiple shooting): motion of the body is then set to given
+values. Rotors and battery, which follow from the inputs, run on; the bar takes the place that it has after following
+the measured mast, so that nothing of one window's start reaches into the next. A horizontal velocity that nobody
+measured is followed likewise (``path``): the model's own acceleration at the measured attitude and rates, with rotors,
+swash plate and bar as above. Rotors that drag in their discs pitch and roll the vehicle by it: windows that begin at
+rest in mid-flight are another flight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import partial
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from mufly.dynamics.equations_of_motion import battery_state, state_derivative
+from mufly.dynamics.model_state import (
+    BAR_NORMAL,
+    RS_ATT,
+    RS_BAR,
+    RS_POS,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    RS_VEL,
+    STATE_SIZE,
+    U_MOTOR_LOWER,
+    U_MOTOR_UPPER,
+    U_SERVO_1,
+    U_SERVO_2,
+    ModelParameters,
+    hover_speeds,
+)
+from mufly.dynamics.simulation import normalise_state
+from mufly.identify.flight_record import (
+    MO_EULER,
+    MO_RATES,
+    MO_VEL,
+    OUT_CLIMB,
+    OUT_EAST,
+    OUT_HEIGHT,
+    OUT_P,
+    OUT_PITCH,
+    OUT_R,
+    OUT_ROLL,
+    OUT_SPEED_DW,
+    OUT_SPEED_UP,
+    OUT_V_EAST,
+    OUT_V_NORTH,
+    OUT_YAW,
+)
+from mufly.numba_cache import cached_njit
+from mufly.study.sweeps import open_executor
+
+_CLUSTER_EXECUTOR: ContextVar[Executor | None] = ContextVar("cluster", default=None)
+_SETS_PER_TASK = 8  # parameter sets that a worker flies at a time
+
+_Array = NDArray[np.float64]
+
+MAX_INTEGRATION_STEP_S = 0.01
+_DIVERGED_OUTPUT = 1e6  # stands for the output of a flight that has diverged
+
+
+@cached_njit(error_model="numpy")
+def _lag_line_coefficients(z: float) -> tuple[float, float]:
+    """Return ``A, B`` of the module docstring for ``z = h/T``."""
+    if z < 0.05:
+        m0 = 1.0 - z / 2.0 + z * z / 6.0 - z**3 / 24.0 + z**4 / 120.0
+        slope = -z + z * z / 2.0 - 0.15 * z**3 + z**4 / 30.0
+    else:
+        rest = -math.expm1(-z)
+        m0 = rest / z
+        slope = 6.0 * m0 - 12.0 * (1.0 / z - rest / (z * z))
+    return m0 - 0.5 * slope, slope
+
+
+@cached_njit(error_model="numpy")
+def _integrate_state(
+    x: _Array, u: _Array, p: ModelParameters, length: float, longest: float, calm: _Array, work: _Array
+) -> None:
+    """Integrate ``x`` in place over ``length`` seconds with the input held."""
+    k1, k2, k3, k4, y = work[0], work[1], work[2], work[3], work[4]
+    steps = max(1, math.ceil(length / longest - 1e-9))
+    h = length / steps
+    decay = math.exp(-h * p.swash_rate)
+    line, slope = _lag_line_coefficients(h * p.swash_rate)
+    roll_in = p.swash_gain * min(max(u[U_SERVO_2], -1.0), 1.0)
+    pitch_in = -p.swash_gain * min(max(u[U_SERVO_1], -1.0), 1.0)
+    for _ in range(steps):
+        roll_off, pitch_off = x[RS_SWASH_ROLL] - roll_in, x[RS_SWASH_PITCH] - pitch_in
+        x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = roll_in + line * roll_off, pitch_in + line * pitch_off
+        state_derivative(x, u, calm, p, k1)
+        for i in range(STATE_SIZE):
+            y[i] = x[i] + 0.5 * h * k1[i]
+        y[RS_SWASH_ROLL] = roll_in + (line + 0.5 * slope) * roll_off
+        y[RS_SWASH_PITCH] = pitch_in + (line + 0.5 * slope) * pitch_off
+        state_derivative(y, u, calm, p, k2)
+        for i in range(STATE_SIZE):
+            y[i] = x[i] + 0.5 * h * k2[i]
+        y[RS_SWASH_ROLL] = roll_in + (line + 0.5 * slope) * roll_off
+        y[RS_SWASH_PITCH] = pitch_in + (line + 0.5 * slope) * pitch_off
+        state_derivative(y, u, calm, p, k3)
+        for i in range(STATE_SIZE):
+            y[i] = x[i] + h * k3[i]
+        y[RS_SWASH_ROLL] = roll_in + (line + slope) * roll_off
+        y[RS_SWASH_PITCH] = pitch_in + (line + slope) * pitch_off
+        state_derivative(y, u, calm, p, k4)
+        for i in range(STATE_SIZE):
+            x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+        x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = roll_in + decay * roll_off, pitch_in + decay * pitch_off
+        normalise_state(x)
+
+
+@cached_njit(error_model="numpy")
+def _set_attitude(x: _Array, roll: float, pitch: float, yaw: float) -> None:
+    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
+    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
+    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    x[RS_ATT] = cr * cp * cy + sr * sp * sy
+    x[RS_ATT + 1] = sr * cp * cy - cr * sp * sy
+    x[RS_ATT + 2] = cr * sp * cy + sr * cp * sy
+    x[RS_ATT + 3] = cr * cp * sy - sr * sp * cy
+
+
+@cached_njit(error_model="numpy")
+def _write_outputs(
+    x: _Array, u: _Array, p: ModelParameters, codes: NDArray[np.int64], last_yaw: float, y: _Array
+) -> float:
+    """Write the outputs with these codes (positions in ``OUTPUTS``) into ``y``; return the continuous yaw."""
+    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    yaw = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
+    yaw += 2 * math.pi * round((last_yaw - yaw) / (2 * math.pi))
+    for c in range(codes.shape[0]):
+        code = codes[c]
+        if code <= OUT_EAST:
+            y[c] = x[RS_POS + code]
+        elif code == OUT_HEIGHT:
+            y[c] = -x[RS_POS + 2]
+        elif code <= OUT_V_EAST:
+            y[c] = x[RS_VEL + code - OUT_V_NORTH]
+        elif code == OUT_CLIMB:
+            y[c] = -x[RS_VEL + 2]
+        elif code == OUT_ROLL:
+            y[c] = math.atan2(2 * (w * i + j * k), 1 - 2 * (i * i + j * j))
+        elif code == OUT_PITCH:
+            y[c] = math.asin(min(max(2 * (w * j - k * i), -1.0), 1.0))
+        elif code == OUT_YAW:
+            y[c] = yaw
+        elif code <= OUT_R:
+            y[c] = x[RS_RATES + code - OUT_P]
+        elif code <= OUT_SPEED_DW:
+            y[c] = x[RS_SPEED_UPPER + code - OUT_SPEED_UP]
+        else:
+            upper, lower = min(max(u[U_MOTOR_UPPER], 0.0), 1.0), min(max(u[U_MOTOR_LOWER], 0.0), 1.0)
+            y[c] = battery_state(x, upper, lower, p)[0]
+    return yaw
+
+
+@cached_njit(error_model="numpy")
+def _simulate_one(
+    x: _Array,
+    p: ModelParameters,
+    u: _Array,
+    motor_hold: _Array,
+    delay: float,
+    dt: float,
+    longest: float,
+    starts: NDArray[np.int64],
+    motion: _Array,
+    mast: _Array,
+    path: _Array,
+    codes: NDArray[np.int64],
+    y: _Array,
+) -> None:
+    n = u.shape[0]
+    work = np.empty((5, STATE_SIZE))
+    calm = np.zeros(3)
+    now, before = np.empty(4), np.empty(4)
+    # Rounding must not make a piece of no length; yet a nanosecond counts, derivatives are taken with it.
+    whole = math.floor(delay / dt + 1e-11)
+    part = max(delay - whole * dt, 0.0)
+    part = 0.0 if part < 1e-13 else part
+    last_yaw, window = 0.0, 0
+    bar = x[BAR_NORMAL].copy()
+    there, slope = np.empty(STATE_SIZE), np.empty(STATE_SIZE)
+    v_n = v_e = 0.0
+    follow = -math.expm1(-dt * p.bar_rate)
+    for k in range(n):
+        if k > 0:
+            for i in range(3):
+                bar[i] += follow * (0.5 * (mast[k - 1, i] + mast[k, i]) - bar[i])
+        if window < starts.shape[0] and starts[window] == k:
+            s = motion[window]
+            for i in range(MO_EULER):
+                x[i] = s[i]
+            _set_attitude(x, s[MO_EULER], s[MO_EULER + 1], s[MO_EULER + 2])
+            x[RS_RATES], x[RS_RATES + 1], x[RS_RATES + 2] = s[MO_RATES], s[MO_RATES + 1], s[MO_RATES + 2]
+            last_yaw = s[MO_EULER + 2]
+            if k == 0:
+                v_n, v_e = x[RS_VEL], x[RS_VEL + 1]
+            elif path.shape[0] > 0:
+                x[RS_VEL], x[RS_VEL + 1] = v_n, v_e
+            if k > 0:
+                length = 1.0 / math.sqrt(bar[0] ** 2 + bar[1] ** 2 + bar[2] ** 2)
+                for i in range(3):
+                    x[RS_BAR + i] = length * bar[i]
+            window += 1
+        for i in range(4):
+            now[i], before[i] = u[max(k - whole, 0), i], u[max(k - whole - 1, 0), i]
+        if motor_hold[0] >= 0.0:
+            now[0] = before[0] = motor_hold[0]
+            now[1] = before[1] = motor_hold[1]
+        last_yaw = _write_outputs(x, before if part > 0.0 else now, p, codes, last_yaw, y[k])
+        if k + 1 == n:
+            return
+        if path.shape[0] > 0:
+            for i in range(STATE_SIZE):
+                there[i] = x[i]
+            there[RS_VEL], there[RS_VEL + 1], there[RS_VEL + 2] = v_n, v_e, path[k, MO_VEL + 2]
+            _set_attitude(there, path[k, MO_EULER], path[k, MO_EULER + 1], path[k, MO_EULER + 2])
+            for i in range(3):
+                there[RS_RATES + i], there[RS_BAR + i] = path[k, MO_RATES + i], bar[i]
+            state_derivative(there, now, calm, p, slope)
+            v_n += dt * slope[RS_VEL]
+            v_e += dt * slope[RS_VEL + 1]
+        if part > 0.0:
+            _integrate_state(x, before, p, part, longest, calm, work)
+        _integrate_state(x, now, p, dt - part, longest, calm, work)
+        # A comparison with NaN is false.
+        turning = abs(x[RS_RATES]) + abs(x[RS_RATES + 1]) + abs(x[RS_RATES + 2])
+        if not (turning < 1e3 and abs(x[RS_VEL + 2]) < 1e4 and x[RS_SPEED_UPPER] + x[RS_SPEED_LOWER] < 1e5):
+            y[k + 1 :, :] = _DIVERGED_OUTPUT
+            return
+
+
+@cached_njit(parallel=True, error_model="numpy")
+def _simulate_parallel(
+    x: _Array,
+    p: NDArray[np.void],
+    u: _Array,
+    motor_hold: _Array,
+    delay: _Array,
+    dt: float,
+    longest: float,
+    starts: NDArray[np.int64],
+    motion: _Array,
+    mast: _Array,
+    path: _Array,
+    codes: NDArray[np.int64],
+    y: _Array,
+) -> None:
+    for b in prange(x.shape[0]):
+        _simulate_one(x[b], p[b], u, motor_hold[b], delay[b], dt, longest, starts, motion[b], mast, path, codes, y[b])
+
+
+@contextmanager
+def run_on_cluster(address: str | None) -> Iterator[None]:
+    """Fly batches on the workers of a dask cluster while this context lasts; on all cores here without an address.
+
+    The numbers are those of a batch flown here. Worth it for the populations of CMA-ES and long records.
+
+    Raises
+    ------
+    MuflyError
+        If the cluster cannot be reached or dask.distributed is not installed.
+    """
+    if address is None:
+        yield
+        return
+    with open_executor(address) as pool:
+        token = _CLUSTER_EXECUTOR.set(pool)
+        try:
+            yield
+        finally:
+            _CLUSTER_EXECUTOR.reset(token)
+
+
+def simulate_batch(
+    state: _Array, p: NDArray[np.void], inputs: _Array, *, sample_s: float, codes: NDArray[np.int64],
+    starts: NDArray[np.int64], motion: _Array, mast: _Array, delay_s: _Array | None = None,
+    motor_hold: _Array | None = None, path: _Array | None = None, longest_step_s: float = MAX_INTEGRATION_STEP_S,
+) -> _Array:  # fmt: skip
+    """Fly ``b`` parameter sets through one record.
+
+    Parameters
+    ----------
+    state : (b, 21) array
+        States at the first sample, see :mod:`mufly.dynamics.model_state`; overwritten.
+    p : (b,) structured array of type ``PARAMETERS``
+    inputs : (n, 4) array
+        Motor upper, motor lower, servo 1, servo 2 at every sample.
+    sample_s : float
+        Time between samples (s).
+    codes : (m,) integer array
+        Outputs, as positions in :data:`mufly.identify.flight_record.FLIGHT_OUTPUTS`.
+    starts : (w,) integer array
+        Samples at which a window begins, rising.
+    motion : (b, w, 12) array
+        Position and velocity N, E, D, roll, pitch, yaw, p, q, r there.
+    mast : (n, 3) array
+        Measured direction of the mast (up) in N-E-D; the bar follows it from one window to the next.
+    delay_s : (b,) array, optional
+        Time that inputs take to reach the vehicle; none by default.
+    motor_hold : (b, 2) array, optional
+        Motor inputs that take the place of the recorded ones where not negative.
+    path : (n, 12) array, optional
+        Measured motion, as in ``motion``, at every sample: horizontal velocity, which is not in it, then follows from
+        it through all windows, and ``motion`` gives it for the first alone.
+    longest_step_s : float
+        Bound on the integration step.
+
+    Returns
+    -------
+    (b, n, m) array
+        Predicted outputs; 1e6 from where a flight has diverged.
+    """
+    pool = _CLUSTER_EXECUTOR.get()
+    if pool is not None and len(state) > 1:
+        one = partial(
+            simulate_batch, inputs=inputs, sample_s=sample_s, codes=codes, starts=starts, mast=mast, path=path,
+            longest_step_s=longest_step_s,
+        )  # fmt: skip
+        jobs = [
+            pool.submit(
+                one, state[k], p[k], motion=motion[k],
+                delay_s=None if delay_s is None else delay_s[k],
+                motor_hold=None if motor_hold is None else motor_hold[k],
+            )
+            for k in (slice(first, first + _SETS_PER_TASK) for first in range(0, len(state), _SETS_PER_TASK))
+        ]  # fmt: skip
+        return np.concatenate([job.result() for job in jobs])
+    b = len(state)
+    out = np.empty((b, len(inputs), len(codes)))
+    delay = np.zeros(b) if delay_s is None else np.ascontiguousarray(delay_s, dtype=np.float64)
+    hold = np.full((b, 2), -1.0) if motor_hold is None else motor_hold
+    way = np.empty((0, 12)) if path is None else path
+    _simulate_parallel(state, p, inputs, hold, delay, sample_s, longest_step_s, starts, motion, mast, way, codes, out)
+    return out
+
+
+def steady_rotor_speeds(p: NDArray[np.void], duty: _Array, volts: float) -> _Array:
+    """Return the rotor speeds (b, 2) at which the motors settle under constant inputs (2,): eq. 4.29 at rest."""
+    gear, out = p["gear_ratio"], np.empty((len(p), 2))
+    for k, side in enumerate(("up", "dw")):
+        square = p[f"torque_{side}"] / (gear**2 * p["gear_efficiency"])
+        linear = p["kM"] * p["kE"] / p["R_ohm"] + p["dR"]
+        drive = np.maximum(p["kM"] * duty[k] * volts / (p["R_ohm"] * gear) - p["Mf"] / gear, 0.0)
+        out[:, k] = 2 * drive / (linear + np.sqrt(linear**2 + 4 * square * drive))
+    return out
+
+
+def solve_hover(p: NDArray[np.void]) -> tuple[_Array, _Array]:
+    """Return hover speeds (b, 2) by eq. 5.1 and the motor inputs that hold them."""
+    speed = hover_speeds(p)
+    gear = p["gear_ratio"][:, None]
+    torque = np.column_stack([p["torque_up"], p["torque_dw"]]) * speed**2
+    current = p["dR"][:, None] * speed + p["Mf"][:, None] / gear
+    current += torque / (gear**2 * p["gear_efficiency"][:, None])
+    current *= gear / p["kM"][:, None]
+    volts = current * p["R_ohm"][:, None] + p["kE"][:, None] * gear * speed
+    return speed, volts / p["battery_curve"][:, -1:]
+
+
+def bar_normal(attitude: _Array, tilt: _Array) -> _Array:
+    """Return upward normals in N-E-D (b, 3) of bars tilted by roll and pitch against the mast."""
+    roll, pitch, yaw = attitude[:, 0] + tilt[:, 0], attitude[:, 1] + tilt[:, 1], attitude[:, 2]
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    return -np.column_stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])

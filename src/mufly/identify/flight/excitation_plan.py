@@ -1,0 +1,641 @@
+"""Which signal shows which parameter, and how well, before anyone flies.
+
+A signal is added to the inputs of the whole model in closed loop (:class:`PilotSupport`). The greatest
+amplitude at which attitude, height, place, heading, rates, motors and servos stay within limits is found by flying a
+ladder of amplitudes, then a finer one; the limit that binds is named. The flight at that amplitude is then a record as
+the fit of :mod:`mufly.identify.flight.output_error_problem` would get it, and its sensitivities give the Fisher
+information
+
+    M = S' N^-1 S,      S = d(outputs)/d(parameters, start values),      N: sensor noise (white, as given)
+
+of the free parameters, the start values taken out (Schur complement). Its inverse is the Cramer-Rao bound: no unbiased
+fit does better (Klein and Morelli, Aircraft System Identification, 2nd ed., ch. 6 and 9; Jategaonkar, ch. 2). Over a
+long flight the bound is absurd: a torque out of balance by a millionth would show in the heading after 10 s, if nothing
+else ever pushed. So place, velocity, attitude and rates count as unknown anew every 2 s, which stands for gusts and
+drifts; a fit on windows of that length (multiple shooting) has just this bound. A wrong model and coloured noise still
+make it worse, by factors that only data can tell. Several flights add their information.
+
+Kinds are compared by the geometric mean of the parameters' relative standard deviations, over those that the record
+sees at all.
+
+**A pilot's support: a simple feedback that holds a hover while a signal is added to the inputs.**
+
+Linear-quadratic state feedback on the sampled linear model of the whole vehicle, with the inputs that are still on
+their way (the loop's delay) as states::
+
+    minimise  sum (x' W_x x + u' W_u u),      W = diag(1 / tolerable deviation^2)        (Bryson's rule)
+
+with the tolerable deviations of ``_STATE_TOLERANCES``: a lazy hold, so that it does not undo the excitation. It is fed
+with the true state; a real one takes rotor speeds and the bar's tilt from an observer. What a plan needs of it are the
+inputs that would be recorded, which depend little on how the hover is held. Own choice; the dissertation (Sec. 5.3.2)
+has a PID whose gains it does not state.
+
+Directions of the motors: with the rotors' speeds W settled, ``W = -A_WW^-1 B_W u``, the motors give the accelerations
+``(dw/dt, dr/dt) = G u``; the columns of ``G^-1`` are the inputs that change the climb alone and the turn alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, expm, solve_discrete_are
+
+from mufly.dynamics import (
+    PARAMETER_DTYPE,
+    Trim,
+    battery_state,
+    body_to_ned_matrix,
+    euler_from_quaternion,
+    find_trim,
+    integrate_state,
+    linearise_vehicle,
+    model_parameters,
+)
+from mufly.dynamics.linearisation import (
+    LX_ATT,
+    LX_BAR_PITCH,
+    LX_BAR_ROLL,
+    LX_CHARGE,
+    LX_POS,
+    LX_RATES,
+    LX_SPEED_LOWER,
+    LX_SPEED_UPPER,
+    LX_TILT_PITCH,
+    LX_TILT_ROLL,
+    LX_VEL,
+)
+from mufly.dynamics.model_state import (
+    ATTITUDE,
+    MOTORS,
+    MOTORS_SWAPPED,
+    POSITION,
+    RATES,
+    RS_ATT,
+    RS_BAR,
+    RS_POS,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    RS_VEL,
+    SERVOS,
+    ModelParameters,
+)
+from mufly.errors import ArgumentError, InputError, MuflyError
+from mufly.identify.fit_result import covariance_from_information, describe_unseen_combinations
+from mufly.identify.flight.excitation_signals import (
+    SIGNAL_KINDS,
+    ExcitationSignal,
+    SignalKind,
+    make_excitation,
+)
+from mufly.identify.flight.free_parameters import FreeParameter, choose_free_parameters
+from mufly.identify.flight.output_error_problem import PART_OUTPUTS, DynamicsPart, make_problem
+from mufly.identify.flight_record import FlightRecord
+from mufly.numba_cache import cached_njit
+from mufly.results import result
+from mufly.vehicle import Vehicle
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class FlightLimits:
+    """How far a flight may go from its hover, and how near inputs may come to their ends.
+
+    Attributes
+    ----------
+    attitude_rad, heading_rad, rates_rad_s : float
+        Roll and pitch; yaw; any body rate.
+    height_m, place_m : float
+        Up and down; across.
+    motor, servo : float
+        Motor inputs stay within ``motor`` to ``1 - motor``; servo inputs within ``1 - servo``.
+    """
+
+    attitude_rad: float = math.radians(20)
+    heading_rad: float = math.radians(90)
+    rates_rad_s: float = 4.0
+    height_m: float = 0.5
+    place_m: float = 1.0
+    motor: float = 0.05
+    servo: float = 0.1
+
+    def limit_usage(self, states: Array, inputs: Array) -> tuple[Array, list[str]]:
+        """Return the share of every limit that flights (b, n, ...) use, (b, limits), and the limits' names."""
+        angle = euler_from_quaternion(states[..., ATTITUDE])
+        heading = np.unwrap(angle[..., 2], axis=1)
+        at = states[..., POSITION] - states[:, :1, POSITION]
+        shares = {
+            "attitude": np.abs(angle[..., :2]).max(axis=(1, 2)) / self.attitude_rad,
+            "heading": np.abs(heading - heading[:, :1]).max(axis=1) / self.heading_rad,
+            "body rates": np.abs(states[..., RATES]).max(axis=(1, 2)) / self.rates_rad_s,
+            "height": np.abs(at[..., 2]).max(axis=1) / self.height_m,
+            "place": np.linalg.norm(at[..., :2], axis=2).max(axis=1) / self.place_m,
+            "motor input": np.abs(inputs[..., MOTORS] - 0.5).max(axis=(1, 2)) / (0.5 - self.motor),
+            "servo input": np.abs(inputs[..., SERVOS]).max(axis=(1, 2)) / (1.0 - self.servo),
+        }
+        table = np.column_stack(list(shares.values()))
+        return np.where(np.isfinite(table), table, np.inf), list(shares)
+
+
+_Floats = NDArray[np.float64]
+
+# Deviations that cost as much as a tenth of full motor input or a third of full servo input.
+_STATE_TOLERANCES = {
+    "x": 1.0, "y": 1.0, "z": 1.0, "u": 1.0, "v": 1.0, "w": 1.5, "phi": 0.25, "theta": 0.25, "psi": 2.0,
+    "p": 2.0, "q": 2.0, "r": 8.0, "a_dw": 10.0, "b_dw": 10.0, "bar_roll": 10.0, "bar_pitch": 10.0,
+    "Omega_dw": 1e4, "Omega_up": 1e4,
+}  # fmt: skip
+_INPUT_TOLERANCES = np.array([0.1, 0.1, 0.3, 0.3])
+_SIMULATION_STEP_S = 1e-3
+_HOVER_HEIGHT_M, _BATTERY_CHARGE = 2.0, 0.7  # where the flight begins and is held; of the battery
+
+
+@dataclass(frozen=True, eq=False)
+class PilotSupport:
+    """A hover and the feedback that holds it.
+
+    Attributes
+    ----------
+    hover : Trim
+    gain : (4, 18 + 4 d) array
+        Inputs (motor upper, motor lower, servo 1, servo 2) to be subtracted, per deviation of the linear model's states
+        but the charge, at the heading of the vehicle, and of the inputs on their way, oldest last.
+    collective, differential : (2,) array
+        Directions of the motor inputs (upper, lower) that change the climb alone and the turn alone, largest part 1.
+    sample_s, delay_s : float
+        Of the loop.
+    """
+
+    hover: Trim
+    feedback_gain: Array
+    collective_direction: Array
+    differential_direction: Array
+    sample_s: float
+    delay_s: float
+
+
+def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: float = 0.02) -> PilotSupport:
+    """Design the feedback for a vehicle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    sample_s, delay_s : float
+        Period of the loop; from measurement to input, whole periods.
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle cannot hover, or cannot be held there.
+    """
+    hover = find_trim(vehicle, charge=_BATTERY_CHARGE)
+    full = linearise_vehicle(vehicle, hover).full
+    names = list(full.state_labels)
+    A, B = full.A, full.B[:, MOTORS_SWAPPED]
+
+    def state_positions(*states: str) -> list[int]:
+        return [names.index(s) for s in states]
+
+    turning = state_positions("Omega_up", "Omega_dw")
+    settled = -np.linalg.solve(A[np.ix_(turning, turning)], B[turning, :2])
+    inverse = np.linalg.inv(
+        A[np.ix_(state_positions("w", "r"), turning)] @ settled + B[np.ix_(state_positions("w", "r"), [0, 1])]
+    )
+    keep = [k for k, name in enumerate(names) if name != "charge"]
+    late = round(delay_s / sample_s)
+    a, b = _discretise_with_delay(A[np.ix_(keep, keep)], B[keep], sample_s, late)
+    weight = np.r_[[1.0 / _STATE_TOLERANCES[names[k]] ** 2 for k in keep], np.full(4 * late, 1e-9)]
+    try:
+        P = solve_discrete_are(a, b, np.diag(weight), np.diag(1.0 / _INPUT_TOLERANCES**2))
+    except (LinAlgError, ValueError) as error:
+        raise MuflyError(f"{vehicle.name}: no feedback holds its hover; excitation cannot be planned for it") from error
+    gain = np.linalg.solve(np.diag(1.0 / _INPUT_TOLERANCES**2) + b.T @ P @ b, b.T @ P @ a)
+    collective, differential = (v / np.max(np.abs(v)) for v in (-inverse[:, 0], inverse[:, 1]))
+    return PilotSupport(hover, gain, collective, differential, sample_s, delay_s)
+
+
+def _discretise_with_delay(A: Array, B: Array, sample_s: float, late: int) -> tuple[Array, Array]:
+    """Return the sampled model with ``late`` inputs on their way as further states, newest first."""
+    n = A.shape[0]
+    step = expm(sample_s * np.block([[A, B], [np.zeros((4, n + 4))]]))
+    if late == 0:
+        return step[:n, :n], step[:n, n:]
+    size = n + 4 * late
+    a, b = np.zeros((size, size)), np.zeros((size, 4))
+    a[:n, :n] = step[:n, :n]
+    a[:n, size - 4 :] = step[:n, n:]
+    a[n + 4 :, n : size - 4] = np.eye(4 * (late - 1))
+    b[n : n + 4] = np.eye(4)
+    return a, b
+
+
+@cached_njit(error_model="numpy")
+def _write_state_deviation(x: _Floats, hover: _Floats, height: float, yaw: float, off: _Floats) -> None:
+    """Write the linear model's states but the charge, as deviations from the hover at the present heading."""
+    a = body_to_ned_matrix(x[ATTITUDE])
+    roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
+    c, s = math.cos(yaw), math.sin(yaw)
+    off[LX_POS] = c * x[RS_POS] + s * x[RS_POS + 1]
+    off[LX_POS + 1] = c * x[RS_POS + 1] - s * x[RS_POS]
+    off[LX_POS + 2] = x[RS_POS + 2] + height
+    for k in range(3):
+        off[LX_VEL + k] = a[0, k] * x[RS_VEL] + a[1, k] * x[RS_VEL + 1] + a[2, k] * x[RS_VEL + 2]
+        off[LX_RATES + k] = x[RS_RATES + k]
+    off[LX_ATT], off[LX_ATT + 1], off[LX_ATT + 2] = roll, pitch, yaw
+    off[LX_TILT_PITCH] = -x[RS_SWASH_PITCH] + hover[RS_SWASH_PITCH]
+    off[LX_TILT_ROLL] = x[RS_SWASH_ROLL] - hover[RS_SWASH_ROLL]
+    off[LX_BAR_ROLL] = math.asin(min(max(c * x[RS_BAR + 1] - s * x[RS_BAR], -1.0), 1.0))
+    off[LX_BAR_PITCH] = math.atan2(-(c * x[RS_BAR] + s * x[RS_BAR + 1]), -x[RS_BAR + 2])
+    off[LX_SPEED_LOWER] = x[RS_SPEED_LOWER] - hover[RS_SPEED_LOWER]
+    off[LX_SPEED_UPPER] = x[RS_SPEED_UPPER] - hover[RS_SPEED_UPPER]
+
+
+@cached_njit(error_model="numpy")
+def _fly_closed_loop(
+    x: _Floats,
+    hover: _Floats,
+    trimmed: _Floats,
+    gain: _Floats,
+    added: _Floats,
+    p: ModelParameters,
+    late: int,
+    dt: float,
+    steps: int,
+    height: float,
+    states: _Floats,
+    inputs: _Floats,
+    voltage: _Floats,
+) -> None:
+    n, calm, off, yaw = added.shape[0], np.zeros(3), np.zeros(gain.shape[1]), 0.0
+    for k in range(n):
+        states[k] = x
+        qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+        heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+        yaw = heading + 2 * math.pi * round((yaw - heading) / (2 * math.pi))
+        _write_state_deviation(x, hover, height, yaw, off)
+        for j in range(late):
+            for i in range(4):
+                off[LX_CHARGE + 4 * j + i] = inputs[k - 1 - j, i] - trimmed[i] if k > j else 0.0
+        for i in range(4):
+            u = trimmed[i] + added[k, i]
+            for m in range(off.shape[0]):
+                u -= gain[i, m] * off[m]
+            inputs[k, i] = min(max(u, 0.0 if i < 2 else -1.0), 1.0)
+        now = inputs[k - late] if k >= late else trimmed
+        voltage[k] = battery_state(x, now[0], now[1], p)[0]
+        integrate_state(x, now, calm, p, dt, steps)
+
+
+@cached_njit(parallel=True, error_model="numpy")
+def _fly_batch_closed_loop(
+    x: _Floats,
+    hover: _Floats,
+    trimmed: _Floats,
+    gain: _Floats,
+    added: _Floats,
+    p: NDArray[np.void],
+    late: int,
+    dt: float,
+    steps: int,
+    height: float,
+    states: _Floats,
+    inputs: _Floats,
+    voltage: _Floats,
+) -> None:
+    for b in prange(x.shape[0]):
+        one = states[b], inputs[b], voltage[b]
+        _fly_closed_loop(x[b], hover, trimmed, gain, added[b], p[b], late, dt, steps, height, *one)
+
+
+def fly_supported(
+    vehicle: Vehicle, support: PilotSupport, added: Array
+) -> tuple[_Floats, _Floats, _Floats]:  # fmt: skip
+    """Fly the whole model in closed loop, one flight for each signal.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    support : Support
+    added : (b, n, 4) array
+        Added to motor upper, motor lower, servo 1, servo 2.
+
+    Returns
+    -------
+    states : (b, n, 21) array
+    inputs : (b, n, 4) array
+        As commanded, limited to what the actuators take.
+    voltage : (b, n) array
+        Of the battery (V).
+    """
+    b, n, _ = added.shape
+    x = np.repeat(support.hover.state[None], b, axis=0)
+    x[:, 2] = -_HOVER_HEIGHT_M
+    states, inputs, voltage = np.empty((b, n, x.shape[1])), np.empty((b, n, 4)), np.empty((b, n))
+    p = np.full(b, np.array(model_parameters(vehicle), dtype=PARAMETER_DTYPE))
+    late, steps = round(support.delay_s / support.sample_s), round(support.sample_s / _SIMULATION_STEP_S)
+    _fly_batch_closed_loop(
+        x,
+        support.hover.state,
+        support.hover.input,
+        support.feedback_gain,
+        np.ascontiguousarray(added),
+        p,
+        late,
+        _SIMULATION_STEP_S,
+        steps,
+        _HOVER_HEIGHT_M,
+        states,
+        inputs,
+        voltage,
+    )
+    return states, inputs, voltage
+
+
+CONTROL_CHANNELS = ("yaw", "heave", "roll", "pitch")
+# Standard deviations of ordinary small sensors: ultrasonic height (m), attitude (rad), gyros (rad/s).
+SENSOR_NOISE_STD = {"height": 0.01, "roll": 0.01, "pitch": 0.01, "yaw": 0.02, "p": 0.03, "q": 0.03, "r": 0.03}
+_PART_BY_CHANNEL: dict[str, DynamicsPart] = dict(
+    zip(CONTROL_CHANNELS, 2 * ("heave-yaw",) + 2 * ("roll-pitch",), strict=True)
+)
+_AMPLITUDE_TRIALS = 14
+_UNSEEN_RELATIVE_STD = 100.0  # relative standard deviation from which a parameter is not seen at all
+_MAX_AMPLITUDE, _MIN_AMPLITUDE = 1.0, 1e-3  # of the inputs' range
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitationCandidate:
+    """One kind of signal at its greatest safe amplitude.
+
+    Attributes
+    ----------
+    channel : str
+    signal : Excitation
+    amplitude : float
+        Largest addition to an input (motors 0..1, servos -1..1).
+    bound_by : str
+        Which limit, or ``"as asked"``.
+    share : float
+        Of the limit that is nearest.
+    added : (n, 4) array
+        Added to motor upper, motor lower, servo 1, servo 2.
+    record : Record
+        As the flight would be logged, without noise.
+    information : (p, p) array
+        Of the free parameters, relative (of ``ln value``).
+    relative_std : (p,) array
+        Standard deviation over value; infinite where nothing is seen.
+    figure : float
+        Geometric mean of the standard deviations of what is seen.
+    """
+
+    channel: str
+    signal: ExcitationSignal
+    amplitude: float
+    binding_limit: str
+    limit_share: float
+    added_inputs: Array
+    record: FlightRecord
+    fisher_information: Array
+    relative_std: Array
+    geometric_mean_std: float
+
+
+@result(eq=False, picture="mufly.identify.fit_pictures:plan_picture")
+class ExcitationPlan:
+    """Candidates for one channel, best first.
+
+    Attributes
+    ----------
+    vehicle : str
+    channel : str
+    free : tuple of Free
+    band_rad_s : (float, float)
+    modes_rad_s : (k,) array
+        Natural frequencies of the channel's dynamics.
+    limits : Limits
+    noise : dict of str to float
+        Outputs that are measured and their standard deviations.
+    candidates : tuple of Candidate
+    support : Support
+    """
+
+    vehicle: str
+    channel: str
+    free: tuple[FreeParameter, ...]
+    band_rad_s: tuple[float, float]
+    modes_rad_s: Array
+    limits: FlightLimits
+    noise: dict[str, float]
+    candidates: tuple[ExcitationCandidate, ...]
+    support: PilotSupport
+
+    @property
+    def best_candidate(self) -> ExcitationCandidate:
+        """The candidate with the least geometric mean."""
+        return self.candidates[0]
+
+
+def design_excitation(
+    vehicle: Vehicle,
+    symbols: Sequence[str],
+    channel: str,
+    *,
+    kinds: Sequence[SignalKind] = SIGNAL_KINDS,
+    duration_s: float = 10.0,
+    amplitude: float | None = None,
+    band_rad_s: tuple[float, float] | None = None,
+    limits: FlightLimits | None = None,
+    noise: dict[str, float] | None = None,
+    sample_s: float = 0.01,
+    delay_s: float = 0.02,
+    window_s: float | None = 2.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> ExcitationPlan:
+    """Design an excitation of one channel.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        As far as it is known.
+    symbols : sequence of str
+        Parameters that are to be identified, as ``mufly vehicle show`` prints them.
+    channel : {"yaw", "heave", "roll", "pitch"}
+        Motors against each other, motors together, servo 2, servo 1.
+    kinds : sequence of str
+        Signals to compare.
+    duration_s, sample_s, delay_s : float
+        Of the flight, of the log, from command to input.
+    amplitude : float, optional
+        Wanted addition to the inputs; lowered if it is not safe.
+    band_rad_s : (float, float), optional
+        Frequencies; by default from a third of the channel's slowest to three times its fastest mode.
+    limits : Limits, optional
+    noise : dict, optional
+        Standard deviations of the outputs that are measured (names of
+        :data:`mufly.identify.flight_record.FLIGHT_OUTPUTS`).
+    window_s : float, optional
+        The motion is taken as unknown anew every so often (s); None: only at the start of the flight.
+    progress : callable, optional
+        Called with steps done and all steps.
+
+    Raises
+    ------
+    InputError
+        For an unknown channel or symbol, or when not even the least signal is safe.
+    """
+    if channel not in CONTROL_CHANNELS:
+        raise ArgumentError("channel", "", f"{channel!r} is unknown", f"use one of: {', '.join(CONTROL_CHANNELS)}")
+    limits, noise = limits or FlightLimits(), dict(noise or SENSOR_NOISE_STD)
+    part = _PART_BY_CHANNEL[channel]
+    outputs = [o for o in PART_OUTPUTS[part] if o in noise]
+    if not outputs:
+        have = ", ".join(PART_OUTPUTS[part])
+        raise ArgumentError("noise", ",".join(noise), f"nothing of {channel} is measured", f"add one of {have}")
+    free = choose_free_parameters(vehicle, symbols, outputs)
+    support = design_pilot_support(vehicle, sample_s=sample_s, delay_s=delay_s)
+    modes = _natural_frequencies(vehicle, support, part, sample_s)
+    band = band_rad_s or _excitation_band(modes, duration_s, sample_s)
+    direction = {
+        "yaw": np.r_[support.differential_direction, 0.0, 0.0], "heave": np.r_[support.collective_direction, 0.0, 0.0],
+        "roll": np.array([0.0, 0.0, 0.0, 1.0]), "pitch": np.array([0.0, 0.0, 1.0, 0.0]),
+    }[channel]  # fmt: skip
+    signals = [make_excitation(k, duration_s=duration_s, sample_s=sample_s, band_rad_s=band) for k in kinds]
+    found = []
+    total = 3 * len(signals)
+    for i, signal in enumerate(signals):
+        shape = signal.value[:, None] * direction
+
+        def report_progress(step: int, i: int = i) -> None:
+            if progress is not None:
+                progress(3 * i + step, total)
+
+        size, bound_by, share = _max_safe_amplitude(vehicle, support, shape, amplitude, limits, report_progress)
+        states, inputs, voltage = fly_supported(vehicle, support, size * shape[None])
+        record = _record_from_states(
+            states[0], inputs[0], voltage[0], signal.time_s, outputs, f"{channel} {signal.kind}"
+        )
+        information = _fisher_information(vehicle, free, record, part, noise, delay_s, window_s)
+        std, figure = _relative_std_and_mean(information)
+        found.append(
+            ExcitationCandidate(channel, signal, size, bound_by, share, size * shape, record, information, std, figure)
+        )
+        report_progress(3)
+    found.sort(key=lambda c: (int(np.sum(~np.isfinite(c.relative_std))), c.geometric_mean_std))
+    return ExcitationPlan(vehicle.name, channel, free, band, modes, limits, noise, tuple(found), support)
+
+
+def combined_information(
+    plans: Sequence[ExcitationPlan], candidates: Sequence[ExcitationCandidate]
+) -> tuple[Array, tuple[str, ...]]:
+    """Return what flights tell together: relative standard deviations (p,), and what they do not, in words."""
+    information = np.sum([c.fisher_information for c in candidates], axis=0)
+    unseen = describe_unseen_combinations([f.symbol for f in plans[0].free], covariance_from_information(information))
+    return _relative_std_and_mean(information)[0], unseen
+
+
+def _natural_frequencies(vehicle: Vehicle, support: PilotSupport, part: DynamicsPart, sample_s: float) -> Array:
+    """Return the natural frequencies (rad/s) that a log at this rate can show."""
+    linear = linearise_vehicle(vehicle, support.hover)
+    system = linear.heave_yaw if part == "heave-yaw" else linear.roll_pitch
+    size = np.abs(np.linalg.eigvals(system.A))
+    return np.unique(np.round(size[(size > 1e-2) & (size < 0.3 * math.pi / sample_s)], 6))
+
+
+def _excitation_band(modes: Array, duration_s: float, sample_s: float) -> tuple[float, float]:
+    slow, fast = (modes.min(), modes.max()) if modes.size else (2.0, 10.0)
+    low = max(slow / 3.0, 2.2 * math.pi / duration_s)
+    return low, float(min(max(3.0 * fast, 3.0 * low), 0.2 * math.pi / sample_s))
+
+
+def _max_safe_amplitude(
+    vehicle: Vehicle,
+    support: PilotSupport,
+    shape: Array,
+    wanted: float | None,
+    limits: FlightLimits,
+    tick: Callable[[int], None],
+) -> tuple[float, str, float]:
+    """Return the greatest safe amplitude, the limit that binds and the share of the nearest limit that is used."""
+    top = _MAX_AMPLITUDE if wanted is None else wanted
+    if not (math.isfinite(top) and 0 < top <= _MAX_AMPLITUDE):
+        raise ArgumentError("amplitude", "", f"{top:g} is not possible", "give a share of the inputs' range, up to 1")
+    low, high, low_share, binding = 0.0, top, math.inf, "as asked"
+    ladder = np.geomspace(min(_MIN_AMPLITUDE, top), top, _AMPLITUDE_TRIALS)
+    for step in (1, 2):
+        states, inputs, _ = fly_supported(vehicle, support, ladder[:, None, None] * shape[None])
+        shares, names = limits.limit_usage(states, inputs)
+        safe = np.all(shares <= 1.0, axis=1)
+        tick(step)
+        if safe.all():
+            return float(ladder[-1]), "as asked" if step == 1 else binding, float(shares[-1].max())
+        first = int(np.argmin(safe))
+        binding = names[int(np.argmax(shares[first]))]
+        if first == 0:
+            if step == 1:
+                least = f"is passed by the least signal ({100 * ladder[0]:.2g} % of range)"
+                raise InputError(vehicle.name, f"limit on {binding}", least, "widen it, or lighten the vehicle")
+            break
+        low, low_share, high = float(ladder[first - 1]), float(shares[first - 1].max()), float(ladder[first])
+        ladder = np.linspace(low, high, _AMPLITUDE_TRIALS)[1:-1]
+    return low, binding, low_share
+
+
+def _record_from_states(
+    states: _Floats, inputs: _Floats, voltage: _Floats, time: _Floats, outputs: Sequence[str], name: str
+) -> FlightRecord:
+    angle = euler_from_quaternion(states[:, ATTITUDE])
+    table = {
+        "north": states[:, RS_POS], "east": states[:, RS_POS + 1], "height": -states[:, RS_POS + 2],
+        "v_north": states[:, RS_VEL], "v_east": states[:, RS_VEL + 1], "climb": -states[:, RS_VEL + 2],
+        "roll": angle[:, 0], "pitch": angle[:, 1], "yaw": np.unwrap(angle[:, 2]),
+        "p": states[:, RS_RATES], "q": states[:, RS_RATES + 1], "r": states[:, RS_RATES + 2],
+        "speed_up": states[:, RS_SPEED_UPPER], "speed_dw": states[:, RS_SPEED_LOWER], "voltage": voltage,
+    }  # fmt: skip
+    return FlightRecord(name, time, inputs, tuple(outputs), np.column_stack([table[o] for o in outputs]), voltage)
+
+
+def _fisher_information(
+    vehicle: Vehicle,
+    free: Sequence[FreeParameter],
+    record: FlightRecord,
+    part: DynamicsPart,
+    noise: dict[str, float],
+    delay_s: float,
+    window_s: float | None,
+) -> Array:
+    """Return the Fisher information of ``theta`` (p, p) with the start values of every window taken out."""
+    problem = make_problem(vehicle, free, [record], part=part, delay_s=delay_s, prior=False)
+    problem = problem.with_noise([np.array([noise[o] for o in problem.records[0].outputs])]).with_windows(window_s)
+    linear = problem.linearise_record(0, np.zeros(len(free)), problem.zero_initial_states()[0])
+    # The spread of the start values is wide; it only keeps unseen ones from making the matrix singular.
+    wide = np.diag(1.0 / problem.initial_state_std(0) ** 2)
+    information = np.zeros((len(free), len(free)))
+    for one in np.split(np.arange(len(record.time_s)), problem.window_starts[0][1:]):
+        theta = linear.theta_jacobian[one].reshape(-1, len(free))
+        start = linear.state_jacobian[one].reshape(theta.shape[0], -1)
+        across = theta.T @ start
+        information += theta.T @ theta - across @ np.linalg.solve(start.T @ start + wide, across.T)
+    return information
+
+
+def _relative_std_and_mean(information: Array) -> tuple[Array, float]:
+    """Return relative standard deviations (p,), infinite where nothing is seen, and their geometric mean."""
+    std = np.full(len(information), np.inf)
+    some = np.diag(information) > 0
+    size = np.sqrt(np.diag(information)[some])
+    if not size.size:
+        return std, math.inf
+    values, vectors = np.linalg.eigh(information[np.ix_(some, some)] / np.outer(size, size))
+    std[some] = np.sqrt(np.diag((vectors / np.maximum(values, 1e-13)) @ vectors.T)) / size
+    std[std > _UNSEEN_RELATIVE_STD] = np.inf
+    seen = np.isfinite(std)
+    return std, float(np.exp(np.mean(np.log(std[seen])))) if seen.any() else math.inf

@@ -1,0 +1,253 @@
+"""What may be free in a fit of flights, what is held and in how much doubt, and what either does to the equations.
+
+Every number of the equations is a product of powers of vehicle parameters (``thrust_up = cT_up pi rho R^4``), so a
+batch of parameter sets is made from one record of :data:`mufly.dynamics.PARAMETER_DTYPE` by multiplying its fields;
+the powers are found by changing each free parameter once and looking at what
+:func:`mufly.dynamics.model_parameters` makes of it. Vehicle parameters are fitted as ``theta = ln(value / start)``,
+which keeps their signs and makes a factor of two the same step for each; delays and biases, which may be zero, as
+``theta = (value - start) / scale``.
+
+Provenance says how far the data may pull a parameter: the standard deviation of its prior (of ``ln value``) and the
+factor that bounds it. Priors are wide on purpose: they decide only where the data do not. What is held is in doubt
+too (:func:`list_held_parameters`): who holds a number believes it, to the ``std`` that the vehicle file states, or else
+to the third number of its provenance, which for "identified" and "estimated" is narrower than the prior.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from mufly.dynamics import PARAMETER_DTYPE, model_parameters
+from mufly.errors import ArgumentError, InputError, suggest_name
+from mufly.identify.flight_record import OUTPUT_UNITS
+from mufly.vehicle import Vehicle, list_parameters, replace_parameters
+
+_Array = NDArray[np.float64]
+
+# source -> (standard deviation of the prior of ln(value), factor to either bound) of what is free, and the standard
+# deviation of ln(value) of what is held, where the vehicle file states none
+PROVENANCE_DOUBT: dict[str, tuple[float, float, float]] = {
+    "measured": (0.02, 1.2, 0.02),
+    "specified": (0.02, 1.2, 0.02),
+    "datasheet": (0.10, 1.5, 0.10),
+    "CAD": (0.15, 2.0, 0.15),
+    "identified": (0.50, 4.0, 0.05),
+    "estimated": (1.00, 6.0, 0.20),
+}
+# Parameters that act on heave and yaw only, and on roll and pitch only (thesis Sec. 5.3.3).
+HEAVE_YAW_SYMBOLS = ("cT_up", "cT_dw", "cQ_up", "cQ_dw", "Jdrive_up", "Jdrive_dw", "Jrot_up", "Jrot_dw", "Izz", "Whub",
+             "cDAz", "m", "kE", "kM", "dR", "Mf", "Rohm", "igear", "eta_gear", "Ubat", "Rbat", "C", "Iel")  # fmt: skip
+ROLL_PITCH_SYMBOLS = ("Ixx", "Iyy", "z_up", "z_dw", "Tf_up", "Tf_dw", "l_up", "l_dw", "theta_SP_max", "cH", "cDAx",
+              "cDAy")  # fmt: skip
+# Groups of the vehicle file that the equations of a flight off the floor may depend on.
+_FLIGHT_GROUPS = ("body", "air", "rotors", "swash_plate", "stabiliser_bar", "motor", "gear", "battery")
+_MAX_DELAY_S = 0.2  # s
+_BIAS_BOUNDS = {"m": 1.0, "m/s": 1.0, "rad": 0.3, "rad/s": 0.5, "V": 1.0}  # bound; a tenth of it is the prior
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter that a fit may change.
+
+    Attributes
+    ----------
+    symbol, key, unit : str
+        As in :class:`mufly.identify.ParameterEstimate`.
+    start : float
+        SI value where the fit starts, and the prior's centre.
+    scale : float
+        0: fitted as ``ln(value / start)``; otherwise as ``(value - start) / scale``.
+    low, high : float
+        Bounds of ``value_to_theta``.
+    prior_std : float
+        Of ``value_to_theta``.
+    source : str
+        Provenance of the start.
+    """
+
+    symbol: str
+    key: str
+    unit: str
+    start_value: float
+    scale: float
+    theta_low: float
+    theta_high: float
+    prior_std: float
+    provenance: str
+
+    def theta_to_value(self, theta: float) -> float:
+        """Return the SI value at ``value_to_theta``."""
+        return self.start_value * math.exp(theta) if self.scale == 0.0 else self.start_value + self.scale * theta
+
+    def value_to_theta(self, value: float) -> float:
+        """Return ``value_to_theta`` at an SI value."""
+        return math.log(value / self.start_value) if self.scale == 0.0 else (value - self.start_value) / self.scale
+
+
+def choose_free_parameters(
+    vehicle: Vehicle, symbols: Sequence[str], outputs: Sequence[str], *, delay_s: float = 0.0
+) -> tuple[FreeParameter, ...]:
+    """Make free parameters of symbols.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Start values, and provenance for priors and bounds.
+    symbols : sequence of str
+        As ``mufly vehicle show`` prints them; besides these ``"delay"`` (time from the recorded input to the
+        vehicle), and ``"bias_p"`` and so on for any measured output.
+    outputs : sequence of str
+        What is measured.
+    delay_s : float
+        Start of the delay (s).
+
+    Raises
+    ------
+    InputError
+        For an unknown symbol (with suggestions), one named twice, or one that starts at zero; for a vehicle whose
+        rotor coefficients come from a map, which no parameter moves.
+    """
+    if vehicle.rotors.coefficient_map is not None:
+        raise InputError(
+            vehicle.name, "rotors.coefficient_map", "stands in for the coefficients that a fit moves",
+            "take it out of the vehicle file, fit, and put it back",
+        )  # fmt: skip
+    if not symbols:
+        raise ArgumentError("symbols", "", "no parameter is free", "name some, as in symbols=cT_dw,Izz")
+    rows = {r.symbol: r for r in list_parameters(vehicle)}
+    limits = _schema_limits(vehicle)
+    chosen: list[FreeParameter] = []
+    for symbol in symbols:
+        if any(f.symbol == symbol for f in chosen):
+            raise ArgumentError("symbols", symbol, "is named twice", "name it once")
+        if symbol == "delay":
+            top = (_MAX_DELAY_S - delay_s) / 0.01
+            chosen.append(FreeParameter("delay", "", "s", delay_s, 0.01, -delay_s / 0.01, top, 10.0, "estimated"))
+            continue
+        if symbol.startswith("bias_"):
+            name = symbol.removeprefix("bias_")
+            if name not in outputs:
+                remedy = f"use a measured output: {', '.join(f'bias_{o}' for o in outputs)}"
+                raise ArgumentError("symbols", symbol, "is the bias of nothing that is measured", remedy)
+            scale = 0.1 * _BIAS_BOUNDS[OUTPUT_UNITS[name]]
+            chosen.append(FreeParameter(symbol, "", OUTPUT_UNITS[name], 0.0, scale, -10.0, 10.0, 1.0, "estimated"))
+            continue
+        row = rows.get(symbol)
+        if row is None or not isinstance(row.value, float):
+            known = [s for s, r in rows.items() if isinstance(r.value, float)]
+            remedy = suggest_name(symbol, [*known, "delay"], "use symbols of `mufly vehicle show`")
+            raise ArgumentError("symbols", symbol, "is no parameter of a vehicle that can be fitted", remedy)
+        if row.value == 0.0:
+            raise InputError(vehicle.name, row.key, "starts at 0", "give a start of the right size")
+        std, factor, _ = PROVENANCE_DOUBT[row.source]
+        low, high = -math.log(factor), math.log(factor)
+        for limit in limits.get(row.key, ()):
+            t = math.log(limit / row.value) if limit / row.value > 0 else math.inf
+            low, high = (max(low, t), high) if t <= 0 else (low, min(high, t))
+        chosen.append(FreeParameter(symbol, row.key, row.unit, row.value, 0.0, low, high, std, row.source))
+    return tuple(chosen)
+
+
+def list_held_parameters(
+    vehicle: Vehicle, free: Sequence[FreeParameter], delay_s: float, voltage: float | None
+) -> tuple[FreeParameter, ...]:
+    """Return what acts on the flight and is not free; ``prior_std`` says in how much doubt it is.
+
+    Scalars of the vehicle file that the equations depend on (not the contact with the floor, nor curves), and the
+    delay, which counts as estimated.
+    """
+    chosen, found = {f.symbol for f in free}, []
+    for row in list_parameters(vehicle):
+        if row.symbol in chosen or not isinstance(row.value, float) or row.value == 0.0:
+            continue
+        if row.key.partition(".")[0] not in _FLIGHT_GROUPS:
+            continue
+        doubt = PROVENANCE_DOUBT[row.source][2] if row.std is None else row.std / abs(row.value)
+        one = FreeParameter(row.symbol, row.key, row.unit, row.value, 0.0, -np.inf, np.inf, doubt, row.source)
+        if doubt > 0.0 and log_scaled_parameters(vehicle, [one], voltage)[1]:
+            found.append(one)
+    if "delay" not in chosen and delay_s > 0.0:
+        doubt = PROVENANCE_DOUBT["estimated"][2] * delay_s / 0.01
+        found.append(FreeParameter("delay", "", "s", delay_s, 0.01, -np.inf, np.inf, doubt, "estimated"))
+    return tuple(found)
+
+
+def theta_to_values(free: Sequence[FreeParameter], theta: _Array) -> _Array:
+    """Return SI values (..., n) at ``value_to_theta`` (..., n)."""
+    log = np.array([f.scale == 0.0 for f in free])
+    start, scale = np.array([f.start_value for f in free]), np.array([f.scale for f in free])
+    t = np.asarray(theta, dtype=np.float64)
+    return np.where(log, start * np.exp(np.where(log, t, 0.0)), start + scale * t)
+
+
+def log_scaled_parameters(
+    vehicle: Vehicle, free: Sequence[FreeParameter], voltage: float | None
+) -> tuple[NDArray[np.void], dict[str, _Array]]:
+    """Return what :func:`parameters_at_theta` multiplies: the start's record, and the power of each free parameter.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    free : sequence of Free
+    voltage : float or None
+        Constant battery voltage (V), or None for the vehicle's own battery model.
+
+    Returns
+    -------
+    base : () structured array of type ``PARAMETER_DTYPE``
+        Without a floor: flights that are identified do not touch it.
+    powers : dict of str to (n,) array
+        Field of the record -> exponent of every free parameter, 0 for those that do not touch it.
+    """
+    base = np.array(model_parameters(vehicle, voltage), dtype=PARAMETER_DTYPE)
+    powers: dict[str, _Array] = {}
+    for j, f in enumerate(free):
+        if not f.key:
+            continue
+        changed, factor = _perturb_parameter(vehicle, f, voltage)
+        for name in PARAMETER_DTYPE.names or ():
+            if name in ("contact_points", "contact_count", "contact_reach", "friction_bound"):
+                continue
+            old, new = float(np.ravel(base[name])[-1]), float(np.ravel(changed[name])[-1])
+            if old != new:
+                powers.setdefault(name, np.zeros(len(free)))[j] = round(math.log(new / old) / math.log(factor), 9)
+    base["contact_reach"] = -1e9
+    base["ground_effect"] = 0.0
+    return base, powers
+
+
+def _perturb_parameter(vehicle: Vehicle, f: FreeParameter, voltage: float | None) -> tuple[Any, float]:
+    """Return the equations' numbers with one parameter changed a little, to a side that is possible; the factor."""
+    try:
+        return model_parameters(replace_parameters(vehicle, {f.key: 0.999 * f.start_value}), voltage), 0.999
+    except InputError:  # two parameters may bound each other
+        return model_parameters(replace_parameters(vehicle, {f.key: 1.001 * f.start_value}), voltage), 1.001
+
+
+def parameters_at_theta(base: NDArray[np.void], powers: dict[str, _Array], theta: _Array) -> NDArray[np.void]:
+    """Return the records (b,) of type ``PARAMETER_DTYPE`` for ``value_to_theta`` (b, n) of log-scaled parameters."""
+    p = np.full(len(theta), base, dtype=PARAMETER_DTYPE)
+    for name, exponent in powers.items():
+        factor = np.exp(theta @ exponent)
+        p[name] = p[name] * (factor if p[name].ndim == 1 else factor[:, None])
+    return p
+
+
+def _schema_limits(vehicle: BaseModel, prefix: str = "") -> dict[str, list[float]]:
+    """Return the limits that the schema sets, other than zero, by dotted key."""
+    found: dict[str, list[float]] = {}
+    for name, spec in type(vehicle).model_fields.items():
+        value, extra = getattr(vehicle, name), spec.json_schema_extra
+        if isinstance(extra, dict) and "unit" in extra:
+            bounds = [extra.get(k) for k in ("above", "at_least", "below", "at_most")]
+            found[prefix + name] = [float(b) for b in bounds if isinstance(b, int | float) and b != 0]
+        elif isinstance(value, BaseModel):
+            found.update(_schema_limits(value, f"{prefix}{name}."))
+    return found

@@ -1,0 +1,450 @@
+"""Does a record agree with the vehicle that it is said to be of? Thrust, polarity of the inputs, frames.
+
+A record may agree with itself and still be wrong: inputs turned round or exchanged, all axes forward-left-up, a height
+in centimetres whose climb nobody measured. What inputs do tells these. The vehicle's own numbers, driven by the
+recorded inputs, say what every input alone would make of the accelerations (eqs 4.5 to 4.16; :mod:`mufly.dynamics`):
+
+    height'' = (T_up + T_dw - W) / m  cos(roll) cos(pitch) - g                 rotors by motors and voltage
+    r'       = [Q_up + J Omega_up' - Q_dw - J Omega_dw'] / Izz                   upper rotor: nose to the right
+    p'       = -z_dw T_dw sin(theta_max l_dw servo_2) / Ixx                    positive servo_2: to the right
+    q'       =  z_dw T_dw sin(theta_max l_dw servo_1) / Iyy                    positive servo_1: nose down
+    north'', east'' = -(T_up + T_dw) / m times the mast's direction            tilt accelerates the way it leans
+
+Changes of the smoothed rates over 0.2 s (of the climb over 0.5 s) are regressed on these (and on the stabiliser bar,
+whose tilt follows from the measured attitude), behind the lag that fits best. The gain should be 1; with parameters not
+yet identified it is of the order of 1. Its deviation counts the residual's colour
+(:func:`mufly.identify.fit_result.coloured_covariance`). A sign is only believed where the input explains half of what
+was measured and the other sign, at any lag, explains less than half as much or leaves four times as much (an
+oscillation is its own negative half a period later): a record that moves one axis says nothing of the others. A loop
+that answers gusts draws gains towards zero, because an input that cancels a disturbance leaves no trace of it, but does
+not turn their sign: a loop that is stable acts against what it sees.
+
+Frames. With body axes forward, left, up (FLU; ROS REP 103) q, r, pitch and yaw have the other sign, which kinematics
+cannot tell; servo_1 and the motors' torque can. A world with z up turns the height, which thrust tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace as dataclasses_replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics.model_state import (
+    MOTORS,
+    MOTORS_SWAPPED,
+    ROTOR_SPEEDS,
+    RS_ATT,
+    RS_BAR,
+    SERVOS,
+    STATE_SIZE,
+)
+from mufly.identify.fit_result import coloured_covariance
+from mufly.identify.flight.batch_simulation import simulate_batch, steady_rotor_speeds
+from mufly.identify.flight.free_parameters import parameters_at_theta
+from mufly.identify.flight.output_error_problem import PreparedRecord, make_problem
+from mufly.identify.flight_record import (
+    FLIGHT_OUTPUTS,
+    MO_EULER,
+    MO_RATES,
+    MO_VEL,
+    FlightRecord,
+    estimate_difference_noise,
+)
+from mufly.identify.linear.flight_path_reconstruction import body_to_ned_rotation
+from mufly.identify.record_consistency import (
+    SignalFault,
+    check_record,
+    find_signal_faults,
+    moving_average,
+    refuse_fatal_faults,
+)
+from mufly.units import GRAVITY
+from mufly.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+_ROTOR_SETTLING_S = 1.0  # in which the rotors forget a start that was guessed
+_AVERAGING_SPAN_S, _HEAVE_AVERAGING_SPAN_S, _MAX_LAG_S, _LAG_STEP_S = (
+    0.2,
+    0.5,
+    0.16,
+    0.02,
+)  # of changes; lags of the inputs that are tried
+_MIN_SIGNIFICANCE, _MIN_EXPLAINED_SHARE, _MIN_GAIN = (
+    5.0,
+    0.5,
+    0.25,
+)  # deviations, share of the power, size of a gain from which it counts
+_MIN_RIVAL_RESIDUAL_RATIO = 4.0  # times as much is left by the other sign, where it explains something as well
+_MAX_METRE_GAIN = 10.0  # a gain of heave below is a height in metres, above in something smaller
+_MAX_HEIGHT_NOISE_M = 0.2  # m; noise or resolution that no sensor of height has
+_THRUST_TO_WEIGHT_RANGE = (0.2, 5.0)  # thrust over weight, on average, that parameters may be off by
+_VOLTAGE_RATIO_RANGE = (0.4, 1.8)  # of the battery's nominal voltage
+
+
+@dataclass(frozen=True)
+class InputGain:
+    """How an acceleration follows what the model makes of an input: 1 as it should, -1 turned round.
+
+    Attributes
+    ----------
+    value, std : float
+    cross, cross_std : float
+        Of the other servo, or the other horizontal axis; 0 where there is none.
+    sign : int
+        1 or -1 where the record tells it, else 0; of ``cross_gain`` where that is all that counts.
+    exchanged : bool
+        Whether ``cross_gain`` is all that counts.
+    """
+
+    value: float
+    std: float
+    cross_gain: float = 0.0
+    cross_std: float = 0.0
+    sign: int = 0
+    is_exchanged: bool = False
+
+
+def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, InputGain], float]:
+    """Return what every input does, by what it acts on, and the mean thrust over the weight, as the model says.
+
+    Keys are ``heave``, ``yaw``, ``roll``, ``pitch``, ``north``, ``east``, as far as the record holds what they need.
+    """
+    problem = make_problem(
+        vehicle, (), [r.select_outputs([o for o in r.outputs if o != "voltage"])], voltage="measured"
+    )
+    f, dt, has = problem.prepared_records[0], r.sample_s, set(r.outputs)
+    p, thrust, torque = _simulate_rotors(f, dt)
+    span, m = max(1, round(_AVERAGING_SPAN_S / dt)), f.smoothed_motion
+
+    def averaged_derivative(y: Array, over: int = span) -> Array:
+        return moving_average(np.diff(y) / dt, over)
+
+    def averaged_columns(*made: Array, over: int = span) -> Array:
+        return moving_average(np.column_stack([0.5 * (y[1:] + y[:-1]) for y in made]), over)
+
+    found: dict[str, InputGain] = {}
+    turn = body_to_ned_rotation(m[:, MO_EULER:MO_RATES])
+    load = (thrust.sum(axis=1) - p["downwash"]) / p["mass"]
+    if has & {"height", "climb"}:
+        slow = max(1, round(_HEAVE_AVERAGING_SPAN_S / dt))  # heights are noisier than gyros
+        found["heave"] = _regress_gain(
+            averaged_derivative(-m[:, MO_VEL + 2], slow),
+            averaged_columns(load * turn[:, 2, 2], over=slow),
+            dt,
+        )
+    if has & {"yaw", "r"}:
+        found["yaw"] = _regress_gain(
+            averaged_derivative(m[:, MO_RATES + 2]),
+            averaged_columns((torque[:, 0] - torque[:, 1]) / p["Izz"]),
+            dt,
+        )
+        if found["yaw"].sign == 0:  # the rotors differ, so that exchanged ones are not just the negative
+            _, _, other = _simulate_rotors(dataclasses_replace(f, inputs=f.inputs[:, MOTORS_SWAPPED]), dt)
+            if (
+                _regress_gain(
+                    averaged_derivative(m[:, MO_RATES + 2]),
+                    averaged_columns((other[:, 0] - other[:, 1]) / p["Izz"]),
+                    dt,
+                ).sign
+                == 1
+            ):
+                found["yaw"] = dataclasses_replace(found["yaw"], sign=-1)
+    arm = -p["z_dw"] * thrust[:, 1, None] * np.sin(p["swash_gain"] * np.clip(f.inputs[:, SERVOS], -1.0, 1.0))
+    bar = np.einsum("nji,nj->ni", turn, _bar_normal(f.mast_direction, -np.expm1(-dt * p["bar_rate"])))
+    lean = -p["z_up"] * p["bar_gain"] * thrust[:, :1] * bar[:, :2]
+    if has & {"roll", "p"}:
+        made = averaged_columns(arm[:, 1], arm[:, 0]) / p["Ixx"]
+        found["roll"] = _regress_gain(
+            averaged_derivative(m[:, MO_RATES]), made, dt, beside=averaged_columns(lean[:, 1]), crossed=True
+        )
+    if has & {"pitch", "q"}:
+        made = averaged_columns(-arm[:, 0], -arm[:, 1]) / p["Iyy"]
+        found["pitch"] = _regress_gain(
+            averaged_derivative(m[:, MO_RATES + 1]),
+            made,
+            dt,
+            beside=averaged_columns(lean[:, 0]),
+            crossed=True,
+        )
+    if {"roll", "pitch", "yaw"} <= has:
+        pull = -turn[:, :2, 2] * GRAVITY
+        for k, (axis, needs) in enumerate((("north", {"north", "v_north"}), ("east", {"east", "v_east"}))):
+            if has & needs:
+                found[axis] = _regress_gain(
+                    averaged_derivative(m[:, MO_VEL + k]),
+                    averaged_columns(pull[:, k], pull[:, 1 - k]),
+                    dt,
+                    crossed=True,
+                    lag_s=0.0,
+                )
+    settled = min(round(_ROTOR_SETTLING_S / dt), len(m) // 2)
+    return found, float(thrust[settled:].sum(axis=1).mean() / (p["mass"] * GRAVITY))
+
+
+def _simulate_rotors(f: PreparedRecord, dt: float) -> tuple[np.void, Array, Array]:
+    """Return the equations' numbers, and thrust (N) and torque on the body (N m) of the rotors (n, 2)."""
+    p = parameters_at_theta(f.base_parameters, f.parameter_powers, np.zeros((1, 0)))
+    starts = np.arange(0, len(f.inputs), max(1, round(0.5 / dt)))  # the vehicle may do what it wants in between
+    x = np.zeros((1, STATE_SIZE))
+    x[:, RS_ATT], x[:, RS_BAR + 2] = 1.0, -1.0
+    first = f.inputs[: max(1, round(0.3 / dt)), MOTORS].mean(axis=0)
+    x[:, ROTOR_SPEEDS] = steady_rotor_speeds(p, np.clip(first, 0.0, 1.0), f.first_and_mean_voltage[0])
+    codes = np.array([FLIGHT_OUTPUTS.index("speed_up"), FLIGHT_OUTPUTS.index("speed_dw")], dtype=np.int64)
+    speed = simulate_batch(
+        x,
+        p,
+        f.inputs,
+        sample_s=dt,
+        codes=codes,
+        starts=starts,
+        motion=f.smoothed_motion[starts][None],
+        mast=f.mast_direction,
+    )[0]
+    one = p[0]
+    thrust = np.array([one["thrust_up"], one["thrust_dw"]]) * speed**2
+    react = np.array([one["Jreact_up"], one["Jreact_dw"]]) * np.gradient(speed, dt, axis=0)
+    return one, thrust, np.array([one["torque_up"], one["torque_dw"]]) * speed**2 + react
+
+
+def _bar_normal(mast: Array, follow: float) -> Array:
+    """Return the normal of the bar (n, 3), which follows the mast by ``follow`` a sample."""
+    bar = mast.copy()
+    for k in range(1, len(mast)):
+        bar[k] = bar[k - 1] + follow * (0.5 * (mast[k - 1] + mast[k]) - bar[k - 1])
+    return bar
+
+
+def _regress_gain(
+    seen: Array, made: Array, dt: float, *, beside: Array | None = None, crossed: bool = False,
+    lag_s: float = _MAX_LAG_S,
+) -> InputGain:  # fmt: skip
+    """Regress what was seen (n,) on what is made of inputs (n, k), the own first, behind the lag that fits best.
+
+    What stands ``beside`` (n, j), without a lag, is taken out of both sides first (Frisch, Waugh and Lovell), so that
+    the share explained is that of the inputs.
+    """
+    skip = max(round(_ROTOR_SETTLING_S / dt), round(lag_s / dt))
+    n, step = len(seen), max(1, round(_LAG_STEP_S / dt))
+    if n < skip + 50 or not np.isfinite(made).all():
+        return InputGain(0.0, np.inf)
+    known = np.ones((n - skip, 1)) if beside is None else np.column_stack([np.ones(n - skip), beside[skip:]])
+    basis = np.linalg.qr(known)[0]
+
+    def remove_known(z: Array) -> Array:
+        return z - basis @ (basis.T @ z)
+
+    def dominant_column(g: Array, x: Array) -> int:
+        return int(np.argmax(np.abs(g) * x.std(axis=0)))
+
+    y = remove_known(seen[skip:])
+    best: tuple[float, Array, Array] | None = None
+    most = {1: 0.0, -1: 0.0}  # share explained with either sign of the gain that counts
+    for lag in range(0, round(lag_s / dt) + 1, step):
+        x = remove_known(made[skip - lag : n - lag])
+        g = np.asarray(np.linalg.lstsq(x, y, rcond=None)[0], dtype=np.float64)
+        share = 1.0 - float(np.sum((y - x @ g) ** 2)) / max(float(y @ y), 1e-300)
+        side = 1 if g[dominant_column(g, x)] > 0.0 else -1
+        most[side] = max(most[side], share)
+        if best is None or share > best[0]:
+            best = share, g, x
+    assert best is not None
+    share, g, x = best
+    e = y - x @ g
+    size = max(float(e.std()), 1e-300)
+    covariance = coloured_covariance([(x / size)[:, None, :]], [(e / size)[:, None]])[0]
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    lead = dominant_column(g, x)
+    side = 1 if g[lead] > 0.0 else -1
+    # The other sign has to be clearly worse at every lag.
+    rival = most[-side]
+    sure = share > _MIN_EXPLAINED_SHARE and abs(g[lead]) > max(_MIN_GAIN, _MIN_SIGNIFICANCE * std[lead])
+    sure = sure and (rival < 0.5 * share or 1.0 - rival > _MIN_RIVAL_RESIDUAL_RATIO * (1.0 - share))
+    # The other servo counts only where the own one does little beside it.
+    sure = bool(sure and (lead == 0 or abs(g[0]) < 0.4 * abs(g[1])))
+    return InputGain(
+        float(g[0]), float(std[0]), float(g[1]) if crossed else 0.0, float(std[1]) if crossed else 0.0,
+        side if sure else 0, sure and lead == 1,
+    )  # fmt: skip
+
+
+def check_flight_records(records: Sequence[FlightRecord], vehicle: Vehicle, *, as_is: bool = False) -> tuple[str, ...]:
+    """Look for faults of records that a fit of this vehicle would turn into wrong parameters.
+
+    What one record tells of signs and axes helps to name what is wrong with the others: they are of one logger.
+
+    Parameters
+    ----------
+    records : sequence of Record
+    vehicle : Vehicle
+        What the fit starts from; its numbers need be right in size and sign only.
+    as_is : bool
+        Say what is wrong, and refuse nothing but a record in which no input moves.
+
+    Returns
+    -------
+    tuple of str
+        Warnings.
+
+    Raises
+    ------
+    InputError
+        As :func:`mufly.identify.check_record`; and for a voltage of another unit, inputs turned round or exchanged,
+        axes that are not forward, right, down, a height of another unit or sign.
+    """
+    warnings: list[str] = []
+    seen: list[tuple[FlightRecord, dict[str, InputGain], float]] = []
+    for r in records:
+        warnings += check_record(r, as_is=as_is)
+        volts = _check_voltage_unit(r, vehicle)
+        warnings += refuse_fatal_faults(r, volts, as_is=as_is)
+        if not volts and not (as_is and any(f.is_fatal for f in find_signal_faults(r))):
+            seen.append((r, *estimate_input_gains(vehicle, r)))
+    told: dict[str, InputGain] = {}
+    for _, found, _ in seen:
+        for axis, g in found.items():
+            if g.sign and (axis not in told or g.std < told[axis].std):
+                told[axis] = g
+    for r, found, load in seen:
+        wrong = judge_gains(r, found, load)
+        if any(f.is_fatal for f in wrong):
+            wrong = judge_gains(r, {**found, **{k: g for k, g in told.items() if k != "heave"}}, load)
+        warnings += refuse_fatal_faults(r, sorted(wrong, key=lambda f: not f.is_fatal), as_is=as_is)
+    return tuple(warnings)
+
+
+def _check_voltage_unit(r: FlightRecord, vehicle: Vehicle) -> list[SignalFault]:
+    if r.voltage is None:
+        return []
+    volts, nominal = float(np.median(r.voltage)), float(vehicle.battery.nominal_voltage)
+    if _VOLTAGE_RATIO_RANGE[0] < volts / nominal < _VOLTAGE_RATIO_RANGE[1]:
+        return []
+    units = (("millivolts", 1e3, "mV"), ("centivolts", 1e2, "cV"), ("decivolts", 10.0, "dV"))
+    for words, size, _ in units:
+        if _VOLTAGE_RATIO_RANGE[0] < volts / nominal / size < _VOLTAGE_RATIO_RANGE[1]:
+            what = f"reads {volts:.4g} where the vehicle's battery has {nominal:g} V: it seems to be in {words}"
+            return [SignalFault("voltage", what, f"scale it by {1.0 / size:g} in the column map")]
+    what = f"reads {volts:.3g} V where the vehicle's battery has {nominal:g} V: another battery, or no voltage"
+    return [SignalFault("voltage", what, "correct it, leave it out, or give the vehicle its battery")]
+
+
+def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> list[SignalFault]:
+    """Return what is wrong with a record, from what its inputs do and the mean thrust over the weight."""
+    out: list[SignalFault] = []
+    if not _THRUST_TO_WEIGHT_RANGE[0] < load < _THRUST_TO_WEIGHT_RANGE[1]:
+        out.append(
+            SignalFault(
+                "motor_upper, motor_lower",
+                f"lift {load:.2g} times the weight on average, as the vehicle's numbers and the voltage have it",
+                "check their scale (0 to 1 of full), the voltage, and the vehicle's mass and thrust coefficients",
+            )
+        )
+    out += _check_height(r, found.get("heave"))
+    sign = {k: g.sign for k, g in found.items() if not g.is_exchanged}
+    servos = [found[k] for k in ("roll", "pitch") if k in found and found[k].is_exchanged]
+    if servos:
+        turned = " and turned round" if any(g.sign < 0 for g in servos) else ""
+        out.append(
+            SignalFault(
+                "servo_1, servo_2",
+                f"act on each other's axis ({_describe_gains(found)}): they are exchanged{turned}, or roll and "
+                f"pitch are",
+                "exchange them in the column map",
+            )
+        )
+    ground = [found[k] for k in ("north", "east") if k in found and found[k].is_exchanged]
+    if ground:
+        out.append(
+            SignalFault(
+                "north, east", "follow each other's tilt: they are exchanged, or yaw counts from another axis (ENU)",
+                "give north first, and yaw from north, clockwise from above",
+            )
+        )  # fmt: skip
+    if sign.get("pitch") == -1 and sign.get("yaw") == -1:
+        out.append(
+            SignalFault(
+                "pitch, q, yaw, r",
+                "answer servo_1 and the motors the wrong way round: the record's axes seem to be forward, left, up",
+                "turn the signs of these four in the column map (or of servo_1, and exchange the motors)",
+            )
+        )
+        return out
+    tilts = {"roll": sign.get("east", 0), "pitch": sign.get("north", 0)}
+    for axis, servo, rate in (("roll", "servo_2", "p"), ("pitch", "servo_1", "q")):
+        if sign.get(axis) != -1:
+            continue
+        # What the vehicle does over ground tells whether it is the angle or the servo.
+        which = {1: servo, -1: f"{axis}, {rate}", 0: servo}[tilts[axis]]
+        other = f" (or {axis} and {rate} are)" if tilts[axis] == 0 else ""
+        goes = {"servo_2": "to the right", "servo_1": "nose down"}[servo]
+        out.append(
+            SignalFault(
+                which, f"turned round{other}: positive {servo} should pull {goes} ({_describe_gains(found)})",
+                "turn its sign in the column map",
+            )
+        )  # fmt: skip
+    if sign.get("yaw") == -1:
+        out.append(
+            SignalFault(
+                "motor_upper, motor_lower",
+                f"exchanged (or yaw and r count anticlockwise): more of the upper should turn the nose right "
+                f"({_describe_gains(found)})",
+                "exchange them in the column map",
+            )
+        )
+    for axis in ("north", "east"):
+        if sign.get(axis) == -1:
+            out.append(
+                SignalFault(
+                    axis, f"accelerates against the tilt ({_describe_gains(found)}): its sign is turned round",
+                    "turn its sign in the column map",
+                )
+            )  # fmt: skip
+    return out
+
+
+def _describe_gains(found: dict[str, InputGain]) -> str:
+    told = [
+        (k, g.cross_gain, g.cross_std) if g.is_exchanged else (k, g.value, g.std) for k, g in found.items() if g.sign
+    ]
+    return "gains over the model's: " + ", ".join(f"{k} {v:.2g} +- {s:.1g}" for k, v, s in told)
+
+
+def _check_height(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]:
+    """Sign and unit of the height, from what thrust does to it; where that is too little, from its resolution."""
+    if heave is None:
+        return []
+    if heave.sign == -1:
+        return [
+            SignalFault(
+                "height", f"falls where thrust rises (gain {heave.value:.2g} +- {heave.std:.1g} of the model's): "
+                "the vertical axis points up in this log, or the motors' inputs are turned round",
+                "turn its sign in the column map: position is north, east, down",
+            )
+        ]  # fmt: skip
+    low, high = heave.value - 3.0 * heave.std, heave.value + 3.0 * heave.std
+    unit = "millimetres" if heave.value > 300.0 else "centimetres"
+    if low > _MAX_METRE_GAIN:
+        what = f"accelerates {heave.value:.3g} +- {heave.std:.2g} times as much as thrust makes it"
+        return [
+            SignalFault("height", f"{what}: it seems to be in {unit}", "say so in the column map (unit 'cm' or 'mm')")
+        ]
+    if "height" not in r.outputs:
+        return []
+    k = r.outputs.index("height")
+    y = r.measured[np.isfinite(r.measured[:, k]), k]
+    steps = np.abs(np.diff(y))
+    resolution = float(steps[steps > 0.0].min(initial=np.inf))
+    noise = float(estimate_difference_noise(r)[k])
+    coarse = noise if noise > _MAX_HEIGHT_NOISE_M else resolution if np.isfinite(resolution) else 0.0
+    if coarse > _MAX_HEIGHT_NOISE_M:
+        what = f"is resolved to {coarse:.2g} m only: it seems to be in centimetres or millimetres"
+        return [SignalFault("height", what, "say so in the column map (unit 'cm' or 'mm')")]
+    if high < _MAX_METRE_GAIN and heave.value > 0.1:
+        return []
+    size = f"{heave.value:.2g} +- {heave.std:.2g} of the model's"
+    what = f"answers thrust too little to tell metres from centimetres ({size})"
+    return [SignalFault("height", f"{what}: its unit is not checked", "", is_fatal=False)]

@@ -1,0 +1,386 @@
+"""The way to the minimum: windows that grow, noise that is learnt, and a vehicle with its rotors exchanged.
+
+1. Hover (eq. 5.1) alone, with the priors: thrust carries the weight, torques balance.
+2. Windows of 0.1, 0.4, 1.5, 3 and 6 s. Before each the batteries' charges are set so that the model's mean voltage is
+   the measured one.
+3. The whole record (or the windows that are asked for), with rotor speeds, bar and charge at the start free.
+4. The noise of every output is taken from the residuals, and 3 repeated, until it stays (Maine and Iliff's relaxation).
+
+At the true parameters the residuals of every stage are the sensors' noise, so each has its minimum near the truth. That
+is so because nothing that a window begins with is wrong by more than noise: rotors, battery and bar run through, the
+horizontal velocity follows from the measured attitude, and the motors' voltage is the model's own (the measured one,
+smoothed and as late as the inputs, falls short of the sag under a chirp of 3 Hz; yaw rates were then off by three times
+their noise).
+
+**Rotors exchanged.** A second minimum stays. The two rotors differ in little but their inertias (the upper one
+carries the bar, its pole lies at -1.5 rad/s, the lower one's at -4): common motor input makes heave by the sum of the
+two lags, which does not change when they change places, and yaw by their difference, whose sign inertia about the
+mast, reaction and delay can imitate over a tenth of a second. In windows of 0.1 s the costs of the two differ by 50
+of 12 000, in those of 0.4 s by some hundred. A descent does not pass from one to the other, so both are followed: the
+vehicle that the first windows found, and the same with the inertias of its rotors exchanged, until their costs tell
+them apart. Where they never do, the fit says so, and names what the other one says.
+
+Where a search stands is kept on disk, written after every iteration, so that a stopped fit goes on from its last one:
+a JSON file beside the result, replaced as a whole each time (a crash in mid-write leaves the one before). It holds a
+digest of the problem, so that a fit does not go on from another one's. The way from the exchanged vehicle is not
+kept: it is gone again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from mufly.answer_store import hash_question, read_answer, write_answer
+from mufly.errors import InputError
+from mufly.identify.flight.estimate_notes import MAX_NOISE_RATIO, residual_over_noise
+from mufly.identify.flight.free_parameters import theta_to_values
+from mufly.identify.flight.initial_states import MIN_COST_DECREASE, find_initial_offsets, find_initial_states
+from mufly.identify.flight.minimisers import EvolutionHistory, FitPoint, levenberg_marquardt, run_cma_es
+from mufly.identify.flight.output_error_problem import OutputErrorProblem
+from mufly.identify.flight_record import FlightRecord
+
+_Array = NDArray[np.float64]
+FitMethod = Literal["lm", "cma"]
+
+CHARGING_WINDOW_S = 1.5  # in which the voltage is simulated that sets the battery's charge
+_WINDOW_LENGTHS_S = (0.1, 0.4, 1.5, 3.0, 6.0)
+_MIN_WINDOW_SAMPLES = 8
+_ROTOR_TRANSIENT_S = 2.0  # in which rotors forget the speed that they began with, which is a guess while parameters are
+_VOLTAGE_NOISE_FACTOR = 5.0  # voltage counts less while the battery's charge is not sought
+_NOISE_RELAXATIONS = 2
+_EXCHANGEABLE_INERTIAS = (("Jdrive_up", "Jdrive_dw"), ("Jrot_up", "Jrot_dw"))
+_DECISIVE_LIKELIHOOD_DIFFERENCE = (
+    25.0  # difference of minus log likelihood that decides, over what residuals are above the noise
+)
+_SAME_MINIMUM_TOLERANCE = 0.02  # of theta: two ways have come to one place
+
+
+@dataclass(frozen=True)
+class FitProgress:
+    """Where a fit stands: stage ``stage`` of ``stage_count``, ``iteration`` in it of at most ``max_iterations``."""
+
+    stage: int
+    stage_count: int
+    stage_name: str
+    iteration: int
+    max_iterations: int
+    cost: float
+    values: dict[str, float]
+
+
+@dataclass(frozen=True)
+class _SearchStage:
+    name: str
+    window_s: float | None
+    with_hover_residual: bool
+    max_iterations: int
+    tolerance: float
+
+
+def plan_stages(records: Sequence[FlightRecord], method: FitMethod, window_s: float | None) -> list[_SearchStage]:
+    shortest = min(float(r.time_s[-1] - r.time_s[0]) for r in records)
+    slowest = max(r.sample_s for r in records)
+    top = shortest / 2 if window_s is None else window_s
+    iterations = 30 if method == "lm" else 400
+    found: list[_SearchStage] = []
+    for length in _WINDOW_LENGTHS_S if method == "lm" else (0.4, 3.0):
+        use = max(length, _MIN_WINDOW_SAMPLES * slowest)
+        if use < top and not (found and use <= (found[-1].window_s or 0.0)):
+            found.append(_SearchStage(f"windows of {use:.2g} s", use, length < 1.0, iterations, 1e-3))
+    name = "whole records" if window_s is None else f"windows of {window_s:.3g} s"
+    return [*found, _SearchStage(name, window_s, False, 2 * iterations, 1e-7)]
+
+
+@dataclass
+class _StageEnd:
+    """What a stage ended with: minus the logarithm of the likelihood, mean square of the residuals, parameters."""
+
+    unlikely: float
+    scale: float
+    theta: list[float]
+
+    @classmethod
+    def from_point(cls, problem: OutputErrorProblem, point: FitPoint) -> _StageEnd:
+        count = sum(int(np.isfinite(r.measured).sum()) for r in problem.records)
+        noise = sum(
+            float(np.isfinite(f.record.measured).sum(axis=0) @ np.log(f.noise_std)) for f in problem.prepared_records
+        )
+        return cls(point.cost + noise, 2.0 * point.cost / count, point.theta.tolist())
+
+
+@dataclass
+class _SearchState:
+    """What a checkpoint holds of the course of a fit."""
+
+    stage: int = 0
+    round: int = 0
+    iteration: int = 0
+    inside: bool = False  # of the stage, otherwise at its beginning
+    first: list[float] | None = None  # theta after the first stage, as long as the exchanged vehicle is not ruled out
+    alone: bool = False  # it is, or never was in question
+    ends: list[_StageEnd] = field(default_factory=list)  # of the stages
+    history: list[dict[str, Any]] = field(default_factory=list)
+    point: FitPoint | None = None
+    noise: list[_Array] | None = None
+    charge: list[float] | None = None
+    begin: list[_Array] | None = None
+    course: EvolutionHistory | None = None
+
+
+class StagedSearch:
+    """The course of one fit."""
+
+    def __init__(
+        self, final: OutputErrorProblem, stages: list[_SearchStage], method: FitMethod, seed: int, restarts: int,
+        on_progress: Callable[[FitProgress], None] | None,
+    ) -> None:  # fmt: skip
+        self._final_problem, self._stages, self._method = final, stages, method
+        self._seed, self._restarts, self._on_progress = seed, restarts, on_progress
+        self._shortest_record_s = min(float(r.time_s[-1] - r.time_s[0]) for r in final.records)
+        self._checkpoint_path: Path | None = None
+        self._problem_digest = ""
+        self._last_result = (FitPoint(np.zeros(0), [], np.inf), final, False)
+        self.state = _SearchState()
+
+    def use_checkpoint(self, place: Path | None, digest: str) -> None:
+        """Keep a checkpoint there, and take up what it holds."""
+        self._checkpoint_path, self._problem_digest = place, digest
+        kept = None if place is None else read_answer(place, digest, damaged=_DAMAGED, other=_OTHER_FIT)
+        if kept is not None:
+            self.state = _SearchState(**{f.name: kept[f.name] for f in fields(_SearchState)})
+            self.state.point = _point_from_json(kept["point"])
+            self.state.ends = [_StageEnd(**e) for e in kept["ends"]]
+            if kept["noise"] is not None:
+                self.state.noise = [np.array(n) for n in kept["noise"]]
+            if kept["begin"] is not None:
+                self.state.begin = [np.array(b) for b in kept["begin"]]
+            if (c := kept["course"]) is not None:
+                self.state.course = EvolutionHistory(
+                    c["told"], _point_from_json(c["reference"]), _point_from_json(c["origin"])
+                )
+
+    def search_minimum(self) -> tuple[FitPoint, OutputErrorProblem, bool, tuple[str, ...]]:
+        """Run to the end, from the exchanged vehicle too until costs tell them apart; what stays open, in words."""
+        doubt = ""
+        if len(self._stages) > 1 and self._method == "lm" and not self.state.alone:
+            if self.state.first is None:
+                self.state.first = self.run_stages(1)[0].theta.tolist()
+            other = self._with_rotors_exchanged(np.array(self.state.first))
+            for k in range(len(self._stages)):
+                if other is None or self.state.alone:
+                    break
+                self.run_stages(k + 1)
+                other.run_stages(k + 1)
+                doubt = self._keep_better_run(other, k)
+        point, problem, converged = self.run_stages()
+        return point, problem, converged, (doubt,) if doubt else ()
+
+    def _with_rotors_exchanged(self, theta: _Array) -> StagedSearch | None:
+        """Return a run that begins with the rotors' inertias exchanged; None where they are not free."""
+        at = {f.symbol: k for k, f in enumerate(self._final_problem.free_parameters)}
+        pairs = [(at[a], at[b]) for a, b in _EXCHANGEABLE_INERTIAS if a in at and b in at]
+        if not pairs:
+            return None
+        low, high = self._final_problem.bounds
+        values, free, there = (
+            theta_to_values(self._final_problem.free_parameters, theta),
+            self._final_problem.free_parameters,
+            theta.copy(),
+        )
+        for up, dw in pairs:
+            there[up], there[dw] = free[up].value_to_theta(values[dw]), free[dw].value_to_theta(values[up])
+        other = StagedSearch(
+            self._final_problem, self._stages, self._method, self._seed, self._restarts, self._on_progress
+        )
+        other.state.point = FitPoint(np.clip(there, low, high), [], np.inf)
+        return other
+
+    def _keep_better_run(self, other: StagedSearch, k: int) -> str:
+        """Go on with the better of two runs that have ended stage ``k``; what stays open after the last, in words."""
+        mine, its = self.state.ends[k], other.state.ends[k]
+        rise = its.unlikely - mine.unlikely
+        there, last = np.array(its.theta) - np.array(mine.theta), k + 1 == len(self._stages)
+        same = float(np.max(np.abs(there))) < _SAME_MINIMUM_TOLERANCE
+        apart = k > 0 and abs(rise) > _DECISIVE_LIKELIHOOD_DIFFERENCE * max(1.0, mine.scale, its.scale)
+        if not (same or apart or last):
+            return ""
+        flown = sum(r.state.point.simulations for r in (self, other) if r.state.point is not None)
+        if rise < 0.0:
+            self.state, self._last_result = other.state, other._last_result
+        self.state.alone = True
+        if self.state.point is not None:
+            self.state.point = replace(self.state.point, simulations=flown)
+            self._last_result = (self.state.point, *self._last_result[1:])
+        if same or apart:
+            return ""
+        free, worse = self._final_problem.free_parameters, np.array((mine if rise < 0.0 else its).theta)
+        moved = [k for k, d in enumerate(there) if abs(d) > _SAME_MINIMUM_TOLERANCE]
+        values = ", ".join(
+            f"{free[k].symbol} {v:.4g}" for k, v in zip(moved, theta_to_values(free, worse)[moved], strict=True)
+        )
+        return (
+            f"two minima that these records do not tell apart (logarithm of the likelihood {abs(rise):.1f} apart): the "
+            f"other one has {values}, and no interval holds it; fly one motor alone and measure yaw, "
+            "`mufly identify plan --channel yaw`"
+        )
+
+    def run_stages(self, stages: int | None = None) -> tuple[FitPoint, OutputErrorProblem, bool]:
+        """Run from where it stands to the end, or until so many stages are done."""
+        for k in range(self.state.stage, len(self._stages) if stages is None else stages):
+            self._last_result = self._run_stage(k)
+            self.state.stage, self.state.round, self.state.inside = k + 1, 0, False
+        return self._last_result
+
+    def _run_stage(self, k: int) -> tuple[FitPoint, OutputErrorProblem, bool]:
+        """Go through stage ``k``, from where it was left if it was."""
+        state, stage, final = self.state, self._stages[k], self._final_problem
+        last, left = k == len(self._stages) - 1, state.inside
+        theta = self._solve_hover() if state.point is None else state.point.theta
+        flown = 0 if state.point is None else state.point.simulations
+        if state.charge is not None:
+            final = final.with_charges(state.charge)
+        if not left and any("voltage" in r.outputs for r in final.records):
+            final = final.with_windows(CHARGING_WINDOW_S).with_matched_charge(theta).with_windows(None)
+            state.charge = [f.initial_charge for f in final.prepared_records]
+        problem = final.with_windows(stage.window_s, hover=stage.with_hover_residual)
+        if not last:
+            problem = problem.with_noise(_noise_with_voltage_slack(problem))
+        if k == 0 and not last:
+            problem = replace(problem, ignored_start_s=min(_ROTOR_TRANSIENT_S, self._shortest_record_s / 4))
+        rounds = 1 + (_NOISE_RELAXATIONS if last else 0)
+        for r in range(state.round, rounds):
+            if last and state.noise is not None:
+                problem = problem.with_noise(state.noise)
+            if stage.window_s is not None and k > 0:
+                if not left or state.begin is None:
+                    state.begin = find_initial_offsets(problem, theta)
+                problem = problem.with_initial_offset(state.begin)
+            if state.inside and state.point is not None:
+                point = state.point
+            else:
+                states = problem.zero_initial_states()
+                if stage.window_s is None:
+                    found = find_initial_states(problem, theta)
+                    states, flown = found.initial_states, flown + found.simulation_count
+                point = FitPoint(theta, states, np.inf, 1e-2, flown)
+            state.round, state.inside, left = r, True, False
+            point, converged = self._minimise_stage(problem, point, stage, k)
+            if last and stage.window_s is None and max(residual_over_noise(problem).values()) > MAX_NOISE_RATIO:
+                point, converged = self._resolve_from_new_starts(problem, point, stage, k, converged)
+            state.course, state.iteration, state.point = None, 0, point
+            theta, flown = point.theta, point.simulations
+            if last and r + 1 < rounds:
+                state.noise = _noise_from_residuals(problem, point)
+        state.ends.append(_StageEnd.from_point(problem, point))
+        return point, problem, converged
+
+    def _resolve_from_new_starts(
+        self, problem: OutputErrorProblem, point: FitPoint, stage: _SearchStage, k: int, converged: bool
+    ) -> tuple[FitPoint, bool]:
+        """Solve again if the starts of the records are better sought anew at the parameters that were found."""
+        found = find_initial_states(problem, point.theta)
+        cost = float(problem.compute_cost(point.theta[None], [s[None] for s in found.initial_states])[0])
+        flown = point.simulations + found.simulation_count
+        if not cost < point.cost - 1.0:
+            return replace(point, simulations=flown), converged
+        return self._minimise_stage(problem, FitPoint(point.theta, found.initial_states, cost, 1e-2, flown), stage, k)
+
+    def _solve_hover(self) -> _Array:
+        hover = self._final_problem.with_windows(None, hover=True)
+        if hover.dynamics_part == "roll-pitch":
+            return np.zeros(len(hover.free_parameters))
+        low, high = hover.bounds
+        # Wide priors keep what hover does not see where it was.
+        std = np.minimum(hover.prior_std, 1.0)
+
+        def hover_and_prior_residual(t: _Array) -> _Array:
+            return np.concatenate([hover.hover_residual(t[None])[0], t / std])
+
+        bounds = (np.minimum(low, -1e-9), np.maximum(high, 1e-9))
+        return np.clip(least_squares(hover_and_prior_residual, np.zeros(len(low)), bounds=bounds).x, low, high)
+
+    def _minimise_stage(
+        self, problem: OutputErrorProblem, point: FitPoint, stage: _SearchStage, k: int
+    ) -> tuple[FitPoint, bool]:
+        def record_iteration(now: FitPoint, course: EvolutionHistory | None = None) -> None:
+            state = self.state
+            state.iteration, state.point, state.course = state.iteration + 1, now, course
+            values = theta_to_values(problem.free_parameters, now.theta).tolist()
+            named = dict(zip([f.symbol for f in problem.free_parameters], values, strict=True))
+            row = {"iteration": len(state.history) + 1, "cost": now.cost, "stage": stage.name, **named}
+            state.history.append(row)
+            if self._checkpoint_path is not None:
+                write_answer(self._checkpoint_path, self._problem_digest, asdict(state))
+            if self._on_progress is not None:
+                at, stages = (k + 1, len(self._stages)), stage.max_iterations
+                self._on_progress(FitProgress(*at, stage.name, state.iteration, stages, now.cost, named))
+
+        if self._method == "lm":
+            left = max(2, stage.max_iterations - self.state.iteration)
+            return levenberg_marquardt(
+                problem, replace(point, damping=min(point.damping, 1e-2)), iterations=left,
+                tolerance=stage.tolerance, least_gain=MIN_COST_DECREASE, on_iteration=record_iteration,
+            )  # fmt: skip
+        return run_cma_es(
+            problem,
+            point,
+            seed=self._seed + k,
+            generations=stage.max_iterations,
+            course=self.state.course,
+            restarts=self._restarts,
+            tolerance=1.0 if stage.window_s is not None else 0.01,
+            on_generation=record_iteration,
+        )
+
+
+def _noise_with_voltage_slack(problem: OutputErrorProblem) -> list[_Array]:
+    return [
+        f.noise_std * np.array([_VOLTAGE_NOISE_FACTOR if o == "voltage" else 1.0 for o in f.record.outputs])
+        for f in problem.prepared_records
+    ]
+
+
+def _noise_from_residuals(problem: OutputErrorProblem, point: FitPoint) -> list[_Array]:
+    """Return the noise of every output from the residuals of all records that measure it."""
+    square: dict[str, float] = {}
+    count: dict[str, int] = {}
+    unknown = len(point.theta) + sum(s.size for s in point.states)
+    for i, f in enumerate(problem.prepared_records):
+        e = problem.record_residual(i, point.theta[None], point.states[i][None])[0] * f.noise_std
+        for k, o in enumerate(f.record.outputs):
+            square[o] = square.get(o, 0.0) + float(e[:, k] @ e[:, k])
+            count[o] = count.get(o, 0) + int(np.isfinite(f.record.measured[:, k]).sum())
+    keep = 1.0 - min(0.5, unknown / max(sum(count.values()), 1))
+    return [np.sqrt([max(square[o], 1e-18) / (count[o] * keep) for o in r.outputs]) for r in problem.records]
+
+
+def problem_digest(problem: OutputErrorProblem, method: str) -> str:
+    """Return a digest of everything that the course of a fit depends on."""
+    parts: list[object] = [
+        method,
+        problem.dynamics_part,
+        problem.with_prior,
+        problem.delay_s,
+        f"{problem.free_parameters}",
+    ]
+    for r in problem.records:
+        parts += [r.outputs, r.time_s, r.inputs, r.measured]
+    return hash_question(*parts, problem.vehicle.model_dump_json())
+
+
+_DAMAGED = ("is no checkpoint of a fit", "delete it to start anew")
+_OTHER_FIT = ("belongs to a fit of other records, parameters or method", "delete it to start anew")
+
+
+def _point_from_json(d: dict[str, Any] | None) -> FitPoint:
+    if d is None:
+        raise InputError("checkpoint", "", "holds no point", "delete it to start anew")
+    states = [np.array(s) for s in d["states"]]
+    return FitPoint(np.array(d["theta"]), states, d["cost"], d["damping"], d["simulations"])

@@ -1,0 +1,598 @@
+"""Records as fits see them: of a flight, and as named columns; read, checked, split.
+
+**A flight record as a fit sees it: inputs, measured outputs and voltage on one even clock, checked before use.**
+
+Built from the labelled tables that :mod:`mufly.logs` reads (``motor_input``, ``servo_input``, ``measured_attitude``,
+...). Time that does not rise and gaps are refused in one line; whether the signals agree with each other is looked at
+in :mod:`mufly.identify.record_consistency`. The noise of a channel is first taken from its third differences, in which
+a motion slower than the sampling all but vanishes while white noise of variance ``s^2`` shows with ``20 s^2`` (own
+derivation: 1 + 9 + 9 + 1).
+
+**A record as linear fits want it: named columns on an even clock, without gaps.**
+
+Read from CSV (names from its header, or ``--columns``), from MATLAB files (each array's columns named by ``--columns
+inr=lat,lon,ped,col``, or numbered ``inr0, inr1``...) and from every log that ``mufly.logs`` reads (a signal with axes
+becomes ``measured_rates.p``, for which ``p`` is enough where only one signal ends so).
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from mufly.errors import ArgumentError, InputError
+from mufly.quantities import QUANTITIES, make_dataset
+from mufly.results import result
+from mufly.units import unit_conversion
+
+Array = NDArray[np.float64]
+
+FLIGHT_INPUTS = ("motor_upper", "motor_lower", "servo_1", "servo_2")
+# variable of the recording -> (output, index in its last axis, sign)
+_OUTPUT_SOURCES = {
+    "position": (("north", 0, 1.0), ("east", 1, 1.0), ("height", 2, -1.0)),
+    "velocity": (("v_north", 0, 1.0), ("v_east", 1, 1.0), ("climb", 2, -1.0)),
+    "attitude": (("roll", 0, 1.0), ("pitch", 1, 1.0), ("yaw", 2, 1.0)),
+    "rates": (("p", 0, 1.0), ("q", 1, 1.0), ("r", 2, 1.0)),
+    "rotor_speed": (("speed_up", 0, 1.0), ("speed_dw", 1, 1.0)),
+}
+# What shows that a channel is excited: its rates, which no slow drift moves; without them what they are the change of.
+CHANNEL_OUTPUTS = {
+    "heave": ("height", "climb"),
+    "yaw": ("r", "yaw"),
+    "roll": ("p", "roll"),
+    "pitch": ("q", "pitch"),
+}
+_QUANTITY_UNITS = {q.name: q.units for q in QUANTITIES}
+OUTPUT_UNITS = {o: _QUANTITY_UNITS[f"measured_{name}"] for name, parts in _OUTPUT_SOURCES.items() for o, _, _ in parts}
+OUTPUT_UNITS |= {"voltage": _QUANTITY_UNITS["battery_voltage"]}
+FLIGHT_OUTPUTS = tuple(OUTPUT_UNITS)
+(
+    OUT_NORTH, OUT_EAST, OUT_HEIGHT, OUT_V_NORTH, OUT_V_EAST, OUT_CLIMB, OUT_ROLL, OUT_PITCH, OUT_YAW, OUT_P, OUT_Q,
+    OUT_R, OUT_SPEED_UP, OUT_SPEED_DW, OUT_VOLTAGE,
+) = range(len(FLIGHT_OUTPUTS))  # fmt: skip
+_MIN_NOISE_STD = {
+    "height": 1e-3,
+    "north": 1e-3,
+    "east": 1e-3,
+    "voltage": 1e-3,
+}  # least noise that is believed, SI
+
+
+@result(eq=False)
+class FlightRecord:
+    """Inputs and measurements of one flight on an even clock.
+
+    Attributes
+    ----------
+    name : str
+    time_s : (n,) array
+        Even steps (s).
+    inputs : (n, 4) array
+        Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1), each held to the next sample.
+    outputs : tuple of str
+        Of :data:`FLIGHT_OUTPUTS`.
+    measured : (n, m) array
+        SI; NaN where nothing was measured; yaw without jumps.
+    voltage : (n,) array or None
+        Terminal voltage of the battery (V), if recorded.
+    """
+
+    name: str
+    time_s: Array
+    inputs: Array
+    outputs: tuple[str, ...]
+    measured: Array
+    voltage: Array | None = None
+
+    @property
+    def sample_s(self) -> float:
+        """Time between samples (s)."""
+        return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
+
+    def select_outputs(self, outputs: Sequence[str]) -> FlightRecord:
+        """Return the record with some of its outputs only, in their order here."""
+        kept = [k for k, name in enumerate(self.outputs) if name in outputs]
+        return replace(
+            self, outputs=tuple(self.outputs[k] for k in kept), measured=self.measured[:, kept]
+        )  # fmt: skip
+
+    def slice_samples(self, start: int, stop: int) -> FlightRecord:
+        """Return samples ``start`` to ``stop`` (not included), on their clock."""
+        voltage = None if self.voltage is None else self.voltage[start:stop]
+        inputs, measured = self.inputs[start:stop], self.measured[start:stop]
+        return replace(self, time_s=self.time_s[start:stop], inputs=inputs, measured=measured, voltage=voltage)
+
+
+def make_record(data: xr.Dataset, name: str, *, prefix: str = "measured") -> FlightRecord:
+    """Make a record of a recording.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        With ``time``, ``motor_input``, ``servo_input`` and some of ``<prefix>_position``, ``_velocity``,
+        ``_attitude``, ``_rates``, ``_rotor_speed``, and ``battery_voltage``.
+    name : str
+        What errors and reports call it.
+    prefix : str
+        ``"measured"``; ``"estimated"`` or ``"truth"`` of recordings that have these. Of a flight on sensors, position,
+        velocity and attitude are measured by none of them: those as estimated on board stand in.
+
+    Raises
+    ------
+    InputError
+        If inputs or outputs are missing, or the clock cannot be.
+    """
+    for key in ("motor_input", "servo_input"):
+        if key not in data:
+            raise InputError(name, key, "is not in this log", "map a column to it (docs/logs.md)")
+    time = np.asarray(data["time"].values, dtype=np.float64)
+    inputs = np.hstack([np.asarray(data[k].values, np.float64) for k in ("motor_input", "servo_input")])
+    columns: dict[str, Array] = {}  # in the order of OUTPUTS
+    for suffix, parts in _OUTPUT_SOURCES.items():
+        if f"{prefix}_{suffix}" in data:
+            values = np.asarray(data[f"{prefix}_{suffix}"].values, dtype=np.float64)
+            if prefix == "measured" and not np.isfinite(values).any() and "estimated_valid" in data:
+                # A flight on its own sensors, none of which tells this: what was made of them on board.
+                believed = np.asarray(data[f"estimated_{suffix}"].values, dtype=np.float64)
+                values = np.where(data["estimated_valid"].values[:, None] > 0.5, believed, np.nan)
+            for output, k, sign in parts:
+                if np.isfinite(values[:, k]).sum() >= 10:
+                    columns[output] = sign * values[:, k]
+    if "battery_voltage" in data and np.isfinite(data["battery_voltage"].values).any():
+        columns["voltage"] = np.asarray(data["battery_voltage"].values, np.float64)
+    if not columns:
+        raise InputError(
+            name, f"{prefix}_attitude", "no measured output is in this log",
+            f"map columns to {prefix}_attitude, {prefix}_rates or {prefix}_position (docs/logs.md)",
+        )  # fmt: skip
+    measured = np.column_stack(list(columns.values()))
+    record = FlightRecord(name, time, inputs, tuple(columns), measured, columns.get("voltage"))
+    _check_clock(record)
+    return _clean_record(record)
+
+
+def record_to_dataset(r: FlightRecord) -> xr.Dataset:
+    """Return a record as a recording, with the names that :func:`make_record` reads."""
+    data: dict[str, Array] = {}
+    for suffix, parts in _OUTPUT_SOURCES.items():
+        if not any(o in r.outputs for o, _, _ in parts):
+            continue
+        data[f"measured_{suffix}"] = values = np.full((len(r.time_s), len(parts)), np.nan)
+        for output, k, sign in parts:
+            if output in r.outputs:
+                values[:, k] = sign * r.measured[:, r.outputs.index(output)]
+    data |= {"motor_input": r.inputs[:, :2], "servo_input": r.inputs[:, 2:]}
+    if r.voltage is not None:
+        data["battery_voltage"] = r.voltage
+    return make_dataset(r.time_s, data)
+
+
+def _check_clock(r: FlightRecord) -> None:
+    step = np.diff(r.time_s)
+    if len(r.time_s) < 50:
+        raise InputError(r.name, "time", f"has {len(r.time_s)} samples", "give a record of 50 samples or more")
+    if not np.all(np.isfinite(r.time_s)):
+        raise InputError(r.name, "time", "holds NaN", "remove these rows")
+    if np.any(step <= 0):
+        k = int(np.argmax(step <= 0))
+        raise InputError(
+            r.name, "time", f"does not rise: {r.time_s[k]:g} s is followed by {r.time_s[k + 1]:g} s",
+            "sort the rows or remove the repeated ones",
+        )  # fmt: skip
+    usual = float(np.median(step))
+    if float(np.max(step)) > 3.0 * usual:
+        k = int(np.argmax(step))
+        raise InputError(
+            r.name, "time", f"has a gap of {step[k]:.3g} s at {r.time_s[k]:g} s",
+            "cut the log there and give the parts one by one",
+        )  # fmt: skip
+    if usual > 0.1:
+        raise InputError(r.name, "time", f"is sampled every {usual:.3g} s", "give 10 samples a second or more")
+
+
+def _clean_record(r: FlightRecord) -> FlightRecord:
+    """Put the record on an exactly even clock, hold the inputs over NaN, and make yaw continuous."""
+    t = r.time_s
+    even = np.linspace(t[0], t[-1], len(t))
+    measured = r.measured.copy()
+    step = (t[-1] - t[0]) / (len(t) - 1)
+    if np.max(np.abs(t - even)) > 0.05 * step:
+        for k in range(measured.shape[1]):
+            good = np.isfinite(measured[:, k])
+            near = np.interp(even, t[good], measured[good, k])
+            hole = np.interp(even, t, (~good).astype(float)) > 0.0
+            measured[:, k] = np.where(hole, np.nan, near)
+    inputs = r.inputs.copy()
+    held = np.clip(np.searchsorted(t, even + 1e-9 * step, side="right") - 1, 0, len(t) - 1)
+    inputs = inputs[held]
+    for k in range(4):
+        good = np.isfinite(inputs[:, k])
+        if not good.any():
+            raise InputError(r.name, FLIGHT_INPUTS[k], "holds no number", "map another column to it")
+        last = np.maximum.accumulate(np.where(good, np.arange(len(t)), -1))
+        inputs[:, k] = inputs[np.where(last >= 0, last, int(np.argmax(good))), k]
+    if "yaw" in r.outputs:
+        k = r.outputs.index("yaw")
+        good = np.isfinite(measured[:, k])
+        measured[good, k] = np.unwrap(measured[good, k])
+    voltage = None
+    if r.voltage is not None:
+        good = np.isfinite(r.voltage)
+        voltage = np.interp(even, t[good], r.voltage[good])
+    return replace(r, time_s=even, inputs=inputs, measured=measured, voltage=voltage)
+
+
+def estimate_difference_noise(r: FlightRecord) -> Array:
+    """Return the standard deviation of white noise on every output, from third differences, (m,)."""
+    out = np.empty(len(r.outputs))
+    for k, name in enumerate(r.outputs):
+        y = r.measured[np.isfinite(r.measured[:, k]), k]
+        d = np.diff(y, 3)
+        # The median is not moved by a few outliers or steps; 1.4826 makes it the deviation of a normal law.
+        out[k] = max(1.4826 * float(np.median(np.abs(d))) / np.sqrt(20.0), _MIN_NOISE_STD.get(name, 2e-4))
+    return out
+
+
+def signal_over_noise(records: Sequence[FlightRecord]) -> dict[str, float]:
+    """Return by how much outputs move, smoothed, over their noise, each in the record where it moves most."""
+    most: dict[str, float] = {}
+    for r in records:
+        for k, (name, noise) in enumerate(zip(r.outputs, estimate_difference_noise(r), strict=True)):
+            y = smooth_signal(fill_gaps(r.measured[:, k]), r.sample_s, 0.25)
+            most[name] = max(most.get(name, 0.0), float(np.std(y) / noise))
+    return most
+
+
+def fill_gaps(y: Array) -> Array:
+    """Return ``y`` (n,) with straight lines over its holes (NaN)."""
+    good = np.isfinite(y)
+    return np.interp(np.arange(len(y)), np.flatnonzero(good), y[good])
+
+
+def smooth_signal(y: Array, sample_s: float, span_s: float = 0.15, *, slope: bool = False) -> Array:
+    """Return local cubics through ``y`` (n,) over ``span_s`` (Savitzky and Golay), or their slopes (per second)."""
+    n = len(y)
+    width = min(max(5, round(span_s / sample_s) | 1), (n - 1) | 1)
+    return np.asarray(savgol_filter(y, width, 3, deriv=int(slope), delta=sample_s), dtype=np.float64)
+
+
+MO_POS, MO_VEL, MO_EULER, MO_RATES = 0, 3, 6, 9
+"""Where a row of motion starts with position and velocity N, E, D, with roll, pitch, yaw, with p, q, r."""
+
+
+def smooth_motion(r: FlightRecord) -> Array:
+    """Return position and velocity N, E, D, roll, pitch, yaw, p, q, r at every sample, (n, 12).
+
+    From local cubics through the measurements (Savitzky and Golay) and their slopes; zero where nothing is known.
+    """
+    n, dt = len(r.time_s), r.sample_s
+    motion = np.zeros((n, 12))
+
+    def smooth_output(name: str, span_s: float, slope: bool = False) -> Array | None:
+        if name not in r.outputs:
+            return None
+        y = fill_gaps(r.measured[:, r.outputs.index(name)])
+        return smooth_signal(y, dt, span_s, slope=slope)
+
+    # Columns of a value and of its rate, both names, and the spans of value, rate and slope (s).
+    pairs = (
+        (MO_POS, MO_VEL, "north", "v_north", 0.3, 0.2, 0.5),
+        (MO_POS + 1, MO_VEL + 1, "east", "v_east", 0.3, 0.2, 0.5),
+        (MO_POS + 2, MO_VEL + 2, "height", "climb", 0.3, 0.2, 0.5),
+        (MO_EULER, MO_RATES, "roll", "p", 0.15, 0.1, 0.25),
+        (MO_EULER + 1, MO_RATES + 1, "pitch", "q", 0.15, 0.1, 0.25),
+        (MO_EULER + 2, MO_RATES + 2, "yaw", "r", 0.15, 0.1, 0.25),
+    )
+    for at, at_rate, name, rate_name, span_s, rate_span_s, slope_span_s in pairs:
+        sign = -1.0 if name == "height" else 1.0
+        value, rate = smooth_output(name, span_s), smooth_output(rate_name, rate_span_s)
+        if value is not None:
+            motion[:, at] = sign * value
+        if rate is None:
+            rate = smooth_output(name, slope_span_s, slope=True)
+        if rate is not None:
+            motion[:, at_rate] = sign * rate
+    return motion
+
+
+def split_record(r: FlightRecord, share: float) -> tuple[FlightRecord, FlightRecord]:
+    """Cut a record in two; the second part holds the last ``share`` of it.
+
+    Raises
+    ------
+    InputError
+        If either part would be shorter than 50 samples.
+    """
+    n = len(r.time_s)
+    cut = round((1.0 - share) * n)
+    if cut < 50 or n - cut < 50:
+        raise InputError(r.name, "", f"is too short to hold out {share:.0%} of it", "give a longer record")
+
+    def named_slice(a: int, b: int) -> FlightRecord:
+        return replace(r.slice_samples(a, b), name=f"{r.name} ({r.time_s[a]:.4g} to {r.time_s[b - 1]:.4g} s)")
+
+    return named_slice(0, cut), named_slice(cut, n)
+
+
+def output_units(outputs: Sequence[str]) -> tuple[str, ...]:
+    """Return the units of outputs."""
+    return tuple(OUTPUT_UNITS[o] for o in outputs)
+
+
+_TIME_COLUMN_NAMES = ("time", "t", "time_s", "timestamp", "timestamp_s")
+# The kinematics' symbols -> the end of a signal's name in `mufly log`; where nothing measured it, what a simulated
+# flight knows stands in, then what was believed on board.
+_SIGNAL_OF_SYMBOL = {
+    "p": "rates.p", "q": "rates.q", "r": "rates.r",
+    "ax": "acceleration.x", "ay": "acceleration.y", "az": "acceleration.z",
+    "phi": "attitude.roll", "theta": "attitude.pitch", "psi": "attitude.yaw",
+    "v_north": "velocity.N", "v_east": "velocity.E", "v_down": "velocity.D",
+    "north": "position.N", "east": "position.E", "down": "position.D",
+}  # fmt: skip
+_SIGNAL_SOURCES = ("measured", "truth", "estimated")
+
+
+@dataclass(frozen=True, eq=False)
+class LogColumns:
+    """Columns on an even clock.
+
+    Attributes
+    ----------
+    name : str
+    time_s : (n,) array
+        From the log, even to within 1 % of a sample or resampled.
+    columns : dict of str to (n,) array
+    notes : tuple of str
+        What was done to make it so, in words.
+    empty : tuple of str
+        Columns of the log that hold no numbers.
+    bridged : dict of str to int
+        Samples of a column that were missing and stand on straight lines now.
+    """
+
+    name: str
+    time_s: Array
+    columns: Mapping[str, Array]
+    notes: tuple[str, ...] = ()
+    empty_columns: tuple[str, ...] = ()
+    filled_counts: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def dt(self) -> float:
+        """Sample time (s)."""
+        return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
+
+    def find_column(self, name: str, argument: str) -> Array:
+        """Return a column by its name, the end of its name where that is unique, or its symbol (``ax``, ``phi``).
+
+        Raises
+        ------
+        ArgumentError
+            If there is none, or several; ``argument`` is named that asked for it.
+        """
+        return self.columns[self.full_column_name(name, argument)]
+
+    def full_column_name(self, name: str, argument: str) -> str:
+        """Return the whole name of the column that :meth:`find_column` returns."""
+        if name in self.columns:
+            return name
+        ends = [c for c in self.columns if c.endswith(f".{name}")]
+        best = [c for c in ends if c.startswith("measured_")] or ends
+        if len(best) == 1:
+            return best[0]
+        meant = [f"{source}_{_SIGNAL_OF_SYMBOL[name]}" for source in _SIGNAL_SOURCES if name in _SIGNAL_OF_SYMBOL]
+        known = [c for c in meant if c in self.columns]
+        if known:
+            return known[0]
+        shown = ", ".join(list(self.columns)[:24]) + (" ..." if len(self.columns) > 24 else "")
+        missing = "holds no numbers" if name in self.empty_columns else "is no column of this log"
+        problem = "is in several columns" if best else missing
+        remedy = f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
+        arrays = [c[:-1] for c in self.columns if c.endswith("0") and f"{c[:-1]}1" in self.columns]
+        if arrays and not best:  # of a MATLAB file
+            remedy += f"; or say what an array's columns are: --columns {arrays[0]}={name},..."
+        raise ArgumentError(argument, name, problem, remedy)
+
+    def stack_columns(self, wanted: Mapping[str, str], argument: str) -> Array:
+        """Return columns side by side, (n, k), each a column or a sum of columns: ``-q``, ``m1-m2``, ``9.81*az``.
+
+        Parameters
+        ----------
+        wanted : dict
+            Our names to what stands for them: names of columns with ``+`` or ``-`` before, and a factor with ``*``.
+        argument : str
+            What asked for them, for errors.
+
+        Raises
+        ------
+        ArgumentError
+            If nothing is wanted, or a column is not there.
+        """
+        if not wanted:
+            raise ArgumentError(argument, "", "names nothing", "give names from the log, such as p,q")
+        sums = [self._parse_terms(text or name, argument) for name, text in wanted.items()]
+        zero = np.zeros(len(self.time_s))
+        return np.column_stack([sum((f * self.columns[c] for f, c in terms), zero) for terms in sums])
+
+    def column_notes(self, *wanted: Mapping[str, str]) -> list[str]:
+        """Return the record's notes, and those on the columns that :meth:`stack_columns` takes for each of
+        ``wanted``."""
+        used = [c for names in wanted for n, text in names.items() for _, c in self._parse_terms(text or n, "columns")]
+        holes = [c for c in dict.fromkeys(used) if c in self.filled_counts]
+        return [
+            *self.notes,
+            *(f"{self.filled_counts[c]} samples of {c} are missing and were bridged" for c in holes),
+        ]
+
+    def _parse_terms(self, text: str, argument: str) -> list[tuple[float, str]]:
+        """Factor and column of each term of a sum."""
+        known = (*self.columns, *self.empty_columns)
+        parts = [text] if text in known else re.findall(r"[+-]?[^+-]+(?:(?<=\de)[+-]\d+[^+-]*)?", text) or [text]
+        terms = []
+        for part in parts:
+            size, times, name = part.lstrip("+-").partition("*")
+            try:
+                factor = float(size) if times else 1.0
+            except ValueError:
+                raise ArgumentError(argument, text, f"{size!r} is no number", "write 9.81*COLUMN") from None
+            column = self.full_column_name((name if times else size).strip(), argument)
+            terms.append((-factor if part.startswith("-") else factor, column))
+        return terms
+
+    def slice_samples(self, start: int, stop: int) -> LogColumns:
+        """Return samples ``start`` to ``stop`` (not included)."""
+        columns = {k: v[start:stop] for k, v in self.columns.items()}
+        return replace(self, time_s=self.time_s[start:stop], columns=columns)
+
+
+def read_columns(
+    path: str | Path, *, columns: Mapping[str, Sequence[str]] | Sequence[str] = (), rate_hz: float | None = None
+) -> LogColumns:  # fmt: skip
+    """Read a log.
+
+    Parameters
+    ----------
+    path : str or Path
+    columns : sequence, or dict of sequences, of str
+        Names of the columns of a CSV file without header, or of the arrays of a MATLAB file.
+    rate_hz : float, optional
+        Resample to this rate; default the log's own.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, its time does not rise, or has too few samples.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(str(path), "", "no such file", "give a CSV, MATLAB or flight log")
+    suffix = path.suffix.lower()
+    notes: list[str] = []
+    if suffix == ".mat":
+        found = _read_matlab(path, columns)
+    elif suffix in (".csv", ".txt", ".tsv"):
+        found = _read_csv(path, columns)
+    else:
+        found = _read_log_columns(path, notes)
+    return _resample_evenly(path.name, found, rate_hz, notes)
+
+
+def _read_matlab(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> dict[str, Array]:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        content = loadmat(path)
+    except (MatReadError, NotImplementedError, ValueError, OSError) as error:
+        raise InputError(str(path), "", f"cannot be read ({error})", "save it as MATLAB 7 or CSV") from error
+    arrays = {
+        k: np.atleast_2d(np.asarray(v, dtype=np.float64))
+        for k, v in content.items()
+        if not k.startswith("__") and isinstance(v, np.ndarray) and v.dtype.kind in "fiu"
+    }
+    names = dict(columns) if isinstance(columns, Mapping) else {}
+    for key in names:
+        if key not in arrays:
+            raise ArgumentError("columns", key, "is no array of this file", f"it has: {', '.join(arrays)}")
+    found: dict[str, Array] = {}
+    for key, a in arrays.items():
+        a = a.T if a.shape[0] == 1 else a
+        given = list(names.get(key, ()))
+        if given and len(given) != a.shape[1]:
+            raise ArgumentError("columns", key, f"has {a.shape[1]} columns, {len(given)} names given", "name each")
+        own = [key] if a.shape[1] == 1 else [f"{key}{j}" for j in range(a.shape[1])]
+        for j, name in enumerate(given or own):
+            if name not in ("", "-"):
+                found[name] = a[:, j]
+    return found
+
+
+def _read_csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> dict[str, Array]:
+    from mufly.logs import read_raw, read_table_columns
+
+    if isinstance(columns, Mapping):
+        raise ArgumentError("columns", "", "names arrays, but a CSV file has none", "give names alone: a,b,c")
+    found: dict[str, Array] = {}
+    if columns:
+        fields, units, *_ = read_table_columns(path, columns)
+    else:
+        table = read_raw(path)["table"]
+        fields, units, found["time"] = dict(table.fields), dict(table.units), table.time
+    for k, v in fields.items():
+        if v.dtype.kind in "fiu" and not (found and k.lower() in _TIME_COLUMN_NAMES):
+            _, factor, offset = unit_conversion(units.get(k) or "1")
+            found[k] = factor * v.astype(np.float64) + offset
+    return found
+
+
+def _read_log_columns(path: Path, notes: list[str]) -> dict[str, Array]:
+    from mufly.logs import LogWarning, numeric_channels, read_log
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LogWarning)  # they go into the notes
+        data = read_log(path)
+    notes += [str(n) for n in data.attrs.get("notes", [])]
+    return {
+        "time": data["time"].values.astype(np.float64),
+        **{c.name: c.values for c in numeric_channels(data)},
+    }
+
+
+def _resample_evenly(name: str, found: dict[str, Array], rate_hz: float | None, notes: list[str]) -> LogColumns:
+    key = next((c for c in found if c.lower() in _TIME_COLUMN_NAMES), None)
+    if key is None:
+        raise InputError(
+            name, "", "has no column of time", f"call it one of {', '.join(_TIME_COLUMN_NAMES)}, in seconds"
+        )
+    time = found.pop(key)
+    if time.size < 20:
+        raise InputError(name, key, f"has {time.size} samples", "give a record of at least 20")
+    steps = np.diff(time)
+    if not (steps > 0.0).all():
+        at = int(np.flatnonzero(~(steps > 0.0))[0]) + 1
+        raise InputError(name, key, f"does not rise at row {at + 1}", "sort the record, or cut it there")
+    found = {k: v for k, v in found.items() if len(v) == len(time)}
+    step = float(np.median(steps)) if rate_hz is None else 1.0 / rate_hz
+    gaps = int((steps > 3.0 * np.median(steps)).sum())
+    if gaps:
+        notes.append(f"{gaps} gaps in time, the longest {steps.max():.3g} s, were bridged by straight lines")
+    missing = {k: int((~np.isfinite(v)).sum()) for k, v in found.items()}
+    even = rate_hz is None and bool((np.abs(steps - step) < 0.01 * step).all())
+    t = time if even else np.arange(time[0], time[-1] + 0.5 * step, step)
+    t = t[t <= time[-1] + 1e-9 * step]
+    if not even:
+        notes.append(f"resampled to {1.0 / step:.6g} Hz")
+    columns, empty = {}, []
+    for k, v in found.items():
+        good = np.isfinite(v)
+        if good.sum() < 2:
+            empty.append(k)
+            continue
+        columns[k] = v if even and good.all() else np.interp(t, time[good], v[good])
+    return LogColumns(name, t, columns, tuple(notes), tuple(empty), {k: missing[k] for k in columns if missing[k]})
+
+
+def low_pass(signal: Array, dt: float, cut_hz: float) -> Array:
+    """Filter columns (n, k) without phase; inputs and outputs filtered alike keep the same linear relation.
+
+    Fourth-order Butterworth, forwards and backwards.
+
+    Raises
+    ------
+    InputError
+        If the cut-off is not below the Nyquist frequency.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    if not 0.0 < cut_hz < 0.5 / dt:
+        raise ArgumentError("cut_hz", "", f"{cut_hz:g} Hz is not below the Nyquist frequency", f"under {0.5 / dt:g}")
+    return np.asarray(sosfiltfilt(butter(4, cut_hz, fs=1.0 / dt, output="sos"), signal, axis=0))

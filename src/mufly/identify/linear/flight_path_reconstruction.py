@@ -1,0 +1,482 @@
+"""Do the sensors of a flight agree? Flight path reconstruction: biases, scale factors and the states between them.
+
+What gyros and accelerometers measure drives the kinematics of a rigid body, in which no force, mass or coefficient
+occurs; so attitude, velocity and position that were measured beside them must follow, and what does not is the
+instruments' (Klein and Morelli, *Aircraft System Identification*, 2nd ed., ch. 10: data compatibility; Mulder, Chu,
+Sridhar, Breeman and Laban 1999, Prog. Aerospace Sci. 35). North, east, down; body x forward, y right, z down:
+
+    phi'   = p + (q sin phi + r cos phi) tan theta        v' = R(phi, theta, psi) (a_x, a_y, a_z) + (0, 0, g)
+    theta' = q cos phi - r sin phi                        x' = v
+    psi'   = (q sin phi + r cos phi) / cos theta
+
+    measured = (1 + lambda) true + b + noise               of each of p, q, r, a_x, a_y, a_z   (eq. 10.9 f.)
+
+with the specific force ``a``, which at rest is (0, 0, -g). Noise of the instruments drives the states, so the path is
+that of a Kalman filter and a smoother (Rauch, Tung and Striebel 1965) on the equations linearised about the last
+path; three to six rounds of it. The parameters minimise the filter's innovations (the filter-error method, Jategaonkar,
+ch. 5): their sensitivities run along with the filter,
+
+    S-(k+1) = F S+(k) + G dm/dtheta,      d nu/dtheta = -H S-,      S+ = (1 - K H) S-,
+
+Gauss-Newton does the rest, and intervals come from :func:`mufly.identify.fit_result.coloured_covariance`, because
+resampled
+or vibrating instruments leave coloured innovations. Priors, which only matter where the flight shows nothing:
+0.1 for a scale factor, 0.2 rad/s and 1 m/s^2 for a bias. Noise is first taken from third differences and then scaled,
+attitude with gyros and velocity and position with accelerometers, until innovations are as large as the filter says.
+
+What it assumes: attitude and IMU share axes and clock (a constant misalignment shows as a bias, a delay as a scale
+factor that is not there), the instruments sit at the point whose path was measured, gravity is 9.80665 m/s^2, the pitch
+stays within 80 deg. Turned signs, other units and exchanged axes are looked for first and refused by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from threadpoolctl import threadpool_limits
+
+from mufly.errors import ArgumentError, InputError
+from mufly.identify.fit_result import (
+    ParameterEstimate,
+    coloured_covariance,
+    describe_unseen_combinations,
+    divide_by_values,
+)
+from mufly.identify.flight_record import LogColumns, low_pass, smooth_signal
+from mufly.results import result
+from mufly.units import GRAVITY
+
+Array = NDArray[np.float64]
+
+IMU_CHANNELS = ("p", "q", "r", "ax", "ay", "az")
+FLIGHT_PATH_STATES = ("phi", "theta", "psi", "v_north", "v_east", "v_down", "north", "east", "down")
+STATE_UNITS = (
+    dict.fromkeys(FLIGHT_PATH_STATES[:3], "rad")
+    | dict.fromkeys(FLIGHT_PATH_STATES[3:6], "m/s")
+    | dict.fromkeys(FLIGHT_PATH_STATES[6:], "m")
+)
+IMU_ERROR_SYMBOLS = tuple(f"b_{n}" for n in IMU_CHANNELS) + tuple(f"lambda_{n}" for n in IMU_CHANNELS)
+_PRIOR_STD = np.array([0.2] * 3 + [1.0] * 3 + [0.1] * 6)
+_MIN_OUTPUT_NOISE = {
+    "phi": 2e-4,
+    "theta": 2e-4,
+    "psi": 2e-4,
+    "v_north": 2e-3,
+    "v_east": 2e-3,
+    "v_down": 2e-3,
+} | dict.fromkeys(("north", "east", "down"), 2e-4)  # least noise that is believed, SI
+_MIN_IMU_NOISE = np.array([1e-3] * 3 + [1e-2] * 3)
+_MAX_ITERATIONS, _CONVERGENCE_TOLERANCE = 8, 0.02  # of the search; last step over the deviation
+_MAX_PITCH_rad = np.radians(80.0)
+_MOTION_BANDWIDTH_HZ = 5.0  # below which lie motions, above it a rotor's shaking
+
+
+@result(eq=False)
+class ReconstructedPath:
+    """A flight reconstructed from its instruments.
+
+    Attributes
+    ----------
+    estimates : tuple of Estimate
+        Biases (in the instrument's unit) and scale factors (1).
+    std_white : (12,) array
+        Deviations as if the innovations were white.
+    covariance : (12, 12) array
+    time_s : (n,) array
+    states, states_std : (n, 9) array
+        Reconstructed, and their standard deviations, of ``FLIGHT_PATH_STATES``.
+    outputs : tuple of str
+        Those of the states that were measured.
+    measured : (n, m) array
+    innovations : (n, m) array
+        Measured less predicted one sample ahead, over what the filter expects: 1 is as it should be.
+    imu_noise, output_noise : array
+        Standard deviations used, SI.
+    corrected : (n, 6) array
+        Rates and specific force without bias and scale factor.
+    converged : bool
+    unseen, notes : tuple of str
+        What the flight does not show, and what was found about the record.
+    """
+
+    estimates: tuple[ParameterEstimate, ...]
+    std_white: Array
+    covariance: Array
+    time_s: Array
+    states: Array
+    states_std: Array
+    outputs: tuple[str, ...]
+    measured: Array
+    innovations: Array
+    imu_noise: Array
+    output_noise: Array
+    corrected: Array
+    converged: bool
+    unseen: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def residual(self) -> Array:
+        """Measured less reconstructed (n, m)."""
+        return self.measured - self.states[:, [FLIGHT_PATH_STATES.index(o) for o in self.outputs]]
+
+
+def body_to_ned_rotation(attitude: Array) -> Array:
+    """Return the matrices (n, 3, 3) from body to north, east, down, of roll, pitch and yaw (n, 3)."""
+    (s1, s2, s3), (c1, c2, c3) = np.sin(attitude).T, np.cos(attitude).T
+    return np.stack(
+        [
+            np.stack([c2 * c3, s1 * s2 * c3 - c1 * s3, c1 * s2 * c3 + s1 * s3], axis=-1),
+            np.stack([c2 * s3, s1 * s2 * s3 + c1 * c3, c1 * s2 * s3 - s1 * c3], axis=-1),
+            np.stack([-s2, s1 * c2, c1 * c2], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def flight_path_derivative(x: Array, m: Array) -> Array:
+    """Return the derivatives (n, 9) of states at true rates and specific force (n, 6)."""
+    s1, c1 = np.sin(x[:, 0]), np.cos(x[:, 0])
+    turn = m[:, 1] * s1 + m[:, 2] * c1
+    attitude = np.stack([m[:, 0] + turn * np.tan(x[:, 1]), m[:, 1] * c1 - m[:, 2] * s1, turn / np.cos(x[:, 1])], axis=1)
+    force = np.einsum("nij,nj->ni", body_to_ned_rotation(x[:, :3]), m[:, 3:])
+    return np.concatenate([attitude, force + np.array([0.0, 0.0, GRAVITY]), x[:, 3:6]], axis=1)
+
+
+def _runge_kutta_step(x: Array, m: Array, dt: float) -> Array:
+    """One sample on, the instruments' mean over it held: fourth-order Runge-Kutta."""
+    k1 = flight_path_derivative(x, m)
+    k2 = flight_path_derivative(x + 0.5 * dt * k1, m)
+    k3 = flight_path_derivative(x + 0.5 * dt * k2, m)
+    k4 = flight_path_derivative(x + dt * k3, m)
+    return x + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+
+def _step_jacobians(x: Array, m: Array, dt: float) -> tuple[Array, Array]:
+    """Derivatives of a step by states (n, 9, 9) and by instruments (n, 9, 6), central differences."""
+    by_x, by_m = np.zeros((len(x), 9, 9)), np.zeros((len(x), 9, 6))
+    for k in range(9):
+        if k >= 3:  # linear: velocity and position
+            by_x[:, k, k] = 1.0
+            if k < 6:
+                by_x[:, k + 3, k] = dt
+            continue
+        step = np.zeros(9)
+        step[k] = 1e-5
+        by_x[:, :, k] = (_runge_kutta_step(x + step, m, dt) - _runge_kutta_step(x - step, m, dt)) / 2e-5
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-4
+        by_m[:, :, k] = (_runge_kutta_step(x, m + step, dt) - _runge_kutta_step(x, m - step, dt)) / 2e-4
+    return by_x, by_m
+
+
+def reconstruct_flight_path(
+    record: LogColumns, imu: Mapping[str, str], outputs: Mapping[str, str]
+) -> ReconstructedPath:
+    """Reconstruct a flight, and find biases and scale factors of its instruments.
+
+    Parameters
+    ----------
+    record : Columns
+    imu : dict
+        All of p, q, r (rad/s), ax, ay, az (m/s^2, specific force) to columns or sums of columns.
+    outputs : dict
+        phi, theta, psi (rad), and any of v_north, v_east, v_down (m/s), north, east, down (m), likewise.
+
+    Raises
+    ------
+    InputError
+        If an instrument is missing, one is evidently in another unit, turned round or on another axis, or the pitch
+        exceeds 80 deg.
+    """
+    for name in IMU_CHANNELS:
+        if name not in imu:
+            raise ArgumentError("imu", name, "is missing", f"give all of {', '.join(IMU_CHANNELS)}; {name}=COLUMN")
+    for name in outputs:
+        if name not in FLIGHT_PATH_STATES:
+            raise ArgumentError(
+                "measured", name, "is no state of the kinematics", f"use {', '.join(FLIGHT_PATH_STATES)}"
+            )
+    for name in FLIGHT_PATH_STATES[:3]:
+        if name not in outputs:
+            raise ArgumentError("measured", name, "is missing", "give phi, theta and psi")
+    with threadpool_limits(1, "blas"):  # matrices of a dozen rows: threads would only wait for each other
+        return _reconstruct_path(record, imu, outputs)
+
+
+def _reconstruct_path(record: LogColumns, imu: Mapping[str, str], outputs: Mapping[str, str]) -> ReconstructedPath:
+    raw, z = (
+        record.stack_columns({n: imu[n] for n in IMU_CHANNELS}, "imu"),
+        record.stack_columns(outputs, "measured"),
+    )
+    outs, dt = tuple(outputs), record.dt
+    z[:, outs.index("psi")] = np.unwrap(z[:, outs.index("psi")])
+    if np.abs(z[:, outs.index("theta")]).max() > _MAX_PITCH_rad:
+        peak = float(np.abs(z[:, outs.index("theta")]).max())
+        raise InputError(
+            record.name, "theta", f"reaches {peak:.3g} rad, where Euler's angles end at 1.57",
+            "convert it to radians, or cut the record",
+        )  # fmt: skip
+    problems, notes = check_sensor_axes(raw, z, outs, dt)
+    notes = record.column_notes(imu, outputs) + notes
+    standing = {o: record.full_column_name(o, "measured") for o, text in outputs.items() if text == o}
+    for source, word in (
+        ("truth", "the simulation's truth"),
+        ("estimated", "the estimate on board, made of this IMU"),
+    ):
+        used = [o for o, column in standing.items() if column.startswith(f"{source}_")]
+        if used:
+            notes.append(f"{', '.join(used)}: nothing measured them; {word} stands in")
+    if problems:
+        raise InputError(record.name, problems[0][0], problems[0][1], problems[0][2])
+    at = [FLIGHT_PATH_STATES.index(o) for o in outs]
+    x = _initial_path(z, outs, dt)
+    noise = np.array([max(_third_difference_noise(z[:, k]), _MIN_OUTPUT_NOISE[o]) for k, o in enumerate(outs)])
+    imu_noise = np.maximum(np.array([_third_difference_noise(raw[:, k]) for k in range(6)]), _MIN_IMU_NOISE)
+    theta, converged = np.zeros(12), False
+    smooth_x, smooth_p = x, np.zeros((len(x), 9))
+    whitened = np.zeros_like(z)
+    covariance = bound = np.eye(12)
+    size = np.ones(12)
+    for turn in range(_MAX_ITERATIONS):
+        true, by_theta = _correct_imu(raw, theta, dt)
+        f = _run_kalman_filter(x, true, by_theta, z, at, noise, imu_noise, dt)
+        whitened = f.innovations
+        covariance, bound, _ = coloured_covariance([f.sensitivities], [whitened], _PRIOR_STD)
+        # A doubt that the colour's estimate makes negative is at least the white one's.
+        size = np.sqrt(np.maximum(np.diag(covariance), np.diag(bound)))
+        information = np.einsum("nmt,nmu->tu", f.sensitivities, f.sensitivities) + np.diag(_PRIOR_STD**-2)
+        right = np.einsum("nmt,nm->t", f.sensitivities, whitened) - theta / _PRIOR_STD**2
+        change = np.linalg.solve(information, right)
+        smooth_x, smooth_p = _run_rts_smoother(x, f)
+        x = smooth_x
+        theta = theta + change
+        # As large as the filter expects: the two groups keep the ratio of noise that drives to noise that measures.
+        ratio = np.sqrt(np.mean(whitened[len(z) // 10 :] ** 2, axis=0))
+        for members, driven in (((0, 1, 2), slice(0, 3)), (range(3, 9), slice(3, 6))):
+            chosen = [k for k, s in enumerate(at) if s in members]
+            if chosen and turn < _MAX_ITERATIONS - 3:
+                scale = float(np.clip(np.sqrt(np.mean(ratio[chosen] ** 2)), 0.3, 3.0))
+                noise[chosen] *= scale
+                imu_noise[driven] *= scale
+        converged = bool((np.abs(change) < _CONVERGENCE_TOLERANCE * size).all())
+        if converged and turn >= 3:
+            break
+    std = size
+    if np.any(std > 0.8 * _PRIOR_STD):
+        names = ", ".join(n for n, s, p in zip(IMU_ERROR_SYMBOLS, std, _PRIOR_STD, strict=True) if s > 0.8 * p)
+        notes.append(f"{names}: the flight says little, the values are the prior's; turn more about these axes")
+    estimates = tuple(
+        ParameterEstimate.from_std(n, "", unit, 0.0, float(v), float(s), quantile=1.96)
+        for n, unit, v, s in zip(IMU_ERROR_SYMBOLS, ["rad/s"] * 3 + ["m/s^2"] * 3 + ["1"] * 6, theta, std, strict=True)
+    )
+    # Over what would matter, not over the values, which are near zero.
+    unseen = describe_unseen_combinations(IMU_ERROR_SYMBOLS, divide_by_values(covariance, _PRIOR_STD))
+    return ReconstructedPath(
+        estimates, np.sqrt(np.diag(bound)), covariance, record.time_s, smooth_x, np.sqrt(smooth_p), outs, z, whitened,
+        imu_noise, noise, _correct_imu(raw, theta, dt)[0], converged, unseen, tuple(notes),
+    )  # fmt: skip
+
+
+def _third_difference_noise(y: Array) -> float:
+    """Noise from third differences, of which white noise leaves 20 times its variance."""
+    return 1.4826 * float(np.median(np.abs(np.diff(y, 3)))) / np.sqrt(20.0)
+
+
+def _correct_imu(raw: Array, theta: Array, dt: float) -> tuple[Array, Array]:
+    """True rates and forces (n, 6), and their derivatives by the parameters (n, 6, 12).
+
+    A scale factor is told by the slow part of what was measured: noise that stood on both sides of the normal equations
+    would make every scale factor too large (the method of instrumental variables), beside a rotor that shakes its
+    accelerometer by 4 m/s^2 eight times too large.
+    """
+    true = (raw - theta[:6]) / (1.0 + theta[6:])
+    slope = np.zeros((len(raw), 6, 12))
+    for k in range(6):
+        slope[:, k, k] = -1.0 / (1.0 + theta[6 + k])
+        slope[:, k, 6 + k] = -low_pass(true[:, k], dt, min(_MOTION_BANDWIDTH_HZ, 0.25 / dt)) / (1.0 + theta[6 + k])
+    return true, slope
+
+
+def _initial_path(z: Array, outs: tuple[str, ...], dt: float) -> Array:
+    """States from the measurements alone, smoothed; what was not measured from derivatives or as zero."""
+    x = np.zeros((len(z), 9))
+    for k, name in enumerate(FLIGHT_PATH_STATES):
+        if name in outs:
+            x[:, k] = smooth_signal(z[:, outs.index(name)], dt)
+    for k in range(3, 6):
+        place = FLIGHT_PATH_STATES[k + 3]
+        if FLIGHT_PATH_STATES[k] not in outs and place in outs:
+            x[:, k] = smooth_signal(z[:, outs.index(place)], dt, 0.3, slope=True)
+    return x
+
+
+@dataclass(frozen=True, eq=False)
+class _FilterPass:
+    innovations: Array  # (n, m), whitened
+    sensitivities: Array  # (n, m, 12), of what is predicted, whitened
+    predicted_deviation: Array  # (n, 9), deviations from the path that was linearised about
+    updated_deviation: Array
+    predicted_covariance: Array  # (n, 9, 9)
+    updated_covariance: Array
+    transition_matrix: Array  # (n - 1, 9, 9)
+
+
+def _run_kalman_filter(
+    x: Array, true: Array, by_theta: Array, z: Array, at: list[int], noise: Array, imu_noise: Array, dt: float
+) -> _FilterPass:
+    n, m = z.shape
+    middle = 0.5 * (true[:-1] + true[1:])
+    step, drive = _step_jacobians(x[:-1], middle, dt)
+    defect = _runge_kutta_step(x[:-1], middle, dt) - x[1:]
+    by = np.einsum("nij,njt->nit", drive, 0.5 * (by_theta[:-1] + by_theta[1:]))
+    # Noise of two samples, of which each step takes half: their mean has half the variance.
+    q = np.einsum("nij,j,nkj->nik", drive, imu_noise**2, drive)
+    r, h = np.diag(noise**2), np.zeros((m, 9))
+    h[np.arange(m), at] = 1.0
+    p = np.diag([0.3**2] * 3 + [3.0**2] * 3 + [3.0**2] * 3)
+    dx, s = np.zeros(9), np.zeros((9, 12))
+    out = _FilterPass(
+        np.zeros((n, m)), np.zeros((n, m, 12)), np.zeros((n, 9)), np.zeros((n, 9)), np.zeros((n, 9, 9)),
+        np.zeros((n, 9, 9)), step,
+    )  # fmt: skip
+    off = z - x[:, at]
+    one = np.eye(9)
+    for k in range(n):
+        if k:
+            f = step[k - 1]
+            dx, s, p = defect[k - 1] + f @ dx, f @ s + by[k - 1], f @ p @ f.T + q[k - 1]
+        out.predicted_deviation[k], out.predicted_covariance[k] = dx, p
+        innovation, spread = off[k] - dx[at], p[np.ix_(at, at)] + r
+        root = np.linalg.cholesky(spread)
+        out.innovations[k] = solve_triangular(root, innovation, lower=True, check_finite=False)
+        out.sensitivities[k] = solve_triangular(root, s[at], lower=True, check_finite=False)
+        gain = np.linalg.solve(spread, p[at]).T
+        dx, s = dx + gain @ innovation, s - gain @ s[at]
+        keep = one - gain @ h
+        p = keep @ p @ keep.T + gain @ r @ gain.T
+        out.updated_deviation[k], out.updated_covariance[k] = dx, p
+    return out
+
+
+def _run_rts_smoother(x: Array, f: _FilterPass) -> tuple[Array, Array]:
+    """Path (n, 9) and variances (n, 9) from all measurements."""
+    n = len(x)
+    dx, p = f.updated_deviation[-1], f.updated_covariance[-1]
+    path, variance = x.copy(), np.zeros((n, 9))
+    path[-1], variance[-1] = x[-1] + dx, np.diag(p)
+    for k in range(n - 2, -1, -1):
+        back = np.linalg.solve(f.predicted_covariance[k + 1], f.transition_matrix[k] @ f.updated_covariance[k]).T
+        dx = f.updated_deviation[k] + back @ (dx - f.predicted_deviation[k + 1])
+        p = f.updated_covariance[k] + back @ (p - f.predicted_covariance[k + 1]) @ back.T
+        path[k], variance[k] = x[k] + dx, np.maximum(np.diag(p), 0.0)
+    return path, variance
+
+
+def check_sensor_axes(
+    raw: Array, z: Array, outs: tuple[str, ...], dt: float
+) -> tuple[list[tuple[str, str, str]], list[str]]:
+    """Look for units, signs and axes that cannot be: every channel against what kinematics makes of the others.
+
+    Returns
+    -------
+    problems : list of (name, problem, remedy)
+        What no bias or scale factor explains.
+    notes : list of str
+    """
+    known = {o: z[:, k] for k, o in enumerate(outs)}
+    angle = np.column_stack([smooth_signal(known[n], dt) for n in FLIGHT_PATH_STATES[:3]])
+    turn = np.column_stack([smooth_signal(known[n], dt, 0.25, slope=True) for n in FLIGHT_PATH_STATES[:3]])
+    s1, c1, s2, c2 = np.sin(angle[:, 0]), np.cos(angle[:, 0]), np.sin(angle[:, 1]), np.cos(angle[:, 1])
+    rates = np.column_stack(
+        [
+            turn[:, 0] - turn[:, 2] * s2,
+            turn[:, 1] * c1 + turn[:, 2] * c2 * s1,
+            -turn[:, 1] * s1 + turn[:, 2] * c2 * c1,
+        ]
+    )
+    seen = np.column_stack([smooth_signal(raw[:, k], dt, 0.25) for k in range(6)])
+    problems, notes = _compare_axes(IMU_CHANNELS[:3], seen[:, :3], rates, "the derivative of the attitude", "deg/s")
+    for k in range(3):
+        if FLIGHT_PATH_STATES[3 + k] in known and FLIGHT_PATH_STATES[6 + k] in known:
+            slope = smooth_signal(known[FLIGHT_PATH_STATES[6 + k]], dt, 0.3, slope=True)
+            more, said = _compare_axes(
+                (FLIGHT_PATH_STATES[3 + k],),
+                known[FLIGHT_PATH_STATES[3 + k]][:, None],
+                slope[:, None],
+                FLIGHT_PATH_STATES[6 + k],
+                "",
+            )
+            problems, notes = problems + more, notes + said
+    mean = float(np.linalg.norm(raw[:, 3:], axis=1).mean())
+    if 0.5 < mean < 2.0:
+        problems.append(
+            (
+                "ax, ay, az",
+                f"have a mean size of {mean:.3g}: they seem to be in g, not m/s^2",
+                "write ax=9.80665*COLUMN",
+            )
+        )
+    elif float(seen[:, 5].mean()) > 0.5 * mean:
+        problems.append(
+            (
+                "az",
+                f"reads {seen[:, 5].mean():+.3g} m/s^2 on average, where z down reads -9.8",
+                "turn its sign: az=-COLUMN",
+            )
+        )
+    elif not 0.7 * GRAVITY < mean < 1.5 * GRAVITY:
+        problems.append(("ax, ay, az", f"have a mean size of {mean:.3g} m/s^2, not 9.8", "give m/s^2"))
+    else:
+        if all(name in known for name in FLIGHT_PATH_STATES[3:6]):
+            changes = [smooth_signal(known[name], dt, 0.3, slope=True) for name in FLIGHT_PATH_STATES[3:6]]
+            pull = np.column_stack(changes) - [0.0, 0.0, GRAVITY]
+            force = np.einsum("nji,nj->ni", body_to_ned_rotation(angle), pull)
+            wide = np.column_stack([smooth_signal(raw[:, 3 + k], dt, 0.3) for k in range(3)])
+            more, said = _compare_axes(IMU_CHANNELS[3:], wide, force, "the change of velocity", "")
+            problems, notes = problems + more, notes + said
+    return problems, notes
+
+
+def _compare_axes(
+    names: tuple[str, ...], seen: Array, made: Array, source: str, degrees: str
+) -> tuple[list[tuple[str, str, str]], list[str]]:
+    problems, notes = [], []
+    a, b = seen - seen.mean(0), made - made.mean(0)
+    size_a, size_b = np.maximum(a.std(0), 1e-12), np.maximum(b.std(0), 1e-12)
+    correlation = a.T @ b / len(a) / np.outer(size_a, size_b)
+    for k, name in enumerate(names):
+        own = float(correlation[k, k])
+        other = int(np.argmax(np.abs(correlation[k])))
+        ratio = float(size_a[k] / size_b[k])
+        if abs(own) < 0.6:
+            if other != k and abs(correlation[k, other]) > 0.8:
+                sign = "-" if correlation[k, other] < 0.0 else ""
+                what = f"follows {sign}{names[other]} of {source} (correlation {correlation[k, other]:+.2f})"
+                problems.append((name, f"{what}, not its own ({own:+.2f})", "give the column of the right axis"))
+            else:
+                notes.append(f"{name} and {source} agree little (correlation {own:+.2f}): little moves, or a delay")
+        elif degrees and 30.0 < ratio < 110.0:
+            problems.append(
+                (
+                    name,
+                    f"is {ratio:.0f} times {source}: it seems to be in {degrees}",
+                    "write 0.0174533*COLUMN",
+                )
+            )
+        elif own < 0.0:
+            problems.append(
+                (
+                    name,
+                    f"has the opposite sign of {source} (correlation {own:+.2f})",
+                    f"turn it: {name}=-COLUMN",
+                )
+            )
+        elif not 0.5 < ratio < 2.0:
+            notes.append(f"{name} is {ratio:.2f} times {source}: another unit?")
+    return problems, notes

@@ -1,0 +1,395 @@
+"""Frequency responses and coherence from records, beside those of a model, and a model fitted to them.
+
+**Frequency responses and coherence from records, beside those of a model.**
+
+A record is cut into overlapping segments with a Hann window; each is transformed at the frequencies that are wanted,
+which need not be multiples of 1 / segment (Tischler and Remple, *Aircraft and
+Rotorcraft System Identification*, 2nd ed., ch. 7), and the products are averaged:
+
+    S_uu = <U* U^T>,   S_uy = <U* y>,   H = S_uu^-1 S_uy                      response to all inputs at once
+    gamma^2   = S_uy^H S_uu^-1 S_uy / S_yy                                    multiple coherence
+    gamma_j^2 = |S_jy.r|^2 / (S_jj.r S_yy.r)                                  partial coherence of input j
+
+where ``.r`` means with what all other inputs explain taken away ("conditioned", Bendat and Piersol, *Random Data*,
+ch. 7). At a frequency this is a regression of the output's transforms on those of ``k`` inputs over ``n`` segments,
+so the random error of the magnitude, and of the phase in radians, has the residual's degrees of freedom (Bendat and
+Piersol, Sec. 9.2.4 with their F in place of a normal; own derivation of what overlap leaves)
+
+    eps = sqrt((1 - gamma_j^2) / gamma_j^2) / sqrt(2 (n - k)),      nu = 2 (n - k),      95 %: t(0.975, nu) eps
+
+with ``n`` the number of half-overlapping segments, each worth 18/19: transforms of white noise in neighbouring Hann
+windows have a correlation of 1/6, and a mean of N such products a variance of (1 + 2 (1/6)^2) / N. For many segments
+that is Tischler and Remple's eq. 7.46, ``C sqrt(1 - gamma^2) / (gamma sqrt(2 n_d))`` with C^2 = 0.55 and ``n_d`` the
+record over the segment. Relative to the estimated magnitude; a phase lies within ``arcsin(t eps)``. The misfit of a
+model is Tischler and Remple's
+
+    J = 20 / n sum W_gamma [(20 log10 |H_m / H|)^2 + 0.01745 (phase_m - phase)^2 / deg^2],
+    W_gamma = (1.58 (1 - exp(-gamma_j^2)))^2
+
+of which J < 100 is a good and J < 50 a hardly noticeable difference.
+
+**A structured linear model fitted to frequency responses instead of time histories: a cross-check of the other.**
+
+The parameters minimise Tischler and Remple's cost (:func:`response_cost`) summed over the input-output pairs,
+each weighted by its partial coherence. Trims, biases and initial states do not enter, nor does what is not coherent
+with an input; feedback biases it where an input is made from the output.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.signal import get_window
+from scipy.special import stdtrit
+
+from mufly.errors import InputError
+from mufly.identify.linear.linear_structure import LinearStructure, SearchCoordinates, scale_structure
+from mufly.results import result
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_MIN_PARTIAL_COHERENCE, _FIT_FREQUENCIES = (
+    0.5,
+    60,
+)  # of a fit: smallest partial coherence that counts, and frequencies
+_SEGMENT_INDEPENDENCE = 18.0 / 19.0  # of a segment among half-overlapping Hann windows
+
+
+@result(eq=False, picture="mufly.identify.linear.response_pictures:response_picture")
+class FrequencyResponse:
+    """Responses of all outputs to all inputs, estimated from one or several records.
+
+    Attributes
+    ----------
+    frequency_hz : (f,) array
+    response : (f, outputs, inputs) complex array
+        NaN where an input has no power.
+    coherence : (f, outputs) array
+        Multiple coherence: share of each output's power that the inputs explain linearly.
+    partial : (f, outputs, inputs) array
+        Partial coherence.
+    error : (f, outputs, inputs) array
+        Random error (one standard deviation) relative to the magnitude; also that of the phase (rad).
+    freedom : (f, outputs, inputs) array
+        Its degrees of freedom.
+    averages : float
+        What the segments are worth in independent ones.
+    inputs, outputs : tuple of str
+    window_s : (f, outputs, inputs) array, optional
+        Length of the windows (s) where it differs: of a composite.
+    """
+
+    frequency_hz: Array
+    response: ComplexArray
+    coherence: Array
+    partial: Array
+    error: Array
+    freedom: Array
+    averages: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    window_s: Array | None = None
+
+    @property
+    def relative_interval(self) -> Array:
+        """Half the 95 % interval of the magnitude over the magnitude; its arcsine is that of the phase (rad)."""
+        return np.asarray(stdtrit(self.freedom, 0.975) * self.error)
+
+
+def estimate_frequency_response(
+    inputs: Array | Sequence[Array], outputs: Array | Sequence[Array], dt: float, *, segment_s: float,
+    low_hz: float = 0.0, high_hz: float = 0.0, points: int = 100, frequency_hz: Array | None = None,
+    input_names: tuple[str, ...] = (), output_names: tuple[str, ...] = (),
+) -> FrequencyResponse:  # fmt: skip
+    """Estimate frequency responses and coherences.
+
+    Parameters
+    ----------
+    inputs, outputs : (n, k) and (n, m) array, or lists of such
+        Without gaps; a list holds one array a record.
+    dt : float
+        Sample time (s).
+    segment_s : float
+        Length of a segment (s): long enough for the lowest frequency, short enough for several in the record.
+    low_hz, high_hz : float
+        Band; ``high_hz`` at most the Nyquist frequency.
+    points : int
+        Frequencies, evenly spaced.
+    frequency_hz : (f,) array, optional
+        Frequencies, rising, instead of these three.
+    input_names, output_names : tuple of str
+
+    Raises
+    ------
+    InputError
+        If the band is empty, or a record is shorter than a segment.
+    """
+    us = [np.asarray(inputs)] if isinstance(inputs, np.ndarray) else [np.asarray(u) for u in inputs]
+    ys = [np.asarray(outputs)] if isinstance(outputs, np.ndarray) else [np.asarray(y) for y in outputs]
+    frequency = np.linspace(low_hz, high_hz, points) if frequency_hz is None else np.asarray(frequency_hz)
+    spectra, averages = average_cross_spectra(us, ys, dt, segment_s, frequency)
+    return response_from_spectra(frequency, spectra, us[0].shape[1], averages, input_names, output_names)
+
+
+def average_cross_spectra(
+    inputs: Sequence[Array], outputs: Sequence[Array], dt: float, segment_s: float, frequency_hz: Array
+) -> tuple[ComplexArray, float]:
+    """Return the averaged products of inputs and outputs, as densities, and the segments' worth in independent ones.
+
+    Returns
+    -------
+    spectra : (f, k + m, k + m) complex array
+        ``<z_i* z_j>``, two-sided, per Hz: of white noise the variance times ``dt``, whatever the segment.
+    averages : float
+
+    Raises
+    ------
+    InputError
+        If the band is empty, or no record is as long as a segment.
+    """
+    size = round(segment_s / dt)
+    low_hz, high_hz = float(frequency_hz[0]), float(frequency_hz[-1])
+    if not (0.0 < low_hz < high_hz <= 0.5 / dt * (1.0 + 1e-9)):
+        raise InputError(
+            "frequency response", "", f"the band {low_hz:g} to {high_hz:g} Hz cannot be had from samples "
+            f"{dt:g} s apart", f"give 0 < low < high <= {0.5 / dt:g} Hz",
+        )  # fmt: skip
+    if size < 8 or min(len(u) for u in inputs) < size:
+        raise InputError(
+            "frequency response", "", f"a segment of {segment_s:g} s ({size} samples) does not fit the record",
+            "give a segment shorter than every record",
+        )  # fmt: skip
+    window = get_window("hann", size)
+    wave = window * np.exp(-2j * np.pi * frequency_hz[:, None] * dt * np.arange(size))
+    wave *= np.sqrt(dt / float(window @ window))
+    width = inputs[0].shape[1] + outputs[0].shape[1]
+    spectra = np.zeros((len(frequency_hz), width, width), dtype=np.complex128)
+    count = 0
+    slope = np.linspace(-0.5, 0.5, size)[:, None]
+    for u, y in zip(inputs, outputs, strict=True):
+        z = np.column_stack([u, y])
+        for start in range(0, len(z) - size + 1, max(1, size // 2)):
+            part = z[start : start + size]
+            part = part - part.mean(0) - slope * ((slope * part).sum(0) / (slope**2).sum())
+            transform = wave @ part
+            spectra += np.conj(transform)[:, :, None] * transform[:, None, :]
+            count += 1
+    spectra /= count
+    return spectra, _SEGMENT_INDEPENDENCE * count
+
+
+def condition_spectra(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Array, Array]:
+    """Return what each input does with the others' share taken away, from products (f, k + m, k + m).
+
+    Returns
+    -------
+    response : (f, m, k) complex array
+        NaN where an input has no power.
+    own : (f, k) array
+        Spectrum of each input without what the other inputs explain of it.
+    left : (f, m) array
+        Spectrum of each output without what all inputs explain.
+    coherence : (f, m) array
+        Multiple coherence.
+    """
+    points, m = len(s), s.shape[1] - k
+    response, own = np.full((points, m, k), np.nan + 0j), np.zeros((points, k))
+    left, coherence = np.zeros((points, m)), np.zeros((points, m))
+    power = np.real(np.einsum("fii->fi", s))
+    used = np.flatnonzero(power[:, :k].sum(0) > 1e-24 * max(power[:, :k].sum(), 1e-300))
+    for f in range(points):
+        if used.size == 0:
+            break
+        suu, suy = s[f][np.ix_(used, used)], s[f][np.ix_(used, np.arange(k, k + m))]
+        # Inputs that move together cannot be told apart; the pseudo-inverse then shares the response among them.
+        inverse = np.linalg.pinv(suu, rcond=1e-10, hermitian=True)
+        h = inverse @ suy
+        response[f][:, used] = h.T
+        explained = np.real(np.einsum("ij,ij->j", np.conj(suy), h))
+        coherence[f] = np.clip(explained / np.maximum(power[f, k:], 1e-300), 0.0, 1.0)
+        left[f] = np.maximum(power[f, k:] - explained, 0.0)
+        diagonal = np.real(np.diag(inverse))
+        own[f, used] = np.where(diagonal > 0.0, 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)
+    return response, own, left, coherence
+
+
+def response_from_spectra(
+    frequency: Array, s: ComplexArray, k: int, averages: float, inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> FrequencyResponse:  # fmt: skip
+    """Return responses and coherences from averaged products (f, k + m, k + m) of k inputs and m outputs."""
+    response, own, left, coherence = condition_spectra(s, k)
+    # |H_j|^2 S_jj.r is what input j alone adds to the explained power.
+    alone = np.abs(np.nan_to_num(response)) ** 2 * own[:, None, :]
+    partial = alone / np.maximum(alone + left[:, :, None], 1e-300)
+    error, freedom = response_random_error(partial, averages, k)
+    return FrequencyResponse(frequency, response, coherence, partial, error, freedom, averages, inputs, outputs)
+
+
+def response_random_error(coherence: Array, averages: float | Array, inputs: int) -> tuple[Array, Array]:
+    """Return the relative standard deviation of magnitude and phase (rad), and its degrees of freedom."""
+    square = np.clip(coherence, 1e-12, 1.0)
+    # As few segments as inputs explain anything: half a degree is left to say that nothing is known.
+    freedom = np.full_like(square, 1.0) * np.maximum(2.0 * (averages - inputs), 0.5)
+    return np.sqrt((1.0 - square) / (square * freedom)), freedom
+
+
+def state_space_response(
+    a: Array, b: Array, c: Array, d: Array, frequency_hz: Array, delay_s: Array | None = None
+) -> ComplexArray:
+    """Return the response of ``x' = A x + B u(t - delay), y = C x + D u(t - delay)``.
+
+    Parameters
+    ----------
+    a, b, c, d : arrays
+        (n, n), (n, k), (m, n), (m, k).
+    frequency_hz : (f,) array
+    delay_s : (k,) array, optional
+        Delay of each input (s).
+
+    Returns
+    -------
+    (f, m, k) complex array
+    """
+    s = 2j * np.pi * np.asarray(frequency_hz)
+    eye = np.eye(len(a))
+    x = np.linalg.solve(s[:, None, None] * eye - a, np.broadcast_to(b.astype(complex), (len(s), *b.shape)))
+    h = c @ x + d
+    turned = h if delay_s is None else h * np.exp(-s[:, None, None] * delay_s)
+    return np.asarray(turned, dtype=np.complex128)
+
+
+def response_cost(data: FrequencyResponse, model: ComplexArray, *, least: float = 0.3) -> Array:
+    """Return Tischler and Remple's cost J of every input-output pair.
+
+    Parameters
+    ----------
+    data : FrequencyResponse
+    model : (f, outputs, inputs) complex array
+        At the same frequencies.
+    least : float
+        Frequencies with a smaller partial coherence are left out.
+
+    Returns
+    -------
+    (outputs, inputs) array
+        NaN where no frequency is coherent.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = model / data.response
+        level = 20.0 * np.log10(np.abs(ratio))
+        phase = np.degrees(np.angle(ratio))
+    weight = (1.58 * (1.0 - np.exp(-data.partial))) ** 2
+    good = np.isfinite(level) & (data.partial >= least)
+    cost = np.where(good, weight * (level**2 + 0.01745 * phase**2), 0.0).sum(0)
+    number = good.sum(0)
+    return np.where(number > 0, 20.0 * cost / np.maximum(number, 1), np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponseFit:
+    """A structure fitted to frequency responses.
+
+    Attributes
+    ----------
+    values : (p,) array
+    std : (p,) array
+        From the curvature of the cost and its size, as if neighbouring frequencies were independent: a lower bound.
+    data : FrequencyResponse
+    model : (f, outputs, inputs) complex array
+        Response at ``values``.
+    cost : (outputs, inputs) array
+        Tischler and Remple's J at ``values``; NaN for pairs without coherence.
+    cost_before : (outputs, inputs) array
+        The same at the values given to start from.
+    """
+
+    values: Array
+    value_std: Array
+    measured_response: FrequencyResponse
+    model_response: ComplexArray
+    cost: Array
+    cost_before: Array
+
+
+def structure_response(structure: LinearStructure, values: Array, frequency_hz: Array) -> ComplexArray:
+    """Return the frequency response (f, outputs, inputs) of a structure at given values."""
+    a, b, c, d, delay = structure.state_space_matrices(values)
+    return state_space_response(a, b, c, d, frequency_hz, delay)
+
+
+def _chance_coherence(averages: float, inputs: int, frequencies: float) -> float:
+    """Partial coherence that independent signals exceed at any of so many frequencies in 5 % of all cases."""
+    freedom = max(averages - inputs, 1.0)
+    return float(1.0 - (0.05 / max(frequencies, 1.0)) ** (1.0 / freedom))
+
+
+def fit_frequency_response(
+    structure: LinearStructure, u: Array, y: Array, dt: float, *, first: Array, segment_s: float, high_hz: float,
+) -> FrequencyResponseFit:  # fmt: skip
+    """Fit a structure to the frequency responses of a record.
+
+    Parameters
+    ----------
+    structure : Structure
+    u, y : (n, inputs), (n, outputs) array
+        Without gaps.
+    dt : float
+        Sample time (s).
+    first : (p,) array
+        Where the search begins.
+    segment_s : float
+        Length of the segments (s); the lowest frequency is 1.5 / ``segment_s``.
+    high_hz : float
+        Highest frequency.
+
+    Raises
+    ------
+    InputError
+        If no frequency is coherent, or the record is too short.
+    """
+    structure = scale_structure(structure, u, y)
+    data = estimate_frequency_response(
+        u, y, dt, segment_s=segment_s, low_hz=1.5 / segment_s, high_hz=high_hz, points=_FIT_FREQUENCIES,
+        input_names=structure.inputs, output_names=structure.outputs,
+    )  # fmt: skip
+    least = max(
+        _MIN_PARTIAL_COHERENCE,
+        _chance_coherence(data.averages, len(structure.inputs), (high_hz - 1.5 / segment_s) * segment_s / 1.5),
+    )
+    good = (data.partial >= least) & np.isfinite(data.response)
+    good &= good.sum(0) >= 4
+    if 2 * good.sum() < len(structure.parameters):
+        raise InputError(
+            "frequency response", "", f"{int(good.sum())} coherent points for {len(structure.parameters)} parameters",
+            "give a longer record or more excitation",
+        )  # fmt: skip
+    weight = 1.58 * (1.0 - np.exp(-data.partial))
+    share = 20.0 / np.maximum(good.sum(0), 1)
+
+    at = SearchCoordinates(structure.parameters, first)
+
+    def response_residual(z: Array) -> Array:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = structure_response(structure, at.to_values(z), data.frequency_hz) / data.response
+            level, phase = 20.0 * np.log10(np.maximum(np.abs(ratio), 1e-12)), np.degrees(np.angle(ratio))
+        scaled = np.sqrt(share) * weight
+        rows = np.stack([scaled * level, np.sqrt(0.01745) * scaled * phase])
+        return np.asarray(rows[:, good].ravel())
+
+    lower, upper = at.bounds
+    start = np.clip(at.to_coordinates(np.clip(first, at.low, at.high)), lower + 1e-9, upper - 1e-9)
+    solution = least_squares(response_residual, start, bounds=(lower, upper), x_scale="jac", max_nfev=200)
+    found = at.to_values(solution.x)
+    model = structure_response(structure, found, data.frequency_hz)
+    used = np.where(good.any(axis=0), 1.0, np.nan)
+    before = used * response_cost(data, structure_response(structure, first, data.frequency_hz), least=least)
+    jacobian = np.asarray(solution.jac, dtype=np.float64)
+    curvature = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
+    error = 2.0 * solution.cost / max(solution.fun.size - found.size, 1)
+    std = np.sqrt(np.maximum(np.diag(curvature), 0.0) * error) * at.value_derivatives(solution.x)
+    return FrequencyResponseFit(found, std, data, model, used * response_cost(data, model, least=least), before)

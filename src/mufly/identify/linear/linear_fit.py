@@ -1,0 +1,356 @@
+"""Output-error fit of a linear model: Gauss-Newton in a trust region, several starts, the whole record in one piece.
+
+The prediction is a pure simulation from the inputs. Its residuals are weighted by the inverse of their own variance,
+which is re-estimated until it stands still: the maximum-likelihood estimate for unknown noise (Maine and Iliff 1985,
+NASA RP-1138; Jategaonkar, ch. 4). Initial state, trim of the inputs and bias of the outputs enter linearly and are
+eliminated exactly at every step (variable projection), so the search has only the parameters of the dynamics, and
+their covariance counts what those unknowns cost. A mask leaves out samples for cross-validation while the simulation
+runs through them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits
+
+from mufly.errors import ArgumentError, InputError
+from mufly.identify.fit_result import coloured_covariance, parzen_window
+from mufly.identify.linear.linear_structure import (
+    LinearStructure,
+    SearchCoordinates,
+    linear_unknown_responses,
+    scale_structure,
+    simulate_linear_structure,
+)
+from mufly.identify.residual_analysis import residual_autocorrelation
+from mufly.results import result
+
+Array = NDArray[np.float64]
+
+_WEIGHT_ITERATIONS = 3
+
+
+@result(eq=False)
+class LinearFit:
+    """A fitted linear model.
+
+    Attributes
+    ----------
+    structure : Structure
+    values, start : (p,) array
+        Parameters, fitted and where the best search began.
+    covariance, bound : (p, p) array
+        Corrected for coloured residuals; Cramer-Rao bound for white ones.
+    at_bound : (p,) array of bool
+    x0 : (states,) array
+    input_trim : (inputs,) array
+    output_bias : (outputs,) array
+    weight : (outputs,) array
+        Inverse variance of the residuals.
+    log_likelihood : float
+        Of Gaussian residuals, white.
+    effective_samples : float
+        Independent residuals, from their autocorrelation.
+    history : tuple of dict
+    costs : tuple of float
+        Of every start, ascending.
+    simulations : int
+    seconds : float
+    converged : bool
+    message : str
+    hold : bool
+        Inputs held between samples.
+    """
+
+    structure: LinearStructure
+    values: Array
+    start: Array
+    covariance: Array
+    bound: Array
+    at_bound: NDArray[np.bool_]
+    x0: Array
+    input_trim: Array
+    output_bias: Array
+    weight: Array
+    log_likelihood: float
+    effective_samples: float
+    history: tuple[dict[str, Any], ...]
+    costs: tuple[float, ...]
+    simulations: int
+    seconds: float
+    converged: bool
+    message: str
+    hold: bool
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Eigenvalues of A (rad/s), slowest first."""
+        a = self.structure.state_space_matrices(self.values)[0]
+        e = np.linalg.eigvals(a)
+        return np.asarray(e[np.argsort(np.abs(e))], dtype=np.complex128)
+
+    def information_criterion(self, kind: str = "bic") -> float:
+        """Return Akaike's ("aic") or Schwarz's ("bic") criterion, in effective samples; smaller is better."""
+        free = self.values.size + self.x0.size + self.input_trim.size + self.output_bias.size
+        n = self.effective_samples
+        per_sample = -2.0 * self.log_likelihood  # per sample, summed over outputs
+        return n * per_sample + free * (2.0 if kind == "aic" else float(np.log(max(n, 2.0))))
+
+
+class _LinearFitProblem:
+    """Residual of the parameters in search coordinates, with the linear unknowns eliminated."""
+
+    def __init__(
+        self, structure: LinearStructure, u: Array, y: Array, dt: float, hold: bool, mask: Array | None
+    ) -> None:
+        self.structure, self.inputs, self.measured, self.dt, self.holds_inputs = structure, u, y, dt, hold
+        self.is_used = np.isfinite(y) & (np.ones(len(y), dtype=bool) if mask is None else mask)[:, None]
+        self.output_weight = np.ones(y.shape[1])
+        self.output_std = np.array([np.std(y[self.is_used[:, k], k]) for k in range(y.shape[1])])
+        self.simulation_count = 0
+        self.start_values = np.array([q.start_value for q in structure.parameters])
+        self.coordinates = SearchCoordinates(structure.parameters, self.start_values)
+
+    def predict_outputs(self, values: Array) -> tuple[Array, Array, Array] | None:
+        """Prediction without linear unknowns, what one unit of each adds, and their estimate; None on overflow."""
+        self.simulation_count += 1
+        try:
+            with np.errstate(over="raise", invalid="raise"):
+                forced, _ = simulate_linear_structure(
+                    self.structure, values, self.inputs, self.dt, hold=self.holds_inputs
+                )
+                added = linear_unknown_responses(self.structure, values, len(self.inputs), self.dt)
+                root = np.sqrt(self.output_weight)
+                weighted = added * root[None, :, None]
+                # Sizes over all samples: what acts only where the mask is then counts as unseen and stays zero.
+                size = np.sqrt(np.maximum(np.einsum("nmj,nmj->j", weighted, weighted), 1e-300))
+                rows, right = weighted[self.is_used], ((self.measured - forced) * root)[self.is_used]
+        except FloatingPointError:
+            return None
+        # Against the record itself, not against weights that change on the way: what could be simulated once stays so.
+        over = float(np.max(root * np.maximum(self.output_std, 1e-300)))
+        if not (np.isfinite(size).all() and size.max() < 1e12 * over):
+            return None
+        rows /= size
+        # Normal equations: a hundred rows a column are many times faster so, and columns of unit length lose little.
+        inverse = np.linalg.pinv(rows.T @ rows, rcond=1e-11, hermitian=True)
+        return forced, added, inverse @ (rows.T @ right) / size
+
+    def weighted_residual(self, z: Array) -> Array:
+        got = self.predict_outputs(self.coordinates.to_values(z))
+        if got is None:
+            return np.full(int(self.is_used.sum()), 1e6)
+        forced, added, linear = got
+        return ((self.measured - forced - added @ linear) * np.sqrt(self.output_weight))[self.is_used]
+
+    def solve_linear_unknowns(self, z: Array) -> tuple[Array, Array, Array]:
+        """Residuals (n, outputs), NaN where they do not count; what the linear unknowns add; and their estimate."""
+        got = self.predict_outputs(self.coordinates.to_values(z))
+        if got is None:
+            raise ArgumentError("structure", self.structure.name, "cannot be simulated", "try a simpler one")
+        forced, added, linear = got
+        return np.where(self.is_used, self.measured - forced - added @ linear, np.nan), added, linear
+
+    def residual_jacobian(self, z: Array) -> Array:
+        base = self.weighted_residual(z)
+        columns = np.empty((base.size, z.size))
+        for k in range(z.size):
+            step = 1e-5 * max(1.0, abs(z[k]))
+            moved = z.copy()
+            moved[k] += step
+            if self.coordinates.to_values(moved)[k] == self.coordinates.to_values(z)[k]:
+                step = -step
+                moved[k] = z[k] + step
+            columns[:, k] = (self.weighted_residual(moved) - base) / step
+        return columns
+
+    def search_minimum(self, z0: Array, most: int, tolerance: float = 1e-8) -> Any:
+        low, high = self.coordinates.bounds
+        inside = np.clip(z0, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+        return least_squares(
+            self.weighted_residual, inside, jac=self.residual_jacobian, bounds=(low, high), method="trf", x_scale="jac",
+            ftol=tolerance, xtol=tolerance, gtol=1e-10, max_nfev=most,
+        )  # fmt: skip
+
+    def random_start(self, generator: np.random.Generator) -> Array:
+        """Logarithmic parameters within a factor of ten of their start, the others within three times their scale."""
+        at, nominal, p = self.coordinates, self.start_values, self.start_values.size
+        factor = np.exp(generator.uniform(-2.3, 2.3, p))
+        shift = nominal * np.exp(generator.normal(0.0, 1.0, p)) + 0.5 * at.linear_scale * generator.normal(size=p)
+        return np.clip(np.where(at.is_logarithmic, nominal * factor, shift), at.low, at.high)
+
+    def parameter_covariance(self, z: Array) -> tuple[Array, Array]:
+        """Return the covariance of the parameters, and its bound for white residuals."""
+        rows, added, _ = self.solve_linear_unknowns(z)
+        n, m = rows.shape
+        root = np.sqrt(self.output_weight)
+        jacobian = self.residual_jacobian(z)
+        # What is left of the sensitivities once the linear unknowns had their say.
+        basis = (added * root[None, :, None])[self.is_used]
+        basis = basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
+        q, r, _ = qr(basis, mode="economic", pivoting=True)
+        q = q[:, : int((np.abs(np.diag(r)) > 1e-7 * abs(r[0, 0])).sum())]
+        sensitivity = np.zeros((n, m, z.size))
+        sensitivity[self.is_used] = jacobian - q @ (q.T @ jacobian)
+        cov, bound, _ = coloured_covariance([sensitivity], [root * np.nan_to_num(rows)])
+        slope = self.coordinates.value_derivatives(z)
+        return cov * np.outer(slope, slope), bound * np.outer(slope, slope)
+
+
+def fit_linear_model(
+    structure: LinearStructure, u: Array, y: Array, dt: float, *, starts: int = 8, seed: int = 0, hold: bool = False,
+    mask: Array | None = None, first: Array | None = None, progress: Callable[[int, int], None] | None = None,
+    covariance: bool = True,
+) -> LinearFit:  # fmt: skip
+    """Fit a linear model to one record.
+
+    Parameters
+    ----------
+    structure : Structure
+    u : (n, inputs) array
+        As recorded; trims are estimated.
+    y : (n, outputs) array
+        NaN where nothing was measured.
+    dt : float
+        Sample time (s).
+    starts : int
+        Searches, from the structure's start and from random ones between the bounds.
+    seed : int
+        Of the random starts.
+    hold : bool
+        Inputs are held between samples; default straight lines.
+    mask : (n,) array of bool, optional
+        False where residuals are not to count.
+    first : (p,) array, optional
+        Values for the first start, of an equation-error or a simpler fit.
+    progress : callable, optional
+        Called with (starts done, starts).
+    covariance : bool
+        Whether to compute it.
+
+    Raises
+    ------
+    InputError
+        If no start leads to a model that can be simulated, or there are fewer samples than parameters.
+    """
+    begun = time.perf_counter()
+    structure = scale_structure(structure, u, y)
+    problem = _LinearFitProblem(structure, u, y, dt, hold, mask)
+    spread = problem.output_std
+    if (spread == 0.0).any() or problem.is_used.sum() < 3 * len(structure.parameters):
+        name = structure.outputs[int(np.argmin(spread))]
+        raise InputError("record", name, "is constant or too short", "give a record in which it moves")
+    problem.output_weight = 1.0 / spread**2
+    generator = np.random.default_rng(seed)
+    at = problem.coordinates
+    trials = [problem.start_values if first is None else np.clip(first, at.low, at.high)]
+    trials += [problem.random_start(generator) for _ in range(starts - 1)]
+    costs: list[float] = []
+    history: list[dict[str, Any]] = []
+
+    def run_search(z0: Array, most: int, tolerance: float = 1e-8) -> Any:
+        solution = problem.search_minimum(z0, most, tolerance)
+        values = zip(structure.symbols, at.to_values(solution.x).tolist(), strict=True)
+        history.append({"iteration": len(history), "cost": float(2.0 * solution.cost), **dict(values)})
+        if progress is not None:
+            progress(len(history), starts + _WEIGHT_ITERATIONS)
+        return solution
+
+    # The products are small: threads of a linear algebra library cost more than they bring.
+    with threadpool_limits(1, "blas"):
+        best = None
+        for trial in trials:
+            solution = run_search(at.to_coordinates(trial), 25 if starts > 1 else 200, 1e-5)
+            costs.append(history[-1]["cost"])
+            if best is None or solution.cost < best[0].cost:
+                best = (solution, trial)
+        assert best is not None
+        solution, start = best
+        if not np.isfinite(solution.cost) or solution.cost >= 0.4e12 * problem.is_used.sum():
+            raise ArgumentError("structure", structure.name, "cannot be simulated from any start", "try a simpler one")
+        for k in range(_WEIGHT_ITERATIONS):
+            # Maximum likelihood: weights from the residuals, then the parameters again.
+            variance = np.nanvar(problem.solve_linear_unknowns(solution.x)[0], axis=0)
+            weight = 1.0 / np.maximum(variance, (1e-9 * spread) ** 2)
+            if k and (np.abs(weight / problem.output_weight - 1.0) < 1e-3).all():
+                break
+            problem.output_weight = weight
+            solution = run_search(solution.x, 100)
+        z, values = solution.x, at.to_values(solution.x)
+        rows, _, linear = problem.solve_linear_unknowns(z)
+        cov = bound = np.full((z.size, z.size), np.nan)
+        if covariance:
+            cov, bound = problem.parameter_covariance(z)
+    variance = np.nanvar(rows, axis=0)
+    nx, nu = len(structure.states), len(structure.inputs)
+    low, high = at.bounds
+    near = sum(c < 1.02 * min(costs) for c in costs)
+    at_bound = (z - low < 1e-4 * (high - low)) | (high - z < 1e-4 * (high - low))
+    held = ", ".join(
+        f"{p.symbol} = {v:.4g} {p.unit}".rstrip()
+        for p, v, b in zip(structure.parameters, values.tolist(), at_bound, strict=True)
+        if b
+    )
+    return LinearFit(
+        structure=structure,
+        values=values,
+        start=start,
+        covariance=cov,
+        bound=bound,
+        at_bound=at_bound,
+        x0=linear[:nx],
+        input_trim=linear[nx : nx + nu],
+        output_bias=linear[nx + nu :],
+        weight=1.0 / np.maximum(variance, 1e-300),
+        log_likelihood=-0.5 * float(np.sum(np.log(2.0 * np.pi * np.maximum(variance, 1e-300)) + 1.0)),
+        effective_samples=_effective_samples(rows),
+        history=tuple(history),
+        costs=tuple(sorted(costs)),
+        simulations=problem.simulation_count,
+        seconds=time.perf_counter() - begun,
+        converged=bool(solution.status > 0),
+        message=(
+            f"{'search settled' if solution.status > 0 else 'search ran out of steps'}; {near} of {len(costs)} starts "
+            "reached the best cost within 2 %"
+            + (f"; at a bound, so that the others' intervals hold only if it is true: {held}" if held else "")
+        ),
+        hold=hold,
+    )
+
+
+def _effective_samples(rows: Array) -> float:
+    """Independent samples: n over the integrated autocorrelation time, the mean over the outputs."""
+    n = len(rows)
+    counts = []
+    for e in rows.T:
+        r = residual_autocorrelation(e, 1.0, max_lag_s=n // 5).value
+        window = parzen_window(r.size - 1)[r.size - 1 :]
+        counts.append(np.isfinite(e).sum() / max(1.0, 1.0 + 2.0 * float(np.sum((window * r**2)[1:]))))
+    return float(np.mean(counts))
+
+
+def simulate_linear_fit(fit: LinearFit, u: Array, dt: float) -> tuple[Array, Array]:
+    """Simulate a fitted model from the beginning of the record that it was fitted to, as far as the inputs go.
+
+    Parameters
+    ----------
+    fit : LinearFit
+    u : (n, inputs) array
+        As recorded, beginning with the fitted record; what follows it is predicted from inputs alone.
+    dt : float
+
+    Returns
+    -------
+    y : (n, outputs) array
+    x : (n, states) array
+    """
+    y, x = simulate_linear_structure(fit.structure, fit.values, u - fit.input_trim, dt, x0=fit.x0, hold=fit.hold)
+    # The delayed inputs before the record stand at their first value: the trim is taken off there, too.
+    return y + fit.output_bias, x

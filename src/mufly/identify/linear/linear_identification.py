@@ -1,0 +1,439 @@
+"""Linear models from flight records, start to finish: choose a structure, fit it, predict what it has not seen.
+
+The fit sees the first part of the record only: so do the choice of the structure (blocked cross-validation inside that
+part), the disturbance model and the noise floor. The second part is predicted by one pure simulation that runs on from
+the first without a look at the measurements, and, beside it, a stated time ahead from past measurements. Low-pass and
+decimation for the fit are applied to inputs and outputs alike, to the first part alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfilt
+
+from mufly.errors import ArgumentError, InputError
+from mufly.identify.fit_result import (
+    FitResult,
+    ParameterEstimate,
+    RecordPrediction,
+    correlation_matrix,
+    describe_unseen_combinations,
+    divide_by_values,
+)
+from mufly.identify.flight_record import LogColumns, low_pass
+from mufly.identify.linear.equation_error import regress_rate_derivatives
+from mufly.identify.linear.frequency_response import FrequencyResponseFit, fit_frequency_response
+from mufly.identify.linear.linear_fit import LinearFit, fit_linear_model, simulate_linear_fit
+from mufly.identify.linear.linear_structure import LinearStructure, structure_by_name
+from mufly.identify.linear.model_checks import (
+    CrossValidation,
+    DisturbanceModel,
+    NoiseFloor,
+    SubspaceModel,
+    cross_validate_structure,
+    estimate_noise_floor,
+    fit_disturbance_model,
+    identify_subspace,
+    predict_ahead,
+)
+from mufly.identify.residual_analysis import PredictionQuality, assess_prediction, describe_residuals
+from mufly.logs import guess_angle_units
+from mufly.results import result
+
+Array = NDArray[np.float64]
+
+PREDICTION_HORIZONS_S = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+CANDIDATE_MODELS = (
+    "first-order", "first-order-coupled", "second-order", "second-order-coupled", "hybrid", "hybrid-coupled",
+    "first-order-coupled-collective", "first-order-skew", "first-order-coupled-skew",
+)  # fmt: skip
+_CROSS_VALIDATION_BLOCKS = 4
+_MIN_HOLDOUT_SAMPLES = 100  # samples of a held-out part worth the name
+_ANGLE_OF_RATE = {"p": "phi", "q": "theta"}
+
+
+@dataclass(frozen=True)
+class AheadPrediction:
+    """Prediction a time ahead on the held-out part, of every output.
+
+    ``horizon_s`` is infinite for the pure simulation. ``fit_percent`` is against the measurement as recorded,
+    ``fit_percent_slow`` against both low-passed at ``LinearResult.slow_hz``, ``persistence_percent`` what the last
+    measured value would reach, causally low-passed (NaN for the simulation).
+    """
+
+    horizon_s: float
+    fit_percent: tuple[float, ...]
+    fit_percent_slow: tuple[float, ...]
+    rms_over_noise: tuple[float, ...]
+    persistence_percent: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class OutputCheck:
+    """How one output is simulated over one part of the record.
+
+    Attributes
+    ----------
+    floor : NoiseFloor
+        From that part.
+    quality, slow : Quality
+        Against the record, and against both low-passed at ``LinearResult.slow_hz``.
+    ceiling, ceiling_slow : float
+        Fit (per cent) of a model whose error is the noise floor alone, as recorded and below ``slow_hz``; the latter is
+        NaN where no angle was measured beside a rate.
+    against_angle : float
+        Fit (per cent) below ``slow_hz`` against the derivative of the measured angle instead of the gyro; NaN without.
+    """
+
+    floor: NoiseFloor
+    quality: PredictionQuality
+    slow: PredictionQuality
+    ceiling: float
+    ceiling_slow: float
+    against_angle: float
+
+
+@result(eq=False, picture="mufly.identify.fit_pictures:fit_picture")
+class LinearResult:
+    """A linear identification.
+
+    Attributes
+    ----------
+    fit : Fit
+        As a report wants it, with the fitted and the held-out part.
+    linear : LinearFit
+        The model itself.
+    candidates : tuple of CrossValidation
+        Structures tried, best first; empty if one was asked for.
+    checks : dict of role to tuple of OutputCheck
+        Of every output.
+    disturbance : Disturbance
+    ahead : tuple of Ahead
+        Empty without held-out part.
+    slow_hz : float
+    missing : tuple of str
+        What the residuals of the fitted part show.
+    equation_error : dict of symbol to (value, std)
+        Cross-check; empty where no rate was measured.
+    subspace : Subspace or None
+        Cross-check of the same number of states, fitted to the same samples.
+    subspace_percent : tuple of float
+        Its pure simulation on the held-out part, low-passed.
+    spectral : SpectralFit or None
+        Cross-check: fitted to frequency responses; None where too little is coherent.
+    notes : tuple of str
+        About the record.
+    """
+
+    fit: FitResult
+    linear: LinearFit
+    candidates: tuple[CrossValidation, ...]
+    checks: Mapping[str, tuple[OutputCheck, ...]]
+    disturbance: DisturbanceModel
+    ahead: tuple[AheadPrediction, ...]
+    slow_hz: float
+    missing: tuple[str, ...]
+    equation_error: Mapping[str, tuple[float, float]]
+    subspace: SubspaceModel | None
+    subspace_percent: tuple[float, ...]
+    spectral: FrequencyResponseFit | None
+    notes: tuple[str, ...]
+
+
+def identify_linear_model(
+    record: LogColumns, inputs: Mapping[str, str], outputs: Mapping[str, str], *, model: str = "auto",
+    candidates: Sequence[str] = CANDIDATE_MODELS, split: float = 0.5, split_at_s: float | None = None,
+    lowpass_hz: float | None = 5.0,
+    rate_hz: float | None = 25.0, starts: int = 6, seed: int = 0, hold: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> LinearResult:  # fmt: skip
+    """Identify a linear model on the first part of a record and predict the rest.
+
+    Parameters
+    ----------
+    record : Columns
+    inputs, outputs : dict
+        Our names (lat, lon, ped, col; p, q, r, phi, theta, u, v, w) to columns; ``-`` before a column turns its sign.
+    model : str
+        See :func:`mufly.identify.linear.linear_structure.structure_by_name`; ``"auto"`` cross-validates ``candidates``
+        and takes the best.
+    candidates : sequence of str
+    split : float
+        Share of the record that the fit may see; 1 for all of it.
+    split_at_s : float, optional
+        The same as a time (s); goes before ``split``.
+    lowpass_hz, rate_hz : float, optional
+        For the fit alone; None leaves the record as it is.
+    starts, seed, hold
+        See :func:`mufly.identify.linear.linear_fit.fit_linear_model`.
+    progress : callable, optional
+        Called with (steps done, steps).
+
+    Raises
+    ------
+    InputError
+        If columns are missing, nothing moves, or no structure can be fitted.
+    """
+    if not 0.1 <= split <= 1.0:
+        raise ArgumentError("split", "", f"{split:g} is no share of the record", "give 0.1 to 1")
+    us, y = record.stack_columns(inputs, "inputs"), record.stack_columns(outputs, "outputs")
+    _refuse_degrees(record, outputs, y)
+    cut = round(split * len(y)) if split_at_s is None else int((record.time_s < split_at_s).sum())
+    if not 100 <= cut <= len(y):
+        raise ArgumentError("split", "", f"leaves {cut} samples for the fit", "leave at least 100")
+    notes = record.column_notes(inputs, outputs)
+    moving = np.std(us[:cut], axis=0) > 1e-9 * np.maximum(1.0, np.abs(us[:cut]).max(axis=0))
+    for name, moves in zip(inputs, moving, strict=True):
+        if not moves:
+            notes.append(f"{name} never moved in the fitted part and was left out: the data say nothing about it")
+    if not moving.any():
+        raise ArgumentError("inputs", ",".join(inputs), "never move in the fitted part", "use another part or record")
+    u, names = us[:, moving], tuple(n for n, moves in zip(inputs, moving, strict=True) if moves)
+    outs, dt = tuple(outputs), record.dt
+    slow = min(5.0 if lowpass_hz is None else lowpass_hz, 0.4 / dt)
+    uf, yf, dtf = _filter_and_decimate(u[:cut], y[:cut], dt, lowpass_hz, rate_hz)
+    tried: list[tuple[CrossValidation, LinearStructure, LinearFit]] = []
+    first: Array | None = None
+    failed: list[Exception] = []
+    steps = (len(candidates) if model == "auto" else 0) + starts + 4
+    done = 0
+
+    def report_progress(now: int, _: int = 0) -> None:
+        if progress is not None:
+            progress(min(done + now, steps), steps)
+
+    if model == "auto":
+        for name in candidates:
+            structure = structure_by_name(name, names, outs)
+            if structure.name not in {t.name for t, _, _ in tried}:
+                try:
+                    score, trial = cross_validate_structure(
+                        structure, uf, yf, dtf, blocks=_CROSS_VALIDATION_BLOCKS, starts=2, hold=hold
+                    )
+                except (InputError, FloatingPointError, np.linalg.LinAlgError) as error:
+                    failed.append(error)
+                    notes.append(f"structure {structure.name} was left out of the choice: {error}")
+                else:
+                    tried.append((score, structure, trial))
+            report_progress(1)
+            done += 1
+        if not tried:
+            raise failed[0]
+        tried.sort(key=lambda t: t[0].left_out)
+        structure, first = tried[0][1], tried[0][2].values
+    else:
+        structure = structure_by_name(model, names, outs)
+    linear = fit_linear_model(
+        structure, uf, yf, dtf, starts=starts, seed=seed, hold=hold, first=first, progress=report_progress
+    )
+    simulated, _ = simulate_linear_fit(linear, u, dt)
+    angles = [_angle_of_rate(record, name, outs, y) for name in outs]
+    parts = {"fit": slice(0, cut), "held out": slice(cut, len(y))}
+    if len(y) - cut < _MIN_HOLDOUT_SAMPLES:
+        del parts["held out"]
+    else:
+        notes += _describe_still_outputs(outs, y, cut, dt, slow)
+    checks = {
+        role: _check_outputs(y[s], simulated[s], u[s], dt, slow, [None if a is None else a[s] for a in angles])
+        for role, s in parts.items()
+    }
+    disturbance = fit_disturbance_model(linear, (y - simulated)[:cut], dt)
+    report_progress(starts + 4)
+    records = [
+        _predict_record_part(record, role, s, linear, y, simulated, checks[role], us, tuple(inputs))
+        for role, s in parts.items()
+    ]
+    model_2, percent = _cross_check_subspace(linear, uf, yf, dtf, u, y, dt, cut, slow)
+    rates = [k for k, o in enumerate(outs) if o in ("p", "q", "r")]
+    regressed: dict[str, tuple[float, float]] = {}
+    if rates:
+        chosen = tuple(outs[k] for k in rates)
+        regressed = regress_rate_derivatives(
+            y[:cut, rates], u[:cut], dt, rate_names=chosen, input_names=names, cut_hz=slow
+        )
+    return LinearResult(
+        fit=_make_fit_result(linear, tuple(records), notes),
+        linear=linear,
+        candidates=tuple(_relative_criteria([t for t, _, _ in tried])),
+        checks=checks,
+        disturbance=disturbance,
+        ahead=_predict_ahead_scores(linear, disturbance, y, simulated, dt, cut, slow, checks.get("held out", ())),
+        slow_hz=slow,
+        missing=describe_residuals(records[0]),
+        equation_error=regressed,
+        subspace=model_2,
+        subspace_percent=percent,
+        spectral=_cross_check_spectral(linear, uf, yf, dtf, slow),
+        notes=tuple(notes),
+    )
+
+
+def _refuse_degrees(record: LogColumns, outputs: Mapping[str, str], y: Array) -> None:
+    """Refuse angles and rates in degrees, which would be fitted as well but mean something else."""
+    names = list(outputs)
+    for angle, rate in (("phi", "p"), ("theta", "q"), ("", "r")):
+        pair = [y[:, names.index(n)] if n in names else record.columns.get(n) if n else None for n in (angle, rate)]
+        guess = guess_angle_units(record.time_s, *pair)
+        for name, unit, label in ((angle, guess.angle, "deg"), (rate, guess.rate, "deg/s")):
+            if unit == "deg" and name in names:
+                raise InputError(
+                    record.name, outputs[name], f"seems to be in {label} ({guess.reason})",
+                    f"convert it to {label.replace('deg', 'rad')}, or name the unit in the header of a CSV: "
+                    f"{name} ({label})",
+                )  # fmt: skip
+
+
+def _angle_of_rate(record: LogColumns, name: str, outs: tuple[str, ...], y: Array) -> Array | None:
+    angle = _ANGLE_OF_RATE.get(name)
+    if angle is None:
+        return None
+    return np.asarray(y[:, outs.index(angle)]) if angle in outs else record.columns.get(angle)
+
+
+def _filter_and_decimate(
+    u: Array, y: Array, dt: float, lowpass_hz: float | None, rate_hz: float | None
+) -> tuple[Array, Array, float]:
+    if lowpass_hz is not None:
+        u, y = low_pass(u, dt, min(lowpass_hz, 0.45 / dt)), low_pass(y, dt, min(lowpass_hz, 0.45 / dt))
+    step = 1 if rate_hz is None else max(1, round(1.0 / (rate_hz * dt)))
+    if step > 1 and (lowpass_hz is None or lowpass_hz > 0.45 / (dt * step)):
+        problem = f"{1.0 / (dt * step):g} Hz would fold what lies above it"
+        raise ArgumentError("rate_hz", "", problem, "give lowpass_hz=HZ below 0.45 of it")
+    return u[::step], y[::step], dt * step
+
+
+def _describe_still_outputs(outs: tuple[str, ...], y: Array, cut: int, dt: float, slow: float) -> list[str]:
+    """Say which outputs hardly move in the held-out part."""
+    said = []
+    for k, name in enumerate(outs):
+        fitted, held = (float(low_pass(part[:, [k]], dt, slow).std()) for part in (y[:cut], y[cut:]))
+        if held < 0.05 * fitted:
+            said.append(
+                f"{name} hardly moves in the held-out part ({held:.2g} against {fitted:.2g} rms): its fit "
+                "there means nothing; choose what is fitted so that it moves in both parts"
+            )
+    return said
+
+
+def _check_outputs(
+    y: Array, simulated: Array, u: Array, dt: float, slow: float, angles: Sequence[Array | None]
+) -> tuple[OutputCheck, ...]:
+    """Compare every output of a part with its simulation."""
+    y_slow, simulated_slow = low_pass(y, dt, slow), low_pass(simulated, dt, slow)
+    made = []
+    for k, angle in enumerate(angles):
+        floor = estimate_noise_floor(y[:, k], u, dt, split_hz=slow, angle=angle)
+        against = ceiling_slow = float("nan")
+        if floor.below > 0.0:
+            ceiling_slow = 100.0 * (1.0 - floor.below / float(y_slow.std(axis=0)[k]))
+        if angle is not None:
+            both = low_pass(np.column_stack([np.gradient(angle, dt), simulated[:, k]]), dt, slow)
+            against = assess_prediction(both[:, 0], both[:, 1]).fit_percent
+        made.append(
+            OutputCheck(
+                floor, assess_prediction(y[:, k], simulated[:, k], max(floor.total, 1e-12)),
+                assess_prediction(y_slow[:, k], simulated_slow[:, k], floor.below),
+                100.0 * (1.0 - floor.total / float(y.std(axis=0)[k])), ceiling_slow, against,
+            )
+        )  # fmt: skip
+    return tuple(made)
+
+
+def _predict_record_part(
+    record: LogColumns, role: str, part: slice, linear: LinearFit, y: Array, simulated: Array,
+    checks: Sequence[OutputCheck], u: Array, names: tuple[str, ...],
+) -> RecordPrediction:  # fmt: skip
+    t, noise = record.time_s[part], np.array([max(c.floor.total, 1e-12) for c in checks])
+    return RecordPrediction(
+        f"{record.name}, {t[0]:.1f} to {t[-1]:.1f} s", "fit" if role == "fit" else "held out", t,
+        linear.structure.outputs, linear.structure.units, y[part], simulated[part], noise, u[part], names,
+    )  # fmt: skip
+
+
+def _predict_ahead_scores(
+    linear: LinearFit, disturbance: DisturbanceModel, y: Array, simulated: Array, dt: float, cut: int, slow: float,
+    checks: Sequence[OutputCheck],
+) -> tuple[AheadPrediction, ...]:  # fmt: skip
+    if not checks:
+        return ()
+    found = []
+    target, m = low_pass(y[cut:], dt, slow), y.shape[1]
+    # Unfiltered, persistence would carry the vibration along; a filter that sees the future would cheat.
+    causal = np.asarray(sosfilt(butter(1, slow, fs=1.0 / dt, output="sos"), y, axis=0))
+    for horizon in (*PREDICTION_HORIZONS_S, float("inf")):
+        steps = max(1, round(horizon / dt)) if np.isfinite(horizon) else 0
+        if steps > min(cut, len(y) - cut) // 2:
+            continue
+        whole = simulated if steps == 0 else predict_ahead(linear, disturbance, y, simulated, dt, horizon)
+        predicted = whole[cut:]
+        smooth = low_pass(predicted, dt, slow)
+        kept = causal[cut - steps : len(y) - steps] if steps else np.full_like(target, np.nan)
+        as_recorded = [assess_prediction(y[cut:, k], predicted[:, k], c.floor.total) for k, c in enumerate(checks)]
+        found.append(
+            AheadPrediction(
+                horizon,
+                tuple(q.fit_percent for q in as_recorded),
+                tuple(assess_prediction(target[:, k], smooth[:, k]).fit_percent for k in range(m)),
+                tuple(q.rms_over_noise for q in as_recorded),
+                tuple(assess_prediction(target[:, k], kept[:, k]).fit_percent for k in range(m)),
+            )
+        )
+    return tuple(found)
+
+
+def _cross_check_subspace(
+    linear: LinearFit, uf: Array, yf: Array, dtf: float, u: Array, y: Array, dt: float, cut: int, slow: float
+) -> tuple[SubspaceModel | None, tuple[float, ...]]:
+    past = int(np.clip(round(2.0 / dtf), 5, 50))
+    try:
+        model = identify_subspace(uf, yf, dtf, order=min(len(linear.structure.states), 8), past=past)
+    except InputError:
+        return None, ()
+    if np.abs(np.linalg.eigvals(model.a)).max() > 1.0 + 1e-6 or cut >= len(y):
+        return model, ()
+    step = max(1, round(dtf / dt))
+    # Without a look at the held-out part: the state runs on from the fitted one.
+    whole = model.simulate_outputs(u[::step], model.estimate_initial_state(uf[: 2 * past], yf[: 2 * past]))
+    last = -(-cut // step)
+    target = low_pass(y, dt, slow)[::step][last:]
+    return model, tuple(assess_prediction(target[:, k], whole[last:, k]).fit_percent for k in range(y.shape[1]))
+
+
+def _cross_check_spectral(
+    linear: LinearFit, uf: Array, yf: Array, dtf: float, slow: float
+) -> FrequencyResponseFit | None:
+    try:
+        return fit_frequency_response(
+            linear.structure, uf, yf, dtf, first=linear.values, segment_s=dtf * len(uf) / 5.0,
+            high_hz=min(slow, 0.4 / dtf),
+        )  # fmt: skip
+    except InputError:
+        return None
+
+
+def _relative_criteria(tried: list[CrossValidation]) -> list[CrossValidation]:
+    aic, bic = min((t.aic for t in tried), default=0.0), min((t.bic for t in tried), default=0.0)
+    return [replace(t, aic=t.aic - aic, bic=t.bic - bic) for t in tried]
+
+
+def _make_fit_result(linear: LinearFit, records: tuple[RecordPrediction, ...], notes: Sequence[str]) -> FitResult:
+    std = np.sqrt(np.maximum(np.diag(linear.covariance), 0.0))
+    numbers = zip(linear.start.tolist(), linear.values.tolist(), std.tolist(), strict=True)
+    estimates = tuple(
+        ParameterEstimate.from_std(p.symbol, "", p.unit, *found, quantile=1.96, at_bound=bool(held))
+        for p, found, held in zip(linear.structure.parameters, numbers, linear.at_bound, strict=True)
+    )
+    free = np.flatnonzero(~linear.at_bound)
+    seen = divide_by_values(linear.covariance, linear.values)[np.ix_(free, free)]
+    unseen = describe_unseen_combinations([linear.structure.symbols[k] for k in free], seen)
+    return FitResult(
+        linear.structure.name, estimates, linear.covariance, correlation_matrix(linear.covariance),
+        unseen + tuple(n for n in notes if "never moved" in n), linear.history[-1]["cost"], linear.history,
+        "output error, maximum likelihood, pure simulation of the whole record, "
+        f"{len(linear.costs)} starts; initial state, trims and biases eliminated",
+        linear.simulations, linear.seconds, linear.converged, linear.message, records,
+    )  # fmt: skip

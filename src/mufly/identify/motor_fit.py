@@ -1,0 +1,643 @@
+"""Motor constants from a bench: the stationary motor equations, fitted with errors in every channel.
+
+At rest eqs. 4.24, 4.25, 4.27 and 4.28 of the dissertation say, with the voltage ``U = duty * supply`` at the motor,
+its current I, the speed W and the torque Q where they were measured (behind a gear of ratio i and efficiency eta, or
+i = 1 and eta = 1 at the motor's own shaft),
+
+    e1 = U - R I - a W = 0        a = kE i
+    e2 = b I - d W - c - Q = 0    b = kM i eta,    d = dR i^2 eta,    c = Mf i eta.
+
+The constant friction Mf (brushes, bearings, hysteresis of the iron: what makes a free motor's current nearly the same
+at every speed) is not in the dissertation's equations. It is held at zero unless the readings ask for it: unless it
+would differ from zero by more than three of its standard deviations.
+
+All four readings y = (U, I, W, Q) of a point err, with covariance N. To first order ``(e1, e2)`` then have the
+covariance ``S = E N E'`` with ``E = [[1, -R, -a, 0], [0, b, -d, -1]]``, and the most likely constants minimise
+
+    sum over points of  e' S^-1 e
+
+(Deming's adjustment, Statistical Adjustment of Data, 1943; Fuller, Measurement Error Models, 1987, sec. 1.3: plain
+least squares on noisy I and W would be biased low). The expected errors are needed up to one factor for each
+equation, which the residuals give. Covariance: :mod:`mufly.bench.residual_covariance`, with the sensitivities at the
+adjusted readings.
+
+From a, b, R, d, c the constants follow once i and eta are known; their own doubt is passed on. If they are not, only
+the products are seen, and only they are returned. Intervals are at 95 %.
+
+Mistaken units break the balance of energy: over all points ``sum Q W`` cannot exceed ``sum U I``. Where it does, the
+usual slips (rpm for rad/s, mN m for N m) are tried, and the one that mends it is named; where the file does not state
+the unit of the speed, it is taken.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from mufly.bench import SI_UNITS, BenchTable, CovarianceEstimate, estimate_covariance
+from mufly.errors import ArgumentError, InputError
+from mufly.identify.fit_result import (
+    EstimateLookup,
+    ParameterEstimate,
+    choose_error_shape,
+    describe_unseen_combinations,
+    divide_by_values,
+)
+from mufly.results import result
+from mufly.units import RPM
+from mufly.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+MOTOR_CHANNELS = ("voltage", "current", "speed", "torque")
+VEHICLE_KEYS = {
+    "kE": ("motor.back_emf_constant", "V s"),
+    "kM": ("motor.torque_constant", "N m/A"),
+    "Rohm": ("motor.resistance", "ohm"),
+    "dR": ("motor.friction", "N m s"),
+    "Mf": ("motor.friction_torque", "N m"),
+}
+_MIN_POINTS = 6
+_ROUNDING_RESIDUAL = 1e-6  # residuals this small against the expected errors are rounding, not measurement
+_UNIT_MISTAKES = (
+    ("speed", "rpm", RPM), ("speed", "revolutions a second", 2 * math.pi), ("torque", "mN m", 1e-3),
+    ("torque", "N cm", 1e-2),
+)  # fmt: skip
+_MIN_EFFICIENCY, _MAX_EFFICIENCY = (
+    0.02,
+    1.02,
+)  # efficiency below which units are doubtful, and above which they are wrong
+_MAX_CONSTANT_RATIO = 1.05  # kM / kE
+_ERROR_SHAPES = ((1.0, 0.2), (1.0, 0.05), (1.0, 0.5), (1.0, 2.0), (0.0, 1.0))  # % of reading, % of full scale
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """What is assumed of the errors of a channel: a share of the reading, a share of full scale, an absolute part.
+
+    Attributes
+    ----------
+    reading, full_scale : float
+        Shares of the reading and of the largest reading.
+    absolute : float
+        SI units of the channel.
+    """
+
+    reading_share: float = 0.01
+    full_scale_share: float = 0.003
+    absolute_std: float = 0.0
+
+    def error_std(self, value: Array) -> Array:
+        """Return standard deviations for readings (n,)."""
+        full = self.full_scale_share * float(np.max(np.abs(value)))
+        return np.sqrt((self.reading_share * value) ** 2 + full**2 + self.absolute_std**2)
+
+
+def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, ChannelNoise]:
+    """Read ``"current=1%+0.01,voltage=0.02"``; channels that are not named keep the default.
+
+    ``"1%"`` is of the reading, ``"0.5%fs"`` of the largest reading, a bare number is in SI units; parts are added with
+    ``+`` and count as independent.
+
+    Raises
+    ------
+    InputError
+        If a channel is unknown or an amount is no number above zero.
+    """
+    result = {name: ChannelNoise() for name in channels}
+    for part in (text or "").split(","):
+        if not part.strip():
+            continue
+        name, _, amounts = (t.strip() for t in part.partition("="))
+        if name not in result:
+            raise ArgumentError("noise", name, "is no channel", f"use one of {', '.join(channels)}")
+        amount = {"reading": 0.0, "full_scale": 0.0, "absolute": 0.0}
+        for piece in amounts.lower().replace(" ", "").split("+"):
+            kind, number = "absolute", piece
+            if piece.endswith("%fs"):
+                kind, number = "full_scale", piece[:-3]
+            elif piece.endswith("%"):
+                kind, number = "reading", piece[:-1]
+            try:
+                value = float(number) * (1.0 if kind == "absolute" else 0.01)
+            except ValueError:
+                value = math.nan
+            if not (math.isfinite(value) and value >= 0):
+                raise ArgumentError(
+                    "noise", name, f"{piece!r} is no amount", "write 1%, 0.5%fs or a number in SI units"
+                )
+            amount[kind] += value
+        if not any(amount.values()):
+            raise ArgumentError("noise", name, "is zero", "leave it out, or give an amount above zero")
+        result[name] = ChannelNoise(**amount)
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class MotorData:
+    """Stationary points of a motor, arrays (n,): voltage at the motor, its current, speed and torque, and the run."""
+
+    voltage_V: Array
+    current_A: Array
+    speed_rad_s: Array
+    torque_Nm: Array
+    run: NDArray[np.int64]
+
+    def channel_arrays(self) -> tuple[Array, Array, Array, Array]:
+        """Return voltage, current, speed, torque."""
+        return self.voltage_V, self.current_A, self.speed_rad_s, self.torque_Nm
+
+
+@dataclass(frozen=True)
+class GearKnowledge:
+    """What is known of the gear between motor and where speed and torque were measured.
+
+    Attributes
+    ----------
+    ratio, efficiency : float or None
+        None if unknown. 1 and 1 at the motor's shaft.
+    ratio_std, efficiency_std : float
+        Standard deviations.
+    """
+
+    ratio: float | None = 1.0
+    efficiency: float | None = 1.0
+    ratio_std: float = 0.0
+    efficiency_std: float = 0.0
+
+
+@result(eq=False, picture="mufly.identify.fit_pictures:motor_picture")
+class MotorFit(EstimateLookup):
+    """Motor constants and what they rest on.
+
+    Attributes
+    ----------
+    estimates : tuple of Estimate
+        kE, kM, Rohm, dR, and Mf where the readings ask for it; or products such as ``kM*eta_gear`` where the gear is
+        not known.
+    covariance : (n, n) array
+        Of the estimates.
+    effective : (5,) array
+        R (ohm), a (V s), b (N m/A), d (N m s), c (N m) of the module docstring, where speed and torque were measured.
+    data, adjusted : MotorData
+        Readings, and the most likely true values.
+    residual : (n, 2) array
+        e1 (V) and e2 (N m).
+    expected : (n, 2) array
+        Their standard deviations after the fit.
+    scales : (2,) array
+        Found over expected errors of the two equations.
+    spread : Spread
+    unseen, notes : tuple of str
+        What the data do not tell apart; what was assumed, guessed or found, in words.
+    """
+
+    estimates: tuple[ParameterEstimate, ...]
+    covariance: Array
+    effective: Array
+    data: MotorData
+    adjusted: MotorData
+    residual: Array
+    expected: Array
+    scales: Array
+    spread: CovarianceEstimate
+    unseen: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def fit_motor(
+    table: BenchTable, *, gear: GearKnowledge | None = None, noise: dict[str, ChannelNoise] | None = None,
+    vehicle: Vehicle | None = None,
+) -> MotorFit:  # fmt: skip
+    """Fit the stationary motor equations to a bench file.
+
+    Parameters
+    ----------
+    table : BenchTable
+        Columns ``voltage`` (and ``duty``), ``current`` (or ``supply_current`` with ``duty``), ``speed``, ``torque``.
+    gear : GearKnowledge, optional
+        Default: measured at the motor's shaft.
+    noise : dict, optional
+        Expected errors of voltage, current, speed, torque; by default 1 % of the reading and 0.3 % of full scale.
+    vehicle : Vehicle, optional
+        Where the start values in the result come from.
+
+    Raises
+    ------
+    InputError
+        If columns are missing, constant or too short, or break the balance of energy.
+
+    Thesis: Fig. 5.1; Sec. 5.2.1.
+    """
+    gear = gear or GearKnowledge()
+    data, notes = extract_motor_data(table)
+    n = data.voltage_V.size
+    if n < _MIN_POINTS:
+        raise InputError(table.source, "", f"{n} points are too few", f"give {_MIN_POINTS} or more")
+    std, words = _expected_errors(data, noise)
+    notes.append(words)
+    same = _MotorEquations(data, std)
+    # What the vehicle has, is asked for again.
+    free = np.array([True, True, True, True, vehicle is not None and float(vehicle.motor.friction_torque) > 0])
+    while True:
+        effective, scales = same.solve_constants(free)
+        if free[3] and effective[3] < 0:
+            free[3] = False
+            notes.append("the friction dR would be below zero and was held at 0: torque or current may have an offset")
+            continue
+        jacobian, white = (
+            same.whitened_sensitivities(effective, scales),
+            same.whitened_residuals(effective, scales),
+        )
+        found = estimate_covariance(
+            jacobian[:, free], white.ravel(), channel=np.tile([0, 1], n), run=np.repeat(data.run, 2),
+            group=np.repeat(_number_settings(data, std), 2),
+        )  # fmt: skip
+        if np.max(scales) <= _ROUNDING_RESIDUAL:
+            break
+        asked, rubbing = _find_missing_terms(
+            jacobian[:, free], white, same.whitening_matrices(effective, scales), found, free
+        )
+        if not rubbing and _needs_constant_friction(same, effective, scales, free, gear):
+            rubbing = True
+        if not rubbing:
+            notes += [found.describe_pattern()] if found.pattern != "white" else []
+            notes += asked
+            break
+        free[4] = True
+    _check_physical(table, data, effective, found.covariance, free, found.t_quantile_95)
+    covariance = np.zeros((5, 5))
+    covariance[np.ix_(free, free)] = found.covariance
+    estimates, cov, unseen = _estimates_of_constants(effective, covariance, gear, found.t_quantile_95, free, vehicle)
+    notes += _check_energy_balance(effective, gear)
+    return MotorFit(
+        estimates, cov, effective, data, same.adjust_readings(effective), same.equation_residuals(effective),
+        same.residual_std(effective, scales) * found.scale, scales, found, unseen, tuple(notes),
+    )  # fmt: skip
+
+
+def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
+    """Return the readings of a motor bench and notes on what was guessed.
+
+    Raises
+    ------
+    InputError
+        If a column is missing, constant, or its unit cannot be right.
+    """
+    notes = list(table.notes)
+    table.require_columns(("voltage", "speed", "torque"))
+    voltage = table["voltage"]
+    if "duty" in table:
+        table.require_columns(("duty",))
+        duty = table["duty"]
+        outside = np.flatnonzero((duty < 0) | (duty > 1))
+        if outside.size:
+            raise InputError(
+                table.source, f"line {table.line[outside[0]]}, {table.headers['duty']}",
+                f"{duty[outside[0]]:g} is no share of the voltage",
+                "give duty from 0 to 1, duty_% up to 100, or a pulse of 1000 to 2000 us",
+            )  # fmt: skip
+        voltage = duty * voltage
+        notes.append("voltage at the motor = duty * voltage")
+    if "current" in table or "supply_current" not in table:
+        table.require_columns(("current",))
+        current = table["current"]
+    elif "duty" in table:
+        table.require_columns(("supply_current",))
+        idle = table["duty"] == 0
+        if np.any(idle & (table["speed"] != 0)):
+            raise InputError(table.source, table.headers["duty"], "is 0 in a line", "leave that line out")
+        current = np.where(idle, 0.0, table["supply_current"]) / np.where(idle, 1.0, table["duty"])
+        notes.append("motor current = supply current / duty (mean of the chopped current)")
+    else:
+        header = table.headers["supply_current"]
+        raise InputError(table.source, header, "is not the motor's current", "add the column duty")
+    turning = (np.abs(table["speed"]) > 0) | (np.abs(current) > 0)
+    if not turning.all():
+        notes.append(f"{int(np.sum(~turning))} lines without speed and current are left out")
+    run = table["run"].astype(np.int64) if "run" in table else np.zeros(len(table), dtype=np.int64)
+    u, i, w, q = (v[turning] for v in (voltage, current, table["speed"], table["torque"]))
+    data = MotorData(u, i, w, q, run[turning])
+    _check_variation(table, data)
+    return _resolve_speed_unit(table, data, notes), notes
+
+
+def _check_physical(
+    table: BenchTable, data: MotorData, effective: Array, covariance: Array, free: NDArray[np.bool_], quantile: float
+) -> None:  # fmt: skip
+    """Refuse constants that no motor has, and name the column that is missing where the voltage gives it away.
+
+    Raises
+    ------
+    InputError
+        If R, kE or kM is not above zero.
+    """
+    std = np.zeros(5)
+    std[free] = np.sqrt(np.diag(covariance))
+    for k, (name, unit) in enumerate((("Rohm", "ohm"), ("kE", "V s"), ("kM", "N m/A"))):
+        if effective[k] > 0.0:
+            continue
+        remedy = "check signs, units, and that voltage and current are the motor's"
+        supply, spread_ = (
+            data.voltage_V,
+            float(np.ptp(data.speed_rad_s)) / float(np.max(np.abs(data.speed_rad_s))),
+        )
+        if "duty" not in table and float(np.ptp(supply)) < 0.2 * float(np.max(np.abs(supply))) and spread_ > 0.3:
+            remedy = (
+                f"{table.headers['voltage']} hardly changes while the speed does, so it is the supply's: add a column "
+                "duty, or the ESC's signal in us"
+            )
+        value = f"{effective[k]:.4g} +- {quantile * std[k]:.2g} {unit}"
+        raise InputError(table.source, "", f"the fit gives {name} = {value}, which no motor has", remedy)
+
+
+def _check_variation(table: BenchTable, data: MotorData) -> None:
+    for name, v in (("current", data.current_A), ("speed", data.speed_rad_s)):
+        if v.size and float(np.ptp(v)) <= 1e-3 * float(np.max(np.abs(v), initial=0.0)):
+            constant = f"is constant ({v[0]:.4g} in SI units)"
+            remedy = "vary the load or the voltage between lines"
+            raise InputError(table.source, table.headers.get(name, name), constant, remedy)
+    if data.torque_Nm.size and not np.any(data.torque_Nm):
+        raise InputError(
+            table.source, table.headers["torque"], "is zero in every line",
+            "load the motor: without load only the ratio of dR and kM is seen",
+        )  # fmt: skip
+
+
+def _mean_efficiency(data: MotorData) -> float:
+    electrical = float(np.sum(data.voltage_V * data.current_A))
+    return float(np.sum(data.torque_Nm * data.speed_rad_s)) / electrical if electrical > 0 else math.inf
+
+
+def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) -> MotorData:
+    """Take a speed without a unit as what the balance of energy allows, and refuse units that break it."""
+    e = _mean_efficiency(data)
+    if "speed" in table.unitless:
+        unit, factor = ("rpm", RPM) if e > 0.95 else ("rad/s", 1.0)
+        notes.append(
+            f"speed has no unit: taken as {unit}, with which {100 * e * factor:.0f} % of the electrical power comes "
+            "out as mechanical power"
+        )
+        data = replace(data, speed_rad_s=data.speed_rad_s * factor)
+        e = _mean_efficiency(data)
+    for name, unit in (("voltage", "mV"), ("current", "mA")):
+        if name in table.unitless and e < _MIN_EFFICIENCY < 1e3 * e < _MAX_EFFICIENCY:
+            notes.append(
+                f"{table.headers[name]}: as {SI_UNITS[name]} only {100 * e:.2g} % would come out: taken as {unit}"
+            )
+            data = replace(data, **{f"{name}_{SI_UNITS[name]}": 1e-3 * getattr(data, f"{name}_{SI_UNITS[name]}")})
+            notes[:] = [n for n in notes if not n.startswith(f"{table.headers[name]}: no unit is written")]
+            e = _mean_efficiency(data)
+    if e < 0:
+        against = "the motor delivers no power (torque against speed)"
+        raise InputError(table.source, "", against, "give both with the same sign")
+    if e > _MAX_EFFICIENCY:
+        # The slip that mends the balance and leaves the most power is the likeliest.
+        mended = [(e * f, name, unit) for name, unit, f in _UNIT_MISTAKES if _MIN_EFFICIENCY < e * f <= 1.0]
+        guess = "check the units"
+        if mended:
+            best = max(mended, key=lambda m: m[0] if m[1] == "speed" else 0.5 * m[0])
+            guess = (
+                f"{table.headers[best[1]]} is probably in {best[2]} (efficiency {100 * best[0]:.0f} %): "
+                "correct the header, or map it with columns=OLD=NEW"
+            )
+        much = f"the motor would deliver {e:.3g} times the power that it takes"
+        raise InputError(table.source, "", much, guess)
+    if e < _MIN_EFFICIENCY:
+        notes.append(
+            f"only {100 * e:.2g} % of the electrical power comes out: unless the motor ran without load, a unit is "
+            "wrong (rad/s for rpm, N m for mN m)"
+        )
+    return data
+
+
+class _MotorEquations:
+    """The stationary motor equations with errors in every reading.
+
+    Constants are ``x = (R, a, b, d, c)`` of the module docstring; ``reading_std`` (n, 4) are expected errors of
+    voltage, current, speed and torque; ``scales`` (2,) are the factors by which the residuals of the two equations
+    exceed what those errors lead to.
+    """
+
+    def __init__(self, data: MotorData, std: Array) -> None:
+        self.data, self.reading_std = data, std
+
+    def equation_residuals(self, x: Array) -> Array:
+        """Return e1 and e2, (n, 2)."""
+        r, a, b, d, c = x
+        u, i, w, q = self.data.channel_arrays()
+        return np.column_stack([u - r * i - a * w, b * i - d * w - c - q])
+
+    def whitening_matrices(self, x: Array, scales: Array) -> Array:
+        """Return for every point the inverse Cholesky factor of S, (n, 2, 2)."""
+        r, a, b, d, _ = x
+        vu, vi, vw, vq = (self.reading_std**2).T
+        s11 = (vu + r**2 * vi + a**2 * vw) * scales[0] ** 2
+        s22 = (vq + b**2 * vi + d**2 * vw) * scales[1] ** 2
+        s12 = (-r * b * vi + a * d * vw) * scales[0] * scales[1]
+        l11 = np.sqrt(s11)
+        l21 = s12 / l11
+        l22 = np.sqrt(s22 - l21**2)
+        out = np.zeros((len(self.reading_std), 2, 2))
+        out[:, 0, 0], out[:, 1, 1], out[:, 1, 0] = 1 / l11, 1 / l22, -l21 / (l11 * l22)
+        return out
+
+    def whitened_residuals(self, x: Array, scales: Array) -> Array:
+        """Return the residuals over their expected errors, (n, 2)."""
+        return np.einsum("nij,nj->ni", self.whitening_matrices(x, scales), self.equation_residuals(x))
+
+    def residual_std(self, x: Array, scales: Array) -> Array:
+        """Return the standard deviations of e1 and e2, (n, 2)."""
+        return np.linalg.norm(np.linalg.inv(self.whitening_matrices(x, scales)), axis=2)
+
+    def solve_constants(self, free: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Return (R, a, b, d, c) and how much larger the errors of the two equations are than expected.
+
+        What is not ``free`` (5,) is held at zero: the frictions d and c.
+        """
+        u, i, w, q = self.data.channel_arrays()
+        start = np.zeros(5)
+        start[:2] = np.linalg.lstsq(np.column_stack([i, w]), u, rcond=None)[0]
+        start[2:][free[2:]] = np.linalg.lstsq(np.column_stack([i, -w, -np.ones_like(w)])[:, free[2:]], q, rcond=None)[0]
+        size = np.abs(start) + 1e-12 * np.max(np.abs(start))
+        size[3] = max(size[3], 1e-3 * float(np.max(np.abs(q)) / np.max(np.abs(w))))
+        size[4] = max(size[4], 1e-3 * float(np.max(np.abs(q))))
+        mechanical = int(np.sum(free[2:]))
+
+        def expand_free(z: Array) -> Array:
+            full = np.where(free, 0.0, start)
+            full[free] = z * size[free]
+            return full
+
+        scales, x = np.ones(2), start
+        for _ in range(3):
+
+            def scaled_residuals(z: Array, scales: Array = scales) -> Array:
+                return self.whitened_residuals(expand_free(z), scales).ravel()
+
+            found = least_squares(
+                scaled_residuals, x[free] / size[free], method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14
+            )
+            x = expand_free(found.x)
+            # Each equation's own scale, from its residuals over its own expected error, less the constants in it.
+            e = self.equation_residuals(x) / self.residual_std(x, np.ones(2))
+            scales = np.maximum(np.sqrt(np.sum(e**2, axis=0) / (len(e) - np.array([2, mechanical]))), 1e-9)
+        return x, scales
+
+    def adjust_readings(self, x: Array) -> MotorData:
+        """Return the most likely true readings, at which both equations hold exactly."""
+        r, a, b, d, _ = x
+        plain = self.whitening_matrices(x, np.ones(2))
+        weighted = np.einsum("nji,njk,nk->ni", plain, plain, self.equation_residuals(x))  # S^-1 e
+        shift = self.reading_std**2 * (weighted @ np.array([[1.0, -r, -a, 0.0], [0.0, b, -d, -1.0]]))
+        u, i, w, q = (np.column_stack(self.data.channel_arrays()) - shift).T
+        return MotorData(u, i, w, q, self.data.run)
+
+    def whitened_sensitivities(self, x: Array, scales: Array) -> Array:
+        """Return the whitened derivatives of e1 and e2 by (R, a, b, d, c) at the adjusted readings, (2 n, 5)."""
+        _, i, w, _ = self.adjust_readings(x).channel_arrays()
+        raw = np.zeros((i.size, 2, 5))
+        raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, 3], raw[:, 1, 4] = -i, -w, i, -w, -1.0
+        return np.einsum("nij,njk->nik", self.whitening_matrices(x, scales), raw).reshape(-1, 5)
+
+
+def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> tuple[Array, str]:
+    """Return expected errors (n, 4) of the readings and what was assumed.
+
+    Without knowledge of the sensors, the likeliest of some shapes between errors that grow with the reading and errors
+    that do not; their size is found afterwards.
+    """
+    if noise is not None:
+        std = np.column_stack(
+            [noise[c].error_std(v) for c, v in zip(MOTOR_CHANNELS, data.channel_arrays(), strict=True)]
+        )
+        return std, "shape of the errors as given; their size from the residuals"
+
+    def likelihood_of_shape(reading: float, full_scale: float) -> tuple[Array, float]:
+        channel = ChannelNoise(0.01 * reading, 0.01 * full_scale)
+        std = np.column_stack([channel.error_std(v) for v in data.channel_arrays()])
+        same = _MotorEquations(data, std)
+        x, scales = same.solve_constants(np.array([True, True, True, True, False]))
+        w = same.whitening_matrices(x, scales)
+        size = np.sum(same.whitened_residuals(x, scales) ** 2)
+        return std, float(size - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
+
+    std, words = choose_error_shape(_ERROR_SHAPES, likelihood_of_shape)
+    shape = f"errors in all four channels taken in proportion to {words} (the likeliest shape)"
+    return std, f"{shape}; size from the residuals"
+
+
+def _number_settings(data: MotorData, std: Array) -> NDArray[np.int64]:
+    """Number the settings: consecutive lines whose readings agree within their errors are repeats of one."""
+    y = np.column_stack(data.channel_arrays())
+    same = np.all(np.abs(np.diff(y, axis=0)) < 2.5 * std[1:], axis=1) & (np.diff(data.run) == 0)
+    return np.cumsum(np.r_[0, ~same]).astype(np.int64)
+
+
+def _needs_constant_friction(
+    same: _MotorEquations, effective: Array, scales: Array, free: NDArray[np.bool_], gear: GearKnowledge
+) -> bool:
+    """Whether a constant friction mends constants that make power, and halves what the torque's balance misses."""
+    if free[4] or not _constant_ratio(effective, gear) > _MAX_CONSTANT_RATIO:
+        return False
+    x, s = same.solve_constants(np.array([True, True, True, True, True]))
+    if x[3] < 0.0:
+        x, s = same.solve_constants(np.array([True, True, True, False, True]))
+    return bool(x[4] > 0.0 and s[1] < 0.5 * scales[1] and _constant_ratio(x, gear) <= _MAX_CONSTANT_RATIO)
+
+
+def _constant_ratio(x: Array, gear: GearKnowledge) -> float:
+    """Return kM over kE."""
+    return float(x[2] / (x[1] * (gear.efficiency or 1.0)))
+
+
+def _find_missing_terms(
+    jacobian: Array, white: Array, whitening: Array, found: CovarianceEstimate, free: NDArray[np.bool_]
+) -> tuple[list[str], bool]:
+    """Say whether a constant in either equation would fit better, and whether it is a friction, to be fitted."""
+    words: list[str] = []
+    n = len(white)
+    terms = [(0, "a constant voltage drop", "V", 1.0)]
+    if not free[4]:
+        terms.append((1, "a constant friction", "mN m", 1e3))
+    for row, name, unit, factor in terms:
+        extra = whitening[:, :, row].reshape(2 * n, 1)
+        both = np.hstack([jacobian, extra])
+        size = np.linalg.norm(both, axis=0)
+        more = np.linalg.lstsq(both / size, white.ravel(), rcond=None)[0] / size
+        inverse = np.linalg.inv((both / size).T @ (both / size))
+        std = found.scale * math.sqrt(inverse[-1, -1]) / size[-1]
+        if abs(more[-1]) > 3.0 * std:
+            if row == 1 and more[-1] > 0:
+                return words, True
+            words.append(
+                f"the readings ask for {name} of {abs(more[-1]) * factor:.3g} +- {2 * std * factor:.2g} {unit} that "
+                "the equations do not have; the intervals do not cover such a fault of the model"
+            )
+    return words, False
+
+
+def _check_energy_balance(x: Array, gear: GearKnowledge) -> list[str]:
+    """Say if the constants break the balance of energy, or lose more than usual."""
+    ratio = _constant_ratio(x, gear)
+    if ratio > _MAX_CONSTANT_RATIO:
+        return [f"kM/kE = {ratio:.2f}: more mechanical than electrical power; check units and the current's channel"]
+    if ratio < 0.3:
+        return [f"kM/kE = {ratio:.2f} is small: check the units of speed and torque (rpm for rad/s? mN m for N m?)"]
+    return []
+
+
+def _estimates_of_constants(
+    x: Array,
+    covariance: Array,
+    gear: GearKnowledge,
+    quantile: float,
+    free: NDArray[np.bool_],
+    vehicle: Vehicle | None,
+) -> tuple[tuple[ParameterEstimate, ...], Array, tuple[str, ...]]:
+    """Turn (R, a, b, d, c) into constants, or into the products that are seen."""
+    i, eta = gear.ratio, gear.efficiency
+    unit_ratio, unit_eta = i if i is not None else 1.0, eta if eta is not None else 1.0
+    r, a, b, d, c = x
+    both = unit_ratio * unit_eta
+    value = np.array([a / unit_ratio, b / both, r, d / (unit_ratio * both), c / both])
+    # Columns: R, a, b, d, c, ratio, efficiency.
+    jacobian = np.zeros((5, 7))
+    jacobian[0, 1], jacobian[1, 2], jacobian[2, 0] = 1 / unit_ratio, 1 / both, 1.0
+    jacobian[3, 3], jacobian[4, 4] = 1 / (unit_ratio * both), 1 / both
+    jacobian[:, 5] = np.array([-1.0, -1.0, 0.0, -2.0, -1.0]) * value / unit_ratio
+    jacobian[:, 6] = np.array([0.0, -1.0, 0.0, -1.0, -1.0]) * value / unit_eta
+    whole = np.zeros((7, 7))
+    whole[:5, :5] = covariance
+    whole[5, 5] = gear.ratio_std**2 if i is not None else 0.0
+    whole[6, 6] = gear.efficiency_std**2 if eta is not None else 0.0
+    cov = jacobian @ whole @ jacobian.T
+    tails = dict.fromkeys(VEHICLE_KEYS, "")
+    unseen: list[str] = []
+    if i is None:
+        tails |= {"kE": "*igear", "kM": "*igear", "dR": "*igear^2", "Mf": "*igear"}
+        unseen.append(
+            "kE, kM and dR cannot be told from the gear ratio: only kE*igear, kM*igear and dR*igear^2 are seen"
+        )
+    if eta is None:
+        tails |= {k: tails[k] + "*eta_gear" for k in ("kM", "dR", "Mf")}
+        unseen.append("kM and dR cannot be told from the gear's efficiency: only kM*eta_gear and dR*eta_gear are seen")
+    estimates = []
+    told = [*range(4), *([4] if free[4] else [])]
+    cov, value = cov[np.ix_(told, told)], value[told]
+    for k, (symbol, (key, unit)) in enumerate(list(VEHICLE_KEYS.items())[: len(told)]):
+        std, tail, bound = math.sqrt(cov[k, k]), tails[symbol], symbol == "dR" and not free[3]
+        names = symbol + tail, "" if tail else key, unit
+        e = ParameterEstimate.from_std(*names, vehicle, float(value[k]), std, quantile=quantile, at_bound=bound)
+        estimates.append(replace(e, std=math.nan) if bound else e)
+    seen = [k for k in range(len(told)) if value[k] != 0]
+    of_seen = divide_by_values(cov, value)[np.ix_(seen, seen)]
+    return (
+        tuple(estimates),
+        cov,
+        (*unseen, *describe_unseen_combinations([estimates[k].symbol for k in seen], of_seen)),
+    )

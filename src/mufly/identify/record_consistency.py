@@ -1,0 +1,381 @@
+"""Does a record agree with itself? Units, signs, axes, scales and lags of a flight record, before anything is fitted.
+
+What one sensor reads follows from another by kinematics alone. Attitude turns with the body's rates (Euler's angles,
+no small ones; Stevens, Lewis and Johnson, *Aircraft Control and Simulation*, 3rd ed., eq. 1.4-4, read backwards),
+
+    p = roll' - yaw' sin(pitch)
+    q = pitch' cos(roll) + yaw' sin(roll) cos(pitch)
+    r = -pitch' sin(roll) + yaw' cos(roll) cos(pitch)
+
+and a velocity is the change of its place. Both sides are averaged over the same 0.2 s, in which a change of angle is
+the mean rate exactly, so that the average takes nothing from one side alone. A pair then says (:func:`compare_signals`)
+
+* the **lag**: where the correlation is greatest, with its jackknife
+  (:func:`mufly.logs.delay_estimation.estimate_delay`);
+* the **sign**: that of the correlation there;
+* the **factor**: between the slopes of either side over the other. Noise draws the one down and the other up, so the
+  true factor lies between them; it is only said to be off where both are.
+
+A factor near a unit's names the unit. One that is off by a fifth, or a lag above 50 ms, would be turned into wrong
+parameters by any fit and is refused; smaller ones that are certain are said. What does not move is not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.identify.flight_record import FLIGHT_INPUTS, FlightRecord, fill_gaps, smooth_signal
+from mufly.logs.delay_estimation import estimate_delay
+
+Array = NDArray[np.float64]
+
+_AVERAGING_SPAN_S = 0.2  # over which both sides are averaged
+_MAX_LAG_S = 0.5  # lag that is looked for
+_MIN_CORRELATION, _MAX_UNRELATED_CORRELATION, _EXCHANGED_CORRELATION = (
+    0.6,
+    0.3,
+    0.8,
+)  # correlations: a pair that may be judged, none, another axis
+_REPORTED_LAG_S, _REFUSED_LAG_S = 0.015, 0.05  # lags that are said, and refused
+_REPORTED_SCALE_ERROR, _REFUSED_SCALE_ERROR = 0.1, 0.2  # factors likewise, as shares
+_MAX_ACCELERATION_m_s2 = 20.0  # m/s2, RMS: two g, more than a rotorcraft of thrust to weight 3 can
+_MAX_TILT_WITHOUT_YAW_rad = np.radians(15.0)  # tilt below which a yaw that is not known changes little
+# A value in this unit is so many times the SI one.
+_UNIT_FACTORS = {
+    "angle": (("degrees", "deg", 57.2958),),
+    "length": (("centimetres", "cm", 100.0), ("millimetres", "mm", 1000.0), ("feet", "ft", 3.28084)),
+    "angle a second": (("degrees a second", "deg/s", 57.2958),),
+    "speed": (
+        ("centimetres a second", "cm/s", 100.0), ("millimetres a second", "mm/s", 1000.0),
+        ("kilometres an hour", "km/h", 3.6), ("feet a second", "ft/s", 3.28084),
+    ),
+}  # fmt: skip
+_UNIT_FACTOR_TOLERANCE = 0.08  # share by which a factor may differ from a unit's; degrees are told from 30 to 110
+
+
+@dataclass(frozen=True)
+class SignalFault:
+    """What is wrong with one signal of a record.
+
+    Attributes
+    ----------
+    signal : str
+    problem, remedy : str
+    grave : bool
+        Whether a fit would turn it into wrong parameters.
+    """
+
+    signal: str
+    problem: str
+    remedy: str
+    is_fatal: bool = True
+
+
+@dataclass(frozen=True)
+class SignalAgreement:
+    """How what a sensor reads follows what kinematics make of others; ``read(t) = factor made(t - lag_s)``.
+
+    Attributes
+    ----------
+    correlation : float
+        With the lag taken out.
+    lag_s, lag_std_s : float
+        Positive: what is read is late. NaN where the record does not tell.
+    low, high : float
+        The factor's size lies between them, noise on either side included.
+    """
+
+    correlation: float
+    lag_s: float
+    lag_std_s: float
+    scale_low: float
+    scale_high: float
+
+
+def moving_average(y: Array, samples: int) -> Array:
+    """Return means over ``samples`` neighbours of ``y`` (n,) or (n, k), one for every full set of them."""
+    total = np.concatenate([np.zeros_like(y[:1]), np.cumsum(y, axis=0)])
+    return np.asarray((total[samples:] - total[:-samples]) / samples)
+
+
+def compare_signals(read: Array, made: Array, sample_s: float) -> SignalAgreement:
+    """Compare what is read with what it should be, (n,) each, evenly sampled."""
+    n = len(read)
+    if n < 60 or read.std() == 0.0 or made.std() == 0.0:
+        return SignalAgreement(0.0, np.nan, np.nan, 0.0, np.inf)
+    longest = min(_MAX_LAG_S, 0.2 * n * sample_s)
+    found = estimate_delay(np.asarray(np.arange(n) * sample_s, dtype=np.float64), made, read, longest_s=longest)
+    told = found.is_determined
+    shift = round(found.delay_s / sample_s) if told else 0
+    a = read[max(shift, 0) : n + min(shift, 0)]
+    b = made[max(-shift, 0) : n - max(shift, 0)]
+    a, b = a - a.mean(), b - b.mean()
+    c = float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-300)
+    ratio = float(a.std() / max(b.std(), 1e-300))
+    # Pieces of the record say how far the slope is a matter of chance.
+    blocks = [(x, y) for x, y in zip(np.array_split(a, 8), np.array_split(b, 8), strict=True)]
+    left = np.array([[a @ b - x @ y, b @ b - y @ y, a @ a - x @ x] for x, y in blocks])
+    slopes = np.abs(left[:, 0]) / np.maximum(left[:, 1], 1e-300)
+    doubt = 2.4 * float(np.sqrt(7.0 * np.var(slopes))) / max(abs(c) * ratio, 1e-300)
+    low, high = ratio * abs(c), ratio / max(abs(c), 1e-6)
+    return SignalAgreement(
+        c, found.delay_s if told else np.nan, found.std_s if told else np.nan,
+        low * max(0.0, 1.0 - doubt), high * (1.0 + doubt),
+    )  # fmt: skip
+
+
+def rates_from_attitude(attitude: Array, sample_s: float) -> Array:
+    """Return p, q, r (n - 1, 3) halfway between samples of roll, pitch and yaw (n, 3)."""
+    turn, middle = np.diff(attitude, axis=0) / sample_s, 0.5 * (attitude[1:] + attitude[:-1])
+    s1, c1 = np.sin(middle[:, 0]), np.cos(middle[:, 0])
+    s2, c2 = np.sin(middle[:, 1]), np.cos(middle[:, 1])
+    return np.column_stack(
+        [
+            turn[:, 0] - turn[:, 2] * s2,
+            turn[:, 1] * c1 + turn[:, 2] * s1 * c2,
+            -turn[:, 1] * s1 + turn[:, 2] * c1 * c2,
+        ]
+    )
+
+
+def check_signals(
+    names: Sequence[str], read: Array, made: Array, sample_s: float, *, kind: str, source: Sequence[str]
+) -> list[SignalFault]:
+    """Look for units, signs, axes, factors and lags in signals that should be the same, column by column.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the ``k`` signals.
+    read, made : (n, k) array
+        What the sensors read, and what others make of it, SI, averaged alike.
+    sample_s : float
+    kind : str
+        Of ``_UNIT_FACTORS``: what is read.
+    source : sequence of str
+        What each column of ``made`` is made of, in words.
+    """
+    found: list[SignalFault] = []
+    own = [compare_signals(read[:, k], made[:, k], sample_s) for k in range(len(names))]
+    for k, (name, a) in enumerate(zip(names, own, strict=True)):
+        if abs(a.correlation) < _MIN_CORRELATION:
+            cross = [_zero_lag_correlation(read[:, k], made[:, j]) if j != k else 0.0 for j in range(len(names))]
+            j = int(np.argmax(np.abs(cross)))
+            if (
+                abs(cross[j]) > _EXCHANGED_CORRELATION
+                and abs(_zero_lag_correlation(read[:, k], made[:, k])) < _MAX_UNRELATED_CORRELATION
+            ):
+                sign = "the opposite of " if cross[j] < 0.0 else ""
+                found.append(
+                    SignalFault(
+                        name,
+                        f"does not follow {source[k]}, it follows {sign}{source[j]}: axes are exchanged "
+                        f"(correlation {cross[j]:+.2f})",
+                        "exchange them in the map",
+                    )
+                )
+            continue
+        if a.correlation < 0.0:
+            found.append(
+                SignalFault(
+                    name, f"has the opposite sign of the change of {source[k]}",
+                    "turn the sign of one in the column map",
+                )
+            )  # fmt: skip
+            continue
+        found += _check_scale(name, source[k], a, kind)
+        found += _check_lag(name, source[k], a, sample_s)
+    return found
+
+
+def _zero_lag_correlation(x: Array, y: Array) -> float:
+    x, y = x - x.mean(), y - y.mean()
+    return float(x @ y) / max(float(np.sqrt((x @ x) * (y @ y))), 1e-300)
+
+
+def _check_scale(name: str, source: str, a: SignalAgreement, kind: str) -> list[SignalFault]:
+    middle = float(np.sqrt(a.scale_low * a.scale_high)) if a.scale_low > 0.0 else 0.0
+    other = {"angle a second": "angle", "speed": "length"}[kind]
+    for signal, units, factor in (
+        (name, _UNIT_FACTORS[kind], middle),
+        (source, _UNIT_FACTORS[other], 1.0 / max(middle, 1e-9)),
+    ):
+        for words, short, size in units:
+            near = 30.0 < factor < 110.0 if size == 57.2958 else abs(factor / size - 1.0) < _UNIT_FACTOR_TOLERANCE
+            if near and (a.scale_low > 1.25 or a.scale_high < 0.8):
+                digits = 0 if factor > 10.0 else 2
+                says = (
+                    f"is {factor:.{digits}f} times the rate at which {source} changes"
+                    if signal == name
+                    else f"changes {factor:.{digits}f} times as fast as {name} says"
+                )
+                return [
+                    SignalFault(
+                        signal,
+                        f"{says}: it seems to be in {words}",
+                        f"say so in the column map (unit '{short}')",
+                    )
+                ]
+    if a.scale_low > 1.0 + _REPORTED_SCALE_ERROR or a.scale_high < 1.0 - _REPORTED_SCALE_ERROR:
+        low, high = f"{a.scale_low:.2f}", f"{a.scale_high:.2f}"
+        return [
+            SignalFault(
+                name,
+                f"is {middle:.2f} times the change of {source} (95 %: {low} to {high}): one of them is scaled wrong",
+                "correct the gain of one in the column map",
+                is_fatal=a.scale_low > 1.0 + _REFUSED_SCALE_ERROR or a.scale_high < 1.0 - _REFUSED_SCALE_ERROR,
+            )
+        ]
+    return []
+
+
+def _check_lag(name: str, source: str, a: SignalAgreement, sample_s: float) -> list[SignalFault]:
+    if not abs(a.lag_s) > max(_REPORTED_LAG_S, 0.75 * sample_s, 4.0 * a.lag_std_s):
+        return []
+    late, first = (name, source) if a.lag_s > 0.0 else (source, name)
+    return [
+        SignalFault(
+            late,
+            f"comes {1e3 * abs(a.lag_s):.0f} +- {1e3 * a.lag_std_s:.0f} ms later than {first}",
+            "shift one of them in time before the fit, or leave one out",
+            is_fatal=abs(a.lag_s) - 2.2 * a.lag_std_s > _REFUSED_LAG_S,
+        )
+    ]
+
+
+def find_signal_faults(r: FlightRecord) -> list[SignalFault]:
+    """Return what is wrong with a record, seen from the record alone, the grave first."""
+    found = [*_check_angles(r), *_check_velocities(r), *_check_height_unit(r), *_check_input_range(r)]
+    return sorted(found, key=lambda f: not f.is_fatal)
+
+
+def refuse_fatal_faults(r: FlightRecord, found: Sequence[SignalFault], *, as_is: bool = False) -> tuple[str, ...]:
+    """Raise the first finding that is grave, unless the record is taken as it is; return the others in words.
+
+    Raises
+    ------
+    InputError
+        Naming record, signal, what is wrong and what to do.
+    """
+    for f in found:
+        if f.is_fatal and not as_is:
+            raise InputError(r.name, f.signal, f.problem, f.remedy)
+    return tuple(f"{r.name}: {f.signal} {f.problem}" for f in found)
+
+
+def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
+    """Look for faults that a fit would turn into wrong parameters.
+
+    Parameters
+    ----------
+    r : Record
+    as_is : bool
+        Say what is wrong, and refuse nothing but a record in which no input moves.
+
+    Returns
+    -------
+    tuple of str
+        Warnings: what can still be fitted, but not as it might seem.
+
+    Raises
+    ------
+    InputError
+        For units, signs, axes, scales and clocks that cannot be, or a record in which no input moves.
+    """
+    warnings = list(refuse_fatal_faults(r, find_signal_faults(r), as_is=as_is))
+    still = [n for k, n in enumerate(FLIGHT_INPUTS) if np.ptp(r.inputs[:, k]) < 1e-6]
+    if len(still) == 4:
+        raise InputError(r.name, "inputs", "none of them moves", "fly an excitation: `mufly identify plan`")
+    warnings += [f"{r.name}: {n} is constant; nothing is learnt of what it drives" for n in still]
+    for k, name in enumerate(r.outputs):
+        y = r.measured[np.isfinite(r.measured[:, k]), k]
+        if name != "voltage" and np.ptp(y) < 1e-9:
+            warnings.append(f"{r.name}: {name} never changes; is that sensor connected?")
+    return tuple(warnings)
+
+
+def _check_angles(r: FlightRecord) -> list[SignalFault]:
+    """Attitude against rates."""
+    angles_and_rates = [o for o in ("roll", "pitch", "yaw", "p", "q", "r") if o in r.outputs]
+    known = {o: fill_gaps(r.measured[:, r.outputs.index(o)]) for o in angles_and_rates}
+    pairs = [(a, w) for a, w in (("roll", "p"), ("pitch", "q"), ("yaw", "r")) if a in known and w in known]
+    samples, dt, n = max(1, round(_AVERAGING_SPAN_S / r.sample_s)), r.sample_s, len(r.time_s)
+    found: list[SignalFault] = []
+    # Degrees are told first, as if angles were small: Euler's angles need radians.
+    for angle, rate in pairs:
+        w = 0.5 * (known[rate][1:] + known[rate][:-1])
+        a = compare_signals(moving_average(w, samples), moving_average(np.diff(known[angle]) / dt, samples), dt)
+        ratio = float(np.sqrt(a.scale_low * a.scale_high)) if a.scale_low > 0.0 else 1.0
+        if abs(a.correlation) > _MIN_CORRELATION and (30.0 < ratio < 110.0 or 1 / 110.0 < ratio < 1 / 30.0):
+            found += _check_scale(rate, angle, a, "angle a second")
+    for angle in ("roll", "pitch"):
+        if angle not in known or any(f.signal == angle for f in found):
+            continue
+        turned, limit = known[angle], (np.pi / 2 if angle == "pitch" else np.pi) + 0.01
+        if float(np.max(np.abs(turned))) > limit:
+            reaches = f"reaches {turned[np.argmax(np.abs(turned))]:.3g} rad: it seems to be in degrees"
+            found.append(SignalFault(angle, reaches, "say so in the column map (unit 'deg')"))
+    if found or not pairs:
+        return found
+    level, tilt = np.zeros(n), 0.0
+    attitude = np.column_stack([known.get(o, level) for o in ("roll", "pitch", "yaw")])
+    if "yaw" not in known and {"q", "r"} <= set(known):
+        s1, c1 = np.sin(attitude[:, 0]), np.cos(attitude[:, 0])
+        turn = (known["q"] * s1 + known["r"] * c1) / np.maximum(np.cos(attitude[:, 1]), 0.1)
+        attitude[:, 2] = np.concatenate([[0.0], np.cumsum(0.5 * (turn[1:] + turn[:-1])) * dt])
+    elif not {"roll", "pitch", "yaw"} <= set(known):
+        tilt = float(np.max(np.abs(attitude[:, :2])))
+    if tilt > _MAX_TILT_WITHOUT_YAW_rad:
+        what = "is judged without all three angles and rates, and tilts too far for that: not checked"
+        return [SignalFault(pairs[0][0], what, "", is_fatal=False)]
+    order = {"roll": 0, "pitch": 1, "yaw": 2}
+    made = moving_average(rates_from_attitude(attitude, dt), samples)[:, [order[a] for a, _ in pairs]]
+    rates = np.column_stack([known[w] for _, w in pairs])
+    read = moving_average(0.5 * (rates[1:] + rates[:-1]), samples)
+    return check_signals(
+        [w for _, w in pairs], read, made, dt, kind="angle a second", source=[a for a, _ in pairs]
+    )  # fmt: skip
+
+
+def _check_velocities(r: FlightRecord) -> list[SignalFault]:
+    """Velocities against the changes of places; north and east together, because they may be exchanged."""
+    found: list[SignalFault] = []
+    samples, dt = max(1, round(_AVERAGING_SPAN_S / r.sample_s)), r.sample_s
+    for some in ((("north", "v_north"), ("east", "v_east")), (("height", "climb"),)):
+        pairs = [(a, v) for a, v in some if a in r.outputs and v in r.outputs]
+        if pairs:
+            at = [[fill_gaps(r.measured[:, r.outputs.index(o)]) for o in pair] for pair in pairs]
+            made = moving_average(np.column_stack([np.diff(a) / dt for a, _ in at]), samples)
+            read = moving_average(np.column_stack([0.5 * (v[1:] + v[:-1]) for _, v in at]), samples)
+            found += check_signals([v for _, v in pairs], read, made, dt, kind="speed", source=[a for a, _ in pairs])
+    return found
+
+
+def _check_height_unit(r: FlightRecord) -> list[SignalFault]:
+    """A height that accelerates as no rotorcraft does is one in centimetres or millimetres."""
+    if "height" not in r.outputs:
+        return []
+    slope = smooth_signal(fill_gaps(r.measured[:, r.outputs.index("height")]), r.sample_s, 0.5, slope=True)
+    size = float(np.std(np.gradient(smooth_signal(slope, r.sample_s, 0.5), r.sample_s)))
+    if size <= _MAX_ACCELERATION_m_s2:
+        return []
+    what = f"accelerates by {size:.0f} m/s2 (RMS): it seems to be in centimetres or millimetres"
+    return [SignalFault("height", what, "say so in the column map (unit 'cm' or 'mm')")]
+
+
+def _check_input_range(r: FlightRecord) -> list[SignalFault]:
+    """Inputs beyond their range."""
+    found = []
+    for k, name in enumerate(FLIGHT_INPUTS):
+        u, low = r.inputs[:, k], 0.0 if k < 2 else -1.0
+        top = float(np.max(np.abs(u)))
+        if top > 1.5 or float(np.min(u)) < low - 0.5:
+            unit = "per cent" if 1.5 < top <= 100 else "microseconds of a servo pulse" if top > 500 else "another unit"
+            what = f"reaches {u[np.argmax(np.abs(u))]:g}: it seems to be in {unit}"
+            found.append(SignalFault(name, what, f"scale it to {low:g}..1"))
+    return found

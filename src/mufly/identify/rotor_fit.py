@@ -1,0 +1,564 @@
+"""Thrust and torque coefficients of rotors from a bench, single and coaxial, with what they rest on.
+
+    T = c_T rho pi R^4 W^2,      Q = c_Q rho pi R^5 W^2        (eq. 3.3 of the dissertation)
+
+With ``q = rho pi R^4 W^2`` (torque: ``R^5``) each coefficient is a weighted linear least-squares fit ``load = c q``.
+Where a coaxial bench measures only the total thrust, both coefficients are fitted to ``T = c_up q_up + c_dw q_dw``.
+The expected error of a load is taken in proportion to the likeliest shape between a share of the reading and a share
+of full scale; its size follows from the residuals, whose pattern widens the intervals
+(:mod:`mufly.bench.residual_covariance`). Errors that all readings share do not average out and are added:
+
+    cov(c) = cov_scatter + G C G' + c c' (var(rho) / rho^2 + k^2 var(R) / R^2),      G = dc/d(calibration, zeros),
+
+with k = 4 for thrust and 5 for torque. Whether a coefficient is constant over speed, as the flight model takes it, is
+tested (:class:`CoefficientTrend`). If it is not, the estimate is still the best single number, and its variance grows
+by the mean square of the coefficient's distance from it over the measured speeds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from mufly.bench import BenchLoads, CovarianceEstimate, estimate_covariance, resolve_air_density
+from mufly.bench.unit_conventions import (
+    COEFFICIENT_CONVENTIONS,
+    guess_load_units,
+    guess_speed_unit,
+    resolve_speed_unit,
+)
+from mufly.errors import ArgumentError, InputError
+from mufly.identify.fit_result import (
+    EstimateLookup,
+    ParameterEstimate,
+    choose_error_shape,
+    describe_unseen_combinations,
+    divide_by_values,
+)
+from mufly.results import result
+from mufly.units import RPM
+from mufly.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+SYMBOL_SUFFIXES = {"upper": "_up", "lower": "_dw", "": ""}
+COEFFICIENT_DEFINITIONS = {
+    "thrust": ("cT", "thrust_coefficient", 4),
+    "torque": ("cQ", "torque_coefficient", 5),
+}
+_ERROR_SHAPES = ((1.0, 0.3), (1.0, 0.02), (1.0, 0.1), (1.0, 1.0), (0.0, 1.0))  # % of reading, % of full scale
+_ORDINARY_THRUST_COEFFICIENTS = (0.0005, 0.06)  # thrust coefficients of hovering rotors
+_PITCH_TOLERANCE_rad = math.radians(0.05)  # settings of the blades closer than this are one
+_MAX_ORDER_CORRELATION = 0.8  # rank correlation of speed and order from which drift and trend cannot be told apart
+_SPEED_TOLERANCE = 0.02  # speeds closer than this share show no bend between them
+_AICC_TOLERANCE = 2.0  # differences of AICc below which two explanations fit equally well
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientTrend:
+    """Is a rotor's coefficient constant over speed? The Reynolds trend, and the offset that looks like it.
+
+    With ``x = ln(W / W_0)`` and ``W_0`` the weighted geometric mean of the speeds,
+
+        load = q (p_0 + p_1 x + p_2 x^2)
+
+    is linear in p; its degree, up to 2, has the least AICc (Hurvich and Tsai, Biometrika 76, 1989), and the coefficient
+    is not constant if ``p_1, p_2`` differ from zero by Wald's test at 5 %. With the Reynolds number proportional to the
+    speed, ``p_1 / p_0`` is the power with which the coefficient goes with Re. The rival ``load = c q + F_0`` is a load
+    cell that does not read zero; which of the two the data prefer is said, and that is all that they can say. Where the
+    speed rose or fell all through the measurement, a drift of the sensors would look like a trend as well; that too is
+    said.
+
+    Attributes
+    ----------
+    channel, symbol : str
+    reference_rad_s : float
+        W_0.
+    coefficients : (d + 1,) array
+        p_0 ... p_d.
+    spread : Spread
+        Their covariance.
+    significant : bool
+        Whether the coefficient changes with speed by more than its error.
+    offset, offset_std : float
+        F_0 of the rival explanation (N or N m).
+    against_offset : float
+        AICc of the rival less that of the trend: positive if the trend explains more.
+    range_rad_s : (float, float)
+    ordered : bool
+        Speeds rose or fell all through the measurement.
+    """
+
+    channel: str
+    symbol: str
+    reference_rad_s: float
+    coefficients: Array
+    covariance_estimate: CovarianceEstimate
+    is_significant: bool
+    offset: float
+    offset_std: float
+    aicc_against_offset: float
+    range_rad_s: tuple[float, float]
+    speed_is_ordered: bool
+
+    def _log_speed_powers(self, speed_rad_s: float | Array) -> Array:
+        x = np.log(np.abs(np.asarray(speed_rad_s, dtype=np.float64)) / self.reference_rad_s)
+        return np.stack([x**k for k in range(self.coefficients.size)], axis=-1)
+
+    def coefficient_at(self, speed_rad_s: float | Array) -> Array:
+        """Return the coefficient at speeds."""
+        return np.asarray(self._log_speed_powers(speed_rad_s) @ self.coefficients)
+
+    def coefficient_std_at(self, speed_rad_s: float | Array) -> Array:
+        """Return the standard deviation of the coefficient at speeds."""
+        b = self._log_speed_powers(speed_rad_s)
+        return np.sqrt(np.einsum("...i,ij,...j->...", b, self.covariance_estimate.covariance, b))
+
+    def relative_change(self) -> tuple[float, float]:
+        """Return the change from the lowest to the highest speed, relative, and half its 95 % interval."""
+        low, high = (self._log_speed_powers(w) for w in self.range_rad_s)
+        start, end = float(low @ self.coefficients), float(high @ self.coefficients)
+        slope = high / start - low * end / start**2
+        return end / start - 1.0, self.covariance_estimate.t_quantile_95 * math.sqrt(
+            float(slope @ self.covariance_estimate.covariance @ slope)
+        )
+
+    def describe_trend(self) -> str:
+        """Say whether the coefficient is constant within its error."""
+        low, high = self.range_rad_s
+        change, doubt = self.relative_change()
+        over = f"{100 * change:+.1f} +- {100 * doubt:.1f} % from {low / RPM:.0f} to {high / RPM:.0f} rpm"
+        if not self.is_significant:
+            return f"{self.symbol} is constant within its error over a speed range of {high / low:.2g} : 1 ({over})"
+        speeds = (low, math.sqrt(low * high), high)
+        shape = ", ".join(f"{float(self.coefficient_at(w)):.5f} at {w / RPM:.0f} rpm" for w in speeds)
+        text = f"{self.symbol} is not constant: {over} ({shape})"
+        unit = "N" if self.channel.startswith("thrust") else "N m"
+        offset = f"an offset of the load cell of {self.offset:.3g} +- {2 * self.offset_std:.2g} {unit}"
+        if self.aicc_against_offset < -_AICC_TOLERANCE:
+            text += f"; but {offset} would explain more: read its zero at rest"
+        elif self.aicc_against_offset < _AICC_TOLERANCE:
+            text += f"; {offset} would explain it as well: read its zero at rest"
+        else:
+            text += "; a Reynolds trend explains more than an offset of the load cell"
+        return text + (", and a drift during the measurement would look the same" if self.speed_is_ordered else "")
+
+
+def fit_coefficient_trend(
+    channel: str, symbol: str, speed: Array, unit: Array, load: Array, expected: Array,
+    run: NDArray[np.int64] | None = None,
+) -> CoefficientTrend:  # fmt: skip
+    """Fit a coefficient over speed, and its rival.
+
+    Parameters
+    ----------
+    channel, symbol : str
+        Names in words.
+    speed, unit, load, expected : (n,) array
+        rad/s; q; N or N m; expected error of the load, up to a factor. In the order of measurement, five or more.
+    run : (n,) int array, optional
+    """
+    n, speed, b = load.size, np.abs(speed), load / expected
+    weight = (unit / expected) ** 2
+    reference = float(np.exp(np.sum(weight * np.log(speed)) / np.sum(weight)))
+    x = np.log(speed / reference)
+    ordered = (
+        bool(np.ptp(speed) > 0) and abs(float(stats.spearmanr(np.arange(n), speed).statistic)) > _MAX_ORDER_CORRELATION
+    )
+    # Correlated errors along an ordered measurement and a trend over speed are one and the same to the data.
+    runs = np.arange(n) if ordered else run
+    bends = n >= 8 and np.unique(np.round(x / _SPEED_TOLERANCE)).size >= 4
+    columns = [np.vander(x, d + 1, increasing=True) * (unit / expected)[:, None] for d in (1, 2)]
+    scores = [_corrected_aic(a, b) for a in columns[: 1 + bends]]
+    chosen = 2 if bends and scores[1] < scores[0] - _AICC_TOLERANCE else 1
+    p, found = _weighted_least_squares(columns[chosen - 1], b, runs)
+    tail = found.covariance[1:, 1:]
+    wald = float(p[1:] @ np.linalg.solve(tail, p[1:])) / chosen if np.all(np.diag(tail) > 0) else 0.0
+    offset = np.column_stack([unit, np.ones(n)]) / expected[:, None]
+    both, rival = _weighted_least_squares(offset, b, runs)
+    return CoefficientTrend(
+        channel, symbol, reference, p, found, wald > float(stats.f.ppf(0.95, chosen, max(found.dof, 1.0))),
+        float(both[1]), math.sqrt(rival.covariance[1, 1]), _corrected_aic(offset, b) - scores[chosen - 1],
+        (float(speed.min()), float(speed.max())), ordered,
+    )  # fmt: skip
+
+
+def _weighted_least_squares(
+    a: Array, b: Array, run: Integers | None, group: Integers | None = None
+) -> tuple[Array, CovarianceEstimate]:
+    """Return the least-squares estimate of ``a x = b``, rows in the order of measurement, and how far it may be off."""
+    x = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=np.float64)
+    return x, estimate_covariance(a, b - a @ x, run=run, group=group)
+
+
+def _corrected_aic(a: Array, b: Array) -> float:
+    n, k = a.shape[0], a.shape[1] + 1
+    rest = b - a @ np.linalg.lstsq(a, b, rcond=None)[0]
+    return n * math.log(max(float(rest @ rest), 1e-300)) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientFit:
+    """One fit: the loads of one channel on one or two rotors.
+
+    Attributes
+    ----------
+    channel : str
+        ``"thrust"``, ``"torque_lower"``, ...
+    symbols : tuple of str
+        ``cT``, ``cQ_up``, ...
+    value : (p,) array
+    covariance : (p, p) array
+    systematic_share : (p,) array
+        Part of each variance that calibration, zeros, density and radius make up.
+    speed_rad_s : (n, p) array
+    unit_load : (n, p) array
+        q of the module docstring.
+    load, expected : (n,) array
+        Measured (N, N m) and standard deviation of its scatter.
+    spread : Spread
+    trends : tuple of Trend
+        One for a fit of one rotor; empty otherwise.
+    """
+
+    channel: str
+    symbols: tuple[str, ...]
+    value: Array
+    covariance: Array
+    systematic_share: Array
+    speed_rad_s: Array
+    load_per_coefficient: Array
+    load: Array
+    expected_std: Array
+    covariance_estimate: CovarianceEstimate
+    trends: tuple[CoefficientTrend, ...]
+
+    @property
+    def residual(self) -> Array:
+        """Measured less fitted, (n,)."""
+        return self.load - self.load_per_coefficient @ self.value
+
+
+@result(eq=False, picture="mufly.identify.fit_pictures:rotor_picture")
+class RotorFit(EstimateLookup):
+    """Coefficients of the rotors of one bench file at one setting of the blades.
+
+    Attributes
+    ----------
+    source : str
+    coaxial : bool
+    pitch_rad : float
+        NaN if the file does not say.
+    radius_m : float
+    density_kg_m3 : (n,) array
+    estimates : tuple of Estimate
+        In the order of the fits.
+    fits : tuple of CoefficientFit
+    loads : Loads
+    unseen, notes : tuple of str
+    """
+
+    source: str
+    coaxial: bool
+    pitch_rad: float
+    radius_m: float
+    density_kg_m3: Array
+    estimates: tuple[ParameterEstimate, ...]
+    fits: tuple[CoefficientFit, ...]
+    loads: BenchLoads
+    unseen: tuple[str, ...]
+    notes: tuple[str, ...] = field(default=())
+
+    def systematic_variance_shares(self) -> dict[str, float]:
+        """Return the part of each variance that calibration, zeros, density and radius make up."""
+        return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_share, strict=True)}
+
+
+def estimates_of_coefficients(fit: CoefficientFit, vehicle: Vehicle | None) -> list[ParameterEstimate]:
+    """Return the estimates of a fit, with start values of a vehicle."""
+    out = []
+    for k, symbol in enumerate(fit.symbols):
+        side = {"up": "upper", "dw": "lower"}.get(symbol.partition("_")[2], "")
+        _, name, _ = COEFFICIENT_DEFINITIONS["thrust" if symbol.startswith("cT") else "torque"]
+        key, std = f"rotors.{side}.{name}" if side else "", math.sqrt(fit.covariance[k, k])
+        quantile = fit.covariance_estimate.t_quantile_95
+        out.append(ParameterEstimate.from_std(symbol, key, "1", vehicle, float(fit.value[k]), std, quantile=quantile))
+    return out
+
+
+def assign_rotor_side(fit: RotorFit, side: str, vehicle: Vehicle | None) -> RotorFit:
+    """Return the fit of a single rotor as that of a vehicle's ``"upper"`` or ``"lower"`` rotor; a pair stays."""
+    if fit.coaxial:
+        return fit
+    end = SYMBOL_SUFFIXES[side]
+    fits = tuple(
+        replace(
+            f,
+            symbols=tuple(s + end for s in f.symbols),
+            trends=tuple(replace(t, symbol=t.symbol + end) for t in f.trends),
+        )
+        for f in fit.fits
+    )
+    return replace(fit, fits=fits, estimates=tuple(e for f in fits for e in estimates_of_coefficients(f, vehicle)))
+
+
+def describe_interference(fits: Sequence[RotorFit]) -> list[str]:
+    """Say what each rotor of a pair keeps of a single rotor's coefficients, where both were measured."""
+    single = [f for f in fits if not f.coaxial]
+    pairs = [f for f in fits if f.coaxial]
+    words = []
+    for alone, pair in ((a, b) for a in single for b in pairs):
+        for e in pair.estimates:
+            own = [s for s in alone.estimates if s.symbol.partition("_")[0] == e.symbol.partition("_")[0]]
+            if not own or math.isinf(e.std) or math.isinf(own[0].std):
+                continue
+            ratio = e.value / own[0].value
+            doubt = 2 * ratio * math.hypot(e.std / e.value, own[0].std / own[0].value)
+            changed = "" if abs(ratio - 1) > doubt else ": unaffected within its error"
+            words.append(f"{e.symbol} of {pair.source} is {ratio:.3f} +- {doubt:.3f} of {alone.source}{changed}")
+    return words
+
+
+def fit_rotor_coefficients(
+    loads: BenchLoads, *, radius_m: float, radius_std_m: float = 0.0, density_kg_m3: float | None = None,
+    density_std_kg_m3: float = 0.0, at_speed_rad_s: float | None = None, vehicle: Vehicle | None = None,
+) -> tuple[RotorFit, ...]:  # fmt: skip
+    """Fit thrust and torque coefficients, a result for every pitch setting in the file.
+
+    Parameters
+    ----------
+    loads : Loads
+        From :func:`mufly.bench.compute_loads`.
+    radius_m, radius_std_m : float
+        Of both rotors, and its standard deviation.
+    density_kg_m3, density_std_kg_m3 : float, optional
+        Of the air; by default from the file, else 1.2.
+    at_speed_rad_s : float, optional
+        Where a coefficient changes with speed, give its value at this one instead of the mean over all speeds.
+    vehicle : Vehicle, optional
+        Start values in the result.
+
+    Raises
+    ------
+    InputError
+        If speeds are missing, there are fewer than two points, or the radius cannot be right.
+
+    Thesis: Table 5.2; Sec. 5.2.2.
+    """
+    if not (math.isfinite(radius_m) and radius_m > 0):
+        raise ArgumentError("radius_m", "", f"{radius_m:g} m is not possible", "give the rotor's radius in metres")
+    loads, doubts = _resolve_speed_unit(loads, radius_m)
+    density, words = resolve_air_density(loads.table, density_kg_m3)
+    if len(loads.table) > 0:
+        loads, more_words = _resolve_load_units(loads, radius_m, float(density.mean()))
+        doubts += more_words
+    table = loads.table
+    coaxial = any(name.endswith(("_upper", "_lower")) for name in (*table.columns, *loads.values))
+    computed = math.isfinite(table.diameter_m)  # a maker's figures: one is enough
+    if len(table) < (1 if computed else 2):
+        raise InputError(table.source, "", f"{len(table)} points with a turning rotor", "give two or more")
+    if computed and abs(0.5 * table.diameter_m / radius_m - 1.0) > 0.02:
+        doubts.append(f"the file's rotor has R {500.0 * table.diameter_m:.4g} mm, this one {1e3 * radius_m:.4g} mm")
+    if all(table.headers.get(c) == c and c not in table.unitless for c in loads.values) and any(
+        c in table for c in COEFFICIENT_CONVENTIONS
+    ):
+        words = "the file's coefficients depend on no density"
+    notes = [*loads.notes, *doubts, words]
+    pitch = table["pitch"] if "pitch" in table else np.full(len(table), np.nan)
+    settings = np.unique(np.round(pitch / _PITCH_TOLERANCE_rad)) if "pitch" in table else np.array([np.nan])
+    results = []
+    for setting in settings:
+        chosen = np.isnan(pitch) if np.isnan(setting) else np.round(pitch / _PITCH_TOLERANCE_rad) == setting
+        fits: list[CoefficientFit] = []
+        more: list[str] = []
+        for channel in loads.values:
+            fit = _fit_channel(
+                loads, channel, chosen, density, radius_m, coaxial=coaxial, at_speed=at_speed_rad_s,
+                common=(density_std_kg_m3 / float(density.mean()), radius_std_m / radius_m), notes=more,
+            )  # fmt: skip
+            if fit is not None:
+                fits.append(fit)
+        estimates = tuple(e for fit in fits for e in estimates_of_coefficients(fit, vehicle))
+        impossible = _describe_unphysical(estimates)
+        estimates = tuple(e if e.value > 0.0 else replace(e, key="") for e in estimates)
+        results.append(
+            RotorFit(
+                table.source, coaxial, float(pitch[chosen][0]), radius_m, density[chosen], estimates, tuple(fits),
+                loads, (*impossible, *(u for fit in fits for u in _describe_unseen(fit))), (*notes, *more),
+            )
+        )  # fmt: skip
+    return tuple(results)
+
+
+def _resolve_speed_unit(loads: BenchLoads, radius: float) -> tuple[BenchLoads, list[str]]:
+    """Take speeds without a unit as rpm or rad/s, whichever gives an ordinary coefficient; doubt stated units."""
+    table, notes = loads.table, []
+    quantity = next((c for c in loads.values if c.startswith("thrust") and c not in table.unitless), None)
+    for name in [c for c in table.columns if c.startswith("speed")]:
+        side = name.partition("_")[2]
+        channel = f"thrust_{side}" if f"thrust_{side}" in loads.values else quantity
+        if channel is None:
+            table = resolve_speed_unit(table, radius) if name == "speed" else table
+            continue
+        if name in table.unitless:
+            unit, factor = guess_speed_unit(table[name], loads.values[channel], radius)
+            table = table.rescale_column(name, factor, f"{table.headers[name]} has no unit: taken as {unit}")
+            notes.append(table.notes[-1])
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            c = loads.values[channel] / (1.2 * math.pi * radius**4 * table[name] ** 2)
+        typical = float(np.nanmedian(np.abs(c)))
+        if not _ORDINARY_THRUST_COEFFICIENTS[0] < typical < _ORDINARY_THRUST_COEFFICIENTS[1]:
+            notes.append(
+                f"{table.headers[name]}: c_T near {typical:.2g} is far from the usual "
+                f"{_ORDINARY_THRUST_COEFFICIENTS[0]} to "
+                f"{_ORDINARY_THRUST_COEFFICIENTS[1]}; check the units (rpm or rad/s), the radius and the thrust"
+            )
+    return replace(loads, table=table), notes
+
+
+def _resolve_load_units(loads: BenchLoads, radius: float, density: float) -> tuple[BenchLoads, list[str]]:
+    """Decide the units of loads that have none, by the sizes that they give, or ask."""
+    found = guess_load_units(loads.table, loads.values, radius, density)
+    table, values, by = loads.table, dict(loads.values), dict(loads.by_systematic)
+    for channel, (factor, words) in found.items():
+        table = table.rescale_column(channel, factor, words)
+        values[channel], by[channel] = factor * values[channel], factor * by[channel]
+    return replace(loads, table=table, values=values, by_systematic=by), [words for _, words in found.values()]
+
+
+def _describe_unphysical(estimates: Sequence[ParameterEstimate]) -> list[str]:
+    """Say which coefficients no rotor has: below zero, or together a figure of merit above one."""
+    words = [
+        f"{e.symbol} = {e.value:.3g} is below zero, which no rotor has, and is not written: check the zero of the load "
+        "cells, the sign and the unit"
+        for e in estimates
+        if not e.value > 0.0
+    ]
+    known = {e.symbol: e.value for e in estimates if e.value > 0.0}
+    for end in SYMBOL_SUFFIXES.values():
+        thrust, torque = known.get(f"cT{end}", math.nan), known.get(f"cQ{end}", math.nan)
+        merit = thrust**1.5 / (math.sqrt(2.0) * torque)
+        if merit > 1.0:
+            words.append(
+                f"cT{end} and cQ{end} give a figure of merit of {merit:.3g}, above 1, which no rotor has: check the "
+                "radius, the density and the units"
+            )
+    return words
+
+
+def _fit_channel(
+    loads: BenchLoads, channel: str, chosen: NDArray[np.bool_], density: Array, radius: float, *, coaxial: bool,
+    at_speed: float | None, common: tuple[float, float], notes: list[str],
+) -> CoefficientFit | None:  # fmt: skip
+    quantity, _, side = channel.partition("_")
+    sides = (side,) if side or not coaxial else ("upper", "lower")  # whose loads it holds
+    if quantity == "torque" and len(sides) == 2:
+        notes.append("the total torque of a coaxial pair is the difference of two and is not used; give torque_upper "
+                     "and torque_lower, for example from the motors' currents")  # fmt: skip
+        return None
+    table = loads.table
+    speeds = []
+    for side in sides:
+        name = f"speed_{side}" if side and f"speed_{side}" in table else "speed"
+        table.require_columns((name,))
+        speeds.append(table[name])
+    measured = np.isfinite(loads.values[channel]) & chosen & (np.min(np.abs(speeds), axis=0) > 0)
+    p = len(sides)
+    one = p == 1 and int(measured.sum()) == 1 and math.isfinite(table.diameter_m)
+    if measured.sum() < p + 1 and not one:
+        notes.append(f"{channel}: {int(measured.sum())} points are too few")
+        return None
+    symbol, _, power = COEFFICIENT_DEFINITIONS[quantity]
+    speed = np.column_stack(speeds)[measured]
+    unit = density[measured][:, None] * math.pi * radius**power * speed**2
+    load = loads.values[channel][measured]
+    if np.median(load) < 0:
+        load = -load
+        why = "that of the sense of rotation" if quantity == "torque" else "taken for that of the load cell"
+        notes.append(f"{channel} is negative and was turned round: its sign is {why}")
+    run = table["run"].astype(np.int64)[measured] if "run" in table else None
+    expected, words = _expected_errors(unit, load)
+    notes.append(f"{channel}: scatter taken in proportion to {words}")
+    symbols = tuple(symbol + SYMBOL_SUFFIXES[s] for s in sides)
+    a, b = unit / expected[:, None], load / expected
+    size = np.linalg.norm(a, axis=0)
+    if one:
+        notes.append(f"{channel}: one static line, so its scatter is not seen")
+    if one or np.linalg.cond(a / size) > 1e4:
+        # Both rotors at one ratio of speeds: only one sum is seen. The shortest vector is returned with infinite
+        # doubt; a single line with none that is known.
+        value = np.linalg.lstsq(a / size, b, rcond=1e-4)[0] / size
+        none = CovarianceEstimate(np.full((p, p), math.nan if one else np.inf), math.nan, 1.0, "white", 0.0)
+        return CoefficientFit(
+            channel, symbols, value, none.covariance, np.zeros(p), speed, unit, load, expected, none, ()
+        )
+    value, found = _weighted_least_squares(a, b, run, _number_settings(speed, run))
+    trends: tuple[CoefficientTrend, ...] = ()
+    scatter = found.covariance
+    speeds_seen = np.unique(_number_settings(speed, None)).size
+    if p == 1 and speeds_seen == 1:
+        notes.append(f"{channel}: one speed only, so whether the coefficient changes with speed is not seen")
+    elif p == 1 and load.size >= 5:
+        trend = fit_coefficient_trend(channel, symbols[0], speed[:, 0], unit[:, 0], load, expected, run)
+        trends = (trend,)
+        if trend.is_significant and at_speed is not None:
+            value = np.array([float(trend.coefficient_at(at_speed))])
+            scatter, found = (
+                np.array([[float(trend.coefficient_std_at(at_speed)) ** 2]]),
+                trend.covariance_estimate,
+            )
+        elif trend.is_significant:
+            # One number for all speeds: its interval has to hold the coefficient's change with speed.
+            over = a[:, 0] ** 2 / float(a[:, 0] @ a[:, 0])
+            away = float(over @ (trend.coefficient_at(speed[:, 0]) - value[0]) ** 2)
+            scatter = np.array([[float(trend.coefficient_std_at(trend.reference_rad_s)) ** 2 + away]])
+            found = replace(trend.covariance_estimate, scale=found.scale)
+    if found.pattern != "white":
+        notes.append(f"{channel}: {found.describe_pattern()}")
+    gain = np.linalg.lstsq(a, loads.by_systematic[channel][measured] / expected[:, None], rcond=None)[0]
+    shared = gain @ loads.systematic @ gain.T
+    shared = shared + np.outer(value, value) * (common[0] ** 2 + (power * common[1]) ** 2)
+    covariance = scatter + shared
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(np.diag(covariance) > 0, np.diag(shared) / np.diag(covariance), 0.0)
+    return CoefficientFit(
+        channel, symbols, value, covariance, share, speed, unit, load, expected * found.scale, found, trends
+    )
+
+
+def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:
+    """Return the likeliest shape of errors (n,), not yet scaled, and what it is in words."""
+
+    def likelihood_of_shape(reading: float, full_scale: float) -> tuple[Array, float]:
+        fitted = np.abs(unit @ np.linalg.lstsq(unit, load, rcond=None)[0])
+        std = 0.01 * np.hypot(reading * fitted, full_scale * np.max(np.abs(load)))
+        a, b = unit / std[:, None], load / std
+        r = b - a @ np.linalg.lstsq(a, b, rcond=None)[0]
+        size = load.size * np.log(max(float(r @ r), 1e-300))
+        return std, size + 2 * float(np.sum(np.log(std)))
+
+    return choose_error_shape(_ERROR_SHAPES, likelihood_of_shape)
+
+
+def _number_settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:
+    """Number the settings: lines at one speed (within 0.2 %) in one run are repeats."""
+    key = np.round(np.log(np.abs(speed)) / 0.002)
+    whole = np.column_stack([key, np.zeros(len(key)) if run is None else run])
+    return np.unique(whole, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+
+
+def _describe_unseen(fit: CoefficientFit) -> tuple[str, ...]:
+    if np.isnan(fit.covariance).any():  # one line
+        return ()
+    if not np.all(np.isfinite(fit.covariance)):
+        return (
+            f"{' and '.join(fit.symbols)}: both rotors turn at one ratio of speeds, so only a weighted sum is seen",
+        )
+    return describe_unseen_combinations(fit.symbols, divide_by_values(fit.covariance, fit.value))

@@ -1,0 +1,145 @@
+"""What the vehicle tells of what it believes: ODOMETRY with covariance, ESTIMATOR_STATUS, and each sensor's health.
+
+ODOMETRY tells the pose in MAV_FRAME_LOCAL_NED and the motion in MAV_FRAME_BODY_FRD, as PX4 does. Its covariances are
+the upper triangles, row by row (21 numbers each), of x, y, z, roll, pitch, yaw and of vx, vy, vz, rollspeed,
+pitchspeed, yawspeed; a NaN in front says that they are not known. With the attitude's rotation R the velocity's errors
+turn into body axes, ``P_b = R^T P R``; what the attitude's own error adds (v times it) is left out.
+
+Test ratios of ESTIMATOR_STATUS are the squares of the innovations over the gate's: above 1 a measurement is rejected.
+MAVLink has no message for each sensor's health: the array "checks" holds for each of
+:data:`mufly.quantities.CHECKED_READINGS` the place of its status in :data:`mufly.quantities.FUSION_STATUSES`, its
+innovation in standard deviations and the age of what was used last (s); then the wind N, E (m/s) and its deviations.
+Reasons go out as STATUSTEXT.
+
+Source: https://mavlink.io/en/messages/common.html#ODOMETRY, #ESTIMATOR_STATUS.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler
+from mufly.estimate import ERROR_STATES, AuxiliaryStates, SensorStatus
+from mufly.estimate.filter_records import EX_ATT, EX_POS, EX_VEL
+from mufly.estimate.fusion import INNOVATION_GATE
+from mufly.flight import FlightState
+from mufly.link.codec import MavMessage, mavlink, to_float32
+from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
+
+_Array = NDArray[np.float64]
+CHECKS_ARRAY_NAME = b"checks"
+"""Name of the array."""
+UNKNOWN_COVARIANCE = (math.nan,) + (0.0,) * 20
+_UPPER_TRIANGLE = np.triu_indices(6)
+_POSE_INDICES, _MOTION_INDICES = [0, 1, 2, 6, 7, 8], [3, 4, 5, 9, 10, 11]  # of Estimate.covariance
+GOOD_POSITION_SIGMA_M, GOOD_TILT_SIGMA_RAD, GOOD_VELOCITY_SIGMA_M_S = 0.5, math.radians(10.0), 0.5
+"""One sigma up to which a position, tilt or velocity is called good."""
+_UNKNOWN_POSITION_SIGMA_M = 10.0  # beyond, a place is not known at all
+
+
+def odometry_message(state: FlightState, usec: int) -> MavMessage:
+    """ODOMETRY: pose and motion as estimated, with their covariance."""
+    m = state.estimate
+    known = bool(np.all(np.isfinite(m.attitude)))
+    turn = body_to_ned_matrix(quaternion_from_euler(*m.attitude.tolist())) if known else np.full((3, 3), math.nan)
+    axes = np.eye(6)
+    axes[:3, :3] = turn
+    pose = m.covariance[np.ix_(_POSE_INDICES, _POSE_INDICES)]
+    motion = axes.T @ m.covariance[np.ix_(_MOTION_INDICES, _MOTION_INDICES)] @ axes
+    q = quaternion_from_euler(*m.attitude.tolist()) if known else np.full(4, math.nan)
+    return mavlink.MAVLink_odometry_message(
+        usec,
+        mavlink.MAV_FRAME_LOCAL_NED,
+        mavlink.MAV_FRAME_BODY_FRD,
+        *(to_float32(v) for v in m.position.tolist()),
+        [to_float32(v) for v in q.tolist()],
+        *(to_float32(v) for v in (turn.T @ m.velocity).tolist()),
+        *(to_float32(v) for v in m.rates.tolist()),
+        pack_upper_triangle(pose),
+        pack_upper_triangle(motion),
+        0,
+        mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
+        100 if m.valid else -1,
+    )
+
+
+def pack_upper_triangle(covariance: _Array) -> list[float]:
+    """Return the upper triangle of a (6, 6) covariance, row by row (21 numbers)."""
+    values = covariance[_UPPER_TRIANGLE]
+    return [to_float32(v) for v in (values if np.all(np.isfinite(values)) else UNKNOWN_COVARIANCE)]
+
+
+def estimator_status_message(state: FlightState, usec: int) -> MavMessage:
+    """ESTIMATOR_STATUS: what is known how well, and by how much measurements miss."""
+    m, beliefs = state.estimate, state.estimate.auxiliary_states
+    sigma = np.sqrt(np.maximum(np.diag(m.covariance), 0.0))
+    level, height = math.hypot(sigma[EX_POS], sigma[EX_POS + 1]), float(sigma[EX_POS + 2])
+    checks = {} if beliefs is None else {c.name: c for c in beliefs.checks}
+    good = m.valid and bool(np.all(np.isfinite(m.position)))
+    flags = 0
+    for holds, flag in (
+        (max(sigma[EX_ATT], sigma[EX_ATT + 1]) < GOOD_TILT_SIGMA_RAD, mavlink.ESTIMATOR_ATTITUDE),
+        (
+            math.hypot(sigma[EX_VEL], sigma[EX_VEL + 1]) < GOOD_VELOCITY_SIGMA_M_S,
+            mavlink.ESTIMATOR_VELOCITY_HORIZ,
+        ),
+        (sigma[EX_VEL + 2] < GOOD_VELOCITY_SIGMA_M_S, mavlink.ESTIMATOR_VELOCITY_VERT),
+        (
+            level < GOOD_POSITION_SIGMA_M,
+            mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL,
+        ),
+        (
+            level < GOOD_POSITION_SIGMA_M,
+            mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS,
+        ),
+        (height < GOOD_POSITION_SIGMA_M, mavlink.ESTIMATOR_POS_VERT_ABS),
+        (beliefs is None or _has_status(checks, "ground_distance", "fused"), mavlink.ESTIMATOR_POS_VERT_AGL),
+        (level > _UNKNOWN_POSITION_SIGMA_M, mavlink.ESTIMATOR_CONST_POS_MODE),
+    ):
+        flags |= int(flag) if good and holds else 0
+    if _has_status(checks, "acceleration", "faulty", "rejected"):
+        flags |= mavlink.ESTIMATOR_ACCEL_ERROR
+
+    def squared_test_ratio(name: str) -> float:
+        return to_float32((checks[name].ratio / INNOVATION_GATE) ** 2) if name in checks else 0.0
+
+    return mavlink.MAVLink_estimator_status_message(
+        usec,
+        flags,
+        squared_test_ratio("position_fix"),
+        squared_test_ratio("position_fix"),
+        squared_test_ratio("pressure"),
+        squared_test_ratio("magnetic_field"),
+        squared_test_ratio("ground_distance"),
+        0.0,
+        to_float32(level),
+        to_float32(height),
+    )
+
+
+def _has_status(checks: dict[str, SensorStatus], name: str, *statuses: str) -> bool:
+    return name in checks and checks[name].status in statuses
+
+
+def sensor_checks_message(state: FlightState, usec: int) -> MavMessage | None:
+    """DEBUG_FLOAT_ARRAY "checks": status, innovation and age of every reading, then the wind; None without a filter."""
+    beliefs = state.estimate.auxiliary_states
+    if beliefs is None:
+        return None
+    values = pack_sensor_checks(beliefs)
+    return mavlink.MAVLink_debug_float_array_message(usec, CHECKS_ARRAY_NAME, 1, values + [0.0] * (58 - len(values)))
+
+
+def pack_sensor_checks(beliefs: AuxiliaryStates) -> list[float]:
+    """Return what the array "checks" holds; NaN for sensors that are not on board."""
+    checks = {c.name: c for c in beliefs.checks}
+    values: list[float] = []
+    for name in CHECKED_READINGS:
+        c = checks.get(name)
+        told = [math.nan] * 3 if c is None else [float(FUSION_STATUSES.index(c.status)), c.ratio, c.age_s]
+        values += told
+    k = ERROR_STATES.index("wind_N")
+    return [to_float32(v) for v in [*values, *beliefs.wind.tolist(), *beliefs.sigma[k : k + 2].tolist()]]

@@ -1,0 +1,339 @@
+"""The vehicle's side of the mission protocol. What items mean is in :mod:`mufly.mission.mission_items`."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from mufly.flight import Autopilot, FlightState
+from mufly.link.clients import Clients, CommandAuthority, MessageSource
+from mufly.link.mission_transfer import (
+    MAX_ITEMS,
+    AddressedMessages,
+    MissionAck,
+    MissionClearAll,
+    MissionCount,
+    MissionReceiver,
+    MissionRequestItem,
+    MissionRequestList,
+    MissionSender,
+    TransferMessage,
+    to_mavlink,
+)
+from mufly.link.telemetry_streams import MissionProgress
+from mufly.mission import (
+    REQUEST_ACCEPTED,
+    Fence,
+    RequestAnswer,
+    deny_request,
+    fence_from_items,
+    fence_to_items,
+)
+from mufly.mission.mission_items import (
+    GlobalOrigin,
+    MissionItem,
+    MissionRefusedError,
+    MissionResult,
+    MissionWithItems,
+    mission_from_items,
+    mission_to_items,
+)
+
+_TYPE_MISSION, _TYPE_FENCE, _TYPE_RALLY, _TYPE_ALL = 0, 1, 2, 255
+_MAX_DOWNLOADS = 16
+_CLEAR_TIMEOUT_S = 3.0
+_REFUSAL_TEXTS: dict[int, str] = {
+    MissionResult.NO_SPACE: f"mission refused: it has more than {MAX_ITEMS} items",
+    MissionResult.DENIED: "mission refused: another station is sending one; wait until it is done",
+    MissionResult.UNSUPPORTED: "refused: missions and fences are known here, rally points are not",
+}
+"""Refusals that need no look at the items, in words."""
+_STATE_NO_MISSION, _STATE_NOT_STARTED, _STATE_ACTIVE, _STATE_PAUSED, _STATE_COMPLETE = 1, 2, 3, 4, 5
+
+
+class MissionProtocol:
+    """The vehicle's side of the mission protocol: who uploads, who downloads, and where the mission stands.
+
+    A mission that has come in whole is judged, loaded and acknowledged in one step: loaded whole, or refused with
+    everything left as it was; a fence likewise. Rally points do not exist here: their list is empty.
+
+    Parameters
+    ----------
+    autopilot : Autopilot
+    clients : Clients
+    authority : Authority
+        Who may change the mission.
+    origin : Origin or None
+
+    Attributes
+    ----------
+    plan : Plan
+        The mission and its items.
+    """
+
+    def __init__(
+        self, autopilot: Autopilot, clients: Clients, authority: CommandAuthority, origin: GlobalOrigin | None
+    ) -> None:
+        self._autopilot, self._clients = autopilot, clients
+        self._authority, self._origin = authority, origin
+        self.plan = mission_to_items(autopilot.software.requested_mission)
+        self._refused = ""  # why the last mission was refused, until it is told
+        self._first = 0  # the item that the mission begins with when it is started
+        self._receiver = MissionReceiver(self._accept_mission)
+        self._fence_receiver = MissionReceiver(self._accept_fence, mission_type=_TYPE_FENCE)
+        self._fence_items: tuple[Fence | None, tuple[MissionItem, ...]] = (None, ())
+        self._senders: OrderedDict[tuple[MessageSource, int], MissionSender] = OrderedDict()
+        self._told = 0
+        self._clearing: tuple[float, MessageSource, int] | None = None
+
+    def receive(self, now_s: float, station: MessageSource, note: TransferMessage) -> None:
+        """Take a note of a station; what begins to change the mission, only from the commander."""
+        if isinstance(note, MissionCount | MissionClearAll) and not self._authority.may_command(now_s, station):
+            denied = MissionAck(MissionResult.DENIED, note.mission_type)  # why, the authority has said
+            self._clients.send_message(station.peer, to_mavlink(denied, station.system, station.component))
+        else:
+            self._send_messages(self._cancel_foreign_uploads())
+            self._send_messages(self._handle_message(now_s, station, note))
+
+    def step(self, now_s: float) -> None:
+        """Repeat what may have been lost."""
+        self._send_messages(self._cancel_foreign_uploads())
+        out = [
+            *self._receiver.step(now_s),
+            *self._fence_receiver.step(now_s),
+            *self._clear_when_hovering(now_s),
+        ]
+        for giver in self._senders.values():
+            out += giver.step(now_s)
+        self._send_messages(out)
+
+    def forget_peer(self, peer: object) -> None:
+        """A peer has gone: its transfers end, the mission stays what it was."""
+        for key in [k for k in self._senders if k[0].peer == peer]:
+            del self._senders[key]
+        for receiver in (self._receiver, self._fence_receiver):
+            taker = receiver.peer
+            if isinstance(taker, MessageSource) and taker.peer == peer:
+                receiver.cancel()
+
+    def start_mission(self, item: float = 0.0) -> RequestAnswer:
+        """Start the mission, or go on with it; from an item on if one is given, above 0."""
+        if item > 0.0:
+            self._first = int(min(item, 65535.0))
+            if self._waypoint_from_item(self._first) is None:
+                self._first = 0
+                return _refuse_missing_waypoint(item)
+        if not self._first:
+            running = self._autopilot.status.mission_running
+            return REQUEST_ACCEPTED if running else self._autopilot.start_mission()
+        answer = self._autopilot.start_mission(self._waypoint_from_item(self._first))
+        if answer:
+            self._first, self._told = 0, self._first  # items before it are skipped, not reached
+        return answer
+
+    def start_at_item(self, item: float) -> RequestAnswer:
+        """Go on with an item of the mission; on the floor, begin with it once the mission is started."""
+        first = self._waypoint_from_item(int(item)) if item >= 0.0 and item < 65535.0 else None
+        if first is None:
+            return _refuse_missing_waypoint(item)
+        if self._autopilot.status.state == "init":
+            self._first = int(item)
+            return REQUEST_ACCEPTED
+        answer = self._autopilot.start_mission(first)
+        if answer:
+            self._first, self._told = 0, int(item)
+        return answer
+
+    def mission_progress(self, status: FlightState) -> MissionProgress:
+        """Where the mission stands."""
+        self._refresh_plan(status)
+        total = len(self.plan.items)
+        if not self.plan.mission.waypoint:
+            return MissionProgress(0, total, _STATE_NO_MISSION, 2)
+        if status.mission_running:
+            state = _STATE_ACTIVE
+        elif status.mission_begun and status.waypoint_index >= len(self.plan.waypoint_item_index):
+            state = _STATE_COMPLETE
+        elif status.mission_begun and status.flying:
+            state = _STATE_PAUSED
+        else:
+            state = _STATE_NOT_STARTED
+        return MissionProgress(
+            min(self._current_item(status), total - 1), total, state, 1 if state == _STATE_ACTIVE else 2
+        )
+
+    def take_reached_items(self, status: FlightState) -> list[int]:
+        """Items that were completed since the last call, in order."""
+        self._refresh_plan(status)
+        if not status.mission_begun:
+            self._told = 0
+            return []
+        out = list(range(self._told, self._count_completed_items(status)))
+        self._told += len(out)
+        return out
+
+    def _send_messages(self, notes: AddressedMessages) -> None:
+        for station, note in notes:
+            if isinstance(station, MessageSource):
+                self._clients.send_message(station.peer, to_mavlink(note, station.system, station.component))
+                if isinstance(note, MissionAck) and not self._refused and note.result in _REFUSAL_TEXTS:
+                    self._clients.send_text(_REFUSAL_TEXTS[note.result], "warning", station.peer)
+        if self._refused:
+            self._clients.send_text(self._refused, "warning")
+            self._refused = ""
+
+    def _handle_message(self, now_s: float, station: MessageSource, note: TransferMessage) -> AddressedMessages:
+        kind = note.mission_type
+        if kind not in (_TYPE_MISSION, _TYPE_FENCE, _TYPE_RALLY) and not isinstance(note, MissionClearAll):
+            return [] if isinstance(note, MissionAck) else [(station, MissionAck(MissionResult.UNSUPPORTED, kind))]
+        match note:
+            case MissionClearAll():
+                return self._clear_items(now_s, station, kind)
+            case MissionRequestList() | MissionRequestItem():
+                return self._serve_download(now_s, station, note)
+            case MissionCount() if kind == _TYPE_RALLY:
+                result = MissionResult.UNSUPPORTED if note.item_count else MissionResult.ACCEPTED
+                return [(station, MissionAck(result, kind))]
+            case MissionAck():
+                giver = self._senders.get((station, kind))
+                given = giver.receive(now_s, note) if giver is not None else []
+                return [*given, *self._receiver_for_type(kind).receive(now_s, station, note)]
+            case MissionCount() | MissionItem():
+                return self._receiver_for_type(kind).receive(now_s, station, note)
+        return []
+
+    def _cancel_foreign_uploads(self) -> AddressedMessages:
+        """An upload ends, with nothing changed, when whoever began it does not command any more."""
+        out: AddressedMessages = []
+        for receiver in (self._receiver, self._fence_receiver):
+            if receiver.peer is not None and receiver.peer != self._authority.commander:
+                out += receiver.cancel()
+        return out
+
+    def _receiver_for_type(self, kind: int) -> MissionReceiver:
+        return self._fence_receiver if kind == _TYPE_FENCE else self._receiver
+
+    def fence_items(self) -> tuple[MissionItem, ...]:
+        """The fence as it was uploaded or, of a mission file, as items."""
+        fence = self._autopilot.software.requested_mission.fence
+        if fence != self._fence_items[0]:
+            self._fence_items = (fence, fence_to_items(fence, self._origin))
+        return self._fence_items[1]
+
+    def _accept_fence(self, items: tuple[MissionItem, ...]) -> int:
+        base = self._autopilot.software.requested_mission.fence
+        try:
+            fence = fence_from_items(items, base, self._origin)
+        except MissionRefusedError as refusal:
+            self._refused = str(refusal)
+            return refusal.result
+        answer = self._autopilot.load_fence(fence)
+        if not answer:
+            self._refused = answer.reason
+            return MissionResult.DENIED if answer.is_temporary else MissionResult.ERROR
+        self._fence_items = (fence, items)
+        return MissionResult.ACCEPTED
+
+    def _waypoint_from_item(self, item: int) -> int | None:
+        """The waypoint to begin with when an item is to come next; None if there is none."""
+        return self.plan.first_waypoint_from_item(item) if 0 <= item < len(self.plan.items) else None
+
+    def _count_completed_items(self, status: FlightState) -> int:
+        """How many items, from the first, are completed."""
+        places, reached = self.plan.waypoint_item_index, status.waypoint_index
+        if reached == len(places) and status.mission_running and status.state == "hover":
+            reached -= 1  # it waits there; the last item is completed when nothing of the mission is left
+        if status.outcome == "succeeded" and not status.flying and reached >= len(places):
+            return len(self.plan.items)
+        if reached >= len(places) and self.plan.mission.at_end == "hover" and not status.mission_running:
+            return len(self.plan.items)  # also those behind the last waypoint, such as a delay
+        if 0 < reached < len(places) and status.mission_running and status.state in ("waypoint", "obstacle"):
+            return places[reached]
+        if reached > 0:
+            return places[min(reached, len(places)) - 1] + 1
+        # In the air and under way, it has taken off.
+        return places[0] if places and status.state in ("waypoint", "obstacle", "hover") else 0
+
+    def _current_item(self, status: FlightState) -> int:
+        places = self.plan.waypoint_item_index
+        if not status.mission_begun:
+            return self._first
+        if status.waypoint_index < len(places):
+            return 0 if status.state == "take-off" else places[status.waypoint_index]
+        return len(self.plan.items) - 1
+
+    def _refresh_plan(self, status: FlightState) -> None:
+        """Somebody else may have loaded a mission, or tuned the one that is loaded."""
+        mission = status.mission
+        if mission is None or mission is self.plan.mission:
+            return
+        if mission.waypoint != self.plan.mission.waypoint or mission.at_end != self.plan.mission.at_end:
+            self.plan, self._told = mission_to_items(mission), 0
+        else:
+            self.plan = MissionWithItems(mission, self.plan.items, self.plan.waypoint_item_index)
+
+    def _serve_download(
+        self, now_s: float, station: MessageSource, note: MissionRequestList | MissionRequestItem
+    ) -> AddressedMessages:
+        key = (station, note.mission_type)
+        before = self._senders.get(key)
+        # Whoever goes on with items of a list that was offered before gets those, or nothing: never some of each.
+        if before is not None and isinstance(note, MissionRequestItem):
+            return before.receive(now_s, note)
+        held = {_TYPE_MISSION: lambda: self.plan.items, _TYPE_FENCE: self.fence_items}.get(note.mission_type, tuple)
+        items: tuple[MissionItem, ...] = held()
+        giver = MissionSender(station, items, mission_type=note.mission_type, uploading=False)
+        # A list that is asked for again may be that of another mission than the one that was never fetched.
+        if before is not None and before.result is None and before.items == giver.items:
+            return before.receive(now_s, note)
+        self._senders[key] = giver
+        while len(self._senders) > _MAX_DOWNLOADS:
+            self._senders.popitem(last=False)
+        offer = giver.start(now_s)
+        return offer if isinstance(note, MissionRequestList) else giver.receive(now_s, note)
+
+    def _clear_items(self, now_s: float, station: MessageSource, kind: int) -> AddressedMessages:
+        if kind in (_TYPE_FENCE, _TYPE_ALL):
+            result = self._accept_fence(())
+            if kind == _TYPE_FENCE or result != MissionResult.ACCEPTED:
+                return [(station, MissionAck(result, kind))]
+        if kind not in (_TYPE_MISSION, _TYPE_ALL):
+            known = kind == _TYPE_RALLY
+            return [(station, MissionAck(MissionResult.ACCEPTED if known else MissionResult.UNSUPPORTED, kind))]
+        if self._clearing is not None:
+            return []  # the same again
+        if self._autopilot.status.mission_running and self._autopilot.pause():
+            self._clearing = (now_s + _CLEAR_TIMEOUT_S, station, kind)
+            return []
+        return [(station, MissionAck(self._accept_mission(()), kind))]
+
+    def _clear_when_hovering(self, now_s: float) -> AddressedMessages:
+        """A mission that is being flown is cleared once the helicopter hovers."""
+        if self._clearing is None:
+            return []
+        until_s, station, kind = self._clearing
+        status = self._autopilot.status
+        if now_s < until_s and (status.mission_running or status.state != "hover"):
+            return []
+        self._clearing = None
+        return [(station, MissionAck(self._accept_mission(()), kind))]
+
+    def _accept_mission(self, items: tuple[MissionItem, ...]) -> int:
+        try:
+            plan = mission_from_items(items, self._autopilot.software.requested_mission, self._origin)
+        except MissionRefusedError as refusal:
+            self._refused = str(refusal)
+            return refusal.result
+        answer = self._autopilot.load_mission(plan.mission)
+        if not answer:
+            self._refused = f"mission refused: {answer.reason}"
+            return MissionResult.DENIED if answer.is_temporary else MissionResult.ERROR
+        self._first = 0
+        self.plan, self._told = (
+            MissionWithItems(self._autopilot.software.requested_mission, items, plan.waypoint_item_index),
+            0,
+        )
+        return MissionResult.ACCEPTED
+
+
+def _refuse_missing_waypoint(item: float) -> RequestAnswer:
+    return deny_request(f"the mission has no waypoint from item {item:g} on")

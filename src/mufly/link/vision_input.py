@@ -1,0 +1,132 @@
+"""VISION_POSITION_ESTIMATE, both ways: somebody else's SLAM tells the vehicle where it is; ours tells others.
+
+In: place and heading of the message become the position fix of the filter (:mod:`mufly.flight.external_fixes`). Its
+covariance is the upper triangle, row by row, of x, y, z, roll, pitch, yaw; a NaN in front says that it is not known.
+Roll and pitch are not used: the inertial unit knows them better.
+
+Its time, ``usec``, is the vehicle's where the sender has asked for it by TIMESYNC, as PX4 wants it. Any other clock (of
+the day, of the sender's start) is set by what has come: the least of arrival - usec over the last half minute is taken
+for its difference to ours, so that the fastest message counts as if it had taken no time. What that leaves out
+(exposure, work, the fastest way) is EKF2_EV_DELAY, the parameter of PX4 for it. ``usec`` 0 is the arrival.
+
+Out: the fix that was heard last, with its own time; where pictures gave it, with their covariance, too.
+
+Source: https://mavlink.io/en/messages/common.html#VISION_POSITION_ESTIMATE.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.link.codec import MavMessage, to_float32
+
+if TYPE_CHECKING:
+    from mufly.link.clients import MessageSource
+
+_Array = NDArray[np.float64]
+SAME_CLOCK_TOLERANCE_S = 2.0
+"""A time that is so near to the vehicle's is the vehicle's (s)."""
+CLOCK_OFFSET_WINDOW_S = 30.0
+SENDER_TIMEOUT_S = 1.0
+"""Who was not heard for so long may be followed by somebody else (s)."""
+REFUSAL_PERIOD_S = 5.0
+_POSE_INDICES = np.array([0, 1, 2, 5])  # x, y, z, yaw
+_UPPER_TRIANGLE = np.triu_indices(6)
+
+
+def unpack_covariance(triangle: list[float]) -> _Array | None:
+    """Return the covariance (4, 4) of N, E, D and heading in a message's 21 numbers; None where it is not known.
+
+    All zeros, as senders leave it that know none, is not known either.
+    """
+    values = np.array(triangle, dtype=np.float64)
+    if math.isnan(values[0]) or not values.any():
+        return None
+    whole = np.zeros((6, 6))
+    whole[_UPPER_TRIANGLE] = values
+    whole = whole + np.triu(whole, 1).T
+    return whole[np.ix_(_POSE_INDICES, _POSE_INDICES)]
+
+
+def pack_covariance(covariance: _Array) -> list[float]:
+    """Return the 21 numbers of a message for a covariance (4, 4) of N, E, D and heading; of tilt there is none."""
+    whole = np.zeros((6, 6))
+    whole[np.ix_(_POSE_INDICES, _POSE_INDICES)] = covariance
+    return [to_float32(v) for v in whole[_UPPER_TRIANGLE]]
+
+
+class VisionInput:
+    """Takes the messages of one sender, and tells in a line what is refused.
+
+    Parameters
+    ----------
+    give : callable or None
+        Takes now, time (s), place (4,) and covariance, and returns why not
+        (:meth:`mufly.flight.external_fixes.ExternalFixes.submit_fix`); None: nobody listens here.
+    note : callable
+        Told a line and its level.
+    """
+
+    def __init__(
+        self,
+        give: Callable[[float, float, _Array, _Array | None], str] | None,
+        note: Callable[[str, str], None],
+    ) -> None:
+        self._give, self._note = give, note
+        self._sender: MessageSource | None = None
+        self._heard_s = -math.inf
+        self._offsets: deque[tuple[float, float]] = deque()
+        self._told: dict[str, float] = {}
+        self._refused = 0
+        self._counter = -1
+        self.delay_s = 0.0
+
+    def handle(self, now_s: float, flight_s: float, sender: MessageSource, m: MavMessage) -> None:
+        """Take a message that came at ``flight_s`` by the vehicle's clock."""
+        if self._give is None:
+            self._report_refusal(now_s, "it does not fly on positions from outside", "start it with --position link")
+            return
+        if self._sender not in (None, sender) and now_s - self._heard_s < SENDER_TIMEOUT_S:
+            self._report_refusal(now_s, f"{sender} sends, too", f"{self._sender} is heard")
+            return
+        if sender != self._sender:
+            self._sender, self._counter = sender, -1
+            self._offsets.clear()
+            self._note(f"position comes by link, from {sender}", "info")
+        self._heard_s = now_s
+        place = np.array([m.x, m.y, m.z, m.yaw], dtype=np.float64)
+        time_s = self._vehicle_time_s(flight_s, int(m.usec))
+        if why := self._give(flight_s, time_s, place, unpack_covariance(m.covariance)):
+            self._refused += 1
+            self._report_refusal(now_s, why)
+            return
+        counter = int(getattr(m, "reset_counter", 0))
+        if self._counter not in (-1, counter):
+            self._note("the sender of positions says that its map has jumped", "warning")
+        self._counter = counter
+
+    def _vehicle_time_s(self, flight_s: float, usec: int) -> float:
+        if usec == 0:
+            return flight_s - self.delay_s
+        theirs_s = usec * 1e-6
+        if abs(theirs_s - flight_s) < SAME_CLOCK_TOLERANCE_S:
+            return theirs_s
+        self._offsets.append((flight_s, flight_s - theirs_s))
+        while self._offsets[0][0] < flight_s - CLOCK_OFFSET_WINDOW_S:
+            self._offsets.popleft()
+        return theirs_s + min(offset for _, offset in self._offsets) - self.delay_s
+
+    def _report_refusal(self, now_s: float, why: str, remedy: str = "") -> None:
+        """Say a reason, each kind once in a while."""
+        kind = "".join(c for c in why if not c.isdigit())
+        if now_s - self._told.get(kind, -math.inf) < REFUSAL_PERIOD_S:
+            return
+        self._told[kind] = now_s
+        more = f" ({self._refused} so far)" if self._refused > 1 else ""
+        self._note(f"position by link refused{more}: {why}{'; ' + remedy if remedy else ''}", "warning")

@@ -1,0 +1,443 @@
+"""What is wrong with a channel: missing values, constant, frozen, saturated, outliers; degrees for radians.
+
+Outliers are found as Hampel's filter finds them (Hampel 1974; Pearson et al. 2016, "Generalized Hampel Filters"):
+further from the median of a short window than so many robust standard deviations. The spread is taken from a window ten
+times as long, since seven samples tell it badly, and is at least the typical step from sample to sample, so that the
+crest of a fast but smooth motion is none.
+
+Degrees or radians? Three tests. Roll and pitch never leave +-180 deg, so values beyond 2 pi are degrees; no small
+helicopter turns faster than 35 rad/s (2000 deg/s, the range of its gyroscopes), so a rate beyond is in deg/s. And the
+derivative of an angle is its rate (for small angles, d(phi)/dt = p): the slope of the one over the other, both
+low-passed, is near 1 if both have the same unit, near 57.3 if the angle is in degrees and the rate in rad/s, near
+1/57.3 the other way round. Any other slope says that the two do not belong together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter, percentile_filter
+
+from mufly.logs.mcap import component_channels
+from mufly.logs.raw_log import Channel
+from mufly.quantities import is_command_signal, physical_limits
+from mufly.results import result
+
+_Array = NDArray[np.float64]
+_MAX_EXAMINED_SAMPLES = 400_000
+
+
+@result
+class ChannelReport:
+    """What :func:`check_channel` found.
+
+    Attributes
+    ----------
+    name, units : str
+    samples : int
+    missing : float
+        Share of NaN.
+    constant : bool
+    smallest, largest, mean, std : float
+        Of what is known.
+    outliers : tuple of float
+        Times of the outliers (s).
+    frozen : tuple of (begin_s, end_s)
+    at_minimum, at_maximum : float
+        Share of samples at the limits.
+    """
+
+    name: str
+    units: str
+    samples: int
+    missing: float
+    constant: bool = False
+    smallest: float = math.nan
+    largest: float = math.nan
+    mean: float = math.nan
+    std: float = math.nan
+    outliers: tuple[float, ...] = ()
+    frozen: tuple[tuple[float, float], ...] = ()
+    at_minimum: float = 0.0
+    at_maximum: float = 0.0
+
+    def describe_faults(self) -> list[str]:
+        """The faults but that it is constant, a sentence each; empty for a sound channel."""
+        unit = "" if self.units in ("", "1") else f" {self.units}"
+        out = []
+        if self.missing == 1:
+            return [f"{self.name}: no value at all"]
+        if self.missing > 0:
+            out.append(f"{self.name}: {100 * self.missing:.2g} % of the values are missing")
+        if self.constant:
+            return out  # several channels that stand still make one sentence: LogReport.faults
+        if self.outliers:
+            many = "1 outlier" if len(self.outliers) == 1 else f"{len(self.outliers)} outliers"
+            out.append(f"{self.name}: {many}, at {_format_times(self.outliers)} s")
+        if self.frozen:
+            longest = max(b - a for a, b in self.frozen)
+            many = "drops out once" if len(self.frozen) == 1 else f"drops out {len(self.frozen)} times"
+            at = _format_times([a for a, _ in self.frozen])
+            out.append(f"{self.name}: {many} (one value repeated, {longest:.3g} s at most), at {at} s")
+        for share, limit, word in (
+            (self.at_minimum, self.smallest, "minimum"),
+            (self.at_maximum, self.largest, "maximum"),
+        ):
+            if share > 0:
+                out.append(f"{self.name}: {100 * share:.2g} % of the values sit at its {word}, {limit:.4g}{unit}")
+        return out
+
+
+def _format_times(times: Any) -> str:
+    shown = [f"{t:.2f}" for t in list(times)[:4]]
+    return ", ".join(shown) + (", ..." if len(times) > 4 else "")
+
+
+def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> ChannelReport:
+    """Examine one channel.
+
+    Parameters
+    ----------
+    time : (n,) array
+        s.
+    x : (n,) array
+    name, units : str
+    """
+    known = x[np.isfinite(x)]
+    if not len(known):
+        return ChannelReport(name, units, len(x), 1.0 if len(x) else 0.0)
+    # A reference that stays at a limit was planned so, and the truth of a simulation has no faults.
+    planned = name.startswith(("reference_", "truth_"))
+    low, high = (0.0, 0.0) if planned else find_saturation(x)
+    held = planned or is_command_signal(name)
+    return ChannelReport(
+        name=name,
+        units=units,
+        samples=len(x),
+        missing=1 - len(known) / len(x),
+        constant=bool(len(known) > 1 and known.min() == known.max()),
+        smallest=float(known.min()),
+        largest=float(known.max()),
+        mean=float(known.mean()),
+        std=float(known.std()),
+        outliers=() if held else tuple(time[find_outliers(x)].tolist()),
+        frozen=() if held else tuple((float(time[a]), float(time[b - 1])) for a, b in find_frozen(x)),
+        at_minimum=low,
+        at_maximum=high,
+    )
+
+
+def numeric_channels(data: xr.Dataset) -> list[Channel]:
+    """Return the numbers of signals on one clock, component by component."""
+    numbers = [c for c in component_channels(data) if c.values.dtype.kind in "fiub"]
+    return [c._replace(values=c.values.astype(np.float64)) for c in numbers]
+
+
+def check_channels(
+    channels: Sequence[Channel], progress: Callable[[int, int], None] | None = None
+) -> list[ChannelReport]:
+    """Examine channels, long ones by their first 400 000 samples; ``progress`` is called with (done, all)."""
+    out = []
+    for k, c in enumerate(channels):
+        part = slice(_MAX_EXAMINED_SAMPLES)
+        out.append(check_channel(c.time[part], c.values[part], c.name, c.units))
+        if progress is not None:
+            progress(k + 1, len(channels))
+    return out
+
+
+# Up to this share of a channel, what lies outside the limits is an outlier; beyond, the unit is wrong.
+_MAX_REMOVED_SHARE = 0.05
+
+
+def apply_physical_limits(
+    channels: Sequence[Channel], assumed: Callable[[Channel], bool]
+) -> tuple[list[Channel], list[str]]:
+    """Hold signals against what their quantities cannot leave (:data:`mufly.quantities.PHYSICAL_LIMITS`).
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        In SI units.
+    assumed : callable
+        Whether the unit of a channel is only what this package takes for granted of such logs. If so, single values
+        outside the limits become missing, and a signal that lies outside is left out. What a user or the file's header
+        named is kept, and the contradiction said.
+
+    Returns
+    -------
+    channels : list of Channel
+    words : list of str
+        One sentence a signal.
+    """
+    groups: dict[str, list[Channel]] = {}
+    for c in channels:
+        groups.setdefault(c.signal_name, []).append(c)
+    out: dict[str, Channel | None] = {c.name: c for c in channels}
+    words = []
+    for variable, group in groups.items():
+        limits = physical_limits(variable)
+        group = [c for c in group if not c.is_text]
+        if limits is None or not group:
+            continue
+        bad = [(c.values < limits.low) | (c.values > limits.high) for c in group]
+        count = sum(int(b.sum()) for b in bad)
+        if not count:
+            continue
+        first = next(c for c, b in zip(group, bad, strict=True) if b.any())
+        what = f"{variable} ({first.source})" if first.source else variable
+        peak = max((v for c, b in zip(group, bad, strict=True) for v in c.values[b].tolist()), key=abs)
+        unit = "" if first.units in ("", "1") else f" {first.units}"
+        most = max(float(b.sum()) / max(int(np.isfinite(c.values).sum()), 1) for c, b in zip(group, bad, strict=True))
+        if not assumed(first):
+            words.append(f"{what} reaches {peak:.4g}{unit}, but {limits.reason}: is its unit right?")
+        elif most <= _MAX_REMOVED_SHARE:
+            many = "1 value is" if count == 1 else f"{count} values are"
+            words.append(f"{what}: {many} beyond what can be ({peak:.4g}{unit}; {limits.reason}) and left out")
+            out |= {c.name: c._replace(values=np.where(b, np.nan, c.values)) for c, b in zip(group, bad, strict=True)}
+        else:
+            words.append(
+                f"{what} reaches {peak:.4g}{unit}, but {limits.reason}: left out; give its unit in a column map"
+            )
+            out |= dict.fromkeys(c.name for c in group)
+    return [c for c in out.values() if c is not None], words
+
+
+_MAD_TO_STD = 1.4826
+
+
+def find_outliers(x: _Array, *, half_window: int = 3, sigmas: float = 7.0) -> NDArray[np.int64]:
+    """Return the samples that stand alone, up to ``half_window`` in a row.
+
+    Parameters
+    ----------
+    x : (n,) array
+        On its own clock: interpolated signals have corners that look like outliers. NaN is no outlier.
+    half_window : int
+        Samples on either side of the one that is judged.
+    sigmas : float
+        Robust standard deviations that a sample may lie from the median of its window. Of Gaussian noise, 7 with this
+        window flags fewer than one sample in a million.
+
+    Returns
+    -------
+    (k,) int array
+    """
+    known = np.flatnonzero(np.isfinite(x))
+    values = x[known]
+    wide = 20 * half_window + 1
+    if len(values) < wide:
+        return np.empty(0, dtype=np.int64)
+    away = np.abs(values - median_filter(values, size=2 * half_window + 1, mode="nearest"))
+    step = np.abs(np.diff(values, append=values[-1]))
+    spread = np.maximum(
+        _MAD_TO_STD * median_filter(away, size=wide, mode="nearest"),
+        median_filter(step, size=wide, mode="nearest"),
+    )
+    quantum = float(step[step > 0].min()) if (step > 0).any() else 0.0
+    floor = max(0.5 * float(np.median(spread)), quantum, 1e-12 * float(np.abs(values).max()))
+    # In the course of a manoeuvre large steps are common; of Gaussian noise, a tenth of all steps exceeds 2.3 sigma.
+    usual = 3 * percentile_filter(step, 90, size=wide, mode="nearest")
+    flagged = away > np.maximum(sigmas * np.maximum(spread, floor), usual)
+    # Coarse signals step by many quanta as a rule: where steps of that size are common they are no outliers.
+    if (step > 0).mean() < 0.2 and (step > 0).any():
+        flagged &= away > 5 * float(np.median(step[step > 0]))
+    out = known[flagged]
+    return np.asarray(out[_in_short_runs(out, half_window)], dtype=np.int64)
+
+
+def _in_short_runs(index: NDArray[np.int64], longest: int) -> NDArray[np.bool_]:
+    """Which of the increasing indices belong to runs of at most ``longest`` neighbours."""
+    if not len(index):
+        return np.empty(0, dtype=bool)
+    run = np.cumsum(np.append(0, np.diff(index) > 1))
+    return np.asarray(np.bincount(run)[run] <= longest)
+
+
+def _find_runs(flag: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """First and past-the-last index of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flag.astype(np.int8), [0]))))
+    return edges.reshape(-1, 2)
+
+
+def find_frozen(x: _Array, *, at_least: int = 8) -> NDArray[np.int64]:
+    """Return runs of one repeated value in a channel that otherwise changes at every sample.
+
+    Parameters
+    ----------
+    x : (n,) array
+    at_least : int
+        Length of the shortest run that counts.
+
+    Returns
+    -------
+    (k, 2) int array
+        First and past-the-last sample. Empty for a channel that repeats itself as a rule (held inputs, coarse
+        resolution): more than a fifth of its samples are like the one before. What stands still at the beginning or the
+        end of the record has not begun yet, or is over; what goes to and from a repeated value by its least step has
+        only turned there.
+    """
+    steps = np.abs(np.diff(x))
+    same = steps == 0
+    if len(x) < 4 * at_least or same.mean() > 0.2:
+        return np.empty((0, 2), dtype=np.int64)
+    runs = _find_runs(same) + np.array([0, 1])
+    runs = runs[(runs[:, 0] > 0) & (runs[:, 1] < len(x)) & (runs[:, 1] - runs[:, 0] >= at_least)]
+    least = steps[steps > 0].min(initial=np.inf)
+    turned = np.maximum(steps[runs[:, 0] - 1], steps[runs[:, 1] - 1]) < 1.5 * least
+    return runs[~turned]
+
+
+def find_saturation(x: _Array, *, at_least: int = 5) -> tuple[float, float]:
+    """Return the share of samples that sit at the channel's minimum and at its maximum.
+
+    Only values that are held there for ``at_least`` samples at a time count, and only at an end of the range that
+    the channel meets more often than the values just beside it (a clipped signal piles up at the limit; a signal with a
+    few levels piles up everywhere).
+    """
+    values = x[np.isfinite(x)]
+    if len(values) < 10 * at_least or values.min() == values.max():
+        return 0.0, 0.0
+    levels = np.unique(values)
+    if len(levels) < 10:
+        return 0.0, 0.0
+    shares = []
+    margin = 0.02 * (levels[-1] - levels[0])
+    for limit, near in (
+        (levels[0], values <= levels[0] + margin),
+        (levels[-1], values >= levels[-1] - margin),
+    ):
+        runs = _find_runs(values == limit)
+        runs = runs[runs[:, 1] - runs[:, 0] >= at_least]
+        held = int((runs[:, 1] - runs[:, 0]).sum())
+        shares.append(held / len(values) if held > 0.5 * near.sum() else 0.0)
+    return shares[0], shares[1]
+
+
+AngleUnit = Literal["deg", "rad", ""]
+_DEG_PER_RAD = 180 / np.pi
+_MAX_RATE_RAD_S = 35.0
+# An angle or rate that names its unit is contradicted only by what no gyroscope measures.
+_MAX_NAMED_RATE_RAD_S = 70.0
+_MIN_CORRELATION = 0.6
+# How far the slope may be from what it should be; over a tenth of a second noise matters little.
+_MAX_SLOPE_RATIO = 1.35
+
+
+class UnitGuess(NamedTuple):
+    """Units of an angle and its rate (``""``: cannot be told), the reason in words, and whether the two disagree."""
+
+    angle: AngleUnit
+    rate: AngleUnit
+    reason: str
+    is_contradictory: bool = False
+
+
+def fit_rate_ratio(time: _Array, angle: _Array, rate: _Array) -> tuple[float, float]:
+    """Return slope and correlation of d(angle)/dt over the rate, both averaged over about a tenth of a second.
+
+    Parameters
+    ----------
+    time, angle, rate : (n,) arrays
+        On one clock; NaN is left out.
+
+    Returns
+    -------
+    slope, correlation : float
+        NaN where there is too little to compare.
+    """
+    known = np.isfinite(angle) & np.isfinite(rate) & np.isfinite(time)
+    t, a, r = time[known], angle[known], rate[known]
+    if len(t) < 20:
+        return float("nan"), float("nan")
+    step = float(np.median(np.diff(t)))
+    width = max(1, round(0.1 / step)) if step > 0 else 1
+    n = len(t) // width * width
+    if n // width < 10:
+        return float("nan"), float("nan")
+    # Over a block, the mean rate is the difference of the angle at its ends.
+    blocks = np.arange(0, n - width, width)
+    span = t[blocks + width] - t[blocks]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = (a[blocks + width] - a[blocks]) / span
+    inner = np.concatenate(([0.0], np.cumsum(np.diff(t) * 0.5 * (r[1:] + r[:-1]))))
+    mean = (inner[blocks + width] - inner[blocks]) / span
+    even = span < 3 * width * step
+    change, mean = change[even], mean[even]
+    if len(change) < 10 or change.std() == 0 or mean.std() == 0:
+        return float("nan"), float("nan")
+    correlation = float(np.corrcoef(change, mean)[0, 1])
+    return float(np.sign(correlation) * change.std() / mean.std()), correlation
+
+
+def guess_angle_units(
+    time: _Array,
+    angle: _Array | None = None,
+    rate: _Array | None = None,
+    *,
+    bounded: bool = True,
+    named: bool = False,
+) -> UnitGuess:
+    """Guess whether an angle and its rate are in degrees or radians.
+
+    Parameters
+    ----------
+    time : (n,) array
+        s.
+    angle, rate : (n,) arrays, optional
+        What is known of the two; the rate is that of the same angle.
+    bounded : bool
+        Whether the angle stays within half a turn (roll and pitch; not an unwrapped yaw).
+    named : bool
+        Whether somebody has named the units, so that it takes more to contradict.
+
+    Returns
+    -------
+    UnitGuess
+        "" where neither range nor consistency tells.
+    """
+    peak = _robust_peak(angle)
+    fast = _robust_peak(rate)
+    by_angle: AngleUnit = "deg" if bounded and peak > 2 * np.pi else ""
+    by_rate: AngleUnit = "deg" if fast > (_MAX_NAMED_RATE_RAD_S if named else _MAX_RATE_RAD_S) else ""
+    reasons = []
+    if by_angle:
+        reasons.append(f"values up to {peak:.3g} are no radians")
+    if by_rate:
+        reasons.append(f"rates up to {fast:.3g} are too fast for rad/s")
+    if angle is not None and rate is not None:
+        slope, correlation = fit_rate_ratio(time, angle, rate)
+        if abs(correlation) > _MIN_CORRELATION:
+            said = f"d/dt of the angle is {slope:.3g} times the rate"
+
+            def slope_is_near(factor: float) -> bool:
+                return abs(np.log(abs(slope) / factor)) < np.log(_MAX_SLOPE_RATIO)
+
+            if slope_is_near(_DEG_PER_RAD):
+                return UnitGuess("deg", "rad", said)
+            if slope_is_near(1 / _DEG_PER_RAD):
+                return UnitGuess("rad", "deg", said)
+            if slope_is_near(1.0):
+                both: AngleUnit = "deg" if by_angle or by_rate else "rad"
+                if both == "rad" and peak < 0.2 and fast < 1.0:
+                    both = ""  # a few degrees or a few radians: consistent, and nothing to tell them apart
+                return UnitGuess(both, both, "; ".join([*reasons, said]))
+            # Neither: noise, or another factor, not that of degrees. Which of the two is wrong, its size may tell.
+            far = max(abs(slope), 1 / abs(slope)) > 3
+            return UnitGuess(by_angle, by_rate, "; ".join([*reasons, said]), far)
+    if not reasons and bounded and np.isfinite(peak) and 1.0 < peak <= np.pi:
+        # In degrees this would be a vehicle that never tilts by four.
+        return UnitGuess("", by_rate, f"values up to {peak:.3g} could be either")
+    return UnitGuess(by_angle, by_rate, "; ".join(reasons))
+
+
+def _robust_peak(x: _Array | None) -> float:
+    """The size that all but a thousandth of the values stay below, so that single outliers decide nothing."""
+    if x is None or not np.isfinite(x).any():
+        return float("nan")
+    return float(np.quantile(np.abs(x[np.isfinite(x)]), 0.999))

@@ -1,0 +1,557 @@
+"""From topics to signals: column maps, units converted, and what was guessed said in words.
+
+A column map says which column of a foreign log is which of our signals, in which unit and with which sign.
+
+A map is a TOML file (or a dictionary of the same shape); the maps for PX4 and ArduPilot that come with the package are
+such files too. One table a signal::
+
+    [time]
+    column = "t"
+    unit = "ms"
+
+    [[signal]]
+    name = "measured_attitude"        # whole signal: as many columns as it has components
+    columns = ["phi", "theta", "psi"]
+    unit = "deg"
+
+    [[signal]]
+    name = "measured_rates.p"         # or one component
+    topic = "gyro"                    # for logs with topics
+    columns = ["x"]
+    sign = -1
+
+The value is ``sign * factor * column + offset`` in ``unit``, and is then converted to the signal's SI unit. Where
+``unit`` is left out, the unit that the file or the header names is used. Of several entries for one signal the first
+whose columns are there is taken.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from itertools import takewhile
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from mufly.errors import ArgumentError, InputError
+from mufly.input_files import builtin_file_names, read_toml, validate_model
+from mufly.logs.channel_checks import UnitGuess, apply_physical_limits, guess_angle_units
+from mufly.logs.raw_log import (
+    Channel,
+    RawLog,
+    RawTable,
+    quaternion_to_euler,
+    select_usable_samples,
+    unwrap_angle,
+)
+from mufly.quantities import find_quantity, parse_column_name, split_signal_name
+from mufly.units import normalise_unit, split_header, unit_conversion
+
+_BUILTIN_MAPS_FOLDER = files("mufly.logs") / "maps"
+# On a command line: name=column, name=-column, name=topic/column(unit); brackets may be square.
+_UNIT_REGEX = r"[\[(](?P<unit>[^\[\]()]*[^\d\[\]()][^\[\]()]*)[\])]"
+_SHORT_ENTRY_PATTERN = re.compile(rf"^(?P<sign>-?)(?:(?P<topic>[^/\[(]+)/)?(?P<column>.+?)(?:{_UNIT_REGEX})?$")
+
+
+class _MapTable(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TimeEntry(_MapTable):
+    """``[time]``: the clock of a CSV file."""
+
+    column: str | None = Field(None, description="header of the column that holds the time")
+    unit: str | None = Field(None, description="unit of the time, s if left out")
+    rate_hz: float | None = Field(None, gt=0, description="rate of the rows, for a table without a clock")
+
+
+class SignalEntry(_MapTable):
+    """``[[signal]]``: one signal and where it comes from."""
+
+    name: str = Field(description="our name, of a whole signal or with .label of one component")
+    columns: tuple[str, ...] = Field(min_length=1, description="columns or fields, one a component")
+    topic: str | None = Field(None, description="topic or message, for logs that have them")
+    unit: str | None = Field(None, description="unit of the columns")
+    sign: float | tuple[float, ...] = Field(1.0, description="1 or -1, for all components or for each")
+    factor: float = Field(1.0, description="factor before the conversion of the unit")
+    offset: float = Field(0.0, description="added after sign and factor, in the unit of the column")
+    quaternion: bool = Field(False, description="four columns w, x, y, z become roll, pitch, yaw")
+    hold: bool = Field(False, description="hold the last value between samples instead of interpolating")
+    long_name: str = Field("", description="what the signal means")
+
+    @model_validator(mode="after")
+    def _check_components(self) -> SignalEntry:
+        try:
+            signal, _, label = split_signal_name(self.name, "map")
+        except InputError as error:
+            raise _entry_error("name", f"{self.name!r} {error.problem}", error.remedy) from None
+        if self.quaternion:
+            wanted = 4
+        elif signal is None or label is not None or signal.dim is None:
+            wanted = 1
+        else:
+            wanted = len(signal.component_labels) or len(self.columns)
+        if len(self.columns) != wanted:
+            problem = f"{self.name} has {len(self.columns)} columns"
+            remedy = f'give {wanted}, or map one component (name = "signal.label")'
+            if signal is not None and signal.dim in ("rotor", "servo") and label is None:
+                remedy += "; actuator_command has as many components as there are motors"
+            raise _entry_error("columns", problem, remedy)
+        if isinstance(self.sign, tuple) and len(self.sign) != len(self.columns):
+            raise _entry_error("sign", f"{len(self.sign)} signs", "give one, or one a column")
+        return self
+
+    @property
+    def column_signs(self) -> tuple[float, ...]:
+        """One sign a column."""
+        return self.sign if isinstance(self.sign, tuple) else (self.sign,) * len(self.columns)
+
+
+class ColumnMap(_MapTable):
+    """A column map; see the module's documentation."""
+
+    title: str = ""
+    kind: Literal["", "ULog", "DataFlash", "MAVLink tlog", "Crazyflie"] = ""
+    time: TimeEntry = TimeEntry(column=None, unit=None, rate_hz=None)
+    signal: tuple[SignalEntry, ...] = ()
+
+
+def _entry_error(key: str, problem: str, remedy: str) -> PydanticCustomError:
+    return PydanticCustomError("mufly", "{problem}", {"problem": problem, "remedy": remedy, "key": key})
+
+
+def builtin_column_maps() -> list[str]:
+    """Names of the maps that come with the package."""
+    return builtin_file_names(_BUILTIN_MAPS_FOLDER)
+
+
+def load_column_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap) -> ColumnMap:
+    """Read a column map.
+
+    Parameters
+    ----------
+    columns : path, name, mapping, sequence of str or ColumnMap
+        A TOML file; the name of a built-in map; a mapping, either of the shape of such a file or just
+        ``{"measured_rates.p": "gyro_x[deg/s]"}``; or texts as on the command line,
+        ``"measured_rates.p=-gyro_x[deg/s]"``. In the short form a column may have a sign before it, a topic and a
+        slash, and its unit in brackets behind it; several columns of a whole signal stand between commas;
+        ``time`` stands for the clock.
+
+    Raises
+    ------
+    InputError
+        Naming the first fault.
+    """
+    if isinstance(columns, ColumnMap):
+        return columns
+    if isinstance(columns, str | Path):
+        tables, where = read_toml(columns, _BUILTIN_MAPS_FOLDER, "column map")
+        return validate_model(ColumnMap, tables, where)
+    if isinstance(columns, Mapping):
+        if not columns or set(columns) <= set(ColumnMap.model_fields):
+            return validate_model(ColumnMap, columns, "column map")
+        pairs = list(columns.items())
+    else:
+        pairs = []
+        for text in columns:
+            name, found, column = text.partition("=")
+            if not found:
+                problem = "does not say which column"
+                raise ArgumentError("columns", text, problem, "write NAME=COLUMN, measured_rates.p=gyro_x[deg/s]")
+            pairs.append((name.strip(), column.strip()))
+    return validate_model(ColumnMap, _tables_from_pairs(pairs), "column map")
+
+
+def _tables_from_pairs(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    tables: dict[str, Any] = {"signal": []}
+    for name, value in pairs:
+        if isinstance(value, Mapping):
+            tables["signal"].append({"name": name, **value})
+            continue
+        match = _SHORT_ENTRY_PATTERN.match(str(value))
+        if match is None:
+            raise ArgumentError("columns", name, f"{value!r} names no column", "write COLUMN or COLUMN[unit]")
+        if name == "time":
+            tables["time"] = {"column": match["column"], "unit": match["unit"]}
+            continue
+        entry = {"name": name, "columns": match["column"].split(","), "unit": match["unit"]}
+        if match["sign"]:
+            entry["sign"] = -1.0
+        if match["topic"]:
+            entry["topic"] = match["topic"]
+        tables["signal"].append(entry)
+    return tables
+
+
+_ANGLE_LABELS, _RATE_LABELS = ("roll", "pitch", "yaw"), ("p", "q", "r")
+_ANGLE_ALIASES = {
+    "roll": "roll",
+    "phi": "roll",
+    "pitch": "pitch",
+    "theta": "pitch",
+    "yaw": "yaw",
+    "psi": "yaw",
+}
+_ChannelsByRole = dict[tuple[str, int], Channel]
+
+
+def _signal_unit(variable: str) -> str:
+    known = find_quantity(variable)
+    return known.units if known is not None else ""
+
+
+def _convert_to_si(c: Channel) -> Channel:
+    """Convert to the signal's unit, angles without jumps; units that nobody knows stay as they are."""
+    if c.is_text:
+        return c
+    wanted = _signal_unit(c.signal_name) or None
+    unit = c.units or wanted or "1"
+    values = c.values.astype(np.float64)
+    # Hertz of a signal that nobody knows are a frequency, no rotational speed: those are called rps by its header.
+    if unit != wanted and (wanted is not None or (normalise_unit(unit) and unit != "Hz")):
+        try:
+            unit, factor, offset = unit_conversion(unit, wanted)
+        except InputError as error:
+            raise InputError(c.source, c.name, f"the unit {unit!r} {error.problem}", error.remedy) from None
+        values = values * factor + offset
+    angle = c.signal_name.endswith("_attitude") or (c.component_label is None and c.signal_name in _ANGLE_ALIASES)
+    return c._replace(units=unit, values=unwrap_angle(values) if angle and unit == "rad" else values)
+
+
+def _attitude_role(c: Channel) -> tuple[str, str, int] | None:
+    """("measured", "angle", 0) for the roll angle of measured_attitude or a column called roll or phi; else None."""
+    prefix, _, kind = c.signal_name.partition("_")
+    if kind == "attitude" and c.component_label in _ANGLE_LABELS:
+        return prefix, "angle", _ANGLE_LABELS.index(c.component_label)
+    if kind == "rates" and c.component_label in _RATE_LABELS:
+        return prefix, "rate", _RATE_LABELS.index(c.component_label)
+    if c.component_label is None and c.signal_name.lower() in _ANGLE_ALIASES:
+        return "", "angle", _ANGLE_LABELS.index(_ANGLE_ALIASES[c.signal_name.lower()])
+    if c.component_label is None and c.signal_name in _RATE_LABELS:
+        return "", "rate", _RATE_LABELS.index(c.signal_name)
+    return None
+
+
+def _settle_angle_units(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
+    """Guess the units of angles and rates that name none; check those that do. Says every guess."""
+    groups: dict[str, _ChannelsByRole] = {}
+    for c in channels:
+        role = _attitude_role(c)
+        if role is not None and not c.is_text:
+            groups.setdefault(role[0], {})[role[1], role[2]] = c
+    settled: dict[str, str] = {}
+    words: list[str] = []
+    for prefix in sorted(groups, key=lambda p: p != "measured"):
+        group = groups[prefix]
+        in_degrees = {c.units for c in group.values()} == {"deg", "deg/s"}
+        for kind, named, si, deg in (
+            ("angle", "attitude", "rad", "deg"),
+            ("rate", "rates", "rad/s", "deg/s"),
+        ):
+            members = [c for (k, _), c in group.items() if k == kind]
+            if not members:
+                continue
+            what = members[0].signal_name if prefix else ", ".join(c.signal_name for c in members)
+            unnamed = [c for c in members if not c.units]
+            guess, unit = _guess_unit(group, kind, named=not unnamed)
+            if unnamed:
+                like = settled.get(groups.get("measured", {}).get((kind, 0), unnamed[0]).name, "")
+                chosen = {"deg": deg, "rad": si}.get(unit) or like or si
+                why = guess.reason if unit else f"as in measured_{named}"
+                if not unit and not like:
+                    why = "nothing in the data tells otherwise"
+                words.append(f"{what} names no unit and is taken to be in {chosen} ({why})")
+                settled |= {c.name: chosen for c in unnamed}
+            # Where angle and rate agree they do so in degrees as well: that contradicts no names.
+            agreed = in_degrees and guess.angle == guess.rate
+            for c in members:
+                other = {(si, "deg"): deg, (deg, "rad"): si}.get((c.units, unit))
+                if other and not agreed:
+                    words.append(
+                        f"{c.name} ({c.source}) is said to be in {c.units} but looks like {other} ({guess.reason}); "
+                        f'if it is, give unit = "{other}" in a column map'
+                    )
+                    break
+            if kind == "rate" and guess.is_contradictory:
+                angle = next(c for (k, _), c in group.items() if k == "angle")
+                which = f"{members[0].signal_name} by its size" if guess.rate else "one of the two"
+                words.append(
+                    f"{angle.signal_name} ({angle.source}) and {members[0].signal_name} ({members[0].source}) "
+                    f"do not belong "
+                    f"together ({guess.reason}): the unit of {which} is wrong; give it in a column map"
+                )
+    return [c._replace(units=settled.get(c.name, c.units)) for c in channels], words
+
+
+def _guess_unit(group: _ChannelsByRole, kind: str, named: bool) -> tuple[UnitGuess, str]:
+    """Judge by the first axis that tells.
+
+    A reference of rates is what the attitude's controller asks for, not the derivative of the reference of attitude.
+    Roll that names its unit may have its turns counted; pitch never leaves half a turn.
+    """
+    last = UnitGuess("", "", "")
+    apart = any(c.signal_name.startswith("reference_") for c in group.values())
+    for axis in range(3):
+        angle, rate = group.get(("angle", axis)), group.get(("rate", axis))
+        main = angle if kind == "angle" else rate
+        if main is None:
+            continue
+        clock = (angle or main).time
+        a = r = None
+        if angle is not None:  # jumps are by a full turn, be it 2 pi or 360
+            a = angle.values.astype(np.float64)
+            known = a[np.isfinite(a)]
+            a = unwrap_angle(a, 360.0 if len(known) and np.ptp(known) > 4 * np.pi else 2 * np.pi)
+        if apart and kind == "angle":
+            rate = None
+        elif apart:
+            a = None
+        if rate is not None and rate.time is clock:
+            r = rate.values.astype(np.float64)
+        elif rate is not None:
+            there = np.isfinite(rate.values)
+            r = np.interp(clock, rate.time[there], rate.values[there]) if there.any() else None
+        last = guess_angle_units(clock, a, r, bounded=axis == 1 if named else axis < 2, named=named)
+        said = last.angle if kind == "angle" else last.rate
+        if said or last.is_contradictory:
+            return last, said
+    return last, ""
+
+
+def map_signals(
+    raw: RawLog, given: ColumnMap | None, standard: ColumnMap | None, wanted: tuple[str, ...] = ()
+) -> tuple[list[Channel], list[str]]:
+    """Apply column maps to a log.
+
+    Parameters
+    ----------
+    raw : RawLog
+    given : ColumnMap, optional
+        The user's; what it names must be there.
+    standard : ColumnMap, optional
+        Taken for what the user's leaves open, as far as it is there. A log that is a single table also gives its
+        columns by their own names: all of them without a map of the user's, else only those with names of ours.
+    wanted : tuple of str
+        Names of the user's choice; ``topic/field`` takes a field as it is.
+
+    Returns
+    -------
+    channels : list of Channel
+        In SI units, angles without jumps.
+    words : list of str
+        What was guessed or repaired.
+
+    Raises
+    ------
+    InputError
+        If the user's map names what is not there, a unit is unknown, or a clock cannot be repaired.
+    """
+    out: dict[str, Channel] = {}
+    words: list[str] = []
+    clocks: dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
+
+    def usable_clock(table: RawTable) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        if table.name not in clocks:
+            index, said = select_usable_samples(table.time, raw.path, table.name if len(raw) > 1 else "")
+            words.extend(said)
+            clocks[table.name] = index, table.time[index]
+        return clocks[table.name]
+
+    entries = [(e, True) for e in (given.signal if given else ())]
+    entries += [(e, False) for e in (standard.signal if standard else ())]
+    used: set[tuple[str, str]] = set()
+    ours_by_guess: set[str] = set()
+    for entry, must in entries:
+        found = _resolve_entry(raw, entry, must)
+        if found is None:
+            continue
+        table, entry, names = found
+        used |= {(table.name, n) for n in names}
+        for channel in _make_channels(table, entry, names, *usable_clock(table), believed=must):
+            if channel.name not in out:
+                out[channel.name] = channel
+                ours_by_guess |= set() if must else {channel.signal_name}
+    if len(raw) == 1 and standard is None:
+        table = next(iter(raw.values()))
+        index, time = usable_clock(table)
+        for name, values in table.fields.items():
+            ours = parse_column_name(name)
+            if (table.name, name) in used or (ours is None and given is not None):
+                continue
+            variable, label = ours or (_to_identifier(name), None)
+            unit = _normalise_unit(table.units.get(name, ""))
+            unit = "1" if not unit and ours and _signal_unit(variable) == "1" else unit
+            key = f"{variable}.{label}" if label else variable
+            one = Channel(key, unit, time, values[index], name, long_name="" if ours else name)
+            out.setdefault(key, one)
+    for name in wanted:
+        if "/" in name:
+            table, field = find_raw_field(raw, name)
+            index, time = usable_clock(table)
+            unit = _normalise_unit(table.units.get(field, ""))
+            variable = _to_identifier(f"{table.name}_{field}")
+            values = table.fields[field][index]
+            out[variable] = Channel(variable, unit, time, values, name, long_name=name)
+    settled, said = _settle_angle_units(list(out.values()))
+    shares, called = _rename_normalised_outputs([_convert_to_si(c) for c in settled])
+    sound, beyond = apply_physical_limits(shares, lambda c: c.signal_name in ours_by_guess)
+    return sound, words + said + called + beyond + _describe_unknown_units(sound)
+
+
+def _describe_unknown_units(channels: list[Channel]) -> list[str]:
+    """One sentence about units that are not in the table of units."""
+    found: dict[str, str] = {}
+    for c in channels:
+        if c.units and not c.is_text and not normalise_unit(c.units) and c.units != _signal_unit(c.signal_name):
+            found.setdefault(c.units, c.name)
+    if not found:
+        return []
+    named = ", ".join(f"{unit} ({name})" for unit, name in list(found.items())[:8])
+    return [f"units that are not known, values as they stand: {named}{', ...' if len(found) > 8 else ''}"]
+
+
+def _rename_normalised_outputs(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
+    """Call outputs to actuators that never exceed 1 what they are: no pulse is that short."""
+    outputs = [c for c in channels if c.signal_name == "actuator_output" and not c.is_text]
+    largest = max((float(np.nanmax(np.abs(c.values))) for c in outputs if np.isfinite(c.values).any()), default=0.0)
+    if not 0 < largest <= 1:
+        return channels, []
+    known = {c.name for c in channels}
+    out = []
+    for c in channels:
+        if c.signal_name == "actuator_output":
+            name = f"actuator_command.{c.component_label}"
+            if name in known:
+                continue
+            c = c._replace(name=name, units="1")
+        out.append(c)
+    return out, [f"{outputs[0].source} holds shares of the full output, no pulse lengths: it is actuator_command"]
+
+
+def find_raw_field(raw: RawLog, name: str) -> tuple[RawTable, str]:
+    """Find ``topic/field`` in a log.
+
+    Raises
+    ------
+    InputError
+        If there is none, naming what comes near.
+    """
+    topic, _, field = name.rpartition("/")
+    if topic not in raw and f"/{topic.lstrip('/')}" in raw:
+        topic = f"/{topic.lstrip('/')}"
+    if topic not in raw:
+        raise InputError(raw.path, name, "there is no such topic", _suggest_names(topic, list(raw), "topics"))
+    if field not in raw[topic].fields:
+        remedy = _suggest_names(field, list(raw[topic].fields), "fields")
+        raise InputError(raw.path, name, f"topic {topic} has no such field", remedy)
+    return raw[topic], field
+
+
+def _suggest_names(name: str, known: list[str], what: str) -> str:
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    shown = near or known[:10]
+    more = f" and {len(known) - 10} more" if not near and len(known) > 10 else ""
+    return f"{'did you mean' if near else f'{what} are:'} {', '.join(shown)}{more}{'?' if near else ''}"
+
+
+def _resolve_entry(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTable, SignalEntry, list[str]] | None:
+    """The topic and the fields that an entry means; None if they need not be there and are not, or hold no value."""
+    if entry.topic is None and len(raw) != 1:
+        problem = f"{entry.name} names no topic, and the log has {len(raw)}"
+        raise InputError(raw.path, entry.name, problem, f"add topic = ..., one of: {', '.join(list(raw)[:8])}")
+    topic = entry.topic if entry.topic is not None else next(iter(raw))
+    if topic not in raw:
+        if must:
+            raise InputError(raw.path, topic, "there is no such topic", _suggest_names(topic, list(raw), "topics"))
+        return None
+    table = raw[topic]
+    known = find_quantity(entry.name)
+    if not must and known is not None and known.dim and not known.component_labels:
+        # Of a signal with any number of channels, the first ones that the topic has.
+        there = tuple(takewhile(lambda c: c in table.fields and _has_value(table.fields[c]), entry.columns))
+        entry = entry.model_copy(update={"columns": there}) if there else entry
+    low = {name.lower(): name for name in table.fields}
+    names = []
+    for column in entry.columns:
+        bare = split_header(column)[0]
+        name = next((n for n in (column, bare) if n in table.fields), low.get(column.lower(), low.get(bare.lower())))
+        if name is None:
+            if must:
+                remedy = _suggest_names(column, list(table.fields), "columns")
+                raise InputError(raw.path, column, "there is no such column", remedy)
+            return None
+        names.append(name)
+    if entry.quaternion and not must:
+        block = np.column_stack([table.fields[n] for n in names])
+        if not np.isfinite(quaternion_to_euler(block)).any():
+            return None
+    return table, entry, names
+
+
+def _has_value(values: NDArray[Any]) -> bool:
+    return values.dtype.kind in "US" or bool(np.isfinite(values.astype(np.float64)).any())
+
+
+def _make_channels(
+    table: RawTable,
+    entry: SignalEntry,
+    names: list[str],
+    index: NDArray[np.int64],
+    time: NDArray[np.float64],
+    *,
+    believed: bool,
+) -> list[Channel]:
+    """Make channels by an entry; what a map of ours says of units the file itself may know better."""
+    signal, variable, label = split_signal_name(entry.name, "map")
+    columns = [table.fields[n][index] for n in names]
+    own = [_normalise_unit(table.units.get(n, "")) for n in names]
+    units = [
+        (normalise_unit(entry.unit) or entry.unit)
+        if entry.unit and (believed or not _same_dimension(u, entry.unit))
+        else u
+        for u in own
+    ]
+    # A header's unit inside the map's own column name counts too.
+    units = [u or split_header(c)[1] for u, c in zip(units, entry.columns, strict=True)]
+    if entry.quaternion:
+        values = quaternion_to_euler(np.column_stack(columns).astype(np.float64))
+        columns, units, sources = list(values.T), ["rad"] * 3, [f"{table.name}/{names[0]}.."] * 3
+        signs: tuple[float, ...] = (1.0, 1.0, 1.0) if isinstance(entry.sign, float) else entry.column_signs[1:]
+    else:
+        sources, signs = [f"{table.name}/{n}" for n in names], entry.column_signs
+    if label is not None:
+        labels: list[str | None] = [label]
+    elif signal is None or signal.dim is None:
+        labels = [None]
+    else:
+        labels = [str(k) for k in (signal.component_labels or range(1, len(columns) + 1))]
+    out = []
+    for one, column, unit, sign, source in zip(labels, columns, units, signs, sources, strict=True):
+        if column.dtype.kind not in "US":
+            column = sign * entry.factor * column.astype(np.float64) + entry.offset
+        name = f"{variable}.{one}" if one else variable
+        out.append(Channel(name, unit, time, column, source, entry.hold, entry.long_name))
+    return out
+
+
+def _same_dimension(unit: str, other: str) -> bool:
+    return (
+        bool(normalise_unit(unit) and normalise_unit(other)) and unit_conversion(unit)[0] == unit_conversion(other)[0]
+    )
+
+
+def _to_identifier(name: str) -> str:
+    text = re.sub(r"\W+", "_", name).strip("_") or "signal"
+    text = "time_column" if text == "time" else text  # beside the clock that was taken
+    return f"_{text}" if text[0].isdigit() else text
+
+
+def _normalise_unit(unit: str) -> str:
+    return normalise_unit(unit) or unit

@@ -1,0 +1,455 @@
+"""Is the mission possible? Geometry against obstacles, time against the battery; asked before take-off.
+
+The helicopter hovers most of the time, so the charge that a mission takes is the hover current times the time of its
+reference trajectories and waits. Climbing at v_c adds m g v_c to the power: 0.5 W of 30 W for muFly at 0.5 m/s, left
+out like the savings of forward flight and descent. The `usable` fraction of the charge has to cover all that.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics import hover_current_A
+from mufly.errors import InputError
+from mufly.input_files import builtin_file_names, format_toml_value, read_toml, validate_model
+from mufly.mission.geofence import check_fence
+from mufly.mission.ground_files import is_ground_file, read_ground_file
+from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, limits_to_file_units
+from mufly.mission.mission_state import prepare_plan
+from mufly.mission.mission_timing import (
+    compute_landing_time,
+    compute_take_off_time,
+    compute_timing,
+    plan_legs,
+    plan_return_leg,
+)
+from mufly.mission.trajectory import TrajectoryLimits
+from mufly.results import result
+from mufly.vehicle import Vehicle
+from mufly.world import World, obstacle_distance, obstacle_distances
+
+WAYPOINT_MARGIN_M = 0.1
+"""Waypoints keep this much more than the clearance from obstacles (m), so that avoiding one still reaches them."""
+
+_COLUMN_START_DOWN_M = -0.05
+
+
+def check_geometry(mission: Mission, where: str) -> None:
+    """Refuse waypoints under the floor, in or too near an obstacle, and ways that the beams cannot make safe.
+
+    Obstacles on a level leg are allowed where the beams can see them. Climbs, descents, take-off and landing have to
+    be free, since the beams look sideways only; and a leg must not pass closely over or under an obstacle.
+
+    Parameters
+    ----------
+    mission : Mission
+        To be checked.
+    where : str
+        File that an error names.
+
+    Raises
+    ------
+    InputError
+        Naming the key, the obstacle and what would be right.
+    """
+    if not mission.waypoint:
+        raise InputError(where, "waypoint", "the mission has no waypoint", "add at least one [[waypoint]]")
+    clear = mission.avoidance.clearance_m
+    world = mission.world
+    for i, waypoint in enumerate(mission.waypoint):
+        key, (n, e, d) = f"waypoint[{i + 1}].position_m", waypoint.position_m
+        if d > -MIN_WAYPOINT_HEIGHT_M:
+            what = "under the floor" if d > 0.0 else "on the floor" if d == 0.0 else "too low to fly"
+            raise InputError(
+                where,
+                key,
+                f"[{n:g}, {e:g}, {d:g}] is {what}",
+                f"D counts downward: give a D of at most {-MIN_WAYPOINT_HEIGHT_M:g}",
+            )
+        least, name = obstacle_distance(world, waypoint.position_m)
+        if least < clear + WAYPOINT_MARGIN_M:
+            raise InputError(
+                where,
+                key,
+                f"[{n:g}, {e:g}, {d:g}] is {_describe_distance(least, name)}",
+                f"keep {clear + WAYPOINT_MARGIN_M:.2f} m from obstacles (avoidance.clearance_m + "
+                f"{WAYPOINT_MARGIN_M:g})",
+            )
+    start = np.array([*mission.start_m, _COLUMN_START_DOWN_M])
+    _check_column(mission, where, "start_m", start, -mission.take_off.height_m, "the take-off")
+    for leg in plan_legs(mission):
+        key = f"waypoint[{leg.waypoint_number}].position_m"
+        way = leg.trajectory
+        track = np.array([way.evaluate(float(t)).position for t in np.linspace(way.departure_s, way.duration_s, 200)])
+        if way.spline_curve is None:
+            begin = np.array(way.start)
+            _check_column(mission, where, key, begin, way.goal[2], "the change of height before it")
+        elif track[:, 2].max() > -MIN_WAYPOINT_HEIGHT_M:
+            raise InputError(
+                where,
+                key,
+                f"the spline to it swings down to a height of {-track[:, 2].max():.2f} m",
+                f'keep it above {MIN_WAYPOINT_HEIGHT_M:g} m, or use path.kind = "straight"',
+            )
+        _check_over_and_under(mission, where, key, track)
+    last = f"waypoint[{len(mission.waypoint)}].position_m"
+    end = np.array(mission.waypoint[-1].position_m)
+    back = plan_return_leg(mission)
+    if back is not None:
+        last, end = "at_end", np.array(back.goal)
+        times = np.linspace(back.departure_s, back.duration_s, 200)
+        _check_over_and_under(mission, where, last, np.array([back.evaluate(float(t)).position for t in times]))
+    _check_column(mission, where, last, end, _COLUMN_START_DOWN_M, "the landing")
+    check_fence(mission, where)
+
+
+def _describe_distance(least: float, name: str) -> str:
+    if least >= 0.0:
+        return f"{least:.2f} m from the {name}"
+    return f"beyond the {name}" if name.endswith(" wall") or name == "ceiling" else f"inside the {name}"
+
+
+def _check_column(mission: Mission, where: str, key: str, position: NDArray[np.float64], to: float, what: str) -> None:
+    count = max(2, math.ceil(abs(to - position[2]) / 0.05) + 1)
+    column = np.tile(position, (count, 1))
+    column[:, 2] = np.linspace(position[2], to, count)
+    least, which = obstacle_distances(mission.world, column)
+    k = int(np.argmin(least))
+    if least[k] < mission.avoidance.clearance_m:
+        n, e, d = column[k]
+        raise InputError(
+            where,
+            key,
+            f"{what} passes [{n:g}, {e:g}, {d:.2f}], {_describe_distance(least[k], mission.world.names[which[k]])}",
+            f"keep {mission.avoidance.clearance_m:g} m from obstacles (avoidance.clearance_m)",
+        )
+
+
+def _check_over_and_under(mission: Mission, where: str, key: str, track: NDArray[np.float64]) -> None:
+    """Obstacles whose top or foot the track passes closely: level beams go over or under them."""
+    world = mission.world
+    spans = [(b.name, b.centre[2] - 0.5 * b.size[2], b.centre[2] + 0.5 * b.size[2]) for b in world.boxes]
+    spans += [(c.name, -c.foot - c.height, -c.foot) for c in world.cylinders]
+    clear = mission.avoidance.clearance_m
+    for k, (name, top, foot) in enumerate(spans):
+        one = (
+            World(world.boxes[k : k + 1])
+            if k < len(world.boxes)
+            else World((), (world.cylinders[k - len(world.boxes)],))
+        )
+        near = obstacle_distances(one, track)[0] < clear
+        missed = near & ((track[:, 2] < top + _BEAM_HIT_MARGIN_M) | (track[:, 2] > foot - _BEAM_HIT_MARGIN_M))
+        if missed.any():
+            height = -track[missed][0, 2]
+            raise InputError(
+                where,
+                key,
+                f"the way to it, at a height of {height:.2f} m, passes the {name} (from {round(-foot, 2) + 0.0:.2f} m "
+                f"to {-top:.2f} m high) where the level beams do not see it well",
+                f"pass its top or foot by {clear:g} m or more, or well within its height",
+            )
+
+
+_BEAM_HIT_MARGIN_M = 0.15
+"""How far inside an obstacle's height a beam has to be to hit it in spite of the tilt of a flying helicopter (m)."""
+
+
+@result
+class MissionEstimate:
+    """What a mission takes, as planned.
+
+    Attributes
+    ----------
+    duration_s : float
+        From the start signal until it has landed, rotors at rest (s).
+    path_m : float
+        Length of the reference from lift-off to touchdown (m).
+    charge_Ah, fraction : float
+        Charge used, and as a fraction of the battery's.
+    """
+
+    duration_s: float
+    path_m: float
+    charge_Ah: float
+    fraction: float
+
+
+def check_mission(mission: Mission, *, hover_current_A: float, capacity_Ah: float, where: str = "") -> MissionEstimate:
+    """Estimate time and charge of a mission and refuse it if the battery does not last.
+
+    Parameters
+    ----------
+    mission : Mission
+        Already checked for geometry.
+    hover_current_A : float
+        Battery current in hover (A), electronics included.
+    capacity_Ah : float
+        Charge of the full battery (A h); ``battery.usable`` of it may be planned with.
+    where : str
+        File that an error names; the mission's name by default.
+
+    Returns
+    -------
+    MissionEstimate
+        Time, length and charge.
+
+    Raises
+    ------
+    InputError
+        Naming the height of take-off or the first waypoint, its wait or the landing that the charge does not reach.
+    """
+    where = where or mission.name
+    lasts = 3600.0 * mission.battery.usable * capacity_Ah / hover_current_A
+    remedy = (
+        f"the battery lasts {lasts:.0f} s ({mission.battery.usable:.0%} of {capacity_Ah * 1000:.0f} mA h at "
+        f"{hover_current_A:.1f} A): "
+    )
+
+    timing = compute_timing(mission)
+    height, up = mission.take_off.height_m, compute_take_off_time(mission)
+    least = up + compute_landing_time(height, mission)
+    if least > lasts:
+        raise InputError(
+            where,
+            "take_off.height_m",
+            f"{height:g} m is out of reach: up and down takes {_format_seconds(least)}",
+            remedy + "take off lower",
+        )
+    for leg, waypoint in zip(timing.legs, mission.waypoint, strict=True):
+        key = f"waypoint[{leg.waypoint_number}]"
+        landing = compute_landing_time(-waypoint.position_m[2], mission)
+        rise = abs(waypoint.position_m[2] - leg.trajectory.start[2])
+        if leg.reached_s + landing > lasts:
+            vertical = rise > leg.trajectory.path_profile.distance
+            raise InputError(
+                where,
+                f"{key}.position_m",
+                f"{waypoint.position_m[2]:g} m (D) is out of reach"
+                if vertical
+                else f"is out of reach: getting there and down takes {_format_seconds(leg.reached_s + landing)}",
+                remedy + ("fly lower" if vertical else "fly less far, faster, or wait less before it"),
+            )
+        if leg.departure_s + landing > lasts:
+            raise InputError(
+                where,
+                f"{key}.wait_s",
+                f"{waypoint.wait_s:g} is too long: the mission up to here and down takes "
+                f"{_format_seconds(leg.departure_s + landing)}",
+                remedy + "wait less",
+            )
+    time = timing.landed_s
+    if time > lasts:
+        problem = f'"return" is out of reach: the mission and the way home take {_format_seconds(time)}'
+        raise InputError(where, "at_end", problem, remedy + 'end with "land", or fly less far')
+    charge = time * hover_current_A / 3600.0
+    return MissionEstimate(time, timing.path_length_m, charge, charge / capacity_Ah)
+
+
+def _format_seconds(t: float) -> str:
+    return f"{t:.0f} s" if t < 1e5 else f"{t:.1e} s"
+
+
+# ----------------------------------------------------------------------------
+# From a mission file (TOML) to a checked `Mission`, and back.
+
+
+_BUILTIN_FOLDER = resources.files("mufly.mission") / "builtin"
+
+
+def list_builtin_missions() -> list[str]:
+    """Names of the missions that come with mufly."""
+    return builtin_file_names(_BUILTIN_FOLDER)
+
+
+def load_mission(name_or_path: str | Path) -> Mission:
+    """Read a mission by built-in name or from a TOML file, and check it.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name that `list_builtin_missions` lists, or the path of a mission file; also of a plan (``.plan``) or waypoint
+        file (``.waypoints``) of QGroundControl or Mission Planner.
+
+    Returns
+    -------
+    Mission
+        Frozen and checked: nothing unknown, nothing impossible, every waypoint in free air.
+
+    Raises
+    ------
+    InputError
+        Naming file, key, value and remedy. Waypoints are counted from 1.
+    """
+    name = str(name_or_path)
+    if name not in list_builtin_missions() and Path(name).is_file():
+        try:
+            return parse_mission(read_mission_tables(Path(name).read_text(encoding="utf-8-sig"), name), name)
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(name, "", f"cannot be read ({error})", "give a text file in UTF-8") from error
+    tables, where = read_toml(name_or_path, _BUILTIN_FOLDER, "mission")
+    return parse_mission({"name": Path(where).stem, **tables}, where)
+
+
+def read_mission_tables(text: str, where: str) -> dict[str, Any]:
+    """Return the tables of a mission file: TOML, or a plan or waypoint file of QGroundControl or Mission Planner.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        What an error calls the file; without a name of its own the mission is called so.
+
+    Raises
+    ------
+    InputError
+        If it is none of them, or holds what cannot be flown.
+    """
+    if is_ground_file(text):
+        return {"name": Path(where).stem, **read_ground_file(text, where)}
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(where, "", f"is not valid TOML ({error})", "correct that line") from error
+    return {"name": Path(where).stem, **tables}
+
+
+def parse_mission(tables: Mapping[str, Any], where: str = "mission") -> Mission:
+    """Make a checked mission of nested dictionaries with the keys of a mission file.
+
+    Parameters
+    ----------
+    tables : mapping
+        As TOML gives it: ``{"waypoint": [{"position_m": [1, 0, -1]}], ...}``.
+    where : str
+        What an error calls the place.
+
+    Raises
+    ------
+    InputError
+        As for `load_mission`.
+    """
+    mission = validate_model(Mission, tables, where)
+    check_geometry(mission, where)
+    return mission
+
+
+def dump_mission(mission: Mission) -> str:
+    """The mission as the text of a file that `load_mission` reads back to an equal mission, defaults included."""
+    lines: list[str] = []
+    tables: list[tuple[str, dict[str, Any]]] = []
+    for key, value in mission.model_dump(exclude_none=True).items():
+        if isinstance(value, dict):
+            tables.append((f"[{key}]", value))
+        elif isinstance(value, list | tuple) and (not value or isinstance(value[0], dict)):
+            tables += [(f"[[{key}]]", item) for item in value]
+        else:
+            lines.append(f"{key} = {format_toml_value(value)}")
+    for head, table in tables:
+        lines += ["", head, *(f"{k} = {format_toml_value(v)}" for k, v in table.items())]
+    return "\n".join(lines) + "\n"
+
+
+# ----------------------------------------------------------------------------
+# Can this vehicle fly this mission? Asked before anything runs, by the command line and by `mufly.flight.fly_mission`.
+
+
+def check_preflight(
+    vehicle: Vehicle,
+    mission: Mission,
+    *,
+    vehicle_file: str = "",
+    mission_file: str = "",
+    able: TrajectoryLimits | None = None,
+) -> MissionEstimate:
+    """Check that the vehicle hovers, that the mission suits it and that its battery lasts.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    mission : Mission
+        Checked, as `load_mission` returns it.
+    vehicle_file, mission_file : str
+        What an error calls them; their names by default.
+    able : Limits, optional
+        What the vehicle's controllers can follow (:func:`mufly.flight.controller_limits`): the mission is flown no
+        faster.
+
+    Returns
+    -------
+    MissionEstimate
+        Time, length and charge.
+
+    Raises
+    ------
+    InputError
+        Naming file, key, value and remedy.
+    """
+    try:
+        current = hover_current_A(vehicle)
+    except InputError as error:
+        raise error.with_location(vehicle_file or vehicle.name) from None
+    where = mission_file or mission.name
+    try:
+        prepare_plan(mission, vehicle)
+    except InputError as error:
+        raise error.with_location(where) from None
+    capacity_Ah = float(vehicle.battery.capacity) / 3600.0
+    if able is not None:
+        mission, _ = reduce_limits(mission, able)
+    return check_mission(mission, hover_current_A=current, capacity_Ah=capacity_Ah, where=where)
+
+
+# ----------------------------------------------------------------------------
+# A mission no faster than its helicopter.
+#
+# A reference that is quicker than the helicopter is caught up with on the run and then overshot: what matters is not
+# the speed itself but that the reference can brake no harder than the helicopter. So each limit of the mission is
+# brought down to a share of what the controllers can follow, before the flight.
+
+
+USABLE_LIMIT_SHARE = 0.8
+"""Of what the controllers can follow; the rest is for catching up."""
+
+
+def reduce_limits(mission: Mission, able: TrajectoryLimits) -> tuple[Mission, str]:
+    """Bring a mission's limits down to what the helicopter can follow.
+
+    Parameters
+    ----------
+    mission : Mission
+        As asked for.
+    able : Limits
+        What the controllers can follow, SI units.
+
+    Returns
+    -------
+    mission : Mission
+        The same one, where nothing has to be slower.
+    changes : str
+        What was changed, in words: ``"climb_m_s 0.8 in place of 2"``; empty if nothing was.
+    """
+    can = limits_to_file_units(able)
+    most = USABLE_LIMIT_SHARE * able.speed
+    hasty = [k for k, w in enumerate(mission.waypoint) if w.speed_m_s is not None and w.speed_m_s > most]
+    slower = {
+        key: USABLE_LIMIT_SHARE * most
+        for key, most in can.items()
+        if USABLE_LIMIT_SHARE * most < getattr(mission.limits, key)
+    }
+    if not slower and not hasty:
+        return mission, ""
+    words = [f"{key} {value:.2g} in place of {getattr(mission.limits, key):g}" for key, value in slower.items()]
+    words += [f"waypoint[{k + 1}].speed_m_s {most:.2g} in place of {mission.waypoint[k].speed_m_s:g}" for k in hasty]
+    limits = mission.limits.model_copy(update=slower)
+    waypoints = tuple(
+        w.model_copy(update={"speed_m_s": most}) if k in hasty else w for k, w in enumerate(mission.waypoint)
+    )
+    return mission.with_parts(limits=limits, waypoint=waypoints), ", ".join(words)

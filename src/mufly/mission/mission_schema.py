@@ -1,0 +1,384 @@
+"""What a mission file may say.
+
+Lengths in metres, N-E-D from a point on the floor, so heights above the floor are negative D. Every key carries its
+unit. `docs/missions.md` explains each one; a test holds that page and these models together.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, Strict, model_validator
+
+from mufly.mission.trajectory import Trajectory, plan_pending_curve, plan_straight
+from mufly.mission.trajectory import TrajectoryLimits as TrajectoryLimits
+from mufly.world import Box, Cylinder, Room, World, make_wall
+
+MAX_EXTENT_M = 10_000.0
+"""How far (m) anything in a mission may lie or reach: a flight indoors, on a floor that is flat."""
+MAX_WIND_M_S, MAX_GUST_M_S = 50.0, 5.0
+"""Each component of the steady wind (a hurricane's), and gusts' rms; the model's own range is far smaller (m/s)."""
+
+BoundedNumber = Annotated[float, Strict(), Field(ge=-MAX_EXTENT_M, le=MAX_EXTENT_M)]
+PositiveNumber = Annotated[float, Strict(), Field(ge=1e-3, le=MAX_EXTENT_M)]
+Triple = tuple[BoundedNumber, BoundedNumber, BoundedNumber]
+Pair = tuple[BoundedNumber, BoundedNumber]
+WindSpeed = Annotated[float, Strict(), Field(ge=-MAX_WIND_M_S, le=MAX_WIND_M_S)]
+
+MIN_WAYPOINT_HEIGHT_M = 0.2
+"""Least height of a waypoint above the floor (m): the legs and the ground's influence end below it."""
+
+
+class _MissionTable(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _strict_field(default: Any, description: str, **bounds: Any) -> Any:
+    """A number, truth value or text that is taken as it stands: a text is no number."""
+    return Field(default=default, description=description, strict=True, **bounds)
+
+
+class TakeOff(_MissionTable):
+    """The first part of every mission."""
+
+    height_m: float = _strict_field(1.0, "height to climb to", ge=MIN_WAYPOINT_HEIGHT_M, le=50.0)
+    wait_s: float = _strict_field(2.5, "wait there", ge=0.0, le=3600.0)
+
+
+class Waypoint(_MissionTable):
+    """One place to fly to."""
+
+    position_m: Triple = Field(description="N, E, D; heights above the floor are negative D")
+    wait_s: float = _strict_field(0.0, "wait once it is reached", ge=0.0, le=3600.0)
+    heading_deg: float | None = _strict_field(
+        None,
+        "heading on the way and there, from north to east; without it the nose points along the way",
+        ge=-360.0,
+        le=360.0,
+    )
+    speed_m_s: float | None = _strict_field(
+        None, "horizontal speed on the way there; without it that of the limits", ge=0.01, le=3.0
+    )
+
+
+class Limits(_MissionTable):
+    """What the trajectories may ask for."""
+
+    speed_m_s: float = _strict_field(0.6, "horizontal speed", ge=0.01, le=3.0)
+    climb_m_s: float = _strict_field(0.5, "rate of climb", ge=0.01, le=2.0)
+    descent_m_s: float = _strict_field(0.4, "rate of descent", ge=0.01, le=1.0)
+    touchdown_m_s: float = _strict_field(0.15, "rate of descent over the last 0.4 m before the floor", gt=0.02, le=0.25)
+    acceleration_m_s2: float = _strict_field(0.4, "horizontal acceleration", ge=0.01, le=2.0)
+    climb_acceleration_m_s2: float = _strict_field(0.4, "acceleration of climb and descent", ge=0.01, le=2.0)
+    yaw_rate_deg_s: float = _strict_field(60.0, "rate of turn", ge=1.0, le=360.0)
+    yaw_acceleration_deg_s2: float = _strict_field(90.0, "acceleration of a turn", ge=1.0, le=1000.0)
+    reach_m: float = _strict_field(0.05, "a waypoint counts as reached from this near", ge=0.01, le=1.0)
+    reach_m_s: float = _strict_field(0.1, "and when flying slower than this", ge=0.01, le=1.0)
+
+
+class Path(_MissionTable):
+    """How to fly from waypoint to waypoint."""
+
+    kind: Literal["straight", "spline"] = Field(
+        default="straight",
+        description='"straight": heading and height first, then a level line; "spline": heading first, then a cubic '
+        "spline through the waypoints",
+    )
+
+
+class Avoidance(_MissionTable):
+    """What to do about obstacles that the range beams see."""
+
+    enabled: bool = _strict_field(True, "whether to look for obstacles at all")
+    clearance_m: float = _strict_field(
+        0.39,
+        "distance to keep between the helicopter's centre and any surface (rotor radius and 0.3 m)",
+        ge=0.15,
+        le=1.0,
+    )
+    speed_m_s: float = _strict_field(0.3, "speed around an obstacle, and on the way when scanning", gt=0.05, le=1.0)
+    scan: bool | None = _strict_field(
+        None,
+        "fly with one beam ahead and swing the nose, so that nothing hides between two beams; without "
+        "it: true when the file names a box, a cylinder or a wall",
+    )
+    give_up_s: float = _strict_field(90.0, "time to try to get around obstacles on one leg", ge=5.0, le=3600.0)
+
+
+class Battery(_MissionTable):
+    """How much of it to use."""
+
+    low_V: float | None = _strict_field(
+        None, "land below this voltage; without it the vehicle's own limit", gt=0.0, le=1000.0
+    )
+    usable: float = _strict_field(0.8, "fraction of the charge that a mission may plan with", ge=0.01, le=1.0)
+
+
+class Wind(_MissionTable):
+    """Air that moves, for the simulation; the helicopter is not told."""
+
+    steady_m_s: tuple[WindSpeed, WindSpeed, WindSpeed] = Field(
+        default=(0.0, 0.0, 0.0), description="where the wind blows to, N, E, D"
+    )
+    gust_m_s: float = _strict_field(0.0, "intensity of the gusts (rms)", ge=0.0, le=MAX_GUST_M_S)
+
+
+class Fence(_MissionTable):
+    """Where the vehicle may be, and what it does when it is not."""
+
+    polygon_m: tuple[Pair, ...] = Field(default=(), description="corners N, E of the area to stay in, three or more")
+    centre_m: Pair | None = Field(default=None, description="N, E of the middle of a circle to stay in")
+    radius_m: float | None = _strict_field(None, "radius of that circle", ge=0.1, le=MAX_EXTENT_M)
+    ceiling_m: float | None = _strict_field(
+        None, "greatest height above the floor", ge=MIN_WAYPOINT_HEIGHT_M, le=MAX_EXTENT_M
+    )
+    keep_out_m: tuple[tuple[Pair, ...], ...] = Field(
+        default=(), description="areas to stay out of, each with its corners N, E"
+    )
+    keep_out_circles_m: tuple[Triple, ...] = Field(
+        default=(), description="circles to stay out of: N, E and radius of each"
+    )
+    action: Literal["hold", "return", "land"] = Field(
+        default="hold",
+        description='once it is outside: "hold" there, "return" to above its start and land, or "land"',
+    )
+
+    @model_validator(mode="after")
+    def _check_bounds(self) -> Fence:
+        if (self.centre_m is None) != (self.radius_m is None):
+            raise ValueError("a circle needs both centre_m and radius_m")
+        for name, corners in (("polygon_m", self.polygon_m), *(("keep_out_m", z) for z in self.keep_out_m)):
+            if name == "polygon_m" and not corners:
+                continue
+            if len(corners) < 3:
+                raise ValueError(f"{name} has {len(corners)} corners; give three or more")
+            if _crosses_itself(corners):
+                raise ValueError(f"{name} crosses itself; give its corners in order")
+        if any(radius <= 0.0 for _, _, radius in self.keep_out_circles_m):
+            raise ValueError("keep_out_circles_m has a radius that is not above 0")
+        if not (self.polygon_m or self.radius_m or self.ceiling_m or self.keep_out_m or self.keep_out_circles_m):
+            raise ValueError("bounds nothing; give polygon_m, centre_m with radius_m, ceiling_m or keep_out_m")
+        return self
+
+
+def _crosses_itself(corners: tuple[Pair, ...]) -> bool:
+    """Whether any two sides of a polygon cross, or it has no area."""
+
+    def cross_product(a: Pair, b: Pair, c: Pair) -> float:
+        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+    n = len(corners)
+    sides = [(corners[k], corners[(k + 1) % n]) for k in range(n)]
+    if not abs(sum(a[0] * b[1] - a[1] * b[0] for a, b in sides)) > 1e-9:
+        return True
+    for i in range(n):
+        for j in range(i + 2, n if i else n - 1):
+            (a, b), (c, d) = sides[i], sides[j]
+            if (
+                cross_product(a, b, c) * cross_product(a, b, d) < 0.0
+                and cross_product(c, d, a) * cross_product(c, d, b) < 0.0
+            ):
+                return True
+    return False
+
+
+class BoxTable(_MissionTable):
+    """An upright box."""
+
+    name: str = Field(default="box", description="what messages call it")
+    centre_m: Triple = Field(description="N, E, D of its centre")
+    size_m: tuple[PositiveNumber, PositiveNumber, PositiveNumber] = Field(description="edge lengths, x, y, z")
+    yaw_deg: float = _strict_field(0.0, "turn of its x edge from north to east", ge=-360.0, le=360.0)
+
+
+class CylinderTable(_MissionTable):
+    """An upright round post."""
+
+    name: str = Field(default="cylinder", description="what messages call it")
+    centre_m: Pair = Field(description="N, E of its axis")
+    radius_m: float = _strict_field(..., "radius", ge=1e-3, le=MAX_EXTENT_M)
+    height_m: float = _strict_field(..., "from its foot to its top", ge=1e-3, le=MAX_EXTENT_M)
+    foot_m: float = _strict_field(0.0, "height of its foot above the floor", ge=0.0, le=MAX_EXTENT_M)
+
+
+class WallTable(_MissionTable):
+    """A free-standing wall."""
+
+    name: str = Field(default="wall", description="what messages call it")
+    start_m: Pair = Field(description="N, E of one end")
+    end_m: Pair = Field(description="N, E of the other end")
+    height_m: float = _strict_field(..., "height above the floor", ge=1e-3, le=MAX_EXTENT_M)
+    thickness_m: float = _strict_field(0.1, "thickness", ge=1e-3, le=MAX_EXTENT_M)
+
+
+class RoomTable(_MissionTable):
+    """Walls and ceiling around the flight."""
+
+    north_m: Pair = Field(description="least and greatest N inside")
+    east_m: Pair = Field(description="least and greatest E inside")
+    height_m: float | None = _strict_field(
+        None, "height of the ceiling; without it there is none", ge=0.1, le=MAX_EXTENT_M
+    )
+
+
+class Mission(_MissionTable):
+    """A mission as its file states it. `mufly.mission.load_mission` reads and checks one.
+
+    The keys carry the units of the file. `world`, `trajectory_limits` and `scans_with_nose` are derived from them.
+    """
+
+    name: str = Field(default="", description="what the mission is called; without it the name of the file")
+    description: str = Field(default="", description="one line about it")
+    start_m: Pair = Field(default=(0.0, 0.0), description="N, E of where the helicopter stands at first")
+    start_heading_deg: float = _strict_field(0.0, "its heading there, from north to east", ge=-360.0, le=360.0)
+    at_end: Literal["land", "hover", "return"] = Field(
+        default="land",
+        description='after the last wait: "land" there, "hover" there until told otherwise or until the battery is '
+        'low, or "return" to above the start and land',
+    )
+    take_off: TakeOff = TakeOff()
+    waypoint: tuple[Waypoint, ...] = ()
+    limits: Limits = Limits()
+    path: Path = Path()
+    avoidance: Avoidance = Avoidance()
+    battery: Battery = Battery()
+    wind: Wind = Wind()
+    fence: Fence | None = None
+    room: RoomTable | None = None
+    box: tuple[BoxTable, ...] = ()
+    cylinder: tuple[CylinderTable, ...] = ()
+    wall: tuple[WallTable, ...] = ()
+
+    def __repr__(self) -> str:
+        """Name, way and what is not left to the defaults, in a few lines."""
+        title = f"Mission {self.name}" + (f": {self.description}" if self.description else "")
+        way = [self.start_m, *(w.position_m for w in self.waypoint)]
+        lines = [f"  take-off to {self.take_off.height_m:g} m at N {way[0][0]:g}, E {way[0][1]:g} m"]
+        lines += [f"  {k}: N {w[0]:g}, E {w[1]:g}, D {w[2]:g} m" for k, w in enumerate(way[1:7], 1)]
+        if len(way) > 7:
+            lines.append(f"  {len(way) - 7} more waypoints")
+        lines.append(f"  at the end: {self.at_end}")
+        given = sorted(self.model_fields_set - {"name", "description", "take_off", "waypoint", "at_end", "start_m"})
+        lines += [f"  also given: {', '.join(given)}"] if given else []
+        return "\n".join([title, *lines, f"  all of it: `mufly mission show {self.name or 'FILE'} --toml`"])
+
+    __str__ = __repr__
+
+    def with_parts(self, **parts: Any) -> Mission:
+        """The same mission with other parts; checked, and derived anew, which a copy would not be."""
+        return Mission(**{**{name: getattr(self, name) for name in Mission.model_fields}, **parts})
+
+    @cached_property
+    def world(self) -> World:
+        """Everything that stands in the way."""
+        boxes = [Box(b.centre_m, b.size_m, math.radians(b.yaw_deg), b.name) for b in self.box]
+        boxes += [
+            make_wall(w.start_m, w.end_m, height=w.height_m, thickness=w.thickness_m, name=w.name) for w in self.wall
+        ]
+        posts = [Cylinder(c.centre_m, c.radius_m, c.height_m, c.foot_m, c.name) for c in self.cylinder]
+        r = self.room
+        room = Room(r.north_m, r.east_m, math.inf if r.height_m is None else r.height_m) if r else None
+        return World(tuple(boxes), tuple(posts), room)
+
+    @cached_property
+    def scans_with_nose(self) -> bool:
+        """Whether the helicopter looks out for obstacles by swinging its nose."""
+        chosen = self.avoidance.scan
+        named = bool(self.box or self.cylinder or self.wall)
+        return self.avoidance.enabled and (named if chosen is None else chosen)
+
+    @cached_property
+    def trajectory_limits(self) -> TrajectoryLimits:
+        """The limits in SI units and radians, with the slower speed of a flight that scans."""
+        return self.leg_limits(None)
+
+    def leg_limits(self, index: int | None) -> TrajectoryLimits:
+        """The same on the way to waypoint ``index`` (from 0), with its speed where it asks for one."""
+        q = self.limits
+        asked = None if index is None else self.waypoint[index].speed_m_s
+        speed = q.speed_m_s if asked is None else asked
+        return TrajectoryLimits(
+            min(speed, self.avoidance.speed_m_s) if self.scans_with_nose else speed,
+            q.climb_m_s,
+            q.descent_m_s,
+            q.acceleration_m_s2,
+            q.climb_acceleration_m_s2,
+            math.radians(q.yaw_rate_deg_s),
+            math.radians(q.yaw_acceleration_deg_s2),
+        )
+
+
+def limits_to_file_units(q: TrajectoryLimits) -> dict[str, float]:
+    """Limits of trajectories under the keys and in the units of a mission file."""
+    return {
+        "speed_m_s": q.speed,
+        "climb_m_s": q.climb,
+        "descent_m_s": q.descent,
+        "acceleration_m_s2": q.acceleration,
+        "climb_acceleration_m_s2": q.climb_acceleration,
+        "yaw_rate_deg_s": math.degrees(q.yaw_rate),
+        "yaw_acceleration_deg_s2": math.degrees(q.yaw_acceleration),
+    }
+
+
+# ----------------------------------------------------------------------------
+# The legs of a mission: which trajectory leads to which waypoint.
+
+
+SPIN_UP_S = 3.0
+"""Time that the rotors take to speed up before lift-off (s)."""
+
+SLOW_LANDING_HEIGHT_M = 0.4
+"""Height (m) below which a landing goes at the touchdown speed."""
+
+
+def plan_leg_trajectory(
+    mission: Mission,
+    index: int,
+    start: NDArray[np.float64],
+    heading: float,
+    *,
+    nose_offset: float = 0.0,
+    made: bool = True,
+) -> Trajectory:
+    """The way to waypoint ``index`` (from 0) from wherever the helicopter is.
+
+    Parameters
+    ----------
+    mission : Mission
+        With its path kind and limits.
+    index : int
+        Which waypoint.
+    start : (3,) array
+        N, E, D (m).
+    heading : float
+        Heading at the start (rad).
+    nose_offset : float
+        Angle of the nose from the direction of flight (rad) where the waypoint asks for no heading.
+    made : bool
+        A curve is made now; else it is to be (:meth:`mufly.mission.trajectory.Trajectory.finish_curve`).
+    """
+    waypoint = mission.waypoint[index]
+    goal = np.array(waypoint.position_m)
+    final = None if waypoint.heading_deg is None else math.radians(waypoint.heading_deg)
+    limits = mission.leg_limits(index)
+    if mission.path.kind == "straight":
+        return plan_straight(start, goal, heading, limits, final_heading=final, nose_offset=nose_offset)
+    before = np.array(mission.waypoint[index - 1].position_m) if index else take_off_position(mission)
+    # Chord directions through the neighbours (Catmull-Rom), so that the curve has no kink at a waypoint.
+    after = np.array(mission.waypoint[index + 1].position_m) if index + 1 < len(mission.waypoint) else goal
+    further = np.array(mission.waypoint[index - 2].position_m) if index > 1 else take_off_position(mission)
+    leaving = goal - further if index else goal - before
+    way = plan_pending_curve(
+        start, goal, leaving, after - before, heading, limits, final_heading=final, nose_offset=nose_offset
+    )
+    return way.finish_curve() if made else way
+
+
+def take_off_position(mission: Mission) -> NDArray[np.float64]:
+    """Where the take-off ends, N, E, D (m)."""
+    return np.array([*mission.start_m, -mission.take_off.height_m])

@@ -1,0 +1,292 @@
+"""How long does a mission take? The one reckoning that every display and every judgement of endurance reads.
+
+From the start signal until it has landed with its rotors at rest: speeding up the rotors, the climb, each leg as its
+reference is flown (`mufly.mission.trajectory`: turn and height on the spot, then the way, from rest to rest), looking
+around before a leg where it scans, the way around obstacles that the file names, settling, waits, the way home, and
+the descent by the law of the landing with its slow end. Own derivation.
+
+A way around an obstacle: straight on until the contour at `FOLLOW_MARGIN_M` beyond the clearance, along that on the
+shorter side until the straight way to the goal keeps the clearance, then straight on from rest. So flies
+:mod:`mufly.mission.detour`, which sees the obstacle only as it comes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.mission.avoidance import BLOCKED_MARGIN_M, LOOK_AHEAD_M
+from mufly.mission.detour import FOLLOW_MARGIN_M, LEAVE_MARGIN_M
+from mufly.mission.mission_schema import (
+    SLOW_LANDING_HEIGHT_M,
+    SPIN_UP_S,
+    Mission,
+    plan_leg_trajectory,
+    take_off_position,
+)
+from mufly.mission.trajectory import Trajectory, TrajectoryLimits, make_profile, plan_straight
+from mufly.world import Box, Cylinder, World, obstacle_distances
+
+SETTLE_TIME_S = 0.25
+"""Mean time from the end of a leg's reference until the waypoint counts as reached (s)."""
+
+LOOK_AROUND_TIME_S = 3.0
+"""Time that a scanning helicopter looks around before it leaves (s)."""
+
+RAMP_DOWN_TIME_S = 1.0
+"""Time that the rotors take to stop after touchdown (s)."""
+
+DESCENT_LAG_S = 0.15
+"""Time constant with which a landing goes over to another rate of descent (s)."""
+
+_TOUCHDOWN_HEIGHT_M, _INTEGRATION_STEP_S = 0.03, 0.02
+_ARC_POINT_COUNT = 12
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedLeg:
+    """One waypoint in the plan: its trajectory and when the wait there is over (s since the start signal)."""
+
+    waypoint_number: int
+    trajectory: Trajectory
+    length_m: float
+    reached_s: float
+    departure_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class MissionTiming:
+    """When a mission is where; times in s since the start signal.
+
+    Attributes
+    ----------
+    up_s : float
+        The take-off has reached its height.
+    legs : tuple of Leg
+        One a waypoint.
+    home_s : float
+        Above where it lands: after the last wait or, with ``at_end = "return"``, after the way home.
+    landed_s : float
+        Landed, rotors at rest.
+    path_m : float
+        Length of the reference from lift-off to touchdown, without ways around obstacles (m).
+    """
+
+    take_off_done_s: float
+    legs: tuple[PlannedLeg, ...]
+    above_landing_s: float
+    landed_s: float
+    path_length_m: float
+
+
+def compute_timing(mission: Mission) -> MissionTiming:
+    """Return when a mission is where, as it is expected to be flown.
+
+    Parameters
+    ----------
+    mission : Mission
+        With the limits that are flown: those of the file, brought down to what the controllers can follow
+        (:func:`mufly.mission.reduce_limits`).
+
+    Examples
+    --------
+    >>> from mufly.mission import expected_timing, load_mission
+    >>> round(expected_timing(load_mission("demonstration")).landed_s)
+    77
+    """
+    plan = plan_legs(mission)
+    up_s = compute_take_off_time(mission)
+    here, heading = take_off_position(mission), math.radians(mission.start_heading_deg)
+    left_s, path_m = up_s, mission.take_off.height_m
+    if plan:
+        here, left_s = np.array(mission.waypoint[-1].position_m), plan[-1].departure_s
+        heading = plan[-1].trajectory.start_heading + plan[-1].trajectory.turn_angle
+        path_m += sum(leg.length_m for leg in plan)
+    back = plan_return_leg(mission, heading)
+    if back is not None:
+        took, length = _leg_time(mission, back, mission.trajectory_limits, len(plan))
+        left_s, path_m = left_s + took, path_m + length
+    height = -float(here[2])
+    landed_s = left_s + compute_landing_time(height, mission)
+    return MissionTiming(up_s, tuple(plan), left_s, landed_s, path_m + height)
+
+
+def compute_take_off_time(mission: Mission) -> float:
+    """Time from the start signal until the take-off has reached its height (s)."""
+    climb = plan_straight((0.0, 0.0, 0.0), (0.0, 0.0, -mission.take_off.height_m), 0.0, mission.trajectory_limits)
+    return SPIN_UP_S + climb.duration_s
+
+
+def plan_legs(mission: Mission) -> list[PlannedLeg]:
+    """The planned legs, one a waypoint, with the times at which they are flown."""
+    position, heading = take_off_position(mission), math.radians(mission.start_heading_deg)
+    time = compute_take_off_time(mission) + mission.take_off.wait_s
+    plan = []
+    for i, waypoint in enumerate(mission.waypoint):
+        way = plan_leg_trajectory(mission, i, position, heading)
+        took, length = _leg_time(mission, way, mission.leg_limits(i), i)
+        reached = time + took
+        time = reached + waypoint.wait_s
+        plan.append(PlannedLeg(i + 1, way, length, reached, time))
+        position, heading = np.array(waypoint.position_m), heading + way.turn_angle
+    return plan
+
+
+def plan_return_leg(mission: Mission, heading: float = 0.0) -> Trajectory | None:
+    """The way back from the last waypoint to above the start, as planned, where the mission ends with one.
+
+    Parameters
+    ----------
+    mission : Mission
+    heading : float
+        At the last waypoint (rad).
+    """
+    if mission.at_end != "return" or not mission.waypoint:
+        return None
+    last = mission.waypoint[-1].position_m
+    return plan_straight(last, (*mission.start_m, last[2]), heading, mission.trajectory_limits)
+
+
+def compute_landing_rate(above: float, descent: float, touchdown: float, acceleration: float) -> float:
+    """Rate of descent that a landing asks for at a height ``above`` the floor (m/s).
+
+    v^2 = v1^2 + 2 (a/2) h: half the acceleration brings it from descent to touchdown speed where that begins.
+    """
+    return min(descent, math.sqrt(touchdown * touchdown + max(0.0, above - SLOW_LANDING_HEIGHT_M) * acceleration))
+
+
+def compute_landing_time(height: float, mission: Mission) -> float:
+    """Time from the land signal, at rest at a ``height`` (m), until the rotors are at rest (s).
+
+    The law is that of :func:`mufly.mission.phases.step_landing`.
+    """
+    q = mission.limits
+    a, steady = q.climb_acceleration_m_s2, q.descent_m_s
+    # Where it sinks at a steady rate nothing happens that a step would tell.
+    slow = SLOW_LANDING_HEIGHT_M + (steady * steady - q.touchdown_m_s * q.touchdown_m_s) / a
+    skipped = max(0.0, height - slow - 4.0 * steady)
+    above, speed, rate, time = height - skipped, 0.0, 0.0, skipped / steady
+    while above > -_TOUCHDOWN_HEIGHT_M:
+        wanted = compute_landing_rate(above, steady, q.touchdown_m_s, a)
+        ask = min(max((wanted - speed) / DESCENT_LAG_S, -a), a)
+        rate += (ask - rate) * min(1.0, _INTEGRATION_STEP_S / 0.1)
+        speed += rate * _INTEGRATION_STEP_S
+        above -= max(speed, 1e-3) * _INTEGRATION_STEP_S
+        time += _INTEGRATION_STEP_S
+    return time + RAMP_DOWN_TIME_S
+
+
+def compute_reach_time(mission: Mission, here: ArrayLike, place: ArrayLike) -> float:
+    """Time to fly from a place (3,) to another (3,) with a mission's limits, and to land there (s)."""
+    a, b = (np.asarray(v, dtype=np.float64) for v in (here, place))
+    start = np.array([a[0], a[1], min(float(a[2]), -mission.take_off.height_m)]) if a[2] > -0.2 else a
+    way = plan_straight(start, b, 0.0, mission.trajectory_limits)
+    return way.duration_s + compute_landing_time(max(-float(b[2]), 0.0), mission)
+
+
+def _leg_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits, number: int) -> tuple[float, float]:
+    """Time (s) and length of the reference (m) of a leg (``waypoint_number`` from 0), with what its reference does not
+    tell."""
+    length = (
+        way.path_profile.distance
+        if way.spline_curve is not None
+        else abs(way.goal[2] - way.start[2]) + way.path_profile.distance
+    )
+    look_s = LOOK_AROUND_TIME_S if mission.scans_with_nose and way.path_profile.distance > 0.0 else 0.0
+    around_s, near = _detour_time(mission, way, limits)
+    if near and number:
+        look_s = 0.0  # an obstacle so near was seen from the leg before, and is gone around at once
+    return way.duration_s + look_s + around_s + SETTLE_TIME_S, length
+
+
+# ----------------------------------------------------------------------------
+# Around the obstacles that a file names.
+
+
+def _detour_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits) -> tuple[float, bool]:
+    """How much longer a leg takes (s) for the obstacles on its level way; whether one is near its start."""
+    clear, world = mission.avoidance.clearance_m, mission.world
+    if not mission.avoidance.enabled or way.path_profile.distance == 0.0 or not (world.boxes or world.cylinders):
+        return 0.0, False
+    at, goal = np.array([*way.start[:2], way.goal[2]]), np.array(way.goal)
+    longer_s, near = 0.0, False
+    for k in range(len(world.boxes) + len(world.cylinders)):
+        met = _first_obstacle(world, at, goal, clear)
+        if met is None:
+            break
+        which, entry = met
+        along, leave = _contour_detour(world, which, entry, goal, clear)
+        straight_on = _distance_between(entry, at)
+        near = near or (k == 0 and straight_on < LOOK_AHEAD_M)
+        # It comes to rest before it goes on, and goes along the contour at its own speed.
+        before = make_profile(_distance_between(goal, at), limits.speed, limits.acceleration).duration_s
+        ramp = make_profile(math.inf, mission.avoidance.speed_m_s, limits.acceleration).ramp_s
+        after = make_profile(_distance_between(goal, leave), limits.speed, limits.acceleration).duration_s
+        longer_s += straight_on / limits.speed + along / mission.avoidance.speed_m_s + ramp + after - before
+        at = leave
+    return max(longer_s, 0.0), near
+
+
+def _distance_between(a: _Array, b: _Array) -> float:
+    return float(np.linalg.norm(a - b))
+
+
+def _single_obstacle_world(world: World, k: int) -> World:
+    n = len(world.boxes)
+    return World((world.boxes[k],)) if k < n else World((), (world.cylinders[k - n],))
+
+
+def _first_obstacle(world: World, at: _Array, goal: _Array, clear: float) -> tuple[int, _Array] | None:
+    """The obstacle that is met first on a line, and where its contour is; None: the line is clear."""
+    count = max(2, math.ceil(_distance_between(goal, at) / 0.02) + 1)
+    line = at + np.linspace(0.0, 1.0, count)[:, None] * (goal - at)
+    met: tuple[int, int] | None = None
+    for k in range(len(world.boxes) + len(world.cylinders)):
+        away, _ = obstacle_distances(_single_obstacle_world(world, k), line)
+        if float(away.min()) >= clear + BLOCKED_MARGIN_M:
+            continue
+        first = int(np.argmax(away < clear + FOLLOW_MARGIN_M))
+        if met is None or first < met[1]:
+            met = (k, first)
+    return None if met is None else (met[0], line[met[1]])
+
+
+def _contour_points(obstacle: Box | Cylinder, off: float) -> _Array:
+    """Points (n, 2) of the level contour at a distance from an obstacle, all around."""
+    if isinstance(obstacle, Cylinder):
+        turn = np.linspace(0.0, math.tau, 8 * _ARC_POINT_COUNT, endpoint=False)
+        return np.array(obstacle.centre[:2]) + (obstacle.radius + off) * np.stack([np.cos(turn), np.sin(turn)], 1)
+    half, parts = 0.5 * np.array(obstacle.size[:2]), []
+    for quarter, corner in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        turn = 0.5 * math.pi * quarter + np.linspace(0.0, 0.5 * math.pi, _ARC_POINT_COUNT)
+        parts.append(half * corner + off * np.stack([np.cos(turn), np.sin(turn)], 1))
+    c, s = math.cos(obstacle.yaw), math.sin(obstacle.yaw)
+    return np.concatenate(parts) @ np.array([[c, s], [-s, c]]) + np.array(obstacle.centre[:2])
+
+
+def _contour_detour(world: World, k: int, entry: _Array, goal: _Array, clear: float) -> tuple[float, _Array]:
+    """Length along the contour of obstacle ``k`` on the shorter side (m), and where it is left for the goal."""
+    n = len(world.boxes)
+    obstacle = world.boxes[k] if k < n else world.cylinders[k - n]
+    outline, alone = _contour_points(obstacle, clear + FOLLOW_MARGIN_M), _single_obstacle_world(world, k)
+    first = int(np.argmin(np.linalg.norm(outline - entry[:2], axis=1)))
+    found: list[tuple[float, float, _Array]] = []
+    share = np.linspace(0.0, 1.0, 60)[:, None]
+    for step in (1, -1):
+        length, here = 0.0, entry[:2]
+        for j in range(1, len(outline)):
+            spot = outline[(first + step * j) % len(outline)]
+            length, here = length + _distance_between(spot, here), spot
+            place = np.array([*here, goal[2]])
+            away, _ = obstacle_distances(alone, place + share * (goal - place))
+            if float(away.min()) >= clear + LEAVE_MARGIN_M:
+                break
+        place = np.array([*here, goal[2]])
+        found.append((length + _distance_between(goal, place), length, place))
+    _, length, place = min(found, key=lambda side: side[0])
+    return length, place

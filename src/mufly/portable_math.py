@@ -1,0 +1,182 @@
+"""Elementary functions that are the same, to the last bit, on every machine that rounds as IEEE 754 asks.
+
+Those of C libraries differ in their last bit. What runs on board (docs/firmware.md) has to give on a processor what it
+gave in simulation, so it computes its own from additions and multiplications:
+
+    n = the integer nearest to 2 x / pi,   r = x - n pi/2,   pi/2 in three pieces of which the first two are short
+                                                             enough for n times them to be exact for |n| < 2^20
+    sin r = r - r^3/3! + ... + r^17/17!,          |r| <= pi/4: what is left out is below 1e-19
+    cos r = 1 - r^2/2! + ... + r^16/16!,          below 3e-18
+
+and the quadrant of ``n`` says which of them, with which sign. Errors are at most one unit in the last place (two after
+thousands of turns). An angle beyond 1e5 rad, or none, is a fault elsewhere and counts as zero. Sources: Taylor; Cody
+and Waite, Software Manual for the Elementary Functions, 1980, for the pieces.
+
+Decay is ``exp(-x) = 2^-n exp(-r)``, n the integer nearest to ``x / ln 2``, ``r = x - n ln 2``, by the same means.
+
+The angle of a direction (x, y), small <= big the two magnitudes:
+
+    n = the integer nearest to 8 small / big,  c = n / 8,   atan(small / big) = atan c + atan r,
+    r = (small - c big) / (big + c small),  |r| <= 1/16,    atan r = r - r^3/3 + ... + r^13/13: below 4e-19 is left out
+
+and quadrant and octant say what to take it from (two units in the last place). A length is the root of the sum of
+squares, from left to right: of metres neither the squares nor their sum leave the range of numbers.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba.extending import register_jitable
+
+from mufly.numba_cache import cached_njit
+
+# The same numbers stand in the C sources; tests hold both against each other.
+TWO_OVER_PI = float.fromhex("0x1.45f306dc9c883p-1")
+HALF_PI_PARTS = (
+    float.fromhex("0x1.921fb54400000p+0"),
+    float.fromhex("0x1.0b4611a600000p-34"),
+    float.fromhex("0x1.3198a2e037073p-69"),
+)
+"""Of pi/2: 33, 33 and 53 bits."""
+
+MAX_ANGLE_RAD = 1e5
+
+_HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = HALF_PI_PARTS
+
+
+@cached_njit(error_model="numpy")
+def sine_cosine(x: float) -> tuple[float, float]:
+    """Return sine and cosine of an angle (rad)."""
+    if not abs(x) < MAX_ANGLE_RAD:
+        return 0.0, 1.0
+    n = int(x * TWO_OVER_PI + (0.5 if x >= 0.0 else -0.5))
+    r = ((x - n * _HALF_PI_1) - n * _HALF_PI_2) - n * _HALF_PI_3
+    q = r * r
+    s = 1.0 / 355687428096000.0
+    s = -1.0 / 1307674368000.0 + q * s
+    s = 1.0 / 6227020800.0 + q * s
+    s = -1.0 / 39916800.0 + q * s
+    s = 1.0 / 362880.0 + q * s
+    s = -1.0 / 5040.0 + q * s
+    s = 1.0 / 120.0 + q * s
+    s = -1.0 / 6.0 + q * s
+    s = r + r * (q * s)
+    c = 1.0 / 20922789888000.0
+    c = -1.0 / 87178291200.0 + q * c
+    c = 1.0 / 479001600.0 + q * c
+    c = -1.0 / 3628800.0 + q * c
+    c = 1.0 / 40320.0 + q * c
+    c = -1.0 / 720.0 + q * c
+    c = 1.0 / 24.0 + q * c
+    c = -0.5 + q * c
+    c = 1.0 + q * c
+    quadrant = n % 4
+    if quadrant == 0:
+        return s, c
+    if quadrant == 1:
+        return c, -s
+    if quadrant == 2:
+        return -s, -c
+    return -c, s
+
+
+LN2_PARTS = (float.fromhex("0x1.62e42fee00000p-1"), float.fromhex("0x1.a39ef35793c76p-33"))
+"""ln 2 in two pieces, the first of 32 bits."""
+
+_LN2_1, _LN2_2 = LN2_PARTS
+_INVERSE_LN2 = float.fromhex("0x1.71547652b82fep+0")
+
+
+@cached_njit(error_model="numpy")
+def exp_decay(x: float) -> float:
+    """Return exp(-x) for x from 0 on; 1 below, 0 beyond 40 (where it is below 1e-17)."""
+    if not x > 0.0:
+        return 1.0
+    if x > 40.0:
+        return 0.0
+    n = int(x * _INVERSE_LN2 + 0.5)
+    r = (x - n * _LN2_1) - n * _LN2_2
+    # The series of Taylor, to r^13.
+    s = -1.0 / 6227020800.0
+    s = 1.0 / 479001600.0 + r * s
+    s = -1.0 / 39916800.0 + r * s
+    s = 1.0 / 3628800.0 + r * s
+    s = -1.0 / 362880.0 + r * s
+    s = 1.0 / 40320.0 + r * s
+    s = -1.0 / 5040.0 + r * s
+    s = 1.0 / 720.0 + r * s
+    s = -1.0 / 120.0 + r * s
+    s = 1.0 / 24.0 + r * s
+    s = -1.0 / 6.0 + r * s
+    s = 0.5 + r * s
+    s = 1.0 - r * (1.0 - r * s)
+    for _ in range(n):
+        s = 0.5 * s
+    return s
+
+
+_TWO_PI_1, _TWO_PI_2 = float.fromhex("0x1.921fb544p+2"), float.fromhex("0x1.0b46p-32")
+"""Both together are 2 pi as a number; n times either is exact for |n| < 2^20."""
+_ATAN_TABLE = tuple(
+    float.fromhex(x)
+    for x in (
+        "0x0.0p+0", "0x1.fd5ba9aac2f6ep-4", "0x1.f5b75f92c80ddp-3", "0x1.6f61941e4def1p-2", "0x1.dac670561bb4fp-2",
+        "0x1.1e00babdefeb4p-1", "0x1.4978fa3269ee1p-1", "0x1.700a7c5784634p-1", "0x1.921fb54442d18p-1",
+    )
+)  # fmt: skip
+"""atan(n / 8)."""
+_MAX_COMPONENT = 1e30
+
+
+def wrap_angle(angle: float) -> float:
+    """Return the same turn the shorter way round, in [-pi, pi] (rad): the angle less whole turns, without rounding."""
+    if not abs(angle) < MAX_ANGLE_RAD:
+        return 0.0
+    if abs(angle) <= math.pi:
+        return angle
+    n = int(angle * (0.25 * TWO_OVER_PI) + (0.5 if angle >= 0.0 else -0.5))
+    return (angle - n * _TWO_PI_1) - n * _TWO_PI_2
+
+
+def portable_atan2(y: float, x: float) -> float:
+    """Return the angle (rad) from the first axis to (x, y), as ``atan2``; zero where there is no direction."""
+    a, b = abs(x), abs(y)
+    big, small = (a, b) if a >= b else (b, a)
+    if not (0.0 < big < _MAX_COMPONENT and small <= big):
+        return 0.0
+    n = int(8.0 * small / big + 0.5)
+    c = 0.125 * n
+    r = (small - c * big) / (big + c * small)
+    q = r * r
+    s = 1.0 / 13.0
+    s = -1.0 / 11.0 + q * s
+    s = 1.0 / 9.0 + q * s
+    s = -1.0 / 7.0 + q * s
+    s = 1.0 / 5.0 + q * s
+    s = -1.0 / 3.0 + q * s
+    angle = _ATAN_TABLE[n] + (r + r * (q * s))
+    if b > a:
+        angle = 0.5 * math.pi - angle
+    if x < 0.0:
+        angle = math.pi - angle
+    return math.copysign(angle, y)
+
+
+def vector_length(x: float, y: float, z: float = 0.0) -> float:
+    """Return the length of a vector."""
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@register_jitable
+def floor_int(x: float) -> int:
+    """Return the greatest integer that is not above ``x``; zero of what is beyond 1e9, or no number."""
+    if not abs(x) < 1e9:
+        return 0
+    n = int(x)
+    return n - 1 if x < n else n
+
+
+# Plain functions where Python calls them, compiled in where compiled functions do.
+for _function in (wrap_angle, portable_atan2, vector_length):
+    register_jitable(_function)

@@ -1,0 +1,297 @@
+"""How numbers with units are written on a command line and in the files that repeat it: one grammar for every option.
+
+A quantity is a number and a unit of its dimension: ``6000rpm``, ``100 Hz``, ``1.2kg/m3``. Where a unit is stated for
+bare numbers, ``6000`` means that unit. A list has commas (``5000,6000rpm``), a range is ``FIRST:LAST:STEP``
+(``10:30:5mm``), and a unit at the end also holds for the bare numbers before it. A standard deviation follows ``+-``
+(``0.06+-0.0002``). Units are those of :mod:`mufly.units`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from mufly.errors import InputError
+from mufly.units import compatible_units, normalise_unit, unit_conversion
+
+NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+MAX_VALUES = 100_000
+"""A list or range of an option holds at most so many values."""
+
+# Of autopilots' messages, not of people.
+_RARE_UNITS = (
+    "1", "d%", "c%", "cdeg", "ddeg", "degE7", "cdeg/s", "ddeg/s", "mrad", "mrad/s", "cV", "cA", "us", "ns", "um",
+)  # fmt: skip
+_MAX_SHOWN_UNITS = 8  # units in a message
+_QUANTITY_PATTERN = re.compile(
+    rf"({NUMBER_PATTERN}|[-+]?(?:nan|inf|infinity)(?![a-z]))\s*(.*)", re.IGNORECASE | re.DOTALL
+)
+_DECIMAL_COMMA_PATTERN = re.compile(r"[-+]?\d*,\d+\s*[^\d\s,:]*")
+
+
+class WrittenNumber(NamedTuple):
+    """A number as it was typed: value and unit, ``""`` without one."""
+
+    value: float
+    unit: str
+
+
+class ValueWithStd(NamedTuple):
+    """A value and its standard deviation, in the same unit."""
+
+    value: float
+    std: float
+
+
+def read_quantity(where: str, text: str, unit: str, *, bare: bool = True) -> float:
+    """Return one number in a unit, from text as ``"6000rpm"``.
+
+    Parameters
+    ----------
+    where : str
+        What an error names, such as the option.
+    text : str
+    unit : str
+        Unit of the result and, with ``bare``, of a number without one. ``""``: a number that takes no unit.
+    bare : bool
+        Whether a number may stand without a unit.
+
+    Raises
+    ------
+    InputError
+        If the text is no finite number, or its unit is unknown or of another dimension.
+
+    Examples
+    --------
+    >>> read_quantity("--mass", "0.12kg", "g")
+    120.0
+    """
+    if _DECIMAL_COMMA_PATTERN.fullmatch(text.strip()):
+        raise InputError(where, "", f"{text!r} has a decimal comma", f"write {text.strip().replace(',', '.')}")
+    return _convert_to_unit(where, _split_number_and_unit(where, text, unit), unit, text, bare)
+
+
+def read_integer(where: str, text: str) -> int:
+    """Return a whole number; InputError if the text is none."""
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    value = _split_number_and_unit(where, text, "")
+    if value.unit or not value.value.is_integer():
+        raise InputError(where, "", f"{text!r} is no whole number", "give a whole number, without a unit")
+    return int(value.value)
+
+
+def read_values(where: str, text: str, unit: str, *, bare: bool = True, most: int = MAX_VALUES) -> tuple[float, ...]:
+    """Return the numbers of a list or range, ``"5000,6000"`` or ``"3000:7000:500rpm"``, in a unit.
+
+    The last value of a range is included when the steps meet it; a range without a step rises by one of its unit.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_quantity`, and if a range holds no value or the text more than ``most``.
+    """
+    parts = [part.split(":") for part in text.split(",")]
+    numbers = iter(_share_units([_split_number_and_unit(where, n, unit, text) for part in parts for n in part]))
+    out: list[float] = []
+    for part in parts:
+        written = [next(numbers) for _ in part]
+        if len(written) > 3:
+            raise InputError(where, "", f"{':'.join(part)!r} is no range", "write FIRST:LAST:STEP")
+        out += _expand_range(where, written, unit, text, bare, most)
+        if len(out) > most:
+            raise InputError(where, "", f"{len(out)} values in {text!r}", f"give {most} values at most")
+    return tuple(out)
+
+
+def read_rotor_pair(where: str, text: str, unit: str) -> tuple[float, float]:
+    """Return the numbers of upper and lower rotor, from ``"14,12"`` or from one number for both."""
+    values = read_list(where, text, unit)
+    if len(values) > 2:
+        raise InputError(where, "", f"{text!r} is neither one value nor two", "write one, or UPPER,LOWER as 14,12")
+    return values[0], values[-1]
+
+
+def read_list(where: str, text: str, unit: str) -> tuple[float, ...]:
+    """Return the numbers of a list with commas, without ranges."""
+    return tuple(
+        _convert_to_unit(where, one, unit, text, bare=True)
+        for one in _share_units([_split_number_and_unit(where, part, unit, text) for part in text.split(",")])
+    )
+
+
+def read_vector(where: str, text: str, unit: str) -> tuple[float, ...]:
+    """Return the three numbers of a vector, or the one of its length."""
+    values = read_list(where, text, unit)
+    if len(values) not in (1, 3):
+        raise InputError(
+            where, "", f"{text!r} holds {len(values)} numbers",
+            f"give one ({unit}), or N,E,D as 0.5,0,0; a decimal mark is a point",
+        )  # fmt: skip
+    return values
+
+
+def read_stepped_range(where: str, text: str, unit: str) -> tuple[float, float | None, float | None]:
+    """Return first, last and step of ``"2500:6000"`` or ``"-1:3:0.5m/s"``; last and step None where there is none."""
+    parts = text.split(":")
+    if len(parts) > 3:
+        raise InputError(where, "", f"{text!r} is no range", "write FIRST:LAST or FIRST:LAST:STEP")
+    written = _share_units([_split_number_and_unit(where, part, unit, text) for part in parts])
+    first, *rest = (_convert_to_unit(where, one, unit, text, bare=True) for one in written)
+    last, step = (*rest, None, None)[:2]
+    if (last is not None and last <= first) or (
+        step is not None and last is not None and not 0 < step <= (last - first) * (1 + 1e-9)
+    ):
+        raise InputError(where, "", f"{text!r} holds no two values", "let it rise, by a step no longer than that")
+    return first, last, step
+
+
+def read_interval(where: str, text: str, unit: str) -> tuple[float, float]:
+    """Return the ends of ``"0.1:3"``, the lower first."""
+    first, last, step = read_stepped_range(where, text, unit)
+    if last is None or step is not None:
+        raise InputError(where, "", f"{text!r} is no band", f"write LOW:HIGH ({unit}), as 0.1:3")
+    return first, last
+
+
+def read_value_with_std(where: str, text: str, unit: str) -> ValueWithStd:
+    """Return value and standard deviation of ``"0.84"``, ``"0.84+-0.02"`` or ``"0.84+-2%"``."""
+    first, sign, second = text.replace("±", "+-").partition("+-")
+    value = _split_number_and_unit(where, first, unit, text)
+    if not sign:
+        return ValueWithStd(_convert_to_unit(where, value, unit, text, bare=True), 0.0)
+    std = _split_number_and_unit(where, second, unit, text)
+    relative = std.unit == "%" and _si_dimension(unit) != "1"
+    value = value if relative else _share_units([value, std])[0]
+    mean = _convert_to_unit(where, value, unit, text, bare=True)
+    width = abs(mean) * std.value / 100.0 if relative else _convert_to_unit(where, std, unit, text, bare=True)
+    if width < 0.0:
+        raise InputError(where, "", f"{text!r} has a negative standard deviation", "give 0 or more behind +-")
+    return ValueWithStd(mean, width)
+
+
+def read_time_span(where: str, text: str) -> tuple[float, float]:
+    """Return begin and end (s) of ``"15s+2s"``, a start and a duration; either may be left out."""
+    start, sign, duration = text.partition("+")
+    begin = read_quantity(where, start, "s") if start.strip() else 0.0
+    end = begin + read_quantity(where, duration, "s") if sign else math.inf
+    if not 0.0 <= begin < end:
+        raise InputError(where, "", f"{text!r} is no time", "write STARTs+DURATIONs, as 15s+2s")
+    return begin, end
+
+
+def offered_units(unit: str) -> tuple[str, ...]:
+    """Return the units that people use for a quantity, that of bare numbers first."""
+    known = [u for u in compatible_units(_si_dimension(unit)) if u not in _RARE_UNITS and u != unit]
+    return (*([] if unit == "1" else [unit]), *known)
+
+
+def spaced_values(first: float, last: float, step: float) -> list[float]:
+    """Return first, first + step, ... up to last, which is included when the steps meet it."""
+    count = math.floor((last - first) / step + 1e-9) + 1
+    return [round(first + k * step, 12) for k in range(count)]
+
+
+# ----------------------------------------------------------------------------
+
+
+def _split_number_and_unit(where: str, part: str, unit: str, whole: str = "") -> WrittenNumber:
+    """Number and unit of a text; ``whole`` is the list that it is a part of."""
+    text = part.strip().replace("\u2212", "-")
+    shown = repr(whole or part)
+    if not text:
+        problem = "is empty" if not (whole or part).strip() else f"{shown} lacks a number"
+        raise InputError(where, "", problem, f"give {_describe_wanted(unit)}")
+    match = _QUANTITY_PATTERN.fullmatch(text)
+    if match is None or match[2][:1] in tuple(".,+-") or re.match(r"\d(?!/)", match[2]):
+        raise InputError(where, "", f"{part.strip()!r} is no number", f"give {_describe_wanted(unit)}")
+    value = float(match[1])
+    if not math.isfinite(value):
+        raise InputError(where, "", f"{part.strip()!r} is not finite", f"give {_describe_wanted(unit)}")
+    return WrittenNumber(value, match[2].strip())
+
+
+def _share_units(numbers: Sequence[WrittenNumber]) -> list[WrittenNumber]:
+    """Give bare numbers the unit of the next one that has a unit."""
+    out: list[WrittenNumber] = []
+    unit = ""
+    for one in reversed(numbers):
+        unit = one.unit or unit
+        out.append(WrittenNumber(one.value, unit))
+    return out[::-1]
+
+
+def _expand_range(
+    where: str, written: Sequence[WrittenNumber], unit: str, text: str, bare: bool, most: int
+) -> list[float]:
+    """The values of one part of a list: a number, or a range that is counted in the unit it is written in."""
+    if len(written) == 1:
+        return [_convert_to_unit(where, written[0], unit, text, bare)]
+    here = written[-1].unit
+    if any(one.unit != here for one in written):
+        here = unit
+        written = [WrittenNumber(_convert_to_unit(where, one, unit, text, bare), unit) for one in written]
+    first, last, step = (*(one.value for one in written), 1.0)[:3]
+    if step <= 0 or last < first:
+        raise InputError(where, "", f"{first:g}:{last:g}:{step:g} holds no value", "let it rise by a step above 0")
+    count = (last - first) / step + 1
+    if count > most:
+        problem, remedy = f"{text!r} holds {count:.0f} values", f"take larger steps ({most} values at most)"
+        raise InputError(where, "", problem, remedy)
+    return [_convert_to_unit(where, WrittenNumber(v, here), unit, text, bare) for v in spaced_values(first, last, step)]
+
+
+def _convert_to_unit(where: str, one: WrittenNumber, unit: str, text: str, bare: bool) -> float:
+    if not one.unit:
+        if not bare and _si_dimension(unit) != "1":
+            raise InputError(where, "", f"{text!r} has no unit", f"use one of: {_list_units(unit)}")
+        return one.value
+    if not unit:
+        raise InputError(where, "", f"{text!r} has a unit, {one.unit!r}", "give the number alone, it takes none")
+    found = _match_unit(one.unit, unit)
+    if not found:
+        other = normalise_unit(one.unit)
+        problem = f"unit {one.unit!r} in {text!r} is unknown"
+        if other and not _is_convertible(other, unit):
+            problem = f"{text!r} is in {other}, which cannot become {unit if unit != '1' else 'a plain number'}"
+        raise InputError(where, "", problem, f"use one of: {_list_units(unit)}")
+    _, factor, offset = unit_conversion(found, unit)
+    return factor * one.value + offset
+
+
+def _match_unit(text: str, wanted: str) -> str:
+    """The unit of the same dimension; capitals do not matter, except that mega is not milli."""
+    here = normalise_unit(text)
+    found = here if here and _is_convertible(here, wanted) else normalise_unit(text, wanted)
+    mega = text[:1] == "M" and found[:1] == "m" and text[1:].lower() == found[1:].lower() != ""
+    return "" if mega else found
+
+
+def _is_convertible(unit: str, wanted: str) -> bool:
+    try:
+        unit_conversion(unit, wanted)
+    except InputError:
+        return False
+    return True
+
+
+def _si_dimension(unit: str) -> str:
+    return unit_conversion(unit)[0] if unit else "1"
+
+
+def _list_units(unit: str) -> str:
+    shown = offered_units(unit)
+    return ", ".join(shown[:_MAX_SHOWN_UNITS]) + (" and others" if len(shown) > _MAX_SHOWN_UNITS else "")
+
+
+def _describe_wanted(unit: str) -> str:
+    """What is wanted."""
+    if not unit:
+        return "a number"
+    if unit == "1":
+        return "a number, or a percentage as 50%"
+    return f"a number, bare in {unit} or with a unit: {_list_units(unit)}"

@@ -1,0 +1,281 @@
+"""Prediction beside measurement, and the calibration of a rotor on one measured point.
+
+Errors are prediction over measurement less one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from mufly.errors import MuflyError
+from mufly.results import result
+from mufly.rotor.bemt import solve_rotor_batch, warn_reynolds_range
+from mufly.rotor.blading import Blading, ensure_blading
+from mufly.rotor.geometry import Rotor
+from mufly.rotor.rotor_solver import solve_system
+from mufly.rotor.rotor_system import (
+    Air,
+    OperatingCondition,
+    RotorSystem,
+    SolverMethod,
+    SystemSolution,
+    WakeSettings,
+)
+from mufly.units import RPM
+
+Array = NDArray[np.float64]
+
+
+@result(eq=False)
+class RotorMeasurements:
+    """Points of a test bench; :func:`mufly.bench.read_measurements` reads them from a file.
+
+    Attributes
+    ----------
+    pitch_rad, speed_rad_s, thrust_N, torque_Nm : (n,) arrays
+        Setting and result; torque is nan where it was not measured.
+    source : str
+        File or paper.
+    climb_m_s : (n,) array
+        Axial speed of the rotor through the air (m/s), as a propeller's in a tunnel; 0, for all points, is hover.
+    density_kg_m3 : float
+        Of the air at the bench, in which the loads are as given; nan where nobody said.
+    notes : tuple of str
+        What was passed over or taken for granted in the file, in words.
+    """
+
+    pitch_rad: Array
+    speed_rad_s: Array
+    thrust_N: Array
+    torque_Nm: Array
+    source: str
+    climb_m_s: Array = field(default_factory=lambda: np.zeros(1))
+    density_kg_m3: float = math.nan
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "climb_m_s", np.broadcast_to(self.climb_m_s, self.thrust_N.shape).copy())
+
+    @property
+    def axial(self) -> bool:
+        """Whether some points are no hover."""
+        return bool(np.any(self.climb_m_s != 0.0))
+
+    @property
+    def air(self) -> Air:
+        """The air at the bench; 1.2 kg/m3 where nobody said."""
+        return Air(density_kg_m3=self.density_kg_m3) if math.isfinite(self.density_kg_m3) else Air()
+
+    def select_points(self, index: NDArray[np.intp]) -> RotorMeasurements:
+        """Return the points with these positions."""
+        return RotorMeasurements(
+            self.pitch_rad[index], self.speed_rad_s[index], self.thrust_N[index], self.torque_Nm[index], self.source,
+            self.climb_m_s[index], self.density_kg_m3, self.notes,
+        )  # fmt: skip
+
+
+@result(eq=False, picture="mufly.rotor.rotor_pictures:comparison_picture")
+class MeasurementComparison:
+    """A prediction beside a measurement.
+
+    Attributes
+    ----------
+    measured : Measurements
+        The bench.
+    thrust_N, torque_Nm : (n,) arrays
+        Prediction.
+    thrust_error, torque_error : (n,) arrays
+        Prediction / measurement - 1; nan without a measurement.
+    calibrated : bool
+        True if the prediction was scaled to a measurement.
+    faults : tuple of str
+        Why a point has no prediction, for each point; empty where it has.
+    """
+
+    measured: RotorMeasurements
+    thrust_N: Array
+    torque_Nm: Array
+    thrust_error: Array
+    torque_error: Array
+    calibrated: bool
+    faults: tuple[str, ...] = ()
+
+    @property
+    def mean_thrust_error(self) -> float:
+        """Mean absolute error of thrust, over the points that have a prediction; nan if none has."""
+        known = np.isfinite(self.thrust_error)
+        return float(np.mean(np.abs(self.thrust_error[known]))) if known.any() else math.nan
+
+    @property
+    def mean_torque_error(self) -> float:
+        """Mean absolute error of torque; nan if none was measured."""
+        known = np.isfinite(self.torque_error)
+        return float(np.mean(np.abs(self.torque_error[known]))) if known.any() else math.nan
+
+    def __str__(self) -> str:
+        head = "calibrated on measurements" if self.calibrated else "not calibrated"
+        m = self.measured
+        lines = [
+            f"{m.source}: {head}",
+            "pitch_deg speed_rpm  thrust_N measured  error   torque_Nm measured  error"
+            + ("  axial_m_s" if m.axial else ""),
+        ]
+        for i in range(m.thrust_N.size):
+            torque = f"{self.torque_Nm[i]:9.5f}"
+            if np.isfinite(m.torque_Nm[i]):
+                torque += f" {m.torque_Nm[i]:8.5f} {100 * self.torque_error[i]:+5.1f}%"
+            lines.append(
+                f"{math.degrees(m.pitch_rad[i]):9.2f} {m.speed_rad_s[i] / RPM:9.0f} {self.thrust_N[i]:9.4f} "
+                f"{m.thrust_N[i]:8.4f} {100 * self.thrust_error[i]:+5.1f}% {torque}"
+                + (f" {m.climb_m_s[i]:8.2f}" if m.axial else "")
+            )
+        mean = f"mean absolute error: thrust {100 * self.mean_thrust_error:.1f} %"
+        if math.isfinite(self.mean_torque_error):
+            mean += f", torque {100 * self.mean_torque_error:.1f} %"
+        return "\n".join([*lines, mean])
+
+
+def compare_measurements(
+    blading: Blading | Rotor,
+    measurements: RotorMeasurements,
+    *,
+    air: Air | None = None,
+    method: SolverMethod = "bemt",
+    settings: WakeSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> MeasurementComparison:
+    """Predict every measured point.
+
+    Parameters
+    ----------
+    blading : Blading or Rotor
+        The rotor, the first of a batch.
+    measurements : Measurements
+        Points.
+    air : Air, optional
+        Density and viscosity at the bench; default the measurements'.
+    method : 'bemt' or 'wake'
+        Blade elements, or a wake a point (seconds each).
+    settings : WakeSettings, optional
+        Of the wakes.
+    progress : callable, optional
+        Of the wakes: points done, and points in all.
+
+    Thesis: Table 3.2; Fig. 3.15.
+    """
+    bench = measurements
+    case, gas = ensure_blading(blading), air or bench.air
+    faults = [""] * bench.thrust_N.size
+    warn_reynolds_range(case, np.zeros(bench.thrust_N.size, dtype=np.int64), bench.speed_rad_s, gas)
+    if method == "bemt":
+        out = solve_rotor_batch(
+            case, pitch_rad=bench.pitch_rad, speed_rad_s=bench.speed_rad_s, climb_m_s=bench.climb_m_s, air=gas
+        )
+        thrust, torque = out.thrust_N, out.torque_Nm
+    else:
+        thrust, torque = _predict_by_wake(case, bench, gas, settings, faults, progress)
+    return MeasurementComparison(
+        bench,
+        thrust,
+        torque,
+        _relative_error(thrust, bench.thrust_N),
+        _relative_error(torque, bench.torque_Nm),
+        case.is_calibrated,
+        tuple(faults),
+    )
+
+
+def _relative_error(value: Array, measured: Array) -> Array:
+    """Relative error; nan where what was measured is nan or 0, as the thrust of a fast climb may be."""
+    return value / np.where(measured == 0.0, math.nan, measured) - 1.0
+
+
+def _predict_by_wake(
+    case: Blading, bench: RotorMeasurements, air: Air, settings: WakeSettings | None, faults: list[str],
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Thrust and torque of every point, nan where its wake does not converge; why not goes into ``faults``."""
+    system, n = RotorSystem.single_rotor(case), bench.thrust_N.size
+    thrust, torque = np.full(n, np.nan), np.full(n, np.nan)
+    known: SystemSolution | None = None
+    # Neighbours in pitch and speed one after the other: each wake starts from the one before.
+    for done, k in enumerate(np.lexsort((bench.climb_m_s, bench.speed_rad_s, bench.pitch_rad)).tolist()):
+        if progress is not None:
+            progress(done, n)
+        point = OperatingCondition(
+            float(bench.pitch_rad[k]),
+            float(bench.speed_rad_s[k]),
+            climb_m_s=float(bench.climb_m_s[k]),
+            air=air,
+        )
+        now = solve_system(system, point, "wake", settings=settings, start=known)
+        if not now.converged and known is not None:
+            now = solve_system(system, point, "wake", settings=settings)
+        if now.converged:
+            known = now
+            thrust[k], torque[k] = now.rotors[0].thrust_N, now.rotors[0].torque_Nm
+        else:
+            faults[k] = now.message
+    if progress is not None:
+        progress(n, n)
+    return thrust, torque
+
+
+def calibrate_blading(
+    blading: Blading, measurements: RotorMeasurements, point: int = 0, *, air: Air | None = None
+) -> Blading:
+    """Scale lift and drag of all sections so that one measured point is met, as the dissertation did (sec. 3.3.1).
+
+    Two numbers are found: a factor on the lift coefficient that gives the thrust, then one on the drag
+    coefficient that gives the torque; the pair is repeated until both hold to 1e-6. Results of the blading
+    returned say ``calibrated``.
+
+    Parameters
+    ----------
+    blading : Blading
+        The rotor.
+    measurements : Measurements
+        The bench.
+    point : int
+        Which of its points.
+
+    Raises
+    ------
+    MuflyError
+        If no factors between 0.2 and 5 meet the point.
+    """
+    air = air or measurements.air
+    pitch, speed = measurements.pitch_rad[point], measurements.speed_rad_s[point]
+    wanted, climb = (
+        (measurements.thrust_N[point], measurements.torque_Nm[point]),
+        measurements.climb_m_s[point],
+    )
+    lift, drag = 1.0, 1.0
+
+    def scale_blading(lift: float, drag: float) -> Blading:
+        return replace(blading, corrections=replace(blading.corrections, lift_factor=lift, drag_factor=drag))
+
+    def relative_load_errors(lift: float, drag: float) -> tuple[float, float]:
+        out = solve_rotor_batch(scale_blading(lift, drag), pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=air)
+        return float(out.thrust_N / wanted[0] - 1.0), float(out.torque_Nm / wanted[1] - 1.0)
+
+    try:
+        for _ in range(30):
+            lift = brentq(lambda x, d=drag: relative_load_errors(x, d)[0], 0.2, 5.0, xtol=1e-10)
+            if math.isfinite(wanted[1]):
+                drag = brentq(lambda x, c=lift: relative_load_errors(c, x)[1], 0.2, 5.0, xtol=1e-10)
+            thrust_error, torque_error = relative_load_errors(lift, drag)
+            if abs(thrust_error) < 1e-6 and not abs(torque_error) > 1e-6:
+                return scale_blading(lift, drag)
+    except ValueError:
+        pass
+    raise MuflyError(
+        f"{measurements.source}: no factors on lift and drag between 0.2 and 5 meet point {point + 1} "
+        f"({math.degrees(pitch):g} deg, {speed / RPM:.0f} rpm); check the rotor and the units"
+    )

@@ -1,0 +1,100 @@
+"""Which section may a small blade have? Families of blades with probabilities, before any bench has spoken.
+
+The sections of hobby propellers are seldom told. What can be said beforehand is said here: how likely each family of
+blades is, and how camber and thickness (of the chord) are spread in it, as independent normal distributions. On the
+grid of four-digit sections :data:`CAMBER_GRID_PERCENT` by :data:`THICKNESS_GRID_PERCENT` that gives each section its
+probability,
+
+    p(m, t) = sum_f p_f exp(-((m - m_f) / s_f)^2 / 2 - ((t - t_f) / u_f)^2 / 2) / norm_f
+
+Thin ones are plates bent in the middle (camber at half the chord), thicker ones are bent before it. Whoever names an
+airfoil in a rotor file and calls it a guess has looked at the blade: that section keeps
+:data:`STATED_SECTION_PROBABILITY` of the probability.
+
+None of these numbers was fitted. They are what the makers say (APC: NACA 4412, Clark Y, for slow-flyers E63) and what
+such blades look like, written down with the 17 propellers of the benchmark known; docs/bemt.md lists them, and what
+they are worth on rotors.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mufly.errors import InputError
+from mufly.rotor.geometry import Rotor
+
+CAMBER_GRID_PERCENT, THICKNESS_GRID_PERCENT = (0, 2, 4, 6, 8), (3, 6, 9, 12)  # % of the chord
+STATED_SECTION_PROBABILITY = 0.5
+"""Probability of the section that a rotor file guesses."""
+ZERO_LIFT_PER_CAMBER = 2.0  # rad per chord: thin-airfoil theory, parabolic camber line
+DRAG_PER_THICKNESS = 2.0  # skin friction of a section of thickness t: 1 + 2 t (Hoerner, 1965, ch. II)
+
+
+class BladeFamily(NamedTuple):
+    """Probability among small blades; mean and deviation of camber and thickness, % of the chord; why."""
+
+    probability: float
+    camber_percent: tuple[float, float]
+    thickness_percent: tuple[float, float]
+    rationale: str
+
+
+BLADE_FAMILIES: dict[str, BladeFamily] = {
+    "apc": BladeFamily(
+        0.20, (4.0, 1.0), (11.0, 2.0), "APC's sport and electric blades: NACA 4412 and Clark Y, as APC says"
+    ),
+    "slow-flyer": BladeFamily(0.15, (5.0, 1.5), (5.0, 2.0), "wide, thin blades at low speed: E63 and its like"),
+    "gws": BladeFamily(0.15, (4.0, 2.0), (6.0, 2.5), "GWS's moulded blades: a cambered plate, flat below"),
+    "hobby": BladeFamily(0.25, (4.5, 2.5), (5.0, 2.5), "other moulded blades and thin shells of toys"),
+    "printed": BladeFamily(0.10, (3.5, 2.0), (8.0, 3.0), "printed ones: a section by name, layers on it"),
+    "machined": BladeFamily(0.15, (3.0, 2.0), (9.0, 3.0), "machined or laid up in moulds: a section by name"),
+}
+
+
+def section_probabilities(rotor: Rotor, family: str = "") -> list[tuple[tuple[str, ...], float]]:
+    """Sections that a blade may have, with their probabilities; the rotor file's own first.
+
+    Parameters
+    ----------
+    rotor : Rotor
+    family : str
+        One of :data:`BLADE_FAMILIES`; nothing: all of them by their probabilities.
+
+    Raises
+    ------
+    InputError
+        If there is no such family.
+    """
+    if family and family not in BLADE_FAMILIES:
+        raise InputError("section", "family", f"{family!r} is unknown", f"use one of: {', '.join(BLADE_FAMILIES)}")
+    chosen = [BLADE_FAMILIES[family]] if family else list(BLADE_FAMILIES.values())
+    camber, thickness = np.meshgrid(CAMBER_GRID_PERCENT, THICKNESS_GRID_PERCENT, indexing="ij")
+    total = np.zeros(camber.shape)
+    for one in chosen:
+        part = np.exp(
+            -0.5 * ((camber - one.camber_percent[0]) / one.camber_percent[1]) ** 2
+            - 0.5 * ((thickness - one.thickness_percent[0]) / one.thickness_percent[1]) ** 2
+        )
+        total += one.probability * part / part.sum()
+    total *= (1.0 - STATED_SECTION_PROBABILITY) / total.sum()
+    listed: dict[tuple[str, ...], float] = {
+        (_naca_name(m, t),): float(total[i, j])
+        for i, m in enumerate(CAMBER_GRID_PERCENT)
+        for j, t in enumerate(THICKNESS_GRID_PERCENT)
+    }
+    own = rotor.blade.airfoils
+    return list({own: listed.pop(own, 0.0) + STATED_SECTION_PROBABILITY, **listed}.items())
+
+
+def _naca_name(camber: int, thickness: int) -> str:
+    return f"naca{camber}{(5 if thickness < 5 else 4) if camber else 0}{thickness:02d}"
+
+
+GRID_STEP_STD = (
+    0.01 * (CAMBER_GRID_PERCENT[1] - CAMBER_GRID_PERCENT[0]) / math.sqrt(12.0),
+    0.01 * (THICKNESS_GRID_PERCENT[1] - THICKNESS_GRID_PERCENT[0]) / math.sqrt(12.0),
+)
+"""Deviation of camber and thickness (of the chord) between neighbours of the grid."""

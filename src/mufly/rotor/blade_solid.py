@@ -1,0 +1,550 @@
+"""A blade as a body: closed surfaces of triangles to print or to mesh, and stations out of such surfaces.
+
+Frame: the blade along x, its nose towards y, the shaft along z, thrust upwards; the pitch axis is the quarter chord.
+Lengths in m here, in mm in STL files, which know no unit.
+
+**Out.** A contour is laid at every station with points at the same shares of both sides (cosine spacing), mixed between
+stations as the polars are, opened at its tail to the thickness that can be printed, turned by the twist and moved to
+its radius; neighbours are joined by triangles, the ends closed between their two sides. Every edge then belongs to two
+triangles that run along it in opposite ways: watertight. The volume is that of the body (divergence theorem),
+V = sum a.(b x c) / 6.
+
+**In.** A plane x = r cuts a surface of triangles in closed lines. Of the one that lies nearest to y = 0 the two points
+furthest apart are nose and tail: chord, and twist. The nose is the thicker end at most stations, or, where both are as
+thick, the higher one.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import ArgumentError, InputError, MuflyError
+from mufly.rotor.geometry import Rotor, make_rotor
+from mufly.rotor.rotor_system import check_pitch
+from mufly.rotor.sections.airfoil import load_airfoil, split_sides
+from mufly.rotor.sections.polar_file import is_polar_file
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_POINTS_PER_SIDE = 40
+_SPAN_STATIONS = 60
+_MM_PER_M = 1e3
+_MIN_RADIUS_M, _MAX_RADIUS_M = 8e-3, 5.0  # m, between which mm are taken on trust
+_LENGTH_UNITS_M = {"m": 1.0, "in": 0.0254, "cm": 0.01, "mm": 1e-3, "um": 1e-6}
+_END_REGION, _THICKNESS_TOLERANCE = 0.15, 0.25  # of the chord; of the thickness there
+# Of the chord: longest blunt tail, and how far its corners lie apart along the chord.
+_BLUNT_TAIL_SIZE, _BLUNT_TAIL_TOLERANCE = 0.1, 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleSolid:
+    """Closed surfaces.
+
+    Attributes
+    ----------
+    points_m : (n, 3) array
+    triangles : (m, 3) array
+        Points of each, counter-clockwise seen from outside.
+    """
+
+    points_m: Array
+    triangles: Integers
+
+    @property
+    def volume_m3(self) -> float:
+        """What the surfaces enclose."""
+        a, b, c = (self.points_m[self.triangles[:, k]] for k in range(3))
+        return float(np.sum(a * np.cross(b, c)) / 6.0)
+
+    @property
+    def area_m2(self) -> float:
+        """Of the surfaces."""
+        a, b, c = (self.points_m[self.triangles[:, k]] for k in range(3))
+        return float(np.sum(np.linalg.norm(np.cross(b - a, c - a), axis=1)) / 2.0)
+
+    def count_open_edges(self) -> int:
+        """Edges that are not shared by two triangles which run along them in opposite ways; 0: watertight."""
+        t = self.triangles
+        ways = np.concatenate((t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]))
+        n = np.int64(self.points_m.shape[0])
+        there, back = ways[:, 0] * n + ways[:, 1], ways[:, 1] * n + ways[:, 0]
+        unique, count = np.unique(there, return_counts=True)
+        return int(np.sum(count != 1) + np.sum(~np.isin(back, unique)))
+
+
+def blade_contours(
+    rotor: Rotor,
+    *,
+    along: int = _SPAN_STATIONS,
+    per_side: int = _POINTS_PER_SIDE,
+    tail_m: float = 0.0,
+    pitch_rad: float = 0.0,
+) -> Array:
+    """Contours along a blade, from the cut-out to the tip.
+
+    Parameters
+    ----------
+    rotor : Rotor
+    along, per_side : int
+        Stations, and points on each side of a contour.
+    tail_m : float
+        Least thickness of the trailing edge; what a contour lacks is added, half above and half below, growing along
+        the chord.
+    pitch_rad : float
+        Added to the twist.
+
+    Returns
+    -------
+    (along, 2 per_side, 3) array
+        Points (m) from the tail along the upper side to the nose and back along the lower one.
+
+    Raises
+    ------
+    InputError
+        If a size is not possible, or a section has no contour.
+    """
+    if along < 2 or per_side < 8:
+        raise InputError(
+            "blade",
+            "stations",
+            f"{along} stations of 2 x {per_side} points are too few",
+            "give 2 and 8 at least",
+        )
+    check_pitch("blade", "pitch_rad", pitch_rad)
+    if not 0.0 <= tail_m < 0.5 * float(np.min(rotor.blade.chord.array())):
+        raise InputError("blade", "tail", f"is {_MM_PER_M * tail_m:g} mm", "give 0 to half the least chord")
+    t = np.linspace(0.0, math.pi, along)
+    cutout = float(rotor.hub_cutout)
+    x = cutout + (1.0 - cutout) * 0.5 * (1.0 - np.cos(t))
+    x = np.unique(np.concatenate((x, [s for s in rotor.blade.r_over_R.value if cutout < s < 1.0])))
+    x = x[np.concatenate(([True], np.diff(x) > 1e-6))]
+    cut = rotor.sections_at(x)
+    shapes = []
+    for name in cut.airfoil_names:
+        if is_polar_file(name):
+            raise InputError(name, "", "is a table of coefficients, no contour", "name an airfoil or a .dat file")
+        shapes.append(_resample_contour(load_airfoil(name).coordinates, per_side))
+    table = np.array(shapes)
+    contour = (1.0 - cut.second_weight)[:, None, None] * table[cut.first_airfoil] + cut.second_weight[
+        :, None, None
+    ] * table[cut.second_airfoil]
+    contour = contour * cut.chord_m[:, None, None]
+    # Heights at the tail: what is missing is added in proportion to the distance from the nose.
+    gap = np.maximum(tail_m - (contour[:, 0, 1] - contour[:, -1, 1]), 0.0)
+    side = np.where(np.arange(2 * per_side) < per_side, 0.5, -0.5)
+    contour[:, :, 1] += side * gap[:, None] * contour[:, :, 0] / cut.chord_m[:, None]
+    aft, up = contour[:, :, 0] - 0.25 * cut.chord_m[:, None], contour[:, :, 1]
+    theta = cut.twist_rad + pitch_rad
+    c, s = np.cos(theta)[:, None], np.sin(theta)[:, None]
+    out = np.empty((x.size, 2 * per_side, 3))
+    out[:, :, 0] = (x * rotor.radius_m)[:, None]
+    out[:, :, 1] = -aft * c - up * s
+    out[:, :, 2] = -aft * s + up * c
+    return out
+
+
+def _resample_contour(coordinates: Array, per_side: int) -> Array:
+    """A contour with points at the same shares of the chord on both sides: tail, upper side, nose, lower side, tail.
+
+    The nose stands once: the lower side begins a little behind it.
+    """
+    upper, lower = split_sides(coordinates)
+    x = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, per_side)))
+    below = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, per_side + 1)))[1:]
+    return np.concatenate(
+        (
+            np.column_stack((x, np.interp(x, *upper.T)))[::-1],
+            np.column_stack((below, np.interp(below, *lower.T))),
+        )
+    )
+
+
+def loft_solid(sections: Array) -> TriangleSolid:
+    """Join contours, (stations, points, 3), to a closed body; a sharp tail is one line of points."""
+    stations, around, _ = sections.shape
+    points = sections.reshape(-1, 3)
+    index = np.arange(stations * around).reshape(stations, around)
+    index[:, -1] = np.where(np.linalg.norm(sections[:, 0] - sections[:, -1], axis=1) < 1e-9, index[:, 0], index[:, -1])
+    if len({bool(v) for v in index[:, -1] == index[:, 0]}) > 1:  # some sharp, some blunt: two lines
+        index[:, -1] = np.arange(stations * around).reshape(stations, around)[:, -1]
+    a, b = index[:-1], index[1:]
+    follow = np.roll(index, -1, axis=1)
+    c, d = follow[1:], follow[:-1]
+    walls = np.concatenate((np.stack((a, b, c), -1).reshape(-1, 3), np.stack((a, c, d), -1).reshape(-1, 3)))
+    half = around // 2
+    caps = []
+    for ring, outwards in ((index[0], False), (index[-1], True)):
+        up, low = ring[:half][::-1], ring[half:]  # from nose to tail
+        strip = [(up[0], up[1], low[0])]
+        for k in range(half - 1):
+            strip.append((up[k + 1], low[k + 1], low[k]))
+            if k + 2 < half:
+                strip.append((up[k + 1], up[k + 2], low[k + 1]))
+        turned = np.array(strip)
+        caps.append(turned if outwards else turned[:, ::-1])
+    triangles = np.concatenate((walls, *caps))
+    real = (
+        (triangles[:, 0] != triangles[:, 1])
+        & (triangles[:, 1] != triangles[:, 2])
+        & (triangles[:, 2] != triangles[:, 0])
+    )
+    solid = TriangleSolid(points, triangles[real])
+    return solid if solid.volume_m3 > 0.0 else TriangleSolid(points, triangles[real][:, ::-1])
+
+
+def join_solids(solids: Sequence[TriangleSolid]) -> TriangleSolid:
+    """Several bodies as one list of triangles; they may overlap, as programs that slice for printers allow."""
+    starts = np.cumsum([0, *(s.points_m.shape[0] for s in solids)])
+    return TriangleSolid(
+        np.concatenate([s.points_m for s in solids]),
+        np.concatenate([s.triangles + k for s, k in zip(solids, starts[:-1], strict=True)]),
+    )
+
+
+def rotate_about_shaft(solid: TriangleSolid, angle_rad: float) -> TriangleSolid:
+    """Return a body turned about z."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return TriangleSolid(solid.points_m @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]), solid.triangles)
+
+
+def mirror_solid(solid: TriangleSolid) -> TriangleSolid:
+    """Return the body of a rotor that turns the other way."""
+    return TriangleSolid(solid.points_m * [1.0, -1.0, 1.0], solid.triangles[:, ::-1])
+
+
+def make_hub_solid(radius_m: float, bore_m: float, low_m: float, high_m: float, around: int = 96) -> TriangleSolid:
+    """A ring about the shaft, or a disc where the bore is 0."""
+    angle = 2.0 * math.pi * np.arange(around) / around
+    rim = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(around)))
+    inner = bore_m if bore_m > 0.0 else 0.25 * radius_m
+    rings = [
+        radius_m * rim + [0, 0, low_m], radius_m * rim + [0, 0, high_m], inner * rim + [0, 0, high_m],
+        inner * rim + [0, 0, low_m],
+    ]  # fmt: skip
+    points = np.concatenate(rings)
+    index = np.arange(4 * around).reshape(4, around)
+    follow = np.roll(index, -1, axis=1)
+    parts = []
+    for k in (0, 1, 2, 3) if bore_m > 0.0 else (0, 1, 3):
+        a, b, c, d = index[k], follow[k], follow[(k + 1) % 4], index[(k + 1) % 4]
+        parts += [np.column_stack((a, b, c)), np.column_stack((a, c, d))]
+    if bore_m <= 0.0:
+        points = np.concatenate((points, [[0, 0, high_m], [0, 0, low_m]]))
+        top, bottom = np.full(around, 4 * around), np.full(around, 4 * around + 1)
+        parts += [np.column_stack((index[2], follow[2], top)), np.column_stack((follow[3], index[3], bottom))]
+    return TriangleSolid(points, np.concatenate(parts))
+
+
+def write_stl(path: str | Path, solid: TriangleSolid, name: str = "mufly") -> None:
+    """Write a binary STL file in mm."""
+    corners = _MM_PER_M * solid.points_m[solid.triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.divide(normal, size, out=np.zeros_like(normal), where=size > 0.0)
+    table = np.zeros(corners.shape[0], dtype=[("v", "<f4", (4, 3)), ("a", "<u2")])
+    table["v"] = np.concatenate((normal[:, None], corners), axis=1)
+    head = f"{name}, mm".encode("ascii", "replace")[:80].ljust(80)
+    Path(path).write_bytes(head + struct.pack("<I", corners.shape[0]) + table.tobytes())
+
+
+def _import_build123d() -> Any:
+    try:
+        import build123d
+    except ImportError as error:
+        raise MuflyError(f"STEP needs build123d ({error}); pip install 'mufly[cad]'") from None
+    return build123d
+
+
+def write_step(path: str | Path, sections: Array) -> None:
+    """Write a blade as a STEP file in mm: contours, (stations, points, 3), splined on both sides and lofted.
+
+    Raises
+    ------
+    MuflyError
+        If build123d (the extra ``cad``) is not there, or makes no body of them.
+    """
+    cad = _import_build123d()
+    half = sections.shape[1] // 2
+    wires = []
+    for ring in _MM_PER_M * sections:
+        points = [tuple(p) for p in ring.tolist()]
+        sides_of = [cad.Spline(*points[:half]), cad.Spline(*points[half - 1 :])]
+        if math.dist(points[0], points[-1]) > 1e-6:
+            sides_of.append(cad.Line(points[-1], points[0]))
+        wires.append(cad.Wire(sides_of))
+    body = cad.Solid.make_loft(wires)
+    if not body.is_valid:
+        raise MuflyError("the stations make no valid body; give fewer stations")
+    if not cad.export_step(body, str(path)):
+        raise MuflyError(f"{path}: could not be written")
+
+
+def read_step(path: str | Path) -> Array:
+    """Triangles of a STEP file's bodies within 0.01 mm and 0.1 rad: corners, (n, 3, 3) array (m).
+
+    Raises
+    ------
+    MuflyError
+        If build123d (the extra ``cad``) is not there.
+    InputError
+        If the file holds no body.
+    """
+    where, cad = Path(path).name, _import_build123d()
+    if not Path(path).is_file():
+        raise InputError(where, "", "is not there", "give a STEP file")
+    try:
+        points, faces = cad.import_step(str(path)).tessellate(0.01, 0.1)
+    except Exception as error:  # OCP raises classes of its own
+        raise InputError(where, "", f"cannot be read ({error})", "give a STEP file of a body") from None
+    if not faces:
+        raise InputError(where, "", "holds no body", "give a STEP file of a body")
+    xyz = np.array([(p.X, p.Y, p.Z) for p in points])
+    return np.asarray(xyz[np.array(faces)] / _MM_PER_M, dtype=np.float64)
+
+
+def read_stl(path: str | Path, unit_m: float = 1e-3) -> Array:
+    """Read an STL file, binary or text: corners of its triangles, (n, 3, 3) array (m).
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    where = Path(path).name
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(where, "", f"cannot be read ({error.strerror})", "give an STL file") from error
+    remedy = "give an STL file"
+    if len(data) >= 84:
+        (count,) = struct.unpack_from("<I", data, 80)
+        if len(data) == 84 + 50 * count and count:
+            table = np.frombuffer(data, dtype=[("v", "<f4", (4, 3)), ("a", "<u2")], offset=84)
+            corners = table["v"][:, 1:].astype(np.float64)
+            if not np.isfinite(corners).all():
+                raise InputError(where, "", "has corners that are no numbers", remedy)
+            return unit_m * corners
+    try:
+        words = [line.split() for line in data.decode("utf-8").splitlines()]
+        rows = [[float(v) for v in w[1:4]] for w in words if w[:1] == ["vertex"]]
+    except ValueError:
+        rows = []
+    if not rows or len(rows) % 3 or any(len(r) != 3 for r in rows):
+        raise InputError(where, "", "is no STL file", remedy)
+    return unit_m * np.array(rows).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class BladeSlice:
+    """A blade cut at a radius.
+
+    Attributes
+    ----------
+    r_m, chord_m, twist_rad : float
+    contour : (n, 2) array
+        Over chord, Selig's order.
+    """
+
+    r_m: float
+    chord_m: float
+    twist_rad: float
+    contour: Array
+
+
+def slice_blade(corners_m: Array, r_m: Sequence[float] | Array) -> list[BladeSlice]:
+    """Cut a surface of triangles, (n, 3, 3), into stations; see the module docstring.
+
+    Radii that cut no closed line are left out.
+    """
+    lines = [(float(r), loop) for r in r_m if (loop := _slice_contour(corners_m, float(r))) is not None]
+    ends = [_farthest_points(loop) for _, loop in lines]
+    ahead = sum(_compare_end_thickness(loop, i, j) for (_, loop), (i, j) in zip(lines, ends, strict=True))
+    sign = 1.0 if ahead >= 0.0 else -1.0
+    out = []
+    for (r, loop), (i, j) in zip(lines, ends, strict=True):
+        flat = loop * [sign, 1.0]
+        if _signed_area(flat) > 0.0:  # nose to the right: over the upper side from tail to nose is clockwise
+            flat, i, j = flat[::-1], len(flat) - 1 - i, len(flat) - 1 - j
+        nose, tail = (i, j) if flat[i, 0] > flat[j, 0] else (j, i)
+        # A blunt tail's corners, one of which is the point furthest away: the chord ends between them.
+        edge = np.flatnonzero(
+            np.hypot(*(flat - flat[tail]).T) < _BLUNT_TAIL_SIZE * np.hypot(*(flat[tail] - flat[nose]))
+        )
+        edge = edge[
+            (flat[edge] - flat[nose]) @ (flat[tail] - flat[nose])
+            > (1.0 - _BLUNT_TAIL_TOLERANCE) * np.sum((flat[tail] - flat[nose]) ** 2)
+        ]
+        upper, lower = edge[np.argmax(flat[edge, 1])], edge[np.argmin(flat[edge, 1])]
+        end = 0.5 * (flat[upper] + flat[lower])
+        to_tail = end - flat[nose]
+        chord = float(np.hypot(*to_tail))
+        along, across = to_tail / chord, np.array([to_tail[1], -to_tail[0]]) / chord
+        moved = flat - flat[nose]
+        contour = np.roll(np.column_stack((moved @ along, moved @ across)) / chord, -upper, axis=0)
+        last = (lower - upper) % len(contour)
+        contour = contour[: last + 1] if last else np.concatenate((contour, contour[:1]))
+        out.append(BladeSlice(r, chord, math.atan2(-to_tail[1], -to_tail[0]), contour))
+    return out
+
+
+def _compare_end_thickness(loop: Array, i: int, j: int) -> float:
+    """Above 0 if the nose is the end with the greater y: it is the thicker one, or, of alike ends, the higher one."""
+    front, back = (i, j) if loop[i, 0] > loop[j, 0] else (j, i)
+    chord = loop[back] - loop[front]
+    size = float(np.hypot(*chord))
+    along, across = (
+        (loop - loop[front]) @ chord / size**2,
+        (loop - loop[front]) @ [chord[1], -chord[0]] / size**2,
+    )
+    first, last = (float(np.ptp(across[part])) for part in (along < _END_REGION, along > 1.0 - _END_REGION))
+    if abs(first - last) > _THICKNESS_TOLERANCE * max(first, last):
+        return math.copysign(1.0, first - last)
+    return math.copysign(1.0, -chord[1]) if chord[1] else 0.0
+
+
+def rotor_from_body(
+    path: str | Path,
+    *,
+    stations: int = 15,
+    unit_m: float | None = None,
+    folder: str | Path,
+    blades: int | None = None,
+    name: str = "",
+) -> tuple[Rotor, tuple[str, ...]]:
+    """Cut a blade, or a whole rotor of which a blade lies along x, into stations; contours become files in ``folder``.
+
+    Parameters
+    ----------
+    path : str or Path
+        STL or STEP file; the shaft along z through the origin, thrust upwards.
+    stations : int
+    unit_m : float, optional
+        Length of 1 in an STL file (m); a STEP file says it. Default: mm, if the radius is then that of a rotor.
+    folder : str or Path
+        For the contours, ``NAME-K.dat``, to which the rotor refers.
+    blades : int, optional
+        Default: 2.
+    name : str
+        Default: the file's.
+
+    Returns
+    -------
+    rotor : Rotor
+    notes : tuple of str
+        What was guessed.
+
+    Raises
+    ------
+    InputError
+        If the file holds no body, or no plane cuts a closed section.
+    """
+    where, called = Path(path).name, name or Path(path).stem
+    step = Path(path).suffix.lower() in (".step", ".stp")
+    corners = read_step(path) if step else read_stl(path, unit_m or 1.0 / _MM_PER_M)
+    radius = float(corners[:, :, 0].max())
+    if not radius > 0.0:
+        raise InputError(where, "", "has nothing at x > 0", "let the blade lie along x, the shaft along z")
+    share = np.linspace(0.05, 1.0, 200)[:-1]
+    found = {s.r_m: s for s in slice_blade(corners, radius * share)}
+    # The blade: where the section's nose and tail lie in front of and behind x, from the innermost such radius on.
+    good = [s for s in found.values() if s.chord_m < 0.6 * radius and float(np.ptp(s.contour[:, 1])) < 0.5]
+    if len(good) < 4:
+        raise InputError(where, "", "cuts into no closed sections along x", "give one closed blade along x")
+    if unit_m is None and not step and not _MIN_RADIUS_M <= radius <= _MAX_RADIUS_M:
+        written = _MM_PER_M * radius
+        likely = [
+            f"{u} (R {_MM_PER_M * f * written:.4g} mm)" for u, f in _LENGTH_UNITS_M.items() if 0.01 < f * written < 0.7
+        ]
+        raise ArgumentError(
+            "unit", "", f"is not known: {where} reaches {written:.4g} along x, in mm no rotor's radius",
+            f"say what one of it is, as unit={' or '.join(likely) or 'mm'}",
+        )  # fmt: skip
+    first = good[0].r_m
+    wanted = first + (0.995 * radius - first) * 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, stations)))
+    cut = slice_blade(corners, wanted)
+    files = []
+    for k, s in enumerate(cut):
+        file = Path(folder) / f"{called}-{k}.dat"
+        rows = "\n".join(f"{x:.6f} {y:.6f}" for x, y in _drop_duplicate_points(s.contour))
+        file.write_text(f"{called}, r {_MM_PER_M * s.r_m:.2f} mm\n{rows}\n", encoding="utf-8")
+        load_airfoil(file)
+        files.append(str(file))
+    x = np.array([s.r_m / radius for s in cut])
+    x[-1] = 1.0
+    notes = [f"{len(cut)} sections from {x[0]:.2f} R on, sweep and rake are left out"]
+    if blades is None:
+        notes.append("two blades; say --blades if it has others")
+    rotor = make_rotor(
+        name=called, radius_m=radius, chord_m=[s.chord_m for s in cut], twist_rad=[s.twist_rad for s in cut],
+        airfoils=files, r_over_R=x, blades=blades or 2, hub_cutout=float(x[0]), source="CAD",
+        description=f"cut from {where}",
+    )  # fmt: skip
+    return rotor, tuple(notes)
+
+
+def _drop_duplicate_points(contour: Array) -> Array:
+    """A contour without points that lie on each other."""
+    step = np.hypot(*np.diff(contour, axis=0).T)
+    return contour[np.concatenate(([True], step > 1e-5))]
+
+
+def _signed_area(loop: Array) -> float:
+    x, y = loop.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def _farthest_points(loop: Array) -> tuple[int, int]:
+    """The two points of a line that are furthest apart."""
+    apart = np.sum((loop[:, None] - loop[None]) ** 2, axis=2)
+    i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
+    return int(i), int(j)
+
+
+def _slice_contour(corners: Array, r: float) -> Array | None:
+    """The closed line (y, z) nearest to y = 0 in which the plane x = r cuts the triangles; None if there is none."""
+    side = corners[:, :, 0] > r
+    cut = np.flatnonzero(side.any(axis=1) & ~side.all(axis=1))
+    ends: list[tuple[Array, Array]] = []
+    for k in cut.tolist():
+        at = []
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            if side[k, i] != side[k, j]:
+                p, q = (corners[k, i], corners[k, j]) if side[k, i] else (corners[k, j], corners[k, i])
+                share = (r - p[0]) / (q[0] - p[0])
+                at.append((p + share * (q - p))[1:])
+        ends.append((at[0], at[1]))
+    if len(ends) < 8:
+        return None
+    scale = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
+    key = [tuple(np.round(p / (1e-7 * scale)).astype(np.int64).tolist()) for pair in ends for p in pair]
+    meets: dict[tuple[int, ...], list[int]] = {}
+    for k, name in enumerate(key):
+        meets.setdefault(name, []).append(k)
+    unused, best = set(range(len(ends))), None
+    while unused:
+        first = unused.pop()
+        chain, now = [ends[first][0], ends[first][1]], key[2 * first + 1]
+        while now != key[2 * first]:
+            after = next((k for k in meets[now] if k // 2 in unused), None)
+            if after is None:
+                break
+            unused.discard(after // 2)
+            other = after ^ 1
+            chain.append(ends[other // 2][other % 2])
+            now = key[other]
+        closed = now == key[2 * first] and len(chain) > 8
+        if closed:
+            loop = np.array(chain[:-1])
+            near = abs(float(loop[:, 0].mean()))
+            if best is None or near < best[0]:
+                best = (near, loop)
+    return None if best is None else best[1]

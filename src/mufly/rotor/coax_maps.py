@@ -1,0 +1,412 @@
+"""A coefficient map of a coaxial pair: every combination of mean speed, speed ratio and climb, one after the other.
+
+A point (s, r, m) of the map is the pair at
+
+    Omega_up = 2 s / (1 + r),    Omega_dw = r Omega_up,    V = m s R
+
+(:mod:`mufly.vehicle.coefficient_map` says why these three). Neighbours are solved one after the other, so that each
+starts from the inflow or the wake of the last one: the path turns round at the end of every row. Solved points are kept
+in a file beside the map as they come, and a run that is stopped goes on from there. Where the method gives no answer,
+as in descents in which the wakes blow back through the discs, a point takes the mean of its neighbours, from the known
+ones outwards, and is marked as not solved.
+
+Interpolation in a coefficient map: smooth enough to be linearised, quick enough for every Runge-Kutta stage.
+
+Over ratio and climb: Catmull-Rom cubics, which go through the points and have continuous slopes,
+
+    f(t) = f_0 + t (f_1 - f_-1)/2 + t^2 (f_-1 - 5/2 f_0 + 2 f_1 - f_2/2) + t^3 (3/2 (f_0 - f_1) + (f_2 - f_-1)/2)
+
+with the point that is missing beyond an edge on the line through the last two. Over the mean speed, where little
+changes, straight lines. Beyond its edges a map keeps the value that it has there.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.answer_store import AnswerLines, hash_question
+from mufly.errors import InputError, MuflyError
+from mufly.numba_cache import cached_njit
+from mufly.rotor.blading import Blading
+from mufly.rotor.rotor_solver import solve_system
+from mufly.rotor.rotor_system import (
+    VORTEX_RING_RANGE,
+    Air,
+    OperatingCondition,
+    RotorSystem,
+    SolverMethod,
+    SystemSolution,
+    VortexRingWarning,
+    WakeSettings,
+    check_pitch,
+)
+from mufly.vehicle import CoefficientMap, MapTables
+from mufly.vehicle.coefficient_map import MAP_NODES, format_table
+
+Array = NDArray[np.float64]
+MapPointValues = tuple[
+    float, float, float, float, bool
+]  # c_T, c_Q of upper and lower rotor; whether the method converged
+
+_MIN_SOLVED_SHARE = 0.5
+
+
+def map_climb_ratios(climb_m_s: Sequence[float], mean_speed_rad_s: Sequence[float], radius_m: float) -> Array:
+    """Return the climb axis of a map that holds these climb velocities (m/s) at every one of these mean speeds."""
+    return np.asarray(climb_m_s, dtype=np.float64) / (min(mean_speed_rad_s) * radius_m)
+
+
+def order_map_points(shape: tuple[int, int, int]) -> list[tuple[int, int, int]]:
+    """Return the points in an order in which each is a neighbour of the last."""
+    points: list[tuple[int, int, int]] = []
+    for k in range(shape[0]):
+        rows = range(shape[1]) if k % 2 == 0 else range(shape[1] - 1, -1, -1)
+        for j in rows:
+            # From fast climb, where wakes are washed away and settle at once, to descent, and back.
+            back = (len(points) // shape[2]) % 2 == 1
+            points += [(k, j, i) for i in (range(shape[2]) if back else range(shape[2] - 1, -1, -1))]
+    return points
+
+
+def compute_coax_map(
+    upper: Blading,
+    lower: Blading,
+    *,
+    spacing_m: float,
+    upper_pitch_rad: float,
+    lower_pitch_rad: float,
+    mean_speed_rad_s: Sequence[float],
+    ratio: Sequence[float],
+    climb_ratio: Sequence[float],
+    method: Literal["bemt", "wake"] = "bemt",
+    air: Air | None = None,
+    settings: WakeSettings | None = None,
+    name: str = "",
+    note: str = "",
+    kept: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> CoefficientMap:
+    """Compute a coefficient map.
+
+    Parameters
+    ----------
+    upper, lower : Blading
+        The first rotor of each is taken; both have the same radius.
+    spacing_m, upper_pitch_rad, lower_pitch_rad, air
+        As in :class:`mufly.rotor.RotorSystem` and :class:`mufly.rotor.OperatingCondition`.
+    mean_speed_rad_s, ratio, climb_ratio : sequences of float
+        Axes, evenly spaced and rising; see :class:`mufly.vehicle.MapTables` and :func:`map_climb_ratios`.
+    method : 'bemt' or 'wake'
+        Blade elements (milliseconds a point) or vortex wakes (seconds).
+    settings : WakeSettings, optional
+        Of the wake method.
+    name, note : str
+        Name of the map, and what else its ``settings`` shall say.
+    kept : Path, optional
+        File of solved points; a run that was stopped goes on from it, and it is deleted at the end.
+    progress : callable, optional
+        ``progress(done, total)`` after each point.
+
+    Returns
+    -------
+    CoefficientMap
+
+    Raises
+    ------
+    InputError
+        If the radii differ, an axis is not possible, ``kept`` holds another map's points, or the rotors cannot be
+        solved together.
+    MuflyError
+        If fewer than half of the points are solved.
+    """
+    radius = float(upper.rotors[0].radius_m)
+    if abs(lower.rotors[0].radius_m / radius - 1.0) > 1e-6:
+        raise InputError(
+            "coax map", lower.rotors[0].name, f"has R {1e3 * lower.rotors[0].radius_m:g} mm, the upper rotor "
+            f"{1e3 * radius:g} mm", "a vehicle's rotors have one radius: give two of the same",
+        )  # fmt: skip
+    gas = air or Air()
+    axes = tuple(np.asarray(a, dtype=np.float64) for a in (mean_speed_rad_s, ratio, climb_ratio))
+    _check_axes(axes)
+    shape = (axes[0].size, axes[1].size, axes[2].size)
+    how = (settings or WakeSettings()) if method == "wake" else None
+    about: dict[str, Any] = {
+        "method": method,
+        "upper": upper.rotors[0].name,
+        "lower": lower.rotors[0].name,
+        "radius_m": radius,
+        "spacing_m": spacing_m,
+        "upper_pitch_deg": round(math.degrees(upper_pitch_rad), 9),
+        "lower_pitch_deg": round(math.degrees(lower_pitch_rad), 9),
+        "density_kg_m3": gas.density_kg_m3,
+        "viscosity_Pa_s": gas.viscosity_Pa_s,
+        "settings": "; ".join(filter(None, [note, "" if how is None else _describe_wake_settings(how)])),
+    }
+    check_pitch("coax map", "pitch_rad", [upper_pitch_rad, lower_pitch_rad])
+    system = RotorSystem.coaxial_pair(upper, lower, spacing_m=spacing_m)
+    store: AnswerLines[MapPointValues] = AnswerLines(
+        kept, lambda row: (tuple(row[0]), tuple(row[1])), other=_WRONG_MAP_MESSAGE,
+        question=hash_question(about, *axes, _hash_bladings(upper, lower)),
+    )  # fmt: skip
+    points = order_map_points(shape)
+    values = np.full((*shape, 4), np.nan)
+    solved = np.zeros(shape, dtype=np.bool_)
+    reason = ""
+    last: SystemSolution | None = None
+    for done, point in enumerate(points):
+        if progress is not None:
+            progress(done, len(points))
+        answer = store.known.get(point)
+        if answer is None:
+            mean, r, m = (float(a[k]) for a, k in zip(axes, point, strict=True))
+            up = 2.0 * mean / (1.0 + r)
+            at = OperatingCondition((upper_pitch_rad, lower_pitch_rad), (up, r * up), None, m * mean * radius, gas)
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", VortexRingWarning)  # told by the description
+                    answer, last = _solve_map_point(system, at, method, how, last)
+            except InputError:
+                raise
+            except MuflyError as error:
+                reason, last = str(error), None
+                answer = (math.nan, math.nan, math.nan, math.nan, False)
+            store.add(point, answer, [point, answer])
+        values[point], solved[point] = answer[:4], answer[4] and np.all(np.isfinite(answer[:4]))
+    if progress is not None:
+        progress(len(points), len(points))
+    if np.mean(solved) < _MIN_SOLVED_SHARE:
+        store.discard()
+        raise MuflyError(
+            f"coax map: only {np.count_nonzero(solved)} of {solved.size} points are solved"
+            + (f" (last: {reason})" if reason else "; the wakes do not converge")
+            + "; ask for less descent, or for method 'bemt'"
+        )
+    values = _fill_unsolved(values, solved)
+    c = np.moveaxis(values, -1, 0)
+    tables = MapTables(axes[0], axes[1], axes[2], c[0], c[1], c[2], c[3], solved=solved)
+    made = CoefficientMap(
+        name=name or f"{about['upper']}-{about['lower']}-{method}",
+        description=f"{about['upper']} above {about['lower']}, {1e3 * spacing_m:g} mm apart, "
+        f"{about['upper_pitch_deg']:g} and {about['lower_pitch_deg']:g} deg, by {method}; "
+        f"{np.count_nonzero(solved)} of {solved.size} points solved" + _describe_vortex_ring(tables),
+        table=format_table(tables),
+        **about,
+    )
+    store.discard()
+    return made
+
+
+def _describe_vortex_ring(tables: MapTables) -> str:
+    """How many points sink into their own wake; the discs' two thrusts as one (Leishman 2006, Sec. 2.13.6)."""
+    ratio = tables.ratio[None, :, None]
+    up = 2.0 / (1.0 + ratio)  # upper speed over the mean
+    thrust = np.maximum(tables.cT_upper * up**2 + tables.cT_lower * (ratio * up) ** 2, 0.0)
+    sink = -tables.climb_ratio / np.sqrt(np.maximum(0.5 * thrust, 1e-12))
+    count = np.count_nonzero((sink > VORTEX_RING_RANGE[0]) & (sink < VORTEX_RING_RANGE[1]))
+    return f"; {count} sink into their own wake, means of swinging loads" if count else ""
+
+
+def _describe_wake_settings(how: WakeSettings) -> str:
+    return (
+        f"{how.model} wake, step {how.step_deg:g} deg, {how.turns:g} turns, tolerance {how.tolerance:g}, "
+        f"core {how.core:g}"
+    )
+
+
+def _check_axes(axes: Sequence[Array]) -> None:
+    for key, axis, least in zip(("mean speed", "ratio", "climb"), axes, (1, 2, 2), strict=True):
+        if axis.size < least:
+            raise InputError("coax map", key, f"has {axis.size} value", f"give {least} or more")
+        if not np.all(np.isfinite(axis)) or np.any(np.diff(axis) <= 0):
+            raise InputError("coax map", key, "does not rise", "give finite values, each above the last")
+        if key != "climb" and axis[0] <= 0:
+            raise InputError("coax map", key, f"{axis[0]:g} is not possible", "give numbers above 0")
+        if axis.size > 2 and np.ptp(np.diff(axis)) > 1e-6 * np.ptp(axis):
+            raise InputError("coax map", key, "is not evenly spaced", "give equal steps")
+    if not axes[2][0] <= 0.0 <= axes[2][-1]:
+        raise InputError("coax map", "climb", "leaves out 0, hover", "give a range that holds it")
+    nodes = math.prod(a.size for a in axes)
+    if nodes > MAP_NODES:
+        raise InputError("coax map", "", f"{nodes} points", f"take fewer ({MAP_NODES} at most)")
+
+
+def _solve_map_point(
+    system: RotorSystem,
+    condition: OperatingCondition,
+    method: SolverMethod,
+    settings: WakeSettings | None,
+    last: SystemSolution | None,
+) -> tuple[MapPointValues, SystemSolution | None]:
+    """Coefficients at a point, solved from the last one, or afresh where that leads nowhere; what the next starts from.
+
+    Raises
+    ------
+    MuflyError
+        If the method finds no answer.
+    """
+    for start in (last, None) if last is not None else (None,):
+        try:
+            pair = solve_system(system, condition, method, settings=settings, start=start)
+        except MuflyError as error:
+            if isinstance(error, InputError) or start is None:
+                raise
+            continue
+        if pair.converged:
+            break
+    a, b = pair.rotors
+    return (a.c_T, a.c_Q, b.c_T, b.c_Q, pair.converged), pair if pair.converged else None
+
+
+def _fill_unsolved(values: Array, solved: NDArray[np.bool_]) -> Array:
+    """Fill what is not solved with the mean of its neighbours along the three axes, from the known ones outwards."""
+    found = np.where(solved[..., None], values, np.nan)
+    known = solved.copy()
+    while not known.all():
+        total, count = np.zeros_like(found), np.zeros(known.shape)
+        for axis in range(3):
+            for shift in (1, -1):
+                to = [slice(None)] * 3
+                source = [slice(None)] * 3
+                to[axis], source[axis] = (slice(1, None), slice(None, -1))[::shift]
+                there = known[tuple(source)]
+                total[tuple(to)] += np.where(there[..., None], found[tuple(source)], 0.0)
+                count[tuple(to)] += there
+        new = ~known & (count > 0)
+        found[new] = total[new] / count[new][:, None]
+        known |= new
+    return found
+
+
+def _hash_bladings(*bladings: Blading) -> str:
+    """Hash of what is solved: blades and polars."""
+    parts: list[object] = []
+    for b in bladings:
+        parts += [b.r_m, b.chord_m, b.twist_rad, b.polars.grid, b.blades, repr(b.corrections)]
+    return hash_question(*parts)
+
+
+_WRONG_MAP_MESSAGE = (
+    "holds the points of another map that was stopped",
+    "go on with that one, delete this file, or write to another file",
+)
+
+
+@cached_njit(error_model="numpy")
+def _cubic_weights(x: float, n: int) -> tuple[int, float, float, float, float]:
+    """First of four neighbouring points, and their weights, at ``x`` in steps from the first point of ``n``."""
+    x = min(max(x, 0.0), n - 1.0)
+    i = min(int(x), n - 2)
+    t = x - i
+    a = t * (-0.5 + t * (1.0 - 0.5 * t))
+    b = 1.0 + t * t * (-2.5 + 1.5 * t)
+    c = t * (0.5 + t * (2.0 - 1.5 * t))
+    d = t * t * (-0.5 + 0.5 * t)
+    if i == 0:
+        b, c, a = b + 2.0 * a, c - a, 0.0
+    if i == n - 2:
+        c, b, d = c + 2.0 * d, b - d, 0.0
+    return i - 1, a, b, c, d
+
+
+@cached_njit(error_model="numpy")
+def interpolate_tables(
+    upper_t: Array,
+    upper_q: Array,
+    lower_t: Array,
+    lower_q: Array,
+    size: NDArray[np.int64],
+    start: Array,
+    per_step: Array,
+    mean: float,
+    ratio: float,
+    climb_ratio: float,
+) -> tuple[float, float, float, float]:
+    """Interpolate four tables at one point.
+
+    Parameters
+    ----------
+    upper_t, upper_q, lower_t, lower_q : (nodes,) arrays
+        Thrust and torque of upper and lower rotor, in the order of C over (mean speed, ratio, climb).
+    size : (3,) integer array
+    start, per_step : (3,) arrays
+        First value of each axis, and one over its step.
+    mean, ratio, climb_ratio : float
+        Where.
+
+    Returns
+    -------
+    upper thrust, upper torque, lower thrust, lower torque : float
+    """
+    ns, nr, nc = size[0], size[1], size[2]
+    s = min(max((mean - start[0]) * per_step[0], 0.0), ns - 1.0)
+    k0 = min(int(s), max(ns - 2, 0))
+    s -= k0
+    j0, ra, rb, rc, rd = _cubic_weights((ratio - start[1]) * per_step[1], nr)
+    i0, ca, cb, cc, cd = _cubic_weights((climb_ratio - start[2]) * per_step[2], nc)
+    # At the edges a neighbour is not there; its weight is zero, so any other will do.
+    i_a, i_b, i_c, i_d = max(i0, 0), i0 + 1, i0 + 2, min(i0 + 3, nc - 1)
+    ut = uq = lt = lq = 0.0
+    for k in range(2):
+        w = s if k == 1 else 1.0 - s
+        if w == 0.0:
+            continue
+        for j in range(4):
+            v = w * (ra if j == 0 else rb if j == 1 else rc if j == 2 else rd)
+            row = ((k0 + k) * nr + min(max(j0 + j, 0), nr - 1)) * nc
+            a, b, c, d = row + i_a, row + i_b, row + i_c, row + i_d
+            ut += v * (ca * upper_t[a] + cb * upper_t[b] + cc * upper_t[c] + cd * upper_t[d])
+            uq += v * (ca * upper_q[a] + cb * upper_q[b] + cc * upper_q[c] + cd * upper_q[d])
+            lt += v * (ca * lower_t[a] + cb * lower_t[b] + cc * lower_t[c] + cd * lower_t[d])
+            lq += v * (ca * lower_q[a] + cb * lower_q[b] + cc * lower_q[c] + cd * lower_q[d])
+    return ut, uq, lt, lq
+
+
+@lru_cache(maxsize=32)
+def pack_map_tables(coefficients: CoefficientMap) -> tuple[Any, ...]:
+    """Return the first seven arguments of :func:`interpolate_tables` for a map; the tables hold c_T and c_Q."""
+    t = coefficients.parse_tables()
+    axes = (t.mean_speed_rad_s, t.ratio, t.climb_ratio)
+    step = [float((a[-1] - a[0]) / (a.size - 1)) if a.size > 1 else np.inf for a in axes]
+    return (
+        t.cT_upper.ravel(), t.cQ_upper.ravel(), t.cT_lower.ravel(), t.cQ_lower.ravel(),
+        np.array(t.grid_shape, dtype=np.int64), np.array([float(a[0]) for a in axes]), 1.0 / np.array(step),
+    )  # fmt: skip
+
+
+def interpolate_map(
+    coefficients: CoefficientMap, mean_speed_rad_s: ArrayLike, ratio: ArrayLike, climb_ratio: ArrayLike
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Interpolate a map as the flight model does.
+
+    Parameters
+    ----------
+    coefficients : CoefficientMap
+    mean_speed_rad_s, ratio, climb_ratio : array_like
+        Points, broadcast against each other (shape ...); axes as in :class:`mufly.vehicle.MapTables`.
+
+    Returns
+    -------
+    values : (..., 4) array
+        c_T upper, c_Q upper, c_T lower, c_Q lower.
+    outside : (...) array of bool
+        True where a point lies beyond an edge of ratio or climb, or beyond the range of several mean speeds, and the
+        value of the edge is returned.
+    """
+    points = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (mean_speed_rad_s, ratio, climb_ratio)))
+    arguments = pack_map_tables(coefficients)
+    flat = zip(*(p.ravel().tolist() for p in points), strict=True)
+    values = np.array([interpolate_tables(*arguments, *point) for point in flat]).reshape(*points[0].shape, 4)
+    outside = np.zeros(points[0].shape, dtype=np.bool_)
+    for p, axis in zip(points, coefficients.parse_tables()[:3], strict=True):
+        if axis.size > 1:
+            slack = 1e-9 * float(axis[-1] - axis[0])
+            outside |= (p < axis[0] - slack) | (p > axis[-1] + slack)
+    return values, outside

@@ -1,0 +1,422 @@
+"""A bench run makes a rotor: which section fits, and what has to change in its coefficients.
+
+The sections of a blade are the least known part of it (docs/validation.md), so a run on a bench is asked for them. For
+each section that is possible the coefficients of its polar become
+
+    c_l = c_l0 (Re / Re_m)^a exp(l)        c_d = c_d0 (Re / Re_m)^b + (exp(d) - 1) c_d0(Re_m)        theta = theta_0 + p
+
+What the drag has more than its polar is thus the same at every Reynolds number: roughness, steps of printed layers,
+blunt edges and separation press on a section, they do not rub on it, and such drag hardly depends on it (Hoerner,
+Fluid-Dynamic Drag, 1965, ch. V). At least 0.3 c_d0 is left. Re_m is the geometric mean of the measured points' Reynolds
+numbers at 0.75 R, the ratio is kept within 0.2 and 5; ``p`` stands for the zero-lift angle, the pitch setting and the
+twist, which no bench can tell apart; ``l`` and ``d`` also for what the method itself gets wrong. With prior deviations
+s the five are found by least squares,
+
+    chi^2 = sum ((T - T_m) / (0.02 T_s))^2 + sum ((Q - Q_m) / (0.03 Q_s))^2 + sum (x / s)^2
+
+T_s, Q_s are the measured T_m, Q_m in hover. In axial flight, where thrust ends at some airspeed, they are at least 0.3
+of the greatest that was measured, brought to the point's speed by its square: what a balance misses there is a share of
+its range. With next to nothing induced where thrust ends, runs in a tunnel tell the angle from the lift.
+
+each time with the deviations of p, l and d as below, and with two and four times these, equally likely (Jeffreys' prior
+of a scale): some blades differ from any list by more than the list's doubts, and a prior that holds a fit off from a
+measured point would make less of the point than it says. The curvature H gives the covariance H^-1, times chi^2 of the
+points over their degrees of freedom where that is more than 1 (Birge, Phys. Rev. 40, 207, 1932). How probable a
+section, and a width, is follows from Laplace's approximation (MacKay, Neural Computation 4, 415, 1992): its prior times
+exp(-chi^2 / 2) / sqrt(det H).
+
+Priors, none of them fitted to a measurement: the pitch setting 0.5 degrees, and a section's camber, which moves the
+zero-lift angle by 2 rad a chord (thin airfoil, parabola): 0.3 % of the chord for a section that is known, 0.6 %
+between those of the list. Lift 4 % (engines of polars, docs/polars.md) and 5 % (method); drag 8 % and 8 %; exponents
+0.05 and 0.2. Sections that are guessed: :mod:`mufly.rotor.blade_families`. Hub cut-out and transition do to thrust and
+torque what lift, drag and their exponents do as well, and are left as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from mufly.errors import InputError, MuflyError
+from mufly.results import result
+from mufly.rotor.bemt import solve_rotor_batch
+from mufly.rotor.bench_comparison import RotorMeasurements
+from mufly.rotor.blade_families import GRID_STEP_STD, ZERO_LIFT_PER_CAMBER, section_probabilities
+from mufly.rotor.blading import Blading, Corrections, apply_section_fit, prepare_blading
+from mufly.rotor.geometry import Rotor, SectionCandidate, SectionFit, replace_rotor
+from mufly.rotor.rotor_system import Air
+from mufly.rotor.sections import polar_engines
+from mufly.rotor.sections.polar_engines import PolarEngine
+from mufly.rotor.sections.polar_table import PolarTable, stack_polars
+
+Array = NDArray[np.float64]
+
+FIT_PARAMETERS = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
+_SIGMA_THRUST, _SIGMA_TORQUE = 0.02, 0.03  # what a method misses of one point and not of the next
+_PRIOR_WIDTH_FACTORS = (1.0, 2.0, 4.0)  # factors on the deviations of pitch, lift and drag
+_MIN_AXIAL_SCALE = 0.3  # of T_s and Q_s in axial flight, of the greatest
+_DERIVATIVE_STEP = 1e-3  # of the prior deviations, for derivatives
+_MIN_CANDIDATE_PROBABILITY = 0.01  # candidates below this probability are left out of the file
+_UNINFORMED_STD_RATIO, _HIGH_CORRELATION = 0.8, 0.9
+
+
+@result(eq=False, picture="mufly.rotor.rotor_pictures:fit_picture")
+class RotorFit:
+    """What a bench run says about a rotor.
+
+    Attributes
+    ----------
+    rotor : Rotor
+        The rotor with it.
+    change, std, prior_std : (5,) arrays
+        Of the likeliest section: :data:`FIT_PARAMETERS` (rad, logarithms, exponents).
+    correlation : (5, 5) array
+    undecided : tuple of str
+        What the bench cannot tell, in words.
+    measured : Measurements
+    before, after : (2, n) arrays
+        Thrust and torque less the measured ones, over ``load_scales``: of the rotor as given, and of the fit.
+    size : (2, n) array
+        T_s (N) and Q_s (N m) of the module: in hover what was measured.
+    held_out : (2,) array
+        Mean size of that error at points that a fit did not see; nan where there are too few.
+    held_out_note : str
+        Which points these were.
+    air : Air
+        In which it was measured.
+    """
+
+    rotor: Rotor
+    change: Array
+    std: Array
+    prior_std: Array
+    correlation: Array
+    undecided: tuple[str, ...]
+    measured: RotorMeasurements
+    before: Array
+    after: Array
+    size: Array
+    held_out: Array
+    held_out_note: str
+    air: Air
+
+    @property
+    def fit(self) -> SectionFit:
+        """What stands in the rotor file."""
+        assert self.rotor.fit is not None
+        return self.rotor.fit
+
+
+@dataclass(frozen=True)
+class _BenchPoints:
+    """Points as the fit sees them."""
+
+    pitch_rad: Array
+    speed_rad_s: Array
+    climb_m_s: Array
+    measured_loads: Array  # (2, n) thrust, torque
+    load_scales: Array  # (2, n) T_s, Q_s
+    air: Air
+    reynolds: float
+
+
+@dataclass(frozen=True)
+class _FittedSection:
+    """One section, fitted."""
+
+    log_evidence: float
+    airfoils: tuple[str, ...]
+    change: Array
+    covariance: Array
+    scaled_errors: Array  # (2, n)
+    degrees_of_freedom: float
+    prior_std: Array
+
+
+def fit_rotor(
+    rotor: Rotor,
+    measurements: RotorMeasurements,
+    *,
+    section: Literal["guessed", "known"] = "guessed",
+    family: str = "",
+    air: Air | None = None,
+    n_crit: float = 0.1,
+    engine: PolarEngine = "neuralfoil",
+    corrections: Corrections | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> RotorFit:
+    """Find the sections of a rotor from measured points; one is enough, a sweep says more.
+
+    Parameters
+    ----------
+    rotor : Rotor
+        As it is believed to be; a fit that it holds already is left out.
+    measurements : Measurements
+        The bench, in hover or along the shaft, as in a tunnel.
+    section : 'guessed' or 'known'
+        Whether the airfoils of the rotor file are one guess among others, or known.
+    family : str
+        Of a guessed section: one of :data:`mufly.rotor.blade_families.BLADE_FAMILIES`, if it is known.
+    air, n_crit, engine, corrections
+        As for :func:`mufly.rotor.prepare_blading` and :func:`mufly.rotor.solve_rotor`.
+    progress : callable, optional
+        Sections done, and in all.
+
+    Raises
+    ------
+    InputError
+        If ``section`` is neither, or no point has thrust.
+    MuflyError
+        If no section comes near to the measurements.
+    """
+    if section not in ("guessed", "known"):
+        raise InputError("fit", "section", f"{section!r} is unknown", "use 'guessed' or 'known'")
+    if not np.nanmax(measurements.thrust_N) > 0.0:
+        raise InputError(measurements.source, "thrust", "is nowhere above 0", "give points with thrust")
+    plain, gas, fixes = (
+        rotor.model_copy(update={"fit": None}),
+        air or measurements.air,
+        corrections or Corrections(),
+    )
+    n = measurements.thrust_N.size
+    chord = float(rotor.chord_m(0.75))
+    wind = np.hypot(0.75 * rotor.radius_m * measurements.speed_rad_s, measurements.climb_m_s)
+    re = chord * wind * gas.density_kg_m3 / gas.viscosity_Pa_s
+    load = np.stack((measurements.thrust_N, measurements.torque_Nm))
+    bench = _BenchPoints(
+        measurements.pitch_rad,
+        measurements.speed_rad_s,
+        measurements.climb_m_s,
+        load,
+        _compute_load_scales(measurements, load),
+        gas,
+        float(np.exp(np.mean(np.log(re)))),
+    )
+    listed = section_probabilities(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
+    wide = _prior_deviations(known=section == "known")
+    tables = polar_engines.compute_polars({a for airfoils, _ in listed for a in airfoils}, n_crit=n_crit, engine=engine)
+    prepared = []
+    for done, (airfoils, share) in enumerate(listed):
+        if progress is not None:
+            progress(done, len(listed))
+        one = replace_rotor(plain, {"blade.airfoils": airfoils})
+        prepared.append((airfoils, share, prepare_blading(one, tables, corrections=fixes)))
+
+    def fit_subset(index: NDArray[np.intp]) -> list[_FittedSection]:
+        return _fit_sections(prepared, tables, wide, _select_points(bench, index))
+
+    everything = fit_subset(np.arange(n))
+    seen, note = _select_training_points(bench)
+    held = np.full(2, math.nan)
+    if seen.size:
+        unseen = np.setdiff1d(np.arange(n), seen)
+        best = fit_subset(seen)[0]
+        blading = next(b for a, _, b in prepared if a == best.airfoils)
+        errors = _compute_scaled_errors(blading, tables, best.change, _select_points(bench, unseen, bench.reynolds))
+        known = np.isfinite(errors)
+        held = np.array([np.mean(np.abs(e[k])) if k.any() else math.nan for e, k in zip(errors, known, strict=True)])
+    if progress is not None:
+        progress(len(listed), len(listed))
+    best = everything[0]
+    before = _compute_scaled_errors(
+        prepare_blading(plain, n_crit=n_crit, engine=engine, corrections=fixes), tables, np.zeros(5), bench
+    )
+    sigma = np.sqrt(np.diag(best.covariance))
+    correlation = best.covariance / np.outer(sigma, sigma)
+    weights = _section_probabilities(everything)
+    kept = [(f, w) for f, w in zip(everything, weights, strict=True) if w >= _MIN_CANDIDATE_PROBABILITY]
+    total = sum(w for _, w in kept)
+    fit = SectionFit(
+        bench=measurements.source,
+        points=n,
+        n_crit=n_crit,
+        reynolds=bench.reynolds,
+        pitch_rad=(float(bench.pitch_rad.min()), float(bench.pitch_rad.max())),
+        speed_rad_s=(float(bench.speed_rad_s.min()), float(bench.speed_rad_s.max())),
+        climb_ratio=_value_range(bench.climb_m_s / (rotor.radius_m * bench.speed_rad_s)),
+        scatter=_estimate_scatter(best),
+        candidates=tuple(
+            SectionCandidate(
+                airfoils=f.airfoils, probability=w / total, change=tuple(f.change.tolist()),
+                covariance=tuple(tuple(row) for row in f.covariance.tolist()),
+            )
+            for f, w in kept
+        ),
+    )  # fmt: skip
+    fitted_rotor = replace_rotor(plain, {"blade.airfoils": best.airfoils}).model_copy(update={"fit": fit})
+    return RotorFit(
+        fitted_rotor, best.change, sigma, best.prior_std, correlation,
+        _describe_undecided(sigma / best.prior_std, correlation, weights, everything),
+        measurements, before, best.scaled_errors, bench.load_scales, held, note, gas,
+    )  # fmt: skip
+
+
+def _prior_deviations(known: bool) -> Array:
+    """Prior standard deviations of :data:`FIT_PARAMETERS`."""
+    camber = 0.003 if known else GRID_STEP_STD[0]
+    pitch = math.hypot(math.radians(0.5), ZERO_LIFT_PER_CAMBER * camber)
+    return np.array([pitch, math.hypot(0.04, 0.05), math.hypot(0.08, 0.08), 0.05, 0.2])
+
+
+def _select_points(bench: _BenchPoints, index: NDArray[np.intp], reynolds: float | None = None) -> _BenchPoints:
+    return _BenchPoints(
+        bench.pitch_rad[index],
+        bench.speed_rad_s[index],
+        bench.climb_m_s[index],
+        bench.measured_loads[:, index],
+        bench.load_scales[:, index],
+        bench.air,
+        reynolds or bench.reynolds,
+    )
+
+
+def _value_range(values: Array) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _compute_load_scales(measurements: RotorMeasurements, load: Array) -> Array:
+    """T_s and Q_s of the module, (2, n)."""
+    square = np.square(measurements.speed_rad_s)
+    greatest = np.nanmax(np.where(np.isfinite(load), np.abs(load) / square, 0.0), axis=1)
+    least = np.where(measurements.climb_m_s != 0.0, _MIN_AXIAL_SCALE * greatest[:, None] * square, 0.0)
+    return np.asarray(np.maximum(np.abs(load), least), dtype=np.float64)
+
+
+def _select_training_points(bench: _BenchPoints) -> tuple[NDArray[np.intp], str]:
+    """Points that a fit is shown to see how it does at the others."""
+    n = bench.speed_rad_s.size
+    if n < 2:
+        return np.array([], dtype=np.intp), "one point alone cannot be checked on another"
+    order = np.lexsort((bench.climb_m_s, bench.speed_rad_s))
+    if n < 4:
+        return order[n // 2 : n // 2 + 1], "fitted to one point, checked on the others"
+    return np.sort(order[::2]), "fitted to every other point, checked on those between"
+
+
+def _apply_change(blading: Blading, tables: Mapping[str, PolarTable], change: Array, reynolds: float) -> Blading:
+    """What :func:`mufly.rotor.prepare_blading` makes of a rotor with this fit, without laying it out again."""
+    names = blading.rotors[0].airfoil_names()
+    polars = stack_polars([apply_section_fit(tables[name], change.tolist(), reynolds) for name in names])
+    return replace(blading, polars=polars, twist_rad=blading.twist_rad + change[0])
+
+
+def _compute_scaled_errors(
+    blading: Blading, tables: Mapping[str, PolarTable], change: Array, bench: _BenchPoints
+) -> Array:
+    """Errors of thrust and torque over their sizes, (2, n)."""
+    changed = _apply_change(blading, tables, change, bench.reynolds) if change.any() else blading
+    out = solve_rotor_batch(
+        changed,
+        pitch_rad=bench.pitch_rad,
+        speed_rad_s=bench.speed_rad_s,
+        climb_m_s=bench.climb_m_s,
+        air=bench.air,
+    )
+    return np.asarray(
+        (np.stack((out.thrust_N, out.torque_Nm)) - bench.measured_loads) / bench.load_scales, dtype=np.float64
+    )
+
+
+def _fit_sections(
+    prepared: Sequence[tuple[tuple[str, ...], float, Blading]],
+    tables: Mapping[str, PolarTable],
+    wide: Array,
+    bench: _BenchPoints,
+) -> list[_FittedSection]:
+    """Every section fitted, the likeliest first."""
+    size = np.repeat([_SIGMA_THRUST, _SIGMA_TORQUE], bench.speed_rad_s.size)
+    known = np.isfinite(bench.measured_loads.ravel())
+    found = []
+    widths = [wide * [f, f, f, 1.0, 1.0] for f in _PRIOR_WIDTH_FACTORS]
+    for airfoils, share, blading in prepared:
+        ended: Array | None = None
+        for wide in widths:
+
+            def weighted_residuals(z: Array, blading: Blading = blading, wide: Array = wide) -> Array:
+                off = _compute_scaled_errors(blading, tables, z * wide, bench).ravel() / size
+                return np.concatenate((off[known], z))
+
+            def residual_jacobian(z: Array, miss: Callable[[Array], Array] = weighted_residuals) -> Array:
+                # SciPy's steps are shares of z: next to z = 0 they drown in the solver's tolerance.
+                here = miss(z)
+                return np.stack(
+                    [(miss(z + step) - here) / _DERIVATIVE_STEP for step in _DERIVATIVE_STEP * np.eye(5)],
+                    axis=1,
+                )
+
+            if not np.isfinite(weighted_residuals(np.zeros(5))).all():
+                continue
+            solved = least_squares(weighted_residuals, np.zeros(5), jac=residual_jacobian, max_nfev=100)
+            # Near stall there may be two valleys, and the last digits of a polar, other on each processor, decide
+            # which one is met: so also from where the width before ended.
+            if ended is not None:
+                again = least_squares(weighted_residuals, ended / wide, jac=residual_jacobian, max_nfev=100)
+                solved = again if again.cost < solved.cost else solved
+            ended = solved.x * wide
+            jacobian = np.asarray(solved.jac, dtype=np.float64)
+            curvature, data = jacobian.T @ jacobian, jacobian[:-5]
+            inverse = np.linalg.inv(curvature)
+            freedom = float(known.sum() - np.trace(inverse @ data.T @ data))
+            chi2 = float(np.sum(solved.fun[:-5] ** 2))
+            birge = max(1.0, chi2 / freedom) if freedom > 0.5 else 1.0
+            evidence = math.log(share / len(widths)) - solved.cost - 0.5 * float(np.linalg.slogdet(curvature)[1])
+            found.append(
+                _FittedSection(
+                    evidence, airfoils, solved.x * wide, birge * inverse * np.outer(wide, wide),
+                    _compute_scaled_errors(blading, tables, solved.x * wide, bench), freedom, wide,
+                )
+            )  # fmt: skip
+    found.sort(key=lambda f: -f.log_evidence)
+    if not found or not np.nanmean(np.abs(found[0].scaled_errors[0])) < 0.25:
+        raise MuflyError(
+            "no section with any sensible change comes within 25 % of the measured thrust; check units, pitch, radius, "
+            "number of blades and the direction of the twist"
+        )
+    return found
+
+
+def _section_probabilities(found: Sequence[_FittedSection]) -> Array:
+    evidence = np.array([f.log_evidence for f in found])
+    weights = np.exp(evidence - evidence.max())
+    return np.asarray(weights / weights.sum(), dtype=np.float64)
+
+
+def _estimate_scatter(best: _FittedSection) -> tuple[float, float]:
+    """What one point may be off while its neighbour is not, from what the fit leaves."""
+    used = np.isfinite(best.scaled_errors).sum()
+    grow = math.sqrt(used / max(best.degrees_of_freedom, 1.0)) if used > 5 else 1.0
+    out = []
+    for errors, least in zip(best.scaled_errors, (_SIGMA_THRUST, _SIGMA_TORQUE), strict=True):
+        left = errors[np.isfinite(errors)]
+        out.append(max(least, grow * float(np.sqrt(np.mean(left**2))) if left.size else least))
+    return out[0], out[1]
+
+
+def _describe_undecided(
+    shrunk: Array, correlation: Array, weights: Array, found: Sequence[_FittedSection]
+) -> tuple[str, ...]:
+    words = [
+        f"the bench says little of {name}"
+        for name, s in zip(FIT_PARAMETERS, shrunk.tolist(), strict=True)
+        if s > _UNINFORMED_STD_RATIO
+    ]
+    words += [
+        f"{FIT_PARAMETERS[i]} and {FIT_PARAMETERS[j]} cannot be told apart (correlation {correlation[i, j]:+.2f})"
+        for i in range(5)
+        for j in range(i + 1, 5)
+        if abs(correlation[i, j]) > _HIGH_CORRELATION
+    ]
+    shares: dict[str, float] = {}
+    for f, weight in zip(found, weights.tolist(), strict=True):
+        name = "/".join(dict.fromkeys(f.airfoils))
+        shares[name] = shares.get(name, 0.0) + weight
+    if max(shares.values()) < 0.5:
+        several = ", ".join(sorted(shares, key=lambda name: -shares[name])[:4])
+        words.append(f"sections that would do as well: {several}")
+    return tuple(words)

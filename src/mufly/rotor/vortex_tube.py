@@ -1,0 +1,324 @@
+"""Two rotors by blade elements whose mean wakes carry each other away: coaxial pairs in tens of milliseconds.
+
+The mean wake of a rotor is a set of coaxial tubes of ring vortices that start at its disc. With m = F u the mean
+axial velocity that momentum theory gives an annulus of a rotor by itself, the tube that leaves between two annuli
+carries the step D of m there. A semi-infinite tube of radius R and step 1 moves the air at radius r and at z below
+its disc (above: z < 0) at (Callaghan and Maslen, NASA TN D-465, 1960; Branlard and Gaunaa, Wind Energy 18, 2015)
+
+    K(r, z; R) = [r < R] + z k / (2 pi sqrt(r R)) [K(k) + (R - r) / (R + r) Pi(n, k)]
+    k^2 = 4 r R / ((R + r)^2 + z^2),    n = 4 r R / (R + r)^2                     complete elliptic integrals
+
+On the axis that is 1 + z / sqrt(R^2 + z^2): 0 far above, 1 at the disc, 2 far below. At the edge it is much less
+above the disc, and outside the tube, below the disc, it is negative: air comes up round the edge of the stream.
+
+**Contraction.** Continuity on the axis narrows the tubes from r to s r, s(z) = 1 / sqrt(1 + z / sqrt(R^2 + z^2))
+below the disc. The field below is that of straight tubes at r / s. Streams do not cross: below the lower disc an
+annulus of the upper wake stays where it was among the tubes of the lower one.
+
+**Carried away.** Vorticity leaves the blades at a rate that the circulation sets; how densely it lies in the wake is
+that rate over the speed at which it is carried. So where the other rotor changes that speed from w_0 to w_0 + w, the
+step of the tube changes to D p, p = w_0 / (w_0 + w); where w < 0 (the tube lingers) p = 1 - w / w_0, its tangent, for
+want of theory. w_0 is the axial velocity of the rotor's own tubes there (mean of both sides) and of climb; w that of
+the other rotor's tubes and of the change p - 1 of its own. Each tube is cut into cells, each with its own p.
+
+**Rolled up.** What leaves a blade outside the greatest velocity of its stream rolls up into the tip vortex within a
+fraction of a turn: those tubes go together, with the mean of w_0 and of w weighted by their strength. The root vortex,
+which by itself would stand or rise, goes with the sheet beside it, as in the vortex wake.
+
+**What a blade meets**: the field of the other rotor's tubes at its disc and that of the change of its own; below an
+upper rotor also the turning of that one's stream, by lift and by profile drag
+(:func:`mufly.rotor.bemt.compute_slipstream`): r u stays on the way down, r becomes s r. Its own tubes as they would be
+alone are in the momentum balance.
+
+So the upper rotor hardly feels the lower one, as is measured: what the lower adds at the upper disc is nearly what
+the upper wake, carried away faster, no longer induces. No constant is fitted. Left out: the passing of blades, the
+way of the tip vortex to its place, mixing, and the lower rotor's pull on the contraction of the upper wake.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError, MuflyError
+from mufly.numba_cache import cached_njit
+from mufly.rotor.bemt import compute_slipstream, solve_rotor
+from mufly.rotor.rotor_system import Air, PlacedRotor, SystemSolution, WakeSettings
+
+Array = NDArray[np.float64]
+
+_MAX_TUBES = 8  # at most, besides the innermost
+_CELL_STARTS = np.array([0.0, 0.1, 0.25, 0.45, 0.75, 1.25, 2.0])  # of the cells of a tube, over R
+_CELL_MIDDLES = np.array([0.05, 0.175, 0.35, 0.6, 1.0, 1.6, 3.0])
+_POINTS_PER_PANEL = 3  # over a panel that meets a stream
+_MIN_SPEED_RATIO = 0.1  # of the greatest speed of the wake: what carries a tube at least, so that p stays finite
+_MAX_ITERATIONS, _RESTART_INTERVAL, _ANDERSON_MEMORY, _ANDERSON_MIXING = 200, 40, 12, 0.3
+_CONVERGENCE_TOLERANCE = 1e-5  # of the greatest induced velocity
+
+
+@cached_njit(error_model="numpy")
+def tube_velocity(r: float, z: float, radius: float) -> float:
+    """K of the module docstring: axial velocity of a semi-infinite vortex tube over that in its disc.
+
+    The two elliptic integrals are one of Bulirsch's, cel(k', p, a, b) (Numer. Math. 7, 1965), as Derby and Olbert use
+    it for solenoids (Am. J. Phys. 78, 2010).
+    """
+    if radius <= 0.0:
+        return 0.0
+    if r < 1e-6 * radius:
+        return 1.0 + z / math.hypot(radius, z)
+    if abs(r - radius) < 1e-6 * radius:
+        return 0.5 * (tube_velocity(r * (1.0 - 2e-6), z, radius) + tube_velocity(r * (1.0 + 2e-6), z, radius))
+    inside = 1.0 if r < radius else 0.0
+    if z == 0.0:
+        return inside
+    both = (radius + r) * (radius + r) + z * z
+    alpha = (radius - r) / (radius + r)
+    if abs(alpha) < 1e-7:
+        alpha = math.copysign(1e-7, alpha)
+    kc = math.sqrt(((radius - r) * (radius - r) + z * z) / both)
+    p, a, b, e, em = alpha * alpha, 1.0 + alpha, alpha * alpha + alpha, kc, 1.0
+    p = math.sqrt(p)
+    b /= p
+    k = kc
+    while True:
+        f = a
+        a += b / p
+        g = e / p
+        b = 2.0 * (b + f * g)
+        p += g
+        g = em
+        em += k
+        if abs(g - k) <= 1e-8 * g:
+            break
+        k = 2.0 * math.sqrt(e)
+        e = k * em
+    integral = 0.5 * math.pi * (b + a * em) / (em * (em + p))
+    return inside + z / (math.pi * math.sqrt(both)) * integral
+
+
+def tube_axis_speed(distance_m: float, radius_m: float) -> float:
+    """Speed on the axis of a tube over that in its disc, 0 to 2, at a distance below the disc."""
+    return 1.0 + distance_m / math.hypot(radius_m, distance_m)
+
+
+def wake_contraction(distance_m: float, radius_m: float) -> float:
+    """s of the module docstring: what becomes of a radius at a distance below the disc; 1 above it."""
+    return 1.0 / math.sqrt(tube_axis_speed(max(distance_m, 0.0), radius_m))
+
+
+@cached_njit(error_model="numpy")
+def _fill_cell_influence(out: Array, r: Array, z: Array, tubes: Array, starts: Array) -> None:
+    """Velocity at points (r, z) per step of each tube's cell between one depth and the next, the last one endless."""
+    for i in range(out.shape[0]):
+        for j in range(tubes.size):
+            above = tube_velocity(r[i], z[i] - starts[0], tubes[j])
+            for c in range(starts.size):
+                below = tube_velocity(r[i], z[i] - starts[c + 1], tubes[j]) if c + 1 < starts.size else 0.0
+                out[i, j * starts.size + c] = above - below
+                above = below
+
+
+def select_tube_edges(stations: int) -> NDArray[np.int64]:
+    """Which of the panel edges a tube leaves from."""
+    return np.unique(np.linspace(0, stations, min(stations, _MAX_TUBES) + 1).round().astype(np.int64))
+
+
+@lru_cache(maxsize=256)
+def _tube_influence(source: bytes, target: bytes, below_m: float) -> tuple[Array, Array]:
+    """Velocity per step of the source's cells: at the target's panels, and at the middles of its cells.
+
+    ``below_m``: how far the target stands below the source.
+    """
+    edges, at = np.frombuffer(source), np.frombuffer(target)
+    tubes, starts = edges[select_tube_edges(edges.size - 1)], float(edges[-1]) * _CELL_STARTS
+    own = float(at[-1])
+    narrow = wake_contraction(below_m, float(edges[-1]))
+    parts = (np.arange(_POINTS_PER_PANEL) + 0.5) / _POINTS_PER_PANEL
+    r = (at[:-1, None] + np.diff(at)[:, None] * parts).ravel()
+    disc = np.zeros((r.size, tubes.size * starts.size))
+    _fill_cell_influence(disc, r / narrow, np.full(r.size, below_m), tubes, starts)
+    disc = disc.reshape(at.size - 1, _POINTS_PER_PANEL, -1).mean(axis=1)
+    depth = own * _CELL_MIDDLES
+    follow = np.array([wake_contraction(min(d, max(-below_m, 0.0)), own) / narrow for d in depth])
+    leaving = at[select_tube_edges(at.size - 1)]
+    wake = np.zeros((leaving.size * depth.size, tubes.size * starts.size))
+    _fill_cell_influence(wake, np.outer(leaving, follow).ravel(), np.tile(below_m + depth, leaving.size), tubes, starts)
+    return disc, wake
+
+
+def _panel_edges_m(p: PlacedRotor) -> Array:
+    radius = p.blading.rotors[p.rotor_index].radius_m
+    return radius - np.concatenate((np.cumsum(p.blading.dr_m[p.rotor_index][::-1])[::-1], [0.0]))
+
+
+def _tube_strengths(area: Array, first: NDArray[np.int64], inflow: Array, loss: Array) -> Array:
+    """D of the module docstring; the annuli's ``area``, and the ``first`` one within each tube."""
+    mean = np.add.reduceat(inflow * loss * area, first) / np.add.reduceat(area, first)
+    return np.concatenate(([-mean[0]], mean[:-1] - mean[1:], [mean[-1]]))
+
+
+def _rollup_matrix(steps: Array) -> Array:
+    """Matrix, (tubes, tubes), from the velocities at which tubes would go to those at which they go; see above."""
+    count, tip = steps.size, 0
+    while tip < count and steps[count - 1 - tip] * steps[-1] > 0.0:
+        tip += 1
+    out = np.eye(count)
+    if tip > 1:
+        out[-tip:, -tip:] = steps[-tip:] / steps[-tip:].sum()
+    if tip < count - 1:
+        out[0, :2] = 0.0, 1.0
+    return out
+
+
+def axial_influence(r_m: Array, edge_m: float, narrow: float, at_m: Array, width_m: Array) -> Array:
+    """Matrix, (panels, stations), from what a rotor gives its stream to what panels find in it elsewhere.
+
+    Parameters
+    ----------
+    r_m : (stations,) array
+        Radii of the rotor's stations, over which it is linear.
+    edge_m, narrow : float
+        Radius of its disc; s, what becomes of a radius on the way.
+    at_m, width_m : (panels,) arrays
+        Radii and widths of the panels; one across the edge of the stream gets the part that lies inside.
+    """
+    inside = np.clip((narrow * edge_m - at_m) / width_m + 0.5, 0.0, 1.0)
+    place = np.interp(at_m / narrow, r_m, np.arange(r_m.size, dtype=np.float64))
+    first = np.minimum(place.astype(np.int64), r_m.size - 2)
+    part, row = place - first, np.arange(at_m.size)
+    read = np.zeros((at_m.size, r_m.size))
+    read[row, first], read[row, first + 1] = inside * (1.0 - part), inside * part
+    return read
+
+
+def swirl_influence(r_m: Array, edge_m: float, distance_m: float, at_m: Array, width_m: Array) -> Array:
+    """The same from moment of momentum r u (m^2/s) to u (m/s) at a distance below the disc.
+
+    r u stays on the way down, r becomes s r; inside the blades' roots there is none, nor does it mix.
+    """
+    s = wake_contraction(distance_m, edge_m)
+    read = axial_influence(r_m, edge_m, s, at_m, width_m)
+    out: Array = read * ((at_m >= s * r_m[0]) / at_m)[:, None]
+    return out
+
+
+def rotor_swirl_influence(source: PlacedRotor, target: PlacedRotor) -> Array:
+    """Matrix from the moment of momentum of a rotor's stream to the velocity against the motion of one below it."""
+    r, dr = target.blading.r_m[target.rotor_index], target.blading.dr_m[target.rotor_index]
+    edge, apart = source.blading.rotors[source.rotor_index].radius_m, source.height_m - target.height_m
+    return (
+        -source.rotation_sign
+        * target.rotation_sign
+        * swirl_influence(source.blading.r_m[source.rotor_index], edge, apart, r, dr)
+    )
+
+
+def solve_tubes(
+    rotors: tuple[PlacedRotor, ...],
+    climb_m_s: float,
+    air: Air,
+    settings: WakeSettings | None = None,
+    start: SystemSolution | None = None,
+    progress: Callable[[int, float, float], None] | None = None,
+) -> SystemSolution:
+    """Solve a pair in its place; :func:`mufly.rotor.solve_system` is the way to it. One rotor is blade elements alone.
+
+    Raises
+    ------
+    InputError
+        For three rotors or more.
+    MuflyError
+        If the wakes do not settle, as in descents in which they blow back through the discs.
+    """
+    if len(rotors) > 2:
+        raise InputError("rotor", "method", f"'tubes' solves pairs, not {len(rotors)} rotors", "use 'bemt'")
+
+    at: list[dict[str, Any]] = [
+        {
+            "pitch_rad": p.pitch_rad,
+            "speed_rad_s": p.speed_rad_s,
+            "climb_m_s": climb_m_s,
+            "air": air,
+            "which": p.rotor_index,
+        }
+        for p in rotors
+    ]
+
+    if len(rotors) == 1:
+        return SystemSolution((solve_rotor(rotors[0].blading, **at[0]),), rotors, climb_m_s, air, "tubes")
+    keys = [_panel_edges_m(p).tobytes() for p in rotors]
+    gap = rotors[0].height_m - rotors[1].height_m
+    own = [_tube_influence(k, k, 0.0) for k in keys]
+    other = [_tube_influence(keys[1], keys[0], -gap), _tube_influence(keys[0], keys[1], gap)]
+    stations = [p.blading.r_m.shape[1] for p in rotors]
+    sizes = [*stations, *(w[1].shape[0] for w in own)]
+    cuts, cells = np.cumsum(sizes)[:-1], _CELL_STARTS.size
+    annuli = [
+        (p.blading.r_m[p.rotor_index] * p.blading.dr_m[p.rotor_index], select_tube_edges(n)[:-1])
+        for p, n in zip(rotors, stations, strict=True)
+    ]
+    turned = rotor_swirl_influence(*rotors)
+    found: list[tuple[Array, Array, Array]] = []
+    met_by: list[tuple[Array, Array, Array]] = []
+
+    def iterate_streams(x: Array) -> Array:
+        """What the streams at the discs and p of all cells become."""
+        *streams, p0, p1 = np.split(x, cuts)
+        found.clear()
+        met_by.clear()
+        swirl = np.zeros(stations[0])
+        for k, (p, stream) in enumerate(zip(rotors, streams, strict=True)):
+            if k:
+                swirl = turned @ found[0][2]
+            met_by.append((stream, swirl, np.zeros_like(stream)))
+            found.append(compute_slipstream(p.blading, **at[k], stream=met_by[k], turns=k == 0))
+        bare = [_tube_strengths(*a, u, loss) for a, (u, loss, _) in zip(annuli, found, strict=True)]
+        steps = [np.repeat(s, cells) for s in bare]
+        thinned = []
+        for k, share in enumerate((p0, p1)):
+            together = _rollup_matrix(bare[k])
+            alone = (together @ (own[k][1] @ steps[k] + climb_m_s).reshape(-1, cells)).ravel()
+            alone = np.hypot(alone, _MIN_SPEED_RATIO * float(np.max(alone)) + 1e-9)
+            w = other[k][1] @ (steps[1 - k] * (p1, p0)[k]) + own[k][1] @ (steps[k] * (share - 1.0))
+            ratio = (together @ w.reshape(-1, cells)).ravel() / alone
+            thinned.append(np.where(ratio > 0.0, 1.0 / (1.0 + np.maximum(ratio, 0.0)), 1.0 - ratio))
+        met = [
+            other[k][0] @ (steps[1 - k] * thinned[1 - k]) + own[k][0] @ (steps[k] * (thinned[k] - 1.0)) for k in (0, 1)
+        ]
+        return np.concatenate((*met, *thinned))
+
+    x = np.concatenate((np.zeros(sum(stations)), np.ones(sum(sizes[2:]))))
+    if start is not None and [v.size for v in start.streams] == sizes:
+        x = np.concatenate(start.streams)
+    points: list[Array] = []
+    misses: list[Array] = []
+    for turn in range(1, _MAX_ITERATIONS + 1):
+        miss = iterate_streams(x) - x
+        size = sum(float(np.max(np.abs(u * loss))) for u, loss, _ in found)
+        far_off = float(np.max(np.abs(miss[: cuts[1]]))) / max(size, 1e-12)
+        if progress is not None:
+            progress(turn, far_off, math.nan)
+        if far_off <= _CONVERGENCE_TOLERANCE:
+            both = (solve_rotor(p.blading, **a, stream=m) for p, a, m in zip(rotors, at, met_by, strict=True))
+            return SystemSolution(
+                tuple(both), rotors, climb_m_s, air, "tubes", True, f"settled in {turn} turns", turn,
+                tuple(np.split(x, cuts)),
+            )  # fmt: skip
+        # Anderson's acceleration.
+        points, misses = [*points[-_ANDERSON_MEMORY + 1 :], x], [*misses[-_ANDERSON_MEMORY + 1 :], miss]
+        x = x + _ANDERSON_MIXING * miss
+        if turn % _RESTART_INTERVAL == 0:  # what it remembers may be of other branches of the polars
+            points, misses = [], []
+        if len(points) > 1:
+            bends, ways = np.diff(misses, axis=0).T, np.diff(points, axis=0).T
+            x = x - (ways + _ANDERSON_MIXING * bends) @ np.linalg.lstsq(bends, miss, rcond=1e-8)[0]
+    raise MuflyError(
+        f"coaxial: the two wakes do not settle at {climb_m_s:g} m/s climb; "
+        f"the stream still changes by {far_off:.1e} of itself a turn"
+    )

@@ -1,0 +1,62 @@
+"""The sum of :mod:`.kernel` on a GPU that CUDA knows, where there is one; off unless asked for.
+
+One thread a point; the segments pass through every thread. The arithmetic is that of the CPU's kernel, in double
+precision, so results agree to rounding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import cuda
+from numpy.typing import NDArray
+
+from mufly.errors import MuflyError
+from mufly.rotor.wake.biot_savart import segment_velocity
+
+Array = NDArray[np.float64]
+
+_THREADS_PER_BLOCK = 128
+
+
+def gpu_available() -> bool:
+    """True if Numba finds a CUDA device."""
+    try:
+        return bool(cuda.is_available())  # type: ignore[no-untyped-call]
+    except Exception:  # a broken driver is no GPU
+        return False
+
+
+_segment_velocity = cuda.jit(segment_velocity, device=True)  # type: ignore[no-untyped-call]
+
+
+@cuda.jit
+def _induce_kernel(points: Array, start: Array, end: Array, strength: Array, core: Array, out: Array) -> None:
+    i = cuda.grid(1)  # type: ignore[attr-defined]
+    if i >= points.shape[0]:
+        return
+    px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+    sx, sy, sz = 0.0, 0.0, 0.0
+    for k in range(start.shape[1]):
+        vx, vy, vz = _segment_velocity(
+            px, py, pz, start[0, k], start[1, k], start[2, k], end[0, k], end[1, k], end[2, k], core[k]
+        )
+        sx += strength[k] * vx
+        sy += strength[k] * vy
+        sz += strength[k] * vz
+    out[i, 0], out[i, 1], out[i, 2] = sx, sy, sz
+
+
+def induce_velocity_gpu(points: Array, segments: tuple[Array, Array, Array, Array]) -> Array:
+    """As :func:`mufly.rotor.wake.biot_savart.induce_velocity`.
+
+    Raises
+    ------
+    MuflyError
+        If there is no GPU.
+    """
+    if not gpu_available():
+        raise MuflyError("wake: no CUDA device was found; leave the gpu setting off")
+    out = cuda.device_array((points.shape[0], 3), dtype=np.float64)
+    inputs = [cuda.to_device(np.ascontiguousarray(a)) for a in (points, *segments)]
+    _induce_kernel[(points.shape[0] + _THREADS_PER_BLOCK - 1) // _THREADS_PER_BLOCK, _THREADS_PER_BLOCK](*inputs, out)
+    return np.asarray(out.copy_to_host())

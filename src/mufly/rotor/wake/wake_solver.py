@@ -1,0 +1,602 @@
+"""The wake method: one rotor, or two that turn against each other, with prescribed or free wakes.
+
+In steady hover or climb a rotor's wake stands still in the frame that turns with it. A filament's points there obey
+
+    dX/dzeta = (v(X) - V_climb z) / Omega  -  z x X          zeta: age, an angle; X = trailing edge at zeta = 0
+
+with v induced by every vortex of every blade (:mod:`.kernel`). The fixed point is found by relaxation: circulation of
+the blades (:mod:`.blade`), velocities at all points, integration along the filaments by the trapezium rule in a frame
+that turns with the age (so a rigid helix is exact), and a step of the points towards the result. The N blades of a
+rotor are one blade seen N times.
+
+Two rotors: each wake stands still in its own rotor's frame only, so what one rotor induces at the other's blades and
+wake is averaged over their relative azimuth; over a revolution the blades see just that. What the passing of blades
+adds to the mean is :func:`mufly.rotor.wake.induced_flow.compute_blade_passing`. The lower one meets the turning that
+profile drag left in the stream above it as well (:func:`drag_swirl_velocity`), which no vortex carries. A rotor that
+turns clockwise is solved as its mirror image.
+
+Cost of an iteration: (points of one blade) x (segments of all blades), quadratic in the number of wake elements.
+
+A rotor while it is being solved: its vortices, what they induce, and the circulation of its blades.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.rotor.bemt import build_rotor_result, drag_angular_momentum
+from mufly.rotor.rotor_system import (
+    Air,
+    LiftingSurface,
+    PlacedRotor,
+    RotorResult,
+    RotorWake,
+    SystemSolution,
+    WakeSettings,
+    check_rotors,
+)
+from mufly.rotor.vortex_tube import swirl_influence
+from mufly.rotor.wake.biot_savart import filament_influence, induce_velocity, make_segments
+from mufly.rotor.wake.lifting_surface import (
+    BladeState,
+    bound_influence,
+    chordwise_leg_points,
+    compute_core_radii,
+    compute_panel_loads,
+    extend_filaments,
+    free_wake_ages,
+    make_lifting_surface,
+    prescribe_landgrebe_wake,
+    rotate_vectors,
+    solve_circulation,
+    sum_over_blades,
+)
+
+Array = NDArray[np.float64]
+
+_STEADY_WINDOW = 10
+_SINGLE_CORE_LIMITS = (0.15, 0.25, 0.35)  # R; the next one is tried where a wake does not settle
+_PAIR_CORE_LIMITS = (0.2, 0.3, 0.4)
+_MEAN_WINDOW = 30  # iterations over which a wake that wanders is averaged
+_MAX_LOAD_FLUCTUATION = 0.02  # of the loads; a wake that moves them by more winds up
+_DAMPING_RAD = 4.0 * math.pi
+_INITIAL_CORE_LIMIT, _CORE_LIMIT_DECAY_ITERATIONS = (
+    0.4,
+    15.0,
+)  # core limit (R) at first; iterations in which it fades
+_FLUCTUATING_RESIDUAL_FACTOR = 2.0  # times the residual that a wake which wanders may have
+_MUTUAL_UPDATE_INTERVAL = (
+    3  # iterations between updates of what the other rotor does to the wake's points; it changes slowly
+)
+_SWIRL_RELAXATION = 0.3  # of the way to what it would be, every _LAG iterations
+_TYPICAL_BLADE_LOADING = 0.06  # c_T over solidity, before anything is known
+_MIN_GROUND_CLEARANCE = 0.05  # R: height above the ground below which no vortex comes
+_COARSE_CHORD_RAD = math.radians(15.0)  # of a wake whose mean over azimuths is wanted
+_MAX_POINT_STEP = 0.15  # R; a point never goes farther in one iteration
+_PRESCRIBED_ITERATIONS = 6  # iterations with Landgrebe's wake before the free wake is let go
+
+
+def _convect_filaments(unit: RotorState, velocity: Array, climb: float) -> tuple[Array, float]:
+    """Where the air takes the points, and how far the wake is from standing still.
+
+    The first is the integral along the filaments from the trailing edge; the second the mismatch of dX/dzeta and the
+    velocity over the velocity, root mean squares.
+    """
+    s = unit.surface
+    step = unit.free_ages_rad[1] - unit.free_ages_rad[0]
+    v = velocity / s.speed_rad_s
+    v[..., 2] -= climb / s.speed_rad_s
+    moved = 0.5 * step * (v[:, :-1] + rotate_vectors(v, step)[:, 1:])
+    out = np.empty_like(unit.free_points_m)
+    out[:, 0] = s.trailing_edge_m
+    for k in range(unit.free_ages_rad.size - 1):
+        out[:, k + 1] = rotate_vectors(out[:, k] + moved[:, k], -step)
+    still = unit.free_points_m[:, 1:] - rotate_vectors(unit.free_points_m[:, :-1] + moved, -step)
+    size = max(float(np.mean(np.sum(moved**2, axis=2))), 1e-30)
+    return out, math.sqrt(float(np.mean(np.sum(still**2, axis=2))) / size)
+
+
+def _limit_root_upwash(velocity: Array) -> None:
+    """Let a pair's root vortices go down no slower than the sheet beside them; velocities (edges, points, 3) in place.
+
+    Coils of a root vortex blow upwards through their middle, where hub and shaft are. With free air there the upper
+    rotor's settles in either of two ways: down, or up through its disc and away, as nothing can that a blade has shed
+    into air that comes down; the upper thrust is then 3 to 4 % higher.
+    """
+    velocity[0, :, 2] = np.minimum(velocity[0, :, 2], velocity[1, :, 2])
+
+
+def _thrust_coefficient(unit: RotorState, air: Air) -> float:
+    s = unit.surface
+    return unit.thrust_N / (air.density_kg_m3 * math.pi * s.radius_m**4 * s.speed_rad_s**2)
+
+
+def initialise_wakes(units: Sequence[RotorState], start: SystemSolution | None, climb: float) -> None:
+    """Give units the wakes of a similar solution, scaled, or prescribed ones."""
+    for k, unit in enumerate(units):
+        s = unit.surface
+        known = start.wakes[k] if start is not None and k < len(start.wakes) else None
+        if (
+            start is not None
+            and known is not None
+            and known.filament_paths_m.shape[0] == len(unit.free_points_m)
+            and (known.free_point_count == unit.free_ages_rad.size)
+        ):
+            free = known.filament_paths_m[
+                :, 1 : 2 + known.chords_per_step * (known.free_point_count - 1) : known.chords_per_step
+            ].copy()
+            free[..., 1] *= unit.placed.rotation_sign
+            free[..., 2] -= known.placed.height_m
+            unit.free_points_m = free * (s.radius_m / known.surface.radius_m)
+            gamma = known.bound_circulation_m2_s * (
+                s.speed_rad_s * s.radius_m**2 / (known.surface.speed_rad_s * known.surface.radius_m**2)
+            )
+            was = start.rotors[k]
+            faster = s.speed_rad_s * s.radius_m / (known.surface.speed_rad_s * known.surface.radius_m)
+            nu = start.air.viscosity_Pa_s / start.air.density_kg_m3
+            speed = faster * nu * was.reynolds / known.surface.chord_m
+            unit.blade_state = BladeState(gamma, was.alpha_rad, was.cl, was.cd, speed, True)
+            unit.free_points_m[:, 0] = s.trailing_edge_m
+        else:
+            sigma = s.blade_count * float(np.sum(s.chord_m * s.panel_width_m)) / (math.pi * s.radius_m**2)
+            unit.free_points_m = unit.lift_above_ground(
+                prescribe_landgrebe_wake(s, unit.free_ages_rad, _TYPICAL_BLADE_LOADING * sigma, None, climb)
+            )
+
+
+def solve_wake(
+    rotors: Sequence[PlacedRotor],
+    climb_m_s: float = 0.0,
+    air: Air | None = None,
+    settings: WakeSettings | None = None,
+    start: SystemSolution | None = None,
+    progress: Callable[[int, float, float], None] | None = None,
+) -> SystemSolution:
+    """Solve one rotor, or two around each other, in their places; :func:`mufly.rotor.solve_system` is the way to it.
+
+    Parameters
+    ----------
+    rotors : sequence of Placed
+        One, or two with opposite hands and different heights.
+    climb_m_s : float
+        Axial speed through the air, positive in climb.
+    air : Air, optional
+    settings : WakeSettings, optional
+    start : Result, optional
+        A similar result to start from, if it has wakes; saves iterations.
+    progress : callable, optional
+        Called with iteration, residual and thrust (N) of all rotors.
+
+    Raises
+    ------
+    InputError
+        If the rotors cannot be: no speed, the same place, the same sense of rotation, blades without chord.
+
+    Notes
+    -----
+    A solution that does not converge is returned, marked so, with its history.
+    """
+    gas, how = air or Air(), settings or WakeSettings()
+    start = start if start is not None and start.wakes else None
+    check_rotors(rotors, climb_m_s)
+    if how.ground_m is not None:
+        how = replace(how, far_turns=min(how.far_turns, max(_turns_to_ground(how.ground_m, rotors) - how.turns, 1.0)))
+    if how.core_limit is not None or how.model == "prescribed":
+        how = replace(how, core_limit=how.core_limit if how.core_limit is not None else _SINGLE_CORE_LIMITS[0])
+        return _solve_with_core_limit(rotors, gas, climb_m_s, how, start, progress)
+    limits: tuple[float, ...] = _SINGLE_CORE_LIMITS if len(rotors) == 1 else _PAIR_CORE_LIMITS
+    if start is not None and start.settings is not None and start.settings.core_limit in limits:
+        limits = limits[limits.index(start.settings.core_limit) :]
+    for limit in limits:
+        solution = _solve_with_core_limit(rotors, gas, climb_m_s, replace(how, core_limit=limit), start, progress)
+        if solution.converged:
+            break
+        start = None
+    return solution
+
+
+def _turns_to_ground(ground_m: float, rotors: Sequence[PlacedRotor]) -> float:
+    """Turns after which Landgrebe's tip vortex of the lowest rotor is on the ground, at a usual loading.
+
+    Below, helices would lie on the ground one on the other, and the wake does not settle.
+    """
+    lowest = min(rotors, key=lambda p: p.height_m)
+    rotor = lowest.blading.rotors[lowest.rotor_index]
+    per_turn = 2.0 * math.pi * 1.41 * math.sqrt(0.5 * _TYPICAL_BLADE_LOADING * rotor.solidity) * rotor.radius_m
+    return (ground_m + lowest.height_m) / per_turn
+
+
+def _solve_with_core_limit(
+    rotors: Sequence[PlacedRotor], gas: Air, climb_m_s: float, how: WakeSettings, start: SystemSolution | None,
+    progress: Callable[[int, float, float], None] | None,
+) -> SystemSolution:  # fmt: skip
+    """Solve with one core limit, from a similar solution or from a prescribed wake."""
+    nu = gas.viscosity_Pa_s / gas.density_kg_m3
+    units = [RotorState(p, how) for p in rotors]
+    initialise_wakes(units, start, climb_m_s)
+    free = how.model == "free"
+    history: list[list[float]] = []
+    message, converged, residual = "", False, math.inf
+    limit = how.core_limit or 0.0
+    for turn in range(how.iterations):
+        # Thick cores first: a wake that is still far off would otherwise wind itself up.
+        now = replace(
+            how,
+            core_limit=limit
+            + max(_INITIAL_CORE_LIMIT - limit, 0.0) * math.exp(-turn / _CORE_LIMIT_DECAY_ITERATIONS) * (start is None),
+        )
+        for unit in units:
+            unit.build_filaments(now, nu)
+        for unit in units:
+            others = np.zeros_like(unit.evaluation_points_m)
+            for source in units:
+                if source is not unit and source.blade_state is not None:
+                    others += mutual_inflow(unit, source, unit.evaluation_points_m, how.phases)
+                    if turn % _MUTUAL_UPDATE_INTERVAL == 0:
+                        left = drag_swirl_velocity(unit, source, climb_m_s, how.phases)
+                        # Slowly, or it chases a wake that is still moving.
+                        unit.swirl_velocity_m_s += (_SWIRL_RELAXATION if unit.swirl_velocity_m_s.any() else 1.0) * (
+                            left - unit.swirl_velocity_m_s
+                        )
+                    others += unit.swirl_velocity_m_s
+            solve_blade_loads(unit, others, gas, climb_m_s, how)
+            unit.update_segments(now, nu)
+        residuals = []
+        for unit in units:
+            if free and turn >= _PRESCRIBED_ITERATIONS * (start is None):
+                points = unit.free_points_m.reshape(-1, 3)
+                if len(units) > 1 and (unit.mutual_velocity_m_s is None or turn % _MUTUAL_UPDATE_INTERVAL == 0):
+                    other = units[0] if unit is units[1] else units[1]
+                    unit.mutual_velocity_m_s = mutual_inflow(unit, other, points, how.phases)
+                v = unit.induced_velocity(points)
+                if unit.mutual_velocity_m_s is not None:
+                    v += unit.mutual_velocity_m_s
+                    if unit.thrust_N > 0.0:  # else its coils blow the other way
+                        _limit_root_upwash(v.reshape(unit.free_points_m.shape))
+                aim, far_off = _convect_filaments(unit, v.reshape(unit.free_points_m.shape), climb_m_s)
+                aim = unit.lift_above_ground(aim)
+                part = how.relaxation / (1.0 + unit.free_ages_rad / (_DAMPING_RAD))
+                step = part[:, None] * (aim - unit.free_points_m)
+                length = np.linalg.norm(step, axis=2, keepdims=True)
+                step *= np.minimum(1.0, _MAX_POINT_STEP * unit.surface.radius_m / np.maximum(length, 1e-300))
+                unit.next_free_points_m = unit.free_points_m + step
+            else:
+                assert unit.blade_state is not None
+                c_T = _thrust_coefficient(unit, gas)
+                aim = prescribe_landgrebe_wake(
+                    unit.surface, unit.free_ages_rad, c_T, unit.blade_state.circulation_m2_s, climb_m_s
+                )
+                aim = unit.lift_above_ground(aim)
+                unit.next_free_points_m = unit.free_points_m + 0.4 * (aim - unit.free_points_m)
+                far_off = math.sqrt(np.mean(np.sum((aim - unit.free_points_m) ** 2, axis=2))) / unit.surface.radius_m
+                far_off += 10.0 * free  # not yet the wake that was asked for
+            residuals.append(far_off)
+        residual = float(max(residuals))
+        history.append([residual, *(x for u in units for x in (u.thrust_N, u.torque_Nm))])
+        if progress is not None:
+            progress(turn + 1, residual, sum(u.thrust_N for u in units))
+        message = _divergence_message(history, how)
+        if message:
+            break
+        if turn > 3.0 * _CORE_LIMIT_DECAY_ITERATIONS * (start is None):
+            converged = residual <= how.residual and _is_steady(history, how.tolerance)
+            if converged:
+                message = f"converged after {turn + 1} iterations, core limit {limit:g} R"
+                break
+            from_here = history[round(3.0 * _CORE_LIMIT_DECAY_ITERATIONS) * (start is None) :]
+            converged = residual <= _FLUCTUATING_RESIDUAL_FACTOR * how.residual and _is_steady_in_mean(
+                from_here, how.tolerance
+            )
+            if converged:
+                wander = 100.0 * _load_spread(history, 2 * _MEAN_WINDOW)
+                message = (
+                    f"converged in the mean after {turn + 1} iterations, loads wander by {wander:.2f} %, "
+                    f"core limit {limit:g} R"
+                )
+                break
+        for unit in units:
+            unit.free_points_m = unit.next_free_points_m
+    else:
+        message = (
+            f"not converged in {how.iterations} iterations: the wake misses the air by {100 * residual:.1f} % of its "
+            f"velocity, thrust or torque moves by {100 * _load_spread(history):.2f} %"
+        )
+    return SystemSolution(
+        rotors=tuple(make_rotor_result(u, gas, climb_m_s) for u in units),
+        placed=tuple(rotors),
+        climb_m_s=climb_m_s,
+        air=gas,
+        method="wake",
+        converged=converged,
+        message=message,
+        iterations=len(history),
+        wakes=tuple(make_rotor_wake(u) for u in units),
+        settings=how,
+        residual=residual,
+        history=np.array(history),
+    )
+
+
+def _load_spread(history: list[list[float]], memory: int = _STEADY_WINDOW) -> float:
+    """Greatest change of a thrust or torque over the last iterations, over the mean's size."""
+    last = np.array(history[-memory:])[:, 1:]
+    middle = np.abs(last.mean(axis=0)) + 1e-3 * np.abs(last).max() + 1e-300
+    return float(np.max((last.max(axis=0) - last.min(axis=0)) / middle))
+
+
+def _is_steady(history: list[list[float]], tolerance: float) -> bool:
+    return len(history) >= _STEADY_WINDOW and _load_spread(history) <= tolerance
+
+
+def _is_steady_in_mean(history: list[list[float]], tolerance: float) -> bool:
+    """True if the wake only wanders: two windows have the same means, the loads of now are those means.
+
+    Old vortices pair and part for ever, in a real wake as in this one; the loads of each iteration then lie about means
+    that do not depend on how far points go in an iteration.
+    """
+    if len(history) < 2 * _MEAN_WINDOW or _load_spread(history, 2 * _MEAN_WINDOW) > _MAX_LOAD_FLUCTUATION:
+        return False
+    last = np.array(history[-2 * _MEAN_WINDOW :])[:, 1:]
+    mean = last.mean(axis=0)
+    size = np.abs(mean) + 1e-3 * np.abs(last).max() + 1e-300
+    apart = np.abs(last[:_MEAN_WINDOW].mean(axis=0) - last[_MEAN_WINDOW:].mean(axis=0)) / size
+    return bool(np.all(apart <= tolerance) and np.all(np.abs(last[-1] - mean) <= 0.5 * tolerance * size))
+
+
+def _divergence_message(history: list[list[float]], how: WakeSettings) -> str:
+    now = np.array(history[-1])
+    if not np.all(np.isfinite(now)) or now[0] > 1e3:
+        return f"diverged in iteration {len(history)}: the history is kept"
+    return ""
+
+
+class RotorState:
+    """A rotor while it is being solved, in its own frame: counter-clockwise, hub at the origin."""
+
+    def __init__(self, placed: PlacedRotor, settings: WakeSettings) -> None:
+        self.placed = placed
+        self.surface = make_lifting_surface(placed.blading, placed.rotor_index, placed.pitch_rad, placed.speed_rad_s)
+        s = self.surface
+        n = s.chord_m.size
+        self.induce_function = induce_velocity
+        if settings.gpu:
+            from mufly.rotor.wake.biot_savart_gpu import induce_velocity_gpu
+
+            self.induce_function = induce_velocity_gpu
+        self.free_ages_rad = free_wake_ages(settings.turns, math.radians(settings.step_deg))
+        self.chords_per_step = max(round(settings.step_deg / settings.chord_deg), 1)
+        self.free_points_m = np.empty((n + 1, self.free_ages_rad.size, 3))
+        ground = math.inf if settings.ground_m is None else settings.ground_m
+        self.ground_z_m = -(ground + placed.height_m)
+        self.evaluation_points_m = np.concatenate([s.control_points_m, s.quarter_chord_m, chordwise_leg_points(s)])
+        self.bound_influence_matrix = self.add_ground_image(self.evaluation_points_m, lambda p: bound_influence(s, p))
+        # Circulation of the filament at edge j, towards the wake: what the inboard panel brings less the next one's.
+        self.shed_matrix = np.zeros((n + 1, n))
+        self.shed_matrix[np.arange(n), np.arange(n)] = -1.0
+        self.shed_matrix[np.arange(1, n + 1), np.arange(n)] = 1.0
+        self.blade_state: BladeState | None = None
+        self.quarter_chord_wind_m_s = np.zeros((n, 3))
+        self.next_free_points_m = self.free_points_m
+        self.mutual_velocity_m_s: Array | None = None  # velocity at the free points
+        self.swirl_velocity_m_s = np.zeros_like(self.evaluation_points_m)  # of the other rotor's profile drag
+        self.thrust_N, self.torque_Nm = 0.0, 0.0
+        self.panel_thrust_N, self.panel_torque_Nm = np.zeros(n), np.zeros(n)
+
+    def add_ground_image(self, points: Array, velocity: Callable[[Array], Array]) -> Array:
+        """Velocity of vortices at points, and of what the ground mirrors of them: v(x) + M v(M x), M: z about it."""
+        v = velocity(points)
+        if math.isfinite(self.ground_z_m):
+            below = points.copy()
+            below[:, 2] = 2.0 * self.ground_z_m - below[:, 2]
+            v += velocity(below) * [1.0, 1.0, -1.0]
+        return v
+
+    def lift_above_ground(self, points: Array) -> Array:
+        """Points, those in the ground lifted to where a vortex rolls on it."""
+        if math.isfinite(self.ground_z_m):
+            points[..., 2] = np.maximum(points[..., 2], self.ground_z_m + _MIN_GROUND_CLEARANCE * self.surface.radius_m)
+        return points
+
+    def filament_circulation(self) -> Array:
+        return (
+            self.shed_matrix @ self.blade_state.circulation_m2_s
+            if self.blade_state is not None
+            else np.zeros(self.shed_matrix.shape[0])
+        )
+
+    def build_filaments(self, settings: WakeSettings, viscosity: float) -> None:
+        """Whole filaments with cores, and the segments that everybody feels, for the present circulation."""
+        self.filament_paths_m, self.filament_ages_rad = extend_filaments(
+            self.surface,
+            self.free_points_m,
+            self.free_ages_rad,
+            settings.far_turns,
+            math.radians(settings.far_step_deg),
+            self.chords_per_step,
+        )
+        self.filament_paths_m = self.lift_above_ground(self.filament_paths_m)
+        # The same in few chords, on radii that give their polygons the area of the arcs.
+        end = 1 + self.chords_per_step * (self.free_ages_rad.size - 1)
+        far = np.unique(np.append(np.arange(end, self.filament_ages_rad.size, 2), self.filament_ages_rad.size - 1))
+        piece = (self.free_ages_rad[1] - self.free_ages_rad[0]) / self.chords_per_step
+        skip = max(round(_COARSE_CHORD_RAD / piece), 1)
+        kept = np.concatenate([[0], np.arange(1, end, skip), far])
+        self.coarse_paths_m, self.coarse_ages_rad = (
+            self.filament_paths_m[:, kept],
+            self.filament_ages_rad[kept],
+        )
+        chord, far_chord = skip * piece, math.radians(settings.far_step_deg)
+        self.coarse_paths_m[:, 2:, :2] *= np.where(
+            kept[2:, None] > end, 1.0 / math.sqrt(math.cos(far_chord)), math.sqrt(chord / math.sin(chord))
+        )
+        self.update_segments(settings, viscosity)
+
+    def update_segments(self, settings: WakeSettings, viscosity: float) -> None:
+        strength = self.filament_circulation()
+        limit = settings.core_limit or 0.0
+        self.core_radius_m = compute_core_radii(
+            self.surface, self.filament_ages_rad, strength, viscosity, settings.core, limit
+        )
+        gamma = (
+            self.blade_state.circulation_m2_s if self.blade_state is not None else np.zeros(self.shed_matrix.shape[1])
+        )
+        self.vortex_segments = collect_segments(
+            self.surface, self.filament_paths_m, self.core_radius_m, strength, gamma
+        )
+        core = compute_core_radii(self.surface, self.coarse_ages_rad, strength, viscosity, settings.core, limit)
+        self.coarse_segments = collect_segments(self.surface, self.coarse_paths_m, core, strength, gamma)
+
+    def induced_velocity(self, points: Array, *, few: bool = False) -> Array:
+        """What this rotor induces at points of its own frame; ``few``: its wake in few chords."""
+        vortices = self.coarse_segments if few else self.vortex_segments
+        return self.add_ground_image(
+            points,
+            lambda x: sum_over_blades(x, self.surface.blade_count, lambda p: self.induce_function(p, vortices)),
+        )
+
+
+def collect_segments(
+    surface: LiftingSurface, paths: Array, core: Array, strength: Array, circulation: Array
+) -> tuple[Array, Array, Array, Array]:
+    """All vortices of one blade as segments: trailing filaments, bound vortices, and what closes them at the far end.
+
+    Vortex lines do not end; the closing segments lie where the far wake is cut off. Wake points may pass close below a
+    blade: to them the bound vortex has the core of a thick section, a tenth of the chord.
+    """
+    edge, ends = surface.edge_quarter_chord_m, paths[:, -1]
+    unit = np.ones(circulation.size)
+    bound = make_segments(np.stack([edge[:-1], edge[1:]], axis=1), 0.1 * surface.chord_m[:, None], unit)
+    closing = make_segments(np.stack([ends[1:], ends[:-1]], axis=1), core[1:, -1:], unit)
+    parts = [make_segments(paths, core, strength)]
+    parts += [(a, b, unit * circulation, c) for a, b, unit, c in (bound, closing)]
+    start, end, strengths, cores = (np.concatenate(p, axis=-1) for p in zip(*parts, strict=True))
+    return start, end, strengths, cores
+
+
+def circulation_influence(unit: RotorState) -> Array:
+    """Velocity at a rotor's own control and quarter chord points per circulation of its panels, blades and wake."""
+    legs = unit.add_ground_image(
+        unit.evaluation_points_m,
+        lambda x: sum_over_blades(
+            x,
+            unit.surface.blade_count,
+            lambda p: filament_influence(p, unit.filament_paths_m, unit.core_radius_m),
+        ),
+    )
+    return unit.bound_influence_matrix + np.einsum("ijc,jk->ikc", legs, unit.shed_matrix)
+
+
+def _to_frame(points: Array, of: RotorState, other: RotorState) -> Array:
+    """Points of one rotor's frame in another's (both at azimuth zero)."""
+    moved = points.copy()
+    moved[..., 1] *= of.placed.rotation_sign * other.placed.rotation_sign
+    moved[..., 2] += of.placed.height_m - other.placed.height_m
+    return moved
+
+
+def mutual_inflow_at(
+    target: RotorState, source: RotorState, points: Array, azimuth_rad: float, *, few: bool = False
+) -> Array:
+    """Velocity at points of the target's frame that another rotor induces when its blade 1 has turned by an azimuth."""
+    there = _to_frame(points, target, source)
+    v = rotate_vectors(source.induced_velocity(rotate_vectors(there, -azimuth_rad), few=few), azimuth_rad)
+    v[..., 1] *= target.placed.rotation_sign * source.placed.rotation_sign
+    return v
+
+
+def mutual_inflow(target: RotorState, source: RotorState, points: Array, phases: int) -> Array:
+    """The same, averaged over the relative azimuth, which smears the source's vortices anyway: in few chords."""
+    step = 2.0 * math.pi / (phases * source.surface.blade_count)
+    total = np.zeros_like(points)
+    for k in range(phases):
+        total += mutual_inflow_at(target, source, points, (k + 0.5) * step, few=True)
+    return total / phases
+
+
+def drag_swirl_velocity(target: RotorState, source: RotorState, climb: float, phases: int) -> Array:
+    """Velocity at a rotor's sensors by the turning that the profile drag of the one above gave to its stream (m/s).
+
+    Vortices carry only the turning that comes with lift; this is :func:`mufly.rotor.bemt.drag_angular_momentum`, on its
+    way down as :func:`mufly.rotor.vortex_tube.swirl_influence` says. Above the disc there is none.
+    """
+    u = np.zeros_like(target.evaluation_points_m)
+    state, above = source.blade_state, source.placed.height_m - target.placed.height_m
+    if state is None or above <= 0.0:
+        return u
+    s = source.surface
+    through = mutual_inflow(source, source, s.quarter_chord_m, phases)[:, 2] - climb
+    if target.blade_state is not None:
+        through += mutual_inflow(source, target, s.quarter_chord_m, phases)[:, 2]
+    pull = 0.5 * s.blade_count * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.pitch_rad - state.alpha_rad)
+    moment = drag_angular_momentum(pull, -through, 1.0)  # pull over the density
+    r = np.hypot(s.quarter_chord_m[:, 0], s.quarter_chord_m[:, 1])
+    x, y = target.evaluation_points_m[:, 0], target.evaluation_points_m[:, 1]
+    at = np.hypot(x, y)
+    width = np.interp(at, target.surface.quarter_chord_m[:, 0], target.surface.panel_width_m)
+    turning = swirl_influence(r, s.radius_m, above, at, width) @ moment / at
+    turning *= target.placed.rotation_sign * source.placed.rotation_sign
+    u[:, 0], u[:, 1] = -turning * y, turning * x
+    return u
+
+
+def solve_blade_loads(unit: RotorState, others: Array, air: Air, climb: float, settings: WakeSettings) -> None:
+    """Circulation and loads of a rotor's blades; ``others``: velocity at its sensors from the other rotor."""
+    s, p = unit.surface, unit.placed
+    n = s.chord_m.size
+    matrix = circulation_influence(unit)
+    x = unit.evaluation_points_m
+    own = np.stack([x[:, 1], -x[:, 0], np.zeros(len(x))], axis=1) * s.speed_rad_s  # air past the turning blade
+    wind = own + others
+    wind[:, 2] -= climb
+    start = unit.blade_state.circulation_m2_s if unit.blade_state is not None else None
+    state = solve_circulation(s, p.blading, p.rotor_index, wind[:n], matrix[:n], air, start, inviscid=settings.inviscid)
+    unit.blade_state = state
+    complete = wind + matrix.transpose(0, 2, 1) @ state.circulation_m2_s
+    unit.quarter_chord_wind_m_s = complete[n : 2 * n]
+    unit.panel_thrust_N, unit.panel_torque_Nm = compute_panel_loads(
+        s, state, unit.quarter_chord_wind_m_s, complete[2 * n :], air
+    )
+    unit.thrust_N, unit.torque_Nm = float(unit.panel_thrust_N.sum()), float(unit.panel_torque_Nm.sum())
+
+
+def make_rotor_result(unit: RotorState, air: Air, climb: float) -> RotorResult:
+    s, state = unit.surface, unit.blade_state
+    assert state is not None
+    wy, wz = unit.quarter_chord_wind_m_s[:, 1], unit.quarter_chord_wind_m_s[:, 2]
+    nu = air.viscosity_Pa_s / air.density_kg_m3
+    columns = {
+        "alpha_rad": state.alpha_rad,
+        "phi_rad": np.arctan2(-wz, -wy),
+        "inflow_m_s": -wz - climb,
+        "swirl_m_s": s.speed_rad_s * s.quarter_chord_m[:, 0] + wy,
+        "cl": state.cl,
+        "cd": state.cd,
+        "reynolds": np.maximum(state.speed_m_s * s.chord_m / nu, 1e-9),
+        "loss": np.ones_like(wy),
+        "dT_N": unit.panel_thrust_N,
+        "dQ_Nm": unit.panel_torque_Nm,
+    }
+    return build_rotor_result(unit.placed, climb, air, unit.thrust_N, unit.torque_Nm, columns)
+
+
+def make_rotor_wake(unit: RotorState) -> RotorWake:
+    assert unit.blade_state is not None
+    paths = unit.filament_paths_m.copy()
+    paths[..., 1] *= unit.placed.rotation_sign
+    paths[..., 2] += unit.placed.height_m
+    return RotorWake(
+        placed=unit.placed,
+        surface=unit.surface,
+        filament_paths_m=paths,
+        filament_ages_rad=unit.filament_ages_rad,
+        filament_circulation_m2_s=unit.filament_circulation(),
+        core_radius_m=unit.core_radius_m,
+        bound_circulation_m2_s=unit.blade_state.circulation_m2_s,
+        free_point_count=unit.free_ages_rad.size,
+        chords_per_step=unit.chords_per_step,
+    )

@@ -1,0 +1,185 @@
+"""All sensors of a vehicle, as its file says, and what may be wrong with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler
+from mufly.errors import InputError
+from mufly.sensors.electrical import BackEmfSensor, BatterySensor
+from mufly.sensors.faults import Fault, FaultySensor
+from mufly.sensors.imu import Imu
+from mufly.sensors.magnetometer import MagnetometerSensor
+from mufly.sensors.position_fix import PositionFixSensor
+from mufly.sensors.pressure import PressureSensor
+from mufly.sensors.readings import Sensor, SensorSet
+from mufly.sensors.ring_camera import RingCamera
+from mufly.sensors.sonar import UltrasonicSensor
+from mufly.vehicle import Vehicle
+from mufly.world import World
+
+SENSOR_TABLES = (
+    "imu",
+    "sonar",
+    "ring_camera",
+    "pressure",
+    "magnetometer",
+    "rotor_speed",
+    "battery",
+    "position_fix",
+)
+"""Tables of ``[sensors]``, in the order in which their random numbers are drawn."""
+
+
+class FittedSensors(SensorSet):
+    """The sensors that a vehicle's file names, with their errors; faults may come and go while it flies.
+
+    Parameters
+    ----------
+    vehicle : str
+        Its name, for messages.
+    fitted : mapping
+        Name of :data:`SENSOR_TABLES` to sensor.
+    """
+
+    def __init__(self, vehicle: str, fitted: Mapping[str, FaultySensor]) -> None:
+        super().__init__(*fitted.values())
+        self._vehicle, self._fitted = vehicle, dict(fitted)
+
+    @property
+    def all_faults(self) -> tuple[Fault, ...]:
+        """What is, was or will be wrong."""
+        return tuple(f for sensor in self._fitted.values() for f in sensor.faults)
+
+    def inject_fault(self, fault: Fault, now_s: float = 0.0) -> Fault:
+        """Let something go wrong; a fault whose time has come already begins now (s). Returns it as it will be.
+
+        Raises
+        ------
+        InputError
+            If it is of a sensor that is not there.
+        """
+        sensor = self._fitted.get(fault.sensor_name)
+        if sensor is None:
+            raise _missing_sensor_error(fault, self._vehicle)
+        if fault.start_s < now_s:
+            stop = fault.stop_s if math.isinf(fault.stop_s) else now_s + fault.stop_s - fault.start_s
+            fault = replace(fault, start_s=now_s, stop_s=stop)
+        sensor.faults = (*sensor.faults, fault)
+        return fault
+
+    def clear_faults(self) -> None:
+        """Nothing is wrong any more, nor will be."""
+        for sensor in self._fitted.values():
+            sensor.faults = ()
+
+
+def _missing_sensor_error(fault: Fault, vehicle: str) -> InputError:
+    return InputError("fault", str(fault), f"{vehicle} has no sensors.{fault.sensor_name}", "name another")
+
+
+def check_faults(vehicle: Vehicle, faults: Iterable[Fault]) -> None:
+    """InputError if a fault is of a sensor that a vehicle has not."""
+    for fault in faults:
+        if getattr(vehicle.sensors, fault.sensor_name, None) is None:
+            raise _missing_sensor_error(fault, vehicle.name)
+
+
+def fitted_sensors(
+    vehicle: Vehicle,
+    world: World,
+    *,
+    seed: int = 0,
+    faults: Iterable[Fault] = (),
+    only: Iterable[str] = SENSOR_TABLES,
+    instead: Mapping[str, Sensor] | None = None,
+) -> FittedSensors:
+    """Return the sensors that a vehicle's file names, with errors.
+
+    Each has random numbers of its own: one sensor more or less, or a fault, leaves the others' errors as they were.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    world : World
+        What sonar and lasers see.
+    seed : int
+        Same seed, same errors.
+    faults : iterable of Fault
+        What goes wrong, and when.
+    only : iterable of str
+        Names of :data:`SENSOR_TABLES`.
+    instead : mapping, optional
+        Name of :data:`SENSOR_TABLES` to a sensor in place of its own.
+
+    Raises
+    ------
+    InputError
+        If the vehicle has no sensors, or a fault is of one that it has not.
+    """
+    if vehicle.sensors is None:
+        raise InputError(
+            vehicle.name,
+            "sensors",
+            "there is no such table",
+            "add one (docs/sensors.md), or fly on ideal sensors",
+        )
+    wanted = set(only)
+    streams = np.random.SeedSequence(seed).spawn(2 * len(SENSOR_TABLES))
+    made: dict[str, FaultySensor] = {}
+    for k, name in enumerate(SENSOR_TABLES):
+        table = getattr(vehicle.sensors, name)
+        if table is None or name not in wanted:
+            continue
+        other = (instead or {}).get(name)
+        own = np.random.default_rng(streams[2 * k])
+        sensor = _make_sensor(name, table, vehicle, world, own) if other is None else other
+        made[name] = FaultySensor(sensor, (), np.random.default_rng(streams[2 * k + 1]))
+    fitted = FittedSensors(vehicle.name, made)
+    for fault in faults:
+        fitted.inject_fault(fault)
+    return fitted
+
+
+def draw_leaning_vehicle(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
+    """Return the unit of a vehicle that a seed draws as it stands: not quite level, as far as its file allows.
+
+    What is taken for level while it stands and is calibrated (``sensors.imu.level``) never is: legs are of
+    unlike length, floors slope. Roll and pitch are drawn for it, and the plane of its legs' tips is turned about the
+    centre of gravity by that, so that :func:`mufly.dynamics.standing_attitude` is what was drawn, before a flight and
+    after.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    seed : int
+        Same seed, same legs; other sensors' errors stay as they are with or without.
+    """
+    if vehicle.sensors is None or vehicle.sensors.imu is None or float(vehicle.sensors.imu.level) == 0.0:
+        return vehicle
+    own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2 * len(SENSOR_TABLES),)))
+    roll, pitch = float(vehicle.sensors.imu.level) * own.standard_normal(2)
+    legs = vehicle.contact.legs.to_array() @ body_to_ned_matrix(quaternion_from_euler(roll, pitch, 0.0))
+    tips = vehicle.contact.legs.model_copy(update={"value": tuple((float(x), float(y), float(z)) for x, y, z in legs)})
+    return vehicle.model_copy(update={"contact": vehicle.contact.model_copy(update={"legs": tips})})
+
+
+def _make_sensor(name: str, table: Any, vehicle: Vehicle, world: World, rng: np.random.Generator) -> Sensor:
+    match name:
+        case "sonar":
+            return UltrasonicSensor(table, vehicle, world, rng)
+        case "ring_camera":
+            return RingCamera(table, vehicle, world, rng)
+        case _:
+            return _WORLDLESS_SENSORS[name](table, vehicle, rng)
+
+
+_WORLDLESS_SENSORS: dict[str, Callable[[Any, Vehicle, np.random.Generator], Sensor]] = {
+    "imu": Imu, "pressure": PressureSensor, "magnetometer": MagnetometerSensor, "rotor_speed": BackEmfSensor,
+    "battery": BatterySensor, "position_fix": PositionFixSensor,
+}  # fmt: skip

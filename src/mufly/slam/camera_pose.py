@@ -1,0 +1,427 @@
+r"""Where the camera is, from points of the floor that it sees: two points and the tilt first, then all of them.
+
+**Two points and the tilt** (structure of Steder et al. 2008). A ray d through a pixel, turned by roll and pitch
+alone, has the slope m = (d_x + i d_y) / d_z as a complex number. A camera at C (complex, N + i E), h above the
+floor, with heading psi sees the floor's point X there:
+
+    X = C + h e^(i psi) m,      so from two points    h e^(i psi) = (X_1 - X_2) / (m_1 - m_2),    C = X_1 - h e^(i
+    psi) m_1
+
+Pairs are drawn by chance; the one wins that the most points agree with. Pairs whose h is not the sonar's are left out.
+
+**All of them.** Unknown are C (N, E), h, psi, two small errors u of the tilt, about the axes of the heading (x
+along the nose, y to the right), those of the keyframe, and for each rotor four amplitudes a, b of its shaking, in
+its phase W_k. Seen in row time s from the picture's middle, with R(s) = exp([u]) R exp([w s]) and v for the velocity,
+
+    c = A^T exp([w s])^T R^T (X - C - v s),    (x, y) = (c_x, c_y) / c_z
+    pixel = f (x, y) + (z_x (1 + x^2) + z_y x y, z_x x y + z_y (1 + y^2)),    z = sum_k a_k cos(W_k s) + b_k sin(W_k s)
+
+where A turns the camera's axes into the body's. Gauss-Newton on Cauchy's weights 1 / (1 + (r / 2 sigma)^2), with
+what is known beforehand: both tilts by filter and map, h by the sonar, amplitudes by the camera file.
+
+**What the tilt does.** A turn u of a ray of slope m = n + i e moves it, to first order, by
+
+    dn = u_y - n e u_x + n^2 u_y,    de = -u_x - e^2 u_x + n e u_y
+
+The shift u_y, -u_x is what moving by h times it looks like; the rest bends the floor. A keyframe and a picture whose
+tilts are off by the same u see one floor bent alike. But when the camera has moved by d (over h, in slopes) between
+them, the two differ by dm(n + d) - dm(n): for d along n by n' = -d (e u_x - 2 n u_y), e' = d e u_y, that is, a roll
+that is off turns what is seen by u_x d / 2, which looks like a heading, and shears it by as much, which looks like
+nothing else. So where the shear drowns in noise or in what shaking does to the rows, a tilt that is off for good
+makes the heading go wrong with the way over the height, and only the prior of the tilt knows how far it may. Nothing
+is therefore decided here: :class:`PoseEstimate` keeps what the pixels alone say of place, heading, height and of both
+tilts (an information matrix, eight by eight), and the map joins that to what tilts may be (:mod:`graph`). Own
+derivation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.numba_cache import cached_njit
+
+_Array = NDArray[np.float64]
+POSE_SIZE = 8  # N, E, h, heading; errors of the tilt about x and y of the heading; of the keyframe's about its own
+SHAKE_SIZE = 8  # for each rotor cosine and sine along x, then along y
+_MAX_ITERATIONS = 6
+_MIN_HEIGHT_RATIO = 0.1  # of what the sonar says: two points of one place show none
+_CAUCHY_SCALE = 2.0  # residuals, in deviations, whose weight is half
+
+
+class ViewPrior(NamedTuple):
+    """What is known of a picture before its points are looked at.
+
+    Attributes
+    ----------
+    focal : float
+        Pixels.
+    axes : (3, 3) array
+        Turns camera's into body axes.
+    roll, pitch : float
+        rad.
+    rates : (3,) array
+        p, q, r (rad/s).
+    velocity : (3,) array
+        Of the camera, N-E-D (m/s).
+    height, height_sigma : float
+        Of the camera above the floor (m).
+    shake_sigma : float
+        Of an amplitude of shaking, pixels; 0: none are sought.
+    rotor_speed : (2,) array
+        rad/s.
+    rotor_phase : (2,) array
+        At the picture's middle (rad); zero where it is not known.
+    shakes : (8,) array
+        What amplitudes are expected to be, pixels.
+    tilt : (2,) array
+        By what roll and pitch are expected to be off (rad).
+    """
+
+    focal_px: float
+    body_from_camera: _Array
+    roll_rad: float
+    pitch_rad: float
+    body_rates_rad_s: _Array
+    velocity_m_s: _Array
+    height_m: float
+    height_sigma_m: float
+    shake_sigma_px: float
+    rotor_speeds_rad_s: _Array
+    rotor_phases_rad: _Array = np.zeros(2)
+    shake_amplitudes_px: _Array = np.zeros(SHAKE_SIZE)
+    tilt_error_rad: _Array = np.zeros(2)
+
+
+@dataclass(frozen=True)
+class PoseEstimate:
+    """Where the camera is.
+
+    Attributes
+    ----------
+    x : (8,) array
+        N, E, height, heading, errors of tilt about x and y of the heading, of the keyframe's about its own, from what
+        is expected of that (m, rad).
+    shakes : (8,) array
+        Amplitudes, pixels.
+    covariance : (8, 8) array
+        With all that was known before.
+    seen : (8, 8) array
+        Information on ``state`` of the pixels alone, whatever the amplitudes are.
+    pull : (8,) array
+        Where to these would have it moved: the gradient that goes with it.
+    scale : float
+        Root mean square of weighted residuals over what was expected.
+    residuals : (n,) array
+        Over their deviations.
+    off : (n, 2) array
+        Residuals, seen less expected, in pixels.
+    """
+
+    state: _Array
+    shake_amplitudes_px: _Array
+    covariance: _Array
+    pixel_information: _Array
+    pixel_gradient: _Array
+    residual_scale: float
+    normalised_residuals: _Array
+    pixel_residuals: _Array
+
+    @property
+    def inlier_mask(self) -> NDArray[np.bool_]:
+        """Which points lie within three deviations."""
+        return self.normalised_residuals < 3.0 * max(self.residual_scale, 0.7)
+
+
+def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
+    """Return the matrix that turns body vectors into N-E-D: heading, pitch, roll, and errors of the tilt on top; by
+    default those that are expected."""
+    return _compute_attitude(view.roll_rad, view.pitch_rad, heading, *(view.tilt_error_rad if tilt is None else tilt))
+
+
+def normalised_rays(
+    view: ViewPrior, pixels: _Array, seconds: _Array, turn: _Array, shakes: _Array | None = None
+) -> NDArray[np.complex128]:
+    """Return complex slopes (n,) of rays through pixels (n, 2) from the principal point, seen ``seconds`` off the
+    middle.
+
+    ``turn`` is :func:`attitude_matrix` with the heading at which slopes are wanted.
+    """
+    p = pixels if shakes is None else pixels - vibration_offset(view, pixels, seconds, shakes)
+    d = np.column_stack([p / view.focal_px, np.ones(len(p))]) @ view.body_from_camera.T
+    d = d + np.cross(seconds[:, None] * view.body_rates_rad_s, d)  # exp([w s]) d, to first order
+    w = d @ turn.T
+    return np.asarray((w[:, 0] + 1j * w[:, 1]) / w[:, 2], dtype=np.complex128)
+
+
+def vibration_offset(view: ViewPrior, pixels: _Array, seconds: _Array, shakes: _Array) -> _Array:
+    """Return by how many pixels (n, 2) the rotors, which turn the camera, have moved what is seen there at these
+    times."""
+    out = np.zeros((len(seconds), 2))
+    for k in range(2):
+        turned = view.rotor_phases_rad[k] + view.rotor_speeds_rad_s[k] * seconds
+        c, s = np.cos(turned), np.sin(turned)
+        for axis in (0, 1):
+            out[:, axis] += shakes[4 * k + 2 * axis] * c + shakes[4 * k + 2 * axis + 1] * s
+    p = pixels / view.focal_px
+    return out + p * (p * out).sum(axis=1)[:, None]
+
+
+def d_rays_d_tilt(slopes: NDArray[np.complex128]) -> _Array:
+    """Return how slopes (n,) move along N and E with errors of the tilt about N and about E, (n, 2, 2)."""
+    n, e = slopes.real, slopes.imag
+    return np.stack([np.stack([-n * e, 1.0 + n * n], axis=-1), np.stack([-1.0 - e * e, n * e], axis=-1)], axis=-2)
+
+
+def ransac_two_points(
+    places: NDArray[np.complex128],
+    slopes: NDArray[np.complex128],
+    sigma: _Array,
+    height: float,
+    height_sigma: float,
+    rng: np.random.Generator,
+    tries: int = 120,
+) -> tuple[complex, float, float, NDArray[np.bool_]]:
+    """Return C, h, heading and who agrees, of floor points and the slopes at which they are seen.
+
+    Parameters
+    ----------
+    places, slopes : (n,) complex arrays
+        Points N + i E (m), and slopes with heading 0.
+    sigma : (n,) array
+        Of the slopes.
+    height, height_sigma : float
+        By the sonar (m).
+    """
+    n = len(places)
+    first, second = rng.integers(0, n, (2, tries))
+    apart = slopes[first] - slopes[second]
+    with np.errstate(all="ignore"):
+        scale = np.where(np.abs(apart) > 0.05, (places[first] - places[second]) / apart, np.nan)
+    h = np.abs(scale)
+    # Near the floor, where the height is known to a quarter of itself or worse, no height at all would pass.
+    may = (np.abs(h - height) < 4.0 * math.hypot(height_sigma, 0.03 * height)) & (h > _MIN_HEIGHT_RATIO * height)
+    scale, i = scale[may], first[may]
+    if not len(scale):
+        return 0j, height, 0.0, np.zeros(n, bool)
+    c = places[i] - scale * slopes[i]
+    away = np.abs(places[None, :] - c[:, None] - scale[:, None] * slopes[None, :]) / np.abs(scale)[:, None]
+    fits = away < 3.0 * np.maximum(sigma, 1e-4)[None, :]
+    best = int(np.argmax(fits.sum(axis=1) - 1e-3 * np.minimum(away, 0.05).mean(axis=1)))
+    return complex(c[best]), float(abs(scale[best])), float(np.angle(scale[best])), fits[best]
+
+
+def solve_pose(
+    view: ViewPrior, start: _Array, points: _Array, bend: _Array, tilts: _Array, pixels: _Array, seconds: _Array,
+    sigma: _Array,
+) -> PoseEstimate:  # fmt: skip
+    """Find where the camera is.
+
+    Parameters
+    ----------
+    view : View
+    start : (4,) array
+        N, E, height, heading to begin at.
+    points : (n, 3) array
+        N, E, D of what is seen (m).
+    bend : (n, 2, 2) array
+        How these move north and east with an error of the keyframe's tilt (m/rad), :func:`d_rays_d_tilt`.
+    tilts : (4, 4) array
+        Covariance of the errors of this picture's tilt (from what is expected) and of the keyframe's.
+    pixels : (n, 2) array
+        Where, from the principal point, without distortion.
+    seconds : (n,) array
+        When, from the middle of the picture.
+    sigma : (n,) array
+        Of the pixels along an axis.
+    """
+    shakes = SHAKE_SIZE if view.shake_sigma_px > 0.0 else 0
+    size = POSE_SIZE + shakes
+    x = np.zeros(size)
+    x[:4] = start
+    known = np.zeros(size)
+    known[2], known[4:6] = view.height_m, view.tilt_error_rad
+    prior = np.zeros((size, size))
+    prior[2, 2] = view.height_sigma_m**-2
+    prior[4:8, 4:8] = np.linalg.inv(tilts)
+    if shakes:
+        known[POSE_SIZE:] = view.shake_amplitudes_px
+        prior[POSE_SIZE:, POSE_SIZE:] = view.shake_sigma_px**-2 * np.eye(shakes)
+    x[4:] = known[4:]
+    normal, off, weight = np.empty((size, size)), np.empty((len(points), 2)), np.empty(len(points))
+    _minimise_residuals(
+        x,
+        view.focal_px,
+        view.body_from_camera,
+        view.roll_rad,
+        view.pitch_rad,
+        view.body_rates_rad_s,
+        view.velocity_m_s,
+        view.rotor_speeds_rad_s,
+        view.rotor_phases_rad,
+        known,
+        prior,
+        points,
+        bend,
+        pixels,
+        seconds,
+        sigma,
+        normal,
+        off,
+        weight,
+        _MAX_ITERATIONS,
+    )
+    ratio = np.sqrt((off**2).sum(axis=1) / 2.0) / sigma
+    free = max(1.0, 2.0 * weight.sum() - size)
+    # Of errors as they should be, weights leave 0.846 of the mean square (r^2 / 2 is exponential).
+    scale = math.sqrt(float((weight * 2.0 * ratio**2).sum()) / free / 0.846)
+    loose = max(1.0, scale) ** 2
+    # Where it ended, pixels pull by as much as what was known before does the other way.
+    pull = -prior[:POSE_SIZE, :POSE_SIZE] @ (known - x)[:POSE_SIZE]
+    seen = normal[:POSE_SIZE, :POSE_SIZE]
+    if shakes:
+        cross = normal[:POSE_SIZE, POSE_SIZE:]
+        seen = seen - cross @ np.linalg.solve(normal[POSE_SIZE:, POSE_SIZE:] + prior[POSE_SIZE:, POSE_SIZE:], cross.T)
+    amplitudes = x[POSE_SIZE:] if shakes else np.zeros(SHAKE_SIZE)
+    covariance = np.asarray(np.linalg.inv(seen / loose + prior[:POSE_SIZE, :POSE_SIZE]), np.float64)
+    return PoseEstimate(x[:POSE_SIZE], amplitudes, covariance, seen / loose, pull / loose, scale, ratio, off)
+
+
+@cached_njit(error_model="numpy")
+def _compute_attitude(roll: float, pitch: float, heading: float, tilt_x: float, tilt_y: float) -> _Array:
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    c, s = math.cos(heading), math.sin(heading)
+    tilt_n, tilt_e = c * tilt_x - s * tilt_y, s * tilt_x + c * tilt_y
+    r = np.array(
+        [
+            [cp * c, sr * sp * c - cr * s, cr * sp * c + sr * s],
+            [cp * s, sr * sp * s + cr * c, cr * sp * s - sr * c],
+            [-sp, sr * cp, cr * cp],
+        ]
+    )
+    # A small turn (t_n, t_e, 0) on the left, to second order
+    out = np.empty((3, 3))
+    for j in range(3):
+        a, b, d = r[0, j], r[1, j], r[2, j]
+        x1, y1, z1 = tilt_e * d, -tilt_n * d, tilt_n * b - tilt_e * a
+        x2, y2, z2 = tilt_e * z1, -tilt_n * z1, tilt_n * y1 - tilt_e * x1
+        out[0, j], out[1, j], out[2, j] = a + x1 + 0.5 * x2, b + y1 + 0.5 * y2, d + z1 + 0.5 * z2
+    return out
+
+
+@cached_njit(error_model="numpy")
+def _minimise_residuals(
+    x: _Array,
+    focal: float,
+    axes: _Array,
+    roll: float,
+    pitch: float,
+    rates: _Array,
+    velocity: _Array,
+    rotor: _Array,
+    phase: _Array,
+    known: _Array,
+    prior: _Array,
+    points: _Array,
+    bend: _Array,
+    pixels: _Array,
+    seconds: _Array,
+    sigma: _Array,
+    normal: _Array,
+    off: _Array,
+    weight: _Array,
+    rounds: int,
+) -> None:
+    size, n = len(x), len(points)
+    shakes = size > 8
+    row = np.zeros((2, size))
+    right = np.empty(size)
+    for turn in range(rounds + 1):
+        r = _compute_attitude(roll, pitch, x[3], x[4], x[5])
+        ch, sh = math.cos(x[3]), math.sin(x[3])
+        normal[:] = 0.0
+        right[:] = 0.0
+        for i in range(n):
+            s = seconds[i]
+            wn = points[i, 0] + bend[i, 0, 0] * x[6] + bend[i, 0, 1] * x[7] - x[0] - velocity[0] * s
+            we = points[i, 1] + bend[i, 1, 0] * x[6] + bend[i, 1, 1] * x[7] - x[1] - velocity[1] * s
+            wd = points[i, 2] + x[2] - velocity[2] * s
+            # g = A^T exp([w s])^T R^T, row by row
+            q = np.empty(3)
+            g = np.empty((3, 3))
+            for j in range(3):
+                # columns of R^T turned back by the rates
+                b0, b1, b2 = r[j, 0], r[j, 1], r[j, 2]
+                e0 = b0 - s * (rates[1] * b2 - rates[2] * b1)
+                e1 = b1 - s * (rates[2] * b0 - rates[0] * b2)
+                e2 = b2 - s * (rates[0] * b1 - rates[1] * b0)
+                for k in range(3):
+                    g[k, j] = axes[0, k] * e0 + axes[1, k] * e1 + axes[2, k] * e2
+            for k in range(3):
+                q[k] = g[k, 0] * wn + g[k, 1] * we + g[k, 2] * wd
+            z = max(q[2], 1e-3)
+            u, v = q[0] / z, q[1] / z
+            for k in range(2):
+                ratio = u if k == 0 else v
+                fz = focal / z
+                # d pixel / d w, with w the way from camera to point
+                a = fz * (g[k, 0] - ratio * g[2, 0])
+                b = fz * (g[k, 1] - ratio * g[2, 1])
+                c = fz * (g[k, 2] - ratio * g[2, 2])
+                row[k, 0], row[k, 1], row[k, 2] = -a, -b, c
+                # a turn t of the body: dw = w x t
+                row[k, 3] = a * we - b * wn
+                about_n, about_e = b * wd - c * we, c * wn - a * wd
+                row[k, 4] = ch * about_n + sh * about_e
+                row[k, 5] = ch * about_e - sh * about_n
+                row[k, 6] = a * bend[i, 0, 0] + b * bend[i, 1, 0]
+                row[k, 7] = a * bend[i, 0, 1] + b * bend[i, 1, 1]
+            px, py = focal * u, focal * v
+            if shakes:
+                for k in range(2):
+                    co, si = math.cos(phase[k] + rotor[k] * s), math.sin(phase[k] + rotor[k] * s)
+                    j = 8 + 4 * k
+                    uu, vv, uv = 1.0 + u * u, 1.0 + v * v, u * v
+                    zx, zy = x[j] * co + x[j + 1] * si, x[j + 2] * co + x[j + 3] * si
+                    px += zx * uu + zy * uv
+                    py += zx * uv + zy * vv
+                    row[0, j], row[0, j + 1], row[0, j + 2], row[0, j + 3] = (
+                        co * uu,
+                        si * uu,
+                        co * uv,
+                        si * uv,
+                    )
+                    row[1, j], row[1, j + 1], row[1, j + 2], row[1, j + 3] = (
+                        co * uv,
+                        si * uv,
+                        co * vv,
+                        si * vv,
+                    )
+            off[i, 0], off[i, 1] = pixels[i, 0] - px, pixels[i, 1] - py
+            loose = (off[i, 0] ** 2 + off[i, 1] ** 2) / (2.0 * sigma[i] ** 2)
+            weight[i] = 1.0 / (1.0 + loose / (_CAUCHY_SCALE * _CAUCHY_SCALE))
+            w = weight[i] / sigma[i] ** 2
+            for k in range(2):
+                for a_ in range(size):
+                    h = w * row[k, a_]
+                    if h == 0.0:
+                        continue
+                    right[a_] += h * off[i, k]
+                    for b_ in range(size):
+                        normal[a_, b_] += h * row[k, b_]
+        if turn == rounds:
+            break
+        m = normal + prior
+        for a_ in range(size):
+            m[a_, a_] += 1e-9
+            for b_ in range(size):
+                right[a_] += prior[a_, b_] * (known[b_] - x[b_])
+        step = np.linalg.solve(m, right)
+        for a_ in range(size):
+            x[a_] += step[a_]
+        if abs(step[0]) + abs(step[1]) + abs(step[2]) < 1e-7:
+            rounds = turn + 1

@@ -1,0 +1,548 @@
+"""Pictures with times from folders and videos: ours, EuRoC's and TUM's layout, and what was told beside them.
+
+| layout | pictures | motion | truth |
+|---|---|---|---|
+| mufly | `pictures.csv`, `pictures/` | `telemetry.csv` | `truth.txt` |
+| euroc | `cam0/data.csv`, `cam0/data/` | `imu0/data.csv` | `state_groundtruth_estimate0/data.csv` |
+| tum | `rgb.txt`, `rgb/` | `accelerometer.txt` | `groundtruth.txt` |
+| plain | pictures whose names are times (s or ns) | | |
+| recording | ``camera.mcap`` of a flight, or any MCAP with such | told with each, or its state | ``flight.mcap``
+|
+| video | a file that OpenCV reads; times in a file beside it, or by its rate | a recording that is given | |
+
+In EuRoC's and TUM's files axes are x forward, y left, z up, the world's z is up. Where only an inertial unit was
+there, tilt comes of it by a complementary filter (Mahony, Hamel and Pflimlin 2008, without the bias): gyroscopes,
+drawn to the direction of the specific force within 2 s; where only accelerometers were, of their mean over half a
+second. Height comes from `sonar.csv` (time, distance), if there, or is one number that the user gives.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.camera import (
+    CAMERA_FILE_NAME,
+    Camera,
+    LivePictures,
+    check_picture_size,
+    decode_picture,
+    read_pictures,
+)
+from mufly.errors import InputError
+from mufly.logs import read_log, read_recording
+from mufly.slam.camera_frame import CameraFrame, FrameInfo
+from mufly.slam.image_tools import load_opencv
+from mufly.slam.trajectory_evaluation import read_truth
+
+_Array = NDArray[np.float64]
+DatasetLayout = Literal["mufly", "euroc", "tum", "plain"]
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".mjpg", ".mjpeg")
+_COMPLEMENTARY_TIME_S, _FORCE_MEAN_WINDOW_S = 2.0, 0.5
+_UNKNOWN_TILT_SIGMA_RAD = math.radians(3.0)  # a vehicle of which nothing is known is level to this
+_MAX_CLOCK_MARGIN_S = 0.1
+_FLU_TO_FRD = np.array([1.0, -1.0, -1.0])  # x forward, y left, z up to body axes, and back
+
+
+@dataclass(frozen=True)
+class FrameSource:
+    """Pictures, and what is known besides.
+
+    Attributes
+    ----------
+    name : str
+    count : int
+        Pictures.
+    truth : tuple of (n,), (n, 3), (n,) arrays, or None
+        Times (s), positions N-E-D (m), headings (rad).
+    """
+
+    name: str
+    frame_count: int
+    truth: tuple[_Array, _Array, _Array] | None
+    _open_frames: Any
+
+    def read_frames(self) -> Iterator[CameraFrame]:
+        """Yield the pictures in the order of time; read when asked for.
+
+        Raises
+        ------
+        InputError
+            At a picture that cannot be read or is of another size.
+        """
+        yield from self._open_frames()
+
+
+def open_pictures(
+    place: str | Path, camera: Camera, *, height_m: float | None = None, rate_Hz: float | None = None,
+    times: Path | None = None, told: Callable[[_Array], list[FrameInfo]] | None = None,
+) -> FrameSource:  # fmt: skip
+    """Open a folder, a video or a recording.
+
+    Parameters
+    ----------
+    place : str or Path
+        A folder in one of the layouts, a video file, or a recording with pictures (MCAP), or the folder of one.
+    camera : Camera
+        That made them.
+    height_m : float, optional
+        Of the vehicle above the floor, where the files do not tell it.
+    rate_Hz : float, optional
+        Of a video, where it does not say so itself.
+    times : Path, optional
+        Of a video: a file with the time (s or ns) of each picture, one a row; by default the one of the video's name
+        that ends in ``.csv`` or ``.txt``, if there is one.
+    told : callable, optional
+        What the vehicle told at times (n,), instead of what stands beside the pictures; :func:`read_telemetry`.
+
+    Raises
+    ------
+    InputError
+        If there are no pictures, times do not rise, or the height is not known.
+    """
+    where = Path(place)
+    if where.is_dir() and (where / CAMERA_FILE_NAME).is_file():
+        where = where / CAMERA_FILE_NAME
+    if where.is_file():
+        if where.suffix.lower() == ".mcap":
+            return _open_recording(where, camera, told)
+        if where.suffix.lower() not in VIDEO_SUFFIXES:
+            raise InputError(
+                str(where),
+                "",
+                "is no video",
+                f"give a folder of pictures, a recording (.mcap), or one of {', '.join(VIDEO_SUFFIXES)}",
+            )
+        return _open_video(where, camera, rate_Hz, times, told or info_from_height(height_m, str(where)))
+    if not where.is_dir():
+        raise InputError(str(where), "", "no such folder or video", "give one with pictures")
+    layout = detect_layout(where)
+    names, at, files = _list_pictures(where, layout)
+    tellings = _read_frame_infos(where, layout, at, height_m) if told is None else told(at)
+
+    def generate_frames() -> Iterator[CameraFrame]:
+        for file, t, one in zip(files, at, tellings, strict=True):
+            yield CameraFrame(float(t), read_picture(file, camera), one)
+
+    return FrameSource(f"{where.name} ({layout})", len(names), read_truth(where), generate_frames)
+
+
+def open_live(live: LivePictures, told: Callable[[_Array], Sequence[FrameInfo | None]]) -> FrameSource:
+    """Return pictures as they come as a source; how many there will be nobody knows.
+
+    Parameters
+    ----------
+    live : LivePictures
+    told : callable
+        Of times (n,): what the vehicle told then, as :func:`info_from_height` or :func:`read_telemetry` give it; None:
+        nothing, and the picture is passed over.
+    """
+
+    def generate_frames() -> Iterator[CameraFrame]:
+        for t, picture in live.iterate_pictures():
+            if (one := told(np.array([t]))[0]) is not None:
+                yield CameraFrame(t, picture, one)
+
+    return FrameSource(live.name, 0, None, generate_frames)
+
+
+def info_from_height(height_m: float | None, where: str) -> Callable[[_Array], list[FrameInfo]]:
+    """Return what is told of a vehicle of which nothing is known but its height: level to 3 degrees.
+
+    Raises
+    ------
+    InputError
+        If that is no height, or none is given.
+    """
+    if height_m is None:
+        raise InputError(where, "", "does not tell the height above the floor", "give --height or --telemetry")
+    if not 0.02 <= height_m <= 1000.0:
+        raise InputError("--height", "", f"{height_m:g} m is no height", "give it in metres above the floor")
+    return lambda times: [
+        FrameInfo(0.0, 0.0, height_m, tilt_sigma=_UNKNOWN_TILT_SIGMA_RAD, height_sigma=0.02) for _ in times
+    ]
+
+
+def detect_layout(folder: Path) -> DatasetLayout:
+    """Return which layout a folder has."""
+    if (folder / "pictures.csv").is_file():
+        return "mufly"
+    if (folder / "mav0").is_dir() or (folder / "cam0").is_dir():
+        return "euroc"
+    return "tum" if (folder / "rgb.txt").is_file() else "plain"
+
+
+def read_picture(file: Path, camera: Camera) -> NDArray[np.uint8]:
+    """Read a picture of the camera, in grey.
+
+    Raises
+    ------
+    InputError
+        If there is none, it is damaged, or of another size.
+    """
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise InputError(
+            str(file), "", f"cannot be read ({error.strerror})", "give the folder as it was written"
+        ) from error
+    return _decode_picture(data, camera, str(file))
+
+
+def _decode_picture(data: bytes, camera: Camera, where: str) -> NDArray[np.uint8]:
+    try:
+        picture = decode_picture(data)
+    except ValueError as error:
+        raise InputError(where, "", f"is damaged: {error}", "take it out of the list, or give another copy") from error
+    check_picture_size(camera, picture.shape, where)
+    return picture
+
+
+def _euroc_folder(folder: Path) -> Path:
+    return folder / "mav0" if (folder / "mav0").is_dir() else folder
+
+
+def _read_rows(file: Path, separator: str = ",") -> list[list[str]]:
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(str(file), "", f"cannot be read ({error})", "give the folder as it was written") from error
+    lines = [s for s in text.splitlines() if s.strip() and not s.lstrip().startswith("#")]
+    return [s.split() for s in lines] if separator == " " else list(csv.reader(lines))
+
+
+def _read_numbers(file: Path, separator: str, columns: int) -> _Array:
+    rows = _read_rows(file, separator)
+    out = np.full((len(rows), columns), math.nan)
+    for k, row in enumerate(rows):
+        try:
+            out[k] = [float(c) for c in row[:columns]]
+        except ValueError:
+            raise InputError(
+                str(file),
+                f"row {k + 1}",
+                f"{separator.join(row)[:60]!r} is not {columns} numbers",
+                "correct that row",
+            ) from None
+    return out
+
+
+def _list_pictures(folder: Path, layout: DatasetLayout) -> tuple[list[str], _Array, list[Path]]:
+    if layout == "plain":
+        found = sorted(p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
+        try:
+            pairs = sorted((float(p.stem), p.name) for p in found)
+        except ValueError:
+            bad = next(p.name for p in found if not _is_number(p.stem))
+            raise InputError(
+                str(folder),
+                bad,
+                "is no time",
+                "name pictures by their times (s or ns), or add pictures.csv (time, file)",
+            ) from None
+        base, names, where = folder, [n for _, n in pairs], str(folder)
+        times = np.array([t for t, _ in pairs])
+    else:
+        file, base, separator = {
+            "mufly": (folder / "pictures.csv", folder / "pictures", ","),
+            "euroc": (
+                _euroc_folder(folder) / "cam0" / "data.csv",
+                _euroc_folder(folder) / "cam0" / "data",
+                ",",
+            ),
+            "tum": (folder / "rgb.txt", folder, " "),
+        }[layout]
+        rows = _read_rows(file, separator)
+        if rows and not _is_number(rows[0][0]):
+            rows = rows[1:]
+        where = str(file)
+        if any(len(r) < 2 or not _is_number(r[0]) for r in rows):
+            raise InputError(where, "", "has rows without time and file", "write a time and a file name in each row")
+        times, names = np.array([float(r[0]) for r in rows]), [r[1].strip() for r in rows]
+    if not names:
+        raise InputError(where, "", "holds no pictures", f"give a folder with {', '.join(PICTURE_SUFFIXES)}")
+    if times[0] > 1e12:
+        times = times * 1e-9  # nanoseconds
+    _check_rising_times(times, names, where)
+    return names, times, [base / n for n in names]
+
+
+def _check_rising_times(times: _Array, names: list[str], where: str) -> None:
+    back = np.nonzero(np.diff(times) <= 0.0)[0]
+    if len(back):
+        k = int(back[0]) + 1
+        raise InputError(
+            where, names[k], f"its time, {times[k]:.6f} s, is not after {times[k - 1]:.6f} s of the picture before",
+            "sort them, or give the right clock",
+        )  # fmt: skip
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _read_frame_infos(folder: Path, layout: DatasetLayout, times: _Array, height_m: float | None) -> list[FrameInfo]:
+    """What was told at the times of the pictures."""
+    if (folder / "telemetry.csv").is_file():
+        return _read_telemetry_infos(folder / "telemetry.csv", times)
+    heights = _read_heights(folder, times, height_m)
+    imu, accelerometer = _euroc_folder(folder) / "imu0" / "data.csv", folder / "accelerometer.txt"
+    if layout == "euroc" and imu.is_file():
+        rows = _read_numbers(imu, ",", 7)
+        t = rows[:, 0] * (1e-9 if rows[0, 0] > 1e12 else 1.0)
+        rates = rows[:, 1:4] * _FLU_TO_FRD
+        roll, pitch = complementary_filter(t, rates, rows[:, 4:7] * _FLU_TO_FRD)
+        sigma = math.radians(1.0)
+        turning = np.stack([np.interp(times, t, c) for c in rates.T], axis=1)
+    elif layout == "tum" and accelerometer.is_file():
+        rows = _read_numbers(accelerometer, " ", 4)
+        t, force = rows[:, 0], rows[:, 1:4] * _FLU_TO_FRD
+        n = max(1, round(_FORCE_MEAN_WINDOW_S / max(float(np.median(np.diff(t))), 1e-4)))
+        pad, mean = (n // 2, n - 1 - n // 2), np.ones(n) / n
+        force = np.stack([np.convolve(np.pad(c, pad, mode="edge"), mean, "valid") for c in force.T], axis=1)
+        roll = np.arctan2(-force[:, 1], -force[:, 2])
+        pitch = np.arctan2(force[:, 0], np.hypot(force[:, 1], force[:, 2]))
+        sigma, turning = math.radians(2.0), np.zeros((len(times), 3))
+    else:
+        t, roll, pitch = times[:1], np.zeros(1), np.zeros(1)
+        sigma, turning = _UNKNOWN_TILT_SIGMA_RAD, np.zeros((len(times), 3))
+    roll, pitch = np.interp(times, t, roll), np.interp(times, t, pitch)
+    return [
+        FrameInfo(
+            float(roll[k]),
+            float(pitch[k]),
+            float(heights[k]),
+            turning[k],
+            tilt_sigma=sigma,
+            height_sigma=0.02,
+        )
+        for k in range(len(times))
+    ]
+
+
+def complementary_filter(t: _Array, rates: _Array, force: _Array) -> tuple[_Array, _Array]:
+    """Return roll and pitch (n,) of rates and specific force (n, 3), body axes: gyroscopes, drawn to the force."""
+    down = -force[0] / np.linalg.norm(force[0])
+    out = np.empty_like(rates)
+    for k in range(len(t)):
+        dt = min(max(t[k] - t[k - 1], 0.0), 0.1) if k else 0.0
+        down = down - np.cross(rates[k], down) * dt
+        f = -force[k] / max(float(np.linalg.norm(force[k])), 1e-9)
+        down = down + (dt / _COMPLEMENTARY_TIME_S) * (f - down)
+        down = down / np.linalg.norm(down)
+        out[k] = down
+    return np.arctan2(out[:, 1], out[:, 2]), -np.arcsin(np.clip(out[:, 0], -1.0, 1.0))
+
+
+def _read_heights(folder: Path, times: _Array, height_m: float | None) -> _Array:
+    file = folder / "sonar.csv"
+    if height_m is not None or not file.is_file():
+        return np.array([t.height_m for t in info_from_height(height_m, str(folder))(times)])
+    rows = [r for r in _read_rows(file) if _is_number(r[0])]
+    if not rows or any(len(r) < 2 or not _is_number(r[1]) for r in rows):
+        raise InputError(str(file), "", "has rows that are not two numbers", "write time and distance (s, m)")
+    a = np.array([[float(r[0]), float(r[1])] for r in rows])
+    if len(times) and (times[-1] < a[0, 0] or times[0] > a[-1, 0]):
+        raise InputError(
+            str(file), "time_s", f"goes from {a[0, 0]:.9g} to {a[-1, 0]:.9g} s, pictures from {times[0]:.9g} s on",
+            "give it the clock of the pictures (s), or leave it out and give --height",
+        )  # fmt: skip
+    return np.interp(times, a[:, 0], a[:, 1])
+
+
+TELEMETRY_COLUMNS = (
+    "time_s", "roll_rad", "pitch_rad", "height_m", "p_rad_s", "q_rad_s", "r_rad_s", "rotor_upper_rad_s",
+    "rotor_lower_rad_s", "tilt_sigma_rad", "height_sigma_m",
+)  # fmt: skip
+PHASE_COLUMNS = ("rotor_upper_rad", "rotor_lower_rad")
+"""Columns of the telemetry that may be there; not wrapped."""
+
+
+def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list[FrameInfo]]:
+    """Return what a vehicle told, as a function of times (n,) of pictures: of a ``telemetry.csv``, or of any recording.
+
+    Parameters
+    ----------
+    file : Path
+        A recording (:func:`mufly.logs.read_log`) needs attitude and position, as estimated, measured or true.
+    offset_s : float
+        Its clock less that of the pictures (s).
+
+    Raises
+    ------
+    InputError
+        If it tells neither, or nothing at the time of a picture.
+    """
+    if file.suffix.lower() == ".csv" and tuple(_read_rows(file)[0][: len(TELEMETRY_COLUMNS)]) == TELEMETRY_COLUMNS:
+        return lambda times: _read_telemetry_infos(file, times + offset_s)
+    a = _telemetry_from_recording(file)
+
+    def infos_at(times: _Array) -> list[FrameInfo]:
+        t = times + offset_s
+        if t[0] < a[0, 0] - _MAX_CLOCK_MARGIN_S or t[-1] > a[-1, 0] + _MAX_CLOCK_MARGIN_S:
+            raise InputError(
+                str(file), "", f"is of {a[0, 0]:.3f} to {a[-1, 0]:.3f} s, pictures of {t[0]:.3f} to {t[-1]:.3f} s",
+                "give --offset: the recording's clock less the pictures'",
+            )  # fmt: skip
+        b = np.stack([np.interp(t, a[:, 0], c) for c in a.T], axis=1)
+        return [FrameInfo(r[1], r[2], r[3], r[4:7], r[7:9], None, r[9], r[10]) for r in b]
+
+    return infos_at
+
+
+def _telemetry_from_recording(file: Path) -> _Array:
+    """Columns of :data:`TELEMETRY_COLUMNS` (n, 11) out of a recording."""
+    ds = read_log(file)
+
+    def first_known_signal(what: str, *whose: str) -> _Array | None:
+        there = (ds[f"{who}_{what}"].values.astype(np.float64) for who in whose if f"{who}_{what}" in ds)
+        return next((values for values in there if np.isfinite(values).any()), None)
+
+    who = ("estimated", "measured", "truth")
+    attitude, position = first_known_signal("attitude", *who), first_known_signal("position", *who)
+    if attitude is None or position is None:
+        what = "attitude" if attitude is None else "position"
+        raise InputError(str(file), what, "is not told", "give a recording with it, or leave out --telemetry")
+    n = len(attitude)
+    rates, rotors = first_known_signal("rates", *who), first_known_signal("rotor_speed", "measured", "truth")
+    tilt, height = (
+        first_known_signal("attitude_sigma", "estimated"),
+        first_known_signal("position_sigma", "estimated"),
+    )
+    rows = np.column_stack([
+        ds["time"].values, attitude[:, :2], np.maximum(0.02, -position[:, 2]),
+        np.zeros((n, 3)) if rates is None else rates, np.zeros((n, 2)) if rotors is None else rotors,
+        np.full(n, math.radians(0.5)) if tilt is None else np.maximum(math.radians(0.15), tilt[:, :2].max(axis=1)),
+        np.full(n, 0.02) if height is None else np.maximum(0.006, height[:, 2]),
+    ])  # fmt: skip
+    # Rotor speeds come less often than the rest; where they are not known shaking is averaged, not modelled.
+    for k in range(1, rows.shape[1]):
+        good = np.isfinite(rows[:, k])
+        rows[:, k] = np.interp(rows[:, 0], rows[good, 0], rows[good, k]) if good.any() else 0.0
+    return rows
+
+
+def _open_recording(path: Path, camera: Camera, told: Callable[[_Array], list[FrameInfo]] | None) -> FrameSource:
+    """Pictures of a flight, with what the vehicle told; where that is not there, by the state in the recording."""
+    kept = read_pictures(path)
+    times = np.array(kept.times_s)
+    _check_rising_times(times, [f"picture {k + 1}" for k in range(len(times))], str(kept.path))
+    if told is None and kept.frame_infos:
+        try:
+            tellings = [FrameInfo.from_mapping(one) for one in kept.frame_infos]
+        except (TypeError, ValueError) as error:
+            raise InputError(str(kept.path), "/camera/told", f"is damaged ({error})", "give --telemetry") from None
+    else:
+        tellings = (told or read_telemetry(path))(times)
+    flight, truth = kept.path.with_name("flight.mcap"), None
+    if flight.is_file():
+        ds = read_recording(flight)
+        truth = ds["time"].values, ds["truth_position"].values, ds["truth_attitude"].values[:, 2]
+
+    def generate_frames() -> Iterator[CameraFrame]:
+        for t, jpeg, one in zip(times, kept.iterate_jpegs(), tellings, strict=True):
+            yield CameraFrame(float(t), _decode_picture(jpeg, camera, f"{kept.path}: picture at {t:.3f} s"), one)
+
+    return FrameSource(f"{kept.path.name} (recording)", len(times), truth, generate_frames)
+
+
+def _read_telemetry_infos(file: Path, times: _Array) -> list[FrameInfo]:
+    rows = _read_rows(file)
+    phased = bool(rows) and tuple(rows[0]) == TELEMETRY_COLUMNS + PHASE_COLUMNS
+    if not rows or not (phased or tuple(rows[0]) == TELEMETRY_COLUMNS):
+        raise InputError(str(file), "", "has another first row", f"write {', '.join(TELEMETRY_COLUMNS)}")
+    try:
+        a = np.array(rows[1:], dtype=np.float64).reshape(-1, len(rows[0]))
+    except ValueError:
+        raise InputError(str(file), "", "has cells that are no numbers", "write numbers in every cell") from None
+    if not len(a) or not np.isfinite(a).all() or (np.diff(a[:, 0]) <= 0).any():
+        raise InputError(str(file), "time_s", "does not rise, or is not finite", "sort it by time")
+    b = np.stack([np.interp(times, a[:, 0], c) for c in a.T], axis=1)
+    return [
+        FrameInfo(
+            float(r[1]),
+            float(r[2]),
+            float(r[3]),
+            r[4:7].copy(),
+            r[7:9].copy(),
+            r[11:13].copy() if phased else None,
+            float(r[9]),
+            float(r[10]),
+        )
+        for r in b
+    ]
+
+
+def _open_video(
+    file: Path, camera: Camera, rate_Hz: float | None, times: Path | None,
+    told: Callable[[_Array], list[FrameInfo]],
+) -> FrameSource:  # fmt: skip
+    cv2 = load_opencv()
+    video = cv2.VideoCapture(str(file))
+    if not video.isOpened():
+        raise InputError(
+            str(file), "", "cannot be opened as a video", "give a file that OpenCV reads (MJPEG in AVI, MP4)"
+        )
+    count, rate = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), rate_Hz or float(video.get(cv2.CAP_PROP_FPS))
+    video.release()
+    names = (times, file.with_suffix(".csv"), file.with_suffix(".txt"))
+    beside = next((f for f in names if f is not None and (f is times or f.is_file())), None)
+    listed = None if beside is None else _read_video_times(beside)
+    if listed is None and not 0.1 <= rate <= 1000.0:
+        raise InputError(str(file), "", f"says {rate:g} pictures a second", "give --rate or --times")
+    if listed is not None and count > 0 and len(listed) != count:
+        raise InputError(
+            str(beside),
+            "",
+            f"has {len(listed)} times, the video has {count} pictures",
+            "give one a picture",
+        )
+    clock = np.arange(max(count, 1)) / rate if listed is None else listed
+    tellings = told(clock)
+
+    def generate_frames() -> Iterator[CameraFrame]:
+        again = cv2.VideoCapture(str(file))
+        for k in range(len(clock) if count > 0 or listed is not None else 10**9):
+            there, picture = again.read()
+            if not there:
+                if k < count:
+                    raise InputError(
+                        str(file),
+                        f"picture {k + 1}",
+                        f"cannot be read, {count} were announced",
+                        "give another copy",
+                    )
+                return
+            grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+            check_picture_size(camera, grey.shape, str(file))
+            known = k < len(clock)
+            t = float(clock[k]) if known else k / rate
+            yield CameraFrame(t, grey, tellings[k] if known else told(np.array([t]))[0])
+
+    return FrameSource(file.name, max(count, 0), None, generate_frames)
+
+
+def _read_video_times(file: Path) -> _Array:
+    """Times (s) of a video's pictures, one a row; what follows on a row is passed over, so is a row of names."""
+    rows = _read_rows(file)
+    rows = rows[1:] if rows and not _is_number(rows[0][0].split()[0]) else rows
+    cells = [r[0].split()[0] if r and r[0].split() else "" for r in rows]
+    bad = next((k for k, c in enumerate(cells) if not _is_number(c)), None)
+    if bad is not None or not cells:
+        what = "holds no times" if bad is None else f"{cells[bad][:40]!r} is no time"
+        raise InputError(str(file), "" if bad is None else f"row {bad + 1}", what, "write a time (s or ns) in each row")
+    times = np.array([float(c) for c in cells])
+    times = times * 1e-9 if times[0] > 1e12 else times
+    _check_rising_times(times, [f"row {k + 1}" for k in range(len(times))], str(file))
+    return times

@@ -1,0 +1,295 @@
+"""What OpenCV does for us: pictures straightened and smoothed, corners, tracks, matches. It is an extra.
+
+Tracks (Lucas and Kanade 1981, pyramids by Bouguet 2000) go from a keyframe's picture, warped to what should be seen
+now, to the picture that is seen: templates do not grow old, and what is left to find is a shift. How well a point
+is found is told by two numbers. The correlation rho of the two patches (zero mean, normalised) says which share of
+what is seen is floor: noise alone has 0.1 to 0.3 however well it is "tracked". And the covariance of the shift is
+
+    C = s^2 G^-1,    G = rho sum (grad I)(grad I)^T,    s^2 the mean square of what the patches differ by,
+
+as usual for least squares (e.g. Foerstner and Guelch 1987), where rho takes the gradients of the noise off.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.camera import Camera, camera_matrix, distortion_coefficients
+from mufly.errors import MuflyError
+from mufly.numba_cache import cached_njit
+
+_Array = NDArray[np.float64]
+_Picture = NDArray[np.uint8]
+GRID_CELL_PX = 20
+"""Of the uniform grid (pixels): one corner each."""
+BORDER_MARGIN_PX = 14  # pixels at the border in which nothing is sought
+TRACKING_WINDOW_PX = 21
+MIN_REPEAT_CORRELATION = 0.5
+"""Correlation of a picture with itself, shifted, from which it repeats."""
+_PATCH_HALF_SIZE_PX = 10  # half of a patch that is compared
+
+
+@functools.cache
+def load_opencv() -> Any:
+    """Return OpenCV.
+
+    Raises
+    ------
+    MuflyError
+        If it is not installed.
+    """
+    try:
+        import cv2
+    except ImportError:
+        raise MuflyError(
+            "OpenCV is not installed, without which no picture is looked at; pip install 'mufly[vision]'"
+        ) from None
+    cv2.setNumThreads(1)  # it shares its core with a flight
+    return cv2
+
+
+def pinhole_parameters(camera: Camera) -> tuple[float, _Array]:
+    """Return focal length and principal point (2,) of straight pictures (pixels)."""
+    focal = 0.5 * (float(camera.lens.focal_x) + float(camera.lens.focal_y))
+    return focal, np.array([(camera.sensor.width - 1) / 2, (camera.sensor.height - 1) / 2])
+
+
+class Undistorter:
+    """Takes the lens's distortion out of pictures, and smooths them.
+
+    What comes out is a pinhole's picture of the same focal length, principal point in its middle.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        cv2 = load_opencv()
+        size = (camera.sensor.width, camera.sensor.height)
+        self.picture_size = size
+        self.focal_px, self.principal_point = pinhole_parameters(camera)
+        # As much as noise asks for (pixels, one sigma), before anything is looked for
+        self.smoothing_sigma_px = min(2.2, 0.8 + 0.1 * float(camera.quality.noise))
+        wanted = np.array(
+            [
+                [self.focal_px, 0, self.principal_point[0]],
+                [0, self.focal_px, self.principal_point[1]],
+                [0, 0, 1.0],
+            ]
+        )
+        self.camera_matrix = wanted
+        self._remap_tables = cv2.initUndistortRectifyMap(
+            camera_matrix(camera), distortion_coefficients(camera), None, wanted, size, cv2.CV_16SC2
+        )
+        rows = cv2.initUndistortRectifyMap(
+            camera_matrix(camera), distortion_coefficients(camera), None, wanted, size, cv2.CV_32FC1
+        )[1]
+        self._exposure_offsets_s = (rows / (size[1] - 1) - 0.5) * float(camera.shutter.readout)
+        seen = np.full((size[1], size[0]), 255, np.uint8)
+        self.valid_mask = cv2.erode(cv2.remap(seen, *self._remap_tables, cv2.INTER_LINEAR), np.ones((5, 5), np.uint8))
+
+    def undistort_picture(self, picture: _Picture) -> _Picture:
+        """Return the picture straight and smooth."""
+        cv2 = load_opencv()
+        out = cv2.remap(picture, *self._remap_tables, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return cv2.GaussianBlur(out, (0, 0), self.smoothing_sigma_px)
+
+    def exposure_offsets(self, pixels: _Array) -> _Array:
+        """When pixels (n, 2) of a straight picture were exposed, from the middle row (s)."""
+        c = np.clip(np.rint(pixels).astype(int), 0, np.array(self.picture_size) - 1)
+        return self._exposure_offsets_s[c[:, 1], c[:, 0]].astype(np.float64)
+
+
+def detect_corners(picture: _Picture, seen: _Picture, most: int = 150) -> _Array:
+    """Return the best corner (n, 2) of each cell of a uniform grid, in pixels, as far as they are any."""
+    cv2 = load_opencv()
+    strength = cv2.cornerMinEigenVal(picture, 7, 3)
+    strength[seen == 0] = 0.0
+    strength[:BORDER_MARGIN_PX] = strength[-BORDER_MARGIN_PX:] = 0.0
+    strength[:, :BORDER_MARGIN_PX] = strength[:, -BORDER_MARGIN_PX:] = 0.0
+    high, wide = (n // GRID_CELL_PX for n in picture.shape)
+    cells = (
+        strength[: high * GRID_CELL_PX, : wide * GRID_CELL_PX]
+        .reshape(high, GRID_CELL_PX, wide, GRID_CELL_PX)
+        .swapaxes(1, 2)
+    )
+    flat = cells.reshape(high * wide, GRID_CELL_PX * GRID_CELL_PX)
+    best = flat.argmax(axis=1)
+    value = flat[np.arange(len(flat)), best]
+    keep = np.argsort(value)[::-1][:most]
+    keep = keep[value[keep] > 1e-7]
+    rows, columns = np.divmod(keep, wide)
+    return np.column_stack(
+        [columns * GRID_CELL_PX + best[keep] % GRID_CELL_PX, rows * GRID_CELL_PX + best[keep] // GRID_CELL_PX]
+    ).astype(float)
+
+
+def warp_picture(picture: _Picture, homography: _Array, size: tuple[int, int]) -> _Picture:
+    """Return a picture as it would be seen from elsewhere; black where it does not reach."""
+    cv2 = load_opencv()
+    return cv2.warpPerspective(picture, homography, size, flags=cv2.INTER_LINEAR)
+
+
+def match_brightness(picture: _Picture, other: _Picture) -> _Picture:
+    """Return a picture as bright on average as another one: exposures change, and the tracker takes greys as they
+    are."""
+    ratio = float(other.mean()) / max(float(picture.mean()), 1.0)
+    return load_opencv().convertScaleAbs(picture, alpha=ratio) if abs(ratio - 1.0) > 0.03 else picture
+
+
+def warp_over_picture(picture: _Picture, homography: _Array, over: _Picture) -> tuple[_Picture, _Picture]:
+    """Return a picture as it would be seen from elsewhere, and where it reaches by a patch and more (else 0).
+
+    Where it does not reach, it is the other picture: an edge to black, which moves with nothing, would pull all
+    windows of the pyramid that see it.
+    """
+    cv2 = load_opencv()
+    size = (over.shape[1], over.shape[0])
+    out = over.copy()
+    cv2.warpPerspective(picture, homography, size, dst=out, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT)
+    high, wide = picture.shape
+    corner = np.array([[0.0, 0, 1], [wide - 1, 0, 1], [wide - 1, high - 1, 1], [0, high - 1, 1]]) @ homography.T
+    reach = np.zeros_like(over)
+    if (corner[:, 2] > 0).all():
+        cv2.fillConvexPoly(reach, np.rint(corner[:, :2] / corner[:, 2:]).astype(np.int32), 255)
+    edge = np.zeros_like(reach)
+    edge[BORDER_MARGIN_PX:-BORDER_MARGIN_PX, BORDER_MARGIN_PX:-BORDER_MARGIN_PX] = 255
+    return out, cv2.erode(reach, np.ones((2 * BORDER_MARGIN_PX - 1, 2 * BORDER_MARGIN_PX - 1), np.uint8)) & edge
+
+
+def find_repeat_shifts(picture: Any) -> _Array:
+    """Return the shifts (n, 2) by which a picture repeats, in pixels: peaks of its correlation with itself, its middle
+    over all of it and a quarter beyond, but for the one in the middle. None (0, 2) where nothing does."""
+    cv2 = load_opencv()
+    small = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA).astype(np.float32)
+    small -= cv2.GaussianBlur(small, (0, 0), 10)  # vignette and shadows are like themselves everywhere
+    high, wide = small.shape
+    top, left = high // 4, wide // 4
+    wider = cv2.copyMakeBorder(small, top, top, left, left, cv2.BORDER_CONSTANT, value=0.0)
+    score = cv2.matchTemplate(wider, small[top : high - top, left : wide - left], cv2.TM_CCOEFF_NORMED)
+    peak = (score == cv2.dilate(score, np.ones((7, 7), np.uint8))) & (score > MIN_REPEAT_CORRELATION)
+    rows, columns = np.nonzero(peak)
+    shift = 2.0 * np.stack([columns - 2 * left, rows - 2 * top], axis=1)
+    return np.asarray(shift[np.abs(shift).max(axis=1) > 8.0], np.float64)
+
+
+def is_in_mask(mask: _Picture, pixels: _Array) -> NDArray[np.bool_]:
+    """Return which pixels (n, 2) lie in a mask."""
+    high, wide = mask.shape
+    x, y = np.rint(pixels).astype(int).T
+    inside = (x >= 0) & (x < wide) & (y >= 0) & (y < high)
+    out: NDArray[np.bool_] = inside.copy()
+    out[inside] = mask[y[inside], x[inside]] > 0
+    return out
+
+
+def _pyramid_levels(reach: float) -> int:
+    return 3 if math.isinf(reach) else min(3, max(1, math.ceil(math.log2(reach / (TRACKING_WINDOW_PX // 2)))))
+
+
+def track_points(
+    template: _Picture, picture: _Picture, points: _Array, smooth: float, reach: float
+) -> tuple[_Array, _Array, _Array]:
+    """Follow points (n, 2) of a template into a picture, both smoothed by so much.
+
+    Nothing is sought further away than ``reach`` (pixels): the pyramid has as many levels as half a window needs to
+    span that. Windows of more see vignette and shadows rather than the floor, and go with those: over tiles to the
+    next one.
+
+    Returns
+    -------
+    there : (n, 2) array
+    correlation : (n,) array
+        0 where it was not found.
+    sigma : (n,) array
+        Of the place along an axis (pixels), root mean square of the two.
+    """
+    cv2 = load_opencv()
+    from_ = points.astype(np.float32).reshape(-1, 1, 2)
+    to = from_.copy()
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.02)
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        template,
+        picture,
+        from_,
+        to,
+        winSize=(TRACKING_WINDOW_PX, TRACKING_WINDOW_PX),
+        maxLevel=_pyramid_levels(reach),
+        criteria=stop,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    there = there.reshape(-1, 2).astype(np.float64)
+    correlation, sigma = np.zeros(len(points)), np.full(len(points), 1e3)
+    correlate_patches(template, picture, points, there, found.reshape(-1), smooth, correlation, sigma)
+    return there, correlation, sigma
+
+
+@cached_njit(error_model="numpy")
+def _interpolate_grey(a: NDArray[np.uint8], x: float, y: float) -> float:
+    i, j = math.floor(y), math.floor(x)
+    u, v = y - i, x - j
+    return (1 - u) * ((1 - v) * a[i, j] + v * a[i, j + 1]) + u * ((1 - v) * a[i + 1, j] + v * a[i + 1, j + 1])
+
+
+@cached_njit(error_model="numpy")
+def correlate_patches(
+    template: NDArray[np.uint8],
+    picture: NDArray[np.uint8],
+    points: _Array,
+    there: _Array,
+    found: NDArray[np.uint8],
+    smooth: float,
+    correlation: _Array,
+    sigma: _Array,
+) -> None:
+    """Correlation of patches around points of a template and of a picture, and how well their shift is known."""
+    high, wide = picture.shape
+    n = 2 * _PATCH_HALF_SIZE_PX + 1
+    a, b = np.empty((n, n)), np.empty((n, n))
+    for i in range(len(points)):
+        edge = _PATCH_HALF_SIZE_PX + 1.0
+        x, y, u, v = points[i, 0], points[i, 1], there[i, 0], there[i, 1]
+        inside = (
+            edge <= x < wide - edge and edge <= y < high - edge and edge <= u < wide - edge and edge <= v < high - edge
+        )
+        if found[i] == 0 or not inside:
+            continue
+        mean_a = mean_b = 0.0
+        dark = False
+        for r in range(n):
+            for c in range(n):
+                a[r, c] = _interpolate_grey(template, x + c - _PATCH_HALF_SIZE_PX, y + r - _PATCH_HALF_SIZE_PX)
+                b[r, c] = _interpolate_grey(picture, u + c - _PATCH_HALF_SIZE_PX, v + r - _PATCH_HALF_SIZE_PX)
+                mean_a += a[r, c]
+                mean_b += b[r, c]
+        for r in range(n):
+            dark = dark or a[r, 0] == 0.0 or a[r, n - 1] == 0.0  # the template ends here
+        mean_a /= n * n
+        mean_b /= n * n
+        aa = bb = ab = 0.0
+        for r in range(n):
+            for c in range(n):
+                p, q = a[r, c] - mean_a, b[r, c] - mean_b
+                aa += p * p
+                bb += q * q
+                ab += p * q
+        if aa <= 0.0 or bb <= 0.0 or dark:
+            continue
+        rho = ab / math.sqrt(aa * bb)
+        gain = math.sqrt(bb / aa)
+        gxx = gyy = gxy = 0.0
+        for r in range(1, n - 1):
+            for c in range(1, n - 1):
+                gx, gy = 0.5 * (a[r, c + 1] - a[r, c - 1]), 0.5 * (a[r + 1, c] - a[r - 1, c])
+                gxx += gx * gx
+                gyy += gy * gy
+                gxy += gx * gy
+        differ = (aa * gain * gain + bb - 2 * gain * ab) / (n * n)
+        share = max(rho, 0.05) * gain * gain
+        det = (gxx * gyy - gxy * gxy) * share
+        correlation[i] = rho
+        # Smoothing makes neighbouring pixels' noise alike: as many as lie in its spot count as one.
+        alike = max(1.0, 4.0 * math.pi * smooth * smooth)
+        sigma[i] = math.sqrt(0.5 * alike * differ * (gxx + gyy) / max(det, 1e-9))

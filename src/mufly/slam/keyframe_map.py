@@ -1,0 +1,320 @@
+"""What it remembers of the floor: keyframes, what ties them together, and a file of both."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.slam.camera_pose import d_rays_d_tilt
+from mufly.slam.image_tools import find_repeat_shifts
+from mufly.slam.pose_graph import (
+    NODE_SIZE,
+    GraphEdge,
+    GraphSolution,
+    KeyframePriors,
+    edge_jacobian,
+    gauss_markov_transition,
+    relative_pose,
+    solve_graph,
+)
+
+_Array = NDArray[np.float64]
+MAP_FORMAT = 2
+_MIN_POINT_SIGMA_PX = 0.04  # pixels: no point is known better
+_SAVED_FIELDS = (
+    "time_s",
+    "picture",
+    "turn",
+    "pixels",
+    "slopes",
+    "variance",
+    "missed",
+    "tilt",
+    "log_height",
+    "height_sigma",
+    "height_time_s",
+    "tilt_sigma",
+    "tilt_time_s",
+    "tilt_white",
+)
+
+
+@dataclass
+class Keyframe:
+    """A picture that is remembered.
+
+    Attributes
+    ----------
+    time_s : float
+    picture : (rows, columns) uint8 array
+        Straight.
+    turn : (3, 3) array
+        Turns camera's axes into N-E-D with heading 0.
+    pixels : (n, 2) array
+        Its points, in the straight picture.
+    slopes : (n,) complex array
+        Of their rays, heading 0.
+    variance : (n,) array
+        Of the slopes, along an axis.
+    missed : (n,) int array
+        How often more a point did not fit than it did.
+    tilt : (2,) array
+        What the tilt that was told was taken to be off by, about the axes of the heading, when its slopes were
+        reckoned (rad).
+    log_height : float
+        ln h of the camera by the sonar.
+    height_sigma, height_time_s, tilt_sigma, tilt_time_s, tilt_white : float
+        What that and the told tilt may be off by: :class:`mufly.slam.pose_graph.KeyframePriors`.
+    """
+
+    time_s: float
+    picture: NDArray[np.uint8]
+    turn: _Array
+    pixels: _Array
+    slopes: NDArray[np.complex128]
+    variance: _Array
+    missed: NDArray[np.int64]
+    tilt: _Array
+    log_height: float
+    height_sigma: float
+    height_time_s: float
+    tilt_sigma: float
+    tilt_time_s: float
+    tilt_white: float
+    orb_features: Any = field(default=None, repr=False)
+    repeat_shifts_px: Any = field(default=None, repr=False)
+
+    def refine_points(
+        self, which: NDArray[np.intp], seen: NDArray[np.complex128], variance: _Array, focal: float
+    ) -> None:
+        """Take in where some of its points were seen anew: slopes and their variances."""
+        gain = self.variance[which] / (self.variance[which] + variance)
+        self.slopes[which] += gain * (seen - self.slopes[which])
+        self.variance[which] = np.maximum((1.0 - gain) * self.variance[which], (_MIN_POINT_SIGMA_PX / focal) ** 2)
+
+
+class FloorMap:
+    """Keyframes and edges.
+
+    Parameters
+    ----------
+    start : (3,) array_like
+        N, E (m) and heading (rad) of the vehicle where the map begins.
+    start_sigma : (2,) tuple
+        What that is off by: place (m), heading (rad).
+    """
+
+    def __init__(self, start: Any = (0.0, 0.0, 0.0), start_sigma: tuple[float, float] = (0.0, 0.0)) -> None:
+        self.start_pose, self.start_sigma = np.asarray(start, dtype=np.float64), start_sigma
+        self.keyframes: list[Keyframe] = []
+        self.nodes = np.zeros((0, NODE_SIZE))
+        self.edges: list[GraphEdge] = []
+        self.solution: GraphSolution | None = None
+        self._covariance_cache: dict[tuple[int, ...], _Array] = {}
+
+    def add_keyframe(self, keyframe: Keyframe, node: _Array, ties: list[GraphEdge]) -> int:
+        """Add a keyframe at a node (7,), tied to others by edges; return its number."""
+        self.keyframes.append(keyframe)
+        self.nodes = np.vstack([self.nodes, node])
+        self.edges += ties
+        self.optimise_graph()
+        return len(self.keyframes) - 1
+
+    def drop_last_keyframe(self) -> None:
+        """Forget the keyframe that was added last, and its ties."""
+        self.keyframes.pop()
+        k = len(self.keyframes)
+        self.nodes = self.nodes[:k]
+        self.edges = [e for e in self.edges if k not in (e.first_index, e.second_index)]
+        self.optimise_graph()
+
+    def try_add_edge(self, edge: GraphEdge, most: float = math.inf) -> bool:
+        """Add an edge, unless the map does not bear it (chi-squared over ``most``): then it is as before."""
+        before = self.nodes.copy()
+        self.edges.append(edge)
+        self.optimise_graph()
+        assert self.solution is not None
+        if self.solution.edge_chi2[-1] > most:
+            self.edges.pop()
+            self.nodes = before
+            self.optimise_graph()
+            return False
+        return True
+
+    def optimise_graph(self) -> None:
+        """Move the keyframes to where the edges want them."""
+        known = KeyframePriors(
+            *(np.array([getattr(k, f.name) for k in self.keyframes]) for f in fields(KeyframePriors))
+        )
+        self.solution = solve_graph(self.nodes, self.edges, known, self.start_sigma)
+        self.nodes = self.solution.nodes
+        self._covariance_cache = {}
+
+    def joint_covariance(self, *which: int) -> _Array:
+        """Of some nodes, jointly (7 n, 7 n)."""
+        if which not in self._covariance_cache:
+            assert self.solution is not None
+            self._covariance_cache[which] = self.solution.joint_covariance(list(which))
+        return self._covariance_cache[which]
+
+    def edge_covariance(self, a: int, b: int) -> _Array:
+        """Of what node ``b`` is from node ``a``, and of both tilts: the numbers of an edge (8, 8)."""
+        j = edge_jacobian(self.nodes[a], self.nodes[b])
+        return j @ self.joint_covariance(a, b) @ j.T
+
+    def predict_sensor_errors(
+        self, time_s: float, tilt: tuple[float, float, float], height: tuple[float, float]
+    ) -> tuple[_Array, _Array, _Array]:
+        """Return what a picture's tilt (rad) and sonar (ln h) are off by as far as the newest keyframe knows, and how
+        these three hang together with that: :func:`mufly.slam.pose_graph.gauss_markov_transition`, which takes ``tilt``
+        and ``height``."""
+        last = self.keyframes[-1] if self.keyframes else None
+        since = math.inf if last is None else time_s - last.time_s
+        of_tilt = gauss_markov_transition(since, tilt[0] if last is None else last.tilt_sigma, *tilt)
+        of_height = gauss_markov_transition(since, height[0] if last is None else last.height_sigma, *height)
+        keep, noise = np.array([of_tilt, of_tilt, of_height]).T
+        return keep * (0.0 if last is None else self.nodes[-1, 4:]), keep, noise
+
+    def predict_covariance(self, k: int, keep: _Array, noise: _Array) -> _Array:
+        """Return the covariance of node ``k``, of the error of its tilt and of a picture's tilt and sonar (9, 9)."""
+        last = len(self.keyframes) - 1
+        to = np.zeros((9, NODE_SIZE if k == last else 2 * NODE_SIZE))
+        to[:6, :6] = np.eye(6)
+        to[6:, -3:] = np.diag(keep)
+        out = to @ (self.joint_covariance(k) if k == last else self.joint_covariance(k, last)) @ to.T
+        out[6:, 6:] += np.diag(noise)
+        return out
+
+    def connected_keyframes(self, k: int) -> set[int]:
+        """Keyframes that are tied to one."""
+        return {
+            e.second_index if e.first_index == k else e.first_index
+            for e in self.edges
+            if k in (e.first_index, e.second_index)
+        }
+
+    def locate_points(self, k: int) -> _Array:
+        """Where the points of a keyframe lie (n, 3), N-E-D, by what its tilt is believed to be off by now."""
+        f = self.keyframes[k]
+        moved = d_rays_d_tilt(f.slopes) @ (self.nodes[k, 4:6] - f.tilt)
+        c, z = complex(self.nodes[k, 0], self.nodes[k, 1]), np.exp(self.nodes[k, 3] + 1j * self.nodes[k, 2])
+        x = c + z * (f.slopes + moved[:, 0] + 1j * moved[:, 1])
+        return np.stack([x.real, x.imag, np.zeros(len(x))], axis=1)
+
+    def points_tilt_jacobian(self, k: int) -> _Array:
+        """How the points of a keyframe move (n, 2, 2) with the error of its tilt (m/rad)."""
+        c, s, h = math.cos(self.nodes[k, 2]), math.sin(self.nodes[k, 2]), math.exp(self.nodes[k, 3])
+        return h * np.array([[c, -s], [s, c]]) @ d_rays_d_tilt(self.keyframes[k].slopes)
+
+    def repeat_offsets(self, k: int, focal: float) -> _Array:
+        """By how much N and E (n, 2) what a keyframe sees repeats, either way (m)."""
+        f = self.keyframes[k]
+        if f.repeat_shifts_px is None:
+            f.repeat_shifts_px = find_repeat_shifts(f.picture)
+        m = f.repeat_shifts_px / focal @ f.turn[:2, :2].T
+        c, s, h = math.cos(self.nodes[k, 2]), math.sin(self.nodes[k, 2]), math.exp(self.nodes[k, 3])
+        way = h * m @ np.array([[c, s], [-s, c]])
+        return np.concatenate([way, -way])
+
+    def save(self, path: str | Path) -> None:
+        """Write it to a file (a zip of NumPy arrays)."""
+        arrays: dict[str, Any] = {
+            "format": np.array(MAP_FORMAT),
+            "start": self.start_pose,
+            "start_sigma": np.array(self.start_sigma),
+            "nodes": self.nodes,
+            "edges": np.array([(e.first_index, e.second_index, e.is_loop_closure) for e in self.edges], dtype=np.int64),
+            "measured": np.array([e.measurement for e in self.edges]).reshape(-1, 8),
+            "information": np.array([e.information for e in self.edges]).reshape(-1, 8, 8),
+            "pull": np.array([e.gradient for e in self.edges]).reshape(-1, 8),
+        }
+        for k, f in enumerate(self.keyframes):
+            for name in _SAVED_FIELDS:
+                arrays[f"{name}_{k}"] = np.asarray(getattr(f, name))
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> FloorMap:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        InputError
+            If it is none, or damaged.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as a:
+                if int(a["format"]) != MAP_FORMAT:
+                    raise InputError(
+                        str(path), "format", f"is {int(a['format'])}", f"give a map of format {MAP_FORMAT}"
+                    )
+                out = cls(a["start"], (float(a["start_sigma"][0]), float(a["start_sigma"][1])))
+                out.nodes = a["nodes"]
+                out.edges = [
+                    GraphEdge(int(i), int(j), m, w, g, bool(closes))
+                    for (i, j, closes), m, w, g in zip(
+                        a["edges"], a["measured"], a["information"], a["pull"], strict=True
+                    )
+                ]
+                for k in range(len(out.nodes)):
+                    kept: Any = (a[f"{name}_{k}"] for name in _SAVED_FIELDS)
+                    kept = (float(q) if q.ndim == 0 else q for q in kept)
+                    out.keyframes.append(Keyframe(*kept))
+        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
+            raise InputError(
+                str(path), "", f"is no map ({error})", "give a file that 'mufly slam run --map' wrote"
+            ) from error
+        if out.keyframes:
+            out.optimise_graph()
+        return out
+
+    def summary_json(self) -> str:
+        """Its size in one line of JSON."""
+        return json.dumps({"keyframes": len(self.keyframes), "closures": sum(e.is_loop_closure for e in self.edges)})
+
+
+def compose_pose(a: _Array, b: _Array) -> _Array:
+    """Return the node that is seen as ``b`` (four numbers of :func:`mufly.slam.pose_graph.relative_pose`) from node
+    ``a``."""
+    c, s, h = math.cos(a[2]), math.sin(a[2]), math.exp(a[3])
+    return np.array([a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), a[2] + b[2], a[3] + b[3]])
+
+
+def remove_pose_fit(
+    off: NDArray[np.complex128], own: NDArray[np.complex128], seen: NDArray[np.complex128], weight: _Array
+) -> NDArray[np.complex128]:
+    """Return what points are off by (n,) less what a place, heading, height and both tilts would make of it.
+
+    Parameters
+    ----------
+    off : (n,) complex array
+    own, seen : (n,) complex arrays
+        Slopes of the points from the keyframe, and from the picture.
+    weight : (n,) array
+    """
+    one = np.ones_like(own)
+    turns = [q[:, 0] + 1j * q[:, 1] for s in (own, seen) for q in np.moveaxis(d_rays_d_tilt(s), 2, 0)]
+    basis = np.stack([one, 1j * one, own, 1j * own, *turns], axis=1)
+    w = np.concatenate([weight, weight])
+    of = np.vstack([basis.real, basis.imag]) * w[:, None]
+    fit = np.linalg.lstsq(of, np.concatenate([off.real, off.imag]) * w, rcond=1e-6)[0]
+    return np.asarray(off - basis @ fit, np.complex128)
+
+
+def view_overlap(a: _Array, b: _Array, wide: float, high: float) -> float:
+    """Return about which share of the floor that node ``b`` sees node ``a`` sees too, both level; less where they are
+    turned or apart in height. ``wide`` and ``high`` are the picture's sides over the focal length."""
+    t = relative_pose(a, b)
+    size = min(math.exp(t[3]), math.exp(-t[3]))
+    # The picture's rows run along the nose.
+    along, across = max(0.0, 1.0 - abs(t[0]) / high), max(0.0, 1.0 - abs(t[1]) / wide)
+    return along * across * size * max(0.0, math.cos(1.5 * t[2])) if abs(t[2]) < 1.0 else 0.0

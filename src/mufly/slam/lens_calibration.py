@@ -1,0 +1,119 @@
+"""A camera's lens from pictures of a chessboard (Zhang 2000, by OpenCV), and how far to believe it.
+
+What comes out is a camera file: the lens as found, the rest as in the file that it begins with.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import field
+from pathlib import Path
+
+import numpy as np
+
+from mufly.camera import Camera
+from mufly.errors import ArgumentError, InputError
+from mufly.results import result
+from mufly.slam.dataset_readers import PICTURE_SUFFIXES, read_picture
+from mufly.slam.image_tools import load_opencv
+from mufly.vehicle.quantity import Quantity
+
+MIN_BOARD_PICTURES = 5
+"""Pictures with a board in them."""
+_LENS_PARAMETERS = ("focal_x", "focal_y", "centre_x", "centre_y", "k1", "k2", "p1", "p2", "k3")
+
+
+@result
+class LensCalibration:
+    """A lens as found."""
+
+    values: dict[str, float] = field(metadata={"unit": "1", "meaning": "as in the table lens of a camera file"})
+    deviations: dict[str, float] = field(metadata={"unit": "1", "meaning": "one sigma of each"})
+    residual_px: float = field(metadata={"unit": "1", "meaning": "rms of the corners' residuals (pixels)"})
+    used: int = field(metadata={"unit": "1", "meaning": "pictures with a board in them"})
+    of: int = field(metadata={"unit": "1", "meaning": "pictures"})
+    camera: Camera = field(repr=False, metadata={"unit": "", "meaning": "the file's camera with this lens"})
+
+
+def calibrate_lens(
+    pictures: Sequence[Path], camera: Camera, *, columns: int, rows: int, square_m: float = 0.025,
+    on_picture: Callable[[int, int], None] | None = None,
+) -> LensCalibration:  # fmt: skip
+    """Find the lens.
+
+    Parameters
+    ----------
+    pictures : sequence of Path
+    camera : Camera
+        Its size counts; the rest is taken over.
+    columns, rows : int
+        Inner corners of the board.
+    square_m : float
+        Side of a square (m).
+
+    Raises
+    ------
+    InputError
+        If the board is in fewer than five pictures, or they do not tell the lens.
+    """
+    cv2 = load_opencv()
+    if not (3 <= columns <= 50 and 3 <= rows <= 50 and columns != rows):
+        raise ArgumentError("board", f"{columns}x{rows}", "is no board", "give its inner corners, not alike: 9x6")
+    if not 1e-3 <= square_m <= 1.0:
+        raise ArgumentError("square", f"{square_m:g} m", "is no side of a square", "give 0.001 to 1 m")
+    board = np.zeros((rows * columns, 3), np.float32)
+    board[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2) * square_m
+    found = []
+    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
+    for k, file in enumerate(pictures):
+        grey = read_picture(file, camera)
+        there, at = cv2.findChessboardCorners(grey, (columns, rows))
+        if there:
+            found.append(cv2.cornerSubPix(grey, at.astype(np.float32), (5, 5), (-1, -1), stop))
+        if on_picture is not None:
+            on_picture(k + 1, len(pictures))
+    if len(found) < MIN_BOARD_PICTURES:
+        raise InputError(
+            "pictures", "", f"the board of {columns} by {rows} inner corners is in {len(found)} of {len(pictures)}",
+            f"give {MIN_BOARD_PICTURES} or more that show all of it, or its right size",
+        )  # fmt: skip
+    size = (camera.sensor.width, camera.sensor.height)
+    residual, m, k, _, _, deviations, *_ = cv2.calibrateCameraExtended([board] * len(found), found, size, None, None)
+    values = [m[0, 0], m[1, 1], m[0, 2], m[1, 2], *np.ravel(k)[:5]]
+    sigma = np.ravel(deviations)[:9]
+    if not all(math.isfinite(v) for v in values) or sigma[0] > 0.1 * values[0]:
+        raise InputError(
+            "pictures", "", "they do not tell the lens: the board is seen from the same side in all of them",
+            "tilt it by 20 to 40 degrees, both ways, and fill the picture",
+        )  # fmt: skip
+    note = f"chessboard, {len(found)} pictures, residual {residual:.2f} pixels"
+    lens = {
+        name: Quantity(value=float(v), unit="1", source="measured", note=note, std=float(s))
+        for name, v, s in zip(_LENS_PARAMETERS, values, sigma, strict=True)
+    }
+    out = camera.model_copy(update={"lens": camera.lens.model_copy(update=lens)})
+    return LensCalibration(
+        dict(zip(_LENS_PARAMETERS, (float(v) for v in values), strict=True)),
+        dict(zip(_LENS_PARAMETERS, (float(s) for s in sigma), strict=True)),
+        float(residual),
+        len(found),
+        len(pictures),
+        out,
+    )
+
+
+def list_board_pictures(folder: Path) -> list[Path]:
+    """Return the pictures of a folder.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    if not folder.is_dir():
+        raise InputError(str(folder), "", "no such folder", "give one with pictures of a chessboard")
+    out = sorted(p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
+    if not out:
+        raise InputError(str(folder), "", "holds no pictures", f"give a folder with {', '.join(PICTURE_SUFFIXES)}")
+    return out

@@ -1,0 +1,154 @@
+"""Where was this seen before? A picture looked for near a place by correlation, in all of the map by ORB (Rublee et al.
+2011).
+
+Words that have one clear counterpart in a keyframe are put to the two-point solution of :mod:`pose`; the keyframe that
+most of them agree on is the place, unless another has nearly as many: a floor of tiles has no answer.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.slam.camera_pose import ViewPrior, attitude_matrix, normalised_rays, ransac_two_points
+from mufly.slam.image_tools import Undistorter, find_repeat_shifts, load_opencv
+from mufly.slam.keyframe_map import FloorMap
+
+_Array = NDArray[np.float64]
+MIN_INLIERS = 14
+"""Points that have to agree, at least."""
+MAX_SECOND_PEAK_RATIO = 0.75
+"""Height of the second peak of the correlation over the first from which a place could be another one."""
+MAX_AMBIGUITY = 1e-3
+"""Of an answer: how likely it may be that the true place is another one that looks alike."""
+
+
+def relocalize_by_orb(
+    floor_map: FloorMap, known: int, view: ViewPrior, picture: Any, straight: Undistorter, shake_rms: float,
+    rng: np.random.Generator,
+) -> tuple[int, _Array] | None:  # fmt: skip
+    """Return the keyframe and node that ORB's matches speak for, if no other place does nearly as much and the picture
+    repeats nothing.
+
+    Parameters
+    ----------
+    floor_map : Map
+    known : int
+        How many of its keyframes are looked through, from the first.
+    view : View
+    picture : (rows, columns) uint8 array
+        Straight.
+    straight : Straightener
+    shake_rms : float
+        Of the shaking along an axis (pixels).
+    rng : numpy.random.Generator
+        Of the points drawn by chance.
+    """
+    if len(find_repeat_shifts(picture)):  # the words of one tile are those of each
+        return None
+    cv2 = load_opencv()
+    orb = cv2.ORB_create(nfeatures=400, scaleFactor=1.3, nlevels=4, fastThreshold=7)
+    points, words = orb.detectAndCompute(picture, None)
+    if words is None or len(points) < MIN_INLIERS:
+        return None
+    pixels = np.array([p.pt for p in points])
+    seconds = straight.exposure_offsets(pixels)
+    m = normalised_rays(view, pixels - straight.principal_point, seconds, attitude_matrix(view))
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    results: list[tuple[int, int, _Array]] = []
+    for k, keyframe in enumerate(floor_map.keyframes[:known]):
+        if keyframe.orb_features is None:
+            theirs, described = orb.detectAndCompute(keyframe.picture, None)
+            where = np.array([p.pt for p in theirs]).reshape(-1, 2)
+            rays = (
+                np.column_stack([(where - straight.principal_point) / view.focal_px, np.ones(len(where))])
+                @ keyframe.turn.T
+            )
+            keyframe.orb_features = (described, (rays[:, 0] + 1j * rays[:, 1]) / rays[:, 2])
+        described, theirs_m = keyframe.orb_features
+        if described is None or len(described) < MIN_INLIERS:
+            continue
+        pairs = matcher.knnMatch(words, described, k=2)
+        good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < 0.8 * p[1].distance and p[0].distance < 70]
+        if len(good) < MIN_INLIERS:
+            continue
+        at = floor_map.nodes[k]
+        places = complex(at[0], at[1]) + np.exp(at[3] + 1j * at[2]) * theirs_m[[g.trainIdx for g in good]]
+        rough = np.full(len(good), math.hypot(2.0, 1.5 * shake_rms) / view.focal_px)
+        c, h, heading, fits = ransac_two_points(
+            places, m[[g.queryIdx for g in good]], rough, view.height_m, view.height_sigma_m, rng, 200
+        )
+        if fits.sum() >= MIN_INLIERS:
+            results.append((int(fits.sum()), k, np.array([c.real, c.imag, heading, math.log(h)])))
+    if not results:
+        return None
+    results.sort(key=lambda r: -r[0])
+    count, k, node = results[0]
+    for other, _, elsewhere in results[1:]:
+        apart = math.hypot(*(elsewhere[:2] - node[:2])) > 0.3 * view.height_m
+        if apart and other > 0.6 * count:
+            return None
+    return k, node
+
+
+def correlate_pictures(seen: Any, picture: Any, reach: float) -> _Array | None:
+    """Return by how many pixels (2,) a keyframe's picture, warped to where it should be seen from, is shifted against a
+    picture: where small ones correlate most. None if they do not, or at another place within reach nearly as much.
+
+    Parameters
+    ----------
+    seen, picture : (rows, columns) uint8 arrays
+        The first is black where the keyframe does not reach.
+    reach : float
+        Pixels; at most half of a picture is looked at.
+    """
+    cv2 = load_opencv()
+    size = (picture.shape[1], picture.shape[0])
+    small = (size[0] // 4, size[1] // 4)
+    a = cv2.resize(seen, small, interpolation=cv2.INTER_AREA).astype(np.float32)
+    b = cv2.resize(picture, small, interpolation=cv2.INTER_AREA).astype(np.float32)
+    b -= cv2.GaussianBlur(b, (0, 0), 8)
+    inside = (a > 0).astype(np.float32)
+    mean = cv2.GaussianBlur(a, (0, 0), 8) / np.maximum(cv2.GaussianBlur(inside, (0, 0), 8), 0.05)
+    a = (a - mean) * inside
+    most = (small[0] // 2, small[1] // 2)
+    padded = cv2.copyMakeBorder(a, most[1] // 2, most[1] // 2, most[0] // 2, most[0] // 2, cv2.BORDER_CONSTANT)
+    mask = cv2.copyMakeBorder(inside, most[1] // 2, most[1] // 2, most[0] // 2, most[0] // 2, cv2.BORDER_CONSTANT)
+    # Of the middle of the picture, shifted by up to half of it
+    top, left = small[1] // 4, small[0] // 4
+    template = b[top : top + most[1], left : left + most[0]]
+    score = cv2.matchTemplate(padded, template, cv2.TM_CCOEFF_NORMED)
+    share = cv2.matchTemplate(mask, np.ones_like(template), cv2.TM_CCORR) / template.size
+    score[(share < 0.5) | ~np.isfinite(score)] = -1.0
+    middle = np.array([top + most[1] // 2, left + most[0] // 2])
+    rows, columns = np.indices(score.shape)
+    off = np.hypot(rows - middle[0], columns - middle[1]) * 4.0
+    score[off > reach] = -1.0
+    best = np.unravel_index(int(np.argmax(score)), score.shape)
+    peak = float(score[best])
+    if peak < 0.35:
+        return None
+    away = np.hypot(rows - best[0], columns - best[1])
+    rest = score[away > 4.0]
+    if len(rest) and float(rest.max()) > MAX_SECOND_PEAK_RATIO * peak:
+        return None
+    return np.array([(best[1] - middle[1]) * 4.0, (best[0] - middle[0]) * 4.0])
+
+
+def is_unambiguous(off: _Array, alike: _Array, sigma: float) -> bool:
+    """Return whether a place is the one that it seems, where others look alike.
+
+    It is found ``off`` (2,) from where it was reckoned to be, to ``sigma`` along an axis; places as far from it as
+    ``alike`` (n, 2) says look the same. A Gaussian of what was reckoned says how likely each is against it,
+
+        p_k / p = exp(-(|off + alike_k|^2 - |off|^2) / (2 sigma^2)),
+
+    which has to be less than :data:`MAX_AMBIGUITY` for all: from the right place (off = 0) as long as sigma is less
+    than
+    0.27 of the way to the next, and never from one that is off by half of that.
+    """
+    further = ((off + alike) ** 2).sum(axis=1) - (off**2).sum()
+    return bool((further > -2.0 * math.log(MAX_AMBIGUITY) * sigma**2).all())

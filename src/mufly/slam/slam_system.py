@@ -1,0 +1,827 @@
+"""Where is it? Pictures in, places with covariance out: tracking against keyframes, closing loops, finding itself
+again.
+
+A picture is straightened, and where it should be from is reckoned by the last answer, velocity and turning. The
+keyframe that shares most floor with it is warped to there, its points are followed into the picture
+(:mod:`vision`), and where the camera is comes from them (:mod:`pose`). What fits moves the keyframe's points by
+what they were off: shaking and noise are averaged out of the map while it is looked at. When little floor is shared
+a new keyframe is made of the picture.
+
+Now and then a keyframe that is not tied to the present one, but should be in sight, is tried in the same way. It
+closes a loop if enough points agree, if what it says lies within the covariance of the map, and if no other place
+within reach looks alike: on a floor of tiles the covariance alone decides, and where it cannot, nothing does.
+
+Answers that are not trusted are not given; :class:`TrackingResult` says why. What it lost it seeks first around where
+it should be, later in all of the map by ORB (Rublee et al. 2011), and believes that when three pictures in a row agree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.camera import Camera, body_from_camera_rotation, check_picture_size
+from mufly.slam.camera_frame import CameraFrame, Odometry
+from mufly.slam.camera_pose import (
+    POSE_SIZE,
+    SHAKE_SIZE,
+    PoseEstimate,
+    ViewPrior,
+    attitude_matrix,
+    d_rays_d_tilt,
+    normalised_rays,
+    ransac_two_points,
+    solve_pose,
+)
+from mufly.slam.image_tools import (
+    Undistorter,
+    detect_corners,
+    is_in_mask,
+    match_brightness,
+    track_points,
+    warp_over_picture,
+    warp_picture,
+)
+from mufly.slam.keyframe_map import FloorMap, Keyframe, compose_pose, remove_pose_fit, view_overlap
+from mufly.slam.place_recognition import MIN_INLIERS, correlate_pictures, is_unambiguous, relocalize_by_orb
+from mufly.slam.pose_graph import GraphEdge, fuse_pose, relative_pose, relative_pose_jacobians
+
+_Array = NDArray[np.float64]
+MIN_CORRELATION = 0.5
+MIN_HEIGHT_M = 0.1  # height of the camera from which a map begins
+TOO_NEAR_REASON = "too near to the floor"
+"""Why there is no answer before."""
+FEW_INLIERS = 30  # points that agree, below which a new keyframe may see more
+NEW_KEYFRAME_OVERLAP = 0.55  # share of floor that a keyframe has to see of the picture
+LOOP_MIN_OVERLAP, LOOP_CHECK_INTERVAL = 0.4, 8
+LOOP_MAX_CHI2 = 28.0  # of eight numbers: one true closure in 2000 is turned away
+_LOOP_SEARCH_SIGMAS = 2.5  # deviations within which a keyframe is looked for
+VARIANCE_INFLATION = 3.0
+"""Of variances of all points together over those of each, as errors of neighbouring points hang together. Chosen on
+twelve floors (docs/slam.md): edges against the truth, with true tilts given, ask for 3.9, answers for less."""
+_WHITE_LEVEL, _MAX_WHITE_SHARE = 248, 0.02
+"""Grey, and share of a picture that may be whiter for it to become a keyframe: a camera that was covered sees too
+bright for half a second, and what was white then has no corners."""
+_STRAY_PX = 5.0  # pixels that a point may be off for no reason
+_TILT_DRIFT_PER_HEIGHT = 0.005
+"""Of the height: what tilts told wrong move a place by from picture to picture (docs/slam.md has it measured)."""
+_LOST_AFTER_S, _RELOCALIZE_INTERVAL = 0.7, 4
+_MIN_CONFIRMATIONS = 3
+_SHAKE_GAIN, _SHAKE_LEARNED_FRAMES, _SHAKE_REMAINING_SHARE = 0.02, 150, 0.3
+"""Of a picture in what is learnt of the shaking; after so many pictures so much is left of what is not known of it."""
+_BRIDGE_AFTER_S, _YOUNG_BRIDGE_AFTER_S, _YOUNG_MAP_KEYFRAMES, _TRIAL_FRAMES = 1.5, 0.1, 5, 25
+"""After how long it goes on from where it is believed to be (s); with a map of so few keyframes that nothing is found
+in it at once, else once so many pictures were seen so."""
+
+
+@dataclass(frozen=True)
+class TrackingResult:
+    """What was made of a picture.
+
+    Attributes
+    ----------
+    time_s : float
+        Of the picture.
+    trusted : bool
+    reason : str
+        Why it is not.
+    position : (3,) array
+        N, E, D (m) of the vehicle's centre of gravity; NaN where nothing is known.
+    heading : float
+        rad.
+    covariance : (4, 4) array
+        Of N, E, D, heading.
+    keyframe : int
+        Against which it was seen.
+    tracked, agreed : int
+        Points that were found, that agree.
+    pixels : (n, 2) array
+        Where those are that agree, in the straight picture.
+    scatter : float
+        Of their residuals, over what was expected.
+    made, closed : bool
+        Whether it became a keyframe, whether a loop was closed.
+    """
+
+    time_s: float
+    trusted: bool
+    reason: str = ""
+    position: _Array = field(default_factory=lambda: np.full(3, math.nan))
+    heading: float = math.nan
+    covariance: _Array = field(default_factory=lambda: np.full((4, 4), math.nan))
+    keyframe: int = -1
+    tracked_count: int = 0
+    inlier_count: int = 0
+    inlier_pixels: _Array = field(default_factory=lambda: np.zeros((0, 2)), repr=False)
+    residual_ratio: float = math.nan
+    is_new_keyframe: bool = False
+    is_loop_closed: bool = False
+
+
+@dataclass(frozen=True)
+class _KeyframeMatch:
+    """A picture seen against a keyframe."""
+
+    keyframe: int
+    pose: PoseEstimate
+    inlier_indices: NDArray[np.intp]  # points that agree
+    inlier_pixels: _Array  # there, in the straight picture
+    exposure_offsets_s: _Array
+    pixel_sigmas: _Array
+    tracked_count: int
+    shift_px: float  # pixels by which it was off before
+
+    @property
+    def graph_node(self) -> _Array:
+        x = self.pose.state
+        return np.array([x[0], x[1], x[3], math.log(x[2])])
+
+
+class SlamSystem:
+    """Visual SLAM over a floor.
+
+    Parameters
+    ----------
+    camera : Camera
+    floor_map : Map, optional
+        To find itself in; by default a new one that begins at the first picture.
+    start : (3,) array_like
+        N, E (m), heading (rad) of the vehicle at the first picture of a new map.
+    seed : int
+        Of the points drawn by chance.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        floor_map: FloorMap | None = None,
+        *,
+        start: Any = (0.0, 0.0, 0.0),
+        seed: int = 0,
+    ) -> None:
+        self.camera = camera
+        self.floor_map = FloorMap(start) if floor_map is None else floor_map
+        self._undistorter = Undistorter(camera)
+        self._has_given_map = floor_map is not None
+        self._body_from_camera, self._camera_position_m = (
+            body_from_camera_rotation(camera),
+            camera.mount.place.to_array()[0],
+        )
+        self._rng = np.random.default_rng(seed)
+        size, focal = self._undistorter.picture_size, self._undistorter.focal_px
+        self._view_width_ratio, self._view_height_ratio = size[0] / focal, size[1] / focal
+        self._has_rolling_shutter = float(camera.shutter.readout) > 0.005
+        shaking = float(camera.quality.shaking)
+        self._shake_sigma_px, self._shake_rms_px = 0.5 * shaking, shaking / math.sqrt(2.0)
+        self._shake_amplitudes_px, self._shake_frame_count = (
+            np.zeros(SHAKE_SIZE),
+            0,
+        )  # amplitudes as learnt, from so many pictures
+        self._shake_tilt_rad = 0.0
+        self._reference_index = -1
+        self._last_node = np.zeros(4)  # where it was last
+        self._velocity_m_s = np.zeros(2)
+        # What tilt and sonar are off by, and how that hangs together with the newest keyframe's
+        self._predicted_errors, self._error_transition = np.zeros(3), [np.zeros(3), np.ones(3)]
+        self._odometry: Odometry | None = None  # since then
+        self._last_time_s = math.nan
+        self._position_sigma_m = 0.0  # of the place that is reckoned (m)
+        self._frame_count = self._frames_since_loop_check = 0
+        self._found_poses: list[tuple[float, _Array]] = []
+        # How often a loop to a keyframe was tried in vain, and how much floor it seemed to share at the last time
+        self._failed_closures: dict[int, tuple[int, float]] = {}
+        self._trial_frame_count = 0  # pictures seen against a keyframe that was begun anew; 0: there is none
+        self.undistorted_picture: NDArray[np.uint8] | None = None
+        self.is_closing_loops = True  # whether loops are closed
+        self.on_closure: Callable[[int, int], None] = lambda a, b: None
+
+    # ------------------------------------------------------------------ one picture
+
+    def process_frame(self, frame: CameraFrame) -> TrackingResult:
+        """Take a picture in.
+
+        Raises
+        ------
+        InputError
+            If it is not of the camera's size.
+        """
+        check_picture_size(self.camera, frame.picture.shape, f"picture at {frame.time_s:g} s")
+        if frame.time_s <= self._last_time_s:
+            return TrackingResult(frame.time_s, False, "older than the picture before")
+        self._last_time_s = frame.time_s
+        self._frame_count += 1
+        picture = self.undistorted_picture = self._undistorter.undistort_picture(frame.picture)
+        view = self._make_view(frame)
+        if not self.floor_map.keyframes:
+            return self._start_map(frame, view, picture)
+        if self._odometry is None:
+            return self._relocalize(frame, view, picture, "not found in the map yet")
+        self._odometry = self._odometry.advance_to(frame.time_s, frame.info)
+        elapsed = self._odometry.elapsed_s
+        node = self._predict_node(frame, view, self._odometry)
+        pixels_off = self._position_sigma_m / view.height_m * view.focal_px
+        match = None
+        for k in self._select_reference_keyframes(node, elapsed > _LOST_AFTER_S):
+            match = self._match_keyframe(k, view, picture, node, coarse=pixels_off > 12.0)
+            if match is not None:
+                break
+        why = self._rejection_reason(match, view, node)
+        if match is None or why:
+            if len(self.floor_map.keyframes) == 1 and frame.info.place is not None and not self._has_given_map:
+                # Near the floor one picture shares little with the next: nothing hangs on a map of one.
+                self.floor_map = FloorMap(self.floor_map.start_pose)
+                return self._start_map(frame, view, picture)
+            if self._should_bridge(frame, view, elapsed):
+                return self._bridge_gap(frame, view, picture, why)
+            if elapsed > _LOST_AFTER_S or self._trial_frame_count > 0:
+                return self._relocalize(frame, view, picture, why)
+            return TrackingResult(frame.time_s, False, why, keyframe=self._reference_index)
+        if self._trial_frame_count > 0 and (answer := self._confirm_trial(frame, view, picture, match)) is not None:
+            return answer
+        return self._accept_match(frame, view, picture, match)
+
+    def _make_view(self, frame: CameraFrame) -> ViewPrior:
+        told = frame.info
+        # Where all rows are taken at once, shaking is a tilt like another one, and only its phase tells it apart.
+        modelled = bool(told.rotor_speed.any()) and (self._has_rolling_shutter or told.rotor_phase is not None)
+        self._shake_tilt_rad = (
+            0.0 if self._has_rolling_shutter or modelled else self._shake_rms_px / self._undistorter.focal_px
+        )
+        view = ViewPrior(
+            self._undistorter.focal_px,
+            self._body_from_camera,
+            told.roll,
+            told.pitch,
+            told.rates,
+            np.zeros(3),
+            1.0,
+            told.height_sigma,
+            self._shake_sigma_px if modelled else 0.0,
+            told.rotor_speed,
+        )
+        if told.rotor_phase is not None:
+            view = view._replace(rotor_phases_rad=told.rotor_phase, shake_amplitudes_px=self._shake_amplitudes_px)
+            if self._shake_frame_count > _SHAKE_LEARNED_FRAMES:
+                view = view._replace(shake_sigma_px=_SHAKE_REMAINING_SHARE * view.shake_sigma_px)
+        height = max(MIN_HEIGHT_M, told.height_m)
+        self._predicted_errors, *self._error_transition = self.floor_map.predict_sensor_errors(
+            frame.time_s, (told.tilt_sigma, told.tilt_time_s, self._shake_tilt_rad),
+            (told.height_sigma / height, told.height_time_s),
+        )  # fmt: skip
+        view = view._replace(tilt_error_rad=self._predicted_errors[:2])
+        turn = attitude_matrix(view, None, self._last_node[2])
+        velocity = np.array([*self._velocity_m_s, 0.0]) if told.velocity is None else told.velocity
+        velocity = velocity + turn @ np.cross(told.rates, self._camera_position_m)
+        return view._replace(
+            velocity_m_s=velocity,
+            height_m=max(0.05, told.height_m - float((turn @ self._camera_position_m)[2])),
+        )
+
+    def _predict_node(self, frame: CameraFrame, view: ViewPrior, way: Odometry) -> _Array:
+        """Where it should be, and in ``_position_sigma_m`` how well that is known (m): by the way since the last
+        answer, or after a while without one by what the vehicle believes, if it tells and that is known better."""
+        moved, self._position_sigma_m = way.predict_displacement(self._velocity_m_s)
+        believed = 0.05 + 2.0 * frame.info.place_sigma[0]
+        if way.elapsed_s > _LOST_AFTER_S and frame.info.place is not None and believed < self._position_sigma_m:
+            n, e, heading = frame.info.place
+            self._position_sigma_m = believed
+            return self._node_from_pose(self._pose_from_vehicle(view, n, e, heading))[:4]
+        return np.append(self._last_node[:3] + moved, math.log(view.height_m))
+
+    def _select_reference_keyframes(self, node: _Array, lost: bool) -> list[int]:
+        """Keyframes to look at it from: that of before, if another is not much better; all, if it was lost."""
+        near = (
+            range(len(self.floor_map.keyframes))
+            if lost
+            else {self._reference_index, *self.floor_map.connected_keyframes(self._reference_index)}
+        )
+        share = {
+            k: view_overlap(self.floor_map.nodes[k], node, self._view_width_ratio, self._view_height_ratio)
+            for k in near
+        }
+        share[self._reference_index] += 0.1
+        ordered = sorted(share, key=lambda k: -share[k])
+        return [k for k in ordered[:2] if share[k] > 0.15] or [self._reference_index]
+
+    # ------------------------------------------------------------------ against a keyframe
+
+    def _match_keyframe(
+        self, k: int, view: ViewPrior, picture: Any, node: _Array, coarse: bool = False
+    ) -> _KeyframeMatch | None:
+        """See a picture against keyframe ``k`` from about ``graph_node``; None if it does not fit."""
+        straight, keyframe, at = self._undistorter, self.floor_map.keyframes[k], self.floor_map.nodes[k]
+        shift = 0.0
+        if coarse:
+            found = self._align_coarsely(k, view, picture, node, 3.0 * self._position_sigma_m + 0.03)
+            if found is None:
+                return None
+            shift = math.hypot(*(found[:2] - node[:2])) / view.height_m * view.focal_px
+            node = found
+        homography = self._floor_homography(k, view, node)
+        template, covered = warp_over_picture(match_brightness(keyframe.picture, picture), homography, picture)
+        h = np.column_stack([keyframe.pixels, np.ones(len(keyframe.pixels))]) @ homography.T
+        there = h[:, :2] / h[:, 2:]
+        use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & is_in_mask(covered, there))[0]
+        if len(use) < MIN_INLIERS:
+            return None
+        tilts = self.floor_map.predict_covariance(k, *self._error_transition)[4:8, 4:8][
+            np.ix_([2, 3, 0, 1], [2, 3, 0, 1])
+        ]
+        # Who was found further away than all that is unknown has found its like: on tiles the next one's
+        unsure = 0.0 if coarse else self._position_sigma_m / view.height_m * view.focal_px
+        tilted = view.focal_px * math.sqrt(tilts[0, 0] + tilts[2, 2])
+        reach = _STRAY_PX + 4.0 * unsure + 3.0 * (self._shake_rms_px + tilted)
+        # A floor that repeats nothing is seen best by all that a picture holds.
+        looked = reach if len(self.floor_map.repeat_offsets(k, view.focal_px)) else math.inf
+        seen, correlation, sigma = track_points(template, picture, there[use], straight.smoothing_sigma_px, looked)
+        good = (correlation > MIN_CORRELATION) & (sigma < 1.5)
+        good &= is_in_mask(straight.valid_mask, seen) & (np.hypot(*(seen - there[use]).T) < reach)
+        if good.sum() < MIN_INLIERS:
+            return None
+        use, seen, sigma = use[good], seen[good], sigma[good]
+        seconds, pixels = straight.exposure_offsets(seen), seen - straight.principal_point
+        points = self.floor_map.locate_points(k)[use]
+        # In pixels of now
+        own = np.sqrt(keyframe.variance[use]) * math.exp(at[3]) / view.height_m * view.focal_px
+        sigma = np.hypot(np.hypot(sigma, 0.08), own)
+        rough = np.hypot(np.hypot(sigma, 0.5), self._shake_rms_px) / view.focal_px
+        _, _, _, fits = ransac_two_points(
+            points[:, 0] + 1j * points[:, 1],
+            normalised_rays(view, pixels, seconds, attitude_matrix(view), view.shake_amplitudes_px),
+            rough,
+            view.height_m,
+            view.height_sigma_m,
+            self._rng,
+        )
+        if fits.sum() < MIN_INLIERS:
+            return None
+        begin = np.array([node[0], node[1], view.height_m, node[2]])
+        bend = self.floor_map.points_tilt_jacobian(k)[use]
+        pose = solve_pose(view, begin, points[fits], bend[fits], tilts, pixels[fits], seconds[fits], sigma[fits])
+        if pose.inlier_mask.sum() < MIN_INLIERS:
+            return None
+        keep = np.nonzero(fits)[0][pose.inlier_mask]
+        pose = solve_pose(
+            view, pose.state[:4], points[keep], bend[keep], tilts, pixels[keep], seconds[keep], sigma[keep]
+        )
+        out = np.ones(len(use), bool)
+        out[keep] = False
+        keyframe.missed[use[out]] += 1
+        keyframe.missed[use[keep]] = np.maximum(keyframe.missed[use[keep]] - 2, -4)
+        return _KeyframeMatch(k, pose, use[keep], seen[keep], seconds[keep], sigma[keep], len(use), shift)
+
+    def _floor_homography(self, k: int, view: ViewPrior, node: _Array) -> _Array:
+        """From the straight picture of a keyframe to the one that is seen from a node, over the floor."""
+        keyframe, at = self.floor_map.keyframes[k], self.floor_map.nodes[k]
+        c, s = math.cos(at[2]), math.sin(at[2])
+        x, y = at[4:6] - keyframe.tilt
+        tilt = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [-y, x, 1.0]])
+        then = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ tilt @ keyframe.turn
+        now = attitude_matrix(view, None, node[2]) @ self._body_from_camera
+        h = math.exp(at[3])
+        way = np.array([at[0] - node[0], at[1] - node[1], view.height_m - h])
+        plane = h * np.eye(3) + np.outer(way, [0.0, 0.0, 1.0])
+        m = self._undistorter.camera_matrix
+        return m @ now.T @ plane @ then @ np.linalg.inv(m)
+
+    def _align_coarsely(self, k: int, view: ViewPrior, picture: Any, node: _Array, reach: float) -> _Array | None:
+        """Where it is by the correlation of small pictures, within a reach (m); None if that is not told apart."""
+        seen = warp_picture(
+            self.floor_map.keyframes[k].picture,
+            self._floor_homography(k, view, node),
+            self._undistorter.picture_size,
+        )
+        pixel = correlate_pictures(seen, picture, max(10.0, reach / view.height_m * view.focal_px))
+        if pixel is None:
+            return None
+        # What is seen at x now is where the warped keyframe has it shifted: the camera has moved by as much over
+        # the floor.
+        d = attitude_matrix(view, None, node[2]) @ self._body_from_camera @ np.append(pixel / view.focal_px, 0.0)
+        return node + np.array([d[0] * view.height_m, d[1] * view.height_m, 0.0, 0.0])
+
+    def _rejection_reason(self, match: _KeyframeMatch | None, view: ViewPrior, node: _Array) -> str:
+        """Why an answer is not to be trusted; "" if it is."""
+        if match is None:
+            return "too little of the floor is recognised"
+        pose = match.pose
+        if len(match.inlier_indices) < max(MIN_INLIERS, 0.4 * match.tracked_count):
+            return f"only {len(match.inlier_indices)} of {match.tracked_count} points agree"
+        if pose.residual_scale > 4.0:
+            return "points scatter more than they may"
+        sigma = math.sqrt(max(pose.covariance[0, 0], pose.covariance[1, 1]))
+        if sigma > 0.1 + 0.03 * view.height_m:
+            return "the place is not known well enough"
+        way = pose.state[:2] - node[:2]
+        off = math.hypot(*way)
+        if off > 4.0 * (self._position_sigma_m + sigma) + 0.08 * view.height_m:
+            return f"{off:.2f} m off from where it should be"
+        if self._odometry is None or not self._odometry.has_all_velocities or self._odometry.last_info.place is None:
+            return ""  # nothing tells places apart that look alike, and nothing could be begun anew
+        alike = self.floor_map.repeat_offsets(match.keyframe, view.focal_px)
+        unsure = math.hypot(self._position_sigma_m, math.sqrt(2.0) * sigma, _TILT_DRIFT_PER_HEIGHT * view.height_m)
+        if not is_unambiguous(way, alike, unsure):
+            nearest = np.hypot(*alike.T).min()
+            return f"the floor repeats every {nearest:.2f} m, and {off:.2f} m off it may be another place"
+        return ""
+
+    # ------------------------------------------------------------------ what is made of it
+
+    def _accept_match(self, frame: CameraFrame, view: ViewPrior, picture: Any, match: _KeyframeMatch) -> TrackingResult:
+        assert self._odometry is not None
+        elapsed, node = self._odometry.elapsed_s, match.graph_node
+        if 0.0 < elapsed < 0.5:
+            gain = min(1.0, 3.0 * elapsed)
+            self._velocity_m_s = self._velocity_m_s + gain * (
+                (node[:2] - self._last_node[:2]) / elapsed - self._velocity_m_s
+            )
+        else:
+            self._velocity_m_s = np.zeros(2)
+        self._last_node, self._odometry, self._reference_index = (
+            node,
+            Odometry(frame.time_s, frame.info),
+            match.keyframe,
+        )
+        self._found_poses = []
+        self._refine_keyframe(view, match)
+        made = closed = False
+        share = view_overlap(
+            self.floor_map.nodes[match.keyframe], node, self._view_width_ratio, self._view_height_ratio
+        )
+        few = share < 0.85 and len(match.inlier_indices) < FEW_INLIERS
+        if (share < NEW_KEYFRAME_OVERLAP or few) and len(match.inlier_indices) >= MIN_INLIERS:
+            made = self._insert_keyframe(frame, view, picture, match)
+        self._frames_since_loop_check += 1
+        if self.is_closing_loops and (self._frames_since_loop_check >= LOOP_CHECK_INTERVAL or made):
+            self._frames_since_loop_check = 0
+            made, closed = self._try_loop_closure(frame, view, picture, match, made)
+        return self._make_result(frame, view, match, made, closed)
+
+    def _refine_keyframe(self, view: ViewPrior, match: _KeyframeMatch) -> None:
+        """Move the keyframe's points by what they were off, and learn how it shakes.
+
+        Turning at two turns a picture, a rotor shakes neighbouring pictures alike: a picture against the one before
+        tells little of it, and the floor would be bent by it for good. What is learnt slowly, at all phases, is.
+        """
+        if view.rotor_phases_rad.any():
+            self._shake_frame_count += 1
+            gain = max(_SHAKE_GAIN, 1.0 / self._shake_frame_count)
+            self._shake_amplitudes_px = self._shake_amplitudes_px + gain * (
+                match.pose.shake_amplitudes_px - self._shake_amplitudes_px
+            )
+        keyframe, at = self.floor_map.keyframes[match.keyframe], self.floor_map.nodes[match.keyframe]
+        seen = self._level_rays(view, match.pose, match.inlier_pixels, match.exposure_offsets_s)
+        z = match.pose.state[2] * np.exp(1j * match.pose.state[3])
+        c = complex(match.pose.state[0], match.pose.state[1])
+        to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[3] + 1j * at[2])
+        ratio = match.pose.state[2] / math.exp(at[3])
+        # Back to the tilt by which its slopes were reckoned
+        tilt = self.floor_map.nodes[match.keyframe, 4:6] + match.pose.state[6:8] - keyframe.tilt
+        move = d_rays_d_tilt(keyframe.slopes[match.inlier_indices]) @ tilt
+        to_keyframe = to_keyframe - (move[:, 0] + 1j * move[:, 1])
+        # What tilt and sonar were told wrong by, and pose and tilts took no part of, is not the floor's shape.
+        own = keyframe.slopes[match.inlier_indices]
+        to_keyframe = own + remove_pose_fit(to_keyframe - own, own, seen, 1.0 / match.pixel_sigmas)
+        keyframe.refine_points(
+            match.inlier_indices,
+            to_keyframe,
+            (match.pixel_sigmas * ratio / view.focal_px) ** 2 + 1e-12,
+            view.focal_px,
+        )
+
+    def _level_rays(
+        self, view: ViewPrior, pose: PoseEstimate, pixels: _Array, seconds: _Array
+    ) -> NDArray[np.complex128]:
+        """Slopes with heading 0 of what is seen at pixels of the straight picture, as from its middle in time."""
+        turn = attitude_matrix(view, pose.state[4:6], pose.state[3])
+        m = normalised_rays(view, pixels - self._undistorter.principal_point, seconds, turn, pose.shake_amplitudes_px)
+        move = (view.velocity_m_s[0] + 1j * view.velocity_m_s[1]) * seconds
+        down = 1.0 - view.velocity_m_s[2] * seconds / pose.state[2]
+        return (m * down + move / pose.state[2]) * np.exp(-1j * pose.state[3])
+
+    def _create_keyframe(
+        self, frame: CameraFrame, view: ViewPrior, picture: Any, pose: PoseEstimate, sigma: float
+    ) -> Keyframe | None:
+        pixels = detect_corners(picture, self._undistorter.valid_mask)
+        if len(pixels) < MIN_INLIERS or np.mean(picture > _WHITE_LEVEL) > _MAX_WHITE_SHARE:
+            return None
+        seconds = self._undistorter.exposure_offsets(pixels)
+        turn = _remove_heading(attitude_matrix(view, pose.state[4:6], pose.state[3]), pose.state[3])
+        return Keyframe(
+            frame.time_s,
+            picture.copy(),
+            turn @ self._body_from_camera,
+            pixels,
+            self._level_rays(view, pose, pixels, seconds),
+            np.full(len(pixels), (sigma / view.focal_px) ** 2),
+            np.zeros(len(pixels), np.int64),
+            pose.state[4:6].copy(),
+            math.log(view.height_m),
+            view.height_sigma_m / view.height_m,
+            frame.info.height_time_s,
+            frame.info.tilt_sigma,
+            frame.info.tilt_time_s,
+            self._shake_tilt_rad,
+        )
+
+    def _start_map(self, frame: CameraFrame, view: ViewPrior, picture: Any) -> TrackingResult:
+        """The first keyframe: here the map begins."""
+        if view.height_m < MIN_HEIGHT_M:
+            return TrackingResult(frame.time_s, False, TOO_NEAR_REASON)
+        if frame.info.place is not None:
+            self.floor_map.start_pose, self.floor_map.start_sigma = frame.info.place, frame.info.place_sigma
+        n, e, heading = self.floor_map.start_pose
+        pose = self._pose_from_vehicle(view, n, e, heading)
+        keyframe = self._create_keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms_px))
+        if keyframe is None:
+            return TrackingResult(frame.time_s, False, "no corners on the floor to begin a map with, or too bright")
+        self._reference_index = self.floor_map.add_keyframe(keyframe, self._node_from_pose(pose), [])
+        self._last_node = self.floor_map.nodes[self._reference_index, :4].copy()
+        self._odometry = Odometry(frame.time_s, frame.info)
+        nobody = np.zeros(0, np.intp)
+        match = _KeyframeMatch(0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0, 0.0)
+        answer = self._make_result(frame, view, match, True, False)
+        if frame.info.place is None:
+            return answer
+        # What it would say is what it was told.
+        return replace(answer, trusted=False, reason="the map begins")
+
+    def _should_bridge(self, frame: CameraFrame, view: ViewPrior, elapsed: float) -> bool:
+        """Whether to go on from where the vehicle believes to be, as nothing is recognised."""
+        if frame.info.place is None or view.height_m < MIN_HEIGHT_M or self._should_relocalize:
+            return False
+        return self._trial_frame_count > 0 or elapsed > (
+            _YOUNG_BRIDGE_AFTER_S if self._is_map_young else _BRIDGE_AFTER_S
+        )
+
+    @property
+    def _should_relocalize(self) -> bool:
+        """Whether it is the turn of seeking in all of the map."""
+        return not self._is_map_young and (bool(self._found_poses) or self._frame_count % _RELOCALIZE_INTERVAL == 0)
+
+    @property
+    def _is_map_young(self) -> bool:
+        """Whether the map is so small that it is not worth to be sought in."""
+        return len(self.floor_map.keyframes) - (self._trial_frame_count > 0) <= _YOUNG_MAP_KEYFRAMES
+
+    def _confirm_trial(
+        self, frame: CameraFrame, view: ViewPrior, picture: Any, match: _KeyframeMatch
+    ) -> TrackingResult | None:
+        """One more picture seen against the keyframe on trial; None if it is one to be trusted now.
+
+        Until then the rest of the map is sought in, too: who finds itself there need not believe.
+        """
+        if self._should_relocalize and (found := self._find_in_map(frame, view, picture)) is not None:
+            return self._accept_match(frame, view, picture, found)
+        self._trial_frame_count += 1
+        if self._trial_frame_count <= (_MIN_CONFIRMATIONS if self._is_map_young else _TRIAL_FRAMES):
+            self._last_node, self._odometry = match.graph_node, Odometry(frame.time_s, frame.info)
+            self._refine_keyframe(view, match)
+            return TrackingResult(frame.time_s, False, "begun anew, to be confirmed")
+        self._trial_frame_count = 0
+        return None
+
+    def _bridge_gap(self, frame: CameraFrame, view: ViewPrior, picture: Any, why: str) -> TrackingResult:
+        """Begin a keyframe where the vehicle believes to be, tied to the last by what that is off by; on trial."""
+        if self._trial_frame_count > 0:
+            self.floor_map.drop_last_keyframe()
+            self._reference_index = len(self.floor_map.keyframes) - 1
+            self._trial_frame_count = 0
+        assert frame.info.place is not None
+        n, e, heading = (float(q) for q in frame.info.place)
+        pose = self._pose_from_vehicle(view, n, e, heading)
+        keyframe = self._create_keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms_px))
+        if keyframe is None:
+            return TrackingResult(frame.time_s, False, "no corners on the floor, or too bright")
+        place, turn = frame.info.place_sigma
+        last, second = self._reference_index, len(self.floor_map.keyframes)
+        node, before = self._node_from_pose(pose), self.floor_map.nodes[last]
+        h = math.exp(before[3])
+        off = np.array([place / h, place / h, max(turn, 1e-3), 0.1])
+        edge = GraphEdge(
+            last, second, np.concatenate([relative_pose(before, node), before[4:6], node[4:6]]),
+            np.diag(np.concatenate([off**-2, np.zeros(4)])),
+        )  # fmt: skip
+        self._reference_index = self.floor_map.add_keyframe(keyframe, node, [edge])
+        self._last_node, self._odometry = (
+            self.floor_map.nodes[self._reference_index, :4].copy(),
+            Odometry(frame.time_s, frame.info),
+        )
+        self._trial_frame_count = 1
+        return TrackingResult(frame.time_s, False, why)
+
+    def _pose_from_vehicle(self, view: ViewPrior, n: float, e: float, heading: float) -> PoseEstimate:
+        """The pose of a vehicle that stands at N, E (m) with a heading (rad), as far as that is known."""
+        lever = attitude_matrix(view, None, heading) @ self._camera_position_m
+        x = np.array([n + lever[0], e + lever[1], view.height_m, heading, *view.tilt_error_rad, 0.0, 0.0])
+        nothing = np.zeros((POSE_SIZE, POSE_SIZE))
+        return PoseEstimate(
+            x,
+            self._shake_amplitudes_px,
+            nothing,
+            nothing,
+            np.zeros(POSE_SIZE),
+            1.0,
+            np.zeros(0),
+            np.zeros((0, 2)),
+        )
+
+    def _insert_keyframe(self, frame: CameraFrame, view: ViewPrior, picture: Any, match: _KeyframeMatch) -> bool:
+        """Make a keyframe of the picture."""
+        keyframe = self._create_keyframe(frame, view, picture, match.pose, 0.4)
+        if keyframe is None:
+            return False
+        # Others that see it too hold it better
+        others = sorted(
+            self.floor_map.connected_keyframes(match.keyframe),
+            key=lambda k: (
+                -view_overlap(
+                    self.floor_map.nodes[k], match.graph_node, self._view_width_ratio, self._view_height_ratio
+                )
+            ),
+        )
+        node = match.graph_node
+        k = self.floor_map.add_keyframe(
+            keyframe,
+            self._node_from_pose(match.pose),
+            [self._make_edge(match, len(self.floor_map.keyframes))],
+        )
+        # It is the newest now
+        self._error_transition, view = (
+            [np.ones(3), np.full(3, 1e-10)],
+            view._replace(tilt_error_rad=self.floor_map.nodes[k, 4:6].copy()),
+        )
+        for other in others[:1]:
+            if view_overlap(self.floor_map.nodes[other], node, self._view_width_ratio, self._view_height_ratio) > 0.25:
+                second = self._match_keyframe(other, view, picture, node)
+                if second is not None and not self._rejection_reason(second, view, node):
+                    self.floor_map.try_add_edge(self._make_edge(second, k))
+        self._reference_index, self._last_node = k, self.floor_map.nodes[k, :4].copy()
+        return True
+
+    def _node_from_pose(self, pose: PoseEstimate) -> _Array:
+        """The node of a pose: N, E, heading, ln h, errors of the tilt and of the sonar."""
+        x = pose.state
+        return np.array([x[0], x[1], x[3], math.log(x[2]), x[4], x[5], self._predicted_errors[2]])
+
+    def _make_edge(self, match: _KeyframeMatch, second: int, closes: bool = False) -> GraphEdge:
+        """What a picture that is node ``second`` says of the keyframe that it was seen against."""
+        at, x = self.floor_map.nodes[match.keyframe], match.pose.state
+        _, by_b = relative_pose_jacobians(at, match.graph_node)
+        # N, E, height, heading, tilt of the picture, of the keyframe of the edge's eight numbers
+        change = np.zeros((POSE_SIZE, 8))
+        change[:4, :4] = np.linalg.inv(by_b)[[0, 1, 3, 2]]
+        change[2] *= x[2]
+        change[4:6, 6:8] = change[6:8, 4:6] = np.eye(2)
+        return GraphEdge(
+            match.keyframe,
+            second,
+            np.concatenate([relative_pose(at, match.graph_node), at[4:6] + x[6:8], x[4:6]]),
+            change.T @ match.pose.pixel_information @ change / VARIANCE_INFLATION,
+            change.T @ match.pose.pixel_gradient / VARIANCE_INFLATION,
+            closes,
+        )
+
+    def _try_loop_closure(
+        self, frame: CameraFrame, view: ViewPrior, picture: Any, match: _KeyframeMatch, made: bool
+    ) -> tuple[bool, bool]:
+        """Try to see it against a keyframe that is not tied to the present one; return whether it is a keyframe now,
+        and whether a loop was closed.
+
+        Those are tried that may be in sight: as near as the map's covariance lets them be.
+        """
+        here = self._reference_index
+        most = _LOOP_SEARCH_SIGMAS * math.sqrt(np.linalg.eigvalsh(self.floor_map.joint_covariance(here)[:2, :2])[-1])
+        near, may = {here, *self.floor_map.connected_keyframes(here)}, []
+        for k in range(len(self.floor_map.keyframes)):
+            t = relative_pose(self.floor_map.nodes[k], self._last_node)
+            way, h = math.hypot(t[0], t[1]), math.exp(self.floor_map.nodes[k, 3])
+            if k in near or h * way > most + h * math.hypot(self._view_width_ratio, self._view_height_ratio):
+                continue
+            sigma = math.sqrt(np.linalg.eigvalsh(self.floor_map.edge_covariance(k, here)[:2, :2])[-1])
+            t[:2] *= max(0.0, 1.0 - _LOOP_SEARCH_SIGMAS * sigma / max(way, 1e-9))
+            node = compose_pose(self.floor_map.nodes[k], t)
+            if (
+                view_overlap(self.floor_map.nodes[k], node, self._view_width_ratio, self._view_height_ratio)
+                > LOOP_MIN_OVERLAP
+            ):
+                share = view_overlap(
+                    self.floor_map.nodes[k], self._last_node, self._view_width_ratio, self._view_height_ratio
+                )
+                tries, before = self._failed_closures.get(k, (0, 0.0))
+                may.append((-round(share - before, 1), tries, -share, k, node, h * sigma))
+        if not may:
+            return made, False
+        # First what has come into sight most since it was tried
+        _, tries, share, k, node, sigma = min(may, key=lambda m: m[:3])
+        self._failed_closures[k] = (tries + 1, -share)
+        return self._close_loop(k, frame, view, picture, match, made, node, sigma)
+
+    def _close_loop(
+        self,
+        k: int,
+        frame: CameraFrame,
+        view: ViewPrior,
+        picture: Any,
+        match: _KeyframeMatch,
+        made: bool,
+        node: _Array,
+        sigma: float,
+    ) -> tuple[bool, bool]:
+        """Close a loop to keyframe ``k`` if all gates let it pass; from ``graph_node`` it would see it,
+        ``pixel_sigmas`` (m) is what its place may be off by."""
+        spread, self._position_sigma_m = self._position_sigma_m, 2.0 * sigma
+        # Always: whether another place within reach looks alike is asked there.
+        other = self._match_keyframe(k, view, picture, node, coarse=True)
+        self._position_sigma_m = spread
+        if (
+            other is None
+            or len(other.inlier_indices) < max(1.5 * MIN_INLIERS, 0.5 * other.tracked_count)
+            or other.pose.residual_scale > 3.0
+        ):
+            return made, False
+        if not made and not self._insert_keyframe(frame, view, picture, match):
+            return False, False
+        here = self._reference_index
+        edge = self._make_edge(other, here, closes=True)
+        off = edge.compute_residual(self.floor_map.nodes[k], self.floor_map.nodes[here])
+        if edge.compute_chi2(
+            off, self.floor_map.edge_covariance(k, here)
+        ) > LOOP_MAX_CHI2 or not self.floor_map.try_add_edge(edge, LOOP_MAX_CHI2):
+            return True, False
+        self._last_node = self.floor_map.nodes[here, :4].copy()
+        self._failed_closures = {}
+        self.on_closure(k, here)
+        return True, True
+
+    def _make_result(
+        self, frame: CameraFrame, view: ViewPrior, match: _KeyframeMatch, made: bool, closed: bool
+    ) -> TrackingResult:
+        """What is told: the place by all that the map, tilts, sonar and pixels say together."""
+        pose, here = match.pose, self._reference_index
+        if made:  # it is in the map
+            node, known = self.floor_map.nodes[here, :4], self.floor_map.joint_covariance(here)[:4, :4]
+        else:
+            at = self.floor_map.nodes[here]
+            tilts = np.concatenate([pose.state[4:6] - view.tilt_error_rad, pose.state[6:8]])
+            seen, pull = pose.pixel_information / VARIANCE_INFLATION, pose.pixel_gradient / VARIANCE_INFLATION
+            belief, height = (
+                self.floor_map.predict_covariance(here, *self._error_transition),
+                math.log(view.height_m) - self._predicted_errors[2],
+            )
+            node, known = fuse_pose(at[:4], belief, match.graph_node, tilts, seen, pull, height)
+        lever = attitude_matrix(view, pose.state[4:6], node[2]) @ self._camera_position_m
+        h = math.exp(node[3])
+        position = np.array([node[0] - lever[0], node[1] - lever[1], -h - lever[2]])
+        to = np.zeros((4, 4))  # N, E, D, heading of N, E, heading, ln h
+        to[0, 0] = to[1, 1] = to[3, 2] = 1.0
+        to[2, 3] = -h
+        return TrackingResult(
+            frame.time_s, True, "", position, (node[2] + math.pi) % (2 * math.pi) - math.pi, to @ known @ to.T, here,
+            match.tracked_count, len(match.inlier_indices), match.inlier_pixels, pose.residual_scale, made, closed,
+        )  # fmt: skip
+
+    # ------------------------------------------------------------------ lost
+
+    def _relocalize(self, frame: CameraFrame, view: ViewPrior, picture: Any, why: str) -> TrackingResult:
+        """Look for it in all of the map, by ORB; believed when several in a row agree."""
+        lost = TrackingResult(frame.time_s, False, why or "lost", keyframe=-1)
+        if self._frame_count % _RELOCALIZE_INTERVAL and not self._found_poses:
+            return lost
+        match = self._find_in_map(frame, view, picture)
+        if match is not None:
+            return self._accept_match(frame, view, picture, match)
+        return replace(lost, reason="found, to be confirmed") if self._found_poses else lost
+
+    def _find_in_map(self, frame: CameraFrame, view: ViewPrior, picture: Any) -> _KeyframeMatch | None:
+        """See it against any keyframe that is not on trial; None until several pictures in a row agree."""
+        found, self._found_poses = self._found_poses, []
+        known = len(self.floor_map.keyframes) - (self._trial_frame_count > 0)
+        node = relocalize_by_orb(self.floor_map, known, view, picture, self._undistorter, self._shake_rms_px, self._rng)
+        match = None if node is None else self._match_keyframe(node[0], view, picture, node[1])
+        if match is None or len(match.inlier_indices) < 1.5 * MIN_INLIERS or match.pose.residual_scale > 3.0:
+            return None
+        here = match.graph_node
+        if found and math.hypot(*(here[:2] - found[-1][1][:2])) > 0.1 + 1.0 * (frame.time_s - found[-1][0]):
+            found = []
+        self._found_poses = [*found, (frame.time_s, here)]
+        if len(self._found_poses) < _MIN_CONFIRMATIONS:
+            return None
+        if self._trial_frame_count > 0:
+            self.floor_map.drop_last_keyframe()
+            self._trial_frame_count = 0
+        self._odometry, self._velocity_m_s, self._last_node = (
+            Odometry(frame.time_s, frame.info),
+            np.zeros(2),
+            here,
+        )
+        return match
+
+
+def _remove_heading(turn: _Array, heading: float) -> _Array:
+    c, s = math.cos(heading), math.sin(heading)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ turn

@@ -1,0 +1,174 @@
+"""Answers as a trajectory: gathered, written as TUM's text, as a table for recordings, and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from mufly.slam.camera_frame import CameraFrame
+from mufly.slam.dataset_writers import write_tum
+from mufly.slam.slam_system import SlamSystem, TrackingResult
+from mufly.slam.trajectory_evaluation import read_poses
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+from mufly.results import result
+
+_Array = NDArray[np.float64]
+_EPOCH_TIME_LIMIT_S = 1e6
+"""Times beyond count from 1970; they are drawn from the first on."""
+
+
+@result(eq=False, picture="mufly.slam.slam_trajectory:plot_trajectory")
+class SlamTrajectory:
+    """What was answered.
+
+    Attributes
+    ----------
+    time, heading : (n,) arrays
+        s, rad.
+    position : (n, 3) array
+        N, E, D (m).
+    covariance : (n, 4, 4) array
+        Of N, E, D, heading.
+    pictures : int
+        How many there were.
+    reasons : dict
+        Why others were not answered, and how often.
+    """
+
+    time: _Array
+    position: _Array
+    heading: _Array
+    covariance: _Array
+    pictures: int
+    reasons: dict[str, int]
+
+    def to_dataset(self) -> xr.Dataset:
+        """As a table on its clock."""
+        sigma = np.sqrt(np.einsum("nii->ni", self.covariance)) if len(self.time) else np.zeros((0, 4))
+        return xr.Dataset(
+            {
+                "estimated_position": (("time", "axis"), self.position),
+                "estimated_position_sigma": (("time", "axis"), sigma[:, :3]),
+                "heading": ("time", self.heading, {"units": "rad"}),
+                "heading_sigma": ("time", sigma[:, 3], {"units": "rad"}),
+            },
+            {"time": self.time, "axis": ["N", "E", "D"]},
+        )
+
+    def write(self, file: Path) -> None:
+        """Write it as TUM's text, with covariance."""
+        attitude = np.column_stack([np.zeros((len(self.time), 2)), self.heading])
+        write_tum(file, self.time, self.position, attitude, "N-E-D, metres; heading alone", self.covariance)
+
+
+def collect_results(answers: Iterable[TrackingResult]) -> SlamTrajectory:
+    """Gather answers; those that are not trusted are counted."""
+    good: list[TrackingResult] = []
+    reasons: dict[str, int] = {}
+    count = 0
+    for a in answers:
+        count += 1
+        if a.trusted:
+            good.append(a)
+        else:
+            words = " ".join(w for w in a.reason.split() if not any(c.isdigit() for c in w))
+            reasons[words] = reasons.get(words, 0) + 1
+    return SlamTrajectory(
+        np.array([a.time_s for a in good]), np.array([a.position for a in good]).reshape(-1, 3),
+        np.array([a.heading for a in good]), np.array([a.covariance for a in good]).reshape(-1, 4, 4), count, reasons,
+    )  # fmt: skip
+
+
+def run_slam(
+    slam: SlamSystem,
+    frames: Iterable[CameraFrame],
+    on_answer: Callable[[int, TrackingResult], None] = lambda k, a: None,
+) -> SlamTrajectory:
+    """Go through pictures."""
+
+    def process_frames() -> Iterable[TrackingResult]:
+        for k, frame in enumerate(frames):
+            a = slam.process_frame(frame)
+            on_answer(k, a)
+            yield a
+
+    return collect_results(process_frames())
+
+
+def read_trajectory(file: Path) -> SlamTrajectory:
+    """Read what :meth:`SlamTrajectory.write` wrote, or any trajectory (without covariance: NaN).
+
+    Rows that are left out count as pictures without an answer. Errors are those of
+    :func:`mufly.slam.trajectory_evaluation.read_poses`.
+    """
+    poses = read_poses(file)
+    covariance = np.full((len(poses.time_s), 4, 4), np.nan)
+    if poses.extra_cells and all(len(cells) == 10 for cells in poses.extra_cells):
+        upper = np.triu_indices(4)
+        for k, cells in enumerate(poses.extra_cells):
+            covariance[k][upper] = [float(c) for c in cells]
+            covariance[k] = covariance[k] + np.triu(covariance[k], 1).T - np.tril(covariance[k], -1)
+        low = np.tril_indices(4, -1)
+        covariance[:, low[0], low[1]] = covariance[:, low[1], low[0]]
+    lost = poses.row_count - len(poses.time_s)
+    return SlamTrajectory(
+        poses.time_s,
+        poses.position,
+        poses.heading,
+        covariance,
+        poses.row_count,
+        {"left out": lost} if lost else {},
+    )
+
+
+def plot_trajectory(
+    trajectory: SlamTrajectory,
+    slam: SlamSystem | None = None,
+    truth: tuple[_Array, _Array, _Array] | None = None,
+) -> Figure:
+    """Draw the way from above with the keyframes and their ties, and errors with their deviations."""
+    from matplotlib.figure import Figure
+
+    t, x = trajectory.time, trajectory.position
+    since = float(t[0]) if len(t) and t[0] > _EPOCH_TIME_LIMIT_S else 0.0
+    figure = Figure(figsize=(11, 5.5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    if truth is not None:
+        left.plot(truth[1][:, 1], truth[1][:, 0], color="0.6", lw=3, label="true")
+    left.plot(x[:, 1], x[:, 0], color="tab:blue", lw=1, label="V-SLAM")
+    if slam is not None and len(slam.floor_map.nodes):
+        nodes = slam.floor_map.nodes
+        for e in slam.floor_map.edges:
+            pair = nodes[[e.first_index, e.second_index]]
+            left.plot(
+                pair[:, 1],
+                pair[:, 0],
+                color="tab:red" if e.is_loop_closure else "0.75",
+                lw=1.2 if e.is_loop_closure else 0.7,
+            )
+        left.plot(nodes[:, 1], nodes[:, 0], "s", ms=4, color="k", label="keyframes")
+        left.plot([], [], color="tab:red", label="loops closed")
+    left.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="from above")
+    left.legend(loc="best", fontsize=8)
+    names = ("north", "east", "height", "heading (0.1 rad)")
+    deviation = np.sqrt(np.einsum("nii->ni", trajectory.covariance)) if len(t) else np.zeros((0, 4))
+    for k, name in enumerate(names[:2]):
+        colour = f"C{k}"
+        if truth is not None:
+            off = x[:, k] - np.interp(t, truth[0], truth[1][:, k])
+            right.plot(t - since, 100 * off, color=colour, lw=1, label=f"error {name}")
+        label = f"deviation told {name}" if truth is None else None
+        band = 200 * deviation[:, k]
+        right.fill_between(t - since, -band, band, color=colour, alpha=0.15, lw=0, label=label)
+    what = "twice the deviation told" if truth is None else "errors, and twice the deviation told"
+    right.set(xlabel="time since the first (s)" if since else "time (s)", ylabel="cm", title=what)
+    right.legend(loc="best", fontsize=8)
+    return figure

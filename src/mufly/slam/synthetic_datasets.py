@@ -1,0 +1,275 @@
+"""Data sets: pictures rendered along a path, with what a vehicle would have told beside them, and what is true.
+
+Paths are rounds of a square with round corners, or those of a recorded flight. On a round the vehicle sways, and it
+tilts as its acceleration wants: pitch = -a_x / g, roll = a_y / g in the axes of its heading, with a trembling of
+0.4 degrees on top.
+
+What is told (telemetry): tilt with an error that wander (first-order Gauss-Markov, 2 s), height above the floor
+with one of 1 cm over 1 s, rates of turn with a bias and noise, rotor speeds. A folder holds
+
+    camera.toml, pictures/000000.jpg, pictures.csv (time, file), telemetry.csv, truth.txt (TUM: t x y z qx qy qz qw),
+    imu.csv, sonar.csv
+
+in N-E-D; layouts "euroc" and "tum" have their own files besides (:mod:`mufly.slam.dataset_readers`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from mufly.camera import Camera, Floor, Renderer, VehicleMotion
+from mufly.dynamics import GRAVITY, body_to_ned_matrix
+from mufly.dynamics.model_state import quaternion_from_euler
+from mufly.errors import ArgumentError, InputError
+from mufly.slam.camera_frame import CameraFrame, FrameInfo
+from mufly.world import World
+
+_Array = NDArray[np.float64]
+PATH_RATE_HZ = 200.0
+TILT_SIGMA_RAD, TILT_CORRELATION_TIME_S = math.radians(0.5), 2.0
+HEIGHT_SIGMA_M, HEIGHT_CORRELATION_TIME_S = 0.01, 1.0
+PHASE_SIGMA_RAD = 0.05
+"""Of the rotors' phases, as commutations tell them (rad)."""
+_GYRO_BIAS_RAD_S, _GYRO_NOISE_RAD_S = math.radians(0.3), 0.01
+_ROTOR_SPEEDS_RAD_S = 2 * math.pi * np.array([60.0, 70.0])
+
+
+@dataclass(frozen=True)
+class VehiclePath:
+    """A path of a vehicle on a fine clock, N-E-D.
+
+    Attributes
+    ----------
+    time : (n,) array
+        s, rising.
+    position, velocity, attitude, rates : (n, 3) arrays
+        m, m/s, roll, pitch and continuous yaw (rad), p, q, r (rad/s).
+    rotor_speed, rotor_phase : (n, 2) arrays
+        rad/s, rad.
+    """
+
+    time_s: _Array
+    position_m: _Array
+    velocity_m_s: _Array
+    attitude_rad: _Array
+    body_rates_rad_s: _Array
+    rotor_speeds_rad_s: _Array
+    rotor_phases_rad: _Array
+
+    def motion_at(self, time_s: float) -> VehicleMotion:
+        """How it moves at a time (s)."""
+        k = min(max(int(np.searchsorted(self.time_s, time_s)) - 1, 0), len(self.time_s) - 2)
+        a = (time_s - self.time_s[k]) / (self.time_s[k + 1] - self.time_s[k])
+        x, v, e, w, o, f = (
+            (1 - a) * q[k] + a * q[k + 1]
+            for q in (
+                self.position_m,
+                self.velocity_m_s,
+                self.attitude_rad,
+                self.body_rates_rad_s,
+                self.rotor_speeds_rad_s,
+                self.rotor_phases_rad,
+            )
+        )
+        return VehicleMotion(time_s, x, v, body_to_ned_matrix(quaternion_from_euler(*e)), w, o, f)
+
+
+def make_square_path(
+    *,
+    duration_s: float,
+    side_m: float = 3.0,
+    height_m: float = 1.0,
+    speed_m_s: float = 0.4,
+    sway_m: float = 0.03,
+    turn: bool = False,
+    seed: int = 0,
+) -> VehiclePath:
+    """Return a path round a square with round corners, at an even speed.
+
+    Parameters
+    ----------
+    duration_s : float
+    side_m : float
+        Of the square; 0 hovers.
+    height_m : float
+        Above the floor; it changes by a tenth.
+    speed_m_s : float
+    sway_m : float
+        Amplitude of the swaying.
+    turn : bool
+        Whether the nose follows the path.
+    seed : int
+    """
+    if not (duration_s > 0 and side_m >= 0 and height_m > 0.1 and 0 <= speed_m_s <= 5):
+        raise ArgumentError("path", "", "is none", "give duration, side, height (over 0.1 m) and speed above zero")
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, duration_s + 0.5, 1.0 / PATH_RATE_HZ)
+    way = np.cumsum(speed_m_s * np.clip(t / 1.5, 0.0, 1.0)) / PATH_RATE_HZ
+    p = np.zeros((len(t), 3))
+    heading: _Array = np.zeros(len(t))
+    if side_m > 0.0:
+        p[:, :2], heading = _trace_square(way, side_m)
+    for axis, most in ((0, sway_m), (1, sway_m), (2, 0.4 * sway_m)):
+        for _ in range(4):
+            w = 2 * math.pi * rng.uniform(0.1, 0.8)
+            p[:, axis] += most * rng.uniform(0.3, 0.7) * np.sin(w * t + rng.uniform(0, 2 * math.pi))
+    p[:, 2] -= height_m * (1.0 + 0.1 * np.sin(2 * math.pi * t / 17.0))
+    p[:, :2] -= p[0, :2]
+    yaw = (heading if turn else 0.0) + 0.06 * np.sin(2 * math.pi * t / 9.0 + rng.uniform(0, 6))
+    v = np.asarray(np.gradient(p, t, axis=0))
+    a = _smooth_rows(np.gradient(v, t, axis=0), 40)
+    c, s = np.cos(yaw), np.sin(yaw)
+    forward, right = c * a[:, 0] + s * a[:, 1], -s * a[:, 0] + c * a[:, 1]
+    tremble = np.zeros((len(t), 2))
+    for k in range(2):
+        for _ in range(4):
+            w = 2 * math.pi * rng.uniform(0.5, 3.0)
+            tremble[:, k] += math.radians(0.3) * np.sin(w * t + rng.uniform(0, 2 * math.pi))
+    attitude = np.stack([right / GRAVITY + tremble[:, 0], -forward / GRAVITY + tremble[:, 1], yaw], axis=1)
+    speed = _ROTOR_SPEEDS_RAD_S * (1.0 + 0.03 * np.sin(2 * math.pi * t / 3.0)[:, None])
+    return VehiclePath(
+        t, p, v, attitude, _compute_body_rates(t, attitude), speed, np.cumsum(speed, axis=0) / PATH_RATE_HZ
+    )
+
+
+def _trace_square(way: _Array, side: float) -> tuple[_Array, _Array]:
+    """Points (n, 2) after so much way round a square, corners round, and the heading along it."""
+    radius = 0.25 * side
+    straight, arc = side - 2 * radius, 0.5 * math.pi * radius
+    part = straight + arc
+    k, along = np.floor(way / part), np.mod(way, part)
+    on_arc = np.maximum(along - straight, 0.0) / radius
+    x = np.minimum(along, straight) + radius * np.sin(on_arc)
+    y = radius * (1.0 - np.cos(on_arc))
+    start = np.zeros((int(k.max()) + 2, 2))
+    for i in range(1, len(start)):
+        h = 0.5 * math.pi * (i - 1)
+        step = np.array([straight + radius, radius])
+        start[i] = start[i - 1] + np.array([[math.cos(h), -math.sin(h)], [math.sin(h), math.cos(h)]]) @ step
+    side_of = 0.5 * math.pi * k
+    n = start[k.astype(int), 0] + np.cos(side_of) * x - np.sin(side_of) * y
+    e = start[k.astype(int), 1] + np.sin(side_of) * x + np.cos(side_of) * y
+    return np.stack([n, e], axis=1), side_of + on_arc
+
+
+def _smooth_rows(a: _Array, n: int) -> _Array:
+    """Mean over n rows, twice; the ends go on as they end."""
+    kernel = np.ones(n) / n
+    for _ in range(2):
+        a = np.stack(
+            [np.convolve(np.pad(c, (n // 2, n - 1 - n // 2), mode="edge"), kernel, "valid") for c in a.T],
+            axis=1,
+        )
+    return a
+
+
+def _compute_body_rates(t: _Array, attitude: _Array) -> _Array:
+    """Body rates of attitudes (thesis: eq. 4.3 inverted)."""
+    d: _Array = np.gradient(attitude, t, axis=0)
+    (roll, pitch, _), (dr, dp, dy) = attitude.T, d.T
+    return np.stack(
+        [
+            dr - dy * np.sin(pitch),
+            dp * np.cos(roll) + dy * np.sin(roll) * np.cos(pitch),
+            dy * np.cos(roll) * np.cos(pitch) - dp * np.sin(roll),
+        ],
+        axis=1,
+    )
+
+
+def path_from_recording(recording: xr.Dataset, where: str = "recording") -> VehiclePath:
+    """Return the path of a recorded flight.
+
+    Raises
+    ------
+    InputError
+        If the recording holds no truth.
+    """
+    for name in ("truth_position", "truth_velocity", "truth_attitude", "truth_rates"):
+        if name not in recording:
+            raise InputError(where, name, "is not in it", "give a recording of a simulated flight")
+    t = recording["time"].values.astype(np.float64)
+    speed = (
+        recording["truth_rotor_speed"].values
+        if "truth_rotor_speed" in recording
+        else np.tile(_ROTOR_SPEEDS_RAD_S, (len(t), 1))
+    )
+    phase = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(t)[:, None], axis=0)])
+    x, v, e, w = (recording[f"truth_{q}"].values for q in ("position", "velocity", "attitude", "rates"))
+    return VehiclePath(t, x, v, np.unwrap(e, axis=0), w, speed, phase)
+
+
+class FrameInfoSimulator:
+    """What a vehicle would tell with each picture, off by what a filter is off by."""
+
+    def __init__(self, camera: Camera, seed: int = 0, *, tilt_sigma: float = TILT_SIGMA_RAD) -> None:
+        self._camera, self._rng, self._tilt_sigma = camera, np.random.default_rng(seed), tilt_sigma
+        self._tilt_error: _Array = tilt_sigma * self._rng.standard_normal(2)
+        self._height_error: float = HEIGHT_SIGMA_M * float(self._rng.standard_normal())
+        self._phase_offset = self._rng.uniform(0.0, 2 * math.pi, 2)
+        self._gyro_bias = _GYRO_BIAS_RAD_S * self._rng.standard_normal(3)
+        self._last_time_s = math.nan
+
+    def simulate_info(self, motion: VehicleMotion) -> FrameInfo:
+        """What is told at the middle of a picture."""
+        dt = 0.0 if math.isnan(self._last_time_s) else motion.time_s - self._last_time_s
+        self._last_time_s = motion.time_s
+        rng = self._rng
+        keep = math.exp(-dt / TILT_CORRELATION_TIME_S)
+        self._tilt_error = keep * self._tilt_error + self._tilt_sigma * math.sqrt(
+            1 - keep * keep
+        ) * rng.standard_normal(2)
+        keep = math.exp(-dt / HEIGHT_CORRELATION_TIME_S)
+        self._height_error = (
+            keep * self._height_error + HEIGHT_SIGMA_M * math.sqrt(1 - keep * keep) * rng.standard_normal()
+        )
+        r = motion.attitude
+        roll, pitch = math.atan2(r[2, 1], r[2, 2]), -math.asin(r[2, 0])
+        return FrameInfo(
+            roll + self._tilt_error[0], pitch + self._tilt_error[1], -float(motion.position[2]) + self._height_error,
+            motion.rates + self._gyro_bias + _GYRO_NOISE_RAD_S * rng.standard_normal(3), motion.rotor_speed.copy(),
+            motion.rotor_phase + self._phase_offset + PHASE_SIGMA_RAD * rng.standard_normal(2),
+            tilt_sigma=max(self._tilt_sigma, math.radians(0.05)), height_sigma=HEIGHT_SIGMA_M,
+            tilt_time_s=TILT_CORRELATION_TIME_S, height_time_s=HEIGHT_CORRELATION_TIME_S,
+        )  # fmt: skip
+
+
+def render_frames(
+    camera: Camera,
+    floor: Floor,
+    path: VehiclePath,
+    *,
+    duration_s: float | None = None,
+    world: World | None = None,
+    seed: int = 0,
+    tilt_sigma: float = TILT_SIGMA_RAD,
+    light: Callable[[float], float] = lambda t: 1.0,
+    lose: bool = False,
+) -> Iterator[tuple[CameraFrame, VehicleMotion]]:
+    """Yield pictures along a path, with what is told and what is true.
+
+    Parameters
+    ----------
+    lose : bool
+        Leave out as many as the camera's radio loses.
+    light : callable
+        Time (s) to the light of the room.
+    """
+    renderer = Renderer(camera, floor, world, seed=seed)
+    teller = FrameInfoSimulator(camera, seed + 1, tilt_sigma=tilt_sigma)
+    rng = np.random.default_rng([seed, 2])
+    period = float(camera.sensor.period)
+    begin = float(path.time_s[0])
+    end = float(path.time_s[-1]) if duration_s is None else begin + duration_s
+    for k in range(int((end - begin) / period)):
+        motion = path.motion_at(begin + (k + 0.5) * period)
+        picture, told = renderer.render(motion, light(motion.time_s)), teller.simulate_info(motion)
+        if lose and rng.uniform() < float(camera.radio.loss):
+            continue
+        yield CameraFrame(motion.time_s, picture, told), motion

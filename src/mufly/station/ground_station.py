@@ -1,0 +1,478 @@
+"""The station's ends of its links, and the station at work around them.
+
+:class:`GroundLink` thinks and is pure: bytes and the clock are passed in, bytes to be sent come out.
+:class:`GroundStation` has the ports, links, vehicles and the recorder in one asyncio loop and carries bytes between
+sockets and links. It sleeps until a port has something to say, and wakes by itself fifty times a second to see to what
+is due.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import os
+import time
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+
+from mufly.errors import ArgumentError, InputError
+from mufly.link.codec import FrameDecoder, FrameEncoder, MavMessage, OutgoingFrame, mavlink
+from mufly.link.ports import MAX_STALL_S, Endpoint, Port, open_port, parse_endpoint, read_boot_clock
+from mufly.station.remote_vehicle import LOST_TIMEOUT_S, RemoteVehicle
+from mufly.station.station_recorder import StationRecorder
+from mufly.vehicle_types import is_vehicle, vehicle_rank, vehicle_type_name
+
+HEARTBEAT_PERIOD_S = 1.0
+MAX_VEHICLES = 32
+_LINK_WINDOW_S = 1.0
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class _HeardVehicle:
+    """A vehicle, the peer that it is heard from, how surely it is one, and what was counted of it when."""
+
+    vehicle: RemoteVehicle
+    peer: Hashable
+    last_heard_s: float
+    vehicle_rank: int
+    message_count: int = 0
+    last_counts: tuple[float, int, int, int] = (0.0, 0, 0, 0)
+    reported_faults: set[str] = field(default_factory=set)
+
+
+class GroundLink:
+    """A station's end of one link: it hears all vehicles there, keeps them apart, and speaks to each.
+
+    A vehicle is a component whose heartbeat :func:`mufly.vehicle_types.is_vehicle` takes for one; a companion computer,
+    a camera or an antenna tracker is none, however early and often it speaks. A vehicle is known by its system number
+    and the address it is heard from. Where another component of the system called itself a vehicle first, the autopilot
+    (component 1) takes over when it is heard. When a vehicle that was lost is heard again under the same number, from
+    another address too, it is the same one.
+
+    Parameters
+    ----------
+    us : (system, component)
+        Our MAVLink address.
+    rate_Hz : float
+        How often vehicles are asked to tell their motion.
+    color : callable, optional
+        Gives the next vehicle its colour.
+    on_vehicle : callable, optional
+        Told of every new vehicle.
+    on_packet : callable, optional
+        Given every packet that came in or goes out, for a log.
+    on_fault : callable, optional
+        Told in words when the handling of one vehicle failed; the others go on.
+    name : str
+        What the link is called, to tell its vehicles from those of other links.
+    on_notice : callable, optional
+        Told in words of a system of which only equipment is heard, no vehicle.
+    """
+
+    def __init__(
+        self,
+        us: tuple[int, int] = (255, 190),
+        *,
+        rate_Hz: float = 100.0,
+        color: Callable[[], int] | None = None,
+        on_vehicle: Callable[[RemoteVehicle], None] | None = None,
+        on_packet: Callable[[bytes], None] | None = None,
+        on_fault: Callable[[str], None] | None = None,
+        on_notice: Callable[[str], None] | None = None,
+        name: str = "link",
+    ) -> None:
+        self.own_ids, self.rate_Hz = us, rate_Hz
+        self._color = color or (lambda: len(self._heard))
+        self._on_vehicle, self._on_packet, self._on_fault = on_vehicle, on_packet, on_fault
+        self._on_notice, self.name = on_notice, name
+        self.unread_bytes = 0  # since the last message
+        self._equipment: dict[tuple[Hashable, int], tuple[float, str]] = {}
+        self._codec = FrameDecoder()
+        self._heard: dict[tuple[Hashable, int], _HeardVehicle] = {}
+        self._encoders: dict[Hashable, FrameEncoder] = {}
+        self._beat_s = self._stepped_s = -math.inf
+
+    @property
+    def vehicles(self) -> list[RemoteVehicle]:
+        """All vehicles heard so far, in the order in which they were found."""
+        return [heard.vehicle for heard in self._heard.values()]
+
+    def receive(self, now_s: float, peer: Hashable, data: bytes) -> None:
+        """Take bytes that came from a peer."""
+        self.unread_bytes += len(data)
+        for message in self._codec.receive(now_s, peer, data):
+            self.unread_bytes = 0
+            if self._on_packet is not None:
+                self._on_packet(bytes(message.get_msgbuf()))
+            heard = self._find_sender(now_s, peer, message)
+            if heard is None:
+                continue
+            if message.get_srcComponent() == heard.vehicle.component:
+                heard.last_heard_s = now_s
+                heard.message_count += 1
+            try:
+                heard.vehicle.handle(now_s, message)
+            except Exception as error:  # one vehicle's fault must not silence the others
+                self._report_fault(heard, message.get_type(), error)
+
+    def step(self, now_s: float, peers: Iterable[Hashable] = ()) -> list[OutgoingFrame]:
+        """Return what is to be sent now.
+
+        Parameters
+        ----------
+        now_s : float
+        peers : iterable
+            Whom the port can reach: they get our heartbeat, so that a vehicle that waits to be called answers.
+        """
+        stood_s, self._stepped_s = now_s - self._stepped_s, now_s
+        if MAX_STALL_S < stood_s < math.inf:
+            for vehicle in self.vehicles:
+                vehicle.note_stall(stood_s)
+        out = self._make_heartbeats(now_s, peers)
+        self._report_equipment(now_s)
+        for heard in self._heard.values():
+            self._update_link_quality(now_s, heard)
+            try:
+                messages = heard.vehicle.step(now_s)
+            except Exception as error:
+                self._report_fault(heard, "step", error)
+                continue
+            out += [self._pack_message(heard.peer, message) for message in messages]
+        return out
+
+    def _make_heartbeats(self, now_s: float, peers: Iterable[Hashable]) -> list[OutgoingFrame]:
+        if now_s - self._beat_s < HEARTBEAT_PERIOD_S:
+            return []
+        self._beat_s = now_s if now_s - self._beat_s > 2 * HEARTBEAT_PERIOD_S else self._beat_s + HEARTBEAT_PERIOD_S
+        beat = mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+        )
+        known = dict.fromkeys([*peers, *(heard.peer for heard in self._heard.values())])
+        for gone in [peer for peer in self._encoders if peer not in known]:
+            del self._encoders[gone]
+        return [self._pack_message(peer, beat) for peer in known]
+
+    def _pack_message(self, peer: Hashable, message: MavMessage) -> OutgoingFrame:
+        encoder = self._encoders.get(peer)
+        if encoder is None:
+            encoder = self._encoders[peer] = FrameEncoder(*self.own_ids)
+        data = encoder(message)
+        if self._on_packet is not None:
+            self._on_packet(data)
+        return OutgoingFrame(peer, data)
+
+    def _find_sender(self, now_s: float, peer: Hashable, message: MavMessage) -> _HeardVehicle | None:
+        """The vehicle of the system that sent a message; a new one if the message is a vehicle's heartbeat."""
+        system = message.get_srcSystem()
+        heard = self._heard.get((peer, system))
+        if message.get_type() != "HEARTBEAT" or not system:
+            return heard
+        component = message.get_srcComponent()
+        rank = vehicle_rank(message.type, message.autopilot, component)
+        if heard is not None:
+            if rank > heard.vehicle_rank and component != heard.vehicle.component:
+                heard.vehicle.change_component(component)
+            heard.vehicle_rank = max(rank, heard.vehicle_rank)
+            return heard
+        if not is_vehicle(message.type, message.autopilot, component):
+            if message.type != mavlink.MAV_TYPE_GCS and len(self._equipment) < MAX_VEHICLES:
+                what = f"{vehicle_type_name(message.type) or 'equipment'} (component {component})"
+                self._equipment.setdefault((peer, system), (now_s, what))
+            return None
+        for key, lost in list(self._heard.items()):
+            same = key[1] == system and lost.vehicle.component == component
+            if same and now_s - lost.last_heard_s >= LOST_TIMEOUT_S:
+                del self._heard[key]
+                lost.peer = peer
+                lost.vehicle.note_new_address()
+                self._heard[peer, system] = lost
+                return lost
+        if len(self._heard) >= MAX_VEHICLES:
+            return None
+        vehicle = RemoteVehicle(system, component, us=self.own_ids, color=self._color(), rate_Hz=self.rate_Hz)
+        alike = sum(v.system == system for v in self.vehicles)
+        vehicle.key = f"{system}@{self.name}" + (f"#{alike + 1}" if alike else "")
+        new = self._heard[peer, system] = _HeardVehicle(vehicle, peer, now_s, rank)
+        if self._on_vehicle is not None:
+            self._on_vehicle(vehicle)
+        return new
+
+    def _report_equipment(self, now_s: float) -> None:
+        """Tell once of each system that speaks for a while without a vehicle in it."""
+        for (peer, system), (since_s, what) in self._equipment.items():
+            if since_s + LOST_TIMEOUT_S < now_s < math.inf and (peer, system) not in self._heard:
+                self._equipment[peer, system] = (math.inf, what)
+                if self._on_notice is not None:
+                    self._on_notice(f"system {system}: only its {what} is heard, no autopilot of a vehicle")
+
+    def _update_link_quality(self, now_s: float, heard: _HeardVehicle) -> None:
+        """Tell a vehicle how good its link was over the last second."""
+        since_s, received, lost, messages = heard.last_counts
+        if now_s - since_s < _LINK_WINDOW_S:
+            return
+        counts = self._codec.packet_counts(heard.peer)
+        new, gone = counts.received_count - received, counts.lost_count - lost
+        if since_s:
+            loss = max(0, gone) / (new + max(0, gone)) if new + gone > 0 else 1.0
+            heard.vehicle.note_link(now_s, loss, (heard.message_count - messages) / (now_s - since_s))
+        heard.last_counts = (now_s, counts.received_count, counts.lost_count, heard.message_count)
+
+    def _report_fault(self, heard: _HeardVehicle, where: str, error: Exception) -> None:
+        text = f"{heard.vehicle.name}: {where} could not be handled ({type(error).__name__}: {error})"
+        if where not in heard.reported_faults:  # once of each kind, or a fault at 100 Hz fills the log
+            heard.reported_faults.add(where)
+            heard.vehicle.add_note("error", text)
+            _LOG.error(text, exc_info=error)
+            if self._on_fault is not None:
+                self._on_fault(text)
+
+
+STEP_PERIOD_S = 0.02
+MIN_STEP_INTERVAL_S = 0.004
+"""After bytes have come, what is due goes out at once, but no more often than this (s)."""
+HOUSEKEEPING_PERIOD_S = 0.5
+_SYSTEM_IDS, _COMPONENT_IDS = (
+    range(246, 255),
+    range(25, 100),
+)  # below 255, which others use; MAV_COMP_ID_USER1 to USER75
+_FULL_RATE_BYTES_S = 45_000.0
+_LINE_SHARE = 0.6
+_MAX_FAULTS = 100
+
+
+def choose_telemetry_rate(endpoint: Endpoint, rate_Hz: float = 100.0) -> float:
+    """Return how often vehicles behind an endpoint are asked to tell their motion (Hz).
+
+    All streams at 100 Hz are about 45 kB/s; over a serial line (10 bits a byte) no more is asked than 60 % of what it
+    carries.
+    """
+    if endpoint.kind != "serial":
+        return rate_Hz
+    share = _LINE_SHARE * endpoint.port / 10.0 / _FULL_RATE_BYTES_S
+    return max(1.0, min(rate_Hz, 100.0 * share))
+
+
+def _open_endpoint(endpoint: Endpoint) -> Port:
+    try:
+        return open_port(endpoint)
+    except InputError as error:
+        raise ArgumentError("endpoints", error.key, error.problem, error.remedy) from error
+
+
+_MIN_UNREAD_BYTES = 4000
+
+
+def _describe_unread_bytes(port: Port, link: GroundLink) -> str:
+    """Say that bytes come and no message is among them; "" otherwise."""
+    if link.unread_bytes < _MIN_UNREAD_BYTES:
+        return ""
+    words = f"{port.endpoint}: {link.unread_bytes} bytes came, and no MAVLink message among them"
+    return words + (f"; is {port.endpoint.port} its baud rate?" if port.endpoint.kind == "serial" else "")
+
+
+def _station_ids_from_process(process: int) -> tuple[int, int]:
+    """System and component number of the station in a process."""
+    turns, k = divmod(process, len(_SYSTEM_IDS))
+    return _SYSTEM_IDS[k], _COMPONENT_IDS[turns % len(_COMPONENT_IDS)]
+
+
+class GroundStation:
+    """A ground station without a face.
+
+    Parameters
+    ----------
+    endpoints : sequence of str or Endpoint
+        Where vehicles are: ``"udp:127.0.0.1:14550"`` listens there.
+    folder : str or Path
+        Where recordings go.
+    record : bool
+        Whether to begin a recording at once.
+    record_here : bool
+        The first recording goes into ``folder`` itself instead of a dated folder in it.
+    us : (system, component), optional
+        Our MAVLink address. Default: a system number from 246 to 254 and one of the 75 component numbers for users, by
+        process, so that two stations on one vehicle are told apart.
+    rate_Hz : float
+        How often vehicles are asked to tell their motion.
+    on_vehicle : callable, optional
+        Told of every new vehicle.
+    name : str
+        What the links are called, where their endpoints are others at each start.
+
+    Attributes
+    ----------
+    recorder : StationRecorder
+    notices : deque of (time, str)
+        What happened to ports and recorder: clock of the day (s), text.
+
+    Raises
+    ------
+    InputError
+        If an endpoint is none.
+    """
+
+    def __init__(
+        self,
+        endpoints: Sequence[str | Endpoint],
+        *,
+        folder: str | Path = "flights",
+        record: bool = True,
+        record_here: bool = False,
+        us: tuple[int, int] | None = None,
+        rate_Hz: float = 100.0,
+        on_vehicle: Callable[[RemoteVehicle], None] | None = None,
+        name: str = "",
+    ) -> None:
+        self._name = name
+        self.endpoints = [parse_endpoint(e, "station") if isinstance(e, str) else e for e in endpoints]
+        self.own_ids = us or _station_ids_from_process(os.getpid())
+        self.notices: deque[tuple[float, str]] = deque(maxlen=200)
+        self.recorder = StationRecorder(folder, first_here=record_here, on_end=self._add_notice)
+        self._record, self._rate_Hz, self._on_vehicle = record, rate_Hz, on_vehicle
+        self._colors = count()
+        self._links: list[tuple[Port, GroundLink]] = []
+        self._watched: list[int] = []
+        self._task: asyncio.Task[None] | None = None
+        self._stepped_s = self._cared_s = float("-inf")
+        self._found: list[RemoteVehicle] = []
+        self._faults: set[str] = set()
+
+    @property
+    def vehicles(self) -> list[RemoteVehicle]:
+        """All vehicles heard so far, in the order in which they were found."""
+        return list(self._found)
+
+    @property
+    def ports(self) -> list[Port]:
+        """The open ports."""
+        return [port for port, _ in self._links]
+
+    async def start(self) -> None:
+        """Open the ports and begin to listen.
+
+        Raises
+        ------
+        InputError
+            If a port cannot be opened, or the recording not be written. Nothing stays open then.
+        """
+        try:
+            for endpoint in self.endpoints:
+                self._links.append((_open_endpoint(endpoint), self._make_link(endpoint)))
+            if self._record:
+                self.recorder.start()
+        except Exception:
+            await self.stop()
+            raise
+        loop = asyncio.get_running_loop()
+        for port, link in self._links:
+            self._receive_port(read_boot_clock(), port, link)  # calls, so that what is missing is known at once
+            number = port.fileno()
+            if number >= 0:
+                loop.add_reader(number, self._handle_readable, port, link)
+                self._watched.append(number)
+        self._task = loop.create_task(self._run_loop())
+
+    async def stop(self) -> None:
+        """Finish the recording and close the ports."""
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+            self._task = None
+        loop = asyncio.get_running_loop()
+        for number in self._watched:
+            loop.remove_reader(number)
+        self._watched.clear()
+        for port, _ in self._links:
+            port.close()
+        self._links.clear()
+        self.recorder.stop()
+
+    def add_mark(self, text: str) -> bool:
+        """Put a mark into the recording; returns whether there is one."""
+        return self.recorder.add_mark(text)
+
+    def describe_link_problems(self) -> list[str]:
+        """Say what is wrong with the links now, a line each."""
+        return [words for port, link in self._links if (words := port.problem or _describe_unread_bytes(port, link))]
+
+    def _make_link(self, endpoint: Endpoint) -> GroundLink:
+        return GroundLink(
+            self.own_ids,
+            rate_Hz=choose_telemetry_rate(endpoint, self._rate_Hz),
+            color=lambda: next(self._colors),
+            on_vehicle=self._add_vehicle,
+            on_packet=self.recorder.record_packet,
+            on_fault=self._add_notice,
+            on_notice=self._add_notice,
+            name=self._name or str(endpoint),
+        )
+
+    def _add_vehicle(self, vehicle: RemoteVehicle) -> None:
+        self._found.append(vehicle)
+        self.recorder.attach_vehicle(vehicle)
+        if self._on_vehicle is not None:
+            self._on_vehicle(vehicle)
+
+    def _add_notice(self, text: str) -> None:
+        self.notices.append((time.time(), text))
+
+    def _handle_readable(self, port: Port, link: GroundLink) -> None:
+        now_s = read_boot_clock()
+        with self._contain_faults():
+            self._receive_port(now_s, port, link)
+            if now_s - self._stepped_s >= MIN_STEP_INTERVAL_S:
+                self._step_links(now_s)
+
+    @contextlib.contextmanager
+    def _contain_faults(self) -> Iterator[None]:
+        """Tell of a fault once and go on: none must end the station in the middle of a flight."""
+        try:
+            yield
+        except Exception as error:
+            text = f"the station met a fault and goes on ({type(error).__name__}: {error})"
+            if text not in self._faults and len(self._faults) < _MAX_FAULTS:
+                self._faults.add(text)
+                _LOG.error(text, exc_info=error)
+                self._add_notice(text)
+
+    def _receive_port(self, now_s: float, port: Port, link: GroundLink) -> None:
+        for peer, data in port.receive():
+            link.receive(now_s, peer, data)
+
+    def _step_links(self, now_s: float) -> None:
+        self._stepped_s = now_s
+        for port, link in self._links:
+            for peer, data in link.step(now_s, port.peers):
+                port.send(peer, data)  # type: ignore[arg-type]  # the peers are the port's own
+
+    def _do_housekeeping(self, now_s: float) -> None:
+        self._cared_s = now_s
+        self.recorder.step(now_s)
+        for port, _ in self._links:
+            for text in port.take_notices():
+                self._add_notice(text)
+        for vehicle in self._found:
+            vehicle.station_context.is_recording = self.recorder.recording
+            vehicle.station_context.free_disk_bytes = self.recorder.free_bytes
+
+    async def _run_loop(self) -> None:
+        """See to what is due, drift-free; after a stall there is no burst."""
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while True:
+            now_s = read_boot_clock()
+            with self._contain_faults():
+                for port, link in self._links:
+                    self._receive_port(now_s, port, link)  # ports without a descriptor, and calls to be made again
+                self._step_links(now_s)
+                if now_s - self._cared_s >= HOUSEKEEPING_PERIOD_S:
+                    self._do_housekeeping(now_s)
+            due = max(due + STEP_PERIOD_S, loop.time())
+            await asyncio.sleep(due - loop.time())

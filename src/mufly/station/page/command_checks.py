@@ -1,0 +1,163 @@
+"""Before a vehicle is sent off: which checks failed, whether a place can be flown to, and what is asked twice.
+
+QGroundControl asks for a slide before it arms, takes off, starts a mission, lands and returns ("guided actions"). Here
+the button, or its key, is pressed a second time within three seconds. A hover and the emergency stop's own two presses
+stay as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mufly.mission import Fence, Mission, fence_fault, fence_outlines, fence_path_fault
+from mufly.mission.geofence import FENCE_MARGIN_M
+from mufly.mission.mission_timing import compute_reach_time
+from mufly.station.mission_endurance import mission_with_limits
+from mufly.station.preflight_checks import BATTERY_RESERVE, MIN_BATTERY_CHARGE, OWN_CHECKS_NAME
+from mufly.station.remote_vehicle import RemoteVehicle
+from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
+
+CONFIRM_TIMEOUT_S = 3.0
+"""A second press has to follow within so long (s)."""
+FAR_DISTANCE_M = 10.0
+"""A place without a fence around it is asked for twice beyond so far from where the vehicle is (m)."""
+CHARGE_CRITICAL, REMAINING_CRITICAL_S, REMAINING_LOW_S = 0.15, 30.0, 60.0
+CONFIRMED_COMMANDS = {
+    "mission": "fly the mission",
+    "take_off": "take off",
+    "arm": "arm",
+    "land": "land",
+    "return": "return",
+}
+"""Commands that are pressed twice, and what they do in words."""
+
+
+class Confirmation:
+    """What was pressed once and waits for its second press.
+
+    Parameters
+    ----------
+    now : callable
+        Monotonic clock (s).
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._what: object = None
+        self._since_s = -math.inf
+
+    def is_second_press(self, what: object) -> bool:
+        """Whether a press of this is the second one."""
+        return self._what == what and self._now() - self._since_s < CONFIRM_TIMEOUT_S
+
+    def register_press(self, what: object) -> bool:
+        """Take a press; whether it is the second one of the same."""
+        sure = self.is_second_press(what)
+        self._what, self._since_s = (None, -math.inf) if sure else (what, self._now())
+        return sure
+
+
+def failed_check_names(checks: Iterable[PreflightCheck]) -> list[str]:
+    """Names of the checks that failed; the vehicle's own apart, since these disable the button by themselves."""
+    return [c.name for c in checks if c.ok is False and c.name != OWN_CHECKS_NAME]
+
+
+@dataclass(frozen=True, slots=True)
+class DestinationCheck:
+    """Whether a vehicle may be sent to a place.
+
+    Attributes
+    ----------
+    refused : str
+        Why not, with the numbers; "" if it may.
+    beware : str
+        Why it is asked for twice; "" if once will do.
+    """
+
+    refusal_reason: str = ""
+    caution_reason: str = ""
+
+
+def check_destination(
+    s: VehicleSnapshot,
+    fence: Fence | None,
+    limits: Mission,
+    place: tuple[float, float, float],
+    far_m: float = FAR_DISTANCE_M,
+) -> DestinationCheck:
+    """Judge a place to fly to.
+
+    Parameters
+    ----------
+    s : Snapshot
+        Where the vehicle is, and how long its battery lasts.
+    fence : Fence or None
+        The vehicle's.
+    limits : Mission
+        With the vehicle's limits.
+    place : (3,) tuple
+        N, E, D (m).
+    far_m : float
+        Without a fence, farther than this from the vehicle it is asked for twice (m).
+    """
+    if fault := fence_fault(fence, place, FENCE_MARGIN_M):
+        return DestinationCheck(refusal_reason=f"it is {fault}")
+    here = s.estimate.position
+    if not np.isfinite(here).all():
+        return DestinationCheck(caution_reason="nobody knows where the vehicle is")
+    if fault := fence_path_fault(fence, here, place):
+        return DestinationCheck(refusal_reason=fault)
+    away, needed = math.dist(here.tolist(), place), compute_reach_time(limits, here, place)
+    if needed > s.battery_left_s:
+        return DestinationCheck(
+            refusal_reason=(
+                f"getting there and down takes {format_clock(needed)}, the battery lasts "
+                f"{format_clock(s.battery_left_s)}"
+            )
+        )
+    if needed > (1.0 - BATTERY_RESERVE) * s.battery_left_s:
+        return DestinationCheck(
+            caution_reason=(
+                f"it takes {format_clock(needed)} of the {format_clock(s.battery_left_s)} that the battery lasts"
+            )
+        )
+    if fence is None and away > far_m:
+        return DestinationCheck(caution_reason=f"{away:.0f} m away, and there is no fence")
+    return DestinationCheck()
+
+
+def check_vehicle_destination(vehicle: RemoteVehicle, place: tuple[float, float, float]) -> DestinationCheck:
+    """Judge a place (N, E, D; m) for a vehicle."""
+    limits = mission_with_limits(vehicle.parameters, vehicle.station_context.base_mission)
+    return check_destination(vehicle.snapshot, vehicle.fence, limits, place)
+
+
+def describe_battery(s: VehicleSnapshot) -> tuple[str, str] | None:
+    """Return how serious a battery is ("", "warning", "error") and the battery in words; None where it is not told."""
+    charge, left = s.battery_charge, s.battery_left_s
+    volts = s.estimate.battery_voltage
+    parts = [f"{100 * charge:.0f} %"] if math.isfinite(charge) else [f"{volts:.2f} V"] if math.isfinite(volts) else []
+    if not parts:
+        return None
+    if math.isfinite(left):
+        parts.append(f"{format_clock(left)} left")
+    empty, low = (
+        charge <= CHARGE_CRITICAL or left <= REMAINING_CRITICAL_S,
+        charge < MIN_BATTERY_CHARGE or left <= REMAINING_LOW_S,
+    )
+    return "error" if empty else "warning" if low else "", ", ".join(parts)
+
+
+def encode_fence(fence: Fence | None) -> dict[str, Any] | None:
+    """Return a fence as the 3-D scene draws it: zones ``{in: bool, p: [[N, E], ...]}`` and the ceiling (m) or None."""
+    if fence is None:
+        return None
+    return {
+        "zones": [{"in": inside, "p": corners} for inside, corners in fence_outlines(fence)],
+        "ceiling": fence.ceiling_m,
+    }

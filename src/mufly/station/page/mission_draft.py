@@ -1,0 +1,441 @@
+"""A mission that is being drawn: what one does to it, step by step and back, and whether it could be flown.
+
+A :class:`MissionDraft` is frozen: every edit makes the next one, and the missions before it are what undo goes back to.
+An edit that the mission's schema refuses (a wait of -1 s) changes nothing; one that the geometry refuses (a waypoint in
+a crate) is kept and named, since one draws through such states. :mod:`mufly.mission.mission_checks` judges, as for a
+file.
+
+Rows are numbered as a table shows them: 0 is the take-off, 1 to n the waypoints, n + 1 the end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from mufly.errors import InputError
+from mufly.input_files import validate_model
+from mufly.link.codec import GlobalOrigin
+from mufly.link.mission_transfer import MissionItem
+from mufly.mission import (
+    Fence,
+    Mission,
+    TrajectoryLimits,
+    Waypoint,
+    check_geometry,
+    check_mission,
+    read_mission_tables,
+    reduce_limits,
+)
+from mufly.mission.mission_checks import MissionEstimate
+from mufly.mission.mission_items import MissionRefusedError, mission_from_items
+
+NEW_MISSION_NAME = "new-mission"
+"""Of a mission that is begun anew: a file under the name of another would replace it."""
+MAX_UNDO_STEPS = 200
+MAX_WAYPOINTS = 250
+ERROR_LOCATION = "mission"
+WAYPOINT_OPTIONS = ("wait_s", "heading_deg", "speed_m_s")
+_AXIS_INDEX = {"north": 0, "east": 1, "height": 2}
+_TRANSMITTED_KEYS = frozenset({"waypoint", "at_end", "name", "description"})
+_WAYPOINT_KEY_PATTERN = re.compile(r"waypoint\[(\d+)\]")
+
+PlaceNED = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class MissionDraft:
+    """A mission, what it was before, and what undo took back.
+
+    Attributes
+    ----------
+    mission : Mission
+        It keeps to the schema; whether it can be flown is for :func:`judge_draft`.
+    past, future : tuple of Mission
+        For undo and redo, the nearest last.
+    gesture : str
+        The drag that made the last step: what follows of the same drag is no step of its own.
+    """
+
+    mission: Mission = field(default_factory=Mission)
+    undo_stack: tuple[Mission, ...] = ()
+    redo_stack: tuple[Mission, ...] = ()
+    drag_gesture: str = ""
+
+    def with_mission(self, mission: Mission, gesture: str = "") -> MissionDraft:
+        """The next draft; ``drag_gesture`` names the drag it belongs to, "" for a step of its own."""
+        if mission == self.mission:
+            return self
+        going_on = gesture != "" and gesture == self.drag_gesture
+        past = self.undo_stack if going_on else (*self.undo_stack, self.mission)[-MAX_UNDO_STEPS:]
+        return MissionDraft(mission, past, (), gesture)
+
+    def undo(self) -> MissionDraft:
+        """The draft before the last step; the same one if there is none."""
+        if not self.undo_stack:
+            return self
+        return MissionDraft(self.undo_stack[-1], self.undo_stack[:-1], (*self.redo_stack, self.mission))
+
+    def redo(self) -> MissionDraft:
+        """The draft with the step that was taken back last; the same one if there is none."""
+        if not self.redo_stack:
+            return self
+        return MissionDraft(self.redo_stack[-1], (*self.undo_stack, self.mission), self.redo_stack[:-1])
+
+
+# ---- edits: each takes a mission and returns another
+
+
+def replace_mission_parts(mission: Mission, **parts: Any) -> Mission:
+    """The mission with other parts, checked by its schema.
+
+    Raises
+    ------
+    InputError
+        Naming the item, the value and what would be right.
+    """
+    return validate_model(Mission, mission.model_dump(exclude_none=True) | parts, ERROR_LOCATION)
+
+
+def _replace_waypoints(mission: Mission, waypoints: Sequence[Waypoint | Mapping[str, Any]]) -> Mission:
+    if len(waypoints) > MAX_WAYPOINTS:
+        problem = f"{len(waypoints)} are more than this table holds"
+        raise InputError(ERROR_LOCATION, "waypoint", problem, f"draw at most {MAX_WAYPOINTS}")
+    tables = [
+        w.model_dump(exclude_none=True) if isinstance(w, Waypoint) else {k: v for k, v in w.items() if v is not None}
+        for w in waypoints
+    ]
+    return replace_mission_parts(mission, waypoint=tables)
+
+
+def _find_waypoint(mission: Mission, k: int) -> Waypoint:
+    if not 1 <= k <= len(mission.waypoint):
+        problem = f"there is no waypoint {k}"
+        raise InputError(ERROR_LOCATION, "waypoint", problem, f"the mission has {len(mission.waypoint)}")
+    return mission.waypoint[k - 1]
+
+
+def add_waypoint(mission: Mission, place: PlaceNED, after: int | None = None) -> Mission:
+    """Add a waypoint (N, E, D; m) behind row ``after``; at the end if none is given."""
+    n = len(mission.waypoint)
+    at = n if after is None else min(max(after, 0), n)
+    return _replace_waypoints(mission, [*mission.waypoint[:at], {"position_m": place}, *mission.waypoint[at:]])
+
+
+def insert_waypoint(mission: Mission, k: int) -> Mission:
+    """Insert a waypoint half way before waypoint ``k`` (from 1), or before where it would be."""
+    goal = _find_waypoint(mission, k).position_m
+    before = (*mission.start_m, -mission.take_off.height_m) if k == 1 else mission.waypoint[k - 2].position_m
+    north, east, down = (round(0.5 * (a + b), 3) for a, b in zip(before, goal, strict=True))
+    return add_waypoint(mission, (north, east, down), k - 1)
+
+
+def delete_waypoint(mission: Mission, k: int) -> Mission:
+    """Delete waypoint ``k`` (from 1)."""
+    _find_waypoint(mission, k)
+    return _replace_waypoints(mission, [w for i, w in enumerate(mission.waypoint, 1) if i != k])
+
+
+def reorder_waypoint(mission: Mission, k: int, by: int) -> Mission:
+    """Fly waypoint ``k`` (from 1) ``by`` places later; the same mission where it is the first or last already."""
+    moved, rest = _find_waypoint(mission, k), [w for i, w in enumerate(mission.waypoint, 1) if i != k]
+    at = min(max(k - 1 + by, 0), len(rest))
+    return _replace_waypoints(mission, [*rest[:at], moved, *rest[at:]])
+
+
+def move_row(mission: Mission, k: int, place: PlaceNED) -> Mission:
+    """Move a row to a place (N, E, D; m); of the take-off (row 0) that is where it starts, and its height."""
+    if k == 0:
+        climb = mission.take_off.model_dump() | {"height_m": -place[2]}
+        return replace_mission_parts(mission, start_m=place[:2], take_off=climb)
+    own = _find_waypoint(mission, k).model_dump()
+    return _replace_waypoints(
+        mission, [own | {"position_m": place} if i == k else w for i, w in enumerate(mission.waypoint, 1)]
+    )
+
+
+def set_row_value(mission: Mission, k: int, name: str, value: float | None) -> Mission:
+    """Set one field of a row: ``north``, ``east``, ``height`` (m), or one of the file's (``wait_s``, ...)."""
+    if name in _AXIS_INDEX:
+        if value is None:
+            raise InputError(ERROR_LOCATION, _row_key(k), f"{name} is missing", "give metres")
+        n, e, d = (*mission.start_m, -mission.take_off.height_m) if k == 0 else _find_waypoint(mission, k).position_m
+        value = -value if name == "height" else value
+        at = [n, e, d]
+        at[_AXIS_INDEX[name]] = value
+        return move_row(mission, k, (at[0], at[1], at[2]))
+    if k == 0 and name == "wait_s":
+        return replace_mission_parts(mission, take_off=mission.take_off.model_dump() | {"wait_s": value or 0.0})
+    if name not in WAYPOINT_OPTIONS or k == 0:
+        raise InputError(
+            ERROR_LOCATION,
+            _row_key(k),
+            f"has no field {name!r}",
+            f"use {', '.join((*_AXIS_INDEX, *WAYPOINT_OPTIONS))}",
+        )
+    own = _find_waypoint(mission, k).model_dump() | {name: 0.0 if value is None and name == "wait_s" else value}
+    return _replace_waypoints(mission, [own if i == k else w for i, w in enumerate(mission.waypoint, 1)])
+
+
+def _row_key(k: int) -> str:
+    return f"waypoint[{k}]" if k else "take_off"
+
+
+def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
+    """Do what a window asks: ``{"op": "move", "row": 2, "at": [1.0, 0.5, -1.0], "gesture": "7"}`` and its like.
+
+    Raises
+    ------
+    InputError
+        If it makes no sense or the schema refuses it; the draft is as it was.
+    """
+    m, op = draft.mission, order.get("op")
+    if op == "undo":
+        return draft.undo()
+    if op == "redo":
+        return draft.redo()
+    doing: dict[object, Callable[[], Mission]] = {
+        "add": lambda: add_waypoint(
+            m, _read_place(order), _read_row(order, "after") if order.get("after") is not None else None
+        ),
+        "insert": lambda: insert_waypoint(m, _read_row(order)),
+        "delete": lambda: delete_waypoint(m, _read_row(order)),
+        "shift": lambda: reorder_waypoint(m, _read_row(order), _read_row(order, "by")),
+        "move": lambda: move_row(m, _read_row(order), _read_place(order)),
+        "put": lambda: set_row_value(m, _read_row(order), str(order.get("name")), _read_value(order)),
+        "end": lambda: replace_mission_parts(m, at_end=order.get("value")),
+        "name": lambda: replace_mission_parts(m, name=str(order.get("value", ""))[:80]),
+        "empty": lambda: replace_mission_parts(_replace_waypoints(m, []), name=NEW_MISSION_NAME, description=""),
+    }
+    act = doing.get(op)
+    if act is None:
+        raise InputError(
+            ERROR_LOCATION,
+            "",
+            f"{op!r} is nothing that is done to a mission",
+            f"use {', '.join(map(str, doing))}",
+        )
+    return draft.with_mission(act(), str(order.get("gesture") or ""))
+
+
+def _read_row(order: Mapping[str, Any], name: str = "row") -> int:
+    value = order.get(name)
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise InputError(ERROR_LOCATION, name, f"{value!r} is no whole number", "name a row of the table")
+    return value
+
+
+def _read_number(value: object, key: str) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise InputError(ERROR_LOCATION, key, f"{value!r} is no number", "give a finite one")
+    return float(value)
+
+
+def _read_place(order: Mapping[str, Any]) -> PlaceNED:
+    at = order.get("at")
+    if not isinstance(at, list | tuple) or len(at) != 3:
+        raise InputError(ERROR_LOCATION, "at", f"{at!r} is no place", "give N, E and D in metres")
+    n, e, d = (_read_number(v, "at") for v in at)
+    return n, e, d
+
+
+def _read_value(order: Mapping[str, Any]) -> float | None:
+    value = order.get("value")
+    return None if value is None else _read_number(value, str(order.get("name")))
+
+
+# ---- whether it can be flown
+
+
+@dataclass(frozen=True, slots=True)
+class DraftVerdict:
+    """What the check of a mission says.
+
+    Attributes
+    ----------
+    fault : str
+        One line that names the item and why; "" if it can be flown.
+    row : int or None
+        The row of the table that is to blame.
+    estimate : MissionEstimate or None
+        What it takes; of a vehicle whose battery is not known, time and length only (``fraction`` is NaN).
+    """
+
+    fault: str = ""
+    fault_row: int | None = None
+    estimate: MissionEstimate | None = None
+
+
+def judge_draft(
+    mission: Mission, battery: tuple[float, float] | None = None, able: TrajectoryLimits | None = None
+) -> DraftVerdict:
+    """Check a mission as the command line checks its file.
+
+    Parameters
+    ----------
+    mission : Mission
+    battery : (hover_current_A, capacity_Ah), optional
+        Of the vehicle, where it is known: then the charge has to last.
+    able : Limits, optional
+        What the vehicle's controllers can follow, where it is known: it flies no faster.
+    """
+    try:
+        check_geometry(mission, mission.name or ERROR_LOCATION)
+        current_A, capacity_Ah = battery or (1.0, math.inf)
+        flown = mission if able is None else reduce_limits(mission, able)[0]
+        estimate = check_mission(
+            flown, hover_current_A=current_A, capacity_Ah=capacity_Ah, where=mission.name or ERROR_LOCATION
+        )
+    except InputError as error:
+        return DraftVerdict(f"{error.key}: {error.problem}; {error.remedy}", row_from_key(error.key, mission))
+    if battery is None:
+        estimate = replace(estimate, charge_Ah=math.nan, fraction=math.nan)
+    return DraftVerdict(estimate=estimate)
+
+
+def row_from_key(key: str, mission: Mission) -> int | None:
+    """Row of the table that a key of a mission file belongs to; None if it is no item's."""
+    if found := _WAYPOINT_KEY_PATTERN.match(key):
+        return int(found[1])
+    if key.startswith(("take_off", "start_m")):
+        return 0
+    return len(mission.waypoint) + 1 if key == "at_end" else None
+
+
+@dataclass
+class SharedDraft:
+    """The draft of a station, and what the check says of it.
+
+    Attributes
+    ----------
+    draft : Draft
+    held : Mission or None
+        What the vehicle began with, as far as the station knows: it keeps of it what is not sent.
+    verdict : Verdict or None
+        None while it is being checked.
+    version : int
+        Counts the changes of either.
+    """
+
+    draft: MissionDraft = field(default_factory=MissionDraft)
+    vehicle_mission: Mission | None = None
+    verdict: DraftVerdict | None = None
+    version: int = 0
+    _is_checking: bool = False
+
+    def set_draft(self, draft: MissionDraft) -> None:
+        """Go on with another draft."""
+        if draft.mission is not self.draft.mission:
+            self.verdict = None
+        if draft is not self.draft:
+            self.draft = draft
+            self.version += 1
+
+    async def check_draft(
+        self, battery: tuple[float, float] | None, able: TrajectoryLimits | None = None
+    ) -> DraftVerdict:
+        """Judge the draft, unless that is under way; what changes meanwhile is judged after it."""
+        while self._is_checking:
+            await asyncio.sleep(0.02)
+        self._is_checking = True
+        try:
+            while self.verdict is None:
+                mission = self.draft.mission
+                verdict = await asyncio.to_thread(judge_draft, mission, battery, able)
+                if mission is self.draft.mission:
+                    self.verdict = verdict
+                    self.version += 1
+        finally:
+            self._is_checking = False
+        return self.verdict
+
+
+# ---- files, and what a vehicle holds
+
+
+def parse_mission_draft(text: str, name: str) -> Mission:
+    """Read a mission file to go on with; unlike for a flight, it need not be one that can be flown.
+
+    Raises
+    ------
+    InputError
+        If it is no mission file or does not keep to the schema.
+    """
+    mission: Mission = validate_model(Mission, read_mission_tables(text, name), name)
+    return mission
+
+
+def mission_from_vehicle(items: Sequence[MissionItem], base: Mission, origin: GlobalOrigin | None) -> Mission:
+    """The mission of items that a vehicle holds; what items do not tell is taken from ``base``.
+
+    Raises
+    ------
+    InputError
+        Naming the item that no mission file can say.
+    """
+    try:
+        return mission_from_items(items, base, origin).mission
+    except MissionRefusedError as refusal:
+        raise InputError("vehicle", "", str(refusal), "the mission in the editor is as it was") from None
+
+
+def find_untransmitted_keys(mission: Mission, held: Mission | None) -> list[str]:
+    """Keys in which a mission differs from what the vehicle has, and which items of MAVLink do not carry.
+
+    Parameters
+    ----------
+    mission : Mission
+        That is sent.
+    held : Mission or None
+        The vehicle's, as far as the station knows it; None: the defaults.
+    """
+    other = held if held is not None else Mission()
+    keys = [k for k in Mission.model_fields if k not in _TRANSMITTED_KEYS and getattr(mission, k) != getattr(other, k)]
+    if "fence" in keys and mission.fence is not None:
+        keys.remove("fence")  # its zones are sent
+        old = other.fence or Fence.model_construct(ceiling_m=None, action="hold")
+        if (mission.fence.ceiling_m, mission.fence.action) != (old.ceiling_m, old.action):
+            keys += ["fence.ceiling_m", "fence.action"]
+    if "take_off" in keys and mission.take_off.wait_s == other.take_off.wait_s:
+        keys.remove("take_off")  # the height is sent
+    return ["take_off.wait_s" if k == "take_off" else k for k in keys]
+
+
+def encode_draft(draft: MissionDraft, verdict: DraftVerdict | None, refused: str) -> dict[str, Any]:
+    """What a window draws: rows, and what the check says of them.
+
+    Parameters
+    ----------
+    draft : Draft
+    verdict : Verdict or None
+        None while it is being checked.
+    refused : str
+        Why the last edit was not made, "" if it was.
+    """
+    m = draft.mission
+    estimate = verdict.estimate if verdict is not None else None
+    return {
+        "name": m.name,
+        "start": [*m.start_m, m.take_off.height_m],
+        "take_off_wait": m.take_off.wait_s,
+        "rows": [
+            {"at": [w.position_m[0], w.position_m[1], -w.position_m[2]], "wait": w.wait_s, "heading": w.heading_deg,
+             "speed": w.speed_m_s} for w in m.waypoint
+        ],
+        "at_end": m.at_end,
+        "spline": m.path.kind == "spline",
+        "undo": len(draft.undo_stack),
+        "redo": len(draft.redo_stack),
+        "checked": verdict is not None,
+        "fault": verdict.fault if verdict is not None else "",
+        "bad": verdict.fault_row if verdict is not None else None,
+        "refused": refused,
+        "estimate": estimate and {
+            "s": estimate.duration_s, "m": estimate.path_m,
+            "share": estimate.fraction if math.isfinite(estimate.fraction) else None,
+        },
+    }  # fmt: skip

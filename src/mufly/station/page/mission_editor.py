@@ -1,0 +1,171 @@
+"""The tab in which a mission is drawn: files, vehicle, and what goes between the draft and the window.
+
+All windows of a station share one draft, so that it outlives a reload; the window that holds the controls edits it, the
+others look on. It is checked in a thread, the newest state only, while one draws on.
+"""
+
+from __future__ import annotations
+
+from nicegui import ui
+from nicegui.events import GenericEventArguments, UploadEventArguments
+
+from mufly.errors import InputError
+from mufly.mission import FILE_ENDINGS, Mission, TrajectoryLimits, dump_mission
+from mufly.station.mission_endurance import trajectory_limits_from_parameters
+from mufly.station.page import panels
+from mufly.station.page.command_checks import encode_fence
+from mufly.station.page.mission_draft import (
+    DraftVerdict,
+    MissionDraft,
+    SharedDraft,
+    apply_edit,
+    encode_draft,
+    mission_from_vehicle,
+    parse_mission_draft,
+)
+from mufly.station.page.page_session import WindowView, encode_world
+
+
+class MissionEditor:
+    """The mission editor of one window; :meth:`build_tab` builds its tab, :meth:`refresh` brings it up to date.
+
+    Parameters
+    ----------
+    view : View
+    """
+
+    def __init__(self, view: WindowView) -> None:
+        self._view = view
+        self._order = 0
+        self._refused = ""
+        self._shown: tuple[object, ...] = ()
+        self._panel = panels.BrowserPanel("draft")
+        self._panel.on("edit", self._handle_edit)
+        if not self._shared_draft.version and view.session.mission is not None:
+            self._shared_draft.vehicle_mission = view.session.mission
+            self._shared_draft.set_draft(MissionDraft(view.session.mission))
+
+    @property
+    def _shared_draft(self) -> SharedDraft:
+        return self._view.session.shared_draft
+
+    def _controller_limits(self) -> TrajectoryLimits | None:
+        """What the controllers of the selected vehicle can follow, where it tells."""
+        vehicle = self._view.selected_vehicle()
+        return None if vehicle is None else trajectory_limits_from_parameters(vehicle.parameters)
+
+    def _refusal_reason(self) -> str:
+        return "" if self._view.has_controls else "another window has the controls and edits the mission"
+
+    def build_tab(self) -> None:
+        """Build the tab."""
+        with panels.make_element("div", classes="mf-tools"):
+            panels.make_button(
+                "New", self._start_new, test="plan-new", title="a mission without waypoints in the same world"
+            )
+            panels.add_file_picker("Open…", ",".join(FILE_ENDINGS), self._open_file, "plan-file")
+            panels.make_button("Save", self._save_file, test="plan-save", title="save as a mission file")
+            fetched = "edit the mission that is in the vehicle"
+            panels.make_button(
+                "From vehicle",
+                self._fetch_from_vehicle,
+                test="plan-fetch",
+                title=fetched,
+                classes="mf-live-only",
+            )
+            sent = "check it and send it to the vehicle"
+            panels.make_button(
+                "Send to vehicle", self._send_to_vehicle, test="plan-send", title=sent, classes="mf-live-only"
+            )
+        panels.BrowserPanel("editor")
+
+    def refresh(self) -> None:
+        """Tell the window what has changed; what has not is not sent."""
+        sketch = self._shared_draft
+        now = (sketch.version, self._order, self._refused, self._refusal_reason())
+        if now == self._shown:
+            return
+        self._shown = now
+        state = encode_draft(sketch.draft, sketch.verdict, self._refused)
+        state["world"] = encode_world(sketch.draft.mission.world)
+        state["world"]["fence"] = encode_fence(sketch.draft.mission.fence)
+        self._panel.call_method("take", {"state": state, "may": now[3], "last": self._order})
+
+    # ---- what the window asks for
+
+    async def _handle_edit(self, e: GenericEventArguments) -> None:
+        order = e.args if isinstance(e.args, dict) else {}
+        number = order.get("order")
+        if order.get("op") == "hello":  # a page that was loaded anew counts from one
+            self._order, self._shown = number if isinstance(number, int) else 0, ()
+        else:
+            self._order = number if isinstance(number, int) else self._order
+            self._refused = self._refusal_reason()
+            if not self._refused:
+                try:
+                    self._shared_draft.set_draft(apply_edit(self._shared_draft.draft, order))
+                except InputError as error:
+                    self._refused = f"{error.key}: {error.problem}; {error.remedy}" if error.key else error.problem
+        await self._check_draft()
+
+    async def _check_draft(self) -> DraftVerdict:
+        self.refresh()
+        verdict = await self._shared_draft.check_draft(self._view.session.battery_data, self._controller_limits())
+        self.refresh()
+        return verdict
+
+    async def _replace_mission(self, mission: Mission) -> None:
+        """Edit another mission; undo goes back to the one before."""
+        self._refused = ""
+        self._shared_draft.set_draft(self._shared_draft.draft.with_mission(mission))
+        await self._check_draft()
+
+    def _refuse_if_blocked(self, what: str) -> bool:
+        if why := self._refusal_reason():
+            panels.show_refusal(f"not {what}: {why}")
+        return bool(why)
+
+    async def _start_new(self) -> None:
+        if not self._refuse_if_blocked("begun anew"):
+            await self._replace_mission(apply_edit(self._shared_draft.draft, {"op": "empty"}).mission)
+
+    async def _open_file(self, e: UploadEventArguments) -> None:
+        if self._refuse_if_blocked("opened"):
+            return
+        try:
+            mission = parse_mission_draft((await e.file.read()).decode(), e.file.name)
+        except (InputError, ValueError) as error:
+            panels.show_refusal(str(error))
+            return
+        await self._replace_mission(mission)
+
+    def _save_file(self) -> None:
+        mission = self._shared_draft.draft.mission
+        ui.download.content(dump_mission(mission), f"{mission.name or 'mission'}.toml")
+
+    async def _fetch_from_vehicle(self) -> None:
+        vehicle = self._view.shown_vehicle()
+        if vehicle is None or self._refuse_if_blocked("fetched"):
+            return
+        self._view.keep_request(request := vehicle.download_mission())
+        if not await panels.wait_until_accepted(request):
+            return
+        base = self._view.session.mission or self._shared_draft.draft.mission
+        try:
+            mission = mission_from_vehicle(vehicle.transfers.items or (), base, vehicle.telemetry.origin)
+        except InputError as error:
+            panels.show_refusal(str(error))
+            return
+        await self._replace_mission(mission)
+
+    async def _send_to_vehicle(self) -> None:
+        vehicle = panels.vehicle_to_change(self._view, "sent")
+        if vehicle is None:
+            return
+        self._refused = ""  # of what was typed before; the field shows what is sent
+        mission = self._shared_draft.draft.mission
+        verdict = await self._check_draft()
+        if mission is not self._shared_draft.draft.mission or verdict.fault:
+            panels.show_refusal(f"not sent: {verdict.fault or 'it was changed meanwhile'}")
+            return
+        await panels.send_mission(self._view, vehicle, mission)

@@ -1,0 +1,646 @@
+"""What all windows share, and what belongs to each: who holds the controls, what is shown, what was asked.
+
+A window is one tab of a browser. The first holds the controls, the others watch until they take them. When the window
+that held them is gone, the only one left gets them; of several none does until it asks. The vehicle does not notice.
+What may be commanded now, and what was done to the parameters, is here too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+from mufly.camera import CAMERA_FILE_NAME
+from mufly.errors import InputError
+from mufly.flight import TunableParameter
+from mufly.link import SLOW_REAL_TIME_FACTOR
+from mufly.link.ports import read_boot_clock
+from mufly.mission import Mission, VehicleRequest, check_request
+from mufly.slam import TrackedPicture
+from mufly.station.page.command_checks import describe_battery, encode_fence
+from mufly.station.page.late_requests import FrameTimes
+from mufly.station.page.mission_draft import SharedDraft
+from mufly.station.page.start_page import Startup
+from mufly.station.recording_comparison import COMPARED_PREFIX, RecordingComparison
+from mufly.station.remote_vehicle import RemoteVehicle
+from mufly.station.replay import FlightRecording, Replay
+from mufly.station.signal_history import OperatorRequest, RequestOutcome, VehicleSnapshot
+from mufly.station.station_recorder import StationRecorder
+from mufly.vehicle_types import AUTOPILOT_COMPONENT, vehicle_shape
+from mufly.world import World
+
+RECORDING_SUFFIXES = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
+MAX_RECORDINGS = 200
+_FLIGHT_FILES = ("flight.mcap", "station.mcap")
+"""What the folder of a flight holds, one or both."""
+MAX_UNDO_STEPS = 200
+CONTROLS_GRACE_S = 1.0
+MAX_REQUESTS = 3
+ANSWER_DISPLAY_S = 20.0
+"""For so long an answer is shown (s)."""
+ALERT_DISPLAY_S = 20.0
+"""For so long a warning of the vehicle is shown beside its state (s)."""
+MAX_ALERT_LENGTH = 300
+"""So many characters of it."""
+PARAM_TYPE_INT32, PARAM_TYPE_REAL32 = 6, 9  # MAV_PARAM_TYPE
+
+PanelSource = RemoteVehicle | Replay
+"""What the panels show: both have name, kind, snapshot, history, messages, mission, parameters and checks."""
+
+
+@dataclass
+class StationSession:
+    """The station as its windows see it.
+
+    Attributes
+    ----------
+    vehicles : callable
+        Returns all vehicles heard so far, in order.
+    folder : Path
+        Where recordings are looked for.
+    mission : Mission or None
+        The world to draw around vehicles; of a mission loaded later, that one's.
+    rotor_radius_m : float
+        Size of the vehicles in the scene.
+    recorder : StationRecorder or None
+    title : str
+    to_open : Recording or None
+        Shown by every window at first.
+    battery : (hover_current_A, capacity_Ah) or None
+        Of the vehicle, where it is known: a mission that is drawn is checked against it.
+    sketch : Sketch
+        The mission that is being drawn.
+    sight : callable or None
+        Returns the picture that was looked at last, of a vehicle that flies on pictures.
+    startup : Startup or None
+        How far the start of the vehicle is, where this station starts one.
+    opened : int
+        How many windows were opened so far.
+    trouble : callable or None
+        Returns what is wrong with the links, a line each.
+    """
+
+    vehicles: Callable[[], Sequence[RemoteVehicle]]
+    recordings_folder: Path
+    mission: Mission | None = None
+    rotor_radius_m: float = 0.0875
+    recorder: StationRecorder | None = None
+    title: str = "mufly station"
+    view_by_client: dict[str, WindowView] = field(default_factory=dict)
+    controls_holder: str = ""
+    edits_by_vehicle: dict[str, ParameterEdits] = field(default_factory=dict)
+    initial_recording: FlightRecording | None = None
+    battery_data: tuple[float, float] | None = None
+    shared_draft: SharedDraft = field(default_factory=SharedDraft)
+    latest_sight: Callable[[], TrackedPicture | None] | None = None
+    startup: Startup | None = None
+    opened_count: int = 0
+    link_problems: Callable[[], Sequence[str]] | None = None
+    clock: Callable[[], float] = read_boot_clock
+
+    def open_view(self, client_id: str, selected: str = "") -> WindowView:
+        """A window was opened, or loaded anew while a vehicle was selected in it."""
+        self.opened_count += 1
+        view = self.view_by_client[client_id] = WindowView(client_id, self)
+        view.selected = selected
+        if self.initial_recording is not None:
+            view.show_recording(self.initial_recording)
+        return view
+
+    def close_view(self, client_id: str) -> None:
+        """A window was closed for good."""
+        self.view_by_client.pop(client_id, None)
+
+    @property
+    def live_view_count(self) -> int:
+        """How many windows are open and hear us."""
+        return sum(view.is_live for view in self.view_by_client.values())
+
+    def startup_status(self) -> dict[str, Any] | None:
+        """How far the start is; None once the vehicle stands, and where none is started."""
+        start = self.startup
+        return None if start is None or (start.is_done and not start.fault) else start.encode_status()
+
+    def settle_controls(self) -> None:
+        """Give the controls to the only window there is, once whoever held them has been gone for a second."""
+        holder = self.view_by_client.get(self.controls_holder)
+        if holder is not None and (holder.is_live or self.clock() - holder.stream_closed_s < CONTROLS_GRACE_S):
+            return
+        live = [view for view in self.view_by_client.values() if view.is_live]
+        # The first of all windows gets them without asking; of several that are left, none does.
+        self.controls_holder = live[0].client_id if live and (len(live) == 1 or not self.controls_holder) else ""
+
+    def describe_waiting(self, selected: str) -> str:
+        """Say for whom a window waits that shows no vehicle, and what is wrong with the links."""
+        trouble = "; ".join(self.link_problems()) if self.link_problems is not None else ""
+        if selected and self.vehicles():
+            system, _, link = selected.partition("@")
+            text = f"The vehicle of this window (system {system} on {link}) is not heard; choose another one above"
+        else:
+            text = "Waiting for a vehicle on the link"
+        return f"{text}. {trouble}" if trouble else text
+
+    def vehicle_label(self, vehicle: RemoteVehicle) -> str:
+        """What to call a vehicle; of two with the same name, with the link that each is heard on."""
+        alike = sum(v.name == vehicle.name for v in self.vehicles()) > 1
+        return f"{vehicle.name} ({vehicle.key.partition('@')[2]})" if alike else vehicle.name
+
+    def parameter_edits(self, vehicle: PanelSource) -> ParameterEdits:
+        """What was done to a vehicle's parameters."""
+        key = vehicle.key if isinstance(vehicle, RemoteVehicle) else vehicle.name
+        sheet = self.edits_by_vehicle.setdefault(key, ParameterEdits())
+        sheet.record_baseline(vehicle.parameters)
+        return sheet
+
+
+@dataclass(slots=True)
+class _ShownRequest:
+    """A request, and when its answer was first seen."""
+
+    request: OperatorRequest
+    answered_s: float = math.inf
+
+
+class WindowView:
+    """One window: what it shows and what it asked for."""
+
+    def __init__(self, client_id: str, session: StationSession) -> None:
+        self.client_id, self.session = client_id, session
+        self.selected = ""
+        self.replay: Replay | None = None
+        self.compared_recording: RecordingComparison | None = None
+        self.frames = FrameTimes(session.clock)
+        self.on_late: Callable[[str], None] | None = None
+        self._asked: deque[_ShownRequest] = deque(maxlen=20)
+        self._shows = 0
+        self._streams = self.newest_stream = 0
+        self.stream_closed_s = math.inf  # its stream was never open yet: whoever presses so early is about to open it
+
+    @property
+    def is_live(self) -> bool:
+        """Whether its stream of frames is open."""
+        return self._streams > 0
+
+    def open_stream(self) -> int:
+        """Its stream of frames was opened. Returns its number: only the newest one is read by the window."""
+        self._streams += 1
+        self.newest_stream += 1
+        self.session.settle_controls()
+        return self.newest_stream
+
+    def close_stream(self) -> None:
+        """Its stream of frames was closed; it may come back."""
+        self._streams -= 1
+        self.stream_closed_s = self.session.clock()
+
+    # ---- what is shown
+
+    def selected_vehicle(self) -> RemoteVehicle | None:
+        """The vehicle that is selected, the first one that is heard until one is chosen; it may fly behind a recording.
+
+        It stays selected: when it is not known any more there is none, and no other is taken for it.
+        """
+        known = self.session.vehicles()
+        if not self.selected and known:
+            self.selected = known[0].key
+        return next((v for v in known if v.key == self.selected), None)
+
+    def shown_vehicle(self) -> RemoteVehicle | None:
+        """The vehicle that is shown: the one that is selected; None in a recording."""
+        return None if self.replay is not None else self.selected_vehicle()
+
+    def shown_source(self) -> PanelSource | None:
+        """What the panels show."""
+        return self.replay or self.shown_vehicle()
+
+    def select_vehicle(self, key: str) -> None:
+        """Show another vehicle."""
+        self.selected = key
+        self.close_recording()
+
+    def show_recording(self, recording: FlightRecording) -> None:
+        """Show a recording instead of the vehicles."""
+        self.replay = Replay(recording)
+        self.compared_recording = None
+        self._shows += 1
+
+    def close_recording(self) -> None:
+        """Go back to the vehicles."""
+        self.replay = self.compared_recording = None
+        self._shows += 1
+
+    def compare_recording(self, second: FlightRecording | None, by: str = "take-off", offset_s: float = 0.0) -> None:
+        """Lay a second recording over the one that is shown; None takes it away."""
+        if self.replay is None:
+            return
+        self.compared_recording = c = (
+            None if second is None else RecordingComparison(self.replay.recording, second, by, offset_s)
+        )
+
+        def compared_values(name: str, times: Any) -> Any:
+            return (
+                c.sample_second(name.removeprefix(COMPARED_PREFIX), times)
+                if c and name.startswith(COMPARED_PREFIX)
+                else None
+            )
+
+        self.replay.history.extra_values = compared_values
+        self._shows += 1
+
+    def shown_comparison(self) -> RecordingComparison | None:
+        """What is laid over the recording that is shown."""
+        return self.compared_recording if self.replay is not None else None
+
+    # ---- for the frames
+
+    def display_epoch(self) -> str:
+        """Changes when another source is shown or the slider jumps."""
+        jumps = self.replay.jumps if self.replay is not None else 0
+        return f"{self._shows}/{id(self.shown_source())}/{jumps}"
+
+    def shown_sight(self) -> TrackedPicture | None:
+        """The picture of the vehicle that is shown."""
+        return None if self.replay is not None or self.session.latest_sight is None else self.session.latest_sight()
+
+    def other_vehicles(self) -> list[RemoteVehicle]:
+        """The vehicles in the scene that are not selected."""
+        chosen = self.shown_vehicle()
+        return [v for v in self.session.vehicles() if v is not chosen] if self.replay is None else []
+
+    def encode_scenery(self) -> dict[str, Any]:
+        """World and size of the vehicle; with the epoch, because after a jump the trail is drawn anew."""
+        mission = self.replay.recording.mission if self.replay is not None else self.session.mission
+        world = encode_world(mission.world if mission is not None else None)
+        v = self.shown_vehicle()
+        world["fence"] = encode_fence(v.fence if v is not None else mission.fence if mission is not None else None)
+        return {
+            "world": world, "rotor_radius": self.session.rotor_radius_m, "epoch": self.display_epoch(),
+            "shape": scene_shape(self.shown_vehicle()),
+        }  # fmt: skip
+
+    def encode_status(self) -> dict[str, Any]:
+        """Replay and recorder, in every frame."""
+        r, v, recorder, c = self.replay, self.shown_vehicle(), self.session.recorder, self.shown_comparison()
+        return {
+            "replay": r
+            and {
+                "t": r.time_s,
+                "from": r.start_s,
+                "to": r.end_s,
+                "playing": r.playing,
+                "speed": r.speed,
+                "name": r.name,
+            },
+            "compared": c
+            and {
+                "name": c.second_recording.name,
+                "by": c.alignment_event,
+                "offset": c.manual_offset_s,
+                "shift": c.total_shift_s,
+                "note": c.alignment_note,
+            },
+            "recording": recorder is not None and recorder.recording,
+            "vehicles": [(v.key, self.session.vehicle_label(v)) for v in self.session.vehicles()],
+            "selected": self.selected,
+            "trouble": "; ".join(self.session.link_problems()) if self.session.link_problems is not None else "",
+            "color": 0 if v is None else v.color,
+            "flight": self.encode_flight(),
+            "start": self.session.startup_status(),
+        }
+
+    def encode_flight(self) -> dict[str, Any] | None:
+        """What the selected vehicle does, whatever the panels show; None without a vehicle."""
+        v = self.selected_vehicle()
+        if v is None:
+            return None
+        s = v.snapshot
+        others = [self.session.vehicle_label(o) for o in self.session.vehicles() if o is not v and o.snapshot.armed]
+        fresh = takewhile(lambda m: not s.time_s - m.time_s > ALERT_DISPLAY_S, reversed(v.messages))
+        told = next((m for m in fresh if m.level != "info"), None)
+        return {
+            "name": self.session.vehicle_label(v),
+            "connected": s.connected,
+            "silent_s": s.silent_s,
+            "armed": s.armed,
+            "flying": s.flying,
+            "state": s.state,
+            "height": -float(s.estimate.position[2]),
+            "others": others,
+            "battery": describe_battery(s),
+            "pace": describe_pace(s),
+            "slow": s.real_time_factor < SLOW_REAL_TIME_FACTOR,
+            "alert": None if told is None else (told.level, told.text[:MAX_ALERT_LENGTH], s.time_s - told.time_s),
+        }
+
+    def parameter_baseline(self) -> Mapping[str, float]:
+        """Values of the parameters before anybody changed them here."""
+        vehicle = self.shown_vehicle()
+        return {} if vehicle is None else self.session.parameter_edits(vehicle).baseline
+
+    # ---- the controls
+
+    @property
+    def has_controls(self) -> bool:
+        """Whether this window may command."""
+        self.session.settle_controls()
+        return self.session.controls_holder == self.client_id
+
+    def take_controls(self) -> None:
+        """Hold the controls; whichever window had them watches from now on."""
+        self.session.controls_holder = self.client_id
+
+    def keep_request(self, request: OperatorRequest) -> None:
+        """Keep a request, to show what becomes of it."""
+        if all(asked.request is not request for asked in self._asked):
+            self._asked.append(_ShownRequest(request))
+
+    def refuse_late(self, request: OperatorRequest) -> None:
+        """Say of a request that came too late that it was dropped."""
+        self.keep_request(request)
+        if self.on_late is not None:
+            self.on_late(f"{request.text}: {request.answer}")
+
+    def recent_requests(self) -> list[OperatorRequest]:
+        """The newest requests, as long as they matter: not long after their answer, no refusal that was overcome."""
+        now = self.session.clock()
+        for asked in self._asked:
+            if asked.request.is_done:
+                asked.answered_s = min(asked.answered_s, now)
+        newest = list(self._asked)[-MAX_REQUESTS:]
+        granted = [k for k, a in enumerate(newest) if a.request.outcome is RequestOutcome.ACCEPTED]
+        last = granted[-1] if granted else -1
+        return [
+            a.request
+            for k, a in enumerate(newest)
+            if now - a.answered_s < ANSWER_DISPLAY_S
+            and (k >= last or a.request.outcome in (RequestOutcome.ACCEPTED, RequestOutcome.WAITING))
+        ]
+
+
+def describe_pace(s: VehicleSnapshot) -> str:
+    """Return how much real time a vehicle loses, in words; "" if none."""
+    lost = [f"{s.real_time_factor:.2f} of real time"] if s.real_time_factor < SLOW_REAL_TIME_FACTOR else []
+    if s.slips:
+        lost.append(f"{s.slips} slip{'s' if s.slips > 1 else ''}")
+    return ", ".join(lost)
+
+
+def find_recordings(folder: Path) -> list[Path]:
+    """Return the recordings in a folder and its sub-folders, and of the flights beside it, newest first.
+
+    A flight is a folder of its own, beside those of other flights: whoever looks for recordings in one looks for
+    theirs too.
+    """
+    found = set(_filter_recordings(folder.rglob("*"))) if folder.is_dir() else set()
+    with contextlib.suppress(OSError):
+        for beside in folder.absolute().parent.iterdir():
+            with contextlib.suppress(OSError):  # a folder of somebody else
+                if beside != folder.absolute() and is_flight_folder(beside):
+                    found |= set(_filter_recordings(beside.iterdir()))
+    return sorted(found, key=lambda p: p.stat().st_mtime, reverse=True)[:MAX_RECORDINGS]
+
+
+def is_flight_folder(folder: Path) -> bool:
+    """Whether a folder is that of a flight."""
+    return any((folder / name).is_file() for name in _FLIGHT_FILES)
+
+
+def _filter_recordings(paths: Iterable[Path]) -> Iterator[Path]:
+    # A flight's pictures are no flight.
+    return (p for p in paths if p.suffix.lower() in RECORDING_SUFFIXES and p.name != CAMERA_FILE_NAME and p.is_file())
+
+
+def encode_world(world: World | None) -> dict[str, Any]:
+    """Return what stands in the world, as the 3-D scene draws it: N-E-D metres, lists and numbers only.
+
+    Boxes are ``{name, c: [N, E, D], s: [x, y, z], yaw}``, cylinders ``{name, c: [N, E], r, h, foot}``, the room
+    ``{n: [least, greatest], e: [...], h: height or None}``.
+    """
+    if world is None:
+        return {"boxes": [], "cylinders": [], "room": None}
+    room = world.room
+    return {
+        "boxes": [{"name": b.name, "c": list(b.centre), "s": list(b.size), "yaw": b.yaw} for b in world.boxes],
+        "cylinders": [
+            {"name": c.name, "c": list(c.centre), "r": c.radius, "h": c.height, "foot": c.foot}
+            for c in world.cylinders
+        ],
+        "room": room and {
+            "n": list(room.north), "e": list(room.east), "h": room.height if math.isfinite(room.height) else None,
+        },
+    }  # fmt: skip
+
+
+def scene_shape(vehicle: RemoteVehicle | None) -> str:
+    """How a vehicle is drawn; a recording and a vehicle that has not said what it is as a coaxial helicopter."""
+    known = 0 if vehicle is None else vehicle.telemetry.vehicle_type
+    return vehicle_shape(known) if known else "coaxial"
+
+
+# Which commands make sense now, and why the others do not: shown on the buttons themselves.
+
+_REQUEST_BY_COMMAND = {
+    "arm": VehicleRequest.ARM,
+    "disarm": VehicleRequest.DISARM,
+    "take_off": VehicleRequest.TAKE_OFF,
+    "pause": VehicleRequest.PAUSE,
+    "mission": VehicleRequest.START,
+    "go_to": VehicleRequest.GO_TO,
+    "land": VehicleRequest.LAND,
+    "return": VehicleRequest.RETURN,
+    "sticks": VehicleRequest.STICKS,
+    "stop": VehicleRequest.STOP,
+}
+COMMAND_NAMES = tuple(_REQUEST_BY_COMMAND)
+
+
+def find_refusal_reasons(
+    s: VehicleSnapshot | None, *, kind: str, has_controls: bool, rows: int, unready: str = ""
+) -> dict[str, str]:
+    """Return for every command why it cannot be given now, "" if it can.
+
+    What the state of a vehicle lets it do is decided by :func:`mufly.mission.check_request`; of another autopilot's
+    vehicle only whether it flies is known.
+
+    Parameters
+    ----------
+    s : Snapshot or None
+        None: there is no vehicle.
+    kind : str
+        "mufly", "other" or "recording".
+    has_controls : bool
+        Whether this window holds the controls.
+    rows : int
+        Length of the vehicle's mission.
+    unready : str
+        Why it cannot be armed, "" if it can.
+    """
+    if kind == "recording" or s is None:
+        return dict.fromkeys(COMMAND_NAMES, "a recording" if kind == "recording" else "no vehicle heard")
+    watching = not has_controls or (s.commander and not s.in_command)
+    if not s.connected or watching:  # it may still hear us
+        return dict.fromkeys(COMMAND_NAMES, "watching only" if s.connected else "no link") | {"stop": ""}
+    situation = s if kind == "mufly" else replace(s, state="")
+    height_m = math.nan if s.flying else 0.0
+    why = {
+        name: check_request(
+            ask, situation, height_m=height_m, armed=s.armed or ask is not VehicleRequest.ARM, flying=s.flying
+        ).short_reason
+        for name, ask in _REQUEST_BY_COMMAND.items()
+    }
+    if s.mission_running:  # from the first turn of the rotors on, its waits among it
+        why["mission"] = "Hover interrupts it"
+    if s.armed:
+        why["arm"] = "armed"
+    else:  # taking off and the mission arm it first
+        why |= {name: why[name] or unready for name in ("arm", "take_off", "mission")}
+        why["disarm"] = why["disarm"] or "not armed"
+    return why if rows else why | {"mission": "no mission loaded"}
+
+
+def mission_label(s: VehicleSnapshot | None) -> str:
+    """Return what the mission button says."""
+    if s is None or not s.mission_begun:
+        return "Fly the mission"
+    return "Under way" if s.mission_running else "Resume mission"
+
+
+# Parameters: what was done to them here, and files of them. Files are those that other ground stations write too: one
+# parameter a line, ``system component NAME value type`` with tabs (QGroundControl), or ``NAME,value`` (Mission
+# Planner); both are read, the first is written.
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterChange:
+    """One parameter, before and after."""
+
+    name: str
+    old_value: float
+    new_value: float
+
+
+@dataclass
+class ParameterEdits:
+    """The changes made to one vehicle's parameters.
+
+    Attributes
+    ----------
+    baseline : dict of str to float
+        Values as they were first heard.
+    """
+
+    baseline: dict[str, float] = field(default_factory=dict)
+    _undo: deque[ParameterChange] = field(default_factory=lambda: deque(maxlen=MAX_UNDO_STEPS))
+    _redo: deque[ParameterChange] = field(default_factory=deque)
+
+    def record_baseline(self, parameters: Mapping[str, TunableParameter]) -> None:
+        """Remember the first value of parameters not seen before."""
+        if len(parameters) != len(self.baseline):
+            for name, parameter in parameters.items():
+                self.baseline.setdefault(name, parameter.value)
+
+    def record_change(self, name: str, before: float, after: float) -> None:
+        """Note a change that was made; what had been undone can no longer be redone."""
+        self._undo.append(ParameterChange(name, before, after))
+        self._redo.clear()
+
+    @property
+    def undo_name(self) -> str:
+        """Name of the parameter that undo would change, "" if none."""
+        return self._undo[-1].name if self._undo else ""
+
+    @property
+    def redo_name(self) -> str:
+        """Name of the parameter that redo would change, "" if none."""
+        return self._redo[-1].name if self._redo else ""
+
+    def undo(self) -> tuple[str, float] | None:
+        """Take the last change back: the name and value to write, None if there is none."""
+        if not self._undo:
+            return None
+        self._redo.append(change := self._undo.pop())
+        return change.name, change.old_value
+
+    def redo(self) -> tuple[str, float] | None:
+        """Make the last undone change again."""
+        if not self._redo:
+            return None
+        self._undo.append(change := self._redo.pop())
+        return change.name, change.new_value
+
+
+def format_parameter_file(
+    parameters: Mapping[str, TunableParameter], system: int, component: int = AUTOPILOT_COMPONENT
+) -> str:
+    """Return parameters of a component as the text of a file."""
+    lines = ["# Vehicle-Id Component-Id Name Value Type, as QGroundControl and mufly write them"]
+    for name in sorted(parameters):
+        p = parameters[name]
+        if not math.isfinite(p.value):
+            lines.append(f"# {name} is {p.value}: not a number that could be written again")
+            continue
+        value, kind = (f"{round(p.value)}", PARAM_TYPE_INT32) if p.is_integer else (f"{p.value:.9g}", PARAM_TYPE_REAL32)
+        lines.append(f"{system}\t{component}\t{name}\t{value}\t{kind}")
+    return "\n".join(lines) + "\n"
+
+
+_COMMENT_PATTERN = re.compile(r"\s*(?:#|//|;).*$")
+_READ_ONLY_PATTERN = re.compile(r"\s+@READONLY\s*$", re.IGNORECASE)
+
+
+def read_parameter_file(text: str, where: str, component: int = AUTOPILOT_COMPONENT) -> dict[str, float]:
+    """Read a file of parameters: name and value a line, or the five columns of QGroundControl.
+
+    A comment may stand behind a value (``#``, ``//`` or ``;``), as may ``@READONLY``, with which ArduPilot marks what
+    its firmware does not let a user change. Of a file with the parameters of several components those of one are read.
+
+    Parameters
+    ----------
+    text : str
+        Content of the file: ``.params`` (QGroundControl), ``.param`` or ``.parm`` (Mission Planner, ArduPilot).
+    where : str
+        Its name, for errors.
+    component : int
+        MAV_COMPONENT whose parameters are wanted; lines of name and value belong to any.
+
+    Raises
+    ------
+    InputError
+        Naming the line that is no parameter, that gives one a second value, or the components of a file without
+        parameters of the wanted one.
+    """
+    out: dict[str, float] = {}
+    lines: dict[str, int] = {}
+    others: set[str] = set()
+    for k, whole in enumerate(text.removeprefix("\ufeff").splitlines(), 1):
+        line = _READ_ONLY_PATTERN.sub("", _COMMENT_PATTERN.sub("", whole)).strip()
+        if not line:
+            continue
+        parts = line.replace(",", " ").replace("=", " ").split()
+        named = len(parts) == 5 and parts[0].isdigit() and parts[1].isdigit()
+        name, value = parts[2:4] if named else (parts[0], parts[1] if len(parts) == 2 else "")
+        try:
+            number = float(int(value, 16)) if value.lower().startswith("0x") else float(value)
+        except ValueError:
+            remedy = "write NAME,value or the lines that QGroundControl writes"
+            raise InputError(where, f"line {k}", f"{whole.strip()[:60]!r} is no parameter", remedy) from None
+        if named and int(parts[1]) != component:
+            others.add(parts[1])
+            continue
+        if out.setdefault(name, number) != number:
+            problem = f"{name} is {number:g} here and {out[name]:g} in line {lines[name]}"
+            raise InputError(where, f"line {k}", problem, "leave one of the two lines")
+        lines.setdefault(name, k)
+    if not out and others:
+        problem = f"holds parameters of component {', '.join(sorted(others))}, none of component {component}"
+        raise InputError(where, "", problem, "choose the file of the autopilot")
+    if not out:
+        raise InputError(where, "", "holds no parameters", "choose another file")
+    return out

@@ -1,0 +1,282 @@
+"""How far a start is, told from its first moment: on a page of its own until the station's page is served.
+
+Libraries are loaded, controllers designed, the model compiled: on a busy machine that takes a minute. A
+:class:`Startup` is the list of these stages with their times; :class:`StartPage` serves it, from a thread and with
+nothing but the standard library, on the socket that the station's page takes over. A browser that shows it goes to the
+station's page by itself.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from mufly.station.page.page_address import COOKIE_NAME, PageAddress, cookie_for_token, host_name, is_loopback
+
+FAILURE_DISPLAY_S = 2.0
+"""For so long a start that failed is still told to a page that is open (s)."""
+_POLL_TIMEOUT_S = 3.0
+
+
+@dataclass(slots=True)
+class StartStage:
+    """One stage of a start: when it began and ended (s of a monotonic clock), NaN while it goes on."""
+
+    text: str
+    began_s: float
+    ended_s: float = math.nan
+
+
+class Startup:
+    """The stages of a start, as they come.
+
+    Parameters
+    ----------
+    title : str
+    clock : callable
+        Monotonic clock (s).
+
+    Attributes
+    ----------
+    title, url : str
+        What is started; where its page is, "" if nowhere.
+    stages : list of Stage
+    fault : str
+        Why it failed, "" if it did not.
+    done : bool
+        Whether it is over, well or not.
+    visits : int
+        How often a page was opened before the station's page was served.
+    on_change : callable or None
+        Told the text of a stage that begins; "" when the start is over.
+    """
+
+    def __init__(self, title: str = "", clock: Callable[[], float] = time.monotonic) -> None:
+        self.title, self._clock = title, clock
+        self.url = ""
+        self.stages: list[StartStage] = []
+        self.fault = ""
+        self.is_done = False
+        self.visit_count = 0
+        self.on_change: Callable[[str], None] | None = None
+        self._lock = threading.Lock()
+
+    def begin_stage(self, text: str) -> None:
+        """Begin the next stage; the present one has ended. Any thread may say it."""
+        with self._lock:
+            if self.is_done or (self.stages and self.stages[-1].text == text):
+                return
+            now = self._end_stage()
+            self.stages.append(StartStage(text, now))
+        if self.on_change is not None:
+            self.on_change(text)
+
+    def finish(self) -> None:
+        """End the start: it stands."""
+        self._finish_start("")
+
+    def fail(self, why: str) -> None:
+        """End the start for a fault; one that comes later is told as well."""
+        self.fault = why
+        self._finish_start(why)
+
+    def _finish_start(self, why: str) -> None:
+        with self._lock:
+            if self.is_done:
+                return
+            self._end_stage()
+            self.is_done = True
+        if self.on_change is not None:
+            self.on_change("")
+
+    def _end_stage(self) -> float:
+        now = self._clock()
+        if self.stages and math.isnan(self.stages[-1].ended_s):
+            self.stages[-1].ended_s = now
+        return now
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes so far, or took (s)."""
+        if not self.stages:
+            return 0.0
+        last = self.stages[-1]
+        return (self._clock() if math.isnan(last.ended_s) else last.ended_s) - self.stages[0].began_s
+
+    def describe_stage(self) -> str:
+        """Return the present stage and its seconds."""
+        if not self.stages:
+            return ""
+        stage = self.stages[-1]
+        spent = (self._clock() if math.isnan(stage.ended_s) else stage.ended_s) - stage.began_s
+        return f"{stage.text}, {spent:.0f} s"
+
+    def describe_duration(self) -> str:
+        """Return how long it took, and its stages of a second or more."""
+        long = [(s.text, s.ended_s - s.began_s) for s in self.stages if s.ended_s - s.began_s >= 1.0]
+        parts = "; ".join(f"{text} {seconds:.0f} s" for text, seconds in long)
+        return f"{self.duration_s:.0f} s" + (f" ({parts})" if len(long) > 1 else "")
+
+    def encode_status(self) -> dict[str, Any]:
+        """Return what a page shows: ``stages`` are ``[text, seconds, whether it has ended]``."""
+        now = self._clock()
+        return {
+            "title": self.title,
+            "fault": self.fault,
+            "done": self.is_done,
+            "stages": [
+                [s.text, (now if math.isnan(s.ended_s) else s.ended_s) - s.began_s, not math.isnan(s.ended_s)]
+                for s in list(self.stages)
+            ],
+        }
+
+
+class StartPage:
+    """Serves a :class:`Startup` on the page's address, until :meth:`stop` leaves the socket to the station's page.
+
+    Parameters
+    ----------
+    address : Address
+    startup : Startup
+    """
+
+    def __init__(self, address: PageAddress, startup: Startup) -> None:
+        self._startup = startup
+        self._asked_s = -math.inf
+        self._server = _StartServer(("", 0), _make_handler(address, startup, self._note_poll), bind_and_activate=False)
+        self._server.socket.close()
+        self._server.socket = address.socket
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(0.1,), name="mufly start page", daemon=True
+        )
+        self._thread.start()
+
+    def _note_poll(self) -> None:
+        self._asked_s = time.monotonic()
+
+    def stop(self) -> None:
+        """Serve no more; the socket listens on, and whoever calls meanwhile is answered by the next server."""
+        if self._thread.is_alive():
+            self._server.shutdown()
+            self._thread.join()
+
+    def __enter__(self) -> StartPage:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        # Whoever looks is told why it ends; where nobody does it ends at once.
+        if isinstance(error, Exception) and self._thread.is_alive():
+            self._startup.fail(str(error))
+            if time.monotonic() - self._asked_s < _POLL_TIMEOUT_S:
+                time.sleep(FAILURE_DISPLAY_S)
+        self.stop()
+
+
+class _StartServer(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that goes away in the middle of an answer is none of our business."""
+
+
+def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], None]) -> type[BaseHTTPRequestHandler]:
+    class Handler(BaseHTTPRequestHandler):
+        timeout = 5.0
+        server_version, sys_version = "mufly", ""
+
+        def do_GET(self) -> None:
+            place = urlsplit(self.path)
+            if not address.token and not is_loopback(host_name(self.headers.get("Host", ""))):
+                self._answer(403, "text/plain", "this station does not serve under that name")
+            elif not self._known(place.query):
+                self._answer(401, "text/plain", "the station starts; it needs the token that it printed")
+            elif place.path == "/starting":
+                asked()
+                self._answer(200, "application/json", json.dumps(startup.encode_status()))
+            elif place.path == "/":
+                asked()
+                startup.visit_count += 1
+                self._answer(200, "text/html", _START_PAGE_HTML)
+            else:
+                self._answer(503, "text/plain", "the station starts")
+
+        def _known(self, query: str) -> bool:
+            if not address.token:
+                return True
+            given = parse_qs(query).get("token", [""])[0]
+            try:
+                kept = SimpleCookie(self.headers.get("Cookie", "")).get(COOKIE_NAME)
+            except CookieError:
+                kept = None
+            return hmac.compare_digest(given.encode(), address.token.encode()) or (
+                kept is not None and hmac.compare_digest(kept.value, cookie_for_token(address.token))
+            )
+
+        def _answer(self, status: int, kind: str, text: str) -> None:
+            content = text.encode()
+            self.send_response(status)
+            for name, value in (
+                ("content-type", f"{kind}; charset=utf-8"), ("content-length", str(len(content))),
+                ("cache-control", "no-store"), ("referrer-policy", "no-referrer"), ("x-frame-options", "DENY"),
+            ):  # fmt: skip
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, format: str, *args: Any) -> None:
+            """Nothing goes to the terminal."""
+
+    return Handler
+
+
+_START_PAGE_HTML = """<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width">
+<title>mufly starts</title><style>
+:root{color-scheme:light dark;--bg:#eef1f4;--panel:#fff;--line:#cfd6dd;--text:#17202a;--dim:#57646f;--accent:#1769a5;
+--good:#1d7a46;--bad:#c2271d}
+@media(prefers-color-scheme:dark){:root{--bg:#0f1419;--panel:#171d24;--line:#2c3641;--text:#e8edf2;--dim:#98a5b1;
+--accent:#58b1e6;--good:#4fc387;--bad:#ff6f61}}
+body{margin:0;min-height:100vh;display:grid;place-items:center;background:var(--bg);color:var(--text);
+font:14px/1.5 system-ui,"Segoe UI",Roboto,"Noto Sans","DejaVu Sans",sans-serif}
+main{width:min(25rem,calc(100vw - 2rem));box-sizing:border-box;padding:1.2rem 1.5rem;background:var(--panel);
+border:1px solid var(--line);border-radius:8px}
+h1{margin:0;font-size:1.3rem;color:var(--accent)}p{margin:.2rem 0 .8rem;color:var(--dim)}
+ol{list-style:none;margin:0;padding:0}
+li{display:grid;grid-template-columns:1.5rem 1fr auto;font-variant-numeric:tabular-nums}
+li.now{font-weight:600}li:not(.now){color:var(--dim)}li.done span:first-child{color:var(--good)}
+#fault{color:var(--bad);font-weight:600;margin:.8rem 0 0;overflow-wrap:anywhere}#fault:empty{display:none}
+</style><main><h1>mufly starts</h1><p id=title>&nbsp;</p><ol id=stages></ol><p id=fault role=alert></p></main><script>
+const at = (id) => document.getElementById(id);
+let lost = 0;
+function show(s) {
+  at("title").textContent = s.title || "\\u00a0";
+  at("stages").replaceChildren(...s.stages.map(([text, seconds, ended]) => {
+    const li = document.createElement("li"), words = [ended ? "\\u2713" : "\\u25b8", text, `${Math.floor(seconds)} s`];
+    li.className = ended ? "done" : "now";
+    li.append(...words.map((w) => Object.assign(document.createElement("span"), { textContent: w })));
+    return li;
+  }));
+  at("fault").textContent = s.fault ? `It did not start: ${s.fault}` : "";
+}
+async function look() {
+  try {
+    const answer = await fetch("/starting" + location.search, { cache: "no-store" });
+    if (!(answer.headers.get("content-type") || "").includes("json")) return location.reload();
+    show(await answer.json());
+    lost = 0;
+  } catch (error) {
+    if (++lost > 3 && !at("fault").textContent) at("fault").textContent = "The command that started it has ended.";
+  }
+  setTimeout(look, 300);
+}
+look();
+</script></html>
+"""

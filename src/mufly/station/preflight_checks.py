@@ -1,0 +1,211 @@
+"""What to look at before a flight, as far as a vehicle and its station can tell.
+
+Any MAVLink vehicle can answer most of it; what it does not tell cannot be judged (``ok`` is None), which is not a
+fault.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mufly.link.mission_transfer import MissionItem
+from mufly.mission import Mission
+from mufly.station.mission_endurance import estimate_mission_duration
+from mufly.station.remote_commands import StatusTextLog
+from mufly.station.remote_transfers import RemoteMission, RemoteParameters, is_same_mission
+from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
+from mufly.station.vehicle_telemetry import EstimatorStatus, VehicleTelemetry
+from mufly.vehicle_types import ARDUPILOT
+
+MAX_LINK_LOSS = 0.1
+MIN_BATTERY_CHARGE = 0.3
+MAX_TILT_RAD = math.radians(5.0)
+MAX_STILL_SPEED_M_S = 0.1
+BATTERY_RESERVE = 0.2
+"""Share of the battery that a mission must leave."""
+MIN_DISK_BYTES = 200e6
+OWN_CHECKS_NAME = "vehicle's own checks"
+_STATION_CHECK_NAMES = ("heard", "link", "recording", "disk")
+_PREARM_CHECK_BIT = 268435456  # MAV_SYS_STATUS_PREARM_CHECK
+
+_CheckResult = tuple[bool | None, str]
+
+
+@dataclass(slots=True)
+class StationContext:
+    """What the station knows besides what the vehicle tells.
+
+    Attributes
+    ----------
+    recording : bool or None
+        Whether the recorder runs; None: there is none.
+    free_bytes : float
+        Room on the disk it writes to; NaN where unknown.
+    shown : tuple of Item or None
+        The mission that the page shows, to be compared with what the vehicle holds.
+    base : Mission or None
+        The mission file that the vehicle was started with, where the station knows it: for what items do not carry.
+    """
+
+    is_recording: bool | None = None
+    free_disk_bytes: float = math.nan
+    shown_items: tuple[MissionItem, ...] | None = None
+    base_mission: Mission | None = None
+
+
+def run_preflight_checks(
+    s: VehicleSnapshot,
+    told: VehicleTelemetry,
+    texts: StatusTextLog,
+    mission: RemoteMission,
+    parameters: RemoteParameters,
+    around: StationContext,
+) -> list[PreflightCheck]:
+    """Return the checks of a vehicle, of what its parts know."""
+    judged: dict[str, _CheckResult] = {
+        "heard": _check_heard(s),
+        "link": _check_link(s),
+        "command": _check_commander(s, told.commander_id),
+        OWN_CHECKS_NAME: _check_health(told.health, texts),
+        "battery": _check_battery(s),
+        "level and still": _check_level(s),
+        "position": _check_position(s),
+        **({} if told.estimator_status is None else {"estimator": _check_estimator(told.estimator_status)}),
+        "mission": _check_mission(mission.items, around.shown_items),
+        "time to fly": _check_endurance(s, told, mission.items or (), parameters, around.base_mission),
+        "parameters": _check_parameters(parameters),
+        "recording": _check_recording(around.is_recording),
+        "disk": _check_disk(around.free_disk_bytes),
+    }
+    if not s.connected and math.isfinite(s.silent_s):
+        # What it said last may be true no more.
+        judged |= {
+            name: (None, f"not heard for {s.silent_s:.0f} s; it was: {text}")
+            for name, (_, text) in judged.items()
+            if name not in _STATION_CHECK_NAMES
+        }
+    return [PreflightCheck(name, *answer) for name, answer in judged.items()]
+
+
+def _check_heard(s: VehicleSnapshot) -> _CheckResult:
+    return (False, "not heard yet") if math.isinf(s.silent_s) else (s.connected, f"last heard {s.silent_s:.1f} s ago")
+
+
+def _check_link(s: VehicleSnapshot) -> _CheckResult:
+    if math.isnan(s.link_loss):
+        return None, "not measured yet"
+    text = f"{100 * s.link_loss:.0f} % of packets lost, {s.link_rate_Hz:.0f} messages/s"
+    return s.link_loss <= MAX_LINK_LOSS and s.link_rate_Hz > 0, text
+
+
+def _check_commander(s: VehicleSnapshot, number: int | None) -> _CheckResult:
+    if number is None:
+        return None, "the vehicle does not tell who commands it"
+    if s.in_command:
+        return True, "this station commands it"
+    return not number, f"{s.commander} commands it" if number else "nobody commands it yet"
+
+
+def _check_health(health: tuple[int, int, int] | None, texts: StatusTextLog) -> _CheckResult:
+    if health is None:
+        return None, "not told"
+    present, enabled, good = health
+    if present & _PREARM_CHECK_BIT:
+        last = next((m.text for m in reversed(texts.messages) if m.level != "info"), "see its messages")
+        return (True, "ready to be armed") if good & _PREARM_CHECK_BIT else (False, f"not ready: {last}")
+    bad = (present & enabled & ~good).bit_count()
+    return not bad, f"{bad} sensors are not healthy" if bad else "sensors healthy"
+
+
+def _check_estimator(told: EstimatorStatus) -> _CheckResult:
+    if told.fault_texts:
+        return False, ", ".join(told.fault_texts)
+    if told.missing_estimates:
+        return None, "no " + ", ".join(told.missing_estimates)
+    good = ", ".join(
+        f"{1e2 * m:.0f} cm {way}"
+        for m, way in ((told.horizontal_accuracy_m, "level"), (told.vertical_accuracy_m, "up"))
+        if m > 0.0
+    )
+    return True, "all is known" + (f", position to {good} (one sigma)" if good else "")
+
+
+def _check_battery(s: VehicleSnapshot) -> _CheckResult:
+    volts = s.estimate.battery_voltage
+    voltage = "" if math.isnan(volts) else f"{volts:.2f} V"
+    if math.isnan(s.battery_charge):
+        return None, voltage or "not told"
+    text = f"{100 * s.battery_charge:.0f} %" + (f", {voltage}" if voltage else "")
+    return s.battery_charge >= MIN_BATTERY_CHARGE, text
+
+
+def _check_level(s: VehicleSnapshot) -> _CheckResult:
+    if s.flying:
+        return None, "in flight"
+    e = s.estimate
+    tilt, speed = math.hypot(*e.attitude[:2].tolist()), float((e.velocity**2).sum() ** 0.5)
+    if math.isnan(tilt):
+        return None, "attitude is not told"
+    moving = "" if math.isnan(speed) else f", {speed:.2f} m/s"
+    return (
+        tilt <= MAX_TILT_RAD and not speed > MAX_STILL_SPEED_M_S,
+        f"tilt {math.degrees(tilt):.1f} deg{moving}",
+    )
+
+
+def _check_position(s: VehicleSnapshot) -> _CheckResult:
+    if np.isnan(s.estimate.position).any():
+        return False, "not known"
+    n, e, d = s.estimate.position.tolist()
+    return True, f"N {n:.2f}, E {e:.2f}, height {-d:.2f} m"
+
+
+def _check_mission(held: tuple[MissionItem, ...] | None, shown: tuple[MissionItem, ...] | None) -> _CheckResult:
+    if held is None:
+        return None, "what the vehicle holds is not known"
+    if shown is not None and not is_same_mission(held, shown):
+        return False, "the vehicle holds another mission than the one shown; send it"
+    return True, f"{len(held)} items in the vehicle" if held else "none"
+
+
+def _check_endurance(
+    s: VehicleSnapshot,
+    told: VehicleTelemetry,
+    items: Sequence[MissionItem],
+    parameters: RemoteParameters,
+    base: Mission | None,
+) -> _CheckResult:
+    own = items[1:] if told.autopilot == ARDUPILOT else items  # its first is its home
+    plan = estimate_mission_duration(own, s, parameters.parameter_table, origin=told.origin, base=base)
+    if plan is None:
+        return None, "no mission"
+    words = f"mission about {format_clock(plan.duration_s)}" + (f" ({plan.assumptions})" if plan.assumptions else "")
+    if math.isnan(s.battery_left_s):
+        return None, f"{words}; the battery's time is not told"
+    words += f", battery {format_clock(s.battery_left_s)}"
+    if plan.duration_s <= (1.0 - BATTERY_RESERVE) * s.battery_left_s:
+        return True, words
+    return False, f"{words}: {BATTERY_RESERVE:.0%} has to be left; charge it, or fly a shorter mission"
+
+
+def _check_parameters(parameters: RemoteParameters) -> _CheckResult:
+    missing, known = parameters.missing_count, len(parameters.parameter_table)
+    if not known:
+        return None, "not read yet"
+    return (None, f"{missing} of {missing + known} not read yet") if missing else (True, f"{known} read")
+
+
+def _check_recording(on: bool | None) -> _CheckResult:
+    if on is None:
+        return None, "there is no recorder"
+    return on, "on" if on else "off; nothing of this flight is kept"
+
+
+def _check_disk(free_bytes: float) -> _CheckResult:
+    if math.isnan(free_bytes):
+        return None, "free room is not known"
+    return free_bytes >= MIN_DISK_BYTES, f"{free_bytes / 1e9:.1f} GB free"

@@ -1,0 +1,277 @@
+"""Two recordings in one plot: their clocks aligned by an event that both have, the second at the instants of the first.
+
+Recordings of different flights begin at different times, run at different rates and hold different signals. A
+:class:`RecordingComparison` shifts the clock of the second so that take-off (or arming, or the start) coincides,
+interpolates it onto the instants of the first, across no gap, and takes another source of a quantity where the second
+has not the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import ArgumentError
+from mufly.quantities import find_quantity
+from mufly.station.replay import MOTION_SOURCES, FlightRecording
+from mufly.units import conversion_factor
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_Array = NDArray[np.float64]
+
+ALIGNMENTS = ("take-off", "arming", "start", "clock")
+"""By what two recordings are aligned; "clock": their times as they stand."""
+COMPARED_PREFIX = "compared/"
+"""Of the names of signals of the second recording, among those of the first."""
+TAKE_OFF_HEIGHT_M = 0.1
+"""How far above where it stood a vehicle has taken off (m)."""
+MAX_GAP_S = 0.5
+"""Samples that are farther apart are not connected, unless the signal is slower (s)."""
+_DEFAULT_QUANTITIES = ("position", "velocity", "attitude", "rotor_speed", "motor_input", "battery_voltage")
+
+
+def find_event_time(recording: FlightRecording, by: str) -> float:
+    """Return when a recording took off, was armed or began (s of its clock); NaN if it does not show it."""
+    columns, times = recording.columns, recording.times_s
+    if by in ("start", "clock"):
+        return float(times[0]) if by == "start" else 0.0
+    if by == "arming":
+        motors = [c for name, c in columns.items() if name.startswith("motor_input")]
+        turning = np.any([np.nan_to_num(c) > 0.0 for c in motors], axis=0) if motors else np.zeros(1, bool)
+    else:
+        down = next(
+            (c for s in MOTION_SOURCES if np.isfinite(c := _find_column(recording, f"{s}_position_D")).any()),
+            None,
+        )
+        if down is None:
+            return math.nan
+        turning = down < down[np.isfinite(down)][0] - TAKE_OFF_HEIGHT_M
+    return float(times[np.argmax(turning)]) if turning.any() else math.nan
+
+
+def _find_column(recording: FlightRecording, name: str) -> _Array:
+    return recording.columns.get(name, np.full(len(recording.times_s), math.nan))
+
+
+@dataclass(frozen=True)
+class RecordingComparison:
+    """A second recording on the clock of a first.
+
+    Attributes
+    ----------
+    first, second : Recording
+    by : str
+        One of :data:`ALIGNMENTS`.
+    offset_s : float
+        By how much the second is moved later beyond that (s).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from mufly.station.replay import Recording
+    >>> def hop(start_s):
+    ...     t = start_s + np.arange(0.0, 3.0, 0.1)
+    ...     down = {"truth_position_D": np.where(t - start_s < 1.0, 0.0, -1.0)}
+    ...     return Recording("hop", t, down, {}, np.full(30, ""), (), None, np.zeros(0), 1.0, {})
+    >>> round(Comparison(hop(0.0), hop(100.0)).shift_s, 6)
+    -100.0
+    """
+
+    first_recording: FlightRecording
+    second_recording: FlightRecording
+    alignment_event: str = "take-off"
+    manual_offset_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.alignment_event not in ALIGNMENTS:
+            raise ArgumentError("align", self.alignment_event, "is no event", f"use {', '.join(ALIGNMENTS)}")
+        if not math.isfinite(self.manual_offset_s):
+            raise ArgumentError("offset", f"{self.manual_offset_s:g}", "is no time", "give seconds")
+
+    @cached_property
+    def _alignment(self) -> tuple[float, str]:
+        times = [find_event_time(r, self.alignment_event) for r in (self.first_recording, self.second_recording)]
+        if all(map(math.isfinite, times)):
+            return times[0] - times[1], ""
+        without = " and ".join(
+            r.name for r, t in zip((self.first_recording, self.second_recording), times, strict=True) if t != t
+        )
+        starts = [find_event_time(r, "start") for r in (self.first_recording, self.second_recording)]
+        return starts[0] - starts[1], f"no {self.alignment_event} in {without}: aligned by the start"
+
+    @property
+    def total_shift_s(self) -> float:
+        """What is added to the times of the second (s)."""
+        return self._alignment[0] + self.manual_offset_s
+
+    @property
+    def alignment_note(self) -> str:
+        """Why it is aligned otherwise than asked, "" if it is not."""
+        return self._alignment[1]
+
+    def find_counterpart(self, name: str) -> str:
+        """Return the signal of the second beside ``name`` of the first: the same, or of another source; "" if none."""
+        if np.isfinite(_find_column(self.second_recording, name)).any():
+            return name
+        source, _, rest = name.partition("_")
+        others = [f"{s}_{rest}" for s in MOTION_SOURCES] if source in MOTION_SOURCES else []
+        return next((n for n in others if np.isfinite(_find_column(self.second_recording, n)).any()), "")
+
+    def sample_second(self, name: str, times: _Array) -> _Array:
+        """Return a signal of the second at times (n,; s) of the first; NaN beyond its ends and in its gaps."""
+        own = self.find_counterpart(name)
+        out = np.full(len(times), math.nan)
+        if not own or not len(times):
+            return out
+        values = _find_column(self.second_recording, own)
+        known = np.isfinite(values)
+        t, v = self.second_recording.times_s[known] + self.total_shift_s, values[known]
+        if self.second_recording.units.get(own) == "rad":
+            v = np.unwrap(v)
+        at = np.clip(np.searchsorted(t, times), 1, max(len(t) - 1, 1))
+        inside = (times >= t[0]) & (times <= t[-1])
+        if len(t) > 1:
+            steps = np.diff(t)
+            near = steps[at - 1] <= max(MAX_GAP_S, 2.5 * float(np.median(steps)))
+            out[inside & near] = np.interp(times[inside & near], t, v)
+        elif len(t):
+            out[np.abs(times - t[0]) < 1e-6] = v[0]
+        return out
+
+    def signal_difference(self, name: str) -> _Array:
+        """Return the first less the second (n,) at the instants of the first; angles within half a turn."""
+        off = _find_column(self.first_recording, name) - self.sample_second(name, self.first_recording.times_s)
+        if self.first_recording.units.get(name) == "rad":
+            off = np.arctan2(np.sin(off), np.cos(off))
+        return np.asarray(off)
+
+    def second_track(self) -> _Array:
+        """Return where the second was (n, 3; N, E, D, m); NaN where it does not say."""
+        names = [f"estimated_position_{axis}" for axis in "NED"]
+        found = [_find_column(self.second_recording, self.find_counterpart(name) or name) for name in names]
+        return np.column_stack(found)
+
+
+def find_shared_signals(c: RecordingComparison, chosen: Sequence[str] = ()) -> dict[str, list[str]]:
+    """Return ``{quantity: [names]}`` of the first that both recordings have, of its most believed source.
+
+    Parameters
+    ----------
+    c : Comparison
+    chosen : sequence of str
+        Quantities (``attitude``), or signals (``measured_attitude``, ``measured_attitude_roll``); none: the usual ones.
+
+    Raises
+    ------
+    ArgumentError
+        If nothing of what was chosen is in both.
+    """
+    out: dict[str, list[str]] = {}
+    for wanted in chosen or _DEFAULT_QUANTITIES:
+        wanted = wanted.replace(".", "_")
+        tried = (
+            [wanted]
+            if wanted.partition("_")[0] in MOTION_SOURCES
+            else [f"{s}_{wanted}" for s in MOTION_SOURCES] + [wanted]
+        )
+        for variable in tried:
+            known = find_quantity(variable)
+            names = (
+                [f"{variable}_{label}" for label in known.component_labels]
+                if known and known.component_labels
+                else [variable]
+            )
+            both = [n for n in names if np.isfinite(_find_column(c.first_recording, n)).any() and c.find_counterpart(n)]
+            if both:
+                out[wanted] = both
+                break
+        else:
+            if chosen:
+                held = ", ".join(sorted({n.rpartition("_")[0] for n in c.first_recording.columns})[:12])
+                raise ArgumentError("signal", wanted, "is not in both recordings", f"the first has {held}")
+    if not out:
+        raise ArgumentError("signal", "", "the recordings have nothing in common", "name a signal of both")
+    return out
+
+
+def draw_comparison(c: RecordingComparison, names: Sequence[str], title: str = "") -> Figure:
+    """Draw signals of both recordings in one axis each, the first solid, the second dashed, over the first's time.
+
+    Parameters
+    ----------
+    c : Comparison
+    names : sequence of str
+        Of the first; :func:`find_shared_signals` gives them.
+    title : str
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.5, 1.0 + 1.75 * len(names)), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
+    t = c.first_recording.times_s
+    for ax, name in zip(axes, names, strict=True):
+        unit, shown, factor = _display_unit(c, name)
+        one, two = _find_column(c.first_recording, name), c.sample_second(name, t)
+        if unit == "rad":
+            one, two = _unwrap_angle_pair(one, two)
+        ax.plot(t, factor * one, "-", color="#1769a5", label=c.first_recording.name)
+        other = c.find_counterpart(name)
+        ax.plot(
+            t,
+            factor * two,
+            "--",
+            color="#b85c00",
+            label=c.second_recording.name + ("" if other == name else f" ({other})"),
+        )
+        ax.set_ylabel(name.replace("_", " ") + ("" if shown == "1" else f"\n({shown})"))
+        ax.grid(alpha=0.3)
+    labels = axes[0].get_legend_handles_labels()
+    figure.legend(*labels, loc="outside upper center", ncols=2, frameon=False)
+    axes[-1].set_xlabel(f"Time of {c.first_recording.name} (s)")
+    if title:
+        axes[0].set_title(title)
+    return figure
+
+
+def _display_unit(c: RecordingComparison, name: str) -> tuple[str, str, float]:
+    """SI unit of a signal, the one that a person reads, and what to multiply by."""
+    unit = c.first_recording.units.get(name, "1")
+    shown = "rpm" if "rotor_speed" in name else {"rad": "deg", "rad/s": "deg/s"}.get(unit, unit)
+    return unit, shown, conversion_factor(unit, shown) if shown != unit else 1.0
+
+
+def _unwrap_angle_pair(one: _Array, two: _Array) -> tuple[_Array, _Array]:
+    """Angles without jumps, the second in the turn of the first."""
+    known = np.isfinite(one)
+    one = one.copy()
+    one[known] = np.unwrap(one[known])
+    both = np.isfinite(one) & np.isfinite(two)
+    turns = np.round(np.median((one - two)[both]) / (2.0 * math.pi)) if both.any() else 0.0
+    return one, two + 2.0 * math.pi * turns
+
+
+def difference_rows(c: RecordingComparison, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return by how much they differ: ``signal``, ``units``, ``rms``, ``largest``, ``extreme_time_s`` of the first's
+    clock."""
+    out = []
+    for name in names:
+        off = c.signal_difference(name)
+        known = np.isfinite(off)
+        if not known.any():
+            continue
+        k = int(np.nanargmax(np.abs(off)))
+        _, shown, factor = _display_unit(c, name)
+        rms = float(np.sqrt(np.mean(off[known] ** 2)))
+        out.append(
+            {"signal": name, "units": shown, "rms": factor * rms, "largest": factor * float(off[k]),
+             "at_s": float(c.first_recording.times_s[k])}
+        )  # fmt: skip
+    return out

@@ -1,0 +1,334 @@
+"""What is asked of a vehicle until it answers, and what it says in words.
+
+MAVLink's command protocol (https://mavlink.io/en/services/command.html): a command goes out, the vehicle acknowledges
+it with a result; if no answer comes it goes out again with ``confirmation`` counted up, so that the vehicle knows it
+for the same. An answer names the command only, so of each kind one is under way at a time and others wait their turn.
+Why a command was refused a vehicle says, if at all, in a STATUSTEXT about the same time. Who commands a vehicle that
+obeys one station at a time is asked for in the same way (CHANGE_OPERATOR_CONTROL).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from mufly.link.codec import MavMessage, StatusTextAssembler, mavlink
+from mufly.link.command_protocol import Command
+from mufly.station.signal_history import OperatorRequest, RequestOutcome, StatusMessage
+
+RETRY_PERIOD_S = 0.8
+MAX_TRIES = 12
+"""Asked so often, a tenth of a second short of ten seconds. Of packets lost at 30 % each way, one command in 3000."""
+PROGRESS_TIMEOUT_S = 30.0
+"""After "in progress" the answer may take so long (s)."""
+REASON_WAIT_S = 0.4
+"""For so long a refusal without words waits for some (s)."""
+MAX_MESSAGES = 500
+_QUERY_COMMANDS = (511, 512)  # SET_MESSAGE_INTERVAL, REQUEST_MESSAGE
+_INJECT_FAILURE_COMMAND = 420
+_RESULT_TEXTS = {
+    1: "not possible now",
+    2: "refused",
+    3: "the vehicle does not know this command",
+    4: "failed",
+    6: "cancelled",
+    7: "only as a COMMAND_LONG",
+    8: "only as a COMMAND_INT",
+    9: "not in this frame of reference",
+}
+_CONTROL_RESULT_TEXTS = {
+    1: "the vehicle wants a key",
+    2: "the vehicle knows no keys",
+    3: "another station commands it; it has to hand over",
+}
+_LEVEL_BY_SEVERITY = ("error", "error", "error", "error", "warning", "info", "info", "info")  # MAV_SEVERITY
+
+
+class StatusTextLog:
+    """What one vehicle says (STATUSTEXT), newest last.
+
+    Attributes
+    ----------
+    messages : deque of Message
+        Of bounded length.
+    newest : tuple of (now_s, text)
+        What was said last, by our clock; the reason of a refusal comes this way.
+    on_message : callable or None
+        Told of every message, for a recording.
+    """
+
+    def __init__(self) -> None:
+        self.messages: deque[StatusMessage] = deque(maxlen=MAX_MESSAGES)
+        self.newest_text: tuple[float, str] = (-math.inf, "")
+        self.on_message: Callable[[StatusMessage], None] | None = None
+        self._pieces = StatusTextAssembler()
+
+    def handle(self, now_s: float, time_s: float, message: MavMessage) -> None:
+        """Take a STATUSTEXT; ``time_s`` is the vehicle's clock."""
+        self._add_texts(now_s, time_s, self._pieces.add_chunk(now_s, message))
+
+    def step(self, now_s: float, time_s: float) -> None:
+        """Say what came of texts that wait for a piece that was lost."""
+        self._add_texts(now_s, time_s, self._pieces.take_overdue(now_s))
+
+    def add_message(self, time_s: float, level: str, text: str) -> None:
+        """Add a message of the station's own."""
+        self.messages.append(message := StatusMessage(time_s, level, text))
+        if self.on_message is not None:
+            self.on_message(message)
+
+    def text_since(self, now_s: float) -> str:
+        """Return what was said last if it was said since; "" if nothing was."""
+        return self.newest_text[1] if self.newest_text[0] >= now_s else ""
+
+    def _add_texts(self, now_s: float, time_s: float, texts: Sequence[tuple[int, str]]) -> None:
+        for severity, text in texts:
+            self.newest_text = (now_s, text)
+            self.add_message(time_s, _LEVEL_BY_SEVERITY[min(severity, 7)], text)
+
+
+@dataclass(slots=True)
+class RepeatedRequest:
+    """Something that is sent again until it is answered, and then given up."""
+
+    request: OperatorRequest
+    last_sent_s: float = -math.inf
+    first_sent_s: float = -math.inf
+    send_count: int = 0
+
+    def should_send(self, now_s: float) -> bool:
+        """Whether to send it now; counts that it was. Sent often enough, the request is ended."""
+        if self.request.is_done or now_s - self.last_sent_s < RETRY_PERIOD_S:
+            return False
+        if self.send_count >= MAX_TRIES:
+            self.request.set_outcome(
+                RequestOutcome.TIMED_OUT, f"no answer in {now_s - self.first_sent_s:.0f} s; is the link up?"
+            )
+            return False
+        if not self.send_count:
+            self.first_sent_s = now_s
+        self.last_sent_s = now_s
+        self.send_count += 1
+        return True
+
+
+@dataclass(slots=True, kw_only=True)
+class _OpenCommand(RepeatedRequest):
+    """A command, and what is known of its answer."""
+
+    command: Command
+    answer_deadline_s: float = math.inf
+    refusal_text: str | None = None
+
+
+class RemoteCommands:
+    """The commands asked of one vehicle.
+
+    Parameters
+    ----------
+    texts : StatusTexts
+        Where the vehicle's reasons are found.
+    target : (system, component)
+    """
+
+    def __init__(self, texts: StatusTextLog, target: tuple[int, int]) -> None:
+        self._texts, self.target = texts, target
+        self._open: dict[int, _OpenCommand] = {}
+        self._waiting: deque[_OpenCommand] = deque(maxlen=256)
+        self._unanswered: list[MavMessage] = []
+
+    def request_command(self, text: str, command: Command) -> OperatorRequest:
+        """Ask for something; the request tells what becomes of it.
+
+        An emergency stop goes out at once; whatever else the vehicle has been asked to do and has not answered is
+        given up for it.
+
+        Parameters
+        ----------
+        text : str
+            What is asked for, in words.
+        command : Command
+        """
+        request = OperatorRequest(text)
+        entry = _OpenCommand(request, command=command)
+        if command.is_emergency_stop:
+            self.give_up_actions(f"given up for: {text}")
+            self._open[command.command_id] = entry
+        else:
+            if len(self._waiting) == self._waiting.maxlen:
+                self._waiting[0].request.set_outcome(RequestOutcome.TIMED_OUT, "too many requests are waiting")
+            self._waiting.append(entry)
+        return request
+
+    def send_message(self, message: MavMessage) -> None:
+        """Send something that is not answered."""
+        self._unanswered.append(message)
+
+    def handle(self, now_s: float, message: MavMessage) -> None:
+        """Take a COMMAND_ACK that is meant for us."""
+        entry = self._open.get(message.command)
+        if entry is None or entry.refusal_text is not None or not entry.send_count:
+            return
+        if message.result == mavlink.MAV_RESULT_ACCEPTED:
+            del self._open[message.command]
+            entry.request.set_outcome(RequestOutcome.ACCEPTED)
+        elif message.result == mavlink.MAV_RESULT_IN_PROGRESS:
+            entry.answer_deadline_s = now_s + PROGRESS_TIMEOUT_S
+            if message.progress <= 100:
+                entry.request.progress = message.progress / 100.0
+        else:
+            entry.refusal_text = _RESULT_TEXTS.get(message.result, f"result {message.result}")
+            entry.answer_deadline_s = now_s + REASON_WAIT_S
+
+    def step(self, now_s: float) -> list[MavMessage]:
+        """Return what is to be sent now."""
+        for _ in range(len(self._waiting)):
+            entry = self._waiting.popleft()
+            if entry.command.command_id in self._open:
+                self._waiting.append(entry)
+            else:
+                self._open[entry.command.command_id] = entry
+        out, self._unanswered = self._unanswered, []
+        for number, entry in list(self._open.items()):
+            if entry.refusal_text is not None:
+                reason = self._texts.text_since(entry.first_sent_s)
+                if reason or now_s >= entry.answer_deadline_s:
+                    entry.request.set_outcome(RequestOutcome.REFUSED, reason or entry.refusal_text)
+            elif entry.answer_deadline_s < math.inf:
+                if now_s >= entry.answer_deadline_s:
+                    entry.request.set_outcome(RequestOutcome.TIMED_OUT, "begun, but it was never said to be done")
+            elif entry.should_send(now_s):
+                out.append(entry.command.to_message(*self.target, min(entry.send_count - 1, 255)))
+            if entry.request.is_done:
+                del self._open[number]
+        return out
+
+    def give_up_actions(self, answer: str, *, moves_only: bool = False, stops: bool = True) -> None:
+        """End all that would make the vehicle do something: an arming that waits must not follow a stop.
+
+        Parameters
+        ----------
+        answer : str
+            Why, for whoever asked.
+        moves_only : bool
+            Leave what does not move it: faults of a simulation.
+        stops : bool
+            Whether an emergency stop is given up too.
+        """
+
+        def is_kept(entry: _OpenCommand) -> bool:
+            number, stop = entry.command.command_id, entry.command.is_emergency_stop and not stops
+            return number in _QUERY_COMMANDS or stop or (moves_only and number == _INJECT_FAILURE_COMMAND)
+
+        for entry in (*self._open.values(), *self._waiting):
+            if not is_kept(entry):
+                entry.request.set_outcome(RequestOutcome.REFUSED, answer)
+        self._open = {k: e for k, e in self._open.items() if is_kept(e)}
+        self._waiting = deque(filter(is_kept, self._waiting), self._waiting.maxlen)
+
+    @property
+    def has_open_actions(self) -> bool:
+        """Whether something that would make the vehicle do something is not answered yet."""
+        return any(e.command.command_id not in _QUERY_COMMANDS for e in (*self._open.values(), *self._waiting))
+
+    def give_up(self, answer: str) -> None:
+        """End everything that is open: the vehicle is gone or was started anew."""
+        for entry in (*self._open.values(), *self._waiting):
+            entry.request.set_outcome(RequestOutcome.TIMED_OUT, answer)
+        self._open.clear()
+        self._waiting.clear()
+
+
+class RequestChain:
+    """Requests that follow each other: each is made when the one before was accepted; the first refusal ends it.
+
+    Parameters
+    ----------
+    text : str
+        What all of it is, in words.
+    links : sequence of callables
+        Each makes a request, or returns None if there is nothing to ask for.
+    """
+
+    def __init__(self, text: str, links: Sequence[Callable[[], OperatorRequest | None]]) -> None:
+        self.request = OperatorRequest(text)
+        self._links = deque(links)
+        self._now: OperatorRequest | None = None
+        self.step()
+
+    def step(self) -> None:
+        """Go on if the present link has its answer."""
+        while not self.request.is_done:
+            now = self._now
+            if now is not None and not now.is_done:
+                return
+            if now is not None and now.outcome is not RequestOutcome.ACCEPTED:
+                self.request.set_outcome(now.outcome, f"{now.text}: {now.answer}")
+            elif not self._links:
+                self.request.set_outcome(RequestOutcome.ACCEPTED, now.answer if now is not None else "")
+            else:
+                self._now = self._links.popleft()()
+
+
+class OperatorControl:
+    """Taking and handing over the command of a vehicle, which obeys one station at a time.
+
+    Parameters
+    ----------
+    system : int
+        The vehicle's.
+    us : (system, component)
+    """
+
+    def __init__(self, system: int, us: tuple[int, int]) -> None:
+        self._system, self._us = system, us
+        self._open: RepeatedRequest | None = None
+        self._wish = 0
+
+    def take_command(self) -> OperatorRequest:
+        """Ask for command."""
+        return self._start_request(OperatorRequest("take command"), 0)
+
+    def release_command(self) -> OperatorRequest:
+        """Hand command over."""
+        return self._start_request(OperatorRequest("hand over command"), 1)
+
+    def give_up(self, answer: str) -> None:
+        """End what is open."""
+        if self._open is not None:
+            self._open.request.set_outcome(RequestOutcome.REFUSED, answer)
+            self._open = None
+
+    def handle(self, now_s: float, message: MavMessage) -> None:
+        """Take CHANGE_OPERATOR_CONTROL_ACK."""
+        if self._open is None or (message.gcs_system_id, message.control_request) != (
+            self._us[0],
+            self._wish,
+        ):
+            return
+        request, self._open = self._open.request, None
+        if message.ack == 0:
+            request.set_outcome(RequestOutcome.ACCEPTED)
+        else:
+            request.set_outcome(RequestOutcome.REFUSED, _CONTROL_RESULT_TEXTS.get(message.ack, f"result {message.ack}"))
+
+    def step(self, now_s: float, commander: int | None) -> list[MavMessage]:
+        """Return what is to be sent now."""
+        if self._open is None:
+            return []
+        if self._open.should_send(now_s):
+            return [mavlink.MAVLink_change_operator_control_message(self._system, self._wish, 0, b"")]
+        if self._open.request.is_done:
+            if commander is None:
+                words = "this vehicle does not tell who commands it; it may obey every station"
+                self._open.request.answer = words
+            self._open = None
+        return []
+
+    def _start_request(self, request: OperatorRequest, wish: int) -> OperatorRequest:
+        if self._open is not None:
+            self._open.request.set_outcome(RequestOutcome.REFUSED, f"given up for: {request.text}")
+        self._open, self._wish = RepeatedRequest(request), wish
+        return request

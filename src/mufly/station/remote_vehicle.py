@@ -1,0 +1,711 @@
+"""A vehicle at the other end of a link: what it tells, and what is asked of it.
+
+Pure: messages in (:meth:`RemoteVehicle.handle`), messages out (:meth:`RemoteVehicle.step`), the clock is passed in.
+Its parts: telemetry with history, status texts, commands, parameters, mission, operator control, connection,
+checks. Everything that is asked for returns a :class:`mufly.station.signal_history.OperatorRequest` at once, which
+tells what becomes of it. What a vehicle could never do is refused here; all else is for the vehicle to judge.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from mufly.errors import InputError
+from mufly.flight import TunableParameter
+from mufly.flight.tunable_parameters import PARAMETERS
+from mufly.link.codec import MavMessage, mavlink
+from mufly.link.command_protocol import Command
+from mufly.link.parameter_protocol import LINK_PARAMETERS
+from mufly.link.ports import MAX_STALL_S
+from mufly.mission import Fence, Mission, fence_from_items, fence_to_items, load_mission
+from mufly.mission.mission_items import MissionRefusedError
+from mufly.mission.mission_items import mission_to_items as items_of_mission
+from mufly.station import autopilots
+from mufly.station.autopilots import select_commands
+from mufly.station.pilot_sticks import PilotSticks
+from mufly.station.preflight_checks import StationContext, run_preflight_checks
+from mufly.station.remote_commands import OperatorControl, RemoteCommands, RequestChain, StatusTextLog
+from mufly.station.remote_transfers import (
+    TYPE_FENCE,
+    RemoteMission,
+    RemoteParameters,
+    items_from_rows,
+    rows_from_items,
+)
+from mufly.station.signal_history import (
+    MissionRow,
+    OperatorRequest,
+    PreflightCheck,
+    RequestOutcome,
+    SignalHistory,
+    StatusMessage,
+    VehicleSnapshot,
+)
+from mufly.station.vehicle_telemetry import VehicleTelemetry
+from mufly.vehicle_types import ARDUPILOT, PX4, ardupilot_family, is_vehicle, vehicle_type_name
+
+LOST_TIMEOUT_S = 3.0
+"""A vehicle that was silent for so long is lost (s)."""
+_MAX_MISSED_MESSAGES = 10
+"""After so many messages that did not come, nothing waits any more to be carried out when it is heard again."""
+
+_NO_MISSION = 65535  # MISSION_CURRENT.total
+_ChainLink = Callable[[], OperatorRequest | None]
+
+
+class RemoteVehicle:
+    """One vehicle, as a page draws and commands it.
+
+    Parameters
+    ----------
+    system, component : int
+        Its MAVLink address.
+    us : (system, component)
+        Ours.
+    color : int
+        Which of the page's colours it has.
+    rate_Hz : float
+        How often it is asked to tell its motion.
+
+    Attributes
+    ----------
+    history : History
+        Its signals over the last ten minutes.
+    surroundings : Surroundings
+        What the station knows besides, for the checks.
+    sticks : PilotSticks
+        What a pilot here holds; streamed while it is held, and followed after :meth:`fly_manually`.
+    on_mark : callable or None
+        Takes the text of a mark; returns whether it was recorded.
+    key : str
+        Tells it from all others of the station, also after the station was started anew: its number and its link.
+    """
+
+    def __init__(
+        self,
+        system: int,
+        component: int,
+        *,
+        us: tuple[int, int] = (255, 190),
+        color: int = 0,
+        rate_Hz: float = 100.0,
+    ) -> None:
+        self.system, self.color, self.key = system, color, str(system)
+        self.own_ids, self._asked_rate_Hz = us, rate_Hz
+        self.history = SignalHistory()
+        self.telemetry = VehicleTelemetry(self.history)
+        self.texts = StatusTextLog()
+        self._set_target(component)
+        self._control = OperatorControl(system, us)
+        self.sticks = PilotSticks(system)
+        self._by_hand = False
+        self.station_context = StationContext()
+        self.on_mark: Callable[[str], bool] | None = None
+        self._chains: list[RequestChain] = []
+        self._moving: OperatorRequest | None = None  # what it was asked to do last
+        self._usual_rate_Hz = 0.0
+        self._heard_s = self._now_s = -math.inf
+        self._lost = False
+        self._restarts = 0
+        self._loss, self._rate_Hz = math.nan, math.nan
+        self._reached = -1
+        self._rows: tuple[object, list[MissionRow]] = (None, [])
+        self._fence: tuple[object, Fence | None] = (None, None)
+
+    def _set_target(self, component: int) -> None:
+        """Speak to a component of the system."""
+        self.component = component
+        target = (self.system, component)
+        self.commands = RemoteCommands(self.texts, target)
+        self.transfers = RemoteMission(self.texts, target)
+        self.fence_transfers = RemoteMission(self.texts, target, TYPE_FENCE)
+        self._parameters = RemoteParameters(self.texts, target)
+        self._connection = ConnectionSetup(
+            self.commands, self._parameters, (self.transfers, self.fence_transfers), self._asked_rate_Hz
+        )
+
+    # What it is and tells
+
+    @property
+    def kind(self) -> str:
+        """``"mufly"`` or ``"other"``."""
+        return "mufly" if self._connection.is_mufly else "other"
+
+    @property
+    def firmware(self) -> autopilots.FirmwareKind:
+        """Whose vehicle it is, which says how it wants to be asked."""
+        return autopilots.identify_firmware(self.telemetry.autopilot, self._connection.is_mufly)
+
+    @property
+    def name(self) -> str:
+        """What to call it: "mufly, system 1"."""
+        maker = self.firmware if self.firmware != "other" else "vehicle"
+        what = "" if self._connection.is_mufly else vehicle_type_name(self.telemetry.vehicle_type)
+        return f"{f'{maker} {what}'.strip()}, system {self.system}"
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether it was heard of late."""
+        return self._now_s - self._heard_s < LOST_TIMEOUT_S
+
+    @property
+    def is_in_command(self) -> bool:
+        """Whether this station commands it. A vehicle that tells nobody who does obeys everybody."""
+        return self.telemetry.commander_id in (None, self._own_number)
+
+    @property
+    def commander(self) -> str:
+        """Who commands it, in words; "" if nobody or unknown."""
+        number = self.telemetry.commander_id
+        if not number:
+            return ""
+        if number == self._own_number:
+            return "this station"
+        return f"station {number // 256} (component {number % 256})"
+
+    @property
+    def snapshot(self) -> VehicleSnapshot:
+        """The present."""
+        t, items = self.telemetry, self.transfers.items
+        return VehicleSnapshot.from_signals(
+            t.present_value,
+            ("estimated",),
+            t.time_s,
+            t.ranges.distances_m,
+            connected=self.is_connected,
+            silent_s=self._now_s - self._heard_s,
+            armed=t.armed,
+            flying=t.is_flying,
+            in_command=self.is_in_command,
+            commander=self.commander,
+            state=t.state,
+            mission_running=t.mission_state == mavlink.MISSION_STATE_ACTIVE,
+            begun=t.mission_state in (mavlink.MISSION_STATE_ACTIVE, mavlink.MISSION_STATE_PAUSED),
+            range_angles=t.ranges.angles_rad,
+            range_max_m=t.ranges.max_range_m,
+            battery_left_s=t.battery_left_s,
+            mission_row=t.mission_current if t.mission_current in range(len(items or ())) else None,
+            link_loss=self._loss,
+            link_rate_Hz=self._rate_Hz,
+            real_time_factor=t.real_time_factor(self._now_s),
+            slips=t.slip_count,
+        )
+
+    @property
+    def messages(self) -> deque[StatusMessage]:
+        """What it said, newest last."""
+        return self.texts.messages
+
+    @property
+    def mission(self) -> list[MissionRow]:
+        """The mission that it holds; empty while that is not known."""
+        key = (self.transfers.items, self.telemetry.origin, self.mission_progress)
+        if key != self._rows[0]:
+            self._rows = (key, rows_from_items(self.transfers.items or (), key[1], key[2]))
+        return self._rows[1]
+
+    @property
+    def mission_progress(self) -> int:
+        """How many rows of the mission are behind it."""
+        return max(self.telemetry.mission_current or 0, self._reached + 1)
+
+    @property
+    def parameters(self) -> dict[str, TunableParameter]:
+        """Its parameters by name."""
+        return self._parameters.parameter_table
+
+    @property
+    def parameters_missing(self) -> int:
+        """How many have not come yet."""
+        return self._parameters.missing_count
+
+    @property
+    def checks(self) -> list[PreflightCheck]:
+        """What to look at before it flies."""
+        parts = (self.telemetry, self.texts, self.transfers, self._parameters)
+        return run_preflight_checks(self.snapshot, *parts, self.station_context)
+
+    # What is asked of it
+
+    def arm(self) -> OperatorRequest:
+        """Let the motors run."""
+        return self._request_motion("arm", lambda: self._request_command("arm", autopilots.ARM_COMMAND))
+
+    def disarm(self) -> OperatorRequest:
+        """Stop the motors; it refuses in flight."""
+        return self._request_motion("disarm", lambda: self._request_command("disarm", autopilots.DISARM_COMMAND))
+
+    def take_off(self, height_m: float) -> OperatorRequest:
+        """Arm if needed, take off to a height above where it stands (m), and hover."""
+        text = f"take off to {height_m:g} m"
+        if not (math.isfinite(height_m) and height_m > 0.0):
+            return _refused_request(text, "a height above the floor is needed")
+        links: list[_ChainLink] = []
+        if self.firmware == "PX4":
+            links.append(lambda: self._parameters.set_parameter("MIS_TAKEOFF_ALT", height_m))
+        before = self._select_commands(autopilots.PRE_ARM_COMMANDS)
+        if isinstance(before, str):
+            return _refused_request(text, before)
+        links += self._make_links("take off", before)
+        climb = self._make_links("take off", (autopilots.take_off_command(self.firmware, height_m),))
+        return self._request_motion(text, lambda: self._start_chain(text, [*links, self._arm_if_needed, *climb]))
+
+    def start_mission(self) -> OperatorRequest:
+        """Fly the mission, or go on with it; arms if needed."""
+        if self.transfers.items is not None and not self.transfers.items:
+            return _refused_request("fly the mission", "the vehicle holds no mission; send one first")
+        text, commands = "fly the mission", self._select_commands(autopilots.START_MISSION_COMMANDS)
+        if isinstance(commands, str):
+            return _refused_request(text, commands)
+        start = self._make_links("start", commands)
+        return self._request_motion(text, lambda: self._start_chain(text, [self._arm_if_needed, *start]))
+
+    def pause(self) -> OperatorRequest:
+        """Stop and hover."""
+        return self._request_from_table("hover here", autopilots.PAUSE_COMMANDS)
+
+    def go_to(self, position: Sequence[float], heading_rad: float | None = None) -> OperatorRequest:
+        """Fly to a place (N, E, D; m) and hold."""
+        n, e, d = (float(v) for v in position)
+        text = f"fly to N {n:.2f}, E {e:.2f}, height {-d:.2f} m"
+        if not all(map(math.isfinite, (n, e, d))):
+            return _refused_request(text, "N, E and a height are needed")
+        heading = math.nan if heading_rad is None else heading_rad
+        command = autopilots.go_to_command(self.firmware, (n, e, d), heading, self.telemetry.origin)
+        if isinstance(command, str):
+            return _refused_request(text, command)
+        return self._request_motion(text, lambda: self._request_command(text, command))
+
+    def return_home(self) -> OperatorRequest:
+        """Return to where it took off, and land."""
+        return self._request_from_table("return and land", autopilots.RETURN_COMMANDS)
+
+    def land(self) -> OperatorRequest:
+        """Land here."""
+        return self._request_from_table("land", autopilots.LAND_COMMANDS)
+
+    def emergency_stop(self) -> OperatorRequest:
+        """Stop the motors at once, in flight too; nothing that was asked for before goes on after it."""
+        self._give_up_moves("given up for: EMERGENCY STOP")
+        self.sticks.release_sticks()
+        self._by_hand = False
+        return self._request_command("EMERGENCY STOP", autopilots.EMERGENCY_STOP_COMMAND)
+
+    def fly_manually(self) -> OperatorRequest:
+        """Let the sticks that are held fly it, until :meth:`release_sticks` or another command."""
+        if not self.sticks.is_held:
+            return _refused_request("fly by hand", "no sticks; hold them first")
+        self._by_hand = True
+        return self._request_from_table("fly by hand", autopilots.MANUAL_CONTROL_COMMANDS)
+
+    def release_sticks(self) -> OperatorRequest | None:
+        """Let go of the sticks: it hovers where it is. None if it was not flown by them."""
+        self.sticks.release_sticks()
+        if not self._by_hand:
+            return None
+        self._by_hand = False
+        return self._request_from_table("let go of the sticks", autopilots.RELEASE_STICKS_COMMANDS)
+
+    def reboot(self) -> OperatorRequest:
+        """Start the autopilot anew; a simulation begins anew."""
+        return self._request_command("start anew", autopilots.REBOOT_COMMAND)
+
+    def inject_failure(
+        self, unit: int, kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan
+    ) -> OperatorRequest:
+        """Let a sensor of a simulation fail (FAILURE_UNIT, FAILURE_TYPE); type 0: nothing is wrong any more.
+
+        ``amount`` is in the unit of the reading (``late``: s), NaN the usual one; ``duration_s`` NaN: until cleared.
+        """
+        return self._request_command(text, autopilots.inject_failure_command(unit, kind, amount, duration_s))
+
+    def take_command(self) -> OperatorRequest:
+        """Become the station that commands it."""
+        return self._control.take_command()
+
+    def release_command(self) -> OperatorRequest:
+        """Let another station command it."""
+        return self._control.release_command()
+
+    def upload_mission(self, mission: Mission | Sequence[MissionRow] | str | Path) -> OperatorRequest:
+        """Send a mission: one of ours, rows of the table, or the name of a file."""
+        try:
+            if isinstance(mission, str | Path):
+                mission = load_mission(mission)
+            items = items_of_mission(mission).items if isinstance(mission, Mission) else items_from_rows(mission)
+        except InputError as error:
+            return _refused_request("send a mission", str(error))
+        self._reached = -1
+        return self.transfers.upload_items(items)
+
+    def download_mission(self) -> OperatorRequest:
+        """Fetch the mission that it holds."""
+        return self.transfers.download_items()
+
+    def clear_mission(self) -> OperatorRequest:
+        """Let it forget its mission."""
+        return self.transfers.clear_items()
+
+    @property
+    def fence(self) -> Fence | None:
+        """Its geofence, as far as it is known."""
+        key = (self.fence_transfers.items, self.telemetry.origin)
+        if key != self._fence[0]:
+            base = self.station_context.base_mission
+            known = None if base is None else base.fence
+            try:
+                held = known if key[0] is None else fence_from_items(key[0], known, key[1])
+            except MissionRefusedError:
+                held = None  # of a kind that is not known here
+            self._fence = (key, held)
+        return self._fence[1]
+
+    def upload_fence(self, fence: Fence | None) -> OperatorRequest:
+        """Send a geofence, or clear it."""
+        if fence is None:
+            return self.fence_transfers.clear_items()
+        on_globe = None if self.kind == "mufly" else self.telemetry.origin
+        return self.fence_transfers.upload_items(fence_to_items(fence, on_globe))
+
+    def set_parameter(self, name: str, value: float) -> OperatorRequest:
+        """Set a parameter."""
+        return self._parameters.set_parameter(name, value)
+
+    def refresh_parameters(self) -> OperatorRequest:
+        """Read all parameters anew."""
+        return self._parameters.request_all()
+
+    def set_shown_mission(self, mission: Mission | None) -> None:
+        """Say which mission the page shows, for the check that the vehicle holds the same."""
+        self.station_context.shown_items = None if mission is None else tuple(items_of_mission(mission).items)
+
+    def set_base_mission(self, mission: Mission) -> None:
+        """Say with which mission file it was started: limits, path and obstacles stay those of that file."""
+        self.station_context.base_mission = mission
+        self.set_shown_mission(mission)
+
+    def add_mark(self, text: str) -> OperatorRequest:
+        """Put a mark into the recording, and among the messages."""
+        request = OperatorRequest(f"mark: {text}")
+        recorded = self.on_mark is not None and self.on_mark(text)
+        self.add_note("info", f"mark: {text}")
+        request.set_outcome(RequestOutcome.ACCEPTED, "" if recorded else "not recorded: the recorder is off")
+        return request
+
+    def add_note(self, level: str, text: str) -> None:
+        """Put a line of the station's own among the messages."""
+        self.texts.add_message(self.telemetry.time_s, level, text)
+
+    def _request_command(self, text: str, command: Command) -> OperatorRequest:
+        return self.commands.request_command(text, command)
+
+    def _request_from_table(self, text: str, table: autopilots.CommandTable) -> OperatorRequest:
+        commands = self._select_commands(table)
+        if isinstance(commands, str):
+            return _refused_request(text, commands)
+        return self._request_motion(text, lambda: self._request_command(text, *commands))
+
+    def _select_commands(self, table: autopilots.CommandTable) -> tuple[Command, ...] | str:
+        return select_commands(table, self.firmware, ardupilot_family(self.telemetry.vehicle_type))
+
+    def _request_motion(self, text: str, make: Callable[[], OperatorRequest]) -> OperatorRequest:
+        """Ask for a movement. What was asked before and is not answered is given up: it must not be done after this.
+
+        The same once more, while it waits for its answer, is one request.
+        """
+        waiting = self._moving
+        if waiting is not None and not waiting.is_done and waiting.text == text:
+            return waiting
+        self._give_up_moves(f"given up for: {text}", moves_only=True)
+        self._moving = make()
+        return self._moving
+
+    def _give_up_moves(self, why: str, *, moves_only: bool = False, stops: bool = False) -> None:
+        for chain in self._chains:
+            chain.request.set_outcome(RequestOutcome.REFUSED, why)
+        self.commands.give_up_actions(why, moves_only=moves_only, stops=stops)
+
+    def _make_links(self, text: str, commands: Iterable[Command]) -> list[_ChainLink]:
+        return [partial(self._request_command, text, command) for command in commands]
+
+    def _arm_if_needed(self) -> OperatorRequest | None:
+        return None if self.telemetry.armed else self._request_command("arm", autopilots.ARM_COMMAND)
+
+    def _start_chain(self, text: str, links: Sequence[_ChainLink]) -> OperatorRequest:
+        self._chains.append(chain := RequestChain(text, links))
+        return chain.request
+
+    # The machine
+
+    def handle(self, now_s: float, message: MavMessage) -> None:
+        """Take a message that it sent.
+
+        Parameters
+        ----------
+        now_s : float
+            Our clock (s).
+        message : pymavlink message
+        """
+        self._now_s = max(self._now_s, now_s)
+        name, component = message.get_type(), message.get_srcComponent()
+        if name == "STATUSTEXT":
+            self.texts.handle(now_s, self.telemetry.time_s, message)
+        if component != self.component:
+            return  # of a camera, a gimbal, a companion computer
+        self._heard_s = now_s
+        if name == "STATUSTEXT" or getattr(message, "target_system", 0) not in (0, self.own_ids[0]):
+            return
+        if name == "HEARTBEAT" and not is_vehicle(message.type, message.autopilot, component):
+            return  # equipment that was given the vehicle's numbers
+        self.telemetry.handle(now_s, message)
+        if name == "COMMAND_ACK":
+            self.commands.handle(now_s, message)
+        elif name == "PARAM_VALUE":
+            self._parameters.handle(now_s, message)
+        elif name == "MISSION_CURRENT":
+            self._handle_mission_current(message)
+        elif name == "MISSION_ITEM_REACHED":
+            self._reached = max(self._reached, message.seq)
+        elif name.startswith("MISSION_"):
+            self.transfers.handle(now_s, message)
+            self.fence_transfers.handle(now_s, message)
+        elif name == "AUTOPILOT_VERSION":
+            self._connection.handle_version(message)
+        elif name == "CHANGE_OPERATOR_CONTROL_ACK":
+            self._control.handle(now_s, message)
+
+    def step(self, now_s: float) -> list[MavMessage]:
+        """Return what is to be sent to it now."""
+        self._now_s = max(self._now_s, now_s)
+        self.telemetry.step(now_s)
+        self.texts.step(now_s, self.telemetry.time_s)
+        self._update_link_state(now_s)
+        for chain in self._chains:
+            chain.step()
+        self._chains = [c for c in self._chains if not c.request.is_done]
+        self._connection.step(now_s, self.telemetry)
+        hand = self.sticks.step(now_s)  # first: a vehicle wants to have heard them before it obeys them
+        if self._by_hand and not self.sticks.is_held:
+            self.add_note("warning", "the sticks are not held any more; a hover is asked for")
+            self.release_sticks()
+        out = hand + self.commands.step(now_s) + self._parameters.step(now_s) + self.transfers.step(now_s)
+        out += self.fence_transfers.step(now_s)
+        return out + self._control.step(now_s, self.telemetry.commander_id)
+
+    def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
+        """Take how good the link is: share of packets lost, messages a second."""
+        self._loss, self._rate_Hz = loss, rate_Hz
+        self._usual_rate_Hz = max(0.5 * self._usual_rate_Hz, rate_Hz)
+        self.telemetry.note_link(now_s, loss, rate_Hz)
+
+    def change_component(self, component: int) -> None:
+        """Take another component of the system for the vehicle: its autopilot, which spoke later than another.
+
+        Parameters
+        ----------
+        component : int
+            MAV_COMPONENT; commands, parameters and mission go there from now on.
+        """
+        text = f"component {component} is the autopilot of system {self.system}, not component {self.component}"
+        for chain in self._chains:
+            chain.request.set_outcome(RequestOutcome.REFUSED, text)
+        for part in (self.commands, self._parameters, self.transfers, self.fence_transfers):
+            part.give_up(text)
+        self.telemetry.change_speaker()
+        self._reached = -1
+        self._set_target(component)
+        self.add_note("warning", text)
+
+    def note_new_address(self) -> None:
+        """Note that it is heard from another address, where it knows nothing of our wishes."""
+        self._connection.request_streams_again()
+
+    def note_stall(self, seconds: float) -> None:
+        """Note that the station stood still for so long: nothing that was asked before is done now.
+
+        A vehicle that was flown by sticks has let go of them by its own time-out, and may be in other hands.
+        """
+        why = f"not carried out: the station stood still for {seconds:.0f} s"
+        self._give_up_moves(why, stops=True)
+        self._give_up_changes(why)
+        self.sticks.release_sticks()
+        self._by_hand = False
+        self.add_note(
+            "warning",
+            f"the station stood still for {seconds:.1f} s; what was asked before is not carried out",
+        )
+
+    def _give_up_changes(self, why: str) -> None:
+        self._parameters.give_up_changes(why)
+        self.transfers.give_up_changes(why)
+        self._control.give_up(why)
+
+    def _give_up_unheard(self, now_s: float) -> None:
+        """Give up what waits for an answer once more messages than can be chance did not come; but no emergency stop.
+
+        Else it is repeated, and carried out whenever the link is back.
+        """
+        silent_s = now_s - self._heard_s
+        usual_s = _MAX_MISSED_MESSAGES / self._usual_rate_Hz if self._usual_rate_Hz > 0.0 else LOST_TIMEOUT_S
+        if math.isfinite(silent_s) and silent_s >= min(LOST_TIMEOUT_S, max(MAX_STALL_S, usual_s)):
+            why = f"not carried out: the vehicle was not heard for {silent_s:.1f} s"
+            self._give_up_moves(why)
+            self._give_up_changes(why)
+
+    def _update_link_state(self, now_s: float) -> None:
+        self._give_up_unheard(now_s)
+        lost = now_s - self._heard_s >= LOST_TIMEOUT_S
+        if lost and not self._lost:
+            self.add_note("warning", f"{self.name} is not heard any more")
+        elif self._lost and not lost:
+            self.add_note("info", f"{self.name} is heard again")
+            self._connection.request_streams_again()
+        self._lost = lost
+        if self.telemetry.clock.restart_count != self._restarts:
+            self._restarts = self.telemetry.clock.restart_count
+            self.add_note("warning", f"{self.name} was started anew")
+            for part in (self.commands, self._parameters, self.transfers, self.fence_transfers):
+                part.give_up("the vehicle was started anew")
+            self._reached = -1
+            self._connection.restart_setup()
+
+    def _handle_mission_current(self, message: MavMessage) -> None:
+        if message.seq < self._reached:
+            self._reached = -1  # it flies the mission again, or another
+        items = self.transfers.items
+        if items is None or not message.total or self.transfers.is_busy:  # 0: it does not count them
+            return
+        total = 0 if message.total == _NO_MISSION else message.total
+        # ArduPilot's first item is its home, which this total leaves out.
+        own = 1 if self.telemetry.autopilot == ARDUPILOT else 0
+        if total != max(0, len(items) - own):
+            self.transfers.download_items()  # somebody else has sent it another
+
+    @property
+    def _own_number(self) -> int:
+        return self.own_ids[0] * 256 + self.own_ids[1]
+
+
+def _refused_request(text: str, answer: str) -> OperatorRequest:
+    return OperatorRequest(text, RequestOutcome.REFUSED, answer)
+
+
+REQUESTED_MESSAGES: tuple[tuple[str, float], ...] = (
+    ("ATTITUDE", 1.0),
+    ("LOCAL_POSITION_NED", 1.0),
+    ("POSITION_TARGET_LOCAL_NED", 1.0),
+    ("ATTITUDE_TARGET", 1.0),
+    ("ODOMETRY", 0.2),
+    ("ESTIMATOR_STATUS", 0.04),
+    ("ACTUATOR_OUTPUT_STATUS", 1.0),
+    ("VISION_POSITION_ESTIMATE", 0.5),
+    ("RAW_RPM", 0.5),
+    ("DEBUG_FLOAT_ARRAY", 0.5),
+    ("OBSTACLE_DISTANCE", 0.25),
+    ("DISTANCE_SENSOR", 0.0),
+)
+"""Messages, and their rates as a share of the fastest."""
+_FOREIGN_MESSAGES = (
+    ("SERVO_OUTPUT_RAW", 0.1),
+    ("RC_CHANNELS", 0.05),
+    ("BATTERY_STATUS", 0.01),
+    ("EXTENDED_SYS_STATE", 0.02),
+)
+_STREAM_HZ = 10
+_CAPABILITY_BYTEWISE, _CAPABILITY_C_CAST = 16, 131072  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_*
+_VERSION_TIMEOUT_S = 3.0
+
+
+class ConnectionSetup:
+    """What is asked of a vehicle that was just found, or found again.
+
+    First who it is (AUTOPILOT_VERSION); then how often it is to tell what (SET_MESSAGE_INTERVAL, or REQUEST_DATA_STREAM
+    if it does not know that); then its parameters and its mission.
+
+    Parameters
+    ----------
+    commands, parameters, transfers
+        What does the asking; of missions and of geofences.
+    rate_Hz : float
+        Fastest rate.
+
+    Attributes
+    ----------
+    ours : bool
+        Whether it said that it is a mufly vehicle.
+    """
+
+    def __init__(
+        self,
+        commands: RemoteCommands,
+        parameters: RemoteParameters,
+        transfers: tuple[RemoteMission, RemoteMission],
+        rate_Hz: float,
+    ) -> None:
+        self._commands, self._parameters = commands, parameters
+        self._mission, self._fence = transfers
+        self._rate_Hz = rate_Hz
+        self.is_mufly = False
+        self.restart_setup()
+
+    def request_streams_again(self) -> None:
+        """Wish anew: it was away, or is heard from elsewhere."""
+        self._wished: OperatorRequest | None = None
+        self._older = False
+
+    def restart_setup(self) -> None:
+        """Ask everything anew: it was started anew."""
+        self._version: MavMessage | None = None
+        self._asked_s = math.nan
+        self._read = False
+        self.request_streams_again()
+
+    def handle_version(self, message: MavMessage) -> None:
+        """Take AUTOPILOT_VERSION."""
+        self._version = message
+        self.is_mufly = bytes(message.flight_custom_version).startswith(b"mufly")
+        if self.is_mufly:
+            self._parameters.set_descriptions(_mufly_parameter_descriptions())
+
+    def step(self, now_s: float, telemetry: VehicleTelemetry) -> None:
+        """Ask for what comes next."""
+        if math.isnan(self._asked_s):
+            self._asked_s = now_s
+            version = autopilots.request_message_command(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+            self._commands.request_command("who are you?", version)
+        if self._version is None and now_s - self._asked_s < _VERSION_TIMEOUT_S:
+            return
+        if self._wished is None:
+            for name, share in REQUESTED_MESSAGES if self.is_mufly else (*REQUESTED_MESSAGES[:-1], *_FOREIGN_MESSAGES):
+                number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+                command = autopilots.message_interval_command(number, share * self._rate_Hz)
+                request = self._commands.request_command(f"tell {name}", command)
+                # Every vehicle has the first: if it refuses that, it does not know the command.
+                self._wished = self._wished or request
+        if not self._read:
+            self._read = True
+            known = self._version.capabilities if self._version is not None else 0
+            guess = telemetry.autopilot == PX4
+            self._parameters.set_bytewise_encoding(
+                bool(known & _CAPABILITY_BYTEWISE) or (guess and not known & _CAPABILITY_C_CAST)
+            )
+            self._parameters.request_all()
+            self._mission.download_items()
+            if known & mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE:
+                self._fence.download_items()
+        if not self._older and self._wished is not None and self._wished.outcome is RequestOutcome.REFUSED:
+            self._older = True
+            everything = mavlink.MAV_DATA_STREAM_ALL
+            self._commands.send_message(
+                mavlink.MAVLink_request_data_stream_message(*self._commands.target, everything, _STREAM_HZ, 1)
+            )
+
+
+def _mufly_parameter_descriptions() -> dict[str, TunableParameter]:
+    """What is known of the parameters of our own vehicles: unit, bounds, help."""
+    return PARAMETERS | {name: replace(p, value=math.nan) for name, p in LINK_PARAMETERS.items()}

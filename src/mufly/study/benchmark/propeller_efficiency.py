@@ -1,0 +1,160 @@
+"""Propellers in a tunnel: how well a code knows the greatest efficiency, where it is, and where the thrust ends.
+
+With the propellers' coefficients, eta = J c_T / c_P = V T / P. Measured: the parabola through the greatest eta of a run
+and its neighbours, and the advance ratio at which a line between neighbours has no thrust; nan where a run does not
+reach so far. Predicted: the same of the code's curve on a grid that is finer than the run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import MuflyError
+from mufly.rotor import RotorMeasurements
+from mufly.study.benchmark.prediction_codes import PredictionCode
+from mufly.study.benchmark.rotor_cases import RotorCase
+
+Array = NDArray[np.float64]
+
+_GRID_POINTS, _SLOW_GRID_POINTS = 45, 9
+_MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE = (
+    0.25,
+    1.4,
+)  # of the advance ratio without thrust, between which a code is asked
+
+
+@dataclass(frozen=True)
+class EfficiencyCurve:
+    """Greatest efficiency, the advance ratio there, and that without thrust; nan where it is not reached."""
+
+    max_efficiency: float
+    best_advance_ratio: float
+    zero_thrust_advance_ratio: float
+
+
+@dataclass(frozen=True)
+class PropellerScore:
+    """A code on a run: the measured curve and the predicted one."""
+
+    code: str
+    case: RotorCase
+    speed_rad_s: float
+    measured: EfficiencyCurve
+    predicted: EfficiencyCurve
+    fault: str = ""
+
+    @property
+    def relative_errors(self) -> tuple[float, float, float]:
+        """Of the greatest efficiency, of the advance ratio there, of that without thrust; relative."""
+        p, m = self.predicted, self.measured
+        return (
+            p.max_efficiency / m.max_efficiency - 1.0,
+            p.best_advance_ratio / m.best_advance_ratio - 1.0,
+            p.zero_thrust_advance_ratio / m.zero_thrust_advance_ratio - 1.0,
+        )
+
+
+def measure_efficiency_curve(advance: Array, thrust_N: Array, power_W: Array, airspeed_m_s: Array) -> EfficiencyCurve:
+    """Return what a run says; all arrays (points,), rising in advance ratio."""
+    known = np.isfinite(thrust_N) & np.isfinite(power_W) & (power_W > 0.0)
+    j, t = advance[known], thrust_N[known]
+    eta = airspeed_m_s[known] * t / power_W[known]
+    efficiency = best = math.nan
+    k = int(np.argmax(eta)) if eta.size else 0
+    if 0 < k < eta.size - 1:
+        a, b, _ = np.polyfit(j[k - 1 : k + 2] - j[k], eta[k - 1 : k + 2], 2)
+        efficiency, best = float(eta[k] - 0.25 * b * b / a), float(j[k] - 0.5 * b / a)
+    ends = np.flatnonzero((t[:-1] > 0.0) & (t[1:] <= 0.0))
+    zero = math.nan
+    if ends.size:
+        i = int(ends[0])
+        zero = float(j[i] + t[i] * (j[i + 1] - j[i]) / (t[i] - t[i + 1]))
+    return EfficiencyCurve(efficiency, best, zero)
+
+
+def score_propellers(
+    cases: Sequence[RotorCase],
+    codes: Sequence[PredictionCode],
+    progress: Callable[[int, int], None] | None = None,
+) -> list[PropellerScore]:
+    """Ask every code about every run in a tunnel; those that take seconds a point on a coarser grid."""
+    runs = [(code, case, run) for code in codes for case in cases for run in case.tunnel_runs]
+    scores = []
+    for done, (code, case, run) in enumerate(runs):
+        if progress is not None:
+            progress(done, len(runs))
+        speed = float(run.speed_rad_s[0])
+        per_speed = 2.0 * case.rotor.radius_m * speed / (2.0 * math.pi)  # m/s of V for J = 1
+        j = run.climb_m_s / per_speed
+        measured = measure_efficiency_curve(j, run.thrust_N, run.torque_Nm * speed, run.climb_m_s)
+        end = (
+            measured.zero_thrust_advance_ratio
+            if math.isfinite(measured.zero_thrust_advance_ratio)
+            else 1.15 * float(j[-1])
+        )
+        grid = end * np.linspace(
+            _MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE, _SLOW_GRID_POINTS if code.is_slow else _GRID_POINTS
+        )
+        same = np.full(grid.size, 1.0)
+        asked = RotorMeasurements(run.pitch_rad[0] * same, speed * same, same, same, run.source, grid * per_speed)
+        try:
+            found = code.predict(replace(case, measured=asked))
+            predicted = measure_efficiency_curve(grid, found.thrust_N, found.torque_Nm * speed, asked.climb_m_s)
+            fault = found.fault
+        except MuflyError as error:
+            predicted, fault = EfficiencyCurve(math.nan, math.nan, math.nan), str(error)
+        scores.append(PropellerScore(code.name, case, speed, measured, predicted, fault))
+    if progress is not None:
+        progress(len(runs), len(runs))
+    return scores
+
+
+@dataclass(frozen=True)
+class PropellerScoreRow:
+    """A code on all propellers, or a family's: mean size and bias of :attr:`PropellerScore.relative_errors`."""
+
+    code: str
+    group: str
+    rotors: int
+    runs: int
+    size: tuple[float, ...]
+    bias: tuple[float, ...]
+
+
+def tabulate_propellers(scores: Sequence[PropellerScore], by_family: bool = False) -> list[PropellerScoreRow]:
+    """Return means over rotors, each with the same weight, by code and group, or by code and family."""
+
+    def group_key(s: PropellerScore) -> tuple[str, str]:
+        return s.code, s.case.family if by_family else s.case.group
+
+    rows = []
+    for code, group in dict.fromkeys(group_key(s) for s in scores):
+        part = [s for s in scores if group_key(s) == (code, group)]
+        names = list(dict.fromkeys(s.case.name for s in part))
+        errors = [np.array([s.relative_errors for s in part if s.case.name == n]) for n in names]
+        rows.append(
+            PropellerScoreRow(
+                code,
+                group,
+                len(names),
+                len(part),
+                _mean_over_rotors([np.abs(e) for e in errors]),
+                _mean_over_rotors(errors),
+            )
+        )
+    return rows
+
+
+def _mean_over_rotors(errors: Sequence[Array]) -> tuple[float, ...]:
+    """Mean over rotors of the means over their runs, (runs, 3) arrays; nan are left out."""
+    out = []
+    for column in range(3):
+        each = [e[:, column][np.isfinite(e[:, column])] for e in errors]
+        known = [float(e.mean()) for e in each if e.size]
+        out.append(float(np.mean(known)) if known else math.nan)
+    return tuple(out)

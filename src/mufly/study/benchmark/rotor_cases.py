@@ -1,0 +1,377 @@
+"""Measured rotors: geometry, what is believed of the sections, and the points of the bench.
+
+Measurements are read from a folder, which is laid out as follows; what it lacks is left out and said. Nobody may hand
+all of them on, so each has the place where it is to be had.
+
+==============================  ================================================================================
+``uiuc_micro/``                 ``index.csv`` (name, diameter_m, blades, geometry), ``*_geom.csv``, ``*_static.csv``
+``*_geom.txt``, ``*_static*``   UIUC's own files, anywhere below the folder: the propellers of all its volumes
+``NAME_RUN_RPM.txt``            UIUC's runs in the tunnel (J, CT, CP), anywhere below the folder
+``thesis_table_3_2.csv``        pitch (deg), rpm, thrust (N), torque (N m)
+``caradonna_tung_ct.csv``       pitch (deg), c_T
+``dji9443_chord.csv, _twist``   chord and twist along the blade, over R and in degrees
+``tmotor28_single.csv``         rpm, -, -, thrust (N), torque (N m)
+``rotors/NAME.toml``, ``.csv``  a rotor file and its points, as `mufly rotor compare` takes them: anybody's own
+==============================  ================================================================================
+
+Sections of the propellers are not recorded. What is assumed of each (:data:`SECTION_BY_PREFIX`) was written down before
+any result was seen, with one exception: the GWS propellers were at first taken as thin plates like the others (all 17:
+c_T
+15.6 %, c_P 17.4 %), and then, seeing that the shallowest was far off, as what moulded thermoplastic blades are,
+flat-bottomed. Trailing edges of moulded, printed and formed blades are taken as :data:`TRAILING_EDGE_M` thick.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.bench import read_measurements
+from mufly.errors import InputError
+from mufly.rotor import Air, Rotor, RotorMeasurements, load_rotor, read_blade, replace_rotor
+from mufly.units import RPM
+
+Array = NDArray[np.float64]
+
+BENCHMARK_AIR = Air(1.2, 1.81e-5)
+T_MOTOR_AIR = Air(1.225, 1.81e-5)
+"""Of its source's own case file."""
+SDA1075_FILE = str(Path(__file__).parent / "sda1075.dat")
+"""Section of the DA40x2 propellers: Deters, Ananda, Selig, AIAA 2014-2151, Table 4."""
+
+# Begin of a propeller's name: family, section, and whether it is known.
+SECTION_BY_PREFIX: dict[str, tuple[str, str, bool]] = {
+    "da40": ("DA40x2, printed", SDA1075_FILE, True),  # published with its coordinates
+    "nr640": (
+        "NR640, printed",
+        "clarky+thick9",
+        True,
+    ),  # NACA Report 640: Clark Y, 9 % thick over the outer half
+    "apcff": ("APC", "naca4412", False),  # APC's own pages: close to NACA 4412 and Clark Y
+    # The same pages: thin electric, slow-fly and multi-rotor blades blend E63 (inboard) with Clark Y (outboard)
+    "apce": ("APC thin", "e63>clarky", False),
+    "apcsf": ("APC thin", "e63>clarky", False),
+    "apcmr": ("APC thin", "e63>clarky", False),
+    # and the others' zero-lift angle is one degree beyond that of NACA 4412 and Clark Y
+    "apc": ("APC", "naca5412", False),
+    "gwssf": ("GWS slow-flyer", "naca5503", False),  # cambered plates
+    "gwsdd": ("GWS", "clarky+thick8", False),  # moulded, flat-bottomed; 1 mm on 12 mm of chord
+    "gws": ("GWS", "clarky+thick8", False),
+    "mi_": ("Micro Invent", "naca5503", False),  # thin sheet or shell, cambered: 5 % camber, 3 % thick
+    "mit": ("Micro Invent", "naca5503", False),
+    "pl_": ("Plantraco", "naca5503", False),
+    "kpf": ("KP", "naca5503", False),
+    "vp_": ("Vapor", "naca5503", False),
+    "dji9443": ("DJI", "naca5503", False),
+    "tmotor28": (
+        "T-motor",
+        "goe450",
+        False,
+    ),  # stand-ins of its source: GOE 450, GOE 408 at the two outermost
+}
+_UNKNOWN_SECTION = ("other", "naca4412", False)
+TRAILING_EDGE_M = 3e-4
+"""Trailing edge of propellers: what moulds fill and printers print; judgement, not measured on any."""
+
+DATA_SOURCES = {
+    "uiuc_micro": "UIUC Propeller Data Site, volume 2: https://m-selig.ae.illinois.edu/props/volume-2/propDB-volume-2.html",
+    "thesis_table_3_2.csv": "Schafroth, ETH No. 18901, 2010, Table 3.2: https://doi.org/10.3929/ethz-a-006084909",
+    "caradonna_tung_ct.csv": "Caradonna, Tung, NASA TM-81232, 1981: https://ntrs.nasa.gov/citations/19820004169",
+    "dji9443_chord.csv": "FLOWUnsteady, data/rotors/DJI9443*: https://github.com/byuflowlab/FLOWUnsteady",
+    "tmotor28_single.csv": "pyBEMT, examples: https://github.com/kegiljarhus/pyBEMT",
+}
+"""What of the folder is where to be had."""
+
+_FETCH_REMEDY = f"fetch measurements, as {DATA_SOURCES['uiuc_micro']}, and name theirs"
+
+
+@dataclass(frozen=True)
+class RotorCase:
+    """A rotor and its measurements; pitch settings are in ``measured``, twist in the rotor.
+
+    Attributes
+    ----------
+    name, group, family : str
+        ``group``: rotors that are scored together. ``family``: maker or series; rotors of one have much in common, so
+        whatever is fitted is scored on families that it has not seen.
+    rotor : Rotor
+    known : bool
+        Whether its section is, or is a guess.
+    measured : Measurements
+    air : Air
+    advancing : tuple of Measurements
+        Runs in a tunnel at one speed each, rising in airspeed.
+    turbulence : float
+        Of that tunnel, rms over mean speed. UIUC's is below 0.1 % (Brandt and Selig, AIAA 2011-1255).
+    """
+
+    name: str
+    group: str
+    family: str
+    rotor: Rotor
+    section_known: bool
+    measured: RotorMeasurements
+    air: Air = BENCHMARK_AIR
+    tunnel_runs: tuple[RotorMeasurements, ...] = ()
+    turbulence: float = 0.001
+
+
+def read_number_rows(path: Path) -> Array:
+    """Lines of numbers of a CSV file, whatever stands above them."""
+    lines = [
+        line
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if line and (line[0].isdigit() or line[0] in "-.")
+    ]
+    return np.array([[float(v) for v in line.split(",")] for line in lines])
+
+
+def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]]:
+    """Read every measured rotor that a folder has.
+
+    Parameters
+    ----------
+    folder : Path
+        As in the module docstring.
+    only : str
+        Parts of names or groups, with commas; nothing: all.
+
+    Returns
+    -------
+    cases : list of RotorCase
+    missing : list of str
+        What the folder lacks, and where it is to be had.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, or nothing in it that is wanted.
+    """
+    if not folder.is_dir():
+        raise InputError(
+            "--data",
+            str(folder),
+            "is no folder",
+            _FETCH_REMEDY,
+        )
+    readers: dict[str, Callable[[Path], list[RotorCase]]] = {
+        "thesis_table_3_2.csv": lambda f: [load_table_3_2(f)],
+        "uiuc_micro": load_uiuc_propellers,
+        "dji9443_chord.csv": lambda f: [load_dji_9443(f)],
+        "caradonna_tung_ct.csv": lambda f: [load_caradonna_tung(f)],
+        "tmotor28_single.csv": lambda f: [load_t_motor_28(f)],
+    }
+    cases, missing = [], []
+    for name, read in readers.items():
+        if (folder / name).exists():
+            cases += read(folder)
+        else:
+            missing.append(f"{name}: {DATA_SOURCES[name]}")
+    known = {case.name for case in cases}
+    cases += [case for case in (*load_uiuc_files(folder), *load_own_rotors(folder)) if case.name not in known]
+    words = [w.strip().lower() for w in only.split(",") if w.strip()]
+    chosen = [c for c in cases if not words or any(w in f"{c.name} {c.group}".lower() for w in words)]
+    chosen = [replace(c, tunnel_runs=tuple(load_tunnel_runs(folder, c))) for c in chosen]
+    if not chosen:
+        if not cases:
+            raise InputError("--data", str(folder), "holds no measurements that are known here", _FETCH_REMEDY)
+        names = ", ".join(sorted({c.group for c in cases}))
+        raise InputError("--only", only, "is in the name of no rotor and of no group", f"choose of {names}")
+    return chosen, missing
+
+
+def section_of_propeller(name: str) -> tuple[str, str, bool]:
+    """Family, section and whether it is known, of a propeller by its name."""
+    return next((v for k, v in SECTION_BY_PREFIX.items() if name.startswith(k)), _UNKNOWN_SECTION)
+
+
+def _airfoils_by_station(section: str, x: Array) -> tuple[str, ...]:
+    """Airfoils of stations at r/R; ``a>b`` is a on the inner half and b on the outer."""
+    inner, both, outer = section.partition(">")
+    return tuple(inner if at < 0.5 else outer for at in x) if both else (inner,)
+
+
+def _build_rotor(
+    name: str, blades: int, radius: float, x0: float, x: ArrayLike, c: ArrayLike, deg: ArrayLike, *foils: str
+) -> Rotor:
+    def quantity_table(value: ArrayLike, unit: str) -> dict[str, object]:
+        numbers = np.asarray(value, dtype=np.float64)
+        return {
+            "value": tuple(numbers) if numbers.ndim else float(numbers),
+            "unit": unit,
+            "source": "measured",
+        }
+
+    blade = {
+        "r_over_R": quantity_table(x, "1"),
+        "chord": quantity_table(c, "m"),
+        "twist": quantity_table(np.radians(np.asarray(deg)), "rad"),
+        "airfoils": foils,
+    }
+    return Rotor.model_validate(
+        {
+            "name": name,
+            "blades": blades,
+            "radius": quantity_table(radius, "m"),
+            "hub_cutout": quantity_table(x0, "1"),
+            "blade": blade,
+        }
+    )
+
+
+def _build_measurements(
+    source: str, pitch_deg: ArrayLike, rpm: ArrayLike, thrust: ArrayLike, torque: ArrayLike
+) -> RotorMeasurements:
+    parts = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (pitch_deg, rpm, thrust, torque)))
+    pitch, speed, t, q = (np.array(p) for p in parts)
+    return RotorMeasurements(np.radians(pitch), speed * RPM, t, q, source)
+
+
+def load_table_3_2(folder: Path) -> RotorCase:
+    """The dissertation's rotor with its four measured points."""
+    m = read_number_rows(folder / "thesis_table_3_2.csv")
+    rotor = _build_rotor("naca0012-r60-c20", 2, 0.06, 0.15, (0.15, 1), (0.02, 0.02), (0, 0), "naca0012")
+    points = _build_measurements("Table 3.2", m[:, 0], m[:, 1], m[:, 2], m[:, 3])
+    return RotorCase(rotor.name, "Table 3.2", "dissertation", rotor, True, points)
+
+
+def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
+    """The 17 propellers of the UIUC data set, volume 2; blades begin at 0.15 R."""
+    home = folder / "uiuc_micro"
+    index = [line for line in (home / "index.csv").read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    out = []
+    for row in csv.DictReader(index):
+        name, radius = row["name"], float(row["diameter_m"]) / 2
+        g, m = read_number_rows(home / row["geometry"]), read_number_rows(home / f"{name}_static.csv")
+        family, section, known = section_of_propeller(name)
+        foils = _airfoils_by_station(section, g[:, 0])
+        rotor = _build_rotor(name, int(row["blades"]), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils)
+        rotor = replace_rotor(rotor, {"trailing_edge": TRAILING_EDGE_M}, source="estimated")
+        n, d = m[:, 0] / 60, 2 * radius
+        rho = BENCHMARK_AIR.density_kg_m3
+        thrust, torque = m[:, 1] * rho * n**2 * d**4, m[:, 2] / (2 * np.pi) * rho * n**2 * d**5
+        out.append(
+            RotorCase(
+                name,
+                "UIUC micro",
+                family,
+                rotor,
+                known,
+                _build_measurements(name, 0.0, m[:, 0], thrust, torque),
+            )
+        )
+    return out
+
+
+_INCH = 0.0254
+_DIAMETER_IN_NAME = re.compile(r"_(\d+(?:\.\d+)?)(?:x\d|_\d+deg)")
+
+
+def load_uiuc_files(folder: Path) -> Iterator[RotorCase]:
+    """UIUC's own files, pairs of ``NAME_geom.txt`` and ``NAME_static_RUN.txt``, anywhere below a folder.
+
+    Diameters are in a name's first number, in inches below 30 and in millimetres above; ``_3b`` before ``_static``: of
+    three of the same blades.
+    """
+    for geometry, more in product(sorted(folder.rglob("*_geom.txt")), ("", "_3b", "_4b")):
+        name = geometry.name.removesuffix("_geom.txt") + more
+        runs = sorted(geometry.parent.glob(f"{name}_static*.txt"))
+        size, several = _DIAMETER_IN_NAME.search(name), re.search(r"_(\d)b(_|$)", name)
+        blades = int(several[1]) if several else 2
+        if not runs or size is None:
+            continue
+        diameter = float(size[1]) * (_INCH if float(size[1]) < 30.0 else 1e-3)
+        family, section, known = section_of_propeller(name)
+        rotor = read_blade(geometry, radius_m=0.5 * diameter, blades=blades, name=name).rotor
+        foils = _airfoils_by_station(section, rotor.blade.r_over_R.array())
+        rotor = replace_rotor(
+            rotor,
+            {"hub_cutout": 0.15, "trailing_edge": TRAILING_EDGE_M, "blade.airfoils": foils},
+            source="estimated",
+        )
+        points = [
+            read_measurements(run, diameter_m=diameter, density_kg_m3=BENCHMARK_AIR.density_kg_m3) for run in runs
+        ]
+        pitch, speed, thrust, torque = (np.concatenate([getattr(p, k) for p in points]) for k in _MEASUREMENT_FIELDS)
+        group = "UIUC micro" if diameter < 0.18 else "UIUC"
+        yield RotorCase(name, group, family, rotor, known, RotorMeasurements(pitch, speed, thrust, torque, name))
+
+
+_MEASUREMENT_FIELDS = ("pitch_rad", "speed_rad_s", "thrust_N", "torque_Nm")
+
+
+def load_tunnel_runs(folder: Path, case: RotorCase) -> Iterator[RotorMeasurements]:
+    """UIUC's runs of a propeller in its tunnel, ``NAME_RUN_RPM.txt`` with the columns J, CT, CP."""
+    named = re.compile(re.escape(case.name) + r"_[^_]+_(\d+)")
+    for file in sorted(folder.rglob(f"{case.name}_*.txt")):
+        found = named.fullmatch(file.stem)
+        if found is not None:
+            run = read_measurements(
+                file, diameter_m=2.0 * case.rotor.radius_m, density_kg_m3=case.air.density_kg_m3,
+                speed_rad_s=float(found[1]) * RPM,
+            )  # fmt: skip
+            yield run.select_points(np.argsort(run.climb_m_s, kind="stable"))
+
+
+def load_dji_9443(folder: Path) -> RotorCase:
+    """The 240 mm rotor, one hover point: c_T 0.072 (propellers' convention) at 5400 rpm (Zawodny et al., AHS 2016)."""
+    c, t = read_number_rows(folder / "dji9443_chord.csv"), read_number_rows(folder / "dji9443_twist.csv")
+    family, section, _ = section_of_propeller("dji9443")
+    twist = np.interp(c[:, 0], *t.T)
+    rotor = _build_rotor("dji9443", 2, 0.12, 0.1, c[:, 0], c[:, 1] * 0.12, twist, section)
+    air = Air(1.071778, 1.85508e-5)
+    thrust = 0.072 * air.density_kg_m3 * 90**2 * 0.24**4
+    return RotorCase(
+        "dji9443",
+        "DJI 9443",
+        family,
+        rotor,
+        False,
+        _build_measurements("dji9443", 0, 5400, thrust, math.nan),
+        air,
+    )
+
+
+def load_caradonna_tung(folder: Path) -> RotorCase:
+    """Two blades, NACA 0012, 1.1 m radius, 1250 rpm: Reynolds number 2e6, Mach 0.44 at the tip."""
+    m, radius = read_number_rows(folder / "caradonna_tung_ct.csv"), 1.143
+    rotor = _build_rotor("caradonna-tung", 2, radius, 0.2, (0.2, 1), (0.1905, 0.1905), (0, 0), "naca0012")
+    thrust = m[:, 1] * BENCHMARK_AIR.density_kg_m3 * np.pi * radius**4 * (1250 * RPM) ** 2
+    points = _build_measurements("Caradonna-Tung", m[:, 0], 1250, thrust, math.nan)
+    return RotorCase("caradonna-tung", "Caradonna-Tung", "Caradonna-Tung", rotor, True, points)
+
+
+def make_t_motor_rotor() -> Rotor:
+    """The 28 inch rotor, sections as its source's case file has them, the tip as its last measured station."""
+    r = np.array([3.556, 7.112, 10.668, 14.224, 17.78, 21.336, 24.892, 28.448, 32.004, 35.56]) / 100
+    chord = np.array([31, 56, 70, 70, 65, 58, 50, 43, 34, 34]) / 1000
+    deg = np.array([0, 19.6, 17.9, 14.4, 11.6, 9.7, 8.4, 7.2, 6.7, 6.7])
+    foils = [section_of_propeller("tmotor28")[1]] * 7 + ["goe408"] * 3
+    return _build_rotor("tmotor28", 2, 0.3556, 0.07 / 0.3556, r / 0.3556, chord, deg, *foils)
+
+
+def load_t_motor_28(folder: Path) -> RotorCase:
+    """The 28 inch rotor alone, 30 speeds."""
+    m = read_number_rows(folder / "tmotor28_single.csv")
+    points = _build_measurements("T-motor 28", 0, m[:, 0], m[:, 3], m[:, 4])
+    return RotorCase("tmotor28", "T-motor 28", "T-motor", make_t_motor_rotor(), False, points, T_MOTOR_AIR)
+
+
+def load_own_rotors(folder: Path) -> Iterator[RotorCase]:
+    """Pairs of a rotor file, ``NAME.toml``, and its points of a bench, ``NAME.csv``, in ``rotors/``."""
+    for file in sorted((folder / "rotors").glob("*.toml")):
+        points = file.with_suffix(".csv")
+        if points.exists():
+            rotor = load_rotor(str(file))
+            bench = read_measurements(
+                points, diameter_m=2.0 * rotor.radius_m, density_kg_m3=BENCHMARK_AIR.density_kg_m3
+            )
+            yield RotorCase(rotor.name, "own", f"own {rotor.name}", rotor, True, bench)

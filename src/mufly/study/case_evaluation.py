@@ -1,0 +1,590 @@
+"""Cases of a study: rotor or pair, polars, blade elements or a wake, and the drive train where there is one.
+
+A case is a dictionary of parameters (SI values): what it does not name comes from the rotors and the drive of the
+study. Of a single rotor (``parameters.PARAMETERS``) it says the pitch and one of
+
+* ``speed``: the rotor is evaluated at it;
+* ``thrust``: the speed is found that gives it;
+* ``duty``: the speed is found at which rotor and motor settle (eq. 3.18), at ``voltage`` times duty.
+
+With a thrust the gear may be ``"adapted"`` (full voltage gives just the thrust, as in the dissertation's Sec. 3.4) or
+``"best"`` (least power at any duty); see ``drive.gear``. Of a coaxial pair (``parameters.PAIR``) it says spacing, pitch
+(or the pitch of each rotor) and one of
+
+* ``upper_speed`` with ``lower_speed`` or ``speed_ratio``: the pair is evaluated at these speeds;
+* ``upper_speed`` alone: the lower speed is found at which the torques cancel;
+* ``thrust``: both speeds are found, torques cancelled.
+
+With ``free = "lower-pitch"`` the lower pitch cancels the torques instead, at the speeds given, or, with a thrust, at
+speeds of the ratio given (1 if none is).
+
+Single rotors by blade elements are solved many at once; wakes and pairs one after the other. A case that cannot be
+solved gets nan and a reason, and does not disturb the others.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.drive import (
+    MotorConstants,
+    RotorLoad,
+    adapted_gear_ratio,
+    best_gear_ratio,
+    compute_operating_point,
+    find_speed_at_voltage,
+    find_speed_for_thrust,
+    make_blade_load,
+)
+from mufly.errors import InputError, MuflyError
+from mufly.results import result
+from mufly.rotor import (
+    MAX_TIP_SPEED_M_S,
+    Air,
+    OperatingCondition,
+    PolarTable,
+    Rotor,
+    RotorResult,
+    RotorSystem,
+    SystemSolution,
+    compute_polars,
+    prepare_blading,
+    solve_rotor,
+    solve_system,
+)
+from mufly.rotor.wake import WakeSettings, check_rotors
+from mufly.study.study_parameters import GEOMETRY_PARAMETERS, ParameterValue
+from mufly.study.study_setup import SINGLE_OF_PAIR_OUTPUTS, StudySetup, check_parameters, reshape_rotor
+
+Array = NDArray[np.float64]
+StudyCase = Mapping[str, ParameterValue]
+WakeProgress = Callable[[int, float, float], None]
+
+_MOTOR_FIELDS = {
+    "back_emf": "back_emf_V_s",
+    "torque_constant": "torque_Nm_A",
+    "resistance": "resistance_ohm",
+    "friction": "friction_Nm_s",
+    "friction_torque": "friction_Nm",
+    "gear_efficiency": "gear_efficiency",
+    "controller_efficiency": "controller_efficiency",
+}
+
+
+@result(eq=False)
+class StudyResults:
+    """Answers in the order of the cases: ``values[name]`` (n,), nan where ``fault[k]`` is not empty."""
+
+    values: dict[str, Array]
+    fault: list[str]
+
+
+_POLAR_CACHE: dict[tuple[str, float, str, str], PolarTable | str] = {}  # polars that were used last
+_MAX_CACHED_POLARS = 300  # a third of a megabyte each
+_POLAR_LOCK = threading.Lock()
+
+
+def load_polar_tables(names: Sequence[str], n_crit: float, setup: StudySetup) -> dict[str, PolarTable | str]:
+    """Polars of airfoils, or the reason why there is none; those not at hand are computed together, on all cores."""
+    key = {name: (name, n_crit, setup.polar_engine, setup.polar_model) for name in names}
+    with _POLAR_LOCK:
+        missing = [name for name in names if key[name] not in _POLAR_CACHE]
+        if missing:
+            faults: dict[str, str] = {}
+            found = compute_polars(
+                missing,
+                n_crit=n_crit,
+                model=setup.polar_model,
+                faults=faults,
+                engine=setup.polar_engine,  # type: ignore[arg-type]
+            )
+            answer: dict[str, PolarTable | str] = {n: _POLAR_CACHE[key[n]] for n in names if key[n] in _POLAR_CACHE}
+            while _POLAR_CACHE and len(_POLAR_CACHE) + len(missing) > _MAX_CACHED_POLARS:
+                _POLAR_CACHE.pop(next(iter(_POLAR_CACHE)))
+            new = {name: found[name] if name in found else faults[name] for name in missing}
+            _POLAR_CACHE.update({key[name]: table for name, table in new.items()})
+            return {**answer, **new}
+        return {name: _POLAR_CACHE[key[name]] for name in names}
+
+
+def evaluate_cases(setup: StudySetup, cases: Sequence[StudyCase]) -> StudyResults:
+    """Solve cases.
+
+    Parameters
+    ----------
+    setup : Setup
+    cases : sequence of mappings
+        All with the same keys; see the module docstring.
+
+    Returns
+    -------
+    Results
+        By blade elements, bit by bit the same however the cases are grouped into calls; by the wake method, which
+        starts from the last wake, within its tolerance.
+
+    Raises
+    ------
+    InputError
+        If the parameters make no sense together (see :func:`check_parameters`).
+    MuflyError
+        If the polar engine is not installed.
+    """
+    check_parameters(setup, list(cases[0]) if cases else [])
+    out = StudyResults({name: np.full(len(cases), np.nan) for name in setup.output_meanings()}, [""] * len(cases))
+    full = [{**setup.fixed_parameters, **case} for case in cases]
+    if setup.lower_rotor is not None:
+        for k, case in enumerate(full):
+            try:
+                row = _pair_results(_solve_from_last_wake(setup, partial(solve_case, setup, case)))
+            except MuflyError as error:
+                out.fault[k] = str(error)
+                continue
+            for name, value in row.items():
+                out.values[name][k] = value
+        return out
+    rotors: dict[Any, Rotor | str] = {}
+    keys = []
+    groups: dict[tuple[float, float, float], list[int]] = {}
+    air = Air()
+    for k, case in enumerate(full):
+        key = tuple((name, case[name]) for name in GEOMETRY_PARAMETERS if name in case)
+        if key not in rotors:
+            try:
+                rotors[key] = reshape_rotor(setup.rotor, dict(key))
+            except MuflyError as error:
+                rotors[key] = str(error)
+        keys.append(key)
+        shape = rotors[key]
+        if isinstance(shape, str):
+            out.fault[k] = shape
+            continue
+        conditions = (
+            float(case.get("n_crit", 0.1)),
+            float(case.get("density", air.density_kg_m3)),
+            float(case.get("viscosity", air.viscosity_Pa_s)),
+        )
+        groups.setdefault(conditions, []).append(k)
+    for (n_crit, density, viscosity), members in groups.items():
+        _evaluate_group(setup, full, members, rotors, keys, n_crit, Air(density, viscosity), out)
+    return out
+
+
+def _evaluate_group(
+    setup: StudySetup,
+    full: Sequence[StudyCase],
+    members: list[int],
+    rotors: Mapping[Any, Rotor | str],
+    keys: Sequence[Any],
+    n_crit: float,
+    air: Air,
+    out: StudyResults,
+) -> None:
+    """Solve the cases that share air and polars."""
+    shapes = {keys[k]: rotors[keys[k]] for k in members}
+    names = list(dict.fromkeys(n for r in shapes.values() if isinstance(r, Rotor) for n in r.airfoil_names()))
+    try:
+        tables = load_polar_tables(names, n_crit, setup)
+    except InputError as error:  # an impossible n_crit
+        for k in members:
+            out.fault[k] = str(error)
+        return
+    used: dict[Any, int] = {}
+    many: list[Rotor] = []
+    solved = []
+    for k in members:
+        rotor = shapes[keys[k]]
+        assert isinstance(rotor, Rotor)
+        bad = [t for t in (tables[n] for n in rotor.airfoil_names()) if isinstance(t, str)]
+        if bad:
+            out.fault[k] = bad[0]
+            continue
+        if keys[k] not in used:
+            used[keys[k]] = len(many)
+            many.append(rotor)
+        solved.append(k)
+    if not solved:
+        return
+    blading = prepare_blading(
+        many,
+        {n: t for n, t in tables.items() if isinstance(t, PolarTable)},
+        corrections=setup.corrections,
+        stations=setup.station_count,
+    )
+    index = np.array(solved)
+    which = np.array([used[keys[k]] for k in solved])
+
+    def parameter_column(name: str, default: float | Array) -> Array:
+        values = [full[k].get(name) for k in solved]
+        if values and values[0] is None:
+            return np.broadcast_to(np.asarray(default, dtype=np.float64), (len(solved),)).copy()
+        return np.array([float(v) for v in values if v is not None], dtype=np.float64)
+
+    pitch, climb = parameter_column("pitch", 0.0), parameter_column("climb", 0.0)
+    load = make_blade_load(blading, pitch_rad=pitch, which=which, climb_m_s=climb, air=air)
+    constants, voltage = _drive_columns(setup, parameter_column)
+    everyone = np.arange(index.size)
+    radius = blading.radius_m[which]
+    first = full[solved[0]]
+
+    def find_speed(what: RotorLoad) -> Array:
+        if "thrust" in first:
+            return find_speed_for_thrust(what, parameter_column("thrust", 0.0), highest=MAX_TIP_SPEED_M_S / radius)[0]
+        assert constants is not None
+        return find_speed_at_voltage(constants, what, parameter_column("duty", 1.0) * voltage)[0]
+
+    if "speed" in first:
+        speed, why = parameter_column("speed", 0.0), "the speed is not a number above 0"
+    elif "thrust" in first:
+        speed, why = (
+            find_speed(load),
+            f"thrust out of reach of this rotor at any tip speed up to {MAX_TIP_SPEED_M_S:g} m/s",
+        )
+    else:
+        speed, why = find_speed(load), "rotor and motor settle at no speed"
+    good = np.isfinite(speed) & (speed > 0)
+    thrust, torque = np.full(index.size, np.nan), np.full(index.size, np.nan)
+    reasons = np.where(good, "", why).astype(object)
+    share, core = np.full(index.size, np.nan), np.full(index.size, np.nan)
+    if setup.method == "wake":
+        for k in np.flatnonzero(good).tolist():
+            at = OperatingCondition(float(pitch[k]), float(speed[k]), climb_m_s=float(climb[k]), air=air)
+            system = RotorSystem.single_rotor(blading, which=int(which[k]))
+            try:
+                now = _solve_by_wake(setup, system, at, load, k, None if "speed" in first else find_speed)
+            except MuflyError as error:
+                reasons[k] = str(error)
+                continue
+            r = now.rotors[0]
+            speed[k], thrust[k], torque[k], share[k] = r.speed_rad_s, r.thrust_N, r.torque_Nm, r.outside_share
+            core[k] = _core_limit(now)
+    elif good.any():
+        thrust[good], torque[good] = load(speed[good], everyone[good])
+    scale = air.density_kg_m3 * np.pi * radius**4 * speed**2
+    power = torque * speed
+    with np.errstate(invalid="ignore", divide="ignore"):
+        merit = thrust * np.sqrt(np.maximum(thrust, 0) / (2 * air.density_kg_m3 * np.pi * radius**2)) / power
+    chord = np.array([float(rotor.chord_m(0.75)) for rotor in many])[which]
+    answers = {
+        "thrust_N": thrust,
+        "torque_Nm": torque,
+        "power_W": power,
+        "speed_rad_s": speed,
+        "figure_of_merit": np.where((thrust > 0) & (power > 0), merit, np.nan),
+        "c_T": thrust / scale,
+        "c_Q": torque / (scale * radius),
+        "reynolds_75": 0.75 * speed * radius * chord * air.density_kg_m3 / air.viscosity_Pa_s,
+    }
+    if constants is not None:
+        _add_drive_results(first.get("gear"), constants, voltage, answers, reasons)
+    if setup.method == "wake":
+        answers["core_limit"] = core
+    elif setup.with_outside_share:
+        for k in np.flatnonzero(reasons == "").tolist():
+            at_k = {
+                "pitch_rad": pitch[k],
+                "speed_rad_s": speed[k],
+                "climb_m_s": climb[k],
+                "which": int(which[k]),
+            }
+            share[k] = solve_rotor(blading, air=air, **at_k).outside_share
+    if setup.with_outside_share:
+        answers["outside_share"] = share
+    for name, values in answers.items():
+        out.values[name][index] = np.where(reasons == "", values, np.nan)
+    for case, reason in zip(solved, reasons, strict=True):
+        out.fault[case] = str(reason)
+
+
+def _drive_columns(setup: StudySetup, column: Any) -> tuple[MotorConstants | None, Array]:
+    """Constants of the drive with what the cases change, as columns, and the supply voltage."""
+    if setup.drive is None:
+        return None, np.zeros(0)
+    own = setup.drive.motor_constants()
+    values = {key: column(name, float(np.asarray(getattr(own, key)))) for name, key in _MOTOR_FIELDS.items()}
+    assert {*values, "gear_ratio"} == {f.name for f in fields(MotorConstants)}
+    gear = setup.fixed_parameters.get("gear")
+    ratio = (
+        column("voltage", 0.0) * 0 + 1.0 if isinstance(gear, str) else column("gear", float(np.asarray(own.gear_ratio)))
+    )
+    return MotorConstants(gear_ratio=ratio, **values), column("voltage", float(setup.drive.battery.nominal_voltage))
+
+
+def _add_drive_results(
+    gear: ParameterValue | None,
+    constants: MotorConstants,
+    voltage: Array,
+    answers: dict[str, Array],
+    reasons: NDArray[Any],
+) -> None:
+    """Add what the drive makes of speed and torque."""
+    speed, torque = answers["speed_rad_s"], answers["torque_Nm"]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        if gear in ("adapted", "best"):
+            find = adapted_gear_ratio if gear == "adapted" else best_gear_ratio
+            ratio = find(constants, speed, torque, voltage)
+        else:
+            ratio = np.asarray(constants.gear_ratio)
+        values = {f.name: getattr(constants, f.name) for f in fields(constants)}
+        point = compute_operating_point(
+            MotorConstants(**{**values, "gear_ratio": ratio}), speed, answers["thrust_N"], torque, voltage
+        )
+    answers |= {
+        "electrical_power_W": point.input_power_W,
+        "thrust_per_power_N_W": point.thrust_per_power_N_W,
+        "efficiency": point.efficiency,
+        "gear_ratio": ratio,
+        "duty": point.duty,
+        "motor_current_A": point.motor_current_A,
+    }
+    for k in np.flatnonzero(reasons == ""):
+        if not np.isfinite(ratio[k]):
+            reasons[k] = f"the motor has not the {answers['power_W'][k]:.3g} W that the rotor needs, at any gear ratio"
+        elif point.duty[k] > 1.0 + 1e-9:
+            reasons[k] = f"the motor needs {point.motor_voltage_V[k]:.3g} V, the supply gives {voltage[k]:.3g} V"
+
+
+# ----------------------------------------------------------------------------
+# One case at a time: a wake, or a pair.
+#
+# Neighbouring cases start from each other's wake. A wake so begun agrees with one begun afresh within the tolerance
+# of convergence, not bit by bit; a case that does not converge that way is begun afresh before it is called failed. A
+# wake that settled only with thicker cores than the one remembered is no start for others: they would inherit them.
+
+# The wake's sums run on all cores by themselves, and Numba's plain threading layer serves one caller at a time.
+_WAKE_LOCK = threading.Lock()
+_LAST_WAKES: dict[int, tuple[WakeSettings, SystemSolution]] = {}  # by number of rotors: the last converged wake
+_SPEED_TOLERANCE = 5e-4  # of the speed: 0.1 % of the thrust
+_MAX_WAKE_SOLUTIONS = 8
+
+
+def _core_limit(result: SystemSolution) -> float:
+    limit = None if result.settings is None else result.settings.core_limit
+    return np.nan if limit is None else limit
+
+
+def _solve_from_last_wake(setup: StudySetup, solved: Callable[..., SystemSolution]) -> SystemSolution:
+    """Solve from the last wake of this kind, afresh if that does not converge; by blade elements just solve.
+
+    Raises
+    ------
+    MuflyError
+        If it does not converge afresh either.
+    """
+    if setup.method != "wake":
+        return solved(start=None)
+    kind = len(setup.rotors)
+    with _WAKE_LOCK:
+        settings, known = _LAST_WAKES.get(kind, (None, None))
+        known = known if settings == setup.wake_settings else None
+        now: SystemSolution | None = None
+        if known is not None:
+            try:
+                now = solved(start=known)
+            except InputError:
+                raise
+            except MuflyError:
+                now = None
+        if now is None or not now.converged:
+            now = solved(start=None)
+        if not now.converged:
+            raise MuflyError(f"wake {now.message}")
+        if known is None or np.nan_to_num(_core_limit(now)) <= np.nan_to_num(_core_limit(known)):
+            _LAST_WAKES[kind] = (setup.wake_settings, now)
+        return now
+
+
+def _solve_by_wake(
+    setup: StudySetup,
+    system: RotorSystem,
+    at: OperatingCondition,
+    load: RotorLoad,
+    k: int,
+    find: Callable[[RotorLoad], Array] | None,
+) -> SystemSolution:
+    """Solve case ``k`` by the wake method, at its speed or, with ``find``, at the speed sought.
+
+    That speed is found with blade element theory (``load``) scaled to the wake at the last speed, until it stands
+    still.
+    """
+    omega = float(np.asarray(at.speed_rad_s))
+    for _ in range(_MAX_WAKE_SOLUTIONS):
+        point = replace(at, speed_rad_s=omega)
+        now = _solve_from_last_wake(setup, partial(solve_system, system, point, "wake", settings=setup.wake_settings))
+        if find is None:
+            return now
+        thrust, torque = load(np.array([omega]), np.array([k]))
+        r = now.rotors[0]
+        by_thrust, by_torque = float(r.thrust_N / thrust[0]), float(r.torque_Nm / torque[0])
+        if not (0.1 < by_thrust < 10.0 and 0.1 < by_torque < 10.0):
+            raise MuflyError("wake and blade element theory are too far apart to look for a speed")
+
+        def scaled_load_of(
+            speed: Array, index: NDArray[np.int64], f: tuple[float, float] = (by_thrust, by_torque)
+        ) -> tuple[Array, Array]:
+            thrust, torque = load(speed, index)
+            return thrust * f[0], torque * f[1]
+
+        following = float(find(scaled_load_of)[k])
+        if not np.isfinite(following):
+            raise MuflyError("the wake method finds no speed for it")
+        if abs(following / omega - 1.0) <= max(_SPEED_TOLERANCE, 0.5 * setup.wake_settings.tolerance):
+            return now
+        omega = following
+    raise MuflyError(f"the speed does not stand still in {_MAX_WAKE_SOLUTIONS} wakes")
+
+
+def build_system(setup: StudySetup, case: StudyCase | None = None) -> RotorSystem:
+    """Return the rotors of a case, reshaped, laid out and placed.
+
+    Raises
+    ------
+    MuflyError
+        If a shape is impossible or an airfoil has no polar.
+    """
+    every = {**setup.fixed_parameters, **(case or {})}
+    if setup.lower_rotor is None:
+        shapes = [reshape_rotor(setup.rotor, {n: every[n] for n in GEOMETRY_PARAMETERS if n in every})]
+    else:
+        shapes = [
+            reshape_rotor(r, {n: every[f"{side}_{n}"] for n in ("chord", "taper", "twist") if f"{side}_{n}" in every})
+            for side, r in zip(("upper", "lower"), setup.rotors, strict=True)
+        ]
+    names = list(dict.fromkeys(n for r in shapes for n in r.airfoil_names()))
+    tables = {}
+    for name, table in load_polar_tables(names, float(every.get("n_crit", 0.1)), setup).items():
+        if isinstance(table, str):
+            raise MuflyError(table)
+        tables[name] = table
+    laid = [prepare_blading(r, tables, corrections=setup.corrections, stations=setup.station_count) for r in shapes]
+    return (
+        RotorSystem.single_rotor(laid[0])
+        if setup.lower_rotor is None
+        else RotorSystem.coaxial_pair(*laid, spacing_m=float(every["spacing"]))
+    )
+
+
+def build_condition(setup: StudySetup, case: StudyCase | None = None) -> OperatingCondition:
+    """Return what a case gives, and by leaving it out, what is to be found.
+
+    Raises
+    ------
+    InputError
+        If the parameters make no sense together, or the case gives a duty, which :func:`evaluate_cases` takes.
+    """
+    every = {**setup.fixed_parameters, **(case or {})}
+    check_parameters(setup, every)
+    number = {k: float(v) for k, v in every.items() if not isinstance(v, str)}
+    still = Air()
+    air = Air(number.get("density", still.density_kg_m3), number.get("viscosity", still.viscosity_Pa_s))
+    thrust, climb = number.get("thrust"), number.get("climb", 0.0)
+    if setup.lower_rotor is None:
+        if "duty" in number:
+            raise InputError("study", "duty", "is no condition of the rotor alone", "give a speed or a thrust")
+        return OperatingCondition(number["pitch"], number.get("speed"), thrust, climb, air)
+    above = number.get("upper_pitch", number.get("pitch"))
+    below = None if setup.balance_by == "lower-pitch" else number.get("lower_pitch", number.get("pitch", above))
+    first = number.get("upper_speed")
+    if setup.balance_by == "lower-pitch" or "lower_speed" in number or "speed_ratio" in number:
+        start = 300.0 if first is None else first
+        second = number.get("lower_speed", start * number.get("speed_ratio", 1.0))
+        return OperatingCondition((above, below), (start, second), thrust, climb, air)
+    return OperatingCondition((above, below), None if first is None else (first, None), thrust, climb, air)
+
+
+def solve_case(
+    setup: StudySetup,
+    case: StudyCase | None = None,
+    *,
+    system: RotorSystem | None = None,
+    start: SystemSolution | None = None,
+    progress: WakeProgress | None = None,
+) -> SystemSolution:
+    """Solve one case, with all that :func:`mufly.rotor.solve_system` answers.
+
+    Parameters
+    ----------
+    setup : Setup
+    case : mapping, optional
+        What changes from ``setup.fixed``; see the module docstring.
+    system : System, optional
+        From :func:`build_system`, if it is at hand.
+    start : Result, optional
+        A similar one to start from.
+    progress : callable, optional
+        Of the wake: iteration, residual, thrust (N).
+
+    Raises
+    ------
+    InputError
+        If parameters make no sense together, or the blades would touch.
+    MuflyError
+        If no balance is found. A single wake that does not converge is returned, marked so.
+    """
+    condition = build_condition(setup, case)
+    system = system or build_system(setup, case)
+    if setup.lower_rotor is not None:
+        above, below = condition.pitch_rad  # type: ignore[misc]
+        first, second = condition.speed_rad_s or (300.0, None)  # type: ignore[misc]
+        pitches = (above, above if below is None else below)
+        speeds = (first, first if second is None else second)
+        check_rotors(system.place_rotors(pitches, speeds), condition.climb_m_s)  # type: ignore[arg-type]
+    method = setup.method
+    return solve_system(system, condition, method, settings=setup.wake_settings, start=start, progress=progress)  # type: ignore[arg-type]
+
+
+def solve_isolated_rotors(
+    setup: StudySetup, point: SystemSolution, progress: WakeProgress | None = None
+) -> tuple[RotorResult, ...]:
+    """Return each rotor of a point without the others: same pitch, speed and climb.
+
+    Raises
+    ------
+    MuflyError
+        If a wake does not converge.
+    """
+    out: list[RotorResult] = []
+    keys: list[Any] = []
+    for k, (r, placed) in enumerate(zip(point.rotors, point.placed, strict=True)):
+        blading = placed.blading
+        key = (blading.rotors, r.pitch_rad, r.speed_rad_s)
+        if key in keys:
+            out.append(out[keys.index(key)])
+        else:
+            at = OperatingCondition(r.pitch_rad, r.speed_rad_s, climb_m_s=r.climb_m_s, air=point.air)
+            now = solve_system(
+                RotorSystem.single_rotor(blading),
+                at,
+                point.method,
+                settings=setup.wake_settings,
+                progress=progress,
+            )
+            if not now.converged:
+                raise MuflyError(f"coaxial: the wake of the {('upper', 'lower')[k]} rotor alone is {now.message}")
+            out.append(now.rotors[0])
+        keys.append(key)
+    return tuple(out)
+
+
+def _pair_results(point: SystemSolution) -> dict[str, float]:
+    """Return what a study of pairs keeps of a point."""
+    up, low = point.upper, point.lower
+    row = {
+        "thrust_N": point.thrust_N,
+        "power_W": point.power_W,
+        "yaw_torque_Nm": point.yaw_torque_Nm,
+        "figure_of_merit": point.figure_of_merit,
+        "thrust_ratio": low.thrust_N / up.thrust_N,
+        "torque_ratio": low.torque_Nm / up.torque_Nm,
+        "iterations": float(point.iterations) if point.wakes else np.nan,
+        "core_limit": _core_limit(point),
+    }
+    for side, r in (("upper", up), ("lower", low)):
+        row |= {f"{side}_{key}": float(getattr(r, key)) for key in SINGLE_OF_PAIR_OUTPUTS}
+    return row

@@ -1,0 +1,669 @@
+"""A better rotor within limits, and what each change of it brought.
+
+Differential evolution (Storn and Price, J. Global Optimization 11, 1997; SciPy's, with a seed, so that it
+repeats) over what is free, the pitch always included. A generation is evaluated as one batch. The gear, where
+free, costs no search: for every candidate it is the one of least power in closed form (``drive.best_gear_ratio``).
+Airfoils are numbered in the order of a ranking on the rotor at the start, so that neighbours in number are
+neighbours in merit. Cases that fail or break a limit count as worse than every case that does not, the more so
+the more they break it.
+
+Goals, at a given thrust of each rotor: ``thrust-per-power`` is thrust over electrical power; ``endurance`` is
+the time that the drive's battery holds all its rotors (``drive.hover_endurance``). For endurance the gear is
+chosen for the battery's low voltage, not its nominal one, because a motor that needs more voltage ends the
+hover sooner.
+
+What each change brought: from the rotor at the start, at its own best pitch, the changes are made one after the
+other, each time the one that gains most, and the pitch is set anew (quarter of a degree). The gains depend on
+that order; they multiply to the whole.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import differential_evolution, minimize
+
+from mufly.drive import hover_endurance
+from mufly.errors import InputError, MuflyError, suggest_name
+from mufly.result_figure import enable_notebook_display
+from mufly.results import result
+from mufly.rotor import (
+    MAX_TIP_SPEED_M_S,
+    OperatingCondition,
+    Rotor,
+    RotorSystem,
+    SystemSolution,
+    blade_picture,
+    is_polar_file,
+    load_airfoil,
+    replace_rotor,
+    rotor_loads_picture,
+    solve_system,
+)
+from mufly.rotor.wake import check_rotors
+from mufly.study.case_evaluation import build_condition, build_system, evaluate_cases, solve_case
+from mufly.study.study_parameters import (
+    GEOMETRY_PARAMETERS,
+    PAIR_PARAMETERS,
+    SEARCH_RANGES,
+    DesignLimit,
+    parse_quantity,
+    search_bounds,
+)
+from mufly.study.study_setup import StudySetup, reshape_rotor
+from mufly.study.sweeps import rank_airfoils
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+ProgressCallback = Callable[[int, int], None]
+
+_GENERATIONS = 60
+_POPULATION = 12  # times the number of unknowns
+
+
+@result
+class DesignStep:
+    """One change of a rotor.
+
+    Attributes
+    ----------
+    parameter : str
+    value : float or str
+        Its value (SI) or name.
+    goal, gain : float
+        The goal after it, and the share that the change brought.
+    pitch_rad : float
+        Where it is best.
+    """
+
+    parameter: str
+    value: float | str
+    goal: float
+    gain: float
+    pitch_rad: float
+
+
+@result
+class RotorOptimum:
+    """A better rotor.
+
+    Attributes
+    ----------
+    rotor : Rotor
+    pitch_rad : float
+    changes : dict
+        Parameters that differ from the start, in SI units; the gear as found.
+    goal : str
+    before, after : float
+        The goal (N/W or s) at the start, at its best pitch, and now.
+    steps : tuple of Step
+        From the start to the end.
+    results : dict
+        What :func:`mufly.study.evaluate_cases` answers for the better rotor, ``min_thickness_m`` and ``endurance_s``.
+    """
+
+    rotor: Rotor
+    pitch_rad: float
+    changes: dict[str, float | str]
+    goal: str
+    before: float
+    after: float
+    steps: tuple[DesignStep, ...]
+    results: dict[str, float]
+
+    def plot(self) -> Figure:
+        """Draw it; returns a matplotlib figure."""
+        return enable_notebook_display(blade_picture(self.rotor))
+
+
+def optimise_rotor(
+    setup: StudySetup,
+    goal: OptimisationGoal,
+    free: Sequence[str],
+    *,
+    limits: Sequence[DesignLimit] = (),
+    airfoils: Sequence[str] = (),
+    seed: int = 0,
+    generations: int = _GENERATIONS,
+    progress: ProgressCallback | None = None,
+) -> RotorOptimum:
+    """Search for a better rotor.
+
+    Parameters
+    ----------
+    setup : Setup
+        Rotor to start from, drive, and ``thrust`` among what is fixed.
+    goal : {'thrust-per-power', 'endurance'}
+    free : sequence of str
+        What may change, of :data:`FREE_PARAMETERS`; the pitch always may, unless it is fixed.
+    limits : sequence of Limit
+        From :func:`mufly.study.study_parameters.parse_limit`; without, the ranges of
+        :data:`mufly.study.study_parameters.SEARCH_RANGES`.
+    airfoils : sequence of str
+        Candidates, if the airfoil is free.
+    seed : int
+        Same seed, same answer.
+    generations : int
+        How long to search.
+    progress : callable, optional
+        ``progress(done, total)``, in generations.
+
+    Raises
+    ------
+    InputError
+        If something is not free, fixed or limited in a way that makes sense.
+    MuflyError
+        If no candidate meets the limits.
+    """
+    problem = OptimisationProblem(setup, goal, tuple(free), tuple(limits), list(airfoils))
+    names, low, high, whole = problem.search_space()
+    done = 0
+
+    def evaluate_cost(x: Array) -> Array:
+        return problem.evaluate_cost(names, np.atleast_2d(x.T))
+
+    def report_generation(*_: Any, **__: Any) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(done, generations), generations)
+
+    search: Callable[..., Any] = differential_evolution  # its types know no vectorised function
+    found = search(
+        evaluate_cost, list(zip(low, high, strict=True)), integrality=whole, rng=np.random.default_rng(seed),
+        maxiter=generations, popsize=_POPULATION, tol=1e-6, mutation=(0.4, 0.9), recombination=0.8, polish=False,
+        vectorized=True, updating="deferred", init="sobol", callback=report_generation,
+    )  # fmt: skip
+    best = problem.case_from_point(names, found.x)
+    if found.fun >= problem.FAILURE_COST:
+        raise MuflyError(f"no rotor within the limits was found; the best one breaks: {problem.explain_failure(best)}")
+    return _explain_optimum(problem, best)
+
+
+def _explain_optimum(problem: OptimisationProblem, best: dict[str, float | str]) -> RotorOptimum:
+    """Walk from the start to the best case, the greatest gain first."""
+    changes = {k: v for k, v in best.items() if k != "pitch"}
+    before, _ = problem.optimise_pitch({}, True)
+    goal, values, _ = problem.evaluate_goal([best])
+    after = float(goal[0])
+    left, at, own = list(changes), before, "gear" in problem.free
+    made: dict[str, float | str] = {}
+    if own:
+        left.append("gear")
+    steps: list[DesignStep] = []
+    while left:
+        tried = []
+        for name in left:
+            case = made if name == "gear" else {**made, name: changes[name]}
+            reached, pitch = problem.optimise_pitch(case, own and name != "gear")
+            tried.append((reached if math.isfinite(reached) else -math.inf, name, pitch))
+        reached, name, pitch = max(tried, key=lambda t: t[0])
+        if len(left) == 1:  # the last step ends where the search ended, at its own pitch
+            reached, pitch = after, float(best.get("pitch", pitch))
+        value: float | str = float(values["gear_ratio"][0]) if name == "gear" else changes[name]
+        steps.append(DesignStep(name, value, reached, reached / at - 1.0 if at > 0 else math.nan, pitch))
+        at = reached
+        left.remove(name)
+        if name == "gear":
+            own = False
+        else:
+            made = {**made, name: changes[name]}
+    start = problem.setup.rotor
+    told = {"name": f"{start.name}-optimised", "description": f"{start.name}, optimised for {problem.goal}"}
+    rotor = replace_rotor(problem.rotor_of_case(best), told)
+    results = {k: float(v[0]) for k, v in values.items() if k != "outside_share"}
+    results["least_thickness_m"] = min_thickness_m(rotor)
+    if "gear" in problem.free:
+        changes["gear"] = results["gear_ratio"]
+    pitch = float(best.get("pitch", problem.setup.fixed_parameters.get("pitch", math.nan)))
+    return RotorOptimum(rotor, pitch, changes, problem.goal, before, after, tuple(steps), results)
+
+
+# ----------------------------------------------------------------------------
+# An optimisation as a cost over numbers: what is free, what is limited, what is wanted (see ``optimise_rotor``).
+
+
+OptimisationGoal = Literal["thrust-per-power", "endurance"]
+
+FREE_PARAMETERS = ("chord", "twist", "taper", "radius", "hub_cutout", "blades", "airfoil", "gear")
+_MAX_AIRFOIL_CANDIDATES = 30  # airfoils that the search looks at, the best of the ranking that the limits allow
+_RANKING_PITCHES_rad = tuple(float(p) for p in np.radians(np.arange(8.0, 21.0, 2.0)))
+SEARCH_PITCHES_rad = np.radians(np.arange(2.0, 26.1, 0.25))
+
+
+@lru_cache(maxsize=4096)
+def _thickness_ratio(name: str) -> float:
+    return math.nan if is_polar_file(name) else load_airfoil(name).thickness_ratio
+
+
+def min_thickness_m(rotor: Rotor) -> float:
+    """Return the least of the blade's thicknesses along its span (m): chord times thickness ratio of the section."""
+    s = rotor.sections_at(np.linspace(float(rotor.hub_cutout), 1.0, 41))
+    ratio = np.array([_thickness_ratio(name) for name in s.airfoil_names])
+    return float(
+        np.min(s.chord_m * ((1 - s.second_weight) * ratio[s.first_airfoil] + s.second_weight * ratio[s.second_airfoil]))
+    )
+
+
+class OptimisationProblem:
+    """Goal and limits as a cost over unknowns: what :func:`mufly.study.optimise_rotor` searches."""
+
+    FAILURE_COST = 1e3  # costs of cases that fail or break a limit begin here
+
+    def __init__(
+        self,
+        setup: StudySetup,
+        goal: OptimisationGoal,
+        free: tuple[str, ...],
+        limits: tuple[DesignLimit, ...],
+        airfoils: list[str],
+    ) -> None:
+        if setup.drive is None or "thrust" not in setup.fixed_parameters:
+            raise InputError("optimise", "", "drive or thrust is missing", "give a drive and thrust=0.4N or the like")
+        if goal not in ("thrust-per-power", "endurance"):
+            raise InputError("optimise", str(goal), "is no goal", "use thrust-per-power or endurance")
+        for name in free:
+            if name not in FREE_PARAMETERS:
+                raise InputError("optimise", name, "cannot be free", f"free some of: {', '.join(FREE_PARAMETERS)}")
+            if name in setup.fixed_parameters:
+                raise InputError("optimise", name, "is fixed and free", "leave one of the two out")
+        if len(set(free)) != len(free):
+            raise InputError("optimise", "", "frees something twice", "name each once")
+        fixed = dict(setup.fixed_parameters)
+        if goal == "endurance":
+            fixed.setdefault("voltage", float(setup.drive.battery.low_voltage))
+        self.setup = replace(setup, fixed_parameters=fixed, with_outside_share=False)
+        self.drive, self.goal, self.free, self.limits = setup.drive, goal, free, limits
+        self.candidates = self._rank_candidates(airfoils) if "airfoil" in free else []
+
+    def _rank_candidates(self, airfoils: list[str]) -> list[str]:
+        if not airfoils:
+            raise InputError("optimise", "airfoil", "is free without candidates", "name airfoils to choose from")
+        start = replace(
+            self.setup,
+            fixed_parameters={k: v for k, v in self.setup.fixed_parameters.items() if k != "pitch"}
+            | self._gear_setting(),
+        )
+        ranking = rank_airfoils(start, airfoils, _RANKING_PITCHES_rad, by="thrust_per_power_N_W")
+        order = [str(n) for n, f in zip(ranking.airfoil.values, ranking.fault.values, strict=True) if not f]
+        least = max(
+            (lim.value for lim in self.limits if lim.name == "thickness_mm" and lim.is_lower_bound),
+            default=0.0,
+        )
+        widest = (
+            search_bounds("chord", self.limits)[1]
+            if "chord" in self.free
+            else float(np.max(self.setup.rotor.blade.chord.value))
+        )
+        order = [n for n in order if not _thickness_ratio(n) * widest * 1e3 < least]
+        if not order:
+            raise MuflyError("no airfoil of those named works on this rotor within the limits")
+        return order[:_MAX_AIRFOIL_CANDIDATES]
+
+    def _gear_setting(self) -> dict[str, float | str]:
+        return {"gear": "best"} if "gear" in self.free else {}
+
+    def search_space(self) -> tuple[list[str], list[float], list[float], list[bool]]:
+        """Names, bounds and wholeness of the unknowns."""
+        names = [n for n in self.free if n != "gear"]
+        if "pitch" not in self.setup.fixed_parameters:
+            names.append("pitch")
+        if not names:
+            raise InputError("optimise", "", "leaves nothing to search", "free something, or the pitch")
+        low, high = [], []
+        for name in names:
+            bounds = (0.0, len(self.candidates) - 1.0) if name == "airfoil" else search_bounds(name, self.limits)
+            low.append(bounds[0])
+            # SciPy wants an interval; a single candidate is one all the same.
+            high.append(bounds[1] if bounds[1] > bounds[0] else bounds[0] + 1e-9)
+        return names, low, high, [n in ("airfoil", "blades") for n in names]
+
+    def case_from_point(self, names: Sequence[str], x: Array) -> dict[str, float | str]:
+        """Parameters of one point of the search."""
+        values: dict[str, float | str] = dict(zip(names, (float(v) for v in x), strict=True))
+        if "airfoil" in values:
+            values["airfoil"] = self.candidates[min(round(float(values["airfoil"])), len(self.candidates) - 1)]
+        if "blades" in values:
+            values["blades"] = float(round(float(values["blades"])))
+        return values
+
+    def evaluate_goal(
+        self, cases: Sequence[Mapping[str, float | str]], *, own_gear: bool = False
+    ) -> tuple[Array, dict[str, Array], list[str]]:
+        """Goal (nan where it fails), results and faults of cases."""
+        extra = {} if own_gear else self._gear_setting()
+        results = evaluate_cases(replace(self.setup, fixed_parameters={**self.setup.fixed_parameters, **extra}), cases)
+        per_power = results.values["thrust_per_power_N_W"]
+        voltage = float(self.setup.fixed_parameters.get("voltage", float(self.drive.battery.nominal_voltage)))
+        times = np.full(per_power.size, np.nan)
+        for k in np.flatnonzero(np.isfinite(per_power)):
+            try:
+                times[k] = hover_endurance(
+                    self.drive.battery,
+                    power_W=self.drive.rotors * float(results.values["electrical_power_W"][k]),
+                    motor_voltage_V=float(results.values["duty"][k]) * voltage,
+                ).time_s
+            except MuflyError:
+                continue
+        values = {**results.values, "endurance_s": times}
+        return (times if self.goal == "endurance" else per_power), values, results.fault
+
+    def rotor_of_case(self, case: Mapping[str, float | str]) -> Rotor:
+        """Return the rotor of a case."""
+        every = {**self.setup.fixed_parameters, **case}
+        return reshape_rotor(self.setup.rotor, {name: every[name] for name in GEOMETRY_PARAMETERS if name in every})
+
+    def _limit_violation(self, case: Mapping[str, float | str], values: Mapping[str, float]) -> float:
+        return sum(limit.relative_violation(v) for limit, v in self._limited_values(case, values))
+
+    def _limited_values(
+        self, case: Mapping[str, float | str], values: Mapping[str, float]
+    ) -> list[tuple[DesignLimit, float]]:
+        if not self.limits:
+            return []
+        rotor = self.rotor_of_case(case)
+        derived = {
+            "thickness_mm": lambda: 1e3 * min_thickness_m(rotor),
+            "tip_chord_mm": lambda: 1e3 * float(rotor.chord_m(1.0)),
+            "solidity": lambda: rotor.solidity,
+            "speed_rpm": lambda: values["speed_rad_s"] * 30 / math.pi,
+            "motor_current_A": lambda: values["motor_current_A"],
+            "gear": lambda: values["gear_ratio"],
+        }
+        return [(limit, derived[limit.name]()) for limit in self.limits if limit.name in derived]
+
+    def evaluate_cost(self, names: Sequence[str], points: Array) -> Array:
+        """Cost of points (n, unknowns): less the goal, or above ``FAILURE_COST``."""
+        cases = [self.case_from_point(names, x) for x in points]
+        goal, values, _ = self.evaluate_goal(cases)
+        cost = np.where(np.isfinite(goal), -goal, 2.0 * self.FAILURE_COST)
+        if self.goal == "endurance":
+            cost = np.where(np.isfinite(goal), cost / 3600.0, cost)
+        for k in np.flatnonzero(np.isfinite(goal)):
+            breach = self._limit_violation(cases[k], {n: float(v[k]) for n, v in values.items()})
+            if breach > 0.0:
+                cost[k] = self.FAILURE_COST + min(breach, 0.9 * self.FAILURE_COST)
+        return cost
+
+    def explain_failure(self, case: Mapping[str, float | str]) -> str:
+        """What a case breaks, in words."""
+        _, values, fault = self.evaluate_goal([case])
+        if fault[0]:
+            return fault[0]
+        broken = [
+            f"{limit} (is {v:.4g})"
+            for limit, v in self._limited_values(case, {n: float(x[0]) for n, x in values.items()})
+            if limit.relative_violation(v) > 0
+        ]
+        return "; ".join(broken) or "the battery cannot hold the hover"
+
+    def optimise_pitch(self, case: Mapping[str, float | str], own_gear: bool) -> tuple[float, float]:
+        """Greatest goal over the pitch, and that pitch."""
+        if "pitch" in self.setup.fixed_parameters:
+            goal, _, _ = self.evaluate_goal([case], own_gear=own_gear)
+            return float(goal[0]), float(self.setup.fixed_parameters["pitch"])
+        low, high = search_bounds("pitch", self.limits)
+        pitches = [float(p) for p in SEARCH_PITCHES_rad if low <= p <= high] or [0.5 * (low + high)]
+        goal, _, _ = self.evaluate_goal([{**case, "pitch": p} for p in pitches], own_gear=own_gear)
+        best = int(np.argmax(np.where(np.isfinite(goal), goal, -np.inf)))
+        return float(goal[best]), pitches[best]
+
+
+# ----------------------------------------------------------------------------
+# Blades and pitches of a coaxial pair for the least power at a thrust, torques balanced.
+#
+# Every candidate is brought to the thrust, both speeds found at which the torques cancel, by coaxial blade element
+# theory: (ln speed, ln speed ratio) follow ln(thrust) and ln(torque ratio) nearly in straight lines (slopes 2 and,
+# for rotors that disturb each other, about 2.6), so three to five solutions do. Differential evolution (SciPy's,
+# seeded) searches, Nelder and Mead's simplex polishes. Start and optimum are then set beside each other by the wake
+# method (:func:`verify_by_wake`), which the search never sees: where the two methods disagree about the gain, the user
+# reads so.
+#
+# Twist runs straight from hub to tip and is zero at the tip; chords are means (``study/study_setup.py``).
+
+
+PAIR_FREE_PARAMETERS = tuple(
+    f"{side}_{name}" for name in ("twist", "chord", "pitch", "taper") for side in ("upper", "lower")
+)
+_PAIR_POPULATION = 8  # times the number of unknowns
+_PAIR_GENERATIONS = 30
+_SEARCH_STATIONS = 16  # in the search
+_FAILURE_COST = 1e3  # W; cost of what cannot be
+_BALANCE_TOLERANCE = 1e-4
+_CLEARANCE_SPACING_SHARE = 0.9  # of the spacing, that pitched blades may take up
+
+
+@result
+class PairOptimum:
+    """A better pair.
+
+    Attributes
+    ----------
+    upper, lower : Rotor
+    pitch_rad : (upper, lower)
+    before, pitched, after : Result
+        By blade elements, at the thrust and balanced: the start; the start's blades at their best pitches, if the
+        pitches were free; the optimum.
+    changes : dict
+        What was free, and its value (SI).
+    at_limit : tuple of str
+        What ended at an end of its range.
+    evaluations : int
+    """
+
+    upper: Rotor
+    lower: Rotor
+    pitch_rad: tuple[float, float]
+    before: SystemSolution
+    pitched: SystemSolution | None
+    after: SystemSolution
+    changes: dict[str, float]
+    at_limit: tuple[str, ...]
+    evaluations: int
+
+    def plot(self) -> Figure:
+        """Draw it; returns a matplotlib figure."""
+        return enable_notebook_display(rotor_loads_picture(self.after.upper, self.after.lower))
+
+
+def parse_pair_limit(text: str) -> DesignLimit:
+    """Return a limit on what is searched from text as ``"upper_chord<=25mm"``.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(.+?)\s*", text)
+    if match is None:
+        raise InputError(text, "", "is no limit", "write for example upper_chord<=25mm")
+    if match[1] not in PAIR_FREE_PARAMETERS:
+        raise InputError(text, "", f"{match[1]!r} cannot be limited", suggest_name(match[1], PAIR_FREE_PARAMETERS))
+    return DesignLimit(match[1], match[2] == ">=", float(parse_quantity(match[1], match[3], PAIR_PARAMETERS)))
+
+
+def _search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, float]:
+    low, high = SEARCH_RANGES[name.split("_", 1)[1]]
+    low = max([v.value for v in limits if v.name == name and v.is_lower_bound], default=low)
+    high = min([v.value for v in limits if v.name == name and not v.is_lower_bound], default=high)
+    if not low < high:
+        raise InputError(
+            "limit",
+            name,
+            f"{low:g} to {high:g} {PAIR_PARAMETERS[name].unit} holds nothing",
+            "widen the limits",
+        )
+    return low, high
+
+
+def _solve_balanced_pair(system: RotorSystem, at: OperatingCondition, start: list[float]) -> SystemSolution | None:
+    """The pair at its thrust with torques balanced to 1e-4, quickly; ``start`` (upper speed, ratio) is moved along."""
+    assert at.thrust_N is not None
+    speed, ratio, slope = start[0], start[1], 2.6
+    last: tuple[float, float] | None = None
+    r: SystemSolution | None = None
+    for _ in range(15):
+        r = solve_system(system, replace(at, speed_rad_s=(speed, speed * ratio), thrust_N=None), start=r)
+        if not (r.thrust_N > 0.0 and r.upper.torque_Nm > 0.0 and r.lower.torque_Nm > 0.0):
+            return None
+        fault, short = math.log(r.lower.torque_Nm / r.upper.torque_Nm), math.log(at.thrust_N / r.thrust_N)
+        if abs(fault) < _BALANCE_TOLERANCE and abs(short) < _BALANCE_TOLERANCE:
+            start[:] = [speed, ratio]
+            return r
+        place = math.log(ratio)
+        if last is not None and abs(place - last[0]) > 1e-6:
+            slope = min(max((fault - last[1]) / (place - last[0]), 1.0), 10.0)
+        last = (place, fault)
+        ratio = math.exp(place - max(min(fault / slope, 0.4), -0.4))
+        speed *= math.exp(max(min(0.5 * short, 1.0), -1.0))
+        if max(speed, speed * ratio) > 3e4:
+            return None
+    return None
+
+
+def optimise_pair(
+    setup: StudySetup,
+    free: Sequence[str],
+    *,
+    limits: Sequence[DesignLimit] = (),
+    seed: int = 0,
+    generations: int = _PAIR_GENERATIONS,
+    progress: Callable[[int, int], None] | None = None,
+) -> PairOptimum:
+    """Search for a pair that needs less power.
+
+    Parameters
+    ----------
+    setup : Setup
+        The pair to start from; ``fixed`` holds thrust, spacing and both pitches. Its method plays no part.
+    free : sequence of str
+        Of :data:`PAIR_FREE_PARAMETERS`.
+    limits : sequence of Limit
+        From :func:`parse_pair_limit`; without, the ranges of :data:`mufly.study.study_parameters.SEARCH_RANGES`.
+    seed, generations : int
+        Same seed, same answer; how long to search.
+    progress : callable, optional
+        ``progress(done, total)`` in generations.
+
+    Raises
+    ------
+    InputError
+        If something cannot be free, or thrust, spacing or a pitch is missing.
+    MuflyError
+        If the start cannot be balanced at the thrust.
+    """
+    fast = replace(setup, method="bemt", balance_by="lower-speed")
+    names = list(dict.fromkeys(free))
+    for name in names:
+        if name not in PAIR_FREE_PARAMETERS:
+            raise InputError("optimise", name, "cannot be free", f"free some of: {', '.join(PAIR_FREE_PARAMETERS)}")
+    for name in ("thrust", "spacing", "upper_pitch", "lower_pitch"):
+        if name not in setup.fixed_parameters:
+            raise InputError("optimise", name, "is missing", "fix it")
+    if not names:
+        raise InputError("optimise", "", "nothing is free", f"free some of: {', '.join(PAIR_FREE_PARAMETERS)}")
+    before = solve_case(fast)
+    rough = replace(fast, station_count=min(_SEARCH_STATIONS, setup.station_count))
+    bounds = [_search_bounds(n, limits) for n in names]
+    count, done = 0, 0
+    start = [before.upper.speed_rad_s, before.lower.speed_rad_s / before.upper.speed_rad_s]
+    # The rotors once for all, where only pitches are free.
+    still = build_system(rough) if all(n.endswith("pitch") for n in names) else None
+    spacing = float(setup.fixed_parameters["spacing"])
+
+    def evaluate_power(x: Array) -> float:
+        nonlocal count
+        count += 1
+        case = dict(zip(names, map(float, np.clip(x, *np.transpose(bounds))), strict=True))
+        try:
+            system, at = still or build_system(rough, case), build_condition(rough, case)
+            near = RotorSystem.coaxial_pair(*system.bladings, spacing_m=_CLEARANCE_SPACING_SHARE * spacing)
+            check_rotors(near.place_rotors(tuple(at.pitch_rad), (1.0, 1.0)), 0.0)  # type: ignore[arg-type]
+            r = _solve_balanced_pair(system, at, list(start))
+        except MuflyError:
+            return 2.0 * _FAILURE_COST
+        if r is None:
+            return 2.0 * _FAILURE_COST
+        tips = [p.speed_rad_s * b.rotors[0].radius_m for p, b in zip(r.rotors, system.bladings, strict=True)]
+        return r.power_W if max(tips) <= MAX_TIP_SPEED_M_S else _FAILURE_COST
+
+    def report_generation(*_: Any, **__: Any) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(done, generations), generations)
+
+    search: Callable[..., Any] = differential_evolution
+    first = np.clip([_start_value(setup, n) for n in names], *np.transpose(bounds))
+    found = search(
+        evaluate_power, bounds, rng=np.random.default_rng(seed), maxiter=generations, popsize=_PAIR_POPULATION,
+        tol=1e-4, x0=first,
+        mutation=(0.4, 0.9), recombination=0.8, polish=False, init="sobol", callback=report_generation,
+    )  # fmt: skip
+    effort = {"maxfev": 60 * len(names), "xatol": 1e-5, "fatol": 1e-5}
+    simplex: Callable[..., Any] = minimize  # its types know no plain dictionary
+    fine = simplex(evaluate_power, found.x, method="Nelder-Mead", bounds=bounds, options=effort)
+    x = np.clip(fine.x if fine.fun < found.fun else found.x, *np.transpose(bounds))
+    changes = dict(zip(names, map(float, x), strict=True))
+    after = solve_case(fast, changes)
+    pitched = None
+    both = [n for n in names if n.endswith("pitch")]
+    if both and len(both) < len(names):
+        pitched = optimise_pair(fast, both, limits=limits, seed=seed, generations=max(generations // 3, 5)).after
+    edge = tuple(
+        n for n, v, (low, high) in zip(names, x, bounds, strict=True) if min(v - low, high - v) < 0.005 * (high - low)
+    )
+    upper, lower = (
+        replace_rotor(b.rotors[0], {"name": f"{b.rotors[0].name}-{side}"})
+        for b, side in zip(build_system(fast, changes).bladings, ("upper", "lower"), strict=True)
+    )
+    return PairOptimum(
+        upper,
+        lower,
+        (after.upper.pitch_rad, after.lower.pitch_rad),
+        before,
+        pitched,
+        after,
+        changes,
+        edge,
+        count,
+    )
+
+
+def _start_value(setup: StudySetup, name: str) -> float:
+    """Value of something free at the start."""
+    side, what = name.split("_", 1)
+    rotor = setup.rotors[0 if side == "upper" else 1]
+    if name in setup.fixed_parameters:
+        return float(setup.fixed_parameters[name])
+    hub, tip = float(rotor.hub_cutout), 1.0
+    if what == "chord":
+        return float(np.mean(rotor.chord_m(np.linspace(hub, tip, 101))))
+    if what == "taper":
+        return float(rotor.chord_m(tip) / rotor.chord_m(hub))
+    return float(rotor.twist_rad(hub) - rotor.twist_rad(tip))
+
+
+def verify_by_wake(
+    setup: StudySetup, best: PairOptimum, progress: Callable[[int, float, float], None] | None = None
+) -> tuple[SystemSolution | str, SystemSolution | str]:
+    """Start and optimum at the same thrust, balanced, by the wake method; the reason where one cannot be had."""
+    slow = replace(setup, method="wake", balance_by="lower-speed")
+    answers: list[SystemSolution | str] = []
+    known: SystemSolution | None = None
+    for case in ({}, best.changes):
+        try:
+            known = solve_case(slow, case, start=known, progress=progress)
+            answers.append(known)
+        except MuflyError as error:
+            answers.append(str(error))
+    return answers[0], answers[1]

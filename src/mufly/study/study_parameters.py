@@ -1,0 +1,295 @@
+"""What a study can vary, and how a command line writes it: ``chord=10:30:5mm``, ``airfoil=goe394,naca4412``.
+
+Numbers are written as in :mod:`mufly.quantity_grammar`, with their unit. Angles are against the plane of the rotor.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mufly.errors import InputError, suggest_name
+from mufly.quantity_grammar import offered_units, read_quantity, read_values
+from mufly.units import conversion_factor, split_unit_suffix
+
+ParameterValue = float | str
+
+
+@dataclass(frozen=True)
+class StudyParameter:
+    """One thing that a study can vary.
+
+    Attributes
+    ----------
+    unit : str
+        SI unit of the value; ``"text"`` for names.
+    shown : str
+        Unit in which tables and plots show it.
+    meaning : str
+    whole : bool
+        True for counts.
+    positive : bool
+        True if the value has to be above zero.
+    """
+
+    unit: str
+    display_unit: str
+    meaning: str
+    is_integer: bool = False
+    is_positive: bool = False
+
+    @property
+    def accepted_units(self) -> tuple[str, ...]:
+        """Units in which it may be written, the one that is shown first; ``""`` for a bare number."""
+        if self.unit == "text" or self.is_integer:
+            return ("",) if self.is_integer else ()
+        if self.unit == "1":
+            return (self.display_unit, "%" if self.display_unit == "" else "")
+        return offered_units(self.display_unit)
+
+
+GEOMETRY_PARAMETERS: dict[str, StudyParameter] = {
+    "blades": StudyParameter("1", "", "number of blades", is_integer=True, is_positive=True),
+    "radius": StudyParameter("m", "mm", "radius; chords stay as they are", is_positive=True),
+    "chord": StudyParameter("m", "mm", "mean chord; all chords are scaled to it", is_positive=True),
+    "taper": StudyParameter("1", "", "tip over hub chord, straight between, blade area unchanged", is_positive=True),
+    "twist": StudyParameter("rad", "deg", "twist from hub to tip, straight, zero at the tip"),
+    "hub_cutout": StudyParameter("1", "", "radius over R at which the blade begins"),
+    "airfoil": StudyParameter("text", "", "airfoil of the whole blade: NACA number, database name or file"),
+    "thickness": StudyParameter("1", "%", "thickness over chord of a four-digit NACA section"),
+    "camber": StudyParameter("1", "%", "camber over chord of a four-digit NACA section"),
+    "camber_position": StudyParameter("1", "%", "place of the camber, x/c, of a four-digit NACA section"),
+}
+OPERATION_PARAMETERS: dict[str, StudyParameter] = {
+    "pitch": StudyParameter("rad", "deg", "pitch setting, added to the twist"),
+    "speed": StudyParameter("rad/s", "rpm", "rotor speed", is_positive=True),
+    "thrust": StudyParameter("N", "N", "thrust, for which the speed is found", is_positive=True),
+    "duty": StudyParameter("1", "", "share of the supply voltage at the motor", is_positive=True),
+    "climb": StudyParameter("m/s", "m/s", "axial speed, positive in climb"),
+    "density": StudyParameter("kg/m3", "kg/m3", "density of the air", is_positive=True),
+    "viscosity": StudyParameter("Pa s", "uPa s", "dynamic viscosity of the air", is_positive=True),
+    "n_crit": StudyParameter("1", "", "amplification exponent of transition in the polars"),
+}
+DRIVE_PARAMETERS: dict[str, StudyParameter] = {
+    "gear": StudyParameter("1", "", "gear ratio; 'adapted' and 'best' find it for the thrust", is_positive=True),
+    "voltage": StudyParameter("V", "V", "supply voltage", is_positive=True),
+    "back_emf": StudyParameter("V s", "mV s", "back-EMF constant of the motor", is_positive=True),
+    "torque_constant": StudyParameter("N m/A", "mN m/A", "torque constant of the motor", is_positive=True),
+    "resistance": StudyParameter("ohm", "ohm", "motor and controller resistance", is_positive=True),
+    "friction": StudyParameter("N m s", "uN m s", "viscous friction of the motor"),
+    "friction_torque": StudyParameter("N m", "mN m", "constant friction of the motor"),
+    "gear_efficiency": StudyParameter("1", "", "efficiency of the gear", is_positive=True),
+    "controller_efficiency": StudyParameter("1", "", "efficiency of the speed controller", is_positive=True),
+}
+ROTOR_PARAMETERS: dict[str, StudyParameter] = {
+    **GEOMETRY_PARAMETERS,
+    **OPERATION_PARAMETERS,
+    **DRIVE_PARAMETERS,
+}
+
+# What a study of a coaxial pair can vary; the names that both have mean the same.
+PAIR_PARAMETERS: dict[str, StudyParameter] = {
+    "spacing": StudyParameter("m", "mm", "distance between the discs", is_positive=True),
+    "upper_speed": StudyParameter("rad/s", "rpm", "speed of the upper rotor", is_positive=True),
+    "lower_speed": StudyParameter(
+        "rad/s", "rpm", "speed of the lower rotor; without it and a ratio, the torques are balanced", is_positive=True
+    ),
+    "speed_ratio": StudyParameter("1", "", "lower over upper speed", is_positive=True),
+    "thrust": StudyParameter(
+        "N",
+        "N",
+        "thrust of the pair, for which both speeds are found, torques balanced",
+        is_positive=True,
+    ),
+    "pitch": StudyParameter("rad", "deg", "pitch setting of both rotors, added to the twist"),
+    "upper_pitch": StudyParameter("rad", "deg", "pitch setting of the upper rotor"),
+    "lower_pitch": StudyParameter("rad", "deg", "pitch setting of the lower rotor"),
+    **{
+        f"{side}_{name}": StudyParameter(
+            p.unit, p.display_unit, f"{side} rotor: {p.meaning}", is_positive=p.is_positive
+        )
+        for side in ("upper", "lower")
+        for name, p in GEOMETRY_PARAMETERS.items()
+        if name in ("chord", "taper", "twist")
+    },
+    **{name: OPERATION_PARAMETERS[name] for name in ("climb", "density", "n_crit")},
+}
+
+
+def find_parameter(name: str) -> StudyParameter:
+    """Return a parameter of a rotor or of a pair by name."""
+    return ROTOR_PARAMETERS[name] if name in ROTOR_PARAMETERS else PAIR_PARAMETERS[name]
+
+
+def look_up_parameter(name: str, where: str, table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS) -> StudyParameter:
+    """Return a parameter by name.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    if name not in table:
+        raise InputError(where, "", f"{name!r} cannot be varied or set", suggest_name(name, table))
+    return table[name]
+
+
+def parse_quantity(name: str, text: str, table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS) -> ParameterValue:
+    """Return one value in SI units from text as ``"12deg"``.
+
+    Raises
+    ------
+    InputError
+        If the parameter or its unit is unknown or the text is not one value.
+    """
+    values = parse_values(f"{name}={text}", table)[1]
+    if len(values) != 1:
+        raise InputError(f"{name}={text}", "", f"{len(values)} values where one is wanted", "give one value")
+    return values[0]
+
+
+def parse_values(
+    text: str, table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS
+) -> tuple[str, tuple[ParameterValue, ...]]:
+    """Return name and values, in SI units, of text as ``"chord=10:30:5mm"``; ``table``: what there is.
+
+    Raises
+    ------
+    InputError
+        If the text is not ``name=values``, or the parameter, its unit or its values are wrong.
+    """
+    name, equals, listed = (part.strip() for part in text.partition("="))
+    if not equals or not listed:
+        raise InputError(text, "", "is not NAME=VALUES", "write for example chord=10:30:5mm")
+    p = look_up_parameter(name, text, table)
+    if p.unit == "text":
+        return name, tuple(part.strip() for part in listed.split(",") if part.strip())
+    if name == "gear" and listed in ("adapted", "best"):
+        return name, (listed,)
+    values = read_values(text, listed, p.unit, bare=False)
+    for value in values:
+        if p.is_integer and value != round(value):
+            raise InputError(text, "", f"{name} {value:g} is no whole number", "give a whole number")
+        if p.is_positive and not value > 0:
+            raise InputError(text, "", f"{name} {value:g} is not possible", "give a number above 0")
+    return name, values
+
+
+def parse_settings(
+    texts: Iterable[str], table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS
+) -> dict[str, tuple[ParameterValue, ...]]:
+    """Return ``{name: values}`` of several texts as :func:`parse_values` reads them.
+
+    Raises
+    ------
+    InputError
+        As :func:`parse_values`, and if a parameter is named twice.
+    """
+    settings: dict[str, tuple[ParameterValue, ...]] = {}
+    for text in texts:
+        name, values = parse_values(text, table)
+        if name in settings:
+            raise InputError(text, "", f"{name} is given twice", "give all its values at once")
+        settings[name] = values
+    return settings
+
+
+def to_display_unit(name: str, values: Iterable[ParameterValue]) -> tuple[np.ndarray, str]:
+    """Return values for reading, in the parameter's first unit, and that unit."""
+    p = find_parameter(name)
+    listed = list(values)
+    if p.unit == "text" or any(isinstance(v, str) for v in listed):
+        return np.array([str(v) for v in listed]), ""
+    return np.round(
+        np.array(listed, dtype=np.float64) / conversion_factor(p.display_unit or "1", p.unit), 9
+    ), p.display_unit
+
+
+# ----------------------------------------------------------------------------
+# Limits of an optimisation: ``chord<=25mm``, ``thickness_mm>=0.8``, ``speed_rpm<=7000``.
+#
+# A limit on something that is searched narrows its range; a limit on something that follows (:data:`DERIVED_LIMITS`) is
+# checked for every candidate. Both sides of a range are two limits.
+
+
+_DEGREE = math.pi / 180.0
+
+# Where is searched if nothing else is said (SI).
+SEARCH_RANGES: dict[str, tuple[float, float]] = {
+    "chord": (0.008, 0.035),
+    "twist": (0.0, 20.0 * _DEGREE),
+    "taper": (0.2, 1.5),
+    "radius": (0.04, 0.09),
+    "hub_cutout": (0.1, 0.35),
+    "blades": (2.0, 5.0),
+    "pitch": (2.0 * _DEGREE, 26.0 * _DEGREE),
+}
+DERIVED_LIMITS: dict[str, str] = {
+    "thickness_mm": "least thickness of the blade along its span",
+    "tip_chord_mm": "chord at the tip",
+    "solidity": "blade area over disc area",
+    "speed_rpm": "rotor speed",
+    "motor_current_A": "motor current",
+    "gear": "gear ratio",
+}
+
+
+@dataclass(frozen=True)
+class DesignLimit:
+    """``name`` at least or at most ``value``: SI units for what is searched, the unit in the name for what follows."""
+
+    name: str
+    is_lower_bound: bool
+    value: float
+
+    def relative_violation(self, value: float) -> float:
+        """Return by how much a value breaks the limit, relative to the limit; 0 if it does not."""
+        short = self.value - value if self.is_lower_bound else value - self.value
+        return 0.0 if short <= 1e-9 * abs(self.value) else short / (abs(self.value) or 1.0)
+
+    def __str__(self) -> str:
+        return f"{self.name} {'>=' if self.is_lower_bound else '<='} {self.value:g}"
+
+
+def parse_limit(text: str) -> DesignLimit:
+    """Return a limit from text as ``"thickness_mm>=0.8"`` or ``"radius<=60mm"``.
+
+    Raises
+    ------
+    InputError
+        If it is none, or what it limits is not known.
+    """
+    match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(.+?)\s*", text)
+    if match is None:
+        raise InputError(text, "", "is no limit", "write for example thickness_mm>=0.8 or radius<=60mm")
+    name, sign, number = match[1], match[2], match[3]
+    if name in DERIVED_LIMITS:
+        value = read_quantity(text, number, split_unit_suffix(name)[1] or "1")
+    elif name in SEARCH_RANGES:
+        value = float(parse_quantity(name, number))
+    else:
+        raise InputError(text, "", f"{name!r} cannot be limited", suggest_name(name, [*SEARCH_RANGES, *DERIVED_LIMITS]))
+    return DesignLimit(name, sign == ">=", value)
+
+
+def search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, float]:
+    """Return where a parameter is searched (SI): its range, moved to what the limits say.
+
+    Raises
+    ------
+    InputError
+        If the limits leave nothing.
+    """
+    low, high = SEARCH_RANGES[name]
+    floors = [lim.value for lim in limits if lim.name == name and lim.is_lower_bound]
+    tops = [lim.value for lim in limits if lim.name == name and not lim.is_lower_bound]
+    low = max(floors) if floors else min(low, *tops) if tops else low
+    high = min(tops) if tops else max(high, low)
+    if low > high:
+        unit = ROTOR_PARAMETERS[name].unit
+        raise InputError("limit", name, f"{low:g} to {high:g} {unit} holds nothing", "widen the limits")
+    return low, high

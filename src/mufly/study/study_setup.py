@@ -1,0 +1,323 @@
+"""What all cases of a study share, what they answer, and which parameters go together; a rotor reshaped."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.drive import DriveTrain
+from mufly.errors import InputError
+from mufly.rotor import TEXTBOOK_CORRECTIONS, Corrections, Rotor, rotor_from_tables
+from mufly.rotor.blading import STATION_COUNT
+from mufly.rotor.wake import WakeSettings
+from mufly.study.study_parameters import (
+    DRIVE_PARAMETERS,
+    GEOMETRY_PARAMETERS,
+    PAIR_PARAMETERS,
+    ROTOR_PARAMETERS,
+    ParameterValue,
+    StudyParameter,
+)
+
+# Blade element momentum theory as recommended here, as in textbooks, and as the dissertation has it (Sec. 3.3.1:
+# effective radius of eq. 3.13, no swirl, no hub loss; its tuning to one rotor is not given).
+BEMT_MODELS: dict[str, Corrections] = {
+    "full": Corrections(),
+    "plain": TEXTBOOK_CORRECTIONS,
+    "thesis": replace(TEXTBOOK_CORRECTIONS, tip_loss="effective_radius", hub_loss=False, swirl=False),
+}
+
+# Name -> unit, meaning.
+ROTOR_OUTPUTS: dict[str, tuple[str, str]] = {
+    "thrust_N": ("N", "thrust"),
+    "torque_Nm": ("N m", "torque"),
+    "power_W": ("W", "mechanical power at the rotor"),
+    "speed_rad_s": ("rad/s", "rotor speed"),
+    "figure_of_merit": ("1", "figure of merit"),
+    "c_T": ("1", "T / (rho pi R^4 Omega^2)"),
+    "c_Q": ("1", "Q / (rho pi R^5 Omega^2)"),
+    "reynolds_75": ("1", "Reynolds number at 75 % radius"),
+    "outside_share": ("1", "share of the thrust from sections beyond the polar's range"),
+}
+DRIVE_OUTPUTS: dict[str, tuple[str, str]] = {
+    "electrical_power_W": ("W", "electrical input power"),
+    "thrust_per_power_N_W": ("N/W", "thrust per electrical power"),
+    "efficiency": ("1", "mechanical over electrical power"),
+    "gear_ratio": ("1", "motor speed over rotor speed"),
+    "duty": ("1", "share of the supply voltage at the motor"),
+    "motor_current_A": ("A", "motor current"),
+}
+WAKE_OUTPUTS: dict[str, tuple[str, str]] = {
+    "core_limit": ("1", "core radius of the old wake over R at which the wake settled"),
+}
+SINGLE_OF_PAIR_OUTPUTS: dict[str, tuple[str, str]] = {
+    "thrust_N": ("N", "thrust of the {} rotor"),
+    "torque_Nm": ("N m", "torque of the {} rotor"),
+    "power_W": ("W", "power of the {} rotor"),
+    "speed_rad_s": ("rad/s", "speed of the {} rotor"),
+    "pitch_rad": ("rad", "pitch setting of the {} rotor"),
+    "c_T": ("1", "c_T of the {} rotor"),
+    "c_Q": ("1", "c_Q of the {} rotor"),
+    "outside_share": ("1", "share of the {} rotor's thrust from sections beyond the polar's range"),
+}
+PAIR_OUTPUTS: dict[str, tuple[str, str]] = {
+    "thrust_N": ("N", "thrust of the pair"),
+    "power_W": ("W", "mechanical power of the pair"),
+    "yaw_torque_Nm": ("N m", "torque of the lower less that of the upper rotor"),
+    "figure_of_merit": ("1", "figure of merit of the pair, one disc"),
+    "thrust_ratio": ("1", "lower over upper thrust"),
+    "torque_ratio": ("1", "lower over upper torque"),
+    **{
+        f"{side}_{key}": (unit, text.format(side))
+        for side in ("upper", "lower")
+        for key, (unit, text) in SINGLE_OF_PAIR_OUTPUTS.items()
+    },
+    "iterations": ("1", "iterations of the last wake"),
+    **WAKE_OUTPUTS,
+}
+AERODYNAMIC_METHODS = ("bemt", "tubes", "wake")
+TorqueBalance = Literal["lower-speed", "lower-pitch"]
+_OPERATING_POINT_PARAMETERS = ("speed", "thrust", "duty")
+
+
+@dataclass(frozen=True)
+class StudySetup:
+    """What all cases of a study share.
+
+    Attributes
+    ----------
+    rotor : Rotor
+        The rotor, or the upper one of a coaxial pair.
+    drive : Drive, optional
+        Of a single rotor.
+    fixed : mapping
+        Parameters that hold in every case unless it names them itself.
+    corrections : Corrections
+        Of the blade element calculation.
+    engine, model : str
+        Of the polars.
+    flags : bool
+        Whether ``outside_share`` of single rotors is computed, which takes as long as the rest.
+    method : 'bemt', 'tubes' or 'wake'
+        Blade element momentum theory; for pairs, with wakes that carry each other away, ten times as long; or the
+        wake method, a thousand to ten thousand times as long.
+    wake : WakeSettings
+        Of the wake method.
+    stations : int
+        Along a blade.
+    lower : Rotor, optional
+        The lower rotor; with it the study is one of a coaxial pair.
+    free : 'lower-speed' or 'lower-pitch'
+        What cancels the torques of a pair.
+    """
+
+    rotor: Rotor
+    drive: DriveTrain | None = None
+    fixed_parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
+    corrections: Corrections = field(default_factory=Corrections)
+    polar_engine: str = "neuralfoil"
+    polar_model: str = "xlarge"
+    with_outside_share: bool = True
+    method: str = "bemt"
+    wake_settings: WakeSettings = field(default_factory=WakeSettings)
+    station_count: int = STATION_COUNT
+    lower_rotor: Rotor | None = None
+    balance_by: TorqueBalance = "lower-speed"
+
+    def __post_init__(self) -> None:
+        if self.method not in AERODYNAMIC_METHODS:
+            known = f"use one of: {', '.join(AERODYNAMIC_METHODS)}"
+            raise InputError(self.error_subject, "method", f"{self.method!r} is unknown", known)
+        if self.balance_by not in ("lower-speed", "lower-pitch"):
+            problem = f"{self.balance_by!r} cannot balance the torques"
+            raise InputError(self.error_subject, "free", problem, "use lower-speed or lower-pitch")
+
+    @property
+    def error_subject(self) -> str:
+        """What faults of the study are reported about."""
+        return "study" if self.lower_rotor is None else "coaxial"
+
+    @property
+    def rotors(self) -> tuple[Rotor, ...]:
+        """The rotor, or both of a pair, the upper one first."""
+        return (self.rotor,) if self.lower_rotor is None else (self.rotor, self.lower_rotor)
+
+    @property
+    def parameters(self) -> Mapping[str, StudyParameter]:
+        """What can be varied or set."""
+        return ROTOR_PARAMETERS if self.lower_rotor is None else PAIR_PARAMETERS
+
+    def output_meanings(self) -> dict[str, tuple[str, str]]:
+        """Return name, unit and meaning of what :func:`evaluate` answers."""
+        if self.lower_rotor is not None:
+            return PAIR_OUTPUTS
+        more = DRIVE_OUTPUTS if self.drive is not None else {}
+        return {**ROTOR_OUTPUTS, **more, **(WAKE_OUTPUTS if self.method == "wake" else {})}
+
+
+def check_parameters(setup: StudySetup, names: Iterable[str]) -> None:
+    """Refuse a study whose parameters make no sense together.
+
+    Raises
+    ------
+    InputError
+        If the pitch is missing, or not exactly one of speed, thrust and duty is there, or a drive is; of a pair, if
+        spacing, a pitch or an operating point is missing, or there are two.
+    """
+    every = {*names, *setup.fixed_parameters}
+    table = setup.parameters
+    for name in every:
+        if name not in table:
+            remedy = f"use one of: {', '.join(table)}"
+            raise InputError(setup.error_subject, name, "cannot be varied or set", remedy)
+    fault = _check_single_rotor(setup, every) if setup.lower_rotor is None else _check_pair(setup, every)
+    if fault is not None:
+        raise InputError(setup.error_subject, *fault)
+
+
+def _check_single_rotor(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | None:
+    """Key, problem and remedy of what does not go together for a single rotor."""
+    if "pitch" not in every:
+        return "pitch", "is missing", "fix it (pitch=12deg) or vary it (pitch=6:20:1deg)"
+    given = [g for g in _OPERATING_POINT_PARAMETERS if g in every]
+    if len(given) != 1:
+        problem = f"{' and '.join(given) or 'no operating point'} given"
+        return "", problem, "give one of speed (5000rpm), thrust (0.4N) and duty (100%)"
+    needs = [name for name in every if name in DRIVE_PARAMETERS or name == "duty"]
+    if setup.drive is None and needs:
+        return needs[0], "needs a drive train", "give a drive, as mufly"
+    if setup.drive is not None and setup.fixed_parameters.get("gear") in ("adapted", "best") and "thrust" not in every:
+        return "gear", "can only be found for a thrust", "give the thrust, or a gear ratio"
+    return None
+
+
+def _check_pair(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | None:
+    """Key, problem and remedy of what does not go together for a pair."""
+    if "spacing" not in every:
+        return "spacing", "is missing", "give it, as spacing=20mm"
+    each = [n for n in ("upper_pitch", "lower_pitch") if n in every]
+    by_pitch = setup.balance_by == "lower-pitch"
+    if not ("pitch" in every or len(each) == 2 or (each == ["upper_pitch"] and by_pitch)):
+        return "pitch", "is missing", "give pitch=14deg, or upper_pitch and lower_pitch"
+    if "pitch" in every and len(each) == 2:
+        return "pitch", "is given beside both pitches", "leave it out"
+    if by_pitch and "lower_pitch" in every:
+        return "lower_pitch", "is given and sought", "leave it out, or balance by lower-speed"
+    if ("thrust" in every) == ("upper_speed" in every):
+        return "", "needs one of thrust and upper_speed", "give thrust=0.9N or upper_speed=6000rpm"
+    below = [n for n in ("lower_speed", "speed_ratio") if n in every]
+    if len(below) == 2:
+        return "speed_ratio", "is given beside lower_speed", "leave one of the two out"
+    if "thrust" in every and (below == ["lower_speed"] or (below and not by_pitch)):
+        return below[0], "is given beside a thrust, which finds it", "leave one of the two out"
+    return None
+
+
+# ----------------------------------------------------------------------------
+# A rotor with one thing about its blades changed, the way the dissertation's studies change it.
+#
+# With x = r/R, the cut-out x0 and the mean chord c_m between x0 and the tip:
+#
+# * ``chord``: all chords times chord / c_m.
+# * ``taper`` t: c = c_h + (c_t - c_h) (x - x0) / (1 - x0), c_h = 2 c_m / (1 + t), c_t = t c_h, so that the area
+#   stays; the dissertation's TAPER3505 (35 mm at the hub, 5 mm at the tip, 20 mm before) is t = 1/7.
+# * ``twist`` T: theta = T (1 - x) / (1 - x0), zero at the tip. Where the dissertation measures its pitch angle it
+#   does not say; that its optimum moves to smaller pitch with stronger twist (Fig. 3.36) fits the tip, not the hub.
+
+
+Array = NDArray[np.float64]
+
+_STUDY_SOURCE = {"source": "specified", "note": "set by a study"}
+_NACA_PARAMETERS = ("camber", "camber_position", "thickness")
+
+
+def modify_naca_name(base: str, changes: Mapping[str, ParameterValue]) -> str:
+    """Return the four-digit NACA name with camber, its place or thickness (all over chord) changed.
+
+    Raises
+    ------
+    InputError
+        If the airfoil is none of that series or a number is not one that the four digits can say.
+    """
+    match = re.fullmatch(r"naca(\d)(\d)(\d\d)", re.sub(r"[\s_-]", "", base.lower()))
+    if match is None:
+        key = next(k for k in _NACA_PARAMETERS if k in changes)
+        raise InputError(key, "", f"{base} is no four-digit NACA section", "start from one, as in airfoil=naca4412")
+    digits = [int(match[1]), int(match[2]), int(match[3])]
+    for place, (key, step, most) in enumerate(
+        (("camber", 0.01, 9), ("camber_position", 0.1, 9), ("thickness", 0.01, 40))
+    ):
+        if key in changes:
+            number = float(changes[key]) / step
+            if abs(number - round(number)) > 1e-6 or not 0 <= round(number) <= most:
+                raise InputError(
+                    key, "", f"{100 * float(changes[key]):g} % is not in the series",
+                    f"give multiples of {100 * step:g} % up to {100 * step * most:g} %",
+                )  # fmt: skip
+            digits[place] = round(number)
+    if digits[0] == 0:
+        digits[1] = 0
+    elif digits[1] == 0:
+        digits[1] = 4
+    return f"naca{digits[0]}{digits[1]}{digits[2]:02d}"
+
+
+def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
+    """Return the rotor with parameters of :data:`mufly.study.study_parameters.GEOMETRY_PARAMETERS` changed, values in
+    SI units.
+
+    Raises
+    ------
+    InputError
+        If a value is impossible.
+    """
+    unknown = [key for key in changes if key not in GEOMETRY_PARAMETERS]
+    if unknown:
+        raise InputError(
+            "rotor", unknown[0], "is no parameter of a blade", f"use one of: {', '.join(GEOMETRY_PARAMETERS)}"
+        )
+    if not changes:
+        return rotor
+    # Everything is worked out on arrays and checked once, at the end: a search makes thousands of rotors.
+    tables = rotor.toml_tables()
+    blade = tables["blade"]
+    x0 = float(changes.get("hub_cutout", float(rotor.hub_cutout)))
+    names = [str(changes["airfoil"])] if "airfoil" in changes else list(rotor.blade.airfoils)
+    if any(key in changes for key in _NACA_PARAMETERS):
+        names = [modify_naca_name(name, changes) for name in names]
+    x = rotor.blade.r_over_R.array()
+    if ("taper" in changes or "twist" in changes) and len(names) == 1 and 0.0 <= x0 < 1.0 and x[0] < x0:
+        x = np.concatenate(([x0], x[x > x0]))  # a straight line begins at the cut-out
+    chord, twist = rotor.chord_m(x), rotor.twist_rad(x)
+    outboard = np.maximum(x, x0)
+    if "taper" in changes:
+        shape = 1.0 + (float(changes["taper"]) - 1.0) * (outboard - x0) / (1.0 - x0)
+        chord = shape * _mean_over_blade(x, chord, x0) / _mean_over_blade(x, shape, x0)
+    if "chord" in changes:
+        chord = chord * float(changes["chord"]) / _mean_over_blade(x, chord, x0)
+    if "twist" in changes:
+        twist = float(changes["twist"]) * (1.0 - outboard) / (1.0 - x0)
+    blade["airfoils"] = names
+    if names != list(rotor.blade.airfoils):
+        tables.pop("fit", None)  # it belongs to the sections that it was made with
+    for key, values in (("r_over_R", x), ("chord", chord), ("twist", twist)):
+        if not np.array_equal(values, getattr(rotor.blade, key).array()):
+            blade[key] = {**blade[key], "value": values.tolist(), **_STUDY_SOURCE}
+    for key in ("radius", "hub_cutout"):
+        if key in changes:
+            tables[key] = {**tables[key], "value": float(changes[key]), **_STUDY_SOURCE}
+    if "blades" in changes:
+        tables["blades"] = round(float(changes["blades"]))
+    return rotor_from_tables(tables, rotor.name)
+
+
+def _mean_over_blade(x: Array, values: Array, x0: float) -> float:
+    """Mean between the cut-out and the tip of what is straight between stations and constant inside the first."""
+    at = np.concatenate(([x0], x[x > x0]))
+    y = np.interp(at, x, values)
+    return float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(at)) / (1.0 - x0))

@@ -1,0 +1,166 @@
+"""All answers on one page: Markdown for the documents, and HTML with the pictures in it, for a browser alone."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup, escape
+
+from mufly.report_page import render_page
+from mufly.thesis.figure_catalogue import THESIS_ITEMS, ThesisItem
+from mufly.thesis.study_runner import StudyAnswer
+
+VERDICT_WORDS = ("agrees", "in part", "DIFFERS", "drawn", "needs CFD", "not run", "stands for it")
+"""Verdict words in the order in which they are counted."""
+
+_MEANING_BY_WORD = {
+    "agrees": "every claim holds by its rule",
+    "in part": "some do",
+    "DIFFERS": "none does",
+    "drawn": "contours only, nothing to judge",
+    "needs CFD": "a Navier-Stokes solution is needed for its verdict",
+    "not run": "its study has not run yet",
+    "stands for it": "photograph, sketch or block diagram: the line says where mufly has the same",
+}
+
+_PLURAL_BY_WORD = {
+    "agrees": "agree",
+    "in part": "agree in part",
+    "DIFFERS": "differ",
+    "drawn": "are contours, drawn",
+    "needs CFD": "need CFD",
+    "not run": "have not run",
+    "stands for it": "are photographs, sketches or diagrams",
+}
+
+
+def count_verdicts(answers: Sequence[StudyAnswer] | Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """Count the figures and tables by their verdict word, in the order of :data:`VERDICT_WORDS`."""
+    count = Counter(str(_answer_as_mapping(a)["word"]) for a in answers)
+    return {word: count[word] for word in (*VERDICT_WORDS, *sorted(set(count) - set(VERDICT_WORDS))) if count[word]}
+
+
+def _answer_as_mapping(answer: StudyAnswer | Mapping[str, Any]) -> Mapping[str, Any]:
+    return answer.to_dict() if isinstance(answer, StudyAnswer) else answer
+
+
+def _summarise_verdicts(rows: Sequence[Mapping[str, Any]]) -> str:
+    agree, every = sum(int(r["agree"]) for r in rows), sum(len(r["verdicts"]) for r in rows)
+    words = "; ".join(f"{n} {_PLURAL_BY_WORD.get(w, w)}" for w, n in count_verdicts(rows).items())
+    return f"{len(rows)} figures and tables: {words}. {agree} of {every} single verdicts agree."
+
+
+def render_markdown_page(answers: Sequence[StudyAnswer] | Sequence[Mapping[str, Any]]) -> str:
+    """Return the Markdown page of all figures and tables.
+
+    Parameters
+    ----------
+    answers : sequence of Answer, or of what their ``to_dict`` returns
+        One for each item, in any order.
+    """
+    known = {str(r["name"]): r for r in map(_answer_as_mapping, answers)}
+    rows = [known[name] for name in THESIS_ITEMS]
+    lines = [
+        "# The dissertation, figure by figure",
+        "",
+        "Every figure and table of D. Schafroth's dissertation, and what mufly says to it. Made by",
+        "`python docs/make_thesis_page.py` from what `mufly thesis run all` computed. `mufly thesis report --out",
+        "thesis.html` puts the pictures with it, `mufly thesis show fig-6.11` one of them. Only the text of the",
+        "dissertation is at hand: a claim says after its place whether it was read in the *text*, in a printed",
+        "*table*, or from the texts of a figure's *axis*; no curve was digitised, and nothing is tuned to any of it.",
+        "Where ours differs it stays so, with the reason as far as it is known ([thesis-errata.md](thesis-errata.md),",
+        "[studies.md](studies.md)).",
+        "",
+        _summarise_verdicts(rows),
+        "",
+        "| word | meaning |",
+        "|---|---|",
+        *(f"| {word} | {_MEANING_BY_WORD[word]} |" for word in VERDICT_WORDS if word in count_verdicts(rows)),
+    ]
+    for chapter in sorted({_chapter_number(THESIS_ITEMS[str(r["name"])]) for r in rows}):
+        lines += ["", f"## Chapter {chapter}", "", "| | what | verdict | command |", "|---|---|---|---|"]
+        for r in rows:
+            i = THESIS_ITEMS[str(r["name"])]
+            if _chapter_number(i) != chapter:
+                continue
+            share = f", {r['agree']} of {len(r['verdicts'])}" if r["verdicts"] else ""
+            said = r["stands"] if i.kind != "result" else f"**{r['word']}**{share}"
+            lines.append(f"| {i.citation} | {i.title} | {_format_cell(str(said))} | `{i.cli_command}` |")
+    lines += ["", "## Verdicts", ""]
+    for r in rows:
+        if r["verdicts"] or r["note"]:
+            lines += [f"**{THESIS_ITEMS[str(r['name'])].citation}, {r['title']}**", ""]
+            lines += [f"- {_link_documents(str(v))}" for v in r["verdicts"]]
+            lines += [f"- {_link_documents(str(r['note']))}"] if r["note"] else []
+            lines.append("")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _chapter_number(i: ThesisItem) -> int:
+    return int(i.section.partition(".")[0])
+
+
+def _format_cell(text: str) -> str:
+    return _link_documents(text.replace("|", "/"))
+
+
+def _link_documents(text: str) -> str:
+    """Name documents as links of the page."""
+    return re.sub(r"docs/([\w-]+\.md)", r"[\1](\1)", text)
+
+
+_BADGES = {"agrees": "yes", "in part": "part", "DIFFERS": "no"}
+
+_BODY = """
+{% macro word(a) %}
+<span class="badge {{ badges.get(a.word) or "" }}">{{ a.word }}{% if a.share %} ({{ a.share }}){% endif %}</span>
+{%- endmacro %}
+<p>D. Schafroth, <i>Aerodynamics, Modeling and Control of an Autonomous Micro Helicopter</i>, ETH No. 18901, 2010; ours
+beside what is printed. A claim says whether it was read in the text, in a printed table or from the texts of a
+figure's axis; no curve was digitised, and nothing is tuned to any of it.</p>
+<p><b>{{ total }}</b></p>
+<table><tr><th></th><th>what</th><th>verdict</th></tr>
+{% for a in answers %}
+<tr><td class="k"><a href='#{{ a.item.name }}'>{{ a.item.where }}</a></td><td>{{ a.item.title }}</td>
+<td>{% if a.item.kind == "result" %}{{ word(a) }}{% else %}{{ code(a.item.stands) }}{% endif %}</td></tr>
+{% endfor %}
+</table>
+{% for a in answers %}
+{% set i = a.item %}
+{% if loop.changed(chapter(i)) %}<h2>Chapter {{ chapter(i) }}</h2>{% endif %}
+<section id='{{ i.name }}'><h3>{{ i.where }}: {{ i.title }} {{ word(a) }}</h3>
+{% if i.kind != "result" %}
+<p>A {{ i.kind }}. For it stands: {{ code(i.stands) }}.</p>
+{% else %}
+{% if a.picture %}{{ figure(a.picture.read_bytes(), i.title) }}{% endif %}
+{% if a.verdicts %}
+<ul>{% for v in a.verdicts %}<li{% if not v.agrees %} class="warn"{% endif %}>{{ v.line() }}</li>{% endfor %}</ul>
+{% endif %}
+{% if a.note %}<p>{{ code(a.note) }}</p>{% endif %}
+<p><code>{{ i.command }}</code>{% if a.seconds == a.seconds %} ({{ "%.1f" | format(a.seconds) }} s){% endif %}</p>
+{% endif %}
+</section>
+{% endfor %}
+"""
+
+
+def _render_code_marks(text: str) -> Markup:
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
+def render_html_page(answers: Sequence[StudyAnswer]) -> str:
+    """Return a page of HTML with a table of all figures and tables, their verdicts and, embedded, our pictures."""
+    known = {a.item.name: a for a in answers}
+    every = [known[name] for name in THESIS_ITEMS]
+    return render_page(
+        "The dissertation, figure by figure",
+        _BODY,
+        answers=every,
+        total=_summarise_verdicts([a.to_dict() for a in every]),
+        chapter=_chapter_number,
+        code=_render_code_marks,
+        badges=_BADGES,
+    )

@@ -1,0 +1,364 @@
+"""Parameters: Tables 5.1 to 5.3 and Figs 5.1 and 5.3 to 5.6.
+
+The source's flights are not published. A vehicle with the numbers of Table 5.3 flies instead, under the source's
+conditions (:mod:`mufly.identify.flight.identification_demo`); half of what is known of it is forgotten and found again.
+So the truth is known, and what is tested is the method.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from mufly.bench import BenchTable
+from mufly.identify import IdentificationDemo, MotorFit, fit_motor, run_identification_demo
+from mufly.identify.fit_pictures import motor_picture, prediction_picture
+from mufly.identify.flight.identification_demo import SENSOR_NOISE_STD
+from mufly.identify.residual_analysis import assess_record
+from mufly.thesis.claims import (
+    TABLE_5_3_VALUES,
+    Claim,
+    ProgressCallback,
+    Study,
+    StudyFindings,
+    Verdict,
+    new_figure,
+)
+from mufly.units import RPM
+from mufly.vehicle import list_parameters, load_vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Table 5.1: key -> the method in the vehicle files' words.
+GROUND_METHODS = {
+    "body.mass": "measured",
+    "body.inertia_xx": "CAD",
+    "body.inertia_yy": "CAD",
+    "body.inertia_zz": "CAD",
+    "rotors.lower.hub_z": "CAD",
+    "rotors.upper.hub_z": "CAD",
+    "swash_plate.max_tilt": "measured",
+    "rotors.radius": "measured",
+    "rotors.lower.drive_inertia": "estimated",
+    "rotors.upper.drive_inertia": "estimated",
+    "gear.ratio": "measured",
+    "gear.efficiency": "estimated",
+    "battery.nominal_voltage": "datasheet",
+}
+# Table 5.2: key -> how it is found here.
+BENCH_METHODS = {
+    "rotors.lower.thrust_coefficient": "rotor",
+    "rotors.upper.thrust_coefficient": "rotor",
+    "rotors.lower.torque_coefficient": "rotor",
+    "rotors.upper.torque_coefficient": "rotor",
+    "motor.back_emf_constant": "motor",
+    "motor.torque_constant": "motor",
+    "motor.friction": "motor",
+    "motor.resistance": "motor",
+}
+_IDENTIFIED_LATER = {"rotors.lower.drive_inertia", "rotors.upper.drive_inertia"}
+
+
+def _draw_table(
+    title: str, heads: tuple[str, ...], rows: Sequence[tuple[str, ...]], widths: tuple[float, ...]
+) -> Figure:
+    drawn = new_figure(9.0, 0.9 + 0.24 * len(rows))
+    axes = drawn.subplots()
+    axes.axis("off")
+    table = axes.table(
+        [list(r) for r in rows], colLabels=list(heads), colWidths=list(widths), loc="center", cellLoc="left"
+    )
+    table.auto_set_font_size(False)
+    table.set_fontsize(8)
+    table.scale(1.0, 1.15)
+    axes.set_title(title, fontsize="medium")
+    return drawn
+
+
+def study_ground_parameters(progress: ProgressCallback | None = None) -> StudyFindings:
+    """Table 5.1: where each number of the vehicle file says that it came from, beside the table's method.
+
+    Thesis: Table 5.1.
+    """
+    rows = {p.key: p for p in list_parameters(load_vehicle("mufly-1.1"))}
+    said = {k: rows[k].source for k in GROUND_METHODS}
+    other = [k for k, method in GROUND_METHODS.items() if said[k] != method and k not in _IDENTIFIED_LATER]
+    later = [k for k in _IDENTIFIED_LATER if said[k] == "identified"]
+    same = len(GROUND_METHODS) - len(other) - len(later)
+    verdicts = [
+        Verdict(
+            Claim(
+                "Table 5.1",
+                "thirteen parameters are known before any test, each by the method named",
+                13,
+                "1",
+                "table",
+            ),
+            "mufly-1.1",
+            f"{same} of {len(GROUND_METHODS)} with the same method; {len(later)} drive inertias, estimated "
+            "first, are as fitted in flight afterwards" + (f"; other: {', '.join(other)}" if other else ""),
+            not other,
+            "the same source word for all but what flights changed later",
+        ),
+    ]
+    drawn = _draw_table(
+        "Table 5.1: known before any test",
+        ("parameter", "value", "unit", "source there", "source here"),
+        [(k, f"{rows[k].value:.4g}", rows[k].unit, m, said[k]) for k, m in GROUND_METHODS.items()],
+        (0.36, 0.15, 0.13, 0.18, 0.18),
+    )
+    return StudyFindings(verdicts, drawn)
+
+
+def simulate_motor_bench(seed: int = 0, noise: float = 0.01) -> BenchTable:
+    """Make up the readings of a motor bench at 7.2 V with Table 5.3's constants, 1 % noise in current and the like."""
+    m = load_vehicle("mufly-1.1").motor
+    kE, kM, R, dR = (float(v) for v in (m.back_emf_constant, m.torque_constant, m.resistance, m.friction))
+    u = np.repeat([4.5, 6.0, 7.2], 16)
+    torque = np.tile(np.linspace(0.3e-3, 8e-3, 16), 3)
+    speed = (kM * u / R - torque) / (kM * kE / R + dR)
+    turning = speed > 400.0
+    u, torque, speed = u[turning], torque[turning], speed[turning]
+    y = np.column_stack([u, (u - kE * speed) / R, speed, torque])
+    y *= 1 + noise * np.random.default_rng(seed).standard_normal(y.shape)
+    names = ("voltage", "current", "speed", "torque")
+    return BenchTable(
+        "made up with Table 5.3", dict(zip(names, y.T, strict=True)), {k: k for k in names}, np.arange(len(y))
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def _fit_motor() -> MotorFit:
+    return fit_motor(simulate_motor_bench())
+
+
+def _compare_with_truth(fit: MotorFit) -> tuple[int, str]:
+    v = {p.symbol: float(p.value) for p in list_parameters(load_vehicle("mufly-1.1")) if p.key.startswith("motor.")}
+    inside = [e.low <= v[e.symbol] <= e.high for e in fit.estimates]
+    text = ", ".join(
+        f"{e.symbol} {e.value:.4g} ({e.low:.4g} to {e.high:.4g}; true {v[e.symbol]:.5g})" for e in fit.estimates
+    )
+    return sum(inside), text
+
+
+def study_bench_parameters(progress: ProgressCallback | None = None) -> StudyFindings:
+    """Table 5.2: the eight numbers that benches give, with the command that finds them here."""
+    rows = {p.key: p for p in list_parameters(load_vehicle("mufly-1.1"))}
+    words = {k: rows[k].source for k in BENCH_METHODS}
+    held, _ = _compare_with_truth(_fit_motor())
+    verdicts = [
+        Verdict(
+            Claim(
+                "Table 5.2",
+                "eight parameters come from rotor and motor bench, the motor's by least squares",
+                8,
+                "1",
+                "table",
+            ),
+            "mufly identify rotor | motor",
+            f"{len(BENCH_METHODS)} in the vehicle file, {sum(w == 'identified' for w in words.values())} "
+            f"of them marked identified; of a made-up motor bench {held} of 4 intervals hold the truth",
+            all(w == "identified" for w in words.values()) and held >= 3,
+            "all identified; 3 of 4 or more",
+        ),
+    ]
+    drawn = _draw_table(
+        "Table 5.2: found on benches",
+        ("parameter", "value", "unit", "found here by"),
+        [(k, f"{rows[k].value:.4g}", rows[k].unit, f"mufly identify {b}") for k, b in BENCH_METHODS.items()],
+        (0.42, 0.16, 0.16, 0.26),
+    )
+    return StudyFindings(verdicts, drawn)
+
+
+def study_motor_fit(progress: ProgressCallback | None = None) -> StudyFindings:
+    """Fig. 5.1: current over torque and torque over speed at constant voltage."""
+    fit = _fit_motor()
+    held, text = _compare_with_truth(fit)
+    m = load_vehicle("mufly-1.1").motor
+    kE, kM, R, dR = (float(v) for v in (m.back_emf_constant, m.torque_constant, m.resistance, m.friction))
+    idle = 7.2 * kM / R / (kM * kE / R + dR)
+    loaded = (7.2 * kM / R - 8e-3) / (kM * kE / R + dR)
+    current = (7.2 - kE * loaded) / R
+    verdicts = [
+        Verdict(
+            Claim("Sec. 5.2", "the constants come out of steady points by least squares"),
+            "made-up bench, 1 % noise",
+            f"{held} of 4 intervals hold the truth: {text}",
+            held >= 3,
+            "3 of 4 or more",
+        ),
+        Verdict(
+            Claim("Fig. 5.1", "8 mN m take less than 3 A", 3.0, "A", "axis"),
+            "Table 5.3, 7.2 V",
+            f"{current:.2f} A",
+            1.5 < current < 3.0,
+            "between the last ticks, 1.5 and 3 A",
+        ),
+        Verdict(
+            Claim("Fig. 5.1", "speeds lie between 6 000 and 16 000 rpm", 16000, "rpm", "axis"),
+            "Table 5.3, 7.2 V",
+            f"{loaded / RPM:.0f} rpm at 8 mN m, {idle / RPM:.0f} idle",
+            bool(loaded / RPM > 6000 and idle / RPM < 16000),
+            "inside",
+        ),
+    ]
+    drawn = motor_picture(
+        fit, title="Fig. 5.1: motor constants by least squares (made-up bench with Table 5.3's motor)"
+    )
+    data = xr.Dataset(
+        {
+            "value": ("symbol", [e.value for e in fit.estimates]),
+            "low": ("symbol", [e.low for e in fit.estimates]),
+            "high": ("symbol", [e.high for e in fit.estimates]),
+        },
+        coords={"symbol": [e.symbol for e in fit.estimates]},
+    )
+    return StudyFindings(verdicts, drawn, {"fit": data})
+
+
+@functools.lru_cache(maxsize=1)
+def _run_identification_demo() -> IdentificationDemo:
+    return run_identification_demo(seed=0)
+
+
+# Record -> outputs that the source's figure shows, what it says, and the range of its axis for the last of them.
+_FLIGHT_FIGURES = {
+    "yaw": (("height", "r"), "Fig. 5.3", "yaw rate between -8 and 10 rad/s", (-8.0, 10.0)),
+    "heave": (("height", "r"), "Fig. 5.4", "yaw rate between -4 and 4 rad/s", (-4.0, 4.0)),
+    "roll": (("roll",), "Fig. 5.5", "roll between -0.2 and 0.15 rad", (-0.2, 0.15)),
+    "pitch": (("pitch",), "Fig. 5.6", "pitch between -0.2 and 0.15 rad", (-0.2, 0.15)),
+}
+
+
+def _study_flight(name: str) -> StudyFindings:
+    shown, where, axis, (low, high) = _FLIGHT_FIGURES[name]
+    demo = _run_identification_demo()
+    record = next(r for r in demo.fit.records if name in r.name)
+    found = dict(zip(record.outputs, assess_record(record), strict=True))
+    fits = ", ".join(f"{o} {found[o].fit_percent:.0f} %" for o in shown)
+    last = record.measured[:, record.outputs.index(shown[-1])]
+    last = last - (np.median(last) if name in ("roll", "pitch") else 0.0)
+    ratio = [float(found[o].rms / SENSOR_NOISE_STD[o]) for o in shown]
+    text = ", ".join(f"{o} {r:.2f}" for o, r in zip(shown, ratio, strict=True))
+    verdicts = [
+        Verdict(
+            Claim("Sec. 5.3.3", "model and experiment are well correlated"),
+            "flown vehicle, fitted model",
+            f"prediction from the inputs alone fits to {fits}; error over the sensors' noise: {text}",
+            max(ratio) < 1.2,
+            "error below 1.2 of the noise",
+        ),
+        Verdict(
+            Claim(where, axis, high, "", "axis", "how hard the source's pilot and chirp drove it is not stated"),
+            "flown vehicle",
+            f"{np.nanmin(last):.2f} to {np.nanmax(last):.2f}",
+            bool(0.3 * (high - low) < np.ptp(last) < 2 * (high - low)),
+            "spans 0.3 to 2 times as much",
+        ),
+    ]
+    drawn = prediction_picture(record)
+    drawn.suptitle(f"{where}: actuation in {name}; half the parameters forgotten, found again")
+    data = xr.Dataset(
+        {
+            "measured": (("time_s", "output"), record.measured),
+            "predicted": (("time_s", "output"), record.predicted),
+        },
+        coords={"time_s": record.time_s, "output": list(record.outputs)},
+    )
+    return StudyFindings(verdicts, drawn, {"record": data})
+
+
+def study_yaw_flight(progress: ProgressCallback | None = None) -> StudyFindings:
+    """Fig. 5.3."""
+    return _study_flight("yaw")
+
+
+def study_heave_flight(progress: ProgressCallback | None = None) -> StudyFindings:
+    """Fig. 5.4."""
+    return _study_flight("heave")
+
+
+def study_roll_flight(progress: ProgressCallback | None = None) -> StudyFindings:
+    """Fig. 5.5."""
+    return _study_flight("roll")
+
+
+def study_pitch_flight(progress: ProgressCallback | None = None) -> StudyFindings:
+    """Fig. 5.6."""
+    return _study_flight("pitch")
+
+
+def study_all_parameters(progress: ProgressCallback | None = None) -> StudyFindings:
+    """Table 5.3: the vehicle file beside the print, and what is identified from flights beside both."""
+    rows = {p.key: p for p in list_parameters(load_vehicle("mufly-1.1"))}
+    printed = {k: math.radians(v) if k == "swash_plate.max_tilt" else v for k, v in TABLE_5_3_VALUES.items()}
+    other = [k for k, v in printed.items() if abs(float(np.ravel(rows[k].value)[0]) / v - 1) > 1e-6]
+    demo = _run_identification_demo()
+    inside = demo.truth_inside_interval()
+    off = {e.symbol: 100 * (e.value / demo.truth[e.symbol] - 1) for e in demo.fit.estimates}
+    worst = max(off, key=lambda s: abs(off[s]))
+    held = sum(inside.values())
+    verdicts = [
+        Verdict(
+            Claim("Table 5.3", "26 numbers", 26, "1", "table"),
+            "mufly-1.1",
+            f"{len(printed) - len(other)} of {len(printed)} equal" + (f"; other: {', '.join(other)}" if other else ""),
+            not other,
+            "equal; the vehicle file was written from the table",
+        ),
+        Verdict(
+            Claim("Sec. 5.3", "the numbers can be found from four flights"),
+            "flown vehicle, twelve numbers 50 % off",
+            f"{held} of {len(inside)} 95 % intervals hold the truth; the farthest off is {worst}, {off[worst]:+.1f} %; "
+            f"held-out error over noise {demo.held_out_over_noise:.3f}",
+            held >= 10 and demo.held_out_over_noise < 1.1,
+            "10 of 12 or more; held-out error below 1.1 of the noise",
+        ),
+    ]
+    by_key = {e.key: e for e in demo.fit.estimates if e.key}
+    table = []
+    for key, value in printed.items():
+        e = by_key.get(key)
+        table.append(
+            (
+                key,
+                f"{value:.5g}",
+                rows[key].unit,
+                "" if e is None else f"{e.value:.4g} ({e.low:.4g} to {e.high:.4g})",
+            )
+        )
+    drawn = _draw_table(
+        "Table 5.3, and what flights of that vehicle give back",
+        ("parameter", "printed (SI)", "unit", "identified from flights, 95 %"),
+        table,
+        (0.36, 0.14, 0.14, 0.36),
+    )
+    data = xr.Dataset(
+        {
+            "value": ("symbol", [e.value for e in demo.fit.estimates]),
+            "low": ("symbol", [e.low for e in demo.fit.estimates]),
+            "high": ("symbol", [e.high for e in demo.fit.estimates]),
+            "truth": ("symbol", [demo.truth[e.symbol] for e in demo.fit.estimates]),
+        },
+        coords={"symbol": [e.symbol for e in demo.fit.estimates]},
+    )
+    return StudyFindings(verdicts, drawn, {"fit": data})
+
+
+STUDIES: dict[str, Study] = {
+    "table-5.1": Study(study_ground_parameters, 0.2),
+    "table-5.2": Study(study_bench_parameters, 0.3),
+    "fig-5.1": Study(study_motor_fit, 0.5),
+    "fig-5.3": Study(study_yaw_flight, 30),
+    "fig-5.4": Study(study_heave_flight, 30),
+    "fig-5.5": Study(study_roll_flight, 30),
+    "fig-5.6": Study(study_pitch_flight, 30),
+    "table-5.3": Study(study_all_parameters, 30),
+}

@@ -1,0 +1,475 @@
+"""Named studies: tables and figures of the dissertation, repeated, with a verdict on each of their claims.
+
+What a study gives is kept in a folder, the user's cache or one of their own, under a digest of the sources that it
+rests on (:func:`mufly.numba_cache.imported_sources`): it is computed anew when they change, and only then. So a run of
+all that was stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import cache, partial
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from mufly.answer_store import cache_folder, hash_question, read_answer, write_answer
+from mufly.errors import InputError, report_write_errors
+from mufly.numba_cache import imported_sources
+from mufly.result_figure import enable_notebook_display
+from mufly.results import result
+from mufly.study import TABLE_3_3_AIRFOILS, write_results
+from mufly.thesis import (
+    airframe_studies,
+    blade_element_studies,
+    cfd_studies,
+    coaxial_studies,
+    control_studies,
+    identification_studies,
+    mission_studies,
+    rotor_figures,
+    single_rotor_studies,
+    wake_studies,
+)
+from mufly.thesis.claims import Claim, ProgressCallback, Study, StudyFindings, Verdict
+from mufly.thesis.figure_catalogue import THESIS_ITEMS, ThesisItem, find_item
+from mufly.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COMPARED_MODELS = ("full", "thesis")
+
+
+@result(eq=False)
+class StudyOutcome:
+    """What a study found.
+
+    Attributes
+    ----------
+    name, title : str
+    data : mapping
+        Model to results; empty where nothing but a picture is drawn.
+    verdicts : sequence of Verdict
+    figure : Figure
+    note, lacking : str
+        As in :class:`mufly.thesis.claims.StudyFindings`.
+    seconds : float
+        How long it took.
+    """
+
+    name: str
+    title: str
+    data: Mapping[str, xr.Dataset]
+    verdicts: Sequence[Verdict]
+    figure: Figure
+    note: str = ""
+    lacking: str = ""
+    seconds: float = math.nan
+
+    def plot(self) -> Figure:
+        """Draw it; returns a matplotlib figure."""
+        return enable_notebook_display(self.figure)
+
+    def write(self, folder: str | Path) -> list[Path]:
+        """Write picture, tables (NetCDF, CSV) and ``NAME.json`` with the verdicts; return the files.
+
+        Raises
+        ------
+        InputError
+            If the folder cannot be written.
+        """
+        target = Path(folder)
+        picture, note = target / f"{self.name}.png", target / f"{self.name}.json"
+        files: list[Path] = []
+        with report_write_errors(folder):
+            target.mkdir(parents=True, exist_ok=True)
+            self.figure.savefig(picture, dpi=110)
+            for model, data in self.data.items():
+                name = f"{self.name}-{model}" if len(self.data) > 1 else self.name
+                plain = _to_netcdf_types(data)
+                if all(set(v.dims) == set(data.dims) for v in data.data_vars.values()):
+                    files += write_results(plain, target, name)
+                else:  # no one table has all of it
+                    files.append(target / f"{name}.nc")
+                    plain.to_netcdf(files[-1], engine="scipy")
+        # Last: where it stands, so does the rest.
+        write_answer(note, study_digest(self.name), self.to_dict(), indent=2)
+        return [picture, note, *files]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all but data and picture; a claim without a number has the value null."""
+        verdicts = []
+        for v in self.verdicts:
+            content = asdict(v) | {"agrees": bool(v.agrees)}  # of numpy, it may be
+            if content["claim"]["value"] != content["claim"]["value"]:
+                content["claim"]["value"] = None
+            verdicts.append(content)
+        return {
+            "name": self.name,
+            "title": self.title,
+            "verdicts": verdicts,
+            "note": self.note,
+            "lacking": self.lacking,
+            "seconds": None if math.isnan(self.seconds) else round(self.seconds, 2),
+            "version": __version__,
+        }
+
+
+def _to_netcdf_types(data: xr.Dataset) -> xr.Dataset:
+    """What NetCDF 3 can hold: it has no long integers or instants, and a recording's attributes are of all kinds."""
+    long = {
+        k: (v.dims, v.values.astype(np.int64).astype(float))
+        for k, v in data.variables.items()
+        if v.dtype.kind in "mM" or (v.dtype.kind in "iu" and v.dtype.itemsize == 8)
+    }
+    kept = {k: v for k, v in data.attrs.items() if isinstance(v, str | float)}
+    return data.drop_attrs(deep=False).assign(long).assign_attrs(kept)
+
+
+@result
+class StudyAnswer:
+    """What is known of a figure or table: its item, and what its study found if it has run.
+
+    Attributes
+    ----------
+    item : Item
+    verdicts : tuple of Verdict
+    note, lacking : str
+    seconds : float
+        How long the study took; nan if it has not run.
+    picture : Path or None
+        Ours.
+    known : bool
+        Whether there is an answer: a study that has run, or an item that needs none.
+    """
+
+    item: ThesisItem
+    verdicts: tuple[Verdict, ...] = ()
+    note: str = ""
+    lacking: str = ""
+    seconds: float = math.nan
+    picture: Path | None = None
+    known: bool = False
+
+    @property
+    def verdict_word(self) -> str:
+        """The verdict in a word or two."""
+        if self.item.kind != "result":
+            return "stands for it"
+        if not self.known:
+            return "not run"
+        if self.lacking:
+            return f"needs {self.lacking}"
+        agree = sum(v.agrees for v in self.verdicts)
+        if not self.verdicts:
+            return "drawn"
+        return "agrees" if agree == len(self.verdicts) else "in part" if agree else "DIFFERS"
+
+    @property
+    def agreement_share(self) -> str:
+        """How many verdicts agree, as ``3 of 4``; "" without any."""
+        return f"{sum(v.agrees for v in self.verdicts)} of {len(self.verdicts)}" if self.verdicts else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and text."""
+        i = self.item
+        return {
+            "name": i.name, "kind": i.kind, "section": i.section, "title": i.title, "stands": i.substitute,
+            "word": self.verdict_word, "agree": sum(v.agrees for v in self.verdicts),
+            "verdicts": [v.format_line() for v in self.verdicts],
+            "note": self.note, "seconds": None if math.isnan(self.seconds) else self.seconds, "command": i.cli_command,
+            "picture": None if self.picture is None else str(self.picture),
+        }  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# Studies of one rotor and of pairs, each with several models: their computation as a Study.
+
+
+def _make_subprogress(progress: ProgressCallback | None, k: int, n: int) -> ProgressCallback:
+    """Progress of the k-th of n parts."""
+
+    def report_progress(done: int, total: int) -> None:
+        if progress is not None:
+            progress(done + k * total, n * total)
+
+    return report_progress
+
+
+def _run_models(
+    models: Sequence[str],
+    compute: Callable[[str, ProgressCallback], tuple[xr.Dataset, list[Verdict]]],
+    draw: Callable[[dict[str, xr.Dataset]], Figure],
+    progress: ProgressCallback | None,
+) -> StudyFindings:
+    data: dict[str, xr.Dataset] = {}
+    verdicts: list[Verdict] = []
+    for k, model in enumerate(models):
+        data[model], found = compute(model, _make_subprogress(progress, k, len(models)))
+        verdicts += found
+    return StudyFindings(verdicts, draw(data), data)
+
+
+def _item_heading(name: str) -> str:
+    return f"{THESIS_ITEMS[name].citation}: {THESIS_ITEMS[name].title}"
+
+
+def _run_sweep_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
+    def compute_sweep(model: str, step: ProgressCallback) -> tuple[xr.Dataset, list[Verdict]]:
+        found = single_rotor_studies.run_sweep(single_rotor_studies.SWEEP_STUDIES[name], model)
+        step(1, 1)
+        return found
+
+    return _run_models(
+        COMPARED_MODELS,
+        compute_sweep,
+        lambda d: rotor_figures.draw_pitch_sweep(d, _item_heading(name)),
+        progress,
+    )
+
+
+def _run_gear_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
+    data, verdicts = single_rotor_studies.compute_gear_ratio_study()
+    return StudyFindings(verdicts, rotor_figures.draw_gear_ratio(data, _item_heading(name)), {"constant": data})
+
+
+def _run_coefficients_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
+    return _run_models(
+        COMPARED_MODELS,
+        lambda model, _: single_rotor_studies.compute_coefficients_over_speed(model),
+        lambda d: rotor_figures.draw_coefficients(d, _item_heading(name)),
+        progress,
+    )
+
+
+def _run_ranking_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
+    return _run_models(
+        COMPARED_MODELS,
+        single_rotor_studies.compute_airfoil_ranking,
+        lambda d: rotor_figures.draw_airfoil_ranking(d, TABLE_3_3_AIRFOILS, _item_heading(name)),
+        progress,
+    )
+
+
+def _run_sections_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
+    return StudyFindings(
+        [], rotor_figures.draw_sections(single_rotor_studies.SECTION_FIGURES[name][1], _item_heading(name))
+    )
+
+
+# Name -> computation, verdicts, picture, seconds.
+_PAIR_STUDIES: dict[
+    str, tuple[Callable[..., xr.Dataset], Callable[..., list[Verdict]], Callable[..., Figure], float]
+] = {
+    "fig-3.43": (
+        coaxial_studies.compute_equal_speeds,
+        coaxial_studies.judge_equal_speeds,
+        rotor_figures.draw_equal_speeds,
+        120,
+    ),
+    "fig-3.44": (
+        coaxial_studies.compute_one_speed_fixed,
+        coaxial_studies.judge_one_speed_fixed,
+        rotor_figures.draw_one_speed_fixed,
+        250,
+    ),
+    "table-3.4": (
+        coaxial_studies.compute_torque_balance,
+        coaxial_studies.judge_balance,
+        rotor_figures.draw_torque_balance,
+        300,
+    ),
+    "fig-3.45": (
+        coaxial_studies.compute_rotor_spacing,
+        coaxial_studies.judge_rotor_spacing,
+        rotor_figures.draw_rotor_spacing,
+        400,
+    ),
+}
+
+
+def _run_pair_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
+    compute, judge, draw, _ = _PAIR_STUDIES[name]
+
+    def compute_and_judge(model: str, step: ProgressCallback) -> tuple[xr.Dataset, list[Verdict]]:
+        data = compute(model, progress=step)
+        return data, judge(model, data)
+
+    return _run_models(
+        coaxial_studies.COAXIAL_MODELS, compute_and_judge, lambda d: draw(d, _item_heading(name)), progress
+    )
+
+
+def _run_equal_speeds_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
+    found = _run_pair_study(name, progress)
+    data = coaxial_studies.tabulate_cfd_equal_speeds()
+    judged = coaxial_studies.judge_equal_speeds("CFD, laminar, coarse (docs/cfd.md)", data)
+    why = "by CFD the lower rotor changes the upper one by 1 % at most; the source computed by a vortex method"
+    ours = [replace(v, claim=replace(v.claim, reason=why)) for v in judged]
+    return replace(found, verdicts=[*found.verdicts, *ours])
+
+
+def _make_studies(
+    function: Callable[[str, ProgressCallback | None], StudyFindings], names: Sequence[str], cost_s: float
+) -> dict[str, Study]:
+    return {name: Study(partial(function, name), cost_s) for name in names}
+
+
+_ROTOR_STUDIES: dict[str, Study] = {
+    **_make_studies(_run_sections_study, tuple(single_rotor_studies.SECTION_FIGURES), 0.2),
+    **_make_studies(_run_gear_study, ("fig-3.7",), 0.5),
+    **_make_studies(_run_coefficients_study, ("fig-3.25",), 1),
+    **_make_studies(_run_sweep_study, tuple(single_rotor_studies.SWEEP_STUDIES), 2),
+    **_make_studies(_run_ranking_study, ("table-3.3",), 20),
+    **{name: Study(partial(_run_pair_study, name), entry[3]) for name, entry in _PAIR_STUDIES.items()},
+    **_make_studies(_run_equal_speeds_study, ("fig-3.43",), _PAIR_STUDIES["fig-3.43"][3]),
+}
+_STUDY_MODULES: tuple[ModuleType, ...] = (
+    airframe_studies,
+    blade_element_studies,
+    wake_studies,
+    cfd_studies,
+    identification_studies,
+    control_studies,
+    mission_studies,
+)
+STUDIES: dict[str, Study] = {**_ROTOR_STUDIES, **{k: s for m in _STUDY_MODULES for k, s in m.STUDIES.items()}}
+"""Name -> study, for every item that is a result."""
+
+
+def list_studies() -> list[ThesisItem]:
+    """Return all figures and tables that have a study, in the order of the dissertation."""
+    return [i for i in THESIS_ITEMS.values() if i.kind == "result"]
+
+
+def studies_by_cost() -> list[str]:
+    """Return the names of all studies, the quick ones first."""
+    return sorted(STUDIES, key=lambda name: STUDIES[name].cost_s)
+
+
+def run_study(name: str, progress: ProgressCallback | None = None, *, case: Path | None = None) -> StudyOutcome:
+    """Run a study by name.
+
+    Parameters
+    ----------
+    name : str
+        One that :func:`list_studies` lists, as ``"fig-3.26"``.
+    progress : callable, optional
+        ``progress(done, total)``.
+    case : Path, optional
+        Folder of a solved CFD case, or of several, for Figs 3.22 to 3.24.
+
+    Raises
+    ------
+    InputError
+        If there is no such figure or table, or it is no result.
+    """
+    of = find_item(name)
+    if of.name not in STUDIES:
+        raise InputError("thesis", of.name, f"is a {of.kind}, not a result", f"mufly thesis show {of.name}")
+    began = time.perf_counter()
+    found = STUDIES[of.name].compute(progress) if case is None else cfd_studies.run_study_with_case(of.name, case)
+    return StudyOutcome(
+        of.name, of.title, found.data, found.verdicts, found.figure, found.note, found.lacking,
+        time.perf_counter() - began,
+    )  # fmt: skip
+
+
+# ----------------------------------------------------------------------------
+# What was computed is kept.
+
+
+_DIGEST_LIBRARIES = ("numpy", "scipy", "neuralfoil")
+
+
+@cache
+def _file_digest(file: Path) -> str:
+    root = Path(__file__).resolve().parents[1]
+    vehicles = sorted(root.glob("*/builtin/*.toml")) + sorted(root.glob("vehicle/maps/*.toml"))
+    libraries = [f"{name} {version(name)}" for name in _DIGEST_LIBRARIES]
+    return hash_question(libraries, *(path.read_bytes() for path in (*imported_sources(file), *vehicles)))[:16]
+
+
+def study_digest(name: str) -> str:
+    """Return a hash of what a study rests on: sources, built-in vehicles and the like, versions of libraries."""
+    module = next(
+        (m for m in _STUDY_MODULES if name in m.STUDIES),
+        coaxial_studies if name in _PAIR_STUDIES else single_rotor_studies,
+    )
+    own = _file_digest(Path(str(module.__file__)))
+    return own if name not in _ROTOR_STUDIES else f"{own}-{_file_digest(Path(rotor_figures.__file__))[:8]}"
+
+
+def load_cached_answer(name: str, folder: Path | None = None) -> StudyAnswer:
+    """Return what a folder, by default the user's, keeps of a figure or table; not ``known`` if nothing, or old."""
+    of = find_item(name)
+    if of.kind != "result":
+        return StudyAnswer(of, known=True)
+    place = cache_folder("thesis") if folder is None else folder
+    content = None if place is None else read_answer(place / f"{of.name}.json", study_digest(of.name))
+    if place is None or content is None:
+        return StudyAnswer(of)
+    verdicts = tuple(
+        Verdict(Claim(**{**v["claim"], "value": math.nan if v["claim"]["value"] is None else v["claim"]["value"]}),
+                v["model"], v["ours"], bool(v["agrees"]), v["rule"])
+        for v in content["verdicts"]
+    )  # fmt: skip
+    seconds = math.nan if content.get("seconds") is None else float(content["seconds"])
+    note, lacking = str(content.get("note", "")), str(content.get("lacking", ""))
+    picture = place / f"{of.name}.png"
+    return StudyAnswer(of, verdicts, note, lacking, seconds, picture if picture.is_file() else None, True)
+
+
+def answer_study(
+    name: str,
+    folder: Path | None = None,
+    progress: ProgressCallback | None = None,
+    *,
+    case: Path | None = None,
+    again: bool = False,
+) -> StudyAnswer:
+    """Return the answer to a figure or table, computed unless it is kept.
+
+    Parameters
+    ----------
+    name : str
+    folder : Path, optional
+        Where answers are kept, instead of the user's cache. What the cache holds is taken over.
+    progress, case : optional
+        As for :func:`run_study`; with a case it is computed in any event.
+    again : bool
+        Compute it even if it is kept.
+
+    Raises
+    ------
+    InputError
+        If there is no such figure or table.
+    """
+    of, cached = find_item(name), cache_folder("thesis")
+    place = folder if folder is not None else cached
+    if not again and case is None:
+        found = load_cached_answer(of.name, place)
+        if found.known:
+            return found
+        if folder is not None and cached is not None and load_cached_answer(of.name, cached).known:
+            folder.mkdir(parents=True, exist_ok=True)
+            for file in sorted(cached.glob(f"{of.name}*")):
+                if file.stem == of.name or file.stem.startswith(f"{of.name}-"):
+                    shutil.copyfile(file, folder / file.name)
+            return load_cached_answer(of.name, folder)
+    outcome = run_study(of.name, progress, case=case)
+    if place is not None:
+        outcome.write(place)
+        if folder is not None and cached is not None and case is None:
+            outcome.write(cached)
+        return load_cached_answer(of.name, place)
+    return StudyAnswer(of, tuple(outcome.verdicts), outcome.note, outcome.lacking, outcome.seconds, None, True)

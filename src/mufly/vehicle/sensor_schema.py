@@ -1,0 +1,247 @@
+"""What a vehicle feels with: the table ``[sensors]`` of a vehicle file, a group a sensor, each of which may be absent.
+
+What the numbers do stands with the sensors (:mod:`mufly.sensors`) and in docs/sensors.md. Limits are those of any
+sensor that a vehicle of a gram to 100 kg might carry and of errors with which it still is one; errors may be none.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field, model_validator
+
+from mufly.input_files import model_error
+from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, declare_parameter
+
+
+class VibrationParameters(ParameterGroup):
+    """What the rotors shake the board with, as its amplitude along the shaking at the hover speed."""
+
+    once: Quantity = declare_parameter(
+        "m/s^2", "a1", "once a revolution of each rotor, from imbalance", at_least=0, at_most=2000
+    )
+    twice: Quantity = declare_parameter(
+        "m/s^2", "a2", "twice a revolution of each rotor, from its two blades", at_least=0, at_most=2000
+    )
+    passing: Quantity = declare_parameter(
+        "m/s^2", "ap", "when blades of both rotors pass each other", at_least=0, at_most=2000
+    )
+    resonance: Quantity = declare_parameter(
+        "rad/s", "w_r", "resonance of the board on its mounting", at_least=1, at_most=1e6
+    )
+    damping: Quantity = declare_parameter("1", "zeta_r", "damping ratio of that resonance", at_least=0.001, at_most=2)
+
+
+DEFAULT_LEVEL_ERROR_RAD = math.radians(0.12)
+"""How level a helicopter stands on the floor where its file does not say (0.2 mm under a leg of 0.1 m)."""
+
+
+class ImuParameters(ParameterGroup):
+    sample_period: Quantity = declare_parameter(
+        "s", "T_imu", "between samples at the element", at_least=1e-5, at_most=0.01
+    )
+    bandwidth: Quantity = declare_parameter(
+        "rad/s", "w_aa", "of the filter before decimation", at_least=1, at_most=100000
+    )
+    accelerometer_range: Quantity = declare_parameter(
+        "m/s^2", "a_max", "where an axis clips", at_least=1, at_most=100000
+    )
+    accelerometer_noise: Quantity = declare_parameter(
+        "m/s^2/sqrt(Hz)", "n_a", "density of white noise", at_least=0, at_most=10
+    )
+    accelerometer_bias: Quantity = declare_parameter(
+        "m/s^2", "b_a", "bias at switching on, one sigma", at_least=0, at_most=50
+    )
+    accelerometer_drift: Quantity = declare_parameter(
+        "m/s^2", "d_a", "wandering of the bias, one sigma", at_least=0, at_most=50
+    )
+    gyro_range: Quantity = declare_parameter("rad/s", "w_max", "where an axis clips", at_least=0.1, at_most=10000)
+    gyro_noise: Quantity = declare_parameter("rad/s/sqrt(Hz)", "n_g", "density of white noise", at_least=0, at_most=1)
+    gyro_bias: Quantity = declare_parameter("rad/s", "b_g", "bias at switching on, one sigma", at_least=0, at_most=10)
+    gyro_drift: Quantity = declare_parameter("rad/s", "d_g", "wandering of the bias, one sigma", at_least=0, at_most=10)
+    gyro_g_sensitivity: Quantity = declare_parameter(
+        "rad/s/(m/s^2)",
+        "s_g",
+        "rate that an acceleration along the axis feigns, one sigma",
+        at_least=0,
+        at_most=1,
+    )
+    drift_time: Quantity = declare_parameter(
+        "s", "tau_b", "correlation time of both wanderings", at_least=0.01, at_most=1e7
+    )
+    scale_error: Quantity = declare_parameter(
+        "1", "e_s", "error of each axis's scale, one sigma", at_least=0, at_most=0.2
+    )
+    misalignment: Quantity = declare_parameter("rad", "e_m", "of each axis, one sigma", at_least=0, at_most=0.2)
+    accelerometer_temperature: Quantity = declare_parameter(
+        "m/s^2/K", "k_a", "bias per warming, one sigma", at_least=0, at_most=1
+    )
+    gyro_temperature: Quantity = declare_parameter(
+        "rad/s/K", "k_g", "bias per warming, one sigma", at_least=0, at_most=1
+    )
+    warming: Quantity = declare_parameter(
+        "K", "dT", "of the board, from switching on to its end", at_least=0, at_most=200
+    )
+    warming_time: Quantity = declare_parameter("s", "tau_T", "time constant of the warming", at_least=0.01, at_most=1e6)
+    place: BodyPoints = declare_parameter(
+        "m", "r_imu", "one point: where the element sits, in body axes", at_least=-10, at_most=10
+    )
+    level: Quantity = declare_parameter(
+        "rad",
+        "s_level",
+        "how level it stands where it is calibrated, about x and about y, one sigma",
+        at_least=0,
+        at_most=0.2,
+        absent=DEFAULT_LEVEL_ERROR_RAD,
+    )
+    vibration: VibrationParameters
+
+    @model_validator(mode="after")
+    def _check_single_place(self) -> ImuParameters:
+        if len(self.place.value) != 1:
+            raise model_error(f"{len(self.place.value)} points", "give one, [[x, y, z]]", "sensors.imu.place")
+        return self
+
+
+class SonarParameters(ParameterGroup):
+    period: Quantity = declare_parameter("s", "T_us", "between pulses", at_least=0.0001, at_most=10)
+    cone: Quantity = declare_parameter("rad", "beta_us", "full angle of the cone", at_least=0.001, below=3.0)
+    min_range: Quantity = declare_parameter("m", "l_us_min", "shortest distance", at_least=0, at_most=100)
+    max_range: Quantity = declare_parameter("m", "l_us_max", "greatest distance", at_least=0.01, at_most=100)
+    resolution: Quantity = declare_parameter("m", "dl_us", "step of the reading", at_least=0, at_most=10)
+    noise: Quantity = declare_parameter("m", "n_us", "one sigma before that", at_least=0, at_most=10)
+    dropout: Quantity = declare_parameter("1", "p_us", "share of pulses without an echo", at_least=0, at_most=1)
+    multipath: Quantity = declare_parameter(
+        "1", "p_mp", "share of echoes that came by a second surface", at_least=0, at_most=1
+    )
+    place: BodyPoints = declare_parameter(
+        "m", "r_us", "one point: where it sits, in body axes; it looks along z", at_least=-10, at_most=10
+    )
+
+
+class RingCameraParameters(ParameterGroup):
+    """The omnidirectional camera that sees the spots of the laser ring; the beams are those of ``range_ring``."""
+
+    period: Quantity = declare_parameter("s", "T_cam", "between pictures", at_least=0.0001, at_most=10)
+    radial_pixels: int = Field(ge=8, le=4096, strict=True, description="pixels along a radius of the picture")
+    angular_pixels: int = Field(ge=8, le=4096, strict=True, description="pixels around the picture")
+    baseline: Quantity = declare_parameter(
+        "m", "b_cam", "of the camera below the plane of the beams", at_least=0.001, at_most=10
+    )
+    min_range: Quantity = declare_parameter(
+        "m", "l_cam_min", "shortest distance that is decoded", at_least=0.001, at_most=1000
+    )
+    max_range: Quantity = declare_parameter(
+        "m", "l_cam_max", "greatest distance that is decoded", at_least=0.01, at_most=1000
+    )
+    blur: Quantity = declare_parameter(
+        "1", "s_cam", "radius of a spot, in pixels, one sigma", at_least=0.1, at_most=100
+    )
+    calibration: Quantity = declare_parameter(
+        "1",
+        "e_cam",
+        "error of where each beam's spots are reckoned, in pixels along the radius, one sigma",
+        at_least=0,
+        at_most=100,
+    )
+    brightness: Quantity = declare_parameter(
+        "1", "I_1", "of a spot at 1 m, over the noise of a pixel", at_least=0.001, at_most=1e6
+    )
+    ambient: Quantity = declare_parameter(
+        "1", "I_a", "mean of the ambient light, over the same", at_least=0, at_most=1e6
+    )
+    missed: Quantity = declare_parameter("1", "p_cam", "share of spots that a surface swallows", at_least=0, at_most=1)
+
+
+class PressureSensorParameters(ParameterGroup):
+    period: Quantity = declare_parameter("s", "T_p", "between readings", at_least=0.0001, at_most=100)
+    noise: Quantity = declare_parameter("Pa", "n_p", "one sigma", at_least=0, at_most=10000)
+    drift: Quantity = declare_parameter(
+        "Pa", "d_p", "wandering with weather and doors, one sigma", at_least=0, at_most=10000
+    )
+    drift_time: Quantity = declare_parameter("s", "tau_p", "its correlation time", at_least=0.01, at_most=1e7)
+    downwash: Quantity = declare_parameter(
+        "1", "k_p", "share of the disc loading that the port feels", at_least=-10, at_most=10
+    )
+    delay: Quantity = declare_parameter("s", "T_dp", "of its filter", at_least=0, at_most=10)
+
+
+class MagnetometerParameters(ParameterGroup):
+    period: Quantity = declare_parameter("s", "T_m", "between readings", at_least=0.0001, at_most=100)
+    noise: Quantity = declare_parameter("T", "n_m", "one sigma an axis", at_least=0, at_most=0.01)
+    field: Quantity = declare_parameter("T", "B", "strength of the field in the room", at_least=1e-7, at_most=0.01)
+    inclination: Quantity = declare_parameter(
+        "rad", "I_B", "of the field below the horizon", at_least=-1.58, at_most=1.58
+    )
+    distortion: Quantity = declare_parameter(
+        "T", "d_m", "of the field by steel in walls and floor, one sigma", at_least=0, at_most=0.01
+    )
+    distortion_length: Quantity = declare_parameter("m", "L_m", "over which it changes", at_least=0.01, at_most=10000)
+    hard_iron: Quantity = declare_parameter(
+        "T", "h_m", "left over by calibration, one sigma an axis", at_least=0, at_most=0.01
+    )
+    motor_field: Quantity = declare_parameter(
+        "T/A", "k_m", "per supply current, one sigma an axis", at_least=0, at_most=0.001
+    )
+
+
+class RotorSpeedSensorParameters(ParameterGroup):
+    """Speed from the back-EMF of the motors."""
+
+    period: Quantity = declare_parameter("s", "T_n", "between readings", at_least=0.0001, at_most=10)
+    noise: Quantity = declare_parameter("V", "n_n", "of the voltage, one sigma", at_least=0, at_most=100)
+    constant_error: Quantity = declare_parameter(
+        "1", "e_kE", "of the back-EMF constant, one sigma", at_least=0, at_most=0.5
+    )
+
+
+class BatteryMonitorParameters(ParameterGroup):
+    period: Quantity = declare_parameter("s", "T_bat", "between readings", at_least=0.0001, at_most=100)
+    voltage_resolution: Quantity = declare_parameter("V", "dU", "step of the voltage", at_least=0, at_most=10)
+    voltage_noise: Quantity = declare_parameter("V", "n_U", "one sigma", at_least=0, at_most=10)
+    current_noise: Quantity = declare_parameter("A", "n_I", "one sigma", at_least=0, at_most=100)
+    current_scale: Quantity = declare_parameter(
+        "1", "e_I", "error of the current's scale, one sigma", at_least=0, at_most=1
+    )
+
+
+class PositionFixParameters(ParameterGroup):
+    """Position and heading by visual SLAM, or by whatever tells where the vehicle is now and then."""
+
+    period: Quantity = declare_parameter("s", "T_x", "between fixes", at_least=0.001, at_most=100)
+    latency: Quantity = declare_parameter("s", "L_x", "from the picture to the fix", at_least=0, at_most=10)
+    jitter: Quantity = declare_parameter("s", "j_x", "of the latency, one sigma", at_least=0, at_most=10)
+    noise: Quantity = declare_parameter("m", "n_x", "white, one sigma an axis", at_least=0, at_most=100)
+    wander: Quantity = declare_parameter("m", "d_x", "correlated error, one sigma an axis", at_least=0, at_most=100)
+    wander_time: Quantity = declare_parameter("s", "tau_x", "its correlation time", at_least=0.01, at_most=1e6)
+    heading_noise: Quantity = declare_parameter("rad", "n_psi", "white, one sigma", at_least=0, at_most=3.2)
+    heading_wander: Quantity = declare_parameter("rad", "d_psi", "correlated, one sigma", at_least=0, at_most=3.2)
+    dropout: Quantity = declare_parameter("1", "p_x", "share of fixes that are missing", at_least=0, at_most=1)
+
+
+class SensorSuite(ParameterGroup):
+    """The sensors of a vehicle; what is absent is not on board."""
+
+    imu: ImuParameters | None = None
+    sonar: SonarParameters | None = None
+    ring_camera: RingCameraParameters | None = None
+    pressure: PressureSensorParameters | None = None
+    magnetometer: MagnetometerParameters | None = None
+    rotor_speed: RotorSpeedSensorParameters | None = None
+    battery: BatteryMonitorParameters | None = None
+    position_fix: PositionFixParameters | None = None
+
+    @model_validator(mode="after")
+    def _check_range_limits(self) -> SensorSuite:
+        for name in ("sonar", "ring_camera"):
+            one = getattr(self, name)
+            if one is not None and float(one.min_range) >= float(one.max_range):
+                low, high = float(one.min_range), float(one.max_range)
+                raise model_error(
+                    f"{low:g} m is not below max_range, {high:g} m",
+                    "exchange them",
+                    f"sensors.{name}.min_range",
+                )
+        if self.sonar is not None and len(self.sonar.place.value) != 1:
+            raise model_error(f"{len(self.sonar.place.value)} points", "give one, [[x, y, z]]", "sensors.sonar.place")
+        return self
