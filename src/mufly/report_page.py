@@ -19,7 +19,9 @@ def _environment() -> Environment:
     import jinja2
 
     loader = jinja2.FileSystemLoader(Path(__file__).parent)
-    found = jinja2.Environment(autoescape=True, loader=loader, trim_blocks=True, lstrip_blocks=True)
+    found = jinja2.Environment(
+        autoescape=True, loader=loader, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
     found.filters["base64"] = lambda png: base64.b64encode(png).decode("ascii")
     return found
 

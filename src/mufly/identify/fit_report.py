@@ -65,14 +65,13 @@ class ReportSection:
     Attributes
     ----------
     title : str
-    text : tuple of str
-        Paragraphs.
-    heads : tuple of str
+    text_paragraphs : tuple of str
+    column_heads : tuple of str
         Of a table; empty for none.
-    rows : tuple of tuple of str
-    picture : callable, optional
+    table_rows : tuple of tuple of str
+    draw_picture : callable, optional
         Draws a figure, or returns None if there is nothing to draw.
-    name : str
+    picture_name : str
         Of the picture's file.
     """
 
@@ -122,10 +121,10 @@ def write_report(
             fit=fit,
             sections=sections,
             command=_command_line() if command is None else command,
-            summary=_summary_html(fit),
-            parameters=_parameters_html(fit),
-            sizes=_residual_sizes_html(fit),
-            album=album.embed_picture,
+            summary=_summary_rows(fit),
+            parameters=_parameter_rows(fit),
+            sizes=_residual_rows(fit),
+            album=album.save_picture,
             pictures=fit_pictures,
             correlated=len(fit.estimates) > 1 and np.isfinite(fit.correlation).any(),
             enough=_MIN_RESIDUAL_SAMPLES,
@@ -143,7 +142,7 @@ class _ReportPictures:
     def __init__(self, folder: Path, count: int, progress: Callable[[int, int], None] | None) -> None:
         self._folder, self._count, self._progress, self._done = folder, count, progress, 0
 
-    def embed_picture(self, name: str, draw: Callable[..., Figure | None], *about: object) -> bytes:
+    def save_picture(self, name: str, draw: Callable[..., Figure | None], *about: object) -> bytes:
         """Draw a picture, write it to the folder and return it as PNG, empty if there is nothing to draw."""
         self._done += 1
         if self._progress is not None:
@@ -191,7 +190,7 @@ _BODY = """
 {% endif %}
 <p>Fit: 100 % is exact, 0 % is the mean of the record. Over noise: 1 is the measurement's own noise floor. p below 0.05:
 the residual is not white, so that plain Cramér-Rao bounds would be too small.</p>
-{{ figure(album("theil", pictures.theil_picture, fit.records), "Theil's coefficient") }}
+{{ figure(album("theil", pictures.theil_coefficient_picture, fit.records), "Theil's coefficient") }}
 {% endif %}
 {% for record in fit.records %}
 {% set name = loop.index ~ "-" ~ record.role.replace(" ", "-") %}
@@ -203,16 +202,20 @@ the residual is not white, so that plain Cramér-Rao bounds would be too small.<
 {{ listed(what_is_missing(record), "Nothing stands out of the noise.") }}
 {{ figure(album(name ~ "-residuals", pictures.residual_picture, record), "Residuals") }}
 {% if record.input_names %}
-{{ figure(album(name ~ "-cross", pictures.cross_picture, record), "Residuals and inputs") }}
+{{ figure(album(name ~ "-cross", pictures.cross_correlation_picture, record), "Residuals and inputs") }}
 {{ figure(album(name ~ "-coherence", pictures.coherence_picture, record), "Coherence") }}
 {% endif %}
 {% endif %}
 {% endfor %}
 {% for section in sections %}
 <h2>{{ section.title }}</h2>
-{% for text in section.text %}<p>{{ text }}</p>{% endfor %}
-{% if section.heads %}{{ table(section.heads, section.rows, numbers=range(1, section.heads | length)) }}{% endif %}
-{% if section.picture %}{{ figure(album(section.name or "section", section.picture), section.title) }}{% endif %}
+{% for text in section.text_paragraphs %}<p>{{ text }}</p>{% endfor %}
+{% if section.column_heads %}
+{{ table(section.column_heads, section.table_rows, numbers=range(1, section.column_heads | length)) }}
+{% endif %}
+{% if section.draw_picture %}
+{{ figure(album(section.picture_name or "section", section.draw_picture), section.title) }}
+{% endif %}
 {% endfor %}
 {% if fit.history | length > 1 %}
 <h2>Convergence</h2>
@@ -224,14 +227,14 @@ the residual is not white, so that plain Cramér-Rao bounds would be too small.<
 ReportTable = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 
 
-def _summary_html(fit: FitResult) -> tuple[tuple[str, str], ...]:
+def _summary_rows(fit: FitResult) -> tuple[tuple[str, str], ...]:
     return (
         ("method", fit.method), ("outcome", ("converged; " if fit.converged else "NOT converged; ") + fit.message),
         ("cost", format_number(fit.cost)), ("simulations", f"{fit.simulations}"), ("time", f"{fit.seconds:.1f} s"),
     )  # fmt: skip
 
 
-def _parameters_html(fit: FitResult) -> ReportTable:
+def _parameter_rows(fit: FitResult) -> ReportTable:
     rows = []
     for e in fit.estimates:
         relative = abs(e.std / e.value) if e.value != 0.0 else float("inf")
@@ -258,7 +261,7 @@ def _parameters_html(fit: FitResult) -> ReportTable:
     return tuple(heads[k] for k in keep), tuple(tuple(row[k] for k in keep) for row in rows)
 
 
-def _residual_sizes_html(fit: FitResult) -> ReportTable:
+def _residual_rows(fit: FitResult) -> ReportTable:
     rows = []
     for record in fit.records:
         for j, q in enumerate(assess_record(record)):

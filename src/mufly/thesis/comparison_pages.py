@@ -116,7 +116,8 @@ _BADGES = {"agrees": "yes", "in part": "part", "DIFFERS": "no"}
 
 _BODY = """
 {% macro word(a) %}
-<span class="badge {{ badges.get(a.word) or "" }}">{{ a.word }}{% if a.share %} ({{ a.share }}){% endif %}</span>
+<span class="badge {{ badges.get(a.verdict_word) or "" }}">{{ a.verdict_word }}
+{%- if a.agreement_share %} ({{ a.agreement_share }}){% endif %}</span>
 {%- endmacro %}
 <p>D. Schafroth, <i>Aerodynamics, Modeling and Control of an Autonomous Micro Helicopter</i>, ETH No. 18901, 2010; ours
 beside what is printed. A claim says whether it was read in the text, in a printed table or from the texts of a
@@ -124,23 +125,25 @@ figure's axis; no curve was digitised, and nothing is tuned to any of it.</p>
 <p><b>{{ total }}</b></p>
 <table><tr><th></th><th>what</th><th>verdict</th></tr>
 {% for a in answers %}
-<tr><td class="k"><a href='#{{ a.item.name }}'>{{ a.item.where }}</a></td><td>{{ a.item.title }}</td>
-<td>{% if a.item.kind == "result" %}{{ word(a) }}{% else %}{{ code(a.item.stands) }}{% endif %}</td></tr>
+<tr><td class="k"><a href='#{{ a.item.name }}'>{{ a.item.citation }}</a></td><td>{{ a.item.title }}</td>
+<td>{% if a.item.kind == "result" %}{{ word(a) }}{% else %}{{ code(a.item.substitute) }}{% endif %}</td></tr>
 {% endfor %}
 </table>
 {% for a in answers %}
 {% set i = a.item %}
 {% if loop.changed(chapter(i)) %}<h2>Chapter {{ chapter(i) }}</h2>{% endif %}
-<section id='{{ i.name }}'><h3>{{ i.where }}: {{ i.title }} {{ word(a) }}</h3>
+<section id='{{ i.name }}'><h3>{{ i.citation }}: {{ i.title }} {{ word(a) }}</h3>
 {% if i.kind != "result" %}
-<p>A {{ i.kind }}. For it stands: {{ code(i.stands) }}.</p>
+<p>A {{ i.kind }}. For it stands: {{ code(i.substitute) }}.</p>
 {% else %}
 {% if a.picture %}{{ figure(a.picture.read_bytes(), i.title) }}{% endif %}
 {% if a.verdicts %}
-<ul>{% for v in a.verdicts %}<li{% if not v.agrees %} class="warn"{% endif %}>{{ v.line() }}</li>{% endfor %}</ul>
+<ul>
+{% for v in a.verdicts %}<li{% if not v.agrees %} class="warn"{% endif %}>{{ v.format_line() }}</li>{% endfor %}
+</ul>
 {% endif %}
 {% if a.note %}<p>{{ code(a.note) }}</p>{% endif %}
-<p><code>{{ i.command }}</code>{% if a.seconds == a.seconds %} ({{ "%.1f" | format(a.seconds) }} s){% endif %}</p>
+<p><code>{{ i.cli_command }}</code>{% if a.seconds == a.seconds %} ({{ "%.1f" | format(a.seconds) }} s){% endif %}</p>
 {% endif %}
 </section>
 {% endfor %}

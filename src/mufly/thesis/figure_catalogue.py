@@ -31,7 +31,7 @@ class ThesisItem:
     section : str
         Where it stands.
     title : str
-    stands : str
+    substitute : str
         What stands for it here; "" for a result.
     """
 

@@ -48,7 +48,7 @@ points="{% for x, y in points %}{{ "%.1f,%.1f " | format(x, y) }}{% endfor %}"/>
 <span class="key" style="color:{{ colours[loop.index0 % colours | length] }}">● {{ name }}</span>&ensp;
 {% endfor %}
 </p>
-<ul>{% for x in events %}<li>{{ x.what }}: {{ x.why }}</li>{% endfor %}</ul>
+<ul>{% for x in events %}<li>{{ x.what }}: {{ x.why | default("") }}</li>{% endfor %}</ul>
 """
 
 
