@@ -104,13 +104,15 @@ _NO_RESULTS = {
     "firmware": "FixedPointLaw EvidenceSection",
     "flight": "Estimate RecordingLayout TrajectoryLimits Readings Truth",
     "flight.monte_carlo": "FlightCase ParameterVariation",
-    "link": "MissionAck MissionClearAll Command MissionCount Endpoint MissionItem GlobalOrigin MissionPlan MissionRequestItem MissionRequestList",
+    "link": "MissionAck MissionClearAll Command MissionCount Endpoint MissionItem GlobalOrigin MissionPlan "
+    "MissionRequestItem MissionRequestList",
     "logs": "RecordingLayout McapContents RawLog",
-    "mission": "RequestAnswer MissionItem PlannedLeg MissionPlan MissionState MissionTiming Reference CubicSpline Trajectory",
+    "mission": "RequestAnswer MissionItem PlannedLeg MissionPlan MissionState MissionTiming Reference "
+    "CubicSpline Trajectory",
     "rotor": "Blading",
     "bench": "ColumnMeaning",
     "sensors": "Fault Readings Truth",
-    "slam": "CameraFrame VehicleMotion VehiclePath MapView FrameSource FrameInfo",  # what goes in; a map as the page draws it
+    "slam": "CameraFrame VehicleMotion VehiclePath MapView FrameSource FrameInfo",  # what goes in; a map to draw
     "station": "",
     "study": "OperatingCondition DesignLimit RotorSystem",
     "thesis": "ThesisItem",
