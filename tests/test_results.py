@@ -104,7 +104,7 @@ _NO_RESULTS = {
     "firmware": "FixedPointLaw EvidenceSection",
     "flight": "Estimate RecordingLayout TrajectoryLimits Readings Truth",
     "flight.monte_carlo": "FlightCase ParameterVariation",
-    "link": "MissionAck MissionClearAll Command MissionCount Endpoint MissionItem GlobalOrigin MissionPlan "
+    "link": "MissionAck MissionClearAll Command MissionCount Endpoint MissionItem GlobalOrigin MissionWithItems "
     "MissionRequestItem MissionRequestList",
     "logs": "RecordingLayout McapContents RawLog",
     "mission": "RequestAnswer MissionItem PlannedLeg MissionPlan MissionState MissionTiming Reference "
