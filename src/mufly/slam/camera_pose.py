@@ -46,7 +46,8 @@ from numpy.typing import NDArray
 from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
-POSE_SIZE = 8  # N, E, h, heading; errors of the tilt about x and y of the heading; of the keyframe's about its own
+PX_HEIGHT, PX_HEADING, PX_TILT, PX_KEYFRAME_TILT, POSE_SIZE = 2, 3, 4, 6, 8
+"""A pose: N, E, h, heading; errors of the tilt about x and y of the heading; of the keyframe's about its own."""
 SHAKE_SIZE = 8  # for each rotor cosine and sine along x, then along y
 _MAX_ITERATIONS = 6
 _MIN_HEIGHT_RATIO = 0.1  # of what the sonar says: two points of one place show none
@@ -135,6 +136,26 @@ class PoseEstimate:
     def inlier_mask(self) -> NDArray[np.bool_]:
         """Which points lie within three deviations."""
         return self.normalised_residuals < 3.0 * max(self.residual_scale, 0.7)
+
+    @property
+    def height_m(self) -> float:
+        """Above the floor."""
+        return float(self.state[PX_HEIGHT])
+
+    @property
+    def heading_rad(self) -> float:
+        """From north to east."""
+        return float(self.state[PX_HEADING])
+
+    @property
+    def tilt_error_rad(self) -> _Array:
+        """About x and y of the heading (2,)."""
+        return self.state[PX_TILT:PX_KEYFRAME_TILT]
+
+    @property
+    def keyframe_tilt_error_rad(self) -> _Array:
+        """The keyframe's, about x and y of its own heading (2,)."""
+        return self.state[PX_KEYFRAME_TILT:POSE_SIZE]
 
 
 def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
@@ -242,16 +263,16 @@ def solve_pose(
     shakes = SHAKE_SIZE if view.shake_sigma_px > 0.0 else 0
     size = POSE_SIZE + shakes
     x = np.zeros(size)
-    x[:4] = start
+    x[:PX_TILT] = start
     known = np.zeros(size)
-    known[2], known[4:6] = view.height_m, view.tilt_error_rad
+    known[PX_HEIGHT], known[PX_TILT:PX_KEYFRAME_TILT] = view.height_m, view.tilt_error_rad
     prior = np.zeros((size, size))
-    prior[2, 2] = view.height_sigma_m**-2
-    prior[4:8, 4:8] = np.linalg.inv(tilts)
+    prior[PX_HEIGHT, PX_HEIGHT] = view.height_sigma_m**-2
+    prior[PX_TILT:POSE_SIZE, PX_TILT:POSE_SIZE] = np.linalg.inv(tilts)
     if shakes:
         known[POSE_SIZE:] = view.shake_amplitudes_px
         prior[POSE_SIZE:, POSE_SIZE:] = view.shake_sigma_px**-2 * np.eye(shakes)
-    x[4:] = known[4:]
+    x[PX_TILT:] = known[PX_TILT:]
     normal, off, weight = np.empty((size, size)), np.empty((len(points), 2)), np.empty(len(points))
     _minimise_residuals(
         x,
@@ -341,15 +362,16 @@ def _minimise_residuals(
     row = np.zeros((2, size))
     right = np.empty(size)
     for turn in range(rounds + 1):
-        r = _compute_attitude(roll, pitch, x[3], x[4], x[5])
-        ch, sh = math.cos(x[3]), math.sin(x[3])
+        r = _compute_attitude(roll, pitch, x[PX_HEADING], x[PX_TILT], x[PX_TILT + 1])
+        ch, sh = math.cos(x[PX_HEADING]), math.sin(x[PX_HEADING])
+        tilt_x, tilt_y = x[PX_KEYFRAME_TILT], x[PX_KEYFRAME_TILT + 1]
         normal[:] = 0.0
         right[:] = 0.0
         for i in range(n):
             s = seconds[i]
-            wn = points[i, 0] + bend[i, 0, 0] * x[6] + bend[i, 0, 1] * x[7] - x[0] - velocity[0] * s
-            we = points[i, 1] + bend[i, 1, 0] * x[6] + bend[i, 1, 1] * x[7] - x[1] - velocity[1] * s
-            wd = points[i, 2] + x[2] - velocity[2] * s
+            wn = points[i, 0] + bend[i, 0, 0] * tilt_x + bend[i, 0, 1] * tilt_y - x[0] - velocity[0] * s
+            we = points[i, 1] + bend[i, 1, 0] * tilt_x + bend[i, 1, 1] * tilt_y - x[1] - velocity[1] * s
+            wd = points[i, 2] + x[PX_HEIGHT] - velocity[2] * s
             # g = A^T exp([w s])^T R^T, row by row
             q = np.empty(3)
             g = np.empty((3, 3))
@@ -372,35 +394,25 @@ def _minimise_residuals(
                 a = fz * (g[k, 0] - ratio * g[2, 0])
                 b = fz * (g[k, 1] - ratio * g[2, 1])
                 c = fz * (g[k, 2] - ratio * g[2, 2])
-                row[k, 0], row[k, 1], row[k, 2] = -a, -b, c
+                row[k, 0], row[k, 1], row[k, PX_HEIGHT] = -a, -b, c
                 # a turn t of the body: dw = w x t
-                row[k, 3] = a * we - b * wn
+                row[k, PX_HEADING] = a * we - b * wn
                 about_n, about_e = b * wd - c * we, c * wn - a * wd
-                row[k, 4] = ch * about_n + sh * about_e
-                row[k, 5] = ch * about_e - sh * about_n
-                row[k, 6] = a * bend[i, 0, 0] + b * bend[i, 1, 0]
-                row[k, 7] = a * bend[i, 0, 1] + b * bend[i, 1, 1]
+                row[k, PX_TILT] = ch * about_n + sh * about_e
+                row[k, PX_TILT + 1] = ch * about_e - sh * about_n
+                row[k, PX_KEYFRAME_TILT] = a * bend[i, 0, 0] + b * bend[i, 1, 0]
+                row[k, PX_KEYFRAME_TILT + 1] = a * bend[i, 0, 1] + b * bend[i, 1, 1]
             px, py = focal * u, focal * v
             if shakes:
                 for k in range(2):
                     co, si = math.cos(phase[k] + rotor[k] * s), math.sin(phase[k] + rotor[k] * s)
-                    j = 8 + 4 * k
+                    j, y = POSE_SIZE + 4 * k, POSE_SIZE + 4 * k + 2
                     uu, vv, uv = 1.0 + u * u, 1.0 + v * v, u * v
-                    zx, zy = x[j] * co + x[j + 1] * si, x[j + 2] * co + x[j + 3] * si
+                    zx, zy = x[j] * co + x[j + 1] * si, x[y] * co + x[y + 1] * si
                     px += zx * uu + zy * uv
                     py += zx * uv + zy * vv
-                    row[0, j], row[0, j + 1], row[0, j + 2], row[0, j + 3] = (
-                        co * uu,
-                        si * uu,
-                        co * uv,
-                        si * uv,
-                    )
-                    row[1, j], row[1, j + 1], row[1, j + 2], row[1, j + 3] = (
-                        co * uv,
-                        si * uv,
-                        co * vv,
-                        si * vv,
-                    )
+                    row[0, j], row[0, j + 1], row[0, y], row[0, y + 1] = co * uu, si * uu, co * uv, si * uv
+                    row[1, j], row[1, j + 1], row[1, y], row[1, y + 1] = co * uv, si * uv, co * vv, si * vv
             off[i, 0], off[i, 1] = pixels[i, 0] - px, pixels[i, 1] - py
             loose = (off[i, 0] ** 2 + off[i, 1] ** 2) / (2.0 * sigma[i] ** 2)
             weight[i] = 1.0 / (1.0 + loose / (_CAUCHY_SCALE * _CAUCHY_SCALE))

@@ -16,7 +16,13 @@ from mufly.errors import InputError
 from mufly.slam.camera_pose import d_rays_d_tilt
 from mufly.slam.image_tools import find_repeat_shifts
 from mufly.slam.pose_graph import (
+    ERRORS,
+    HEADING,
+    LN_HEIGHT,
     NODE_SIZE,
+    PLACE,
+    SONAR,
+    TILT,
     GraphEdge,
     GraphSolution,
     KeyframePriors,
@@ -181,16 +187,16 @@ class FloorMap:
         of_tilt = gauss_markov_transition(since, tilt[0] if last is None else last.tilt_sigma, *tilt)
         of_height = gauss_markov_transition(since, height[0] if last is None else last.height_sigma, *height)
         keep, noise = np.array([of_tilt, of_tilt, of_height]).T
-        return keep * (0.0 if last is None else self.nodes[-1, 4:]), keep, noise
+        return keep * (0.0 if last is None else self.nodes[-1, ERRORS]), keep, noise
 
     def predict_covariance(self, k: int, keep: _Array, noise: _Array) -> _Array:
         """Return the covariance of node ``k``, of the error of its tilt and of a picture's tilt and sonar (9, 9)."""
         last = len(self.keyframes) - 1
         to = np.zeros((9, NODE_SIZE if k == last else 2 * NODE_SIZE))
-        to[:6, :6] = np.eye(6)
-        to[6:, -3:] = np.diag(keep)
+        to[:SONAR, :SONAR] = np.eye(SONAR)
+        to[SONAR:, -3:] = np.diag(keep)
         out = to @ (self.joint_covariance(k) if k == last else self.joint_covariance(k, last)) @ to.T
-        out[6:, 6:] += np.diag(noise)
+        out[SONAR:, SONAR:] += np.diag(noise)
         return out
 
     def connected_keyframes(self, k: int) -> set[int]:
@@ -204,14 +210,16 @@ class FloorMap:
     def locate_points(self, k: int) -> _Array:
         """Where the points of a keyframe lie (n, 3), N-E-D, by what its tilt is believed to be off by now."""
         f = self.keyframes[k]
-        moved = d_rays_d_tilt(f.slopes) @ (self.nodes[k, 4:6] - f.tilt)
-        c, z = complex(self.nodes[k, 0], self.nodes[k, 1]), np.exp(self.nodes[k, 3] + 1j * self.nodes[k, 2])
+        moved = d_rays_d_tilt(f.slopes) @ (self.nodes[k, TILT] - f.tilt)
+        n, e, heading, ln_height = self.nodes[k, PLACE]
+        c, z = complex(n, e), np.exp(ln_height + 1j * heading)
         x = c + z * (f.slopes + moved[:, 0] + 1j * moved[:, 1])
         return np.stack([x.real, x.imag, np.zeros(len(x))], axis=1)
 
     def points_tilt_jacobian(self, k: int) -> _Array:
         """How the points of a keyframe move (n, 2, 2) with the error of its tilt (m/rad)."""
-        c, s, h = math.cos(self.nodes[k, 2]), math.sin(self.nodes[k, 2]), math.exp(self.nodes[k, 3])
+        _, _, heading, ln_height = self.nodes[k, PLACE].tolist()
+        c, s, h = math.cos(heading), math.sin(heading), math.exp(ln_height)
         return h * np.array([[c, -s], [s, c]]) @ d_rays_d_tilt(self.keyframes[k].slopes)
 
     def repeat_offsets(self, k: int, focal: float) -> _Array:
@@ -220,7 +228,8 @@ class FloorMap:
         if f.repeat_shifts_px is None:
             f.repeat_shifts_px = find_repeat_shifts(f.picture)
         m = f.repeat_shifts_px / focal @ f.turn[:2, :2].T
-        c, s, h = math.cos(self.nodes[k, 2]), math.sin(self.nodes[k, 2]), math.exp(self.nodes[k, 3])
+        _, _, heading, ln_height = self.nodes[k, PLACE].tolist()
+        c, s, h = math.cos(heading), math.sin(heading), math.exp(ln_height)
         way = h * m @ np.array([[c, s], [-s, c]])
         return np.concatenate([way, -way])
 
@@ -285,8 +294,8 @@ class FloorMap:
 def compose_pose(a: _Array, b: _Array) -> _Array:
     """Return the node that is seen as ``b`` (four numbers of :func:`mufly.slam.pose_graph.relative_pose`) from node
     ``a``."""
-    c, s, h = math.cos(a[2]), math.sin(a[2]), math.exp(a[3])
-    return np.array([a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), a[2] + b[2], a[3] + b[3]])
+    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LN_HEIGHT])
+    return np.array([a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), *(a[PLACE] + b)[HEADING:]])
 
 
 def remove_pose_fit(
@@ -314,7 +323,7 @@ def view_overlap(a: _Array, b: _Array, wide: float, high: float) -> float:
     """Return about which share of the floor that node ``b`` sees node ``a`` sees too, both level; less where they are
     turned or apart in height. ``wide`` and ``high`` are the picture's sides over the focal length."""
     t = relative_pose(a, b)
-    size = min(math.exp(t[3]), math.exp(-t[3]))
+    size = min(math.exp(t[LN_HEIGHT]), math.exp(-t[LN_HEIGHT]))
     # The picture's rows run along the nose.
     along, across = max(0.0, 1.0 - abs(t[0]) / high), max(0.0, 1.0 - abs(t[1]) / wide)
-    return along * across * size * max(0.0, math.cos(1.5 * t[2])) if abs(t[2]) < 1.0 else 0.0
+    return along * across * size * max(0.0, math.cos(1.5 * t[HEADING])) if abs(t[HEADING]) < 1.0 else 0.0

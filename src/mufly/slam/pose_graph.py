@@ -40,7 +40,11 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import SuperLU, splu
 
 _Array = NDArray[np.float64]
-NODE_SIZE = 7  # N, E, heading, ln h, error of the tilt about x and y of the heading, of the sonar's ln h
+HEADING, LN_HEIGHT, SONAR, NODE_SIZE = 2, 3, 6, 7
+PLACE, TILT, ERRORS = slice(0, 4), slice(4, SONAR), slice(4, NODE_SIZE)
+"""A node: place (N, E, heading, ln h), errors of the tilt about x and y of the heading and of the sonar's ln h."""
+EDGE_TILT_A, EDGE_TILT_B, EDGE = slice(4, 6), slice(6, 8), 8
+"""What an edge tells: the four numbers of a relation, tilt of its first node, of its second."""
 _HEIGHT_CONSTRAINT_VARIANCE = 1e-6  # variance of ln h given the error of the sonar's
 _LOOP_ROBUST_CHI2 = 16.0  # chi^2 at which a closure counts half
 _MAX_ITERATIONS = 10
@@ -72,7 +76,7 @@ class GraphEdge:
 
     def compute_residual(self, a: _Array, b: _Array) -> _Array:
         """Eight numbers: nodes ``a``, ``b`` less what was found."""
-        out = np.concatenate([relative_pose(a, b), a[4:6], b[4:6]]) - self.measurement
+        out = np.concatenate([relative_pose(a, b), a[TILT], b[TILT]]) - self.measurement
         out[2] = _wrap_angle(out[2])
         return out
 
@@ -123,20 +127,21 @@ def gauss_markov_transition(
 
 def relative_pose(a: _Array, b: _Array) -> _Array:
     """Return the four numbers of node ``b`` seen from node ``a`` (each N, E, heading, ln h)."""
-    c, s, h = math.cos(a[2]), math.sin(a[2]), math.exp(a[3])
+    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LN_HEIGHT])
     n, e = b[0] - a[0], b[1] - a[1]
-    return np.array([(c * n + s * e) / h, (-s * n + c * e) / h, _wrap_angle(b[2] - a[2]), b[3] - a[3]])
+    turn = _wrap_angle(b[HEADING] - a[HEADING])
+    return np.array([(c * n + s * e) / h, (-s * n + c * e) / h, turn, b[LN_HEIGHT] - a[LN_HEIGHT]])
 
 
 def relative_pose_jacobians(a: _Array, b: _Array) -> tuple[_Array, _Array]:
     """Return how :func:`relative_pose` changes with ``a`` and with ``b``, (4, 4) each."""
-    c, s, h = math.cos(a[2]), math.sin(a[2]), math.exp(a[3])
+    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LN_HEIGHT])
     t = relative_pose(a, b)
     by_b = np.eye(4)
     by_b[:2, :2] = np.array([[c, s], [-s, c]]) / h
     by_a = -by_b.copy()
-    by_a[0, 2], by_a[1, 2] = t[1], -t[0]
-    by_a[0, 3], by_a[1, 3] = -t[0], -t[1]
+    by_a[0, HEADING], by_a[1, HEADING] = t[1], -t[0]
+    by_a[0, LN_HEIGHT], by_a[1, LN_HEIGHT] = -t[0], -t[1]
     return by_a, by_b
 
 
@@ -144,7 +149,7 @@ def edge_jacobian(a: _Array, b: _Array) -> _Array:
     """Return how an edge's eight numbers change with both nodes, (8, 12)."""
     out = np.zeros((8, 2 * NODE_SIZE))
     out[:4, :4], out[:4, NODE_SIZE : NODE_SIZE + 4] = relative_pose_jacobians(a, b)
-    out[4:6, 4:6] = out[6:8, NODE_SIZE + 4 : NODE_SIZE + 6] = np.eye(2)
+    out[EDGE_TILT_A, TILT] = out[EDGE_TILT_B, NODE_SIZE + TILT.start : NODE_SIZE + TILT.stop] = np.eye(2)
     return out
 
 
@@ -225,19 +230,20 @@ def solve_graph(
         for k in range(n):
             keep, noise = chain[k]
             block = np.diag([1e-9, 1e-9, 1e-9, 0.0, *(1.0 / noise)])
-            before = x[k - 1, 4:] if k else np.zeros(3)
-            off = (x[k, 4:] - keep * before) / noise
-            right[k, 4:] -= off
+            before = x[k - 1, ERRORS] if k else np.zeros(3)
+            off = (x[k, ERRORS] - keep * before) / noise
+            right[k, ERRORS] -= off
             if k:
-                right[k - 1, 4:] += keep * off
+                right[k - 1, ERRORS] += keep * off
                 a, b = np.zeros((NODE_SIZE, NODE_SIZE)), np.zeros((NODE_SIZE, NODE_SIZE))
-                a[4:, 4:], b[4:, 4:] = np.diag(-keep / noise), np.diag(keep**2 / noise)
+                a[ERRORS, ERRORS], b[ERRORS, ERRORS] = np.diag(-keep / noise), np.diag(keep**2 / noise)
                 blocks += [(k - 1, k, a), (k, k - 1, a), (k - 1, k - 1, b)]
             else:
                 block[:3, :3] += np.diag(hold)
-                right[0, :3] += hold * (start[:3] - x[0, :3])
-            block[np.ix_([3, 6], [3, 6])] += 1.0 / _HEIGHT_CONSTRAINT_VARIANCE
-            right[k, [3, 6]] += (known.log_height[k] - x[k, 3] - x[k, 6]) / _HEIGHT_CONSTRAINT_VARIANCE
+                right[0, :LN_HEIGHT] += hold * (start[:LN_HEIGHT] - x[0, :LN_HEIGHT])
+            sonar = [LN_HEIGHT, SONAR]
+            block[np.ix_(sonar, sonar)] += 1.0 / _HEIGHT_CONSTRAINT_VARIANCE
+            right[k, sonar] += (known.log_height[k] - x[k, LN_HEIGHT] - x[k, SONAR]) / _HEIGHT_CONSTRAINT_VARIANCE
             blocks.append((k, k, block))
         at = np.array([(a, b) for a, b, _ in blocks])
         rows = NODE_SIZE * at[:, 0, None, None] + np.arange(NODE_SIZE)[None, :, None] + np.zeros((1, 1, NODE_SIZE), int)
@@ -281,20 +287,22 @@ def fuse_pose(
         What the sonar says of ln h, less the error that is expected of it.
     """
     by_a, by_b = relative_pose_jacobians(a, b)
-    to = np.zeros((8, 13))
+    to = np.zeros((EDGE, 13))
+    # Of the unknowns: the keyframe's node and tilt, the picture's tilt, sonar and place
+    keyframe, picture, sonar, place = slice(4, 6), slice(6, 8), 8, slice(9, 13)
     # The picture's own place as pixels know it: moved back by what the keyframe is off by.
-    move = np.hstack([np.linalg.solve(by_b, by_a), np.eye(4)])[[0, 1, 3, 2]]
-    move[2] *= math.exp(b[3])
-    to[:4, :4], to[:4, 9:] = move[:, :4], move[:, 4:]
-    to[4:6, 6:8] = to[6:8, 4:6] = np.eye(2)
+    move = np.hstack([np.linalg.solve(by_b, by_a), np.eye(4)])[[0, 1, LN_HEIGHT, HEADING]]
+    move[2] *= math.exp(b[LN_HEIGHT])
+    to[:4, :4], to[:4, place] = np.split(move, 2, axis=1)
+    to[EDGE_TILT_A, picture] = to[EDGE_TILT_B, keyframe] = np.eye(2)
     prior = np.zeros((13, 13))
     prior[:9, :9] = np.linalg.inv(known)
     begin = np.zeros(13)
-    begin[4:8] = tilts[[2, 3, 0, 1]]  # how far what was found is from what was expected
+    begin[keyframe], begin[picture] = tilts[2:], tilts[:2]  # how far what was found is from what was expected
     m = prior + to.T @ seen @ to
     right = to.T @ pull - prior @ begin
-    sonar = [8, 12]
-    m[np.ix_(sonar, sonar)] += 1.0 / _HEIGHT_CONSTRAINT_VARIANCE
-    right[sonar] += (log_height - b[3]) / _HEIGHT_CONSTRAINT_VARIANCE
+    heights = [sonar, place.start + LN_HEIGHT]
+    m[np.ix_(heights, heights)] += 1.0 / _HEIGHT_CONSTRAINT_VARIANCE
+    right[heights] += (log_height - b[LN_HEIGHT]) / _HEIGHT_CONSTRAINT_VARIANCE
     covariance = np.asarray(np.linalg.inv(m), np.float64)
-    return b + (covariance @ right)[9:], covariance[9:, 9:]
+    return b + (covariance @ right)[place], covariance[place, place]

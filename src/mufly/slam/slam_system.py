@@ -29,6 +29,9 @@ from mufly.camera import Camera, body_from_camera_rotation, check_picture_size
 from mufly.slam.camera_frame import CameraFrame, Odometry
 from mufly.slam.camera_pose import (
     POSE_SIZE,
+    PX_HEIGHT,
+    PX_KEYFRAME_TILT,
+    PX_TILT,
     SHAKE_SIZE,
     PoseEstimate,
     ViewPrior,
@@ -49,7 +52,18 @@ from mufly.slam.image_tools import (
 )
 from mufly.slam.keyframe_map import FloorMap, Keyframe, compose_pose, remove_pose_fit, view_overlap
 from mufly.slam.place_recognition import MIN_INLIERS, correlate_pictures, is_unambiguous, relocalize_by_orb
-from mufly.slam.pose_graph import GraphEdge, fuse_pose, relative_pose, relative_pose_jacobians
+from mufly.slam.pose_graph import (
+    EDGE_TILT_A,
+    EDGE_TILT_B,
+    HEADING,
+    LN_HEIGHT,
+    PLACE,
+    TILT,
+    GraphEdge,
+    fuse_pose,
+    relative_pose,
+    relative_pose_jacobians,
+)
 
 _Array = NDArray[np.float64]
 MIN_CORRELATION = 0.5
@@ -138,8 +152,8 @@ class _KeyframeMatch:
 
     @property
     def graph_node(self) -> _Array:
-        x = self.pose.state
-        return np.array([x[0], x[1], x[3], math.log(x[2])])
+        p = self.pose
+        return np.array([*p.state[:2], p.heading_rad, math.log(p.height_m)])
 
 
 class SlamSystem:
@@ -274,7 +288,7 @@ class SlamSystem:
             (told.height_sigma / height, told.height_time_s),
         )  # fmt: skip
         view = view._replace(tilt_error_rad=self._predicted_errors[:2])
-        turn = attitude_matrix(view, None, self._last_node[2])
+        turn = attitude_matrix(view, None, self._last_node[HEADING])
         velocity = np.array([*self._velocity_m_s, 0.0]) if told.velocity is None else told.velocity
         velocity = velocity + turn @ np.cross(told.rates, self._camera_position_m)
         return view._replace(
@@ -291,7 +305,7 @@ class SlamSystem:
             n, e, heading = frame.info.place
             self._position_sigma_m = believed
             return self._node_from_pose(self._pose_from_vehicle(view, n, e, heading))[:4]
-        return np.append(self._last_node[:3] + moved, math.log(view.height_m))
+        return np.append(self._last_node[:LN_HEIGHT] + moved, math.log(view.height_m))
 
     def _select_reference_keyframes(self, node: _Array, lost: bool) -> list[int]:
         """Keyframes to look at it from: that of before, if another is not much better; all, if it was lost."""
@@ -347,7 +361,7 @@ class SlamSystem:
         seconds, pixels = straight.exposure_offsets(seen), seen - straight.principal_point
         points = self.floor_map.locate_points(k)[use]
         # In pixels of now
-        own = np.sqrt(keyframe.variance[use]) * math.exp(at[3]) / view.height_m * view.focal_px
+        own = np.sqrt(keyframe.variance[use]) * math.exp(at[LN_HEIGHT]) / view.height_m * view.focal_px
         sigma = np.hypot(np.hypot(sigma, 0.08), own)
         rough = np.hypot(np.hypot(sigma, 0.5), self._shake_rms_px) / view.focal_px
         _, _, _, fits = ransac_two_points(
@@ -360,14 +374,14 @@ class SlamSystem:
         )
         if fits.sum() < MIN_INLIERS:
             return None
-        begin = np.array([node[0], node[1], view.height_m, node[2]])
+        begin = np.array([node[0], node[1], view.height_m, node[HEADING]])
         bend = self.floor_map.points_tilt_jacobian(k)[use]
         pose = solve_pose(view, begin, points[fits], bend[fits], tilts, pixels[fits], seconds[fits], sigma[fits])
         if pose.inlier_mask.sum() < MIN_INLIERS:
             return None
         keep = np.nonzero(fits)[0][pose.inlier_mask]
         pose = solve_pose(
-            view, pose.state[:4], points[keep], bend[keep], tilts, pixels[keep], seconds[keep], sigma[keep]
+            view, pose.state[:PX_TILT], points[keep], bend[keep], tilts, pixels[keep], seconds[keep], sigma[keep]
         )
         out = np.ones(len(use), bool)
         out[keep] = False
@@ -378,12 +392,12 @@ class SlamSystem:
     def _floor_homography(self, k: int, view: ViewPrior, node: _Array) -> _Array:
         """From the straight picture of a keyframe to the one that is seen from a node, over the floor."""
         keyframe, at = self.floor_map.keyframes[k], self.floor_map.nodes[k]
-        c, s = math.cos(at[2]), math.sin(at[2])
-        x, y = at[4:6] - keyframe.tilt
+        c, s = math.cos(at[HEADING]), math.sin(at[HEADING])
+        x, y = at[TILT] - keyframe.tilt
         tilt = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [-y, x, 1.0]])
         then = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ tilt @ keyframe.turn
-        now = attitude_matrix(view, None, node[2]) @ self._body_from_camera
-        h = math.exp(at[3])
+        now = attitude_matrix(view, None, node[HEADING]) @ self._body_from_camera
+        h = math.exp(at[LN_HEIGHT])
         way = np.array([at[0] - node[0], at[1] - node[1], view.height_m - h])
         plane = h * np.eye(3) + np.outer(way, [0.0, 0.0, 1.0])
         m = self._undistorter.camera_matrix
@@ -401,7 +415,7 @@ class SlamSystem:
             return None
         # What is seen at x now is where the warped keyframe has it shifted: the camera has moved by as much over
         # the floor.
-        d = attitude_matrix(view, None, node[2]) @ self._body_from_camera @ np.append(pixel / view.focal_px, 0.0)
+        d = attitude_matrix(view, None, node[HEADING]) @ self._body_from_camera @ np.append(pixel / view.focal_px, 0.0)
         return node + np.array([d[0] * view.height_m, d[1] * view.height_m, 0.0, 0.0])
 
     def _rejection_reason(self, match: _KeyframeMatch | None, view: ViewPrior, node: _Array) -> str:
@@ -475,12 +489,12 @@ class SlamSystem:
             )
         keyframe, at = self.floor_map.keyframes[match.keyframe], self.floor_map.nodes[match.keyframe]
         seen = self._level_rays(view, match.pose, match.inlier_pixels, match.exposure_offsets_s)
-        z = match.pose.state[2] * np.exp(1j * match.pose.state[3])
+        z = match.pose.height_m * np.exp(1j * match.pose.heading_rad)
         c = complex(match.pose.state[0], match.pose.state[1])
-        to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[3] + 1j * at[2])
-        ratio = match.pose.state[2] / math.exp(at[3])
+        to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[LN_HEIGHT] + 1j * at[HEADING])
+        ratio = match.pose.height_m / math.exp(at[LN_HEIGHT])
         # Back to the tilt by which its slopes were reckoned
-        tilt = self.floor_map.nodes[match.keyframe, 4:6] + match.pose.state[6:8] - keyframe.tilt
+        tilt = self.floor_map.nodes[match.keyframe, TILT] + match.pose.keyframe_tilt_error_rad - keyframe.tilt
         move = d_rays_d_tilt(keyframe.slopes[match.inlier_indices]) @ tilt
         to_keyframe = to_keyframe - (move[:, 0] + 1j * move[:, 1])
         # What tilt and sonar were told wrong by, and pose and tilts took no part of, is not the floor's shape.
@@ -497,11 +511,11 @@ class SlamSystem:
         self, view: ViewPrior, pose: PoseEstimate, pixels: _Array, seconds: _Array
     ) -> NDArray[np.complex128]:
         """Slopes with heading 0 of what is seen at pixels of the straight picture, as from its middle in time."""
-        turn = attitude_matrix(view, pose.state[4:6], pose.state[3])
+        turn = attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad)
         m = normalised_rays(view, pixels - self._undistorter.principal_point, seconds, turn, pose.shake_amplitudes_px)
         move = (view.velocity_m_s[0] + 1j * view.velocity_m_s[1]) * seconds
-        down = 1.0 - view.velocity_m_s[2] * seconds / pose.state[2]
-        return (m * down + move / pose.state[2]) * np.exp(-1j * pose.state[3])
+        down = 1.0 - view.velocity_m_s[2] * seconds / pose.height_m
+        return (m * down + move / pose.height_m) * np.exp(-1j * pose.heading_rad)
 
     def _create_keyframe(
         self, frame: CameraFrame, view: ViewPrior, picture: Any, pose: PoseEstimate, sigma: float
@@ -510,7 +524,7 @@ class SlamSystem:
         if len(pixels) < MIN_INLIERS or np.mean(picture > _WHITE_LEVEL) > _MAX_WHITE_SHARE:
             return None
         seconds = self._undistorter.exposure_offsets(pixels)
-        turn = _remove_heading(attitude_matrix(view, pose.state[4:6], pose.state[3]), pose.state[3])
+        turn = _remove_heading(attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad), pose.heading_rad)
         return Keyframe(
             frame.time_s,
             picture.copy(),
@@ -519,7 +533,7 @@ class SlamSystem:
             self._level_rays(view, pose, pixels, seconds),
             np.full(len(pixels), (sigma / view.focal_px) ** 2),
             np.zeros(len(pixels), np.int64),
-            pose.state[4:6].copy(),
+            pose.tilt_error_rad.copy(),
             math.log(view.height_m),
             view.height_sigma_m / view.height_m,
             frame.info.height_time_s,
@@ -540,7 +554,7 @@ class SlamSystem:
         if keyframe is None:
             return TrackingResult(frame.time_s, False, "no corners on the floor to begin a map with, or too bright")
         self._reference_index = self.floor_map.add_keyframe(keyframe, self._node_from_pose(pose), [])
-        self._last_node = self.floor_map.nodes[self._reference_index, :4].copy()
+        self._last_node = self.floor_map.nodes[self._reference_index, PLACE].copy()
         self._odometry = Odometry(frame.time_s, frame.info)
         nobody = np.zeros(0, np.intp)
         match = _KeyframeMatch(0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0, 0.0)
@@ -600,15 +614,15 @@ class SlamSystem:
         place, turn = frame.info.place_sigma
         last, second = self._reference_index, len(self.floor_map.keyframes)
         node, before = self._node_from_pose(pose), self.floor_map.nodes[last]
-        h = math.exp(before[3])
+        h = math.exp(before[LN_HEIGHT])
         off = np.array([place / h, place / h, max(turn, 1e-3), 0.1])
         edge = GraphEdge(
-            last, second, np.concatenate([relative_pose(before, node), before[4:6], node[4:6]]),
+            last, second, np.concatenate([relative_pose(before, node), before[TILT], node[TILT]]),
             np.diag(np.concatenate([off**-2, np.zeros(4)])),
         )  # fmt: skip
         self._reference_index = self.floor_map.add_keyframe(keyframe, node, [edge])
         self._last_node, self._odometry = (
-            self.floor_map.nodes[self._reference_index, :4].copy(),
+            self.floor_map.nodes[self._reference_index, PLACE].copy(),
             Odometry(frame.time_s, frame.info),
         )
         self._trial_frame_count = 1
@@ -653,34 +667,38 @@ class SlamSystem:
         # It is the newest now
         self._error_transition, view = (
             [np.ones(3), np.full(3, 1e-10)],
-            view._replace(tilt_error_rad=self.floor_map.nodes[k, 4:6].copy()),
+            view._replace(tilt_error_rad=self.floor_map.nodes[k, TILT].copy()),
         )
         for other in others[:1]:
             if view_overlap(self.floor_map.nodes[other], node, self._view_width_ratio, self._view_height_ratio) > 0.25:
                 second = self._match_keyframe(other, view, picture, node)
                 if second is not None and not self._rejection_reason(second, view, node):
                     self.floor_map.try_add_edge(self._make_edge(second, k))
-        self._reference_index, self._last_node = k, self.floor_map.nodes[k, :4].copy()
+        self._reference_index, self._last_node = k, self.floor_map.nodes[k, PLACE].copy()
         return True
 
     def _node_from_pose(self, pose: PoseEstimate) -> _Array:
         """The node of a pose: N, E, heading, ln h, errors of the tilt and of the sonar."""
-        x = pose.state
-        return np.array([x[0], x[1], x[3], math.log(x[2]), x[4], x[5], self._predicted_errors[2]])
+        height_error = self._predicted_errors[2]
+        return np.array(
+            [*pose.state[:2], pose.heading_rad, math.log(pose.height_m), *pose.tilt_error_rad, height_error]
+        )
 
     def _make_edge(self, match: _KeyframeMatch, second: int, closes: bool = False) -> GraphEdge:
         """What a picture that is node ``second`` says of the keyframe that it was seen against."""
-        at, x = self.floor_map.nodes[match.keyframe], match.pose.state
+        at, pose = self.floor_map.nodes[match.keyframe], match.pose
         _, by_b = relative_pose_jacobians(at, match.graph_node)
         # N, E, height, heading, tilt of the picture, of the keyframe of the edge's eight numbers
         change = np.zeros((POSE_SIZE, 8))
         change[:4, :4] = np.linalg.inv(by_b)[[0, 1, 3, 2]]
-        change[2] *= x[2]
-        change[4:6, 6:8] = change[6:8, 4:6] = np.eye(2)
+        change[PX_HEIGHT] *= pose.height_m
+        change[PX_TILT:PX_KEYFRAME_TILT, EDGE_TILT_B] = change[PX_KEYFRAME_TILT:, EDGE_TILT_A] = np.eye(2)
         return GraphEdge(
             match.keyframe,
             second,
-            np.concatenate([relative_pose(at, match.graph_node), at[4:6] + x[6:8], x[4:6]]),
+            np.concatenate(
+                [relative_pose(at, match.graph_node), at[TILT] + pose.keyframe_tilt_error_rad, pose.tilt_error_rad]
+            ),
             change.T @ match.pose.pixel_information @ change / VARIANCE_INFLATION,
             change.T @ match.pose.pixel_gradient / VARIANCE_INFLATION,
             closes,
@@ -699,7 +717,7 @@ class SlamSystem:
         near, may = {here, *self.floor_map.connected_keyframes(here)}, []
         for k in range(len(self.floor_map.keyframes)):
             t = relative_pose(self.floor_map.nodes[k], self._last_node)
-            way, h = math.hypot(t[0], t[1]), math.exp(self.floor_map.nodes[k, 3])
+            way, h = math.hypot(t[0], t[1]), math.exp(self.floor_map.nodes[k, LN_HEIGHT])
             if k in near or h * way > most + h * math.hypot(self._view_width_ratio, self._view_height_ratio):
                 continue
             sigma = math.sqrt(np.linalg.eigvalsh(self.floor_map.edge_covariance(k, here)[:2, :2])[-1])
@@ -753,7 +771,7 @@ class SlamSystem:
             off, self.floor_map.edge_covariance(k, here)
         ) > LOOP_MAX_CHI2 or not self.floor_map.try_add_edge(edge, LOOP_MAX_CHI2):
             return True, False
-        self._last_node = self.floor_map.nodes[here, :4].copy()
+        self._last_node = self.floor_map.nodes[here, PLACE].copy()
         self._failed_closures = {}
         self.on_closure(k, here)
         return True, True
@@ -764,24 +782,25 @@ class SlamSystem:
         """What is told: the place by all that the map, tilts, sonar and pixels say together."""
         pose, here = match.pose, self._reference_index
         if made:  # it is in the map
-            node, known = self.floor_map.nodes[here, :4], self.floor_map.joint_covariance(here)[:4, :4]
+            node, known = self.floor_map.nodes[here, PLACE], self.floor_map.joint_covariance(here)[:4, :4]
         else:
             at = self.floor_map.nodes[here]
-            tilts = np.concatenate([pose.state[4:6] - view.tilt_error_rad, pose.state[6:8]])
+            tilts = np.concatenate([pose.tilt_error_rad - view.tilt_error_rad, pose.keyframe_tilt_error_rad])
             seen, pull = pose.pixel_information / VARIANCE_INFLATION, pose.pixel_gradient / VARIANCE_INFLATION
             belief, height = (
                 self.floor_map.predict_covariance(here, *self._error_transition),
                 math.log(view.height_m) - self._predicted_errors[2],
             )
-            node, known = fuse_pose(at[:4], belief, match.graph_node, tilts, seen, pull, height)
-        lever = attitude_matrix(view, pose.state[4:6], node[2]) @ self._camera_position_m
-        h = math.exp(node[3])
+            node, known = fuse_pose(at[PLACE], belief, match.graph_node, tilts, seen, pull, height)
+        lever = attitude_matrix(view, pose.tilt_error_rad, node[HEADING]) @ self._camera_position_m
+        h = math.exp(node[LN_HEIGHT])
         position = np.array([node[0] - lever[0], node[1] - lever[1], -h - lever[2]])
         to = np.zeros((4, 4))  # N, E, D, heading of N, E, heading, ln h
-        to[0, 0] = to[1, 1] = to[3, 2] = 1.0
-        to[2, 3] = -h
+        to[0, 0] = to[1, 1] = to[3, HEADING] = 1.0
+        to[2, LN_HEIGHT] = -h
+        heading = (node[HEADING] + math.pi) % (2 * math.pi) - math.pi
         return TrackingResult(
-            frame.time_s, True, "", position, (node[2] + math.pi) % (2 * math.pi) - math.pi, to @ known @ to.T, here,
+            frame.time_s, True, "", position, heading, to @ known @ to.T, here,
             match.tracked_count, len(match.inlier_indices), match.inlier_pixels, pose.residual_scale, made, closed,
         )  # fmt: skip
 
