@@ -43,7 +43,7 @@ _Array = NDArray[np.float64]
 HEADING, LN_HEIGHT, SONAR, NODE_SIZE = 2, 3, 6, 7
 PLACE, TILT, ERRORS = slice(0, 4), slice(4, SONAR), slice(4, NODE_SIZE)
 """A node: place (N, E, heading, ln h), errors of the tilt about x and y of the heading and of the sonar's ln h."""
-EDGE_TILT_A, EDGE_TILT_B, EDGE = slice(4, 6), slice(6, 8), 8
+EDGE_TILT_A, EDGE_TILT_B, EDGE_SIZE = slice(4, 6), slice(6, 8), 8
 """What an edge tells: the four numbers of a relation, tilt of its first node, of its second."""
 _HEIGHT_CONSTRAINT_VARIANCE = 1e-6  # variance of ln h given the error of the sonar's
 _LOOP_ROBUST_CHI2 = 16.0  # chi^2 at which a closure counts half
@@ -287,7 +287,7 @@ def fuse_pose(
         What the sonar says of ln h, less the error that is expected of it.
     """
     by_a, by_b = relative_pose_jacobians(a, b)
-    to = np.zeros((EDGE, 13))
+    to = np.zeros((EDGE_SIZE, 13))
     # Of the unknowns: the keyframe's node and tilt, the picture's tilt, sonar and place
     keyframe, picture, sonar, place = slice(4, 6), slice(6, 8), 8, slice(9, 13)
     # The picture's own place as pixels know it: moved back by what the keyframe is off by.

@@ -53,6 +53,7 @@ from mufly.slam.image_tools import (
 from mufly.slam.keyframe_map import FloorMap, Keyframe, compose_pose, remove_pose_fit, view_overlap
 from mufly.slam.place_recognition import MIN_INLIERS, correlate_pictures, is_unambiguous, relocalize_by_orb
 from mufly.slam.pose_graph import (
+    EDGE_SIZE,
     EDGE_TILT_A,
     EDGE_TILT_B,
     HEADING,
@@ -687,20 +688,19 @@ class SlamSystem:
     def _make_edge(self, match: _KeyframeMatch, second: int, closes: bool = False) -> GraphEdge:
         """What a picture that is node ``second`` says of the keyframe that it was seen against."""
         at, pose = self.floor_map.nodes[match.keyframe], match.pose
+        tilt = at[TILT] + pose.keyframe_tilt_error_rad
         _, by_b = relative_pose_jacobians(at, match.graph_node)
         # N, E, height, heading, tilt of the picture, of the keyframe of the edge's eight numbers
-        change = np.zeros((POSE_SIZE, 8))
-        change[:4, :4] = np.linalg.inv(by_b)[[0, 1, 3, 2]]
+        change = np.zeros((POSE_SIZE, EDGE_SIZE))
+        change[:4, :4] = np.linalg.inv(by_b)[[0, 1, LN_HEIGHT, HEADING]]
         change[PX_HEIGHT] *= pose.height_m
         change[PX_TILT:PX_KEYFRAME_TILT, EDGE_TILT_B] = change[PX_KEYFRAME_TILT:, EDGE_TILT_A] = np.eye(2)
         return GraphEdge(
             match.keyframe,
             second,
-            np.concatenate(
-                [relative_pose(at, match.graph_node), at[TILT] + pose.keyframe_tilt_error_rad, pose.tilt_error_rad]
-            ),
-            change.T @ match.pose.pixel_information @ change / VARIANCE_INFLATION,
-            change.T @ match.pose.pixel_gradient / VARIANCE_INFLATION,
+            np.concatenate([relative_pose(at, match.graph_node), tilt, pose.tilt_error_rad]),
+            change.T @ pose.pixel_information @ change / VARIANCE_INFLATION,
+            change.T @ pose.pixel_gradient / VARIANCE_INFLATION,
             closes,
         )
 
