@@ -150,6 +150,18 @@ def read_stepped_range(where: str, text: str, unit: str) -> tuple[float, float |
     return first, last, step
 
 
+def read_range(where: str, text: str, unit: str, count: int) -> list[float]:
+    """Return the values of ``"2500:6000:500"`` or of one number; without a step ``count`` even ones, 1: the middle."""
+    first, last, step = read_stepped_range(where, text, unit)
+    if last is None:
+        return [first]
+    if step is not None:
+        return spaced_values(first, last, step)
+    if count == 1:
+        return [0.5 * (first + last)]
+    return [round(first + k * (last - first) / (count - 1), 12) for k in range(count)]
+
+
 def read_interval(where: str, text: str, unit: str) -> tuple[float, float]:
     """Return the ends of ``"0.1:3"``, the lower first."""
     first, last, step = read_stepped_range(where, text, unit)

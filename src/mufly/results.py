@@ -76,9 +76,9 @@ class ResultRow(NamedTuple):
 @overload
 def result(cls: type[_ResultT], /) -> type[_ResultT]: ...
 @overload
-def result(*, eq: bool = True, picture: str = "") -> Callable[[type[_ResultT]], type[_ResultT]]: ...
+def result(*, eq: bool = True, picture: str = "", json: str = "") -> Callable[[type[_ResultT]], type[_ResultT]]: ...
 @dataclass_transform(frozen_default=True)
-def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "") -> Any:
+def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "", json: str = "") -> Any:
     """Make a class a frozen dataclass that prints and draws itself and knows units and meaning of its fields.
 
     Parameters
@@ -89,6 +89,8 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "
         As for :func:`dataclasses.dataclass`; arrays want False.
     picture : str
         ``"module:function"`` that draws one and returns a matplotlib figure; without, its numbers are drawn.
+    json : str
+        Keys of its JSON, as :func:`select_fields` reads them; without, all its fields.
     """
 
     def make_result_class(one: type[Any]) -> type[Any]:
@@ -101,7 +103,7 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "
             new._repr_html_ = html_table
         if "plot" not in one.__dict__:
             new.plot = plot_result
-        new._picture = picture
+        new._picture, new._json = picture, json
         return new
 
     return make_result_class if cls is None else make_result_class(cls)
@@ -164,13 +166,59 @@ def _make_meaning(name: str, kind: str, said: str) -> FieldMeaning:
     return FieldMeaning(name, label.replace("_", " "), "" if unit == "1" else unit, said)
 
 
+def select_fields(value: Any, names: str) -> dict[str, Any]:
+    """Return named fields of a result as a table.
+
+    Parameters
+    ----------
+    value : result
+    names : str
+        Keys with blanks between. ``"thrust_N force=upper.thrust_N"`` takes the second from a field of the field
+        ``upper``; properties, methods without arguments and items of dictionaries are fields here.
+
+    Examples
+    --------
+    >>> select_fields(1 + 2j, "real height=imag")
+    {'real': 1.0, 'height': 2.0}
+    """
+    found = {}
+    for entry in names.split():
+        key, _, path = entry.partition("=")
+        found[key] = field_value(value, path or key)
+    return found
+
+
+def field_value(value: Any, path: str) -> Any:
+    """Return a field of a result; of a part of it with dots, ``"upper.thrust_N"``."""
+    for part in path.split("."):
+        value = value[part] if isinstance(value, Mapping) else getattr(value, part)
+        value = value() if inspect.isroutine(value) else value
+    return value
+
+
+def to_records(columns: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
+    """Return the rows of a table that is given by its columns, each row as a table of its own.
+
+    Examples
+    --------
+    >>> to_records({"r_m": [0.1, 0.2], "cl": [0.5, 0.6]})
+    [{'r_m': 0.1, 'cl': 0.5}, {'r_m': 0.2, 'cl': 0.6}]
+    """
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
 def to_plain_data(value: Any) -> Any:
     """Return tables, lists, texts and numbers that JSON can hold.
 
-    A dataclass becomes a table of its fields, an array a list, a complex number a table of ``real`` and ``imag``, a
-    path its text, a number that is not finite None.
+    A dataclass becomes what its ``as_record()`` returns, else a table of what its class names for JSON, else of its
+    fields; an array becomes a list, a complex number a table of ``real`` and ``imag``, a path its text, a number
+    that is not finite None.
     """
+    if hasattr(type(value), "as_record"):
+        return to_plain_data(value.as_record())
     if is_dataclass(value) and not isinstance(value, type):
+        if names := getattr(value, "_json", ""):
+            return to_plain_data(select_fields(value, names))
         return {f.name: to_plain_data(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, dict):
         return {str(k): to_plain_data(v) for k, v in value.items()}

@@ -399,6 +399,6 @@ def test_an_answer_that_did_not_settle_ends_with_status_1(tmp_path, monkeypatch,
     said = {"verdict": SimpleNamespace(settled=settled)}
     for name in ("find_solver", "save_case", "run_case"):
         monkeypatch.setattr(f"mufly.cfd.{name}", lambda *a, **k: None)
-    monkeypatch.setattr(cfd_case_report, "_write_solution_report", lambda *a: (lambda: said, lambda: None, [], []))
+    monkeypatch.setattr(cfd_case_report, "_write_solution_report", lambda *a: (said, lambda: None, [], []))
     status = CliRunner().invoke(app, ["cfd", "run", "--out", str(tmp_path / "case")]).exit_code
     assert status == (0 if settled else 1)

@@ -129,10 +129,10 @@ def notation_of(option: Any) -> NumberNotation | None:
 COUNTS = {
     "--again", "--aid", "--baud", "--blades", "--boxes", "--cells", "--calibrate", "--cores", "--flights",
     "--generations", "--jobs", "--point", "--points", "--port", "--record", "--reference-every", "--repeat",
-    "--restarts", "--search", "--seed", "--starts", "--stations", "--system", "--top", "--wake-iterations",
+    "--restarts", "--search", "--seed", "--starts", "--stations", "--system", "--top",
 }  # fmt: skip
 PLAIN = {
-    "--gear", "--n-crit", "--speed", "--wake-tolerance", "--wake-turns",
+    "--gear", "--n-crit", "--speed",
 }  # fmt: skip
 SHARES = {
     "--amplitude", "--band", "--charge", "--duty", "--gear", "--gear-efficiency", "--hold-out-share",

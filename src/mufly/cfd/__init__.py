@@ -14,7 +14,13 @@ from mufly.cfd.case_studies import (
     sweep_climb,
     sweep_speed,
 )
-from mufly.cfd.cfd_comparison import CaseComparison, ClimbComparison, compare_cases, compare_climbs
+from mufly.cfd.cfd_comparison import (
+    CaseComparison,
+    ClimbComparison,
+    compare_cases,
+    compare_climbs,
+    predict_span_loads,
+)
 from mufly.cfd.cfd_pictures import (
     climb_picture,
     friction_picture,
@@ -117,6 +123,7 @@ __all__ = [
     "mesh_picture",
     "momentum_slipstream",
     "pair_picture",
+    "predict_span_loads",
     "pressure_picture",
     "read_flow",
     "read_history",

@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.cfd.case_studies import SpanLoads, span_loads
 from mufly.cfd.cfd_solution import CfdSolution
 from mufly.cfd.openfoam_case import OperatingPoint, read_point
+from mufly.cfd.rotor_pair import ActuatorDisc
 from mufly.cfd.solver_process import ConvergenceVerdict, judge_case
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
@@ -178,3 +180,40 @@ def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight
     return ClimbComparison(
         tuple(found), climb, np.array([s.verdict.thrust_N for s in found]) / scale, others, flight.name, part
     )
+
+
+def predict_span_loads(
+    rotor: Rotor, found: CfdSolution, other: ActuatorDisc | None = None, which: int = 0
+) -> list[SpanLoads]:
+    """Return the loads that blade elements and the wake give at a solution's point; a method that fails is left out.
+
+    Parameters
+    ----------
+    rotor : Rotor
+    found : CfdSolution
+    other : ActuatorDisc, optional
+        The other rotor of a pair that is solved by turns.
+    which : int
+        Of a pair: 0 the upper rotor, 1 the lower.
+    """
+    p = found.point
+    system, pitch, speed = RotorSystem.single_rotor(prepare_blading(rotor)), p.pitch_rad, p.speed_rad_s
+    condition = OperatingCondition(pitch, speed, None, p.climb_m_s, p.air)
+    if p.gap_m:
+        system = RotorSystem.coaxial_pair(prepare_blading(rotor), prepare_blading(rotor), spacing_m=p.gap_m)
+        condition = OperatingCondition((pitch, p.lower_pitch_rad), (speed, p.lower_rad_s), None, p.climb_m_s, p.air)
+    elif other is not None:
+        system = RotorSystem.coaxial_pair(prepare_blading(rotor), prepare_blading(rotor), spacing_m=abs(p.other_m))
+        both = [(pitch, speed), (other.pitch_rad, other.speed_rad_s)]
+        pitches, speeds = zip(*(both[::-1] if which else both), strict=True)
+        condition = OperatingCondition(pitches, speeds, None, p.climb_m_s, p.air)
+    out = []
+    methods: tuple[SolverMethod, ...] = ("bemt", "wake")
+    for method in methods:
+        try:
+            solution = solve_system(system, condition, method)
+        except MuflyError:
+            continue
+        if solution.converged:
+            out.append(span_loads(solution.rotors[which], method))
+    return out

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import typer
 
 from mufly.cli.options import (
     DEFAULT_FREE_WAKE_OPTIONS,
-    DEFAULT_POLAR_OPTIONS,
     SPEED_RANGE,
+    WAKE_FIELDS,
     ClimbOption,
     CommandGroup,
     DensityOption,
     JsonOption,
     OutOption,
     PairPitchOption,
-    PolarOptions,
     SpacingOption,
     TheoryOptions,
     WakeOptions,
     define_argument,
     define_option,
     wake_progress,
+    write_wakes,
 )
 from mufly.cli.output import (
     ResultColumn,
@@ -35,15 +36,13 @@ from mufly.cli.output import (
     print_table,
     progress_bar,
     save_figure,
-    write_csv,
 )
 from mufly.errors import InputError, MuflyError
-from mufly.quantity_grammar import read_rotor_pair, read_stepped_range, spaced_values
+from mufly.quantity_grammar import read_range, read_rotor_pair
+from mufly.results import select_fields
 from mufly.units import RPM
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from mufly.rotor import RotorResult, SystemSolution
     from mufly.study import StudySetup
     from mufly.study.study_parameters import ParameterValue
@@ -93,59 +92,17 @@ def make_pair_setup(
     )
 
 
-def _result_with_stations(result: RotorResult) -> dict[str, Any]:
-    values = vars(result)
-    stations = {k: v for k, v in values.items() if getattr(v, "ndim", 0) == 1}
-    return {**{k: v for k, v in values.items() if k not in stations}, "stations": stations}
-
-
-def interference_losses(point: SystemSolution, alone: tuple[RotorResult, ...]) -> dict[str, float]:
-    """What the pair does compared with its rotors alone at the same pitch and speed: ratios less one."""
-    thrust = sum(r.thrust_N for r in alone)
-    power = sum(r.power_W for r in alone)
-    each = zip(("upper", "lower"), (point.upper, point.lower), alone, strict=True)
-    return {
-        **{
-            f"{side}_{key}": getattr(r, name) / getattr(a, name) - 1.0
-            for side, r, a in each
-            for key, name in (("thrust", "thrust_N"), ("torque", "torque_Nm"))
-        },
-        "thrust": point.thrust_N / thrust - 1.0,
-        "power": point.power_W / power - 1.0,
-        "thrust_per_power": (point.thrust_N / point.power_W) / (thrust / power) - 1.0,
-    }
-
-
 def pair_to_json(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResult, ...] | None) -> dict[str, Any]:
     """A point as JSON; SI units."""
+    sides = ("upper", "lower")
+    both = zip(sides, setup.rotors, (point.upper, point.lower), strict=True)
     return {
-        "upper": {"rotor": setup.rotors[0].name, **_result_with_stations(point.upper)},
-        "lower": {"rotor": setup.rotors[1].name, **_result_with_stations(point.lower)},
-        "spacing_m": point.spacing_m,
-        "thrust_N": point.thrust_N,
-        "power_W": point.power_W,
-        "yaw_torque_Nm": point.yaw_torque_Nm,
-        "figure_of_merit": point.figure_of_merit,
-        "lower_over_upper": {
-            "speed": point.lower.speed_rad_s / point.upper.speed_rad_s,
-            "thrust": point.lower.thrust_N / point.upper.thrust_N,
-            "torque": point.lower.torque_Nm / point.upper.torque_Nm,
-            "power": point.lower.power_W / point.upper.power_W,
-        },
-        "isolated": None
-        if alone is None
-        else dict(zip(("upper", "lower"), map(_result_with_stations, alone), strict=True)),
-        "change_from_isolated": None if alone is None else interference_losses(point, alone),
+        **{side: {"rotor": rotor.name, **found.as_record()} for side, rotor, found in both},
+        **select_fields(point, "spacing_m thrust_N power_W yaw_torque_Nm figure_of_merit lower_over_upper"),
+        "isolated": alone and {side: found.as_record() for side, found in zip(sides, alone, strict=True)},
+        "change_from_isolated": alone and point.interference_losses(alone),
         "method": setup.method,
-        "wake": None
-        if not point.wakes
-        else {
-            "converged": point.converged,
-            "message": point.message,
-            "iterations": point.iterations,
-            "residual": point.residual,
-            "settings": vars(point.settings),
-        },
+        "wake": select_fields(point, WAKE_FIELDS) if point.wakes else None,
     }
 
 
@@ -165,18 +122,17 @@ def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResul
     names = ("upper", "lower", "upper alone", "lower alone")
     each = (point.upper, point.lower, *(alone or ()))
     print_result_table(each, ROTOR_COLUMNS, names=names[: len(each)])
-    up, low = point.upper, point.lower
+    up, low, ratio = point.upper, point.lower, point.lower_over_upper
     balanced = abs(point.yaw_torque_Nm) < 1e-6 * abs(up.torque_Nm)
     yaw = "balanced" if balanced else f"{1e3 * point.yaw_torque_Nm:+.3g} mN m left over"
     merit = f", figure of merit {point.figure_of_merit:.3f}" if math.isfinite(point.figure_of_merit) else ""
     lines = [
         f"pair: thrust {point.thrust_N:.4g} N, power {point.power_W:.4g} W{merit}; torques {yaw}",
-        f"lower over upper: thrust {low.thrust_N / up.thrust_N:.3f}, torque {low.torque_Nm / up.torque_Nm:.3f}, power "
-        f"{low.power_W / up.power_W:.3f}, speed {low.speed_rad_s / up.speed_rad_s:.3f}; "
-        f"{point.thrust_N / point.power_W:.4g} N/W",
+        f"lower over upper: thrust {ratio['thrust']:.3f}, torque {ratio['torque']:.3f}, power {ratio['power']:.3f}, "
+        f"speed {ratio['speed']:.3f}; {point.thrust_N / point.power_W:.4g} N/W",
     ]
     if alone is not None:
-        x = interference_losses(point, alone)
+        x = point.interference_losses(alone)
         lines.append(
             f"against the rotors alone at these speeds: upper thrust {x['upper_thrust']:+.1%}, torque "
             f"{x['upper_torque']:+.1%}; lower thrust {x['lower_thrust']:+.1%}, torque {x['lower_torque']:+.1%}; the "
@@ -194,24 +150,15 @@ def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResul
 
 def write_pair(point: SystemSolution, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
     """Write stations and pictures of a point; of a wake, its geometry, the air around it and its history too."""
-    from mufly.rotor import field_picture, history_picture, rotor_loads_picture, wake_picture
+    from mufly.rotor import rotor_loads_picture
     from mufly.study import write_stations
 
-    files = [
+    return [
         write_stations(point.upper, folder, "stations-upper"),
         write_stations(point.lower, folder, "stations-lower"),
         save_figure(rotor_loads_picture(point.upper, point.lower, alone), folder, "loads"),
+        *(write_wakes(point, folder) if point.settings is not None else ()),
     ]
-    if point.settings is not None:
-        heads = ("residual", "upper_thrust_N", "upper_torque_Nm", "lower_thrust_N", "lower_torque_Nm")
-        files.append(write_csv(folder / "history.csv", heads, point.history))
-        history = history_picture(point.history, residual=point.settings.residual, note=point.message)
-        files.append(save_figure(history, folder, "history"))
-        if point.converged:
-            files.append(save_figure(wake_picture(point), folder, "wake"))
-            files.append(save_figure(field_picture(point), folder, "air"))
-            files.append(save_figure(field_picture(point, mean=False), folder, "air-instant"))
-    return files
 
 
 app = CommandGroup(
@@ -343,15 +290,21 @@ def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_jso
         with wake_progress("each rotor alone", wakes and not as_json, out) as progress:
             single = solve_isolated_rotors(setup, point, progress if wakes else None)
     files = write_pair(point, single, out) if out is not None else []
-    print_answer(as_json, lambda: pair_to_json(setup, point, single), lambda: print_pair(setup, point, single), files)
+    print_answer(as_json, pair_to_json(setup, point, single), lambda: print_pair(setup, point, single), files)
 
 
 # ----------------------------------------------------------------------------
 # ``mufly coax map``: coefficients over both speeds and the climb velocity, for a vehicle to fly with.
 
 
-_POINT_COUNTS = {"--rpm": 3, "--ratio": 11, "--climb": 9}
-_WAKE_POINT_COUNTS = {"--rpm": 1, "--ratio": 5, "--climb": 5}
+@dataclass(frozen=True)
+class MapOptions(WakeOptions):
+    """Options of what a map is computed by."""
+
+    method: Annotated[Literal["bemt", "wake"], define_option("bemt|wake", "Blade elements, or vortex wakes.")] = "bemt"
+
+
+DEFAULT_MAP_OPTIONS = MapOptions()
 
 
 @app.command("map")
@@ -385,18 +338,8 @@ def compute_coax_map(
             form="steps",
         ),
     ] = "-1:3",
-    method: Annotated[str, define_option("bemt|wake", "Blade elements, or vortex wakes.")] = "bemt",
-    wake: Annotated[str, define_option("--wake free|prescribed", "Shape of the wakes of --method wake.")] = "free",
-    wake_step: Annotated[float, define_option("--wake-step", "Azimuth step of --method wake.", unit="deg")] = 30.0,
-    wake_turns: Annotated[float, define_option("--wake-turns N", "Free turns of --method wake.")] = 3.0,
-    wake_tolerance: Annotated[
-        float, define_option("--wake-tolerance X", "Settled when the loads change by less.")
-    ] = 3e-3,
-    wake_iterations: Annotated[
-        int, define_option("--wake-iterations N", "At most, a point; what has not settled is marked.")
-    ] = 150,
     density: DensityOption = 1.2,
-    polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
+    theory: MapOptions = DEFAULT_MAP_OPTIONS,
     name: Annotated[str, define_option("NAME", "Name of the map.")] = "",
     out: Annotated[
         Path | None,
@@ -408,43 +351,33 @@ def compute_coax_map(
 
     A line `coefficient_map = "pair.toml"` in the table `rotors` of a vehicle file makes the flight model use it in
     place of the constant coefficients (docs/coax-map.md). A run that is stopped goes on when the same command is given
-    again. Blade elements take seconds, wakes minutes.
+    again. Blade elements take seconds, wakes minutes; these have turns=3 and tolerance=3e-3 unless --wake-set differs.
     Example: mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
     from mufly.answer_store import replace_file
     from mufly.rotor import Air, load_rotor, map_climb_ratios, map_picture
     from mufly.rotor.coax_maps import compute_coax_map as compute
-    from mufly.rotor.wake import WakeSettings
     from mufly.vehicle import format_map_toml
 
-    if method not in ("bemt", "wake"):
-        raise InputError("--method", "", f"{method!r} is unknown", "use 'bemt' or 'wake'")
-    counts = _WAKE_POINT_COUNTS if method == "wake" else _POINT_COUNTS
-    speeds = _parse_value_range("--rpm", rpm, counts, "rpm") * RPM
-    ratios, climbs = (
-        _parse_value_range("--ratio", ratio, counts, "1"),
-        _parse_value_range("--climb", climb, counts, "m/s"),
-    )
+    wakes = theory.method == "wake"
+    speeds = np.array(read_range("--rpm", rpm, "rpm", 1 if wakes else 3)) * RPM
+    ratios = read_range("--ratio", ratio, "1", 5 if wakes else 11)
+    climbs = read_range("--climb", climb, "m/s", 5 if wakes else 9)
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "is no name of a map file", "let it end in .toml")
     pitches = parse_pitch_angles(pitch)
-    blades = [polars.prepare_blading(load_rotor(r)) for r in (upper, upper if lower is None else lower)]
-    settings = None
-    if method == "wake":
-        settings = WakeSettings(
-            model=cast("Literal['free', 'prescribed']", wake), step_deg=wake_step, turns=wake_turns,
-            tolerance=wake_tolerance, iterations=wake_iterations,
-        )  # fmt: skip
+    settings, stations = theory.wake_settings(turns=3.0, tolerance=3e-3)
+    blades = [theory.prepare_blading(load_rotor(r), stations) for r in (upper, upper if lower is None else lower)]
     kept = out.with_suffix(".points") if out is not None else None
     try:
         with progress_bar("points", not as_json) as progress:
             made = compute(
                 blades[0], blades[1], spacing_m=spacing, upper_pitch_rad=pitches[0],
-                lower_pitch_rad=pitches[-1], mean_speed_rad_s=speeds.tolist(), ratio=ratios.tolist(),
-                climb_ratio=map_climb_ratios(climbs.tolist(), speeds.tolist(), blades[0].rotors[0].radius_m).tolist(),
-                method=cast("Literal['bemt', 'wake']", method), air=Air(density_kg_m3=density), settings=settings,
+                lower_pitch_rad=pitches[-1], mean_speed_rad_s=speeds.tolist(), ratio=ratios,
+                climb_ratio=map_climb_ratios(climbs, speeds.tolist(), blades[0].rotors[0].radius_m).tolist(),
+                method=theory.method, air=Air(density_kg_m3=density), settings=settings if wakes else None,
                 name=name or (out.stem if out is not None else ""),
-                note=f"polars {polars.engine}, n_crit {polars.n_crit:g}, corrections {polars.model}",
+                note=f"polars {theory.engine}, n_crit {theory.n_crit:g}, corrections {theory.model}",
                 kept=kept, progress=progress,
             )  # fmt: skip
     except KeyboardInterrupt:
@@ -457,7 +390,7 @@ def compute_coax_map(
             part.write_text(format_map_toml(made), encoding="utf-8")
         files = [out, save_figure(map_picture(made), out.parent, out.stem)]
     content = {**made.model_dump(exclude={"table"}), **made.parse_tables()._asdict()}
-    print_answer(as_json, lambda: content, lambda: _print_map(made), files)
+    print_answer(as_json, content, lambda: _print_map(made), files)
 
 
 def _print_map(made: CoefficientMap) -> None:
@@ -493,14 +426,3 @@ def _print_map(made: CoefficientMap) -> None:
             f"{missing} of {t.solved.size} points have no solution and take the mean of their neighbours.",
             style="yellow",
         )
-
-
-def _parse_value_range(option: str, text: str, counts: dict[str, int], unit: str) -> NDArray[np.float64]:
-    """Return the values of FIRST:LAST[:STEP] in a unit; without a step as many as ``counts`` says."""
-    first, last, step = read_stepped_range(option, text, unit)
-    if last is None:
-        return np.array([first])
-    if step is not None:
-        return np.array(spaced_values(first, last, step))
-    n = counts[option]
-    return np.array([0.5 * (first + last)] if n == 1 else np.linspace(first, last, n).round(12).tolist())

@@ -75,8 +75,7 @@ input, with the controller of full order, of reduced order, and sampled with one
         raise error.with_location(vehicle) from None
     written = _write_designs(controller, out) if out is not None else []
     if as_json:
-        print_json(controller.to_dict())
-        return
+        return print_json(controller.to_dict())
     make_console().print(
         f"[bold]{controller.vehicle_name}[/bold] at {controller.voltage_V:g} V: hover motor inputs "
         f"{controller.motor_trim[0]:.2f} upper, {controller.motor_trim[1]:.2f} lower; "

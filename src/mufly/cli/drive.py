@@ -17,7 +17,6 @@ from mufly.cli.options import (
     ModelOption,
     define_argument,
     define_option,
-    select_corrections,
 )
 from mufly.cli.output import (
     ResultColumn,
@@ -29,6 +28,7 @@ from mufly.cli.output import (
     save_figure,
 )
 from mufly.quantity_grammar import read_values
+from mufly.results import select_fields
 
 if TYPE_CHECKING:
     from mufly.drive import RotorLoad
@@ -68,6 +68,7 @@ def _make_rotor_load(rotor: str, vehicle: str, pitch: float | None, model: str) 
     from mufly.drive import make_blade_load, make_coefficient_load
     from mufly.errors import InputError
     from mufly.rotor import load_rotor, prepare_blading
+    from mufly.study import BEMT_MODELS
     from mufly.vehicle import load_vehicle
 
     if rotor in ("upper", "lower"):
@@ -83,7 +84,7 @@ def _make_rotor_load(rotor: str, vehicle: str, pitch: float | None, model: str) 
     if pitch is None:
         raise InputError("--pitch", "", f"is missing for rotor {rotor}", "give the pitch setting, as --pitch 12")
     r = load_rotor(rotor)
-    blading = prepare_blading(r, corrections=select_corrections(model))
+    blading = prepare_blading(r, corrections=BEMT_MODELS[model])
     return make_blade_load(blading, pitch_rad=math.radians(pitch)), f"{r.name} at {pitch:g} deg"
 
 
@@ -140,14 +141,9 @@ def show(
             lasts.append(None)
     c = d.motor_constants()
     if as_json:
-        print_json(
-            {
-                "drive": d.name, "description": d.description, "rotors": d.rotors, "constants": vars(c), "rotor": name,
-                "points": {k: np.atleast_1d(v) for k, v in vars(point).items()},
-                "endurance": [None if e is None else vars(e) for e in lasts],
-            }
-        )  # fmt: skip
-        return
+        points = {k: np.atleast_1d(v) for k, v in vars(point).items()}
+        more = {"constants": c, "rotor": name, "points": points, "endurance": lasts}
+        return print_json({"drive": d.name, **select_fields(d, "description rotors"), **more})
     make_console().print(f"[bold]{d.name}[/bold]  {d.description}", highlight=False)
     print_lines(
         f"kE {1e3 * float(c.back_emf_V_s):.4g} mV s, kM {1e3 * float(c.torque_Nm_A):.4g} mN m/A, "
@@ -226,4 +222,4 @@ def sweep(
             found = f"{best.for_thrust:.2f}" if math.isfinite(best.for_thrust) else "none"
             print_lines(f"Largest gear ratio that gives {thrust:g} N: {found}")
 
-    print_answer(as_json, lambda: {**curve.to_dict(), "optima": best, "rotor": name}, print_sweep, files)
+    print_answer(as_json, {**curve.to_dict(), "optima": best, "rotor": name}, print_sweep, files)

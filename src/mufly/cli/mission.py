@@ -8,11 +8,13 @@ from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_
 from mufly.cli.output import (
     ResultColumn,
     make_console,
+    print_answer,
     print_json,
     print_lines,
     print_result_table,
     print_table,
 )
+from mufly.results import select_fields
 
 if TYPE_CHECKING:
     from mufly.mission import Mission
@@ -39,20 +41,12 @@ def list_missions(as_json: JsonOption = False) -> None:
     """List the built-in missions."""
     from mufly.mission import list_builtin_missions, load_mission, plan_legs
 
-    missions = [load_mission(name) for name in list_builtin_missions()]
-    rows: list[dict[str, Any]] = [
-        {
-            "name": m.name,
-            "description": m.description,
-            "waypoints": len(m.waypoint),
-            "way_m": sum(leg.length_m for leg in plan_legs(m)),
-        }
-        for m in missions
-    ]
-    if as_json:
-        print_json(rows)
-    else:
-        print_result_table(rows, ["name", "description", "waypoints", ResultColumn("way_m", form=".1f")])
+    rows = []
+    for m in map(load_mission, list_builtin_missions()):
+        way = sum(leg.length_m for leg in plan_legs(m))
+        rows.append({**select_fields(m, "name description"), "waypoints": len(m.waypoint), "way_m": way})
+    columns = ("name", "description", "waypoints", ResultColumn("way_m", form=".1f"))
+    print_answer(as_json, rows, lambda: print_result_table(rows, columns), None)
 
 
 @app.command()
@@ -70,32 +64,23 @@ and the way around obstacles that the file names.
         return
     rows = _waypoint_rows(m)
     if as_json:
-        print_json({"name": m.name, "description": m.description, "waypoints": rows, "at_end": m.at_end})
-        return
+        return print_json({"name": m.name, "description": m.description, "waypoints": rows, "at_end": m.at_end})
     make_console().print(f"[bold]{m.name}[/bold]  {m.description}")
     speeds = any(w.speed_m_s is not None for w in m.waypoint)
     heads = ["", "N", "E", "D", "wait", "heading", "way", "reached after", *(["speed"] if speeds else [])]
     place = (*m.start_m, -m.take_off.height_m)
-    start = [
-        "take-off",
-        *(f"{x:.2f} m" for x in place),
-        f"{m.take_off.wait_s:.1f} s",
-        f"{m.start_heading_deg:.0f}°",
-    ]
+    where = (f"{x:.2f} m" for x in place)
+    start = ["take-off", *where, f"{m.take_off.wait_s:.1f} s", f"{m.start_heading_deg:.0f}°"]
     lines = [start + [""] * (len(heads) - len(start))]
     for row in rows:
         heading, speed = row["heading_deg"], row["speed_m_s"]
         lines.append(
             [
-                str(row["number"]),
-                *(f"{x:.2f} m" for x in row["position_m"]),
-                f"{row['wait_s']:.1f} s",
-                "along the way" if heading is None else f"{heading:.0f}°",
-                f"{row['way_m']:.2f} m",
-                f"{row['reached_s']:.1f} s",
-                *(["" if speed is None else f"{speed:g} m/s"] if speeds else []),
+                str(row["number"]), *(f"{x:.2f} m" for x in row["position_m"]), f"{row['wait_s']:.1f} s",
+                "along the way" if heading is None else f"{heading:.0f}°", f"{row['way_m']:.2f} m",
+                f"{row['reached_s']:.1f} s", *(["" if speed is None else f"{speed:g} m/s"] if speeds else []),
             ]
-        )
+        )  # fmt: skip
     print_table(heads, lines, text=())
     obstacles = m.world.names[: len(m.world.boxes) + len(m.world.cylinders)]
     if obstacles or m.room:
@@ -118,16 +103,11 @@ def _waypoint_rows(m: Mission) -> list[dict[str, Any]]:
 
     return [
         {
-            "number": leg.waypoint_number,
-            "position_m": list(w.position_m),
-            "wait_s": w.wait_s,
-            "heading_deg": w.heading_deg,
-            "speed_m_s": w.speed_m_s,
-            "way_m": leg.length_m,
-            "reached_s": leg.reached_s,
+            "number": leg.waypoint_number, **select_fields(w, "position_m wait_s heading_deg speed_m_s"),
+            "way_m": leg.length_m, "reached_s": leg.reached_s,
         }
         for leg, w in zip(plan_legs(m), m.waypoint, strict=True)
-    ]
+    ]  # fmt: skip
 
 
 @app.command()
@@ -144,17 +124,15 @@ def check(mission: _MissionArgument, vehicle: _VehicleOption = "mufly-1.1", as_j
         v, m, vehicle_file=vehicle, mission_file=mission, able=controller_limits(design_flight_controller(v))
     )
     if as_json:
-        print_json(
+        return print_json(
             {
                 "name": m.name,
                 "vehicle": v.name,
-                "duration_s": estimate.duration_s,
-                "path_m": estimate.path_m,
+                **select_fields(estimate, "duration_s path_m"),
                 "charge_As": 3600.0 * estimate.charge_Ah,
                 "charge_fraction": estimate.fraction,
             }
         )
-        return
     make_console().print(
         f"[bold]{m.name}[/bold] can be flown by [bold]{v.name}[/bold]: {len(m.waypoint)} waypoints, "
         f"{estimate.path_m:.1f} m, about {estimate.duration_s:.0f} s, {estimate.fraction:.0%} of the battery."

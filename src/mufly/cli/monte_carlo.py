@@ -276,8 +276,7 @@ def _write_and_print_results(
         (out / "commands.txt").write_text("".join(f"{c}\n" for _, c in commands), encoding="utf-8")
     files += [out / "summary.json", out / "commands.txt"]
     if as_json:
-        print_json({**content, "files": [str(f) for f in files]})
-        return
+        return print_json({**content, "files": [str(f) for f in files]})
     if outcome is not None:
         _print_outcome(outcome)
     if worst:

@@ -38,6 +38,7 @@ from mufly.cli.output import (
 from mufly.cli.rotor import app as rotor_commands
 from mufly.cli.study import format_parameter, parse_set_options
 from mufly.errors import InputError, suggest_name
+from mufly.results import select_fields
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -106,43 +107,17 @@ def optimise(
         )  # fmt: skip
     files = [_write_rotor_file(best.rotor, out)] if out is not None else []
     if as_json:
-        print_json(_optimum_to_json(best))
-        return
+        return print_json(best)
     _print_optimum(best)
     print_files(files)
-
-
-def _optimum_to_json(best: RotorOptimum) -> dict[str, Any]:
-    return {
-        "rotor": best.rotor.toml_tables(),
-        "pitch_rad": best.pitch_rad,
-        "changes": best.changes,
-        "goal": best.goal,
-        "unit": _goal_unit(best.goal),
-        "before": best.before,
-        "after": best.after,
-        "steps": [vars(step) for step in best.steps],
-        "results": best.results,
-    }
-
-
-def _goal_unit(goal: str) -> str:
-    return "s" if goal == "endurance" else "N/W"
 
 
 def _print_optimum(best: RotorOptimum) -> None:
     rows = [("start", "", f"{best.before:.5g}", "", "")]
     for step in best.steps:
-        rows.append(
-            (
-                step.parameter,
-                format_parameter(step.parameter, step.value, ".4g"),
-                f"{step.goal:.5g}",
-                f"{step.gain:+.1%}",
-                f"{math.degrees(step.pitch_rad):.2f}°",
-            )
-        )
-    print_table(("change", "to", f"{best.goal} ({_goal_unit(best.goal)})", "gain", "pitch"), rows, text=(0, 1))
+        figures = (f"{step.goal:.5g}", f"{step.gain:+.1%}", f"{math.degrees(step.pitch_rad):.2f}°")
+        rows.append((step.parameter, format_parameter(step.parameter, step.value, ".4g"), *figures))
+    print_table(("change", "to", f"{best.goal} ({best.unit})", "gain", "pitch"), rows, text=(0, 1))
     r = best.results
     c = make_console()
     c.print(
@@ -213,14 +188,9 @@ def optimise_pairs(
     )  # fmt: skip
     with progress_bar("generations", not as_json) as progress:
         best = optimise_pair(setup, names, limits=limits, seed=seed, generations=generations, progress=progress)
-    files = (
-        []
-        if out is None
-        else [
-            _write_rotor_file(best.upper, out / "upper.toml"),
-            _write_rotor_file(best.lower, out / "lower.toml"),
-        ]
-    )
+    files = []
+    if out is not None:
+        files = [_write_rotor_file(getattr(best, side), out / f"{side}.toml") for side in ("upper", "lower")]
     checked: tuple[SystemSolution | str, SystemSolution | str] | None = None
     if check:
         with wake_progress("start and optimum", not as_json, out) as told:
@@ -228,61 +198,27 @@ def optimise_pairs(
     if out is not None:
         after = checked[1] if checked is not None and not isinstance(checked[1], str) else best.after
         files.append(save_figure(rotor_loads_picture(after.upper, after.lower), out, "loads"))
-    print_answer(
-        as_json,
-        lambda: _pair_optimum_to_json(best, checked),
-        lambda: _print_pair_optimum(best, checked),
-        files,
-    )
+    bemt = {"start": best.before, "pitch_only": best.pitched, "optimum": best.after}
+    content = {
+        **select_fields(best, "upper=upper.toml_tables lower=lower.toml_tables changes at_limit evaluations"),
+        "bemt": {name: _point_summary(point) for name, point in bemt.items()},
+        "wake": checked and dict(zip(("start", "optimum"), map(_point_summary, checked), strict=True)),
+    }
+    print_answer(as_json, content, lambda: _print_pair_optimum(best, checked), files)
 
 
 def _point_summary(point: SystemSolution | str | None) -> dict[str, Any] | None:
-    if point is None:
-        return None
-    if isinstance(point, str):
-        return {"fault": point}
-    return {
-        "power_W": point.power_W,
-        "thrust_N": point.thrust_N,
-        "figure_of_merit": point.figure_of_merit,
-        **{
-            side: {
-                "pitch_rad": r.pitch_rad, "speed_rad_s": r.speed_rad_s, "thrust_N": r.thrust_N,
-                "torque_Nm": r.torque_Nm, "power_W": r.power_W, "outside_share": r.outside_share,
-            }
-            for side, r in (("upper", point.upper), ("lower", point.lower))
-        },
-    }  # fmt: skip
-
-
-def _pair_optimum_to_json(
-    best: PairOptimum, checked: tuple[SystemSolution | str, SystemSolution | str] | None
-) -> dict[str, Any]:
-    return {
-        "upper": best.upper.toml_tables(),
-        "lower": best.lower.toml_tables(),
-        "changes": best.changes,
-        "at_limit": best.at_limit,
-        "evaluations": best.evaluations,
-        "bemt": {
-            "start": _point_summary(best.before),
-            "pitch_only": _point_summary(best.pitched),
-            "optimum": _point_summary(best.after),
-        },
-        "wake": None
-        if checked is None
-        else {"start": _point_summary(checked[0]), "optimum": _point_summary(checked[1])},
-    }
+    if point is None or isinstance(point, str):
+        return None if point is None else {"fault": point}
+    each = "pitch_rad speed_rad_s thrust_N torque_Nm power_W outside_share"
+    both = {"upper": select_fields(point.upper, each), "lower": select_fields(point.lower, each)}
+    return {**select_fields(point, "power_W thrust_N figure_of_merit"), **both}
 
 
 def _print_pair_optimum(best: PairOptimum, checked: tuple[SystemSolution | str, SystemSolution | str] | None) -> None:
     c = make_console()
     shown = [
-        (
-            name,
-            format_parameter(name, value, ".4g"),
-            "at the end of its range" if name in best.at_limit else "",
-        )
+        (name, format_parameter(name, value, ".4g"), "at the end of its range" if name in best.at_limit else "")
         for name, value in best.changes.items()
     ]
     print_table(("free", "found", ""), shown, text=(0, 2))

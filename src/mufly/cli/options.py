@@ -11,13 +11,13 @@ from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand
 from typer.models import OptionInfo
 
-from mufly.cli.output import check_writable_file, make_console, report_place_errors, write_csv
+from mufly.cli.output import check_writable_file, make_console, report_place_errors, save_figure, write_csv
 from mufly.errors import ArgumentError, InputError, suggest_name
 from mufly.quantity_grammar import (
     read_integer,
@@ -34,8 +34,7 @@ from mufly.units import split_unit_suffix
 if TYPE_CHECKING:
     from mufly.drive import DriveTrain
     from mufly.identify import ParameterEstimate
-    from mufly.rotor import Blading, Corrections, Rotor
-    from mufly.rotor.sections.polar_engines import PolarEngine
+    from mufly.rotor import Blading, Corrections, Rotor, SystemSolution
     from mufly.rotor.wake import WakeSettings
     from mufly.study import StudySetup
     from mufly.study.study_parameters import ParameterValue
@@ -157,10 +156,15 @@ class OptionRange:
 
 
 def _add_notation(annotation: Any) -> Any:
-    """The annotation of a number's option with the notation of counts or plain numbers, if it has none."""
+    """The annotation of an option with the notation of its type, if it has none: of choices, counts or numbers."""
     if get_origin(annotation) is not Annotated:
         return annotation
     kind, *more = get_args(annotation)
+    words = next((get_args(k) for k in (kind, *get_args(kind)) if get_origin(k) is Literal), ())
+    if words:
+        more = [copy(one) for one in more]
+        more[0].callback = OptionChoices(words).check_option
+        return Annotated[kind if kind is str else str if get_origin(kind) is Literal else str | None, *more]
     numbers = {int, float}.intersection((kind, *get_args(kind), *(x for k in get_args(kind) for x in get_args(k))))
     for k, one in enumerate(more):
         if numbers and isinstance(one, OptionInfo) and one.parser is None:
@@ -170,6 +174,23 @@ def _add_notation(annotation: Any) -> Any:
             more[k] = copy(one)
             more[k].parser, more[k].callback = plain, plain.read_option_values
     return Annotated[kind, *more]
+
+
+def _option_name(param: typer.CallbackParam) -> str:
+    return next((o for o in param.opts if o.startswith("--")), param.opts[0])
+
+
+@dataclass(frozen=True)
+class OptionChoices:
+    """What an option may be whose type is a Literal."""
+
+    words: tuple[str, ...]
+
+    def check_option(self, param: typer.CallbackParam, value: Any) -> Any:
+        """Refuse other words; typer calls it."""
+        if value is not None:
+            check_choice(_option_name(param), value, self.words)
+        return value
 
 
 @dataclass(frozen=True)
@@ -215,7 +236,7 @@ class NumberNotation:
 
     def read_option_values(self, param: typer.CallbackParam, value: Any) -> Any:
         """Read the value or values of an option; typer calls it."""
-        name = next((o for o in param.opts if o.startswith("--")), param.opts[0])
+        name = _option_name(param)
         if isinstance(value, list | tuple):
             return [self.read_option(name, v) if isinstance(v, str) else v for v in value]
         return self.read_option(name, value) if isinstance(value, str) else value
@@ -310,7 +331,7 @@ DriveOption = Annotated[
 JsonOption = Annotated[bool, define_option("--json", "Print JSON, in SI units, and nothing else.")]
 OutOption = Annotated[Path | None, define_option("--out DIR", "Write pictures (PNG) and tables there.")]
 ModelOption = Annotated[
-    str,
+    Literal["full", "plain", "thesis"],
     define_option(
         "--model NAME",
         "Blade element theory: 'full' (finite chord, rotation), 'plain' (textbook) or 'thesis' "
@@ -326,20 +347,6 @@ def check_choice(option: str, value: str, known: Iterable[str]) -> None:
         raise InputError(option, "", f"{value!r} is unknown", suggest_name(value, names))
 
 
-def select_corrections(model: str) -> Corrections:
-    """Return the switches of a named model.
-
-    Raises
-    ------
-    InputError
-        If there is none of that name.
-    """
-    from mufly.study import BEMT_MODELS
-
-    check_choice("--model", model, BEMT_MODELS)
-    return BEMT_MODELS[model]
-
-
 def load_drive_option(name: str | None) -> DriveTrain | None:
     """Return the drive of ``--drive``, or None for none."""
     from mufly.drive import load_drive
@@ -352,6 +359,8 @@ def load_drive_option(name: str | None) -> DriveTrain | None:
 
 
 _INTEGER_WAKE_SETTINGS = ("phases", "iterations", "stations")
+WAKE_FIELDS = "converged message iterations residual settings"
+"""Fields of a solution that JSON tells of its wakes."""
 
 
 @dataclass(frozen=True)
@@ -361,21 +370,17 @@ class PolarOptions:
     n_crit: Annotated[
         float, define_option("--n-crit NUMBER", "Transition: 0.1 vibrating rotor, 9 quiet wind tunnel.")
     ] = 0.1
-    engine: Annotated[str, define_option("--engine NAME", "Polars: 'neuralfoil' or, where installed, 'xfoil'.")] = (
-        "neuralfoil"
-    )
+    engine: Annotated[
+        Literal["neuralfoil", "xfoil", "table"],
+        define_option("--engine NAME", "Polars: 'neuralfoil' or, where installed, 'xfoil'."),
+    ] = "neuralfoil"
     model: ModelOption = "full"
-
-    def check_engine(self) -> PolarEngine:
-        """Return the polar engine that ``--engine`` names."""
-        from mufly.rotor.sections.polar_engines import PolarEngine
-
-        check_choice("--engine", self.engine, get_args(PolarEngine))
-        return cast("PolarEngine", self.engine)
 
     def select_corrections(self) -> Corrections:
         """Return the switches of the model that ``--model`` names."""
-        return select_corrections(self.model)
+        from mufly.study import BEMT_MODELS
+
+        return BEMT_MODELS[self.model]
 
     def prepare_blading(self, rotor: Rotor, stations: int | None = None) -> Blading:
         """Return a rotor with its polars."""
@@ -383,7 +388,7 @@ class PolarOptions:
         from mufly.rotor.blading import STATION_COUNT
 
         return prepare_blading(
-            rotor, n_crit=self.n_crit, engine=self.check_engine(), corrections=self.select_corrections(),
+            rotor, n_crit=self.n_crit, engine=self.engine, corrections=self.select_corrections(),
             stations=stations or STATION_COUNT,
         )  # fmt: skip
 
@@ -394,7 +399,7 @@ class PolarOptions:
 
         return StudySetup(
             load_rotor(rotor), fixed_parameters={"n_crit": self.n_crit, **fixed}, corrections=self.select_corrections(),
-            polar_engine=self.check_engine(), **more,
+            polar_engine=self.engine, **more,
         )  # fmt: skip
 
 
@@ -402,7 +407,7 @@ class PolarOptions:
 class WakeOptions(PolarOptions):
     """Options of what vortex wakes compute."""
 
-    method: str = "wake"  # no option here, one in Theory
+    method: Literal["bemt", "tubes", "wake", "cfd"] = "wake"  # no option here, one in Theory
     wake: Annotated[
         str, define_option("--wake NAME", "'free', or 'prescribed' (Landgrebe's shape, for slender blades).")
     ] = "free"
@@ -414,19 +419,23 @@ class WakeOptions(PolarOptions):
         ),
     ] = None
 
-    def wake_settings(self) -> tuple[WakeSettings, int]:
-        """Return settings of the wake and stations along a blade; InputError if an option is unknown or impossible."""
+    def wake_settings(self, **defaults: float) -> tuple[WakeSettings, int]:
+        """Return settings of the wake and stations along a blade; ``defaults`` hold where ``--wake-set`` says nothing.
+
+        Raises
+        ------
+        InputError
+            If an option is unknown or impossible.
+        """
         from mufly.rotor.blading import STATION_COUNT
         from mufly.rotor.wake import WakeSettings
-        from mufly.study import AERODYNAMIC_METHODS
 
-        check_choice("--method", self.method, AERODYNAMIC_METHODS)
         if self.wake not in ("free", "prescribed"):
             raise InputError("--wake", "", f"{self.wake!r} is unknown", "use free or prescribed")
         if self.method != "wake" and self.wake != "free":
             raise InputError("--wake", "", "there is no wake in blade element theory", "add --method wake")
         known = [f.name for f in fields(WakeSettings) if f.name not in ("model", "inviscid")]
-        given: dict[str, Any] = {}
+        given: dict[str, Any] = {**defaults}
         for text in self.wake_set or []:
             name, equals, value = (part.strip() for part in text.partition("="))
             if not equals or name not in (*known, "stations"):
@@ -446,7 +455,7 @@ class WakeOptions(PolarOptions):
     def make_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
         """Return what the cases of a study of a rotor, or of a pair (``lower``), share."""
         wake, stations = self.wake_settings()
-        return super().make_setup(rotor, fixed, method=self.method, wake=wake, stations=stations, **more)
+        return super().make_setup(rotor, fixed, method=self.method, wake_settings=wake, station_count=stations, **more)
 
 
 @dataclass(frozen=True)
@@ -454,11 +463,8 @@ class TheoryOptions(WakeOptions):
     """Options of what blade elements or vortex wakes can compute."""
 
     method: Annotated[
-        str,
-        define_option(
-            "--method NAME",
-            "'bemt' (blade elements), 'tubes' or 'wake' (seconds).",
-        ),
+        Literal["bemt", "tubes", "wake"],
+        define_option("--method NAME", "'bemt' (blade elements), 'tubes' or 'wake' (seconds)."),
     ] = "bemt"
 
 
@@ -504,6 +510,22 @@ def wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterat
             heads = ("wake", "iteration", "residual", "thrust_N")
             write_csv(folder / "progress.csv", heads, progress.rows)
         raise
+
+
+def write_wakes(solution: SystemSolution, folder: Path) -> list[Path]:
+    """Write how the wakes of a solution converged and, if they did, their geometry and the air around them."""
+    from mufly.rotor import field_picture, history_picture, wake_picture
+
+    assert solution.settings is not None
+    sides = ("",) if len(solution.rotors) == 1 else ("upper_", "lower_")
+    heads = ["residual", *(f"{side}{load}" for side in sides for load in ("thrust_N", "torque_Nm"))]
+    history = history_picture(solution.history, residual=solution.settings.residual, note=solution.message)
+    files = [write_csv(folder / "history.csv", heads, solution.history), save_figure(history, folder, "history")]
+    if solution.converged:
+        files.append(save_figure(wake_picture(solution), folder, "wake"))
+        files.append(save_figure(field_picture(solution), folder, "air"))
+        files.append(save_figure(field_picture(solution, mean=False), folder, "air-instant"))
+    return files
 
 
 # ----------------------------------------------------------------------------

@@ -110,6 +110,8 @@ class ResultColumn:
         Default: the field's name without its unit.
     each : tuple of str
         What the entries of a pair are, ``("upper", "lower")``.
+    own_unit : str
+        The field's own unit, where neither its name nor its docstring says it.
     """
 
     name: str
@@ -117,6 +119,7 @@ class ResultColumn:
     form: str = ".4g"
     head: str = ""
     entry_names: tuple[str, ...] = ()
+    own_unit: str = ""
 
     def header_text(self, item: Any) -> str:
         """The column's head, with the unit."""
@@ -126,12 +129,10 @@ class ResultColumn:
 
     def value_text(self, item: Any, *, unit: bool = False) -> str:
         """The value of one result, with its unit if asked."""
-        from mufly.results import format_value
+        from mufly.results import field_value, format_value
         from mufly.units import unit_conversion
 
-        value: Any = item
-        for part in self.name.split("."):
-            value = value[part] if isinstance(value, dict) else getattr(value, part)
+        value = field_value(item, self.name)
         own = self._label_and_unit(item)[1]
         if self.unit and value is not None:
             _, factor, offset = unit_conversion(own or "1", self.unit)
@@ -147,7 +148,7 @@ class ResultColumn:
         from mufly.results import field_meaning
 
         found = field_meaning(item, self.name)
-        return found.label, found.unit
+        return found.label, self.own_unit or found.unit
 
 
 def print_result_table(
@@ -180,7 +181,7 @@ def print_result_lines(item: Any, columns: Sequence[ResultColumn | str | tuple[s
 
 
 def _looks_like_number(text: str) -> bool:
-    return text[-1:].isdigit() or text == "-"
+    return text.rstrip(" %")[-1:].isdigit() or text == "-"
 
 
 def print_estimates(
@@ -209,14 +210,29 @@ def print_estimates(
 
 
 def print_answer(
-    as_json: bool, content: Callable[[], dict[str, Any]], show: Callable[[], None], files: Sequence[Path] = ()
+    as_json: bool, content: Any, show: Callable[[], object] | None = None, files: Sequence[Path] | None = ()
 ) -> None:
-    """Answer a command: JSON with the files that were written, or what ``show`` prints and a line for each file."""
+    """Answer a command: as JSON with the files that were written, or as text with a line for each file.
+
+    Parameters
+    ----------
+    as_json : bool
+    content : result, table or list
+        What JSON holds: :func:`mufly.results.to_plain_data`.
+    show : callable, optional
+        Prints the text; default the result's own.
+    files : sequence of Path or None
+        What was written. None: a command that writes nothing, whose JSON has no key for files.
+    """
+    from mufly.results import to_plain_data
+
     if as_json:
-        print_json({**content(), "files": [str(f) for f in files]})
-        return
-    show()
-    print_files(files)
+        return print_json(content if files is None else {**to_plain_data(content), "files": [str(f) for f in files]})
+    if show is None:
+        print_lines(str(content))
+    else:
+        show()
+    print_files(files or ())
 
 
 def print_files(files: Iterable[Path], label: str = "Written") -> None:
@@ -263,6 +279,11 @@ def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Iterable[float | 
             writer.writerow(heads)
             writer.writerows([x if isinstance(x, str) else f"{x:.9g}" for x in row] for row in rows)
     return path
+
+
+def write_records(path: Path, records: Sequence[Mapping[str, Any]]) -> Path:
+    """Write tables of the same keys as CSV, a table a line, as :func:`write_csv` does."""
+    return write_csv(path, list(records[0]), [record.values() for record in records])
 
 
 def ensure_folder(option: str, folder: Path | None) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -14,6 +14,7 @@ from mufly.cli.options import (
     DEFAULT_POLAR_OPTIONS,
     PITCH_RANGE,
     SPEED_RANGE,
+    WAKE_FIELDS,
     ClimbOption,
     ColumnsOption,
     CommandGroup,
@@ -25,28 +26,30 @@ from mufly.cli.options import (
     PolarOptions,
     RotorArgument,
     TheoryOptions,
-    check_choice,
+    WakeOptions,
     define_argument,
     define_option,
     load_drive_option,
     wake_progress,
+    write_wakes,
 )
 from mufly.cli.output import (
+    ResultColumn,
     make_console,
+    print_answer,
     print_files,
     print_json,
+    print_result_table,
     print_table,
     progress_bar,
     report_place_errors,
     save_figure,
-    write_csv,
 )
+from mufly.results import select_fields, to_records
 from mufly.units import RPM, compatible_units
 
 if TYPE_CHECKING:
-    from mufly.drive import OperatingPoint
-    from mufly.rotor import PredictionInterval, Rotor, RotorMeasurements, RotorResult
-    from mufly.rotor.uncertainty import SectionKnowledge
+    from mufly.rotor import Rotor, RotorMeasurements
 
 
 BenchPitchOption = Annotated[
@@ -82,6 +85,18 @@ FamilyOption = Annotated[
 _DIAMETER_RANGE = OptionRange(1e-3, 10.0, "m", "no small rotor is so wide; 127 mm are written 127mm")
 _EDGE_THICKNESS_RANGE = OptionRange(0.0, 0.1, "m", "no trailing edge is so thick; 0.3 mm are written 0.3mm")
 
+
+@dataclass(frozen=True)
+class HoverOptions(WakeOptions):
+    """Options of what one rotor is computed by."""
+
+    method: Annotated[
+        Literal["bemt", "tubes", "wake", "cfd"],
+        define_option("--method NAME", "'bemt' (blade elements), 'tubes' or 'wake' (seconds)."),
+    ] = "bemt"
+
+
+DEFAULT_HOVER_OPTIONS = HoverOptions()
 app = CommandGroup(
     help="Rotors: what one is, what it does, which is best. Numbers of rotor files: docs/polars.md; of the theory: "
     "docs/bemt.md; of sweeps and rankings: docs/studies.md.",
@@ -96,8 +111,7 @@ def list_rotors(as_json: JsonOption = False) -> None:
 
     rotors = [load_rotor(name) for name in builtin_rotors()]
     if as_json:
-        print_json([{"name": r.name, "description": r.description, **_geometry_record(r)} for r in rotors])
-        return
+        return print_json([select_fields(r, f"name description {_GEOMETRY}") for r in rotors])
     print_table(
         ("name", "blades", "radius", "solidity", "description"),
         [(r.name, f"{r.blades}", f"{1e3 * r.radius_m:g} mm", f"{r.solidity:.3f}", r.description) for r in rotors],
@@ -105,17 +119,7 @@ def list_rotors(as_json: JsonOption = False) -> None:
     )
 
 
-def _geometry_record(rotor: Rotor) -> dict[str, Any]:
-    return {
-        "blades": rotor.blades,
-        "radius_m": rotor.radius_m,
-        "hub_radius_m": rotor.hub_radius_m,
-        "disc_area_m2": rotor.disc_area_m2,
-        "blade_area_m2": rotor.blade_area_m2,
-        "solidity": rotor.solidity,
-        "thrust_solidity": rotor.thrust_solidity,
-        "aspect_ratio": rotor.aspect_ratio,
-    }
+_GEOMETRY = "blades radius_m hub_radius_m disc_area_m2 blade_area_m2 solidity thrust_solidity aspect_ratio"
 
 
 @app.command()
@@ -133,34 +137,16 @@ def show(
     With --out, planform, twist and sections are drawn (blade.png).
     Example: mufly rotor show walkera-5g6 --rpm 4000 --out walkera
     """
-    import numpy as np
+    from mufly.rotor import blade_picture, blade_stations, format_rotor_toml, load_rotor
 
-    from mufly.rotor import Air, blade_picture, blade_thickness_m, format_rotor_toml, load_rotor
-
-    speed = rpm * RPM
-    r, air = load_rotor(rotor), Air()
+    r = load_rotor(rotor)
     if toml:
-        print(format_rotor_toml(r), end="")
-        return
-    x = np.unique(np.concatenate(([float(r.hub_cutout)], r.blade.r_over_R.array(), [0.25, 0.5, 0.75, 1.0])))
-    x = x[x >= float(r.hub_cutout)]
-    chord, twist, thick = r.chord_m(x), r.twist_rad(x), blade_thickness_m(r, x)
-    reynolds = x * r.radius_m * speed * chord * air.density_kg_m3 / air.viscosity_Pa_s
+        return print(format_rotor_toml(r), end="")
+    stations = blade_stations(r, rpm * RPM)
     picture = save_figure(blade_picture(r), out, "blade") if out is not None else None
     if as_json:
-        print_json(
-            {
-                "name": r.name,
-                "description": r.description,
-                **_geometry_record(r),
-                "airfoils": r.airfoil_names(),
-                "speed_rpm": rpm,
-                "stations": {
-                    "r_over_R": x, "chord_m": chord, "twist_rad": twist, "thickness_m": thick, "reynolds": reynolds
-                },
-            }
-        )  # fmt: skip
-        return
+        about = select_fields(r, f"name description {_GEOMETRY} airfoils=airfoil_names")
+        return print_json({**about, "speed_rpm": rpm, "stations": stations})
     c = make_console()
     c.print(f"[bold]{r.name}[/bold]  {r.description}", highlight=False)
     c.print(
@@ -168,14 +154,12 @@ def show(
         f"{r.solidity:.3f}, aspect ratio {r.aspect_ratio:.2f}, airfoils {', '.join(r.airfoil_names())}",
         highlight=False,
     )
-    print_table(
-        ("r/R", "chord", "twist", "thickness", f"Reynolds number at {rpm:g} rpm"),
-        [
-            (f"{x[k]:.3f}", f"{1e3 * chord[k]:.2f} mm", f"{math.degrees(twist[k]):.2f}°", f"{1e3 * thick[k]:.2f} mm",
-             f"{reynolds[k]:.0f}")
-            for k in range(x.size)
-        ],
+    columns = (
+        ResultColumn("r_over_R", form=".3f", head="r/R"), ResultColumn("chord_m", "mm", ".2f"),
+        ResultColumn("twist_rad", "deg", ".2f"), ResultColumn("thickness_m", "mm", ".2f"),
+        ResultColumn("reynolds", form=".0f", head=f"Reynolds number at {rpm:g} rpm"),
     )  # fmt: skip
+    print_result_table(to_records(stations), columns)
     c.print(
         "Where the numbers come from: "
         + ", ".join(
@@ -260,8 +244,7 @@ def import_blade(
         with report_place_errors(out):
             out.write_text(format_rotor_toml(r), encoding="utf-8")
     if as_json:
-        print_json({"name": r.name, **_geometry_record(r), "airfoils": r.airfoil_names(), "notes": notes})
-        return
+        return print_json({**select_fields(r, f"name {_GEOMETRY} airfoils=airfoil_names"), "notes": notes})
     c = make_console()
     c.print(
         f"[bold]{r.name}[/bold]: {r.blades} blades, R {1e3 * r.radius_m:g} mm, {len(r.blade.chord.value)} stations, "
@@ -290,7 +273,7 @@ def hover(
     climb: ClimbOption = 0.0,
     density: DensityOption = 1.2,
     drive: DriveOption = None,
-    theory: TheoryOptions = DEFAULT_BEMT_OPTIONS,
+    theory: HoverOptions = DEFAULT_HOVER_OPTIONS,
     band: Annotated[
         float | None,
         define_option(
@@ -301,7 +284,7 @@ def hover(
         ),
     ] = None,
     section: Annotated[
-        str,
+        Literal["known", "guessed", "measured"],
         define_option(
             "--section NAME",
             "For --band: 'known' airfoils; 'guessed' ones (a stand-in, a look at the blade): the mean over what such a "
@@ -329,29 +312,25 @@ def hover(
         Air,
         OperatingCondition,
         RotorSystem,
-        field_picture,
-        history_picture,
         load_rotor,
         predict_interval,
         solve_system,
         stations_picture,
-        wake_picture,
     )
     from mufly.study import write_stations
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
         raise InputError("rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found")
     if theory.method == "cfd":
-        from mufly.cli.aero.cfd import run
+        from mufly.cli.aero.cfd import CaseOptions, solve_point
 
         if pitch is None or rpm is None:
             raise InputError("--method", "cfd", "finds neither speed nor pitch", "give --pitch and --rpm")
-        run(rotor, pitch, rpm, climb, density, out=out or Path("case"), as_json=as_json)
-        return
+        case = CaseOptions(pitch=pitch, density=density)
+        return solve_point(rotor, case, rpm=rpm, climb=climb, out=out or Path("case"), as_json=as_json)
     settings, count = theory.wake_settings()
     if band is not None and theory.method == "wake":
         raise InputError("--band", "", "is of blade element theory", "leave --method wake or --band out")
-    check_choice("--section", section, _BAND_SECTION_CHOICES)
     if section != "known" and band is None:
         raise InputError("--section", section, "changes an interval only", "add --band 0.9")
     if family and section != "guessed":
@@ -362,12 +341,11 @@ def hover(
     speed = rpm * RPM if rpm is not None else None
     with wake_progress("wake", theory.method == "wake" and not as_json, out) as progress:
         found = solve_system(
-            RotorSystem.single_rotor(blading), OperatingCondition(theta, speed, thrust, climb, air), theory.method,  # type: ignore[arg-type]
+            RotorSystem.single_rotor(blading), OperatingCondition(theta, speed, thrust, climb, air), theory.method,
             settings=settings, progress=progress,
         )  # fmt: skip
     result, solution = found.rotors[0], found if found.wakes else None
-    if solution is not None and out is not None:
-        write_csv(out / "history.csv", ("residual", "thrust_N", "torque_Nm"), solution.history)
+    files = write_wakes(found, out) if solution is not None and out is not None else []
     if not found.converged:
         kept = "" if out is None else f"; its history lies in {out}"
         raise MuflyError(f"wake: {found.message}{kept}")
@@ -381,26 +359,18 @@ def hover(
     if band is not None:
         around = predict_interval(
             r, pitch_rad=result.pitch_rad, speed_rad_s=result.speed_rad_s, climb_m_s=climb, air=air, level=band,
-            corrections=theory.select_corrections(), n_crit=theory.n_crit, engine=theory.check_engine(),
-            section=cast("SectionKnowledge", section), family=family,
+            corrections=theory.select_corrections(), n_crit=theory.n_crit, engine=theory.engine, section=section,
+            family=family,
         )  # fmt: skip
-    files = []
     if out is not None:
-        files = [save_figure(stations_picture(result), out, "stations"), write_stations(result, out)]
-        if solution is not None:
-            history = history_picture(solution.history, residual=settings.residual, note=solution.message)
-            files += [
-                out / "history.csv", save_figure(history, out, "history"),
-                save_figure(wake_picture(solution), out, "wake"), save_figure(field_picture(solution), out, "air"),
-                save_figure(field_picture(solution, mean=False), out, "air-instant"),
-            ]  # fmt: skip
+        files = [save_figure(stations_picture(result), out, "stations"), write_stations(result, out), *files]
     if as_json:
-        answer = _hover_to_json(r, result, point, around, theory)
-        if solution is not None:
-            told = {k: getattr(solution, k) for k in ("converged", "message", "iterations", "residual")}
-            answer["wake"] = {**told, "settings": vars(solution.settings)}
-        print_json({**answer, "method": theory.method, "files": [str(f) for f in files]})
-        return
+        content = {
+            "rotor": r.name, **select_fields(theory, "model n_crit"), **result.as_record(), "drive": point,
+            "band": around,
+            **({} if solution is None else {"wake": select_fields(solution, WAKE_FIELDS)}), "method": theory.method,
+        }  # fmt: skip
+        return print_answer(as_json, content, None, files)
     c = make_console()
     c.print(
         f"[bold]{r.name}[/bold] at {math.degrees(result.pitch_rad):.2f}° and {result.speed_rad_s / RPM:.0f} rpm"
@@ -472,39 +442,6 @@ def _point_index(name: str, line: int, bench: RotorMeasurements) -> int:
     return line - 1
 
 
-_SECTION_CHOICES = ("known", "guessed")
-_BAND_SECTION_CHOICES = (*_SECTION_CHOICES, "measured")
-
-
-def _hover_to_json(
-    rotor: Rotor,
-    result: RotorResult,
-    point: OperatingPoint | None,
-    band: PredictionInterval | None,
-    theory: TheoryOptions,
-) -> dict[str, Any]:
-    values = {f.name: getattr(result, f.name) for f in fields(result)}
-    size = result.r_m.size
-    stations = {k: v for k, v in values.items() if getattr(v, "size", 0) == size and k != "pitch_rad"}
-    return {
-        "rotor": rotor.name,
-        "model": theory.model,
-        "n_crit": theory.n_crit,
-        **{k: v for k, v in values.items() if k not in stations},
-        "stations": stations,
-        "drive": None if point is None else {k: float(v) for k, v in vars(point).items()},
-        "band": None
-        if band is None
-        else {
-            "level": band.level,
-            "mean_thrust_N": float(band.thrust_N[0]),
-            "mean_torque_Nm": float(band.torque_Nm[0]),
-            "thrust_N": [float(band.thrust_low_N[0]), float(band.thrust_high_N[0])],
-            "torque_Nm": [float(band.torque_low_Nm[0]), float(band.torque_high_Nm[0])],
-        },
-    }
-
-
 def _read_measurements(
     path: Path,
     rotor: Rotor,
@@ -543,7 +480,7 @@ def fit(
         ),
     ],
     section: Annotated[
-        str,
+        Literal["known", "guessed"],
         define_option("--section NAME", "'guessed': the file's airfoils are one guess among others; 'known'."),
     ] = "guessed",
     family: FamilyOption = "",
@@ -578,13 +515,11 @@ def fit(
     r = load_rotor(rotor)
     bench = _read_measurements(measurements, r, columns, density, pitch, rpm, quiet=as_json)
     air = bench.air
-    check_choice("--section", section, _SECTION_CHOICES)
     if point is not None:
         bench = bench.select_points(np.array([_point_index("--point", point, bench)]))
     with progress_bar("sections", not as_json) as progress:
         found = fit_rotor(
-            r, bench, section=cast("Literal['guessed', 'known']", section), family=family, air=air,
-            n_crit=polars.n_crit, engine=polars.check_engine(),
+            r, bench, section=section, family=family, air=air, n_crit=polars.n_crit, engine=polars.engine,
             corrections=polars.select_corrections(), progress=progress,
         )  # fmt: skip
     files = []
@@ -593,17 +528,14 @@ def fit(
             out.write_text(format_rotor_toml(found.rotor), encoding="utf-8")
         files = [out, save_figure(fit_picture(found), out.parent, out.stem)]
     if as_json:
-        print_json(
-            {
-                "rotor": r.name, "measurements": bench.source, "names": FIT_PARAMETERS, "change": found.change,
-                "std": found.std, "prior_std": found.prior_std, "correlation": found.correlation,
-                "undecided": found.undecided,
-                "sections": [{"airfoils": name, "probability": share} for name, share in found.fit.list_sections()],
-                "error_before": found.before, "error_after": found.after, "held_out_error": found.held_out,
-                "held_out": found.held_out_note, "files": [str(f) for f in files],
-            }
-        )  # fmt: skip
-        return
+        content = {
+            "rotor": r.name, "measurements": bench.source, "names": FIT_PARAMETERS,
+            **select_fields(found, "change std prior_std correlation undecided"),
+            "sections": [{"airfoils": name, "probability": share} for name, share in found.fit.list_sections()],
+            **select_fields(found, "error_before=before error_after=after held_out_error=held_out"),
+            "held_out": found.held_out_note,
+        }  # fmt: skip
+        return print_answer(as_json, content, None, files)
     c = make_console()
     c.print(f"[bold]{r.name}[/bold] fitted to {bench.thrust_N.size} point(s) of {bench.source}", highlight=False)
     print_table(
@@ -691,28 +623,19 @@ def compare(
     if calibrate is not None:
         blading = scale(blading, bench, _point_index("--calibrate", calibrate, bench), air=air)
     with progress_bar("points", theory.method == "wake" and not as_json) as progress:
-        c = beside(
-            blading, bench, air=air, method=theory.method, settings=settings, progress=progress,  # type: ignore[arg-type]
-        )  # fmt: skip
+        c = beside(blading, bench, air=air, method=theory.method, settings=settings, progress=progress)
     if as_json:
-        points = [
-            {
-                "pitch_rad": bench.pitch_rad[k], "speed_rad_s": bench.speed_rad_s[k],
-                "thrust_N": c.thrust_N[k], "measured_thrust_N": bench.thrust_N[k], "thrust_error": c.thrust_error[k],
-                "torque_Nm": c.torque_Nm[k], "measured_torque_Nm": bench.torque_Nm[k],
-                "torque_error": c.torque_error[k], "fault": c.faults[k],
-            }
-            for k in range(bench.thrust_N.size)
-        ]  # fmt: skip
-        print_json(
-            {
-                "rotor": r.name, "measurements": bench.source, "calibrated": c.calibrated, "model": theory.model,
-                "lift_factor": blading.corrections.lift_factor, "drag_factor": blading.corrections.drag_factor,
-                "method": theory.method,
-                "mean_thrust_error": c.mean_thrust_error, "mean_torque_error": c.mean_torque_error, "points": points,
-            }
-        )  # fmt: skip
-        return
+        keys = (
+            "pitch_rad=measured.pitch_rad speed_rad_s=measured.speed_rad_s thrust_N "
+            "measured_thrust_N=measured.thrust_N thrust_error torque_Nm measured_torque_Nm=measured.torque_Nm "
+            "torque_error fault=faults"
+        )
+        content = {
+            "rotor": r.name, "measurements": bench.source, "calibrated": c.calibrated, "model": theory.model,
+            **select_fields(blading.corrections, "lift_factor drag_factor"), "method": theory.method,
+            **select_fields(c, "mean_thrust_error mean_torque_error"), "points": to_records(select_fields(c, keys)),
+        }  # fmt: skip
+        return print_json(content)
     typer.echo(str(c))
     if calibrate is not None:
         lift, drag = blading.corrections.lift_factor, blading.corrections.drag_factor

@@ -4,6 +4,7 @@ the dissertation's: ``mufly thesis``.
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,10 +27,13 @@ from mufly.cli.options import (
     load_drive_option,
 )
 from mufly.cli.output import (
+    ResultColumn,
     make_console,
     print_answer,
     print_files,
     print_json,
+    print_lines,
+    print_result_table,
     print_table,
     progress_bar,
     report_place_errors,
@@ -38,6 +42,7 @@ from mufly.cli.output import (
 from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import InputError, suggest_name
 from mufly.quantity_grammar import read_values
+from mufly.results import to_records
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -80,10 +85,9 @@ def parse_set_options(
 
 def _list_parameters(table: dict[str, StudyParameter], as_json: bool) -> None:
     if as_json:
-        print_json(
+        return print_json(
             {k: {"unit": p.unit, "units": list(p.accepted_units), "meaning": p.meaning} for k, p in table.items()}
         )
-        return
     print_table(
         ("parameter", "units", "meaning"),
         [(name, ", ".join(u or "-" for u in p.accepted_units), p.meaning) for name, p in table.items()],
@@ -199,7 +203,7 @@ def sweep(
     with progress_bar("sweep", not as_json) as progress:
         data = run(setup, varied, folder=out, progress=progress, cluster=cluster)
     files = _write_sweep(data, out, _select_plotted_result(data, show)) if out is not None else []
-    print_answer(as_json, data.to_dict, lambda: _print_best(data, _select_plotted_result(data, show)), files)
+    print_answer(as_json, data.to_dict(), lambda: _print_best(data, _select_plotted_result(data, show)), files)
 
 
 def _select_plotted_result(data: xr.Dataset, asked: str | None) -> str:
@@ -262,15 +266,7 @@ def rank(
 
     Examples: mufly rotor rank; mufly rotor rank --airfoils my_airfoils/ --set thrust=0.3N --set gear=1.5
     """
-    import numpy as np
-
-    from mufly.study import (
-        ROTOR_PARAMETERS,
-        choose_airfoils,
-        rank_airfoils,
-        ranking_picture,
-        write_results,
-    )
+    from mufly.study import ROTOR_PARAMETERS, choose_airfoils, rank_airfoils, ranking_picture, write_results
 
     standard = ["thrust=0.4N", "gear=adapted"] if drive not in (None, "none") else ["thrust=0.4N"]
     given = parse_set_options(set_ or standard, ROTOR_PARAMETERS, "give one value of something else")
@@ -283,39 +279,18 @@ def rank(
         ranking = rank_airfoils(setup, names, pitches, by=by, folder=out, progress=progress, cluster=cluster)
     files = []
     if out is not None:
-        files = [
-            *write_results(ranking, out, "ranking"),
-            save_figure(ranking_picture(ranking), out, "ranking"),
-        ]
-    key = ranking.attrs["by"]
+        files = [*write_results(ranking, out, "ranking"), save_figure(ranking_picture(ranking), out, "ranking")]
+    rows = to_records({str(v): ranking[v].values.tolist() for v in ("airfoil", *ranking.data_vars)})
     if as_json:
-        columns = {str(v): ranking[v].values for v in ranking.data_vars}
-        rows = [
-            {"airfoil": str(name), **{k: v[i] for k, v in columns.items()}}
-            for i, name in enumerate(ranking["airfoil"].values)
-        ]
-        print_json({**ranking.attrs, "ranking": rows, "files": [str(f) for f in files]})
-        return
-    n = ranking.sizes["airfoil"]
-    shown = range(n) if n <= 2 * top else [*range(top), *range(n - top, n)]
-    print_table(
-        ("airfoil", "rank", str(key), "best pitch", "thickness", "camber"),
-        [
-            (
-                str(ranking["airfoil"].values[k]),
-                str(ranking["rank"].values[k]),
-                f"{ranking[key].values[k]:.5g}".replace("nan", "-"),
-                f"{np.degrees(ranking['pitch'].values[k]):.1f}°".replace("nan°", "-"),
-                f"{ranking['thickness_ratio'].values[k]:.1%}",
-                f"{ranking['camber'].values[k]:.1%}",
-            )
-            for k in shown
-        ],
-    )
-    failed = [k for k in range(n) if ranking["fault"].values[k]]
-    for k in failed[:5]:
-        reason = f"{ranking['airfoil'].values[k]}: {ranking['fault'].values[k]}"
-        make_console().print(reason, style="yellow", highlight=False)
+        return print_answer(as_json, {**ranking.attrs, "ranking": rows}, None, files)
+    columns = (
+        "airfoil", "rank", ResultColumn(ranking.attrs["by"], form=".5g"),
+        ResultColumn("pitch", "deg", ".1f", "best pitch", own_unit="rad"), ResultColumn("thickness_ratio", form=".1%"),
+        ResultColumn("camber", form=".1%"),
+    )  # fmt: skip
+    print_result_table(rows if len(rows) <= 2 * top else rows[:top] + rows[-top:], columns)
+    failed = [f"{row['airfoil']}: {row['fault']}" for row in rows if row["fault"]]
+    print_lines(*failed[:5], style="yellow")
     print_files(files)
 
 
@@ -406,7 +381,7 @@ def sweep_pairs(
     with progress_bar("pairs", not as_json) as progress:
         data = run(setup, varied, folder=out, progress=progress, cluster=cluster)
     files = _write_sweep(data, out, show, over or next(iter(varied)), quiet=as_json) if out is not None else []
-    print_answer(as_json, data.to_dict, lambda: _print_pair_sweep(data, show), files)
+    print_answer(as_json, data.to_dict(), lambda: _print_pair_sweep(data, show), files)
 
 
 def _print_pair_sweep(data: xr.Dataset, variable: str) -> None:
@@ -416,26 +391,17 @@ def _print_pair_sweep(data: xr.Dataset, variable: str) -> None:
     names = [str(d) for d in data.dims]
     fault = data["fault"].values.ravel()
     c.print(f"{fault.size} cases, {int((fault != '').sum())} failed.", highlight=False)
-    columns = [
-        "upper_speed_rad_s",
-        "lower_speed_rad_s",
-        "upper_thrust_N",
-        "lower_thrust_N",
-        "yaw_torque_Nm",
-        "power_W",
-    ]
-    heads = ["upper rpm", "lower rpm", "upper (N)", "lower (N)", "yaw (mN m)", "power (W)"]
-    scales = [1.0 / RPM, 1.0 / RPM, 1.0, 1.0, 1e3, 1.0]
-    if variable not in columns:
-        columns, heads, scales = [*columns, variable], [*heads, variable], [*scales, 1.0]
-    values = [scale * data[v].values.ravel() for v, scale in zip(columns, scales, strict=True)]
+    columns: list[ResultColumn | str] = [
+        ResultColumn("upper_speed_rad_s", "rpm"), ResultColumn("lower_speed_rad_s", "rpm"), "upper_thrust_N",
+        "lower_thrust_N", ResultColumn("yaw_torque_Nm", "mN m"), "power_W",
+    ]  # fmt: skip
+    if variable not in ("upper_thrust_N", "lower_thrust_N", "power_W"):
+        columns.append(ResultColumn(variable))
     rows = []
-    for k, index in enumerate(np.ndindex(*(data.sizes[n] for n in names))):
-        if k == _MAX_PRINTED_ROWS:
-            break
-        row = [format_parameter(name, data[name].values[i].item()) for name, i in zip(names, index, strict=True)]
-        rows.append([*row, *(f"{v[k]:.4g}" if np.isfinite(v[k]) else "-" for v in values)])
-    print_table([*names, *heads], rows, text=())
+    for index in itertools.islice(np.ndindex(*(data.sizes[n] for n in names)), _MAX_PRINTED_ROWS):
+        row = {name: format_parameter(name, data[name].values[i].item()) for name, i in zip(names, index, strict=True)}
+        rows.append({**{str(v): data[v].values[index].item() for v in data.data_vars}, **row})
+    print_result_table(rows, [*names, *columns])
     if fault.size > _MAX_PRINTED_ROWS:
         c.print(f"and {fault.size - _MAX_PRINTED_ROWS} more; --out writes them all", style="dim")
     _print_failure_reasons(data)
@@ -467,8 +433,7 @@ def list_thesis_items(as_json: JsonOption = False) -> None:
 
     answers = [load_cached_answer(name) for name in THESIS_ITEMS]
     if as_json:
-        print_json([a.to_dict() for a in answers])
-        return
+        return print_json([a.to_dict() for a in answers])
     print_table(
         ("name", "kind", "section", "verdict", "agree", "title"),
         [(a.item.name, a.item.kind, a.item.section, a.verdict_word, a.agreement_share, a.item.title) for a in answers],
@@ -575,12 +540,8 @@ def _print_answer(found: StudyAnswer) -> None:
     if i.kind != "result":
         c.print(f"  A {i.kind}. For it stands: {i.substitute}.", highlight=False, markup=False)
     for verdict in found.verdicts:
-        c.print(
-            f"  {verdict.format_line()}",
-            style=None if verdict.agrees else "yellow",
-            highlight=False,
-            markup=False,
-        )
+        style = None if verdict.agrees else "yellow"
+        c.print(f"  {verdict.format_line()}", style=style, highlight=False, markup=False)
     if found.note:
         c.print(f"  {found.note}", style="dim", highlight=False, markup=False)
     if found.picture is not None:

@@ -30,6 +30,7 @@ from mufly.cli.output import (
 )
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_quantity
+from mufly.results import select_fields
 from mufly.units import RPM, unit_conversion
 
 if TYPE_CHECKING:
@@ -73,13 +74,12 @@ def list_vehicles(as_json: JsonOption = False) -> None:
         for v, h in zip(vehicles, hovers, strict=True)
     ]
     if as_json:
-        print_json(rows)
-        return
-    print_result_table(
-        rows,
-        ["name", "description", ResultColumn("mass_kg", "g", ".0f"), ResultColumn("rotor_diameter_m", "mm", ".0f"),
-         ResultColumn("hover_motor_input", form=".2f", head="hover inputs\nupper, lower")],
+        return print_json(rows)
+    columns = (
+        "name", "description", ResultColumn("mass_kg", "g", ".0f"), ResultColumn("rotor_diameter_m", "mm", ".0f"),
+        ResultColumn("hover_motor_input", form=".2f", head="hover inputs\nupper, lower"),
     )  # fmt: skip
+    print_result_table(rows, columns)
     print_lines("Hover inputs with the battery half full.", style="dim")
 
 
@@ -94,20 +94,14 @@ def show(vehicle: _VehicleArgument = "mufly-1.1", as_json: JsonOption = False, t
         return
     rows = list_parameters(v)
     if as_json:
-        print_json(
+        return print_json(
             {
-                "name": v.name,
-                "description": v.description,
-                "battery_model": v.battery.model,
-                "range_ring_count": v.range_ring.count,
-                "coefficient_map": None
-                if v.rotors.coefficient_map is None
-                else v.rotors.coefficient_map.model_dump(exclude={"table"}),
+                **select_fields(v, "name description battery_model=battery.model range_ring_count=range_ring.count"),
+                "coefficient_map": v.rotors.coefficient_map and v.rotors.coefficient_map.model_dump(exclude={"table"}),
                 "map_level": v.rotors.map_level,
                 "parameters": [row._asdict() for row in rows],
             }
         )
-        return
     make_console().print(f"[bold]{v.name}[/bold]  {v.description}", highlight=False)
     for group, members in groupby(rows, lambda row: row.key.rpartition(".")[0]):
         if group == _BUDGET_TABLE:
@@ -142,8 +136,7 @@ def check(vehicle: _VehicleArgument, as_json: JsonOption = False) -> None:
     p = model_parameters(v)
     step = longest_step(p)
     if as_json:
-        print_json({"name": v.name, "valid": True, "hover": h, "longest_step_s": step})
-        return
+        return print_json({"name": v.name, "valid": True, "hover": h, "longest_step_s": step})
     _print_hover(v, h)
     if h.thrust_to_weight_half < 1.15:
         print_lines("Little thrust is left to climb or to fight gusts with.", style="yellow")

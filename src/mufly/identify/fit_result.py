@@ -91,7 +91,11 @@ class EstimateLookup:
         return {e.symbol: e for e in self.estimates}[symbol]
 
 
-@result(eq=False, picture="mufly.identify.fit_pictures:prediction_picture")
+@result(
+    eq=False,
+    picture="mufly.identify.fit_pictures:prediction_picture",
+    json="name role outputs noise_std error_over_noise=rms_over_noise converged doubt",
+)
 class RecordPrediction:
     """One record beside what the fitted model predicts for it from its inputs alone.
 
@@ -143,7 +147,12 @@ class RecordPrediction:
         return np.sqrt(np.nanmean(self.residual**2, axis=0)) / self.noise_std
 
 
-@result(eq=False, picture="mufly.identify.fit_pictures:fit_picture")
+@result(
+    eq=False,
+    picture="mufly.identify.fit_pictures:fit_picture",
+    json="vehicle method converged message parameters=estimates correlation unseen held records cost "
+    "simulations seconds",
+)
 class FitResult(EstimateLookup):
     """Result of a fit.
 

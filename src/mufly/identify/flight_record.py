@@ -453,6 +453,14 @@ class LogColumns:
         columns = {k: v[start:stop] for k, v in self.columns.items()}
         return replace(self, time_s=self.time_s[start:stop], columns=columns)
 
+    def slice_time(self, from_s: float | None, to_s: float | None) -> LogColumns:
+        """Return what lies from one time to another (s), both included; None for an end leaves it open."""
+        if from_s is None and to_s is None:
+            return self
+        start = 0 if from_s is None else int((self.time_s < from_s).sum())
+        stop = len(self.time_s) if to_s is None else int((self.time_s <= to_s).sum())
+        return self.slice_samples(start, stop)
+
 
 def read_columns(
     path: str | Path, *, columns: Mapping[str, Sequence[str]] | Sequence[str] = (), rate_hz: float | None = None

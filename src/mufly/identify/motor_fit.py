@@ -170,7 +170,11 @@ class GearKnowledge:
     efficiency_std: float = 0.0
 
 
-@result(eq=False, picture="mufly.identify.fit_pictures:motor_picture")
+@result(
+    eq=False,
+    picture="mufly.identify.fit_pictures:motor_picture",
+    json="points=data.voltage_V.size estimates covariance scales pattern=spread.pattern unseen notes",
+)
 class MotorFit(EstimateLookup):
     """Motor constants and what they rest on.
 

@@ -245,7 +245,12 @@ class CoefficientFit:
         return self.load - self.load_per_coefficient @ self.value
 
 
-@result(eq=False, picture="mufly.identify.fit_pictures:rotor_picture")
+@result(
+    eq=False,
+    picture="mufly.identify.fit_pictures:rotor_picture",
+    json="source coaxial pitch_rad radius_m density_kg_m3=density_kg_m3.mean estimates "
+    "trends=describe_trends unseen notes",
+)
 class RotorFit(EstimateLookup):
     """Coefficients of the rotors of one bench file at one setting of the blades.
 
@@ -274,6 +279,10 @@ class RotorFit(EstimateLookup):
     loads: BenchLoads
     unseen: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
+
+    def describe_trends(self) -> list[str]:
+        """Return how the coefficients change with speed, in words."""
+        return [t.describe_trend() for f in self.fits for t in f.trends]
 
     def systematic_variance_shares(self) -> dict[str, float]:
         """Return the part of each variance that calibration, zeros, density and radius make up."""

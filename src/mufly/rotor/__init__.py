@@ -44,6 +44,7 @@ from mufly.rotor.rotor_system import (
     SolverMethod,
     SystemSolution,
     VortexRingWarning,
+    blade_stations,
     compute_tip_mach,
 )
 from mufly.rotor.sections.airfoil import Airfoil, database_airfoils, load_airfoil
@@ -85,6 +86,7 @@ __all__ = [
     "SystemSolution",
     "VortexRingWarning",
     "blade_picture",
+    "blade_stations",
     "blade_thickness_m",
     "builtin_rotors",
     "calibrate_blading",

@@ -10,7 +10,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.errors import InputError
 from mufly.results import result
 from mufly.rotor.blading import Blading, ensure_blading
-from mufly.rotor.geometry import Rotor
+from mufly.rotor.geometry import Rotor, blade_thickness_m
 from mufly.units import RPM
 
 Array = NDArray[np.float64]
@@ -44,6 +44,31 @@ class Air:
         for key in ("density_kg_m3", "viscosity_Pa_s", "sound_m_s"):
             if not 0.0 < getattr(self, key) < math.inf:
                 raise InputError("air", key, f"is {getattr(self, key):g}", "give a number above 0")
+
+
+def blade_stations(rotor: Rotor, speed_rad_s: float, air: Air | None = None) -> dict[str, Array]:
+    """Return what a blade is along its radius: at the stations of its file, its cut-out and every quarter.
+
+    Parameters
+    ----------
+    rotor : Rotor
+    speed_rad_s : float
+        For the Reynolds numbers of the chord in still air.
+    air : Air, optional
+
+    Returns
+    -------
+    dict of str to (stations,) array
+        ``r_over_R``, ``chord_m``, ``twist_rad``, ``thickness_m`` and ``reynolds``.
+    """
+    air, cutout = air or Air(), float(rotor.hub_cutout)
+    x = np.unique(np.concatenate(([cutout], rotor.blade.r_over_R.array(), [0.25, 0.5, 0.75, 1.0])))
+    x = x[x >= cutout]
+    chord = rotor.chord_m(x)
+    return {
+        "r_over_R": x, "chord_m": chord, "twist_rad": rotor.twist_rad(x), "thickness_m": blade_thickness_m(rotor, x),
+        "reynolds": x * rotor.radius_m * speed_rad_s * chord * air.density_kg_m3 / air.viscosity_Pa_s,
+    }  # fmt: skip
 
 
 class RotorWarning(UserWarning):
@@ -271,6 +296,11 @@ class RotorResult:
     outside_share: float
     calibrated: bool
 
+    def as_record(self) -> dict[str, Any]:
+        """Return its numbers, and what it has at each station as a table ``stations``."""
+        stations = {k: v for k, v in vars(self).items() if getattr(v, "ndim", 0) == 1}
+        return {**{k: v for k, v in vars(self).items() if k not in stations}, "stations": stations}
+
 
 @dataclass(frozen=True)
 class WakeSettings:
@@ -493,6 +523,27 @@ class SystemSolution:
     def lower(self) -> RotorResult:
         """The lowest rotor."""
         return self.rotors[-1]
+
+    @property
+    def lower_over_upper(self) -> dict[str, float]:
+        """Speed, thrust, torque and power of the lowest rotor over those of the uppermost."""
+        names = ("speed_rad_s", "thrust_N", "torque_Nm", "power_W")
+        return {name.partition("_")[0]: getattr(self.lower, name) / getattr(self.upper, name) for name in names}
+
+    def interference_losses(self, isolated: Sequence[RotorResult]) -> dict[str, float]:
+        """Return what a pair changes of its rotors alone at the same pitch and speed: ratios less one.
+
+        Keys are ``upper_thrust``, ``upper_torque``, those of the lower rotor, and ``thrust``, ``power`` and
+        ``thrust_per_power`` of the pair.
+        """
+        thrust, power = sum(r.thrust_N for r in isolated), sum(r.power_W for r in isolated)
+        losses = {}
+        for side, r, alone in zip(("upper", "lower"), (self.upper, self.lower), isolated, strict=True):
+            losses[f"{side}_thrust"] = r.thrust_N / alone.thrust_N - 1.0
+            losses[f"{side}_torque"] = r.torque_Nm / alone.torque_Nm - 1.0
+        losses |= {"thrust": self.thrust_N / thrust - 1.0, "power": self.power_W / power - 1.0}
+        losses["thrust_per_power"] = (self.thrust_N / self.power_W) / (thrust / power) - 1.0
+        return losses
 
     @property
     def spacing_m(self) -> float:

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -103,6 +103,16 @@ class PredictionInterval:
     level: float
     thrust_share: Mapping[str, Array]
     torque_share: Mapping[str, Array]
+
+    def as_record(self, k: int = 0) -> dict[str, Any]:
+        """Return level, means and intervals of point ``k``."""
+        return {
+            "level": self.level,
+            "mean_thrust_N": float(self.thrust_N[k]),
+            "mean_torque_Nm": float(self.torque_Nm[k]),
+            "thrust_N": [float(self.thrust_low_N[k]), float(self.thrust_high_N[k])],
+            "torque_Nm": [float(self.torque_low_Nm[k]), float(self.torque_high_Nm[k])],
+        }
 
 
 _SIGMAS_BY_LEVEL = {0.5: 0.674, 0.68: 0.994, 0.8: 1.282, 0.9: 1.645, 0.95: 1.960, 0.99: 2.576}

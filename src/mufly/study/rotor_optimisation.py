@@ -92,7 +92,7 @@ class DesignStep:
     pitch_rad: float
 
 
-@result
+@result(json="rotor=rotor.toml_tables pitch_rad changes goal unit before after steps results")
 class RotorOptimum:
     """A better rotor.
 
@@ -119,6 +119,11 @@ class RotorOptimum:
     after: float
     steps: tuple[DesignStep, ...]
     results: dict[str, float]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the goal."""
+        return "s" if self.goal == "endurance" else "N/W"
 
     def plot(self) -> Figure:
         """Draw it; returns a matplotlib figure."""

@@ -142,7 +142,7 @@ def plan(
 
     print_answer(
         as_json,
-        lambda: {
+        {
             "plan": made.model_dump(),
             "points": made.point_count,
             "seconds": made.estimate_duration_s(),
@@ -328,7 +328,7 @@ def analyse(
     # Standard output is the answer; refusals are errors as any other, after it.
     print_answer(
         as_json,
-        lambda: {"series": found, "refused": bool(found.fatal_issues)},
+        {"series": found, "refused": bool(found.fatal_issues)},
         lambda: _print_series(found),
         files,
     )
@@ -447,7 +447,7 @@ def compare(
             f"mean absolute difference {100 * mean:.1f} %"
         )
 
-    print_answer(as_json, lambda: {"differences": found}, print_differences)
+    print_answer(as_json, {"differences": found}, print_differences)
 
 
 def _require_accepted(found: SeriesResult, where: Path) -> SeriesResult:

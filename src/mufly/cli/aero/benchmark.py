@@ -101,7 +101,7 @@ def benchmark(
         if advancing:
             files.append(write_csv(out / "advancing.csv", _TUNNEL_CSV_HEADS, [_tunnel_csv_row(s) for s in advancing]))
     if as_json:
-        print_json(
+        return print_json(
             {
                 "scores": rows,
                 "families": by_family,
@@ -112,7 +112,6 @@ def benchmark(
                 "files": [str(f) for f in files],
             }
         )
-        return
     _print_scores(rows, "mean size of the error, of rotors in a group")
     if len(by_family) > len(rows):
         _print_scores(by_family, "by family")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -26,14 +28,19 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
+    ResultColumn,
     make_console,
     print_answer,
     print_result_lines,
+    print_result_table,
     print_table,
+    report_place_errors,
     save_figure,
-    write_csv,
+    write_records,
 )
+from mufly.errors import InputError
 from mufly.quantity_grammar import read_values
+from mufly.results import select_fields
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -48,35 +55,68 @@ PitchOption = Annotated[
     float, define_option("--pitch", "Pitch setting: 12, 12deg or 0.2rad.", unit="deg", within=PITCH_RANGE)
 ]
 MeshOption = Annotated[
-    str,
+    Literal["tiny", "coarse", "medium", "fine"],
     define_option("--mesh LEVEL", "'coarse', 'medium' or 'fine': 61, 136, 376 thousand cells; 'tiny' to try things."),
 ]
-TurbulenceOption = Annotated[str, define_option("--model NAME", "'laminar', 'k-epsilon', 'sst' or 'k-omega'.")]
-TipOption = Annotated[
-    str, define_option("--tip NAME", "The blades' tip: 'round', 'swept', 'winglet-up', ... (docs/cfd.md).")
-]
-HubOption = Annotated[
-    float,
-    define_option("--hub", "Radius of a hub with grips; 0 for none, which may slosh.", unit="mm", min=0.0),
-]
-GurneyOption = Annotated[
-    float,
-    define_option("--gurney", "Height of a plate below the trailing edge, of the chord.", unit="%", min=0.0),
-]
-CaseOption = Annotated[Path, define_option("--out DIR", "The case: its folder; a run that was stopped goes on there.")]
+CoresOption = Annotated[int, define_option("N", "Processes of the solver.", min=1, max=256)]
 
 
+@dataclass(frozen=True)
+class BladeOptions:
+    """Options of a blade and its mesh."""
+
+    pitch: PitchOption = 12.0
+    level: MeshOption = "medium"
+    tip: Annotated[
+        str, define_option("--tip NAME", "The blades' tip: 'round', 'swept', 'winglet-up', ... (docs/cfd.md).")
+    ] = "square"
+    hub: Annotated[
+        float,
+        define_option("--hub", "Radius of a hub with grips; 0 for none, which may slosh.", unit="mm", min=0.0),
+    ] = 0.0
+    gurney: Annotated[
+        float,
+        define_option("--gurney", "Height of a plate below the trailing edge, of the chord.", unit="%", min=0.0),
+    ] = 0.0
+
+    def check_tip(self) -> None:
+        """InputError if there is no such tip."""
+        from mufly.cfd import BLADE_TIPS
+
+        check_choice("--tip", self.tip, BLADE_TIPS)
+
+
+@dataclass(frozen=True)
+class CaseOptions(BladeOptions):
+    """Options of cases of one rotor, solved by so many processes."""
+
+    density: DensityOption = 1.2
+    model: Annotated[
+        Literal["laminar", "k-epsilon", "sst", "k-omega"],
+        define_option("--model NAME", "'laminar', 'k-epsilon', 'sst' or 'k-omega'."),
+    ] = "laminar"
+    cores: CoresOption = 1
+
+    def case_arguments(self) -> dict[str, Any]:
+        """Return what the library takes of them; InputError for a tip that is not there."""
+        from mufly.rotor import Air
+
+        self.check_tip()
+        return {
+            "pitch_rad": math.radians(self.pitch), "air": Air(density_kg_m3=self.density), "model": self.model,
+            "level": self.level, "tip": self.tip, "hub_m": 1e-3 * self.hub, "gurney": 0.01 * self.gurney,
+            "cores": self.cores,
+        }  # fmt: skip
+
+
+BLADE_DEFAULTS, CASE_DEFAULTS = BladeOptions(), CaseOptions()
 DEFAULT_SPEEDS_RPM = "5000,6000,7000"
 
 
 @app.command()
 def mesh(
     rotor: RotorArgument = "naca0012-r60-c20",
-    pitch: PitchOption = 12.0,
-    level: MeshOption = "medium",
-    tip: TipOption = "square",
-    hub: HubOption = 0.0,
-    gurney: GurneyOption = 0.0,
+    blade: BladeOptions = BLADE_DEFAULTS,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -85,57 +125,37 @@ def mesh(
     With --out, OpenFOAM's constant/polyMesh and a picture are written there.
     Example: mufly cfd mesh naca0012-r60-c20 --pitch 12 --out case
     """
-    from mufly.cfd import (
-        BLADE_TIPS,
-        MESH_LEVELS,
-        make_blade_geometry,
-        make_poly_mesh,
-        make_sector_mesh,
-        measure_mesh_quality,
-        mesh_picture,
-        write_poly_mesh,
-    )
-    from mufly.cli.output import report_place_errors
+    from mufly import cfd
     from mufly.rotor import load_rotor
 
-    check_choice("--mesh", level, MESH_LEVELS)
-    check_choice("--tip", tip, BLADE_TIPS)
-    form = make_blade_geometry(tip, 1e-3 * hub, 0.01 * gurney)
-    found = make_poly_mesh(make_sector_mesh(load_rotor(rotor), math.radians(pitch), level=level, form=form))
-    good, files = measure_mesh_quality(found), []
+    blade.check_tip()
+    form = cfd.make_blade_geometry(blade.tip, 1e-3 * blade.hub, 0.01 * blade.gurney)
+    sector = cfd.make_sector_mesh(load_rotor(rotor), math.radians(blade.pitch), level=blade.level, form=form)
+    found = cfd.make_poly_mesh(sector)
+    good, files = cfd.measure_mesh_quality(found), []
     if out is not None:
         with report_place_errors(out):
-            files.append(write_poly_mesh(found, out))
-        files.append(save_figure(mesh_picture(found), out, "mesh"))
+            files.append(cfd.write_poly_mesh(found, out))
+        files.append(save_figure(cfd.mesh_picture(found), out, "mesh"))
 
     def print_mesh_quality() -> None:
         print_result_lines(
             good,
             ["cells", "non_orthogonality_deg", "mean_non_orthogonality_deg", "severe", "skewness", "smallest_volume_m3",
              "aspect_ratio", ("verdict", "good" if good.good else "not good: a solver may fail on it")],
-            title=f"{rotor}, {level} mesh",
+            title=f"{rotor}, {blade.level} mesh",
         )  # fmt: skip
 
-    print_answer(
-        as_json,
-        lambda: {"rotor": rotor, "level": level, "good": good.good, "quality": good},
-        print_mesh_quality,
-        files,
-    )
+    content = {"rotor": rotor, "level": blade.level, "good": good.good, "quality": good}
+    print_answer(as_json, content, print_mesh_quality, files)
 
 
 @app.command()
 def run(
     rotor: RotorArgument = "naca0012-r60-c20",
-    pitch: PitchOption = 12.0,
     rpm: RpmOption = 5000.0,
     climb: ClimbOption = 0.0,
-    density: DensityOption = 1.2,
-    model: TurbulenceOption = "laminar",
-    level: MeshOption = "medium",
-    tip: TipOption = "square",
-    hub: HubOption = 0.0,
-    gurney: GurneyOption = 0.0,
+    case: CaseOptions = CASE_DEFAULTS,
     gap: Annotated[
         float, define_option("--gap", "Distance of a second rotor below; 0 for none.", unit="mm", min=0.0)
     ] = 0.0,
@@ -154,9 +174,10 @@ def run(
         Path | None,
         define_option("--start DIR", "A case that differs in speed, pitch or tip: start from its solution."),
     ] = None,
-    out: CaseOption = Path("case"),
+    out: Annotated[
+        Path, define_option("--out DIR", "The case: its folder; a run that was stopped goes on there.")
+    ] = Path("case"),
     save_only: Annotated[bool, define_option("--save-only", "Write the case and do not run it.")] = False,
-    cores: Annotated[int, define_option("N", "Processes of the solver.", min=1, max=256)] = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Solve one operating point: mesh, run, judge, loads along the blade, pictures.
@@ -166,49 +187,49 @@ def run(
     other's mean around the shaft, in turns. An answer that did not settle is told, and ends with status 1.
     Example: mufly cfd run naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out case
     """
-    from mufly.cfd import (
-        BLADE_TIPS,
-        MESH_LEVELS,
-        TURBULENCE_MODELS,
-        find_solver,
-        run_case,
-        save_case,
-        solve_pair,
-    )
-    from mufly.errors import InputError
-    from mufly.rotor import Air, load_rotor
-
-    check_choice("--model", model, TURBULENCE_MODELS)
-    check_choice("--mesh", level, MESH_LEVELS)
-    check_choice("--tip", tip, BLADE_TIPS)
-    r, air = load_rotor(rotor), Air(density_kg_m3=density)
-    theta, speed = math.radians(pitch), rpm * RPM
-    if not save_only:
-        find_solver()
-    given: dict[str, Any] = {
-        "pitch_rad": theta, "speed_rad_s": speed, "climb_m_s": climb, "air": air, "model": model, "level": level,
-        "tip": tip, "hub_m": 1e-3 * hub, "gurney": 0.01 * gurney, "cores": cores,
-    }  # fmt: skip
-    second: dict[str, Any] = {
+    by_turns = gap > 0.0 and not frozen
+    if by_turns and save_only:
+        raise InputError("--gap", f"{gap:g}", "takes turns between two cases that are run", "add --frozen, or run it")
+    second = {
         "gap_m": 1e-3 * gap,
         "lower_pitch_rad": None if lower_pitch is None else math.radians(lower_pitch),
         "lower_speed_rad_s": None if lower_rpm is None else lower_rpm * RPM,
     }
-    if gap and not frozen:
-        if save_only:
-            raise InputError(
-                "--gap", f"{gap:g}", "takes turns between two cases that are run", "add --frozen, or run it"
-            )
+    solve_point(
+        rotor, case, rpm=rpm, climb=climb, pair=second, by_turns=by_turns, neighbour=start, out=out,
+        save_only=save_only, as_json=as_json,
+    )  # fmt: skip
+
+
+def solve_point(
+    rotor: str, case: CaseOptions, *, rpm: float, climb: float, out: Path, as_json: bool,
+    pair: Mapping[str, float | None] = MappingProxyType({}), by_turns: bool = False, neighbour: Path | None = None,
+    save_only: bool = False,
+) -> None:  # fmt: skip
+    """Solve and report one operating point; ``pair`` holds the second rotor, solved ``by_turns`` or in one mesh.
+
+    Raises
+    ------
+    typer.Exit
+        With status 1 if the answer did not settle.
+    """
+    from mufly import cfd
+    from mufly.rotor import load_rotor
+
+    r = load_rotor(rotor)
+    given = {**case.case_arguments(), "speed_rad_s": rpm * RPM, "climb_m_s": climb, "neighbour": neighbour, **pair}
+    if not save_only:
+        cfd.find_solver()
+    if by_turns:
         with _show_solver_progress(not as_json) as tell:
-            pair = solve_pair(out, r, neighbour=start, progress=tell, **second, **given)
-        settled = report_pair(out, r, pair, as_json)
-        raise typer.Exit(int(not settled))
-    good = save_case(out, r, neighbour=start, **second, **given)
+            solved = cfd.solve_pair(out, r, progress=tell, **given)
+        raise typer.Exit(int(not report_pair(out, r, solved, as_json)))
+    good = cfd.save_case(out, r, **given)
     if save_only:
-        print_answer(as_json, lambda: {"quality": good}, lambda: None, [out])
+        print_answer(as_json, {"quality": good}, lambda: None, [out])
         return
     with _show_solver_progress(not as_json) as tell:
-        run_case(out, cores=cores, progress=tell)
+        cfd.run_case(out, cores=case.cores, progress=tell)
     if not report_case(out, r, as_json):
         raise typer.Exit(1)
 
@@ -234,17 +255,11 @@ def _show_solver_progress(shown: bool) -> Iterator[Callable[[SolverProgress], No
 @app.command()
 def sweep(
     rotor: RotorArgument = "naca0012-r60-c20",
-    pitch: PitchOption = 12.0,
     rpm: Annotated[
         str,
         define_option("--rpm", "Rotor speeds, best from low to high.", unit="rpm", form="values", within=SPEED_RANGE),
     ] = DEFAULT_SPEEDS_RPM,
-    density: DensityOption = 1.2,
-    model: TurbulenceOption = "laminar",
-    level: MeshOption = "medium",
-    tip: TipOption = "square",
-    hub: HubOption = 0.0,
-    gurney: GurneyOption = 0.0,
+    case: CaseOptions = CASE_DEFAULTS,
     climb: Annotated[
         str | None,
         define_option(
@@ -257,7 +272,6 @@ def sweep(
     out: Annotated[
         Path, define_option("--out DIR", "A folder for each point in it; what is solved there is kept.")
     ] = Path("sweep"),
-    cores: Annotated[int, define_option("N", "Processes of the solver.", min=1, max=256)] = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Solve several speeds, each but the first started from its neighbour's solution, scaled; or several climbs.
@@ -267,53 +281,26 @@ def sweep(
     Example: mufly cfd sweep naca0012-r60-c20 --pitch 12 --rpm 5000,6000,7000 --mesh coarse --out sweep
     Example: mufly cfd sweep naca0012-r60-c20 --pitch 12 --rpm 5000 --climb -1,0,1 --mesh coarse --out climbs
     """
-    from mufly.cfd import BLADE_TIPS, MESH_LEVELS, TURBULENCE_MODELS, find_solver, sweep_climb
-    from mufly.cfd import sweep_speed as sweep_speeds
-    from mufly.errors import InputError
-    from mufly.rotor import Air, load_rotor
+    from mufly import cfd
+    from mufly.rotor import load_rotor
 
-    check_choice("--model", model, TURBULENCE_MODELS)
-    check_choice("--mesh", level, MESH_LEVELS)
-    check_choice("--tip", tip, BLADE_TIPS)
+    given = case.case_arguments()
     speeds = [value * RPM for value in read_values("--rpm", rpm, "rpm")]
     climbs = None if climb is None else list(read_values("--climb", climb, "m/s"))
     if climbs is not None and len(speeds) > 1 and rpm != DEFAULT_SPEEDS_RPM:
         raise InputError("--climb", "", f"goes with one speed, and --rpm is {rpm}", "give one speed")
-    find_solver()
+    cfd.find_solver()
     r = load_rotor(rotor)
-    given: dict[str, Any] = {
-        "pitch_rad": math.radians(pitch), "air": Air(density_kg_m3=density), "model": model, "level": level,
-        "tip": tip, "hub_m": 1e-3 * hub, "gurney": 0.01 * gurney, "cores": cores,
-    }  # fmt: skip
     with _show_solver_progress(not as_json) as tell:
         if climbs is not None:
-            report_inflow(out, r, sweep_climb(out, r, climbs, speed_rad_s=speeds[0], progress=tell, **given), as_json)
+            found = cfd.sweep_climb(out, r, climbs, speed_rad_s=speeds[0], progress=tell, **given)
+            report_inflow(out, r, found, as_json)
             return
-        found = sweep_speeds(out, r, speeds, progress=tell, **given)
-    heads = ("rpm", "thrust_N", "torque_Nm", "c_T", "c_Q", "figure_of_merit", "verdict")
-    rows = [
-        (
-            s.point.speed_rad_s / RPM,
-            s.verdict.thrust_N,
-            s.verdict.torque_Nm,
-            s.c_T,
-            s.c_Q,
-            s.figure_of_merit,
-            s.verdict.what,
-        )
-        for s in found
-    ]
-    files = [write_csv(out / "sweep.csv", heads, rows)]
-
-    def print_sweep() -> None:
-        texts = [(*(f"{x:.4g}" for x in row[:-1]), str(row[-1])) for row in rows]
-        print_table(
-            ("rpm", "thrust (N)", "torque (N m)", "c_T", "c_Q", "figure of merit", "verdict"),
-            texts,
-            text=(6,),
-        )
-
-    print_answer(as_json, lambda: {"points": [dict(zip(heads, row, strict=True)) for row in rows]}, print_sweep, files)
+        found = cfd.sweep_speed(out, r, speeds, progress=tell, **given)
+    names = "thrust_N=verdict.thrust_N torque_Nm=verdict.torque_Nm c_T c_Q figure_of_merit verdict=verdict.what"
+    rows = [{"rpm": s.point.speed_rad_s / RPM, **select_fields(s, names)} for s in found]
+    files = [write_records(out / "sweep.csv", rows)]
+    print_answer(as_json, {"points": rows}, lambda: print_result_table(rows, list(rows[0])), files)
 
 
 @app.command()
@@ -324,66 +311,43 @@ def study(
     rpm: RpmOption = 5000.0,
     density: DensityOption = 1.2,
     level: MeshOption = "coarse",
+    cores: CoresOption = 1,
     out: Annotated[
         Path, define_option("--out DIR", "A folder for each case in it; what is solved there is kept.")
     ] = Path("study"),
-    cores: Annotated[int, define_option("N", "Processes of the solver.", min=1, max=256)] = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Solve one point on three meshes, in a domain with each limit 1.5 times as far, or with every model.
 
     Example: mufly cfd study domain naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out study
     """
-    from mufly.cfd import MESH_LEVELS, find_solver, list_study_cases
-    from mufly.cfd import solve_study as solve_all
+    from mufly import cfd
     from mufly.rotor import Air, load_rotor
 
-    list_study_cases(what)
-    check_choice("--mesh", level, MESH_LEVELS)
-    find_solver()
+    cfd.list_study_cases(what)
+    cfd.find_solver()
     with _show_solver_progress(not as_json) as tell:
-        found = solve_all(
+        found = cfd.solve_study(
             out, load_rotor(rotor), what, cores=cores, progress=tell, pitch_rad=math.radians(pitch),
             speed_rad_s=rpm * RPM, air=Air(density_kg_m3=density), level=level,
         )  # fmt: skip
     first = next(iter(found.values())).verdict
     rows = [
-        (name, s.verdict.thrust_N, s.verdict.thrust_N / first.thrust_N - 1.0, s.verdict.torque_Nm,
-         s.verdict.torque_Nm / first.torque_Nm - 1.0, s.wake_torque, s.eddy_ratio, s.verdict.what)
+        {
+            "case": name, "thrust_N": s.verdict.thrust_N, "thrust_change": s.verdict.thrust_N / first.thrust_N - 1.0,
+            "torque_Nm": s.verdict.torque_Nm, "torque_change": s.verdict.torque_Nm / first.torque_Nm - 1.0,
+            "wake_torque": s.wake_torque, "eddy_ratio": s.eddy_ratio, "verdict": s.verdict.what,
+        }
         for name, s in found.items()
     ]  # fmt: skip
-    heads = (
-        "case",
-        "thrust_N",
-        "thrust_change",
-        "torque_Nm",
-        "torque_change",
-        "wake_torque",
-        "eddy_ratio",
-        "verdict",
-    )
-    files = [write_csv(out / f"{what}.csv", heads, rows)]
-
-    def print_study() -> None:
-        texts = [
-            (
-                n,
-                f"{t:.4f}",
-                f"{100 * dt:+.1f} %",
-                f"{1e3 * q:.4f}",
-                f"{100 * dq:+.1f} %",
-                f"{w:.2f}",
-                f"{e:.3g}",
-                v,
-            )
-            for n, t, dt, q, dq, w, e, v in rows
-        ]
-        print_table(
-            ("case", "thrust (N)", "", "torque (mN m)", "", "torque in the wake", "nut/nu", "verdict"), texts,
-            text=(0, 7),
-        )  # fmt: skip
-
-    print_answer(as_json, lambda: {"cases": [dict(zip(heads, row, strict=True)) for row in rows]}, print_study, files)
+    columns: list[ResultColumn | str] = [
+        "case", ResultColumn("thrust_N", form=".4f"), ResultColumn("thrust_change", form="+.1%"),
+        ResultColumn("torque_Nm", "mN m", ".4f"), ResultColumn("torque_change", form="+.1%"),
+        ResultColumn("wake_torque", form=".2f", head="torque in the wake"),
+        ResultColumn("eddy_ratio", form=".3g", head="nut/nu"), "verdict",
+    ]  # fmt: skip
+    files = [write_records(out / f"{what}.csv", rows)]
+    print_answer(as_json, {"cases": rows}, lambda: print_result_table(rows, columns), files)
 
 
 @app.command()
@@ -401,17 +365,17 @@ def show(
     The blades, with pressure and friction, are written as VTP and glTF into the case's results.
     Example: mufly cfd show case
     """
-    from mufly.cfd import read_pair, read_point, read_solution
+    from mufly import cfd
     from mufly.rotor import builtin_rotors, load_rotor
 
     both = (case / "upper" / "mufly.json").is_file()
     climbs = [file.parent for file in sorted(case.glob("climb-*/mufly.json"))]
-    name = rotor or read_point(case / "upper" if both else (climbs or [case])[0]).rotor
+    name = rotor or cfd.read_point(case / "upper" if both else (climbs or [case])[0]).rotor
     known = load_rotor(name) if rotor is not None or name in builtin_rotors() else None
     if climbs:
-        report_inflow(case, known, [read_solution(place) for place in climbs], as_json)
+        report_inflow(case, known, [cfd.read_solution(place) for place in climbs], as_json)
     elif both:
-        report_pair(case, known, read_pair(case), as_json)
+        report_pair(case, known, cfd.read_pair(case), as_json)
     else:
         report_case(case, known, as_json)
 
@@ -450,7 +414,7 @@ def compare(
             heads = ("case", "pitch, rpm", "verdict", "ours", *(f"against {n}" for n in names))
             print_table(heads, rows, title=title, text=(0, 1, 2))
 
-    print_answer(as_json, lambda: {"cases": [vars(c) | {"point": vars(c.point)} for c in found]}, print_comparison)
+    print_answer(as_json, {"cases": found}, print_comparison)
 
 
 @app.command("convergence")
@@ -475,4 +439,4 @@ def show_convergence(
         names = [f"{n} cells" for n in found[0].cells[::-1]]
         print_table(("", *names, "last step", "order", "limit", "index", ""), rows, text=(0, 8))
 
-    print_answer(as_json, lambda: {c.name: c for c in found}, print_convergence)
+    print_answer(as_json, {c.name: c for c in found}, print_convergence)

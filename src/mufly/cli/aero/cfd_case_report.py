@@ -8,11 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mufly.cli.output import make_console, print_answer, print_table, save_figure, write_csv
+from mufly.cli.output import (
+    ResultColumn,
+    make_console,
+    print_answer,
+    print_result_table,
+    print_table,
+    save_figure,
+    write_csv,
+    write_records,
+)
+from mufly.results import select_fields, to_records
 
 if TYPE_CHECKING:
-    from mufly.cfd import CfdSolution, OperatingPoint, PairSolution
-    from mufly.cfd.rotor_pair import ActuatorDisc
+    from mufly.cfd import CfdSolution, OperatingPoint, PairSolution, SpanLoads
     from mufly.rotor import Rotor
 
 
@@ -20,8 +29,7 @@ def report_case(folder: Path, rotor: Rotor | None, as_json: bool) -> bool:
     """Print a solution, and write its tables and pictures into the case; whether it is settled."""
     content, show, files, _ = _write_solution_report(folder, rotor)
     print_answer(as_json, content, show, files)
-    said = content()
-    return all(rotor["verdict"].settled for rotor in (said, said.get("lower", said)))
+    return all(found["verdict"].settled for found in (content, content.get("lower", content)))
 
 
 def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: bool) -> bool:
@@ -45,15 +53,8 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
         if not pair.settled:
             make_console().print("Not settled: do not rely on these numbers.", style="yellow", highlight=False)
 
-    print_answer(
-        as_json,
-        lambda: {
-            "settled": pair.settled, "thrust_ratio": pair.thrust_ratio,
-            "torque_ratio": pair.torque_ratio, "between_m_s": pair.between_m_s, "upper": reports[0][0](),
-            "lower": reports[1][0](),
-        },
-        print_pair, files,
-    )  # fmt: skip
+    ratios_of = select_fields(pair, "settled thrust_ratio torque_ratio between_m_s")
+    print_answer(as_json, {**ratios_of, "upper": reports[0][0], "lower": reports[1][0]}, print_pair, files)
     return pair.settled
 
 
@@ -64,106 +65,80 @@ def report_inflow(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution
 
     found = compare_climbs(solutions, rotor, load_coefficient_map("walkera-5g6-bemt"))
     columns = {"cfd": found.c_T, **found.others, "map_over_hover": found.map_part}
-    heads = (
-        "climb_m_s",
-        *(name if "map" in name else f"c_T_{name}" for name in columns),
-        "torque_Nm",
-        "verdict",
-    )
-    rows = [
-        (w, *(values[i] for values in columns.values()), s.verdict.torque_Nm, s.verdict.what)
-        for i, (w, s) in enumerate(zip(found.climb_m_s, found.solutions, strict=True))
-    ]
-    files = [
-        write_csv(folder / "inflow.csv", heads, rows),
-        save_figure(climb_picture(found), folder, "inflow"),
-    ]
+    coefficients = {name if "map" in name else f"c_T_{name}": values for name, values in columns.items()}
+    rows = to_records(
+        {
+            "climb_m_s": found.climb_m_s, **coefficients,
+            "torque_Nm": [s.verdict.torque_Nm for s in found.solutions],
+            "verdict": [s.verdict.what for s in found.solutions],
+        }
+    )  # fmt: skip
+    files = [write_records(folder / "inflow.csv", rows), save_figure(climb_picture(found), folder, "inflow")]
     slopes = {
         name: {f"{reach:g}": found.thrust_slope(values, reach) for reach in (0.5, 1.0)}
         for name, values in columns.items()
     }
 
     def print_inflow() -> None:
-        texts = [(f"{row[0]:g}", *(f"{x:.4g}" for x in row[1:-1]), str(row[-1])) for row in rows]
-        names = [name.replace("_over_", ", of ") for name in columns]
+        names = (name.replace("_over_", ", of ") for name in columns)
+        heads = (ResultColumn(key, head=name) for key, name in zip(list(rows[0])[1:-2], names, strict=True))
         title = "c_T by each method, and what the flight model's map makes of its own in hover"
-        print_table(("climb (m/s)", *names, "torque (N m)", "verdict"), texts, title=title, text=(len(heads) - 1,))
+        print_result_table(rows, [ResultColumn("climb_m_s", form="g"), *heads, "torque_Nm", "verdict"], title=title)
         lines = [(n, *(f"{100 * x:+.1f} %" for x in of.values())) for n, of in slopes.items()]
         print_table(("thrust for 1 m/s of climb", "from -0.5 to 0.5", "from -1 to 1 m/s"), lines)
 
-    print_answer(
-        as_json,
-        lambda: {"points": [dict(zip(heads, row, strict=True)) for row in rows], "thrust_for_1_m_s": slopes},
-        print_inflow, files,
-    )  # fmt: skip
+    print_answer(as_json, {"points": rows, "thrust_for_1_m_s": slopes}, print_inflow, files)
 
 
-def _pair_by_method(upper: list[Any], lower: list[Any]) -> list[tuple[str, Any, Any]]:
+def _pair_by_method(upper: list[SpanLoads], lower: list[SpanLoads]) -> list[tuple[str, Any, Any]]:
     return [(a.method, a, b) for a, b in zip(upper, lower, strict=False)]
 
 
 def _write_solution_report(
     folder: Path, rotor: Rotor | None
-) -> tuple[Callable[[], dict[str, Any]], Callable[[], None], list[Path], list[Any]]:
+) -> tuple[dict[str, Any], Callable[[], None], list[Path], list[SpanLoads]]:
     """Write a solution's tables and pictures; what to say of it, as data and as print, the files, others' results."""
-    from mufly.cfd import (
-        average_at_points,
-        compute_wake_profile,
-        extract_blade_surface,
-        extract_vortex_surface,
-        friction_picture,
-        history_picture,
-        loads_picture,
-        map_colours,
-        pressure_picture,
-        read_flow,
-        read_history,
-        read_poly_mesh,
-        read_solution,
-        vortices_picture,
-        vorticity_picture,
-        wake_picture,
-        write_glb,
-        write_vtp,
-    )
+    import numpy as np
+
+    from mufly import cfd
     from mufly.cfd.rotor_pair import read_actuator_disc
 
-    poly = read_poly_mesh(folder)
-    found = read_solution(folder, poly)
+    poly = cfd.read_poly_mesh(folder)
+    found = cfd.read_solution(folder, poly)
     below = found.point.other_m > 0.0
     other = read_actuator_disc(folder)
-    others = [] if rotor is None else _predict_by_other_methods(rotor, found, other, int(below))
-    low = read_solution(folder, poly, patch="blade_lower") if found.point.gap_m else None
-    others_low = [] if rotor is None or low is None else _predict_by_other_methods(rotor, found, None, 1)
+    others = [] if rotor is None else cfd.predict_span_loads(rotor, found, other, int(below))
+    low = cfd.read_solution(folder, poly, patch="blade_lower") if found.point.gap_m else None
+    others_low = [] if rotor is None or low is None else cfd.predict_span_loads(rotor, found, None, 1)
     place = folder / "results"
-    past = read_history(folder)
-    points, faces, data = extract_blade_surface(poly, found)
+    past = cfd.read_history(folder)
+    points, faces, data = cfd.extract_blade_surface(poly, found)
     files = [
         write_csv(place / "history.csv", ("iteration", "thrust_N", "torque_Nm"), past),
         write_csv(
             place / "loads.csv", ("r_m", "dr_m", "thrust_N_m", "torque_Nm_m", "reversed_share"),
             zip(found.r_m, found.dr_m, found.thrust_N_m, found.torque_Nm_m, found.reversed_share, strict=True),
         ),
-        save_figure(loads_picture(found, others), place, "loads"),
-        save_figure(pressure_picture(poly, found), place, "pressure"),
-        save_figure(history_picture(past), place, "history"),
-        write_vtp(place / "blades.vtp", points, faces, data),
-        write_glb(place / "blades.glb", points, faces, map_colours(data["pressure_Pa"]), found.point.rotor),
+        save_figure(cfd.loads_picture(found, others), place, "loads"),
+        save_figure(cfd.pressure_picture(poly, found), place, "pressure"),
+        save_figure(cfd.history_picture(past), place, "history"),
+        cfd.write_vtp(place / "blades.vtp", points, faces, data),
+        cfd.write_glb(place / "blades.glb", points, faces, cfd.map_colours(data["pressure_Pa"]), found.point.rotor),
     ]  # fmt: skip
-    flow = read_flow(folder, poly)
+    flow = cfd.read_flow(folder, poly)
     second = low or other
-    wake = compute_wake_profile(poly, flow, found.point, found.thrust_N + (second.thrust_N if second else 0.0))
-    vortices = extract_vortex_surface(poly, flow, found.point)
+    wake = cfd.compute_wake_profile(poly, flow, found.point, found.thrust_N + (second.thrust_N if second else 0.0))
+    vortices = cfd.extract_vortex_surface(poly, flow, found.point)
     files += [
-        save_figure(friction_picture(poly, found), place, "friction"),
-        save_figure(vorticity_picture(poly, flow, found.point), place, "vorticity"),
-        save_figure(vortices_picture(vortices, poly, found.point), place, "vortices"),
-        save_figure(wake_picture(wake), place, "wake"),
-        write_vtp(place / "vortices.vtp", *vortices),
-        write_glb(
+        save_figure(cfd.friction_picture(poly, found), place, "friction"),
+        save_figure(cfd.vorticity_picture(poly, flow, found.point), place, "vorticity"),
+        save_figure(cfd.vortices_picture(vortices, poly, found.point), place, "vortices"),
+        save_figure(cfd.wake_picture(wake), place, "wake"),
+        cfd.write_vtp(place / "vortices.vtp", *vortices),
+        cfd.write_glb(
             place / "vortices.glb",
             *vortices[:2],
-            map_colours(average_at_points(*vortices[:2], vortices[2]["down_m_s"])),
+            cfd.map_colours(cfd.average_at_points(*vortices[:2], vortices[2]["down_m_s"])),
             found.point.rotor,
             shared=True,
         ),
@@ -178,36 +153,28 @@ def _write_solution_report(
         ),
     ]
 
-    def make_content() -> dict[str, Any]:
-        import numpy as np
-
-        kept = ("thrust_N", "torque_Nm", "power_W", "c_T", "c_Q", "figure_of_merit", "friction_torque", "r_m", "dr_m",
-                "thrust_N_m", "torque_Nm_m", "reversed_share")  # fmt: skip
-        return {
-            "point": vars(found.point), "verdict": found.verdict, **{k: getattr(found, k) for k in kept},
-            "eddy_ratio": found.eddy_ratio, "wake_torque": found.wake_torque, "wake_thrust": found.wake_thrust,
-            "yplus_largest": float(found.yplus.max()), "yplus_median": float(np.median(found.yplus)),
-            "beside": {o.method: {"thrust_N": o.thrust_N, "torque_Nm": o.torque_Nm} for o in others},
-            **({"lower": {"verdict": low.verdict, **{k: getattr(low, k) for k in kept}}} if low is not None else {}),
-        }  # fmt: skip
+    kept = (
+        "verdict thrust_N torque_Nm power_W c_T c_Q figure_of_merit friction_torque r_m dr_m thrust_N_m torque_Nm_m "
+        "reversed_share"
+    )
+    content = {
+        "point": found.point, **select_fields(found, f"{kept} eddy_ratio wake_torque wake_thrust"),
+        "yplus_largest": float(found.yplus.max()), "yplus_median": float(np.median(found.yplus)),
+        "beside": {o.method: select_fields(o, "thrust_N torque_Nm") for o in others},
+        **({} if low is None else {"lower": select_fields(low, kept)}),
+    }  # fmt: skip
 
     def print_solution() -> None:
+        side = found.point.other_m
         _print_solution(
-            found,
-            others,
-            found.point,
-            {-1: "upper rotor: ", 0: "", 1: "lower rotor: "}[_sign_of(found.point.other_m)],
+            found, others, found.point, "lower rotor: " if side > 0 else "upper rotor: " if side < 0 else ""
         )
         if low is not None:
             under = replace(low.point, pitch_rad=low.point.lower_pitch_rad, speed_rad_s=low.point.lower_rad_s)
             _print_solution(low, others_low, under, "lower rotor: ")
             _print_pair_ratios([("cfd", found.verdict, low.verdict), *_pair_by_method(others, others_low)])
 
-    return make_content, print_solution, files, others
-
-
-def _sign_of(x: float) -> int:
-    return (x > 0.0) - (x < 0.0)
+    return content, print_solution, files, others
 
 
 def _print_pair_ratios(pairs: list[tuple[str, Any, Any]]) -> None:
@@ -218,40 +185,7 @@ def _print_pair_ratios(pairs: list[tuple[str, Any, Any]]) -> None:
     print_table(("lower over upper rotor", "thrust", "torque"), rows)
 
 
-def _predict_by_other_methods(
-    rotor: Rotor, found: CfdSolution, other: ActuatorDisc | None = None, which: int = 0
-) -> list[Any]:
-    """Blade elements and the wake at the same point; of a pair the upper rotor, or with ``which`` 1 the lower.
-
-    ``other``: the other rotor of a pair that is solved by turns.
-    """
-    from mufly.cfd import span_loads
-    from mufly.errors import MuflyError
-    from mufly.rotor import OperatingCondition, RotorSystem, prepare_blading, solve_system
-
-    p = found.point
-    system, pitch, speed = RotorSystem.single_rotor(prepare_blading(rotor)), p.pitch_rad, p.speed_rad_s
-    condition = OperatingCondition(pitch, speed, None, p.climb_m_s, p.air)
-    if p.gap_m:
-        system = RotorSystem.coaxial_pair(prepare_blading(rotor), prepare_blading(rotor), spacing_m=p.gap_m)
-        condition = OperatingCondition((pitch, p.lower_pitch_rad), (speed, p.lower_rad_s), None, p.climb_m_s, p.air)
-    elif other is not None:
-        system = RotorSystem.coaxial_pair(prepare_blading(rotor), prepare_blading(rotor), spacing_m=abs(p.other_m))
-        both = [(pitch, speed), (other.pitch_rad, other.speed_rad_s)]
-        pitches, speeds = zip(*(both[::-1] if which else both), strict=True)
-        condition = OperatingCondition(pitches, speeds, None, p.climb_m_s, p.air)
-    out = []
-    for method in ("bemt", "wake"):
-        try:
-            result = solve_system(system, condition, method)
-        except MuflyError:
-            continue
-        if result.converged:
-            out.append(span_loads(result.rotors[which], method))
-    return out
-
-
-def _print_solution(found: CfdSolution, others: list[Any], p: OperatingPoint, what: str) -> None:
+def _print_solution(found: CfdSolution, others: list[SpanLoads], p: OperatingPoint, what: str) -> None:
     import numpy as np
 
     from mufly.units import RPM

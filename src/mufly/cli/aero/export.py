@@ -90,8 +90,7 @@ def export(
             "area_mm2": 1e6 * body.area_m2, "open_edges": body.count_open_edges(),
         }  # fmt: skip
     if as_json:
-        print_json(told)
-        return
+        return print_json(told)
     c = make_console()
     if kind != ".csv":
         c.print(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -37,6 +37,7 @@ from mufly.cli.output import (
 )
 from mufly.errors import InputError, suggest_name
 from mufly.quantity_grammar import read_interval, read_quantity
+from mufly.results import select_fields, to_plain_data
 from mufly.units import RPM, split_unit_suffix
 
 if TYPE_CHECKING:
@@ -186,12 +187,8 @@ def rotor(
     sources = ", ".join(t.source for t in tables)
     if write is not None and len({round(f.pitch_rad, 4) for f in fits if math.isfinite(f.pitch_rad)}) > 1:
         raise InputError("--write", sources, "has several pitch settings", "leave one in the file")
-    files = write_vehicle(
-        start,
-        (e for f in fits for e in f.estimates),
-        write,
-        f"mufly identify rotor {sources}, {format_today()}",
-    )
+    found = (e for f in fits for e in f.estimates)
+    files = write_vehicle(start, found, write, f"mufly identify rotor {sources}, {format_today()}")
     if out is not None:
         files.append(save_figure(rotor_picture(fits, predicted=drawn, title=sources), out, "rotor"))
     effects = describe_interference(fits)
@@ -207,29 +204,19 @@ def rotor(
                 fit.estimates, f"{fit.source}: {kind}{at}, R {1e3 * fit.radius_m:g} mm",
                 {"systematic": {e.symbol: f"{100 * shares.get(e.symbol, 0.0):.0f} %" for e in fit.estimates}},
             )  # fmt: skip
-            print_lines(*(t.describe_trend() for f in fit.fits for t in f.trends))
+            print_lines(*fit.describe_trends())
             print_lines(*fit.unseen, mark="not seen")
         print_lines(*dict.fromkeys(n for f in fits for n in f.notes), mark="note")
         print_lines(*effects)
         print_lines(*(f"{source}: {line}" for source, p in predictions.items() for line in p.describe_errors()))
 
-    def make_content() -> dict[str, Any]:
-        return {
-            "calibration": None if cells is None else cells.describe_calibration(),
-            "results": [_rotor_fit_to_json(f) for f in fits],
-            "interference": effects,
-            "prediction": {k: {"load": p.load, "error": p.error} for k, p in predictions.items()},
-        }
-
-    print_answer(as_json, make_content, print_results, files)
-
-
-def _rotor_fit_to_json(fit: Any) -> dict[str, Any]:
-    return {
-        "source": fit.source, "coaxial": fit.coaxial, "pitch_rad": fit.pitch_rad, "radius_m": fit.radius_m,
-        "density_kg_m3": float(fit.density_kg_m3.mean()), "estimates": fit.estimates,
-        "trends": [t.describe_trend() for f in fit.fits for t in f.trends], "unseen": fit.unseen, "notes": fit.notes,
-    }  # fmt: skip
+    content = {
+        "calibration": None if cells is None else cells.describe_calibration(),
+        "results": fits,
+        "interference": effects,
+        "prediction": {k: select_fields(p, "load error") for k, p in predictions.items()},
+    }
+    print_answer(as_json, content, print_results, files)
 
 
 def _assign_column_maps(columns: list[str], files: list[Path]) -> list[str | None]:
@@ -373,16 +360,9 @@ def plan(
             style="dim",
         )
 
-    def make_content() -> dict[str, Any]:
-        return {
-            "vehicle": v.name,
-            "free": symbols,
-            "channels": [_plan_to_json(p) for p in plans],
-            "together": dict(zip(symbols, relative, strict=True)),
-            "unseen": unseen,
-        }
-
-    print_answer(as_json, make_content, print_plans, files)
+    together = dict(zip(symbols, relative, strict=True))
+    content = {"vehicle": v.name, "free": symbols, "channels": plans, "together": together, "unseen": unseen}
+    print_answer(as_json, content, print_plans, files)
 
 
 def _check_time_grid(duration: float, delay: float, sample: float, window: float) -> None:
@@ -461,7 +441,7 @@ def _format_percent(share: float) -> str:
 
 def _print_plan(p: ExcitationPlan) -> None:
     symbols = [f.symbol for f in p.free]
-    low, high = (w / (2 * math.pi) for w in p.band_rad_s)
+    low, high = p.band_Hz
     rows = [
         [
             c.signal.kind, f"{100 * c.amplitude:.1f} %", c.binding_limit, f"{c.signal.crest:.2f}",
@@ -470,35 +450,12 @@ def _print_plan(p: ExcitationPlan) -> None:
         for c in p.candidates
     ]  # fmt: skip
     frequencies = f"{low:.2g} to {high:.2g} Hz"
-    modes = ", ".join(f"{m / (2 * math.pi):.2g}" for m in p.modes_rad_s)
+    modes = ", ".join(f"{m:.2g}" for m in p.modes_Hz)
     print_table(
         ["kind", "amplitude", "bound by", "crest", *symbols, "mean"], rows,
         title=f"{p.vehicle}, {p.channel}: expected standard deviations; {frequencies}, modes at {modes} Hz",
     )  # fmt: skip
     print_lines(f"{p.best_candidate.signal.kind}: {p.best_candidate.signal.words}")
-
-
-def _plan_to_json(p: ExcitationPlan) -> dict[str, Any]:
-    return {
-        "channel": p.channel,
-        "band_Hz": [w / (2 * math.pi) for w in p.band_rad_s],
-        "modes_Hz": [w / (2 * math.pi) for w in p.modes_rad_s],
-        "noise": p.noise,
-        "limits": p.limits,
-        "candidates": [
-            {
-                "kind": c.signal.kind,
-                "amplitude": c.amplitude,
-                "bound_by": c.binding_limit,
-                "limit_used": c.limit_share,
-                "crest_factor": c.signal.crest,
-                "signal": c.signal.words,
-                "mean": c.geometric_mean_std,
-                "relative_std": dict(zip((f.symbol for f in p.free), c.relative_std, strict=True)),
-            }
-            for c in p.candidates
-        ],
-    }
 
 
 def _write_signal(path: Path, c: ExcitationCandidate) -> Path:
@@ -597,11 +554,4 @@ def motor(
         print_lines(*fit.notes, mark="note")
         print_lines(*fit.unseen, mark="not seen")
 
-    def make_content() -> dict[str, Any]:
-        return {
-            "source": table.source, "points": fit.data.voltage_V.size, "estimates": fit.estimates,
-            "covariance": fit.covariance, "scales": fit.scales, "pattern": fit.spread.pattern, "unseen": fit.unseen,
-            "notes": fit.notes,
-        }  # fmt: skip
-
-    print_answer(as_json, make_content, print_results, files)
+    print_answer(as_json, {"source": table.source, **to_plain_data(fit)}, print_results, files)

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -37,8 +37,6 @@ from mufly.quantity_grammar import read_quantity
 if TYPE_CHECKING:
     from mufly.identify import FitProgress, FitResult, FlightRecord, IdentificationDemo
     from mufly.vehicle import Vehicle
-
-_MODEL_PARTS = ("both", "heave-yaw", "roll-pitch", "split")
 
 
 app = CommandGroup(
@@ -73,13 +71,15 @@ def flight(
         define_option("--hold-out-share", "Without --hold-out: the last share of every log is held out.", unit="1"),
     ] = 0.25,
     part: Annotated[
-        str, define_option("NAME", "both at once, heave-yaw, roll-pitch, or split: one after the other.")
+        Literal["both", "heave-yaw", "roll-pitch", "split"],
+        define_option("NAME", "both at once, heave-yaw, roll-pitch, or split: one after the other."),
     ] = "both",
     outputs: Annotated[
         str | None, define_option("NAMES", "Use these measurements only: height, yaw, r, roll, p, ...")
     ] = None,
     prefix: Annotated[
-        str, define_option("NAME", "What to take from a recording: measured, estimated or truth.")
+        Literal["measured", "estimated", "truth"],
+        define_option("NAME", "What to take from a recording: measured, estimated or truth."),
     ] = "measured",
     columns: Annotated[
         Path | None, define_option("--map MAP.toml", "Column map of foreign logs; see docs/logs.md.")
@@ -102,7 +102,7 @@ def flight(
         define_option("--window", "Last stage in windows of this length, not whole records.", unit="s"),
     ] = None,
     method: Annotated[
-        str, define_option("NAME", "lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation).")
+        Literal["lm", "cma"], define_option("NAME", "lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation).")
     ] = "lm",
     seed: Annotated[int, define_option("K", "Of CMA-ES.", min=0)] = 0,
     restarts: Annotated[int, define_option("N", "Of CMA-ES, each with twice the population.", min=0)] = 0,
@@ -142,15 +142,12 @@ def flight(
     from mufly.identify.flight_record import FLIGHT_OUTPUTS
     from mufly.vehicle import load_vehicle
 
-    check_choice("--part", part, _MODEL_PARTS)
-    check_choice("--method", method, ("lm", "cma"))
     if not 0.0 <= hold_out_share <= 0.8:
         raise InputError("--hold-out-share", "", f"{hold_out_share:g} is no share", "give 0 to 0.8")
     if not 0.0 <= delay_ms <= 1000.0:
         raise InputError("--delay", "", f"{delay_ms:g} ms is not possible", "give 0 to 1000 ms")
     if window is not None and not window > 0.0:
         raise InputError("--window", "", f"{window:g} s is no length", "give a number above 0, or leave it out")
-    check_choice("--prefix", prefix, ("measured", "estimated", "truth"))
     chosen = None if outputs is None else [o.strip() for o in outputs.split(",") if o.strip()]
     for name in chosen or ():
         check_choice("--outputs", name, FLIGHT_OUTPUTS)
@@ -169,7 +166,7 @@ def flight(
     symbols = [s.strip() for s in free.split(",") if s.strip()]
     wanted = choose_free_parameters(start, symbols, measured, delay_s=delay_ms / 1e3)
     keep = checkpoint or (None if out is None else out.with_name(f"{out.name}.checkpoint.json"))
-    kept = [] if keep is None else [keep, *(keep.with_name(f"{keep.name}.{p}") for p in _MODEL_PARTS[1:3])]
+    kept = [] if keep is None else [keep, *(keep.with_name(f"{keep.name}.{p}") for p in ("heave-yaw", "roll-pitch"))]
     if fresh:
         for path in kept:
             path.unlink(missing_ok=True)
@@ -185,7 +182,7 @@ def flight(
             if part == "split":
                 fit = fit_parts_separately(start, wanted, records, on_progress=on_progress, **options)
             else:
-                fit = fit_flight_records(start, wanted, records, part=part, on_progress=on_progress, **options)  # type: ignore[arg-type]
+                fit = fit_flight_records(start, wanted, records, part=part, on_progress=on_progress, **options)
     except KeyboardInterrupt:
         where = "" if keep is None else f"; the same command goes on from {keep}"
         typer.secho(f"mufly: stopped{where}", fg=typer.colors.YELLOW, err=True)
@@ -196,8 +193,7 @@ def flight(
     for path in kept:
         path.unlink(missing_ok=True)
     if as_json:
-        print_json(_fit_to_json(fit))
-        return
+        return print_json(fit)
     print_estimates(fit.estimates, fit.vehicle)
     _print_fit_remarks(fit)
     print_files(written, "Vehicle")
@@ -279,31 +275,10 @@ def _print_fit_remarks(fit: FitResult) -> None:
     )
 
 
-def _fit_to_json(fit: FitResult) -> dict[str, Any]:
-    return {
-        "vehicle": fit.vehicle,
-        "method": fit.method,
-        "converged": fit.converged,
-        "message": fit.message,
-        "parameters": fit.estimates,
-        "correlation": fit.correlation,
-        "unseen": fit.unseen,
-        "held": fit.held,
-        "records": [
-            {"name": r.name, "role": r.role, "outputs": r.outputs, "noise_std": r.noise_std,
-             "error_over_noise": r.rms_over_noise(), "converged": r.converged, "doubt": r.doubt}
-            for r in fit.records
-        ],
-        "cost": fit.cost,
-        "simulations": fit.simulations,
-        "seconds": fit.seconds,
-    }  # fmt: skip
-
-
 @app.command()
 def demo(
     seed: Annotated[int, define_option("K", "Of pilot, noise and starts.", min=0)] = 0,
-    method: Annotated[str, define_option("NAME", "lm or cma.")] = "lm",
+    method: Annotated[Literal["lm", "cma"], define_option("NAME", "lm or cma.")] = "lm",
     moving: Annotated[bool, define_option("--moving", "Records begin in mid-flight, not in a steady hover.")] = False,
     report: Annotated[Path | None, define_option("DIR", "Write report.html with its pictures there.")] = None,
     logs: Annotated[
@@ -317,17 +292,15 @@ def demo(
     """
     from mufly.identify import run_identification_demo
 
-    check_choice("--method", method, ("lm", "cma"))
     ensure_folder("--report", report)
     ensure_folder("--logs", logs)
     if logs is not None:
         _write_flights(logs, seed, moving)
     with _fit_progress(not as_json) as on_progress:
-        shown = run_identification_demo(seed=seed, method=method, moving=moving, on_progress=on_progress)  # type: ignore[arg-type]
+        shown = run_identification_demo(seed=seed, method=method, moving=moving, on_progress=on_progress)
     page = _write_report(shown.fit, report, not as_json)
     if as_json:
-        print_json(shown.as_dict())
-        return
+        return print_json(shown.as_dict())
     _print_demo(shown)
     print_files(page, "Report")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -12,12 +12,12 @@ from mufly.cli.options import (
     CommandGroup,
     JsonOption,
     OptionRange,
-    check_choice,
     define_argument,
     define_option,
 )
 from mufly.cli.output import (
     ensure_folder,
+    print_answer,
     print_files,
     print_json,
     print_lines,
@@ -25,15 +25,15 @@ from mufly.cli.output import (
     progress_bar,
     save_figure,
     write_csv,
+    write_records,
 )
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_interval, read_values
-from mufly.results import to_plain_data
+from mufly.results import to_plain_data, to_records
 
 if TYPE_CHECKING:
     from mufly.identify import LinearResult, LogColumns
     from mufly.identify.linear.bandwidth import Bandwidth
-    from mufly.identify.linear.equation_model import EquationModel
     from mufly.identify.linear.frequency_response import FrequencyResponse
     from mufly.identify.linear.sweep_response import TransferFunctionFit
 
@@ -136,8 +136,6 @@ def linear(
 
     Example: mufly identify linear a.csv b.csv --hold-out c.csv --method equation-error --inputs lat,lon --outputs p,q
     """
-    check_choice("--method", method, ("output-error", "equation-error"))
-    check_choice("--domain", domain, ("time", "frequency"))
     ensure_folder("--out", out)
     if starts < 1:
         raise InputError("--starts", "", f"{starts} is no number of searches", "give 1 or more")
@@ -148,20 +146,10 @@ def linear(
             n = len(records[0].time_s)
             cut = round(split * n) if split_at is None else int((records[0].time_s < split_at).sum())
             records, held = [records[0].slice_samples(0, cut)], [records[0].slice_samples(cut, n)]
-        _fit_by_equations(
-            records,
-            held,
-            _parse_column_names(inputs),
-            _parse_column_names(outputs),
-            products,
-            without,
-            domain,
-            lowpass,
-            highpass,
-            out,
-            as_json,
-        )
-        return
+        names = _parse_column_names(inputs), _parse_column_names(outputs)
+        return _fit_by_equations(
+            records, held, *names, products, without, domain, lowpass, highpass, out, as_json
+        )  # fmt: skip
     if len(records) > 1 or hold_out:
         raise InputError(
             "--method", method, "fits one record and holds out its second part",
@@ -171,19 +159,10 @@ def linear(
 
     with progress_bar("structures and searches", not as_json) as progress:
         result = identify_linear_model(
-            records[0],
-            _parse_column_names(inputs),
-            _parse_column_names(outputs),
-            model=model,
-            split=split,
-            split_at_s=split_at,
-            lowpass_hz=(5.0 if lowpass is None else lowpass) or None,
-            rate_hz=rate or None,
-            starts=starts,
-            seed=seed,
-            hold=hold,
-            progress=progress,
-        )
+            records[0], _parse_column_names(inputs), _parse_column_names(outputs), model=model, split=split,
+            split_at_s=split_at, lowpass_hz=(5.0 if lowpass is None else lowpass) or None, rate_hz=rate or None,
+            starts=starts, seed=seed, hold=hold, progress=progress,
+        )  # fmt: skip
     report = []
     if out is not None:
         from mufly.identify.fit_report import write_linear_report
@@ -191,8 +170,7 @@ def linear(
         with progress_bar("pictures", not as_json) as progress:
             report.append(write_linear_report(result, out, progress=progress))
     if as_json:
-        print_json(_linear_result_to_json(result))
-        return
+        return print_json(result)
     _print_linear(result)
     print_files(report, "Report")
 
@@ -202,17 +180,12 @@ def _read_record(log: Path, columns: Sequence[str] | None, start_s: float | None
     from mufly.identify.flight_record import read_columns
 
     record = read_columns(log, columns=_parse_array_columns(columns or ()))
-    if start_s is None and end_s is None:
-        return record
-    t = record.time_s
-    a = 0 if start_s is None else int((t < start_s).sum())
-    b = len(t) if end_s is None else int((t <= end_s).sum())
-    if b - a < 100:
-        raise InputError(
-            "--from, --to", "", f"leave {max(b - a, 0)} samples of {log.name}, which lasts from {t[0]:.2f} to "
-            f"{t[-1]:.2f} s", "leave at least 100",
-        )  # fmt: skip
-    return record.slice_samples(a, b)
+    first, last = record.time_s[[0, -1]]
+    part = record.slice_time(start_s, end_s)
+    if part is not record and len(part.time_s) < 100:
+        told = f"leave {len(part.time_s)} samples of {log.name}, which lasts from {first:.2f} to {last:.2f} s"
+        raise InputError("--from, --to", "", told, "leave at least 100")
+    return part
 
 
 def _fit_by_equations(
@@ -239,25 +212,13 @@ def _fit_by_equations(
         with progress_bar("pictures", not as_json) as progress:
             report.append(write_report(e.equation_fit_result(model), out, sections=sections, progress=progress))
     if as_json:
-        print_json(_equation_model_to_json(model))
-        return
+        return print_json(model)
     print_lines(*model.notes, mark="Note")
     print_table(*e.equation_table(model), title="Equations", text=(0, 1, 2, 3, 7))
     print_table(*e.score_table(model), title="How well they tell the records (%)", text=(0, 1))
     print_lines(*(f"{k + 1}: {f.name}" for k, f in enumerate(model.records)), style="dim")
     print_lines(e.SCORES_EXPLANATION, style="dim")
     print_files(report, "Report")
-
-
-def _equation_model_to_json(model: EquationModel) -> dict[str, Any]:
-    equations = [
-        {**to_plain_data(e), "symbols": e.symbols, "units": e.units, "terms": ["*".join(t) for t in e.terms]}
-        for e in model.equations
-    ]
-    return {
-        "equations": equations, "poles_rad_s": model.poles, "scores": model.scores, "notes": model.notes,
-        "domain": model.domain,
-    }  # fmt: skip
 
 
 def _parse_column_names(text: str) -> dict[str, str]:
@@ -307,24 +268,6 @@ def _print_linear(r: LinearResult) -> None:
             print_lines(title, *(f"- {w}" for w in words))
 
 
-def _linear_result_to_json(r: LinearResult) -> dict[str, Any]:
-    def check_values(name: str) -> dict[str, list[Any]]:
-        return {role: [getattr(c, name) for c in checks] for role, checks in r.checks.items()}
-
-    floors = {
-        role: [{**to_plain_data(f), "total": f.total} for f in found] for role, found in check_values("floor").items()
-    }
-    return {
-        "model": r.fit.vehicle, "estimates": r.fit.estimates, "poles_rad_s": r.linear.poles,
-        "candidates": r.candidates, "outputs": r.linear.structure.outputs, "quality": check_values("quality"),
-        "quality_slow": check_values("slow"), "slow_hz": r.slow_hz, "noise_floor": floors,
-        "ceiling_percent": check_values("ceiling"), "ceiling_slow_percent": check_values("ceiling_slow"),
-        "against_angle_percent": check_values("against_angle"), "ahead": r.ahead, "missing": r.missing,
-        "unseen": r.fit.unseen, "notes": r.notes, "subspace_fit_percent": r.subspace_percent,
-        "message": r.linear.message,
-    }  # fmt: skip
-
-
 _POSITIVE_RANGE = OptionRange(1e-9, None)
 BandOption = Annotated[
     str | None,
@@ -362,10 +305,8 @@ def _compute_responses(
             raise InputError(
                 r.name, "time", f"has {1 / r.dt:.4g} Hz, {records[0].name} {1 / dt:.4g} Hz", "resample one"
             )
-    us, ys = (
-        [r.stack_columns(inputs, "inputs") for r in records],
-        [r.stack_columns(outputs, "outputs") for r in records],
-    )
+    us = [r.stack_columns(inputs, "inputs") for r in records]
+    ys = [r.stack_columns(outputs, "outputs") for r in records]
     shortest = min(len(u) for u in us) * dt
     low, high = read_interval("--band", band, "Hz") if band else (4.0 / shortest, min(10.0, 0.4 / dt))
     lengths = read_values("--windows", windows, "s") if windows else choose_window_lengths(shortest, low, high)
@@ -412,17 +353,8 @@ def frequency(
             orders = (zeros, poles)
         except ValueError:
             raise InputError("--fit", "", f"{fit!r} is not ZEROS/POLES", "write 0/1 or 1/2") from None
-    data = _compute_responses(
-        logs,
-        _parse_column_names(inputs),
-        _parse_column_names(outputs),
-        columns,
-        start_s,
-        end_s,
-        band,
-        windows,
-        points,
-    )
+    names = _parse_column_names(inputs), _parse_column_names(outputs)
+    data = _compute_responses(logs, *names, columns, start_s, end_s, band, windows, points)
     pairs = [(o, i) for o in range(len(data.outputs)) for i in range(len(data.inputs))]
     fits, unfitted, why = [], [], ""
     for o, i, (zeros, poles) in ((o, i, orders) for o, i in pairs if orders is not None):
@@ -435,15 +367,8 @@ def frequency(
             why = str(error.problem)
     files = [] if out is None else _write_responses(data, out, fits)
     if as_json:
-        print_json(
-            {
-                **_responses_to_json(data),
-                "transfer_functions": fits,
-                "not_fitted": unfitted,
-                "files": [str(f) for f in files],
-            }
-        )
-        return
+        content = {**to_plain_data(data), "transfer_functions": fits, "not_fitted": unfitted}
+        return print_answer(as_json, content, None, files)
     rows = []
     f = data.frequency_hz
     for o, i in pairs:
@@ -483,24 +408,12 @@ def _print_transfer(t: TransferFunctionFit) -> None:
     print_lines(f"Poles: {', '.join(format_pole(p) for p in t.poles)} rad/s")
 
 
-def _responses_to_json(data: FrequencyResponse) -> dict[str, Any]:
-    pairs = {
-        f"{data.inputs[i]} to {data.outputs[o]}": {
-            "magnitude_dB": 20.0 * np.log10(np.maximum(np.abs(data.response[:, o, i]), 1e-12)),
-            "phase_deg": np.degrees(np.angle(data.response[:, o, i])),
-            "random_error": data.error[:, o, i], "partial_coherence": data.partial[:, o, i],
-        }
-        for o in range(len(data.outputs)) for i in range(len(data.inputs))
-    }  # fmt: skip
-    return {"frequency_hz": data.frequency_hz, "responses": pairs, "coherence": data.coherence}
-
-
 def _write_responses(data: FrequencyResponse, out: Path, fits: Sequence[TransferFunctionFit]) -> list[Path]:
     from mufly.identify import fit_pictures
     from mufly.identify.linear.response_pictures import response_picture
 
     heads, columns = ["frequency_Hz"], [data.frequency_hz]
-    for name, pair in _responses_to_json(data)["responses"].items():
+    for name, pair in data.tabulate_pairs().items():
         heads += [f"{name.replace(' ', '_')}_{key}" for key in pair]
         columns += list(pair.values())
     heads += [f"{o}_multiple_coherence" for o in data.outputs]
@@ -540,10 +453,7 @@ def bandwidth(
     from mufly.identify.linear.sweep_response import MIN_COHERENCE
 
     ensure_folder("--out", out)
-    inputs, outputs = (
-        _parse_column_names(",".join(x for x in (input_, others) if x)),
-        _parse_column_names(output),
-    )
+    inputs, outputs = _parse_column_names(f"{input_},{others}"), _parse_column_names(output)
     if len(outputs) != 1:
         raise InputError("--output", "", f"{output!r} is not one output", "give one")
     data = _compute_responses(logs, inputs, outputs, columns, start_s, end_s, band, windows, points)
@@ -555,8 +465,7 @@ def bandwidth(
     found = read_off(data.frequency_hz, np.where(good, data.response[:, 0, 0], np.nan), data.error[:, 0, 0])
     files = [] if out is None else _write_bandwidth(data, found, out)
     if as_json:
-        print_json({**to_plain_data(found), **_responses_to_json(data), "files": [str(f) for f in files]})
-        return
+        return print_answer(as_json, {**to_plain_data(found), **to_plain_data(data)}, None, files)
     rows = []
     for label, field in (
         ("bandwidth, the lesser", "bandwidth"), ("by phase margin of 45 deg", "phase"),
@@ -587,9 +496,8 @@ def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> li
     )  # fmt: skip
     with fit_pictures.report_style():
         picture = save_figure(response_picture(one, 0, read=found), out, "bandwidth")
-    columns = [one.frequency_hz, *next(iter(_responses_to_json(one)["responses"].values())).values()]
-    heads = ("frequency_Hz", "magnitude_dB", "phase_deg", "random_error", "partial_coherence")
-    return [write_csv(out / "response.csv", heads, np.column_stack(columns).tolist()), picture]
+    (pair,) = one.tabulate_pairs().values()
+    return [write_records(out / "response.csv", to_records({"frequency_Hz": one.frequency_hz, **pair})), picture]
 
 
 def compatibility(
@@ -633,44 +541,26 @@ def compatibility(
         from mufly.identify import fit_pictures
         from mufly.identify.linear.response_pictures import reconstruction_picture
 
-        heads = [
-            "time_s",
-            *FLIGHT_PATH_STATES,
-            *(f"{s}_std" for s in FLIGHT_PATH_STATES),
-            *(f"{n}_corrected" for n in _parse_column_names(imu)),
-        ]
+        stds, corrected = (f"{s}_std" for s in FLIGHT_PATH_STATES), (f"{n}_corrected" for n in _parse_column_names(imu))
+        heads = ["time_s", *FLIGHT_PATH_STATES, *stds, *corrected]
         rows = np.column_stack([found.time_s, found.states, found.states_std, found.corrected])
         with fit_pictures.report_style():
             files = [
                 write_csv(out / "path.csv", heads, rows.tolist()),
                 save_figure(reconstruction_picture(found), out, "path"),
             ]
-    residual = np.sqrt(np.mean(found.residual**2, axis=0))
-    innovation = np.sqrt(np.mean(found.innovations**2, axis=0))
     if as_json:
-        print_json(
-            {"estimates": found.estimates, "std_white": found.std_white, "converged": found.converged,
-             "unseen": found.unseen, "notes": found.notes, "outputs": found.outputs, "residual_rms": residual,
-             "innovation_over_expected": innovation, "noise_std": found.output_noise, "imu_noise_std": found.imu_noise,
-             "files": [str(f) for f in files]}
-        )  # fmt: skip
-        return
+        return print_answer(as_json, found, None, files)
     print_lines(*found.notes, mark="Note")
     white = {e.symbol: f"{w:.2g}" for e, w in zip(found.estimates, found.std_white, strict=True)}
     rows_ = [
-        (
-            e.symbol,
-            f"{e.value:+.4g}",
-            f"{e.std:.2g}",
-            white[e.symbol],
-            f"{e.low:+.3g} to {e.high:+.3g}",
-            e.unit,
-        )
+        (e.symbol, f"{e.value:+.4g}", f"{e.std:.2g}", white[e.symbol], f"{e.low:+.3g} to {e.high:+.3g}", e.unit)
         for e in found.estimates
     ]
     heads_ = ("", "value", "std", "std if white", "95 % interval", "unit")
     print_table(heads_, rows_, title="Bias b and scale factor lambda: measured = (1 + lambda) true + b", text=(0, 5))
-    lines = zip(found.outputs, residual, found.output_noise, innovation, strict=True)
+    figures = (found.residual_rms, found.output_noise, found.innovation_rms)
+    lines = zip(found.outputs, *figures, strict=True)
     below = ("", "rms residual", "its noise", "innovation over expected")
     print_table(below, [(o, f"{r:.2g}", f"{s:.2g}", f"{i:.2f}") for o, r, s, i in lines], title="The path, SI")
     if found.unseen:

@@ -21,14 +21,13 @@ from mufly.cli.output import (
     report_place_errors,
 )
 from mufly.errors import InputError
-from mufly.results import to_plain_data
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from mufly.cli.onboard.foreign_log import ForeignLog
     from mufly.estimate import AidInnovations, Estimate, InertialNoise
     from mufly.estimate.nees import Consistency
+    from mufly.flight.record.foreign_log import ForeignLog
     from mufly.vehicle import Vehicle
     from mufly.world import World
 
@@ -112,8 +111,8 @@ def run(
 
     mufly estimate run circle.csv.gz --map nanobench --aid position=truth_position --aid-std 0.02 --aid-rate 15
     """
-    from mufly.cli.onboard.foreign_log import AidRequest, parse_aid, read_foreign_log
     from mufly.flight import is_sensed, read_recording
+    from mufly.flight.record.foreign_log import AidRequest, parse_aid, read_foreign_log
     from mufly.logs import detect_log_format
 
     ensure_folder("--out", out)
@@ -158,19 +157,13 @@ def _estimate_own_flight(log: Path, data: xr.Dataset, vehicle: str | None, out: 
         estimates = replay_estimator(data, fitted_estimator(flown, world, float(data.attrs["rate_Hz"])))
     again = replace_estimates(data, estimates)
     figures = measure_consistency(list_truths(data), estimates, after_s=_lift_off_time_s(data))
-    print_answer(
-        as_json,
-        lambda: to_plain_data(figures),
-        lambda: _print_consistency(figures),
-        _write_results(again, estimates, out),
-    )
+    print_answer(as_json, figures, lambda: _print_consistency(figures), _write_results(again, estimates, out))
 
 
 def _estimate_foreign_log(
     path: Path, f: ForeignLog, given: tuple[float | None, float | None], out: Path | None, as_json: bool
 ) -> None:
     """A log of any vehicle."""
-    from mufly.cli.onboard.foreign_log import make_recording, truth_rows
     from mufly.estimate import (
         InertialNoise,
         aid_innovations,
@@ -179,6 +172,7 @@ def _estimate_foreign_log(
         measure_row_consistency,
         run_log,
     )
+    from mufly.flight.record.foreign_log import make_recording, truth_rows
 
     if not as_json:
         print_lines(*f.notes)
@@ -207,10 +201,8 @@ def _estimate_foreign_log(
         if f.mounting is not None:
             mounted = measure_row_consistency(truth_rows(f, mounted=True), told, after_s=after - float(time[0]))
     content = {
-        "said": f.notes, "noise_at_rest": to_plain_data(rest), "noise": to_plain_data(noise), "from_s": after,
-        "mounting_rad": None if f.mounting is None else f.mounting.tolist(), "aids": to_plain_data(fore),
-        "errors": None if figures is None else to_plain_data(figures),
-        "errors_without_mounting": None if mounted is None else to_plain_data(mounted),
+        "said": f.notes, "noise_at_rest": rest, "noise": noise, "from_s": after, "mounting_rad": f.mounting,
+        "aids": fore, "errors": figures, "errors_without_mounting": mounted,
     }  # fmt: skip
 
     def print_results() -> None:
@@ -227,7 +219,7 @@ def _estimate_foreign_log(
         _print_aid_innovations(fore)
 
     data = make_recording(f, told, path.name)
-    print_answer(as_json, lambda: content, print_results, _write_results(data, told, out, csv=True))
+    print_answer(as_json, content, print_results, _write_results(data, told, out, csv=True))
 
 
 def _write_results(data: xr.Dataset, told: Sequence[Estimate], out: Path | None, csv: bool = False) -> list[Path]:
@@ -296,11 +288,7 @@ def _print_consistency(c: Consistency, what: str = "by") -> None:
     rows = [
         ("horizontal position", format_cell(100 * c.xy_rms, "cm", 1), format_cell(100 * c.xy_peak, "cm", 1)),
         ("height", format_cell(100 * c.z_rms, "cm", 1), format_cell(100 * c.z_peak, "cm", 1)),
-        (
-            "tilt",
-            format_cell(math.degrees(c.tilt_rms), "deg", 2),
-            format_cell(math.degrees(c.tilt_peak), "deg", 2),
-        ),
+        ("tilt", format_cell(math.degrees(c.tilt_rms), "deg", 2), format_cell(math.degrees(c.tilt_peak), "deg", 2)),
         ("heading", format_cell(math.degrees(c.yaw_rms), "deg", 2), ""),
     ]
     print_table((f"off {what}", "rms", "worst"), rows, text=(0, 1, 2))

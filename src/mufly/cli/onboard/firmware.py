@@ -156,7 +156,7 @@ def sil(
             helicopter, names, flights=flights, wind=steady, gust=gust, faults=faults, on_flight=count_flight,
             sensors="ideal" if sensors == "ideal" else "fitted", drawn=drawn, keep=keep,
         )  # fmt: skip
-    print_answer(as_json, lambda: {"flights": results}, lambda: _print_sil(results))
+    print_answer(as_json, {"flights": results}, lambda: _print_sil(results))
     if any(r.different + r.beliefs_different + r.steps_different for r in results):
         raise typer.Exit(1)
 
@@ -204,7 +204,7 @@ def _compare_fixed_point(vehicle: Vehicle, names: list[str], flights: int, keep:
                 progress(done, len(names) * flights)
 
         results = fly_fixed_point(vehicle, names, flights=flights, keep=keep, on_flight=count_flight)
-    print_answer(as_json, lambda: {"flights": results}, lambda: _print_fixed_flights(results))
+    print_answer(as_json, {"flights": results}, lambda: _print_fixed_flights(results))
     if any(r.overflows for r in results):
         raise typer.Exit(1)
 
@@ -267,7 +267,7 @@ def pil(vehicle: _VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False
     from mufly.vehicle import load_vehicle
 
     results = firmware.run_pil(load_vehicle(vehicle), fixed_point=fixed_point)
-    print_answer(as_json, lambda: {"processors": results}, lambda: _print_pil(results, fixed_point))
+    print_answer(as_json, {"processors": results}, lambda: _print_pil(results, fixed_point))
     if not all(r.same for r in results):
         raise typer.Exit(1)
 
@@ -318,8 +318,7 @@ def report(
 
         sections = write_report(helicopter, out, on_section=show_progress)
     if as_json:
-        print_json({s.title: s.data for s in sections})
-        return
+        return print_json({s.title: s.data for s in sections})
     for s in sections:
         if "missing" in s.data:
             print_lines(f"{s.title}: {s.data['missing']}", style="yellow")
@@ -353,6 +352,6 @@ def fuzz(
         else:
             print_lines("Nothing crashed, nothing undefined was done, no output was out of range.")
 
-    print_answer(as_json, lambda: {"fuzz": result}, print_result)
+    print_answer(as_json, {"fuzz": result}, print_result)
     if result.found:
         raise typer.Exit(1)

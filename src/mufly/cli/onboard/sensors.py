@@ -18,7 +18,7 @@ from mufly.cli.output import (
 )
 from mufly.cli.station import FaultOption, GustOption, WindOption, resolve_wind
 from mufly.cli.vehicle import print_parameter_group
-from mufly.results import format_value
+from mufly.results import format_value, select_fields
 
 if TYPE_CHECKING:
     from mufly.flight import ReadingErrors
@@ -40,8 +40,7 @@ def show(vehicle: _VehicleFileArgument = "mufly-1.1", as_json: JsonOption = Fals
     v = load_vehicle(vehicle)
     rows = [p for p in list_parameters(v) if p.key.startswith("sensors.")]
     if as_json:
-        print_json([p._asdict() for p in rows])
-        return
+        return print_json([p._asdict() for p in rows])
     if not rows:
         print_lines(f"{v.name} has no table [sensors]: it flies on what is true.")
         return
@@ -55,13 +54,9 @@ def faults(as_json: JsonOption = False) -> None:
     from mufly.sensors import FAULT_KINDS, FAULT_TARGETS
 
     if as_json:
-        print_json(
-            {
-                "kinds": dict(FAULT_KINDS),
-                "targets": {name: {**vars(t), "unit": t.reading_unit} for name, t in FAULT_TARGETS.items()},
-            }
-        )
-        return
+        keys = "sensor reading amount=default_amounts unit=reading_unit"
+        targets = {name: select_fields(target, keys) for name, target in FAULT_TARGETS.items()}
+        return print_json({"kinds": FAULT_KINDS, "targets": targets})
     print_table(("kind", "meaning"), list(FAULT_KINDS.items()), text=(0, 1))
     kinds = [kind for kind in FAULT_KINDS if any(kind in t.default_amounts for t in FAULT_TARGETS.values())]
     print_table(
@@ -117,7 +112,7 @@ def simulate(
         with report_place_errors(out):
             files = write_sensor_logs(logs, out)
         files.append(save_figure(draw_sensors(logs), out, "sensors"))
-    print_answer(as_json, lambda: {"readings": errors}, lambda: _print_reading_errors(errors), files)
+    print_answer(as_json, {"readings": errors}, lambda: _print_reading_errors(errors), files)
 
 
 def _print_reading_errors(errors: list[ReadingErrors]) -> None:

@@ -6,9 +6,9 @@ import contextlib
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
-from mufly.cli.options import CommandGroup, JsonOption, check_choice, define_argument, define_option
+from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
 from mufly.cli.output import (
     ensure_folder,
     print_answer,
@@ -62,7 +62,9 @@ def render(
     speed: Annotated[float, define_option("--speed", "Along the path.", unit="m/s")] = 0.4,
     shadows: Annotated[float, define_option("--shadows", "Of the light that shadows take, 0 to 1.", unit="1")] = 0.3,
     boxes: Annotated[int, define_option("--boxes N", "Low boxes on the floor.")] = 0,
-    layout: Annotated[str, define_option("--layout NAME", "mufly, euroc or tum.")] = "mufly",
+    layout: Annotated[
+        Literal["mufly", "euroc", "tum"], define_option("--layout NAME", "mufly, euroc or tum.")
+    ] = "mufly",
     seed: Annotated[int, define_option("--seed K", "Same seed, same floor, path and noise.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
@@ -74,14 +76,12 @@ def render(
     from mufly.camera import FLOOR_KINDS, load_camera, load_floor_picture, make_floor
     from mufly.logs import read_recording
     from mufly.slam import (
-        DATASET_LAYOUTS,
         make_square_path,
         path_from_recording,
         render_frames,
         write_dataset,
     )
 
-    check_choice("--layout", layout, DATASET_LAYOUTS)
     for name, value, low, high in (
         ("--duration", duration, 0.1, 3600), ("--side", side, 0, 50), ("--height", height, 0.15, 50),
         ("--speed", speed, 0, 5), ("--shadows", shadows, 0, 1), ("--boxes", boxes, 0, 30), ("--seed", seed, 0, 2**31),
@@ -108,7 +108,7 @@ def render(
             out, lens, path, made, layout, (lambda k: None) if bar is None else (lambda k: bar(k + 1, total))
         )
     print_answer(
-        as_json, lambda: {"pictures": count, "floor": ground.name, "camera": lens.name},
+        as_json, {"pictures": count, "floor": ground.name, "camera": lens.name},
         lambda: print_lines(f"{count} pictures of a {ground.name} floor by {lens.name}, layout {layout}"), [out],
     )  # fmt: skip
 
@@ -164,7 +164,8 @@ def run(
         define_option("--delay", "Of a camera or stream: how much older pictures are than they came.", unit="s"),
     ] = 0.0,
     clock: Annotated[
-        str, define_option("--clock WHICH", "Of a stream: arrival, or sender (its X-Timestamp).")
+        Literal["arrival", "sender"],
+        define_option("--clock WHICH", "Of a stream: arrival, or sender (its X-Timestamp)."),
     ] = "arrival",
     link: Annotated[
         str | None,
@@ -216,7 +217,6 @@ def run(
     )
 
     load_opencv()
-    check_choice("--clock", clock, ("arrival", "sender"))
     for name, value, most in (("--give-up", give_up, 3600.0), ("--duration", duration, 1e6)):
         if value is not None and not 0.0 < value <= most:
             raise InputError(name, "", f"{value:g} s is out of range", f"give up to {most:g}")
@@ -239,7 +239,7 @@ def run(
                 port.companion.has_sender_stamps = clock == "sender"
                 stack.callback(port.close)
             live = stack.enter_context(LivePictures(
-                place, lens, delay_s=delay, clock=cast(Any, clock), give_up_s=give_up,
+                place, lens, delay_s=delay, clock=clock, give_up_s=give_up,
                 say=lambda line: print_lines(line, mark="Note", style="yellow"), opencv=load_opencv,
             ))  # fmt: skip
             source = open_live(live, port.frame_infos_at if port is not None else cast(Any, told))
@@ -324,7 +324,7 @@ def run(
         if result is not None:
             _print_evaluation(result)
 
-    print_answer(as_json, lambda: content, print_result, files)
+    print_answer(as_json, content, print_result, files)
     if failed:
         raise failed[0]
 
@@ -426,7 +426,7 @@ def evaluate(
                 style="yellow",
             )
 
-    print_answer(as_json, lambda: content, print_result)
+    print_answer(as_json, content, print_result)
 
 
 def _print_evaluation(e: TrajectoryEvaluation) -> None:
@@ -484,4 +484,4 @@ def calibrate(
         "residual_px": found.residual_px,
         "used": found.used,
     }
-    print_answer(as_json, lambda: content, print_result, [] if out is None else [out])
+    print_answer(as_json, content, print_result, [] if out is None else [out])

@@ -100,7 +100,7 @@ from mufly.identify.flight.free_parameters import FreeParameter, choose_free_par
 from mufly.identify.flight.output_error_problem import PART_OUTPUTS, DynamicsPart, make_problem
 from mufly.identify.flight_record import FlightRecord
 from mufly.numba_cache import cached_njit
-from mufly.results import result
+from mufly.results import result, select_fields
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.floating[Any]]
@@ -409,7 +409,17 @@ class ExcitationCandidate:
     geometric_mean_std: float
 
 
-@result(eq=False, picture="mufly.identify.fit_pictures:plan_picture")
+_CANDIDATE_FIGURES = (
+    "kind=signal.kind amplitude bound_by=binding_limit limit_used=limit_share crest_factor=signal.crest "
+    "signal=signal.words mean=geometric_mean_std"
+)
+
+
+@result(
+    eq=False,
+    picture="mufly.identify.fit_pictures:plan_picture",
+    json="channel band_Hz modes_Hz noise limits candidates=candidate_records",
+)
 class ExcitationPlan:
     """Candidates for one channel, best first.
 
@@ -437,6 +447,24 @@ class ExcitationPlan:
     noise: dict[str, float]
     candidates: tuple[ExcitationCandidate, ...]
     support: PilotSupport
+
+    @property
+    def band_Hz(self) -> tuple[float, float]:
+        """The band, as frequencies."""
+        return self.band_rad_s[0] / (2 * math.pi), self.band_rad_s[1] / (2 * math.pi)
+
+    @property
+    def modes_Hz(self) -> list[float]:
+        """Natural frequencies of the channel's dynamics."""
+        return [w / (2 * math.pi) for w in self.modes_rad_s]
+
+    def candidate_records(self) -> list[dict[str, Any]]:
+        """Return the figures of all candidates, deviations by symbol."""
+        symbols = [f.symbol for f in self.free]
+        return [
+            {**select_fields(c, _CANDIDATE_FIGURES), "relative_std": dict(zip(symbols, c.relative_std, strict=True))}
+            for c in self.candidates
+        ]
 
     @property
     def best_candidate(self) -> ExcitationCandidate:

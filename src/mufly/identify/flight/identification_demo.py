@@ -43,7 +43,7 @@ from mufly.identify.flight.flight_fit import fit_flight_records
 from mufly.identify.flight.free_parameters import choose_free_parameters
 from mufly.identify.flight.staged_search import FitMethod, FitProgress
 from mufly.identify.flight_record import FlightRecord
-from mufly.results import result
+from mufly.results import result, select_fields
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
 _Array = NDArray[np.float64]
@@ -265,8 +265,7 @@ class IdentificationDemo:
         """Return what ``mufly identify demo --json`` prints."""
         fit, inside = self.fit, self.truth_inside_interval()
         return {
-            "seed": self.seed, "vehicle": fit.vehicle, "method": fit.method, "converged": fit.converged,
-            "message": fit.message,
+            "seed": self.seed, **select_fields(fit, "vehicle method converged message"),
             "parameters": [
                 {
                     "symbol": e.symbol, "unit": e.unit, "truth": self.truth[e.symbol], "start": e.start,
@@ -276,7 +275,7 @@ class IdentificationDemo:
                 for e in fit.estimates
             ],
             "unseen": list(fit.unseen), "held_out_error_over_noise_floor": self.held_out_over_noise,
-            "cost": fit.cost, "simulations": fit.simulations, "seconds": fit.seconds,
+            **select_fields(fit, "cost simulations seconds"),
         }  # fmt: skip
 
 

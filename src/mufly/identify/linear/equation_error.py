@@ -116,7 +116,11 @@ class StepwiseStep:
     PSE: float
 
 
-@result(eq=False)
+@result(
+    eq=False,
+    json="output terms=term_names value std std_white covariance lag_s delay_s lag_std_s delay_std_s bias band_hz F_in "
+    "steps R2 symbols units",
+)
 class DerivativeEquation:
     """The equation of one output's derivative.
 
@@ -159,6 +163,11 @@ class DerivativeEquation:
     F_in: float
     steps: tuple[StepwiseStep, ...]
     R2: float
+
+    @property
+    def term_names(self) -> list[str]:
+        """Terms in words: ``p``, ``p*q``."""
+        return ["*".join(term) for term in self.terms]
 
     @property
     def symbols(self) -> tuple[str, ...]:

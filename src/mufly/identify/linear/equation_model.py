@@ -15,7 +15,7 @@ and Remple, ch. 14), in which only the dynamics are foretold.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +82,7 @@ class EquationScore:
     in_band: float
 
 
-@dataclass(frozen=True, eq=False)
+@result(eq=False, json="equations poles_rad_s=poles scores notes domain")
 class EquationModel:
     """Equations of all outputs.
 

@@ -75,7 +75,11 @@ _MAX_PITCH_rad = np.radians(80.0)
 _MOTION_BANDWIDTH_HZ = 5.0  # below which lie motions, above it a rotor's shaking
 
 
-@result(eq=False)
+@result(
+    eq=False,
+    json="estimates std_white converged unseen notes outputs residual_rms innovation_over_expected=innovation_rms "
+    "noise_std=output_noise imu_noise_std=imu_noise",
+)
 class ReconstructedPath:
     """A flight reconstructed from its instruments.
 
@@ -118,6 +122,16 @@ class ReconstructedPath:
     converged: bool
     unseen: tuple[str, ...]
     notes: tuple[str, ...]
+
+    @property
+    def residual_rms(self) -> Array:
+        """Root mean square of the residual of each output (m,)."""
+        return np.asarray(np.sqrt(np.mean(self.residual**2, axis=0)))
+
+    @property
+    def innovation_rms(self) -> Array:
+        """Root mean square of each output's innovations over what the filter expects (m,)."""
+        return np.asarray(np.sqrt(np.mean(self.innovations**2, axis=0)))
 
     @property
     def residual(self) -> Array:

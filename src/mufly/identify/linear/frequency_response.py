@@ -60,7 +60,11 @@ _MIN_PARTIAL_COHERENCE, _FIT_FREQUENCIES = (
 _SEGMENT_INDEPENDENCE = 18.0 / 19.0  # of a segment among half-overlapping Hann windows
 
 
-@result(eq=False, picture="mufly.identify.linear.response_pictures:response_picture")
+@result(
+    eq=False,
+    picture="mufly.identify.linear.response_pictures:response_picture",
+    json="frequency_hz responses=tabulate_pairs coherence",
+)
 class FrequencyResponse:
     """Responses of all outputs to all inputs, estimated from one or several records.
 
@@ -94,6 +98,17 @@ class FrequencyResponse:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     window_s: Array | None = None
+
+    def tabulate_pairs(self) -> dict[str, dict[str, Array]]:
+        """Return magnitude (dB), phase (deg), error and coherence over frequency by the names of input and output."""
+        return {
+            f"{self.inputs[i]} to {self.outputs[o]}": {
+                "magnitude_dB": 20.0 * np.log10(np.maximum(np.abs(self.response[:, o, i]), 1e-12)),
+                "phase_deg": np.degrees(np.angle(self.response[:, o, i])),
+                "random_error": self.error[:, o, i], "partial_coherence": self.partial[:, o, i],
+            }
+            for o in range(len(self.outputs)) for i in range(len(self.inputs))
+        }  # fmt: skip
 
     @property
     def relative_interval(self) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,7 @@ from mufly.identify.linear.model_checks import (
 )
 from mufly.identify.residual_analysis import PredictionQuality, assess_prediction, describe_residuals
 from mufly.logs import guess_angle_units
-from mufly.results import result
+from mufly.results import result, select_fields
 
 Array = NDArray[np.float64]
 
@@ -97,6 +98,12 @@ class OutputCheck:
     against_angle: float
 
 
+_RECORDED_CHECKS = {
+    "quality": "quality", "quality_slow": "slow", "noise_floor": "floor", "ceiling_percent": "ceiling",
+    "ceiling_slow_percent": "ceiling_slow", "against_angle_percent": "against_angle",
+}  # fmt: skip
+
+
 @result(eq=False, picture="mufly.identify.fit_pictures:fit_picture")
 class LinearResult:
     """A linear identification.
@@ -142,6 +149,20 @@ class LinearResult:
     subspace_percent: tuple[float, ...]
     spectral: FrequencyResponseFit | None
     notes: tuple[str, ...]
+
+    def as_record(self) -> dict[str, Any]:
+        """Return model, scores by role and output, and notes."""
+        checks = {
+            key: {role: [getattr(c, name) for c in checks] for role, checks in self.checks.items()}
+            for key, name in _RECORDED_CHECKS.items()
+        }
+        return {
+            **select_fields(
+                self, "model=fit.vehicle estimates=fit.estimates poles_rad_s=linear.poles candidates "
+                "outputs=linear.structure.outputs slow_hz ahead missing unseen=fit.unseen notes "
+                "subspace_fit_percent=subspace_percent message=linear.message",
+            ), **checks,
+        }  # fmt: skip
 
 
 def identify_linear_model(

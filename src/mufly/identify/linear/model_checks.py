@@ -41,6 +41,7 @@ from mufly.identify.linear.linear_fit import LinearFit, fit_linear_model, simula
 from mufly.identify.linear.linear_structure import LinearStructure, discretise_first_order_hold
 from mufly.identify.residual_analysis import estimate_high_frequency_noise
 from mufly.numba_cache import cached_njit
+from mufly.results import result
 
 Array = NDArray[np.float64]
 
@@ -226,7 +227,7 @@ def predict_ahead(
     return predicted
 
 
-@dataclass(frozen=True)
+@result(json="split_hz above below input_share total")
 class NoiseFloor:
     """Noise of one output; standard deviations in its unit.
 

@@ -1,4 +1,4 @@
-"""What ``mufly estimate run`` takes of a log of any vehicle: inertial unit, aids, truth; and the recording it makes."""
+"""A log of any vehicle for the filter: inertial unit, aids and truth in, a recording with the estimate out."""
 
 from __future__ import annotations
 
