@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mufly.cli.onboard.foreign_log import AidRequest, read_foreign_log, truth_rows
 from mufly.control import design_flight_controller
 from mufly.errors import InputError
 from mufly.estimate import (
@@ -32,6 +31,7 @@ from mufly.estimate import (
 from mufly.estimate.nees import Consistency, measure_consistency
 from mufly.flight import Flight
 from mufly.flight.monte_carlo import parse_variations
+from mufly.flight.record.foreign_log import AidRequest, read_foreign_log, truth_rows
 from mufly.logs import load_column_map
 from mufly.mission import Mission, parse_mission
 from mufly.sensors import Truth, draw_leaning_vehicle, fitted_sensors, parse_fault
