@@ -33,7 +33,8 @@ from mufly.rotor import (
     solve_system,
 )
 from mufly.study.benchmark import RotorCase
-from mufly.study.benchmark.rotor_cases import T_MOTOR_AIR, load_t_motor_28, read_number_rows
+from mufly.study.benchmark.rotor_cases import T_MOTOR_AIR, load_t_motor_28
+from mufly.text_table import read_text_table
 from mufly.units import RPM
 
 
@@ -283,7 +284,7 @@ def report_coaxial(case: RotorCase, data: Path = DATA) -> None:
 
 def _report_28_inch(big: Blading, label: str, data: Path, method: SolverMethod) -> None:
     found, system = [], RotorSystem.coaxial_pair(big, big, spacing_m=0.115)
-    for rpm_l, t_l, q_l, _, t_u, q_u, _, rpm_u in read_number_rows(data / "tmotor28_coaxial.csv"):
+    for rpm_l, t_l, q_l, _, t_u, q_u, _, rpm_u in read_text_table(data / "tmotor28_coaxial.csv").read_matrix():
         r = solve_system(system, OperatingCondition(0.0, (rpm_u * RPM, rpm_l * RPM), air=T_MOTOR_AIR), method)
         found.append([r.upper.thrust_N / t_u, r.upper.torque_Nm / q_u, r.lower.thrust_N / t_l, r.lower.torque_Nm / q_l,
                       r.thrust_N / (t_u + t_l), (r.upper.torque_Nm + r.lower.torque_Nm) / (q_u + q_l)])  # fmt: skip

@@ -20,7 +20,7 @@ from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
 from mufly.rotor import OperatingCondition, RotorSystem, solve_rotor_batch, solve_system
 from mufly.rotor.wake import WakeSettings, momentum_thrust
-from mufly.study.benchmark.rotor_cases import read_number_rows
+from mufly.text_table import read_text_table
 from mufly.units import RPM
 
 OFFSET_DEG = 0.8  # pitch error of the bench that would explain Table 3.2; shown, never applied
@@ -30,7 +30,7 @@ def report_table_3_2(solver: Solver) -> None:
     """Four points: default settings, the dissertation's four CFD models, and what the open choices do."""
     case = table_3_2()
     m = case.measured
-    cfd = read_number_rows(DATA / "thesis_table_3_2.csv")[:, 4:]
+    cfd = read_text_table(DATA / "thesis_table_3_2.csv").read_matrix()[:, 4:]
     n = m.thrust_N.size
 
     def points(offset_deg: float = 0.0, **kw: object) -> list[Answer]:

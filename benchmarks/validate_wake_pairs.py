@@ -18,7 +18,8 @@ from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
 from mufly.rotor import Blading, OperatingCondition, RotorSystem, SystemSolution, solve_system
 from mufly.rotor.wake import WakeSettings
-from mufly.study.benchmark.rotor_cases import BENCHMARK_AIR, T_MOTOR_AIR, load_t_motor_28, read_number_rows
+from mufly.study.benchmark.rotor_cases import BENCHMARK_AIR, T_MOTOR_AIR, load_t_motor_28
+from mufly.text_table import read_text_table
 from mufly.units import RPM
 
 PITCH = float(np.radians(14))
@@ -96,7 +97,7 @@ def report_thesis(solver: Solver) -> None:
 
 def report_big(solver: Solver) -> None:
     """The measured 28 inch pair: A is the lower rotor, B the upper one, at slightly different speeds."""
-    points = read_number_rows(DATA / "tmotor28_coaxial.csv")
+    points = read_text_table(DATA / "tmotor28_coaxial.csv").read_matrix()
     chosen = points[np.linspace(0, len(points) - 1, 4).round().astype(int)]
     case = load_t_motor_28(DATA)
     rows = []

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError, suggest_name
 from mufly.quantity_grammar import (
+    read_column_lines,
     read_integer,
     read_interval,
     read_quantity,
@@ -180,3 +181,22 @@ def test_a_name_is_suggested() -> None:
     assert suggest_name("CTDW", ["cT_dw", "cT_up", "Ixx"]) == "did you mean 'cT_dw'?"
     assert suggest_name("zzz", ["a", "b"]) == "use one of: a, b"
     assert suggest_name("zzz", ["a", "b"], "give a file") == "give a file"
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("speed_upper=RPM(rpm)", ("speed_upper", ("RPM",), (1.0,), "", "rpm")),
+        ("time = t [ms]", ("time", ("t",), (1.0,), "", "ms")),
+        ("p=-imu/x", ("p", ("x",), (-1.0,), "imu", "")),
+        ("measured_position=x,-y,-z(m)", ("measured_position", ("x", "y", "z"), (1.0, -1.0, -1.0), "", "m")),
+        ("u=pwm[3]", ("u", ("pwm[3]",), (1.0,), "", "")),  # an index, no unit
+        ("j=V/nD", ("j", ("nD",), (1.0,), "V", "")),
+    ],
+)
+def test_a_line_of_a_column_map(text, line):
+    assert tuple(read_column_lines([text])[0]) == line
+    name, _, column = text.partition("=")
+    assert tuple(read_column_lines({name: column})[0]) == line
+    with pytest.raises(InputError, match="columns: nonsense: does not say which column; write NAME=COLUMN"):
+        read_column_lines(["nonsense"])

@@ -4,16 +4,19 @@ A quantity is a number and a unit of its dimension: ``6000rpm``, ``100 Hz``, ``1
 bare numbers, ``6000`` means that unit. A list has commas (``5000,6000rpm``), a range is ``FIRST:LAST:STEP``
 (``10:30:5mm``), and a unit at the end also holds for the bare numbers before it. A standard deviation follows ``+-``
 (``0.06+-0.0002``). Units are those of :mod:`mufly.units`.
+
+A line of a column map is ``NAME=COLUMN(unit)``: one of our names, and the column of a file that holds its values
+(:func:`read_column_lines`).
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.units import compatible_units, normalise_unit, unit_conversion
 
 NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -30,6 +33,11 @@ _QUANTITY_PATTERN = re.compile(
 )
 _DECIMAL_COMMA_PATTERN = re.compile(r"[-+]?\d*,\d+\s*[^\d\s,:]*")
 
+_COLUMN_PATTERN = re.compile(
+    r"(?P<sign>-?)(?:(?P<topic>[^/\[(]+)/)?(?P<columns>.+?)\s*"
+    r"(?:[\[(](?P<unit>[^\[\]()]*[^\d\[\]()][^\[\]()]*)[\])])?"
+)
+
 
 class WrittenNumber(NamedTuple):
     """A number as it was typed: value and unit, ``""`` without one."""
@@ -43,6 +51,60 @@ class ValueWithStd(NamedTuple):
 
     value: float
     std: float
+
+
+class ColumnLine(NamedTuple):
+    """A line of a column map as it was typed.
+
+    Attributes
+    ----------
+    name : str
+        One of our names, or of the user's own.
+    columns : tuple of str
+        Columns of the file; several for a signal with several components.
+    signs : tuple of float
+        1 or -1, one a column.
+    topic : str
+        Topic of a log, or name of a file, that holds them; ``""`` unnamed.
+    unit : str
+        Unit of the columns; ``""`` unnamed.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    signs: tuple[float, ...]
+    topic: str
+    unit: str
+
+
+def read_column_lines(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnLine]:
+    """Return the lines of a column map, written ``NAME=COLUMN(unit)``, or ``{"NAME": "COLUMN(unit)"}``.
+
+    The unit may be left out or stand in square brackets. ``-`` before a column turns its sign; a topic, or a file, and
+    a slash may come before the first column; the columns of a signal with several components have commas between them.
+
+    Raises
+    ------
+    ArgumentError
+        If a line does not say which column.
+
+    Examples
+    --------
+    >>> read_column_lines(["measured_acceleration=imu/ax,ay,-az(gee)"])[0][1:]
+    (('ax', 'ay', 'az'), (1.0, 1.0, -1.0), 'imu', 'gee')
+    """
+    pairs = lines.items() if isinstance(lines, Mapping) else [line.partition("=")[::2] for line in lines]
+    found = []
+    for name, text in pairs:
+        match = _COLUMN_PATTERN.fullmatch(str(text).strip())
+        if match is None or not name.strip():
+            remedy = "write NAME=COLUMN(unit), measured_rates.p=gyro_x(deg/s)"
+            raise ArgumentError("columns", name, "does not say which column", remedy)
+        columns = [c.strip() for c in (match["sign"] + match["columns"]).split(",")]
+        signs = tuple(-1.0 if c.startswith("-") else 1.0 for c in columns)
+        names = tuple(c.removeprefix("-") for c in columns)
+        found.append(ColumnLine(name.strip(), names, signs, match["topic"] or "", match["unit"] or ""))
+    return found
 
 
 def read_quantity(where: str, text: str, unit: str, *, bare: bool = True) -> float:

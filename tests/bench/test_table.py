@@ -1,12 +1,13 @@
 """Bench files: headers, units, maps, and what is said of a wrong one."""
 
+import gzip
 import math
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from mufly.bench import parse_header, read_bench_file
+from mufly.bench import parse_header, read_bench_file, read_bench_files
 from mufly.errors import InputError
 
 
@@ -80,16 +81,44 @@ def test_columns_are_mapped(tmp_path):
     path = write(tmp_path, "RPM,T_A(N),RPM_B,T_B(N)\n1000,1,1010,2\n")
     table = read_bench_file(
         path,
-        columns="RPM=speed_lower_rpm, T_A(N)=thrust_lower_N, RPM_B=speed_upper_rpm, T_B(N)=thrust_upper_N",
+        columns=["speed_lower=RPM", "thrust_lower=T_A(N)", "speed_upper=RPM_B(rpm)", "thrust_upper=-T_B(gf)"],
     )
-    assert table["thrust_upper"].tolist() == [2.0]
+    assert table["thrust_upper"] == pytest.approx(-2.0 * 9.80665e-3)
+    assert table["thrust_lower"].tolist() == [1.0]
+    assert table["speed_lower"] == pytest.approx(1000.0 * math.pi / 30)
     assert set(table.columns) == {"speed_lower", "thrust_lower", "speed_upper", "thrust_upper"}
     with pytest.raises(InputError, match="T_C: is not among the columns"):
-        read_bench_file(path, columns="T_C=thrust_N")
-    with pytest.raises(InputError, match="wind: is no quantity"):
-        read_bench_file(path, columns="RPM=wind")
-    with pytest.raises(InputError, match="is no OLD=NEW"):
-        read_bench_file(path, columns="RPM")
+        read_bench_file(path, columns=["thrust=T_C(N)"])
+    with pytest.raises(InputError, match="wind: is no quantity of a bench"):
+        read_bench_file(path, columns={"wind": "RPM"})
+    with pytest.raises(InputError, match="the unit 'mm' is none of thrust"):
+        read_bench_file(path, columns=["thrust=T_A(mm)"])
+    with pytest.raises(InputError, match="RPM: does not say which column"):
+        read_bench_file(path, columns=["RPM"])
+    other = tmp_path / "other.csv"
+    other.write_text("RPM,F\n900,3\n", encoding="utf-8")
+    lines = [f"speed_upper={path.name}/RPM", "thrust=F(N)"]
+    pair, single = read_bench_files([path, other], columns=lines)
+    assert (set(pair.columns) >= {"speed_upper"}, set(single.columns)) == (True, {"speed", "thrust"})
+
+
+def test_a_packed_file_with_a_title_and_a_line_of_units_is_read(tmp_path):
+    path = tmp_path / "packed.csv.gz"
+    lines = [
+        "Test of 3 May",
+        "// by me",
+        "RPM,thrust,torque",
+        "1/min,gf,mNm",
+        "1000,1 000,10",
+        "2000,3.5,40",
+        "3000,7,90",
+    ]
+    path.write_bytes(gzip.compress("\n".join(lines).encode()))
+    table = read_bench_file(path)
+    assert table["thrust"] == pytest.approx(9.80665e-3 * np.array([1000.0, 3.5, 7.0]))
+    assert table["torque"] == pytest.approx([0.01, 0.04, 0.09])
+    assert table.line.tolist() == [5, 6, 7]
+    assert table.headers["thrust"] == "thrust"
 
 
 def test_a_last_line_that_is_cut_is_left_out_and_told(tmp_path):

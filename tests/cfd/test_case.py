@@ -284,7 +284,7 @@ def test_cases_are_laid_beside_the_rows_of_a_table(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no row at 12 degrees and 5000 rpm"):
         compare_cases(table, [tmp_path])
     table.write_text("pitch_deg,T_meas_N\n14,0.2\n")
-    with pytest.raises(InputError, match="rpm: is missing"):
+    with pytest.raises(InputError, match="rpm: is not among the columns; give columns pitch_deg, rpm"):
         compare_cases(table, [tmp_path])
 
 

@@ -120,11 +120,12 @@ def test_files_of_several_kinds_with_a_map_each(tmp_path):
     a, b = tmp_path / "a.csv", tmp_path / "b.csv"
     a.write_text("RPM,F\n1000,1\n2000,4\n3000,9\n")
     b.write_text("RPM,F1,F2\n1000,1,0.6\n2000,4,2.4\n3000,9,5.4\n")
-    maps = ("--columns", "F=thrust_N", "--columns", "F1=thrust_upper_N,F2=thrust_lower_N")
+    maps = ("--column", "thrust=F(N)", "-c", "thrust_upper=F1(N)", "-c", "thrust_lower=F2(N)")
     text = output("rotor", str(a), str(b), "--radius", "0.1", *maps)
     assert "cT_up of b.csv is 1.000" in text
     assert "cT_dw of b.csv is 0.600" in text
-    assert "no file has together" in refused("rotor", str(a), str(b), "--radius", "0.1", "--columns", "G=thrust_N")
+    told = refused("rotor", str(a), str(b), "--radius", "0.1", "--column", "thrust=G(N)")
+    assert "a.csv, b.csv: G: is not among the columns; the header is RPM, F; RPM, F1, F2" in told
 
 
 def test_plan(tmp_path):

@@ -142,8 +142,8 @@ SHARES = {
 TEXTS = {
     "--align", "--with",
     "--accept", "--aid", "--airfoil", "--airfoils", "--as", "--axis", "--board", "--by", "--calibration",
-    "--calibration-columns", "--camera", "--camera-fault", "--case", "--channel", "--checkpoint", "--clock",
-    "--cluster", "--code", "--column", "--columns", "--connect", "--data", "--designed-for", "--domain",
+    "--camera", "--camera-fault", "--case", "--channel", "--checkpoint", "--clock",
+    "--cluster", "--code", "--column", "--connect", "--data", "--designed-for", "--domain",
     "--drive", "--engine", "--family", "--fault", "--fit", "--floor", "--for", "--free", "--from",
     "--hold-out", "--host", "--imu", "--input", "--inputs", "--keep", "--kind", "--known", "--layout",
     "--limit", "--link", "--logs", "--map", "--measured", "--mesh", "--method", "--mission", "--model",

@@ -436,13 +436,14 @@ def test_columns_of_matlab_and_of_headless_files(tmp_path):
     t = 0.01 * np.arange(200)
     path = tmp_path / "a.mat"
     savemat(path, {"t": t[:, None], "inr": np.c_[np.sin(t), np.cos(t)], "word": "x"})
-    record = read_columns(path, columns={"inr": ["lat", "-"]})
-    assert set(record.columns) == {"lat"}
+    record = read_columns(path, columns=["lat=-inr0(deg)"])
+    assert set(record.columns) == {"lat", "inr0", "inr1"}
+    assert record.columns["lat"] == pytest.approx(-np.radians(np.sin(t)))
     assert record.dt == pytest.approx(0.01)
     assert set(read_columns(path).columns) == {"inr0", "inr1"}
     bare = tmp_path / "b.csv"
     np.savetxt(bare, np.c_[t, np.sin(t)], delimiter=",")
-    assert read_columns(bare, columns=["time", "p"]).columns["p"] == pytest.approx(np.sin(t))
+    assert read_columns(bare, columns=["time=1(s)", "p=2"]).columns["p"] == pytest.approx(np.sin(t))
 
 
 def test_names_are_found_by_their_end_and_ambiguity_is_said():
@@ -491,11 +492,9 @@ def test_trex_550_second_half_is_predicted_as_documented():
     """The figures of docs/identification-linear.md; structure and parameters come from the first half alone."""
     if not TREX.is_file():
         pytest.skip("the flight record (../shared/data/flight, outside the project) is not here")
-    names = {
-        "inr": ["lat", "lon", "ped", "col"],
-        "outr": ["u", "v", "p", "q", "phi", "theta", "-", "-", "w", "r"],
-    }
-    record = read_columns(TREX, columns=names)
+    names = ("u", "v", "p", "q", "phi", "theta", "-", "-", "w", "r")
+    lines = [f"{name}=outr{k}" for k, name in enumerate(names) if name != "-"]
+    record = read_columns(TREX, columns=["lat=inr0", "lon=inr1", *lines])
     record = record.slice_samples(0, int((record.time_s <= 84.0).sum()))
     r = identify_linear_model(
         record,

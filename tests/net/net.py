@@ -715,11 +715,11 @@ identify motor motor_bench.csv --gear fast
 identify motor motor_bench.csv --gear-efficiency 1.5
 identify motor motor_bench.csv --write new.toml
 identify motor motor_bench.csv --noise heat=1%
-identify motor motor_bench.csv --columns abc
+identify motor motor_bench.csv --column abc
 identify rotor bench.csv
 identify rotor bench.csv --radius -1
 identify rotor bench.csv --radius 0.06 --as middle
-identify rotor bench.csv --radius 0.06 --columns a=b
+identify rotor bench.csv --radius 0.06 --column b=a
 identify plan mufly-1.1 --free Xyz
 identify plan mufly-1.1 --free cT_dw --channel sideways
 identify plan mufly-1.1 --free cT_dw --kind loud
@@ -735,7 +735,7 @@ identify linear sticks.csv --inputs lat --outputs p,zz
 identify linear sticks.csv --inputs lat --outputs p --model clever
 identify linear sticks.csv --inputs lat --outputs p --split 3
 identify linear sticks.csv --inputs lat --outputs p --split 0.01
-identify linear sticks.csv --inputs lat --outputs p --columns a,b
+identify linear sticks.csv --inputs lat --outputs p --column a,b
 identify linear sticks.csv --inputs lat --outputs p --from 3 --to 4
 identify flight nothing.mcap --free l_up
 identify flight waves.csv --free l_up
@@ -836,7 +836,7 @@ def wrong_calls() -> dict[str, Callable[[], Any]]:
             api("corrected_loads")(api("read_bench")("bench.csv"), None), radius_m=-1.0
         ),
         "bench": lambda: api("read_bench")("bad_bench.csv"),
-        "bench columns": lambda: api("read_bench")("bench.csv", columns="x=y"),
+        "bench columns": lambda: api("read_bench")("bench.csv", columns=["y=x"]),
         "log": lambda: api("read_log")("nothing.ulg"),
         "log part": lambda: api("read_log")("waves.csv", from_s=9.0, to_s=1.0),
         "endpoint": lambda: api("parse_endpoint")("pigeon:1", "vehicle"),

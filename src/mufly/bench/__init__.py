@@ -17,7 +17,7 @@ from mufly.bench.bench_table import (
     ColumnMeaning,
     parse_header,
     read_bench_file,
-    read_headers,
+    read_bench_files,
 )
 from mufly.bench.residual_covariance import CovarianceEstimate, estimate_covariance
 from mufly.bench.rotor_measurements import read_measurements
@@ -51,7 +51,7 @@ __all__ = [
     "parse_header",
     "predict_loads",
     "read_bench_file",
-    "read_headers",
+    "read_bench_files",
     "read_measurements",
     "read_plan",
     "read_record",

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.input_files import decode_text
+from mufly.text_table import decode_text
 from mufly.units import RPM, normalise_unit, unit_conversion
 
 Array = NDArray[np.float64]

@@ -371,7 +371,7 @@ def compute_loads(
             raise table.column_error(f"{channel}_raw", "is a reading without a calibration", remedy)
     for channel in known:
         if channel not in raw:
-            remedy = f"name the reading {channel}_raw_V, or map it with columns=OLD=NEW"
+            remedy = f"name the reading {channel}_raw_V, or map it with columns={channel}_raw=COLUMN(V)"
             problem = "is not among the columns, but the calibration has it"
             raise table.column_error(f"{channel}_raw", problem, remedy)
     direct = [
@@ -386,7 +386,7 @@ def compute_loads(
     turning, notes, drifts = ~at_rest & ~lost, list(table.notes), {}
     if lost.any():
         if not turning.any():
-            remedy = "map another column of speed, columns=OLD=speed_rpm"
+            remedy = "map another column of speed, columns=speed=COLUMN(rpm)"
             raise table.column_error(speeds[0], "is 0 in every line, although there are loads", remedy)
         notes.append(
             f"{int(lost.sum())} lines (first: {table.line[lost].min()}) have speed 0 under load or throttle and are "

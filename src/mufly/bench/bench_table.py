@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 
 from mufly.bench.apc_performance_files import read_apc_performance
 from mufly.errors import ArgumentError, InputError
-from mufly.input_files import read_text_columns
+from mufly.quantity_grammar import ColumnLine, read_column_lines
 from mufly.results import result
+from mufly.text_table import TextTable, read_text_table
 from mufly.units import compatible_units, conversion_factor, normalise_unit, unit_conversion
 
 Array = NDArray[np.float64]
@@ -35,9 +36,6 @@ Array = NDArray[np.float64]
 
 class TruncatedFileWarning(UserWarning):
     """A file's last line ends before its last cell."""
-
-
-_CONSTANT_TOLERANCE = 1e-3  # spread over size below which a channel counts as constant
 
 
 @result(eq=False)
@@ -98,7 +96,7 @@ class BenchTable:
         for name in names:
             if name not in self.columns:
                 self.reject_wrong_units([name])
-                known = f"known here: {', '.join(self.headers.values())}; map others with columns=OLD=NEW"
+                known = f"known here: {', '.join(self.headers.values())}; map others with columns=NAME=COLUMN(unit)"
                 if name == "speed" and "electrical_speed" in self.columns:
                     known = f"divide {self.headers['electrical_speed']} by the number of pole pairs"
                 raise InputError(self.source, name, "is not among the columns", remedy or known)
@@ -136,12 +134,6 @@ class BenchTable:
             notes=(*self.notes, *notes),
         )
 
-    def is_constant(self, name: str) -> bool:
-        """Return whether a column hardly varies (by less than a thousandth of its size)."""
-        v = self.columns[name]
-        size = float(np.max(np.abs(v)))
-        return size == 0.0 or float(np.ptp(v)) <= _CONSTANT_TOLERANCE * size
-
     def rescale_column(self, name: str, factor: float, note: str) -> BenchTable:
         """Return the table with one column multiplied, and a note that says why."""
         return self.with_columns(note, **{name: self.columns[name] * factor})
@@ -155,64 +147,118 @@ class BenchTable:
         return replace(self, columns={k: v[index] for k, v in self.columns.items()}, line=self.line[index])
 
 
-def read_bench_file(path: str | Path, *, columns: str | None = None) -> BenchTable:
-    """Read a bench file.
+def read_bench_file(path: str | Path, *, columns: Sequence[str] | Mapping[str, str] = ()) -> BenchTable:
+    """Read a bench file; parameters and errors are those of :func:`read_bench_files`."""
+    return read_bench_files([path], columns=columns)[0]
+
+
+def read_bench_files(
+    paths: Sequence[str | Path], *, columns: Sequence[str] | Mapping[str, str] = ()
+) -> list[BenchTable]:
+    """Read bench files that share a column map.
 
     Parameters
     ----------
-    path : str or Path
-    columns : str, optional
-        Map of headers, ``"T_A(N)=thrust_lower_N,RPM=speed_lower_rpm"``.
+    paths : sequence of str or Path
+    columns : sequence of str, or dict
+        Lines of a column map, ``"thrust_lower=T_A(N)"``, ``"speed_lower=pair.csv/RPM(rpm)"``. A line holds for each
+        file that has its column, or for the one that it names.
 
     Raises
     ------
     InputError
-        If the file cannot be read, has no column that is understood, or a cell of a column in use is no number.
+        If a file cannot be read or has no column that is understood, a line of the map fits no file, or a cell of a
+        column in use is no number.
     """
-    where = Path(path).name
+    tables = [_read_maker_table(path) or read_text_table(path, short_rows="cut") for path in paths]
+    meant: list[dict[int, list[tuple[str, float]]]] = [{} for _ in paths]
+    for line in read_column_lines(columns):
+        places = [None if isinstance(t, BenchTable) else _find_mapped_column(t, line) for t in tables]
+        if all(place is None for place in places):
+            headers = "; ".join(", ".join(t.header) for t in tables if isinstance(t, TextTable))
+            where = line.topic or ", ".join(Path(path).name for path in paths)
+            raise InputError(where, line.columns[0], "is not among the columns", f"the header is {headers}")
+        for table, place, own in zip(tables, places, meant, strict=True):
+            if isinstance(table, TextTable) and place is not None:
+                own.setdefault(place, []).append((_mapped_header(table.titles[place], line), line.signs[0]))
+    return [t if isinstance(t, BenchTable) else _read_columns(t, own) for t, own in zip(tables, meant, strict=True)]
+
+
+def _read_maker_table(path: str | Path) -> BenchTable | None:
     made = read_apc_performance(path)
-    if made is not None:
-        return BenchTable(
-            where, made.columns, {name: name for name in made.columns}, made.line, (), made.notes,
-            diameter_m=made.diameter_m,
-        )  # fmt: skip
-    written, numbered = read_text_columns(path)
-    if not numbered:
+    if made is None:
+        return None
+    headers = {name: name for name in made.columns}
+    name = Path(path).name
+    return BenchTable(name, made.columns, headers, made.line, (), made.notes, diameter_m=made.diameter_m)
+
+
+def _find_mapped_column(table: TextTable, line: ColumnLine) -> int | None:
+    """Position of the column that a line of a map means, with or without the unit in its header."""
+    if line.topic and line.topic != Path(table.where).name:
+        return None
+    bare = [match[1] if (match := _BRACKETED_UNIT.match(h)) else h for h in table.header]
+    return next((names.index(line.columns[0]) for names in (table.header, bare) if line.columns[0] in names), None)
+
+
+def _mapped_header(header: str, line: ColumnLine) -> str:
+    """The header that means what a line of a map says, in the unit of the line, else that of the header as it stands.
+
+    Raises
+    ------
+    ArgumentError
+        If the line names no quantity of a bench, or several columns.
+    """
+    if len(line.columns) > 1:
+        raise ArgumentError("columns", line.name, "is in several columns", "write NAME=COLUMN(unit)")
+    own = _UNIT_BY_NAME.get(_split_column_name(header.lower())[0], "")
+    units = [line.unit] if line.unit else [own, *(unit for _, unit in _header_candidates(header))]
+    for unit in units:
+        text = f"{line.name} ({unit})" if unit else line.name
+        if parse_header(text) is not None:
+            return text
+    known = parse_header(line.name)
+    if known is None:
+        remedy = f"use one of {', '.join(_QUANTITY_NAMES)}, with _upper, _lower or _raw"
+        raise ArgumentError("columns", line.name, "is no quantity of a bench", remedy)
+    si = SI_UNITS[known.base_quantity]
+    problem = f"the unit {line.unit!r} is none of {known.base_quantity} that is known"
+    raise ArgumentError("columns", line.name, problem, f"use one of: {', '.join(compatible_units(si))}")
+
+
+def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float]]]) -> BenchTable:
+    """The quantities of a table, by its headers and by a column map: header and sign of the columns that it names."""
+    where = Path(written.where).name
+    if not written.rows:
         raise InputError(where, "", "holds no measurements", "give a header and at least one line")
-    if len(numbered) > 1 and len(numbered[-1][1]) < min(len(written), *(len(c) for _, c in numbered[:-1])):
-        # Its last number may have lost digits, which nobody can see.
-        cut = f"line {numbered[-1][0]}, the last, is cut short and left out"
-        warnings.warn(f"{where}: {cut}", TruncatedFileWarning, stacklevel=2)
-        notes, numbered = [cut], numbered[:-1]
-    else:
-        notes = []
-    headers = rename_headers(written, columns, where)
-    rows = [cells for _, cells in numbered]
-    line = np.array([i for i, _ in numbered], dtype=np.int64)
+    notes = list(written.notes)
+    if written.cut_line:  # its last number may have lost digits, which nobody can see
+        cut = f"line {written.cut_line}, the last, is cut short and left out"
+        warnings.warn(f"{where}: {cut}", TruncatedFileWarning, stacklevel=4)
+    line = np.array(written.lines, dtype=np.int64)
     found: dict[str, list[_ColumnReading]] = {}
     misread: dict[str, tuple[str, str]] = {}
     unused: list[str] = []
-    for index, header in enumerate(headers):
-        column = parse_header(header)
-        if column is None:
-            unused.append(written[index])
-            doubt = _mismatched_unit(header)
-            if doubt is not None:
-                misread.setdefault(doubt[0], (written[index], doubt[1]))
-            continue
-        cells = [row[index] if index < len(row) else "" for row in rows]
-        if column.base_quantity == "run":
-            values = _number_labels(cells)
-        else:
-            raw = [_parse_number(where, int(n), written[index], c, column) for n, c in zip(line, cells, strict=True)]
-            values = np.array(raw) * column.factor + column.offset
-        found.setdefault(column.name, []).append(_ColumnReading(written[index], column, values))
+    for index, header in enumerate(written.header):
+        for text, sign in mapped.get(index, [(written.titles[index], 1.0)]):
+            column = parse_header(text)
+            if column is None:
+                unused.append(header)
+                doubt = _mismatched_unit(text)
+                if doubt is not None:
+                    misread.setdefault(doubt[0], (header, doubt[1]))
+                continue
+            if column.base_quantity == "run":
+                values = _number_labels(written.read_texts(index))
+            else:
+                values = sign * _read_values(written, index, column) * column.factor + column.offset
+            found.setdefault(column.name, []).append(_ColumnReading(header, column, values))
     if not found and misread:
         BenchTable(where, {}, {}, line, misread=misread).reject_wrong_units(misread)
     if not found:
         raise InputError(
-            where, "", f"no column is understood ({', '.join(written)})", "name quantity and unit, as torque_mNm, or "
-            "map them with columns=OLD=NEW"
+            where, "", f"no column is understood ({', '.join(written.header)})",
+            "name quantity and unit, as torque_mNm, or map them with columns=NAME=COLUMN(unit)",
         )  # fmt: skip
     chosen: dict[str, _ColumnReading] = {}
     told: list[str] = []
@@ -233,17 +279,6 @@ def read_bench_file(path: str | Path, *, columns: str | None = None) -> BenchTab
         tuple(notes), misread,
     )  # fmt: skip
     return _resolve_pitch_unit(_convert_duty(table, chosen.get("duty")))
-
-
-def read_headers(path: str | Path) -> list[str]:
-    """Return the headers of a bench file as written.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
-    return read_text_columns(path)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,17 +401,16 @@ def _number_labels(cells: list[str]) -> Array:
     return np.array([known.setdefault(c, float(len(known))) for c in cells])
 
 
-def _parse_number(where: str, line: int, header: str, cell: str, column: ColumnMeaning) -> float:
-    if not cell:
-        return math.nan
-    try:
-        share = cell.endswith("%") and SI_UNITS[column.base_quantity] == "1"
-        value = float(cell[:-1]) / 100.0 / column.factor if share else float(cell)
-    except ValueError:
-        raise InputError(where, f"line {line}, {header}", f"{cell!r} is not a number", "give one") from None
-    if not math.isfinite(value):
-        raise InputError(where, f"line {line}, {header}", f"is {value:g}", "give a finite number or leave it empty")
-    return value
+def _read_values(table: TextTable, index: int, column: ColumnMeaning) -> Array:
+    """Numbers of a column as written; NaN where a cell is empty. ``12%`` is a share."""
+    share = SI_UNITS[column.base_quantity] == "1"
+    values = np.full(len(table.rows), math.nan)
+    for k, cell in enumerate(table.read_texts(index)):
+        if share and cell.endswith("%"):
+            values[k] = table.read_cell(k, index, cell[:-1]) / 100.0 / column.factor
+        elif cell:
+            values[k] = table.read_cell(k, index, cell)
+    return values
 
 
 _QUANTITY_NAMES = {
@@ -524,31 +558,3 @@ def _match_column(name: str, unit: str) -> ColumnMeaning | None:
         if quantity == "duty" and normalise_unit(unit, "s"):  # a servo's pulse: 1 ms for nothing, 2 ms for all
             return ColumnMeaning(full, conversion_factor(unit, "s") * 1e3, unit, -1.0)
     return None
-
-
-def rename_headers(headers: list[str], columns: str | None, where: str) -> list[str]:
-    """Apply a user's map ``"T_A(N)=thrust_lower_N,RPM=speed_lower_rpm"`` to headers.
-
-    Raises
-    ------
-    InputError
-        If the map names a column that is not there, is no map, or its right side is no known quantity.
-    """
-    result = list(headers)
-    for part in (columns or "").split(","):
-        if not part.strip():
-            continue
-        old, equals, new = (t.strip() for t in part.partition("="))
-        if not equals or not old or not new:
-            raise ArgumentError("columns", part.strip(), "is no OLD=NEW", "write columns='RPM=speed_upper_rpm'")
-        if old not in headers:
-            raise InputError(where, old, "is not among the columns", f"the header is {', '.join(headers)}")
-        if parse_header(new) is None:
-            raise ArgumentError(
-                "columns",
-                new,
-                "is no quantity with a unit",
-                f"use one of {', '.join(_QUANTITY_NAMES)} with its unit",
-            )
-        result[headers.index(old)] = new
-    return result

@@ -21,6 +21,7 @@ taken to the mean of its densities, as they go with it.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,7 +45,7 @@ _PITCH_LIMIT_RAD = math.pi / 2
 def read_measurements(
     path: str | Path,
     *,
-    columns: str | None = None,
+    columns: Sequence[str] | Mapping[str, str] = (),
     diameter_m: float | None = None,
     density_kg_m3: float | None = None,
     speed_rad_s: float | None = None,
@@ -55,8 +56,8 @@ def read_measurements(
     Parameters
     ----------
     path : str or Path
-    columns : str, optional
-        Map of headers, as for :func:`mufly.bench.read_bench_file`.
+    columns : sequence of str, or dict
+        Column map, as for :func:`mufly.bench.read_bench_files`.
     diameter_m, density_kg_m3 : float, optional
         Of the rotor and of the air at the bench; the diameter is needed where the file gives coefficients, the density
         is 1.2 there unless given. A density that is given goes before the file's.

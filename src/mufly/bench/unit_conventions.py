@@ -107,7 +107,7 @@ def _check_convention(table: BenchTable, name: str) -> None:
     if name == "thrust_coefficient" and not select_axial_lines(table, None).any() and typical < _MIN_PROPELLER_CT:
         raise table.column_error(
             name, f"is near {typical:.3g}: T / (rho n^2 D^4) of a propeller or T / (rho A (Omega R)^2) of a rotor?",
-            f"say which: columns={table.headers[name]}=propeller_CT or columns={table.headers[name]}=rotor_CT",
+            f"say which: columns=propeller_CT={table.headers[name]} or columns=rotor_CT={table.headers[name]}",
         )  # fmt: skip
 
 
@@ -203,7 +203,7 @@ def guess_load_units(
             raise table.column_error(
                 channel, f"has no unit, and its size would do for {what}",
                 f"name it {channel}_{'N' if quantity == 'thrust' else 'Nm'} (or its unit), or map it with "
-                f"columns={stem}={channel}_{'gf' if quantity == 'thrust' else 'mNm'}",
+                f"columns={channel}={stem}({'gf' if quantity == 'thrust' else 'mNm'})",
             )  # fmt: skip
         unit, factor, merit = fits[0]
         symbol = "c_T" if quantity == "thrust" else "c_Q"

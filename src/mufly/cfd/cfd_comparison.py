@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from mufly.errors import InputError, MuflyError
 from mufly.results import result
 from mufly.rotor import OperatingCondition, Rotor, RotorSystem, SolverMethod, prepare_blading, solve_system
 from mufly.rotor.coax_maps import interpolate_map
+from mufly.text_table import read_text_table
 from mufly.units import RPM
 from mufly.vehicle import CoefficientMap
 
@@ -59,14 +59,12 @@ def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
     InputError
         If the table cannot be read or lacks a column, a case is none, or no row is at a case's point.
     """
-    try:
-        lines = [x for x in table.read_text(encoding="utf-8").splitlines() if x.strip() and not x.startswith("#")]
-    except OSError as error:
-        raise InputError(str(table), "", f"cannot be read ({error.strerror})", "give a CSV file") from error
-    rows = list(csv.DictReader(lines))
-    for key in ("pitch_deg", "rpm"):
-        if not rows or key not in rows[0]:
-            raise InputError(str(table), key, "is missing", "give columns pitch_deg, rpm, T_... and Q_...")
+    written = read_text_table(table)
+    needed = [
+        written.find_column(name, "give columns pitch_deg, rpm, T_... and Q_...") for name in ("pitch_deg", "rpm")
+    ]
+    pitches, speeds = (written.read_numbers(k) for k in needed)
+    loads = {k: written.read_numbers(i, optional=True) for i, k in enumerate(written.header) if k[:2] in ("T_", "Q_")}
     out = []
     for case in cases:
         point = read_point(case)
@@ -74,22 +72,16 @@ def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
         verdict = judge_case(case)
         if verdict.what == "not begun":
             raise InputError(str(case), "", "has not been run", "run it first: `mufly cfd run --out` its folder")
-        for i, row in enumerate(rows):
-            try:
-                values = {k: float(v) for k, v in row.items() if k and v}
-            except ValueError as error:
-                raise InputError(str(table), f"row {i + 1}", str(error), "give numbers") from error
-            if abs(values["pitch_deg"] - pitch) < 0.05 and abs(values["rpm"] / rpm - 1.0) < 5e-3:
-                break
-        else:
+        at = np.flatnonzero((np.abs(pitches - pitch) < 0.05) & (np.abs(speeds / rpm - 1.0) < 5e-3))
+        if not at.size:
             raise InputError(
                 str(table), "", f"has no row at {pitch:.3g} degrees and {rpm:.0f} rpm", f"leave {case} out"
             )
         beside = [
             {
-                k.removeprefix(letter).removesuffix(unit): ours / v - 1.0
-                for k, v in values.items()
-                if k.startswith(letter)
+                k.removeprefix(letter).removesuffix(unit): ours / float(v[at[0]]) - 1.0
+                for k, v in loads.items()
+                if k.startswith(letter) and np.isfinite(v[at[0]])
             }
             for letter, unit, ours in (("T_", "_N", verdict.thrust_N), ("Q_", "_Nm", verdict.torque_Nm))
         ]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
+from mufly.cli.options import ColumnOption, CommandGroup, JsonOption, define_argument, define_option
 from mufly.cli.output import (
     make_console,
     print_files,
@@ -27,14 +27,6 @@ if TYPE_CHECKING:
 LogArgument = Annotated[Path, define_argument("LOG", "Any log, of any of these formats.")]
 MapOption = Annotated[
     str | None, define_option("--map FILE", "Column map (TOML): which column is which signal, in which unit.")
-]
-ColumnOption = Annotated[
-    list[str] | None,
-    define_option(
-        "--column -c NAME=COLUMN(unit)",
-        "A line of a column map, as in measured_rates.p=-gyro_x(deg/s), "
-        "measured_attitude=phi,theta,psi(deg) or time=t(ms). May be repeated.",
-    ),
 ]
 FromOption = Annotated[float | None, define_option("--from", "Begin there (since the start).", unit="s")]
 ToOption = Annotated[float | None, define_option("--to", "End there (since the start).", unit="s")]

@@ -532,9 +532,13 @@ def write_wakes(solution: SystemSolution, folder: Path) -> list[Path]:
 # What the commands of identification share: options, numbers with a doubt, tables, vehicle files, places to write.
 
 
-ColumnsOption = Annotated[
-    str | None,
-    define_option("--columns OLD=NEW,...", "What headers mean, as 'RPM=speed_upper_rpm,T_B(N)=thrust_upper_N'."),
+ColumnOption = Annotated[
+    list[str] | None,
+    define_option(
+        "--column -c NAME=COLUMN(unit)",
+        "A line of a column map, as in thrust_upper=T_B(N), measured_rates.p=-gyro_x(deg/s), "
+        "measured_attitude=phi,theta,psi(deg) or time=t(ms). May be repeated.",
+    ),
 ]
 VehicleOption = Annotated[
     str | None, define_option("--vehicle NAME|FILE", "Vehicle to start from and to compare with.")

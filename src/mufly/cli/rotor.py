@@ -16,7 +16,7 @@ from mufly.cli.options import (
     SPEED_RANGE,
     WAKE_FIELDS,
     ClimbOption,
-    ColumnsOption,
+    ColumnOption,
     CommandGroup,
     DensityOption,
     DriveOption,
@@ -445,7 +445,7 @@ def _point_index(name: str, line: int, bench: RotorMeasurements) -> int:
 def _read_measurements(
     path: Path,
     rotor: Rotor,
-    columns: str | None,
+    columns: list[str] | None,
     density: float | None,
     pitch: float | None,
     rpm: float | None,
@@ -457,7 +457,7 @@ def _read_measurements(
     from mufly.rotor import Air
 
     bench = read_measurements(
-        path, columns=columns, diameter_m=2.0 * float(rotor.radius), density_kg_m3=density,
+        path, columns=columns or (), diameter_m=2.0 * float(rotor.radius), density_kg_m3=density,
         pitch_rad=None if pitch is None else math.radians(pitch), speed_rad_s=None if rpm is None else rpm * RPM,
     )  # fmt: skip
     for note in bench.notes if not quiet else ():
@@ -488,7 +488,7 @@ def fit(
         int | None, define_option("--point LINE", "Fit to this measured point alone, counted from 1.")
     ] = None,
     density: BenchDensityOption = None,
-    columns: ColumnsOption = None,
+    columns: ColumnOption = None,
     pitch: BenchPitchOption = None,
     rpm: BenchSpeedOption = None,
     polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
@@ -597,7 +597,7 @@ def compare(
         ),
     ] = None,
     density: BenchDensityOption = None,
-    columns: ColumnsOption = None,
+    columns: ColumnOption = None,
     pitch: BenchPitchOption = None,
     rpm: BenchSpeedOption = None,
     theory: TheoryOptions = DEFAULT_BEMT_OPTIONS,

@@ -10,9 +10,9 @@ derivation: 1 + 9 + 9 + 1).
 
 **A record as linear fits want it: named columns on an even clock, without gaps.**
 
-Read from CSV (names from its header, or ``--columns``), from MATLAB files (each array's columns named by ``--columns
-inr=lat,lon,ped,col``, or numbered ``inr0, inr1``...) and from every log that ``mufly.logs`` reads (a signal with axes
-becomes ``measured_rates.p``, for which ``p`` is enough where only one signal ends so).
+Read from CSV (names from its header), from MATLAB files (an array's columns are ``inr0, inr1``...) and from every log
+that ``mufly.logs`` reads (a signal with axes becomes ``measured_rates.p``, for which ``p`` is enough where only one
+signal ends so). A column map, ``lat=inr0``, names columns otherwise.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from mufly.errors import ArgumentError, InputError
-from mufly.quantities import QUANTITIES, make_dataset
+from mufly.quantities import QUANTITIES, find_quantity, make_dataset
+from mufly.quantity_grammar import ColumnLine, read_column_lines
 from mufly.results import result
 from mufly.units import unit_conversion
 
@@ -399,7 +400,7 @@ class LogColumns:
         remedy = f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
         arrays = [c[:-1] for c in self.columns if c.endswith("0") and f"{c[:-1]}1" in self.columns]
         if arrays and not best:  # of a MATLAB file
-            remedy += f"; or say what an array's columns are: --columns {arrays[0]}={name},..."
+            remedy += f"; {arrays[0]}0 is the first column of the array {arrays[0]}"
         raise ArgumentError(argument, name, problem, remedy)
 
     def stack_columns(self, wanted: Mapping[str, str], argument: str) -> Array:
@@ -463,15 +464,16 @@ class LogColumns:
 
 
 def read_columns(
-    path: str | Path, *, columns: Mapping[str, Sequence[str]] | Sequence[str] = (), rate_hz: float | None = None
-) -> LogColumns:  # fmt: skip
+    path: str | Path, *, columns: Mapping[str, str] | Sequence[str] = (), rate_hz: float | None = None
+) -> LogColumns:
     """Read a log.
 
     Parameters
     ----------
     path : str or Path
-    columns : sequence, or dict of sequences, of str
-        Names of the columns of a CSV file without header, or of the arrays of a MATLAB file.
+    columns : sequence of str, or dict
+        Column map, ``"lat=inr0"``, ``"time=1(ms)"`` (:func:`mufly.quantity_grammar.read_column_lines`). Columns are
+        numbered from 1 in a table without header, from 0 in an array of a MATLAB file (``inr0``).
     rate_hz : float, optional
         Resample to this rate; default the log's own.
 
@@ -486,15 +488,15 @@ def read_columns(
     suffix = path.suffix.lower()
     notes: list[str] = []
     if suffix == ".mat":
-        found = _read_matlab(path, columns)
+        found = _name_columns(_read_matlab(path), {}, read_column_lines(columns))
     elif suffix in (".csv", ".txt", ".tsv"):
-        found = _read_csv(path, columns)
+        found = _read_csv(path, read_column_lines(columns))
     else:
-        found = _read_log_columns(path, notes)
+        found = _read_log_columns(path, columns, notes)
     return _resample_evenly(path.name, found, rate_hz, notes)
 
 
-def _read_matlab(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> dict[str, Array]:
+def _read_matlab(path: Path) -> dict[str, Array]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
@@ -507,47 +509,56 @@ def _read_matlab(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str
         for k, v in content.items()
         if not k.startswith("__") and isinstance(v, np.ndarray) and v.dtype.kind in "fiu"
     }
-    names = dict(columns) if isinstance(columns, Mapping) else {}
-    for key in names:
-        if key not in arrays:
-            raise ArgumentError("columns", key, "is no array of this file", f"it has: {', '.join(arrays)}")
     found: dict[str, Array] = {}
     for key, a in arrays.items():
         a = a.T if a.shape[0] == 1 else a
-        given = list(names.get(key, ()))
-        if given and len(given) != a.shape[1]:
-            raise ArgumentError("columns", key, f"has {a.shape[1]} columns, {len(given)} names given", "name each")
-        own = [key] if a.shape[1] == 1 else [f"{key}{j}" for j in range(a.shape[1])]
-        for j, name in enumerate(given or own):
-            if name not in ("", "-"):
-                found[name] = a[:, j]
+        found |= {key: a[:, 0]} if a.shape[1] == 1 else {f"{key}{j}": column for j, column in enumerate(a.T)}
     return found
 
 
-def _read_csv(path: Path, columns: Mapping[str, Sequence[str]] | Sequence[str]) -> dict[str, Array]:
-    from mufly.logs import read_raw, read_table_columns
+def _read_csv(path: Path, lines: Sequence[ColumnLine]) -> dict[str, Array]:
+    from mufly.logs import read_raw
+    from mufly.logs.column_map import TimeEntry
 
-    if isinstance(columns, Mapping):
-        raise ArgumentError("columns", "", "names arrays, but a CSV file has none", "give names alone: a,b,c")
-    found: dict[str, Array] = {}
-    if columns:
-        fields, units, *_ = read_table_columns(path, columns)
-    else:
-        table = read_raw(path)["table"]
-        fields, units, found["time"] = dict(table.fields), dict(table.units), table.time
-    for k, v in fields.items():
-        if v.dtype.kind in "fiu" and not (found and k.lower() in _TIME_COLUMN_NAMES):
-            _, factor, offset = unit_conversion(units.get(k) or "1")
-            found[k] = factor * v.astype(np.float64) + offset
+    clock = next((line for line in lines if line.name == "time"), None)
+    entry = None if clock is None else TimeEntry(column=",".join(clock.columns), unit=clock.unit or None, rate_hz=None)
+    table = read_raw(path, time=entry)["table"]
+    fields = {k: v for k, v in table.fields.items() if v.dtype.kind in "fiu" and k.lower() not in _TIME_COLUMN_NAMES}
+    return {"time": table.time} | _name_columns(fields, table.units, [line for line in lines if line is not clock])
+
+
+def _name_columns(
+    fields: Mapping[str, Array], units: Mapping[str, str], lines: Sequence[ColumnLine]
+) -> dict[str, Array]:
+    """Columns in SI units: those that the lines of a map name, and all others by their own names."""
+    mapped = {}
+    for line in lines:
+        quantity = find_quantity(line.name)
+        labels = (quantity.component_labels if quantity is not None else ()) or range(1, len(line.columns) + 1)
+        names = [line.name] if len(line.columns) == 1 else [f"{line.name}.{label}" for label in labels]
+        if len(names) != len(line.columns):
+            problem = f"has {len(line.columns)} columns"
+            raise ArgumentError("columns", line.name, problem, f"give {len(names)}, or name one component: {names[0]}")
+        for name, column, sign in zip(names, line.columns, line.signs, strict=True):
+            if column not in fields:
+                remedy = f"it has: {', '.join(fields)}"
+                raise ArgumentError("columns", column, "is no column of this log", remedy)
+            mapped[name] = (column, sign, line.unit or units.get(column, ""))
+    found = {}
+    for name, (column, sign, unit) in (
+        mapped | {k: (k, 1.0, units.get(k, "")) for k in fields if k not in mapped}
+    ).items():
+        _, factor, offset = unit_conversion(unit or "1")
+        found[name] = sign * factor * fields[column].astype(np.float64) + offset
     return found
 
 
-def _read_log_columns(path: Path, notes: list[str]) -> dict[str, Array]:
+def _read_log_columns(path: Path, columns: Mapping[str, str] | Sequence[str], notes: list[str]) -> dict[str, Array]:
     from mufly.logs import LogWarning, numeric_channels, read_log
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LogWarning)  # they go into the notes
-        data = read_log(path)
+        data = read_log(path, columns=columns or None)
     notes += [str(n) for n in data.attrs.get("notes", [])]
     return {
         "time": data["time"].values.astype(np.float64),

@@ -407,7 +407,7 @@ def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) ->
             best = max(mended, key=lambda m: m[0] if m[1] == "speed" else 0.5 * m[0])
             guess = (
                 f"{table.headers[best[1]]} is probably in {best[2]} (efficiency {100 * best[0]:.0f} %): "
-                "correct the header, or map it with columns=OLD=NEW"
+                "correct the header, or map it with columns=NAME=COLUMN(unit)"
             )
         much = f"the motor would deliver {e:.3g} times the power that it takes"
         raise InputError(table.source, "", much, guess)

@@ -45,7 +45,6 @@ from mufly.logs.raw_log import (
     resample_signal,
     select_usable_samples,
 )
-from mufly.logs.tables import read_table_columns
 
 __all__ = [
     "LOG_WRITERS",
@@ -92,7 +91,6 @@ __all__ = [
     "read_raw",
     "read_recording",
     "read_recording_summary",
-    "read_table_columns",
     "resample_signal",
     "rows_to_dataset",
     "select_channels",

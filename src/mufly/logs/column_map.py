@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from mufly.errors import ArgumentError, InputError
+from mufly.errors import InputError
 from mufly.input_files import builtin_file_names, read_toml, validate_model
 from mufly.logs.channel_checks import UnitGuess, apply_physical_limits, guess_angle_units
 from mufly.logs.raw_log import (
@@ -52,12 +52,10 @@ from mufly.logs.raw_log import (
     unwrap_angle,
 )
 from mufly.quantities import find_quantity, parse_column_name, split_signal_name
+from mufly.quantity_grammar import read_column_lines
 from mufly.units import normalise_unit, split_header, unit_conversion
 
 _BUILTIN_MAPS_FOLDER = files("mufly.logs") / "maps"
-# On a command line: name=column, name=-column, name=topic/column(unit); brackets may be square.
-_UNIT_REGEX = r"[\[(](?P<unit>[^\[\]()]*[^\d\[\]()][^\[\]()]*)[\])]"
-_SHORT_ENTRY_PATTERN = re.compile(rf"^(?P<sign>-?)(?:(?P<topic>[^/\[(]+)/)?(?P<column>.+?)(?:{_UNIT_REGEX})?$")
 
 
 class _MapTable(BaseModel):
@@ -139,10 +137,9 @@ def load_column_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | Co
     ----------
     columns : path, name, mapping, sequence of str or ColumnMap
         A TOML file; the name of a built-in map; a mapping, either of the shape of such a file or just
-        ``{"measured_rates.p": "gyro_x[deg/s]"}``; or texts as on the command line,
-        ``"measured_rates.p=-gyro_x[deg/s]"``. In the short form a column may have a sign before it, a topic and a
-        slash, and its unit in brackets behind it; several columns of a whole signal stand between commas;
-        ``time`` stands for the clock.
+        ``{"measured_rates.p": "gyro_x(deg/s)"}``; or texts as on the command line,
+        ``"measured_rates.p=-gyro_x(deg/s)"`` (:func:`mufly.quantity_grammar.read_column_lines`); ``time`` stands for
+        the clock.
 
     Raises
     ------
@@ -152,42 +149,20 @@ def load_column_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | Co
     if isinstance(columns, ColumnMap):
         return columns
     if isinstance(columns, str | Path):
-        tables, where = read_toml(columns, _BUILTIN_MAPS_FOLDER, "column map")
-        return validate_model(ColumnMap, tables, where)
+        return validate_model(ColumnMap, *read_toml(columns, _BUILTIN_MAPS_FOLDER, "column map"))
+    tables: dict[str, Any] = {"signal": []}
     if isinstance(columns, Mapping):
         if not columns or set(columns) <= set(ColumnMap.model_fields):
             return validate_model(ColumnMap, columns, "column map")
-        pairs = list(columns.items())
-    else:
-        pairs = []
-        for text in columns:
-            name, found, column = text.partition("=")
-            if not found:
-                problem = "does not say which column"
-                raise ArgumentError("columns", text, problem, "write NAME=COLUMN, measured_rates.p=gyro_x[deg/s]")
-            pairs.append((name.strip(), column.strip()))
-    return validate_model(ColumnMap, _tables_from_pairs(pairs), "column map")
-
-
-def _tables_from_pairs(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    tables: dict[str, Any] = {"signal": []}
-    for name, value in pairs:
-        if isinstance(value, Mapping):
-            tables["signal"].append({"name": name, **value})
+        tables["signal"] = [{"name": name, **entry} for name, entry in columns.items() if isinstance(entry, Mapping)]
+        columns = {name: entry for name, entry in columns.items() if not isinstance(entry, Mapping)}
+    for line in read_column_lines(columns):
+        if line.name == "time":
+            tables["time"] = {"column": ",".join(line.columns), "unit": line.unit or None}
             continue
-        match = _SHORT_ENTRY_PATTERN.match(str(value))
-        if match is None:
-            raise ArgumentError("columns", name, f"{value!r} names no column", "write COLUMN or COLUMN[unit]")
-        if name == "time":
-            tables["time"] = {"column": match["column"], "unit": match["unit"]}
-            continue
-        entry = {"name": name, "columns": match["column"].split(","), "unit": match["unit"]}
-        if match["sign"]:
-            entry["sign"] = -1.0
-        if match["topic"]:
-            entry["topic"] = match["topic"]
-        tables["signal"].append(entry)
-    return tables
+        entry = {"name": line.name, "columns": line.columns, "sign": line.signs, "unit": line.unit or None}
+        tables["signal"].append(entry | ({"topic": line.topic} if line.topic else {}))
+    return validate_model(ColumnMap, tables, "column map")
 
 
 _ANGLE_LABELS, _RATE_LABELS = ("roll", "pitch", "yaw"), ("p", "q", "r")

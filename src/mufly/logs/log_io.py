@@ -38,15 +38,12 @@ from mufly.logs.raw_log import (
 )
 from mufly.logs.tables import (
     FEATHER_MAGIC,
-    GZIP_MAGIC,
     NETCDF_MAGIC,
     PARQUET_MAGIC,
     TABLE_TOPIC,
-    looks_like_table,
     read_arrow,
     read_csv,
     read_netcdf,
-    read_unpacked,
     write_netcdf,
     write_parquet,
 )
@@ -54,6 +51,7 @@ from mufly.logs.tlog import looks_like_tlog, read_tlog
 from mufly.logs.ulog import MAGIC as ULOG_MAGIC
 from mufly.logs.ulog import read_ulog, write_ulog
 from mufly.quantities import is_command_signal
+from mufly.text_table import GZIP_MAGIC, looks_like_table, read_unpacked
 
 _MAGIC_BY_FORMAT: dict[str, bytes | tuple[bytes, ...]] = {
     "MCAP": MCAP_MAGIC,
@@ -78,7 +76,7 @@ def detect_log_format(path: str | Path) -> str:
     """
     where = str(path)
     try:
-        head = read_unpacked(path, _HEAD_SIZE)
+        head, _ = read_unpacked(path, _HEAD_SIZE)
         with open(path, "rb") as stream:
             packed = stream.read(2) == GZIP_MAGIC
     except OSError as error:

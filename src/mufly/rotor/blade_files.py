@@ -1,6 +1,6 @@
 """Blades as others write them down: tables of radius, chord and angle, UIUC's and APC's own files.
 
-A table is any text that :func:`mufly.input_files.read_text_columns` reads. A column is known by its name, its unit
+A table is any text that :func:`mufly.text_table.read_text_table` reads. A column is known by its name, its unit
 stands in the header; a length without one is refused. Angles without one are in degrees, unless all could be radians:
 then the unit is asked for. Stations run from hub to tip or from tip to hub.
 
@@ -31,9 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
-from mufly.input_files import read_text_columns
 from mufly.rotor.geometry import Rotor, rotor_from_tables
 from mufly.rotor.sections.airfoil import load_airfoil
+from mufly.text_table import read_text_table
 from mufly.units import compatible_units, normalise_unit, split_header, split_unit_suffix, unit_conversion
 
 Array = NDArray[np.float64]
@@ -148,7 +148,8 @@ _StationTable = tuple[Array, Array, Array, list[str], float, int | None]
 
 def _read_station_table(path: str | Path, radius_m: float | None, notes: list[str]) -> _StationTable:
     where = Path(path).name
-    headers, rows = read_text_columns(path)
+    written = read_text_table(path)
+    headers = written.titles
     known: dict[str, tuple[int, float]] = {}  # quantity: column, and what one of it is in SI (R for ratios: below 0)
     for k, header in enumerate(headers):
         stem, unit = split_header(header)
@@ -179,12 +180,12 @@ def _read_station_table(path: str | Path, radius_m: float | None, notes: list[st
     def scaled_column(quantity: str) -> Array:
         index, factor = known[quantity]
         scale = factor if factor > 0.0 else radius_m or math.nan
-        return np.array([scale * _parse_number(where, n, cells, index, headers) for n, cells in rows])
+        return scale * written.read_numbers(index)
 
     r, chord, twist = scaled_column("radius"), scaled_column("chord"), scaled_column("twist")
     _check_columns(where, {q: headers[k] for q, (k, _) in known.items()}, known, r, chord, twist, radius_m)
     if "airfoil" in known:
-        foils = [_get_cell(where, n, cells, known["airfoil"][0], headers) for n, cells in rows]
+        foils = written.read_texts(known["airfoil"][0])
     else:
         foils = [_DEFAULT_AIRFOIL]
         notes.append(f"{_DEFAULT_AIRFOIL_NOTE}, since the file names none; `mufly rotor fit` asks a bench for it")
@@ -209,26 +210,6 @@ def _check_columns(
             raise InputError(
                 where, header[quantity], f"reaches {share:.4g}: no share of the radius", "write 0.15 for 15 %"
             )
-
-
-def _get_cell(where: str, line: int, cells: list[str], index: int, headers: list[str]) -> str:
-    if index >= len(cells):
-        raise InputError(
-            where, f"line {line}, {headers[index]}", f"is missing: {len(cells)} cells, the header has {len(headers)}",
-            "fill the line up",
-        )  # fmt: skip
-    return cells[index]
-
-
-def _parse_number(where: str, line: int, cells: list[str], index: int, headers: list[str]) -> float:
-    cell = _get_cell(where, line, cells, index, headers)
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(where, f"line {line}, {headers[index]}", f"{cell!r} is no number", "give one")
-    return value
 
 
 def _read_apc_file(path: Path, notes: list[str]) -> _StationTable:

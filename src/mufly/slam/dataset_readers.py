@@ -18,7 +18,6 @@ second. Height comes from `sonar.csv` (time, distance), if there, or is one numb
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -41,6 +40,7 @@ from mufly.logs import read_log, read_recording
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
 from mufly.slam.image_tools import load_opencv
 from mufly.slam.trajectory_evaluation import read_truth
+from mufly.text_table import read_text_table
 
 _Array = NDArray[np.float64]
 DatasetLayout = Literal["mufly", "euroc", "tum", "plain"]
@@ -210,31 +210,6 @@ def _euroc_folder(folder: Path) -> Path:
     return folder / "mav0" if (folder / "mav0").is_dir() else folder
 
 
-def _read_rows(file: Path, separator: str = ",") -> list[list[str]]:
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(str(file), "", f"cannot be read ({error})", "give the folder as it was written") from error
-    lines = [s for s in text.splitlines() if s.strip() and not s.lstrip().startswith("#")]
-    return [s.split() for s in lines] if separator == " " else list(csv.reader(lines))
-
-
-def _read_numbers(file: Path, separator: str, columns: int) -> _Array:
-    rows = _read_rows(file, separator)
-    out = np.full((len(rows), columns), math.nan)
-    for k, row in enumerate(rows):
-        try:
-            out[k] = [float(c) for c in row[:columns]]
-        except ValueError:
-            raise InputError(
-                str(file),
-                f"row {k + 1}",
-                f"{separator.join(row)[:60]!r} is not {columns} numbers",
-                "correct that row",
-            ) from None
-    return out
-
-
 def _list_pictures(folder: Path, layout: DatasetLayout) -> tuple[list[str], _Array, list[Path]]:
     if layout == "plain":
         found = sorted(p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
@@ -251,22 +226,15 @@ def _list_pictures(folder: Path, layout: DatasetLayout) -> tuple[list[str], _Arr
         base, names, where = folder, [n for _, n in pairs], str(folder)
         times = np.array([t for t, _ in pairs])
     else:
-        file, base, separator = {
-            "mufly": (folder / "pictures.csv", folder / "pictures", ","),
-            "euroc": (
-                _euroc_folder(folder) / "cam0" / "data.csv",
-                _euroc_folder(folder) / "cam0" / "data",
-                ",",
-            ),
-            "tum": (folder / "rgb.txt", folder, " "),
+        file, base = {
+            "mufly": (folder / "pictures.csv", folder / "pictures"),
+            "euroc": (_euroc_folder(folder) / "cam0" / "data.csv", _euroc_folder(folder) / "cam0" / "data"),
+            "tum": (folder / "rgb.txt", folder),
         }[layout]
-        rows = _read_rows(file, separator)
-        if rows and not _is_number(rows[0][0]):
-            rows = rows[1:]
-        where = str(file)
-        if any(len(r) < 2 or not _is_number(r[0]) for r in rows):
+        where, table = str(file), read_text_table(file)
+        if len(table.header) < 2:
             raise InputError(where, "", "has rows without time and file", "write a time and a file name in each row")
-        times, names = np.array([float(r[0]) for r in rows]), [r[1].strip() for r in rows]
+        times, names = table.read_numbers(0), table.read_texts(1)
     if not names:
         raise InputError(where, "", "holds no pictures", f"give a folder with {', '.join(PICTURE_SUFFIXES)}")
     if times[0] > 1e12:
@@ -299,14 +267,14 @@ def _read_frame_infos(folder: Path, layout: DatasetLayout, times: _Array, height
     heights = _read_heights(folder, times, height_m)
     imu, accelerometer = _euroc_folder(folder) / "imu0" / "data.csv", folder / "accelerometer.txt"
     if layout == "euroc" and imu.is_file():
-        rows = _read_numbers(imu, ",", 7)
+        rows = read_text_table(imu).read_matrix(7)
         t = rows[:, 0] * (1e-9 if rows[0, 0] > 1e12 else 1.0)
         rates = rows[:, 1:4] * _FLU_TO_FRD
         roll, pitch = complementary_filter(t, rates, rows[:, 4:7] * _FLU_TO_FRD)
         sigma = math.radians(1.0)
         turning = np.stack([np.interp(times, t, c) for c in rates.T], axis=1)
     elif layout == "tum" and accelerometer.is_file():
-        rows = _read_numbers(accelerometer, " ", 4)
+        rows = read_text_table(accelerometer).read_matrix(4)
         t, force = rows[:, 0], rows[:, 1:4] * _FLU_TO_FRD
         n = max(1, round(_FORCE_MEAN_WINDOW_S / max(float(np.median(np.diff(t))), 1e-4)))
         pad, mean = (n // 2, n - 1 - n // 2), np.ones(n) / n
@@ -349,10 +317,9 @@ def _read_heights(folder: Path, times: _Array, height_m: float | None) -> _Array
     file = folder / "sonar.csv"
     if height_m is not None or not file.is_file():
         return np.array([t.height_m for t in info_from_height(height_m, str(folder))(times)])
-    rows = [r for r in _read_rows(file) if _is_number(r[0])]
-    if not rows or any(len(r) < 2 or not _is_number(r[1]) for r in rows):
-        raise InputError(str(file), "", "has rows that are not two numbers", "write time and distance (s, m)")
-    a = np.array([[float(r[0]), float(r[1])] for r in rows])
+    a = read_text_table(file).read_matrix(2)
+    if not len(a):
+        raise InputError(str(file), "", "has no rows of two numbers", "write time and distance (s, m)")
     if len(times) and (times[-1] < a[0, 0] or times[0] > a[-1, 0]):
         raise InputError(
             str(file), "time_s", f"goes from {a[0, 0]:.9g} to {a[-1, 0]:.9g} s, pictures from {times[0]:.9g} s on",
@@ -384,7 +351,9 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
     InputError
         If it tells neither, or nothing at the time of a picture.
     """
-    if file.suffix.lower() == ".csv" and tuple(_read_rows(file)[0][: len(TELEMETRY_COLUMNS)]) == TELEMETRY_COLUMNS:
+    if file.suffix.lower() == ".csv" and read_text_table(file, short_rows="drop").header[: len(TELEMETRY_COLUMNS)] == [
+        *TELEMETRY_COLUMNS
+    ]:
         return lambda times: _read_telemetry_infos(file, times + offset_s)
     a = _telemetry_from_recording(file)
 
@@ -458,16 +427,13 @@ def _open_recording(path: Path, camera: Camera, told: Callable[[_Array], list[Fr
 
 
 def _read_telemetry_infos(file: Path, times: _Array) -> list[FrameInfo]:
-    rows = _read_rows(file)
-    phased = bool(rows) and tuple(rows[0]) == TELEMETRY_COLUMNS + PHASE_COLUMNS
-    if not rows or not (phased or tuple(rows[0]) == TELEMETRY_COLUMNS):
+    table = read_text_table(file)
+    phased = table.header == [*TELEMETRY_COLUMNS, *PHASE_COLUMNS]
+    if not phased and table.header != [*TELEMETRY_COLUMNS]:
         raise InputError(str(file), "", "has another first row", f"write {', '.join(TELEMETRY_COLUMNS)}")
-    try:
-        a = np.array(rows[1:], dtype=np.float64).reshape(-1, len(rows[0]))
-    except ValueError:
-        raise InputError(str(file), "", "has cells that are no numbers", "write numbers in every cell") from None
-    if not len(a) or not np.isfinite(a).all() or (np.diff(a[:, 0]) <= 0).any():
-        raise InputError(str(file), "time_s", "does not rise, or is not finite", "sort it by time")
+    a = table.read_matrix()
+    if not len(a) or (np.diff(a[:, 0]) <= 0).any():
+        raise InputError(str(file), "time_s", "does not rise", "sort it by time")
     b = np.stack([np.interp(times, a[:, 0], c) for c in a.T], axis=1)
     return [
         FrameInfo(
@@ -535,14 +501,9 @@ def _open_video(
 
 def _read_video_times(file: Path) -> _Array:
     """Times (s) of a video's pictures, one a row; what follows on a row is passed over, so is a row of names."""
-    rows = _read_rows(file)
-    rows = rows[1:] if rows and not _is_number(rows[0][0].split()[0]) else rows
-    cells = [r[0].split()[0] if r and r[0].split() else "" for r in rows]
-    bad = next((k for k, c in enumerate(cells) if not _is_number(c)), None)
-    if bad is not None or not cells:
-        what = "holds no times" if bad is None else f"{cells[bad][:40]!r} is no time"
-        raise InputError(str(file), "" if bad is None else f"row {bad + 1}", what, "write a time (s or ns) in each row")
-    times = np.array([float(c) for c in cells])
+    times = read_text_table(file).read_numbers(0)
+    if not len(times):
+        raise InputError(str(file), "", "holds no times", "write a time (s or ns) in each row")
     times = times * 1e-9 if times[0] > 1e12 else times
     _check_rising_times(times, [f"row {k + 1}" for k in range(len(times))], str(file))
     return times

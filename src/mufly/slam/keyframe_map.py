@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import zipfile
 from dataclasses import dataclass, field, fields
@@ -285,10 +284,6 @@ class FloorMap:
         if out.keyframes:
             out.optimise_graph()
         return out
-
-    def summary_json(self) -> str:
-        """Its size in one line of JSON."""
-        return json.dumps({"keyframes": len(self.keyframes), "closures": sum(e.is_loop_closure for e in self.edges)})
 
 
 def compose_pose(a: _Array, b: _Array) -> _Array:

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from mufly.dynamics.model_state import euler_from_quaternion
 from mufly.errors import InputError
-from mufly.input_files import decode_text, detect_layout
 from mufly.logs import LogWarning
 from mufly.results import result
+from mufly.text_table import decode_text, detect_layout
 
 _Array = NDArray[np.float64]
 CHI2_95 = 9.4877

@@ -13,7 +13,7 @@ from mufly.cli.options import (
     PITCH_RANGE,
     SPACING_RANGE,
     SPEED_RANGE,
-    ColumnsOption,
+    ColumnOption,
     JsonOption,
     PictureOption,
     VehicleOption,
@@ -41,7 +41,6 @@ from mufly.results import select_fields, to_plain_data
 from mufly.units import RPM, split_unit_suffix
 
 if TYPE_CHECKING:
-    from mufly.bench.bench_loads import CellCalibration
     from mufly.identify.flight.excitation_plan import ExcitationCandidate, ExcitationPlan, FlightLimits
     from mufly.identify.flight.excitation_signals import SignalKind
 
@@ -81,17 +80,7 @@ def rotor(
             "Known loads and readings of the load cells: thrust_N, thrust_raw_V, torque_Nm, torque_raw_V.",
         ),
     ] = None,
-    calibration_columns: Annotated[
-        str | None, define_option("OLD=NEW,...", "As --columns, for the calibration file.")
-    ] = None,
-    columns: Annotated[
-        list[str] | None,
-        define_option(
-            "OLD=NEW,...",
-            "What headers mean; for files of several kinds repeat it. A map holds for the files that "
-            "have all its columns.",
-        ),
-    ] = None,
+    columns: ColumnOption = None,
     at_rpm: Annotated[
         float | None,
         define_option(
@@ -134,7 +123,7 @@ def rotor(
 
     Example: mufly identify rotor bench.csv --radius 0.0875 --calibration cells.csv --out rotor
     """
-    from mufly.bench import calibrate_cells, compute_loads, predict_loads, read_bench_file
+    from mufly.bench import calibrate_cells, compute_loads, predict_loads, read_bench_files
     from mufly.identify.fit_pictures import rotor_picture
     from mufly.identify.rotor_fit import (
         RotorFit,
@@ -149,8 +138,8 @@ def rotor(
     if place not in (None, "upper", "lower"):
         raise InputError("--as", "", f"{place!r} is no rotor of a vehicle", "use upper or lower")
     blades = load_rotor(predict_with) if predict_with is not None else None
-    maps = _assign_column_maps(columns or [], bench)
-    tables = [read_bench_file(file, columns=m) for file, m in zip(bench, maps, strict=True)]
+    tables = read_bench_files([*bench, *([calibration] if calibration else [])], columns=columns or ())
+    cells = calibrate_cells(tables.pop()) if calibration else None
     value, std = read_optional_with_std("--radius", radius, "m")
     if value is None:
         known = [*([blades.radius_m] if blades else []), *([float(start.rotors.radius)] if start else [])]
@@ -159,9 +148,6 @@ def rotor(
             raise InputError("--radius", "", "is missing", "give the rotor's radius in metres, or --rotor or --vehicle")
         value = known[0]
     rho, rho_std = read_optional_with_std("--density", density, "kg/m3")
-    cells: CellCalibration | None = None
-    if calibration is not None:
-        cells = calibrate_cells(read_bench_file(calibration, columns=calibration_columns))
     loads = [compute_loads(t, cells, radius_m=value, density_kg_m3=rho) for t in tables]
     by_file = [
         fit_rotor_coefficients(
@@ -217,30 +203,6 @@ def rotor(
         "prediction": {k: select_fields(p, "load error") for k, p in predictions.items()},
     }
     print_answer(as_json, content, print_results, files)
-
-
-def _assign_column_maps(columns: list[str], files: list[Path]) -> list[str | None]:
-    """Return the map of headers for each file: the first of which it has all columns.
-
-    Raises
-    ------
-    InputError
-        If a map fits no file.
-    """
-    from mufly.bench import read_headers
-
-    chosen: list[str | None] = [None] * len(files)
-    headers = [set(read_headers(file)) for file in files]
-    for one in columns:
-        wanted = {part.partition("=")[0].strip() for part in one.split(",") if part.strip()}
-        fitting = [k for k, header in enumerate(headers) if wanted <= header]
-        if not fitting and len(files) == 1:
-            fitting = [0]  # reading it will name the column that is not there
-        if not fitting:
-            raise InputError("--columns", one, "names columns that no file has together", "give one map a kind of file")
-        for k in fitting:
-            chosen[k] = chosen[k] or one
-    return chosen
 
 
 # ----------------------------------------------------------------------------
@@ -515,7 +477,7 @@ def motor(
             "SI); only their proportions matter. Default: the likeliest shape.",
         ),
     ] = None,
-    columns: ColumnsOption = None,
+    columns: ColumnOption = None,
     vehicle: VehicleOption = None,
     write: WriteOption = None,
     out: PictureOption = None,
@@ -535,7 +497,7 @@ def motor(
     eta, eta_std = read_optional_with_std("--gear-efficiency", gear_efficiency, "1")
     if eta is not None and eta > 1.0:
         raise InputError("--gear-efficiency", "", f"{eta:g} is not possible", "give a number up to 1")
-    table = read_bench_file(bench, columns=columns)
+    table = read_bench_file(bench, columns=columns or ())
     fit = fit_motor(
         table, gear=GearKnowledge(ratio, eta, ratio_std, eta_std), vehicle=start,
         noise=parse_noise(noise, MOTOR_CHANNELS) if noise else None,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from mufly.cli.options import (
+    ColumnOption,
     CommandGroup,
     JsonOption,
     OptionRange,
@@ -51,14 +52,6 @@ InputsOption = Annotated[
 OutputsOption = Annotated[
     str, define_option("NAMES", "Some of p, q, r, phi, theta, u, v, w, with =COLUMN where needed.")
 ]
-ColumnsOption = Annotated[
-    list[str] | None,
-    define_option(
-        "[ARRAY=]NAMES",
-        "Names of a file's columns where it has none: a,b,c for CSV, inr=lat,lon,ped,col for an "
-        "array of a MATLAB file ('-' skips one). May be repeated.",
-    ),
-]
 FromOption = Annotated[float | None, define_option("--from", "Begin at this time of the log's own clock.", unit="s")]
 ToOption = Annotated[float | None, define_option("--to", "End at this time.", unit="s")]
 
@@ -67,7 +60,7 @@ def linear(
     logs: LogsArgument,
     inputs: InputsOption = "lat,lon,ped,col",
     outputs: OutputsOption = "p,q,r",
-    columns: ColumnsOption = None,
+    columns: ColumnOption = None,
     method: Annotated[
         str,
         define_option(
@@ -179,7 +172,7 @@ def _read_record(log: Path, columns: Sequence[str] | None, start_s: float | None
     """Read a log, or a part of it."""
     from mufly.identify.flight_record import read_columns
 
-    record = read_columns(log, columns=_parse_array_columns(columns or ()))
+    record = read_columns(log, columns=columns or ())
     first, last = record.time_s[[0, -1]]
     part = record.slice_time(start_s, end_s)
     if part is not record and len(part.time_s) < 100:
@@ -228,11 +221,6 @@ def _parse_column_names(text: str) -> dict[str, str]:
         if name:
             found[name.strip()] = column.strip() or name.strip()
     return found
-
-
-def _parse_array_columns(given: Sequence[str]) -> Mapping[str, Sequence[str]] | Sequence[str]:
-    arrays = {a: names.split(",") for a, equals, names in (g.partition("=") for g in given) if equals}
-    return arrays if arrays else [n for g in given for n in g.split(",")]
 
 
 def _print_linear(r: LinearResult) -> None:
@@ -323,7 +311,7 @@ def frequency(
         define_option("NAMES", "Columns that drive, as lat,lon; NAME=COLUMN, =-COLUMN and sums as for `linear`."),
     ] = "lat,lon,ped,col",
     outputs: Annotated[str, define_option("NAMES", "Columns that answer, likewise.")] = "p,q,r",
-    columns: ColumnsOption = None,
+    columns: ColumnOption = None,
     start_s: FromOption = None,
     end_s: ToOption = None,
     band: BandOption = None,
@@ -434,7 +422,7 @@ def bandwidth(
         str, define_option("NAME", "What answers: phi, theta, psi, or a rate p, q, r, which is integrated.")
     ] = "phi",
     others: Annotated[str, define_option("NAMES", "Other inputs that moved, whose share is taken away.")] = "",
-    columns: ColumnsOption = None,
+    columns: ColumnOption = None,
     start_s: FromOption = None,
     end_s: ToOption = None,
     band: BandOption = None,
@@ -517,7 +505,7 @@ def compatibility(
             "phi, theta, psi (rad), and any of v_north, v_east, v_down (m/s), north, east, down (m), likewise.",
         ),
     ] = "phi,theta,psi,v_north,v_east,v_down,north,east,down",
-    columns: ColumnsOption = None,
+    columns: ColumnOption = None,
     start_s: FromOption = None,
     end_s: ToOption = None,
     out: Annotated[

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mufly.cli.log import ColumnOption, MapOption, column_map_from_options
-from mufly.cli.options import CommandGroup, JsonOption, OutOption, define_argument, define_option
+from mufly.cli.log import MapOption, column_map_from_options
+from mufly.cli.options import ColumnOption, CommandGroup, JsonOption, OutOption, define_argument, define_option
 from mufly.cli.output import (
     ensure_folder,
     print_answer,

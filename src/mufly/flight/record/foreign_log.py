@@ -105,7 +105,7 @@ def read_foreign_log(
     where = str(path)
     extra = []
     if asked.position is not None and "," in asked.position:
-        extra += _component_map_lines(asked.position)
+        extra.append(f"measured_position={asked.position}")
     if asked.heading is not None and not asked.heading.startswith(("truth_", "measured_", "estimated_")):
         extra.append(f"measured_attitude.yaw={asked.heading}")
     if extra:
@@ -180,18 +180,6 @@ def read_foreign_log(
         f"flies from the beginning, by {tells}: level and biases are to be found in flight",
     ]  # fmt: skip
     return ForeignLog(log, aids, truth, _estimate_mounting(log, truth), out)
-
-
-def _component_map_lines(text: str) -> list[str]:
-    """Lines of a column map for ``x,-y,-z(unit)``: north, east and down."""
-    columns, bracket, unit = text.partition("(")
-    parts = [part.strip() for part in columns.split(",")]
-    if len(parts) != 3 or not all(parts):
-        raise InputError("--aid", text, "is not three columns", "write position=x,-y,-z: north, east, down")
-    return [
-        f"measured_position.{axis}={part}{bracket}{unit}"
-        for axis, part in zip(_AXIS_LABELS["position"], parts, strict=True)
-    ]
 
 
 def _find_vector(by: dict[str, Channel], name: str, labels: Sequence[str]) -> list[Channel] | None:

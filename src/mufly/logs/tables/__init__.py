@@ -9,27 +9,16 @@ from mufly.logs.tables.columnar_files import (
     write_netcdf,
     write_parquet,
 )
-from mufly.logs.tables.text_table import (
-    GZIP_MAGIC,
-    TABLE_TOPIC,
-    looks_like_table,
-    read_csv,
-    read_table_columns,
-    read_unpacked,
-)
+from mufly.logs.tables.csv_log import TABLE_TOPIC, read_csv
 
 __all__ = [
     "FEATHER_MAGIC",
-    "GZIP_MAGIC",
     "NETCDF_MAGIC",
     "PARQUET_MAGIC",
     "TABLE_TOPIC",
-    "looks_like_table",
     "read_arrow",
     "read_csv",
     "read_netcdf",
-    "read_table_columns",
-    "read_unpacked",
     "write_netcdf",
     "write_parquet",
 ]

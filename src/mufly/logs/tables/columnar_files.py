@@ -23,8 +23,7 @@ from mufly.logs.column_map import TimeEntry
 from mufly.logs.mcap import component_channels, describe_dataset, restore_dataset, to_json_value
 from mufly.logs.raw_log import RawLog, RawTable
 from mufly.logs.tables.clock_columns import extract_clock, is_time_unit
-from mufly.logs.tables.text_table import TABLE_TOPIC
-from mufly.units import normalise_unit, parse_column_unit, split_headers, unit_conversion
+from mufly.logs.tables.csv_log import TABLE_TOPIC, name_columns
 
 NETCDF_MAGIC = (b"CDF\x01", b"CDF\x02")
 PARQUET_MAGIC = b"PAR1"
@@ -101,7 +100,7 @@ def read_arrow(path: str | Path, kind: str, time: TimeEntry | None = None) -> tu
     # The index of a frame comes first among the columns of which one is the clock.
     order = sorted(range(len(names)), key=lambda k: names[k] not in index)
     names, given, columns = [names[k] for k in order], [given[k] for k in order], [columns[k] for k in order]
-    fields, units, notes = _name_columns(names, given, columns)
+    fields, units, notes = name_columns(names, given, columns)
     local = {str(e.name) for e in table.schema if pyarrow.types.is_timestamp(e.type) and e.type.tz is None}
     return _make_foreign_log(where, kind, fields, units, notes, time, local), None
 
@@ -146,40 +145,6 @@ def _arrow_to_numpy(pyarrow: ModuleType, column: Any) -> NDArray[Any]:
     if values.dtype.kind not in "iufU":
         values = np.array(["" if v is None else str(v) for v in column.to_pylist()], dtype=str)
     return values
-
-
-def _name_columns(
-    names: list[str], given: list[str], columns: list[NDArray[Any]]
-) -> tuple[dict[str, NDArray[Any]], dict[str, str], list[str]]:
-    """Columns by name, their units, and what is said of those: metadata come before the ends of names."""
-    fields: dict[str, NDArray[Any]] = {}
-    units: dict[str, str] = {}
-    notes: list[str] = []
-    split, doubtful = split_headers(names)
-    for whole, (name, ending), unit, values in zip(names, split, given, columns, strict=True):
-        if not unit:
-            fields[name] = values
-            units |= {name: ending} if ending else {}
-            continue
-        settled = "" if is_time_unit(unit) and not normalise_unit(unit) else parse_column_unit(whole, unit)
-        if settled is None:
-            notes.append(f"{whole}: its unit {unit!r} fits two quantities or none; name one in a column map")
-        elif (
-            ending
-            and normalise_unit(ending)
-            and normalise_unit(settled)
-            and unit_conversion(ending) != unit_conversion(settled)
-        ):
-            notes.append(f"{whole}: its metadata say {unit}, its name {ending}: the metadata count")
-        fields[whole] = values
-        units |= {whole: settled or unit} if settled is not None else {}
-    doubtful = [d for d, unit in zip(names, given, strict=True) if d in doubtful and not unit]
-    if doubtful:
-        notes.append(
-            f"{', '.join(doubtful)}: read without a unit, since the end of the name does not fit its quantity; "
-            "if one is meant, name it in a column map"
-        )
-    return fields, units, notes
 
 
 def _make_foreign_log(
@@ -263,7 +228,7 @@ def read_netcdf(path: str | Path, time: TimeEntry | None = None) -> tuple[RawLog
         names += [f"{key}{label}" for label in labels]
         given += [unit] * len(labels)
         columns += [block] if other is None else list(block.T)
-    fields, units, notes = _name_columns(names, given, columns)
+    fields, units, notes = name_columns(names, given, columns)
     return _make_foreign_log(where, "NetCDF", fields, units, notes, time), None
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.input_files import decode_text
+from mufly.text_table import decode_text
 
 Array = NDArray[np.float64]
 

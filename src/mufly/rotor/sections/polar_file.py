@@ -1,6 +1,6 @@
 """Polars from files: tables of one's own, XFOIL's and XFLR5's polars, Airfoil Tools' CSV, AeroDyn's airfoil tables.
 
-A table has the columns of :data:`_COLUMN_ALIASES`, in any order and notation that :mod:`mufly.input_files` reads; ``#``
+A table has the columns of :data:`_COLUMN_ALIASES`, in any order and notation that :mod:`mufly.text_table` reads; ``#``
 begins a comment. XFOIL and XFLR5 write a preface with ``Re = 0.100 e 6``, Airfoil Tools one with
 ``Reynolds number,50000``, AeroDyn lines such as ``0.75 Re ! Reynolds number in millions``: they hold for the rows
 below. AeroDyn's files up to version 13 have no header: their rows are angle (degrees), lift, drag and moment, up to
@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.input_files import decode_text, detect_layout, normalise_number, split_cells
 from mufly.rotor.sections.section_data import SectionData
+from mufly.text_table import decode_text, detect_layout, normalise_number, split_cells
 from mufly.units import normalise_unit
 
 Array = NDArray[np.float64]

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import SolverMethod, compare_measurements, load_airfoil, prepare_blading
 from mufly.study.benchmark.rotor_cases import RotorCase
+from mufly.text_table import read_text_table
 from mufly.units import RPM
 
 Array = NDArray[np.float64]
@@ -200,11 +201,11 @@ def _predict_by_command(command: str, case: RotorCase, limit_s: float) -> RotorP
             last = (done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or ["no word"])[-1]
             return _failed_prediction(case, f"ended with status {done.returncode}: {last}")
         try:
-            with (folder / "answer.csv").open(newline="", encoding="utf-8") as file:
-                found = [(float(row["thrust_N"]), float(row["torque_Nm"])) for row in csv.DictReader(file)]
-            return _check_prediction(np.array(found).reshape(-1, 2).T, words[0], case)
-        except (OSError, KeyError, ValueError, MuflyError) as error:
-            return _failed_prediction(case, f"answer.csv: {error}")
+            answer = read_text_table(folder / "answer.csv")
+            found = [answer.read_numbers(answer.find_column(n), optional=True) for n in ("thrust_N", "torque_Nm")]
+            return _check_prediction(np.array(found), words[0], case)
+        except MuflyError as error:
+            return _failed_prediction(case, str(error).replace(f"{folder}/", ""))
 
 
 def _write_csv(path: Path, heads: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:

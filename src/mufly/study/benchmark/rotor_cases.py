@@ -23,7 +23,6 @@ flat-bottomed. Trailing edges of moulded, printed and formed blades are taken as
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Callable, Iterator
@@ -37,6 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.bench import read_measurements
 from mufly.errors import InputError
 from mufly.rotor import Air, Rotor, RotorMeasurements, load_rotor, read_blade, replace_rotor
+from mufly.text_table import read_text_table
 from mufly.units import RPM
 
 Array = NDArray[np.float64]
@@ -122,16 +122,6 @@ class RotorCase:
     air: Air = BENCHMARK_AIR
     tunnel_runs: tuple[RotorMeasurements, ...] = ()
     turbulence: float = 0.001
-
-
-def read_number_rows(path: Path) -> Array:
-    """Lines of numbers of a CSV file, whatever stands above them."""
-    lines = [
-        line
-        for line in path.read_text(encoding="utf-8").splitlines()
-        if line and (line[0].isdigit() or line[0] in "-.")
-    ]
-    return np.array([[float(v) for v in line.split(",")] for line in lines])
 
 
 def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]]:
@@ -237,7 +227,7 @@ def _build_measurements(
 
 def load_table_3_2(folder: Path) -> RotorCase:
     """The dissertation's rotor with its four measured points."""
-    m = read_number_rows(folder / "thesis_table_3_2.csv")
+    m = read_text_table(folder / "thesis_table_3_2.csv").read_matrix()
     rotor = _build_rotor("naca0012-r60-c20", 2, 0.06, 0.15, (0.15, 1), (0.02, 0.02), (0, 0), "naca0012")
     points = _build_measurements("Table 3.2", m[:, 0], m[:, 1], m[:, 2], m[:, 3])
     return RotorCase(rotor.name, "Table 3.2", "dissertation", rotor, True, points)
@@ -246,14 +236,16 @@ def load_table_3_2(folder: Path) -> RotorCase:
 def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
     """The 17 propellers of the UIUC data set, volume 2; blades begin at 0.15 R."""
     home = folder / "uiuc_micro"
-    index = [line for line in (home / "index.csv").read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    index = read_text_table(home / "index.csv")
+    columns = [index.read_texts(index.find_column(n)) for n in ("name", "diameter_m", "blades", "geometry")]
     out = []
-    for row in csv.DictReader(index):
-        name, radius = row["name"], float(row["diameter_m"]) / 2
-        g, m = read_number_rows(home / row["geometry"]), read_number_rows(home / f"{name}_static.csv")
+    for name, diameter, blades, geometry in zip(*columns, strict=True):
+        radius = float(diameter) / 2
+        g = read_text_table(home / geometry).read_matrix()
+        m = read_text_table(home / f"{name}_static.csv").read_matrix()
         family, section, known = section_of_propeller(name)
         foils = _airfoils_by_station(section, g[:, 0])
-        rotor = _build_rotor(name, int(row["blades"]), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils)
+        rotor = _build_rotor(name, int(blades), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils)
         rotor = replace_rotor(rotor, {"trailing_edge": TRAILING_EDGE_M}, source="estimated")
         n, d = m[:, 0] / 60, 2 * radius
         rho = BENCHMARK_AIR.density_kg_m3
@@ -323,7 +315,10 @@ def load_tunnel_runs(folder: Path, case: RotorCase) -> Iterator[RotorMeasurement
 
 def load_dji_9443(folder: Path) -> RotorCase:
     """The 240 mm rotor, one hover point: c_T 0.072 (propellers' convention) at 5400 rpm (Zawodny et al., AHS 2016)."""
-    c, t = read_number_rows(folder / "dji9443_chord.csv"), read_number_rows(folder / "dji9443_twist.csv")
+    c, t = (
+        read_text_table(folder / "dji9443_chord.csv").read_matrix(),
+        read_text_table(folder / "dji9443_twist.csv").read_matrix(),
+    )
     family, section, _ = section_of_propeller("dji9443")
     twist = np.interp(c[:, 0], *t.T)
     rotor = _build_rotor("dji9443", 2, 0.12, 0.1, c[:, 0], c[:, 1] * 0.12, twist, section)
@@ -342,7 +337,7 @@ def load_dji_9443(folder: Path) -> RotorCase:
 
 def load_caradonna_tung(folder: Path) -> RotorCase:
     """Two blades, NACA 0012, 1.1 m radius, 1250 rpm: Reynolds number 2e6, Mach 0.44 at the tip."""
-    m, radius = read_number_rows(folder / "caradonna_tung_ct.csv"), 1.143
+    m, radius = read_text_table(folder / "caradonna_tung_ct.csv").read_matrix(), 1.143
     rotor = _build_rotor("caradonna-tung", 2, radius, 0.2, (0.2, 1), (0.1905, 0.1905), (0, 0), "naca0012")
     thrust = m[:, 1] * BENCHMARK_AIR.density_kg_m3 * np.pi * radius**4 * (1250 * RPM) ** 2
     points = _build_measurements("Caradonna-Tung", m[:, 0], 1250, thrust, math.nan)
@@ -360,7 +355,7 @@ def make_t_motor_rotor() -> Rotor:
 
 def load_t_motor_28(folder: Path) -> RotorCase:
     """The 28 inch rotor alone, 30 speeds."""
-    m = read_number_rows(folder / "tmotor28_single.csv")
+    m = read_text_table(folder / "tmotor28_single.csv").read_matrix()
     points = _build_measurements("T-motor 28", 0, m[:, 0], m[:, 3], m[:, 4])
     return RotorCase("tmotor28", "T-motor 28", "T-motor", make_t_motor_rotor(), False, points, T_MOTOR_AIR)
 
