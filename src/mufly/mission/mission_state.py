@@ -196,7 +196,7 @@ class MissionState:
     ----------
     state : State
         State of Fig. 6.15.
-    time_s, entered_s, clock_s : float
+    time_s, state_entered_s, motion_clock_s : float
         Time of the last step; when the state was entered; time on the present motion, which a gate can hold (s).
     step_s : float
         Length of the last step (s).
@@ -258,9 +258,9 @@ class MissionState:
         For how long the nose has been swinging (s, at most 3; it counts down from 1 to stop).
     asked_heading : float or None
         Heading that the user's waypoint asks for (rad).
-    tracker : Point or None
+    set_point_reference : TrajectoryPoint or None
         Reference that follows set-points.
-    halt : bool
+    hover_after_take_off : bool
         It was told to stop before it was off the floor, and does so once it is.
     """
 
@@ -344,11 +344,11 @@ def enter_state(s: MissionState, state: State, why: str, *, level: str = "info",
     """Change state, with the reason, and start the clock of its motion, which it has not unless one is given."""
     fresh = {
         "state": state,
-        "entered_s": s.time_s,
-        "clock_s": 0.0,
+        "state_entered_s": s.time_s,
+        "motion_clock_s": 0.0,
         "motion": None,
-        "tracker": None,
-        "halt": False,
+        "set_point_reference": None,
+        "hover_after_take_off": False,
     }
     return replace(log_event(s, why, state, level), **(fresh | changes))  # type: ignore[arg-type]
 

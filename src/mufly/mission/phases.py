@@ -439,12 +439,12 @@ def start_leg(
         motion = way(at.position, at.heading)
     fresh: dict[str, Any] = {
         "detour": None,
-        "avoided_s": 0.0,
-        "resumed": False,
+        "detour_duration_s": 0.0,
+        "resumed_after_detour": False,
         "manual": False,
-        "homing": False,
+        "returning_home": False,
     }
-    fresh |= {"asked_heading": None, "motion": motion, "goal": motion.goal}
+    fresh |= {"requested_heading": None, "motion": motion, "goal": motion.goal}
     return enter_state(s, State.WAYPOINT, why, **(fresh | flags))
 
 
