@@ -124,8 +124,8 @@ def test_resumes_after_a_stop(setup: StudySetup, tmp_path, monkeypatch: pytest.M
     kept = len(list((tmp_path / "chunks").glob("*.npz")))
     assert 2 <= kept < 4
     calls = []
-    original = MODULE.evaluate
-    monkeypatch.setattr(MODULE, "evaluate", lambda s, c: calls.append(len(c)) or original(s, c))
+    original = MODULE.evaluate_cases
+    monkeypatch.setattr(MODULE, "evaluate_cases", lambda s, c: calls.append(len(c)) or original(s, c))
     seen = []
     again = sweep_parameters(setup, vary, chunk=3, folder=tmp_path, progress=lambda d, t: seen.append((d, t)))
     assert again.identical(whole)
@@ -197,7 +197,7 @@ def test_drive_parameters_change_the_drive_only(setup: StudySetup, thin_plate: s
 
 
 def test_unreachable_cluster_is_said(setup: StudySetup, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(MODULE, "_PATIENCE", "1s")
+    monkeypatch.setattr(MODULE, "_SCHEDULER_TIMEOUT", "1s")
     pytest.importorskip("distributed", reason="dask.distributed, an extra, is not installed")
     with pytest.raises(MuflyError, match="no scheduler answers"):
         sweep_parameters(setup, {"pitch": PITCH}, cluster="tcp://127.0.0.1:1")
