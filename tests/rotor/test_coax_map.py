@@ -180,7 +180,7 @@ def test_wakes_start_from_their_neighbours_and_are_marked_where_they_do_not_sett
         calls.append((climb, lower / upper, start))
         return replace(solve_system(system, condition), converged=not climb < -0.5)
 
-    monkeypatch.setitem(room_function.__globals__, "solve", stands_in)
+    monkeypatch.setitem(room_function.__globals__, "solve_system", stands_in)
     small = {"mean_speed_rad_s": [420.0], "ratio": [1.0, 1.2], "climb_ratio": [-0.03, 0.0, 0.03]}
     made = compute_coax_map(blading, blading, **PAIR, **small, method="wake", settings=WakeSettings(step_deg=30.0))
     t = made.parse_tables()
@@ -221,6 +221,6 @@ def test_a_map_that_is_mostly_guessed_is_refused(blading, axes, monkeypatch) -> 
     def fails(*_, **__):
         raise MuflyError("no answer")
 
-    monkeypatch.setitem(room_function.__globals__, "solve", fails)
+    monkeypatch.setitem(room_function.__globals__, "solve_system", fails)
     with pytest.raises(MuflyError, match=r"only 0 of 24 .*no answer"):
         compute_coax_map(blading, blading, **PAIR, **axes)
