@@ -69,10 +69,10 @@ class Quantity:
         Its labelled dimension besides time (see :data:`DIMENSION_LABELS`), None for a scalar.
     units, long_name : str
         Written to the variable's attributes, the schema and the CSV header; ``"1"`` is a pure number.
-    kept : str
+    recorded_in : str
         Words: ``flight``: every recording has it; ``sensors``, ``station``: one of a flight on sensors or a
         station's has it besides. None of them: only logs of others.
-    mavlink : tuple of Wire
+    mavlink_sources : tuple of Wire
         Fields that are plainly it, but for their unit (https://mavlink.io/en/messages/common.html).
     """
 

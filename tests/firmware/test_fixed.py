@@ -43,15 +43,15 @@ def test_whole_numbers_cost_no_margin_and_cannot_overflow(made) -> None:
     for c in law.controllers:
         assert c.proof.is_overflow_free
         assert 0.0 < c.proof.slowest < 1.0
-        assert np.abs(c.update.c).max() <= 32767
+        assert np.abs(c.update_rows.c).max() <= 32767
 
 
 def _worst(controller, c):
     """Inputs that drive each state of the stable form as far as inputs within the limits can, one after another."""
-    n, m = len(c.state_fraction_bits), len(c.output.coefficients[0]) - len(c.state_fraction_bits)
+    n, m = len(c.state_fraction_bits), len(c.output_rows.coefficients[0]) - len(c.state_fraction_bits)
     A = c.update.quantised_values[:, :n] + np.eye(n) * c.is_delta_form
     B, M = c.update.quantised_values[:, n : n + m], c.update.quantised_values[:, n + m :]
-    C, D = c.output.quantised_values[:, :n], c.output.quantised_values[:, n:]
+    C, D = c.output_rows.quantised_values[:, :n], c.output_rows.quantised_values[:, n:]
     inputs, power, found = np.hstack([B - M @ D, M]), np.eye(n), []
     F = A - M @ C
     for _ in range(3000):
@@ -157,7 +157,7 @@ def test_rounded_numbers_are_those_analysed(made) -> None:
     _, controller, law = made
     c = law.roll_pitch
     exact: DiscreteController = controller.roll_pitch.discrete
-    system = c.system(exact)
+    system = c.to_state_space(exact)
     n = len(c.state_fraction_bits)
     for rows, value, bits in (
         (c.update, c.update.quantised_values, np.array(c.state_fraction_bits)),

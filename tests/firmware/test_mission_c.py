@@ -230,7 +230,7 @@ def test_of_inputs_that_oscillate_at_once_both_name_the_one_that_lasts_longest(f
         ]
         one = ours.step(t, inputs)
         lib.oscillation_detector_step(theirs, t, inputs, ffi.NULL, found)
-        assert found.there == (one is not None)
+        assert found.is_present == (one is not None)
         if one is not None:
             assert (INPUT_NAMES[found.input_name], found.duration_s, found.size) == (
                 one.input_name,

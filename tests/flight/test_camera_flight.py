@@ -235,7 +235,7 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
         sketch, work_s = MapView(), 0.004
 
         def __init__(self, camera: Camera, **more: object) -> None: ...
-        def send(self, frame: CameraFrame) -> None:
+        def send_frame(self, frame: CameraFrame) -> None:
             answers.append(TrackingResult(frame.time_s, True, "", np.array([0.2, -0.1, -0.8]), 0.3, 1e-4 * np.eye(4)))
 
         def receive(self) -> TrackingResult:
@@ -293,7 +293,7 @@ def test_a_flight_on_places_from_outside_sends_its_pictures() -> None:
     sent: list[tuple[float, np.ndarray]] = []
 
     class Server:
-        def publish(self, jpeg: bytes, time_s: float) -> None:
+        def publish_picture(self, jpeg: bytes, time_s: float) -> None:
             sent.append((time_s, decode_picture(jpeg)))
 
         def close(self) -> None:

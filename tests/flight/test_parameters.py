@@ -169,7 +169,7 @@ def greatest_steps(flight: Flight, name: str, end: str) -> np.ndarray:
     return np.abs(np.diff(np.vstack((before[-1:], run(flight, 0.1))), axis=0)).max(axis=0)
 
 
-@pytest.mark.parametrize("end", ["least", "greatest"])
+@pytest.mark.parametrize("end", ["minimum", "maximum"])
 @pytest.mark.parametrize("name", TUNED)
 def test_tuning_on_the_run_makes_no_bump(flight: Flight, name: str, end: str) -> None:
     steps = greatest_steps(flight, name, end)
@@ -179,7 +179,7 @@ def test_tuning_on_the_run_makes_no_bump(flight: Flight, name: str, end: str) ->
 
 def test_a_gain_that_jumps_would_make_one(flight: Flight, monkeypatch) -> None:
     monkeypatch.setattr(controllers, "RETUNE_TIME_S", 1e-9)
-    assert greatest_steps(flight, "CTL_POS_GAIN", "greatest")[2:].max() > 0.035
+    assert greatest_steps(flight, "CTL_POS_GAIN", "maximum")[2:].max() > 0.035
 
 
 def test_a_gain_is_gone_over_to_within_two_seconds(flight: Flight) -> None:
@@ -220,7 +220,7 @@ def test_the_position_loop_is_robust_at_both_bounds(name: str) -> None:
         assert loop.gain_margin_dB > 18.0
 
 
-@pytest.mark.parametrize("end", ["least", "greatest"])
+@pytest.mark.parametrize("end", ["minimum", "maximum"])
 @pytest.mark.parametrize(
     "name", ["CTL_HEAVE_BW", "CTL_HEAVE_SPD", "CTL_HEAVE_ACC", "CTL_YAW_BW", "CTL_YAW_RATE", "CTL_YAW_ACC"]
 )
@@ -230,7 +230,7 @@ def test_steps_settle_at_the_bounds_of_the_filters(vehicle, controller, name: st
     gains[STORAGE_KEYS[name][1]] = getattr(row, end) / (DEGREES_PER_RADIAN if row.unit.startswith("deg") else 1.0)
     tuned = dataclasses.replace(controller, heave_yaw_gains=gains)
     step = ControllerReference(down_m=-1.0) if "HEAVE" in name else ControllerReference(heading=1.0)
-    long = 20.0 if end == "least" else 8.0
+    long = 20.0 if end == "minimum" else 8.0
     data = simulate_response(vehicle, lambda t: step, duration_s=long, controller=tuned)
     last = data.isel(time=slice(-100, None))
     assert np.abs(last.truth_position.values[:, 2] - step.down_m).max() < 0.02
@@ -242,10 +242,10 @@ def test_steps_settle_at_the_bounds_of_the_filters(vehicle, controller, name: st
 @pytest.mark.parametrize(
     ("name", "end"),
     [
-        ("CTL_TILT_MAX", "least"),
-        ("CTL_TILT_MAX", "greatest"),
-        ("CTL_SPEED_MAX", "least"),
-        ("CTL_SPEED_MAX", "greatest"),
+        ("CTL_TILT_MAX", "minimum"),
+        ("CTL_TILT_MAX", "maximum"),
+        ("CTL_SPEED_MAX", "minimum"),
+        ("CTL_SPEED_MAX", "maximum"),
     ],
 )
 def test_a_pushed_helicopter_comes_back_at_the_bounds(flight: Flight, name: str, end: str) -> None:

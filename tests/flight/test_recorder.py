@@ -174,8 +174,8 @@ def test_a_killed_program_leaves_all_but_the_last_second(tmp_path):
     program = f"""
         import os, signal
         import numpy as np
-        from mufly.flight.record.recorder import Recorder
-        recorder = Recorder({str(path)!r})
+        from mufly.flight.record.recorder import FlightRecorder
+        recorder = FlightRecorder({str(path)!r})
         row = np.zeros(recorder.layout.width)
         for k in range(351):
             row[:] = k

@@ -61,13 +61,13 @@ CALLS = st.one_of(
     st.tuples(st.just("go_to"), st.one_of(sane, triples), maybe),
     st.tuples(st.just("turn_to"), wild),
     st.tuples(st.just("set_speed"), wild),
-    st.tuples(st.just("offboard"), st.booleans()),
+    st.tuples(st.just("set_offboard"), st.booleans()),
     st.tuples(
-        st.just("set_point"),
+        st.just("send_set_point"),
         st.builds(SetPoint, st.one_of(st.none(), sane, triples), st.one_of(st.none(), triples), maybe, maybe),
     ),
-    st.tuples(st.just("sticks"), wild, wild, wild, wild),
-    st.tuples(st.just("sticks"), *[st.floats(-0.5, 0.5)] * 4),
+    st.tuples(st.just("set_sticks"), wild, wild, wild, wild),
+    st.tuples(st.just("set_sticks"), *[st.floats(-0.5, 0.5)] * 4),
     st.tuples(st.just("load_mission"), st.sampled_from(MISSIONS)),
     st.tuples(st.just("set_parameter"), names, numbers),
     st.tuples(st.just("emergency_stop")),
@@ -116,7 +116,7 @@ def test_whatever_is_asked(controller, script, mission, already_flying):
         answer = getattr(autopilot, name)(*arguments)
         assert isinstance(answer, RequestAnswer)
         assert answer or answer.reason
-        if name in ("set_point", "sticks"):
+        if name in ("send_set_point", "set_sticks"):
             seconds = min(seconds, 0.4)
         run(seconds)
     assert autopilot.emergency_stop()

@@ -358,30 +358,30 @@ def test_an_interval_that_a_bent_cost_does_not_bear_out_is_said():
     residual = np.linspace(-1, 1, 200)
 
     class Bent:
-        free = (FreeParameter("a", "", "1", 1.0, 1.0, -9.0, 9.0, np.inf, "estimated"),)
-        prior_std, hover, bounds = np.array([np.inf]), False, (np.array([-9.0]), np.array([9.0]))
-        starts, flights, records = (np.zeros(1, dtype=int),), (), (None,)
+        free_parameters = (FreeParameter("a", "", "1", 1.0, 1.0, -9.0, 9.0, np.inf, "estimated"),)
+        prior_std, with_hover_residual, bounds = np.array([np.inf]), False, (np.array([-9.0]), np.array([9.0]))
+        window_starts, prepared_records, records = (np.zeros(1, dtype=int),), (), (None,)
 
         def __init__(self, slope):
             self.slope = slope
 
-        def residuals(self, theta, states):
+        def all_residuals(self, theta, states):
             shape = np.sin(7 * residual)
             return [((self.slope * theta + theta**2) * shape + 0.1 * np.cos(9 * residual))[:, :, None]]
 
-        def spread(self, i):
+        def initial_state_std(self, i):
             return np.ones(0)
 
         def hover_residual(self, theta):
             return np.zeros((len(theta), 0))
 
-        def linearise(self, i, theta, states):
-            e = self.residuals(theta[None], None)[0][0]
-            d = (self.residuals(theta[None] + 1e-6, None)[0][0] - e) / 1e-6
+        def linearise_record(self, i, theta, states):
+            e = self.all_residuals(theta[None], None)[0][0]
+            d = (self.all_residuals(theta[None] + 1e-6, None)[0][0] - e) / 1e-6
             return LinearisedRecord(e, d[:, :, None], np.zeros((*e.shape, 0)))
 
-        def cost(self, theta, states):
-            return 0.5 * np.sum(self.residuals(theta, states)[0] ** 2, axis=(1, 2))
+        def compute_cost(self, theta, states):
+            return 0.5 * np.sum(self.all_residuals(theta, states)[0] ** 2, axis=(1, 2))
 
     for slope, straight in ((40.0, True), (0.6, False)):
         problem = Bent(slope)

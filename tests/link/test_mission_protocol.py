@@ -8,7 +8,7 @@ from mufly.link import MissionItem
 from mufly.link import mavlink as m
 from mufly.link.mission_transfer import MAX_ITEMS
 
-MISSION = {"name": "three", "waypoint": [{"position_m": [k, 0, -1]} for k in (0.0, 0.5)]}
+MISSION = {"name": "three", "waypoint_index": [{"position_m": [k, 0, -1]} for k in (0.0, 0.5)]}
 
 
 def after(station, kind, do, seconds=0.1):
@@ -54,38 +54,43 @@ def test_what_is_reached_and_what_comes_next_at_every_stage_of_a_flight():
     items = [waypoint(0, 0, -1, command=22), waypoint(1, 0, -1), speed, waypoint(2, 0, -1, wait=1.0)]
     protocol = rig.link._missions
     waits, active, paused, complete = 2, 3, 4, 5  # MISSION_STATE
-    running = {"begun": True, "flying": True, "mission_running": True}
+    running = {"mission_begun": True, "flying": True, "mission_running": True}
     flown = [
         ({"state": "init"}, 0, waits, []),
         ({"state": "take-off", **running}, 0, active, []),
         ({"state": "waypoint", **running}, 1, active, [0]),
-        ({"state": "hover", "waypoint": 1, **running}, 3, active, [1]),
-        ({"state": "waypoint", "waypoint": 1, **running}, 3, active, [2]),
-        ({"state": "obstacle", "waypoint": 1, **running}, 3, active, []),
+        ({"state": "hover", "waypoint_index": 1, **running}, 3, active, [1]),
+        ({"state": "waypoint", "waypoint_index": 1, **running}, 3, active, [2]),
+        ({"state": "obstacle", "waypoint_index": 1, **running}, 3, active, []),
     ]
     for end, last in (
         (
             waypoint(2, 0, 0, command=21),
             [
-                ({"state": "hover", "waypoint": 2, **running}, 4, active, []),
-                ({"state": "landing", "waypoint": 2, **running}, 4, active, [3]),
-                ({"state": "init", "waypoint": 2, "begun": True, "outcome": "succeeded"}, 4, complete, [4]),
+                ({"state": "hover", "waypoint_index": 2, **running}, 4, active, []),
+                ({"state": "landing", "waypoint_index": 2, **running}, 4, active, [3]),
+                (
+                    {"state": "init", "waypoint_index": 2, "mission_begun": True, "outcome": "succeeded"},
+                    4,
+                    complete,
+                    [4],
+                ),
             ],
         ),
         (
             MissionItem(0, 2, 93, params=(2.0, 0, 0, 0)),
             [
-                ({"state": "hover", "waypoint": 2, **running}, 4, active, []),
-                ({"state": "hover", "waypoint": 2, "begun": True, "flying": True}, 4, complete, [3, 4]),
+                ({"state": "hover", "waypoint_index": 2, **running}, 4, active, []),
+                ({"state": "hover", "waypoint_index": 2, "mission_begun": True, "flying": True}, 4, complete, [3, 4]),
             ],
         ),
         (
             waypoint(2, 0, 0, command=21),
             [
-                ({"state": "hover", "waypoint": 1, "begun": True, "flying": True}, 3, paused, []),
+                ({"state": "hover", "waypoint_index": 1, "mission_begun": True, "flying": True}, 3, paused, []),
                 # Told to land where it is, it lands well; the mission was not flown to its end.
-                ({"state": "landing", "waypoint": 1, "begun": True, "flying": True}, 3, paused, []),
-                ({"state": "init", "waypoint": 1, "begun": True, "outcome": "succeeded"}, 3, waits, []),
+                ({"state": "landing", "waypoint_index": 1, "mission_begun": True, "flying": True}, 3, paused, []),
+                ({"state": "init", "waypoint_index": 1, "mission_begun": True, "outcome": "succeeded"}, 3, waits, []),
             ],
         ),
     ):
@@ -112,7 +117,7 @@ def test_a_mission_that_somebody_else_loads_is_the_one_that_is_told():
     for change, commands in (
         ({}, [22, 16, 16, 21]),
         ({"at_end": "return"}, [22, 16, 16, 20]),
-        ({"waypoint": ()}, []),
+        ({"waypoint_index": ()}, []),
     ):
         mission = rig.status.mission.model_copy(update=change)
         assert rig.link.autopilot.load_mission(mission)

@@ -244,10 +244,10 @@ def test_a_vehicle_that_is_stopped_while_it_starts_does_not_start_first():
 PARENT = """
 import sys, time
 from mufly.link import start_vehicle, Endpoint
-from mufly.mission import ACCEPTED, Mission
+from mufly.mission import Mission
 if __name__ == "__main__":
     v = start_vehicle("mufly-1.1", Mission(name="none"), endpoints=[], path=sys.argv[1])
-    v.wait_ready()
+    v.wait_until_ready()
     print(v.pid, flush=True)
     time.sleep(60)
 """

@@ -71,13 +71,13 @@ FLYING = FlightState(
 
 def instant(state=FLYING, **known):
     told = {
-        "ready": True,
-        "progress": MissionProgress(2, 5, 3, 1),
+        "is_ready": True,
+        "mission_progress": MissionProgress(2, 5, 3, 1),
         "origin": ORIGIN,
-        "chosen": "",
-        "commander": 0,
+        "chosen_mode": "",
+        "commander_id": 0,
     }
-    return TelemetryState(**{"vehicle": VEHICLE, "state": state, "loss": 0.0, **told, **known})
+    return TelemetryState(**{"vehicle": VEHICLE, "flight_state": state, "loss_ratio": 0.0, **told, **known})
 
 
 def told(name, now=None):
@@ -127,7 +127,7 @@ TOLD = {
 
 @pytest.mark.parametrize("name", TOLD)
 def test_every_message_tells_the_state_in_mavlinks_units(name):
-    message = told(name, instant(loss=0.0123, real_time_factor=0.75, slips=4))
+    message = told(name, instant(loss_ratio=0.0123, real_time_factor=0.75, slip_count=4))
     for field, expected in TOLD[name].items():
         value, digit = si(message, field)
         assert value == pytest.approx(expected, abs=0.51 * digit + 1e-6), field
@@ -250,14 +250,14 @@ def test_what_flies_it_is_in_the_base_mode():
         assert bool(base & m.MAV_MODE_FLAG_AUTO_ENABLED) is by_itself
         assert bool(base & m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED) is not by_itself
     for chosen, mode in (("take-off", mode_from_state("take-off")), ("mission", mode_from_state("waypoint"))):
-        beat = told("HEARTBEAT", instant(replace(FLYING, armed=False, state="init"), chosen=chosen))
+        beat = told("HEARTBEAT", instant(replace(FLYING, armed=False, state="init"), chosen_mode=chosen))
         assert beat.custom_mode == mode.main_mode << 16 | mode.sub_mode << 24
 
 
 def test_whether_it_can_be_armed_is_told_until_it_is():
     floor = replace(FLYING, armed=False, flying=False, state="init")
     for ready, state, can in ((True, floor, True), (False, floor, False), (False, FLYING, True)):
-        status = told("SYS_STATUS", instant(state, ready=ready))
+        status = told("SYS_STATUS", instant(state, is_ready=ready))
         assert bool(status.onboard_control_sensors_health & m.MAV_SYS_STATUS_PREARM_CHECK) is can
 
 
@@ -282,7 +282,9 @@ def test_where_it_stands():
     assert math.isnan(told("ALTITUDE", alone).altitude_amsl)
     assert told("ALTITUDE", alone).altitude_terrain < -1000.0  # MAVLink: below it is not known
     assert told("GLOBAL_POSITION_INT", alone) == told("HOME_POSITION", alone) == []
-    assert told("MISSION_CURRENT", instant(progress=MissionProgress(0, 0, 1, 2))).total == 65535  # of no mission
+    assert (
+        told("MISSION_CURRENT", instant(mission_progress=MissionProgress(0, 0, 1, 2))).total == 65535
+    )  # of no mission
 
 
 def test_stamps_are_never_0_and_the_short_one_starts_over_after_49_days():

@@ -154,10 +154,26 @@ def test_every_autopilot_is_asked_in_its_own_way():
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        (1, {"START_MISSION": "auto", "PAUSE": "loiter", "BY_HAND": "fly by wire A", "RETURN": "return"}),
-        (10, {"START_MISSION": "auto", "PAUSE": "hold", "LET_GO": "hold", "RETURN": "return"}),
-        (12, {"START_MISSION": "auto", "PAUSE": "position hold"}),
-        (7, {"PAUSE": "loiter", "LAND": "landing", "RETURN": "return"}),
+        (
+            1,
+            {
+                "START_MISSION_COMMANDS": "auto",
+                "PAUSE_COMMANDS": "loiter",
+                "MANUAL_CONTROL_COMMANDS": "fly by wire A",
+                "RETURN_COMMANDS": "return",
+            },
+        ),
+        (
+            10,
+            {
+                "START_MISSION_COMMANDS": "auto",
+                "PAUSE_COMMANDS": "hold",
+                "RELEASE_STICKS_COMMANDS": "hold",
+                "RETURN_COMMANDS": "return",
+            },
+        ),
+        (12, {"START_MISSION_COMMANDS": "auto", "PAUSE_COMMANDS": "position hold"}),
+        (7, {"PAUSE_COMMANDS": "loiter", "LAND_COMMANDS": "landing", "RETURN_COMMANDS": "return"}),
     ],
 )
 def test_every_ardupilot_is_asked_for_a_mode_of_its_own(kind: int, words: dict[str, str]) -> None:
@@ -166,7 +182,7 @@ def test_every_ardupilot_is_asked_for_a_mode_of_its_own(kind: int, words: dict[s
     for name, word in words.items():
         commands = select_commands(getattr(autopilots, name), "ArduPilot", family)
         assert flight_mode_name(3, kind, 1, int(commands[-1].params[1])) == word
-    for name in {"BEFORE_ARMING", "LAND"} - set(words):
+    for name in {"PRE_ARM_COMMANDS", "LAND_COMMANDS"} - set(words):
         assert "has no flight mode for this" in select_commands(getattr(autopilots, name), "ArduPilot", family)
     assert "of this type" in select_commands(autopilots.PAUSE_COMMANDS, "ArduPilot", "")
 

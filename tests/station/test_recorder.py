@@ -142,7 +142,7 @@ def test_a_write_that_fails_ends_the_recording_with_a_message(tmp_path):
     world.run(2.0)
 
     class Full:
-        def write(self, *_):
+        def write_packet(self, *_):
             raise OSError(28, "No space left on device")
 
         def close(self):

@@ -190,7 +190,7 @@ class Radio:
     def send(self, peer, data):
         self.sent.append(data)
 
-    def notices(self):
+    def take_notices(self):
         told, self.told = self.told, []
         return told
 

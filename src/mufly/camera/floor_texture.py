@@ -42,13 +42,13 @@ class Floor:
     Attributes
     ----------
     name : str
-    levels : tuple of (n, m) uint8 arrays
+    mip_levels : tuple of (n, m) uint8 arrays
         North along the first axis, east along the second; sides are powers of two, each level half of the one before.
-    step_m : (2,) tuple
+    pixel_size_m : (2,) tuple
         Length of a pixel of the first level along each axis (m).
-    detail : (512, 512) float32 array
+    detail_map : (512, 512) float32 array
         What is added from near, in grey levels, :data:`DETAIL_PIXEL_M` a pixel.
-    shade : (256, 256) float32 array
+    shadow_map : (256, 256) float32 array
         Share of the light that arrives, :data:`SHADOW_PIXEL_M` a pixel.
     """
 

@@ -183,7 +183,7 @@ class LivePictures:
 
     Attributes
     ----------
-    counted : Counted
+    counts : Counted
 
     Raises
     ------

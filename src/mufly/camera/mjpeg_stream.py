@@ -71,7 +71,7 @@ class StreamServer:
     ----------
     url : str
         Where the stream is.
-    watchers : int
+    watcher_count : int
         How many look at it.
 
     Raises

@@ -115,9 +115,9 @@ class RecordedPictures:
     path : Path
     camera : str
         Its file; "" where it is not there.
-    times : list of float
+    times_s : list of float
         s, on the recording's clock.
-    told : list of dict
+    frame_infos : list of dict
         As they were given to :meth:`PictureRecorder.add_picture`; empty where nothing was.
     """
 

@@ -55,7 +55,7 @@ class VehicleMotion:
         p, q, r (rad/s).
     rotor_speed, rotor_phase : (2,) arrays
         Upper, lower (rad/s, rad).
-    shaking : float
+    vibration_scale : float
         Of the amplitude of the file: what share there is, 1 at hover speed.
     """
 

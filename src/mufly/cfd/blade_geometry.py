@@ -151,7 +151,7 @@ class BladeGeometry:
     ----------
     tip : Tip
     hub : Hub or None
-    gurney : float
+    gurney_height : float
         Height over chord of a plate below the trailing edge, from root to tip; 0 for none.
     """
 
@@ -187,13 +187,13 @@ class BladeLine:
 
     Attributes
     ----------
-    y_m, aft_m, up_m : arrays
+    radius_m, aft_m, height_m : arrays
         Radius; aft of and above the straight line, along and across the tip's chord.
     cant_rad : array
         Angle of the line to the disc.
-    chord : array
+    chord_ratio : array
         Over the rotor file's.
-    bow : array
+    rounding_share : array
         0 to 1: part of a round tip's bow.
     """
 

@@ -53,13 +53,13 @@ class PolyMesh:
     neighbour : (inside faces,) array
     patches : dict of (start, count)
         By name, in the order of the faces.
-    strip : (cells,) array
+    cell_strip : (cells,) array
         Spanwise strip of the blade that a cell lies in, or -1.
-    edges_m : (strips + 1,) array
-    blades : int
-    turning : (cells,) bool array
+    strip_edges_m : (strips + 1,) array
+    blade_count : int
+    is_rotating : (cells,) bool array
         Which cells are computed in a blade's frame.
-    middle_m : float
+    interface_height_m : float
         Height of the plane under which a second rotor's cells lie; -inf: there is none.
     """
 

@@ -251,22 +251,22 @@ class SectionShape:
 
     Attributes
     ----------
-    loop : (2 (n + m), 2) array
+    contour_ratio : (2 (n + m), 2) array
         Contour over chord, the quarter chord at (0, 0).
     chord_m, angle_rad : float
         Chord; its angle to the disc, nose up.
-    plain : float
+    axis_share : float
         0 at the blade; 1 on the axis, where the section is its own mirror image and nothing is crowded.
-    block_m, core_m : two float
+    block_half_size_m, core_half_size_m : two float
         There: half width and half height of the centre block, and of the core in it.
-    relaxed : float
+    ring_relaxation : float
         0 where the ring is crowded to the wall, 1 where it is even.
-    typical_m : float
+    typical_chord_m : float
         Chord that sizes the cells outside the centre block: one for all sections.
-    gurney, plate : (float, int)
+    gurney_layer, plate_layer : (float, int)
         Height over chord and layer of the ring (from the wall) of the edge of a plate below the tail, and of one above
         and below the blade: the layer lies at that height. (0, 0) for none.
-    level_block : bool
+    has_level_block : bool
         Whether the centre block is ``block_half_size_m`` in every section, level and its own mirror image, so that a
         second rotor's sections can join it close below or above.
     """

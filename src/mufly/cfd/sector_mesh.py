@@ -138,18 +138,18 @@ class SectorMesh:
         m.
     hexahedra : (cells, 8) array
         Points of each cell, in OpenFOAM's order.
-    strip : (cells,) array
+    cell_strip : (cells,) array
         Which of the blade's spanwise strips a cell lies in; -1 elsewhere.
-    edges_m : (strips + 1,) array
+    strip_edges_m : (strips + 1,) array
         Radii between the strips.
-    marks : dict of (points,) bool arrays
+    point_marks : dict of (points,) bool arrays
         Which points lie on ``sector``, ``outer``, ``top``, ``bottom``; of a pair, which are the ``lower`` rotor's.
-    blades : int
-    plates : (faces, 4) array
+    blade_count : int
+    plate_faces : (faces, 4) array
         Faces between two cells that are walls.
-    turning : (cells,) bool array
+    is_rotating : (cells,) bool array
         Which cells are computed in the blade's frame.
-    middle_m : float
+    interface_height_m : float
         Height of the plane under which a second rotor's cells lie; -inf: there is none.
     """
 

@@ -203,9 +203,9 @@ class NumberNotation:
         Of bare numbers and of the option's value; ``""`` where numbers take no unit.
     form : str
         A key of :data:`NUMBER_FORMS`.
-    words : tuple of str
+    allowed_words : tuple of str
         What may stand in place of a number.
-    within : Range
+    allowed_range : Range
         Of each number.
     """
 

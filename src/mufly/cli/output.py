@@ -108,7 +108,7 @@ class ResultColumn:
         As for :func:`format`.
     head : str
         Default: the field's name without its unit.
-    each : tuple of str
+    entry_names : tuple of str
         What the entries of a pair are, ``("upper", "lower")``.
     own_unit : str
         The field's own unit, where neither its name nor its docstring says it.

@@ -219,10 +219,10 @@ class ShutdownHandler:
 
     Attributes
     ----------
-    asked : threading.Event
-    status : int
+    stop_requested : threading.Event
+    exit_status : int
         128 and the number of the signal; 0: none has come.
-    patient : bool
+    waits_for_loop : bool
         Whether loops look; where they do not yet (nothing is open), the first signal is an interrupt at once.
     """
 

@@ -53,7 +53,7 @@ class Estimate:
         Of the errors of position, velocity, attitude and rates, in SI units.
     valid : bool
         Whether the estimator stands by it.
-    beliefs : Beliefs or None
+    auxiliary_states : Beliefs or None
         What else a filter believes; None of an estimator that is told the truth.
     """
 
@@ -128,13 +128,13 @@ class EstimateMonitor:
 
     Attributes
     ----------
-    values : list of 12 floats
+    last_values : list of 12 floats
         Position, velocity, attitude and rates as they came last.
-    good : Estimate
+    last_good : Estimate
         The last good value of each quantity.
     lost_s : float
         For how long position, velocity, attitude or rates have been missing or frozen (s).
-    what : str
+    lost_quantities : str
         Which, in words.
     """
 

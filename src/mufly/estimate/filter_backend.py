@@ -66,14 +66,14 @@ class FilterBackend:
     ----------
     name : str
         ``"C"`` or ``"Numba"``.
-    why : str
+    selection_reason : str
         Why not C; empty with C.
-    begin : callable
+    reset_memory : callable
         Of the memory.
-    step : callable
+    step_filter : callable
         Of the memory; says whether the estimate is valid. Readings, which are new, and their ages are in the arrays
         that were given.
-    place : tuple of int
+    call_addresses : tuple of int
         With C, addresses of its step and of the records of settings and flight model, for other compiled code.
     settings : record
         As it reads them in every step.

@@ -83,7 +83,7 @@ class InertialLog:
     time_s : (n,) array
     rates, acceleration : (n, 3) arrays
         Rates (rad/s) and specific force (m/s^2), forward, right, down. NaN where the log has a hole.
-    flying : (n,) array of bool
+    is_flying : (n,) array of bool
         False as long as it stands at the beginning, True from then on.
     """
 
@@ -110,7 +110,7 @@ class PositionAids:
 
     Attributes
     ----------
-    taken_s, came_s : (m,) arrays
+    measured_s, received_s : (m,) arrays
         When each was measured and when it was known (s).
     position : (m, 3) array
         N, E, D (m).

@@ -88,9 +88,9 @@ class KalmanEstimator(Estimator):
 
     Attributes
     ----------
-    by_covariance : bool
+    uses_fix_covariance : bool
         Whether position fixes that come with a covariance are taken for as good as that says.
-    wander_s : float
+    fix_correlation_s : float
         Over which errors of such fixes hang together; 0: not at all, each is white noise, and the wandering of all
         stays as the vehicle's file has it. Else they wander by as much as the covariance says, where that is more than
         the file does (a map that has drifted is off by the same for long), and noise stays as in the file. A bias that

@@ -37,7 +37,7 @@ class SensorStatus:
         Since the last measurement that was used (s).
     reason : str
         Why it is so, in plain words; empty while all is well.
-    odd : bool
+    is_suspicious : bool
         Whether something is wrong with it though it is fused: the reason says what.
     """
 

@@ -102,7 +102,7 @@ class SoftwareInstance:
         for name, value in setup_numbers(controller).items():
             setattr(self.setup_record, name, value)
         self.setup_record.plan = self._plan_record
-        self.setup_record.make_gains = self._gains_record = (
+        self.setup_record.gains = self._gains_record = (
             f.make_gains(controller) if f.is_generic else f.ffi.addressof(f.lib.mufly_gains)
         )
         self._last_command: Command | None = None
@@ -200,7 +200,7 @@ class SoftwareInstance:
 
     def prepare_compiled_periods(self, law: FirmwareControllers) -> None:
         """Take the numbers of the law and no command, for periods that others step through."""
-        self.setup_record.make_gains = law.current_gains()
+        self.setup_record.gains = law.current_gains()
         self._write_command(NO_COMMAND)
 
     def _write_command(self, c: Command) -> None:
@@ -208,7 +208,7 @@ class SoftwareInstance:
             return
         self._last_command = c
         to = self.command_record
-        to.start, to.pause, to.home, to.land, to.rc_active = (
+        to.start, to.pause, to.return_requested, to.land, to.rc_active = (
             c.start,
             c.pause,
             c.return_requested,
@@ -259,7 +259,7 @@ class SoftwareInstance:
                 _SENSOR_STATUSES[b.status],  # type: ignore[arg-type]
                 reason=self.text_table.look_up_text(b.why),
             )
-            for b in message.because
+            for b in message.faulty_sensors
             if b.sensor >= 0
         ]
         because = f" ({'; '.join(describe_check(c) for c in wrong)})" if wrong else ""
@@ -367,7 +367,7 @@ def _read_course(c: FFI.CData) -> Trajectory | BrakingMotion | None:
     if c.kind == 2:
         return _read_stop(c.brake)
     w, curve = c.way, None
-    if w.has_curve:
+    if w.has_spline_curve:
         curve = TimedSpline(
             tuple(tuple(row) for row in w.spline_curve.coefficients),
             tuple(w.spline_curve.arc_lengths),
@@ -519,7 +519,7 @@ class FirmwareSoftware(FlightSoftware):
         """Advance by one period."""
         board = self._software_instance
         assert board is not None
-        board.setup_record.make_gains = self.law.current_gains()
+        board.setup_record.gains = self.law.current_gains()
         actuators = board.step(estimate, command)
         self.clear_cached_records()
         return actuators
@@ -652,11 +652,11 @@ class ComparedSoftware(FlightSoftware):
 
     Attributes
     ----------
-    periods, different : int
+    period_count, mismatch_count : int
         Compared, and in how many something was not the same.
-    entries : int
+    log_entry_count : int
         Of the log.
-    first : str
+    first_mismatch : str
         Where it differed first, and how; "" if it did not.
     """
 

@@ -76,10 +76,10 @@ class CoefficientRows:
 
     Attributes
     ----------
-    c, up : arrays of int, shape (rows, inputs)
-    down : array of int, shape (rows,)
+    coefficients, left_shift : arrays of int, shape (rows, inputs)
+    right_shift : array of int, shape (rows,)
         Bits to take away from the sum.
-    value : array, shape (rows, inputs)
+    quantised_values : array, shape (rows, inputs)
         The numbers that the coefficients are.
     """
 
@@ -153,10 +153,10 @@ class FixedPointController:
     Attributes
     ----------
     name, form : str
-    delta : bool
-    fractions : tuple of int
+    is_delta_form : bool
+    state_fraction_bits : tuple of int
         Bits behind the point of each state.
-    update, output, start : Rows
+    update_rows, output_rows, start_rows : Rows
         To the next state from states, errors and what was refused; to the command from states and errors; to the state
         it engages with from errors and the command.
     proof : Proof
@@ -418,7 +418,7 @@ class FixedPointLaw:
     Attributes
     ----------
     heave_yaw, roll_pitch, position : FixedController
-    losses : tuple of FixedLoss
+    candidate_losses : tuple of FixedLoss
         Of every form tried, those taken among them.
     """
 

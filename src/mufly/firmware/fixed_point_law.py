@@ -229,7 +229,7 @@ class FixedPointControllers(Controllers):
 
     Attributes
     ----------
-    overflows : int
+    overflow_count : int
         Numbers that did not fit 32 bits so far; none, by the proof.
     """
 
@@ -506,9 +506,9 @@ class FixedPointFirmwareControllers(Controllers):
     def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
         self._write_motion(estimate)
         path = self._path_record
-        path.position_m, path.velocity_m_s = to_signals(position), to_signals(velocity)
+        path.position, path.velocity = to_signals(position), to_signals(velocity)
         path.acceleration = to_signals(acceleration)
-        self._lib.fixed_tilt(self._gains_record, self._state_record, self._motion_record, path, self._tilt_buffer)
+        self._lib.fixed_tilt_for(self._gains_record, self._state_record, self._motion_record, path, self._tilt_buffer)
         return np.array(list(self._tilt_buffer)) / SIGNAL_ONE
 
     def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:

@@ -165,7 +165,7 @@ class FirmwareControllers(Controllers):
     def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
         self._write_motion(estimate)
         path = self._path_record
-        path.position_m, path.velocity_m_s = position.tolist(), velocity.tolist()
+        path.position, path.velocity = position.tolist(), velocity.tolist()
         path.acceleration = acceleration.tolist()
         self.firmware.lib.controllers_tilt_for(
             self._gains_record, self._state_record, self._motion_record, path, self._tilt_buffer

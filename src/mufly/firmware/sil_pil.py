@@ -50,17 +50,17 @@ class ArithmeticBuild:
 
     Attributes
     ----------
-    sources : str
+    source_pattern : str
         Its C files in the tree, as a pattern.
-    flags : tuple of str
+    compiler_flags : tuple of str
         For every compiler.
-    includes : tuple of str
+    include_folders : tuple of str
         Folders of the tree.
-    memory : str
+    ram_size : str
         RAM of the smallest board, for the linker; all boards do with as much.
-    tests : dict
+    self_tests : dict
         Programs of ``check/``, and how the functions are called that they measure.
-    boards : dict
+    emulated_boards : dict
         Processor, and instructions between two ticks of the board's clock.
     """
 

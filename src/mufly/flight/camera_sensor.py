@@ -83,14 +83,14 @@ class CameraConfig:
     Attributes
     ----------
     camera : Camera
-    floor : str
+    floor_texture : str
         Of :data:`mufly.camera.FLOOR_KINDS`.
-    shadows : float
+    shadow_share : float
         Share of the light that shadows take.
-    spoils : tuple of Spoil
-    on_answer : callable, optional
+    camera_faults : tuple of Spoil
+    on_tracking_result : callable, optional
         Called with each answer as it is known.
-    stream : (str, int), optional
+    stream_address : (str, int), optional
         Host and port where its pictures are sent as MJPEG, before the radio spoils them.
     """
 
@@ -175,15 +175,15 @@ class CameraSensor(Sensor):
 
     Attributes
     ----------
-    believe : callable
+    estimate_source : callable
         Returns the latest estimate, or None, and what the sonar said last (m), or NaN.
-    answer : Answer or None
+    last_result : Answer or None
         The latest that came, trusted or not.
-    picture : (rows, columns) uint8 array or None
+    last_picture : (rows, columns) uint8 array or None
         The latest.
-    wander_s : float
+    fix_drift_time_s : float
         Over which errors of its fixes hang together.
-    on_sight : callable or None
+    on_map_view : callable or None
         Told of every picture that was looked at (:class:`mufly.slam.TrackedPicture`); with it pictures are made on the
         floor, too, which nobody looks at.
     """

@@ -170,8 +170,8 @@ class HealthMonitor:
 
     Attributes
     ----------
-    now : Doubt
-    stood : float
+    verdict : Doubt
+    floor_variance_m2 : float
         Variance of the horizontal position on the floor (m2).
     """
 
@@ -315,7 +315,7 @@ class SensorEventReporter:
 
     Attributes
     ----------
-    told : dict
+    reported_status : dict
         Reading to the status that was told last, of those that are not believed.
     """
 

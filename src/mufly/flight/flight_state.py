@@ -40,33 +40,33 @@ class FlightState:
         "off", "spin_up", "fly", "ramp_down" or "blind" (:mod:`mufly.flight.flight_software`).
     mission_running : bool
         Whether the waypoints of the mission are being flown, and nothing has interrupted that.
-    begun : bool
+    mission_begun : bool
         The mission has been started since take-off.
     manual : bool
         The user has taken over from the mission, which waits.
-    homing : bool
+    returning_home : bool
         It is on its way home.
-    waypoint : int
+    waypoint_index : int
         The one that is flown to or comes next (from 0); the number of waypoints when all are reached.
-    reached : int
+    reached_count : int
         How many were reached since take-off.
-    offboard, sticks : bool
+    offboard_active, sticks_active : bool
         Whether a program's set-points, or the pilot's sticks, are in command.
     outcome, reason : str
         Of the flight: "" while it is open, "succeeded" or "failed", and why.
     oscillation : str
         Which actuator oscillates, how far and how fast (:mod:`mufly.flight.oscillation_detector`); "" if none.
-    crashed : str
+    crash_cause : str
         What it hit; "" if nothing.
-    fence_breach : str
+    fence_breach_text : str
         How far it is outside its fence, in words; "" inside, or without one.
-    fence_breaches : int
+    fence_breach_count : int
         How often it has left its fence in this flight.
-    fence_breach_s : float
+    fence_breach_time_s : float
         When it left it last (s).
     mission : Mission or None
         As loaded, with the limits as tuned.
-    home : (3,) tuple or None
+    home_position : (3,) tuple or None
         Where it took off (N, E, D; m); None before it has.
     goal : (3,) tuple or None
         Where it is going or holds (N, E, D; m); None on the floor and by hand.

@@ -119,7 +119,7 @@ class Flight:
     eye : Eye, optional
         Fly on pictures (:mod:`mufly.flight.camera_sensor`) instead of the statistical position fix; on fitted sensors
         only.
-    outside : bool
+    outside_model_note : bool
         Fly on fixes that somebody gives to :attr:`outside_fixes`, by a link for instance; on fitted sensors only. With
         ``eye`` as well its pictures are sent to ``eye.stream``, for somebody who makes fixes of them.
 

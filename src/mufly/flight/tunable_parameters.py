@@ -44,10 +44,10 @@ class TunableParameter:
         In ``unit``.
     unit : str
         "" for a pure number, or where it is not known.
-    least, greatest : float
+    minimum, maximum : float
         Bounds, themselves permitted; infinite where none are known.
-    help : str
-    whole : bool
+    description : str
+    is_integer : bool
         A whole number.
     """
 

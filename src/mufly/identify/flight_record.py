@@ -354,9 +354,9 @@ class LogColumns:
     columns : dict of str to (n,) array
     notes : tuple of str
         What was done to make it so, in words.
-    empty : tuple of str
+    empty_columns : tuple of str
         Columns of the log that hold no numbers.
-    bridged : dict of str to int
+    filled_counts : dict of str to int
         Samples of a column that were missing and stand on straight lines now.
     """
 

@@ -81,9 +81,9 @@ class ChannelNoise:
 
     Attributes
     ----------
-    reading, full_scale : float
+    reading_share, full_scale_share : float
         Shares of the reading and of the largest reading.
-    absolute : float
+    absolute_std : float
         SI units of the channel.
     """
 
@@ -115,15 +115,15 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
         name, _, amounts = (t.strip() for t in part.partition("="))
         if name not in result:
             raise ArgumentError("noise", name, "is no channel", f"use one of {', '.join(channels)}")
-        amount = {"reading": 0.0, "full_scale": 0.0, "absolute": 0.0}
+        amount = {"reading_share": 0.0, "full_scale_share": 0.0, "absolute_std": 0.0}
         for piece in amounts.lower().replace(" ", "").split("+"):
-            kind, number = "absolute", piece
+            kind, number = "absolute_std", piece
             if piece.endswith("%fs"):
-                kind, number = "full_scale", piece[:-3]
+                kind, number = "full_scale_share", piece[:-3]
             elif piece.endswith("%"):
-                kind, number = "reading", piece[:-1]
+                kind, number = "reading_share", piece[:-1]
             try:
-                value = float(number) * (1.0 if kind == "absolute" else 0.01)
+                value = float(number) * (1.0 if kind == "absolute_std" else 0.01)
             except ValueError:
                 value = math.nan
             if not (math.isfinite(value) and value >= 0):

@@ -66,7 +66,7 @@ class SignalFault:
     ----------
     signal : str
     problem, remedy : str
-    grave : bool
+    is_fatal : bool
         Whether a fit would turn it into wrong parameters.
     """
 
@@ -86,7 +86,7 @@ class SignalAgreement:
         With the lag taken out.
     lag_s, lag_std_s : float
         Positive: what is read is late. NaN where the record does not tell.
-    low, high : float
+    scale_low, scale_high : float
         The factor's size lies between them, noise on either side included.
     """
 

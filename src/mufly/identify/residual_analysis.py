@@ -66,7 +66,7 @@ class LagCorrelation:
         Lags (s); positive: the second signal is later.
     value : (k,) array
         Between -1 and 1.
-    bound : float
+    confidence_bound : float
         Of |value| at one lag, at the confidence asked for.
     """
 
@@ -88,7 +88,7 @@ class WhitenessTest:
     ----------
     statistic : float
         Q.
-    degrees : int
+    degrees_of_freedom : int
         Lags tested.
     p_value : float
         Probability of a larger Q, were the residual white.

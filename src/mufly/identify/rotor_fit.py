@@ -82,16 +82,16 @@ class CoefficientTrend:
         W_0.
     coefficients : (d + 1,) array
         p_0 ... p_d.
-    spread : Spread
+    covariance_estimate : Spread
         Their covariance.
-    significant : bool
+    is_significant : bool
         Whether the coefficient changes with speed by more than its error.
     offset, offset_std : float
         F_0 of the rival explanation (N or N m).
-    against_offset : float
+    aicc_against_offset : float
         AICc of the rival less that of the trend: positive if the trend explains more.
     range_rad_s : (float, float)
-    ordered : bool
+    speed_is_ordered : bool
         Speeds rose or fell all through the measurement.
     """
 
@@ -218,11 +218,11 @@ class CoefficientFit:
     systematic_share : (p,) array
         Part of each variance that calibration, zeros, density and radius make up.
     speed_rad_s : (n, p) array
-    unit_load : (n, p) array
+    load_per_coefficient : (n, p) array
         q of the module docstring.
-    load, expected : (n,) array
+    load, expected_std : (n,) array
         Measured (N, N m) and standard deviation of its scatter.
-    spread : Spread
+    covariance_estimate : Spread
     trends : tuple of Trend
         One for a fit of one rotor; empty otherwise.
     """

@@ -134,12 +134,12 @@ class Client:
     ----------
     peer : hashable
     encode : Encoder
-    wishes : Wishes
-    fixed : bool
+    schedule : Wishes
+    is_permanent : bool
         Whether the vehicle was told to send there, whoever may listen.
-    heard_s : float
+    last_heard_s : float
         When it was last heard.
-    told_s : float
+    last_refusal_s : float
         When it was last told why it may not command.
     """
 

@@ -96,7 +96,7 @@ class Command:
 
     Attributes
     ----------
-    number : int
+    command_id : int
         MAV_CMD.
     params : tuple of 7 floats
         Its parameters; 5 and 6 in degrees or metres; NaN where not given.

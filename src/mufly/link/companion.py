@@ -57,7 +57,7 @@ class VisionCompanion:
     ----------
     system : int or None
         Of the vehicle; None until it is heard.
-    stamped : bool
+    has_sender_stamps : bool
         Whether pictures bear a time of their sender, which may be the vehicle's clock: it is, where it is near to it.
     """
 

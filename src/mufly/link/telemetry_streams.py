@@ -62,22 +62,22 @@ class TelemetryState:
     Attributes
     ----------
     vehicle : Vehicle
-    state : FlightState
-    ready : bool
+    flight_state : FlightState
+    is_ready : bool
         Whether it could be armed.
-    progress : Progress
+    mission_progress : Progress
         Of its mission.
     origin : Origin or None
         Where on the globe it is.
-    chosen : str
+    chosen_mode : str
         The mode that was chosen on the floor, for when it is armed; "" if none.
-    commander : int
+    commander_id : int
         system * 256 + component of who commands; 0: nobody.
-    loss : float
+    loss_ratio : float
         Share of the packets from its stations that were lost, 0..1.
     real_time_factor : float
         Of late, seconds of the flight in one second of the clock on the wall; NaN where nobody measures it.
-    slips : int
+    slip_count : int
         How often time was given up.
     """
 
@@ -596,13 +596,13 @@ class MessageStream:
 
     Attributes
     ----------
-    name : str
+    message_name : str
         Of the message; where several share one, what tells them apart follows in brackets.
-    default_Hz : float
+    default_rate_Hz : float
         Rate for a peer that does not ask; 0: only on request.
-    group : int
+    stream_group : int
         MAV_DATA_STREAM group that it belongs to; 0: none.
-    make : callable
+    make_messages : callable
         Instant -> message, several, or None where there is nothing to tell.
     needs_origin : bool
         Whether there is nothing to tell without an origin.

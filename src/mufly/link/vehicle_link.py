@@ -58,11 +58,11 @@ class VehicleLink:
         Who commands.
     clients : Clients
         Whom it speaks to.
-    received, sent : int
+    received_count, sent_count : int
         Messages so far.
     on_received : callable or None
         Called with the bytes of every message that comes in; a log hangs here.
-    real_time_factor, slips : float, int
+    real_time_factor, slip_count : float, int
         How well whoever ticks the flight keeps to the clock on the wall
         (:class:`mufly.link.vehicle_process.RealTimePacer`); it is told to stations. NaN: not measured.
     """

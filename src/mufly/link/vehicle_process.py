@@ -78,13 +78,13 @@ class LoopReport:
     state : FlightState
     commander : str
         Who commands, or "".
-    received_Hz, sent_Hz : float
+    received_rate_Hz, sent_rate_Hz : float
         Messages a second.
-    late_ms, worst_ms : float
+    mean_lateness_ms, worst_lateness_ms : float
         How late ticks are: lately on average, and the worst since the last report.
-    slipped_s : float
+    lost_time_s : float
         Time that was not made up for, since the start.
-    slips : int
+    slip_count : int
         How often that was.
     real_time_factor : float
         Seconds of the flight in one of the wall, over the last :data:`PACE_WINDOW_S`; NaN in the first.
@@ -111,18 +111,18 @@ class RealTimePacer:
 
     Attributes
     ----------
-    due_s : float
+    next_tick_s : float
         When the next tick is due by the clock on the wall.
-    slipped_s : float
+    lost_time_s : float
         Time that was given up.
-    slips : int
+    slip_count : int
         How often.
-    factor : float
+    real_time_factor : float
         Seconds of the flight in one of the wall, over the last :data:`PACE_WINDOW_S`; NaN in the first. Above 1 while a
         stall is made up for.
-    least : float
+    min_real_time_factor : float
         The least that the factor has been.
-    late_s, worst_s : float
+    mean_lateness_s, worst_lateness_s : float
         How late ticks are: lately on average, and the worst so far.
     """
 

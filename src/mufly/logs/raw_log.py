@@ -67,10 +67,10 @@ class RawLog(Mapping[str, RawTable]):
     Attributes
     ----------
     path : str
-    kind : str
+    format_name : str
         ``"MCAP"``, ``"CSV"``, ``"ULog"``, ``"DataFlash"``, ``"MAVLink tlog"``, ``"Crazyflie"``, ``"Parquet"``,
         ``"Feather"`` or ``"NetCDF"``.
-    tables : dict of str to RawTable
+    tables_by_topic : dict of str to RawTable
     start_time : str
         Wall time of the instant 0 (ISO 8601, UTC), ``""`` where the file does not tell.
     info : dict
@@ -79,9 +79,9 @@ class RawLog(Mapping[str, RawTable]):
         What the vehicle said.
     dropouts : tuple of (time_s, duration_s)
         Where the logger itself says that it lost data.
-    complete : bool
+    is_complete : bool
         Whether the file ends as it should, without damage.
-    damage : str
+    damage_text : str
         Of a file that does not: what is missing, in words, as far as it can be told.
     notes : tuple of str
         What the reader repaired or guessed, in words.

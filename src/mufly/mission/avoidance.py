@@ -260,26 +260,26 @@ class PathCheck(NamedTuple):
 
     Attributes
     ----------
-    north, east, down : float
+    from_north, from_east, from_down : float
         From where it looks (m).
-    goal_north, goal_east, ahead : float
+    goal_north, goal_east, look_ahead_m : float
         Where to, and how much of that way is looked at (m).
-    row : int
+    points_checked : int
         Points gone through.
-    way : float
+    path_distance_sq : float
         Square of the least distance of any point from the stretch of the way looked at (m2), where that is within twice
         the one at which the way is blocked; else it may be infinite.
-    onward : float
+    onward_distance_sq : float
         Likewise from the first 1.5 m of it.
-    goal : float
+    goal_distance_sq : float
         Square of the distance from the goal to the point nearest to it (m2).
-    across : float
+    lateral_offset_sum : float
         Sum of the distances of the points that block it from the way, positive to the right (m).
-    blockers : int
+    blocker_count : int
         How many these are.
-    block, block_north, block_east : float
+    blocker_distance_sq, blocker_north, blocker_east : float
         The nearest of those that block it: square of its distance (m2), where it is (m).
-    near : (16, 2) array
+    nearest_points : (16, 2) array
         In each of sixteen directions the nearest point within 2 m at about this height, N and E (m); infinite where
         there is none. Others in its direction hardly bound a velocity more than it does.
     """

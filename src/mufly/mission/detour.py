@@ -67,27 +67,27 @@ class Detour:
     ----------
     position, velocity, acceleration : (3,) tuples
         The reference, N-E-D (m, m/s, m/s2).
-    side : float
+    passing_side : float
         +1 keeps the obstacle on the left (flies to the right around it), -1 the other way.
-    hit : (2,) tuple
+    hit_point : (2,) tuple
         N, E where the obstacle was met (m).
-    hit_distance : float
+    hit_goal_distance : float
         Distance from there to the goal (m).
-    count : int
+    obstacle_count : int
         How many times an obstacle was met on this leg.
-    stray : float
+    max_stray : float
         Distance from the straight way between ``hit_point`` and the goal at which the other side is tried (m).
-    clear_s, anchor_s : float
+    clear_duration_s, anchor_duration_s : float
         For how long the way has been clear; since when ``anchor_point`` (2,) has not been left by 0.25 m (s).
-    lap : (2,) tuple or None
+    lap_start : (2,) tuple or None
         N, E of where it came to the contour (m).
-    laps : int
+    lap_count : int
         Whole laps flown around it.
-    lap_way, best : float
+    lap_distance, least_goal_distance : float
         Way flown since then, and the least distance to the goal on it (m).
-    leaving : bool
+    is_leaving : bool
         Whether it brakes, to fly straight on from where it stops.
-    obstacle : (2,) tuple
+    obstacle_point : (2,) tuple
         N, E of the point that was nearest last (m), for messages.
     """
 

@@ -56,13 +56,13 @@ class GroundFile:
     ----------
     items : tuple of Item
         Numbered from 0.
-    places : tuple of str
+    item_locations : tuple of str
         Where each item stands: "item 2", "line 4".
     home : Origin or None
         The planned home.
-    left_out : tuple of str
+    ignored_parts : tuple of str
         What of the file is not flown, in words.
-    fence : tuple of Item
+    fence_items : tuple of Item
         Its geofence.
     """
 

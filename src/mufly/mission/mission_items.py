@@ -146,7 +146,7 @@ class MissionWithItems:
     ----------
     mission : Mission
     items : tuple of Item
-    item_of_waypoint : tuple of int
+    waypoint_item_index : tuple of int
         Which item each waypoint of the mission came from.
     """
 

@@ -46,9 +46,9 @@ class Command:
     ----------
     start : bool
         Take off and fly the mission; in a hover after a user's waypoint, a pause or RC, go on with it.
-    first : int or None
+    first_waypoint : int or None
         With ``start``: the waypoint (from 0) to fly to first; also while the mission is being flown.
-    take_off : float or None
+    take_off_height : float or None
         Take off to this height above the floor (m) and hold; the mission waits.
     pause : bool
         Stop and hover; ``start`` goes on.
@@ -56,17 +56,17 @@ class Command:
         Fly there (N, E, D; m) and hold; the mission waits.
     heading : float or None
         Heading (rad) on the way to ``waypoint`` and there; without a waypoint: turn to it.
-    home : bool
+    return_requested : bool
         Fly to above where it took off, and land.
     land : bool
         Land now.
-    stop : str
+    stop_reason : str
         Motors off at once, whatever the state; the text says why. "" is no signal.
-    rc : bool
+    rc_active : bool
         The pilot flies, for as long as this is set.
     roll, pitch : float
         Pilot's attitude (rad).
-    yaw_rate, climb : float
+    yaw_rate, climb_rate : float
         Pilot's rate of turn (rad/s) and of climb (m/s, positive up).
     set_point : SetPoint or None
         A program flies, for as long as there is one.
@@ -105,7 +105,7 @@ class Reference:
         Continuous heading (rad; not wrapped, near the measured one) and its rate (rad/s).
     motors : {"off", "spin_up", "fly", "ramp_down", "blind"}
         What the motors are to do.
-    rc : bool
+    rc_active : bool
         Whether roll and pitch come from the pilot in place of the position controller; height and heading are
         followed as ever.
     roll, pitch : float
@@ -133,7 +133,7 @@ class MissionPlan:
         The mission.
     ring : Ring
         The vehicle's range beams.
-    low_V : float
+    low_battery_V : float
         Voltage below which it lands (V).
     """
 
@@ -198,11 +198,11 @@ class MissionState:
         State of Fig. 6.15.
     time_s, state_entered_s, motion_clock_s : float
         Time of the last step; when the state was entered; time on the present motion, which a gate can hold (s).
-    step_s : float
+    step_duration_s : float
         Length of the last step (s).
     motors : str
         What the motors are to do.
-    index : int
+    waypoint_index : int
         The waypoint that is flown to or comes next (from 0).
     outcome, reason : str
         "" while it is open, then "succeeded" or "failed", and why.
@@ -210,53 +210,53 @@ class MissionState:
         Back on the floor with the motors off, after a mission.
     manual : bool
         The user's signals have interrupted the mission; ``start`` goes on with it.
-    started : bool
+    has_taken_off : bool
         It has taken off, so that ``home_position`` is where it comes home to.
-    begun : bool
+    mission_begun : bool
         The waypoints of the mission have been asked for.
-    reached : int
+    reached_count : int
         How many of its waypoints were reached since take-off.
-    quit : str
+    abort_reason : str
         Why the user broke the mission off; counts once it is down.
-    homing : bool
+    returning_home : bool
         The leg leads home, where it lands.
     events : tuple of Event
         Log, the latest `LOG_CAPACITY` entries.
-    logged : int
+    logged_count : int
         How many entries there have been.
-    standing, hold, goal : (3,) tuples
+    home_position, hold_position, goal : (3,) tuples
         Where it stood before take-off; where it stays when it has no motion; where the state wants to be (m).
-    heading : float
+    hold_heading : float
         Heading to keep when there is no motion (rad).
     motion : Trajectory, Stop or None
         What it follows.
-    ready_s : float
+    hover_until_s : float
         When a hover has lasted long enough (s).
-    sink, sink_rate : float
+    descent_rate, descent_acceleration : float
         Rate of descent of a landing's reference and its change (m/s, m/s2).
-    still_s : float
+    still_duration_s : float
         For how long it has lain still on the floor (s).
-    impact : float
+    touchdown_speed : float
         Greatest rate of descent near the floor in this landing (m/s).
-    battery_V, low_s : float
+    battery_V, low_battery_duration_s : float
         Filtered voltage; for how long it has been low (s).
-    memory : Memory
+    obstacle_map : Memory
         Points that the beams have hit.
-    beam : int
+    next_beam : int
         The beam that is taken next.
-    sight : Sight
+    path_check : Sight
         What the points mean for where it goes, as far as they have been gone through since the last step.
     detour : Detour or None
         Way around an obstacle, or the last one on this leg.
-    back : State
+    resume_state : State
         Where to go once it is avoided.
-    avoided_s : float
+    detour_duration_s : float
         Time spent on detours on this leg (s).
-    resumed : bool
+    resumed_after_detour : bool
         The leg goes on after a detour.
-    swing : float
+    scan_duration_s : float
         For how long the nose has been swinging (s, at most 3; it counts down from 1 to stop).
-    asked_heading : float or None
+    requested_heading : float or None
         Heading that the user's waypoint asks for (rad).
     set_point_reference : TrajectoryPoint or None
         Reference that follows set-points.
@@ -402,9 +402,9 @@ class RequestAnswer:
     accepted : bool
     reason : str
         Why not, with the remedy; or what to know about it.
-    temporary : bool
+    is_temporary : bool
         Refused for now; the same may be accepted later.
-    brief : str
+    short_reason : str
         Why not, in two or three words for a button.
     """
 

@@ -65,15 +65,15 @@ class MissionTiming:
 
     Attributes
     ----------
-    up_s : float
+    take_off_done_s : float
         The take-off has reached its height.
     legs : tuple of Leg
         One a waypoint.
-    home_s : float
+    above_landing_s : float
         Above where it lands: after the last wait or, with ``at_end = "return"``, after the way home.
     landed_s : float
         Landed, rotors at rest.
-    path_m : float
+    path_length_m : float
         Length of the reference from lift-off to touchdown, without ways around obstacles (m).
     """
 

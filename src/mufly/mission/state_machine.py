@@ -347,9 +347,9 @@ def pause_mission(plan: MissionPlan, s: MissionState, why: str = LogMessage.MISS
     place = (n, e, min(d, -MIN_WAYPOINT_HEIGHT_M) if s.state is State.LANDING else d)
     flags: dict[str, Any] = {
         "manual": True,
-        "homing": False,
-        "quit": "",
-        "asked_heading": None,
+        "returning_home": False,
+        "abort_reason": "",
+        "requested_heading": None,
         "motors": "fly",
     }
     return enter_hover(s, why, place, at.heading, motion=brake, hover_until_s=s.time_s, **flags)

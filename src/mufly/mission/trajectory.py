@@ -31,9 +31,9 @@ class MotionProfile:
 
     Attributes
     ----------
-    way : float
+    distance : float
         Total way (m or rad), not negative.
-    speed : float
+    peak_speed : float
         Peak speed (1/s of that).
     ramp_s, cruise_s : float
         Duration of one ramp and of the cruise (s).
@@ -398,19 +398,19 @@ class Trajectory:
     ----------
     start, goal : (3,) tuples
         N, E, D (m).
-    heading, turn : float
+    start_heading, turn_angle : float
         Heading at the start and the turn on the spot (rad).
-    rise, yaw, way : Profile
+    height_profile, yaw_profile, path_profile : Profile
         Timing of the change of height, of the turn, and of the level line.
-    gate_s : float
+    departure_s : float
         When the part on the spot ends (s).
     duration_s : float
         When all is done (s).
-    curve : SplinePath or None
+    spline_curve : SplinePath or None
         Flown in place of the line.
-    lead : Stop or None
+    initial_braking : Stop or None
         Braking that comes first; `departure_s` and `duration_s` include it.
-    unmade : Unmade or None
+    pending_curve : Unmade or None
         The curve that it is to be once :meth:`finish_curve`; until then a line.
 
     Thesis: Fig. 6.17; Sec. 6.2.2.

@@ -405,14 +405,14 @@ class BemtCases(NamedTuple):
 
     Attributes
     ----------
-    which : (cases,) ints
+    rotor_index : (cases,) ints
         Rotor of each case: first index of the arrays of the blades.
     pitch_rad, speed_rad_s, climb_m_s : (cases,) arrays
         Speeds above 0.
     stream_m_s : (cases, stations, 3) array or (0, ...)
         Axial (down) and tangential (against the blade) velocity of the air that another rotor sends, and what of the
         axial one momentum theory counts as V.
-    density_kg_m3, viscosity_m2_s, sound_m_s : float
+    density_kg_m3, kinematic_viscosity_m2_s, speed_of_sound_m_s : float
         The air; kinematic viscosity.
     """
 
@@ -431,11 +431,11 @@ class CorrectionSwitches(NamedTuple):
 
     Attributes
     ----------
-    tip_loss : int
+    tip_loss_code : int
         0 none, 1 Prandtl, 2 effective radius.
-    hub_loss, swirl, cos4 : int
+    has_hub_loss, has_swirl, has_cos4_stall_delay : int
         1 for hub loss, for swirl, and for the factor cos^4 theta on the strength of rotation.
-    lift, drag : float
+    lift_factor, drag_factor : float
         Factors on the section coefficients.
     """
 
@@ -469,17 +469,17 @@ class SectionParameters(NamedTuple):
 
     Attributes
     ----------
-    first, second : int
+    first_polar, second_polar : int
         Its polars.
-    weight : float
+    second_weight : float
         Of the second one.
-    zero_lift, rotation : float
+    zero_lift_rad, stall_delay : float
         Zero-lift angle (rad), strength of the rotation model.
-    lift, drag : float
+    lift_factor, drag_factor : float
         Factors on the coefficients.
-    thickness : float
+    thickness_ratio : float
         Over chord.
-    edge : float
+    edge_drag : float
         Of the trailing edge's drag (:func:`mufly.rotor.blading.blunt_edge_drag`).
     """
 

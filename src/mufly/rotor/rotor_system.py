@@ -154,11 +154,11 @@ class RotorSystem:
     Attributes
     ----------
     bladings : tuple of Blading
-    height_m : tuple of float
+    disc_heights_m : tuple of float
         Of each disc, along the shaft.
-    hand : tuple of int
+    rotation_signs : tuple of int
         Sense of rotation: 1 or -1.
-    which : tuple of int
+    rotor_indices : tuple of int
         Which of its blading's rotors each one is.
     """
 
@@ -391,19 +391,19 @@ class LiftingSurface:
 
     Attributes
     ----------
-    blades : int
+    blade_count : int
     radius_m, speed_rad_s : float
-    chord_m, theta_rad : (n,) arrays
+    chord_m, pitch_rad : (n,) arrays
         Chord and angle of the chord to the disc, panels from root to tip.
-    width_m : (n,) array
+    panel_width_m : (n,) array
         Width of the panels.
-    quarter_m, control_m : (n, 3) arrays
+    quarter_chord_m, control_points_m : (n, 3) arrays
         Panel middles at one and three quarters of the chord.
     normal, tangent : (n, 3) arrays
         Directions normal to the chord (up) and along it (towards the tail).
-    edge_quarter_m, edge_tail_m : (n + 1, 3) arrays
+    edge_quarter_chord_m, trailing_edge_m : (n + 1, 3) arrays
         Panel edges on the quarter chord line and at the trailing edge.
-    edge_chord_m, spacing_m : (n + 1,) arrays
+    edge_chord_m, filament_spacing_m : (n + 1,) arrays
         Chord, and distance of the trailing vortices, at the edges.
     """
 
@@ -429,17 +429,17 @@ class RotorWake:
 
     Attributes
     ----------
-    paths_m : (n + 1, points, 3) array
+    filament_paths_m : (n + 1, points, 3) array
         Filaments from the quarter chord line down, in space (z up, the mirror image undone), blade 1 at azimuth 0.
-    age_rad : (points,) array
-    strength_m2_s : (n + 1,) array
+    filament_ages_rad : (points,) array
+    filament_circulation_m2_s : (n + 1,) array
         Circulation of the trailing filaments, along the path, in the rotor's own (unmirrored) frame.
-    core_m : (n + 1, points - 1) array
-    circulation_m2_s : (n,) array
+    core_radius_m : (n + 1, points - 1) array
+    bound_circulation_m2_s : (n,) array
         Of the panels.
-    free_points : int
+    free_point_count : int
         Points of a filament that were moved, from the trailing edge on.
-    chords : int
+    chords_per_step : int
         Pieces of ``filament_paths_m`` from one of them to the next.
     """
 

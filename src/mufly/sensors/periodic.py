@@ -85,16 +85,16 @@ class PeriodicSensor(Sensor):
         Between measurements (s).
     rng : numpy.random.Generator
         What it draws from.
-    parts : tuple of arrays
+    sample_arguments : tuple of arrays
         What ``sample_function`` takes: what this sensor is like, and what it remembers.
     longest_s : float
         How long what it measures is on its way, in all likelihood (s).
 
     Attributes
     ----------
-    says : mapping
+    published_readings : mapping
         Name of a reading to where it stands in the values: an index, or a slice of them.
-    compute : compiled function
+    sample_function : compiled function
         Measures: ``sample_function(t, x, attitude, supply, source, parts, row)`` with time (s), true state (21,), true
         attitude (3,), voltage and current of the battery (2,), what to draw from, and the row to be written to from
         :data:`IS_VALID` on; returns how long it takes until that is known (s), or :data:`NO_MEASUREMENT`.

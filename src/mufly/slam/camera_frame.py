@@ -87,7 +87,7 @@ class CameraFrame:
         When its middle row was exposed.
     picture : (rows, columns) uint8 array
         Grey.
-    told : Telling
+    info : Telling
     """
 
     time_s: float
@@ -121,17 +121,17 @@ class Odometry:
     ----------
     time_s : float
         Of the picture that it leads to.
-    told : Telling
+    last_info : Telling
         With that picture.
-    since_s : float
+    elapsed_s : float
         Time from the answer.
-    moved : (2,) array
+    displacement_m : (2,) array
         N, E (m).
-    turned : float
+    heading_change_rad : float
         rad.
-    sigma_m : float
+    position_sigma_m : float
         What the place is off by along an axis.
-    complete : bool
+    has_all_velocities : bool
         Whether a velocity was told with each picture.
     """
 

@@ -59,27 +59,27 @@ class ViewPrior(NamedTuple):
 
     Attributes
     ----------
-    focal : float
+    focal_px : float
         Pixels.
-    axes : (3, 3) array
+    body_from_camera : (3, 3) array
         Turns camera's into body axes.
-    roll, pitch : float
+    roll_rad, pitch_rad : float
         rad.
-    rates : (3,) array
+    body_rates_rad_s : (3,) array
         p, q, r (rad/s).
-    velocity : (3,) array
+    velocity_m_s : (3,) array
         Of the camera, N-E-D (m/s).
-    height, height_sigma : float
+    height_m, height_sigma_m : float
         Of the camera above the floor (m).
-    shake_sigma : float
+    shake_sigma_px : float
         Of an amplitude of shaking, pixels; 0: none are sought.
-    rotor_speed : (2,) array
+    rotor_speeds_rad_s : (2,) array
         rad/s.
-    rotor_phase : (2,) array
+    rotor_phases_rad : (2,) array
         At the picture's middle (rad); zero where it is not known.
-    shakes : (8,) array
+    shake_amplitudes_px : (8,) array
         What amplitudes are expected to be, pixels.
-    tilt : (2,) array
+    tilt_error_rad : (2,) array
         By what roll and pitch are expected to be off (rad).
     """
 
@@ -104,22 +104,22 @@ class PoseEstimate:
 
     Attributes
     ----------
-    x : (8,) array
+    state : (8,) array
         N, E, height, heading, errors of tilt about x and y of the heading, of the keyframe's about its own, from what
         is expected of that (m, rad).
-    shakes : (8,) array
+    shake_amplitudes_px : (8,) array
         Amplitudes, pixels.
     covariance : (8, 8) array
         With all that was known before.
-    seen : (8, 8) array
+    pixel_information : (8, 8) array
         Information on ``state`` of the pixels alone, whatever the amplitudes are.
-    pull : (8,) array
+    pixel_gradient : (8,) array
         Where to these would have it moved: the gradient that goes with it.
-    scale : float
+    residual_scale : float
         Root mean square of weighted residuals over what was expected.
-    residuals : (n,) array
+    normalised_residuals : (n,) array
         Over their deviations.
-    off : (n, 2) array
+    pixel_residuals : (n, 2) array
         Residuals, seen less expected, in pixels.
     """
 

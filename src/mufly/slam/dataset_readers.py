@@ -59,7 +59,7 @@ class FrameSource:
     Attributes
     ----------
     name : str
-    count : int
+    frame_count : int
         Pictures.
     truth : tuple of (n,), (n, 3), (n,) arrays, or None
         Times (s), positions N-E-D (m), headings (rad).

@@ -111,7 +111,7 @@ class FloorMap:
 
     Parameters
     ----------
-    start : (3,) array_like
+    start_pose : (3,) array_like
         N, E (m) and heading (rad) of the vehicle where the map begins.
     start_sigma : (2,) tuple
         What that is off by: place (m), heading (rad).

@@ -56,14 +56,14 @@ class GraphEdge:
 
     Attributes
     ----------
-    first, second : int
-    measured : (8,) array
+    first_index, second_index : int
+    measurement : (8,) array
         Re t, Im t, heading, ln h, as above; errors of the tilts of ``first_index`` and ``second_index``.
     information : (8, 8) array
         On these.
-    pull : (8,) array
+    gradient : (8,) array
         The gradient that pixels have there.
-    closes : bool
+    is_loop_closure : bool
         Whether it closes a loop.
     """
 
@@ -164,7 +164,7 @@ class GraphSolution:
     Attributes
     ----------
     nodes : (n, 7) array
-    chi2 : (e,) array
+    edge_chi2 : (e,) array
         Of each edge.
     """
 

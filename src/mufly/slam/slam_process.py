@@ -34,9 +34,9 @@ class MapView:
 
     Attributes
     ----------
-    keyframes : (n, 3) float array
+    keyframe_poses : (n, 3) float array
         N, E (m) and heading (rad) of the camera.
-    ties : (m, 3) int array
+    edge_indices : (m, 3) int array
         Two keyframes, and whether that closes a loop (1) or follows the way (0).
     """
 
@@ -50,12 +50,12 @@ class PictureCounts:
 
     Attributes
     ----------
-    taken : int
-    lost : int
+    taken_count : int
+    lost_count : int
         By the radio.
-    answered : int
+    processed_count : int
         That SLAM looked at.
-    trusted : int
+    trusted_count : int
         Of these: those that gave a place.
     """
 
@@ -72,21 +72,21 @@ class TrackedPicture:
     Attributes
     ----------
     jpeg : bytes
-    answer : Answer or None
+    result : Answer or None
         What was made of it; None of one that nobody looked at (the vehicle stands).
-    features : (n, 2) float array
+    feature_pixels : (n, 2) float array
         Points that agree, in pixels of the picture.
     latency_s : float
         From the middle of its exposure until the vehicle knew the answer.
-    work_s : float
+    processing_time_s : float
         Of it: what looking took.
-    said : str
+    warning : str
         What is wrong at present, "" if nothing is.
     counts : Counts
-    sketch : Sketch
-    path : (n, 2) float array
+    map_view : Sketch
+    path_m : (n, 2) float array
         N, E (m) of the answers so far, thinned.
-    stands : bool
+    is_standing : bool
         It is on the floor, where nobody asks for a position.
     """
 
@@ -128,9 +128,9 @@ class SlamProcess:
 
     Attributes
     ----------
-    sketch : Sketch
+    map_view : Sketch
         The map as of the latest answer.
-    work_s : float
+    processing_time_s : float
         How long that one took.
 
     Raises

@@ -113,13 +113,13 @@ class TrackingResult:
         Of N, E, D, heading.
     keyframe : int
         Against which it was seen.
-    tracked, agreed : int
+    tracked_count, inlier_count : int
         Points that were found, that agree.
-    pixels : (n, 2) array
+    inlier_pixels : (n, 2) array
         Where those are that agree, in the straight picture.
-    scatter : float
+    residual_ratio : float
         Of their residuals, over what was expected.
-    made, closed : bool
+    is_new_keyframe, is_loop_closed : bool
         Whether it became a keyframe, whether a loop was closed.
     """
 

@@ -46,11 +46,11 @@ class VehiclePath:
 
     Attributes
     ----------
-    time : (n,) array
+    time_s : (n,) array
         s, rising.
-    position, velocity, attitude, rates : (n, 3) arrays
+    position_m, velocity_m_s, attitude_rad, body_rates_rad_s : (n, 3) arrays
         m, m/s, roll, pitch and continuous yaw (rad), p, q, r (rad/s).
-    rotor_speed, rotor_phase : (n, 2) arrays
+    rotor_speeds_rad_s, rotor_phases_rad : (n, 2) arrays
         rad/s, rad.
     """
 

@@ -62,11 +62,11 @@ class PoseTable(NamedTuple):
 
     Attributes
     ----------
-    time, position, heading : (n,), (n, 3), (n,) arrays
+    time_s, position, heading : (n,), (n, 3), (n,) arrays
         s; N-E-D (m); rad.
-    more : list of n lists of str
+    extra_cells : list of n lists of str
         What stands behind each pose.
-    rows : int
+    row_count : int
         Poses that the file has, those left out too.
     """
 

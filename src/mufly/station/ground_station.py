@@ -57,7 +57,7 @@ class GroundLink:
 
     Parameters
     ----------
-    us : (system, component)
+    own_ids : (system, component)
         Our MAVLink address.
     rate_Hz : float
         How often vehicles are asked to tell their motion.
@@ -295,7 +295,7 @@ class GroundStation:
         Whether to begin a recording at once.
     record_here : bool
         The first recording goes into ``folder`` itself instead of a dated folder in it.
-    us : (system, component), optional
+    own_ids : (system, component), optional
         Our MAVLink address. Default: a system number from 246 to 254 and one of the 75 component numbers for users, by
         process, so that two stations on one vehicle are told apart.
     rate_Hz : float

@@ -60,9 +60,9 @@ class MissionDuration:
 
     Attributes
     ----------
-    needed_s : float
+    duration_s : float
         From the start signal, or from now where it is being flown, until it has landed (s).
-    assumed : str
+    assumptions : str
         What was assumed because the vehicle does not tell it, in words; "" if nothing.
     """
 

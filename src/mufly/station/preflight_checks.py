@@ -41,13 +41,13 @@ class StationContext:
 
     Attributes
     ----------
-    recording : bool or None
+    is_recording : bool or None
         Whether the recorder runs; None: there is none.
-    free_bytes : float
+    free_disk_bytes : float
         Room on the disk it writes to; NaN where unknown.
-    shown : tuple of Item or None
+    shown_items : tuple of Item or None
         The mission that the page shows, to be compared with what the vehicle holds.
-    base : Mission or None
+    base_mission : Mission or None
         The mission file that the vehicle was started with, where the station knows it: for what items do not carry.
     """
 

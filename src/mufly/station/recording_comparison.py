@@ -67,10 +67,10 @@ class RecordingComparison:
 
     Attributes
     ----------
-    first, second : Recording
-    by : str
+    first_recording, second_recording : Recording
+    alignment_event : str
         One of :data:`ALIGNMENTS`.
-    offset_s : float
+    manual_offset_s : float
         By how much the second is moved later beyond that (s).
 
     Examples

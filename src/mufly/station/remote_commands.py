@@ -53,7 +53,7 @@ class StatusTextLog:
     ----------
     messages : deque of Message
         Of bounded length.
-    newest : tuple of (now_s, text)
+    newest_text : tuple of (now_s, text)
         What was said last, by our clock; the reason of a refusal comes this way.
     on_message : callable or None
         Told of every message, for a recording.

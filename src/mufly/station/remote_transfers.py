@@ -400,7 +400,7 @@ class RemoteParameters:
 
     Attributes
     ----------
-    missing : int
+    missing_count : int
         How many have not come yet; 0 before the first and when all are there.
     bytewise : bool
         Whether whole numbers travel as the bytes of an integer.

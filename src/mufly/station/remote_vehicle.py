@@ -65,7 +65,7 @@ class RemoteVehicle:
     ----------
     system, component : int
         Its MAVLink address.
-    us : (system, component)
+    own_ids : (system, component)
         Ours.
     color : int
         Which of the page's colours it has.
@@ -76,7 +76,7 @@ class RemoteVehicle:
     ----------
     history : History
         Its signals over the last ten minutes.
-    surroundings : Surroundings
+    station_context : Surroundings
         What the station knows besides, for the checks.
     sticks : PilotSticks
         What a pilot here holds; streamed while it is held, and followed after :meth:`fly_manually`.
@@ -185,7 +185,7 @@ class RemoteVehicle:
             commander=self.commander,
             state=t.state,
             mission_running=t.mission_state == mavlink.MISSION_STATE_ACTIVE,
-            begun=t.mission_state in (mavlink.MISSION_STATE_ACTIVE, mavlink.MISSION_STATE_PAUSED),
+            mission_begun=t.mission_state in (mavlink.MISSION_STATE_ACTIVE, mavlink.MISSION_STATE_PAUSED),
             range_angles=t.ranges.angles_rad,
             range_max_m=t.ranges.max_range_m,
             battery_left_s=t.battery_left_s,
@@ -636,7 +636,7 @@ class ConnectionSetup:
 
     Attributes
     ----------
-    ours : bool
+    is_mufly : bool
         Whether it said that it is a mufly vehicle.
     """
 

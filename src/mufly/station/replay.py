@@ -49,12 +49,12 @@ class FlightRecording:
     ----------
     name : str
         Name of the file.
-    times : (n,) array
+    times_s : (n,) array
         s, increasing.
     columns : dict of str to (n,) array
         Flat names as in :mod:`mufly.quantities` (``measured_attitude_roll``), SI units.
     units : dict of str to str
-    states : (n,) array of str
+    mission_states : (n,) array of str
         State of the mission machine, or "".
     messages : tuple of Message
     mission : Mission or None
@@ -63,7 +63,7 @@ class FlightRecording:
         Directions of the range beams from the nose to the right (rad).
     range_max_m : float
         What a beam that sees nothing returns (m).
-    facts : dict
+    recording_facts : dict
         Vehicle, outcome and whatever else the file says of itself.
     """
 
@@ -177,7 +177,7 @@ class ReplayHistory:
 
     Attributes
     ----------
-    also : callable
+    extra_values : callable
         Gives the values at some times of a signal that the recording has not; None where it is not known either.
     """
 

@@ -376,9 +376,9 @@ class PresentSignals:
     ----------
     values : (n_signals,) array
         In the order of ``history.names``; NaN is not known.
-    index : dict
+    index_by_signal : dict
         Name of a signal -> its place.
-    columns : dict
+    slice_by_variable : dict
         Name of a variable (``"estimated_position"``) -> slice of its places.
     """
 

@@ -89,17 +89,17 @@ class VehicleTelemetry:
     mission_current : int or None
     mission_state : int
         MISSION_STATE; 0 is unknown.
-    commander : int or None
+    commander_id : int or None
         system * 256 + component; 0 nobody, None unknown.
     health : tuple of int or None
         Sensors present, enabled, healthy, as SYS_STATUS says.
-    simulated : bool
+    is_simulated : bool
         Whether it tells the truth, as only a simulation can.
     origin : Origin or None
         Where on the globe its N, E, D are 0.
-    slips : int or None
+    slip_count : int or None
         How often it gave up time, as a simulation in real time tells.
-    estimator : EstimatorStatus or None
+    estimator_status : EstimatorStatus or None
         What its estimator says of itself, by ESTIMATOR_STATUS.
     """
 
@@ -421,13 +421,13 @@ class EstimatorStatus:
 
     Attributes
     ----------
-    heard_s : float
+    last_heard_s : float
         When, by our clock (s).
     flags : int
         ESTIMATOR_STATUS_FLAGS.
-    ratios : tuple of (str, float)
+    innovation_ratios : tuple of (str, float)
         Of what, and its test ratio: above 1 it is rejected; 0 is not measured.
-    level_m, height_m : float
+    horizontal_accuracy_m, vertical_accuracy_m : float
         Accuracy of the position (1 sigma).
     """
 
@@ -502,9 +502,9 @@ class BeamRanges:
 
     Attributes
     ----------
-    ranges, angles : (n,) array
+    distances_m, angles_rad : (n,) array
         m, NaN where it is not known; rad from the nose to the right.
-    most_m : float
+    max_range_m : float
         What a beam that sees nothing returns (m).
     """
 
@@ -572,7 +572,7 @@ class VehicleClock:
     ----------
     time_s : float
         The newest stamp on that clock; NaN before the first.
-    restarts : int
+    restart_count : int
         How often the vehicle was started anew.
     """
 

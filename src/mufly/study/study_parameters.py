@@ -27,12 +27,12 @@ class StudyParameter:
     ----------
     unit : str
         SI unit of the value; ``"text"`` for names.
-    shown : str
+    display_unit : str
         Unit in which tables and plots show it.
     meaning : str
-    whole : bool
+    is_integer : bool
         True for counts.
-    positive : bool
+    is_positive : bool
         True if the value has to be above zero.
     """
 

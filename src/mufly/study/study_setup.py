@@ -95,24 +95,24 @@ class StudySetup:
         The rotor, or the upper one of a coaxial pair.
     drive : Drive, optional
         Of a single rotor.
-    fixed : mapping
+    fixed_parameters : mapping
         Parameters that hold in every case unless it names them itself.
     corrections : Corrections
         Of the blade element calculation.
-    engine, model : str
+    polar_engine, polar_model : str
         Of the polars.
-    flags : bool
+    with_outside_share : bool
         Whether ``outside_share`` of single rotors is computed, which takes as long as the rest.
     method : 'bemt', 'tubes' or 'wake'
         Blade element momentum theory; for pairs, with wakes that carry each other away, ten times as long; or the
         wake method, a thousand to ten thousand times as long.
-    wake : WakeSettings
+    wake_settings : WakeSettings
         Of the wake method.
-    stations : int
+    station_count : int
         Along a blade.
-    lower : Rotor, optional
+    lower_rotor : Rotor, optional
         The lower rotor; with it the study is one of a coaxial pair.
-    free : 'lower-speed' or 'lower-pitch'
+    balance_by : 'lower-speed' or 'lower-pitch'
         What cancels the torques of a pair.
     """
 

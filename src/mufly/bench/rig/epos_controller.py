@@ -81,7 +81,7 @@ class FrameParser:
 
     Attributes
     ----------
-    broken : int
+    broken_frames : int
         Frames whose sum did not fit.
     """
 

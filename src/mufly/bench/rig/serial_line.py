@@ -99,7 +99,7 @@ class ChecksummedLine(SerialLine):
 
     Attributes
     ----------
-    broken : int
+    broken_lines : int
         Lines that were passed over.
     """
 

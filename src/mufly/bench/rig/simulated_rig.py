@@ -122,13 +122,13 @@ class SimulatedFaults:
         By how much the pitch of the reference blades slips ...
     reference_moved_after : int
         ... after this many of its mountings.
-    saturated : bool
+    force_cell_saturates : bool
         The force cell's amplifier is set so that greater loads are beyond its range.
-    silent_after_s : float
+    silent_from_s : float
         The bench stops answering at this time.
-    spikes : float
+    spike_share : float
         Share of samples of the cells that are nonsense.
-    stuck_speed : float
+    speed_shortfall_share : float
         Share by which a motor fails to reach its commanded speed.
     """
 
@@ -182,7 +182,7 @@ class SimulatedRig:
     ----------
     seed : int
         Of everything that is drawn.
-    behaviour : Behaviour, optional
+    imperfections : Behaviour, optional
     faults : Faults, optional
     spacing_m : float
         Between the discs of a pair.

@@ -40,14 +40,14 @@ class RandomWalkDrift:
 
     Attributes
     ----------
-    time, reading, std : (n,) arrays
+    time_s, reading, reading_std : (n,) arrays
         What it was fitted to.
-    design : (n, p) array
-    start : float
+    design_matrix : (n, p) array
+    start_time : float
         Time t_0 at which the drift is zero.
-    weights : (g,) array
+    grid_weights : (g,) array
         Of the grid's nodes, by likelihood.
-    nodes : (g, 2) array
+    grid_nodes : (g, 2) array
         q (unit of the reading squared, a second) and kappa.
     """
 

@@ -44,20 +44,20 @@ class SeriesReadings:
 
     Attributes
     ----------
-    mounting : (n,) array of int
+    mounting_index : (n,) array of int
         Of the plan, from 0.
-    step : (n,) array of int
-    time : (n,) array
+    step_index : (n,) array of int
+    time_s : (n,) array
         Middle of the averaging (s).
     nominal_rpm : (n,) array
     mean, std, dof : dict of str to (n,) array
         By channel; NaN where it was not read.
     settled, at_speed, saturated : (n,) arrays of bool
-    wild : (n,) array
+    spike_share : (n,) array
         Largest share of samples that were left out, of the cells.
     low, high : dict of str to (n,) array
         Least and greatest sample.
-    lines : list of dict
+    record_lines : list of dict
         As recorded.
     """
 
@@ -152,15 +152,15 @@ class LoadChannel:
     ----------
     value : (n,) array
         N or N m.
-    common : (n, n) array
+    common_covariance : (n, n) array
         Covariance from what many points share: calibration, linearity, gain.
-    own : (n, n) array
+    own_covariance : (n, n) array
         Covariance from readings and zeros.
-    zero : Walk
+    zero_drift : Walk
         Of the cell whose reading it mostly is.
-    gain : Walk or None
+    gain_drift : Walk or None
         ln of the gain, where the reference was mounted twice or more.
-    visits : (v, 4) array
+    reference_visits : (v, 4) array
         Of the reference: time, ln of its load over its mean, standard uncertainty, mounting.
     """
 

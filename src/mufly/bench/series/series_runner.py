@@ -55,11 +55,11 @@ class SeriesProgress:
 
     Attributes
     ----------
-    done, total : int
+    done_steps, total_steps : int
         Steps.
-    what : str
+    activity : str
         Now, in words.
-    line : dict, optional
+    record_line : dict, optional
         What was just written to the record.
     """
 
@@ -77,9 +77,9 @@ class LimitGuard:
     ----------
     limits : Limits
     facts : Facts
-    asked : callable
+    stop_requested : callable
         Whether somebody wants it to stop.
-    saturated : set of str
+    saturated_channels : set of str
         Channels that have met an end of their range since :meth:`clear_saturation`.
     """
 

@@ -40,14 +40,14 @@ class TorqueSplit:
 
     Attributes
     ----------
-    where : (m,) array of int
+    point_index : (m,) array of int
         The points.
-    value : dict of str to (m,) array
+    torque_Nm : dict of str to (m,) array
         ``"upper"``, ``"lower"`` (N m).
     covariance : dict of str to (m, m) array
-    fits : dict of str to Walk
+    motor_fits : dict of str to Walk
         Coefficients k, c_0, c_1 of each axis.
-    mismatch : (m,) array
+    cell_mismatch : (m,) array
         What the cell's sum says beyond the currents, in standard uncertainties; NaN without a torque cell.
     """
 

@@ -154,7 +154,7 @@ class CompiledFlight:
         if not self.is_supported:
             return
         ffi, lib, board = software.firmware.ffi, software.firmware.lib, self._board
-        kept = [np.frombuffer(ffi.buffer(p), dtype=np.uint8) for p in (board.software_record, board.belief)]
+        kept = [np.frombuffer(ffi.buffer(p), dtype=np.uint8) for p in (board.software_record, board.estimate_record)]
         self._record_views = tuple((raw.view(np.float64), raw.view(np.int32), raw) for raw in kept)
         self._out = np.frombuffer(ffi.buffer(board.actuators_record), dtype=np.float64)
         offset = ffi.offsetof

@@ -60,11 +60,11 @@ class FlightCase:
     index : int
     seed : int
         Of the flight: gusts and sensors.
-    values : dict
+    parameter_values : dict
         Parameters of the vehicle by key.
     wind : (3,) tuple or None
         N, E, D (m/s); None: the mission's.
-    refused : int
+    refused_draws : int
         Vehicles drawn before this one that cannot be.
     """
 

@@ -38,15 +38,15 @@ class ParameterVariation:
 
     Attributes
     ----------
-    text : str
+    source_text : str
         As it was asked for.
     keys : tuple of str
         The ``n`` parameters.
-    shape : {"uniform", "normal"}
+    distribution : {"uniform", "normal"}
         Of each ``z``: within -1..1, or of unit variance.
-    centre : (n,) array
+    nominal_values : (n,) array
         SI units.
-    factor : (n, m) array
+    spread_matrix : (n, m) array
         SI units for each ``z``.
     note : str
         What is to be known about it, in words; empty if nothing.

@@ -51,7 +51,7 @@ class WorkerPool:
 
     Parameters
     ----------
-    jobs : int, optional
+    worker_count : int, optional
         Processes; default one a core. One flies in this process.
     cluster : str, optional
         Address of a dask scheduler, as ``tcp://host:8786``; its workers need mufly.

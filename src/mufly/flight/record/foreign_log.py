@@ -67,7 +67,7 @@ class ForeignLog:
         ``position``, ``velocity``, ``attitude``, those that the log has, on the clock of ``log``.
     mounting : (2,) array or None
         Roll and pitch (rad) of the true attitude less those of the accelerometers at rest.
-    said : list of str
+    notes : list of str
         What was found, in words.
     """
 

@@ -35,7 +35,7 @@ def describe_held_parameters(
         if total <= own:
             continue
         worst = np.argsort(-np.abs(row))[:3]
-        named = [f"{held[k].symbol} ({held[k].source})" for k in worst if row[k] ** 2 > 0.1 * total]
+        named = [f"{held[k].symbol} ({held[k].provenance})" for k in worst if row[k] ** 2 > 0.1 * total]
         size = f"{100 * math.sqrt(own):.2g} % from the data, {100 * math.sqrt(total):.2g} % from"
         said.append(f"{f.symbol}: {'mostly from' if f.scale else size} {', '.join(named)}")
     return tuple(said)

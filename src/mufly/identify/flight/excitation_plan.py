@@ -166,10 +166,10 @@ class PilotSupport:
     Attributes
     ----------
     hover : Trim
-    gain : (4, 18 + 4 d) array
+    feedback_gain : (4, 18 + 4 d) array
         Inputs (motor upper, motor lower, servo 1, servo 2) to be subtracted, per deviation of the linear model's states
         but the charge, at the heading of the vehicle, and of the inputs on their way, oldest last.
-    collective, differential : (2,) array
+    collective_direction, differential_direction : (2,) array
         Directions of the motor inputs (upper, lower) that change the climb alone and the turn alone, largest part 1.
     sample_s, delay_s : float
         Of the loop.
@@ -381,19 +381,19 @@ class ExcitationCandidate:
     signal : Excitation
     amplitude : float
         Largest addition to an input (motors 0..1, servos -1..1).
-    bound_by : str
+    binding_limit : str
         Which limit, or ``"as asked"``.
-    share : float
+    limit_share : float
         Of the limit that is nearest.
-    added : (n, 4) array
+    added_inputs : (n, 4) array
         Added to motor upper, motor lower, servo 1, servo 2.
     record : Record
         As the flight would be logged, without noise.
-    information : (p, p) array
+    fisher_information : (p, p) array
         Of the free parameters, relative (of ``ln value``).
     relative_std : (p,) array
         Standard deviation over value; infinite where nothing is seen.
-    figure : float
+    geometric_mean_std : float
         Geometric mean of the standard deviations of what is seen.
     """
 

@@ -60,15 +60,15 @@ class FreeParameter:
     ----------
     symbol, key, unit : str
         As in :class:`mufly.identify.ParameterEstimate`.
-    start : float
+    start_value : float
         SI value where the fit starts, and the prior's centre.
     scale : float
         0: fitted as ``ln(value / start)``; otherwise as ``(value - start) / scale``.
-    low, high : float
+    theta_low, theta_high : float
         Bounds of ``value_to_theta``.
     prior_std : float
         Of ``value_to_theta``.
-    source : str
+    provenance : str
         Provenance of the start.
     """
 

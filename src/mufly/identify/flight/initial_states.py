@@ -42,10 +42,10 @@ class InitialStates:
 
     Attributes
     ----------
-    states : list of (1, k) array
+    initial_states : list of (1, k) array
     converged : tuple of bool
         Whether the search over the whole record ended in a minimum.
-    simulations : int
+    simulation_count : int
         Flights simulated, in whole records.
     """
 

@@ -92,11 +92,11 @@ class InputGain:
     Attributes
     ----------
     value, std : float
-    cross, cross_std : float
+    cross_gain, cross_std : float
         Of the other servo, or the other horizontal axis; 0 where there is none.
     sign : int
         1 or -1 where the record tells it, else 0; of ``cross_gain`` where that is all that counts.
-    exchanged : bool
+    is_exchanged : bool
         Whether ``cross_gain`` is all that counts.
     """
 

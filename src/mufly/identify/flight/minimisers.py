@@ -82,11 +82,11 @@ class ReducedRecord:
 
     Attributes
     ----------
-    raw : (n, m) array
+    whitened_residual : (n, m) array
         The whitened residual.
     jacobian : (rows, t) array
         ``(1 - Q Q^T) J``; rows of one window after the other, in a window sample after sample, its priors last.
-    rows : list of (rows,) array
+    window_rows : list of (rows,) array
         ``e`` of every window.
     """
 

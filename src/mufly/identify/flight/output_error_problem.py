@@ -115,10 +115,10 @@ class LinearisedRecord:
 
     Attributes
     ----------
-    residual : (n, m) array
+    whitened_residual : (n, m) array
         (simulated - measured) / noise, zero where nothing was measured.
-    by_theta : (n, m, t) array
-    by_state : (n, m, k) array
+    theta_jacobian : (n, m, t) array
+    state_jacobian : (n, m, k) array
         Derivative by the ``k`` start values of the window that holds the sample.
     """
 
@@ -134,25 +134,25 @@ class PreparedRecord:
     Attributes
     ----------
     record : Record
-    noise : (m,) array
+    noise_std : (m,) array
         Standard deviation of its outputs.
-    motion, mast : (n, 12), (n, 3) array
+    smoothed_motion, mast_direction : (n, 12), (n, 3) array
         Smoothed measurement, and the direction of the mast in it.
     inputs : (n, 4) array
     base, powers
         Of :func:`log_scaled_parameters`.
-    charge : float
+    initial_charge : float
         Of the battery at the start, as far as it is not sought.
-    constant : float or None
+    constant_voltage : float or None
         Battery voltage (V) that is held; None for the vehicle's battery model.
-    begin : (17,) array
+    initial_offset : (17,) array
         What the first start is counted from beyond the smoothed measurement, as ``MOTION + ACTUATOR``: horizontal
         velocity where it is not measured, speeds as a share of the steady ones, tilts.
-    volts : (float, float)
+    first_and_mean_voltage : (float, float)
         Voltage in the first moments and on average.
-    starts : (windows,) array
+    window_starts : (windows,) array
         First samples of the windows.
-    sought : (k,) array
+    sought_states : (k,) array
         Start values that are sought, as positions in ``MOTION + ACTUATOR``.
     """
 

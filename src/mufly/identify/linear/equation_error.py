@@ -78,8 +78,8 @@ class RegressionRecord:
     role : str
         ``"fit"`` or ``"held out"``.
     time_s : (n,) array
-    y : (n, outputs) array
-    u : (n, inputs) array
+    outputs : (n, outputs) array
+    inputs : (n, inputs) array
     """
 
     name: str

@@ -312,10 +312,10 @@ class FrequencyResponseFit:
     Attributes
     ----------
     values : (p,) array
-    std : (p,) array
+    value_std : (p,) array
         From the curvature of the cost and its size, as if neighbouring frequencies were independent: a lower bound.
-    data : FrequencyResponse
-    model : (f, outputs, inputs) complex array
+    measured_response : FrequencyResponse
+    model_response : (f, outputs, inputs) complex array
         Response at ``values``.
     cost : (outputs, inputs) array
         Tischler and Remple's J at ``values``; NaN for pairs without coherence.

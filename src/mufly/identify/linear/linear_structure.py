@@ -80,7 +80,7 @@ class LinearStructure:
     units : tuple of str
         Of the outputs.
     parameters : tuple of Parameter
-    fill : callable
+    fill_matrices : callable
         From ``{symbol: value}`` to ``(A, B, C, D, delay)``; ``delay`` (s) has one entry an input.
     """
 
@@ -144,9 +144,9 @@ class SearchCoordinates:
 
     Attributes
     ----------
-    low, high, size : (p,) array
+    low, high, linear_scale : (p,) array
         Bounds, and the size: that of ``to_values``, or a fiftieth of what the bounds leave.
-    log : (p,) array of bool
+    is_logarithmic : (p,) array of bool
     """
 
     def __init__(self, parameters: Sequence[ModelParameter], values: Array) -> None:

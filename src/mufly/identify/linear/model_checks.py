@@ -123,7 +123,7 @@ class DisturbanceModel:
         Of ``w`` per sample.
     noise_std : (outputs,) array
         Of ``v``.
-    phi, gain : array
+    transition_matrix, kalman_gain : array
         Transition of one sample, and the filter's gain (states, outputs).
     """
 
@@ -290,11 +290,11 @@ class SubspaceModel:
 
     Attributes
     ----------
-    a, b, c, d, k : array
+    a, b, c, d, kalman_gain : array
         (n, n), (n, inputs), (outputs, n), (outputs, inputs), (n, outputs).
-    singular : array
+    singular_values : array
         Singular values, largest first: a gap says how many states the data show.
-    u_mean, y_mean : array
+    input_mean, output_mean : array
         Taken off before the fit.
     dt : float
         Sample time (s).

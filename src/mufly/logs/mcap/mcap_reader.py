@@ -50,11 +50,11 @@ class LostPart(NamedTuple):
 
     Attributes
     ----------
-    what : str
+    description : str
         In words: ``"a chunk of 4151 bytes at byte 15434 cannot be read (wrong checksum)"``.
     offset, size : int
         Where it stands (bytes).
-    messages : int
+    message_count : int
         Those that are known to be missing with it; 0 if nobody knows.
     first_ns, last_ns : int
         Times of the first and the last of them; 0 if nobody knows.
@@ -75,12 +75,12 @@ class McapContents:
     Attributes
     ----------
     metadata, attachments : dict
-    messages : dict
+    messages_by_topic : dict
         From a topic to (time_ns, content) in order.
-    complete : bool
+    is_complete : bool
         Whether the file has its end mark and no damage.
-    lost : list of LostPart
-    expected : int
+    lost_parts : list of LostPart
+    expected_messages : int
         Messages that the file had, as far as it tells; 0 if it does not.
     remarks : list of str
         What else is wrong: how it ends, its index, ...

@@ -51,7 +51,7 @@ class RecordingLayout:
     ----------
     quantities : tuple of Quantity
         In the order of the columns; those of one topic stand together.
-    beams : int
+    beam_count : int
         Number of range beams.
     other_labels : tuple of (dim, labels)
         Labels of dimensions that :mod:`mufly.quantities` does not have, in recordings made from other people's logs.

@@ -73,9 +73,9 @@ class DestinationCheck:
 
     Attributes
     ----------
-    refused : str
+    refusal_reason : str
         Why not, with the numbers; "" if it may.
-    beware : str
+    caution_reason : str
         Why it is asked for twice; "" if once will do.
     """
 

@@ -55,7 +55,7 @@ class FlightFacts:
         Format of the file.
     start_s : float
         When it began (s since 1970); NaN if it does not say.
-    length_s : float
+    duration_s : float
         NaN if that is not known without reading more than is sensible.
     vehicle, mission, outcome : str
         "" where it does not say.

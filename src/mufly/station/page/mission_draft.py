@@ -55,9 +55,9 @@ class MissionDraft:
     ----------
     mission : Mission
         It keeps to the schema; whether it can be flown is for :func:`judge_draft`.
-    past, future : tuple of Mission
+    undo_stack, redo_stack : tuple of Mission
         For undo and redo, the nearest last.
-    gesture : str
+    drag_gesture : str
         The drag that made the last step: what follows of the same drag is no step of its own.
     """
 
@@ -259,7 +259,7 @@ class DraftVerdict:
     ----------
     fault : str
         One line that names the item and why; "" if it can be flown.
-    row : int or None
+    fault_row : int or None
         The row of the table that is to blame.
     estimate : MissionEstimate or None
         What it takes; of a vehicle whose battery is not known, time and length only (``fraction`` is NaN).
@@ -313,7 +313,7 @@ class SharedDraft:
     Attributes
     ----------
     draft : Draft
-    held : Mission or None
+    vehicle_mission : Mission or None
         What the vehicle began with, as far as the station knows: it keeps of it what is not sent.
     verdict : Verdict or None
         None while it is being checked.

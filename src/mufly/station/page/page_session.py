@@ -63,7 +63,7 @@ class StationSession:
     ----------
     vehicles : callable
         Returns all vehicles heard so far, in order.
-    folder : Path
+    recordings_folder : Path
         Where recordings are looked for.
     mission : Mission or None
         The world to draw around vehicles; of a mission loaded later, that one's.
@@ -71,19 +71,19 @@ class StationSession:
         Size of the vehicles in the scene.
     recorder : StationRecorder or None
     title : str
-    to_open : Recording or None
+    initial_recording : Recording or None
         Shown by every window at first.
-    battery : (hover_current_A, capacity_Ah) or None
+    battery_data : (hover_current_A, capacity_Ah) or None
         Of the vehicle, where it is known: a mission that is drawn is checked against it.
-    sketch : Sketch
+    shared_draft : Sketch
         The mission that is being drawn.
-    sight : callable or None
+    latest_sight : callable or None
         Returns the picture that was looked at last, of a vehicle that flies on pictures.
     startup : Startup or None
         How far the start of the vehicle is, where this station starts one.
-    opened : int
+    opened_count : int
         How many windows were opened so far.
-    trouble : callable or None
+    link_problems : callable or None
         Returns what is wrong with the links, a line each.
     """
 

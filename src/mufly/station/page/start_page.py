@@ -52,9 +52,9 @@ class Startup:
     stages : list of Stage
     fault : str
         Why it failed, "" if it did not.
-    done : bool
+    is_done : bool
         Whether it is over, well or not.
-    visits : int
+    visit_count : int
         How often a page was opened before the station's page was served.
     on_change : callable or None
         Told the text of a stage that begins; "" when the start is over.

@@ -41,7 +41,7 @@ class RotorScore:
         With the points that were asked.
     thrust_error, torque_error : (points,) arrays
         nan where there is no answer or no measurement.
-    inside : (2, points) array, optional
+    inside_interval : (2, points) array, optional
         1 where a nominal 90 % interval holds the measured thrust, torque; 0 where not, nan where there is neither.
     fault : str
         Why points have no answer.

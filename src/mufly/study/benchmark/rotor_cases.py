@@ -103,11 +103,11 @@ class RotorCase:
         ``group``: rotors that are scored together. ``family``: maker or series; rotors of one have much in common, so
         whatever is fitted is scored on families that it has not seen.
     rotor : Rotor
-    known : bool
+    section_known : bool
         Whether its section is, or is a guess.
     measured : Measurements
     air : Air
-    advancing : tuple of Measurements
+    tunnel_runs : tuple of Measurements
         Runs in a tunnel at one speed each, rising in airspeed.
     turbulence : float
         Of that tunnel, rms over mean speed. UIUC's is below 0.1 % (Brandt and Selig, AIAA 2011-1255).
