@@ -62,19 +62,63 @@ def drawn_names(seed: int) -> list[Name]:
     return [n for part in chosen for n in sorted(part, key=every.index)]
 
 
+def places_in(index: ast.expr) -> int:
+    """Count the whole numbers above 2 that stand for a place in an index: ``x[17]``, ``x[17 + i]``, ``x[10:13]``.
+
+    An offset to a named index (``x[SX_ATT + 3]``) has its name; strides (``r[3 * i + j]``) and cuts off the front or
+    the back (``text[:9]``, ``y[-9:]``) are no places.
+    """
+    if isinstance(index, ast.Constant):
+        return int(isinstance(index.value, int) and index.value > 2)
+    if isinstance(index, ast.UnaryOp):
+        return places_in(index.operand)
+    if isinstance(index, ast.Tuple | ast.List):
+        return sum(places_in(part) for part in index.elts)
+    if isinstance(index, ast.Slice):
+        cut = index.lower is None or isinstance(index.lower, ast.UnaryOp)
+        return 0 if cut else sum(places_in(end) for end in (index.lower, index.upper) if end is not None)
+    if isinstance(index, ast.BinOp) and isinstance(index.op, ast.Add | ast.Sub):
+        named = any(isinstance(part, ast.Name) and part.id.isupper() for part in ast.walk(index))
+        return 0 if named else places_in(index.left) + places_in(index.right)
+    return 0
+
+
+def unpacked_elements(tree: ast.Module) -> set[ast.expr]:
+    """Return the subscripts of assignments that name all elements in turn: ``w, x, y, z = q[0], q[1], q[2], q[3]``."""
+    found: set[ast.expr] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple):
+            parts = [part for part in node.value.elts if isinstance(part, ast.Subscript)]
+            last = [p.slice.elts[-1] if isinstance(p.slice, ast.Tuple) else p.slice for p in parts]
+            if [ast.unparse(k) for k in last] == [str(k) for k in range(len(node.value.elts))]:
+                found.update(parts if len({ast.unparse(p.value) for p in parts}) == 1 else ())
+    return found
+
+
+def literal_indices(tree: ast.Module) -> int:
+    """Count literal indices above 2 that a name could replace.
+
+    Left out are subscripts of types, quaternions ``q`` and flat rotation matrices ``r``, whose places are mathematics.
+    """
+    unpacked, count = unpacked_elements(tree), 0
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Subscript) and node not in unpacked:
+            of = ast.unparse(node.value).rsplit(".", 1)[-1]
+            is_type = of[:1].isupper() and not of.isupper()
+            count += 0 if is_type or of in ("q", "r") else places_in(node.slice)
+    return count
+
+
 def counted_names(source: Path = SOURCE) -> dict[str, str]:
-    """Return counts: one-word functions, indices that are literals above 2, functions with untyped records."""
+    """Return counts: one-word functions, literal indices (:func:`literal_indices`), functions with untyped records."""
     functions = [n.name.strip("_") for n in named_things(source) if n.kind == "function"]
     short = sum("_" not in name for name in functions)
     literal = untyped = 0
     for path in source.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Subscript):
-                literal += sum(
-                    isinstance(part, ast.Constant) and isinstance(part.value, int) and part.value > 2
-                    for part in ast.walk(node.slice)
-                )
-            elif isinstance(node, ast.FunctionDef):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        literal += literal_indices(tree)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef):
                 untyped += any(
                     a.arg in RECORDS and isinstance(a.annotation, ast.Name) and a.annotation.id == "Any"
                     for a in node.args.args
