@@ -143,7 +143,7 @@ class SlamProcess:
         load_opencv()
         # No child of multiprocessing: a vehicle may itself be one, and those have none.
         self._process = subprocess.Popen(
-            [sys.executable, "-c", "from mufly.slam.slam_process import look; look()"],
+            [sys.executable, "-c", "from mufly.slam.slam_process import worker_main; worker_main()"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )  # fmt: skip
