@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.drive.operating_point import find_rising_root
+from mufly.root_finding import find_rising_root
 
 
 @given(

@@ -22,7 +22,7 @@ from mufly.rotor import (
     solve_system,
 )
 from mufly.rotor.bemt import compute_slipstream, drag_angular_momentum
-from mufly.rotor.rotor_system import SPEED_OF_SOUND_M_S
+from mufly.rotor.rotor_system import SPEED_OF_SOUND_M_S, PlacedRotor
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 from mufly.rotor.vortex_tube import swirl_influence, tube_axis_speed, tube_velocity
 
@@ -79,16 +79,16 @@ def test_what_turns_the_stream_is_the_torque_of_the_blades():
     # Both parts at once: torque of an annulus = rho v 2 pi r dr r u, lift's with the speed at the blades, drag's with
     # the mean one.
     case, air, nothing = blading(), Air(), np.zeros(24)
-    at = {"pitch_rad": PITCH, "speed_rad_s": SPEED, "climb_m_s": 3.0, "air": air}
-    alone = solve_rotor(case, **at)
-    u, loss, turning = compute_slipstream(case, **at, stream=(nothing, nothing, nothing))
+    still = (nothing, nothing, nothing)
+    alone = solve_rotor(case, pitch_rad=PITCH, speed_rad_s=SPEED, climb_m_s=3.0, air=air)
+    u, loss, turning = compute_slipstream(PlacedRotor(case, PITCH, SPEED), 3.0, air, still)
     push = np.hypot(alone.dT_N, alone.dQ_Nm / alone.r_m) / np.hypot(alone.cl, alone.cd) / alone.dr_m
     drag = drag_angular_momentum(push * alone.cd * np.cos(alone.phi_rad), 3.0 + loss * u, air.density_kg_m3)
     ring = air.density_kg_m3 * 2.0 * math.pi * alone.r_m * alone.dr_m
     torque = ring * ((3.0 + u) * (turning - drag) + (3.0 + loss * u) * drag)
     assert_allclose(torque, alone.dQ_Nm, rtol=1e-6)
-    still = compute_slipstream(blading(Corrections(swirl=False)), **at, stream=(nothing, nothing, nothing))[2]
-    assert not still.any()
+    straight = PlacedRotor(blading(Corrections(swirl=False)), PITCH, SPEED)
+    assert not compute_slipstream(straight, 3.0, air, still)[2].any()
     # On its way down the stream keeps its moment of momentum, and so its torque, within a narrower edge.
     below = swirl_influence(alone.r_m, R, 0.03, alone.r_m, alone.dr_m) @ turning
     s = 1.0 / math.sqrt(tube_axis_speed(0.03, R))

@@ -61,6 +61,7 @@ from mufly.rotor.sections.polar_table import PolarStack, stack_coefficients, sta
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Stream = tuple[Array, Array, Array]
 
 _TIP_LOSS_CODES = {"none": 0, "prandtl": 1, "effective_radius": 2}
 _MIN_CASES_PER_THREAD = 128  # cases below which a second thread costs more than it brings
@@ -100,20 +101,30 @@ class BatchResult:
     c_Q: Array
 
 
-def _compute_figure_of_merit(thrust: Array, power: Array, density: Array, area: Array) -> Array:
+def _compute_coefficients(thrust: Any, torque: Any, speed: Any, radius: Any, density: float) -> dict[str, Any]:
+    """Power, figure of merit, c_T and c_Q of numbers or arrays."""
+    power, area = torque * speed, math.pi * radius**2
+    scale = density * area * radius**2 * speed**2
     useful = (thrust > 0.0) & (power > 0.0)
-    ideal = np.where(useful, thrust, 0.0) * np.sqrt(np.where(useful, thrust, 0.0) / (2.0 * density * area))
-    return np.where(useful, ideal / np.where(useful, power, 1.0), np.nan)
+    lift = np.where(useful, thrust, 0.0)
+    ideal = lift * np.sqrt(lift / (2.0 * density * area))
+    return {
+        "power_W": power,
+        "figure_of_merit": np.where(useful, ideal / np.where(useful, power, 1.0), np.nan)[()],
+        "c_T": thrust / scale,
+        "c_Q": torque / (scale * radius),
+    }
 
 
-def _check_values(name: str, values: Array, *, positive: bool) -> None:
-    if name == "pitch_rad":
-        return check_pitch("rotor", name, values)
-    bad = ~np.isfinite(values) | (values <= 0.0 if positive else np.zeros(values.shape, dtype=bool))
-    if np.any(bad):
-        value = values[bad].flat[0]
-        remedy = "give a number above 0" if positive else "give a finite number"
-        raise InputError("rotor", name, f"is {value:g}", remedy)
+def _check_points(pitch: Array, speed: Array, climb: Array) -> None:
+    check_pitch("rotor", "pitch_rad", pitch)
+    for name, values, least, remedy in (
+        ("speed_rad_s", speed, 0.0, "give a number above 0"),
+        ("climb_m_s", climb, -math.inf, "give a finite number"),
+    ):
+        bad = ~(np.isfinite(values) & (values > least))
+        if np.any(bad):
+            raise InputError("rotor", name, f"is {values[bad].flat[0]:g}", remedy)
 
 
 def _solve_points(
@@ -124,7 +135,7 @@ def _solve_points(
     climb: Array,
     air: Air,
     keep: bool,
-    stream: Array | None = None,
+    stream: Stream | None = None,
 ) -> tuple[Array, Array]:
     n, fixes = pitch.size, blading.corrections
     cases = BemtCases(
@@ -132,7 +143,7 @@ def _solve_points(
         pitch,
         speed,
         climb,
-        np.empty((0, 0, 3)) if stream is None else np.ascontiguousarray(stream),
+        np.empty((0, 0, 3)) if stream is None else np.stack(stream, axis=-1)[None],
         float(air.density_kg_m3),
         float(air.viscosity_Pa_s / air.density_kg_m3),
         float(air.sound_m_s),
@@ -209,7 +220,7 @@ def solve_rotor(
     climb_m_s: float = 0.0,
     air: Air | None = None,
     which: int = 0,
-    stream: tuple[Array, Array, Array] | None = None,
+    stream: Stream | None = None,
 ) -> RotorResult:
     """Solve one rotor at one point.
 
@@ -238,14 +249,20 @@ def solve_rotor(
         If the speed is not above zero or a number is not finite.
     """
     placed = PlacedRotor(ensure_blading(blading), float(pitch_rad), float(speed_rad_s), rotor_index=which)
-    gas, climb = air or Air(), float(climb_m_s)
-    pitch, speed, axial = (np.array([v]) for v in (placed.pitch_rad, placed.speed_rad_s, climb))
-    for name, value in (("pitch_rad", pitch), ("speed_rad_s", speed), ("climb_m_s", axial)):
-        _check_values(name, value, positive=name == "speed_rad_s")
-    wind = None if stream is None else np.stack(stream, axis=-1)[None]
-    totals, stations = _solve_points(placed.blading, which, pitch, speed, axial, gas, True, wind)
+    return solve_placed_rotor(placed, float(climb_m_s), air or Air(), stream)
+
+
+def solve_placed_rotor(placed: PlacedRotor, climb_m_s: float, air: Air, stream: Stream | None = None) -> RotorResult:
+    """Solve a rotor in its place; ``stream`` and errors are those of :func:`solve_rotor`."""
+    point = _point_arrays(placed, climb_m_s)
+    _check_points(*point)
+    totals, stations = _solve_points(placed.blading, placed.rotor_index, *point, air, True, stream)
     columns = {name: stations[0, :, i].copy() for i, name in enumerate(STATION_COLUMNS)}
-    return build_rotor_result(placed, climb, gas, float(totals[0, 0]), float(totals[0, 1]), columns)
+    return build_rotor_result(placed, climb_m_s, air, float(totals[0, 0]), float(totals[0, 1]), columns)
+
+
+def _point_arrays(placed: PlacedRotor, climb_m_s: float) -> tuple[Array, Array, Array]:
+    return np.array([placed.pitch_rad]), np.array([placed.speed_rad_s]), np.array([climb_m_s])
 
 
 def build_rotor_result(
@@ -254,7 +271,7 @@ def build_rotor_result(
     air: Air,
     thrust_N: float,
     torque_Nm: float,
-    columns: Mapping[str, Array],
+    columns: Mapping[str, Any],
 ) -> RotorResult:
     """Put an operating point together from its thrust, torque and station table (``STATION_COLUMNS``), whatever the
     method.
@@ -262,10 +279,8 @@ def build_rotor_result(
     Thesis: eqs 3.3 to 3.5.
     """
     blading, which, speed_rad_s = placed.blading, placed.rotor_index, placed.speed_rad_s
-    rotor = blading.rotors[which]
-    area = rotor.disc_area_m2
-    power = torque_Nm * speed_rad_s
-    scale = air.density_kg_m3 * area * rotor.radius_m**2 * speed_rad_s**2
+    radius = blading.rotors[which].radius_m
+    coefficients = _compute_coefficients(thrust_N, torque_Nm, speed_rad_s, radius, air.density_kg_m3)
     flags = _flag_extrapolated_stations(blading, which, columns["alpha_rad"], columns["reynolds"])
     size = np.abs(columns["dT_N"])
     return RotorResult(
@@ -274,12 +289,7 @@ def build_rotor_result(
         climb_m_s=climb_m_s,
         thrust_N=thrust_N,
         torque_Nm=torque_Nm,
-        power_W=power,
-        figure_of_merit=float(
-            _compute_figure_of_merit(np.array(thrust_N), np.array(power), np.array(air.density_kg_m3), np.array(area))
-        ),
-        c_T=thrust_N / scale,
-        c_Q=torque_Nm / (scale * rotor.radius_m),
+        **coefficients,
         r_m=blading.r_m[which],
         dr_m=blading.dr_m[which],
         chord_m=blading.chord_m[which],
@@ -311,15 +321,7 @@ def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float
 
 
 def compute_slipstream(
-    blading: Blading,
-    *,
-    pitch_rad: float,
-    speed_rad_s: float,
-    climb_m_s: float,
-    air: Air,
-    stream: tuple[Array, Array, Array],
-    which: int = 0,
-    turns: bool = True,
+    placed: PlacedRotor, climb_m_s: float, air: Air, stream: Stream, turns: bool = True
 ) -> tuple[Array, Array, Array]:
     """What a rotor gives to the air at its stations; quick, for iterations.
 
@@ -327,8 +329,8 @@ def compute_slipstream(
     twice the mean velocity F u_t in the disc, of profile drag :func:`drag_angular_momentum`; none without swirl, nor
     without ``turns``, which spares what nobody below meets.
     """
-    pitch, speed, climb = (np.array([float(v)]) for v in (pitch_rad, speed_rad_s, climb_m_s))
-    _, stations = _solve_points(blading, which, pitch, speed, climb, air, True, np.stack(stream, axis=-1)[None])
+    blading, which = placed.blading, placed.rotor_index
+    _, stations = _solve_points(blading, which, *_point_arrays(placed, climb_m_s), air, True, stream)
     _, phi, inflow, swirl, cl, cd, _, loss, thrust, torque = stations[0].T
     turning = np.zeros_like(inflow)
     if turns and blading.corrections.swirl:
@@ -373,8 +375,7 @@ def solve_rotor_batch(
         *(np.asarray(v, dtype=np.float64) for v in (pitch_rad, speed_rad_s, climb_m_s)), np.asarray(which)
     )
     shape = given[0].shape
-    for name, values in zip(("pitch_rad", "speed_rad_s", "climb_m_s"), given, strict=False):
-        _check_values(name, values, positive=name == "speed_rad_s")
+    _check_points(*given[:3])
     index = given[3].astype(np.int64).ravel()
     if index.size and (index.min() < 0 or index.max() >= len(blading.rotors)):
         raise InputError("rotor", "which", f"there are {len(blading.rotors)} rotors", "count from 0")
@@ -384,17 +385,9 @@ def solve_rotor_batch(
     radius = blading.radius_m[index]
     if index.size:
         warn_tip_mach(compute_tip_mach(1.0, float(np.max(radius * speed)), gas))
-    area = math.pi * radius**2
-    power = torque * speed
-    scale = gas.density_kg_m3 * area * radius**2 * speed**2
-    return BatchResult(
-        thrust_N=thrust.reshape(shape),
-        torque_Nm=torque.reshape(shape),
-        power_W=power.reshape(shape),
-        figure_of_merit=_compute_figure_of_merit(thrust, power, np.array(gas.density_kg_m3), area).reshape(shape),
-        c_T=(thrust / scale).reshape(shape),
-        c_Q=(torque / (scale * radius)).reshape(shape),
-    )
+    values = {"thrust_N": thrust, "torque_Nm": torque}
+    values |= _compute_coefficients(thrust, torque, speed, radius, gas.density_kg_m3)
+    return BatchResult(**{name: v.reshape(shape) for name, v in values.items()})
 
 
 # The kernel

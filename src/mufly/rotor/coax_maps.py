@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,13 +36,12 @@ from mufly.answer_store import AnswerLines, hash_question
 from mufly.errors import InputError, MuflyError
 from mufly.numba_cache import cached_njit
 from mufly.rotor.blading import Blading
-from mufly.rotor.rotor_solver import solve_system
+from mufly.rotor.rotor_solver import solve_from_neighbour, solve_system
 from mufly.rotor.rotor_system import (
     VORTEX_RING_RANGE,
     Air,
     OperatingCondition,
     RotorSystem,
-    SolverMethod,
     SystemSolution,
     VortexRingWarning,
     WakeSettings,
@@ -172,7 +171,9 @@ def compute_coax_map(
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", VortexRingWarning)  # told by the description
-                    answer, last = _solve_map_point(system, at, method, how, last)
+                    pair = solve_from_neighbour(partial(solve_system, system, at, method, settings=how), last)
+                a, b = pair.rotors
+                answer, last = (a.c_T, a.c_Q, b.c_T, b.c_Q, pair.converged), pair if pair.converged else None
             except InputError:
                 raise
             except MuflyError as error:
@@ -236,33 +237,6 @@ def _check_axes(axes: Sequence[Array]) -> None:
     nodes = math.prod(a.size for a in axes)
     if nodes > MAP_NODES:
         raise InputError("coax map", "", f"{nodes} points", f"take fewer ({MAP_NODES} at most)")
-
-
-def _solve_map_point(
-    system: RotorSystem,
-    condition: OperatingCondition,
-    method: SolverMethod,
-    settings: WakeSettings | None,
-    last: SystemSolution | None,
-) -> tuple[MapPointValues, SystemSolution | None]:
-    """Coefficients at a point, solved from the last one, or afresh where that leads nowhere; what the next starts from.
-
-    Raises
-    ------
-    MuflyError
-        If the method finds no answer.
-    """
-    for start in (last, None) if last is not None else (None,):
-        try:
-            pair = solve_system(system, condition, method, settings=settings, start=start)
-        except MuflyError as error:
-            if isinstance(error, InputError) or start is None:
-                raise
-            continue
-        if pair.converged:
-            break
-    a, b = pair.rotors
-    return (a.c_T, a.c_Q, b.c_T, b.c_Q, pair.converged), pair if pair.converged else None
 
 
 def _fill_unsolved(values: Array, solved: NDArray[np.bool_]) -> Array:

@@ -35,7 +35,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.rotor.bemt import compute_slipstream, solve_rotor, solve_rotor_batch, warn_reynolds_range
+from mufly.root_finding import find_rising_root
+from mufly.rotor.bemt import (
+    compute_slipstream,
+    solve_placed_rotor,
+    solve_rotor,
+    solve_rotor_batch,
+    warn_reynolds_range,
+)
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import (
@@ -58,6 +65,7 @@ from mufly.rotor.wake.wake_solver import solve_wake
 from mufly.units import RPM
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 ProgressCallback = Callable[[int, float, float], None]
 PointSolver = Callable[
     [Sequence[float], Sequence[float], SystemSolution | None], SystemSolution
@@ -209,6 +217,21 @@ def _solve_unknowns(
     return _trim_lower_pitch(solve_point, pitch[0], known_speed, thrust, enough, start)
 
 
+def solve_from_neighbour(solved: Callable[..., SystemSolution], neighbour: SystemSolution | None) -> SystemSolution:
+    """Return ``solved(start=neighbour)``, or ``solved(start=None)`` where that finds no answer or does not converge."""
+    if neighbour is not None:
+        try:
+            found = solved(start=neighbour)
+        except InputError:
+            raise
+        except MuflyError:
+            pass
+        else:
+            if found.converged:
+                return found
+    return solved(start=None)
+
+
 def _per_rotor_values(name: str, value: PerRotor, count: int) -> tuple[float | None, ...]:
     """One value a rotor."""
     values = [value] * count if value is None or np.ndim(value) == 0 else list(value)  # type: ignore[arg-type]
@@ -239,18 +262,8 @@ def _solve_bemt(
     progress: ProgressCallback | None,
 ) -> SystemSolution:
     """Solve rotors in their places by blade elements; the method is that of the module docstring."""
-    at: list[dict[str, Any]] = [
-        {
-            "pitch_rad": p.pitch_rad,
-            "speed_rad_s": p.speed_rad_s,
-            "climb_m_s": climb_m_s,
-            "air": air,
-            "which": p.rotor_index,
-        }
-        for p in rotors
-    ]
     if len(rotors) == 1:
-        return SystemSolution((solve_rotor(rotors[0].blading, **at[0]),), rotors, climb_m_s, air, "bemt")
+        return SystemSolution((solve_placed_rotor(rotors[0], climb_m_s, air),), rotors, climb_m_s, air, "bemt")
     ways = {(a, b): _inflow_matrix(p, q) for a, p in enumerate(rotors) for b, q in enumerate(rotors) if a != b}
     turned = {(a, b): rotor_swirl_influence(rotors[a], p) for b, p in enumerate(rotors) for a in range(b)}
     stations = [p.blading.r_m.shape[1] for p in rotors]
@@ -267,7 +280,7 @@ def _solve_bemt(
                 axial = axial + ways[a, b] @ given[a][0]
                 around = around + turned[a, b] @ given[a][2]
             met.append((axial, around))
-            given.append(compute_slipstream(p.blading, **at[b], stream=(*met[b], met[b][0]), turns=b < len(rotors) - 1))
+            given.append(compute_slipstream(p, climb_m_s, air, (*met[b], met[b][0]), turns=b < len(rotors) - 1))
         pulled = [sum(ways[b, a] @ given[b][0] for b in range(a + 1, len(rotors))) for a in range(len(rotors) - 1)]
         return np.concatenate(pulled), met, sum(float(np.max(np.abs(v[0]))) for v in given)
 
@@ -294,7 +307,7 @@ def _solve_bemt(
             f"coaxial: the two rotors do not settle at {climb_m_s:g} m/s climb; "
             f"the inflow still changes by {np.max(np.abs(step)) / size:.1e} of itself a turn"
         )
-    found = tuple(solve_rotor(p.blading, **a, stream=(*m, m[0])) for p, a, m in zip(rotors, at, met, strict=True))
+    found = tuple(solve_placed_rotor(p, climb_m_s, air, (*m, m[0])) for p, m in zip(rotors, met, strict=True))
     return SystemSolution(
         found,
         rotors,
@@ -453,47 +466,20 @@ def _trim_by_bracketing(
 
 
 def _find_root(
-    solve_at: Callable[[float], SystemSolution],
-    fault: Callable[[SystemSolution], float],
-    guess: float,
-    what: str,
+    solve_at: Callable[[float], SystemSolution], fault: Callable[[SystemSolution], float], guess: float, what: str
 ) -> SystemSolution:
-    """Factor at which ``fault`` vanishes: bracket by steps of 1.15 from the guess, then Illinois."""
-    a = b = guess
-    at_a = at_b = solve_at(guess)
-    fa = fb = fault(at_a)
-    while fa > 0.0 and a > 0.1:
-        b, at_b, fb = a, at_a, fa
-        a /= 1.15
-        at_a = solve_at(a)
-        fa = fault(at_a)
-    while fb < 0.0 and b < 10.0:
-        a, at_a, fa = b, at_b, fb
-        b *= 1.15
-        at_b = solve_at(b)
-        fb = fault(at_b)
-    if fa * fb > 0.0:
+    """Solution at the factor, between a tenth and ten, at which ``fault`` vanishes."""
+    found: list[SystemSolution] = []
+
+    def fault_at(factor: Array, case: Integers) -> Array:
+        found[:] = [solve_at(float(factor[0]))]
+        left = fault(found[0])
+        return np.array([0.0 if abs(left) < _BEMT_TRIM_TOLERANCE else left])
+
+    _, settled = find_rising_root(fault_at, [guess], lowest=0.1, highest=10.0)
+    if not settled[0]:
         raise MuflyError(f"coaxial: no speed {what} between a tenth and ten times the first guess")
-    side = 0
-    for _ in range(60):
-        if abs(fa) < _BEMT_TRIM_TOLERANCE:
-            return at_a
-        if abs(fb) < _BEMT_TRIM_TOLERANCE:
-            return at_b
-        x = b - fb * (b - a) / (fb - fa)
-        now = solve_at(x)
-        f = fault(now)
-        if abs(f) < _BEMT_TRIM_TOLERANCE:
-            return now
-        if f * fb > 0.0:
-            b, at_b, fb = x, now, f
-            fa *= 0.5 if side == 1 else 1.0
-            side = 1
-        else:
-            a, at_a, fa = x, now, f
-            fb *= 0.5 if side == -1 else 1.0
-            side = -1
-    return now
+    return found[0]
 
 
 def _trim_by_secant(

@@ -40,14 +40,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
 from mufly.numba_cache import cached_njit
-from mufly.rotor.bemt import compute_slipstream, solve_rotor
+from mufly.rotor.bemt import compute_slipstream, solve_placed_rotor
 from mufly.rotor.rotor_system import Air, PlacedRotor, SystemSolution, WakeSettings
 
 Array = NDArray[np.float64]
@@ -238,20 +237,8 @@ def solve_tubes(
     """
     if len(rotors) > 2:
         raise InputError("rotor", "method", f"'tubes' solves pairs, not {len(rotors)} rotors", "use 'bemt'")
-
-    at: list[dict[str, Any]] = [
-        {
-            "pitch_rad": p.pitch_rad,
-            "speed_rad_s": p.speed_rad_s,
-            "climb_m_s": climb_m_s,
-            "air": air,
-            "which": p.rotor_index,
-        }
-        for p in rotors
-    ]
-
     if len(rotors) == 1:
-        return SystemSolution((solve_rotor(rotors[0].blading, **at[0]),), rotors, climb_m_s, air, "tubes")
+        return SystemSolution((solve_placed_rotor(rotors[0], climb_m_s, air),), rotors, climb_m_s, air, "tubes")
     keys = [_panel_edges_m(p).tobytes() for p in rotors]
     gap = rotors[0].height_m - rotors[1].height_m
     own = [_tube_influence(k, k, 0.0) for k in keys]
@@ -277,7 +264,7 @@ def solve_tubes(
             if k:
                 swirl = turned @ found[0][2]
             met_by.append((stream, swirl, np.zeros_like(stream)))
-            found.append(compute_slipstream(p.blading, **at[k], stream=met_by[k], turns=k == 0))
+            found.append(compute_slipstream(p, climb_m_s, air, met_by[k], turns=k == 0))
         bare = [_tube_strengths(*a, u, loss) for a, (u, loss, _) in zip(annuli, found, strict=True)]
         steps = [np.repeat(s, cells) for s in bare]
         thinned = []
@@ -305,7 +292,7 @@ def solve_tubes(
         if progress is not None:
             progress(turn, far_off, math.nan)
         if far_off <= _CONVERGENCE_TOLERANCE:
-            both = (solve_rotor(p.blading, **a, stream=m) for p, a, m in zip(rotors, at, met_by, strict=True))
+            both = (solve_placed_rotor(p, climb_m_s, air, m) for p, m in zip(rotors, met_by, strict=True))
             return SystemSolution(
                 tuple(both), rotors, climb_m_s, air, "tubes", True, f"settled in {turn} turns", turn,
                 tuple(np.split(x, cuts)),

@@ -57,8 +57,10 @@ from mufly.rotor import (
     compute_polars,
     prepare_blading,
     solve_rotor,
+    solve_rotor_batch,
     solve_system,
 )
+from mufly.rotor.rotor_solver import solve_from_neighbour
 from mufly.rotor.wake import WakeSettings, check_rotors
 from mufly.study.study_parameters import GEOMETRY_PARAMETERS, ParameterValue
 from mufly.study.study_setup import SINGLE_OF_PAIR_OUTPUTS, StudySetup, check_parameters, reshape_rotor
@@ -76,6 +78,9 @@ _MOTOR_FIELDS = {
     "gear_efficiency": "gear_efficiency",
     "controller_efficiency": "controller_efficiency",
 }
+
+
+_ROTOR_OUTPUTS = ("thrust_N", "torque_Nm", "power_W", "figure_of_merit", "c_T", "c_Q")
 
 
 @result(eq=False)
@@ -229,7 +234,6 @@ def _evaluate_group(
     pitch, climb = parameter_column("pitch", 0.0), parameter_column("climb", 0.0)
     load = make_blade_load(blading, pitch_rad=pitch, which=which, climb_m_s=climb, air=air)
     constants, voltage = _drive_columns(setup, parameter_column)
-    everyone = np.arange(index.size)
     radius = blading.radius_m[which]
     first = full[solved[0]]
 
@@ -249,7 +253,7 @@ def _evaluate_group(
     else:
         speed, why = find_speed(load), "rotor and motor settle at no speed"
     good = np.isfinite(speed) & (speed > 0)
-    thrust, torque = np.full(index.size, np.nan), np.full(index.size, np.nan)
+    answers = {name: np.full(index.size, np.nan) for name in _ROTOR_OUTPUTS}
     reasons = np.where(good, "", why).astype(object)
     share, core = np.full(index.size, np.nan), np.full(index.size, np.nan)
     if setup.method == "wake":
@@ -262,25 +266,18 @@ def _evaluate_group(
                 reasons[k] = str(error)
                 continue
             r = now.rotors[0]
-            speed[k], thrust[k], torque[k], share[k] = r.speed_rad_s, r.thrust_N, r.torque_Nm, r.outside_share
-            core[k] = _core_limit(now)
+            speed[k], share[k], core[k] = r.speed_rad_s, r.outside_share, _core_limit(now)
+            for name, values in answers.items():
+                values[k] = getattr(r, name)
     elif good.any():
-        thrust[good], torque[good] = load(speed[good], everyone[good])
-    scale = air.density_kg_m3 * np.pi * radius**4 * speed**2
-    power = torque * speed
-    with np.errstate(invalid="ignore", divide="ignore"):
-        merit = thrust * np.sqrt(np.maximum(thrust, 0) / (2 * air.density_kg_m3 * np.pi * radius**2)) / power
+        many_points = solve_rotor_batch(
+            blading, pitch_rad=pitch[good], speed_rad_s=speed[good], climb_m_s=climb[good], which=which[good], air=air
+        )
+        for name, values in answers.items():
+            values[good] = getattr(many_points, name)
     chord = np.array([float(rotor.chord_m(0.75)) for rotor in many])[which]
-    answers = {
-        "thrust_N": thrust,
-        "torque_Nm": torque,
-        "power_W": power,
-        "speed_rad_s": speed,
-        "figure_of_merit": np.where((thrust > 0) & (power > 0), merit, np.nan),
-        "c_T": thrust / scale,
-        "c_Q": torque / (scale * radius),
-        "reynolds_75": 0.75 * speed * radius * chord * air.density_kg_m3 / air.viscosity_Pa_s,
-    }
+    answers["speed_rad_s"] = speed
+    answers["reynolds_75"] = 0.75 * speed * radius * chord * air.density_kg_m3 / air.viscosity_Pa_s
     if constants is not None:
         _add_drive_results(first.get("gear"), constants, voltage, answers, reasons)
     if setup.method == "wake":
@@ -383,16 +380,7 @@ def _solve_from_last_wake(setup: StudySetup, solved: Callable[..., SystemSolutio
     with _WAKE_LOCK:
         settings, known = _LAST_WAKES.get(kind, (None, None))
         known = known if settings == setup.wake_settings else None
-        now: SystemSolution | None = None
-        if known is not None:
-            try:
-                now = solved(start=known)
-            except InputError:
-                raise
-            except MuflyError:
-                now = None
-        if now is None or not now.converged:
-            now = solved(start=None)
+        now = solve_from_neighbour(solved, known)
         if not now.converged:
             raise MuflyError(f"wake {now.message}")
         if known is None or np.nan_to_num(_core_limit(now)) <= np.nan_to_num(_core_limit(known)):
