@@ -26,18 +26,10 @@ from mufly.link import (
     unpack_custom_mode,
 )
 from mufly.link import mavlink as m
-from mufly.link.clients import (
-    MAX_CLIENTS,
-    MAX_STREAM_HZ,
-    Clients,
-    StreamSchedule,
-    judge_link_loss,
-    parse_manual_control,
-    parse_rc_override,
-    parse_set_point,
-)
+from mufly.link.clients import MAX_CLIENTS, MAX_STREAM_HZ, Clients, StreamSchedule, judge_link_loss
 from mufly.link.codec import action_for_mode
 from mufly.link.command_protocol import answer_message_request
+from mufly.link.steering_input import parse_manual_control, parse_rc_override, parse_set_point
 from mufly.logs import detect_log_format
 from mufly.logs.tlog import TlogWriter
 from mufly.mission import State

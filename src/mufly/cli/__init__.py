@@ -10,7 +10,6 @@ from typing import Any
 
 import typer
 
-import mufly
 from mufly.cli import coax, control, drive, fly, log, mission, monte_carlo, rotor, station, study, vehicle
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
 from mufly.cli import station as link
@@ -20,6 +19,7 @@ from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import estimate, firmware, sensors, slam
 from mufly.cli.options import CommandGroup
 from mufly.errors import MuflyError
+from mufly.version import __version__
 
 __all__ = ["app", "main"]
 
@@ -56,7 +56,7 @@ app.add_typer(study.thesis_commands, name="thesis")
 
 def _print_version(asked: bool) -> None:
     if asked:
-        typer.echo(f"mufly {mufly.__version__}")
+        typer.echo(f"mufly {__version__}")
         raise typer.Exit
 
 

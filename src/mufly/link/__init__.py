@@ -1,11 +1,12 @@
 """Who speaks with whom? MAVLink, both ends of it, as protocol machines with sockets at the edge."""
 
-from mufly.link.clients import CommandAuthority, MessageSource
+from mufly.link.clients import CommandAuthority
 from mufly.link.codec import (
     FrameDecoder,
     FrameEncoder,
     GlobalOrigin,
     MavMessage,
+    MessageSource,
     OutgoingFrame,
     PacketCounts,
     Px4Mode,

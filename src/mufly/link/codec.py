@@ -94,6 +94,18 @@ def encode_text_field(text: str, size: int = 50) -> bytes:
     return text.encode(errors="replace")[:size].decode(errors="ignore").encode()
 
 
+class MessageSource(NamedTuple):
+    """Who said something: MAVLink's source system and component, behind a peer."""
+
+    peer: Hashable
+    system: int
+    component: int
+
+    def __str__(self) -> str:
+        address = getattr(self.peer, "address", None) or str(self.peer)
+        return f"system {self.system} at {address}"
+
+
 class OutgoingFrame(NamedTuple):
     """Bytes for a peer, or for all of them (None)."""
 

@@ -40,7 +40,7 @@ from typing import Literal
 
 from mufly.errors import InputError
 from mufly.flight import Flight
-from mufly.link.clients import Clients, CommandAuthority, ManualControl, MessageSource, StreamSchedule
+from mufly.link.clients import Clients, CommandAuthority, StreamSchedule
 from mufly.link.codec import (
     COORDINATE_NOT_GIVEN,
     FRAMES_ABOVE_ORIGIN,
@@ -48,6 +48,7 @@ from mufly.link.codec import (
     MODE_LOITER,
     GlobalOrigin,
     MavMessage,
+    MessageSource,
     Px4Mode,
     action_for_mode,
     clip_to_integer,
@@ -57,6 +58,7 @@ from mufly.link.codec import (
     unpack_custom_mode,
 )
 from mufly.link.mission_protocol import MissionProtocol
+from mufly.link.steering_input import ManualControl
 from mufly.link.telemetry_streams import ORIGIN_MESSAGE_IDS
 from mufly.mission import (
     MAX_HEIGHT_M,

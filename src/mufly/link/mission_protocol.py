@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import OrderedDict
 
 from mufly.flight import Autopilot, FlightState
-from mufly.link.clients import Clients, CommandAuthority, MessageSource
+from mufly.link.clients import Clients, CommandAuthority
+from mufly.link.codec import MessageSource
 from mufly.link.mission_transfer import (
     MAX_ITEMS,
     AddressedMessages,

@@ -27,7 +27,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, fields, replace
+from typing import Any
 
 from mufly.link.codec import MavMessage, mavlink, scale_to_integer
 from mufly.mission.mission_items import MissionItem as MissionItem
@@ -69,11 +70,10 @@ class MissionCount:
 
 @dataclass(frozen=True, slots=True)
 class MissionRequestItem:
-    """MISSION_REQUEST_INT (or, where ``is_legacy``, MISSION_REQUEST, which is answered alike)."""
+    """MISSION_REQUEST_INT, or MISSION_REQUEST, which is answered alike."""
 
     seq: int
     mission_type: int = 0
-    is_legacy: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,56 +98,38 @@ AddressedMessages = list[tuple[Hashable, TransferMessage]]
 """Notes to be sent, each with the peer that it is for."""
 
 
+_MESSAGE_TYPES: dict[type, Any] = {
+    MissionRequestList: mavlink.MAVLink_mission_request_list_message,
+    MissionCount: mavlink.MAVLink_mission_count_message,
+    MissionRequestItem: mavlink.MAVLink_mission_request_int_message,
+    MissionAck: mavlink.MAVLink_mission_ack_message,
+    MissionClearAll: mavlink.MAVLink_mission_clear_all_message,
+}
+"""Messages whose fields, after the two of the target, are those of a note in its order."""
+_NOTE_TYPES = {m.msgname: note for note, m in _MESSAGE_TYPES.items()} | {"MISSION_REQUEST": MissionRequestItem}
+
+
 def parse_transfer_message(message: MavMessage) -> TransferMessage | None:
     """Return what a MAVLink message says about a transfer; None if nothing."""
     m, kind = message, message.get_type()
-    match kind:
-        case "MISSION_ITEM_INT" | "MISSION_ITEM":
-            factor = 1e4 if m.frame in _LOCAL_FRAMES else 1e7
-            x, y = (m.x, m.y) if kind == "MISSION_ITEM_INT" else (scale_to_integer(v, factor) for v in (m.x, m.y))
-            params = (m.param1, m.param2, m.param3, m.param4)
-            return MissionItem(m.seq, m.frame, m.command, m.current, m.autocontinue, params, x, y, m.z, m.mission_type)
-        case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
-            return MissionRequestItem(m.seq, m.mission_type, kind == "MISSION_REQUEST")
-        case "MISSION_COUNT":
-            return MissionCount(m.count, m.mission_type)
-        case "MISSION_ACK":
-            return MissionAck(m.type, m.mission_type)
-        case "MISSION_REQUEST_LIST":
-            return MissionRequestList(m.mission_type)
-        case "MISSION_CLEAR_ALL":
-            return MissionClearAll(m.mission_type)
-    return None
+    if kind in ("MISSION_ITEM_INT", "MISSION_ITEM"):
+        factor = 1e4 if m.frame in _LOCAL_FRAMES else 1e7
+        x, y = (m.x, m.y) if kind == "MISSION_ITEM_INT" else (scale_to_integer(v, factor) for v in (m.x, m.y))
+        params = (m.param1, m.param2, m.param3, m.param4)
+        return MissionItem(m.seq, m.frame, m.command, m.current, m.autocontinue, params, x, y, m.z, m.mission_type)
+    note = _NOTE_TYPES.get(kind)
+    return None if note is None else note(*(getattr(m, name) for name in m.fieldnames[2 : 2 + len(fields(note))]))
 
 
 def to_mavlink(note: TransferMessage, system: int, component: int) -> MavMessage:
     """Return a note as the MAVLink message to ``system`` and ``component``, ready for a codec to send."""
-    n, to = note, (system, component)
-    match n:
-        case MissionItem():
-            return mavlink.MAVLink_mission_item_int_message(
-                *to,
-                n.seq,
-                n.frame,
-                n.command,
-                n.current,
-                n.autocontinue,
-                *n.params,
-                n.x,
-                n.y,
-                n.z,
-                n.mission_type,
-            )
-        case MissionRequestItem():
-            return mavlink.MAVLink_mission_request_int_message(*to, n.seq, n.mission_type)
-        case MissionCount():
-            return mavlink.MAVLink_mission_count_message(*to, n.item_count, n.mission_type)
-        case MissionAck():
-            return mavlink.MAVLink_mission_ack_message(*to, n.result, n.mission_type)
-        case MissionRequestList():
-            return mavlink.MAVLink_mission_request_list_message(*to, n.mission_type)
-        case MissionClearAll():
-            return mavlink.MAVLink_mission_clear_all_message(*to, n.mission_type)
+    if isinstance(note, MissionItem):
+        n = note
+        return mavlink.MAVLink_mission_item_int_message(
+            system, component, n.seq, n.frame, n.command, n.current, n.autocontinue, *n.params, n.x, n.y, n.z,
+            n.mission_type,
+        )  # fmt: skip
+    return _MESSAGE_TYPES[type(note)](system, component, *astuple(note))
 
 
 class RetryTimer:

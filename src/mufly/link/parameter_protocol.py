@@ -17,8 +17,8 @@ from collections import OrderedDict
 from dataclasses import replace
 
 from mufly.flight import Autopilot, TunableParameter
-from mufly.link.clients import Clients, CommandAuthority, MessageSource
-from mufly.link.codec import MavMessage, encode_text_field, mavlink, to_float32
+from mufly.link.clients import Clients, CommandAuthority
+from mufly.link.codec import MavMessage, MessageSource, encode_text_field, mavlink, to_float32
 
 LIST_RATE_HZ = 100.0
 _CHANGE_CHECK_PERIOD_S = 0.5

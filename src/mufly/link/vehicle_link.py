@@ -12,19 +12,13 @@ from collections import deque
 from collections.abc import Callable, Hashable
 
 from mufly.flight import Flight, FlightEvent
-from mufly.link.clients import (
-    Clients,
-    CommandAuthority,
-    ManualControl,
-    MessageSource,
-    parse_rc_override,
-    parse_set_point,
-)
-from mufly.link.codec import FrameDecoder, GlobalOrigin, MavMessage, OutgoingFrame, mavlink
+from mufly.link.clients import Clients, CommandAuthority
+from mufly.link.codec import FrameDecoder, GlobalOrigin, MavMessage, MessageSource, OutgoingFrame, mavlink
 from mufly.link.command_protocol import CommandProtocol
 from mufly.link.mission_protocol import MissionProtocol
 from mufly.link.mission_transfer import parse_transfer_message
 from mufly.link.parameter_protocol import ParameterProtocol
+from mufly.link.steering_input import ManualControl, parse_rc_override, parse_set_point
 from mufly.link.telemetry_streams import (
     MESSAGE_STREAMS,
     TelemetryState,

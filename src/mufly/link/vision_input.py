@@ -19,15 +19,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.link.codec import MavMessage, to_float32
-
-if TYPE_CHECKING:
-    from mufly.link.clients import MessageSource
+from mufly.link.codec import MavMessage, MessageSource, to_float32
 
 _Array = NDArray[np.float64]
 SAME_CLOCK_TOLERANCE_S = 2.0

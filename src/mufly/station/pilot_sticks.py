@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 from mufly.link import mavlink
-from mufly.link.clients import StickDeflection
 from mufly.link.codec import MavMessage
+from mufly.link.steering_input import StickDeflection
 
 STREAM_PERIOD_S = 0.04
 STICK_TIMEOUT_S = 0.8

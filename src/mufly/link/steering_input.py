@@ -1,0 +1,219 @@
+"""Set-points that a program streams, and a pilot's sticks.
+
+Set-points are SET_POSITION_TARGET_LOCAL_NED and _GLOBAL_INT, here a :class:`mufly.mission.SetPoint`.
+
+========================  ===============================================================================
+frame                     position, velocity and heading are
+========================  ===============================================================================
+LOCAL_NED (1)             N-E-D from the origin; N-E-D; from north
+LOCAL_OFFSET_NED (7)      N-E-D from where it is now; N-E-D; from north
+BODY_NED (8),             ahead, right and down of where it is now, level; ahead, right, down; from the nose
+BODY_OFFSET_NED (9),
+BODY_FRD (12)
+GLOBAL (0, 5),            on the globe, with altitude above the sea (0, 5) or above the origin (3, 6); N-E-D;
+GLOBAL_RELATIVE_ALT       from north
+(3, 6)
+========================  ===============================================================================
+
+Fields that ``type_mask`` leaves out, and those that are no numbers, are not given. Accelerations and forces are not
+followed; a message that gives nothing else, or whose mask has bits that this vehicle does not know, says nothing.
+
+Sticks are RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, the thesis's state "RC". An override is what its name says:
+while any of the channels 1 to 4 is given (not 0, not 65535), the pilot flies; when all are released, the helicopter
+hovers. MANUAL_CONTROL comes all the time from ground stations with a joystick, so it only counts once a mode for
+flying by hand has been asked for (DO_SET_MODE to ALTCTL and its like).
+
+======================= =============== ======================== ==============================
+stick                   channel         MANUAL_CONTROL           asks for, at its end
+======================= =============== ======================== ==============================
+right                   1 up            y = 1000                 roll to the right (STK_TILT)
+back                    2 up            x = -1000                nose up (STK_TILT)
+throttle up             3 up            z = 1000 (500: neither)  climb (STK_CLIMB)
+turn right              4 up            r = 1000                 turn to the right (STK_YAWRATE)
+======================= =============== ======================== ==============================
+
+Channels are 1000 to 2000 us, 1500 in the middle; a middle of 3 % to either side is dead. The directions are those
+of PX4 and ArduPilot (MAVLink's own text has r the other way round).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mufly.estimate import Estimate
+from mufly.flight import Autopilot
+from mufly.link.codec import FRAMES_ABOVE_ORIGIN, FRAMES_ABOVE_SEA, GlobalOrigin, MavMessage, scale_coordinate
+from mufly.mission import REQUEST_ACCEPTED, RequestAnswer, SetPoint, reject_temporarily
+
+FloatTriple = tuple[float, float, float]
+
+_IGNORE_HEADING, _IGNORE_YAW_RATE, _KNOWN_MASK_BITS = 0x400, 0x800, 0xFFF
+_FRAME_LOCAL, _FRAME_LOCAL_OFFSET, _FRAMES_BODY = 1, 7, (8, 9, 12)
+
+
+def parse_set_point(message: MavMessage, measured: Estimate, origin: GlobalOrigin | None) -> SetPoint | None:
+    """Return what a message asks for; None if that is nothing, or nothing that is understood here.
+
+    Parameters
+    ----------
+    message : SET_POSITION_TARGET_LOCAL_NED or SET_POSITION_TARGET_GLOBAL_INT
+    measured : Estimate
+        Where it is now, for frames that start there.
+    origin : Origin or None
+        For frames on the globe.
+    """
+    mask, frame = message.type_mask, message.coordinate_frame
+    if mask & ~_KNOWN_MASK_BITS:
+        return None
+    on_globe = message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
+    given = _parse_global_position(message, origin) if on_globe else (message.x, message.y, message.z)
+    if given is None or (not on_globe and frame not in (_FRAME_LOCAL, _FRAME_LOCAL_OFFSET, *_FRAMES_BODY)):
+        return None
+    place = _apply_mask(given, mask)
+    speed = _apply_mask((message.vx, message.vy, message.vz), mask >> 3)
+    heading = math.nan if mask & _IGNORE_HEADING else float(message.yaw)
+    yaw_rate = math.nan if mask & _IGNORE_YAW_RATE else float(message.yaw_rate)
+    if not on_globe and frame in _FRAMES_BODY:
+        yaw = float(measured.attitude[2])
+        place, speed, heading = (
+            _rotate_body_to_ned(place, yaw),
+            _rotate_body_to_ned(speed, yaw),
+            heading + yaw,
+        )
+    if not on_globe and frame != _FRAME_LOCAL:
+        n, e, d = measured.position.tolist()
+        place = (place[0] + n, place[1] + e, place[2] + d)
+    out = SetPoint(
+        None if all(math.isnan(v) for v in place) else place,
+        None if all(math.isnan(v) for v in speed) else speed,
+        None if math.isnan(heading) else heading,
+        None if math.isnan(yaw_rate) else yaw_rate,
+    )
+    return None if out == SetPoint() else out
+
+
+def _apply_mask(values: FloatTriple, mask: int) -> FloatTriple:
+    n, e, d = (math.nan if mask & 1 << k else float(v) for k, v in enumerate(values))
+    return n, e, d
+
+
+def _rotate_body_to_ned(ahead_right_down: FloatTriple, yaw: float) -> FloatTriple:
+    """Ahead and right as north and east; an axis that is not given has no direction, so neither has the other."""
+    a, r, d = ahead_right_down
+    if math.isnan(a) != math.isnan(r):
+        a, r = (0.0 if math.isnan(v) else v for v in (a, r))
+    c, s = math.cos(yaw), math.sin(yaw)
+    return c * a - s * r, s * a + c * r, d
+
+
+def _parse_global_position(message: MavMessage, origin: GlobalOrigin | None) -> FloatTriple | None:
+    frame = message.coordinate_frame
+    if origin is None or frame not in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN):
+        return None
+    lat, lon = (scale_coordinate(v, 1e-7) for v in (message.lat_int, message.lon_int))
+    return origin.to_local(lat, lon, message.alt, frame)
+
+
+STICK_TIMEOUT_S = 1.0
+"""Sticks that have not been heard for so long are not there (s)."""
+_STICK_DEADBAND = 0.03
+_CHANNEL_RELEASED = (0, 65535)
+_AXIS_NOT_GIVEN = 32767
+
+
+@dataclass(frozen=True, slots=True)
+class StickDeflection:
+    """Sticks from -1 to 1: right, back (nose up), up, turn right."""
+
+    roll: float = 0.0
+    pitch: float = 0.0
+    climb: float = 0.0
+    yaw: float = 0.0
+
+
+def _apply_deadband(*values: float) -> StickDeflection:
+    held = [min(max(v, -1.0), 1.0) for v in values]
+    return StickDeflection(
+        *(
+            math.copysign((abs(v) - _STICK_DEADBAND) / (1.0 - _STICK_DEADBAND), v) if abs(v) > _STICK_DEADBAND else 0.0
+            for v in held
+        )
+    )
+
+
+def parse_rc_override(message: MavMessage) -> StickDeflection | None:
+    """Return the sticks of an RC_CHANNELS_OVERRIDE; None if channels 1 to 4 are all released."""
+    pulses = [message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw]
+    if all(us in _CHANNEL_RELEASED for us in pulses):
+        return None
+    return _apply_deadband(*(0.0 if us in _CHANNEL_RELEASED else (us - 1500) / 500 for us in pulses))
+
+
+def parse_manual_control(message: MavMessage) -> StickDeflection:
+    """Return the sticks of a MANUAL_CONTROL."""
+    x, y, z, r = (None if v == _AXIS_NOT_GIVEN else v / 1000 for v in (message.x, message.y, message.z, message.r))
+    return _apply_deadband(y or 0.0, -(x or 0.0), 0.0 if z is None else 2.0 * z - 1.0, r or 0.0)
+
+
+class ManualControl:
+    """Whose sticks count, and what they ask of the autopilot.
+
+    Parameters
+    ----------
+    autopilot : Autopilot
+    """
+
+    def __init__(self, autopilot: Autopilot) -> None:
+        self._autopilot = autopilot
+        self._manual, self._heard_s = StickDeflection(), -math.inf
+        self._by_hand = False
+        self._overridden = False
+
+    @property
+    def is_manual_mode(self) -> bool:
+        """Whether they count because a mode for flying by hand was asked for."""
+        return self._by_hand
+
+    def handle_rc_override(self, message: MavMessage) -> RequestAnswer:
+        """Take an RC_CHANNELS_OVERRIDE."""
+        wanted = parse_rc_override(message)
+        if wanted is not None:
+            self._overridden = True
+            return self._send_sticks(wanted)
+        if self._overridden:
+            self._overridden = False
+            return self._autopilot.release_sticks()
+        return REQUEST_ACCEPTED
+
+    def handle_manual_control(self, now_s: float, message: MavMessage) -> RequestAnswer:
+        """Take a MANUAL_CONTROL."""
+        self._manual, self._heard_s = parse_manual_control(message), now_s
+        return self._send_sticks(self._manual) if self._by_hand else REQUEST_ACCEPTED
+
+    def enter_manual_mode(self, now_s: float) -> RequestAnswer:
+        """A mode for flying by hand is asked for."""
+        if self._overridden:
+            return REQUEST_ACCEPTED
+        if now_s - self._heard_s > STICK_TIMEOUT_S:
+            return reject_temporarily("no sticks; stream MANUAL_CONTROL or RC_CHANNELS_OVERRIDE first")
+        self._by_hand = True
+        return self._send_sticks(self._manual)
+
+    def release_sticks(self) -> None:
+        """Another mode is asked for, or the pilot is not heard any more."""
+        if self._by_hand or self._overridden:
+            self._autopilot.release_sticks()
+        self._by_hand = self._overridden = False
+
+    def forget_sticks(self) -> None:
+        """There is another commander: what was heard of sticks was not said by that one."""
+        self.release_sticks()
+        self._manual, self._heard_s = StickDeflection(), -math.inf
+
+    def _send_sticks(self, d: StickDeflection) -> RequestAnswer:
+        tilt, turn, climb = (
+            self._autopilot.parameters[name].value for name in ("STK_TILT", "STK_YAWRATE", "STK_CLIMB")
+        )
+        tilt, turn = math.radians(tilt), math.radians(turn)
+        return self._autopilot.set_sticks(d.roll * tilt, d.pitch * tilt, d.yaw * turn, d.climb * climb)
