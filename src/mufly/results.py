@@ -189,9 +189,12 @@ def select_fields(value: Any, names: str) -> dict[str, Any]:
 
 
 def field_value(value: Any, path: str) -> Any:
-    """Return a field of a result; of a part of it with dots, ``"upper.thrust_N"``."""
+    """Return a field of a result; of a part of it with dots, ``"upper.thrust_N"``, ``"errors.0"``."""
     for part in path.split("."):
-        value = value[part] if isinstance(value, Mapping) else getattr(value, part)
+        if part.isdigit():
+            value = value[int(part)]
+        else:
+            value = value[part] if isinstance(value, Mapping) else getattr(value, part)
         value = value() if inspect.isroutine(value) else value
     return value
 

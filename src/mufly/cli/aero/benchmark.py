@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -11,23 +11,20 @@ from mufly.cli.options import JsonOption, OutOption, define_option
 from mufly.cli.output import (
     ensure_folder,
     make_console,
+    print_answer,
     print_files,
-    print_json,
     print_table,
     progress_bar,
     save_figure,
-    write_csv,
+    write_records,
 )
 from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import MuflyError
+from mufly.results import select_fields, to_records
 
 if TYPE_CHECKING:
     from mufly.study.benchmark import (
-        PredictionCode,
-        PropellerScore,
         PropellerScoreRow,
-        RotorCase,
-        RotorPrediction,
         RotorScore,
         ScoreRow,
     )
@@ -76,7 +73,7 @@ def benchmark(
     from mufly.study import benchmark as room
 
     ensure_folder("--out", out)
-    codes = [_parse_code(text, n_crit, limit) for text in code or ["bemt"]]
+    codes = [room.parse_code(text, n_crit=n_crit, limit_s=limit) for text in code or ["bemt"]]
     cases, missing = room.load_cases(data, only)
     with progress_bar("rotors", not as_json) as progress:
         scores = room.score_codes(cases, codes, points=points, slow_points=points or 3, folder=out, progress=progress)
@@ -92,26 +89,18 @@ def benchmark(
     rows, by_family = room.tabulate_by_group(scores), room.tabulate_by_family(scores)
     files = []
     if out is not None:
-        files = [
-            save_figure(room.score_picture(scores), out, "errors"),
-            _write_points_csv(scores, out / "points.csv"),
-        ]
-        files.append(write_csv(out / "scores.csv", _CSV_HEADS, [_csv_row(r) for r in rows]))
-        files.append(write_csv(out / "families.csv", _CSV_HEADS, [_csv_row(r) for r in by_family]))
+        files = [save_figure(room.score_picture(scores), out, "errors"), _write_points_csv(scores, out / "points.csv")]
+        files += [write_records(out / "scores.csv", [select_fields(r, _GROUP_KEYS) for r in rows])]
+        files += [write_records(out / "families.csv", [select_fields(r, _GROUP_KEYS) for r in by_family])]
         if advancing:
-            files.append(write_csv(out / "advancing.csv", _TUNNEL_CSV_HEADS, [_tunnel_csv_row(s) for s in advancing]))
+            files.append(write_records(out / "advancing.csv", [select_fields(s, _TUNNEL_KEYS) for s in advancing]))
     if as_json:
-        return print_json(
-            {
-                "scores": rows,
-                "families": by_family,
-                "missing": missing,
-                "rotors": [_rotor_score_record(s) for s in scores],
-                "advancing": tunnel,
-                "advancing_runs": [dict(zip(_TUNNEL_CSV_HEADS, _tunnel_csv_row(s), strict=True)) for s in advancing],
-                "files": [str(f) for f in files],
-            }
-        )
+        content = {
+            "scores": rows, "families": by_family, "missing": missing,
+            "rotors": [select_fields(s, _ROTOR_KEYS) for s in scores], "advancing": tunnel,
+            "advancing_runs": [select_fields(s, _TUNNEL_KEYS) for s in advancing],
+        }  # fmt: skip
+        return print_answer(as_json, content, None, files)
     _print_scores(rows, "mean size of the error, of rotors in a group")
     if len(by_family) > len(rows):
         _print_scores(by_family, "by family")
@@ -130,17 +119,20 @@ def benchmark(
         raise MuflyError(f"{', '.join(silent)}: has no answer for any point; see the lines above")
 
 
-_CSV_HEADS = (
-    "code", "group", "rotors", "points", "thrust_error", "thrust_bias", "torque_error", "torque_bias",
-    "thrust_inside_90", "torque_inside_90", "without_answer",
-)  # fmt: skip
-
-
-def _csv_row(row: ScoreRow) -> list[float | str]:
-    return [
-        row.code, row.group, float(row.rotors), float(row.points), row.thrust, row.thrust_bias, row.torque,
-        row.torque_bias, row.thrust_inside, row.torque_inside, float(row.without),
-    ]  # fmt: skip
+_GROUP_KEYS = (
+    "code group rotors points thrust_error=thrust thrust_bias torque_error=torque torque_bias "
+    "thrust_inside_90=thrust_inside torque_inside_90=torque_inside without_answer=without"
+)
+_ROTOR_KEYS = (
+    "code rotor=case.name group=case.group family=case.family section_known=case.section_known "
+    "thrust_error torque_error fault"
+)
+_TUNNEL_KEYS = (
+    "code rotor=case.name family=case.family speed_rad_s efficiency=measured.max_efficiency "
+    "best_advance_ratio=measured.best_advance_ratio zero_thrust_advance_ratio=measured.zero_thrust_advance_ratio "
+    "efficiency_error=relative_errors.0 best_advance_ratio_error=relative_errors.1 "
+    "zero_thrust_advance_ratio_error=relative_errors.2"
+)
 
 
 def _print_scores(rows: list[ScoreRow], title: str) -> None:
@@ -166,105 +158,28 @@ def _format_error_and_bias(size: float, bias: float) -> str:
     return f"{100 * size:.1f} % ({100 * bias:+.1f})" if np.isfinite(size) else "-"
 
 
-_TUNNEL_CSV_HEADS = (
-    "code", "rotor", "family", "speed_rad_s", "efficiency", "best_advance_ratio", "zero_thrust_advance_ratio",
-    "efficiency_error", "best_advance_ratio_error", "zero_thrust_advance_ratio_error",
-)  # fmt: skip
-
-
-def _tunnel_csv_row(s: PropellerScore) -> list[float | str]:
-    m = s.measured
-    return [
-        s.code,
-        s.case.name,
-        s.case.family,
-        s.speed_rad_s,
-        m.max_efficiency,
-        m.best_advance_ratio,
-        m.zero_thrust_advance_ratio,
-        *s.relative_errors,
-    ]
-
-
 def _print_tunnel_scores(rows: list[PropellerScoreRow]) -> None:
     make_console().print("runs in a tunnel: mean size of the error, of rotors in a group", style="bold")
     print_table(
         ("code", "of", "rotors", "runs", "greatest efficiency (bias)", "its advance ratio", "that without thrust"),
         [
-            (
-                r.code,
-                r.group,
-                f"{r.rotors}",
-                f"{r.runs}",
-                *(_format_error_and_bias(s, b) for s, b in zip(r.size, r.bias, strict=True)),
-            )
+            (r.code, r.group, f"{r.rotors}", f"{r.runs}", *map(_format_error_and_bias, r.size, r.bias))
             for r in rows
         ],
         text=(0, 1),
-    )
-
-
-def _rotor_score_record(s: RotorScore) -> dict[str, object]:
-    return {
-        "code": s.code,
-        "rotor": s.case.name,
-        "group": s.case.group,
-        "family": s.case.family,
-        "section_known": s.case.section_known,
-        "thrust_error": s.thrust_error,
-        "torque_error": s.torque_error,
-        "fault": s.fault,
-    }
+    )  # fmt: skip
 
 
 def _write_points_csv(scores: list[RotorScore], path: Path) -> Path:
-    rows: list[list[float | str]] = []
+    rows: list[dict[str, Any]] = []
     for s in scores:
         m = s.case.measured
-        for k in range(m.thrust_N.size):
-            rows.append(
-                [s.code, s.case.name, s.case.group, s.case.family, float(np.degrees(m.pitch_rad[k])),
-                 float(m.speed_rad_s[k]), float(m.thrust_N[k]), float(m.torque_Nm[k]), float(s.thrust_error[k]),
-                 float(s.torque_error[k])]
-            )  # fmt: skip
-    heads = ("code", "rotor", "group", "family", "pitch_deg", "speed_rad_s", "thrust_N", "torque_Nm", "thrust_error",
-             "torque_error")  # fmt: skip
-    return write_csv(path, heads, rows)
-
-
-def _parse_code(text: str, n_crit: float | None, limit_s: float) -> PredictionCode:
-    from mufly.study.benchmark import PredictionCode, parse_code
-
-    name, _, what = text.rpartition("=")
-    kind, colon, folder = what.partition(":")
-    if kind == "cfd" and colon:
-        return PredictionCode(name or "cfd", lambda case: _read_solved_cases(Path(folder), case))
-    return parse_code(text, n_crit=n_crit, limit_s=limit_s)
-
-
-def _read_solved_cases(folder: Path, case: RotorCase) -> RotorPrediction:
-    """What solved OpenFOAM cases below a folder say of a rotor's points; those within half a per cent are the same."""
-    from mufly.cfd import read_point, read_solution
-    from mufly.errors import InputError, MuflyError
-    from mufly.study.benchmark import RotorPrediction
-
-    if not folder.is_dir():
-        raise InputError("--code", f"cfd:{folder}", "is no folder", "name one that holds cases of `mufly cfd run`")
-    m = case.measured
-    thrust, torque = (np.full(m.thrust_N.size, np.nan) for _ in range(2))
-    faults = []
-    for mesh in sorted(folder.rglob("constant/polyMesh")):
-        at = mesh.parent.parent
-        try:
-            point = read_point(at)
-            same = np.flatnonzero(
-                (point.rotor == case.rotor.name)
-                & (np.abs(m.speed_rad_s / point.speed_rad_s - 1.0) < 5e-3)
-                & (np.abs(m.pitch_rad - point.pitch_rad) < 1e-3)
-            )
-            if same.size:
-                found = read_solution(at)
-                thrust[same], torque[same] = found.thrust_N, found.torque_Nm
-        except MuflyError as error:
-            faults.append(f"{at.name}: {error}")
-    return RotorPrediction(thrust, torque, "; ".join(faults))
+        points = to_records(
+            {
+                "pitch_deg": np.degrees(m.pitch_rad), **select_fields(m, "speed_rad_s thrust_N torque_Nm"),
+                **select_fields(s, "thrust_error torque_error"),
+            }
+        )  # fmt: skip
+        about = select_fields(s, "code rotor=case.name group=case.group family=case.family")
+        rows += [{**about, **point} for point in points]
+    return write_records(path, rows)

@@ -10,11 +10,12 @@ import typer
 
 from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
 from mufly.cli.output import (
+    ResultColumn,
     print_answer,
     print_files,
     print_json,
     print_lines,
-    print_table,
+    print_result_table,
     progress_bar,
     report_place_errors,
 )
@@ -162,18 +163,14 @@ def sil(
 
 
 def _print_sil(results: list[SilResult]) -> None:
-    print_table(
-        ("mission", "seed", "outcome", "law", "differ", "estimator", "differ", "flight", "differ", "log", "single"),
-        [
-            (
-                r.mission, str(r.seed), r.outcome, str(r.periods), str(r.different), str(r.beliefs),
-                str(r.beliefs_different), str(r.steps), str(r.steps_different), str(r.entries),
-                f"{r.worst_single:.1e}",
-            )
-            for r in results
-        ],
-        text=(0, 2),
+    columns = (
+        "mission", "seed", "outcome", ResultColumn("periods", form="d", head="law"),
+        ResultColumn("different", form="d", head="differ"), ResultColumn("beliefs", form="d", head="estimator"),
+        ResultColumn("beliefs_different", form="d", head="differ"), ResultColumn("steps", form="d", head="flight"),
+        ResultColumn("steps_different", form="d", head="differ"), ResultColumn("entries", form="d", head="log"),
+        ResultColumn("worst_single", form=".1e", head="single"),
     )  # fmt: skip
+    print_result_table(results, columns)
     law, estimator = sum(r.periods for r in results), sum(r.beliefs for r in results)
     steps = sum(r.steps for r in results)
     off = [sum(getattr(r, name) for r in results) for name in ("different", "beliefs_different", "steps_different")]
@@ -210,14 +207,8 @@ def _compare_fixed_point(vehicle: Vehicle, names: list[str], flights: int, keep:
 
 
 def _print_fixed_flights(results: list[FixedPointFlight]) -> None:
-    print_table(
-        ("mission", "seed", "outcome", "periods", "overflows", "apart (mm)"),
-        [
-            (r.mission, str(r.seed), r.outcome, str(r.periods), str(r.overflows), f"{1e3 * r.apart_m:.1f}")
-            for r in results
-        ],
-        text=(0, 2),
-    )
+    counts = (ResultColumn("periods", form="d"), ResultColumn("overflows", form="d"))
+    print_result_table(results, ["mission", "seed", "outcome", *counts, ResultColumn("apart_m", "mm", ".1f")])
     print_lines("Apart: greatest distance from the flight in double precision. Seeds from 1 on fly in wind and gusts.")
 
 
@@ -225,31 +216,19 @@ def _print_fixed_law(vehicle: Vehicle, controller: FlightController, law: FixedP
     from mufly.firmware import measure_cascade_loss
 
     taken = {(one.loop, one.form) for one in law.chosen_losses}
-    rows = [(one, (one.loop, one.form) in taken) for one in law.candidate_losses]
-    rows.append((measure_cascade_loss(vehicle, controller, law), True))
-    print_table(
-        ("loop", "form", "taken", "peaks (dB)", "gain margin (dB)", "phase (dB)", "delay (dB)"),
-        [
-            (
-                one.loop, one.form, "yes" if chosen else "", f"{one.peaks_dB:.4f}", f"{one.gain_dB:.4f}",
-                f"{one.phase_dB:.4f}", f"{one.delay_dB:.4f}",
-            )
-            for one, chosen in rows
-        ],
-        text=(0, 1, 2),
-    )  # fmt: skip
+    rows = [{**vars(one), "taken": "yes" if (one.loop, one.form) in taken else ""} for one in law.candidate_losses]
+    rows.append({**vars(measure_cascade_loss(vehicle, controller, law)), "taken": "yes"})
+    figures = (ResultColumn(name, form=".4f") for name in ("peaks_dB", "gain_dB", "phase_dB", "delay_dB"))
+    print_result_table(rows, ["loop", "form", "taken", *figures])
     print_lines("Lost by whole coefficients of 16 bits: growth of peaks, loss of margins; phase and delay as ratios.")
-    print_table(
-        ("controller", "form", "greatest state of 32 bits", "greatest sum of 64", "refused of 32", "slowest pole"),
-        [
-            (
-                c.name.replace("_", "-"), c.form, f"{c.proof.states.max():.2f}", f"{c.proof.sums.max():.2f}",
-                f"{c.proof.refused:.2f}", f"{c.proof.slowest:.5f}",
-            )
-            for c in law.controllers
-        ],
-        text=(0, 1),
+    columns = (
+        ResultColumn("name", head="controller"), "form",
+        ResultColumn("proof.states.max", form=".2f", head="greatest state of 32 bits"),
+        ResultColumn("proof.sums.max", form=".2f", head="greatest sum of 64"),
+        ResultColumn("proof.refused", form=".2f", head="refused of 32"),
+        ResultColumn("proof.slowest", form=".5f", head="slowest pole"),
     )  # fmt: skip
+    print_result_table(law.controllers, columns)
     print_lines(
         "Bounds for any inputs within their limits, by the L1 norm, as a share of what the bits hold: below 1 in all."
     )
@@ -273,17 +252,13 @@ def pil(vehicle: _VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False
 
 
 def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
-    print_table(
-        ("emulated", "what", "outputs", "instructions a period", "worst", "flash (B)", "stack (B)"),
-        [
-            (
-                r.machine, r.what, "the same" if r.same else "differ", f"{r.mean_instructions:.0f}",
-                f"{r.worst_instructions:.0f}", str(r.flash_bytes), str(r.stack_bytes),
-            )
-            for r in results
-        ],
-        text=(0, 1, 2),
+    columns = (
+        ResultColumn("machine", head="emulated"), "what", ResultColumn("same", head="same outputs"),
+        ResultColumn("mean_instructions", form=".0f", head="instructions a period"),
+        ResultColumn("worst_instructions", form=".0f", head="worst"), ResultColumn("flash_bytes", form="d"),
+        ResultColumn("stack_bytes", form="d"),
     )  # fmt: skip
+    print_result_table(results, columns)
     how = "Whole numbers, gcc -O2" if fixed_point else "Single precision, gcc -Os"
     print_lines(
         f"{how}. Flight: the law, the mission and what watches over it, on made-up estimates; estimator: on a "
