@@ -368,7 +368,6 @@ def _make_camera(
     position: str, sensors: str, camera: str, floor: str, faults: Sequence[str] | None, stream: str
 ) -> CameraConfig | None:
     """What ``--position`` and the options of a camera say; None where there is no camera."""
-    check_choice("--position", position, ("fix", "camera", "link"))
     if position == "link" and sensors == "ideal":
         raise InputError("--position", "", "what is true needs no fixes", "leave out --sensors ideal")
     # Behind a link somebody else looks at the pictures, if they are sent.
@@ -427,7 +426,7 @@ def fly_mission(
         ),
     ] = None,
     position: Annotated[
-        str,
+        Literal["fix", "camera", "link"],
         define_option(
             "--position WHICH",
             "Where it gets its position from: fix (a statistical V-SLAM, as its file has it) or camera (pictures "
@@ -502,29 +501,14 @@ def fly_mission(
         helicopter = load_vehicle(vehicle)
         faults = check_sensor_options(helicopter, sensors, fault)
         order = FlightOrder(
-            helicopter,
-            load_mission(mission),
-            recording,
-            steady,
-            gust,
-            seed,
-            tuple(ends),
-            start,
-            realtime,
-            "ideal" if sensors == "ideal" else "fitted",
-            faults,
-            select_flight_software(firmware, fixed_point),
+            helicopter, load_mission(mission), recording, steady, gust, seed, tuple(ends), start, realtime, sensors,
+            faults, select_flight_software(firmware, fixed_point),
             None if designed_for is None else load_vehicle(designed_for),
-            _make_camera(position, sensors, camera, floor, camera_fault, stream),
-            position == "link",
-        )
+            _make_camera(position, sensors, camera, floor, camera_fault, stream), position == "link",
+        )  # fmt: skip
         if order.has_external_position and not ends:
-            raise InputError(
-                "--position",
-                "",
-                "nobody could send a position",
-                "add --link, as --link udpin:127.0.0.1:14560",
-            )
+            remedy = "add --link, as --link udpin:127.0.0.1:14560"
+            raise InputError("--position", "", "nobody could send a position", remedy)
         if order.camera is not None and not order.has_external_position:
             from mufly.flight.camera_sensor import with_camera
 

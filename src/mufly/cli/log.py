@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -230,7 +230,8 @@ def plot(
         Path | None, define_option("--with LOG", "Draw this second log into the same plots, dashed.")
     ] = None,
     align: Annotated[
-        str, define_option("--align EVENT", "With --with: what coincides: take-off, arming, start or clock.")
+        Literal["take-off", "arming", "start", "clock"],
+        define_option("--align EVENT", "With --with: what coincides: take-off, arming, start or clock."),
     ] = "take-off",
     offset_s: Annotated[
         float,
@@ -296,9 +297,7 @@ def _plot_two_logs(
     """Draw two logs on each other, and say by how much they differ."""
     from dataclasses import replace
 
-    from mufly.cli.options import check_choice
     from mufly.station.recording_comparison import (
-        ALIGNMENTS,
         RecordingComparison,
         difference_rows,
         draw_comparison,
@@ -306,7 +305,6 @@ def _plot_two_logs(
     )
     from mufly.station.replay import open_recording
 
-    check_choice("--align", align, ALIGNMENTS)
     with progress_bar("Reading", True) as progress:
         first, second = open_recording(log, progress), open_recording(beside, progress)
     if first.name == second.name:

@@ -153,7 +153,7 @@ def run_monte_carlo(
 
     campaign = Campaign.create_checked(
         helicopter, load_mission(mission), variations=parse_variations(vary or [], helicopter), wind=towards,
-        gust=gust, sensors="ideal" if sensors == "ideal" else "fitted", faults=tuple(fault or ()), seed=seed,
+        gust=gust, sensors=sensors, faults=tuple(fault or ()), seed=seed,
         tolerance_m=tolerance, redesign=redesign, controllers=controllers, quickly=GenericFirmwareSoftware,
         computed_by=by, vehicle_name=vehicle, mission_name=mission,
     )  # fmt: skip

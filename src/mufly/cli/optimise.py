@@ -26,14 +26,15 @@ from mufly.cli.options import (
     wake_progress,
 )
 from mufly.cli.output import (
+    ensure_folder,
     make_console,
     print_answer,
     print_files,
     print_json,
     print_table,
     progress_bar,
-    report_place_errors,
     save_figure,
+    write_text_file,
 )
 from mufly.cli.rotor import app as rotor_commands
 from mufly.cli.study import format_parameter, parse_set_options
@@ -49,10 +50,8 @@ if TYPE_CHECKING:
 def _write_rotor_file(rotor: Rotor, path: Path) -> Path:
     from mufly.rotor import format_rotor_toml
 
-    with report_place_errors(path, "give another place"):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(format_rotor_toml(rotor), encoding="utf-8")
-    return path
+    ensure_folder("--out", path.parent)
+    return write_text_file(path, format_rotor_toml(rotor), "give another place")
 
 
 @rotor_commands.command()

@@ -17,7 +17,13 @@ import typer
 from typer.core import TyperCommand
 from typer.models import OptionInfo
 
-from mufly.cli.output import check_writable_file, make_console, report_place_errors, save_figure, write_csv
+from mufly.cli.output import (
+    check_writable_file,
+    make_console,
+    save_figure,
+    write_csv,
+    write_text_file,
+)
 from mufly.errors import ArgumentError, InputError, suggest_name
 from mufly.quantity_grammar import (
     read_integer,
@@ -593,8 +599,7 @@ def write_vehicle(
     if write is None or start is None:
         return []
     text = format_vehicle_toml(apply_estimates(start, estimates, note))
-    with report_place_errors(write, "give another place", option):
-        write.write_text(text, encoding="utf-8")
+    write_text_file(write, text, "give another place", option)
     return [write]
 
 

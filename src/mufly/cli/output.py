@@ -248,6 +248,13 @@ def report_place_errors(
     return report_write_errors(option, remedy, str(place))
 
 
+def write_text_file(path: Path, text: str, remedy: str = "give another folder", option: str = "--out") -> Path:
+    """Write a text, as :func:`report_place_errors` says what goes wrong; return where it stands."""
+    with report_place_errors(path, remedy, option):
+        path.write_text(text, encoding="utf-8")
+    return path
+
+
 def save_figure(figure: Figure, folder: Path, name: str, endings: Sequence[str] = (".png",)) -> Path:
     """Write a picture into a folder, which is made if need be; return the first file.
 

@@ -42,8 +42,8 @@ from mufly.cli.output import (
     print_result_table,
     print_table,
     progress_bar,
-    report_place_errors,
     save_figure,
+    write_text_file,
 )
 from mufly.results import select_fields, to_records
 from mufly.units import RPM, compatible_units
@@ -241,8 +241,7 @@ def import_blade(
     if trailing_edge is not None:
         r = replace_rotor(r, {"trailing_edge": trailing_edge}, source="measured")
     if out is not None:
-        with report_place_errors(out):
-            out.write_text(format_rotor_toml(r), encoding="utf-8")
+        write_text_file(out, format_rotor_toml(r))
     if as_json:
         return print_json({**select_fields(r, f"name {_GEOMETRY} airfoils=airfoil_names"), "notes": notes})
     c = make_console()
@@ -524,8 +523,7 @@ def fit(
         )  # fmt: skip
     files = []
     if out is not None:
-        with report_place_errors(out):
-            out.write_text(format_rotor_toml(found.rotor), encoding="utf-8")
+        write_text_file(out, format_rotor_toml(found.rotor))
         files = [out, save_figure(fit_picture(found), out.parent, out.stem)]
     if as_json:
         content = {

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.options import check_choice, define_argument, define_option
+from mufly.cli.options import define_argument, define_option
 from mufly.cli.output import LiveDisplay, make_console, print_lines, progress_bar
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_vector
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from mufly.flight.flight_software import ControlImplementation
     from mufly.link import Endpoint, LoopReport
-    from mufly.link.vehicle_process import SensorMode
     from mufly.sensors import Fault
     from mufly.station.page.page_address import PageAddress
     from mufly.vehicle import Vehicle
@@ -52,7 +51,7 @@ GustOption = Annotated[
 ]
 SeedOption = Annotated[int, define_option("--seed", "Seed of everything random.")]
 SensorsOption = Annotated[
-    str,
+    Literal["fitted", "ideal"],
     define_option(
         "--sensors WHICH",
         "What it flies on: fitted (what the vehicle file has in \\[sensors], and a filter that makes an estimate of "
@@ -136,11 +135,10 @@ def select_flight_software(wanted: bool, fixed_point: bool = False) -> ControlIm
 
 
 def check_sensor_options(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) -> tuple[Fault, ...]:
-    """The faults of ``--fault``; words of ``--sensors`` that are none, and faults that cannot be, are refused."""
+    """The faults of ``--fault``; those that cannot be are refused."""
     from mufly.sensors.faults import parse_fault
     from mufly.sensors.sensor_suite import check_faults
 
-    check_choice("--sensors", sensors, ("fitted", "ideal"))
     found = tuple(parse_fault(text) for text in faults or ())
     if found and sensors == "ideal":
         raise InputError("--fault", str(found[0]), "what is true has no faults", "leave out --sensors ideal")
@@ -510,7 +508,6 @@ def run_link(
                 f"  anyone who can reach {end.host} port {end.port} may command it: MAVLink has no password",
                 style="yellow",
             )
-    sensing: SensorMode = "ideal" if sensors == "ideal" else "fitted"
     startup = Startup()
     with LiveDisplay(terminal) as display:
         display.follow_startup(startup)
@@ -525,12 +522,12 @@ def run_link(
         startup.begin_stage(STAGE_DESIGNING)
         controller = design_flight_controller(helicopter)
         startup.begin_stage(STAGE_COMPILING)
-        warm_up(helicopter, controller, sensing)
+        warm_up(helicopter, controller, sensors)
         startup.finish()
     recording = None if out is None else out / "flight.mcap"
     flight = Flight(
         helicopter, plan, controller=controller, wind=steady, gust=gust, seed=seed, path=recording, keep=False,
-        sensors=sensing, faults=faults, controllers=controllers,
+        sensors=sensors, faults=faults, controllers=controllers,
     )  # fmt: skip
     print_lines(*filter(None, [flight.outside_model_note]), mark="Warning", style="yellow")
     log = None if out is None else TlogWriter(out / "link.tlog")

@@ -36,8 +36,8 @@ from mufly.cli.output import (
     print_result_table,
     print_table,
     progress_bar,
-    report_place_errors,
     save_figure,
+    write_text_file,
 )
 from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import InputError, suggest_name
@@ -526,8 +526,7 @@ def write_thesis_report(
     from mufly.thesis import THESIS_ITEMS, count_verdicts, load_cached_answer, render_html_page
 
     answers = [load_cached_answer(name, from_folder) for name in THESIS_ITEMS]
-    with report_place_errors(out, "give another file"):
-        out.write_text(render_html_page(answers), encoding="utf-8")
+    write_text_file(out, render_html_page(answers), "give another file")
     print_files([out])
     make_console().print(", ".join(f"{n} {word}" for word, n in count_verdicts(answers).items()) + ".", highlight=False)
 

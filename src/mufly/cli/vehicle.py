@@ -26,7 +26,7 @@ from mufly.cli.output import (
     print_result_lines,
     print_result_table,
     print_table,
-    report_place_errors,
+    write_text_file,
 )
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_quantity
@@ -323,8 +323,7 @@ def create_vehicle_project(
         "mission": dump_mission(load_mission("demonstration")),
     }
     for part, file in files.items():
-        with report_place_errors(file):
-            file.write_text(texts[part], encoding="utf-8")
+        write_text_file(file, texts[part])
     _print_hover(vehicle, hover_performance(vehicle))
     guesses = sum(row.note.startswith("guess:") for row in list_parameters(vehicle))
     place = f"gear {float(vehicle.gear.ratio):.3g}, battery {float(vehicle.battery.capacity) / 3.6:.0f} mA h"

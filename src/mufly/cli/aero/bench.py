@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -19,11 +19,10 @@ from mufly.cli.options import (
     CommandGroup,
     JsonOption,
     SpacingOption,
-    check_choice,
     define_argument,
     define_option,
 )
-from mufly.cli.output import ensure_folder, make_console, print_answer, print_lines, print_table
+from mufly.cli.output import ensure_folder, make_console, print_answer, print_lines, print_table, write_text_file
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_values
 
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from mufly.bench.rig.bench_devices import BenchRig
     from mufly.bench.series.series_analysis import LoadInterval, SeriesResult, SettingResult
     from mufly.bench.series.series_files import LoadDifference
-    from mufly.bench.series.series_plan import BladeMounting, PlanStep, RotorAxis, SeriesPlan
+    from mufly.bench.series.series_plan import BladeMounting, PlanStep, SeriesPlan
     from mufly.bench.series.series_record import SeriesRecord
     from mufly.bench.series.series_runner import SeriesProgress
 
@@ -40,7 +39,7 @@ app = CommandGroup(
     no_args_is_help=True,
 )
 
-_SIMULATED_FAULTS = ("reference", "saturated", "silent", "spikes", "speed")
+SimulatedFault = Literal["reference", "saturated", "silent", "spikes", "speed"]
 SeriesArgument = Annotated[Path, define_argument("DIR", "The folder of `mufly bench run`.")]
 AcceptOption = Annotated[
     list[str] | None,
@@ -73,7 +72,9 @@ def plan(
         str,
         define_option("--rpm", "Speeds: 3000,5000 or 3000:7000:500.", unit="rpm", form="values", within=SPEED_RANGE),
     ] = "3000:7000:1000",
-    axis: Annotated[str, define_option("--axis NAME", "'upper', 'lower' or 'pair'.")] = "upper",
+    axis: Annotated[
+        Literal["upper", "lower", "pair"], define_option("--axis NAME", "'upper', 'lower' or 'pair'.")
+    ] = "upper",
     ratio: Annotated[
         str,
         define_option("--ratio", "Of a pair: speed of the lower rotor over the upper's.", unit="1", form="values"),
@@ -104,26 +105,24 @@ def plan(
     Limits, times and order stand in the file, which may be edited.
     Example: mufly bench plan --rotor naca0012-r60-c20 --pitch 10,14 --reference naca4412-r60-c20
     """
-    from mufly.bench.series.series_plan import SIDES_BY_AXIS, StepTimes, make_plan
-    from mufly.cli.output import check_writable_file, report_place_errors
+    from mufly.bench.series.series_plan import StepTimes, make_plan
+    from mufly.cli.output import check_writable_file
     from mufly.rotor import load_rotor
 
-    check_choice("--axis", axis, SIDES_BY_AXIS)
     for r in [*rotor, *([reference] if reference else [])]:
         load_rotor(r)
     ratios = list(read_values("--ratio", ratio, "1", most=_MAX_SETTINGS))
     made = make_plan(
         name, rotor, read_values("--pitch", pitch, "deg", most=_MAX_SETTINGS),
         read_values("--rpm", rpm, "rpm", most=_MAX_SETTINGS), reference=reference or rotor[0],
-        reference_pitch_deg=reference_pitch, repetitions=repeat, axis=cast("RotorAxis", axis),
+        reference_pitch_deg=reference_pitch, repetitions=repeat, axis=axis,
         speed_ratios=ratios, reference_every=reference_every, seed=seed,
         times=StepTimes(warm_up_s=warm_up), spacing_m=spacing,
     )  # fmt: skip
     if out.exists():
         raise InputError("--out", str(out), "is there already", "give another name, or take it away")
     check_writable_file("--out", out)
-    with report_place_errors(out):
-        out.write_text(made.to_toml(), encoding="utf-8")
+    write_text_file(out, made.to_toml())
 
     def print_plan() -> None:
         print_table(
@@ -161,7 +160,8 @@ def run(
     ),
     seed: Annotated[int, define_option("--seed N", "Of a simulated bench.")] = 0,
     fault: Annotated[
-        str | None, define_option("--fault KIND", f"Of a simulated bench: {', '.join(_SIMULATED_FAULTS)}.")
+        SimulatedFault | None,
+        define_option("--fault KIND", "Of a simulated bench: reference, saturated, silent, spikes, speed."),
     ] = None,
     samples: Annotated[bool, define_option("--samples", "Keep every sample, not only means.")] = False,
     yes: Annotated[bool, define_option("--yes", "Do not wait for somebody to change the blades.")] = False,
@@ -178,8 +178,6 @@ def run(
 
     made = read_plan(plan)
     ensure_folder("--out", out)
-    if fault is not None:
-        check_choice("--fault", fault, _SIMULATED_FAULTS)
     real = _load_real_rig(rig, fault) if rig != "sim" else None
     record = SeriesRecord(out)
     bench, truth = (real, None) if real is not None else _make_simulated_rig(made, record, seed, fault)

@@ -155,7 +155,7 @@ def sil(
 
         results = compare(
             helicopter, names, flights=flights, wind=steady, gust=gust, faults=faults, on_flight=count_flight,
-            sensors="ideal" if sensors == "ideal" else "fitted", drawn=drawn, keep=keep,
+            sensors=sensors, drawn=drawn, keep=keep,
         )  # fmt: skip
     print_answer(as_json, {"flights": results}, lambda: _print_sil(results))
     if any(r.different + r.beliefs_different + r.steps_different for r in results):

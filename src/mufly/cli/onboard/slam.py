@@ -17,6 +17,7 @@ from mufly.cli.output import (
     progress_bar,
     report_place_errors,
     save_figure,
+    write_text_file,
 )
 from mufly.errors import InputError, MuflyError
 
@@ -470,8 +471,7 @@ def calibrate(
     with progress_bar("pictures", not as_json) as bar:
         found = calibrate_lens(files, lens, columns=columns, rows=rows, square_m=square, on_picture=bar)
     if out is not None:
-        with report_place_errors(out, "give another file"):
-            out.write_text(format_camera_toml(found.camera), encoding="utf-8")
+        write_text_file(out, format_camera_toml(found.camera), "give another file")
 
     def print_result() -> None:
         print_lines(f"{found.used} of {found.of} pictures show the board; residual {found.residual_px:.2f} pixels")

@@ -5,7 +5,6 @@ points, nan where it has no answer, and why not. On the command line it is one o
 
 =================  =============================================================================================
 ``bemt, wake``     mufly's methods
-``cfd:DIR``        cases below a folder that `mufly cfd run` has solved
 ``module:name``    a Python function that takes a :data:`RotorDescription` and returns thrust and torque, arrays
 (points,) ``COMMAND``        a program, with ``{folder}`` among its words. There it finds ``blade.csv``, ``points.csv``,
 the
@@ -85,8 +84,6 @@ def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0
         how = f"n_crit {'by the air' if n_crit is None else n_crit}"
         method: SolverMethod = "wake" if what == "wake" else "bemt"
         return PredictionCode(name or what, _make_mufly_code(method, n_crit), what == "wake", how)
-    if what.startswith("cfd:"):
-        return PredictionCode(name or "cfd", lambda case: _predict_by_solved_cases(Path(what[4:]), case))
     if "{folder}" in what:
         return PredictionCode(
             name or Path(shlex.split(what)[0]).name, lambda case: _predict_by_command(what, case, limit_s)
@@ -164,32 +161,6 @@ def _predict_by_function(function: Callable[[RotorDescription], Any], label: str
         return _check_prediction(function(describe_case(case)), label, case)
     except Exception as error:  # an outside code may fail in its own way on one rotor and not on the next
         return _failed_prediction(case, f"{type(error).__name__}: {error}")
-
-
-def _predict_by_solved_cases(folder: Path, case: RotorCase) -> RotorPrediction:
-    """What solved OpenFOAM cases below a folder say of a rotor's points; those within half a per cent are the same."""
-    from mufly.cfd import read_point, read_solution
-
-    if not folder.is_dir():
-        raise InputError("--code", f"cfd:{folder}", "is no folder", "name one that holds cases of `mufly cfd run`")
-    m = case.measured
-    thrust, torque = (np.full(m.thrust_N.size, np.nan) for _ in range(2))
-    faults = []
-    for mesh in sorted(folder.rglob("constant/polyMesh")):
-        at = mesh.parent.parent
-        try:
-            point = read_point(at)
-            same = np.flatnonzero(
-                (point.rotor == case.rotor.name)
-                & (np.abs(m.speed_rad_s / point.speed_rad_s - 1.0) < 5e-3)
-                & (np.abs(m.pitch_rad - point.pitch_rad) < 1e-3)
-            )
-            if same.size:
-                found = read_solution(at)
-                thrust[same], torque[same] = found.thrust_N, found.torque_Nm
-        except MuflyError as error:
-            faults.append(f"{at.name}: {error}")
-    return RotorPrediction(thrust, torque, "; ".join(faults))
 
 
 def _failed_prediction(case: RotorCase, fault: str) -> RotorPrediction:
