@@ -21,8 +21,8 @@ STICK_TIMEOUT_S = 0.8
 def manual_control_message(d: StickDeflection, system: int) -> MavMessage:
     """MANUAL_CONTROL of sticks, -1 to 1: right, back, up, turn right.
 
-    The signs are those that PX4, ArduPilot and mufly take (:func:`mufly.link.clients.parse_manual_control`): x forward,
-    y right, z 500 in the middle, r turns right.
+    The signs are those that PX4, ArduPilot and mufly take (:func:`mufly.link.steering_input.parse_manual_control`): x
+    forward, y right, z 500 in the middle, r turns right.
     """
     x, y, z, r = (round(1000.0 * v) for v in (-d.pitch, d.roll, 0.5 + 0.5 * d.climb, d.yaw))
     return mavlink.MAVLink_manual_control_message(system, x, y, z, r, 0)
