@@ -50,7 +50,7 @@ class Twin:
 
     def memory(self, m: avoidance.ObstacleMap):
         c = self.ffi.new("obstacle_map_t *")
-        c.point_count, c.turn = m.point_count, m.replace_index
+        c.point_count, c.replace_index = m.point_count, m.replace_index
         self.ffi.memmove(c.points, m.points.tobytes(), m.points.nbytes)
         return c
 
@@ -77,7 +77,7 @@ class Twin:
 
     def sight(self, s: avoidance.PathCheck):
         c = self.ffi.new("path_check_t *")
-        names = ("look_ahead_m", "row", "way", "onward", "across", "blockers", "block")
+        names = ("look_ahead_m", "points_checked", "path_distance_sq", "onward", "across", "blockers", "block")
         for name in names:
             setattr(c, name, getattr(s, name))
         c.place, c.goal, c.from_goal = s[:3], s[3:5], s.goal_distance_sq
@@ -102,7 +102,7 @@ class Twin:
             count,
         )
         right = avoidance.insert_beam_hits(memory, beams, time_s, position, attitude, ranges, first, count)
-        assert (c.used, c.turn) == (right.point_count, right.replace_index)
+        assert (c.point_count, c.turn) == (right.point_count, right.replace_index)
         assert bytes(self.ffi.buffer(c.points)) == right.points.tobytes()
         return right
 

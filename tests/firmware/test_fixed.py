@@ -43,14 +43,14 @@ def test_whole_numbers_cost_no_margin_and_cannot_overflow(made) -> None:
     for c in law.controllers:
         assert c.proof.is_overflow_free
         assert 0.0 < c.proof.slowest < 1.0
-        assert np.abs(c.update_rows.c).max() <= 32767
+        assert np.abs(c.update_rows.coefficients).max() <= 32767
 
 
 def _worst(controller, c):
     """Inputs that drive each state of the stable form as far as inputs within the limits can, one after another."""
     n, m = len(c.state_fraction_bits), len(c.output_rows.coefficients[0]) - len(c.state_fraction_bits)
-    A = c.update.quantised_values[:, :n] + np.eye(n) * c.is_delta_form
-    B, M = c.update.quantised_values[:, n : n + m], c.update.quantised_values[:, n + m :]
+    A = c.update_rows.quantised_values[:, :n] + np.eye(n) * c.is_delta_form
+    B, M = c.update_rows.quantised_values[:, n : n + m], c.update_rows.quantised_values[:, n + m :]
     C, D = c.output_rows.quantised_values[:, :n], c.output_rows.quantised_values[:, n:]
     inputs, power, found = np.hstack([B - M @ D, M]), np.eye(n), []
     F = A - M @ C
@@ -160,7 +160,7 @@ def test_rounded_numbers_are_those_analysed(made) -> None:
     system = c.to_state_space(exact)
     n = len(c.state_fraction_bits)
     for rows, value, bits in (
-        (c.update, c.update.quantised_values, np.array(c.state_fraction_bits)),
+        (c.update_rows, c.update_rows.quantised_values, np.array(c.state_fraction_bits)),
         (c.output, c.output.quantised_values, np.full(2, 20)),
     ):
         fractions = np.concatenate([c.state_fraction_bits, np.full(4, 20), [16, 16]])[: rows.coefficients.shape[1]]

@@ -232,7 +232,7 @@ def test_of_inputs_that_oscillate_at_once_both_name_the_one_that_lasts_longest(f
         lib.oscillation_detector_step(theirs, t, inputs, ffi.NULL, found)
         assert found.is_present == (one is not None)
         if one is not None:
-            assert (INPUT_NAMES[found.input_name], found.duration_s, found.size) == (
+            assert (INPUT_NAMES[found.input_name], found.duration_s, found.amplitude) == (
                 one.input_name,
                 one.duration_s,
                 one.amplitude,

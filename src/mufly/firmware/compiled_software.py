@@ -215,12 +215,12 @@ class SoftwareInstance:
             c.land,
             c.rc_active,
         )
-        to.has_first, to.first = c.first_waypoint is not None, c.first_waypoint or 0
-        to.has_take_off, to.take_off = c.take_off_height is not None, c.take_off_height or 0.0
+        to.has_first_waypoint, to.first_waypoint = c.first_waypoint is not None, c.first_waypoint or 0
+        to.has_take_off_height, to.take_off_height = c.take_off_height is not None, c.take_off_height or 0.0
         to.has_waypoint, to.waypoint = c.waypoint is not None, c.waypoint or (0.0, 0.0, 0.0)
         to.has_heading, to.heading = c.heading is not None, c.heading or 0.0
-        to.stop = self.text_table.assign_number(c.stop_reason)
-        to.roll, to.pitch, to.yaw_rate, to.climb = c.roll, c.pitch, c.yaw_rate, c.climb_rate
+        to.stop_reason = self.text_table.assign_number(c.stop_reason)
+        to.roll, to.pitch, to.yaw_rate, to.climb_rate = c.roll, c.pitch, c.yaw_rate, c.climb_rate
         to.has_set_point = c.set_point is not None
         if c.set_point is not None:
             nan = (math.nan, math.nan, math.nan)
@@ -304,14 +304,14 @@ class SoftwareInstance:
             home_position=tuple(s.home_position),
             hold_position=tuple(s.hold_position),
             goal=tuple(s.goal),
-            hold_heading=s.heading,
+            hold_heading=s.hold_heading,
             motion=_read_course(s.course),
             hover_until_s=s.hover_until_s,
             descent_rate=s.descent_rate,
             descent_acceleration=s.descent_acceleration,
             still_duration_s=s.still_duration_s,
             touchdown_speed=s.touchdown_speed,
-            battery_V=s.voltage,
+            battery_V=s.battery_V,
             low_battery_duration_s=s.low_battery_duration_s,
             obstacle_map=self._read_obstacle_map(s.obstacle_map),
             next_beam=s.next_beam,
@@ -321,8 +321,8 @@ class SoftwareInstance:
             detour_duration_s=s.detour_duration_s,
             resumed_after_detour=s.resumed_after_detour,
             scan_duration_s=s.scan_duration_s,
-            requested_heading=s.requested_heading if s.has_asked_heading else None,
-            set_point_reference=_read_point(s.set_point_reference) if s.has_tracker else None,
+            requested_heading=s.requested_heading if s.has_requested_heading else None,
+            set_point_reference=_read_point(s.set_point_reference) if s.has_set_point_reference else None,
             hover_after_take_off=s.hover_after_take_off,
         )
 
@@ -344,13 +344,13 @@ class SoftwareInstance:
     def oscillation(self) -> Oscillation | None:
         """What the actuators do that they should not, if anything."""
         o = self.software_record.oscillation
-        if not o.there:
+        if not o.is_present:
             return None
-        return Oscillation(INPUT_NAMES[o.input], o.since_s, o.duration_s, o.size, o.frequency_Hz)
+        return Oscillation(INPUT_NAMES[o.input_name], o.start_s, o.duration_s, o.amplitude, o.frequency_Hz)
 
 
 def _read_profile(p: FFI.CData) -> MotionProfile:
-    return MotionProfile(p.way, p.peak_speed, p.ramp_s, p.cruise_s)
+    return MotionProfile(p.distance, p.peak_speed, p.ramp_s, p.cruise_s)
 
 
 def _read_stop(b: FFI.CData) -> BrakingMotion:
@@ -371,39 +371,41 @@ def _read_course(c: FFI.CData) -> Trajectory | BrakingMotion | None:
         curve = TimedSpline(
             tuple(tuple(row) for row in w.spline_curve.coefficients),
             tuple(w.spline_curve.arc_lengths),
-            _read_profile(w.spline_curve.timing),
+            _read_profile(w.spline_curve.speed_profile),
         )
     return Trajectory(
         tuple(w.start),
         tuple(w.goal),
-        w.heading,
-        w.turn,
+        w.start_heading,
+        w.turn_angle,
         _read_profile(w.height_profile),
-        _read_profile(w.yaw),
-        _read_profile(w.way),
+        _read_profile(w.yaw_profile),
+        _read_profile(w.path_profile),
         w.departure_s,
         w.duration_s,
         curve,
-        _read_stop(w.initial_braking) if w.has_lead else None,
-        PendingCurve(tuple(tuple(row) for row in w.spline_curve.coefficients), *w.pace) if w.making else None,
+        _read_stop(w.initial_braking) if w.has_initial_braking else None,
+        PendingCurve(tuple(tuple(row) for row in w.spline_curve.coefficients), *w.curve_limits)
+        if w.pending_parts
+        else None,
     )
 
 
 def _read_path_check(s: FFI.CData) -> PathCheck:
-    n, e, d = s.place
-    goal_n, goal_e = s.goal
-    block_n, block_e = s.block_at
+    n, e, d = s.from_point
+    goal_n, goal_e = s.goal_point
+    block_n, block_e = s.blocker_point
     return PathCheck(
         n,
         e,
         d,
         goal_n,
         goal_e,
-        s.ahead,
+        s.look_ahead_m,
         s.points_checked,
         s.path_distance_sq,
         s.onward_distance_sq,
-        s.from_goal,
+        s.goal_distance_sq,
         s.lateral_offset_sum,
         s.blocker_count,
         s.blocker_distance_sq,
@@ -418,18 +420,18 @@ def _read_detour(d: FFI.CData) -> Detour:
         tuple(d.position),
         tuple(d.velocity),
         tuple(d.acceleration),
-        d.side,
+        d.passing_side,
         tuple(d.hit_point),
         d.hit_goal_distance,
-        obstacle_count=d.count,
+        obstacle_count=d.obstacle_count,
         max_stray=d.max_stray,
         clear_duration_s=d.clear_duration_s,
-        anchor_point=tuple(d.anchor),
+        anchor_point=tuple(d.anchor_point),
         anchor_duration_s=d.anchor_duration_s,
-        lap_start=tuple(d.lap_start) if d.has_lap else None,
+        lap_start=tuple(d.lap_start) if d.has_lap_start else None,
         lap_count=d.lap_count,
         lap_distance=d.lap_distance,
-        least_goal_distance=d.best,
+        least_goal_distance=d.least_goal_distance,
         is_leaving=d.is_leaving,
         obstacle_point=tuple(d.obstacle_point),
     )
@@ -611,7 +613,7 @@ class FirmwareSoftware(FlightSoftware):
         """What is being followed: position, velocity (N-E-D), and roll, pitch, yaw."""
         if self._software_instance is not None:
             c = self._software_instance.software_record
-            self._reference, self._late_s = self._read_record("reference"), c.late_s
+            self._reference, self._late_s = self._read_record("reference"), c.since_mission_step_s
             self._tilt = np.array(list(c.tilt))
         return super().reference
 

@@ -161,7 +161,7 @@ class CompiledFlight:
         c, b = "software_t", "estimate_t"
         self._record_offsets = np.array([
             offset(b, "time_s") // 8, offset(b, "motion") // 8, offset(b, "valid"), offset(c, "motors") // 4,
-            offset(c, "late_s") // 8, offset(c, "mission", "logged") // 4, offset(c, "mission", "finished"),
+            offset(c, "since_mission_step_s") // 8, offset(c, "mission", "logged_count") // 4, offset(c, "mission", "finished"),
             offset(c, "mission", "state") // 4, offset(c, "reference", "path", "position") // 8,
             offset(c, "reference", "path", "velocity") // 8, offset(c, "reference", "heading") // 8,
             offset(c, "reference", "heading_rate") // 8, offset(c, "tilt") // 8, offset(b, "ranges") // 8,
@@ -174,8 +174,8 @@ class CompiledFlight:
             for p in (
                 board.setup_record,
                 board.software_record,
-                board.belief,
-                board.command,
+                board.estimate_record,
+                board.command_record,
                 board.actuators_record,
             )
         ]
@@ -183,10 +183,10 @@ class CompiledFlight:
         addresses = [call, *place]
         self._filter_arguments: Any = None
         if self._filter is not None:
-            m, row = self._filter.memory, self._filter.row
+            m, row = self._filter.memory, self._filter.input_row
             beams = flight.vehicle.range_ring.count
             fitted = np.zeros(SENSOR_COUNT, np.uint8)
-            fitted[list(self._filter.fitted.values())] = 1
+            fitted[list(self._filter.reading_indices.values())] = 1
             self._sample_times, self._pictures = np.zeros(SENSOR_COUNT), np.zeros((3, beams))
             of_memory = tuple(m[name] for name in PUBLISHED_FIELDS[:-2])
             self._filter_arguments = (
@@ -197,13 +197,13 @@ class CompiledFlight:
                 fitted,
                 self._sample_times,
                 self._pictures,
-                self._filter.beams.astype(np.int64),
-                (*of_memory, *(self._filter.box[name] for name in PUBLISHED_FIELDS[-2:])),
+                self._filter.beam_indices.astype(np.int64),
+                (*of_memory, *(self._filter.memory_array[name] for name in PUBLISHED_FIELDS[-2:])),
                 board.reason_text_numbers(),
             )
-            self._asked = sampling_table({k: one.sensor for k, one in self._places.items()})
-            step, *held = self._filter.backend.place
-            addresses += [step, self._filter.box.ctypes.data, *held, *(a.ctypes.data for a in row)]
+            self._asked = sampling_table({k: one.sensor for k, one in self._sensors_by_index.items()})
+            step, *held = self._filter.backend.call_addresses
+            addresses += [step, self._filter.memory_array.ctypes.data, *held, *(a.ctypes.data for a in row)]
         self._call_addresses = np.array(addresses, dtype=np.int64)
         legs, radius, obstacles, *tables = plant.collision_shape
         self._contact_tables = (legs, obstacles, *tables)
@@ -215,8 +215,8 @@ class CompiledFlight:
         self._listener_rows = np.zeros((MAX_PERIODS_PER_CALL + 1, LISTENER_ROW_SIZE + self._beams.size))
         self._counters, self._numbers = np.zeros(C_SIZE, np.int64), np.zeros(F_SIZE)
         self._counters[[C_RING_INTERVAL, C_CONTACT_INTERVAL, C_RECORD_INTERVAL, C_PLANT_STEPS, C_BEAM_COUNT]] = (
-            0 if self._ring is None else self._ring.every, flight.look_periods, flight.record_periods, plant.step_count,
-            min(self._beams.size, board.beams),
+            0 if self._ring is None else self._ring.read_interval, flight.look_periods, flight.record_periods, plant.step_count,
+            min(self._beams.size, board.beam_count),
         )  # fmt: skip
         self._numbers[[F_RATE_HZ, F_STEP_S, F_CONTACT_RADIUS, F_HOVER_A, F_CURRENT_BLEND]] = (
             plant.rate_Hz, plant.step_s, radius, flight.autopilot.hover_current_A, flight.current_filter_share,
@@ -258,7 +258,7 @@ class CompiledFlight:
         if until - plant.period_count < 2 or not self._is_undisturbed():
             return False
         board, c, f = self._board, self._counters, self._numbers
-        board.settle(self._software.law)
+        board.prepare_compiled_periods(self._software.law)
         wind = plant.upcoming_wind(until - plant.period_count)
         c[
             [
@@ -304,14 +304,14 @@ class CompiledFlight:
         imu = asked = ring = None
         if self._filter is not None:
             c[C_FILTER_PERIODS], f[F_LAST_IMU_S] = self._filter.period_count, plant.time_s
-            normal = np.empty(6 + 6 * self._imu.samples(flight.period_s))
+            normal = np.empty(6 + 6 * self._imu.sample_count(flight.period_s))
             imu = (
                 self._previous_state,
                 self._imu.source,
                 normal,
                 self._imu_reading[0],
                 self._imu_reading[1],
-                self._imu.parts,
+                self._imu.period_arguments,
             )
             asked = self._assign_sensors()
         elif self._ring is not None:
@@ -350,7 +350,9 @@ class CompiledFlight:
                 told = int(c[C_FILTER_PERIODS]) - self._filter.period_count
                 self._call_listener()
                 self._collect_samples()
-                board.believe(self._filter.read_estimate(int(c[C_TICK]) / plant.rate_Hz, bool(c[C_IS_VALID]), told))
+                board.write_estimate(
+                    self._filter.read_estimate(int(c[C_TICK]) / plant.rate_Hz, bool(c[C_IS_VALID]), told)
+                )
                 self._published_row = int(c[C_STATUS_ROWS])
                 c[C_IS_UNTROUBLED] = auto.has_no_sensor_events(self._filter.sensor_statuses)
             elif why == EXIT_CALL_LISTENER:
@@ -369,7 +371,7 @@ class CompiledFlight:
         return (
             not flight.plant.crash_cause
             and not flight.is_first_period
-            and self._software.law.settled
+            and self._software.law.is_settled
             and not auto.has_pending_request
             and (motors != "off" or not auto.armed)
             and (self._faulty_imu is None or not any(t.start_s <= now < t.stop_s for t in self._faulty_imu.faults))
@@ -438,7 +440,7 @@ class CompiledFlight:
         for k, one in enumerate(self._compiled_sensors):
             sensor: Any = one.sensor
             if sensor.counts[TIMES_SAID] != self._reading_counts[k]:
-                self._reading_counts[k], said = int(sensor.counts[TIMES_SAID]), sensor.said()
+                self._reading_counts[k], said = int(sensor.counts[TIMES_SAID]), sensor.make_readings()
                 one.accept_external_readings(said)
                 self._latest |= said
                 filtered.accept_external_readings(said, self._pictures, self._beams)
@@ -524,12 +526,12 @@ class CompiledFlight:
             sensed = truth if why not in (EXIT_CONTACT, EXIT_NOT_FINITE) else replace(
                 truth, time_s=float(self._numbers[F_LAST_IMU_S]), state=self._previous_state
             )  # fmt: skip
-            said = self._imu.went_on(sensed, *self._imu_reading)
-            self._faulty_imu.went_on(said)
+            said = self._imu.accept_external_samples(sensed, *self._imu_reading)
+            self._faulty_imu.accept_external_readings(said)
             self._latest |= said
         flight.current_A = float(self._numbers[F_CURRENT_A])
-        self._board.listen()
-        software.tell()
+        self._board.read_log()
+        software.clear_cached_records()
         periods, rows = int(c[C_PERIODS_RUN]), int(c[C_LOG_ROWS])
         whole = why not in (EXIT_CONTACT, EXIT_NOT_FINITE)
         last = int(whole and truth.tick % flight.record_periods == 0)
