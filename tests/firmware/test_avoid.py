@@ -59,29 +59,30 @@ class Twin:
             return self.ffi.NULL
         c = self.ffi.new("detour_t *")
         for name in d.__slots__:
-            if name != "lap":
+            if name != "lap_start":
                 setattr(c, name, getattr(d, name))
-        c.has_lap = d.lap_start is not None
+        c.has_lap_start = d.lap_start is not None
         c.lap_start = d.lap_start or (0.0, 0.0)
         return c
 
     def same_detour(self, d: detour.Detour, c) -> None:
         told = {n: getattr(c, n) for n in d.__slots__}
         told = {n: v if isinstance(v, (float, int)) else tuple(v) for n, v in told.items()}
-        told["lap"] = told["lap"] if c.has_lap else None
+        told["lap_start"] = told["lap_start"] if c.has_lap_start else None
         assert repr(told) == repr({n: getattr(d, n) for n in d.__slots__})
-        assert bool(self.lib.is_detour_finished(c)) == d.done
+        assert bool(self.lib.is_detour_finished(c)) == d.is_finished
 
     def _floats(self, values):
         return self.ffi.new("real_t[]", [float(v) for v in values])
 
     def sight(self, s: avoidance.PathCheck):
         c = self.ffi.new("path_check_t *")
-        names = ("look_ahead_m", "points_checked", "path_distance_sq", "onward", "across", "blockers", "block")
+        names = ("look_ahead_m", "points_checked", "path_distance_sq", "onward_distance_sq", "lateral_offset_sum",
+                 "blocker_count", "blocker_distance_sq")  # fmt: skip
         for name in names:
             setattr(c, name, getattr(s, name))
-        c.place, c.goal, c.from_goal = s[:3], s[3:5], s.goal_distance_sq
-        c.block_at = (s.blocker_north, s.blocker_east)
+        c.from_point, c.goal_point, c.goal_distance_sq = s[:3], s[3:5], s.goal_distance_sq
+        c.blocker_point = (s.blocker_north, s.blocker_east)
         self.ffi.memmove(c.nearest_points, s.nearest_points.tobytes(), s.nearest_points.nbytes)
         return c
 
@@ -102,7 +103,7 @@ class Twin:
             count,
         )
         right = avoidance.insert_beam_hits(memory, beams, time_s, position, attitude, ranges, first, count)
-        assert (c.point_count, c.turn) == (right.point_count, right.replace_index)
+        assert (c.point_count, c.replace_index) == (right.point_count, right.replace_index)
         assert bytes(self.ffi.buffer(c.points)) == right.points.tobytes()
         return right
 

@@ -161,7 +161,7 @@ def test_rounded_numbers_are_those_analysed(made) -> None:
     n = len(c.state_fraction_bits)
     for rows, value, bits in (
         (c.update_rows, c.update_rows.quantised_values, np.array(c.state_fraction_bits)),
-        (c.output, c.output.quantised_values, np.full(2, 20)),
+        (c.output_rows, c.output_rows.quantised_values, np.full(2, 20)),
     ):
         fractions = np.concatenate([c.state_fraction_bits, np.full(4, 20), [16, 16]])[: rows.coefficients.shape[1]]
         told = rows.coefficients * 2.0**rows.left_shift * 2.0 ** -rows.right_shift[:, None].astype(float)

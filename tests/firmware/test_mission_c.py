@@ -370,7 +370,7 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
     if kind.startswith("turn "):
         return Command(heading=float(kind.split()[1]))
     if kind in ("roll", "pitch", "yaw_rate", "climb"):  # a stick moves while no pilot flies
-        return Command(**{kind: 0.1})
+        return Command(**{"climb_rate" if kind == "climb" else kind: 0.1})
     if kind == "battery":
         v.volts = v.rng.choice((5.0, 7.4))
     elif kind == "beams":
@@ -462,23 +462,33 @@ FLIES = ("start", *["wait"] * 4)  # of 100 periods of 0.03 s each
 UP = ("take-off", *["wait"] * 3)
 REFUSED = ("nan 0 -1", "nan 0 -1", "0 inf -1", "0 0 nan", "0 0 -0.01", "0 0 -99", "0 2e4 -1")
 STORIES = (
-    (SQUARE, True, [*FLIES, *["wait"] * 16], "COMPLETE_RETURNS REACHED REACHED_HOME TOUCHDOWN LANDED"),
-    (CURVES, True, [*FLIES, *["wait"] * 16, "start", "wait"], "COMPLETE_HOLDS BEGINS"),
-    (SCANNED, False, [*FLIES, *["wait"] * 10], "COMPLETE"),
-    (SQUARE, True, [*FLIES, "spread place 0.3", "clear", "wait", "wait"], "HOLDS KNOWN GOES_ON"),
-    (SQUARE, True, [*FLIES, *["spread place 0.3"] * 5, "wait"], "PLACE_WAITED"),
-    (SQUARE, True, [*FLIES, "spread place 0.7", "wait"], "PLACE_DOUBT"),
-    (SQUARE, True, [*FLIES, "spread height 0.4"], "HEIGHT_DOUBT"),
-    (SQUARE, True, [*FLIES, "spread heading 0.6"], "HEADING_DOUBT"),
-    (SQUARE, True, [*FLIES, "spread tilt 0.2", *["wait"] * 4], "TILT_DOUBT CAME_DOWN"),
-    (SQUARE, True, [*FLIES, "wrong rates rejected", "wait"], "GIVEN"),
+    (
+        SQUARE,
+        True,
+        [*FLIES, *["wait"] * 16],
+        "MISSION_COMPLETE_RETURNING WAYPOINT_REACHED HOME_REACHED TOUCHDOWN LANDED",
+    ),
+    (CURVES, True, [*FLIES, *["wait"] * 16, "start", "wait"], "MISSION_COMPLETE_HOLDING MISSION_BEGINS"),
+    (SCANNED, False, [*FLIES, *["wait"] * 10], "MISSION_COMPLETE"),
+    (
+        SQUARE,
+        True,
+        [*FLIES, "spread place 0.3", "clear", "wait", "wait"],
+        "WAITING_FOR_POSITION POSITION_KNOWN_AGAIN MISSION_CONTINUES",
+    ),
+    (SQUARE, True, [*FLIES, *["spread place 0.3"] * 5, "wait"], "POSITION_UNCERTAIN_TOO_LONG"),
+    (SQUARE, True, [*FLIES, "spread place 0.7", "wait"], "POSITION_UNCERTAIN"),
+    (SQUARE, True, [*FLIES, "spread height 0.4"], "HEIGHT_UNCERTAIN"),
+    (SQUARE, True, [*FLIES, "spread heading 0.6"], "HEADING_UNCERTAIN"),
+    (SQUARE, True, [*FLIES, "spread tilt 0.2", *["wait"] * 4], "ATTITUDE_UNCERTAIN MOTORS_OFF_AFTER_DESCENT"),
+    (SQUARE, True, [*FLIES, "wrong rates rejected", "wait"], "GIVEN_TEXT"),
     (SQUARE, False, ["ceiling 0.05", *FLIES], "TAKE_OFF_FAILED"),
     (SQUARE, False, ["ceiling 0.5", *FLIES, "wait", "wait"], "TAKE_OFF_SHORT"),
-    (SQUARE, False, [*FLIES, "held", *["wait"] * 12], "MISSED"),
-    (SQUARE, False, [*FLIES, "sinks", *["wait"] * 12], "MISSED"),  # it is there, and believes to be too fast
-    (SQUARE, False, [*FLIES, "waypoint", "held", *["wait"] * 14], "MISSED_USERS"),
-    (SQUARE, False, [*FLIES, "home", "held", *["wait"] * 14], "MISSED_HOME"),
-    (SQUARE, False, [*FLIES, "land", "drops", "wait", "wait"], "LAND_EARLY HARD_TOUCHDOWN"),
+    (SQUARE, False, [*FLIES, "held", *["wait"] * 12], "WAYPOINT_MISSED"),
+    (SQUARE, False, [*FLIES, "sinks", *["wait"] * 12], "WAYPOINT_MISSED"),  # it is there, and believes to be too fast
+    (SQUARE, False, [*FLIES, "waypoint", "held", *["wait"] * 14], "USER_WAYPOINT_MISSED"),
+    (SQUARE, False, [*FLIES, "home", "held", *["wait"] * 14], "HOME_MISSED"),
+    (SQUARE, False, [*FLIES, "land", "drops", "wait", "wait"], "LAND_WITH_WAYPOINTS_LEFT HARD_TOUCHDOWN"),
     (
         SQUARE,
         False,
@@ -492,21 +502,36 @@ STORIES = (
         "LAND_SIGNAL TOUCHDOWN",
     ),  # down, as far as it knows
     (SQUARE, False, [*FLIES, "battery", "sticks", "wait"], "RC_ON"),
-    (SCANNED, False, [*FLIES, "shut in", *["wait"] * 8], "BLOCKED"),
-    (SCANNED, False, [*UP, "turn 0.5", "wait"], "TURNING"),
-    (SQUARE, False, [*UP, *(f"asked {w} * 4" for w in REFUSED)], "TOO_LOW TOO_FAR"),
-    (SQUARE, False, [*UP, *(f"{w} * 5" for w in ("roll", "pitch", "yaw_rate", "climb", "late"))], "ALTITUDE"),
-    (SQUARE, False, [*UP, "ceiling 0.05", "points", "wait"], "OFFBOARD_OFF_FLOOR LANDED"),
-    (NEAR, False, [*FLIES, "wait", "ceiling 0.05", "points", "wait"], "COMPLETE_HOLDS OFFBOARD_OFF_FLOOR"),
-    (NEAR, False, [*FLIES, "wait", "volts 5.0", "wait"], "COMPLETE_HOLDS BATTERY_LOW"),
-    (NEAR, True, [*FLIES, "wait", "land * 10", "pause", "start", "wait"], "LANDING_BROKEN_OFF BEGINS"),
-    (SQUARE, True, [*UP, "spread place 0.3", *["spread place 0.2"] * 4], "PLACE_WAITED"),
-    (SQUARE, True, ["take-off * 150", "spread place 0.3"], "PLACE_DOUBT"),
-    (SQUARE, True, [*FLIES, "spread place 0.3 * 30", "waypoint * 20", "clear"], "HOLDS USERS_WAYPOINT"),
-    (PATIENT, True, [*FLIES, "pause * 20", "spread place 0.3 * 30", "clear"], "PAUSED PLACE_DOUBT"),
-    (PATIENT, True, [*FLIES, "spread place 0.3 * 30", "start", "clear"], "HOLDS BEGINS"),
-    (SCANNED, True, [*FLIES, "shut in", "wait * 115", "spread place 0.3 * 40"], "BLOCKED PLACE_DOUBT"),
-    (SQUARE, True, [*UP, "sticks * 20", "spread place 0.3 & sticks", "clear & sticks"], "PLACE_DOUBT KNOWN"),
+    (SCANNED, False, [*FLIES, "shut in", *["wait"] * 8], "BLOCKED_BY_OBSTACLE"),
+    (SCANNED, False, [*UP, "turn 0.5", "wait"], "TURNING_TO_HEADING"),
+    (SQUARE, False, [*UP, *(f"asked {w} * 4" for w in REFUSED)], "USER_WAYPOINT_TOO_LOW USER_WAYPOINT_TOO_FAR"),
+    (SQUARE, False, [*UP, *(f"{w} * 5" for w in ("roll", "pitch", "yaw_rate", "climb", "late"))], "ALTITUDE_REACHED"),
+    (SQUARE, False, [*UP, "ceiling 0.05", "points", "wait"], "OFFBOARD_OFF_ON_FLOOR LANDED"),
+    (NEAR, False, [*FLIES, "wait", "ceiling 0.05", "points", "wait"], "MISSION_COMPLETE_HOLDING OFFBOARD_OFF_ON_FLOOR"),
+    (NEAR, False, [*FLIES, "wait", "volts 5.0", "wait"], "MISSION_COMPLETE_HOLDING BATTERY_LOW"),
+    (NEAR, True, [*FLIES, "wait", "land * 10", "pause", "start", "wait"], "LANDING_ABORTED MISSION_BEGINS"),
+    (SQUARE, True, [*UP, "spread place 0.3", *["spread place 0.2"] * 4], "POSITION_UNCERTAIN_TOO_LONG"),
+    (SQUARE, True, ["take-off * 150", "spread place 0.3"], "POSITION_UNCERTAIN"),
+    (
+        SQUARE,
+        True,
+        [*FLIES, "spread place 0.3 * 30", "waypoint * 20", "clear"],
+        "WAITING_FOR_POSITION TO_USER_WAYPOINT",
+    ),
+    (PATIENT, True, [*FLIES, "pause * 20", "spread place 0.3 * 30", "clear"], "MISSION_PAUSED POSITION_UNCERTAIN"),
+    (PATIENT, True, [*FLIES, "spread place 0.3 * 30", "start", "clear"], "WAITING_FOR_POSITION MISSION_BEGINS"),
+    (
+        SCANNED,
+        True,
+        [*FLIES, "shut in", "wait * 115", "spread place 0.3 * 40"],
+        "BLOCKED_BY_OBSTACLE POSITION_UNCERTAIN",
+    ),
+    (
+        SQUARE,
+        True,
+        [*UP, "sticks * 20", "spread place 0.3 & sticks", "clear & sticks"],
+        "POSITION_UNCERTAIN POSITION_KNOWN_AGAIN",
+    ),
 )
 
 

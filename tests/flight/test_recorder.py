@@ -180,7 +180,7 @@ def test_a_killed_program_leaves_all_but_the_last_second(tmp_path):
         for k in range(351):
             row[:] = k
             row[0] = 0.01 * k
-            recorder.append(row, "hover")
+            recorder.append_row(row, "hover")
         os.kill(os.getpid(), signal.SIGKILL)
     """
     done = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], env=os.environ, check=False)

@@ -22,8 +22,9 @@ class Asked:
         self.gcs = self.rig.station()
         self.rig.run(0.02)
         self.calls = []
-        names = "take_off go_to turn_to land pause return_home start_mission emergency_stop offboard sticks sticks_off"
-        for name in (*names.split(), "set_point"):
+        names = "take_off go_to turn_to land pause return_home start_mission emergency_stop"
+        names += " set_offboard set_sticks release_sticks"
+        for name in (*names.split(), "send_set_point"):
             setattr(self.rig.link.autopilot, name, lambda *a, n=name, **k: self.calls.append((n, *a)) or answer)
 
     def by(self, do):
@@ -136,7 +137,7 @@ def test_modes_and_their_older_forms():
     for p, calls, result in (
         ((1, 4, 6), [("land",)], OK),
         ((1, 4, 5), [("return_home",)], OK),
-        ((1, 6, 0), [("offboard", True)], OK),
+        ((1, 6, 0), [("set_offboard", True)], OK),
         ((1, 4, 3), [], OK),  # on the floor it holds anyway
         ((1, 4, 9), [], DENIED),
         ((1, 4 << 16 | 6 << 24, 0), [("land",)], OK),  # pymavlink packs both into one
@@ -231,13 +232,15 @@ def test_who_does_not_command_moves_nothing_and_takes_no_command_by_letting_go()
     for message in (let_go, nothing):
         asked.by(lambda s, x=message: other.say(x))
         assert rig.link.authority.commander is None
-    assert asked.by(lambda s: s.say(hold))[0][0][0] == "sticks"
+    assert asked.by(lambda s: s.say(hold))[0][0][0] == "set_sticks"
     assert rig.link.authority.commander.system == 255
     for message in (hold, let_go, point):
         assert asked.by(lambda s, x=message: other.say(x))[0] == []
     assert "denied: commanded by system 255" in other.words
-    assert asked.by(lambda s: s.say(let_go))[0] == [("sticks_off",)]
-    assert asked.by(lambda s: s.say(point))[0] == [("set_point", SetPoint((np.float32(0.2), 0.0, np.float32(-0.6))))]
+    assert asked.by(lambda s: s.say(let_go))[0] == [("release_sticks",)]
+    assert asked.by(lambda s: s.say(point))[0] == [
+        ("send_set_point", SetPoint((np.float32(0.2), 0.0, np.float32(-0.6))))
+    ]
     assert asked.by(lambda s: s.say(nothing))[0] == []
     assert gcs.acks == []
 

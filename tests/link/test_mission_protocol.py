@@ -8,7 +8,7 @@ from mufly.link import MissionItem
 from mufly.link import mavlink as m
 from mufly.link.mission_transfer import MAX_ITEMS
 
-MISSION = {"name": "three", "waypoint_index": [{"position_m": [k, 0, -1]} for k in (0.0, 0.5)]}
+MISSION = {"name": "three", "waypoint": [{"position_m": [k, 0, -1]} for k in (0.0, 0.5)]}
 
 
 def after(station, kind, do, seconds=0.1):
@@ -117,7 +117,7 @@ def test_a_mission_that_somebody_else_loads_is_the_one_that_is_told():
     for change, commands in (
         ({}, [22, 16, 16, 21]),
         ({"at_end": "return"}, [22, 16, 16, 20]),
-        ({"waypoint_index": ()}, []),
+        ({"waypoint": ()}, []),
     ):
         mission = rig.status.mission.model_copy(update=change)
         assert rig.link.autopilot.load_mission(mission)

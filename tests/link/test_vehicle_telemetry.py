@@ -224,7 +224,7 @@ def test_what_is_not_followed_is_masked_out():
         ({"armed": False, "flying": False}, m.MAV_STATE_STANDBY, False, True),
         ({"voltage": 6.7}, m.MAV_STATE_CRITICAL, True, False),
         ({"voltage": 6.7, "flying": False}, m.MAV_STATE_ACTIVE, True, False),
-        ({"crashed": "the floor", "voltage": 6.7}, m.MAV_STATE_EMERGENCY, True, False),
+        ({"crash_cause": "the floor", "voltage": 6.7}, m.MAV_STATE_EMERGENCY, True, False),
     ],
 )
 def test_how_well_it_is(change, status, armed, well):

@@ -227,7 +227,7 @@ def test_what_it_cannot_see_it_does_not_answer() -> None:
         assert last.trusted == (k < 20)
     assert "too little of the floor" in last.reason
     with pytest.raises(InputError, match="is 100 by 80 pixels, the camera file says 320 by 240"):
-        slam.process_frame(type(f)(99.0, np.zeros((80, 100), np.uint8), f.told))
+        slam.process_frame(type(f)(99.0, np.zeros((80, 100), np.uint8), f.info))
     assert not slam.process_frame(made[0][0]).trusted  # older than the last
 
 
@@ -285,7 +285,7 @@ def test_over_tiles_only_the_way_since_tells_which_tile_it_is(floor: str) -> Non
                 f.info, velocity=m.velocity + np.array([faster, 0.0, 0.0]), velocity_sigma=0.1,
                 place=np.array([m.position[0] + lag, m.position[1], headings[k]]), place_sigma=(0.05, 0.01),
             )  # fmt: skip
-            answers.append(slam.process_frame(replace(f, picture=nothing if k in gap else f.picture, told=told)))
+            answers.append(slam.process_frame(replace(f, picture=nothing if k in gap else f.picture, info=told)))
         after = next(k for k in range(gap[-1] + 1, len(made)) if answers[k].trusted)
         off = np.hypot(*(answers[after].position - made[after][1].position)[:2])
         if wrong and floor == "tiles":  # later, but not never; as wrong as told, not by a tile
