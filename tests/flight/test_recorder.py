@@ -176,7 +176,7 @@ def test_a_killed_program_leaves_all_but_the_last_second(tmp_path):
         import numpy as np
         from mufly.flight.record.recorder import FlightRecorder
         recorder = FlightRecorder({str(path)!r})
-        row = np.zeros(recorder.layout.width)
+        row = np.zeros(recorder.layout.column_count)
         for k in range(351):
             row[:] = k
             row[0] = 0.01 * k
