@@ -8,7 +8,8 @@ from scipy import stats
 
 from mufly.dynamics import body_to_ned_matrix
 from mufly.errors import InputError
-from mufly.sensors import GaussMarkov, fitted_sensors, ring_camera, rng
+from mufly.sensors import GaussMarkov, fitted_sensors, ring_camera
+from mufly.sensors import rng as random_numbers
 from mufly.units import GRAVITY
 from mufly.vehicle import replace_parameters
 from mufly.world import Box, Room, World
@@ -249,7 +250,7 @@ def test_a_vehicle_without_sensors_says_so(vehicle) -> None:
 # --- random numbers in compiled code
 
 
-def drawn(key: int, count: int, fill=rng.draw_normals):
+def drawn(key: int, count: int, fill=random_numbers.draw_normals):
     out = np.empty(count)
     fill(np.array([key], dtype=np.uint64), out)
     return out
@@ -272,7 +273,7 @@ def test_normal_numbers_are_normal_to_their_tails_and_know_nothing_of_each_other
         for a, b in ((z[:-1], z[1:]), (z[:half], z[half : 2 * half]), (z, drawn(key + 1, n))):
             for f in (lambda v: v, np.abs):
                 assert abs(np.corrcoef(f(a), f(b))[0, 1]) < 4 / math.sqrt(a.size)
-        u = drawn(key, 200_000, rng.draw_uniforms)
+        u = drawn(key, 200_000, random_numbers.draw_uniforms)
         assert stats.kstest(u, "uniform").pvalue > 1e-4
         assert 0.0 <= u.min() < u.max() < 1.0
 
@@ -280,10 +281,10 @@ def test_normal_numbers_are_normal_to_their_tails_and_know_nothing_of_each_other
 def test_numbers_are_those_of_the_formulas() -> None:
     grows = 0x9E3779B97F4A7C15
     known = (6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431)
-    u = drawn(1234567 + grows, 4, rng.draw_uniforms)  # splitmix64's own numbers of this seed
+    u = drawn(1234567 + grows, 4, random_numbers.draw_uniforms)  # splitmix64's own numbers of this seed
     np.testing.assert_array_equal(u, [(k >> 12) / 2**52 for k in known])
     # Pairs of neighbours are drawn in halves; of an odd last pair there is one.
-    z, u = drawn(5, 2001), drawn(5, 2002, rng.draw_uniforms)
+    z, u = drawn(5, 2001), drawn(5, 2002, random_numbers.draw_uniforms)
     far = np.sqrt(-2.0 * np.log(1.0 - u[::2]))
     cosine, sine = (
         far[:1000] * np.abs(np.cos(2 * math.pi * u[1:2000:2])),
@@ -294,14 +295,14 @@ def test_numbers_are_those_of_the_formulas() -> None:
 
 def test_who_draws_goes_on_where_it_was_and_sources_differ() -> None:
     rng = np.random.default_rng(3)
-    source, again = rng.make_source(rng), rng.make_source(np.random.default_rng(3))
+    source, again = random_numbers.make_source(rng), random_numbers.make_source(np.random.default_rng(3))
     a, b = np.empty((2, 500)), np.empty(500)
     for row in a:
-        rng.draw_normals(source, row)
-    rng.draw_normals(again, b)
+        random_numbers.draw_normals(source, row)
+    random_numbers.draw_normals(again, b)
     np.testing.assert_array_equal(a[0], b)
     assert np.intersect1d(a[0], a[1]).size == 0
-    rng.draw_normals(rng.make_source(rng), b)
+    random_numbers.draw_normals(random_numbers.make_source(rng), b)
     assert np.intersect1d(a[0], b).size == 0
 
 

@@ -68,7 +68,7 @@ def sampling_table(
     """
     none = (np.zeros(3), np.zeros(2, dtype=np.int64), np.zeros((2, 4)), np.zeros(1, dtype=np.uint64))
     parts = tuple(
-        sensors[k].all_parts if k in sensors else (*none, tuple(np.zeros((1,) * n) for n in axes))  # type: ignore[attr-defined]
+        sensors[k].sampling_arguments if k in sensors else (*none, tuple(np.zeros((1,) * n) for n in axes))  # type: ignore[attr-defined]
         for k, axes in enumerate(_ARGUMENT_DIMENSIONS)
     )
     wide, count = max(rows.shape[1] for _, _, rows, *_ in parts), len(SAMPLED_SENSORS)

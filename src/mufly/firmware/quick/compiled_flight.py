@@ -161,7 +161,8 @@ class CompiledFlight:
         c, b = "software_t", "estimate_t"
         self._record_offsets = np.array([
             offset(b, "time_s") // 8, offset(b, "motion") // 8, offset(b, "valid"), offset(c, "motors") // 4,
-            offset(c, "since_mission_step_s") // 8, offset(c, "mission", "logged_count") // 4, offset(c, "mission", "finished"),
+            offset(c, "since_mission_step_s") // 8, offset(c, "mission", "logged_count") // 4,
+            offset(c, "mission", "finished"),
             offset(c, "mission", "state") // 4, offset(c, "reference", "path", "position") // 8,
             offset(c, "reference", "path", "velocity") // 8, offset(c, "reference", "heading") // 8,
             offset(c, "reference", "heading_rate") // 8, offset(c, "tilt") // 8, offset(b, "ranges") // 8,
@@ -215,7 +216,8 @@ class CompiledFlight:
         self._listener_rows = np.zeros((MAX_PERIODS_PER_CALL + 1, LISTENER_ROW_SIZE + self._beams.size))
         self._counters, self._numbers = np.zeros(C_SIZE, np.int64), np.zeros(F_SIZE)
         self._counters[[C_RING_INTERVAL, C_CONTACT_INTERVAL, C_RECORD_INTERVAL, C_PLANT_STEPS, C_BEAM_COUNT]] = (
-            0 if self._ring is None else self._ring.read_interval, flight.look_periods, flight.record_periods, plant.step_count,
+            0 if self._ring is None else self._ring.read_interval, flight.look_periods, flight.record_periods,
+            plant.step_count,
             min(self._beams.size, board.beam_count),
         )  # fmt: skip
         self._numbers[[F_RATE_HZ, F_STEP_S, F_CONTACT_RADIUS, F_HOVER_A, F_CURRENT_BLEND]] = (
