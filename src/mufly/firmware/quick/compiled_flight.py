@@ -457,7 +457,7 @@ class CompiledFlight:
         assert filtered is not None
         rows, rate = self._listener_rows[: c[C_LISTENER_ROWS]], flight.plant.rate_Hz
         c[C_LISTENER_ROWS] = 0
-        together: Any = getattr(flight.listener, "many", None)
+        together: Any = getattr(flight.listener, "add_estimates", None)
         if together is not None and len(rows):
             told, nine = rows[:, HEARD_TOLD].astype(int), EX_GYRO_BIAS
             covariances = self._status_rows[told, :SIGMA_START].reshape(-1, nine, nine)
