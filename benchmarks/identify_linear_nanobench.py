@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from mufly.errors import InputError
-from mufly.identify import LogColumns, identify_linear_model
+from mufly.identify import EvenLogTable, identify_linear_model
 from mufly.identify.linear.equation_model import (
     SCORES_EXPLANATION,
     equation_table,
@@ -24,7 +24,7 @@ from mufly.identify.linear.equation_model import (
 FITTED, HELD = ("figure8", "pid_trefoil"), ("circle", "mellinger")
 
 
-def read(path: Path) -> LogColumns:
+def read(path: Path) -> EvenLogTable:
     """The part of a flight in the air, on an even clock."""
     d = np.genfromtxt(path, delimiter=",", names=True)
     motor = np.column_stack([d[f"motor_motor_m{k}"] for k in (1, 2, 3, 4)]) / 65535.0
@@ -34,7 +34,7 @@ def read(path: Path) -> LogColumns:
     signs = {"lat": (-1, -1, 1, 1), "lon": (1, -1, -1, 1), "ped": (-1, 1, -1, 1), "col": (1, 1, 1, 1)}
     found = {name: motor @ np.array(s) / 4.0 for name, s in signs.items()}
     found |= {"p": d["imu_gyro_x"], "q": -d["imu_gyro_y"], "r": -d["imu_gyro_z"]}
-    return LogColumns(path.name, even, {k: np.interp(even, t, v) for k, v in found.items()})
+    return EvenLogTable(path.name, even, {k: np.interp(even, t, v) for k, v in found.items()})
 
 
 def show(rows: tuple) -> None:

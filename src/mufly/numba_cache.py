@@ -39,7 +39,7 @@ UNUSED_CACHE_DAYS = 30.0
 _PACKAGE_FOLDER = Path(__file__).resolve().parent
 _IMPORT_PATTERN = re.compile(r"^[ \t]*from (mufly[\w.]*) import (\([^)]*\)|[^\n]*)|^[ \t]*import (mufly[\w.]*)", re.M)
 _NAMED_TUPLE_PATTERN = re.compile(r"^class \w+\((?:typing\.)?NamedTuple\):\n(?:[ \t]+[^\n]*\n|[ \t]*\n)*", re.M)
-_IMPORTED_NAME_PATTERN = re.compile(r"(\w+)(?:\s+as\s+\w+)?\s*(?:,|$)", re.M)
+_IMPORT_LIST_ITEM_PATTERN = re.compile(r"(\w+)(?:\s+as\s+\w+)?\s*(?:,|$)", re.M)
 
 
 def cached_njit(function: Any = None, **options: Any) -> Any:
@@ -90,7 +90,7 @@ def _imported_names(path: Path) -> tuple[tuple[str, str], ...]:
             found.append((whole, ""))
         else:
             plain = re.sub(r"#[^\n]*", "", names.strip("()"))
-            found += [(module, name) for name in _IMPORTED_NAME_PATTERN.findall(plain)]
+            found += [(module, name) for name in _IMPORT_LIST_ITEM_PATTERN.findall(plain)]
     return tuple(found)
 
 

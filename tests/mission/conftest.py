@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mufly.estimate import Estimate
-from mufly.mission import Command, MissionPlan, begin_mission, step_mission, update_obstacle_map
+from mufly.mission import Command, MissionPlan, initial_mission_state, step_mission, update_obstacle_map
 from mufly.mission.avoidance import make_beam_ring
 from mufly.world import cast_ranges, obstacle_distance
 
@@ -84,7 +84,7 @@ def fly(
         return Estimate(t, x.copy(), v.copy(), attitude, np.zeros(3), seen, volts)
 
     m = measure(0.0)
-    s = begin_mission(plan, m)
+    s = initial_mission_state(plan, m)
     for k in range(int(limit_s / dt)):
         t = k * dt
         m = measure(t)

@@ -13,8 +13,8 @@ from mufly.mission import (
     SetPoint,
     State,
     VehicleRequest,
-    begin_mission,
     check_request,
+    initial_mission_state,
     load_mission,
     prepare_plan,
     step_mission,
@@ -40,7 +40,7 @@ def at_height(height: float, time: float = 0.0) -> Estimate:
 
 def in_state(state: State) -> MissionState:
     """The machine in a state, by the way that a flight takes to it where a motion belongs to it."""
-    s = begin_mission(PLAN, at_height(0.07))
+    s = initial_mission_state(PLAN, at_height(0.07))
     if state is State.INIT:
         return s
     s, _ = step_mission(PLAN, s, at_height(0.07, 0.02), Command(take_off_height=1.0))

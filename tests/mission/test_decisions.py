@@ -11,7 +11,7 @@ from mufly.mission import (
     Command,
     SetPoint,
     State,
-    begin_mission,
+    initial_mission_state,
     parse_mission,
     step_mission,
     update_obstacle_map,
@@ -28,7 +28,7 @@ def measured(t=0.02, x=HIGH, attitude=(0.0, 0.0, 0.0), volts=7.4):
 
 def in_state(plan, m, *commands):
     """The machine after some commands, a step of 20 ms each, at one place."""
-    s = begin_mission(plan, measured(0.0, (0.0, 0.0, -0.07)))
+    s = initial_mission_state(plan, measured(0.0, (0.0, 0.0, -0.07)))
     for k, c in enumerate(commands):
         s, _ = step_mission(plan, s, replace(m, time_s=0.02 * (k + 1)), c)
     return s
@@ -37,7 +37,7 @@ def in_state(plan, m, *commands):
 def hovering(rig, tables=TWO, **changes):
     """A plan, and a hover at 1 m with the mission begun and its wait over."""
     plan = rig.plan_for(parse_mission(tables))
-    s = begin_mission(plan, measured(0.0, (0.0, 0.0, -0.07)))
+    s = initial_mission_state(plan, measured(0.0, (0.0, 0.0, -0.07)))
     usual = {
         "state": State.HOVER,
         "motors": "fly",

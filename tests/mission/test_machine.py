@@ -12,8 +12,8 @@ from mufly.mission import (
     SPIN_UP_S,
     Command,
     State,
-    begin_mission,
     fail_and_land,
+    initial_mission_state,
     load_mission,
     parse_mission,
     step_mission,
@@ -242,7 +242,7 @@ def test_tipping_over_on_the_floor_stops_the_motors(rig):
 
 def test_a_finished_mission_can_be_flown_again(rig):
     plan = rig.plan_for(HOP)
-    s = begin_mission(plan, measurement())
+    s = initial_mission_state(plan, measurement())
     for k in range(3):
         s, _ = step_mission(plan, s, measurement(0.02 * k), Command(start=True))
     assert s.state is State.TAKE_OFF
@@ -278,7 +278,7 @@ def test_other_rates(rig, dt):
 
 def test_time_that_stands_still_or_jumps_does_no_harm(rig):
     plan = rig.plan_for(SQUARE)
-    s = begin_mission(plan, measurement())
+    s = initial_mission_state(plan, measurement())
     s, _ = step_mission(plan, s, measurement(0.0), Command(start=True))
     for t in (0.0, 0.0, 5.0, 4.0, 100.0):
         s, r = step_mission(plan, s, measurement(t), Command())
@@ -311,7 +311,7 @@ BELIEFS = AuxiliaryStates(NOTHING, NOTHING, 0.0, np.zeros(4), np.zeros(2), 1.0, 
 def test_a_touchdown_says_how_hard_it_was(rig, speed, believed, on_floor, text, level):
     """What it falls at higher up, or does on the floor later, is not the touchdown."""
     plan = rig.plan_for(HOP)
-    begun = begin_mission(plan, measurement())
+    begun = initial_mission_state(plan, measurement())
     s = replace(begun, state=State.LANDING, motors="fly", has_taken_off=True, hold_position=(0.0, 0.0, -0.1))
     falls = [(-0.5, 2.5), (-0.19, 2.0), (-0.16, speed), (-0.08, on_floor), *[(-0.07, 0.0)] * 150]
     for k, (down, sink) in enumerate(falls):
@@ -324,7 +324,7 @@ def test_a_touchdown_says_how_hard_it_was(rig, speed, believed, on_floor, text, 
 
 def test_oscillating_actuators_end_a_mission_but_not_a_pilots_flight(rig):
     flying = replace(
-        begin_mission(rig.plan_for(HOP), measurement()), state=State.HOVER, motors="fly", has_taken_off=True
+        initial_mission_state(rig.plan_for(HOP), measurement()), state=State.HOVER, motors="fly", has_taken_off=True
     )
     why = "servo_input 1 oscillates"
     for state, then, outcome in (
@@ -347,7 +347,7 @@ def test_rotors_that_lift_it_already_are_spun_up(rig):
         Command(rc_active=True, climb_rate=0.2),
     ):
         for rise, motors in ((0.01, "spin_up"), (0.03, "fly")):
-            s = begin_mission(plan, measurement())
+            s = initial_mission_state(plan, measurement())
             for k in range(1, 20):
                 x = (0.0, 0.0, -0.07 - (rise if k > 10 else 0.0))
                 s, r = step_mission(

@@ -12,7 +12,7 @@ from mufly.mission import (
     Command,
     SetPoint,
     State,
-    begin_mission,
+    initial_mission_state,
     load_mission,
     parse_mission,
     step_mission,
@@ -378,7 +378,7 @@ def test_set_points_into_a_wall_stop_at_the_clearance(rig):
 def test_the_log_stays_short_and_counts_on(rig):
     plan = rig.plan_for(SQUARE)
     m = Estimate(0.0, np.array([0, 0, -0.07]), np.zeros(3), np.zeros(3), np.zeros(3), np.full(8, 1.5), 7.4)
-    s = begin_mission(plan, m)
+    s = initial_mission_state(plan, m)
     for k in range(1000):
         t = 0.04 * k
         s, _ = step_mission(

@@ -53,11 +53,11 @@ from mufly.mission import (
     MissionState,
     Reference,
     State,
-    begin_mission,
     enter_blind_descent,
     fail_and_land,
     finish_blind_descent,
     has_lifted_off,
+    initial_mission_state,
     is_tipping,
     log_event,
     pause_mission,
@@ -254,7 +254,7 @@ class FlightSoftware:
         if m.auxiliary_states is not None:
             m = self._smooth.step(m, anew=self._motors == "off")
         if first:
-            self.mission_state = begin_mission(self.plan, m)
+            self.mission_state = initial_mission_state(self.plan, m)
         if command is not NO_COMMAND and command != NO_COMMAND:
             self._command = command
         if command.stop_reason:

@@ -9,7 +9,7 @@ from mufly.identify.flight.free_parameters import FreeParameter, choose_free_par
 from mufly.identify.flight.identification_demo import IdentificationDemo, run_identification_demo
 from mufly.identify.flight.input_polarity import check_flight_records
 from mufly.identify.flight.staged_search import FitProgress
-from mufly.identify.flight_record import FlightRecord, LogColumns, make_record, read_columns, split_record
+from mufly.identify.flight_record import EvenLogTable, FlightRecord, make_record, read_columns, split_record
 from mufly.identify.linear.linear_fit import LinearFit
 from mufly.identify.linear.linear_identification import LinearResult, identify_linear_model
 from mufly.identify.motor_fit import GearKnowledge, MotorFit, fit_motor
@@ -34,7 +34,7 @@ __all__ = [
     "IdentificationDemo",
     "LinearFit",
     "LinearResult",
-    "LogColumns",
+    "EvenLogTable",
     "MotorFit",
     "ParameterEstimate",
     "PredictionQuality",

@@ -343,7 +343,7 @@ _SIGNAL_SOURCES = ("measured", "truth", "estimated")
 
 
 @dataclass(frozen=True, eq=False)
-class LogColumns:
+class EvenLogTable:
     """Columns on an even clock.
 
     Attributes
@@ -449,12 +449,12 @@ class LogColumns:
             terms.append((-factor if part.startswith("-") else factor, column))
         return terms
 
-    def slice_samples(self, start: int, stop: int) -> LogColumns:
+    def slice_samples(self, start: int, stop: int) -> EvenLogTable:
         """Return samples ``start`` to ``stop`` (not included)."""
         columns = {k: v[start:stop] for k, v in self.columns.items()}
         return replace(self, time_s=self.time_s[start:stop], columns=columns)
 
-    def slice_time(self, from_s: float | None, to_s: float | None) -> LogColumns:
+    def slice_time(self, from_s: float | None, to_s: float | None) -> EvenLogTable:
         """Return what lies from one time to another (s), both included; None for an end leaves it open."""
         if from_s is None and to_s is None:
             return self
@@ -465,7 +465,7 @@ class LogColumns:
 
 def read_columns(
     path: str | Path, *, columns: Mapping[str, str] | Sequence[str] = (), rate_hz: float | None = None
-) -> LogColumns:
+) -> EvenLogTable:
     """Read a log.
 
     Parameters
@@ -566,7 +566,7 @@ def _read_log_columns(path: Path, columns: Mapping[str, str] | Sequence[str], no
     }
 
 
-def _resample_evenly(name: str, found: dict[str, Array], rate_hz: float | None, notes: list[str]) -> LogColumns:
+def _resample_evenly(name: str, found: dict[str, Array], rate_hz: float | None, notes: list[str]) -> EvenLogTable:
     key = next((c for c in found if c.lower() in _TIME_COLUMN_NAMES), None)
     if key is None:
         raise InputError(
@@ -597,7 +597,7 @@ def _resample_evenly(name: str, found: dict[str, Array], rate_hz: float | None, 
             empty.append(k)
             continue
         columns[k] = v if even and good.all() else np.interp(t, time[good], v[good])
-    return LogColumns(name, t, columns, tuple(notes), tuple(empty), {k: missing[k] for k in columns if missing[k]})
+    return EvenLogTable(name, t, columns, tuple(notes), tuple(empty), {k: missing[k] for k in columns if missing[k]})
 
 
 def low_pass(signal: Array, dt: float, cut_hz: float) -> Array:

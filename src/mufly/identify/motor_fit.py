@@ -263,7 +263,7 @@ def fit_motor(
         )  # fmt: skip
         if np.max(scales) <= _ROUNDING_RESIDUAL:
             break
-        asked, rubbing = _find_missing_terms(
+        asked, rubbing = _find_unmodelled_terms(
             jacobian[:, free], white, same.whitening_matrices(effective, scales), found, free
         )
         if not rubbing and _needs_constant_friction(same, effective, scales, free, gear):
@@ -559,7 +559,7 @@ def _constant_ratio(x: Array, gear: GearKnowledge) -> float:
     return float(x[2] / (x[1] * (gear.efficiency or 1.0)))
 
 
-def _find_missing_terms(
+def _find_unmodelled_terms(
     jacobian: Array, white: Array, whitening: Array, found: CovarianceEstimate, free: NDArray[np.bool_]
 ) -> tuple[list[str], bool]:
     """Say whether a constant in either equation would fit better, and whether it is a friction, to be fitted."""

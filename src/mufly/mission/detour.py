@@ -56,7 +56,7 @@ _VELOCITY_LAG_S = 0.2
 _ACCELERATION_LAG_S = 0.08
 _MAX_STRAY_M = 3.0
 _STUCK_TIME_S = 5.0
-_CONTACT_MARGIN_M = 0.15
+_ON_CONTOUR_MARGIN_M = 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +206,7 @@ def follow_contour(
     leaving = clear_s > 0.3
 
     follow = clearance + FOLLOW_MARGIN_M
-    touching = distance < follow + _CONTACT_MARGIN_M
+    touching = distance < follow + _ON_CONTOUR_MARGIN_M
     goal_blocked = (
         sight.goal_distance_sq < (clearance + BLOCKED_MARGIN_M) * (clearance + BLOCKED_MARGIN_M) and to_goal < 1.0
     )

@@ -307,7 +307,7 @@ class MissionState:
     hover_after_take_off: bool = False
 
 
-def begin_mission(plan: MissionPlan, estimate: Estimate) -> MissionState:
+def initial_mission_state(plan: MissionPlan, estimate: Estimate) -> MissionState:
     """State before the start signal: on the floor, motors off.
 
     Parameters

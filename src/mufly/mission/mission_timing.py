@@ -256,7 +256,7 @@ def _first_obstacle(world: World, at: _Array, goal: _Array, clear: float) -> tup
     return None if met is None else (met[0], line[met[1]])
 
 
-def _contour_points(obstacle: Box | Cylinder, off: float) -> _Array:
+def _outline_around_obstacle(obstacle: Box | Cylinder, off: float) -> _Array:
     """Points (n, 2) of the level contour at a distance from an obstacle, all around."""
     if isinstance(obstacle, Cylinder):
         turn = np.linspace(0.0, math.tau, 8 * _ARC_POINT_COUNT, endpoint=False)
@@ -273,7 +273,7 @@ def _contour_detour(world: World, k: int, entry: _Array, goal: _Array, clear: fl
     """Length along the contour of obstacle ``k`` on the shorter side (m), and where it is left for the goal."""
     n = len(world.boxes)
     obstacle = world.boxes[k] if k < n else world.cylinders[k - n]
-    outline, alone = _contour_points(obstacle, clear + FOLLOW_MARGIN_M), _single_obstacle_world(world, k)
+    outline, alone = _outline_around_obstacle(obstacle, clear + FOLLOW_MARGIN_M), _single_obstacle_world(world, k)
     first = int(np.argmin(np.linalg.norm(outline - entry[:2], axis=1)))
     found: list[tuple[float, float, _Array]] = []
     share = np.linspace(0.0, 1.0, 60)[:, None]

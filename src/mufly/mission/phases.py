@@ -146,7 +146,7 @@ _DRIFT_CHECK_HEIGHT_M, _DRIFT_SPEED_M_S, _DRIFT_DESCENT_M_S = (
     0.3,
     0.05,
 )  # it does not touch down while it drifts
-_BLOCKED_DESCENT_M = 0.25  # how far it may be above where it is to be while it sinks
+_MAX_DESCENT_LAG_M = 0.25  # how far it may be above where it is to be while it sinks
 _STANDING_HEIGHT_M, _PRESSED_DEPTH_M, _PRESSED_DURATION_S = (
     0.02,
     0.03,
@@ -209,7 +209,7 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     depth = s.hold_position[2] + speed * dt
     lying = m.position[2] > s.home_position[2] - 0.03 and depth > s.home_position[2] + 0.1
     # What does not follow lies on something, or lower than it believes.
-    lying = lying or depth > m.position[2] + _BLOCKED_DESCENT_M
+    lying = lying or depth > m.position[2] + _MAX_DESCENT_LAG_M
     # Who does not know how fast it drifts must not steer with a leg on the floor.
     stands = m.auxiliary_states is not None and m.position[2] > s.home_position[2] - _STANDING_HEIGHT_M
     stands = (

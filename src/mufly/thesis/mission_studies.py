@@ -20,8 +20,8 @@ from mufly.mission import (
     MissionState,
     State,
     VehicleRequest,
-    begin_mission,
     check_request,
+    initial_mission_state,
     load_mission,
     make_spline,
     parse_mission,
@@ -85,7 +85,7 @@ def _run_state_machine(
         seen = cast_ranges(mission.world if world is None else world(t), x, beams, LASER_RING.max_range)
         return Estimate(t, x.copy(), v.copy(), np.array([0.0, 0.0, psi]), np.zeros(3), seen, volts(t))
 
-    state = begin_mission(plan, make_estimate(0.0))
+    state = initial_mission_state(plan, make_estimate(0.0))
     entered = [(0.0, str(state.state))]
     for k in range(int(limit_s / _TIME_STEP_S)):
         t = k * _TIME_STEP_S

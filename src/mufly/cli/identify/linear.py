@@ -33,7 +33,7 @@ from mufly.quantity_grammar import read_interval, read_values
 from mufly.results import to_plain_data, to_records
 
 if TYPE_CHECKING:
-    from mufly.identify import LinearResult, LogColumns
+    from mufly.identify import EvenLogTable, LinearResult
     from mufly.identify.linear.bandwidth import Bandwidth
     from mufly.identify.linear.frequency_response import FrequencyResponse
     from mufly.identify.linear.sweep_response import TransferFunctionFit
@@ -168,7 +168,7 @@ def linear(
     print_files(report, "Report")
 
 
-def _read_record(log: Path, columns: Sequence[str] | None, start_s: float | None, end_s: float | None) -> LogColumns:
+def _read_record(log: Path, columns: Sequence[str] | None, start_s: float | None, end_s: float | None) -> EvenLogTable:
     """Read a log, or a part of it."""
     from mufly.identify.flight_record import read_columns
 
@@ -182,7 +182,7 @@ def _read_record(log: Path, columns: Sequence[str] | None, start_s: float | None
 
 
 def _fit_by_equations(
-    records: Sequence[LogColumns], held: Sequence[LogColumns], inputs: Mapping[str, str], outputs: Mapping[str, str],
+    records: Sequence[EvenLogTable], held: Sequence[EvenLogTable], inputs: Mapping[str, str], outputs: Mapping[str, str],
     products: bool, without: str, domain: str, lowpass: float | None, highpass: float | None, out: Path | None,
     as_json: bool,
 ) -> None:  # fmt: skip

@@ -60,7 +60,7 @@ from mufly.firmware.quick.compiled_loop import (
     F_CONTACT_RADIUS,
     F_CURRENT_A,
     F_CURRENT_BLEND,
-    F_HOVER_A,
+    F_HOVER_CURRENT_A,
     F_LAST_IMU_S,
     F_NEXT_PYTHON_SAMPLE_S,
     F_NEXT_SAMPLE_S,
@@ -220,7 +220,7 @@ class CompiledFlight:
             plant.step_count,
             min(self._beams.size, board.beam_count),
         )  # fmt: skip
-        self._numbers[[F_RATE_HZ, F_STEP_S, F_CONTACT_RADIUS, F_HOVER_A, F_CURRENT_BLEND]] = (
+        self._numbers[[F_RATE_HZ, F_STEP_S, F_CONTACT_RADIUS, F_HOVER_CURRENT_A, F_CURRENT_BLEND]] = (
             plant.rate_Hz, plant.step_s, radius, flight.autopilot.hover_current_A, flight.current_filter_share,
         )  # fmt: skip
         self._reported_periods, self._start_tick = 0, 0

@@ -92,7 +92,7 @@ PHASE_ADVANCE_PLANT, PHASE_ESTIMATE, PHASE_CONTROL = range(3)
     F_RATE_HZ,
     F_STEP_S,
     F_CONTACT_RADIUS,
-    F_HOVER_A,
+    F_HOVER_CURRENT_A,
     F_CURRENT_A,
     F_CURRENT_BLEND,
     F_NEXT_PYTHON_SAMPLE_S,
@@ -104,7 +104,7 @@ PHASE_ADVANCE_PLANT, PHASE_ESTIMATE, PHASE_CONTROL = range(3)
 (
     _B_TIME, _B_MOTION, _B_VALID, _S_MOTORS, _S_LATE_S, _S_LOG_COUNT, _S_FINISHED, _S_STATE, _S_POSITION, _S_VELOCITY,
     _S_HEADING, _S_HEADING_RATE, _S_TILT, _B_RANGES, _B_POSITION_VARIANCE, _B_ATTITUDE_VARIANCE,
-    _B_CHECKS, _B_CHECK, _B_STATUS, _B_REASON,
+    _B_CHECKS, _B_CHECK, _SENSOR_STATUS_CODE_OFFSET, _B_REASON,
 ) = range(20)  # fmt: skip
 _MOTORS_OFF, _MOTORS_FLY = 0, 2
 # First columns of what is kept of a period: time, state, attitude, wind, battery, what acts, reference, mission; beams
@@ -223,7 +223,7 @@ def _write_filter_status(
         )
         if quiet and text >= 0:
             one = at[_B_CHECKS] + k * at[_B_CHECK]
-            said[one + at[_B_STATUS]], said[one + at[_B_REASON]] = code[k], text
+            said[one + at[_SENSOR_STATUS_CODE_OFFSET]], said[one + at[_B_REASON]] = code[k], text
         else:
             same = same and of[_STATUS] == was[_STATUS] and of[_REASON] == was[_REASON]
             same = same and (text >= 0 or of[_NUMBER] == was[_NUMBER])
@@ -353,7 +353,7 @@ def run_until_event(
             if c[C_TICK] % c[C_CONTACT_INTERVAL] == 0:
                 if find_collision(x, parameters, legs, f[F_CONTACT_RADIUS], obstacles, boxes, cylinders, limits):
                     return EXIT_CONTACT
-                drawn = supply[1] if si[at[_S_MOTORS]] == _MOTORS_FLY else f[F_HOVER_A]
+                drawn = supply[1] if si[at[_S_MOTORS]] == _MOTORS_FLY else f[F_HOVER_CURRENT_A]
                 f[F_CURRENT_A] += f[F_CURRENT_BLEND] * (drawn - f[F_CURRENT_A])
             true_attitude(x, attitude)
             c[C_LOOP_PHASE] = PHASE_ESTIMATE

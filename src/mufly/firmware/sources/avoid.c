@@ -22,7 +22,7 @@
 #define ACCELERATION_LAG_S REAL(0.08)
 #define MAX_STRAY_M REAL(3.0)
 #define STUCK_TIME_S REAL(5.0)
-#define CONTACT_MARGIN_M REAL(0.15)
+#define ON_CONTOUR_MARGIN_M REAL(0.15)
 #define PROJECTION_SWEEPS 8
 #define LEAVING_CLEAR_M (LOOK_AHEAD_M + REAL(0.3)) /* so much of a way has to be clear where a contour is left */
 
@@ -505,7 +505,7 @@ void follow_contour(detour_t *detour, const path_check_t *sight, const beam_ring
     if (real.far < near.far) {
         near = real;
     }
-    near.touching = near.far < (distance + CONTACT_MARGIN_M);
+    near.touching = near.far < (distance + ON_CONTOUR_MARGIN_M);
     detour->clear_duration_s = clear ? (detour->clear_duration_s + dt) : REAL(0.0);
     detour->is_leaving = detour->clear_duration_s > REAL(0.3);
     goal_blocked = (sight->goal_distance_sq < ((clearance + BLOCKED_MARGIN_M) * (clearance + BLOCKED_MARGIN_M))) && (to_goal < REAL(1.0));

@@ -136,7 +136,7 @@ typedef struct {
 } mission_t;
 
 /* Before the start signal: on the floor, motors off. */
-void begin_mission(mission_t *s, const estimate_t *m);
+void initial_mission_state(mission_t *s, const estimate_t *m);
 
 /* Another plan is flown from now on, from its first waypoint when it is started. */
 void reset_for_loaded_mission(const plan_t *plan, mission_t *s);

@@ -6,7 +6,7 @@
 #define SCAN_RATE_RAD_S (REAL(0x1.921fb54442d18p+2) / SCAN_PERIOD_S)
 #define DESCENT_LAG_S REAL(0.15)
 #define NEAR_FLOOR_HEIGHT_M REAL(0.1)
-#define BLOCKED_DESCENT_M REAL(0.25)
+#define MAX_DESCENT_LAG_M REAL(0.25)
 #define STILL_DURATION_S REAL(0.3)
 #define STANDING_HEIGHT_M REAL(0.02) /* on an estimate: lower than, */
 #define PRESSED_DEPTH_M REAL(0.03) /* told to be lower by, */
@@ -328,7 +328,7 @@ static void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, 
         s->descent_rate = s->descent_rate + (s->descent_acceleration * dt);
         s->hold_position[2] = s->hold_position[2] + (s->descent_rate * dt);
         lying = (z > (s->home_position[2] - REAL(0.03))) && (s->hold_position[2] > (s->home_position[2] + REAL(0.1)));
-        lying = lying || (s->hold_position[2] > (z + BLOCKED_DESCENT_M)); /* on something, or lower than it believes */
+        lying = lying || (s->hold_position[2] > (z + MAX_DESCENT_LAG_M)); /* on something, or lower than it believes */
         /* Who does not know how fast it drifts must not steer with a leg on the floor. */
         stands = m->judged && (z > (s->home_position[2] - STANDING_HEIGHT_M)) && (s->hold_position[2] > (z + PRESSED_DEPTH_M)) &&
                  (m->position_variance[2] < (CERTAIN_HEIGHT_M * CERTAIN_HEIGHT_M));
@@ -452,7 +452,7 @@ static void clear_mission(mission_t *s)
     s->hover_after_take_off = false;
 }
 
-void begin_mission(mission_t *s, const estimate_t *m)
+void initial_mission_state(mission_t *s, const estimate_t *m)
 {
     const message_t ready = make_message(SAY_READY_FOR_MISSION);
 

@@ -389,7 +389,7 @@ void software_step(const flight_setup_t *setup, software_t *s, const estimate_t 
         correction_smoother_step(&s->smooth, &m, s->motors == MOTORS_OFF);
     }
     if (first) {
-        begin_mission(&s->mission, &m);
+        initial_mission_state(&s->mission, &m);
     }
     if (is_any_signal(command)) {
         s->command = *command;

@@ -29,7 +29,7 @@ from mufly.identify.fit_result import (
     describe_unseen_combinations,
     divide_by_values,
 )
-from mufly.identify.flight_record import LogColumns, low_pass
+from mufly.identify.flight_record import EvenLogTable, low_pass
 from mufly.identify.linear.equation_error import (
     REGRESSION_DOMAINS,
     DerivativeEquation,
@@ -198,8 +198,8 @@ def simulate_equations(
 
 
 def identify_equation_model(
-    records: Sequence[LogColumns], inputs: Mapping[str, str], outputs: Mapping[str, str], *,
-    held_out: Sequence[LogColumns] = (), products: bool = False, without: Sequence[str] = (), domain: str = "frequency",
+    records: Sequence[EvenLogTable], inputs: Mapping[str, str], outputs: Mapping[str, str], *,
+    held_out: Sequence[EvenLogTable] = (), products: bool = False, without: Sequence[str] = (), domain: str = "frequency",
     cut_hz: float = 5.0, low_hz: float | None = None,
     most_s: float = 0.2, all_terms: bool = False, progress: Callable[[int, int], None] | None = None,
 ) -> EquationModel:  # fmt: skip

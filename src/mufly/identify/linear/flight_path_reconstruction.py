@@ -46,7 +46,7 @@ from mufly.identify.fit_result import (
     describe_unseen_combinations,
     divide_by_values,
 )
-from mufly.identify.flight_record import LogColumns, low_pass, smooth_signal
+from mufly.identify.flight_record import EvenLogTable, low_pass, smooth_signal
 from mufly.results import result
 from mufly.units import GRAVITY
 
@@ -190,7 +190,7 @@ def _step_jacobians(x: Array, m: Array, dt: float) -> tuple[Array, Array]:
 
 
 def reconstruct_flight_path(
-    record: LogColumns, imu: Mapping[str, str], outputs: Mapping[str, str]
+    record: EvenLogTable, imu: Mapping[str, str], outputs: Mapping[str, str]
 ) -> ReconstructedPath:
     """Reconstruct a flight, and find biases and scale factors of its instruments.
 
@@ -223,7 +223,7 @@ def reconstruct_flight_path(
         return _reconstruct_path(record, imu, outputs)
 
 
-def _reconstruct_path(record: LogColumns, imu: Mapping[str, str], outputs: Mapping[str, str]) -> ReconstructedPath:
+def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Mapping[str, str]) -> ReconstructedPath:
     raw, z = (
         record.stack_columns({n: imu[n] for n in IMU_CHANNELS}, "imu"),
         record.stack_columns(outputs, "measured"),

@@ -25,7 +25,7 @@ from mufly.identify.fit_result import (
     describe_unseen_combinations,
     divide_by_values,
 )
-from mufly.identify.flight_record import LogColumns, low_pass
+from mufly.identify.flight_record import EvenLogTable, low_pass
 from mufly.identify.linear.equation_error import regress_rate_derivatives
 from mufly.identify.linear.frequency_response import FrequencyResponseFit, fit_frequency_response
 from mufly.identify.linear.linear_fit import LinearFit, fit_linear_model, simulate_linear_fit
@@ -166,7 +166,7 @@ class LinearResult:
 
 
 def identify_linear_model(
-    record: LogColumns, inputs: Mapping[str, str], outputs: Mapping[str, str], *, model: str = "auto",
+    record: EvenLogTable, inputs: Mapping[str, str], outputs: Mapping[str, str], *, model: str = "auto",
     candidates: Sequence[str] = CANDIDATE_MODELS, split: float = 0.5, split_at_s: float | None = None,
     lowpass_hz: float | None = 5.0,
     rate_hz: float | None = 25.0, starts: int = 6, seed: int = 0, hold: bool = False,
@@ -257,7 +257,7 @@ def identify_linear_model(
     if len(y) - cut < _MIN_HOLDOUT_SAMPLES:
         del parts["held out"]
     else:
-        notes += _describe_still_outputs(outs, y, cut, dt, slow)
+        notes += _describe_outputs_still_when_held_out(outs, y, cut, dt, slow)
     checks = {
         role: _check_outputs(y[s], simulated[s], u[s], dt, slow, [None if a is None else a[s] for a in angles])
         for role, s in parts.items()
@@ -293,7 +293,7 @@ def identify_linear_model(
     )
 
 
-def _refuse_degrees(record: LogColumns, outputs: Mapping[str, str], y: Array) -> None:
+def _refuse_degrees(record: EvenLogTable, outputs: Mapping[str, str], y: Array) -> None:
     """Refuse angles and rates in degrees, which would be fitted as well but mean something else."""
     names = list(outputs)
     for angle, rate in (("phi", "p"), ("theta", "q"), ("", "r")):
@@ -308,7 +308,7 @@ def _refuse_degrees(record: LogColumns, outputs: Mapping[str, str], y: Array) ->
                 )  # fmt: skip
 
 
-def _angle_of_rate(record: LogColumns, name: str, outs: tuple[str, ...], y: Array) -> Array | None:
+def _angle_of_rate(record: EvenLogTable, name: str, outs: tuple[str, ...], y: Array) -> Array | None:
     angle = _ANGLE_OF_RATE.get(name)
     if angle is None:
         return None
@@ -327,7 +327,9 @@ def _filter_and_decimate(
     return u[::step], y[::step], dt * step
 
 
-def _describe_still_outputs(outs: tuple[str, ...], y: Array, cut: int, dt: float, slow: float) -> list[str]:
+def _describe_outputs_still_when_held_out(
+    outs: tuple[str, ...], y: Array, cut: int, dt: float, slow: float
+) -> list[str]:
     """Say which outputs hardly move in the held-out part."""
     said = []
     for k, name in enumerate(outs):
@@ -365,7 +367,7 @@ def _check_outputs(
 
 
 def _predict_record_part(
-    record: LogColumns, role: str, part: slice, linear: LinearFit, y: Array, simulated: Array,
+    record: EvenLogTable, role: str, part: slice, linear: LinearFit, y: Array, simulated: Array,
     checks: Sequence[OutputCheck], u: Array, names: tuple[str, ...],
 ) -> RecordPrediction:  # fmt: skip
     t, noise = record.time_s[part], np.array([max(c.floor.total, 1e-12) for c in checks])

@@ -44,7 +44,7 @@ _SCALE_WARNING_CHANGE = 0.02  # of chord: of a smaller change of scale nobody is
 _MAX_KEPT_TILT_RAD = math.radians(4.0)
 _LEVEL_TILT_RAD = math.radians(0.6)  # the tail, a sharper point than the nose, then says where the axis lies
 _TILT_WARNING_RAD = math.radians(1.5)  # of which a user is told
-_END_REGION, _BLUNT_TAIL_TOLERANCE = (
+_NOSE_TAIL_REGION, _BLUNT_TAIL_TOLERANCE = (
     0.05,
     1e-3,
 )  # of chord: where nose and tail differ; between the corners of a blunt tail
@@ -203,7 +203,7 @@ def _order_from_tail(points: list[tuple[int, list[float]]], where: str) -> Array
     # A closed line that begins elsewhere, or at a tail that lies at the least x.
     ring = contour[:-1] if gap < 1e-9 else contour
     x = x[: len(ring)]
-    if _thickness_near(ring, x < _END_REGION) < 0.5 * _thickness_near(ring, x > 1.0 - _END_REGION):
+    if _thickness_near(ring, x < _NOSE_TAIL_REGION) < 0.5 * _thickness_near(ring, x > 1.0 - _NOSE_TAIL_REGION):
         x = 1.0 - x
     tail = int(np.argmax(x))
     ring, x = np.roll(ring, -tail, axis=0), np.roll(x, -tail)

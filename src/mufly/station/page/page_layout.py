@@ -406,7 +406,7 @@ class CommandBar:
             with make_element("div", classes="mf-banner").props("role=status") as self._banner:
                 self._banner_text, self._banner_button = make_element("span"), make_element("button")
                 self._banner_button.props("type=button data-testid=take-controls")
-                self._banner_button.on("click", self._take_controls, args=[])
+                self._banner_button.on("click", self._take_over_control, args=[])
             self._add_action(
                 "mission", "Fly the mission", "M", self._command_action("start_mission"), classes="mf-primary"
             )
@@ -510,7 +510,7 @@ class CommandBar:
     def _toggle_arm(self) -> None:
         self._send_request(lambda vehicle: vehicle.disarm() if vehicle.snapshot.armed else vehicle.arm())
 
-    def _take_controls(self) -> None:
+    def _take_over_control(self) -> None:
         if not self._view.has_controls:
             self._view.take_controls()
             self.refresh()
