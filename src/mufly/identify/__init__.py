@@ -23,6 +23,7 @@ from mufly.identify.residual_analysis import (
 from mufly.identify.rotor_fit import RotorFit, fit_rotor_coefficients
 
 __all__ = [
+    "EvenLogTable",
     "ExcitationPlan",
     "ExcitationSignal",
     "FitProgress",
@@ -34,7 +35,6 @@ __all__ = [
     "IdentificationDemo",
     "LinearFit",
     "LinearResult",
-    "EvenLogTable",
     "MotorFit",
     "ParameterEstimate",
     "PredictionQuality",

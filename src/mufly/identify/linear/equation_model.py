@@ -199,8 +199,8 @@ def simulate_equations(
 
 def identify_equation_model(
     records: Sequence[EvenLogTable], inputs: Mapping[str, str], outputs: Mapping[str, str], *,
-    held_out: Sequence[EvenLogTable] = (), products: bool = False, without: Sequence[str] = (), domain: str = "frequency",
-    cut_hz: float = 5.0, low_hz: float | None = None,
+    held_out: Sequence[EvenLogTable] = (), products: bool = False, without: Sequence[str] = (),
+    domain: str = "frequency", cut_hz: float = 5.0, low_hz: float | None = None,
     most_s: float = 0.2, all_terms: bool = False, progress: Callable[[int, int], None] | None = None,
 ) -> EquationModel:  # fmt: skip
     """Fit the equations of all outputs to one or several records, and score them on these and on others.
