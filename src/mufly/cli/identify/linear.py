@@ -183,8 +183,8 @@ def _read_record(log: Path, columns: Sequence[str] | None, start_s: float | None
 
 def _fit_by_equations(
     records: Sequence[EvenLogTable], held: Sequence[EvenLogTable], inputs: Mapping[str, str],
-    outputs: Mapping[str, str], products: bool, without: str, domain: str, lowpass: float | None, highpass: float | None, out: Path | None,
-    as_json: bool,
+    outputs: Mapping[str, str], products: bool, without: str, domain: str,
+    lowpass: float | None, highpass: float | None, out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     from mufly.identify.linear import equation_model as e
 
