@@ -17,7 +17,8 @@ import time
 import numpy as np
 
 from mufly.dynamics import find_trim, integrate_state, model_parameters
-from mufly.sensors import SENSOR_TABLES, Truth, fitted_sensors
+from mufly.sensor_table import SENSORS
+from mufly.sensors import Truth, fitted_sensors
 from mufly.vehicle import load_vehicle
 from mufly.world import World
 
@@ -76,7 +77,7 @@ def main() -> None:
     x, calm = hover.state.copy(), np.zeros(3)
     plant, _ = mean_and_worst_us(lambda _: integrate_state(x, hover.input, calm, p, 1e-3, 5), flown)
     print(f"plant, 5 steps of 1 ms: {plant:.1f} us a period")
-    for only in [[name] for name in SENSOR_TABLES] + [list(SENSOR_TABLES)]:
+    for only in [[name] for name in SENSORS] + [list(SENSORS)]:
         suite = fitted_sensors(vehicle, world, only=only)
         mean, worst = mean_and_worst_us(suite.read, flown, suite.reset)
         label = only[0] if len(only) == 1 else "all"

@@ -11,7 +11,7 @@ channels from 1; how many there are is not known here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from dataclasses import field as own_field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.sensor_table import CHECKED, READINGS, ReadingRow
 from mufly.units import unit_conversion
 
 if TYPE_CHECKING:
@@ -95,18 +96,17 @@ def _channel_fields(pattern: str) -> str:
     return " ".join(pattern.format(k) for k in range(1, 9))
 
 
-def _measured_signals(
-    reading: str, dim: str | None, units: str, long_name: str, kept: str = "sensors"
-) -> tuple[Quantity, ...]:
+def _measured_signals(row: ReadingRow) -> Iterator[Quantity]:
     """What a sensor said, when it had measured that, and whether it stood by it; NaN where nothing came anew."""
-    name = reading.replace("_", " ")
-    return (
-        Quantity(f"measured_{reading}", "/measured", reading, dim, units, long_name, kept),
-        Quantity(f"measured_{reading}_time", "/measured", f"{reading}_time", None, "s",
-                 f"when the {name} was measured", "sensors"),
-        Quantity(f"measured_{reading}_valid", "/measured", f"{reading}_valid", None, "1",
-                 f"1 where the sensor stands by its {name}, 0 where it does not", "sensors"),
-    )  # fmt: skip
+    name, words = row.name, row.name.replace("_", " ")
+    yield Quantity(f"measured_{name}", "/measured", name, row.dim, row.unit, row.meaning, "sensors")
+    if row.is_timed:
+        when = f"when the {words} was measured"
+        stands = f"1 where the sensor stands by its {words}, 0 where it does not"
+        yield Quantity(f"measured_{name}_time", "/measured", f"{name}_time", None, "s", when, "sensors")
+        yield Quantity(f"measured_{name}_valid", "/measured", f"{name}_valid", None, "1", stands, "sensors")
+    if row.variance is not None:
+        yield Quantity(f"measured_{name}_variance", "/measured", f"{name}_variance", row.dim, *row.variance, "sensors")
 
 
 def _innovation_signals(reading: str) -> tuple[Quantity, ...]:
@@ -119,8 +119,7 @@ def _innovation_signals(reading: str) -> tuple[Quantity, ...]:
     )  # fmt: skip
 
 
-CHECKED_READINGS = ("acceleration", "rates", "ground_distance", "ranges", "pressure", "magnetic_field", "rotor_speed",
-           "position_fix", "battery_voltage")  # fmt: skip
+CHECKED_READINGS = tuple(row.name for row in CHECKED)
 """Readings on which an estimator has an opinion."""
 
 FUSION_STATUSES = ("waiting", "fused", "rejected", "missing", "faulty")
@@ -167,36 +166,11 @@ QUANTITIES: tuple[Quantity, ...] = (
         "sensors station",
         (MavlinkSource("RAW_RPM", "frequency frequency", "rpm"),),
     ),
-    *_measured_signals("acceleration", "body", "m/s^2", "measured specific force along the body axes"),
-    *_measured_signals("rates", "rate", "rad/s", "measured body rates")[1:],
-    Quantity(
-        "measured_clipping",
-        "/measured",
-        "clipping",
-        "body",
-        "1",
-        "share of the accelerometer's samples that it clipped",
-        "sensors",
-    ),
-    Quantity(
-        "measured_temperature", "/measured", "temperature", None, "K", "temperature of the inertial unit", "sensors"
-    ),
-    *_measured_signals("ground_distance", None, "m", "distance to what is below, by ultrasound"),
-    *_measured_signals("ranges", "beam", "m", "distance along the beams of the laser ring"),
-    *_measured_signals("pressure", None, "Pa", "air pressure"),
-    *_measured_signals("magnetic_field", "body", "T", "magnetic field along the body axes"),
-    *_measured_signals("rotor_speed", "rotor", "rad/s", "measured rotor speed")[1:],
-    *_measured_signals("battery_voltage", None, "V", "battery voltage as its monitor tells it"),
-    *_measured_signals("battery_current", None, "A", "battery current as its monitor tells it"),
-    *_measured_signals("position_fix", "fix", "m", "position and heading (rad) as fixed from outside"),
-    Quantity(
-        "measured_position_fix_variance",
-        "/measured",
-        "position_fix_variance",
-        "fix",
-        "m^2",
-        "of the position fix, by itself, where it told one (heading: rad^2)",
-        "sensors",
+    *(
+        signal
+        for row in READINGS.values()
+        for signal in _measured_signals(row)
+        if signal.name not in ("measured_rates", "measured_rotor_speed")  # above
     ),
     Quantity(
         "estimated_position",

@@ -12,6 +12,7 @@ from functools import cache
 from math import pi
 
 from mufly.errors import InputError
+from mufly.sensor_table import READINGS
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """Standard acceleration of free fall (m/s2; 3rd CGPM, 1901)."""
@@ -386,7 +387,7 @@ _QUANTITY_WORDS = {
     ),
     "m": _word_set(
         "x y z px py pz pos position distance dist range height h alt altitude depth length width radius chord "
-        "span arm r d l diameter thickness baro ground agl hgt north east down sonar lidar tof rangefinder "
+        "span arm r d l diameter thickness baro ground agl hgt north east down lidar tof rangefinder "
         "displacement travel offset error err wavelength gap separation spacing clearance terrain gps odom hacc "
         "vacc eph epv accuracy sigma std level elevation track xtrack xte path s ned enu local beam stroke "
         "extension shift relative amsl msl"
@@ -405,14 +406,14 @@ _QUANTITY_WORDS = {
     ),
     "N": _word_set("t thrust force forces f fx fy fz lift drag load loadcell cell pull push tension weight"),
     "K": _word_set("t temperature temp temps oat ambient air imu"),
-    "T": _word_set("b bx by bz mag magnetometer magnetic field compass"),
+    "T": _word_set("b bx by bz field"),
     "J": _word_set("energy work e"),
     "m/s": _word_set(
         "v u w vx vy vz vn ve vd vel velocity speed airspeed groundspeed gspd spd wind climb ias tas gs vs sink"
     ),
     "m/s^2": _word_set(
-        "a ax ay az acc accel accels acceleration accx accy accz accelx accely accelz accelerometer "
-        "accelerometers xacc yacc zacc linacc vibration vibe vib smooth specific axb ayb azb nx ny nz"
+        "a ax ay az acc accel accels acceleration accx accy accz accelx accely accelz "
+        "xacc yacc zacc linacc vibration vibe vib smooth specific axb ayb azb nx ny nz"
     ),
     "kg": _word_set("m mass weight payload auw tow takeoff fuel"),
     "rad": _word_set("roll pitch yaw phi theta psi angle heading hdg attitude tilt course bearing azimuth"),
@@ -422,6 +423,9 @@ _QUANTITY_WORDS = {
     ),
     "span": _word_set("radius r chord span diameter length width height thickness distance"),
 }
+for _row in READINGS.values():
+    if _row.column_words:
+        _QUANTITY_WORDS[_row.unit] |= _word_set(_row.column_words)
 # No physical quantity, and no revolutions a second, whatever stands beside these words.
 _DIMENSIONLESS_WORDS = _word_set(
     "gain kp ki kd kv kt coefficient coeff coef ratio factor count counter number num index idx id flag flags "

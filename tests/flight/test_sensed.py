@@ -27,8 +27,8 @@ from mufly.flight.estimator_health import (
 from mufly.identify.flight_record import make_record
 from mufly.mission import dump_mission, parse_mission
 from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
+from mufly.sensor_table import READINGS
 from mufly.sensors import (
-    READING_KINDS,
     Reading,
     Readings,
     SensorSet,
@@ -262,7 +262,7 @@ def test_statuses_and_readings_have_one_list() -> None:
     from mufly.estimate import FusionStatus
 
     assert set(typing.get_args(FusionStatus)) == set(FUSION_STATUSES)
-    assert set(CHECKED_READINGS) <= set(READING_KINDS)
+    assert set(CHECKED_READINGS) <= set(READINGS)
 
 
 def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down(doubting) -> None:

@@ -148,13 +148,13 @@ def check_sensor_options(vehicle: Vehicle, sensors: str, faults: Sequence[str] |
 
 def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
     """What a vehicle flies on, in words."""
-    from mufly.sensors.sensor_suite import SENSOR_TABLES
+    from mufly.sensor_table import SENSORS
 
     if sensors == "ideal":
         return "It flies on what is true (--sensors ideal)"
     if vehicle.sensors is None:
         return f"{vehicle.name} has no table [sensors]: it flies on what is true"
-    names = [name.replace("_", " ") for name in SENSOR_TABLES if getattr(vehicle.sensors, name) is not None]
+    names = [name.replace("_", " ") for name in SENSORS if getattr(vehicle.sensors, name) is not None]
     return f"It flies on its sensors: {', '.join(names)}"
 
 

@@ -64,12 +64,11 @@ from mufly.estimate.filter_records import (
     PHASE_RUNNING,
     PHASE_STANDING,
     QUEUE_SIZE,
+    QUEUED_READINGS,
     R_ACCELERATION,
     R_BATTERY,
     R_FIX,
-    R_PRESSURE,
     R_RATES,
-    R_RING,
     R_ROTOR,
     R_SONAR,
     READING_STARTS,
@@ -96,13 +95,10 @@ from mufly.estimate.fusion import (
     fuse_accel_residual,
     fuse_ground_contact,
     fuse_liftoff_thrust,
-    fuse_magnetic_heading,
-    fuse_position_fix,
-    fuse_pressure_height,
-    fuse_sonar_range,
-    fuse_wall_ranges,
+    fuse_measurement,
     fuse_zero_motion,
     height_above_ground,
+    measurement_cost,
     reset_terrain,
 )
 from mufly.estimate.output_predictor import (
@@ -147,9 +143,8 @@ MAX_BACKDATE_S = 0.1
 by meanwhile, 1 m/s^2, moves it by 5 mm."""
 SLOW_NOISE_TICKS = 32
 """Periods over which the noise of forces at low frequencies is looked at."""
-COST_COVARIANCE, COST_HORIZON_STEP, COST_FIX_BIAS, COST_FIX, COST_REST_AXIS = 3, 2, 1, 4, 3
-"""What a covariance that is told costs, a step of the horizon, one of what the fix is off by, a fix, and an axis on the
-floor, in scalar measurements."""
+COST_COVARIANCE, COST_HORIZON_STEP, COST_REST_AXIS = 3, 2, 3
+"""What a covariance that is told costs, a step of the horizon, and an axis on the floor, in scalar measurements."""
 STAGE_TERRAIN, STAGE_FORCE_MEANS, STAGE_AXES, STAGE_GROUND_CONTACT, STAGE_DONE = 1, 2, 3, 6, 7
 """Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
 _INITIAL_REST_S = 0.8
@@ -447,24 +442,6 @@ def _predict_bias(m: FilterMemory, s: FilterSettings) -> None:
 
 
 @cached_njit(error_model="numpy")
-def _predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
-    """Predict the bias of the fix to the horizon; N and E over the same time."""
-    for k in range(EX_FIX_BIAS, EX_FIX_HEADING + 1):
-        keep, by = 1.0, s.decay[k]
-        blocks = (m.horizon_tick - m.fix_bias_tick) // s.block_ticks
-        while blocks > 0:
-            if blocks % 2 == 1:
-                keep *= by
-            by *= by
-            blocks //= 2
-        m.x[k + 1] *= keep
-        q = s.initial_sigma[k] * s.initial_sigma[k] * (1.0 - keep * keep)
-        if q > 0.0:
-            gauss_markov_update(m.u_transposed, m.d, k, keep, q, m.f)
-    m.fix_bias_tick = m.horizon_tick
-
-
-@cached_njit(error_model="numpy")
 def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: int) -> int:
     """Fuse the next queued measurement of the horizon; return its cost, 0 without time for it, -1 without any."""
     behind = m.tick - s.delay_ticks - m.horizon_tick >= MAX_LAG_BLOCKS * s.block_ticks
@@ -478,29 +455,10 @@ def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: 
             elif i < 0 or m.queue_sensor[j] < m.queue_sensor[i]:
                 i = j
     if i >= 0:
-        kind, z, ahead = m.queue_sensor[i], m.queue_value[i], m.queue_ahead[i]
-        cost = 1
-        if kind == R_FIX:
-            cost = COST_FIX_BIAS if m.fix_bias_tick < m.horizon_tick else COST_FIX
-        elif kind == R_RING:
-            cost = max(min(s.beam_count - m.next_beam, left), 1)
+        cost = measurement_cost(m, s, m.queue_sensor[i], left)
         if cost > left:
             return 0
-        done = True
-        if kind == R_FIX and m.fix_bias_tick < m.horizon_tick:
-            _predict_fix_bias(m, s)
-            done = False
-        elif kind == R_FIX:
-            fuse_position_fix(m, s, z, ahead)
-        elif kind == R_SONAR:
-            fuse_sonar_range(m, s, z, ahead, r)
-        elif kind == R_RING:
-            done = fuse_wall_ranges(m, s, z, ahead, r, cost)
-        elif kind == R_PRESSURE:
-            fuse_pressure_height(m, s, z, ahead)
-        else:
-            fuse_magnetic_heading(m, s, z, ahead, r)
-        if done:
+        if fuse_measurement(m, s, i, r, cost):
             m.queue_due[i] = -1
         return cost
     return -1
@@ -660,7 +618,7 @@ def estimator_step(
     m, s, p : records
         Memory, settings, parameters of the flight model.
     z : (n,) array
-        Readings, in the order of :data:`mufly.estimate.filter_records.READING_NAMES`, then what acted (4) and the share
+        Readings, in the order of :data:`mufly.quantities.CHECKED_READINGS`, then what acted (4) and the share
         of clipped samples (3).
     new : (9,) array of int
         0: nothing new; 1: a new reading; 2: one that says of itself that it is none.
@@ -693,11 +651,11 @@ def estimator_step(
     rises = _sample_inputs(m, s, p, z, new, r)
     if s.has_rotor_model > 0 and m.flight_phase >= PHASE_RUNNING and m.status[R_ACCELERATION] < STATUS_MISSING:
         _estimate_accel_noise(m, s, z)
-    for kind in range(R_SONAR, R_FIX + 1):
-        if kind == R_ROTOR or new[kind] != 1 or m.is_decimated[kind] > 0:
+    for kind in QUEUED_READINGS:
+        if new[kind] != 1 or m.is_decimated[kind] > 0:
             continue
         # The state of tick k belongs to k dt - lag.
-        at = m.tick + (s.imu_lag - age[kind] - s.latency[kind] * (1 if kind == R_PRESSURE else 0)) / s.dt
+        at = m.tick + (s.imu_lag - age[kind]) / s.dt
         if not _queue_measurement(
             m, s, kind, at, z, READING_STARTS[kind], READING_STARTS[kind + 1] - READING_STARTS[kind]
         ):

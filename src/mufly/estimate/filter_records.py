@@ -31,10 +31,13 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import GRAVITY, model_parameters, standing_height
 from mufly.dynamics.model_state import hover_speeds
+from mufly.quantities import CHECKED_READINGS, DIMENSION_LABELS
 from mufly.record_fields import int_field as _int
 from mufly.record_fields import real_field as _real
 from mufly.record_fields import record_type
-from mufly.sensors import beam_directions, earth_field
+from mufly.sensor_table import CHECKED
+from mufly.sensors import beam_directions
+from mufly.sensors.magnetometer import earth_field
 from mufly.sensors.ring_camera import ELEVATION_MARGIN
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import DEFAULT_LEVEL_ERROR_RAD, SensorSuite
@@ -79,19 +82,22 @@ of the last period."""
 BIAS_CYCLE_TICKS = ERROR_STATE_COUNT - EX_GYRO_BIAS - 4
 """Periods in which each bias steps once, but for those of the fix, which step with it."""
 
-READING_NAMES = (
-    "acceleration", "rates", "ground_distance", "ranges", "pressure", "magnetic_field", "rotor_speed",
-    "position_fix", "battery_voltage",
-)  # fmt: skip
+MAX_FUSED_BEAMS = 8
+READING_NAMES = CHECKED_READINGS
 """Readings of the filter, in the order of all its tables."""
-READING_WIDTHS = (3, 3, 1, 8, 1, 3, 2, 4, 1)
+READING_WIDTHS = tuple(
+    MAX_FUSED_BEAMS if row.dim == "beam" else len(DIMENSION_LABELS.get(row.dim or "", (0,))) for row in CHECKED
+)
 READING_STARTS = tuple(int(k) for k in np.cumsum([0, *READING_WIDTHS]))
 """Where each reading starts in the row of values of one instant."""
 SENSOR_COUNT = len(READING_NAMES)
-(
-    R_ACCELERATION, R_RATES, R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_FIX, R_BATTERY,
-) = range(SENSOR_COUNT)  # fmt: skip
-MAX_FUSED_BEAMS = 8
+READING_OFFSETS = tuple(row.filter_offset for row in CHECKED)
+"""What is subtracted from each reading."""
+QUEUED_READINGS = tuple(k for k, row in enumerate(CHECKED) if row.is_queued)
+QUEUED_COUNT = len(QUEUED_READINGS)
+"""Readings that wait for the horizon, where they are fused."""
+R_ACCELERATION, R_RATES, R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_FIX, R_BATTERY = range(9)
+"""Places of the readings in these tables, as :data:`mufly.sensor_table.SENSORS` gives them."""
 PHASE_STANDING, PHASE_COASTING, PHASE_RUNNING, PHASE_LIGHT, PHASE_FLYING = range(5)
 """On the floor with motors off, with motors on, perhaps just off it, in the air."""
 INPUT_BLOCK_S = 0.02

@@ -83,6 +83,7 @@ from mufly.estimate.sensor_checks import (
 )
 from mufly.estimate.strapdown import rotate_attitude, rotation_matrix
 from mufly.estimate.ud_filter import (
+    gauss_markov_update,
     inflate_variance,
     innovation_variance,
     state_variance,
@@ -121,6 +122,8 @@ TERRAIN_STEP_GATE, MAX_TERRAIN_STEPS = 3.0, 8
 LIFTOFF_THRUST_RATIO, LIFTOFF_THRUST_SIGMA = 1.08, 0.08
 """What rotors lift, of the weight, as the sonar says that it leaves the floor, and what share of it that is off by."""
 _BEAM_GATE = 4.0
+COST_FIX_BIAS, COST_FIX = 1, 4
+"""What a step of the bias of the fix costs, and a fix, in scalar measurements."""
 MIN_TERRAIN_HEIGHT = -0.1
 """A room has nothing below its floor (m)."""
 
@@ -620,6 +623,52 @@ def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: 
     if _gate_drifting_aid(m, s, k, EX_MAG_BIAS, nu, ratio, z, 3, 1e-5):
         _fuse_scalar(m, nu, s.mag_heading_variance)
         mark_fused(m, k)
+
+
+@cached_njit(error_model="numpy")
+def _predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
+    """Predict the bias of the fix to the horizon; N and E over the same time."""
+    for k in range(EX_FIX_BIAS, EX_FIX_HEADING + 1):
+        keep, by = 1.0, s.decay[k]
+        blocks = (m.horizon_tick - m.fix_bias_tick) // s.block_ticks
+        while blocks > 0:
+            if blocks % 2 == 1:
+                keep *= by
+            by *= by
+            blocks //= 2
+        m.x[k + 1] *= keep
+        q = s.initial_sigma[k] * s.initial_sigma[k] * (1.0 - keep * keep)
+        if q > 0.0:
+            gauss_markov_update(m.u_transposed, m.d, k, keep, q, m.f)
+    m.fix_bias_tick = m.horizon_tick
+
+
+@cached_njit(error_model="numpy")
+def measurement_cost(m: FilterMemory, s: FilterSettings, kind: int, left: int) -> int:
+    """Return the cost of a measurement in scalar ones; of the ring as many beams as there is time for."""
+    if kind == R_FIX:
+        return COST_FIX_BIAS if m.fix_bias_tick < m.horizon_tick else COST_FIX
+    return max(min(s.beam_count - m.next_beam, left), 1) if kind == R_RING else 1
+
+
+@cached_njit(error_model="numpy")
+def fuse_measurement(m: FilterMemory, s: FilterSettings, i: int, r: _Array, cost: int) -> bool:
+    """Fuse queued measurement ``i``, or as much of it as ``cost`` pays for; return whether all of it is fused."""
+    kind, z, ahead = m.queue_sensor[i], m.queue_value[i], m.queue_ahead[i]
+    if kind == R_FIX and m.fix_bias_tick < m.horizon_tick:
+        _predict_fix_bias(m, s)
+        return False
+    if kind == R_FIX:
+        fuse_position_fix(m, s, z, ahead)
+    elif kind == R_SONAR:
+        fuse_sonar_range(m, s, z, ahead, r)
+    elif kind == R_RING:
+        return bool(fuse_wall_ranges(m, s, z, ahead, r, cost))
+    elif kind == R_PRESSURE:
+        fuse_pressure_height(m, s, z, ahead)
+    else:
+        fuse_magnetic_heading(m, s, z, ahead, r)
+    return True
 
 
 @cached_njit(error_model="numpy")

@@ -20,9 +20,9 @@ from mufly.estimate.filter_records import (
     INPUT_BLOCK_S,
     R_BATTERY,
     R_FIX,
-    R_PRESSURE,
     R_RING,
     READING_NAMES,
+    READING_OFFSETS,
     READING_STARTS,
     READING_WIDTHS,
     SENSOR_COUNT,
@@ -43,7 +43,6 @@ from mufly.estimate.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
 from mufly.estimate.sensor_status import AuxiliaryStates, LazySensorStatuses, SensorStatus
 from mufly.sensors import Reading, Readings
-from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 from mufly.vehicle import Vehicle
 from mufly.world import World
 
@@ -256,12 +255,11 @@ class KalmanEstimator(Estimator):
             seen = np.asarray(r.value, dtype=np.float64)
             self._filter_ranges(seen)
             z[start : start + len(self._beam_indices)] = seen[self._beam_indices]
-        elif k == R_PRESSURE:
-            z[start] = r.value - STANDARD_PRESSURE_PA
         else:
             if k == R_FIX and self.uses_fix_covariance:
                 self._set_fix_noise(r, 0.0 if before is None else r.time_s - before.time_s)
-            z[start : start + READING_WIDTHS[k]] = r.value
+            offset = READING_OFFSETS[k]
+            z[start : start + READING_WIDTHS[k]] = r.value - offset if offset else r.value
 
     def _set_fix_noise(self, fix: Reading, since_s: float) -> None:
         """Take a fix for as good as it says that it is, or else as the vehicle's file says."""
@@ -304,7 +302,7 @@ class KalmanEstimator(Estimator):
 
     @property
     def reading_indices(self) -> Mapping[str, int]:
-        """Readings that it takes, and their places in :data:`mufly.estimate.filter_records.READING_NAMES`."""
+        """Readings that it takes, and their places in :data:`mufly.quantities.CHECKED_READINGS`."""
         return self._reading_indices
 
     @property

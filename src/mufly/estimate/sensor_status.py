@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.estimate import sensor_checks as g
-from mufly.estimate.filter_records import R_FIX, R_MAGNET, R_PRESSURE, R_SONAR, READING_NAMES
-from mufly.sensors import READING_KINDS
+from mufly.estimate.filter_records import R_FIX, READING_NAMES
+from mufly.sensor_table import CHECKED
 
 _Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ class SensorStatus:
     Attributes
     ----------
     name : str
-        Of its reading (:data:`mufly.sensors.READING_KINDS`).
+        Of its reading (:data:`mufly.sensor_table.READINGS`).
     status : str
         ``"fused"``: believed. ``"rejected"``: it comes, but what it says does not fit. ``"missing"``: it was there and
         comes no more. ``"faulty"``: what it says cannot be right in itself. ``"waiting"``: not needed, or nothing yet.
@@ -124,7 +124,7 @@ class LazySensorStatuses(Sequence[SensorStatus]):
     m, s : records
         Memory and settings of the filter; what they hold is not to change any more.
     fitted : sequence of int
-        Which of :data:`mufly.estimate.filter_records.READING_NAMES`.
+        Which of :data:`mufly.quantities.CHECKED_READINGS`.
     """
 
     def __init__(self, m: Mapping[str, Any] | np.void, s: np.void, fitted: Sequence[int]) -> None:
@@ -189,7 +189,7 @@ _INNOVATION_REASONS = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_PERSISTENT_
 
 
 def describe_reason(why: int, number: float, sensor: int, component: int = 0) -> str:
-    """Return why a sensor, by its place in :data:`mufly.estimate.filter_records.READING_NAMES`, is thought of as it is.
+    """Return why a sensor, by its place in :data:`mufly.quantities.CHECKED_READINGS`, is thought of as it is.
 
     ``component`` is that of a position fix that the number is of: N, E, D (m) or the heading (rad).
     """
@@ -199,5 +199,4 @@ def describe_reason(why: int, number: float, sensor: int, component: int = 0) ->
 
 
 def _reason_unit(k: int) -> str:
-    unit = READING_KINDS[READING_NAMES[k]].unit
-    return {R_FIX: "m", R_MAGNET: "rad", R_SONAR: "m", R_PRESSURE: "Pa"}.get(k, unit)
+    return CHECKED[k].innovation_unit or CHECKED[k].unit

@@ -14,11 +14,7 @@ from mufly.estimate.filter_records import (
     INPUT_BLOCK_COUNT,
     MAX_LAG_BLOCKS,
     QUEUE_SIZE,
-    R_FIX,
-    R_MAGNET,
-    R_PRESSURE,
-    R_RING,
-    R_SONAR,
+    QUEUED_READINGS,
     filter_settings,
 )
 from mufly.vehicle import Vehicle
@@ -70,7 +66,7 @@ def _buffer_sizes(s: np.void) -> tuple[int, int]:
     span = (int(s["delay_ticks"]) + (MAX_LAG_BLOCKS + 1) * int(s["block_ticks"])) * float(s["dt"])
     waiting = sum(
         math.ceil((span - s["latency"][k]) / (s["sensor_period"][k] * s["decimation"][k])) + 1
-        for k in (R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_FIX)
+        for k in QUEUED_READINGS
         if s["is_fitted"][k]
     )
     return min(blocks, INPUT_BLOCK_COUNT), max(1, min(waiting, QUEUE_SIZE))

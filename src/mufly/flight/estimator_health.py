@@ -8,7 +8,7 @@ horizontal position uncertain by more than 0.25 m the mission waits in a hover; 
 ... by more than 0.6 m, or waiting for 10 s       it lands where it is
 height uncertain by more than 0.3 m for 0.3 s     it lands
 roll or pitch uncertain by more than 8 degrees,   it sinks with its servos at trim, which the stabiliser bar makes a
-or two of fix, sonar and compass not believed     level attitude
+or two of its independent aids not believed      level attitude
 for 0.15 s at once
 heading uncertain by more than 30 degrees, or     it lands; without gyroscopes on the rates of turn of the rotor
 a bias of the gyroscopes that they cannot have,   model, and 3 cm above the floor its servos go to trim and its
@@ -43,6 +43,7 @@ from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate.filter_records import EX_ATT, EX_POS
 from mufly.numba_cache import cached_njit
 from mufly.portable_math import sine_cosine
+from mufly.sensor_table import CHECKED
 
 _Array = NDArray[np.float64]
 
@@ -73,16 +74,14 @@ class HealthVerdict(NamedTuple):
 
 HEALTHY_VERDICT = HealthVerdict()
 
-_SENSOR_NAMES = {
-    "acceleration": "accelerometer", "rates": "gyroscope", "ground_distance": "sonar", "ranges": "laser ring",
-    "pressure": "pressure sensor", "magnetic_field": "magnetometer", "rotor_speed": "rotor speed",
-    "position_fix": "position fix", "battery_voltage": "battery monitor",
-}  # fmt: skip
-_POSITION_READINGS = ("position_fix", "ranges")
-_HEIGHT_READINGS = ("ground_distance", "position_fix", "pressure")
-_TILT_READINGS = ("rates", "acceleration")
-_ATTITUDE_AIDS = ("position_fix", "ground_distance", "magnetic_field")
-_HEADING_READINGS = ("position_fix", "magnetic_field", "rates")
+_SENSOR_NAMES = {row.name: row.source for row in CHECKED}
+_POSITION_READINGS, _HEIGHT_READINGS, _TILT_READINGS, _HEADING_READINGS = (
+    tuple(row.name for row in CHECKED if estimate in row.supports)
+    for estimate in ("position", "height", "tilt", "heading")
+)
+_ATTITUDE_AIDS = tuple(
+    row.name for row in sorted(CHECKED, key=lambda row: row.attitude_aid or 0) if row.attitude_aid is not None
+)
 
 
 def describe_sensor(reading: str) -> str:

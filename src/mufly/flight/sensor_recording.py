@@ -22,14 +22,15 @@ from mufly.flight.controllers import Actuators
 from mufly.flight.record.recorder import FlightRecorder
 from mufly.flight.simulated_plant import make_blank_row, make_common_writer
 from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
-from mufly.sensors import READING_KINDS, Reading, Readings, Truth
+from mufly.sensor_table import READINGS
+from mufly.sensors import Reading, Readings, Truth
 
 _Array = NDArray[np.float64]
 FIX_DRIFT_ATTRIBUTE = "fix_wander_s"
 """Attribute of a recording whose filter took fixes for as good as their covariance says: over how long their errors
 hang together (s), :attr:`mufly.estimate.KalmanEstimator.wander_s`."""
 _STATUS_CODES = {status: float(k) for k, status in enumerate(FUSION_STATUSES)}
-_READINGS_WITHOUT_TIME = ("clipping", "temperature")  # of the inertial unit: its accelerations tell the time
+_READINGS_WITHOUT_TIME = tuple(name for name, row in READINGS.items() if not row.is_timed)
 _FIX_SIGNAL, _FIX_VARIANCE_SIGNAL = "position_fix", "measured_position_fix_variance"
 _MOTION_FIELDS = ("position", "velocity", "attitude", "rates")
 _BELIEF_FIELDS = ("gyro_bias", "accelerometer_bias", "floor_height", "fix_bias", "wind", "thrust_scale")
@@ -45,17 +46,15 @@ def make_sensed_row_writer(
     """
     row, part = make_blank_row(recorder)
     fill, put = make_common_writer(part), make_estimate_writer(part)
-    said = {name: part[f"measured_{name}"] for name in READING_KINDS}
+    said = {name: part[f"measured_{name}"] for name in READINGS}
     timed = {
         name: (part[f"measured_{name}_time"], part[f"measured_{name}_valid"])
-        for name in READING_KINDS
+        for name in READINGS
         if name not in _READINGS_WITHOUT_TIME
     }
     variance = part[_FIX_VARIANCE_SIGNAL]
     before: dict[str, Reading] = {}
-    raw = row[
-        _reading_columns(recorder, [*(f"measured_{name}" for name in READING_KINDS), _FIX_VARIANCE_SIGNAL], timed)
-    ]
+    raw = row[_reading_columns(recorder, [*(f"measured_{name}" for name in READINGS), _FIX_VARIANCE_SIGNAL], timed)]
 
     def write_row(
         truth: Truth,
@@ -126,7 +125,7 @@ def iterate_readings(dataset: xr.Dataset) -> Iterator[tuple[Readings, _Array]]:
             dataset[f"measured_{'acceleration' if name in _READINGS_WITHOUT_TIME else name}_time"].values,
             np.ones(len(time)) if name in _READINGS_WITHOUT_TIME else dataset[f"measured_{name}_valid"].values,
         )
-        for name in READING_KINDS
+        for name in READINGS
     }
     inputs = np.hstack([dataset["motor_input"].values, dataset["servo_input"].values])
     came = {name: np.isfinite(when) for name, (_, when, _) in columns.items()}
@@ -158,7 +157,7 @@ def replay_estimator(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate
 
 def is_sensed(dataset: xr.Dataset) -> bool:
     """Whether a recording holds what sensors said, as flights on sensors record it."""
-    return all(f"measured_{name}_time" in dataset for name in READING_KINDS if name not in _READINGS_WITHOUT_TIME)
+    return all(f"measured_{name}_time" in dataset for name in READINGS if name not in _READINGS_WITHOUT_TIME)
 
 
 def replace_estimates(dataset: xr.Dataset, estimates: Sequence[Estimate]) -> xr.Dataset:

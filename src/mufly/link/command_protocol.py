@@ -68,6 +68,7 @@ from mufly.mission import (
     deny_request,
     reject_temporarily,
 )
+from mufly.sensor_table import READINGS
 from mufly.sensors import Fault
 
 FORCE_DISARM_MAGIC = 21196.0
@@ -467,15 +468,10 @@ class CommandProtocol:
 
 
 FAILURE_NAMES: tuple[dict[float, str], dict[float, str]] = (
-    {
-        mavlink.FAILURE_UNIT_SENSOR_GYRO: "gyro",
-        mavlink.FAILURE_UNIT_SENSOR_ACCEL: "accelerometer",
-        mavlink.FAILURE_UNIT_SENSOR_MAG: "magnetometer",
-        mavlink.FAILURE_UNIT_SENSOR_BARO: "pressure",
-        mavlink.FAILURE_UNIT_SENSOR_VIO: "position",
-        mavlink.FAILURE_UNIT_SENSOR_DISTANCE_SENSOR: "sonar",
-        mavlink.FAILURE_UNIT_SYSTEM_BATTERY: "battery",
-    },
+    dict(sorted(
+        (getattr(mavlink, f"FAILURE_UNIT_{row.failure_unit}"), row.fault)
+        for row in READINGS.values() if row.failure_unit
+    )),
     {
         mavlink.FAILURE_TYPE_OFF: "dropout",
         mavlink.FAILURE_TYPE_STUCK: "freeze",
@@ -484,7 +480,7 @@ FAILURE_NAMES: tuple[dict[float, str], dict[float, str]] = (
         mavlink.FAILURE_TYPE_DELAYED: "late",
         mavlink.FAILURE_TYPE_INTERMITTENT: "outliers",
     },
-)
+)  # fmt: skip
 """FAILURE_UNIT and FAILURE_TYPE by the names of :data:`mufly.sensors.FAULT_TARGETS` and
 :data:`mufly.sensors.FAULT_KINDS`."""
 

@@ -28,6 +28,7 @@ from mufly.estimate.fusion import INNOVATION_GATE
 from mufly.flight import FlightState
 from mufly.link.codec import MavMessage, mavlink, to_float32
 from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
+from mufly.sensor_table import READINGS
 
 _Array = NDArray[np.float64]
 CHECKS_ARRAY_NAME = b"checks"
@@ -37,6 +38,13 @@ _UPPER_TRIANGLE = np.triu_indices(6)
 _POSE_INDICES, _MOTION_INDICES = [0, 1, 2, 6, 7, 8], [3, 4, 5, 9, 10, 11]  # of Estimate.covariance
 GOOD_POSITION_SIGMA_M, GOOD_TILT_SIGMA_RAD, GOOD_VELOCITY_SIGMA_M_S = 0.5, math.radians(10.0), 0.5
 """One sigma up to which a position, tilt or velocity is called good."""
+_RATIO_FIELDS = {field: (row.name, words) for row in READINGS.values() for field, words in row.test_ratios}
+TEST_RATIOS: dict[str, tuple[str, str]] = {
+    field: _RATIO_FIELDS.get(field, ("", "airspeed"))
+    for field in mavlink.MAVLink_estimator_status_message.fieldnames
+    if field.endswith("_ratio")
+}
+"""Fields of ESTIMATOR_STATUS with a test ratio: the reading, "" without one, and its name on the page."""
 _UNKNOWN_POSITION_SIGMA_M = 10.0  # beyond, a place is not known at all
 
 
@@ -109,12 +117,7 @@ def estimator_status_message(state: FlightState, usec: int) -> MavMessage:
     return mavlink.MAVLink_estimator_status_message(
         usec,
         flags,
-        squared_test_ratio("position_fix"),
-        squared_test_ratio("position_fix"),
-        squared_test_ratio("pressure"),
-        squared_test_ratio("magnetic_field"),
-        squared_test_ratio("ground_distance"),
-        0.0,
+        *(squared_test_ratio(name) for name, _ in TEST_RATIOS.values()),
         to_float32(level),
         to_float32(height),
     )

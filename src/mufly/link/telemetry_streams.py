@@ -14,6 +14,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from typing import Any
 
 import numpy as np
@@ -41,6 +43,7 @@ from mufly.link.estimate_messages import (
 )
 from mufly.link.vision_input import pack_covariance
 from mufly.mission import State
+from mufly.sensor_table import READINGS
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
@@ -346,25 +349,25 @@ def heartbeat_message(p: TelemetryState) -> MavMessage:
     )
 
 
+_SENSOR_BITS = reduce(
+    or_, (getattr(mavlink, f"MAV_SYS_STATUS_{r.status_bit}") for r in READINGS.values() if r.status_bit)
+)
+"""Bits of SYS_STATUS of all sensors."""
+
+
 def sys_status_message(p: TelemetryState) -> MavMessage:
     """SYS_STATUS: which sensors and controllers there are and work, and whether it could be armed.
 
-    The heading that is measured counts as a magnetometer. There is a GPS bit only with a global origin.
+    All sensors of the table have their bits. There is a GPS bit only with a global origin.
     """
-    here = (
-        mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
-        | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-        | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
-        | mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
-        | mavlink.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL
+    here = _SENSOR_BITS | (
+        mavlink.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL
         | mavlink.MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION
         | mavlink.MAV_SYS_STATUS_SENSOR_YAW_POSITION
         | mavlink.MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL
         | mavlink.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL
         | mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
         | mavlink.MAV_SYS_STATUS_AHRS
-        | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
-        | mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY
         | mavlink.MAV_SYS_STATUS_PREARM_CHECK
     )
     if p.origin is not None:

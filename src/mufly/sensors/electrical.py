@@ -24,6 +24,7 @@ from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import BatteryMonitorParameters, RotorSpeedSensorParameters
+from mufly.world import World
 
 _Array = NDArray[np.float64]
 # Of the numbers of each: scales of both speeds, noise (rad/s); of voltage and current (V, A)
@@ -57,8 +58,11 @@ class BackEmfSensor(PeriodicSensor):
 
     published_readings = {"rotor_speed": slice(0, 2)}  # noqa: RUF012
     sample_function = _sample_rotor_speeds
+    argument_dimensions = (1,)
 
-    def __init__(self, table: RotorSpeedSensorParameters, vehicle: Vehicle, rng: np.random.Generator) -> None:
+    def __init__(
+        self, table: RotorSpeedSensorParameters, vehicle: Vehicle, world: World, rng: np.random.Generator
+    ) -> None:
         s = table
         noise = float(s.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
         scale = 1.0 + float(s.constant_error) * rng.standard_normal(2)
@@ -94,8 +98,11 @@ class BatterySensor(PeriodicSensor):
 
     published_readings = {"battery_voltage": 0, "battery_current": 1}  # noqa: RUF012
     sample_function = _sample_battery
+    argument_dimensions = (1,)
 
-    def __init__(self, table: BatteryMonitorParameters, vehicle: Vehicle, rng: np.random.Generator) -> None:
+    def __init__(
+        self, table: BatteryMonitorParameters, vehicle: Vehicle, world: World, rng: np.random.Generator
+    ) -> None:
         b = table
         scale = 1.0 + float(b.current_scale) * float(rng.standard_normal())
         numbers = [float(b.voltage_noise), float(b.voltage_resolution), scale, float(b.current_noise)]

@@ -18,8 +18,9 @@ import numpy as np
 
 from mufly.errors import ArgumentError, InputError, suggest_name
 from mufly.quantity_grammar import read_quantity, read_time_span
+from mufly.sensor_table import READINGS, SENSORS
 from mufly.sensors.imu import Imu
-from mufly.sensors.readings import READING_KINDS, Reading, Sensor, Truth
+from mufly.sensors.readings import Reading, Sensor, Truth
 
 FAULT_KINDS: Mapping[str, str] = {
     "freeze": "says again and again what it said last, with new times",
@@ -48,31 +49,20 @@ class FaultTarget:
     @property
     def reading_unit(self) -> str:
         """Of the amounts, but for seconds of ``late``."""
-        return READING_KINDS[self.reading].unit
+        return READINGS[self.reading].unit
 
 
-def _default_amounts(off: float, per_s: float, bound: float, stuck: float) -> dict[str, float]:
+def _default_amounts(jump: float, drift: float, clip: float, stuck: float) -> dict[str, float]:
     return {
-        "jump": off,
-        "bias": off,
-        "drift": per_s,
-        "clip": bound,
-        "stuck": stuck,
-        "outliers": 3 * off,
-        "late": 0.3,
-    }
+        "jump": jump, "bias": jump, "drift": drift, "clip": clip, "stuck": stuck, "outliers": 3 * jump, "late": 0.3
+    }  # fmt: skip
 
 
 FAULT_TARGETS: Mapping[str, FaultTarget] = {
-    "accelerometer": FaultTarget("imu", "acceleration", _default_amounts(3.0, 0.3, 20.0, 0.0)),
-    "gyro": FaultTarget("imu", "rates", _default_amounts(0.2, 0.02, 0.5, 0.0)),
-    "sonar": FaultTarget("sonar", "ground_distance", _default_amounts(0.3, 0.05, 0.5, 1.0)),
-    "ring": FaultTarget("ring_camera", "ranges", _default_amounts(0.5, 0.1, 0.7, 0.3)),
-    "pressure": FaultTarget("pressure", "pressure", _default_amounts(20.0, 2.0, 1e5, 1e5)),
-    "magnetometer": FaultTarget("magnetometer", "magnetic_field", _default_amounts(2e-5, 1e-6, 2e-5, 0.0)),
-    "rotor_speed": FaultTarget("rotor_speed", "rotor_speed", _default_amounts(50.0, 5.0, 200.0, 0.0)),
-    "battery": FaultTarget("battery", "battery_voltage", _default_amounts(1.0, 0.1, 6.0, 6.0)),
-    "position": FaultTarget("position_fix", "position_fix", _default_amounts(0.5, 0.1, 0.5, 0.0)),
+    row.fault: FaultTarget(sensor, row.name, _default_amounts(*row.fault_amounts))
+    for sensor, rows in SENSORS.items()
+    for row in rows
+    if row.fault
 }
 """What can be wrong about what."""
 

@@ -51,6 +51,7 @@ from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import ImuParameters as ImuTable
 from mufly.vehicle.sensor_schema import VibrationParameters
+from mufly.world import World
 
 _Array = NDArray[np.float64]
 _TRIPOD_ELEVATION = math.asin(math.sqrt(1 / 3))  # of the shaking above the horizon: all axes share alike
@@ -72,18 +73,15 @@ class Imu(Sensor):
     ----------
     table : mufly.vehicle.sensor_schema.ImuParameters
     vehicle : Vehicle
+    world : World
     rng : numpy.random.Generator
         All that is random: errors of this unit, directions and phases of the shaking, noise.
-    hover_rad_s : (2,) array, optional
-        Rotor speeds for which the file gives the shaking; by default those of the trimmed vehicle.
     """
 
-    def __init__(
-        self, table: ImuTable, vehicle: Vehicle, rng: np.random.Generator, hover_rad_s: _Array | None = None
-    ) -> None:
+    def __init__(self, table: ImuTable, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         imu = table
         self._rng, self._imu = rng, imu
-        hover = np.asarray(find_trim(vehicle).state[ROTOR_SPEEDS] if hover_rad_s is None else hover_rad_s)
+        hover = find_trim(vehicle).state[ROTOR_SPEEDS]  # for which the file gives the shaking
         shake = imu.vibration
         self._vibration_numbers = np.array(
             [float(q) for q in (shake.once, shake.twice, shake.passing, shake.resonance, shake.damping)]

@@ -24,6 +24,7 @@ from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import MagnetometerParameters
+from mufly.world import World
 
 _Array = NDArray[np.float64]
 _DISTORTION_WAVES = 64
@@ -78,8 +79,9 @@ class MagnetometerSensor(PeriodicSensor):
 
     published_readings = {"magnetic_field": slice(0, 3)}  # noqa: RUF012
     sample_function = _sample_magnetic_field
+    argument_dimensions = (1, 2, 3)
 
-    def __init__(self, table: MagnetometerParameters, vehicle: Vehicle, rng: np.random.Generator) -> None:
+    def __init__(self, table: MagnetometerParameters, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         m = table
         self.earth_field_T = earth_field(float(m.field), float(m.inclination))
         self._waves = rng.standard_normal((_DISTORTION_WAVES, 3)) / float(m.distortion_length)

@@ -98,10 +98,13 @@ class PeriodicSensor(Sensor):
         Measures: ``sample_function(t, x, attitude, supply, source, parts, row)`` with time (s), true state (21,), true
         attitude (3,), voltage and current of the battery (2,), what to draw from, and the row to be written to from
         :data:`IS_VALID` on; returns how long it takes until that is known (s), or :data:`NO_MEASUREMENT`.
+    argument_dimensions : tuple of int
+        Dimensions of each array of ``parts``: those of a sensor that is not there, so that all vehicles share one code.
     """
 
     published_readings: Mapping[str, int | slice]
     sample_function: ClassVar[Callable[..., float]]
+    argument_dimensions: ClassVar[tuple[int, ...]]
 
     def __init__(
         self, period_s: float, rng: np.random.Generator, parts: tuple[Any, ...], longest_s: float = 0.0

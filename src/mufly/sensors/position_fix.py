@@ -30,6 +30,7 @@ from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import PositionFixParameters
+from mufly.world import World
 
 _Array = NDArray[np.float64]
 # Of its numbers: chance of none, jitter, latency, time of wandering (s), white noise (4)
@@ -66,8 +67,9 @@ class PositionFixSensor(PeriodicSensor):
 
     published_readings = {"position_fix": slice(0, 4)}  # noqa: RUF012
     sample_function = _sample_position_fix
+    argument_dimensions = (1, 1, 1)
 
-    def __init__(self, table: PositionFixParameters, vehicle: Vehicle, rng: np.random.Generator) -> None:
+    def __init__(self, table: PositionFixParameters, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         f = table
         jitter, latency = float(f.jitter), float(f.latency)
         white = [*[float(f.noise)] * 3, float(f.heading_noise)]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics.model_state import RS_POS, RS_SPEED_LOWER, RS_SPEED_UPPER
 from mufly.numba_cache import cached_njit
+from mufly.sensor_table import READINGS
 from mufly.sensors.periodic import (
     FIRST_VALUE,
     IS_VALID,
@@ -31,10 +32,11 @@ from mufly.sensors.rng import draw_normals
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import PressureSensorParameters
+from mufly.world import World
 
 _Array = NDArray[np.float64]
 
-STANDARD_PRESSURE_PA = 101_325.0
+STANDARD_PRESSURE_PA = READINGS["pressure"].filter_offset
 # Of its numbers: noise (Pa), delay, time of the drift (s), weight of the air (N/m3), share of the loading of the discs,
 # loading of each disc over its speed's square
 _NOISE, _DELAY, _DRIFT_TIME, _WEIGHT, _DOWNWASH, _LOADING_UPPER, _LOADING_LOWER = range(7)
@@ -72,8 +74,11 @@ class PressureSensor(PeriodicSensor):
 
     published_readings = {"pressure": 0}  # noqa: RUF012
     sample_function = _sample_pressure
+    argument_dimensions = (1, 1, 1, 1)
 
-    def __init__(self, table: PressureSensorParameters, vehicle: Vehicle, rng: np.random.Generator) -> None:
+    def __init__(
+        self, table: PressureSensorParameters, vehicle: Vehicle, world: World, rng: np.random.Generator
+    ) -> None:
         p = table
         density, radius = float(vehicle.air.density), float(vehicle.rotors.radius)
         # T / A = rho c_T R^2 Omega^2 of each rotor, by the definition of c_T

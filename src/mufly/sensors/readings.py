@@ -93,30 +93,6 @@ class Reading(NamedTuple):
     covariance: _Array | None = None
 
 
-class ReadingKind(NamedTuple):
-    """Unit and components of a reading."""
-
-    unit: str
-    components: tuple[str, ...] = ()
-
-
-READING_KINDS: Mapping[str, ReadingKind] = {
-    "acceleration": ReadingKind("m/s^2", ("x", "y", "z")),
-    "rates": ReadingKind("rad/s", ("p", "q", "r")),
-    "clipping": ReadingKind("1", ("x", "y", "z")),
-    "temperature": ReadingKind("K"),
-    "ground_distance": ReadingKind("m"),
-    "ranges": ReadingKind("m"),
-    "pressure": ReadingKind("Pa"),
-    "magnetic_field": ReadingKind("T", ("x", "y", "z")),
-    "rotor_speed": ReadingKind("rad/s", ("upper", "lower")),
-    "battery_voltage": ReadingKind("V"),
-    "battery_current": ReadingKind("A"),
-    "position_fix": ReadingKind("m", ("N", "E", "D", "heading")),
-}
-"""What the sensors of a vehicle say. The heading of a fix is in rad; ranges are as many as the ring has beams."""
-
-
 @dataclass(frozen=True, slots=True)
 class Readings:
     """The latest of every sensor, at one instant.

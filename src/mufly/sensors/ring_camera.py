@@ -178,6 +178,7 @@ class RingCamera(PeriodicSensor):
     """Reads ``ranges`` (n,): distance along each beam of the ring (m), its greatest range where nothing was decoded."""
 
     sample_function = _sample_ranges
+    argument_dimensions = (1, 1, 2, 2, 2, 1, 1, 1, 1, 1, 2, 2)
 
     def __init__(self, table: RingTable, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         c = table

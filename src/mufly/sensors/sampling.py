@@ -1,4 +1,4 @@
-"""All sensors that measure every so often, asked in one compiled call, as a loop over many periods does.
+"""All sensors that measure every so often, sampled in one compiled call, as a loop over many periods does.
 
 Nothing is computed here that :meth:`mufly.sensors.periodic.PeriodicSensor.read` does not do with the same functions.
 """
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.numba_cache import cached_njit
-from mufly.sensors.electrical import BackEmfSensor, BatterySensor
-from mufly.sensors.magnetometer import MagnetometerSensor
+from mufly.numba_intrinsics import borrow_arrays
+from mufly.sensor_table import SENSORS
 from mufly.sensors.periodic import (
     NEXT_SAMPLE,
     NO_MEASUREMENT,
@@ -23,39 +23,16 @@ from mufly.sensors.periodic import (
     advance_if_due,
     publish_if_due,
 )
-from mufly.sensors.position_fix import PositionFixSensor
-from mufly.sensors.pressure import PressureSensor
 from mufly.sensors.readings import Sensor
-from mufly.sensors.ring_camera import RingCamera
-from mufly.sensors.sonar import UltrasonicSensor
+from mufly.sensors.sensor_suite import SENSOR_CLASSES
 
 _Array = NDArray[np.float64]
 
-SAMPLED_SENSORS: tuple[type[PeriodicSensor], ...] = (
-    UltrasonicSensor, RingCamera, PressureSensor, MagnetometerSensor, BackEmfSensor, BatterySensor, PositionFixSensor,
-)  # fmt: skip
+_SAMPLED = {name: kind for name, kind in SENSOR_CLASSES.items() if issubclass(kind, PeriodicSensor)}
+SAMPLED_SENSORS: tuple[type[PeriodicSensor], ...] = tuple(_SAMPLED.values())
 """Sensors that :func:`sample_all` knows, in its order."""
-_SONAR, _RING, _PRESSURE, _MAGNET, _ROTOR, _BATTERY, _FIX = range(len(SAMPLED_SENSORS))
-# How many axes the arrays of each have that is not there: one compiled code for all vehicles.
-_ARGUMENT_DIMENSIONS = (
-    (1, 1, 2, 2, 2, 1),
-    (1, 1, 2, 2, 2, 1, 1, 1, 1, 1, 2, 2),
-    (1, 1, 1, 1),
-    (1, 2, 3),
-    (1,),
-    (1,),
-    (1, 1, 1),
-)
-
-(
-    _sample_sonar,
-    _sample_ring,
-    _sample_pressure,
-    _sample_magnetic_field,
-    _sample_rotor_speeds,
-    _sample_battery,
-    _sample_position_fix,
-) = (kind.sample_function for kind in SAMPLED_SENSORS)
+SAMPLED_READINGS = tuple(-1 if (k := SENSORS[name][0].filter_index) is None else k for name in _SAMPLED)
+"""Place of the first reading of each in the tables of the filter; -1 where the filter does not take it."""
 
 
 def sampling_table(
@@ -67,9 +44,10 @@ def sampling_table(
     Until somebody writes when, none is asked.
     """
     none = (np.zeros(3), np.zeros(2, dtype=np.int64), np.zeros((2, 4)), np.zeros(1, dtype=np.uint64))
+    absent = [tuple(np.zeros((1,) * n) for n in kind.argument_dimensions) for kind in SAMPLED_SENSORS]
     parts = tuple(
-        sensors[k].sampling_arguments if k in sensors else (*none, tuple(np.zeros((1,) * n) for n in axes))  # type: ignore[attr-defined]
-        for k, axes in enumerate(_ARGUMENT_DIMENSIONS)
+        sensors[k].sampling_arguments if k in sensors else (*none, absent[k])  # type: ignore[attr-defined]
+        for k in range(len(absent))
     )
     wide, count = max(rows.shape[1] for _, _, rows, *_ in parts), len(SAMPLED_SENSORS)
     return np.full(count, math.inf), np.zeros(count, np.uint8), np.zeros((count, wide)), parts
@@ -83,6 +61,44 @@ def _publish_to(t: float, wait: float, clock: _Array, counts: NDArray[np.int64],
     for j in range(rows.shape[1]):
         told[j] = rows[0, j]
     return True
+
+
+@cached_njit(inline="always")
+def _sample_none(
+    t: float,
+    x: _Array,
+    attitude: _Array,
+    supply: _Array,
+    quiet: _Array,
+    came: NDArray[np.uint8],
+    told: _Array,
+    all_parts: tuple[Any, ...],
+) -> None:
+    """Sample no sensor."""
+
+
+def _append_sensor(sample_others: Any, k: int, sample: Any) -> Any:
+    """Return a function that samples the sensors before and then sensor ``k``.
+
+    Each has arrays of other types and a function of its own, so that a compiled loop over them is none.
+    """
+
+    @cached_njit(error_model="numpy", inline="always")
+    def sample_in_turn(t, x, attitude, supply, quiet, came, told, all_parts):  # type: ignore[no-untyped-def]
+        sample_others(t, x, attitude, supply, quiet, came, told, all_parts)
+        if t >= quiet[k]:
+            clock, counts, rows, source, parts = all_parts[k]
+            wait = NO_MEASUREMENT
+            if advance_if_due(t, clock):
+                wait = sample(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING]])
+            came[k], quiet[k] = _publish_to(t, wait, clock, counts, rows, told[k]), clock[NEXT_SAMPLE]
+
+    return sample_in_turn
+
+
+_sample_in_turn = _sample_none
+for _k, _kind in enumerate(SAMPLED_SENSORS):
+    _sample_in_turn = _append_sensor(_sample_in_turn, _k, _kind.sample_function)
 
 
 @cached_njit(error_model="numpy")
@@ -111,67 +127,12 @@ def sample_all(
     all_parts : tuple
         The last of :func:`sampling_table`.
     """
-    # One after the other, though alike: a loop would take every array of every sensor into its hands in every period,
-    # and each is counted (counting costs more than asking).
+    # Counting references to the arrays of the caller costs more than sampling.
+    x, attitude, supply, quiet = borrow_arrays((x, attitude, supply, quiet))
+    came, told, all_parts = borrow_arrays((came, told, all_parts))
     for k in range(came.size):
         came[k] = 0
-    if t >= quiet[_SONAR]:
-        clock, counts, rows, source, parts = all_parts[_SONAR]
-        wait = NO_MEASUREMENT
-        if advance_if_due(t, clock):
-            wait = _sample_sonar(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING]])
-        came[_SONAR], quiet[_SONAR] = (
-            _publish_to(t, wait, clock, counts, rows, told[_SONAR]),
-            clock[NEXT_SAMPLE],
-        )
-    if t >= quiet[_RING]:
-        clock, counts, rows, source, parts = all_parts[_RING]
-        wait = NO_MEASUREMENT
-        if advance_if_due(t, clock):
-            wait = _sample_ring(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING]])
-        came[_RING], quiet[_RING] = _publish_to(t, wait, clock, counts, rows, told[_RING]), clock[NEXT_SAMPLE]
-    if t >= quiet[_PRESSURE]:
-        clock, counts, rows, source, parts = all_parts[_PRESSURE]
-        wait = NO_MEASUREMENT
-        if advance_if_due(t, clock):
-            wait = _sample_pressure(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING]])
-        came[_PRESSURE], quiet[_PRESSURE] = (
-            _publish_to(t, wait, clock, counts, rows, told[_PRESSURE]),
-            clock[NEXT_SAMPLE],
-        )
-    if t >= quiet[_MAGNET]:
-        clock, counts, rows, source, parts = all_parts[_MAGNET]
-        wait = NO_MEASUREMENT
-        if advance_if_due(t, clock):
-            wait = _sample_magnetic_field(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING]])
-        came[_MAGNET], quiet[_MAGNET] = (
-            _publish_to(t, wait, clock, counts, rows, told[_MAGNET]),
-            clock[NEXT_SAMPLE],
-        )
-    if t >= quiet[_ROTOR]:
-        clock, counts, rows, source, parts = all_parts[_ROTOR]
-        wait = NO_MEASUREMENT
-        if advance_if_due(t, clock):
-            wait = _sample_rotor_speeds(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING]])
-        came[_ROTOR], quiet[_ROTOR] = (
-            _publish_to(t, wait, clock, counts, rows, told[_ROTOR]),
-            clock[NEXT_SAMPLE],
-        )
-    if t >= quiet[_BATTERY]:
-        clock, counts, rows, source, parts = all_parts[_BATTERY]
-        wait = NO_MEASUREMENT
-        if advance_if_due(t, clock):
-            wait = _sample_battery(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING]])
-        came[_BATTERY], quiet[_BATTERY] = (
-            _publish_to(t, wait, clock, counts, rows, told[_BATTERY]),
-            clock[NEXT_SAMPLE],
-        )
-    if t >= quiet[_FIX]:
-        clock, counts, rows, source, parts = all_parts[_FIX]
-        wait = NO_MEASUREMENT
-        if advance_if_due(t, clock):
-            wait = _sample_position_fix(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING]])
-        came[_FIX], quiet[_FIX] = _publish_to(t, wait, clock, counts, rows, told[_FIX]), clock[NEXT_SAMPLE]
+    _sample_in_turn(t, x, attitude, supply, quiet, came, told, all_parts)
     wakes = math.inf
     for k in range(quiet.size):
         wakes = min(wakes, quiet[k])

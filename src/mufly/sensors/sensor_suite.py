@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler
 from mufly.errors import InputError
+from mufly.sensor_table import SENSORS
 from mufly.sensors.electrical import BackEmfSensor, BatterySensor
 from mufly.sensors.faults import Fault, FaultySensor
 from mufly.sensors.imu import Imu
@@ -23,17 +24,13 @@ from mufly.sensors.sonar import UltrasonicSensor
 from mufly.vehicle import Vehicle
 from mufly.world import World
 
-SENSOR_TABLES = (
-    "imu",
-    "sonar",
-    "ring_camera",
-    "pressure",
-    "magnetometer",
-    "rotor_speed",
-    "battery",
-    "position_fix",
-)
-"""Tables of ``[sensors]``, in the order in which their random numbers are drawn."""
+SENSOR_CLASSES: dict[str, type[Any]] = {
+    "imu": Imu, "sonar": UltrasonicSensor, "ring_camera": RingCamera, "pressure": PressureSensor,
+    "magnetometer": MagnetometerSensor, "rotor_speed": BackEmfSensor, "battery": BatterySensor,
+    "position_fix": PositionFixSensor,
+}  # fmt: skip
+"""Class of each sensor of :data:`mufly.sensor_table.SENSORS`."""
+_LEGS_STREAM = 16  # of the random numbers; no sensor draws from it, however many there are
 
 
 class FittedSensors(SensorSet):
@@ -44,7 +41,7 @@ class FittedSensors(SensorSet):
     vehicle : str
         Its name, for messages.
     fitted : mapping
-        Name of :data:`SENSOR_TABLES` to sensor.
+        Name of :data:`SENSOR_CLASSES` to sensor.
     """
 
     def __init__(self, vehicle: str, fitted: Mapping[str, FaultySensor]) -> None:
@@ -96,7 +93,7 @@ def fitted_sensors(
     *,
     seed: int = 0,
     faults: Iterable[Fault] = (),
-    only: Iterable[str] = SENSOR_TABLES,
+    only: Iterable[str] = SENSORS,
     instead: Mapping[str, Sensor] | None = None,
 ) -> FittedSensors:
     """Return the sensors that a vehicle's file names, with errors.
@@ -113,9 +110,9 @@ def fitted_sensors(
     faults : iterable of Fault
         What goes wrong, and when.
     only : iterable of str
-        Names of :data:`SENSOR_TABLES`.
+        Names of :data:`SENSOR_CLASSES`.
     instead : mapping, optional
-        Name of :data:`SENSOR_TABLES` to a sensor in place of its own.
+        Name of :data:`SENSOR_CLASSES` to a sensor in place of its own.
 
     Raises
     ------
@@ -130,15 +127,16 @@ def fitted_sensors(
             "add one (docs/sensors.md), or fly on ideal sensors",
         )
     wanted = set(only)
-    streams = np.random.SeedSequence(seed).spawn(2 * len(SENSOR_TABLES))
+    keys = (k for k in range(2 * len(SENSORS) + 1) if k != _LEGS_STREAM)
+    streams = [np.random.SeedSequence(seed, spawn_key=(k,)) for k in keys]
     made: dict[str, FaultySensor] = {}
-    for k, name in enumerate(SENSOR_TABLES):
+    for k, name in enumerate(SENSORS):
         table = getattr(vehicle.sensors, name)
         if table is None or name not in wanted:
             continue
         other = (instead or {}).get(name)
         own = np.random.default_rng(streams[2 * k])
-        sensor = _make_sensor(name, table, vehicle, world, own) if other is None else other
+        sensor = SENSOR_CLASSES[name](table, vehicle, world, own) if other is None else other
         made[name] = FaultySensor(sensor, (), np.random.default_rng(streams[2 * k + 1]))
     fitted = FittedSensors(vehicle.name, made)
     for fault in faults:
@@ -162,24 +160,8 @@ def draw_leaning_vehicle(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
     """
     if vehicle.sensors is None or vehicle.sensors.imu is None or float(vehicle.sensors.imu.level) == 0.0:
         return vehicle
-    own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2 * len(SENSOR_TABLES),)))
+    own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_LEGS_STREAM,)))
     roll, pitch = float(vehicle.sensors.imu.level) * own.standard_normal(2)
     legs = vehicle.contact.legs.to_array() @ body_to_ned_matrix(quaternion_from_euler(roll, pitch, 0.0))
     tips = vehicle.contact.legs.model_copy(update={"value": tuple((float(x), float(y), float(z)) for x, y, z in legs)})
     return vehicle.model_copy(update={"contact": vehicle.contact.model_copy(update={"legs": tips})})
-
-
-def _make_sensor(name: str, table: Any, vehicle: Vehicle, world: World, rng: np.random.Generator) -> Sensor:
-    match name:
-        case "sonar":
-            return UltrasonicSensor(table, vehicle, world, rng)
-        case "ring_camera":
-            return RingCamera(table, vehicle, world, rng)
-        case _:
-            return _WORLDLESS_SENSORS[name](table, vehicle, rng)
-
-
-_WORLDLESS_SENSORS: dict[str, Callable[[Any, Vehicle, np.random.Generator], Sensor]] = {
-    "imu": Imu, "pressure": PressureSensor, "magnetometer": MagnetometerSensor, "rotor_speed": BackEmfSensor,
-    "battery": BatterySensor, "position_fix": PositionFixSensor,
-}  # fmt: skip

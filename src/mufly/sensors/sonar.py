@@ -94,6 +94,7 @@ class UltrasonicSensor(PeriodicSensor):
 
     published_readings = {"ground_distance": 0}  # noqa: RUF012
     sample_function = _sample_echo
+    argument_dimensions = (1, 1, 2, 2, 2, 1)
 
     def __init__(self, table: SonarParameters, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         s, half = table, 0.5 * float(table.cone)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import body_to_ned_matrix
 from mufly.link.codec import GlobalOrigin, MavMessage
-from mufly.link.estimate_messages import CHECKS_ARRAY_NAME
+from mufly.link.estimate_messages import CHECKS_ARRAY_NAME, TEST_RATIOS
 from mufly.link.telemetry_streams import MISSION_STATES, REAL_TIME_FACTOR_NAME, SLIPS_NAME
 from mufly.quantities import CHECKED_READINGS, mavlink_columns, quantities_recorded_in
 from mufly.station.signal_history import SLOW_SIGNAL_TIMEOUT_S, PresentSignals, SignalHistory, unknown_values
@@ -39,7 +39,6 @@ _BODY_FRAME = 12  # MAV_FRAME_BODY_FRD
 _OLD_BODY_FRAME = 8  # MAV_FRAME_BODY_NED, as older PX4s say
 _LEVEL_FRAMES = (1, 20)  # MAV_FRAME_LOCAL_NED; MAV_FRAME_LOCAL_FRD, level too
 _DIAGONAL_INDICES = (0, 6, 11, 15, 18, 20)  # of a 6 x 6 upper triangle, row by row
-_RATIO_NAMES = ("velocity", "position", "height", "magnetometer", "height above ground", "airspeed")
 _MISSING_ESTIMATE_FLAGS = ((1, "attitude"), (2, "velocity"), (32, "height"), (8 | 16, "position"))
 _FAULT_FLAGS = ((1024, "GPS glitch"), (2048, "accelerometer wrong"), (128, "position is held constant"))
 """ESTIMATOR_STATUS_FLAGS: what is not known without them, and what is wrong with them."""
@@ -335,11 +334,10 @@ class VehicleTelemetry:
         )
 
     def _read_estimator_status(self, now_s: float, m: MavMessage) -> None:
-        ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio, m.hagl_ratio, m.tas_ratio)
         self.estimator_status = EstimatorStatus(
             now_s,
             m.flags,
-            tuple(zip(_RATIO_NAMES, ratios, strict=True)),
+            tuple((words, getattr(m, field)) for field, (_, words) in TEST_RATIOS.items()),
             m.pos_horiz_accuracy,
             m.pos_vert_accuracy,
         )

@@ -16,13 +16,9 @@ from mufly.estimate.filter_records import (
     EX_GYRO_BIAS,
     R_ACCELERATION,
     R_BATTERY,
-    R_FIX,
-    R_MAGNET,
-    R_PRESSURE,
     R_RATES,
     R_RING,
-    R_ROTOR,
-    R_SONAR,
+    READING_OFFSETS,
     READING_STARTS,
     READING_WIDTHS,
     SENSOR_COUNT,
@@ -37,10 +33,9 @@ from mufly.numba_cache import cached_njit
 from mufly.numba_intrinsics import borrow_arrays, call_c_function
 from mufly.sensors.imu import GYRO, simulate_imu_period
 from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, MEASURED_TIME
-from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 from mufly.sensors.readings import measure_ranges
 from mufly.sensors.rng import draw_normals
-from mufly.sensors.sampling import sample_all
+from mufly.sensors.sampling import SAMPLED_READINGS, sample_all
 
 _Array = NDArray[np.float64]
 
@@ -136,8 +131,6 @@ HEARD_OUT = HEARD_ATT + 3
 HEARD_RATES = HEARD_OUT + STATE_COUNT
 HEARD_ANGLES = HEARD_RATES + 3
 LISTENER_ROW_SIZE = HEARD_ANGLES + 3
-# Places of the sensors of ``sample_all`` in the filter's tables
-_SAMPLED_READINGS = (R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_BATTERY, R_FIX)
 
 
 @cached_njit(error_model="numpy")
@@ -156,9 +149,9 @@ def _fill_readings(
 ) -> bool:
     """Lay what sensors said into the filter's row (:meth:`KalmanEstimator.hear`); whether it was a picture."""
     seen = False
-    for k in range(7):
-        r = _SAMPLED_READINGS[k]
-        if came[k] == 0 or fitted[r] == 0 or told[k, MEASURED_TIME] == taken[r]:
+    for k in range(len(SAMPLED_READINGS)):
+        r = SAMPLED_READINGS[k]
+        if came[k] == 0 or r < 0 or fitted[r] == 0 or told[k, MEASURED_TIME] == taken[r]:
             continue
         row = told[k]
         taken[r] = row[MEASURED_TIME]
@@ -176,11 +169,9 @@ def _fill_readings(
                 )
                 a, b, c = pictures[0, j], pictures[1, j], pictures[2, j]
                 ranges[j] = max(min(a, b), min(max(a, b), c))
-        elif r == R_PRESSURE:
-            z[start] = row[FIRST_VALUE] - STANDARD_PRESSURE_PA
         else:
             for j in range(READING_WIDTHS[r]):
-                z[start + j] = row[FIRST_VALUE + j]
+                z[start + j] = row[FIRST_VALUE + j] - READING_OFFSETS[r]
     return seen
 
 

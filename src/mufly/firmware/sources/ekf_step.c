@@ -344,78 +344,6 @@ static void predict_bias(estimator_t *m, const estimator_settings_t *s)
     }
 }
 
-/* Predict the bias of the fix to the horizon; N and E over the same time. */
-static void predict_fix_bias(estimator_t *m, const estimator_settings_t *s)
-{
-    for (int32_t k = EX_FIX_BIAS; k <= EX_FIX_HEADING; k++) {
-        real_t keep = REAL(1.0);
-        real_t by = s->decay[k];
-        real_t q;
-
-        for (int32_t blocks = (m->horizon_tick - m->fix_bias_tick) / s->block_ticks; blocks > 0; blocks /= 2) {
-            if ((blocks % 2) == 1) {
-                keep *= by;
-            }
-            by *= by;
-        }
-        m->x[k + 1] *= keep;
-        q = (s->initial_sigma[k] * s->initial_sigma[k]) * (REAL(1.0) - (keep * keep));
-        if (q > REAL(0.0)) {
-            gauss_markov_update(m, k, keep, q);
-        }
-    }
-    m->fix_bias_tick = m->horizon_tick;
-}
-
-/* Return the cost of a measurement in scalar ones; of the ring as many beams as there is time for. */
-static int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, int32_t kind, int32_t left)
-{
-    const int32_t beams = s->beam_count - m->next_beam;
-    int32_t cost = 1;
-
-    if (kind == R_FIX) {
-        cost = (m->fix_bias_tick < m->horizon_tick) ? COST_FIX_BIAS : COST_FIX;
-    } else if (kind == R_RING) {
-        cost = (beams < left) ? beams : left;
-        cost = (cost > 1) ? cost : 1;
-    } else {
-        /* a scalar one */
-    }
-    return cost;
-}
-
-/* Fuse queued measurement i, or a part of it; return whether all of it is fused. */
-static bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, int32_t cost)
-{
-    const real_t *z = m->queue_value[i];
-    const real_t ahead = m->queue_ahead[i];
-    bool all = true;
-
-    switch (m->queue_sensor[i]) {
-    case R_FIX:
-        if (m->fix_bias_tick < m->horizon_tick) {
-            predict_fix_bias(m, s);
-            all = false;
-        } else {
-            fuse_position_fix(m, s, z, ahead);
-        }
-        break;
-    case R_SONAR:
-        fuse_sonar_range(m, s, z, ahead);
-        break;
-    case R_RING:
-        all = fuse_wall_ranges(m, s, z, ahead, cost);
-        break;
-    case R_PRESSURE:
-        fuse_pressure_height(m, s, z, ahead);
-        break;
-    default:
-        fuse_magnetic_heading(m, s, z, ahead);
-        break;
-    }
-    return all;
-}
-
 /* Return the first queued measurement of the horizon by its sensor, -1 without one; drop those due if it lags too
  * far. */
 static int32_t next_measurement(estimator_t *m, const estimator_settings_t *s)
@@ -671,11 +599,12 @@ static void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, 
 static void queue_new_measurements(estimator_t *m, const estimator_settings_t *s, const real_t z[VALUE_COUNT],
                      const int32_t fresh[SENSOR_COUNT], const real_t age[SENSOR_COUNT])
 {
-    for (int32_t kind = R_SONAR; kind <= R_FIX; kind++) {
-        if ((kind != R_ROTOR) && (fresh[kind] == 1) && (m->is_decimated[kind] <= 0)) {
+    for (int32_t i = 0; i < QUEUED_COUNT; i++) {
+        const int32_t kind = QUEUED_READINGS[i];
+
+        if ((fresh[kind] == 1) && (m->is_decimated[kind] <= 0)) {
             /* The state of tick k belongs to k dt - lag. */
-            const real_t settling = (kind == R_PRESSURE) ? s->latency[kind] : REAL(0.0);
-            const real_t at = (real_t)m->tick + (((s->imu_lag - age[kind]) - settling) / s->dt);
+            const real_t at = (real_t)m->tick + ((s->imu_lag - age[kind]) / s->dt);
 
             if (!queue_measurement(m, s, kind, at, &z[READING_STARTS[kind]])) {
                 m->late_count[kind] += 1;

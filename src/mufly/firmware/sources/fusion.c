@@ -197,7 +197,8 @@ static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
     inflate_variance(m, EX_ATT + 2, nu * nu);
 }
 
-void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
+/* Fuse position and heading of a fix; no height while it disagrees with the sonar. */
+static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
 {
     const int32_t k = R_FIX;
     bool down = true;
@@ -356,7 +357,8 @@ static bool sonar_stuck(estimator_t *m, const estimator_settings_t *s, real_t z,
     return (m->sonar_repeat_chance < MAX_STUCK_CHANCE) && same;
 }
 
-void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
+/* Fuse the range to the surface below; a step that no other sensor sees belongs to the terrain. */
+static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
 {
     const int32_t k = R_SONAR;
     real_t r[9];
@@ -479,7 +481,8 @@ static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, 
     return best;
 }
 
-bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[MAX_FUSED_BEAMS], real_t ahead, int32_t most)
+/* Fuse at most this many beams; return whether that was the last. */
+static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[MAX_FUSED_BEAMS], real_t ahead, int32_t most)
 {
     const int32_t k = R_RING;
     const int32_t last_beam = ((m->next_beam + most) < s->beam_count) ? (m->next_beam + most) : s->beam_count;
@@ -568,7 +571,8 @@ static bool gate_drifting_aid(estimator_t *m, const estimator_settings_t *s, int
     return taken;
 }
 
-void fuse_pressure_height(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
+/* Fuse the pressure less the standard one and less the rotors' part. */
+static void fuse_pressure_height(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
 {
     const int32_t k = R_PRESSURE;
     real_t nu;
@@ -584,7 +588,8 @@ void fuse_pressure_height(estimator_t *m, const estimator_settings_t *s, const r
     }
 }
 
-void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s, const real_t z[3], real_t ahead)
+/* Fuse the heading by the direction of the magnetic field. */
+static void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s, const real_t z[3], real_t ahead)
 {
     const int32_t k = R_MAGNET;
     real_t r[9];
@@ -605,6 +610,76 @@ void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s, const 
         fuse_scalar(m, nu, s->mag_heading_variance);
         mark_fused(m, k);
     }
+}
+
+/* Predict the bias of the fix to the horizon; N and E over the same time. */
+static void predict_fix_bias(estimator_t *m, const estimator_settings_t *s)
+{
+    for (int32_t k = EX_FIX_BIAS; k <= EX_FIX_HEADING; k++) {
+        real_t keep = REAL(1.0);
+        real_t by = s->decay[k];
+        real_t q;
+
+        for (int32_t blocks = (m->horizon_tick - m->fix_bias_tick) / s->block_ticks; blocks > 0; blocks /= 2) {
+            if ((blocks % 2) == 1) {
+                keep *= by;
+            }
+            by *= by;
+        }
+        m->x[k + 1] *= keep;
+        q = (s->initial_sigma[k] * s->initial_sigma[k]) * (REAL(1.0) - (keep * keep));
+        if (q > REAL(0.0)) {
+            gauss_markov_update(m, k, keep, q);
+        }
+    }
+    m->fix_bias_tick = m->horizon_tick;
+}
+
+int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, int32_t kind, int32_t left)
+{
+    const int32_t beams = s->beam_count - m->next_beam;
+    int32_t cost = 1;
+
+    if (kind == R_FIX) {
+        cost = (m->fix_bias_tick < m->horizon_tick) ? COST_FIX_BIAS : COST_FIX;
+    } else if (kind == R_RING) {
+        cost = (beams < left) ? beams : left;
+        cost = (cost > 1) ? cost : 1;
+    } else {
+        /* a scalar one */
+    }
+    return cost;
+}
+
+bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, int32_t cost)
+{
+    const real_t *z = m->queue_value[i];
+    const real_t ahead = m->queue_ahead[i];
+    bool all = true;
+
+    switch (m->queue_sensor[i]) {
+    case R_FIX:
+        if (m->fix_bias_tick < m->horizon_tick) {
+            predict_fix_bias(m, s);
+            all = false;
+        } else {
+            fuse_position_fix(m, s, z, ahead);
+        }
+        break;
+    case R_SONAR:
+        fuse_sonar_range(m, s, z, ahead);
+        break;
+    case R_RING:
+        all = fuse_wall_ranges(m, s, z, ahead, cost);
+        break;
+    case R_PRESSURE:
+        fuse_pressure_height(m, s, z, ahead);
+        break;
+    default:
+        fuse_magnetic_heading(m, s, z, ahead);
+        break;
+    }
+    return all;
 }
 
 void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t i)

@@ -4,16 +4,10 @@
 
 #include "records.h"
 
-/* Fuse position and heading of a fix; no height while it disagrees with the sonar. */
-void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead);
-/* Fuse the range to the surface below; a step that no other sensor sees belongs to the terrain. */
-void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead);
-/* Fuse at most this many beams; return whether that was the last. */
-bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[MAX_FUSED_BEAMS], real_t ahead, int32_t most);
-/* Fuse the pressure less the standard one and less the rotors' part. */
-void fuse_pressure_height(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead);
-/* Fuse the heading by the direction of the magnetic field. */
-void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s, const real_t z[3], real_t ahead);
+/* Return the cost of a measurement in scalar ones; of the ring as many beams as there is time for. */
+int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, int32_t kind, int32_t left);
+/* Fuse queued measurement i, or as much of it as cost pays for; return whether all of it is fused. */
+bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, int32_t cost);
 
 /* Fuse accelerometers less model along axis i, a mean over count periods: biases, thrust, wind, velocity. */
 void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t i);

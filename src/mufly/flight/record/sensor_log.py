@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from mufly.control import design_flight_controller
 from mufly.flight.simulated_flight import RANGE_RING_RATE_HZ, FlightProgress, fly_mission
 from mufly.mission import Mission
+from mufly.quantities import DIMENSION_LABELS
 from mufly.result_figure import enable_notebook_display
 from mufly.results import result
+from mufly.sensor_table import READINGS
 from mufly.sensors import (
-    READING_KINDS,
     Fault,
     Reading,
     Readings,
@@ -64,8 +65,10 @@ class ReadingLog:
 
     def component_labels(self) -> Sequence[str]:
         """Names of the components."""
-        known = READING_KINDS[self.name].components
-        return known or ([str(k) for k in range(self.value[0].size)] if self.value[0].size > 1 else [""])
+        known = DIMENSION_LABELS.get(READINGS[self.name].dim or "", ())
+        return tuple(map(str, known)) or (
+            [str(k) for k in range(self.value[0].size)] if self.value[0].size > 1 else [""]
+        )
 
 
 @result
@@ -201,7 +204,7 @@ def reading_errors(log: ReadingLog) -> ReadingErrors:
         name=log.name, count=len(log.came_s), rate_Hz=(len(log.came_s) - 1) / span,
         delay_s=float(np.mean(np.array(log.came_s) - np.array(log.taken_s))),
         invalid=1.0 - float(np.mean(log.valid)), mean=float(some.mean()), deviation=float(some.std()),
-        worst=float(np.abs(some).max()), unit=READING_KINDS[log.name].unit,
+        worst=float(np.abs(some).max()), unit=READINGS[log.name].unit,
     )  # fmt: skip
 
 
@@ -226,7 +229,7 @@ def draw_sensors(logs: Mapping[str, ReadingLog]) -> Figure:
         if bad.any():
             for x in t[bad]:
                 ax.axvline(x, color="0.8", lw=0.5, zorder=0)
-        unit = READING_KINDS[log.name].unit
+        unit = READINGS[log.name].unit
         ax.set_ylabel(f"{log.name.replace('_', ' ')}\n({unit})" if unit not in ("", "1") else log.name)
         if any(log.component_labels()):
             ax.legend(loc="upper right", ncols=4, fontsize="x-small")
@@ -244,7 +247,7 @@ def write_sensor_logs(logs: Mapping[str, ReadingLog], folder: Path) -> list[Path
         labels = [f"_{label}" if label else "" for label in log.component_labels()]
         heads = ["came_s", "taken_s", "valid", *(f"said{x}" for x in labels), *(f"true{x}" for x in labels)]
         table = np.column_stack([log.came_s, log.taken_s, log.valid, np.array(log.value), np.array(log.true)])
-        unit = READING_KINDS[log.name].unit
+        unit = READINGS[log.name].unit
         path = folder / f"{log.name}.csv"
         np.savetxt(path, table, "%.9g", ",", header=f"{log.name} in {unit}\n" + ",".join(heads), comments="# ")
         files.append(path)

@@ -1,0 +1,162 @@
+"""One table of sensors: a row for each, from which all other lists of sensors and readings are made.
+
+Recordings (:mod:`mufly.quantities`), faults (:mod:`mufly.sensors.faults`), the records of the filter
+(:mod:`mufly.estimate.filter_records`), messages, MAVLink and the page read it. A sensor has besides its model in a file
+of :mod:`mufly.sensors`, its class in :data:`mufly.sensors.sensor_suite.SENSOR_CLASSES`, its parameters in
+:mod:`mufly.vehicle.sensor_schema`, and, where it is fused, its noise in ``filter_records`` and its measurement model in
+:mod:`mufly.estimate.fusion` (docs/sensors.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingRow:
+    """One reading of a sensor.
+
+    Attributes
+    ----------
+    name, unit, dim, meaning : str
+        As in :class:`mufly.quantities.Quantity`: a recording has it as ``measured_NAME``.
+    is_timed : bool
+        Whether it is recorded with its time and validity; else it comes with the first reading of its sensor.
+    variance : (str, str) or None
+        Unit and meaning of the variance that a reading may come with.
+    column_words : str
+        Words that name columns of such readings in logs of others.
+    fault : str
+        Its name in faults (``sonar.jump=0.3@15s``); empty: it has none.
+    fault_amounts : tuple of 4 floats
+        Amounts by default: a jump, a drift (1/s), the bound that clips, a stuck value.
+    filter_index : int or None
+        Place in all tables of the filter; None where the filter does not take it.
+    filter_offset : float
+        What the filter subtracts from the reading, so that single precision holds the rest.
+    is_queued : bool
+        Whether a measurement waits for the delayed horizon of the filter, and is fused there.
+    source : str
+        Name of the sensor in messages to users.
+    supports : tuple of str
+        Estimates that it supports: ``position``, ``height``, ``tilt``, ``heading``.
+    attitude_aid : int or None
+        Place among the independent aids of the attitude, two of which contradict it when they are rejected.
+    innovation_unit : str
+        Unit of the innovation where it is not that of the reading.
+    failure_unit, status_bit : str
+        Names in MAVLink, after ``FAILURE_UNIT_`` and ``MAV_SYS_STATUS_``.
+    test_ratios : tuple of (str, str)
+        Fields of ESTIMATOR_STATUS with its test ratio, and their names on the page.
+    """
+
+    name: str
+    unit: str
+    dim: str | None = None
+    meaning: str
+    is_timed: bool = True
+    variance: tuple[str, str] | None = None
+    column_words: str = ""
+    fault: str = ""
+    fault_amounts: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    filter_index: int | None = None
+    filter_offset: float = 0.0
+    is_queued: bool = False
+    source: str = ""
+    supports: tuple[str, ...] = ()
+    attitude_aid: int | None = None
+    innovation_unit: str = ""
+    failure_unit: str = ""
+    status_bit: str = ""
+    test_ratios: tuple[tuple[str, str], ...] = ()
+
+
+SENSORS: dict[str, tuple[ReadingRow, ...]] = {
+    "imu": (
+        ReadingRow(
+            name="acceleration", unit="m/s^2", dim="body", meaning="measured specific force along the body axes",
+            fault="accelerometer", fault_amounts=(3.0, 0.3, 20.0, 0.0), column_words="accelerometer accelerometers",
+            filter_index=0, source="accelerometer", supports=("tilt",),
+            failure_unit="SENSOR_ACCEL", status_bit="SENSOR_3D_ACCEL",
+        ),
+        ReadingRow(
+            name="rates", unit="rad/s", dim="rate", meaning="measured body rates",
+            fault="gyro", fault_amounts=(0.2, 0.02, 0.5, 0.0),
+            filter_index=1, source="gyroscope", supports=("tilt", "heading"),
+            failure_unit="SENSOR_GYRO", status_bit="SENSOR_3D_GYRO",
+        ),
+        ReadingRow(
+            name="clipping", unit="1", dim="body", meaning="share of the accelerometer's samples that it clipped",
+            is_timed=False,
+        ),
+        ReadingRow(name="temperature", unit="K", meaning="temperature of the inertial unit", is_timed=False),
+    ),
+    "sonar": (
+        ReadingRow(
+            name="ground_distance", unit="m", meaning="distance to what is below, by ultrasound",
+            fault="sonar", fault_amounts=(0.3, 0.05, 0.5, 1.0), column_words="sonar",
+            filter_index=2, is_queued=True, source="sonar", supports=("height",), attitude_aid=1,
+            failure_unit="SENSOR_DISTANCE_SENSOR", test_ratios=(("hagl_ratio", "height above ground"),),
+        ),
+    ),
+    "ring_camera": (
+        ReadingRow(
+            name="ranges", unit="m", dim="beam", meaning="distance along the beams of the laser ring",
+            fault="ring", fault_amounts=(0.5, 0.1, 0.7, 0.3),
+            filter_index=3, is_queued=True, source="laser ring", supports=("position",),
+            status_bit="SENSOR_PROXIMITY",
+        ),
+    ),
+    "pressure": (
+        ReadingRow(
+            name="pressure", unit="Pa", meaning="air pressure",
+            fault="pressure", fault_amounts=(20.0, 2.0, 1e5, 1e5),
+            filter_index=4, filter_offset=101_325.0, is_queued=True, source="pressure sensor", supports=("height",),
+            failure_unit="SENSOR_BARO", test_ratios=(("pos_vert_ratio", "height"),),
+        ),
+    ),
+    "magnetometer": (
+        ReadingRow(
+            name="magnetic_field", unit="T", dim="body", meaning="magnetic field along the body axes",
+            fault="magnetometer", fault_amounts=(2e-5, 1e-6, 2e-5, 0.0),
+            column_words="mag magnetometer magnetic compass",
+            filter_index=5, is_queued=True, source="magnetometer", supports=("heading",), attitude_aid=2,
+            innovation_unit="rad",
+            failure_unit="SENSOR_MAG", status_bit="SENSOR_3D_MAG", test_ratios=(("mag_ratio", "magnetometer"),),
+        ),
+    ),
+    "rotor_speed": (
+        ReadingRow(
+            name="rotor_speed", unit="rad/s", dim="rotor", meaning="measured rotor speed",
+            fault="rotor_speed", fault_amounts=(50.0, 5.0, 200.0, 0.0),
+            filter_index=6, source="rotor speed",
+        ),
+    ),
+    "battery": (
+        ReadingRow(
+            name="battery_voltage", unit="V", meaning="battery voltage as its monitor tells it",
+            fault="battery", fault_amounts=(1.0, 0.1, 6.0, 6.0),
+            filter_index=8, source="battery monitor", failure_unit="SYSTEM_BATTERY", status_bit="SENSOR_BATTERY",
+        ),
+        ReadingRow(name="battery_current", unit="A", meaning="battery current as its monitor tells it"),
+    ),
+    "position_fix": (
+        ReadingRow(
+            name="position_fix", unit="m", dim="fix", meaning="position and heading (rad) as fixed from outside",
+            variance=("m^2", "of the position fix, by itself, where it told one (heading: rad^2)"),
+            fault="position", fault_amounts=(0.5, 0.1, 0.5, 0.0),
+            filter_index=7, is_queued=True, source="position fix", supports=("position", "height", "heading"),
+            attitude_aid=0,
+            failure_unit="SENSOR_VIO", status_bit="SENSOR_VISION_POSITION",
+            test_ratios=(("vel_ratio", "velocity"), ("pos_horiz_ratio", "position")),
+        ),
+    ),
+}  # fmt: skip
+"""Readings of each sensor by its table ``[sensors.NAME]`` of a vehicle file. Random numbers are drawn in this order:
+a new sensor comes last."""
+READINGS: dict[str, ReadingRow] = {row.name: row for rows in SENSORS.values() for row in rows}
+"""All readings by their names, in the order of the columns of a recording."""
+CHECKED: tuple[ReadingRow, ...] = tuple(
+    sorted((row for row in READINGS.values() if row.filter_index is not None), key=lambda row: row.filter_index or 0)
+)
+"""Readings that the filter takes, in the order of its tables."""
