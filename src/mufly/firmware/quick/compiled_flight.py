@@ -202,7 +202,7 @@ class CompiledFlight:
                 (*of_memory, *(self._filter.memory_array[name] for name in PUBLISHED_FIELDS[-2:])),
                 board.reason_text_numbers(),
             )
-            self._asked = sampling_table({k: one.sensor for k, one in self._sensors_by_index.items()})
+            self._sampling_arguments = sampling_table({k: one.sensor for k, one in self._sensors_by_index.items()})
             step, *held = self._filter.backend.call_addresses
             addresses += [step, self._filter.memory_array.ctypes.data, *held, *(a.ctypes.data for a in row)]
         self._call_addresses = np.array(addresses, dtype=np.int64)
