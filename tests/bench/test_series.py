@@ -259,7 +259,7 @@ def test_a_device_that_fails_for_a_while_costs_no_point_and_a_dead_one_ends_the_
     class Flaky(Watched):
         failures = 0
 
-        def gather(self, duration_s, watch):
+        def collect_samples(self, duration_s, watch):
             if self.time_s > 500.0 and self.failures < 2:
                 self.failures += 1
                 raise DeviceError("cells: silent for 0.5 s")

@@ -207,7 +207,7 @@ def test_files_come_back_as_they_were(tmp_path: Path) -> None:
     mesh = meshed("three blades")
     write_poly_mesh(mesh, tmp_path)
     again = read_poly_mesh(tmp_path)
-    for name in ("points", "faces", "owner", "neighbour", "cell_strip", "edges_m"):
+    for name in ("points", "faces", "owner", "neighbour", "cell_strip", "strip_edges_m"):
         assert np.array_equal(getattr(mesh, name), getattr(again, name))
     assert again.patches == mesh.patches
     assert again.blade_count == 3

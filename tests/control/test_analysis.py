@@ -57,7 +57,8 @@ def test_three_lags(k: float) -> None:
     loop = analyse_loop(twin([1], [1, 3, 2, 0]), gain(k))
     assert loop.stable
     assert loop.gain_margin_dB == pytest.approx(20 * np.log10(6 / k), abs=0.05)
-    assert 0.0 < loop.guaranteed_phase_margin_deg < loop.phase_margin_deg
+    # The peak of S lies on a grid of frequencies: 0.001 degrees.
+    assert 0.0 < loop.guaranteed_phase_margin_deg < loop.phase_margin_deg + 1e-3
     assert loop.gain_reduction_dB == -np.inf
 
 

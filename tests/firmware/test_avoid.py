@@ -35,7 +35,16 @@ class Twin:
         f = Firmware(design_flight_controller(load_vehicle("mufly-1.1")))
         self.ffi, self.lib = f.ffi, f.lib
         self.asked = dict.fromkeys(
-            ("begin_sight", "observe", "look_around", "blocked", "hold_off", "begin_detour", "go_round"), 0
+            (
+                "begin_path_check",
+                "insert_beam_hits",
+                "check_map_part",
+                "is_path_blocked",
+                "limit_approach_velocity",
+                "begin_detour",
+                "follow_contour",
+            ),
+            0,
         )
         for name in self.asked:
             for module in (state_machine, phases):
@@ -89,8 +98,8 @@ class Twin:
     def same_sight(self, s: avoidance.PathCheck, c) -> None:
         assert diff_fields(s, _read_path_check(c)) == []
 
-    def observe(self, memory, beams, time_s, position, attitude, ranges, first=0, count=None):
-        self.asked["observe"] += 1
+    def insert_beam_hits(self, memory, beams, time_s, position, attitude, ranges, first=0, count=None):
+        self.asked["insert_beam_hits"] += 1
         c, count = self.memory(memory), len(beams.cos) if count is None else count
         self.lib.insert_beam_hits(
             c,
@@ -107,16 +116,16 @@ class Twin:
         assert bytes(self.ffi.buffer(c.points)) == right.points.tobytes()
         return right
 
-    def begin_sight(self, position, goal, ahead=avoidance.LOOK_AHEAD_M):
-        self.asked["begin_sight"] += 1
+    def begin_path_check(self, position, goal, ahead=avoidance.LOOK_AHEAD_M):
+        self.asked["begin_path_check"] += 1
         c = self.ffi.new("path_check_t *")
         self.lib.begin_path_check(position, goal[:2], ahead, c)
         right = avoidance.begin_path_check(position, goal, ahead)
         self.same_sight(right, c)
         return right
 
-    def look_around(self, memory, sight, time_s, clearance, part=1, parts=1):
-        self.asked["look_around"] += 1
+    def check_map_part(self, memory, sight, time_s, clearance, part=1, parts=1):
+        self.asked["check_map_part"] += 1
         m, c = self.memory(memory), self.sight(sight)
         self.lib.check_map_part(m, c, time_s, clearance, part, parts)
         known, right = avoidance.check_map_part(memory, sight, time_s, clearance, part, parts)
@@ -130,12 +139,12 @@ class Twin:
             assert (far, *unit) == right.nearest_point(place)
         return known, right
 
-    def blocked(self, sight, clearance):
-        self.asked["blocked"] += 1
+    def is_path_blocked(self, sight, clearance):
+        self.asked["is_path_blocked"] += 1
         return avoidance.is_path_blocked(sight, clearance)  # look_around has compared it
 
-    def hold_off(self, sight, position, velocity, keep):
-        self.asked["hold_off"] += 1
+    def limit_approach_velocity(self, sight, position, velocity, keep):
+        self.asked["limit_approach_velocity"] += 1
         c = self._floats(velocity)
         self.lib.limit_approach_velocity(self.sight(sight), position[:2], keep, c)
         right = avoidance.limit_approach_velocity(sight, position, velocity, keep)
@@ -153,8 +162,8 @@ class Twin:
             self.same_detour(right, b)
         return right
 
-    def go_round(self, before, sight, beams, position, heading, ranges, goal, *, clearance, speed, dt):
-        self.asked["go_round"] += 1
+    def follow_contour(self, before, sight, beams, position, heading, ranges, goal, *, clearance, speed, dt):
+        self.asked["follow_contour"] += 1
         c = self.detour(before)
         self.lib.follow_contour(
             c, self.sight(sight), self.ring(beams), position, heading, self._floats(ranges), goal,
@@ -187,7 +196,9 @@ def test_flights_around_obstacles_are_the_same_in_both_languages(monkeypatch) ->
     )
     assert "blocked by an obstacle" in flight.state.reason
     assert flight.state.detour.lap_count >= 1
-    assert all(twin.asked[n] > 0 for n in ("observe", "look_around", "blocked", "go_round")), twin.asked
+    assert all(
+        twin.asked[n] > 0 for n in ("insert_beam_hits", "check_map_part", "is_path_blocked", "follow_contour")
+    ), twin.asked
 
 
 def test_scenes_drawn_at_random(monkeypatch) -> None:
@@ -201,7 +212,7 @@ def test_scenes_drawn_at_random(monkeypatch) -> None:
         rig.fly(mission, disturb=rig.gusty(seed) if seed % 2 else None, limit_s=60.0)
         flown += 1
     assert flown >= 8
-    assert twin.asked["go_round"] > 1000
+    assert twin.asked["follow_contour"] > 1000
 
 
 def _points(rng, count):
@@ -227,25 +238,29 @@ def test_any_memory_any_ring_any_detour(twin) -> None:
         if k % 7 == 0 and count:
             here = goal = tuple(memory.points[0, :3].tolist())
         attitude = rng.normal(0.0, 0.3, 3)
-        memory = twin.observe(memory, beams, rng.uniform(0.0, 60.0), np.array(here), attitude, ranges)
-        memory = twin.observe(memory, beams, 50.0, np.array(goal), attitude, ranges, len(ranges) // 2, len(ranges) // 3)
-        sight = twin.begin_sight(here, goal, float(rng.choice([0.0, 1.2, math.inf])))
+        memory = twin.insert_beam_hits(memory, beams, rng.uniform(0.0, 60.0), np.array(here), attitude, ranges)
+        memory = twin.insert_beam_hits(
+            memory, beams, 50.0, np.array(goal), attitude, ranges, len(ranges) // 2, len(ranges) // 3
+        )
+        sight = twin.begin_path_check(here, goal, float(rng.choice([0.0, 1.2, math.inf])))
         now = rng.uniform(0.0, 80.0)
         for part in range(1, 1 + k % 4):
-            memory, sight = twin.look_around(memory, sight, now, 0.39, part, 3)
-        twin.hold_off(sight, here, velocity[:2], rng.uniform(0.0, 1.0))
+            memory, sight = twin.check_map_part(memory, sight, now, 0.39, part, 3)
+        twin.limit_approach_velocity(sight, here, velocity[:2], rng.uniform(0.0, 1.0))
         way_round = twin.begin_detour(here, velocity, acceleration, goal, sight, None)
         way_round = replace(
-            way_round, laps=int(rng.integers(0, 2)), lap=here[:2] if k % 2 else None, lap_way=2.0 * (k % 3),
-            anchor_s=5.0 * (k % 2), hit_distance=way_round.hit_goal_distance + rng.uniform(-1, 3), count=k % 4,
+            way_round, lap_count=int(rng.integers(0, 2)), lap_start=here[:2] if k % 2 else None,
+            lap_distance=2.0 * (k % 3),
+            anchor_duration_s=5.0 * (k % 2), hit_goal_distance=way_round.hit_goal_distance + rng.uniform(-1, 3),
+            obstacle_count=k % 4,
         )  # fmt: skip
         for _ in range(3):
-            way_round = twin.go_round(
+            way_round = twin.follow_contour(
                 way_round, sight, beams, tuple(np.add(here, rng.normal(0, 0.1, 3)).tolist()), attitude[2],
                 ranges.tolist(), goal, clearance=0.39, speed=0.3, dt=float(rng.choice([0.0, 0.02, 0.5])),
             )  # fmt: skip
         twin.begin_detour(here, velocity, acceleration, goal, sight, way_round)
-    empty = twin.ffi.new("obstacle_map_t *", {"used": 7})
+    empty = twin.ffi.new("obstacle_map_t *", {"point_count": 7})
     twin.lib.clear_obstacle_map(empty)
     assert bytes(twin.ffi.buffer(empty)) == bytes(twin.ffi.sizeof("obstacle_map_t"))
     assert astuple(avoidance.ObstacleMap.empty())[1] == 0

@@ -238,7 +238,7 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
         def send_frame(self, frame: CameraFrame) -> None:
             answers.append(TrackingResult(frame.time_s, True, "", np.array([0.2, -0.1, -0.8]), 0.3, 1e-4 * np.eye(4)))
 
-        def receive(self) -> TrackingResult:
+        def receive_result(self) -> TrackingResult:
             return answers.pop(0)
 
         def close(self) -> None: ...

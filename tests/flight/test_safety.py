@@ -48,7 +48,7 @@ CALLS = st.one_of(
             "pause",
             "land",
             "return_home",
-            "sticks_off",
+            "release_sticks",
             "reset",
             "take_off",
         )

@@ -385,6 +385,6 @@ def test_an_interval_that_a_bent_cost_does_not_bear_out_is_said():
 
     for slope, straight in ((40.0, True), (0.6, False)):
         problem = Bent(slope)
-        point = FitPoint(np.zeros(1), [np.zeros((1, 0))], float(problem.cost(np.zeros((1, 1)), None)[0]))
+        point = FitPoint(np.zeros(1), [np.zeros((1, 0))], float(problem.compute_cost(np.zeros((1, 1)), None)[0]))
         rise, _ = cost_rise_along_axes(LinearisedProblem(problem, point))
         assert bool(np.all(np.abs(rise - 1) < 0.3)) == straight

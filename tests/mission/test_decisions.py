@@ -41,9 +41,9 @@ def hovering(rig, tables=TWO, **changes):
     usual = {
         "state": State.HOVER,
         "motors": "fly",
-        "started": True,
-        "begun": True,
-        "hold": HIGH,
+        "has_taken_off": True,
+        "mission_begun": True,
+        "hold_position": HIGH,
         "goal": HIGH,
     }
     return plan, replace(s, **(usual | changes))
@@ -54,12 +54,12 @@ def point_at(north, down):
     points = ObstacleMap.empty().points
     points[0, :3] = (north, 0.0, down)
     memory, here = ObstacleMap(points, 1), (0.0, 0.0, down)
-    return {"memory": memory, "sight": check_path(memory, here, here, 0.39)}
+    return {"obstacle_map": memory, "path_check": check_path(memory, here, here, 0.39)}
 
 
 @pytest.mark.parametrize(("motors", "told"), [("fly", 1), ("off", 0)])
 def test_a_low_battery_is_told_to_a_pilot_who_flies_once(rig, motors, told):
-    plan, s = hovering(rig, state=State.RC, motors=motors, begun=False, battery_V=5.5)
+    plan, s = hovering(rig, state=State.RC, motors=motors, mission_begun=False, battery_V=5.5)
     for k in range(1, 120):
         s, _ = step_mission(plan, s, measured(0.02 * k, volts=5.5), Command(rc_active=True))
     low = [e for e in s.events if "battery low" in e.text]
@@ -80,7 +80,7 @@ def test_a_low_battery_lands_and_fails_only_what_was_open(rig, before, after):
 
 @pytest.mark.parametrize(("index", "state", "text"), [(0, "waypoint", "waypoint 1"), (1, "waypoint", "waypoint 2")])
 def test_after_a_wait_the_next_waypoint_is_flown_to_down_to_the_last(rig, index, state, text):
-    plan, s = hovering(rig, index=index)
+    plan, s = hovering(rig, waypoint_index=index)
     s, _ = step_mission(plan, s, measured(), Command())
     assert (s.state, s.events[-1].text) == (state, text)
     assert s.goal == (index + 1.0, 0.0, -1.0)
@@ -91,7 +91,7 @@ def test_after_a_wait_the_next_waypoint_is_flown_to_down_to_the_last(rig, index,
     [("land", "landing", ""), ("hover", "hover", "succeeded"), ("return", "waypoint", "")],
 )
 def test_after_the_last_wait_it_does_what_the_mission_says(rig, at_end, state, outcome):
-    plan, s = hovering(rig, TWO | {"at_end": at_end}, index=2)
+    plan, s = hovering(rig, TWO | {"at_end": at_end}, waypoint_index=2)
     s, _ = step_mission(plan, s, measured(), Command())
     assert (s.state, s.outcome) == (state, outcome)
     assert "mission complete" in s.events[-1].text
@@ -103,7 +103,7 @@ def test_after_the_last_wait_it_does_what_the_mission_says(rig, at_end, state, o
     [(1, True, "", None, 1), (2, True, "succeeded", None, 0), (0, True, "", 1, 1), (1, False, "", None, 1)],
 )
 def test_start_goes_on_where_it_was_and_anew_when_it_was_over(rig, index, begun, outcome, first, then):
-    plan, s = hovering(rig, index=index, begun=begun, outcome=outcome, manual=True)
+    plan, s = hovering(rig, waypoint_index=index, mission_begun=begun, outcome=outcome, manual=True)
     s, _ = step_mission(plan, s, measured(), Command(start=True, first_waypoint=first))
     assert (s.state, s.waypoint_index, s.outcome) == (State.WAYPOINT, then, "")
     texts = [e.text for e in s.events]
@@ -111,10 +111,10 @@ def test_start_goes_on_where_it_was_and_anew_when_it_was_over(rig, index, begun,
     assert (f"on to waypoint {first + 1}" if first is not None else goes_on) in texts
 
 
-@pytest.mark.parametrize(("signal", "word"), [({"land": True}, "land"), ({"home": True}, "return")])
+@pytest.mark.parametrize(("signal", "word"), [({"land": True}, "land"), ({"return_requested": True}, "return")])
 @pytest.mark.parametrize(("index", "left"), [(0, "2 waypoints to go"), (1, "1 waypoint to go"), (2, "")])
 def test_what_a_user_breaks_off_is_counted(rig, signal, word, index, left):
-    plan, s = hovering(rig, index=index, manual=index == 2)
+    plan, s = hovering(rig, waypoint_index=index, manual=index == 2)
     s, _ = step_mission(plan, s, measured(), Command(**signal))
     assert s.abort_reason == (f"{word} signal with {left}" if left else "")
 
@@ -133,7 +133,7 @@ def test_tipped_over_near_the_floor_stops_the_motors(rig, height, tilt, stops):
     ("started", "begun", "outcome"), [(True, True, "failed"), (True, False, "failed"), (False, False, "")]
 )
 def test_a_stop_fails_a_flight_with_a_mission_or_without_but_not_none(rig, started, begun, outcome):
-    plan, s = hovering(rig, started=started, begun=begun)
+    plan, s = hovering(rig, has_taken_off=started, mission_begun=begun)
     s, r = step_mission(plan, s, measured(), Command(stop_reason="emergency stop"))
     assert (s.state, s.outcome, s.finished, r.motors) == (State.INIT, outcome, outcome != "", "off")
 
@@ -145,7 +145,7 @@ def test_a_stop_fails_a_flight_with_a_mission_or_without_but_not_none(rig, start
 def test_a_take_off_that_does_not_lift_is_given_up_after_three_seconds(rig, late, height, state):
     plan = rig.plan_for(parse_mission(TWO))
     s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
-    s = replace(s, motors="fly", clock_s=s.motion.duration_s + late - 0.02)
+    s = replace(s, motors="fly", motion_clock_s=s.motion.duration_s + late - 0.02)
     s, r = step_mission(plan, s, measured(0.04, (0.0, 0.0, -0.07 - height)), Command())
     assert s.state == state
     assert (r.motors == "ramp_down") is (state == "init")
@@ -156,7 +156,7 @@ def test_a_take_off_that_hangs_half_way_lands_8_s_and_half_a_climb_late(rig, mor
     plan = rig.plan_for(parse_mission(TWO))
     s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
     climb = s.motion.duration_s
-    s = replace(s, motors="fly", clock_s=1.5 * climb + 8.0 + more - 0.02)
+    s = replace(s, motors="fly", motion_clock_s=1.5 * climb + 8.0 + more - 0.02)
     s, _ = step_mission(plan, s, measured(0.04, (0.0, 0.0, -0.6)), Command())
     assert s.state == state
     assert ("0.60 m high in place of 1.00 m" in s.reason) is (state == "landing")
@@ -167,7 +167,7 @@ def test_what_does_not_sink_any_more_lies_on_something(rig, height, moves, motor
     """A box, or a floor that is believed to be lower; what sinks, or waits far up to be told to, does not lie."""
     plan = rig.plan_for(parse_mission(TWO))
     s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
-    s = replace(s, state=State.LANDING, motors="fly", hold=(0.0, 0.0, -0.05 if height < 0.5 else -1.07))
+    s = replace(s, state=State.LANDING, motors="fly", hold_position=(0.0, 0.0, -0.05 if height < 0.5 else -1.07))
     for k in range(200):
         m = replace(measured(0.02 * k, (0.0, 0.0, -0.07 - height)), velocity=np.array([0.0, 0.0, moves]))
         s, r = step_mission(plan, s, m, Command())
@@ -180,7 +180,7 @@ def test_what_does_not_sink_any_more_lies_on_something(rig, height, moves, motor
 def test_a_take_off_gives_way_once_it_is_off_its_legs(rig, rise, state):
     plan = rig.plan_for(parse_mission(TWO))
     s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
-    s = replace(s, motors="fly", clock_s=0.5 * s.motion.duration_s, **point_at(0.3, -0.3))
+    s = replace(s, motors="fly", motion_clock_s=0.5 * s.motion.duration_s, **point_at(0.3, -0.3))
     s, _ = step_mission(plan, s, measured(0.04, (0.0, 0.0, -0.07 - rise)), Command())
     assert s.state == state
 
@@ -254,7 +254,7 @@ def test_the_nose_swings_on_the_level_way_and_not_while_it_turns_or_climbs_befor
 )
 def test_what_was_seen_near_is_avoided_unless_that_is_off_or_it_lands(rig, tables, outcome, state):
     seen = point_at(0.3, -1.0)
-    plan, s = hovering(rig, TWO | {"avoidance": tables}, manual=True, outcome=outcome, ready_s=9.0, **seen)
+    plan, s = hovering(rig, TWO | {"avoidance": tables}, manual=True, outcome=outcome, hover_until_s=9.0, **seen)
     s, _ = step_mission(plan, s, measured(), Command())
     assert s.state == state
 
@@ -273,7 +273,7 @@ def test_set_points_lead_into_nothing_that_was_seen_unless_avoidance_is_off(rig,
 
 @pytest.mark.parametrize(("rise", "state"), [(0.08, "init"), (0.12, "hover")])
 def test_a_pilot_who_lets_go_has_landed_only_on_the_floor(rig, rise, state):
-    plan, s = hovering(rig, state=State.RC, begun=False)
+    plan, s = hovering(rig, state=State.RC, mission_begun=False)
     s, r = step_mission(plan, s, measured(x=(0.0, 0.0, -0.07 - rise)), Command())
     assert s.state == state
     assert (r.motors == "ramp_down") is (state == "init")
@@ -282,7 +282,7 @@ def test_a_pilot_who_lets_go_has_landed_only_on_the_floor(rig, rise, state):
 @pytest.mark.parametrize("level", [0.0, 0.4, 2.0])
 def test_a_pilot_who_lets_go_in_a_dive_is_braked_to_the_floor_and_not_below(rig, level):
     """At 3 m/s it needs 8 m and has 1.5: the reference is that of a fall that can still be stopped there."""
-    plan, s = hovering(rig, state=State.RC, begun=False)
+    plan, s = hovering(rig, state=State.RC, mission_begun=False)
     m = replace(measured(x=(0.0, 0.0, -1.57)), velocity=np.array([level, 0.0, 3.0]))
     s, _ = step_mission(plan, s, m, Command())
     assert s.state is State.HOVER
@@ -300,7 +300,7 @@ def test_a_stop_stops_rotors_that_run_down_too(rig):
 
 @pytest.mark.parametrize("more", [-1.0, 1.0])
 def test_a_leg_is_given_up_after_twice_its_time_and_20_s(rig, more):
-    plan, s = hovering(rig, index=1)
+    plan, s = hovering(rig, waypoint_index=1)
     s, _ = step_mission(plan, s, measured(), Command())
     planned = s.motion.duration_s
     late = 2.0 * planned + 20.0 + more
@@ -312,7 +312,7 @@ def test_a_leg_is_given_up_after_twice_its_time_and_20_s(rig, more):
 def test_a_pilots_height_answers_at_once_after_a_long_climb_that_did_not_happen(rig):
     """The reference is never far from the helicopter: a second and a half of stick brings it back."""
     for climb in (0.3, -0.3):
-        plan, s = hovering(rig, state=State.RC, begun=False)
+        plan, s = hovering(rig, state=State.RC, mission_begun=False)
         for k in range(500):
             s, r = step_mission(plan, s, measured(0.02 * k), Command(rc_active=True, climb_rate=climb))
         assert abs(r.position[2] - HIGH[2]) > 0.4

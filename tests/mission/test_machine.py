@@ -316,7 +316,7 @@ def test_a_touchdown_says_how_hard_it_was(rig, speed, believed, on_floor, text, 
     falls = [(-0.5, 2.5), (-0.19, 2.0), (-0.16, speed), (-0.08, on_floor), *[(-0.07, 0.0)] * 150]
     for k, (down, sink) in enumerate(falls):
         m = measurement(0.02 * k, (0.0, 0.0, down), (0.0, 0.0, sink))
-        s, _ = step_mission(plan, s, replace(m, beliefs=believed), Command())
+        s, _ = step_mission(plan, s, replace(m, auxiliary_states=believed), Command())
     touched = [e for e in s.events if "touchdown" in e.text]
     assert [(e.text.split(":")[0], e.level) for e in touched] == [(text, level)]
     assert ("1.70 m/s, above 0.3 m/s" in touched[0].text) is (level == "warning")

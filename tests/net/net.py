@@ -50,40 +50,40 @@ API = {
     name: f"mufly.{place}"
     for name, place in {
         "load_vehicle": "vehicle:load_vehicle",
-        "load_coefficient_map": "vehicle:load_map",
+        "load_coefficient_map": "vehicle:load_coefficient_map",
         "load_mission": "mission:load_mission",
-        "fly": "flight:fly",
-        "summarise": "flight:summarise",
-        "events_of": "flight:events_of",
+        "fly": "flight:fly_mission",
+        "summarise": "flight:summarise_flight",
+        "events_of": "flight:read_events",
         "fit_motor": "identify:fit_motor",
-        "fit_rotor": "identify:fit_rotor",
-        "run_demo": "identify:run_demo",
-        "identify_linear": "identify:identify_linear",
+        "fit_rotor": "identify:fit_rotor_coefficients",
+        "run_demo": "identify:run_identification_demo",
+        "identify_linear": "identify:identify_linear_model",
         "read_columns": "identify:read_columns",
-        "choose_free": "identify:choose_free",
-        "plan": "identify:design",
-        "excitation": "identify:excitation",
-        "read_bench": "bench:read_bench",
-        "corrected_loads": "bench:corrected_loads",
+        "choose_free": "identify:choose_free_parameters",
+        "plan": "identify:design_excitation",
+        "excitation": "identify:make_excitation",
+        "read_bench": "bench:read_bench_file",
+        "corrected_loads": "bench:compute_loads",
         "load_rotor": "rotor:load_rotor",
         "replace_rotor": "rotor:replace_rotor",
-        "prepare": "rotor:prepare",
-        "polar": "rotor:polar",
-        "hover": "rotor:hover",
-        "hover_batch": "rotor:hover_batch",
-        "solve_thrust": "rotor:solve_thrust",
-        "solve": "rotor:solve",
-        "System": "rotor:System",
-        "Condition": "rotor:Condition",
-        "interval": "rotor:interval",
+        "prepare": "rotor:prepare_blading",
+        "polar": "rotor:compute_polar",
+        "hover": "rotor:solve_rotor",
+        "hover_batch": "rotor:solve_rotor_batch",
+        "solve_thrust": "rotor:solve_for_thrust",
+        "solve": "rotor:solve_system",
+        "System": "rotor:RotorSystem",
+        "Condition": "rotor:OperatingCondition",
+        "interval": "rotor:predict_interval",
         "WakeSettings": "rotor.wake:WakeSettings",
-        "Setup": "study:Setup",
-        "evaluate": "study:evaluate",
-        "design": "control:design",
-        "trim_state": "dynamics:trim",
-        "linearise": "dynamics:linearise",
+        "Setup": "study:StudySetup",
+        "evaluate": "study:evaluate_cases",
+        "design": "control:design_flight_controller",
+        "trim_state": "dynamics:find_trim",
+        "linearise": "dynamics:linearise_vehicle",
         "hover_performance": "dynamics:hover_performance",
-        "simulate": "dynamics:simulate",
+        "simulate": "dynamics:simulate_open_loop",
         "model_parameters": "dynamics:model_parameters",
         "read_log": "logs:read_log",
         "load_drive": "drive:load_drive",
@@ -581,7 +581,11 @@ def rotor_system(
 ) -> Any:  # fmt: skip
     """One rotor, or a pair, at a point."""
     make = api("System")
-    system = make.coaxial(*bladings, spacing_m=spacing_m) if isinstance(bladings, tuple) else make.single(bladings)
+    system = (
+        make.coaxial_pair(*bladings, spacing_m=spacing_m)
+        if isinstance(bladings, tuple)
+        else make.single_rotor(bladings)
+    )
     return api("solve")(system, api("Condition")(pitch, speed, **given), method, settings=settings)
 
 

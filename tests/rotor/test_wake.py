@@ -395,9 +395,9 @@ def test_the_gpu_kernel_sums_as_the_cpu_does():
     script = """
 import numpy as np
 from mufly.rotor.wake.biot_savart_gpu import induce_velocity_gpu
-from mufly.rotor.wake.biot_savart import induce_velocity, segments_of
+from mufly.rotor.wake.biot_savart import induce_velocity, make_segments
 rng = np.random.default_rng(0)
-s = segments_of(rng.normal(size=(2, 6, 3)), np.full((2, 5), 0.1), rng.normal(size=2))
+s = make_segments(rng.normal(size=(2, 6, 3)), np.full((2, 5), 0.1), rng.normal(size=2))
 p = rng.normal(size=(5, 3))
 np.testing.assert_allclose(induce_velocity_gpu(p, s), induce_velocity(p, s), rtol=1e-9, atol=1e-12)
 """
