@@ -134,7 +134,7 @@ plt.show()
 # ## Try
 #
 # * Give it `wind=(4.0, 0.0, 0.0)`. What does the summary say of air beyond the model?
-# * `simulated_flight.fly(vehicle, "box-on-leg", ...)`: a crate stands on the way, seen by eight beams.
+# * `flight.fly_mission(vehicle, "box-on-leg", ...)`: a crate stands on the way, seen by eight beams.
 # * Watch it: `mufly fly` in a terminal opens the ground station.
 #
 # What the numbers rest on, and where they fall short: [validation](../validation.md).

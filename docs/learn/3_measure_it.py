@@ -42,7 +42,7 @@ bench = SimulatedRig(seed=5)
 
 def truth(step):
     """What only a simulation knows: the loads at the speeds that ran, had the blades stood exactly at their pitch."""
-    speeds = {axis: bench.speed[axis] for axis in plan.mounting[step.mounting_index].axes}
+    speeds = {axis: bench.speed[axis] for axis in plan.mounting[step.mounting_index].turning_sides}
     return bench.true_loads(speeds, as_mounted=False)
 
 
@@ -113,7 +113,7 @@ print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
 # %% [markdown]
 # ## Try
 #
-# * Break the bench: `SimulatedRig(seed=5, faults=Faults(...))` from `mufly.bench.rig.simulated_rig`, with a reference
+# * Break the bench: `SimulatedRig(seed=5, faults=SimulatedFaults(...))` from `mufly.bench.rig.simulated_rig`, with a reference
 #   blade that was moved, or a cell that saturates. Does the series notice?
 # * `compare_with_theory(series)` sets it beside blade element theory.
 # * What is corrected, and how intervals are made: [test benches](../bench.md).
