@@ -1,7 +1,7 @@
 """How long the controllers take: to design, and to run.
 
     python benchmarks/bench_control.py            figures of this machine
-    python benchmarks/bench_control.py --tables   the tables of docs/control.md
+    python benchmarks/bench_control.py --tables   the tables of docs/explanation/control.md
 
 Times are the best of several repetitions, on one thread of the linear algebra where it obeys the environment.
 """
@@ -101,7 +101,7 @@ def tables(controller: FlightController) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--tables", action="store_true", help="print the tables of docs/control.md")
+    parser.add_argument("--tables", action="store_true", help="print the tables of docs/explanation/control.md")
     arguments = parser.parse_args()
     built = design_flight_controller(mufly.load_vehicle("mufly-1.1"))
     if arguments.tables:

@@ -2,8 +2,8 @@
 a vehicle.
 
 Blade elements of both rotors are solved at the vehicle's hover speeds, pitches such that each rotor carries what the
-vehicle file's coefficients say. The derivation stands in docs/dynamics.md. Lift and drag slopes are those of the same
-blade elements half a degree of pitch to either side.
+vehicle file's coefficients say. The derivation stands in docs/explanation/dynamics.md. Lift and drag slopes are those
+of the same blade elements half a degree of pitch to either side.
 
 python benchmarks/rotor_drag.py [--vehicle mufly-1.1] [--rotor walkera-5g6]
 """

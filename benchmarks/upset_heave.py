@@ -2,7 +2,7 @@
 
 The helicopter hovers at 3 m; its vertical speed is changed at once by so much. Fifteen seconds later it either stands
 where it stood, or swings between full and no thrust for good. With ``--slack`` the reference waits for the height from
-another distance (docs/control.md), or never: ``--slack inf``.
+another distance (docs/explanation/control.md), or never: ``--slack inf``.
 """
 
 from __future__ import annotations

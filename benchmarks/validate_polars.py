@@ -1,6 +1,6 @@
 """Two engines on the same sections: how far NeuralFoil and XFOIL lie apart.
 
-python benchmarks/validate_polars.py            # the table of docs/polars.md; needs xfoil
+python benchmarks/validate_polars.py            # the table of docs/explanation/polars.md; needs xfoil
 python benchmarks/validate_polars.py e387 goe394
 """
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import mufly
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
 project = "mufly"
@@ -78,14 +78,14 @@ def links_out_of_the_site(app: object, page: str, source: list[str]) -> None:
 
     source[0] = re.sub(
         r"(?<!!)\[([^\]]+)\]\((?!https?:|#)([^)#\s]+)(?:#[^)]*)?\)",
-        lambda m: instead(m) if not is_page(m[2]) else m[0],
+        lambda m: instead(m) if not is_page(m[2], folder) else m[0],
         source[0],
     )
 
 
-def is_page(target: str) -> bool:
+def is_page(target: str, folder: Path) -> bool:
     """Whether a link leads to another page of the site."""
-    return target.endswith(".md") and not target.startswith("../")
+    return target.endswith(".md") and HERE in (folder / target).resolve().parents
 
 
 INCLUDED = {
@@ -99,5 +99,5 @@ def setup(app: Any) -> None:
     """Write the reference before the pages are read."""
     import make_reference  # from beside this file
 
-    make_reference.write(HERE / "reference")
+    make_reference.write(HERE / "api")
     app.connect("source-read", links_out_of_the_site)

@@ -1,6 +1,6 @@
 """Write the reference's pages from where its facts stand: docstrings, the commands' help, the files' schemas.
 
-``conf.py`` calls it before a build; by hand: ``python docs/make_reference.py docs/reference``. What it writes is not
+``conf.py`` calls it before a build; by hand: ``python docs/make_reference.py docs/api``. What it writes is not
 kept in the repository.
 """
 
@@ -159,7 +159,8 @@ def vehicle_file() -> str:
     text = [
         "# Vehicle files",
         "",
-        "What each key means is explained in [Vehicle files](../vehicles.md); a file to begin with comes from "
+        "What each key means is explained in [Vehicle files](../reference/vehicles.md); a file to begin with "
+        "comes from "
         "`mufly vehicle show mufly-1.1 --toml` or `mufly new`. A number is written as a table:",
         "",
         '    mass = { value = 95, unit = "g", source = "measured", std = 0.1, note = "kitchen scale" }',
@@ -174,7 +175,7 @@ def vehicle_file() -> str:
 
 def rotor_file() -> str:
     """Every table and key of a rotor file."""
-    return "\n".join(["# Rotor files", "", "See also [rotor theory](../bemt.md).", "", *_groups(Rotor, "")])
+    return "\n".join(["# Rotor files", "", "See also [rotor theory](../explanation/bemt.md).", "", *_groups(Rotor, "")])
 
 
 def mission_file() -> str:
@@ -182,7 +183,7 @@ def mission_file() -> str:
     text = [
         "# Mission files",
         "",
-        "What they do is explained in [Missions](../missions.md). Units are in the names.",
+        "What they do is explained in [Missions](../reference/missions.md). Units are in the names.",
         "",
     ]
     return "\n".join(text + list(_groups(Mission, "")))
@@ -256,5 +257,5 @@ def _key(name: str, field: FieldInfo, extra: dict[str, Any]) -> str:
 
 if __name__ == "__main__":
     asked = argparse.ArgumentParser(description="Write the reference of commands and functions.")
-    asked.add_argument("folder", nargs="?", type=Path, default=Path(__file__).parent / "reference")
+    asked.add_argument("folder", nargs="?", type=Path, default=Path(__file__).parent / "api")
     write(asked.parse_args().folder)

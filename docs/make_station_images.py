@@ -1,4 +1,4 @@
-"""Take the pictures of ``docs/station.md``: the page in Chromium, with the simulated helicopter in flight.
+"""Take the pictures of ``docs/reference/station.md``: the page in Chromium, with the simulated helicopter in flight.
 
     python docs/make_station_images.py [--out docs/images]
 

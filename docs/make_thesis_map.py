@@ -1,4 +1,4 @@
-"""Write docs/thesis-map.md: each equation, table and figure of the dissertation that mufly implements, and where.
+"""Write docs/thesis/thesis-map.md: each equation, table and figure of the dissertation, and its place in mufly.
 
 A docstring that is the home of something says so in a line of its own::
 
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "thesis-map.md"
+PAGE = ROOT / "docs" / "thesis" / "thesis-map.md"
 SOURCE = ROOT / "src"
 
 KINDS = {"eq": "Equations", "table": "Tables", "fig": "Figures", "sec": "Sections and appendices"}

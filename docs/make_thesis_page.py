@@ -1,10 +1,10 @@
-"""Write docs/thesis.md, the page of all figures and tables of the dissertation, from the answers in docs/thesis.json.
+"""Write docs/thesis/thesis.md, all figures and tables of the dissertation, from the answers in thesis.json.
 
     python docs/make_thesis_page.py               # what has not run, or has changed, is computed first: minutes
-    python docs/make_thesis_page.py --as-kept     # only the page, from docs/thesis.json as it is
+    python docs/make_thesis_page.py --as-kept     # only the page, from docs/thesis/thesis.json as it is
 
-docs/thesis.json holds what the studies found, so that a test can see whether the page is that of these answers, and
-whether there is an answer to every study, without computing the long ones.
+docs/thesis/thesis.json holds what the studies found, so that a test can see whether the page is that of these answers,
+and whether there is an answer to every study, without computing the long ones.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from mufly.thesis import (
     studies_by_cost,
 )
 
-PAGE = Path(__file__).with_name("thesis.md")
-KEPT = Path(__file__).with_name("thesis.json")
+PAGE = Path(__file__).parent / "thesis" / "thesis.md"
+KEPT = Path(__file__).parent / "thesis" / "thesis.json"
 _LEFT_OUT = ("picture", "seconds")  # of this machine, not of the studies
 
 

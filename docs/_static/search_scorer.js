@@ -1,5 +1,5 @@
 // Order of search results: pages that explain come before the reference of the Python code and the changelog.
-const BEHIND = /^(reference\/api-|changelog|contributing|thesis)/;
+const BEHIND = /^(api\/api-|changelog|contributing|thesis)/;
 
 var Scorer = {
   // result: [docname, title, anchor, description, score, filename]

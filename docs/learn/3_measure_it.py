@@ -116,4 +116,4 @@ print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
 # * Break the bench: `SimulatedRig(seed=5, faults=SimulatedFaults(...))` from `mufly.bench.rig.simulated_rig`,
 #   with a reference blade that was moved, or a cell that saturates. Does the series notice?
 # * `compare_with_theory(series)` sets it beside blade element theory.
-# * What is corrected, and how intervals are made: [test benches](../bench.md).
+# * What is corrected, and how intervals are made: [test benches](../explanation/bench.md).

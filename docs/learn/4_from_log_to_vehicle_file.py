@@ -98,4 +98,4 @@ plt.show()
 #
 # * `fly_demo_flights(truth, wind=0.5, gust=0.3)`: which intervals grow?
 # * Free `Jrot_up` and `Jrot_dw` as well. `mufly identify plan` says beforehand which flight would show them.
-# * What is assumed: [identification](../identification.md).
+# * What is assumed: [identification](../explanation/identification.md).

@@ -83,4 +83,4 @@ plt.show()
 #
 # * `parameters=30%`: which failures appear first? `mufly monte-carlo` flies them again with a full recording.
 # * `--search 300` looks for the worst case instead of drawing: it finds what a thousand random flights do not.
-# * The theory: [control](../control.md); what campaigns count: [many flights](../monte-carlo.md).
+# * The theory: [control](../explanation/control.md); what campaigns count: [many flights](../reference/monte-carlo.md).

@@ -1,6 +1,6 @@
 """mufly: coaxial micro helicopters, from blade geometry to autonomous flight.
 
-The rooms of the package stand in the order in which an engineer works; see ``docs/architecture.md``.
+The rooms of the package stand in the order in which an engineer works; see ``docs/explanation/architecture.md``.
 They load on first use, so that ``import mufly`` is quick.
 """
 

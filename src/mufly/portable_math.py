@@ -1,7 +1,7 @@
 """Elementary functions that are the same, to the last bit, on every machine that rounds as IEEE 754 asks.
 
-Those of C libraries differ in their last bit. What runs on board (docs/firmware.md) has to give on a processor what it
-gave in simulation, so it computes its own from additions and multiplications:
+Those of C libraries differ in their last bit. What runs on board (docs/reference/firmware.md) has to give on a
+processor what it gave in simulation, so it computes its own from additions and multiplications:
 
     n = the integer nearest to 2 x / pi,   r = x - n pi/2,   pi/2 in three pieces of which the first two are short
                                                              enough for n times them to be exact for |n| < 2^20

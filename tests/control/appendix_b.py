@@ -1,6 +1,6 @@
 """Appendix B's matrices written out from its formulas and Table 5.3, independent of the dynamics room.
 
-Signs as in docs/thesis-errata.md: servo 1 pitches (positive: nose down), servo 2 rolls (positive: right);
+Signs as in docs/thesis/thesis-errata.md: servo 1 pitches (positive: nose down), servo 2 rolls (positive: right);
 the reaction torque of an accelerating rotor is that of ``Izz rdot = -(Q_dw + J_dw Omdot_dw) + (Q_up + J_up Omdot_up)``.
 """
 

@@ -61,8 +61,8 @@ def test_the_cascade_holds_with_the_real_attitude_loop(controller: FlightControl
 
 
 def documented(about: str) -> dict[str, list[list[float]]]:
-    """Numbers of a table of docs/control.md: by the first words of a row, those of each of its other cells."""
-    text = (Path(__file__).parents[2] / "docs" / "control.md").read_text(encoding="utf-8")
+    """Numbers of a table of control.md: by the first words of a row, those of each of its other cells."""
+    text = (Path(__file__).parents[2] / "docs" / "explanation" / "control.md").read_text(encoding="utf-8")
     lines = iter(text.splitlines())
     next(line for line in lines if line.startswith(f"| {about} |"))
     rows = {}
@@ -77,7 +77,7 @@ def documented(about: str) -> dict[str, list[list[float]]]:
 
 @pytest.mark.parametrize("name", ["heave-yaw", "roll-pitch"])
 def test_what_came_out_is_what_the_docs_say(controller: FlightController, name: str) -> None:
-    """Every figure of the tables at the head of docs/control.md, to its last digit; the thesis's beside them."""
+    """Every figure of the tables at the head of control.md, to its last digit; the thesis's beside them."""
     said = documented(name)
     d = next(x for x in controller.all_designs if x.name == name)
     reduced = f"after reduction to order {d.reduced.nstates}"
@@ -122,7 +122,7 @@ def test_what_came_out_of_the_cascade_is_what_the_docs_say(controller: FlightCon
 
 
 def test_scales_and_limits_are_what_the_docs_say(controller: FlightController) -> None:
-    """What docs/control.md tells of mufly-1.1: units of its scaled plants, and what its references may ask for."""
+    """What control.md tells of mufly-1.1: units of its scaled plants, and what its references may ask for."""
     heave_yaw, roll_pitch, velocity = (d.scaling for d in controller.all_designs)
     assert heave_yaw.inputs == pytest.approx([0.22] * 2, abs=6e-3)
     assert heave_yaw.outputs == pytest.approx([1.0, 4.0, 20.0], rel=0.03)

@@ -132,7 +132,7 @@ def test_designs_are_modal_and_stable_when_saturated(controller: FlightControlle
         ends = [*(k for k in range(len(c.A)) if k == 0 or c.A[k, k - 1] == 0.0), len(c.A)]
         for a, b in pairwise(ends):
             assert np.linalg.norm(c.B[a:b]) == pytest.approx(np.linalg.norm(c.C[:, a:b]))
-    # What follows the actuators: docs/control.md, anti-windup.
+    # What follows the actuators: docs/explanation/control.md, anti-windup.
     assert rates == [[1.5], [20.0], []]
 
 

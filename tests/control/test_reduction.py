@@ -32,7 +32,7 @@ def test_orders_and_loops_of_the_designs(controller: FlightController) -> None:
             0.1: 1.01,
             0.2: 1.05,
             0.5: 1.2,
-        }  # dB of the peaks: factor of the norm, as docs/control.md has them
+        }  # dB of the peaks: factor of the norm, as docs/explanation/control.md has them
         assert d.reduction.norm_factor == allowed[d.reduction.tolerance_dB]
         chosen = d.reduction.chosen
         assert chosen.norm <= d.reduction.norm_factor * d.reduction.full_norm

@@ -22,7 +22,7 @@ from mufly.vehicle import load_vehicle, replace_parameters
 
 
 def appendix_b(v, voltage):
-    """B.1 to B.18 written out for a vehicle, at the hover point of eq. 5.1; signs as in docs/thesis-errata.md."""
+    """B.1 to B.18 written out for a vehicle, at the hover point of eq. 5.1; signs as in thesis-errata.md."""
     f = float
     m, up, dw = f(v.body.mass), v.rotors.upper, v.rotors.lower
     Ixx, Iyy, Izz = f(v.body.inertia_xx), f(v.body.inertia_yy), f(v.body.inertia_zz)

@@ -212,9 +212,9 @@ def test_impossible_input_is_refused_before_anything_is_written(vehicle, control
 
 
 def test_the_example_in_the_documentation_flies(tmp_path, monkeypatch, capsys) -> None:
-    text = (Path(__file__).parents[2] / "docs" / "missions.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "missions.md").read_text(encoding="utf-8")
     example = text.split("```python\n")[1].split("```")[0]
     monkeypatch.chdir(tmp_path)
-    exec(compile(example, "docs/missions.md", "exec"), {})
+    exec(compile(example, "docs/reference/missions.md", "exec"), {})
     assert capsys.readouterr().out.count("accepted=True") == 2
     assert read_recording(tmp_path / "flight.mcap").attrs["outcome"] == "succeeded"

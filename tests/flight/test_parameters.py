@@ -259,7 +259,7 @@ def test_a_pushed_helicopter_comes_back_at_the_bounds(flight: Flight, name: str,
 
 
 def test_every_parameter_is_documented_with_its_bounds(flight: Flight) -> None:
-    text = (Path(__file__).parents[2] / "docs" / "missions.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "missions.md").read_text(encoding="utf-8")
     for row in PARAMETERS.values():
         line = next((t for t in text.splitlines() if t.startswith(f"| `{row.name}` |")), "")
         assert row.description in line, row.name

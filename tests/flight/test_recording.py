@@ -213,7 +213,7 @@ def test_csv_has_units_and_every_digit(tmp_path, short_flight):
 
 
 def test_the_documentation_lists_the_table():
-    page = (Path(__file__).parents[2] / "docs" / "recordings.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "recordings.md").read_text(encoding="utf-8")
     layout = flight_layout(8)
     for q in quantities_recorded_in("flight"):
         part = layout.column_slices[q.name]

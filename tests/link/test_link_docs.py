@@ -1,4 +1,4 @@
-"""docs/link.md and the tables of the code say the same."""
+"""docs/reference/link.md and the tables of the code say the same."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,7 @@ from mufly.link import (
     pack_custom_mode,
 )
 
-PAGE = (Path(__file__).parents[2] / "docs" / "link.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "link.md").read_text(encoding="utf-8")
 
 
 def table(head):
@@ -80,6 +80,6 @@ def test_the_default_streams_fit_a_radio():
     assert sum(sizes) / 4.0 == pytest.approx(5000.0, rel=0.05)
 
 
-@pytest.mark.parametrize("name", re.findall(r"\]\((examples/[^)]+)\)", PAGE))
+@pytest.mark.parametrize("name", re.findall(r"\]\(((?:../)?examples/[^)]+)\)", PAGE))
 def test_examples_are_there(name):
-    assert (Path(__file__).parents[2] / "docs" / name).exists()
+    assert (Path(__file__).parents[2] / "docs" / "reference" / name).exists()

@@ -16,7 +16,7 @@ from mufly.input_files import nested_model
 from mufly.mission import Mission, dump_mission, list_builtin_missions, load_mission, parse_mission
 
 GOOD = {"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 1.0}, {"position_m": [1.0, 2.0, -1.5]}]}
-DOCS = Path(__file__).parents[2] / "docs" / "missions.md"
+DOCS = Path(__file__).parents[2] / "docs" / "reference" / "missions.md"
 
 
 def test_the_demonstration_is_that_of_the_thesis():
@@ -187,7 +187,7 @@ def test_the_examples_in_the_documentation_are_missions():
     whole = [b.split("```")[0] for b in blocks if "[[waypoint]]" in b.split("```")[0]]
     assert whole
     for text in whole:
-        parse_mission(tomllib.loads(text), "docs/missions.md")
+        parse_mission(tomllib.loads(text), "docs/reference/missions.md")
 
 
 def numbers(model: type[BaseModel] = Mission, key: str = ""):

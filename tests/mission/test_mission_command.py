@@ -59,7 +59,7 @@ def test_help_is_good_enough_to_work_from():
     for words in (["--help"], ["show", "--help"], ["check", "--help"]):
         text = " ".join(output(*words).split())
         assert "mission" in text
-    assert "docs/missions.md" in output("--help")
+    assert "docs/reference/missions.md" in output("--help")
 
 
 def test_show_tells_the_speed_of_a_leg_and_what_happens_at_the_end(tmp_path):

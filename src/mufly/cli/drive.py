@@ -34,7 +34,10 @@ if TYPE_CHECKING:
     from mufly.drive import RotorLoad
 
 app = CommandGroup(
-    help="Drive trains: motor, gear, battery, and where they meet a rotor. Everything is explained in docs/drive.md.",
+    help=(
+        "Drive trains: motor, gear, battery, and where they meet a rotor. Everything is explained in "
+        "docs/explanation/drive.md."
+    ),
     no_args_is_help=True,
 )
 

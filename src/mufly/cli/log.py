@@ -117,7 +117,7 @@ def convert_log(
 app = CommandGroup(
     help="Logs: MCAP (ours and others'), PX4 ULog, ArduPilot DataFlash, MAVLink tlog, Crazyflie micro-SD, CSV, "
     "Parquet, NetCDF.\n\n"
-    "What a file is, is told by its content. Column maps and checks: docs/logs.md.",
+    "What a file is, is told by its content. Column maps and checks: docs/reference/logs.md.",
     no_args_is_help=True,
 )  # fmt: skip
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 app = CommandGroup(
     help="List missions, show what one asks for, check a mission file. Every key of a mission file is explained in "
-    "docs/missions.md.",
+    "docs/reference/missions.md.",
     no_args_is_help=True,
 )
 

@@ -98,8 +98,10 @@ class HoverOptions(WakeOptions):
 
 DEFAULT_HOVER_OPTIONS = HoverOptions()
 app = CommandGroup(
-    help="Rotors: what one is, what it does, which is best. Numbers of rotor files: docs/polars.md; of the theory: "
-    "docs/bemt.md; of sweeps and rankings: docs/studies.md.",
+    help=(
+        "Rotors: what one is, what it does, which is best. Numbers of rotor files: docs/explanation/polars.md; of the "
+        "theory: docs/explanation/bemt.md; of sweeps and rankings: docs/explanation/studies.md."
+    ),
     no_args_is_help=True,
 )
 
@@ -500,7 +502,7 @@ def fit(
     """Find a rotor's sections from measurements: which would do, and what has to change in their coefficients.
 
     What is written serves wherever a rotor file does; --band of 'rotor hover' is then what the bench left open. Points
-    that a fit did not see tell how good it is. docs/bemt.md has the equations and the priors.
+    that a fit did not see tell how good it is. docs/explanation/bemt.md has the equations and the priors.
     Example: mufly rotor fit my-rotor.toml bench.csv --out fitted.toml
     """
     import numpy as np
@@ -582,7 +584,8 @@ def compare(
         define_argument(
             "FILE",
             "Text with a header: pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm, in these or other "
-            "units; or RPM, CT, CP as in UIUC's propeller data. docs/bench.md lists the names that are understood.",
+            "units; or RPM, CT, CP as in UIUC's propeller data. docs/explanation/bench.md lists the names "
+            "that are understood.",
         ),
     ],
     calibrate: Annotated[

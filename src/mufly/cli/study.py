@@ -412,7 +412,10 @@ def _print_pair_sweep(data: xr.Dataset, variable: str) -> None:
 
 
 thesis_commands = CommandGroup(
-    help="Repeat the studies of the dissertation and say where we agree with it. What each assumes: docs/studies.md.",
+    help=(
+        "Repeat the studies of the dissertation and say where we agree with it. What each assumes: "
+        "docs/explanation/studies.md."
+    ),
     no_args_is_help=True,
 )
 

@@ -38,7 +38,10 @@ if TYPE_CHECKING:
     from mufly.vehicle import Parameter, Vehicle
 
 app = CommandGroup(
-    help="List vehicles, show what one is made of, check a vehicle file. docs/vehicles.md says how to write one.",
+    help=(
+        "List vehicles, show what one is made of, check a vehicle file. docs/reference/vehicles.md says how "
+        "to write one."
+    ),
     no_args_is_help=True,
 )
 
@@ -152,7 +155,7 @@ def _describe_coefficients(v: Vehicle) -> str:
     """Say which thrust and torque coefficients hold in flight."""
     m = v.rotors.coefficient_map
     if m is None:
-        return "In flight cT and cQ are constant (rotors.coefficient_map can name a map; docs/coax-map.md)."
+        return "In flight cT and cQ are constant (rotors.coefficient_map can name a map; docs/explanation/coax-map.md)."
     level = {
         "computed": "as computed: the constants cT and cQ above are not used",
         "constants": "scaled to the constants cT and cQ above at hover",

@@ -1,7 +1,8 @@
 """All controllers of a vehicle: synthesis, reduction, discretisation, analysis, and the gains for the law on board.
 
-Choices, with their reasons, stand in docs/control.md; weights, scaling and limits in :class:`DesignSettings`. What the
-thesis prints about its controllers stands beside ours (Sec. 6.1; facts.csv, keys S6.1-*).
+Choices, with their reasons, stand in docs/explanation/control.md; weights, scaling and limits in
+:class:`DesignSettings`. What the thesis prints about its controllers stands beside ours (Sec. 6.1; facts.csv, keys
+S6.1-*).
 """
 
 from __future__ import annotations

@@ -369,8 +369,8 @@ def _outer_product(M: Array) -> Array:
 #     Md = V (L - exp(-w T) I) (Cd V)^-1,   so that   (Ad - Md Cd) V = V exp(-w T),
 #
 # and all other modes stay where they are (own derivation; back-calculation, Fertik and Ross 1967, in modal form). Why
-# heave-yaw and roll-pitch take that: docs/control.md. Either must be stable, else the gain is replaced by that of a
-# Kalman filter for the pair (Ad, Cd), which is.
+# heave-yaw and roll-pitch take that: docs/explanation/control.md. Either must be stable, else the gain is replaced by
+# that of a Kalman filter for the pair (Ad, Cd), which is.
 
 
 @result

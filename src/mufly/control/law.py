@@ -56,7 +56,7 @@ from mufly.portable_math import sine_cosine
 
 @cached_njit
 def _clip_value(value: float, low: float, high: float) -> float:
-    # Written out because min and max of equal or missing numbers are each language's own (docs/firmware.md).
+    # Written out because min and max of equal or missing numbers are each language's own (docs/reference/firmware.md).
     if value < low:
         return low
     if value > high:

@@ -246,7 +246,7 @@ def one_degree_plant(
 
 
 # The weights of heave-yaw are eq. 6.4 but for W_r and W_M; those of roll-pitch and velocity, which the thesis does not
-# print, are chosen here. Reasons stand in docs/control.md.
+# print, are chosen here. Reasons stand in docs/explanation/control.md.
 # W_r without its factor 1e-4, and its zero at 4 instead of 1 rad/s; W_M at 9 instead of 14 rad/s.
 HEAVE_YAW_WEIGHTS = TwoDegreeWeights(
     model_matching=TransferFunction((1.0, 18.0, 56.0), (1.0, 14.0, 0.0014)),

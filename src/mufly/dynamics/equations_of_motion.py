@@ -1,7 +1,8 @@
 """Equations of motion of a coaxial micro helicopter: the only place where they are written.
 
 Simulation, trim, linearisation, identification, estimation and code export all call :func:`state_derivative`.
-Source: thesis chapter 4 and appendix A, read as docs/thesis-errata.md says; derivations in docs/dynamics.md.
+Source: thesis chapter 4 and appendix A, read as docs/thesis/thesis-errata.md says; derivations in
+docs/explanation/dynamics.md.
 
 Rigid body, N-E-D velocity ``v``, body rates ``W``, attitude ``A`` (body to N-E-D)::
 
@@ -33,8 +34,9 @@ Drag in the disc plane (H-force; linear in the edgewise velocity as long as that
 
     H = -cH rho pi R^3 |Omega| (w - n (n.w))         w = A^T (v - wind) + W x r, the hub's velocity through the air
 
-It comes from what the advancing blade meets more than the retreating one (blade elements in docs/dynamics.md; Leishman
-2006, Sec. 3.5 for the forces, Mahony, Kumar and Corke 2012 for the linear form), and never drives: ``H.w <= 0``.
+It comes from what the advancing blade meets more than the retreating one (blade elements in
+docs/explanation/dynamics.md; Leishman 2006, Sec. 3.5 for the forces, Mahony, Kumar and Corke 2012 for the linear form),
+and never drives: ``H.w <= 0``.
 
 The map is held at its edges, so thrust and
 torque go to zero with the speeds as ``Omega^2`` does, whatever the ratios are then.
@@ -60,7 +62,7 @@ hover,
 
 times ``rotors.ground_effect`` in what it adds. Each rotor has its own height and image. Below h = R/2,
 where the source is too near to stand for a disc, the value there holds. Measured and computed curves beside it:
-docs/wake.md.
+docs/explanation/wake.md.
 """
 
 from __future__ import annotations

@@ -377,7 +377,7 @@ def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
 # coordinates without
 # redundancy: body velocity, Euler angles, and roll and pitch of the bar's disc seen at the trim's heading::
 #
-#     d(phi, theta, psi)/dt from (p, q, r)  by eq. 4.3, correctly written     (docs/thesis-errata.md, point 4)
+#     d(phi, theta, psi)/dt from (p, q, r)  by eq. 4.3, correctly written     (docs/thesis/thesis-errata.md, point 4)
 #     dv_B/dt = A^T dv/dt - W x v_B
 #     bar normal s = Rz(psi_0) (-sin zeta cos eta, sin eta, -cos zeta cos eta)     eta: bar_roll, zeta: bar_pitch
 #

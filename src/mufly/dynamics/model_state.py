@@ -17,7 +17,7 @@ first index         slice             meaning
 ==================  ================  =======================================================================
 
 The input is ``[motor upper, motor lower, servo 1, servo 2]``, with the indices ``U_...``: motors 0..1, servos -1..1.
-Positive servo 1 pitches the nose down, positive servo 2 rolls to the right (docs/thesis-errata.md, point 2).
+Positive servo 1 pitches the nose down, positive servo 2 rolls to the right (docs/thesis/thesis-errata.md, point 2).
 """
 
 from __future__ import annotations

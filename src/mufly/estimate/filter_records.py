@@ -333,7 +333,7 @@ def settings_type(kind: Any = np.float64) -> np.dtype:
     return record_type(FilterSettings, kind)
 
 
-# What is assumed beyond the vehicle's file (docs/estimation.md)
+# What is assumed beyond the vehicle's file (docs/explanation/estimation.md)
 MODEL_FORCE_SIGMA = (0.035, 0.035, 0.035)
 """What the rotor model is off by in flight, one sigma an axis (m/s^2), and for how long together (s)."""
 MODEL_FORCE_TIME_S = 0.1
@@ -463,7 +463,8 @@ def filter_settings(
         s["beam_count"], s["beam_directions"][:count] = count, directions[pick]
         s["ring_max"], s["ring_baseline"] = float(ring.max_range), float(ring.baseline)
         # An error of so many rows is one of (l^2 + b^2) / b of their angle. What calibration left of a beam lasts.
-        # Noise of one in each pixel moves the centroid of a spot by so many rows at 1 m (docs/estimation.md).
+        # Noise of one in each pixel moves the centroid of a spot by so many rows at 1 m
+        # (docs/explanation/estimation.md).
         row = ELEVATION_MARGIN * math.atan(float(ring.baseline) / float(ring.min_range)) / ring.radial_pixels
         row /= float(ring.baseline)
         blur = float(ring.blur)

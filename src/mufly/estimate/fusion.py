@@ -520,9 +520,9 @@ def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
 def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array, most: int) -> bool:
     """Distances to the walls of the room, beam by beam, ``most`` at a time; returns whether that was all.
 
-    What a beam is off by is mostly constant (docs/estimation.md), so no number of readings tells of a position more
-    than J, the sum of h^2 / C over the beams. Of that a picture brings what has been lost since the one before:
-    J - 1 / P. Each beam has its share of it, which is a variance of C J / (J - 1 / P) beside what scatters.
+    What a beam is off by is mostly constant (docs/explanation/estimation.md), so no number of readings tells of a
+    position more than J, the sum of h^2 / C over the beams. Of that a picture brings what has been lost since the one
+    before: J - 1 / P. Each beam has its share of it, which is a variance of C J / (J - 1 / P) beside what scatters.
     """
     k = R_RING
     rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)

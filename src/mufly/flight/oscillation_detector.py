@@ -2,8 +2,8 @@
 
 An input *oscillates* when it goes to and fro by half of its range or more, in even periods of at most 4 s, four of them
 on end and for 2 s or longer, and nobody asked for it. Loops that are unstable with their delay, or that saturation
-makes so (docs/control.md), end like that: they neither settle nor diverge, and what the helicopter does meanwhile may
-look like flying.
+makes so (docs/explanation/control.md), end like that: they neither settle nor diverge, and what the helicopter does
+meanwhile may look like flying.
 
 A turn is where the input has come back from its extreme by half of the range; the period at a turn is the time since
 the one before the last. Even means that it differs from the period before by no more than a factor of 1.6: gusts do not

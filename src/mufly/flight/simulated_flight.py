@@ -566,7 +566,7 @@ def fly_mission(
     Returns
     -------
     xarray.Dataset
-        The recording (docs/recordings.md). ``attrs["outcome"]`` is ``"succeeded"`` or ``"failed"``, with
+        The recording (docs/reference/recordings.md). ``attrs["outcome"]`` is ``"succeeded"`` or ``"failed"``, with
         ``attrs["reason"]``.
 
     Raises

@@ -3,9 +3,9 @@
 Names are those of a MAVLink parameter: at most 16 characters. Values at this edge are in the unit that the table
 names (degrees, not radians); inside they stay SI. Three kinds:
 
-- of the mission (``MIS_``, ``LIM_``, ``AVD_``, ``BAT_``): keys of a mission file (docs/missions.md), with its bounds.
-  A limit is never above 80 % of what the controllers can follow (:mod:`mufly.mission.mission_checks`), so its greatest
-  value moves with the controllers'.
+- of the mission (``MIS_``, ``LIM_``, ``AVD_``, ``BAT_``): keys of a mission file (docs/reference/missions.md), with its
+  bounds. A limit is never above 80 % of what the controllers can follow (:mod:`mufly.mission.mission_checks`), so its
+  greatest value moves with the controllers'.
 - of the control law (``CTL_``): limits of the reference filters, and the one gain outside of the H-infinity
   controllers. They are gone over to within half a second (:class:`mufly.flight.controllers.Controllers`).
 - of the pilot's sticks (``STK_``): what a stick at its end asks for.

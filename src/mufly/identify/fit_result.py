@@ -2,7 +2,8 @@
 
 Plain frozen data, made by the fits of this room (bench, flight, linear) and read by reports, files and commands.
 Intervals are at 95 % and two-sided; ``covariance`` is that of the estimates in SI units, in the order of
-``estimates``, already corrected for coloured residuals where the method does so (``docs/identification.md``).
+``estimates``, already corrected for coloured residuals where the method does so
+(``docs/explanation/identification.md``).
 """
 
 from __future__ import annotations

@@ -134,7 +134,7 @@ def make_record(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Fli
     """
     for key in ("motor_input", "servo_input"):
         if key not in data:
-            raise InputError(name, key, "is not in this log", "map a column to it (docs/logs.md)")
+            raise InputError(name, key, "is not in this log", "map a column to it (docs/reference/logs.md)")
     time = np.asarray(data["time"].values, dtype=np.float64)
     inputs = np.hstack([np.asarray(data[k].values, np.float64) for k in ("motor_input", "servo_input")])
     columns: dict[str, Array] = {}  # in the order of OUTPUTS
@@ -153,7 +153,7 @@ def make_record(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Fli
     if not columns:
         raise InputError(
             name, f"{prefix}_attitude", "no measured output is in this log",
-            f"map columns to {prefix}_attitude, {prefix}_rates or {prefix}_position (docs/logs.md)",
+            f"map columns to {prefix}_attitude, {prefix}_rates or {prefix}_position (docs/reference/logs.md)",
         )  # fmt: skip
     measured = np.column_stack(list(columns.values()))
     record = FlightRecord(name, time, inputs, tuple(columns), measured, columns.get("voltage"))

@@ -43,7 +43,7 @@ _REQUESTED_MESSAGE_IDS = (
 _ORIENTATION_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
 _TILT_SIGMA_RAD, _HEIGHT_SIGMA_M = math.radians(1.0), 0.02
 _MIN_TILT_SIGMA_RAD, _TILT_CORRELATION_TIME_S = math.radians(0.15), 20.0
-"""What nobody knows better, and over which errors of a filter's tilt hang together (docs/slam.md)."""
+"""What nobody knows better, and over which errors of a filter's tilt hang together (docs/explanation/slam.md)."""
 _POSITION_SIGMA_M, _HEADING_SIGMA_RAD = 0.1, math.radians(2.0)
 """Of a place whose accuracy nobody tells (m), and of the heading that goes with it."""
 _STATIONARY_SIGMA_M = 0.002

@@ -1,7 +1,7 @@
 """What a mission file may say.
 
 Lengths in metres, N-E-D from a point on the floor, so heights above the floor are negative D. Every key carries its
-unit. `docs/missions.md` explains each one; a test holds that page and these models together.
+unit. `docs/reference/missions.md` explains each one; a test holds that page and these models together.
 """
 
 from __future__ import annotations

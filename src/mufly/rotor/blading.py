@@ -3,7 +3,8 @@
 Stations sit in the middle of panels whose edges follow x = x0 + (1 - x0) (1 - cos t) / 2 with t uniform, so
 that they crowd where the loading bends, at hub and tip.
 
-Which corrections a blade element calculation applies; derivations and what each does to the error: docs/bemt.md.
+Which corrections a blade element calculation applies; derivations and what each does to the error:
+docs/explanation/bemt.md.
 
 * ``tip_loss``: ``"prandtl"`` is F = (2/pi) acos exp(-f), f = N (R - r) / (2 r |sin phi|) (Glauert's form of
 Prandtl's
@@ -25,7 +26,8 @@ Prandtl's
   (ECN-C-93-052, 1994); ``"chaviaropoulos-hansen"`` 2.2 (c/r) cos^4 theta (J. Fluids Eng. 122, 2000), both cut
   at 1; ``"none"``. Full to |alpha| = 30 degrees, gone at 50; it never lowers the lift.
 
-Finite chord: the blade as a lifting surface with one row of horseshoe vortices (own derivation, docs/bemt.md).
+Finite chord: the blade as a lifting surface with one row of horseshoe vortices (own derivation,
+docs/explanation/bemt.md).
 
 Blade element theory puts the whole blade on one line. A blade of aspect ratio 2.5 to 6 is not a line: the
 downwash of its own trailing vortices grows along the chord, and the flow has to be tangent to the chord, not to
@@ -280,7 +282,7 @@ def prepare_blading(
         Airfoil name to polar, for every airfoil that the rotors name. By default they are computed (or recalled) by
         ``engine`` at ``n_crit``, over Reynolds numbers from 2e3 to 6e6.
     corrections : Corrections, optional
-        Default: all that docs/bemt.md recommends.
+        Default: all that docs/explanation/bemt.md recommends.
     stations : int
         Stations along a blade; 24 give thrust and torque within 0.1 % of 200.
 

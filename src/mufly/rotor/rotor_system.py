@@ -304,7 +304,7 @@ class RotorResult:
 
 @dataclass(frozen=True)
 class WakeSettings:
-    """How a wake is solved; docs/wake.md shows what each number does to the answer.
+    """How a wake is solved; docs/explanation/wake.md shows what each number does to the answer.
 
     Attributes
     ----------

@@ -124,7 +124,7 @@ def fitted_sensors(
             vehicle.name,
             "sensors",
             "there is no such table",
-            "add one (docs/sensors.md), or fly on ideal sensors",
+            "add one (docs/reference/sensors.md), or fly on ideal sensors",
         )
     wanted = set(only)
     keys = (k for k in range(2 * len(SENSORS) + 1) if k != _LEGS_STREAM)

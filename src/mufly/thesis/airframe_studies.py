@@ -187,7 +187,8 @@ def study_bar_lag(progress: ProgressCallback | None = None) -> StudyFindings:
                 -5.0,
                 "deg",
                 "axis",
-                "drawn before the identification, with other parameters, which are not stated (docs/thesis-errata.md, "
+                "drawn before the identification, with other parameters, which are not stated "
+                "(docs/thesis/thesis-errata.md, "
                 "point 17)",
             ),
             model,

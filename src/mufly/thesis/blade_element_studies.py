@@ -376,7 +376,7 @@ def study_blade_tips(progress: ProgressCallback | None = None) -> StudyFindings:
         verdicts,
         drawn,
         {"full": data},
-        "judged by blade elements, and by CFD at one point (docs/cfd.md, our guesses of the tips)",
+        "judged by blade elements, and by CFD at one point (docs/explanation/cfd.md, our guesses of the tips)",
     )
 
 
@@ -398,7 +398,10 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
     best = np.nanmax(values, axis=1)
     gain = 100 * (best / best[0] - 1)
     numbers = ", ".join(f"{g:+.1f} % ({f:g} %)" for f, g in zip(GURNEY_HEIGHTS_PERCENT[1:], gain[1:], strict=True))
-    why = "polars of a flap are a network's, made as a ramp; the source's rotor was computed by CFD (docs/polars.md)"
+    why = (
+        "polars of a flap are a network's, made as a ramp; the source's rotor was computed by CFD "
+        "(docs/explanation/polars.md)"
+    )
     verdicts = [
         Verdict(
             Claim("Sec. 3.4.6", "all flaps, of 1, 3 and 5 %, are better than none", reason=why),
@@ -427,9 +430,12 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
                 "it brings nearly 20 %",
                 20.0,
                 "%",
-                reason="ours is per shaft power, at 16 degrees; a flap adds torque as it adds thrust (docs/cfd.md)",
+                reason=(
+                    "ours is per shaft power, at 16 degrees; a flap adds torque as it adds thrust "
+                    "(docs/explanation/cfd.md)"
+                ),
             ),
-            "CFD, laminar, medium mesh (docs/cfd.md)",
+            "CFD, laminar, medium mesh (docs/explanation/cfd.md)",
             f"{blade_form_gain('gurney 1 %'):+.1f} % of T^1.5/P at 1 %, 16 degrees, 5 000 rpm",
             bool(15 <= blade_form_gain("gurney 1 %") <= 22),
             "15 to 22 %",
@@ -458,7 +464,7 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
         verdicts,
         drawn,
         {"full": found},
-        "judged by blade elements, and a flap of 1 % by CFD at one point (docs/cfd.md)",
+        "judged by blade elements, and a flap of 1 % by CFD at one point (docs/explanation/cfd.md)",
     )
 
 

@@ -1,7 +1,8 @@
 """CFD: Figs 3.21 to 3.24 and 3.40.
 
 A Navier-Stokes solution takes hours, so none is run here. A folder of a solved case (``mufly cfd run``) can be given;
-without one, what docs/cfd.md states of the cases that were run is judged, or the study says that it needs CFD.
+without one, what docs/explanation/cfd.md states of the cases that were run is judged, or the study says that it needs
+CFD.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ from mufly.units import RPM
 
 MESH_LEVEL = "coarse"
 
-# docs/cfd.md: 12 degrees, 5 000 rpm, coarse mesh: thrust (mN) of the radii from, to (mm) by CFD and by blade elements.
+# docs/explanation/cfd.md: 12 degrees, 5 000 rpm, coarse mesh: thrust (mN) of the radii from, to (mm) by CFD and by
+# blade elements.
 SPAN_LOADS_MN: dict[tuple[int, int], tuple[float, float]] = {
     (9, 30): (14.9, 18.2),
     (30, 50): (66.9, 81.8),
@@ -54,7 +56,7 @@ OUR_MESH_CONVERGENCE: tuple[tuple[float, ...], tuple[float, ...]] = (
     (61.4, 136.3, 375.7),
     (0.1462, 0.1475, 0.1501),
 )
-"""docs/cfd.md: 12 degrees, 5 000 rpm, laminar: thousand cells, thrust (N)."""
+"""docs/explanation/cfd.md: 12 degrees, 5 000 rpm, laminar: thousand cells, thrust (N)."""
 
 
 def study_mesh_setup(progress: ProgressCallback | None = None) -> StudyFindings:
@@ -131,7 +133,7 @@ def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path 
     axes.set(xlabel="Cells in 1000", ylabel="Thrust (N)", title="Fig. 3.22: thrust over the mesh")
     verdicts: list[Verdict] = []
     cells, thrust = OUR_MESH_CONVERGENCE
-    label = "docs/cfd.md, 12 deg, 5 000 rpm"
+    label = "docs/explanation/cfd.md, 12 deg, 5 000 rpm"
     if case is not None:
         solved = [(read_poly_mesh(c).cell_count, read_solution(c).thrust_N) for c in _find_solved_cases(case)]
         cells, thrust = tuple(n / 1e3 for n, _ in sorted(solved)), tuple(t for _, t in sorted(solved))
@@ -141,7 +143,7 @@ def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path 
         verdicts.append(
             Verdict(
                 claim,
-                "CFD, laminar" if case is not None else "CFD, laminar (docs/cfd.md)",
+                "CFD, laminar" if case is not None else "CFD, laminar (docs/explanation/cfd.md)",
                 f"{', '.join(f'{t:.4f}' for t in thrust)} N with "
                 f"{', '.join(f'{n:.0f}' for n in cells)} thousand cells; the last two {change:.1f} % apart",
                 change < 1.0,
@@ -161,7 +163,7 @@ def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path 
 
 
 def study_surface_pressure(progress: ProgressCallback | None = None, case: Path | None = None) -> StudyFindings:
-    """Fig. 3.23: suction at tip and leading edge; of a case, or by the loads that docs/cfd.md states."""
+    """Fig. 3.23: suction at tip and leading edge; of a case, or by the loads that docs/explanation/cfd.md states."""
     claim = Claim("Sec. 3.3.3", "there is strong suction at the tip and at the leading edge, which adds to the lift")
     if case is not None:
         folder = _find_solved_cases(case)[0]
@@ -202,7 +204,7 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
     verdicts = [
         Verdict(
             claim,
-            "CFD, laminar, coarse (docs/cfd.md)",
+            "CFD, laminar, coarse (docs/explanation/cfd.md)",
             f"at 12 degrees and 5 000 rpm the outer 5 mm carry {outer[0]:.1f} mN where blade "
             f"elements, which know no suction "
             f"of the tip vortex, have {outer[1]:.1f}; inboard {inner[0]:.0f} and {inner[1]:.0f} mN",
@@ -216,7 +218,10 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
     for k, name in enumerate(("CFD, laminar, coarse mesh", "blade elements")):
         axes.bar(at + 0.4 * k - 0.2, [v[k] / (b - a) for (a, b), v in SPAN_LOADS_MN.items()], 0.38, label=name)
     axes.set_xticks(at, [f"{a} to {b} mm" for a, b in SPAN_LOADS_MN])
-    axes.set(ylabel="Thrust per radius (mN/mm)", title="Fig. 3.23's suction at the tip, by what docs/cfd.md states")
+    axes.set(
+        ylabel="Thrust per radius (mN/mm)",
+        title=("Fig. 3.23's suction at the tip, by what docs/explanation/cfd.md states"),
+    )
     axes.legend()
     return StudyFindings(
         verdicts, drawn, note="the pressure itself: `mufly thesis run fig-3.23 --case DIR` with a solved case"
@@ -291,7 +296,7 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
 
 
 def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.40: the standard blade by blade elements, winglets by CFD as docs/cfd.md states it.
+    """Fig. 3.40: the standard blade by blade elements, winglets by CFD as docs/explanation/cfd.md states it.
 
     Thesis: Fig. 3.40.
     """
@@ -315,7 +320,7 @@ def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
                     f"winglet {which} outperforms the standard blade",
                     reason="its size and how it stands are guessed; a straight one meets the air askew",
                 ),
-                "CFD, laminar, coarse (docs/cfd.md)",
+                "CFD, laminar, coarse (docs/explanation/cfd.md)",
                 f"winglet-{which} {blade_form_gain(f'winglet-{which}'):+.1f} % of T^1.5/P at 16 degrees and 5 000 rpm",
                 blade_form_gain(f"winglet-{which}") > 0.0,
                 "above zero",
@@ -340,7 +345,7 @@ def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
         verdicts,
         drawn,
         {"full": data},
-        "no sizes of the winglets are printed; what our guesses give by CFD: docs/cfd.md; where a blade "
+        "no sizes of the winglets are printed; what our guesses give by CFD: docs/explanation/cfd.md; where a blade "
         "with winglets is best was not run",
         "CFD",
     )

@@ -168,27 +168,37 @@ _CLAIMS: dict[str, Claim] = {
     "coax-spacing": Claim("Fig. 3.45", "a spacing of 1 to 4 cm has little influence on the lower rotor"),
 }
 
-_TUNING_REASON = "polars, the unstated hub cut-out (here 0.15 R) and the tuning, which is not printed (docs/studies.md)"
-_WAKE_REASON = "our wakes take more from the lower rotor: no swirl from drag, a stream with a sharp edge (docs/wake.md)"
+_TUNING_REASON = (
+    "polars, the unstated hub cut-out (here 0.15 R) and the tuning, which is not printed (docs/explanation/studies.md)"
+)
+_WAKE_REASON = (
+    "our wakes take more from the lower rotor: no swirl from drag, a stream with a sharp edge "
+    "(docs/explanation/wake.md)"
+)
 _REASONS_BY_CLAIM = {
-    "gear-thrust": "it holds at 6.4 V, the voltage of a used battery (docs/thesis-errata.md, points 6 and 22)",
+    "gear-thrust": "it holds at 6.4 V, the voltage of a used battery (docs/thesis/thesis-errata.md, points 6 and 22)",
     "coefficients-torque": "the corrections for a short blade move with the Reynolds number",
     "coefficients-thrust": "the corrections for a short blade move with the Reynolds number; without them it agrees",
     "blades-two": _TUNING_REASON,
     "blades-more": _TUNING_REASON,
     "blades-five": _TUNING_REASON,
-    "radius-size": "momentum theory alone gives +60 % from 50 to 80 mm; 15 % is one step of 10 mm (docs/studies.md)",
+    "radius-size": "momentum theory alone gives +60 % from 50 to 80 mm; 15 % is one step of 10 mm "
+    "(docs/explanation/studies.md)",
     "thickness": _TUNING_REASON,
-    "airfoils-bottom": "polars that did not converge would explain it (docs/thesis-errata.md, points 23 and 24)",
-    "airfoils-spread": "NACA6415's 9.6 W cannot be had from theory and polar alone (docs/thesis-errata.md, point 24)",
-    "taper": "a hub chord of 35 mm is no lifting line, and the tip works at Re 10 000 (docs/studies.md)",
+    "airfoils-bottom": "polars that did not converge would explain it (docs/thesis/thesis-errata.md, points 23 and 24)",
+    "airfoils-spread": "NACA6415's 9.6 W cannot be had from theory and polar alone "
+    "(docs/thesis/thesis-errata.md, point 24)",
+    "taper": "a hub chord of 35 mm is no lifting line, and the tip works at Re 10 000 (docs/explanation/studies.md)",
     "twist": "within 1 % of each other with the corrections; with the dissertation's own theory it agrees",
     "coax-thrust": _WAKE_REASON,
     "coax-torque": _WAKE_REASON,
-    "coax-upper": "coaxial blade elements let the lower rotor's suction through to the upper one (docs/coax.md)",
-    "coax-pitch-power": "the printed torque is above its own bench's (docs/thesis-errata.md, point 26)",
-    "coax-lower-speed": "a lower rotor that windmills in the upper one's wake has no wake that settles (docs/wake.md)",
-    "coax-pitch-speed": "both are computed, and no bench decides; ours wants more speed at more pitch (docs/wake.md)",
+    "coax-upper": "coaxial blade elements let the lower rotor's suction through to the upper one "
+    "(docs/explanation/coax.md)",
+    "coax-pitch-power": "the printed torque is above its own bench's (docs/thesis/thesis-errata.md, point 26)",
+    "coax-lower-speed": "a lower rotor that windmills in the upper one's wake has no wake that settles "
+    "(docs/explanation/wake.md)",
+    "coax-pitch-speed": "both are computed, and no bench decides; ours wants more speed at more pitch "
+    "(docs/explanation/wake.md)",
     "coax-spacing": "most of it between 1 and 2 cm; blade elements let the upper wake grow stronger with the distance",
 }
 CLAIMS: dict[str, Claim] = {

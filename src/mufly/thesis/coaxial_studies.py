@@ -164,11 +164,11 @@ OUR_CFD_PAIR_LOADS: dict[int, dict[str, tuple[float, float]]] = {
     5000: {"upper": (0.1834, 2.100e-3), "lower": (0.0974, 1.665e-3), "single": (0.1814, 2.107e-3)},
     7000: {"upper": (0.3601, 3.984e-3), "lower": (0.1906, 3.096e-3), "single": (0.3575, 4.005e-3)},
 }
-"""docs/cfd.md: beside the other's mean, laminar, coarse, hub of 6 mm, settled; by rpm: thrust (N), torque (N m)."""
+"""cfd.md; beside the other's mean, laminar, coarse, hub of 6 mm, settled; by rpm: thrust (N), torque (N m)."""
 
 
 def tabulate_cfd_equal_speeds() -> xr.Dataset:
-    """What docs/cfd.md states of the pair, in the form of :func:`compute_equal_speeds`."""
+    """What docs/explanation/cfd.md states of the pair, in the form of :func:`compute_equal_speeds`."""
     rpm, air, R = sorted(OUR_CFD_PAIR_LOADS), Air(), _load_blade().radius_m
     out: dict[str, NDArray[np.float64]] = {}
     for who in ("upper", "lower", "single"):

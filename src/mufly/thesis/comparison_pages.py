@@ -109,7 +109,7 @@ def _format_cell(text: str) -> str:
 
 def _link_documents(text: str) -> str:
     """Name documents as links of the page."""
-    return re.sub(r"docs/([\w-]+\.md)", r"[\1](\1)", text)
+    return re.sub(r"docs/([\w/-]+\.md)", r"[\1](../\1)", text)
 
 
 _BADGES = {"agrees": "yes", "in part": "part", "DIFFERS": "no"}

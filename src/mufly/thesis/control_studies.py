@@ -27,10 +27,10 @@ from mufly.vehicle import load_vehicle
 Array = NDArray[np.float64]
 _NOMINAL_VOLTAGE_V, _USED_BATTERY_VOLTAGE_V = 7.2, 6.4
 _VOLTAGE_REASON = (
-    "the printed pair is that of a used battery at 6.4 V, read from a grid (docs/thesis-errata.md, point 6)"
+    "the printed pair is that of a used battery at 6.4 V, read from a grid (docs/thesis/thesis-errata.md, point 6)"
 )
-_WEIGHTS_REASON = "weights, scaling and the rate fed back are not all as printed (docs/control.md; "
-"docs/thesis-errata.md, point 8)"
+_WEIGHTS_REASON = "weights, scaling and the rate fed back are not all as printed (docs/explanation/control.md; "
+"docs/thesis/thesis-errata.md, point 8)"
 
 
 @functools.lru_cache(maxsize=2)
@@ -141,7 +141,7 @@ def study_roll_pitch_plant(progress: ProgressCallback | None = None) -> StudyFin
                 "the bar leads to a resonance at about 14.5 rad/s",
                 14.5,
                 "rad/s",
-                reason="unexplained: not even equal rotor speeds give it (docs/thesis-errata.md, point 7)",
+                reason="unexplained: not even equal rotor speeds give it (docs/thesis/thesis-errata.md, point 7)",
             ),
             "7.2 V",
             f"rates peak at {peaks[0]:.1f} rad/s (roll) and {peaks[1]:.1f} (pitch); poles turn at "
@@ -231,7 +231,7 @@ def study_heave_step(progress: ProgressCallback | None = None) -> StudyFindings:
                 1.5,
                 "1",
                 "axis",
-                "eq. 4.31 limits them to 1, and here they are limited (docs/thesis-errata.md, point 9)",
+                "eq. 4.31 limits them to 1, and here they are limited (docs/thesis/thesis-errata.md, point 9)",
             ),
             "nonlinear model",
             f"at most {motor.max():.2f}",

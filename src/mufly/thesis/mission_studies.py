@@ -255,7 +255,7 @@ def study_cubic_spline(progress: ProgressCallback | None = None) -> StudyFinding
             Claim(
                 "Eq. 6.13",
                 "T = A t3 + 2 B t + C is the tangent",
-                reason="a 3 is lost in print: 3 A t2 + 2 B t + C (docs/thesis-errata.md, point 18)",
+                reason="a 3 is lost in print: 3 A t2 + 2 B t + C (docs/thesis/thesis-errata.md, point 18)",
             ),
             "as printed",
             f"off the derivative of the curve by {off_printed:.2f} of the way; ours by {off:.1e}",
@@ -378,7 +378,7 @@ def study_beam_directions(progress: ProgressCallback | None = None) -> StudyFind
             "mission/avoidance.py",
             f"ours is off by {off:.1e} degrees at most",
             off < 1e-6,
-            "equal; it is the direction away from what beam i sees (docs/thesis-errata.md, point 19)",
+            "equal; it is the direction away from what beam i sees (docs/thesis/thesis-errata.md, point 19)",
         ),
     ]
     drawn = new_figure(5.0, 5.2)

@@ -255,7 +255,7 @@ SWEEP_STUDIES: dict[str, SweepStudy] = {
 #
 # Which rotor Fig. 3.7 was drawn for, and at which voltage, is not said. It is computed here for both rotors of
 # prototype 1.1 with the constant coefficients of Table 5.3, at the nominal 7.2 V and at the 6.4 V that the
-# dissertation's linear model shows (docs/thesis-errata.md, point 6). With constant coefficients the optimal
+# dissertation's linear model shows (docs/thesis/thesis-errata.md, point 6). With constant coefficients the optimal
 # ratios grow with the cube root of the voltage.
 
 
@@ -421,9 +421,9 @@ OUR_CFD_BLADE_FORMS: dict[str, dict[str, tuple[float, float]]] = {
         "winglet-3": (0.1671, 2.154),
     },
 }
-"""docs/cfd.md: 16 degrees, 5 000 rpm, laminar, settled: thrust (N), torque (mN m), by mesh, the finest first."""
+"""cfd.md: 16 degrees, 5 000 rpm, laminar, settled: thrust (N), torque (mN m), by mesh, the finest first."""
 _MESH_UNCERTAINTY_PERCENT = 5.0
-"""Per cent of T^1.5/P: what a difference from the square blade may still move by with the mesh (docs/cfd.md)."""
+"""Per cent of T^1.5/P: what a difference from the square blade may still move by with the mesh (cfd.md)."""
 
 
 def blade_form_gain(name: str) -> float:
@@ -446,7 +446,7 @@ def judge_blade_forms(names: tuple[str, ...], text: str, place: str) -> Verdict:
     gains = [blade_form_gain(name) for name in names]
     return Verdict(
         Claim(place, text),
-        "CFD, laminar (docs/cfd.md)",
+        "CFD, laminar (docs/explanation/cfd.md)",
         ", ".join(f"{name} {g:+.1f} %" for name, g in zip(names, gains, strict=True))
         + " of T^1.5/P at 16 degrees and 5 000 rpm",
         max(gains) <= _MESH_UNCERTAINTY_PERCENT,

@@ -312,7 +312,7 @@ def _run_pair_study(name: str, progress: ProgressCallback | None) -> StudyFindin
 def _run_equal_speeds_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
     found = _run_pair_study(name, progress)
     data = coaxial_studies.tabulate_cfd_equal_speeds()
-    judged = coaxial_studies.judge_equal_speeds("CFD, laminar, coarse (docs/cfd.md)", data)
+    judged = coaxial_studies.judge_equal_speeds("CFD, laminar, coarse (docs/explanation/cfd.md)", data)
     why = "by CFD the lower rotor changes the upper one by 1 % at most; the source computed by a vortex method"
     ours = [replace(v, claim=replace(v.claim, reason=why)) for v in judged]
     return replace(found, verdicts=[*found.verdicts, *ours])

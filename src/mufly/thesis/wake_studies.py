@@ -314,7 +314,7 @@ def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
                 "mN m",
                 basis="axis",
                 reason="the axis reads to 0.035 under the label mN m; the sensor ends at 20 mN m, so neither "
-                "unit can be right (docs/thesis-errata.md, point 27)",
+                "unit can be right (docs/thesis/thesis-errata.md, point 27)",
             ),
             "full",
             f"{1e3 * torque[3, 4]:.1f} mN m",
@@ -354,7 +354,7 @@ def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
     return StudyFindings(verdicts, drawn, {"full": data})
 
 
-# docs/cfd.md: laminar, coarse mesh, by pitch and rpm, all settled; thrust (N), torque (N m).
+# docs/explanation/cfd.md: laminar, coarse mesh, by pitch and rpm, all settled; thrust (N), torque (N m).
 OUR_CFD_LOADS: dict[tuple[int, int], tuple[float, float]] = {
     (12, 5000): (0.1462, 1.628e-3),
     (12, 7000): (0.2879, 3.051e-3),
@@ -366,7 +366,7 @@ OUR_CFD_LOADS: dict[tuple[int, int], tuple[float, float]] = {
 def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
     """Table 3.2: blade elements, wake and CFD beside the bench and beside the source's CFD, at four points.
 
-    CFD is not run here: its points are those of docs/cfd.md (OpenFOAM, laminar, coarse mesh).
+    CFD is not run here: its points are those of docs/explanation/cfd.md (OpenFOAM, laminar, coarse mesh).
     """
     measured, rotor = load_bench_points(), load_rotor("naca0012-r60-c20")
     points = list(TABLE_3_2_VALUES)
@@ -382,9 +382,10 @@ def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
     reasons = {
         "CFD, laminar": "a coarse mesh and no turbulence; the source's own laminar CFD takes the torque at 16 "
         "degrees 30 to 34 % too large",
-        "blade elements, thesis": "a blade of aspect ratio 2.5 is no lifting line (docs/thesis-errata.md, point 11); "
+        "blade elements, thesis": "a blade of aspect ratio 2.5 is no lifting line "
+        "(docs/thesis/thesis-errata.md, point 11); "
         "the source tuned its theory to this rotor",
-        "wake": "so are all of the source's own CFD below its bench in thrust (docs/thesis-errata.md, point 25)",
+        "wake": "so are all of the source's own CFD below its bench in thrust (docs/thesis/thesis-errata.md, point 25)",
     }
 
     def format_errors(e: Array) -> str:
@@ -418,7 +419,7 @@ def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
                 "laminar CFD",
                 basis="table",
                 reason="finer meshes go further from it and nearer to the bench; a hub, the domain and a "
-                "frozen rotor's interface change less than 1 % (docs/cfd.md)",
+                "frozen rotor's interface change less than 1 % (docs/explanation/cfd.md)",
             ),
             "CFD, laminar",
             f"thrust {format_errors(laminar[:, 0])} %, torque {format_errors(laminar[:, 1])} % of the source's "

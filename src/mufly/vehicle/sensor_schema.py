@@ -1,7 +1,7 @@
 """What a vehicle feels with: the table ``[sensors]`` of a vehicle file, a group a sensor, each of which may be absent.
 
-What the numbers do stands with the sensors (:mod:`mufly.sensors`) and in docs/sensors.md. Limits are those of any
-sensor that a vehicle of a gram to 100 kg might carry and of errors with which it still is one; errors may be none.
+What the numbers do stands with the sensors (:mod:`mufly.sensors`) and in docs/reference/sensors.md. Limits are those of
+any sensor that a vehicle of a gram to 100 kg might carry and of errors with which it still is one; errors may be none.
 """
 
 from __future__ import annotations

@@ -35,7 +35,10 @@ if TYPE_CHECKING:
     from mufly.bench.series.series_runner import SeriesProgress
 
 app = CommandGroup(
-    help="A rotor test bench: plan a series, run it (simulated, or on devices), analyse and compare; docs/bench.md.",
+    help=(
+        "A rotor test bench: plan a series, run it (simulated, or on devices), analyse and compare; "
+        "docs/explanation/bench.md."
+    ),
     no_args_is_help=True,
 )
 
@@ -154,7 +157,9 @@ def plan(
 @app.command()
 def run(
     plan: Annotated[Path, define_argument("PLAN", "From `mufly bench plan`.")],
-    rig: Annotated[str, define_option("--rig sim|FILE", "'sim', or the file of a bench (docs/bench.md).")] = "sim",
+    rig: Annotated[
+        str, define_option("--rig sim|FILE", "'sim', or the file of a bench (docs/explanation/bench.md).")
+    ] = "sim",
     out: Annotated[Path, define_option("--out DIR", "The series; one that was stopped goes on there.")] = Path(
         "series"
     ),

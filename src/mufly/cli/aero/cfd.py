@@ -47,7 +47,10 @@ if TYPE_CHECKING:
     from mufly.cfd import SolverProgress
 
 app = CommandGroup(
-    help="Navier-Stokes answers for a rotor in hover or climb, by OpenFOAM; what stands and what not: docs/cfd.md.",
+    help=(
+        "Navier-Stokes answers for a rotor in hover or climb, by OpenFOAM; what stands and what not: "
+        "docs/explanation/cfd.md."
+    ),
     no_args_is_help=True,
 )
 
@@ -68,7 +71,8 @@ class BladeOptions:
     pitch: PitchOption = 12.0
     level: MeshOption = "medium"
     tip: Annotated[
-        str, define_option("--tip NAME", "The blades' tip: 'round', 'swept', 'winglet-up', ... (docs/cfd.md).")
+        str,
+        define_option("--tip NAME", "The blades' tip: 'round', 'swept', 'winglet-up', ... (docs/explanation/cfd.md)."),
     ] = "square"
     hub: Annotated[
         float,

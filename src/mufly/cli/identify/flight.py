@@ -82,7 +82,7 @@ def flight(
         define_option("NAME", "What to take from a recording: measured, estimated or truth."),
     ] = "measured",
     columns: Annotated[
-        Path | None, define_option("--map MAP.toml", "Column map of foreign logs; see docs/logs.md.")
+        Path | None, define_option("--map MAP.toml", "Column map of foreign logs; see docs/reference/logs.md.")
     ] = None,
     voltage: Annotated[
         str,

@@ -96,7 +96,7 @@ def run(
 
     Any other log goes through it as a strapdown filter: gyroscopes and accelerometers, aided by positions and headings.
     Units, gravity and signs are checked first; noise is found by rules from the log itself, never from the truth
-    (docs/estimation.md).
+    (docs/explanation/estimation.md).
 
     Where the log knows the truth (truth_position, truth_attitude), NEES tells whether the estimate knew how far it was
     off: the square of the error over its expected square, 1 on average. NIS tells the same of the aids, each compared

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 app = CommandGroup(
     help="Control law and estimator as C99 for a board: exported with a vehicle's numbers, flown, proved equal "
-    "(docs/firmware.md).",
+    "(docs/reference/firmware.md).",
     no_args_is_help=True,
 )
 
@@ -88,7 +88,7 @@ def export(
     if helicopter.sensors is None:
         print_lines(
             f"{helicopter.name} has no table [sensors]: the estimator in these files believes no sensor; give it the "
-            "position and attitude it flies on, or add the table (docs/sensors.md).",
+            "position and attitude it flies on, or add the table (docs/reference/sensors.md).",
             mark="Warning", style="yellow",
         )  # fmt: skip
     print_lines(

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 app = CommandGroup(
     help="Sensors: what a vehicle file says about them, and what they would say on a flight. Equations and sources: "
-    "docs/sensors.md.",
+    "docs/reference/sensors.md.",
     no_args_is_help=True,
 )
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 app = CommandGroup(
     help="Visual SLAM with a camera that looks down: run it over pictures, recorded or as they come, evaluate, "
     "calibrate; render data sets, and serve them as a stream. "
-    "Equations and what it assumes: docs/slam.md.",
+    "Equations and what it assumes: docs/explanation/slam.md.",
     no_args_is_help=True,
 )
 
@@ -288,7 +288,7 @@ def run(
             place,
             "",
             f"{len(found.time)} of {found.pictures} pictures were answered: {why}",
-            "see docs/slam.md",
+            "see docs/explanation/slam.md",
         )
     result = None
     if truth is not None:

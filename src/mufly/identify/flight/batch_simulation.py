@@ -14,7 +14,8 @@ the same integral and the same first moment over the step (own derivation, ``z =
     e^(-t/T) ~ A + B t/h,   B = 6 m_0 - 12 m_1,  A = m_0 - B/2,  m_0 = (1 - e^-z)/z,  m_1 = 1/z - (1 - e^-z)/z^2
 
 so that rate and angle which the tilt leaves behind are right at the end of the step, whatever ``h/T``. The error
-against steps of 0.1 ms is measured in ``tests/identify/test_simulate.py`` and stated in docs/identification.md.
+against steps of 0.1 ms is measured in ``tests/identify/test_simulate.py`` and stated in
+docs/explanation/identification.md.
 
 The simulation can be restarted at chosen samples (multiple shooting): motion of the body is then set to given
 values. Rotors and battery, which follow from the inputs, run on; the bar takes the place that it has after following

@@ -2,8 +2,8 @@
 
 A flight is a row of float64 values every sampling instant: column 0 is the time (s), the others are the quantities
 of :mod:`mufly.quantities` in their order. The writer, the schemas inside the file, the reader, the CSV header and
-``docs/recordings.md`` follow a :class:`RecordingLayout`; a file carries its own copy, so that it stays readable when
-the table grows.
+``docs/reference/recordings.md`` follow a :class:`RecordingLayout`; a file carries its own copy, so that it stays
+readable when the table grows.
 
 As a plain column a component is called ``variable_label`` (``measured_attitude_roll``). What columns alone cannot
 say (the dataset's attributes, events, labels of a user's own dimensions) travels as one JSON text where the format
