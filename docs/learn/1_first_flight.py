@@ -1,8 +1,8 @@
 # %% [markdown]
-# # 1. A first flight, and what the numbers mean
+# # 1. A first flight and its numbers
 #
-# Ten minutes. You fly a simulated helicopter of 95 g, read its recording, and see what wind and honest sensors
-# change. Every cell below is Python that you can paste; the same flight from a terminal is `mufly fly --headless`.
+# Ten minutes. You fly a simulated helicopter of 95 g, read its recording, and see the effect of wind and of real
+# sensors. Every cell is Python that you can paste. The same flight from a terminal is `mufly fly --headless`.
 
 # %%
 from pathlib import Path
@@ -18,10 +18,10 @@ folder = Path("lesson-1")  # for pictures
 folder.mkdir(exist_ok=True)
 
 # %% [markdown]
-# ## What has to be so in hover
+# ## Hover
 #
-# Two rotors, one above the other, turn against each other. In hover their thrusts carry the weight and the downwash
-# that presses on the fuselage, and their torques cancel. `trim` solves for that.
+# Two rotors on one axis turn in opposite directions. In hover their thrusts carry the weight and the drag of the
+# downwash on the fuselage, and their torques cancel. `find_trim` solves for the motor inputs.
 
 # %%
 hover = dynamics.find_trim(vehicle)
@@ -30,13 +30,13 @@ print(f"motor inputs {hover.input[0]:.3f} (upper), {hover.input[1]:.3f} (lower)"
 print(f"rotor speeds {upper:.0f} and {lower:.0f} rpm")
 
 # %% [markdown]
-# The lower rotor works in the wash of the upper one, the upper one drags a stabiliser bar along: that is why the two
-# speeds differ.
+# The lower rotor works in the downwash of the upper rotor, and the upper rotor drives a stabiliser bar. Therefore the
+# two speeds differ.
 #
-# ## A controller, and a mission
+# ## Controller and mission
 #
-# `control.design` makes H-infinity controllers from the linearised model; `fly` flies a mission on the full,
-# nonlinear one. The demonstration is the dissertation's: take off, four waypoints, land.
+# `design_flight_controller` makes H-infinity controllers from the linearised model. `fly_mission` flies a mission on
+# the nonlinear model. The demonstration mission is the dissertation's: take off, four waypoints, land.
 
 # %%
 controller = control.design_flight_controller(vehicle)
@@ -44,8 +44,8 @@ recording = flight.fly_mission(vehicle, "demonstration", controller=controller)
 print(recording.attrs["outcome"], f"after {float(recording.time[-1]):.0f} s")
 
 # %% [markdown]
-# What `fly` returns is a labelled table (an xarray data set): truth, measurement, reference and actuators on one
-# clock. Axes are north, east and **down**, so a height of 2 m is D = -2.
+# `fly_mission` returns a labelled table (an xarray data set): truth, measurement, reference and actuators on one
+# clock. The axes are north, east and **down**: a height of 2 m is D = -2.
 
 # %%
 position, asked = recording.truth_position, recording.reference_position
@@ -64,7 +64,7 @@ figure.savefig(folder / "way.png")
 # %% [markdown]
 # ## The numbers of a flight
 #
-# The summary judges the flight by the truth, not by what the helicopter believed.
+# The summary judges the flight by the true state, not by the estimated one.
 
 # %%
 summary = flight.summarise_flight(recording)
@@ -74,8 +74,8 @@ for name, value in flight.summary_rows(summary):
 # %% [markdown]
 # ## Wind
 #
-# 1.8 m/s of wind and gusts of 0.3 m/s (standard deviation): a window stands open. `seed` makes the gusts the same
-# again; another seed gives other gusts. Wind pushes sideways, so the distance in the horizontal plane shows it.
+# The wind is 1.8 m/s from a constant direction with gusts of 0.3 m/s (standard deviation). The same `seed` gives the
+# same gusts. Wind pushes sideways, so the plot shows the distance from the reference in the horizontal plane.
 
 # %%
 windy = flight.fly_mission(vehicle, "demonstration", controller=controller, wind=(1.8, 0.0, 0.0), gust=0.3, seed=1)
@@ -98,15 +98,16 @@ figure.tight_layout()
 figure.savefig(folder / "wind.png")
 
 # %% [markdown]
-# Five times as far: 5.1 cm at worst in place of 1.0 cm, at take-off, before the controller knows the wind. The greatest
-# position error of the summary, 15 cm, hides that: it is the lag in height at take-off, with and without wind.
+# Wind makes the greatest distance five times as large: 5.1 cm instead of 1.0 cm. It occurs at take-off, where the
+# controller has not yet compensated the wind. The greatest position error of the summary, 15 cm, hides this effect:
+# it is the lag in height at take-off, which is the same with and without wind.
 
 # %% [markdown]
-# ## Honest sensors
+# ## Real sensors
 #
-# So far the controllers knew the truth. `sensors="fitted"` gives them what the vehicle's own sensors say, through a
-# filter: accelerometers that rotors shake, a sonar, position fixes that come late. That is what `mufly fly` does
-# unless told otherwise.
+# The controllers used the true state in these flights. With `sensors="fitted"` they use estimates from the vehicle's
+# own sensors: accelerometers shaken by the rotors, a sonar, and position fixes that arrive late. `mufly fly` uses
+# fitted sensors by default.
 
 # %%
 felt = flight.fly_mission(
@@ -123,7 +124,7 @@ figure.savefig(folder / "estimate.png")
 print(felt.attrs["outcome"])
 
 # %% [markdown]
-# Run as a script (`python 1_first_flight.py`), the lesson shows its pictures in windows now; they are also files in
+# Run as a script (`python 1_first_flight.py`), the lesson shows its pictures in windows. They are also files in
 # `lesson-1`.
 
 # %%
@@ -133,8 +134,8 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * Give it `wind=(4.0, 0.0, 0.0)`. What does the summary say of air beyond the model?
-# * `flight.fly_mission(vehicle, "box-on-leg", ...)`: a crate stands on the way, seen by eight beams.
-# * Watch it: `mufly fly` in a terminal opens the ground station.
+# * Fly with `wind=(4.0, 0.0, 0.0)`. Which line of the summary reports air speeds beyond the model?
+# * Fly `flight.fly_mission(vehicle, "box-on-leg", ...)`: eight range beams detect a crate on the path.
+# * Watch a flight: `mufly fly` opens the ground station.
 #
-# What the numbers rest on, and where they fall short: [validation](../validation.md).
+# The errors of the model and their sources: [Accuracy](../accuracy.md).

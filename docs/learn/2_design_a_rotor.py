@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 2. Design a rotor for your motor
 #
-# Fifteen minutes. A blade is good or bad only together with the motor, gear and battery that turn it. You look at one
-# blade, let its speed settle on a motor, sweep shapes, and let the machine search. From a terminal: `mufly rotor
-# --help`, `mufly drive --help`.
+# Fifteen minutes. A blade is judged together with the motor, gear and battery that drive it. You compute one blade,
+# find its speed on a motor, sweep shapes, and run an optimisation. The commands in a terminal are `mufly rotor
+# --help` and `mufly drive --help`.
 
 # %%
 from pathlib import Path
@@ -30,12 +30,12 @@ folder = Path("lesson-2")  # for pictures
 folder.mkdir(exist_ok=True)
 
 # %% [markdown]
-# ## One blade, one point
+# ## One blade at one speed
 #
-# Blade element momentum theory cuts the blade into rings. In each, the lift of the section and the momentum that it
-# gives to the air have to agree. Sections this small are not those of textbooks: at Re 30 000 drag is several times
-# larger, and a boundary layer that separates early decides everything. The polars come from NeuralFoil, at the
-# Reynolds number of each ring.
+# Blade element momentum theory divides the blade into rings. In each ring the lift of the section agrees with the
+# momentum of the air. Small sections differ from those of textbooks: at a Reynolds number of 30 000 drag is several
+# times larger, and the laminar boundary layer separates early. NeuralFoil gives the polars at the Reynolds number of
+# each ring.
 
 # %%
 point = solve_rotor(rotor, pitch_rad=np.radians(14.0), speed_rad_s=6000 * np.pi / 30)
@@ -43,9 +43,10 @@ print(f"thrust {1e3 * point.thrust_N:.0f} mN, torque {1e3 * point.torque_Nm:.2f}
 print(f"figure of merit {point.figure_of_merit:.2f}: an ideal rotor of this size would need that share of the power")
 
 # %% [markdown]
-# ## Where motor and blade meet
+# ## Motor and blade
 #
-# The motor's torque falls with its speed, the blade's grows with the square of it: they settle where both are equal.
+# The motor's torque falls with its speed; the blade's torque grows with the square of the speed. The operating point
+# is where both are equal.
 
 # %%
 duty = np.linspace(0.4, 1.0, 13)
@@ -63,12 +64,12 @@ figure.tight_layout()
 figure.savefig(folder / "drive.png")
 
 # %% [markdown]
-# Read the right picture as a designer: at the thrust that you need (half the weight for each of two rotors), which
-# curve is highest? And the left one: is there a reserve above it, to climb and to fight wind?
+# Each rotor needs half of the weight as thrust. The right plot shows which pitch gives that thrust with the least
+# power. The left plot shows the thrust that remains for climb and wind.
 #
 # ## Sweep
 #
-# Chord and pitch together, at 0.4 N, with the gear that suits each case.
+# The sweep varies chord and pitch at a thrust of 0.4 N. The gear is chosen for each case.
 
 # %%
 setup = StudySetup(rotor, drive, {"thrust": 0.4, "gear": "adapted"})
@@ -78,12 +79,12 @@ picture.savefig(folder / "sweep.png")
 picture
 
 # %% [markdown]
-# Each chord has its own best pitch; the wider blade is better, and its best pitch higher. That is Fig. 3.28 of the
-# dissertation.
+# Each chord has its own best pitch. The wider blade is more efficient, and its best pitch is higher. This is Fig.
+# 3.28 of the dissertation.
 #
-# ## Search
+# ## Optimise
 #
-# Now everything may change within limits: chord, twist, taper, gear and pitch. Blades thinner than 0.8 mm cannot be
+# The optimisation varies chord, twist, taper, gear and pitch within limits. Blades thinner than 0.8 mm cannot be
 # printed.
 
 # %%
@@ -102,10 +103,9 @@ picture.savefig(folder / "blade.png")
 picture
 
 # %% [markdown]
-# An optimum sits where the model is most optimistic. So do not order blades yet: see what
-# [validation](../validation.md) says of the theory (c_T within 11 % on average for rotors of unknown section), and
-# measure one. That is the next lesson. Run as a script, the lesson shows its first picture in a window; all three are
-# files in `lesson-2`.
+# An optimum lies where the model is most optimistic, so its gain is uncertain. [Accuracy](../accuracy.md) gives the
+# errors of the theory for rotors of unknown section. Measure a blade before you order more: the next lesson shows
+# how. Run as a script, the lesson opens its first picture in a window; all three are files in `lesson-2`.
 
 # %%
 print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
@@ -114,7 +114,7 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * Give the drive another motor: `mufly drive show mufly --toml > mine.toml`, change back-EMF and resistance,
-#   `load_drive("mine.toml")`.
-# * Repeat the sweep with `StudySetup(..., corrections=PLAIN)` from `mufly.rotor`: textbook theory, without the
+# * Use another motor: `mufly drive show mufly --toml > mine.toml`, change back-EMF constant and resistance, and load
+#   it with `load_drive("mine.toml")`.
+# * Repeat the sweep with `StudySetup(..., corrections=PLAIN)` from `mufly.rotor`: textbook theory without
 #   corrections.

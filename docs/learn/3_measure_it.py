@@ -1,15 +1,15 @@
 # %% [markdown]
-# # 3. Measure it, and believe it
+# # 3. Measure a rotor
 #
-# Fifteen minutes. A prediction is an opinion until a bench has been asked, and a bench tells the truth only to those
-# who know how it errs: cells drift as they warm up, blades never sit twice at the same pitch, motors heat up and
-# change. Here the bench is simulated, so that in the end you can look behind the curtain. With a real one the same
-# plan runs on `--rig rig.toml`; `mufly bench --help` has the commands.
+# Fifteen minutes. A test bench has errors of its own: load cells drift as they warm up, the pitch differs at each
+# mounting, and motors heat up. You plan a series, run it on a simulated bench, and compare the result with the truth
+# of the simulation. A real bench runs the same plan with `--rig rig.toml`; `mufly bench --help` lists the commands.
 
 # %%
 import tempfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from mufly.bench import analyse_series, make_plan, read_measurements, run_series, write_series_results
@@ -21,10 +21,10 @@ folder = Path(tempfile.mkdtemp(prefix="lesson-3-"))
 print("the series and its pictures go to", folder)
 
 # %% [markdown]
-# ## A plan
+# ## Plan
 #
-# Every pitch is mounted twice, in random order, so that a drift does not look like an effect of the pitch. Between
-# them the same reference blade comes back again and again: what changes of *its* thrust is the bench's doing.
+# Every pitch is mounted twice in random order, so that a drift is not taken for an effect of the pitch. A reference
+# blade is mounted between them. A change of its thrust is a change of the bench.
 
 # %%
 plan = make_plan(
@@ -49,10 +49,10 @@ def truth(step):
 record = run_series(plan, bench, SeriesRecord(folder), truth=truth)
 
 # %% [markdown]
-# ## What the series says
+# ## Analysis
 #
-# The analysis takes the drift of the cells out, averages, and states for each setting how sure it is. It also says
-# what it does not trust.
+# The analysis removes the drift of the cells, averages, and gives an interval for each setting. It lists the
+# measurements that it does not trust.
 
 # %%
 series = analyse_series(record)
@@ -67,20 +67,20 @@ picture.savefig(folder / "series.png")
 picture
 
 # %% [markdown]
-# ## Behind the curtain
+# ## Comparison with the truth
 #
-# A simulated bench knows what was true. Of a hundred intervals of 95 % some ninety-five should hold it.
+# A simulated bench knows the true loads. About 95 of 100 intervals of 95 % should contain them.
 
 # %%
 held = [abs(s.thrust.value - s.truth["thrust"]) <= s.thrust.expanded for s in series.settings if s.truth]
 print(f"{sum(held)} of {len(held)} intervals of thrust hold the truth")
 
 # %% [markdown]
-# ## What it is worth to a prediction
+# ## Use for a prediction
 #
-# A rotor file names the section; nobody knows whether the printed blade has it. Suppose that it is wrong: it says NACA
-# 2412, and what was printed, and measured above, is NACA 0012. Half of the points are fitted; the other half says
-# whether the fit has learnt anything. (`rest.air` is the air in which was measured; the file of the results has it.)
+# A rotor file names the section of the blade, but a printed blade may have another one. Assume the file is wrong: it
+# names NACA 2412, and the printed and measured blade is NACA 0012. Half of the points are fitted. The other half
+# shows whether the fit improves the prediction. (`rest.air` is the air of the measurement, from the results file.)
 
 # %%
 files = write_series_results(series, folder / "results")
@@ -103,17 +103,19 @@ picture.savefig(folder / "fit.png")
 picture
 
 # %% [markdown]
-# The prediction is right afterwards, also at the points that the fit did not see. But look at the sections: a cambered
-# blade that is mounted two degrees lower lifts as a straight one does, and no thrust or torque tells the two apart. The
-# fit keeps both, with their probabilities. Measure the pitch of the blade, or its section, and the doubt is gone.
+# After the fit the prediction agrees with the measurement, also at the points that the fit did not use. The sections
+# remain ambiguous: a cambered blade mounted two degrees lower gives the same lift as a symmetric one, and thrust and
+# torque do not distinguish them. The fit keeps both with their probabilities. A measured pitch or section removes the
+# ambiguity.
 
 # %%
 print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
+plt.show()
 
 # %% [markdown]
 # ## Try
 #
-# * Break the bench: `SimulatedRig(seed=5, faults=SimulatedFaults(...))` from `mufly.bench.rig.simulated_rig`,
-#   with a reference blade that was moved, or a cell that saturates. Does the series notice?
-# * `compare_with_theory(series)` sets it beside blade element theory.
-# * What is corrected, and how intervals are made: [test benches](../explanation/bench.md).
+# * Add faults to the bench: `SimulatedRig(seed=5, faults=SimulatedFaults(...))` from `mufly.bench.rig.simulated_rig`,
+#   with a reference blade that was moved, or a cell that saturates. Does the analysis report them?
+# * Compare the series with blade element theory: `compare_with_theory(series)`.
+# * Corrections and intervals: [test benches](../explanation/bench.md).

@@ -1,10 +1,9 @@
 # %% [markdown]
 # # 4. From a flight log to a vehicle file
 #
-# Fifteen minutes. Benches say what a motor and a rotor do; inertias, linkages and what rotors do to each other in
-# flight come from flights. Here the "real" helicopter is a simulation whose truth is known, so that you can see
-# whether the answer, **and its error bar**, are right. With your own: `mufly identify flight LOG... --vehicle
-# mufly-1.1 --free ...`.
+# Fifteen minutes. Benches measure motors and rotors. Inertias, linkages and the interference of the rotors in flight
+# come from flight records. Here the helicopter is a simulation with known parameters, so you can check each estimate
+# **and its interval**. With your own logs: `mufly identify flight LOG... --vehicle mufly-1.1 --free ...`.
 
 # %%
 from pathlib import Path
@@ -23,10 +22,10 @@ flights, held_out = fly_demo_flights(truth, seed=3, seconds=8.0)
 print([record.name for record in flights], "and, never to be fitted,", held_out[0].name)
 
 # %% [markdown]
-# ## Look before you fit
+# ## The records
 #
-# A flight shows a parameter only where that parameter matters. The yaw flight shakes one motor with a chirp; the roll
-# flight shakes the roll set-point.
+# A record identifies a parameter only if that parameter changes the measured motion. The yaw flight excites one motor
+# with a chirp; the roll flight excites the roll reference.
 
 # %%
 roll = next(r for r in flights if r.name.endswith("roll"))
@@ -41,9 +40,9 @@ figure.tight_layout()
 figure.savefig(folder / "record.png")
 
 # %% [markdown]
-# ## Forget, and find again
+# ## Fit
 #
-# Five numbers are taken to be wrong by half: two torque coefficients, two linkages, and the inertia about the
+# Five parameters start with an error of 50 %: two torque coefficients, two linkages, and the inertia about the
 # vertical axis.
 
 # %%
@@ -63,12 +62,12 @@ for e in fit.estimates:
     print(f"{e.symbol:8s}{true:12.4g}{e.start:12.4g}{e.value:12.4g}   {e.low:.4g} to {e.high:.4g}{miss}")
 
 # %% [markdown]
-# An interval of 95 % may miss one time in twenty. Should it miss more often, something is wrong with the model or the
-# records, and the report says what looks odd.
+# An interval of 95 % misses the truth once in twenty cases. If it misses more often, the model or the records are
+# wrong, and the report lists what is unusual.
 #
-# ## Does it predict?
+# ## Prediction
 #
-# The only test that counts is a flight that the fit has not seen.
+# A flight that the fit has not used tests the result.
 
 # %%
 unseen = fit.records[-1]
@@ -84,8 +83,8 @@ figure.savefig(folder / "unseen.png")
 # %% [markdown]
 # ## The vehicle file
 #
-# What was found replaces the start values, with its interval and source `identified`. The new file is flown like any
-# other: `mufly fly --vehicle lesson-4/identified.toml`.
+# The estimates replace the start values, with interval and source `identified`. Fly the new file: `mufly fly
+# --vehicle lesson-4/identified.toml`.
 
 # %%
 found = apply_estimates(start, fit.estimates, "lesson 4")
@@ -96,6 +95,6 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * `fly_demo_flights(truth, wind=0.5, gust=0.3)`: which intervals grow?
-# * Free `Jrot_up` and `Jrot_dw` as well. `mufly identify plan` says beforehand which flight would show them.
-# * What is assumed: [identification](../explanation/identification.md).
+# * Fly the records in wind: `fly_demo_flights(truth, wind=0.5, gust=0.3)`. Which intervals grow?
+# * Free `Jrot_up` and `Jrot_dw` as well. `mufly identify plan` computes beforehand which flight identifies them.
+# * Method and assumptions: [identification](../explanation/identification.md).

@@ -1,8 +1,8 @@
 # %% [markdown]
-# # 5. Design a controller and break it
+# # 5. Design a controller and find its limits
 #
-# Fifteen minutes. A design is trusted once you know what it takes to break it. You look at its loops, then add what
-# the design did not know of: delay, another battery, another vehicle.
+# Fifteen minutes. You look at the loops of a design. Then you add errors that the design does not contain: a slower
+# sample rate and a vehicle with other parameters.
 
 # %%
 from pathlib import Path
@@ -24,14 +24,14 @@ folder.mkdir(exist_ok=True)
 print(controller)
 
 # %% [markdown]
-# Two numbers to know by heart. **Sensitivity peak**: by how much the loop makes a disturbance worse at its worst
-# frequency; 6 dB (a factor of two) is where one begins to worry. **Delay margin**: how much later a measurement may
-# come before it oscillates.
+# Two numbers characterise each loop. The **sensitivity peak** is the greatest amplification of a disturbance; 6 dB (a
+# factor of two) is a common upper limit. The **delay margin** is the additional delay at which the loop becomes
+# unstable.
 
 # %% [markdown]
-# ## Slower and slower
+# ## Sample rate
 #
-# The same weights, sampled less often. What the margin says, and what a flight says.
+# The same weights are used at lower sample rates. The legend shows the sensitivity peak and the outcome of a flight.
 
 # %%
 rates = (400.0, 200.0, 100.0, 70.0)
@@ -53,7 +53,7 @@ figure.tight_layout()
 figure.savefig(folder / "rates.png")
 
 # %% [markdown]
-# And the loop of the design that it flies: gain over frequency, and how much disturbances and noise are worse for it.
+# The plot shows the open-loop gain and the amplification of disturbances and noise of the roll-pitch loop.
 
 # %%
 picture = draw_loop(controller.roll_pitch)
@@ -61,10 +61,10 @@ picture.savefig(folder / "loop.png")
 picture
 
 # %% [markdown]
-# ## Another vehicle than it thinks
+# ## A vehicle with other parameters
 #
-# Every parameter is off by up to 10 %, each for itself, and the wind blows. The controller stays the nominal one.
-# Forty flights say more than one, and Wilson's interval says how much more.
+# Every parameter differs by up to 10 %, independently, and wind blows. The controller is designed for the nominal
+# vehicle. Forty flights give a success rate with Wilson's interval.
 
 # %%
 mission = load_mission("demonstration")
@@ -81,6 +81,6 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * `parameters=30%`: which failures appear first? `mufly monte-carlo` flies them again with a full recording.
-# * `--search 300` looks for the worst case instead of drawing: it finds what a thousand random flights do not.
-# * The theory: [control](../explanation/control.md); what campaigns count: [many flights](../reference/monte-carlo.md).
+# * Use `parameters=30%`. Which failures appear first? `mufly monte-carlo` flies failures again with a full recording.
+# * Search the worst case with `mufly monte-carlo --search 300` instead of random draws.
+# * Theory: [control](../explanation/control.md). Criteria of campaigns: [Monte Carlo](../reference/monte-carlo.md).

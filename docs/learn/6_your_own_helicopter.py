@@ -1,8 +1,8 @@
 # %% [markdown]
-# # 6. Your own helicopter, from nothing
+# # 6. A helicopter of your own
 #
-# Twenty minutes. You know a mass, a radius and perhaps a motor. Everything else is guessed from a known vehicle by
-# similarity, marked as a guess, and replaced, number by number, by what you measure. From a terminal: `mufly new
+# Twenty minutes. You know a mass, a radius and perhaps a motor. Similarity rules guess the other parameters from a
+# known vehicle and mark them. You replace the guesses by measurements one by one. From a terminal: `mufly new
 # my-helicopter`.
 
 # %%
@@ -21,7 +21,7 @@ for row in guesses[:4]:
     print(f"  {row.key:24s} {row.value:10.4g} {row.unit:8s} {row.note}")
 
 # %% [markdown]
-# ## Can it fly at all?
+# ## Hover power and a first flight
 
 # %%
 for one in (known, mine):
@@ -32,10 +32,10 @@ recording = flight.fly_mission(mine, "demonstration", controller=controller)
 print(recording.attrs["outcome"], recording.attrs["reason"])
 
 # %% [markdown]
-# ## Which guess matters most?
+# ## The guess that matters most
 #
-# Not every number is worth a bench. Change one by 10 %, keep the controller, and see what the flight says: those that
-# change much are to be measured first.
+# A change of 10 % in one parameter, with the same controller, shows its effect on the flight. Measure the parameters
+# with the largest effect first.
 
 # %%
 reference = flight.summarise_flight(recording)
@@ -56,11 +56,11 @@ for key, (worst_cm, outcome) in effect.items():
     print(f"{key:34s} {worst_cm:5.1f} cm at worst, {outcome}")
 
 # %% [markdown]
-# ## Write it down
+# ## The vehicle file
 #
-# The file says of every number where it came from. Measure the mass: change the line, its `source` becomes
-# `measured`, and add the scale's `std`. Everything that uses the file, intervals of fits included, takes note.
-# `mufly vehicle check lesson-6/vehicle.toml` checks every value, `mufly fly --vehicle lesson-6/vehicle.toml` flies it.
+# The file states the source of every number. After you weigh the helicopter, change the line of the mass: value,
+# `source = "measured"`, and the scale's `std`. Intervals of later fits take the `std` into account. `mufly vehicle
+# check lesson-6/vehicle.toml` checks every value; `mufly fly --vehicle lesson-6/vehicle.toml` flies the file.
 
 # %%
 folder = Path("lesson-6")
@@ -70,7 +70,7 @@ print("written:", (folder / "vehicle.toml").resolve())
 print("\n".join(format_vehicle_toml(mine).splitlines()[:14]))
 
 # %% [markdown]
-# ## On its own sensors
+# ## Flight on its own sensors
 
 # %%
 felt = flight.fly_mission(
@@ -89,7 +89,7 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * Give `similar_vehicle` your motor: `speed_constant_rad_Vs`, `resistance_ohm`. If it cannot lift the vehicle it
-#   says what would.
-# * Fly it in the page: `mufly new my-helicopter --mass 120 --radius 80`, then the line that it prints.
-# * Put it on a board: `mufly firmware export --help`.
+# * Give `similar_vehicle` your motor: `speed_constant_rad_Vs`, `resistance_ohm`. A motor that cannot lift the vehicle
+#   is refused with a suggestion.
+# * Fly it on the page: `mufly new my-helicopter --mass 120 --radius 80`, then the command that it prints.
+# * Export its flight software: `mufly firmware export --help`.
