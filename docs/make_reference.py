@@ -1,7 +1,7 @@
-"""Write the reference's pages from where its facts stand: docstrings, the commands' help, the files' schemas.
+"""Write the reference pages from docstrings, command help, file schemas and the table of tunable parameters.
 
-``conf.py`` calls it before a build; by hand: ``python docs/make_reference.py docs/api``. What it writes is not
-kept in the repository.
+``conf.py`` calls it before a build; by hand: ``python docs/make_reference.py docs/api``. The repository does not
+keep the pages that it writes.
 """
 
 from __future__ import annotations
@@ -21,9 +21,12 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from mufly.cli import app
-from mufly.mission import Mission
+from mufly.control import design_flight_controller
+from mufly.flight import FlightSoftware
+from mufly.flight.tunable_parameters import STORAGE_KEYS, TunableParameters
+from mufly.mission import Mission, load_mission
 from mufly.rotor import Rotor
-from mufly.vehicle import Vehicle
+from mufly.vehicle import Vehicle, load_vehicle
 from mufly.vehicle.quantity import Quantity, ValueSource
 
 ROOMS = (
@@ -39,6 +42,7 @@ def write(folder: Path) -> None:
     pages["vehicle-file.md"] = vehicle_file()
     pages["mission-file.md"] = mission_file()
     pages["rotor-file.md"] = rotor_file()
+    pages["parameters.md"] = parameters()
     pages["index.md"] = index(list(pages))
     folder.mkdir(exist_ok=True)
     for name, text in pages.items():
@@ -56,7 +60,8 @@ def index(pages: list[str]) -> str:
         names = "\n".join(p.removesuffix(".md") for p in pages if p.startswith(start))
         return f"## {title}\n\n```{{toctree}}\n:maxdepth: 1\n\n{names}\n```\n"
 
-    files = "## Files\n\n```{toctree}\n:maxdepth: 1\n\nvehicle-file\nmission-file\nrotor-file\n```\n"
+    names = "vehicle-file\nmission-file\nrotor-file\nparameters"
+    files = f"## Files and parameters\n\n```{{toctree}}\n:maxdepth: 1\n\n{names}\n```\n"
     return "# Reference\n\n" + "\n".join((tree("Commands", "commands-"), files, tree("Python", "api-")))
 
 
@@ -78,7 +83,7 @@ def _command(command: Any, path: str, level: str) -> str:
     with typer.Context(command, info_name=path) as context:
         usage = " ".join([path, *command.collect_usage_pieces(context)])
         rows = [r for p in command.params if (r := p.get_help_record(context)) is not None]
-    text += ["", f"    {usage}", "", "| | |", "|---|---|"]
+    text += ["", f"```text\n{usage}\n```", "", "| | |", "|---|---|"]
     text += [f"| `{_cell(names)}` | {_cell(plain_help(what))} |" for names, what in rows]
     return "\n".join(text)
 
@@ -91,7 +96,7 @@ def plain_help(text: str) -> str:
     text = re.sub(
         r"(^|\n)Examples?:\n((?:\n+ +[^\n]+)+)",
         lambda m: (
-            f"{m[1]}```\n" + "\n".join(x.strip().replace("`", "") for x in m[2].split("\n") if x.strip()) + "\n```"
+            f"{m[1]}```sh\n" + "\n".join(x.strip().replace("`", "") for x in m[2].split("\n") if x.strip()) + "\n```"
         ),
         text,
     )
@@ -100,7 +105,7 @@ def plain_help(text: str) -> str:
 
 def _examples(found: re.Match[str]) -> str:
     lines = "\n".join(e.strip().replace("\n", " ").replace("`", "") for e in found[2].split(";"))
-    return f"{found[1]}```\n{lines}\n```"
+    return f"{found[1]}```sh\n{lines}\n```"
 
 
 def _cell(text: object) -> str:
@@ -159,15 +164,14 @@ def vehicle_file() -> str:
     text = [
         "# Vehicle files",
         "",
-        "What each key means is explained in [Vehicle files](../reference/vehicles.md); a file to begin with "
-        "comes from "
-        "`mufly vehicle show mufly-1.1 --toml` or `mufly new`. A number is written as a table:",
+        "[Vehicle files](../reference/vehicles.md) explains the format. `mufly vehicle show mufly-1.1 --toml` and "
+        "`mufly new` write a file to start from. Each number is a table:",
         "",
         '    mass = { value = 95, unit = "g", source = "measured", std = 0.1, note = "kitchen scale" }',
         "",
         f"`source` is one of {', '.join(f'`{s}`' for s in typing.get_args(ValueSource))}; `std` (standard "
-        f"deviation, in the "
-        "unit given) and `note` may be left out. Any unit of the right kind is taken, and kept as SI.",
+        f"deviation in the same "
+        "unit) and `note` are optional. Every unit of the right dimension is accepted and converted to SI.",
         "",
     ]
     return "\n".join(text + list(_groups(Vehicle, "")))
@@ -183,10 +187,46 @@ def mission_file() -> str:
     text = [
         "# Mission files",
         "",
-        "What they do is explained in [Missions](../reference/missions.md). Units are in the names.",
+        "[Missions](../reference/missions.md) explains the file. Each key ends in its unit.",
         "",
     ]
     return "\n".join(text + list(_groups(Mission, "")))
+
+
+PARAMETER_VEHICLE = "mufly-1.1"
+"""The built-in vehicle whose defaults and ranges the page of parameters gives."""
+
+
+def parameters() -> str:
+    """Every parameter that may be changed in flight: unit, default, range, effect and key of the mission file."""
+    vehicle = load_vehicle(PARAMETER_VEHICLE)
+    controller = design_flight_controller(vehicle)
+    software = FlightSoftware(vehicle, controller, load_mission("demonstration"))
+    text = [
+        "# Parameters",
+        "",
+        "Parameters can be changed in flight: in the tab *Parameters* of the "
+        "[ground station](../reference/station.md), "
+        f"by PARAM_SET of [MAVLink](../reference/link.md#parameters) or by `Autopilot.set_parameter` in Python. "
+        f"Defaults and ranges are those of `{PARAMETER_VEHICLE}` on the mission `demonstration`. A value outside its "
+        f"range is refused.",
+        "",
+        "- `LIM_` parameters are limits of the reference trajectory. Their maximum is at most 80 % of the limit of the "
+        "controllers, so it depends on the vehicle.",
+        "- `CTL_` parameters belong to the [control law](../explanation/control.md). A change takes effect with a time "
+        "constant of 0.5 s; all other parameters take effect at once. Their defaults come from the controller design "
+        "and no file keeps a changed value.",
+        "- `STK_` parameters are the commands at full stick deflection.",
+        "",
+        "| name | unit | default | range | effect | key of the mission file |",
+        "|---|---|---|---|---|---|",
+    ]
+    for p in TunableParameters(vehicle, controller, software).values():
+        table, key = STORAGE_KEYS[p.name]
+        kept = f"`{table}.{key}`" if table in Mission.model_fields else ""
+        span = f"{p.minimum:.4g} to {p.maximum:.4g}"
+        text.append(f"| `{p.name}` | {p.unit or '-'} | {p.value:.4g} | {span} | {_cell(p.description)} | {kept} |")
+    return "\n".join([*text, ""])
 
 
 def _groups(model: type[BaseModel], table: str) -> Iterator[str]:
@@ -200,10 +240,10 @@ def _groups(model: type[BaseModel], table: str) -> Iterator[str]:
         else:
             plain.append(_key(name, field, extra))
     if plain:
-        heading = f"`[{table}]`" if table else "At the top"
+        heading = f"`[{table}]`" if table else "Top level"
         yield from ("", f"## {heading}", "", _first_paragraph(model.__doc__), "")
         yield from (
-            "| key | what | symbol | unit | limits | if left out |",
+            "| key | meaning | symbol | unit | limits | default |",
             "|---|---|---|---|---|---|",
             *plain,
             "",
@@ -241,7 +281,7 @@ def _key(name: str, field: FieldInfo, extra: dict[str, Any]) -> str:
     if isinstance(given, Quantity):
         otherwise = f"{given.value:g}"
     elif field.is_required():
-        otherwise = "has to be there"
+        otherwise = "required"
     else:
         otherwise = "" if given in (None, "", ()) else f"`{given!r}`"
     cells = (

@@ -1,19 +1,20 @@
-"""Every number that may be tuned while the helicopter flies: name, unit, bounds, where it is kept.
+"""Parameters that can be changed in flight: name, unit, bounds and the key that stores each.
 
-Names are those of a MAVLink parameter: at most 16 characters. Values at this edge are in the unit that the table
-names (degrees, not radians); inside they stay SI. Three kinds:
+Names are those of a MAVLink parameter: at most 16 characters. Values at this interface have the unit that the table
+names (degrees, not radians); inside they stay SI. ``docs/make_reference.py`` writes the page of parameters from here.
+There are three kinds:
 
-- of the mission (``MIS_``, ``LIM_``, ``AVD_``, ``BAT_``): keys of a mission file (docs/reference/missions.md), with its
-  bounds. A limit is never above 80 % of what the controllers can follow (:mod:`mufly.mission.mission_checks`), so its
-  greatest value moves with the controllers'.
-- of the control law (``CTL_``): limits of the reference filters, and the one gain outside of the H-infinity
-  controllers. They are gone over to within half a second (:class:`mufly.flight.controllers.Controllers`).
-- of the pilot's sticks (``STK_``): what a stick at its end asks for.
+- mission (``MIS_``, ``LIM_``, ``AVD_``, ``BAT_``): keys of a mission file (docs/reference/missions.md), with its
+  bounds. The maximum of a limit is at most 80 % of the limit of the controllers
+  (:mod:`mufly.mission.mission_checks`), so it depends on the controller design.
+- control law (``CTL_``): limits of the reference filters, and the position gain. A change takes effect with a time
+  constant of 0.5 s (:class:`mufly.flight.controllers.Controllers`).
+- sticks (``STK_``): command at full stick deflection.
 
-Bounds of the control law. The position gain closes a loop: with it between 0.2 and 2 1/s the cascade of both built-in
-vehicles keeps its sensitivities below 4.9 dB and a phase margin above 36 degrees (at 2.5 1/s they pass 6 dB);
-``tests/flight/test_parameters.py`` asks ``analyse_cascade`` again. The others are limits and filters in front of the
-loops, which cannot make them unstable; between their bounds simulated steps still settle (same test).
+The position gain is the only parameter inside a loop. Between 0.2 and 2 1/s the cascade of both built-in vehicles keeps
+its sensitivity peaks below 4.9 dB and a phase margin above 36 degrees; ``tests/flight/test_parameters.py`` evaluates
+``analyse_cascade`` at the bounds. The other control parameters are limits and filters outside the loops and cannot
+make them unstable.
 """
 
 from __future__ import annotations
@@ -61,32 +62,32 @@ class TunableParameter:
 
 
 _PARAMETER_ROWS = """
-MIS_TAKEOFF_ALT m      0.2  50   take_off.height_m              height to take off to
-LIM_SPEED       m/s    0.05 3    limits.speed_m_s               horizontal speed
-LIM_CLIMB       m/s    0.05 2    limits.climb_m_s               rate of climb
-LIM_DESCENT     m/s    0.05 1    limits.descent_m_s             rate of descent
-LIM_TOUCHDOWN   m/s    0.05 0.25 limits.touchdown_m_s           rate of descent over the last 0.4 m before the floor
-LIM_ACCEL       m/s2   0.05 2    limits.acceleration_m_s2       horizontal acceleration
-LIM_CLIMB_ACC   m/s2   0.05 2    limits.climb_acceleration_m_s2 acceleration of climb and descent
-LIM_YAWRATE     deg/s  1    360  limits.yaw_rate_deg_s          rate of turn
-LIM_YAWACC      deg/s2 5    1000 limits.yaw_acceleration_deg_s2 acceleration of a turn
-LIM_REACH       m      0.01 1    limits.reach_m                 a waypoint counts as reached from this near
-AVD_ENABLE      -      0    1    avoidance.enabled              1: look out for obstacles and avoid them
-AVD_CLEARANCE   m      0.15 1    avoidance.clearance_m          distance to keep from obstacles, from the centre
-AVD_SPEED       m/s    0.06 1    avoidance.speed_m_s            speed around an obstacle
-BAT_LOW_V       V      0    inf  battery.low_V                  land below this voltage
-CTL_POS_GAIN    1/s    0.2  1.9  position.position_gain         velocity asked for a metre off place
-CTL_SPEED_MAX   m/s    0.3  3    position.speed_limit           greatest velocity that the position loop asks for
-CTL_TILT_MAX    deg    3    15   position.tilt_limit            greatest tilt that the position loop asks for
-CTL_HEAVE_BW    rad/s  2    16   heave_yaw.heave_bandwidth      bandwidth of the reference filter of height
-CTL_HEAVE_SPD   m/s    0.2  2    heave_yaw.heave_speed          greatest speed of the reference of height
-CTL_HEAVE_ACC   m/s2   0.1  1.5  heave_yaw.heave_acceleration   greatest acceleration of the reference of height
-CTL_YAW_BW      rad/s  2    16   heave_yaw.yaw_bandwidth        bandwidth of the reference filter of heading
-CTL_YAW_RATE    deg/s  10   200  heave_yaw.yaw_rate             greatest rate of the reference of heading
-CTL_YAW_ACC     deg/s2 30   600  heave_yaw.yaw_acceleration     greatest acceleration of the reference of heading
-STK_TILT        deg    1    15   sticks.tilt                    tilt at the end of a stick
-STK_YAWRATE     deg/s  5    110  sticks.yaw_rate                rate of turn at the end of a stick
-STK_CLIMB       m/s    0.1  1    sticks.climb                   climb at the end of a stick
+MIS_TAKEOFF_ALT m      0.2  50   take_off.height_m              takeoff height above the floor
+LIM_SPEED       m/s    0.05 3    limits.speed_m_s               maximum horizontal speed
+LIM_CLIMB       m/s    0.05 2    limits.climb_m_s               maximum climb rate
+LIM_DESCENT     m/s    0.05 1    limits.descent_m_s             maximum descent rate
+LIM_TOUCHDOWN   m/s    0.05 0.25 limits.touchdown_m_s           descent rate over the last 0.4 m above the floor
+LIM_ACCEL       m/s2   0.05 2    limits.acceleration_m_s2       maximum horizontal acceleration
+LIM_CLIMB_ACC   m/s2   0.05 2    limits.climb_acceleration_m_s2 maximum vertical acceleration
+LIM_YAWRATE     deg/s  1    360  limits.yaw_rate_deg_s          maximum yaw rate
+LIM_YAWACC      deg/s2 5    1000 limits.yaw_acceleration_deg_s2 maximum yaw acceleration
+LIM_REACH       m      0.01 1    limits.reach_m                 acceptance radius of a waypoint
+AVD_ENABLE      -      0    1    avoidance.enabled              1: detect and avoid obstacles; 0: ignore them
+AVD_CLEARANCE   m      0.15 1    avoidance.clearance_m          minimum distance from the centre to any obstacle
+AVD_SPEED       m/s    0.06 1    avoidance.speed_m_s            maximum speed around an obstacle
+BAT_LOW_V       V      0    inf  battery.low_V                  battery voltage below which the vehicle lands
+CTL_POS_GAIN    1/s    0.2  1.9  position.position_gain         velocity command per metre of position error
+CTL_SPEED_MAX   m/s    0.3  3    position.speed_limit           maximum velocity command of the position loop
+CTL_TILT_MAX    deg    3    15   position.tilt_limit            maximum tilt command of the position loop
+CTL_HEAVE_BW    rad/s  2    16   heave_yaw.heave_bandwidth      bandwidth of the height reference filter
+CTL_HEAVE_SPD   m/s    0.2  2    heave_yaw.heave_speed          maximum speed of the height reference
+CTL_HEAVE_ACC   m/s2   0.1  1.5  heave_yaw.heave_acceleration   maximum acceleration of the height reference
+CTL_YAW_BW      rad/s  2    16   heave_yaw.yaw_bandwidth        bandwidth of the heading reference filter
+CTL_YAW_RATE    deg/s  10   200  heave_yaw.yaw_rate             maximum rate of the heading reference
+CTL_YAW_ACC     deg/s2 30   600  heave_yaw.yaw_acceleration     maximum acceleration of the heading reference
+STK_TILT        deg    1    15   sticks.tilt                    tilt command at full stick deflection
+STK_YAWRATE     deg/s  5    110  sticks.yaw_rate                yaw rate command at full stick deflection
+STK_CLIMB       m/s    0.1  1    sticks.climb                   climb rate command at full stick deflection
 """
 
 
