@@ -109,7 +109,7 @@ def test_what_came_out_of_the_cascade_is_what_the_docs_say(controller: FlightCon
         pytest.approx(v.complementary_peak_dB, abs=6e-3),
     ]
     peaks = [c.sensitivity_peak_dB, c.complementary_peak_dB]
-    assert said["whole cascade with the real attitude loop"][0] == pytest.approx(peaks, abs=6e-3)
+    assert said["whole cascade with the sampled attitude loop"][0] == pytest.approx(peaks, abs=6e-3)
     assert said["phase margin"][0] == [
         pytest.approx(c.phase_margin_deg, abs=0.6),
         pytest.approx(1e3 * c.delay_margin_s, abs=6.0),
