@@ -50,6 +50,16 @@ EARLY = (
 """What is begun with where the tests are shared out."""
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the length of the runs of bad MAVLink messages."""
+    parser.addoption(
+        "--fuzz-messages", type=int, metavar="N",
+        help="send N bad MAVLink messages in tests/link/test_fuzz.py and tests/station/test_fuzz.py, and print the "
+        "findings with -s; default: short runs",
+    )  # fmt: skip
+    parser.addoption("--fuzz-seed", type=int, default=0, metavar="N", help="seed of --fuzz-messages; default 0")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Let Ctrl-C arrive: a shell that starts a program in the background has it ignored by all that it starts."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

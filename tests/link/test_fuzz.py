@@ -1,46 +1,42 @@
-"""Bad messages to a helicopter in flight: the short form of `benchmarks/fuzz_link.py`, which sends a million."""
+"""Bad messages to a helicopter in flight: short runs.
+
+A long run, six minutes, printed: ``pytest -s tests/link/test_fuzz.py --fuzz-messages 1000000 [--fuzz-seed N]``.
+"""
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
-
+import fuzz_link
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 RATES, TURN = (0.1, 1.0, 8.0), 800
 
 
-@pytest.fixture(scope="module")
-def fuzz_link() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("fuzz_link", BENCHMARKS / "fuzz_link.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules["fuzz_link"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_others_do_not_move_a_helicopter_that_a_station_flies(fuzz_link: ModuleType) -> None:
-    found = fuzz_link.fuzz(11_000, 7, commander=False, rates=RATES, turn=TURN, others=2, samples=4)
+def run(config: pytest.Config, role: str, short: int, seed: int, others: int) -> fuzz_link.Findings:
+    """Send bad messages, the short way or as many as ``--fuzz-messages``, and check what holds for both roles."""
+    long, commander = config.getoption("--fuzz-messages"), role == "commander"
+    if long:
+        found = fuzz_link.fuzz(long, config.getoption("--fuzz-seed"), commander)
+        fuzz_link.report(role, found)
+    else:
+        found = fuzz_link.fuzz(short, seed, commander, rates=RATES, turn=TURN, others=others, samples=4)
     assert found.faults == []
     assert found.motor[1] > 0.6  # it flew
-    assert 0.0 < found.off_m < 0.05  # reached a place, and stayed there
     assert fuzz_link.growth_MB(found.rss_MB) < 5.0
+    return found
+
+
+def test_others_do_not_move_a_helicopter_that_a_station_flies(request: pytest.FixtureRequest) -> None:
+    found = run(request.config, "beside", 11_000, 7, others=2)
+    assert 0.0 < found.off_m < 0.05  # reached a place, and stayed there
     assert found.bytes_out / found.seconds / found.peers < 200e3
 
 
-def test_a_mad_commander_gets_no_unsafe_output(fuzz_link: ModuleType) -> None:
-    found = fuzz_link.fuzz(9_000, 8, commander=True, rates=RATES, turn=TURN, samples=4)
-    assert found.faults == []
-    assert found.motor[1] > 0.6
+def test_a_mad_commander_gets_no_unsafe_output(request: pytest.FixtureRequest) -> None:
+    found = run(request.config, "commander", 9_000, 8, others=5)
     assert found.tilt_ref_rad > 0.0  # it was off the floor and was tilted
-    assert fuzz_link.growth_MB(found.rss_MB) < 5.0
 
 
-def test_the_judge_sees_what_must_not_be(fuzz_link: ModuleType) -> None:
+def test_the_judge_sees_what_must_not_be() -> None:
     """A check that cannot fail would prove nothing: outputs out of range and motors that run unarmed are seen."""
     import numpy as np
 

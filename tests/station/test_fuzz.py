@@ -1,13 +1,15 @@
-"""Vehicles that lie: the short form of `benchmarks/fuzz_station.py`, and what it has found."""
+"""Vehicles that lie: a short run, and its findings.
+
+A long run, printed: ``pytest -s tests/station/test_fuzz.py --fuzz-messages 1000000 [--fuzz-seed N]``. Its last test
+sends a tenth as many to a page in a browser, a thousand a second; without the option it is skipped.
+"""
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 from pathlib import Path
-from types import ModuleType
 
+import fuzz_station
 import numpy as np
 import pytest
 
@@ -18,24 +20,29 @@ from mufly.station import GroundLink, SignalHistory
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
-@pytest.fixture(scope="module")
-def fuzz_station() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("fuzz_station", BENCHMARKS / "fuzz_station.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules["fuzz_station"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_lying_vehicles_break_nothing(fuzz_station: ModuleType) -> None:
-    found = fuzz_station.fuzz(12_000, 3, samples=4)
+def test_lying_vehicles_break_nothing(request: pytest.FixtureRequest) -> None:
+    long = request.config.getoption("--fuzz-messages")
+    if long:
+        found = fuzz_station.fuzz(long, request.config.getoption("--fuzz-seed"))
+        fuzz_station.report(found)
+    else:
+        found = fuzz_station.fuzz(12_000, 3, samples=4)
     assert found.faults == []
     assert found.vehicles > 5
     assert found.requests > 20
     assert found.open_requests == 0
     assert found.honest_off < 1e-6
     assert found.bytes_out < found.bytes_in
+
+
+def test_a_page_in_a_browser_stays_usable(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A long run only: its judgement depends on the speed of the machine."""
+    long = request.config.getoption("--fuzz-messages")
+    if not long:
+        pytest.skip("runs with --fuzz-messages N")
+    pytest.importorskip("playwright.sync_api", reason="no playwright installed")
+    monkeypatch.syspath_prepend(BENCHMARKS)  # frozen_page
+    assert fuzz_station.watch_page(max(1, long // 10), request.config.getoption("--fuzz-seed"), 1000.0)
 
 
 def heard(ground: GroundLink, *messages: object) -> None:

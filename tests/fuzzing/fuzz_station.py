@@ -1,23 +1,18 @@
-"""A million bad messages to a station: from vehicles that lie, beside one that does not.
+"""Bad messages to a station: from vehicles that lie, beside one honest vehicle.
 
-    python benchmarks/fuzz_station.py [--messages 1000000] [--seed 0]
+:func:`fuzz` sends many system numbers, floods of parameters and texts, missions of 65535 items, messages with extreme
+fields, damaged frames and noise (:mod:`hostile_traffic`). Meanwhile the station sends all requests of its page to each
+vehicle. No error may be raised, memory and traffic stay bounded, and the honest vehicle is seen as it is. Time is
+simulated.
 
-Many system numbers, floods of parameters and texts, missions of 65535 items, every message with extreme fields, damaged
-frames and noise (:mod:`hostile_traffic`). Meanwhile the station asks every vehicle that it hears of for everything that
-a page may ask. Nothing may raise an error, memory has to stay flat, what the station sends has to stay bounded, and the
-honest vehicle has to be seen as it is. Time is simulated: nothing waits for a clock.
-
-    python benchmarks/fuzz_station.py --browser [--messages 100000] [--rate 1000]
-
-The same to `mufly station` with its page in headless Chromium, in real time. Half of the messages come from the
-vehicle that the page shows: its own numbers and texts are the bad ones. All tabs of the page are opened in turn.
-Printed: how long the browser's main thread was blocked, whether the emergency stop was reachable throughout, and
-whether it still stops.
+:func:`watch_page` does the same to `mufly station` with its page in headless Chromium, in real time. Half of the
+messages come from the vehicle that the page shows. All tabs of the page are opened in turn. Printed: the longest time
+for which the browser's main thread was blocked, whether the emergency stop was reachable throughout, and whether it
+still works. `tests/station/test_fuzz.py` runs both.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import math
 import os
@@ -35,7 +30,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))
 from fuzz_link import growth_MB, rss_MB
 from hostile_traffic import _FLOATS, AIMED_AT_STATION, Hostile
 
@@ -349,33 +343,13 @@ def watch_page(messages: int, seed: int, rate: float, calm_s: float = 10.0) -> b
     return alive and not seen["covered"] and not scripts and not faults and bool(vehicle.heard)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Bad messages to a station.")
-    parser.add_argument("--messages", type=int, help="how many (a million; 100000 with a browser)")
-    parser.add_argument("--seed", type=int, default=0, help="another seed, other messages")
-    parser.add_argument("--browser", action="store_true", help="to a station with its page in a browser, in real time")
-    parser.add_argument("--rate", type=float, default=1000.0, help="messages a second with a browser")
-    options = parser.parse_args()
-    if options.browser:
-        sys.exit(0 if watch_page(options.messages or 100_000, options.seed, options.rate) else 1)
-    options.messages = options.messages or 1_000_000
-    start = time.perf_counter()
-    found = fuzz(options.messages, options.seed)
-    print(
-        f"{found.messages} messages, {found.seconds:.0f} s simulated, {time.perf_counter() - start:.0f} s on the wall"
-    )
-    print(f"  faults              {len(found.faults)}")
-    for fault in found.faults[:20]:
-        print(f"    {fault}")
+def report(found: Findings) -> None:
+    """Print the findings of a run; ``pytest -s`` shows them."""
+    print(f"\n{found.messages} messages, {found.seconds:.0f} s simulated")
     print(f"  vehicles            {found.vehicles} known at the end")
-    print(f"  requests            {found.requests} asked, {found.open_requests} never answered nor given up")
-    print(f"  honest vehicle      {1e3 * found.honest_off:.2f} mm from where it said to be, at most")
+    print(f"  requests            {found.requests} sent, {found.open_requests} neither answered nor given up")
+    print(f"  honest vehicle      {1e3 * found.honest_off:.2f} mm between its report and its estimate, at most")
     print(f"  traffic             {found.bytes_in / 1e6:.1f} MB in, {found.bytes_out / 1e6:.1f} MB out")
-    print("  (a history of ten minutes takes 19 MB a vehicle as it fills, of 32 vehicles at most)")
+    print("  (a history of ten minutes takes 19 MB a vehicle as it fills, for 32 vehicles at most)")
     print(f"  memory              {found.rss_MB[0][1]:.1f} MB at first, {found.rss_MB[-1][1]:.1f} MB at the end, "
           f"{growth_MB(found.rss_MB):+.2f} MB in the second half")  # fmt: skip
-    sys.exit(1 if found.faults or found.open_requests else 0)
-
-
-if __name__ == "__main__":
-    main()
