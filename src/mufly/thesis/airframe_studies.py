@@ -228,7 +228,7 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
     """Fig. 2.6 is a photograph; the text says of its unit that clipping at 6 g cost up to 20 degrees on the ground.
 
     Ten units of ``mufly-1.1`` stand level with rotors at hover speed and are shaken at 1/rev and 2/rev; a low pass of a
-    second takes the tilt from what the accelerometers say. Amplitudes as in ``benchmarks/false_tilt.py``.
+    second takes the tilt from what the accelerometers say.
 
     Thesis: Fig. 2.6.
     """
