@@ -83,7 +83,7 @@ ratios: list[np.ndarray] = []
 
 def node(lens: Any, frame: Any, motion: VehicleMotion) -> np.ndarray:
     """Where the camera is, and what the tilt that is told is off by: a true node of the graph."""
-    turn, told = motion.attitude, frame.info
+    turn, told = motion.attitude, frame.vehicle_estimate
     c = motion.position + turn @ lens.mount.place.to_array()[0]
     roll, pitch = math.atan2(turn[2, 1], turn[2, 2]), -math.asin(turn[2, 0])
     off = (

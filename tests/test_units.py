@@ -87,7 +87,7 @@ def test_names_are_unique_and_every_quantity_is_found_by_its_name_and_columns():
 
 
 def test_a_station_keeps_what_a_flight_keeps_in_the_same_order():
-    station = [q for q in quantities_recorded_in("flight", "station") if q.recorded_in == "flight"]
+    station = [q for q in quantities_recorded_in("flight", "station") if q.recording_kinds == "flight"]
     assert tuple(station) == quantities_recorded_in("flight")
 
 

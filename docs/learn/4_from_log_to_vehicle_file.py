@@ -72,7 +72,7 @@ for e in fit.estimates:
 # %%
 unseen = fit.records[-1]
 figure, axes = plt.subplots(figsize=(9, 3))
-k = unseen.outputs.index("roll")
+k = unseen.output_names.index("roll")
 axes.plot(unseen.time_s, np.degrees(unseen.measured[:, k]), ".", ms=2, label="measured")
 axes.plot(unseen.time_s, np.degrees(unseen.predicted[:, k]), label="predicted, open loop")
 axes.set(xlabel="time (s)", ylabel="roll (deg)", title=unseen.name)

@@ -70,7 +70,7 @@ class Quantity:
         Its labelled dimension besides time (see :data:`DIMENSION_LABELS`), None for a scalar.
     units, long_name : str
         Written to the variable's attributes, the schema and the CSV header; ``"1"`` is a pure number.
-    recorded_in : str
+    recording_kinds : str
         Words: ``flight``: every recording has it; ``sensors``, ``station``: one of a flight on sensors or a
         station's has it besides. None of them: only logs of others.
     mavlink_sources : tuple of Wire
@@ -83,7 +83,7 @@ class Quantity:
     dim: str | None
     units: str
     long_name: str
-    recorded_in: str = own_field(default="flight", compare=False)
+    recording_kinds: str = own_field(default="flight", compare=False)
     mavlink_sources: tuple[MavlinkSource, ...] = own_field(default=(), compare=False)
 
     @property
@@ -406,13 +406,13 @@ def find_quantity(name: str) -> Quantity | None:
     if source not in SIGNAL_SOURCES or like is None:
         return None
     meaning = like.long_name.replace("measured", SIGNAL_SOURCES[source])
-    return replace(like, name=name, topic=f"/{source}", long_name=meaning, recorded_in="", mavlink_sources=())
+    return replace(like, name=name, topic=f"/{source}", long_name=meaning, recording_kinds="", mavlink_sources=())
 
 
 def quantities_recorded_in(*keepers: str) -> tuple[Quantity, ...]:
     """Return the quantities that recordings keep: ``quantities_recorded_in("flight")``,
     ``quantities_recorded_in("flight", "station")``."""
-    return tuple(q for q in QUANTITIES if not set(keepers).isdisjoint(q.recorded_in.split()))
+    return tuple(q for q in QUANTITIES if not set(keepers).isdisjoint(q.recording_kinds.split()))
 
 
 class PhysicalLimits(NamedTuple):

@@ -67,7 +67,7 @@ def test_it_stands_still(vehicle, p) -> None:
 @pytest.mark.parametrize(("wind", "creep_mm_per_min"), [(0.5, 4.0), (1.0, 15.0)])
 def test_creep_in_wind_is_what_the_smoothing_says(vehicle, p, wind, creep_mm_per_min) -> None:
     # v_slip F / (mu N) for a push F far below mu N.
-    push = p["drag_x"] * wind**2
+    push = p["drag_over_speed2_x"] * wind**2
     x = initial_state(position=(0, 0, -standing_height(vehicle)))
     integrate_state(x, NO_INPUT, np.array([wind, 0, 0]), p, 1e-3, 20_000)
     expected = p["slip_speed"] * push / (p["leg_friction"] * p["mass"] * GRAVITY)

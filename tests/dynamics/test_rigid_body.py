@@ -120,7 +120,7 @@ def test_climbing_costs_more_than_hovering(vehicle) -> None:
 def test_terminal_speed_and_the_way_to_it(vehicle) -> None:
     # m dv/dt = m g - k v^2 gives v = v_t tanh(g t / v_t), v_t = sqrt(m g / k), once the rotors stand still.
     p = model_parameters(vehicle)
-    terminal = np.sqrt(p["mass"] * GRAVITY / p["drag_z"])
+    terminal = np.sqrt(p["mass"] * GRAVITY / p["drag_over_speed2_z"])
     x = initial_state(position=(0, 0, -2000))
     for t in (0.5, 3.0, 12.0):
         y = fly(x, p, t, 1e-3)
@@ -135,7 +135,7 @@ def test_wind_carries_a_body_along(vehicle) -> None:
     wind, t = np.array([6.0, 0, 0]), 4.0
     y = x.copy()
     integrate_state(y, NO_INPUT, wind, p, 1e-3, 4000)
-    assert y[3] - 6.0 == pytest.approx(-6.0 / (1 + p["drag_x"] * 6.0 * t / p["mass"]), rel=1e-9)
+    assert y[3] - 6.0 == pytest.approx(-6.0 / (1 + p["drag_over_speed2_x"] * 6.0 * t / p["mass"]), rel=1e-9)
 
 
 def test_simulate_samples_what_advance_integrates(vehicle) -> None:

@@ -448,8 +448,8 @@ def test_rotors_that_run_down_after_landing_do_not_upset_it() -> None:
 
 
 def test_a_reason_names_the_unit_of_its_number() -> None:
-    assert describe_reason(g.REASON_PERSISTENT_OFFSET, -0.0129, R_FIX).startswith("keeps being off, by -0.0129 m now")
-    assert describe_reason(g.REASON_PERSISTENT_OFFSET, math.radians(-3.0), R_FIX, 3).startswith(
+    assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, -0.0129, R_FIX).startswith("keeps being off, by -0.0129 m now")
+    assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, math.radians(-3.0), R_FIX, 3).startswith(
         "keeps being off, by -3 deg in heading now"
     )
     assert describe_reason(g.REASON_INNOVATION, 0.4, R_FIX, 1) == "is off by 0.4 m from what all others say"

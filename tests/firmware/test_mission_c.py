@@ -359,9 +359,11 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
         "sticks": Command(
             rc_active=True, roll=u(-0.1, 0.1), pitch=0.02, yaw_rate=u(-0.5, 0.5), climb_rate=u(-0.6, 0.6)
         ),
-        "points": Command(set_point=SetPoint(place, yaw_rate_rad_s=u(-0.5, 0.5))),
-        "speeds": Command(set_point=SetPoint(velocity_m_s=(u(-1, 1), u(-1, 1), u(-0.4, 0.4)), heading_rad=u(-4, 4))),
-        "nothing": Command(set_point=SetPoint()),
+        "points": Command(program_set_point=SetPoint(place, yaw_rate_rad_s=u(-0.5, 0.5))),
+        "speeds": Command(
+            program_set_point=SetPoint(velocity_m_s=(u(-1, 1), u(-1, 1), u(-0.4, 0.4)), heading_rad=u(-4, 4))
+        ),
+        "nothing": Command(program_set_point=SetPoint()),
     }
     if kind in commands:
         return commands[kind]

@@ -164,7 +164,7 @@ def test_its_recording_is_looked_at_again(flown: tuple[xr.Dataset, list[FlightEv
     answered = [s for s in SIGHTS if s.result is not None]
     assert abs(source.frame_count - len(answered)) < 30  # on their way when it ended
     frames = [f for f in source.read_frames() if f.time_s < 8.4]
-    assert frames[-1].info.place is not None
+    assert frames[-1].vehicle_estimate.place is not None
     assert source.truth is not None
     found = run_slam(SlamSystem(camera, seed=3), frames)
     assert len(found.time) > 0.8 * len(frames)
@@ -172,8 +172,8 @@ def test_its_recording_is_looked_at_again(flown: tuple[xr.Dataset, list[FlightEv
     assert np.sqrt(np.mean(np.sum((found.position - truth)[:, :2] ** 2, axis=1))) < 0.06
     # Without what was told with each picture the state in the recording does.
     by_state = read_telemetry(folder / "flight.mcap")(np.array([frames[50].time_s]))[0]
-    assert by_state.roll == pytest.approx(frames[50].info.roll, abs=0.02)
-    assert by_state.height_m == pytest.approx(frames[50].info.height_m, abs=0.03)
+    assert by_state.roll == pytest.approx(frames[50].vehicle_estimate.roll, abs=0.02)
+    assert by_state.height_m == pytest.approx(frames[50].vehicle_estimate.height_m, abs=0.03)
 
 
 def test_its_recording_gives_the_same_estimate_again(flown: tuple[xr.Dataset, list[FlightEvent]], folder: Path) -> None:

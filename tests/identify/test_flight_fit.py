@@ -216,7 +216,7 @@ def test_split_fits_each_half_to_its_own_outputs(truth, flights):
     assert [e.symbol for e in fit.estimates] == ["Izz", "l_up", "Iyy"]
     for e in fit.estimates:
         assert e.value == pytest.approx(true_value(truth, e.symbol), rel=0.06)
-    assert {o for r in fit.records for o in r.outputs} >= {"height", "yaw", "roll", "q"}
+    assert {o for r in fit.records for o in r.output_names} >= {"height", "yaw", "roll", "q"}
     assert fit.correlation[0, 1] == 0.0
 
 

@@ -30,7 +30,7 @@ SIGNALS = {
     VehicleRequest.GO_TO: Command(waypoint=(0.5, 0.5, -1.0)),
     VehicleRequest.RETURN: Command(return_requested=True),
     VehicleRequest.LAND: Command(land=True),
-    VehicleRequest.OFFBOARD: Command(set_point=SetPoint((0.5, 0.5, -1.0))),
+    VehicleRequest.OFFBOARD: Command(program_set_point=SetPoint((0.5, 0.5, -1.0))),
 }
 
 

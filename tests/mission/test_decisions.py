@@ -224,7 +224,7 @@ def test_a_program_that_ends_leaves_a_reference_that_goes_on_from_how_it_moves(r
     x = HIGH
     for k in range(1, 151):
         s, before = step_mission(
-            plan, s, measured(0.02 * k, x), Command(set_point=SetPoint(velocity_m_s=(0.3, 0.2, -0.25)))
+            plan, s, measured(0.02 * k, x), Command(program_set_point=SetPoint(velocity_m_s=(0.3, 0.2, -0.25)))
         )
         x = tuple(before.position)
     assert before.velocity == pytest.approx((0.3, 0.2, -0.25), abs=0.02)
@@ -264,7 +264,9 @@ def test_set_points_lead_into_nothing_that_was_seen_unless_avoidance_is_off(rig,
     plan, s = hovering(rig, TWO | {"avoidance": tables}, **point_at(0.5, -1.0))
     x = HIGH
     for k in range(1, 120):
-        s, r = step_mission(plan, s, measured(0.02 * k, x), Command(set_point=SetPoint(velocity_m_s=(0.5, 0.0, 0.0))))
+        s, r = step_mission(
+            plan, s, measured(0.02 * k, x), Command(program_set_point=SetPoint(velocity_m_s=(0.5, 0.0, 0.0)))
+        )
         s = update_obstacle_map(plan, s, measured(0.02 * k, x))
         x = tuple(r.position)
     assert s.state is State.OFFBOARD

@@ -288,7 +288,7 @@ def test_a_waypoint_with_its_own_speed(rig):
 
 
 def towards(*place):
-    return lambda t: Command(set_point=SetPoint(position_m=place))
+    return lambda t: Command(program_set_point=SetPoint(position_m=place))
 
 
 def test_set_points_in_flight_and_back(rig):
@@ -296,7 +296,7 @@ def test_set_points_in_flight_and_back(rig):
         if t < 0.1:
             return Command(start=True)
         if 18.0 < t < 28.0:
-            return Command(set_point=SetPoint(position_m=(0.5, 1.0, -1.5), heading_rad=1.0))
+            return Command(program_set_point=SetPoint(position_m=(0.5, 1.0, -1.5), heading_rad=1.0))
         return Command(start=40.0 < t < 40.03)
 
     flight = rig.fly(SQUARE, signals=signals)
@@ -313,7 +313,7 @@ def test_a_stream_that_ends_at_speed_comes_to_rest_smoothly(rig):
         if t < 0.1:
             return Command(take_off_height=1.0)
         if 12.0 < t < 18.0:
-            return Command(set_point=SetPoint(velocity_m_s=(0.6, 0.0, 0.0), yaw_rate_rad_s=0.8))
+            return Command(program_set_point=SetPoint(velocity_m_s=(0.6, 0.0, 0.0), yaw_rate_rad_s=0.8))
         return Command(land=t > 25.0 and s.state is State.HOVER)
 
     flight = rig.fly(SQUARE, signals=signals)
@@ -325,7 +325,7 @@ def test_a_stream_that_ends_at_speed_comes_to_rest_smoothly(rig):
 
 def test_set_points_lift_off_and_the_rest_is_up_to_them(rig):
     flight = rig.fly(
-        SQUARE, signals=lambda t, s: Command(set_point=SetPoint(position_m=(1.0, 0.0, -1.0))), limit_s=20.0
+        SQUARE, signals=lambda t, s: Command(program_set_point=SetPoint(position_m=(1.0, 0.0, -1.0))), limit_s=20.0
     )
     motors = [a for a, b in pairwise([*(r.motors for r in flight.reference), None]) if a != b]
     assert motors == ["off", "spin_up", "fly"] or motors == ["spin_up", "fly"]
@@ -335,7 +335,7 @@ def test_set_points_lift_off_and_the_rest_is_up_to_them(rig):
 
 def test_set_points_that_do_not_lead_up_leave_it_on_the_floor(rig):
     level = SetPoint(velocity_m_s=(0.5, 0.0, 0.0))
-    flight = rig.fly(SQUARE, signals=lambda t, s: Command(set_point=level), limit_s=3.0)
+    flight = rig.fly(SQUARE, signals=lambda t, s: Command(program_set_point=level), limit_s=3.0)
     assert {r.motors for r in flight.reference} == {"off"}
 
 
@@ -365,7 +365,7 @@ def test_set_points_into_a_wall_stop_at_the_clearance(rig):
     def signals(t, s):
         if t < 0.1:
             return Command(take_off_height=1.0)
-        return Command(set_point=SetPoint(velocity_m_s=(0.5, 0.0, 0.0))) if t > 12.0 else Command()
+        return Command(program_set_point=SetPoint(velocity_m_s=(0.5, 0.0, 0.0))) if t > 12.0 else Command()
 
     flight = rig.fly(mission, signals=signals, limit_s=40.0)
     assert flight.states[-1] == "offboard"

@@ -43,7 +43,7 @@ _HOVER_THRUST_COEFFICIENTS, _HOVER_TORQUE_COEFFICIENTS = (
 )  # c_T and c_Q of hovering rotors
 _HOVER_FIGURES_OF_MERIT = (0.15, 0.95)  # figure of merit of hovering rotors
 _MIN_PROPELLER_CT = 0.02
-_THRUST_UNITS, _TORQUE_UNITS = ("N", "gf", "kgf"), ("N m", "mN m", "N cm", "kgf cm")
+_CANDIDATE_THRUST_UNITS, _CANDIDATE_TORQUE_UNITS = ("N", "gf", "kgf"), ("N m", "mN m", "N cm", "kgf cm")
 _FASTEST_TIP_M_S = 300.0
 _IDLE_DUTY, _LOST_READING_TOLERANCE, _MIN_LOAD_SHARE = 0.05, 0.4, 0.05
 _MAX_HOVER_ADVANCE_RATIO = 0.02  # advance ratio V / (n D) below which a rotor hovers
@@ -183,7 +183,13 @@ def guess_load_units(
         beside = None if other in table.unitless and other not in found else loads.get(other)
         if beside is not None:
             beside = beside * found.get(other, (1.0, ""))[0]
-        units = _THRUST_UNITS if quantity == "thrust" else _TORQUE_UNITS if beside is not None else _TORQUE_UNITS[:2]
+        units = (
+            _CANDIDATE_THRUST_UNITS
+            if quantity == "thrust"
+            else _CANDIDATE_TORQUE_UNITS
+            if beside is not None
+            else _CANDIDATE_TORQUE_UNITS[:2]
+        )
         low, high = _HOVER_THRUST_COEFFICIENTS if quantity == "thrust" else _HOVER_TORQUE_COEFFICIENTS
         arm = 1.0 if quantity == "thrust" else radius_m
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -195,7 +195,7 @@ def _print_campaign(campaign: Campaign) -> None:
     software = "made for each" if campaign.redesign else f"those of {campaign.vehicle.name}"
     print_lines(f"{campaign.vehicle.name} flies {campaign.mission_name}{varied}; controllers and filter are {software}")
     print_lines(describe_sensor_source(campaign.vehicle, campaign.sensors))
-    print_lines(*(f"{v.source_text}: {v.note}" for v in campaign.variations if v.note), mark="Note", style="yellow")
+    print_lines(*(f"{v.request_text}: {v.note}" for v in campaign.variations if v.note), mark="Note", style="yellow")
 
 
 def _refly_with_recording(

@@ -235,11 +235,11 @@ def state_derivative_tilted(
         nx, ny, nz = -sin_b, cos_b * sin_a, -cos_a * cos_b
         h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_dw, p.inplane * speed_dw)
         fx_dw, fy_dw, fz_dw = fx_dw + h_x, fy_dw + h_y, fz_dw + h_z
-    fx = fx_up + fx_dw - p.drag_x * abs(air_x) * air_x
-    fy = fy_up + fy_dw - p.drag_y * abs(air_y) * air_y
+    fx = fx_up + fx_dw - p.drag_over_speed2_x * abs(air_x) * air_x
+    fy = fy_up + fy_dw - p.drag_over_speed2_y * abs(air_y) * air_y
     # No thrust, no downwash: a helicopter at rest or lying on its side is not pushed along.
     downwash = p.downwash * min(1.0, 2.0 * (thrust_up + thrust_dw) / (p.mass * GRAVITY))
-    fz = fz_up + fz_dw - p.drag_z * abs(air_z) * air_z + downwash
+    fz = fz_up + fz_dw - p.drag_over_speed2_z * abs(air_z) * air_z + downwash
 
     mx = -p.z_up * fy_up - p.z_dw * fy_dw
     my = p.z_up * fx_up + p.z_dw * fx_dw
@@ -337,7 +337,8 @@ def map_coefficients(
     ratio = dw / max(up, _MIN_ROTOR_SPEED)
     climb_ratio = climb / (max(mean, _MIN_ROTOR_SPEED) * p.map_radius)
     t_up, q_up, t_dw, q_dw = maps_interpolate(
-        p.map_thrust_up, p.map_torque_up, p.map_thrust_dw, p.map_torque_dw,
+        p.thrust_over_speed2_table_up, p.torque_over_speed2_table_up,
+        p.thrust_over_speed2_table_dw, p.torque_over_speed2_table_dw,
         p.map_size, p.map_start, p.map_per_step, mean, ratio, climb_ratio,
     )  # fmt: skip
     return t_up, t_dw, q_up, q_dw

@@ -208,9 +208,9 @@ class ModelParameters:
     bar_rate: float = _real("1 / T_f,up", unit="1/s")
     bar_gain: float = _real("l_up", source="stabiliser_bar.linkage")
     downwash: float = _real("drag in the downwash", unit="N", source="body.downwash_drag")
-    drag_x: float = _real("rho cD A / 2 along x", unit="N s2/m2")
-    drag_y: float = _real("rho cD A / 2 along y", unit="N s2/m2")
-    drag_z: float = _real("rho cD A / 2 along z", unit="N s2/m2")
+    drag_over_speed2_x: float = _real("rho cD A / 2 along x", unit="N s2/m2")
+    drag_over_speed2_y: float = _real("rho cD A / 2 along y", unit="N s2/m2")
+    drag_over_speed2_z: float = _real("rho cD A / 2 along z", unit="N s2/m2")
     battery_capacity: float = _real("charge of the full battery", unit="A s", source="battery.capacity")
     battery_resistance: float = _real("internal resistance of the battery", unit="ohm")
     electronics_current: float = _real("of the electronics", unit="A", source="battery.electronics_current")
@@ -228,10 +228,10 @@ class ModelParameters:
     map_start: _Array = _real("first of each", 3)
     map_per_step: _Array = _real("inverse of the step of each", 3)
     map_radius: float = _real("rotor radius", unit="m")
-    map_thrust_up: _Array = _real("upper thrust over the speed's square", MAP_NODES, unit="N s2")
-    map_torque_up: _Array = _real("upper torque over the speed's square", MAP_NODES, unit="N m s2")
-    map_thrust_dw: _Array = _real("lower thrust over the speed's square", MAP_NODES, unit="N s2")
-    map_torque_dw: _Array = _real("lower torque over the speed's square", MAP_NODES, unit="N m s2")
+    thrust_over_speed2_table_up: _Array = _real("upper thrust over the speed's square", MAP_NODES, unit="N s2")
+    torque_over_speed2_table_up: _Array = _real("upper torque over the speed's square", MAP_NODES, unit="N m s2")
+    thrust_over_speed2_table_dw: _Array = _real("lower thrust over the speed's square", MAP_NODES, unit="N s2")
+    torque_over_speed2_table_dw: _Array = _real("lower torque over the speed's square", MAP_NODES, unit="N m s2")
 
 
 _PARAMETER_GETTERS = {
@@ -239,6 +239,8 @@ _PARAMETER_GETTERS = {
 }
 PARAMETER_DTYPE = record_type(ModelParameters, int_kind=np.int64)
 """Type of a record of :class:`ModelParameters`."""
+MAP_TABLE_FIELDS = tuple(f"{what}_over_speed2_table_{side}" for side in ("up", "dw") for what in ("thrust", "torque"))
+"""Its fields that hold the tables of a coefficient map."""
 
 
 def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
@@ -297,9 +299,9 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         "swash_rate": 1.0 / float(vehicle.swash_plate.time_constant),
         "swash_gain": float(vehicle.swash_plate.linkage) * float(vehicle.swash_plate.max_tilt),
         "bar_rate": 1.0 / float(vehicle.stabiliser_bar.time_constant),
-        "drag_x": 0.5 * rho * float(b.drag_area_x),
-        "drag_y": 0.5 * rho * float(b.drag_area_y),
-        "drag_z": 0.5 * rho * float(b.drag_area_z),
+        "drag_over_speed2_x": 0.5 * rho * float(b.drag_area_x),
+        "drag_over_speed2_y": 0.5 * rho * float(b.drag_area_y),
+        "drag_over_speed2_z": 0.5 * rho * float(b.drag_area_z),
         "battery_resistance": float(vehicle.battery.internal_resistance) if sags else 0.0,
         "battery_curve": curve.sample_evenly(_CURVE_POINTS) if sags else np.full(_CURVE_POINTS, constant),
         "friction_bound": bound,
@@ -353,7 +355,6 @@ def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]
         return {}
     rho, radius = float(vehicle.air.density), float(r.radius)
     unit = np.pi * rho * radius**4 * np.array([1.0, radius, 1.0, radius])
-    each = [f"{what}_{side}" for side in ("up", "dw") for what in ("thrust", "torque")]
     level = np.ones(4)
     if r.map_level == "constants":
         up, dw = hover_speeds(constants)
@@ -363,7 +364,7 @@ def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]
                 vehicle.name, "rotors.map_level", f"map {m.name!r} has no lift or no drag at hover to be scaled",
                 "use 'computed', or another map",
             )  # fmt: skip
-        level = np.array([constants[name] for name in each]) / unit / there
+        level = np.array([constants[f] for f in ("thrust_up", "torque_up", "thrust_dw", "torque_dw")]) / unit / there
     *tables, size, start, per_step = pack_map_tables(m)
     full = np.array([np.concatenate([t, np.full(MAP_NODES - t.size, t[-1])]) for t in tables])
     full *= (level * unit)[:, None]
@@ -373,5 +374,5 @@ def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]
         "map_start": start,
         "map_per_step": per_step,
         "map_radius": radius,
-        **{f"map_{name}": row for name, row in zip(each, full, strict=True)},
+        **dict(zip(MAP_TABLE_FIELDS, full, strict=True)),
     }

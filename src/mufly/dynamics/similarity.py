@@ -183,7 +183,7 @@ def similar_vehicle(
         _set_motor(tables, k, speed_constant_rad_Vs, resistance_ohm, no_load_current_A)
     if gear_ratio is not None:
         _set_specified(tables, "gear.ratio", gear_ratio)
-        _change_gear(tables, float(k.gear.ratio), gear_ratio)
+        _adapt_drive_to_gear(tables, float(k.gear.ratio), gear_ratio)
     vehicle = validate_model(Vehicle, tables, name)
     if gear_ratio is None and speed_constant_rad_Vs is not None:
         vehicle = _choose_gear(vehicle, tables)
@@ -257,7 +257,7 @@ def _set_motor(
     tables["motor"]["friction"]["note"] = "from the current without load: given"
 
 
-def _change_gear(tables: dict[str, Any], before: float, ratio: float) -> None:
+def _adapt_drive_to_gear(tables: dict[str, Any], before: float, ratio: float) -> None:
     """Let the motors see the rotors through another gear; one of 1 is none and loses nothing."""
     for rotor in ("upper", "lower"):
         entry = tables["rotors"][rotor]["drive_inertia"]
@@ -285,7 +285,7 @@ def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
     note = "guess: the least power in hover" if ratio > 1.0 else "guess: direct drive; gearing up is no use"
     ratio = _scale_value(max(ratio, 1.0), 1.0)
     tables["gear"]["ratio"] |= {"value": ratio, "source": "estimated", "note": note}
-    _change_gear(tables, float(vehicle.gear.ratio), ratio)
+    _adapt_drive_to_gear(tables, float(vehicle.gear.ratio), ratio)
     return validate_model(Vehicle, tables, vehicle.name)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mufly.dynamics import equations_of_motion, model_state
-from mufly.dynamics.model_state import PARAMETER_DTYPE, STATE_SIZE, ModelParameters
+from mufly.dynamics.model_state import MAP_TABLE_FIELDS, PARAMETER_DTYPE, STATE_SIZE, ModelParameters
 from mufly.estimate import (
     ekf_step,
     filter_records,
@@ -43,7 +43,6 @@ _GROUND_PREFIXES = (
     "contact_",
     "ground_",
 )  # of the flight model's: it is asked far above the floor
-_MAP_FIELDS = ("map_thrust_up", "map_torque_up", "map_thrust_dw", "map_torque_dw")
 _FILTER_MODULES: tuple[types.ModuleType, ...] = (
     filter_records,
     sensor_checks,
@@ -62,7 +61,7 @@ def model_type(p: np.void | Mapping[str, int], kind: Any = np.float64) -> np.dty
     for name in PARAMETER_DTYPE.names or ():
         if not name.startswith(_GROUND_PREFIXES):
             field = PARAMETER_DTYPE[name]
-            shape = (nodes,) if name in _MAP_FIELDS else field.shape
+            shape = (nodes,) if name in MAP_TABLE_FIELDS else field.shape
             fields.append((name, np.int32 if field.base.kind == "i" else kind, shape))
     return np.dtype(fields, align=True)
 
@@ -72,7 +71,7 @@ def model_record(p: np.void, kind: Any = np.float64) -> np.ndarray:
     out = np.zeros(1, model_type(p, kind))
     for name in out.dtype.names or ():
         value = p[name]
-        out[name][0] = value[: out[name].shape[1]] if name in _MAP_FIELDS else value
+        out[name][0] = value[: out[name].shape[1]] if name in MAP_TABLE_FIELDS else value
     return out
 
 

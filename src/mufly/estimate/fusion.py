@@ -60,12 +60,12 @@ from mufly.estimate.filter_records import (
     FilterSettings,
 )
 from mufly.estimate.sensor_checks import (
+    REASON_FUSED_THOUGH_OFFSET,
     REASON_HEIGHT_CONFLICT,
     REASON_INNOVATION,
     REASON_LARGE_BIAS,
     REASON_NO_WALL,
     REASON_NONE,
-    REASON_PERSISTENT_OFFSET,
     REASON_RESET,
     REASON_STUCK,
     REASON_TERRAIN_SLOPE,
@@ -335,7 +335,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     out = max(_fix_bias_ratio(m, s, 0), _fix_bias_ratio(m, s, 1), _fix_bias_ratio(m, s, 3))
     if led or m.fix_ratio_lp > FIX_MEAN_SQUARE_GATE or out > 1.0:
         reset_on_divergence(m, s)
-        set_fault(m, s, k, STATUS_FUSED, REASON_PERSISTENT_OFFSET, at)
+        set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at)
     for i in range(4):
         if i == 2 and not down:
             continue

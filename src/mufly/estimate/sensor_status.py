@@ -107,12 +107,12 @@ _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
     g.REASON_HEIGHT_CONFLICT: lambda x, u: f"is {x:.2f} m apart from the sonar about the height: one of them is wrong",
     g.REASON_STUCK: lambda x, u: f"says {x:.2f} m again and again, more alike than a flight is",
     g.REASON_LARGE_BIAS: lambda x, u: f"has a bias of {x:.2g} {u} by now, more than it can have",
-    g.REASON_PERSISTENT_OFFSET: lambda x, u: f"keeps being off, by {x:.3g} {u} now: it or the gyroscopes drift",
+    g.REASON_FUSED_THOUGH_OFFSET: lambda x, u: f"keeps being off, by {x:.3g} {u} now: it or the gyroscopes drift",
     g.REASON_JUMP: lambda x, u: f"has jumped by {x:.2g} {u}, which no moment has made",
 }
 
 REASON_COUNT = len(_REASON_TEXTS)
-SUSPICIOUS_REASONS = (g.REASON_DUPLICATED, g.REASON_SPIKES, g.REASON_JUMP, g.REASON_PERSISTENT_OFFSET)
+SUSPICIOUS_REASONS = (g.REASON_DUPLICATED, g.REASON_SPIKES, g.REASON_JUMP, g.REASON_FUSED_THOUGH_OFFSET)
 """Reasons of sensors that are fused though something is wrong with them; that some clip is usual, and weighed."""
 
 
@@ -185,7 +185,7 @@ def _make_status(k: int, row: Sequence[float], dt: float, tick: int, part: int) 
 
 
 _HEADING_COMPONENT = 3
-_INNOVATION_REASONS = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_PERSISTENT_OFFSET)
+_INNOVATION_REASONS = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_FUSED_THOUGH_OFFSET)
 
 
 def describe_reason(why: int, number: float, sensor: int, component: int = 0) -> str:

@@ -221,13 +221,13 @@ class SoftwareInstance:
         to.has_heading, to.heading = c.heading is not None, c.heading or 0.0
         to.stop_reason = self.text_table.assign_number(c.stop_reason)
         to.roll, to.pitch, to.yaw_rate, to.climb_rate = c.roll, c.pitch, c.yaw_rate, c.climb_rate
-        to.has_set_point = c.set_point is not None
-        if c.set_point is not None:
+        to.has_program_set_point = c.program_set_point is not None
+        if c.program_set_point is not None:
             nan = (math.nan, math.nan, math.nan)
-            p = c.set_point
-            to.set_point.position, to.set_point.velocity = p.position_m or nan, p.velocity_m_s or nan
-            to.set_point.heading = math.nan if p.heading_rad is None else p.heading_rad
-            to.set_point.yaw_rate = math.nan if p.yaw_rate_rad_s is None else p.yaw_rate_rad_s
+            p = c.program_set_point
+            to.program_set_point.position, to.program_set_point.velocity = p.position_m or nan, p.velocity_m_s or nan
+            to.program_set_point.heading = math.nan if p.heading_rad is None else p.heading_rad
+            to.program_set_point.yaw_rate = math.nan if p.yaw_rate_rad_s is None else p.yaw_rate_rad_s
 
     # out
 

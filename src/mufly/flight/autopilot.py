@@ -250,7 +250,7 @@ class Autopilot:
                 self._offboard = False
                 self.log_event(f"set-points lost: none for {SET_POINT_TIMEOUT_S:g} s", "warning")
             elif self._armed:
-                c = replace(c, set_point=self._set_point)
+                c = replace(c, program_set_point=self._set_point)
         return c
 
     def _check_after_step(self) -> None:

@@ -94,7 +94,7 @@ def _median_sample_s(record: RecordPrediction) -> float:
 
 def prediction_picture(record: RecordPrediction) -> Figure:
     """Draw every output as measured and as predicted from the inputs alone, with the inputs below."""
-    m, k = len(record.outputs), len(record.input_names)
+    m, k = len(record.output_names), len(record.input_names)
     ratios = [2.0] * m + ([1.6] if k else [])
     figure = blank_figure(9.0, 0.9 + 1.55 * m + (1.35 if k else 0.0))
     panels = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": ratios})[:, 0]
@@ -105,8 +105,8 @@ def prediction_picture(record: RecordPrediction) -> Figure:
         measured = record.measured[part, j]
         axes.plot(t, measured, color=text_colour(), alpha=0.45, linewidth=0.7, label="measured")
         axes.plot(t, record.predicted[part, j], color=VERMILION, label="predicted from inputs")
-        axes.set_ylabel(_axis_label(record.outputs[j], record.units[j]))
-        axes.set_title(f"{record.outputs[j]}: fit {q.fit_percent:.1f} %, rms error {q.rms:.3g} {record.units[j]}")
+        axes.set_ylabel(_axis_label(record.output_names[j], record.units[j]))
+        axes.set_title(f"{record.output_names[j]}: fit {q.fit_percent:.1f} %, rms error {q.rms:.3g} {record.units[j]}")
     if k:
         for j, colour in zip(range(k), (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION) * k, strict=False):
             u = record.inputs[part, j]
@@ -131,7 +131,7 @@ def residual_picture(record: RecordPrediction) -> Figure:
     """Draw the residual of every output over time, its autocorrelation with 95 % bounds, and its spectrum."""
     from scipy.signal import welch
 
-    m, dt = len(record.outputs), _median_sample_s(record)
+    m, dt = len(record.output_names), _median_sample_s(record)
     figure = blank_figure(9.0, 0.5 + 1.75 * m)
     panels = figure.subplots(m, 3, squeeze=False, sharex="col", gridspec_kw={"width_ratios": [2.0, 1.2, 1.2]})
     part = _thinning_slice(record)
@@ -141,7 +141,7 @@ def residual_picture(record: RecordPrediction) -> Figure:
         left.plot(record.time_s[part], e[part], color=BLUE, linewidth=0.7)
         if np.isfinite(noise) and noise > 0.0:
             left.axhspan(-1.96 * noise, 1.96 * noise, color=GREEN, alpha=0.18, linewidth=0)
-        left.set_ylabel(_axis_label(record.outputs[j], record.units[j]))
+        left.set_ylabel(_axis_label(record.output_names[j], record.units[j]))
         c = residual_autocorrelation(e, dt, max_lag_s=_MAX_LAG_S)
         middle.axhspan(-c.confidence_bound, c.confidence_bound, color=GREEN, alpha=0.25, linewidth=0)
         middle.plot(c.lag_s, c.value, color=BLUE)
@@ -160,7 +160,7 @@ def residual_picture(record: RecordPrediction) -> Figure:
 
 def cross_correlation_picture(record: RecordPrediction) -> Figure:
     """Draw the correlation of every residual with every input, 95 % bounds; positive lags: the input came first."""
-    m, k, dt = len(record.outputs), len(record.input_names), _median_sample_s(record)
+    m, k, dt = len(record.output_names), len(record.input_names), _median_sample_s(record)
     figure = blank_figure(min(10.0, 2.0 + 2.4 * k), 0.6 + 1.5 * m)
     panels = figure.subplots(m, k, squeeze=False, sharex=True, sharey=True)
     for j in range(m):
@@ -173,7 +173,7 @@ def cross_correlation_picture(record: RecordPrediction) -> Figure:
             else:
                 axes.text(0.5, 0.5, "never moved", transform=axes.transAxes, ha="center", va="center")
             axes.axvline(0.0, color=text_colour(), linewidth=0.5)
-            axes.set_title(f"{record.outputs[j]} after {record.input_names[i]}")
+            axes.set_title(f"{record.output_names[j]} after {record.input_names[i]}")
             if j == m - 1:
                 axes.set_xlabel("lag (s)")
         panels[j][0].set_ylabel("correlation (1)")
@@ -192,7 +192,7 @@ def estimate_coherence(record: RecordPrediction) -> tuple[FrequencyResponse, Fre
         two = [
             estimate_frequency_response(
                 record.inputs, signal, dt, segment_s=segment, low_hz=1.5 / segment, high_hz=high,
-                input_names=record.input_names, output_names=record.outputs,
+                input_names=record.input_names, output_names=record.output_names,
             )
             for signal in (record.measured, record.residual)
         ]  # fmt: skip
@@ -207,7 +207,7 @@ def coherence_picture(record: RecordPrediction) -> Figure | None:
     if both is None:
         return None
     measured, left = both
-    m = len(record.outputs)
+    m = len(record.output_names)
     figure = blank_figure(9.0, 0.7 + 1.5 * m)
     panels = figure.subplots(m, 1, squeeze=False, sharex=True)[:, 0]
     # With n averages and k inputs, coherence of independent signals is about k / n.
@@ -225,7 +225,7 @@ def coherence_picture(record: RecordPrediction) -> Figure | None:
                     measured.frequency_hz, measured.partial[:, j, i], color=colour, linewidth=0.8, linestyle="--",
                     label=f"{record.input_names[i]} alone",
                 )  # fmt: skip
-        axes.set(ylim=(0.0, 1.02), ylabel=f"{record.outputs[j]} (1)")
+        axes.set(ylim=(0.0, 1.02), ylabel=f"{record.output_names[j]} (1)")
         label_decades(axes)
     panels[0].set_title(f"coherence; grey: about what {measured.averages:.1f} segments show by chance")
     figure.legend(*panels[0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
@@ -235,7 +235,7 @@ def coherence_picture(record: RecordPrediction) -> Figure | None:
 
 def theil_coefficient_picture(records: tuple[RecordPrediction, ...]) -> Figure:
     """Draw Theil's coefficient of every output and record, split into bias, variance and covariance."""
-    rows = [(f"{r.outputs[j]}, {r.role}", q) for r in records for j, q in enumerate(assess_record(r))]
+    rows = [(f"{r.output_names[j]}, {r.role}", q) for r in records for j, q in enumerate(assess_record(r))]
     figure = blank_figure(8.0, 0.9 + 0.28 * len(rows))
     axes: Axes = figure.subplots()
     place = np.arange(len(rows))

@@ -270,7 +270,7 @@ def _residual_rows(fit: FitResult) -> ReportTable:
             white = ljung_box_test(e, lags=min(50, len(e) // 5)).p_value if enough else float("nan")
             rows.append(
                 (
-                    record.role, record.name, record.outputs[j], f"{q.fit_percent:.1f} %", f"{q.r2:.3f}",
+                    record.role, record.name, record.output_names[j], f"{q.fit_percent:.1f} %", f"{q.r2:.3f}",
                     f"{q.theil:.3f}", f"{q.bias:.2f} / {q.variance:.2f} / {q.covariance:.2f}",
                     f"{q.rms:.3g} {record.units[j]}", f"{q.rms_over_noise:.2f}",
                     "< 0.001" if white < 1e-3 else f"{white:.2g}",
@@ -285,7 +285,7 @@ def _residual_rows(fit: FitResult) -> ReportTable:
 def _determinants(fit: FitResult) -> str:
     """Determinant of the residuals' covariance, held out over fitted; "" where the two cannot be compared."""
     used, unused = fit.records_with_role("fit"), fit.records_with_role("held out")
-    if not used or not unused or len({r.outputs for r in fit.records}) > 1:
+    if not used or not unused or len({r.output_names for r in fit.records}) > 1:
         return ""
     return format_number(residual_determinant(unused) / max(residual_determinant(used), 1e-300))
 

@@ -108,7 +108,7 @@ class RecordPrediction:
         Whether the fit used it.
     time_s : (n,) array
         Rising (s).
-    outputs : tuple of str
+    output_names : tuple of str
         Names of the ``m`` outputs: ``"p"``, ``"roll"``, ``"height"``, ...
     units : tuple of str
         Their SI units.
@@ -128,7 +128,7 @@ class RecordPrediction:
     name: str
     role: Literal["fit", "held out"]
     time_s: _Array
-    outputs: tuple[str, ...]
+    output_names: tuple[str, ...]
     units: tuple[str, ...]
     measured: _Array
     predicted: _Array
@@ -288,7 +288,9 @@ _MIN_PAIR_CORRELATION = 0.98  # correlation of a pair that is hardly told apart 
 _MIN_PAIR_STD = 0.005  # ... if that leaves each of them open by more than this
 _MAX_CORRELATION_LAG, _WHITE_LAGS_TO_STOP = 300, 10  # samples
 _DECISIVE_LIKELIHOOD_DIFFERENCE = 4.0  # difference of 2 log L, as by AIC
-_WINDOW_PER_REACH = 4  # times that reach; 2 leaves out a quarter of the variance of a slowly varying sensitivity
+_LAG_WINDOW_PER_CORRELATION_REACH = (
+    4  # times that reach; 2 leaves out a quarter of the variance of a slowly varying sensitivity
+)
 _SIGNIFICANT_DEVIATIONS = 3.9  # deviations; some 300 lags of a fit are looked at, and none should by chance
 
 
@@ -353,11 +355,11 @@ def coloured_covariance(
                 if a == b and far == 0:
                     middle += s[:, a].T @ s[:, a]
                 elif far > 0 and (a == b or (reach[a] and reach[b])):
-                    r = _lagged_mean_product(e[:, a], e[:, b], _WINDOW_PER_REACH * far) * parzen_window(
-                        _WINDOW_PER_REACH * far
+                    r = _lagged_mean_product(e[:, a], e[:, b], _LAG_WINDOW_PER_CORRELATION_REACH * far) * parzen_window(
+                        _LAG_WINDOW_PER_CORRELATION_REACH * far
                     )
                     spread = fftconvolve(s[:, b], r[::-1, None], mode="full", axes=0)[
-                        _WINDOW_PER_REACH * far : _WINDOW_PER_REACH * far + n
+                        _LAG_WINDOW_PER_CORRELATION_REACH * far : _LAG_WINDOW_PER_CORRELATION_REACH * far + n
                     ]
                     middle += s[:, a].T @ spread
     middle = 0.5 * (middle + middle.T)

@@ -266,7 +266,7 @@ def assess_record(record: RecordPrediction) -> tuple[PredictionQuality, ...]:
     """Return the quality of every output of a record, in their order."""
     return tuple(
         assess_prediction(record.measured[:, k], record.predicted[:, k], float(record.noise_std[k]))
-        for k in range(len(record.outputs))
+        for k in range(len(record.output_names))
     )
 
 
@@ -335,7 +335,7 @@ def describe_residuals(
     """
     dt = float(np.median(np.diff(record.time_s)))
     found: list[tuple[float, str]] = []
-    for k, output in enumerate(record.outputs):
+    for k, output in enumerate(record.output_names):
         e = record.residual[:, k]
         if np.isfinite(e).sum() < 20 or np.nanstd(e) == 0.0:
             continue
@@ -459,7 +459,7 @@ def find_spectral_lines(signal: Array, dt: float) -> list[tuple[float, float]]:
 
 def _describe_error_size(record: RecordPrediction) -> list[tuple[float, str]]:
     found = []
-    for name, unit, q in zip(record.outputs, record.units, assess_record(record), strict=True):
+    for name, unit, q in zip(record.output_names, record.units, assess_record(record), strict=True):
         if not np.isfinite(q.theil):
             continue
         if q.bias > 0.3:
@@ -485,7 +485,7 @@ def _describe_error_size(record: RecordPrediction) -> list[tuple[float, str]]:
 
 def _measured_over_predicted(record: RecordPrediction, name: str) -> float:
     """Slope of the measurement over the prediction."""
-    k = record.outputs.index(name)
+    k = record.output_names.index(name)
     z, y = record.measured[:, k], record.predicted[:, k]
     good = np.isfinite(z) & np.isfinite(y)
     y = y[good] - y[good].mean()

@@ -68,7 +68,7 @@ class Command:
         Pilot's attitude (rad).
     yaw_rate, climb_rate : float
         Pilot's rate of turn (rad/s) and of climb (m/s, positive up).
-    set_point : SetPoint or None
+    program_set_point : SetPoint or None
         A program flies, for as long as there is one.
     """
 
@@ -86,7 +86,7 @@ class Command:
     pitch: float = 0.0
     yaw_rate: float = 0.0
     climb_rate: float = 0.0
-    set_point: SetPoint | None = None
+    program_set_point: SetPoint | None = None
 
 
 NO_COMMAND = Command()

@@ -237,7 +237,7 @@ def _handle_request(plan: MissionPlan, s: MissionState, m: Estimate, c: Command)
 
     if c.land and s.state is not State.LANDING and is_granted(VehicleRequest.LAND):
         return start_land_now(plan, s)
-    if s.state is State.OFFBOARD and c.set_point is None:
+    if s.state is State.OFFBOARD and c.program_set_point is None:
         s = exit_offboard(plan, s, m)
         if s.state is State.INIT:
             return s
@@ -264,8 +264,8 @@ def _handle_request(plan: MissionPlan, s: MissionState, m: Estimate, c: Command)
         )
     if c.return_requested and is_granted(VehicleRequest.RETURN):
         return start_return_home(plan, s)
-    if c.set_point is not None and is_granted(VehicleRequest.OFFBOARD):
-        return s if s.state is State.OFFBOARD else enter_offboard(s, m, c.set_point)
+    if c.program_set_point is not None and is_granted(VehicleRequest.OFFBOARD):
+        return s if s.state is State.OFFBOARD else enter_offboard(s, m, c.program_set_point)
     if (c.waypoint is not None or c.heading is not None) and is_granted(VehicleRequest.GO_TO):
         return fly_to_user_waypoint(plan, s, c.waypoint, c.heading)
     if c.start and fresh and is_granted(VehicleRequest.START):
@@ -527,10 +527,10 @@ def step_offboard(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, d
         s = replace(s, motors="fly", set_point_reference=current_reference(replace(s, motion=None)))
     # It was begun for the end of the step in which it was entered.
     if (
-        c.set_point is None
+        c.program_set_point is None
         or s.set_point_reference is None
         or s.state_entered_s == s.time_s
-        or set_point_fault(c.set_point)
+        or set_point_fault(c.program_set_point)
     ):
         return s
     here = measured_position(m)
@@ -539,7 +539,7 @@ def step_offboard(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, d
         return limit_approach_velocity(s.path_check, here, (vn, ve), plan.mission.avoidance.clearance_m)
 
     guard = limit_velocity if plan.avoids_obstacles and s.obstacle_map.point_count else None
-    t = follow_set_point(s.set_point_reference, c.set_point, plan.trajectory_limits, here, dt, guard)
+    t = follow_set_point(s.set_point_reference, c.program_set_point, plan.trajectory_limits, here, dt, guard)
     return replace(s, set_point_reference=t, hold_position=t.position, goal=t.position, hold_heading=t.heading)
 
 

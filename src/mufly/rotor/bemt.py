@@ -466,7 +466,7 @@ class SectionParameters(NamedTuple):
         Its polars.
     second_weight : float
         Of the second one.
-    zero_lift_rad, stall_delay : float
+    polar_zero_lift_rad, stall_delay : float
         Zero-lift angle (rad), strength of the rotation model.
     lift_factor, drag_factor : float
         Factors on the coefficients.
@@ -479,7 +479,7 @@ class SectionParameters(NamedTuple):
     first_polar: int
     second_polar: int
     second_weight: float
-    zero_lift_rad: float
+    polar_zero_lift_rad: float
     stall_delay: float
     lift_factor: float
     drag_factor: float
@@ -546,7 +546,7 @@ def section_coefficients(
     """
     weight, rotation = section.second_weight, section.stall_delay
     mach = min(mach, _MAX_MACH)
-    alpha = equivalent_incompressible_alpha(alpha, mach, section.zero_lift_rad)
+    alpha = equivalent_incompressible_alpha(alpha, mach, section.polar_zero_lift_rad)
     cl, cd = stack_coefficients(polars, section.first_polar, alpha, log_re)
     if weight > 0.0:
         cl2, cd2 = stack_coefficients(polars, section.second_polar, alpha, log_re)
@@ -556,7 +556,7 @@ def section_coefficients(
     if rotation > 0.0:
         fade = min(max((_FADE_END_RAD - abs(alpha)) / (_FADE_END_RAD - _FADE_START_RAD), 0.0), 1.0)
         if fade > 0.0:
-            a = alpha - section.zero_lift_rad
+            a = alpha - section.polar_zero_lift_rad
             attached = 2.0 * math.pi * math.sin(a) * math.cos(a) ** 2
             if attached * (attached - cl) > 0.0:
                 gain = rotation * fade * (attached - cl)
@@ -636,7 +636,7 @@ def _solve_station(
     out = _momentum_residual(b, e, flow, at, section, polars, on)
     a, fa, fb = b, out[0], out[0]
     if e > 0.0:
-        a = section.zero_lift_rad
+        a = section.polar_zero_lift_rad
         fa = _momentum_residual(a, e, flow, at, section, polars, on)[0]
         if fa * fb > 0.0 or abs(a - b) > 0.5 * math.pi:
             e = 0.0
@@ -715,8 +715,8 @@ def solve_cases(
                 if on.tip_loss_code == 2:
                     share = min(max((effective - r) / dr + 0.5, 0.0), 1.0)
                 first, second, weight = blades.first[k, i], blades.second[k, i], blades.weight[k, i]
-                zero = blades.zero_lift_rad[first]
-                zero += weight * (blades.zero_lift_rad[second] - zero)
+                zero = blades.polar_zero_lift_rad[first]
+                zero += weight * (blades.polar_zero_lift_rad[second] - zero)
                 thick = blades.thickness[first]
                 thick += weight * (blades.thickness[second] - thick)
                 edge = blades.edge_drag[k, i]

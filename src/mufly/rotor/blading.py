@@ -196,7 +196,7 @@ class Blading:
         Polars of the stack and their mix.
     polars : PolarStack
         Polars of all rotors.
-    zero_lift_rad, thickness : (tables,) arrays
+    polar_zero_lift_rad, thickness : (tables,) arrays
         Zero-lift angle and thickness over chord of each polar; 0.12 where a table does not say.
     """
 
@@ -213,7 +213,7 @@ class Blading:
     second: Integers
     weight: Array
     polars: PolarStack
-    zero_lift_rad: Array
+    polar_zero_lift_rad: Array
     thickness: Array
 
     @cached_property
@@ -350,7 +350,7 @@ def prepare_blading(
         second=second,
         weight=weight,
         polars=stack,
-        zero_lift_rad=np.array([find_zero_lift_angle(table) for table in tables]),
+        polar_zero_lift_rad=np.array([find_zero_lift_angle(table) for table in tables]),
         thickness=np.nan_to_num([table.thickness_ratio for table in tables], nan=_DEFAULT_THICKNESS_RATIO),
     )
 

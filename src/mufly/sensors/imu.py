@@ -62,7 +62,7 @@ GYRO = 3  # of the six axes, the first of the gyroscopes
 (
     _ONCE, _TWICE, _PASSING, _RESONANCE, _DAMPING, _HOVER_UPPER, _HOVER_LOWER, _DRIFT_TIME, _WARMING, _WARMING_TIME,
 ) = range(10)  # fmt: skip
-_COS, _SIN, _TURN_COS, _TURN_SIN, _GROWTH_COS, _GROWTH_SIN = range(6)  # of a rotor's phasor
+_COS, _SIN, _PHASOR_STEP_COS, _PHASOR_STEP_SIN, _GROWTH_COS, _GROWTH_SIN = range(6)  # of a rotor's phasor
 _UP_TWICE, _DW_TWICE, _PASSES = 2, 6, 8  # rows of lines, cosine and sine each
 
 
@@ -340,17 +340,17 @@ def simulate_imu_period(
         growth = (last - first) / n
         angle, turn, more = azimuth[k], dt * (first + 0.5 * growth), dt * growth
         phasor[k, _COS], phasor[k, _SIN] = math.cos(angle), math.sin(angle)
-        phasor[k, _TURN_COS], phasor[k, _TURN_SIN] = math.cos(turn), math.sin(turn)
+        phasor[k, _PHASOR_STEP_COS], phasor[k, _PHASOR_STEP_SIN] = math.cos(turn), math.sin(turn)
         phasor[k, _GROWTH_COS], phasor[k, _GROWTH_SIN] = math.cos(more), math.sin(more)
         azimuth[k] = (angle + 0.5 * elapsed * (first + last)) % (2.0 * math.pi)
     lines, felt = np.empty((10, n)), np.empty((6, n))
     for i in range(n):
         for k in range(2):
-            c, s, tc, ts = phasor[k, _COS], phasor[k, _SIN], phasor[k, _TURN_COS], phasor[k, _TURN_SIN]
+            c, s, tc, ts = phasor[k, _COS], phasor[k, _SIN], phasor[k, _PHASOR_STEP_COS], phasor[k, _PHASOR_STEP_SIN]
             c, s = c * tc - s * ts, c * ts + s * tc
             phasor[k, _COS], phasor[k, _SIN] = c, s
-            phasor[k, _TURN_COS] = tc * phasor[k, _GROWTH_COS] - ts * phasor[k, _GROWTH_SIN]
-            phasor[k, _TURN_SIN] = tc * phasor[k, _GROWTH_SIN] + ts * phasor[k, _GROWTH_COS]
+            phasor[k, _PHASOR_STEP_COS] = tc * phasor[k, _GROWTH_COS] - ts * phasor[k, _GROWTH_SIN]
+            phasor[k, _PHASOR_STEP_SIN] = tc * phasor[k, _GROWTH_SIN] + ts * phasor[k, _GROWTH_COS]
             lines[4 * k, i], lines[4 * k + 1, i] = c, s
             lines[4 * k + 2, i], lines[4 * k + 3, i] = c * c - s * s, 2.0 * c * s
         up_c, up_s = lines[_UP_TWICE, i], lines[_UP_TWICE + 1, i]

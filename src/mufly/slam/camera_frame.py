@@ -87,12 +87,12 @@ class CameraFrame:
         When its middle row was exposed.
     picture : (rows, columns) uint8 array
         Grey.
-    info : Telling
+    vehicle_estimate : Telling
     """
 
     time_s: float
     picture: NDArray[np.uint8]
-    info: FrameInfo
+    vehicle_estimate: FrameInfo
 
 
 _MAX_UNKNOWN_ACCEL_M_S2 = 1.0

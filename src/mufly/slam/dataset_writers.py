@@ -59,7 +59,7 @@ def write_dataset(
             name = {"mufly": f"{k:06d}.jpg", "tum": f"{frame.time_s:.6f}.jpg", "euroc": f"{ns}.jpg"}[layout]
             (base / name).write_bytes(encode_jpeg(frame.picture, _JPEG_QUALITY))
             listed.append((f"{frame.time_s:.6f}", name, ns))
-            t = frame.info
+            t = frame.vehicle_estimate
             told.append(
                 (
                     frame.time_s,

@@ -237,7 +237,7 @@ class SlamSystem:
             return self._start_map(frame, view, picture)
         if self._odometry is None:
             return self._relocalize(frame, view, picture, "not found in the map yet")
-        self._odometry = self._odometry.advance_to(frame.time_s, frame.info)
+        self._odometry = self._odometry.advance_to(frame.time_s, frame.vehicle_estimate)
         elapsed = self._odometry.elapsed_s
         node = self._predict_node(frame, view, self._odometry)
         pixels_off = self._position_sigma_m / view.height_m * view.focal_px
@@ -248,7 +248,11 @@ class SlamSystem:
                 break
         why = self._rejection_reason(match, view, node)
         if match is None or why:
-            if len(self.floor_map.keyframes) == 1 and frame.info.place is not None and not self._has_given_map:
+            if (
+                len(self.floor_map.keyframes) == 1
+                and frame.vehicle_estimate.place is not None
+                and not self._has_given_map
+            ):
                 # Near the floor one picture shares little with the next: nothing hangs on a map of one.
                 self.floor_map = FloorMap(self.floor_map.start_pose)
                 return self._start_map(frame, view, picture)
@@ -262,7 +266,7 @@ class SlamSystem:
         return self._accept_match(frame, view, picture, match)
 
     def _make_view(self, frame: CameraFrame) -> ViewPrior:
-        told = frame.info
+        told = frame.vehicle_estimate
         # Where all rows are taken at once, shaking is a tilt like another one, and only its phase tells it apart.
         modelled = bool(told.rotor_speed.any()) and (self._has_rolling_shutter or told.rotor_phase is not None)
         self._shake_tilt_rad = (
@@ -302,9 +306,13 @@ class SlamSystem:
         """Where it should be, and in ``_position_sigma_m`` how well that is known (m): by the way since the last
         answer, or after a while without one by what the vehicle believes, if it tells and that is known better."""
         moved, self._position_sigma_m = way.predict_displacement(self._velocity_m_s)
-        believed = 0.05 + 2.0 * frame.info.place_sigma[0]
-        if way.elapsed_s > _LOST_AFTER_S and frame.info.place is not None and believed < self._position_sigma_m:
-            n, e, heading = frame.info.place
+        believed = 0.05 + 2.0 * frame.vehicle_estimate.place_sigma[0]
+        if (
+            way.elapsed_s > _LOST_AFTER_S
+            and frame.vehicle_estimate.place is not None
+            and believed < self._position_sigma_m
+        ):
+            n, e, heading = frame.vehicle_estimate.place
             self._position_sigma_m = believed
             return self._node_from_pose(self._pose_from_vehicle(view, n, e, heading))[:4]
         return np.append(self._last_node[:LN_HEIGHT] + moved, math.log(view.height_m))
@@ -459,7 +467,7 @@ class SlamSystem:
             self._velocity_m_s = np.zeros(2)
         self._last_node, self._odometry, self._reference_index = (
             node,
-            Odometry(frame.time_s, frame.info),
+            Odometry(frame.time_s, frame.vehicle_estimate),
             match.keyframe,
         )
         self._found_poses = []
@@ -538,9 +546,9 @@ class SlamSystem:
             pose.tilt_error_rad.copy(),
             math.log(view.height_m),
             view.height_sigma_m / view.height_m,
-            frame.info.height_time_s,
-            frame.info.tilt_sigma,
-            frame.info.tilt_time_s,
+            frame.vehicle_estimate.height_time_s,
+            frame.vehicle_estimate.tilt_sigma,
+            frame.vehicle_estimate.tilt_time_s,
             self._shake_tilt_rad,
         )
 
@@ -548,8 +556,11 @@ class SlamSystem:
         """The first keyframe: here the map begins."""
         if view.height_m < MIN_HEIGHT_M:
             return TrackingResult(frame.time_s, False, TOO_NEAR_REASON)
-        if frame.info.place is not None:
-            self.floor_map.start_pose, self.floor_map.start_sigma = frame.info.place, frame.info.place_sigma
+        if frame.vehicle_estimate.place is not None:
+            self.floor_map.start_pose, self.floor_map.start_sigma = (
+                frame.vehicle_estimate.place,
+                frame.vehicle_estimate.place_sigma,
+            )
         n, e, heading = self.floor_map.start_pose
         pose = self._pose_from_vehicle(view, n, e, heading)
         keyframe = self._create_keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms_px))
@@ -557,18 +568,18 @@ class SlamSystem:
             return TrackingResult(frame.time_s, False, "no corners on the floor to begin a map with, or too bright")
         self._reference_index = self.floor_map.add_keyframe(keyframe, self._node_from_pose(pose), [])
         self._last_node = self.floor_map.nodes[self._reference_index, PLACE].copy()
-        self._odometry = Odometry(frame.time_s, frame.info)
+        self._odometry = Odometry(frame.time_s, frame.vehicle_estimate)
         nobody = np.zeros(0, np.intp)
         match = _KeyframeMatch(0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0, 0.0)
         answer = self._make_result(frame, view, match, True, False)
-        if frame.info.place is None:
+        if frame.vehicle_estimate.place is None:
             return answer
         # What it would say is what it was told.
         return replace(answer, trusted=False, reason="the map begins")
 
     def _should_bridge(self, frame: CameraFrame, view: ViewPrior, elapsed: float) -> bool:
         """Whether to go on from where the vehicle believes to be, as nothing is recognised."""
-        if frame.info.place is None or view.height_m < MIN_HEIGHT_M or self._should_relocalize:
+        if frame.vehicle_estimate.place is None or view.height_m < MIN_HEIGHT_M or self._should_relocalize:
             return False
         return self._trial_frame_count > 0 or elapsed > (
             _YOUNG_BRIDGE_AFTER_S if self._is_map_young else _BRIDGE_AFTER_S
@@ -595,7 +606,7 @@ class SlamSystem:
             return self._accept_match(frame, view, picture, found)
         self._trial_frame_count += 1
         if self._trial_frame_count <= (_MIN_CONFIRMATIONS if self._is_map_young else _TRIAL_FRAMES):
-            self._last_node, self._odometry = match.graph_node, Odometry(frame.time_s, frame.info)
+            self._last_node, self._odometry = match.graph_node, Odometry(frame.time_s, frame.vehicle_estimate)
             self._refine_keyframe(view, match)
             return TrackingResult(frame.time_s, False, "begun anew, to be confirmed")
         self._trial_frame_count = 0
@@ -607,13 +618,13 @@ class SlamSystem:
             self.floor_map.drop_last_keyframe()
             self._reference_index = len(self.floor_map.keyframes) - 1
             self._trial_frame_count = 0
-        assert frame.info.place is not None
-        n, e, heading = (float(q) for q in frame.info.place)
+        assert frame.vehicle_estimate.place is not None
+        n, e, heading = (float(q) for q in frame.vehicle_estimate.place)
         pose = self._pose_from_vehicle(view, n, e, heading)
         keyframe = self._create_keyframe(frame, view, picture, pose, math.hypot(0.5, self._shake_rms_px))
         if keyframe is None:
             return TrackingResult(frame.time_s, False, "no corners on the floor, or too bright")
-        place, turn = frame.info.place_sigma
+        place, turn = frame.vehicle_estimate.place_sigma
         last, second = self._reference_index, len(self.floor_map.keyframes)
         node, before = self._node_from_pose(pose), self.floor_map.nodes[last]
         h = math.exp(before[LN_HEIGHT])
@@ -625,7 +636,7 @@ class SlamSystem:
         self._reference_index = self.floor_map.add_keyframe(keyframe, node, [edge])
         self._last_node, self._odometry = (
             self.floor_map.nodes[self._reference_index, PLACE].copy(),
-            Odometry(frame.time_s, frame.info),
+            Odometry(frame.time_s, frame.vehicle_estimate),
         )
         self._trial_frame_count = 1
         return TrackingResult(frame.time_s, False, why)
@@ -835,7 +846,7 @@ class SlamSystem:
             self.floor_map.drop_last_keyframe()
             self._trial_frame_count = 0
         self._odometry, self._velocity_m_s, self._last_node = (
-            Odometry(frame.time_s, frame.info),
+            Odometry(frame.time_s, frame.vehicle_estimate),
             np.zeros(2),
             here,
         )

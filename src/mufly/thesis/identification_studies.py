@@ -241,9 +241,9 @@ def _study_flight(name: str) -> StudyFindings:
     shown, where, axis, (low, high) = _FLIGHT_FIGURES[name]
     demo = _run_identification_demo()
     record = next(r for r in demo.fit.records if name in r.name)
-    found = dict(zip(record.outputs, assess_record(record), strict=True))
+    found = dict(zip(record.output_names, assess_record(record), strict=True))
     fits = ", ".join(f"{o} {found[o].fit_percent:.0f} %" for o in shown)
-    last = record.measured[:, record.outputs.index(shown[-1])]
+    last = record.measured[:, record.output_names.index(shown[-1])]
     last = last - (np.median(last) if name in ("roll", "pitch") else 0.0)
     ratio = [float(found[o].rms / SENSOR_NOISE_STD[o]) for o in shown]
     text = ", ".join(f"{o} {r:.2f}" for o, r in zip(shown, ratio, strict=True))
@@ -270,7 +270,7 @@ def _study_flight(name: str) -> StudyFindings:
             "measured": (("time_s", "output"), record.measured),
             "predicted": (("time_s", "output"), record.predicted),
         },
-        coords={"time_s": record.time_s, "output": list(record.outputs)},
+        coords={"time_s": record.time_s, "output": list(record.output_names)},
     )
     return StudyFindings(verdicts, drawn, {"record": data})
 

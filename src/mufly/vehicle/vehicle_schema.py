@@ -153,7 +153,7 @@ class Motor(ParameterGroup):
     resistance: Quantity = declare_parameter("ohm", "Rohm", "armature resistance", at_least=1e-4, at_most=1e4)
 
     @model_validator(mode="after")
-    def _check_energy_balance(self) -> Motor:
+    def _check_torque_constant(self) -> Motor:
         """Of the power kE w I that turning takes, kM w I comes out: in SI units kM is kE, less what is lost."""
         k_e, k_m = float(self.back_emf_constant), float(self.torque_constant)
         if k_m > MAX_TORQUE_TO_EMF_RATIO * k_e:

@@ -77,7 +77,7 @@ def find_series_issues(
             )
         )
     done = record.completed_steps
-    left = [s for s in plan.steps if s.kind != "warm-up" and (s.mounting_index, s.step_index) not in done]
+    left = [s for s in plan.steps if s.kind != "warm-up" and (s.mounting_index, s.step_in_mounting) not in done]
     if left:
         out.append(
             SeriesIssue(

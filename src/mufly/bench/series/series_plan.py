@@ -161,7 +161,7 @@ class PlanStep:
     """One thing that is done: mounting and step in it (from 0), what, and at which speed."""
 
     mounting_index: int
-    step_index: int
+    step_in_mounting: int
     kind: StepKind
     speed_rpm: float
 

@@ -46,7 +46,7 @@ class SeriesReadings:
     ----------
     mounting_index : (n,) array of int
         Of the plan, from 0.
-    step_index : (n,) array of int
+    step_in_mounting : (n,) array of int
     time_s : (n,) array
         Middle of the averaging (s).
     nominal_rpm : (n,) array
@@ -62,7 +62,7 @@ class SeriesReadings:
     """
 
     mounting_index: Integers
-    step_index: Integers
+    step_in_mounting: Integers
     time_s: Array
     nominal_rpm: Array
     mean: dict[str, Array]
@@ -90,7 +90,7 @@ class SeriesReadings:
 
         return SeriesReadings(
             self.mounting_index[k],
-            self.step_index[k],
+            self.step_in_mounting[k],
             self.time_s[k],
             self.nominal_rpm[k],
             select_channels(self.mean),

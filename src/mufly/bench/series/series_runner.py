@@ -208,7 +208,7 @@ def run_series(
             record.write({"kind": "event", "what": "resumed", "time": rig.now()})
         runner = _SeriesRunner(plan, rig, record, guard, told, mounted, keep_samples, truth)
         for number, step in enumerate(steps):
-            if (step.mounting_index, step.step_index) not in record.completed_steps:
+            if (step.mounting_index, step.step_in_mounting) not in record.completed_steps:
                 runner.run_step(number, step)
         told(SeriesProgress(len(steps), len(steps), "done"))
     except (LimitError, Stopped, DeviceError) as error:
@@ -283,7 +283,7 @@ class _SeriesRunner:
                 if self.needs_zero and step.kind == "point":
                     self._take_reading(number, PlanStep(step.mounting_index, -1, "tare", 0.0), mounting)
                 if step.kind == "warm-up":
-                    self._run_warm_up(number, mounting, step.speed_rpm, step.step_index, step.mounting_index)
+                    self._run_warm_up(number, mounting, step.speed_rpm, step.step_in_mounting, step.mounting_index)
                 else:
                     self._take_reading(number, step, mounting)
                 return
@@ -295,7 +295,7 @@ class _SeriesRunner:
                         "what": "device",
                         "why": str(error),
                         "mounting": step.mounting_index,
-                        "step": step.step_index,
+                        "step": step.step_in_mounting,
                         "try": tries,
                         "time": self.rig.now(),
                     }
@@ -368,7 +368,7 @@ class _SeriesRunner:
             if not point and k.startswith(("thrust", "torque")):
                 self.guard.zero_readings[k] = m.value
         line: dict[str, Any] = {
-            "kind": "reading", "what": step.kind, "mounting": step.mounting_index, "step": step.step_index,
+            "kind": "reading", "what": step.kind, "mounting": step.mounting_index, "step": step.step_in_mounting,
             "time": 0.5 * (began + self.rig.now()), "seconds": self.rig.now() - began, "speed_rpm": step.speed_rpm,
             "settled": settled, "at_speed": at_speed, "saturated": sorted(self.guard.saturated_channels),
             "channels": {k: list(m) for k, m in means.items()},

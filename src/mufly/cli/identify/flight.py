@@ -263,7 +263,7 @@ def _print_fit_remarks(fit: FitResult) -> None:
     print_lines(*(f"{text}." for text in fit.held), mark="In doubt for what was held")
     rows = []
     for r in fit.records:
-        ratios = zip(r.outputs, r.rms_over_noise(), strict=True)
+        ratios = zip(r.output_names, r.rms_over_noise(), strict=True)
         rows.append((r.name, r.role, ", ".join(f"{o} {v:.2f}" for o, v in ratios)))
     print_table(("record", "", "error over the sensor's noise (1: nothing else)"), rows, text=(0, 1, 2))
     print_lines(*(f"{r.doubt}." for r in fit.records if r.doubt), mark="Warning", style="red")

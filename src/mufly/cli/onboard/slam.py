@@ -272,7 +272,9 @@ def run(
         def handle_answer(k: int, a: TrackingResult) -> None:
             if port is not None:
                 port.send_position(
-                    port.companion.stationary_result(a.time_s, seen[0].info) if a.reason == TOO_NEAR_REASON else a
+                    port.companion.stationary_result(a.time_s, seen[0].vehicle_estimate)
+                    if a.reason == TOO_NEAR_REASON
+                    else a
                 )
             if bar is not None:
                 bar(k + 1, source.frame_count)

@@ -105,10 +105,10 @@ static void loads_from_map(const real_t x[MODEL_STATES], const real_t wind[3], c
                                        row + by_climb.first_waypoint + 2,
                                        row + min_int(by_climb.first_waypoint + 3, climbs - 1)};
 
-                out->thrust_up += v * interpolate_climb(p->map_thrust_up, at, by_climb.weight);
-                out->torque_up += v * interpolate_climb(p->map_torque_up, at, by_climb.weight);
-                out->thrust_dw += v * interpolate_climb(p->map_thrust_dw, at, by_climb.weight);
-                out->torque_dw += v * interpolate_climb(p->map_torque_dw, at, by_climb.weight);
+                out->thrust_up += v * interpolate_climb(p->thrust_over_speed2_table_up, at, by_climb.weight);
+                out->torque_up += v * interpolate_climb(p->torque_over_speed2_table_up, at, by_climb.weight);
+                out->thrust_dw += v * interpolate_climb(p->thrust_over_speed2_table_dw, at, by_climb.weight);
+                out->torque_dw += v * interpolate_climb(p->torque_over_speed2_table_dw, at, by_climb.weight);
             }
         }
     }
@@ -253,11 +253,11 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
         add_inplane_drag(n_up, air, x, p->z_up, p->inplane * speed_up, f_up);
         add_inplane_drag(n_dw, air, x, p->z_dw, p->inplane * speed_dw, f_dw);
     }
-    fx = (f_up[0] + f_dw[0]) - ((p->drag_x * real_abs(air[0])) * air[0]);
-    fy = (f_up[1] + f_dw[1]) - ((p->drag_y * real_abs(air[1])) * air[1]);
+    fx = (f_up[0] + f_dw[0]) - ((p->drag_over_speed2_x * real_abs(air[0])) * air[0]);
+    fy = (f_up[1] + f_dw[1]) - ((p->drag_over_speed2_y * real_abs(air[1])) * air[1]);
     downwash = p->downwash *
                real_min(REAL(1.0), (REAL(2.0) * (thrust_up + thrust_dw)) / (p->mass * GRAVITY));
-    fz = ((f_up[2] + f_dw[2]) - ((p->drag_z * real_abs(air[2])) * air[2])) + downwash;
+    fz = ((f_up[2] + f_dw[2]) - ((p->drag_over_speed2_z * real_abs(air[2])) * air[2])) + downwash;
     mx = (-p->z_up * f_up[1]) - (p->z_dw * f_dw[1]);
     my = (p->z_up * f_up[0]) + (p->z_dw * f_dw[0]);
     mz = (drag_up + (p->Jreact_up * accel_up)) - (drag_dw + (p->Jreact_dw * accel_dw));

@@ -241,7 +241,7 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     out = real_max(real_max(fix_bias_ratio(m, s, 0), fix_bias_ratio(m, s, 1)), fix_bias_ratio(m, s, 3));
     if (led || (m->fix_ratio_lp > FIX_MEAN_SQUARE_GATE) || (out > REAL(1.0))) {
         reset_on_divergence(m, s);
-        set_fault(m, s, k, STATUS_FUSED, REASON_PERSISTENT_OFFSET, at);
+        set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at);
     }
     for (int32_t i = 0; i < 4; i++) {
         if ((i != 2) || down) {

@@ -488,10 +488,10 @@ static void step_offboard(const plan_t *plan, mission_t *s, const estimate_t *m,
         }
     }
     /* It was begun for the end of the step in which it was entered. */
-    if (ready && (s->state_entered_s < s->time_s) && is_set_point_valid(&c->set_point)) {
+    if (ready && (s->state_entered_s < s->time_s) && is_set_point_valid(&c->program_set_point)) {
         const bool guard = plan->avoid && (s->obstacle_map.point_count > 0);
 
-        follow_set_point(&s->set_point_reference, &c->set_point, &plan->limits, m->motion.position, dt,
+        follow_set_point(&s->set_point_reference, &c->program_set_point, &plan->limits, m->motion.position, dt,
                         guard ? &s->path_check : NULL, plan->clearance);
         copy_vector(s->set_point_reference.position, s->hold_position);
         copy_vector(s->set_point_reference.position, s->goal);
@@ -546,7 +546,7 @@ static void handle_request(const plan_t *plan, mission_t *s, const estimate_t *m
         start_landing(s, &land, LEVEL_INFO);
         waits = false;
     }
-    if (waits && (s->state == STATE_OFFBOARD) && !c->has_set_point) {
+    if (waits && (s->state == STATE_OFFBOARD) && !c->has_program_set_point) {
         exit_offboard(plan, s, m);
         waits = s->state != STATE_INIT;
     }
@@ -566,9 +566,9 @@ static void handle_request(const plan_t *plan, mission_t *s, const estimate_t *m
             set_abort_reason(plan, s, SAY_RETURN_BEFORE_LAST_WAYPOINT, SAY_RETURN_WITH_WAYPOINTS_LEFT);
             start_leg_home(plan, s, &home);
         }
-    } else if (c->has_set_point && is_granted(REQUEST_OFFBOARD, s, m)) {
+    } else if (c->has_program_set_point && is_granted(REQUEST_OFFBOARD, s, m)) {
         if (s->state != STATE_OFFBOARD) {
-            enter_offboard(s, m, &c->set_point);
+            enter_offboard(s, m, &c->program_set_point);
         }
     } else if ((c->has_waypoint || c->has_heading) && is_granted(REQUEST_GO_TO, s, m)) {
         fly_to_user_waypoint(plan, s, c);

@@ -72,8 +72,8 @@ typedef struct {
     int32_t stop_reason; /* motors off at once; 0 is no signal, else what the log says */
     bool rc_active;
     real_t roll, pitch, yaw_rate, climb_rate; /* of the pilot */
-    bool has_set_point;
-    set_point_t set_point;
+    bool has_program_set_point;
+    set_point_t program_set_point;
 } command_t;
 
 /* What the controllers have to follow. */

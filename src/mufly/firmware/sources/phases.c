@@ -2,8 +2,8 @@
 
 #include <stddef.h>
 
-#define SCAN_PERIOD_S REAL(4.0)
-#define SCAN_RATE_RAD_S (REAL(0x1.921fb54442d18p+2) / SCAN_PERIOD_S)
+#define NOSE_SWING_PERIOD_S REAL(4.0)
+#define NOSE_SWING_RATE_RAD_S (REAL(0x1.921fb54442d18p+2) / NOSE_SWING_PERIOD_S)
 #define DESCENT_LAG_S REAL(0.15)
 #define NEAR_FLOOR_HEIGHT_M REAL(0.1)
 #define MAX_DESCENT_LAG_M REAL(0.25)
@@ -170,11 +170,11 @@ void scan_yaw(const plan_t *plan, const mission_t *s, real_t *angle, real_t *rat
         real_t cosine;
 
         if (real_abs(since) < REAL(4e9)) {
-            since -= SCAN_PERIOD_S * (real_t)(int32_t)(since / SCAN_PERIOD_S);
+            since -= NOSE_SWING_PERIOD_S * (real_t)(int32_t)(since / NOSE_SWING_PERIOD_S);
         }
-        sine_cosine(SCAN_RATE_RAD_S * since, &sine, &cosine);
+        sine_cosine(NOSE_SWING_RATE_RAD_S * since, &sine, &cosine);
         *angle = size * sine;
-        *rate = (growth * sine) + ((size * SCAN_RATE_RAD_S) * cosine);
+        *rate = (growth * sine) + ((size * NOSE_SWING_RATE_RAD_S) * cosine);
     }
 }
 

@@ -51,14 +51,14 @@ static void clear_command(command_t *c)
     c->pitch = REAL(0.0);
     c->yaw_rate = REAL(0.0);
     c->climb_rate = REAL(0.0);
-    c->has_set_point = false;
+    c->has_program_set_point = false;
     for (int32_t i = 0; i < 3; i++) {
         c->waypoint[i] = REAL(0.0);
-        c->set_point.position[i] = REAL_NAN;
-        c->set_point.velocity[i] = REAL_NAN;
+        c->program_set_point.position[i] = REAL_NAN;
+        c->program_set_point.velocity[i] = REAL_NAN;
     }
-    c->set_point.heading = REAL_NAN;
-    c->set_point.yaw_rate = REAL_NAN;
+    c->program_set_point.heading = REAL_NAN;
+    c->program_set_point.yaw_rate = REAL_NAN;
 }
 
 static bool is_any_signal(const command_t *c)
@@ -67,7 +67,7 @@ static bool is_any_signal(const command_t *c)
                         (real_abs(c->yaw_rate) > REAL(0.0)) || (real_abs(c->climb_rate) > REAL(0.0));
 
     return c->start || c->has_first_waypoint || c->has_take_off_height || c->pause || c->has_waypoint || c->has_heading || c->return_requested ||
-           c->land || (c->stop_reason != 0) || sticks || c->has_set_point;
+           c->land || (c->stop_reason != 0) || sticks || c->has_program_set_point;
 }
 
 void software_reset(const flight_setup_t *setup, software_t *s)

@@ -38,7 +38,7 @@ class ParameterVariation:
 
     Attributes
     ----------
-    source_text : str
+    request_text : str
         As it was asked for.
     keys : tuple of str
         The ``n`` parameters.
@@ -52,7 +52,7 @@ class ParameterVariation:
         What is to be known about it, in words; empty if nothing.
     """
 
-    source_text: str
+    request_text: str
     keys: tuple[str, ...]
     distribution: Literal["uniform", "normal"]
     nominal_values: _Array
@@ -120,7 +120,7 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterV
             if not shared:
                 continue
             if len(new.keys) == len(other.keys):
-                raise ArgumentError("vary", text, f"{shared[0]} is drawn by {other.source_text!r} too", "draw it once")
+                raise ArgumentError("vary", text, f"{shared[0]} is drawn by {other.request_text!r} too", "draw it once")
             if len(new.keys) < len(other.keys):
                 found[k] = other.without_keys(shared)
             else:

@@ -189,7 +189,7 @@ def describe_campaign(campaign: Campaign) -> dict[str, Any]:
     return {
         "vehicle": campaign.vehicle_name,
         "mission": campaign.mission_name,
-        "vary": [v.source_text for v in campaign.variations],
+        "vary": [v.request_text for v in campaign.variations],
         "varied": sorted({key for v in campaign.variations for key in v.keys}),
         "wind_m_s": campaign.wind,
         "gust_m_s": campaign.gust,

@@ -261,8 +261,8 @@ def _predict_held_out_record(
         doubt = f"{record.name}: its start values were not found, so that its prediction says nothing"
     elif ratios[worst] > MAX_RESIDUAL_OVER_NOISE:
         doubt = (
-            f"{record.name}: {predicted.outputs[worst]} is predicted with an error of {ratios[worst]:.0f} times the "
-            "sensor's noise, at the best start that was found; wind or the model"
+            f"{record.name}: {predicted.output_names[worst]} is predicted with an error of {ratios[worst]:.0f} times "
+            "the sensor's noise, at the best start that was found; wind or the model"
         )
     return replace(predicted, converged=found.converged[0], doubt=doubt)
 

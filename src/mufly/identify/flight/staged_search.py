@@ -55,7 +55,7 @@ _MIN_WINDOW_SAMPLES = 8
 _ROTOR_TRANSIENT_S = 2.0  # in which rotors forget the speed that they began with, which is a guess while parameters are
 _VOLTAGE_NOISE_FACTOR = 5.0  # voltage counts less while the battery's charge is not sought
 _NOISE_RELAXATIONS = 2
-_EXCHANGEABLE_INERTIAS = (("Jdrive_up", "Jdrive_dw"), ("Jrot_up", "Jrot_dw"))
+_SWAPPABLE_ROTOR_INERTIAS = (("Jdrive_up", "Jdrive_dw"), ("Jrot_up", "Jrot_dw"))
 _DECISIVE_LIKELIHOOD_DIFFERENCE = (
     25.0  # difference of minus log likelihood that decides, over what residuals are above the noise
 )
@@ -185,7 +185,7 @@ class StagedSearch:
     def _with_rotors_exchanged(self, theta: _Array) -> StagedSearch | None:
         """Return a run that begins with the rotors' inertias exchanged; None where they are not free."""
         at = {f.symbol: k for k, f in enumerate(self._final_problem.free_parameters)}
-        pairs = [(at[a], at[b]) for a, b in _EXCHANGEABLE_INERTIAS if a in at and b in at]
+        pairs = [(at[a], at[b]) for a, b in _SWAPPABLE_ROTOR_INERTIAS if a in at and b in at]
         if not pairs:
             return None
         low, high = self._final_problem.bounds

@@ -118,7 +118,7 @@ class _LinearFitProblem:
         self.start_values = np.array([q.start_value for q in structure.parameters])
         self.coordinates = SearchCoordinates(structure.parameters, self.start_values)
 
-    def predict_outputs(self, values: Array) -> tuple[Array, Array, Array] | None:
+    def simulate_with_linear_unknowns(self, values: Array) -> tuple[Array, Array, Array] | None:
         """Prediction without linear unknowns, what one unit of each adds, and their estimate; None on overflow."""
         self.simulation_count += 1
         try:
@@ -144,7 +144,7 @@ class _LinearFitProblem:
         return forced, added, inverse @ (rows.T @ right) / size
 
     def weighted_residual(self, z: Array) -> Array:
-        got = self.predict_outputs(self.coordinates.to_values(z))
+        got = self.simulate_with_linear_unknowns(self.coordinates.to_values(z))
         if got is None:
             return np.full(int(self.is_used.sum()), 1e6)
         forced, added, linear = got
@@ -152,7 +152,7 @@ class _LinearFitProblem:
 
     def solve_linear_unknowns(self, z: Array) -> tuple[Array, Array, Array]:
         """Residuals (n, outputs), NaN where they do not count; what the linear unknowns add; and their estimate."""
-        got = self.predict_outputs(self.coordinates.to_values(z))
+        got = self.simulate_with_linear_unknowns(self.coordinates.to_values(z))
         if got is None:
             raise ArgumentError("structure", self.structure.name, "cannot be simulated", "try a simpler one")
         forced, added, linear = got

@@ -60,7 +60,7 @@ class Airfoil:
         Height of a Gurney flap over chord, part of the contour; 0 without.
     thickness_ratio, thickness_at : float
         Greatest thickness (normal to the x axis) over chord, and its x.
-    camber, camber_at : float
+    camber, max_camber_position : float
         Greatest distance of the mean line from the x axis over chord, signed, and its x.
     """
 
@@ -71,7 +71,7 @@ class Airfoil:
     thickness_ratio: float = field(init=False)
     thickness_at: float = field(init=False)
     camber: float = field(init=False)
-    camber_at: float = field(init=False)
+    max_camber_position: float = field(init=False)
 
     def __post_init__(self) -> None:
         upper, lower = split_sides(self.coordinates)
@@ -83,7 +83,7 @@ class Airfoil:
             ("thickness_ratio", thick[i]),
             ("thickness_at", x[i]),
             ("camber", mean[j]),
-            ("camber_at", x[j]),
+            ("max_camber_position", x[j]),
         ):
             object.__setattr__(self, name, float(value))
         self.coordinates.setflags(write=False)

@@ -178,8 +178,8 @@ def _evaluate_sections(
 ) -> None:
     for i in range(alpha.size):
         first, second, weight = blades.first[which, i], blades.second[which, i], blades.weight[which, i]
-        zero = blades.zero_lift_rad[first]
-        zero += weight * (blades.zero_lift_rad[second] - zero)
+        zero = blades.polar_zero_lift_rad[first]
+        zero += weight * (blades.polar_zero_lift_rad[second] - zero)
         thick = blades.thickness[first]
         thick += weight * (blades.thickness[second] - thick)
         edge = blades.edge_drag[which, i]

@@ -25,7 +25,7 @@ LOW_CHARGE, EMPTY_CHARGE, CHARGE_HYSTERESIS = 0.3, 0.15, 0.05
 """Charge of the battery from which it is a warning and an error, and what it has to rise by to be one again."""
 REPEAT_PERIOD_S = 20.0
 """The same words are not said again within this time (s)."""
-MAX_ALERTS = 3
+MAX_ALERTS_PER_LOOK = 3
 _NUMBER_PATTERN = re.compile(r"[-+.\d]+")
 _RANK_BY_LEVEL = {"info": 0, "warning": 1, "error": 2}
 
@@ -87,7 +87,7 @@ class AlertWatch:
                 self._last_spoken_s[words] = now_s
                 out.append(alert)
         self._last_spoken_s = {text: at for text, at in self._last_spoken_s.items() if now_s - at < REPEAT_PERIOD_S}
-        return out[:MAX_ALERTS]
+        return out[:MAX_ALERTS_PER_LOOK]
 
     def _check_link(self, s: VehicleSnapshot) -> list[SpokenAlert]:
         before, self._was_connected = self._was_connected, s.connected

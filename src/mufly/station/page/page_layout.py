@@ -212,7 +212,7 @@ def _build_recorder(view: WindowView) -> None:
 
     def toggle_recording() -> None:
         recorder.stop() if recorder.recording else recorder.start()
-        show_state()
+        show_recording_state()
 
     with ui.dialog() as marks, make_element("div", classes="mf-help"):
         make_element("h2", "Mark this moment")
@@ -222,7 +222,7 @@ def _build_recorder(view: WindowView) -> None:
     make_button("Mark", marks.open, title="put a mark into the recording (m)").props('data-key="m"')
     state: list[bool | None] = [None]
 
-    def show_state() -> None:
+    def show_recording_state() -> None:
         on = bool(recorder.recording)
         if state[0] == on:
             return
@@ -233,8 +233,8 @@ def _build_recorder(view: WindowView) -> None:
         record.classes(add="mf-recording" if on else "", remove="" if on else "mf-recording")
         record.update()
 
-    show_state()
-    ui.timer(0.5, show_state)
+    show_recording_state()
+    ui.timer(0.5, show_recording_state)
 
 
 def _build_dock(view: WindowView, editor: MissionEditor) -> Callable[[], None]:

@@ -41,15 +41,15 @@ static void add_random_command(command_t *c, int32_t what)
         c->return_requested = true;
         break;
     case 4:
-        c->has_set_point = true;
-        c->set_point.position[0] = random_number(REAL(2.0));
-        c->set_point.position[1] = random_number(REAL(2.0));
-        c->set_point.position[2] = REAL(-1.0);
-        c->set_point.velocity[0] = REAL_NAN;
-        c->set_point.velocity[1] = REAL_NAN;
-        c->set_point.velocity[2] = REAL_NAN;
-        c->set_point.heading = random_number(REAL(3.0));
-        c->set_point.yaw_rate = REAL_NAN;
+        c->has_program_set_point = true;
+        c->program_set_point.position[0] = random_number(REAL(2.0));
+        c->program_set_point.position[1] = random_number(REAL(2.0));
+        c->program_set_point.position[2] = REAL(-1.0);
+        c->program_set_point.velocity[0] = REAL_NAN;
+        c->program_set_point.velocity[1] = REAL_NAN;
+        c->program_set_point.velocity[2] = REAL_NAN;
+        c->program_set_point.heading = random_number(REAL(3.0));
+        c->program_set_point.yaw_rate = REAL_NAN;
         break;
     case 5:
         c->land = true;

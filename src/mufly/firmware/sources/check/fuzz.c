@@ -339,11 +339,11 @@ static void any_command(command_t *c)
     c->climb_rate = next_number(REAL(1.0));
     c->take_off_height = next_positive(REAL(2.0));
     limit_inputs = as_it_was;
-    c->has_set_point = (a & 136U) == 136U;
-    fill_numbers(3, REAL(5.0), c->set_point.position);
-    fill_numbers(3, REAL(1.0), c->set_point.last_velocity);
-    c->set_point.heading = next_number(REAL(7.0));
-    c->set_point.yaw_rate = next_number(REAL(2.0));
+    c->has_program_set_point = (a & 136U) == 136U;
+    fill_numbers(3, REAL(5.0), c->program_set_point.position);
+    fill_numbers(3, REAL(1.0), c->program_set_point.last_velocity);
+    c->program_set_point.heading = next_number(REAL(7.0));
+    c->program_set_point.yaw_rate = next_number(REAL(2.0));
 }
 
 /* The whole flight software: whatever is believed and asked, actuators stay within their range. */
