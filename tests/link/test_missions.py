@@ -13,7 +13,9 @@ from mufly.link import (
     mission_from_items,
     mission_to_items,
 )
+from mufly.link.codec import mavlink
 from mufly.mission import Mission, list_builtin_missions, load_mission
+from mufly.mission.mission_items import FRAME_LOCAL_ENU, FRAME_LOCAL_NED, MissionCommand
 
 BASE = Mission(name="base")
 ZURICH = GlobalOrigin(47.3769, 8.5417, 408.0)
@@ -21,6 +23,14 @@ ZURICH = GlobalOrigin(47.3769, 8.5417, 408.0)
 
 def numbered(*items):
     return tuple(MissionItem(k, i.frame, i.command, 0, 1, i.params, i.x, i.y, i.z) for k, i in enumerate(items))
+
+
+def test_commands_and_frames_have_mavlinks_numbers():
+    """The mission room has its own table: it does not import pymavlink."""
+    assert {c.name: c.value for c in MissionCommand} == {
+        c.name: getattr(mavlink, f"MAV_CMD_{c.name}") for c in MissionCommand
+    }
+    assert (FRAME_LOCAL_NED, FRAME_LOCAL_ENU) == (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_ENU)
 
 
 @pytest.mark.parametrize("name", list_builtin_missions())

@@ -16,17 +16,12 @@ from mufly.link import mission_to_items as items_of_mission
 from mufly.link.mission_transfer import MissionItem
 from mufly.mission import compute_timing, load_mission, parse_mission
 from mufly.mission.mission_items import GlobalOrigin
-from mufly.station import MissionRow, SignalHistory, VehicleSnapshot
+from mufly.station import SignalHistory, VehicleSnapshot
 from mufly.station.mission_endurance import estimate_mission_duration
+from mufly.station.mission_rows import rows_from_items
 from mufly.station.preflight_checks import StationContext, run_preflight_checks
 from mufly.station.remote_commands import StatusTextLog
-from mufly.station.remote_transfers import (
-    RemoteMission,
-    RemoteParameters,
-    is_same_mission,
-    items_from_rows,
-    rows_from_items,
-)
+from mufly.station.remote_transfers import RemoteMission, RemoteParameters
 from mufly.station.vehicle_telemetry import VehicleTelemetry
 
 PREARM = 268435456
@@ -92,8 +87,8 @@ def test_the_mission_shown_has_to_be_the_one_in_the_vehicle(world):
 
 
 def test_a_mission_that_takes_longer_than_the_battery_lasts(world):
-    rows = [MissionRow("take off", (0, 0, -1.0)), MissionRow("waypoint", (10.0, 0.0, -1.0), wait_s=5.0)]
-    world.answer(world.seen[0].upload_mission(rows))
+    mission = parse_mission({"name": "m", "waypoint": [{"position_m": [10.0, 0.0, -1.0], "wait_s": 5.0}]})
+    world.answer(world.seen[0].upload_mission(mission))
     assert check(world, "time to fly").ok is None
     for left_s, ok in ((90, True), (35, False)):
         say(
@@ -184,7 +179,7 @@ def test_disk_and_recorder_are_looked_at(world):
     assert (check(world, "recording").ok, check(world, "disk").ok) == (True, True)
 
 
-def test_rows_and_items_of_a_mission_file_say_the_same():
+def test_rows_say_what_a_mission_file_says():
     mission = parse_mission(
         {
             "name": "m",
@@ -201,14 +196,13 @@ def test_rows_and_items_of_a_mission_file_say_the_same():
     assert first.position == (1.0, 0.5, -1.2)
     assert first.heading_rad == pytest.approx(math.radians(30.0))
     assert first.wait_s == 2.0
-    assert is_same_mission(tuple(items_from_rows(rows)), tuple(items))
 
 
-def judged(name, *, around=None, told=None, rows=(), **changes):
+def judged(name, *, around=None, told=None, items=None, **changes):
     """What a check says of a vehicle that is well but for what is given: ok, and its words."""
     texts = StatusTextLog()
     telemetry, mission = VehicleTelemetry(SignalHistory(seconds=1.0)), RemoteMission(texts, (1, 1))
-    mission.items = tuple(items_from_rows(rows)) if rows else None
+    mission.items = items
     for key, value in (told or {}).items():
         setattr(telemetry, key, value)
     still = replace(Estimate(), attitude=np.zeros(3), velocity=np.zeros(3), battery_voltage=7.4)
@@ -219,7 +213,10 @@ def judged(name, *, around=None, told=None, rows=(), **changes):
     return next((c.ok, c.text) for c in found if c.name == name)
 
 
-WAY = [MissionRow("take off", (0, 0, -2.0)), MissionRow("waypoint", (10.0, 0, -1.0), wait_s=3.0)]
+WAY = (
+    MissionItem(0, 1, 22, params=(0.0, 0.0, 0.0, math.nan), z=-2.0),
+    MissionItem(1, 1, 16, params=(3.0, 0.0, 0.0, math.nan), x=100_000, z=-1.0),
+)
 
 
 @pytest.mark.parametrize(
@@ -241,12 +238,12 @@ WAY = [MissionRow("take off", (0, 0, -2.0)), MissionRow("waypoint", (10.0, 0, -1
         # Up 2 m, down 1 m, 10 m at 0.6 m/s, 5.5 s of waiting, down: 45 s, and a fifth of the battery is left.
         (
             "time to fly",
-            {"rows": WAY, "battery_left_s": 57.5},
+            {"items": WAY, "battery_left_s": 57.5},
             True,
             "about 0:45 (0.6 m/s assumed), battery 0:58",
         ),
-        ("time to fly", {"rows": WAY, "battery_left_s": 55.0}, False, "20% has to be left; charge it"),
-        ("time to fly", {"rows": WAY}, None, "the battery's time is not told"),
+        ("time to fly", {"items": WAY, "battery_left_s": 55.0}, False, "20% has to be left; charge it"),
+        ("time to fly", {"items": WAY}, None, "the battery's time is not told"),
         ("time to fly", {}, None, "no mission"),
         ("disk", {"around": StationContext(free_disk_bytes=200e6)}, True, "0.2 GB free"),
         ("disk", {"around": StationContext(free_disk_bytes=199e6)}, False, "0.2 GB free"),

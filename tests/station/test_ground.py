@@ -8,26 +8,27 @@ import numpy as np
 import pytest
 from mock_vehicle import MockVehicle, World, as_float
 
-from mufly.errors import InputError
 from mufly.link import Endpoint, FrameEncoder, GlobalOrigin, MissionItem, mavlink, parse_endpoint
-from mufly.station import GroundLink, MissionRow, RequestOutcome
+from mufly.mission import parse_mission
+from mufly.mission.mission_items import mission_to_items
+from mufly.station import GroundLink, RequestOutcome
 from mufly.station.ground_station import choose_telemetry_rate
+from mufly.station.mission_rows import MISSION_SPEED_TEXT, is_same_mission, rows_from_items
 from mufly.station.remote_commands import StatusTextLog
-from mufly.station.remote_transfers import (
-    MISSION_SPEED_TEXT,
-    RemoteParameters,
-    is_same_mission,
-    items_from_rows,
-    rows_from_items,
-)
+from mufly.station.remote_transfers import RemoteParameters
 
-ROWS = [
-    MissionRow("take off", (0.0, 0.0, -1.0)),
-    MissionRow("speed", text="0.4 m/s"),
-    MissionRow("waypoint", (1.0, 0.5, -1.25), math.radians(90.0), 2.0),
-    MissionRow("waypoint", (2.0, -0.5, -1.0)),
-    MissionRow("land", (2.0, -0.5, 0.0)),
-]
+MISSION = parse_mission(
+    {
+        "name": "two points",
+        "take_off": {"height_m": 1.0},
+        "waypoint": [
+            {"position_m": [1.0, 0.5, -1.25], "heading_deg": 90.0, "wait_s": 2.0, "speed_m_s": 0.4},
+            {"position_m": [2.0, -0.5, -1.0], "speed_m_s": 0.4},
+        ],
+        "at_end": "land",
+    }
+)
+ITEMS = mission_to_items(MISSION).items
 
 
 def met(world, seconds=40.0):
@@ -191,14 +192,15 @@ def test_missions_go_there_and_back_over_the_worst_link(seed):
     mock = MockVehicle()
     world = World(mock, seed=10 * seed, loss=0.3, delay_s=0.3, doubles=0.2)
     vehicle = met(world, 90.0)
-    assert world.answer(vehicle.upload_mission(ROWS), 120.0) == ("accepted", "5 items")
+    assert world.answer(vehicle.upload_mission(MISSION), 120.0) == ("accepted", "5 items")
     assert len(mock.mission) == 5
     request = vehicle.download_mission()
     assert world.answer(request, 120.0)[0] == "accepted"
     assert is_same_mission(request.result, mock.mission)
     back = vehicle.mission
-    assert [row.action for row in back] == [row.action for row in ROWS]
-    np.testing.assert_allclose([r.position for r in back], [r.position for r in ROWS])
+    assert [row.action for row in back] == ["take off", "speed", "waypoint", "waypoint", "land"]
+    places = [(0.0, 0.0, -1.0), (np.nan,) * 3, (1.0, 0.5, -1.25), (2.0, -0.5, -1.0), (2.0, -0.5, 0.0)]
+    np.testing.assert_allclose([r.position for r in back], places)
     assert back[2].heading_rad == pytest.approx(math.pi / 2)
     assert math.isnan(back[3].heading_rad)
     assert (back[2].wait_s, back[1].text) == (2.0, "0.4 m/s")
@@ -210,25 +212,20 @@ def test_missions_go_there_and_back_over_the_worst_link(seed):
 def test_a_mission_that_cannot_be_sent_is_refused_before_anything_is_sent():
     world = World(MockVehicle())
     vehicle = met(world)
-    request = vehicle.upload_mission([MissionRow("dance")])
-    assert request.outcome is RequestOutcome.REFUSED
-    assert "row 1" in request.answer
     assert vehicle.upload_mission("no-such-mission.toml").outcome is RequestOutcome.REFUSED
 
 
-def test_rows_are_items_and_back_and_what_has_no_place_has_none():
+def test_items_become_rows_and_what_has_no_place_has_none():
     at = GlobalOrigin(47.0, 8.0, 400.0)
     lat, lon, _ = at.to_global(10.0, -5.0, 0.0)
     x, y = round(lat * 1e7), round(lon * 1e7)
-    rows = [
-        *ROWS,
-        MissionRow("speed", text=MISSION_SPEED_TEXT),
-        MissionRow("turn", heading_rad=math.radians(-45.0)),
-        MissionRow("return"),
+    items = [
+        *ITEMS,
+        MissionItem(5, 1, 178, params=(1.0, -2.0, -1.0, 0.0)),
+        MissionItem(6, 1, 115, params=(-45.0, 0.0, 0.0, 0.0)),
+        MissionItem(7, 1, 20),
     ]
-    items = items_from_rows(rows)
-    assert [i.command for i in items] == [22, 178, 16, 16, 21, 178, 115, 20]
-    assert [i.params[:3] for i in items if i.command == 178] == [(1.0, 0.4, -1.0), (1.0, -2.0, -1.0)]
+    assert [i.command for i in items[:5]] == [22, 178, 16, 16, 21]
     back = rows_from_items(items, reached=2)
     assert [r.reached for r in back] == [True, True, *[False] * 6]
     assert (back[5].text, back[6].heading_rad) == (MISSION_SPEED_TEXT, pytest.approx(math.radians(-45.0)))
@@ -247,12 +244,6 @@ def test_rows_are_items_and_back_and_what_has_no_place_has_none():
     assert np.isnan(nowhere.position).all()
     assert unknown.text.startswith("1 2 0 0")
     assert rows_from_items(foreign[:1])[0].text == f"{lat:.6f} {lon:.6f} deg, 401.5 m"
-    for row, why in (
-        (MissionRow("waypoint"), "row 2: has no place"),
-        (MissionRow("speed", text="fast"), "row 2: has no speed"),
-    ):
-        with pytest.raises(InputError, match=why):
-            items_from_rows([ROWS[0], row])
 
 
 def test_why_a_mission_is_refused_is_said_even_if_the_vehicle_gives_a_number_only():
@@ -265,7 +256,7 @@ def test_why_a_mission_is_refused_is_said_even_if_the_vehicle_gives_a_number_onl
         (99, "result 99"),
     ):
         mock.mission_result = result
-        assert world.answer(vehicle.upload_mission(ROWS)) == ("refused", words)
+        assert world.answer(vehicle.upload_mission(MISSION)) == ("refused", words)
 
 
 def test_a_mission_that_another_station_sends_or_clears_is_fetched():
@@ -273,9 +264,9 @@ def test_a_mission_that_another_station_sends_or_clears_is_fetched():
     mock = MockVehicle(ours=True)
     world = World(mock)
     vehicle = met(world)
-    world.answer(vehicle.upload_mission(ROWS))
-    for held, total, shown in ((ROWS[:3], 0, 5), (ROWS[:3], 3, 3), ((), 65535, 0)):
-        mock.mission = tuple(items_from_rows(held))
+    world.answer(vehicle.upload_mission(MISSION))
+    for held, total, shown in ((ITEMS[:3], 0, 5), (ITEMS[:3], 3, 3), ((), 65535, 0)):
+        mock.mission = held
         mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=total))
         world.run(1.0)
         assert len(vehicle.mission) == shown, total
@@ -338,7 +329,7 @@ def test_progress_follows_current_and_reached_items():
     mock = MockVehicle()
     world = World(mock)
     vehicle = met(world)
-    world.answer(vehicle.upload_mission(ROWS))
+    world.answer(vehicle.upload_mission(MISSION))
     for message, behind in (
         (mavlink.MAVLink_mission_current_message(2, total=5), 2),
         (mavlink.MAVLink_mission_item_reached_message(2), 3),
@@ -355,7 +346,7 @@ def test_a_mission_that_somebody_else_sent_is_fetched():
     mock = MockVehicle()
     world = World(mock)
     vehicle = met(world)
-    world.answer(vehicle.upload_mission(ROWS))
+    world.answer(vehicle.upload_mission(MISSION))
     mock.mission = mock.mission[:3]
     mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=3))
     world.run(5.0, lambda: len(vehicle.mission) == 3)
@@ -366,7 +357,7 @@ def test_the_home_in_an_ardupilot_s_mission_is_not_missed_again_and_again():
     mock = MockVehicle(autopilot=3)
     world = World(mock)
     vehicle = met(world)
-    world.answer(vehicle.upload_mission(ROWS))
+    world.answer(vehicle.upload_mission(MISSION))
     mock.extra.append(mavlink.MAVLink_mission_current_message(0, total=4))
     world.run(0.2)
     assert not vehicle.transfers.is_busy
@@ -435,7 +426,7 @@ def test_nothing_that_was_asked_for_before_follows_an_emergency_stop(autopilot, 
     mock = MockVehicle(ours=ours, autopilot=autopilot, parameters={"MIS_TAKEOFF_ALT": (1.0, 9)})
     world = World(mock)
     vehicle = met(world)
-    world.answer(vehicle.upload_mission(ROWS))
+    world.answer(vehicle.upload_mission(MISSION))
     mock.silent_on = {400, 176}
     mock.refuse["MIS_TAKEOFF_ALT"] = True  # so that the chain waits there
     asked = [vehicle.take_off(1.5), vehicle.take_off(2.0), vehicle.start_mission(), vehicle.arm()]
@@ -604,7 +595,7 @@ def test_after_a_stop_of_the_station_nothing_that_was_asked_before_is_done(secon
     mock.silent_on.add(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
     gain, sent, taken = (
         vehicle.set_parameter("GAIN", 2.0),
-        vehicle.upload_mission(ROWS),
+        vehicle.upload_mission(MISSION),
         vehicle.take_command(),
     )
     vehicle.sticks.set_deflection(0.0, 0.0, 0.0, 0.0)
@@ -662,7 +653,7 @@ def test_a_vehicle_that_speaks_seldom_is_not_given_up_between_two_words():
 def test_a_later_command_gives_up_one_that_waits_for_its_answer():
     """Else its repetition undoes the later one: a Resume was swallowed by the Hover before it."""
     mock = MockVehicle(ours=True)
-    mock.armed, mock.mission = True, tuple(items_from_rows(ROWS))
+    mock.armed, mock.mission = True, ITEMS
     world = World(mock)
     vehicle = met(world)
     mock.silent_on.add(mavlink.MAV_CMD_DO_PAUSE_CONTINUE)  # its answers are lost

@@ -12,7 +12,8 @@ from mufly.flight.tunable_parameters import PARAMETERS
 from mufly.link import VehicleLink
 from mufly.logs import read_log
 from mufly.mission import Mission, parse_mission
-from mufly.station import GroundLink, MissionRow, StationRecorder
+from mufly.mission.mission_items import MissionItem
+from mufly.station import GroundLink, StationRecorder
 from mufly.vehicle import load_vehicle
 
 OURS = (251, 190)
@@ -199,7 +200,7 @@ def test_a_mission_that_cannot_be_flown_is_refused_in_the_vehicles_words(helicop
     scene = Scene(helicopter)
     vehicle = scene.vehicle()
     outcome, answer = scene.answer(
-        vehicle.upload_mission([MissionRow("take off", (0, 0, -1)), MissionRow("waypoint", (1.0, 0.0, 3.0))])
+        vehicle.transfers.upload_items([MissionItem(0, 1, 22, z=-1.0), MissionItem(1, 1, 16, x=10_000, z=3.0)])
     )
     assert outcome == "refused"
     assert "height" in answer

@@ -9,6 +9,10 @@ from mufly.link.clients import Clients, CommandAuthority
 from mufly.link.codec import MessageSource
 from mufly.link.mission_transfer import (
     MAX_ITEMS,
+    TYPE_ALL,
+    TYPE_FENCE,
+    TYPE_MISSION,
+    TYPE_RALLY,
     AddressedMessages,
     MissionAck,
     MissionClearAll,
@@ -39,7 +43,6 @@ from mufly.mission.mission_items import (
     mission_to_items,
 )
 
-_TYPE_MISSION, _TYPE_FENCE, _TYPE_RALLY, _TYPE_ALL = 0, 1, 2, 255
 _MAX_DOWNLOADS = 16
 _CLEAR_TIMEOUT_S = 3.0
 _REFUSAL_TEXTS: dict[int, str] = {
@@ -80,7 +83,7 @@ class MissionProtocol:
         self._refused = ""  # why the last mission was refused, until it is told
         self._first = 0  # the item that the mission begins with when it is started
         self._receiver = MissionReceiver(self._accept_mission)
-        self._fence_receiver = MissionReceiver(self._accept_fence, mission_type=_TYPE_FENCE)
+        self._fence_receiver = MissionReceiver(self._accept_fence, mission_type=TYPE_FENCE)
         self._fence_items: tuple[Fence | None, tuple[MissionItem, ...]] = (None, ())
         self._senders: OrderedDict[tuple[MessageSource, int], MissionSender] = OrderedDict()
         self._told = 0
@@ -184,14 +187,14 @@ class MissionProtocol:
 
     def _handle_message(self, now_s: float, station: MessageSource, note: TransferMessage) -> AddressedMessages:
         kind = note.mission_type
-        if kind not in (_TYPE_MISSION, _TYPE_FENCE, _TYPE_RALLY) and not isinstance(note, MissionClearAll):
+        if kind not in (TYPE_MISSION, TYPE_FENCE, TYPE_RALLY) and not isinstance(note, MissionClearAll):
             return [] if isinstance(note, MissionAck) else [(station, MissionAck(MissionResult.UNSUPPORTED, kind))]
         match note:
             case MissionClearAll():
                 return self._clear_items(now_s, station, kind)
             case MissionRequestList() | MissionRequestItem():
                 return self._serve_download(now_s, station, note)
-            case MissionCount() if kind == _TYPE_RALLY:
+            case MissionCount() if kind == TYPE_RALLY:
                 result = MissionResult.UNSUPPORTED if note.item_count else MissionResult.ACCEPTED
                 return [(station, MissionAck(result, kind))]
             case MissionAck():
@@ -211,7 +214,7 @@ class MissionProtocol:
         return out
 
     def _receiver_for_type(self, kind: int) -> MissionReceiver:
-        return self._fence_receiver if kind == _TYPE_FENCE else self._receiver
+        return self._fence_receiver if kind == TYPE_FENCE else self._receiver
 
     def fence_items(self) -> tuple[MissionItem, ...]:
         """The fence as it was uploaded or, of a mission file, as items."""
@@ -280,7 +283,7 @@ class MissionProtocol:
         # Whoever goes on with items of a list that was offered before gets those, or nothing: never some of each.
         if before is not None and isinstance(note, MissionRequestItem):
             return before.receive(now_s, note)
-        held = {_TYPE_MISSION: lambda: self.plan.items, _TYPE_FENCE: self.fence_items}.get(note.mission_type, tuple)
+        held = {TYPE_MISSION: lambda: self.plan.items, TYPE_FENCE: self.fence_items}.get(note.mission_type, tuple)
         items: tuple[MissionItem, ...] = held()
         giver = MissionSender(station, items, mission_type=note.mission_type, uploading=False)
         # A list that is asked for again may be that of another mission than the one that was never fetched.
@@ -293,12 +296,12 @@ class MissionProtocol:
         return offer if isinstance(note, MissionRequestList) else giver.receive(now_s, note)
 
     def _clear_items(self, now_s: float, station: MessageSource, kind: int) -> AddressedMessages:
-        if kind in (_TYPE_FENCE, _TYPE_ALL):
+        if kind in (TYPE_FENCE, TYPE_ALL):
             result = self._accept_fence(())
-            if kind == _TYPE_FENCE or result != MissionResult.ACCEPTED:
+            if kind == TYPE_FENCE or result != MissionResult.ACCEPTED:
                 return [(station, MissionAck(result, kind))]
-        if kind not in (_TYPE_MISSION, _TYPE_ALL):
-            known = kind == _TYPE_RALLY
+        if kind not in (TYPE_MISSION, TYPE_ALL):
+            known = kind == TYPE_RALLY
             return [(station, MissionAck(MissionResult.ACCEPTED if known else MissionResult.UNSUPPORTED, kind))]
         if self._clearing is not None:
             return []  # the same again

@@ -50,6 +50,8 @@ MAX_ITEMS = 500
 """Most items that a receiver takes."""
 QUIET_PERIOD_S = 2.0
 """A sender that begins anew first tells the receiver to stop, until it has not asked for so long (s)."""
+TYPE_MISSION, TYPE_FENCE = mavlink.MAV_MISSION_TYPE_MISSION, mavlink.MAV_MISSION_TYPE_FENCE
+TYPE_RALLY, TYPE_ALL = mavlink.MAV_MISSION_TYPE_RALLY, mavlink.MAV_MISSION_TYPE_ALL
 _LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
 
 

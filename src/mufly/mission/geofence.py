@@ -23,6 +23,7 @@ from pydantic import ValidationError
 from mufly.errors import InputError
 from mufly.mission.mission_items import (
     GlobalOrigin,
+    MissionCommand,
     MissionItem,
     MissionRefusedError,
     MissionResult,
@@ -32,17 +33,13 @@ from mufly.mission.mission_items import (
 from mufly.mission.mission_schema import Fence, Mission
 from mufly.mission.mission_timing import plan_legs, plan_return_leg
 
-INCLUSION_VERTEX, EXCLUSION_VERTEX, INCLUSION_CIRCLE, EXCLUSION_CIRCLE, RETURN_POINT = (
-    5001,
-    5002,
-    5003,
-    5004,
-    5000,
-)  # MAV_CMD
+INCLUSION_VERTEX = MissionCommand.NAV_FENCE_POLYGON_VERTEX_INCLUSION
+EXCLUSION_VERTEX = MissionCommand.NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+INCLUSION_CIRCLE = MissionCommand.NAV_FENCE_CIRCLE_INCLUSION
+EXCLUSION_CIRCLE = MissionCommand.NAV_FENCE_CIRCLE_EXCLUSION
 FENCE_MARGIN_M = 0.2
 """So far inside its fence a mission and a place to fly to have to be (m): what a flight in gusts strays."""
 _CIRCLE_POINT_COUNT = 48
-_FRAME_LOCAL_NED = 1
 
 _Array = NDArray[np.float64]
 
@@ -253,7 +250,7 @@ def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: G
                     item, MissionResult.INVALID_PARAM1, f"a radius of {radius:g} m is outside of 0 to 1e4 m"
                 )
             circles[item.command].append((*_read_level_place(item, origin), float(f"{radius:.7g}")))
-        elif item.command != RETURN_POINT:
+        elif item.command != MissionCommand.NAV_FENCE_RETURN_POINT:
             raise _make_refusal(item, MissionResult.UNSUPPORTED, f"command {item.command} is no fence")
     if left:
         raise _make_refusal(items[-1], MissionResult.INVALID_SEQUENCE, f"{left} vertices of its polygon are missing")

@@ -27,8 +27,10 @@ from mufly.mission.geofence import (
 )
 from mufly.mission.mission_items import (
     COORDINATE_NOT_GIVEN,
+    FRAMES_ABOVE_SEA,
     LOCAL_FRAMES,
     GlobalOrigin,
+    MissionCommand,
     MissionItem,
     MissionRefusedError,
     is_global,
@@ -160,7 +162,12 @@ def _parse_waypoint_file(text: str, where: str) -> GroundFile:
         places.append(key)
     home = None
     # Its first line is the home: a waypoint, in height above the sea, before all others.
-    if len(items) > 1 and items[0].command == 16 and items[0].frame in (0, 5) and is_global(items[0]):
+    if (
+        len(items) > 1
+        and items[0].command == MissionCommand.NAV_WAYPOINT
+        and items[0].frame in FRAMES_ABOVE_SEA
+        and is_global(items[0])
+    ):
         first = items.pop(0)
         places.pop(0)
         home = GlobalOrigin(first.x / 1e7, first.y / 1e7, first.z if math.isfinite(first.z) else 0.0)

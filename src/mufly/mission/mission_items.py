@@ -112,26 +112,49 @@ class MissionItem:
     mission_type: int = 0
 
 
-(
-    _CMD_WAYPOINT,
-    _CMD_LOITER_UNLIMITED,
-    _CMD_LOITER_TIME,
-    _CMD_RETURN_TO_LAUNCH,
-    _CMD_LAND,
-    _CMD_TAKE_OFF,
-    _CMD_DELAY,
-) = 16, 17, 19, 20, 21, 22, 93
-_CMD_CHANGE_SPEED, _CMD_CONDITION_YAW = 178, 115
-_END_ACTIONS = {_CMD_LOITER_UNLIMITED: "hover", _CMD_LAND: "land", _CMD_RETURN_TO_LAUNCH: "return"}
-_FRAME_LOCAL_NED, _FRAME_LOCAL_ENU = 1, 4
+class MissionCommand(IntEnum):
+    """MAV_CMD of items that are flown, or shown, here; by MAVLink's names."""
+
+    NAV_WAYPOINT = 16
+    NAV_LOITER_UNLIM = 17
+    NAV_LOITER_TURNS = 18
+    NAV_LOITER_TIME = 19
+    NAV_RETURN_TO_LAUNCH = 20
+    NAV_LAND = 21
+    NAV_TAKEOFF = 22
+    NAV_SPLINE_WAYPOINT = 82
+    NAV_DELAY = 93
+    CONDITION_DELAY = 112
+    CONDITION_YAW = 115
+    DO_JUMP = 177
+    DO_CHANGE_SPEED = 178
+    NAV_FENCE_RETURN_POINT = 5000
+    NAV_FENCE_POLYGON_VERTEX_INCLUSION = 5001
+    NAV_FENCE_POLYGON_VERTEX_EXCLUSION = 5002
+    NAV_FENCE_CIRCLE_INCLUSION = 5003
+    NAV_FENCE_CIRCLE_EXCLUSION = 5004
+
+
+FRAME_LOCAL_NED, FRAME_LOCAL_ENU = 1, 4
+"""Values of MAV_FRAME."""
+_END_ACTIONS = {
+    MissionCommand.NAV_LOITER_UNLIM: "hover",
+    MissionCommand.NAV_LAND: "land",
+    MissionCommand.NAV_RETURN_TO_LAUNCH: "return",
+}
 _SAME_PLACE_M = 0.05
 _UNSUPPORTED_COMMANDS = {
-    18: "NAV_LOITER_TURNS", 31: "NAV_LOITER_TO_ALT", 82: "NAV_SPLINE_WAYPOINT", 84: "NAV_VTOL_TAKEOFF",
-    85: "NAV_VTOL_LAND", 112: "CONDITION_DELAY", 114: "CONDITION_DISTANCE", 177: "DO_JUMP", 179: "DO_SET_HOME",
+    31: "NAV_LOITER_TO_ALT", 84: "NAV_VTOL_TAKEOFF", 85: "NAV_VTOL_LAND", 114: "CONDITION_DISTANCE", 179: "DO_SET_HOME",
     181: "DO_SET_RELAY", 183: "DO_SET_SERVO", 189: "DO_LAND_START", 195: "DO_SET_ROI_LOCATION", 197: "DO_SET_ROI_NONE",
     201: "DO_SET_ROI", 203: "DO_DIGICAM_CONTROL", 205: "DO_MOUNT_CONTROL", 206: "DO_SET_CAM_TRIGG_DIST",
     211: "DO_GRIPPER", 530: "SET_CAMERA_MODE", 1000: "DO_GIMBAL_MANAGER_PITCHYAW", 2000: "IMAGE_START_CAPTURE",
     2001: "IMAGE_STOP_CAPTURE", 2500: "VIDEO_START_CAPTURE", 2501: "VIDEO_STOP_CAPTURE",
+} | {
+    command.value: command.name
+    for command in (
+        MissionCommand.NAV_LOITER_TURNS, MissionCommand.NAV_SPLINE_WAYPOINT, MissionCommand.CONDITION_DELAY,
+        MissionCommand.DO_JUMP,
+    )
 }  # fmt: skip
 """MAV_CMD that ground stations put into missions and that cannot be flown here."""
 
@@ -199,36 +222,42 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
             raise _make_refusal(
                 item, MissionResult.INVALID_SEQUENCE, "nothing can follow a landing or an endless hover"
             )
-        if item.command == _CMD_TAKE_OFF:
+        if item.command == MissionCommand.NAV_TAKEOFF:
             if waypoints:
                 raise _make_refusal(item, MissionResult.INVALID_SEQUENCE, "a take-off comes before all waypoints")
-            take_off = _make_table(item, TakeOff, height_m=-_read_down(item, origin), wait_s=base.take_off.wait_s)
-        elif item.command in (_CMD_WAYPOINT, _CMD_LOITER_TIME, _CMD_LOITER_UNLIMITED):
-            headed = item.command != _CMD_LOITER_TIME
+            take_off = _make_table(
+                item, TakeOff, height_m=-_read_flight_height(item, origin), wait_s=base.take_off.wait_s
+            )
+        elif item.command in (
+            MissionCommand.NAV_WAYPOINT,
+            MissionCommand.NAV_LOITER_TIME,
+            MissionCommand.NAV_LOITER_UNLIM,
+        ):
+            headed = item.command != MissionCommand.NAV_LOITER_TIME
             own = _read_heading(item, 3, MissionResult.INVALID_PARAM4) if headed else None
-            place = _read_place(item, origin)
-            wait = 0.0 if item.command == _CMD_LOITER_UNLIMITED else _read_wait(item)
+            place = _read_flight_place(item, origin)
+            wait = 0.0 if item.command == MissionCommand.NAV_LOITER_UNLIM else _read_wait(item)
             waypoints.append(_make_waypoint(item, place, wait, heading if own is None else own, speed))
             came_from.append(item.seq)
             heading = None
-        elif item.command == _CMD_DELAY and waypoints:
+        elif item.command == MissionCommand.NAV_DELAY and waypoints:
             w = waypoints[-1]
             longer = w.wait_s + _read_wait(item)
             waypoints[-1] = _make_waypoint(item, w.position_m, longer, w.heading_deg, w.speed_m_s)
-        elif item.command == _CMD_DELAY:
+        elif item.command == MissionCommand.NAV_DELAY:
             take_off = _make_table(item, TakeOff, height_m=take_off.height_m, wait_s=take_off.wait_s + _read_wait(item))
-        elif item.command == _CMD_CHANGE_SPEED:
+        elif item.command == MissionCommand.DO_CHANGE_SPEED:
             speed = _read_speed(item, speed)
-        elif item.command == _CMD_CONDITION_YAW:
+        elif item.command == MissionCommand.CONDITION_YAW:
             if item.params[3] == 1.0:
                 raise _make_refusal(item, MissionResult.INVALID_PARAM4, "a relative turn is not known in a mission")
             if item.params[3] != 0.0 and not math.isnan(item.params[3]):
                 why = f"parameter 4 is {item.params[3]:g}; give 0, an absolute heading"
                 raise _make_refusal(item, MissionResult.INVALID_PARAM4, why)
             heading = _read_heading(item, 0, MissionResult.INVALID_PARAM1)
-        elif item.command not in (_CMD_LAND, _CMD_RETURN_TO_LAUNCH):
+        elif item.command not in (MissionCommand.NAV_LAND, MissionCommand.NAV_RETURN_TO_LAUNCH):
             raise _make_refusal(item, MissionResult.UNSUPPORTED, f"{_command_name(item.command)} cannot be flown")
-        if item.command == _CMD_LAND and waypoints:
+        if item.command == MissionCommand.NAV_LAND and waypoints:
             over = _place_before_landing(item, origin, waypoints[-1])
             if over is not None:
                 own = _read_heading(item, 3, MissionResult.INVALID_PARAM4)
@@ -237,7 +266,7 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
                 heading = None
         end = _END_ACTIONS.get(item.command, end)
     if heading is not None:
-        last = next(i for i in reversed(items) if i.command == _CMD_CONDITION_YAW)
+        last = next(i for i in reversed(items) if i.command == MissionCommand.CONDITION_YAW)
         raise _make_refusal(last, MissionResult.INVALID_SEQUENCE, "no waypoint follows that could have this heading")
     if items and not waypoints:
         raise MissionRefusedError(MissionResult.INVALID, "there is no waypoint in it")
@@ -251,7 +280,13 @@ def mission_to_items(mission: Mission) -> MissionWithItems:
     if not mission.waypoint:
         return MissionWithItems(mission, (), ())
     items = [
-        MissionItem(0, _FRAME_LOCAL_NED, _CMD_TAKE_OFF, params=(0.0, 0.0, 0.0, math.nan), z=-mission.take_off.height_m)
+        MissionItem(
+            0,
+            FRAME_LOCAL_NED,
+            MissionCommand.NAV_TAKEOFF,
+            params=(0.0, 0.0, 0.0, math.nan),
+            z=-mission.take_off.height_m,
+        )
     ]
     came_from: list[int] = []
     speed: float | None = None
@@ -261,8 +296,8 @@ def mission_to_items(mission: Mission) -> MissionWithItems:
             items.append(
                 MissionItem(
                     0,
-                    _FRAME_LOCAL_NED,
-                    _CMD_CHANGE_SPEED,
+                    FRAME_LOCAL_NED,
+                    MissionCommand.DO_CHANGE_SPEED,
                     params=(1.0, -2.0 if speed is None else speed, -1.0, 0.0),
                 )
             )
@@ -272,8 +307,8 @@ def mission_to_items(mission: Mission) -> MissionWithItems:
         items.append(
             MissionItem(
                 0,
-                _FRAME_LOCAL_NED,
-                _CMD_WAYPOINT,
+                FRAME_LOCAL_NED,
+                MissionCommand.NAV_WAYPOINT,
                 params=(w.wait_s, 0.0, 0.0, heading),
                 x=_to_tenth_mm(n),
                 y=_to_tenth_mm(e),
@@ -282,19 +317,21 @@ def mission_to_items(mission: Mission) -> MissionWithItems:
         )
     last = items[-1]
     if mission.at_end == "land":
-        items.append(replace(last, command=_CMD_LAND, params=(0.0, 0.0, 0.0, math.nan), z=0.0))
+        items.append(replace(last, command=MissionCommand.NAV_LAND, params=(0.0, 0.0, 0.0, math.nan), z=0.0))
     elif mission.at_end == "return":
-        items.append(MissionItem(0, _FRAME_LOCAL_NED, _CMD_RETURN_TO_LAUNCH))
+        items.append(MissionItem(0, FRAME_LOCAL_NED, MissionCommand.NAV_RETURN_TO_LAUNCH))
     numbered = tuple(replace(item, seq=k, current=int(k == 0)) for k, item in enumerate(items))
     return MissionWithItems(mission, numbered, tuple(came_from))
 
 
+def is_global_frame(item: MissionItem) -> bool:
+    """Whether an item counts in degrees on the globe."""
+    return item.frame in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN, *FRAMES_ABOVE_TERRAIN)
+
+
 def is_global(item: MissionItem) -> bool:
     """Whether an item names a place on the globe."""
-    return item.frame in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN, *FRAMES_ABOVE_TERRAIN) and (
-        item.x,
-        item.y,
-    ) != (0, 0)
+    return is_global_frame(item) and (item.x, item.y) != (0, 0)
 
 
 def scale_coordinate(number: int, factor: float) -> float:
@@ -315,7 +352,7 @@ def make_place_item(
     if origin is None:
         return MissionItem(
             seq,
-            _FRAME_LOCAL_NED,
+            FRAME_LOCAL_NED,
             command,
             params=params,
             x=_to_tenth_mm(north),
@@ -357,7 +394,7 @@ def _read_wait(item: MissionItem) -> float:
     wait = item.params[0]
     if math.isnan(wait):
         return 0.0
-    if item.command == _CMD_DELAY and wait == -1.0:
+    if item.command == MissionCommand.NAV_DELAY and wait == -1.0:
         why = "a delay until a time of day is not known; give seconds in parameter 1"
         raise _make_refusal(item, MissionResult.INVALID_PARAM1, why)
     if not 0.0 <= wait <= 3600.0:
@@ -385,15 +422,19 @@ def _read_speed(item: MissionItem, before: float | None) -> float | None:
     return float(f"{speed:.7g}")
 
 
-def _read_down(item: MissionItem, origin: GlobalOrigin | None) -> float:
-    """D of an item (m)."""
-    if item.frame == _FRAME_LOCAL_NED:
-        down = item.z
-    elif item.frame == _FRAME_LOCAL_ENU or (item.frame in FRAMES_ABOVE_ORIGIN and origin is not None):
-        down = -item.z
-    elif item.frame in FRAMES_ABOVE_SEA and origin is not None:
-        down = origin.alt_m - item.z
-    else:
+def _find_down(item: MissionItem, origin: GlobalOrigin | None) -> float | None:
+    """D of an item (m); None in a frame that is not known here, or needs an origin that is not given."""
+    if item.frame == FRAME_LOCAL_NED:
+        return item.z
+    if item.frame == FRAME_LOCAL_ENU or (item.frame in FRAMES_ABOVE_ORIGIN and origin is not None):
+        return -item.z
+    return origin.alt_m - item.z if item.frame in FRAMES_ABOVE_SEA and origin is not None else None
+
+
+def _read_flight_height(item: MissionItem, origin: GlobalOrigin | None) -> float:
+    """D of an item (m), which has to be above the floor."""
+    down = _find_down(item, origin)
+    if down is None:
         why = f"frame {item.frame} is not known; use LOCAL_NED (1)"
         if item.frame in FRAMES_ABOVE_TERRAIN:
             why = f"frame {item.frame} counts heights from the terrain, which nobody here measures; use LOCAL_NED (1)"
@@ -411,20 +452,26 @@ def _read_down(item: MissionItem, origin: GlobalOrigin | None) -> float:
 
 def read_level_place(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
     """N and E of an item (m); NaN where not given."""
-    if item.frame in (_FRAME_LOCAL_NED, _FRAME_LOCAL_ENU):
+    if item.frame in (FRAME_LOCAL_NED, FRAME_LOCAL_ENU):
         a, b = (scale_coordinate(v, 1e-4) for v in (item.x, item.y))
-        return (a, b) if item.frame == _FRAME_LOCAL_NED else (b, a)
+        return (a, b) if item.frame == FRAME_LOCAL_NED else (b, a)
     if origin is None:
         return math.nan, math.nan
-    if item.command == _CMD_LAND and (item.x, item.y) == (0, 0):
+    if item.command == MissionCommand.NAV_LAND and (item.x, item.y) == (0, 0):
         return math.nan, math.nan  # land where it is
     lat, lon = (scale_coordinate(v, 1e-7) for v in (item.x, item.y))
     n, e, _ = origin.to_local(lat, lon, 0.0)
     return n, e
 
 
-def _read_place(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
-    down = _read_down(item, origin)
+def read_place(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
+    """N, E, D of an item (m); NaN where not given, or not known without an origin or the terrain's height."""
+    down = _find_down(item, origin)
+    return *read_level_place(item, origin), math.nan if down is None else down
+
+
+def _read_flight_place(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
+    down = _read_flight_height(item, origin)
     n, e = read_level_place(item, origin)
     if math.isnan(n):
         raise _make_refusal(item, MissionResult.INVALID_PARAM5_X, "x is not given")

@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from mufly.link.codec import GlobalOrigin
+from mufly.link.codec import GlobalOrigin, mavlink
 from mufly.link.command_protocol import FORCE_DISARM_MAGIC, Command
 from mufly.vehicle_types import ARDUPILOT, PX4, ModeFamily, ardupilot_mode_number
 
 NAN = math.nan
-FRAME_LOCAL_NED, FRAME_GLOBAL = 1, 0  # MAV_FRAME
 
 FirmwareKind = Literal["mufly", "PX4", "ArduPilot", "other"]
 
@@ -40,16 +39,16 @@ def _make_command(number: int, *params: float) -> Command:
 
 
 def _set_mode_command(main: int, sub: int = 0) -> Command:
-    return _make_command(176, 1.0, main, sub)  # DO_SET_MODE
+    return _make_command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, main, sub)
 
 
 ARM_COMMAND, DISARM_COMMAND = (
-    _make_command(400, 1.0),
-    _make_command(400),
+    _make_command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0),
+    _make_command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM),
 )  # COMPONENT_ARM_DISARM; disarming is refused in flight
-EMERGENCY_STOP_COMMAND = _make_command(400, 0.0, FORCE_DISARM_MAGIC)
+EMERGENCY_STOP_COMMAND = _make_command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, FORCE_DISARM_MAGIC)
 """Disarming by force: the motors stop at once."""
-REBOOT_COMMAND = _make_command(246, 1.0)
+REBOOT_COMMAND = _make_command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0)
 """PREFLIGHT_REBOOT_SHUTDOWN of the autopilot; a simulation begins anew."""
 
 CommandTable = dict[str, tuple[Command, ...]]
@@ -78,14 +77,14 @@ PRE_ARM_COMMANDS: CommandTable = {**_ardupilot_mode_rows({"copter": "guided"}), 
 """What has to come before arming for a take-off: ArduPilot's copters must be in their mode "guided"."""
 START_MISSION_COMMANDS: CommandTable = {
     "PX4": (_set_mode_command(4, 4),),
-    **_ardupilot_mode_rows(_AUTO_MODES, _make_command(300)),
-    "": (_make_command(300),),
+    **_ardupilot_mode_rows(_AUTO_MODES, _make_command(mavlink.MAV_CMD_MISSION_START)),
+    "": (_make_command(mavlink.MAV_CMD_MISSION_START),),
 }
 """What makes an armed vehicle fly its mission, or go on with it."""
 PAUSE_COMMANDS: CommandTable = {
     "PX4": (_set_mode_command(4, 3),),
     **_ardupilot_mode_rows(_HOVER_MODES),
-    "": (_make_command(193),),
+    "": (_make_command(mavlink.MAV_CMD_DO_PAUSE_CONTINUE),),
 }
 """Stop and hover; a plane circles."""
 MANUAL_CONTROL_COMMANDS: CommandTable = {
@@ -96,11 +95,14 @@ MANUAL_CONTROL_COMMANDS: CommandTable = {
 """Fly by sticks: the mode of each that stops, or flies level, when they are in the middle."""
 RELEASE_STICKS_COMMANDS: CommandTable = {**_ardupilot_mode_rows(_HOVER_MODES), "": (_set_mode_command(4, 3),)}
 """No more sticks: hover where it is. A mode, since it is taken on the floor too."""
-RETURN_COMMANDS: CommandTable = {**_ardupilot_mode_rows(_RETURN_MODES), "": (_make_command(20),)}
+RETURN_COMMANDS: CommandTable = {
+    **_ardupilot_mode_rows(_RETURN_MODES),
+    "": (_make_command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH),),
+}
 """Return to where it took off and land."""
 LAND_COMMANDS: CommandTable = {
     **_ardupilot_mode_rows({"copter": "landing", "airship": "landing"}),
-    "": (Command(21, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),),
+    "": (Command(mavlink.MAV_CMD_NAV_LAND, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),),
 }
 """Land here."""
 
@@ -127,8 +129,12 @@ def select_commands(
 def take_off_command(firmware: FirmwareKind, height_m: float) -> Command:
     """What makes an armed vehicle take off to a height above where it stands; PX4 takes the height from a parameter."""
     if firmware == "mufly":
-        return Command(22, (NAN,) * 6 + (-height_m,), frame=FRAME_LOCAL_NED)
-    return Command(22) if firmware == "PX4" else _make_command(22, 0.0, 0.0, 0.0, NAN, 0.0, 0.0, height_m)
+        return Command(mavlink.MAV_CMD_NAV_TAKEOFF, (NAN,) * 6 + (-height_m,), frame=mavlink.MAV_FRAME_LOCAL_NED)
+    return (
+        Command(mavlink.MAV_CMD_NAV_TAKEOFF)
+        if firmware == "PX4"
+        else _make_command(mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, NAN, 0.0, 0.0, height_m)
+    )
 
 
 def go_to_command(
@@ -149,16 +155,22 @@ def go_to_command(
         Where N, E, D are 0, as far as the vehicle has told.
     """
     if firmware == "mufly":
-        return Command(192, (-1.0, 0.0, 0.0, heading_rad, *position_m), frame=FRAME_LOCAL_NED)
+        return Command(
+            mavlink.MAV_CMD_DO_REPOSITION, (-1.0, 0.0, 0.0, heading_rad, *position_m), frame=mavlink.MAV_FRAME_LOCAL_NED
+        )
     if origin is None:
         return "this autopilot flies to places on the globe only, and has told no origin"
     # Flag 1: change to the mode that it takes.
-    return Command(192, (-1.0, 1.0, 0.0, heading_rad, *origin.to_global(*position_m)), frame=FRAME_GLOBAL)
+    return Command(
+        mavlink.MAV_CMD_DO_REPOSITION,
+        (-1.0, 1.0, 0.0, heading_rad, *origin.to_global(*position_m)),
+        frame=mavlink.MAV_FRAME_GLOBAL,
+    )
 
 
 def request_message_command(number: int) -> Command:
     """REQUEST_MESSAGE."""
-    return _make_command(512, number)
+    return _make_command(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
 
 def inject_failure_command(unit: int, kind: int, amount: float = NAN, duration_s: float = NAN) -> Command:
@@ -167,9 +179,9 @@ def inject_failure_command(unit: int, kind: int, amount: float = NAN, duration_s
 
     Parameters 5 and 6, which the specification leaves open, are how much and for how long (s); NaN: as usual, for ever.
     """
-    return _make_command(420, float(unit), float(kind), 0.0, 0.0, amount, duration_s)
+    return _make_command(mavlink.MAV_CMD_INJECT_FAILURE, float(unit), float(kind), 0.0, 0.0, amount, duration_s)
 
 
 def message_interval_command(number: int, rate_Hz: float) -> Command:
     """SET_MESSAGE_INTERVAL; a rate of 0 is never."""
-    return _make_command(511, number, 1e6 / rate_Hz if rate_Hz > 0 else -1.0)
+    return _make_command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_Hz if rate_Hz > 0 else -1.0)

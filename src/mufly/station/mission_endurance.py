@@ -13,20 +13,18 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from mufly.flight import TunableParameter
-from mufly.link.codec import FRAMES_ABOVE_ORIGIN, FRAMES_ABOVE_SEA, FRAMES_ABOVE_TERRAIN, GlobalOrigin
-from mufly.link.mission_transfer import MissionItem
 from mufly.mission import Mission, MissionTiming, Waypoint, compute_timing
 from mufly.mission import TrajectoryLimits as TrajectoryLimits
-from mufly.mission.mission_items import MissionRefusedError, mission_from_items
-from mufly.mission.mission_schema import Limits, TakeOff
-from mufly.station.remote_transfers import (
-    COMMAND_LAND,
-    COMMAND_RETURN,
-    COMMAND_SPEED,
-    COMMAND_TAKE_OFF,
-    DELAY_COMMANDS,
-    rows_from_items,
+from mufly.mission.mission_items import (
+    GlobalOrigin,
+    MissionCommand,
+    MissionItem,
+    MissionRefusedError,
+    is_global,
+    mission_from_items,
 )
+from mufly.mission.mission_schema import Limits, TakeOff
+from mufly.station.mission_rows import DELAY_COMMANDS, rows_from_items
 from mufly.station.signal_history import VehicleSnapshot
 from mufly.units import GRAVITY
 
@@ -51,7 +49,6 @@ unit. mufly's, PX4's, ArduPilot's (the older in cm/s, the newer in m/s)."""
 
 MAX_FLOWN_ITEMS = 2000
 """Items of a mission with jumps that are followed at most."""
-_COMMAND_LOITER_TURNS, _COMMAND_DO_JUMP = 18, 177  # NAV_LOITER_TURNS, DO_JUMP
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,13 +208,15 @@ def _follow_jumps(items: Sequence[MissionItem]) -> tuple[list[MissionItem], bool
     """Items as they are flown, DO_JUMP (parameter 1: to which item, 2: how often) followed; whether one is endless."""
     flown: list[MissionItem] = []
     left = {
-        item.seq: int(item.params[1]) for item in items if item.command == _COMMAND_DO_JUMP and item.params[1] > 0.0
+        item.seq: int(item.params[1])
+        for item in items
+        if item.command == MissionCommand.DO_JUMP and item.params[1] > 0.0
     }
-    endless = any(item.command == _COMMAND_DO_JUMP and item.params[1] < 0.0 for item in items)
+    endless = any(item.command == MissionCommand.DO_JUMP and item.params[1] < 0.0 for item in items)
     k = 0
     while k < len(items) and len(flown) < MAX_FLOWN_ITEMS:
         item, k = items[k], k + 1
-        if item.command != _COMMAND_DO_JUMP:
+        if item.command != MissionCommand.DO_JUMP:
             flown.append(item)
         elif left.get(item.seq, 0) > 0 and 0 <= item.params[0] < len(items):
             left[item.seq] -= 1
@@ -227,12 +226,7 @@ def _follow_jumps(items: Sequence[MissionItem]) -> tuple[list[MissionItem], bool
 
 def _first_global_place(items: Sequence[MissionItem]) -> GlobalOrigin | None:
     """The first place on the globe among items, for want of an origin."""
-    on_globe = (
-        i
-        for i in items
-        if i.frame in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN, *FRAMES_ABOVE_TERRAIN) and (i.x, i.y) != (0, 0)
-    )
-    first = next(on_globe, None)
+    first = next(filter(is_global, items), None)
     if first is None or abs(first.x) > 90e7:
         return None
     return GlobalOrigin(first.x / 1e7, first.y / 1e7, 0.0)
@@ -251,21 +245,21 @@ def _approximate_mission(
     for item, row in zip(flown, rows_from_items(flown, origin), strict=True):
         n, e, d = row.position
         placed = all(map(math.isfinite, row.position))
-        if item.command == COMMAND_SPEED:
+        if item.command == MissionCommand.DO_CHANGE_SPEED:
             speed = {-1.0: speed, -2.0: None}.get(item.params[1], item.params[1])
-        elif item.command == COMMAND_TAKE_OFF:
+        elif item.command == MissionCommand.NAV_TAKEOFF:
             take_off = TakeOff.model_construct(height_m=-d if placed and d < 0.0 else take_off.height_m, wait_s=0.0)
         elif item.command in DELAY_COMMANDS and waypoints:
             waypoints[-1] = waypoints[-1].model_copy(update={"wait_s": waypoints[-1].wait_s + row.wait_s})
-        elif item.command == COMMAND_RETURN:
+        elif item.command == MissionCommand.NAV_RETURN_TO_LAUNCH:
             end = "return"
         elif placed and item.command not in DELAY_COMMANDS:
             wait = row.wait_s
-            if item.command == _COMMAND_LOITER_TURNS:
+            if item.command == MissionCommand.NAV_LOITER_TURNS:
                 pace = speed or base.limits.speed_m_s
                 wait += abs(item.params[0]) * math.tau * abs(item.params[2]) / pace if pace > 0.0 else 0.0
-            height = waypoints[-1].position_m[2] if item.command == COMMAND_LAND and waypoints else d
-            end = "land" if item.command == COMMAND_LAND else end
+            height = waypoints[-1].position_m[2] if item.command == MissionCommand.NAV_LAND and waypoints else d
+            end = "land" if item.command == MissionCommand.NAV_LAND else end
             waypoints.append(
                 Waypoint.model_construct(
                     position_m=(n, e, min(height, -1e-3)), wait_s=wait, heading_deg=None, speed_m_s=speed

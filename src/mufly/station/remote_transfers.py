@@ -1,8 +1,7 @@
-"""The missions of a vehicle: as rows of a table, as items of MAVLink, and sent, fetched and cleared.
+"""Mission, fence and parameters of a vehicle: sent, fetched and cleared.
 
-Rows are what a page shows (:class:`mufly.station.signal_history.MissionRow`); items are what travels. Ours go in
-metres, in the frame LOCAL_NED (x and y in 1e-4 m); items in a global frame are shown in metres from the vehicle's
-origin. A mission file becomes items in :mod:`mufly.link.mission_protocol`.
+Items become rows of a table in :mod:`mufly.station.mission_rows`, a mission file becomes items in
+:mod:`mufly.mission.mission_items`.
 
 One transfer follows the other; the machines are those of :mod:`mufly.link.mission_transfer`. What the vehicle holds is
 known from the last transfer that ended well; when the vehicle counts another number of items (somebody else sent it a
@@ -12,24 +11,17 @@ mission) they are fetched anew.
 from __future__ import annotations
 
 import math
-import re
 import struct
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from mufly.errors import InputError
 from mufly.flight import TunableParameter
-from mufly.link.codec import (
-    FRAMES_ABOVE_ORIGIN,
-    FRAMES_ABOVE_SEA,
-    FRAMES_ABOVE_TERRAIN,
-    GlobalOrigin,
-    MavMessage,
-    mavlink,
-)
+from mufly.link.codec import MavMessage, mavlink
 from mufly.link.mission_transfer import (
     TRANSFER_TIMEOUT_S,
+    TYPE_ALL,
+    TYPE_MISSION,
     AddressedMessages,
     MissionAck,
     MissionClearAll,
@@ -42,157 +34,19 @@ from mufly.link.mission_transfer import (
 )
 from mufly.link.parameter_protocol import INTEGER_RANGES, decode_parameter, encode_parameter
 from mufly.station.remote_commands import RETRY_PERIOD_S, RepeatedRequest, StatusTextLog
-from mufly.station.signal_history import MissionRow, OperatorRequest, RequestOutcome
+from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
-FRAME_LOCAL_NED = 1
-TYPE_MISSION, TYPE_FENCE, _TYPE_ALL = 0, 1, 255  # MAV_MISSION_TYPE
-COMMAND_WAYPOINT, COMMAND_RETURN, COMMAND_LAND, COMMAND_TAKE_OFF, COMMAND_HEADING, COMMAND_SPEED = (
-    16,
-    20,
-    21,
-    22,
-    115,
-    178,
-)  # MAV_CMD
-MISSION_SPEED_TEXT = "the mission's own"
-"""Text of a row that ends what an earlier row said of speed (-2 in MAVLink)."""
-_ACTION_BY_COMMAND = {
-    COMMAND_TAKE_OFF: "take off",
-    COMMAND_WAYPOINT: "waypoint",
-    COMMAND_SPEED: "speed",
-    COMMAND_LAND: "land",
-    COMMAND_RETURN: "return",
-    COMMAND_HEADING: "turn",
-}
-_OTHER_ACTIONS = {
-    17: "stay",
-    18: "circles",
-    19: "stay for",
-    82: "spline waypoint",
-    93: "wait",
-    112: "wait",
-    177: "jump",
-}
-DELAY_COMMANDS = (93, 112)
-"""NAV_DELAY and CONDITION_DELAY: waits that have no place."""
-_PLACE_COMMANDS = (COMMAND_WAYPOINT, COMMAND_TAKE_OFF, COMMAND_LAND, 17, 18, 19, 82)
-_HOLD_COMMANDS = (COMMAND_WAYPOINT, 19, 82, *DELAY_COMMANDS)
-_COMMAND_BY_ACTION = {action: command for command, action in _ACTION_BY_COMMAND.items()}
-_HEADING_COMMANDS = (COMMAND_WAYPOINT, COMMAND_TAKE_OFF, COMMAND_LAND, 17)
-"""Commands whose parameter 4 is a heading (deg; NaN: none). Of NAV_LOITER_TIME and NAV_LOITER_TURNS it is none."""
-_FRAME_LOCAL_ENU = 4
-_COORDINATE_NOT_GIVEN = 2**31 - 1
-_NO_POSITION = (math.nan, math.nan, math.nan)
-_NUMBER_PATTERN = re.compile(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?")
 _PEER_NAME = "vehicle"
-_RESULT_TEXTS = {
-    1: "the vehicle cannot take a mission now",
-    2: "the vehicle does not fly in this frame of reference",
-    3: "the vehicle does not know one of the commands",
-    4: "too many items",
-    5: "one of the items is not valid",
-    13: "items came out of order",
-    14: "the vehicle does not take missions from this station now",
-    15: "stopped by the vehicle",
-} | {6 + k: f"parameter {k + 1} of an item is not valid" for k in range(7)}
-
-
-def items_from_rows(rows: Sequence[MissionRow], where: str = "mission") -> list[MissionItem]:
-    """Return the items of the rows of a table.
-
-    Raises
-    ------
-    InputError
-        If a row cannot be sent.
-    """
-    return [_make_item(row, k, where) for k, row in enumerate(rows)]
-
-
-def _make_item(row: MissionRow, k: int, where: str) -> MissionItem:
-    command, at = _COMMAND_BY_ACTION.get(row.action), f"row {k + 1}"
-    placed = all(map(math.isfinite, row.position))
-    if command is None:
-        raise InputError(where, at, f"{row.action!r} cannot be sent", f"use {', '.join(_COMMAND_BY_ACTION)}")
-    if command in (COMMAND_WAYPOINT, COMMAND_TAKE_OFF) and not placed:
-        raise InputError(where, at, "has no place", "give N, E and D in metres")
-    heading_deg, place = math.degrees(row.heading_rad), row.position if placed else (0.0, 0.0, 0.0)
-    params = (row.wait_s, 0.0, 0.0, heading_deg)
-    if command == COMMAND_SPEED:
-        number = _NUMBER_PATTERN.search("-2" if row.text == MISSION_SPEED_TEXT else row.text)
-        if number is None:
-            raise InputError(where, at, "has no speed", 'write for example "0.4 m/s"')
-        # 1: over ground, -1: throttle as it is
-        params, place = (1.0, float(number[0]), -1.0, 0.0), (0.0, 0.0, 0.0)
-    elif command == COMMAND_HEADING:
-        params, place = (heading_deg, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    x, y = (round(v * 1e4) for v in place[:2])
-    return MissionItem(k, FRAME_LOCAL_NED, command, params=params, x=x, y=y, z=place[2])
-
-
-def rows_from_items(
-    items: Sequence[MissionItem], origin: GlobalOrigin | None = None, reached: int = 0
-) -> list[MissionRow]:
-    """Return the rows of a table of items.
-
-    Parameters
-    ----------
-    items : sequence of Item
-    origin : Origin, optional
-        Where N, E, D are 0, for items in a global frame.
-    reached : int
-        So many of the first rows are behind the vehicle.
-    """
-    return [_make_row(item, origin, k < reached) for k, item in enumerate(items)]
-
-
-def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> MissionRow:
-    command = item.command
-    action = _ACTION_BY_COMMAND.get(command) or _OTHER_ACTIONS.get(command, f"command {command}")
-    position, text = _NO_POSITION, ""
-    if command == COMMAND_SPEED:
-        speed = item.params[1]
-        words = {-2.0: MISSION_SPEED_TEXT, -1.0: "as it is"}.get(speed, f"{speed:g} m/s")
-        of = {2.0: "climb ", 3.0: "descent "}.get(item.params[0], "")
-        return MissionRow(action, reached=reached, text=of + words)
-    if command == COMMAND_HEADING:
-        return MissionRow(action, heading_rad=math.radians(item.params[0]), reached=reached)
-    if item.frame == FRAME_LOCAL_NED and command in _PLACE_COMMANDS:
-        position = (item.x / 1e4, item.y / 1e4, item.z)
-    elif item.frame == _FRAME_LOCAL_ENU and command in _PLACE_COMMANDS:
-        position = (item.y / 1e4, item.x / 1e4, -item.z)
-    elif (
-        item.frame in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN, *FRAMES_ABOVE_TERRAIN)
-        and item.x != _COORDINATE_NOT_GIVEN
-    ):
-        position, text = _local_from_global(item, origin)
-    elif command not in _ACTION_BY_COMMAND:
-        text = " ".join(f"{p:g}" for p in (*item.params, item.x, item.y, item.z))
-    wait_s = item.params[0] if command in _HOLD_COMMANDS and math.isfinite(item.params[0]) else 0.0
-    heading = math.radians(item.params[3]) if command in _HEADING_COMMANDS else math.nan
-    return MissionRow(action, position, heading, wait_s, reached, text)
-
-
-def _local_from_global(item: MissionItem, origin: GlobalOrigin | None) -> tuple[tuple[float, float, float], str]:
-    latitude, longitude = item.x / 1e7, item.y / 1e7
-    if (item.x, item.y) == (0, 0):
-        return _NO_POSITION, ""
-    over_terrain = item.frame in FRAMES_ABOVE_TERRAIN
-    height = f"{item.z:g} m above the terrain" if over_terrain else f"{item.z:g} m"
-    if origin is None:
-        return _NO_POSITION, f"{latitude:.6f} {longitude:.6f} deg, {height}"
-    north, east, down = origin.to_local(latitude, longitude, item.z, item.frame)
-    # How high the terrain lies above the origin nobody here knows.
-    return (north, east, math.nan if over_terrain else down), height if over_terrain else ""
-
-
-def is_same_mission(a: Sequence[MissionItem], b: Sequence[MissionItem]) -> bool:
-    """Whether two missions would be flown alike; which item is current does not matter, NaN equals NaN."""
-    return [_comparison_key(item) for item in a] == [_comparison_key(item) for item in b]
-
-
-def _comparison_key(item: MissionItem) -> tuple[object, ...]:
-    numbers = (None if math.isnan(v) else round(v, 4) for v in (*item.params, item.z))
-    return item.frame, item.command, item.x, item.y, *numbers
+_RESULT_TEXTS: dict[int, str] = {
+    MissionResult.ERROR: "the vehicle cannot take a mission now",
+    MissionResult.UNSUPPORTED_FRAME: "the vehicle does not fly in this frame of reference",
+    MissionResult.UNSUPPORTED: "the vehicle does not know one of the commands",
+    MissionResult.NO_SPACE: "too many items",
+    MissionResult.INVALID: "one of the items is not valid",
+    MissionResult.INVALID_SEQUENCE: "items came out of order",
+    MissionResult.DENIED: "the vehicle does not take missions from this station now",
+    MissionResult.OPERATION_CANCELLED: "stopped by the vehicle",
+} | {MissionResult.INVALID_PARAM1 + k: f"parameter {k + 1} of an item is not valid" for k in range(7)}
 
 
 @dataclass(slots=True, kw_only=True)
@@ -258,7 +112,7 @@ class RemoteMission:
     def handle(self, now_s: float, message: MavMessage) -> None:
         """Take a message of the mission protocol."""
         note = parse_transfer_message(message)
-        if note is None or getattr(note, "mission_type", self._kind) not in (self._kind, _TYPE_ALL):
+        if note is None or getattr(note, "mission_type", self._kind) not in (self._kind, TYPE_ALL):
             return
         job = self._jobs[0] if self._jobs else None
         clearing = job is not None and job.is_clearing and job.send_count
@@ -266,7 +120,7 @@ class RemoteMission:
             job is not None
             and clearing
             and isinstance(note, MissionAck)
-            and note.mission_type in (self._kind, _TYPE_ALL)
+            and note.mission_type in (self._kind, TYPE_ALL)
         ):
             if note.result == MissionResult.ACCEPTED:
                 self.items = ()

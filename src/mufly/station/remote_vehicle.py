@@ -20,22 +20,20 @@ from mufly.flight import TunableParameter
 from mufly.flight.tunable_parameters import PARAMETERS
 from mufly.link.codec import MavMessage, mavlink
 from mufly.link.command_protocol import Command
+from mufly.link.mission_transfer import TYPE_FENCE
 from mufly.link.parameter_protocol import LINK_PARAMETERS
 from mufly.link.ports import MAX_STALL_S
 from mufly.mission import Fence, Mission, fence_from_items, fence_to_items, load_mission
-from mufly.mission.mission_items import MissionRefusedError
-from mufly.mission.mission_items import mission_to_items as items_of_mission
+from mufly.mission.mission_items import MissionRefusedError, mission_to_items
 from mufly.station import autopilots
 from mufly.station.autopilots import select_commands
+from mufly.station.mission_rows import rows_from_items
 from mufly.station.pilot_sticks import PilotSticks
 from mufly.station.preflight_checks import StationContext, run_preflight_checks
 from mufly.station.remote_commands import OperatorControl, RemoteCommands, RequestChain, StatusTextLog
 from mufly.station.remote_transfers import (
-    TYPE_FENCE,
     RemoteMission,
     RemoteParameters,
-    items_from_rows,
-    rows_from_items,
 )
 from mufly.station.signal_history import (
     MissionRow,
@@ -332,12 +330,12 @@ class RemoteVehicle:
         """Let another station command it."""
         return self._control.release_command()
 
-    def upload_mission(self, mission: Mission | Sequence[MissionRow] | str | Path) -> OperatorRequest:
-        """Send a mission: one of ours, rows of the table, or the name of a file."""
+    def upload_mission(self, mission: Mission | str | Path) -> OperatorRequest:
+        """Send a mission, or that of a file by its name."""
         try:
             if isinstance(mission, str | Path):
                 mission = load_mission(mission)
-            items = items_of_mission(mission).items if isinstance(mission, Mission) else items_from_rows(mission)
+            items = mission_to_items(mission).items
         except InputError as error:
             return _refused_request("send a mission", str(error))
         self._reached = -1
@@ -382,7 +380,7 @@ class RemoteVehicle:
 
     def set_shown_mission(self, mission: Mission | None) -> None:
         """Say which mission the page shows, for the check that the vehicle holds the same."""
-        self.station_context.shown_items = None if mission is None else tuple(items_of_mission(mission).items)
+        self.station_context.shown_items = None if mission is None else tuple(mission_to_items(mission).items)
 
     def set_base_mission(self, mission: Mission) -> None:
         """Say with which mission file it was started: limits, path and obstacles stay those of that file."""

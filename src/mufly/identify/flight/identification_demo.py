@@ -324,5 +324,5 @@ def run_identification_demo(
 
 def rms_over_true_noise(record: RecordPrediction) -> float:
     """Return the root mean square prediction error over the true noise of the demonstration's sensors."""
-    std: NDArray[np.float64] = np.array([SENSOR_NOISE_STD[o] for o in record.outputs])
+    std: NDArray[np.float64] = np.array([SENSOR_NOISE_STD[o] for o in record.output_names])
     return float(np.sqrt(np.nanmean((record.residual / std) ** 2)))
