@@ -18,7 +18,7 @@ import numpy as np
 
 from mufly.camera import Renderer, VehicleMotion, load_camera, make_floor
 from mufly.dynamics import body_to_ned_matrix
-from mufly.dynamics.model_state import quaternion_from_euler
+from mufly.rotations import quaternion_from_euler
 from mufly.slam import (
     SlamSystem,
     SlamTrajectory,

@@ -22,9 +22,9 @@ from mufly.camera import (
 )
 from mufly.camera.camera_model import camera_matrix, distortion_coefficients
 from mufly.dynamics import body_to_ned_matrix
-from mufly.dynamics.model_state import quaternion_from_euler
 from mufly.errors import InputError
 from mufly.logs import LogWarning
+from mufly.rotations import quaternion_from_euler
 from mufly.slam import format_camera_toml
 from mufly.world import Box, World
 

@@ -19,7 +19,6 @@ from mcap.records import Chunk, MessageIndex
 
 from mufly.errors import InputError, MuflyError
 from mufly.flight import FlightRecorder
-from mufly.flight.record.recorder import attitude_quaternions
 from mufly.logs import flight_layout, read_attachments, read_log, read_mcap, read_recording, write_log
 from mufly.world import Box, Cylinder, World
 
@@ -139,23 +138,6 @@ def test_the_3d_view_puts_the_helicopter_where_the_truth_is(tmp_path, flight):
         position = flight.rows[k, columns["truth_position"]]
         assert list(body["translation"].values()) == pytest.approx(position, abs=1e-6)
         assert sum(v * v for v in body["rotation"].values()) == pytest.approx(1.0, abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("attitude", "forward", "down"),
-    [
-        ((0.0, 0.0, np.pi / 2), (0, 1, 0), (0, 0, 1)),
-        ((0.0, np.pi / 2, 0.0), (0, 0, -1), (1, 0, 0)),
-        ((np.pi / 2, 0.0, 0.0), (1, 0, 0), (0, -1, 0)),
-        ((np.pi / 2, 0.0, np.pi / 2), (0, 1, 0), (1, 0, 0)),
-    ],
-)
-def test_quaternions_turn_the_body_axes_as_in_aviation(attitude, forward, down):
-    x, y, z, w = attitude_quaternions(np.array([attitude]))[0]
-    first = (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y))
-    third = (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))
-    assert first == pytest.approx(forward, abs=1e-12)
-    assert third == pytest.approx(down, abs=1e-12)
 
 
 def test_every_second_reaches_the_disk_before_the_end(tmp_path, flight):

@@ -14,10 +14,10 @@ from mufly.identify.flight_record import low_pass
 from mufly.identify.linear.flight_path_reconstruction import (
     FLIGHT_PATH_STATES,
     IMU_CHANNELS,
-    body_to_ned_rotation,
     flight_path_derivative,
     reconstruct_flight_path,
 )
+from mufly.rotations import body_to_ned_matrices
 from mufly.units import GRAVITY
 
 NAMES = {n: n for n in IMU_CHANNELS}, {n: n for n in FLIGHT_PATH_STATES}
@@ -36,7 +36,7 @@ def made(seed, n=700, dt=0.02):
     )
     turn, (s1, s2, _), (c1, c2, _) = along(t, 1).T, np.sin(angle).T, np.cos(angle).T
     rates = np.c_[turn[0] - turn[2] * s2, turn[1] * c1 + turn[2] * c2 * s1, -turn[1] * s1 + turn[2] * c2 * c1]
-    force = np.einsum("nji,nj->ni", body_to_ned_rotation(angle), speed(t, 1) - [0.0, 0.0, GRAVITY])
+    force = np.einsum("nji,nj->ni", body_to_ned_matrices(angle), speed(t, 1) - [0.0, 0.0, GRAVITY])
     truth = np.r_[rng.normal(size=6) * np.r_[[0.03] * 3, [0.2] * 3], 0.03 * rng.normal(size=6)]
     imu = (1.0 + truth[6:]) * np.c_[rates, force] + truth[:6] + rng.normal(size=(n, 6)) * NOISE[0]
     states = np.c_[angle, speed(t), speed.antiderivative()(t)]

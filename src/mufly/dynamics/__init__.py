@@ -24,11 +24,9 @@ from mufly.dynamics.model_state import (
     STATE_SIZE,
     ModelParameters,
     body_to_ned_matrix,
-    euler_from_quaternion,
     hover_speeds,
     initial_state,
     model_parameters,
-    quaternion_from_euler,
 )
 from mufly.dynamics.similarity import similar_vehicle
 from mufly.dynamics.simulation import (
@@ -43,6 +41,7 @@ from mufly.dynamics.simulation import (
     simulate_open_loop,
     state_dataset,
 )
+from mufly.rotations import euler_from_quaternion, quaternion_from_euler
 from mufly.units import GRAVITY
 
 __all__ = [

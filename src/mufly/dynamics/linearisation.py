@@ -52,16 +52,15 @@ from mufly.dynamics.model_state import (
     STATE_SIZE,
     VELOCITY,
     body_to_ned_matrix,
-    euler_from_quaternion,
     hover_speeds,
     initial_state,
     model_parameters,
-    quaternion_from_euler,
 )
 from mufly.dynamics.simulation import fastest_mode_key
 from mufly.errors import InputError, MuflyError
 from mufly.result_figure import enable_notebook_display
 from mufly.results import result
+from mufly.rotations import euler_from_quaternion, quaternion_from_euler
 from mufly.units import GRAVITY, RPM
 from mufly.vehicle import Vehicle
 

@@ -22,7 +22,6 @@ Positive servo 1 pitches the nose down, positive servo 2 rolls to the right (doc
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any, cast
@@ -35,6 +34,7 @@ from mufly.numba_cache import cached_njit
 from mufly.record_fields import int_field as _int
 from mufly.record_fields import real_field as _real
 from mufly.record_fields import record_fields, record_type
+from mufly.rotations import quaternion_from_euler
 from mufly.rotor.coax_maps import interpolate_map, pack_map_tables
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
@@ -69,49 +69,6 @@ def body_to_ned_matrix(quaternion: _Array) -> _Array:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
-    """Return the quaternion (w, x, y, z) of yaw, then pitch, then roll (rad); inverse of eq. 4.2."""
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
-
-
-def euler_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
-    """Return roll, pitch, yaw (rad).
-
-    Parameters
-    ----------
-    quaternion : (..., 4) array_like
-        Unit quaternions (w, x, y, z).
-
-    Returns
-    -------
-    (..., 3) array
-        Roll and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
-    """
-    q = np.asarray(quaternion, dtype=np.float64)
-    if q.ndim == 1:
-        # A flight asks in every period for one: plain numbers take a third of the time of arrays without dimension.
-        w, x, y, z = q.tolist()
-        sine = min(max(2 * (w * y - z * x), -1.0), 1.0)
-        roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        return np.array([roll, np.arcsin(sine), yaw])
-    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.stack([roll, pitch, yaw], axis=-1)
 
 
 def initial_state(

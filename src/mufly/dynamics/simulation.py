@@ -55,13 +55,13 @@ from mufly.dynamics.model_state import (
     STATE_SIZE,
     VELOCITY,
     ModelParameters,
-    euler_from_quaternion,
     model_parameters,
 )
 from mufly.errors import InputError
 from mufly.numba_cache import cached_njit
 from mufly.numba_intrinsics import borrow_arrays
 from mufly.quantities import make_dataset
+from mufly.rotations import euler_from_quaternion
 from mufly.rotor.rotor_system import VORTEX_RING_RANGE
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle

@@ -53,6 +53,7 @@ from mufly.estimate.filter_records import (
 from mufly.estimate.kalman_estimator import KalmanEstimator
 from mufly.estimate.nees import normalised_errors
 from mufly.results import result
+from mufly.rotations import quaternion_from_euler
 from mufly.sensors import Reading, Readings
 from mufly.units import GRAVITY
 from mufly.vehicle import load_vehicle, replace_parameters
@@ -369,7 +370,7 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
     else:
         s["rest_tilt_sigma"], sigma[EX_VEL:EX_ATT] = _TILT_SIGMA_IN_FLIGHT, _SPEED_SIGMA
         sigma[EX_POS:EX_VEL] += _SPEED_SIGMA * (float(aids.measured_s[0]) - float(log.time_s[0]))
-    start[SX_ATT:SX_GYRO_BIAS] = _quaternion_from_euler(roll, pitch, yaw)
+    start[SX_ATT:SX_GYRO_BIAS] = quaternion_from_euler(roll, pitch, yaw)
     sigma[EX_ATT : EX_ATT + 2] = s["rest_tilt_sigma"]
     sigma[EX_GYRO_BIAS:EX_ACCEL_BIAS] = _GYRO_BIAS_SIGMAS[1 if rest.stop else 0]
     sigma[EX_ACCEL_BIAS:EX_TERRAIN] = ACCEL_BIAS_SIGMA
@@ -378,12 +379,6 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
     s["initial_state"] = start
     e.set_settings(s)
     return e
-
-
-def _quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    a, b, c = math.cos(roll / 2), math.cos(pitch / 2), math.cos(yaw / 2)
-    d, e, f = math.sin(roll / 2), math.sin(pitch / 2), math.sin(yaw / 2)
-    return a * b * c + d * e * f, d * b * c - a * e * f, a * e * c + d * b * f, a * b * f - d * e * c
 
 
 def aid_innovations(

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics import quaternion_from_euler
 from mufly.flight import FlightState
 from mufly.link.codec import (
     MODE_MISSION,
@@ -43,6 +42,7 @@ from mufly.link.estimate_messages import (
 )
 from mufly.link.vision_input import pack_covariance
 from mufly.mission import State
+from mufly.rotations import quaternion_from_euler
 from mufly.sensor_table import READINGS
 from mufly.vehicle import Vehicle
 from mufly.version import __version__

@@ -47,12 +47,12 @@ from mufly.logs.raw_log import (
     Channel,
     RawLog,
     RawTable,
-    quaternion_to_euler,
     select_usable_samples,
     unwrap_angle,
 )
 from mufly.quantities import find_quantity, parse_column_name, split_signal_name
 from mufly.quantity_grammar import read_column_lines
+from mufly.rotations import euler_from_measured_quaternion
 from mufly.units import normalise_unit, split_header, unit_conversion
 
 _BUILTIN_MAPS_FOLDER = files("mufly.logs") / "maps"
@@ -465,7 +465,7 @@ def _resolve_entry(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTabl
         names.append(name)
     if entry.quaternion and not must:
         block = np.column_stack([table.fields[n] for n in names])
-        if not np.isfinite(quaternion_to_euler(block)).any():
+        if not np.isfinite(euler_from_measured_quaternion(block)).any():
             return None
     return table, entry, names
 
@@ -496,7 +496,7 @@ def _make_channels(
     # A header's unit inside the map's own column name counts too.
     units = [u or split_header(c)[1] for u, c in zip(units, entry.columns, strict=True)]
     if entry.quaternion:
-        values = quaternion_to_euler(np.column_stack(columns).astype(np.float64))
+        values = euler_from_measured_quaternion(np.column_stack(columns).astype(np.float64))
         columns, units, sources = list(values.T), ["rad"] * 3, [f"{table.name}/{names[0]}.."] * 3
         signs: tuple[float, ...] = (1.0, 1.0, 1.0) if isinstance(entry.sign, float) else entry.column_signs[1:]
     else:

@@ -541,28 +541,3 @@ def unwrap_angle(angle: _Array, period: float = 2 * np.pi) -> _Array:
         known = np.isfinite(column)
         column[known] = np.unwrap(column[known], period=period)
     return out
-
-
-def quaternion_to_euler(quaternion: _Array) -> _Array:
-    """Return roll, pitch and yaw of quaternions that turn body axes into N-E-D.
-
-    Parameters
-    ----------
-    quaternion : (n, 4) array
-        w, x, y, z; need not be of length 1. One shorter than a half is no attitude.
-
-    Returns
-    -------
-    (n, 3) array
-        rad, in the aviation order (yaw, then pitch, then roll); NaN where there is no attitude. (Diebel 2006,
-        "Representing Attitude", eq. 290.)
-    """
-    length = np.linalg.norm(quaternion, axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        w, x, y, z = (quaternion / length[:, None]).T
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    out: _Array = np.column_stack((roll, pitch, yaw))
-    out[~(length > 0.5)] = np.nan
-    return out

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler
+from mufly.dynamics import body_to_ned_matrix
 from mufly.errors import InputError
+from mufly.rotations import quaternion_from_euler
 from mufly.sensor_table import SENSORS
 from mufly.sensors.electrical import BackEmfSensor, BatterySensor
 from mufly.sensors.faults import Fault, FaultySensor

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mufly.camera import Camera, VehicleMotion, encode_jpeg
 from mufly.dynamics import GRAVITY
-from mufly.dynamics.model_state import quaternion_from_euler
+from mufly.rotations import quaternion_from_euler
 from mufly.slam.camera_frame import CameraFrame
 from mufly.slam.dataset_readers import PHASE_COLUMNS, TELEMETRY_COLUMNS
 from mufly.slam.synthetic_datasets import VehiclePath

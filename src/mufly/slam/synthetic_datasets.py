@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from mufly.camera import Camera, Floor, Renderer, VehicleMotion
 from mufly.dynamics import GRAVITY, body_to_ned_matrix
-from mufly.dynamics.model_state import quaternion_from_euler
 from mufly.errors import ArgumentError, InputError
+from mufly.rotations import quaternion_from_euler
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
 from mufly.world import World
 

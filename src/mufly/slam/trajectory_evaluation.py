@@ -25,10 +25,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics.model_state import euler_from_quaternion
 from mufly.errors import InputError
 from mufly.logs import LogWarning
 from mufly.results import result
+from mufly.rotations import euler_from_quaternion
 from mufly.text_table import decode_text, detect_layout
 
 _Array = NDArray[np.float64]

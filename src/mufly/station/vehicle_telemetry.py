@@ -24,6 +24,7 @@ from mufly.link.codec import GlobalOrigin, MavMessage
 from mufly.link.estimate_messages import CHECKS_ARRAY_NAME, TEST_RATIOS
 from mufly.link.telemetry_streams import MISSION_STATES, REAL_TIME_FACTOR_NAME, SLIPS_NAME
 from mufly.quantities import CHECKED_READINGS, mavlink_columns, quantities_recorded_in
+from mufly.rotations import euler_from_quaternion
 from mufly.station.signal_history import SLOW_SIGNAL_TIMEOUT_S, PresentSignals, SignalHistory, unknown_values
 from mufly.vehicle_types import flight_mode_name
 
@@ -263,7 +264,7 @@ class VehicleTelemetry:
     def _read_quaternion(self, m: MavMessage) -> _VariableValues:
         rates = (m.rollspeed, m.pitchspeed, m.yawspeed)
         return {
-            "estimated_attitude": _euler_from_quaternion(m.q1, m.q2, m.q3, m.q4),
+            "estimated_attitude": _read_euler_angles(m.q1, m.q2, m.q3, m.q4),
             "estimated_rates": rates,
         }
 
@@ -300,7 +301,7 @@ class VehicleTelemetry:
         return {"reference_position": given[:3], "reference_velocity": given[3:]}
 
     def _read_attitude_target(self, m: MavMessage) -> _VariableValues:
-        return {"reference_attitude": (math.nan,) * 3 if m.type_mask & 128 else _euler_from_quaternion(*m.q)}
+        return {"reference_attitude": (math.nan,) * 3 if m.type_mask & 128 else _read_euler_angles(*m.q)}
 
     def _read_actuators(self, m: MavMessage) -> _VariableValues:
         # The order of the outputs is ours; another vehicle's may mean anything.
@@ -483,15 +484,13 @@ def _is_valid_place(latitude_e7: int, longitude_e7: int) -> bool:
     return abs(latitude_e7) <= _NEAR_POLE_DEG * 1e7 and abs(longitude_e7) <= 180.0 * 1e7
 
 
-def _euler_from_quaternion(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _read_euler_angles(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Roll, pitch, yaw of a quaternion (rad); NaN if it is none."""
     size = math.sqrt(w * w + x * x + y * y + z * z)
     if not 0.5 < size < 2.0:
         return (math.nan,) * 3
-    w, x, y, z = w / size, x / size, y / size, z / size
-    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-    return roll, pitch, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    roll, pitch, yaw = euler_from_quaternion((w / size, x / size, y / size, z / size)).tolist()
+    return roll, pitch, yaw
 
 
 @dataclass(frozen=True, slots=True)

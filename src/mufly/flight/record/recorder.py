@@ -36,6 +36,7 @@ from mufly.logs.mcap_recording import (
     foxglove_time,
     object_schema,
 )
+from mufly.rotations import quaternions_from_euler
 from mufly.world import World
 
 BODY_COLOUR = (0.20, 0.20, 0.20, 1.0)
@@ -125,31 +126,6 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     ),
 }
 """JSON schemas of the messages written here, by name."""
-
-
-def attitude_quaternions(attitude: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions (x, y, z, w) that turn body axes into N-E-D.
-
-    Parameters
-    ----------
-    attitude : (n, 3) array
-        Roll, pitch, yaw (rad), in the aviation order (yaw, then pitch, then roll).
-
-    Returns
-    -------
-    (n, 4) array
-        Product of the three half-angle rotations.
-    """
-    half = 0.5 * attitude
-    (c1, c2, c3), (s1, s2, s3) = np.cos(half).T, np.sin(half).T
-    return np.column_stack(
-        (
-            s1 * c2 * c3 - c1 * s2 * s3,
-            c1 * s2 * c3 + s1 * c2 * s3,
-            c1 * c2 * s3 - s1 * s2 * c3,
-            c1 * c2 * c3 + s1 * s2 * s3,
-        )
-    )
 
 
 def transform_templates() -> tuple[list[bytes], list[bytes]]:
@@ -367,7 +343,7 @@ class RecordingEncoder:
             ("truth", "reference"), (TF_TOPIC, REFERENCE_POSE_TOPIC), transform_templates(), strict=True
         ):
             position, attitude = self._drawn_pose(rows, prefix)
-            turn = attitude_quaternions(attitude)
+            turn = np.roll(quaternions_from_euler(attitude), -1, axis=1)  # Foxglove: x, y, z, w
             drawn = np.round(np.hstack((position, turn)), 6).astype(np.float64)
             numbers = encode_json_numbers(drawn)
             repeat = 2 if topic == TF_TOPIC else 1

@@ -51,7 +51,6 @@ from mufly.dynamics import (
     Trim,
     battery_state,
     body_to_ned_matrix,
-    euler_from_quaternion,
     find_trim,
     integrate_state,
     linearise_vehicle,
@@ -101,6 +100,7 @@ from mufly.identify.flight.output_error_problem import PART_OUTPUTS, DynamicsPar
 from mufly.identify.flight_record import FlightRecord
 from mufly.numba_cache import cached_njit
 from mufly.results import result, select_fields
+from mufly.rotations import euler_from_quaternion
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.floating[Any]]

@@ -32,7 +32,6 @@ from scipy.signal import butter, lfilter
 from mufly.dynamics import (
     DrydenWind,
     battery_state,
-    euler_from_quaternion,
     find_trim,
     integrate_state,
     model_parameters,
@@ -44,6 +43,7 @@ from mufly.identify.flight.free_parameters import choose_free_parameters
 from mufly.identify.flight.staged_search import FitMethod, FitProgress
 from mufly.identify.flight_record import FlightRecord
 from mufly.results import result, select_fields
+from mufly.rotations import euler_from_quaternion
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
 _Array = NDArray[np.float64]

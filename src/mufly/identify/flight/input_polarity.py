@@ -53,7 +53,6 @@ from mufly.identify.flight_record import (
     FlightRecord,
     estimate_difference_noise,
 )
-from mufly.identify.linear.flight_path_reconstruction import body_to_ned_rotation
 from mufly.identify.record_consistency import (
     SignalFault,
     check_record,
@@ -61,6 +60,7 @@ from mufly.identify.record_consistency import (
     moving_average,
     refuse_fatal_faults,
 )
+from mufly.rotations import body_to_ned_matrices
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
@@ -127,7 +127,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
         return moving_average(np.column_stack([0.5 * (y[1:] + y[:-1]) for y in made]), over)
 
     found: dict[str, InputGain] = {}
-    turn = body_to_ned_rotation(m[:, MO_EULER:MO_RATES])
+    turn = body_to_ned_matrices(m[:, MO_EULER:MO_RATES])
     load = (thrust.sum(axis=1) - p["downwash"]) / p["mass"]
     if has & {"height", "climb"}:
         slow = max(1, round(_HEAVE_AVERAGING_SPAN_S / dt))  # heights are noisier than gyros

@@ -48,6 +48,7 @@ from mufly.identify.fit_result import (
 )
 from mufly.identify.flight_record import EvenLogTable, low_pass, smooth_signal
 from mufly.results import result
+from mufly.rotations import body_to_ned_matrices
 from mufly.units import GRAVITY
 
 Array = NDArray[np.float64]
@@ -139,25 +140,12 @@ class ReconstructedPath:
         return self.measured - self.states[:, [FLIGHT_PATH_STATES.index(o) for o in self.outputs]]
 
 
-def body_to_ned_rotation(attitude: Array) -> Array:
-    """Return the matrices (n, 3, 3) from body to north, east, down, of roll, pitch and yaw (n, 3)."""
-    (s1, s2, s3), (c1, c2, c3) = np.sin(attitude).T, np.cos(attitude).T
-    return np.stack(
-        [
-            np.stack([c2 * c3, s1 * s2 * c3 - c1 * s3, c1 * s2 * c3 + s1 * s3], axis=-1),
-            np.stack([c2 * s3, s1 * s2 * s3 + c1 * c3, c1 * s2 * s3 - s1 * c3], axis=-1),
-            np.stack([-s2, s1 * c2, c1 * c2], axis=-1),
-        ],
-        axis=-2,
-    )
-
-
 def flight_path_derivative(x: Array, m: Array) -> Array:
     """Return the derivatives (n, 9) of states at true rates and specific force (n, 6)."""
     s1, c1 = np.sin(x[:, 0]), np.cos(x[:, 0])
     turn = m[:, 1] * s1 + m[:, 2] * c1
     attitude = np.stack([m[:, 0] + turn * np.tan(x[:, 1]), m[:, 1] * c1 - m[:, 2] * s1, turn / np.cos(x[:, 1])], axis=1)
-    force = np.einsum("nij,nj->ni", body_to_ned_rotation(x[:, :3]), m[:, 3:])
+    force = np.einsum("nij,nj->ni", body_to_ned_matrices(x[:, :3]), m[:, 3:])
     return np.concatenate([attitude, force + np.array([0.0, 0.0, GRAVITY]), x[:, 3:6]], axis=1)
 
 
@@ -450,7 +438,7 @@ def check_sensor_axes(
         if all(name in known for name in FLIGHT_PATH_STATES[3:6]):
             changes = [smooth_signal(known[name], dt, 0.3, slope=True) for name in FLIGHT_PATH_STATES[3:6]]
             pull = np.column_stack(changes) - [0.0, 0.0, GRAVITY]
-            force = np.einsum("nji,nj->ni", body_to_ned_rotation(angle), pull)
+            force = np.einsum("nji,nj->ni", body_to_ned_matrices(angle), pull)
             wide = np.column_stack([smooth_signal(raw[:, 3 + k], dt, 0.3) for k in range(3)])
             more, said = _compare_axes(IMU_CHANNELS[3:], wide, force, "the change of velocity", "")
             problems, notes = problems + more, notes + said
