@@ -350,7 +350,7 @@ def compute_coax_map(
     """Compute c_T and c_Q of both rotors over their speeds and the climb velocity, as a file that a vehicle can name.
 
     A line `coefficient_map = "pair.toml"` in the table `rotors` of a vehicle file makes the flight model use it in
-    place of the constant coefficients (docs/explanation/coax-map.md). A run that is stopped goes on when the same
+    place of the constant coefficients (docs/explanation/coax.md). A run that is stopped goes on when the same
     command is given again. Blade elements take seconds, wakes minutes; these have turns=3 and tolerance=3e-3 unless
     --wake-set differs. Example: mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out
     pair.toml

@@ -155,7 +155,7 @@ def _describe_coefficients(v: Vehicle) -> str:
     """Say which thrust and torque coefficients hold in flight."""
     m = v.rotors.coefficient_map
     if m is None:
-        return "In flight cT and cQ are constant (rotors.coefficient_map can name a map; docs/explanation/coax-map.md)."
+        return "In flight cT and cQ are constant (rotors.coefficient_map can name a map; docs/explanation/coax.md)."
     level = {
         "computed": "as computed: the constants cT and cQ above are not used",
         "constants": "scaled to the constants cT and cQ above at hover",
