@@ -1,6 +1,6 @@
 """Blade element momentum theory: hover points per second, one rotor and many.
 
-    python benchmarks/bench_bemt.py
+    python benchmarks/bench_bemt.py [--record]
 
 Targets: 0.05 ms a hover point in a batch on two cores, polars included (qprop.c takes 0.2 ms); time linear in
 the number of points; a coaxial pair and its trim quick enough for design loops.
@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 import time
 from collections.abc import Callable
 
 import numpy as np
+from figure_record import take_record_option
 
 from mufly.rotor import (
     TEXTBOOK_CORRECTIONS,
@@ -41,6 +43,7 @@ def best(task: Callable[[], object], repeats: int = 5) -> float:
 
 def main() -> None:
     """Print the numbers."""
+    record = take_record_option(sys.argv)
     start = time.perf_counter()
     rotor = load_rotor("naca0012-r60-c20")
     tables = compute_polars(["naca0012"])
@@ -79,7 +82,9 @@ def main() -> None:
         solve_system(both, OperatingCondition((0.25, math.radians(16)), (600.0, None)))
 
     print(f"coaxial pair                             {1e3 * best(pair, 20):8.2f} ms")
-    print(f"coaxial pair, torque balanced            {1e3 * best(trim, 10):8.2f} ms")
+    t = best(trim, 10)
+    print(f"coaxial pair, torque balanced            {1e3 * t:8.2f} ms")
+    record("time_trim", 1e3 * t)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from figure_record import RECORD_HELP, make_recorder
 
 from mufly.control import design_flight_controller
 from mufly.errors import InputError
@@ -153,13 +154,22 @@ def nees(asked: argparse.Namespace) -> None:
         "NIS",
     )
     print(f"{head[0]:18s}" + "".join(f"{h:>9s}" for h in head[1:]) + "   (cm, degrees)")
+    found = {}
     for name, scenario in SCENARIOS.items():
         if asked.scenario and asked.scenario != name:
             continue
         vehicle, mission = vehicle_of(scenario), parse_mission(scenario.mission)
         seeds = range(asked.first, asked.first + asked.seeds)
         all_ = [felt(vehicle, mission, k, scenario, asked.level) for k in seeds]
-        print(f"{name:18s}" + Consistency.merge_flights(all_).format_row(), flush=True)
+        found[name] = Consistency.merge_flights(all_)
+        print(f"{name:18s}" + found[name].format_row(), flush=True)
+    if not asked.scenario:
+        record, varied = make_recorder(asked.record), found["10 % off its model"]
+        others = [c.inside for c in found.values() if c is not varied]
+        record("nees", min(c.nees for c in found.values()), max(c.nees for c in found.values()))
+        record("nees_inside", 100 * min(others), 100 * max(others))
+        record("nees_varied", 100 * varied.inside)
+        record("nees_box", 100 * found["box under path"].z_peak)
 
 
 def cost(asked: argparse.Namespace) -> None:
@@ -198,6 +208,7 @@ def single(asked: argparse.Namespace) -> None:
 
 def nanobench(asked: argparse.Namespace) -> None:
     """Four flights of a Crazyflie; aids made from Vicon: 2 cm of noise, 15 Hz, 150 ms late."""
+    off = {}
     for path in sorted(Path(asked.folder).glob("*.csv.gz")):
         aids = AidRequest("truth_position", None, 0.02, 0.02, 15.0, 0.15, asked.first)
         f = read_foreign_log(path, load_column_map("nanobench"), aids, None, [])
@@ -214,6 +225,10 @@ def nanobench(asked: argparse.Namespace) -> None:
             f"{noise.accelerometer:.3g}{less}",
             flush=True,
         )
+        off[path.name] = 100 * found.xy_rms, np.degrees(found.tilt_rms)
+    record, eight = make_recorder(asked.record), next(k for k in off if "figure8" in k)
+    record("nanobench_eight", *off.pop(eight))
+    record("nanobench", max(v[0] for v in off.values()), max(v[1] for v in off.values()))
 
 
 if __name__ == "__main__":
@@ -224,5 +239,6 @@ if __name__ == "__main__":
     parser.add_argument("--scenario", default="")
     parser.add_argument("--folder", default=".")
     parser.add_argument("--level", action="store_true", help="units that stand level to the last bit")
+    parser.add_argument("--record", action="store_true", help=RECORD_HELP)
     given = parser.parse_args()
     {"nees": nees, "cost": cost, "single": single, "nanobench": nanobench}[given.what](given)

@@ -1,6 +1,6 @@
 """How often the 95 % intervals of bench fits hold the truth, over many seeds.
 
-    python benchmarks/identify_bench.py [seeds [first]]
+    python benchmarks/identify_bench.py [seeds [first]] [--record]
 
 Motor: Table 5.3's constants, stationary points at constant voltage with varied torque, errors of 1 % in all four
 channels, of the reading or of full scale. Rotor: constant coefficients, 1 % of the reading. Held: share of intervals
@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
 
 import numpy as np
+from figure_record import take_record_option
 
 from mufly.bench import BenchTable, compute_loads
 from mufly.identify import fit_motor, fit_rotor_coefficients
@@ -58,7 +60,7 @@ def line(name: str, truth: dict[str, float], fits: list[tuple]) -> float:
     return float(np.mean(every))
 
 
-def main(seeds: int, first: int) -> None:
+def main(seeds: int, first: int, record: Callable[..., None]) -> None:
     print(f"{seeds} seeds from {first}\n{'case':36} {'':5} {'held':>7} {'scatter':>9} {'stated':>9}")
     cases = {
         "motor, 3 voltages x 12, of reading": ((4.0, 5.5, 7.2), 12, False),
@@ -71,7 +73,10 @@ def main(seeds: int, first: int) -> None:
             fit_motor(motor_bench(np.random.default_rng(s), voltages, points, full_scale)).estimates
             for s in range(first, first + seeds)
         ]
-        print(f"{name:36} {'all':5} {line(name, MOTOR, fits):7.1%}")
+        held = line(name, MOTOR, fits)
+        print(f"{name:36} {'all':5} {held:7.1%}")
+        if (voltages, points, full_scale) == ((4.0, 5.5, 7.2), 12, False):
+            record("identify_motor", 100 * held)
     for points in (6, 20):
         fits = [
             fit_rotor_coefficients(
@@ -85,5 +90,6 @@ def main(seeds: int, first: int) -> None:
 
 
 if __name__ == "__main__":
+    recorder = take_record_option(sys.argv)
     given = [int(a) for a in sys.argv[1:3]]
-    main(*given, *(300, 0)[len(given) :])
+    main(*given, *(300, 0)[len(given) :], recorder)

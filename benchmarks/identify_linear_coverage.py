@@ -1,6 +1,6 @@
 """How often 95 % intervals of a linear fit hold the truth, with white and with coloured residuals.
 
-    python benchmarks/identify_linear_coverage.py [SEEDS]
+    python benchmarks/identify_linear_coverage.py [SEEDS] [--record]
 
 Roll and pitch rates of a coupled first-order model, 60 s at 25 Hz, steps of both sticks, noise of standard deviation
 0.05 rad/s: white, or first-order with a pole at 0.9. Counts all
@@ -10,6 +10,7 @@ parameters (eight derivatives, two delays) of all seeds.
 import sys
 
 import numpy as np
+from figure_record import take_record_option
 from scipy.signal import lfilter
 
 from mufly.identify.flight_record import low_pass
@@ -24,9 +25,11 @@ TRUTH = {
 
 
 def main() -> None:
+    record = take_record_option(sys.argv)
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 60
     structure = structure_by_name("first-order-coupled", ("lat", "lon"), ("p", "q"))
     truth = np.array([TRUTH[s] for s in structure.symbols])
+    held = []
     for pole in (0.0, 0.9):
         corrected, plain = [], []
         for seed in range(seeds):
@@ -38,7 +41,9 @@ def main() -> None:
             off = np.abs(f.values - truth)
             corrected.append(off < 1.96 * np.sqrt(np.diag(f.covariance)))
             plain.append(off < 1.96 * np.sqrt(np.diag(f.bound)))
+        held.append(100 * np.mean(corrected))
         print(f"pole {pole}: corrected {100 * np.mean(corrected):.1f} %, plain bounds {100 * np.mean(plain):.1f} %")
+    record("identify_linear", *held)
 
 
 if __name__ == "__main__":

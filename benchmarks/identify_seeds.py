@@ -15,6 +15,7 @@ import os
 import time
 
 import numpy as np
+from figure_record import RECORD_HELP, make_recorder
 
 from mufly.identify import FitResult, run_identification_demo
 from mufly.identify.flight.identification_demo import DEMO_FREE_SYMBOLS
@@ -33,6 +34,7 @@ def main() -> None:
     parser.add_argument("--cma", type=int, default=0, help="repeat so many seeds by CMA-ES")
     parser.add_argument("--moving", action="store_true", help="records begin in mid-flight")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--record", action="store_true", help=RECORD_HELP)
     arguments = parser.parse_args()
     run_identification_demo(seed=10_000)  # compiles
     cpu_start = time.process_time()
@@ -82,6 +84,10 @@ def main() -> None:
         "processor_seconds_a_seed": (time.process_time() - cpu_start) / len(rows),
         "load_average": os.getloadavg()[0],
     }
+    record = make_recorder(arguments.record)
+    record("identify_converged", summary["converged"])
+    record("identify_inside", 100 * summary["inside_share"])
+    record("identify_held_out", summary["held_out_worst"])
     print(json.dumps({"summary": summary, "rows": rows} if arguments.json else summary, indent=2))
 
 

@@ -20,6 +20,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from figure_record import RECORD_HELP, make_recorder
 
 from mufly.errors import MuflyError
 from mufly.identify import choose_free_parameters, fit_flight_records
@@ -79,6 +80,7 @@ def main() -> None:
     parser.add_argument("--held", type=float, help="relative standard deviation of all that is held")
     parser.add_argument("--exact", action="store_true")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--record", action="store_true", help=RECORD_HELP)
     a = parser.parse_args()
     nominal, rows = load_vehicle("mufly-1.1"), []
     if a.held is not None:
@@ -112,6 +114,7 @@ def main() -> None:
             a.json.write_text(json.dumps(rows, indent=1, default=float))
     table = np.array([[r["inside"][s] for s in DEMO_FREE_SYMBOLS] for r in rows])
     print(f"{table.sum()} of {table.size} inside, {100 * table.mean():.1f} %")
+    make_recorder(a.record)("identify_vehicles", 100 * table.mean())
     print(f"{sum(r['converged'] for r in rows)} of {len(rows)} converged")
     print({s: round(float(v), 2) for s, v in zip(DEMO_FREE_SYMBOLS, table.mean(axis=0), strict=True)})
 

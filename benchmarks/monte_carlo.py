@@ -17,6 +17,7 @@ import pstats
 import sys
 import time
 
+from figure_record import RECORD_HELP, make_recorder
 from numba.core.dispatcher import Dispatcher
 
 from mufly.firmware import GenericFirmwareSoftware
@@ -40,7 +41,9 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--flights", type=int, default=20)
     p.add_argument("--jobs", type=int, default=os.cpu_count())
+    p.add_argument("--record", action="store_true", help=RECORD_HELP)
     asked = p.parse_args()
+    record = make_recorder(asked.record)
     vehicle, mission = load_vehicle("mufly-1.1"), load_mission("demonstration")
     for sensors in ("ideal", "fitted"):
         campaign = Campaign.create_checked(
@@ -81,6 +84,8 @@ def main() -> None:
         print(f"  first flights of new processes are over after {first:7.1f} s")
         print(f"  flown time over wall time, together           {flown / wall:7.0f}   (target 500, then 2000)")
         print(f"  1000 flights of 60 s would take               {60e3 * wall / flown:7.0f} s (target 120, then 30)")
+        if sensors == "fitted":
+            record("time_flights", 60e3 * wall / flown)
         print(f"  one process: times real time                  {seconds / cpu:7.0f}")
         print(f"    in compiled functions alone                 {seconds / inside:7.0f}")
         print(f"    time over that of the compiled functions    {cpu / inside:7.1f}")

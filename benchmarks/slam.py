@@ -15,6 +15,7 @@ import time
 from typing import Any
 
 import numpy as np
+from figure_record import RECORD_HELP, make_recorder
 
 from mufly.camera import Renderer, VehicleMotion, load_camera, make_floor
 from mufly.dynamics import body_to_ned_matrix
@@ -79,6 +80,8 @@ def fly(
 
 
 ratios: list[np.ndarray] = []
+CLOSED_M = 0.05
+"""Error at the end of a round below which its loop counts as closed."""
 
 
 def node(lens: Any, frame: Any, motion: VehicleMotion) -> np.ndarray:
@@ -120,8 +123,8 @@ def tell(name: str, results: list[Any], closures: list[int], worst: list[float],
     print(f"{name}: {'; '.join(parts)}", flush=True)
 
 
-def many(name: str, camera: str, floor: str, seeds: range, duration: float, verbose: bool, **more: Any) -> None:
-    """One case over seeds; sequences of which nothing was answered are told and left out."""
+def many(name: str, camera: str, floor: str, seeds: range, duration: float, verbose: bool, **more: Any) -> list[Any]:
+    """One case over seeds; return its results. Sequences of which nothing was answered are told and left out."""
     results, closures, worst, spent = [], [], [], []
     for seed in seeds:
         try:
@@ -137,6 +140,12 @@ def many(name: str, camera: str, floor: str, seeds: range, duration: float, verb
             tell(f"  {seed}", [result], closures[-1:], [off], [each])
     if results:
         tell(name, results, closures, worst, spent)
+    return results
+
+
+def rms_cm(results: list[Any]) -> float:
+    """Root mean square of the sequences' position errors (cm)."""
+    return 100 * float(np.sqrt(np.mean([r.rms_m**2 for r in results])))
 
 
 def speed() -> None:
@@ -166,15 +175,26 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--duration", type=float, default=15.0)
     parser.add_argument("-v", action="store_true")
+    parser.add_argument("--record", action="store_true", help=RECORD_HELP)
     a = parser.parse_args()
+    record = make_recorder(a.record)
     seeds = range(a.first, a.first + a.seeds)
     match a.case:
         case "quality":
-            many(f"{a.camera}, {a.floor}", a.camera, a.floor, seeds, a.duration, a.v, side=2.0, speed=0.4)
+            found = many(f"{a.camera}, {a.floor}", a.camera, a.floor, seeds, a.duration, a.v, side=2.0, speed=0.4)
+            if (a.camera, a.floor) == ("mufly-2.0", "rich"):
+                record("slam_rms", rms_cm(found))
+                record("slam_nees", np.mean([r.nees for r in found]), 100 * np.mean([r.inside for r in found]))
+            elif (a.camera, a.floor) == ("worst", "rich"):
+                record("slam_worst", rms_cm(found))
         case "loop":
             for close in (False, True):
                 name = f"{a.camera}, 20 m round, {'closed' if close else 'not closed'}"
-                many(name, a.camera, a.floor, seeds, 45.0, a.v, side=5.6, speed=0.45, close=close)
+                found = many(name, a.camera, a.floor, seeds, 45.0, a.v, side=5.6, speed=0.45, close=close)
+                if close:
+                    record("slam_loops", sum(r.end_m < CLOSED_M for r in found))
+                else:
+                    record("slam_drift", 100 * np.sqrt(np.mean([(r.end_m / r.way_m) ** 2 for r in found])))
         case "tiles":
             many(f"{a.camera}, tiles", a.camera, "tiles", seeds, a.duration, a.v, side=1.0, speed=0.4)
         case "edges":

@@ -3,6 +3,7 @@
     python benchmarks/validate_bemt.py             # all tables, half a minute
     python benchmarks/validate_bemt.py --short     # Table 3.2 and the propellers only
     python benchmarks/validate_bemt.py --pairs     # coaxial pairs only
+    python benchmarks/validate_bemt.py --record    # and write the figures to docs/figures.json
 
 The data stays outside the project; without it the script says so and stops. What is assumed of sections that
 nobody recorded stands in ``mufly.study.benchmark.rotor_cases``.
@@ -12,10 +13,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+from figure_record import RECORD_HELP, make_recorder
 from rotor_cases import DATA, blading_of, errors, others, propellers, table_3_2
 
 from mufly.rotor import (
@@ -79,7 +82,7 @@ def _print_table(head: list[str], rows: list[list[str]]) -> None:
     print()
 
 
-def report_table_3_2(case: RotorCase) -> None:
+def report_table_3_2(case: RotorCase, record: Callable[..., None]) -> None:
     """Four points, untuned and calibrated on the first."""
     blading = blading_of(case)
     untuned = compare_measurements(blading, case.measured)
@@ -99,9 +102,12 @@ def report_table_3_2(case: RotorCase) -> None:
     )  # fmt: skip
     fixes = tuned_blading.corrections
     print(f"Factors: lift {fixes.lift_factor:.3f}, drag {fixes.drag_factor:.3f}\n")
+    t, q = np.abs(untuned.thrust_error), np.abs(untuned.torque_error)
+    record("bemt_table_mean", 100 * t.mean(), 100 * q.mean())
+    record("bemt_table_worst", 100 * t.max(), 100 * q.max())
 
 
-def report_propellers(cases: list[RotorCase]) -> None:
+def report_propellers(cases: list[RotorCase], record: Callable[..., None]) -> None:
     """Every propeller, the worst first."""
     print("## UIUC propellers, worst first\n")
     rows = []
@@ -117,13 +123,15 @@ def report_propellers(cases: list[RotorCase]) -> None:
             for _, case, t, q in rows
         ],
     )  # fmt: skip
-    for label, chosen in (("all 17", rows), ("6 of known section", [r for r in rows if r[1].section_known])):
+    known = [r for r in rows if r[1].section_known]
+    for label, key, chosen in (("all 17", "bemt_uiuc", rows), ("6 of known section", "bemt_known", known)):
         t, q = (np.mean([_mean(r[i]) for r in chosen]) for i in (2, 3))
         print(f"Mean absolute error, {label}: c_T {t:.1f} %, c_P {q:.1f} %")
+        record(key, t, q)
     print()
 
 
-def report_others(cases: list[RotorCase]) -> None:
+def report_others(cases: list[RotorCase], record: Callable[..., None]) -> None:
     """Single rotors of other sizes."""
     print("## Other rotors\n")
     rows = []
@@ -139,6 +147,10 @@ def report_others(cases: list[RotorCase]) -> None:
             ]
         )
     _print_table(["rotor", "thrust errors", "mean", "torque: mean, bias"], rows)
+    dji, caradonna, t_motor = (errors(case) for case in cases)
+    record("bemt_dji", _mean(dji[0]))
+    record("bemt_caradonna", _mean(caradonna[0]))
+    record("bemt_tmotor", _mean(t_motor[0]), _mean(t_motor[1]))
 
 
 def report_variants(cases: list[RotorCase]) -> None:
@@ -197,7 +209,7 @@ def report_intervals(cases: list[RotorCase]) -> None:
     )
 
 
-def report_fits(cases: list[RotorCase]) -> None:
+def report_fits(cases: list[RotorCase], record: Callable[..., None]) -> None:
     """Sections fitted to the middle point, and to every other point; errors and intervals at the others."""
     print("## Sections fitted to a part of each sweep (`mufly rotor fit`), scored on the rest\n")
     rows, all_of = [], {"one point": [], "every other": []}
@@ -229,13 +241,14 @@ def report_fits(cases: list[RotorCase]) -> None:
         t, q = np.mean(scores, axis=0)
         share = 100 * inside[key][:2] / inside[key][2]
         print(f"{key}: c_T {t:.1f} %, c_P {q:.1f} %; inside the 90 % intervals {share[0]:.0f} and {share[1]:.0f} %")
+        record("bemt_one_point" if key == "one point" else "bemt_half", t, q)
     print()
 
 
 PAIR_METHODS: tuple[SolverMethod, ...] = ("bemt", "tubes")
 
 
-def report_coaxial(case: RotorCase, data: Path = DATA) -> None:
+def report_coaxial(case: RotorCase, record: Callable[..., None], data: Path = DATA) -> None:
     """The dissertation's pair (its vortex method) and the 28 inch pair (measured)."""
     print("## Coaxial pairs\n")
     pair, deg = blading_of(case), np.radians
@@ -279,10 +292,14 @@ def report_coaxial(case: RotorCase, data: Path = DATA) -> None:
     rotor = load_t_motor_28(data)
     for method, n_crit in product(PAIR_METHODS, (0.1, 4.0, 9.0)):
         label = f"28 inch pair, {method}, n_crit {n_crit:g}"
-        _report_28_inch(blading_of(rotor, n_crit=n_crit), label, data, method)
+        mean = _report_28_inch(blading_of(rotor, n_crit=n_crit), label, data, method)
+        if (method, n_crit) == ("tubes", 0.1):
+            record("tubes_upper", *mean[:2])
+            record("tubes_lower", *mean[2:4])
 
 
-def _report_28_inch(big: Blading, label: str, data: Path, method: SolverMethod) -> None:
+def _report_28_inch(big: Blading, label: str, data: Path, method: SolverMethod) -> np.ndarray:
+    """Print a table; return mean absolute errors (%): upper thrust, torque, lower ones, both together."""
     found, system = [], RotorSystem.coaxial_pair(big, big, spacing_m=0.115)
     for rpm_l, t_l, q_l, _, t_u, q_u, _, rpm_u in read_text_table(data / "tmotor28_coaxial.csv").read_matrix():
         r = solve_system(system, OperatingCondition(0.0, (rpm_u * RPM, rpm_l * RPM), air=T_MOTOR_AIR), method)
@@ -296,6 +313,7 @@ def _report_28_inch(big: Blading, label: str, data: Path, method: SolverMethod) 
             ["mean error"] + [f"{v:.1f} %" for v in np.abs(error).mean(axis=0)],
         ],
     )
+    return np.abs(error).mean(axis=0)
 
 
 def main() -> None:
@@ -303,23 +321,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--short", action="store_true")
     parser.add_argument("--pairs", action="store_true")
+    parser.add_argument("--record", action="store_true", help=RECORD_HELP)
     args = parser.parse_args()
+    record = make_recorder(args.record)
     if not DATA.is_dir():
         sys.exit("validate_bemt: the measurements (../shared/data/aero) are not here; nothing to compare with")
     if args.pairs:
-        report_coaxial(table_3_2())
+        report_coaxial(table_3_2(), record)
         return
     thesis, props = table_3_2(), propellers()
-    report_table_3_2(thesis)
-    report_propellers(props)
+    report_table_3_2(thesis, record)
+    report_propellers(props, record)
     if args.short:
         return
     rest = others()
-    report_others(rest)
+    report_others(rest, record)
     report_variants([thesis, *props, *rest])
     report_intervals([thesis, *props, *rest])
-    report_fits(props)
-    report_coaxial(thesis)
+    report_fits(props, record)
+    report_coaxial(thesis, record)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
     python benchmarks/validate_wake.py                      # all: 15 minutes on two idle cores
     python benchmarks/validate_wake.py table others         # Table 3.2; the three larger rotors
     python benchmarks/validate_wake.py --keep solved        # a stopped run goes on where it was
+    python benchmarks/validate_wake.py --record             # and write the figures to docs/figures.json
 
 Coaxial pairs: validate_wake_pairs.py. What is assumed of the rotors: mufly.study.benchmark.rotor_cases, for both
 methods. Transition: n_crit 0.1 is the default everywhere; the other values show what it does. For the 28 inch rotor
@@ -12,9 +13,11 @@ n_crit 9 is what clean air at Re 1e5 to 3e5 suggests; all three values had been 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from figure_record import make_recorder
 from rotor_cases import DATA, blading_of, others, propellers, table_3_2
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
@@ -26,7 +29,7 @@ from mufly.units import RPM
 OFFSET_DEG = 0.8  # pitch error of the bench that would explain Table 3.2; shown, never applied
 
 
-def report_table_3_2(solver: Solver) -> None:
+def report_table_3_2(solver: Solver, record: Callable[..., None]) -> None:
     """Four points: default settings, the dissertation's four CFD models, and what the open choices do."""
     case = table_3_2()
     m = case.measured
@@ -58,6 +61,12 @@ def report_table_3_2(solver: Solver) -> None:
             ],
         )  # fmt: skip
 
+    worst = [
+        max(abs(100 * (v / w - 1)) for v, w in zip(found, measured, strict=True))
+        for found, measured in (([a.thrust[0] for a in ours], m.thrust_N), ([a.torque[0] for a in ours], m.torque_Nm))
+    ]
+    record("wake_table", *worst)
+
     def row(label: str, found: list[Answer]) -> list[str]:
         t = [percent(a.thrust[0], v) + a.mark() for a, v in zip(found, m.thrust_N, strict=True)]
         q = [percent(a.torque[0], v) for a, v in zip(found, m.torque_Nm, strict=True)]
@@ -75,7 +84,7 @@ def report_table_3_2(solver: Solver) -> None:
           ["", *(["thrust"] + [""] * 3), *(["torque"] + [""] * 3)], rows)  # fmt: skip
 
 
-def report_others(solver: Solver) -> None:
+def report_others(solver: Solver, record: Callable[..., None]) -> None:
     """Caradonna and Tung, DJI 9443, the 28 inch rotor alone, at three transitions."""
     rows = []
     for case in others():
@@ -91,6 +100,8 @@ def report_others(solver: Solver) -> None:
                 speed_rad_s=m.speed_rad_s[chosen], air=case.air,
             ).thrust_N / m.thrust_N[chosen] - 1  # fmt: skip
             known = bool(np.isfinite(q).all())
+            if n_crit == 0.1:
+                _record_other(case.name, 100 * np.abs(t), 100 * np.abs(q), record)
             rows.append([
                 case.name, f"{n_crit:g}",
                 ", ".join(f"{100 * v:+.1f}{a.mark()}" for v, a in zip(t, found, strict=True)),
@@ -106,7 +117,17 @@ def report_others(solver: Solver) -> None:
     )
 
 
-def report_propellers(solver: Solver) -> None:
+def _record_other(name: str, thrust: np.ndarray, torque: np.ndarray, record: Callable[..., None]) -> None:
+    """Record the sizes of a rotor's errors (%)."""
+    if name == "caradonna-tung":
+        record("wake_caradonna", thrust.max())
+    elif name.startswith("dji"):
+        record("wake_dji", thrust[0])
+    else:
+        record("wake_tmotor", thrust[thrust.size // 2], torque[torque.size // 2])
+
+
+def report_propellers(solver: Solver, record: Callable[..., None]) -> None:
     """Seventeen propellers at their least, middle and greatest speed, beside BEMT at the same points."""
     rows, scores, known = [], [], []
     for case in propellers():
@@ -138,6 +159,8 @@ def report_propellers(solver: Solver) -> None:
     every, mask = np.array(scores), np.array(known)
     for label, part in (("all", every), ("section known", every[mask]), ("section guessed", every[~mask])):
         a, b, c, d = part.mean(axis=0)
+        if label == "all":
+            record("wake_uiuc", a, c)
         print(f"{label}, {len(part)} propellers: c_T {a:.1f} (BEMT {b:.1f}), c_P {c:.1f} (BEMT {d:.1f})")
     print()
 
@@ -204,15 +227,15 @@ def main() -> None:
     args = arguments(__doc__, ("table", "others", "stations", "propellers", "momentum"))
     if not DATA.is_dir():
         sys.exit("validate_wake: the measurements (../shared/data/aero) are not here; nothing to compare with")
-    solver = Solver(args.keep)
+    solver, record = Solver(args.keep), make_recorder(args.record)
     if "table" in args.parts:
-        report_table_3_2(solver)
+        report_table_3_2(solver, record)
     if "others" in args.parts:
-        report_others(solver)
+        report_others(solver, record)
     if "stations" in args.parts:
         report_stations()
     if "propellers" in args.parts:
-        report_propellers(solver)
+        report_propellers(solver, record)
     if "momentum" in args.parts:
         report_momentum()
     farewell(solver)

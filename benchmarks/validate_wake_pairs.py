@@ -11,8 +11,10 @@ python benchmarks/validate_wake_pairs.py --keep solved   # a stopped run goes on
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
 import numpy as np
+from figure_record import make_recorder
 from rotor_cases import DATA, blading_of, table_3_2
 from wake_cases import Answer, Solver, arguments, farewell, percent, table
 
@@ -38,7 +40,7 @@ def _ratio(answer: Answer, what: str) -> float:
     return float(lower / upper)
 
 
-def report_thesis(solver: Solver) -> None:
+def report_thesis(solver: Solver, record: Callable[..., None]) -> None:
     """Equal speeds, torque balance, spacing; NACA 0012, 14 degrees, R 60 mm, chord 20 mm."""
     case = table_3_2()
     pair = blading_of(case)
@@ -53,6 +55,8 @@ def report_thesis(solver: Solver) -> None:
             speed=(rpm * RPM, rpm * RPM),
             air=BENCHMARK_AIR,
         )
+        if rpm == 6000:
+            record("wake_pair_ratio", _ratio(both, "thrust"), _ratio(both, "torque"))
         rows.append([
             f"{rpm}", f"{alone.thrust[0]:.4f}", f"{both.thrust[0]:.4f}{both.mark()}", f"{both.thrust[1]:.4f}",
             percent(both.thrust[0], alone.thrust[0]), percent(both.torque[0], alone.torque[0]),
@@ -95,7 +99,7 @@ def report_thesis(solver: Solver) -> None:
           "turns 4 to 12 % faster.\n")  # fmt: skip
 
 
-def report_big(solver: Solver) -> None:
+def report_big(solver: Solver, record: Callable[..., None]) -> None:
     """The measured 28 inch pair: A is the lower rotor, B the upper one, at slightly different speeds."""
     points = read_text_table(DATA / "tmotor28_coaxial.csv").read_matrix()
     chosen = points[np.linspace(0, len(points) - 1, 4).round().astype(int)]
@@ -121,6 +125,9 @@ def report_big(solver: Solver) -> None:
             fast.append(100 * (np.array(theirs) / measured - 1))
         for label, found in (("wake", np.array(errors)), ("BEMT", np.array(fast))):
             mean = np.abs(found).mean(axis=0)
+            if (label, n_crit) == ("wake", 0.1):
+                record("wake_big_upper", *mean[:2])
+                record("wake_big_lower", *mean[2:4])
             cells = [f"{', '.join(f'{v:+.1f}' for v in found[:, k])} ({mean[k]:.1f})" for k in range(5)]
             rows.append([f"{label}, n_crit {n_crit:g}{max(marks) if label == 'wake' else ''}", *cells])
     speeds = ", ".join(f"{v:.0f}" for v in chosen[:, 0])
@@ -132,7 +139,7 @@ def _loads(b: SystemSolution) -> list[float]:
     return [b.upper.thrust_N, b.upper.torque_Nm, b.lower.thrust_N, b.lower.torque_Nm]
 
 
-def report_bemt(solver: Solver) -> None:
+def report_bemt(solver: Solver, record: Callable[..., None]) -> None:
     """Coaxial BEMT against the wake method; the upper rotor at 6000 rpm, both at 14 degrees."""
     pair: Blading = blading_of(table_3_2())
     upper = 6000 * RPM
@@ -161,7 +168,7 @@ def report_bemt(solver: Solver) -> None:
     ])  # fmt: skip
 
 
-def report_spacing(solver: Solver) -> None:
+def report_spacing(solver: Solver, record: Callable[..., None]) -> None:
     """Equal speeds, 14 degrees, 6000 rpm: how the thrust is shared over the spacing; old cores held at 0.3 R."""
     case = table_3_2()
     rotor, speed = blading_of(case), (6000 * RPM, 6000 * RPM)
@@ -203,7 +210,7 @@ def main() -> None:
     args = arguments(__doc__, ("thesis", "big", "bemt", "spacing"))
     if not DATA.is_dir():
         sys.exit("validate_wake_pairs: the measurements (../shared/data/aero) are not here; nothing to compare with")
-    solver = Solver(args.keep)
+    solver, record = Solver(args.keep), make_recorder(args.record)
     for name, report in (
         ("thesis", report_thesis),
         ("big", report_big),
@@ -211,7 +218,7 @@ def main() -> None:
         ("spacing", report_spacing),
     ):
         if name in args.parts:
-            report(solver)
+            report(solver, record)
     farewell(solver)
 
 

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from figure_record import RECORD_HELP
 from rotor_cases import blading_of
 
 from mufly.answer_store import hash_question, read_answer, write_answer
@@ -209,6 +210,7 @@ def arguments(doc: str | None, parts: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(parts)}; default: all")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep solved cases there, and read them again")
+    parser.add_argument("--record", action="store_true", help=RECORD_HELP)
     args = parser.parse_args()
     unknown = sorted(set(args.parts) - set(parts))
     if unknown:

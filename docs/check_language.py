@@ -9,7 +9,8 @@
 - ``opening``: a sentence or heading that begins with a relative clause (What, Who, Where ...) and is no question.
 - ``history``: words that tell how the software was, outside the changelog and ``docs/log``.
 - ``subject``: a commit subject of more than 72 characters, of the commits since :data:`SUBJECTS_SINCE`.
-- ``budget``: a page with more words than :data:`BUDGETS` allows, counted as ``wc -w`` counts.
+- ``budget``: a page with more words than :data:`BUDGETS` allows: all that stands between spaces or table lines and
+  holds a letter or a digit, code included.
 
 Code blocks, displayed equations, doctests, front matter and comments hold no sentences. Generated pages
 (:data:`UNJUDGED`) are left out. :data:`EXCEPTIONS` and :data:`PENDING` name the files that a rule does not judge;
@@ -372,9 +373,10 @@ def file_blocks(path: Path) -> list[Block]:
 
 
 def page_words(path: Path) -> int:
-    """Words of a page, or of the text of a lesson."""
+    """Words of a page, or of the text of a lesson; code counts, the lines of tables do not."""
     text = path.read_text(encoding="utf-8")
-    return len((text if path.suffix == ".md" else " ".join(cell for _, cell in lesson_cells(text))).split())
+    page = text if path.suffix == ".md" else " ".join(cell for _, cell in lesson_cells(text))
+    return count_words(page.replace("|", " "))
 
 
 def all_files(root: Path) -> list[str]:

@@ -6,6 +6,7 @@ help texts and schemas (``make_reference.py``), and the lessons are Python files
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
@@ -26,7 +27,11 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_co
 exclude_patterns = ["*.py", "examples"]
 root_doc = "index"
 
-myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "substitution"]
+# {{ key }} prints the value of a figure. A key that docs/figures.json does not have is a warning, which fails -W.
+myst_substitutions = {
+    row["key"]: row["value"] for row in json.loads((HERE / "figures.json").read_text(encoding="utf-8"))
+}
 myst_fence_as_directive = {"math"}  # as GitHub writes equations
 html_math_renderer = "mathml"
 myst_heading_anchors = 4
