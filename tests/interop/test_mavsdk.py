@@ -69,7 +69,7 @@ EXPECTED_TO_FAIL = {
     "action.set_return_to_launch_altitude",  # PX4's RTL_RETURN_ALT: it returns at the height that it has
     "action.get_return_to_launch_altitude",
 }
-"""What of the tour does not work; docs/validation.md says so."""
+"""Calls of the tour that fail (docs/log/2026-11-22-interoperability.md)."""
 
 
 def test_the_plugins_that_a_user_would_try(flights: dict[str, Any]) -> None:

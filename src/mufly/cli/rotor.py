@@ -279,8 +279,7 @@ def hover(
         float | None,
         define_option(
             "--band",
-            "Add the interval of this nominal probability: 0.5, 0.8, 0.9, 0.95. How often nominal 90 % hold: "
-            "docs/validation.md.",
+            "Add the interval of this nominal probability: 0.5, 0.8, 0.9, 0.95. Measured coverage: docs/accuracy.md.",
             unit="1",
         ),
     ] = None,

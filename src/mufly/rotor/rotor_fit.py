@@ -1,6 +1,6 @@
 """A bench run makes a rotor: which section fits, and what has to change in its coefficients.
 
-The sections of a blade are the least known part of it (docs/validation.md), so a run on a bench is asked for them. For
+The sections of a blade are the least known part of it (docs/accuracy.md), so a run on a bench is asked for them. For
 each section that is possible the coefficients of its polar become
 
     c_l = c_l0 (Re / Re_m)^a exp(l)        c_d = c_d0 (Re / Re_m)^b + (exp(d) - 1) c_d0(Re_m)        theta = theta_0 + p

@@ -17,8 +17,8 @@ camber and thickness are then unknown between neighbours of that list only.
 
 The causes are taken as independent, variances add. None of these numbers was fitted. What they leave out, nobody can
 list; so the sum is widened by :data:`INTERVAL_WIDENING`, the two numbers here that were fitted: with them nominal 90 %
-intervals hold 90 % of the points of the benchmark's rotors, each rotor with the same weight. What that is worth on a
-family of rotors that the numbers have not seen, `mufly rotor benchmark --held-out` tells (docs/benchmark.md).
+intervals hold 90 % of the points of the benchmark's rotors, each rotor with the same weight. `mufly rotor benchmark
+--held-out` measures the coverage on families of rotors that the fit has not seen (docs/accuracy.md).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ SectionKnowledge = Literal["known", "guessed", "measured"]
 SECTION_KNOWLEDGE_LEVELS: tuple[SectionKnowledge, ...] = ("known", "guessed", "measured")
 
 INTERVAL_WIDENING = (1.06, 1.55)
-"""Of thrust and torque: fitted to the 90 % intervals of 21 rotors (docs/benchmark.md)."""
+"""Of thrust and torque: fitted to the 90 % intervals of 21 rotors (docs/accuracy.md)."""
 _MIN_SECTION_PROBABILITY = 0.003  # sections below this probability are left out of a mean
 
 

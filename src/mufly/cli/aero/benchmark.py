@@ -37,7 +37,9 @@ if TYPE_CHECKING:
 def benchmark(
     data: Annotated[
         Path,
-        define_option("--data DIR", "Measurements; which, and where they are to be had: docs/benchmark.md."),
+        define_option(
+            "--data DIR", "Folder of measurements; docs/how-to/score-a-rotor-code.md lists them and their sources."
+        ),
     ],
     code: Annotated[
         list[str] | None,
