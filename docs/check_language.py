@@ -52,10 +52,10 @@ BUDGETS: tuple[tuple[str, int], ...] = (
 )
 """Most words a page; of a lesson, the words of its text."""
 TOTALS: tuple[tuple[str, tuple[str, ...], int], ...] = (
-    ("docs/log/*.md", (), 25_000),
-    ("docs/*.md", ("docs/log/*", "docs/thesis/*", "docs/api/*"), 50_000),
+    ("docs/log", (), 25_000),
+    ("docs", ("docs/log/*", "docs/thesis/*", "docs/api/*"), 50_000),
 )
-"""Most words of all pages that match a pattern, but for those of other patterns."""
+"""Most words of all pages in a folder, but for those of some patterns."""
 
 UNJUDGED = ("docs/api/*", "docs/thesis/thesis.md", "docs/learn/.ipynb_checkpoints/*")
 """Generated files."""
@@ -66,12 +66,29 @@ EXCEPTIONS: tuple[tuple[str, str, str], ...] = ()
 """File, rule and the reason why the rule does not hold there."""
 
 PENDING: tuple[str, ...] = (
-    "docs/*",
-    "src/mufly/*",
-    "README.md",
     "CONTRIBUTING.md",
+    "README.md",
+    "docs",
+    "docs/explanation/architecture.md",
+    "docs/explanation/bench.md",
+    "docs/explanation/cfd.md",
+    "docs/explanation/dynamics.md",
+    "docs/explanation/estimation.md",
+    "docs/explanation/identification-bench.md",
+    "docs/explanation/identification-linear.md",
+    "docs/explanation/identification.md",
+    "docs/explanation/slam.md",
+    "docs/log/2026-11-22-control.md",
+    "docs/log/2026-11-24-firmware.md",
+    "docs/log/2026-11-24-missions.md",
+    "docs/reference/logs.md",
+    "docs/reference/missions.md",
+    "docs/reference/monte-carlo.md",
+    "docs/reference/sensors.md",
+    "docs/thesis/thesis-errata.md",
+    "src/mufly/*",
 )
-"""Files not yet rewritten (patterns); their sentences are not judged."""
+"""Files not yet rewritten (patterns; ``docs`` is the sum of its pages): no rule judges them."""
 
 _RELATIVE = re.compile(r"(What|Who|Whose|Whom|Where|Which|Whoever|Whomever|Whatever|Wherever|Whichever)\b(?!')")
 _HISTORY = re.compile(
@@ -398,10 +415,10 @@ def budget_findings(root: Path, files: Iterable[str]) -> Iterator[Finding]:
         most = next((n for pattern, n in BUDGETS if fnmatch(file, pattern)), None)
         if most is not None and count > most:
             yield Finding(file, 1, "budget", f"{count} words, {most} allowed")
-    for pattern, others, most in TOTALS:
-        count = sum(n for f, n in words.items() if fnmatch(f, pattern) and not matches(f, others))
+    for folder, others, most in TOTALS:
+        count = sum(n for f, n in words.items() if fnmatch(f, f"{folder}/*.md") and not matches(f, others))
         if count > most:
-            yield Finding(pattern, 1, "budget", f"{count} words in all, {most} allowed")
+            yield Finding(folder, 1, "budget", f"{count} words in all, {most} allowed")
 
 
 def subject_findings(root: Path) -> Iterator[Finding]:

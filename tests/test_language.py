@@ -178,6 +178,12 @@ def test_budgets_subjects_and_exceptions(repository, monkeypatch):
     assert ("exception", page) in rules, "one that excuses nothing is told"
 
 
+def test_a_sum_of_pages_has_a_budget(repository, monkeypatch):
+    monkeypatch.setattr(check_language, "TOTALS", (("docs", ("docs/log/*",), 500), ("docs/log", (), 5)))
+    found = {f.file: f.text for f in check_language.check(repository, pending=("docs/how-to/*",)) if f.rule == "budget"}
+    assert found == {"docs": "501 words in all, 500 allowed"}
+
+
 def test_a_shallow_clone_has_no_subjects_to_judge(repository, monkeypatch):
     monkeypatch.setattr(check_language, "SUBJECTS_SINCE", "0" * 40)
     assert list(check_language.subject_findings(repository)) == []
