@@ -4,7 +4,7 @@ Recordings (:mod:`mufly.quantities`), faults (:mod:`mufly.sensors.faults`), the 
 (:mod:`mufly.estimate.filter_records`), messages, MAVLink and the page read it. A sensor has besides its model in a file
 of :mod:`mufly.sensors`, its class in :data:`mufly.sensors.sensor_suite.SENSOR_CLASSES`, its parameters in
 :mod:`mufly.vehicle.sensor_schema`, and, where it is fused, its noise in ``filter_records`` and its measurement model in
-:mod:`mufly.estimate.fusion` (docs/reference/sensors.md).
+:mod:`mufly.estimate.fusion` (docs/how-to/add-a-sensor.md).
 """
 
 from __future__ import annotations
