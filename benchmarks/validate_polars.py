@@ -1,6 +1,6 @@
 """Two engines on the same sections: how far NeuralFoil and XFOIL lie apart.
 
-python benchmarks/validate_polars.py            # the table of docs/explanation/polars.md; needs xfoil
+python benchmarks/validate_polars.py            # the table of docs/log/2026-11-28-polars.md; needs xfoil
 python benchmarks/validate_polars.py e387 goe394
 """
 

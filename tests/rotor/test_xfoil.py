@@ -20,7 +20,7 @@ ANGLES = np.arange(-2.0, 8.5, 1.0)
 @pytest.mark.parametrize("n_crit", [0.1, 9.0])
 @pytest.mark.parametrize("reynolds", [3e4, 1e5])
 def test_neuralfoil_agrees_with_xfoil(n_crit, reynolds):
-    """Attached flow on the standard section; docs/explanation/polars.md has the whole comparison."""
+    """Attached flow on the standard section; docs/log/2026-11-28-polars.md has the whole comparison."""
     airfoil = load_airfoil("naca4412")
     theirs = run(airfoil, [reynolds], n_crit=n_crit, alpha_deg=ANGLES)
     ours = neuralfoil_network.compute_neuralfoil_polars([airfoil], [reynolds], n_crit=n_crit)[0]

@@ -62,7 +62,7 @@ hover,
 
 times ``rotors.ground_effect`` in what it adds. Each rotor has its own height and image. Below h = R/2,
 where the source is too near to stand for a disc, the value there holds. Measured and computed curves beside it:
-docs/explanation/wake.md.
+docs/log/2026-11-28-wake-single-rotors.md.
 """
 
 from __future__ import annotations

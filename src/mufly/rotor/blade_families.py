@@ -13,7 +13,7 @@ airfoil in a rotor file and calls it a guess has looked at the blade: that secti
 
 None of these numbers was fitted. They are what the makers say (APC: NACA 4412, Clark Y, for slow-flyers E63) and what
 such blades look like, written down with the 17 propellers of the benchmark known; docs/explanation/bemt.md lists them,
-and what they are worth on rotors.
+and docs/log/2026-11-28-bemt-accuracy.md has their effect on rotors.
 """
 
 from __future__ import annotations

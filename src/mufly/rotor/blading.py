@@ -3,8 +3,8 @@
 Stations sit in the middle of panels whose edges follow x = x0 + (1 - x0) (1 - cos t) / 2 with t uniform, so
 that they crowd where the loading bends, at hub and tip.
 
-Which corrections a blade element calculation applies; derivations and what each does to the error:
-docs/explanation/bemt.md.
+Corrections of a blade element calculation; derivations: docs/explanation/bemt.md, their effect on the error:
+docs/log/2026-11-28-bemt-accuracy.md.
 
 * ``tip_loss``: ``"prandtl"`` is F = (2/pi) acos exp(-f), f = N (R - r) / (2 r |sin phi|) (Glauert's form of
 Prandtl's

@@ -27,9 +27,9 @@ exp(-chi^2 / 2) / sqrt(det H).
 
 Priors, none of them fitted to a measurement: the pitch setting 0.5 degrees, and a section's camber, which moves the
 zero-lift angle by 2 rad a chord (thin airfoil, parabola): 0.3 % of the chord for a section that is known, 0.6 %
-between those of the list. Lift 4 % (engines of polars, docs/explanation/polars.md) and 5 % (method); drag 8 % and 8 %;
-exponents 0.05 and 0.2. Sections that are guessed: :mod:`mufly.rotor.blade_families`. Hub cut-out and transition do to
-thrust and torque what lift, drag and their exponents do as well, and are left as they are.
+between those of the list. Lift 4 % (engines of polars, docs/log/2026-11-28-polars.md) and 5 % (method); drag
+8 % and 8 %; exponents 0.05 and 0.2. Sections that are guessed: :mod:`mufly.rotor.blade_families`. Hub cut-out and
+transition do to thrust and torque what lift, drag and their exponents do as well, and are left as they are.
 """
 
 from __future__ import annotations

@@ -304,7 +304,7 @@ class RotorResult:
 
 @dataclass(frozen=True)
 class WakeSettings:
-    """How a wake is solved; docs/explanation/wake.md shows what each number does to the answer.
+    """How a wake is solved; docs/log/2026-11-28-wake-convergence.md shows the effect of each number.
 
     Attributes
     ----------

@@ -4,12 +4,12 @@ Causes are varied one at a time about the nominal rotor, each by one standard de
 
 * ``n_crit``: transition early or late, 4 and 9 beside the nominal value (the dissertation's Table 3.1);
 * ``engine``: 4 % of the lift coefficient, 8 % of the drag coefficient: network, boundary-layer code and wind tunnel
-  do not agree better below Re 1e5 (docs/explanation/polars.md);
+  do not agree better below Re 1e5 (docs/log/2026-11-28-polars.md);
 * ``camber``: 0.3 % of the chord for a known section; zero-lift angle -2 f (thin airfoil, parabola);
 * ``thickness``: 0.5 % of the chord; drag 1 + 2 t (Hoerner, Fluid-Dynamic Drag, 1965, ch. II);
 * ``pitch``: half a degree of setting and twist;
 * ``method``: 5 % of thrust, 8 % of torque, the size of what a lattice with a contracting wake changes
-  (docs/explanation/bemt.md).
+  (docs/log/2026-11-28-bemt-accuracy.md).
 
 Where the section is a guess, the prediction is the mean over the sections that a blade may have
 (:mod:`mufly.rotor.blade_families`), weighted with their probabilities, and their variance about it adds to the causes;

@@ -42,8 +42,8 @@ from mufly.units import RPM
 
 MESH_LEVEL = "coarse"
 
-# docs/explanation/cfd.md: 12 degrees, 5 000 rpm, coarse mesh: thrust (mN) of the radii from, to (mm) by CFD and by
-# blade elements.
+# docs/log/2026-11-28-cfd-table-3-2.md: 12 degrees, 5 000 rpm, coarse mesh: thrust (mN) of the radii from,
+# to (mm) by CFD and by blade elements.
 SPAN_LOADS_MN: dict[tuple[int, int], tuple[float, float]] = {
     (9, 30): (14.9, 18.2),
     (30, 50): (66.9, 81.8),
@@ -56,7 +56,7 @@ OUR_MESH_CONVERGENCE: tuple[tuple[float, ...], tuple[float, ...]] = (
     (61.4, 136.3, 375.7),
     (0.1462, 0.1475, 0.1501),
 )
-"""docs/explanation/cfd.md: 12 degrees, 5 000 rpm, laminar: thousand cells, thrust (N)."""
+"""docs/log/2026-11-28-cfd-table-3-2.md: 12 degrees, 5 000 rpm, laminar: thousand cells, thrust (N)."""
 
 
 def study_mesh_setup(progress: ProgressCallback | None = None) -> StudyFindings:

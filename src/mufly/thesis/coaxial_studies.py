@@ -164,11 +164,14 @@ OUR_CFD_PAIR_LOADS: dict[int, dict[str, tuple[float, float]]] = {
     5000: {"upper": (0.1834, 2.100e-3), "lower": (0.0974, 1.665e-3), "single": (0.1814, 2.107e-3)},
     7000: {"upper": (0.3601, 3.984e-3), "lower": (0.1906, 3.096e-3), "single": (0.3575, 4.005e-3)},
 }
-"""cfd.md; beside the other's mean, laminar, coarse, hub of 6 mm, settled; by rpm: thrust (N), torque (N m)."""
+"""Thrust (N) and torque (N m) by rpm; beside the other's mean, laminar, coarse, hub of 6 mm, settled.
+
+docs/log/2026-11-28-cfd-pair.md has the cases.
+"""
 
 
 def tabulate_cfd_equal_speeds() -> xr.Dataset:
-    """What docs/explanation/cfd.md states of the pair, in the form of :func:`compute_equal_speeds`."""
+    """CFD of the pair as docs/log/2026-11-28-cfd-pair.md states it, in the form of :func:`compute_equal_speeds`."""
     rpm, air, R = sorted(OUR_CFD_PAIR_LOADS), Air(), _load_blade().radius_m
     out: dict[str, NDArray[np.float64]] = {}
     for who in ("upper", "lower", "single"):

@@ -421,9 +421,12 @@ OUR_CFD_BLADE_FORMS: dict[str, dict[str, tuple[float, float]]] = {
         "winglet-3": (0.1671, 2.154),
     },
 }
-"""cfd.md: 16 degrees, 5 000 rpm, laminar, settled: thrust (N), torque (mN m), by mesh, the finest first."""
+"""Thrust (N), torque (mN m) by mesh, the finest first: 16 degrees, 5 000 rpm, laminar, settled.
+
+docs/log/2026-11-28-cfd-tips.md has the cases.
+"""
 _MESH_UNCERTAINTY_PERCENT = 5.0
-"""Per cent of T^1.5/P: what a difference from the square blade may still move by with the mesh (cfd.md)."""
+"""Per cent of T^1.5/P: what a difference from the square blade may still move by with the mesh (the same note)."""
 
 
 def blade_form_gain(name: str) -> float:

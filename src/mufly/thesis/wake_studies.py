@@ -354,7 +354,7 @@ def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
     return StudyFindings(verdicts, drawn, {"full": data})
 
 
-# docs/explanation/cfd.md: laminar, coarse mesh, by pitch and rpm, all settled; thrust (N), torque (N m).
+# docs/log/2026-11-28-cfd-table-3-2.md: laminar, coarse mesh, by pitch and rpm, all settled; thrust (N), torque (N m).
 OUR_CFD_LOADS: dict[tuple[int, int], tuple[float, float]] = {
     (12, 5000): (0.1462, 1.628e-3),
     (12, 7000): (0.2879, 3.051e-3),
@@ -366,7 +366,7 @@ OUR_CFD_LOADS: dict[tuple[int, int], tuple[float, float]] = {
 def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
     """Table 3.2: blade elements, wake and CFD beside the bench and beside the source's CFD, at four points.
 
-    CFD is not run here: its points are those of docs/explanation/cfd.md (OpenFOAM, laminar, coarse mesh).
+    CFD is not run here: its points are those of docs/log/2026-11-28-cfd-table-3-2.md (OpenFOAM, laminar, coarse mesh).
     """
     measured, rotor = load_bench_points(), load_rotor("naca0012-r60-c20")
     points = list(TABLE_3_2_VALUES)

@@ -52,7 +52,7 @@ _ALPHA_GRID_RAD = np.deg2rad(np.arange(-MAX_ALPHA_DEG, MAX_ALPHA_DEG + 0.5, 1.0)
 _WEIGHTS_PER_SIDE = 8
 _OUTPUT_COLUMNS = slice(0, 4)  # confidence, lift, drag, moment
 _MAX_FIT_ERROR = 0.01  # of chord
-_MAX_GURNEY_HEIGHT = 0.02  # of chord; up to here lift agrees with XFOIL's within 0.05 (docs/explanation/polars.md)
+_MAX_GURNEY_HEIGHT = 0.02  # of chord; up to here lift agrees with XFOIL's within 0.05 (docs/log/2026-11-28-polars.md)
 _BATCH_SIZE = 8192  # activations of one layer then stay in the cache of a processor core
 
 

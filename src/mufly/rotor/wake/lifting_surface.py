@@ -43,7 +43,7 @@ turn and its pitch that of its last turn. Where it ends, several radii below, is
 
 **Chords.** A filament is moved at points 30 degrees apart, and stands for the velocities as chords of 5 degrees on the
 arcs between them. With chords from point to point a vortex lacks what its own bend and its neighbours' induce nearby,
-an error of the first order in the step: docs/explanation/wake.md.
+an error of the first order in the step: docs/log/2026-11-28-wake-single-rotors.md.
 
 **Core** (r_c0 a tenth of the chord; Squire's growth with Bhagwat and Leishman's a1, J. Am. Helicopter Soc. 47, 2002)::
 
@@ -52,8 +52,8 @@ an error of the first order in the step: docs/explanation/wake.md.
 alpha = 1.25643, a1 = 2e-4, d the distance of neighbouring filaments at the blade (a sheet of vortices needs cores that
 overlap), h = r_0 exp(1 - r/r_0) with r_0 the radius of the cut-out (hub and shaft stir what leaves the root), and
 r_lim = 0.15 R for one rotor, 0.2 R for two, more if need be: real wakes break down into turbulence after a turn or two,
-and a lattice whose old vortices stay sharp goes on winding them up without end. docs/explanation/wake.md shows what
-each term does.
+and a lattice whose old vortices stay sharp goes on winding them up without end.
+docs/log/2026-11-28-wake-convergence.md shows the effect of the radii.
 """
 
 from __future__ import annotations
