@@ -61,26 +61,33 @@ def decimals_of(row: dict[str, Any]) -> list[int | None]:
     return digits if isinstance(digits, list) else [digits] * len(row["numbers"])
 
 
+def print_numbers(row: dict[str, Any]) -> list[str]:
+    """Return each number of a row with its decimals."""
+    pairs = zip(row["numbers"], decimals_of(row), strict=True)
+    return [f"{x:g}".replace("e-0", "e-") if n is None else f"{x:.{n}f}" for x, n in pairs]
+
+
 def format_value(row: dict[str, Any]) -> str:
     """Return the numbers of a row with their unit, ready to print."""
-    printed = (f"{x:g}" if n is None else f"{x:.{n}f}" for x, n in zip(row["numbers"], decimals_of(row), strict=True))
-    return str(row["form"]).format(*printed)
+    return str(row["form"]).format(*print_numbers(row))
 
 
-def judge_status(row: dict[str, Any]) -> str:
-    """Return ``met`` or ``missed``; ``measured`` for a row without limits.
+def find_missed(row: dict[str, Any]) -> list[bool]:
+    """Return which numbers of a row miss its limits.
 
     A number counts as it is printed: 6.04 % meets "at most 6 %" in a row of one digit.
     """
-    limits = row.get("limits")
-    if not limits:
-        return "measured"
+    limits = row.get("limits") or [None, None]
     pairs = limits if isinstance(limits[0], list) else [limits] * len(row["numbers"])
-    inside = [
-        (low is None or x >= low) and (high is None or x <= high)
+    return [
+        (low is not None and x < low) or (high is not None and x > high)
         for x, (low, high) in zip(row["numbers"], pairs, strict=True)
     ]
-    return "met" if all(inside) else "missed"
+
+
+def judge_status(row: dict[str, Any]) -> str:
+    """Return ``met`` or ``missed``; ``measured`` for a row without limits."""
+    return ("missed" if any(find_missed(row)) else "met") if row.get("limits") else "measured"
 
 
 def record_figure(key: str, *numbers: float, path: Path = FIGURES) -> None:
@@ -126,10 +133,17 @@ def _commit() -> str:
 
 
 def record_scores(folder: Path) -> None:
-    """Record what `mufly rotor benchmark --held-out --out FOLDER` found."""
+    """Record the 17 propellers' scores that `mufly rotor benchmark --held-out --out FOLDER` wrote to ``scores.csv``."""
     with (folder / "scores.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    print(rows)
+        scores = {row["code"]: row for row in csv.DictReader(file) if row["group"] == "UIUC micro"}
+    for code, key in (
+        ("bemt", "bemt_uiuc"),
+        ("bemt, 1 point seen", "bemt_one_point"),
+        ("bemt, half seen", "bemt_half"),
+    ):
+        record_figure(key, 100 * float(scores[code]["thrust_error"]), 100 * float(scores[code]["torque_error"]))
+    inside = scores["bemt, families"]
+    record_figure("bemt_intervals", 100 * float(inside["thrust_inside_90"]), 100 * float(inside["torque_inside_90"]))
 
 
 def main() -> None:

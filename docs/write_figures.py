@@ -8,22 +8,19 @@ has no build. Other pages take single values by ``{{ key }}`` when the site is b
 
 from __future__ import annotations
 
-import json
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-FIGURES = HERE / "figures.json"
+sys.path.insert(0, str(HERE.parent / "benchmarks"))
+
+from figure_record import find_missed, print_numbers, read_figures  # noqa: E402  (from the folder named above)
+
 PAGES = (HERE / "accuracy.md", HERE.parent / "README.md")
 
 _MARKED = re.compile(r"(<!-- (figures: [^>]*|accuracy) -->\n).*?(<!-- end )", re.DOTALL)
-
-
-def read_figures() -> list[dict[str, Any]]:
-    """Rows of the file of figures."""
-    rows: list[dict[str, Any]] = json.loads(FIGURES.read_text(encoding="utf-8"))
-    return rows
 
 
 def table_lines(head: list[str], rows: list[list[str]]) -> str:
@@ -45,18 +42,24 @@ def accuracy_table(rows: list[dict[str, Any]]) -> str:
             cells.append([f"**{subsystem}**", "", "", "", ""])
         told = "″" if row["command"] == command else f"`{row['command']}`"
         command = row["command"]
-        cells.append([row["quantity"], row["data"], row["value"], target_text(row), told])
+        cells.append([row["quantity"], row["data"], value_text(row), target_text(row), told])
     return table_lines(["quantity", "data", "measured", "target", "command"], cells)
+
+
+def value_text(row: dict[str, Any]) -> str:
+    """Return the value of a figure, numbers that miss the target in bold."""
+    numbers = zip(print_numbers(row), find_missed(row), strict=True)
+    return str(row["form"]).format(*(f"**{n}**" if missed else n for n, missed in numbers))
 
 
 def target_text(row: dict[str, Any]) -> str:
     """Return the target of a figure, and whether it is missed."""
-    return f"{row['target']}: **missed**" if row["status"] == "missed" else str(row["target"])
+    return f"{row['target']}: missed" if row["status"] == "missed" else str(row["target"])
 
 
 def readme_table(rows: list[dict[str, Any]]) -> str:
     """Return the short table of the rows that have a text for the README."""
-    chosen = [[row["readme"], row["value"], target_text(row) or "none"] for row in rows if "readme" in row]
+    chosen = [[row["readme"], value_text(row), target_text(row) or "none"] for row in rows if "readme" in row]
     return table_lines(["quantity", "measured", "target"], chosen)
 
 

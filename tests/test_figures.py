@@ -32,7 +32,7 @@ def test_the_pages_print_the_figures():
 
 def test_every_figure_is_on_the_page_of_accuracy():
     text = (ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8")
-    missing = [r["key"] for r in ROWS if f"|{r['quantity']}|{r['data']}|{r['value']}|" not in text]
+    missing = [r["key"] for r in ROWS if f"|{r['quantity']}|{r['data']}|{pages.value_text(r)}|" not in text]
     assert missing == []
 
 
@@ -100,3 +100,24 @@ def test_only_a_script_that_is_asked_records(monkeypatch):
     figure_record.take_record_option(words)("x", 2.0)
     assert words == ["script.py", "7"]
     assert told == [("x", 1.0)]
+
+
+def test_scores_of_the_rotor_benchmark_are_recorded(tmp_path, monkeypatch):
+    head = "code,group,thrust_error,torque_error,thrust_inside_90,torque_inside_90\n"
+    lines = (
+        "bemt,UIUC micro,0.112,0.146,,\n"
+        "bemt,Table 3.2,0.9,0.9,,\n"
+        '"bemt, 1 point seen",UIUC micro,0.024,0.051,,\n'
+        '"bemt, half seen",UIUC micro,0.014,0.026,,\n'
+        '"bemt, families",UIUC micro,0.125,0.159,0.89,0.90\n'
+    )
+    (tmp_path / "scores.csv").write_text(head + lines, encoding="utf-8")
+    told = {}
+    monkeypatch.setattr(figure_record, "record_figure", lambda key, *numbers: told.update({key: numbers}))
+    figure_record.record_scores(tmp_path)
+    assert told == {
+        "bemt_uiuc": pytest.approx((11.2, 14.6)),
+        "bemt_one_point": pytest.approx((2.4, 5.1)),
+        "bemt_half": pytest.approx((1.4, 2.6)),
+        "bemt_intervals": pytest.approx((89.0, 90.0)),
+    }
