@@ -118,4 +118,4 @@ plt.show()
 # * Add faults to the bench: `SimulatedRig(seed=5, faults=SimulatedFaults(...))` from `mufly.bench.rig.simulated_rig`,
 #   with a reference blade that was moved, or a cell that saturates. Does the analysis report them?
 # * Compare the series with blade element theory: `compare_with_theory(series)`.
-# * Corrections and intervals: [test benches](../explanation/bench.md).
+# * Corrections and intervals: [test benches](../reference/bench.md).

@@ -4,7 +4,7 @@ A text with a header, its columns set apart by comma, semicolon, tab or blanks (
 do); lines that begin with ``#`` are skipped. A header is a name and a unit, in brackets or after the last
 underscore: ``current_A``, ``Current [mA]``, ``Q(Nm)``. The name may carry the rotor (``upper`` or ``lower``), and
 ``raw`` for the reading of a sensor that is still to be calibrated: ``thrust_upper_N``, ``torque_raw_V``. Capitals do
-not matter. Other headers are passed over (docs/explanation/bench.md).
+not matter. Other headers are passed over (docs/reference/bench.md).
 
 A quantity in several columns is read from the one that has most readings: an electrical speed that drops out gives way
 to an optical one, and of two speeds at a fixed whole ratio the slower is the shaft's, the other counts pole pairs. A

@@ -583,7 +583,7 @@ def compare(
         define_argument(
             "FILE",
             "Text with a header: pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm, in these or other "
-            "units; or RPM, CT, CP as in UIUC's propeller data. docs/explanation/bench.md lists the names "
+            "units; or RPM, CT, CP as in UIUC's propeller data. docs/reference/bench.md lists the names "
             "that are understood.",
         ),
     ],

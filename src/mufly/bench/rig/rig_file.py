@@ -1,7 +1,7 @@
 """The file of a bench: which devices there are, which cells hang on them, and how far they may be off.
 
 name = "bench in the cellar"
-cells = "load_cells.csv"                    # calibration, beside this file: see docs/explanation/bench.md
+cells = "load_cells.csv"                    # calibration, beside this file: see docs/reference/bench.md
 
 [[device]]
 kind = "epos"
@@ -129,7 +129,7 @@ def load_rig(path: str | Path) -> DeviceRig:
     file = Path(path)
     if not file.is_file():
         raise InputError(
-            str(path), "", "no such bench", "write 'sim', or the name of a bench's file (docs/explanation/bench.md)"
+            str(path), "", "no such bench", "write 'sim', or the name of a bench's file (docs/reference/bench.md)"
         )
     tables, where = read_toml(file, file.parent, "bench")
     table = validate_model(RigTable, tables, where)

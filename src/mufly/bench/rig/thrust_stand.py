@@ -12,7 +12,7 @@ asked:
 
 The stand holds a pulse, not a speed; the driver moves the pulse until the speed is there, four times a second by a
 third of what the error asks for, with the slope that the last steps showed. A file that the maker's program has
-written needs no driver: ``mufly identify``, ``mufly rotor fit`` and ``compare`` read it (docs/explanation/bench.md).
+written needs no driver: ``mufly identify``, ``mufly rotor fit`` and ``compare`` read it (docs/reference/bench.md).
 
 Rows have no check sum, so a row counts only if all its cells are numbers and as many as there are headers, and a value
 that is far from any that a bench may have is passed over.

@@ -1,6 +1,6 @@
 """From the record of a series to loads with their covariance: zeros, calibration, gains.
 
-Measurement model (docs/explanation/bench.md, "A series"): cell k reads at time t
+Measurement model (docs/explanation/bench.md, "Model of a series"): cell k reads at time t
 
     y_k = z_k(t) + sum_l S_kl G_l(t) F_l + e_k,      z_k = b_k + W_k(t),     G_l = exp(g_l(t))
 

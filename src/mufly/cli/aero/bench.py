@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 app = CommandGroup(
     help=(
         "A rotor test bench: plan a series, run it (simulated, or on devices), analyse and compare; "
-        "docs/explanation/bench.md."
+        "docs/reference/bench.md."
     ),
     no_args_is_help=True,
 )
@@ -158,7 +158,7 @@ def plan(
 def run(
     plan: Annotated[Path, define_argument("PLAN", "From `mufly bench plan`.")],
     rig: Annotated[
-        str, define_option("--rig sim|FILE", "'sim', or the file of a bench (docs/explanation/bench.md).")
+        str, define_option("--rig sim|FILE", "'sim', or the file of a bench (docs/reference/bench.md).")
     ] = "sim",
     out: Annotated[Path, define_option("--out DIR", "The series; one that was stopped goes on there.")] = Path(
         "series"

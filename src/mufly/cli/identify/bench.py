@@ -445,7 +445,7 @@ def motor(
         Path,
         define_argument(
             "CSV",
-            "Columns voltage_V (and duty), current_A, speed_rpm, torque_mNm; docs/explanation/bench.md lists the "
+            "Columns voltage_V (and duty), current_A, speed_rpm, torque_mNm; docs/reference/bench.md lists the "
             "names and units that are understood.",
         ),
     ],
