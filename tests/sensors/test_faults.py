@@ -50,7 +50,9 @@ def test_what_is_no_fault_is_said_in_one_line(text, why) -> None:
 
 def test_every_fault_leaves_the_other_readings_as_they_were(vehicle, at) -> None:
     healthy = flown(vehicle, at, "", 0.6)[-1]
-    for text in EVERY:
+    on_board = [text for text in EVERY if getattr(vehicle.sensors, FAULT_TARGETS[text.split(".")[0]].sensor)]
+    assert len(on_board) >= len(FAULT_KINDS) + 11  # a sensor of the table may be absent from this vehicle
+    for text in on_board:
         wrong = flown(vehicle, at, f"{text}@0.2s", 0.6)[-1]
         name = FAULT_TARGETS[text.split(".")[0]].reading
         assert set(wrong.latest) - {name} == set(healthy.latest) - {name}
