@@ -5,6 +5,10 @@ name (``thrust_N``, ``speed_rad_s``) or in the docstring, the meaning in the doc
 read once, when somebody asks. So one place writes a result as text (``print(result)``), in a notebook, as JSON
 (:func:`to_plain_data`) or as a report's table (:func:`result_rows`), and a result's fields are named nowhere twice. Its
 ``plot_result()`` draws it: by the picture that the class names, or its numbers by :mod:`mufly.result_figure`.
+
+A class with a method ``shown_blocks()`` returns its own text as blocks, lines and tables (:class:`ShownLines`,
+:class:`ShownTable`). ``print(result)`` shows them as plain text, the command line in colour, as wide as the terminal.
+Fields become columns by their names (:class:`ResultColumn`).
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ import importlib
 import inspect
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -23,7 +27,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, dataclass_transform,
 import numpy as np
 
 from mufly.result_figure import PlotSeries, draw_series, enable_notebook_display, make_series
-from mufly.units import normalise_unit, split_unit_suffix
+from mufly.units import normalise_unit, split_unit_suffix, unit_conversion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -274,7 +278,9 @@ def result_rows(value: Any, names: Iterable[str] | None = None) -> list[ResultRo
 
 
 def format_result(value: Any) -> str:
-    """Return a result as a table in plain text, a field a line."""
+    """Return a result as plain text: its own blocks, else a table with a line for each field."""
+    if hasattr(value, "shown_blocks"):
+        return format_blocks(value.shown_blocks())
     lines = result_rows(value)
     widths = [max((len(r[k]) for r in lines), default=0) for k in range(3)]
     first = (inspect.getdoc(type(value)) or "").partition("\n")[0]
@@ -342,3 +348,167 @@ def _first_sentence(words: str) -> str:
     """The first sentence, without what Sphinx needs."""
     clear = re.sub(r":\w+:`~?([^`]*)`", r"\1", words).replace("``", "")
     return re.split(r"(?<=[.;])\s", clear, maxsplit=1)[0].rstrip(";")
+
+
+# --- blocks of text by which a result is shown ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ShownLines:
+    """Lines of text.
+
+    Attributes
+    ----------
+    lines : tuple of str
+    head : str
+        Stands in bold before the first line.
+    mark : str
+        Stands with a colon before each line: ``"Warning"``.
+    style : str
+        Colour or weight: ``"yellow"``, ``"dim"``.
+    """
+
+    lines: tuple[str, ...]
+    head: str = ""
+    mark: str = ""
+    style: str = ""
+
+
+@dataclass(frozen=True)
+class ShownTable:
+    """A table of texts.
+
+    Attributes
+    ----------
+    heads : tuple of str
+    rows : tuple of sequences of str
+        A cell may carry marks as ``[bold]word[/]``.
+    title : str
+    text : tuple of int
+        Columns of text; the others are numbers.
+    """
+
+    heads: tuple[str, ...]
+    rows: tuple[Sequence[str], ...]
+    title: str = ""
+    text: tuple[int, ...] = (0,)
+
+
+ShownBlock = ShownLines | ShownTable
+
+
+def show_lines(*lines: str, head: str = "", mark: str = "", style: str = "") -> ShownLines:
+    """Return lines of text; see :class:`ShownLines`."""
+    return ShownLines(lines, head, mark, style)
+
+
+def show_table(
+    heads: Iterable[str], rows: Iterable[Sequence[str]], *, title: str = "", text: Iterable[int] = (0,)
+) -> ShownTable:
+    """Return a table of texts; see :class:`ShownTable`."""
+    return ShownTable(tuple(heads), tuple(rows), title, tuple(text))
+
+
+@dataclass(frozen=True)
+class ResultColumn:
+    """A field of results as a column of a table, or as a line of a table of one result.
+
+    Parameters
+    ----------
+    name : str
+        The field, ``"speed_rad_s"``; of a part of the result with dots, ``"upper.thrust_N"``.
+    unit : str
+        The unit to print, ``"rpm"``; default the field's own.
+    form : str
+        As for :func:`format`.
+    head : str
+        Default: the field's name without its unit.
+    entry_names : tuple of str
+        What the entries of a pair are, ``("upper", "lower")``.
+    own_unit : str
+        The field's own unit, where neither its name nor its docstring says it.
+    """
+
+    name: str
+    unit: str = ""
+    form: str = ".4g"
+    head: str = ""
+    entry_names: tuple[str, ...] = ()
+    own_unit: str = ""
+
+    def header_text(self, item: Any) -> str:
+        """Return the column's head, with the unit."""
+        label, unit = self._label_and_unit(item)
+        unit = self.unit or unit
+        return f"{self.head or label} ({unit})" if unit else self.head or label
+
+    def value_text(self, item: Any, *, unit: bool = False) -> str:
+        """Return the value of one result, with its unit if asked."""
+        value = field_value(item, self.name)
+        own = self._label_and_unit(item)[1]
+        if self.unit and value is not None:
+            _, factor, offset = unit_conversion(own or "1", self.unit)
+            value = [factor * v + offset for v in value] if isinstance(value, tuple | list) else factor * value + offset
+        if isinstance(value, str):
+            return value
+        shown = format_value(value, self.form)
+        if self.entry_names:
+            shown = ", ".join(f"{format_value(v, self.form)} {n}" for v, n in zip(value, self.entry_names, strict=True))
+        return shown if not unit or shown == "-" else f"{shown} {self.unit or own}".rstrip()
+
+    def _label_and_unit(self, item: Any) -> tuple[str, str]:
+        found = field_meaning(item, self.name)
+        return found.label, self.own_unit or found.unit
+
+
+def tabulate_results(
+    items: Sequence[Any], columns: Iterable[ResultColumn | str], *, title: str = "", names: Sequence[str] = ()
+) -> ShownTable:
+    """Return results as a table, one a row; ``names`` stand before them."""
+    if not items:
+        return ShownTable((), ())
+    wanted = [ResultColumn(c) if isinstance(c, str) else c for c in columns]
+    heads = [c.header_text(items[0]) for c in wanted]
+    rows = [[c.value_text(item) for c in wanted] for item in items]
+    if names:
+        heads, rows = ["", *heads], [[name, *row] for name, row in zip(names, rows, strict=True)]
+    texts = [k for k, _ in enumerate(heads) if (k == 0 and names) or not any(_looks_like_number(x[k]) for x in rows)]
+    return show_table(heads, rows, title=title, text=texts)
+
+
+def tabulate_fields(
+    item: Any, columns: Iterable[ResultColumn | str | tuple[str, str]], *, title: str = ""
+) -> ShownTable:
+    """Return one result as a table, a field a row; a pair of texts is a label and its value."""
+    rows: list[tuple[str, str]] = []
+    for one in columns:
+        if isinstance(one, tuple):
+            rows.append(one)
+        else:
+            c = ResultColumn(one) if isinstance(one, str) else one
+            rows.append((c.head or field_meaning(item, c.name).label, c.value_text(item, unit=True)))
+    return show_table(("", ""), rows, title=title, text=(0, 1))
+
+
+def _looks_like_number(text: str) -> bool:
+    return text.rstrip(" %")[-1:].isdigit() or text == "-"
+
+
+def format_blocks(blocks: Iterable[ShownBlock]) -> str:
+    """Return blocks as plain text."""
+    lines: list[str] = []
+    for block in blocks:
+        if isinstance(block, ShownLines):
+            told = [f"{block.mark}: {line}" if block.mark else line for line in block.lines]
+            lines += [block.head + told[0], *told[1:]] if told else []
+        elif block.heads:
+            cells = [[re.sub(r"\[/?[a-z ]*\]", "", cell) for cell in row] for row in (block.heads, *block.rows)]
+            widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+            lines += [block.title] if block.title else []
+            for row in cells if any(block.heads) else cells[1:]:
+                padded = [
+                    cell.ljust(width) if k in block.text else cell.rjust(width)
+                    for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+                ]
+                lines.append("  ".join(padded).rstrip())
+    return "\n".join(lines)

@@ -229,7 +229,7 @@ def test_landing(vehicle: Vehicle, controller: FlightController, closed_loop: Mo
 
 def test_a_flight_controller_travels_to_another_process(controller: FlightController) -> None:
     there = pickle.loads(pickle.dumps(controller))
-    assert there.to_dict() == controller.to_dict()
+    assert there.as_record() == controller.as_record()
     for mine, its in (
         (controller.heave_yaw.reduced, there.heave_yaw.reduced),
         (controller.velocity.plant, there.velocity.plant),

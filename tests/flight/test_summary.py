@@ -107,8 +107,8 @@ def test_nothing_changes_when_the_flight_is_turned_about_the_vertical(turn):
     c, s = math.cos(turn), math.sin(turn)
     turned = [(t, c * n - s * e, s * n + c * e, d) for t, n, e, d in knots]
     goal = (c * GOAL[0] - s * GOAL[1], s * GOAL[0] + c * GOAL[1], GOAL[2])
-    one = summarise_flight(flown(knots, states), [GOAL]).to_dict()
-    other = summarise_flight(flown(turned, states), [goal]).to_dict()
+    one = summarise_flight(flown(knots, states), [GOAL]).as_record()
+    other = summarise_flight(flown(turned, states), [goal]).as_record()
     for key in ("overshoot_m", "distance_at_reach_m", "mean_error_in_wait_m", "reached_s"):
         assert other["waypoints"][0][key] == pytest.approx(one["waypoints"][0][key], abs=1e-12)
     for key in ("touchdown_speed_m_s", "landing_distance_m", "max_speed_m_s"):
@@ -245,7 +245,7 @@ def test_what_is_unknown_is_none_and_json_can_hold_it():
     assert s.energy_used_J is None
     assert s.battery_end_charge is None
     assert s.max_position_error_m is None
-    content = json.loads(json.dumps(s.to_dict(), allow_nan=False))
+    content = json.loads(json.dumps(s.as_record(), allow_nan=False))
     assert content["events"] == [{"time_s": 1.0, "state": "take-off", "text": "start"}]
     assert content["waypoints"][0]["position_m"] == [2.0, 0.0, -1.0]
     labels = [label for label, _ in summary_rows(s)]

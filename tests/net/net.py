@@ -505,7 +505,7 @@ def flown(mission: str, vehicle: str, **options: Any) -> Any:
     return {
         "data": dataset(data),
         "events": [f"{e.time_s:.4f} {e.state} {e.level}: {e.text}" for e in events],
-        "summary": summary.to_dict(),
+        "summary": summary.as_record(),
     }
 
 
@@ -639,7 +639,7 @@ def _bemt_coaxial() -> Any:
 @case("design")
 def _design() -> Any:
     c = api("design")(api("load_vehicle")("mufly-1.1"))
-    out: dict[str, Any] = {"told": c.to_dict()}
+    out: dict[str, Any] = {"told": c.as_record()}
     for name in ("heave_yaw", "roll_pitch", "velocity"):
         one = getattr(c, name)
         for label, system in (("controller", one.controller), ("reduced", one.reduced)):

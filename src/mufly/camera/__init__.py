@@ -21,7 +21,13 @@ from mufly.camera.mjpeg_stream import (
     parse_address,
     parse_boundary,
 )
-from mufly.camera.picture_recording import CAMERA_FILE_NAME, PictureRecorder, RecordedPictures, read_pictures
+from mufly.camera.picture_recording import (
+    CAMERA_FILE_NAME,
+    PictureRecorder,
+    RecordedPictures,
+    find_camera,
+    read_pictures,
+)
 from mufly.camera.renderer import Renderer, VehicleMotion, decode_picture, encode_jpeg
 
 __all__ = [
@@ -42,6 +48,7 @@ __all__ = [
     "decode_picture",
     "distortion_coefficients",
     "encode_jpeg",
+    "find_camera",
     "is_live_source",
     "is_local_host",
     "iterate_parts",

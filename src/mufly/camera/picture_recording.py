@@ -17,6 +17,7 @@ from typing import Any
 
 import orjson
 
+from mufly.camera.camera_model import Camera, load_camera, parse_camera
 from mufly.errors import InputError, MuflyError, report_write_errors
 from mufly.logs.mcap import McapWriter, read_mcap
 from mufly.logs.mcap_recording import foxglove_time, object_schema
@@ -189,3 +190,27 @@ def _find_image_messages(messages: Mapping[str, list[tuple[int, bytes]]]) -> lis
         if found and b'"data"' in found[0][1] and b'"format"' in found[0][1]:
             return found
     return []
+
+
+def find_camera(place: Path, given: str | None = None) -> Camera:
+    """Return the camera that took pictures: the one given by name or file, else that of their folder or recording.
+
+    Raises
+    ------
+    InputError
+        If there are no pictures, or no file tells of their camera.
+    """
+    if not place.exists():
+        raise InputError(str(place), "", "no such folder, video or recording", "give one with pictures")
+    if given is not None:
+        return load_camera(given)
+    recording = place / CAMERA_FILE_NAME if place.is_dir() else place
+    if recording.suffix == ".mcap" and recording.is_file() and (text := read_pictures(recording).camera):
+        return parse_camera(text, f"{recording}: camera.toml")
+    if place.is_dir() and not any(place.iterdir()):
+        raise InputError(str(place), "", "is empty", "give a folder with pictures, a video or a recording")
+    names = ("camera.toml", "mav0/cam0/sensor.yaml", "cam0/sensor.yaml")
+    beside = next((place / name for name in names if (place / name).is_file()), None)
+    if beside is None:
+        raise InputError(str(place), "camera.toml", "is not there", "give --camera")
+    return load_camera(beside)

@@ -29,7 +29,6 @@ from mufly.cli.options import (
     write_wakes,
 )
 from mufly.cli.output import (
-    ResultColumn,
     make_console,
     print_answer,
     print_result_table,
@@ -39,7 +38,7 @@ from mufly.cli.output import (
 )
 from mufly.errors import InputError, MuflyError
 from mufly.quantity_grammar import read_range, read_rotor_pair
-from mufly.results import select_fields
+from mufly.results import ResultColumn, select_fields
 from mufly.units import RPM
 
 if TYPE_CHECKING:

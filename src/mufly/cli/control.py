@@ -8,17 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from mufly.cli.options import CommandGroup, define_argument, define_option
 from mufly.cli.output import (
-    make_console,
-    print_files,
+    print_answer,
     print_json,
-    print_lines,
-    print_table,
     report_place_errors,
 )
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.control import ControllerDesign, FlightController
+    from mufly.control import FlightController
 
 app = CommandGroup(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
 
@@ -75,24 +72,8 @@ input, with the controller of full order, of reduced order, and sampled with one
         raise error.with_location(vehicle) from None
     written = _write_designs(controller, out) if out is not None else []
     if as_json:
-        return print_json(controller.to_dict())
-    make_console().print(
-        f"[bold]{controller.vehicle_name}[/bold] at {controller.voltage_V:g} V: hover motor inputs "
-        f"{controller.motor_trim[0]:.2f} upper, {controller.motor_trim[1]:.2f} lower; "
-        f"law at {controller.rate_Hz:g} Hz, position at {controller.rate_Hz / controller.position_divider:g} Hz",
-        highlight=False,
-    )
-    for one in controller.all_designs:
-        _print_design(one)
-    print_lines("* with one sample of delay", style="dim")
-    c = controller.cascade
-    print_lines(
-        f"Position cascade with the real attitude loop: S {c.sensitivity_peak_dB:.2f} dB, "
-        f"T {c.complementary_peak_dB:.2f} dB, phase margin {c.phase_margin_deg:.0f} deg, "
-        f"delay margin {1e3 * c.delay_margin_s:.0f} ms"
-    )
-    print_lines(*controller.design_warnings, mark="Warning", style="yellow")
-    print_files(written)
+        return print_json(controller)
+    print_answer(as_json, controller, files=written)
 
 
 def _write_designs(controller: FlightController, folder: Path) -> list[Path]:
@@ -101,36 +82,5 @@ def _write_designs(controller: FlightController, folder: Path) -> list[Path]:
     with report_place_errors(folder, "give a folder that can be written"):
         target = folder / "design.json"
         written = [*draw_designs(controller, folder), target]
-        target.write_text(json.dumps(controller.to_dict(), indent=2) + "\n", encoding="utf-8")
+        target.write_text(json.dumps(controller.as_record(), indent=2) + "\n", encoding="utf-8")
     return written
-
-
-def _format_optional(value: float | None, form: str = ".2f") -> str:
-    return "-" if value is None else format(value, form)
-
-
-def _print_design(one: ControllerDesign) -> None:
-    thesis = one.published
-    loops = (one.full_loop, one.reduced_loop, one.sampled_loop)
-    orders = (one.controller.nstates, one.reduced.nstates, one.discrete.order)
-    plant = ", ".join(f"{w:.3g}" for w in one.plant_crossovers)
-    printed = ", ".join(f"{w:g}" for w in thesis.plant_crossovers or ()) or "-"
-
-    def loop_row(label: str, field: str, form: str, theirs: str = "-", factor: float = 1.0) -> tuple[str, ...]:
-        return (label, *(f"{factor * getattr(loop, field):{form}}" for loop in loops), theirs)
-
-    rows = [
-        ("order", *map(str, orders), _format_optional(thesis.order, "d")),
-        ("gamma claimed", f"{one.gamma:.3f}", "", "", _format_optional(thesis.gamma)),
-        ("norm achieved", f"{one.norm:.3f}", f"{one.reduction.chosen.norm:.3f}", "", "-"),
-        ("plant's crossovers (rad/s)", plant, "", "", printed),
-        ("loop's crossovers (rad/s)", *(", ".join(f"{w:.1f}" for w in loop.crossovers) for loop in loops),
-         _format_optional(thesis.crossover, "g")),
-        loop_row("peak of S_u (dB)", "sensitivity_peak_dB", ".2f", _format_optional(thesis.sensitivity_peak_dB)),
-        loop_row("peak of T_u (dB)", "complementary_peak_dB", ".2f", _format_optional(thesis.complementary_peak_dB)),
-        loop_row("gain margin (dB)", "gain_margin_dB", ".1f"),
-        loop_row("phase margin (deg)", "phase_margin_deg", ".1f"),
-        loop_row("delay margin (ms)", "delay_margin_s", ".0f", factor=1e3),
-    ]  # fmt: skip
-    heads = ("", "full order", "reduced", f"{1 / one.discrete.period_s:g} Hz*", "thesis")
-    print_table(heads, rows, title=one.name)

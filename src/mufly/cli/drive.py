@@ -19,7 +19,6 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    ResultColumn,
     make_console,
     print_answer,
     print_json,
@@ -28,7 +27,7 @@ from mufly.cli.output import (
     save_figure,
 )
 from mufly.quantity_grammar import read_values
-from mufly.results import select_fields
+from mufly.results import ResultColumn, select_fields
 
 if TYPE_CHECKING:
     from mufly.drive import RotorLoad

@@ -5,12 +5,10 @@ In real time the vehicle flies in a process of its own, with the station's page 
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import json
 import socket
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mufly.cli.options import check_choice, define_argument, define_option
-from mufly.cli.output import LiveDisplay, make_console, print_lines
+from mufly.cli.output import LiveDisplay, make_console, print_blocks, print_lines
 from mufly.cli.station import (
     BrowserOption,
     FaultOption,
@@ -50,25 +48,17 @@ if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
 
-    from mufly.flight import FlightEvent, FlightProgress, FlightSummary
+    from mufly.flight import FlightProgress, FlightSummary
     from mufly.flight.camera_sensor import CameraConfig
     from mufly.flight.flight_software import ControlImplementation
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
     from mufly.sensors import Fault
     from mufly.station.page.page_address import PageAddress
-    from mufly.station.page.page_session import StationSession
     from mufly.station.page.start_page import StartPage, Startup
     from mufly.vehicle import Vehicle
 
-NO_PAGE_TIMEOUT_S = 20.0
-"""With no page opened for so long it flies the mission by itself (s)."""
-PAGE_CLOSED_TIMEOUT_S = 10.0
-"""After the flight it ends when no page has been open for so long (s)."""
 LOADING_STAGE = "loading the libraries"
-_POLL_INTERVAL_S = 0.1
-_ERROR_DISPLAY_S = 2.0  # a page that is open is told what went wrong before its server ends
-_MOTORS_OFF_RECORDING_S = 1.0  # recorded after the motors have stopped
 
 
 @dataclass(frozen=True)
@@ -134,195 +124,6 @@ def _start_vehicle_process(
         where="--link",
         on_stage=startup.begin_stage,
     )
-
-
-class _FlightMonitor:
-    """Follows a vehicle's process: shows its events, and knows when its flight is over."""
-
-    def __init__(self, process: VehicleProcess, on_event: Callable[[FlightEvent], None]) -> None:
-        self._process, self._on_event = process, on_event
-        self.has_flown = False
-        self._over_s: float | None = None
-
-    def process_events(self) -> None:
-        """Take what has come.
-
-        Raises
-        ------
-        MuflyError
-            If the vehicle's process has ended.
-        """
-        process = self._process
-        while process.events:
-            self._on_event(process.events.popleft())
-        if process.error:
-            raise MuflyError(process.error)
-        if process.is_finished:
-            raise MuflyError(
-                f"the vehicle's process has ended; its recording may end early{_format_end_reason(process)}"
-            )
-        report = process.report
-        if report is None:
-            return
-        state = report.state
-        self.has_flown = self.has_flown or (state.armed and -state.estimate.position[2] > 0.15)
-        resting = self.has_flown and not state.armed
-        if not resting:
-            self._over_s = None
-        elif self._over_s is None:
-            self._over_s = time.monotonic()
-
-    @property
-    def is_over(self) -> bool:
-        """Whether it has flown, and stands with its motors off."""
-        return self._over_s is not None and time.monotonic() - self._over_s > _MOTORS_OFF_RECORDING_S
-
-
-def _format_end_reason(process: VehicleProcess) -> str:
-    return f" ({process.reason})" if process.reason else ""
-
-
-def fly_behind_link(order: FlightOrder, show: FlightDisplay) -> str:
-    """Fly the mission in real time with other stations watching, without a page; return its outcome, "" if none."""
-    on_event, ending, startup = show.display.show_event, show.shutdown, show.startup
-    for end in order.extra_links:
-        show.terminal.print(f"It {end.explanation}", highlight=False)
-    process = _start_vehicle_process(order, order.extra_links, autostart=True, startup=startup)
-    watch = _FlightMonitor(process, on_event)
-    try:
-        while not (watch.is_over or ending.stop_requested.is_set()):
-            time.sleep(_POLL_INTERVAL_S)
-            if process.is_ready:
-                startup.finish()
-                watch.process_events()
-    finally:
-        process.stop()
-        while process.events:
-            on_event(process.events.popleft())
-    return process.outcome if watch.has_flown else ""
-
-
-def fly_with_page(order: FlightOrder, show: FlightDisplay) -> str:
-    """Fly with the station's page; return the outcome of the flight, "" if there was none."""
-    from mufly.dynamics import hover_performance
-    from mufly.link import parse_endpoint
-
-    address, page, on_event, startup = (
-        show.page_address,
-        show.start_page,
-        show.display.show_event,
-        show.startup,
-    )
-    assert address is not None
-    assert page is not None
-    number = _find_free_port()
-    ends = [parse_endpoint(f"udp:127.0.0.1:{number}", "vehicle"), *order.extra_links]
-    process = _start_vehicle_process(order, ends, order.starts_at_once, startup)
-    folder = order.recording_path.parent
-    try:
-        # Its process loads and compiles meanwhile.
-        from mufly.station import GroundStation
-        from mufly.station.page.page_server import serve_page
-        from mufly.station.page.page_session import StationSession
-
-        ground = GroundStation(
-            [parse_endpoint(f"udp:127.0.0.1:{number}", "station")], folder=folder, record_here=True,
-            name="simulation", on_vehicle=lambda found: found.set_base_mission(order.mission),
-        )  # fmt: skip
-        capacity_Ah = float(order.vehicle.battery.capacity) / 3600.0
-        battery = (hover_performance(order.vehicle).current_A, capacity_Ah)
-        session = StationSession(
-            lambda: ground.vehicles,
-            folder,
-            mission=order.mission,
-            recorder=ground.recorder,
-            rotor_radius_m=float(order.vehicle.rotors.radius),
-            battery_data=battery,
-            title=f"mufly: {order.mission.name}",
-            latest_sight=None if order.camera is None else lambda: process.sight,
-            startup=startup,
-        )
-        watch = _FlightMonitor(process, on_event)
-
-        async def run_station() -> None:
-            try:
-                await ground.start()
-                page.stop()
-                await serve_page(
-                    session, address, open_browser=False, stop=show.shutdown.stop_requested.is_set,
-                    beside=lambda: _supervise_flight(watch, process, session, order.starts_at_once, show.terminal),
-                )  # fmt: skip
-            finally:
-                await ground.stop()
-
-        with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(run_station())
-    finally:
-        process.stop()
-        while process.events:
-            on_event(process.events.popleft())
-    return process.outcome if watch.has_flown else ""
-
-
-async def _supervise_flight(
-    watch: _FlightMonitor,
-    process: VehicleProcess,
-    session: StationSession,
-    started: bool,
-    terminal: Console,
-) -> None:
-    """Return when the flight is over and nobody looks any more; fly the mission where nobody ever looked.
-
-    Raises
-    ------
-    MuflyError
-        If the vehicle does not start, or cannot go on; whoever looks is told first.
-    """
-    startup = session.startup
-    assert startup is not None
-    try:
-        await _wait_until_over(watch, process, session, startup, started, terminal)
-    except MuflyError as error:
-        startup.fail(str(error))
-        if session.live_view_count:
-            await asyncio.sleep(_ERROR_DISPLAY_S)
-        raise
-
-
-async def _wait_until_over(
-    watch: _FlightMonitor,
-    process: VehicleProcess,
-    session: StationSession,
-    startup: Startup,
-    started: bool,
-    terminal: Console,
-) -> None:
-    # Not in a thread, which would have to be waited for whoever wants to end.
-    while not process.is_ready:
-        await asyncio.sleep(_POLL_INTERVAL_S)
-    startup.begin_stage("waiting for its first heartbeat")
-    began = last_seen = time.monotonic()
-    while True:
-        await asyncio.sleep(_POLL_INTERVAL_S)
-        watch.process_events()
-        now = time.monotonic()
-        seen = bool(startup.visit_count or session.opened_count)
-        if session.live_view_count:
-            last_seen = now
-        vehicles = session.vehicles()
-        if vehicles:
-            startup.finish()
-        if not seen and not started and now - began > NO_PAGE_TIMEOUT_S and vehicles and not watch.has_flown:
-            started = True
-            terminal.print(f"No page was opened within {NO_PAGE_TIMEOUT_S:g} s: the mission is flown without one")
-            request = vehicles[0].start_mission()
-            while not request.is_done:
-                await asyncio.sleep(_POLL_INTERVAL_S)
-                watch.process_events()
-            if request.outcome != "accepted":
-                raise MuflyError(f"the mission does not start: {request.answer}")
-        if watch.is_over and not session.live_view_count and (not seen or now - last_seen > PAGE_CLOSED_TIMEOUT_S):
-            return
 
 
 # ----------------------------------------------------------------------------
@@ -629,13 +430,28 @@ def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
 
 def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
     """Fly with the page, or without one (no address) behind a link; return the outcome, "" without a flight."""
+    from mufly.station.page.simulated_flight import PageFlight, fly_behind_link, fly_with_page, vehicle_endpoint
+
+    on_event, stop = show.display.show_event, show.shutdown.stop_requested.is_set
     with show.shutdown:
-        if show.page_address is not None:
-            return fly_with_page(order, show)
-        try:
-            return fly_behind_link(order, show)
-        except KeyboardInterrupt:
-            return ""
+        if show.page_address is None or show.start_page is None:
+            for end in order.extra_links:
+                show.terminal.print(f"It {end.explanation}", highlight=False)
+            process = _start_vehicle_process(order, order.extra_links, True, show.startup)
+            try:
+                return fly_behind_link(process, show.startup, on_event=on_event, stop=stop)
+            except KeyboardInterrupt:
+                return ""
+        port = _find_free_port()
+        process = _start_vehicle_process(
+            order, vehicle_endpoint(port, order.extra_links), order.starts_at_once, show.startup
+        )
+        flight = PageFlight(
+            process, order.vehicle, order.mission, port, order.recording_path.parent, show.startup,
+            starts_at_once=order.starts_at_once, has_camera=order.camera is not None, on_event=on_event,
+            on_notice=show.terminal.print, stop=stop,
+        )  # fmt: skip
+        return fly_with_page(flight, show.page_address, show.start_page)
 
 
 def _read_partial_recording(recording: Path) -> xr.Dataset | None:
@@ -671,14 +487,14 @@ def _write_results(
         world=mission.world,
         realtime_factor=dataset.attrs.get("realtime_factor"),
     )
-    text = json.dumps(summary.to_dict(), indent=2)
+    text = json.dumps(summary.as_record(), indent=2)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     pictures = flight.draw_flight(dataset, folder, waypoints=waypoints, world=mission.world)
     pictures += flight.draw_estimate_pictures(dataset, folder)
     if as_json:
         print(text)
     else:
-        _print_summary(terminal, summary)
+        print_blocks(*summary.shown_blocks())
         names = ", ".join(p.name for p in (*recordings, folder / "summary.json", *pictures))
         terminal.print(f"Written to [bold]{escape(str(folder))}[/bold]: {names}", highlight=False)
     return summary
@@ -690,22 +506,3 @@ def _format_progress_line(p: FlightProgress) -> str:
         f"{p.time_s:7.1f} s  {p.state:<9}  N {n:5.2f} E {e:5.2f} height {-d:4.2f} m  "
         f"{p.battery_V:.2f} V {p.battery_charge:4.0%} {p.realtime_factor:3.0f}x real time"
     )
-
-
-def _print_summary(terminal: Console, summary: FlightSummary) -> None:
-    from rich import box
-    from rich.table import Table
-
-    from mufly.flight import summary_rows
-
-    table = Table(box=box.SIMPLE, show_header=False)
-    colour = "green" if summary.outcome == "succeeded" else "red"
-    for k, (label, value) in enumerate(summary_rows(summary)):
-        table.add_row(label, f"[bold {colour}]{value}[/]" if k == 0 else value)
-    terminal.print(table)
-    points = Table("waypoint", "N, E, D (m)", "reached (s)", "off by (cm)", "overshoot (cm)", box=box.SIMPLE)
-    for w in summary.waypoints:
-        told = ((w.reached_s, 1.0), (w.distance_at_reach_m, 100.0), (w.overshoot_m, 100.0))
-        numbers = ("never" if value is None else f"{factor * value:.1f}" for value, factor in told)
-        points.add_row(w.name, ", ".join(f"{x:g}" for x in w.position_m), *numbers)
-    terminal.print(points)

@@ -11,18 +11,17 @@ import typer
 
 from mufly.cli.options import ColumnOption, CommandGroup, JsonOption, define_argument, define_option
 from mufly.cli.output import (
-    make_console,
+    print_answer,
+    print_blocks,
     print_files,
-    print_json,
     print_lines,
-    print_table,
     progress_bar,
     report_place_errors,
 )
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.logs import ColumnMap, LogReport
+    from mufly.logs import ColumnMap
 
 LogArgument = Annotated[Path, define_argument("LOG", "Any log, of any of these formats.")]
 MapOption = Annotated[
@@ -121,8 +120,6 @@ app = CommandGroup(
     no_args_is_help=True,
 )  # fmt: skip
 
-_MAX_PRINTED_LINES = 40
-
 
 @app.command()
 def info(
@@ -144,68 +141,7 @@ def info(
     columns = column_map_from_options(map_file, column)
     with progress_bar("Reading", not as_json) as progress:
         report = examine_log(log, columns, progress=progress)
-    if as_json:
-        print_json(report.to_dict())
-    else:
-        _print_report(report)
-
-
-def _print_report(report: LogReport) -> None:
-    raw = report.raw
-    start, end = raw.time_span
-    facts = [raw.format_name, f"{end - start:.2f} s", f"from {start:.2f} to {end:.2f} s"]
-    facts += [f"began {raw.start_time}"] if raw.start_time else []
-    facts += [str(raw.info[k]) for k in ("sys_name", "ver_hw", "system", "recorded by") if raw.info.get(k)]
-    facts += [f"{len(raw.info['parameters'])} parameters"] if raw.info.get("parameters") else []
-    make_console().print(f"[bold]{Path(raw.path).name}[/bold]  {', '.join(facts)}", highlight=False, soft_wrap=True)
-    rows = []
-    for name, table in raw.items():
-        clock = report.clocks[name]
-        gives = dict.fromkeys(
-            s.partition(".")[0] for s, source in report.sources.items() if source.startswith(f"{name}/")
-        )
-        rate, gaps = _format_number(clock.rate_hz, 4), f"{len(clock.gaps) or ''}"
-        rows.append((name, f"{len(table.time)}", rate, f"{len(table.fields)}", gaps, ", ".join(gives)))
-    print_table(("topic", "messages", "rate (Hz)", "fields", "gaps", "gives"), rows, text=(0, 5))
-    if report.signals:
-        lines = [
-            (
-                s.name,
-                "" if s.units == "1" else s.units,
-                *map(_format_number, (s.smallest, s.mean, s.largest, s.std)),
-            )
-            for s in report.signals[:_MAX_PRINTED_LINES]
-        ]
-        print_table(("signal", "unit", "min", "mean", "max", "std"), lines, text=(0, 1))
-        _print_omitted_count(len(report.signals))
-    _print_section("Delays", [d.describe_delay() for d in report.delays], "")
-    _print_section(
-        "Said by the vehicle",
-        [f"{f'{t:.2f} s, ' if t == t else ''}{level}: {text}" for t, level, text in raw.messages],
-        "",
-    )
-    _print_section("Guessed, repaired or refused", report.notes, "yellow")
-    faults = report.list_faults()
-    _print_section("Found", faults, "yellow")
-    if not faults:
-        print_lines("Nothing wrong found.")
-
-
-def _print_section(title: str, lines: Sequence[str], style: str) -> None:
-    if not lines:
-        return
-    print_lines(title, style="bold")
-    print_lines(*(f"  {line}" for line in lines[:_MAX_PRINTED_LINES]), style=style or None)
-    _print_omitted_count(len(lines))
-
-
-def _print_omitted_count(count: int) -> None:
-    if count > _MAX_PRINTED_LINES:
-        print_lines(f"  and {count - _MAX_PRINTED_LINES} more (--json lists all)", style="dim")
-
-
-def _format_number(value: float, digits: int = 3) -> str:
-    return "" if value != value else f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
+    print_answer(as_json, report, files=None)
 
 
 @app.command()
@@ -246,7 +182,7 @@ def plot(
     mufly log plot flight.ulg sensor_combined/gyro_rad[0] --from 10 --to 20;
     mufly log plot monday.mcap attitude --with tuesday.ulg --align take-off
     """  # fmt: skip
-    from mufly.logs import draw_channels, group_channels, read_channels, select_channels
+    from mufly.logs import draw_channels, group_channels, read_channels, select_channels, select_fastest_fields
 
     if from_s is not None and to_s is not None and not from_s < to_s:
         raise InputError("--from", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
@@ -261,9 +197,10 @@ def plot(
     with progress_bar("Reading", True) as progress:
         raw, found, _, notes = read_channels(log, columns, fields, progress)
     _print_notes(log, notes)
-    wanted = (
-        select_channels(found, names, str(log), "; or write topic/field") if names else found or _fastest_fields(raw)
-    )
+    if names:
+        wanted = select_channels(found, names, str(log), "; or write topic/field")
+    else:
+        wanted = found or select_fastest_fields(raw)
     kept = []
     for channel in wanted:
         inside = (channel.time >= (from_s if from_s is not None else -1e300)) & (
@@ -299,7 +236,7 @@ def _plot_two_logs(
 
     from mufly.station.recording_comparison import (
         RecordingComparison,
-        difference_rows,
+        difference_table,
         draw_comparison,
         find_shared_signals,
     )
@@ -320,31 +257,12 @@ def _plot_two_logs(
         figure = draw_comparison(c, members, title=quantity.replace("_", " "))
         figure.axes[-1].set_xlim(*span)
         print_files(_save_figure(figure, folder, f"{log.stem}-with-{beside.stem}-{quantity}"))
-    rows = [
-        (
-            r["signal"],
-            "" if r["units"] == "1" else r["units"],
-            *(_format_number(r[k]) for k in ("rms", "largest", "at_s")),
-        )
-        for r in difference_rows(c, [n for members in found.values() for n in members])
-    ]
-    print_table(("signal", "unit", "rms difference", "largest", "at (s)"), rows, text=(0, 1))
+    print_blocks(difference_table(c, [n for members in found.values() for n in members]))
 
 
 def _print_notes(log: Path, notes: Iterable[str]) -> None:
     for note in notes:
         typer.secho(f"{log.name}: {note}", fg=typer.colors.YELLOW, err=True)
-
-
-def _fastest_fields(raw: Any) -> list[Any]:
-    """Something to see of a log that nobody has a map for: the fastest topics' first fields."""
-    from mufly.logs import Channel
-
-    out = []
-    for table in sorted(raw.values(), key=lambda t: -len(t.time))[:6]:
-        numbers = [(f, v) for f, v in table.fields.items() if v.dtype.kind in "biuf"][:6]
-        out += [Channel(f"{table.name}/{f}", table.units.get(f, ""), table.time, v.astype(float)) for f, v in numbers]
-    return out
 
 
 def _save_figure(figure: Any, folder: Path, name: str) -> list[Path]:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
 from mufly.cli.output import (
-    ResultColumn,
     make_console,
     print_answer,
     print_json,
@@ -14,7 +13,7 @@ from mufly.cli.output import (
     print_result_table,
     print_table,
 )
-from mufly.results import select_fields
+from mufly.results import ResultColumn, select_fields
 
 if TYPE_CHECKING:
     from mufly.mission import Mission

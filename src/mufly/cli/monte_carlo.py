@@ -16,13 +16,11 @@ from mufly.cli.options import JsonOption, define_argument, define_option
 from mufly.cli.output import (
     ensure_folder,
     make_console,
-    print_files,
-    print_json,
+    print_answer,
+    print_blocks,
     print_lines,
-    print_table,
     progress_bar,
-    report_place_errors,
-    save_figure,
+    write_text_file,
 )
 from mufly.cli.station import (
     FaultOption,
@@ -42,9 +40,7 @@ from mufly.cli.station import (
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mufly.flight.monte_carlo import Campaign, CampaignOutcome, FlightResult, WorkerPool
+    from mufly.flight.monte_carlo import Campaign, FlightResult, RecordedFlights
 
 _MAX_PRINTED_COMMANDS = 10  # commands printed; all are in commands.txt
 
@@ -147,7 +143,13 @@ def run_monte_carlo(
     by = tuple(word for word, wanted in (("--firmware", firmware), ("--fixed-point", fixed_point)) if wanted)
 
     from mufly.firmware import GenericFirmwareSoftware
-    from mufly.flight.monte_carlo import Campaign, WorkerPool, parse_variations
+    from mufly.flight.monte_carlo import (
+        Campaign,
+        RecordedFlights,
+        WorkerPool,
+        parse_variations,
+        record_notable_flights,
+    )
     from mufly.flight.monte_carlo import run_campaign as fly_all
     from mufly.flight.monte_carlo import search_worst_case as find_worst
 
@@ -177,16 +179,18 @@ def run_monte_carlo(
         if search and not stop():
             with progress_bar("Searching", not as_json) as progress:
                 sought = find_worst(campaign, search, crew=crew, folder=out, progress=progress, stop=stop)
-        commands: list[tuple[FlightResult, str]] = []
-        files: list[Path] = []
+        recorded = RecordedFlights([], [])
         if not stop():
             with progress_bar("Recording", not as_json) as progress:
-                commands, files = _refly_with_recording(campaign, flown, sought, out, record, crew, stop, progress)
+                recorded = record_notable_flights(
+                    campaign, flown, sought, out, crew, most=record, stop=stop, progress=progress,
+                    on_notice=lambda text: print_lines(text, mark="Warning", style="red"),
+                )  # fmt: skip
     if stop():
         done = f"{len(flown)} of {flights} flights" + (f" and {len(sought)} of the search" if search else "")
         make_console(stderr=True).print(f"Stopped: {done} are in {out}; the same command goes on", highlight=False)
         raise typer.Exit(ending.exit_status)
-    _write_and_print_results(campaign, flown, sought, out, commands, files, as_json)
+    _write_and_print_results(campaign, flown, sought, out, recorded, as_json)
 
 
 def _print_campaign(campaign: Campaign) -> None:
@@ -198,138 +202,40 @@ def _print_campaign(campaign: Campaign) -> None:
     print_lines(*(f"{v.request_text}: {v.note}" for v in campaign.variations if v.note), mark="Note", style="yellow")
 
 
-def _refly_with_recording(
-    campaign: Campaign,
-    flown: Sequence[FlightResult],
-    sought: Sequence[FlightResult],
-    out: Path,
-    record: int | None,
-    crew: WorkerPool,
-    stop: Callable[[], bool],
-    progress: Callable[[int, int], None] | None,
-) -> tuple[list[tuple[FlightResult, str]], list[Path]]:
-    """Fly failed flights and the worst ones again with a recording; return them with their commands, and files."""
-    from mufly.flight.monte_carlo import case_from_result, worst_first
-    from mufly.flight.monte_carlo.campaign import list_differences
-    from mufly.vehicle import format_vehicle_toml
-
-    failed = [f for f in flown if not f.success]
-    chosen = {out / "failed" / f"{f.index:05d}": f for f in failed[: len(failed) if record is None else record]}
-    left = [f for f in worst_first(flown, campaign.tolerance_m) if f.success][:1]
-    chosen |= {out / "worst" / f"{f.index:05d}": f for f in left}
-    chosen |= {out / "search" / f"{f.index:05d}": f for f in worst_first(sought, campaign.tolerance_m)[:1]}
-    commands: list[tuple[FlightResult, str]] = []
-    orders = []
-    for folder, f in chosen.items():
-        case = case_from_result(f)
-        vehicle_file = folder / "vehicle.toml" if case.parameter_values else None
-        command = campaign.replay_command(case, folder, vehicle_file)
-        with report_place_errors(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-            if vehicle_file is not None:
-                vehicle_file.write_text(format_vehicle_toml(campaign.make_vehicle(case)), encoding="utf-8")
-            (folder / "command.txt").write_text(command + "\n", encoding="utf-8")
-        commands.append((f, command))
-        recording = folder / "flight.mcap"
-        if not recording.exists():
-            orders.append((case, recording.with_suffix(".part.mcap")))
-    before = {(f.index, f.seed): f for f in chosen.values()}
-    paths = {case.index: path for case, path in orders}
-    for done, f in enumerate(crew.fly_cases(campaign, orders, stop), 1):
-        path = paths[f.index]
-        changed = list_differences(f, before[f.index, f.seed])
-        if changed:
-            print_lines(
-                f"flight {f.index} was not the same when flown again ({', '.join(changed)})",
-                mark="Warning",
-                style="red",
-            )
-        if path.exists():  # one that was refused before it began has none
-            with report_place_errors(path):
-                path.rename(path.with_name("flight.mcap"))
-        if progress is not None:
-            progress(done, len(orders))
-    return commands, [folder / "flight.mcap" for folder in chosen if (folder / "flight.mcap").exists()]
-
-
 def _write_and_print_results(
     campaign: Campaign, flown: Sequence[FlightResult], sought: Sequence[FlightResult], out: Path,
-    commands: Sequence[tuple[FlightResult, str]], recordings: Sequence[Path], as_json: bool,
+    recorded: RecordedFlights, as_json: bool,
 ) -> None:  # fmt: skip
     """Write tables, pictures and summary, and say what they say."""
-    from mufly.flight.monte_carlo import flight_severity, summarise_outcome, worst_first
+    from mufly.flight.monte_carlo import flight_severity, summarise_outcome, worst_first, write_flights
     from mufly.results import to_plain_data
 
-    files = [
-        *_write_flight_tables(campaign, flown, out, "flights"),
-        *_write_flight_tables(campaign, sought, out, "search"),
-    ]
+    files = [*write_flights(campaign, flown, out, "flights"), *write_flights(campaign, sought, out, "search")]
     outcome = summarise_outcome(flown, campaign.tolerance_m) if flown else None
     worst = worst_first(sought, campaign.tolerance_m)[:1]
+    commands = [command for _, command in recorded.commands]
     content = {
         "outcome": to_plain_data(outcome),
         "worst_found": to_plain_data(worst[0]) if worst else None,
-        "commands": {f"{f.index}": command for f, command in commands},
+        "commands": {f"{f.index}": command for f, command in recorded.commands},
     }
-    with report_place_errors(out):
-        (out / "summary.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-        (out / "commands.txt").write_text("".join(f"{c}\n" for _, c in commands), encoding="utf-8")
-    files += [out / "summary.json", out / "commands.txt"]
-    if as_json:
-        return print_json({**content, "files": [str(f) for f in files]})
-    if outcome is not None:
-        _print_outcome(outcome)
-    if worst:
-        f = worst[0]
-        share = flight_severity(f, campaign.tolerance_m)
-        said = f"it failed: {f.reason}" if not f.success else f"{100 * share:.0f} % of what is allowed"
-        print_lines(f"Worst of {len(sought)} flights of the search is {f.index}: {said}")
-    if commands:
-        print_lines("", "To fly these again:")
-        print_lines(*(command for _, command in commands[:_MAX_PRINTED_COMMANDS]))
+    files += [
+        write_text_file(out / "summary.json", json.dumps(content, indent=2) + "\n"),
+        write_text_file(out / "commands.txt", "".join(f"{c}\n" for c in commands)),
+    ]
+
+    def print_outcome() -> None:
+        if outcome is not None:
+            print_blocks(*outcome.shown_blocks())
+        for f in worst:
+            share = flight_severity(f, campaign.tolerance_m)
+            said = f"it failed: {f.reason}" if not f.success else f"{100 * share:.0f} % of what is allowed"
+            print_lines(f"Worst of {len(sought)} flights of the search is {f.index}: {said}")
+        if commands:
+            print_lines("", "To fly these again:", *commands[:_MAX_PRINTED_COMMANDS])
         if len(commands) > _MAX_PRINTED_COMMANDS:
             print_lines(f"and {len(commands) - _MAX_PRINTED_COMMANDS} more, in {out / 'commands.txt'}")
-    if recordings:
-        print_lines(f"Recorded already: {len(recordings)} (flight.mcap in their folders).")
-    print_files(files)
+        if recorded.recordings:
+            print_lines(f"Recorded already: {len(recorded.recordings)} (flight.mcap in their folders).")
 
-
-def _write_flight_tables(campaign: Campaign, flown: Sequence[FlightResult], out: Path, name: str) -> list[Path]:
-    """Tables and pictures of some flights."""
-    if not flown:
-        return []
-    from mufly.flight.monte_carlo import draw_distributions, draw_influences, results_dataset
-    from mufly.study import write_results
-
-    table = results_dataset(flown, campaign)
-    files = write_results(table, out, name)
-    try:
-        import pyarrow  # noqa: F401  an extra
-    except ImportError:
-        pass
-    else:
-        files.append(out / f"{name}.parquet")
-        with report_place_errors(out):
-            table.to_dataframe().to_parquet(files[-1])
-    title = f"{campaign.vehicle.name}, {campaign.mission_name}"
-    files.append(save_figure(draw_distributions(flown, campaign.tolerance_m, title), out, f"{name}-distributions"))
-    influences = draw_influences(flown, campaign)
-    if influences is not None:
-        files.append(save_figure(influences, out, f"{name}-influences"))
-    return files
-
-
-def _print_outcome(outcome: CampaignOutcome) -> None:
-    good = outcome.successes == outcome.flights
-    print_lines(f"{outcome.describe_success()}.", style="green" if good else "yellow")
-    if outcome.claimed != outcome.successes:
-        print_lines(f"By what the state machine says it would be {outcome.claimed}.", style="yellow")
-    if outcome.refused:
-        print_lines(f"{outcome.refused} draws were vehicles that cannot be; others were drawn in their place.")
-    print_lines(*(f"{count} x {reason}" for reason, count in outcome.reasons), mark="Failed")
-    rows = [
-        (w.label, f"{w.median:.3g}", f"{w.percentile_95:.3g}", f"{w.worst:.3g}", "" if w.unit == "1" else w.unit,
-         str(w.flight), "" if w.beyond is None else str(w.beyond))
-        for w in outcome.worst
-    ]  # fmt: skip
-    print_table(("", "median", "95 %", "worst", "unit", "flight", "beyond allowed"), rows)
+    print_answer(as_json, content, print_outcome, files)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from mufly.identify import ParameterEstimate
     from mufly.logs.mcap import FlightEvent
+    from mufly.results import ResultColumn, ShownBlock
     from mufly.station.page.start_page import Startup
 
 TableRow = Sequence[str]
@@ -40,11 +41,27 @@ def make_console(*, stderr: bool = False) -> Console:
     return Console(stderr=stderr)
 
 
-def print_lines(*lines: str, mark: str = "", style: str | None = None) -> None:
-    """Print lines as they stand, without markup."""
+def print_lines(*lines: str, mark: str = "", style: str | None = None, head: str = "") -> None:
+    """Print lines as they stand, without markup; ``head`` in bold before the first, ``mark`` before each."""
+    from rich.text import Text
+
     out = make_console()
-    for line in lines:
-        out.print(f"{mark}: {line}" if mark else line, style=style, highlight=False, markup=False, soft_wrap=True)
+    for k, line in enumerate(lines):
+        text = Text(head if k == 0 else "", style="bold").append(
+            f"{mark}: {line}" if mark else line, style=style or "not bold"
+        )
+        out.print(text, highlight=False, soft_wrap=True)
+
+
+def print_blocks(*blocks: ShownBlock) -> None:
+    """Print lines and tables by which a result is shown."""
+    from mufly.results import ShownLines
+
+    for block in blocks:
+        if isinstance(block, ShownLines):
+            print_lines(*block.lines, head=block.head, mark=block.mark, style=block.style)
+        elif block.heads:
+            print_table(block.heads, block.rows, title=block.title, text=block.text)
 
 
 def print_json(content: Any) -> None:
@@ -94,94 +111,13 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
         out.print(build_table([row], head=False), Padding(row[last], (0, 0, 0, 5)), highlight=False)
 
 
-@dataclass(frozen=True)
-class ResultColumn:
-    """A field of results as a column of a table, or as a line of a table of one result.
-
-    Parameters
-    ----------
-    name : str
-        The field, ``"speed_rad_s"``; of a part of the result with dots, ``"upper.thrust_N"``.
-    unit : str
-        The unit to print, ``"rpm"``; default the field's own.
-    form : str
-        As for :func:`format`.
-    head : str
-        Default: the field's name without its unit.
-    entry_names : tuple of str
-        What the entries of a pair are, ``("upper", "lower")``.
-    own_unit : str
-        The field's own unit, where neither its name nor its docstring says it.
-    """
-
-    name: str
-    unit: str = ""
-    form: str = ".4g"
-    head: str = ""
-    entry_names: tuple[str, ...] = ()
-    own_unit: str = ""
-
-    def header_text(self, item: Any) -> str:
-        """The column's head, with the unit."""
-        label, unit = self._label_and_unit(item)
-        unit = self.unit or unit
-        return f"{self.head or label} ({unit})" if unit else self.head or label
-
-    def value_text(self, item: Any, *, unit: bool = False) -> str:
-        """The value of one result, with its unit if asked."""
-        from mufly.results import field_value, format_value
-        from mufly.units import unit_conversion
-
-        value = field_value(item, self.name)
-        own = self._label_and_unit(item)[1]
-        if self.unit and value is not None:
-            _, factor, offset = unit_conversion(own or "1", self.unit)
-            value = [factor * v + offset for v in value] if isinstance(value, tuple | list) else factor * value + offset
-        if isinstance(value, str):
-            return value
-        shown = format_value(value, self.form)
-        if self.entry_names:
-            shown = ", ".join(f"{format_value(v, self.form)} {n}" for v, n in zip(value, self.entry_names, strict=True))
-        return shown if not unit or shown == "-" else f"{shown} {self.unit or own}".rstrip()
-
-    def _label_and_unit(self, item: Any) -> tuple[str, str]:
-        from mufly.results import field_meaning
-
-        found = field_meaning(item, self.name)
-        return found.label, self.own_unit or found.unit
-
-
 def print_result_table(
-    items: Sequence[Any], columns: Sequence[ResultColumn | str], *, title: str = "", names: Sequence[str] = ()
+    items: Sequence[Any], columns: Iterable[ResultColumn | str], *, title: str = "", names: Sequence[str] = ()
 ) -> None:
-    """Print results as a table, one a line; with ``names`` before them."""
-    if not items:
-        return
-    wanted = [ResultColumn(c) if isinstance(c, str) else c for c in columns]
-    heads = [c.header_text(items[0]) for c in wanted]
-    lines = [[c.value_text(item) for c in wanted] for item in items]
-    if names:
-        heads, lines = ["", *heads], [[name, *line] for name, line in zip(names, lines, strict=True)]
-    texts = [k for k, _ in enumerate(heads) if (k == 0 and names) or not any(_looks_like_number(x[k]) for x in lines)]
-    print_table(heads, lines, title=title, text=texts)
+    """Print results as a table, one a row; see :func:`mufly.results.tabulate_results`."""
+    from mufly.results import tabulate_results
 
-
-def print_result_lines(item: Any, columns: Sequence[ResultColumn | str | tuple[str, str]], *, title: str = "") -> None:
-    """Print one result as a table, a field a line; a pair is a label and its text."""
-    from mufly.results import field_meaning
-
-    lines: list[tuple[str, str]] = []
-    for one in columns:
-        if isinstance(one, tuple):
-            lines.append(one)
-        else:
-            c = ResultColumn(one) if isinstance(one, str) else one
-            lines.append((c.head or field_meaning(item, c.name).label, c.value_text(item, unit=True)))
-    print_table(("", ""), lines, title=title, text=(0, 1))
-
-
-def _looks_like_number(text: str) -> bool:
-    return text.rstrip(" %")[-1:].isdigit() or text == "-"
+    print_blocks(tabulate_results(items, columns, title=title, names=names))
 
 
 def print_estimates(
@@ -210,7 +146,10 @@ def print_estimates(
 
 
 def print_answer(
-    as_json: bool, content: Any, show: Callable[[], object] | None = None, files: Sequence[Path] | None = ()
+    as_json: bool,
+    content: Any,
+    show: Callable[[], object] | Iterable[ShownBlock] | None = None,
+    files: Sequence[Path] | None = (),
 ) -> None:
     """Answer a command: as JSON with the files that were written, or as text with a line for each file.
 
@@ -219,8 +158,8 @@ def print_answer(
     as_json : bool
     content : result, table or list
         What JSON holds: :func:`mufly.results.to_plain_data`.
-    show : callable, optional
-        Prints the text; default the result's own.
+    show : blocks or callable, optional
+        The text, or what prints it; default the result's own blocks, else its text.
     files : sequence of Path or None
         What was written. None: a command that writes nothing, whose JSON has no key for files.
     """
@@ -228,10 +167,14 @@ def print_answer(
 
     if as_json:
         return print_json(content if files is None else {**to_plain_data(content), "files": [str(f) for f in files]})
-    if show is None:
-        print_lines(str(content))
-    else:
+    if callable(show):
         show()
+    elif show is not None:
+        print_blocks(*show)
+    elif hasattr(content, "shown_blocks"):
+        print_blocks(*content.shown_blocks())
+    else:
+        print_lines(str(content))
     print_files(files or ())
 
 

@@ -34,7 +34,6 @@ from mufly.cli.options import (
     write_wakes,
 )
 from mufly.cli.output import (
-    ResultColumn,
     make_console,
     print_answer,
     print_files,
@@ -45,7 +44,7 @@ from mufly.cli.output import (
     save_figure,
     write_text_file,
 )
-from mufly.results import select_fields, to_records
+from mufly.results import ResultColumn, select_fields, to_records
 from mufly.units import RPM, compatible_units
 
 if TYPE_CHECKING:

@@ -27,7 +27,6 @@ from mufly.cli.options import (
     load_drive_option,
 )
 from mufly.cli.output import (
-    ResultColumn,
     make_console,
     print_answer,
     print_files,
@@ -42,7 +41,7 @@ from mufly.cli.output import (
 from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import InputError, suggest_name
 from mufly.quantity_grammar import read_values
-from mufly.results import to_records
+from mufly.results import ResultColumn, to_records
 from mufly.units import RPM
 
 if TYPE_CHECKING:

@@ -18,19 +18,18 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    ResultColumn,
     ensure_folder,
     make_console,
+    print_blocks,
     print_json,
     print_lines,
-    print_result_lines,
     print_result_table,
     print_table,
     write_text_file,
 )
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_quantity
-from mufly.results import select_fields
+from mufly.results import ResultColumn, select_fields, tabulate_fields
 from mufly.units import RPM, unit_conversion
 
 if TYPE_CHECKING:
@@ -172,19 +171,22 @@ def _print_hover(v: Vehicle, h: HoverPerformance) -> None:
     make_console().print(
         f"[bold]{v.name}[/bold] is valid and hovers, here with the battery half full:", highlight=False
     )
-    print_result_lines(
-        h,
-        [
-            ResultColumn("rotor_speed_rad_s", "rpm", ".0f", entry_names=both),
-            ResultColumn("motor_input", form=".3f", entry_names=both),
-            ResultColumn("thrust_N", form=".3f", entry_names=both),
-            ("battery", f"{h.voltage_V:.2f} V, {h.current_A:.2f} A, {h.power_W:.1f} W with electronics"),
-            ("endurance", f"{h.endurance_s / 60:.1f} min of hover from a full battery"),
-            (
-                "thrust to weight",
-                f"{h.thrust_to_weight_full:.2f} at full input, {h.thrust_to_weight_half:.2f} on a half-full battery",
-            ),
-        ],
+    print_blocks(
+        tabulate_fields(
+            h,
+            [
+                ResultColumn("rotor_speed_rad_s", "rpm", ".0f", entry_names=both),
+                ResultColumn("motor_input", form=".3f", entry_names=both),
+                ResultColumn("thrust_N", form=".3f", entry_names=both),
+                ("battery", f"{h.voltage_V:.2f} V, {h.current_A:.2f} A, {h.power_W:.1f} W with electronics"),
+                ("endurance", f"{h.endurance_s / 60:.1f} min of hover from a full battery"),
+                (
+                    "thrust to weight",
+                    f"{h.thrust_to_weight_full:.2f} at full input, "
+                    f"{h.thrust_to_weight_half:.2f} on a half-full battery",
+                ),
+            ],
+        )
     )
 
 

@@ -55,7 +55,7 @@ from mufly.control.weighting_schemes import (
 from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise_vehicle, model_parameters
 from mufly.dynamics.model_state import RS_CHARGE
 from mufly.errors import ArgumentError, MuflyError
-from mufly.results import result, to_plain_data
+from mufly.results import ShownBlock, format_value, result, show_lines, show_table, to_plain_data
 from mufly.vehicle import Vehicle, battery_voltage_range
 
 DEFAULT_RATE_HZ = 200.0
@@ -164,7 +164,7 @@ class ControllerDesign:
         """K of ``u = -K y``, of the full controller or of another one with the same inputs."""
         return feedback_part(self.controller if controller is None else controller, self.plant, self.feedback_inputs)
 
-    def to_dict(self) -> dict[str, Any]:
+    def as_record(self) -> dict[str, Any]:
         """The figures, ready for JSON: units in the keys, None for what is infinite."""
         return {
             "name": self.name,
@@ -186,23 +186,32 @@ class ControllerDesign:
             "thesis": to_plain_data(self.published),
         }
 
-    def __str__(self) -> str:
-        """Summary of a few lines."""
-        lines = [
-            f"{self.name}: gamma {self.gamma:.3f}, norm achieved {self.norm:.3f}; "
-            f"order {self.controller.nstates} -> {self.reduced.nstates} ({self.reduction.chosen.method}); "
-            f"{1 / self.discrete.period_s:g} Hz, {self.discrete.form} form, anti-windup {self.discrete.anti_windup}",
-            f"  {'loop':8} {'order':>5} {'crossovers rad/s':>17} {'S_u dB':>7} {'T_u dB':>7} {'GM dB':>6} "
-            f"{'PM deg':>7} {'delay ms':>9}",
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the figures of the three controllers beside the thesis's, as a table."""
+        thesis = self.published
+        loops = (self.full_loop, self.reduced_loop, self.sampled_loop)
+
+        def loop_row(label: str, field: str, form: str, theirs: str = "-", factor: float = 1.0) -> tuple[str, ...]:
+            return (label, *(f"{factor * getattr(loop, field):{form}}" for loop in loops), theirs)
+
+        crossovers = (", ".join(f"{w:.1f}" for w in loop.crossovers) for loop in loops)
+        plant = ", ".join(f"{w:.3g}" for w in self.plant_crossovers)
+        printed = ", ".join(f"{w:g}" for w in thesis.plant_crossovers or ()) or "-"
+        sensitivity, complementary = thesis.sensitivity_peak_dB, thesis.complementary_peak_dB
+        rows = [
+            ("order", *(f"{order}" for _, order, _ in self.loop_analyses), format_value(thesis.order)),
+            ("gamma claimed", f"{self.gamma:.3f}", "", "", format_value(thesis.gamma, ".2f")),
+            ("norm achieved", f"{self.norm:.3f}", f"{self.reduction.chosen.norm:.3f}", "", "-"),
+            ("plant's crossovers (rad/s)", plant, "", "", printed),
+            ("loop's crossovers (rad/s)", *crossovers, format_value(thesis.crossover)),
+            loop_row("peak of S_u (dB)", "sensitivity_peak_dB", ".2f", format_value(sensitivity, ".2f")),
+            loop_row("peak of T_u (dB)", "complementary_peak_dB", ".2f", format_value(complementary, ".2f")),
+            loop_row("gain margin (dB)", "gain_margin_dB", ".1f"),
+            loop_row("phase margin (deg)", "phase_margin_deg", ".1f"),
+            loop_row("delay margin (ms)", "delay_margin_s", ".0f", factor=1e3),
         ]
-        for label, order, loop in self.loop_analyses:
-            crossovers = ", ".join(f"{w:.1f}" for w in loop.crossovers)
-            lines.append(
-                f"  {label:8} {order:5d} {crossovers:>17} {loop.sensitivity_peak_dB:7.2f} "
-                f"{loop.complementary_peak_dB:7.2f} {loop.gain_margin_dB:6.1f} {loop.phase_margin_deg:7.1f} "
-                f"{1e3 * loop.delay_margin_s:9.1f}"
-            )
-        return "\n".join(lines)
+        heads = ("", "full order", "reduced", f"{1 / self.discrete.period_s:g} Hz*", "thesis")
+        return [show_table(heads, rows, title=self.name)]
 
 
 @result(picture="mufly.control.plots:draw_sensitivities")
@@ -264,7 +273,7 @@ class FlightController:
                 )
         return tuple(found)
 
-    def to_dict(self) -> dict[str, Any]:
+    def as_record(self) -> dict[str, Any]:
         """The figures of all designs, ready for JSON."""
         return {
             "warnings": list(self.design_warnings),
@@ -274,25 +283,29 @@ class FlightController:
             "design_voltage_V": self.voltage_V,
             "motor_trim_upper_lower": [float(v) for v in self.motor_trim],
             "position_gain_1_s": self.settings.position_gain,
-            "designs": [d.to_dict() for d in self.all_designs],
+            "designs": [d.as_record() for d in self.all_designs],
             "cascade": to_plain_data(self.cascade),
         }
 
-    def __str__(self) -> str:
-        """Summary of all designs."""
-        head = (
-            f"{self.vehicle_name}: {self.rate_Hz:g} Hz, position at {self.rate_Hz / self.position_divider:g} Hz, "
-            f"{self.voltage_V:g} V, hover motor inputs {self.motor_trim[0]:.3f} upper, {self.motor_trim[1]:.3f} lower"
-        )
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return trim and rates, the figures of all designs, and the warnings."""
         c = self.cascade
-        tail = (
-            f"position cascade at the tilt reference: S {c.sensitivity_peak_dB:.2f} dB, "
-            f"T {c.complementary_peak_dB:.2f} dB, GM {c.gain_margin_dB:.1f} dB, PM {c.phase_margin_deg:.1f} deg, "
-            f"delay margin {1e3 * c.delay_margin_s:.0f} ms"
-        )
-        return "\n".join(
-            [head, *map(str, self.all_designs), tail, *(f"warning: {text}" for text in self.design_warnings)]
-        )
+        return [
+            show_lines(
+                f" at {self.voltage_V:g} V: hover motor inputs {self.motor_trim[0]:.2f} upper, "
+                f"{self.motor_trim[1]:.2f} lower; law at {self.rate_Hz:g} Hz, position at "
+                f"{self.rate_Hz / self.position_divider:g} Hz",
+                head=self.vehicle_name,
+            ),
+            *(block for design in self.all_designs for block in design.shown_blocks()),
+            show_lines("* with one sample of delay", style="dim"),
+            show_lines(
+                f"Position cascade with the real attitude loop: S {c.sensitivity_peak_dB:.2f} dB, "
+                f"T {c.complementary_peak_dB:.2f} dB, phase margin {c.phase_margin_deg:.0f} deg, "
+                f"delay margin {1e3 * c.delay_margin_s:.0f} ms"
+            ),
+            show_lines(*self.design_warnings, mark="Warning", style="yellow"),
+        ]
 
 
 def design_flight_controller(

@@ -20,7 +20,14 @@ from mufly.logs.delay_estimation import (
     estimate_delay,
 )
 from mufly.logs.log_io import LOG_WRITERS, detect_log_format, read_log, read_raw, select_channels, write_log
-from mufly.logs.log_report import LogReport, draw_channels, examine_log, group_channels, read_channels
+from mufly.logs.log_report import (
+    LogReport,
+    draw_channels,
+    examine_log,
+    group_channels,
+    read_channels,
+    select_fastest_fields,
+)
 from mufly.logs.mcap import (
     FlightEvent,
     McapWriter,
@@ -94,6 +101,7 @@ __all__ = [
     "resample_signal",
     "rows_to_dataset",
     "select_channels",
+    "select_fastest_fields",
     "select_usable_samples",
     "to_csv",
     "write_log",

@@ -20,7 +20,7 @@ from mufly.logs.log_io import join_channels, map_channels, open_log
 from mufly.logs.mcap import flight_layout
 from mufly.logs.raw_log import MIN_GAP_STEPS, Channel, ClockReport, RawLog, check_clock, resample_signal
 from mufly.quantities import SIGNAL_SOURCES, is_command_signal
-from mufly.results import result
+from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.units import conversion_factor
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _ColumnMapInput = str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap | None
 # Gaps of more topics than this are told in one sentence.
 _MAX_LISTED_TOPICS = 5
+_MAX_SHOWN_LINES = 40  # of a section of a report
 ProgressCallback = Callable[[int, int], None]
 
 
@@ -86,7 +87,44 @@ class LogReport:
             out.append(f"constant throughout: {', '.join(values)}")
         return out
 
-    def to_dict(self) -> dict[str, Any]:
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return what the log is, its topics, its signals, delays, notes and faults."""
+        raw = self.raw
+        start, end = raw.time_span
+        facts = [raw.format_name, f"{end - start:.2f} s", f"from {start:.2f} to {end:.2f} s"]
+        facts += [f"began {raw.start_time}"] if raw.start_time else []
+        facts += [str(raw.info[k]) for k in ("sys_name", "ver_hw", "system", "recorded by") if raw.info.get(k)]
+        facts += [f"{len(raw.info['parameters'])} parameters"] if raw.info.get("parameters") else []
+        topics = []
+        for name, table in raw.items():
+            clock = self.clocks[name]
+            signals = (s.partition(".")[0] for s, source in self.sources.items() if source.startswith(f"{name}/"))
+            rate, gaps = _format_number(clock.rate_hz, 4), f"{len(clock.gaps) or ''}"
+            given = ", ".join(dict.fromkeys(signals))
+            topics.append((name, f"{len(table.time)}", rate, f"{len(table.fields)}", gaps, given))
+        rows = [
+            (s.name, "" if s.units == "1" else s.units, *map(_format_number, (s.smallest, s.mean, s.largest, s.std)))
+            for s in self.signals
+        ]
+        said = [f"{f'{t:.2f} s, ' if t == t else ''}{level}: {text}" for t, level, text in raw.messages]
+        faults = self.list_faults()
+        blocks: list[ShownBlock] = [
+            show_lines(f"  {', '.join(facts)}", head=Path(raw.path).name),
+            show_table(("topic", "messages", "rate (Hz)", "fields", "gaps", "gives"), topics, text=(0, 5)),
+        ]
+        if rows:
+            heads = ("signal", "unit", "min", "mean", "max", "std")
+            blocks += [show_table(heads, rows[:_MAX_SHOWN_LINES], text=(0, 1)), *_omitted_block(len(rows))]
+        return [
+            *blocks,
+            *_section_blocks("Delays", [d.describe_delay() for d in self.delays]),
+            *_section_blocks("Said by the vehicle", said),
+            *_section_blocks("Guessed, repaired or refused", self.notes, "yellow"),
+            *_section_blocks("Found", faults, "yellow"),
+            *([] if faults else [show_lines("Nothing wrong found.")]),
+        ]
+
+    def as_record(self) -> dict[str, Any]:
         """For JSON, SI units."""
         start, end = self.raw.time_span
         topics = [
@@ -130,6 +168,32 @@ class LogReport:
             "notes": self.notes,
             "faults": self.list_faults(),
         }
+
+
+def _section_blocks(title: str, lines: Sequence[str], style: str = "") -> list[ShownBlock]:
+    if not lines:
+        return []
+    shown = (f"  {line}" for line in lines[:_MAX_SHOWN_LINES])
+    return [show_lines(title, style="bold"), show_lines(*shown, style=style), *_omitted_block(len(lines))]
+
+
+def _omitted_block(count: int) -> list[ShownBlock]:
+    if count <= _MAX_SHOWN_LINES:
+        return []
+    return [show_lines(f"  and {count - _MAX_SHOWN_LINES} more (--json lists all)", style="dim")]
+
+
+def _format_number(value: float, digits: int = 3) -> str:
+    return "" if value != value else f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
+
+
+def select_fastest_fields(raw: RawLog) -> list[Channel]:
+    """Return the first numeric fields of the fastest topics: something to see of a log that has no column map."""
+    out = []
+    for table in sorted(raw.values(), key=lambda t: -len(t.time))[:6]:
+        numbers = [(f, v) for f, v in table.fields.items() if v.dtype.kind in "biuf"][:6]
+        out += [Channel(f"{table.name}/{f}", table.units.get(f, ""), table.time, v.astype(float)) for f, v in numbers]
+    return out
 
 
 def read_channels(

@@ -14,7 +14,7 @@ import numpy as np
 
 from mufly.camera import Camera
 from mufly.errors import ArgumentError, InputError
-from mufly.results import result
+from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.slam.dataset_readers import PICTURE_SUFFIXES, read_picture
 from mufly.slam.image_tools import load_opencv
 from mufly.vehicle.quantity import Quantity
@@ -24,7 +24,7 @@ MIN_BOARD_PICTURES = 5
 _LENS_PARAMETERS = ("focal_x", "focal_y", "centre_x", "centre_y", "k1", "k2", "p1", "p2", "k3")
 
 
-@result
+@result(json="values deviations residual_px used")
 class LensCalibration:
     """A lens as found."""
 
@@ -34,6 +34,14 @@ class LensCalibration:
     used: int = field(metadata={"unit": "1", "meaning": "pictures with a board in them"})
     of: int = field(metadata={"unit": "1", "meaning": "pictures"})
     camera: Camera = field(repr=False, metadata={"unit": "", "meaning": "the file's camera with this lens"})
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the calibration as a sentence and a table."""
+        rows = [(n, f"{self.values[n]:.4g}", f"{self.deviations[n]:.2g}") for n in self.values]
+        return [
+            show_lines(f"{self.used} of {self.of} pictures show the board; residual {self.residual_px:.2f} pixels"),
+            show_table(("", "found", "sigma"), rows),
+        ]
 
 
 def calibrate_lens(

@@ -28,7 +28,7 @@ from mufly.dynamics import GRAVITY, body_to_ned_matrix
 from mufly.errors import ArgumentError, InputError
 from mufly.rotations import quaternion_from_euler
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
-from mufly.world import World
+from mufly.world import Box, World
 
 _Array = NDArray[np.float64]
 PATH_RATE_HZ = 200.0
@@ -273,3 +273,14 @@ def render_frames(
         if lose and rng.uniform() < float(camera.radio.loss):
             continue
         yield CameraFrame(motion.time_s, picture, told), motion
+
+
+def scatter_boxes(count: int, side_m: float, seed: int) -> World:
+    """Return a world with low boxes on the floor, drawn by the seed, in and around a square of this side."""
+    rng = np.random.default_rng([seed, 77])
+    boxes = []
+    for _ in range(count):
+        size = (*rng.uniform(0.1, 0.35, 2), rng.uniform(0.03, 0.12))
+        n, e = rng.uniform(-0.8, side_m + 0.8, 2)
+        boxes.append(Box((n, e, -0.5 * size[2]), size, rng.uniform(0, 3.1)))
+    return World(boxes=tuple(boxes))

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.logs import LogWarning
-from mufly.results import result
+from mufly.results import ShownBlock, result, show_table
 from mufly.rotations import euler_from_quaternion
 from mufly.text_table import decode_text, detect_layout
 
@@ -276,6 +276,23 @@ class TrajectoryEvaluation:
     end_m: float = field(metadata={"unit": "m", "meaning": "horizontal error at the end"})
     nees: float = field(metadata={"unit": "1", "meaning": "NEES over its four numbers"})
     inside: float = field(metadata={"unit": "1", "meaning": "share inside the 95 % ellipsoid"})
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the evaluation as a table."""
+        rows = [
+            ("answered", f"{1 - self.lost:.1%}"),
+            ("horizontal error, rms (cm)", f"{100 * self.rms_m:.1f}"),
+            ("... worst (cm)", f"{100 * self.worst_m:.1f}"),
+            ("... at the end (cm)", f"{100 * self.end_m:.1f}"),
+            ("height error, rms (cm)", f"{100 * self.height_rms_m:.1f}"),
+            ("heading error, rms (deg)", f"{math.degrees(self.heading_rms_rad):.2f}"),
+            ("ATE (cm)", f"{100 * self.ate_m:.1f}"),
+            ("RPE over 1 s (cm)", f"{100 * self.rpe_m:.1f}"),
+            ("way (m)", f"{self.way_m:.1f}"),
+            ("NEES/n", "-" if math.isnan(self.nees) else f"{self.nees:.2f}"),
+            ("inside the 95 % ellipsoid", "-" if math.isnan(self.inside) else f"{self.inside:.1%}"),
+        ]
+        return [show_table(("", ""), rows)]
 
 
 def evaluate_trajectory(

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError
 from mufly.quantities import find_quantity
+from mufly.results import ShownTable, show_table
 from mufly.station.replay import MOTION_SOURCES, FlightRecording
 from mufly.units import conversion_factor
 
@@ -275,3 +276,20 @@ def difference_rows(c: RecordingComparison, names: Sequence[str]) -> list[dict[s
              "at_s": float(c.first_recording.times_s[k])}
         )  # fmt: skip
     return out
+
+
+def difference_table(c: RecordingComparison, names: Sequence[str]) -> ShownTable:
+    """Return how much two recordings differ in each signal, as a table to show."""
+    rows = [
+        (
+            r["signal"],
+            "" if r["units"] == "1" else r["units"],
+            *(_format_cell(r[k]) for k in ("rms", "largest", "at_s")),
+        )
+        for r in difference_rows(c, names)
+    ]
+    return show_table(("signal", "unit", "rms difference", "largest", "at (s)"), rows, text=(0, 1))
+
+
+def _format_cell(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"

@@ -21,7 +21,7 @@ right.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -35,7 +35,7 @@ from mufly.bench.bench_loads import calibrate_cells
 from mufly.bench.bench_table import BenchTable
 from mufly.bench.rig.bench_devices import BenchFacts, DeviceError, SampleCallback, calibration_to_dict
 from mufly.bench.series.moist_air import moist_air_density
-from mufly.bench.series.series_plan import BladeMounting
+from mufly.bench.series.series_plan import BladeMounting, PlanStep, SeriesPlan
 from mufly.rotor import (
     Air,
     Blading,
@@ -138,6 +138,16 @@ class SimulatedFaults:
     silent_from_s: float = np.inf
     spike_share: float = 0.0
     speed_shortfall_share: float = 0.0
+
+
+SIMULATED_FAULTS: dict[str, SimulatedFaults] = {
+    "reference": SimulatedFaults(reference_moved_deg=0.5, reference_moved_after=1),
+    "saturated": SimulatedFaults(force_cell_saturates=True),
+    "silent": SimulatedFaults(silent_from_s=1500.0),
+    "spikes": SimulatedFaults(spike_share=0.05),
+    "speed": SimulatedFaults(speed_shortfall_share=0.04),
+}
+"""Faults by the names that ``mufly bench run --fault`` takes."""
 
 
 @dataclass
@@ -412,3 +422,36 @@ class SimulatedRig:
             f"voltage_{side}": voltage + 0.01 * quiet * rng.standard_normal(n),
             f"motor_temperature_{side}": np.full(2, self._room_state[0] + heat.winding_rise_K),
         }
+
+
+def simulate_series_rig(
+    plan: SeriesPlan, seed: int, fault: str | None = None, time_s: float = 0.0
+) -> tuple[SimulatedRig, Callable[[PlanStep], Mapping[str, float]]]:
+    """Return a bench that runs a plan, and a function of a step that returns its true loads.
+
+    Parameters
+    ----------
+    plan : SeriesPlan
+    seed : int
+        Of its noise, drifts and errors.
+    fault : str, optional
+        A key of :data:`SIMULATED_FAULTS`.
+    time_s : float
+        At which its clock starts (s).
+
+    Returns
+    -------
+    rig : SimulatedRig
+    true_loads : callable
+        Loads of the blades as mounted, ``thrust`` (N), ``torque_upper``, ``torque_lower`` (N m), and as planned, with
+        ``nominal_`` before the name.
+    """
+    faults = SimulatedFaults() if fault is None else SIMULATED_FAULTS[fault]
+    rig = SimulatedRig(seed, faults=faults, spacing_m=plan.spacing_m, time_s=time_s)
+
+    def true_loads(step: PlanStep) -> dict[str, float]:
+        speeds: dict[str, float] = {a: rig.speed[a] for a in plan.mounting[step.mounting_index].turning_sides}
+        nominal = rig.true_loads(speeds, as_mounted=False)
+        return rig.true_loads(speeds) | {f"nominal_{k}": v for k, v in nominal.items()}
+
+    return rig, true_loads

@@ -251,4 +251,6 @@ def compare_with_theory(
                         (value - load.value) / doubt,
                     )
                 )
+    if not out:
+        raise InputError(series.name, "", "holds visits of the reference rotor only", "measure another rotor, too")
     return out

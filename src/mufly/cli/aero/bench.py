@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -22,16 +20,15 @@ from mufly.cli.options import (
     define_argument,
     define_option,
 )
-from mufly.cli.output import ensure_folder, make_console, print_answer, print_lines, print_table, write_text_file
+from mufly.cli.output import ensure_folder, make_console, print_answer, print_lines, write_text_file
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_values
 
 if TYPE_CHECKING:
     from mufly.bench.rig.bench_devices import BenchRig
-    from mufly.bench.series.series_analysis import LoadInterval, SeriesResult, SettingResult
+    from mufly.bench.series.series_analysis import SeriesResult
     from mufly.bench.series.series_files import LoadDifference
-    from mufly.bench.series.series_plan import BladeMounting, PlanStep, SeriesPlan
-    from mufly.bench.series.series_record import SeriesRecord
+    from mufly.bench.series.series_plan import BladeMounting
     from mufly.bench.series.series_runner import SeriesProgress
 
 app = CommandGroup(
@@ -109,6 +106,7 @@ def plan(
     Example: mufly bench plan --rotor naca0012-r60-c20 --pitch 10,14 --reference naca4412-r60-c20
     """
     from mufly.bench.series.series_plan import StepTimes, make_plan
+    from mufly.bench.series.series_tables import plan_blocks
     from mufly.cli.output import check_writable_file
     from mufly.rotor import load_rotor
 
@@ -127,21 +125,6 @@ def plan(
     check_writable_file("--out", out)
     write_text_file(out, made.to_toml())
 
-    def print_plan() -> None:
-        print_table(
-            ("", "use", "blades", "speeds (rpm)"),
-            [(f"{k}", m.use, m.describe_mounting(), ", ".join(f"{s:g}" for s in m.speeds_rpm))
-             for k, m in enumerate(made.mounting, 1)], text=(1, 2, 3),
-        )  # fmt: skip
-        print_lines(
-            f"{made.point_count} points, {len(made.steps)} steps; about {made.estimate_duration_s() / 60:.0f} min and "
-            f"{len(made.mounting)} changes of blades"
-        )
-        if axis == "pair" and len(set(ratios)) < 2:
-            print_lines(
-                "One ratio of speeds shows the thrust of both rotors together only, --ratio 0.9,1,1.1 that of each."
-            )
-
     print_answer(
         as_json,
         {
@@ -149,7 +132,7 @@ def plan(
             "points": made.point_count,
             "seconds": made.estimate_duration_s(),
         },
-        print_plan,
+        plan_blocks(made),
         [out],
     )
 
@@ -175,17 +158,20 @@ def run(
 
     Everything measured is on the disk before the next point begins. live.html in the folder shows the series.
     """
+    from mufly.bench.rig.simulated_rig import simulate_series_rig
     from mufly.bench.series.live_page import PAGE_FILE_NAME, write_live_page
     from mufly.bench.series.series_plan import read_plan
     from mufly.bench.series.series_record import SeriesRecord
     from mufly.bench.series.series_runner import LimitError, Stopped, run_series
+    from mufly.bench.series.series_tables import format_progress_line
     from mufly.cli.station import ShutdownHandler
 
     made = read_plan(plan)
     ensure_folder("--out", out)
     real = _load_real_rig(rig, fault) if rig != "sim" else None
     record = SeriesRecord(out)
-    bench, truth = (real, None) if real is not None else _make_simulated_rig(made, record, seed, fault)
+    last_s = float(record.lines[-1]["time"]) + 60.0 if record.lines else 0.0
+    bench, truth = (real, None) if real is not None else simulate_series_rig(made, seed, fault, last_s)
     page = out / PAGE_FILE_NAME
     err, drawn = make_console(stderr=True), [0.0]
     print_lines(
@@ -199,7 +185,7 @@ def run(
         def show_progress(p: SeriesProgress) -> None:
             status.update(f"{100 * p.done_steps / p.total_steps:.0f} %  {p.activity}")
             if (line := p.record_line) is not None and line["what"] == "point":
-                err.print(_format_progress_line(line, made, p), highlight=False, markup=False)
+                err.print(format_progress_line(line, made, p), highlight=False, markup=False)
             # A page a second at most: a simulated bench makes a hundred readings in one.
             if (p.record_line is not None and time.monotonic() - drawn[0] > 1.0) or p.done_steps == p.total_steps:
                 drawn[0] = time.monotonic()
@@ -243,23 +229,6 @@ def run(
     print_lines(f"Done: {len(record.readings)} readings in {out}; next: mufly bench analyse {out}")
 
 
-def _format_progress_line(line: dict[str, Any], plan: SeriesPlan, p: SeriesProgress) -> str:
-    m = plan.mounting[line["mounting"]]
-    quick = line.get("quick", {})
-    loads = ", ".join(
-        f"{n} {quick[n] * (1e3 if n == 'torque' else 1):.4g} {'mN m' if n == 'torque' else 'N'}"
-        for n in ("thrust", "torque") if n in quick
-    )  # fmt: skip
-    bad = (
-        ""
-        if line["settled"] and line["at_speed"] and not line["saturated"]
-        else "  NOT USABLE: "
-        + ("saturated" if line["saturated"] else "not at its speed" if not line["at_speed"] else "did not settle")
-    )
-    blades = f"{m.rotor} {m.pitch_deg:g} deg {m.axis:5s}"
-    return f"{p.done_steps:4d}/{p.total_steps}  {blades} {line['speed_rpm']:6.0f} rpm  {loads}{bad}"
-
-
 def _wait_for_mounting(m: BladeMounting, asked: threading.Event) -> None:
     """Wait for Enter, or for the request to stop."""
     from mufly.bench.series.series_runner import Stopped
@@ -285,30 +254,6 @@ def _load_real_rig(name: str, fault: str | None) -> BenchRig:
     return load_rig(name)
 
 
-def _make_simulated_rig(
-    plan: SeriesPlan, record: SeriesRecord, seed: int, fault: str | None
-) -> tuple[BenchRig, Callable[[PlanStep], Mapping[str, float]]]:
-    from mufly.bench.rig.simulated_rig import SimulatedFaults, SimulatedRig
-
-    faults = {
-        None: SimulatedFaults(),
-        "reference": SimulatedFaults(reference_moved_deg=0.5, reference_moved_after=1),
-        "saturated": SimulatedFaults(force_cell_saturates=True),
-        "silent": SimulatedFaults(silent_from_s=1500.0),
-        "spikes": SimulatedFaults(spike_share=0.05),
-        "speed": SimulatedFaults(speed_shortfall_share=0.04),
-    }[fault]
-    last = float(record.lines[-1]["time"]) + 60.0 if record.lines else 0.0
-    rig = SimulatedRig(seed, faults=faults, spacing_m=plan.spacing_m, time_s=last)
-
-    def true_loads(step: PlanStep) -> dict[str, float]:
-        speeds: dict[str, float] = {a: rig.speed[a] for a in plan.mounting[step.mounting_index].turning_sides}
-        nominal = rig.true_loads(speeds, as_mounted=False)
-        return rig.true_loads(speeds) | {f"nominal_{k}": v for k, v in nominal.items()}
-
-    return rig, true_loads
-
-
 @app.command()
 def analyse(
     series: SeriesArgument,
@@ -324,6 +269,7 @@ def analyse(
     from mufly.bench import read_measurements
     from mufly.bench.series.series_analysis import analyse_series as analysed
     from mufly.bench.series.series_files import write_series_results
+    from mufly.bench.series.series_tables import series_blocks
 
     found = analysed(series, known=None if known is None else read_measurements(known), accept=accept or [])
     folder = out or series / "results"
@@ -332,7 +278,7 @@ def analyse(
     print_answer(
         as_json,
         {"series": found, "refused": bool(found.fatal_issues)},
-        lambda: _print_series(found),
+        series_blocks(found),
         files,
     )
     single = next((s for s in found.settings if s.axis != "pair"), None)
@@ -346,59 +292,6 @@ def analyse(
             f"is not to be trusted ({kinds})",
             "measure again, or --accept what you can explain",
         )
-
-
-def _format_load(load: LoadInterval | None, scale: float = 1.0) -> str:
-    if load is None:
-        return "-"
-    return f"{scale * load.value:.4g} ± {scale * load.expanded:.2g}"
-
-
-def _print_series(found: SeriesResult) -> None:
-    def setting_row(s: SettingResult) -> tuple[str, ...]:
-        speeds = (
-            f"{s.speed_upper_rpm:.0f}, {s.speed_lower_rpm:.0f}"
-            if s.axis == "pair"
-            else (f"{s.speed_lower_rpm if s.axis == 'lower' else s.speed_upper_rpm:.0f}")
-        )
-        torque = (
-            (_format_load(s.torque_upper, 1e3), _format_load(s.torque_lower, 1e3))
-            if s.axis == "pair"
-            else (_format_load(s.torque, 1e3), "")
-        )
-        return (
-            s.rotor,
-            s.axis,
-            f"{s.pitch_deg:g}",
-            speeds,
-            f"{s.mountings}",
-            _format_load(s.thrust),
-            *torque,
-        )
-
-    pair = any(s.axis == "pair" for s in found.settings)
-    heads = ("rotor", "axis", "pitch (deg)", "speed (rpm)", "mounted", "thrust (N)",
-             "torque upper (mN m)" if pair else "torque (mN m)", "torque lower (mN m)" if pair else "")  # fmt: skip
-    rows = [setting_row(s) for s in found.settings]
-    cut = len(heads) if pair else len(heads) - 1
-    print_table(heads[:cut], [r[:cut] for r in rows], text=(0, 1, 3), title=f"{found.name}, 95 % intervals")
-    print_lines(*found.notes)
-    for load, tau in found.repeat.items():
-        if math.isfinite(tau):
-            print_lines(f"{load}: mountings of the same setting differ by {100 * tau:.2f} % (one standard deviation)")
-    if all(s.mountings < 2 for s in found.settings):
-        print_lines(
-            "no setting was mounted twice: intervals are for the blades as they were mounted, not for their pitch"
-        )
-    inside = [
-        abs(load.value - s.truth[f"nominal_{q}"]) <= load.expanded
-        for s in found.settings for q in ("thrust", "torque_upper", "torque_lower")
-        if (load := getattr(s, q)) is not None and f"nominal_{q}" in s.truth
-    ]  # fmt: skip
-    if inside:
-        print_lines(f"simulated bench: {sum(inside)} of {len(inside)} intervals hold the truth")
-    for d in found.doubts:
-        print_lines(d.text, mark="REFUSED" if d.is_fatal else "note", style="red" if d.is_fatal else "yellow")
 
 
 @app.command()
@@ -426,6 +319,7 @@ def compare(
     from mufly.bench.series.series_analysis import analyse_series as analysed
     from mufly.bench.series.series_files import compare_series, compare_with_theory
     from mufly.bench.series.series_record import read_record
+    from mufly.bench.series.series_tables import difference_blocks
 
     torque = None if known is None else read_measurements(known)
     first = _require_accepted(analysed(series, known=torque, accept=accept or []), series)
@@ -437,20 +331,8 @@ def compare(
     else:
         found = compare_series(first, _require_accepted(analysed(other, known=torque, accept=accept or []), other))
 
-    def print_differences() -> None:
-        print_table(
-            ("setting", "first" if other else "bench", "second" if other else "theory", "off", "E_n"),
-            [(d.what, f"{d.first:.4g}", f"{d.second:.4g}", f"{100 * d.relative:+.1f} %", f"{d.normalised:+.2f}")
-             for d in found], text=(0,),
-        )  # fmt: skip
-        beyond = sum(abs(d.normalised) > 1 for d in found)
-        mean = sum(abs(d.relative) for d in found) / len(found)
-        print_lines(
-            f"{beyond} of {len(found)} differ by more than their uncertainty; "
-            f"mean absolute difference {100 * mean:.1f} %"
-        )
-
-    print_answer(as_json, {"differences": found}, print_differences)
+    names = ("bench", "theory") if other is None else ("first", "second")
+    print_answer(as_json, {"differences": found}, difference_blocks(found, *names))
 
 
 def _require_accepted(found: SeriesResult, where: Path) -> SeriesResult:

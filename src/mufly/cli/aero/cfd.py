@@ -28,10 +28,9 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    ResultColumn,
     make_console,
     print_answer,
-    print_result_lines,
+    print_blocks,
     print_result_table,
     print_table,
     report_place_errors,
@@ -40,7 +39,7 @@ from mufly.cli.output import (
 )
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_values
-from mufly.results import select_fields
+from mufly.results import ResultColumn, select_fields, tabulate_fields
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -143,12 +142,12 @@ def mesh(
         files.append(save_figure(cfd.mesh_picture(found), out, "mesh"))
 
     def print_mesh_quality() -> None:
-        print_result_lines(
+        print_blocks(tabulate_fields(
             good,
             ["cells", "non_orthogonality_deg", "mean_non_orthogonality_deg", "severe", "skewness", "smallest_volume_m3",
              "aspect_ratio", ("verdict", "good" if good.good else "not good: a solver may fail on it")],
             title=f"{rotor}, {blade.level} mesh",
-        )  # fmt: skip
+        ))  # fmt: skip
 
     content = {"rotor": rotor, "level": blade.level, "good": good.good, "quality": good}
     print_answer(as_json, content, print_mesh_quality, files)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mufly.cli.output import (
-    ResultColumn,
     make_console,
     print_answer,
     print_result_table,
@@ -18,7 +17,7 @@ from mufly.cli.output import (
     write_csv,
     write_records,
 )
-from mufly.results import select_fields, to_records
+from mufly.results import ResultColumn, select_fields, to_records
 
 if TYPE_CHECKING:
     from mufly.cfd import CfdSolution, OperatingPoint, PairSolution, SpanLoads

@@ -300,7 +300,7 @@ def demo(
         shown = run_identification_demo(seed=seed, method=method, moving=moving, on_progress=on_progress)
     page = _write_report(shown.fit, report, not as_json)
     if as_json:
-        return print_json(shown.as_dict())
+        return print_json(shown)
     _print_demo(shown)
     print_files(page, "Report")
 

@@ -10,7 +10,6 @@ import typer
 
 from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
 from mufly.cli.output import (
-    ResultColumn,
     print_answer,
     print_files,
     print_json,
@@ -28,6 +27,7 @@ from mufly.cli.station import (
     resolve_wind,
 )
 from mufly.errors import InputError
+from mufly.results import ResultColumn
 
 if TYPE_CHECKING:
     from mufly.control import FlightController

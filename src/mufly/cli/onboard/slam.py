@@ -12,8 +12,8 @@ from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_
 from mufly.cli.output import (
     ensure_folder,
     print_answer,
+    print_blocks,
     print_lines,
-    print_table,
     progress_bar,
     report_place_errors,
     save_figure,
@@ -22,8 +22,7 @@ from mufly.cli.output import (
 from mufly.errors import InputError, MuflyError
 
 if TYPE_CHECKING:
-    from mufly.camera import Camera
-    from mufly.slam import CameraFrame, TrackingResult, TrajectoryEvaluation
+    from mufly.slam import CameraFrame, TrackingResult
 
 app = CommandGroup(
     help="Visual SLAM with a camera that looks down: run it over pictures, recorded or as they come, evaluate, "
@@ -80,6 +79,7 @@ def render(
         make_square_path,
         path_from_recording,
         render_frames,
+        scatter_boxes,
         write_dataset,
     )
 
@@ -102,7 +102,7 @@ def render(
     else:
         path = make_square_path(duration_s=duration, side_m=side, height_m=height, speed_m_s=speed, seed=seed)
     ensure_folder("--out", out)
-    made = render_frames(lens, ground, path, duration_s=duration, world=_random_boxes(boxes, side, seed), seed=seed)
+    made = render_frames(lens, ground, path, duration_s=duration, world=scatter_boxes(boxes, side, seed), seed=seed)
     total = int(duration / float(lens.sensor.period))
     with report_place_errors(out), progress_bar("pictures", not as_json) as bar:
         count = write_dataset(
@@ -112,20 +112,6 @@ def render(
         as_json, {"pictures": count, "floor": ground.name, "camera": lens.name},
         lambda: print_lines(f"{count} pictures of a {ground.name} floor by {lens.name}, layout {layout}"), [out],
     )  # fmt: skip
-
-
-def _random_boxes(count: int, side: float, seed: int) -> Any:
-    import numpy as np
-
-    from mufly.world import Box, World
-
-    rng = np.random.default_rng([seed, 77])
-    out = []
-    for _ in range(count):
-        size = (*rng.uniform(0.1, 0.35, 2), rng.uniform(0.03, 0.12))
-        n, e = rng.uniform(-0.8, side + 0.8, 2)
-        out.append(Box((n, e, -0.5 * size[2]), size, rng.uniform(0, 3.1)))
-    return World(boxes=tuple(out))
 
 
 @app.command()
@@ -198,7 +184,7 @@ def run(
     camera.toml --telemetry flight.ulg --offset 12.3; mufly slam run /dev/video0 --camera webcam --height 1.2 -o result;
     mufly slam run http://127.0.0.1:8090/stream --camera mufly-2.0 --height 1
     """
-    from mufly.camera import LivePictures, is_live_source, load_camera
+    from mufly.camera import LivePictures, find_camera, is_live_source, load_camera
     from mufly.cli.station import ShutdownHandler
     from mufly.link import parse_endpoint
     from mufly.link.companion import CompanionPort
@@ -245,7 +231,7 @@ def run(
             ))  # fmt: skip
             source = open_live(live, port.frame_infos_at if port is not None else cast(Any, told))
         else:
-            lens = _load_camera(Path(place), camera)
+            lens = find_camera(Path(place), camera)
             source = open_pictures(place, lens, height_m=height, rate_Hz=rate, times=times, told=told)
         truth = source.truth
         start = (0.0, 0.0, 0.0) if truth is None else (*truth[1][0, :2], truth[2][0])
@@ -325,7 +311,7 @@ def run(
         print_lines(*(f"  {n} not: {why}" for why, n in sorted(found.reasons.items(), key=lambda r: -r[1])))
         print_lines(*(f"  {line}" for line in missed))
         if result is not None:
-            _print_evaluation(result)
+            print_blocks(*result.shown_blocks())
 
     print_answer(as_json, content, print_result, files)
     if failed:
@@ -349,12 +335,12 @@ def serve(
     """
     import time
 
-    from mufly.camera import StreamServer, encode_jpeg, is_local_host, parse_address
+    from mufly.camera import StreamServer, encode_jpeg, find_camera, is_local_host, parse_address
     from mufly.slam import open_pictures
 
     if not 0.05 <= speed <= 20.0:
         raise InputError("--speed", "", f"{speed:g} is out of range", "give 0.05 to 20")
-    source = open_pictures(place, _load_camera(place, camera), height_m=1.0)
+    source = open_pictures(place, find_camera(place, camera), height_m=1.0)
     host, port = parse_address(at)
     with StreamServer(host, port) as server:
         print_lines(f"{source.frame_count} pictures at {server.url}, as soon as somebody looks; Ctrl-C ends it")
@@ -372,26 +358,6 @@ def serve(
         except KeyboardInterrupt:
             return
     print_lines("all were sent")
-
-
-def _load_camera(place: Path, given: str | None) -> Camera:
-    """The camera of pictures: the one that is given, or that of their folder or recording."""
-    from mufly.camera import CAMERA_FILE_NAME, load_camera, parse_camera, read_pictures
-
-    if not place.exists():
-        raise InputError(str(place), "", "no such folder, video or recording", "give one with pictures")
-    if given is not None:
-        return load_camera(given)
-    recording = place / CAMERA_FILE_NAME if place.is_dir() else place
-    if recording.suffix == ".mcap" and recording.is_file() and (text := read_pictures(recording).camera):
-        return parse_camera(text, f"{recording}: camera.toml")
-    if place.is_dir() and not any(place.iterdir()):
-        raise InputError(str(place), "", "is empty", "give a folder with pictures, a video or a recording")
-    names = ("camera.toml", "mav0/cam0/sensor.yaml", "cam0/sensor.yaml")
-    beside = next((place / name for name in names if (place / name).is_file()), None)
-    if beside is None:
-        raise InputError(str(place), "camera.toml", "is not there", "give --camera")
-    return load_camera(beside)
 
 
 @app.command()
@@ -420,7 +386,7 @@ def evaluate(
     content = {"errors": result, "left_out": one.reasons.get("left out", 0), "other_axes": better}
 
     def print_result() -> None:
-        _print_evaluation(result)
+        print_blocks(*result.shown_blocks())
         if better:
             said = f"with y and z the other way round it fits better ({better}): are its axes those of the truth? "
             print_lines(
@@ -430,23 +396,6 @@ def evaluate(
             )
 
     print_answer(as_json, content, print_result)
-
-
-def _print_evaluation(e: TrajectoryEvaluation) -> None:
-    rows = [
-        ("answered", f"{1 - e.lost:.1%}"),
-        ("horizontal error, rms (cm)", f"{100 * e.rms_m:.1f}"),
-        ("... worst (cm)", f"{100 * e.worst_m:.1f}"),
-        ("... at the end (cm)", f"{100 * e.end_m:.1f}"),
-        ("height error, rms (cm)", f"{100 * e.height_rms_m:.1f}"),
-        ("heading error, rms (deg)", f"{math.degrees(e.heading_rms_rad):.2f}"),
-        ("ATE (cm)", f"{100 * e.ate_m:.1f}"),
-        ("RPE over 1 s (cm)", f"{100 * e.rpe_m:.1f}"),
-        ("way (m)", f"{e.way_m:.1f}"),
-        ("NEES/n", "-" if math.isnan(e.nees) else f"{e.nees:.2f}"),
-        ("inside the 95 % ellipsoid", "-" if math.isnan(e.inside) else f"{e.inside:.1%}"),
-    ]
-    print_table(("", ""), rows)
 
 
 @app.command()
@@ -475,15 +424,4 @@ def calibrate(
     if out is not None:
         write_text_file(out, format_camera_toml(found.camera), "give another file")
 
-    def print_result() -> None:
-        print_lines(f"{found.used} of {found.of} pictures show the board; residual {found.residual_px:.2f} pixels")
-        rows = [(n, f"{found.values[n]:.4g}", f"{found.deviations[n]:.2g}") for n in found.values]
-        print_table(("", "found", "sigma"), rows)
-
-    content = {
-        "values": found.values,
-        "deviations": found.deviations,
-        "residual_px": found.residual_px,
-        "used": found.used,
-    }
-    print_answer(as_json, content, print_result, [] if out is None else [out])
+    print_answer(as_json, found, files=[] if out is None else [out])

@@ -1,6 +1,7 @@
 """A thousand flights: what varies, who flies, how often it succeeds, and which flights are the worst."""
 
 from mufly.flight.monte_carlo.campaign import Campaign, FlightCase, FlightResult, fly_case, judge_flight
+from mufly.flight.monte_carlo.campaign_files import RecordedFlights, record_notable_flights, write_flights
 from mufly.flight.monte_carlo.campaign_pictures import draw_distributions, draw_influences
 from mufly.flight.monte_carlo.campaign_results import (
     CampaignOutcome,
@@ -29,6 +30,7 @@ __all__ = [
     "FlightResult",
     "MetricSummary",
     "ParameterVariation",
+    "RecordedFlights",
     "WorkerPool",
     "case_from_result",
     "draw_distributions",
@@ -38,10 +40,12 @@ __all__ = [
     "judge_flight",
     "list_metrics",
     "parse_variations",
+    "record_notable_flights",
     "results_dataset",
     "run_campaign",
     "search_worst_case",
     "summarise_outcome",
     "wilson_interval",
     "worst_first",
+    "write_flights",
 ]

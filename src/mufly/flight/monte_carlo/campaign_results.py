@@ -25,7 +25,7 @@ from mufly.errors import InputError
 from mufly.flight.monte_carlo.campaign import Campaign, FlightResult
 from mufly.flight.monte_carlo.worker_pool import describe_campaign
 from mufly.mission import HARD_TOUCHDOWN_M_S
-from mufly.results import result
+from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import list_parameters
 from mufly.version import __version__
 
@@ -164,6 +164,28 @@ class CampaignOutcome:
             f"flights, with 95 % "
             f"confidence, between {_format_percent(self.low)} and {_format_percent(self.high)} do (Wilson's interval)"
         )
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the share of successes, why flights failed, and the worst numbers."""
+        blocks = [
+            show_lines(f"{self.describe_success()}.", style="green" if self.successes == self.flights else "yellow")
+        ]
+        if self.claimed != self.successes:
+            text = f"By what the state machine says it would be {self.claimed}."
+            blocks.append(show_lines(text, style="yellow"))
+        if self.refused:
+            text = f"{self.refused} draws were vehicles that cannot be; others were drawn in their place."
+            blocks.append(show_lines(text))
+        rows = [
+            (w.label, f"{w.median:.3g}", f"{w.percentile_95:.3g}", f"{w.worst:.3g}", "" if w.unit == "1" else w.unit,
+             f"{w.flight}", "" if w.beyond is None else f"{w.beyond}")
+            for w in self.worst
+        ]  # fmt: skip
+        return [
+            *blocks,
+            show_lines(*(f"{count} x {reason}" for reason, count in self.reasons), mark="Failed"),
+            show_table(("", "median", "95 %", "worst", "unit", "flight", "beyond allowed"), rows),
+        ]
 
 
 def _format_percent(share: float) -> str:

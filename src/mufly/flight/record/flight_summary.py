@@ -47,7 +47,7 @@ from mufly.flight.oscillation_detector import (
     steering_demands,
 )
 from mufly.mission import HARD_TOUCHDOWN_M_S
-from mufly.results import result
+from mufly.results import ShownBlock, result, show_table
 from mufly.world import World, obstacle_distances
 
 FLYING_LEG_STATES = ("waypoint", "obstacle")
@@ -115,11 +115,24 @@ class FlightSummary:
     outside_model: str
     events: tuple[tuple[float, str, str], ...]
 
-    def to_dict(self) -> dict[str, Any]:
+    def as_record(self) -> dict[str, Any]:
         """Plain tables, lists, texts and numbers, for ``summary.json``."""
         content = asdict(self)
         content["events"] = [{"time_s": t, "state": state, "text": text} for t, state, text in self.events]
         return content
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the flight in numbers, and when each waypoint was reached."""
+        rows = list(summary_rows(self))
+        colour = "green" if self.outcome == "succeeded" else "red"
+        rows[0] = (rows[0][0], f"[bold {colour}]{rows[0][1]}[/]")
+        points = []
+        for w in self.waypoints:
+            told = ((w.reached_s, 1.0), (w.distance_at_reach_m, 100.0), (w.overshoot_m, 100.0))
+            numbers = ("never" if value is None else f"{factor * value:.1f}" for value, factor in told)
+            points.append((w.name, ", ".join(f"{x:g}" for x in w.position_m), *numbers))
+        heads = ("waypoint", "N, E, D (m)", "reached (s)", "off by (cm)", "overshoot (cm)")
+        return [show_table(("", ""), rows, text=(0, 1)), show_table(heads, points, text=(0, 1))]
 
 
 def summarise_flight(

@@ -261,7 +261,7 @@ class IdentificationDemo:
         """Return, by symbol, whether the interval holds the truth."""
         return {e.symbol: e.low <= self.truth[e.symbol] <= e.high for e in self.fit.estimates}
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_record(self) -> dict[str, Any]:
         """Return what ``mufly identify demo --json`` prints."""
         fit, inside = self.fit, self.truth_inside_interval()
         return {

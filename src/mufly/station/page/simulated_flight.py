@@ -1,0 +1,242 @@
+"""A simulated vehicle flown in a process of its own, with the station's page before it or with other stations only."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mufly.errors import MuflyError
+from mufly.link import Endpoint, VehicleProcess, parse_endpoint
+
+if TYPE_CHECKING:
+    from mufly.flight import FlightEvent
+    from mufly.mission import Mission
+    from mufly.station.page.page_address import PageAddress
+    from mufly.station.page.page_session import StationSession
+    from mufly.station.page.start_page import StartPage, Startup
+    from mufly.vehicle import Vehicle
+
+NO_PAGE_TIMEOUT_S = 20.0
+"""With no page opened for so long the mission is flown without one (s)."""
+PAGE_CLOSED_TIMEOUT_S = 10.0
+"""The session ends when the flight is over and no page has been open for so long (s)."""
+_POLL_INTERVAL_S = 0.1
+_ERROR_DISPLAY_S = 2.0  # an open page shows what went wrong before its server ends
+_MOTORS_OFF_RECORDING_S = 1.0  # recorded after the motors have stopped
+
+
+class FlightMonitor:
+    """Follow a vehicle's process: pass its events on, and know when its flight is over.
+
+    Parameters
+    ----------
+    process : VehicleProcess
+    on_event : callable
+        Called with each event of the flight.
+    """
+
+    def __init__(self, process: VehicleProcess, on_event: Callable[[FlightEvent], None]) -> None:
+        self._process, self._on_event = process, on_event
+        self.has_flown = False
+        self._over_s: float | None = None
+
+    def process_events(self) -> None:
+        """Take what has come.
+
+        Raises
+        ------
+        MuflyError
+            If the vehicle's process has ended.
+        """
+        process = self._process
+        self._pass_on_events()
+        if process.error:
+            raise MuflyError(process.error)
+        if process.is_finished:
+            reason = f" ({process.reason})" if process.reason else ""
+            raise MuflyError(f"the vehicle's process has ended; its recording may end early{reason}")
+        report = process.report
+        if report is None:
+            return
+        state = report.state
+        self.has_flown = self.has_flown or (state.armed and -state.estimate.position[2] > 0.15)
+        resting = self.has_flown and not state.armed
+        if not resting:
+            self._over_s = None
+        elif self._over_s is None:
+            self._over_s = time.monotonic()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has flown, and stands with its motors off."""
+        return self._over_s is not None and time.monotonic() - self._over_s > _MOTORS_OFF_RECORDING_S
+
+    def stop_process(self) -> str:
+        """End the process; return the outcome of the flight, "" if there was none."""
+        self._process.stop()
+        self._pass_on_events()
+        return self._process.outcome if self.has_flown else ""
+
+    def _pass_on_events(self) -> None:
+        while self._process.events:
+            self._on_event(self._process.events.popleft())
+
+
+def fly_behind_link(
+    process: VehicleProcess,
+    startup: Startup,
+    *,
+    on_event: Callable[[FlightEvent], None],
+    stop: Callable[[], bool],
+) -> str:
+    """Follow a flight that starts by itself, without a page; return its outcome, "" if there was none."""
+    monitor = FlightMonitor(process, on_event)
+    try:
+        while not (monitor.is_over or stop()):
+            time.sleep(_POLL_INTERVAL_S)
+            if process.is_ready:
+                startup.finish()
+                monitor.process_events()
+    finally:
+        outcome = monitor.stop_process()
+    return outcome
+
+
+@dataclass(frozen=True)
+class PageFlight:
+    """A flight with the station's page before it.
+
+    Attributes
+    ----------
+    process : VehicleProcess
+        The vehicle; its first end is ``vehicle_endpoint(port)``.
+    vehicle : Vehicle
+    mission : Mission
+    port : int
+        On which the vehicle and the station of the page talk.
+    folder : Path
+        For what the station records.
+    startup : Startup
+    starts_at_once : bool
+        Whether the mission starts without a press on the page.
+    has_camera : bool
+        Whether the vehicle's process looks at pictures of a camera.
+    on_event, on_notice : callable
+        Called with each event of the flight, and with a sentence on the session.
+    stop : callable
+        Whether the session is to end.
+    """
+
+    process: VehicleProcess
+    vehicle: Vehicle
+    mission: Mission
+    port: int
+    folder: Path
+    startup: Startup
+    starts_at_once: bool
+    has_camera: bool
+    on_event: Callable[[FlightEvent], None]
+    on_notice: Callable[[str], None]
+    stop: Callable[[], bool]
+
+
+def vehicle_endpoint(port: int, links: Sequence[Endpoint] = ()) -> list[Endpoint]:
+    """Return the end at which a vehicle meets the station of the page, and further links after it."""
+    return [parse_endpoint(f"udp:127.0.0.1:{port}", "vehicle"), *links]
+
+
+def fly_with_page(flight: PageFlight, address: PageAddress, page: StartPage) -> str:
+    """Serve the station's page until the flight is over and no page is open; return its outcome, "" if there was none.
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle does not start, or cannot go on; an open page shows it first.
+    """
+    from mufly.dynamics import hover_performance
+
+    process, vehicle = flight.process, flight.vehicle
+    folder = flight.folder
+    monitor = FlightMonitor(process, flight.on_event)
+    try:
+        # The vehicle's process loads and compiles meanwhile.
+        from mufly.station import GroundStation
+        from mufly.station.page.page_server import serve_page
+        from mufly.station.page.page_session import StationSession
+
+        ground = GroundStation(
+            [parse_endpoint(f"udp:127.0.0.1:{flight.port}", "station")], folder=folder, record_here=True,
+            name="simulation", on_vehicle=lambda found: found.set_base_mission(flight.mission),
+        )  # fmt: skip
+        session = StationSession(
+            lambda: ground.vehicles, folder, mission=flight.mission, recorder=ground.recorder,
+            rotor_radius_m=float(vehicle.rotors.radius),
+            battery_data=(hover_performance(vehicle).current_A, float(vehicle.battery.capacity) / 3600.0),
+            title=f"mufly: {flight.mission.name}",
+            latest_sight=(lambda: process.sight) if flight.has_camera else None,
+            startup=flight.startup,
+        )  # fmt: skip
+
+        async def run_station() -> None:
+            try:
+                await ground.start()
+                page.stop()
+                await serve_page(
+                    session, address, open_browser=False, stop=flight.stop,
+                    beside=lambda: _supervise_flight(flight, monitor, session),
+                )  # fmt: skip
+            finally:
+                await ground.stop()
+
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(run_station())
+    finally:
+        outcome = monitor.stop_process()
+    return outcome
+
+
+async def _supervise_flight(flight: PageFlight, monitor: FlightMonitor, session: StationSession) -> None:
+    """Return when the flight is over and no page is open; an open page shows what went wrong before it is raised."""
+    try:
+        await _wait_until_over(flight, monitor, session)
+    except MuflyError as error:
+        flight.startup.fail(str(error))
+        if session.live_view_count:
+            await asyncio.sleep(_ERROR_DISPLAY_S)
+        raise
+
+
+async def _wait_until_over(flight: PageFlight, monitor: FlightMonitor, session: StationSession) -> None:
+    """Wait for the end; fly the mission if no page is ever opened."""
+    startup, started = flight.startup, flight.starts_at_once
+    # Not in a thread: an end that is asked for would have to wait for it.
+    while not flight.process.is_ready:
+        await asyncio.sleep(_POLL_INTERVAL_S)
+    startup.begin_stage("waiting for its first heartbeat")
+    began = last_seen = time.monotonic()
+    while True:
+        await asyncio.sleep(_POLL_INTERVAL_S)
+        monitor.process_events()
+        now = time.monotonic()
+        seen = bool(startup.visit_count or session.opened_count)
+        if session.live_view_count:
+            last_seen = now
+        vehicles = session.vehicles()
+        if vehicles:
+            startup.finish()
+        if not seen and not started and now - began > NO_PAGE_TIMEOUT_S and vehicles and not monitor.has_flown:
+            started = True
+            flight.on_notice(f"No page was opened within {NO_PAGE_TIMEOUT_S:g} s: the mission is flown without one")
+            request = vehicles[0].start_mission()
+            while not request.is_done:
+                await asyncio.sleep(_POLL_INTERVAL_S)
+                monitor.process_events()
+            if request.outcome != "accepted":
+                raise MuflyError(f"the mission does not start: {request.answer}")
+        if monitor.is_over and not session.live_view_count and (not seen or now - last_seen > PAGE_CLOSED_TIMEOUT_S):
+            return
