@@ -50,7 +50,9 @@ if TYPE_CHECKING:
 THESIS_ROTOR = "naca0012-r60-c20"  # the dissertation's pair: this rotor twice at 14 degrees, 20 mm apart
 
 UpperArgument = Annotated[str, define_argument("UPPER", "Upper rotor: built-in name or rotor file (TOML).")]
-LowerArgument = Annotated[str | None, define_argument("LOWER", "Lower rotor; if not given, the upper one again.")]
+LowerArgument = Annotated[
+    str | None, define_argument("LOWER", "Lower rotor: built-in name or rotor file (TOML). Default: the upper rotor.")
+]
 ROTOR_COLUMNS = (
     ResultColumn("speed_rad_s", "rpm", ".0f"),
     ResultColumn("pitch_rad", "deg", ".2f"),
@@ -168,7 +170,7 @@ app = CommandGroup(
 
 _IsolatedOption = Annotated[
     bool,
-    define_option("--isolated/--no-isolated", "Whether each rotor is computed alone too, for the loss."),
+    define_option("--isolated/--no-isolated", "Compute each rotor alone as well, for the interference losses."),
 ]
 
 
@@ -181,7 +183,7 @@ def hover(
         str,
         define_option(
             "--rpm",
-            "Speeds of upper and lower rotor; one value holds for both.",
+            "Speeds of upper and lower rotor, as 6000,6650; one value holds for both.",
             unit="rpm",
             form="pair",
             within=SPEED_RANGE,
@@ -220,20 +222,22 @@ def trim(
     upper: UpperArgument = THESIS_ROTOR,
     lower: LowerArgument = None,
     spacing: SpacingOption = 0.02,
-    thrust: Annotated[float | None, define_option("--thrust", "Thrust of the pair.", unit="N")] = None,
+    thrust: Annotated[
+        float | None, define_option("--thrust", "Thrust of the pair. Default: from --rpm.", unit="N")
+    ] = None,
     rpm: Annotated[
         str | None,
         define_option(
             "--rpm",
-            "Speed of the upper rotor, if no thrust is given; with --free lower-pitch the "
-            "speeds of both, of which a thrust keeps the ratio. 6000 if neither is given.",
+            "Speed of the upper rotor, where no thrust is given. With --free lower-pitch the speeds of "
+            "both rotors; a thrust then keeps their ratio. Default: 6000.",
             unit="rpm",
             form="pair",
             within=SPEED_RANGE,
         ),
     ] = None,
     free: Annotated[
-        str, define_option("NAME", "What balances the torques: lower-speed or lower-pitch.")
+        str, define_option("NAME", "Quantity that balances the torques: lower-speed or lower-pitch.")
     ] = "lower-speed",
     pitch: PairPitchOption = "14",
     climb: ClimbOption = 0.0,
@@ -300,7 +304,10 @@ def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_jso
 class MapOptions(WakeOptions):
     """Options of what a map is computed by."""
 
-    method: Annotated[Literal["bemt", "wake"], define_option("bemt|wake", "Blade elements, or vortex wakes.")] = "bemt"
+    method: Annotated[
+        Literal["bemt", "wake"],
+        define_option("bemt|wake", "Method: 'bemt' (blade elements, seconds) or 'wake' (vortex wakes, minutes)."),
+    ] = "bemt"
 
 
 DEFAULT_MAP_OPTIONS = MapOptions()
@@ -308,16 +315,16 @@ DEFAULT_MAP_OPTIONS = MapOptions()
 
 @app.command("map")
 def compute_coax_map(
-    upper: Annotated[str, define_argument("UPPER", "Upper rotor: built-in name or rotor file.")],
-    lower: Annotated[str | None, define_argument("[LOWER]", "Lower rotor; by default the upper one once more.")] = None,
+    upper: UpperArgument,
+    lower: LowerArgument = None,
     spacing: SpacingOption = 0.04,
     pitch: PairPitchOption = "14",
     rpm: Annotated[
         str,
         define_option(
             "--rpm",
-            "Mean of both speeds (it sets the Reynolds number); one value will do. 3 values by default, 1 for "
-            "wakes: the middle.",
+            "Mean of both rotor speeds, which sets the Reynolds number; one value suffices. Default "
+            "number of values: 3, with wakes 1 (the middle).",
             unit="rpm",
             form="steps",
             within=SPEED_RANGE,
@@ -325,24 +332,29 @@ def compute_coax_map(
     ] = "2500:6000",
     ratio: Annotated[
         str,
-        define_option("--ratio", "Lower over upper speed. 11 values by default, 5 for wakes.", unit="1", form="steps"),
+        define_option(
+            "--ratio",
+            "Lower over upper rotor speed. Default number of values: 11, with wakes 5.",
+            unit="1",
+            form="steps",
+        ),
     ] = "0.6:1.6",
     climb: Annotated[
         str,
         define_option(
             "--climb",
-            "Climb velocity at the lowest of the mean speeds, scaled with "
-            "speed above; 0 lies inside. 9 values by default, 5 for wakes.",
+            "Climb velocity at the lowest mean speed, scaled with speed above it; the range includes 0. "
+            "Default number of values: 9, with wakes 5.",
             unit="m/s",
             form="steps",
         ),
     ] = "-1:3",
     density: DensityOption = 1.2,
     theory: MapOptions = DEFAULT_MAP_OPTIONS,
-    name: Annotated[str, define_option("NAME", "Name of the map.")] = "",
+    name: Annotated[str, define_option("NAME", "Name of the map. Default: the file's name.")] = "",
     out: Annotated[
         Path | None,
-        define_option("FILE", "Map file (TOML); a picture of the same name (PNG) is drawn beside it."),
+        define_option("FILE", "Map file (TOML) to write; a picture (PNG) of the same name is drawn beside it."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

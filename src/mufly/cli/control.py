@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from mufly.cli.options import CommandGroup, define_argument, define_option
+from mufly.cli.options import CommandGroup, JsonOption, VehicleArgument, define_option
 from mufly.cli.output import (
     print_answer,
     print_json,
@@ -27,26 +27,28 @@ def _accept_group_options() -> None:
 
 @app.command()
 def design(
-    vehicle: Annotated[
-        str, define_argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")
-    ] = "mufly-1.1",
+    vehicle: VehicleArgument = "mufly-1.1",
     rate: Annotated[
         float | None,
-        define_option("--rate", "Rate of the control law; 200 Hz if not given. Position runs at a quarter.", unit="Hz"),
+        define_option(
+            "--rate", "Rate of the control law; the position loop runs at a quarter of it. Default: 200.", unit="Hz"
+        ),
     ] = None,
     voltage: Annotated[
         float | None,
         define_option(
             "--voltage",
-            "Battery voltage of the linear model; the vehicle's nominal voltage if not given.",
+            "Battery voltage of the linear model. Default: the vehicle's nominal voltage.",
             unit="V",
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        define_option("DIR", "Write singular value plots (PNG, as thesis Figs 6.3 to 6.8) and design.json there."),
+        define_option(
+            "DIR", "Folder for design.json and plots of singular values (PNG, as the dissertation's Figs 6.3 to 6.8)."
+        ),
     ] = None,
-    as_json: Annotated[bool, define_option("--json", "Print JSON and nothing else.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Design heave-yaw, roll-pitch and position control, and set them beside the thesis's.
 

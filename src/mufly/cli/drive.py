@@ -41,18 +41,23 @@ app = CommandGroup(
 )
 
 _DriveFileArgument = Annotated[
-    str, define_argument("NAME|FILE", "'mufly', a built-in vehicle, a drive file or a vehicle file (TOML).")
+    str,
+    define_argument("NAME|FILE", "Drive train: 'mufly', a built-in vehicle, a drive file or a vehicle file (TOML)."),
 ]
 _RotorOption = Annotated[
     str,
-    define_option("--rotor NAME|FILE", "A rotor; or 'upper' or 'lower' of --vehicle, with constant coefficients."),
+    define_option(
+        "--rotor NAME|FILE", "Rotor: a rotor, or 'upper' or 'lower' of --vehicle with its constant coefficients."
+    ),
 ]
-_VehicleOption = Annotated[str, define_option("--vehicle NAME|FILE", "Vehicle of 'upper' and 'lower'.")]
+_VehicleOption = Annotated[str, define_option("--vehicle NAME|FILE", "Vehicle that 'upper' and 'lower' refer to.")]
 _PitchOption = Annotated[
     float | None,
     define_option("--pitch", "Pitch setting of a rotor file, as 12.", unit="deg", within=PITCH_RANGE),
 ]
-_VoltageOption = Annotated[float | None, define_option("--voltage", "Supply voltage; nominal if not given.", unit="V")]
+_VoltageOption = Annotated[
+    float | None, define_option("--voltage", "Supply voltage. Default: the battery's nominal voltage.", unit="V")
+]
 _POINT_COLUMNS = (
     ResultColumn("thrust_N", form=".3f"),
     ResultColumn("speed_rad_s", "rpm", ".0f", "rotor speed"),
@@ -102,14 +107,19 @@ def show(
     ] = None,
     duty: Annotated[
         list[float] | None,
-        define_option("--duty", "Or share of the voltage, 0.01 to 1.", unit="1", within=DUTY_RANGE),
+        define_option(
+            "--duty",
+            "Share of the supply voltage at the motor, 0.01 to 1, instead of a thrust. Repeat it for a table.",
+            unit="1",
+            within=DUTY_RANGE,
+        ),
     ] = None,
     supply: _VoltageOption = None,
     charge: Annotated[
         float | None,
         define_option(
             "--charge",
-            "Instead: the sagging battery with this fraction of its charge.",
+            "Charge of the battery, 0 to 1, whose voltage sags under load, instead of --voltage.",
             unit="1",
             within=CHARGE_RANGE,
         ),
@@ -171,7 +181,11 @@ def sweep(
     gear: Annotated[
         str,
         define_option(
-            "--gear", "Gear ratios, as 1.5,2 or 0.5:8:0.1.", unit="1", form="values", within=GEAR_RATIO_RANGE
+            "--gear",
+            "Gear ratios (motor speed over rotor speed), as 1.5,2 or 0.5:8:0.1.",
+            unit="1",
+            form="values",
+            within=GEAR_RATIO_RANGE,
         ),
     ] = "0.5:8:0.1",
     rotor: _RotorOption = "upper",
@@ -179,15 +193,15 @@ def sweep(
     pitch: _PitchOption = None,
     thrust: Annotated[
         float | None,
-        define_option("--thrust", "Thrust for which the gear ratio is found.", unit="N", within=THRUST_RANGE),
+        define_option("--thrust", "Thrust for which to find the largest gear ratio.", unit="N", within=THRUST_RANGE),
     ] = None,
     duty: Annotated[
         float,
-        define_option("--duty", "Share of the supply voltage at the motor.", unit="1", within=DUTY_RANGE),
+        define_option("--duty", "Share of the supply voltage at the motor, 0.01 to 1.", unit="1", within=DUTY_RANGE),
     ] = 1.0,
     supply: _VoltageOption = None,
     model: ModelOption = "full",
-    out: Annotated[Path | None, define_option("--out DIR", "Write gear.nc, gear.csv and gear.png.")] = None,
+    out: Annotated[Path | None, define_option("--out DIR", "Folder for gear.nc, gear.csv and gear.png.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Draw power, thrust and efficiency over the gear ratio at constant motor voltage, as the dissertation's Fig. 3.7.

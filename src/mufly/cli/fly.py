@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.options import check_choice, define_argument, define_option
+from mufly.cli.options import (
+    JsonOption,
+    MissionArgument,
+    SeedOption,
+    VehicleOption,
+    check_choice,
+    define_option,
+)
 from mufly.cli.output import LiveDisplay, make_console, print_blocks, print_lines
 from mufly.cli.station import (
     BrowserOption,
@@ -25,11 +32,9 @@ from mufly.cli.station import (
     GustOption,
     HostOption,
     PortOption,
-    SeedOption,
     SensorsOption,
     ShutdownHandler,
     TokenOption,
-    VehicleOption,
     WindOption,
     check_output_folder,
     check_sensor_options,
@@ -200,16 +205,13 @@ def _make_camera(
 
 
 def fly_mission(
-    mission: Annotated[
-        str, define_argument("", "Mission file, or a built-in mission (see: mufly mission list).")
-    ] = "demonstration",
+    mission: MissionArgument = "demonstration",
     vehicle: VehicleOption = "mufly-1.1",
     out: Annotated[
         Path | None,
         define_option(
             "--out -o DIR",
-            r"Folder for the results; those of an earlier flight there are replaced. \[default: "
-            "flights/<date-time>]",
+            "Folder for the results; results of an earlier flight in it are replaced. Default: flights/<date-time>.",
         ),
     ] = None,
     wind: WindOption = None,
@@ -223,51 +225,55 @@ def fly_mission(
         str | None,
         define_option(
             "--designed-for NAME|FILE",
-            "Fly it with the controllers and the filter of this vehicle, as if it were that one.",
+            "Vehicle for which the controllers and the filter are designed, while --vehicle flies. Default: --vehicle.",
         ),
     ] = None,
     position: Annotated[
         Literal["fix", "camera", "link"],
         define_option(
             "--position WHICH",
-            "Where it gets its position from: fix (a statistical V-SLAM, as its file has it) or camera (pictures "
-            "rendered as it flies, and SLAM on them in a process of its own) or link (VISION_POSITION_ESTIMATE from "
-            "another program at a --link; with the page open too).",
+            "Source of position fixes: fix (simulated V-SLAM with the errors of the vehicle file), camera "
+            "(SLAM on rendered pictures, in a process of its own) or link (VISION_POSITION_ESTIMATE from "
+            "another program at a --link).",
         ),
     ] = "fix",
     camera: Annotated[
-        str, define_option("--camera NAME|FILE", "Of its camera: mufly-2.0, webcam, worst or a file.")
+        str,
+        define_option(
+            "--camera NAME|FILE",
+            "Camera of --position camera or --stream: mufly-2.0, webcam, worst or a camera file. Default: mufly-2.0.",
+        ),
     ] = "",
-    floor: Annotated[str, define_option("--floor KIND", "Below its camera: rich, poor, tiles or plain.")] = "",
+    floor: Annotated[
+        str, define_option("--floor KIND", "Floor below the camera: rich, poor, tiles or plain. Default: rich.")
+    ] = "",
     camera_fault: Annotated[
         list[str] | None,
         define_option(
             "--camera-fault FAULT",
-            "covered, dark or unplugged, as covered@20s+5s; can be given several times.",
+            "Fault of the camera: covered, dark or unplugged, as covered@20s+5s. Repeat it for more.",
         ),
     ] = None,
     stream: Annotated[
         str,
         define_option(
             "--stream [HOST:]PORT",
-            "Of --position camera or link: send its camera's pictures as MJPEG, for browsers, OpenCV and "
-            "mufly slam run, at http://HOST:PORT/stream.",
+            "Address at which to stream the camera's pictures as MJPEG, http://HOST:PORT/stream; with "
+            "--position camera or link.",
         ),
     ] = "",
     realtime: Annotated[bool, define_option("--realtime", "Keep pace with the clock.")] = False,
-    as_json: Annotated[
-        bool, define_option("--json", "Print the summary as JSON on standard output, and nothing else.")
-    ] = False,
+    as_json: JsonOption = False,
     headless: Annotated[
-        bool, define_option("--headless", "Stay in the terminal; no page, as fast as the machine can.")
+        bool, define_option("--headless", "Fly in the terminal, without a page and as fast as the machine can.")
     ] = False,
-    start: Annotated[bool, define_option("--start", "Begin the mission at once, without a press on the page.")] = False,
+    start: Annotated[bool, define_option("--start", "Start the mission at once, without a press on the page.")] = False,
     links: Annotated[
         list[str] | None,
         define_option(
             "--link LINK",
-            "Fly it as a MAVLink vehicle in real time, for other programs too: udp:HOST:PORT, "
-            "tcpin:..., serial:...; can be given several times.",
+            "MAVLink endpoint for other programs, in real time: udp:HOST:PORT, tcpin:HOST:PORT, "
+            "serial:DEVICE:BAUD. Repeat it for more.",
         ),
     ] = None,
     port: PortOption = None,

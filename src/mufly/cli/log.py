@@ -23,12 +23,14 @@ from mufly.errors import InputError
 if TYPE_CHECKING:
     from mufly.logs import ColumnMap
 
-LogArgument = Annotated[Path, define_argument("LOG", "Any log, of any of these formats.")]
+LogArgument = Annotated[Path, define_argument("LOG", "Log file of any format that `mufly log` reads.")]
 MapOption = Annotated[
-    str | None, define_option("--map FILE", "Column map (TOML): which column is which signal, in which unit.")
+    str | None, define_option("--map FILE", "Column map file (TOML): signal and unit of each column.")
 ]
-FromOption = Annotated[float | None, define_option("--from", "Begin there (since the start).", unit="s")]
-ToOption = Annotated[float | None, define_option("--to", "End there (since the start).", unit="s")]
+FromOption = Annotated[
+    float | None, define_option("--from", "Start time, from the log's start. Default: its start.", unit="s")
+]
+ToOption = Annotated[float | None, define_option("--to", "End time, from the log's start. Default: its end.", unit="s")]
 
 
 def column_map_from_options(file: str | None, pairs: Sequence[str] | None) -> ColumnMap | None:
@@ -48,14 +50,15 @@ def column_map_from_options(file: str | None, pairs: Sequence[str] | None) -> Co
 def convert_log(
     log: LogArgument,
     out: Annotated[
-        Path, define_argument("OUT", "File to write; its ending says what: .csv, .parquet, .nc, .mcap, .ulg.")
+        Path, define_argument("OUT", "File to write; the ending selects the format: .csv, .parquet, .nc, .mcap, .ulg.")
     ],
     signals: Annotated[
-        list[str] | None, define_option("--signal -s NAME", "Only this (as for plot); may be repeated.")
+        list[str] | None,
+        define_option("--signal -s NAME", "Signal to write (as for plot). Repeat it for more. Default: all."),
     ] = None,
     rate_hz: Annotated[
         float | None,
-        define_option("--rate", "Rate of the common clock. Default: the highest among the signals.", unit="Hz"),
+        define_option("--rate", "Rate of the common clock. Default: the highest of the signals.", unit="Hz"),
     ] = None,
     from_s: FromOption = None,
     to_s: ToOption = None,
@@ -63,13 +66,13 @@ def convert_log(
         float | None,
         define_option(
             "--start",
-            "Shift the clock so that OUT begins at this time; 0 for programs that want it so.",
+            "Time at which OUT begins; 0 for programs that require it. Default: the log's own.",
             unit="s",
         ),
     ] = None,
     map_file: MapOption = None,
     column: ColumnOption = None,
-    force: Annotated[bool, define_option("--force", "Replace OUT if it is there.")] = False,
+    force: Annotated[bool, define_option("--force", "Replace OUT if it exists.")] = False,
 ) -> None:
     """Bring the signals of a log onto one clock, in SI units and under our names, and write them to a file.
 
@@ -151,8 +154,8 @@ def plot(
         list[str] | None,
         define_argument(
             "SIGNAL",
-            "What to draw: measured_attitude, measured_attitude.roll, 'measured_*', or any field as "
-            "topic/field (`mufly log info` lists them). Default: all that has a name.",
+            "Signals to draw: measured_attitude, measured_attitude.roll, 'measured_*', or any field as "
+            "topic/field (`mufly log info` lists them). Default: all named signals.",
         ),
     ] = None,
     out: Annotated[
@@ -161,17 +164,21 @@ def plot(
     ] = None,
     from_s: FromOption = None,
     to_s: ToOption = None,
-    spectrum: Annotated[bool, define_option("--spectrum", "Draw power spectral densities instead.")] = False,
+    spectrum: Annotated[
+        bool, define_option("--spectrum", "Draw power spectral densities instead of time series.")
+    ] = False,
     beside: Annotated[
-        Path | None, define_option("--with LOG", "Draw this second log into the same plots, dashed.")
+        Path | None, define_option("--with LOG", "Second log to draw into the same plots, dashed.")
     ] = None,
     align: Annotated[
         Literal["take-off", "arming", "start", "clock"],
-        define_option("--align EVENT", "With --with: what coincides: take-off, arming, start or clock."),
+        define_option(
+            "--align EVENT", "Event at which two logs are aligned, with --with: take-off, arming, start or clock."
+        ),
     ] = "take-off",
     offset_s: Annotated[
         float,
-        define_option("--offset", "With --with: move the second log later by this, beyond that.", unit="s"),
+        define_option("--offset", "Extra time by which the second log is moved later, with --with.", unit="s"),
     ] = 0.0,
     map_file: MapOption = None,
     column: ColumnOption = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
+from mufly.cli.options import CommandGroup, JsonOption, VehicleOption, define_argument, define_option
 from mufly.cli.output import (
     make_console,
     print_answer,
@@ -28,11 +28,10 @@ _MissionArgument = Annotated[
     str,
     define_argument(
         "NAME|FILE",
-        "A built-in mission, or a mission file: TOML, or QGroundControl's.",
+        "Built-in mission (`mufly mission list`), or mission file: TOML, or QGroundControl's.",
     ),
 ]
-_VehicleOption = Annotated[str, define_option("--vehicle NAME|FILE", "Vehicle whose battery has to last.")]
-_TomlOption = Annotated[bool, define_option("--toml", "Print the whole file, every default written out.")]
+_TomlOption = Annotated[bool, define_option("--toml", "Print the whole file with every default.")]
 
 
 @app.command("list")
@@ -110,7 +109,7 @@ def _waypoint_rows(m: Mission) -> list[dict[str, Any]]:
 
 
 @app.command()
-def check(mission: _MissionArgument, vehicle: _VehicleOption = "mufly-1.1", as_json: JsonOption = False) -> None:
+def check(mission: _MissionArgument, vehicle: VehicleOption = "mufly-1.1", as_json: JsonOption = False) -> None:
     """Check a mission file, and whether the vehicle's battery lasts for it. Exit status 1 and the reason if not."""
     from mufly.control import design_flight_controller
     from mufly.flight import controller_limits

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mufly.cli.options import JsonOption, define_argument, define_option
+from mufly.cli.options import ClusterOption, JsonOption, MissionArgument, VehicleOption, define_option
 from mufly.cli.output import (
     ensure_folder,
     make_console,
@@ -29,7 +29,6 @@ from mufly.cli.station import (
     GustOption,
     SensorsOption,
     ShutdownHandler,
-    VehicleOption,
     WindOption,
     check_sensor_options,
     describe_sensor_source,
@@ -80,13 +79,11 @@ Examples:
 
 
 def run_monte_carlo(
-    mission: Annotated[
-        str, define_argument("", "Mission file, or a built-in mission (see: mufly mission list).")
-    ] = "demonstration",
-    flights: Annotated[int, define_option("--flights -n N", "How many; 0 for a search alone.", min=0)] = 100,
+    mission: MissionArgument = "demonstration",
+    flights: Annotated[int, define_option("--flights -n N", "Number of flights; 0 for a search alone.", min=0)] = 100,
     vary: Annotated[
         list[str] | None,
-        define_option("--vary WHAT", "What the vehicles differ in (see above); can be given several times."),
+        define_option("--vary WHAT", "Parameters to vary and by how much (see above). Repeat it for more."),
     ] = None,
     vehicle: VehicleOption = "mufly-1.1",
     wind: WindOption = None,
@@ -95,33 +92,35 @@ def run_monte_carlo(
     fault: FaultOption = None,
     redesign: Annotated[
         bool,
-        define_option("--redesign", "Controllers and filter are made anew for each vehicle, and know it."),
+        define_option("--redesign", "Design controllers and filter anew for each vehicle, with its parameters."),
     ] = False,
     tolerance: Annotated[
         float,
         define_option(
-            "--tolerance", "How far from a waypoint, and from its mark at the end, is still there.", unit="m"
+            "--tolerance",
+            "Largest distance from a waypoint, and from the landing mark, that counts as reached.",
+            unit="m",
         ),
     ] = 0.3,
     search: Annotated[
         int,
-        define_option("--search N", "Then look for the worst case by CMA-ES in about so many flights.", min=0),
+        define_option(
+            "--search N", "Number of flights of a search for the worst case (CMA-ES), after the others; 0: none.", min=0
+        ),
     ] = 0,
     firmware: FirmwareOption = False,
     fixed_point: FixedPointOption = False,
-    seed: Annotated[int, define_option("--seed", "Seed of the campaign; each flight has its own of it.")] = 0,
+    seed: Annotated[int, define_option("--seed", "Seed of the campaign, from which each flight's seed is drawn.")] = 0,
     jobs: Annotated[
-        int | None, define_option("--jobs -j N", r"Flights at a time. \[default: one a core]", min=1)
+        int | None, define_option("--jobs -j N", "Parallel flights. Default: one for each core.", min=1)
     ] = None,
-    cluster: Annotated[
-        str | None, define_option("--cluster ADDRESS", "Scheduler of a dask cluster, as tcp://host:8786.")
-    ] = None,
+    cluster: ClusterOption = None,
     record: Annotated[
         int | None,
-        define_option("--record N", r"Failed flights flown again with a full recording. \[default: all]", min=0),
+        define_option("--record N", "Number of failed flights to repeat with a full recording. Default: all.", min=0),
     ] = None,
     out: Annotated[
-        Path, define_option("--out -o DIR", "Folder for the results; one that holds a part goes on.")
+        Path, define_option("--out -o DIR", "Folder for the results; a stopped campaign resumes there.")
     ] = Path("monte-carlo"),
     as_json: JsonOption = False,
 ) -> None:

@@ -19,6 +19,7 @@ from mufly.cli.options import (
     PairPitchOption,
     PolarOptions,
     RotorArgument,
+    SeedOption,
     SpacingOption,
     WakeOptions,
     define_option,
@@ -57,25 +58,39 @@ def _write_rotor_file(rotor: Rotor, path: Path) -> Path:
 @rotor_commands.command()
 def optimise(
     rotor: RotorArgument = "naca4412-r60-c20",
-    goal: Annotated[str, define_option("--for GOAL", "'endurance' or 'thrust-per-power'.")] = "thrust-per-power",
+    goal: Annotated[
+        str, define_option("--for GOAL", "Quantity to maximise: 'endurance' or 'thrust-per-power'.")
+    ] = "thrust-per-power",
     free: Annotated[
-        str, define_option("NAMES", "chord, twist, taper, radius, hub_cutout, blades, airfoil, gear.")
+        str,
+        define_option(
+            "NAMES",
+            "Parameters to search, separated by commas: chord, twist, taper, radius, hub_cutout, blades, "
+            "airfoil, gear.",
+        ),
     ] = "chord,twist,taper,airfoil,gear",
     limit: Annotated[
         list[str] | None,
-        define_option("LIMIT", "As thickness_mm>=0.8, radius<=60mm, speed_rpm<=7000. Repeat it; quote it."),
+        define_option(
+            "LIMIT",
+            "Limit of the search, as thickness_mm>=0.8, radius<=60mm, speed_rpm<=7000; quote it. Repeat it for more.",
+        ),
     ] = None,
     airfoils: Annotated[
         list[str] | None,
-        define_option("--airfoils SET|DIR|NAMES", "Candidates: 'thesis', 'database', a folder, names."),
+        define_option(
+            "--airfoils SET|DIR|NAMES",
+            "Candidate airfoils: 'thesis', 'database', a folder of .dat files, or names separated by commas.",
+        ),
     ] = None,
     set_: Annotated[
-        list[str] | None, define_option("--set NAME=VALUE", "Fix a parameter; thrust=0.4N if not given.")
+        list[str] | None,
+        define_option("--set NAME=VALUE", "Parameter to fix, as thrust=0.4N (the default). Repeat it for more."),
     ] = None,
     drive: DriveOption = "mufly",
-    seed: Annotated[int, define_option("K", "Same seed, same answer.")] = 0,
-    generations: Annotated[int, define_option("N", "How long to search.")] = 60,
-    out: Annotated[Path | None, define_option("--out FILE", "Write the rotor as a rotor file (TOML).")] = None,
+    seed: SeedOption = 0,
+    generations: Annotated[int, define_option("N", "Number of generations of the search.")] = 60,
+    out: Annotated[Path | None, define_option("--out FILE", "Rotor file (TOML) to write.")] = None,
     polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
@@ -140,19 +155,23 @@ def optimise_pairs(
     pitch: PairPitchOption = "14",
     vary: Annotated[
         str,
-        define_option("NAMES", "What is free: upper_ and lower_ before twist, chord, pitch, taper."),
+        define_option(
+            "NAMES", "Parameters to search, separated by commas: upper_ or lower_ before twist, chord, pitch, taper."
+        ),
     ] = _DEFAULT_PAIR_PARAMETERS,
     limit: Annotated[
         list[str] | None,
-        define_option("LIMIT", "As upper_chord<=25mm or lower_pitch>=8deg. Repeat it; quote it."),
+        define_option(
+            "LIMIT", "Limit of the search, as upper_chord<=25mm or lower_pitch>=8deg; quote it. Repeat it for more."
+        ),
     ] = None,
     climb: ClimbOption = 0.0,
     density: DensityOption = 1.2,
-    seed: Annotated[int, define_option("K", "Same seed, same answer.")] = 0,
-    generations: Annotated[int, define_option("N", "How long to search.")] = 30,
+    seed: SeedOption = 0,
+    generations: Annotated[int, define_option("N", "Number of generations of the search.")] = 30,
     check: Annotated[
         bool,
-        define_option("--check/--no-check", "Whether start and optimum are computed by the wake method too."),
+        define_option("--check/--no-check", "Compute start and optimum by the wake method as well."),
     ] = True,
     theory: WakeOptions = DEFAULT_WAKE_OPTIONS,
     out: OutOption = None,

@@ -308,9 +308,36 @@ def define_argument(value: str, help: str, **more: Any) -> Any:
     return typer.Argument(help=help, metavar=value or None, **more)
 
 
+VehicleArgument = Annotated[
+    str, define_argument("NAME|FILE", "Built-in vehicle (`mufly vehicle list`), or vehicle file (TOML).")
+]
+VehicleOption = Annotated[
+    str,
+    define_option("--vehicle -v NAME|FILE", "Built-in vehicle (`mufly vehicle list`), or vehicle file (TOML)."),
+]
+MissionArgument = Annotated[
+    str, define_argument("MISSION", "Built-in mission (`mufly mission list`), or mission file.")
+]
+OptionalMissionArgument = Annotated[
+    str | None, define_argument("MISSION", "Built-in mission (`mufly mission list`), or mission file. Default: none.")
+]
+SeedOption = Annotated[int, define_option("--seed K", "Seed of all random numbers.")]
+ClusterOption = Annotated[
+    str | None,
+    define_option("--cluster ADDRESS", "Scheduler of a dask cluster, as tcp://host:8786. Default: this machine."),
+]
 ClimbOption = Annotated[float, define_option("--climb", "Axial speed, positive in climb.", unit="m/s")]
 DensityOption = Annotated[float, define_option("--density", "Density of the air.", unit="kg/m3")]
 RpmOption = Annotated[float, define_option("--rpm", "Rotor speed.", unit="rpm", within=SPEED_RANGE)]
+OptionalRpmOption = Annotated[float | None, define_option("--rpm", "Rotor speed.", unit="rpm", within=SPEED_RANGE)]
+PitchOption = Annotated[
+    float,
+    define_option("--pitch", "Pitch setting of the blades: 12, 12deg or 0.2rad.", unit="deg", within=PITCH_RANGE),
+]
+OptionalPitchOption = Annotated[
+    float | None,
+    define_option("--pitch", "Pitch setting of the blades: 12, 12deg or 0.2rad.", unit="deg", within=PITCH_RANGE),
+]
 SpacingOption = Annotated[
     float, define_option("--spacing", "Distance between the discs, as 20mm.", unit="m", within=SPACING_RANGE)
 ]
@@ -318,30 +345,30 @@ PairPitchOption = Annotated[
     str,
     define_option(
         "--pitch",
-        "Pitch of upper and lower rotor: 14, 14,12 or 0.2rad.",
+        "Pitch settings of upper and lower rotor: 14, 14,12 or 0.2rad.",
         unit="deg",
         form="pair",
         within=PITCH_RANGE,
     ),
 ]
 RotorArgument = Annotated[
-    str, define_argument("NAME|FILE", "A built-in rotor (`mufly rotor list`) or a rotor file (TOML).")
+    str, define_argument("NAME|FILE", "Built-in rotor (`mufly rotor list`), or rotor file (TOML).")
 ]
 DriveOption = Annotated[
     str | None,
     define_option(
         "--drive NAME|FILE",
-        "Drive train: 'mufly', a built-in vehicle, a drive or vehicle file. 'none' leaves it out.",
+        "Drive train: 'mufly', a built-in vehicle, a drive or vehicle file; 'none' for no drive.",
     ),
 ]
 JsonOption = Annotated[bool, define_option("--json", "Print JSON, in SI units, and nothing else.")]
-OutOption = Annotated[Path | None, define_option("--out DIR", "Write pictures (PNG) and tables there.")]
+OutOption = Annotated[Path | None, define_option("--out DIR", "Folder for pictures (PNG) and tables.")]
 ModelOption = Annotated[
     Literal["full", "plain", "thesis"],
     define_option(
         "--model NAME",
-        "Blade element theory: 'full' (finite chord, rotation), 'plain' (textbook) or 'thesis' "
-        "(as the dissertation writes it).",
+        "Blade element theory: 'full' (finite chord, rotation), 'plain' (textbook) or 'thesis' (as in "
+        "the dissertation).",
     ),
 ]
 
@@ -374,11 +401,15 @@ class PolarOptions:
     """Options of everything that blade elements are for."""
 
     n_crit: Annotated[
-        float, define_option("--n-crit NUMBER", "Transition: 0.1 vibrating rotor, 9 quiet wind tunnel.")
+        float,
+        define_option(
+            "--n-crit NUMBER",
+            "Amplification exponent of transition (e^N): 0.1 for a vibrating rotor, 9 for a quiet wind tunnel.",
+        ),
     ] = 0.1
     engine: Annotated[
         Literal["neuralfoil", "xfoil", "table"],
-        define_option("--engine NAME", "Polars: 'neuralfoil' or, where installed, 'xfoil'."),
+        define_option("--engine NAME", "Polars: 'neuralfoil', 'table' or, where installed, 'xfoil'."),
     ] = "neuralfoil"
     model: ModelOption = "full"
 
@@ -415,13 +446,14 @@ class WakeOptions(PolarOptions):
 
     method: Literal["bemt", "tubes", "wake", "cfd"] = "wake"  # no option here, one in Theory
     wake: Annotated[
-        str, define_option("--wake NAME", "'free', or 'prescribed' (Landgrebe's shape, for slender blades).")
+        str, define_option("--wake NAME", "Wake geometry: 'free', or 'prescribed' (Landgrebe's, for slender blades).")
     ] = "free"
     wake_set: Annotated[
         list[str] | None,
         define_option(
             "--wake-set NAME=VALUE",
-            "A setting of the wake, as step_deg=10, turns=6, core=0.05, iterations=300; or stations=30 a blade.",
+            "Setting of the wake, as step_deg=10, turns=6, core=0.05, iterations=300, or stations=30 for "
+            "each blade. Repeat it for more.",
         ),
     ] = None
 
@@ -470,7 +502,9 @@ class TheoryOptions(WakeOptions):
 
     method: Annotated[
         Literal["bemt", "tubes", "wake"],
-        define_option("--method NAME", "'bemt' (blade elements), 'tubes' or 'wake' (seconds)."),
+        define_option(
+            "--method NAME", "Method: 'bemt' (blade elements), 'tubes' (vortex tubes) or 'wake' (vortex wake, seconds)."
+        ),
     ] = "bemt"
 
 
@@ -542,20 +576,20 @@ ColumnOption = Annotated[
     list[str] | None,
     define_option(
         "--column -c NAME=COLUMN(unit)",
-        "A line of a column map, as in thrust_upper=T_B(N), measured_rates.p=-gyro_x(deg/s), "
-        "measured_attitude=phi,theta,psi(deg) or time=t(ms). May be repeated.",
+        "Column of a signal, as thrust_upper=T_B(N), measured_rates.p=-gyro_x(deg/s), "
+        "measured_attitude=phi,theta,psi(deg) or time=t(ms). Repeat it for more.",
     ),
 ]
-VehicleOption = Annotated[
+StartVehicleOption = Annotated[
     str | None, define_option("--vehicle NAME|FILE", "Vehicle to start from and to compare with.")
 ]
 WriteOption = Annotated[
     Path | None,
-    define_option("--write FILE", "Write --vehicle with what was found, source 'identified', as a new file."),
+    define_option("--write FILE", "Vehicle file to write: --vehicle with the values found, their source 'identified'."),
 ]
 
 
-PictureOption = Annotated[Path | None, define_option("--out DIR", "Write a picture (PNG) of points and fit there.")]
+PictureOption = Annotated[Path | None, define_option("--out DIR", "Folder for a picture (PNG) of points and fit.")]
 
 
 def read_optional_with_std(option: str, text: str | None, unit: str) -> tuple[float | None, float]:

@@ -21,6 +21,8 @@ from mufly.cli.options import (
     DensityOption,
     DriveOption,
     JsonOption,
+    OptionalPitchOption,
+    OptionalRpmOption,
     OptionRange,
     OutOption,
     PolarOptions,
@@ -55,7 +57,7 @@ BenchPitchOption = Annotated[
     float | None,
     define_option(
         "--pitch",
-        "Of the blades on the bench, where the file has no column of it: 12, 12deg or 0.2rad.",
+        "Pitch setting on the bench, where the file has no column of it: 12, 12deg or 0.2rad.",
         unit="deg",
         within=PITCH_RANGE,
     ),
@@ -64,20 +66,20 @@ BenchSpeedOption = Annotated[
     float | None,
     define_option(
         "--rpm",
-        "Of the rotor on the bench, where the file has no column of it, as UIUC's tunnel runs.",
+        "Rotor speed on the bench, where the file has no column of it, as in UIUC's tunnel runs.",
         unit="rpm",
         within=SPEED_RANGE,
     ),
 ]
 BenchDensityOption = Annotated[
     float | None,
-    define_option("--density", "Density of the air at the bench; default the file's, else 1.2.", unit="kg/m3"),
+    define_option("--density", "Density of the air at the bench. Default: the file's, else 1.2.", unit="kg/m3"),
 ]
 FamilyOption = Annotated[
     str,
     define_option(
         "--family NAME",
-        "Of a guessed section, where it is known: apc, slow-flyer, gws, hobby, printed, machined.",
+        "Family of the blade, if its section is guessed: apc, slow-flyer, gws, hobby, printed or machined.",
     ),
 ]
 
@@ -91,7 +93,11 @@ class HoverOptions(WakeOptions):
 
     method: Annotated[
         Literal["bemt", "tubes", "wake", "cfd"],
-        define_option("--method NAME", "'bemt' (blade elements), 'tubes' or 'wake' (seconds)."),
+        define_option(
+            "--method NAME",
+            "Method: 'bemt' (blade elements), 'tubes' (vortex tubes), 'wake' (vortex wake, seconds) or "
+            "'cfd' (OpenFOAM, minutes).",
+        ),
     ] = "bemt"
 
 
@@ -127,11 +133,11 @@ _GEOMETRY = "blades radius_m hub_radius_m disc_area_m2 blade_area_m2 solidity th
 def show(
     rotor: RotorArgument = "naca4412-r60-c20",
     rpm: Annotated[
-        float, define_option("--rpm", "Speed for the Reynolds numbers.", unit="rpm", within=SPEED_RANGE)
+        float, define_option("--rpm", "Rotor speed for the Reynolds numbers.", unit="rpm", within=SPEED_RANGE)
     ] = 5000.0,
     out: OutOption = None,
     as_json: JsonOption = False,
-    toml: Annotated[bool, define_option("--toml", "Print the whole file: a rotor of your own starts from it.")] = False,
+    toml: Annotated[bool, define_option("--toml", "Print the whole file, as a start for a rotor of your own.")] = False,
 ) -> None:
     """Show a rotor's geometry: solidity, aspect ratio, thickness, Reynolds numbers.
 
@@ -180,35 +186,37 @@ def import_blade(
     blade: Annotated[
         Path,
         define_argument(
-            "FILE", "APC's ...-PERF.PE0, UIUC's geometry (r/R c/R beta), or a table with units in its header."
+            "FILE",
+            "Blade file: APC's ...-PERF.PE0, UIUC's geometry (r/R c/R beta), a table with units in its "
+            "header, an STL or a STEP file.",
         ),
     ],
     diameter: Annotated[
         float | None,
         define_option(
             "--diameter",
-            "Of the rotor, as 5in or 127mm; needed where the file gives ratios.",
+            "Diameter of the rotor, as 5in or 127mm; required where the file gives ratios.",
             unit="m",
             within=_DIAMETER_RANGE,
         ),
     ] = None,
-    blades: Annotated[int | None, define_option("N", "Number of blades.", min=1, max=20)] = None,
-    airfoil: Annotated[str | None, define_option("NAME", "Airfoil of the whole blade, instead of the file's.")] = None,
+    blades: Annotated[int | None, define_option("N", "Number of blades. Default: the file's.", min=1, max=20)] = None,
+    airfoil: Annotated[str | None, define_option("NAME", "Airfoil of the whole blade. Default: the file's.")] = None,
     trailing_edge: Annotated[
         float | None,
         define_option(
             "--trailing-edge",
-            "Its thickness, as 0.3mm; as the airfoils have it where it is not given.",
+            "Thickness of the trailing edge, as 0.3mm. Default: the airfoils'.",
             unit="m",
             within=_EDGE_THICKNESS_RANGE,
         ),
     ] = None,
     unit: Annotated[
         str | None,
-        define_option("NAME", "Of an STL file, which knows none: mm (as taken without it), m, cm, in."),
+        define_option("NAME", "Length unit of an STL file: mm, m, cm or in. Default: mm."),
     ] = None,
-    name: Annotated[str | None, define_option("NAME", "Name of the rotor.")] = None,
-    out: Annotated[Path | None, define_option("--out FILE.toml", "Write the rotor file.")] = None,
+    name: Annotated[str | None, define_option("NAME", "Name of the rotor. Default: the file's.")] = None,
+    out: Annotated[Path | None, define_option("--out FILE.toml", "Rotor file to write.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Make a rotor file of somebody else's table of a blade; what had to be guessed is said.
@@ -261,11 +269,8 @@ def import_blade(
 @app.command()
 def hover(
     rotor: RotorArgument = "naca4412-r60-c20",
-    pitch: Annotated[
-        float | None,
-        define_option("--pitch", "Pitch setting: 12, 12deg or 0.2rad.", unit="deg", within=PITCH_RANGE),
-    ] = None,
-    rpm: Annotated[float | None, define_option("--rpm", "Rotor speed.", unit="rpm", within=SPEED_RANGE)] = None,
+    pitch: OptionalPitchOption = None,
+    rpm: OptionalRpmOption = None,
     thrust: Annotated[
         float | None,
         define_option("--thrust", "Thrust; with --pitch the speed is found, with --rpm the pitch.", unit="N"),
@@ -278,7 +283,8 @@ def hover(
         float | None,
         define_option(
             "--band",
-            "Add the interval of this nominal probability: 0.5, 0.8, 0.9, 0.95. Measured coverage: docs/accuracy.md.",
+            "Probability of an interval to add: 0.5, 0.8, 0.9 or 0.95 (nominal; docs/accuracy.md has the "
+            "measured coverage).",
             unit="1",
         ),
     ] = None,
@@ -286,8 +292,8 @@ def hover(
         Literal["known", "guessed", "measured"],
         define_option(
             "--section NAME",
-            "For --band: 'known' airfoils; 'guessed' ones (a stand-in, a look at the blade): the mean over what such a "
-            "blade may have is told; 'measured': the rotor is one that `mufly rotor fit` wrote.",
+            "Knowledge of the sections, for --band: 'known' airfoils, 'guessed' ones (the mean over "
+            "likely sections is printed), or 'measured' (a rotor that `mufly rotor fit` wrote).",
         ),
     ] = "known",
     family: FamilyOption = "",
@@ -475,16 +481,19 @@ def fit(
     measurements: Annotated[
         Path,
         define_argument(
-            "FILE", "Points of a bench, as for 'rotor compare'; one is enough, a sweep of speeds says more."
+            "FILE", "Bench file, as for 'rotor compare'; one point suffices, a sweep of speeds determines more."
         ),
     ],
     section: Annotated[
         Literal["known", "guessed"],
-        define_option("--section NAME", "'guessed': the file's airfoils are one guess among others; 'known'."),
+        define_option(
+            "--section NAME",
+            "Knowledge of the sections: 'guessed' (the file's airfoils are one candidate among others) or 'known'.",
+        ),
     ] = "guessed",
     family: FamilyOption = "",
     point: Annotated[
-        int | None, define_option("--point LINE", "Fit to this measured point alone, counted from 1.")
+        int | None, define_option("--point LINE", "Measured point to fit alone, counted from 1. Default: all points.")
     ] = None,
     density: BenchDensityOption = None,
     columns: ColumnOption = None,
@@ -493,7 +502,7 @@ def fit(
     polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
     out: Annotated[
         Path | None,
-        define_option("--out FILE.toml", "Write the rotor with its fit, and a picture beside it."),
+        define_option("--out FILE.toml", "Rotor file to write, with its fit; a picture is drawn beside it."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -581,18 +590,17 @@ def compare(
         Path,
         define_argument(
             "FILE",
-            "Text with a header: pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm, in these or other "
-            "units; or RPM, CT, CP as in UIUC's propeller data. docs/reference/bench.md lists the names "
-            "that are understood.",
+            "Bench file with a header: pitch_deg, speed_rpm, thrust_N and, if measured, torque_Nm, in "
+            "these or other units; or RPM, CT, CP as in UIUC's propeller data. docs/reference/bench.md "
+            "lists the accepted names.",
         ),
     ],
     calibrate: Annotated[
         int | None,
         define_option(
             "LINE",
-            "Scale lift and drag to this measured point, counted from 1, as the "
-            "dissertation did. The factors are printed; `mufly rotor fit --point LINE --out FILE.toml` writes a rotor "
-            "that keeps what the point said.",
+            "Measured point to which lift and drag are scaled, counted from 1, as in the dissertation. "
+            "`mufly rotor fit --point LINE --out FILE.toml` keeps the result.",
         ),
     ] = None,
     density: BenchDensityOption = None,

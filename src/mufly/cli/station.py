@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.options import define_argument, define_option
+from mufly.cli.options import OptionalMissionArgument, SeedOption, VehicleOption, define_option
 from mufly.cli.output import LiveDisplay, make_console, print_lines, progress_bar
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_vector
@@ -34,36 +34,34 @@ if TYPE_CHECKING:
     from mufly.vehicle import Vehicle
 
 
-VehicleOption = Annotated[str, define_option("--vehicle -v", "Vehicle file, or a built-in vehicle.")]
 WindOption = Annotated[
     str | None,
     define_option(
         "--wind",
-        "Steady wind: a speed, from a direction that is drawn by the seed, as in 0.5; or N,E,D, as in 0.5,0,0; "
-        "instead of the mission's.",
+        "Steady wind, instead of the mission's: a speed, as 0.5, whose direction is drawn from the "
+        "seed, or N,E,D, as 0.5,0,0.",
         unit="m/s",
         form="vector",
     ),
 ]
 GustOption = Annotated[
     float | None,
-    define_option("--gust", "Gusts, standard deviation, 0 to 5 m/s; instead of the mission's.", unit="m/s"),
+    define_option("--gust", "Standard deviation of gusts, 0 to 5 m/s. Default: the mission's.", unit="m/s"),
 ]
-SeedOption = Annotated[int, define_option("--seed", "Seed of everything random.")]
 SensorsOption = Annotated[
     Literal["fitted", "ideal"],
     define_option(
         "--sensors WHICH",
-        "What it flies on: fitted (what the vehicle file has in \\[sensors], and a filter that makes an estimate of "
-        "it) or ideal (what is true).",
+        "Source of the vehicle's state: fitted (the sensors in \\[sensors] of the vehicle file, and "
+        "the filter) or ideal (the true state).",
     ),
 ]
 FaultOption = Annotated[
     list[str] | None,
     define_option(
         "--fault NAME.KIND=AMOUNT@STARTs+DURATIONs",
-        "What goes wrong, as sonar.jump=0.3@15s+2s or accelerometer.clip@20s; can be given several times. "
-        "`mufly sensors faults` lists them.",
+        "Sensor fault, as sonar.jump=0.3@15s+2s or accelerometer.clip@20s; `mufly sensors faults` "
+        "lists them. Repeat it for more.",
     ),
 ]
 
@@ -111,14 +109,16 @@ FirmwareOption = Annotated[
     bool,
     define_option(
         "--firmware",
-        "Let the exported C code fly, built by this machine's compiler (`mufly firmware`).",
+        "Fly with the exported C code, built by this machine's compiler (`mufly firmware`).",
     ),
 ]
 
 
 FixedPointOption = Annotated[
     bool,
-    define_option("--fixed-point", "With --firmware: in whole numbers, as for a processor without a floating unit."),
+    define_option(
+        "--fixed-point", "Use fixed-point numbers, with --firmware, as for a processor without a floating-point unit."
+    ),
 ]
 
 
@@ -293,17 +293,16 @@ Examples:
 
 PortOption = Annotated[
     int | None,
-    define_option("--port", r"Port of the page. \[default: 8080, or the next that is free]", min=1, max=65535),
+    define_option("--port", "Port of the page. Default: 8080, or the next free one.", min=1, max=65535),
 ]
 HostOption = Annotated[
-    str, define_option("--host ADDRESS", "Address to serve the page on; any but loopback needs a token.")
+    str, define_option("--host ADDRESS", "Address on which the page is served; any but loopback requires a token.")
 ]
 TokenOption = Annotated[
     str | None,
     define_option(
         "--token",
-        r"What a browser has to show to be let in. \[default: none on loopback, else made and "
-        "printed]",
+        "Token that a browser must present. Default: none on loopback, else a new one, which is printed.",
     ),
 ]
 BrowserOption = Annotated[bool, define_option("--browser/--no-browser", "Open the page in the default browser.")]
@@ -318,18 +317,16 @@ def open_station(
         ),
     ] = None,
     open_file: Annotated[
-        Path | None, define_option("--open RECORDING", "Show a recording, of any format of mufly log.")
+        Path | None, define_option("--open RECORDING", "Recording to show, of any format that `mufly log` reads.")
     ] = None,
     mission: Annotated[
         str | None,
         define_option("--mission -m NAME|FILE", "Mission whose world (boxes, walls, room) is drawn."),
     ] = None,
-    out: Annotated[Path, define_option("--out -o DIR", "Where recordings are written and looked for.")] = Path(
-        "flights"
-    ),
+    out: Annotated[Path, define_option("--out -o DIR", "Folder for recordings, read and written.")] = Path("flights"),
     record: Annotated[
         bool,
-        define_option("--record/--no-record", "Record from the beginning; the page can do it later too."),
+        define_option("--record/--no-record", "Record from the start; the page can start a recording later."),
     ] = True,
     port: PortOption = None,
     host: HostOption = "127.0.0.1",
@@ -440,32 +437,30 @@ Examples:
 
 
 def run_link(
-    mission: Annotated[
-        str | None, define_argument("", "Mission file, or a built-in mission (see: mufly mission list).")
-    ] = None,
+    mission: OptionalMissionArgument = None,
     vehicle: VehicleOption = "mufly-1.1",
     ends: Annotated[
         list[str] | None,
         define_option(
             "--link --connect ENDPOINT",
-            "Where stations are: udp:HOST:PORT (send there), udpin:HOST:PORT (listen), "
-            "tcpin:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD. Can be given several times. "
-            r"\[default: udp:127.0.0.1:14550 and udp:127.0.0.1:14540]",
+            "MAVLink endpoint of stations: udp:HOST:PORT (send there), udpin:HOST:PORT (listen), "
+            "tcpin:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD. Repeat it for more. Default: "
+            "udp:127.0.0.1:14550 and udp:127.0.0.1:14540.",
         ),
     ] = None,
-    system: Annotated[int, define_option("", "Its MAVLink system number, 1 to 255.")] = 1,
+    system: Annotated[int, define_option("", "MAVLink system number of the vehicle, 1 to 255.")] = 1,
     origin: Annotated[
         str | None,
         define_option(
             "LAT,LON,ALT",
-            "Where on the globe N = E = D = 0 is (degrees, metres), for programs that insist on a global position.",
+            "Global position of N = E = D = 0 (degrees, metres), for programs that require one.",
         ),
     ] = None,
     out: Annotated[
         Path | None,
         define_option(
             "--out -o DIR",
-            "Record to this folder: flight.mcap and link.tlog; those of an earlier flight there are replaced.",
+            "Folder for a recording: flight.mcap and link.tlog; those of an earlier flight are replaced.",
         ),
     ] = None,
     wind: WindOption = None,

@@ -16,6 +16,7 @@ from mufly.cli.options import (
     DEFAULT_FREE_WAKE_OPTIONS,
     DEFAULT_POLAR_OPTIONS,
     PITCH_RANGE,
+    ClusterOption,
     CommandGroup,
     DriveOption,
     JsonOption,
@@ -54,17 +55,16 @@ _MAX_PRINTED_ROWS = 40  # rows of a sweep in the terminal
 
 SetOption = Annotated[
     list[str] | None,
-    define_option("--set NAME=VALUE", "Fix a parameter, as thrust=0.4N, speed=5000rpm, gear=adapted."),
-]
-_ClusterOption = Annotated[
-    str | None,
-    define_option("--cluster ADDRESS", "Scheduler of a dask cluster, as tcp://host:8786."),
+    define_option(
+        "--set NAME=VALUE", "Parameter to fix, as thrust=0.4N, speed=5000rpm, gear=adapted. Repeat it for more."
+    ),
 ]
 AirfoilsOption = Annotated[
     list[str] | None,
     define_option(
         "--airfoils SET|DIR|NAMES",
-        "'thesis' (247 by rule), 'database' (all), a folder of .dat files, or names separated by commas.",
+        "Airfoils: 'thesis' (247, chosen by rule), 'database' (all), a folder of .dat files, or names "
+        "separated by commas.",
     ),
 ]
 
@@ -158,16 +158,19 @@ def sweep(
     rotor: RotorArgument = "naca4412-r60-c20",
     vary: Annotated[
         list[str] | None,
-        define_option("NAME=VALUES", "As chord=10:30:5mm or airfoil=goe394,naca4412. Repeat it."),
+        define_option(
+            "NAME=VALUES",
+            "Parameter to vary and its values, as chord=10:30:5mm or airfoil=goe394,naca4412. Repeat it for more.",
+        ),
     ] = None,
     set_: SetOption = None,
     drive: DriveOption = None,
-    show: Annotated[str | None, define_option("--plot VARIABLE", "What to draw over the pitch.")] = None,
+    show: Annotated[str | None, define_option("--plot VARIABLE", "Result to draw over the pitch.")] = None,
     out: Annotated[
         Path | None,
-        define_option("--out DIR", "Write tables and a picture there; a stopped sweep resumes."),
+        define_option("--out DIR", "Folder for tables and a picture; a stopped sweep resumes there."),
     ] = None,
-    cluster: _ClusterOption = None,
+    cluster: ClusterOption = None,
     theory: TheoryOptions = DEFAULT_BEMT_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
@@ -252,10 +255,10 @@ def rank(
     ] = "6:20:1deg",
     set_: SetOption = None,
     drive: DriveOption = "mufly",
-    by: Annotated[str | None, define_option("VARIABLE", "What to rank by, the greatest first.")] = None,
-    top: Annotated[int, define_option("N", "How many of each end to print.")] = 10,
-    out: Annotated[Path | None, define_option("--out DIR", "Write ranking.nc, ranking.csv and a picture.")] = None,
-    cluster: _ClusterOption = None,
+    by: Annotated[str | None, define_option("VARIABLE", "Result to rank by, the greatest first.")] = None,
+    top: Annotated[int, define_option("N", "Number of airfoils to print from each end.")] = 10,
+    out: Annotated[Path | None, define_option("--out DIR", "Folder for ranking.nc, ranking.csv and a picture.")] = None,
+    cluster: ClusterOption = None,
     polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
@@ -320,24 +323,27 @@ def sweep_pairs(
     lower: LowerArgument = None,
     vary: Annotated[
         list[str] | None,
-        define_option("NAME=VALUES", "As spacing=10:40:10mm or lower_rpm=5000:7000:500. Repeat it."),
+        define_option(
+            "NAME=VALUES",
+            "Parameter to vary and its values, as spacing=10:40:10mm or lower_rpm=5000:7000:500. Repeat it for more.",
+        ),
     ] = None,
     set_: Annotated[
         list[str] | None,
-        define_option("--set NAME=VALUE", "Fix a parameter: upper_rpm=6000, thrust=0.9N. Repeat it."),
+        define_option("--set NAME=VALUE", "Parameter to fix, as upper_rpm=6000 or thrust=0.9N. Repeat it for more."),
     ] = None,
     free: Annotated[
-        str, define_option("NAME", "What balances the torques where they are: lower-speed, lower-pitch.")
+        str, define_option("NAME", "Quantity that balances the torques: lower-speed or lower-pitch.")
     ] = "lower-speed",
-    show: Annotated[str, define_option("--plot VARIABLE", "What to draw and to print.")] = "thrust_ratio",
+    show: Annotated[str, define_option("--plot VARIABLE", "Result to draw and to print.")] = "thrust_ratio",
     over: Annotated[
-        str | None, define_option("NAME", "What is on the horizontal axis; else the first that is varied.")
+        str | None, define_option("NAME", "Parameter on the horizontal axis. Default: the first that varies.")
     ] = None,
     theory: TheoryOptions = DEFAULT_FREE_WAKE_OPTIONS,
     out: Annotated[
-        Path | None, define_option("--out DIR", "Tables and a picture; a stopped sweep resumes there.")
+        Path | None, define_option("--out DIR", "Folder for tables and a picture; a stopped sweep resumes there.")
     ] = None,
-    cluster: _ClusterOption = None,
+    cluster: ClusterOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Evaluate a pair for every combination of some parameters' values.
@@ -419,12 +425,12 @@ thesis_commands = CommandGroup(
 )
 
 
-_NameArgument = Annotated[str, define_argument("NAME", "A name of `mufly thesis list`, as fig-3.26 or table-5.3.")]
+_NameArgument = Annotated[
+    str, define_argument("NAME", "Name of a figure or table, as fig-3.26 or table-5.3; `mufly thesis list` has all.")
+]
 _KeepOption = Annotated[
     Path | None,
-    define_option(
-        "--out DIR", "Keep picture, tables and verdicts there too; a run that was stopped goes on from them."
-    ),
+    define_option("--out DIR", "Folder for picture, tables and verdicts; a stopped run resumes there."),
 ]
 
 
@@ -446,13 +452,13 @@ def list_thesis_items(as_json: JsonOption = False) -> None:
 
 @thesis_commands.command("run")
 def run_thesis_study(
-    name: Annotated[str, define_argument("NAME|all", "A name of `mufly thesis list`, or all.")],
+    name: Annotated[str, define_argument("NAME|all", "Name of a figure or table (`mufly thesis list`), or all.")],
     out: _KeepOption = None,
     case: Annotated[
         Path | None,
-        define_option("--case DIR", "A solved CFD case, or a folder of several, for fig-3.22, fig-3.23 and fig-3.24."),
+        define_option("--case DIR", "Folder of a solved CFD case, or of several, for fig-3.22, fig-3.23 and fig-3.24."),
     ] = None,
-    again: Annotated[bool, define_option("--again", "Compute what is kept, too.")] = False,
+    again: Annotated[bool, define_option("--again", "Compute stored answers again.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Repeat a figure or table: a line for every claim of the dissertation, with our numbers and the rule of agreement.
@@ -513,10 +519,10 @@ def show_thesis_item(name: _NameArgument, as_json: JsonOption = False) -> None:
 
 @thesis_commands.command("report")
 def write_thesis_report(
-    out: Annotated[Path, define_option("--out FILE", "The page, as thesis.html.")],
+    out: Annotated[Path, define_option("--out FILE", "Page to write, as thesis.html.")],
     from_folder: Annotated[
         Path | None,
-        define_option("--from DIR", "A folder that `mufly thesis run all --out` wrote, instead of the cache."),
+        define_option("--from DIR", "Folder that `mufly thesis run all --out` wrote. Default: the cache."),
     ] = None,
 ) -> None:
     """Write one page of HTML with every figure and table, verdicts and our pictures; it needs no other file.

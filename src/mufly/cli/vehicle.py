@@ -14,6 +14,7 @@ from mufly.cli.options import (
     CommandGroup,
     JsonOption,
     OptionRange,
+    VehicleArgument,
     define_argument,
     define_option,
 )
@@ -51,9 +52,8 @@ _READABLE_UNITS = {
 }  # fmt: skip
 _BUDGET_TABLE = "mass_budget"
 
-_VehicleArgument = Annotated[str, define_argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
 _TomlOption = Annotated[
-    bool, define_option("--toml", "Print the whole file, in SI units: a vehicle of your own starts from it.")
+    bool, define_option("--toml", "Print the whole file, in SI units, as a start for a vehicle of your own.")
 ]
 
 
@@ -86,7 +86,7 @@ def list_vehicles(as_json: JsonOption = False) -> None:
 
 
 @app.command()
-def show(vehicle: _VehicleArgument = "mufly-1.1", as_json: JsonOption = False, toml: _TomlOption = False) -> None:
+def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False, toml: _TomlOption = False) -> None:
     """Show every parameter: symbol, value, unit, where it comes from, and what it means."""
     from mufly.vehicle import format_vehicle_toml, list_parameters, load_vehicle
 
@@ -119,7 +119,7 @@ def show(vehicle: _VehicleArgument = "mufly-1.1", as_json: JsonOption = False, t
 
 
 @app.command()
-def check(vehicle: _VehicleArgument, as_json: JsonOption = False) -> None:
+def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
     """Read a vehicle file, check every value, and find out whether it can hover and for how long."""
     from mufly.dynamics import (
         DEFAULT_STEP_S,
@@ -249,35 +249,61 @@ _CAPACITY_RANGE = OptionRange(1.0, 1e5, "mA h", "no such battery flies")
 
 
 def create_vehicle_project(
-    name: Annotated[str, define_argument("NAME", "Its name, and that of the folder that is made.")],
+    name: Annotated[str, define_argument("NAME", "Name of the vehicle and of the folder to create.")],
     mass: Annotated[float | None, define_option("--mass", "Take-off mass.", unit="g", within=_MASS_RANGE)] = None,
     radius: Annotated[
         float | None, define_option("--radius", "Radius of both rotors.", unit="mm", within=_RADIUS_RANGE)
     ] = None,
     kv: Annotated[
         float | None,
-        define_option("--kv", "Speed constant of a motor.", unit="rpm/V", within=_SPEED_CONSTANT_RANGE),
+        define_option(
+            "--kv", "Speed constant of a motor. Default: estimated.", unit="rpm/V", within=_SPEED_CONSTANT_RANGE
+        ),
     ] = None,
     resistance: Annotated[
         float | None,
-        define_option("--resistance", "Of a motor with its controller.", unit="ohm", within=_RESISTANCE_RANGE),
+        define_option(
+            "--resistance",
+            "Resistance of a motor with its controller. Default: estimated.",
+            unit="ohm",
+            within=_RESISTANCE_RANGE,
+        ),
     ] = None,
     no_load_current: Annotated[
         float | None,
-        define_option("--no-load-current", "Of a motor, at the nominal voltage.", unit="A", within=_CURRENT_RANGE),
+        define_option(
+            "--no-load-current",
+            "No-load current of a motor at the nominal voltage. Default: estimated.",
+            unit="A",
+            within=_CURRENT_RANGE,
+        ),
     ] = None,
     gear: Annotated[
         float | None,
-        define_option("--gear", "Motor speed over rotor speed; 1 is direct drive.", unit="", within=GEAR_RATIO_RANGE),
+        define_option(
+            "--gear",
+            "Gear ratio, motor speed over rotor speed; 1 is direct drive. Default: estimated.",
+            unit="",
+            within=GEAR_RATIO_RANGE,
+        ),
     ] = None,
     cells: Annotated[
         int | None,
-        define_option("--cells", "Of the battery, in series.", unit="", form="count", within=_CELL_COUNT_RANGE),
+        define_option(
+            "--cells",
+            "Number of battery cells in series. Default: estimated.",
+            unit="",
+            form="count",
+            within=_CELL_COUNT_RANGE,
+        ),
     ] = None,
     capacity: Annotated[
-        float | None, define_option("--capacity", "Of the battery.", unit="mA h", within=_CAPACITY_RANGE)
+        float | None,
+        define_option(
+            "--capacity", "Capacity of the battery. Default: estimated.", unit="mA h", within=_CAPACITY_RANGE
+        ),
     ] = None,
-    out: Annotated[Path | None, define_option("--out DIR", "Folder for the files; NAME if not given.")] = None,
+    out: Annotated[Path | None, define_option("--out DIR", "Folder for the files. Default: NAME.")] = None,
 ) -> None:
     """See :data:`NEW_HELP`."""
     from mufly.dynamics import hover_performance, similar_vehicle

@@ -29,7 +29,6 @@ from mufly.slam.synthetic_datasets import (
     make_square_path,
     path_from_recording,
     render_frames,
-    scatter_boxes,
 )
 from mufly.slam.trajectory_evaluation import TrajectoryEvaluation, evaluate_trajectory, read_truth
 
@@ -72,6 +71,5 @@ __all__ = [
     "read_truth",
     "render_frames",
     "run_slam",
-    "scatter_boxes",
     "write_dataset",
 ]

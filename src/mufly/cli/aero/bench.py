@@ -16,6 +16,7 @@ from mufly.cli.options import (
     SPEED_RANGE,
     CommandGroup,
     JsonOption,
+    SeedOption,
     SpacingOption,
     define_argument,
     define_option,
@@ -40,20 +41,21 @@ app = CommandGroup(
 )
 
 SimulatedFault = Literal["reference", "saturated", "silent", "spikes", "speed"]
-SeriesArgument = Annotated[Path, define_argument("DIR", "The folder of `mufly bench run`.")]
+SeriesArgument = Annotated[Path, define_argument("DIR", "Folder that `mufly bench run` wrote.")]
 AcceptOption = Annotated[
     list[str] | None,
     define_option(
         "--accept KIND",
-        "A doubt that is not to refuse the series: 'reference', 'saturated', ... (again for more).",
+        "Accept this kind of doubt, which otherwise refuses the series: 'reference', 'saturated', ... "
+        "Repeat it for more.",
     ),
 ]
 KnownOption = Annotated[
     Path | None,
     define_option(
         "--known FILE",
-        "Torque of the reference rotor over speed, for a bench without a torque cell; at the density in the file, "
-        "else 1.2 kg/m3.",
+        "Bench file with the torque of the reference rotor over speed, for a bench without a torque "
+        "cell. Default air density: the file's, else 1.2 kg/m3.",
     ),
 ]
 
@@ -63,39 +65,52 @@ _MAX_SETTINGS = 1000  # settings of one kind in a plan
 
 @app.command()
 def plan(
-    rotor: Annotated[list[str], define_option("--rotor NAME|FILE", "A rotor to measure (again for more).")],
+    rotor: Annotated[list[str], define_option("--rotor NAME|FILE", "Rotor to measure. Repeat it for more.")],
     pitch: Annotated[
         str,
-        define_option("--pitch", "Pitch settings: 10,12,14 or 10:20:2.", unit="deg", form="values", within=PITCH_RANGE),
+        define_option(
+            "--pitch", "Pitch settings, as 10,12,14 or 10:20:2.", unit="deg", form="values", within=PITCH_RANGE
+        ),
     ] = "12",
     rpm: Annotated[
         str,
-        define_option("--rpm", "Speeds: 3000,5000 or 3000:7000:500.", unit="rpm", form="values", within=SPEED_RANGE),
+        define_option(
+            "--rpm", "Rotor speeds, as 3000,5000 or 3000:7000:500.", unit="rpm", form="values", within=SPEED_RANGE
+        ),
     ] = "3000:7000:1000",
     axis: Annotated[
-        Literal["upper", "lower", "pair"], define_option("--axis NAME", "'upper', 'lower' or 'pair'.")
+        Literal["upper", "lower", "pair"],
+        define_option("--axis NAME", "Axis to mount the rotor on: 'upper', 'lower' or 'pair'."),
     ] = "upper",
     ratio: Annotated[
         str,
-        define_option("--ratio", "Of a pair: speed of the lower rotor over the upper's.", unit="1", form="values"),
+        define_option(
+            "--ratio",
+            "Speed of a pair's lower rotor over that of the upper one, one value or several.",
+            unit="1",
+            form="values",
+        ),
     ] = "1",
     repeat: Annotated[
-        int, define_option("--repeat N", "Mountings of each setting; 2 or more show how well they repeat.")
+        int, define_option("--repeat N", "Mountings of each setting; two or more show the repeatability.")
     ] = 2,
     reference: Annotated[
-        str | None, define_option("--reference NAME|FILE", "Reference rotor; default the first --rotor.")
+        str | None, define_option("--reference NAME|FILE", "Reference rotor. Default: the first --rotor.")
     ] = None,
     reference_pitch: Annotated[
-        float, define_option("--reference-pitch", "Its pitch.", unit="deg", within=PITCH_RANGE)
+        float,
+        define_option("--reference-pitch", "Pitch setting of the reference rotor.", unit="deg", within=PITCH_RANGE),
     ] = 12.0,
     reference_every: Annotated[
-        int, define_option("--reference-every N", "Mountings between two of the reference.")
+        int, define_option("--reference-every N", "Mountings between two visits of the reference rotor.")
     ] = 4,
-    warm_up: Annotated[float, define_option("--warm-up", "Time before the first zero.", unit="s")] = 600.0,
+    warm_up: Annotated[
+        float, define_option("--warm-up", "Warm-up time before the first zero reading.", unit="s")
+    ] = 600.0,
     spacing: SpacingOption = 0.04,
-    seed: Annotated[int, define_option("--seed N", "Draws the order.")] = 0,
-    name: Annotated[str, define_option("--name TEXT", "Of the series.")] = "series",
-    out: Annotated[Path, define_option("--out FILE", "The plan; a file that is there is not replaced.")] = Path(
+    seed: SeedOption = 0,
+    name: Annotated[str, define_option("--name TEXT", "Name of the series.")] = "series",
+    out: Annotated[Path, define_option("--out FILE", "Plan file to write; an existing file is not replaced.")] = Path(
         "plan.toml"
     ),
     as_json: JsonOption = False,
@@ -139,20 +154,27 @@ def plan(
 
 @app.command()
 def run(
-    plan: Annotated[Path, define_argument("PLAN", "From `mufly bench plan`.")],
+    plan: Annotated[Path, define_argument("PLAN", "Plan file that `mufly bench plan` wrote.")],
     rig: Annotated[
-        str, define_option("--rig sim|FILE", "'sim', or the file of a bench (docs/reference/bench.md).")
+        str,
+        define_option(
+            "--rig sim|FILE",
+            "Bench: 'sim' for the simulated one, or the file of a real one (docs/reference/bench.md).",
+        ),
     ] = "sim",
-    out: Annotated[Path, define_option("--out DIR", "The series; one that was stopped goes on there.")] = Path(
+    out: Annotated[Path, define_option("--out DIR", "Folder of the series; a stopped series resumes there.")] = Path(
         "series"
     ),
-    seed: Annotated[int, define_option("--seed N", "Of a simulated bench.")] = 0,
+    seed: SeedOption = 0,
     fault: Annotated[
         SimulatedFault | None,
-        define_option("--fault KIND", "Of a simulated bench: reference, saturated, silent, spikes, speed."),
+        define_option(
+            "--fault KIND",
+            "Fault of the simulated bench: reference, saturated, silent, spikes or speed. Default: none.",
+        ),
     ] = None,
-    samples: Annotated[bool, define_option("--samples", "Keep every sample, not only means.")] = False,
-    yes: Annotated[bool, define_option("--yes", "Do not wait for somebody to change the blades.")] = False,
+    samples: Annotated[bool, define_option("--samples", "Keep every sample, in addition to the means.")] = False,
+    yes: Annotated[bool, define_option("--yes", "Skip the prompts to change the blades.")] = False,
 ) -> None:
     """Run a series, or go on with it. Ctrl-C stops the motors, then the program.
 
@@ -259,7 +281,7 @@ def analyse(
     series: SeriesArgument,
     accept: AcceptOption = None,
     known: KnownOption = None,
-    out: Annotated[Path | None, define_option("--out DIR", "Results; default DIR/results.")] = None,
+    out: Annotated[Path | None, define_option("--out DIR", "Folder for the results. Default: DIR/results.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say what a series found, with 95 % intervals, and whether to believe it; write it as files for the fits.
@@ -299,11 +321,13 @@ def compare(
     series: SeriesArgument,
     other: Annotated[
         Path | None,
-        define_argument("DIR", "Another series of the same blades; without it blade element theory."),
+        define_argument("DIR", "Second series of the same blades. Default: compare with blade element theory."),
     ] = None,
     spacing: Annotated[
         float | None,
-        define_option("--spacing", "Between the discs of a pair; default the plan's.", unit="m", within=SPACING_RANGE),
+        define_option(
+            "--spacing", "Distance between the discs of a pair. Default: the plan's.", unit="m", within=SPACING_RANGE
+        ),
     ] = None,
     accept: AcceptOption = None,
     known: KnownOption = None,

@@ -37,34 +37,41 @@ if TYPE_CHECKING:
 def benchmark(
     data: Annotated[
         Path,
-        define_option(
-            "--data DIR", "Folder of measurements; docs/how-to/score-a-rotor-code.md lists them and their sources."
-        ),
+        define_option("--data DIR", "Folder with the measurements; docs/how-to/score-a-rotor-code.md lists them and their sources."),
     ],
     code: Annotated[
         list[str] | None,
         define_option(
             "[NAME=]WHAT",
-            "bemt, wake, cfd:DIR (solved cases of `mufly cfd`), module:function, or a command with {folder} among its "
-            "words. May be given several times.",
+            "Method to score: bemt, wake, cfd:DIR (solved cases of `mufly cfd`), module:function, or a "
+            "command with {folder} among its words. Repeat it for more. Default: bemt.",
         ),
     ] = None,
-    only: Annotated[str, define_option("NAMES", "Rotors or groups, with commas; a part of the name will do.")] = "",
-    points: Annotated[int, define_option("N", "Points a rotor, at most; 0: all. Wakes: 3.", min=0)] = 0,
+    only: Annotated[
+        str,
+        define_option("NAMES", "Rotors or groups to include, separated by commas; parts of names match. Default: all."),
+    ] = "",
+    points: Annotated[
+        int, define_option("N", "Largest number of points of each rotor; 0: all, for wakes 3.", min=0)
+    ] = 0,
     held_out: Annotated[
         bool,
         define_option(
             "--held-out",
-            "Also the 90 % intervals, fitted to the other families of rotors; a point and half of each sweep fitted, "
-            "scored on the rest.",
+            "Score the 90 % intervals as well: fitted to the other families of rotors, to one point, and "
+            "to half of each sweep, and scored on the rest.",
         ),
     ] = False,
     n_crit: Annotated[
         float | None,
-        define_option("--n-crit N", "Transition, for bemt and wake; default 0.1, and that of the air in tunnels."),
+        define_option(
+            "--n-crit N",
+            "Amplification exponent of transition (e^N) for bemt and wake. Default: 0.1, for tunnel data "
+            "that of the tunnel.",
+        ),
     ] = None,
     limit: Annotated[
-        float, define_option("--limit", "Time that a command may take for one rotor.", unit="s", min=0.1)
+        float, define_option("--limit", "Time limit of a command for each rotor.", unit="s", min=0.1)
     ] = 600.0,
     out: OutOption = None,
     as_json: JsonOption = False,

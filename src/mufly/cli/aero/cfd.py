@@ -21,6 +21,7 @@ from mufly.cli.options import (
     DensityOption,
     JsonOption,
     OutOption,
+    PitchOption,
     RotorArgument,
     RpmOption,
     check_choice,
@@ -53,14 +54,13 @@ app = CommandGroup(
     no_args_is_help=True,
 )
 
-PitchOption = Annotated[
-    float, define_option("--pitch", "Pitch setting: 12, 12deg or 0.2rad.", unit="deg", within=PITCH_RANGE)
-]
 MeshOption = Annotated[
     Literal["tiny", "coarse", "medium", "fine"],
-    define_option("--mesh LEVEL", "'coarse', 'medium' or 'fine': 61, 136, 376 thousand cells; 'tiny' to try things."),
+    define_option(
+        "--mesh LEVEL", "Mesh: 'coarse', 'medium' or 'fine' with 61, 136 or 376 thousand cells; 'tiny' for trials."
+    ),
 ]
-CoresOption = Annotated[int, define_option("N", "Processes of the solver.", min=1, max=256)]
+CoresOption = Annotated[int, define_option("N", "Number of solver processes.", min=1, max=256)]
 
 
 @dataclass(frozen=True)
@@ -71,15 +71,19 @@ class BladeOptions:
     level: MeshOption = "medium"
     tip: Annotated[
         str,
-        define_option("--tip NAME", "The blades' tip: 'round', 'swept', 'winglet-up', ... (docs/explanation/cfd.md)."),
+        define_option(
+            "--tip NAME", "Tip of the blades: 'square', 'round', 'swept', 'winglet-up', ... (docs/explanation/cfd.md)."
+        ),
     ] = "square"
     hub: Annotated[
         float,
-        define_option("--hub", "Radius of a hub with grips; 0 for none, which may slosh.", unit="mm", min=0.0),
+        define_option(
+            "--hub", "Radius of a hub with grips; 0: no hub, which may make the flow unsteady.", unit="mm", min=0.0
+        ),
     ] = 0.0
     gurney: Annotated[
         float,
-        define_option("--gurney", "Height of a plate below the trailing edge, of the chord.", unit="%", min=0.0),
+        define_option("--gurney", "Height of a Gurney flap, relative to the chord.", unit="%", min=0.0),
     ] = 0.0
 
     def check_tip(self) -> None:
@@ -96,7 +100,7 @@ class CaseOptions(BladeOptions):
     density: DensityOption = 1.2
     model: Annotated[
         Literal["laminar", "k-epsilon", "sst", "k-omega"],
-        define_option("--model NAME", "'laminar', 'k-epsilon', 'sst' or 'k-omega'."),
+        define_option("--model NAME", "Turbulence model: 'laminar', 'k-epsilon', 'sst' or 'k-omega'."),
     ] = "laminar"
     cores: CoresOption = 1
 
@@ -160,27 +164,36 @@ def run(
     climb: ClimbOption = 0.0,
     case: CaseOptions = CASE_DEFAULTS,
     gap: Annotated[
-        float, define_option("--gap", "Distance of a second rotor below; 0 for none.", unit="mm", min=0.0)
+        float,
+        define_option("--gap", "Distance of a second rotor below the first; 0: no second rotor.", unit="mm", min=0.0),
     ] = 0.0,
     frozen: Annotated[
-        bool, define_option("--frozen", "The pair's blades stand above each other for good, in one mesh.")
+        bool, define_option("--frozen", "Hold the blades of the pair above each other, in one mesh.")
     ] = False,
     lower_pitch: Annotated[
         float | None,
-        define_option("--lower-pitch", "Its pitch setting; default: the same.", unit="deg", within=PITCH_RANGE),
+        define_option(
+            "--lower-pitch",
+            "Pitch setting of the second rotor. Default: the first rotor's.",
+            unit="deg",
+            within=PITCH_RANGE,
+        ),
     ] = None,
     lower_rpm: Annotated[
         float | None,
-        define_option("--lower-rpm", "Its speed, the other way; default: the same.", unit="rpm", within=SPEED_RANGE),
+        define_option(
+            "--lower-rpm",
+            "Speed of the second rotor, in the opposite direction. Default: the first rotor's.",
+            unit="rpm",
+            within=SPEED_RANGE,
+        ),
     ] = None,
     start: Annotated[
         Path | None,
-        define_option("--start DIR", "A case that differs in speed, pitch or tip: start from its solution."),
+        define_option("--start DIR", "Case whose solution is the start; it may differ in speed, pitch or tip."),
     ] = None,
-    out: Annotated[
-        Path, define_option("--out DIR", "The case: its folder; a run that was stopped goes on there.")
-    ] = Path("case"),
-    save_only: Annotated[bool, define_option("--save-only", "Write the case and do not run it.")] = False,
+    out: Annotated[Path, define_option("--out DIR", "Folder of the case; a stopped run resumes there.")] = Path("case"),
+    save_only: Annotated[bool, define_option("--save-only", "Write the case without running it.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Solve one operating point: mesh, run, judge, loads along the blade, pictures.
@@ -267,13 +280,13 @@ def sweep(
         str | None,
         define_option(
             "--climb",
-            "Climbs (below 0 descent) at the first speed, in place of speeds, as -0.5,0,0.5.",
+            "Climb velocities at the first speed, instead of several speeds, as -0.5,0,0.5; negative is descent.",
             unit="m/s",
             form="values",
         ),
     ] = None,
     out: Annotated[
-        Path, define_option("--out DIR", "A folder for each point in it; what is solved there is kept.")
+        Path, define_option("--out DIR", "Folder with a folder for each point; solved points are kept.")
     ] = Path("sweep"),
     as_json: JsonOption = False,
 ) -> None:
@@ -308,7 +321,7 @@ def sweep(
 
 @app.command()
 def study(
-    what: Annotated[str, define_argument("mesh|domain|model", "What is varied.")],
+    what: Annotated[str, define_argument("mesh|domain|model", "Quantity to vary: mesh, domain or model.")],
     rotor: RotorArgument = "naca0012-r60-c20",
     pitch: PitchOption = 12.0,
     rpm: RpmOption = 5000.0,
@@ -316,7 +329,7 @@ def study(
     level: MeshOption = "coarse",
     cores: CoresOption = 1,
     out: Annotated[
-        Path, define_option("--out DIR", "A folder for each case in it; what is solved there is kept.")
+        Path, define_option("--out DIR", "Folder with a folder for each case; solved cases are kept.")
     ] = Path("study"),
     as_json: JsonOption = False,
 ) -> None:
@@ -355,10 +368,13 @@ def study(
 
 @app.command()
 def show(
-    case: Annotated[Path, define_argument("DIR", "A case that `mufly cfd run` wrote.")],
+    case: Annotated[Path, define_argument("DIR", "Folder of a case that `mufly cfd run` wrote.")],
     rotor: Annotated[
         str | None,
-        define_option("--rotor NAME|FILE", "The rotor, to lay other methods' loads beside; default: by its name."),
+        define_option(
+            "--rotor NAME|FILE",
+            "Rotor for the loads of the other methods. Default: the built-in rotor of the case's name.",
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -385,8 +401,10 @@ def show(
 
 @app.command()
 def compare(
-    table: Annotated[Path, define_argument("FILE.csv", "Columns pitch_deg, rpm, T_... (N), Q_... (N m).")],
-    cases: Annotated[list[Path], define_argument("DIR...", "Cases that `mufly cfd run` wrote.")],
+    table: Annotated[
+        Path, define_argument("FILE.csv", "Table with columns pitch_deg, rpm, T_... (N) and Q_... (N m).")
+    ],
+    cases: Annotated[list[Path], define_argument("DIR...", "Folders of cases that `mufly cfd run` wrote.")],
     as_json: JsonOption = False,
 ) -> None:
     """Lay cases beside a table of measurements and of others' computations.
@@ -422,7 +440,9 @@ def compare(
 
 @app.command("convergence")
 def show_convergence(
-    cases: Annotated[list[Path], define_argument("DIR DIR DIR", "Settled cases of one point on three meshes.")],
+    cases: Annotated[
+        list[Path], define_argument("DIR DIR DIR", "Folders of three settled cases of one point, on three meshes.")
+    ],
     as_json: JsonOption = False,
 ) -> None:
     """Observed order and grid convergence index of three meshes (Celik and others, 2008).

@@ -14,21 +14,25 @@ _FILE_ENDINGS = (".stl", ".step", ".stp", ".csv")
 
 def export(
     rotor: RotorArgument,
-    out: Annotated[Path, define_argument("FILE", "What to write: name.stl, name.step or name.csv.")],
+    out: Annotated[Path, define_argument("FILE", "File to write: name.stl, name.step or name.csv.")],
     pitch: Annotated[
         float, define_option("--pitch", "Pitch setting, added to the twist.", unit="deg", within=PITCH_RANGE)
     ] = 0.0,
-    whole: Annotated[bool, define_option("--whole", "All blades about the shaft, not one along x.")] = False,
+    whole: Annotated[
+        bool, define_option("--whole", "Write all blades around the shaft, instead of one along x.")
+    ] = False,
     clockwise: Annotated[
-        bool, define_option("--clockwise", "For a rotor that turns clockwise, seen from above.")
+        bool, define_option("--clockwise", "Mirror the blades for a rotor that turns clockwise, seen from above.")
     ] = False,
     tail: Annotated[
         float,
-        define_option("--tail", "Least thickness of the trailing edge, as a printer needs it.", unit="mm", min=0.0),
+        define_option("--tail", "Least thickness of the trailing edge, for a printer.", unit="mm", min=0.0),
     ] = 0.0,
-    hub: Annotated[float, define_option("--hub", "Radius of a hub, with --whole; 0: none.", unit="mm", min=0.0)] = 0.0,
-    bore: Annotated[float, define_option("--bore", "Radius of its bore.", unit="mm", min=0.0)] = 0.0,
-    stations: Annotated[int, define_option("N", "Stations along the blade.", min=4, max=1000)] = 60,
+    hub: Annotated[
+        float, define_option("--hub", "Radius of a hub, with --whole; 0: no hub.", unit="mm", min=0.0)
+    ] = 0.0,
+    bore: Annotated[float, define_option("--bore", "Radius of the hub's bore.", unit="mm", min=0.0)] = 0.0,
+    stations: Annotated[int, define_option("N", "Number of stations along the blade.", min=4, max=1000)] = 60,
     as_json: JsonOption = False,
 ) -> None:
     """Write a blade as a closed body (STL in mm, STEP), or its stations as a table.

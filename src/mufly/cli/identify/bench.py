@@ -16,7 +16,7 @@ from mufly.cli.options import (
     ColumnOption,
     JsonOption,
     PictureOption,
-    VehicleOption,
+    StartVehicleOption,
     WriteOption,
     define_argument,
     define_option,
@@ -50,16 +50,16 @@ def rotor(
         list[Path],
         define_argument(
             "CSV...",
-            "Columns speed_rpm, thrust_N, torque_Nm of a single rotor, or speed_upper_rpm, "
-            "thrust_upper_N, torque_lower_Nm ... of a pair; thrust_raw_V with --calibration. Lines "
-            "with speed 0 give the zero of the load cells.",
+            "Bench files with columns speed_rpm, thrust_N, torque_Nm of a single rotor, or "
+            "speed_upper_rpm, thrust_upper_N, torque_lower_Nm, ... of a pair; thrust_raw_V with "
+            "--calibration. Rows with speed 0 give the zero of the load cells.",
         ),
     ],
     radius: Annotated[
         str | None,
         define_option(
             "--radius",
-            "Radius, as 60mm or 0.06+-0.0002. Default: of --rotor or --vehicle.",
+            "Rotor radius, as 60mm or 0.06+-0.0002. Default: that of --rotor or --vehicle.",
             unit="m",
             form="doubt",
         ),
@@ -77,7 +77,8 @@ def rotor(
         Path | None,
         define_option(
             "CSV",
-            "Known loads and readings of the load cells: thrust_N, thrust_raw_V, torque_Nm, torque_raw_V.",
+            "Calibration file with known loads and readings of the cells: thrust_N, thrust_raw_V, "
+            "torque_Nm, torque_raw_V.",
         ),
     ] = None,
     columns: ColumnOption = None,
@@ -85,19 +86,20 @@ def rotor(
         float | None,
         define_option(
             "--at-rpm",
-            "Give coefficients that change with speed at this one.",
+            "Speed at which to evaluate coefficients that change with speed. Default: the mean.",
             unit="rpm",
             within=SPEED_RANGE,
         ),
     ] = None,
     predict_with: Annotated[
-        str | None, define_option("--rotor NAME|FILE", "Compare with blade element theory of this rotor.")
+        str | None,
+        define_option("--rotor NAME|FILE", "Rotor whose blade element theory is compared with the measurement."),
     ] = None,
     pitch: Annotated[
         float | None,
         define_option(
             "--pitch",
-            "Pitch setting for the prediction where the file has no pitch, as 12.",
+            "Pitch setting for the prediction, where the file has none, as 12.",
             unit="deg",
             within=PITCH_RANGE,
         ),
@@ -112,9 +114,10 @@ def rotor(
         ),
     ] = None,
     place: Annotated[
-        str | None, define_option("--as upper|lower", "Which rotor of --vehicle a single rotor is.")
+        str | None,
+        define_option("--as upper|lower", "Rotor of --vehicle that a single rotor stands for: upper or lower."),
     ] = None,
-    vehicle: VehicleOption = None,
+    vehicle: StartVehicleOption = None,
     write: WriteOption = None,
     out: PictureOption = None,
     as_json: JsonOption = False,
@@ -210,22 +213,26 @@ def rotor(
 
 
 def plan(
-    vehicle: Annotated[str, define_argument("NAME|FILE", "The vehicle as far as it is known.")],
+    vehicle: Annotated[str, define_argument("NAME|FILE", "Vehicle to identify, as far as it is known.")],
     free: Annotated[
-        str, define_option("SYMBOL,...", "Parameters to be identified, as `mufly vehicle show` prints them.")
+        str,
+        define_option("SYMBOL,...", "Parameters to identify, symbols of `mufly vehicle show`, separated by commas."),
     ],
     channel: Annotated[
-        str, define_option("NAME,...", "yaw, heave, roll or pitch; several make a plan for several flights.")
+        str,
+        define_option(
+            "NAME,...", "Channels to excite: yaw, heave, roll or pitch. Several make a plan of several flights."
+        ),
     ] = "yaw",
     kind: Annotated[
-        str, define_option("NAME", "chirp, multisine, 3211 or doublet; 'best' compares them all.")
+        str, define_option("NAME", "Signal: chirp, multisine, 3211 or doublet; 'best' compares all.")
     ] = "best",
     duration: Annotated[float, define_option("--duration", "Length of each flight.", unit="s")] = 10.0,
     amplitude: Annotated[
         float | None,
         define_option(
             "--amplitude",
-            "Largest addition to an input, 0 to 1; lowered if it is not safe. Default: the largest that is.",
+            "Largest addition to an input, 0 to 1, lowered to the safe amplitude. Default: the largest safe one.",
             unit="1",
         ),
     ] = None,
@@ -233,7 +240,7 @@ def plan(
         str | None,
         define_option(
             "--band",
-            "Frequencies, as 0.1:3. Default: around the channel's modes.",
+            "Frequency band, as 0.1:3. Default: around the channel's modes.",
             unit="Hz",
             form="band",
         ),
@@ -242,8 +249,8 @@ def plan(
         str | None,
         define_option(
             "NAME=VALUE,...",
-            "attitude_deg, heading_deg, rates_deg_s, height_m, place_m from hover; motor, servo: "
-            "distance of inputs from their ends. Default: "
+            "Limits of the motion from hover: attitude_deg, heading_deg, rates_deg_s, height_m, place_m; "
+            "and least distance of inputs from their ends: motor, servo. Default: "
             "attitude_deg=20,heading_deg=90,rates_deg_s=229,height_m=0.5,place_m=1,motor=0.05,servo=0.1.",
         ),
     ] = None,
@@ -251,22 +258,22 @@ def plan(
         str | None,
         define_option(
             "OUTPUT=STD,...",
-            "Sensors (SI), as 'height=0.005,speed_up=2,yaw=none'; added to the defaults height 0.01 "
-            "m, roll and pitch 0.01, yaw 0.02 rad, p, q, r 0.03 rad/s.",
+            "Standard deviations of the sensors (SI), as 'height=0.005,speed_up=2,yaw=none'. Defaults: "
+            "height 0.01 m; roll, pitch 0.01, yaw 0.02 rad; p, q, r 0.03 rad/s.",
         ),
     ] = None,
-    delay: Annotated[float, define_option("--delay", "From command to input.", unit="s")] = 0.02,
+    delay: Annotated[float, define_option("--delay", "Delay from command to input.", unit="s")] = 0.02,
     window: Annotated[
         float,
         define_option(
             "--window",
-            "The motion counts as unknown anew every so often, which stands for gusts; 0: only at "
-            "the start, the bound of a perfect world.",
+            "Time after which the motion counts as unknown again, which represents gusts; 0: unknown at "
+            "the start only, a lower bound.",
             unit="s",
         ),
     ] = 2.0,
-    sample: Annotated[float, define_option("--sample", "Time between samples of the log.", unit="s")] = 0.01,
-    out: Annotated[Path | None, define_option("--out DIR", "Write signals (CSV) and pictures (PNG) there.")] = None,
+    sample: Annotated[float, define_option("--sample", "Sample time of the log.", unit="s")] = 0.01,
+    out: Annotated[Path | None, define_option("--out DIR", "Folder for signals (CSV) and pictures (PNG).")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Design flights for identification: signals within safe limits, and what they will tell before anyone flies.
@@ -445,15 +452,15 @@ def motor(
         Path,
         define_argument(
             "CSV",
-            "Columns voltage_V (and duty), current_A, speed_rpm, torque_mNm; docs/reference/bench.md lists the "
-            "names and units that are understood.",
+            "Bench file with columns voltage_V (and duty), current_A, speed_rpm, torque_mNm; "
+            "docs/reference/bench.md lists the accepted names and units.",
         ),
     ],
     gear_ratio: Annotated[
         str,
         define_option(
             "--gear --gear-ratio",
-            "Motor speed over measured speed: 1.5, 1.5+-0.01 or 'free'.",
+            "Gear ratio, motor speed over measured speed: 1.5, 1.5+-0.01 or 'free'.",
             unit="1",
             form="doubt",
             words=("free",),
@@ -463,7 +470,7 @@ def motor(
         str,
         define_option(
             "--gear-efficiency",
-            "Of the gear between motor and torque sensor: 0.84, 0.84+-0.02 or 'free'.",
+            "Efficiency of the gear between motor and torque sensor: 0.84, 0.84+-0.02 or 'free'.",
             unit="1",
             form="doubt",
             words=("free",),
@@ -473,12 +480,12 @@ def motor(
         str | None,
         define_option(
             "CHANNEL=AMOUNT,...",
-            "Errors to expect, as 'current=1%+0.01,speed=0.5%fs' (of the reading, of full scale, or "
-            "SI); only their proportions matter. Default: the likeliest shape.",
+            "Expected errors of channels, as 'current=1%+0.01,speed=0.5%fs' (of the reading, of full "
+            "scale, or SI); only their ratios count. Default: the likeliest shape.",
         ),
     ] = None,
     columns: ColumnOption = None,
-    vehicle: VehicleOption = None,
+    vehicle: StartVehicleOption = None,
     write: WriteOption = None,
     out: PictureOption = None,
     as_json: JsonOption = False,

@@ -12,8 +12,10 @@ import typer
 
 from mufly.cli.identify import bench, linear
 from mufly.cli.options import (
+    ClusterOption,
     CommandGroup,
     JsonOption,
+    SeedOption,
     check_choice,
     define_argument,
     define_option,
@@ -54,79 +56,96 @@ def flight(
         str,
         define_option(
             "SYMBOLS",
-            "What to find: symbols of `mufly vehicle show`, besides 'delay' (input to vehicle) and "
-            "'bias_p' and the like; commas between.",
+            "Parameters to find, separated by commas: symbols of `mufly vehicle show`, 'delay' (input to "
+            "vehicle), 'bias_p' and the like.",
         ),
     ],
     vehicle: Annotated[
-        str, define_option("NAME|FILE", "Start values; their sources say how far they may be pulled.")
+        str,
+        define_option(
+            "NAME|FILE", "Vehicle with the start values; the sources of its values set the width of their priors."
+        ),
     ] = "mufly-1.1",
-    out: Annotated[Path | None, define_option("--out --write NEW.toml", "Write the identified vehicle there.")] = None,
-    report: Annotated[Path | None, define_option("DIR", "Write report.html with its pictures there.")] = None,
+    out: Annotated[
+        Path | None, define_option("--out --write NEW.toml", "Vehicle file to write, with the identified values.")
+    ] = None,
+    report: Annotated[Path | None, define_option("DIR", "Folder for report.html with its pictures.")] = None,
     hold_out: Annotated[
-        list[Path] | None, define_option("LOG", "Predict this record, do not fit it. May be repeated.")
+        list[Path] | None, define_option("LOG", "Record to predict without fitting it. Repeat it for more.")
     ] = None,
     hold_out_share: Annotated[
         float,
-        define_option("--hold-out-share", "Without --hold-out: the last share of every log is held out.", unit="1"),
+        define_option("--hold-out-share", "Last share of every log that is held out, without --hold-out.", unit="1"),
     ] = 0.25,
     part: Annotated[
         Literal["both", "heave-yaw", "roll-pitch", "split"],
-        define_option("NAME", "both at once, heave-yaw, roll-pitch, or split: one after the other."),
+        define_option(
+            "NAME", "Part of the model to fit: both (at once), heave-yaw, roll-pitch, or split (one after the other)."
+        ),
     ] = "both",
     outputs: Annotated[
-        str | None, define_option("NAMES", "Use these measurements only: height, yaw, r, roll, p, ...")
+        str | None,
+        define_option(
+            "NAMES",
+            "Measurements to use, separated by commas: height, yaw, r, roll, p, ... Default: all in the records.",
+        ),
     ] = None,
     prefix: Annotated[
         Literal["measured", "estimated", "truth"],
-        define_option("NAME", "What to take from a recording: measured, estimated or truth."),
+        define_option("NAME", "Signals to take from a recording: measured, estimated or truth."),
     ] = "measured",
     columns: Annotated[
-        Path | None, define_option("--map MAP.toml", "Column map of foreign logs; see docs/reference/logs.md.")
+        Path | None, define_option("--map MAP.toml", "Column map of foreign logs (docs/reference/logs.md).")
     ] = None,
     voltage: Annotated[
         str,
         define_option(
             "--voltage",
-            "Battery: 'model' (charge found), 'measured', 'nominal', or a number.",
+            "Battery voltage: 'model' (the charge is estimated), 'measured', 'nominal', or a number.",
             unit="V",
             words=("model", "measured", "nominal"),
         ),
     ] = "model",
     delay_ms: Annotated[
         float,
-        define_option("--delay", "Time from recorded input to vehicle; start value if free.", unit="ms"),
+        define_option(
+            "--delay", "Delay from recorded input to vehicle; the start value if 'delay' is free.", unit="ms"
+        ),
     ] = 0.0,
     window: Annotated[
         float | None,
-        define_option("--window", "Last stage in windows of this length, not whole records.", unit="s"),
+        define_option("--window", "Length of the windows of the last stage. Default: whole records.", unit="s"),
     ] = None,
     method: Annotated[
-        Literal["lm", "cma"], define_option("NAME", "lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation).")
+        Literal["lm", "cma"],
+        define_option("NAME", "Optimiser: lm (Levenberg-Marquardt) or cma (CMA-ES, as in the dissertation)."),
     ] = "lm",
-    seed: Annotated[int, define_option("K", "Of CMA-ES.", min=0)] = 0,
-    restarts: Annotated[int, define_option("N", "Of CMA-ES, each with twice the population.", min=0)] = 0,
-    no_prior: Annotated[bool, define_option("--no-prior", "Start values do not weigh in.")] = False,
+    seed: SeedOption = 0,
+    restarts: Annotated[int, define_option("N", "Restarts of CMA-ES, each with twice the population.", min=0)] = 0,
+    no_prior: Annotated[bool, define_option("--no-prior", "Ignore the priors of the start values.")] = False,
     held_exact: Annotated[
         bool,
-        define_option("--held-exact", "What is not free is known exactly; its doubt does not widen the intervals."),
+        define_option(
+            "--held-exact",
+            "Treat parameters that are not free as exact; their uncertainty does not widen the intervals.",
+        ),
     ] = False,
     as_is: Annotated[
         bool,
         define_option(
             "--as-is",
-            "Fit records whose units, signs, axes or clocks seem wrong; say so instead of refusing.",
+            "Fit records whose units, signs, axes or clocks look wrong, with a note instead of an error.",
         ),
     ] = False,
     checkpoint: Annotated[
         Path | None,
         define_option(
             "FILE",
-            "Kept every iteration; a stopped fit goes on from it. Default: beside --out, none without.",
+            "Checkpoint file, written every iteration, from which a stopped fit resumes. Default: beside --out.",
         ),
     ] = None,
-    cluster: Annotated[str | None, define_option("ADDRESS", "Fly on a dask cluster, as tcp://host:8786.")] = None,
-    fresh: Annotated[bool, define_option("--fresh", "Do not go on from a checkpoint.")] = False,
+    cluster: ClusterOption = None,
+    fresh: Annotated[bool, define_option("--fresh", "Ignore an existing checkpoint.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Fit the flight model to flight records, and predict records that the fit did not see.
@@ -277,12 +296,14 @@ def _print_fit_remarks(fit: FitResult) -> None:
 
 @app.command()
 def demo(
-    seed: Annotated[int, define_option("K", "Of pilot, noise and starts.", min=0)] = 0,
-    method: Annotated[Literal["lm", "cma"], define_option("NAME", "lm or cma.")] = "lm",
-    moving: Annotated[bool, define_option("--moving", "Records begin in mid-flight, not in a steady hover.")] = False,
-    report: Annotated[Path | None, define_option("DIR", "Write report.html with its pictures there.")] = None,
+    seed: SeedOption = 0,
+    method: Annotated[Literal["lm", "cma"], define_option("NAME", "Optimiser: lm or cma.")] = "lm",
+    moving: Annotated[
+        bool, define_option("--moving", "Start the records in mid-flight, instead of in a steady hover.")
+    ] = False,
+    report: Annotated[Path | None, define_option("DIR", "Folder for report.html with its pictures.")] = None,
     logs: Annotated[
-        Path | None, define_option("DIR", "Write the five flights there (MCAP), for `identify flight`.")
+        Path | None, define_option("DIR", "Folder for the five flights (MCAP), for `identify flight`.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -13,6 +13,7 @@ from mufly.cli.options import (
     CommandGroup,
     JsonOption,
     OptionRange,
+    SeedOption,
     define_argument,
     define_option,
 )
@@ -39,21 +40,29 @@ if TYPE_CHECKING:
     from mufly.identify.linear.sweep_response import TransferFunctionFit
 
 LogsArgument = Annotated[
-    list[Path], define_argument("LOG...", "CSV, MATLAB file, or any flight log that `mufly log` reads.")
+    list[Path], define_argument("LOG...", "Records: CSV, MATLAB files, or any flight log that `mufly log` reads.")
 ]
 InputsOption = Annotated[
     str,
     define_option(
         "NAMES",
-        "lat, lon, ped, col, each with =COLUMN if the log calls it otherwise; =-COLUMN turns the sign, "
-        "=m3+m4-m1-m2 adds columns, =0.5*COLUMN scales.",
+        "Inputs, separated by commas: lat, lon, ped, col. Add =COLUMN for another column name, "
+        "=-COLUMN to change the sign, =m3+m4-m1-m2 to add columns, =0.5*COLUMN to scale.",
     ),
 ]
 OutputsOption = Annotated[
-    str, define_option("NAMES", "Some of p, q, r, phi, theta, u, v, w, with =COLUMN where needed.")
+    str,
+    define_option(
+        "NAMES",
+        "Outputs, separated by commas: some of p, q, r, phi, theta, u, v, w, with =COLUMN for another column name.",
+    ),
 ]
-FromOption = Annotated[float | None, define_option("--from", "Begin at this time of the log's own clock.", unit="s")]
-ToOption = Annotated[float | None, define_option("--to", "End at this time.", unit="s")]
+FromOption = Annotated[
+    float | None, define_option("--from", "Start time in the log's own clock. Default: its start.", unit="s")
+]
+ToOption = Annotated[
+    float | None, define_option("--to", "End time in the log's own clock. Default: its end.", unit="s")
+]
 
 
 def linear(
@@ -65,29 +74,29 @@ def linear(
         str,
         define_option(
             "NAME",
-            "output-error (one log, simulated as a whole) or equation-error (any number of logs, terms chosen "
-            "step by step: for vehicles flown under feedback).",
+            "Method: output-error (one log, simulated as a whole) or equation-error (any number of logs, "
+            "terms chosen step by step, for vehicles flown under feedback).",
         ),
     ] = "output-error",
     model: Annotated[
         str,
         define_option(
             "NAME",
-            "auto (cross-validated inside the fitted part), helicopter (hybrid flapping, coupled, "
-            "yaw gyro), or first-order, second-order, hybrid with any of -coupled, -collective, "
-            "-gyro, -speed, -skew.",
+            "Model structure: auto (chosen by cross-validation), helicopter (hybrid flapping, coupled, "
+            "yaw gyro), or first-order, second-order, hybrid with any of -coupled, -collective, -gyro, "
+            "-speed, -skew.",
         ),
     ] = "auto",
     split: Annotated[
-        float, define_option("--split", "First share of the record that the fit may see; 1: all.", unit="1")
+        float, define_option("--split", "First share of the record, which is fitted; 1: all of it.", unit="1")
     ] = 0.5,
     split_at: Annotated[
         float | None,
-        define_option("--split-at", "The same as a time in the record, before --split.", unit="s"),
+        define_option("--split-at", "End time of the fitted part, instead of --split.", unit="s"),
     ] = None,
     hold_out: Annotated[
         list[Path] | None,
-        define_option("LOG", "With equation-error: predict this log, do not fit it. May be repeated."),
+        define_option("LOG", "Log to predict without fitting it, with equation-error. Repeat it for more."),
     ] = None,
     start_s: FromOption = None,
     end_s: ToOption = None,
@@ -95,7 +104,8 @@ def linear(
         float | None,
         define_option(
             "--lowpass",
-            "Inputs and outputs are filtered alike for the fit; 0: not at all. Default: 5, of equation error 10.",
+            "Cut-off frequency of the low-pass filter for inputs and outputs; 0: no filter. Default: 5, "
+            "with equation-error 10.",
             unit="Hz",
         ),
     ] = None,
@@ -103,24 +113,25 @@ def linear(
         float | None,
         define_option(
             "--highpass",
-            "With equation-error: lowest frequency that counts. Default: where the inputs explain the output.",
+            "Lowest frequency of the fit, with equation-error. Default: where the inputs explain the output.",
             unit="Hz",
         ),
     ] = None,
-    domain: Annotated[str, define_option("NAME", "With equation-error: frequency or time.")] = "frequency",
+    domain: Annotated[
+        str, define_option("NAME", "Domain of the fit, with equation-error: frequency or time.")
+    ] = "frequency",
     products: Annotated[
-        bool, define_option("--products", "With equation-error: products of two rates are candidates, too.")
+        bool,
+        define_option("--products", "Include products of two rates among the candidate terms, with equation-error."),
     ] = False,
-    without: Annotated[
-        str, define_option("SYMBOLS", "With equation-error: terms that are no candidates, as L_p,M_q.")
-    ] = "",
-    rate: Annotated[
-        float, define_option("--rate", "Rate of the samples that the fit uses; 0: all of them.", unit="Hz")
-    ] = 25.0,
-    starts: Annotated[int, define_option("N", "Searches from different starts.", min=1)] = 6,
-    seed: Annotated[int, define_option("K", "Of the random starts.")] = 0,
-    hold: Annotated[bool, define_option("--hold", "Inputs are held between samples, not joined.")] = False,
-    out: Annotated[Path | None, define_option("DIR", "Write report.html and its pictures (PNG) there.")] = None,
+    without: Annotated[str, define_option("SYMBOLS", "Terms to exclude, as L_p,M_q, with equation-error.")] = "",
+    rate: Annotated[float, define_option("--rate", "Sample rate of the fit; 0: the log's.", unit="Hz")] = 25.0,
+    starts: Annotated[int, define_option("N", "Number of searches from different starts.", min=1)] = 6,
+    seed: SeedOption = 0,
+    hold: Annotated[
+        bool, define_option("--hold", "Hold inputs between samples, instead of interpolating them.")
+    ] = False,
+    out: Annotated[Path | None, define_option("DIR", "Folder for report.html and its pictures (PNG).")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Fit a linear model to the first part of a flight record, or to several, and predict the rest from its inputs.
@@ -261,7 +272,7 @@ BandOption = Annotated[
     str | None,
     define_option(
         "--band",
-        "Frequencies. Default: 2 periods in half the shortest log, to 10 Hz.",
+        "Frequency band. Default: from 2 periods in half the shortest log, to 10 Hz.",
         unit="Hz",
         form="band",
         within=_POSITIVE_RANGE,
@@ -271,7 +282,7 @@ WindowsOption = Annotated[
     str | None,
     define_option(
         "--windows",
-        "Lengths of the windows, as 20,10,5. Default: five, from half the shortest log down.",
+        "Window lengths, as 20,10,5. Default: five, from half the shortest log down.",
         unit="s",
         form="values",
         within=_POSITIVE_RANGE,
@@ -308,20 +319,22 @@ def frequency(
     logs: LogsArgument,
     inputs: Annotated[
         str,
-        define_option("NAMES", "Columns that drive, as lat,lon; NAME=COLUMN, =-COLUMN and sums as for `linear`."),
+        define_option("NAMES", "Input columns, as lat,lon; NAME=COLUMN, =-COLUMN and sums as for `linear`."),
     ] = "lat,lon,ped,col",
-    outputs: Annotated[str, define_option("NAMES", "Columns that answer, likewise.")] = "p,q,r",
+    outputs: Annotated[str, define_option("NAMES", "Output columns, written likewise.")] = "p,q,r",
     columns: ColumnOption = None,
     start_s: FromOption = None,
     end_s: ToOption = None,
     band: BandOption = None,
     windows: WindowsOption = None,
-    points: Annotated[int, define_option("N", "Frequencies.", min=8)] = 80,
+    points: Annotated[int, define_option("N", "Number of frequencies.", min=8)] = 80,
     fit: Annotated[
         str | None,
-        define_option("ZEROS/POLES", "Fit transfer functions with delay to coherent pairs, as 0/1 or 1/2."),
+        define_option(
+            "ZEROS/POLES", "Orders of transfer functions with delay to fit to coherent pairs, as 0/1 or 1/2."
+        ),
     ] = None,
-    out: Annotated[Path | None, define_option("DIR", "Write pictures (PNG) and responses.csv there.")] = None,
+    out: Annotated[Path | None, define_option("DIR", "Folder for pictures (PNG) and responses.csv.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find frequency responses from sweeps: each input conditioned on the others, several windows in one, coherence.
@@ -416,19 +429,21 @@ def _write_responses(data: FrequencyResponse, out: Path, fits: Sequence[Transfer
 def bandwidth(
     logs: LogsArgument,
     input_: Annotated[
-        str, define_option("--input NAME", "The stick: a column, or NAME=-COLUMN and sums as for `linear`.")
+        str, define_option("--input NAME", "Input (stick): a column, or NAME=-COLUMN and sums as for `linear`.")
     ] = "lat",
     output: Annotated[
-        str, define_option("NAME", "What answers: phi, theta, psi, or a rate p, q, r, which is integrated.")
+        str, define_option("NAME", "Output: phi, theta, psi, or a rate p, q, r, which is integrated.")
     ] = "phi",
-    others: Annotated[str, define_option("NAMES", "Other inputs that moved, whose share is taken away.")] = "",
+    others: Annotated[
+        str, define_option("NAMES", "Other inputs that moved, separated by commas, whose share is removed.")
+    ] = "",
     columns: ColumnOption = None,
     start_s: FromOption = None,
     end_s: ToOption = None,
     band: BandOption = None,
     windows: WindowsOption = None,
-    points: Annotated[int, define_option("N", "Frequencies.", min=8)] = 120,
-    out: Annotated[Path | None, define_option("DIR", "Write a picture (PNG) and the response (CSV) there.")] = None,
+    points: Annotated[int, define_option("N", "Number of frequencies.", min=8)] = 120,
+    out: Annotated[Path | None, define_option("DIR", "Folder for a picture (PNG) and the response (CSV).")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Read bandwidth and phase delay of an attitude's response off a sweep, as ADS-33 defines them.
@@ -489,27 +504,28 @@ def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> li
 
 
 def compatibility(
-    log: Annotated[Path, define_argument("LOG", "CSV, MATLAB file, or any flight log that `mufly log` reads.")],
+    log: Annotated[Path, define_argument("LOG", "Record: CSV, MATLAB file, or any flight log that `mufly log` reads.")],
     imu: Annotated[
         str,
         define_option(
             "NAMES",
-            "p, q, r (rad/s), ax, ay, az (m/s^2, body axes, z down: -9.8 at rest), each with =COLUMN, =-COLUMN or "
-            "=9.80665*COLUMN where needed.",
+            "Inertial signals: p, q, r (rad/s), ax, ay, az (m/s^2, body axes, z down: -9.8 at rest), each "
+            "with =COLUMN, =-COLUMN or =9.80665*COLUMN where needed.",
         ),
     ] = "p,q,r,ax,ay,az",
     measured: Annotated[
         str,
         define_option(
             "NAMES",
-            "phi, theta, psi (rad), and any of v_north, v_east, v_down (m/s), north, east, down (m), likewise.",
+            "Measured signals: phi, theta, psi (rad), and any of v_north, v_east, v_down (m/s), north, "
+            "east, down (m), written likewise.",
         ),
     ] = "phi,theta,psi,v_north,v_east,v_down,north,east,down",
     columns: ColumnOption = None,
     start_s: FromOption = None,
     end_s: ToOption = None,
     out: Annotated[
-        Path | None, define_option("DIR", "Write a picture (PNG) and the reconstructed path (CSV) there.")
+        Path | None, define_option("DIR", "Folder for a picture (PNG) and the reconstructed path (CSV).")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

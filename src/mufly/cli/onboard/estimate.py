@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mufly.cli.log import MapOption, column_map_from_options
-from mufly.cli.options import ColumnOption, CommandGroup, JsonOption, OutOption, define_argument, define_option
+from mufly.cli.options import (
+    ColumnOption,
+    CommandGroup,
+    JsonOption,
+    OutOption,
+    SeedOption,
+    define_argument,
+    define_option,
+)
 from mufly.cli.output import (
     ensure_folder,
     print_answer,
@@ -40,12 +48,10 @@ _SETTLING_TIME_S = 2.0  # of flight, after which errors count
 
 @app.command()
 def run(
-    log: Annotated[
-        Path, define_argument("LOG", "A recorded flight: of `mufly fly`, or any log that `mufly log` reads.")
-    ],
+    log: Annotated[Path, define_argument("LOG", "Recorded flight: of `mufly fly`, or any log that `mufly log` reads.")],
     vehicle: Annotated[
         str | None,
-        define_option("--vehicle NAME|FILE", "What the filter takes it for. Default: the vehicle that flew."),
+        define_option("--vehicle NAME|FILE", "Vehicle that the filter models. Default: the vehicle that flew."),
     ] = None,
     map_file: MapOption = None,
     column: ColumnOption = None,
@@ -53,39 +59,50 @@ def run(
         list[str] | None,
         define_option(
             "--aid KIND=SIGNAL",
-            "What tells position or heading: position=truth_position, position=x,-y,-z (columns as N, E, D), "
-            "heading=yaw(deg). Default: the log's own position and attitude. May be repeated.",
+            "Source of position or heading fixes: position=truth_position, position=x,-y,-z (columns as "
+            "N, E, D), heading=yaw(deg). Default: the log's own position and attitude. Repeat it for "
+            "both.",
         ),
     ] = None,
     aid_std: Annotated[
         float | None,
         define_option(
             "--aid-std",
-            "Noise of a position, one sigma. Default: its scatter. Is added to an aid made from the truth.",
+            "Noise of a position fix (standard deviation), added to a fix made from the truth. Default: its scatter.",
             unit="m",
         ),
     ] = None,
     aid_heading_std: Annotated[
         float | None,
-        define_option("--aid-heading-std", "Noise of a heading, one sigma. Default: 2.", unit="deg"),
+        define_option("--aid-heading-std", "Noise of a heading fix (standard deviation). Default: 2.", unit="deg"),
     ] = None,
-    aid_rate: Annotated[float | None, define_option("--aid-rate", "Take no more than so many.", unit="Hz")] = None,
+    aid_rate: Annotated[
+        float | None, define_option("--aid-rate", "Highest rate of fixes. Default: the log's.", unit="Hz")
+    ] = None,
     aid_delay: Annotated[
-        float, define_option("--aid-delay", "How long after its measurement an aid comes.", unit="s")
+        float, define_option("--aid-delay", "Delay of fixes after their measurement.", unit="s")
     ] = 0.0,
     gyro_noise: Annotated[
         float | None,
-        define_option("--gyro-noise", "Density. Default: what the log tells.", unit="rad/s/sqrt(Hz)"),
+        define_option(
+            "--gyro-noise", "Noise density of the gyroscopes. Default: estimated from the log.", unit="rad/s/sqrt(Hz)"
+        ),
     ] = None,
     accelerometer_noise: Annotated[
         float | None,
-        define_option("--accelerometer-noise", "Density. Default: what the log tells.", unit="m/s^2/sqrt(Hz)"),
+        define_option(
+            "--accelerometer-noise",
+            "Noise density of the accelerometers. Default: estimated from the log.",
+            unit="m/s^2/sqrt(Hz)",
+        ),
     ] = None,
     rate: Annotated[
         float | None,
-        define_option("--rate", "Of the filter on a log of others. Default: the log's, 250 at most.", unit="Hz"),
+        define_option(
+            "--rate", "Rate of the filter, for a log of another vehicle. Default: the log's, at most 250.", unit="Hz"
+        ),
     ] = None,
-    seed: Annotated[int, define_option("--seed N", "Of the noise that is added to an aid made from the truth.")] = 0,
+    seed: SeedOption = 0,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
+from mufly.cli.options import CommandGroup, JsonOption, SeedOption, VehicleOption, define_argument, define_option
 from mufly.cli.output import (
     print_answer,
     print_files,
@@ -40,18 +40,22 @@ app = CommandGroup(
     no_args_is_help=True,
 )
 
-_VehicleOption = Annotated[str, define_option("--vehicle NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
 _FixedOption = Annotated[
-    bool, define_option("--fixed-point", "In whole numbers, for a processor without a floating unit.")
+    bool,
+    define_option(
+        "--fixed-point", "Use the control law in fixed point, for a processor without a floating-point unit."
+    ),
 ]
 
 
 @app.command()
 def export(
-    out: Annotated[Path, define_option("--out DIR", "A new or empty folder, or one of an earlier export.")],
-    vehicle: _VehicleOption = "mufly-1.1",
+    out: Annotated[
+        Path, define_option("--out DIR", "Folder to write: a new or empty one, or one of an earlier export.")
+    ],
+    vehicle: VehicleOption = "mufly-1.1",
     mission: Annotated[
-        str, define_option("--mission NAME|FILE", "A built-in mission, or a mission file (TOML).")
+        str, define_option("--mission NAME|FILE", "Built-in mission (`mufly mission list`), or mission file.")
     ] = "demonstration",
     fixed_point: _FixedOption = False,
     as_json: JsonOption = False,
@@ -101,21 +105,25 @@ def export(
 def sil(
     missions: Annotated[
         list[str] | None,
-        define_argument("[MISSION]...", "Built-in missions or files; both built-in ones by default."),
+        define_argument(
+            "[MISSION]...", "Missions to fly, built-in names or files. Default: demonstration and box-on-leg."
+        ),
     ] = None,
-    vehicle: _VehicleOption = "mufly-1.1",
-    flights: Annotated[int, define_option("N", "Of each mission, with seeds from 0 on.", min=1)] = 1,
+    vehicle: VehicleOption = "mufly-1.1",
+    flights: Annotated[int, define_option("N", "Number of flights of each mission, with seeds from 0 on.", min=1)] = 1,
     wind: WindOption = None,
     gust: GustOption = None,
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
     drawn: Annotated[
         bool,
-        define_option("--drawn", "Draw wind, gusts and a fault of a sensor for every flight, by its seed."),
+        define_option("--drawn", "Draw wind, gusts and a sensor fault for every flight from its seed."),
     ] = False,
     keep: Annotated[
         Path | None,
-        define_option("--keep FILE", "Add a line of JSON a flight to this file; what stands there is not flown again."),
+        define_option(
+            "--keep FILE", "File to which each flight is added as a line of JSON; flights in it are not repeated."
+        ),
     ] = None,
     fixed_point: _FixedOption = False,
     as_json: JsonOption = False,
@@ -235,7 +243,7 @@ def _print_fixed_law(vehicle: Vehicle, controller: FlightController, law: FixedP
 
 
 @app.command()
-def pil(vehicle: _VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False, as_json: JsonOption = False) -> None:
+def pil(vehicle: VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False, as_json: JsonOption = False) -> None:
     """Run the self-test on emulated Cortex-M4 processors and compare it with this machine (processor in the loop).
 
     With --fixed-point that of the law in whole numbers, on a Cortex-M3, an M4 and an M0.
@@ -268,8 +276,8 @@ def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
 
 @app.command()
 def report(
-    vehicle: _VehicleOption = "mufly-1.1",
-    out: Annotated[Path, define_option("--out DIR", "Folder for report.md, its pictures and report.json.")] = Path(
+    vehicle: VehicleOption = "mufly-1.1",
+    out: Annotated[Path, define_option("--out DIR", "Folder for report.md, report.json and pictures.")] = Path(
         "firmware-report"
     ),
     as_json: JsonOption = False,
@@ -302,9 +310,11 @@ def report(
 
 @app.command()
 def fuzz(
-    vehicle: _VehicleOption = "mufly-1.1",
-    minutes: Annotated[float, define_option("--minutes", "How long.", unit="min", min=0.01, max=6000.0)] = 10.0,
-    seed: Annotated[int, define_option("--seed N", "Of the fuzzer's random numbers.", min=1)] = 1,
+    vehicle: VehicleOption = "mufly-1.1",
+    minutes: Annotated[
+        float, define_option("--minutes", "Duration of the run.", unit="min", min=0.01, max=6000.0)
+    ] = 10.0,
+    seed: SeedOption = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Feed the exported code any bytes as readings, beliefs and commands, with clang's sanitizers on.

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 from itertools import groupby
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from mufly.cli.options import CommandGroup, JsonOption, OutOption, define_argument, define_option
+from mufly.cli.options import (
+    CommandGroup,
+    JsonOption,
+    MissionArgument,
+    OutOption,
+    SeedOption,
+    VehicleArgument,
+    VehicleOption,
+)
 from mufly.cli.output import (
     ensure_folder,
     print_answer,
@@ -29,11 +37,9 @@ app = CommandGroup(
     no_args_is_help=True,
 )
 
-_VehicleFileArgument = Annotated[str, define_argument("NAME|FILE", "A built-in vehicle, or a vehicle file (TOML).")]
-
 
 @app.command()
-def show(vehicle: _VehicleFileArgument = "mufly-1.1", as_json: JsonOption = False) -> None:
+def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False) -> None:
     r"""Show what a vehicle feels with: every number of the table \[sensors] of its file, and where it came from."""
     from mufly.vehicle import list_parameters, load_vehicle
 
@@ -69,13 +75,9 @@ def faults(as_json: JsonOption = False) -> None:
 
 @app.command()
 def simulate(
-    mission: Annotated[
-        str, define_argument("MISSION", "A built-in mission, or a mission file (TOML).")
-    ] = "demonstration",
-    vehicle: Annotated[
-        str, define_option("--vehicle NAME|FILE", "A built-in vehicle or a file, with \\[sensors].")
-    ] = "mufly-1.1",
-    seed: Annotated[int, define_option("K", "Same seed, same gusts and errors.")] = 0,
+    mission: MissionArgument = "demonstration",
+    vehicle: VehicleOption = "mufly-1.1",
+    seed: SeedOption = 0,
     fault: FaultOption = None,
     wind: WindOption = None,
     gust: GustOption = None,

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
-from mufly.cli.options import CommandGroup, JsonOption, define_argument, define_option
+from mufly.cli.options import CommandGroup, JsonOption, SeedOption, define_argument, define_option
 from mufly.cli.output import (
     ensure_folder,
     print_answer,
@@ -35,12 +35,12 @@ _CameraOption = Annotated[
     str,
     define_option(
         "--camera NAME|FILE",
-        "A built-in camera (mufly-2.0, webcam, worst), a camera file (TOML), or a calibration (Kalibr, ROS, ...).",
+        "Camera: a built-in one (mufly-2.0, webcam, worst), a camera file (TOML), or a calibration (Kalibr, ROS, ...).",
     ),
 ]
 _HeightOption = Annotated[
     float | None,
-    define_option("--height", "Height above the floor, where the files do not tell it.", unit="m"),
+    define_option("--height", "Height above the floor, where the files do not state it.", unit="m"),
 ]
 
 
@@ -49,23 +49,27 @@ def render(
     out: Annotated[Path, define_option("--out -o DIR", "Folder for the data set.")],
     camera: _CameraOption = "mufly-2.0",
     floor: Annotated[
-        str, define_option("--floor KIND|PICTURE", "rich, poor, tiles, plain, or a picture of a floor.")
+        str, define_option("--floor KIND|PICTURE", "Floor: rich, poor, tiles, plain, or a picture file.")
     ] = "rich",
-    width: Annotated[float, define_option("--width", "Of a picture of a floor, from west to east.", unit="m")] = 2.0,
+    width: Annotated[
+        float, define_option("--width", "Width of the floor in a picture file, from west to east.", unit="m")
+    ] = 2.0,
     recording: Annotated[
         Path | None,
-        define_option("--from FILE", "Fly the path of this recording (flight.mcap) instead of rounds."),
+        define_option("--from FILE", "Recording (flight.mcap) whose path is flown, instead of rounds of a square."),
     ] = None,
     duration: Annotated[float, define_option("--duration", "Length of the data set.", unit="s")] = 20.0,
-    side: Annotated[float, define_option("--side", "Of the square that is flown round; 0 hovers.", unit="m")] = 3.0,
-    height: Annotated[float, define_option("--height", "Of the path above the floor.", unit="m")] = 1.0,
-    speed: Annotated[float, define_option("--speed", "Along the path.", unit="m/s")] = 0.4,
-    shadows: Annotated[float, define_option("--shadows", "Of the light that shadows take, 0 to 1.", unit="1")] = 0.3,
-    boxes: Annotated[int, define_option("--boxes N", "Low boxes on the floor.")] = 0,
+    side: Annotated[float, define_option("--side", "Side of the square that is flown; 0 hovers.", unit="m")] = 3.0,
+    height: Annotated[float, define_option("--height", "Height of the path above the floor.", unit="m")] = 1.0,
+    speed: Annotated[float, define_option("--speed", "Speed along the path.", unit="m/s")] = 0.4,
+    shadows: Annotated[
+        float, define_option("--shadows", "Share of the light that shadows take, 0 to 1.", unit="1")
+    ] = 0.3,
+    boxes: Annotated[int, define_option("--boxes N", "Number of low boxes on the floor.")] = 0,
     layout: Annotated[
-        Literal["mufly", "euroc", "tum"], define_option("--layout NAME", "mufly, euroc or tum.")
+        Literal["mufly", "euroc", "tum"], define_option("--layout NAME", "Layout of the folder: mufly, euroc or tum.")
     ] = "mufly",
-    seed: Annotated[int, define_option("--seed K", "Same seed, same floor, path and noise.")] = 0,
+    seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Render a data set: pictures of a floor along a path, with what the vehicle tells beside them, and the truth.
@@ -79,9 +83,9 @@ def render(
         make_square_path,
         path_from_recording,
         render_frames,
-        scatter_boxes,
         write_dataset,
     )
+    from mufly.slam.synthetic_datasets import scatter_boxes
 
     for name, value, low, high in (
         ("--duration", duration, 0.1, 3600), ("--side", side, 0, 50), ("--height", height, 0.15, 50),
@@ -120,60 +124,67 @@ def run(
         str,
         define_argument(
             "PICTURES",
-            "A folder (ours, EuRoC's or TUM's layout), a recording with pictures or its folder, a video, a camera "
-            "(/dev/video0) or an MJPEG stream (http://...).",
+            "Pictures: a folder (mufly's, EuRoC's or TUM's layout), a recording or its folder, a video, a "
+            "camera (/dev/video0) or an MJPEG stream (http://...).",
         ),
     ],
     camera: Annotated[
         str | None,
-        define_option("--camera NAME|FILE", "That made them; by default camera.toml in the folder or the recording."),
+        define_option(
+            "--camera NAME|FILE", "Camera that took the pictures. Default: camera.toml in the folder or the recording."
+        ),
     ] = None,
     height: _HeightOption = None,
     telemetry: Annotated[
         Path | None,
         define_option(
             "--telemetry FILE",
-            "Attitude and height out of this recording (or telemetry.csv), at the pictures' times.",
+            "Recording (or telemetry.csv) with attitude and height, interpolated at the pictures' times.",
         ),
     ] = None,
     offset: Annotated[
-        float, define_option("--offset", "Of --telemetry: its clock less that of the pictures.", unit="s")
+        float, define_option("--offset", "Clock of --telemetry minus the clock of the pictures.", unit="s")
     ] = 0.0,
-    rate: Annotated[float | None, define_option("--rate", "Of a video that does not say so itself.", unit="Hz")] = None,
+    rate: Annotated[
+        float | None, define_option("--rate", "Picture rate of a video. Default: the video's own.", unit="Hz")
+    ] = None,
     times: Annotated[
         Path | None,
-        define_option(
-            "--times FILE", "Of a video: the time of each picture, one a row; by default NAME.csv beside it."
-        ),
+        define_option("--times FILE", "Table of a video's picture times, one a row. Default: NAME.csv beside it."),
     ] = None,
     delay: Annotated[
         float,
-        define_option("--delay", "Of a camera or stream: how much older pictures are than they came.", unit="s"),
+        define_option("--delay", "Latency of a camera or stream, from exposure to arrival.", unit="s"),
     ] = 0.0,
     clock: Annotated[
         Literal["arrival", "sender"],
-        define_option("--clock WHICH", "Of a stream: arrival, or sender (its X-Timestamp)."),
+        define_option("--clock WHICH", "Time stamps of a stream: arrival, or sender (its X-Timestamp)."),
     ] = "arrival",
     link: Annotated[
         str | None,
         define_option(
             "--link ENDPOINT",
-            "Of a camera or stream: a vehicle's MAVLink (udp:0.0.0.0:14560, serial:DEVICE:BAUD) tells attitude and "
-            "height, and is told VISION_POSITION_ESTIMATE.",
+            "MAVLink endpoint of a vehicle (udp:0.0.0.0:14560, serial:DEVICE:BAUD), which sends attitude "
+            "and height and receives VISION_POSITION_ESTIMATE; for a camera or stream.",
         ),
     ] = None,
     give_up: Annotated[
         float,
-        define_option("--give-up", "Of a camera or stream: it has ended when nothing came for so long.", unit="s"),
+        define_option("--give-up", "Time without pictures after which a camera or stream has ended.", unit="s"),
     ] = 10.0,
     duration: Annotated[
-        float | None, define_option("--duration", "Stop after so long; Ctrl-C stops, too.", unit="s")
+        float | None,
+        define_option(
+            "--duration", "Time after which to stop; Ctrl-C stops as well. Default: the end of the pictures.", unit="s"
+        ),
     ] = None,
     floor_map: Annotated[
-        Path | None, define_option("--map FILE", "Find yourself in this map, instead of beginning one.")
+        Path | None, define_option("--map FILE", "Map file in which to localise. Default: a new map.")
     ] = None,
-    save_map: Annotated[Path | None, define_option("--save-map FILE", "Keep the map.")] = None,
-    out: Annotated[Path | None, define_option("--out -o DIR", "Trajectory (TUM's text, MCAP) and pictures.")] = None,
+    save_map: Annotated[Path | None, define_option("--save-map FILE", "Map file to write.")] = None,
+    out: Annotated[
+        Path | None, define_option("--out -o DIR", "Folder for the trajectory (TUM's text, MCAP) and pictures.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Go through pictures, recorded or as they come: where was the vehicle, and how well is that known?
@@ -320,13 +331,17 @@ def run(
 
 @app.command()
 def serve(
-    place: Annotated[Path, define_argument("VIDEO|FOLDER", "Pictures, as of `mufly slam run`.")],
+    place: Annotated[Path, define_argument("VIDEO|FOLDER", "Pictures, as for `mufly slam run`.")],
     camera: Annotated[
         str | None,
-        define_option("--camera NAME|FILE", "That made them; by default camera.toml in the folder."),
+        define_option("--camera NAME|FILE", "Camera that took the pictures. Default: camera.toml in the folder."),
     ] = None,
-    at: Annotated[str, define_option("--stream [HOST:]PORT", "Where.")] = "8090",
-    speed: Annotated[float, define_option("--speed FACTOR", "Times as fast as they were taken.")] = 1.0,
+    at: Annotated[
+        str, define_option("--stream [HOST:]PORT", "Address of the stream; port alone: this machine only.")
+    ] = "8090",
+    speed: Annotated[
+        float, define_option("--speed FACTOR", "Speed relative to that at which the pictures were taken.")
+    ] = 1.0,
 ) -> None:
     """Send recorded pictures as an MJPEG stream, each at its time, once somebody looks.
 
@@ -362,10 +377,14 @@ def serve(
 
 @app.command()
 def evaluate(
-    trajectory: Annotated[Path, define_argument("FILE", "Trajectory in TUM's text, as `mufly slam run` writes it.")],
-    truth: Annotated[Path, define_argument("FILE|FOLDER", "The truth: TUM's text, or a data set.")],
+    trajectory: Annotated[
+        Path, define_argument("FILE", "Trajectory in TUM's text format, as `mufly slam run` writes it.")
+    ],
+    truth: Annotated[
+        Path, define_argument("FILE|FOLDER", "Ground truth: a trajectory in TUM's text format, or a data set.")
+    ],
     offset: Annotated[
-        float, define_option("--offset", "Of the trajectory: its clock less the truth's.", unit="s")
+        float, define_option("--offset", "Clock of the trajectory minus the clock of the truth.", unit="s")
     ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
@@ -400,13 +419,13 @@ def evaluate(
 
 @app.command()
 def calibrate(
-    pictures: Annotated[Path, define_argument("FOLDER", "Pictures of a chessboard, from many sides.")],
-    board: Annotated[str, define_option("--board CxR", "Inner corners along both sides.")] = "9x6",
-    square: Annotated[float, define_option("--square", "Side of a square.", unit="m")] = 0.025,
+    pictures: Annotated[Path, define_argument("FOLDER", "Folder with pictures of a chessboard, from many sides.")],
+    board: Annotated[str, define_option("--board CxR", "Inner corners of the board along both sides, as 9x6.")] = "9x6",
+    square: Annotated[float, define_option("--square", "Side of a square of the board.", unit="m")] = 0.025,
     camera: _CameraOption = "mufly-2.0",
     out: Annotated[
         Path | None,
-        define_option("--out FILE", "Camera file to write: the lens as found, the rest as given."),
+        define_option("--out FILE", "Camera file to write, with the lens found and the rest of --camera."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
