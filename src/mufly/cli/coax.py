@@ -163,7 +163,7 @@ def write_pair(point: SystemSolution, alone: tuple[RotorResult, ...] | None, fol
 
 
 app = CommandGroup(
-    help="Coaxial pairs: two rotors that turn against each other, by a free vortex wake or by blade elements. See "
+    help="Compute coaxial pairs, two counter-rotating rotors, by a free vortex wake or by blade elements; see "
     "docs/explanation/coax.md.",
     no_args_is_help=True,
 )
@@ -197,7 +197,7 @@ def hover(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compute thrust, torque and power of both rotors, and what they lose to each other.
+    """Compute thrust, torque and power of both rotors, and their interference losses.
 
     Without options: the dissertation's pair (Sec. 3.4.7). With --out: pictures of the wake, the air, the loads along
     the blades and the convergence, and tables. A wake that does not converge ends the command with status 1, its
@@ -247,7 +247,7 @@ def trim(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the speeds, or the lower pitch, at which the torques of the rotors cancel.
+    """Find the speeds, or the lower pitch, at which the torques of the two rotors cancel.
 
     Give a thrust, and both speeds are found; or the upper speed, and the lower one is. With --free lower-pitch the
     lower pitch is found instead. Torques cancel to 0.1 % by the wake method.
@@ -358,7 +358,7 @@ def compute_coax_map(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compute c_T and c_Q of both rotors over their speeds and the climb velocity, as a file that a vehicle can name.
+    """Compute c_T and c_Q of both rotors over their speeds and the climb velocity, as a map file for a vehicle.
 
     A line `coefficient_map = "pair.toml"` in the table `rotors` of a vehicle file makes the flight model use it in
     place of the constant coefficients (docs/explanation/coax.md). A run that is stopped goes on when the same

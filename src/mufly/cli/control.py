@@ -50,7 +50,7 @@ def design(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Design heave-yaw, roll-pitch and position control, and set them beside the thesis's.
+    """Design heave-yaw, roll-pitch and position control, and compare them with the dissertation's.
 
     For each H-infinity design: the level gamma claimed and the norm of the closed loop as computed from it; \
 0 dB crossings of the loop gain; peaks of the sensitivity S_u and the complementary sensitivity T_u at the plant's \

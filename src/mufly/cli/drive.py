@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 app = CommandGroup(
     help=(
-        "Drive trains: motor, gear, battery, and where they meet a rotor. Everything is explained in "
+        "Compute drive trains: motor, gear, battery, and their operating points with a rotor; see "
         "docs/explanation/drive.md."
     ),
     no_args_is_help=True,
@@ -127,7 +127,7 @@ def show(
     model: ModelOption = "full",
     as_json: JsonOption = False,
 ) -> None:
-    """Show a drive's numbers, its operating points with a rotor, and how long its battery holds a hover.
+    """Show a drive's constants, its operating points with a rotor, and its hover endurance.
 
     All rotors of the drive are loaded alike. Without --thrust and --duty, five duties are shown.
 
@@ -204,7 +204,7 @@ def sweep(
     out: Annotated[Path | None, define_option("--out DIR", "Folder for gear.nc, gear.csv and gear.png.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Draw power, thrust and efficiency over the gear ratio at constant motor voltage, as the dissertation's Fig. 3.7.
+    """Compute power, thrust and efficiency over the gear ratio at constant motor voltage (dissertation, Fig. 3.7).
 
     Example: mufly drive sweep mufly --thrust 0.6 --out gears
     """

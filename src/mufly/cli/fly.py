@@ -138,16 +138,16 @@ def _start_vehicle_process(
 # One line a paragraph: the terminal wraps them.
 FLY_HELP = """Fly a mission on the full nonlinear model.
 
-Opens the ground station in the browser: the helicopter stands on the floor with its mission loaded, by default the \
+Opens the ground station in the browser. The helicopter stands on the floor with its mission loaded, by default the \
 demonstration of the muFly dissertation (take off, a square of four waypoints, land), and is flown from there. With \
 no page opened within 20 s it flies the mission by itself. It ends with Ctrl-C, or when the flight is over and the \
 page was closed. With --headless it flies in the terminal, as fast as the machine can.
 
-It flies on what its sensors say, as its file has them in \\[sensors] (`mufly sensors show`), after it has stood \
-still on the floor for a second or two; --sensors ideal flies on what is true.
+The filter uses the sensors of the table \\[sensors] of the vehicle file (`mufly sensors show`); it aligns \
+on the floor for a second or two. --sensors ideal flies on the true state.
 
 Writes a folder with the recording (flight.mcap; opens in Foxglove and PlotJuggler), summary.json and pictures; \
-with --position camera what the camera saw, too (camera.mcap; `mufly slam run` looks at it again). \
+with --position camera also the camera's pictures (camera.mcap; `mufly slam run` processes them again). \
 The exit status is 0 only if the mission succeeded.
 
 Examples:
@@ -166,7 +166,7 @@ Examples:
 
   mufly fly --link udp:127.0.0.1:14550      (QGroundControl or a script may fly it too)
 
-  mufly fly --position link --link udpin:127.0.0.1:14560      (another program's SLAM tells it where it is)
+  mufly fly --position link --link udpin:127.0.0.1:14560      (position from another program's SLAM)
 """
 
 

@@ -74,7 +74,7 @@ def convert_log(
     column: ColumnOption = None,
     force: Annotated[bool, define_option("--force", "Replace OUT if it exists.")] = False,
 ) -> None:
-    """Bring the signals of a log onto one clock, in SI units and under our names, and write them to a file.
+    """Resample the signals of a log to one clock, in SI units and under mufly's names, and write them to a file.
 
     Examples: mufly log convert flight.ulg flight.csv --rate 100; mufly log convert bench.csv bench.nc --map bench.toml;
     mufly log export flight.mcap flight.parquet --signal 'measured_*'
@@ -117,9 +117,9 @@ def convert_log(
 
 
 app = CommandGroup(
-    help="Logs: MCAP (ours and others'), PX4 ULog, ArduPilot DataFlash, MAVLink tlog, Crazyflie micro-SD, CSV, "
-    "Parquet, NetCDF.\n\n"
-    "What a file is, is told by its content. Column maps and checks: docs/reference/logs.md.",
+    help="Read, check, convert and draw logs: MCAP (mufly's and others'), PX4 ULog, ArduPilot DataFlash, MAVLink tlog, "
+    "Crazyflie micro-SD, CSV, Parquet, NetCDF.\n\n"
+    "The format is detected from the content. Column maps and checks: docs/reference/logs.md.",
     no_args_is_help=True,
 )  # fmt: skip
 
@@ -131,10 +131,10 @@ def info(
     column: ColumnOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a log is, what is in it, and what is wrong with it.
+    """Show the format, topics, signals and faults of a log.
 
-    Topics with their rates; the signals that have a name here, with their range; then every gap, repeated or reversed
-    time stamp, drop-out, outlier, constant or saturated channel, doubtful unit, and the delays from references to
+    Lists topics with their rates and signals with their range; then every gap, repeated or reversed
+    time stamp, drop-out, outlier, constant or saturated channel and doubtful unit, and the delays from references to
     measurements.
 
     Examples: mufly log info flight.ulg; mufly log info bench.csv -c "time=t(ms)" -c "battery_voltage=U(V)"
@@ -183,7 +183,7 @@ def plot(
     map_file: MapOption = None,
     column: ColumnOption = None,
 ) -> None:
-    """Draw the signals of a log over time, or their spectra; two logs on each other with --with.
+    """Draw the signals of a log over time, or their spectra; with --with two logs in the same plots.
 
     Examples: mufly log plot flight.ulg --out pictures; mufly log plot flight.ulg measured_rates --spectrum;
     mufly log plot flight.ulg sensor_combined/gyro_rad[0] --from 10 --to 20;
@@ -282,4 +282,4 @@ def _save_figure(figure: Any, folder: Path, name: str) -> list[Path]:
 
 
 app.command("convert")(convert_log)
-app.command("export", help="The same as convert, by its other name.")(convert_log)
+app.command("export", help="Convert a log to another format; the same command as convert.")(convert_log)

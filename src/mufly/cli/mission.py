@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from mufly.mission import Mission
 
 app = CommandGroup(
-    help="List missions, show what one asks for, check a mission file. Every key of a mission file is explained in "
-    "docs/reference/missions.md.",
+    help="List, show and check missions. Keys of a mission file: docs/reference/missions.md.",
     no_args_is_help=True,
 )
 
@@ -49,7 +48,7 @@ def list_missions(as_json: JsonOption = False) -> None:
 
 @app.command()
 def show(mission: _MissionArgument = "demonstration", as_json: JsonOption = False, toml: _TomlOption = False) -> None:
-    """Show the waypoints of a mission, how long the way is, and when each is expected to be reached.
+    """Show the waypoints of a mission, the length of the path, and the expected time at each.
 
     Times count from the start signal: rotors speeding up, reference trajectories, settling at each waypoint, waits, \
 and the way around obstacles that the file names.
@@ -110,7 +109,7 @@ def _waypoint_rows(m: Mission) -> list[dict[str, Any]]:
 
 @app.command()
 def check(mission: _MissionArgument, vehicle: VehicleOption = "mufly-1.1", as_json: JsonOption = False) -> None:
-    """Check a mission file, and whether the vehicle's battery lasts for it. Exit status 1 and the reason if not."""
+    """Check a mission file, and whether the vehicle's battery suffices. If not: the reason, and exit status 1."""
     from mufly.control import design_flight_controller
     from mufly.flight import controller_limits
     from mufly.mission import GROUND_FILE_DESCRIPTION, check_preflight, load_mission

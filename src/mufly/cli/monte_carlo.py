@@ -44,16 +44,15 @@ if TYPE_CHECKING:
 _MAX_PRINTED_COMMANDS = 10  # commands printed; all are in commands.txt
 
 # One line a paragraph: the terminal wraps them.
-MONTE_CARLO_HELP = """Fly a mission many times with other vehicles, air and chance: how often does it succeed, how sure
-is it?
+MONTE_CARLO_HELP = """Fly a mission many times with varied vehicle, air and noise; report the success rate.
 
-A flight succeeded if the truth says so: nothing hit, every waypoint passed within --tolerance, landed upright where \
-it was to. Flight K of a seed is always the same, whoever flies it: a folder that was stopped (Ctrl-C, a crash) goes \
-on with the same command, and more --flights can be added to it.
+A flight succeeds by its true path: no collision, every waypoint passed within --tolerance, an upright landing on the \
+landing mark. Flight K of a seed is always the same, on any machine. A campaign that was stopped (Ctrl-C, a crash) \
+resumes with the same command, and more --flights can be added to it.
 
---vary draws parameters of the vehicle anew for each flight; controllers, autopilot and filter stay those of --vehicle \
-(--redesign: made for each). NAME is `parameters` (the whole flight model), a table (rotors), a key (body.mass) or a \
-symbol (m); what names fewer parameters takes precedence:
+--vary draws parameters of the vehicle for each flight; controllers, autopilot and filter stay those of --vehicle \
+(--redesign: designed for each). NAME is `parameters` (the whole flight model), a table (rotors), a key (body.mass) or a \
+symbol (m); the variation with fewer parameters takes precedence:
 
   --vary parameters=10%         uniformly within 10 % either way
 

@@ -94,7 +94,7 @@ def optimise(
     polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
-    """Search for a better rotor at a given thrust, within limits, and tell what each change brought.
+    """Search for a better rotor at a given thrust, within limits, and report the gain of each change.
 
     Changes are listed from the start, the one that gains most first, each with the pitch set anew; a negative gain is
     the price of a limit. What can be limited: the parameters that are searched, and thickness_mm (the least along the
@@ -177,7 +177,7 @@ def optimise_pairs(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Search for the blades and pitches of both rotors that need the least power at a thrust, torques balanced.
+    """Search for the blades and pitches of both rotors with the least power at a thrust, torques balanced.
 
     Blade elements search; the wake method, which the search does not see, computes start and optimum at the end, and
     both gains are printed. With --out both rotors are written as rotor files, upper.toml and lower.toml.

@@ -104,8 +104,8 @@ class HoverOptions(WakeOptions):
 DEFAULT_HOVER_OPTIONS = HoverOptions()
 app = CommandGroup(
     help=(
-        "Rotors: what one is, what it does, which is best. Numbers of rotor files: docs/explanation/polars.md; of the "
-        "theory: docs/explanation/bemt.md; of sweeps and rankings: docs/explanation/studies.md."
+        "Show, compute, fit, rank and optimise rotors. Rotor files and polars: docs/explanation/polars.md; blade "
+        "element theory: docs/explanation/bemt.md; sweeps and rankings: docs/explanation/studies.md."
     ),
     no_args_is_help=True,
 )
@@ -219,7 +219,7 @@ def import_blade(
     out: Annotated[Path | None, define_option("--out FILE.toml", "Rotor file to write.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a rotor file of somebody else's table of a blade; what had to be guessed is said.
+    """Convert a blade's table or solid to a rotor file, with notes on values that are guessed.
 
     Examples: mufly rotor import da4002_5x3.75_geom.txt --diameter 5in --airfoil sda1075.dat --out da.toml; mufly rotor
     import 10x7E-PERF.PE0 --out apc.toml; mufly rotor import calipers.csv (r_mm, chord_mm, beta_deg) --blades 2; mufly
@@ -300,9 +300,9 @@ def hover(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compute thrust, torque, power and figure of merit, and what happens along the blade.
+    """Compute thrust, torque, power and figure of merit, and the loads along the blade.
 
-    Give two of --pitch, --rpm and --thrust. With a drive, its electrical power at the same point is told too.
+    Give two of --pitch, --rpm and --thrust. With --drive, the electrical power at the same point is printed as well.
     With --out, the stations are drawn and written as CSV; with --method wake the wake and the air around it are drawn
     too. A wake that does not converge ends the command with status 1, its history written. With --method cfd it is
     `mufly cfd run` with its defaults, which takes minutes and OpenFOAM.
@@ -506,10 +506,10 @@ def fit(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find a rotor's sections from measurements: which would do, and what has to change in their coefficients.
+    """Fit a rotor's sections to measurements: the likely airfoils, and corrections of their coefficients.
 
-    What is written serves wherever a rotor file does; --band of 'rotor hover' is then what the bench left open. Points
-    that a fit did not see tell how good it is. docs/explanation/bemt.md has the equations and the priors.
+    The file written is a rotor file; --band of 'rotor hover' then shows the uncertainty that the bench leaves. Points
+    that are not fitted measure the error. docs/explanation/bemt.md has the equations and the priors.
     Example: mufly rotor fit my-rotor.toml bench.csv --out fitted.toml
     """
     import numpy as np
@@ -610,9 +610,9 @@ def compare(
     theory: TheoryOptions = DEFAULT_BEMT_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
-    """Set the prediction beside a measurement, untuned unless --calibrate asks for it.
+    """Compare the prediction with a measurement, untuned unless --calibrate is given.
 
-    With --method wake every point is a wake, seconds each; one that does not converge is left out of the mean and said.
+    With --method wake every point takes seconds; points that do not converge are reported and left out of the mean.
     Examples: mufly rotor compare naca0012-r60-c20 bench.csv; mufly rotor compare walkera-5g6 b.csv --method wake
     """
     from mufly.errors import InputError

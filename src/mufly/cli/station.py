@@ -275,7 +275,7 @@ DEFAULT_ENDPOINT = "udp:127.0.0.1:14550"
 STATION_HELP = """Open the ground station in the browser, for any MAVLink vehicles.
 
 Shows the vehicle in its world, instruments, plots of any signal, ranges, spectrum, messages, mission, checks and \
-parameters; commands it; records what it hears (station.mcap and station.tlog, in a folder for each session). Several \
+parameters; commands it; records what it receives (station.mcap and station.tlog, a folder for each session). Several \
 vehicles and several links at once. Closing the page or the station stops nothing in the air.
 
 Links: udp:HOST:PORT and udpin: listen, udpout: sends, tcp: calls, tcpin: waits for calls, serial:DEVICE:BAUD.
@@ -417,13 +417,13 @@ def print_page_address(address: PageAddress, links: list[str]) -> None:
 
 
 # One line a paragraph: the terminal wraps them.
-LINK_HELP = """The simulated helicopter as a MAVLink vehicle, in real time.
+LINK_HELP = """Run the simulated helicopter as a MAVLink vehicle, in real time.
 
 QGroundControl, MAVSDK, MAVProxy and pymavlink scripts fly it as they fly any other: arm, take off, \
-missions in metres, offboard, parameters. By default it sends to the two places where they wait: this machine's UDP \
+missions in metres, offboard, parameters. By default it sends to the ports where they listen: this machine's UDP \
 ports 14550 and 14540.
 
-Without a mission it stands in an empty hall and waits for what it is told. With one it has that mission loaded, and \
+Without a mission it stands in an empty hall and waits for commands. With a mission it has that mission loaded, and \
 its walls and obstacles around it; a station starts it. Ctrl-C ends it.
 
 Examples:
@@ -470,7 +470,7 @@ def run_link(
     fault: FaultOption = None,
     firmware: FirmwareOption = False,
 ) -> None:
-    """The simulated helicopter as a MAVLink vehicle, in real time."""
+    """Run the simulated helicopter as a MAVLink vehicle, in real time."""
     endpoints = parse_endpoints(ends or _DEFAULT_LINK_ENDPOINTS, "vehicle", each="endpoint")
     if not 1 <= system <= 255:
         raise InputError("--system", "", f"{system} is no MAVLink system", "give 1 to 255")

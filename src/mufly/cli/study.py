@@ -96,7 +96,7 @@ def _list_parameters(table: dict[str, StudyParameter], as_json: bool) -> None:
 
 @rotor_commands.command()
 def parameters(as_json: JsonOption = False) -> None:
-    """List everything that can be varied or set, with its units."""
+    """List the parameters that can be varied or set, with their units."""
     from mufly.study import ROTOR_PARAMETERS
 
     _list_parameters(ROTOR_PARAMETERS, as_json)
@@ -104,7 +104,7 @@ def parameters(as_json: JsonOption = False) -> None:
 
 @coax.app.command("parameters")
 def list_pair_parameters(as_json: JsonOption = False) -> None:
-    """List everything that `mufly coax sweep` can vary or set, with its units."""
+    """List the parameters that `mufly coax sweep` can vary or set, with their units."""
     from mufly.study import PAIR_PARAMETERS
 
     _list_parameters(PAIR_PARAMETERS, as_json)
@@ -262,7 +262,7 @@ def rank(
     polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
     as_json: JsonOption = False,
 ) -> None:
-    """Rank airfoils by what the rotor makes of them, each at its best pitch.
+    """Rank airfoils by the rotor's performance with each, at its best pitch.
 
     Without --set: thrust=0.4N gear=adapted, as in the dissertation's Table 3.3.
 
@@ -417,10 +417,7 @@ def _print_pair_sweep(data: xr.Dataset, variable: str) -> None:
 
 
 thesis_commands = CommandGroup(
-    help=(
-        "Repeat the studies of the dissertation and say where we agree with it. What each assumes: "
-        "docs/explanation/studies.md."
-    ),
+    help=("Repeat the studies of the dissertation and compare the results. Assumptions: docs/explanation/studies.md."),
     no_args_is_help=True,
 )
 
@@ -436,7 +433,7 @@ _KeepOption = Annotated[
 
 @thesis_commands.command("list")
 def list_thesis_items(as_json: JsonOption = False) -> None:
-    """List the dissertation's 91 figures and 7 tables, each with the verdict on it as far as it has run."""
+    """List the dissertation's 91 figures and 7 tables, with the verdicts of those that have run."""
     from mufly.thesis import THESIS_ITEMS, count_verdicts, load_cached_answer
 
     answers = [load_cached_answer(name) for name in THESIS_ITEMS]
@@ -461,11 +458,11 @@ def run_thesis_study(
     again: Annotated[bool, define_option("--again", "Compute stored answers again.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Repeat a figure or table: a line for every claim of the dissertation, with our numbers and the rule of agreement.
+    """Repeat a figure or table: a line for each claim of the dissertation, with mufly's numbers and the criterion.
 
-    What was computed is kept (MUFLY_CACHE, or the user's cache folder) until its sources change, so `run all` that was
-    stopped goes on; it takes the quick ones first. Rotor studies are computed with our corrections and with the theory
-    as the dissertation has it, so that a difference can be traced to the one or the other.
+    Answers are stored (MUFLY_CACHE, or the user's cache folder) until their sources change, so a `run all` that was
+    stopped resumes; quick studies run first. Rotor studies are computed with mufly's corrections and with the theory
+    of the dissertation, so that a difference can be traced to either.
 
     Examples: mufly thesis run fig-3.26; mufly thesis run all --out thesis; mufly thesis run fig-3.23 --case DIR
     """
@@ -501,7 +498,7 @@ def run_thesis_study(
 
 @thesis_commands.command("show")
 def show_thesis_item(name: _NameArgument, as_json: JsonOption = False) -> None:
-    """Show a figure or table: what is printed, ours, the verdict and where our picture is; it is computed if need be.
+    """Show a figure or table: the printed and the computed values, the verdict, and the picture; computed if missing.
 
     Example: mufly thesis show fig-6.11
     """
@@ -525,9 +522,9 @@ def write_thesis_report(
         define_option("--from DIR", "Folder that `mufly thesis run all --out` wrote. Default: the cache."),
     ] = None,
 ) -> None:
-    """Write one page of HTML with every figure and table, verdicts and our pictures; it needs no other file.
+    """Write one self-contained page of HTML with every figure and table, their verdicts and mufly's pictures.
 
-    What has not run yet is said to be so: run `mufly thesis run all` before.
+    Run `mufly thesis run all` first; studies that have not run are marked.
 
     Example: mufly thesis report --out thesis.html
     """

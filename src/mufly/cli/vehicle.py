@@ -38,10 +38,7 @@ if TYPE_CHECKING:
     from mufly.vehicle import Parameter, Vehicle
 
 app = CommandGroup(
-    help=(
-        "List vehicles, show what one is made of, check a vehicle file. docs/reference/vehicles.md says how "
-        "to write one."
-    ),
+    help=("List, show and check vehicles. Keys of a vehicle file: docs/reference/vehicles.md.to write one."),
     no_args_is_help=True,
 )
 
@@ -87,7 +84,7 @@ def list_vehicles(as_json: JsonOption = False) -> None:
 
 @app.command()
 def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False, toml: _TomlOption = False) -> None:
-    """Show every parameter: symbol, value, unit, where it comes from, and what it means."""
+    """Show every parameter: symbol, value, unit, source and meaning."""
     from mufly.vehicle import format_vehicle_toml, list_parameters, load_vehicle
 
     v = load_vehicle(vehicle)
@@ -120,7 +117,7 @@ def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False, to
 
 @app.command()
 def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
-    """Read a vehicle file, check every value, and find out whether it can hover and for how long."""
+    """Check a vehicle file, every value, and whether the vehicle can hover and for how long."""
     from mufly.dynamics import (
         DEFAULT_STEP_S,
         fastest_mode_key,
@@ -231,11 +228,11 @@ def _to_readable(value: Any, unit: str) -> tuple[str, str]:
     return format_number(value), "" if name == "1" else name
 
 
-NEW_HELP = """Begin a helicopter of your own: write vehicle, rotor and mission files that fly.
+NEW_HELP = """Create a helicopter of your own: write vehicle, rotor and mission files that fly.
 
-Give mass and rotor radius, and what you know of motor and battery; at a terminal it asks for what is missing, and an \
-empty answer leaves it to be guessed. Guesses come from mufly-1.1 by similarity and are marked in the files, each with \
-its rule: measure them and write them in.
+Give mass and rotor radius, and known data of motor and battery. At a terminal the command asks for missing ones; an \
+empty answer leaves a value to be estimated from mufly-1.1 by similarity. The files mark estimates, each with \
+its rule; replace them by measured values.
 
 Example: mufly new my-helicopter --mass 120 --radius 90 --kv 1800 --resistance 0.3 --cells 2"""
 

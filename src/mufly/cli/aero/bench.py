@@ -33,10 +33,7 @@ if TYPE_CHECKING:
     from mufly.bench.series.series_runner import SeriesProgress
 
 app = CommandGroup(
-    help=(
-        "A rotor test bench: plan a series, run it (simulated, or on devices), analyse and compare; "
-        "docs/reference/bench.md."
-    ),
+    help=("Plan, run, analyse and compare series on a rotor test bench, simulated or real; docs/reference/bench.md."),
     no_args_is_help=True,
 )
 
@@ -115,9 +112,9 @@ def plan(
     ),
     as_json: JsonOption = False,
 ) -> None:
-    """Draw up a series: mountings and speeds in random order, a reference rotor every so often.
+    """Plan a series: mountings and speeds in random order, with regular visits of a reference rotor.
 
-    Limits, times and order stand in the file, which may be edited.
+    The file holds limits, times and order, and may be edited.
     Example: mufly bench plan --rotor naca0012-r60-c20 --pitch 10,14 --reference naca4412-r60-c20
     """
     from mufly.bench.series.series_plan import StepTimes, make_plan
@@ -176,9 +173,9 @@ def run(
     samples: Annotated[bool, define_option("--samples", "Keep every sample, in addition to the means.")] = False,
     yes: Annotated[bool, define_option("--yes", "Skip the prompts to change the blades.")] = False,
 ) -> None:
-    """Run a series, or go on with it. Ctrl-C stops the motors, then the program.
+    """Run a series, or resume it. Ctrl-C stops the motors, then the program.
 
-    Everything measured is on the disk before the next point begins. live.html in the folder shows the series.
+    Each reading is on the disk before the next point begins. live.html in the folder shows the progress.
     """
     from mufly.bench.rig.simulated_rig import simulate_series_rig
     from mufly.bench.series.live_page import PAGE_FILE_NAME, write_live_page
@@ -284,9 +281,9 @@ def analyse(
     out: Annotated[Path | None, define_option("--out DIR", "Folder for the results. Default: DIR/results.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a series found, with 95 % intervals, and whether to believe it; write it as files for the fits.
+    """Analyse a series: loads with 95 % intervals, checks of the record, and files for the fits.
 
-    A series that cannot be trusted is refused: status 1, the reasons, no results.
+    A series that fails a check is refused: the command prints the reasons, writes no results and ends with status 1.
     """
     from mufly.bench import read_measurements
     from mufly.bench.series.series_analysis import analyse_series as analysed
@@ -333,9 +330,9 @@ def compare(
     known: KnownOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Set a series beside another one, or beside blade element momentum theory.
+    """Compare a series with another one, or with blade element momentum theory.
 
-    E_n is the difference over its 95 % uncertainty: beyond 1 the two disagree.
+    E_n is the difference over its 95 % uncertainty; above 1 the two disagree.
     """
     import tomllib
 

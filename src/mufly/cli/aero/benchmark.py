@@ -76,9 +76,9 @@ def benchmark(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Predict every public measurement that a folder holds, and score: table, picture, CSV.
+    """Score prediction methods on the public measurements in a folder: table, picture, CSV.
 
-    With --out, answers are kept there and a run that was stopped goes on. Nothing is fitted on what it is scored on.
+    With --out, predictions are stored and a stopped run resumes. No method is scored on data to which it is fitted.
     Examples: mufly rotor benchmark --data aero; mufly rotor benchmark --data aero --code bemt --code
     mine=my_code:predict --out scores; mufly rotor benchmark --data aero --code "qprop=python run.py {folder}"
     """

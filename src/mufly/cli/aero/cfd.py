@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 app = CommandGroup(
     help=(
-        "Navier-Stokes answers for a rotor in hover or climb, by OpenFOAM; what stands and what not: "
+        "Solve the flow of a rotor in hover or climb with OpenFOAM; assumptions and validation: "
         "docs/explanation/cfd.md."
     ),
     no_args_is_help=True,
@@ -127,7 +127,7 @@ def mesh(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Mesh a rotor's sector and say how good the mesh is.
+    """Mesh a rotor's sector and report the quality of the mesh.
 
     With --out, OpenFOAM's constant/polyMesh and a picture are written there.
     Example: mufly cfd mesh naca0012-r60-c20 --pitch 12 --out case
@@ -196,11 +196,11 @@ def run(
     save_only: Annotated[bool, define_option("--save-only", "Write the case without running it.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Solve one operating point: mesh, run, judge, loads along the blade, pictures.
+    """Solve one operating point: mesh, run, convergence, loads along the blade, pictures.
 
-    What was stopped or killed goes on when the same command is given again. The case is an ordinary one of OpenFOAM:
-    its Allrun runs it without mufly. With --gap a second rotor turns the other way below; each is solved beside the
-    other's mean around the shaft, in turns. An answer that did not settle is told, and ends with status 1.
+    A run that was stopped resumes when the same command is given again. The case is a plain OpenFOAM case:
+    its Allrun runs it without mufly. With --gap a second rotor turns the other way below; the solver alternates between
+    the two, each in the other's circumferential mean. A solution that does not settle ends with status 1.
     Example: mufly cfd run naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out case
     """
     by_turns = gap > 0.0 and not frozen
@@ -290,7 +290,7 @@ def sweep(
     ] = Path("sweep"),
     as_json: JsonOption = False,
 ) -> None:
-    """Solve several speeds, each but the first started from its neighbour's solution, scaled; or several climbs.
+    """Solve several speeds, each from the scaled solution of the one before, or several climb velocities.
 
     With --climb one speed is solved at each climb, from its own start, and the thrust over the climb is drawn beside
     blade elements, wake and the flight model's coefficient map. `mufly cfd show sweep` tells that again.
@@ -333,7 +333,7 @@ def study(
     ] = Path("study"),
     as_json: JsonOption = False,
 ) -> None:
-    """Solve one point on three meshes, in a domain with each limit 1.5 times as far, or with every model.
+    """Vary the mesh, the size of the domain (1.5 times) or the turbulence model at one operating point.
 
     Example: mufly cfd study domain naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out study
     """
@@ -378,7 +378,7 @@ def show(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a case's last state (or a pair's) is worth: verdict, loads, y+, beside blade elements and wake.
+    """Show the last state of a case or a pair: convergence, loads and y+, beside blade elements and wake.
 
     Of a folder of climbs that `mufly cfd sweep --climb` wrote: the thrust over the climb. No solver is needed.
     The blades, with pressure and friction, are written as VTP and glTF into the case's results.
@@ -407,7 +407,7 @@ def compare(
     cases: Annotated[list[Path], define_argument("DIR...", "Folders of cases that `mufly cfd run` wrote.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Lay cases beside a table of measurements and of others' computations.
+    """Compare cases with a table of measurements and of published computations.
 
     Example: mufly cfd compare thesis_table_3_2.csv case-12-5000 case-12-7000
     """
@@ -445,7 +445,7 @@ def show_convergence(
     ],
     as_json: JsonOption = False,
 ) -> None:
-    """Observed order and grid convergence index of three meshes (Celik and others, 2008).
+    """Estimate the observed order and the grid convergence index from three meshes (Celik and others, 2008).
 
     Example: mufly cfd convergence case-coarse case-medium case-fine
     """

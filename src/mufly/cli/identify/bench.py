@@ -276,7 +276,7 @@ def plan(
     out: Annotated[Path | None, define_option("--out DIR", "Folder for signals (CSV) and pictures (PNG).")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Design flights for identification: signals within safe limits, and what they will tell before anyone flies.
+    """Design flights for identification: signals within safe limits, and the standard deviations to expect.
 
     Example: mufly identify plan mufly-1.1 --free cT_dw,cQ_dw,Jdrive_dw --channel yaw,heave --out plan
     """

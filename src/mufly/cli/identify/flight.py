@@ -307,7 +307,7 @@ def demo(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fly a known vehicle with pilot support, chirps, noise and radio delay; identify it; compare with the truth.
+    """Identify a known vehicle from simulated flights with pilot support, chirps, noise and radio delay.
 
     Twelve parameters start 50 % off. Example: mufly identify demo --seed 3 --report report
     """

@@ -337,7 +337,7 @@ def frequency(
     out: Annotated[Path | None, define_option("DIR", "Folder for pictures (PNG) and responses.csv.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find frequency responses from sweeps: each input conditioned on the others, several windows in one, coherence.
+    """Estimate frequency responses from sweeps: inputs conditioned on each other, composite windows, coherence.
 
     Give the sweeps of all axes together; `mufly identify plan --kind chirp` designs them.
 
@@ -446,7 +446,7 @@ def bandwidth(
     out: Annotated[Path | None, define_option("DIR", "Folder for a picture (PNG) and the response (CSV).")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Read bandwidth and phase delay of an attitude's response off a sweep, as ADS-33 defines them.
+    """Measure bandwidth and phase delay of an attitude response from a sweep, as ADS-33 defines them.
 
     Example: mufly identify bandwidth roll-sweep.csv --input lat --output phi --band 0.2:8 --out roll
     """
@@ -529,7 +529,7 @@ def compatibility(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Hold gyros and accelerometers against measured attitude, velocity, position: biases, scale factors, the path.
+    """Compare gyros and accelerometers with measured attitude, velocity and position: biases, scale factors, the path.
 
     Example: mufly identify compatibility flight.csv --imu p,q,r,ax,ay,az --measured phi,theta,psi,north,east,down
     """

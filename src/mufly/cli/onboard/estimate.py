@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from mufly.world import World
 
 app = CommandGroup(
-    help="Estimation: readings of sensors in, position, velocity, attitude and their bounds out.",
+    help="Estimate position, velocity and attitude, with their covariance, from sensor readings.",
     no_args_is_help=True,
 )
 _SETTLING_TIME_S = 2.0  # of flight, after which errors count
@@ -106,18 +106,18 @@ def run(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Let a filter estimate a recorded flight, from what the sensors said, and tell whether it knew how good it was.
+    """Estimate a recorded flight from its sensor readings, and test the consistency of the filter.
 
-    A flight of `mufly fly` goes through the filter that flew it, rotor model and all. With another vehicle file (a
-    mass, a noise, a sensor less) it tells what that does to the estimate.
+    A flight of `mufly fly` is estimated by the filter that flew it, with its rotor model. Another --vehicle file (a
+    different mass or noise, a sensor less) shows the effect on the estimate.
 
-    Any other log goes through it as a strapdown filter: gyroscopes and accelerometers, aided by positions and headings.
-    Units, gravity and signs are checked first; noise is found by rules from the log itself, never from the truth
+    Any other log is estimated by a strapdown filter: gyroscopes and accelerometers, aided by position and heading
+    fixes. Units, gravity and signs are checked first; noise is found by rules from the log itself, never from the truth
     (docs/explanation/estimation.md).
 
-    Where the log knows the truth (truth_position, truth_attitude), NEES tells whether the estimate knew how far it was
-    off: the square of the error over its expected square, 1 on average. NIS tells the same of the aids, each compared
-    with what was believed before it came. With --out: pictures (way, motion, biases, innovations, with bounds of three
+    If the log holds the truth (truth_position, truth_attitude), NEES tests the covariance of the estimate: the squared
+    error over its variance, 1 on average. NIS tests the innovations of the fixes in the same way.
+    With --out: pictures (path, motion, biases, innovations, with bounds of three
     standard deviations), and the recording with the estimate as MCAP and CSV.
 
     Examples:

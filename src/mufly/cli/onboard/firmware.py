@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from mufly.vehicle import Vehicle
 
 app = CommandGroup(
-    help="Control law and estimator as C99 for a board: exported with a vehicle's numbers, flown, proved equal "
+    help="Export control law and estimator as C99 for a board, fly them, and compare them with Python bit by bit "
     "(docs/reference/firmware.md).",
     no_args_is_help=True,
 )
@@ -63,8 +63,8 @@ def export(
     """Write the flight software of a vehicle as C99, with Makefile, CMake file, self-tests and a README.
 
     The algorithms are the same for every vehicle; tables.c, estimate_tables.c and plan.c hold the numbers of vehicle
-    and mission. With --fixed-point also the control law in whole numbers (folder fixed/): says what it costs, and why
-    nothing in it overflows.
+    and mission. With --fixed-point the folder fixed/ holds the control law in fixed point; the command prints its cost
+    in margins, and the bounds that exclude overflow.
 
     Example: mufly firmware export --vehicle mine.toml --mission m.toml --out fw, then make -C fw check
     """
@@ -130,11 +130,10 @@ def sil(
 ) -> None:
     """Fly missions in Python and compare the exported code, bit by bit, in every period (software in the loop).
 
-    The law, the whole flight software with mission and log, on fitted sensors the estimator too, in all that they
-    remember. With --fixed-point the code in whole numbers flies by
-    itself, beside a flight in double precision.
+    Compared are the control law, the flight software with mission and log, and on fitted sensors the estimator, with
+    their whole state. With --fixed-point the fixed-point code flies by itself, beside a flight in double precision.
 
-    Needs a C compiler. Ends with status 1 if a bit differs, or a whole number overflows.
+    Needs a C compiler. Ends with status 1 if a bit differs, or a fixed-point number overflows.
     """
     from mufly.firmware import run_sil as compare
     from mufly.vehicle import load_vehicle
@@ -246,7 +245,7 @@ def _print_fixed_law(vehicle: Vehicle, controller: FlightController, law: FixedP
 def pil(vehicle: VehicleOption = "mufly-1.1", fixed_point: _FixedOption = False, as_json: JsonOption = False) -> None:
     """Run the self-test on emulated Cortex-M4 processors and compare it with this machine (processor in the loop).
 
-    With --fixed-point that of the law in whole numbers, on a Cortex-M3, an M4 and an M0.
+    With --fixed-point: the self-test of the fixed-point law, on a Cortex-M3, an M4 and an M0.
 
     Needs a C compiler, arm-none-eabi-gcc and qemu-system-arm. Ends with status 1 if a bit differs.
     """
@@ -282,10 +281,10 @@ def report(
     ),
     as_json: JsonOption = False,
 ) -> None:
-    """Measure all that is known of the exported code, in one document.
+    """Write a report of the exported code: equality, cost, static checks, coverage, fuzzing.
 
-    The same as Python; emulated processors; instructions, flash, RAM, stack; whole numbers; what gcc and the MISRA
-    checker say, with the reasons; branches reached; any bytes. Where a tool is missing its section says so.
+    Sections: equality with Python; emulated processors; instructions, flash, RAM, stack; fixed point; findings of gcc
+    and of the MISRA checker, with reasons; branch coverage; fuzzing. The section of a missing tool names the tool.
 
     Takes five to ten minutes.
     """
@@ -317,10 +316,10 @@ def fuzz(
     seed: SeedOption = 1,
     as_json: JsonOption = False,
 ) -> None:
-    """Feed the exported code any bytes as readings, beliefs and commands, with clang's sanitizers on.
+    """Fuzz the exported code: random bytes as readings, estimates and commands, with clang's sanitizers on.
 
-    Needs clang with libFuzzer. Ends with status 1 if it crashes, does what C leaves undefined, or an output is out of
-    range; then the bytes that did it are printed.
+    Needs clang with libFuzzer. Ends with status 1 at a crash, undefined behaviour, or an output out of
+    range, and prints the bytes that caused it.
     """
     from mufly.firmware import fuzz_firmware as feed
     from mufly.vehicle import load_vehicle

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from mufly.flight import ReadingErrors
 
 app = CommandGroup(
-    help="Sensors: what a vehicle file says about them, and what they would say on a flight. Equations and sources: "
+    help="Show and simulate a vehicle's sensors, and list their faults. Equations and sources: "
     "docs/reference/sensors.md.",
     no_args_is_help=True,
 )
@@ -40,7 +40,7 @@ app = CommandGroup(
 
 @app.command()
 def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False) -> None:
-    r"""Show what a vehicle feels with: every number of the table \[sensors] of its file, and where it came from."""
+    r"""Show a vehicle's sensors: every value of the table \[sensors] of its file, with its source."""
     from mufly.vehicle import list_parameters, load_vehicle
 
     v = load_vehicle(vehicle)
@@ -56,7 +56,7 @@ def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False) ->
 
 @app.command()
 def faults(as_json: JsonOption = False) -> None:
-    """List what can go wrong with which sensor, and by how much if nothing is said."""
+    """List the faults of each sensor, with their default amounts."""
     from mufly.sensors import FAULT_KINDS, FAULT_TARGETS
 
     if as_json:
@@ -84,9 +84,9 @@ def simulate(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fly a mission on what is true and tell what the vehicle's own sensors would have said, and how they were off.
+    """Simulate the readings of a vehicle's sensors on a mission flown on the true state, and report their errors.
 
-    The flight is the same whatever the sensors say. With --out: a CSV for every reading with what is true beside it,
+    The readings do not affect the flight. With --out: a CSV file for each reading with the true value beside it,
     and a picture of them all.
 
     Examples: mufly sensors simulate --out readings; mufly sensors simulate box-on-leg --vehicle mufly-2.0

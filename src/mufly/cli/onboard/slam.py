@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from mufly.slam import CameraFrame, TrackingResult
 
 app = CommandGroup(
-    help="Visual SLAM with a camera that looks down: run it over pictures, recorded or as they come, evaluate, "
-    "calibrate; render data sets, and serve them as a stream. "
-    "Equations and what it assumes: docs/explanation/slam.md.",
+    help="Run visual SLAM with a downward camera on recorded or live pictures; evaluate and calibrate it; "
+    "render data sets, and serve them as a stream. "
+    "Equations and assumptions: docs/explanation/slam.md.",
     no_args_is_help=True,
 )
 
@@ -72,7 +72,7 @@ def render(
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Render a data set: pictures of a floor along a path, with what the vehicle tells beside them, and the truth.
+    """Render a data set: pictures of a floor along a path, with the vehicle's telemetry and the truth.
 
     Examples: mufly slam render -o tiles --floor tiles; mufly slam render -o mine --floor parquet.jpg --width 1.2
     --from flights/last/flight.mcap
@@ -187,9 +187,9 @@ def run(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Go through pictures, recorded or as they come: where was the vehicle, and how well is that known?
+    """Estimate the vehicle's trajectory, with its covariance, from recorded or live pictures.
 
-    With a truth beside them errors are told, too. What was answered before it ends, is stopped or fails is written.
+    If the data set holds the truth, errors are reported. The trajectory up to a stop or a failure is written.
 
     Examples: mufly slam run tiles -o result; mufly slam run flights/last -o result; mufly slam run film.avi --camera
     camera.toml --telemetry flight.ulg --offset 12.3; mufly slam run /dev/video0 --camera webcam --height 1.2 -o result;
@@ -343,9 +343,9 @@ def serve(
         float, define_option("--speed FACTOR", "Speed relative to that at which the pictures were taken.")
     ] = 1.0,
 ) -> None:
-    """Send recorded pictures as an MJPEG stream, each at its time, once somebody looks.
+    """Send recorded pictures as an MJPEG stream, in real time, from the first viewer on.
 
-    For trying programs that take a camera's stream: browsers, OpenCV (VideoCapture("http://127.0.0.1:8090/stream")),
+    For testing programs that read a camera's stream: browsers, OpenCV (VideoCapture("http://127.0.0.1:8090/stream")),
     `mufly slam run`. Example: mufly slam render -o rich; mufly slam serve rich
     """
     import time
@@ -388,7 +388,7 @@ def evaluate(
     ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare a trajectory with the truth: errors, drift, and whether its covariance is true."""
+    """Compare a trajectory with the truth: errors, drift, and consistency of its covariance."""
     import numpy as np
 
     from mufly.slam import evaluate_trajectory, read_trajectory, read_truth
@@ -429,7 +429,7 @@ def calibrate(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find a camera's lens from pictures of a chessboard."""
+    """Calibrate a camera's lens from pictures of a chessboard."""
     from mufly.camera import load_camera
     from mufly.slam import calibrate_lens, format_camera_toml, list_board_pictures
 
