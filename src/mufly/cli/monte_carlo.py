@@ -50,9 +50,9 @@ A flight succeeds by its true path: no collision, every waypoint passed within -
 landing mark. Flight K of a seed is always the same, on any machine. A campaign that was stopped (Ctrl-C, a crash) \
 resumes with the same command, and more --flights can be added to it.
 
---vary draws parameters of the vehicle for each flight; controllers, autopilot and filter stay those of --vehicle \
-(--redesign: designed for each). NAME is `parameters` (the whole flight model), a table (rotors), a key (body.mass) or a \
-symbol (m); the variation with fewer parameters takes precedence:
+--vary draws parameters of the vehicle for each flight; controllers and filter stay those of --vehicle (--redesign: \
+designed for each). NAME is `parameters` (the whole flight model), a table (rotors), a key (body.mass) or a symbol \
+(m). The variation with fewer parameters takes precedence:
 
   --vary parameters=10%         uniformly within 10 % either way
 

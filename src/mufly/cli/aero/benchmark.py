@@ -37,7 +37,10 @@ if TYPE_CHECKING:
 def benchmark(
     data: Annotated[
         Path,
-        define_option("--data DIR", "Folder with the measurements; docs/how-to/score-a-rotor-code.md lists them and their sources."),
+        define_option(
+            "--data DIR",
+            "Folder with the measurements; docs/how-to/score-a-rotor-code.md lists them and their sources.",
+        ),
     ],
     code: Annotated[
         list[str] | None,
