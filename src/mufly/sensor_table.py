@@ -38,6 +38,8 @@ class ReadingRow:
         Whether a measurement waits for the delayed horizon of the filter, and is fused there.
     source : str
         Name of the sensor in messages to users.
+    unit_components : int or None
+        So many of its first components are in its unit, the rest are angles (rad); None: all of them.
     supports : tuple of str
         Estimates that it supports: ``position``, ``height``, ``tilt``, ``heading``.
     attitude_aid : int or None
@@ -63,6 +65,7 @@ class ReadingRow:
     filter_offset: float = 0.0
     is_queued: bool = False
     source: str = ""
+    unit_components: int | None = None
     supports: tuple[str, ...] = ()
     attitude_aid: int | None = None
     innovation_unit: str = ""
@@ -146,7 +149,7 @@ SENSORS: dict[str, tuple[ReadingRow, ...]] = {
             variance=("m^2", "of the position fix, by itself, where it told one (heading: rad^2)"),
             fault="position", fault_amounts=(0.5, 0.1, 0.5, 0.0),
             filter_index=7, is_queued=True, source="position fix", supports=("position", "height", "heading"),
-            attitude_aid=0,
+            unit_components=3, attitude_aid=0,
             failure_unit="SENSOR_VIO", status_bit="SENSOR_VISION_POSITION",
             test_ratios=(("vel_ratio", "velocity"), ("pos_horiz_ratio", "position")),
         ),

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 from mufly import portable_math
 from mufly.control import design_flight_controller
 from mufly.estimate import ZERO_COVARIANCE, Estimate, SensorStatus
-from mufly.estimate.filter_records import READING_NAMES
 from mufly.estimate.sensor_status import AuxiliaryStates
 from mufly.firmware import Firmware, export_firmware, find_compiler
 from mufly.firmware.compiled_software import SoftwareInstance, _read_course, _read_point, diff_fields
@@ -37,6 +36,7 @@ from mufly.mission import (
 )
 from mufly.mission.offboard import follow_set_point
 from mufly.mission.trajectory import TrajectoryLimits, TrajectoryPoint, plan_pending_curve, plan_stop
+from mufly.quantities import CHECKED_READINGS
 from mufly.vehicle import load_vehicle
 
 needs_cc = pytest.mark.skipif(
@@ -278,7 +278,7 @@ class StandIn:
         self.x, self.v, self.psi = np.array([0.1, -0.2, -0.07]), np.zeros(3), 0.3
         self.volts, self.tilt, self.beams = 7.4, 0.0, np.full(8, 1.5)
         self.spread = {"place": 0.01, "height": 0.01, "tilt": 0.01, "heading": 0.02}
-        self.status = dict.fromkeys(READING_NAMES, "fused")
+        self.status = dict.fromkeys(CHECKED_READINGS, "fused")
         self.shake = 0.0
         self.broken = ""
         self.ceiling, self.held, self.drops, self.sinks = math.inf, False, False, False
@@ -378,12 +378,12 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
     elif kind == "beams":
         v.beams = np.array([v.rng.choice((1.5, 1.5, u(0.15, 1.4))) for _ in range(8)])
     elif kind == "clear":
-        v.beams, v.status, v.broken, v.tilt = np.full(8, 1.5), dict.fromkeys(READING_NAMES, "fused"), "", 0.0
+        v.beams, v.status, v.broken, v.tilt = np.full(8, 1.5), dict.fromkeys(CHECKED_READINGS, "fused"), "", 0.0
         v.spread = {"place": 0.01, "height": 0.01, "tilt": 0.01, "heading": 0.02}
         v.shake = 0.0
     elif kind == "doubt":
         v.spread[v.rng.choice(("place", "place", "height", "tilt", "heading"))] = u(0.1, 0.7)
-        v.status[v.rng.choice(READING_NAMES)] = v.rng.choice(("missing", "rejected", "faulty", "waiting"))
+        v.status[v.rng.choice(CHECKED_READINGS)] = v.rng.choice(("missing", "rejected", "faulty", "waiting"))
     elif kind == "contradict":
         for name in v.rng.sample(("position_fix", "ground_distance", "magnetic_field", "rates"), 2):
             v.status[name] = v.rng.choice(("rejected", "missing"))

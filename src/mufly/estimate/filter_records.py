@@ -83,14 +83,12 @@ BIAS_CYCLE_TICKS = ERROR_STATE_COUNT - EX_GYRO_BIAS - 4
 """Periods in which each bias steps once, but for those of the fix, which step with it."""
 
 MAX_FUSED_BEAMS = 8
-READING_NAMES = CHECKED_READINGS
-"""Readings of the filter, in the order of all its tables."""
 READING_WIDTHS = tuple(
     MAX_FUSED_BEAMS if row.dim == "beam" else len(DIMENSION_LABELS.get(row.dim or "", (0,))) for row in CHECKED
 )
 READING_STARTS = tuple(int(k) for k in np.cumsum([0, *READING_WIDTHS]))
 """Where each reading starts in the row of values of one instant."""
-SENSOR_COUNT = len(READING_NAMES)
+SENSOR_COUNT = len(CHECKED_READINGS)
 READING_OFFSETS = tuple(row.filter_offset for row in CHECKED)
 """What is subtracted from each reading."""
 QUEUED_READINGS = tuple(k for k, row in enumerate(CHECKED) if row.is_queued)

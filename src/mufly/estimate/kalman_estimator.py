@@ -21,7 +21,6 @@ from mufly.estimate.filter_records import (
     R_BATTERY,
     R_FIX,
     R_RING,
-    READING_NAMES,
     READING_OFFSETS,
     READING_STARTS,
     READING_WIDTHS,
@@ -42,6 +41,7 @@ from mufly.estimate.filter_records import (
 from mufly.estimate.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
 from mufly.estimate.sensor_status import AuxiliaryStates, LazySensorStatuses, SensorStatus
+from mufly.quantities import CHECKED_READINGS
 from mufly.sensors import Reading, Readings
 from mufly.vehicle import Vehicle
 from mufly.world import World
@@ -110,7 +110,7 @@ class KalmanEstimator(Estimator):
         self._settings = filter_settings(vehicle, world, rate_Hz, kind, block_s)
         self._parameters = model_parameters(vehicle)
         self._fitted_indices = [k for k in range(SENSOR_COUNT) if self._settings["is_fitted"][k]]
-        self._reading_indices = {READING_NAMES[k]: k for k in self._fitted_indices}
+        self._reading_indices = {CHECKED_READINGS[k]: k for k in self._fitted_indices}
         ring = vehicle.range_ring
         self._empty_ranges = np.full(ring.count, float(ring.max_range))
         self._beam_indices = fused_beam_indices(ring.count)
@@ -226,7 +226,7 @@ class KalmanEstimator(Estimator):
         self._input_values[ACTUATOR_START : ACTUATOR_START + 4] = 0.0 if acting is None else acting
         self._input_is_new[:] = 0
         for k in self._fitted_indices:
-            r = readings.latest.get(READING_NAMES[k])
+            r = readings.latest.get(CHECKED_READINGS[k])
             if r is not None:
                 self._fill_reading(k, r, readings.time_s)
         clipping = readings.latest.get("clipping")
@@ -243,7 +243,7 @@ class KalmanEstimator(Estimator):
 
     def _fill_reading(self, k: int, r: Reading, t: float) -> None:
         """Lay what one sensor says into the row, if it is new."""
-        name, z = READING_NAMES[k], self._input_values
+        name, z = CHECKED_READINGS[k], self._input_values
         before = self._last_readings.get(name)
         if r is before or (before is not None and r.time_s == before.time_s):
             return

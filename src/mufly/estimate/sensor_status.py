@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.estimate import sensor_checks as g
-from mufly.estimate.filter_records import R_FIX, READING_NAMES
+from mufly.quantities import CHECKED_READINGS
 from mufly.sensor_table import CHECKED
 
 _Array = NDArray[np.float64]
@@ -173,7 +173,7 @@ def _make_status(k: int, row: Sequence[float], dt: float, tick: int, part: int) 
     if code == g.STATUS_WAITING and why == g.REASON_NONE:
         why = g.REASON_NONE if came else g.REASON_NO_READING
     return SensorStatus(
-        READING_NAMES[k],
+        CHECKED_READINGS[k],
         _STATUS_NAMES[int(code)],
         nu,
         spread,
@@ -184,7 +184,6 @@ def _make_status(k: int, row: Sequence[float], dt: float, tick: int, part: int) 
     )
 
 
-_HEADING_COMPONENT = 3
 _INNOVATION_REASONS = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_FUSED_THOUGH_OFFSET)
 
 
@@ -193,7 +192,8 @@ def describe_reason(why: int, number: float, sensor: int, component: int = 0) ->
 
     ``component`` is that of a position fix that the number is of: N, E, D (m) or the heading (rad).
     """
-    if sensor == R_FIX and component == _HEADING_COMPONENT and why in _INNOVATION_REASONS:
+    in_unit = CHECKED[sensor].unit_components
+    if in_unit is not None and component >= in_unit and why in _INNOVATION_REASONS:
         return _REASON_TEXTS[why](math.degrees(number), "deg in heading")
     return _REASON_TEXTS[why](number, _reason_unit(sensor))
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, SensorStatus
-from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL, READING_NAMES
+from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
 from mufly.estimate.sensor_status import REASON_COUNT, SUSPICIOUS_REASONS, describe_reason
 from mufly.firmware.host_build import Firmware, FirmwareControllers
 from mufly.firmware.plan_tables import make_plan, plan_numbers, setup_numbers
@@ -49,6 +49,7 @@ from mufly.mission.trajectory import (
     Trajectory,
     TrajectoryPoint,
 )
+from mufly.quantities import CHECKED_READINGS
 from mufly.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ class SoftwareInstance:
         for one in b.checks:
             one.status = _NOT_FITTED
         for check in m.auxiliary_states.checks:
-            one = b.checks[READING_NAMES.index(check.name)]
+            one = b.checks[CHECKED_READINGS.index(check.name)]
             one.status, one.why = (
                 _SENSOR_STATUSES.index(check.status),
                 self.text_table.assign_number(check.reason),
@@ -255,7 +256,7 @@ class SoftwareInstance:
         word, numbers = _MESSAGE_TEMPLATES[message.code], list(message.number)
         wrong = [
             SensorStatus(
-                READING_NAMES[b.sensor],
+                CHECKED_READINGS[b.sensor],
                 _SENSOR_STATUSES[b.status],  # type: ignore[arg-type]
                 reason=self.text_table.look_up_text(b.why),
             )

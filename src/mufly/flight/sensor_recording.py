@@ -31,7 +31,7 @@ FIX_DRIFT_ATTRIBUTE = "fix_wander_s"
 hang together (s), :attr:`mufly.estimate.KalmanEstimator.wander_s`."""
 _STATUS_CODES = {status: float(k) for k, status in enumerate(FUSION_STATUSES)}
 _READINGS_WITHOUT_TIME = tuple(name for name, row in READINGS.items() if not row.is_timed)
-_FIX_SIGNAL, _FIX_VARIANCE_SIGNAL = "position_fix", "measured_position_fix_variance"
+_VARIANCE_SIGNALS = {name: f"measured_{name}_variance" for name, row in READINGS.items() if row.variance is not None}
 _MOTION_FIELDS = ("position", "velocity", "attitude", "rates")
 _BELIEF_FIELDS = ("gyro_bias", "accelerometer_bias", "floor_height", "fix_bias", "wind", "thrust_scale")
 
@@ -52,9 +52,11 @@ def make_sensed_row_writer(
         for name in READINGS
         if name not in _READINGS_WITHOUT_TIME
     }
-    variance = part[_FIX_VARIANCE_SIGNAL]
+    variances = {name: part[signal] for name, signal in _VARIANCE_SIGNALS.items()}
     before: dict[str, Reading] = {}
-    raw = row[_reading_columns(recorder, [*(f"measured_{name}" for name in READINGS), _FIX_VARIANCE_SIGNAL], timed)]
+    raw = row[
+        _reading_columns(recorder, [*(f"measured_{name}" for name in READINGS), *_VARIANCE_SIGNALS.values()], timed)
+    ]
 
     def write_row(
         truth: Truth,
@@ -74,8 +76,8 @@ def make_sensed_row_writer(
                 if name in timed:
                     when, valid = timed[name]
                     when[0], valid[0] = reading.time_s, reading.valid
-                if reading.covariance is not None and name == _FIX_SIGNAL:
-                    variance[:] = reading.covariance.diagonal()
+                if reading.covariance is not None and name in variances:
+                    variances[name][:] = reading.covariance.diagonal()
         put(estimate)
         part["range"][:] = estimate.ranges
         recorder.append_row(row, state)
@@ -129,17 +131,15 @@ def iterate_readings(dataset: xr.Dataset) -> Iterator[tuple[Readings, _Array]]:
     }
     inputs = np.hstack([dataset["motor_input"].values, dataset["servo_input"].values])
     came = {name: np.isfinite(when) for name, (_, when, _) in columns.items()}
-    # Recordings of before have none
-    told = (
-        dataset[_FIX_VARIANCE_SIGNAL].values if _FIX_VARIANCE_SIGNAL in dataset else np.full((len(time), 4), math.nan)
-    )
+    variances = {name: dataset[signal].values for name, signal in _VARIANCE_SIGNALS.items() if signal in dataset}
     latest: dict[str, Reading] = {}
     for k, t in enumerate(time.tolist()):
         for name, (value, when, valid) in columns.items():
             if came[name][k]:
                 one = value[k].copy() if value.ndim == 2 else float(value[k])
-                weighed = name == _FIX_SIGNAL and bool(np.isfinite(told[k]).all())
-                latest[name] = Reading(one, float(when[k]), bool(valid[k]), np.diag(told[k]) if weighed else None)
+                variance = variances[name][k] if name in variances else math.nan
+                covariance = np.diag(variance) if np.isfinite(variance).all() else None
+                latest[name] = Reading(one, float(when[k]), bool(valid[k]), covariance)
         yield Readings(t, dict(latest)), inputs[k - 1] if k else np.zeros(4)
 
 

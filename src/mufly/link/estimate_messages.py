@@ -105,7 +105,7 @@ def estimator_status_message(state: FlightState, usec: int) -> MavMessage:
             mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS,
         ),
         (height < GOOD_POSITION_SIGMA_M, mavlink.ESTIMATOR_POS_VERT_ABS),
-        (beliefs is None or _has_status(checks, "ground_distance", "fused"), mavlink.ESTIMATOR_POS_VERT_AGL),
+        (beliefs is None or _has_status(checks, TEST_RATIOS["hagl_ratio"][0], "fused"), mavlink.ESTIMATOR_POS_VERT_AGL),
         (level > _UNKNOWN_POSITION_SIGMA_M, mavlink.ESTIMATOR_CONST_POS_MODE),
     ):
         flags |= int(flag) if good and holds else 0

@@ -198,6 +198,9 @@ def attitude_target_message(p: TelemetryState) -> MavMessage:
     return mavlink.MAVLink_attitude_target_message(p.boot_time_ms, mask, q, 0.0, 0.0, 0.0, 0.0)
 
 
+_VISION_READING = next(row.name for row in READINGS.values() if row.status_bit == "SENSOR_VISION_POSITION")
+
+
 def vision_position_message(p: TelemetryState) -> MavMessage | None:
     """VISION_POSITION_ESTIMATE: position and attitude as measured, or a fix (roll, pitch NaN); None without."""
     r = p.flight_state.readings
@@ -206,8 +209,7 @@ def vision_position_message(p: TelemetryState) -> MavMessage | None:
     usec, triangle = p.boot_time_us, list(UNKNOWN_COVARIANCE)
     if "position" in r and "attitude" in r:
         place, angles = r["position"].value, r["attitude"].value
-    elif "position_fix" in r and r["position_fix"].valid:
-        said = r["position_fix"]
+    elif (said := r.get(_VISION_READING)) is not None and said.valid:
         place, angles = said.value[:3], [math.nan, math.nan, said.value[3]]
         usec = round(said.time_s * 1e6)
         if said.covariance is not None:

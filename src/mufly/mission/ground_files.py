@@ -223,8 +223,8 @@ def _parse_fence_items(content: object, where: str) -> tuple[MissionItem, ...]:
     for k, zone in enumerate(content.get("polygons") or (), 1):
         table = _require_table(zone, where, f"geoFence.polygons[{k}]")
         corners = _require_list(table.get("polygon"), where, f"geoFence.polygons[{k}]")
-        command = INCLUSION_VERTEX if table.get("inclusion", True) else EXCLUSION_VERTEX
-        made += [(command, float(len(corners)), corner) for corner in corners]
+        vertex = INCLUSION_VERTEX if table.get("inclusion", True) else EXCLUSION_VERTEX
+        made += [(vertex, float(len(corners)), corner) for corner in corners]
     for k, zone in enumerate(content.get("circles") or (), 1):
         table = _require_table(zone, where, f"geoFence.circles[{k}]")
         circle = _require_table(table.get("circle"), where, f"geoFence.circles[{k}]")

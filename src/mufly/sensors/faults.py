@@ -197,7 +197,7 @@ class FaultySensor(Sensor):
             said[name] = last  # nothing came: what was said stays
             return
         value = np.asarray(r.value, dtype=np.float64)
-        own = slice(0, 3) if name == "position_fix" else slice(None)  # the heading is not in metres
+        own = slice(READINGS[name].unit_components)  # angles are not in its unit
         if f.kind == "freeze":
             said[name] = r if last is None else Reading(last.value, r.time_s, last.valid)
         elif f.kind == "dropout":

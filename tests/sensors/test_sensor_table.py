@@ -1,0 +1,106 @@
+"""One table of sensors: what it knows, every room takes up; which other files name a sensor, and why."""
+
+import ast
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import mufly
+
+SOURCE = Path(mufly.__file__).parent
+NAMES = {
+    "magnetometer": "magnetometer magnetic_field R_MAGNET MagnetometerSensor MagnetometerParameters",
+    "pressure": "pressure R_PRESSURE PressureSensor PressureSensorParameters",
+    "sonar": "sonar ground_distance R_SONAR UltrasonicSensor SonarParameters",
+    "position_fix": "position_fix R_FIX PositionFixSensor PositionFixParameters",
+}
+"""Table, reading, index in the filter, model and parameters of each."""
+ROOMS = ("cli", "estimate", "firmware", "flight", "link", "sensors", "station", "vehicle")
+"""Where a name is that of a sensor: elsewhere a pressure is that of the air on a bench, a sonar a data set's file."""
+OF_EVERY_SENSOR = {
+    "sensor_table.py": "its row",
+    "sensors/sensor_suite.py": "its class",
+    "vehicle/sensor_schema.py": "its parameters",
+    "estimate/filter_records.py": "its noise in the filter's settings",
+    "estimate/fusion.py": "its measurement model",
+}
+_PROOF = {"firmware/proof_flights.py": "its faults in the flights by which C is proved equal"}
+OF_ONE_SENSOR = {
+    "magnetometer": {"sensors/magnetometer.py": "its model", **_PROOF},
+    "pressure": {
+        "sensors/pressure.py": "its model",
+        **_PROOF,
+        "cli/aero/cfd_case_report.py": "another pressure: that of a blade's surface",
+    },
+    "sonar": {
+        "sensors/sonar.py": "its model",
+        **_PROOF,
+        "estimate/ekf_step.py": "it tells whether the vehicle has left the floor",
+        "estimate/sensor_checks.py": "it hears second surfaces, so more rejections are no alarm",
+        "flight/camera_sensor.py": "pictures tell no place on the floor, where the sonar reads its least",
+        "flight/simulated_flight.py": "the same: the camera rests there",
+    },
+    "position_fix": {
+        "sensors/position_fix.py": "its model",
+        "estimate/ekf_step.py": "the heading is aligned by it; its biases step when it is fused",
+        "estimate/inertial_log.py": "positions of a log are fused as fixes",
+        "estimate/kalman_estimator.py": "it may come with a covariance",
+        "estimate/nees.py": "the consistency of an estimate is judged by its innovations",
+        "estimate/sensor_checks.py": "a fault is that of one component; its heading may repeat",
+        "flight/camera_sensor.py": "stands in for it",
+        "flight/external_fixes.py": "stands in for it",
+        "flight/simulated_flight.py": "is told which sensor rests",
+        "flight/estimator_health.py": "without it and without walls nothing tells where it is",
+        "flight/record/estimate_pictures.py": "is drawn beside the estimate",
+        "flight/record/foreign_log.py": "positions of a log are recorded as fixes",
+    },
+}
+"""Files that name a sensor beside those of :data:`OF_EVERY_SENSOR`, and why its row does not do."""
+
+
+def words_of(path: Path) -> Iterator[str]:
+    """Names in the code of a file, and texts without spaces: prose and docstrings may name what they like."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    docstrings = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.arg(arg=name) | ast.alias(name=name):
+                yield name
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.keyword(arg=str(name)):
+                yield name
+            case ast.Constant(value=str(text)) if node not in docstrings and " " not in text:
+                yield text
+
+
+@pytest.fixture(scope="module")
+def words() -> dict[str, set[str]]:
+    files = [p for p in SOURCE.rglob("*.py") if p.parent == SOURCE or p.relative_to(SOURCE).parts[0] in ROOMS]
+    return {p.relative_to(SOURCE).as_posix(): set(words_of(p)) for p in files}
+
+
+@pytest.mark.parametrize("sensor", NAMES)
+def test_a_file_that_names_a_sensor_has_a_reason(sensor: str, words: dict[str, set[str]]) -> None:
+    named = re.compile(rf"(sensors\.|measured_)?({'|'.join(NAMES[sensor].split())})([._].*)?")
+    found = {file for file, there in words.items() if any(map(named.fullmatch, there))}
+    assert found == OF_EVERY_SENSOR.keys() | OF_ONE_SENSOR[sensor].keys()
+
+
+def test_a_row_of_the_table_is_all_that_faults_link_recording_and_page_need() -> None:
+    script = Path(__file__).with_name("made_up_sensor.py")
+    told = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True, timeout=300)
+    assert json.loads(told.stdout) == {
+        "fault": ["pitot_tube", 2.0],
+        "reason": "is off by 1.5 m/s from what all others say",
+        "failure": "pitot",
+        "status bit": True,
+        "test ratio": ["airspeed", "airspeed"],
+        "message": ["rejected", 34],
+        "recorded": [[3.0, 0.0, -1.0], 0.45, True, [0.1, 0.2, 0.3]],
+        "recorded innovation": 7.3,
+        "page": [["airspeed", "rejected", 7.3, ""]],
+    }
