@@ -1,6 +1,6 @@
 """Write measured figures to ``docs/figures.json``, from which the documents take every accuracy that they state.
 
-    python benchmarks/validate_bemt.py --record          # a script of this folder writes its figures
+    python benchmarks/validate_rotors.py PART --record   # a script of this folder writes its figures
     python benchmarks/figure_record.py scores FOLDER     # those of `mufly rotor benchmark --held-out --out FOLDER`
 
 A row of the file has a ``key``. Written by hand are

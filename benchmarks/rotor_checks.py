@@ -1,0 +1,155 @@
+"""Parts of ``validate_rotors.py`` without bench data of thrust: polars, drag in the disc plane, CFD of a blade."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+import numpy as np
+from rotor_tables import LIFT, percent, show_table
+from scipy.optimize import root
+
+from mufly.dynamics import find_trim
+from mufly.rotor import Air, OperatingCondition, RotorSystem, SystemSolution, load_airfoil, load_rotor, solve_system
+from mufly.rotor.sections.neuralfoil_network import compute_neuralfoil_polars
+from mufly.rotor.sections.polar_engines import compute_xfoil_polars
+from mufly.study.benchmark.rotor_cases import load_caradonna_tung
+from mufly.units import RPM
+from mufly.vehicle import load_vehicle
+
+
+def report_polars(asked: argparse.Namespace) -> None:
+    """NeuralFoil minus XFOIL over whole degrees from -2 to 12 at which XFOIL converges: mean |c_l|, mean |ln c_d|."""
+    names = asked.names or ("naca0012", "naca4412", "goe394", "goe342", "gm15sm", "e387", "clarky", "s1223")
+    reynolds, alpha_deg, rows = (1e4, 3e4, 1e5), np.arange(-2.0, 12.5), []
+    mean: dict[float, list[tuple[float, float]]] = {0.1: [], 9.0: []}
+    for name in names:
+        airfoil = load_airfoil(name)
+        for n_crit, found in mean.items():
+            ours = compute_neuralfoil_polars([airfoil], reynolds, n_crit=n_crit, model="xlarge")[0]
+            same = np.isin(np.round(np.rad2deg(ours.alpha_rad), 6), alpha_deg)
+            theirs = compute_xfoil_polars(airfoil, reynolds, n_crit=n_crit, alpha_deg=alpha_deg)
+            cells = []
+            for j in range(len(reynolds)):
+                known = theirs.known[j]
+                cl = float(np.abs(ours.cl[j, same] - theirs.cl[j])[known].mean())
+                cd = float(np.abs(np.log(ours.cd[j, same][known] / theirs.cd[j, known])).mean())
+                found.append((cl, cd))
+                cells.append(f"{cl:.3f}, {100 * cd:.1f} % ({known.sum()} of {alpha_deg.size})")
+            rows.append([name, f"{n_crit:g}", *cells])
+    show_table("NeuralFoil against XFOIL: c_l, c_d", ["section", "n_crit", *(f"Re {re:.0f}" for re in reynolds)], rows)
+    for n_crit, found in mean.items():
+        (cl, cd), (cl_m, cd_m) = np.mean(found, axis=0), np.median(found, axis=0)
+        print(f"n_crit {n_crit:g}, mean (median): c_l {cl:.4f} ({cl_m:.4f}), c_d {100 * cd:.1f} ({100 * cd_m:.1f}) %")
+
+
+def report_inplane_drag(asked: argparse.Namespace) -> None:
+    """C_H / mu of both rotors at the hover of a vehicle, by blade elements; derivation: docs/explanation/dynamics.md.
+
+    Pitches are those at which each rotor carries its share. Slopes of lift and drag: half a degree to either side.
+    """
+    vehicle, rotor = load_vehicle(asked.vehicle), load_rotor(asked.rotor)
+    hover, rho = find_trim(vehicle), float(vehicle.air.density)
+    spacing = float(vehicle.rotors.lower.hub_z) - float(vehicle.rotors.upper.hub_z)
+    pair, air = RotorSystem.coaxial_pair(rotor, rotor, spacing_m=spacing), Air(density_kg_m3=rho)
+
+    def solve(pitch: np.ndarray) -> SystemSolution:
+        return solve_system(pair, OperatingCondition(tuple(pitch), tuple(hover.rotor_speed), air=air))
+
+    found = root(lambda x: np.array([r.thrust_N for r in solve(x).rotors]) / hover.thrust_N - 1.0, [0.2, 0.2]).x
+    half_deg, total, rows = np.radians(0.5), [], []
+    solved = zip(*(solve(found + d).rotors for d in (0.0, -half_deg, half_deg)), strict=True)
+    for side, pitch, (p, less, more) in zip(("upper", "lower"), found, solved, strict=True):
+        c, dr, cl, cd, phi, r = p.chord_m, p.dr_m, p.cl, p.cd, p.phi_rad, p.r_m
+        wind = p.reynolds * air.viscosity_Pa_s / rho / c
+        along, axial = wind * np.cos(phi), wind * np.sin(phi)
+        turn = (more.theta_rad - more.phi_rad) - (less.theta_rad - less.phi_rad)
+        cl_slope, cd_slope = (more.cl - less.cl) / turn, (more.cd - less.cd) / turn
+        share = rotor.blades * 0.25 * c * dr / (np.pi * rotor.radius_m**3 * p.speed_rad_s)
+        lift = np.sum(share * (along / wind * cl * axial + cl_slope * axial**2 / wind))
+        across = np.sum(share * (along / wind * cd * along + wind * cd + cd_slope * axial * along / wind))
+        spanwise = np.sum(share * wind * cd)
+        # A freely flapping disc tilts until its cyclic change of angle balances the advancing side's moment.
+        moment, by_tilt = r * c * dr * (2 * along * cl + cl_slope * axial), r * c * dr * cl_slope * along * wind
+        flapping = np.sum(moment) / np.sum(by_tilt) * p.speed_rad_s * rotor.radius_m
+        total.append(float(lift + across + spanwise))
+        rows.append([
+            side, f"{np.degrees(pitch):.1f}", *(f"{v:.4f}" for v in (lift, across, spanwise, total[-1])),
+            f"{flapping:.3f}, {p.c_T * flapping:.4f}",
+        ])  # fmt: skip
+    head = ["rotor", "pitch deg", "lift", "drag across the blades", "drag along them", "C_H / mu",
+            "free flapping: rad per mu, C_H / mu"]  # fmt: skip
+    show_table(f"{vehicle.name}: drag of the rotors in their planes", head, rows)
+    mean, speeds = float(np.average(total, weights=hover.rotor_speed)), float(np.sum(hover.rotor_speed))
+    force = mean * rho * np.pi * float(vehicle.rotors.radius) ** 3 * speeds
+    print(f"inplane_drag {mean:.5f}: {1e3 * force:.2f} mN per m/s at hover")
+
+
+C_T, TIP_MACH, STATION = {5.0: 0.00213, 8.0: 0.00459}, 0.439, 0.68
+UPPER_SIDE = (
+    (0.02, -0.9426), (0.04, -0.9820), (0.10, -0.7745), (0.15, -0.7345), (0.20, -0.6845), (0.23, -0.6445),
+    (0.28, -0.5845), (0.33, -0.4801), (0.39, -0.4051), (0.44, -0.3401), (0.49, -0.3051), (0.54, -0.2651),
+    (0.59, -0.2151), (0.63, -0.1681), (0.68, -0.1401), (0.73, -0.1121), (0.77, -0.0891), (0.82, -0.0781),
+    (0.86, -0.0571), (0.91, -0.0461),
+)  # fmt: skip
+"""Measured pressure coefficients of the upper side at 0.68 R and 8 degrees, by x/c."""
+
+
+def report_caradonna_cfd(asked: argparse.Namespace) -> None:
+    """Caradonna and Tung by CFD: c_T, lift of five stations, suction of one; resumes a case in DIR.
+
+    CFD is incompressible; its coefficients stand beside those after Prandtl and Glauert, over sqrt(1 - M^2). A hub of
+    0.1 R is assumed; without one (--hub 0), swirl on the axis keeps the flow from settling.
+    """
+    from matplotlib.figure import Figure
+
+    from mufly.cfd import read_poly_mesh, read_solution, run_case, save_case
+
+    rotor = load_caradonna_tung(asked.data).rotor
+    radius, chord, pitch = rotor.radius_m, float(rotor.chord_m(0.5)), math.radians(asked.pitch)
+    case = asked.folder / f"{asked.model}-{asked.mesh}-{asked.pitch:g}{'' if asked.hub else '-no-hub'}"
+    save_case(case, rotor, pitch_rad=pitch, speed_rad_s=1250 * RPM, model=asked.model, level=asked.mesh,
+              hub_m=asked.hub * radius)  # fmt: skip
+    verdict, mesh = run_case(case, most=asked.most), read_poly_mesh(case)
+    found = read_solution(case, mesh)
+    p = found.point
+    c_t = verdict.thrust_N / (p.density_kg_m3 * math.pi * radius**2 * (p.speed_rad_s * radius) ** 2)
+    print(f"{verdict.what} after {verdict.iterations} iterations (drift {100 * verdict.drift:.2f} %, swing "
+          f"{100 * verdict.swing:.2f} %): c_T {c_t:.5f}, {percent(c_t, C_T[asked.pitch])} % of {C_T[asked.pitch]}; the "
+          f"wake carries {100 * found.wake_torque:.0f} % of the torque\n")  # fmt: skip
+    rows = []
+    for x, measured in LIFT[asked.pitch].items():
+        pressure = 0.5 * p.density_kg_m3 * (p.speed_rad_s * x * radius) ** 2 * chord * p.blades
+        ours = float(np.interp(x * radius, found.r_m, found.thrust_N_m)) / pressure
+        rows.append([f"{x:.2f}", f"{measured:.4f}"])
+        for cl in (ours, ours / math.sqrt(1.0 - (TIP_MACH * x) ** 2)):
+            rows[-1].append(f"{cl:.4f} ({percent(cl, measured)} %)")
+    show_table("Lift coefficients", ["r/R", "measured", "CFD", "after Prandtl and Glauert"], rows)
+    if asked.pitch != 8.0:
+        return
+
+    def upper_side(strip: int, x: np.ndarray) -> np.ndarray:
+        faces = mesh.patch_faces("blade")
+        of = (mesh.cell_strip[mesh.owner[faces]] == strip) & (mesh.face_areas[faces][:, 2] < 0.0)
+        centre = mesh.face_centres[faces][of]
+        along = 0.25 + (centre[:, 0] * math.cos(pitch) - centre[:, 2] * math.sin(pitch)) / chord
+        c_p = found.pressure_Pa[of] / (0.5 * p.density_kg_m3 * (p.speed_rad_s * found.r_m[strip]) ** 2)
+        order = np.argsort(along)
+        return np.interp(x, along[order], c_p[order])
+
+    taps, x = np.array(UPPER_SIDE), np.linspace(0.005, 0.995, 100)
+    after = int(np.searchsorted(found.r_m, STATION * radius))
+    share = (STATION * radius - found.r_m[after - 1]) / (found.r_m[after] - found.r_m[after - 1])
+    c_p = (1.0 - share) * upper_side(after - 1, x) + share * upper_side(after, x)
+    figure = Figure(figsize=(7.0, 5.0), layout="constrained")
+    axes = figure.subplots()
+    for name, values in (("CFD", c_p), ("after Prandtl and Glauert", c_p / math.sqrt(1.0 - (TIP_MACH * STATION) ** 2))):
+        off = np.interp(taps[:, 0], x, values) - taps[:, 1]
+        print(f"upper side at {STATION} R, {name}: mean error {off.mean():+.3f}, rms {np.sqrt((off**2).mean()):.3f}, "
+              f"at most {off[np.abs(off).argmax()]:+.3f} at x/c {taps[np.abs(off).argmax(), 0]:.2f}")  # fmt: skip
+        axes.plot(x, values, label=name)
+    axes.plot(*taps.T, "o", color="C3", mfc="none", label="measured (NASA TM-81232, Table 17)")
+    axes.set(xlabel="x / chord", ylabel="pressure coefficient of the upper side", xlim=(0.0, 1.0), ylim=(0.2, -1.1))
+    axes.set_title(f"Caradonna and Tung, 8 degrees, {STATION} R ({p.model}, {p.level} mesh)")
+    axes.legend()
+    figure.savefig(asked.folder / "pressure.png", dpi=120)
