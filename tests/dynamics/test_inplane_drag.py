@@ -84,8 +84,8 @@ def test_translation_is_a_damped_swing_where_it_was_free(vehicle, published) -> 
 def test_the_builtin_coefficient_is_that_of_blade_elements(vehicle) -> None:
     """Blades of muFly made plain (constant chord, no twist, uniform inflow), averaged over a turn numerically.
 
-    It meets the closed form of docs/explanation/dynamics.md, and the file's value (that of `python benchmarks/validate_rotors.py inplane-drag`,
-    with the blade's shape, polars and losses) within its standard deviation.
+    It meets the closed form of docs/explanation/dynamics.md, and the file's value
+    (`benchmarks/validate_rotors.py inplane-drag`, with the blade's shape, polars and losses) within its deviation.
     """
     sigma, slope, cd, found = 2 * 0.0165 / (np.pi * 0.0875), 5.0, 0.035, []
     hover, wash = find_trim(vehicle), 0.0
