@@ -92,20 +92,26 @@ def plain_help(text: str) -> str:
     """A help text as Markdown: markup for terminals gone, example lines as code."""
     text = re.sub(r"\[/?(bold|dim|italic|green|yellow|red|cyan)[^\]]*\]", "", inspect.cleandoc(text.replace("\b", "")))
     text = re.sub(r"(?<!`)(--[a-z][a-z0-9-]*)(?!`)", r"`\1`", text)
-    # One to a paragraph, indented, as where there are many; or on one line with semicolons.
+    text = re.sub(r"(?<=[.)])\s(?=Examples?: )", "\n\n", text)
+    # Several examples stand one to an indented paragraph; or in one line, with semicolons.
     text = re.sub(
-        r"(^|\n)Examples?:\n((?:\n+ +[^\n]+)+)",
-        lambda m: (
-            f"{m[1]}```sh\n" + "\n".join(x.strip().replace("`", "") for x in m[2].split("\n") if x.strip()) + "\n```"
-        ),
+        r"(^|\n)Examples?:\n((?:\n+(?: +|(?=mufly ))[^\n]+)+)",
+        lambda m: _shell_block(m[1], m[2].split("\n")),
         text,
     )
-    return re.sub(r"(^|\n)Examples?: (.+?)(?=\n\n|$)", _examples, text, flags=re.DOTALL)
+    return re.sub(
+        r"(^|\n)Examples?: (.+?)(?=\n\n|$)",
+        lambda m: _shell_block(m[1], re.split(r";|,\sthen\s|\sExamples?: ", m[2])),
+        text,
+        flags=re.DOTALL,
+    )
 
 
-def _examples(found: re.Match[str]) -> str:
-    lines = "\n".join(e.strip().replace("\n", " ").replace("`", "") for e in found[2].split(";"))
-    return f"{found[1]}```sh\n{lines}\n```"
+def _shell_block(before: str, lines: list[str]) -> str:
+    """Commands as a shell block; a remark in parentheses behind one becomes a comment."""
+    plain = [line.strip().replace("\n", " ").replace("`", "") for line in lines]
+    commands = [re.sub(r" {2,}\((.+)\)$", r"  # \1", line) for line in plain if line]
+    return f"{before}```sh\n" + "\n".join(commands) + "\n```"
 
 
 def _cell(text: object) -> str:
