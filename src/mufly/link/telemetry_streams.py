@@ -209,7 +209,7 @@ def vision_position_message(p: TelemetryState) -> MavMessage | None:
     usec, triangle = p.boot_time_us, list(UNKNOWN_COVARIANCE)
     if "position" in r and "attitude" in r:
         place, angles = r["position"].value, r["attitude"].value
-    elif (said := r.get(_VISION_READING)) is not None and said.valid:
+    elif _VISION_READING in r and (said := r[_VISION_READING]).valid:
         place, angles = said.value[:3], [math.nan, math.nan, said.value[3]]
         usec = round(said.time_s * 1e6)
         if said.covariance is not None:

@@ -137,7 +137,7 @@ class MissionCommand(IntEnum):
 
 FRAME_LOCAL_NED, FRAME_LOCAL_ENU = 1, 4
 """Values of MAV_FRAME."""
-_END_ACTIONS = {
+_END_ACTIONS: dict[int, str] = {
     MissionCommand.NAV_LOITER_UNLIM: "hover",
     MissionCommand.NAV_LAND: "land",
     MissionCommand.NAV_RETURN_TO_LAUNCH: "return",
