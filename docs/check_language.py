@@ -70,12 +70,6 @@ PENDING: tuple[str, ...] = (
     "docs/explanation/identification-linear.md",
     "docs/explanation/identification.md",
     "docs/log",
-    "docs/log/2026-11-22-control.md",
-    "docs/log/2026-11-24-firmware.md",
-    "docs/log/2026-11-24-missions.md",
-    "docs/reference/missions.md",
-    "docs/reference/monte-carlo.md",
-    "docs/thesis/thesis-errata.md",
     "src/mufly/*",
 )
 """Files not yet rewritten (patterns; ``docs`` is the sum of its pages): no rule judges them."""
