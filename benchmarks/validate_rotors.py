@@ -23,7 +23,7 @@ inplane-drag       drag of the rotors in their planes: `rotors.inplane_drag` of 
 caradonna-cfd DIR  Caradonna and Tung by OpenFOAM: lift of five stations, pressures of one          10 CPU min
 =================  ================================================================================ ==============
 
-The measurements (default ../shared/data/aero) stay outside the project; ``docs/benchmark.md`` lists their sources.
+The measurements (default ../shared/data/aero) stay outside the project; docs/how-to/score-a-rotor-code.md lists them.
 Assumptions on unrecorded sections stand in ``mufly.study.benchmark.rotor_cases``. With ``--keep``, solved wakes are
 written to a folder, and a stopped run resumes; empty it after a change of the wake method. Wakes are solved by default
 where a part needs them. ``--record`` writes the figures to ``docs/figures.json``. (*): not converged; (c):
@@ -553,7 +553,7 @@ def main() -> int:
     if methods:
         asked.method = [m for m in asked.method.split(",") if m in methods or parser.error(f"--method {m}: no method")]
     if "data" in asked and not asked.data.is_dir():
-        parser.error(f"--data {asked.data}: is no folder; docs/benchmark.md lists the measurements")
+        parser.error(f"--data {asked.data}: is no folder; docs/how-to/score-a-rotor-code.md lists the measurements")
     try:
         report(asked)
     except MuflyError as error:
