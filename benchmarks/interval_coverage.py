@@ -367,7 +367,7 @@ def main() -> None:
     parts = parser.add_subparsers(dest="part", required=True, metavar="PART")
     for name, (report, seeds) in PARTS.items():
         text = report.__doc__ or ""
-        part = parts.add_parser(name, help=text.split("\n")[0], description=text)
+        part = parts.add_parser(name, help=text.split("\n")[0].replace("%", "%%"), description=text)
         part.add_argument("--seeds", type=int, default=seeds, help=f"default {seeds}")
         part.add_argument("--first", type=int, default=0, help="first seed; default 0")
         if name in ("bench", "seeds", "vehicles", "linear"):
