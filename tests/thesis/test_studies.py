@@ -28,7 +28,7 @@ from mufly.thesis import (
     run_study,
     study_runner,
 )
-from mufly.thesis.claims import TABLE_3_3_VALUES, Study, new_figure
+from mufly.thesis.claims import TABLE_3_3_VALUES, Study, judge, meets_limits, new_figure
 from mufly.thesis.figure_catalogue import _ITEM_ROWS, FIGURE_COUNTS, TABLE_COUNTS
 from mufly.thesis.single_rotor_studies import SWEEP_STUDIES
 from mufly.thesis.study_runner import STUDIES
@@ -185,3 +185,30 @@ def test_the_dissertations_own_theory_gives_its_four_best_airfoils() -> None:
     )
     ours = data.thrust_per_power_N_W.max("pitch").values
     np.testing.assert_allclose(ours, [TABLE_3_3_VALUES[n][1] for n in best], rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("limits", "inside", "outside"),
+    [
+        ({"above": 1.0, "at_most": 2.0}, [1.5, 2.0], [1.0, 1.5]),
+        ({"at_least": 1.0, "below": 2.0}, [1.0, 1.9], [1.5, 2.0]),
+        ({"equals": 4}, 4, 3),
+        ({"near": 10.0, "within": 2.0}, [8.0, 12.0], [9.0, 12.1]),
+        ({"near": 10.0, "within_share": 0.1}, [9.1, 10.9], [9.1, 11.1]),
+        ({"brackets": 1.5, "slack": 0.1}, [1.0, 1.4], [1.0, 1.3]),
+        ({"below": 1.0}, 0.0, float("nan")),
+        (True, True, False),
+    ],
+)
+def test_limits_of_a_verdict(limits: dict[str, float] | bool, inside: object, outside: object) -> None:
+    assert meets_limits(inside, limits)
+    assert not meets_limits(outside, limits)
+
+
+def test_a_verdict_has_limits_for_what_is_computed_and_no_other() -> None:
+    verdict = judge("coax-trim", "wake", "6661 rpm", rpm=6661.0)
+    assert verdict.agrees
+    assert verdict.claim == CLAIMS["coax-trim"]
+    assert not judge("coax-trim", "wake", "7000 rpm", rpm=7000.0).agrees
+    with pytest.raises(KeyError, match="coax-trim"):
+        judge("coax-trim", "wake", "6661 rpm", speed=6661.0)

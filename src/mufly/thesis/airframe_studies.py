@@ -9,12 +9,10 @@ import xarray as xr
 
 from mufly.dynamics import find_trim, initial_state, simulate_open_loop
 from mufly.sensors import Truth, beam_angles, fitted_sensors
-from mufly.thesis.claims import Claim, ProgressCallback, Study, StudyFindings, Verdict, new_figure
+from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, new_figure
 from mufly.units import STANDARD_GRAVITY_M_S2
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 from mufly.world import World, make_wall
-
-_SOURCE_OF_VEHICLE_FILE = "the vehicle file was written from this; a check that it still says so"
 
 
 def study_mass_budget(progress: ProgressCallback | None = None) -> StudyFindings:
@@ -27,40 +25,28 @@ def study_mass_budget(progress: ProgressCallback | None = None) -> StudyFindings
     total = [sum(b.values()) for b in budgets]
     ratio = budgets[0]["structure"] / budgets[1]["structure"]
     verdicts = [
-        Verdict(
-            Claim("Table 5.3", "prototype 1.1 has 95 g", 95.0, "g", "table"),
-            "mufly-1.1",
-            f"groups add up to {total[0]:.1f} g",
-            abs(total[0] - 95) < 0.5,
-            f"within 0.5 g; {_SOURCE_OF_VEHICLE_FILE}",
+        judge(
+            "fig-2.4/prototype-1.1-has-95-g", "mufly-1.1", f"groups add up to {total[0]:.1f} g", total_first=total[0]
         ),
-        Verdict(
-            Claim("Sec. 2", "prototype 2.0 has slightly more than 80 g", 80.0, "g"),
+        judge(
+            "fig-2.4/prototype-2.0-has-slightly-more-than",
             "mufly-2.0",
             f"groups add up to {total[1]:.1f} g",
-            79.5 < total[1] < 85,
-            f"80 to 85 g; {_SOURCE_OF_VEHICLE_FILE}",
+            total_1=total[1],
         ),
-        Verdict(
-            Claim("Sec. 2", "its structure is about four times lighter", 4.0, "1"),
-            "both",
-            f"{ratio:.1f} times",
-            3 <= ratio <= 5,
-            f"3 to 5; {_SOURCE_OF_VEHICLE_FILE}",
-        ),
-        Verdict(
-            Claim("Sec. 2.1.2", "the battery has 13 g", 13.0, "g"),
+        judge("fig-2.4/its-structure-is-about-four-times", "both", f"{ratio:.1f} times", ratio=ratio),
+        judge(
+            "fig-2.4/the-battery-has-13-g",
             "both",
             ", ".join(f"{b['battery']:.0f} g" for b in budgets),
-            all(abs(b["battery"] - 13) < 0.5 for b in budgets),
-            f"within 0.5 g; {_SOURCE_OF_VEHICLE_FILE}",
+            holds=all(abs(b["battery"] - 13) < 0.5 for b in budgets),
         ),
-        Verdict(
-            Claim("Fig. 2.4", "both bars end below 100 g, in six groups", 100.0, "g", "axis"),
+        judge(
+            "fig-2.4/both-bars-end-below-100-g",
             "both",
             f"{total[0]:.0f} and {total[1]:.0f} g in {len(budgets[0])} groups",
-            max(total) < 100 and len(budgets[0]) == 6,
-            "the same",
+            total=max(total),
+            budgets_first=len(budgets[0]),
         ),
     ]
     drawn = new_figure(6.0, 4.6)
@@ -127,21 +113,21 @@ def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindi
     ends = {k: float(np.abs(v[time > 1.2]).max()) for k, v in roll.items()}
     left = "without its linkage"
     verdicts = [
-        Verdict(
-            Claim("Sec. 2.1.1", "a bar that lags the fuselage gives a redressing moment"),
+        judge(
+            "fig-2.5/a-bar-that-lags-the-fuselage",
             "flight model",
             f"tilted by 20 degrees, roll accelerates by {rate['with the bar']:.0f} deg/s2 at first, "
             f"{rate[left]:.1f} without the linkage",
-            bool(rate["with the bar"] < -100 and abs(rate[left]) < 20),
-            "back towards level, and not at all without",
+            rate_with_the_bar=rate["with the bar"],
+            rate=abs(rate[left]),
         ),
-        Verdict(
-            Claim("Sec. 2.1.1", "without the bar no pilot can steer a helicopter of this size"),
+        judge(
+            "fig-2.5/without-the-bar-no-pilot-can",
             "flight model",
             f"from 1.2 s on the roll stays below {ends['with the bar']:.1f} degrees with it, at "
             f"{ends[left]:.1f} without",
-            ends["with the bar"] < 2.0 and ends[left] > 10.0,
-            "rights itself with it, does not without",
+            ends_with_the_bar=ends["with the bar"],
+            ends=ends[left],
         ),
     ]
     drawn = new_figure(7.0, 3.8)
@@ -173,36 +159,19 @@ def study_bar_lag(progress: ProgressCallback | None = None) -> StudyFindings:
     others = max(float(np.abs(a[:, 1:]).max()) for a in angles.values())
     model = "Table 5.3, T = 0.2 s"
     verdicts = [
-        Verdict(
-            Claim("Sec. 4.4.1", "it is back in hover after a short time; the time axis ends at 2 s", 2.0, "s"),
+        judge(
+            "fig-4.4/it-is-back-in-hover-after",
             model,
             f"at 1.9 s and after the roll is below {late:.2f} degrees",
-            late < 1.0,
-            "below 1 degree",
+            late=late,
         ),
-        Verdict(
-            Claim(
-                "Fig. 4.4",
-                "the undershoot is smaller than 5 degrees, where the axis ends",
-                -5.0,
-                "deg",
-                "axis",
-                "drawn before the identification, with other parameters, which are not stated "
-                "(docs/thesis/thesis-errata.md, "
-                "point 17)",
-            ),
+        judge(
+            "fig-4.4/the-undershoot-is-smaller-than-5",
             model,
             f"{under[0.2]:.1f} degrees ({under[0.24]:.1f} with 0.24 s)",
-            under[0.2] > -5.0,
-            "above -5 degrees",
+            under_0_2=under[0.2],
         ),
-        Verdict(
-            Claim("Fig. 4.4", "pitch and yaw stay at rest"),
-            model,
-            f"below {others:.2f} degrees",
-            others < 0.5,
-            "below 0.5 degrees",
-        ),
+        judge("fig-4.4/pitch-and-yaw-stay-at-rest", model, f"below {others:.2f} degrees", others=others),
     ]
     drawn = new_figure(7.0, 3.8)
     axes = drawn.subplots()
@@ -258,25 +227,14 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
     middle = np.median(tilt, axis=1)
     limit = float(load_vehicle("mufly-1.1").sensors.imu.accelerometer_range) / g  # type: ignore[union-attr]
     verdicts = [
-        Verdict(
-            Claim("Sec. 2.1.2", "the accelerometers end at 6 g", 6.0, "g"),
-            "mufly-1.1",
-            f"{limit:.1f} g",
-            abs(limit - 6) < 0.01,
-            f"equal; {_SOURCE_OF_VEHICLE_FILE}",
-        ),
-        Verdict(
-            Claim(
-                "Sec. 2.1.2",
-                "shaken beyond it, attitude is up to 20 degrees wrong on the ground",
-                20.0,
-                "deg",
-            ),
+        judge("fig-2.6/the-accelerometers-end-at-6-g", "mufly-1.1", f"{limit:.1f} g", limit=limit),
+        judge(
+            "fig-2.6/shaken-beyond-it-attitude-is-up",
             "sensor model",
             "; ".join(f"{a:g} + {b:g} g: {m:.1f} degrees" for (a, b), m in zip(_VIBRATION_LEVELS, middle, strict=True))
             + f" (median of {_IMU_COUNT} units)",
-            bool(middle[0] < 2 and 10 <= middle[-1] <= 35),
-            "below 2 unshaken, 10 to 35 at 8 + 4 g (how strong it shook is not stated)",
+            middle_first=middle[0],
+            middle_last=middle[-1],
         ),
     ]
     drawn = new_figure(6.5, 3.8)
@@ -334,28 +292,26 @@ def study_range_sensors(progress: ProgressCallback | None = None) -> StudyFindin
     within = 100 * float(np.mean(np.abs(heights) <= 0.01 + 1e-9))
     inside, outside = (true_m > 0.35) & (true_m < 1.35), (true_m < 0.25) | (true_m > 1.65)
     verdicts = [
-        Verdict(
-            Claim("Sec. 2.1.2", "the ring sees obstacles between 0.3 and 1.5 m"),
+        judge(
+            "fig-2.7/the-ring-sees-obstacles-between-0.3",
             "sensor model",
             f"seen in {100 * share[inside].min():.0f} % or more of looks from 0.4 to 1.3 m, in "
             f"{100 * share[outside].max():.0f} % or less at 0.2 and beyond 1.6 m",
-            bool(share[inside].min() > 0.9 and share[outside].max() < 0.1),
-            "above 90 %, below 10 %",
+            share_min=share[inside].min(),
+            share_max=share[outside].max(),
         ),
-        Verdict(
-            Claim("Sec. 2.1.2", "with a low accuracy"),
+        judge(
+            "fig-2.7/with-a-low-accuracy",
             "sensor model",
             f"error {off[true_m == 0.4][0]:.1f} cm at 0.4 m, {off[true_m == 1.3][0]:.1f} cm at "
             f"1.3 m (root mean square)",
-            bool(off[true_m == 1.3][0] > 1.0),
-            "more than the ultrasonic sensor's 1 cm, far away",
+            off_first=off[true_m == 1.3][0],
         ),
-        Verdict(
-            Claim("Sec. 2.1.2", "the ultrasonic sensor is accurate to 1 cm", 0.01, "m"),
+        judge(
+            "fig-2.7/the-ultrasonic-sensor-is-accurate-to",
             "sensor model",
             f"{within:.1f} % of its readings lie within 1 cm",
-            within > 95,
-            "more than 95 %",
+            within=within,
         ),
     ]
     drawn = new_figure(10.0, 3.8)

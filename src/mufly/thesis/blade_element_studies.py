@@ -29,15 +29,7 @@ from mufly.rotor import (
 )
 from mufly.rotor.coax_maps import interpolate_map as map_at
 from mufly.study import sweep_parameters
-from mufly.thesis.claims import (
-    TABLE_3_2_VALUES,
-    Claim,
-    ProgressCallback,
-    Study,
-    StudyFindings,
-    Verdict,
-    new_figure,
-)
+from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, new_figure
 from mufly.thesis.single_rotor_studies import (
     RANKED_QUANTITY,
     blade_form_gain,
@@ -97,27 +89,17 @@ def study_reynolds_effect(progress: ProgressCallback | None = None) -> StudyFind
     smooth = min(gain[n, "smooth"] for n in ("naca0012", "naca4412"))
     less = all(gain[n, "rough"] < gain[n, "smooth"] for n in ("naca0012", "naca4412"))
     verdicts = [
-        Verdict(
-            Claim(
-                "Sec. 3.1.1",
-                "about Re 70 000 smooth aerofoils gain more than an order of magnitude",
-                10.0,
-                "1",
-                reason="the figure is of many aerofoils, also of thick ones that stall whole "
-                "below Re 70 000; these two "
-                "are thin, and lift over drag is taken at its best angle",
-            ),
+        judge(
+            "fig-3.2/about-re-70-000-smooth-aerofoils",
             "NeuralFoil, n_crit 9",
             f"best lift over drag at Re 200 000 over that at 20 000: {format_gains('smooth')}",
-            smooth > 10.0,
-            "more than 10",
+            smooth=smooth,
         ),
-        Verdict(
-            Claim("Sec. 3.1.1", "on rough aerofoils the effect cannot be seen"),
+        judge(
+            "fig-3.2/on-rough-aerofoils-the-effect-cannot",
             "NeuralFoil, tripped at 5 %",
             f"the same ratio: {format_gains('rough')}",
-            less,
-            "smaller than of the smooth ones",
+            holds=less,
         ),
     ]
     drawn = new_figure(6.5, 4.4)
@@ -149,12 +131,12 @@ def study_transition(progress: ProgressCallback | None = None) -> StudyFindings:
     numbers = ", ".join(f"{n:g}: {t:.1f}, {q:.1f}" for n, t, q in zip(N_CRIT_VALUES, thrust, torque, strict=True))
     quiet = N_CRIT_VALUES.index(9.0)
     verdicts = [
-        Verdict(
-            Claim("Sec. 3.3.1", "only with a low n_crit, 0.1, do the polars agree with the bench", 0.1),
+        judge(
+            "table-3.1/only-with-a-low-n-crit-0.1",
             "full",
             f"mean errors of thrust and torque (%) at n_crit {numbers}; least in sum at {N_CRIT_VALUES[k]:g}",
-            bool(both[0] < both[quiet] and N_CRIT_VALUES[k] <= 1.0),
-            "errors of both least at 0.1 or 1, and less than at 9",
+            n_crit_values=N_CRIT_VALUES[k],
+            holds=both[0] < both[quiet],
         )
     ]
     drawn = new_figure(6.0, 4.0)
@@ -212,12 +194,12 @@ def study_current_and_torque(progress: ProgressCallback | None = None) -> StudyF
     worst = 100 * float(np.abs(off).max() / current.max())
     square = 1 - float(np.sum(off**2) / np.sum((current - current.mean()) ** 2))
     verdicts = [
-        Verdict(
-            Claim("Sec. 3.2.1", "motor current and rotor torque have a linear relation"),
+        judge(
+            "fig-3.9/motor-current-and-rotor-torque-have",
             f"drive {drive.name}",
             f"R2 {square:.5f}, off a straight line by {worst:.2f} % of full scale at most",
-            square > 0.99 and worst < 2.0,
-            "R2 above 0.99 and within 2 % of full scale",
+            square=square,
+            worst=worst,
         )
     ]
     drawn = new_figure(8.0, 3.8)
@@ -265,28 +247,21 @@ def study_bench_blades(progress: ProgressCallback | None = None) -> StudyFinding
     data["torque_Nm"] = (("airfoil", "pitch_deg", "rpm"), torque)
     most = thrust[:, :, -1].max(axis=0)
     verdicts = [
-        Verdict(
-            Claim("Sec. 3.3.1", "tuned on one rotor, blade elements agree well with the bench"),
+        judge(
+            "fig-3.15/tuned-on-one-rotor-blade-elements",
             "full, calibrated",
             f"tuned on Table 3.2's first point, the other three are off by {rest_t:.1f} % in "
             f"thrust and {rest_q:.1f} % in "
             "torque at most",
-            bool(rest_t < 5 and rest_q < 10),
-            "below 5 and 10 %",
+            rest_t=rest_t,
+            rest_q=rest_q,
         ),
-        Verdict(
-            Claim(
-                "Fig. 3.15",
-                "the greatest thrust at 8 000 rpm lies between 0.7 and 0.8 N",
-                0.75,
-                "N",
-                basis="axis",
-                reason="the figure's pitch is not stated; the bench's blades go down to 10 degrees",
-            ),
+        judge(
+            "fig-3.15/the-greatest-thrust-at-8-000",
             "full, calibrated",
             f"NACA 9412 has {most[0]:.2f} N at 12 degrees and {most[1]:.2f} N at 16",
-            bool(most.min() * 0.97 <= 0.8 and most.max() * 1.03 >= 0.7),
-            "between ours at 12 and at 16 degrees (pitch not stated)",
+            most_min=most.min() * 0.97,
+            most_max=most.max() * 1.03,
         ),
     ]
     drawn = new_figure(10.0, 4.4)
@@ -342,19 +317,14 @@ def study_blade_tips(progress: ProgressCallback | None = None) -> StudyFindings:
     values = np.array(lines)
     gain = 100 * (values[1:] / values[0] - 1)
     verdicts = [
-        Verdict(
-            Claim(
-                "Sec. 3.4.5",
-                "neither tip is better than the standard blade",
-                reason="blade elements give no tip vortex of its own to a tip of another shape; it takes CFD",
-            ),
+        judge(
+            "fig-3.38/neither-tip-is-better-than-the",
             "full",
             f"tip 1 {gain[0].min():+.1f} to {gain[0].max():+.1f} %, tip 2 {gain[1].min():+.1f} to "
             f"{gain[1].max():+.1f} % of thrust per power from 12 to 20 degrees",
-            bool(np.nanmax(gain) <= 0.5),
-            "nowhere better by more than 0.5 %",
+            gain=np.nanmax(gain),
         ),
-        judge_blade_forms(("thesis-1", "thesis-2"), "neither tip is better than the standard blade", "Sec. 3.4.5"),
+        judge_blade_forms(("thesis-1", "thesis-2"), "fig-3.38/tips-by-cfd"),
     ]
     drawn = new_figure(9.5, 4.0)
     left, right = drawn.subplots(1, 2, width_ratios=(1, 1.3))
@@ -398,47 +368,20 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
     best = np.nanmax(values, axis=1)
     gain = 100 * (best / best[0] - 1)
     numbers = ", ".join(f"{g:+.1f} % ({f:g} %)" for f, g in zip(GURNEY_HEIGHTS_PERCENT[1:], gain[1:], strict=True))
-    why = (
-        "polars of a flap are a network's, made as a ramp; the source's rotor was computed by CFD "
-        "(docs/explanation/polars.md)"
-    )
     verdicts = [
-        Verdict(
-            Claim("Sec. 3.4.6", "all flaps, of 1, 3 and 5 %, are better than none", reason=why),
-            "full",
-            f"bests {numbers}",
-            bool(np.all(gain[1:] > 0)),
-            "1 and 2 % above zero; 3 and 5 % cannot be computed",
-        ),
-        Verdict(
-            Claim("Sec. 3.4.6", "a flap of 1 % is best", 1.0, "% chord", reason=why),
-            "full",
-            f"bests {numbers}",
-            int(gain.argmax()) == 1,
-            "greatest at 1 %, of 1 and 2 %",
-        ),
-        Verdict(
-            Claim("Sec. 3.4.6", "it brings nearly 20 %", 20.0, "%", reason=why),
+        judge("fig-3.42/all-flaps-of-1-3-and", "full", f"bests {numbers}", gain=gain[1:]),
+        judge("fig-3.42/a-flap-of-1-is", "full", f"bests {numbers}", gain_argmax=int(gain.argmax())),
+        judge(
+            "fig-3.42/it-brings-nearly-20",
             "full",
             f"{gain[1]:+.1f} % at 1 %, {gain.max():+.1f} % at most",
-            bool(15 <= gain.max() <= 22),
-            "15 to 22 %",
+            gain_max=gain.max(),
         ),
-        Verdict(
-            Claim(
-                "Sec. 3.4.6",
-                "it brings nearly 20 %",
-                20.0,
-                "%",
-                reason=(
-                    "ours is per shaft power, at 16 degrees; a flap adds torque as it adds thrust "
-                    "(docs/explanation/cfd.md)"
-                ),
-            ),
+        judge(
+            "fig-3.42/it-brings-nearly-20-2",
             "CFD, laminar, medium mesh (docs/explanation/cfd.md)",
             f"{blade_form_gain('gurney 1 %'):+.1f} % of T^1.5/P at 1 %, 16 degrees, 5 000 rpm",
-            bool(15 <= blade_form_gain("gurney 1 %") <= 22),
-            "15 to 22 %",
+            gain=blade_form_gain("gurney 1 %"),
         ),
     ]
     drawn = new_figure(9.5, 4.0)
@@ -493,26 +436,22 @@ def study_climb_inflow(progress: ProgressCallback | None = None) -> StudyFinding
     change = 100 * (c_T[near] / c_T[middle] - 1)
     upper = 100 * (of_map[near, 0] / of_map[middle, 0] - 1)
     verdicts = [
-        Verdict(
-            Claim("Sec. 4.3.1", "within 0.5 m/s the change of the thrust coefficient is insignificant"),
+        judge(
+            "fig-4.2/within-0.5-m-s-the-change-of",
             model,
             f"c_T {v[0]:+.1f} % at -0.5 m/s and {v[-1]:+.1f} % at +0.5 m/s",
-            bool(np.nanmax(np.abs(v)) < 10.0),
-            "below 10 %",
+            v=np.nanmax(np.abs(v)),
         )
         for model, v in (("full", change), ("flight model's map, upper rotor", upper))
     ] + [
-        Verdict(
-            Claim(
-                "Fig. 4.2",
-                "c_T stays within 0 and 0.015, c_Q within 0 and 0.003 from -1 to 1 m/s",
-                basis="axis",
-                reason="the rotor of the figure and its pitch are not stated",
-            ),
+        judge(
+            "fig-4.2/c-t-stays-within-0-and-0.015",
             "full",
             f"c_T {c_T.min():.4f} to {c_T.max():.4f}, c_Q {c_Q.min():.5f} to {c_Q.max():.5f}",
-            bool(c_T.min() >= 0 and c_T.max() <= 0.015 and c_Q.min() >= 0 and c_Q.max() <= 0.003),
-            "inside the axes",
+            c_t_min=c_T.min(),
+            c_t_max=c_T.max(),
+            c_q_min=c_Q.min(),
+            c_q_max=c_Q.max(),
         )
     ]
     drawn = new_figure(9.5, 3.9)

@@ -30,7 +30,7 @@ from mufly.cfd.solver_process import list_complete_states
 from mufly.errors import InputError
 from mufly.rotor import field_picture, load_rotor
 from mufly.study import sweep_parameters
-from mufly.thesis.claims import Claim, ProgressCallback, Study, StudyFindings, Verdict, new_figure
+from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, Verdict, judge, new_figure
 from mufly.thesis.single_rotor_studies import (
     RANKED_QUANTITY,
     blade_form_gain,
@@ -70,24 +70,14 @@ def study_mesh_setup(progress: ProgressCallback | None = None) -> StudyFindings:
     above = 1e3 * domain.above * rotor.radius_m
     periodic = {"sector_left", "sector_right"} <= set(mesh.patches)
     verdicts = [
-        Verdict(
-            Claim(
-                "Fig. 3.21",
-                "half of the rotor is meshed, with periodic planes, a wall and openings",
-                basis="axis",
-            ),
+        judge(
+            "fig-3.21/half-of-the-rotor-is-meshed",
             f"{MESH_LEVEL} mesh",
             f"one blade of {mesh.blade_count}; patches {', '.join(mesh.patches)}",
-            periodic and mesh.blade_count == 2,
-            "the same",
+            blade_count=mesh.blade_count,
+            holds=periodic,
         ),
-        Verdict(
-            Claim("Sec. 3.3.3", "200 mm above the blade are enough", 200.0, "mm"),
-            f"{MESH_LEVEL} mesh",
-            f"{above:.0f} mm",
-            above >= 199.9,
-            "as much; that it is enough is for Fig. 3.22",
-        ),
+        judge("fig-3.21/200-mm-above-the-blade-are", f"{MESH_LEVEL} mesh", f"{above:.0f} mm", above=above),
     ]
     note = (
         f"one block-structured sector of {mesh.cell_count} hexahedra, its inner cylinder turning and the rest "
@@ -119,14 +109,6 @@ def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path 
 
     Thesis: Fig. 3.22.
     """
-    claim = Claim(
-        "Fig. 3.22",
-        "thrust converges with the mesh, near 0.134 N at 12 degrees and 5 000 rpm",
-        0.134,
-        "N",
-        "axis",
-        reason="the tip vortex is still being resolved: most of what the fine mesh adds is in the outer 5 mm",
-    )
     drawn = new_figure(6.0, 4.0)
     axes = drawn.subplots()
     axes.axhspan(0.126, 0.140, color="0.93", label="printed axis, mesh study")
@@ -141,13 +123,12 @@ def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path 
     if len(cells) > 1:
         change = 100 * abs(thrust[-1] / thrust[-2] - 1)
         verdicts.append(
-            Verdict(
-                claim,
+            judge(
+                "fig-3.22/thrust-converges-with-the-mesh-near",
                 "CFD, laminar" if case is not None else "CFD, laminar (docs/explanation/cfd.md)",
                 f"{', '.join(f'{t:.4f}' for t in thrust)} N with "
                 f"{', '.join(f'{n:.0f}' for n in cells)} thousand cells; the last two {change:.1f} % apart",
-                change < 1.0,
-                "the last two within 1 %",
+                change=change,
             )
         )
     axes.plot(cells, thrust, "o-", label=label)
@@ -164,7 +145,6 @@ def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path 
 
 def study_surface_pressure(progress: ProgressCallback | None = None, case: Path | None = None) -> StudyFindings:
     """Fig. 3.23: suction at tip and leading edge; of a case, or by the loads that docs/explanation/cfd.md states."""
-    claim = Claim("Sec. 3.3.3", "there is strong suction at the tip and at the leading edge, which adds to the lift")
     if case is not None:
         folder = _find_solved_cases(case)[0]
         mesh = read_poly_mesh(folder)
@@ -185,13 +165,12 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
         p = found.point
         where = f"CFD, {p.model}, {math.degrees(p.pitch_rad):g} deg, {p.speed_rad_s / RPM:.0f} rpm"
         verdicts = [
-            Verdict(
-                claim,
+            judge(
+                "fig-3.23/there-is-strong-suction-at-the-2",
                 where,
                 f"mean pressure of the upper side {tip:.0f} Pa beyond 0.9 R, {middle:.0f} Pa within 0.6 R; "
                 f"of the lower side beyond 0.9 R {lower:.0f} Pa",
-                tip < 1.5 * min(middle, 0.0) and tip < lower,
-                "at the tip 1.5 times as low as inboard, and below the lower side",
+                holds=(tip < 1.5 * min(middle, 0.0)) and (tip < lower),
             ),
         ]
         drawn = pressure_picture(mesh, found)
@@ -202,14 +181,13 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
         [sum(v[k] for (a, b), v in SPAN_LOADS_MN.items() if b <= 55) for k in (0, 1)],
     )
     verdicts = [
-        Verdict(
-            claim,
+        judge(
+            "fig-3.23/there-is-strong-suction-at-the",
             "CFD, laminar, coarse (docs/explanation/cfd.md)",
             f"at 12 degrees and 5 000 rpm the outer 5 mm carry {outer[0]:.1f} mN where blade "
             f"elements, which know no suction "
             f"of the tip vortex, have {outer[1]:.1f}; inboard {inner[0]:.0f} and {inner[1]:.0f} mN",
-            outer[0] > 1.2 * outer[1] and inner[0] < inner[1],
-            "more than 1.2 times at the tip, less inboard",
+            holds=(outer[0] > 1.2 * outer[1]) and (inner[0] < inner[1]),
         ),
     ]
     drawn = new_figure(6.5, 4.0)
@@ -238,21 +216,13 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
     chord = 0.02
     order = np.argsort(-z)
     near, far = (float(np.interp(d, -z[order], r[order])) for d in (chord, 0.12))
-    claim = Claim(
-        "Sec. 3.3.3",
-        "one chord below the disc the vena contracta is reached, and stays",
-        20.0,
-        "mm",
-        reason="a free wake goes on contracting for about a radius; the source's mesh and boundary may hold it",
-    )
     verdicts = [
-        Verdict(
-            claim,
+        judge(
+            "fig-3.24/one-chord-below-the-disc-the",
             "wake",
             f"the tip vortex is at {near:.2f} R one chord below, at {far:.2f} R two radii below; the last "
             f"{100 * (near - far) / (1 - far):.0f} % of the contraction come later",
-            abs(near / far - 1) < 0.03,
-            "within 3 %",
+            near=abs(near / far - 1),
         ),
     ]
     if case is None:
@@ -277,12 +247,11 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
 
     near, far = half_flow_radius(chord / R), half_flow_radius(2.0)
     verdicts.append(
-        Verdict(
-            claim,
+        judge(
+            "fig-3.24/one-chord-below-the-disc-the-2",
             "CFD",
             f"half of the downward flow passes within {near:.2f} R one chord below, {far:.2f} R two radii below",
-            abs(near / far - 1) < 0.08,
-            "within 8 %",
+            near=abs(near / far - 1),
         )
     )
     drawn = new_figure(6.5, 5.5)
@@ -305,25 +274,14 @@ def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
     values = sweep_parameters(base, {"pitch": [float(p) for p in np.radians(pitch)]})[RANKED_QUANTITY].values
     best = float(pitch[int(np.nanargmax(values))])
     verdicts = [
-        Verdict(
-            Claim("Sec. 3.4.6", "the standard blade is best at about 18 degrees", 18.0, "deg"),
-            "full",
-            f"{best:g} degrees",
-            abs(best - 18) <= 2,
-            "within 2 degrees",
-        ),
-        judge_blade_forms(("winglet-1",), "winglet 1 does not outperform the standard blade", "Sec. 3.4.6"),
+        judge("fig-3.40/the-standard-blade-is-best-at", "full", f"{best:g} degrees", best=best),
+        judge_blade_forms(("winglet-1",), "fig-3.40/winglet-1"),
         *(
-            Verdict(
-                Claim(
-                    "Sec. 3.4.6",
-                    f"winglet {which} outperforms the standard blade",
-                    reason="its size and how it stands are guessed; a straight one meets the air askew",
-                ),
+            judge(
+                f"fig-3.40/winglet-{which}",
                 "CFD, laminar, coarse (docs/explanation/cfd.md)",
                 f"winglet-{which} {blade_form_gain(f'winglet-{which}'):+.1f} % of T^1.5/P at 16 degrees and 5 000 rpm",
-                blade_form_gain(f"winglet-{which}") > 0.0,
-                "above zero",
+                gain=blade_form_gain(f"winglet-{which}"),
             )
             for which in (2, 3)
         ),

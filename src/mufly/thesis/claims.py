@@ -3,14 +3,19 @@
 Claims are facts of the source, each written down once; nothing is tuned to them. Of the dissertation only its text is
 at hand. So a number of a figure comes from the sentences about it (basis ``text``), from a printed table (``table``)
 or from the figure's axes and legend (``axis``), whose texts tell between which ticks the curves end; no curve was
-digitised. The numbers of Secs 3.1.4 and 3.4 stand here, those of the other sections beside the studies of them.
+digitised. Claims, limits, rules and reasons stand in ``verdicts.toml``; :func:`judge` applies them.
 """
 
 from __future__ import annotations
 
+import math
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -129,86 +134,65 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-_CLAIMS: dict[str, Claim] = {
-    "gear-power": Claim("Fig. 3.7", "mechanical power and thrust are greatest at a gear ratio of about 1.5", 1.5),
-    "gear-efficiency": Claim("Fig. 3.7", "the drive is most efficient at a gear ratio of about 3", 3.0),
-    "gear-thrust-per-power": Claim("Fig. 3.7", "thrust per power is greatest at a gear ratio of about 4", 4.0),
-    "gear-thrust": Claim("Fig. 3.7", "0.6 N are reached with a gear ratio of about 2", 2.0),
-    "coefficients-torque": Claim("Fig. 3.25", "the torque coefficient hardly changes from 3 000 to 7 000 rpm"),
-    "coefficients-thrust": Claim("Fig. 3.25", "the thrust coefficient changes more, and grows with the speed"),
-    "blades-two": Claim("Fig. 3.26", "two blades are best up to 16 degrees of pitch", 16.0, "deg"),
-    "blades-more": Claim("Fig. 3.26", "at higher pitch three and four blades are slightly better"),
-    "blades-five": Claim("Fig. 3.26", "five blades are worst at every pitch"),
-    "radius": Claim("Fig. 3.27", "a larger radius is better"),
-    "radius-size": Claim("Fig. 3.27", "the radii from 50 to 80 mm differ by about 15 %", 15.0, "%"),
-    "chord-best": Claim("Fig. 3.28", "a chord of 30 mm is best", 30.0, "mm"),
-    "chord-flat": Claim("Fig. 3.28", "the three largest chords differ little"),
-    "chord-pitch": Claim("Fig. 3.28", "larger chords have their best pitch higher"),
-    "thickness": Claim("Fig. 3.30", "the thinnest section beats the thickest by more than 10 %", 10.0, "%"),
-    "camber": Claim("Fig. 3.31", "at 12 % thickness a camber of 4 % is best", 4.0, "%"),
-    "camber-position": Claim("Fig. 3.32", "the place of the camber hardly matters"),
-    "airfoils-top": Claim("Table 3.3", "goe394, goe342, gm15sm and goe142 are the best four of 247"),
-    "airfoils-bottom": Claim("Table 3.3", "lnv109a, NACA25516, n642-015 and NACA6415 are the worst four of 247"),
-    "airfoils-spread": Claim("Table 3.3", "the best takes 6.04 W, NACA6415 9.63 W: 3.6 W more", 3.585, "W"),
-    "taper": Claim("Fig. 3.35", "the strongest taper is better than the straight blade by more than 10 %", 10.0, "%"),
-    "twist": Claim("Fig. 3.36", "strong twist is better"),
-    "twist-pitch": Claim("Fig. 3.36", "the best pitch falls with stronger twist"),
-    "coax-thrust": Claim("Fig. 3.43", "at equal speeds the lower rotor has 55 % of the upper one's thrust", 0.55),
-    "coax-torque": Claim("Fig. 3.43", "at equal speeds the lower rotor's torque is about 20 % less", 20.0, "%"),
-    "coax-constant": Claim("Fig. 3.43", "at equal speeds the lower rotor's coefficients hardly change with the speed"),
-    "coax-upper": Claim("Fig. 3.43", "the upper rotor has slightly more thrust and torque than alone"),
-    "coax-upper-speed": Claim("Fig. 3.44", "the lower coefficients fall strongly as the upper rotor turns faster"),
-    "coax-lower-speed": Claim("Fig. 3.44", "they rise even more with the lower speed, from a negative thrust on"),
-    "coax-trim": Claim("Sec. 3.4.7", "with the upper rotor at 6 000 rpm torques cancel at 6 650 rpm", 6650.0, "rpm"),
-    "coax-deficit": Claim("Sec. 3.4.7", "the lower rotor then has 23 % less thrust", 23.0, "%"),
-    "coax-excess": Claim("Sec. 3.4.7", "and takes 10 % more mechanical power", 10.0, "%"),
-    "coax-pitch-speed": Claim("Table 3.4", "lower speeds at 14, 16 and 18 deg: 6 650, 5 750 and 5 025 rpm"),
-    "coax-pitch-thrust": Claim("Table 3.4", "lower thrusts: 0.1949, 0.1820 and 0.1709 N"),
-    "coax-pitch-power": Claim("Table 3.4", "lower powers: 2.0531, 1.7413 and 1.5286 W"),
-    "coax-spacing": Claim("Fig. 3.45", "a spacing of 1 to 4 cm has little influence on the lower rotor"),
-}
+def _load_rows() -> dict[str, dict[str, Any]]:
+    return tomllib.loads(VERDICTS_FILE.read_text(encoding="utf-8"))
 
-_TUNING_REASON = (
-    "polars, the unstated hub cut-out (here 0.15 R) and the tuning, which is not printed (docs/explanation/studies.md)"
-)
-_WAKE_REASON = (
-    "our wakes take more from the lower rotor: no swirl from drag, a stream with a sharp edge "
-    "(docs/explanation/wake.md)"
-)
-_REASONS_BY_CLAIM = {
-    "gear-thrust": "it holds at 6.4 V, the voltage of a used battery (docs/thesis/thesis-errata.md, points 6 and 22)",
-    "coefficients-torque": "the corrections for a short blade move with the Reynolds number",
-    "coefficients-thrust": "the corrections for a short blade move with the Reynolds number; without them it agrees",
-    "blades-two": _TUNING_REASON,
-    "blades-more": _TUNING_REASON,
-    "blades-five": _TUNING_REASON,
-    "radius-size": "momentum theory alone gives +60 % from 50 to 80 mm; 15 % is one step of 10 mm "
-    "(docs/explanation/studies.md)",
-    "thickness": _TUNING_REASON,
-    "airfoils-bottom": "polars that did not converge would explain it (docs/thesis/thesis-errata.md, points 23 and 24)",
-    "airfoils-spread": "NACA6415's 9.6 W cannot be had from theory and polar alone "
-    "(docs/thesis/thesis-errata.md, point 24)",
-    "taper": "a hub chord of 35 mm is no lifting line, and the tip works at Re 10 000 (docs/explanation/studies.md)",
-    "twist": "within 1 % of each other with the corrections; with the dissertation's own theory it agrees",
-    "coax-thrust": _WAKE_REASON,
-    "coax-torque": _WAKE_REASON,
-    "coax-upper": "coaxial blade elements let the lower rotor's suction through to the upper one "
-    "(docs/explanation/coax.md)",
-    "coax-pitch-power": "the printed torque is above its own bench's (docs/thesis/thesis-errata.md, point 26)",
-    "coax-lower-speed": "a lower rotor that windmills in the upper one's wake has no wake that settles "
-    "(docs/explanation/wake.md)",
-    "coax-pitch-speed": "both are computed, and no bench decides; ours wants more speed at more pitch "
-    "(docs/explanation/wake.md)",
-    "coax-spacing": "most of it between 1 and 2 cm; blade elements let the upper wake grow stronger with the distance",
-}
+
+VERDICTS_FILE = Path(__file__).with_name("verdicts.toml")
+"""One table a verdict: its claim, its limits, its rule in words, and the reason of a difference."""
+_ROWS = _load_rows()
+
 CLAIMS: dict[str, Claim] = {
-    key: replace(
-        claim,
-        basis="table" if claim.where.startswith("Table") else "text",
-        reason=_REASONS_BY_CLAIM.get(key, ""),
-    )
-    for key, claim in _CLAIMS.items()
+    key: Claim(**{name: row[name] for name in ("where", "text", "value", "unit", "basis", "reason") if name in row})
+    for key, row in _ROWS.items()
 }
+"""Key of a verdict to its claim."""
+
+
+def judge(key: str, model: str, ours: str, **quantities: Any) -> Verdict:
+    """Return the verdict on a claim by the limits of its row in :data:`VERDICTS_FILE`.
+
+    Parameters
+    ----------
+    key : str
+        Of the row.
+    model, ours : str
+        As in :class:`Verdict`.
+    **quantities : float, array or bool
+        Those that the row has limits for; of an array all elements have to meet them.
+
+    Raises
+    ------
+    KeyError
+        If there is no such row, or it has limits for other quantities.
+    """
+    row = _ROWS[key]
+    limits = row["limits"]
+    if set(limits) != set(quantities):
+        raise KeyError(f"{VERDICTS_FILE.name}: {key}: limits of {sorted(limits)}, computed are {sorted(quantities)}")
+    agrees = all(meets_limits(value, limits[name]) for name, value in quantities.items())
+    reason = row.get("reason_by_model", {}).get(model, CLAIMS[key].reason)
+    return Verdict(replace(CLAIMS[key], reason=reason), model, ours, agrees, row["rule"])
+
+
+def meets_limits(value: Any, limits: Mapping[str, float] | bool) -> bool:
+    """Return whether all elements of a value meet limits; a nan meets none."""
+    if isinstance(limits, bool):
+        return bool(value) is limits
+    v = np.asarray(value, dtype=np.float64)
+    near = limits.get("near", math.nan)
+    checks = {
+        "above": lambda x: v > x,
+        "below": lambda x: v < x,
+        "at_least": lambda x: v >= x,
+        "at_most": lambda x: v <= x,
+        "equals": lambda x: v == x,
+        "within": lambda x: np.abs(v - near) <= x,
+        "within_share": lambda x: np.abs(v / near - 1.0) <= x,
+        "brackets": lambda x: v.min() - limits["slack"] <= x <= v.max() + limits["slack"],
+    }
+    return all(bool(np.all(checks[name](x))) for name, x in limits.items() if name not in ("near", "slack"))
+
 
 # Table 3.3: airfoil -> rank of 247, thrust per electrical power (N/W), electrical power (W) at 0.4 N.
 TABLE_3_3_VALUES: dict[str, tuple[int, float, float]] = {

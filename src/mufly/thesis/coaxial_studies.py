@@ -32,7 +32,7 @@ from mufly.rotor import (
 )
 from mufly.rotor.wake import WakeSettings
 from mufly.study.sweeps import ProgressCallback
-from mufly.thesis.claims import CLAIMS, TABLE_3_4_VALUES, Verdict
+from mufly.thesis.claims import TABLE_3_4_VALUES, Verdict, judge
 from mufly.units import RPM
 
 COAXIAL_MODELS = ("wake", "full")
@@ -263,24 +263,21 @@ def judge_equal_speeds(model: str, data: xr.Dataset) -> list[Verdict]:
     more = [100 * (data[f"upper_{k}"].values / data[f"single_{k}"].values - 1) for k in ("thrust_N", "torque_Nm")]
     spread = [100 * float(np.ptp(data[k].values) / np.mean(data[k].values)) for k in ("lower_c_T", "lower_c_Q")]
     return [
-        Verdict(
-            CLAIMS["coax-thrust"], model, f"{_format_list(thrust, '{:.2f}')} {rpm}",
-            bool(np.all((thrust >= 0.50) & (thrust <= 0.60))), "0.50 to 0.60 at every speed",
+        judge("coax-thrust", model, f"{_format_list(thrust, '{:.2f}')} {rpm}", thrust=thrust),
+        judge(
+            "coax-torque",
+            model,
+            f"{_format_list(100 * (1 - torque), '{:.0f}')} % less {rpm}",
+            torque=100 * (1 - torque),
         ),
-        Verdict(
-            CLAIMS["coax-torque"], model, f"{_format_list(100 * (1 - torque), '{:.0f}')} % less {rpm}",
-            bool(np.all(np.abs(100 * (1 - torque) - 20) <= 5)), "15 to 25 % less at every speed",
-        ),
-        Verdict(
-            CLAIMS["coax-constant"], model, f"c_T by {spread[0]:.0f} %, c_Q by {spread[1]:.0f} % in all",
-            max(spread) < 15, "by less than 15 %",
-        ),
-        Verdict(
-            CLAIMS["coax-upper"], model,
+        judge("coax-constant", model, f"c_T by {spread[0]:.0f} %, c_Q by {spread[1]:.0f} % in all", spread=max(spread)),
+        judge(
+            "coax-upper",
+            model,
             f"thrust {_format_list(more[0], '{:+.1f}')} %, torque {_format_list(more[1], '{:+.1f}')} %",
-            bool(all(np.all((v > 0) & (v < 10)) for v in more)), "above alone, by less than 10 %",
+            holds=all(np.all((v > 0) & (v < 10)) for v in more),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def judge_one_speed_fixed(model: str, data: xr.Dataset) -> list[Verdict]:
@@ -298,16 +295,17 @@ def judge_one_speed_fixed(model: str, data: xr.Dataset) -> list[Verdict]:
 
     enough = [v.size >= 3 for v in c_T]
     return [
-        Verdict(
-            CLAIMS["coax-upper-speed"], model, describe_coefficients(0),
-            bool(enough[0] and np.all(np.diff(c_T[0]) < 0) and c_T[0][-1] < 0.7 * c_T[0][0]),
-            "falls all the way, by more than 30 %",
+        judge(
+            "coax-upper-speed",
+            model,
+            describe_coefficients(0),
+            step=np.diff(c_T[0]),
+            holds=(enough[0]) and (c_T[0][-1] < 0.7 * c_T[0][0]),
         ),
-        Verdict(
-            CLAIMS["coax-lower-speed"], model, describe_coefficients(1),
-            bool(enough[1] and np.all(np.diff(c_T[1]) > 0) and c_T[1][0] < 0), "rises all the way, from below zero",
+        judge(
+            "coax-lower-speed", model, describe_coefficients(1), step=np.diff(c_T[1]), first=c_T[1][:1], holds=enough[1]
         ),
-    ]  # fmt: skip
+    ]
 
 
 def judge_balance(model: str, data: xr.Dataset) -> list[Verdict]:
@@ -318,20 +316,19 @@ def judge_balance(model: str, data: xr.Dataset) -> list[Verdict]:
     excess = 100 * (float(first.lower_power_W / first.upper_power_W) - 1)
     theirs = np.array([TABLE_3_4_VALUES[int(p)] for p in data.lower_pitch_deg.values])
     found = []
-    for k, (name, field, form, unit, limit) in enumerate((
-        ("coax-pitch-speed", "lower_rpm", "{:.0f}", "rpm", 3.0),
-        ("coax-pitch-thrust", "lower_thrust_N", "{:.4f}", "N", 10.0),
-        ("coax-pitch-power", "lower_power_W", "{:.3f}", "W", 10.0),
+    for k, (name, field, form, unit) in enumerate((
+        ("coax-pitch-speed", "lower_rpm", "{:.0f}", "rpm"),
+        ("coax-pitch-thrust", "lower_thrust_N", "{:.4f}", "N"),
+        ("coax-pitch-power", "lower_power_W", "{:.3f}", "W"),
     )):  # fmt: skip
         ours = data[field].values
         change = 100 * (ours / theirs[:, k] - 1)
         text = f"{_format_list(ours, form)} {unit} ({_format_list(change, '{:+.1f}')} %){_describe_unconverged(data)}"
-        agrees = bool(np.all(np.abs(change) <= limit))
-        found.append(Verdict(CLAIMS[name], model, text, agrees, f"within {limit:g} %"))
+        found.append(judge(name, model, text, change=change))
     return [
-        Verdict(CLAIMS["coax-trim"], model, f"{rpm:.0f} rpm", abs(rpm / 6650 - 1) <= 0.03, "within 3 %"),
-        Verdict(CLAIMS["coax-deficit"], model, f"{deficit:.1f} %", abs(deficit - 23) <= 5, "within 5 points"),
-        Verdict(CLAIMS["coax-excess"], model, f"{excess:.1f} %", abs(excess - 10) <= 5, "within 5 points"),
+        judge("coax-trim", model, f"{rpm:.0f} rpm", rpm=rpm),
+        judge("coax-deficit", model, f"{deficit:.1f} %", deficit=deficit),
+        judge("coax-excess", model, f"{excess:.1f} %", excess=excess),
         *found,
     ]
 
@@ -342,12 +339,12 @@ def judge_rotor_spacing(model: str, data: xr.Dataset) -> list[Verdict]:
     spread = np.asarray(100 * ((thrust.max("spacing_mm") - thrust.min("spacing_mm")) / thrust.mean("spacing_mm")))
     speeds = _format_list(data.rpm.values, "{:.0f}")
     return [
-        Verdict(
-            CLAIMS["coax-spacing"],
+        judge(
+            "coax-spacing",
             model,
             f"lower thrust changes by {_format_list(spread, '{:.0f}')} % in all at {speeds} "
             f"rpm{_describe_unconverged(data)}",
-            bool((data.fault == "").all() and np.all(spread < 15)),
-            "by less than 15 %, every case solved",
+            spread=spread,
+            holds=(data.fault == "").all(),
         )
     ]

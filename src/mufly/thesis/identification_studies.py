@@ -20,15 +20,7 @@ from mufly.identify import IdentificationDemo, MotorFit, fit_motor, run_identifi
 from mufly.identify.fit_pictures import motor_picture, prediction_picture
 from mufly.identify.flight.identification_demo import SENSOR_NOISE_STD
 from mufly.identify.residual_analysis import assess_record
-from mufly.thesis.claims import (
-    TABLE_5_3_VALUES,
-    Claim,
-    ProgressCallback,
-    Study,
-    StudyFindings,
-    Verdict,
-    new_figure,
-)
+from mufly.thesis.claims import CLAIMS, TABLE_5_3_VALUES, ProgressCallback, Study, StudyFindings, judge, new_figure
 from mufly.units import RPM
 from mufly.vehicle import list_parameters, load_vehicle
 
@@ -92,19 +84,12 @@ def study_ground_parameters(progress: ProgressCallback | None = None) -> StudyFi
     later = [k for k in _IDENTIFIED_LATER if said[k] == "identified"]
     same = len(GROUND_METHODS) - len(other) - len(later)
     verdicts = [
-        Verdict(
-            Claim(
-                "Table 5.1",
-                "thirteen parameters are known before any test, each by the method named",
-                13,
-                "1",
-                "table",
-            ),
+        judge(
+            "table-5.1/thirteen-parameters-are-known-before-any",
             "mufly-1.1",
             f"{same} of {len(GROUND_METHODS)} with the same method; {len(later)} drive inertias, estimated "
             "first, are as fitted in flight afterwards" + (f"; other: {', '.join(other)}" if other else ""),
-            not other,
-            "the same source word for all but what flights changed later",
+            holds=not other,
         ),
     ]
     drawn = _draw_table(
@@ -153,19 +138,13 @@ def study_bench_parameters(progress: ProgressCallback | None = None) -> StudyFin
     words = {k: rows[k].source for k in BENCH_METHODS}
     held, _ = _compare_with_truth(_fit_motor())
     verdicts = [
-        Verdict(
-            Claim(
-                "Table 5.2",
-                "eight parameters come from rotor and motor bench, the motor's by least squares",
-                8,
-                "1",
-                "table",
-            ),
+        judge(
+            "table-5.2/eight-parameters-come-from-rotor-and",
             "mufly identify rotor | motor",
             f"{len(BENCH_METHODS)} in the vehicle file, {sum(w == 'identified' for w in words.values())} "
             f"of them marked identified; of a made-up motor bench {held} of 4 intervals hold the truth",
-            all(w == "identified" for w in words.values()) and held >= 3,
-            "all identified; 3 of 4 or more",
+            held=held,
+            holds=all(w == "identified" for w in words.values()),
         ),
     ]
     drawn = _draw_table(
@@ -187,26 +166,19 @@ def study_motor_fit(progress: ProgressCallback | None = None) -> StudyFindings:
     loaded = (7.2 * kM / R - 8e-3) / (kM * kE / R + dR)
     current = (7.2 - kE * loaded) / R
     verdicts = [
-        Verdict(
-            Claim("Sec. 5.2", "the constants come out of steady points by least squares"),
+        judge(
+            "fig-5.1/the-constants-come-out-of-steady",
             "made-up bench, 1 % noise",
             f"{held} of 4 intervals hold the truth: {text}",
-            held >= 3,
-            "3 of 4 or more",
+            held=held,
         ),
-        Verdict(
-            Claim("Fig. 5.1", "8 mN m take less than 3 A", 3.0, "A", "axis"),
-            "Table 5.3, 7.2 V",
-            f"{current:.2f} A",
-            1.5 < current < 3.0,
-            "between the last ticks, 1.5 and 3 A",
-        ),
-        Verdict(
-            Claim("Fig. 5.1", "speeds lie between 6 000 and 16 000 rpm", 16000, "rpm", "axis"),
+        judge("fig-5.1/8-mn-m-take-less-than", "Table 5.3, 7.2 V", f"{current:.2f} A", current=current),
+        judge(
+            "fig-5.1/speeds-lie-between-6-000-and",
             "Table 5.3, 7.2 V",
             f"{loaded / RPM:.0f} rpm at 8 mN m, {idle / RPM:.0f} idle",
-            bool(loaded / RPM > 6000 and idle / RPM < 16000),
-            "inside",
+            loaded=loaded / RPM,
+            idle=idle / RPM,
         ),
     ]
     drawn = motor_picture(
@@ -229,16 +201,11 @@ def _run_identification_demo() -> IdentificationDemo:
 
 
 # Record -> outputs that the source's figure shows, what it says, and the range of its axis for the last of them.
-_FLIGHT_FIGURES = {
-    "yaw": (("height", "r"), "Fig. 5.3", "yaw rate between -8 and 10 rad/s", (-8.0, 10.0)),
-    "heave": (("height", "r"), "Fig. 5.4", "yaw rate between -4 and 4 rad/s", (-4.0, 4.0)),
-    "roll": (("roll",), "Fig. 5.5", "roll between -0.2 and 0.15 rad", (-0.2, 0.15)),
-    "pitch": (("pitch",), "Fig. 5.6", "pitch between -0.2 and 0.15 rad", (-0.2, 0.15)),
-}
+_FLIGHT_OUTPUTS = {"yaw": ("height", "r"), "heave": ("height", "r"), "roll": ("roll",), "pitch": ("pitch",)}
 
 
 def _study_flight(name: str) -> StudyFindings:
-    shown, where, axis, (low, high) = _FLIGHT_FIGURES[name]
+    shown, key = _FLIGHT_OUTPUTS[name], f"flight/{name}-range"
     demo = _run_identification_demo()
     record = next(r for r in demo.fit.records if name in r.name)
     found = dict(zip(record.output_names, assess_record(record), strict=True))
@@ -248,23 +215,16 @@ def _study_flight(name: str) -> StudyFindings:
     ratio = [float(found[o].rms / SENSOR_NOISE_STD[o]) for o in shown]
     text = ", ".join(f"{o} {r:.2f}" for o, r in zip(shown, ratio, strict=True))
     verdicts = [
-        Verdict(
-            Claim("Sec. 5.3.3", "model and experiment are well correlated"),
+        judge(
+            "flight/model-and-experiment-are-well-correlated",
             "flown vehicle, fitted model",
             f"prediction from the inputs alone fits to {fits}; error over the sensors' noise: {text}",
-            max(ratio) < 1.2,
-            "error below 1.2 of the noise",
+            ratio=max(ratio),
         ),
-        Verdict(
-            Claim(where, axis, high, "", "axis", "how hard the source's pilot and chirp drove it is not stated"),
-            "flown vehicle",
-            f"{np.nanmin(last):.2f} to {np.nanmax(last):.2f}",
-            bool(0.3 * (high - low) < np.ptp(last) < 2 * (high - low)),
-            "spans 0.3 to 2 times as much",
-        ),
+        judge(key, "flown vehicle", f"{np.nanmin(last):.2f} to {np.nanmax(last):.2f}", span=np.ptp(last)),
     ]
     drawn = prediction_picture(record)
-    drawn.suptitle(f"{where}: actuation in {name}; half the parameters forgotten, found again")
+    drawn.suptitle(f"{CLAIMS[key].where}: actuation in {name}; half the parameters forgotten, found again")
     data = xr.Dataset(
         {
             "measured": (("time_s", "output"), record.measured),
@@ -306,20 +266,19 @@ def study_all_parameters(progress: ProgressCallback | None = None) -> StudyFindi
     worst = max(off, key=lambda s: abs(off[s]))
     held = sum(inside.values())
     verdicts = [
-        Verdict(
-            Claim("Table 5.3", "26 numbers", 26, "1", "table"),
+        judge(
+            "table-5.3/26-numbers",
             "mufly-1.1",
             f"{len(printed) - len(other)} of {len(printed)} equal" + (f"; other: {', '.join(other)}" if other else ""),
-            not other,
-            "equal; the vehicle file was written from the table",
+            holds=not other,
         ),
-        Verdict(
-            Claim("Sec. 5.3", "the numbers can be found from four flights"),
+        judge(
+            "table-5.3/the-numbers-can-be-found-from",
             "flown vehicle, twelve numbers 50 % off",
             f"{held} of {len(inside)} 95 % intervals hold the truth; the farthest off is {worst}, {off[worst]:+.1f} %; "
             f"held-out error over noise {demo.held_out_over_noise:.3f}",
-            held >= 10 and demo.held_out_over_noise < 1.1,
-            "10 of 12 or more; held-out error below 1.1 of the noise",
+            held=held,
+            held_out_over_noise=demo.held_out_over_noise,
         ),
     ]
     by_key = {e.key: e for e in demo.fit.estimates if e.key}

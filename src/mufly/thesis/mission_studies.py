@@ -30,7 +30,7 @@ from mufly.mission import (
 )
 from mufly.mission.avoidance import make_beam_ring, repulsive_force
 from mufly.sensors import beam_angles
-from mufly.thesis.claims import Claim, ProgressCallback, Study, StudyFindings, Verdict, new_figure
+from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, new_figure
 from mufly.vehicle import load_vehicle
 from mufly.world import Box, World, cast_ranges
 
@@ -159,28 +159,19 @@ def study_state_machine(progress: ProgressCallback | None = None) -> StudyFindin
         and not allowed[VehicleRequest.LAND, State.INIT]
     )
     verdicts = [
-        Verdict(
-            Claim(
-                "Fig. 6.15",
-                f"{len(STATE_TRANSITIONS)} arrows between seven states",
-                len(STATE_TRANSITIONS),
-                "1",
-                "axis",
-                "somebody who comes near a hover is kept away from without a state of its own",
-            ),
+        judge(
+            "fig-6.15/arrows",
             "state machine, point mass",
             f"{len(STATE_TRANSITIONS) - len(missing)} of {len(STATE_TRANSITIONS)} made in {len(runs)} runs"
             + (f"; not made: {', '.join(f'{a} to {b} ({c})' for (a, b), c in missing.items())}" if missing else "")
             + (f"; besides: {', '.join(f'{a} to {b}' for a, b in extra)}" if extra else ""),
-            not missing,
-            "all",
+            missing=len(missing),
         ),
-        Verdict(
-            Claim("Sec. 6.2.1", "start is taken on the floor, waypoints in hover, landing in flight"),
+        judge(
+            "fig-6.15/start-is-taken-on-the-floor",
             "table of requests",
             "; ".join(f"{a.value}: {', '.join(s.value for s in State if allowed[a, s])}" for a in asks),
-            signals_right,
-            "the same",
+            holds=signals_right,
         ),
     ]
     drawn = new_figure(9.0, 5.2)
@@ -244,23 +235,17 @@ def study_cubic_spline(progress: ProgressCallback | None = None) -> StudyFinding
     off = float(np.abs(tangent - numeric)[1:-1].max()) / away
     off_printed = float(np.abs(printed - numeric)[1:-1].max()) / away
     verdicts = [
-        Verdict(
-            Claim("Eq. 6.12", "the cubic starts and ends where and in the direction that is asked for"),
+        judge(
+            "fig-6.16/the-cubic-starts-and-ends-where",
             "mission/trajectory.py",
             f"ends off by {ends:.0e} m, directions by {slopes:.0e}",
-            max(ends, slopes) < 1e-9,
-            "below 1e-9",
+            ends=max(ends, slopes),
         ),
-        Verdict(
-            Claim(
-                "Eq. 6.13",
-                "T = A t3 + 2 B t + C is the tangent",
-                reason="a 3 is lost in print: 3 A t2 + 2 B t + C (docs/thesis/thesis-errata.md, point 18)",
-            ),
+        judge(
+            "fig-6.16/t-a-t3-2",
             "as printed",
             f"off the derivative of the curve by {off_printed:.2f} of the way; ours by {off:.1e}",
-            off_printed < 1e-3,
-            "below 0.001",
+            off_printed=off_printed,
         ),
     ]
     drawn = new_figure(6.0, 5.0)
@@ -306,19 +291,17 @@ def study_waypoints(progress: ProgressCallback | None = None) -> StudyFindings:
         moved = int(np.argmax(going > 0.1))
         apart.append(100 * abs(leg[moved, 2] - leg[-1, 2]) / abs(leg[-1, 2] - leg[0, 2]))
     verdicts = [
-        Verdict(
-            Claim("Sec. 6.2.2", "waypoints are reached without overshoot", 0.0, "cm"),
+        judge(
+            "fig-6.17/waypoints-are-reached-without-overshoot",
             "nonlinear model, ideal sensors",
             f"{', '.join(f'{v:.1f}' for v in over)} cm",
-            max(over) < 3.0,
-            "below 3 cm",
+            over=max(over),
         ),
-        Verdict(
-            Claim("Sec. 6.2.2", "first heading and height are adapted, then a straight line is flown"),
+        judge(
+            "fig-6.17/first-heading-and-height-are-adapted",
             "nonlinear model, ideal sensors",
             f"{max(apart):.0f} % of the climb or less is left when it has gone 10 cm",
-            max(apart) < 10,
-            "below 10 %",
+            apart=max(apart),
         ),
     ]
     drawn = new_figure(8.0, 6.4)
@@ -360,25 +343,17 @@ def study_beam_directions(progress: ProgressCallback | None = None) -> StudyFind
     printed = (np.arange(8) * 45 + 202.5) % 360
     off = float(np.abs((np.array(force) - printed + 180) % 360 - 180).max())
     verdicts = [
-        Verdict(
-            Claim(
-                "Fig. 6.18",
-                "eight diodes, the first to the right of x, numbered clockwise from above",
-                8,
-                "1",
-                "axis",
-            ),
+        judge(
+            "fig-6.18/eight-diodes-the-first-to-the",
             "mufly-2.0",
             f"beams at {', '.join(f'{a:g}' for a in angles)} degrees from x towards y",
-            bool(np.allclose(angles, want)),
-            "22.5 degrees and every 45 on",
+            holds=np.allclose(angles, want),
         ),
-        Verdict(
-            Claim("Eq. 6.15", "force i points along i pi/4 + 9 pi/8"),
+        judge(
+            "fig-6.18/force-i-points-along-i-pi-4",
             "mission/avoidance.py",
             f"ours is off by {off:.1e} degrees at most",
-            off < 1e-6,
-            "equal; it is the direction away from what beam i sees (docs/thesis/thesis-errata.md, point 19)",
+            off=off,
         ),
     ]
     drawn = new_figure(5.0, 5.2)
@@ -428,21 +403,19 @@ def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFin
     away = (field[acting, 0] * field[acting, 2] + field[acting, 1] * field[acting, 3]) > 0
     seen_by_none = int(np.sum(~acting & (np.maximum(np.abs(field[:, 0]), np.abs(field[:, 1])) < 0.8)))
     verdicts = [
-        Verdict(
-            Claim("Eqs 6.14 to 6.17", "forces from eight ranges"),
+        judge(
+            "fig-6.19/forces-from-eight-ranges",
             "mission/avoidance.py",
             f"off the equations by {worst:.0e} at 200 random sets of ranges",
-            worst < 1e-12,
-            "below 1e-12",
+            worst=worst,
         ),
-        Verdict(
-            Claim("Sec. 6.2.3", "obstacles repel"),
+        judge(
+            "fig-6.19/obstacles-repel",
             "mission/avoidance.py",
             f"the force points away from the box at {100 * away.mean():.0f} % of "
             f"{int(acting.sum())} places where it acts"
             + (f"; at {seen_by_none} places near it no beam hits it" if seen_by_none else ""),
-            bool(away.all()),
-            "all",
+            holds=away.all(),
         ),
     ]
     drawn = new_figure(6.0, 5.6)
@@ -484,26 +457,25 @@ def study_square_track(progress: ProgressCallback | None = None) -> StudyFinding
     places = [tuple(w.position_m) for w in mission.waypoint]
     printed = [(-3, 0, -1), (-3, 3, -2), (0, 3, -1), (0, 0, -2)]
     verdicts = [
-        Verdict(
-            Claim("Sec. 6.2.4", "four waypoints, 2.5 s of waiting at each", 4),
+        judge(
+            "fig-6.20/four-waypoints-2.5-s-of-waiting",
             "demonstration",
             f"{places}",
-            bool(np.allclose(places, printed)) and all(w.wait_s == 2.5 for w in mission.waypoint),
-            "the same",
+            holds=(bool(np.allclose(places, printed))) and (all(w.wait_s == 2.5 for w in mission.waypoint)),
         ),
-        Verdict(
-            Claim("Sec. 6.2.4", "it reaches all of them without problems"),
+        judge(
+            "fig-6.20/it-reaches-all-of-them-without",
             "nonlinear model, ideal sensors",
             f"{found.waypoints_reached} of {found.waypoints_asked}, off by {worst:.1f} cm at most when the wait begins",
-            found.waypoints_reached == 4 and worst < 5.0,
-            "all, within 5 cm",
+            waypoints_reached=found.waypoints_reached,
+            worst=worst,
         ),
-        Verdict(
-            Claim("Sec. 6.2.4", "and lands"),
+        judge(
+            "fig-6.20/and-lands",
             "nonlinear model, ideal sensors",
             f"{found.outcome}; touches down at {found.touchdown_speed_m_s or math.nan:.2f} m/s",
-            found.outcome == "succeeded" and (found.touchdown_speed_m_s or 9) < 0.3,
-            "succeeds, below 0.3 m/s",
+            value=found.touchdown_speed_m_s or 9,
+            holds=found.outcome == "succeeded",
         ),
     ]
     drawn = new_figure(6.6, 5.6)

@@ -29,7 +29,7 @@ from mufly.study import (
     thesis_airfoils,
 )
 from mufly.study.sweeps import ProgressCallback
-from mufly.thesis.claims import CLAIMS, TABLE_3_3_VALUES, Claim, Verdict
+from mufly.thesis.claims import CLAIMS, TABLE_3_3_VALUES, Verdict, judge
 from mufly.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
@@ -116,20 +116,16 @@ def _judge_blade_count(model: str, pitch: Array, v: Array) -> list[Verdict]:
     more = 100 * float(np.mean(np.maximum(v[1], v[2])[high] / v[0][high]) - 1)
     worst = bool(np.all(v[3] <= v[:3].min(axis=0) + 1e-12))
     return [
-        Verdict(
-            CLAIMS["blades-two"], model,
+        judge(
+            "blades-two",
+            model,
             f"two blades lead up to {until:g} deg" if ahead[0] else "two blades lead at no low pitch",
-            abs(until - 16.0) <= 2.0 and bool(ahead[0]), "within 2 degrees",
+            until=until,
+            holds=ahead[0],
         ),
-        Verdict(
-            CLAIMS["blades-more"], model, f"the better of three and four is {more:+.1f} % there",
-            0.0 < more < 10.0, "better by less than 10 %",
-        ),
-        Verdict(
-            CLAIMS["blades-five"], model, f"bests {_format_numbers(_best_over_pitch(v))} N/W for 2 to 5 blades", worst,
-            "lowest at every pitch",
-        ),
-    ]  # fmt: skip
+        judge("blades-more", model, f"the better of three and four is {more:+.1f} % there", more=more),
+        judge("blades-five", model, f"bests {_format_numbers(_best_over_pitch(v))} N/W for 2 to 5 blades", holds=worst),
+    ]
 
 
 def _judge_radius(model: str, pitch: Array, v: Array) -> list[Verdict]:
@@ -138,53 +134,53 @@ def _judge_radius(model: str, pitch: Array, v: Array) -> list[Verdict]:
     # At constant figure of merit the ideal power falls with 1/R: 60 % more thrust per power from 50 to 80 mm.
     ours = f"bests {_format_numbers(best)} N/W for R 50 to 80 mm"
     return [
-        Verdict(CLAIMS["radius"], model, ours, bool(np.all(np.diff(best) > 0)), "rises at every step"),
-        Verdict(
-            CLAIMS["radius-size"], model, f"{total:+.0f} % ({steps} % a step of 10 mm; momentum theory alone: +60 %)",
-            abs(total - CLAIMS["radius-size"].value) < 5.0, "within 5 % points",
+        judge("radius", model, ours, best=np.diff(best)),
+        judge(
+            "radius-size",
+            model,
+            f"{total:+.0f} % ({steps} % a step of 10 mm; momentum theory alone: +60 %)",
+            total=abs(total - CLAIMS["radius-size"].value),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _judge_chord(model: str, pitch: Array, v: Array) -> list[Verdict]:
     best, at = _best_over_pitch(v), _pitch_at_best(pitch, v)
     spread = 100 * float(best[2:].max() / best[2:].min() - 1)
     return [
-        Verdict(
-            CLAIMS["chord-best"], model, f"bests {_format_numbers(best)} N/W for 10 to 30 mm", int(best.argmax()) == 4,
-            "greatest at 30 mm",
+        judge(
+            "chord-best", model, f"bests {_format_numbers(best)} N/W for 10 to 30 mm", best_argmax=int(best.argmax())
         ),
-        Verdict(CLAIMS["chord-flat"], model, f"{spread:.1f} % between 20, 25 and 30 mm", spread < 3.0, "below 3 %"),
-        Verdict(
-            CLAIMS["chord-pitch"], model, f"best pitch {_format_numbers(at, '{:g}')} deg",
-            bool(np.all(np.diff(at) >= 0) and at[-1] > at[0]), "never falls, and rises",
+        judge("chord-flat", model, f"{spread:.1f} % between 20, 25 and 30 mm", spread=spread),
+        judge(
+            "chord-pitch", model, f"best pitch {_format_numbers(at, '{:g}')} deg", at=np.diff(at), holds=at[-1] > at[0]
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _judge_thickness(model: str, pitch: Array, v: Array) -> list[Verdict]:
     gain = _gain_percent(v, 0, 3)
     ours = f"bests {_format_numbers(_best_over_pitch(v))} N/W for 6 to 15 %, thinnest over thickest {gain:+.1f} %"
-    return [Verdict(CLAIMS["thickness"], model, ours, gain > 10.0, "above 10 %")]
+    return [judge("thickness", model, ours, gain=gain)]
 
 
 def _judge_camber(model: str, pitch: Array, v: Array) -> list[Verdict]:
     best = _best_over_pitch(v)
     ours = f"bests {_format_numbers(best)} N/W for 0, 2, 4 and 9 %"
-    return [Verdict(CLAIMS["camber"], model, ours, int(best.argmax()) == 2, "greatest at 4 %")]
+    return [judge("camber", model, ours, best_argmax=int(best.argmax()))]
 
 
 def _judge_camber_position(model: str, pitch: Array, v: Array) -> list[Verdict]:
     best = _best_over_pitch(v)
     spread = 100 * float(best.max() / best.min() - 1)
     ours = f"bests {_format_numbers(best)} N/W for 20, 40, 70 and 90 %, spread {spread:.1f} %"
-    return [Verdict(CLAIMS["camber-position"], model, ours, spread < 3.0, "bests within 3 %")]
+    return [judge("camber-position", model, ours, spread=spread)]
 
 
 def _judge_taper(model: str, pitch: Array, v: Array) -> list[Verdict]:
     gain = _gain_percent(v, 3, 0)
     ours = f"bests {_format_numbers(_best_over_pitch(v))} N/W from straight to 35-05, {gain:+.1f} %"
-    return [Verdict(CLAIMS["taper"], model, ours, gain > 10.0, "above 10 %")]
+    return [judge("taper", model, ours, gain=gain)]
 
 
 def _judge_twist(model: str, pitch: Array, v: Array) -> list[Verdict]:
@@ -192,14 +188,8 @@ def _judge_twist(model: str, pitch: Array, v: Array) -> list[Verdict]:
     ours = f"bests {_format_numbers(best)} N/W for 0 to 15 deg, {_gain_percent(v, 3, 0):+.1f} %"
     falls = bool(np.all(np.diff(at) <= 0) and at[-1] < at[0])
     return [
-        Verdict(CLAIMS["twist"], model, ours, int(best.argmax()) == 3, "greatest at 15 degrees"),
-        Verdict(
-            CLAIMS["twist-pitch"],
-            model,
-            f"best pitch {_format_numbers(at, '{:g}')} deg (at the tip)",
-            falls,
-            "never rises, and falls",
-        ),
+        judge("twist", model, ours, best_argmax=int(best.argmax())),
+        judge("twist-pitch", model, f"best pitch {_format_numbers(at, '{:g}')} deg (at the tip)", holds=falls),
     ]
 
 
@@ -284,26 +274,15 @@ def compute_gear_ratio_study() -> tuple[xr.Dataset, list[Verdict]]:
         best = [find_gear_optima(drive, load, thrust_N=REQUIRED_THRUST_N, supply_V=volt) for load in loads]
         at_two = [float(curve.thrust_N.sel(gear_ratio=2.0)) for curve in curves]
         sheets.append(xr.concat(curves, xr.Variable("rotor", list(ROTOR_NAMES)), combine_attrs="drop_conflicts"))
-        for claim, field, tolerance, note in (
-            ("gear-power", "mechanical_power", 0.15, ""),
-            ("gear-efficiency", "efficiency", 0.3, ""),
-            ("gear-thrust-per-power", "thrust_per_power", 0.4, ""),
-            (
-                "gear-thrust",
-                "for_thrust",
-                0.15,
-                f"; at a ratio of 2 they give {at_two[0]:.2f} and {at_two[1]:.2f} N",
-            ),
+        for key, field, note in (
+            ("gear-power", "mechanical_power", ""),
+            ("gear-efficiency", "efficiency", ""),
+            ("gear-thrust-per-power", "thrust_per_power", ""),
+            ("gear-thrust", "for_thrust", f"; at a ratio of 2 they give {at_two[0]:.2f} and {at_two[1]:.2f} N"),
         ):
-            ours, value = [float(getattr(b, field)) for b in best], CLAIMS[claim].value
-            verdicts.append(
-                Verdict(
-                    CLAIMS[claim], f"constant coefficients, {volt:g} V",
-                    f"{ours[0]:.2f} with the upper rotor, {ours[1]:.2f} with the lower{note}",
-                    min(ours) - tolerance <= value <= max(ours) + tolerance,
-                    f"between ours, or within {tolerance:g} of them",
-                )
-            )  # fmt: skip
+            ours = [float(getattr(b, field)) for b in best]
+            text = f"{ours[0]:.2f} with the upper rotor, {ours[1]:.2f} with the lower{note}"
+            verdicts.append(judge(key, f"constant coefficients, {volt:g} V", text, ratios=ours))
     data = xr.concat(
         sheets,
         xr.Variable("voltage", list(SUPPLY_VOLTAGES_V), {"units": "V"}),
@@ -327,19 +306,13 @@ def compute_coefficients_over_speed(model: str) -> tuple[xr.Dataset, list[Verdic
         return f"{', '.join(f'{c:+.1f}' for c in change)} % from 3 000 to 7 000 rpm at 12, 14, 16, 18 deg"
 
     return data, [
-        Verdict(
-            CLAIMS["coefficients-torque"],
-            model,
-            format_changes(change_q),
-            bool(np.all(np.abs(change_q) < 10)),
-            "less than 10 %",
-        ),
-        Verdict(
-            CLAIMS["coefficients-thrust"],
+        judge("coefficients-torque", model, format_changes(change_q), change_q=np.abs(change_q)),
+        judge(
+            "coefficients-thrust",
             model,
             format_changes(change_t),
-            bool(np.all(change_t > 0) and np.all(np.abs(change_t) > np.abs(change_q))),
-            "grows, and more than c_Q changes",
+            change_t=change_t,
+            holds=np.all(np.abs(change_t) > np.abs(change_q)),
         ),
     ]
 
@@ -383,26 +356,18 @@ def compute_airfoil_ranking(model: str, progress: ProgressCallback | None = None
     top, bottom = names[:4], names[4:]
     worst_power, best_power = ranking_row("NACA6415")[2], ranking_row(names[0])[2]
     return ranking, [
-        Verdict(
-            CLAIMS["airfoils-top"],
-            model,
-            describe_rankings(top),
-            all(ranking_row(k)[0] <= n // 10 for k in top),
-            "all four in the best tenth",
-        ),
-        Verdict(
-            CLAIMS["airfoils-bottom"],
+        judge("airfoils-top", model, describe_rankings(top), holds=all(ranking_row(k)[0] <= n // 10 for k in top)),
+        judge(
+            "airfoils-bottom",
             model,
             describe_rankings(bottom),
-            all(ranking_row(k)[0] > n - n // 10 for k in bottom),
-            "all four in the worst tenth",
+            holds=all(ranking_row(k)[0] > n - n // 10 for k in bottom),
         ),
-        Verdict(
-            CLAIMS["airfoils-spread"],
+        judge(
+            "airfoils-spread",
             model,
             f"{best_power:.2f} W and {worst_power:.2f} W: {worst_power - best_power:.2f} W more",
-            abs(worst_power - best_power - CLAIMS["airfoils-spread"].value) < 1.0,
-            "within 1 W",
+            worst_power=abs(worst_power - best_power - CLAIMS["airfoils-spread"].value),
         ),
     ]
 
@@ -425,8 +390,6 @@ OUR_CFD_BLADE_FORMS: dict[str, dict[str, tuple[float, float]]] = {
 
 docs/log/2026-11-28-cfd-tips.md has the cases.
 """
-_MESH_UNCERTAINTY_PERCENT = 5.0
-"""Per cent of T^1.5/P: what a difference from the square blade may still move by with the mesh (the same note)."""
 
 
 def blade_form_gain(name: str) -> float:
@@ -436,22 +399,21 @@ def blade_form_gain(name: str) -> float:
     return 100.0 * ((t / t0) ** 1.5 * q0 / q - 1.0)
 
 
-def judge_blade_forms(names: tuple[str, ...], text: str, place: str) -> Verdict:
+def judge_blade_forms(names: tuple[str, ...], key: str) -> Verdict:
     """Whether no form is better than the square blade by more than the mesh can tell.
 
     Parameters
     ----------
     names : tuple of str
         Of :data:`OUR_CFD_BLADE_FORMS`.
-    text, place : str
-        What the source says, and where.
+    key : str
+        Of the verdict; its limit is what a difference from the square blade may still move by with the mesh.
     """
     gains = [blade_form_gain(name) for name in names]
-    return Verdict(
-        Claim(place, text),
+    return judge(
+        key,
         "CFD, laminar (docs/explanation/cfd.md)",
         ", ".join(f"{name} {g:+.1f} %" for name, g in zip(names, gains, strict=True))
         + " of T^1.5/P at 16 degrees and 5 000 rpm",
-        max(gains) <= _MESH_UNCERTAINTY_PERCENT,
-        f"no better by more than {_MESH_UNCERTAINTY_PERCENT:g} %, which is what the mesh can tell",
+        gain=gains,
     )

@@ -312,9 +312,7 @@ def _run_pair_study(name: str, progress: ProgressCallback | None) -> StudyFindin
 def _run_equal_speeds_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
     found = _run_pair_study(name, progress)
     data = coaxial_studies.tabulate_cfd_equal_speeds()
-    judged = coaxial_studies.judge_equal_speeds("CFD, laminar, coarse (docs/explanation/cfd.md)", data)
-    why = "by CFD the lower rotor changes the upper one by 1 % at most; the source computed by a vortex method"
-    ours = [replace(v, claim=replace(v.claim, reason=why)) for v in judged]
+    ours = coaxial_studies.judge_equal_speeds("CFD, laminar, coarse (docs/explanation/cfd.md)", data)
     return replace(found, verdicts=[*found.verdicts, *ours])
 
 
@@ -394,7 +392,11 @@ _DIGEST_LIBRARIES = ("numpy", "scipy", "neuralfoil")
 @cache
 def _file_digest(file: Path) -> str:
     root = Path(__file__).resolve().parents[1]
-    vehicles = sorted(root.glob("*/builtin/*.toml")) + sorted(root.glob("vehicle/maps/*.toml"))
+    vehicles = (
+        sorted(root.glob("thesis/*.toml"))
+        + sorted(root.glob("*/builtin/*.toml"))
+        + sorted(root.glob("vehicle/maps/*.toml"))
+    )
     libraries = [f"{name} {version(name)}" for name in _DIGEST_LIBRARIES]
     return hash_question(libraries, *(path.read_bytes() for path in (*imported_sources(file), *vehicles)))[:16]
 

@@ -35,15 +35,7 @@ from mufly.rotor.wake.biot_savart import segment_velocity
 from mufly.rotor.wake.induced_flow import momentum_thrust
 from mufly.study import BEMT_MODELS
 from mufly.thesis.blade_element_studies import load_bench_points
-from mufly.thesis.claims import (
-    TABLE_3_2_VALUES,
-    Claim,
-    ProgressCallback,
-    Study,
-    StudyFindings,
-    Verdict,
-    new_figure,
-)
+from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, new_figure
 from mufly.thesis.coaxial_studies import solve_equal_pair
 from mufly.units import RPM
 
@@ -92,16 +84,13 @@ def study_wake_pair(progress: ProgressCallback | None = None) -> StudyFindings:
     inside = float(r[k])
     share = found.lower.thrust_N / found.upper.thrust_N
     verdicts = [
-        Verdict(
-            Claim(
-                "Sec. 3.1.3",
-                "the lower rotor works in the downwash of the upper, whose wake is inside its disc",
-            ),
+        judge(
+            "fig-3.6/the-lower-rotor-works-in-the",
             "wake",
             f"the upper rotor's tip vortex passes the lower disc at {inside:.2f} R; the lower rotor then has "
             f"{100 * share:.0f} % of the upper one's thrust",
-            bool(inside < 0.95 and share < 1),
-            "inside 0.95 R, less thrust",
+            inside=inside,
+            share=share,
         )
     ]
     drawn = field_picture(found, mean=False, points=60)
@@ -147,14 +136,13 @@ def study_straight_vortex(progress: ProgressCallback | None = None) -> StudyFind
     off_ours = float((np.linalg.norm(np.array(ours) - integral, axis=1) / size).max())
     off_closed = float((np.linalg.norm(np.array(closed) - integral, axis=1) / size).max())
     verdicts = [
-        Verdict(
-            Claim("Eq. 3.16", "the velocity of a straight vortex in closed form"),
+        judge(
+            "fig-3.17/the-velocity-of-a-straight-vortex",
             "wake",
             f"ours is off the integral of eq. 3.15 by {_format_error(off_ours)}, eq. 3.16 as printed by "
             f"{_format_error(off_closed)}, "
             f"at {len(points)} points",
-            max(off_ours, off_closed) < 1e-6,
-            "both below 1e-6",
+            off_ours=max(off_ours, off_closed),
         ),
     ]
     drawn = new_figure(6.0, 4.0)
@@ -185,20 +173,19 @@ def study_wake_shapes(progress: ProgressCallback | None = None) -> StudyFindings
     thrust = 100 * (fixed.thrust_N / free.thrust_N - 1)
     torque = 100 * (fixed.rotors[0].torque_Nm / free.rotors[0].torque_Nm - 1)
     verdicts = [
-        Verdict(
-            Claim("Sec. 3.3.2", "the wake is a contracting helix, by Landgrebe's shape or with free vortices"),
+        judge(
+            "fig-3.18/the-wake-is-a-contracting-helix",
             "wake",
             f"one radius below the disc the tip vortex is at {at['prescribed']:.2f} R (prescribed) and "
             f"{at['free']:.2f} R (free)",
-            all(0.7 < v < 0.95 for v in at.values()),
-            "between 0.7 and 0.95 R",
+            holds=all(0.7 < v < 0.95 for v in at.values()),
         ),
-        Verdict(
-            Claim("Sec. 3.3.2", "both ways of giving the wake its shape serve"),
+        judge(
+            "fig-3.18/both-ways-of-giving-the-wake",
             "wake",
             f"prescribed over free: thrust {thrust:+.1f} %, torque {torque:+.1f} %",
-            abs(thrust) < 10 and abs(torque) < 10,
-            "within 10 %",
+            thrust=abs(thrust),
+            torque=abs(torque),
         ),
     ]
     drawn = wake_picture(pair)
@@ -221,21 +208,14 @@ def study_wake_velocities(progress: ProgressCallback | None = None) -> StudyFind
     ideal = math.sqrt(found.thrust_N / (2 * 1.2 * math.pi * R**2))
     momentum = momentum_thrust(found, -1.0 * R)
     verdicts = [
-        Verdict(
-            Claim("Sec. 3.3.2", "there is downwash in the core of the wake"),
+        judge(
+            "fig-3.19/there-is-downwash-in-the-core",
             "wake",
             f"mean {down:.1f} m/s within 0.7 R one radius below the disc; momentum theory has {-ideal:.1f} m/s in the "
             f"disc and {-2 * ideal:.1f} far below",
-            bool(down < -ideal),
-            "downwards, faster than in the ideal disc",
+            holds=down < -ideal,
         ),
-        Verdict(
-            Claim("Sec. 3.3.2", "the air around moves up more than in reality, as vortices never fade"),
-            "wake",
-            f"up to {up:+.2f} m/s beyond 1.2 R",
-            up > 0.0,
-            "upwards somewhere",
-        ),
+        judge("fig-3.19/the-air-around-moves-up-more", "wake", f"up to {up:+.2f} m/s beyond 1.2 R", up=up),
     ]
     drawn = field_picture(found, mean=False, points=60)
     drawn.suptitle("Fig. 3.19: one rotor, 12 deg, 7 000 rpm", fontsize="medium")
@@ -284,42 +264,23 @@ def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
         f"{k[0]} deg: thrust {100 * t:+.1f} %, lower torque {100 * q:+.1f} %" for k, (t, q) in ratio.items()
     )
     verdicts = [
-        Verdict(
-            Claim("Sec. 3.3.2", "the vortex method gives the pair's thrust reasonably, its lower torque worse"),
+        judge(
+            "fig-3.20/the-vortex-method-gives-the-pair-s",
             "wake",
             f"beside coaxial blade elements at 6 000 rpm: {numbers}",
-            bool(ratio) and all(abs(t) < 0.10 for t, _ in ratio.values()),
-            "two methods of ours within 10 % in thrust",
+            holds=(bool(ratio)) and (all(abs(t) < 0.10 for t, _ in ratio.values())),
         ),
-        Verdict(
-            Claim(
-                "Fig. 3.20",
-                "the greatest thrust of the pair lies between 1.6 and 1.8 N at 8 000 rpm",
-                1.7,
-                "N",
-                basis="axis",
-                reason="the blades of the figure are not stated; they are larger than Table 3.2's, whose "
-                "18 degrees at 8 000 rpm cannot give it",
-            ),
+        judge(
+            "fig-3.20/the-greatest-thrust-of-the-pair",
             "full",
             f"{thrust[3, 4]:.2f} N at 18 degrees",
-            bool(1.6 * 0.97 <= thrust[3, 4] <= 1.8 * 1.03),
-            "between, or within 3 %",
+            thrust=thrust[3, 4],
         ),
-        Verdict(
-            Claim(
-                "Fig. 3.20",
-                "the greatest torque of the lower rotor lies between 30 and 35 mN m",
-                32.5,
-                "mN m",
-                basis="axis",
-                reason="the axis reads to 0.035 under the label mN m; the sensor ends at 20 mN m, so neither "
-                "unit can be right (docs/thesis/thesis-errata.md, point 27)",
-            ),
+        judge(
+            "fig-3.20/the-greatest-torque-of-the-lower",
             "full",
             f"{1e3 * torque[3, 4]:.1f} mN m",
-            bool(29 <= 1e3 * torque[3, 4] <= 36),
-            "between, or within 3 %",
+            torque=1e3 * torque[3, 4],
         ),
     ]
     drawn = new_figure(10.0, 4.2)
@@ -379,14 +340,6 @@ def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
     ours["CFD, laminar"] = np.array([OUR_CFD_LOADS.get(p, (math.nan, math.nan)) for p in points])
     truth = np.column_stack([measured.thrust_N, measured.torque_Nm])
     theirs = {m: np.array([TABLE_3_2_VALUES[p][m] for p in points]) for m in ("laminar", "k-epsilon", "k-omega", "BSL")}
-    reasons = {
-        "CFD, laminar": "a coarse mesh and no turbulence; the source's own laminar CFD takes the torque at 16 "
-        "degrees 30 to 34 % too large",
-        "blade elements, thesis": "a blade of aspect ratio 2.5 is no lifting line "
-        "(docs/thesis/thesis-errata.md, point 11); "
-        "the source tuned its theory to this rotor",
-        "wake": "so are all of the source's own CFD below its bench in thrust (docs/thesis/thesis-errata.md, point 25)",
-    }
 
     def format_errors(e: Array) -> str:
         return ", ".join("not run" if not math.isfinite(x) else f"{100 * x:+.1f}" for x in e)
@@ -395,54 +348,30 @@ def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
     for name, values in ours.items():
         error = values / truth - 1
         known = error[np.isfinite(error[:, 0])]
-        good = bool(np.abs(known[:, 0]).max() < 0.10 and np.abs(known[:, 1]).max() < 0.15)
-        verdicts.append(
-            Verdict(
-                Claim(
-                    "Table 3.2",
-                    "all methods go well with the bench",
-                    basis="table",
-                    reason=reasons.get(name, ""),
-                ),
-                name,
-                f"thrust {format_errors(error[:, 0])} %, torque {format_errors(error[:, 1])} % of the bench",
-                good,
-                "thrust within 10 %, torque within 15 % at every point computed",
-            )
-        )
+        thrust, torque = np.abs(known).max(axis=0)
+        text = f"thrust {format_errors(error[:, 0])} %, torque {format_errors(error[:, 1])} % of the bench"
+        verdicts.append(judge(f"table-3.2/{name}", name, text, thrust=thrust, torque=torque))
     laminar = ours["CFD, laminar"] / theirs["laminar"] - 1
     known = laminar[np.isfinite(laminar[:, 0])]
     verdicts.append(
-        Verdict(
-            Claim(
-                "Table 3.2",
-                "laminar CFD",
-                basis="table",
-                reason="finer meshes go further from it and nearer to the bench; a hub, the domain and a "
-                "frozen rotor's interface change less than 1 % (docs/explanation/cfd.md)",
-            ),
+        judge(
+            "table-3.2/laminar-cfd",
             "CFD, laminar",
             f"thrust {format_errors(laminar[:, 0])} %, torque {format_errors(laminar[:, 1])} % of the source's "
             f"laminar CFD",
-            bool(np.abs(known[:, 0]).max() < 0.04),
-            "thrust within 4 %",
+            known_max=np.abs(known[:, 0]).max(),
         )
     )
     below = all((v[:, 0] < truth[:, 0]).all() for m, v in theirs.items())
     verdicts.append(
-        Verdict(
-            Claim(
-                "Sec. 3.3.3",
-                "CFD takes thrust too small and torque too large",
-                basis="table",
-                reason="torque is; thrust comes out at the bench's own at 16 degrees",
-            ),
+        judge(
+            "table-3.2/cfd-takes-thrust-too-small-and",
             "CFD, laminar",
             f"{format_errors(ours['CFD, laminar'][:, 0] / truth[:, 0] - 1)} % and "
             f"{format_errors(ours['CFD, laminar'][:, 1] / truth[:, 1] - 1)} %; of the source's own, thrust "
             f"{'always' if below else 'not always'} below",
-            bool(np.all(ours["CFD, laminar"][:, 0] < truth[:, 0]) and np.all(ours["CFD, laminar"][:, 1] > truth[:, 1])),
-            "the same signs",
+            holds=(np.all(ours["CFD, laminar"][:, 0] < truth[:, 0]))
+            and (np.all(ours["CFD, laminar"][:, 1] > truth[:, 1])),
         )
     )
     drawn = new_figure(11.0, 4.6)
