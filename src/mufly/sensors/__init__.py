@@ -1,4 +1,4 @@
-"""What does it feel? Readings made from the true state and the world."""
+"""Sensor models: readings computed from the true state and the world."""
 
 from mufly.sensors.faults import FAULT_KINDS, FAULT_TARGETS, Fault, parse_fault
 from mufly.sensors.imu import Imu

@@ -1,13 +1,13 @@
-"""What the electronics read of motors and battery: rotor speed by back-EMF, voltage and current.
+"""Electrical sensors: rotor speed from back-EMF, and voltage and current of the battery.
 
-In the phase that is not driven a brushless motor shows its back-EMF, e = kE i_gear Omega. Read with noise and turned
-into a speed by the constant that the vehicle file holds, which is off by a share:
+The undriven phase of a brushless motor shows its back-EMF, e = kE i_gear Omega. The motor controller samples it with
+noise and divides by the constant of the vehicle file, which has a relative error eps:
 
     speed = Omega (1 + eps) + n / (kE i_gear)
 
-The battery monitor reads the terminal voltage in steps, and a current whose scale is off.
+The battery monitor quantises the terminal voltage and measures the current with a scale error.
 
-The dissertation wishes for such a speed control in Sec. 6.1.9.
+The dissertation proposes such a speed control in Sec. 6.1.9.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mufly.vehicle.sensor_schema import BatteryMonitorParameters, RotorSpeedSens
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-# Of the numbers of each: scales of both speeds, noise (rad/s); of voltage and current (V, A)
+# Indices of the parameters: scales of both speeds, noise (rad/s); of voltage and current (V, A)
 _SPEED_SCALE, _SPEED_NOISE = 0, 2
 _VOLTAGE_NOISE, _VOLTAGE_STEP, _CURRENT_SCALE, _CURRENT_NOISE = range(4)
 
@@ -54,7 +54,7 @@ def _sample_rotor_speeds(
 
 
 class BackEmfSensor(PeriodicSensor):
-    """Reads ``rotor_speed`` (2,), upper and lower (rad/s)."""
+    """Sensor of ``rotor_speed`` (2,), upper and lower (rad/s)."""
 
     published_readings = {"rotor_speed": slice(0, 2)}  # noqa: RUF012
     sample_function = _sample_rotor_speeds
@@ -94,7 +94,7 @@ def _sample_battery(
 
 
 class BatterySensor(PeriodicSensor):
-    """Reads ``battery_voltage`` (V) and ``battery_current`` (A)."""
+    """Sensor of ``battery_voltage`` (V) and ``battery_current`` (A)."""
 
     published_readings = {"battery_voltage": 0, "battery_current": 1}  # noqa: RUF012
     sample_function = _sample_battery

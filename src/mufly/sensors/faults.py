@@ -1,11 +1,11 @@
-"""What goes wrong with sensors: a catalogue, each with when, how much and for how long.
+"""Catalogue of sensor faults, each with a start, an amount and a duration.
 
     accelerometer.clip@20s            from 20 s on
     sonar.jump=0.3@15s+2s             0.3 m, from 15 s, for 2 s
     position.dropout@10s+5s
 
-A fault changes what a sensor says, not what it measures; but an accelerometer clips at its element, before the
-filter. Readings keep the clock of the healthy ones, except where time is what is wrong."""
+A fault changes the published reading, not the measurement. The exception is an accelerometer, which clips at its
+element, before the filter. Readings keep the time stamps of a healthy sensor, except for faults of timing."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ FAULT_KINDS: Mapping[str, str] = {
     "doubled": "every reading comes twice, the second time as if it were new",
     "insane": "says what is no number, or is beyond all bounds",
 }
-"""What can be wrong, and what that means."""
+"""Kinds of fault and their descriptions."""
 
 
 @dataclass(frozen=True)
 class FaultTarget:
-    """What a fault is about: sensor of the suite, name of its reading, and how much is wrong by default."""
+    """Target of a fault: sensor of the suite, name of its reading, and the default amount of each kind."""
 
     sensor: str
     reading: str
@@ -48,7 +48,7 @@ class FaultTarget:
 
     @property
     def reading_unit(self) -> str:
-        """Of the amounts, but for seconds of ``late``."""
+        """Unit of the amounts, except those of ``late`` (s)."""
         return READINGS[self.reading].unit
 
 
@@ -64,10 +64,10 @@ FAULT_TARGETS: Mapping[str, FaultTarget] = {
     for row in rows
     if row.fault
 }
-"""What can be wrong about what."""
+"""Targets of faults by name."""
 
 _MAX_START_S = 86400.0  # no battery lasts a day
-_MAX_AMOUNT_FACTOR = 1000.0  # over the usual amount of a kind, or of a jump
+_MAX_AMOUNT_FACTOR = 1000.0  # relative to the default amount of a kind, or of a jump
 
 _FAULT_SYNTAX = "NAME.KIND=AMOUNT@STARTs+DURATIONs, as sonar.jump=0.3@15s+2s"
 
@@ -79,11 +79,11 @@ class Fault:
     Attributes
     ----------
     name, kind : str
-        Of :data:`FAULT_TARGETS` and :data:`FAULT_KINDS`.
-    start_s, stop_s : float
-        From when to when (s).
-    amount : float
-        In the reading's unit; seconds for ``late``.
+            Keys of :data:`FAULT_TARGETS` and :data:`FAULT_KINDS`.
+        start_s, stop_s : float
+            Start and end of the fault (s).
+        amount : float
+            Size of the fault in the reading's unit; seconds for ``late``.
     """
 
     name: str
@@ -113,7 +113,7 @@ class Fault:
 
     @property
     def sensor_name(self) -> str:
-        """Of the suite."""
+        """Name of the sensor in the suite."""
         return FAULT_TARGETS[self.name].sensor
 
     def __str__(self) -> str:
@@ -122,12 +122,14 @@ class Fault:
 
 
 def parse_fault(text: str) -> Fault:
-    """Return the fault of ``"sonar.jump=0.3@15s+2s"``; amount, start and duration may be left out.
+    """Return the fault that a text such as ``"sonar.jump=0.3@15s+2s"`` describes.
+
+    Amount, start and duration may be left out.
 
     Raises
     ------
     InputError
-        If it is none.
+        If the text describes no fault.
     """
     what, _, when = text.partition("@")
     named, _, amount = what.partition("=")
@@ -147,7 +149,7 @@ def parse_fault(text: str) -> Fault:
 
 
 class FaultySensor(Sensor):
-    """A sensor with ``faults``, which may come and go; what they are about they change, the rest passes."""
+    """A sensor with ``faults``, which may change in flight; readings without a fault pass unchanged."""
 
     def __init__(self, sensor: Sensor, faults: Sequence[Fault], rng: np.random.Generator) -> None:
         self.sensor, self.faults, self._rng = sensor, tuple(faults), rng
@@ -162,8 +164,8 @@ class FaultySensor(Sensor):
         self._clear_history()
 
     def _clear_history(self) -> None:
-        self._last_output: Mapping[str, Reading] = {}  # as it last left
-        self._last_input: dict[str, Reading] = {}  # as it last came from the sensor
+        self._last_output: Mapping[str, Reading] = {}  # as last published
+        self._last_input: dict[str, Reading] = {}  # as last received from the sensor
         self._delayed_readings: list[tuple[float, str, Reading]] = []
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
@@ -184,20 +186,20 @@ class FaultySensor(Sensor):
         return said
 
     def accept_external_readings(self, said: Mapping[str, Reading]) -> None:
-        """Take notice of what the sensor said last while nothing was wrong and others asked it."""
+        """Store the last published readings of a healthy period in which compiled code sampled the sensor."""
         self._last_output = said
 
     def _apply_fault(self, f: Fault, name: str, said: dict[str, Reading], truth: Truth) -> None:
-        """Change what is said under a name."""
+        """Apply a fault to the reading of a name."""
         t, r = truth.time_s, said[name]
         new = self._last_input.get(name) is not r
         self._last_input[name] = r
         last = self._last_output.get(name)
         if not new and last is not None and f.kind not in ("late", "doubled", "freeze"):
-            said[name] = last  # nothing came: what was said stays
+            said[name] = last  # no new reading: the last published one stays
             return
         value = np.asarray(r.value, dtype=np.float64)
-        own = slice(READINGS[name].unit_components)  # angles are not in its unit
+        own = slice(READINGS[name].unit_components)  # the fault's unit does not hold for angles
         if f.kind == "freeze":
             said[name] = r if last is None else Reading(last.value, r.time_s, last.valid)
         elif f.kind == "dropout":
@@ -219,7 +221,7 @@ class FaultySensor(Sensor):
         elif f.kind == "doubled":
             said[name] = r if new or last is None else Reading(last.value, t, last.valid)
         elif f.kind == "clip" and name == "acceleration":
-            pass  # at the element
+            pass  # applied at the element
         else:
             said[name] = Reading(self._faulty_value(f, value, own, t), r.time_s, r.valid)
 

@@ -1,27 +1,27 @@
-"""The inertial unit: what three accelerometers and three gyroscopes on a shaking board say.
+"""Inertial measurement unit: three accelerometers and three gyroscopes on a vibrating board.
 
-An accelerometer feels specific force, all that acts but gravity (body axes, at the place r of the element):
+An accelerometer measures specific force, all forces but gravity (body axes, at the position r of the element):
 
     f = R^T (dv/dt - g e_D) + dw/dt x r + w x (w x r)
 
-The mean over a period of the flight software needs no model of forces: dv/dt is the change of velocity over it, so
-that what the floor, a gust or a collision does is in it. On top shakes the board: rotor k adds along a direction e_k
+Its mean over a period of the flight software needs no force model: dv/dt is the change of velocity over the period,
+so it includes ground contact, gusts and collisions. Vibration of the board is added: along a direction e_k, rotor k
+adds
 
     A_1 cos(th + p_1) + A_2 cos(2 th + p_2),      th its azimuth (imbalance; two blades),
 
-and blades that pass each other A_p cos(2 (th_up + th_dw) + p_p). Forces grow with the square of the speed and go
-through the board's resonance, |H(w)| with H = 1 / (1 - (w / w_r)^2 + 2 j zeta w / w_r); the file gives A at the hover
-speed.
+and blades that pass each other add A_p cos(2 (th_up + th_dw) + p_p). Forces grow with the square of the speed and pass
+the board's resonance, |H(w)| with H = 1 / (1 - (w / w_r)^2 + 2 j zeta w / w_r). The file gives A at the hover speed.
 
-At the element, every ``sample_period`` (8 kHz): axes off by scale and misalignment, bias = switching on + wandering
-(first order Gauss-Markov: d b = -b dt / tau + sigma sqrt(2 dt / tau) n) + warming of the board, white noise of
-density N (standard deviation N sqrt(f_s / 2)); gyroscopes also feel acceleration. Then it *clips*, and only then a
-second-order Butterworth filter takes out what the processor must not see; its output is what is read. A shaking that
-is lopsided (2/rev in step with 1/rev) so becomes, by clipping, an acceleration that is not there: the false tilt of
-Sec. 2.1.2.
+The element is sampled every ``sample_period`` (8 kHz). Its errors are scale and misalignment, bias, and white noise of
+density N (standard deviation N sqrt(f_s / 2)). The bias is the sum of a turn-on bias, a first-order Gauss-Markov drift
+(d b = -b dt / tau + sigma sqrt(2 dt / tau) n) and a share from the warming of the board. Gyroscopes also sense
+acceleration. The sample *clips* first; then a second-order Butterworth filter removes aliasing frequencies, and its
+output is read. Clipping turns an asymmetric vibration (2/rev in phase with 1/rev) into a false mean acceleration: the
+false tilt of Sec. 2.1.2.
 
 Sources: IEEE Std 952 and 1293 for the error terms; Groves, Principles of GNSS, Inertial and Multisensor Integrated
-Navigation Systems, 2nd ed., ch. 4; own derivation for the shaking. Thesis: Fig. 2.6.
+Navigation Systems, 2nd ed., ch. 4; own derivation for the vibration. Thesis: Fig. 2.6.
 """
 
 from __future__ import annotations
@@ -54,20 +54,20 @@ from mufly.vehicle.sensor_schema import VibrationParameters
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-_TRIPOD_ELEVATION = math.asin(math.sqrt(1 / 3))  # of the shaking above the horizon: all axes share alike
+_TRIPOD_ELEVATION = math.asin(math.sqrt(1 / 3))  # of the vibration above the horizon: all axes have equal shares
 ROOM_TEMPERATURE_K = 293.15
-_VIBRATION_LINES = 5  # once and twice of both rotors, and the passing of blades
-GYRO = 3  # of the six axes, the first of the gyroscopes
-# Of its numbers: amplitudes, resonance and damping of the shaking, hover speeds, time of the drift, warming, its time
+_VIBRATION_LINES = 5  # 1/rev and 2/rev of both rotors, and the blade passage
+GYRO = 3  # index of the first gyroscope among the six axes
+# Indices of the parameters: amplitudes, resonance, damping, hover speeds, drift time, warming and its time constant
 (
     _ONCE, _TWICE, _PASSING, _RESONANCE, _DAMPING, _HOVER_UPPER, _HOVER_LOWER, _DRIFT_TIME, _WARMING, _WARMING_TIME,
 ) = range(10)  # fmt: skip
-_COS, _SIN, _PHASOR_STEP_COS, _PHASOR_STEP_SIN, _GROWTH_COS, _GROWTH_SIN = range(6)  # of a rotor's phasor
-_UP_TWICE, _DW_TWICE, _PASSES = 2, 6, 8  # rows of lines, cosine and sine each
+_COS, _SIN, _PHASOR_STEP_COS, _PHASOR_STEP_SIN, _GROWTH_COS, _GROWTH_SIN = range(6)  # columns of a rotor's phasor
+_UP_TWICE, _DW_TWICE, _PASSES = 2, 6, 8  # first rows of the vibration lines; each has a cosine and a sine row
 
 
 class Imu(Sensor):
-    """Reads ``acceleration`` (m/s^2), ``rates`` (rad/s), ``clipping`` (share of samples, an axis), ``temperature``.
+    """Sensor of ``acceleration`` (m/s^2), ``rates`` (rad/s), ``clipping`` (share of samples) and ``temperature`` (K).
 
     Parameters
     ----------
@@ -75,13 +75,13 @@ class Imu(Sensor):
     vehicle : Vehicle
     world : World
     rng : numpy.random.Generator
-        All that is random: errors of this unit, directions and phases of the shaking, noise.
+        Source of the unit's errors, the directions and phases of the vibration, and noise.
     """
 
     def __init__(self, table: ImuTable, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         imu = table
         self._rng, self._imu = rng, imu
-        hover = find_trim(vehicle).state[ROTOR_SPEEDS]  # for which the file gives the shaking
+        hover = find_trim(vehicle).state[ROTOR_SPEEDS]  # the file gives the vibration at this speed
         shake = imu.vibration
         self._vibration_numbers = np.array(
             [float(q) for q in (shake.once, shake.twice, shake.passing, shake.resonance, shake.damping)]
@@ -94,7 +94,7 @@ class Imu(Sensor):
         self._limit = np.repeat([float(imu.accelerometer_range), float(imu.gyro_range)], 3)
         self._range = self._limit.copy()
         self._filter = butterworth_coefficients(float(imu.bandwidth), self._dt)
-        # What this unit is like, for good
+        # Constant errors of this unit
         self._axes = np.stack([_axis_matrix(rng, float(imu.scale_error), float(imu.misalignment)) for _ in range(2)])
         on = np.repeat([float(imu.accelerometer_bias), float(imu.gyro_bias)], 3)
         heat = np.repeat([float(imu.accelerometer_temperature), float(imu.gyro_temperature)], 3)
@@ -121,11 +121,11 @@ class Imu(Sensor):
 
     @property
     def current_bias(self) -> _Array:
-        """Of accelerometers (m/s^2) and gyroscopes (rad/s) now, but for warming: what an estimator looks for (6,)."""
+        """Bias of accelerometers (m/s^2) and gyroscopes (rad/s) without warming, which an estimator estimates (6,)."""
         return self.turn_on_bias + self._bias_drift
 
     def clip_at(self, limit_m_s2: float | None) -> None:
-        """Let the accelerometers clip at another limit (a fault); None for their own."""
+        """Set the clipping limit of the accelerometers (a fault); None restores their range."""
         self._limit[:GYRO] = self._range[:GYRO] if limit_m_s2 is None else limit_m_s2
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
@@ -157,8 +157,7 @@ class Imu(Sensor):
 
     @property
     def period_arguments(self) -> tuple[_Array, ...]:
-        """What :func:`simulate_imu_period` takes after the normal numbers: what this unit is like, and what it
-        remembers."""
+        """Arguments of :func:`simulate_imu_period` after the normal numbers: parameters and state of this unit."""
         return (
             self._vibration_numbers,
             self._place,
@@ -179,21 +178,21 @@ class Imu(Sensor):
         )
 
     def sample_count(self, elapsed_s: float) -> int:
-        """How many there are in a period (s)."""
+        """Return the number of samples in a period (s)."""
         return max(1, round(elapsed_s / self._dt))
 
     def accept_external_samples(self, truth: Truth, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
-        """Take notice that others computed up to this instant, and what was read (6,), (6,); return its readings."""
+        """Store values and clipping shares, (6,) each, computed by compiled code for this instant; return readings."""
         self._current_state[:] = truth.state
         self._previous_truth = truth
         return self._make_readings(truth.time_s, values.copy(), clipped.copy())
 
     def true_readings(self, truth: Truth) -> Mapping[str, Any]:
-        """Of the period that was read last."""
+        """Return the true readings of the last period read."""
         return {"acceleration": self._current_force.copy(), "rates": truth.rates}
 
     def warming_K(self, time_s: float) -> float:
-        """How much warmer than when it was switched on (K)."""
+        """Return the rise of temperature since switching on (K)."""
         return float(_warming_K(time_s, self._vibration_numbers))
 
     def _make_readings(self, t: float, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
@@ -207,12 +206,12 @@ class Imu(Sensor):
 
 
 def board_resonance(vibration: VibrationParameters, speed_rad_s: float) -> float:
-    """How much the board exaggerates a shaking of this speed (rad/s): |H|."""
+    """Return the amplification of a vibration of this frequency (rad/s) by the board: |H|."""
     return float(_resonance_gain(speed_rad_s, float(vibration.resonance), float(vibration.damping)))
 
 
 def butterworth_coefficients(cutoff_rad_s: float, step_s: float) -> _Array:
-    """Coefficients b0, b1, b2, a1, a2 of the second-order low pass, by the bilinear transform at its cut-off."""
+    """Return b0, b1, b2, a1, a2 of the second-order low pass, by the bilinear transform with matched cut-off."""
     k = math.tan(min(0.5 * cutoff_rad_s * step_s, 0.49 * math.pi))
     norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
     b0 = k * k * norm
@@ -220,16 +219,16 @@ def butterworth_coefficients(cutoff_rad_s: float, step_s: float) -> _Array:
 
 
 def _axis_matrix(rng: np.random.Generator, scale: float, misalignment: float) -> _Array:
-    """What three axes feel of three: the identity with errors."""
+    """Return the matrix from true to sensed axes: the identity with errors."""
     off = misalignment * rng.standard_normal((3, 3))
     return np.eye(3) + np.diag(scale * rng.standard_normal(3)) + off - np.diag(np.diag(off))
 
 
-# A period of the flight software. All of it is compiled, as one: forty samples of six axes cost less than ten calls of
-# NumPy. The lines of the shaking are phasors that turn: within a period a rotor's speed changes evenly, so its phasor
-# turns by an angle that itself grows by the same angle from sample to sample, and sine and cosine are asked for three
-# times a rotor and period instead of ten times a sample. Twice the azimuth is the phasor's square. An axis' samples are
-# summed up together, in vector registers.
+# A period of the flight software is one compiled function: forty samples of six axes cost less than ten calls of
+# NumPy. The vibration lines are rotating phasors. A rotor's speed changes linearly within a period, so the angle per
+# sample grows by a constant step, and sine and cosine are evaluated three times a rotor and period instead of ten
+# times a sample. The phasor of 2/rev is the square of that of 1/rev. All samples of an axis are summed in vector
+# registers.
 
 
 @cached_njit(error_model="numpy")
@@ -245,7 +244,7 @@ def _warming_K(t: float, numbers: _Array) -> float:
 
 @cached_njit(error_model="numpy")
 def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array, force: _Array) -> None:
-    """Specific force at the element (m/s^2), as the mean of a period, into ``force``."""
+    """Compute the mean specific force of a period at the element (m/s^2) into ``force``."""
     turn = body_to_ned_matrix(now[ATTITUDE])
     wx, wy, wz = now[RS_RATES], now[RS_RATES + 1], now[RS_RATES + 2]
     px, py = (wx - was[RS_RATES]) / elapsed, (wy - was[RS_RATES + 1]) / elapsed
@@ -285,11 +284,11 @@ def simulate_imu_period(
     out: _Array,
     clipped: _Array,
 ) -> None:
-    """Shake, sense, clip and filter over a period that ends at ``t`` (s).
+    """Simulate vibration, sampling, clipping and filtering over a period that ends at ``t`` (s).
 
-    ``azimuth``, ``wander``, and ``memory`` (6, 2) of the filter stay.
-    ``normal`` (6 + 6 n) are unit normal numbers: of the wandering, then of each axis' samples. ``force`` is what is
-    felt at the element, ``out`` and ``clipped`` (6,) what is said and the share of samples that clipped.
+    ``azimuth``, ``wander``, and ``memory`` (6, 2) of the filter keep the state between calls. ``normal`` (6 + 6 n) are
+    standard normal numbers: of the drift, then of each axis' samples. ``force`` is the mean specific force at the
+    element. ``out`` and ``clipped`` (6,) are the readings and the shares of samples that clipped.
     """
     n, warmth = normal.size // 6 - 1, _warming_K(t, numbers)
     once, twice, passing = numbers[_ONCE], numbers[_TWICE], numbers[_PASSING]
@@ -300,7 +299,7 @@ def simulate_imu_period(
     for j in range(6):
         wander[j] += -wander[j] * elapsed / drift_time + drift[j] * step * normal[j]
 
-    # What each of the six axes feels: at the beginning, more at the end, and of cosine and sine of each line.
+    # Input of the six axes: at the start, its increase up to the end, and coefficients of each line's cosine and sine.
     begin, slope, wave = np.empty(6), np.empty(6), np.empty((6, 10))
     for j in range(3):
         a = w = more = 0.0
@@ -332,7 +331,7 @@ def simulate_imu_period(
     for j in range(6):
         begin[j] += switched_on[j] + wander[j] + heat[j] * warmth
 
-    # Phasors of the rotors: where they are, by how much they turn next, by how much more from then to then.
+    # Phasors of the rotors: current value, next rotation, and growth of the rotation per sample.
     dt = elapsed / n
     phasor = np.empty((2, 6))
     for k in range(2):
@@ -356,7 +355,7 @@ def simulate_imu_period(
         up_c, up_s = lines[_UP_TWICE, i], lines[_UP_TWICE + 1, i]
         dw_c, dw_s = lines[_DW_TWICE, i], lines[_DW_TWICE + 1, i]
         lines[_PASSES, i], lines[_PASSES + 1, i] = up_c * dw_c - up_s * dw_s, up_c * dw_s + up_s * dw_c
-    # An axis after the other, all samples of it together.
+    # One axis after the other, all its samples together.
     for j in range(6):
         x, noise, w = (
             borrow_arrays(felt[j]),
@@ -374,7 +373,7 @@ def simulate_imu_period(
             beyond += 1 if abs(x[i]) > most else 0
             x[i] = max(min(x[i], most), -most)
         clipped[j] = beyond / n
-    # Direct form II with its memory in units of the signal: at rest both states are the value itself.
+    # Direct form II with its states in units of the signal: at rest both states equal the signal.
     b0, b1, b2, a1, a2 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
     gain = 1.0 + a1 + a2
     for j in range(6):
@@ -384,5 +383,5 @@ def simulate_imu_period(
         s = gain * x[n - 1] - a1 * first - a2 * second
         out[j] = (b0 * s + b1 * first + b2 * second) / gain
         memory[j, 0], memory[j, 1] = s, first
-    # The tables whose rows were lent are held until here.
+    # This use keeps the borrowed arrays alive up to here.
     lines[0, 0], felt[0, 0], wave[0, 0] = 0.0, 0.0, 0.0

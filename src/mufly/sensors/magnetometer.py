@@ -1,12 +1,12 @@
-"""The magnetometer: the earth's field, what steel in walls and floor makes of it, and the motors' own.
+"""Magnetometer: the earth's field, its distortion by steel in walls and floor, and the field of the motors.
 
     m = R^T (B + d(x)) + h + k I + n
 
 B has the strength and inclination of the vehicle file and points to the north of the room. d is a smooth random field
-in space (a Gaussian process of the given length, by random Fourier features: d_i = sigma sqrt(2 / K) sum_k cos(w_k x
-+ p_k), w_k normal with deviation 1 / L; Rahimi and Recht, NIPS 2007). h is the hard iron that calibration left, k I
-the field of the supply current in its wires. A hover current of 2 A at 5 uT/A turns the heading by tens of degrees:
-that is why heading from a magnetometer near motors wants this calibrated."""
+in space: a Gaussian process of a given length, approximated by random Fourier features, d_i = sigma sqrt(2 / K) sum_k
+cos(w_k x + p_k), w_k normal with deviation 1 / L (Rahimi and Recht, NIPS 2007). h is the hard iron after calibration,
+k I the field of the supply current in its wires. A hover current of 2 A at 5 uT/A turns the heading by tens of
+degrees, so a magnetometer near motors needs calibration of this term."""
 
 from __future__ import annotations
 
@@ -28,15 +28,16 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 _DISTORTION_WAVES = 64
-# Of its numbers: earth's field, hard iron, field of an ampere (3 each), strength of the distortion, noise (T)
+# Indices of the parameters: earth's field, hard iron, field of an ampere (3 each), strength of the distortion, noise
+# (T)
 _EARTH, _HARD_IRON, _PER_AMPERE, _STRENGTH, _NOISE = 0, 3, 6, 9, 10
 
 
 @cached_njit(error_model="numpy", inline="always")
 def _add_distortion(x: _Array, waves: _Array, shifts: _Array, strength: float, field: _Array) -> None:
-    """Add to a field (3,) what the surroundings make of it at a place.
+    """Add the distortion by the surroundings at a position to a field (3,).
 
-    ``shifts`` (n, 3, 2) are sines and cosines of the shifts, so that a wave's phase is looked up once, not thrice.
+    ``shifts`` (n, 3, 2) are sines and cosines of the phase shifts, so that each wave needs one sine and cosine.
     """
     a = b = c = 0.0
     for k in range(waves.shape[0]):
@@ -61,7 +62,7 @@ def _sample_magnetic_field(
 ) -> float:
     numbers, waves, shifts = parts
     there, n, turn = np.empty(3), np.empty(3), body_to_ned_matrix(x[ATTITUDE])
-    for j in range(3):  # an assignment to a slice compiles the message that two shapes differ: 2 s
+    for j in range(3):  # a slice assignment would compile the error message for unequal shapes: 2 s
         there[j] = numbers[_EARTH + j]
     _add_distortion(x, waves, shifts, numbers[_STRENGTH], there)
     draw_normals(source, n)
@@ -75,7 +76,7 @@ def _sample_magnetic_field(
 
 
 class MagnetometerSensor(PeriodicSensor):
-    """Reads ``magnetic_field`` (3,) in body axes (T)."""
+    """Sensor of ``magnetic_field`` (3,) in body axes (T)."""
 
     published_readings = {"magnetic_field": slice(0, 3)}  # noqa: RUF012
     sample_function = _sample_magnetic_field
@@ -100,7 +101,7 @@ class MagnetometerSensor(PeriodicSensor):
         super().__init__(float(m.period), rng, (np.array(numbers), self._waves, self._wave_phases))
 
     def field_distortion(self, position: _Array) -> _Array:
-        """The field (T, N-E-D) that the surroundings add at a place."""
+        """Return the field that the surroundings add at a position (T, N-E-D), shape (3,)."""
         field = np.zeros(3)
         _add_distortion(np.asarray(position, dtype=np.float64), self._waves, self._wave_phases, self._strength, field)
         return field
@@ -110,5 +111,5 @@ class MagnetometerSensor(PeriodicSensor):
 
 
 def earth_field(strength_T: float, inclination: float) -> _Array:
-    """Field in N-E-D (T), of a strength and an inclination below the horizon (rad)."""
+    """Return the field (T, N-E-D) of a strength and an inclination below the horizon (rad)."""
     return strength_T * np.array([math.cos(inclination), 0.0, math.sin(inclination)])

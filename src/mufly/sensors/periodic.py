@@ -1,7 +1,7 @@
-"""A sensor that measures every so often and says it some time later, and errors that wander.
+"""Sensors that measure periodically and publish after a delay, and Gauss-Markov errors.
 
-All that such a sensor remembers stands in arrays, and what it does in compiled functions, so that a loop over many
-periods (:mod:`mufly.sensors.sampling`) can ask it as :meth:`PeriodicSensor.read` does, with the same random numbers.
+The state of such a sensor stands in arrays, and its behaviour in compiled functions. So a compiled loop over many
+periods (:mod:`mufly.sensors.sampling`) can sample it like :meth:`PeriodicSensor.read`, with the same random numbers.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from mufly.sensors.rng import draw_normals, make_source
 
 _Array = NDArray[np.float64]
 
-# Of a clock: when it measures next, until when it surely says nothing new, its period (s)
+# Indices of a clock: time of the next measurement, earliest time of the next sample, period (s)
 NEXT_MEASUREMENT, NEXT_SAMPLE, CLOCK_PERIOD = range(3)
-# Of counts: measurements that are on their way, and how often something has been said
+# Indices of the counts: pending measurements, published samples
 PENDING, PUBLISHED_COUNT = range(2)
-# Of a row: when it is said, when it was measured (s), whether the sensor stands by it; the values follow
+# Columns of a row: time of publishing, time of measurement (s), validity; the values follow
 PUBLISH_TIME, MEASURED_TIME, IS_VALID, FIRST_VALUE = range(4)
 NO_MEASUREMENT = -1.0
-"""What a measurement returns, instead of how long it takes (s), of which nothing will come."""
+"""Return value of a sample function without a measurement, in place of the delay (s)."""
 _TIME_TOLERANCE_S = 1e-9
-_SPARE_ROWS = 8  # measurements on their way beyond those that are expected
+_SPARE_ROWS = 8  # for pending measurements beyond the expected number
 
 
 @cached_njit(error_model="numpy")
 def advance_if_due(t: float, clock: _Array) -> bool:
-    """Whether it measures at a time (s); its clock is set to the next.
+    """Return whether the sensor measures at a time (s), and set its clock to the next measurement.
 
-    Measurements keep to their own clock, however coarse the periods of the flight software are.
+    Measurements keep their own clock, however long the periods of the flight software are.
     """
     if t < clock[NEXT_MEASUREMENT] - _TIME_TOLERANCE_S:
         return False
@@ -46,13 +46,13 @@ def advance_if_due(t: float, clock: _Array) -> bool:
 
 @cached_njit(error_model="numpy")
 def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int64], rows: _Array) -> bool:
-    """Whether something is said at a time (s), which then stands in the first of ``pending_rows``.
+    """Return whether a sample is published at a time (s); it then stands in the first of ``rows``.
 
-    A measurement that takes ``wait`` (s) stands in the row after those on their way; of all that come at once the last
+    A measurement with the delay ``wait`` (s) is appended to the pending rows. Of several samples due at once, the last
     counts.
     """
     n = counts[PENDING]
-    if wait >= 0.0 and n < rows.shape[0] - 2:  # the last row is there to be written to
+    if wait >= 0.0 and n < rows.shape[0] - 2:  # the last row is scratch space
         n += 1
         rows[n, PUBLISH_TIME], rows[n, MEASURED_TIME] = t + wait, t
     latest, kept, quiet = 0, 0, clock[NEXT_MEASUREMENT]
@@ -69,7 +69,7 @@ def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int6
             for j in range(rows.shape[1]):
                 rows[kept, j] = rows[k, j]
     counts[PENDING] = kept
-    clock[NEXT_SAMPLE] = quiet - 2.0 * _TIME_TOLERANCE_S  # surely nothing happens before that, by more than a rounding
+    clock[NEXT_SAMPLE] = quiet - 2.0 * _TIME_TOLERANCE_S  # nothing happens earlier, by more than a rounding error
     if latest == 0:
         return False
     counts[PUBLISHED_COUNT] += 1
@@ -77,29 +77,29 @@ def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int6
 
 
 class PeriodicSensor(Sensor):
-    """A sensor that measures every so often.
+    """A sensor that measures periodically.
 
     Parameters
     ----------
     period_s : float
-        Between measurements (s).
+        Time between measurements (s).
     rng : numpy.random.Generator
-        What it draws from.
+        Source of random numbers.
     sample_arguments : tuple of arrays
-        What ``sample_function`` takes: what this sensor is like, and what it remembers.
+        Parameters and state of this sensor, passed to ``sample_function``.
     longest_s : float
-        How long what it measures is on its way, in all likelihood (s).
+        Longest likely delay from measuring to publishing (s).
 
     Attributes
     ----------
     published_readings : mapping
-        Name of a reading to where it stands in the values: an index, or a slice of them.
+        Name of a reading to its index or slice in the values.
     sample_function : compiled function
-        Measures: ``sample_function(t, x, attitude, supply, source, parts, row)`` with time (s), true state (21,), true
-        attitude (3,), voltage and current of the battery (2,), what to draw from, and the row to be written to from
-        :data:`IS_VALID` on; returns how long it takes until that is known (s), or :data:`NO_MEASUREMENT`.
+        Measures: ``sample_function(t, x, attitude, supply, source, parts, row)``. Arguments are time (s), true state
+        (21,), true attitude (3,), voltage and current of the battery (2,), random source, ``sample_arguments``, and the
+        row to be filled from :data:`IS_VALID` on. Returns the delay (s), or :data:`NO_MEASUREMENT`.
     argument_dimensions : tuple of int
-        Dimensions of each array of ``parts``: those of a sensor that is not there, so that all vehicles share one code.
+        Dimensions of each array of ``parts``, used for an absent sensor, so that all vehicles share one compiled code.
     """
 
     published_readings: Mapping[str, int | slice]
@@ -125,12 +125,12 @@ class PeriodicSensor(Sensor):
 
     @property
     def next_sample_s(self) -> float:
-        """Until when it surely says nothing new (s)."""
+        """Earliest time of the next sample (s)."""
         return float(self.clock[NEXT_SAMPLE])
 
     @property
     def sampling_arguments(self) -> tuple[Any, ...]:
-        """What :func:`mufly.sensors.sampling.sample_all` takes of it."""
+        """Arguments of :func:`mufly.sensors.sampling.sample_all` for this sensor."""
         return (self.clock, self.counts, self.pending_rows, self.source, self.sample_arguments)
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
@@ -149,7 +149,7 @@ class PeriodicSensor(Sensor):
         return self._latest_readings
 
     def make_readings(self) -> Mapping[str, Reading]:
-        """Make readings of what was said last."""
+        """Return readings of the last published sample."""
         row = self.pending_rows[0]
         taken, stands, values = float(row[MEASURED_TIME]), bool(row[IS_VALID]), row[FIRST_VALUE:]
         self._latest_readings = {
@@ -159,12 +159,12 @@ class PeriodicSensor(Sensor):
         return self._latest_readings
 
 
-# Wandering: of ``memory`` the first is the time of the last error (s), or none; the errors follow.
+# Gauss-Markov errors: the first entry of ``memory`` is the time of the last step (s), or NaN; the errors follow.
 
 
 @cached_njit(error_model="numpy")
 def gauss_markov_step(t: float, sigma: _Array, time_s: float, memory: _Array, source: NDArray[np.uint64]) -> None:
-    """Let errors wander to a time (s)."""
+    """Propagate Gauss-Markov errors to a time (s)."""
     elapsed = 0.0 if math.isnan(memory[0]) else max(0.0, t - memory[0])
     memory[0] = t
     if elapsed > 0.0:
@@ -176,12 +176,12 @@ def gauss_markov_step(t: float, sigma: _Array, time_s: float, memory: _Array, so
 
 
 def gauss_markov_reset(rng: np.random.Generator, sigma: _Array, memory: _Array) -> None:
-    """Draw errors anew; the next time is the first."""
+    """Draw new errors; the next step sets their time."""
     memory[0], memory[1:] = math.nan, sigma * rng.standard_normal(sigma.size)
 
 
 class GaussMarkov:
-    """Errors that wander, each for itself: d x = -x dt / tau + sigma sqrt(2 dt / tau) n (first-order Gauss-Markov).
+    """Independent first-order Gauss-Markov errors: d x = -x dt / tau + sigma sqrt(2 dt / tau) n.
 
     Sampled exactly: x' = x phi + sigma sqrt(1 - phi^2) n with phi = exp(-dt / tau).
     """
@@ -195,11 +195,11 @@ class GaussMarkov:
         gauss_markov_reset(rng, self._sigma, self._memory)
 
     def step_to(self, time_s: float) -> _Array:
-        """The errors at a time; times rise."""
+        """Return the errors at a time (s), which must not decrease between calls."""
         gauss_markov_step(time_s, self._sigma, self._time_s, self._memory, self._source)
         return self.current_errors.copy()
 
     @property
     def current_errors(self) -> _Array:
-        """The errors at the time that was asked for last."""
+        """The errors at the time of the last step."""
         return self._memory[1:]

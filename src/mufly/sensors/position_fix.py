@@ -1,11 +1,10 @@
-"""Position and heading now and then, late, and with errors that stay for seconds: what visual SLAM gives.
+"""Delayed position and heading fixes with correlated errors, as visual SLAM gives.
 
-    fix(t) = x(t) + wandering(t) + n,     known at t + latency + |jitter|
+    fix(t) = x(t) + drift(t) + n,     known at t + latency + |jitter|
 
-The wandering (first-order Gauss-Markov, one for each axis and the heading) is what a camera that tracks the same
-features does: fixes agree with each other and are wrong together. A filter that takes them for independent thinks
-itself better than it is, and its innovations do not show it. Jitter lets fixes overtake each other; a share never
-comes.
+The drift (first-order Gauss-Markov, one for each axis and the heading) models a camera that tracks the same features:
+successive fixes agree with each other and share an error. A filter that assumes independent fixes is overconfident,
+and its innovations do not show it. Jitter lets fixes overtake each other; a share of them is lost.
 
 Source: Sec. 2.1.2 of the dissertation (down-looking camera, V-SLAM on the ground station, position sent back by radio).
 """
@@ -33,7 +32,7 @@ from mufly.vehicle.sensor_schema import PositionFixParameters
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-# Of its numbers: chance of none, jitter, latency, time of wandering (s), white noise (4)
+# Indices of the parameters: dropout probability, jitter, latency, time constant of the drift (s), white noise (4)
 _DROPOUT, _JITTER, _LATENCY, _WANDER_TIME, _WHITE = range(5)
 
 
@@ -63,7 +62,7 @@ def _sample_position_fix(
 
 
 class PositionFixSensor(PeriodicSensor):
-    """Reads ``position_fix`` (4,): N, E, D (m) and heading (rad)."""
+    """Sensor of ``position_fix`` (4,): N, E, D (m) and heading (rad)."""
 
     published_readings = {"position_fix": slice(0, 4)}  # noqa: RUF012
     sample_function = _sample_position_fix

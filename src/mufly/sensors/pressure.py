@@ -1,12 +1,12 @@
-"""The absolute pressure sensor, from which a height follows.
+"""Absolute pressure sensor, from which the height is computed.
 
-In a room the pressure falls by rho g h; weather and doors move it by far more than a metre's worth in minutes (a
-first-order Gauss-Markov process), and near the rotors the port feels a share k of the disc loading T / A that the
-downwash builds up. The sensor's own filter delays it:
+In a room the pressure falls by rho g per metre of height. Weather and doors change it by far more within minutes (a
+first-order Gauss-Markov process). Near the rotors the port senses a share k of the disc loading T / A of the downwash.
+The sensor's own filter delays the reading:
 
-    p = p_0 + rho g D + k T / A + wandering,     tau dy/dt = p - y,     reading = y + n
+    p = p_0 + rho g D + k T / A + drift,     tau dy/dt = p - y,     reading = y + n
 
-D counts down. A share of 0.05 in hover of 4 mN/cm2 already is two centimetres: a barometer alone holds no hover.
+D counts down. A share of 0.05 in hover of 4 mN/cm2 already is two centimetres: a barometer alone cannot hold hover.
 Own derivation; the sensor is that of Sec. 2.1.2 of the dissertation.
 """
 
@@ -37,8 +37,8 @@ from mufly.world import World
 _Array = NDArray[np.float64]
 
 STANDARD_PRESSURE_PA = READINGS["pressure"].filter_offset
-# Of its numbers: noise (Pa), delay, time of the drift (s), weight of the air (N/m3), share of the loading of the discs,
-# loading of each disc over its speed's square
+# Indices of the parameters: noise (Pa), delay, time constant of the drift (s), weight of air (N/m3), share of the disc
+# loading, loading of each disc over the square of its speed
 _NOISE, _DELAY, _DRIFT_TIME, _WEIGHT, _DOWNWASH, _LOADING_UPPER, _LOADING_LOWER = range(7)
 
 
@@ -52,7 +52,7 @@ def _sample_pressure(
     parts: tuple[_Array, _Array, _Array, _Array],
     row: _Array,
 ) -> float:
-    # numbers, what wanders, and what is felt, and when it was (s)
+    # parameters, standard deviation and memory of the drift, filter state and its time (s)
     numbers, sigma, memory, felt = parts
     delay, n = numbers[_DELAY], np.empty(1)
     gauss_markov_step(t, sigma, numbers[_DRIFT_TIME], memory, source)
@@ -70,7 +70,7 @@ def _sample_pressure(
 
 
 class PressureSensor(PeriodicSensor):
-    """Reads ``pressure`` (Pa)."""
+    """Sensor of ``pressure`` (Pa)."""
 
     published_readings = {"pressure": 0}  # noqa: RUF012
     sample_function = _sample_pressure

@@ -1,9 +1,9 @@
-"""What does it feel? Readings, as a processor would get them, and the ideal sensors: the truth, sampled.
+"""Readings as a processor gets them, and ideal sensors, which sample the truth.
 
-A sensor turns the :class:`Truth` of a simulation into :class:`Reading` s, by the names of the table of quantities
-("position", "ranges", "battery_voltage", ...) or by its own; all of one instant are the :class:`Readings` that an
-estimator gets (:mod:`mufly.estimate`). Real sensors with noise, delay and clipping take the place of ideal ones one
-by one: a sensor of a name that is there already hides the one before it.
+A sensor turns the :class:`Truth` of a simulation into :class:`Reading` objects, by the names of the table of quantities
+("position", "ranges", "battery_voltage", ...) or by its own. All readings of one instant form the :class:`Readings`
+that an estimator gets (:mod:`mufly.estimate`). Real sensors with noise, delay and clipping can replace ideal ones one
+by one: a later sensor of the same reading overrides an earlier one.
 
 The ring of beams (Fig. 6.18) turns and tilts with the fuselage: beam ``i`` of ``n`` points along
 ``alpha_i = alpha_0 + 2 pi i / n`` from x towards y, in the x-y plane of the body.
@@ -30,7 +30,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What only a simulation knows of one instant.
+    """True values of one instant, known in simulation only.
 
     Attributes
     ----------
@@ -38,13 +38,13 @@ class Truth:
     tick : int
         Periods of the flight software since the start.
     state : (21,) array
-        State of the flight model (:mod:`mufly.dynamics.model_state`), at this instant and for good.
+        State of the flight model (:mod:`mufly.dynamics.model_state`); never changed in place.
     attitude : (3,) array
-        Of it: roll, pitch, yaw (rad); yaw is continuous (it does not jump at +-pi).
+        Roll, pitch, yaw of the state (rad); yaw is continuous (it does not jump at +-pi).
     wind : (3,) array
         Velocity of the air, N-E-D (m/s).
     voltage, current : float
-        Of the battery (V, A).
+        Voltage and current of the battery (V, A).
     """
 
     time_s: float
@@ -57,34 +57,34 @@ class Truth:
 
     @property
     def position(self) -> _Array:
-        """N, E, D (m), of the centre of gravity."""
+        """Position of the centre of gravity, N, E, D (m)."""
         return self.state[POSITION]
 
     @property
     def velocity(self) -> _Array:
-        """N, E, D (m/s)."""
+        """Velocity, N, E, D (m/s)."""
         return self.state[VELOCITY]
 
     @property
     def rates(self) -> _Array:
-        """p, q, r (rad/s), body axes."""
+        """Angular rates p, q, r (rad/s), body axes."""
         return self.state[RATES]
 
     @property
     def rotor_speed(self) -> _Array:
-        """Upper, lower (rad/s)."""
+        """Speeds of the upper and lower rotor (rad/s)."""
         return self.state[ROTOR_SPEEDS]
 
     @property
     def battery_charge(self) -> float:
-        """Of the battery (0..1)."""
+        """State of charge of the battery (0..1)."""
         return float(self.state[RS_CHARGE])
 
 
 class Reading(NamedTuple):
-    """What one sensor said last, as it came: a value in SI units, when it was taken (s), whether it can be right.
+    """Last published value of one sensor (SI units), its time of measurement (s) and its validity.
 
-    ``covariance`` is of the components of a value that came with one.
+    ``covariance`` is that of the value's components, if the sensor published one.
     """
 
     value: Any
@@ -95,14 +95,14 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """The latest of every sensor, at one instant.
+    """Latest readings of all sensors at one instant.
 
     Attributes
     ----------
     time_s : float
         The processor's clock.
     latest : mapping
-        Name to :class:`Reading`; one that has not come anew is the same object as before.
+        Name to :class:`Reading`; without a new sample it is the same object as in the previous period.
     """
 
     time_s: float
@@ -119,15 +119,15 @@ class Sensor:
     """One sensor, or several in one housing."""
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
-        """What it says at this instant, by name; asked in every period of the flight software."""
+        """Return the readings at this instant, by name; called in every period of the flight software."""
         raise NotImplementedError
 
     def true_readings(self, truth: Truth) -> Mapping[str, Any]:
-        """What it would say without any error, by name."""
+        """Return the readings without errors, by name."""
         raise NotImplementedError
 
     def reset(self) -> None:
-        """The simulation is back at its start."""
+        """Reset the sensor to the start of the simulation."""
 
 
 class SensorSet:
@@ -137,14 +137,14 @@ class SensorSet:
         self.sensors = sensors
 
     def read(self, truth: Truth) -> Readings:
-        """Ask them all."""
+        """Read all sensors."""
         latest: dict[str, Reading] = {}
         for sensor in self.sensors:
             latest |= sensor.read(truth)
         return Readings(truth.time_s, latest)
 
     def reset(self) -> None:
-        """The simulation is back at its start."""
+        """Reset all sensors to the start of the simulation."""
         for sensor in self.sensors:
             sensor.reset()
 
@@ -153,12 +153,12 @@ class SensorSet:
 
 
 def ideal_sensors(vehicle: Vehicle, world: World, ring_every: int = 1) -> SensorSet:
-    """Everything that the flight software needs, without error; the ring is read in every ``ring_every``-th period."""
+    """Return ideal sensors for all inputs of the flight software; the ring is read every ``ring_every`` periods."""
     return SensorSet(IdealMotion(), IdealRing(vehicle, world, ring_every), IdealBattery())
 
 
 class IdealMotion(Sensor):
-    """Position, velocity, attitude and rates."""
+    """Ideal sensor of position, velocity, attitude and rates."""
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t, x = truth.time_s, truth.state
@@ -171,14 +171,14 @@ class IdealMotion(Sensor):
 
 
 class IdealBattery(Sensor):
-    """Voltage at the terminals (V)."""
+    """Ideal sensor of the terminal voltage (V)."""
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         return {"battery_voltage": Reading(truth.voltage, truth.time_s)}
 
 
 class IdealRing(Sensor):
-    """Distances along the ring of beams (m), the ring's greatest range where nothing is seen."""
+    """Ideal sensor of distances along the ring of beams (m); the ring's maximum range where there is no surface."""
 
     def __init__(self, vehicle: Vehicle, world: World, every: int = 1) -> None:
         self._world, self.read_interval = world, every
@@ -198,16 +198,16 @@ class IdealRing(Sensor):
 
     @property
     def range_arguments(self) -> tuple[Any, ...]:
-        """What :func:`measure_ranges` takes after the state."""
+        """Arguments of :func:`measure_ranges` after the state."""
         return self._directions, *self._limits.values(), *self._world.packed_tables
 
     def accept_external_ranges(self, seen: NDArray[np.float64], time_s: float) -> None:
-        """Take notice of what it saw last (n,) while others asked it, and when (s)."""
+        """Store ranges (n,) that compiled code measured, and their time (s)."""
         self._last_reading = Reading(seen.copy(), time_s)
 
 
 def beam_angles(vehicle: Vehicle) -> NDArray[np.float64]:
-    """Return the direction of each beam of the range ring, from x towards y (rad), shape (n,).
+    """Return the direction of each beam of the range ring from x towards y (rad), shape (n,).
 
     Thesis: Fig. 6.18.
     """
@@ -222,7 +222,7 @@ def beam_directions(vehicle: Vehicle) -> NDArray[np.float64]:
 
 
 def unwrap_near(angle: float, near: float) -> float:
-    """Return ``angle`` plus the whole turns that bring it nearest to ``near`` (rad)."""
+    """Return ``angle`` plus the multiple of 2 pi that brings it nearest to ``near`` (rad)."""
     return angle + 2 * math.pi * round((near - angle) / (2 * math.pi))
 
 
@@ -244,7 +244,7 @@ def ideal_ranges(
     directions : (n, 3) array
         Unit vectors in body axes, see :func:`beam_directions`.
     min_range_m, max_range_m : float
-        Readings are held within these.
+            Limits of the readings (m).
     """
     seen = np.empty(len(directions))
     measure_ranges(state, directions, min_range_m, max_range_m, *world.packed_tables, seen)
@@ -262,7 +262,7 @@ def measure_ranges(
     limits: _Array,
     out: _Array,
 ) -> None:
-    """Distances to the nearest surface along beams of the body (n, 3) into ``out`` (n,), held within least and most."""
+    """Measure distances (m) along beams of the body (n, 3) into ``out`` (n,), clipped to ``least`` and ``most``."""
     turn = body_to_ned_matrix(x[ATTITUDE])
     for k in range(directions.shape[0]):
         a, b, c = directions[k, 0], directions[k, 1], directions[k, 2]

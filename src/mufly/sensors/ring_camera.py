@@ -1,19 +1,19 @@
-"""The omnidirectional camera that sees the spots of the laser ring, pixel by pixel, and what a decoder makes of it.
+"""Omnidirectional camera that sees the spots of the laser ring pixel by pixel, and the decoder of its picture.
 
 The lasers shine in the x-y plane of the body; the camera sits a baseline b below it. A spot at the distance l appears
 under the elevation (Fig. 2.7; triangulation)
 
     eps = atan(b / l),      so      dl = -(l^2 + b^2) / b deps :
 
-an error of a pixel grows with the square of the distance, be it of noise or of the calibration of a beam. The picture
-is polar: rows are elevations, equally spaced from the horizon to a little above that of the shortest distance;
-columns are directions. A spot is a Gaussian of the blur's radius, as bright as I_1 / l^2 over the noise of a pixel;
-ambient light adds an offset that differs from column to column; every pixel has unit noise.
+a range error from a pixel of noise or calibration error grows with the square of the distance. The picture is polar:
+rows are elevations, equally spaced from the horizon to a little above that of the shortest distance; columns are
+directions. A spot is a Gaussian of the blur's radius with a brightness of I_1 / l^2 in units of pixel noise. Ambient
+light adds an offset that differs from column to column; every pixel has unit noise.
 
-The decoder knows where each beam points. It takes the columns around it, takes away the median of each, adds them up
-with the spot's own profile as weight, finds the brightest row, and the centroid around it if that stands out of the
-noise by :data:`SPOT_THRESHOLD` deviations. Too near, too dark or swallowed: nothing seen, which reads as the greatest
-distance, as with ideal beams.
+The decoder knows the direction of each beam. It subtracts the median of each column around the beam and sums the
+columns, weighted by the spot's profile. The range follows from the centroid around the brightest row, if that row
+exceeds :data:`SPOT_THRESHOLD` standard deviations of the noise. If no spot is found, the range is the maximum range, as
+with ideal beams.
 
 Thesis: Fig. 2.7.
 """
@@ -37,18 +37,18 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 SPOT_THRESHOLD = 5.0
-"""A spot has to stand this many standard deviations above the noise: one false spot in some million windows."""
-_SPOT_HALF_WIDTH = 3.0  # columns on either side that the decoder looks at, in radii of a spot
-ELEVATION_MARGIN = 1.25  # rows reach this much above the elevation of the shortest distance
+"""Detection threshold of a spot in standard deviations of the noise: one false spot in some million windows."""
+_SPOT_HALF_WIDTH = 3.0  # half width of the decoder's columns, in radii of a spot
+ELEVATION_MARGIN = 1.25  # rows reach up to this multiple of the elevation of the shortest distance
 
 
 @cached_njit(error_model="numpy")
 def _sort_columns(a: _Array, lanes: int) -> None:
-    """Sort many columns at once: ``a`` (rows * lanes,), a row after the other, each lane for itself.
+    """Sort the columns of ``a`` (rows * lanes,), stored row by row, each lane by itself.
 
-    By exchanges that do not depend on the numbers (Batcher's, as Knuth, The Art of Computer Programming 3, 5.2.2 M), so
-    that all lanes make the same one together in vector registers. A selection of one column after the other, whose
-    branches nobody can foretell, takes 20 times as long.
+    The exchanges do not depend on the data (Batcher's, as in Knuth, The Art of Computer Programming 3, 5.2.2 M), so all
+    lanes make each exchange together in vector registers. Sorting column by column, with unpredictable branches, takes
+    20 times as long.
     """
     rows = a.size // lanes
     top = 1
@@ -83,24 +83,24 @@ def _decode_ranges(
     numbers: _Array,
     told: _Array,
 ) -> None:
-    """Put the spots into a picture of noise and find them again.
+    """Add the spots to a picture of noise and decode them.
 
     Parameters
     ----------
     seen : (rows * n * w,) array
-        Unit noise of the w columns around each beam, a row after the other; becomes what is seen.
+        Unit noise of the w columns around each beam, row by row; becomes the picture.
     order : (rows * n * w,) array
-        Overwritten.
+        Work space.
     distance : (n,) array
-        Of each spot (m); infinite where there is none.
+        Distance of each spot (m); infinite without a spot.
     across, light, weight : (n * w,) arrays
         Share of a spot's brightness, ambient light, and weight in the sum, of each column.
     offset : (n,) array
-        What the decoder is off by (rows).
+        Calibration error of each beam (rows).
     numbers : (6,) array
-        Brightness at 1 m, blur (rows), elevation of a row (rad), baseline, nearest and greatest distance (m).
+        Brightness at 1 m, blur (rows), elevation of a row (rad), baseline, shortest and longest distance (m).
     told : (n,) array
-        Overwritten where a spot is found (m).
+        Decoded distances (m); written only where a spot is found.
     """
     brightness, blur, row, baseline, nearest, farthest = (
         numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5],
@@ -175,7 +175,7 @@ def _sample_ranges(
 
 
 class RingCamera(PeriodicSensor):
-    """Reads ``ranges`` (n,): distance along each beam of the ring (m), its greatest range where nothing was decoded."""
+    """Sensor of ``ranges`` (n,): distance along each beam (m), the ring's maximum range where nothing was decoded."""
 
     sample_function = _sample_ranges
     argument_dimensions = (1, 1, 2, 2, 2, 1, 1, 1, 1, 1, 2, 2)
@@ -197,7 +197,7 @@ class RingCamera(PeriodicSensor):
         self._calibration_offset = float(c.calibration) * rng.standard_normal(len(self._centres))
         self._ambient = float(c.ambient) * rng.uniform(0.5, 1.5, c.angular_pixels)
         self._column_profile = np.exp(-0.5 * ((self._columns + 0.5 - self._centres[:, None]) / self._blur) ** 2)
-        # Weights are such that the noise of the sum stays one.
+        # The weights keep the noise of the sum at one.
         self._column_weights = self._column_profile / np.sqrt((self._column_profile**2).sum(axis=1, keepdims=True))
         self._ambient_light = self._ambient[self._columns % c.angular_pixels]
         self._numbers = np.array(
@@ -230,13 +230,13 @@ class RingCamera(PeriodicSensor):
         return {"ranges": np.minimum(self.true_ranges_m(truth.state), self._no_return_range)}
 
     def true_ranges_m(self, state: _Array) -> _Array:
-        """Distance along each beam (m), however far."""
+        """Return the distance along each beam (m), without a maximum."""
         out = np.empty(len(self._directions))
         measure_ranges(state, self._directions, 0.0, math.inf, *self._world.packed_tables, out)
         return out
 
     def render_picture(self, state: _Array) -> _Array:
-        """The whole picture (rows, columns), in deviations of a pixel's noise: for people to look at."""
+        """Return the whole picture (rows, columns), in standard deviations of pixel noise, for display."""
         columns = np.arange(self._camera.angular_pixels)
         true = self.true_ranges_m(state)
         near = np.mod(columns + 0.5 - self._centres[:, None] + columns.size / 2, columns.size) - columns.size / 2
@@ -249,6 +249,6 @@ class RingCamera(PeriodicSensor):
             return float(self._camera.brightness) / np.maximum(distance, 0.05) ** 2
 
     def _row_profile(self, distance: _Array) -> _Array:
-        """Share of a spot's brightness in each row (n, rows)."""
+        """Return the share of a spot's brightness in each row (n, rows)."""
         row = np.arctan2(self._baseline, distance) / self._row_elevation
         return np.exp(-0.5 * ((self._rows - row[:, None]) / self._blur) ** 2)

@@ -1,18 +1,17 @@
-"""Random numbers of sensors, drawn inside compiled code and many at once.
+"""Random numbers of sensors, drawn in blocks by compiled code.
 
-A flight of a second takes 140 000 normal numbers, most of them noise of pixels and of the inertial unit. NumPy's
-generators make one after the other by a function call each; here a processor's vector registers make four or eight
-together, with nothing but sums, products, divisions, roots and shifts, so that every processor draws the same numbers
-to the last bit.
+A second of flight takes 140 000 normal numbers, most of them noise of pixels and of the inertial unit. NumPy's
+generators make them one by one. Here a processor's vector registers make four or eight together. Only sums, products,
+divisions, roots and shifts are used, so that every processor draws the same numbers to the last bit.
 
-The k-th number of 64 bits of a source is splitmix64's: a counter that starts anywhere and grows by an odd constant,
-mixed (Steele, Lea, Flood, Fast splittable pseudorandom number generators, OOPSLA 2014; constants of Stafford's
-mix 13). 52 bits become a number between 0 and 1, and two of those, u and v, two normal numbers
+The k-th 64-bit number of a source is splitmix64's: a counter with a random start that grows by an odd constant, mixed
+(Steele, Lea, Flood, Fast splittable pseudorandom number generators, OOPSLA 2014; constants of Stafford's mix 13). Its
+upper 52 bits become a number between 0 and 1. Two of those, u and v, give two normal numbers
 
     sqrt(-2 ln u) cos(2 pi v),     sqrt(-2 ln u) sin(2 pi v)
 
-(Box and Muller, Ann. Math. Stat. 29, 1958), the logarithm by atanh's series, sine and cosine of an eighth of a turn by
-Taylor's, both to 1e-13. The farthest is 8.5 standard deviations.
+(Box and Muller, Ann. Math. Stat. 29, 1958). The logarithm uses atanh's series, sine and cosine of an eighth of a turn
+Taylor's, both to 1e-13. The largest magnitude is 8.5 standard deviations.
 """
 
 from __future__ import annotations
@@ -36,12 +35,12 @@ _Array = NDArray[np.float64]
 
 
 def make_source(rng: np.random.Generator) -> NDArray[np.uint64]:
-    """Return what compiled functions draw from (1,), which ``rng`` draws: other for each that is asked for."""
+    """Return a source (1,) for compiled functions, seeded by ``rng``; each call gives another source."""
     return rng.integers(2**64, size=1, dtype=np.uint64)
 
 
 def _bitcast_intrinsic(make: Any, kind: Any) -> Any:
-    """Take the 64 bits of a number for those of another kind."""
+    """Return an intrinsic that reinterprets 64 bits as another type."""
 
     def emit_bitcast(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         return builder.bitcast(given[0], make)
@@ -56,9 +55,9 @@ _COUNTER_STEP, _MIX_FACTOR_1, _MIX_FACTOR_2 = (
     np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 )
 _27, _30, _31, _12, _52, _2 = (np.uint64(n) for n in (27, 30, 31, 12, 52, 2))
-_EXPONENT_OF_ONE = np.uint64(0x3FF0000000000000)  # exponent of numbers from 1 to 2
+_EXPONENT_OF_ONE = np.uint64(0x3FF0000000000000)  # exponent bits of numbers from 1 to 2
 _FRACTION_MASK = np.uint64(0x000FFFFFFFFFFFFF)
-_TWO_POW_52_BITS = np.uint64(0x4330000000000000)  # 2^52, whose last bits count ones
+_TWO_POW_52_BITS = np.uint64(0x4330000000000000)  # 2^52: its last bits hold an integer
 _LN2, _ROOT2 = math.log(2.0), math.sqrt(2.0)
 _L3, _L5, _L7, _L9, _L11, _L13, _L15 = (1.0 / n for n in (3, 5, 7, 9, 11, 13, 15))
 _S3, _S5, _S7, _S9, _S11, _S13 = ((-1.0) ** (n // 2) / math.factorial(n) for n in (3, 5, 7, 9, 11, 13))
@@ -67,7 +66,7 @@ _C2, _C4, _C6, _C8, _C10, _C12, _C14 = ((-1.0) ** (n // 2) / math.factorial(n) f
 
 @cached_njit(error_model="numpy")
 def _uniform_1_to_2(counter: np.uint64) -> float:
-    """A number from 1 to 2, of a counter."""
+    """Return a uniform number from 1 to 2 for a counter."""
     z = (counter ^ (counter >> _30)) * _MIX_FACTOR_1
     z = (z ^ (z >> _27)) * _MIX_FACTOR_2
     return _bits_to_float(((z ^ (z >> _31)) >> _12) | _EXPONENT_OF_ONE)
@@ -75,7 +74,7 @@ def _uniform_1_to_2(counter: np.uint64) -> float:
 
 @cached_njit(error_model="numpy")
 def _normal_pair(a: float, b: float) -> tuple[float, float]:
-    """Two normal numbers of two even ones from 1 to 2."""
+    """Return two normal numbers from two uniform ones between 1 and 2."""
     bits = _float_to_bits(2.0 - a)  # above 0, up to 1
     power = _bits_to_float(_TWO_POW_52_BITS | (bits >> _52)) - 4503599627371519.0  # 2^52 + 1023
     m = _bits_to_float((bits & _FRACTION_MASK) | _EXPONENT_OF_ONE)
@@ -85,7 +84,7 @@ def _normal_pair(a: float, b: float) -> tuple[float, float]:
     s = (m - 1.0) / (m + 1.0)
     q = s * s
     series = 1.0 + q * (_L3 + q * (_L5 + q * (_L7 + q * (_L9 + q * (_L11 + q * (_L13 + q * _L15))))))
-    far = math.sqrt(-(power * _LN2 + 2.0 * s * series))  # the root of 2 is in what follows
+    far = math.sqrt(-(power * _LN2 + 2.0 * s * series))  # the factor sqrt(2) is in the lines below
     x = b - 1.5  # turns
     y = (x if x > 0.0 else -x) - 0.25
     t = 2.0 * math.pi * ((y if y > 0.0 else -y) - 0.125)
@@ -96,7 +95,7 @@ def _normal_pair(a: float, b: float) -> tuple[float, float]:
     return first if x > 0.0 else -first, second if y > 0.0 else -second
 
 
-# Every sensor draws: vector registers make this long, so it is compiled once and called by its name.
+# Vector code is long, so the function is compiled once and all sensors call it by its symbol.
 _pointer: Any = types.CPointer
 _FILL_SIGNATURE = types.void(_pointer(types.uint64), _pointer(types.float64), types.int64)
 
@@ -120,13 +119,13 @@ _external_normals: Any = types.ExternalFunction("mufly_normals", _FILL_SIGNATURE
 
 @cached_njit(error_model="numpy")
 def draw_normals(source: NDArray[np.uint64], out: _Array) -> None:
-    """Fill an array (n,) with the next unit normal numbers of a source."""
+    """Fill an array (n,) with the next standard normal numbers of a source."""
     _external_normals(borrow_arrays(source).ctypes, borrow_arrays(out).ctypes, out.size)
 
 
 @cached_njit(error_model="numpy")
 def draw_uniforms(source: NDArray[np.uint64], out: _Array) -> None:
-    """Fill an array (n,) with the next numbers of a source, even from 0 to 1 (1 excluded)."""
+    """Fill an array (n,) with the next uniform numbers of a source in [0, 1)."""
     start = source[0]
     source[0] = start + np.uint64(out.size) * _COUNTER_STEP
     for i in range(out.size):

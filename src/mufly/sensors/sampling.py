@@ -1,6 +1,6 @@
-"""All sensors that measure every so often, sampled in one compiled call, as a loop over many periods does.
+"""Sampling of all periodic sensors in one compiled call, for loops over many periods.
 
-Nothing is computed here that :meth:`mufly.sensors.periodic.PeriodicSensor.read` does not do with the same functions.
+The compiled functions are those of :meth:`mufly.sensors.periodic.PeriodicSensor.read`.
 """
 
 from __future__ import annotations
@@ -30,18 +30,17 @@ _Array = NDArray[np.float64]
 
 _SAMPLED = {name: kind for name, kind in SENSOR_CLASSES.items() if issubclass(kind, PeriodicSensor)}
 SAMPLED_SENSORS: tuple[type[PeriodicSensor], ...] = tuple(_SAMPLED.values())
-"""Sensors that :func:`sample_all` knows, in its order."""
+"""Sensors that :func:`sample_all` samples, in its order."""
 SAMPLED_READINGS = tuple(-1 if (k := SENSORS[name][0].filter_index) is None else k for name in _SAMPLED)
-"""Place of the first reading of each in the tables of the filter; -1 where the filter does not take it."""
+"""Index of the first reading of each sensor in the tables of the filter; -1 where the filter does not use it."""
 
 
 def sampling_table(
     sensors: Mapping[int, Sensor],
 ) -> tuple[_Array, NDArray[np.uint8], _Array, tuple[Any, ...]]:
-    """Return what :func:`sample_all` takes of the sensors, by their places in :data:`SAMPLED_SENSORS`; of others
-    stand-ins.
+    """Return the arguments of :func:`sample_all` for sensors by their indices in :data:`SAMPLED_SENSORS`.
 
-    Until somebody writes when, none is asked.
+    Absent sensors get placeholders. No sensor is sampled until the array of times is set.
     """
     none = (np.zeros(3), np.zeros(2, dtype=np.int64), np.zeros((2, 4)), np.zeros(1, dtype=np.uint64))
     absent = [tuple(np.zeros((1,) * n) for n in kind.argument_dimensions) for kind in SAMPLED_SENSORS]
@@ -55,7 +54,7 @@ def sampling_table(
 
 @cached_njit(error_model="numpy")
 def _publish_to(t: float, wait: float, clock: _Array, counts: NDArray[np.int64], rows: _Array, told: _Array) -> bool:
-    """Whether something is said, which then stands in ``told``, too."""
+    """Return whether a sample is published; it is then also copied into ``told``."""
     if not publish_if_due(t, wait, clock, counts, rows):
         return False
     for j in range(rows.shape[1]):
@@ -78,9 +77,10 @@ def _sample_none(
 
 
 def _append_sensor(sample_others: Any, k: int, sample: Any) -> Any:
-    """Return a function that samples the sensors before and then sensor ``k``.
+    """Return a function that samples the previous sensors and then sensor ``k``.
 
-    Each has arrays of other types and a function of its own, so that a compiled loop over them is none.
+    Each sensor has arrays of other types and a function of its own, so one compiled loop over the sensors is
+    impossible.
     """
 
     @cached_njit(error_model="numpy", inline="always")
@@ -112,22 +112,22 @@ def sample_all(
     told: _Array,
     all_parts: tuple[Any, ...],
 ) -> float:
-    """Ask those sensors whose time has come (s); return until when none of them surely says anything new.
+    """Sample every sensor that is due at time ``t``; return the earliest time of the next sample (s).
 
     Parameters
     ----------
     t, x, attitude, supply
         Time (s), state (21,), attitude (3,), voltage and current (2,).
     quiet : (7,) array
-        Until when each surely says nothing new (s); infinite for those that are not to be asked.
+        Earliest time of each sensor's next sample (s); infinite for sensors that are not sampled.
     came : (7,) array of uint8
-        Which said something, overwritten.
+        Set to 1 for sensors that published a sample.
     told : (7, n) array
-        What it was: the first of its rows.
+        The published samples: the first row of each sensor's pending rows.
     all_parts : tuple
-        The last of :func:`sampling_table`.
+        Last item of the result of :func:`sampling_table`.
     """
-    # Counting references to the arrays of the caller costs more than sampling.
+    # Reference counting of the caller's arrays costs more than sampling.
     x, attitude, supply, quiet = borrow_arrays((x, attitude, supply, quiet))
     came, told, all_parts = borrow_arrays((came, told, all_parts))
     for k in range(came.size):

@@ -1,4 +1,4 @@
-"""All sensors of a vehicle, as its file says, and what may be wrong with them."""
+"""All sensors of a vehicle, as its file specifies, and their faults."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ SENSOR_CLASSES: dict[str, type[Any]] = {
     "position_fix": PositionFixSensor,
 }  # fmt: skip
 """Class of each sensor of :data:`mufly.sensor_table.SENSORS`."""
-_LEGS_STREAM = 16  # of the random numbers; no sensor draws from it, however many there are
+_LEGS_STREAM = 16  # of the random numbers, used by no sensor
 
 
 class FittedSensors(SensorSet):
-    """The sensors that a vehicle's file names, with their errors; faults may come and go while it flies.
+    """Sensors that a vehicle's file lists, with errors; faults may start and end in flight.
 
     Parameters
     ----------
     vehicle : str
-        Its name, for messages.
+        Name of the vehicle, for messages.
     fitted : mapping
-        Name of :data:`SENSOR_CLASSES` to sensor.
+        Key of :data:`SENSOR_CLASSES` to sensor.
     """
 
     def __init__(self, vehicle: str, fitted: Mapping[str, FaultySensor]) -> None:
@@ -51,16 +51,16 @@ class FittedSensors(SensorSet):
 
     @property
     def all_faults(self) -> tuple[Fault, ...]:
-        """What is, was or will be wrong."""
+        """All past, present and future faults."""
         return tuple(f for sensor in self._fitted.values() for f in sensor.faults)
 
     def inject_fault(self, fault: Fault, now_s: float = 0.0) -> Fault:
-        """Let something go wrong; a fault whose time has come already begins now (s). Returns it as it will be.
+        """Add a fault and return it as scheduled; a fault whose start has passed starts at ``now_s`` (s).
 
         Raises
         ------
         InputError
-            If it is of a sensor that is not there.
+            If the vehicle lacks the fault's sensor.
         """
         sensor = self._fitted.get(fault.sensor_name)
         if sensor is None:
@@ -72,7 +72,7 @@ class FittedSensors(SensorSet):
         return fault
 
     def clear_faults(self) -> None:
-        """Nothing is wrong any more, nor will be."""
+        """Remove all faults, including future ones."""
         for sensor in self._fitted.values():
             sensor.faults = ()
 
@@ -82,7 +82,7 @@ def _missing_sensor_error(fault: Fault, vehicle: str) -> InputError:
 
 
 def check_faults(vehicle: Vehicle, faults: Iterable[Fault]) -> None:
-    """InputError if a fault is of a sensor that a vehicle has not."""
+    """Raise InputError if the vehicle lacks a fault's sensor."""
     for fault in faults:
         if getattr(vehicle.sensors, fault.sensor_name, None) is None:
             raise _missing_sensor_error(fault, vehicle.name)
@@ -97,28 +97,28 @@ def fitted_sensors(
     only: Iterable[str] = SENSORS,
     instead: Mapping[str, Sensor] | None = None,
 ) -> FittedSensors:
-    """Return the sensors that a vehicle's file names, with errors.
+    """Return the sensors that a vehicle's file lists, with errors.
 
-    Each has random numbers of its own: one sensor more or less, or a fault, leaves the others' errors as they were.
+    Each sensor has its own random numbers: adding a sensor or a fault does not change the errors of the others.
 
     Parameters
     ----------
     vehicle : Vehicle
     world : World
-        What sonar and lasers see.
+        Surfaces that sonar and lasers measure.
     seed : int
         Same seed, same errors.
     faults : iterable of Fault
-        What goes wrong, and when.
+        Faults to inject.
     only : iterable of str
-        Names of :data:`SENSOR_CLASSES`.
+        Keys of :data:`SENSOR_CLASSES`.
     instead : mapping, optional
-        Name of :data:`SENSOR_CLASSES` to a sensor in place of its own.
+        Key of :data:`SENSOR_CLASSES` to a sensor that replaces the vehicle's.
 
     Raises
     ------
     InputError
-        If the vehicle has no sensors, or a fault is of one that it has not.
+        If the vehicle has no sensors, or lacks a fault's sensor.
     """
     if vehicle.sensors is None:
         raise InputError(
@@ -146,18 +146,17 @@ def fitted_sensors(
 
 
 def draw_leaning_vehicle(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
-    """Return the unit of a vehicle that a seed draws as it stands: not quite level, as far as its file allows.
+    """Return a vehicle with legs of random lengths, so that it does not stand exactly level.
 
-    What is taken for level while it stands and is calibrated (``sensors.imu.level``) never is: legs are of
-    unlike length, floors slope. Roll and pitch are drawn for it, and the plane of its legs' tips is turned about the
-    centre of gravity by that, so that :func:`mufly.dynamics.standing_attitude` is what was drawn, before a flight and
-    after.
+    The calibration takes the standing attitude for level, but legs differ in length and floors slope. Roll and pitch
+    are drawn with the deviation ``sensors.imu.level``. The plane of the tips of the legs is turned about the centre of
+    gravity, so that :func:`mufly.dynamics.standing_attitude` gives the drawn angles, before and after a flight.
 
     Parameters
     ----------
     vehicle : Vehicle
     seed : int
-        Same seed, same legs; other sensors' errors stay as they are with or without.
+        Same seed, same legs; the other sensors' errors do not depend on this draw.
     """
     if vehicle.sensors is None or vehicle.sensors.imu is None or float(vehicle.sensors.imu.level) == 0.0:
         return vehicle

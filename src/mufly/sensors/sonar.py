@@ -1,15 +1,14 @@
-"""The ultrasonic range finder below the fuselage (SRF10): how far the nearest thing in its cone is.
+"""Ultrasonic range finder below the fuselage (SRF10): distance to the nearest surface in its cone.
 
-A pulse spreads in a cone and the first echo counts, whichever surface sends it: the floor below, also when the
-vehicle tilts by less than half the cone (the shortest way to it is the perpendicular), or the edge of a box that
-comes into the cone from the side. So stepping over an object is a jump, and comes early. The way there and back takes
-2 l / c.
+A pulse spreads in a cone and the first echo counts, whichever surface reflects it. It may be the floor below, also
+when the vehicle tilts by less than the half angle (the shortest way is the perpendicular), or the edge of a box that
+enters the cone from the side. So the reading jumps early at the edge of an object. The pulse takes 2 l / c.
 
-    reading = quantised(l + n),     nothing beyond l_max, nothing for a pulse that gets no echo,
-    and a share of echoes came by a second surface: their way is longer by up to as much again.
+    reading = quantised(l + n),     nothing beyond l_max, nothing for a pulse without an echo;
+    a share of echoes arrives by a second surface: their path is longer, at most doubled.
 
-What a cone sees is sampled by rays: one along z and rings of them at a third, two thirds and all of its half angle;
-the perpendicular to the floor is added, as an exact one would miss it by l (1 - cos) at most.
+Rays sample the cone: one along z and rings of them at a third, two thirds and all of its half angle. The perpendicular
+to the floor is added, since the rays miss its distance by at most l (1 - cos).
 
 Source: Sec. 2.1.2 of the dissertation; own derivation.
 """
@@ -33,14 +32,14 @@ from mufly.world import World, first_hit
 
 _Array = NDArray[np.float64]
 SPEED_OF_SOUND_M_S = 343.2  # dry air of 20 degC
-_CONE_RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, rays
+_CONE_RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, number of rays
 
 
 @cached_njit(error_model="numpy")
 def _cone_distance(
     x: _Array, place: _Array, rays: _Array, upright: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> float:
-    """Distance from the element to the nearest surface in the cone (m); ``upright`` is the cosine of its half angle."""
+    """Return the distance to the nearest surface in the cone (m); ``upright`` is the cosine of its half angle."""
     turn, here = body_to_ned_matrix(x[ATTITUDE]), np.empty(3)
     for j in range(3):
         here[j] = x[j] + (turn[j, 0] * place[0] + turn[j, 1] * place[1] + turn[j, 2] * place[2])
@@ -90,7 +89,7 @@ def _sample_echo(
 
 
 class UltrasonicSensor(PeriodicSensor):
-    """Reads ``ground_distance`` (m); not valid without an echo."""
+    """Sensor of ``ground_distance`` (m); not valid without an echo."""
 
     published_readings = {"ground_distance": 0}  # noqa: RUF012
     sample_function = _sample_echo
@@ -105,13 +104,13 @@ class UltrasonicSensor(PeriodicSensor):
         super().__init__(float(s.period), rng, parts, 2.0 * longest / SPEED_OF_SOUND_M_S)
 
     def true_readings(self, truth: Truth) -> dict[str, float]:
-        """Distance to the nearest surface in the cone (m); infinite if there is none."""
+        """Return the distance to the nearest surface in the cone (m); infinite if there is none."""
         _, place, rays, *world = self.sample_arguments
         return {"ground_distance": float(_cone_distance(truth.state, place, rays, self._numbers[6], *world))}
 
 
 def cone_rays(half_angle: float) -> _Array:
-    """Unit vectors (n, 3) that sample a cone around z with this half angle (rad)."""
+    """Return unit vectors (n, 3) that sample a cone of this half angle around z (rad)."""
     rays = [[0.0, 0.0, 1.0]]
     for share, count in _CONE_RINGS:
         off = share * half_angle
