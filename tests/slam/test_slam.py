@@ -222,12 +222,12 @@ def test_what_it_cannot_see_it_does_not_answer() -> None:
     for k, (f, _) in enumerate(made):
         if k >= 20:  # the lens is covered
             noise = np.random.default_rng(k).normal(6, 2, f.picture.shape).clip(0, 255).astype(np.uint8)
-            f = type(f)(f.time_s, noise, f.info)
+            f = type(f)(f.time_s, noise, f.vehicle_estimate)
         last = slam.process_frame(f)
         assert last.trusted == (k < 20)
     assert "too little of the floor" in last.reason
     with pytest.raises(InputError, match="is 100 by 80 pixels, the camera file says 320 by 240"):
-        slam.process_frame(type(f)(99.0, np.zeros((80, 100), np.uint8), f.info))
+        slam.process_frame(type(f)(99.0, np.zeros((80, 100), np.uint8), f.vehicle_estimate))
     assert not slam.process_frame(made[0][0]).trusted  # older than the last
 
 
@@ -282,7 +282,7 @@ def test_over_tiles_only_the_way_since_tells_which_tile_it_is(floor: str) -> Non
             # The place that it believes goes wrong with the velocity, as the filter's does.
             lag = faster * (f.time_s - made[gap[0]][0].time_s)
             told = replace(
-                f.info, velocity=m.velocity + np.array([faster, 0.0, 0.0]), velocity_sigma=0.1,
+                f.vehicle_estimate, velocity=m.velocity + np.array([faster, 0.0, 0.0]), velocity_sigma=0.1,
                 place=np.array([m.position[0] + lag, m.position[1], headings[k]]), place_sigma=(0.05, 0.01),
             )  # fmt: skip
             answers.append(slam.process_frame(replace(f, picture=nothing if k in gap else f.picture, info=told)))

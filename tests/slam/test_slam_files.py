@@ -69,9 +69,13 @@ def test_layouts_say_the_same(layouts: dict[str, Path]) -> None:
         assert np.ptp(truth[1][:, 2]) < 0.2
         assert truth[1][0] == pytest.approx(sources["mufly"].truth[1][0], abs=1e-5)  # type: ignore[index]
         off = [
-            abs(a.info.roll - b.info.roll) + abs(a.info.pitch - b.info.pitch) for a, b in zip(theirs, ours, strict=True)
+            abs(a.vehicle_estimate.roll - b.vehicle_estimate.roll)
+            + abs(a.vehicle_estimate.pitch - b.vehicle_estimate.pitch)
+            for a, b in zip(theirs, ours, strict=True)
         ]
-        assert [b.info.height_m for b in theirs] == pytest.approx([b.info.height_m for b in ours], abs=0.01)
+        assert [b.vehicle_estimate.height_m for b in theirs] == pytest.approx(
+            [b.vehicle_estimate.height_m for b in ours], abs=0.01
+        )
         assert max(off) < 0.09  # an inertial unit that tilts and accelerates feels both
 
 
@@ -135,13 +139,13 @@ def test_pictures_of_a_recording_or_what_is_wrong_with_it(layouts: dict[str, Pat
     frames = list(open_pictures(layouts["mufly"], CAMERA).read_frames())
     recorder = PictureRecorder(tmp_path / "camera.mcap", format_camera_toml(CAMERA), 10**18, {"floor": "rich"})
     for f in frames:
-        recorder.add_picture(f.time_s, encode_jpeg(f.picture, 95), asdict(f.info))
+        recorder.add_picture(f.time_s, encode_jpeg(f.picture, 95), asdict(f.vehicle_estimate))
     recorder.close()
     for place in (tmp_path, tmp_path / "camera.mcap"):
         back = list(open_pictures(place, CAMERA).read_frames())
         assert [f.time_s for f in back] == pytest.approx([f.time_s for f in frames], abs=1e-9)
-        assert back[4].info.roll == frames[4].info.roll
-        assert back[4].info.rotor_phase == pytest.approx(frames[4].info.rotor_phase)
+        assert back[4].vehicle_estimate.roll == frames[4].vehicle_estimate.roll
+        assert back[4].vehicle_estimate.rotor_phase == pytest.approx(frames[4].vehicle_estimate.rotor_phase)
         assert np.abs(back[4].picture.astype(int) - frames[4].picture).mean() < 3
     whole = (tmp_path / "camera.mcap").read_bytes()
     (tmp_path / "cut").mkdir()
@@ -162,7 +166,7 @@ def test_pictures_of_a_recording_or_what_is_wrong_with_it(layouts: dict[str, Pat
     ):
         recorder = PictureRecorder(cut, "", 10**18, {})
         for t in times:
-            recorder.add_picture(t, jpeg, asdict(frames[0].info))
+            recorder.add_picture(t, jpeg, asdict(frames[0].vehicle_estimate))
         recorder.close()
         with pytest.raises(InputError, match=why):
             list(open_pictures(cut, CAMERA).read_frames())
@@ -182,7 +186,7 @@ def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], 
     some = list(open_pictures(film, CAMERA, told=told).read_frames())
     assert [f.time_s for f in some] == pytest.approx([100.1, 100.14, 100.18, 100.22, 100.26])
     direct = read_telemetry(layouts["mufly"] / "telemetry.csv")(np.array([0.1, 0.26]))
-    assert [some[k].info.roll for k in (0, 4)] == pytest.approx([t.roll for t in direct])
+    assert [some[k].vehicle_estimate.roll for k in (0, 4)] == pytest.approx([t.roll for t in direct])
     log = tmp_path / "log.mcap"
     t = np.arange(100.0, 101.0, 0.01)
     write_log(xr.Dataset(
@@ -190,7 +194,7 @@ def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], 
          "estimated_position": (("time", "axis"), np.stack([t, t, -1.0 - 0 * t], axis=1))},
         {"time": t, "euler": ["roll", "pitch", "yaw"], "axis": ["N", "E", "D"]},
     ), log)  # fmt: skip
-    one = list(open_pictures(film, CAMERA, told=read_telemetry(log, 0.0)).read_frames())[2].info
+    one = list(open_pictures(film, CAMERA, told=read_telemetry(log, 0.0)).read_frames())[2].vehicle_estimate
     assert (one.roll, one.height_m) == pytest.approx((0.018, 1.0), abs=1e-6)
     with pytest.raises(InputError, match="give --offset: the recording's clock less the pictures'"):
         open_pictures(film, CAMERA, told=read_telemetry(log, -50.0))

@@ -82,16 +82,17 @@ def _find_colmap_line(text: str) -> list[str] | None:
 
 
 def _parse_colmap_line(line: list[str], where: str) -> tuple[tuple[int, int], list[float], list[float]]:
-    if line[1] not in _COLMAP_PARAMETER_ORDER:
-        raise InputError(where, line[1], "is a model of COLMAP's that is not read here", _UNSUPPORTED_LENS_REMEDY)
+    _, model, width, height, *numbers = line
+    if model not in _COLMAP_PARAMETER_ORDER:
+        raise InputError(where, model, "is a model of COLMAP's that is not read here", _UNSUPPORTED_LENS_REMEDY)
     try:
-        places, values = _COLMAP_PARAMETER_ORDER[line[1]], [float(c) for c in line[4:]]
-        found = [values[k] for k in places]
-        size = int(line[2]), int(line[3])
+        places, values = _COLMAP_PARAMETER_ORDER[model], [float(c) for c in numbers]
+        f_x, f_y, c_x, c_y, *coefficients = (values[k] for k in places)
+        size = int(width), int(height)
     except (ValueError, IndexError):
-        raise InputError(where, line[1], "has too few numbers, or some that are none", "export it anew") from None
+        raise InputError(where, model, "has too few numbers, or some that are none", "export it anew") from None
     # The middle of the first pixel is (0.5, 0.5) there.
-    return size, [*found[:2], found[2] - 0.5, found[3] - 0.5], found[4:]
+    return size, [f_x, f_y, c_x - 0.5, c_y - 0.5], coefficients
 
 
 def _parse_key_values(text: str, where: str) -> Iterator[tuple[str, Any]]:
@@ -190,9 +191,10 @@ def _parse_calibration(
                 _UNSUPPORTED_LENS_REMEDY,
             )
     matrix = _find_numbers(v, ("camera_matrix", "intrinsic_matrix", "k", "m1"))
-    focus = _find_numbers(v, ("intrinsics",)) or (
-        [matrix[0], matrix[4], matrix[2], matrix[5]] if len(matrix) == 9 else []
-    )
+    focus = _find_numbers(v, ("intrinsics",))
+    if not focus and len(matrix) == 9:
+        f_x, _, c_x, _, f_y, c_y, *_ = matrix
+        focus = [f_x, f_y, c_x, c_y]
     focus = focus or [_parse_float(v.get(name)) for name in _INTRINSIC_NAMES]
     width, height = _find_numbers(v, ("resolution", "image_size")) or [
         _parse_float(v.get(f"image_{side}", v.get(side))) for side in ("width", "height")

@@ -239,11 +239,12 @@ def body_from_camera_rotation(camera: Camera) -> _Array:
 
 
 def _distort_rays(k: _Array, x: _Array, y: _Array) -> tuple[_Array, _Array]:
+    k1, k2, p1, p2, k3 = k
     r2 = x * x + y * y
-    radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     return (
-        x * radial + 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x),
-        y * radial + k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y,
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
     )
 
 
@@ -260,17 +261,18 @@ def unproject_pixels(camera: Camera, pixels: ArrayLike) -> _Array:
     """Return x, y (..., 2) of the rays with z = 1 through pixels (..., 2): the distortion undone, to 1e-10."""
     p = np.asarray(pixels, dtype=np.float64)
     m, k = camera_matrix(camera), distortion_coefficients(camera)
+    k1, k2, p1, p2, k3 = k
     wanted_x, wanted_y = (p[..., 0] - m[0, 2]) / m[0, 0], (p[..., 1] - m[1, 2]) / m[1, 1]
     x, y = wanted_x.copy(), wanted_y.copy()
     for _ in range(20 if k.any() else 0):
         at_x, at_y = _distort_rays(k, x, y)
         off_x, off_y = at_x - wanted_x, at_y - wanted_y
         r2 = x * x + y * y
-        radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-        slope = 2 * k[0] + r2 * (4 * k[1] + 6 * k[4] * r2)  # d radial / d r, over r
-        xx = radial + slope * x * x + 2 * k[2] * y + 6 * k[3] * x
-        xy = slope * x * y + 2 * k[2] * x + 2 * k[3] * y
-        yy = radial + slope * y * y + 6 * k[2] * y + 2 * k[3] * x
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2 * k1 + r2 * (4 * k2 + 6 * k3 * r2)  # d radial / d r, over r
+        xx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
+        xy = slope * x * y + 2 * p1 * x + 2 * p2 * y
+        yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
         with np.errstate(all="ignore"):
             det = xx * yy - xy * xy
             x = x - (yy * off_x - xy * off_y) / det

@@ -29,8 +29,13 @@ from mufly.camera.camera_model import Camera, body_from_camera_rotation, unproje
 from mufly.camera.floor_texture import DETAIL_PIXEL_M, DETAIL_PIXELS, SHADOW_PIXEL_M, SHADOW_PIXELS, Floor
 from mufly.numba_cache import cached_njit
 from mufly.world import Box, World
+from mufly.world.obstacles import BOX_CENTRE, BOX_COS, BOX_HALF, BOX_SIN
 
 _Array = NDArray[np.float64]
+_P_VELOCITY, _P_RATES, _P_ROTOR_SPEED, _P_ROTOR_PHASE = 3, 6, 9, 11
+"""Places in the row that a picture is drawn from, behind the position."""
+_SHAKE_Y, _LAST_COLUMN = 2, 3
+"""Where amplitude and phase along y stand in a rotor's shake; the last of the rows and columns that a box covers."""
 STRIP_ROWS = 16
 """Rows of a picture that are lost together, as JPEG's blocks are."""
 _EXPOSURE_SAMPLES = 3  # instants of an exposure
@@ -212,8 +217,8 @@ class Renderer:
         here = motion.position + motion.attitude @ self._mount
         reach = float(np.abs(self._rays).max()) + 0.2
         for k, b in enumerate(self._boxes):
-            corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * b[3:6]
-            c, si = b[6], b[7]
+            corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * b[BOX_HALF:BOX_COS]
+            c, si = b[BOX_COS], b[BOX_SIN]
             at = np.stack(
                 [
                     c * corners[:, 0] - si * corners[:, 1],
@@ -222,7 +227,7 @@ class Renderer:
                 ],
                 1,
             )
-            p = (at + b[0:3] - here) @ turn
+            p = (at + b[BOX_CENTRE:BOX_HALF] - here) @ turn
             if (p[:, 2] < 0.02).any():
                 out[k] = 0, s.height - 1, 0, s.width - 1
                 continue
@@ -361,20 +366,20 @@ def _render_irradiance(
             out[r, c] = 0.0
         for q in range(samples):
             s = middle + ((q + 0.5) * share - 0.5) * exposure
-            _apply_rotation_vector(attitude, place[6:9], s, body)
+            _apply_rotation_vector(attitude, place[_P_RATES:_P_ROTOR_SPEED], s, body)
             for i in range(3):
                 for j in range(3):
                     m[i, j] = body[i, 0] * axes[0, j] + body[i, 1] * axes[1, j] + body[i, 2] * axes[2, j]
             for i in range(3):
-                at[i] = place[i] + place[3 + i] * s
+                at[i] = place[i] + place[_P_VELOCITY + i] * s
                 for j in range(3):
                     at[i] += body[i, j] * mount[j]
             at_n, at_e, at_d = at[0], at[1], at[2]
             shift_x = shift_y = 0.0
             for k in range(2):
-                phase = place[11 + k] + place[9 + k] * s
+                phase = place[_P_ROTOR_PHASE + k] + place[_P_ROTOR_SPEED + k] * s
                 shift_x += shake[k, 0] * math.cos(phase + shake[k, 1])
-                shift_y += shake[k, 2] * math.cos(phase + shake[k, 3])
+                shift_y += shake[k, _SHAKE_Y] * math.cos(phase + shake[k, _SHAKE_Y + 1])
             for i in range(3):  # turned: (x, y, 1) looks where (x - s_x, y - s_y, 1 + s_x x + s_y y) did
                 a, b, g = m[i, 0], m[i, 1], m[i, 2]
                 m[i, 0], m[i, 1], m[i, 2] = a + g * shift_x, b + g * shift_y, g - a * shift_x - b * shift_y
@@ -391,7 +396,7 @@ def _render_irradiance(
                 dark, off = 1.0, 0.0
                 if some:
                     for k in range(len(boxes)):
-                        if seen[k, 0] <= r <= seen[k, 1] and seen[k, 2] <= c <= seen[k, 3]:
+                        if seen[k, 0] <= r <= seen[k, 1] and seen[k, 2] <= c <= seen[k, _LAST_COLUMN]:
                             hit, top = _intersect_box(boxes, k, at_n, at_e, at_d, n, e, d)
                             if 0.0 < hit < far:
                                 far, dark, off = hit, (1.0 if top else 0.6), 1.7 * (k + 1)
@@ -421,7 +426,7 @@ def _intersect_box(
     boxes: _Array, k: int, at_n: float, at_e: float, at_d: float, n: float, e: float, d: float
 ) -> tuple[float, bool]:
     """How far along the ray box k begins (negative: it is missed), and whether that is its top."""
-    c, s = boxes[k, 6], boxes[k, 7]
+    c, s = boxes[k, BOX_COS], boxes[k, BOX_SIN]
     on, oe, od = at_n - boxes[k, 0], at_e - boxes[k, 1], at_d - boxes[k, 2]
     px, py = c * on + s * oe, -s * on + c * oe
     ux, uy = c * n + s * e, -s * n + c * e
@@ -429,7 +434,7 @@ def _intersect_box(
     for i in range(3):
         p = px if i == 0 else (py if i == 1 else od)
         u = ux if i == 0 else (uy if i == 1 else d)
-        half = boxes[k, 3 + i]
+        half = boxes[k, BOX_HALF + i]
         if abs(u) < 1e-12:
             if abs(p) > half:
                 return -1.0, False

@@ -107,7 +107,7 @@ class PolyMesh:
     @cached_property
     def cell_volumes(self) -> Array:
         """Volumes of the cells (m3)."""
-        return self._face_cell_geometry[3]
+        return self._face_cell_geometry[-1]
 
     @cached_property
     def _face_cell_geometry(self) -> tuple[Array, Array, Array, Array]:

@@ -195,14 +195,15 @@ def heave_yaw_step(
         Upper, lower; 0..1.
     state : (29,) array
     """
+    z, psi, climb, turn = reference[0], reference[1], reference[2], reference[3]
     new = np.empty(HEAVE_YAW_STATE_SIZE)
     new[ORIGIN_Z], new[ORIGIN_PSI] = state[ORIGIN_Z], state[ORIGIN_PSI]
     new[FILTERED_Z], new[ROUNDING_REST_Z], new[FILTERED_W] = _filter_reference(
         state[FILTERED_Z],
         state[ROUNDING_REST_Z],
         state[FILTERED_W],
-        reference[0],
-        reference[2],
+        z,
+        climb,
         gains.heave_bandwidth,
         gains.heave_acceleration,
         gains.heave_speed,
@@ -212,8 +213,8 @@ def heave_yaw_step(
         state[FILTERED_PSI],
         state[ROUNDING_REST_PSI],
         state[FILTERED_R],
-        reference[1],
-        reference[3],
+        psi,
+        turn,
         gains.yaw_bandwidth,
         gains.yaw_acceleration,
         gains.yaw_rate,
@@ -224,10 +225,10 @@ def heave_yaw_step(
     new[FILTERED_VOLTAGE] = state[FILTERED_VOLTAGE] + gains.voltage_blend * (believed - state[FILTERED_VOLTAGE])
     top = new[FILTERED_VOLTAGE] / gains.design_voltage
 
-    e = np.empty(5)
+    e = np.empty(5)  # z, psi, then what was measured: z, psi, r
     # Lead only on the rate that the reference itself brings: a bare step must not be sharpened.
-    climb = _limit_lead_rate(new[FILTERED_W], reference[2])
-    turn = _limit_lead_rate(new[FILTERED_R], reference[3])
+    climb = _limit_lead_rate(new[FILTERED_W], climb)
+    turn = _limit_lead_rate(new[FILTERED_R], turn)
     e[0] = new[FILTERED_Z] + gains.heave_lead * climb - new[ORIGIN_Z]
     e[1] = new[FILTERED_PSI] + gains.yaw_lead * turn - new[ORIGIN_PSI]
     e[2], e[3], e[4] = new[ORIGIN_Z] - measurement[0], new[ORIGIN_PSI] - measurement[1], -measurement[2]
@@ -475,7 +476,7 @@ def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: 
     """
     believed = _clip_value(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
     e, output, state = np.zeros(5), np.empty(2), np.zeros(HEAVE_YAW_STATE_SIZE)
-    e[4] = -measurement[2]
+    e[-1] = -measurement[2]
     for i in range(2):  # lower, upper
         output[i] = motor_input[1 - i] * believed / gains.design_voltage - gains.trim[i]
     _initialise_state(gains, e, output, state)

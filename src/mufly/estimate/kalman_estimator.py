@@ -278,9 +278,9 @@ class KalmanEstimator(Estimator):
             rest = np.maximum(own - self._fix_bias_variance, 0.0) * (
                 1.0 + 2.0 * self.fix_correlation_s / float(s["sensor_period"][R_FIX])
             )
-            noise += [rest[:3].max(), rest[3]]
+            noise += [rest[:-1].max(), rest[-1]]
         elif own is not None:
-            noise = np.array([own[:3].max(), own[3]])
+            noise = np.array([own[:-1].max(), own[-1]])
         s["fix_variance"], s["heading_variance"] = noise
         s["initial_sigma"][four] = np.sqrt(wander)
 

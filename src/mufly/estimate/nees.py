@@ -141,9 +141,8 @@ def measure_row_consistency(
     p = np.array([told[k].covariance[:EX_GYRO_BIAS, :EX_GYRO_BIAS] for k in use[::every]])
     nees = normalised_errors(some[:, known], p[:, known][:, :, known])
     place, speed, turn = (
-        float(normalised_errors(some[:, i : i + 3], p[:, i : i + 3, i : i + 3]).mean()) / 3
-        if known[i : i + 3].all() else math.nan
-        for i in (EX_POS, EX_VEL, EX_ATT)
+        float(normalised_errors(some[:, part], p[:, part, part]).mean()) / 3 if known[part].all() else math.nan
+        for part in (slice(EX_POS, EX_VEL), slice(EX_VEL, EX_ATT), slice(EX_ATT, EX_GYRO_BIAS))
     )  # fmt: skip
     ratios = []
     for k in use[::every]:

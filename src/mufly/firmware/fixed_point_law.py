@@ -292,7 +292,7 @@ class FixedPointControllers(Controllers):
     def engage(self, estimate: Estimate, motor_input: _Array) -> None:
         h, (_, z), (_, psi), r, volts = self._gains_table["heave_yaw"], *_measure_heave_yaw(estimate)
         self._voltage = self._limit_voltage(volts)
-        w = [0, 0, 0, 0, _clip_symmetric(-r[2], h["limit"][4])]
+        w = [0, 0, 0, 0, _clip_symmetric(-r[2], h["limit"][-1])]
         motors = [to_signal(v) for v in motor_input]
         for i in range(2):
             share = _multiply_shift(_clip_value(motors[1 - i], 0, SIGNAL_ONE), self._voltage, FRACTION_BITS)
@@ -329,9 +329,10 @@ class FixedPointControllers(Controllers):
 
     def _heave_yaw_step(self, estimate: Estimate, reference: list[int]) -> list[int]:
         h, (_, z), (_, psi), rates, volts = self._gains_table["heave_yaw"], *_measure_heave_yaw(estimate)
+        height, heading, climb, turn = reference
         led = (
-            self._filter_reference("height", reference[0], reference[2]),
-            self._filter_reference("heading", reference[1], reference[3]),
+            self._filter_reference("height", height, climb),
+            self._filter_reference("heading", heading, turn),
         )
         self._voltage += _multiply_shift(h["voltage_blend"], self._limit_voltage(volts) - self._voltage, 30)
         top = _multiply_shift(self._voltage, h["per_volt"], 34)

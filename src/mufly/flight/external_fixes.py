@@ -113,8 +113,9 @@ def _fix_fault(place: _Array, covariance: _Array | None) -> str:
         return "its numbers are none (NaN or infinite)"
     if np.abs(place[:3]).max() > MAX_FIX_DISTANCE_M:
         return f"its place is {np.abs(place[:3]).max():.0f} m away"
-    if abs(place[3]) > 2.1 * math.pi:
-        return f"its heading is {place[3]:.1f} rad"
+    *_, heading = place
+    if abs(heading) > 2.1 * math.pi:
+        return f"its heading is {heading:.1f} rad"
     if covariance is None:
         return ""
     own = np.diag(covariance)
@@ -124,6 +125,6 @@ def _fix_fault(place: _Array, covariance: _Array | None) -> str:
         return "its covariance is none (not positive semidefinite)"
     if (sigma := math.sqrt(float(own[:2].max()))) > MAX_FIX_SIGMA_M:
         return f"its place is known to {sigma:.2f} m only, {MAX_FIX_SIGMA_M:g} m are needed"
-    if (sigma := math.sqrt(float(own[3]))) > MAX_SIGMA_RAD:
+    if (sigma := math.sqrt(float(own[-1]))) > MAX_SIGMA_RAD:
         return f"its heading is known to {math.degrees(sigma):.0f} degrees only"
     return ""

@@ -61,6 +61,8 @@ VEHICLE_KEYS = {
     "dR": ("motor.friction", "N m s"),
     "Mf": ("motor.friction_torque", "N m"),
 }
+_DAMPING, _FRICTION = 3, 4
+"""Where d and c, of friction in proportion to speed and of constant friction, stand in (R, a, b, d, c)."""
 _MIN_POINTS = 6
 _ROUNDING_RESIDUAL = 1e-6  # residuals this small against the expected errors are rounding, not measurement
 _UNIT_MISTAKES = (
@@ -249,8 +251,8 @@ def fit_motor(
     free = np.array([True, True, True, True, vehicle is not None and float(vehicle.motor.friction_torque) > 0])
     while True:
         effective, scales = same.solve_constants(free)
-        if free[3] and effective[3] < 0:
-            free[3] = False
+        if free[_DAMPING] and effective[_DAMPING] < 0:
+            free[_DAMPING] = False
             notes.append("the friction dR would be below zero and was held at 0: torque or current may have an offset")
             continue
         jacobian, white = (
@@ -272,7 +274,7 @@ def fit_motor(
             notes += [found.describe_pattern()] if found.pattern != "white" else []
             notes += asked
             break
-        free[4] = True
+        free[_FRICTION] = True
     _check_physical(table, data, effective, found.covariance, free, found.t_quantile_95)
     covariance = np.zeros((5, 5))
     covariance[np.ix_(free, free)] = found.covariance
@@ -468,8 +470,8 @@ class _MotorEquations:
         start[:2] = np.linalg.lstsq(np.column_stack([i, w]), u, rcond=None)[0]
         start[2:][free[2:]] = np.linalg.lstsq(np.column_stack([i, -w, -np.ones_like(w)])[:, free[2:]], q, rcond=None)[0]
         size = np.abs(start) + 1e-12 * np.max(np.abs(start))
-        size[3] = max(size[3], 1e-3 * float(np.max(np.abs(q)) / np.max(np.abs(w))))
-        size[4] = max(size[4], 1e-3 * float(np.max(np.abs(q))))
+        size[_DAMPING] = max(size[_DAMPING], 1e-3 * float(np.max(np.abs(q)) / np.max(np.abs(w))))
+        size[_FRICTION] = max(size[_FRICTION], 1e-3 * float(np.max(np.abs(q))))
         mechanical = int(np.sum(free[2:]))
 
         def expand_free(z: Array) -> Array:
@@ -505,7 +507,7 @@ class _MotorEquations:
         """Return the whitened derivatives of e1 and e2 by (R, a, b, d, c) at the adjusted readings, (2 n, 5)."""
         _, i, w, _ = self.adjust_readings(x).channel_arrays()
         raw = np.zeros((i.size, 2, 5))
-        raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, 3], raw[:, 1, 4] = -i, -w, i, -w, -1.0
+        raw[:, 0, 0], raw[:, 0, 1], raw[:, 1, 2], raw[:, 1, _DAMPING], raw[:, 1, _FRICTION] = -i, -w, i, -w, -1.0
         return np.einsum("nij,njk->nik", self.whitening_matrices(x, scales), raw).reshape(-1, 5)
 
 
@@ -546,12 +548,12 @@ def _needs_constant_friction(
     same: _MotorEquations, effective: Array, scales: Array, free: NDArray[np.bool_], gear: GearKnowledge
 ) -> bool:
     """Whether a constant friction mends constants that make power, and halves what the torque's balance misses."""
-    if free[4] or not _constant_ratio(effective, gear) > _MAX_CONSTANT_RATIO:
+    if free[_FRICTION] or not _constant_ratio(effective, gear) > _MAX_CONSTANT_RATIO:
         return False
     x, s = same.solve_constants(np.array([True, True, True, True, True]))
-    if x[3] < 0.0:
+    if x[_DAMPING] < 0.0:
         x, s = same.solve_constants(np.array([True, True, True, False, True]))
-    return bool(x[4] > 0.0 and s[1] < 0.5 * scales[1] and _constant_ratio(x, gear) <= _MAX_CONSTANT_RATIO)
+    return bool(x[_FRICTION] > 0.0 and s[1] < 0.5 * scales[1] and _constant_ratio(x, gear) <= _MAX_CONSTANT_RATIO)
 
 
 def _constant_ratio(x: Array, gear: GearKnowledge) -> float:
@@ -566,7 +568,7 @@ def _find_unmodelled_terms(
     words: list[str] = []
     n = len(white)
     terms = [(0, "a constant voltage drop", "V", 1.0)]
-    if not free[4]:
+    if not free[_FRICTION]:
         terms.append((1, "a constant friction", "mN m", 1e3))
     for row, name, unit, factor in terms:
         extra = whitening[:, :, row].reshape(2 * n, 1)
@@ -609,16 +611,17 @@ def _estimates_of_constants(
     r, a, b, d, c = x
     both = unit_ratio * unit_eta
     value = np.array([a / unit_ratio, b / both, r, d / (unit_ratio * both), c / both])
-    # Columns: R, a, b, d, c, ratio, efficiency.
+    # Columns: R, a, b, d, c, then
+    ratio, efficiency = 5, 6
     jacobian = np.zeros((5, 7))
     jacobian[0, 1], jacobian[1, 2], jacobian[2, 0] = 1 / unit_ratio, 1 / both, 1.0
-    jacobian[3, 3], jacobian[4, 4] = 1 / (unit_ratio * both), 1 / both
-    jacobian[:, 5] = np.array([-1.0, -1.0, 0.0, -2.0, -1.0]) * value / unit_ratio
-    jacobian[:, 6] = np.array([0.0, -1.0, 0.0, -1.0, -1.0]) * value / unit_eta
+    jacobian[_DAMPING, _DAMPING], jacobian[_FRICTION, _FRICTION] = 1 / (unit_ratio * both), 1 / both
+    jacobian[:, ratio] = np.array([-1.0, -1.0, 0.0, -2.0, -1.0]) * value / unit_ratio
+    jacobian[:, efficiency] = np.array([0.0, -1.0, 0.0, -1.0, -1.0]) * value / unit_eta
     whole = np.zeros((7, 7))
     whole[:5, :5] = covariance
-    whole[5, 5] = gear.ratio_std**2 if i is not None else 0.0
-    whole[6, 6] = gear.efficiency_std**2 if eta is not None else 0.0
+    whole[ratio, ratio] = gear.ratio_std**2 if i is not None else 0.0
+    whole[efficiency, efficiency] = gear.efficiency_std**2 if eta is not None else 0.0
     cov = jacobian @ whole @ jacobian.T
     tails = dict.fromkeys(VEHICLE_KEYS, "")
     unseen: list[str] = []
@@ -631,10 +634,10 @@ def _estimates_of_constants(
         tails |= {k: tails[k] + "*eta_gear" for k in ("kM", "dR", "Mf")}
         unseen.append("kM and dR cannot be told from the gear's efficiency: only kM*eta_gear and dR*eta_gear are seen")
     estimates = []
-    told = [*range(4), *([4] if free[4] else [])]
+    told = [*range(4), *([_FRICTION] if free[_FRICTION] else [])]
     cov, value = cov[np.ix_(told, told)], value[told]
     for k, (symbol, (key, unit)) in enumerate(list(VEHICLE_KEYS.items())[: len(told)]):
-        std, tail, bound = math.sqrt(cov[k, k]), tails[symbol], symbol == "dR" and not free[3]
+        std, tail, bound = math.sqrt(cov[k, k]), tails[symbol], symbol == "dR" and not free[_DAMPING]
         names = symbol + tail, "" if tail else key, unit
         e = ParameterEstimate.from_std(*names, vehicle, float(value[k]), std, quantile=quantile, at_bound=bound)
         estimates.append(replace(e, std=math.nan) if bound else e)

@@ -138,7 +138,8 @@ class Command:
             )
         scale = 1e4 if self.frame in LOCAL_FRAMES else 1e7
         # What does not fit into the field is out of anybody's reach; the vehicle says so.
-        x, y = (clip_to_integer(v * scale, -_MAX_COORDINATE, _MAX_COORDINATE, COORDINATE_NOT_GIVEN) for v in p[4:6])
+        *four, x, y, z = p
+        x, y = (clip_to_integer(v * scale, -_MAX_COORDINATE, _MAX_COORDINATE, COORDINATE_NOT_GIVEN) for v in (x, y))
         return mavlink.MAVLink_command_int_message(
             system,
             component,
@@ -146,10 +147,10 @@ class Command:
             self.command_id,
             0,
             0,
-            *map(to_float32, p[:4]),
+            *map(to_float32, four),
             x,
             y,
-            to_float32(p[6]),
+            to_float32(z),
         )
 
 
@@ -327,7 +328,7 @@ class CommandProtocol:
         return self._autopilot.emergency_stop() if command.is_emergency_stop else REQUEST_ACCEPTED
 
     def _take_off(self, now_s: float, command: Command) -> RequestAnswer:
-        z, origin = command.params[6], self._origin
+        z, origin = command.params[-1], self._origin
         if command.frame not in (None, 0, 1, 3, 4, 5, 6):
             return deny_request(f"a height in frame {command.frame} is not known here; use LOCAL_NED (1)")
         if math.isnan(z) or z == 0.0:
@@ -342,12 +343,12 @@ class CommandProtocol:
         return self._autopilot.take_off(-z if command.frame == 1 else z)
 
     def _take_off_local(self, now_s: float, command: Command) -> RequestAnswer:
-        z = command.params[6]
+        z = command.params[-1]
         return self._autopilot.take_off(None if math.isnan(z) or z == 0.0 else -z)
 
     def _do_reposition(self, now_s: float, command: Command) -> RequestAnswer:
-        speed, heading, frame, origin = command.params[0], command.params[3], command.frame, self._origin
-        n, e, d = command.params[4:]
+        speed, _, _, heading, n, e, d = command.params
+        frame, origin = command.frame, self._origin
         if all(map(math.isnan, (n, e, d))):  # QGroundControl's "pause" and "change heading"
             return self._set_mode(now_s, MODE_LOITER) if math.isnan(heading) else self._autopilot.turn_to(heading)
         if frame in LOCAL_FRAMES:
@@ -387,7 +388,8 @@ class CommandProtocol:
         return self._missions.start_mission(first)
 
     def _condition_yaw(self, now_s: float, command: Command) -> RequestAnswer:
-        angle, way, relative = math.radians(command.params[0]), command.params[2], command.params[3]
+        angle_deg, _, way, relative, *_ = command.params
+        angle = math.radians(angle_deg)
         if relative not in (0.0, 1.0) and not math.isnan(relative):
             return deny_request(f"CONDITION_YAW with parameter 4 = {relative:g}: give 0 (absolute) or 1 (relative)")
         if relative == 1.0:
@@ -440,7 +442,7 @@ class CommandProtocol:
         return deny_request(f"mode {mode.main_mode}, {mode.sub_mode} is not known here") if action is None else action()
 
     def _inject_failure(self, now_s: float, command: Command) -> RequestAnswer:
-        unit, kind = command.params[0], command.params[1]
+        unit, kind, _, _, amount, duration_s, _ = command.params
         if kind == mavlink.FAILURE_TYPE_OK:
             self._flight.clear_faults()
             return REQUEST_ACCEPTED
@@ -448,7 +450,7 @@ class CommandProtocol:
         if name is None or fault is None:
             return deny_request("units known here are " + ", ".join(FAILURE_NAMES[0].values()) + "; types 1 to 4, 6, 7")
         try:
-            amount, lasts_s = (x if math.isfinite(x) and x != 0.0 else math.nan for x in command.params[4:6])
+            amount, lasts_s = (x if math.isfinite(x) and x != 0.0 else math.nan for x in (amount, duration_s))
             if lasts_s < 0.0:
                 return deny_request(f"a fault cannot last {lasts_s:g} s")
             stop_s = math.inf if math.isnan(lasts_s) else lasts_s

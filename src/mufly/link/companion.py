@@ -47,6 +47,7 @@ _MIN_TILT_SIGMA_RAD, _TILT_CORRELATION_TIME_S = math.radians(0.15), 20.0
 _POSITION_SIGMA_M, _HEADING_SIGMA_RAD = 0.1, math.radians(2.0)
 """Of a place whose accuracy nobody tells (m), and of the heading that goes with it."""
 _STATIONARY_SIGMA_M = 0.002
+_TILT_VARIANCES = 15, 18  # roll and pitch, in the upper triangle of a covariance of six
 _CLOCK_DRIFT_S = 0.003  # of two clocks in half a minute
 
 
@@ -122,8 +123,10 @@ class VisionCompanion:
                 self._append_in_order(self._motion, (t, m.x, m.y, m.vx, m.vy, m.vz))
                 if now_s - self._ranged_s > 1.0:
                     self._append_in_order(self._height, (t, -m.z))
-            elif kind == "ODOMETRY" and (told := m.pose_covariance) and told[15] > 0.0 and told[18] > 0.0:
-                self._tilt_sigma = max(_MIN_TILT_SIGMA_RAD, math.sqrt(max(told[15], told[18])))  # roll, pitch
+            elif kind == "ODOMETRY" and (told := m.pose_covariance):
+                roll, pitch = (told[k] for k in _TILT_VARIANCES)
+                if roll > 0.0 and pitch > 0.0:
+                    self._tilt_sigma = max(_MIN_TILT_SIGMA_RAD, math.sqrt(max(roll, pitch)))
             elif kind == "RAW_RPM" and m.index < len(self._rotors) and math.isfinite(m.frequency):
                 self._rotors[m.index] = abs(m.frequency) * 2 * math.pi / 60
             elif kind == "ESTIMATOR_STATUS" and 0.0 < m.pos_horiz_accuracy < math.inf:
@@ -208,9 +211,9 @@ class VisionCompanion:
     def stationary_result(self, time_s: float, told: FrameInfo) -> TrackingResult:
         """Return the answer to a picture of one that has not left the floor: where it begins, to 2 mm. A position that
         never moves at all would be taken for one that has stopped."""
-        off = _STATIONARY_SIGMA_M * self._rng.standard_normal(4)
-        place = np.array([0.0, 0.0, -told.height_m]) + off[:3]
-        return TrackingResult(time_s, True, "it stands", place, float(off[3]), _STATIONARY_SIGMA_M**2 * np.eye(4))
+        *off, turned = _STATIONARY_SIGMA_M * self._rng.standard_normal(4)
+        place = np.array([0.0, 0.0, -told.height_m]) + off
+        return TrackingResult(time_s, True, "it stands", place, float(turned), _STATIONARY_SIGMA_M**2 * np.eye(4))
 
     def encode_position(self, answer: TrackingResult) -> bytes | None:
         """Return the message for a trusted answer whose time is by our clock, or by the vehicle's; None while there is

@@ -41,7 +41,7 @@ from mufly.vehicle_types import ModeFamily, ardupilot_mode_name
 
 MAGIC = b"\xa3\x95"
 DEFINITION_MESSAGES = ("FMT", "FMTU", "UNIT", "MULT")
-_FMT, _FMT_LENGTH = 128, 89
+_FMT, _FMT_LENGTH, _HEAD_SIZE = 128, 89, 3
 # Letter: NumPy type (little-endian), factor that the letter implies.
 _FORMAT_LETTERS: dict[str, tuple[str, float]] = {
     "a": ("32<i2", 1.0), "b": ("i1", 1.0), "B": ("u1", 1.0), "g": ("<f2", 1.0), "h": ("<i2", 1.0),
@@ -101,7 +101,7 @@ def _index_messages(data: bytes) -> tuple[dict[int, _MessageKind], list[tuple[in
             continue
         kind.message_offsets.append(at)
         if data[at + 2] == _FMT:
-            _add_format(kinds, data[at + 3 : at + _FMT_LENGTH])
+            _add_format(kinds, data[at + _HEAD_SIZE : at + _FMT_LENGTH])
         at += kind.message_size
     skipped += [(at, end)] if at < end else []
     begin = skipped[-1][0] if skipped and skipped[-1][1] == end else end
@@ -521,8 +521,9 @@ def _find_rate_unit(rate: RawTable, gyro: RawTable | None, firmware: str) -> tup
     if "R" in rate.units:
         return rate.units["R"], ""
     match = _FIRMWARE_PATTERN.match(firmware)
-    if match is not None and match[1].lower() == "copter":
-        old = (int(match[2]), int(match[3])) < (3, 4)
+    kind, *version = match.groups() if match is not None else ("",)
+    if kind.lower() == "copter":
+        old = tuple(map(int, version)) < (3, 4)
         return ("cdeg/s", f", as {firmware.split('(')[0].strip()} wrote it") if old else ("deg/s", "")
     body = ("GyrX", "GyrY", "GyrZ")
     if gyro is not None and set(body) <= set(gyro.fields) and set("RPY") <= set(rate.fields):
@@ -547,11 +548,12 @@ def _read_text_log(path: Path) -> tuple[list[RawTable], _InstanceTopics, str]:
         if name == "FMT":
             parts = [p.strip() for p in rest.split(",", 4)]
             if len(parts) == 5:
-                columns = [c.strip() for c in parts[4].split(",")]
-                kind = kinds.setdefault(parts[2], _MessageKind(parts[2], 0, parts[3], columns))
+                type_number, _, message, types, names = parts
+                columns = [c.strip() for c in names.split(",")]
+                kind = kinds.setdefault(message, _MessageKind(message, 0, types, columns))
                 bad += [place + 1] if kind.columns != columns else []  # the same name for another message
-                if parts[0].isdigit():
-                    numbers[int(parts[0])] = kind
+                if type_number.isdigit():
+                    numbers[int(type_number)] = kind
             continue
         if name not in kinds:
             bad += [place + 1] if name else []

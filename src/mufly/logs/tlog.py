@@ -48,6 +48,7 @@ from mufly.vehicle_types import (
 
 _STAMP_STRUCT = struct.Struct(">Q")
 _MAVLINK_2_MAGIC = 0xFD
+_STAMP_SIZE = 8  # bytes before the packet of an entry
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800 * 10**6, 4_102_444_800 * 10**6
 _SEVERITY_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 _INTEGER_PARAM_LAYOUTS = {
@@ -95,7 +96,7 @@ def _iterate_packets(data: bytes) -> Iterator[tuple[int, bytes]]:
         if not size or at + size > len(data):
             at += 1
             continue
-        yield at, data[at + 8 : at + size]
+        yield at, data[at + _STAMP_SIZE : at + size]
         at += size
 
 
@@ -132,7 +133,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
             progress(at, len(data))
         if at > behind:
             skipped.append((behind, at))
-        behind = at + 8 + len(packet)
+        behind = at + _STAMP_SIZE + len(packet)
         try:
             message = link.decode(bytearray(packet))
         except Exception:  # wrong checksum, unknown message: counted
@@ -249,8 +250,8 @@ def _read_headers(data: bytes, offset: NDArray[np.int64]) -> tuple[NDArray[np.in
     """Stamp (us) of each entry, and number and checksum of its packet as one integer: checksum * 256 + number."""
     stream = np.frombuffer(data, dtype=np.uint8)
     stamp = stream[offset[:, None] + np.arange(8)].copy().view(">u8")[:, 0].astype(np.int64)
-    newer = stream[offset + 8] == _MAVLINK_2_MAGIC
-    end = offset + 8 + np.where(newer, 10, 6) + stream[offset + 9]
+    newer = stream[offset + _STAMP_SIZE] == _MAVLINK_2_MAGIC
+    end = offset + _STAMP_SIZE + np.where(newer, 10, 6) + stream[offset + _STAMP_SIZE + 1]
     checksum = stream[end].astype(np.int64) + 256 * stream[end + 1].astype(np.int64)
     return stamp, checksum * 256 + stream[offset + np.where(newer, 12, 10)]
 

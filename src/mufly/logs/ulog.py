@@ -38,6 +38,7 @@ from mufly.logs.raw_log import RawLog, RawTable, find_foreign_stamps, format_wal
 from mufly.logs.tables import TABLE_TOPIC
 
 MAGIC = b"ULog\x01\x12\x35"
+_HEAD_SIZE, _STAMP_SIZE = 3, 8  # bytes of length and kind of a message, and of a stamp
 _HEADER_SIZE = 16
 _SYNC_BYTES = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _LEVEL_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
@@ -182,7 +183,11 @@ def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
                     scan.undescribed_count += 1
                     at = stop
                     continue
-            elif kind in kinds and stop <= limit and _process_message(scan, kind, data[at + 3 : stop], header, data):
+            elif (
+                kind in kinds
+                and stop <= limit
+                and _process_message(scan, kind, data[at + _HEAD_SIZE : stop], header, data)
+            ):
                 at = stop
                 if kind == _FLAG_BITS_MESSAGE and not limits:
                     limits = _check_flags(scan, where, end)
@@ -291,7 +296,8 @@ def _process_message(scan: _ScanResult, kind: int, body: bytes, header: int, dat
             parts = [_FIELD_PATTERN.fullmatch(part) for part in fields.split(";") if part]
             if not name or not parts or not all(parts) or any(int(p[2] or 0) > _MAX_ARRAY_LENGTH for p in parts if p):
                 return False
-            scan.formats[name] = [(p[1], int(p[2] or 0), p[3]) for p in parts if p]
+            groups = (p.groups() for p in parts if p)
+            scan.formats[name] = [(type_name, int(length or 0), field) for type_name, length, field in groups]
         elif kind == _SUBSCRIPTION_MESSAGE:
             _add_subscription(scan, body)
         elif kind in (_INFO_MESSAGE, _PARAMETER_MESSAGE):
@@ -304,10 +310,10 @@ def _process_message(scan: _ScanResult, kind: int, body: bytes, header: int, dat
             scan.multi_info.setdefault(key, []).append(value)
         elif kind in (_LOG_TEXT_MESSAGE, _TAGGED_TEXT_MESSAGE):
             skip = 1 if kind == _LOG_TEXT_MESSAGE else 3
-            if not (body[0] < 8 or ord("0") <= body[0] < ord("8")) or len(body) < skip + 8:
+            if not (body[0] < 8 or ord("0") <= body[0] < ord("8")) or len(body) < skip + _STAMP_SIZE:
                 return False
             stamp = struct.unpack_from("<Q", body, skip)[0]
-            scan.log_texts.append((stamp, body[0], body[skip + 8 :].decode(errors="ignore")))
+            scan.log_texts.append((stamp, body[0], body[skip + _STAMP_SIZE :].decode(errors="ignore")))
             scan.in_data = True
         elif kind == _DROPOUT_MESSAGE:
             (duration,) = struct.unpack("<H", body)

@@ -47,6 +47,8 @@ MAP_CAPACITY = 160
 POINT_LIFETIME_S = 30.0
 """How long a point is believed in without being hit again (s)."""
 
+_SEEN_S = 3
+"""Where the time at which a point was hit last stands, behind N, E, D."""
 _MERGE_DISTANCE_M = 0.05
 _REPLACE_CANDIDATES = 8
 _FLOOR_HEIGHT_M = 0.12
@@ -170,7 +172,7 @@ def _insert_hits(
         for k in range(used):
             dn, de = points[k, 0] - n, points[k, 1] - e
             if dn * dn + de * de < _MERGE_DISTANCE_M * _MERGE_DISTANCE_M and abs(points[k, 2] - d) < _MERGE_HEIGHT_M:
-                points[k, 3] = time
+                points[k, _SEEN_S] = time
                 known = True
         if not known:
             row = 0
@@ -180,7 +182,7 @@ def _insert_hits(
             else:
                 row = turn
                 for k in range(turn, turn + _REPLACE_CANDIDATES):
-                    if points[k, 3] < points[row, 3]:
+                    if points[k, _SEEN_S] < points[row, _SEEN_S]:
                         row = k
                 turn = turn + _REPLACE_CANDIDATES if turn + _REPLACE_CANDIDATES < MAP_CAPACITY else 0
             points[row, 0], points[row, 1], points[row, 2], points[row, 3] = n, e, d, time
@@ -397,7 +399,7 @@ def _check_points(
     k = s.points_checked
     end = used * part // parts
     while k < end and k < used:
-        if time - points[k, 3] > POINT_LIFETIME_S:
+        if time - points[k, _SEEN_S] > POINT_LIFETIME_S:
             used -= 1
             points[k] = points[used]
             continue

@@ -151,14 +151,14 @@ def _parse_waypoint_file(text: str, where: str) -> GroundFile:
             problem = f"has {len(parts)} columns where a waypoint has 12"
             raise InputError(where, key, problem, "save the file again in the ground station")
         try:
-            frame, command = int(parts[2]), int(parts[3])
-            numbers = [float(p) for p in parts[4:11]]
+            _, _, frame, command, *rest, _ = parts
+            *parameters, heading, north, east, height = map(float, rest)
         except ValueError:
             remedy = "save the file again in the ground station"
             raise InputError(where, key, f"{line.strip()[:60]!r} is no waypoint", remedy) from None
-        if numbers[3] == 0.0:
-            numbers[3] = _NAN  # these files have no word for "no heading", and their programs write 0
-        items.append(_make_item(len(items), frame, command, numbers, where, key))
+        # These files have no word for "no heading", and their programs write 0.
+        numbers = (*parameters, _NAN if heading == 0.0 else heading, north, east, height)
+        items.append(_make_item(len(items), int(frame), int(command), numbers, where, key))
         places.append(key)
     home = None
     # Its first line is the home: a waypoint, in height above the sea, before all others.
@@ -181,11 +181,11 @@ def _renumber_item(item: MissionItem, k: int) -> MissionItem:
 
 def _make_item(seq: int, frame: int, command: int, numbers: Sequence[float], where: str, key: str) -> MissionItem:
     scale = 1e4 if frame in LOCAL_FRAMES else 1e7
-    if any(math.isinf(v) for v in numbers) or any(abs(v) * scale >= COORDINATE_NOT_GIVEN for v in numbers[4:6]):
+    p1, p2, p3, p4, *level, z = numbers
+    if any(math.isinf(v) for v in numbers) or any(abs(v) * scale >= COORDINATE_NOT_GIVEN for v in level):
         raise InputError(where, key, "has a number that is no place", _REMEDY)
-    x, y = (COORDINATE_NOT_GIVEN if math.isnan(v) else round(v * scale) for v in numbers[4:6])
-    p = (numbers[0], numbers[1], numbers[2], numbers[3])
-    return MissionItem(seq, frame, command, params=p, x=x, y=y, z=numbers[6])
+    x, y = (COORDINATE_NOT_GIVEN if math.isnan(v) else round(v * scale) for v in level)
+    return MissionItem(seq, frame, command, params=(p1, p2, p3, p4), x=x, y=y, z=z)
 
 
 # ---- plans
@@ -229,8 +229,8 @@ def _parse_fence_items(content: object, where: str) -> tuple[MissionItem, ...]:
         table = _require_table(zone, where, f"geoFence.circles[{k}]")
         circle = _require_table(table.get("circle"), where, f"geoFence.circles[{k}]")
         radius = circle.get("radius")
-        command = INCLUSION_CIRCLE if table.get("inclusion", True) else EXCLUSION_CIRCLE
-        made.append((command, float(radius) if isinstance(radius, int | float) else _NAN, circle.get("center")))
+        shape = INCLUSION_CIRCLE if table.get("inclusion", True) else EXCLUSION_CIRCLE
+        made.append((shape, float(radius) if isinstance(radius, int | float) else _NAN, circle.get("center")))
     items = []
     for k, (command, first, place) in enumerate(made):
         at = _parse_home(place)

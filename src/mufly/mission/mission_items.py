@@ -150,7 +150,7 @@ _UNSUPPORTED_COMMANDS: dict[int, str] = {
     211: "DO_GRIPPER", 530: "SET_CAMERA_MODE", 1000: "DO_GIMBAL_MANAGER_PITCHYAW", 2000: "IMAGE_START_CAPTURE",
     2001: "IMAGE_STOP_CAPTURE", 2500: "VIDEO_START_CAPTURE", 2501: "VIDEO_STOP_CAPTURE",
 } | {
-    command.value: command.name
+    int(command): command.name
     for command in (
         MissionCommand.NAV_LOITER_TURNS, MissionCommand.NAV_SPLINE_WAYPOINT, MissionCommand.CONDITION_DELAY,
         MissionCommand.DO_JUMP,
@@ -249,10 +249,11 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
         elif item.command == MissionCommand.DO_CHANGE_SPEED:
             speed = _read_speed(item, speed)
         elif item.command == MissionCommand.CONDITION_YAW:
-            if item.params[3] == 1.0:
+            *_, is_relative = item.params
+            if is_relative == 1.0:
                 raise _make_refusal(item, MissionResult.INVALID_PARAM4, "a relative turn is not known in a mission")
-            if item.params[3] != 0.0 and not math.isnan(item.params[3]):
-                why = f"parameter 4 is {item.params[3]:g}; give 0, an absolute heading"
+            if is_relative != 0.0 and not math.isnan(is_relative):
+                why = f"parameter 4 is {is_relative:g}; give 0, an absolute heading"
                 raise _make_refusal(item, MissionResult.INVALID_PARAM4, why)
             heading = _read_heading(item, 0, MissionResult.INVALID_PARAM1)
         elif item.command not in (MissionCommand.NAV_LAND, MissionCommand.NAV_RETURN_TO_LAUNCH):

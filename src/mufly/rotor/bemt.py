@@ -371,15 +371,15 @@ def solve_rotor_batch(
         If a speed is not above zero, a number is not finite or a rotor does not exist.
     """
     gas, blading = air or Air(), ensure_blading(blading)
-    given = np.broadcast_arrays(
+    *points, which_rotor = np.broadcast_arrays(
         *(np.asarray(v, dtype=np.float64) for v in (pitch_rad, speed_rad_s, climb_m_s)), np.asarray(which)
     )
-    shape = given[0].shape
-    _check_points(*given[:3])
-    index = given[3].astype(np.int64).ravel()
+    shape = which_rotor.shape
+    _check_points(*points)
+    index = which_rotor.astype(np.int64).ravel()
     if index.size and (index.min() < 0 or index.max() >= len(blading.rotors)):
         raise InputError("rotor", "which", f"there are {len(blading.rotors)} rotors", "count from 0")
-    pitch, speed, climb = (v.flatten() for v in given[:3])
+    pitch, speed, climb = (v.flatten() for v in points)
     totals, _ = _solve_points(blading, index, pitch, speed, climb, gas, False)
     thrust, torque = totals[:, 0], totals[:, 1]
     radius = blading.radius_m[index]

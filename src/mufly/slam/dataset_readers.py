@@ -269,13 +269,13 @@ def _read_frame_infos(folder: Path, layout: DatasetLayout, times: _Array, height
     if layout == "euroc" and imu.is_file():
         rows = read_text_table(imu).read_matrix(7)
         t = rows[:, 0] * (1e-9 if rows[0, 0] > 1e12 else 1.0)
-        rates = rows[:, 1:4] * _FLU_TO_FRD
-        roll, pitch = complementary_filter(t, rates, rows[:, 4:7] * _FLU_TO_FRD)
+        rates, force = (part * _FLU_TO_FRD for part in np.split(rows[:, 1:], 2, axis=1))
+        roll, pitch = complementary_filter(t, rates, force)
         sigma = math.radians(1.0)
         turning = np.stack([np.interp(times, t, c) for c in rates.T], axis=1)
     elif layout == "tum" and accelerometer.is_file():
         rows = read_text_table(accelerometer).read_matrix(4)
-        t, force = rows[:, 0], rows[:, 1:4] * _FLU_TO_FRD
+        t, force = rows[:, 0], rows[:, 1:] * _FLU_TO_FRD
         n = max(1, round(_FORCE_MEAN_WINDOW_S / max(float(np.median(np.diff(t))), 1e-4)))
         pad, mean = (n // 2, n - 1 - n // 2), np.ones(n) / n
         force = np.stack([np.convolve(np.pad(c, pad, mode="edge"), mean, "valid") for c in force.T], axis=1)

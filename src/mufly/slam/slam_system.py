@@ -808,7 +808,7 @@ class SlamSystem:
         h = math.exp(node[LN_HEIGHT])
         position = np.array([node[0] - lever[0], node[1] - lever[1], -h - lever[2]])
         to = np.zeros((4, 4))  # N, E, D, heading of N, E, heading, ln h
-        to[0, 0] = to[1, 1] = to[3, HEADING] = 1.0
+        to[0, 0] = to[1, 1] = to[-1, HEADING] = 1.0
         to[2, LN_HEIGHT] = -h
         heading = (node[HEADING] + math.pi) % (2 * math.pi) - math.pi
         return TrackingResult(

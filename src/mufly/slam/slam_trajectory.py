@@ -58,7 +58,7 @@ class SlamTrajectory:
                 "estimated_position": (("time", "axis"), self.position),
                 "estimated_position_sigma": (("time", "axis"), sigma[:, :3]),
                 "heading": ("time", self.heading, {"units": "rad"}),
-                "heading_sigma": ("time", sigma[:, 3], {"units": "rad"}),
+                "heading_sigma": ("time", sigma[:, -1], {"units": "rad"}),
             },
             {"time": self.time, "axis": ["N", "E", "D"]},
         )

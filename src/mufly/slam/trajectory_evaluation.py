@@ -32,6 +32,8 @@ from mufly.rotations import euler_from_quaternion
 from mufly.text_table import decode_text, detect_layout
 
 _Array = NDArray[np.float64]
+_QUATERNION = slice(4, 8)
+"""Columns of a pose, behind its time and place."""
 CHI2_95 = 9.4877
 _MIN_POSITION_SIGMA_M = 1e-4
 """A place that is known better was not found but told: where a map begins (m). It has no share in NEES."""
@@ -108,9 +110,9 @@ def read_poses(file: Path) -> PoseTable:
     rows, more, numbers = _parse_pose_rows(cells, where, said)
     order, ns, named = _find_named_columns(comments, where)
     rows, keep = _drop_invalid_rows(rows[:, order], numbers, said)
-    if not named and _is_upside_down(rows[:, 4:8]):
+    if not named and _is_upside_down(rows[:, _QUATERNION]):
         if separator == "," and np.median(rows[:, 0]) > _TIMESTAMP_UNITS[0][0]:  # as EuRoC's, without the line of names
-            rows[:, 4:8] = rows[:, [5, 6, 7, 4]]
+            rows[:, _QUATERNION] = np.roll(rows[:, _QUATERNION], -1, axis=1)
             said.append("its quaternions are taken to have w first, or it would fly upside down")
         else:
             said.append("it flies upside down; if w is first, name the columns: # t x y z qw qx qy qz")
@@ -118,7 +120,7 @@ def read_poses(file: Path) -> PoseTable:
     stamps, tick = _stamps_to_seconds(rows[:, 0], ns)
     said += [f"its stamps are taken to be in {tick}"] if tick != "s" and not ns else []
     position = np.stack([math.copysign(1, k) * rows[:, abs(k)] for k in columns], axis=1)
-    heading = np.angle(np.exp(1j * heading_of(euler_from_quaternion(rows[:, 4:8])[:, 2])))
+    heading = np.angle(np.exp(1j * heading_of(euler_from_quaternion(rows[:, _QUATERNION])[:, 2])))
     kept, repeated = _sort_by_time(stamps, [numbers[k] for k in keep], said)
     for note in said:
         warnings.warn(f"{file.name}: {note}", LogWarning, stacklevel=3)
@@ -173,7 +175,7 @@ def _parse_pose_rows(
                              "correct that row: t x y z qx qy qz qw") from None  # fmt: skip
     if not len(rows):
         raise InputError(where, "", "holds no rows", "give a trajectory: t x y z qx qy qz qw")
-    return rows, [row[8:] for _, row in cells], [number for number, _ in cells]
+    return rows, [row[_QUATERNION.stop :] for _, row in cells], [number for number, _ in cells]
 
 
 def _find_named_columns(comments: list[str], where: str) -> tuple[list[int], bool, bool]:
@@ -212,7 +214,7 @@ def _is_upside_down(q: _Array) -> bool:
 def _drop_invalid_rows(rows: _Array, numbers: list[int], said: list[str]) -> tuple[_Array, list[int]]:
     """Rows of finite numbers, with unit quaternions; and which they are."""
     finite = np.isfinite(rows).all(axis=1)
-    length = np.linalg.norm(rows[:, 4:8], axis=1)
+    length = np.linalg.norm(rows[:, _QUATERNION], axis=1)
     turned = length > _MIN_QUATERNION_NORM
     _note_lines(said, "of NaN or infinity, left out", np.flatnonzero(~finite), numbers)
     _note_lines(said, "with a quaternion of zeros, left out", np.flatnonzero(finite & ~turned), numbers)
@@ -222,7 +224,7 @@ def _drop_invalid_rows(rows: _Array, numbers: list[int], said: list[str]) -> tup
         worst = length[odd[np.argmax(np.abs(np.log(length[odd])))]]
         _note_lines(said, f"whose quaternion is not of unit length ({worst:.3g}), brought to it", odd, numbers)
     out = rows[keep]
-    out[:, 4:8] /= length[keep, None]
+    out[:, _QUATERNION] /= length[keep, None]
     return out, keep.tolist()
 
 

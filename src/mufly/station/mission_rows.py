@@ -87,7 +87,7 @@ def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> 
     elif command not in _ACTION_BY_COMMAND:
         text = " ".join(f"{p:g}" for p in (*item.params, item.x, item.y, item.z))
     wait_s = item.params[0] if command in _HOLD_COMMANDS and math.isfinite(item.params[0]) else 0.0
-    heading = math.radians(item.params[3]) if command in _HEADING_COMMANDS else math.nan
+    heading = math.radians(item.params[-1]) if command in _HEADING_COMMANDS else math.nan
     return MissionRow(action, position, heading, wait_s, reached, text)
 
 

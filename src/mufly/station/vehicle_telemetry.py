@@ -298,7 +298,7 @@ class VehicleTelemetry:
             return None
         told = enumerate((m.x, m.y, m.z, m.vx, m.vy, m.vz))
         given = [math.nan if m.type_mask >> k & 1 else v for k, v in told]
-        return {"reference_position": given[:3], "reference_velocity": given[3:]}
+        return {"reference_position": given[:3], "reference_velocity": given[-3:]}
 
     def _read_attitude_target(self, m: MavMessage) -> _VariableValues:
         return {"reference_attitude": (math.nan,) * 3 if m.type_mask & 128 else _read_euler_angles(*m.q)}
@@ -307,7 +307,8 @@ class VehicleTelemetry:
         # The order of the outputs is ours; another vehicle's may mean anything.
         if self.vehicle_type != _TYPE_COAXIAL or m.active < 4:
             return None
-        return {"motor_input": m.actuator[:2], "servo_input": m.actuator[2:4]}
+        upper, lower, *servos = m.actuator[:4]
+        return {"motor_input": (upper, lower), "servo_input": servos}
 
     def _read_servo_outputs(self, m: MavMessage) -> _VariableValues:
         pulses = (m.servo1_raw, m.servo2_raw)
@@ -455,7 +456,7 @@ def _standard_deviations(upper: Sequence[float]) -> tuple[tuple[float, ...], tup
     if len(upper) != 21 or math.isnan(upper[0]):
         return (math.nan,) * 3, (math.nan,) * 3
     told = [math.sqrt(upper[k]) if upper[k] >= 0.0 else math.nan for k in _DIAGONAL_INDICES]
-    return tuple(told[:3]), tuple(told[3:])
+    return tuple(told[:3]), tuple(told[-3:])
 
 
 def _ned_velocity_deviations(upper: Sequence[float], q: Sequence[float]) -> tuple[float, ...]:
@@ -463,7 +464,8 @@ def _ned_velocity_deviations(upper: Sequence[float], q: Sequence[float]) -> tupl
     size = math.sqrt(sum(v * v for v in q))
     if len(upper) != 21 or math.isnan(upper[0]) or not 0.5 < size < 2.0:
         return (math.nan,) * 3
-    own = np.array([[upper[0], upper[1], upper[2]], [upper[1], upper[6], upper[7]], [upper[2], upper[7], upper[11]]])
+    (xx, xy, xz), (yy, yz), zz = upper[:3], upper[6:8], upper[11]
+    own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     turn = body_to_ned_matrix(np.array(q, dtype=np.float64) / size)
     with np.errstate(all="ignore"):
         told: _Array = np.sqrt(np.diag(turn @ own @ turn.T))

@@ -491,9 +491,10 @@ def parse_pair_limit(text: str) -> DesignLimit:
     match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(.+?)\s*", text)
     if match is None:
         raise InputError(text, "", "is no limit", "write for example upper_chord<=25mm")
-    if match[1] not in PAIR_FREE_PARAMETERS:
-        raise InputError(text, "", f"{match[1]!r} cannot be limited", suggest_name(match[1], PAIR_FREE_PARAMETERS))
-    return DesignLimit(match[1], match[2] == ">=", float(parse_quantity(match[1], match[3], PAIR_PARAMETERS)))
+    name, sign, number = match.groups()
+    if name not in PAIR_FREE_PARAMETERS:
+        raise InputError(text, "", f"{name!r} cannot be limited", suggest_name(name, PAIR_FREE_PARAMETERS))
+    return DesignLimit(name, sign == ">=", float(parse_quantity(name, number, PAIR_PARAMETERS)))
 
 
 def _search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, float]:

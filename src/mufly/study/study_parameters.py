@@ -266,7 +266,7 @@ def parse_limit(text: str) -> DesignLimit:
     match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(.+?)\s*", text)
     if match is None:
         raise InputError(text, "", "is no limit", "write for example thickness_mm>=0.8 or radius<=60mm")
-    name, sign, number = match[1], match[2], match[3]
+    name, sign, number = match.groups()
     if name in DERIVED_LIMITS:
         value = read_quantity(text, number, split_unit_suffix(name)[1] or "1")
     elif name in SEARCH_RANGES:

@@ -248,7 +248,7 @@ def modify_naca_name(base: str, changes: Mapping[str, ParameterValue]) -> str:
     if match is None:
         key = next(k for k in _NACA_PARAMETERS if k in changes)
         raise InputError(key, "", f"{base} is no four-digit NACA section", "start from one, as in airfoil=naca4412")
-    digits = [int(match[1]), int(match[2]), int(match[3])]
+    digits = [int(digit) for digit in match.groups()]
     for place, (key, step, most) in enumerate(
         (("camber", 0.01, 9), ("camber_position", 0.1, 9), ("thickness", 0.01, 40))
     ):

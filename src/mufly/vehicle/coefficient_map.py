@@ -140,7 +140,8 @@ def _parse_table(text: str) -> MapTables:
     grids = [np.ascontiguousarray(ordered[:, k].reshape(shape)) for k in range(3, 8)]
     if float(np.max(np.abs(grids[0]))) > 1.0 or float(np.max(np.abs(grids[2]))) > 1.0:
         raise _table_error("a thrust coefficient is above 1", "use c_T = T / (rho pi R^4 Omega^2)")
-    result = MapTables(axes[0], axes[1], axes[2], grids[0], grids[1], grids[2], grids[3], solved=grids[4] > 0.5)
+    thrust_up, torque_up, thrust_dw, torque_dw, solved = grids
+    result = MapTables(axes[0], axes[1], axes[2], thrust_up, torque_up, thrust_dw, torque_dw, solved=solved > 0.5)
     for array in result:
         array.setflags(write=False)
     return result

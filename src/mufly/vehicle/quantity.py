@@ -181,7 +181,8 @@ class ParameterGroup(_FrozenModel):
     def __str__(self) -> str:
         """Every parameter with unit, source and meaning, a line each."""
         rows = list(iterate_parameter_lines(self))
-        widths = [max((len(r[k]) for r in rows), default=0) for k in range(6)]
+        widths = (max((len(r[k]) for r in rows), default=0) for k in range(6))
+        _, key_width, symbol_width, value_width, unit_width, source_width = widths
         out, table = [f"{type(self).__name__} {getattr(self, 'name', '')}".strip()], ""
         for r in rows:
             if r.table != table:
@@ -189,8 +190,8 @@ class ParameterGroup(_FrozenModel):
                 table = r.table
             value = r.value if len(r.value) <= 40 else f"{r.value[:37]}..."
             out.append(
-                f"  {r.key:<{widths[1]}}  {r.symbol:<{widths[2]}}  {value:>{min(widths[3], 40)}} "
-                f"{r.unit:<{widths[4]}}  {r.source:<{widths[5]}}  {r.meaning}".rstrip()
+                f"  {r.key:<{key_width}}  {r.symbol:<{symbol_width}}  {value:>{min(value_width, 40)}} "
+                f"{r.unit:<{unit_width}}  {r.source:<{source_width}}  {r.meaning}".rstrip()
             )
         return "\n".join(out)
 

@@ -210,6 +210,12 @@ def make_wall(
 
 
 _Array = NDArray[np.float64]
+BOX_CENTRE, BOX_HALF, BOX_COS, BOX_SIN = 0, 3, 6, 7
+"""Places in the row of a packed box: N, E, D of its centre, its half edges, cosine and sine of its heading."""
+CYLINDER_RADIUS, CYLINDER_TOP, CYLINDER_BOTTOM = 2, 3, 4
+"""Places in the row of a packed cylinder, behind N and E of its axis."""
+ROOM_CEILING, ROOM_FLOOR = 4, 5
+"""Places among the limits of a packed room, behind those of N and E."""
 
 
 @cached_njit
@@ -228,16 +234,18 @@ def first_hit(
     """Distance from ``x`` (3,) along a unit vector to the first surface of a packed world, ``best`` at most (m)."""
     for b in boxes:
         dn, de = x[0] - b[0], x[1] - b[1]
-        near, far = _clip_to_slab(b[6] * dn + b[7] * de, b[6] * un + b[7] * ue, b[3], 0.0, best)
-        near, far = _clip_to_slab(-b[7] * dn + b[6] * de, -b[7] * un + b[6] * ue, b[4], near, far)
-        near, far = _clip_to_slab(x[2] - b[2], ud, b[5], near, far)
+        c, s = b[BOX_COS], b[BOX_SIN]
+        near, far = _clip_to_slab(c * dn + s * de, c * un + s * ue, b[BOX_HALF], 0.0, best)
+        near, far = _clip_to_slab(-s * dn + c * de, -s * un + c * ue, b[BOX_HALF + 1], near, far)
+        near, far = _clip_to_slab(x[2] - b[2], ud, b[BOX_HALF + 2], near, far)
         if near <= far:
             best = near
-    for c in cylinders:
-        mid, half = 0.5 * (c[3] + c[4]), 0.5 * (c[4] - c[3])
+    for row in cylinders:
+        radius, top, bottom = row[CYLINDER_RADIUS], row[CYLINDER_TOP], row[CYLINDER_BOTTOM]
+        mid, half = 0.5 * (top + bottom), 0.5 * (bottom - top)
         near, far = _clip_to_slab(x[2] - mid, ud, half, 0.0, best)
-        dn, de = x[0] - c[0], x[1] - c[1]
-        uu, du, dd = un * un + ue * ue, dn * un + de * ue, dn * dn + de * de - c[2] * c[2]
+        dn, de = x[0] - row[0], x[1] - row[1]
+        uu, du, dd = un * un + ue * ue, dn * un + de * ue, dn * dn + de * de - radius * radius
         if uu == 0.0:
             if dd > 0.0:
                 continue
@@ -256,9 +264,9 @@ def first_hit(
         elif u > 0.0:
             best = min(best, max(0.0, (limits[2 * axis + 1] - x[axis]) / u))
     if ud < 0.0:
-        best = min(best, max(0.0, (limits[4] - x[2]) / ud))
+        best = min(best, max(0.0, (limits[ROOM_CEILING] - x[2]) / ud))
     elif ud > 0.0:
-        best = min(best, max(0.0, (limits[5] - x[2]) / ud))
+        best = min(best, max(0.0, (limits[ROOM_FLOOR] - x[2]) / ud))
     return best
 
 
@@ -286,17 +294,17 @@ def nearest_obstacles(
         for i in range(nb):
             b = boxes[i]
             dn, de = x[0] - b[0], x[1] - b[1]
-            qx = abs(b[6] * dn + b[7] * de) - b[3]
-            qy = abs(-b[7] * dn + b[6] * de) - b[4]
-            qz = abs(x[2] - b[2]) - b[5]
+            qx = abs(b[BOX_COS] * dn + b[BOX_SIN] * de) - b[BOX_HALF]
+            qy = abs(-b[BOX_SIN] * dn + b[BOX_COS] * de) - b[BOX_HALF + 1]
+            qz = abs(x[2] - b[2]) - b[BOX_HALF + 2]
             d = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2)
             d += min(max(qx, qy, qz), 0.0)
             if d < least[k]:
                 least[k], which[k] = d, i
         for i in range(nc):
             c = cylinders[i]
-            qr = math.hypot(x[0] - c[0], x[1] - c[1]) - c[2]
-            qz = max(c[3] - x[2], x[2] - c[4])
+            qr = math.hypot(x[0] - c[0], x[1] - c[1]) - c[CYLINDER_RADIUS]
+            qz = max(c[CYLINDER_TOP] - x[2], x[2] - c[CYLINDER_BOTTOM])
             d = math.sqrt(max(qr, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qr, qz), 0.0)
             if d < least[k]:
                 least[k], which[k] = d, nb + i

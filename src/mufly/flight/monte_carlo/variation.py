@@ -249,9 +249,9 @@ def _read_variation_file(text: str, vehicle: Vehicle) -> ParameterVariation:
     use = [k for k, (key, value, std, _) in enumerate(fitted) if key in known and value is not None and std is not None]
     if not use:
         raise ArgumentError("vary", text, f"holds no parameter of {vehicle.name}", "identify some of its parameters")
-    held = [fitted[k][0] for k in use if fitted[k][3]]
+    held = [key for key, _, _, at_bound in (fitted[k] for k in use) if at_bound]
     left = [fitted[k][0] for k in range(len(fitted)) if k not in use and fitted[k][0]]
-    std = np.array([0.0 if fitted[k][3] else float(fitted[k][2]) for k in use])
+    std = np.array([0.0 if at_bound else float(s) for _, _, s, at_bound in (fitted[k] for k in use)])
     size, vectors = np.linalg.eigh(np.nan_to_num(correlation[np.ix_(use, use)]))
     factor = std[:, None] * vectors * np.sqrt(np.maximum(size, 0.0))
     told = [f"{', '.join(held)} at a bound: held at the value found"] if held else []

@@ -154,7 +154,7 @@ def draw_history(dataset: xr.Dataset) -> Figure:
 def draw_position(dataset: xr.Dataset) -> Figure:
     """North, east and height over time with their references, and the distance from the reference."""
     figure = Figure(figsize=(9.0, 8.4))
-    panels: Any = figure.subplots(4, 1, sharex=True)
+    *panels, last = figure.subplots(4, 1, sharex=True)
     figure.subplots_adjust(left=0.085, right=0.98, top=0.905, bottom=0.06, hspace=0.24)
     up = np.array([1.0, 1.0, -1.0])
     truth, reference = dataset.truth_position.values * up, dataset.reference_position.values * up
@@ -165,9 +165,9 @@ def draw_position(dataset: xr.Dataset) -> Figure:
             ax.plot(dataset.time, measured[:, k], color=GREY, lw=0.8, alpha=0.8, label="measured")
         _draw_lines(ax, dataset, f"{name} (m)", ("true",), truth[:, k : k + 1], reference[:, k : k + 1])
     error = 100.0 * np.linalg.norm(truth - reference, axis=1)[:, None]
-    _draw_lines(panels[3], dataset, "Distance from the reference (cm)", ("",), error, colours=(VERMILION,))
-    panels[3].set_ylim(bottom=0.0)
-    panels[3].set_xlabel("Time (s)")
+    _draw_lines(last, dataset, "Distance from the reference (cm)", ("",), error, colours=(VERMILION,))
+    last.set_ylim(bottom=0.0)
+    last.set_xlabel("Time (s)")
     _draw_header(figure, dataset, 0.985)
     return figure
 

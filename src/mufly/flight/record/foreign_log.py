@@ -31,6 +31,8 @@ _AXIS_LABELS = {
     "velocity": ("N", "E", "D"),
     "attitude": ("roll", "pitch", "yaw"),
 }
+_ROLL_PITCH = slice(-3, -1)
+"""Columns of a row of position, velocity and attitude."""
 
 
 @dataclass(frozen=True)
@@ -266,14 +268,12 @@ def _estimate_mounting(log: InertialLog, truth: dict[str, _Array]) -> _Array | N
 def truth_rows(f: ForeignLog, *, mounted: bool = False) -> _Array:
     """Position, velocity and attitude (n, 9), NaN where the log does not tell; attitude less the mounting if asked."""
     n = len(f.log.time_s)
-    rows = np.full((n, 9), math.nan)
-    for k, name in enumerate(_AXIS_LABELS):
-        if name in f.truth:
-            rows[:, 3 * k : 3 * k + 3] = f.truth[name]
+    parts = {name: f.truth.get(name, np.full((n, 3), math.nan)) for name in _AXIS_LABELS}
     if "position" in f.truth and "velocity" not in f.truth:
-        rows[:, 3:6] = np.gradient(rows[:, 0:3], f.log.step_s, axis=0)
+        parts["velocity"] = np.gradient(parts["position"], f.log.step_s, axis=0)
+    rows = np.hstack(list(parts.values()))
     if mounted and f.mounting is not None:
-        rows[:, 6:8] -= f.mounting
+        rows[:, _ROLL_PITCH] -= f.mounting
     return rows
 
 
@@ -297,11 +297,10 @@ def make_recording(f: ForeignLog, told: Sequence[Estimate], title: str) -> xr.Da
     at = at[inside]
     part["measured_position_fix"][at, :3] = f.aids.position[inside]
     if f.aids.heading is not None:
-        part["measured_position_fix"][at, 3] = f.aids.heading[inside]
+        part["measured_position_fix"][at, -1] = f.aids.heading[inside]
     part["measured_position_fix_time"][at, 0] = f.aids.measured_s[inside]
     part["measured_position_fix_valid"][at, 0] = 1.0
-    true = truth_rows(f)
-    for k, name in enumerate(_AXIS_LABELS):
-        part[f"truth_{name}"][:] = true[:, 3 * k : 3 * k + 3]
+    for name, true in zip(_AXIS_LABELS, np.split(truth_rows(f), len(_AXIS_LABELS), axis=1), strict=True):
+        part[f"truth_{name}"][:] = true
     states = np.where(f.log.is_flying, "flying", "standing").tolist()
     return replace_estimates(rows_to_dataset(rows, states, layout, attributes={"vehicle": title}), told)

@@ -269,7 +269,7 @@ def _predict_held_out_record(
 
 def _dynamics_part(f: FreeParameter) -> str:
     if f.symbol.startswith("bias_"):
-        return "heave-yaw" if f.symbol[5:] in PART_OUTPUTS["heave-yaw"] else "roll-pitch"
+        return "heave-yaw" if f.symbol.removeprefix("bias_") in PART_OUTPUTS["heave-yaw"] else "roll-pitch"
     if f.symbol in HEAVE_YAW_SYMBOLS or f.symbol == "delay":
         return "heave-yaw"
     if f.symbol in ROLL_PITCH_SYMBOLS:

@@ -171,19 +171,14 @@ class _PilotPid:
         error = y[0] - self._height_estimate
         self._height_estimate += SAMPLE_S * (self._climb_estimate + 12.0 * error)
         self._climb_estimate += SAMPLE_S * 36.0 * error
-        off = np.array(
-            [
-                set_point[0] - self._height_estimate,
-                set_point[1] - y[1],
-                set_point[2] - y[2],
-                set_point[3] - y[3],
-            ]
-        )
+        off = set_point - [self._height_estimate, *y[1:4]]
         self._error_integral = np.clip(self._error_integral + SAMPLE_S * off, -1.0, 1.0)
-        heave = 0.05 * off[0] - 0.10 * self._climb_estimate + 0.01 * self._error_integral[0]
-        turn = 0.04 * off[3] - 0.02 * y[6] + 0.01 * self._error_integral[3]
-        roll = 0.6 * off[1] - 0.05 * y[4] + 0.5 * self._error_integral[1]
-        pitch = 0.6 * off[2] - 0.05 * y[5] + 0.5 * self._error_integral[2]
+        (height, roll, pitch, yaw), (_, p, q, r) = off, y[3:7]
+        i_height, i_roll, i_pitch, i_yaw = self._error_integral
+        heave = 0.05 * height - 0.10 * self._climb_estimate + 0.01 * i_height
+        turn = 0.04 * yaw - 0.02 * r + 0.01 * i_yaw
+        roll = 0.6 * roll - 0.05 * p + 0.5 * i_roll
+        pitch = 0.6 * pitch - 0.05 * q + 0.5 * i_pitch
         u = self._hover + np.array([heave + turn, heave - turn, -pitch, roll])
         u[MOTORS] += motor
         return np.clip(u, [0.0, 0.0, -1.0, -1.0], 1.0)

@@ -334,8 +334,8 @@ class OutputErrorProblem:
             path=f.smoothed_motion if self._velocity_follows_attitude(i) else None,
         )
         for j, symbol in enumerate(symbols):
-            if symbol.startswith("bias_") and symbol[5:] in r.outputs:
-                y[:, :, r.outputs.index(symbol[5:])] += values[:, j, None]
+            if symbol.startswith("bias_") and (output := symbol.removeprefix("bias_")) in r.outputs:
+                y[:, :, r.outputs.index(output)] += values[:, j, None]
         return y
 
     def _velocity_follows_attitude(self, i: int) -> bool:

@@ -55,11 +55,17 @@ Array = NDArray[np.float64]
 
 IMU_CHANNELS = ("p", "q", "r", "ax", "ay", "az")
 FLIGHT_PATH_STATES = ("phi", "theta", "psi", "v_north", "v_east", "v_down", "north", "east", "down")
+_FP_VELOCITY, _FP_POSITION = 3, 6
+"""Where velocity and position stand among the states, behind the attitude."""
+_VELOCITY_STATES = FLIGHT_PATH_STATES[_FP_VELOCITY:_FP_POSITION]
+_POSITION_STATES = FLIGHT_PATH_STATES[_FP_POSITION:]
 STATE_UNITS = (
-    dict.fromkeys(FLIGHT_PATH_STATES[:3], "rad")
-    | dict.fromkeys(FLIGHT_PATH_STATES[3:6], "m/s")
-    | dict.fromkeys(FLIGHT_PATH_STATES[6:], "m")
+    dict.fromkeys(FLIGHT_PATH_STATES[:_FP_VELOCITY], "rad")
+    | dict.fromkeys(_VELOCITY_STATES, "m/s")
+    | dict.fromkeys(_POSITION_STATES, "m")
 )
+_IMU_FORCE = 3
+"""Where the specific force stands among the channels of the inertial unit, behind the rates."""
 IMU_ERROR_SYMBOLS = tuple(f"b_{n}" for n in IMU_CHANNELS) + tuple(f"lambda_{n}" for n in IMU_CHANNELS)
 _PRIOR_STD = np.array([0.2] * 3 + [1.0] * 3 + [0.1] * 6)
 _MIN_OUTPUT_NOISE = {
@@ -145,8 +151,8 @@ def flight_path_derivative(x: Array, m: Array) -> Array:
     s1, c1 = np.sin(x[:, 0]), np.cos(x[:, 0])
     turn = m[:, 1] * s1 + m[:, 2] * c1
     attitude = np.stack([m[:, 0] + turn * np.tan(x[:, 1]), m[:, 1] * c1 - m[:, 2] * s1, turn / np.cos(x[:, 1])], axis=1)
-    force = np.einsum("nij,nj->ni", body_to_ned_matrices(x[:, :3]), m[:, 3:])
-    return np.concatenate([attitude, force + np.array([0.0, 0.0, GRAVITY]), x[:, 3:6]], axis=1)
+    force = np.einsum("nij,nj->ni", body_to_ned_matrices(x[:, :_FP_VELOCITY]), m[:, _IMU_FORCE:])
+    return np.concatenate([attitude, force + np.array([0.0, 0.0, GRAVITY]), x[:, _FP_VELOCITY:_FP_POSITION]], axis=1)
 
 
 def _runge_kutta_step(x: Array, m: Array, dt: float) -> Array:
@@ -162,10 +168,10 @@ def _step_jacobians(x: Array, m: Array, dt: float) -> tuple[Array, Array]:
     """Derivatives of a step by states (n, 9, 9) and by instruments (n, 9, 6), central differences."""
     by_x, by_m = np.zeros((len(x), 9, 9)), np.zeros((len(x), 9, 6))
     for k in range(9):
-        if k >= 3:  # linear: velocity and position
+        if k >= _FP_VELOCITY:  # linear: velocity and position
             by_x[:, k, k] = 1.0
-            if k < 6:
-                by_x[:, k + 3, k] = dt
+            if k < _FP_POSITION:
+                by_x[:, k + _FP_POSITION - _FP_VELOCITY, k] = dt
             continue
         step = np.zeros(9)
         step[k] = 1e-5
@@ -297,11 +303,13 @@ def _correct_imu(raw: Array, theta: Array, dt: float) -> tuple[Array, Array]:
     would make every scale factor too large (the method of instrumental variables), beside a rotor that shakes its
     accelerometer by 4 m/s^2 eight times too large.
     """
-    true = (raw - theta[:6]) / (1.0 + theta[6:])
+    offset, scale_error = theta.reshape(2, -1)
+    true = (raw - offset) / (1.0 + scale_error)
     slope = np.zeros((len(raw), 6, 12))
     for k in range(6):
-        slope[:, k, k] = -1.0 / (1.0 + theta[6 + k])
-        slope[:, k, 6 + k] = -low_pass(true[:, k], dt, min(_MOTION_BANDWIDTH_HZ, 0.25 / dt)) / (1.0 + theta[6 + k])
+        slope[:, k, k] = -1.0 / (1.0 + scale_error[k])
+        smooth = low_pass(true[:, k], dt, min(_MOTION_BANDWIDTH_HZ, 0.25 / dt))
+        slope[:, k, len(offset) + k] = -smooth / (1.0 + scale_error[k])
     return true, slope
 
 
@@ -311,9 +319,8 @@ def _initial_path(z: Array, outs: tuple[str, ...], dt: float) -> Array:
     for k, name in enumerate(FLIGHT_PATH_STATES):
         if name in outs:
             x[:, k] = smooth_signal(z[:, outs.index(name)], dt)
-    for k in range(3, 6):
-        place = FLIGHT_PATH_STATES[k + 3]
-        if FLIGHT_PATH_STATES[k] not in outs and place in outs:
+    for k, (speed, place) in enumerate(zip(_VELOCITY_STATES, _POSITION_STATES, strict=True), _FP_VELOCITY):
+        if speed not in outs and place in outs:
             x[:, k] = smooth_signal(z[:, outs.index(place)], dt, 0.3, slope=True)
     return x
 
@@ -404,18 +411,12 @@ def check_sensor_axes(
     )
     seen = np.column_stack([smooth_signal(raw[:, k], dt, 0.25) for k in range(6)])
     problems, notes = _compare_axes(IMU_CHANNELS[:3], seen[:, :3], rates, "the derivative of the attitude", "deg/s")
-    for k in range(3):
-        if FLIGHT_PATH_STATES[3 + k] in known and FLIGHT_PATH_STATES[6 + k] in known:
-            slope = smooth_signal(known[FLIGHT_PATH_STATES[6 + k]], dt, 0.3, slope=True)
-            more, said = _compare_axes(
-                (FLIGHT_PATH_STATES[3 + k],),
-                known[FLIGHT_PATH_STATES[3 + k]][:, None],
-                slope[:, None],
-                FLIGHT_PATH_STATES[6 + k],
-                "",
-            )
+    for speed, place in zip(_VELOCITY_STATES, _POSITION_STATES, strict=True):
+        if speed in known and place in known:
+            slope = smooth_signal(known[place], dt, 0.3, slope=True)
+            more, said = _compare_axes((speed,), known[speed][:, None], slope[:, None], place, "")
             problems, notes = problems + more, notes + said
-    mean = float(np.linalg.norm(raw[:, 3:], axis=1).mean())
+    mean = float(np.linalg.norm(raw[:, _IMU_FORCE:], axis=1).mean())
     if 0.5 < mean < 2.0:
         problems.append(
             (
@@ -424,23 +425,23 @@ def check_sensor_axes(
                 "write ax=9.80665*COLUMN",
             )
         )
-    elif float(seen[:, 5].mean()) > 0.5 * mean:
+    elif float(seen[:, -1].mean()) > 0.5 * mean:
         problems.append(
             (
                 "az",
-                f"reads {seen[:, 5].mean():+.3g} m/s^2 on average, where z down reads -9.8",
+                f"reads {seen[:, -1].mean():+.3g} m/s^2 on average, where z down reads -9.8",
                 "turn its sign: az=-COLUMN",
             )
         )
     elif not 0.7 * GRAVITY < mean < 1.5 * GRAVITY:
         problems.append(("ax, ay, az", f"have a mean size of {mean:.3g} m/s^2, not 9.8", "give m/s^2"))
     else:
-        if all(name in known for name in FLIGHT_PATH_STATES[3:6]):
-            changes = [smooth_signal(known[name], dt, 0.3, slope=True) for name in FLIGHT_PATH_STATES[3:6]]
+        if all(name in known for name in _VELOCITY_STATES):
+            changes = [smooth_signal(known[name], dt, 0.3, slope=True) for name in _VELOCITY_STATES]
             pull = np.column_stack(changes) - [0.0, 0.0, GRAVITY]
             force = np.einsum("nji,nj->ni", body_to_ned_matrices(angle), pull)
-            wide = np.column_stack([smooth_signal(raw[:, 3 + k], dt, 0.3) for k in range(3)])
-            more, said = _compare_axes(IMU_CHANNELS[3:], wide, force, "the change of velocity", "")
+            wide = np.column_stack([smooth_signal(column, dt, 0.3) for column in raw[:, _IMU_FORCE:].T])
+            more, said = _compare_axes(IMU_CHANNELS[_IMU_FORCE:], wide, force, "the change of velocity", "")
             problems, notes = problems + more, notes + said
     return problems, notes
 

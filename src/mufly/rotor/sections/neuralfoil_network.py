@@ -50,6 +50,9 @@ MIN_CONFIDENCE = 0.5
 MAX_ALPHA_DEG = 20.0
 _ALPHA_GRID_RAD = np.deg2rad(np.arange(-MAX_ALPHA_DEG, MAX_ALPHA_DEG + 0.5, 1.0))
 _WEIGHTS_PER_SIDE = 8
+_UPPER, _LOWER, _NOSE, _SECTION_SIZE = slice(0, 8), slice(8, 16), 16, 18
+"""Weights of the sides and of the nose among the numbers of a section, the last of which is the tail's thickness."""
+_CL, _LN_CD, _CM = 1, 2, 3  # outputs of the network, behind its confidence
 _OUTPUT_COLUMNS = slice(0, 4)  # confidence, lift, drag, moment
 _MAX_FIT_ERROR = 0.01  # of chord
 _MAX_GURNEY_HEIGHT = 0.02  # of chord; up to here lift agrees with XFOIL's within 0.05 (docs/log/2026-11-28-polars.md)
@@ -137,9 +140,9 @@ def require_kulfan_fit(airfoil: Airfoil) -> tuple[Array, float, float, float]:
     if airfoil.gurney > _MAX_GURNEY_HEIGHT:
         problem = f"NeuralFoil's smooth contour cannot carry a Gurney flap of {100 * airfoil.gurney:g} %"
         raise InputError(airfoil.name, "", problem, "use engine 'xfoil', or a flap up to 2 %")
-    found = fit_kulfan_parameters(airfoil)
-    if found[3] > _MAX_FIT_ERROR:
-        problem = f"NeuralFoil's smooth contour misses this one by {100 * found[3]:.1f} % of chord"
+    *_, error = found = fit_kulfan_parameters(airfoil)
+    if error > _MAX_FIT_ERROR:
+        problem = f"NeuralFoil's smooth contour misses this one by {100 * error:.1f} % of chord"
         raise InputError(airfoil.name, "", problem, "use engine 'xfoil' or a table")
     return found
 
@@ -170,15 +173,15 @@ def _squared_mahalanobis(x: Floats, mean: Floats, inverse: Floats) -> Floats:
 
 def _mirrored_sections(sections: Floats) -> Floats:
     flipped = sections.copy()
-    flipped[:, :8], flipped[:, 8:16] = -sections[:, 8:16], -sections[:, :8]
-    flipped[:, 16] = -sections[:, 16]
+    flipped[:, _UPPER], flipped[:, _LOWER] = -sections[:, _LOWER], -sections[:, _UPPER]
+    flipped[:, _NOSE] = -sections[:, _NOSE]
     return flipped
 
 
 def _mirrored_flows(flows: Floats) -> Floats:
     flipped = flows.copy()
     flipped[:, 0] = -flows[:, 0]
-    flipped[:, 5], flipped[:, 6] = flows[:, 6], flows[:, 5]
+    flipped[:, -2], flipped[:, -1] = flows[:, -1], flows[:, -2]  # where the sides turn turbulent
     return flipped
 
 
@@ -192,14 +195,16 @@ def _evaluate_network(section: Floats, flows: Floats, model: str) -> Array:
             one, flow = section[None, :], flows[part]
             if sign < 0:
                 one, flow = _mirrored_sections(one), _mirrored_flows(flow)
-            y = _forward_pass(flow @ weight[:, 18:].T + (one @ weight[:, :18].T + bias), rest).astype(np.float64)
+            y = _forward_pass(
+                flow @ weight[:, _SECTION_SIZE:].T + (one @ weight[:, :_SECTION_SIZE].T + bias), rest
+            ).astype(np.float64)
             inputs = np.concatenate((np.repeat(one, len(flow), axis=0), flow), axis=1)
             y[:, 0] -= _squared_mahalanobis(inputs, mean, inverse) / (2 * len(mean))
-            y[:, [1, 3]] *= sign
+            y[:, [_CL, _CM]] *= sign
             out[part] += 0.5 * y
-    out[:, 1] /= 2
-    out[:, 2] = (out[:, 2] - 2) * 2
-    out[:, 3] /= 20
+    out[:, _CL] /= 2
+    out[:, _LN_CD] = (out[:, _LN_CD] - 2) * 2
+    out[:, _CM] /= 20
     return out
 
 
@@ -253,13 +258,13 @@ def _compute_section_data(
 ) -> SectionData:
     parameters, rotation, chord, _ = require_kulfan_fit(airfoil)
     section = parameters.astype(np.float32)
-    section[17] *= 50
+    section[-1] *= 50
     a, log_re = (v.ravel() for v in np.meshgrid(_ALPHA_GRID_RAD + rotation, np.log(re * chord)))
     rest = [np.full_like(a, v) for v in ((n_crit - 9) / 4.5, *xtr)]
     flows = np.column_stack((np.sin(2 * a), np.cos(a), np.sin(a) ** 2, (log_re - 12.5) / 3.5, *rest))
     y = _evaluate_network(section, flows.astype(np.float32), model).reshape(re.size, _ALPHA_GRID_RAD.size, 4)
     # The fit's chord line differs from the contour's by a fraction of a percent; so do the coefficients.
-    cl, cd, cm = y[..., 1] * chord, np.exp(y[..., 2]) * chord, y[..., 3] * chord**2
+    cl, cd, cm = y[..., _CL] * chord, np.exp(y[..., _LN_CD]) * chord, y[..., _CM] * chord**2
     return SectionData(
         airfoil.name,
         _ALPHA_GRID_RAD.copy(),

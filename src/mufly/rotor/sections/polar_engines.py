@@ -295,8 +295,10 @@ def _parse_xfoil_polar(file: Path) -> dict[float, tuple[float, float, float]]:
             numbers = [float(w) for w in line.split()]
         except ValueError:
             continue
-        if len(numbers) >= 7 and numbers[2] > 0 and abs(numbers[1]) < 5:
-            found[round(numbers[0], 3)] = (numbers[1], numbers[2], numbers[4])
+        if len(numbers) >= 7:
+            alpha_deg, cl, cd, _, cm, *_ = numbers
+            if cd > 0 and abs(cl) < 5:
+                found[round(alpha_deg, 3)] = (cl, cd, cm)
     return found
 
 

@@ -625,7 +625,7 @@ def read_parameter_file(text: str, where: str, component: int = AUTOPILOT_COMPON
             continue
         parts = line.replace(",", " ").replace("=", " ").split()
         named = len(parts) == 5 and parts[0].isdigit() and parts[1].isdigit()
-        name, value = parts[2:4] if named else (parts[0], parts[1] if len(parts) == 2 else "")
+        name, value = parts[2:-1] if named else (parts[0], parts[1] if len(parts) == 2 else "")
         try:
             number = float(int(value, 16)) if value.lower().startswith("0x") else float(value)
         except ValueError:

@@ -229,7 +229,7 @@ def load_table_3_2(folder: Path) -> RotorCase:
     """The dissertation's rotor with its four measured points."""
     m = read_text_table(folder / "thesis_table_3_2.csv").read_matrix()
     rotor = _build_rotor("naca0012-r60-c20", 2, 0.06, 0.15, (0.15, 1), (0.02, 0.02), (0, 0), "naca0012")
-    points = _build_measurements("Table 3.2", m[:, 0], m[:, 1], m[:, 2], m[:, 3])
+    points = _build_measurements("Table 3.2", *m[:, :4].T)
     return RotorCase(rotor.name, "Table 3.2", "dissertation", rotor, True, points)
 
 
