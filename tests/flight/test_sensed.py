@@ -420,7 +420,7 @@ EVIL = st.sampled_from(["missing", "nan", "huge", "off", "late", "early", "twice
     )
 )
 def test_nothing_that_sensors_say_brings_a_nan_or_a_jump_into_the_actuators(vehicle, controller, evils) -> None:
-    """Through sensors, filter, trust, controllers: sensors.md says what an input moves by in a period."""
+    """Through sensors, filter, trust, controllers: docs/reference/filter.md says what an input moves by in a period."""
     with Flight(vehicle, HOP, controller=controller, seed=4, sensors="fitted", keep=False) as flight:
         flight.sensors = Spoilt(flight.sensors, evils)
         last = None

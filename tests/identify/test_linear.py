@@ -491,7 +491,9 @@ def test_wrong_requests_are_one_line(log, arguments, words):
 
 
 def test_trex_550_second_half_is_predicted_as_documented():
-    """The figures of identification-linear.md; structure and parameters come from the first half alone."""
+    """The figures of docs/log/2026-11-21-linear-model-of-a-trex-550.md.
+
+    Structure and parameters come from the first half alone."""
     if not TREX.is_file():
         pytest.skip("the flight record (../shared/data/flight, outside the project) is not here")
     names = ("u", "v", "p", "q", "phi", "theta", "-", "-", "w", "r")

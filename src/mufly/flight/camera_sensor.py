@@ -10,7 +10,7 @@ after half a second without one the reason is told. Of the others go as many as 
 errors of pictures that follow each other hang together, and the filter has no time for all.
 
 It takes the place of the statistical ``position_fix`` and goes through the same door. For the filter its errors are
-described in the same words: white noise, and a bias that wanders (docs/explanation/slam.md has them measured).
+described in the same words: white noise, and a bias that wanders (docs/log/2026-11-24-slam-accuracy.md).
 
 Until the sonar first says more than the least that it can, the vehicle stands where it was put, or has just left it:
 that is told, with 2 mm of noise. A filter that heard nothing while the legs carry a part of the weight would lose its

@@ -78,14 +78,15 @@ LOOP_MAX_CHI2 = 28.0  # of eight numbers: one true closure in 2000 is turned awa
 _LOOP_SEARCH_SIGMAS = 2.5  # deviations within which a keyframe is looked for
 VARIANCE_INFLATION = 3.0
 """Of variances of all points together over those of each, as errors of neighbouring points hang together. Chosen on
-twelve floors (slam.md): edges against the truth, with true tilts given, ask for 3.9, answers for
-less."""
+twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges against the truth, with true tilts given, ask for 3.9,
+answers for less."""
 _WHITE_LEVEL, _MAX_WHITE_SHARE = 248, 0.02
 """Grey, and share of a picture that may be whiter for it to become a keyframe: a camera that was covered sees too
 bright for half a second, and what was white then has no corners."""
 _STRAY_PX = 5.0  # pixels that a point may be off for no reason
 _TILT_DRIFT_PER_HEIGHT = 0.005
-"""Of the height: what tilts told wrong move a place by from picture to picture (measured: slam.md)."""
+"""Of the height: what tilts told wrong move a place by from picture to picture
+(docs/log/2026-11-24-slam-accuracy.md)."""
 _LOST_AFTER_S, _RELOCALIZE_INTERVAL = 0.7, 4
 _MIN_CONFIRMATIONS = 3
 _SHAKE_GAIN, _SHAKE_LEARNED_FRAMES, _SHAKE_REMAINING_SHARE = 0.02, 150, 0.3

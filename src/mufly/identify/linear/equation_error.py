@@ -15,7 +15,7 @@ integrated; by parts, ``int w y' e = -int (w' - j omega w) y e``, so that no der
 (modulating functions: Shinbrot 1957; the regression is that of Klein and Morelli, Sec. 7.3). Frequencies from 1.5 / T
 to the cut in steps of 1 / T; rows are weighted by the residual's own spectrum, a parabola through its logarithm. That
 is the default: on made flights under feedback with gusts it has no bias and half the scatter of the other, whose slow
-gusts the controller's answers follow (docs/explanation/identification-linear.md has the numbers).
+gusts the controller's answers follow (numbers: docs/log/2026-11-21-linear-model-of-a-trex-550.md).
 
 **Band.** Everything below ``low_hz`` is taken off, too: :func:`find_coherent_band` finds both ends from the fitted
 records.
