@@ -1,28 +1,29 @@
-"""Rotors on one shaft, solved together: what is given, what is found, by which method.
+"""Solver of rotors on one shaft: operating points, trim and methods.
 
-:func:`solve_system` takes a :class:`RotorSystem` (which rotors, where, turning which way), a
+:func:`solve_system` takes a :class:`RotorSystem` (rotors, positions, senses of rotation), an
 :class:`OperatingCondition` (pitch, speed, thrust, climb, air) and the name of a method: ``"bemt"``, blade element
-momentum theory, milliseconds; ``"wake"``, vortex wakes, seconds. What a condition leaves open is found: the speed or
-the pitch at which a rotor gives a thrust, the speed or the pitch of the lower rotor of a pair at which the torques
-cancel.
+momentum theory, milliseconds; ``"tubes"``, vortex tubes (:mod:`mufly.rotor.vortex_tube`); ``"wake"``, vortex wakes,
+seconds. It finds the unknowns of the condition: the speed or the pitch at which a rotor gives a thrust, or the speed or
+the pitch of the lower rotor of a pair at which the torques cancel.
 
-Blade elements, several rotors (both ways). The wake of a rotor is a tube of ring vortices, semi-infinite, that starts
-at its disc. On a disc of radius R with induced velocity v, such a tube moves the air at distance z below the disc
-(above: z < 0) at (Leishman, sec. 2.2; exact on the axis of a uniform tube)
+Coupling of several rotors by blade elements: the wake of a rotor is a semi-infinite tube of ring vortices that starts
+at its disc. For a disc of radius R with induced velocity v, the tube induces at distance z below the disc (above: z <
+0) the velocity (Leishman, sec. 2.2; exact on the axis of a uniform tube)
 
     v(z) = v k(z),   k(z) = 1 + z / sqrt(R^2 + z^2)      0 far above, 1 at the disc, 2 far below
 
-and continuity moves the stream surface from r to r / sqrt(k). So, with h the distance between two discs:
+and by continuity a stream surface moves from r to r / sqrt(k). With h the distance between two discs:
 
-* The lower rotor meets, inside R / sqrt(k(h)), the upper one's stream: down k v_u, and round with the moment of
-  momentum that lift and profile drag gave it (:func:`mufly.rotor.bemt.compute_slipstream`), against its own motion if
-  it turns the other way. Outside it meets still air.
-* The upper rotor meets k(-h) v_l of the lower one, over its whole disc as the stream widens upwards; swirl does not
-  reach up.
+* Inside R / sqrt(k(h)) the lower rotor is in the slipstream of the upper rotor. Its axial velocity is k v_u; its swirl
+  has the moment of momentum of lift and profile drag (:func:`mufly.rotor.bemt.compute_slipstream`), against the motion
+  of a lower rotor that turns the other way. Outside the slipstream the air is at rest.
+* The upper rotor has the inflow k(-h) v_l of the lower rotor over its whole disc, because the stream widens upwards.
+  Swirl does not propagate upwards.
 
-They are solved from the top down until the inflow from below stands still; each turn is one BEMT solution of each
-rotor. The tube is that of the undisturbed upper rotor: the lower rotor's pull on the shape of the upper wake is left
-out, as is the passing of blades. Of three rotors or more the streams add up; that is compared with nothing yet.
+The rotors are solved from the top down until the inflow from below converges; each iteration is one BEMT solution of
+each rotor. The tube is that of the isolated upper rotor: the effect of the lower rotor on the shape of the upper wake
+and the passing of blades are neglected. The streams of three or more rotors add up; no measurement of such systems has
+been compared.
 """
 
 from __future__ import annotations
@@ -73,18 +74,18 @@ PointSolver = Callable[
 
 _MAX_COUPLING_ITERATIONS = 200
 _COUPLING_TOLERANCE = 1e-8  # of the greatest induced velocity
-_BEMT_TRIM_TOLERANCE = 1e-7  # of the upper rotor's torque, or of the thrust asked for
-_WAKE_TRIM_TOLERANCE = 1e-3  # of the same: what a converged wake can tell
-_TUBES_TRIM_TOLERANCE = 1e-4  # what settled tubes can tell
-_FIRST_SPEED_RAD_S = 300.0  # rad/s, of the upper rotor, where a thrust finds it
+_BEMT_TRIM_TOLERANCE = 1e-7  # of the upper rotor's torque, or of the required thrust
+_WAKE_TRIM_TOLERANCE = 1e-3  # of the same: accuracy of a converged wake
+_TUBES_TRIM_TOLERANCE = 1e-4  # accuracy of converged tubes
+_FIRST_SPEED_RAD_S = 300.0  # rad/s, first guess of the upper rotor's speed for a thrust
 _MAX_THRUST_ITERATIONS, _MAX_SPEED_ITERATIONS, _MAX_PITCH_ITERATIONS = 8, 12, 25
-_FIRST_TORQUE_SLOPE = 8.0  # 1/rad: torque grows like pitch^1.5 or so
-_TORQUE_SLOPE_LIMITS = (1.0, 80.0)  # what a secant may say of blades that do not stall
+_FIRST_TORQUE_SLOPE = 8.0  # 1/rad: torque grows about like pitch^1.5
+_TORQUE_SLOPE_LIMITS = (1.0, 80.0)  # range of secant slopes of blades that do not stall
 _MAX_PITCH_STEP_RAD = math.radians(4.0)
 _PITCH_RANGE_RAD = (math.radians(-10.0), math.radians(45.0))
 
 MAX_TIP_SPEED_M_S = 240.0
-"""Tip speed (m/s) up to which the correction for compressible flow serves: Mach 0.7."""
+"""Tip speed (m/s) up to which the correction for compressible flow is valid: Mach 0.7."""
 
 
 def solve_system(
@@ -96,7 +97,7 @@ def solve_system(
     start: SystemSolution | None = None,
     progress: ProgressCallback | None = None,
 ) -> SystemSolution:
-    """Solve a system of rotors.
+    """Solve a system of rotors; the condition decides the unknowns:
 
     ======================  =========================  ==========================================================
     one rotor               ``pitch``, ``speed``       the point
@@ -105,35 +106,35 @@ def solve_system(
     .                       pitches, upper speed       the lower speed at which the torques cancel
     .                       pitches, ``thrust_N``      both speeds, torques cancelled
     .                       upper pitch, speeds        the lower pitch at which the torques cancel; with ``thrust_N``
-                                                       the speeds are scaled to it, their ratio kept
+                                                       the speeds are scaled at constant ratio
     ======================  =========================  ==========================================================
 
     Parameters
     ----------
     system : System
     condition : Condition
-        What is given.
+        Given values.
     method : 'bemt', 'tubes' or 'wake'
     settings : WakeSettings, optional
-        Of the wake.
+        Settings of the wake method.
     start : Result, optional
-        A similar result to start from; saves time, not more.
+        Similar result to start from; it saves time only.
     progress : callable, optional
-        Of the wake: iteration, residual and thrust (N) of all rotors.
+        Called by the wake method with iteration, residual and thrust (N) of all rotors.
 
     Returns
     -------
     Result
-        A wake at a given point that does not converge is returned, marked so, with its history.
+        A wake at a given point that does not converge is returned with ``converged`` false and its history.
 
     Raises
     ------
     InputError
-        If a condition gives too little or too much, a number is not possible, a thrust is out of reach, or wakes cannot
-        be solved together (see :func:`mufly.rotor.wake.check_rotors`).
+        If a condition is under- or overdetermined, a value is impossible, a thrust is out of reach, or wakes cannot be
+        solved together (see :func:`mufly.rotor.wake.check_rotors`).
     MuflyError
-        If blade elements do not settle, which happens in descents in which the wakes blow back through the discs; if no
-        balance is found, or a wake on the way to it does not converge.
+        If blade elements do not converge, as in descents with the wakes blown back through the discs; if no torque
+        balance is found, or a wake during the search does not converge.
 
     Examples
     --------
@@ -175,7 +176,7 @@ def _solve_unknowns(
     start: SystemSolution | None,
     progress: ProgressCallback | None,
 ) -> SystemSolution:
-    """What is left open, found; parameters as for :func:`solve_system`, pitch and speed one a rotor."""
+    """Find the unknowns of a condition; parameters as for :func:`solve_system`, with pitch and speed of each rotor."""
     count, thrust = len(system.bladings), condition.thrust_N
 
     def solve_point(pitches: Sequence[float], speeds: Sequence[float], start: SystemSolution | None) -> SystemSolution:
@@ -211,14 +212,14 @@ def _solve_unknowns(
                 raise
         return _trim_by_bracketing(
             solve_point, known_pitch, speed[0], thrust, start
-        )  # steps go astray where blades stall
+        )  # secant steps may diverge where blades stall
     if pitch[0] is None or len(known_speed) != 2:
         raise InputError("coaxial", "", "leaves too much open", "give the upper pitch and both speeds")
     return _trim_lower_pitch(solve_point, pitch[0], known_speed, thrust, enough, start)
 
 
 def solve_from_neighbour(solved: Callable[..., SystemSolution], neighbour: SystemSolution | None) -> SystemSolution:
-    """Return ``solved(start=neighbour)``, or ``solved(start=None)`` where that finds no answer or does not converge."""
+    """Return ``solved(start=neighbour)``, or ``solved(start=None)`` if the first fails or does not converge."""
     if neighbour is not None:
         try:
             found = solved(start=neighbour)
@@ -233,7 +234,7 @@ def solve_from_neighbour(solved: Callable[..., SystemSolution], neighbour: Syste
 
 
 def _per_rotor_values(name: str, value: PerRotor, count: int) -> tuple[float | None, ...]:
-    """One value a rotor."""
+    """Return a tuple with the value of each rotor."""
     values = [value] * count if value is None or np.ndim(value) == 0 else list(value)  # type: ignore[arg-type]
     if len(values) != count:
         raise InputError(
@@ -246,7 +247,8 @@ def _per_rotor_values(name: str, value: PerRotor, count: int) -> tuple[float | N
 
 
 def _inflow_matrix(source: PlacedRotor, target: PlacedRotor) -> Array:
-    """Matrix that carries axial velocities induced by a rotor to another's stations, (stations, stations)."""
+    """Return the matrix from axial induced velocities of a rotor to those at another's stations, (stations,
+    stations)."""
     disc_radius = source.blading.rotors[source.rotor_index].radius_m
     at_r, at_dr = target.blading.r_m[target.rotor_index], target.blading.dr_m[target.rotor_index]
     k = tube_axis_speed(source.height_m - target.height_m, disc_radius)
@@ -261,7 +263,7 @@ def _solve_bemt(
     start: SystemSolution | None,
     progress: ProgressCallback | None,
 ) -> SystemSolution:
-    """Solve rotors in their places by blade elements; the method is that of the module docstring."""
+    """Solve placed rotors by blade elements with the coupling of the module docstring."""
     if len(rotors) == 1:
         return SystemSolution((solve_placed_rotor(rotors[0], climb_m_s, air),), rotors, climb_m_s, air, "bemt")
     ways = {(a, b): _inflow_matrix(p, q) for a, p in enumerate(rotors) for b, q in enumerate(rotors) if a != b}
@@ -270,7 +272,8 @@ def _solve_bemt(
     cuts = np.cumsum(stations[:-1])[:-1]
 
     def iterate_streams(x: Array) -> tuple[Array, list[tuple[Array, Array]], float]:
-        """Solve from the top in the inflow ``x`` from below: what it becomes, what each rotor meets, size of all."""
+        """Solve all rotors from the top with inflow ``x`` from below; return new inflow, onset streams and velocity
+        scale."""
         met: list[tuple[Array, Array]] = []
         given: list[tuple[Array, Array, Array]] = []
         for b, p in enumerate(rotors):
@@ -293,7 +296,7 @@ def _solve_bemt(
         step = image - x
         if np.max(np.abs(step)) <= _COUPLING_TOLERANCE * size:
             break
-        # Anderson's acceleration with one memory; held to the plain half step where it would leap.
+        # Anderson acceleration of depth one; limited to the plain half step where it would be too large.
         following = image
         if last_step.size:
             bend = step - last_step
@@ -342,16 +345,15 @@ def solve_for_thrust(
 ) -> RotorResult:
     """Find the speed (at given pitch) or the pitch (at given speed) that gives a thrust, by blade elements.
 
-    Give exactly one of ``pitch_rad`` and ``speed_rad_s``; the other is found, to 1e-9 of its range. The unknown
-    is sought on 64 points between its limits first, and then between the two lowest ones that enclose the
-    thrust, so that of two pitches with the same thrust, below and beyond stall, the lower is returned. Speeds are
-    sought up to :data:`MAX_TIP_SPEED_M_S` at the tip.
+    Give exactly one of ``pitch_rad`` and ``speed_rad_s``; the other is found to 1e-9 of its range. The search uses 64
+    points between the limits, then the lowest interval that brackets the thrust. Of two pitches with the same thrust,
+    below and beyond stall, the lower is therefore returned. Speeds are limited to :data:`MAX_TIP_SPEED_M_S` at the tip.
 
     Raises
     ------
     InputError
-        If neither or both are given, or no value within the limits gives the thrust; the message names the
-        greatest thrust there is.
+        If neither or both are given, or no value within the limits gives the thrust; the message states the greatest
+        thrust.
     """
     if (pitch_rad is None) == (speed_rad_s is None):
         raise InputError("rotor", "thrust", "needs one of pitch and speed", "give one; the other is found")
@@ -364,7 +366,7 @@ def solve_for_thrust(
         pitch, speed = (pitch_rad, value) if by_speed else (value, speed_rad_s)
         return {"pitch_rad": pitch, "speed_rad_s": speed, "climb_m_s": climb_m_s, "air": air, "which": which}
 
-    for _ in range(8):  # each pass narrows the interval by 63, to below 1e-13 of the first
+    for _ in range(8):  # each pass divides the interval by 63, to below 1e-13 of the first
         short = solve_rotor_batch(case, **point_arguments(grid)).thrust_N - thrust_N
         cross = np.flatnonzero((short[:-1] <= 0.0) & (short[1:] >= 0.0))
         if cross.size == 0:
@@ -392,11 +394,11 @@ def _solve_for_thrust(
     close: float,
     known: SystemSolution | None,
 ) -> SystemSolution:
-    """Find what a condition of one rotor leaves open.
+    """Find pitch or speed of one rotor for a thrust.
 
-    A wake is dear and blade element momentum theory (BEMT) is not, and the ratio of the two hardly changes from one
-    point to a near one. So BEMT, scaled to the wake at the last point, finds the next one: with T_w / T_b the ratio
-    there, the point is sought at which BEMT gives T_wanted T_b / T_w. Two or three wakes are enough.
+    A wake is expensive, blade element momentum theory (BEMT) is cheap, and the ratio of their thrusts varies slowly.
+    BEMT, scaled to the wake at the last point, therefore predicts the next point: with T_w / T_b the ratio at the last
+    point, BEMT is solved for the thrust T_wanted T_b / T_w. Two or three wakes are sufficient.
     """
     thrust = condition.thrust_N
     if thrust is None or not math.isfinite(thrust):
@@ -433,7 +435,7 @@ def _trim_by_bracketing(
     thrust_N: float | None,
     start: SystemSolution | None,
 ) -> SystemSolution:
-    """Find the lower speed, or with a thrust both, by bracketed roots: slower and surer than steps."""
+    """Find the lower speed, or with a thrust both speeds, by bracketing: slower and more robust than secant steps."""
     known = [start]
 
     def solve_pair(up: float, low: float) -> SystemSolution:
@@ -468,7 +470,7 @@ def _trim_by_bracketing(
 def _find_root(
     solve_at: Callable[[float], SystemSolution], fault: Callable[[SystemSolution], float], guess: float, what: str
 ) -> SystemSolution:
-    """Solution at the factor, between a tenth and ten, at which ``fault`` vanishes."""
+    """Return the solution at the factor, between 0.1 and 10, at which ``fault`` vanishes."""
     found: list[SystemSolution] = []
 
     def fault_at(factor: Array, case: Integers) -> Array:
@@ -486,7 +488,7 @@ def _trim_by_secant(
     at: PointSolver, pitch: Sequence[float], upper_speed: float | None, thrust_N: float | None, close: float,
     known: SystemSolution | None,
 ) -> SystemSolution:  # fmt: skip
-    """Find the same by secant steps, each from the wake of the last one: a point is dear."""
+    """Find the same by secant steps, each started from the previous wake, because a point is expensive."""
     up = upper_speed if upper_speed is not None else _FIRST_SPEED_RAD_S
     ratio = 1.1
     torque_slope = None
@@ -529,8 +531,8 @@ def _trim_lower_pitch(
     """Find the lower pitch at which the torques cancel.
 
     ln(Q_lower / Q_upper) is a smooth, rising function of the lower pitch, close to a line, so secant steps find its
-    root in three to six solutions. With a thrust both speeds are scaled by sqrt(T_wanted / T) after every step, their
-    ratio kept: coefficients depend on speed through the Reynolds number only.
+    root in three to six solutions. With a thrust both speeds are scaled by sqrt(T_wanted / T) after every step at
+    constant ratio: coefficients depend on speed through the Reynolds number only.
     """
     if thrust_N is not None and not 0.0 < thrust_N < math.inf:
         raise InputError("coaxial", "thrust_N", f"is {thrust_N:g}", "give a number above 0")

@@ -1,7 +1,7 @@
-"""What is solved and what comes out: rotors on one shaft, an operating point, the wakes, the result.
+"""Data types of rotor systems: rotors on one shaft, operating condition, wakes and solution.
 
-A :class:`RotorSystem` says which rotors stand where and turn which way, a :class:`OperatingCondition` what is given of
-the operating point. :func:`mufly.rotor.solve_system` answers with a :class:`SystemSolution`, whatever the method.
+A :class:`RotorSystem` holds rotors, positions and senses of rotation, an :class:`OperatingCondition` the given values
+of the operating point. :func:`mufly.rotor.solve_system` returns a :class:`SystemSolution` for every method.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SPEED_OF_SOUND_M_S = 343.2
 
 @dataclass(frozen=True)
 class Air:
-    """The air: density (kg/m3), dynamic viscosity (Pa s), speed of sound (m/s).
+    """Properties of the air: density (kg/m^3), dynamic viscosity (Pa s), speed of sound (m/s).
 
     Default: 1.2 kg/m3, as in the dissertation, at 20 C.
     """
@@ -47,13 +47,13 @@ class Air:
 
 
 def blade_stations(rotor: Rotor, speed_rad_s: float, air: Air | None = None) -> dict[str, Array]:
-    """Return what a blade is along its radius: at the stations of its file, its cut-out and every quarter.
+    """Return the spanwise data of a blade at the stations of its file, its cut-out and every quarter of the radius.
 
     Parameters
     ----------
     rotor : Rotor
     speed_rad_s : float
-        For the Reynolds numbers of the chord in still air.
+        Rotor speed (rad/s) for the chord Reynolds numbers in still air.
     air : Air, optional
 
     Returns
@@ -72,28 +72,28 @@ def blade_stations(rotor: Rotor, speed_rad_s: float, air: Air | None = None) -> 
 
 
 class RotorWarning(UserWarning):
-    """A rotor is computed beyond what its theory was made for."""
+    """Warning: a rotor is computed outside the range of validity of the theory."""
 
 
 VORTEX_RING_RANGE = (0.5, 2.0)
-"""Descent over the velocity induced in hover between which a rotor is in its own wake (Leishman 2006, Sec. 2.13.6)."""
+"""Range of descent velocity over induced velocity in hover with vortex ring state (Leishman 2006, Sec. 2.13.6)."""
 
 MAX_TIP_MACH = 0.7
-"""Of the tips, up to which the correction for compressible flow serves
+"""Tip Mach number up to which the correction for compressible flow is valid
 (:func:`mufly.rotor.bemt.equivalent_incompressible_alpha`)."""
 
 
 def compute_tip_mach(radius_m: float, speed_rad_s: float, air: Air | None = None) -> float:
-    """Return the Mach number of the blades' tips."""
+    """Return the Mach number of the blade tips."""
     return radius_m * speed_rad_s / (air or Air()).sound_m_s
 
 
 class VortexRingWarning(RotorWarning):
-    """A rotor sinks into its own wake."""
+    """Warning: a rotor descends in vortex ring state."""
 
 
 def warn_vortex_ring(climb_m_s: float, thrust_N: float, area_m2: float, air: Air) -> None:
-    """Give a :class:`VortexRingWarning` where a disc sinks within :data:`VORTEX_RING_RANGE`."""
+    """Issue a :class:`VortexRingWarning` if a disc descends within :data:`VORTEX_RING_RANGE`."""
     induced = math.sqrt(max(thrust_N, 0.0) / (2.0 * air.density_kg_m3 * area_m2))
     if VORTEX_RING_RANGE[0] * induced < -climb_m_s < VORTEX_RING_RANGE[1] * induced:
         warnings.warn(
@@ -111,7 +111,7 @@ _RPM_HINT = " (speed_rad_s is in rad/s; a number in rpm has to be multiplied by 
 
 
 def warn_tip_mach(mach: float) -> None:
-    """Give a :class:`RotorWarning` where the tips are beyond :data:`MAX_TIP_MACH`."""
+    """Issue a :class:`RotorWarning` if a tip Mach number exceeds :data:`MAX_TIP_MACH`."""
     if mach > MAX_TIP_MACH:
         warnings.warn(
             f"the tips move at Mach {mach:.2f}; beyond {MAX_TIP_MACH:g} shocks stall the sections, and thrust and "
@@ -121,7 +121,8 @@ def warn_tip_mach(mach: float) -> None:
 
 
 def check_pitch(where: str, name: str, pitch_rad: ArrayLike) -> None:
-    """Raise :class:`InputError` for a pitch that is not finite or beyond 90 degrees, such as one given in degrees."""
+    """Raise :class:`InputError` for a pitch that is not finite or exceeds 90 degrees, for example one given in
+    degrees."""
     values = np.asarray(pitch_rad, dtype=np.float64)
     beyond = ~(np.abs(values) <= _MAX_PITCH_RAD)
     if not np.any(beyond):
@@ -137,7 +138,8 @@ def check_pitch(where: str, name: str, pitch_rad: ArrayLike) -> None:
 
 @dataclass(frozen=True, eq=False)
 class PlacedRotor:
-    """A rotor in its place: pitch, speed, height of the disc along the shaft, sense of rotation (+1 or -1)."""
+    """Rotor with pitch (rad), speed (rad/s), height of the disc along the shaft (m) and sense of rotation (+1 or
+    -1)."""
 
     blading: Blading
     pitch_rad: float
@@ -149,17 +151,17 @@ class PlacedRotor:
 
 @dataclass(frozen=True, eq=False)
 class RotorSystem:
-    """Rotors on one shaft, the uppermost first. Make it with :meth:`single_rotor` or :meth:`coaxial_pair`.
+    """Rotors on one shaft, the uppermost first; created by :meth:`single_rotor` or :meth:`coaxial_pair`.
 
     Attributes
     ----------
     bladings : tuple of Blading
     disc_heights_m : tuple of float
-        Of each disc, along the shaft.
+        Height of each disc along the shaft (m).
     rotation_signs : tuple of int
         Sense of rotation: 1 or -1.
     rotor_indices : tuple of int
-        Which of its blading's rotors each one is.
+        Index of each rotor in its blading.
     """
 
     bladings: tuple[Blading, ...]
@@ -173,19 +175,19 @@ class RotorSystem:
 
     @classmethod
     def single_rotor(cls, blading: Blading | Rotor, *, which: int = 0) -> RotorSystem:
-        """Return one rotor; a :class:`Rotor` is prepared with all defaults."""
+        """Return a system of one rotor; a :class:`Rotor` is prepared with all defaults."""
         return cls((ensure_blading(blading),), (0.0,), (1,), (which,))
 
     @classmethod
     def coaxial_pair(cls, upper: Blading | Rotor, lower: Blading | Rotor, *, spacing_m: float) -> RotorSystem:
-        """Return two rotors that turn against each other; the first rotor of each blading is taken.
+        """Return a coaxial pair of counter-rotating rotors, the first rotor of each blading.
 
         A :class:`Rotor` is prepared with all defaults.
 
         Raises
         ------
         InputError
-            If the distance between the discs is not above zero.
+            If the distance between the discs is not positive.
         """
         if not 0.0 < spacing_m < math.inf:
             raise InputError("coaxial", "spacing_m", f"is {spacing_m:g}", "give a distance above 0")
@@ -194,7 +196,7 @@ class RotorSystem:
         return cls((above, below), (0.0, -spacing_m), (1, -1), (0, 0))
 
     def place_rotors(self, pitch_rad: Sequence[float], speed_rad_s: Sequence[float]) -> tuple[PlacedRotor, ...]:
-        """Return the rotors in their places, with the pitch and speed of each."""
+        """Return the placed rotors with their pitch and speed."""
         return tuple(
             PlacedRotor(b, p, s, h, hand, which)
             for b, p, s, h, hand, which in zip(
@@ -214,16 +216,16 @@ PerRotor = float | None | Sequence[float | None]
 
 @dataclass(frozen=True)
 class OperatingCondition:
-    """An operating point: what is given; what is None is found.
+    """Given values of an operating point; values that are None are unknowns.
 
     Attributes
     ----------
     pitch_rad, speed_rad_s : float or None, or a sequence with one for each rotor
         Pitch settings, added to the twist (rad), and speeds (rad/s).
     thrust_N : float, optional
-        Of all rotors together.
+        Thrust of all rotors together (N).
     climb_m_s : float
-        Axial speed through the air, positive in climb; 0 is hover.
+        Axial speed through the air (m/s), positive in climb; 0 is hover.
     air : Air
     """
 
@@ -236,37 +238,36 @@ class OperatingCondition:
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:stations_picture")
 class RotorResult:
-    """One operating point.
+    """Loads of a rotor at an operating point, in total and along the blade.
 
     Attributes
     ----------
     pitch_rad, speed_rad_s, climb_m_s : float
-        The point.
+        Operating point.
     thrust_N, torque_Nm, power_W, c_T, c_Q : float
-        Of the whole rotor.
+        Loads and coefficients of the whole rotor.
     figure_of_merit : float
-        Of the whole rotor; nan unless thrust and power are positive.
+        Figure of merit of the rotor; nan unless thrust and power are positive.
     r_m, dr_m, chord_m, theta_rad : (stations,) arrays
-        Blade.
+        Radius, width and chord of each station (m), pitch (rad).
     alpha_rad : (stations,) array
-        Angle of attack of the section.
+        Angle of attack of the section (rad).
     phi_rad : (stations,) array
-        Inflow angle.
+        Inflow angle (rad).
     inflow_m_s, swirl_m_s : (stations,) arrays
-        Axial and tangential induced velocity.
+        Axial and tangential induced velocity (m/s).
     cl, cd, reynolds : (stations,) arrays
-        Section coefficients, and the Reynolds number that they hold for.
+        Section coefficients, and their Reynolds number.
     loss : (stations,) array
         Loss factor F.
     dT_N, dQ_Nm : (stations,) arrays
-        Thrust and torque of the annulus (all blades).
+        Thrust (N) and torque (N m) of the annulus, all blades.
     outside : (stations,) array of uint8
-        0 where the polar answers from what its engine computed; bits ``OUTSIDE_ALPHA``, ``OUTSIDE_REYNOLDS``
-        elsewhere.
+        0 inside the computed range of the polar; bits ``OUTSIDE_ALPHA``, ``OUTSIDE_REYNOLDS`` elsewhere.
     outside_share : float
-        Part of the thrust, by size, that such stations carry.
+        Fraction of the absolute thrust at stations outside that range.
     calibrated : bool
-        True if the section coefficients were scaled to a measurement.
+        True if the section coefficients were calibrated on a measurement.
     """
 
     pitch_rad: float
@@ -297,50 +298,50 @@ class RotorResult:
     calibrated: bool
 
     def as_record(self) -> dict[str, Any]:
-        """Return its numbers, and what it has at each station as a table ``stations``."""
+        """Return the scalars, and the spanwise arrays as a table ``stations``."""
         stations = {k: v for k, v in vars(self).items() if getattr(v, "ndim", 0) == 1}
         return {**{k: v for k, v in vars(self).items() if k not in stations}, "stations": stations}
 
 
 @dataclass(frozen=True)
 class WakeSettings:
-    """How a wake is solved; docs/log/2026-11-28-wake-convergence.md shows the effect of each number.
+    """Settings of the wake solver; docs/log/2026-11-28-wake-convergence.md shows the effect of each number.
 
     Attributes
     ----------
     model : 'free' or 'prescribed'
-        Free: the vortices go where the air takes them. Prescribed: Landgrebe's measured shape.
+        Free: vortices move with the air. Prescribed: Landgrebe's measured shape.
     step_deg : float
-        Azimuth between the points of a filament that are moved.
+        Azimuth between the moving points of a filament (degrees).
     chord_deg : float
-        Azimuth of the straight pieces that induce velocities, on the arcs between those points.
+        Azimuth of the straight vortex segments on the arcs between those points (degrees).
     turns, far_turns : float
-        Turns of free wake, and of helices below it.
+        Turns of the free wake, and of the helices of the far wake below it.
     far_step_deg : float
-        Azimuth between their points.
+        Azimuth between the points of the far wake (degrees).
     core : float
-        First core radius over the local chord.
+        Initial core radius over the local chord.
     core_limit : float, optional
-        Core radius of an old wake over R. By default 0.15 for one rotor and 0.2 for two, and more, in two steps, where
-        the wake does not settle with it; the solution's settings and message say which.
+        Core radius of an old wake over R. Default: 0.15 for one rotor and 0.2 for two. If the wake does not converge,
+        two larger limits are tried; settings and message of the solution report the limit used.
     phases : int
-        Relative azimuths over which two rotors' influence on each other is averaged; one that does not go into the
-        points of a turn, or all points of a wake keep meeting the other in the same places.
+        Number of relative azimuths over which the mutual influence of two rotors is averaged. It should not divide the
+        number of points per turn, or every point of a wake meets the other wake at the same places.
     relaxation : float
-        Part of the way that the points go in one iteration; less with age, by 1 / (1 + zeta / (4 pi)): what is wrong
-        above adds up below.
+        Fraction of the step of the points in one iteration. It decreases with age by 1 / (1 + zeta / (4 pi)), because
+        errors accumulate downstream.
     tolerance : float
-        Converged when thrust and torque of the last ten iterations lie within this part of their mean.
+        Greatest deviation of thrust and torque from their mean over the last ten iterations, relative, at convergence.
     residual : float
-        ... and the wake follows the air within this part of its velocity.
+        Greatest mismatch of wake shape and air velocity at convergence, relative to the velocity.
     iterations : int
-        At most, with each core limit.
+        Greatest number of iterations with each core limit.
     inviscid : bool
         No boundary layer: c_l = 2 pi sin(alpha), no drag.
     gpu : bool
         Sum the velocities of the wake on a CUDA device.
     ground_m : float, optional
-        How far below height 0, a single rotor's disc, level ground lies. Vortices are mirrored in it.
+        Distance of level ground below height 0, which is the disc of a single rotor (m). Vortices are mirrored in it.
     """
 
     model: Literal["free", "prescribed"] = "free"
@@ -387,20 +388,20 @@ class WakeSettings:
 
 @dataclass(frozen=True, eq=False)
 class LiftingSurface:
-    """One blade of a rotor at a pitch setting, in its own frame.
+    """Lifting surface of one blade of a rotor at a pitch setting, in the blade's frame.
 
     Attributes
     ----------
     blade_count : int
     radius_m, speed_rad_s : float
     chord_m, pitch_rad : (n,) arrays
-        Chord and angle of the chord to the disc, panels from root to tip.
+        Chord (m) and angle of the chord to the disc (rad), panels from root to tip.
     panel_width_m : (n,) array
-        Width of the panels.
+        Width of the panels (m).
     quarter_chord_m, control_points_m : (n, 3) arrays
         Panel middles at one and three quarters of the chord.
     normal, tangent : (n, 3) arrays
-        Directions normal to the chord (up) and along it (towards the tail).
+        Unit vectors normal to the chord (up) and along it (towards the trailing edge).
     edge_quarter_chord_m, trailing_edge_m : (n + 1, 3) arrays
         Panel edges on the quarter chord line and at the trailing edge.
     edge_chord_m, filament_spacing_m : (n + 1,) arrays
@@ -425,22 +426,22 @@ class LiftingSurface:
 
 @dataclass(frozen=True, eq=False)
 class RotorWake:
-    """The vortices of one rotor, blade 1 on the x axis.
+    """Vortices of one rotor, with blade 1 on the x axis.
 
     Attributes
     ----------
     filament_paths_m : (n + 1, points, 3) array
-        Filaments from the quarter chord line down, in space (z up, the mirror image undone), blade 1 at azimuth 0.
+        Filaments from the quarter chord line down, in space (z up, not mirrored), blade 1 at azimuth 0.
     filament_ages_rad : (points,) array
     filament_circulation_m2_s : (n + 1,) array
         Circulation of the trailing filaments, along the path, in the rotor's own (unmirrored) frame.
     core_radius_m : (n + 1, points - 1) array
     bound_circulation_m2_s : (n,) array
-        Of the panels.
+        Bound circulation of the panels.
     free_point_count : int
-        Points of a filament that were moved, from the trailing edge on.
+        Number of free points of a filament, counted from the trailing edge.
     chords_per_step : int
-        Pieces of ``filament_paths_m`` from one of them to the next.
+        Number of segments of ``filament_paths_m`` between free points.
     """
 
     placed: PlacedRotor
@@ -456,33 +457,34 @@ class RotorWake:
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:result_picture")
 class SystemSolution:
-    """A system at one operating point.
+    """Solution of a rotor system at an operating point.
 
     Attributes
     ----------
     rotors : tuple of RotorResult
-        Each rotor in the presence of the others, the uppermost first.
+        Loads of each rotor in the presence of the others, the uppermost first.
     placed : tuple of Placed
-        Their blades, places, pitches and speeds.
+        Blades, positions, pitches and speeds of the rotors.
     climb_m_s : float
     air : Air
     method : 'bemt', 'tubes' or 'wake'
     converged : bool
     message : str
-        How it converged, or why not.
+        Description of the convergence, or of its failure.
     iterations : int
-        How often the rotors were solved in turn; iterations of the wake.
+        Number of iterations of the coupling or of the wake.
     streams : tuple of arrays
-        What blade elements settled at, to start from again. Method bemt: axial velocity (m/s) that each rotor but the
-        last gets from those below it, (stations,) each. Tubes: that at both discs, then p of the cells of both wakes.
+        Converged coupling variables, for a restart. Method bemt: axial velocity (m/s) induced at each rotor but the
+        last by the rotors below it, (stations,) each. Tubes: axial velocity at both discs, then p of the cells of both
+        wakes.
     wakes : tuple of Wake
-        Of each rotor, if that was the method, as what follows.
+        Wake of each rotor; this and the following fields are set by the wake method only.
     settings : WakeSettings or None
-        As used: with the core limit that the wakes settled with.
+        Settings with the core limit used.
     residual : float
-        Mismatch of the wakes' shape and the velocity of the air, over the velocity (root mean squares).
+        Mismatch of wake shape and velocity of the air, over the velocity (root mean squares).
     history : (iterations, 1 + 2 rotors) array
-        Residual, then thrust (N) and torque (N m) of each rotor; empty by blade elements.
+        Residual, then thrust (N) and torque (N m) of each rotor; empty for blade elements.
     """
 
     rotors: tuple[RotorResult, ...]
@@ -516,22 +518,22 @@ class SystemSolution:
 
     @property
     def upper(self) -> RotorResult:
-        """The uppermost rotor."""
+        """Loads of the uppermost rotor."""
         return self.rotors[0]
 
     @property
     def lower(self) -> RotorResult:
-        """The lowest rotor."""
+        """Loads of the lowest rotor."""
         return self.rotors[-1]
 
     @property
     def lower_over_upper(self) -> dict[str, float]:
-        """Speed, thrust, torque and power of the lowest rotor over those of the uppermost."""
+        """Ratios lower over upper of speed, thrust, torque and power."""
         names = ("speed_rad_s", "thrust_N", "torque_Nm", "power_W")
         return {name.partition("_")[0]: getattr(self.lower, name) / getattr(self.upper, name) for name in names}
 
     def interference_losses(self, isolated: Sequence[RotorResult]) -> dict[str, float]:
-        """Return what a pair changes of its rotors alone at the same pitch and speed: ratios less one.
+        """Return the relative changes of the loads of a pair against its isolated rotors at the same pitch and speed.
 
         Keys are ``upper_thrust``, ``upper_torque``, those of the lower rotor, and ``thrust``, ``power`` and
         ``thrust_per_power`` of the pair.
@@ -547,27 +549,28 @@ class SystemSolution:
 
     @property
     def spacing_m(self) -> float:
-        """Distance between the uppermost and the lowest disc."""
+        """Distance between the uppermost and the lowest disc (m)."""
         return self.placed[0].height_m - self.placed[-1].height_m
 
     @property
     def thrust_N(self) -> float:
-        """Thrust of all rotors."""
+        """Thrust of all rotors (N)."""
         return sum(r.thrust_N for r in self.rotors)
 
     @property
     def power_W(self) -> float:
-        """Mechanical power of all rotors."""
+        """Mechanical power of all rotors (W)."""
         return sum(r.power_W for r in self.rotors)
 
     @property
     def yaw_torque_Nm(self) -> float:
-        """What the rotors turn their vehicle with: torque of the lower less that of the upper rotor; 0 in trim."""
+        """Yaw torque on the vehicle (N m): torque of the lower less that of the upper rotor; 0 in trim."""
         return sum(-p.rotation_sign * r.torque_Nm for p, r in zip(self.placed, self.rotors, strict=True))
 
     @property
     def figure_of_merit(self) -> float:
-        """T sqrt(T / (2 rho A)) / P with one disc, the largest; nan unless thrust and power are positive."""
+        """Figure of merit T sqrt(T / (2 rho A)) / P with A the largest disc; nan unless thrust and power are
+        positive."""
         thrust, power = self.thrust_N, self.power_W
         if not (thrust > 0.0 and power > 0.0):
             return math.nan
@@ -576,7 +579,7 @@ class SystemSolution:
 
 
 def check_rotors(rotors: Sequence[PlacedRotor], climb: float) -> None:
-    """Raise :class:`InputError` with one line if the rotors cannot be solved together."""
+    """Raise :class:`InputError` if the rotors cannot be solved together."""
     if len(rotors) not in (1, 2):
         raise InputError("wake", "rotors", f"{len(rotors)} given", "give one rotor, or two")
     if not math.isfinite(climb):
@@ -606,6 +609,6 @@ def check_rotors(rotors: Sequence[PlacedRotor], climb: float) -> None:
 
 
 def _blade_vertical_reach(placed: PlacedRotor) -> float:
-    """How far a blade reaches above or below its disc: the greater part of its chord, pitched."""
+    """Return the greatest extent of the pitched blade above or below its disc (m)."""
     b, k = placed.blading, placed.rotor_index
     return float(np.max(0.75 * b.chord_m[k] * np.abs(np.sin(b.twist_rad[k] + placed.pitch_rad))))

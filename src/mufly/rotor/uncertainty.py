@@ -1,24 +1,24 @@
-"""How sure is a prediction? A band from what is not known of the blade's sections, and of the method.
+"""Uncertainty of predicted thrust and torque: intervals from unknown blade sections and errors of the method.
 
 Causes are varied one at a time about the nominal rotor, each by one standard deviation:
 
 * ``n_crit``: transition early or late, 4 and 9 beside the nominal value (the dissertation's Table 3.1);
-* ``engine``: 4 % of the lift coefficient, 8 % of the drag coefficient: network, boundary-layer code and wind tunnel
-  do not agree better below Re 1e5 (docs/log/2026-11-28-polars.md);
+* ``engine``: 4 % of the lift coefficient, 8 % of the drag coefficient, the disagreement of network, boundary-layer
+  code and wind tunnel below Re 1e5 (docs/log/2026-11-28-polars.md);
 * ``camber``: 0.3 % of the chord for a known section; zero-lift angle -2 f (thin airfoil, parabola);
 * ``thickness``: 0.5 % of the chord; drag 1 + 2 t (Hoerner, Fluid-Dynamic Drag, 1965, ch. II);
 * ``pitch``: half a degree of setting and twist;
-* ``method``: 5 % of thrust, 8 % of torque, the size of what a lattice with a contracting wake changes
+* ``method``: 5 % of thrust, 8 % of torque, the order of the difference to a vortex lattice with a contracting wake
   (docs/log/2026-11-28-bemt-accuracy.md).
 
-Where the section is a guess, the prediction is the mean over the sections that a blade may have
-(:mod:`mufly.rotor.blade_families`), weighted with their probabilities, and their variance about it adds to the causes;
-camber and thickness are then unknown between neighbours of that list only.
+If the section is guessed, the prediction is the mean over the candidate sections (:mod:`mufly.rotor.blade_families`),
+weighted with their probabilities, and their variance adds to the causes. Camber and thickness then vary only within one
+step of the grid of candidates.
 
-The causes are taken as independent, variances add. None of these numbers was fitted. What they leave out, nobody can
-list; so the sum is widened by :data:`INTERVAL_WIDENING`, the two numbers here that were fitted: with them nominal 90 %
-intervals hold 90 % of the points of the benchmark's rotors, each rotor with the same weight. `mufly rotor benchmark
---held-out` measures the coverage on families of rotors that the fit has not seen (docs/accuracy.md).
+The causes are treated as independent: variances add. Their standard deviations are not fitted. The sum is widened by
+:data:`INTERVAL_WIDENING` for unlisted causes. These two factors are fitted: nominal 90 % intervals then contain 90 % of
+the points of the benchmark's rotors, each rotor with the same weight. `mufly rotor benchmark --held-out` measures the
+coverage on held-out families of rotors (docs/accuracy.md).
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ SectionKnowledge = Literal["known", "guessed", "measured"]
 SECTION_KNOWLEDGE_LEVELS: tuple[SectionKnowledge, ...] = ("known", "guessed", "measured")
 
 INTERVAL_WIDENING = (1.06, 1.55)
-"""Of thrust and torque: fitted to the 90 % intervals of 21 rotors (docs/accuracy.md)."""
-_MIN_SECTION_PROBABILITY = 0.003  # sections below this probability are left out of a mean
+"""Factors on the deviations of thrust and torque, fitted to the 90 % intervals of 21 rotors (docs/accuracy.md)."""
+_MIN_SECTION_PROBABILITY = 0.003  # sections below this probability are left out of the mean
 
 
 @dataclass(frozen=True)
 class InputUncertainty:
-    """Standard deviations of what is not known; the defaults belong to a known section."""
+    """Standard deviations of the causes; the defaults are those of a known section."""
 
     n_crit: tuple[float, ...] = (4.0, 9.0)
     lift: float = 0.04
@@ -75,24 +75,24 @@ class InputUncertainty:
 
     @classmethod
     def for_guessed_section(cls) -> InputUncertainty:
-        """Return the doubt that is left where the mean was taken over the sections that a blade may have."""
+        """Return the remaining uncertainty when the prediction is the mean over candidate sections."""
         return cls(camber=GRID_STEP_STD[0], thickness=GRID_STEP_STD[1])
 
 
 @result(eq=False)
 class PredictionInterval:
-    """A prediction with its interval.
+    """Predicted thrust and torque with intervals.
 
     Attributes
     ----------
     thrust_N, torque_Nm : (n,) arrays
         Nominal prediction.
     thrust_low_N, thrust_high_N, torque_low_Nm, torque_high_Nm : (n,) arrays
-        Interval.
+        Bounds of the intervals.
     level : float
-        Probability that it is meant to hold.
+        Nominal coverage probability.
     thrust_share, torque_share : dict of str to (n,) arrays
-        Relative standard deviation that each cause brings.
+        Relative standard deviation due to each cause.
     """
 
     thrust_N: Array
@@ -106,7 +106,7 @@ class PredictionInterval:
     torque_share: Mapping[str, Array]
 
     def as_record(self, k: int = 0) -> dict[str, Any]:
-        """Return level, means and intervals of point ``k``."""
+        """Return level, nominal values and intervals of point ``k``."""
         return {
             "level": self.level,
             "mean_thrust_N": float(self.thrust_N[k]),
@@ -137,10 +137,10 @@ def predict_interval(
 ) -> PredictionInterval:
     """Predict thrust and torque with an interval.
 
-    For a rotor that was fitted to a bench (:func:`mufly.rotor.fit_rotor`) it is made of what that left open: the five
-    numbers, the sections that would do as well, and the scatter; outside the range that was measured the method's own
-    doubt comes back, wholly 5 degrees of pitch, a factor of two in speed or an airspeed of 0.1 of the tips' away.
-    Otherwise from the causes above.
+    For a fitted rotor (:func:`mufly.rotor.fit_rotor`) the interval includes the posterior of the five parameters, the
+    candidate sections and the scatter of points. Outside the measured range the uncertainty of the method is added. It
+    counts in full at a distance of 5 degrees of pitch, a factor of two in speed or an airspeed of 0.1 of the tip speed.
+    For other rotors the interval follows from the causes of the module docstring.
 
     Parameters
     ----------
@@ -151,20 +151,20 @@ def predict_interval(
     air, corrections, n_crit, engine
         As for :func:`mufly.rotor.blading.prepare_blading` and :func:`mufly.rotor.bemt.solve_rotor`.
     section : 'known', 'guessed' or 'measured'
-        The rotor file's airfoils; of a fitted rotor they are measured, whatever is said.
+        Status of the rotor file's airfoils; for a fitted rotor always 'measured'.
     family : str
-        Of a guessed section: one of :data:`mufly.rotor.blade_families.BLADE_FAMILIES`, if it is known.
+        Family of a guessed section, if known: one of :data:`mufly.rotor.blade_families.BLADE_FAMILIES`.
     doubt : Doubt, optional
-        What is not known; by default that of a known or guessed section.
+        Standard deviations of the causes; default: those of a known or guessed section.
     level : float
-        0.5, 0.68, 0.8, 0.9, 0.95 or 0.99.
+        Coverage: 0.5, 0.68, 0.8, 0.9, 0.95 or 0.99.
     wider : (float, float), optional
-        In place of :data:`INTERVAL_WIDENING`.
+        Factors in place of :data:`INTERVAL_WIDENING`.
 
     Raises
     ------
     InputError
-        If the level, section or family is none of these, or the section is 'measured' and the rotor was never fitted.
+        If level, section or family is invalid, or the section is 'measured' and the rotor is not fitted.
     """
     if level not in _SIGMAS_BY_LEVEL:
         known = ", ".join(map(str, _SIGMAS_BY_LEVEL))
@@ -208,7 +208,7 @@ def predict_interval(
     thrust, torque = solve_loads()
 
     def rms_departure(*others: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Root mean square departure from the nominal point."""
+        """Return the root mean square deviation from the nominal point."""
         return (
             np.sqrt(np.mean([(t - thrust) ** 2 for t, _ in others], axis=0)),
             np.sqrt(np.mean([(q - torque) ** 2 for _, q in others], axis=0)),
@@ -250,7 +250,7 @@ def predict_interval(
 def _make_interval(
     values: Array, causes: Mapping[str, Array], level: float, wider: tuple[float, float] = (1.0, 1.0)
 ) -> PredictionInterval:
-    """Thrust and torque (2, n), standard deviations of each cause likewise."""
+    """Make the interval from nominal thrust and torque (2, n) and standard deviations of each cause (2, n)."""
     sigma = (
         np.array(wider)[:, None]
         * _SIGMAS_BY_LEVEL[level]
@@ -271,7 +271,7 @@ def _predict_fitted_rotor(
     points: tuple[Array, Array, Array],
     unsure: InputUncertainty,
 ) -> tuple[Array, dict[str, Array]]:
-    """Prediction of a fitted rotor and the standard deviation that each cause brings, (2, n) each."""
+    """Return the prediction of a fitted rotor and the standard deviation due to each cause, (2, n) each."""
     pitch, speed, climb = points
     weights = np.array([c.probability for c in fit.candidates])
     means, within = [], []
@@ -283,7 +283,7 @@ def _predict_fitted_rotor(
             return at(one.model_copy(update={"fit": fit.model_copy(update={"candidates": (now,)})}))
 
         change, covariance = np.array(candidate.change), np.array(candidate.covariance)
-        # Along the principal axes, a standard deviation to either side
+        # One standard deviation to either side along each principal axis
         size, axes = np.linalg.eigh(covariance)
         mean = solve_with_change(change)
         spread = [
@@ -308,7 +308,7 @@ def _predict_fitted_rotor(
 
 
 def _combine_deviations(*pairs: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Standard deviations of independent causes, together."""
+    """Return the combined standard deviation of independent causes."""
 
     def root_sum_square(parts: Sequence[Array]) -> Array:
         return np.sqrt(np.sum(np.square(parts), axis=0))

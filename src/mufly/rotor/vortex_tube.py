@@ -1,38 +1,39 @@
-"""Two rotors by blade elements whose mean wakes carry each other away: coaxial pairs in tens of milliseconds.
+"""Coaxial pairs by blade elements and vortex tubes whose wakes convect each other, in tens of milliseconds.
 
-The mean wake of a rotor is a set of coaxial tubes of ring vortices that start at its disc. With m = F u the mean
-axial velocity that momentum theory gives an annulus of a rotor by itself, the tube that leaves between two annuli
-carries the step D of m there. A semi-infinite tube of radius R and step 1 moves the air at radius r and at z below
-its disc (above: z < 0) at (Callaghan and Maslen, NASA TN D-465, 1960; Branlard and Gaunaa, Wind Energy 18, 2015)
+The mean wake of a rotor is a set of coaxial tubes of ring vortices that start at its disc. With m = F u the mean axial
+velocity of an annulus of the isolated rotor by momentum theory, the tube between two annuli has the strength D, the
+step of m there. A semi-infinite tube of radius R and strength 1 induces at radius r and distance z below its disc
+(above: z < 0) the axial velocity (Callaghan and Maslen, NASA TN D-465, 1960; Branlard and Gaunaa, Wind Energy 18, 2015)
 
     K(r, z; R) = [r < R] + z k / (2 pi sqrt(r R)) [K(k) + (R - r) / (R + r) Pi(n, k)]
     k^2 = 4 r R / ((R + r)^2 + z^2),    n = 4 r R / (R + r)^2                     complete elliptic integrals
 
-On the axis that is 1 + z / sqrt(R^2 + z^2): 0 far above, 1 at the disc, 2 far below. At the edge it is much less
-above the disc, and outside the tube, below the disc, it is negative: air comes up round the edge of the stream.
+On the axis K is 1 + z / sqrt(R^2 + z^2): 0 far above, 1 at the disc, 2 far below. Above the disc it is much smaller at
+the edge; below the disc and outside the tube it is negative: air flows up around the edge of the stream.
 
-**Contraction.** Continuity on the axis narrows the tubes from r to s r, s(z) = 1 / sqrt(1 + z / sqrt(R^2 + z^2))
-below the disc. The field below is that of straight tubes at r / s. Streams do not cross: below the lower disc an
-annulus of the upper wake stays where it was among the tubes of the lower one.
+**Contraction.** Continuity on the axis narrows the tubes from r to s r, s(z) = 1 / sqrt(1 + z / sqrt(R^2 + z^2)) below
+the disc. The field below is that of straight tubes at r / s. Streams do not cross: below the lower disc an annulus of
+the upper wake keeps its position among the tubes of the lower wake.
 
-**Carried away.** Vorticity leaves the blades at a rate that the circulation sets; how densely it lies in the wake is
-that rate over the speed at which it is carried. So where the other rotor changes that speed from w_0 to w_0 + w, the
-step of the tube changes to D p, p = w_0 / (w_0 + w); where w < 0 (the tube lingers) p = 1 - w / w_0, its tangent, for
-want of theory. w_0 is the axial velocity of the rotor's own tubes there (mean of both sides) and of climb; w that of
-the other rotor's tubes and of the change p - 1 of its own. Each tube is cut into cells, each with its own p.
+**Convection.** The circulation sets the rate at which vorticity is shed; its density in the wake is this rate over the
+convection velocity. If the other rotor changes that velocity from w_0 to w_0 + w, the strength of the tube becomes D p
+with p = w_0 / (w_0 + w). For w < 0 the tangent p = 1 - w / w_0 is used, an assumption without theory. w_0 is the sum of
+climb and the axial velocity of the rotor's own tubes (mean of both sides). w is the velocity of the other rotor's tubes
+plus that of the change p - 1 of its own tubes. Each tube is divided into cells, each with its own p.
 
-**Rolled up.** What leaves a blade outside the greatest velocity of its stream rolls up into the tip vortex within a
-fraction of a turn: those tubes go together, with the mean of w_0 and of w weighted by their strength. The root vortex,
-which by itself would stand or rise, goes with the sheet beside it, as in the vortex wake.
+**Roll-up.** Vorticity shed outside the greatest velocity of the stream rolls up into the tip vortex within a fraction
+of a turn. Those tubes have common values of w_0 and w, the means weighted by strength. The root vortex alone would
+stand still or rise; it moves with the sheet beside it, as in the vortex wake.
 
-**What a blade meets**: the field of the other rotor's tubes at its disc and that of the change of its own; below an
-upper rotor also the turning of that one's stream, by lift and by profile drag
-(:func:`mufly.rotor.bemt.compute_slipstream`): r u stays on the way down, r becomes s r. Its own tubes as they would be
-alone are in the momentum balance.
+**Onset flow of a blade**: the velocity of the other rotor's tubes at the disc and that of the change of its own tubes.
+A lower rotor also receives the swirl of the upper stream from lift and profile drag
+(:func:`mufly.rotor.bemt.compute_slipstream`): r u is conserved downstream while r becomes s r. The unchanged own tubes
+are part of the momentum balance.
 
-So the upper rotor hardly feels the lower one, as is measured: what the lower adds at the upper disc is nearly what
-the upper wake, carried away faster, no longer induces. No constant is fitted. Left out: the passing of blades, the
-way of the tip vortex to its place, mixing, and the lower rotor's pull on the contraction of the upper wake.
+The upper rotor is hardly affected by the lower rotor, as measured: the velocity added by the lower rotor at the upper
+disc nearly equals the loss of induction of the upper wake, which is convected faster. No constant is fitted. Neglected
+are the passing of blades, the path of the tip vortex during roll-up, mixing, and the effect of the lower rotor on the
+contraction of the upper wake.
 """
 
 from __future__ import annotations
@@ -51,21 +52,21 @@ from mufly.rotor.rotor_system import Air, PlacedRotor, SystemSolution, WakeSetti
 
 Array = NDArray[np.float64]
 
-_MAX_TUBES = 8  # at most, besides the innermost
-_CELL_STARTS = np.array([0.0, 0.1, 0.25, 0.45, 0.75, 1.25, 2.0])  # of the cells of a tube, over R
+_MAX_TUBES = 8  # greatest number of tubes besides the innermost
+_CELL_STARTS = np.array([0.0, 0.1, 0.25, 0.45, 0.75, 1.25, 2.0])  # start of each cell of a tube, over R
 _CELL_MIDDLES = np.array([0.05, 0.175, 0.35, 0.6, 1.0, 1.6, 3.0])
-_POINTS_PER_PANEL = 3  # over a panel that meets a stream
-_MIN_SPEED_RATIO = 0.1  # of the greatest speed of the wake: what carries a tube at least, so that p stays finite
+_POINTS_PER_PANEL = 3  # sample points on a panel within a stream
+_MIN_SPEED_RATIO = 0.1  # least convection velocity over the greatest of the wake, so that p stays finite
 _MAX_ITERATIONS, _RESTART_INTERVAL, _ANDERSON_MEMORY, _ANDERSON_MIXING = 200, 40, 12, 0.3
 _CONVERGENCE_TOLERANCE = 1e-5  # of the greatest induced velocity
 
 
 @cached_njit(error_model="numpy")
 def tube_velocity(r: float, z: float, radius: float) -> float:
-    """K of the module docstring: axial velocity of a semi-infinite vortex tube over that in its disc.
+    """Return K of the module docstring: axial velocity of a semi-infinite vortex tube over the velocity in its disc.
 
-    The two elliptic integrals are one of Bulirsch's, cel(k', p, a, b) (Numer. Math. 7, 1965), as Derby and Olbert use
-    it for solenoids (Am. J. Phys. 78, 2010).
+    The two elliptic integrals combine into Bulirsch's cel(k', p, a, b) (Numer. Math. 7, 1965), as in Derby and Olbert's
+    formula for solenoids (Am. J. Phys. 78, 2010).
     """
     if radius <= 0.0:
         return 0.0
@@ -102,18 +103,18 @@ def tube_velocity(r: float, z: float, radius: float) -> float:
 
 
 def tube_axis_speed(distance_m: float, radius_m: float) -> float:
-    """Speed on the axis of a tube over that in its disc, 0 to 2, at a distance below the disc."""
+    """Return the velocity on the axis of a tube over the velocity in its disc, 0 to 2, at a distance below the disc."""
     return 1.0 + distance_m / math.hypot(radius_m, distance_m)
 
 
 def wake_contraction(distance_m: float, radius_m: float) -> float:
-    """s of the module docstring: what becomes of a radius at a distance below the disc; 1 above it."""
+    """Return the contraction s of the module docstring at a distance below the disc; 1 above it."""
     return 1.0 / math.sqrt(tube_axis_speed(max(distance_m, 0.0), radius_m))
 
 
 @cached_njit(error_model="numpy")
 def _fill_cell_influence(out: Array, r: Array, z: Array, tubes: Array, starts: Array) -> None:
-    """Velocity at points (r, z) per step of each tube's cell between one depth and the next, the last one endless."""
+    """Fill in the velocity at points (r, z) per unit strength of each tube's cells; the last cell is semi-infinite."""
     for i in range(out.shape[0]):
         for j in range(tubes.size):
             above = tube_velocity(r[i], z[i] - starts[0], tubes[j])
@@ -124,15 +125,16 @@ def _fill_cell_influence(out: Array, r: Array, z: Array, tubes: Array, starts: A
 
 
 def select_tube_edges(stations: int) -> NDArray[np.int64]:
-    """Which of the panel edges a tube leaves from."""
+    """Select the panel edges at which tubes begin."""
     return np.unique(np.linspace(0, stations, min(stations, _MAX_TUBES) + 1).round().astype(np.int64))
 
 
 @lru_cache(maxsize=256)
 def _tube_influence(source: bytes, target: bytes, below_m: float) -> tuple[Array, Array]:
-    """Velocity per step of the source's cells: at the target's panels, and at the middles of its cells.
+    """Return the velocity per unit strength of the source's cells, at the target's panels and at the middles of its
+    cells.
 
-    ``below_m``: how far the target stands below the source.
+    ``below_m`` is the distance of the target below the source (m).
     """
     edges, at = np.frombuffer(source), np.frombuffer(target)
     tubes, starts = edges[select_tube_edges(edges.size - 1)], float(edges[-1]) * _CELL_STARTS
@@ -157,13 +159,13 @@ def _panel_edges_m(p: PlacedRotor) -> Array:
 
 
 def _tube_strengths(area: Array, first: NDArray[np.int64], inflow: Array, loss: Array) -> Array:
-    """D of the module docstring; the annuli's ``area``, and the ``first`` one within each tube."""
+    """Return the strengths D of the tubes; ``area``: areas of the annuli, ``first``: first annulus within each tube."""
     mean = np.add.reduceat(inflow * loss * area, first) / np.add.reduceat(area, first)
     return np.concatenate(([-mean[0]], mean[:-1] - mean[1:], [mean[-1]]))
 
 
 def _rollup_matrix(steps: Array) -> Array:
-    """Matrix, (tubes, tubes), from the velocities at which tubes would go to those at which they go; see above."""
+    """Return the roll-up matrix, (tubes, tubes), from velocities at the tubes to their convection velocities."""
     count, tip = steps.size, 0
     while tip < count and steps[count - 1 - tip] * steps[-1] > 0.0:
         tip += 1
@@ -176,16 +178,16 @@ def _rollup_matrix(steps: Array) -> Array:
 
 
 def axial_influence(r_m: Array, edge_m: float, narrow: float, at_m: Array, width_m: Array) -> Array:
-    """Matrix, (panels, stations), from what a rotor gives its stream to what panels find in it elsewhere.
+    """Return the matrix, (panels, stations), from stream values at a rotor's stations to values at panels downstream.
 
     Parameters
     ----------
     r_m : (stations,) array
-        Radii of the rotor's stations, over which it is linear.
+        Radii of the rotor's stations (m); values are linear between them.
     edge_m, narrow : float
-        Radius of its disc; s, what becomes of a radius on the way.
+        Radius of the disc (m), and contraction s between disc and panels.
     at_m, width_m : (panels,) arrays
-        Radii and widths of the panels; one across the edge of the stream gets the part that lies inside.
+        Radii and widths of the panels (m); a panel across the edge of the stream counts the part inside.
     """
     inside = np.clip((narrow * edge_m - at_m) / width_m + 0.5, 0.0, 1.0)
     place = np.interp(at_m / narrow, r_m, np.arange(r_m.size, dtype=np.float64))
@@ -197,9 +199,9 @@ def axial_influence(r_m: Array, edge_m: float, narrow: float, at_m: Array, width
 
 
 def swirl_influence(r_m: Array, edge_m: float, distance_m: float, at_m: Array, width_m: Array) -> Array:
-    """The same from moment of momentum r u (m^2/s) to u (m/s) at a distance below the disc.
+    """Return the same matrix from moment of momentum r u (m^2/s) to u (m/s) at a distance below the disc.
 
-    r u stays on the way down, r becomes s r; inside the blades' roots there is none, nor does it mix.
+    r u is conserved downstream, r becomes s r. Swirl is zero inside the blade roots, and there is no mixing.
     """
     s = wake_contraction(distance_m, edge_m)
     read = axial_influence(r_m, edge_m, s, at_m, width_m)
@@ -208,7 +210,7 @@ def swirl_influence(r_m: Array, edge_m: float, distance_m: float, at_m: Array, w
 
 
 def rotor_swirl_influence(source: PlacedRotor, target: PlacedRotor) -> Array:
-    """Matrix from the moment of momentum of a rotor's stream to the velocity against the motion of one below it."""
+    """Return the matrix from moment of momentum of a rotor's stream to velocity against the motion of a lower rotor."""
     r, dr = target.blading.r_m[target.rotor_index], target.blading.dr_m[target.rotor_index]
     edge, apart = source.blading.rotors[source.rotor_index].radius_m, source.height_m - target.height_m
     return (
@@ -226,14 +228,14 @@ def solve_tubes(
     start: SystemSolution | None = None,
     progress: Callable[[int, float, float], None] | None = None,
 ) -> SystemSolution:
-    """Solve a pair in its place; :func:`mufly.rotor.solve_system` is the way to it. One rotor is blade elements alone.
+    """Solve a placed pair; called by :func:`mufly.rotor.solve_system`. For one rotor this is BEMT alone.
 
     Raises
     ------
     InputError
         For three rotors or more.
     MuflyError
-        If the wakes do not settle, as in descents in which they blow back through the discs.
+        If the wakes do not converge, as in descents with the wakes blown back through the discs.
     """
     if len(rotors) > 2:
         raise InputError("rotor", "method", f"'tubes' solves pairs, not {len(rotors)} rotors", "use 'bemt'")
@@ -255,7 +257,7 @@ def solve_tubes(
     met_by: list[tuple[Array, Array, Array]] = []
 
     def iterate_streams(x: Array) -> Array:
-        """What the streams at the discs and p of all cells become."""
+        """Return the next iterate of the streams at the discs and p of all cells."""
         *streams, p0, p1 = np.split(x, cuts)
         found.clear()
         met_by.clear()
@@ -300,7 +302,7 @@ def solve_tubes(
         # Anderson's acceleration.
         points, misses = [*points[-_ANDERSON_MEMORY + 1 :], x], [*misses[-_ANDERSON_MEMORY + 1 :], miss]
         x = x + _ANDERSON_MIXING * miss
-        if turn % _RESTART_INTERVAL == 0:  # what it remembers may be of other branches of the polars
+        if turn % _RESTART_INTERVAL == 0:  # its memory may stem from other branches of the polars
             points, misses = [], []
         if len(points) > 1:
             bends, ways = np.diff(misses, axis=0).T, np.diff(points, axis=0).T

@@ -1,4 +1,4 @@
-"""The wake method: blades as lifting surfaces, wakes of vortex filaments, prescribed or free, one rotor or two."""
+"""Wake method: blades as lifting surfaces with prescribed or free wakes of vortex filaments, for one or two rotors."""
 
 from mufly.rotor.rotor_system import PlacedRotor, RotorWake, WakeSettings, check_rotors
 from mufly.rotor.wake.induced_flow import (

@@ -1,19 +1,20 @@
-"""Biot and Savart: the velocity that straight vortex segments induce, on all cores.
+"""Biot-Savart law: velocity induced by straight vortex segments, computed on all cores.
 
-A vortex line whose vorticity is spread about it by the algebraic kernel of high order (Winckelmans and Leonard, J.
-Comput. Phys. 109, 1993; s the width, x from the line to the point)::
+The vorticity of a line is spread by the high-order algebraic kernel (Winckelmans and Leonard, J. Comput. Phys. 109,
+1993; s is the width, x the vector from the line to the point)::
 
     v = Gamma / (4 pi)  integral of  dl x x  (x^2 + 5/2 s^2) / (x^2 + s^2)^(5/2)
 
-A straight segment from A to B, its ends seen from the point P as a = P - A and b = P - B, l = b to a, gives in closed
-form, with a' = sqrt(a^2 + s^2), b' likewise and E = |a x b|^2 + (s |l|)^2::
+For a straight segment from A to B and the point P, let a = P - A, b = P - B, l = a - b, a' = sqrt(a^2 + s^2), b' =
+sqrt(b^2 + s^2) and E = |a x b|^2 + (s |l|)^2. In closed form::
 
     v = Gamma / (4 pi)  (a x b) / E  [ (l.a / a' - l.b / b') (1 + (s |l|)^2 / E) + s^2 / 2 (l.a / a'^3 - l.b / b'^3) ]
 
-Far away that is the law of a straight filament, and inside the speed falls to zero. An endless straight vortex turns
-fastest at 0.75 s, at 0.787 / s; Lamb's of core r_c at 0.715 / r_c: so s = 1.1 r_c. The distance to the piece itself
-counts, not that to its line: only so is the velocity that of a field of vorticity, whose momentum is the loads', and
-a bent filament moves itself as a thick one does. A core in the distance to the line (Vatistas') has neither.
+Far away this is the law of a straight filament; inside the core the velocity falls to zero. The greatest velocity of an
+infinite straight vortex is proportional to 0.787 / s, at the radius 0.75 s; that of Lamb's vortex with core r_c to
+0.715 / r_c. Hence s = 1.1 r_c. The distance to the segment counts, not the distance to its infinite line. Only then
+does the velocity belong to a vorticity field whose momentum agrees with the loads, and a bent filament induces its own
+motion correctly. A core in the distance to the line (Vatistas) has neither property.
 
 A filament is stored as a path of points; consecutive points bound a segment.
 """
@@ -30,16 +31,16 @@ from mufly.numba_cache import cached_njit
 
 Array = NDArray[np.float64]
 
-SINGULARITY_GUARD_M2 = 1e-30  # m2; keeps the ends of a segment finite
+SINGULARITY_GUARD_M2 = 1e-30  # m^2; keeps the velocity finite at the ends of a segment
 _SINGULARITY_GUARD_M4 = 1e-60
 _CORE_WIDTH_FACTOR = 1.1  # s over the core radius
 _FOUR_PI = 4.0 * math.pi
 
 
 def segment_velocity(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[no-untyped-def]
-    """Velocity times 4 pi at a point from a segment of unit circulation; ``core`` is s^2.
+    """Return 4 pi times the velocity at a point due to a segment of unit circulation; ``core`` is s^2.
 
-    Plain Python: compiled here for processors and in :mod:`.gpu` for CUDA, where it stands in the innermost loop.
+    Plain Python, compiled here for the CPU and in :mod:`.biot_savart_gpu` for CUDA.
 
     Thesis: eqs 3.15 to 3.17.
     """
@@ -91,7 +92,7 @@ def _influence_kernel(points: Array, paths: Array, core: Array, out: Array) -> N
 
 
 def make_segments(paths: Array, core: Array, strength: Array) -> tuple[Array, Array, Array, Array]:
-    """Lay filaments out as segments, for :func:`induce_velocity`.
+    """Split filaments into segments for :func:`induce_velocity`.
 
     Parameters
     ----------
@@ -106,7 +107,7 @@ def make_segments(paths: Array, core: Array, strength: Array) -> tuple[Array, Ar
     -------
     start, end : (3, n) arrays
     strength : (n,) array
-        Over 4 pi.
+        Circulation over 4 pi (m^2/s).
     core : (n,) array
         s^2 (m2).
     """
@@ -117,14 +118,14 @@ def make_segments(paths: Array, core: Array, strength: Array) -> tuple[Array, Ar
 
 
 def induce_velocity(points: Array, segments: tuple[Array, Array, Array, Array]) -> Array:
-    """Velocity at points (m, 3), in m/s, from the segments of :func:`make_segments`."""
+    """Return the velocity (m/s) at points (m, 3) due to the segments of :func:`make_segments`."""
     out = np.empty((points.shape[0], 3))
     _induce_kernel(np.ascontiguousarray(points), *segments, out)
     return out
 
 
 def filament_influence(points: Array, paths: Array, core: Array) -> Array:
-    """Velocity at points from each filament with unit circulation.
+    """Return the velocity at points due to each filament of unit circulation.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The sum of :mod:`.kernel` on a GPU that CUDA knows, where there is one; off unless asked for.
+"""Biot-Savart sum on a CUDA device; optional and off by default.
 
-One thread a point; the segments pass through every thread. The arithmetic is that of the CPU's kernel, in double
-precision, so results agree to rounding.
+Each thread handles one point and loops over all segments. The arithmetic is that of :mod:`.biot_savart` in double
+precision; results agree to rounding.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def gpu_available() -> bool:
     """True if Numba finds a CUDA device."""
     try:
         return bool(cuda.is_available())  # type: ignore[no-untyped-call]
-    except Exception:  # a broken driver is no GPU
+    except Exception:  # a broken driver counts as no GPU
         return False
 
 
@@ -47,7 +47,7 @@ def _induce_kernel(points: Array, start: Array, end: Array, strength: Array, cor
 
 
 def induce_velocity_gpu(points: Array, segments: tuple[Array, Array, Array, Array]) -> Array:
-    """As :func:`mufly.rotor.wake.biot_savart.induce_velocity`.
+    """Compute :func:`mufly.rotor.wake.biot_savart.induce_velocity` on the GPU.
 
     Raises
     ------

@@ -1,11 +1,9 @@
-"""The air around a solved wake: velocities anywhere, and the momentum that passes through a plane.
+"""Flow around a solved wake: velocities, momentum through a plane, and unsteady loads of blade passing.
 
-What the passing of blades adds to a coaxial pair's mean loads.
-
-The wakes are those of the solved pair, each standing still in its own rotor's frame; for every relative azimuth the
-blades meet the other rotor's vortices where they then are, and the circulation is that of the instant. This is
-quasi-steady: vorticity shed by the change of circulation is left out, so peaks come out somewhat high. Blades pass
-N times in a relative revolution for rotors of N blades, at N (Omega_1 + Omega_2) / 2 pi.
+For blade passing the wakes of the solved pair are frozen in the frames of their rotors. At every relative azimuth the
+circulation follows from the instantaneous positions of the other rotor's vortices. This is quasi-steady: vorticity shed
+by changes of circulation is neglected, so peaks are overestimated. Blades of rotors with N blades each pass N times in
+a relative revolution, at the frequency N (Omega_1 + Omega_2) / 2 pi.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 def _segments_in_rotor_frame(wake: RotorWake) -> tuple[Array, Array, Array, Array]:
-    """Vortices of one blade in the rotor's own counter-clockwise frame."""
+    """Return the vortices of one blade in the counter-clockwise frame of its rotor."""
     paths = wake.filament_paths_m.copy()
     paths[..., 1] *= wake.placed.rotation_sign
     paths[..., 2] -= wake.placed.height_m
@@ -44,15 +42,15 @@ def _segments_in_rotor_frame(wake: RotorWake) -> tuple[Array, Array, Array, Arra
 
 
 def induced_velocity(solution: SystemSolution, points_m: ArrayLike, azimuth_rad: ArrayLike = 0.0) -> Array:
-    """Velocity that all rotors induce (m/s); in climb the air's own, -V_climb along z, comes on top.
+    """Return the velocity induced by all rotors (m/s); the axial flow of climb, -V_climb along z, is not included.
 
     Parameters
     ----------
     solution : Result
     points_m : (..., 3) array_like
-        In space: z up along the shaft, blade 1 of every rotor on the x axis at azimuth 0.
-    azimuth_rad : float or one a rotor
-        How far each rotor has turned, in its own sense of rotation.
+        Points in space (m): z up along the shaft, blade 1 of every rotor on the x axis at azimuth 0.
+    azimuth_rad : float or sequence
+        Azimuth of each rotor in its own sense of rotation (rad).
     """
     if not solution.wakes:
         raise InputError("wake", "solution", "has no wakes", "solve by the method 'wake'")
@@ -63,7 +61,7 @@ def induced_velocity(solution: SystemSolution, points_m: ArrayLike, azimuth_rad:
     azimuths = np.broadcast_to(np.asarray(azimuth_rad, dtype=np.float64), (len(solution.wakes),))
     total = _sum_wake_velocities(solution, flat, azimuths)
     ground = None if solution.settings is None else solution.settings.ground_m
-    if ground is not None:  # what it mirrors
+    if ground is not None:  # image vortices
         total += _sum_wake_velocities(solution, flat * [1.0, 1.0, -1.0] - [0.0, 0.0, 2.0 * ground], azimuths) * [
             1.0,
             1.0,
@@ -73,7 +71,7 @@ def induced_velocity(solution: SystemSolution, points_m: ArrayLike, azimuth_rad:
 
 
 def _sum_wake_velocities(solution: SystemSolution, flat: Array, azimuths: Array) -> Array:
-    """What the vortices themselves induce at points (n, 3)."""
+    """Return the velocity induced by the vortices without images at points (n, 3)."""
     total = np.zeros_like(flat)
     for wake, azimuth in zip(solution.wakes, azimuths, strict=True):
         segments, hand = _segments_in_rotor_frame(wake), wake.placed.rotation_sign
@@ -90,26 +88,26 @@ def _sum_wake_velocities(solution: SystemSolution, flat: Array, azimuths: Array)
 
 
 def momentum_thrust(solution: SystemSolution, height_m: float, *, reach: float = 6.0) -> float:
-    """Thrust (N) that the momentum through a plane below the rotors shows; equal to the loads' if the wake is sound.
+    """Return the thrust (N) from the momentum flux through a plane below the rotors.
 
-    Momentum of the air above the plane, per unit of time, with the pressure of the unsteady Bernoulli equation: a
-    rotor's potential turns with it, so d phi/d t = -Omega r u_theta, u_theta in its own sense of rotation (own
-    derivation)::
+    For a consistent wake it equals the thrust of the loads. The pressure follows from the unsteady Bernoulli equation.
+    The potential of a rotor turns with it, so d phi/d t = -Omega r u_theta, with u_theta in its own sense of rotation
+    (own derivation)::
 
         T = integral of (p - p_inf + rho w^2)
           = rho integral of [sum_k Omega_k r u_theta,k + (w^2 - u_r^2 - u_theta^2) / 2]
 
-    with w downwards. In climb the plane moves along, and what passes it, rho V w, cancels against the pressure's
-    rho V w. Exact outside vortex cores. The wake knows nothing of profile drag, whose share of the thrust (about -1 %)
-    is missing here.
+    with w downwards. In climb the plane moves with the rotors, and the flux rho V w cancels the pressure term rho V w.
+    The formula is exact outside vortex cores. The wake contains no profile drag, whose contribution to thrust (about -1
+    %) is missing.
 
     Parameters
     ----------
     solution : Result
     height_m : float
-        Height of the plane; below all discs and above the end of the free wakes.
+        Height of the plane (m), below all discs and above the end of the free wakes.
     reach : float
-        Radius of the plane, over the largest rotor's.
+        Radius of the plane over that of the largest rotor.
 
     Raises
     ------
@@ -122,7 +120,7 @@ def momentum_thrust(solution: SystemSolution, height_m: float, *, reach: float =
         raise InputError("wake", "height_m", f"{height_m:g} m is not below the rotors", f"give less than {lowest:g}")
     inner, w_in = np.polynomial.legendre.leggauss(48)
     outer, w_out = np.polynomial.legendre.leggauss(24)
-    # Fine where the wake is, then on to the reach in ln r.
+    # Uniform within the wake, logarithmic outside up to the reach.
     split = 1.3 * big
     r = np.concatenate([0.5 * split * (inner + 1.0), split * (reach / 1.3) ** (0.5 * (outer + 1.0))])
     far = r[inner.size :]
@@ -151,14 +149,14 @@ def _midpoint_azimuths(n: int) -> Array:
 
 @result(eq=False)
 class BladePassing:
-    """Loads over the relative azimuth.
+    """Loads of a coaxial pair over the relative azimuth.
 
     Attributes
     ----------
     azimuth_rad : (m,) array
-        How far the blades of the two rotors stand apart; 0 where they lie above each other.
+        Relative azimuth of the blades (rad); 0 where they lie above each other.
     thrust_N, torque_Nm : (2, m) arrays
-        Upper and lower rotor, in the order of the solution's rotors.
+        Loads of upper and lower rotor, in the order of the solution's rotors.
     passing_hz : float
         Frequency at which blades pass.
     """
@@ -170,19 +168,19 @@ class BladePassing:
 
 
 def compute_blade_passing(solution: SystemSolution, *, points: int = 24) -> BladePassing:
-    """Loads of a solved pair over one passing of blades.
+    """Compute the loads of a solved pair over one blade passage.
 
     Parameters
     ----------
     solution : Result
-        Of two rotors with as many blades each.
+        Solution of two rotors with equal numbers of blades.
     points : int
-        Relative azimuths.
+        Number of relative azimuths.
 
     Raises
     ------
     InputError
-        If the solution is not one of two rotors, or their numbers of blades differ.
+        If the solution does not have two rotors, or their numbers of blades differ.
     """
     if len(solution.wakes) != 2:
         raise InputError("wake", "solution", "is not one of a pair", "solve two rotors")

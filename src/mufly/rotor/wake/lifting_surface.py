@@ -1,30 +1,28 @@
-"""The blade in the wake method: a lifting surface of one chordwise row, its circulation set by the section's polar.
+"""Blade of the wake method: a lifting surface with one chordwise row of panels, and the shape of its wake.
 
-Every panel carries a bound vortex Gamma on the quarter chord line; vortices trail from the panel edges along the chord
-to the trailing edge and on into the wake. The flow is looked at in two places (Weissinger, NACA TM 1120, 1947):
+Every panel has a bound vortex Gamma on the quarter chord line; vortices trail from the panel edges along the chord to
+the trailing edge and on into the wake. The flow is evaluated at two places (Weissinger, NACA TM 1120, 1947):
 
-* at three quarters of the chord, where it gives the angle of attack. There the whole vortex system induces a velocity,
-  of which the endless bound vortex of a two-dimensional section, Gamma / (pi c), is taken away again, because the polar
-  contains it. With n and t the directions normal to the chord and along it, w the velocity of the air past the point,
+* At three quarters of the chord it gives the angle of attack. From the velocity induced there by all vortices, that of
+  the infinite bound vortex of a two-dimensional section, Gamma / (pi c), is subtracted, because the polar contains it.
+  With n and t the directions normal to the chord and along it, w the velocity of the air past the point,
 
       tan alpha = (w.n + Gamma / (pi c)) / w.t,       Gamma = W c c_l(alpha, Re) / 2
 
-  With c_l = 2 pi sin(alpha) this is w.n = 0, tangency: the inviscid lattice. With a polar it is the lattice with the
-  lift that the boundary layer leaves. Rotation of separated layers: as in mufly.rotor.blading.
-* at the quarter chord, where it gives the force: rho W x Gamma, and the drag rho W c c_d W / 2 along W. The trailing
-  vortices feel rho W x Gamma too as far as they lie on the chord: small, but the inflow past the tip gives the side
-  edge of a wide blade a few per cent of the lift, and without it the wake carries more momentum than the loads say.
+  With c_l = 2 pi sin(alpha) this is tangency, w.n = 0: the inviscid lattice. A polar adds the effect of the boundary
+    layer on lift. Stall delay is modelled as in mufly.rotor.blading.
+  * At the quarter chord it gives the force: rho W x Gamma, and the drag rho W c c_d W / 2 along W. The trailing
+    vortices on the chord have the force rho W x Gamma, too. The inflow past the tip gives the side edge of a wide blade
+    a few per cent of the lift; without it the momentum of the wake exceeds the loads.
 
-The wind of the turning blade crosses the side edges: behind the quarter chord it comes in over the tip and leaves over
-the root. What leaves is not turned round the edge (Kutta): the root is a trailing edge, and its vortex goes with the
-wind from the quarter chord on, without a force. A lattice whose root vortex is held on the blade to the tail gets a
-downward force there that no blade has: on c/R = 1/3 a fifth of the thrust of the inner half.
+  The relative wind of the rotating blade crosses the side edges: behind the quarter chord it enters over the tip and
+  leaves over the root. Flow that leaves does not turn around the edge (Kutta condition). The root is therefore a
+  trailing edge: its vortex follows the wind from the quarter chord on and has no force. A root vortex bound to the
+  blade up to the trailing edge would give a spurious download: for c/R = 1/3 a fifth of the thrust of the inner half.
 
-Frame: z up along the shaft, the blade on the x axis and moving towards y, the wake behind it.
+  Frame: z up along the shaft, the blade on the x axis and moving towards y, the wake behind it.
 
-Shape of a rotor's wake: where its vortices lie before they are freed, how they go on below, how they spread.
-
-Vortices leave the trailing edge at the panel edges; zeta is their age as an angle the rotor has turned since.
+  Vortices leave the trailing edge at the panel edges; their age zeta is the angle the rotor has turned since.
 
 **Prescribed** (A. J. Landgrebe, J. Am. Helicopter Soc. 17(4), 1972; as given by Leishman, sec. 10.7.1), from measured
 wakes of slender blades, with c_T, solidity sigma, linear twist theta_1 in degrees (root to tip) and N blades:
@@ -35,24 +33,25 @@ wakes of slender blades, with c_T, solidity sigma, linear twist theta_1 in degre
     sheet        z/R linear in r from the root: at r = R slope -2.2 sqrt(c_T/2), after the next blade -2.7 sqrt(c_T/2);
                  at r = 0 nothing to zeta = pi/2, then theta_1/128 (0.45 theta_1 + 18) sqrt(c_T/2)
 
-Vortices outboard of the greatest circulation belong to the tip vortex, which they join within the first 60 degrees;
-the others form the sheet and contract like the tip vortex. In climb the speed of climb is added.
+Vortices outboard of the greatest circulation join the tip vortex within the first 60 degrees; the others form the sheet
+and contract like the tip vortex. The climb velocity is added.
 
-**Far wake**: below the last free point every filament goes on as a helix, its radius settling to the mean of its last
-turn and its pitch that of its last turn. Where it ends, several radii below, is a matter of the convergence study.
+**Far wake**: below the last free point every filament continues as a helix. Its radius tends to the mean of the last
+turn; its pitch is that of the last turn. It ends several radii below the rotor
+(docs/log/2026-11-28-wake-convergence.md).
 
-**Chords.** A filament is moved at points 30 degrees apart, and stands for the velocities as chords of 5 degrees on the
-arcs between them. With chords from point to point a vortex lacks what its own bend and its neighbours' induce nearby,
-an error of the first order in the step: docs/log/2026-11-28-wake-single-rotors.md.
+**Chords.** The points of a filament are 30 degrees apart; for the induced velocity the arcs between them are divided
+into chords of 5 degrees. Chords of 30 degrees would miss the induction of the curvature nearby, an error of first order
+in the step: docs/log/2026-11-28-wake-single-rotors.md.
 
 **Core** (r_c0 a tenth of the chord; Squire's growth with Bhagwat and Leishman's a1, J. Am. Helicopter Soc. 47, 2002)::
 
     r_c^2 = r_c0^2 + (0.7 d)^2 + h^2 + 4 alpha nu (1 + a1 |Gamma| / nu) zeta / Omega + r_lim^2 (1 - exp(-(0.1 zeta)^2))
 
-alpha = 1.25643, a1 = 2e-4, d the distance of neighbouring filaments at the blade (a sheet of vortices needs cores that
-overlap), h = r_0 exp(1 - r/r_0) with r_0 the radius of the cut-out (hub and shaft stir what leaves the root), and
-r_lim = 0.15 R for one rotor, 0.2 R for two, more if need be: real wakes break down into turbulence after a turn or two,
-and a lattice whose old vortices stay sharp goes on winding them up without end.
+alpha = 1.25643 and a1 = 2e-4. d is the distance of neighbouring filaments at the blade, because the cores of a vortex
+sheet have to overlap. h = r_0 exp(1 - r/r_0), with r_0 the radius of the cut-out, represents mixing at hub and shaft.
+r_lim is 0.15 R for one rotor and 0.2 R for two, or larger if the wake does not converge. Real wakes break down into
+turbulence after a turn or two; old vortices with thin cores would roll up without limit.
 docs/log/2026-11-28-wake-convergence.md shows the effect of the radii.
 """
 
@@ -75,14 +74,14 @@ from mufly.rotor.wake.biot_savart import filament_influence
 
 Array = NDArray[np.float64]
 
-_MAX_ALPHA_STEP_RAD = 0.05  # rad of angle of attack, one Newton step: keeps a panel on the branch it is on
+_MAX_ALPHA_STEP_RAD = 0.05  # rad; greatest Newton step, keeps a panel on its branch of the polar
 _CIRCULATION_TOLERANCE = 1e-9  # of the greatest circulation
 _MAX_ITERATIONS = 200
 
 
 @dataclass(frozen=True, eq=False)
 class BladeState:
-    """Solution on a blade: circulation (m2/s), angle (rad), coefficients, speed at three quarters of the chord."""
+    """Solution on a blade: circulation (m^2/s), angle of attack (rad), coefficients, speed at 3/4 chord (m/s)."""
 
     circulation_m2_s: Array
     alpha_rad: Array
@@ -93,12 +92,12 @@ class BladeState:
 
 
 def make_lifting_surface(blading: Blading, which: int, pitch_rad: float, speed_rad_s: float) -> LiftingSurface:
-    """Lay a blade of a blading out as a lifting surface; its stations become panels.
+    """Make the lifting surface of a blade; its stations become panels.
 
     Raises
     ------
     InputError
-        If the chord is not above zero somewhere.
+        If a chord is not positive.
     """
     rotor = blading.rotors[which]
     big = rotor.radius_m
@@ -118,7 +117,7 @@ def make_lifting_surface(blading: Blading, which: int, pitch_rad: float, speed_r
     width = np.diff(edges) * big
     quarter = points_on_axis(edges)
     tail = quarter + 0.75 * edge_chord[:, None] * chord_direction(edge_theta)
-    tail[0] = quarter[0]  # the air leaves over the root's edge: that is a trailing edge, too
+    tail[0] = quarter[0]  # the air leaves over the root edge, so it is a trailing edge, too
     return LiftingSurface(
         blade_count=rotor.blades,
         radius_m=big,
@@ -138,7 +137,7 @@ def make_lifting_surface(blading: Blading, which: int, pitch_rad: float, speed_r
 
 
 def rotate_vectors(vectors: Array, angle_rad: float) -> Array:
-    """Vectors (..., 3) turned about the shaft."""
+    """Return vectors (..., 3) rotated about the shaft."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     out = np.empty_like(vectors)
     out[..., 0] = c * vectors[..., 0] - s * vectors[..., 1]
@@ -148,7 +147,7 @@ def rotate_vectors(vectors: Array, angle_rad: float) -> Array:
 
 
 def sum_over_blades(points: Array, blades: int, one: Callable[[Array], Array]) -> Array:
-    """Velocity or influence at points from all blades of a rotor, from a function that knows one blade."""
+    """Return the velocity or influence of all blades at points, given the function of one blade."""
     total = one(points)
     for b in range(1, blades):
         angle = 2.0 * math.pi * b / blades
@@ -157,7 +156,7 @@ def sum_over_blades(points: Array, blades: int, one: Callable[[Array], Array]) -
 
 
 def bound_influence(surface: LiftingSurface, points: Array) -> Array:
-    """Velocity at points (m, 3) per circulation of each panel's bound vortex, all blades: (m, n, 3) array, 1/m."""
+    """Return the velocity at points (m, 3) per bound circulation of each panel, all blades: (m, n, 3) array (1/m)."""
     edge = surface.edge_quarter_chord_m
     paths = np.stack([edge[:-1], edge[1:]], axis=1)
     core = np.full((paths.shape[0], 1), 1e-6 * surface.radius_m)
@@ -210,12 +209,12 @@ def solve_circulation(
     wind : (n, 3) array
         Velocity of the air past the control points without this rotor's own vortices (m/s).
     unit : (n, n, 3) array
-        Velocity at the control points per circulation of each panel with its trailing vortices, all blades (1/m).
+        Velocity at the control points per circulation of each panel and its trailing vortices, all blades (1/m).
     air : Air
     start : (n,) array, optional
         First guess of the circulation (m2/s).
     inviscid : bool
-        Take c_l = 2 pi sin(alpha), no drag: the lattice.
+        Use c_l = 2 pi sin(alpha) without drag: the inviscid lattice.
 
     Thesis: eq. 3.14.
     """
@@ -258,7 +257,7 @@ def solve_circulation(
 
 
 def chordwise_leg_points(surface: LiftingSurface) -> Array:
-    """Two points (Gauss) on each trailing vortex where it lies on the chord: (2 (n + 1), 3) array, edge by edge."""
+    """Return two Gauss points on the chordwise part of each trailing vortex: (2 (n + 1), 3) array, edge by edge."""
     begin, end = surface.edge_quarter_chord_m, surface.trailing_edge_m
     where = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
     return np.stack([begin + x * (end - begin) for x in where], axis=1).reshape(-1, 3)
@@ -267,17 +266,17 @@ def chordwise_leg_points(surface: LiftingSurface) -> Array:
 def compute_panel_loads(
     surface: LiftingSurface, state: BladeState, wind: Array, leg_wind: Array, air: Air
 ) -> tuple[Array, Array]:
-    """Thrust (N) and torque (N m) of each panel, all blades.
+    """Compute thrust (N) and torque (N m) of each panel, all blades.
 
     Parameters
     ----------
     wind : (n, 3) array
-        Velocity of the air past the quarter chord points, everything included (m/s).
+        Total velocity of the air past the quarter chord points (m/s).
     leg_wind : (2 (n + 1), 3) array
-        The same at :func:`chordwise_leg_points`.
+        Total velocity at :func:`chordwise_leg_points`.
     """
     wy, wz = wind[:, 1], wind[:, 2]
-    speed = np.hypot(wy, wz)  # a swept or coned wind does not lift
+    speed = np.hypot(wy, wz)  # the spanwise component of the wind gives no lift
     drag = 0.5 * speed * surface.chord_m * state.cd
     up = (-wy * state.circulation_m2_s + drag * wz) * surface.panel_width_m
     back = (wz * state.circulation_m2_s + drag * wy) * surface.panel_width_m
@@ -304,14 +303,14 @@ _CORE_OVERLAP = 0.7
 
 
 def free_wake_ages(turns: float, step_rad: float) -> Array:
-    """Ages (rad) of the points of the free wake, 0 at the trailing edge."""
+    """Return the ages (rad) of the points of the free wake, 0 at the trailing edge."""
     return np.arange(max(round(turns * 2.0 * math.pi / step_rad), 1) + 1, dtype=np.float64) * step_rad
 
 
 def prescribe_landgrebe_wake(
     surface: LiftingSurface, age: Array, c_T: float, circulation: Array | None, climb_m_s: float
 ) -> Array:
-    """Landgrebe's wake.
+    """Return the wake prescribed by Landgrebe's formulas.
 
     Parameters
     ----------
@@ -319,9 +318,9 @@ def prescribe_landgrebe_wake(
     age : (k,) array
         Ages (rad).
     c_T : float
-        Thrust coefficient; its size is used.
+        Thrust coefficient; its absolute value is used.
     circulation : (n,) array or None
-        Of the panels, to find where the tip vortex begins; without it, at 0.85 R.
+        Circulation of the panels, whose maximum bounds the tip vortex; default: 0.85 R.
     climb_m_s : float
 
     Returns
@@ -365,9 +364,9 @@ def prescribe_landgrebe_wake(
 def extend_filaments(
     surface: LiftingSurface, free: Array, age: Array, far_turns: float, far_step_rad: float, parts: int = 1
 ) -> tuple[Array, Array]:
-    """The whole filaments: from the quarter chord line through the free wake to the end of the far wake.
+    """Extend filaments from the quarter chord line through the free wake to the end of the far wake.
 
-    ``parts``: chords for every arc between points of the free wake.
+    ``parts`` is the number of chords for every arc between points of the free wake.
 
     Returns
     -------
@@ -382,7 +381,7 @@ def extend_filaments(
     r_last, r_mean = radius[:, -1], radius.mean(axis=1)
     pitch = (last[:, 2] - before[:, 2]) / (per_turn * step)
     beyond = far_step_rad * np.arange(1, max(round(far_turns * 2.0 * math.pi / far_step_rad), 1) + 1)
-    # Chords of a circle enclose less than the circle; the far polygon gets the area of the helix.
+    # Chords of a circle enclose less area than the circle; the far polygon gets the area of the helix.
     r_mean = r_mean * math.sqrt(far_step_rad / math.sin(far_step_rad))
     r = r_mean[:, None] + (r_last - r_mean)[:, None] * np.exp(-beyond)
     angle = np.arctan2(last[:, 1], last[:, 0])[:, None] - beyond
@@ -393,10 +392,9 @@ def extend_filaments(
 
 
 def subdivide_arcs(free: Array, age: Array, parts: int) -> tuple[Array, Array]:
-    """Filaments and ages with ``parts`` chords for every arc from one point that is moved to the next.
+    """Return filaments and ages with ``parts`` chords for every arc between free points.
 
-    Between points the place in a frame that turns with the age, where it hardly moves, is taken to change evenly: exact
-    for a helix.
+    Positions are interpolated linearly in a frame that turns with the age, which is exact for a helix.
     """
     if parts < 2:
         return free, age
@@ -411,7 +409,7 @@ def subdivide_arcs(free: Array, age: Array, parts: int) -> tuple[Array, Array]:
 def compute_core_radii(
     surface: LiftingSurface, age: Array, strength: Array, viscosity_m2_s: float, core: float, limit: float
 ) -> Array:
-    """Core radius (m) of every segment of the filaments; next to none on the chord itself.
+    """Return the core radius (m) of every segment of the filaments; nearly 0 on the chord itself.
 
     Parameters
     ----------

@@ -1,23 +1,21 @@
-"""The wake method: one rotor, or two that turn against each other, with prescribed or free wakes.
+"""Wake solver for one rotor or a counter-rotating pair with prescribed or free wakes.
 
-In steady hover or climb a rotor's wake stands still in the frame that turns with it. A filament's points there obey
+In steady hover or climb the wake of a rotor is steady in the rotating frame. The points of a filament satisfy
 
     dX/dzeta = (v(X) - V_climb z) / Omega  -  z x X          zeta: age, an angle; X = trailing edge at zeta = 0
 
-with v induced by every vortex of every blade (:mod:`.kernel`). The fixed point is found by relaxation: circulation of
-the blades (:mod:`.blade`), velocities at all points, integration along the filaments by the trapezium rule in a frame
-that turns with the age (so a rigid helix is exact), and a step of the points towards the result. The N blades of a
-rotor are one blade seen N times.
+with v induced by all vortices of all blades (:mod:`.biot_savart`). The fixed point is found by relaxation. An iteration
+computes the circulation of the blades (:mod:`.lifting_surface`) and the velocities at all points, integrates along the
+filaments, and moves the points towards the result. Integration is by the trapezium rule in a frame that turns with the
+age, which is exact for a rigid helix. The N blades of a rotor are copies of one blade.
 
-Two rotors: each wake stands still in its own rotor's frame only, so what one rotor induces at the other's blades and
-wake is averaged over their relative azimuth; over a revolution the blades see just that. What the passing of blades
-adds to the mean is :func:`mufly.rotor.wake.induced_flow.compute_blade_passing`. The lower one meets the turning that
-profile drag left in the stream above it as well (:func:`drag_swirl_velocity`), which no vortex carries. A rotor that
-turns clockwise is solved as its mirror image.
+Two rotors: each wake is steady in the frame of its own rotor only. The velocity that one rotor induces at the other's
+blades and wake is therefore averaged over the relative azimuth. The unsteady part follows from
+:func:`mufly.rotor.wake.induced_flow.compute_blade_passing`. The lower rotor also receives the swirl due to profile drag
+of the upper rotor (:func:`drag_swirl_velocity`), which vortices do not represent. A clockwise rotor is solved as its
+mirror image.
 
 Cost of an iteration: (points of one blade) x (segments of all blades), quadratic in the number of wake elements.
-
-A rotor while it is being solved: its vortices, what they induce, and the circulation of its blades.
 """
 
 from __future__ import annotations
@@ -60,32 +58,30 @@ from mufly.rotor.wake.lifting_surface import (
 Array = NDArray[np.float64]
 
 _STEADY_WINDOW = 10
-_SINGLE_CORE_LIMITS = (0.15, 0.25, 0.35)  # R; the next one is tried where a wake does not settle
+_SINGLE_CORE_LIMITS = (0.15, 0.25, 0.35)  # R; the next limit is tried if a wake does not converge
 _PAIR_CORE_LIMITS = (0.2, 0.3, 0.4)
-_MEAN_WINDOW = 30  # iterations over which a wake that wanders is averaged
-_MAX_LOAD_FLUCTUATION = 0.02  # of the loads; a wake that moves them by more winds up
+_MEAN_WINDOW = 30  # iterations over which a fluctuating wake is averaged
+_MAX_LOAD_FLUCTUATION = 0.02  # of the loads; greatest fluctuation of a wake that counts as steady in the mean
 _DAMPING_RAD = 4.0 * math.pi
 _INITIAL_CORE_LIMIT, _CORE_LIMIT_DECAY_ITERATIONS = (
     0.4,
     15.0,
-)  # core limit (R) at first; iterations in which it fades
-_FLUCTUATING_RESIDUAL_FACTOR = 2.0  # times the residual that a wake which wanders may have
-_MUTUAL_UPDATE_INTERVAL = (
-    3  # iterations between updates of what the other rotor does to the wake's points; it changes slowly
-)
-_SWIRL_RELAXATION = 0.3  # of the way to what it would be, every _LAG iterations
-_TYPICAL_BLADE_LOADING = 0.06  # c_T over solidity, before anything is known
-_MIN_GROUND_CLEARANCE = 0.05  # R: height above the ground below which no vortex comes
-_COARSE_CHORD_RAD = math.radians(15.0)  # of a wake whose mean over azimuths is wanted
-_MAX_POINT_STEP = 0.15  # R; a point never goes farther in one iteration
-_PRESCRIBED_ITERATIONS = 6  # iterations with Landgrebe's wake before the free wake is let go
+)  # initial core limit (R); iterations until it has decreased
+_FLUCTUATING_RESIDUAL_FACTOR = 2.0  # factor on the permitted residual of a fluctuating wake
+_MUTUAL_UPDATE_INTERVAL = 3  # iterations between updates of the mutual influence on the wakes
+_SWIRL_RELAXATION = 0.3  # relaxation of the swirl at each update
+_TYPICAL_BLADE_LOADING = 0.06  # c_T over solidity, first guess
+_MIN_GROUND_CLEARANCE = 0.05  # R: least height of vortices above the ground
+_COARSE_CHORD_RAD = math.radians(15.0)  # chords of a wake for averages over azimuth
+_MAX_POINT_STEP = 0.15  # R; greatest step of a point in one iteration
+_PRESCRIBED_ITERATIONS = 6  # iterations with Landgrebe's wake before the wake is free
 
 
 def _convect_filaments(unit: RotorState, velocity: Array, climb: float) -> tuple[Array, float]:
-    """Where the air takes the points, and how far the wake is from standing still.
+    """Return the convected points of the filaments and the residual of the wake.
 
-    The first is the integral along the filaments from the trailing edge; the second the mismatch of dX/dzeta and the
-    velocity over the velocity, root mean squares.
+    The points are the integral along the filaments from the trailing edge. The residual is the mismatch of dX/dzeta and
+    velocity over the velocity (root mean squares).
     """
     s = unit.surface
     step = unit.free_ages_rad[1] - unit.free_ages_rad[0]
@@ -102,11 +98,11 @@ def _convect_filaments(unit: RotorState, velocity: Array, climb: float) -> tuple
 
 
 def _limit_root_upwash(velocity: Array) -> None:
-    """Let a pair's root vortices go down no slower than the sheet beside them; velocities (edges, points, 3) in place.
+    """Limit the upwash of a pair's root vortices: they descend at least as fast as the sheet beside them.
 
-    Coils of a root vortex blow upwards through their middle, where hub and shaft are. With free air there the upper
-    rotor's settles in either of two ways: down, or up through its disc and away, as nothing can that a blade has shed
-    into air that comes down; the upper thrust is then 3 to 4 % higher.
+    The velocities, (edges, points, 3), change in place. Coils of a root vortex induce upwash through their middle, the
+    place of hub and shaft. Without the limit the upper rotor's root vortex has two solutions: down, or up through its
+    disc, which is unphysical in descending air and raises the upper thrust by 3 to 4 %.
     """
     velocity[0, :, 2] = np.minimum(velocity[0, :, 2], velocity[1, :, 2])
 
@@ -117,7 +113,7 @@ def _thrust_coefficient(unit: RotorState, air: Air) -> float:
 
 
 def initialise_wakes(units: Sequence[RotorState], start: SystemSolution | None, climb: float) -> None:
-    """Give units the wakes of a similar solution, scaled, or prescribed ones."""
+    """Initialise the rotors with the scaled wakes of a similar solution or with prescribed wakes."""
     for k, unit in enumerate(units):
         s = unit.surface
         known = start.wakes[k] if start is not None and k < len(start.wakes) else None
@@ -157,29 +153,29 @@ def solve_wake(
     start: SystemSolution | None = None,
     progress: Callable[[int, float, float], None] | None = None,
 ) -> SystemSolution:
-    """Solve one rotor, or two around each other, in their places; :func:`mufly.rotor.solve_system` is the way to it.
+    """Solve one placed rotor or a pair; called by :func:`mufly.rotor.solve_system`.
 
     Parameters
     ----------
     rotors : sequence of Placed
-        One, or two with opposite hands and different heights.
+        One rotor, or two with opposite senses of rotation and different heights.
     climb_m_s : float
-        Axial speed through the air, positive in climb.
+        Axial speed through the air (m/s), positive in climb.
     air : Air, optional
     settings : WakeSettings, optional
     start : Result, optional
-        A similar result to start from, if it has wakes; saves iterations.
+        Similar result to start from, if it has wakes; it saves iterations.
     progress : callable, optional
         Called with iteration, residual and thrust (N) of all rotors.
 
     Raises
     ------
     InputError
-        If the rotors cannot be: no speed, the same place, the same sense of rotation, blades without chord.
+        If a speed or chord is zero, or both rotors have the same height or sense of rotation.
 
     Notes
     -----
-    A solution that does not converge is returned, marked so, with its history.
+    A solution that does not converge is returned with ``converged`` false and its history.
     """
     gas, how = air or Air(), settings or WakeSettings()
     start = start if start is not None and start.wakes else None
@@ -201,9 +197,9 @@ def solve_wake(
 
 
 def _turns_to_ground(ground_m: float, rotors: Sequence[PlacedRotor]) -> float:
-    """Turns after which Landgrebe's tip vortex of the lowest rotor is on the ground, at a usual loading.
+    """Return the turns after which Landgrebe's tip vortex of the lowest rotor reaches the ground, at a typical loading.
 
-    Below, helices would lie on the ground one on the other, and the wake does not settle.
+    Beyond, helices would pile up on the ground, and the wake would not converge.
     """
     lowest = min(rotors, key=lambda p: p.height_m)
     rotor = lowest.blading.rotors[lowest.rotor_index]
@@ -224,7 +220,7 @@ def _solve_with_core_limit(
     message, converged, residual = "", False, math.inf
     limit = how.core_limit or 0.0
     for turn in range(how.iterations):
-        # Thick cores first: a wake that is still far off would otherwise wind itself up.
+        # Thick cores first: a wake far from its solution would otherwise roll up.
         now = replace(
             how,
             core_limit=limit
@@ -239,7 +235,7 @@ def _solve_with_core_limit(
                     others += mutual_inflow(unit, source, unit.evaluation_points_m, how.phases)
                     if turn % _MUTUAL_UPDATE_INTERVAL == 0:
                         left = drag_swirl_velocity(unit, source, climb_m_s, how.phases)
-                        # Slowly, or it chases a wake that is still moving.
+                        # Slow relaxation, because the wake is still moving.
                         unit.swirl_velocity_m_s += (_SWIRL_RELAXATION if unit.swirl_velocity_m_s.any() else 1.0) * (
                             left - unit.swirl_velocity_m_s
                         )
@@ -256,7 +252,7 @@ def _solve_with_core_limit(
                 v = unit.induced_velocity(points)
                 if unit.mutual_velocity_m_s is not None:
                     v += unit.mutual_velocity_m_s
-                    if unit.thrust_N > 0.0:  # else its coils blow the other way
+                    if unit.thrust_N > 0.0:  # with negative thrust the coils induce downwash
                         _limit_root_upwash(v.reshape(unit.free_points_m.shape))
                 aim, far_off = _convect_filaments(unit, v.reshape(unit.free_points_m.shape), climb_m_s)
                 aim = unit.lift_above_ground(aim)
@@ -274,7 +270,7 @@ def _solve_with_core_limit(
                 aim = unit.lift_above_ground(aim)
                 unit.next_free_points_m = unit.free_points_m + 0.4 * (aim - unit.free_points_m)
                 far_off = math.sqrt(np.mean(np.sum((aim - unit.free_points_m) ** 2, axis=2))) / unit.surface.radius_m
-                far_off += 10.0 * free  # not yet the wake that was asked for
+                far_off += 10.0 * free  # not yet the requested core limit or free wake
             residuals.append(far_off)
         residual = float(max(residuals))
         history.append([residual, *(x for u in units for x in (u.thrust_N, u.torque_Nm))])
@@ -323,7 +319,7 @@ def _solve_with_core_limit(
 
 
 def _load_spread(history: list[list[float]], memory: int = _STEADY_WINDOW) -> float:
-    """Greatest change of a thrust or torque over the last iterations, over the mean's size."""
+    """Return the greatest relative spread of a thrust or torque over the last iterations."""
     last = np.array(history[-memory:])[:, 1:]
     middle = np.abs(last.mean(axis=0)) + 1e-3 * np.abs(last).max() + 1e-300
     return float(np.max((last.max(axis=0) - last.min(axis=0)) / middle))
@@ -334,10 +330,11 @@ def _is_steady(history: list[list[float]], tolerance: float) -> bool:
 
 
 def _is_steady_in_mean(history: list[list[float]], tolerance: float) -> bool:
-    """True if the wake only wanders: two windows have the same means, the loads of now are those means.
+    """Return True if the wake is steady in the mean: two windows have equal means, and the present loads agree with
+    them.
 
-    Old vortices pair and part for ever, in a real wake as in this one; the loads of each iteration then lie about means
-    that do not depend on how far points go in an iteration.
+    Old vortices keep pairing and separating, in real wakes as in this model. The loads then fluctuate about means that
+    do not depend on the relaxation.
     """
     if len(history) < 2 * _MEAN_WINDOW or _load_spread(history, 2 * _MEAN_WINDOW) > _MAX_LOAD_FLUCTUATION:
         return False
@@ -356,7 +353,7 @@ def _divergence_message(history: list[list[float]], how: WakeSettings) -> str:
 
 
 class RotorState:
-    """A rotor while it is being solved, in its own frame: counter-clockwise, hub at the origin."""
+    """State of a rotor during the solution in its own frame: counter-clockwise, hub at the origin."""
 
     def __init__(self, placed: PlacedRotor, settings: WakeSettings) -> None:
         self.placed = placed
@@ -375,7 +372,7 @@ class RotorState:
         self.ground_z_m = -(ground + placed.height_m)
         self.evaluation_points_m = np.concatenate([s.control_points_m, s.quarter_chord_m, chordwise_leg_points(s)])
         self.bound_influence_matrix = self.add_ground_image(self.evaluation_points_m, lambda p: bound_influence(s, p))
-        # Circulation of the filament at edge j, towards the wake: what the inboard panel brings less the next one's.
+        # Circulation of the filament at edge j, towards the wake: inboard panel less outboard panel.
         self.shed_matrix = np.zeros((n + 1, n))
         self.shed_matrix[np.arange(n), np.arange(n)] = -1.0
         self.shed_matrix[np.arange(1, n + 1), np.arange(n)] = 1.0
@@ -383,12 +380,13 @@ class RotorState:
         self.quarter_chord_wind_m_s = np.zeros((n, 3))
         self.next_free_points_m = self.free_points_m
         self.mutual_velocity_m_s: Array | None = None  # velocity at the free points
-        self.swirl_velocity_m_s = np.zeros_like(self.evaluation_points_m)  # of the other rotor's profile drag
+        self.swirl_velocity_m_s = np.zeros_like(self.evaluation_points_m)  # due to the other rotor's profile drag
         self.thrust_N, self.torque_Nm = 0.0, 0.0
         self.panel_thrust_N, self.panel_torque_Nm = np.zeros(n), np.zeros(n)
 
     def add_ground_image(self, points: Array, velocity: Callable[[Array], Array]) -> Array:
-        """Velocity of vortices at points, and of what the ground mirrors of them: v(x) + M v(M x), M: z about it."""
+        """Return the velocity of vortices and their ground images at points: v(x) + M v(M x), with M the reflection in
+        z."""
         v = velocity(points)
         if math.isfinite(self.ground_z_m):
             below = points.copy()
@@ -397,7 +395,7 @@ class RotorState:
         return v
 
     def lift_above_ground(self, points: Array) -> Array:
-        """Points, those in the ground lifted to where a vortex rolls on it."""
+        """Return the points, with those below the ground lifted to the least height of vortices."""
         if math.isfinite(self.ground_z_m):
             points[..., 2] = np.maximum(points[..., 2], self.ground_z_m + _MIN_GROUND_CLEARANCE * self.surface.radius_m)
         return points
@@ -410,7 +408,7 @@ class RotorState:
         )
 
     def build_filaments(self, settings: WakeSettings, viscosity: float) -> None:
-        """Whole filaments with cores, and the segments that everybody feels, for the present circulation."""
+        """Build complete filaments, core radii and the segments that induce velocity, for the present circulation."""
         self.filament_paths_m, self.filament_ages_rad = extend_filaments(
             self.surface,
             self.free_points_m,
@@ -420,7 +418,7 @@ class RotorState:
             self.chords_per_step,
         )
         self.filament_paths_m = self.lift_above_ground(self.filament_paths_m)
-        # The same in few chords, on radii that give their polygons the area of the arcs.
+        # The same with coarse chords, on radii that give their polygons the area of the arcs.
         end = 1 + self.chords_per_step * (self.free_ages_rad.size - 1)
         far = np.unique(np.append(np.arange(end, self.filament_ages_rad.size, 2), self.filament_ages_rad.size - 1))
         piece = (self.free_ages_rad[1] - self.free_ages_rad[0]) / self.chords_per_step
@@ -452,7 +450,8 @@ class RotorState:
         self.coarse_segments = collect_segments(self.surface, self.coarse_paths_m, core, strength, gamma)
 
     def induced_velocity(self, points: Array, *, few: bool = False) -> Array:
-        """What this rotor induces at points of its own frame; ``few``: its wake in few chords."""
+        """Return the velocity induced by this rotor at points of its own frame; ``few`` selects the wake with coarse
+        chords."""
         vortices = self.coarse_segments if few else self.vortex_segments
         return self.add_ground_image(
             points,
@@ -463,10 +462,11 @@ class RotorState:
 def collect_segments(
     surface: LiftingSurface, paths: Array, core: Array, strength: Array, circulation: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """All vortices of one blade as segments: trailing filaments, bound vortices, and what closes them at the far end.
+    """Collect all vortices of one blade as segments: trailing filaments, bound vortices, and closing segments at the
+    far end.
 
-    Vortex lines do not end; the closing segments lie where the far wake is cut off. Wake points may pass close below a
-    blade: to them the bound vortex has the core of a thick section, a tenth of the chord.
+    The closing segments at the end of the far wake satisfy Helmholtz's theorem. Wake points may pass close below a
+    blade: for them the bound vortex has a core of a tenth of the chord, like a thick section.
     """
     edge, ends = surface.edge_quarter_chord_m, paths[:, -1]
     unit = np.ones(circulation.size)
@@ -479,7 +479,8 @@ def collect_segments(
 
 
 def circulation_influence(unit: RotorState) -> Array:
-    """Velocity at a rotor's own control and quarter chord points per circulation of its panels, blades and wake."""
+    """Return the velocity at the rotor's control and quarter chord points per panel circulation, from blades and
+    wake."""
     legs = unit.add_ground_image(
         unit.evaluation_points_m,
         lambda x: sum_over_blades(
@@ -492,7 +493,7 @@ def circulation_influence(unit: RotorState) -> Array:
 
 
 def _to_frame(points: Array, of: RotorState, other: RotorState) -> Array:
-    """Points of one rotor's frame in another's (both at azimuth zero)."""
+    """Transform points from one rotor's frame to another's, both at azimuth 0."""
     moved = points.copy()
     moved[..., 1] *= of.placed.rotation_sign * other.placed.rotation_sign
     moved[..., 2] += of.placed.height_m - other.placed.height_m
@@ -502,7 +503,8 @@ def _to_frame(points: Array, of: RotorState, other: RotorState) -> Array:
 def mutual_inflow_at(
     target: RotorState, source: RotorState, points: Array, azimuth_rad: float, *, few: bool = False
 ) -> Array:
-    """Velocity at points of the target's frame that another rotor induces when its blade 1 has turned by an azimuth."""
+    """Return the velocity induced at points of the target's frame by another rotor at a given azimuth of its blade
+    1."""
     there = _to_frame(points, target, source)
     v = rotate_vectors(source.induced_velocity(rotate_vectors(there, -azimuth_rad), few=few), azimuth_rad)
     v[..., 1] *= target.placed.rotation_sign * source.placed.rotation_sign
@@ -510,7 +512,7 @@ def mutual_inflow_at(
 
 
 def mutual_inflow(target: RotorState, source: RotorState, points: Array, phases: int) -> Array:
-    """The same, averaged over the relative azimuth, which smears the source's vortices anyway: in few chords."""
+    """Return the mutual inflow averaged over the relative azimuth; coarse chords suffice for the average."""
     step = 2.0 * math.pi / (phases * source.surface.blade_count)
     total = np.zeros_like(points)
     for k in range(phases):
@@ -519,10 +521,11 @@ def mutual_inflow(target: RotorState, source: RotorState, points: Array, phases:
 
 
 def drag_swirl_velocity(target: RotorState, source: RotorState, climb: float, phases: int) -> Array:
-    """Velocity at a rotor's sensors by the turning that the profile drag of the one above gave to its stream (m/s).
+    """Return the swirl velocity (m/s) at a rotor's evaluation points due to the profile drag of the rotor above.
 
-    Vortices carry only the turning that comes with lift; this is :func:`mufly.rotor.bemt.drag_angular_momentum`, on its
-    way down as :func:`mufly.rotor.vortex_tube.swirl_influence` says. Above the disc there is none.
+    Vortices represent only the swirl due to lift. The moment of momentum is
+    :func:`mufly.rotor.bemt.drag_angular_momentum`, convected by :func:`mufly.rotor.vortex_tube.swirl_influence`. Above
+    the disc the swirl is zero.
     """
     u = np.zeros_like(target.evaluation_points_m)
     state, above = source.blade_state, source.placed.height_m - target.placed.height_m
@@ -533,7 +536,7 @@ def drag_swirl_velocity(target: RotorState, source: RotorState, climb: float, ph
     if target.blade_state is not None:
         through += mutual_inflow(source, target, s.quarter_chord_m, phases)[:, 2]
     pull = 0.5 * s.blade_count * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.pitch_rad - state.alpha_rad)
-    moment = drag_angular_momentum(pull, -through, 1.0)  # pull over the density
+    moment = drag_angular_momentum(pull, -through, 1.0)  # drag over density
     r = np.hypot(s.quarter_chord_m[:, 0], s.quarter_chord_m[:, 1])
     x, y = target.evaluation_points_m[:, 0], target.evaluation_points_m[:, 1]
     at = np.hypot(x, y)
@@ -545,12 +548,13 @@ def drag_swirl_velocity(target: RotorState, source: RotorState, climb: float, ph
 
 
 def solve_blade_loads(unit: RotorState, others: Array, air: Air, climb: float, settings: WakeSettings) -> None:
-    """Circulation and loads of a rotor's blades; ``others``: velocity at its sensors from the other rotor."""
+    """Solve circulation and loads of the blades; ``others``: velocity due to the other rotor at the evaluation
+    points."""
     s, p = unit.surface, unit.placed
     n = s.chord_m.size
     matrix = circulation_influence(unit)
     x = unit.evaluation_points_m
-    own = np.stack([x[:, 1], -x[:, 0], np.zeros(len(x))], axis=1) * s.speed_rad_s  # air past the turning blade
+    own = np.stack([x[:, 1], -x[:, 0], np.zeros(len(x))], axis=1) * s.speed_rad_s  # air past the rotating blade
     wind = own + others
     wind[:, 2] -= climb
     start = unit.blade_state.circulation_m2_s if unit.blade_state is not None else None
