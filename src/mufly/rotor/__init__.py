@@ -1,4 +1,4 @@
-"""How do its rotors lift? Airfoils, polars, blade geometry, blade element momentum theory, the coaxial pair."""
+"""Aerodynamics of rotors: airfoils, polars, blade geometry, blade element momentum theory, wakes, the coaxial pair."""
 
 from mufly.rotor.bemt import BatchResult, solve_rotor, solve_rotor_batch, warn_reynolds_range
 from mufly.rotor.bench_comparison import (

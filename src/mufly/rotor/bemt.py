@@ -1,11 +1,11 @@
 """Blade element momentum theory: thrust, torque and power of a rotor in hover, climb and descent.
 
-One unknown a station, bracketed whatever is asked; one point, or many at once. Coefficients are Leishman's: c_T = T /
-(rho pi R^4 Omega^2), c_Q = Q / (rho pi R^5 Omega^2); the figure of merit is T sqrt(T / (2 rho A)) / P.
+Each station has one unknown, which is always bracketed. One point or a batch is solved. Coefficients are Leishman's:
+c_T = T / (rho pi R^4 Omega^2), c_Q = Q / (rho pi R^5 Omega^2); the figure of merit is T sqrt(T / (2 rho A)) / P.
 
-At radius r the blade meets V (axial, positive in climb) and Omega r; U and phi_U are size and angle of their
-sum. The induced velocity u_n stands at right angles to the relative wind W (Betz; a lifting line induces no
-velocity along W), so with phi the angle of W against the disc, everything follows from phi alone:
+At radius r the blade meets V (axial, positive in climb) and Omega r. U and phi_U are magnitude and angle of their sum.
+The induced velocity u_n stands at right angles to the relative wind W (Betz; a lifting line induces no velocity along
+W). With phi the angle of W against the disc, all velocities follow from phi alone:
 
     W = U cos(phi - phi_U)         u_n = U sin(phi - phi_U)        axial u = u_n cos phi, swirl u_t = u_n sin phi
 
@@ -15,16 +15,15 @@ vorticity):
 
     N c W^2 c_l cos phi / 2 = 4 pi r F |V + u| u  =>  u_h^2 = N c W^2 c_l cos phi / (8 pi r F),   u = u_h g(V / u_h)
 
-g is 1 in hover and -x/2 + sqrt(x^2/4 + 1) in climb; in descent momentum theory has no answer between x = 0 and
--2 and g is the polynomial through measurements of Leishman, eq. 2.99, brought to 1 at x = -2 to meet the
-windmill branch -x/2 - sqrt(x^2/4 - 1). Negative lift is the mirror image.
+g is 1 in hover and -x/2 + sqrt(x^2/4 + 1) in climb. Momentum theory has no solution in descent between x = 0 and -2.
+There g is the polynomial through measurements of Leishman, eq. 2.99, with the last term adjusted so that g = 1 at
+x = -2, where it meets the windmill branch -x/2 - sqrt(x^2/4 - 1). Negative lift is the mirror image.
 
-Residual: R(alpha) = u_n - u / cos phi. With e = 0 it is -U at phi = phi_U - pi/2 and +U at phi_U + pi/2,
-because W and with it the blade force vanish there, and it has the sign of -c_l at phi = phi_U: a root always
-lies in the half that this sign tells, and Illinois steps with bisection find it. With e > 0 the root lies
-between the zero-lift angle (R has the sign of theta - alpha_0 - phi_U) and alpha = theta - phi_U (R has the
-sign of -c_l); where these signs agree, at angles at which the lift has already turned over, e is dropped for
-that station.
+Residual: R(alpha) = u_n - u / cos phi. With e = 0 it is -U at phi = phi_U - pi/2 and +U at phi_U + pi/2, because W and
+the blade force vanish there. At phi = phi_U it has the sign of -c_l. This sign selects the half that contains a root,
+and Illinois steps with bisection find it. With e > 0 the root lies between the zero-lift angle (R has the sign of
+theta - alpha_0 - phi_U) and alpha = theta - phi_U (R has the sign of -c_l). These signs agree at angles beyond maximum
+lift; e is then set to 0 for that station.
 
 Compressible flow: :func:`equivalent_incompressible_alpha`, at the Mach number of the wind W.
 
@@ -64,7 +63,7 @@ Integers = NDArray[np.int64]
 Stream = tuple[Array, Array, Array]
 
 _TIP_LOSS_CODES = {"none": 0, "prandtl": 1, "effective_radius": 2}
-_MIN_CASES_PER_THREAD = 128  # cases below which a second thread costs more than it brings
+_MIN_CASES_PER_THREAD = 128  # cases per thread below which a second thread does not pay
 # Columns of the station table.
 STATION_COLUMNS = (
     "alpha_rad",
@@ -85,12 +84,12 @@ _FADE_START_RAD, _FADE_END_RAD = math.radians(30.0), math.radians(50.0)
 
 @result(eq=False)
 class BatchResult:
-    """Many operating points; every array has the shape of the broadcast inputs.
+    """Loads of many operating points; every array has the shape of the broadcast inputs.
 
     Attributes
     ----------
     thrust_N, torque_Nm, power_W, figure_of_merit, c_T, c_Q : arrays
-        Of the whole rotor, as in a :class:`RotorResult`.
+        Values of the whole rotor, as in a :class:`RotorResult`.
     """
 
     thrust_N: Array
@@ -102,7 +101,7 @@ class BatchResult:
 
 
 def _compute_coefficients(thrust: Any, torque: Any, speed: Any, radius: Any, density: float) -> dict[str, Any]:
-    """Power, figure of merit, c_T and c_Q of numbers or arrays."""
+    """Return power (W), figure of merit, c_T and c_Q; scalars or arrays."""
     power, area = torque * speed, math.pi * radius**2
     scale = density * area * radius**2 * speed**2
     useful = (thrust > 0.0) & (power > 0.0)
@@ -163,7 +162,7 @@ def _solve_points(
     if workers < 2:
         solve_cases(0, n, *args)
     else:
-        # The kernel lets go of the interpreter; plain threads also work inside other people's threads.
+        # The kernel releases the GIL; plain threads also work when the caller is itself a thread.
         bounds = np.linspace(0, n, 4 * workers + 1).astype(int)
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(lambda k: solve_cases(int(bounds[k]), int(bounds[k + 1]), *args), range(4 * workers)))
@@ -171,18 +170,18 @@ def _solve_points(
 
 
 def _flag_extrapolated_stations(blading: Blading, which: int, alpha: Array, reynolds: Array) -> NDArray[np.uint8]:
-    """Flags of one rotor's stations; a mixed section is outside where either polar is."""
+    """Flag the stations of one rotor outside their polars' range; a mixed section is outside if either polar is."""
     both, weight = np.stack((blading.first[which], blading.second[which])), blading.weight[which]
     first, second = stack_extrapolation_flags(blading.polars, both, alpha, reynolds)
     flags: NDArray[np.uint8] = first * (weight < 1.0) | second * (weight > 0.0)
     return flags
 
 
-_REYNOLDS_RADIUS = 0.75  # r/R at which a blade's Reynolds number is told
+_REYNOLDS_RADIUS = 0.75  # r/R at which a blade's Reynolds number is reported
 
 
 def warn_reynolds_range(blading: Blading, which: ArrayLike, speed_rad_s: ArrayLike, air: Air) -> None:
-    """Give a :class:`RotorWarning` where a blade at 0.75 R turns beyond the Reynolds numbers of its polar.
+    """Issue a :class:`RotorWarning` if the Reynolds number at 0.75 R lies outside the range of the polar.
 
     Parameters
     ----------
@@ -237,11 +236,12 @@ def solve_rotor(
     air : Air, optional
         Density and viscosity.
     which : int
-        Which of the blading's rotors.
+        Index of the rotor in the blading.
     stream : (axial, tangential, wake), optional
-        Velocity that the air brings to each station, (stations,) arrays in m/s: down through the disc, against the
-        blade's motion, and what of the first counts as flow through the annulus in the momentum balance (all of it, or
-        nothing where :mod:`mufly.rotor.vortex_tube` knows what it does to the wake). What another rotor sends.
+        Velocity of the air at each station due to another rotor, (stations,) arrays (m/s). ``axial`` points down
+        through the disc, ``tangential`` against the blade's motion. ``wake`` is the part of ``axial`` that the momentum
+        balance counts as flow through the annulus: all of it, or none if :mod:`mufly.rotor.vortex_tube` models its
+        effect on the wake.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def solve_rotor(
 
 
 def solve_placed_rotor(placed: PlacedRotor, climb_m_s: float, air: Air, stream: Stream | None = None) -> RotorResult:
-    """Solve a rotor in its place; ``stream`` and errors are those of :func:`solve_rotor`."""
+    """Solve a placed rotor of a system; ``stream`` and errors are those of :func:`solve_rotor`."""
     point = _point_arrays(placed, climb_m_s)
     _check_points(*point)
     totals, stations = _solve_points(placed.blading, placed.rotor_index, *point, air, True, stream)
@@ -273,8 +273,7 @@ def build_rotor_result(
     torque_Nm: float,
     columns: Mapping[str, Any],
 ) -> RotorResult:
-    """Put an operating point together from its thrust, torque and station table (``STATION_COLUMNS``), whatever the
-    method.
+    """Assemble the result of an operating point from thrust, torque and station table (``STATION_COLUMNS``).
 
     Thesis: eqs 3.3 to 3.5.
     """
@@ -301,19 +300,19 @@ def build_rotor_result(
     )
 
 
-_MIN_THROUGHFLOW_RATIO = 0.2  # of the greatest axial velocity through a disc: at least this takes drag's turning down
+_MIN_THROUGHFLOW_RATIO = 0.2  # of the greatest axial velocity through a disc: least that convects swirl of drag
 
 
 def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float) -> Array:
-    """Moment of momentum r u (m^2/s) that the profile drag of a rotor's blades gives to its stream, (stations,).
+    """Return the moment of momentum r u (m^2/s) of the slipstream due to profile drag of the blades, (stations,).
 
-    Vortices carry only the turning that comes with lift. The torque of N blades' profile drag is angular momentum of
-    the air as well, annulus by annulus of the disc, with v the axial velocity down through it (mean over azimuths) and
-    the pull of all blades D' = N rho/2 W^2 c c_d cos(phi):
+    Vortices represent only the swirl that comes with lift. The torque of the profile drag also adds angular momentum to
+    the air of each annulus. With v the axial velocity down through the annulus (mean over azimuth) and D' = N rho/2 W^2
+    c c_d cos(phi) the drag of all N blades per span:
 
         rho v 2 pi r dr  r u = D' r dr                                        (moment of momentum; own derivation)
 
-    Where hardly anything goes through, as at the root, nothing takes it down: it stays there.
+    Annuli with little axial flow, as at the root, convect no swirl downstream.
     """
     least = _MIN_THROUGHFLOW_RATIO * float(np.max(np.abs(down_m_s))) + 1e-9
     turning: Array = pull_N_m / (2.0 * math.pi * density_kg_m3 * np.maximum(down_m_s, least))
@@ -323,11 +322,10 @@ def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float
 def compute_slipstream(
     placed: PlacedRotor, climb_m_s: float, air: Air, stream: Stream, turns: bool = True
 ) -> tuple[Array, Array, Array]:
-    """What a rotor gives to the air at its stations; quick, for iterations.
+    """Return axial velocity at the blades (m/s), loss factor F and moment of momentum r u of the slipstream (m^2/s).
 
-    Axial velocity at the blades (m/s), loss factor F, and moment of momentum r u of the stream below (m^2/s): of lift
-    twice the mean velocity F u_t in the disc, of profile drag :func:`drag_angular_momentum`; none without swirl, nor
-    without ``turns``, which spares what nobody below meets.
+    All are (stations,) arrays. Lift contributes twice the mean tangential velocity F u_t in the disc, profile drag
+    :func:`drag_angular_momentum`. Without the swirl correction, or with ``turns`` false, r u is zero.
     """
     blading, which = placed.blading, placed.rotor_index
     _, stations = _solve_points(blading, which, *_point_arrays(placed, climb_m_s), air, True, stream)
@@ -335,7 +333,7 @@ def compute_slipstream(
     turning = np.zeros_like(inflow)
     if turns and blading.corrections.swirl:
         r, dr = blading.r_m[which], blading.dr_m[which]
-        force = np.hypot(thrust, torque / r) / np.hypot(cl, cd)  # of a coefficient of 1
+        force = np.hypot(thrust, torque / r) / np.hypot(cl, cd)  # force per unit coefficient
         pull = force / dr * cd * np.cos(phi)
         turning = 2.0 * loss * swirl * r + drag_angular_momentum(
             pull, climb_m_s + stream[0] + loss * inflow, air.density_kg_m3
@@ -352,7 +350,7 @@ def solve_rotor_batch(
     air: Air | None = None,
     which: ArrayLike = 0,
 ) -> BatchResult:
-    """Solve many points, on all cores; the numbers are bit by bit those of :func:`solve_rotor`.
+    """Solve many points on all cores; the results equal those of :func:`solve_rotor` bit for bit.
 
     Parameters
     ----------
@@ -394,7 +392,7 @@ def solve_rotor_batch(
 
 
 class BemtCases(NamedTuple):
-    """What is to be solved.
+    """Operating points to be solved.
 
     Attributes
     ----------
@@ -403,10 +401,10 @@ class BemtCases(NamedTuple):
     pitch_rad, speed_rad_s, climb_m_s : (cases,) arrays
         Speeds above 0.
     stream_m_s : (cases, stations, 3) array or (0, ...)
-        Axial (down) and tangential (against the blade) velocity of the air that another rotor sends, and what of the
-        axial one momentum theory counts as V.
+        Axial (down) and tangential (against the blade) velocity due to another rotor, and the part of the axial
+        velocity that momentum theory counts as V.
     density_kg_m3, kinematic_viscosity_m2_s, speed_of_sound_m_s : float
-        The air; kinematic viscosity.
+        Properties of the air.
     """
 
     rotor_index: Integers
@@ -420,14 +418,14 @@ class BemtCases(NamedTuple):
 
 
 class CorrectionSwitches(NamedTuple):
-    """The corrections in numbers.
+    """Corrections encoded as numbers for the kernel.
 
     Attributes
     ----------
     tip_loss_code : int
         0 none, 1 Prandtl, 2 effective radius.
     has_hub_loss, has_swirl, has_cos4_stall_delay : int
-        1 for hub loss, for swirl, and for the factor cos^4 theta on the strength of rotation.
+        1 if hub loss, swirl and the factor cos^4 theta on the strength of stall delay are active.
     lift_factor, drag_factor : float
         Factors on the section coefficients.
     """
@@ -442,38 +440,38 @@ class CorrectionSwitches(NamedTuple):
 
 @cached_njit(error_model="numpy")
 def induced_velocity_ratio(x: float) -> float:
-    """Induced over hover-induced velocity, g(x), at V / u_h = x, continuous for all x."""
+    """Return the ratio g(x) of induced velocity to induced velocity in hover at x = V / u_h, continuous for all x."""
     if x >= 0.0:
         return -0.5 * x + math.sqrt(0.25 * x * x + 1.0)
     if x > -2.0:
         quartic = 1.0 + x * (-1.125 + x * (-1.372 + x * (-1.718 - 0.655 * x)))
-        return quartic - 0.026 * (0.5 * x) ** 4  # Leishman's constants leave 1.026 at x = -2
+        return quartic - 0.026 * (0.5 * x) ** 4  # Leishman's constants give 1.026 at x = -2
     return -0.5 * x - math.sqrt(max(0.25 * x * x - 1.0, 0.0))
 
 
 @cached_njit(error_model="numpy")
 def _prandtl_loss(f: float) -> float:
-    """Prandtl's loss factor; beyond f = 37 it is 1 to the last bit."""
+    """Return Prandtl's loss factor F(f); above f = 37 it is exactly 1."""
     return 2.0 / math.pi * math.acos(math.exp(-f)) if f < 37.0 else 1.0
 
 
 class SectionParameters(NamedTuple):
-    """A blade section, as a kernel sees it.
+    """Parameters of a blade section for the kernel.
 
     Attributes
     ----------
     first_polar, second_polar : int
-        Its polars.
+        Indices of the two polars that are mixed.
     second_weight : float
-        Of the second one.
+        Weight of the second polar.
     polar_zero_lift_rad, stall_delay : float
-        Zero-lift angle (rad), strength of the rotation model.
+        Zero-lift angle (rad), strength g of the stall delay model.
     lift_factor, drag_factor : float
         Factors on the coefficients.
     thickness_ratio : float
-        Over chord.
+        Thickness over chord.
     edge_drag : float
-        Of the trailing edge's drag (:func:`mufly.rotor.blading.blunt_edge_drag`).
+        Drag constant of the blunt trailing edge (:func:`mufly.rotor.blading.blunt_edge_drag`).
     """
 
     first_polar: int
@@ -488,7 +486,7 @@ class SectionParameters(NamedTuple):
 
 
 class StationGeometry(NamedTuple):
-    """Where a section stands: radius and chord (m), pitch theta (rad), number of blades, R, hub radius (m)."""
+    """Geometry of a station: radius and chord (m), pitch theta (rad), number of blades, R and hub radius (m)."""
 
     r_m: float
     chord_m: float
@@ -499,7 +497,7 @@ class StationGeometry(NamedTuple):
 
 
 class PolarGrid(NamedTuple):
-    """A :class:`PolarStack` without what only its user wants to know: less to hand from function to function."""
+    """Arrays of a :class:`PolarStack` that the kernel interpolates in."""
 
     grid: Array
     log_reynolds_min: float
@@ -507,7 +505,7 @@ class PolarGrid(NamedTuple):
 
 
 class StationFlow(NamedTuple):
-    """What a station meets: V of the momentum balance (m/s); size (m/s) and angle (rad) of U, its log Re and Mach."""
+    """Onset flow of a station: V of the momentum balance (m/s), magnitude (m/s) and angle (rad) of U, log Re, Mach."""
 
     axial_m_s: float
     speed_m_s: float
@@ -516,20 +514,20 @@ class StationFlow(NamedTuple):
     mach: float
 
 
-_KORN_FACTOR = 0.87  # of Korn's rule, for sections that were not made for it
+_KORN_FACTOR = 0.87  # technology factor of Korn's rule for conventional sections
 _CRITICAL_MACH_OFFSET = (0.1 / 80.0) ** (1.0 / 3.0)
-_MAX_MACH = 0.95  # Mach number beyond which the rules are held, so that every speed has an answer
+_MAX_MACH = 0.95  # Mach number above which the rules are held constant, so that every speed has a solution
 
 
 @cached_njit(error_model="numpy")
 def equivalent_incompressible_alpha(alpha: float, mach: float, zero_lift: float) -> float:
-    """Angle of attack (rad) at which a section in incompressible flow has the coefficients that it has at ``mach`` < 1.
+    """Return the angle of attack (rad) that gives in incompressible flow the coefficients at ``alpha`` and ``mach`` <
+    1.
 
-    Prandtl and Glauert's rule as Goethert writes it (NACA TM 1105, 1946): to first order the pressures at an angle
-    a from zero lift are those of incompressible flow at a / beta, beta = sqrt(1 - M^2). So the lift slope grows by
-    1 / beta, and the layer separates at the pressures, hence at the lift, at which it always does: at a smaller angle.
-    Full to |alpha| = 30 degrees, gone at 50, where no potential flow is left. The drag of shocks:
-    :func:`section_coefficients`.
+    Prandtl and Glauert's rule as Goethert writes it (NACA TM 1105, 1946): to first order the pressures at an angle a
+    from zero lift are those of incompressible flow at a / beta, beta = sqrt(1 - M^2). The lift slope grows by 1 / beta.
+    Separation occurs at the same pressures and lift, hence at a smaller angle. The rule applies in full up to
+    |alpha| = 30 degrees and fades out at 50. For the drag of shocks see :func:`section_coefficients`.
     """
     fade = min(max((_FADE_END_RAD - abs(alpha)) / (_FADE_END_RAD - _FADE_START_RAD), 0.0), 1.0)
     return alpha + fade * (alpha - zero_lift) * (1.0 / math.sqrt(1.0 - mach * mach) - 1.0)
@@ -539,7 +537,9 @@ def equivalent_incompressible_alpha(alpha: float, mach: float, zero_lift: float)
 def section_coefficients(
     alpha: float, log_re: float, mach: float, section: SectionParameters, polars: PolarStack
 ) -> tuple[float, float]:
-    """Lift and drag coefficient of a section: mixed polars, blunt edge, compressible flow, rotation, calibration.
+    """Return lift and drag coefficient of a section.
+
+    Included are mixed polars, blunt edge, compressible flow, stall delay and calibration.
 
     Shocks add Lock's drag, 20 (M - M_cr)^4, M_cr = M_dd - (0.1 / 80)^(1/3), with Korn's drag divergence M_dd = 0.87 -
     t/c - |c_l| / 10 (Mason, AIAA 90-3262, 1990; 0.87: NACA 6 series).
@@ -578,7 +578,7 @@ def _momentum_residual(
     polars: PolarStack,
     on: CorrectionSwitches,
 ) -> Any:
-    """Return R of the module docstring and what comes with it: phi, c_l, c_d, W, F, u, u_t, log Re.
+    """Return the residual R of the module docstring, then phi, c_l, c_d, W, F, u, u_t and log Re.
 
     Thesis: eqs 3.11, 3.12.
     """
@@ -645,13 +645,13 @@ def _solve_station(
     if e <= 0.0:
         # phi grows as alpha falls: R < 0 at phi_U puts the root at smaller alpha.
         a = middle - 0.5 * math.pi if fb < 0.0 else middle + 0.5 * math.pi
-        fa = -speed if fb > 0.0 else speed  # where the wind vanishes
+        fa = -speed if fb > 0.0 else speed  # where W vanishes
     side, width = 0, abs(b - a)
     for step in range(_MAX_ITERATIONS):
         if abs(out[0]) <= _ROOT_TOLERANCE_RAD * speed:
             break
         x = b - fb * (b - a) / (fb - fa)
-        if step % 3 == 2:  # halve when three secants have not
+        if step % 3 == 2:  # bisect at every third step
             if abs(b - a) > 0.5 * width:
                 x = 0.5 * (a + b)
             width = abs(b - a)
@@ -681,13 +681,13 @@ def solve_cases(
     totals: Array,
     stations: Array,
 ) -> None:
-    """Thrust and torque of the cases ``start`` to ``stop``.
+    """Compute thrust and torque of the cases ``start`` to ``stop``.
 
     Parameters
     ----------
     cases : Cases
     blades : mufly.rotor.blading.Blades
-        As :attr:`mufly.rotor.Blading.record` holds them.
+        Arrays of the blades, from ``Blading.kernel_arrays``.
     on : Switches
     totals : (cases, 2) array
         Filled with thrust (N) and torque (N m).

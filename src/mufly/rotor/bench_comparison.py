@@ -1,6 +1,6 @@
-"""Prediction beside measurement, and the calibration of a rotor on one measured point.
+"""Comparison of predictions with bench measurements, and calibration of a rotor on one measured point.
 
-Errors are prediction over measurement less one.
+Relative errors are prediction / measurement - 1.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ class RotorMeasurements:
     Attributes
     ----------
     pitch_rad, speed_rad_s, thrust_N, torque_Nm : (n,) arrays
-        Setting and result; torque is nan where it was not measured.
+        Pitch setting, rotor speed and measured loads; torque is nan where it was not measured.
     source : str
         File or paper.
     climb_m_s : (n,) array
-        Axial speed of the rotor through the air (m/s), as a propeller's in a tunnel; 0, for all points, is hover.
+        Axial speed of the rotor through the air (m/s), as of a propeller in a wind tunnel; 0 for all points is hover.
     density_kg_m3 : float
-        Of the air at the bench, in which the loads are as given; nan where nobody said.
+        Air density at the bench (kg/m^3), for which the loads are given; nan if unknown.
     notes : tuple of str
-        What was passed over or taken for granted in the file, in words.
+        Remarks on rows of the file that were skipped and values that were assumed.
     """
 
     pitch_rad: Array
@@ -64,16 +64,16 @@ class RotorMeasurements:
 
     @property
     def axial(self) -> bool:
-        """Whether some points are no hover."""
+        """True if any point has axial flow."""
         return bool(np.any(self.climb_m_s != 0.0))
 
     @property
     def air(self) -> Air:
-        """The air at the bench; 1.2 kg/m3 where nobody said."""
+        """Air at the bench; density 1.2 kg/m^3 if unknown."""
         return Air(density_kg_m3=self.density_kg_m3) if math.isfinite(self.density_kg_m3) else Air()
 
     def select_points(self, index: NDArray[np.intp]) -> RotorMeasurements:
-        """Return the points with these positions."""
+        """Return the measurements of the points with these indices."""
         return RotorMeasurements(
             self.pitch_rad[index], self.speed_rad_s[index], self.thrust_N[index], self.torque_Nm[index], self.source,
             self.climb_m_s[index], self.density_kg_m3, self.notes,
@@ -82,20 +82,20 @@ class RotorMeasurements:
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:comparison_picture")
 class MeasurementComparison:
-    """A prediction beside a measurement.
+    """Predicted and measured loads of the points of a bench run.
 
     Attributes
     ----------
     measured : Measurements
-        The bench.
+        Measured points.
     thrust_N, torque_Nm : (n,) arrays
-        Prediction.
+        Predicted loads.
     thrust_error, torque_error : (n,) arrays
         Prediction / measurement - 1; nan without a measurement.
     calibrated : bool
-        True if the prediction was scaled to a measurement.
+        True if the prediction was calibrated on a measurement.
     faults : tuple of str
-        Why a point has no prediction, for each point; empty where it has.
+        Reason why a point has no prediction, for each point; empty if it has one.
     """
 
     measured: RotorMeasurements
@@ -108,13 +108,13 @@ class MeasurementComparison:
 
     @property
     def mean_thrust_error(self) -> float:
-        """Mean absolute error of thrust, over the points that have a prediction; nan if none has."""
+        """Mean absolute relative error of thrust over the points with a prediction; nan if there is none."""
         known = np.isfinite(self.thrust_error)
         return float(np.mean(np.abs(self.thrust_error[known]))) if known.any() else math.nan
 
     @property
     def mean_torque_error(self) -> float:
-        """Mean absolute error of torque; nan if none was measured."""
+        """Mean absolute relative error of torque; nan if no torque was measured."""
         known = np.isfinite(self.torque_error)
         return float(np.mean(np.abs(self.torque_error[known]))) if known.any() else math.nan
 
@@ -155,17 +155,17 @@ def compare_measurements(
     Parameters
     ----------
     blading : Blading or Rotor
-        The rotor, the first of a batch.
+        Rotor; of a batch the first rotor is used.
     measurements : Measurements
-        Points.
+        Measured points.
     air : Air, optional
-        Density and viscosity at the bench; default the measurements'.
+        Density and viscosity at the bench; default: the air of ``measurements``.
     method : 'bemt' or 'wake'
-        Blade elements, or a wake a point (seconds each).
+        Blade elements, or a vortex wake for each point (seconds per point).
     settings : WakeSettings, optional
-        Of the wakes.
+        Settings of the wake method.
     progress : callable, optional
-        Of the wakes: points done, and points in all.
+        ``progress(done, total)`` after each point of the wake method.
 
     Thesis: Table 3.2; Fig. 3.15.
     """
@@ -192,7 +192,7 @@ def compare_measurements(
 
 
 def _relative_error(value: Array, measured: Array) -> Array:
-    """Relative error; nan where what was measured is nan or 0, as the thrust of a fast climb may be."""
+    """Return the relative error; nan where the measured value is nan or 0, as thrust in a fast climb may be."""
     return value / np.where(measured == 0.0, math.nan, measured) - 1.0
 
 
@@ -200,11 +200,14 @@ def _predict_by_wake(
     case: Blading, bench: RotorMeasurements, air: Air, settings: WakeSettings | None, faults: list[str],
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Thrust and torque of every point, nan where its wake does not converge; why not goes into ``faults``."""
+    """Compute thrust and torque of every point by the wake method.
+
+    A point whose wake does not converge is nan; the reason goes into ``faults``.
+    """
     system, n = RotorSystem.single_rotor(case), bench.thrust_N.size
     thrust, torque = np.full(n, np.nan), np.full(n, np.nan)
     known: SystemSolution | None = None
-    # Neighbours in pitch and speed one after the other: each wake starts from the one before.
+    # Neighbours in pitch and speed follow each other: each wake starts from the previous one.
     for done, k in enumerate(np.lexsort((bench.climb_m_s, bench.speed_rad_s, bench.pitch_rad)).tolist()):
         if progress is not None:
             progress(done, n)
@@ -230,25 +233,24 @@ def _predict_by_wake(
 def calibrate_blading(
     blading: Blading, measurements: RotorMeasurements, point: int = 0, *, air: Air | None = None
 ) -> Blading:
-    """Scale lift and drag of all sections so that one measured point is met, as the dissertation did (sec. 3.3.1).
+    """Scale lift and drag of all sections to match one measured point, as in the dissertation (sec. 3.3.1).
 
-    Two numbers are found: a factor on the lift coefficient that gives the thrust, then one on the drag
-    coefficient that gives the torque; the pair is repeated until both hold to 1e-6. Results of the blading
-    returned say ``calibrated``.
+    A factor on the lift coefficient matches the thrust, then a factor on the drag coefficient matches the torque. Both
+    steps repeat until thrust and torque agree to 1e-6. Results of the returned blading are marked ``calibrated``.
 
     Parameters
     ----------
     blading : Blading
-        The rotor.
+        Rotor to calibrate.
     measurements : Measurements
-        The bench.
+        Measured points.
     point : int
-        Which of its points.
+        Index of the point to match.
 
     Raises
     ------
     MuflyError
-        If no factors between 0.2 and 5 meet the point.
+        If no factors between 0.2 and 5 match the point.
     """
     air = air or measurements.air
     pitch, speed = measurements.pitch_rad[point], measurements.speed_rad_s[point]

@@ -1,19 +1,17 @@
-"""Which section may a small blade have? Families of blades with probabilities, before any bench has spoken.
+"""Prior probabilities of the sections of small blades, by families of blades.
 
-The sections of hobby propellers are seldom told. What can be said beforehand is said here: how likely each family of
-blades is, and how camber and thickness (of the chord) are spread in it, as independent normal distributions. On the
-grid of four-digit sections :data:`CAMBER_GRID_PERCENT` by :data:`THICKNESS_GRID_PERCENT` that gives each section its
-probability,
+The sections of hobby propellers are seldom published. Each family has a prior probability and independent normal
+distributions of camber and thickness (% of the chord). They give each four-digit section of the grid
+:data:`CAMBER_GRID_PERCENT` by :data:`THICKNESS_GRID_PERCENT` the probability
 
     p(m, t) = sum_f p_f exp(-((m - m_f) / s_f)^2 / 2 - ((t - t_f) / u_f)^2 / 2) / norm_f
 
-Thin ones are plates bent in the middle (camber at half the chord), thicker ones are bent before it. Whoever names an
-airfoil in a rotor file and calls it a guess has looked at the blade: that section keeps
-:data:`STATED_SECTION_PROBABILITY` of the probability.
+Thin sections are plates with maximum camber at half the chord; thicker sections have it further forward. If a rotor
+file names an airfoil as a guess, that section keeps the probability :data:`STATED_SECTION_PROBABILITY`.
 
-None of these numbers was fitted. They are what the makers say (APC: NACA 4412, Clark Y, for slow-flyers E63) and what
-such blades look like, written down with the 17 propellers of the benchmark known; docs/explanation/bemt.md lists them,
-and docs/log/2026-11-28-bemt-accuracy.md has their effect on rotors.
+The numbers are not fitted. They follow the makers' statements (APC: NACA 4412, Clark Y, for slow-flyers E63) and the
+look of such blades, and were chosen with the 17 propellers of the benchmark known. docs/explanation/bemt.md lists them;
+docs/log/2026-11-28-bemt-accuracy.md has their effect on rotors.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ DRAG_PER_THICKNESS = 2.0  # skin friction of a section of thickness t: 1 + 2 t (
 
 
 class BladeFamily(NamedTuple):
-    """Probability among small blades; mean and deviation of camber and thickness, % of the chord; why."""
+    """Prior of a family: probability, mean and standard deviation of camber and thickness (% of the chord), reason."""
 
     probability: float
     camber_percent: tuple[float, float]
@@ -55,13 +53,13 @@ BLADE_FAMILIES: dict[str, BladeFamily] = {
 
 
 def section_probabilities(rotor: Rotor, family: str = "") -> list[tuple[tuple[str, ...], float]]:
-    """Sections that a blade may have, with their probabilities; the rotor file's own first.
+    """Return the possible sections of a blade with their probabilities; the rotor file's own section comes first.
 
     Parameters
     ----------
     rotor : Rotor
     family : str
-        One of :data:`BLADE_FAMILIES`; nothing: all of them by their probabilities.
+        One of :data:`BLADE_FAMILIES`; empty: all families by their probabilities.
 
     Raises
     ------
@@ -97,4 +95,4 @@ GRID_STEP_STD = (
     0.01 * (CAMBER_GRID_PERCENT[1] - CAMBER_GRID_PERCENT[0]) / math.sqrt(12.0),
     0.01 * (THICKNESS_GRID_PERCENT[1] - THICKNESS_GRID_PERCENT[0]) / math.sqrt(12.0),
 )
-"""Deviation of camber and thickness (of the chord) between neighbours of the grid."""
+"""Standard deviation of camber and thickness (of the chord) within one step of the grid."""

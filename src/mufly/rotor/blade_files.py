@@ -1,23 +1,23 @@
-"""Blades as others write them down: tables of radius, chord and angle, UIUC's and APC's own files.
+"""Reader of blade tables: radius, chord and angle as text, UIUC's geometry files and APC's files.
 
-A table is any text that :func:`mufly.text_table.read_text_table` reads. A column is known by its name, its unit
-stands in the header; a length without one is refused. Angles without one are in degrees, unless all could be radians:
-then the unit is asked for. Stations run from hub to tip or from tip to hub.
+A table is any text that :func:`mufly.text_table.read_text_table` reads. Columns are recognised by name; the unit stands
+in the header. A length without unit is an error. Angles without unit are in degrees; if all of them could be radians, a
+missing unit is an error. Stations run from hub to tip or from tip to hub.
 
 =======  =====================================================================================================
 radius   ``r/R``, ``r_over_R``, ``x``; or a length: ``r_mm``, ``radius (in)``, ``station``
 chord    ``c/R``, ``c_over_R``; or a length: ``chord_mm``, ``c [in]``
 angle    ``beta``, ``twist``, ``angle``, ``pitch``
-airfoil  ``airfoil``, ``section``: a name a station; it may be left out
+airfoil  ``airfoil``, ``section``: a name for each station; optional
 =======  =====================================================================================================
 
-APC's ``...-PERF.PE0`` files name radius, number of blades, and for each station (inches, degrees) chord, ratio of
-thickness and twist; below the table stand the airfoil within a first radius and the one beyond a second, blended in
-between (here one becomes the other in the middle), each scaled to the station's thickness, to a whole per cent. Their
-radius is rounded to a hundredth of an inch; the last station is the tip where it lies within that. An airfoil whose
-coordinates APC keeps to itself (``APC12`` and its like) is replaced by NACA 4412, which APC calls similar, and that is
-said. Stations with a chord below a thousandth of the radius, as at tips that end in a point, are left out, and the last
-one is held to the tip.
+APC's ``...-PERF.PE0`` files name radius, number of blades, and for each station chord (inches), thickness ratio and
+twist (degrees). Below the table stand the airfoil inside a first radius and the airfoil outside a second. APC blends
+them in between; here the airfoil changes halfway. Each airfoil is scaled to the station's thickness in whole per cent.
+APC's radius is rounded to a hundredth of an inch; a last station within that distance is the tip. Airfoils without
+published coordinates (such as ``APC12``) are replaced by NACA 4412, which APC calls similar; a note reports it.
+Stations with a chord below a thousandth of the radius, as at pointed tips, are left out, and the last remaining station
+holds to the tip.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ _ANGLE_HEADERS, _AIRFOIL_HEADERS = ("beta", "twist", "angle", "pitch", "theta"),
 _INCH_M = 0.0254
 _DEFAULT_AIRFOIL = "naca4412"
 _DEFAULT_AIRFOIL_NOTE = f"airfoil {_DEFAULT_AIRFOIL}"
-_SUSPECTED_RADIANS_DEG = 1.6  # angles all below are radians as likely as degrees
+_SUSPECTED_RADIANS_DEG = 1.6  # angles all below this value may be radians
 _MAX_RELATIVE_RADIUS = 1.5  # of the radius
 _MIN_RADIUS_M = 5e-3  # m
 _MIN_CHORD_RATIO = 1e-3  # of the radius
 
 
 class ImportedRotor(NamedTuple):
-    """A rotor, and what was guessed of it in words."""
+    """Imported rotor, with notes on the values that were guessed."""
 
     rotor: Rotor
     notes: tuple[str, ...]
@@ -71,18 +71,18 @@ def read_blade(
     ----------
     path : str or Path
     radius_m : float, optional
-        Of the rotor; needed where the file gives only ratios, otherwise it is the last station's.
+        Radius of the rotor (m); required if the file gives ratios only. Default: the last station's radius.
     blades : int, optional
-        Default: what the file says, or 2.
+        Number of blades. Default: the file's, or 2.
     airfoil : str, optional
-        Of the whole blade, whatever the file says. Default: the file's, or NACA 4412.
+        Airfoil of the whole blade; overrides the file. Default: the file's, or NACA 4412.
     name : str, optional
-        Default: the file's.
+        Name of the rotor. Default: the file's.
 
     Raises
     ------
     InputError
-        If the file is none of these, a column is missing, or a value is not possible.
+        If the format is not recognised, a column is missing, or a value is impossible.
     """
     where = Path(path).name
     if radius_m is not None and not 0.0 < radius_m < 100.0:
@@ -150,12 +150,12 @@ def _read_station_table(path: str | Path, radius_m: float | None, notes: list[st
     where = Path(path).name
     written = read_text_table(path)
     headers = written.titles
-    known: dict[str, tuple[int, float]] = {}  # quantity: column, and what one of it is in SI (R for ratios: below 0)
+    known: dict[str, tuple[int, float]] = {}  # quantity: column and SI factor (negative: ratio to R)
     for k, header in enumerate(headers):
         stem, unit = split_header(header)
-        stem, unit = (stem, unit) if unit else split_unit_suffix(stem)  # c_m is a chord here, no coefficient
+        stem, unit = (stem, unit) if unit else split_unit_suffix(stem)  # here c_m is a chord in m, not a coefficient
         if not unit and stem.lower().endswith(("_in", "_inch")):
-            stem, unit = stem.rpartition("_")[0], "in"  # elsewhere "in" at a name's end is what goes in
+            stem, unit = stem.rpartition("_")[0], "in"  # "in" at the end of a name means inches here only
         low, whole = stem.lower(), header.lower()
         for quantity in ("radius", "chord"):
             if whole in _RELATIVE_HEADERS[quantity]:
@@ -196,7 +196,7 @@ def _check_columns(
     where: str, header: dict[str, str], known: dict[str, tuple[int, float]], r: Array, chord: Array, twist: Array,
     radius_m: float | None,
 ) -> None:  # fmt: skip
-    """Refuse angles that may be radians, and shares of the radius above one, as in per cent."""
+    """Raise an error for angles that may be radians, and for r/R above one, as in per cent."""
     widest = float(np.max(np.abs(np.degrees(twist)), initial=0.0))
     if not split_header(header["twist"])[1] and 0.0 < widest <= _SUSPECTED_RADIANS_DEG:
         least = float(np.min(np.degrees(twist)))
@@ -269,7 +269,7 @@ def _read_apc_file(path: Path, notes: list[str]) -> _StationTable:
 
 
 def _resolve_airfoil(name: str, notes: list[str]) -> str:
-    """The airfoil of APC's name, or what stands for it."""
+    """Return the airfoil of an APC name, or its replacement."""
     low = re.sub(r"[\s-]", "", name.lower())
     if low == "clarky":
         return low

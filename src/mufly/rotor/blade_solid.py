@@ -1,17 +1,17 @@
-"""A blade as a body: closed surfaces of triangles to print or to mesh, and stations out of such surfaces.
+"""Blades as solids: closed triangle surfaces to print or to mesh, and blade stations from such surfaces.
 
-Frame: the blade along x, its nose towards y, the shaft along z, thrust upwards; the pitch axis is the quarter chord.
-Lengths in m here, in mm in STL files, which know no unit.
+Frame: the blade lies along x, its leading edge towards y, the shaft along z with thrust upwards. The pitch axis is the
+quarter chord. Lengths are in m; in STL files, which have no unit, they are in mm.
 
-**Out.** A contour is laid at every station with points at the same shares of both sides (cosine spacing), mixed between
-stations as the polars are, opened at its tail to the thickness that can be printed, turned by the twist and moved to
-its radius; neighbours are joined by triangles, the ends closed between their two sides. Every edge then belongs to two
-triangles that run along it in opposite ways: watertight. The volume is that of the body (divergence theorem),
-V = sum a.(b x c) / 6.
+**Export.** Every station has a contour with points at the same chord fractions on both sides (cosine spacing). Contours
+are mixed between stations as the polars are, opened at the trailing edge to the printable thickness, turned by the
+twist and moved to their radius. Triangles join neighbouring contours and close the ends. Every edge belongs to two
+triangles that traverse it in opposite directions, so the surface is watertight. Its volume follows from the divergence
+theorem, V = sum a.(b x c) / 6.
 
-**In.** A plane x = r cuts a surface of triangles in closed lines. Of the one that lies nearest to y = 0 the two points
-furthest apart are nose and tail: chord, and twist. The nose is the thicker end at most stations, or, where both are as
-thick, the higher one.
+**Import.** A plane x = r cuts a triangle surface in closed curves. On the curve nearest to y = 0 the two points
+furthest apart are leading and trailing edge; they give chord and twist. The leading edge is the end that is thicker at
+most stations, or, at equal thickness, the higher end.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ Integers = NDArray[np.int64]
 _POINTS_PER_SIDE = 40
 _SPAN_STATIONS = 60
 _MM_PER_M = 1e3
-_MIN_RADIUS_M, _MAX_RADIUS_M = 8e-3, 5.0  # m, between which mm are taken on trust
+_MIN_RADIUS_M, _MAX_RADIUS_M = 8e-3, 5.0  # m, range of radii in which mm is assumed as the unit
 _LENGTH_UNITS_M = {"m": 1.0, "in": 0.0254, "cm": 0.01, "mm": 1e-3, "um": 1e-6}
-_END_REGION, _THICKNESS_TOLERANCE = 0.15, 0.25  # of the chord; of the thickness there
-# Of the chord: longest blunt tail, and how far its corners lie apart along the chord.
+_END_REGION, _THICKNESS_TOLERANCE = 0.15, 0.25  # of the chord; of the thickness in that region
+# Of the chord: thickest blunt trailing edge, and greatest distance of its corners along the chord.
 _BLUNT_TAIL_SIZE, _BLUNT_TAIL_TOLERANCE = 0.1, 2e-3
 
 
 @dataclass(frozen=True, eq=False)
 class TriangleSolid:
-    """Closed surfaces.
+    """One or several closed triangle surfaces.
 
     Attributes
     ----------
     points_m : (n, 3) array
     triangles : (m, 3) array
-        Points of each, counter-clockwise seen from outside.
+        Point indices of each triangle, counter-clockwise seen from outside.
     """
 
     points_m: Array
@@ -61,18 +61,18 @@ class TriangleSolid:
 
     @property
     def volume_m3(self) -> float:
-        """What the surfaces enclose."""
+        """Enclosed volume (m^3)."""
         a, b, c = (self.points_m[self.triangles[:, k]] for k in range(3))
         return float(np.sum(a * np.cross(b, c)) / 6.0)
 
     @property
     def area_m2(self) -> float:
-        """Of the surfaces."""
+        """Area of the surfaces (m^2)."""
         a, b, c = (self.points_m[self.triangles[:, k]] for k in range(3))
         return float(np.sum(np.linalg.norm(np.cross(b - a, c - a), axis=1)) / 2.0)
 
     def count_open_edges(self) -> int:
-        """Edges that are not shared by two triangles which run along them in opposite ways; 0: watertight."""
+        """Return the number of edges not shared by two triangles of opposite direction; 0 if watertight."""
         t = self.triangles
         ways = np.concatenate((t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]))
         n = np.int64(self.points_m.shape[0])
@@ -89,18 +89,18 @@ def blade_contours(
     tail_m: float = 0.0,
     pitch_rad: float = 0.0,
 ) -> Array:
-    """Contours along a blade, from the cut-out to the tip.
+    """Return the contours of a blade from the cut-out to the tip.
 
     Parameters
     ----------
     rotor : Rotor
     along, per_side : int
-        Stations, and points on each side of a contour.
+        Number of stations, and of points on each side of a contour.
     tail_m : float
-        Least thickness of the trailing edge; what a contour lacks is added, half above and half below, growing along
-        the chord.
+        Least thickness of the trailing edge (m). The missing thickness is added in equal parts to both sides, growing
+        linearly along the chord.
     pitch_rad : float
-        Added to the twist.
+        Pitch setting, added to the twist (rad).
 
     Returns
     -------
@@ -138,7 +138,7 @@ def blade_contours(
         :, None, None
     ] * table[cut.second_airfoil]
     contour = contour * cut.chord_m[:, None, None]
-    # Heights at the tail: what is missing is added in proportion to the distance from the nose.
+    # The missing thickness of the trailing edge is added in proportion to the distance from the leading edge.
     gap = np.maximum(tail_m - (contour[:, 0, 1] - contour[:, -1, 1]), 0.0)
     side = np.where(np.arange(2 * per_side) < per_side, 0.5, -0.5)
     contour[:, :, 1] += side * gap[:, None] * contour[:, :, 0] / cut.chord_m[:, None]
@@ -153,9 +153,9 @@ def blade_contours(
 
 
 def _resample_contour(coordinates: Array, per_side: int) -> Array:
-    """A contour with points at the same shares of the chord on both sides: tail, upper side, nose, lower side, tail.
+    """Resample a contour at the same chord fractions on both sides: tail, upper side, nose, lower side, tail.
 
-    The nose stands once: the lower side begins a little behind it.
+    The nose occurs once: the lower side begins behind it.
     """
     upper, lower = split_sides(coordinates)
     x = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, per_side)))
@@ -169,12 +169,12 @@ def _resample_contour(coordinates: Array, per_side: int) -> Array:
 
 
 def loft_solid(sections: Array) -> TriangleSolid:
-    """Join contours, (stations, points, 3), to a closed body; a sharp tail is one line of points."""
+    """Join contours, (stations, points, 3), to a closed solid; a sharp trailing edge is one line of points."""
     stations, around, _ = sections.shape
     points = sections.reshape(-1, 3)
     index = np.arange(stations * around).reshape(stations, around)
     index[:, -1] = np.where(np.linalg.norm(sections[:, 0] - sections[:, -1], axis=1) < 1e-9, index[:, 0], index[:, -1])
-    if len({bool(v) for v in index[:, -1] == index[:, 0]}) > 1:  # some sharp, some blunt: two lines
+    if len({bool(v) for v in index[:, -1] == index[:, 0]}) > 1:  # sharp and blunt trailing edges: two lines of points
         index[:, -1] = np.arange(stations * around).reshape(stations, around)[:, -1]
     a, b = index[:-1], index[1:]
     follow = np.roll(index, -1, axis=1)
@@ -202,7 +202,7 @@ def loft_solid(sections: Array) -> TriangleSolid:
 
 
 def join_solids(solids: Sequence[TriangleSolid]) -> TriangleSolid:
-    """Several bodies as one list of triangles; they may overlap, as programs that slice for printers allow."""
+    """Merge solids into one list of triangles; they may overlap, which slicers for 3-D printers accept."""
     starts = np.cumsum([0, *(s.points_m.shape[0] for s in solids)])
     return TriangleSolid(
         np.concatenate([s.points_m for s in solids]),
@@ -211,18 +211,18 @@ def join_solids(solids: Sequence[TriangleSolid]) -> TriangleSolid:
 
 
 def rotate_about_shaft(solid: TriangleSolid, angle_rad: float) -> TriangleSolid:
-    """Return a body turned about z."""
+    """Return a solid rotated about z."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return TriangleSolid(solid.points_m @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]), solid.triangles)
 
 
 def mirror_solid(solid: TriangleSolid) -> TriangleSolid:
-    """Return the body of a rotor that turns the other way."""
+    """Return the mirrored solid, for a rotor that turns the other way."""
     return TriangleSolid(solid.points_m * [1.0, -1.0, 1.0], solid.triangles[:, ::-1])
 
 
 def make_hub_solid(radius_m: float, bore_m: float, low_m: float, high_m: float, around: int = 96) -> TriangleSolid:
-    """A ring about the shaft, or a disc where the bore is 0."""
+    """Return a ring about the shaft, or a disc if the bore is 0."""
     angle = 2.0 * math.pi * np.arange(around) / around
     rim = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(around)))
     inner = bore_m if bore_m > 0.0 else 0.25 * radius_m
@@ -270,7 +270,7 @@ def write_step(path: str | Path, sections: Array) -> None:
     Raises
     ------
     MuflyError
-        If build123d (the extra ``cad``) is not there, or makes no body of them.
+        If build123d (the extra ``cad``) is not installed, or cannot make a solid of them.
     """
     cad = _import_build123d()
     half = sections.shape[1] // 2
@@ -289,21 +289,21 @@ def write_step(path: str | Path, sections: Array) -> None:
 
 
 def read_step(path: str | Path) -> Array:
-    """Triangles of a STEP file's bodies within 0.01 mm and 0.1 rad: corners, (n, 3, 3) array (m).
+    """Read the solids of a STEP file as triangles within 0.01 mm and 0.1 rad: corners, (n, 3, 3) array (m).
 
     Raises
     ------
     MuflyError
-        If build123d (the extra ``cad``) is not there.
+        If build123d (the extra ``cad``) is not installed.
     InputError
-        If the file holds no body.
+        If the file contains no solid.
     """
     where, cad = Path(path).name, _import_build123d()
     if not Path(path).is_file():
         raise InputError(where, "", "is not there", "give a STEP file")
     try:
         points, faces = cad.import_step(str(path)).tessellate(0.01, 0.1)
-    except Exception as error:  # OCP raises classes of its own
+    except Exception as error:  # OCP raises its own exception classes
         raise InputError(where, "", f"cannot be read ({error})", "give a STEP file of a body") from None
     if not faces:
         raise InputError(where, "", "holds no body", "give a STEP file of a body")
@@ -317,7 +317,7 @@ def read_stl(path: str | Path, unit_m: float = 1e-3) -> Array:
     Raises
     ------
     InputError
-        If it is none.
+        If the file is not STL.
     """
     where = Path(path).name
     try:
@@ -345,13 +345,13 @@ def read_stl(path: str | Path, unit_m: float = 1e-3) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class BladeSlice:
-    """A blade cut at a radius.
+    """Cross-section of a blade at a radius.
 
     Attributes
     ----------
     r_m, chord_m, twist_rad : float
     contour : (n, 2) array
-        Over chord, Selig's order.
+        Coordinates over chord, in Selig's order.
     """
 
     r_m: float
@@ -361,9 +361,9 @@ class BladeSlice:
 
 
 def slice_blade(corners_m: Array, r_m: Sequence[float] | Array) -> list[BladeSlice]:
-    """Cut a surface of triangles, (n, 3, 3), into stations; see the module docstring.
+    """Cut a triangle surface, (n, 3, 3), at radii; see the module docstring.
 
-    Radii that cut no closed line are left out.
+    Radii without a closed curve are left out.
     """
     lines = [(float(r), loop) for r in r_m if (loop := _slice_contour(corners_m, float(r))) is not None]
     ends = [_farthest_points(loop) for _, loop in lines]
@@ -372,10 +372,10 @@ def slice_blade(corners_m: Array, r_m: Sequence[float] | Array) -> list[BladeSli
     out = []
     for (r, loop), (i, j) in zip(lines, ends, strict=True):
         flat = loop * [sign, 1.0]
-        if _signed_area(flat) > 0.0:  # nose to the right: over the upper side from tail to nose is clockwise
+        if _signed_area(flat) > 0.0:  # nose to the right: tail, upper side, nose is clockwise
             flat, i, j = flat[::-1], len(flat) - 1 - i, len(flat) - 1 - j
         nose, tail = (i, j) if flat[i, 0] > flat[j, 0] else (j, i)
-        # A blunt tail's corners, one of which is the point furthest away: the chord ends between them.
+        # Corners of a blunt trailing edge, one of which is the farthest point: the chord ends midway between them.
         edge = np.flatnonzero(
             np.hypot(*(flat - flat[tail]).T) < _BLUNT_TAIL_SIZE * np.hypot(*(flat[tail] - flat[nose]))
         )
@@ -397,7 +397,10 @@ def slice_blade(corners_m: Array, r_m: Sequence[float] | Array) -> list[BladeSli
 
 
 def _compare_end_thickness(loop: Array, i: int, j: int) -> float:
-    """Above 0 if the nose is the end with the greater y: it is the thicker one, or, of alike ends, the higher one."""
+    """Return a value above 0 if the leading edge is the end with the greater y.
+
+    The leading edge is the thicker end, or, at equal thickness, the higher end.
+    """
     front, back = (i, j) if loop[i, 0] > loop[j, 0] else (j, i)
     chord = loop[back] - loop[front]
     size = float(np.hypot(*chord))
@@ -420,32 +423,33 @@ def rotor_from_body(
     blades: int | None = None,
     name: str = "",
 ) -> tuple[Rotor, tuple[str, ...]]:
-    """Cut a blade, or a whole rotor of which a blade lies along x, into stations; contours become files in ``folder``.
+    """Make a rotor of a solid: a blade, or a whole rotor with a blade along x. Contours become files in ``folder``.
 
     Parameters
     ----------
     path : str or Path
-        STL or STEP file; the shaft along z through the origin, thrust upwards.
+        STL or STEP file; the shaft lies along z through the origin, thrust upwards.
     stations : int
+        Number of stations.
     unit_m : float, optional
-        Length of 1 in an STL file (m); a STEP file says it. Default: mm, if the radius is then that of a rotor.
+        Unit of length of an STL file (m); STEP files state it. Default: mm, if the radius is then plausible.
     folder : str or Path
-        For the contours, ``NAME-K.dat``, to which the rotor refers.
+        Folder of the contours ``NAME-K.dat``, to which the rotor refers.
     blades : int, optional
-        Default: 2.
+        Number of blades. Default: 2.
     name : str
-        Default: the file's.
+        Name of the rotor. Default: the file's.
 
     Returns
     -------
     rotor : Rotor
     notes : tuple of str
-        What was guessed.
+        Values that were guessed.
 
     Raises
     ------
     InputError
-        If the file holds no body, or no plane cuts a closed section.
+        If the file contains no solid, or no plane cuts a closed section.
     """
     where, called = Path(path).name, name or Path(path).stem
     step = Path(path).suffix.lower() in (".step", ".stp")
@@ -455,7 +459,7 @@ def rotor_from_body(
         raise InputError(where, "", "has nothing at x > 0", "let the blade lie along x, the shaft along z")
     share = np.linspace(0.05, 1.0, 200)[:-1]
     found = {s.r_m: s for s in slice_blade(corners, radius * share)}
-    # The blade: where the section's nose and tail lie in front of and behind x, from the innermost such radius on.
+    # The blade begins at the innermost radius where the section's nose lies in front of the x axis and its tail behind.
     good = [s for s in found.values() if s.chord_m < 0.6 * radius and float(np.ptp(s.contour[:, 1])) < 0.5]
     if len(good) < 4:
         raise InputError(where, "", "cuts into no closed sections along x", "give one closed blade along x")
@@ -492,7 +496,7 @@ def rotor_from_body(
 
 
 def _drop_duplicate_points(contour: Array) -> Array:
-    """A contour without points that lie on each other."""
+    """Return a contour without coincident points."""
     step = np.hypot(*np.diff(contour, axis=0).T)
     return contour[np.concatenate(([True], step > 1e-5))]
 
@@ -503,14 +507,14 @@ def _signed_area(loop: Array) -> float:
 
 
 def _farthest_points(loop: Array) -> tuple[int, int]:
-    """The two points of a line that are furthest apart."""
+    """Return the two points of a curve that are furthest apart."""
     apart = np.sum((loop[:, None] - loop[None]) ** 2, axis=2)
     i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
     return int(i), int(j)
 
 
 def _slice_contour(corners: Array, r: float) -> Array | None:
-    """The closed line (y, z) nearest to y = 0 in which the plane x = r cuts the triangles; None if there is none."""
+    """Return the closed curve (y, z) nearest to y = 0 in which the plane x = r cuts the triangles, or None."""
     side = corners[:, :, 0] > r
     cut = np.flatnonzero(side.any(axis=1) & ~side.all(axis=1))
     ends: list[tuple[Array, Array]] = []

@@ -1,52 +1,49 @@
-"""Blades laid out as arrays for the solver: stations, polars, and the corrections that depend on geometry only.
+"""Blades as arrays for the solver: stations, polars, and the corrections that depend on geometry only.
 
-Stations sit in the middle of panels whose edges follow x = x0 + (1 - x0) (1 - cos t) / 2 with t uniform, so
-that they crowd where the loading bends, at hub and tip.
+Stations sit in the middle of panels whose edges follow x = x0 + (1 - x0) (1 - cos t) / 2 with t uniform. They are dense
+at hub and tip, where the loading varies fastest.
 
 Corrections of a blade element calculation; derivations: docs/explanation/bemt.md, their effect on the error:
 docs/log/2026-11-28-bemt-accuracy.md.
 
-* ``tip_loss``: ``"prandtl"`` is F = (2/pi) acos exp(-f), f = N (R - r) / (2 r |sin phi|) (Glauert's form of
-Prandtl's
-  factor; Leishman, sec. 3.3.10); ``"effective_radius"`` is eq. 3.13 of the dissertation, no lift beyond
-  R_e = R (1 - 1.386 lambda / (N sqrt(1 + lambda^2))); ``"none"``.
+* ``tip_loss``: ``"prandtl"`` is F = (2/pi) acos exp(-f), f = N (R - r) / (2 r |sin phi|).
+  This is Glauert's form of Prandtl's factor (Leishman, sec. 3.3.10). ``"effective_radius"`` is eq. 3.13 of the
+  dissertation: no lift beyond R_e = R (1 - 1.386 lambda / (N sqrt(1 + lambda^2))); ``"none"``.
 * ``hub_loss``: the same factor at the inner end of the blade, f = N (r - r0) / (2 r0 |sin phi|).
 * ``swirl``: induced velocity at right angles to the relative wind, not to the disc.
 * ``lifting_surface``: flow tangency at three quarters of the chord (below).
-* ``rotation``: on a rotating blade the air in a separated layer is flung outwards and pressed towards the trailing
-  edge, and the pressure stays nearer to that of attached flow than in two dimensions. Attached potential flow
-  presses on a thin section with c_n = 2 pi sin a cos a (a = alpha - alpha_0); a share g of what the polar lacks
-  of its lift is given back. The suction on the leading edge is not: the recovered force is normal to the chord
-  (own derivation)::
+* ``rotation``: stall delay. Centrifugal and Coriolis forces act on the separated air of a rotating blade, so that the
+  pressure stays closer to that of attached flow than in two dimensions. Attached potential flow gives a thin section
+  the normal force c_n = 2 pi sin a cos a (a = alpha - alpha_0). A fraction g of the lift deficit of the polar is
+  restored. Leading-edge suction is not: the recovered force is normal to the chord (own derivation)::
 
       delta c_l = g (2 pi sin a cos^2 a - c_l),    delta c_d = delta c_l tan alpha
 
-  g is published, from boundary-layer theory and wind turbines: ``"dumitrescu-cardos"`` 1 - exp(-1.25 / (r/c - 1))
-  (J. Phys. Conf. Ser. 75, 012022, 2007), which stays below 1 however wide the blade; ``"snel"`` 3 (c/r)^2
-  (ECN-C-93-052, 1994); ``"chaviaropoulos-hansen"`` 2.2 (c/r) cos^4 theta (J. Fluids Eng. 122, 2000), both cut
-  at 1; ``"none"``. Full to |alpha| = 30 degrees, gone at 50; it never lowers the lift.
+  g is published, from boundary-layer theory and wind turbines: ``"dumitrescu-cardos"`` 1 - exp(-1.25 / (r/c - 1)) (J.
+  Phys. Conf. Ser. 75, 012022, 2007), which stays below 1 for every chord; ``"snel"`` 3 (c/r)^2 (ECN-C-93-052, 1994);
+  ``"chaviaropoulos-hansen"`` 2.2 (c/r) cos^4 theta (J. Fluids Eng. 122, 2000), both cut at 1; ``"none"``. The model
+  applies in full up to |alpha| = 30 degrees, fades out at 50, and never lowers the lift.
 
 Finite chord: the blade as a lifting surface with one row of horseshoe vortices (own derivation,
 docs/explanation/bemt.md).
 
-Blade element theory puts the whole blade on one line. A blade of aspect ratio 2.5 to 6 is not a line: the
-downwash of its own trailing vortices grows along the chord, and the flow has to be tangent to the chord, not to
-a line. Weissinger's rule (NACA TM 1120, 1947) satisfies tangency at three quarters of the chord with the vortex
-at one quarter, exact for a flat plate in two dimensions. With G the circulation of the panels of one blade,
+Blade element theory represents the blade by a line. On a blade of aspect ratio 2.5 to 6 the downwash of its own
+trailing vortices grows along the chord, and the flow has to be tangent to the whole chord. Weissinger's rule (NACA TM
+1120, 1947) satisfies tangency at three quarters of the chord with the vortex at one quarter. The rule is exact for a
+flat plate in two dimensions. With G the circulation of the panels of one blade,
 
     w_34 = A34 G     downwash at three quarters of the chord from the blade's own bound and near trailing vortices
-    w_14 = A14 G     the same on the quarter chord line, which is what a lifting line feels
-    G / (pi c)       what the bound vortex alone induces at three quarters of the chord in two dimensions
+    w_14 = A14 G     the same on the quarter chord line, as seen by a lifting line
+    G / (pi c)       downwash of the bound vortex alone at three quarters of the chord in two dimensions
 
-and a section in two dimensional flow that feels w_14 sees too large an angle, by
+A two-dimensional section with the downwash w_14 has an angle of attack that is too large by
 
     d_alpha = [A34 - A14 - diag(1 / (pi c))] G / W = e c_l,      e = c [(A34 - A14) G - G / (pi c)] / (2 G).
 
-e vanishes for large aspect ratio; what other blades and the far wake add to w_34 and w_14 is nearly the same
-and cancels, so only the near wake counts: straight legs to the trailing edge, then circular arcs. The shape of
-G is that of the blade alone in solid body rotation, A34 G = Omega r. Elliptic wing: e = (sqrt(1 + (2 / AR)^2) -
-1) / (2 pi), Helmbold's formula in the same terms; the straight-wing limit of this file meets Weissinger's lift
-slopes.
+e vanishes for large aspect ratio. The contributions of the other blades and the far wake to w_34 and w_14 are nearly
+equal and cancel. Only the near wake counts: straight legs to the trailing edge, then circular arcs. The shape of G is
+that of the blade alone in solid body rotation, A34 G = Omega r. For an elliptic wing e = (sqrt(1 + (2 / AR)^2) - 1) /
+(2 pi), which is Helmbold's formula. The straight-wing limit of this module agrees with Weissinger's lift slopes.
 """
 
 from __future__ import annotations
@@ -76,14 +73,14 @@ StallDelayModel = Literal["dumitrescu-cardos", "snel", "chaviaropoulos-hansen", 
 
 @dataclass(frozen=True)
 class Corrections:
-    """Switches of the blade element calculation. The default is the set that is compared with measurements.
+    """Switches of the corrections; the default is the set that is compared with measurements.
 
     Attributes
     ----------
     tip_loss, hub_loss, swirl, lifting_surface, rotation
         See the module docstring.
     drag_factor, lift_factor : float
-        Multipliers of the section coefficients: 1 unless a user calibrates on a rotor of his own.
+        Multipliers of the section coefficients; 1 unless the user calibrates them on a measured rotor.
 
     Thesis: eq. 3.13.
     """
@@ -122,7 +119,9 @@ TEXTBOOK_CORRECTIONS = Corrections(lifting_surface=False, rotation="none")  # te
 
 
 def stall_delay_strength(kind: StallDelayModel, chord_over_r: Array) -> Array:
-    """Return g of the module docstring, for Chaviaropoulos and Hansen without their cos^4 theta.
+    """Return the stall delay strength g of the module docstring, (stations,).
+
+    For Chaviaropoulos and Hansen the factor cos^4 theta is left out.
 
     Parameters
     ----------
@@ -141,11 +140,13 @@ def stall_delay_strength(kind: StallDelayModel, chord_over_r: Array) -> Array:
 
 
 def blunt_edge_drag(edge_m: float, chord_m: Array) -> Array:
-    """Return c_d of a blunt trailing edge times c_f^(1/3), c_f the drag of the section without it.
+    """Return the drag constant c_d c_f^(1/3) of a blunt trailing edge, (stations,).
 
-    Hoerner (Fluid-Dynamic Drag, 1965, ch. III): air that leaves a blunt edge of thickness h with the boundary layer of
-    the section sucks at its base, in plane flow by C_DB = 0.135 / (c_f c / h)^(1/3) on its own area, so that
-    c_d = 0.135 (h / c)^(4/3) / c_f^(1/3). Towards a pointed tip edges thin out: h / c counts up to a tenth.
+    c_f is the drag coefficient of the section without the blunt edge.
+
+    Hoerner (Fluid-Dynamic Drag, 1965, ch. III): the base drag of an edge of thickness h in plane flow is C_DB = 0.135 /
+    (c_f c / h)^(1/3) on the area of the base, so that c_d = 0.135 (h / c)^(4/3) / c_f^(1/3). The ratio h / c is limited
+    to 0.1, because edges thin out towards a pointed tip.
 
     Parameters
     ----------
@@ -157,10 +158,10 @@ def blunt_edge_drag(edge_m: float, chord_m: Array) -> Array:
 
 
 def find_zero_lift_angle(table: PolarTable) -> float:
-    """Angle of zero lift (rad) of a table at Re 3e5 or its nearest, closest to zero; 0 if there is none.
+    """Return the zero-lift angle (rad) of a polar at the Reynolds number nearest to 3e5.
 
-    The potential lift line of the rotation models goes through it: the boundary layer is thin there, and the angle is
-    close to that of the section in an inviscid fluid.
+    Of several the angle closest to zero counts; the result is 0 if there is none. The potential lift line of the stall
+    delay models passes through this angle: the boundary layer is thin there, so that it is close to the inviscid one.
     """
     near = np.abs(table.alpha_rad) <= np.deg2rad(20.0)
     row = int(np.argmin(np.abs(np.log(table.reynolds / 3e5))))
@@ -175,29 +176,30 @@ def find_zero_lift_angle(table: PolarTable) -> float:
 Integers = NDArray[np.int64]
 
 STATION_COUNT = 24
-_DEFAULT_THICKNESS_RATIO = 0.12  # over chord, of a section whose table does not say
+_DEFAULT_THICKNESS_RATIO = 0.12  # over chord, of a section whose polar states none
 
 
 @dataclass(frozen=True, eq=False)
 class Blading:
-    """One or several rotors, ready to be solved. Make it with :func:`prepare_blading`.
+    """One or several rotors as arrays for the solver; created by :func:`prepare_blading`.
 
     Attributes
     ----------
     rotors : tuple of Rotor
         The rotors, ``n`` of them.
     corrections : Corrections
-        What is switched on.
+        Active corrections.
     r_m, dr_m, chord_m, twist_rad, chord_factor, rotation : (n, stations) arrays
-        Stations; loss of angle per lift coefficient (rad), strength of the rotation model.
+        Radius, panel width and chord (m), twist (rad); loss of angle e per lift coefficient (rad), stall delay strength
+        g.
     edge_drag : (n, stations) array
-        Drag of the trailing edge's base times the third root of the section's drag: :func:`blunt_edge_drag`.
+        Drag constant of the blunt trailing edge, see :func:`blunt_edge_drag`.
     first, second, weight : (n, stations) arrays
-        Polars of the stack and their mix.
+        Indices of the two polars in the stack, and weight of the second.
     polars : PolarStack
         Polars of all rotors.
     polar_zero_lift_rad, thickness : (tables,) arrays
-        Zero-lift angle and thickness over chord of each polar; 0.12 where a table does not say.
+        Zero-lift angle and thickness over chord of each polar; 0.12 if the polar states none.
     """
 
     rotors: tuple[Rotor, ...]
@@ -218,7 +220,7 @@ class Blading:
 
     @cached_property
     def kernel_arrays(self) -> Any:
-        """All of it under the same names, a :data:`Blades`, as kernels take it."""
+        """All arrays as a :data:`Blades` tuple for the kernels."""
         names: tuple[str, ...] = Blades._fields
         return Blades(*(getattr(self, name) for name in names))
 
@@ -249,7 +251,7 @@ Blades = namedtuple(  # type: ignore[misc]
 
 
 def compute_panel_edges(cutout: float, stations: int) -> tuple[Array, Array]:
-    """Middle and edges of the panels, over R.
+    """Return middles and edges of the panels (r/R).
 
     Returns
     -------
@@ -272,15 +274,15 @@ def prepare_blading(
     corrections: Corrections | None = None,
     stations: int = STATION_COUNT,
 ) -> Blading:
-    """Lay blades out for :func:`mufly.rotor.bemt.solve_rotor` and its companions.
+    """Convert rotors to arrays for :func:`mufly.rotor.bemt.solve_rotor` and the other solvers.
 
     Parameters
     ----------
     rotors : Rotor or sequence of Rotor
-        One or many; many share one batch.
+        One rotor, or several for one batch.
     polars : mapping, optional
-        Airfoil name to polar, for every airfoil that the rotors name. By default they are computed (or recalled) by
-        ``engine`` at ``n_crit``, over Reynolds numbers from 2e3 to 6e6.
+        Polar by airfoil name, for every airfoil of the rotors. By default ``engine`` computes them (or reads them from
+        the cache) at ``n_crit``, for Reynolds numbers from 2e3 to 6e6.
     corrections : Corrections, optional
         Default: all that docs/explanation/bemt.md recommends.
     stations : int
@@ -356,7 +358,7 @@ def prepare_blading(
 
 
 def apply_section_fit(table: PolarTable, change: Sequence[float], reynolds: float) -> PolarTable:
-    """Return a polar with the change of a :class:`mufly.rotor.geometry.SectionFit` in its coefficients.
+    """Return a polar with its coefficients changed by a :class:`mufly.rotor.geometry.SectionFit`.
 
     Equations: :mod:`mufly.rotor.rotor_fit`.
     """
@@ -374,12 +376,12 @@ def apply_section_fit(table: PolarTable, change: Sequence[float], reynolds: floa
     )
 
 
-_MIN_DRAG_FRACTION = 0.3  # of the polar's that a fit leaves
-_FIT_REYNOLDS_RATIOS = (0.2, 5.0)  # of Reynolds numbers, within which a bench run says something
+_MIN_DRAG_FRACTION = 0.3  # of the polar's drag: least drag of a fit
+_FIT_REYNOLDS_RATIOS = (0.2, 5.0)  # range of Re / Re_m in which the fitted exponents apply
 
 
 def ensure_blading(rotor: Rotor | Blading) -> Blading:
-    """Return a blading as it is, and a rotor laid out with all defaults (a millisecond; keep it for loops)."""
+    """Return a blading unchanged; prepare a rotor with all defaults (about 1 ms; prepare once outside loops)."""
     return rotor if isinstance(rotor, Blading) else prepare_blading(rotor)
 
 
@@ -389,7 +391,7 @@ _NEAR_WAKE_POINTS = 14  # thrust within 0.03 % of 96
 
 @cached_njit
 def _segment_downwash(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
-    """Velocity along +z at (px, py, 0) from a unit vortex from a to b in the same plane (Biot and Savart)."""
+    """Return the z velocity at (px, py, 0) of a unit vortex from a to b in the same plane (Biot-Savart law)."""
     ux, uy, vx, vy = px - ax, py - ay, px - bx, py - by
     lu, lv = math.sqrt(ux * ux + uy * uy), math.sqrt(vx * vx + vy * vy)
     depth = lu * lv * (lu * lv + ux * vx + uy * vy)
@@ -402,12 +404,12 @@ def _segment_downwash(px: float, py: float, ax: float, ay: float, bx: float, by:
 def near_wake_downwash(
     points: Array, edge_x: Array, edge_c: Array, turn: float, straight: float, arc_points: int
 ) -> Array:
-    """Downwash per unit circulation of each panel of one blade.
+    """Return the downwash per unit circulation of each panel of one blade.
 
     Parameters
     ----------
     points : (m, 2) array
-        Where: along the blade, and behind the quarter chord line.
+        Evaluation points: coordinate along the blade, distance behind the quarter chord line.
     edge_x, edge_c : (n + 1,) arrays
         Radius and chord at the panel edges (any one unit of length).
     turn : float
@@ -415,16 +417,16 @@ def near_wake_downwash(
     straight : float
         Length of straight wake instead of arcs, for a wing in translation; 0 for a rotor.
     arc_points : int
-        Points on each arc, closer together near the blade.
+        Number of points on each arc, denser near the blade.
 
     Returns
     -------
     (m, n) array
-        Velocity against the lift, per circulation (1 / length).
+        Velocity opposite to the lift, per unit circulation (1 / length).
     """
     m, n = points.shape[0], edge_x.shape[0] - 1
     trail = np.zeros((m, n + 1))
-    path = np.empty((arc_points + 1, 2))  # of one trailing vortex: quarter chord, tail, wake
+    path = np.empty((arc_points + 1, 2))  # points of one trailing vortex: quarter chord, trailing edge, wake
     for j in range(n + 1):
         r, tail = edge_x[j], 0.75 * edge_c[j]
         path[0, 0], path[0, 1] = r, 0.0
@@ -453,7 +455,7 @@ def near_wake_downwash(
 def lifting_surface_chord_factor(
     mid_x: Array, edge_x: Array, mid_c: Array, edge_c: Array, *, straight_wake: float = 0.0
 ) -> Array:
-    """e of the module docstring, at every panel: angle lost (rad) per unit of lift coefficient.
+    """Return e of the module docstring: loss of angle of attack (rad) per unit lift coefficient, (n,).
 
     Parameters
     ----------
@@ -462,7 +464,7 @@ def lifting_surface_chord_factor(
     edge_x, edge_c : (n + 1,) arrays
         The same at their edges.
     straight_wake : float
-        For checks against wings: straight wake of this length and uniform wind. 0 for a rotor.
+        Length of a straight wake in uniform wind, for checks against wings; 0 for a rotor.
     """
     key = tuple(np.ascontiguousarray(v, dtype=np.float64).tobytes() for v in (mid_x, edge_x, mid_c, edge_c))
     return _cached_chord_factor(*key, straight_wake).copy()
@@ -481,5 +483,5 @@ def _cached_chord_factor(mid: bytes, edge: bytes, mid_chord: bytes, edge_chord: 
     circulation = np.linalg.solve(a34, wind)
     lost = (a34 - a14) @ circulation - circulation / (math.pi * mid_c)
     e = 0.5 * mid_c * lost / circulation
-    # The ratio is meaningless where the reference loading has no sign; a blade never gains angle from its own wake.
+    # The ratio is undefined where the reference loading is zero; the wake of a blade never increases its own angle.
     return np.clip(np.where(circulation > 0.0, e, 0.0), 0.0, 5.0)

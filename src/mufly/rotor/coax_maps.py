@@ -1,23 +1,22 @@
-"""A coefficient map of a coaxial pair: every combination of mean speed, speed ratio and climb, one after the other.
+"""Coefficient maps of a coaxial pair over mean speed, speed ratio and climb: computation and interpolation.
 
 A point (s, r, m) of the map is the pair at
 
     Omega_up = 2 s / (1 + r),    Omega_dw = r Omega_up,    V = m s R
 
-(:mod:`mufly.vehicle.coefficient_map` says why these three). Neighbours are solved one after the other, so that each
-starts from the inflow or the wake of the last one: the path turns round at the end of every row. Solved points are kept
-in a file beside the map as they come, and a run that is stopped goes on from there. Where the method gives no answer,
-as in descents in which the wakes blow back through the discs, a point takes the mean of its neighbours, from the known
-ones outwards, and is marked as not solved.
+(:mod:`mufly.vehicle.coefficient_map` gives the reason for these axes). Neighbours are solved in succession, and each
+point starts from the inflow or the wake of the previous one; the path reverses at the end of every row. Solved points
+are stored in a file beside the map, and an interrupted run resumes from it. If the method does not converge, as in
+descents with the wakes blown back through the discs, the point takes the mean of its solved neighbours and is marked as
+not solved.
 
-Interpolation in a coefficient map: smooth enough to be linearised, quick enough for every Runge-Kutta stage.
-
-Over ratio and climb: Catmull-Rom cubics, which go through the points and have continuous slopes,
+Interpolation is smooth for linearisation and fast for Runge-Kutta stages. Over ratio and climb it uses Catmull-Rom
+cubics, which pass through the points with continuous slopes,
 
     f(t) = f_0 + t (f_1 - f_-1)/2 + t^2 (f_-1 - 5/2 f_0 + 2 f_1 - f_2/2) + t^3 (3/2 (f_0 - f_1) + (f_2 - f_-1)/2)
 
-with the point that is missing beyond an edge on the line through the last two. Over the mean speed, where little
-changes, straight lines. Beyond its edges a map keeps the value that it has there.
+with the missing point beyond an edge extrapolated linearly from the last two. Over the mean speed, where coefficients
+vary little, it is linear. Beyond an edge the value at the edge is kept.
 """
 
 from __future__ import annotations
@@ -59,17 +58,17 @@ _MIN_SOLVED_SHARE = 0.5
 
 
 def map_climb_ratios(climb_m_s: Sequence[float], mean_speed_rad_s: Sequence[float], radius_m: float) -> Array:
-    """Return the climb axis of a map that holds these climb velocities (m/s) at every one of these mean speeds."""
+    """Return a climb axis that covers these climb velocities (m/s) at every one of these mean speeds."""
     return np.asarray(climb_m_s, dtype=np.float64) / (min(mean_speed_rad_s) * radius_m)
 
 
 def order_map_points(shape: tuple[int, int, int]) -> list[tuple[int, int, int]]:
-    """Return the points in an order in which each is a neighbour of the last."""
+    """Return the points in an order in which each is a neighbour of the previous one."""
     points: list[tuple[int, int, int]] = []
     for k in range(shape[0]):
         rows = range(shape[1]) if k % 2 == 0 else range(shape[1] - 1, -1, -1)
         for j in rows:
-            # From fast climb, where wakes are washed away and settle at once, to descent, and back.
+            # From fast climb, where wakes converge quickly, to descent, and back.
             back = (len(points) // shape[2]) % 2 == 1
             points += [(k, j, i) for i in (range(shape[2]) if back else range(shape[2] - 1, -1, -1))]
     return points
@@ -98,19 +97,19 @@ def compute_coax_map(
     Parameters
     ----------
     upper, lower : Blading
-        The first rotor of each is taken; both have the same radius.
+        Upper and lower rotor, the first rotor of each; both have the same radius.
     spacing_m, upper_pitch_rad, lower_pitch_rad, air
         As in :class:`mufly.rotor.RotorSystem` and :class:`mufly.rotor.OperatingCondition`.
     mean_speed_rad_s, ratio, climb_ratio : sequences of float
-        Axes, evenly spaced and rising; see :class:`mufly.vehicle.MapTables` and :func:`map_climb_ratios`.
+        Axes, increasing in equal steps; see :class:`mufly.vehicle.MapTables` and :func:`map_climb_ratios`.
     method : 'bemt' or 'wake'
         Blade elements (milliseconds a point) or vortex wakes (seconds).
     settings : WakeSettings, optional
         Of the wake method.
     name, note : str
-        Name of the map, and what else its ``settings`` shall say.
+        Name of the map, and a note for its ``settings``.
     kept : Path, optional
-        File of solved points; a run that was stopped goes on from it, and it is deleted at the end.
+        File of solved points; an interrupted run resumes from it. It is deleted at the end.
     progress : callable, optional
         ``progress(done, total)`` after each point.
 
@@ -121,7 +120,7 @@ def compute_coax_map(
     Raises
     ------
     InputError
-        If the radii differ, an axis is not possible, ``kept`` holds another map's points, or the rotors cannot be
+        If the radii differ, an axis is invalid, ``kept`` contains the points of another map, or the rotors cannot be
         solved together.
     MuflyError
         If fewer than half of the points are solved.
@@ -170,7 +169,7 @@ def compute_coax_map(
             at = OperatingCondition((upper_pitch_rad, lower_pitch_rad), (up, r * up), None, m * mean * radius, gas)
             try:
                 with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", VortexRingWarning)  # told by the description
+                    warnings.simplefilter("ignore", VortexRingWarning)  # the description reports it
                     pair = solve_from_neighbour(partial(solve_system, system, at, method, settings=how), last)
                 a, b = pair.rotors
                 answer, last = (a.c_T, a.c_Q, b.c_T, b.c_Q, pair.converged), pair if pair.converged else None
@@ -206,7 +205,7 @@ def compute_coax_map(
 
 
 def _describe_vortex_ring(tables: MapTables) -> str:
-    """How many points sink into their own wake; the discs' two thrusts as one (Leishman 2006, Sec. 2.13.6)."""
+    """Report the number of points in vortex ring state; both thrusts act on one disc (Leishman 2006, Sec. 2.13.6)."""
     ratio = tables.ratio[None, :, None]
     up = 2.0 / (1.0 + ratio)  # upper speed over the mean
     thrust = np.maximum(tables.cT_upper * up**2 + tables.cT_lower * (ratio * up) ** 2, 0.0)
@@ -240,7 +239,7 @@ def _check_axes(axes: Sequence[Array]) -> None:
 
 
 def _fill_unsolved(values: Array, solved: NDArray[np.bool_]) -> Array:
-    """Fill what is not solved with the mean of its neighbours along the three axes, from the known ones outwards."""
+    """Fill unsolved points with the mean of their neighbours along the three axes, starting beside solved points."""
     found = np.where(solved[..., None], values, np.nan)
     known = solved.copy()
     while not known.all():
@@ -260,7 +259,7 @@ def _fill_unsolved(values: Array, solved: NDArray[np.bool_]) -> Array:
 
 
 def _hash_bladings(*bladings: Blading) -> str:
-    """Hash of what is solved: blades and polars."""
+    """Return the hash of blades and polars."""
     parts: list[object] = []
     for b in bladings:
         parts += [b.r_m, b.chord_m, b.twist_rad, b.polars.grid, b.blades, repr(b.corrections)]
@@ -275,7 +274,10 @@ _WRONG_MAP_MESSAGE = (
 
 @cached_njit(error_model="numpy")
 def _cubic_weights(x: float, n: int) -> tuple[int, float, float, float, float]:
-    """First of four neighbouring points, and their weights, at ``x`` in steps from the first point of ``n``."""
+    """Return the index of the first of four neighbouring points and their weights.
+
+    ``x`` is the position in steps from the first of ``n`` points.
+    """
     x = min(max(x, 0.0), n - 1.0)
     i = min(int(x), n - 2)
     t = x - i
@@ -311,9 +313,9 @@ def interpolate_tables(
         Thrust and torque of upper and lower rotor, in the order of C over (mean speed, ratio, climb).
     size : (3,) integer array
     start, per_step : (3,) arrays
-        First value of each axis, and one over its step.
+        First value of each axis, and reciprocal of its step.
     mean, ratio, climb_ratio : float
-        Where.
+        Point of interpolation.
 
     Returns
     -------
@@ -325,7 +327,7 @@ def interpolate_tables(
     s -= k0
     j0, ra, rb, rc, rd = _cubic_weights((ratio - start[1]) * per_step[1], nr)
     i0, ca, cb, cc, cd = _cubic_weights((climb_ratio - start[2]) * per_step[2], nc)
-    # At the edges a neighbour is not there; its weight is zero, so any other will do.
+    # At the edges a neighbour is missing; its weight is zero, so any index is valid.
     i_a, i_b, i_c, i_d = max(i0, 0), i0 + 1, i0 + 2, min(i0 + 3, nc - 1)
     ut = uq = lt = lq = 0.0
     for k in range(2):
@@ -371,8 +373,8 @@ def interpolate_map(
     values : (..., 4) array
         c_T upper, c_Q upper, c_T lower, c_Q lower.
     outside : (...) array of bool
-        True where a point lies beyond an edge of ratio or climb, or beyond the range of several mean speeds, and the
-        value of the edge is returned.
+        True where a point lies beyond an edge of ratio or climb, or beyond the range of mean speeds if there are
+        several. The value at the edge is returned there.
     """
     points = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (mean_speed_rad_s, ratio, climb_ratio)))
     arguments = pack_map_tables(coefficients)

@@ -1,8 +1,8 @@
-"""What a rotor is: number of blades, radius, and chord, twist and airfoil along the blade.
+"""Geometry of a rotor, and reading and writing of rotor files.
 
-A rotor file (TOML) tabulates the blade from hub to tip over ``r/R``; between stations chord and twist are
-interpolated linearly and the polars of the two neighbouring airfoils are mixed in the same proportion. Between the
-hub cut-out and the first station everything is held constant. Per blade, with x = r/R and x0 the cut-out:
+A rotor file (TOML) tabulates the blade from hub to tip over ``r/R``; between stations chord and twist are interpolated
+linearly and the polars of the two neighbouring airfoils are mixed in the same proportion. Between the hub cut-out and
+the first station all are constant. Per blade, with x = r/R and x0 the cut-out:
 
     area          A_b = R int_x0^1 c dx                                     m2
     solidity      sigma = N A_b / (pi R^2)
@@ -12,8 +12,6 @@ hub cut-out and the first station everything is held constant. Per blade, with x
 
 All integrals are exact for the piecewise linear tables. ``twist`` is the angle of the chord line against the rotor
 plane at zero pitch setting, nose up positive; the pitch setting of an operating point is added to it.
-
-From a rotor file (TOML) to a checked :class:`Rotor`, and back.
 """
 
 from __future__ import annotations
@@ -46,7 +44,7 @@ def _make_validation_error(key: str, problem: str, remedy: str) -> PydanticCusto
 
 
 class StationColumn(ParameterGroup):
-    """One quantity at every station of a blade, with unit and provenance."""
+    """Values of a quantity at every station of a blade, with unit and provenance."""
 
     value: tuple[float, ...]
     unit: str
@@ -59,7 +57,7 @@ class StationColumn(ParameterGroup):
 
 
 class BladeSections(NamedTuple):
-    """A blade at chosen radii. The section at ``i`` has the airfoil ``names[first[i]]`` mixed with
+    """Sections of a blade at chosen radii. The section at ``i`` has the airfoil ``names[first[i]]`` mixed with
     ``names[second[i]]``: coefficient = (1 - weight) first + weight second."""
 
     r_over_R: Array
@@ -112,7 +110,7 @@ class Blade(ParameterGroup):
 
 
 class SectionCandidate(ParameterGroup):
-    """One section that a bench run leaves possible, and what it asks of that section."""
+    """Candidate section of a fit to a bench run, with its probability and fitted changes."""
 
     airfoils: tuple[str, ...] = Field(min_length=1, description="as in [blade]")
     probability: float = Field(ge=0.0, le=1.0)
@@ -133,10 +131,10 @@ class SectionCandidate(ParameterGroup):
 
 
 class SectionFit(ParameterGroup):
-    """What a bench run said about a rotor's sections (:func:`mufly.rotor.fit_rotor`), the likeliest first.
+    """Sections of a rotor fitted to a bench run (:func:`mufly.rotor.fit_rotor`), the likeliest first.
 
-    The twist is turned and the coefficients of the polars are changed as :mod:`mufly.rotor.rotor_fit` writes it, Re
-    over ``reynolds`` kept between 0.2 and 5. A section may be there with several widths of its priors.
+    Twist and polar coefficients change by the equations of :mod:`mufly.rotor.rotor_fit`; Re over ``reynolds`` is
+    limited to 0.2 to 5. A section may occur several times, with different widths of its priors.
     """
 
     bench: str = Field(description="where the measurements are from")
@@ -152,7 +150,7 @@ class SectionFit(ParameterGroup):
     candidates: tuple[SectionCandidate, ...] = Field(min_length=1)
 
     def list_sections(self) -> list[tuple[str, float]]:
-        """Return the sections that are left, in words, with their probabilities, the likeliest first."""
+        """Return a text of the candidate sections with their probabilities, the likeliest first."""
         shares: dict[str, float] = {}
         for c in self.candidates:
             name = "/".join(dict.fromkeys(c.airfoils))
@@ -161,7 +159,7 @@ class SectionFit(ParameterGroup):
 
 
 class Rotor(ParameterGroup):
-    """A rotor, as read from a rotor file. All values in SI units."""
+    """Rotor as read from a rotor file; all values in SI units."""
 
     name: str = Field(min_length=1, description="short name")
     description: str = Field(default="", description="one line about the rotor")
@@ -211,12 +209,12 @@ class Rotor(ParameterGroup):
 
     @property
     def disc_area_m2(self) -> float:
-        """Area of the disc, pi R^2."""
+        """Area of the disc, pi R^2 (m^2)."""
         return math.pi * self.radius_m**2
 
     @property
     def blade_area_m2(self) -> float:
-        """Area of one blade from cut-out to tip."""
+        """Area of one blade from cut-out to tip (m^2)."""
         return self.radius_m * self._chord_moment(0)
 
     @property
@@ -235,7 +233,7 @@ class Rotor(ParameterGroup):
         return (self.radius_m - self.hub_radius_m) ** 2 / self.blade_area_m2
 
     def _chord_moment(self, power: int) -> float:
-        """Integral of c x^power over x from the cut-out to 1, exact for the piecewise linear chord."""
+        """Return the integral of c x^power over x from the cut-out to 1, exact for the piecewise linear chord."""
         x0 = float(self.hub_cutout)
         inner = self.blade.r_over_R.array()
         x = np.concatenate(([x0], inner[inner > x0]))
@@ -245,15 +243,15 @@ class Rotor(ParameterGroup):
         return float(np.sum(half[:, None] * weights * self.chord_m(at) * at**power))
 
     def chord_m(self, r_over_R: ArrayLike) -> Array:
-        """Chord (m) at ``r/R``, linear between stations."""
+        """Return the chord (m) at ``r/R``, linear between stations."""
         return np.interp(np.asarray(r_over_R, dtype=np.float64), self.blade.r_over_R.value, self.blade.chord.value)
 
     def twist_rad(self, r_over_R: ArrayLike) -> Array:
-        """Twist (rad) at ``r/R``, linear between stations."""
+        """Return the twist (rad) at ``r/R``, linear between stations."""
         return np.interp(np.asarray(r_over_R, dtype=np.float64), self.blade.r_over_R.value, self.blade.twist.value)
 
     def airfoil_names(self) -> tuple[str, ...]:
-        """Return the different airfoils, hub first."""
+        """Return the names of the distinct airfoils, hub first."""
         return tuple(dict.fromkeys(self.blade.airfoils))
 
     def sections_at(self, r_over_R: ArrayLike) -> BladeSections:
@@ -287,7 +285,7 @@ class Rotor(ParameterGroup):
 
 
 def blade_thickness_m(rotor: Rotor, r_over_R: ArrayLike) -> Array:
-    """Greatest thickness of the blade at the given radii.
+    """Return the greatest thickness of the blade at the given radii.
 
     Parameters
     ----------
@@ -299,13 +297,13 @@ def blade_thickness_m(rotor: Rotor, r_over_R: ArrayLike) -> Array:
     Returns
     -------
     (n,) array
-        Chord times thickness ratio (m), mixed between stations as the polars are; nan where a station's section is a
-        table of coefficients without geometry.
+        Chord times thickness ratio (m), mixed between stations as the polars are; nan where a section has only a polar
+        and no contour.
 
     Raises
     ------
     InputError
-        If an airfoil is unknown or unsound.
+        If an airfoil is unknown or its contour is invalid.
     """
     s = rotor.sections_at(r_over_R)
     ratio = np.array(
@@ -325,7 +323,7 @@ def builtin_rotors() -> list[str]:
 def load_rotor(name_or_path: str | Path) -> Rotor:
     """Read a rotor by built-in name or from a TOML file.
 
-    Airfoil files named in a rotor file are sought beside it first.
+    Airfoil files named in a rotor file are searched beside it first.
 
     Parameters
     ----------
@@ -362,7 +360,7 @@ def _resolve_airfoil_path(folder: Path, name: Any) -> Any:
 
 
 def rotor_from_tables(tables: Mapping[str, Any], where: str = "rotor") -> Rotor:
-    """Make a checked rotor of nested dictionaries with the keys of a rotor file.
+    """Make a validated rotor from nested dictionaries with the keys of a rotor file.
 
     Raises
     ------
@@ -394,7 +392,7 @@ def make_rotor(
     radius_m : float
         Radius (m).
     chord_m, twist_rad : float or (n,) array_like
-        Chord (m) and twist (rad) at the stations; one number holds along the blade.
+        Chord (m) and twist (rad) at the stations; a scalar applies to the whole blade.
     airfoils : str or n names
         Airfoil of the blade, or of each station.
     r_over_R : (n,) array_like
@@ -445,10 +443,10 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
     rotor : Rotor
         The rotor to start from.
     values : mapping
-        New SI values by dotted key, as in ``{"radius": 0.07, "blade.chord": 0.025, "blades": 3}``. One number for a
-        column holds at every station.
+        New SI values by dotted key, as in ``{"radius": 0.07, "blade.chord": 0.025, "blades": 3}``. A scalar for a
+        column applies to every station.
     source : str
-        Provenance that the changed values get.
+        Provenance of the changed values.
 
     Raises
     ------
@@ -472,7 +470,7 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
         if last == "airfoils":
             table[last] = [value] if isinstance(value, str) else list(value)
             if table[last] != list(rotor.blade.airfoils):
-                tables.pop("fit", None)  # it belongs to the sections that it was made with
+                tables.pop("fit", None)  # a fit is valid only for its own sections
         elif isinstance(table[last], dict):
             column = isinstance(table[last]["value"], list | tuple)
             listed = np.asarray(value, dtype=np.float64).tolist() if column else value

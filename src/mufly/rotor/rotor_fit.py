@@ -1,35 +1,33 @@
-"""A bench run makes a rotor: which section fits, and what has to change in its coefficients.
+"""Fit of a rotor to a bench run: its likeliest sections, and the changes of their coefficients.
 
-The sections of a blade are the least known part of it (docs/accuracy.md), so a run on a bench is asked for them. For
-each section that is possible the coefficients of its polar become
+The sections are the least known part of a blade (docs/accuracy.md), so they are estimated from a bench run. For each
+candidate section the coefficients of its polar become
 
     c_l = c_l0 (Re / Re_m)^a exp(l)        c_d = c_d0 (Re / Re_m)^b + (exp(d) - 1) c_d0(Re_m)        theta = theta_0 + p
 
-What the drag has more than its polar is thus the same at every Reynolds number: roughness, steps of printed layers,
-blunt edges and separation press on a section, they do not rub on it, and such drag hardly depends on it (Hoerner,
-Fluid-Dynamic Drag, 1965, ch. V). At least 0.3 c_d0 is left. Re_m is the geometric mean of the measured points' Reynolds
-numbers at 0.75 R, the ratio is kept within 0.2 and 5; ``p`` stands for the zero-lift angle, the pitch setting and the
-twist, which no bench can tell apart; ``l`` and ``d`` also for what the method itself gets wrong. With prior deviations
-s the five are found by least squares,
+The added drag is the same at every Reynolds number: roughness, layer steps of prints, blunt edges and separation cause
+pressure drag, which hardly depends on it (Hoerner, Fluid-Dynamic Drag, 1965, ch. V). c_d stays above 0.3 c_d0. Re_m is
+the geometric mean of the measured points' Reynolds numbers at 0.75 R; the ratio is limited to 0.2 to 5. ``p`` includes
+zero-lift angle, pitch setting and twist, which a bench cannot separate. ``l`` and ``d`` also absorb errors of the
+method. With prior deviations s the five parameters are found by least squares,
 
     chi^2 = sum ((T - T_m) / (0.02 T_s))^2 + sum ((Q - Q_m) / (0.03 Q_s))^2 + sum (x / s)^2
 
-T_s, Q_s are the measured T_m, Q_m in hover. In axial flight, where thrust ends at some airspeed, they are at least 0.3
-of the greatest that was measured, brought to the point's speed by its square: what a balance misses there is a share of
-its range. With next to nothing induced where thrust ends, runs in a tunnel tell the angle from the lift.
+T_s, Q_s are the measured T_m, Q_m in hover. In axial flight, where thrust vanishes at some airspeed, they are at least
+0.3 of the greatest measured load, scaled by the square of the rotor speed, because the error of a balance is a fraction
+of its range. Tunnel runs separate angle and lift, because induced velocity is small where thrust vanishes.
 
-each time with the deviations of p, l and d as below, and with two and four times these, equally likely (Jeffreys' prior
-of a scale): some blades differ from any list by more than the list's doubts, and a prior that holds a fit off from a
-measured point would make less of the point than it says. The curvature H gives the covariance H^-1, times chi^2 of the
-points over their degrees of freedom where that is more than 1 (Birge, Phys. Rev. 40, 207, 1932). How probable a
-section, and a width, is follows from Laplace's approximation (MacKay, Neural Computation 4, 415, 1992): its prior times
-exp(-chi^2 / 2) / sqrt(det H).
+Each fit is repeated with one, two and four times the prior deviations of p, l and d, equally likely (Jeffreys' prior of
+a scale), because some blades differ from every candidate by more than the priors allow. The curvature H gives the
+covariance H^-1, times chi^2 of the points over their degrees of freedom if that exceeds 1 (Birge, Phys. Rev. 40, 207,
+1932). The probability of a section and width follows from Laplace's approximation (MacKay, Neural Computation 4, 415,
+1992): its prior times exp(-chi^2 / 2) / sqrt(det H).
 
-Priors, none of them fitted to a measurement: the pitch setting 0.5 degrees, and a section's camber, which moves the
-zero-lift angle by 2 rad a chord (thin airfoil, parabola): 0.3 % of the chord for a section that is known, 0.6 %
-between those of the list. Lift 4 % (engines of polars, docs/log/2026-11-28-polars.md) and 5 % (method); drag
-8 % and 8 %; exponents 0.05 and 0.2. Sections that are guessed: :mod:`mufly.rotor.blade_families`. Hub cut-out and
-transition do to thrust and torque what lift, drag and their exponents do as well, and are left as they are.
+The priors are not fitted to measurements. Pitch setting: 0.5 degrees. Camber, which moves the zero-lift angle by 2 rad
+per chord (thin airfoil, parabola): 0.3 % of the chord for a known section, 0.6 % between candidates. Lift: 4 % (polar
+engines, docs/log/2026-11-28-polars.md) and 5 % (method). Drag: 8 % and 8 %. Exponents: 0.05 and 0.2. Priors of guessed
+sections: :mod:`mufly.rotor.blade_families`. Hub cut-out and transition have the same effects as lift, drag and their
+exponents, and are not fitted.
 """
 
 from __future__ import annotations
@@ -58,38 +56,39 @@ from mufly.rotor.sections.polar_table import PolarTable, stack_polars
 Array = NDArray[np.float64]
 
 FIT_PARAMETERS = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
-_SIGMA_THRUST, _SIGMA_TORQUE = 0.02, 0.03  # what a method misses of one point and not of the next
+_SIGMA_THRUST, _SIGMA_TORQUE = 0.02, 0.03  # scatter of the method's error from point to point, relative
 _PRIOR_WIDTH_FACTORS = (1.0, 2.0, 4.0)  # factors on the deviations of pitch, lift and drag
-_MIN_AXIAL_SCALE = 0.3  # of T_s and Q_s in axial flight, of the greatest
-_DERIVATIVE_STEP = 1e-3  # of the prior deviations, for derivatives
+_MIN_AXIAL_SCALE = 0.3  # least T_s and Q_s in axial flight, of the greatest load
+_DERIVATIVE_STEP = 1e-3  # step of derivatives, in prior deviations
 _MIN_CANDIDATE_PROBABILITY = 0.01  # candidates below this probability are left out of the file
 _UNINFORMED_STD_RATIO, _HIGH_CORRELATION = 0.8, 0.9
 
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:fit_picture")
 class RotorFit:
-    """What a bench run says about a rotor.
+    """Result of a fit to a bench run.
 
     Attributes
     ----------
     rotor : Rotor
-        The rotor with it.
+        Fitted rotor.
     change, std, prior_std : (5,) arrays
-        Of the likeliest section: :data:`FIT_PARAMETERS` (rad, logarithms, exponents).
+        Estimate, posterior and prior deviation of :data:`FIT_PARAMETERS` (rad, logarithms, exponents), likeliest
+        section.
     correlation : (5, 5) array
     undecided : tuple of str
-        What the bench cannot tell, in words.
+        Parameters that the bench run does not determine.
     measured : Measurements
     before, after : (2, n) arrays
-        Thrust and torque less the measured ones, over ``load_scales``: of the rotor as given, and of the fit.
+        Errors of thrust and torque over ``load_scales``, without and with the fit.
     size : (2, n) array
-        T_s (N) and Q_s (N m) of the module: in hover what was measured.
+        T_s (N) and Q_s (N m) of the module docstring.
     held_out : (2,) array
-        Mean size of that error at points that a fit did not see; nan where there are too few.
+        Mean absolute error of thrust and torque at held-out points; nan if there are too few.
     held_out_note : str
-        Which points these were.
+        Description of the held-out points.
     air : Air
-        In which it was measured.
+        Air of the measurement.
     """
 
     rotor: Rotor
@@ -108,14 +107,14 @@ class RotorFit:
 
     @property
     def fit(self) -> SectionFit:
-        """What stands in the rotor file."""
+        """Fit as stored in the rotor file."""
         assert self.rotor.fit is not None
         return self.rotor.fit
 
 
 @dataclass(frozen=True)
 class _BenchPoints:
-    """Points as the fit sees them."""
+    """Measured points, prepared for the fit."""
 
     pitch_rad: Array
     speed_rad_s: Array
@@ -128,7 +127,7 @@ class _BenchPoints:
 
 @dataclass(frozen=True)
 class _FittedSection:
-    """One section, fitted."""
+    """Fit of a single candidate section."""
 
     log_evidence: float
     airfoils: tuple[str, ...]
@@ -151,29 +150,29 @@ def fit_rotor(
     corrections: Corrections | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> RotorFit:
-    """Find the sections of a rotor from measured points; one is enough, a sweep says more.
+    """Estimate the sections of a rotor from measured points, at least one; a sweep is more informative.
 
     Parameters
     ----------
     rotor : Rotor
-        As it is believed to be; a fit that it holds already is left out.
+        Rotor with prior geometry and airfoils; a fit that it already contains is ignored.
     measurements : Measurements
-        The bench, in hover or along the shaft, as in a tunnel.
+        Measured points in hover or in axial flow, as in a wind tunnel.
     section : 'guessed' or 'known'
-        Whether the airfoils of the rotor file are one guess among others, or known.
+        Whether the airfoils of the rotor file are a guess among other candidates, or known.
     family : str
-        Of a guessed section: one of :data:`mufly.rotor.blade_families.BLADE_FAMILIES`, if it is known.
+        Family of a guessed section, if known: one of :data:`mufly.rotor.blade_families.BLADE_FAMILIES`.
     air, n_crit, engine, corrections
         As for :func:`mufly.rotor.prepare_blading` and :func:`mufly.rotor.solve_rotor`.
     progress : callable, optional
-        Sections done, and in all.
+        ``progress(done, total)`` after each section.
 
     Raises
     ------
     InputError
-        If ``section`` is neither, or no point has thrust.
+        If ``section`` is invalid, or no point has thrust.
     MuflyError
-        If no section comes near to the measurements.
+        If no section agrees with the measurements.
     """
     if section not in ("guessed", "known"):
         raise InputError("fit", "section", f"{section!r} is unknown", "use 'guessed' or 'known'")
@@ -258,7 +257,7 @@ def fit_rotor(
 
 
 def _prior_deviations(known: bool) -> Array:
-    """Prior standard deviations of :data:`FIT_PARAMETERS`."""
+    """Return the prior standard deviations of :data:`FIT_PARAMETERS`."""
     camber = 0.003 if known else GRID_STEP_STD[0]
     pitch = math.hypot(math.radians(0.5), ZERO_LIFT_PER_CAMBER * camber)
     return np.array([pitch, math.hypot(0.04, 0.05), math.hypot(0.08, 0.08), 0.05, 0.2])
@@ -281,7 +280,7 @@ def _value_range(values: Array) -> tuple[float, float]:
 
 
 def _compute_load_scales(measurements: RotorMeasurements, load: Array) -> Array:
-    """T_s and Q_s of the module, (2, n)."""
+    """Return T_s (N) and Q_s (N m) of the module docstring, (2, n)."""
     square = np.square(measurements.speed_rad_s)
     greatest = np.nanmax(np.where(np.isfinite(load), np.abs(load) / square, 0.0), axis=1)
     least = np.where(measurements.climb_m_s != 0.0, _MIN_AXIAL_SCALE * greatest[:, None] * square, 0.0)
@@ -289,7 +288,7 @@ def _compute_load_scales(measurements: RotorMeasurements, load: Array) -> Array:
 
 
 def _select_training_points(bench: _BenchPoints) -> tuple[NDArray[np.intp], str]:
-    """Points that a fit is shown to see how it does at the others."""
+    """Select the points of a fit that is tested at the remaining points."""
     n = bench.speed_rad_s.size
     if n < 2:
         return np.array([], dtype=np.intp), "one point alone cannot be checked on another"
@@ -300,7 +299,7 @@ def _select_training_points(bench: _BenchPoints) -> tuple[NDArray[np.intp], str]
 
 
 def _apply_change(blading: Blading, tables: Mapping[str, PolarTable], change: Array, reynolds: float) -> Blading:
-    """What :func:`mufly.rotor.prepare_blading` makes of a rotor with this fit, without laying it out again."""
+    """Return the blading of a rotor with this fit, equal to :func:`mufly.rotor.prepare_blading` but faster."""
     names = blading.rotors[0].airfoil_names()
     polars = stack_polars([apply_section_fit(tables[name], change.tolist(), reynolds) for name in names])
     return replace(blading, polars=polars, twist_rad=blading.twist_rad + change[0])
@@ -309,7 +308,7 @@ def _apply_change(blading: Blading, tables: Mapping[str, PolarTable], change: Ar
 def _compute_scaled_errors(
     blading: Blading, tables: Mapping[str, PolarTable], change: Array, bench: _BenchPoints
 ) -> Array:
-    """Errors of thrust and torque over their sizes, (2, n)."""
+    """Return errors of thrust and torque over their scales, (2, n)."""
     changed = _apply_change(blading, tables, change, bench.reynolds) if change.any() else blading
     out = solve_rotor_batch(
         changed,
@@ -329,7 +328,7 @@ def _fit_sections(
     wide: Array,
     bench: _BenchPoints,
 ) -> list[_FittedSection]:
-    """Every section fitted, the likeliest first."""
+    """Fit every section; return the fits, the likeliest first."""
     size = np.repeat([_SIGMA_THRUST, _SIGMA_TORQUE], bench.speed_rad_s.size)
     known = np.isfinite(bench.measured_loads.ravel())
     found = []
@@ -343,7 +342,7 @@ def _fit_sections(
                 return np.concatenate((off[known], z))
 
             def residual_jacobian(z: Array, miss: Callable[[Array], Array] = weighted_residuals) -> Array:
-                # SciPy's steps are shares of z: next to z = 0 they drown in the solver's tolerance.
+                # SciPy's steps are relative to z: near z = 0 they are smaller than the solver's tolerance.
                 here = miss(z)
                 return np.stack(
                     [(miss(z + step) - here) / _DERIVATIVE_STEP for step in _DERIVATIVE_STEP * np.eye(5)],
@@ -353,8 +352,8 @@ def _fit_sections(
             if not np.isfinite(weighted_residuals(np.zeros(5))).all():
                 continue
             solved = least_squares(weighted_residuals, np.zeros(5), jac=residual_jacobian, max_nfev=100)
-            # Near stall there may be two valleys, and the last digits of a polar, other on each processor, decide
-            # which one is met: so also from where the width before ended.
+            # Near stall there may be two minima, and rounding differences between processors decide which one is found;
+            #             # therefore the fit also starts from the solution with the previous width.
             if ended is not None:
                 again = least_squares(weighted_residuals, ended / wide, jac=residual_jacobian, max_nfev=100)
                 solved = again if again.cost < solved.cost else solved
@@ -388,7 +387,7 @@ def _section_probabilities(found: Sequence[_FittedSection]) -> Array:
 
 
 def _estimate_scatter(best: _FittedSection) -> tuple[float, float]:
-    """What one point may be off while its neighbour is not, from what the fit leaves."""
+    """Estimate the scatter of single points from the residuals of the fit."""
     used = np.isfinite(best.scaled_errors).sum()
     grow = math.sqrt(used / max(best.degrees_of_freedom, 1.0)) if used > 5 else 1.0
     out = []

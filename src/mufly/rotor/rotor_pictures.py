@@ -1,4 +1,4 @@
-"""Pictures of rotors: the blade, what happens along it, a fit, a coefficient map, a wake and the air around it."""
+"""Pictures of rotors: blade, spanwise loads, fit, coefficient map, wake and flow field."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def blade_picture(rotor: Rotor) -> Figure:
     for k, name in enumerate(rotor.airfoil_names()):
         try:
             contour = load_airfoil(name).coordinates
-        except MuflyError:  # a table of coefficients has no contour
+        except MuflyError:  # a polar has no contour
             continue
         section.plot(*contour.T, color=f"C{k}", label=name)
     section.set_aspect("equal")
@@ -71,11 +71,11 @@ def blade_picture(rotor: Rotor) -> Figure:
     return figure
 
 
-_BLADE_END_WIDTH = 0.03  # R: of each end of a blade the mean is drawn
+_BLADE_END_WIDTH = 0.03  # of R: length at each end of a blade over which loads are averaged
 
 
 def _load_per_radius(result: RotorResult, load: Array) -> Array:
-    """A load over the radius; a side edge's force, all in a wake's outermost panel, as the mean of the blade's end."""
+    """Return a load per radius; the force on the side edge, all in the outermost panel, is averaged over the tip."""
     out: Array = load / result.dr_m
     length = _BLADE_END_WIDTH * (result.r_m[-1] + 0.5 * result.dr_m[-1])
     for order in (slice(None), slice(None, None, -1)):
@@ -118,9 +118,10 @@ def stations_picture(result: RotorResult) -> Figure:
 
 
 def fit_picture(found: RotorFit) -> Figure:
-    """Draw what a bench measured over speed, what was predicted before, and what the fit says with its 90 % interval.
+    """Draw measured loads, the prediction before the fit, and the fit with its 90 % interval over rotor speed.
 
-    One colour for each pitch setting; of a tunnel over the advance ratio, one for each pitch and speed.
+    Each pitch setting has a colour. Tunnel runs are drawn over the advance ratio, with a colour for each pitch and
+    speed.
     """
     m = found.measured
     figure = _new_figure(9.0, 4.0)
@@ -172,8 +173,8 @@ def fit_picture(found: RotorFit) -> Figure:
 def map_picture(coefficients: CoefficientMap) -> Figure:
     """Draw thrust and torque coefficients of both rotors at the middle of the mean speeds.
 
-    Left over the ratio of speeds, for three climbs; right over the climb velocity, for three ratios. Lines are what the
-    flight model interpolates, dots the points of the map, crosses those that were filled from their neighbours.
+    The left side is over the speed ratio for three climbs, the right side over the climb velocity for three ratios.
+    Lines are the interpolation of the flight model, dots the solved points, crosses points filled from neighbours.
     """
     t = coefficients.parse_tables()
     k = t.grid_shape[0] // 2
@@ -239,7 +240,7 @@ def section_picture(airfoil: Airfoil) -> Figure:
 def polar_picture(polar: PolarTable, reynolds: Sequence[float] = (1e4, 2e4, 5e4, 1e5)) -> Figure:
     """Draw lift over angle of attack and over drag, at the tabulated Reynolds numbers next to those given.
 
-    Drawn full where the engine computed it, dotted where the table is extended.
+    Lines are solid where the engine computed the polar and dotted where it is extended.
     """
     figure = _new_figure(9.0, 4.0)
     left, right = figure.subplots(1, 2)
@@ -261,7 +262,7 @@ def polar_picture(polar: PolarTable, reynolds: Sequence[float] = (1e4, 2e4, 5e4,
 
 
 def comparison_picture(found: MeasurementComparison) -> Figure:
-    """Draw what was measured and what was predicted over speed, a colour for each pitch; over climb if there is any."""
+    """Draw measured and predicted loads over rotor speed, or over climb if there is any; a colour for each pitch."""
     figure = _new_figure(9.0, 4.0)
     m = found.measured
     panels = (
@@ -273,7 +274,7 @@ def comparison_picture(found: MeasurementComparison) -> Figure:
         for k, pitch in enumerate(np.unique(np.round(m.pitch_rad, 5))):
             here = np.flatnonzero(np.abs(m.pitch_rad - pitch) < 1e-4)
             here = here[np.argsort(over[here])]
-            line = "none" if m.axial else "-"  # several speeds of rotation lie over each climb
+            line = "none" if m.axial else "-"  # each climb has several rotor speeds
             name, colour = f"{math.degrees(pitch):.3g}°", f"C{k % 10}"
             axes.plot(over[here], scale * measured[here], "o", mfc="none", color=colour, label=f"{name}, measured")
             axes.plot(
@@ -300,13 +301,13 @@ def _rotor_names(count: int) -> Sequence[str]:
 
 
 def wake_picture(solution: SystemSolution, *, turns: float = 2.0) -> Figure:
-    """Draw the vortices that leave the blades in 3-D, coloured by the size of their circulation, one panel a rotor.
+    """Draw the trailing vortices of each rotor in 3-D, coloured by the magnitude of circulation, one panel per rotor.
 
     Parameters
     ----------
     solution : Result
     turns : float
-        How much of the wake is drawn, in turns of its rotor.
+        Length of wake to draw, in turns of its rotor.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -336,7 +337,7 @@ def wake_picture(solution: SystemSolution, *, turns: float = 2.0) -> Figure:
                 )
             )  # fmt: skip
             edge = turned[:, 0]
-            nose = edge + (edge - turned[:, 1]) / 3.0  # the quarter chord line is a quarter from the nose
+            nose = edge + (edge - turned[:, 1]) / 3.0  # a quarter of the chord ahead of that line
             blade = np.concatenate([nose, turned[::-1, 1]])
             axes.add_collection(Poly3DCollection([blade.tolist()], facecolors="0.3", edgecolors="k", alpha=0.9))
         axes.set(
@@ -359,22 +360,22 @@ def wake_picture(solution: SystemSolution, *, turns: float = 2.0) -> Figure:
 
 
 def plane_velocity(solution: SystemSolution, x_m: Array, z_m: Array, *, phases: int = 12) -> tuple[Array, Array, Array]:
-    """Velocity of the air in the plane y = 0.
+    """Return the velocity of the air in the plane y = 0.
 
     Parameters
     ----------
     solution : Result
     x_m, z_m : (nx,), (nz,) arrays
     phases : int
-        Azimuths of the blades that are averaged over, evenly from one blade to the next; 1 is the instant at which the
-        plane lies a quarter of the way from one blade to the next.
+        Number of blade azimuths in the average, evenly spaced over one blade passage. With 1 the plane lies a quarter
+        of the way from one blade to the next.
 
     Returns
     -------
     u, v, w : (nz, nx) arrays
         Along x, through the plane, and along z (m/s); climb included.
     """
-    from mufly.rotor.wake import induced_velocity  # compiles; not needed where a blade is drawn
+    from mufly.rotor.wake import induced_velocity  # slow import (compilation), needed only here
 
     grid = np.stack(np.meshgrid(x_m, [0.0], z_m, indexing="ij"), axis=-1)[:, 0].transpose(1, 0, 2)
     blades = np.array([w.surface.blade_count for w in solution.wakes], dtype=np.float64)
@@ -390,13 +391,13 @@ def plane_velocity(solution: SystemSolution, x_m: Array, z_m: Array, *, phases: 
 def field_picture(solution: SystemSolution, *, mean: bool = True, points: int = 80, phases: int = 12) -> Figure:
     """Draw the air in a vertical plane through the shaft.
 
-    With ``mean``, speed and streamlines averaged over the azimuth; without, an instant: vorticity through the plane,
-    which shows the vortices where they pass it, and velocity arrows (as Figs. 3.6 and 3.19 of the dissertation).
+    With ``mean``, speed and streamlines are averaged over azimuth. Without it an instant is drawn: vorticity normal to
+    the plane, which shows the vortices that cross it, and velocity arrows (as Figs. 3.6 and 3.19 of the dissertation).
 
     Raises
     ------
     InputError
-        If fewer than ten points across are asked for.
+        If fewer than ten points across are requested.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -479,21 +480,21 @@ def rotor_loads_picture(upper: RotorResult, lower: RotorResult, alone: Sequence[
 
 
 def result_picture(found: SystemSolution) -> Figure:
-    """Draw what happens along the blades of a system: of one rotor, or of both of a pair."""
+    """Draw the spanwise loads of a system of one rotor or a pair."""
     return (
         stations_picture(found.rotors[0]) if len(found.rotors) == 1 else rotor_loads_picture(found.upper, found.lower)
     )
 
 
 def history_picture(history: Array, *, residual: float | None = None, note: str = "") -> Figure:
-    """Draw how a wake converged.
+    """Draw the convergence of a wake.
 
     Parameters
     ----------
     history : (iterations, 1 + 2 rotors) array
         As in ``SystemSolution.read_history``.
     residual : float, optional
-        Where it counts as settled, drawn as a line.
+        Convergence limit, drawn as a line.
     note : str
         Title.
     """
@@ -501,7 +502,7 @@ def history_picture(history: Array, *, residual: float | None = None, note: str 
     first, second, third = figure.subplots(3, 1, sharex=True)
     turn = np.arange(1, len(history) + 1)
     miss = history[:, 0]
-    # While a free wake is still held in the prescribed shape its residual stands above any that the air can give.
+    # While a free wake is held in the prescribed shape, its residual is larger than any later residual.
     first.semilogy(turn, 100.0 * np.where(miss < 9.0, np.maximum(miss, 1e-12), np.nan))
     if residual is not None:
         first.axhline(100.0 * residual, color="0.5", linestyle=":", label="wanted")
