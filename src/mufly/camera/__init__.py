@@ -1,4 +1,4 @@
-"""What would a camera see? A camera as its file says it, floors, and pictures rendered from a motion."""
+"""Camera models, floor textures, and pictures rendered along a motion."""
 
 from mufly.camera.camera_model import (
     Camera,

@@ -1,8 +1,8 @@
-"""Calibrations of other programs as camera files: Kalibr, ROS camera_info, OpenCV, EuRoC, ORB-SLAM, VINS, COLMAP.
+"""Conversion of calibrations by Kalibr, ROS camera_info, OpenCV, EuRoC, ORB-SLAM, VINS and COLMAP to camera files.
 
-They hold the size of the picture, the pinhole and its distortion; what else a camera file says (period, mount, shutter,
-quality, radio) comes from a built-in camera. The distortion has to be Brown's (radtan, plumb_bob, OPENCV), with k1, k2,
-p1, p2 and k3 as in :mod:`mufly.camera.camera_model`. Others are refused by their names.
+A calibration holds the picture size, the pinhole parameters and the distortion. The other tables of a camera file
+(period, mount, shutter, quality, radio) come from a built-in camera. The distortion must be Brown's (radtan, plumb_bob,
+OPENCV), with k1, k2, p1, p2 and k3 as in :mod:`mufly.camera.camera_model`; other models are refused by name.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _UNSUPPORTED_LENS_REMEDY = "undistort the pictures for a pinhole, or find the le
 _YAML_KEY_PATTERN = re.compile(r"(\s*)(?:- )?([A-Za-z_][\w.\-]*|\"[^\"]+\")\s*:(?:\s+(.*))?$")
 _DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3")
 _INTRINSIC_NAMES = ("fx", "fy", "cx", "cy")
-# Parameters of COLMAP's models: which are the focal lengths, the centre and the coefficients.
+# For each COLMAP model, the indices of f_x, f_y, c_x, c_y and the distortion coefficients.
 _COLMAP_PARAMETER_ORDER = {
     "SIMPLE_PINHOLE": (0, 0, 1, 2), "PINHOLE": (0, 1, 2, 3), "SIMPLE_RADIAL": (0, 0, 1, 2, 3),
     "RADIAL": (0, 0, 1, 2, 3, 4), "OPENCV": (0, 1, 2, 3, 4, 5, 6, 7),
@@ -40,21 +40,21 @@ _COLMAP_PARAMETER_ORDER = {
 
 
 def convert_calibration(text: str, where: str, rest: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
-    """Return the tables of a camera file out of another program's calibration, and whose it is.
+    """Return the tables of a camera file from another program's calibration, and the name of that program.
 
     Parameters
     ----------
     text : str
-        Of the file: YAML, JSON, XML, or COLMAP's ``cameras.txt``.
+        Content of the calibration: YAML, JSON, XML, or COLMAP's ``cameras.txt``.
     where : str
-        Names it in an error.
+        Name of the file for error messages.
     rest : mapping
-        Tables of the camera that gives what a calibration does not tell.
+        Tables of the camera that supplies the values a calibration lacks.
 
     Raises
     ------
     InputError
-        If it is none of these calibrations, or its lens is of another model.
+        If the text is none of these calibrations, or its lens has another model.
     """
     if (line := _find_colmap_line(text)) is not None:
         whose, size, focus, distortion, rate = "COLMAP's cameras", *_parse_colmap_line(line, where), 0.0
@@ -91,12 +91,12 @@ def _parse_colmap_line(line: list[str], where: str) -> tuple[tuple[int, int], li
         size = int(width), int(height)
     except (ValueError, IndexError):
         raise InputError(where, model, "has too few numbers, or some that are none", "export it anew") from None
-    # The middle of the first pixel is (0.5, 0.5) there.
+    # COLMAP puts the centre of the first pixel at (0.5, 0.5).
     return size, [f_x, f_y, c_x - 0.5, c_y - 0.5], coefficients
 
 
 def _parse_key_values(text: str, where: str) -> Iterator[tuple[str, Any]]:
-    """Dotted keys and values (text, or a list of texts) of YAML, JSON or XML."""
+    """Yield dotted keys and values (text, or a list of texts) of YAML, JSON or XML."""
     head = text.lstrip("\ufeff \t\r\n")
     try:
         if head.startswith("<"):
@@ -133,7 +133,7 @@ def _split_tokens(text: str) -> list[str]:
 
 
 def _flatten_yaml(text: str) -> Iterator[tuple[str, Any]]:
-    """The part of YAML that calibrations are written in: maps, lists of numbers, one value a line."""
+    """Parse the subset of YAML that calibrations use: maps, lists of numbers, one value a line."""
     above: list[tuple[int, str]] = []
     listed: dict[str, list[str]] = {}
     lines = iter(text.splitlines())
@@ -167,7 +167,7 @@ def _flatten_yaml(text: str) -> Iterator[tuple[str, Any]]:
 def _parse_calibration(
     values: dict[str, Any], where: str
 ) -> tuple[str, tuple[int, int], list[float], list[float], float]:
-    """Whose calibration it is, size, focal lengths and centre, distortion, pictures a second (0: not told)."""
+    """Return the program's name, size, focal lengths and centre, distortion, pictures a second (0: unknown)."""
     cameras = sorted({k.partition(".")[0] for k in values if re.match(r"cam\d+\.", k)})
     first = f"{cameras[0]}." if cameras else ""
     v = {k.removeprefix(first).removesuffix(".data").lower(): x for k, x in values.items() if k.startswith(first)}
@@ -212,7 +212,7 @@ def _parse_calibration(
 
 
 def _find_numbers(values: Mapping[str, Any], names: tuple[str, ...]) -> list[float]:
-    """Numbers under the first of these names that has a list."""
+    """Return the numbers under the first of these names that has a list."""
     return next(([_parse_float(x) for x in values[n]] for n in names if isinstance(values.get(n), list)), [])
 
 

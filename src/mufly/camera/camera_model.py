@@ -1,16 +1,15 @@
-"""A camera that looks down, as a file says it: lens, shutter, what spoils its pictures, and the radio behind it.
+"""Model of a down-looking camera: lens, shutter, image degradation, and the radio link to the ground station.
 
-Projection (pinhole, distortion of Brown 1966 in the form that OpenCV and most calibrations have). A point at (X, Y,
-Z) in the camera's axes (x to the right of the picture, y down it, z along the axis) has x = X / Z, y = Y / Z, and
-with r^2 = x^2 + y^2
+Projection is a pinhole with the distortion of Brown (1966), in the form of OpenCV and most calibrations. A point at
+(X, Y, Z) in the camera's axes (x to the right of the picture, y down it, z along the axis) has x = X / Z, y = Y / Z.
+With r^2 = x^2 + y^2 and the radial factor R = 1 + k1 r^2 + k2 r^4 + k3 r^6,
 
-    x_d = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
-    y_d = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
-    u   = f_x x_d + c_x,    v = f_y y_d + c_y
+    x_d = x R + 2 p1 x y + p2 (r^2 + 2 x^2),    u = f_x x_d + c_x
+    y_d = y R + p1 (r^2 + 2 y^2) + 2 p2 x y,    v = f_y y_d + c_y
 
-with (u, v) = (0, 0) in the middle of the first pixel. The other way there is no closed form; Newton's method on the
-two equations finds it. The top of the picture is the vehicle's nose: picture x is body y, picture y is body -x, and
-the axis body z, all turned by ``mount.turn`` about it.
+and (u, v) = (0, 0) is the middle of the first pixel. The inverse has no closed form; Newton's method solves the two
+equations. The top of the picture points to the vehicle's nose: picture x is body y, picture y is body -x, and the
+axis is body z. ``mount.turn`` rotates the camera about this axis.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _BUILTIN_FOLDER = resources.files("mufly.camera") / "builtin"
 
 
 class Sensor(ParameterGroup):
-    """The picture."""
+    """Size and period of the pictures."""
 
     width: int = Field(ge=32, le=8192, strict=True, description="pixels in a row")
     height: int = Field(ge=32, le=8192, strict=True, description="rows")
@@ -46,7 +45,7 @@ class Sensor(ParameterGroup):
 
 
 class Lens(ParameterGroup):
-    """Pinhole and distortion; lengths in pixels."""
+    """Pinhole parameters and distortion; lengths in pixels."""
 
     focal_x: Quantity = declare_parameter("1", "f_x", "focal length, in pixels", above=1, at_most=1e5)
     focal_y: Quantity = declare_parameter("1", "f_y", "focal length along a column, in pixels", above=1, at_most=1e5)
@@ -62,7 +61,7 @@ class Lens(ParameterGroup):
 
 
 class Mount(ParameterGroup):
-    """Where it sits on the vehicle; it looks along body z."""
+    """Position and rotation of the camera on the vehicle; the camera looks along body z."""
 
     place: BodyPoints = declare_parameter("m", "r_cam", "one point, in body axes", at_least=-10, at_most=10)
     turn: Quantity = declare_parameter(
@@ -89,7 +88,7 @@ class Shutter(ParameterGroup):
 
 
 class ImageQuality(ParameterGroup):
-    """What spoils the picture."""
+    """Degradation of the picture."""
 
     blur: Quantity = declare_parameter(
         "1", "s_b", "radius of the lens's spot, in pixels, one sigma", at_least=0, at_most=20
@@ -112,7 +111,7 @@ class ImageQuality(ParameterGroup):
 
 
 class RadioLink(ParameterGroup):
-    """From the picture to the answer, on board again."""
+    """Radio link for the picture and the answer, there and back."""
 
     latency: Quantity = declare_parameter("s", "L_r", "there and back, work left out", at_least=0, at_most=10)
     jitter: Quantity = declare_parameter("s", "j_r", "of it, one sigma", at_least=0, at_most=10)
@@ -120,7 +119,7 @@ class RadioLink(ParameterGroup):
 
 
 class Camera(ParameterGroup):
-    """A camera file."""
+    """Content of a camera file."""
 
     name: str = Field(min_length=1, description="what it is called")
     description: str = Field(default="", description="one line")
@@ -157,19 +156,19 @@ def builtin_cameras() -> list[str]:
 
 
 _FALLBACK_CAMERA = "webcam"
-"""Built-in camera that gives what another program's calibration does not tell."""
+"""Built-in camera that supplies the values another program's calibration lacks."""
 
 
 def load_camera(name_or_path: str | Path) -> Camera:
-    """Read a camera by built-in name or from a file: ours (TOML), or another program's calibration.
+    """Read a camera by built-in name or from a file: a camera file (TOML) or another program's calibration.
 
-    Of a calibration (Kalibr, ROS camera_info, OpenCV, EuRoC, ORB-SLAM, VINS, COLMAP) lens and size are read; a
-    :class:`mufly.logs.LogWarning` says where the rest comes from.
+    A calibration (Kalibr, ROS camera_info, OpenCV, EuRoC, ORB-SLAM, VINS, COLMAP) gives lens and size. A
+    :class:`mufly.logs.LogWarning` names the source of the other values.
 
     Raises
     ------
     InputError
-        If there is none, or something in it is wrong.
+        If there is no such file, or its content is invalid.
     """
     path = Path(name_or_path)
     if str(name_or_path) not in builtin_cameras() and path.suffix.lower() != ".toml" and path.is_file():
@@ -188,7 +187,7 @@ def load_camera(name_or_path: str | Path) -> Camera:
 
 
 def _is_toml(text: str) -> bool:
-    """Whether a text is a camera file of ours, be it with a mistake."""
+    """Return whether a text is a camera file of mufly, even an invalid one."""
     if re.search(r"^\s*\[(sensor|lens|mount)\]", text, re.MULTILINE):
         return True
     try:
@@ -199,12 +198,12 @@ def _is_toml(text: str) -> bool:
 
 
 def parse_camera(text: str, where: str) -> Camera:
-    """Read a camera from the text of its file; ``where`` names it in an error.
+    """Read a camera from the text of its file; ``where`` names the file in errors.
 
     Raises
     ------
     InputError
-        If it is none.
+        If the text is no valid camera file.
     """
     try:
         tables = tomllib.loads(text)
@@ -226,13 +225,13 @@ def camera_matrix(camera: Camera) -> _Array:
 
 
 def distortion_coefficients(camera: Camera) -> _Array:
-    """Return k1, k2, p1, p2, k3, in the order that OpenCV takes."""
+    """Return k1, k2, p1, p2, k3, in OpenCV's order."""
     lens = camera.lens
     return np.array([float(k) for k in (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3)])
 
 
 def body_from_camera_rotation(camera: Camera) -> _Array:
-    """Return the matrix (3, 3) that turns the camera's axes into the body's."""
+    """Return the rotation matrix (3, 3) from the camera's to the body's axes."""
     c, s = math.cos(float(camera.mount.turn)), math.sin(float(camera.mount.turn))
     nose = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ nose
@@ -249,7 +248,7 @@ def _distort_rays(k: _Array, x: _Array, y: _Array) -> tuple[_Array, _Array]:
 
 
 def project_points(camera: Camera, points: ArrayLike) -> _Array:
-    """Return pixels (..., 2) of points in the camera's axes (..., 3) or of rays x, y (..., 2) with z = 1."""
+    """Return pixels (..., 2) of points (..., 3) in the camera's axes or of rays x, y (..., 2) with z = 1."""
     p = np.asarray(points, dtype=np.float64)
     x, y = (p[..., 0] / p[..., 2], p[..., 1] / p[..., 2]) if p.shape[-1] == 3 else (p[..., 0], p[..., 1])
     x, y = _distort_rays(distortion_coefficients(camera), x, y)
@@ -258,7 +257,7 @@ def project_points(camera: Camera, points: ArrayLike) -> _Array:
 
 
 def unproject_pixels(camera: Camera, pixels: ArrayLike) -> _Array:
-    """Return x, y (..., 2) of the rays with z = 1 through pixels (..., 2): the distortion undone, to 1e-10."""
+    """Return x, y (..., 2) of the undistorted rays with z = 1 through pixels (..., 2), accurate to 1e-10."""
     p = np.asarray(pixels, dtype=np.float64)
     m, k = camera_matrix(camera), distortion_coefficients(camera)
     k1, k2, p1, p2, k3 = k
@@ -283,7 +282,7 @@ def unproject_pixels(camera: Camera, pixels: ArrayLike) -> _Array:
 
 
 def check_picture_size(camera: Camera, shape: tuple[int, ...], where: str) -> None:
-    """InputError if a picture (rows, columns) is not of the camera's size."""
+    """Raise InputError if a picture (rows, columns) does not have the camera's size."""
     wanted = (camera.sensor.height, camera.sensor.width)
     if tuple(shape[:2]) != wanted:
         raise InputError(

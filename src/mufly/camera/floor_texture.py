@@ -1,17 +1,17 @@
-"""The floor that the camera sees: pictures that repeat themselves after some metres, from rich to hopeless.
+"""Floor textures for the camera: periodic pictures, from rich to featureless.
 
-A floor is a picture in grey with a length for its pixels, laid edge to edge, as a pyramid of halves (each pixel the
-mean of four), so that a camera far above it does not see what it cannot resolve. Below half a metre a second, finer
-picture is added to it. Light is uneven: a map of shadows that stay where they are.
+A floor is a periodic grey picture with a pixel size. It is stored as a pyramid (each pixel the mean of four), so that a
+high camera does not alias detail that it cannot resolve. Below half a metre a finer picture is added. Lighting is
+uneven: a fixed map of shadows multiplies the floor.
 
-| kind | what |
+| kind | content |
 |---|---|
-| rich | a carpet: noise of all sizes, and coloured shapes on it |
+| rich | a carpet: noise of all sizes, and shapes of other grey levels |
 | poor | concrete: the same noise with a sixth of the contrast, no shapes |
-| tiles | tiles of 256 mm with a joint, each exactly as the next |
-| plain | nothing at all |
+| tiles | identical tiles of 256 mm with joints |
+| plain | uniform grey |
 
-Pink noise: of each size of detail, halved from step to step, the same contrast. Own derivation.
+The noise is pink: every octave of detail has the same contrast. Own derivation.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mufly.errors import ArgumentError, InputError
 
 FLOOR_KINDS = ("rich", "poor", "tiles", "plain")
 PIXEL_SIZE_M = 2e-3
-"""Of a pixel of the built-in floors (m)."""
+"""Pixel size of the built-in floors (m)."""
 DETAIL_PIXEL_M, DETAIL_PIXELS = 5e-4, 512
 SHADOW_PIXEL_M, SHADOW_PIXELS = 0.04, 256
 TILE_PIXELS = 128
@@ -37,17 +37,17 @@ _DETAIL_CONTRAST_BY_KIND = {"rich": 12.0, "poor": 3.0, "tiles": 8.0, "plain": 0.
 
 @dataclass(frozen=True)
 class Floor:
-    """A floor.
+    """Texture of a floor.
 
     Attributes
     ----------
     name : str
     mip_levels : tuple of (n, m) uint8 arrays
-        North along the first axis, east along the second; sides are powers of two, each level half of the one before.
+        North along the first axis, east along the second; sides are powers of two, each level half of the previous one.
     pixel_size_m : (2,) tuple
         Length of a pixel of the first level along each axis (m).
     detail_map : (512, 512) float32 array
-        What is added from near, in grey levels, :data:`DETAIL_PIXEL_M` a pixel.
+        Detail added at low height (grey levels), :data:`DETAIL_PIXEL_M` a pixel.
     shadow_map : (256, 256) float32 array
         Share of the light that arrives, :data:`SHADOW_PIXEL_M` a pixel.
     """
@@ -60,7 +60,7 @@ class Floor:
 
     @property
     def packed_levels(self) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-        """All levels in one row, and of each where it begins and its sides as powers of two."""
+        """All levels in one array, and for each its start and its sides as powers of two."""
         starts = np.cumsum([0, *(level.size for level in self.mip_levels)])
         table = np.array(
             [
@@ -72,18 +72,18 @@ class Floor:
 
 
 def make_floor(kind: str = "rich", seed: int = 0, *, size: int = 4096, shadows: float = 0.0) -> Floor:
-    """Make a floor by chance.
+    """Return a random floor.
 
     Parameters
     ----------
     kind : str
-        Of :data:`FLOOR_KINDS`.
+        One of :data:`FLOOR_KINDS`.
     seed : int
         Same seed, same floor.
     size : int
-        Pixels of 2 mm along a side after which it repeats itself; a power of two.
+        Period of the floor in pixels of 2 mm; a power of two.
     shadows : float
-        Share of the light that the darkest shadows take, 0 to 1.
+        Share of the light that the darkest shadows remove, 0 to 1.
     """
     if kind not in FLOOR_KINDS:
         raise ArgumentError("floor", kind, "is no kind of floor", f"use one of: {', '.join(FLOOR_KINDS)}, or a picture")
@@ -108,14 +108,14 @@ def make_floor(kind: str = "rich", seed: int = 0, *, size: int = 4096, shadows: 
 
 
 def load_floor_picture(path: str | Path, width_m: float, *, seed: int = 0, shadows: float = 0.0) -> Floor:
-    """Lay a user's picture edge to edge; its top is north.
+    """Return a floor that repeats a user's picture; its top is north.
 
     Parameters
     ----------
     path : str or Path
-        Any picture that Pillow reads.
+        Picture in a format that Pillow reads.
     width_m : float
-        Of the picture, from west to east (m).
+        Width of the picture, from west to east (m).
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -128,7 +128,7 @@ def load_floor_picture(path: str | Path, width_m: float, *, seed: int = 0, shado
         raise InputError(str(path), "", f"is no picture that can be read ({error})", "give a PNG or JPEG") from error
     height_m = width_m * picture.height / picture.width
     wide, high = (min(8192, max(64, 1 << (n - 1).bit_length())) for n in picture.size)
-    grey = np.asarray(picture.resize((wide, high), Image.Resampling.LANCZOS))[::-1]  # rows go north
+    grey = np.asarray(picture.resize((wide, high), Image.Resampling.LANCZOS))[::-1]  # rows increase northwards
     nothing = np.zeros((DETAIL_PIXELS, DETAIL_PIXELS), np.float32)
     shade = _make_shadow_map(np.random.default_rng(seed), shadows)
     return Floor(
@@ -145,7 +145,7 @@ def _to_uint8(a: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def _upsample_twice(a: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Twice as many pixels by straight lines between them; the edges meet."""
+    """Double the resolution of a periodic picture by linear interpolation."""
     for axis in (0, 1):
         before, after = np.roll(a, 1, axis), np.roll(a, -1, axis)
         out = np.empty([n * (2 if k == axis else 1) for k, n in enumerate(a.shape)], np.float32)
@@ -158,7 +158,7 @@ def _upsample_twice(a: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _make_pink_noise(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
-    """Noise (n, n) of all sizes, periodic, mean 0 and deviation 1."""
+    """Return periodic pink noise (n, n), mean 0 and standard deviation 1."""
     a = rng.standard_normal((4, 4), dtype=np.float32)
     while len(a) < n:
         a = _upsample_twice(a)
@@ -167,7 +167,7 @@ def _make_pink_noise(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
 
 
 def _draw_random_shapes(picture: NDArray[np.float32], rng: np.random.Generator, count: int) -> None:
-    """Lay rectangles and discs of 1 to 8 cm on a picture, half covering what lies below."""
+    """Draw rectangles and discs of 1 to 8 cm on a picture, half transparent."""
     n = len(picture)
     for _ in range(count):
         r, c = rng.integers(0, n, 2)
@@ -194,7 +194,7 @@ def _build_mip_levels(a: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], ...]:
 
 
 def _make_shadow_map(rng: np.random.Generator, depth: float) -> NDArray[np.float32]:
-    """Shadows of what stands around: soft bands and blotches."""
+    """Return a shadow map: soft bands and blotches."""
     n = SHADOW_PIXELS
     a = rng.standard_normal((8, 8), dtype=np.float32)
     while len(a) < n:

@@ -1,12 +1,12 @@
-"""Pictures as they come: from a camera at this machine (V4L2, by OpenCV), or an MJPEG stream over the network.
+"""Live pictures from a camera of this machine (V4L2, by OpenCV) or an MJPEG stream over the network.
 
-A thread reads and notes when each picture came, so that work on the one before does not make the next one late. Who is
-slower than the camera gets the newest; what was left out is counted. A stream that breaks is opened again, and one line
-says so, and one that it is back; after :data:`PICTURE_TIMEOUT_S` without a picture it has ended.
+A thread reads and time-stamps each picture, so that slow processing does not delay the next one. A consumer slower than
+the camera gets the newest picture; skipped ones are counted. A broken stream is reopened, with one line at the break
+and one at the reconnection. After :data:`PICTURE_TIMEOUT_S` without a picture the source has ended.
 
-The time of a picture is when it came less ``delay_s``: half the exposure, reading out, coding, the way here. Nothing
-measures it for you; against a clock in the picture, or by the delay between gyroscope and picture, it can be found. A
-sender that stamps its pictures (``X-Timestamp``) may be believed instead.
+The time of a picture is its arrival less ``delay_s``: half the exposure, readout, coding and transport. The user must
+determine this delay, from a clock in the picture or from the lag between gyroscope and picture. Alternatively the
+sender's time stamps (``X-Timestamp``) can be used.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ _Picture = NDArray[np.uint8]
 PictureClock = Literal["arrival", "sender"]
 PICTURE_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 3.0
-"""A stream that sends nothing for so long is broken."""
+"""Silence (s) after which a stream counts as broken."""
 MAX_QUEUED_PICTURES = 15
-"""Pictures: as many as come while compiled code is loaded, half a second at 30 a second."""
-_REOPEN_DELAYS_S = (0.2, 2.0)  # between two tries to open it: at first, at most
+"""Length of the queue (pictures): half a second at 30 a second, the time to load compiled code."""
+_REOPEN_DELAYS_S = (0.2, 2.0)  # first and longest delay between attempts to reopen
 
 
 def is_live_source(place: str) -> bool:
-    """Whether a place is a camera or a stream, no file: ``/dev/video0``, ``0``, ``http://...``."""
+    """Return whether a place is a camera or a stream, not a file: ``/dev/video0``, ``0``, ``http://...``."""
     return place.isdecimal() or place.startswith(("/dev/video", "http://", "https://"))
 
 
@@ -55,11 +55,11 @@ class _PictureSource(Protocol):
 
 
 class DamagedPicture(ValueError):
-    """A picture that cannot be decoded; the stream goes on."""
+    """Error for a picture that cannot be decoded; the stream continues."""
 
 
 class _MjpegStream:
-    """An MJPEG stream over HTTP."""
+    """MJPEG stream over HTTP."""
 
     def __init__(self, url: str) -> None:
         split = urlsplit(url)
@@ -105,7 +105,7 @@ class _MjpegStream:
 
 
 class _CameraDevice:
-    """A camera of this machine."""
+    """Camera of this machine."""
 
     def __init__(self, place: str, camera: Camera, cv2: Any) -> None:
         self.name = f"/dev/video{place}" if place.isdecimal() else place
@@ -141,8 +141,7 @@ class _CameraDevice:
 
 @dataclass
 class PictureCounts:
-    """What became of the pictures of a source: how many came, were left out because nobody kept up, were damaged or of
-    another size, were stamped backwards; and how often it broke."""
+    """Counts of a source: pictures received, skipped, damaged or of wrong size, decreasing stamps, reconnections."""
 
     received_count: int = 0
     skipped_count: int = 0
@@ -151,7 +150,7 @@ class PictureCounts:
     reconnect_count: int = 0
 
     def describe_losses(self) -> list[str]:
-        """What is worth saying of it."""
+        """Return one line for each kind of loss that occurred."""
         told = (
             (self.skipped_count, "pictures were left out: they came faster than they were looked at"),
             (self.damaged_count, "pictures were damaged, or of another size"),
@@ -167,28 +166,28 @@ class LivePictures:
     Parameters
     ----------
     place : str
-        For which :func:`is_live_source` holds.
+        A place for which :func:`is_live_source` holds.
     camera : Camera
-        Of these pictures.
+        Camera that takes the pictures.
     delay_s : float
-        By how much they are older than they came.
+        Time from exposure to arrival (s).
     clock : "arrival" or "sender"
-        Whose time is told; the arrival's counts from 1970.
+        Clock of the times; that of arrival counts from 1970.
     give_up_s : float
-        It has ended when none came for so long.
+        Time without pictures (s) after which the source has ended.
     say : callable
-        Told a line when it breaks, and when it is back.
+        Called with a line of text when the source breaks, and when it is back.
     opencv : callable
-        Returns OpenCV, for devices.
+        Returns the module OpenCV, for devices.
 
     Attributes
     ----------
-    counts : Counted
+    counts : PictureCounts
 
     Raises
     ------
     InputError
-        If it cannot be opened at all, or is no stream of pictures.
+        If the source cannot be opened, or is no stream of pictures.
     """
 
     def __init__(
@@ -223,12 +222,12 @@ class LivePictures:
         self._thread.start()
 
     def iterate_pictures(self) -> Iterator[tuple[float, _Picture]]:
-        """Yield time (s) and picture, until it has ended.
+        """Yield time (s) and picture until the source ends.
 
         Raises
         ------
         InputError
-            If they are not of the camera's size.
+            If the pictures do not have the camera's size.
         """
         while True:
             with self._change:
@@ -242,7 +241,7 @@ class LivePictures:
             raise self._error
 
     def close(self) -> None:
-        """Read no more; what came is still there to be looked at."""
+        """Stop reading; queued pictures remain available."""
         with self._change:
             self._ended = True
             self._change.notify_all()
@@ -252,9 +251,9 @@ class LivePictures:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
-        self._thread.join(0.2)  # a stream that sends nothing ends by itself, later
+        self._thread.join(0.2)  # a silent stream ends at its timeout
 
-    # the thread
+    # Methods of the reading thread
 
     def _read_loop(self) -> None:
         last_s = math.nan
@@ -271,14 +270,14 @@ class LivePictures:
                     break
         except MuflyError as error:
             self._error = error
-        except Exception as error:  # what a driver may do nobody knows; the rest is still to be written
+        except Exception as error:  # drivers may raise anything; the caller must still be able to finish its files
             self._error = MuflyError(f"{self.name}: {type(error).__name__}: {error}")
         finally:
             self._source.close()
             self.close()
 
     def _read_next(self) -> tuple[_Picture | None, float | None, float] | None:
-        """The next picture (None: damaged), its stamp, and when it came."""
+        """Return the next picture (None: damaged), its stamp and its arrival time (s)."""
         try:
             found = self._source.read()
         except DamagedPicture as error:
@@ -324,7 +323,7 @@ class LivePictures:
         return when_s
 
     def _reopen_source(self, why: str) -> bool:
-        """Open it again; False if there was no picture for too long."""
+        """Reopen the source; return False after too long without a picture."""
         wait_s = _REOPEN_DELAYS_S[0]
         if not self._broken:
             self._broken = why
@@ -345,7 +344,7 @@ class LivePictures:
         return False
 
     def _mark_received(self, now_s: float) -> None:
-        """There are pictures; say so if there were none."""
+        """Note the arrival of a picture, and report a reconnection."""
         if self._broken:
             self.counts.reconnect_count += 1
             self._say(f"{self.name}: was broken ({self._broken}), is back after {now_s - self._seen_s:.1f} s")

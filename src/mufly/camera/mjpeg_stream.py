@@ -1,13 +1,13 @@
-"""Pictures over HTTP as browsers, OpenCV and network cameras have them: JPEGs that replace each other (MJPEG).
+"""Server and reader of MJPEG over HTTP, as browsers, OpenCV and network cameras use it.
 
     GET /stream       200, multipart/x-mixed-replace; each part a JPEG with Content-Length and X-Timestamp (s)
-    GET /picture.jpg  the latest
+    GET /picture.jpg  the latest picture
     GET /             a page that shows the stream
 
-``X-Timestamp`` is what mjpg-streamer sends: when the picture was taken, by the sender's clock. Who does not keep up
-misses pictures: a quarter of a second of them waits for him, no more.
+``X-Timestamp``, as mjpg-streamer sends it, is the time of the picture by the sender's clock. A slow client misses
+pictures: its queue holds a quarter of a second.
 
-:class:`StreamServer` sends, :func:`iterate_parts` reads any such stream, with and without Content-Length.
+:class:`StreamServer` sends a stream. :func:`iterate_parts` reads any such stream, with and without Content-Length.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from urllib.parse import urlsplit
 from mufly.errors import ArgumentError, InputError
 
 MJPEG_BOUNDARY = "mufly-picture"
-MAX_QUEUED_PICTURES = 8  # pictures, for somebody who is slow
+MAX_QUEUED_PICTURES = 8  # pictures in the queue of a slow client
 MAX_WATCHERS = 16
 SOCKET_TIMEOUT_S = 5.0
 MAX_PICTURE_BYTES = 32_000_000
-"""Of a picture that is read; no more is kept of what has no end."""
+"""Largest size of a received picture; longer parts are refused."""
 _MAX_LINE_BYTES = 8192
 _VIEWER_HTML = (
     "<!doctype html><html lang=en><meta charset=utf-8><title>mufly camera</title>"
@@ -38,12 +38,12 @@ _VIEWER_HTML = (
 
 
 def parse_address(text: str, where: str = "--stream") -> tuple[str, int]:
-    """Return host and port of ``"8090"``, ``":8090"`` or ``"HOST:8090"``; this machine only where none is given.
+    """Return host and port of ``"8090"``, ``":8090"`` or ``"HOST:8090"``; without a host, this machine only.
 
     Raises
     ------
     ArgumentError
-        If it is none.
+        If the text is no address.
     """
     host, _, port = text.strip().rpartition(":")
     if not (port.isdecimal() and 0 <= int(port) <= 65535):
@@ -52,7 +52,7 @@ def parse_address(text: str, where: str = "--stream") -> tuple[str, int]:
 
 
 def is_local_host(host: str) -> bool:
-    """Whether an address means this machine only."""
+    """Return whether an address means this machine only."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -60,24 +60,24 @@ def is_local_host(host: str) -> bool:
 
 
 class StreamServer:
-    """Sends pictures to whoever asks, from threads of its own.
+    """HTTP server that sends pictures to all clients from its own threads.
 
     Parameters
     ----------
     host, port : str, int
-        Port 0: any that is free.
+        Address to listen at; port 0 takes any free port.
 
     Attributes
     ----------
     url : str
-        Where the stream is.
+        Address of the stream.
     watcher_count : int
-        How many look at it.
+        Number of connected clients.
 
     Raises
     ------
     ArgumentError
-        If it cannot listen there.
+        If the address is not available.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
@@ -109,7 +109,7 @@ class StreamServer:
         return len(self._queues)
 
     def publish_picture(self, jpeg: bytes, time_s: float) -> None:
-        """Send a picture; never waits for anybody."""
+        """Queue a picture for all clients; never blocks."""
         with self._change:
             self._latest = jpeg, time_s
             for queue in self._queues:
@@ -117,7 +117,7 @@ class StreamServer:
             self._change.notify_all()
 
     def close(self) -> None:
-        """Send what waits, and end."""
+        """Send the queued pictures and stop the server."""
         with self._change:
             self._open = False
             self._change.notify_all()
@@ -130,14 +130,14 @@ class StreamServer:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    # for the handlers
+    # Methods for the request handlers
 
     def latest_jpeg(self) -> bytes | None:
         with self._change:
             return None if self._latest is None else self._latest[0]
 
     def iterate_pictures(self) -> Iterator[tuple[bytes, float]]:
-        """Yield pictures as they come, the latest at once; none where too many look already."""
+        """Yield pictures as they come, the latest at once; yield none if there are too many clients."""
         queue: deque[tuple[bytes, float]] = deque(maxlen=MAX_QUEUED_PICTURES)
         with self._change:
             if len(self._queues) >= MAX_WATCHERS:
@@ -164,7 +164,7 @@ class _PictureHttpServer(ThreadingHTTPServer):
     block_on_close = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Whoever looks may go when he likes."""
+        """Ignore clients that disconnect."""
 
 
 class _PictureRequestHandler(BaseHTTPRequestHandler):
@@ -173,7 +173,7 @@ class _PictureRequestHandler(BaseHTTPRequestHandler):
     timeout = SOCKET_TIMEOUT_S
 
     def log_message(self, *_: object) -> None:
-        """Say nothing."""
+        """Log nothing."""
 
     def do_GET(self) -> None:
         path = urlsplit(self.path).path
@@ -189,7 +189,7 @@ class _PictureRequestHandler(BaseHTTPRequestHandler):
             self._send_content(404, "text/plain", b"there are /stream and /picture.jpg")
 
     def _is_request_allowed(self) -> bool:
-        """Whether no foreign web page looks through somebody's browser; names may be turned to point here."""
+        """Return whether to serve the request: not from a foreign web page, and not by a rebound host name (DNS)."""
         headers = self.headers
         try:
             name = urlsplit(f"//{headers.get('Host', '')}").hostname or ""
@@ -220,12 +220,12 @@ class _PictureRequestHandler(BaseHTTPRequestHandler):
 
 
 def parse_boundary(content_type: str, where: str) -> bytes:
-    """Return what separates the parts of a stream, by its Content-Type.
+    """Return the separator between the parts of a stream, from its Content-Type.
 
     Raises
     ------
     InputError
-        If it is no stream of pictures.
+        If the content is no stream of pictures.
     """
     kind, _, rest = content_type.partition(";")
     words = dict(part.strip().partition("=")[::2] for part in rest.split(";"))
@@ -235,12 +235,12 @@ def parse_boundary(content_type: str, where: str) -> bytes:
             where, "", f"sends {kind.strip() or 'nothing named'}, no stream of JPEGs",
             "give the address of the stream itself (multipart/x-mixed-replace)",
         )  # fmt: skip
-    # Some servers put the two hyphens into the name, too.
+    # Some servers include the two hyphens in the boundary.
     return b"--" + boundary.removeprefix("--").encode()
 
 
 def iterate_parts(stream: BinaryIO, boundary: bytes) -> Iterator[tuple[bytes, float | None]]:
-    """Yield JPEG and ``X-Timestamp`` (s; None without) of each part, until the stream ends.
+    """Yield JPEG and ``X-Timestamp`` (s; None without a stamp) of each part until the stream ends.
 
     Raises
     ------
@@ -254,7 +254,7 @@ def iterate_parts(stream: BinaryIO, boundary: bytes) -> Iterator[tuple[bytes, fl
             if not line or line.strip() == boundary + b"--":
                 return
             if line.strip() != boundary:
-                continue  # between two parts, or what a broken one left behind
+                continue  # between two parts, or the rest of a broken one
         begun = False
         headers: dict[str, str] = {}
         while (line := stream.readline(_MAX_LINE_BYTES)).strip():
@@ -279,9 +279,9 @@ def iterate_parts(stream: BinaryIO, boundary: bytes) -> Iterator[tuple[bytes, fl
 
 
 def _read_unsized_part(stream: BinaryIO, boundary: bytes) -> tuple[bytes, bool]:
-    """A part without its length, up to the end mark of its JPEG, and whether the next boundary was read with it.
+    """Read a part without a length up to its JPEG's end mark; return it, and whether the next boundary was also read.
 
-    b"" if it is cut off.
+    The part is b"" if it is cut off.
     """
     data = bytearray()
     while True:
@@ -289,7 +289,7 @@ def _read_unsized_part(stream: BinaryIO, boundary: bytes) -> tuple[bytes, bool]:
         data += line
         if len(data) > MAX_PICTURE_BYTES:
             raise ValueError("a part is too long to be a picture")
-        # The end mark may be broken over two lines; what follows it is a line end, or the boundary at once.
+        # The end mark may be split over two lines; after it comes a line end, or directly the boundary.
         end = data.rfind(b"\xff\xd9", max(0, len(data) - len(line) - 2))
         rest = bytes(data[end + 2 :].strip()) if end >= 0 else None
         if rest in (b"", boundary, boundary + b"--"):

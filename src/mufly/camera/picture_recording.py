@@ -1,9 +1,8 @@
-"""Pictures of a flight in a file of their own, ``camera.mcap`` beside ``flight.mcap``: what the ground station
-got.
+"""Recording of a flight's pictures in ``camera.mcap`` beside ``flight.mcap``, as the ground station received them.
 
-Topic ``/camera`` has JPEGs as ``foxglove.CompressedImage`` (Foxglove shows them; JSON, the picture in base64), topic
-``/camera/told`` what the vehicle told with each, the camera's file is an attachment. A chunk a second: a file that was
-cut off is readable up to its last whole second.
+Topic ``/camera`` holds JPEGs as ``foxglove.CompressedImage`` (Foxglove shows them; JSON, the picture in base64). Topic
+``/camera/told`` holds the vehicle's data for each picture. The camera's file is an attachment. A chunk is written each
+second, so a truncated file is readable up to its last whole second.
 """
 
 from __future__ import annotations
@@ -40,23 +39,23 @@ _IMAGE_SCHEMA = object_schema(
 
 
 class PictureRecorder:
-    """Writes pictures as they come.
+    """Writer of pictures and their data to an MCAP file.
 
     Parameters
     ----------
     path : Path
-        Overwritten.
+        File to write; overwritten.
     camera : str
-        The camera's file.
+        Content of the camera's file.
     start_ns : int
         Wall time of the instant 0 (ns since 1970).
     facts : mapping
-        Names and texts to keep: floor, ...
+        Names and texts of metadata: floor, ...
 
     Raises
     ------
     InputError
-        If it cannot be written.
+        If the file cannot be written.
     """
 
     def __init__(self, path: Path, camera: str, start_ns: int, facts: Mapping[str, str]) -> None:
@@ -73,7 +72,7 @@ class PictureRecorder:
         self._told = self._file.add_channel(_TOPICS[1], "mufly.Told", told)
 
     def add_picture(self, time_s: float, jpeg: bytes, told: Mapping[str, Any]) -> None:
-        """Add a picture, and what was told with it; MuflyError if the disk takes no more."""
+        """Add a picture and the vehicle's data for it; raise MuflyError if the disk is full."""
         if time_s >= self._due_s:
             self._flush_chunk()
             self._due_s = time_s + _CHUNK_S
@@ -97,10 +96,10 @@ class PictureRecorder:
         self._waiting = []
 
     def close(self) -> None:
-        """Write what is left, and the index."""
+        """Write the last chunk and the index."""
         if self._out.closed:
             return
-        with suppress(OSError, MuflyError):  # a full disk: what is there is readable
+        with suppress(OSError, MuflyError):  # on a full disk, the chunks already written stay readable
             self._flush_chunk()
             self._file.finish_file()
         with suppress(OSError):
@@ -109,17 +108,17 @@ class PictureRecorder:
 
 @dataclass(frozen=True)
 class RecordedPictures:
-    """What a recording has of a camera.
+    """Pictures of a camera in a recording.
 
     Attributes
     ----------
     path : Path
     camera : str
-        Its file; "" where it is not there.
+        Content of the camera's file; "" if it is missing.
     times_s : list of float
-        s, on the recording's clock.
+        Times on the recording's clock (s).
     frame_infos : list of dict
-        As they were given to :meth:`PictureRecorder.add_picture`; empty where nothing was.
+        Vehicle data passed to :meth:`PictureRecorder.add_picture`; empty if there are none.
     """
 
     path: Path
@@ -129,12 +128,12 @@ class RecordedPictures:
     _images: list[bytes]
 
     def iterate_jpegs(self) -> Iterator[bytes]:
-        """Yield the pictures' bytes.
+        """Yield the bytes of the pictures.
 
         Raises
         ------
         InputError
-            If one of them is no picture message.
+            If a message is no picture.
         """
         for t, content in zip(self.times_s, self._images, strict=True):
             try:
@@ -149,13 +148,15 @@ class RecordedPictures:
 
 
 def read_pictures(path: Path) -> RecordedPictures:
-    """Read the pictures of a recording: ``camera.mcap``, the flight beside it, or any MCAP with a topic of
-    ``foxglove.CompressedImage`` in JSON.
+    """Read the pictures of a recording.
+
+    The path may name ``camera.mcap``, the flight beside it, or any MCAP with a topic of ``foxglove.CompressedImage`` in
+    JSON.
 
     Raises
     ------
     InputError
-        If there are none.
+        If there are no pictures.
     """
     beside = path.with_name(CAMERA_FILE_NAME)
     contents = read_mcap(path)
@@ -174,18 +175,18 @@ def read_pictures(path: Path) -> RecordedPictures:
     facts = contents.metadata.get("mufly.camera", {})
     start_ns = int(facts.get("start_ns", images[0][0]))
     tellings = contents.messages_by_topic.get(_TOPICS[1], [])
-    if tellings and not contents.is_complete:  # a picture and what was told with it have one time
+    if tellings and not contents.is_complete:  # a picture and its data have the same time
         both = {t for t, _ in images} & {t for t, _ in tellings}
         images, tellings = ([m for m in kind if m[0] in both] for kind in (images, tellings))
     told = [orjson.loads(c) for _, c in tellings]
-    count = min(len(images), len(told)) if told else len(images)  # cut off between two
+    count = min(len(images), len(told)) if told else len(images)  # the file may end between the two
     camera = contents.attachments.get("camera.toml", b"").decode()
     times = [(t - start_ns) * 1e-9 for t, _ in images[:count]]
     return RecordedPictures(path, camera, times, told[:count], [c for _, c in images[:count]])
 
 
 def _find_image_messages(messages: Mapping[str, list[tuple[int, bytes]]]) -> list[tuple[int, bytes]]:
-    """Messages of the first topic that looks like pictures."""
+    """Return the messages of the first topic that looks like pictures."""
     for found in messages.values():
         if found and b'"data"' in found[0][1] and b'"format"' in found[0][1]:
             return found
@@ -193,12 +194,12 @@ def _find_image_messages(messages: Mapping[str, list[tuple[int, bytes]]]) -> lis
 
 
 def find_camera(place: Path, given: str | None = None) -> Camera:
-    """Return the camera that took pictures: the one given by name or file, else that of their folder or recording.
+    """Return the camera of pictures: ``given`` by name or file, else that of their folder or recording.
 
     Raises
     ------
     InputError
-        If there are no pictures, or no file tells of their camera.
+        If there are no pictures, or no file describes their camera.
     """
     if not place.exists():
         raise InputError(str(place), "", "no such folder, video or recording", "give one with pictures")

@@ -1,16 +1,16 @@
-"""Pictures of the floor and what lies on it, from a camera that moves while it looks.
+"""Rendering of the floor and its boxes as seen by a camera that moves during the exposure.
 
-A row r of the picture is exposed around t_r = t + (r / (h - 1) - 1/2) T_roll for T_exp; its pixels are means over
-instants in that time. At each instant the camera has moved on evenly from the middle of the picture (velocity v,
-rates w: R(t + s) = R(t) exp([w s])), and the rotors shake it. A pixel's ray d = R (x, y, 1) meets the floor D = 0 at
-c + d (-c_D / d_D), boxes by the slab method, and takes the grey of that place there. Then
+Row r of the picture is exposed around t_r = t + (r / (h - 1) - 1/2) T_roll for T_exp; its pixels are means over
+instants in that time. The camera moves uniformly about its state at the middle of the picture (velocity v, rates w:
+R(t + s) = R(t) exp([w s])), and the rotors make it vibrate. A pixel's ray d = R (x, y, 1) meets the floor D = 0 at
+c + d (-c_D / d_D), boxes by the slab method, and takes the grey level of that point. Then
 
     I = jpeg(quantised(gain light vignette (blur * (shade grey)) + n))
 
-The shaking of rotor i turns the camera a little, so that the picture's middle moves by a_i cos(phi_i(t) + beta_ij)
-pixels along its axis j; a_i goes with the square of the speed, the phases are those of the rotors. Both rotors share
-evenly, so the amplitude of their sum is that of the file on average (rms). The directions beta are drawn by the
-seed: nobody measured them.
+The vibration of rotor i tilts the camera slightly, so that the picture's middle moves by a_i cos(phi_i(t) + beta_ij)
+pixels along its axis j. The amplitude a_i grows with the square of the speed; the phases phi_i are those of the rotors.
+Both rotors have equal shares, so that the rms of their sum is the amplitude of the file. The seed draws the directions
+beta, for which there is no measurement.
 
 Own derivation; rolling shutter as in Meingast, Geyer and Sastry 2005.
 """
@@ -37,17 +37,17 @@ _P_VELOCITY, _P_RATES, _P_ROTOR_SPEED, _P_ROTOR_PHASE = 3, 6, 9, 11
 _SHAKE_Y, _LAST_COLUMN = 2, 3
 """Where amplitude and phase along y stand in a rotor's shake; the last of the rows and columns that a box covers."""
 STRIP_ROWS = 16
-"""Rows of a picture that are lost together, as JPEG's blocks are."""
-_EXPOSURE_SAMPLES = 3  # instants of an exposure
+"""Rows of a picture that are lost together, as with JPEG's blocks."""
+_EXPOSURE_SAMPLES = 3  # instants per exposure
 _NOISE_TABLE_SIZE = 1 << 16
 _DETAIL_MAX_HEIGHT_M = 0.6
-_TARGET_GREY = 112.0  # mean grey that the exposure is set to
+_TARGET_GREY = 112.0  # mean grey level that the exposure control aims at
 _EXPOSURE_TIME_CONSTANT_S = 0.4
 
 
 @dataclass(frozen=True)
 class VehicleMotion:
-    """How the vehicle moves at the middle of a picture.
+    """State of the vehicle at the middle of a picture.
 
     Attributes
     ----------
@@ -55,13 +55,13 @@ class VehicleMotion:
     position, velocity : (3,) arrays
         N, E, D (m, m/s), of the centre of gravity.
     attitude : (3, 3) array
-        Turns body vectors into N-E-D.
+        Rotation matrix from body axes to N-E-D.
     rates : (3,) array
         p, q, r (rad/s).
     rotor_speed, rotor_phase : (2,) arrays
         Upper, lower (rad/s, rad).
     vibration_scale : float
-        Of the amplitude of the file: what share there is, 1 at hover speed.
+        Factor on the file's vibration amplitude, 1 at hover speed.
     """
 
     time_s: float
@@ -75,20 +75,20 @@ class VehicleMotion:
 
 
 class Renderer:
-    """Makes pictures of a floor.
+    """Renderer of pictures of a floor.
 
     Parameters
     ----------
     camera : Camera
     floor : Floor
     world : World
-        Of it the boxes on the floor.
+        Source of the boxes on the floor.
     seed : int
-        Of noise, losses and the directions of the shaking.
+        Seed of noise, losses and vibration directions.
     own_shadow : float
-        Share of the light that the vehicle takes from the floor below, 0 to 1.
+        Share of the light that the vehicle's shadow removes, 0 to 1.
     perfect : bool
-        Geometry alone: neither noise nor blur, vignette, JPEG, shaking and losses; a global shutter without exposure.
+        Geometry only: no noise, blur, vignette, JPEG, vibration or losses; a global shutter with zero exposure.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class Renderer:
         self._kernel = _gaussian_kernel(0.0 if perfect else float(q.blur))
         self._noise = 0.0 if perfect else float(q.noise)
         self._normals = self._rng.standard_normal(_NOISE_TABLE_SIZE, dtype=np.float32)
-        # Amplitude along each axis of the picture and its phase, a row a rotor: an ellipse by chance.
+        # Amplitude along each picture axis and its phase, one row per rotor: a random ellipse.
         amplitude = 0.0 if perfect else float(q.shaking) / math.sqrt(2.0)
         share = self._rng.uniform(0.15 * math.pi, 0.35 * math.pi, 2)
         self._shake = np.stack(
@@ -135,9 +135,9 @@ class Renderer:
 
         Parameters
         ----------
-        motion : Motion
+        motion : VehicleMotion
         light : float
-            Of the room, 1 as it was when the exposure was set first; the exposure follows it within half a second.
+            Light of the room relative to the first picture; the exposure follows a change within half a second.
         """
         s, shutter, q = self.camera.sensor, self.camera.shutter, self.camera.quality
         readout, exposure = (0.0, 0.0) if self._perfect else (float(shutter.readout), float(shutter.exposure))
@@ -186,7 +186,7 @@ class Renderer:
         return self._lose_strips(picture)
 
     def _adapt_exposure(self, time_s: float, light: float) -> None:
-        """Set the exposure: at once for the first picture, then drawn to what would be right."""
+        """Set the exposure: directly for the first picture, then with a first-order lag."""
         mean = float(self._out[::8, ::8].mean()) * light
         wanted = min(4.0, max(0.25, _TARGET_GREY / max(mean, 1e-3)))
         if self._perfect:
@@ -199,7 +199,7 @@ class Renderer:
         self._last_s = time_s
 
     def _lose_strips(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """What is left when strips are lost: the decoder shows what was there before."""
+        """Replace lost strips by those of the previous picture, as a decoder does."""
         lost = float(self.camera.quality.strips_lost)
         if lost > 0.0:
             for first in range(0, len(picture), STRIP_ROWS):
@@ -210,7 +210,7 @@ class Renderer:
         return picture
 
     def _box_pixel_bounds(self, motion: VehicleMotion) -> NDArray[np.int64]:
-        """Rows and columns (n, 4) between which each box can be seen: first, last row; first, last column."""
+        """Return the pixel bounds (n, 4) of each box: first, last row; first, last column."""
         s = self.camera.sensor
         out = np.zeros((len(self._boxes), 4), np.int64)
         turn = motion.attitude @ self._turn
@@ -232,7 +232,7 @@ class Renderer:
                 out[k] = 0, s.height - 1, 0, s.width - 1
                 continue
             xy = np.clip(p[:, :2] / p[:, 2:], -2 * reach, 2 * reach)
-            # Where distorted rays lie, row by row, is looked up in the table of rays.
+            # The table of rays gives the rows and columns of distorted rays.
             columns = np.nonzero(
                 (self._rays[..., 0].max(0) >= xy[:, 0].min()) & (self._rays[..., 0].min(0) <= xy[:, 0].max())
             )[0]
@@ -247,7 +247,7 @@ class Renderer:
 
 
 def encode_jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    """Return a picture as JPEG."""
+    """Return a picture encoded as JPEG."""
     from PIL import Image
 
     out = io.BytesIO()
@@ -256,7 +256,7 @@ def encode_jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
 
 
 def decode_picture(data: bytes) -> NDArray[np.uint8]:
-    """Return the grey picture in the bytes of a file; ValueError where there is none."""
+    """Return the grey picture in the bytes of a file; raise ValueError if there is none."""
     from PIL import Image
 
     try:
@@ -288,7 +288,7 @@ _FAST_MATH_OPTIONS: Any = {
 
 @cached_njit(**_FAST_MATH_OPTIONS)
 def _sample_texture(texture: NDArray[np.uint8], start: int, rows: int, columns: int, u: float, v: float) -> float:
-    """Grey of a level at u, v (its pixels, from the middle of the first), by straight lines."""
+    """Return the bilinearly interpolated grey level of a mip level at u, v (pixels from the middle of the first)."""
     i, j = math.floor(u), math.floor(v)
     a, b = u - i, v - j
     i, j = int(i), int(j)
@@ -301,7 +301,7 @@ def _sample_texture(texture: NDArray[np.uint8], start: int, rows: int, columns: 
 
 @cached_njit(**_FAST_MATH_OPTIONS)
 def _sample_periodic_map(a: _Array, n: int, u: float, v: float) -> float:
-    """Value of a square map (n, n) that repeats itself, by straight lines; n a power of two."""
+    """Return the bilinearly interpolated value of a periodic square map (n, n); n a power of two."""
     i, j = math.floor(u), math.floor(v)
     x, y = u - i, v - j
     i, j, m = int(i), int(j), n - 1
@@ -312,7 +312,7 @@ def _sample_periodic_map(a: _Array, n: int, u: float, v: float) -> float:
 
 @cached_njit(**_FAST_MATH_OPTIONS)
 def _apply_rotation_vector(turn: _Array, w: _Array, s: float, out: _Array) -> None:
-    """out = turn exp([w s]) (Rodrigues)."""
+    """Compute out = turn exp([w s]) (Rodrigues)."""
     x, y, z = w[0] * s, w[1] * s, w[2] * s
     angle = math.sqrt(x * x + y * y + z * z)
     a = 1.0 if angle < 1e-9 else math.sin(angle) / angle
@@ -350,7 +350,7 @@ def _render_irradiance(
     boxes: _Array,
     seen: NDArray[np.int64],
 ) -> None:
-    """Grey as it would be without what lens and sensor do to it."""
+    """Compute the grey levels before lens and sensor effects."""
     high, wide = out.shape
     start, rows, columns = table[level, 0], (1 << table[level, 1]) - 1, (1 << table[level, 2]) - 1
     scale_n, scale_e = 1.0 / (step[0] * (1 << level)), 1.0 / (step[1] * (1 << level))
@@ -380,7 +380,7 @@ def _render_irradiance(
                 phase = place[_P_ROTOR_PHASE + k] + place[_P_ROTOR_SPEED + k] * s
                 shift_x += shake[k, 0] * math.cos(phase + shake[k, 1])
                 shift_y += shake[k, _SHAKE_Y] * math.cos(phase + shake[k, _SHAKE_Y + 1])
-            for i in range(3):  # turned: (x, y, 1) looks where (x - s_x, y - s_y, 1 + s_x x + s_y y) did
+            for i in range(3):  # small rotation: (x, y, 1) becomes (x - s_x, y - s_y, 1 + s_x x + s_y y)
                 a, b, g = m[i, 0], m[i, 1], m[i, 2]
                 m[i, 0], m[i, 1], m[i, 2] = a + g * shift_x, b + g * shift_y, g - a * shift_x - b * shift_y
             height = max(-at_d, 1e-4)
@@ -390,7 +390,7 @@ def _render_irradiance(
                 e = m[1, 0] * x + m[1, 1] * y + m[1, 2]
                 d = m[2, 0] * x + m[2, 1] * y + m[2, 2]
                 if d < 0.02:
-                    out[r, c] += 118.0 * share  # walls, which are not drawn
+                    out[r, c] += 118.0 * share  # walls are not drawn
                     continue
                 far = height / d
                 dark, off = 1.0, 0.0
@@ -409,7 +409,7 @@ def _render_irradiance(
                         detail, DETAIL_PIXELS, to_n / DETAIL_PIXEL_M, to_e / DETAIL_PIXEL_M
                     )
                 if q == 0:
-                    # Light changes slowly over the floor: once a pixel is enough.
+                    # Light varies slowly over the floor: one sample per pixel suffices.
                     light = _sample_periodic_map(shade, SHADOW_PIXELS, to_n / SHADOW_PIXEL_M, to_e / SHADOW_PIXEL_M)
                     if own_shadow > 0.0:
                         a, b = to_n - place[0] + 0.25 * place[2], to_e - place[1] - 0.15 * place[2]
@@ -425,7 +425,7 @@ def _render_irradiance(
 def _intersect_box(
     boxes: _Array, k: int, at_n: float, at_e: float, at_d: float, n: float, e: float, d: float
 ) -> tuple[float, bool]:
-    """How far along the ray box k begins (negative: it is missed), and whether that is its top."""
+    """Return the distance along the ray to box k (negative: missed), and whether it hits the top face."""
     c, s = boxes[k, BOX_COS], boxes[k, BOX_SIN]
     on, oe, od = at_n - boxes[k, 0], at_e - boxes[k, 1], at_d - boxes[k, 2]
     px, py = c * on + s * oe, -s * on + c * oe
@@ -450,7 +450,7 @@ def _intersect_box(
 
 @cached_njit(**_FAST_MATH_OPTIONS)
 def _blur_in_place(a: _Array, work: _Array, kernel: _Array) -> None:
-    """Blur in place, rows then columns; the edges go on as they end."""
+    """Blur in place, rows then columns; edge values are repeated."""
     high, wide = a.shape
     reach = len(kernel) // 2
     for r in range(high):
@@ -486,7 +486,7 @@ def _convert_to_grey_levels(
     normals: _Array,
     starts: NDArray[np.int64],
 ) -> None:
-    """Light into grey levels, with noise."""
+    """Convert light to grey levels, with noise."""
     high, wide = a.shape
     for r in range(high):
         first = starts[r]
