@@ -1,4 +1,4 @@
-"""How is it held? H-infinity design, analysis, order reduction, discretisation and the control law on board."""
+"""Controllers: H-infinity design, analysis, order reduction, discretisation and the control law on board."""
 
 from mufly.control.designs import (
     DEFAULT_RATE_HZ,

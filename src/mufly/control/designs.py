@@ -1,8 +1,8 @@
 """All controllers of a vehicle: synthesis, reduction, discretisation, analysis, and the gains for the law on board.
 
-Choices, with their reasons, stand in docs/explanation/control.md; weights, scaling and limits in
-:class:`DesignSettings`. What the thesis prints about its controllers stands beside ours (Sec. 6.1; facts.csv, keys
-S6.1-*).
+The reasons for the design choices are in docs/explanation/control.md; weights, scaling and limits are in
+:class:`DesignSettings`. The figures that the thesis prints for its controllers are listed beside the computed ones
+(Sec. 6.1; facts.csv, keys S6.1-*).
 """
 
 from __future__ import annotations
@@ -64,22 +64,22 @@ POSITION_DIVIDER = 4  # the position cascade runs in every fourth period
 
 @result
 class PublishedFigures:
-    """Printed figures of one design; None where the text gives none.
+    """Figures of one design printed in the thesis; None where it prints none.
 
     Attributes
     ----------
     gamma : float
         H-infinity level reached.
     plant_crossovers : tuple of float
-        0 dB crossings of the unscaled plant's singular values, rad/s.
+        0 dB crossings of the unscaled plant's singular values (rad/s).
     crossover : float
-        Of the loop gain, rad/s.
+        Crossover frequency of the loop gain (rad/s).
     sensitivity_peak_dB, complementary_peak_dB : float
-        Of S_u and T_u.
+        Peaks of S_u and T_u.
     resonance : float
-        Of the plant, rad/s.
+        Resonance frequency of the plant (rad/s).
     order : int
-        On the processor, after reduction.
+        Order on the processor, after reduction.
     """
 
     gamma: float | None = None
@@ -111,26 +111,27 @@ class ControllerDesign:
     ----------
     name : str
     plant : control.StateSpace
-        In physical units.
+            Plant in physical units.
     scaling : Scaling
     generalised : control.StateSpace
-        The plant of the synthesis: scaled, with weights.
+            Generalised plant of the synthesis: scaled, with weights.
     controller : control.StateSpace
-        Continuous, full order, physical units.
+            Controller: continuous, full order, physical units.
     gamma, gamma_optimal, norm : float
-        Level claimed, smallest level found, and norm of the closed loop with weights as computed from it.
+            Level of the controller, smallest feasible level found, and computed norm of the closed loop with weights.
     reduction : Reduction
     reduced : control.StateSpace
-        Continuous, physical units.
+            Reduced controller: continuous, physical units.
     discrete : DiscreteController
     full_loop, reduced_loop, sampled_loop : LoopAnalysis
-        The last with zero-order hold and one sample of delay.
+            Analyses of the loop with the full, reduced and discrete controller, the last with hold and one sample of
+            delay.
     plant_crossovers : tuple of float
         0 dB crossings of the unscaled plant's singular values, rad/s.
     feedback_inputs : tuple of int
         Controller inputs that are errors of the plant's outputs.
-    published : PublishedDesign
-        The thesis's figures.
+    published : PublishedFigures
+        Figures of the thesis.
     """
 
     name: str
@@ -153,7 +154,7 @@ class ControllerDesign:
 
     @property
     def loop_analyses(self) -> tuple[tuple[str, int, LoopAnalysis], ...]:
-        """Name, order and figures of the full, the reduced and the sampled controller's loop."""
+        """Name, order and analysis of the loops with the full, the reduced and the sampled controller."""
         return (
             ("full", self.controller.nstates, self.full_loop),
             ("reduced", self.reduced.nstates, self.reduced_loop),
@@ -161,11 +162,11 @@ class ControllerDesign:
         )
 
     def feedback_controller(self, controller: control.StateSpace | None = None) -> control.StateSpace:
-        """K of ``u = -K y``, of the full controller or of another one with the same inputs."""
+        """Return K of ``u = -K y``, for the full controller or another one with the same inputs."""
         return feedback_part(self.controller if controller is None else controller, self.plant, self.feedback_inputs)
 
     def as_record(self) -> dict[str, Any]:
-        """The figures, ready for JSON: units in the keys, None for what is infinite."""
+        """Return the figures as JSON data: units in the keys, None for infinite values."""
         return {
             "name": self.name,
             "gamma": self.gamma,
@@ -187,7 +188,7 @@ class ControllerDesign:
         }
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return the figures of the three controllers beside the thesis's, as a table."""
+        """Return a table of the figures of the three controllers beside those of the thesis."""
         thesis = self.published
         loops = (self.full_loop, self.reduced_loop, self.sampled_loop)
 
@@ -222,20 +223,20 @@ class FlightController:
     ----------
     vehicle_name : str
     rate_Hz, period_s : float
-        Of heave-yaw and roll-pitch.
+            Rate and period of the heave-yaw and roll-pitch controllers.
     position_divider : int
-        The position cascade runs in every so-manieth period.
+            The position cascade runs once in this number of periods.
     voltage_V : float
         Design voltage.
     motor_trim : array, shape (2,)
         Hover motor inputs at the design voltage: upper, lower.
-    heave_yaw, roll_pitch, velocity : Design
+    heave_yaw, roll_pitch, velocity : ControllerDesign
     cascade : LoopAnalysis
-        The loop at the tilt reference with everything closed below it: full lateral model, roll-pitch controller
-        sampled with one sample of delay, velocity and position controllers at their own rate.
+        The loop broken at the tilt reference with all inner loops closed: full lateral model, sampled roll-pitch
+        controller with one sample of delay, velocity and position controllers at their own rate.
     heave_yaw_gains, roll_pitch_gains, position_gains : record
-        For :mod:`mufly.control.law`.
-    settings : Settings
+        Gains for :mod:`mufly.control.law`.
+    settings : DesignSettings
     """
 
     vehicle_name: str
@@ -255,12 +256,12 @@ class FlightController:
 
     @property
     def all_designs(self) -> tuple[ControllerDesign, ControllerDesign, ControllerDesign]:
-        """Heave-yaw, roll-pitch, velocity."""
+        """Designs of heave-yaw, roll-pitch and velocity."""
         return self.heave_yaw, self.roll_pitch, self.velocity
 
     @property
     def design_warnings(self) -> tuple[str, ...]:
-        """What a user should know before flying: sampled loops with peaks above 6 dB, and how to mend them."""
+        """Warnings for the user before a flight: sampled loops with peaks above 6 dB, and remedies."""
         found = []
         for d in self.all_designs:
             loop = d.sampled_loop
@@ -274,7 +275,7 @@ class FlightController:
         return tuple(found)
 
     def as_record(self) -> dict[str, Any]:
-        """The figures of all designs, ready for JSON."""
+        """Return the figures of all designs as JSON data."""
         return {
             "warnings": list(self.design_warnings),
             "vehicle": self.vehicle_name,
@@ -321,11 +322,11 @@ def design_flight_controller(
     ----------
     vehicle : Vehicle
     rate_Hz : float, optional
-        Rate of the control law; 200 Hz by default, the lowest of the usual rates at which roll-pitch keeps its
-        peaks below 4.5 dB with one sample of delay.
+            Rate of the control law; 200 Hz by default, the lowest of the usual rates at which the roll-pitch loop keeps
+            its peaks below 4.5 dB with one sample of delay.
     voltage : float, optional
         Battery voltage of the linear model (V); the vehicle's nominal voltage by default.
-    settings : Settings, optional
+    settings : DesignSettings, optional
         Weights, scaling and limits.
 
     Returns
@@ -335,10 +336,10 @@ def design_flight_controller(
     Raises
     ------
     ArgumentError
-        If the rate is not possible, or the voltage none that the vehicle's battery has in use.
-    MuflyError
-        If the vehicle cannot hover, or a design fails: the message names the design and the mode, weight or step at
-        fault.
+            If the rate is out of range, or the voltage is outside the battery's range of use.
+        MuflyError
+            If the vehicle cannot hover, or a design fails: the message names the design and the failing mode, weight or
+            step.
     """
     s = DesignSettings() if settings is None else settings
     rate = DEFAULT_RATE_HZ if rate_Hz is None else float(rate_Hz)
@@ -433,7 +434,7 @@ def _design_controller(
     scheme: str = "one-degree scheme",
     windup_rate: float | None = None,
 ) -> ControllerDesign:
-    """Synthesise, reduce, discretise, analyse; it reads the outputs ``references``, then all errors."""
+    """Synthesise, reduce, discretise and analyse a controller; its inputs are ``references``, then all errors."""
     rows = tuple(range(len(references), len(references) + plant.noutputs))
     output_scale, input_scale = np.array(scaling.outputs), np.array(scaling.inputs)
     read = np.concatenate([output_scale[list(references)], output_scale])
@@ -496,7 +497,7 @@ def _plant_crossovers(plant: control.StateSpace) -> tuple[float, ...]:
 
 
 def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
-    """Heave-yaw: two degrees of freedom (Sec. 6.1.4). Inputs of the controller: z, psi references, then errors."""
+    """Design heave-yaw: two degrees of freedom (Sec. 6.1.4). Controller inputs: z, psi references, then errors."""
     return _design_controller(
         "heave-yaw",
         plant,
@@ -514,7 +515,7 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
 
 
 def design_roll_pitch(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
-    """Roll-pitch: one degree of freedom (Sec. 6.1.5). Inputs of the controller: errors of phi, theta, p, q."""
+    """Design roll-pitch: one degree of freedom (Sec. 6.1.5). Controller inputs: errors of phi, theta, p, q."""
     return _design_controller(
         "roll-pitch",
         plant,
@@ -530,9 +531,9 @@ def design_roll_pitch(plant: control.StateSpace, settings: DesignSettings, perio
 
 
 def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesign:
-    """Velocity under ideal tilt (eq. 6.10): ``udot = -g theta``, ``vdot = g phi``; one degree of freedom (Sec. 6.1.6).
+    """Design the velocity controller for ideal tilt (eq. 6.10): ``udot = -g theta``, ``vdot = g phi``.
 
-    Inputs of the controller: errors of u, v.
+    It has one degree of freedom (Sec. 6.1.6); its inputs are the errors of u, v.
 
     Thesis: eqs 6.6 to 6.10; Sec. 6.1.6.
     """
@@ -552,7 +553,7 @@ def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesi
         lambda scaled: one_degree_plant(scaled, ("u", "v"), settings.velocity_weights),
         settings.velocity_relaxation,
         period_s,
-        # Order two is enough for the peaks, but loses the roll-off that keeps noise off the tilt.
+        # Order two suffices for the peaks, but loses the roll-off that keeps noise out of the tilt reference.
         orders=(4, VELOCITY_ORDER),
         slow=(0.05,),
         published=VELOCITY,
@@ -560,7 +561,7 @@ def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesi
 
 
 def reference_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
-    """Time (s) by which height and heading trail a reference of constant rate: phase lag over a low frequency."""
+    """Return the lag (s) of height and heading behind a ramp reference: phase lag over a low frequency."""
     frequency = np.array([0.05])
     sampled = sample_plant(heave_yaw.plant, heave_yaw.discrete.period_s, 1)
     g = frequency_response(sampled, frequency)[0]
@@ -571,11 +572,11 @@ def reference_lags(heave_yaw: ControllerDesign) -> tuple[float, float]:
 
 
 def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: DesignSettings) -> float:
-    """Acceleration (m/s2) of a heave reference that the motors follow, with the battery run down and sagging.
+    """Return a heave acceleration (m/s2) that the motors can follow with a discharged, loaded battery.
 
-    A step of ``du`` on both motors ends in ``per_input * du``; ``du`` is what the battery's voltage at full input, with
-    ``planning_charge`` left, has above hover. The motors' lag asks for several times the input at the start of a climb
-    that its end needs, hence ``heave_share``.
+    A step of ``du`` on both motors gives ``per_input * du`` in steady state; ``du`` is the margin above hover of the
+    voltage at full input, with ``planning_charge`` left. Because of the motors' lag, a climb starts with several times
+    its steady input, hence ``heave_share``.
     """
     state = linear.trim.state.copy()
     state[RS_CHARGE] = settings.planning_charge

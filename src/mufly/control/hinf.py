@@ -1,23 +1,23 @@
-"""H-infinity synthesis: a controller that makes the largest gain from ``w`` to ``z`` nearly as small as possible.
+"""H-infinity synthesis: a controller that nearly minimises the H-infinity norm from ``w`` to ``z``.
 
 The generalised plant, with disturbances ``w``, errors ``z``, controls ``u`` and measurements ``y``, is
 
     xdot = A x + B1 w + B2 u,   z = C1 x + D11 w + D12 u,   y = C2 x + D21 w + D22 u.
 
 Method: Glover and Doyle, "State-space formulae for all stabilizing controllers that satisfy an H-infinity norm bound"
-(Syst. Control Lett. 11, 1988), as in Zhou, Doyle and Glover, *Robust and Optimal Control* (1996), theorem 17.1: for a
-level gamma, two Riccati equations (one for full information, one for the filter) have stabilising solutions
-X, Y >= 0 with spectral radius rho(X Y) < gamma^2 exactly when a controller with norm below gamma exists.
-Bisection on gamma; general D11 and D22 (the latter by the loop shift K = (I + K0 D22)^-1 K0).
+(Syst. Control Lett. 11, 1988), as in Zhou, Doyle and Glover, *Robust and Optimal Control* (1996), theorem 17.1.
+A controller with norm below gamma exists exactly when two Riccati equations (full information and filter) have
+stabilising solutions X, Y >= 0 with spectral radius rho(X Y) < gamma^2. The level gamma is found by bisection; D11 and
+D22 are general (the latter by the loop shift K = (I + K0 D22)^-1 K0).
 
-The assumptions of the theorem are checked, and named when violated.
-``regularisation`` makes those on D12, D21 and the zeros hold by small weights on x and u and small noises on x and y.
+The assumptions of the theorem are checked, and named when violated. ``regularisation`` satisfies those on D12, D21 and
+the zeros by small weights on x and u and small noises on x and y.
 
 The states are scaled first (diagonal balancing of the plant), since weights with corners from 1e-4 to 1e3 rad/s would
-otherwise spoil the Riccati equations, and so are the signals: w and z by one factor each, every control and measurement
-by its own. No number below is therefore a size of the plant; those that stand there are measured against rounding.
-What counts in the end is not the level claimed but the norm of the loop that is closed with the controller found; it is
-computed independently, on the plant as given, and returned.
+otherwise make the Riccati equations ill-conditioned. Signals are scaled, too: w and z by one factor each, every control
+and measurement by its own. So all tolerances below refer to rounding, not to the size of the plant. The decisive
+result is not the level but the norm of the closed loop; it is computed independently, on the plant as given, and
+returned.
 """
 
 from __future__ import annotations
@@ -36,27 +36,27 @@ from mufly.results import result
 
 @result
 class HinfResult:
-    """A controller and what it is worth.
+    """A controller with its level and its closed loop.
 
     Attributes
     ----------
     controller : control.StateSpace
-        From measurements to controls.
+            Controller from measurements to controls.
     gamma : float
-        Level for which it was computed: the bound that theory promises.
+            Level for which it was computed: the theoretical bound of the norm.
     gamma_optimal : float
         Smallest level found feasible (an upper bound of the optimum, within the tolerance).
     norm : float
         H-infinity norm of the closed loop, computed from it; at most ``gamma``.
     peak_frequency : float
-        Where that norm is attained, rad/s.
+            Frequency at which the norm is attained (rad/s).
     closed_loop : control.StateSpace
-        From ``w`` to ``z``.
+            Closed loop from ``w`` to ``z``.
     actuation : array, shape (states, controls)
-        How the plant's copy inside the controller takes the control: the central controller is an observer,
-        ``xhat' = (..) xhat + actuation u + (..) y`` with ``u = C xhat + D y``. What an anti-windup needs.
-    iterations : int
-        Levels tried.
+            Input matrix of the control in the controller's plant model, for anti-windup. The central controller is an
+            observer ``xhat' = (..) xhat + actuation u + (..) y`` with ``u = C xhat + D y``.
+        iterations : int
+            Number of levels tried.
     """
 
     controller: control.StateSpace
@@ -70,7 +70,7 @@ class HinfResult:
 
 
 class _PartitionedPlant(NamedTuple):
-    """A generalised plant by its signals."""
+    """Matrices of a generalised plant, partitioned by its signals."""
 
     A: Array
     B1: Array
@@ -84,7 +84,7 @@ class _PartitionedPlant(NamedTuple):
 
 
 def _partition_plant(A: Array, B: Array, C: Array, D: Array, ny: int, nu: int) -> _PartitionedPlant:
-    """Part the matrices of a plant before its last ``ny`` outputs and ``nu`` inputs."""
+    """Partition the matrices of a plant before its last ``ny`` outputs and ``nu`` inputs."""
     nz, nw = D.shape[0] - ny, D.shape[1] - nu
     rows = D[:nz], D[nz:]
     return _PartitionedPlant(
@@ -93,7 +93,7 @@ def _partition_plant(A: Array, B: Array, C: Array, D: Array, ny: int, nu: int) -
 
 
 def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpace:
-    """Lower linear fractional transformation: ``P`` with its last signals closed by ``K`` (u = K y).
+    """Return the lower linear fractional transformation: ``P`` with its last signals closed by ``K`` (u = K y).
 
     Raises
     ------
@@ -115,19 +115,17 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
     return state_space(A, B, C, D11 + D12 @ Du, inputs=P.input_labels[:nw], outputs=P.output_labels[:nz])
 
 
-_MAX_GAMMA, _MIN_GAMMA = 1e20, 1e-18  # levels of a plant with all signals near one that the search goes to
-_UNSCALED_BITS = (
-    10  # a signal within 2^10 of one is taken as it stands, so that a plant of ordinary size keeps every bit
-)
+_MAX_GAMMA, _MIN_GAMMA = 1e20, 1e-18  # bounds of the level search, for a plant with all signals near one
+_UNSCALED_BITS = 10  # signals within 2^10 of one are not scaled, so that ordinary plants keep every bit
 
 
 def _scale_signals(P: control.StateSpace, inputs: Array, outputs: Array) -> control.StateSpace:
-    """The plant with its inputs and outputs in other units."""
+    """Return the plant with its inputs and outputs in other units."""
     return replace_matrices(P, B=P.B * inputs, C=P.C * outputs[:, None], D=P.D * inputs * outputs[:, None])
 
 
 def _balance_states(P: control.StateSpace) -> control.StateSpace:
-    """The plant after the diagonal similarity, in powers of two, that evens out rows and columns of [A B; C 0]."""
+    """Return the plant after diagonal scaling, in powers of two, that balances rows and columns of [A B; C 0]."""
     n = P.nstates
     whole = np.block([[P.A, P.B], [P.C, np.zeros(P.D.shape)]])
     for _ in range(20):
@@ -145,11 +143,11 @@ def _balance_states(P: control.StateSpace) -> control.StateSpace:
 
 
 def _signal_scales(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Array]:
-    """Factors on inputs and outputs (one for all of w, one for all of z) that bring every signal near one.
+    """Return factors on inputs and outputs (one for all of w, one for all of z) that bring every signal near one.
 
-    What a signal is worth is the length of its column of ``[B / sqrt(r); D]``, or row of ``[C / sqrt(r), D]``, with the
-    states balanced and r the size of A (where that is next to nothing, that of a loop closed over D12 or D21), so that
-    the units of states and of time do not enter.
+    The size of a signal is the norm of its column of ``[B / sqrt(r); D]`` or row of ``[C / sqrt(r), D]``, with balanced
+    states and r the norm of A. If A is negligible, r is that of a loop closed over D12 or D21. So the units of states
+    and of time do not enter.
     """
     inputs, outputs = np.ones(P.ninputs), np.ones(P.noutputs)
     nw, nz = P.ninputs - nu, P.noutputs - ny
@@ -178,7 +176,7 @@ def _signal_scales(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Arra
 def _normalise_plant(
     P: control.StateSpace, ny: int, nu: int, regularisation: float
 ) -> tuple[_PartitionedPlant, Array, Array]:
-    """Return the plant with D12 = [0; I], D21 = [0, I]; Ru, Ry of u = Ru u~, y~ = Ry y."""
+    """Return the plant with D12 = [0; I], D21 = [0, I], and Ru, Ry of u = Ru u~, y~ = Ry y."""
     n = P.nstates
     p = _partition_plant(P.A, P.B, P.C, P.D, ny, nu)
     if regularisation > 0.0:
@@ -211,9 +209,9 @@ def _normalise_plant(
 
 
 def _solve_riccati(H: Array) -> Array | None:
-    """Stabilising solution X of the Riccati equation of Hamiltonian ``H``; None if an eigenvalue is on the axis."""
+    """Return the stabilising Riccati solution X of Hamiltonian ``H``; None if it has eigenvalues on the axis."""
     n = H.shape[0] // 2
-    with np.errstate(invalid="ignore"):  # scipy casts a permutation that is not asked for
+    with np.errstate(invalid="ignore"):  # scipy casts an unused permutation
         balanced, scaling = linalg.matrix_balance(H, permute=False, separate=True)
     d = scaling[0]
     T, Z, stable = linalg.schur(balanced, sort="lhp")
@@ -227,9 +225,9 @@ def _solve_riccati(H: Array) -> Array | None:
         return None
     X = np.linalg.solve(U[:n].T, U[n:].T).T
     symmetric: Array = (X + X.T) / 2
-    # Not negative, in the coordinates of the balanced Hamiltonian. X passes through infinity to negative values at a
-    # level out of reach; but where there is little to weigh it is zero, and then rounding of the Hamiltonian by N makes
-    # it as negative as -E, with E of the Lyapunov equation Ac' E + E Ac + N = 0.
+    # X must be positive semidefinite in the balanced coordinates. At an infeasible level X passes through infinity to
+    # negative values. But where X is near zero, a rounding error N of the Hamiltonian makes it as negative as -E, with
+    # E of the Lyapunov equation Ac' E + E Ac + N = 0.
     even = np.sqrt(d[:n] / d[n:])
 
     def is_negative(M: Array) -> bool:
@@ -239,16 +237,16 @@ def _solve_riccati(H: Array) -> Array | None:
     if is_negative(symmetric):
         noise = 100.0 * np.finfo(float).eps * np.linalg.norm(balanced) * np.diag(even**-2)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # a mode next to the axis: the doubt is large, and said so
+            warnings.simplefilter("ignore", RuntimeWarning)  # a mode near the axis gives a large bound, tested below
             doubt = linalg.solve_continuous_lyapunov((H[:n, :n] + H[:n, n:] @ symmetric).T, -noise)
-        # A doubt that is itself large says nothing.
+        # A large error bound is inconclusive.
         if is_negative(symmetric + doubt) or np.linalg.norm(doubt * even * even[:, None]) > 1.0:
             return None
     return symmetric
 
 
 def _central_controller(p: _PartitionedPlant, gamma: float) -> tuple[Array, Array, Array, Array] | None:
-    """Central controller of level ``gamma`` for the normalised plant, or None where there is none."""
+    """Return the central controller of level ``gamma`` for the normalised plant, or None if there is none."""
     n, nw, nu = p.A.shape[0], p.B1.shape[1], p.B2.shape[1]
     nz, ny = p.C1.shape[0], p.C2.shape[0]
     a, b = nz - nu, nw - ny  # sizes of the first parts of z and w
@@ -297,7 +295,7 @@ def _central_controller(p: _PartitionedPlant, gamma: float) -> tuple[Array, Arra
 def _recover_controller(
     p: _PartitionedPlant, Ru: Array, Ry: Array, gamma: float, P: control.StateSpace
 ) -> control.StateSpace | None:
-    """Central controller of level ``gamma`` for the plant as given: turned back, and shifted by D22."""
+    """Return the central controller of level ``gamma`` for the plant as given: rescaled, and shifted by D22."""
     matrices = _central_controller(p, gamma)
     if matrices is None:
         return None
@@ -324,25 +322,25 @@ def hinfsyn(
     regularisation: float = 0.0,
     gamma_max: float | None = None,
 ) -> HinfResult:
-    """Synthesise a controller with (nearly) the smallest H-infinity norm from ``w`` to ``z``.
+    """Synthesise a controller with nearly the smallest H-infinity norm from ``w`` to ``z``.
 
     Parameters
     ----------
     P : control.StateSpace
-        Generalised plant, continuous time; its last ``n_measurements`` outputs and ``n_controls`` inputs belong to the
-        controller.
+            Generalised plant, continuous time; its last ``n_measurements`` outputs and ``n_controls`` inputs are those
+            of the controller.
     n_measurements, n_controls : int
         Sizes of ``y`` and ``u``.
     gamma_tolerance : float
-        Relative width of the bisection on gamma, at least 0; it ends at rounding.
+            Relative width of the bisection on gamma, at least 0; limited by rounding.
     relaxation : float
-        Compute the controller at this factor (at least 1) above the smallest feasible level. At the optimum itself
-        the central controller has a mode that runs off to infinity; a few per cent cost little and keep it slow.
-    regularisation : float
-        Size of small extra weights and noises, relative to the balanced plant; 0 leaves the problem as it is. With
-        them the level holds for the plant given as well, since its loop is part of the larger one.
-    gamma_max : float, optional
-        Level above which the problem counts as infeasible; without it, where numbers end.
+            Factor (at least 1) of the controller's level above the smallest feasible one. At the optimum the central
+            controller has an infinitely fast mode; a few per cent cost little and keep it slow.
+        regularisation : float
+            Size of small extra weights and noises, relative to the balanced plant; 0 adds none. The level also holds
+            for the plant as given, since its loop is part of the extended one.
+        gamma_max : float, optional
+            Level above which the problem counts as infeasible; by default the numerical limit.
 
     Returns
     -------
@@ -351,9 +349,10 @@ def hinfsyn(
     Raises
     ------
     ArgumentError
-        If tolerance, relaxation, regularisation or ``gamma_max`` is not possible.
-    MuflyError
-        Naming the violated assumption with mode, signal or frequency; or when no level up to ``gamma_max`` works.
+            If tolerance, relaxation, regularisation or ``gamma_max`` is out of range.
+        MuflyError
+            If an assumption is violated (the message names it with mode, signal or frequency), or no level up to
+            ``gamma_max`` is feasible.
 
     Notes
     -----
@@ -381,7 +380,7 @@ def hinfsyn(
     if not all(np.isfinite(M).all() for M in (P.A, P.B, P.C, P.D)):
         raise MuflyError("H-infinity synthesis: the plant holds a number that is not finite")
     inputs, outputs = _signal_scales(P, n_measurements, n_controls)
-    unit = float(inputs[0] * outputs[0])  # a level of the scaled plant over one of the plant as given
+    unit = float(inputs[0] * outputs[0])  # ratio of a level of the scaled plant to one of the plant as given
     scaled = _balance_states(_scale_signals(P, inputs, outputs))
     p, Ru, Ry = _normalise_plant(scaled, n_measurements, n_controls, regularisation)
     a, b = p.C1.shape[0] - n_controls, p.B1.shape[1] - n_measurements
@@ -404,11 +403,11 @@ def hinfsyn(
                 raise MuflyError(_explain_infeasible(p, scaled, promised, most, unit))
             lower, upper = upper, min(3.0 * upper, most)
         while upper > (1 + gamma_tolerance) * lower and upper > _MIN_GAMMA:
-            # Geometric once a scale is known, so that a small optimum is found as fast as a large one.
+            # Geometric bisection once the scale is known, so that small optima are found as fast as large ones.
             middle = float(np.sqrt(lower * upper)) if lower > upper / 100 else upper / 10
             if middle <= floor:
                 middle = (floor + upper) / 2
-            if not lower < middle < upper:  # as near as numbers are
+            if not lower < middle < upper:  # limit of floating point
                 break
             if is_feasible(middle):
                 upper = middle
@@ -417,7 +416,7 @@ def hinfsyn(
         best = upper
         promised = promised or best
         for k in range(-1, 40):
-            # Just above the optimum the numbers may not keep what theory promises: further from it in doubled steps.
+            # Just above the optimum rounding may break the bound: increase the distance in doubled steps.
             gamma = best * relaxation * (1.0 if k < 0 else 1.0 + max(gamma_tolerance, 1e-9) * 2.0**k)
             if gamma > 2.0 * best * relaxation:
                 break
@@ -441,7 +440,7 @@ def hinfsyn(
                         actuation,
                         iterations,
                     )
-        # No loop keeps it: a level in name only. Look above it.
+        # No computed loop meets this level: search above it.
         lower, upper = gamma, min(3.0 * gamma, most)
         if lower >= most:
             raise MuflyError(_explain_infeasible(p, scaled, promised, most, unit))
@@ -450,7 +449,7 @@ def hinfsyn(
 def _explain_infeasible(
     p: _PartitionedPlant, P: control.StateSpace, promised: float | None, most: float, unit: float
 ) -> str:
-    """Why there is no controller: levels in units of the scaled plant, and the mode that is hardest to hold."""
+    """Return the reason for infeasibility: levels in units of the scaled plant, and the least controllable mode."""
     if promised is None:
         said = f"no controller found with gamma below {most / unit:.3g}"
     else:
@@ -473,10 +472,10 @@ def _explain_infeasible(
 
 
 def _mode_controllability(A: Array, B: Array, which: str) -> list[tuple[complex, float, int]]:
-    """Modes of A, how well B reaches each, and its main state, counted.
+    """Return modes of A, the degree to which B controls each, and the index of the mode's main state.
 
-    Those not stable ("unstable") or on the axis ("axis"). Popov-Belevitch-Hautus: the mode is out of reach when
-    ``[A - s I, B]`` loses rank; its least singular value over the largest says how far from that it is.
+    ``which`` selects modes that are not stable ("unstable") or on the axis ("axis"). Popov-Belevitch-Hautus: a mode is
+    uncontrollable when ``[A - s I, B]`` loses rank; the degree is its smallest singular value over the largest.
     """
     scale = float(np.linalg.norm(A, 2)) if A.size else 0.0
     found = []
@@ -495,17 +494,17 @@ def _format_mode(mode: complex) -> str:
 def _check_assumptions(p: _PartitionedPlant, P: control.StateSpace) -> None:
     """Raise a MuflyError that names the first assumption of the synthesis that the plant violates.
 
-    (A, B2) stabilisable, (C2, A) detectable; D12 of full column rank, D21 of full row rank; no invariant zero of
-    (A, B2, C1, D12) or (A, B1, C2, D21) on the imaginary axis. With D12 of full column rank the invariant zeros of
-    (A, B2, C1, D12) are the unobservable modes of ``(A - B2 D12^+ C1, (I - D12 D12^+) C1)``: what the control can hide
-    from the errors. Dually for the other.
+    The assumptions: (A, B2) stabilisable, (C2, A) detectable; D12 of full column rank, D21 of full row rank; no
+    invariant zero of (A, B2, C1, D12) or (A, B1, C2, D21) on the imaginary axis. With D12 of full column rank the
+    invariant zeros of (A, B2, C1, D12) are the unobservable modes of ``(A - B2 D12^+ C1, (I - D12 D12^+) C1)``. The
+    other zeros follow by duality.
 
     Parameters
     ----------
-    p : _Parts
-        The plant in the coordinates of the synthesis (balanced, regularised if asked for).
+    p : _PartitionedPlant
+        Plant in the coordinates of the synthesis (balanced, regularised if requested).
     P : control.StateSpace
-        The plant as given: its labels name states and signals.
+        Plant as given: its labels name states and signals.
     """
     ny, nu = p.D22.shape
     measured, controls, states = P.output_labels[-ny:], P.input_labels[-nu:], P.state_labels

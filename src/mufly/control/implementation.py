@@ -1,25 +1,25 @@
-"""Order reduction of a controller, judged by the loop it closes.
+"""Order reduction of a controller by criteria on its closed loop, and discretisation.
 
-The controller is split into its slow modes (integrators in all but name: they are kept as they are) and the rest. The
-rest is put into coordinates in which what is excited and what is felt are equal, and the weak directions are removed.
-Two choices of "excited and felt" are tried:
+The controller is split into slow modes (practically integrators), which stay unchanged, and the rest. The rest is
+transformed to coordinates with equal Gramians of excitation and effect, and the weak directions are removed. Two pairs
+of Gramians are tried:
 
 - ``loop``: in the closed loop of the design. A small change dK of the controller changes the loop from ``w`` to ``z``
-  by ``T_zu dK T_ew``, so the Gramian of excitation is that of the controller running in its loop, and the Gramian of
-  effect that of the controller in series with ``T_zu`` (Enns, 23rd IEEE CDC, 1984, with both weights from the loop).
+  by ``T_zu dK T_ew``. So excitation is measured by the controller running in its loop, and effect by the controller in
+  series with ``T_zu`` (Enns, 23rd IEEE CDC, 1984, with both weights from the loop).
 - ``open``: from the controller's own inputs to its outputs (Moore 1981).
 
-Two ways to remove: ``match`` sets the weak states to their equilibrium (singular perturbation, Liu and Anderson 1989):
-``A11 - A12 A22^-1 A21`` and so on; it keeps the controller's static gain. ``truncate`` drops them and keeps its gain at
-high frequency. Plain balanced truncation ruins the heave-yaw loop; the judge sees that.
+There are two methods of removal. ``match`` sets the weak states to their equilibrium (singular perturbation, Liu and
+Anderson 1989): ``A11 - A12 A22^-1 A21`` and so on; it keeps the controller's static gain. ``truncate`` drops them and
+keeps the gain at high frequency. Plain balanced truncation ruins the heave-yaw loop, and the criteria reject it.
 
-Modes slower than a threshold are split off and kept: once only the integrators (``slow`` small), once everything slower
-than the loop's crossover, since that shapes the response to references while adding little to any Gramian.
+Modes slower than a threshold are kept. Two thresholds are tried: one that keeps only the integrators (``slow`` small),
+and one at the loop's crossover, since modes below it shape the reference response but add little to any Gramian.
 
 A candidate passes when the closed loop is stable, its peaks of S_u and T_u exceed the full controller's by no more than
-a tolerance, and the norm from ``w`` to ``z`` by no more than a factor. The least order that passes is taken. If
-none does, the next looser tolerance is tried; the result says which one it met. Where there is a choice, controllers
-are preferred whose observer form (``A - M C``, what runs while actuators saturate) is stable.
+a tolerance, and the norm from ``w`` to ``z`` by no more than a factor. The lowest order that passes is taken. If none
+passes, the next looser tolerance is tried; the result states the tolerance met. Controllers whose observer form
+(``A - M C``, active while actuators saturate) is stable are preferred.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ from mufly.errors import MuflyError
 from mufly.results import result
 
 LOOP_TOLERANCES = ((0.1, 1.01), (0.2, 1.05), (0.5, 1.2))  # dB on the peaks, factor on the norm
-_NORM_TOLERANCE = 1e-6  # share by which two norms may differ and are the same
+_NORM_TOLERANCE = 1e-6  # relative difference below which two norms count as equal
 
 
 @result
 class ReducedCandidate:
-    """One reduced controller and its loop.
+    """One reduced controller and the figures of its loop.
 
     Attributes
     ----------
@@ -66,11 +66,11 @@ class ReducedCandidate:
     method : str
         ``"loop match"``, ``"loop truncate"``, ``"open match"`` or ``"open truncate"``.
     kept : int
-        Slow modes kept exactly.
+            Number of slow modes kept exactly.
     sensitivity_peak_dB, complementary_peak_dB : float
-        inf where unstable.
+            Peaks of S_u and T_u; inf if unstable.
     norm : float
-        From ``w`` to ``z``; nan where the peaks already rule the candidate out.
+            Norm from ``w`` to ``z``; nan if the peaks already exclude the candidate.
     passed : bool
     """
 
@@ -85,20 +85,20 @@ class ReducedCandidate:
 
 @result
 class Reduction:
-    """The controller chosen, and everything tried.
+    """The chosen reduced controller, and all candidates.
 
     Attributes
     ----------
     controller : control.StateSpace
     actuation : array, shape (states, controls)
-        The anti-windup input, reduced alongside.
-    chosen : Candidate
-    tolerance_dB, norm_factor : float
-        The tolerance met.
+            The anti-windup input in the reduced coordinates.
+        chosen : ReducedCandidate
+        tolerance_dB, norm_factor : float
+            The tolerance met.
     full_order : int
     full_norm : float
-        From ``w`` to ``z``, with the controller of full order.
-    candidates : tuple of Candidate
+            Norm from ``w`` to ``z`` with the controller of full order.
+        candidates : tuple of ReducedCandidate
     """
 
     controller: control.StateSpace
@@ -112,7 +112,7 @@ class Reduction:
 
 
 def _split_modes(A: Array, slow: float) -> tuple[Array, int]:
-    """Similarity that block-diagonalises A into modes slower than ``slow`` (rad/s) or not stable, and the rest."""
+    """Return T that block-diagonalises A into modes slower than ``slow`` (rad/s) or unstable, and the rest."""
 
     def is_kept(real: float, imag: float) -> bool:
         return real >= 0.0 or np.hypot(real, imag) < slow
@@ -127,7 +127,7 @@ def _split_modes(A: Array, slow: float) -> tuple[Array, int]:
 
 
 def _gramian_root(gramian: Array) -> Array:
-    """R with R R' = gramian, negative rounding errors removed."""
+    """Return R with R R' = gramian, negative rounding errors removed."""
     values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
@@ -148,7 +148,7 @@ def balancing_transform(P: Array, Q: Array) -> tuple[Array, Array]:
 
 
 def _remove_states(K: control.StateSpace, M: Array, order: int, match: bool) -> tuple[control.StateSpace, Array] | None:
-    """Remove the states after ``order``; ``M`` is an input that has no feedthrough."""
+    """Remove the states after ``order``; ``M`` is an input without feedthrough."""
     A, B, C, D = K.A, np.hstack([K.B, M]), K.C, np.hstack([K.D, np.zeros((K.noutputs, M.shape[1]))])
     if match and order < K.nstates:
         A22 = A[order:, order:]
@@ -180,24 +180,24 @@ def reduce_controller(
     tolerances: Sequence[tuple[float, float]] = LOOP_TOLERANCES,
     slow: Sequence[float] = (0.1,),
 ) -> Reduction:
-    """Reduce a controller to the least order whose closed loop stays within the tolerance.
+    """Reduce a controller to the lowest order whose closed loop stays within the tolerance.
 
     Parameters
     ----------
     generalised : control.StateSpace
-        The plant of the synthesis, controller signals last.
+            Generalised plant of the synthesis, controller signals last.
     controller : control.StateSpace
-        As synthesised (scaled).
+            Controller of the synthesis (scaled).
     actuation : array, shape (states, controls)
-        ``HinfResult.actuation``; it is carried along as one more input.
+            ``HinfResult.actuation``; transformed like one more input.
     plant : control.StateSpace
         Scaled plant without weights.
     feedback_inputs : sequence of int
         Controller inputs that are errors of the plant's outputs, in their order.
     order_max, order_min : int
-        Orders tried.
+            Range of the orders tried.
     tolerances : sequence of (float, float)
-        From strict to loose: growth allowed of the peaks of S_u and T_u (dB), factor allowed on the norm.
+            From strict to loose: permitted increase of the peaks of S_u and T_u (dB), permitted factor on the norm.
     slow : sequence of float
         Thresholds (rad/s) below which controller modes are kept exactly; each is tried.
 
@@ -208,7 +208,7 @@ def reduce_controller(
     Raises
     ------
     MuflyError
-        When no order up to ``order_max`` passes; the message tells the best.
+            If no order up to ``order_max`` passes; the message names the best.
     """
     rows = list(feedback_inputs)
     judge = _LoopPeaks(plant, rows)
@@ -264,13 +264,13 @@ def reduce_controller(
 def _choose_candidate(
     entries: Sequence[tuple[ReducedCandidate, control.StateSpace, Array]],
 ) -> tuple[ReducedCandidate, control.StateSpace, Array]:
-    """Least order, then least norm; of equal norms the first, or each processor's rounding would choose another one."""
+    """Return the candidate of lowest order, then smallest norm; of nearly equal norms the first, on every processor."""
     least = min((c.order, c.norm) for c, _, _ in entries)
     return next(e for e in entries if e[0].order == least[0] and e[0].norm <= least[1] * (1.0 + _NORM_TOLERANCE))
 
 
 class _LoopPeaks:
-    """Peaks of S_u and T_u for one controller after another; the plant's response is computed once."""
+    """Peaks of S_u and T_u for several controllers; the plant's response is computed once."""
 
     def __init__(self, plant: control.StateSpace, rows: list[int]) -> None:
         self.plant, self.rows = plant, rows
@@ -290,7 +290,7 @@ class _LoopPeaks:
 def _balanced_realisations(
     generalised: control.StateSpace, controller: control.StateSpace, actuation: Array, Z: Array, kept: int
 ) -> dict[str, tuple[control.StateSpace, Array]]:
-    """The controller with its kept modes first and the others balanced, by each choice of Gramians."""
+    """Return the controller with its kept modes first and the others balanced, for each choice of Gramians."""
     n = controller.nstates
     Zinv = np.linalg.inv(Z)
     A, B, C, M = Zinv @ controller.A @ Z, Zinv @ controller.B, controller.C @ Z, Zinv @ actuation
@@ -314,10 +314,10 @@ def _balanced_realisations(
 def _loop_gramians(
     generalised: control.StateSpace, controller: control.StateSpace, rows: Array, Ar: Array, Cr: Array
 ) -> tuple[Array, Array]:
-    """Gramians of the controller's modes (Ar, Cr; states ``rows @ x``) as excited and as felt in the closed loop.
+    """Return Gramians of excitation and effect of the controller's modes in the closed loop.
 
-    To first order a change dK of the controller changes the loop by T_zu dK T_ew: excited by the measurements of the
-    running loop, felt through an addition to the control.
+    The modes are (Ar, Cr), with states ``rows @ x``. To first order a change dK of the controller changes the loop by
+    T_zu dK T_ew: the measurements of the running loop excite it, and it acts as an addition to the control.
     """
     nu = controller.noutputs
     nw, nz = generalised.ninputs - nu, generalised.noutputs - controller.ninputs
@@ -342,54 +342,53 @@ def _outer_product(M: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------
-# From a continuous controller to difference equations at the flight rate, in numbers that survive rounding.
+# Discretisation: from a continuous controller to difference equations at the flight rate, robust to rounding.
 #
 # The bilinear (Tustin) rule integrates the controller by trapezoids: ``s = 2/T (z-1)/(z+1)`` maps the stable half
-# plane onto the unit disc, keeps the static gain, and adds no phase of its own beyond its warping of frequencies
-# (below 2 % up
-# to a twelfth of the sampling rate). With ``v = (I - A T/2) x - B T/2 e``
+# plane onto the unit disc and keeps the static gain. It adds no phase except by its warping of frequencies (below 2 %
+# up to a twelfth of the sampling rate). With ``v = (I - A T/2) x - B T/2 e``
 #
 #     v+ = Ad v + Bd e + Md (sat(u) - u),   u = Cd v + Dd e,
 #     Ad = (I - A T/2)^-1 (I + A T/2),  Bd = T (I - A T/2)^-1 B,
 #     Cd = C (I - A T/2)^-1,            Dd = D + C (I - A T/2)^-1 B T/2,   Md = T M.
 #
-# The last input is the anti-windup: the part of the command that the actuators refuse. It acts one sample later, so
-# the equations stay explicit.
+# The last input is the anti-windup: the saturated command minus the command. It acts one sample later, so the
+# equations stay explicit.
 #
 # Coordinates: real modal form. Every mode is a number, or a 2 x 2 block of a damped rotation, so rounding a
 # coefficient moves one mode by as much as the coefficient. In direct (polynomial) form the slow modes of these
-# controllers leave the unit circle even with 24-bit coefficients. Modes that nearly coincide have no good modal form;
-# a real Schur form (an orthogonal change of coordinates) then takes its place.
+# controllers leave the unit circle even with 24-bit coefficients. Nearly coincident modes have no well-conditioned
+# modal form; a real Schur form (an orthogonal change of coordinates) then takes its place.
 #
-# Anti-windup: while the actuators are at their limit the controller runs as ``Ad - Md Cd``. Two gains are to be had.
-# ``observer`` is the one that the synthesis brings: the controller's copy of the plant learns what the actuators did.
-# It rests on the plant's being as it was designed for. ``integrators`` lets the integrators follow, at a rate ``w``,
-# and touches nothing else: with V a basis of the slow modes, ``Ad V = V L``,
+# Anti-windup: while the actuators are at their limit the controller runs as ``Ad - Md Cd``. Two gains are available.
+# ``observer`` comes from the synthesis: the controller's plant model receives the saturated input. It relies on the
+# plant being as designed for. ``integrators`` makes the integrators follow the actuators, at a rate ``w``, and changes
+# no other mode: with V a basis of the slow modes, ``Ad V = V L``,
 #
 #     Md = V (L - exp(-w T) I) (Cd V)^-1,   so that   (Ad - Md Cd) V = V exp(-w T),
 #
-# and all other modes stay where they are (own derivation; back-calculation, Fertik and Ross 1967, in modal form). Why
-# heave-yaw and roll-pitch take that: docs/explanation/control.md. Either must be stable, else the gain is replaced by
-# that of a Kalman filter for the pair (Ad, Cd), which is.
+# and all other modes stay (own derivation; back-calculation, Fertik and Ross 1967, in modal form). Why heave-yaw and
+# roll-pitch use it: docs/explanation/control.md. If ``Ad - Md Cd`` is unstable, the gain of a Kalman filter for the
+# pair (Ad, Cd) replaces it, which gives a stable one.
 
 
 @result
 class DiscreteController:
-    """``x+ = A x + B e + M (sat(u) - u)``, ``u = C x + D e``, in physical units.
+    """Discrete controller ``x+ = A x + B e + M (sat(u) - u)``, ``u = C x + D e``, in physical units.
 
     Attributes
     ----------
     A, B, C, D : array
         Shapes (n, n), (n, inputs), (outputs, n), (outputs, inputs).
     M : array, shape (n, outputs)
-        Anti-windup.
+            Anti-windup gain.
     period_s : float
     form : str
         ``"modal"`` or ``"schur"``.
     anti_windup : str
-        ``"integrators"``, ``"observer"`` or ``"kalman"``; see above.
-    inputs, outputs : tuple of str
-        Labels.
+            ``"integrators"``, ``"observer"`` or ``"kalman"``; see the comment above this class.
+        inputs, outputs : tuple of str
+            Labels of the signals.
     """
 
     A: Array
@@ -409,12 +408,12 @@ class DiscreteController:
         return self.A.shape[0]
 
     def to_state_space(self) -> control.StateSpace:
-        """As ``control.StateSpace``, without the anti-windup input."""
+        """Return the controller as ``control.StateSpace``, without the anti-windup input."""
         return state_space(self.A, self.B, self.C, self.D, inputs=self.inputs, outputs=self.outputs, dt=self.period_s)
 
 
 def _modal_transform(A: Array) -> tuple[Array, Array] | None:
-    """T and inv(T) with inv(T) A T real modal; None where the eigenvectors are too nearly dependent."""
+    """Return T and inv(T) with inv(T) A T real modal; None if the eigenvectors are nearly dependent."""
     values, vectors = np.linalg.eig(A)
     columns = []
     order = np.lexsort((values.imag, -np.abs(values)))
@@ -437,7 +436,7 @@ def _modal_transform(A: Array) -> tuple[Array, Array] | None:
 
 
 def _state_scales(A: Array, B: Array, C: Array) -> Array:
-    """Scale of each state that makes its input row and its output column equally long; blocks are kept."""
+    """Return a scale of each state that gives its input row and output column equal norms; blocks share a scale."""
     n = A.shape[0]
     scale = np.ones(n)
     i = 0
@@ -453,18 +452,18 @@ def _state_scales(A: Array, B: Array, C: Array) -> Array:
 def discretise_controller(
     controller: control.StateSpace, actuation: Array, period_s: float, windup_rate: float | None = None
 ) -> DiscreteController:
-    """Discretise a controller and give it well-conditioned coordinates and an anti-windup.
+    """Discretise a controller in well-conditioned coordinates, with an anti-windup gain.
 
     Parameters
     ----------
     controller : control.StateSpace
-        Continuous, in physical units.
-    actuation : array, shape (n, outputs)
-        Effect on its states of an actuation beyond its own command, per unit (see ``hinf.HinfResult.actuation``).
-    period_s : float
-    windup_rate : float, optional
-        At which the integrators follow saturated actuators (rad/s); without it, or with integrators as fast or out of
-        sight of the outputs, the anti-windup is that of ``actuation``.
+            Controller: continuous, in physical units.
+        actuation : array, shape (n, outputs)
+            Effect on its states of actuation beyond its own command, per unit (see ``hinf.HinfResult.actuation``).
+        period_s : float
+        windup_rate : float, optional
+            Rate at which the integrators follow saturated actuators (rad/s). Without it, or if the integrators are as
+            fast or not observable at the outputs, ``actuation`` gives the anti-windup.
 
     Returns
     -------
@@ -473,7 +472,7 @@ def discretise_controller(
     Raises
     ------
     MuflyError
-        If the period is not positive or a mode is too fast to be stepped through.
+            If the period is not positive or a mode is too fast for the period.
     """
     if not (np.isfinite(period_s) and period_s > 0):
         raise MuflyError(f"discretisation: a period of {period_s} s is not possible; give a positive one")
@@ -513,7 +512,7 @@ def discretise_controller(
 
 
 def _back_calculation(A: Array, C: Array, pole: float) -> Array | None:
-    """Gain M that moves the slowest modes, one an output, to ``pole`` and leaves the others; None where it cannot."""
+    """Return M that moves the slowest modes, one per output, to ``pole`` and keeps the others; None if impossible."""
     n, m = A.shape[0], C.shape[0]
     if n <= m:
         return None
@@ -531,7 +530,7 @@ def _back_calculation(A: Array, C: Array, pole: float) -> Array | None:
 
 
 def _predictor_gain(A: Array, C: Array) -> Array:
-    """Gain M with A - M C stable: predictor for process noise spread evenly over the states."""
+    """Return M with A - M C stable: gain of a predictor for equal process noise on all states."""
     W, R = 1e-4 * np.eye(A.shape[0]), np.eye(C.shape[0])
     P = linalg.solve_discrete_are(A.T, C.T, W, R)
     gain: Array = A @ P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
@@ -543,7 +542,7 @@ SERVO_INPUTS, TILT_REFERENCES = ("servo_1", "servo_2"), ("phi_reference", "theta
 
 
 def _tilt_to_position(full: control.StateSpace, roll_pitch: DiscreteController, divider: int) -> control.StateSpace:
-    """Tilt reference (phi, theta) to position and velocity (x, y, u, v), at the cascade's rate."""
+    """Return the system from tilt reference (phi, theta) to position and velocity (x, y, u, v) at the cascade rate."""
     plant = sample_plant(extract_submodel(full, LATERAL_STATES, SERVO_INPUTS, LATERAL_STATES), roll_pitch.period_s, 1)
     errors = roll_pitch.inputs
     wiring: dict[str, dict[str, float]] = {servo: {f"command_{servo}": 1.0} for servo in SERVO_INPUTS}
@@ -566,11 +565,11 @@ def analyse_cascade(
     position_gain: float,
     divider: int,
 ) -> LoopAnalysis:
-    """Analyse the position cascade with the real attitude loop below it, broken at the tilt reference.
+    """Analyse the position cascade around the real attitude loop, broken at the tilt reference.
 
-    The velocity controller is designed on a point mass with ideal tilt (eq. 6.10). What it meets is the lateral part
+    The velocity controller is designed on a point mass with ideal tilt (eq. 6.10). The analysis uses the lateral part
     of the whole linear model (tilted rotor thrust and stabiliser bar included) under the sampled roll-pitch controller
-    with one sample of delay. The tilt reference is held over ``divider`` periods of that inner loop, so with the inner
+    with one sample of delay. The tilt reference is held over ``divider`` periods of that inner loop. So with the inner
     loop ``x+ = Ai x + Bi ref`` the plant of the cascade is exactly
 
         x+ = Ai^divider x + (I + Ai + ... + Ai^(divider - 1)) Bi ref,   y = (x, y, u, v),
@@ -582,10 +581,11 @@ def analyse_cascade(
     full : control.StateSpace
         ``Linearisation.full``.
     roll_pitch, velocity : DiscreteController
-        The latter at ``divider`` times the period of the former.
-    position_gain : float
-        1/s.
-    divider : int
+            Discrete controllers; ``velocity`` runs at ``divider`` times the period of ``roll_pitch``.
+        position_gain : float
+            Gain of the position loop (1/s).
+        divider : int
+            Number of roll-pitch periods in a period of the cascade.
 
     Returns
     -------

@@ -1,43 +1,42 @@
-"""The control law that runs on board: pure functions of gains, state, reference and measurement, one call a period.
+"""Control law on board: pure functions of gains, state, reference and measurement, called once a period.
 
-Each controller is ``u = C x + D e``, ``x+ = x + F x + B e + M (sat(u) - u)`` with ``F = A - I``; what M is:
-:mod:`mufly.control.implementation`. Slow states and integrators change by little in a period: a sum that begins with
-them would round what they change by to their own last digit, in single precision to a few thousandths of it, period
-by period to the same side. Where that tells at an actuator, in heave-yaw, what the addition drops is kept and comes
-with the next one (compensated summation; Kahan, Comm. ACM 8, 1965), of the filtered references as well.
+Each controller is ``u = C x + D e``, ``x+ = x + F x + B e + M (sat(u) - u)`` with ``F = A - I``; M is the anti-windup
+gain of :mod:`mufly.control.implementation`. Slow states and integrators change by little in a period. A sum that began
+with the state would round the change to the state's last digit: in single precision an error of a few thousandths,
+with the same sign every period. In heave-yaw this reaches the actuators. There the rounding error is stored and added
+in the next period (compensated summation; Kahan, Comm. ACM 8, 1965), also for the filtered references.
 
-Heave-yaw. The reference passes a second-order filter whose acceleration and speed are limited to what the motors can
-give, so that a step does not rail them. A reference that comes with its rate and stays within the limits passes
-unchanged but for ``acceleration / bandwidth^2``, and is set ahead by its rate times the lag of the closed loop. The
-command is a voltage, as a fraction of the design voltage: what the battery has left bounds it, ``[0, U/U_design]``, and
-the motor input is command over that bound. Where both motors cannot have what they ask for, yaw goes first: the
-difference of the two is kept, their mean gives way. Otherwise a rail in heave would spin the fuselage.
+Heave-yaw. A second-order filter limits acceleration and speed of the reference to the motors' capability, so that a
+step does not saturate them. A reference with its rate, within the limits, passes unchanged except for
+``acceleration / bandwidth^2``, and is advanced by its rate times the lag of the closed loop. The command is a voltage,
+as a fraction of the design voltage. The battery bounds it to ``[0, U/U_design]``, and the motor input is the command
+over that bound. If both motors saturate, yaw has priority: the difference of the two commands is kept and the mean
+is reduced. Otherwise saturation in heave would spin the fuselage.
 
-Where in flight the height trails the filtered reference (a blow, a fall, sticks beyond what the motors give), the
-reference goes on the more slowly, and no further away than the slack, until the height has come back
-(``limit_heave_reference``). A greater error would ask the motors for more than they can take back in time; a reference
-that stopped at once would take the thrust of a heavy vehicle, which has none to spare. On the floor the error may grow,
-which is what gets the motors going.
+In flight the height may trail the filtered reference (after a gust, in a fall, with stick inputs beyond the motors'
+capability). Then the reference slows down and stays within the slack of the height until the height has caught up
+(``limit_heave_reference``). A greater error would request more thrust than the motors can reduce in time. A reference
+that stopped at once would cost a heavy vehicle thrust that it needs. On the ground the error may grow, which starts
+the motors.
 
 Roll-pitch. Tilt references are limited; servos saturate one by one.
 
 Position. ``v_ref = K_p (P_ref - P) + v_ff`` in N-E, limited in length; velocity controller; acceleration feedforward
-``theta = -a_x / g``, ``phi = a_y / g``; tilt limited in length, the excess given back to the controller; last the tilt
-is turned by the heading. The thesis turns the velocity errors into body axes instead (Fig. 6.9). At a constant heading
-that is the same, since the controller treats both directions alike; but here its integrators stay with the wind,
-which does not turn with the fuselage, and climb does not leak into the horizontal axes.
+``theta = -a_x / g``, ``phi = a_y / g``; tilt limited in length, the excess fed to the controller's anti-windup; at last
+the tilt is rotated by the heading. The thesis rotates the velocity errors into body axes instead (Fig. 6.9). At a
+constant heading both are equal, since the controller treats both directions alike. In N-E, however, the integrators
+hold the wind, which does not turn with the fuselage, and climb does not leak into the horizontal axes.
 
-Gains are NumPy records, padded with zero states to a fixed order: that makes the compiled law the same for every
-vehicle, and Numba reads ``gains.F`` as fast as a C struct. Units SI and radians, motor inputs 0..1 as (upper, lower),
-servo inputs -1..1. The states of the law are flat arrays; that of heave-yaw holds, behind the controller's own, the
-filtered references, the origins of height and heading, the filtered battery voltage, and what additions dropped.
+Gains are NumPy records, padded with zero states to a fixed order: the compiled law is the same for every vehicle, and
+Numba reads ``gains.F`` as fast as a C struct. Units are SI and radians, motor inputs 0..1 as (upper, lower), servo
+inputs -1..1. The states of the law are flat arrays. That of heave-yaw holds the controller's states, the filtered
+references, the origins of height and heading, the filtered battery voltage, and the rounding errors.
 
-The law starts without a bump, whatever the actuators do at the moment: the controller's first state is the one whose
-output is the present input and which moves least from there: least squares of ``(I - A) x - B e`` subject to ``C x +
-D e = output``. The slow modes then carry the offset. That state is linear in ``e`` and the output: the gains hold its
-matrices, ``x = E e + U output``.
+The law starts bumplessly from any actuator state. The controller's first state gives the present input as output and
+moves least from there: least squares of ``(I - A) x - B e`` subject to ``C x + D e = output``. The slow modes then hold
+the offset. That state is linear in ``e`` and the output: the gains hold its matrices, ``x = E e + U output``.
 
-What stands here runs on board as C too (:mod:`mufly.firmware`), equal to the last bit: sums keep their order.
+The same code runs on board in C (:mod:`mufly.firmware`), equal to the last bit: sums keep their order.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ from mufly.portable_math import sine_cosine
 
 @cached_njit
 def _clip_value(value: float, low: float, high: float) -> float:
-    # Written out because min and max of equal or missing numbers are each language's own (docs/reference/firmware.md).
+    # Written out because min and max of equal or missing numbers differ between languages (docs/reference/firmware.md).
     if value < low:
         return low
     if value > high:
@@ -66,7 +65,7 @@ def _clip_value(value: float, low: float, high: float) -> float:
 
 @cached_njit
 def _limit_lead_rate(rate: float, whole: float) -> float:
-    """What of a rate goes the way of ``whole``, and no further."""
+    """Return ``rate`` limited to the range between zero and ``whole``."""
     if whole > 0.0:
         return _clip_value(rate, 0.0, whole)
     return _clip_value(rate, whole, 0.0)
@@ -85,7 +84,7 @@ def _compute_output(g: Any, x: Array, e: Array, u: Array) -> None:
 
 @cached_njit
 def _state_change(g: Any, i: int, x: Array, e: Array, excess: Array) -> float:
-    """By what state ``i`` changes in a period."""
+    """Return the change of state ``i`` in a period."""
     s = 0.0
     for j in range(g.F.shape[0]):
         s += g.F[i, j] * x[j]
@@ -104,7 +103,7 @@ def _update_state(g: Any, x: Array, e: Array, excess: Array, new: Array) -> None
 
 @cached_njit
 def _add_compensated(value: float, change: float, dropped: float) -> tuple[float, float]:
-    """Sum, and what it drops now, which is added the next time."""
+    """Return the sum and its rounding error, which is added the next time."""
     more = change + dropped
     total = value + more
     return total, more - (total - value)
@@ -122,9 +121,9 @@ def _filter_reference(
     speed: float,
     period: float,
 ) -> tuple[float, float, float]:
-    """One step of the reference filter: critically damped near the target, on a braking parabola far from it."""
+    """Step the reference filter: critically damped near the target, on a braking parabola far from it."""
     gap = target - value
-    # Speed at which half the acceleration still brakes in time; linear near the target.
+    # Speed from which half the acceleration brakes in time; linear near the target.
     braking, slope = 0.5 * acceleration, 0.5 * bandwidth
     linear = braking / (slope * slope)
     wanted = slope * gap
@@ -138,19 +137,19 @@ def _filter_reference(
 
 @cached_njit
 def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
-    """State of heave-yaw, in flight, with a filtered reference no further from the height z (m, down) than the slack.
+    """Return the heave-yaw state with the filtered reference within the slack of the height z (m, down), in flight.
 
-    The further it is away, the slower it may go on: not at all at the slack. It brakes by twice the acceleration that
-    the filter may add in the same period, so by as much as in any stop; the reference of a vehicle that climbs more
-    slowly comes to go as fast as that.
+    The permitted speed of the reference falls with its distance, to zero at the slack. The reference brakes by twice
+    the acceleration that the filter may add in the same period, so by as much as in any stop. If the vehicle climbs
+    more slowly, the reference settles at the vehicle's speed.
 
     Parameters
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
     state : (29,) array
-        From ``heave_yaw_init`` or the previous step; not changed.
-    z : float
-        Measured (m).
+            State from ``heave_yaw_init`` or the previous step; not changed.
+        z : float
+            Measured height z (m, down).
 
     Returns
     -------
@@ -175,13 +174,13 @@ def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
 def heave_yaw_step(
     gains: Any, state: Array, reference: Array, measurement: Array, voltage: float
 ) -> tuple[Array, Array]:
-    """One period of the heave-yaw controller.
+    """Run one period of the heave-yaw controller.
 
     Parameters
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
     state : (29,) array
-        From ``heave_yaw_init`` or the previous call; not changed.
+            State from ``heave_yaw_init`` or the previous call; not changed.
     reference : (4,) array
         z (m, down), psi (rad, continuous), and their rates (m/s, rad/s; zero is allowed).
     measurement : (3,) array
@@ -220,13 +219,13 @@ def heave_yaw_step(
         gains.yaw_rate,
         gains.period,
     )
-    # A reading far off the design voltage is a fault of the sensor, not a battery.
+    # A reading far from the design voltage is a sensor fault.
     believed = _clip_value(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
     new[FILTERED_VOLTAGE] = state[FILTERED_VOLTAGE] + gains.voltage_blend * (believed - state[FILTERED_VOLTAGE])
     top = new[FILTERED_VOLTAGE] / gains.design_voltage
 
     e = np.empty(5)  # z, psi, then what was measured: z, psi, r
-    # Lead only on the rate that the reference itself brings: a bare step must not be sharpened.
+    # Lead only on the reference's own rate: a bare step must not be sharpened.
     climb = _limit_lead_rate(new[FILTERED_W], climb)
     turn = _limit_lead_rate(new[FILTERED_R], turn)
     e[0] = new[FILTERED_Z] + gains.heave_lead * climb - new[ORIGIN_Z]
@@ -244,7 +243,7 @@ def heave_yaw_step(
             state[i], _state_change(gains, i, state, e, excess), state[ROUNDING_REST + i]
         )
     motor_input = np.empty(2)
-    # top - |half| + |half| may be a little more than top: rounding.
+    # By rounding, top - |half| + |half| may exceed top.
     motor_input[0] = _clip_value((mean + half) / top, 0.0, 1.0)
     motor_input[1] = _clip_value((mean - half) / top, 0.0, 1.0)
     return motor_input, new
@@ -252,13 +251,13 @@ def heave_yaw_step(
 
 @cached_njit
 def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Array) -> tuple[Array, Array]:
-    """One period of the roll-pitch controller.
+    """Run one period of the roll-pitch controller.
 
     Parameters
     ----------
     gains : record of type ``ROLL_PITCH_GAINS``
     state : (8,) array
-        From ``roll_pitch_init`` or the previous call; not changed.
+            State from ``roll_pitch_init`` or the previous call; not changed.
     reference : (2,) array
         phi, theta (rad).
     measurement : (4,) array
@@ -295,15 +294,15 @@ def position_step(
     velocity: Array,
     heading: float,
 ) -> tuple[Array, Array]:
-    """One period of the position cascade: position P, velocity H-infinity, tilt references.
+    """Run one period of the position cascade: proportional position control, velocity H-infinity, tilt references.
 
     Parameters
     ----------
     gains : record of type ``POSITION_GAINS``
     state : (6,) array
-        From ``position_init`` or the previous call; not changed.
-    position_reference, velocity_reference, acceleration_reference : (3,) array
-        N, E, D (m, m/s, m/s2); zero velocity and acceleration mean no feedforward. D is not used.
+            State from ``position_init`` or the previous call; not changed.
+        position_reference, velocity_reference, acceleration_reference : (3,) array
+            N, E, D (m, m/s, m/s2); zero velocity and acceleration mean no feedforward. D is not used.
     position, velocity : (3,) array
         Measured N, E, D (m, m/s).
     heading : float
@@ -356,13 +355,13 @@ def _matrix_fields(order: int, inputs: int, outputs: int) -> list[tuple[str, typ
 GAIN_UNITS = {
     "trim": "1",  # heave-yaw: lower, upper, as fractions of the design voltage; roll-pitch: servo 1, servo 2
     "design_voltage": "V",
-    "voltage_blend": "1",  # share of a new voltage measurement in its filter
+    "voltage_blend": "1",  # weight of a new voltage measurement in its filter
     "period": "s",
     "heave_bandwidth": "rad/s",  # of the reference filter
     "heave_acceleration": "m/s2",
     "heave_speed": "m/s",
-    "heave_lead": "s",  # by which the reference runs ahead to make up for the loop's lag
-    "heave_slack": "m",  # by which the height may trail the filtered reference before that waits
+    "heave_lead": "s",  # lead of the reference that compensates the loop's lag
+    "heave_slack": "m",  # largest error of height before the filtered reference waits
     "yaw_bandwidth": "rad/s",
     "yaw_acceleration": "rad/s2",
     "yaw_rate": "rad/s",
@@ -372,7 +371,7 @@ GAIN_UNITS = {
     "speed_limit": "m/s",
     "gravity": "m/s2",
 }
-"""Units of the gains beside the matrices."""
+"""Units of the gains other than matrices."""
 
 _HEAVE_YAW_FIELDS = (
     "design_voltage", "voltage_blend", "period", "heave_bandwidth", "heave_acceleration", "heave_speed",
@@ -392,8 +391,8 @@ POSITION_GAINS = np.dtype(
         *((name, _f8) for name in ("position_gain", "speed_limit", "tilt_limit", "gravity")),
     ]
 )
-# State of heave-yaw behind the controller's own: filtered references, origins, filtered voltage, what was dropped of
-# the controller's own and of the references.
+# Indices in the heave-yaw state after the controller's states: filtered references, origins, filtered voltage, rounding
+# errors of the controller's states and of the references.
 FILTERED_Z, FILTERED_W, FILTERED_PSI, FILTERED_R, ORIGIN_Z, ORIGIN_PSI, FILTERED_VOLTAGE, ROUNDING_REST = range(
     HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 8
 )
@@ -402,7 +401,7 @@ HEAVE_YAW_STATE_SIZE = ROUNDING_REST_PSI + 1
 
 
 def pack_gains(dtype: np.dtype, controller: DiscreteController, **values: object) -> np.void:
-    """Gains record of a controller, its states padded with zeros to the record's order.
+    """Return the gains record of a controller, its states padded with zeros to the record's order.
 
     Raises
     ------
@@ -428,7 +427,7 @@ def pack_gains(dtype: np.dtype, controller: DiscreteController, **values: object
 
 
 def _initial_state_gains(controller: DiscreteController) -> tuple[Array, Array]:
-    """E, U: the state ``E e + U output`` gives ``output`` at input ``e`` and moves least from there.
+    """Return E, U: the state ``E e + U output`` gives ``output`` at input ``e`` and moves least from there.
 
     Lagrange: ``G = I - A``, minimise |G x - B e|^2 subject to C x = output - D e::
 
@@ -457,15 +456,15 @@ def _initialise_state(g: Any, e: Array, output: Array, x: Array) -> None:
 
 @cached_njit
 def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: float) -> Array:
-    """State that engages heave-yaw without a bump.
+    """Return a state that engages heave-yaw bumplessly.
 
     Parameters
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
     measurement : (3,) array
-        z (m), psi (rad), r (rad/s) at the moment; the references start from there.
-    motor_input : (2,) array
-        Upper, lower (0..1) that the motors have at the moment, on the ground say.
+            Present z (m), psi (rad), r (rad/s); the references start from there.
+        motor_input : (2,) array
+            Present inputs of the upper and lower motor (0..1), for example on the ground.
     voltage : float
         Measured battery voltage (V).
 
@@ -492,7 +491,7 @@ def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: 
 
 @cached_njit
 def roll_pitch_init(gains: Any, measurement: Array) -> Array:
-    """State that engages roll-pitch without a bump: servos at trim, the reference level.
+    """Return a state that engages roll-pitch bumplessly: servos at trim, level reference.
 
     Parameters
     ----------
@@ -512,7 +511,7 @@ def roll_pitch_init(gains: Any, measurement: Array) -> Array:
 
 
 def position_init(gains: np.void) -> Array:
-    """State of the position cascade at rest.
+    """Return the state of the position cascade at rest.
 
     Returns
     -------

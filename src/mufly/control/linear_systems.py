@@ -1,23 +1,23 @@
-"""Linear systems and the loops they close: block diagrams, frequency responses, the H-infinity norm, margins.
+"""Linear systems and their closed loops: block diagrams, frequency responses, the H-infinity norm, margins.
 
 A system is ``(A, B, C, D)`` with ``xdot = A x + B u``, ``y = C x + D u``, held as ``control.StateSpace`` with labelled
-signals. A block diagram is closed once, for all its signals together: with the blocks side by side,
+signals. A block diagram is closed in one step for all its signals. With the blocks side by side,
 ``y = C x + D u``, and the wiring ``u = M y + N w``, the loop from ``w`` is
 
     E = (I - M D)^-1,   A' = A + B E M C,   B' = B E N,   C' = C + D E M C,   D' = D E N.
 
 The norm is Bruinsma and Steinbuch's two-step iteration (Syst. Control Lett. 14, 1990) on the Hamiltonian matrix of
-Boyd, Balakrishnan and Kabamba (1989): a frequency on the imaginary axis is where a singular value equals the level.
+Boyd, Balakrishnan and Kabamba (1989): at an imaginary eigenvalue a singular value equals the level.
 
-What a loop is worth, continuous or sampled. With plant ``G`` and feedback ``u = -K y`` the loop at the plant's input is
+Loops are continuous or sampled. With plant ``G`` and feedback ``u = -K y`` the loop at the plant's input is
 ``L_u = K G``, and
 
     S_u = (I + L_u)^-1,   T_u = L_u (I + L_u)^-1,   S_o = (I + G K)^-1.
 
-Peaks are largest singular values over frequency. Margins: a factor or a delay common to all inputs moves the
-eigenvalues of L_u alone, so gain, phase and delay margin follow exactly from where an eigenvalue of L_u crosses the
-negative real axis or the unit circle (generalised Nyquist criterion). Independent changes in the inputs are covered by
-the guaranteed phase margin 2 asin(1 / 2 M), M the smaller of the peaks of S_u and T_u (Safonov and Athans 1981).
+Peaks are largest singular values over frequency. A factor or a delay common to all inputs moves the eigenvalues of L_u
+alone. So gain, phase and delay margin follow exactly from the crossings of an eigenvalue of L_u with the negative real
+axis or the unit circle (generalised Nyquist criterion). Independent changes in the inputs are covered by the
+guaranteed phase margin 2 asin(1 / 2 M), M the smaller of the peaks of S_u and T_u (Safonov and Athans 1981).
 
 A sampled loop is analysed in discrete time: plant behind a zero-order hold, controller, and whole samples of delay
 between measurement and actuation.
@@ -53,7 +53,7 @@ def state_space(
     states: Sequence[str] | None = None,
     dt: float = 0.0,
 ) -> control.StateSpace:
-    """Labelled ``control.StateSpace`` that keeps every state (python-control may otherwise drop unused ones)."""
+    """Return a labelled ``control.StateSpace`` with every state (python-control by default drops unused ones)."""
     keywords = {} if states is None else {"states": list(states)}
     return control.StateSpace(
         A, B, C, D, dt, remove_useless_states=False, inputs=list(inputs), outputs=list(outputs), **keywords
@@ -61,7 +61,7 @@ def state_space(
 
 
 def _reduce_for_pickle(g: control.StateSpace) -> tuple[Any, ...]:
-    """python-control keeps functions of its own in a system, which pickle does not take; the rest makes it anew."""
+    """Return the pickle recipe of a system: python-control stores functions in it that cannot be pickled."""
     names = {"inputs": g.input_labels, "outputs": g.output_labels, "states": g.state_labels, "dt": g.dt}
     return partial(state_space, **names), (g.A, g.B, g.C, g.D)
 
@@ -70,7 +70,7 @@ copyreg.pickle(control.StateSpace, _reduce_for_pickle)
 
 
 def replace_matrices(system: control.StateSpace, **changes: Any) -> control.StateSpace:
-    """The system with some of its matrices ``A`` to ``D`` or ``inputs``, ``outputs``, ``states``, ``dt`` replaced."""
+    """Return the system with some of ``A`` to ``D``, ``inputs``, ``outputs``, ``states`` or ``dt`` replaced."""
     own = {name: getattr(system, name) for name in "ABCD"} | {"dt": system.dt or 0.0}
     own |= {"inputs": system.input_labels, "outputs": system.output_labels}
     if len(changes.get("A", system.A)) == system.nstates:
@@ -152,13 +152,13 @@ def connect_blocks(
 
 
 def frequency_response(system: control.StateSpace, frequency: Array) -> ComplexArray:
-    """Frequency response on the imaginary axis, or on the unit circle of a discrete-time system.
+    """Return the frequency response on the imaginary axis, or on the unit circle of a discrete-time system.
 
     Parameters
     ----------
     system : control.StateSpace
     frequency : array, shape (n,)
-        rad/s.
+            Frequencies (rad/s).
 
     Returns
     -------
@@ -171,19 +171,19 @@ def frequency_response(system: control.StateSpace, frequency: Array) -> ComplexA
     n = A.shape[0]
     if n == 0:
         return np.broadcast_to(D.astype(complex), (frequency.size, *D.shape))
-    # One reduction to Hessenberg form would save time on large systems; these have at most some forty states.
+    # A Hessenberg reduction would save time on large systems; these have at most about forty states.
     pencil = point[:, None, None] * np.eye(n) - A
     response: ComplexArray = C @ np.linalg.solve(pencil, np.broadcast_to(B, (frequency.size, *B.shape))) + D
     return response
 
 
 def singular_values(system: control.StateSpace, frequency: Array) -> Array:
-    """Singular values over frequency (rad/s), largest first, shape (n, min(outputs, inputs))."""
+    """Return singular values over frequency (rad/s), largest first, shape (n, min(outputs, inputs))."""
     return np.linalg.svd(frequency_response(system, frequency), compute_uv=False)
 
 
 def _axis_frequencies(A: Array, B: Array, C: Array, D: Array, level: float) -> Array:
-    """Frequencies (rad/s, sorted, at least 0) at which a singular value of the response equals ``level``."""
+    """Return frequencies (rad/s, sorted, at least 0) at which a singular value of the response equals ``level``."""
     R = level**2 * np.eye(D.shape[1]) - D.T @ D
     S = level**2 * np.eye(D.shape[0]) - D @ D.T
     RinvDtC = np.linalg.solve(R, D.T @ C)
@@ -199,21 +199,21 @@ def _axis_frequencies(A: Array, B: Array, C: Array, D: Array, level: float) -> A
 
 
 def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[float, float]:
-    """H-infinity norm of a stable continuous-time system.
+    """Return the H-infinity norm of a stable continuous-time system.
 
     Parameters
     ----------
     system : control.StateSpace
-        Continuous time.
-    tolerance : float
-        Relative width between the returned value, which is attained, and the level shown not to be.
+            System in continuous time.
+        tolerance : float
+            Relative difference between the attained value returned and a proven upper bound.
 
     Returns
     -------
     norm : float
         Largest singular value over frequency; ``inf`` for an unstable system.
     frequency : float
-        Where it is attained, rad/s (``inf`` when at infinite frequency or unstable).
+            Frequency of the maximum (rad/s); ``inf`` at infinite frequency or for an unstable system.
     """
     A, B, C, D = system.A, system.B, system.C, system.D
     top = float(np.linalg.norm(D, 2)) if D.size else 0.0
@@ -222,12 +222,12 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[f
     poles = np.linalg.eigvals(A)
     if poles.real.max() >= 0.0:
         return np.inf, np.inf
-    # Peaks stand near poles; the grid between them only helps to start close.
+    # Peaks stand near poles; the grid between them only gives a close start.
     size = np.abs(poles)
     candidates = np.concatenate([[0.0], size, np.abs(poles.imag), np.geomspace(size.min() / 10, size.max() * 10, 60)])
     try:
         gains = singular_values(system, candidates)[:, 0]
-    except np.linalg.LinAlgError:  # a pole that rounding cannot tell from the axis
+    except np.linalg.LinAlgError:  # rounding puts a pole on the axis
         return np.inf, np.inf
     best = int(np.argmax(gains))
     lower, where = float(gains[best]), float(candidates[best])
@@ -260,15 +260,16 @@ class LoopAnalysis:
     sensitivity_peak_dB, complementary_peak_dB : float
         Peaks of S_u and T_u.
     sensitivity_peak_frequency, complementary_peak_frequency : float
-        Where they stand, rad/s.
+            Frequencies of these peaks (rad/s).
     output_sensitivity_peak_dB : float
-        Peak of S_o, in the output scaling given.
+            Peak of S_o in the given output scaling.
     gain_margin_dB, gain_reduction_dB : float
-        Common factor on all inputs, up (positive) and down (negative), that the loop survives; inf where any.
-    phase_margin_deg, delay_margin_s : float
-        Common phase lag and common delay that the loop survives.
-    guaranteed_phase_margin_deg : float
-        Independent phases, one in each input.
+            Common factor on all inputs, up (positive) and down (negative), that keeps the loop stable; inf without a
+            limit.
+        phase_margin_deg, delay_margin_s : float
+            Common phase lag and common delay that keep the loop stable.
+        guaranteed_phase_margin_deg : float
+            Margin for independent phases, one in each input.
     """
 
     stable: bool
@@ -287,7 +288,7 @@ class LoopAnalysis:
 
 @result
 class LoopCurves:
-    """Singular values over frequency (rad/s): arrays of shape (n, inputs), largest first."""
+    """Singular values over frequency (rad/s) as arrays of shape (n, inputs), largest first."""
 
     frequency: Array
     plant: Array
@@ -297,15 +298,15 @@ class LoopCurves:
 
 
 def sample_plant(plant: control.StateSpace, period_s: float, delay_samples: int = 0) -> control.StateSpace:
-    """Plant behind a zero-order hold, sampled, its inputs late by whole samples.
+    """Return the sampled plant behind a zero-order hold, its inputs delayed by whole samples.
 
     Parameters
     ----------
     plant : control.StateSpace
-        Continuous time.
-    period_s : float
-    delay_samples : int
-        Samples between the measurement and the hold's taking its consequence.
+            Plant in continuous time.
+        period_s : float
+        delay_samples : int
+            Samples between a measurement and the output of its command.
     """
     sampled = control.sample_system(plant, period_s, method="zoh")
     A, B, C, D = sampled.A, sampled.B, sampled.C, sampled.D
@@ -318,14 +319,14 @@ def sample_plant(plant: control.StateSpace, period_s: float, delay_samples: int 
 
 
 def feedback_part(controller: control.StateSpace, plant: control.StateSpace, rows: Sequence[int]) -> control.StateSpace:
-    """The part of a controller that reads the plant's outputs: its inputs ``rows``, in the order of the outputs."""
+    """Return the part of a controller that reads the plant: its inputs ``rows``, in the order of the outputs."""
     columns = list(rows)
     labels = {"inputs": plant.output_labels, "outputs": plant.input_labels}
     return replace_matrices(controller, B=controller.B[:, columns], D=controller.D[:, columns], **labels)
 
 
 def is_stable_loop(plant: control.StateSpace, feedback: control.StateSpace) -> bool:
-    """Whether ``u = -feedback y`` stabilises the plant (both continuous or both discrete)."""
+    """Return whether ``u = -feedback y`` stabilises the plant (both continuous or both discrete)."""
     poles = _closed_poles(plant, feedback)
     return bool(np.abs(poles).max() < 1.0) if plant.dt else bool(poles.real.max() < 0.0)
 
@@ -356,18 +357,18 @@ def _frequency_grid(plant: control.StateSpace, feedback: control.StateSpace, poi
 
 
 def loop_sensitivities(L: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Sensitivity ``(I + L)^-1`` and complementary sensitivity of a loop gain, shape (..., n, n)."""
+    """Return sensitivity ``(I + L)^-1`` and complementary sensitivity of a loop gain, shape (..., n, n)."""
     S = np.linalg.inv(np.eye(L.shape[-1]) + L)
     return S, S @ L
 
 
 def largest_gain(response: ComplexArray) -> Array:
-    """Largest singular value of each matrix."""
+    """Return the largest singular value of each matrix."""
     return np.linalg.svd(response, compute_uv=False)[..., 0]
 
 
 def find_crossovers(frequency: Array, gains: Array) -> tuple[float, ...]:
-    """Frequencies at which a column of ``gains`` (n, k) passes 0 dB, interpolated on logarithmic axes, ascending."""
+    """Return frequencies where a column of ``gains`` (n, k) crosses 0 dB, by log-log interpolation, ascending."""
     found: list[float] = []
     for y in np.log(np.maximum(gains, 1e-300)).T:
         i = np.nonzero((y[:-1] > 0) != (y[1:] > 0))[0]
@@ -376,7 +377,7 @@ def find_crossovers(frequency: Array, gains: Array) -> tuple[float, ...]:
 
 
 def _refined_peak(function: Callable[[Array], Array], frequency: Array, values: Array) -> tuple[float, float]:
-    """Largest value of ``function`` near its largest sample."""
+    """Return the largest value of ``function`` near its largest sample, and its frequency."""
     for _ in range(2):
         i = int(np.argmax(values))
         low, high = frequency[max(i - 1, 0)], frequency[min(i + 1, frequency.size - 1)]
@@ -391,7 +392,7 @@ def _to_decibel(value: float) -> float:
 
 
 def _tracked_eigenvalues(L: ComplexArray) -> ComplexArray:
-    """Eigenvalues of L over frequency, ordered so that each column is continuous."""
+    """Return eigenvalues of L over frequency, ordered so that each column is continuous."""
     values = np.linalg.eigvals(L)
     if values.shape[1] == 2:  # all plants here have two inputs: swapping is the only choice
         for k in range(1, values.shape[0]):
@@ -402,12 +403,12 @@ def _tracked_eigenvalues(L: ComplexArray) -> ComplexArray:
 
 
 def _loop_margins(frequency: Array, L: ComplexArray) -> tuple[float, float, float, float]:
-    """Gain margin (dB), gain reduction (dB), phase margin (deg), delay margin (s), common to all inputs."""
+    """Return gain margin (dB), gain reduction (dB), phase margin (deg), delay margin (s), common to all inputs."""
     upper, lower, phase, delay = np.inf, -np.inf, np.inf, np.inf
     for locus in _tracked_eigenvalues(L).T:
         angle = np.unwrap(np.angle(locus))
         size = np.log10(np.abs(locus))
-        # -180 degrees modulo 360: the loop gain there says how much more, or less, is tolerated.
+        # At -180 degrees modulo 360 the loop gain gives the permitted increase or decrease.
         turns = np.floor((angle + np.pi) / (2 * np.pi))
         for i in np.nonzero(turns[:-1] != turns[1:])[0]:
             target = 2 * np.pi * max(turns[i], turns[i + 1]) - np.pi
@@ -447,7 +448,7 @@ def analyse_loop(
     Returns
     -------
     LoopAnalysis
-        With infinite peaks where the loop is unstable.
+            Analysis of the loop; infinite peaks if it is unstable.
     """
     stable = is_stable_loop(plant, feedback)
     frequency = _frequency_grid(plant, feedback, points)
@@ -486,7 +487,7 @@ def analyse_loop(
 
 
 def loop_curves(plant: control.StateSpace, feedback: control.StateSpace, frequency: Array) -> LoopCurves:
-    """Singular values of plant, L_u, S_u and T_u over ``frequency`` (rad/s)."""
+    """Return singular values of plant, L_u, S_u and T_u over ``frequency`` (rad/s)."""
     g, k = frequency_response(plant, frequency), frequency_response(feedback, frequency)
     L = k @ g
     values = [np.linalg.svd(M, compute_uv=False) for M in (g, L, *loop_sensitivities(L))]
@@ -500,36 +501,36 @@ def saturated_gain_limit(
     *,
     points: int = 1500,
 ) -> tuple[float, float]:
-    """Share of its gain at which a sampled loop with saturated actuators begins to swing.
+    """Return the smallest reduction of gain by saturated actuators at which a sampled loop has a limit cycle.
 
-    The actuators give way together, along ``direction`` d: from ``u`` they wanted to ``u + d (v - m)``, where
-    ``m = d.u / d.d`` and ``v`` is what is left of it. Everything else is linear: with the anti-windup the controller
-    runs as ``x+ = A x + B e + M d (v - m)``, and ``L`` from ``v`` to ``-m`` follows. A saturation passes a swing
-    of ``m`` beyond it with a smaller gain N, from 1 down to nothing as it grows (describing function, Khalil,
-    *Nonlinear Systems*, Sec. 7.2; a lasting swing has ``N L = -1``). So a loop that is stable for every N in (0, 1]
-    comes back from wherever it was thrown, as far as this approximation goes.
+    The actuators saturate together, along ``direction`` d: the command ``u`` becomes ``u + d (v - m)``, where
+    ``m = d.u / d.d`` and ``v`` is its saturated value. Everything else is linear: with the anti-windup the controller
+    runs as ``x+ = A x + B e + M d (v - m)``, and ``L`` from ``v`` to ``-m`` follows. A saturation passes an oscillation
+    of ``m`` with a gain N that falls from 1 to 0 as the amplitude grows (describing function, Khalil, *Nonlinear
+    Systems*, Sec. 7.2; a limit cycle has ``N L = -1``). So, within this approximation, a loop that is stable for every
+    N in (0, 1] recovers from any state.
 
     Parameters
     ----------
     plant : control.StateSpace
-        Sampled (:func:`sample_plant`); the loop is ``u = C x + D e``, ``e = -y``.
+            Sampled plant (:func:`sample_plant`); the loop is ``u = C x + D e``, ``e = -y``.
     law : tuple of array
         A, B, C, D, M of the controller, B and D with the columns of the errors only.
     direction : array, shape (inputs,)
     points : int
-        Frequencies tried, from 0.05 rad/s to the rate's.
+            Number of frequencies, from 0.05 rad/s to the sampling rate's limit.
 
     Returns
     -------
     share : float
-        The greatest N below 1 at which it swings; 0 where there is none.
-    frequency : float
-        Of that swing, rad/s; nan where there is none.
+            Largest N below 1 with a limit cycle; 0 if there is none.
+        frequency : float
+            Frequency of that limit cycle (rad/s); nan if there is none.
 
     Notes
     -----
     Since ``1 + L = closed(z) / (saturated(z) open(z))``, with the characteristic polynomials of the closed loop, of
-    ``A - M d d' C / d.d`` and of the plant, what M decides is which poles remain to the loop while it is saturated.
+    ``A - M d d' C / d.d`` and of the plant, M determines the poles of the saturated loop.
     """
     A, B, C, D, M = law
     d = np.asarray(direction, dtype=float)

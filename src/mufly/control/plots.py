@@ -1,7 +1,7 @@
-"""Pictures of the designs: singular values over frequency, as in the thesis's Figs 6.3 to 6.8.
+"""Plots of the designs: singular values over frequency, as in the thesis's Figs 6.3 to 6.8.
 
-Everything is drawn on ``Figure`` objects, so nothing depends on a window system or on pyplot's state. Colours are those
-of Okabe and Ito, which survive colour blindness.
+All plots are ``Figure`` objects, independent of window systems and of pyplot's state. The colours are those of Okabe
+and Ito, which are distinct for colour-blind readers.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _thesis_figure(design: ControllerDesign, which: int) -> str:
 
 
 def draw_plant(design: ControllerDesign) -> Figure:
-    """Singular values of the unscaled plant (Figs 6.3 and 6.7), its 0 dB crossings and the thesis's marked."""
+    """Draw singular values of the unscaled plant (Figs 6.3 and 6.7), its 0 dB crossings and the thesis's marked."""
     figure = Figure(figsize=(7.0, 3.6), dpi=150, layout="constrained")
     axes = figure.add_subplot()
     values = singular_values(design.plant, _FREQUENCY_GRID)
@@ -102,7 +102,7 @@ def _design_curves(design: ControllerDesign, controller: control.StateSpace) -> 
 
 
 def draw_loop(design: ControllerDesign) -> Figure:
-    """Loop gain above, sensitivities below (Figs 6.5 and 6.8): full order, reduced, and sampled with delay."""
+    """Draw loop gain and sensitivities (Figs 6.5 and 6.8): full order, reduced, and sampled with delay."""
     figure = Figure(figsize=(7.0, 6.6), dpi=150, layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     rate = 1 / design.discrete.period_s
@@ -151,7 +151,7 @@ def draw_loop(design: ControllerDesign) -> Figure:
 
 
 def draw_sensitivities(controller: FlightController) -> Figure:
-    """Sensitivity and complementary sensitivity of every design as it flies, sampled with one sample of delay."""
+    """Draw sensitivity and complementary sensitivity of every design, sampled with one sample of delay."""
     figure = Figure(figsize=(10.5, 3.4), layout="constrained")
     for axes, design in zip(figure.subplots(1, 3, sharey=True), controller.all_designs, strict=True):
         curves, loop = _design_curves(design, design.discrete.to_state_space()), design.sampled_loop
@@ -180,7 +180,7 @@ def draw_sensitivities(controller: FlightController) -> Figure:
 def draw_designs(
     controller: FlightController, folder: Path | str, *, formats: tuple[str, ...] = ("png",)
 ) -> list[Path]:
-    """Draw all designs into a folder, which is made if need be.
+    """Draw all designs into a folder, which is created if necessary.
 
     Parameters
     ----------

@@ -1,23 +1,26 @@
-"""What the H-infinity synthesis is asked for: weighting schemes, GS/T with one and two degrees of freedom; settings.
+"""Weighting schemes of the H-infinity synthesis: GS/T with one and two degrees of freedom; settings.
 
-All signals are scaled first. With the output scale ``s_y`` (an error worth one) and the input scale ``s_u`` (an
-actuation worth one) the plant is ``G = diag(1/s_y) G_physical diag(s_u)``, and the controller found for it goes back as
+All signals are scaled first, by an output scale ``s_y`` (the unit of error) and an input scale ``s_u`` (the unit of
+actuation). The scaled plant is ``G = diag(1/s_y) G_physical diag(s_u)``, and its controller is converted back by
 ``K_physical = diag(s_u) K diag(1/s_y)``.
 
 Two degrees of freedom (thesis Fig. 6.4, eqs 6.3 and 6.4; Christen and Geering's dual scheme): the controller reads the
-references ``r`` and the errors ``e = W_d w_d - y``, and commands ``u~``; the plant gets ``u = u~ + W_dbar w_dbar``;
-``r = W_rbar w_rbar + W_r w_r``. Errors: ``z_u = W_u u~`` and ``z_y = y - W_M W_r w_r``, so that
+references ``r`` and the errors ``e = W_d w_d - y``, and commands ``u~``. The plant gets ``u = u~ + W_dbar w_dbar``;
+``r = W_rbar w_rbar + W_r w_r``. The errors are ``z_u = W_u u~`` and ``z_y = y - W_M W_r w_r``, so that
 
-    w_dbar -> z_y  is  G S_u W_dbar           (disturbances at the plant's input)
-    w_rbar -> z_y  is  T_yr W_rbar            (roll-off of the response to references)
-    w_r    -> z_y  is  (T_yr - W_M) W_r       (distance from the reference model)
-    w_d    -> z_y  is  T_e W_d                (roll-off of the loop at the output)
+    w_dbar -> z_y  is  G S_u W_dbar           (disturbances at the plant's input),
+
+    w_rbar -> z_y  is  T_yr W_rbar            (roll-off of the response to references),
+
+    w_r    -> z_y  is  (T_yr - W_M) W_r       (distance from the reference model),
+
+    w_d    -> z_y  is  T_e W_d                (roll-off of the loop at the output).
 
 One degree of freedom (thesis Fig. 6.6, eq. 6.5): the controller reads ``e = W_r w_r - y``, the plant gets
 ``u = u~ + W_v w_v``, and ``z_u = W_u u~``, ``z_y = W_y y``: G S_u W_v and T_e W_r.
 
-A measured output without a reference (a rate gyro) helps the feedback. It enters ``z_y`` only if its
-``weight`` is not zero.
+A measured output without a reference (a rate gyro) supports the feedback. It enters ``z_y`` only if its ``weight`` is
+not zero.
 """
 
 from __future__ import annotations
@@ -35,13 +38,13 @@ from mufly.errors import MuflyError
 
 @dataclass(frozen=True)
 class TransferFunction:
-    """A proper transfer function ``numerator / denominator``, coefficients of falling powers of s (rad/s)."""
+    """Proper transfer function ``numerator / denominator``, coefficients of falling powers of s (rad/s)."""
 
     numerator: tuple[float, ...]
     denominator: tuple[float, ...] = (1.0,)
 
     def to_block(self, name: str, source: str, sink: str) -> control.StateSpace:
-        """State space from signal ``source`` to ``sink``."""
+        """Return a state-space block from signal ``source`` to ``sink``."""
         order = len(self.denominator) - 1
         if len(self.numerator) > order + 1:
             raise MuflyError(f"weight {name}: its numerator has the higher degree; give a proper transfer function")
@@ -58,21 +61,21 @@ class TransferFunction:
         return state_space(A, B, C, D, inputs=[source], outputs=[sink], states=labels)
 
     def magnitude_at(self, frequency: float) -> float:
-        """Magnitude at ``frequency`` (rad/s)."""
+        """Return the magnitude at ``frequency`` (rad/s)."""
         s = 1j * frequency
         return float(abs(np.polyval(self.numerator, s) / np.polyval(self.denominator, s)))
 
 
 @dataclass(frozen=True)
 class SignalScaling:
-    """What one unit of each scaled signal is worth.
+    """Physical size of one unit of each scaled signal.
 
     Attributes
     ----------
     outputs : tuple of float
-        By measured output, in its unit: an error that matters as much as one of another output.
+        For each measured output, in its unit: errors of equal importance.
     inputs : tuple of float
-        By plant input: the actuation that may be spent on such an error.
+        For each plant input: the actuation acceptable for such an error.
     """
 
     outputs: tuple[float, ...]
@@ -100,14 +103,14 @@ class OneDegreeWeights:
     """Weights of the one-degree-of-freedom scheme."""
 
     control: TransferFunction  # W_u~
-    output_noise: TransferFunction  # W_r of Fig. 6.6: it stands where the reference does, and bounds T_e
+    output_noise: TransferFunction  # W_r of Fig. 6.6: it enters at the reference and bounds T_e
     input_disturbance: TransferFunction  # W_v
     output: TransferFunction = field(default_factory=lambda: TransferFunction((1.0,)))  # W_y
     auxiliary: float = 1.0
 
 
 def scale_plant(plant: control.StateSpace, scaling: SignalScaling) -> control.StateSpace:
-    """``diag(1/s_y) plant diag(s_u)``, labels kept."""
+    """Return ``diag(1/s_y) plant diag(s_u)`` with the same labels."""
     sy, su = np.array(scaling.outputs), np.array(scaling.inputs)
     if sy.shape != (plant.noutputs,) or su.shape != (plant.ninputs,):
         raise MuflyError(
@@ -120,7 +123,7 @@ def scale_plant(plant: control.StateSpace, scaling: SignalScaling) -> control.St
 
 
 def unscale_controller(controller: control.StateSpace, input_scale: Array, output_scale: Array) -> control.StateSpace:
-    """Controller in physical units: its inputs are divided by ``input_scale``, its outputs times ``output_scale``."""
+    """Return the controller in physical units: inputs divided by ``input_scale``, outputs times ``output_scale``."""
     out = output_scale[:, None]
     return replace_matrices(
         controller, B=controller.B / input_scale, C=controller.C * out, D=controller.D * out / input_scale
@@ -132,20 +135,20 @@ def _signal_names(name: str, signals: Sequence[str]) -> list[str]:
 
 
 class _WeightedDiagram:
-    """A scaled plant with weights around it; signals are called ``name[signal of the plant]``."""
+    """A scaled plant with weights; signals are named ``name[signal of the plant]``."""
 
     def __init__(self, plant: control.StateSpace) -> None:
         self.blocks = [replace_matrices(plant, inputs=_signal_names("plant", plant.input_labels))]
         self.wiring: dict[str, dict[str, float]] = {}
 
     def add_weight(self, weight: TransferFunction, name: str, sink: str, source: str, over: Sequence[str]) -> None:
-        """Put a weight between ``source`` ("" for the signal itself) and ``sink`` of every signal in ``over``."""
+        """Add a weight between ``source`` ("" for the signal itself) and ``sink`` of every signal in ``over``."""
         for i in over:
             self.blocks.append(weight.to_block(f"{name}[{i}]", f"{name}_in[{i}]", f"{sink}[{i}]"))
             self.wiring[f"{name}_in[{i}]"] = {f"{source}[{i}]" if source else i: 1.0}
 
     def add_sum(self, name: str, over: Sequence[str], **terms: float) -> None:
-        """Define a signal of every plant signal in ``over``: a sum of others, ``own`` the plant signal itself."""
+        """Define a signal for every plant signal in ``over``: a sum of others, ``own`` the plant signal itself."""
         for i in over:
             self.wiring[f"{name}[{i}]"] = {i if k == "own" else f"{k}[{i}]": v for k, v in terms.items()}
 
@@ -153,7 +156,7 @@ class _WeightedDiagram:
 def two_degree_plant(
     plant: control.StateSpace, references: Sequence[str], weights: TwoDegreeWeights
 ) -> control.StateSpace:
-    """Generalised plant of the dual two-degree-of-freedom GS/T scheme (thesis Fig. 6.4, eq. 6.3).
+    """Return the generalised plant of the dual two-degree-of-freedom GS/T scheme (thesis Fig. 6.4, eq. 6.3).
 
     Parameters
     ----------
@@ -210,7 +213,7 @@ def two_degree_plant(
 def one_degree_plant(
     plant: control.StateSpace, references: Sequence[str], weights: OneDegreeWeights
 ) -> control.StateSpace:
-    """Generalised plant of the dual one-degree-of-freedom GS/T scheme (thesis Fig. 6.6, eq. 6.5).
+    """Return the generalised plant of the dual one-degree-of-freedom GS/T scheme (thesis Fig. 6.6, eq. 6.5).
 
     Parameters
     ----------
@@ -245,8 +248,8 @@ def one_degree_plant(
     )
 
 
-# The weights of heave-yaw are eq. 6.4 but for W_r and W_M; those of roll-pitch and velocity, which the thesis does not
-# print, are chosen here. Reasons stand in docs/explanation/control.md.
+# The weights of heave-yaw are those of eq. 6.4 except W_r and W_M. The thesis does not print those of roll-pitch and
+# velocity; they are chosen here, with reasons in docs/explanation/control.md.
 # W_r without its factor 1e-4, and its zero at 4 instead of 1 rad/s; W_M at 9 instead of 14 rad/s.
 HEAVE_YAW_WEIGHTS = TwoDegreeWeights(
     model_matching=TransferFunction((1.0, 18.0, 56.0), (1.0, 14.0, 0.0014)),
@@ -269,46 +272,46 @@ VELOCITY_SCALING = SignalScaling(outputs=(1.0, 1.0), inputs=(0.08, 0.08))
 
 @dataclass(frozen=True)
 class DesignSettings:
-    """Everything that shapes the designs; the defaults fly ``mufly-1.1``.
+    """Settings of the designs; the defaults suit ``mufly-1.1``.
 
     Attributes
     ----------
-    heave_yaw_scaling : Scaling or None
-        Outputs z (m), psi (rad), r (rad/s); inputs motor lower, upper. None: from the vehicle's authority, see
-        ``heave_yaw_scaling``.
+    heave_yaw_scaling : SignalScaling or None
+        Outputs z (m), psi (rad), r (rad/s); inputs motor lower, upper. None: from the motors' capability, see
+        :func:`heave_yaw_scaling`.
     heave_yaw_weights : TwoDegreeWeights
     heave_yaw_relaxation : float
         Factor on the smallest level; see ``hinfsyn``.
     roll_pitch_scaling, roll_pitch_weights, roll_pitch_relaxation
-        Likewise: phi, theta (rad), p, q (rad/s); servos 1, 2; see ``roll_pitch_scaling``.
+        Likewise: phi, theta (rad), p, q (rad/s); servos 1, 2; see :func:`roll_pitch_scaling`.
     velocity_scaling, velocity_weights, velocity_relaxation
         Likewise: u, v (m/s); phi, theta (rad).
     heave_yaw_windup, roll_pitch_windup : float or None
-        Rate at which their integrators follow saturated actuators, rad/s; None: the observer's anti-windup.
+        Rate at which the integrators follow saturated actuators (rad/s); None: the observer's anti-windup.
     position_gain : float
-        1/s.
+        Gain of the position loop (1/s).
     speed_limit : float
-        Of the velocity that the position loop may ask for, m/s.
+        Largest velocity reference of the position loop (m/s).
     tilt_limit : float
-        Of the tilt that the cascade may ask for, rad.
+        Largest tilt reference of the cascade (rad).
     command_tilt_limit : float
-        Of each tilt reference of roll-pitch, whoever asks, rad.
+        Largest tilt reference of roll-pitch per axis, from any source (rad).
     reference_bandwidth : float
-        Of the reference filters of heave and yaw, rad/s.
+        Bandwidth of the reference filters of heave and yaw (rad/s).
     planning_charge : float
-        Fraction of the battery's charge for which the heave reference's acceleration is chosen.
+        State of charge for which the acceleration of the heave reference is chosen.
     heave_share : float
-        Share of the acceleration then available that a heave reference may ask for.
+        Share of the acceleration available at that charge which a heave reference may use.
     heave_acceleration_max, heave_speed : float
-        Upper bounds of a heave reference's acceleration and speed, m/s2, m/s, whatever the motors could give.
+        Upper bounds of a heave reference's acceleration and speed (m/s2, m/s), for any motors.
     heave_slack : float
-        By how much the height may trail its filtered reference before the reference waits for it, m.
+        Largest error of height before the filtered reference waits (m).
     reference_lead : float
-        Share of the loops' lag behind a reference of constant rate that is made up for.
+        Share of the loops' lag behind a ramp reference that is compensated.
     yaw_acceleration, yaw_rate : float
-        Bounds of a yaw reference, rad/s2, rad/s.
+        Bounds of a yaw reference (rad/s2, rad/s).
     voltage_filter : float
-        Time constant of the battery voltage's filter, s.
+        Time constant of the battery voltage's filter (s).
     """
 
     heave_yaw_scaling: SignalScaling | None = None
@@ -339,12 +342,12 @@ class DesignSettings:
 
 
 def heave_yaw_scaling(plant: control.StateSpace) -> SignalScaling:
-    """Scaling of heave-yaw from what the motors can do.
+    """Return the scaling of heave-yaw from the motors' capability.
 
-    One scaled unit of both inputs gives 4.4 m/s2 in the end, against one metre of height error. r is scaled so that
-    one unit of one input starts to turn the fuselage by 5 units of r a second, and psi by a fifth of the scale of r.
-    For ``mufly-1.1`` that is 0.22 of the motor input, 1 m, 20 rad/s and 4 rad. Vehicles of another authority so get
-    the same scaled plant, and much the same loop.
+    One scaled unit of both inputs gives 4.4 m/s2 in steady state, against one metre of height error. r is scaled so
+    that one unit of one input gives an initial yaw acceleration of 5 units of r a second, and psi by a fifth of the
+    scale of r. For ``mufly-1.1`` that is 0.22 of the motor input, 1 m, 20 rad/s and 4 rad. Vehicles of other capability
+    get the same scaled plant and nearly the same loop.
     """
     unit = 4.4 / abs(float(heave_acceleration_per_input(plant).sum()))
     turn = float(np.abs(plant.B[plant.state_labels.index("r")]).mean())
@@ -353,7 +356,7 @@ def heave_yaw_scaling(plant: control.StateSpace) -> SignalScaling:
 
 
 def heave_acceleration_per_input(plant: control.StateSpace) -> Array:
-    """Vertical acceleration (m/s2, down) in the end per input of the lower and of the upper motor."""
+    """Return the steady vertical acceleration (m/s2, down) per input of the lower and of the upper motor."""
     states = list(plant.state_labels)
     motors = [states.index("Omega_dw"), states.index("Omega_up")]
     speed = -np.linalg.solve(plant.A[np.ix_(motors, motors)], plant.B[motors])
@@ -362,10 +365,10 @@ def heave_acceleration_per_input(plant: control.StateSpace) -> Array:
 
 
 def roll_pitch_scaling(plant: control.StateSpace) -> SignalScaling:
-    """Scaling of roll-pitch from what the servos can do.
+    """Return the scaling of roll-pitch from the servos' capability.
 
-    One scaled unit of an input gives 40 rad/s2 once the swash plate has followed, against 0.5 rad of tilt or
-    5 rad/s. For ``mufly-1.1`` that is about the full servo.
+    One scaled unit of an input gives 40 rad/s2 once the swash plate has settled, against 0.5 rad of tilt or 5 rad/s.
+    For ``mufly-1.1`` that is about full servo travel.
     """
     states = list(plant.state_labels)
     tilts = [states.index("a_dw"), states.index("b_dw")]
