@@ -1,4 +1,4 @@
-"""Where does it see itself? Visual SLAM over a floor: tracking, keyframes, loops, and data sets to try it on."""
+"""Visual SLAM over a floor: tracking, keyframes, loop closure, and data sets for tests."""
 
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
 from mufly.slam.dataset_readers import FrameSource, info_from_height, open_live, open_pictures, read_telemetry

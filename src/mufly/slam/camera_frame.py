@@ -1,4 +1,4 @@
-"""A picture with its time and what the vehicle told of itself at that time."""
+"""A picture with its time and the vehicle's estimate at that time."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FrameInfo:
-    """What the vehicle's filter says of the middle of a picture.
+    """Estimate by the vehicle's filter at the middle of a picture.
 
     Attributes
     ----------
     roll, pitch : float
-        rad.
+        Roll and pitch angle (rad).
     height_m : float
-        Of the centre of gravity above the floor.
+        Height of the centre of gravity above the floor (m).
     rates : (3,) array
         p, q, r (rad/s).
     rotor_speed : (2,) array
-        Upper, lower (rad/s); zero where it is not known: shaking is averaged, not modelled.
+        Upper, lower (rad/s); zero if unknown: vibration is then averaged, not modelled.
     rotor_phase : (2,) array or None
-        Of these, as far as commutations tell it: but for a constant (rad). With it the shaking is learnt.
+        Phases of the rotors from commutation, up to a constant (rad). With them the vibration is learnt.
     tilt_sigma, height_sigma : float
-        What these are off by, one sigma (rad, m).
+        Standard deviations of tilt and height (rad, m).
     tilt_time_s, height_time_s : float
-        Over which these errors hang together.
+        Correlation times of these errors.
     velocity : (3,) array or None
-        N, E, D (m/s), where it is known.
+        N, E, D (m/s), if known.
     place : (3,) array or None
-        N, E (m), heading (rad) as believed, where it is known: a new map begins there.
+        Estimated N, E (m), heading (rad), if known: a new map begins there.
     place_sigma : (2,) tuple
-        What it is off by: place (m), heading (rad).
+        Standard deviations of position (m) and heading (rad).
     standing : bool
-        On the floor, motors idle: it does not move.
+        Whether the vehicle stands on the floor with idle motors.
     velocity_sigma : float
-        What the velocity is off by along N and E, one sigma (m/s).
+        Standard deviation of the velocity along N and E (m/s).
     """
 
     roll: float
@@ -63,13 +63,13 @@ class FrameInfo:
 
     @property
     def heading_rate_rad_s(self) -> float:
-        """How fast the heading turns (rad/s; thesis: eq. 4.3)."""
+        """Return the rate of the heading (rad/s; thesis: eq. 4.3)."""
         _, q, r = self.rates
         return float(q * math.sin(self.roll) + r * math.cos(self.roll)) / math.cos(self.pitch)
 
     @classmethod
     def from_mapping(cls, told: Mapping[str, Any]) -> FrameInfo:
-        """Read what ``dataclasses.asdict`` made of one, once it has been through a file; TypeError if it is none."""
+        """Return the object from ``dataclasses.asdict`` data read from a file; raise TypeError if they do not fit."""
         values: dict[str, Any] = {
             k: np.array(v, dtype=np.float64) if isinstance(v, list) else v for k, v in told.items()
         }
@@ -79,15 +79,15 @@ class FrameInfo:
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """A picture.
+    """A picture with its time and the vehicle's estimate.
 
     Attributes
     ----------
     time_s : float
-        When its middle row was exposed.
+        Time at which its middle row was exposed.
     picture : (rows, columns) uint8 array
-        Grey.
-    vehicle_estimate : Telling
+        Grey levels.
+    vehicle_estimate : FrameInfo
     """
 
     time_s: float
@@ -96,43 +96,43 @@ class CameraFrame:
 
 
 _MAX_UNKNOWN_ACCEL_M_S2 = 1.0
-"""How fast a velocity may change that nobody foresees (m/s^2)."""
+"""Largest unpredicted acceleration between pictures (m/s^2)."""
 _UNKNOWN_VELOCITY_SIGMA_M_S = 0.02
-"""Of a velocity that nobody tells but that follows from answers (m/s)."""
+"""Standard deviation of a velocity derived from SLAM results, without one from the vehicle (m/s)."""
 
 
 @dataclass(frozen=True)
 class Odometry:
-    """The way since an answer, added up from what the vehicle tells with each picture, answered or not.
+    """Displacement since the last SLAM result, integrated from the vehicle's velocity at each picture.
 
-    From one picture to the next a velocity is taken to change evenly,
+    Between pictures the velocity is assumed to change linearly,
 
         x_k = x_(k-1) + (v_(k-1) + v_k) / 2 dt,        psi_k likewise.
 
-    What it is told wrong by hangs together for longer than a gap lasts: it adds up as it is, not as noise would. And
-    where the velocity goes otherwise than evenly, by a at most, the triangle between is missed:
+    Velocity errors are correlated over longer than a gap, so they add up linearly, not as noise would. A velocity that
+    changes otherwise, with an acceleration of at most a, misses the area of a triangle:
 
         s_k = s_(k-1) + (s_v,(k-1) + s_v,k) / 2 dt + a dt^2 / 4.
 
-    So a gap of t s in pictures that came is known to s_v t (and half a millimetre a picture), not to a t^2 / 2. Where
-    a velocity is not told, only that is known, with the velocity that the last answers had.
+    So the displacement over a gap of t s is known to s_v t (and half a millimetre a picture), not to a t^2 / 2. Without
+    velocities from the vehicle, that of the last results is used, with the error a t^2 / 2.
 
     Attributes
     ----------
     time_s : float
-        Of the picture that it leads to.
-    last_info : Telling
-        With that picture.
+        Time of the latest picture.
+    last_info : FrameInfo
+        Vehicle's estimate at that picture.
     elapsed_s : float
-        Time from the answer.
+        Time since the result.
     displacement_m : (2,) array
         N, E (m).
     heading_change_rad : float
-        rad.
+        Change of heading (rad).
     position_sigma_m : float
-        What the place is off by along an axis.
+        Standard deviation of the displacement along an axis (m).
     has_all_velocities : bool
-        Whether a velocity was told with each picture.
+        Whether every picture came with a velocity.
     """
 
     time_s: float
@@ -144,7 +144,7 @@ class Odometry:
     has_all_velocities: bool = True
 
     def advance_to(self, time_s: float, told: FrameInfo) -> Odometry:
-        """Return it, gone on to the next picture."""
+        """Return the odometry propagated to the next picture."""
         dt, before = time_s - self.time_s, self.last_info
         moved, sigma_m, complete = self.displacement_m, self.position_sigma_m, False
         if self.has_all_velocities and before.velocity is not None and told.velocity is not None:
@@ -155,9 +155,9 @@ class Odometry:
         return Odometry(time_s, told, self.elapsed_s + dt, moved, turned, sigma_m, complete)
 
     def predict_displacement(self, velocity: _Array) -> tuple[_Array, float]:
-        """Return how far N, E and heading (3,) have come, and what the place is off by (m).
+        """Return the displacement N, E and heading change (3,), and its standard deviation (m).
 
-        ``velocity`` (2,) is what the last answers had, for where none was told.
+        ``velocity`` (2,) is that of the last results, used without velocities from the vehicle.
         """
         if self.has_all_velocities:
             return np.append(self.displacement_m, self.heading_change_rad), self.position_sigma_m

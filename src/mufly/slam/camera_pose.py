@@ -1,37 +1,36 @@
-r"""Where the camera is, from points of the floor that it sees: two points and the tilt first, then all of them.
+r"""Camera pose from points of the floor: a two-point RANSAC with known tilt, then least squares over all points.
 
-**Two points and the tilt** (structure of Steder et al. 2008). A ray d through a pixel, turned by roll and pitch
+**Two points and the tilt** (structure of Steder et al. 2008). A ray d through a pixel, rotated by roll and pitch
 alone, has the slope m = (d_x + i d_y) / d_z as a complex number. A camera at C (complex, N + i E), h above the
 floor, with heading psi sees the floor's point X there:
 
-    X = C + h e^(i psi) m,      so from two points    h e^(i psi) = (X_1 - X_2) / (m_1 - m_2),    C = X_1 - h e^(i
-    psi) m_1
+    X = C + h e^(i psi) m,      so two points give    h e^(i psi) = (X_1 - X_2) / (m_1 - m_2)
 
-Pairs are drawn by chance; the one wins that the most points agree with. Pairs whose h is not the sonar's are left out.
+and C = X_1 - h e^(i psi) m_1. Pairs are drawn at random; the pair with the most inliers wins. Pairs whose h disagrees
+with the sonar are rejected.
 
-**All of them.** Unknown are C (N, E), h, psi, two small errors u of the tilt, about the axes of the heading (x
-along the nose, y to the right), those of the keyframe, and for each rotor four amplitudes a, b of its shaking, in
-its phase W_k. Seen in row time s from the picture's middle, with R(s) = exp([u]) R exp([w s]) and v for the velocity,
+**All points.** The unknowns are C (N, E), h, psi, two small errors u of the tilt, about the axes of the heading (x
+along the nose, y to the right), those of the keyframe, and for each rotor four amplitudes a, b of its vibration, in
+its phase W_k. For a row exposed s after the picture's middle, with R(s) = exp([u]) R exp([w s]) and velocity v,
 
     c = A^T exp([w s])^T R^T (X - C - v s),    (x, y) = (c_x, c_y) / c_z
     pixel = f (x, y) + (z_x (1 + x^2) + z_y x y, z_x x y + z_y (1 + y^2)),    z = sum_k a_k cos(W_k s) + b_k sin(W_k s)
 
-where A turns the camera's axes into the body's. Gauss-Newton on Cauchy's weights 1 / (1 + (r / 2 sigma)^2), with
-what is known beforehand: both tilts by filter and map, h by the sonar, amplitudes by the camera file.
+where A rotates the camera's axes into the body's. Gauss-Newton with Cauchy weights 1 / (1 + (r / 2 sigma)^2) solves
+them. Priors are both tilts by filter and map, h by the sonar, and amplitudes by the camera file.
 
-**What the tilt does.** A turn u of a ray of slope m = n + i e moves it, to first order, by
+**Effect of the tilt.** A rotation u of a ray of slope m = n + i e moves it, to first order, by
 
     dn = u_y - n e u_x + n^2 u_y,    de = -u_x - e^2 u_x + n e u_y
 
-The shift u_y, -u_x is what moving by h times it looks like; the rest bends the floor. A keyframe and a picture whose
-tilts are off by the same u see one floor bent alike. But when the camera has moved by d (over h, in slopes) between
-them, the two differ by dm(n + d) - dm(n): for d along n by n' = -d (e u_x - 2 n u_y), e' = d e u_y, that is, a roll
-that is off turns what is seen by u_x d / 2, which looks like a heading, and shears it by as much, which looks like
-nothing else. So where the shear drowns in noise or in what shaking does to the rows, a tilt that is off for good
-makes the heading go wrong with the way over the height, and only the prior of the tilt knows how far it may. Nothing
-is therefore decided here: :class:`PoseEstimate` keeps what the pixels alone say of place, heading, height and of both
-tilts (an information matrix, eight by eight), and the map joins that to what tilts may be (:mod:`graph`). Own
-derivation.
+The shift u_y, -u_x looks like a motion by h times it; the other terms bend the floor. A keyframe and a picture with
+the same tilt error u see the floor bent alike. If the camera has moved by d (over h, in slopes) between them, the two
+differ by dm(n + d) - dm(n): for d along n by n' = -d (e u_x - 2 n u_y), e' = d e u_y. So a roll error rotates the
+picture by u_x d / 2, which looks like a heading change, and shears it by as much, which is unique to tilt. If the shear
+is hidden by noise or vibration, a constant tilt error makes the heading drift with distance over height. Only the
+prior of the tilt bounds this drift. Therefore nothing is decided here: :class:`PoseEstimate` keeps the information (8,
+8) of the pixels alone on place, heading, height and both tilts, and the map combines it with the tilt prior
+(:mod:`mufly.slam.pose_graph`). Own derivation.
 """
 
 from __future__ import annotations
@@ -47,40 +46,40 @@ from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 PX_HEIGHT, PX_HEADING, PX_TILT, PX_KEYFRAME_TILT, POSE_SIZE = 2, 3, 4, 6, 8
-"""A pose: N, E, h, heading; errors of the tilt about x and y of the heading; of the keyframe's about its own."""
+"""Indices of a pose: N, E, h, heading; tilt errors about x and y of the heading, then those of the keyframe."""
 SHAKE_SIZE = 8  # for each rotor cosine and sine along x, then along y
 _MAX_ITERATIONS = 6
-_MIN_HEIGHT_RATIO = 0.1  # of what the sonar says: two points of one place show none
-_CAUCHY_SCALE = 2.0  # residuals, in deviations, whose weight is half
+_MIN_HEIGHT_RATIO = 0.1  # of the sonar's height; smaller ones fit any points
+_CAUCHY_SCALE = 2.0  # residual, in standard deviations, with weight 1/2
 
 
 class ViewPrior(NamedTuple):
-    """What is known of a picture before its points are looked at.
+    """Camera parameters and prior knowledge of a picture.
 
     Attributes
     ----------
     focal_px : float
-        Pixels.
+        Focal length (pixels).
     body_from_camera : (3, 3) array
-        Turns camera's into body axes.
+        Rotation from camera to body axes.
     roll_rad, pitch_rad : float
-        rad.
+        Roll and pitch by the vehicle's filter (rad).
     body_rates_rad_s : (3,) array
         p, q, r (rad/s).
     velocity_m_s : (3,) array
-        Of the camera, N-E-D (m/s).
+        Velocity of the camera, N-E-D (m/s).
     height_m, height_sigma_m : float
-        Of the camera above the floor (m).
+        Height of the camera above the floor and its standard deviation (m).
     shake_sigma_px : float
-        Of an amplitude of shaking, pixels; 0: none are sought.
+        Standard deviation of a vibration amplitude (pixels); 0: vibration is not estimated.
     rotor_speeds_rad_s : (2,) array
-        rad/s.
+        Speeds of the rotors (rad/s).
     rotor_phases_rad : (2,) array
-        At the picture's middle (rad); zero where it is not known.
+        Phases at the picture's middle (rad); zero if unknown.
     shake_amplitudes_px : (8,) array
-        What amplitudes are expected to be, pixels.
+        Expected vibration amplitudes (pixels).
     tilt_error_rad : (2,) array
-        By what roll and pitch are expected to be off (rad).
+        Expected errors of roll and pitch (rad).
     """
 
     focal_px: float
@@ -100,27 +99,27 @@ class ViewPrior(NamedTuple):
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """Where the camera is.
+    """Estimated pose of the camera.
 
     Attributes
     ----------
     state : (8,) array
-        N, E, height, heading, errors of tilt about x and y of the heading, of the keyframe's about its own, from what
-        is expected of that (m, rad).
+        N, E, height, heading, tilt errors about x and y of the heading, deviations of the keyframe's tilt errors from
+        their prediction (m, rad).
     shake_amplitudes_px : (8,) array
-        Amplitudes, pixels.
+        Vibration amplitudes (pixels).
     covariance : (8, 8) array
-        With all that was known before.
+        Covariance of ``state`` with priors.
     pixel_information : (8, 8) array
-        Information on ``state`` of the pixels alone, whatever the amplitudes are.
+        Information of the pixels alone on ``state``, with the amplitudes marginalised.
     pixel_gradient : (8,) array
-        Where to these would have it moved: the gradient that goes with it.
+        Gradient of the pixels' cost at ``state``.
     residual_scale : float
-        Root mean square of weighted residuals over what was expected.
+        Ratio of the weighted rms residual to its expected value.
     normalised_residuals : (n,) array
-        Over their deviations.
+        Residuals over their standard deviations.
     pixel_residuals : (n, 2) array
-        Residuals, seen less expected, in pixels.
+        Residuals, measured minus predicted (pixels).
     """
 
     state: _Array
@@ -134,43 +133,42 @@ class PoseEstimate:
 
     @property
     def inlier_mask(self) -> NDArray[np.bool_]:
-        """Which points lie within three deviations."""
+        """Mask of the points within three standard deviations."""
         return self.normalised_residuals < 3.0 * max(self.residual_scale, 0.7)
 
     @property
     def height_m(self) -> float:
-        """Above the floor."""
+        """Height above the floor (m)."""
         return float(self.state[PX_HEIGHT])
 
     @property
     def heading_rad(self) -> float:
-        """From north to east."""
+        """Heading from north to east (rad)."""
         return float(self.state[PX_HEADING])
 
     @property
     def tilt_error_rad(self) -> _Array:
-        """About x and y of the heading (2,)."""
+        """Tilt error about x and y of the heading (2,) (rad)."""
         return self.state[PX_TILT:PX_KEYFRAME_TILT]
 
     @property
     def keyframe_tilt_error_rad(self) -> _Array:
-        """The keyframe's, about x and y of its own heading (2,)."""
+        """Tilt error of the keyframe about x and y of its own heading (2,) (rad)."""
         return self.state[PX_KEYFRAME_TILT:POSE_SIZE]
 
 
 def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
-    """Return the matrix that turns body vectors into N-E-D: heading, pitch, roll, and errors of the tilt on top; by
-    default those that are expected."""
+    """Return the rotation from body axes to N-E-D: heading, pitch, roll, and tilt errors (default: the expected)."""
     return _compute_attitude(view.roll_rad, view.pitch_rad, heading, *(view.tilt_error_rad if tilt is None else tilt))
 
 
 def normalised_rays(
     view: ViewPrior, pixels: _Array, seconds: _Array, turn: _Array, shakes: _Array | None = None
 ) -> NDArray[np.complex128]:
-    """Return complex slopes (n,) of rays through pixels (n, 2) from the principal point, seen ``seconds`` off the
-    middle.
+    """Return complex slopes (n,) of rays through pixels (n, 2) from the principal point.
 
-    ``turn`` is :func:`attitude_matrix` with the heading at which slopes are wanted.
+    ``seconds`` are the exposure times relative to the picture's middle. ``turn`` is :func:`attitude_matrix` with the
+    heading to which slopes refer.
     """
     p = pixels if shakes is None else pixels - vibration_offset(view, pixels, seconds, shakes)
     d = np.column_stack([p / view.focal_px, np.ones(len(p))]) @ view.body_from_camera.T
@@ -180,8 +178,7 @@ def normalised_rays(
 
 
 def vibration_offset(view: ViewPrior, pixels: _Array, seconds: _Array, shakes: _Array) -> _Array:
-    """Return by how many pixels (n, 2) the rotors, which turn the camera, have moved what is seen there at these
-    times."""
+    """Return the shift (n, 2) in pixels by the vibration of the camera at these pixels and times."""
     out = np.zeros((len(seconds), 2))
     for k in range(2):
         turned = view.rotor_phases_rad[k] + view.rotor_speeds_rad_s[k] * seconds
@@ -193,7 +190,7 @@ def vibration_offset(view: ViewPrior, pixels: _Array, seconds: _Array, shakes: _
 
 
 def d_rays_d_tilt(slopes: NDArray[np.complex128]) -> _Array:
-    """Return how slopes (n,) move along N and E with errors of the tilt about N and about E, (n, 2, 2)."""
+    """Return the derivatives of slopes (n,) along N and E by tilt errors about N and about E, (n, 2, 2)."""
     n, e = slopes.real, slopes.imag
     return np.stack([np.stack([-n * e, 1.0 + n * n], axis=-1), np.stack([-1.0 - e * e, n * e], axis=-1)], axis=-2)
 
@@ -207,16 +204,16 @@ def ransac_two_points(
     rng: np.random.Generator,
     tries: int = 120,
 ) -> tuple[complex, float, float, NDArray[np.bool_]]:
-    """Return C, h, heading and who agrees, of floor points and the slopes at which they are seen.
+    """Return C, h, heading and the inliers, from floor points and their slopes.
 
     Parameters
     ----------
     places, slopes : (n,) complex arrays
         Points N + i E (m), and slopes with heading 0.
     sigma : (n,) array
-        Of the slopes.
+        Standard deviations of the slopes.
     height, height_sigma : float
-        By the sonar (m).
+        Height by the sonar and its standard deviation (m).
     """
     n = len(places)
     first, second = rng.integers(0, n, (2, tries))
@@ -224,7 +221,7 @@ def ransac_two_points(
     with np.errstate(all="ignore"):
         scale = np.where(np.abs(apart) > 0.05, (places[first] - places[second]) / apart, np.nan)
     h = np.abs(scale)
-    # Near the floor, where the height is known to a quarter of itself or worse, no height at all would pass.
+    # Near the floor, with a relative height error of a quarter or more, zero height would pass.
     may = (np.abs(h - height) < 4.0 * math.hypot(height_sigma, 0.03 * height)) & (h > _MIN_HEIGHT_RATIO * height)
     scale, i = scale[may], first[may]
     if not len(scale):
@@ -240,25 +237,25 @@ def solve_pose(
     view: ViewPrior, start: _Array, points: _Array, bend: _Array, tilts: _Array, pixels: _Array, seconds: _Array,
     sigma: _Array,
 ) -> PoseEstimate:  # fmt: skip
-    """Find where the camera is.
+    """Estimate the pose of the camera by robust least squares.
 
     Parameters
     ----------
-    view : View
+    view : ViewPrior
     start : (4,) array
-        N, E, height, heading to begin at.
+        Initial N, E, height, heading.
     points : (n, 3) array
-        N, E, D of what is seen (m).
+        N, E, D of the points (m).
     bend : (n, 2, 2) array
-        How these move north and east with an error of the keyframe's tilt (m/rad), :func:`d_rays_d_tilt`.
+        Derivatives of the points along N and E by the keyframe's tilt error (m/rad), :func:`d_rays_d_tilt`.
     tilts : (4, 4) array
-        Covariance of the errors of this picture's tilt (from what is expected) and of the keyframe's.
+        Covariance of the tilt errors of this picture (about their expectation) and of the keyframe.
     pixels : (n, 2) array
-        Where, from the principal point, without distortion.
+        Undistorted pixels from the principal point.
     seconds : (n,) array
-        When, from the middle of the picture.
+        Exposure times relative to the middle of the picture.
     sigma : (n,) array
-        Of the pixels along an axis.
+        Standard deviations of the pixels along an axis.
     """
     shakes = SHAKE_SIZE if view.shake_sigma_px > 0.0 else 0
     size = POSE_SIZE + shakes
@@ -298,10 +295,10 @@ def solve_pose(
     )
     ratio = np.sqrt((off**2).sum(axis=1) / 2.0) / sigma
     free = max(1.0, 2.0 * weight.sum() - size)
-    # Of errors as they should be, weights leave 0.846 of the mean square (r^2 / 2 is exponential).
+    # For errors as modelled, the weights reduce the mean square to 0.846 (r^2 / 2 is exponential).
     scale = math.sqrt(float((weight * 2.0 * ratio**2).sum()) / free / 0.846)
     loose = max(1.0, scale) ** 2
-    # Where it ended, pixels pull by as much as what was known before does the other way.
+    # At the minimum the gradient of the pixels balances that of the prior.
     pull = -prior[:POSE_SIZE, :POSE_SIZE] @ (known - x)[:POSE_SIZE]
     seen = normal[:POSE_SIZE, :POSE_SIZE]
     if shakes:
@@ -324,7 +321,7 @@ def _compute_attitude(roll: float, pitch: float, heading: float, tilt_x: float, 
             [-sp, sr * cp, cr * cp],
         ]
     )
-    # A small turn (t_n, t_e, 0) on the left, to second order
+    # A small rotation (t_n, t_e, 0) on the left, to second order
     out = np.empty((3, 3))
     for j in range(3):
         a, b, d = r[0, j], r[1, j], r[2, j]
@@ -376,7 +373,7 @@ def _minimise_residuals(
             q = np.empty(3)
             g = np.empty((3, 3))
             for j in range(3):
-                # columns of R^T turned back by the rates
+                # columns of R^T rotated back by the rates
                 b0, b1, b2 = r[j, 0], r[j, 1], r[j, 2]
                 e0 = b0 - s * (rates[1] * b2 - rates[2] * b1)
                 e1 = b1 - s * (rates[2] * b0 - rates[0] * b2)
@@ -390,12 +387,12 @@ def _minimise_residuals(
             for k in range(2):
                 ratio = u if k == 0 else v
                 fz = focal / z
-                # d pixel / d w, with w the way from camera to point
+                # d pixel / d w, with w the vector from camera to point
                 a = fz * (g[k, 0] - ratio * g[2, 0])
                 b = fz * (g[k, 1] - ratio * g[2, 1])
                 c = fz * (g[k, 2] - ratio * g[2, 2])
                 row[k, 0], row[k, 1], row[k, PX_HEIGHT] = -a, -b, c
-                # a turn t of the body: dw = w x t
+                # a rotation t of the body: dw = w x t
                 row[k, PX_HEADING] = a * we - b * wn
                 about_n, about_e = b * wd - c * we, c * wn - a * wd
                 row[k, PX_TILT] = ch * about_n + sh * about_e

@@ -1,4 +1,4 @@
-"""Pictures with times from folders and videos: ours, EuRoC's and TUM's layout, and what was told beside them.
+"""Readers of pictures with times from folders, videos and recordings, in mufly's, EuRoC's and TUM's layout.
 
 | layout | pictures | motion | truth |
 |---|---|---|---|
@@ -6,14 +6,13 @@
 | euroc | `cam0/data.csv`, `cam0/data/` | `imu0/data.csv` | `state_groundtruth_estimate0/data.csv` |
 | tum | `rgb.txt`, `rgb/` | `accelerometer.txt` | `groundtruth.txt` |
 | plain | pictures whose names are times (s or ns) | | |
-| recording | ``camera.mcap`` of a flight, or any MCAP with such | told with each, or its state | ``flight.mcap``
-|
-| video | a file that OpenCV reads; times in a file beside it, or by its rate | a recording that is given | |
+| recording | ``camera.mcap`` of a flight, or a similar MCAP | data of each picture, or state | ``flight.mcap`` |
+| video | a file that OpenCV reads; times in a file beside it, or by its rate | a given recording | |
 
-In EuRoC's and TUM's files axes are x forward, y left, z up, the world's z is up. Where only an inertial unit was
-there, tilt comes of it by a complementary filter (Mahony, Hamel and Pflimlin 2008, without the bias): gyroscopes,
-drawn to the direction of the specific force within 2 s; where only accelerometers were, of their mean over half a
-second. Height comes from `sonar.csv` (time, distance), if there, or is one number that the user gives.
+In EuRoC's and TUM's files axes are x forward, y left, z up; the world's z is up. With inertial data alone, a
+complementary filter estimates the tilt (Mahony, Hamel and Pflimlin 2008, without the bias): gyroscopes, corrected to
+the direction of the specific force within 2 s. With accelerometers alone, the tilt is that of their mean over half a
+second. Height comes from `sonar.csv` (time, distance), if present, or is a number that the user gives.
 """
 
 from __future__ import annotations
@@ -47,20 +46,20 @@ DatasetLayout = Literal["mufly", "euroc", "tum", "plain"]
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".mjpg", ".mjpeg")
 _COMPLEMENTARY_TIME_S, _FORCE_MEAN_WINDOW_S = 2.0, 0.5
-_UNKNOWN_TILT_SIGMA_RAD = math.radians(3.0)  # a vehicle of which nothing is known is level to this
+_UNKNOWN_TILT_SIGMA_RAD = math.radians(3.0)  # assumed for a vehicle without attitude data
 _MAX_CLOCK_MARGIN_S = 0.1
 _FLU_TO_FRD = np.array([1.0, -1.0, -1.0])  # x forward, y left, z up to body axes, and back
 
 
 @dataclass(frozen=True)
 class FrameSource:
-    """Pictures, and what is known besides.
+    """Source of pictures with vehicle data and truth.
 
     Attributes
     ----------
     name : str
     frame_count : int
-        Pictures.
+        Number of pictures.
     truth : tuple of (n,), (n, 3), (n,) arrays, or None
         Times (s), positions N-E-D (m), headings (rad).
     """
@@ -71,12 +70,12 @@ class FrameSource:
     _open_frames: Any
 
     def read_frames(self) -> Iterator[CameraFrame]:
-        """Yield the pictures in the order of time; read when asked for.
+        """Yield the pictures in order of time, read on demand.
 
         Raises
         ------
         InputError
-            At a picture that cannot be read or is of another size.
+            If a picture cannot be read or has another size.
         """
         yield from self._open_frames()
 
@@ -90,23 +89,24 @@ def open_pictures(
     Parameters
     ----------
     place : str or Path
-        A folder in one of the layouts, a video file, or a recording with pictures (MCAP), or the folder of one.
-    camera : Camera
-        That made them.
-    height_m : float, optional
-        Of the vehicle above the floor, where the files do not tell it.
-    rate_Hz : float, optional
-        Of a video, where it does not say so itself.
-    times : Path, optional
-        Of a video: a file with the time (s or ns) of each picture, one a row; by default the one of the video's name
-        that ends in ``.csv`` or ``.txt``, if there is one.
-    told : callable, optional
-        What the vehicle told at times (n,), instead of what stands beside the pictures; :func:`read_telemetry`.
+            A folder in one of the layouts, a video file, or a recording with pictures (MCAP), or the recording's
+            folder.
+        camera : Camera
+            Camera that took the pictures.
+        height_m : float, optional
+            Height of the vehicle above the floor (m), if the files lack it.
+        rate_Hz : float, optional
+            Rate of a video whose file lacks it (Hz).
+        times : Path, optional
+            For a video: a file with the time (s or ns) of each picture, one a row. The default is the file of the
+            video's name that ends in ``.csv`` or ``.txt``, if present.
+        told : callable, optional
+            Vehicle's data at times (n,), in place of the files beside the pictures; :func:`read_telemetry`.
 
-    Raises
-    ------
-    InputError
-        If there are no pictures, times do not rise, or the height is not known.
+        Raises
+        ------
+        InputError
+            If there are no pictures, times do not increase, or the height is unknown.
     """
     where = Path(place)
     if where.is_dir() and (where / CAMERA_FILE_NAME).is_file():
@@ -136,14 +136,14 @@ def open_pictures(
 
 
 def open_live(live: LivePictures, told: Callable[[_Array], Sequence[FrameInfo | None]]) -> FrameSource:
-    """Return pictures as they come as a source; how many there will be nobody knows.
+    """Return live pictures as a source with an unknown number of frames.
 
     Parameters
     ----------
     live : LivePictures
     told : callable
-        Of times (n,): what the vehicle told then, as :func:`info_from_height` or :func:`read_telemetry` give it; None:
-        nothing, and the picture is passed over.
+        Returns the vehicle's data for times (n,), as :func:`info_from_height` or :func:`read_telemetry` give it.
+        Pictures with None are skipped.
     """
 
     def generate_frames() -> Iterator[CameraFrame]:
@@ -155,12 +155,12 @@ def open_live(live: LivePictures, told: Callable[[_Array], Sequence[FrameInfo | 
 
 
 def info_from_height(height_m: float | None, where: str) -> Callable[[_Array], list[FrameInfo]]:
-    """Return what is told of a vehicle of which nothing is known but its height: level to 3 degrees.
+    """Return a function that gives vehicle data from the height alone: level with a deviation of 3 degrees.
 
     Raises
     ------
     InputError
-        If that is no height, or none is given.
+        If the height is missing or out of range.
     """
     if height_m is None:
         raise InputError(where, "", "does not tell the height above the floor", "give --height or --telemetry")
@@ -172,7 +172,7 @@ def info_from_height(height_m: float | None, where: str) -> Callable[[_Array], l
 
 
 def detect_layout(folder: Path) -> DatasetLayout:
-    """Return which layout a folder has."""
+    """Return the layout of a folder."""
     if (folder / "pictures.csv").is_file():
         return "mufly"
     if (folder / "mav0").is_dir() or (folder / "cam0").is_dir():
@@ -181,12 +181,12 @@ def detect_layout(folder: Path) -> DatasetLayout:
 
 
 def read_picture(file: Path, camera: Camera) -> NDArray[np.uint8]:
-    """Read a picture of the camera, in grey.
+    """Read a picture of the camera in grey levels.
 
     Raises
     ------
     InputError
-        If there is none, it is damaged, or of another size.
+        If the file is missing, damaged, or of another size.
     """
     try:
         data = file.read_bytes()
@@ -261,7 +261,7 @@ def _is_number(text: str) -> bool:
 
 
 def _read_frame_infos(folder: Path, layout: DatasetLayout, times: _Array, height_m: float | None) -> list[FrameInfo]:
-    """What was told at the times of the pictures."""
+    """Return the vehicle's data at the times of the pictures."""
     if (folder / "telemetry.csv").is_file():
         return _read_telemetry_infos(folder / "telemetry.csv", times)
     heights = _read_heights(folder, times, height_m)
@@ -300,7 +300,7 @@ def _read_frame_infos(folder: Path, layout: DatasetLayout, times: _Array, height
 
 
 def complementary_filter(t: _Array, rates: _Array, force: _Array) -> tuple[_Array, _Array]:
-    """Return roll and pitch (n,) of rates and specific force (n, 3), body axes: gyroscopes, drawn to the force."""
+    """Return roll and pitch (n,) of rates and specific force (n, 3), body axes: gyroscopes corrected by the force."""
     down = -force[0] / np.linalg.norm(force[0])
     out = np.empty_like(rates)
     for k in range(len(t)):
@@ -333,23 +333,24 @@ TELEMETRY_COLUMNS = (
     "rotor_lower_rad_s", "tilt_sigma_rad", "height_sigma_m",
 )  # fmt: skip
 PHASE_COLUMNS = ("rotor_upper_rad", "rotor_lower_rad")
-"""Columns of the telemetry that may be there; not wrapped."""
+"""Optional columns of the telemetry; phases are continuous."""
 
 
 def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list[FrameInfo]]:
-    """Return what a vehicle told, as a function of times (n,) of pictures: of a ``telemetry.csv``, or of any recording.
+    """Return the vehicle's data as a function of picture times (n,), from a ``telemetry.csv`` or a recording.
 
     Parameters
     ----------
     file : Path
-        A recording (:func:`mufly.logs.read_log`) needs attitude and position, as estimated, measured or true.
+        A ``telemetry.csv``, or a recording (:func:`mufly.logs.read_log`) with estimated, measured or true attitude and
+        position.
     offset_s : float
-        Its clock less that of the pictures (s).
+        Clock of the file minus clock of the pictures (s).
 
     Raises
     ------
     InputError
-        If it tells neither, or nothing at the time of a picture.
+        If attitude or position is missing, or a picture's time is outside the data.
     """
     if file.suffix.lower() == ".csv" and read_text_table(file, short_rows="drop").header[: len(TELEMETRY_COLUMNS)] == [
         *TELEMETRY_COLUMNS
@@ -371,7 +372,7 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
 
 
 def _telemetry_from_recording(file: Path) -> _Array:
-    """Columns of :data:`TELEMETRY_COLUMNS` (n, 11) out of a recording."""
+    """Return the columns of :data:`TELEMETRY_COLUMNS` (n, 11) from a recording."""
     ds = read_log(file)
 
     def first_known_signal(what: str, *whose: str) -> _Array | None:
@@ -395,7 +396,7 @@ def _telemetry_from_recording(file: Path) -> _Array:
         np.full(n, math.radians(0.5)) if tilt is None else np.maximum(math.radians(0.15), tilt[:, :2].max(axis=1)),
         np.full(n, 0.02) if height is None else np.maximum(0.006, height[:, 2]),
     ])  # fmt: skip
-    # Rotor speeds come less often than the rest; where they are not known shaking is averaged, not modelled.
+    # Rotor speeds are sampled more slowly; where they are unknown, vibration is averaged, not modelled.
     for k in range(1, rows.shape[1]):
         good = np.isfinite(rows[:, k])
         rows[:, k] = np.interp(rows[:, 0], rows[good, 0], rows[good, k]) if good.any() else 0.0
@@ -403,7 +404,7 @@ def _telemetry_from_recording(file: Path) -> _Array:
 
 
 def _open_recording(path: Path, camera: Camera, told: Callable[[_Array], list[FrameInfo]] | None) -> FrameSource:
-    """Pictures of a flight, with what the vehicle told; where that is not there, by the state in the recording."""
+    """Return pictures of a flight with the vehicle's data, or else the state of the recording."""
     kept = read_pictures(path)
     times = np.array(kept.times_s)
     _check_rising_times(times, [f"picture {k + 1}" for k in range(len(times))], str(kept.path))
@@ -500,7 +501,7 @@ def _open_video(
 
 
 def _read_video_times(file: Path) -> _Array:
-    """Times (s) of a video's pictures, one a row; what follows on a row is passed over, so is a row of names."""
+    """Return times (s) of a video's pictures, one a row; further columns and a header row are ignored."""
     times = read_text_table(file).read_numbers(0)
     if not len(times):
         raise InputError(str(file), "", "holds no times", "write a time (s or ns) in each row")

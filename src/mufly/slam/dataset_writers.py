@@ -1,5 +1,4 @@
-"""Data sets and trajectories on disk: our layout, EuRoC's and TUM's (:mod:`mufly.slam.dataset_readers` says what they
-hold)."""
+"""Writers of data sets and trajectories in mufly's, EuRoC's and TUM's layout (:mod:`mufly.slam.dataset_readers`)."""
 
 from __future__ import annotations
 
@@ -34,18 +33,18 @@ def write_dataset(
     layout: str = "mufly",
     on_picture: Callable[[int], None] = lambda k: None,
 ) -> int:
-    """Write a data set; return how many pictures it has.
+    """Write a data set and return the number of its pictures.
 
     Parameters
     ----------
     folder : Path
     camera : Camera
-    path : Path3
-        For the inertial unit and the truth.
-    made : iterable of (Frame, Motion)
-        As :func:`mufly.slam.synthetic_datasets.render_frames` yields them.
+    path : VehiclePath
+        Source of inertial data and truth.
+    made : iterable of (CameraFrame, VehicleMotion)
+        Pictures of :func:`mufly.slam.synthetic_datasets.render_frames`.
     layout : str
-        Of :data:`DATASET_LAYOUTS`.
+        One of :data:`DATASET_LAYOUTS`.
     on_picture : callable
         Called with the number of each picture.
     """
@@ -142,12 +141,12 @@ def _write_euroc(base: Path, path: VehiclePath, listed: list[tuple[str, int]]) -
 
 
 def _csv_header(first: str, *forms: str) -> str:
-    """The first row of one of EuRoC's files."""
+    """Return the header row of one of EuRoC's files."""
     return ",".join([first, *(form.format(axis) for form in forms for axis in "xyz")])
 
 
 def _ideal_imu_rows(path: VehiclePath) -> _Array:
-    """Rows of time, rates and specific force in body axes, as an inertial unit without errors has them."""
+    """Return rows of time, rates and specific force of an error-free inertial unit, body axes."""
     a = np.gradient(path.velocity_m_s, path.time_s, axis=0)
     roll, pitch, yaw = path.attitude_rad.T
     cr, sr, cp, sp, cy, sy = (
@@ -183,8 +182,10 @@ def format_camera_toml(camera: Camera) -> str:
 def write_tum(
     file: Path, time: _Array, position: _Array, attitude: _Array, axes: str, covariance: _Array | None = None
 ) -> None:
-    """Write a trajectory as TUM's text: t x y z qx qy qz qw, and behind it the upper triangle of the covariance of
-    N, E, D and heading (10 numbers), if there is one."""
+    """Write a trajectory as TUM's text: t x y z qx qy qz qw.
+
+    With a covariance, each row also has its upper triangle over N, E, D and heading (10 numbers).
+    """
     more = "" if covariance is None else " cov(N,E,D,heading: upper triangle, row by row)"
     lines = [f"# timestamp tx ty tz qx qy qz qw{more}", f"# {axes}"]
     upper = np.triu_indices(4)

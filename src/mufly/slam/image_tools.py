@@ -1,13 +1,13 @@
-"""What OpenCV does for us: pictures straightened and smoothed, corners, tracks, matches. It is an extra.
+"""Image processing by OpenCV, an optional dependency: undistortion, smoothing, corners, tracks, matches.
 
-Tracks (Lucas and Kanade 1981, pyramids by Bouguet 2000) go from a keyframe's picture, warped to what should be seen
-now, to the picture that is seen: templates do not grow old, and what is left to find is a shift. How well a point
-is found is told by two numbers. The correlation rho of the two patches (zero mean, normalised) says which share of
-what is seen is floor: noise alone has 0.1 to 0.3 however well it is "tracked". And the covariance of the shift is
+Tracks (Lucas and Kanade 1981, pyramids by Bouguet 2000) go from a keyframe's picture, warped to the predicted view, to
+the present picture. So templates do not age, and only a shift remains to be found. Two numbers describe the quality
+of a track. The correlation rho of the two patches (zero mean, normalised) is the share of the signal that is floor:
+noise alone has 0.1 to 0.3, however well it is "tracked". The covariance of the shift is
 
-    C = s^2 G^-1,    G = rho sum (grad I)(grad I)^T,    s^2 the mean square of what the patches differ by,
+    C = s^2 G^-1,    G = rho sum (grad I)(grad I)^T,    s^2 the mean square of the patches' difference,
 
-as usual for least squares (e.g. Foerstner and Guelch 1987), where rho takes the gradients of the noise off.
+as usual for least squares (e.g. Foerstner and Guelch 1987); the factor rho removes the gradients of the noise.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from mufly.numba_cache import cached_njit
 _Array = NDArray[np.float64]
 _Picture = NDArray[np.uint8]
 GRID_CELL_PX = 20
-"""Of the uniform grid (pixels): one corner each."""
-BORDER_MARGIN_PX = 14  # pixels at the border in which nothing is sought
+"""Cell size of the uniform grid, with one corner per cell (pixels)."""
+BORDER_MARGIN_PX = 14  # pixels at the border without corners
 TRACKING_WINDOW_PX = 21
 MIN_REPEAT_CORRELATION = 0.5
-"""Correlation of a picture with itself, shifted, from which it repeats."""
-_PATCH_HALF_SIZE_PX = 10  # half of a patch that is compared
+"""Autocorrelation from which a picture counts as periodic."""
+_PATCH_HALF_SIZE_PX = 10  # half the side of a compared patch
 
 
 @functools.cache
 def load_opencv() -> Any:
-    """Return OpenCV.
+    """Import OpenCV and return it.
 
     Raises
     ------
     MuflyError
-        If it is not installed.
+        If OpenCV is not installed.
     """
     try:
         import cv2
@@ -49,20 +49,20 @@ def load_opencv() -> Any:
         raise MuflyError(
             "OpenCV is not installed, without which no picture is looked at; pip install 'mufly[vision]'"
         ) from None
-    cv2.setNumThreads(1)  # it shares its core with a flight
+    cv2.setNumThreads(1)  # the core is shared with a flight
     return cv2
 
 
 def pinhole_parameters(camera: Camera) -> tuple[float, _Array]:
-    """Return focal length and principal point (2,) of straight pictures (pixels)."""
+    """Return focal length and principal point (2,) of undistorted pictures (pixels)."""
     focal = 0.5 * (float(camera.lens.focal_x) + float(camera.lens.focal_y))
     return focal, np.array([(camera.sensor.width - 1) / 2, (camera.sensor.height - 1) / 2])
 
 
 class Undistorter:
-    """Takes the lens's distortion out of pictures, and smooths them.
+    """Removes the lens distortion from pictures and smooths them.
 
-    What comes out is a pinhole's picture of the same focal length, principal point in its middle.
+    The result is a pinhole picture of the same focal length, with the principal point in its middle.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -70,7 +70,7 @@ class Undistorter:
         size = (camera.sensor.width, camera.sensor.height)
         self.picture_size = size
         self.focal_px, self.principal_point = pinhole_parameters(camera)
-        # As much as noise asks for (pixels, one sigma), before anything is looked for
+        # Smoothing according to the noise (pixels, one sigma), before any detection
         self.smoothing_sigma_px = min(2.2, 0.8 + 0.1 * float(camera.quality.noise))
         wanted = np.array(
             [
@@ -91,19 +91,19 @@ class Undistorter:
         self.valid_mask = cv2.erode(cv2.remap(seen, *self._remap_tables, cv2.INTER_LINEAR), np.ones((5, 5), np.uint8))
 
     def undistort_picture(self, picture: _Picture) -> _Picture:
-        """Return the picture straight and smooth."""
+        """Return the undistorted, smoothed picture."""
         cv2 = load_opencv()
         out = cv2.remap(picture, *self._remap_tables, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return cv2.GaussianBlur(out, (0, 0), self.smoothing_sigma_px)
 
     def exposure_offsets(self, pixels: _Array) -> _Array:
-        """When pixels (n, 2) of a straight picture were exposed, from the middle row (s)."""
+        """Return exposure times of pixels (n, 2) of an undistorted picture, relative to the middle row (s)."""
         c = np.clip(np.rint(pixels).astype(int), 0, np.array(self.picture_size) - 1)
         return self._exposure_offsets_s[c[:, 1], c[:, 0]].astype(np.float64)
 
 
 def detect_corners(picture: _Picture, seen: _Picture, most: int = 150) -> _Array:
-    """Return the best corner (n, 2) of each cell of a uniform grid, in pixels, as far as they are any."""
+    """Return the best corner (n, 2) of each cell of a uniform grid (pixels); cells without a good corner have none."""
     cv2 = load_opencv()
     strength = cv2.cornerMinEigenVal(picture, 7, 3)
     strength[seen == 0] = 0.0
@@ -127,23 +127,21 @@ def detect_corners(picture: _Picture, seen: _Picture, most: int = 150) -> _Array
 
 
 def warp_picture(picture: _Picture, homography: _Array, size: tuple[int, int]) -> _Picture:
-    """Return a picture as it would be seen from elsewhere; black where it does not reach."""
+    """Return a picture warped by a homography; black outside the original."""
     cv2 = load_opencv()
     return cv2.warpPerspective(picture, homography, size, flags=cv2.INTER_LINEAR)
 
 
 def match_brightness(picture: _Picture, other: _Picture) -> _Picture:
-    """Return a picture as bright on average as another one: exposures change, and the tracker takes greys as they
-    are."""
+    """Return a picture scaled to the mean brightness of another, since the tracker compares grey levels."""
     ratio = float(other.mean()) / max(float(picture.mean()), 1.0)
     return load_opencv().convertScaleAbs(picture, alpha=ratio) if abs(ratio - 1.0) > 0.03 else picture
 
 
 def warp_over_picture(picture: _Picture, homography: _Array, over: _Picture) -> tuple[_Picture, _Picture]:
-    """Return a picture as it would be seen from elsewhere, and where it reaches by a patch and more (else 0).
+    """Return a picture warped over another one, and the mask of its interior, eroded by a patch.
 
-    Where it does not reach, it is the other picture: an edge to black, which moves with nothing, would pull all
-    windows of the pyramid that see it.
+    Outside, the result is the other picture. A black edge, fixed in the image, would bias all pyramid windows over it.
     """
     cv2 = load_opencv()
     size = (over.shape[1], over.shape[0])
@@ -160,11 +158,13 @@ def warp_over_picture(picture: _Picture, homography: _Array, over: _Picture) -> 
 
 
 def find_repeat_shifts(picture: Any) -> _Array:
-    """Return the shifts (n, 2) by which a picture repeats, in pixels: peaks of its correlation with itself, its middle
-    over all of it and a quarter beyond, but for the one in the middle. None (0, 2) where nothing does."""
+    """Return the shifts (n, 2) by which a picture repeats (pixels), or (0, 2) if it does not.
+
+    They are the side peaks of the correlation of its middle with the whole picture and a quarter beyond.
+    """
     cv2 = load_opencv()
     small = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA).astype(np.float32)
-    small -= cv2.GaussianBlur(small, (0, 0), 10)  # vignette and shadows are like themselves everywhere
+    small -= cv2.GaussianBlur(small, (0, 0), 10)  # remove vignette and shadows, which correlate at any shift
     high, wide = small.shape
     top, left = high // 4, wide // 4
     wider = cv2.copyMakeBorder(small, top, top, left, left, cv2.BORDER_CONSTANT, value=0.0)
@@ -176,7 +176,7 @@ def find_repeat_shifts(picture: Any) -> _Array:
 
 
 def is_in_mask(mask: _Picture, pixels: _Array) -> NDArray[np.bool_]:
-    """Return which pixels (n, 2) lie in a mask."""
+    """Return the mask (n,) of the pixels (n, 2) inside a mask picture."""
     high, wide = mask.shape
     x, y = np.rint(pixels).astype(int).T
     inside = (x >= 0) & (x < wide) & (y >= 0) & (y < high)
@@ -192,19 +192,19 @@ def _pyramid_levels(reach: float) -> int:
 def track_points(
     template: _Picture, picture: _Picture, points: _Array, smooth: float, reach: float
 ) -> tuple[_Array, _Array, _Array]:
-    """Follow points (n, 2) of a template into a picture, both smoothed by so much.
+    """Track points (n, 2) of a template in a picture; both are smoothed by ``smooth`` (pixels).
 
-    Nothing is sought further away than ``reach`` (pixels): the pyramid has as many levels as half a window needs to
-    span that. Windows of more see vignette and shadows rather than the floor, and go with those: over tiles to the
-    next one.
+    The pyramid has just enough levels for half a window to span ``reach`` (pixels). With more levels the windows follow
+    vignette and shadows instead of the floor, or jump to the next tile.
 
     Returns
     -------
     there : (n, 2) array
+        Points in the picture.
     correlation : (n,) array
-        0 where it was not found.
+        Correlation of the patches; 0 for lost points.
     sigma : (n,) array
-        Of the place along an axis (pixels), root mean square of the two.
+        Standard deviation of the position along an axis (pixels), root mean square of both.
     """
     cv2 = load_opencv()
     from_ = points.astype(np.float32).reshape(-1, 1, 2)
@@ -244,7 +244,7 @@ def correlate_patches(
     correlation: _Array,
     sigma: _Array,
 ) -> None:
-    """Correlation of patches around points of a template and of a picture, and how well their shift is known."""
+    """Compute the correlation of patches around points of a template and a picture, and the sigma of their shift."""
     high, wide = picture.shape
     n = 2 * _PATCH_HALF_SIZE_PX + 1
     a, b = np.empty((n, n)), np.empty((n, n))
@@ -290,6 +290,6 @@ def correlate_patches(
         share = max(rho, 0.05) * gain * gain
         det = (gxx * gyy - gxy * gxy) * share
         correlation[i] = rho
-        # Smoothing makes neighbouring pixels' noise alike: as many as lie in its spot count as one.
+        # Smoothing correlates the noise of neighbouring pixels: all within one smoothing spot count as one.
         alike = max(1.0, 4.0 * math.pi * smooth * smooth)
         sigma[i] = math.sqrt(0.5 * alike * differ * (gxx + gyy) / max(det, 1e-9))

@@ -1,4 +1,4 @@
-"""What it remembers of the floor: keyframes, what ties them together, and a file of both."""
+"""Map of the floor: keyframes, the edges between them, and their file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from mufly.slam.pose_graph import (
 
 _Array = NDArray[np.float64]
 MAP_FORMAT = 2
-_MIN_POINT_SIGMA_PX = 0.04  # pixels: no point is known better
+_MIN_POINT_SIGMA_PX = 0.04  # lower bound of a point's standard deviation
 _SAVED_FIELDS = (
     "time_s",
     "picture",
@@ -54,30 +54,29 @@ _SAVED_FIELDS = (
 
 @dataclass
 class Keyframe:
-    """A picture that is remembered.
+    """A picture of the map with its points.
 
     Attributes
     ----------
     time_s : float
     picture : (rows, columns) uint8 array
-        Straight.
+        Undistorted picture.
     turn : (3, 3) array
-        Turns camera's axes into N-E-D with heading 0.
+        Rotation from the camera's axes to N-E-D with heading 0.
     pixels : (n, 2) array
-        Its points, in the straight picture.
+        Points in the undistorted picture.
     slopes : (n,) complex array
-        Of their rays, heading 0.
+        Slopes of their rays, heading 0.
     variance : (n,) array
-        Of the slopes, along an axis.
+        Variances of the slopes along an axis.
     missed : (n,) int array
-        How often more a point did not fit than it did.
+        Number of outliers less inliers of each point.
     tilt : (2,) array
-        What the tilt that was told was taken to be off by, about the axes of the heading, when its slopes were
-        reckoned (rad).
+        Assumed error of the reported tilt, about the axes of the heading, for which the slopes are computed (rad).
     log_height : float
         ln h of the camera by the sonar.
     height_sigma, height_time_s, tilt_sigma, tilt_time_s, tilt_white : float
-        What that and the told tilt may be off by: :class:`mufly.slam.pose_graph.KeyframePriors`.
+        Errors of height and tilt: :class:`mufly.slam.pose_graph.KeyframePriors`.
     """
 
     time_s: float
@@ -100,21 +99,21 @@ class Keyframe:
     def refine_points(
         self, which: NDArray[np.intp], seen: NDArray[np.complex128], variance: _Array, focal: float
     ) -> None:
-        """Take in where some of its points were seen anew: slopes and their variances."""
+        """Update slopes and variances of some points by new measurements."""
         gain = self.variance[which] / (self.variance[which] + variance)
         self.slopes[which] += gain * (seen - self.slopes[which])
         self.variance[which] = np.maximum((1.0 - gain) * self.variance[which], (_MIN_POINT_SIGMA_PX / focal) ** 2)
 
 
 class FloorMap:
-    """Keyframes and edges.
+    """Map of keyframes and edges.
 
     Parameters
     ----------
     start_pose : (3,) array_like
-        N, E (m) and heading (rad) of the vehicle where the map begins.
+        N, E (m) and heading (rad) of the vehicle at the start of the map.
     start_sigma : (2,) tuple
-        What that is off by: place (m), heading (rad).
+        Standard deviations of that position (m) and heading (rad).
     """
 
     def __init__(self, start: Any = (0.0, 0.0, 0.0), start_sigma: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -126,7 +125,7 @@ class FloorMap:
         self._covariance_cache: dict[tuple[int, ...], _Array] = {}
 
     def add_keyframe(self, keyframe: Keyframe, node: _Array, ties: list[GraphEdge]) -> int:
-        """Add a keyframe at a node (7,), tied to others by edges; return its number."""
+        """Add a keyframe at a node (7,) with edges to others; return its number."""
         self.keyframes.append(keyframe)
         self.nodes = np.vstack([self.nodes, node])
         self.edges += ties
@@ -134,7 +133,7 @@ class FloorMap:
         return len(self.keyframes) - 1
 
     def drop_last_keyframe(self) -> None:
-        """Forget the keyframe that was added last, and its ties."""
+        """Remove the last keyframe and its edges."""
         self.keyframes.pop()
         k = len(self.keyframes)
         self.nodes = self.nodes[:k]
@@ -142,7 +141,7 @@ class FloorMap:
         self.optimise_graph()
 
     def try_add_edge(self, edge: GraphEdge, most: float = math.inf) -> bool:
-        """Add an edge, unless the map does not bear it (chi-squared over ``most``): then it is as before."""
+        """Add an edge and return True, or restore the map and return False if chi-squared exceeds ``most``."""
         before = self.nodes.copy()
         self.edges.append(edge)
         self.optimise_graph()
@@ -155,7 +154,7 @@ class FloorMap:
         return True
 
     def optimise_graph(self) -> None:
-        """Move the keyframes to where the edges want them."""
+        """Optimise the nodes by the pose graph."""
         known = KeyframePriors(
             *(np.array([getattr(k, f.name) for k in self.keyframes]) for f in fields(KeyframePriors))
         )
@@ -164,23 +163,25 @@ class FloorMap:
         self._covariance_cache = {}
 
     def joint_covariance(self, *which: int) -> _Array:
-        """Of some nodes, jointly (7 n, 7 n)."""
+        """Return the joint covariance of some nodes (7 n, 7 n)."""
         if which not in self._covariance_cache:
             assert self.solution is not None
             self._covariance_cache[which] = self.solution.joint_covariance(list(which))
         return self._covariance_cache[which]
 
     def edge_covariance(self, a: int, b: int) -> _Array:
-        """Of what node ``b`` is from node ``a``, and of both tilts: the numbers of an edge (8, 8)."""
+        """Return the covariance (8, 8) of an edge's numbers: node ``b`` relative to node ``a``, and both tilts."""
         j = edge_jacobian(self.nodes[a], self.nodes[b])
         return j @ self.joint_covariance(a, b) @ j.T
 
     def predict_sensor_errors(
         self, time_s: float, tilt: tuple[float, float, float], height: tuple[float, float]
     ) -> tuple[_Array, _Array, _Array]:
-        """Return what a picture's tilt (rad) and sonar (ln h) are off by as far as the newest keyframe knows, and how
-        these three hang together with that: :func:`mufly.slam.pose_graph.gauss_markov_transition`, which takes ``tilt``
-        and ``height``."""
+        """Predict a picture's errors of tilt (rad) and sonar (ln h) from the newest keyframe, with their correlation.
+
+        ``tilt`` and ``height`` are arguments of :func:`mufly.slam.pose_graph.gauss_markov_transition`, which gives the
+        factors and noise variances.
+        """
         last = self.keyframes[-1] if self.keyframes else None
         since = math.inf if last is None else time_s - last.time_s
         of_tilt = gauss_markov_transition(since, tilt[0] if last is None else last.tilt_sigma, *tilt)
@@ -189,7 +190,7 @@ class FloorMap:
         return keep * (0.0 if last is None else self.nodes[-1, ERRORS]), keep, noise
 
     def predict_covariance(self, k: int, keep: _Array, noise: _Array) -> _Array:
-        """Return the covariance of node ``k``, of the error of its tilt and of a picture's tilt and sonar (9, 9)."""
+        """Return the covariance (9, 9) of node ``k``, its tilt error, and a picture's tilt and sonar error."""
         last = len(self.keyframes) - 1
         to = np.zeros((9, NODE_SIZE if k == last else 2 * NODE_SIZE))
         to[:SONAR, :SONAR] = np.eye(SONAR)
@@ -199,7 +200,7 @@ class FloorMap:
         return out
 
     def connected_keyframes(self, k: int) -> set[int]:
-        """Keyframes that are tied to one."""
+        """Return the keyframes with an edge to keyframe ``k``."""
         return {
             e.second_index if e.first_index == k else e.first_index
             for e in self.edges
@@ -207,7 +208,7 @@ class FloorMap:
         }
 
     def locate_points(self, k: int) -> _Array:
-        """Where the points of a keyframe lie (n, 3), N-E-D, by what its tilt is believed to be off by now."""
+        """Return the positions (n, 3), N-E-D (m), of a keyframe's points for the present estimate of its tilt error."""
         f = self.keyframes[k]
         moved = d_rays_d_tilt(f.slopes) @ (self.nodes[k, TILT] - f.tilt)
         n, e, heading, ln_height = self.nodes[k, PLACE]
@@ -216,13 +217,13 @@ class FloorMap:
         return np.stack([x.real, x.imag, np.zeros(len(x))], axis=1)
 
     def points_tilt_jacobian(self, k: int) -> _Array:
-        """How the points of a keyframe move (n, 2, 2) with the error of its tilt (m/rad)."""
+        """Return the derivatives of a keyframe's points (n, 2, 2) by its tilt error (m/rad)."""
         _, _, heading, ln_height = self.nodes[k, PLACE].tolist()
         c, s, h = math.cos(heading), math.sin(heading), math.exp(ln_height)
         return h * np.array([[c, -s], [s, c]]) @ d_rays_d_tilt(self.keyframes[k].slopes)
 
     def repeat_offsets(self, k: int, focal: float) -> _Array:
-        """By how much N and E (n, 2) what a keyframe sees repeats, either way (m)."""
+        """Return the offsets N and E (n, 2) by which a keyframe's floor repeats, in both directions (m)."""
         f = self.keyframes[k]
         if f.repeat_shifts_px is None:
             f.repeat_shifts_px = find_repeat_shifts(f.picture)
@@ -233,7 +234,7 @@ class FloorMap:
         return np.concatenate([way, -way])
 
     def save(self, path: str | Path) -> None:
-        """Write it to a file (a zip of NumPy arrays)."""
+        """Write the map to a file (a zip of NumPy arrays)."""
         arrays: dict[str, Any] = {
             "format": np.array(MAP_FORMAT),
             "start": self.start_pose,
@@ -252,12 +253,12 @@ class FloorMap:
 
     @classmethod
     def load(cls, path: str | Path) -> FloorMap:
-        """Read what :meth:`save` wrote.
+        """Read a map written by :meth:`save`.
 
         Raises
         ------
         InputError
-            If it is none, or damaged.
+            If the file is no map, or damaged.
         """
         try:
             with np.load(path, allow_pickle=False) as a:
@@ -287,8 +288,7 @@ class FloorMap:
 
 
 def compose_pose(a: _Array, b: _Array) -> _Array:
-    """Return the node that is seen as ``b`` (four numbers of :func:`mufly.slam.pose_graph.relative_pose`) from node
-    ``a``."""
+    """Return the node at ``b`` (four numbers of :func:`mufly.slam.pose_graph.relative_pose`) relative to node ``a``."""
     c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LN_HEIGHT])
     return np.array([a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), *(a[PLACE] + b)[HEADING:]])
 
@@ -296,14 +296,16 @@ def compose_pose(a: _Array, b: _Array) -> _Array:
 def remove_pose_fit(
     off: NDArray[np.complex128], own: NDArray[np.complex128], seen: NDArray[np.complex128], weight: _Array
 ) -> NDArray[np.complex128]:
-    """Return what points are off by (n,) less what a place, heading, height and both tilts would make of it.
+    """Return the residuals (n,) of points without the part that a pose (place, heading, height, tilts) explains.
 
     Parameters
     ----------
     off : (n,) complex array
+        Residuals (slopes).
     own, seen : (n,) complex arrays
         Slopes of the points from the keyframe, and from the picture.
     weight : (n,) array
+        Weights of the fit.
     """
     one = np.ones_like(own)
     turns = [q[:, 0] + 1j * q[:, 1] for s in (own, seen) for q in np.moveaxis(d_rays_d_tilt(s), 2, 0)]
@@ -315,10 +317,13 @@ def remove_pose_fit(
 
 
 def view_overlap(a: _Array, b: _Array, wide: float, high: float) -> float:
-    """Return about which share of the floor that node ``b`` sees node ``a`` sees too, both level; less where they are
-    turned or apart in height. ``wide`` and ``high`` are the picture's sides over the focal length."""
+    """Return the approximate share of node ``b``'s view that node ``a`` also sees, both level.
+
+    It falls with differences in heading and height. ``wide`` and ``high`` are the picture's sides over the focal
+    length.
+    """
     t = relative_pose(a, b)
     size = min(math.exp(t[LN_HEIGHT]), math.exp(-t[LN_HEIGHT]))
-    # The picture's rows run along the nose.
+    # The picture's rows are ordered along the nose.
     along, across = max(0.0, 1.0 - abs(t[0]) / high), max(0.0, 1.0 - abs(t[1]) / wide)
     return along * across * size * max(0.0, math.cos(1.5 * t[HEADING])) if abs(t[HEADING]) < 1.0 else 0.0

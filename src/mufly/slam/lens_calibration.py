@@ -1,6 +1,6 @@
-"""A camera's lens from pictures of a chessboard (Zhang 2000, by OpenCV), and how far to believe it.
+"""Calibration of a camera's lens from pictures of a chessboard (Zhang 2000, by OpenCV), with standard deviations.
 
-What comes out is a camera file: the lens as found, the rest as in the file that it begins with.
+The result is a camera file: the calibrated lens, and all other values of the initial file.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from mufly.slam.image_tools import load_opencv
 from mufly.vehicle.quantity import Quantity
 
 MIN_BOARD_PICTURES = 5
-"""Pictures with a board in them."""
+"""Least number of pictures that show the board."""
 _LENS_PARAMETERS = ("focal_x", "focal_y", "centre_x", "centre_y", "k1", "k2", "p1", "p2", "k3")
 
 
 @result(json="values deviations residual_px used")
 class LensCalibration:
-    """A lens as found."""
+    """A calibrated lens."""
 
     values: dict[str, float] = field(metadata={"unit": "1", "meaning": "as in the table lens of a camera file"})
     deviations: dict[str, float] = field(metadata={"unit": "1", "meaning": "one sigma of each"})
@@ -48,13 +48,13 @@ def calibrate_lens(
     pictures: Sequence[Path], camera: Camera, *, columns: int, rows: int, square_m: float = 0.025,
     on_picture: Callable[[int, int], None] | None = None,
 ) -> LensCalibration:  # fmt: skip
-    """Find the lens.
+    """Calibrate the lens.
 
     Parameters
     ----------
     pictures : sequence of Path
     camera : Camera
-        Its size counts; the rest is taken over.
+        Its size must match; other values are kept.
     columns, rows : int
         Inner corners of the board.
     square_m : float
@@ -63,7 +63,7 @@ def calibrate_lens(
     Raises
     ------
     InputError
-        If the board is in fewer than five pictures, or they do not tell the lens.
+        If fewer than five pictures show the board, or the lens is not observable from them.
     """
     cv2 = load_opencv()
     if not (3 <= columns <= 50 and 3 <= rows <= 50 and columns != rows):
@@ -117,7 +117,7 @@ def list_board_pictures(folder: Path) -> list[Path]:
     Raises
     ------
     InputError
-        If there are none.
+        If there is no picture.
     """
     if not folder.is_dir():
         raise InputError(str(folder), "", "no such folder", "give one with pictures of a chessboard")

@@ -1,8 +1,7 @@
-"""Where was this seen before? A picture looked for near a place by correlation, in all of the map by ORB (Rublee et al.
-2011).
+"""Place recognition: correlation near a predicted place, and ORB over the whole map (Rublee et al. 2011).
 
-Words that have one clear counterpart in a keyframe are put to the two-point solution of :mod:`pose`; the keyframe that
-most of them agree on is the place, unless another has nearly as many: a floor of tiles has no answer.
+Descriptors with one clear match in a keyframe go to the two-point solution of :mod:`mufly.slam.camera_pose`. The
+keyframe with the most inliers is the result, unless another has nearly as many: a floor of tiles gives no result.
 """
 
 from __future__ import annotations
@@ -20,35 +19,36 @@ from mufly.slam.pose_graph import HEADING, LN_HEIGHT
 
 _Array = NDArray[np.float64]
 MIN_INLIERS = 14
-"""Points that have to agree, at least."""
+"""Least number of inliers."""
 MAX_SECOND_PEAK_RATIO = 0.75
-"""Height of the second peak of the correlation over the first from which a place could be another one."""
+"""Ratio of the second peak of the correlation to the first above which the place is ambiguous."""
 MAX_AMBIGUITY = 1e-3
-"""Of an answer: how likely it may be that the true place is another one that looks alike."""
+"""Largest relative probability of another place that looks the same."""
 
 
 def relocalize_by_orb(
     floor_map: FloorMap, known: int, view: ViewPrior, picture: Any, straight: Undistorter, shake_rms: float,
     rng: np.random.Generator,
 ) -> tuple[int, _Array] | None:  # fmt: skip
-    """Return the keyframe and node that ORB's matches speak for, if no other place does nearly as much and the picture
-    repeats nothing.
+    """Return the keyframe and node that the ORB matches support.
+
+    The result is None if another place has nearly as many inliers, or the picture repeats itself.
 
     Parameters
     ----------
-    floor_map : Map
+    floor_map : FloorMap
     known : int
-        How many of its keyframes are looked through, from the first.
-    view : View
+        Number of its keyframes that are searched, from the first.
+    view : ViewPrior
     picture : (rows, columns) uint8 array
-        Straight.
-    straight : Straightener
+        Undistorted picture.
+    straight : Undistorter
     shake_rms : float
-        Of the shaking along an axis (pixels).
+        Rms of the vibration along an axis (pixels).
     rng : numpy.random.Generator
-        Of the points drawn by chance.
+        Source of the random point pairs.
     """
-    if len(find_repeat_shifts(picture)):  # the words of one tile are those of each
+    if len(find_repeat_shifts(picture)):  # all tiles have the same descriptors
         return None
     cv2 = load_opencv()
     orb = cv2.ORB_create(nfeatures=400, scaleFactor=1.3, nlevels=4, fastThreshold=7)
@@ -96,14 +96,16 @@ def relocalize_by_orb(
 
 
 def correlate_pictures(seen: Any, picture: Any, reach: float) -> _Array | None:
-    """Return by how many pixels (2,) a keyframe's picture, warped to where it should be seen from, is shifted against a
-    picture: where small ones correlate most. None if they do not, or at another place within reach nearly as much.
+    """Return the shift (2,) in pixels between a warped keyframe picture and a picture, by correlation of small copies.
+
+    The result is None if they do not correlate, or nearly as much at another shift within reach.
 
     Parameters
     ----------
     seen, picture : (rows, columns) uint8 arrays
-        The first is black where the keyframe does not reach.
+        Keyframe, warped to the predicted view and black outside, and present picture.
     reach : float
+        Largest shift (pixels), limited to half a picture.
         Pixels; at most half of a picture is looked at.
     """
     cv2 = load_opencv()
@@ -118,7 +120,7 @@ def correlate_pictures(seen: Any, picture: Any, reach: float) -> _Array | None:
     most = (small[0] // 2, small[1] // 2)
     padded = cv2.copyMakeBorder(a, most[1] // 2, most[1] // 2, most[0] // 2, most[0] // 2, cv2.BORDER_CONSTANT)
     mask = cv2.copyMakeBorder(inside, most[1] // 2, most[1] // 2, most[0] // 2, most[0] // 2, cv2.BORDER_CONSTANT)
-    # Of the middle of the picture, shifted by up to half of it
+    # The template is the middle of the picture; shifts reach up to half of it.
     top, left = small[1] // 4, small[0] // 4
     template = b[top : top + most[1], left : left + most[0]]
     score = cv2.matchTemplate(padded, template, cv2.TM_CCOEFF_NORMED)
@@ -140,16 +142,15 @@ def correlate_pictures(seen: Any, picture: Any, reach: float) -> _Array | None:
 
 
 def is_unambiguous(off: _Array, alike: _Array, sigma: float) -> bool:
-    """Return whether a place is the one that it seems, where others look alike.
+    """Return whether a place is unambiguous among places that look the same.
 
-    It is found ``off`` (2,) from where it was reckoned to be, to ``sigma`` along an axis; places as far from it as
-    ``alike`` (n, 2) says look the same. A Gaussian of what was reckoned says how likely each is against it,
+    The place is ``off`` (2,) from its prediction, which has the deviation ``sigma`` along an axis; the places at
+    offsets ``alike`` (n, 2) from it look the same. A Gaussian prediction gives the probability of each relative to it,
 
         p_k / p = exp(-(|off + alike_k|^2 - |off|^2) / (2 sigma^2)),
 
-    which has to be less than :data:`MAX_AMBIGUITY` for all: from the right place (off = 0) as long as sigma is less
-    than
-    0.27 of the way to the next, and never from one that is off by half of that.
+    which must be below :data:`MAX_AMBIGUITY` for all. The right place (off = 0) passes while sigma is below 0.27 of the
+    distance to the next; a place at half that distance from the prediction never passes.
     """
     further = ((off + alike) ** 2).sum(axis=1) - (off**2).sum()
     return bool((further > -2.0 * math.log(MAX_AMBIGUITY) * sigma**2).all())

@@ -1,32 +1,32 @@
-r"""Keyframes tied together: a graph of similarities of the floor's plane and of what tilts are off by, solved sparsely.
+r"""Pose graph of keyframes: similarities of the floor's plane and tilt errors, solved sparsely.
 
-A keyframe k stands at C_k (complex, N + i E), h_k above the floor, with heading psi_k; its tilt was told wrong by u_k
+A keyframe k is at C_k (complex, N + i E), h_k above the floor, with heading psi_k; its reported tilt has an error u_k
 (two numbers, about the axes of its heading). Two keyframes are related by a similarity of the plane, four numbers:
 
     t = e^(-i psi_i) (C_j - C_i) / h_i,    psi_j - psi_i,    ln (h_j / h_i)
 
-An edge is what pixels say of these four and of both tilts: an information matrix L of eight by eight about what was
-found, and the gradient g there, as it was found with what was known of tilts beforehand, and that counts but once.
-With e for the eight numbers less those found, an edge costs e^T L e / 2 - g^T e. Of each keyframe the sonar tells
-ln h + b_k, with an error b.
+An edge holds the information of the pixels on these four numbers and on both tilts: an information matrix L (8, 8)
+about the measured values, and the gradient g there. The measured values used the tilt priors, which must count only
+once. With e for the eight numbers minus those measured, an edge costs e^T L e / 2 - g^T e. For each keyframe the sonar
+measures ln h + b_k, with an error b.
 
-**Errors hang together.** What a filter's roll and pitch are off by changes slowly: a first-order Gauss-Markov process
-of deviation s and time T, and what shakes a whole picture, w, which has no memory. Between neighbours in time
+**Correlated errors.** The errors of a filter's roll and pitch change slowly: a first-order Gauss-Markov process of
+deviation s and time T, and white noise w from vibration of the whole picture. Between neighbours in time
 
     u_(k+1) = r u_k + noise of variance s^2 (1 - r^2) + (1 + r^2) w^2,    r = e^(-dt / T)
 
 and likewise b, with a deviation and time of its own.
 
-An error that all tilts have in common turns the map by the way over the height times it, up to once (what of it is
-seen as shear is found, :mod:`pose`): n edges of independent errors of s d / h would grow with the square root of n,
-these grow with n. Heights that are off alike scale the map. The graph carries both from edge to edge, because
-neighbours hang together as above: so covariances of headings and places have it, and the shear of any edge, or a loop
-that closes, tells it for all.
+A tilt error common to all keyframes rotates the map in proportion to distance over height, up to once the error (the
+part seen as shear is estimated, :mod:`mufly.slam.camera_pose`). With n edges, independent errors of s d / h would grow
+with the square root of n; common errors grow with n. Common height errors scale the map. The graph propagates both from
+edge to edge by the correlation above. So the covariances of headings and places include them, and the shear of any
+edge, or a loop closure, corrects all keyframes.
 
-Sought are all C, psi, ln h, u and b but the first's place and heading. Gauss-Newton; each edge is weighted by Cauchy's
-1 / (1 + chi^2 / 16) where it closes a loop (one wrong closure must not bend the map), by 1 where it ties a keyframe
-to the one it was made from. Covariances come from the same normal matrix, solved for the columns that are asked for.
-Scheme as in Grisetti et al. 2010 (A tutorial on graph-based SLAM); the similarity's terms and tilts are own derivation.
+The unknowns are all C, psi, ln h, u and b except the first place and heading. Gauss-Newton solves them. Loop closures
+have Cauchy weights 1 / (1 + chi^2 / 16), since one wrong closure must not bend the map; edges between a keyframe and
+its parent have weight 1. Covariances are computed from the same normal matrix, for the requested columns. Scheme as in
+Grisetti et al. 2010 (A tutorial on graph-based SLAM); the similarity's terms and tilts are own derivation.
 """
 
 from __future__ import annotations
@@ -42,29 +42,29 @@ from scipy.sparse.linalg import SuperLU, splu
 _Array = NDArray[np.float64]
 HEADING, LN_HEIGHT, SONAR, NODE_SIZE = 2, 3, 6, 7
 PLACE, TILT, ERRORS = slice(0, 4), slice(4, SONAR), slice(4, NODE_SIZE)
-"""A node: place (N, E, heading, ln h), errors of the tilt about x and y of the heading and of the sonar's ln h."""
+"""Slices of a node: place (N, E, heading, ln h), tilt errors about x and y of the heading, errors of tilt and sonar."""
 EDGE_TILT_A, EDGE_TILT_B, EDGE_SIZE = slice(4, 6), slice(6, 8), 8
-"""What an edge tells: the four numbers of a relation, tilt of its first node, of its second."""
-_HEIGHT_CONSTRAINT_VARIANCE = 1e-6  # variance of ln h given the error of the sonar's
-_LOOP_ROBUST_CHI2 = 16.0  # chi^2 at which a closure counts half
+"""Slices of an edge after the four numbers of the relation: tilt errors of its first and second node."""
+_HEIGHT_CONSTRAINT_VARIANCE = 1e-6  # variance of ln h given the sonar's error
+_LOOP_ROBUST_CHI2 = 16.0  # chi^2 at which a closure has weight 1/2
 _MAX_ITERATIONS = 10
 
 
 @dataclass(frozen=True)
 class GraphEdge:
-    """What was seen of keyframe ``second_index`` from keyframe ``first_index``.
+    """Measurement of keyframe ``second_index`` from keyframe ``first_index``.
 
     Attributes
     ----------
     first_index, second_index : int
     measurement : (8,) array
-        Re t, Im t, heading, ln h, as above; errors of the tilts of ``first_index`` and ``second_index``.
+        Re t, Im t, heading, ln h, as above; tilt errors of ``first_index`` and ``second_index``.
     information : (8, 8) array
-        On these.
+        Information of the pixels on the measurement.
     gradient : (8,) array
-        The gradient that pixels have there.
+        Gradient of the pixels' cost there.
     is_loop_closure : bool
-        Whether it closes a loop.
+        Whether the edge closes a loop.
     """
 
     first_index: int
@@ -75,20 +75,22 @@ class GraphEdge:
     is_loop_closure: bool = False
 
     def compute_residual(self, a: _Array, b: _Array) -> _Array:
-        """Eight numbers: nodes ``a``, ``b`` less what was found."""
+        """Return the eight numbers of nodes ``a`` and ``b`` minus the measurement."""
         out = np.concatenate([relative_pose(a, b), a[TILT], b[TILT]]) - self.measurement
         out[2] = _wrap_angle(out[2])
         return out
 
     def compute_chi2(self, off: _Array, covariance: _Array | None = None) -> float:
-        """How far that is from what pixels alone want, squared, in deviations; of numbers that are themselves
-        uncertain by a covariance (8, 8), by both."""
+        """Return chi-squared of a residual against the pixels alone.
+
+        With ``covariance`` (8, 8), the residual's own uncertainty is included.
+        """
         m, g = self.information, self.gradient
         force = m @ off - g
-        ridge = 1e-9 * float(np.trace(m)) * np.eye(8)  # what pixels do not tell costs nothing
+        ridge = 1e-9 * float(np.trace(m)) * np.eye(8)  # directions without pixel information cost nothing
         out = float(off @ m @ off - 2.0 * g @ off + g @ np.linalg.solve(m + ridge, g))
         if covariance is not None:
-            # (S + L^-1)^-1 = L - L (L + S^-1)^-1 L, and there need not be an inverse of L
+            # (S + L^-1)^-1 = L - L (L + S^-1)^-1 L, also for singular L
             both = covariance @ np.linalg.solve(np.eye(8) + m @ covariance, force)
             out -= float(force @ both)
         return max(0.0, out)
@@ -96,15 +98,15 @@ class GraphEdge:
 
 @dataclass(frozen=True)
 class KeyframePriors:
-    """What is known of keyframes beside what they see of each other, (n,) arrays.
+    """Priors of keyframes, (n,) arrays.
 
     Attributes
     ----------
     time_s
     log_height, height_sigma, height_time_s
-        What the sonar said of ln h, deviation of its error, and the time over which that hangs together.
+        Sonar measurement of ln h, deviation of its error, and the correlation time of that error.
     tilt_sigma, tilt_time_s, tilt_white
-        Deviation of the error of the tilt (rad), the time over which it hangs together, and what has no memory.
+        Deviation of the tilt error (rad), its correlation time, and deviation of its white part (rad).
     """
 
     time_s: _Array
@@ -119,14 +121,16 @@ class KeyframePriors:
 def gauss_markov_transition(
     elapsed_s: float, before: float, sigma: float, time_s: float, white: float = 0.0
 ) -> tuple[float, float]:
-    """Return r and the variance of the noise by which two errors hang together, as above; of deviations ``before`` and
-    ``sigma``: what is known better now is not off by what it was then."""
+    """Return r and the noise variance that relate two Gauss-Markov errors, as above.
+
+    The deviations are ``before`` and ``sigma``. If the second is smaller, the error is scaled down with it.
+    """
     keep = math.exp(-elapsed_s / time_s) * min(1.0, sigma / before) if elapsed_s >= 0.0 else 0.0
     return keep, max(sigma**2 - keep**2 * before**2, 1e-12) + (1.0 + keep**2) * white**2
 
 
 def relative_pose(a: _Array, b: _Array) -> _Array:
-    """Return the four numbers of node ``b`` seen from node ``a`` (each N, E, heading, ln h)."""
+    """Return node ``b`` relative to node ``a`` as four numbers (each node: N, E, heading, ln h)."""
     c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LN_HEIGHT])
     n, e = b[0] - a[0], b[1] - a[1]
     turn = _wrap_angle(b[HEADING] - a[HEADING])
@@ -134,7 +138,7 @@ def relative_pose(a: _Array, b: _Array) -> _Array:
 
 
 def relative_pose_jacobians(a: _Array, b: _Array) -> tuple[_Array, _Array]:
-    """Return how :func:`relative_pose` changes with ``a`` and with ``b``, (4, 4) each."""
+    """Return the derivatives of :func:`relative_pose` by ``a`` and by ``b``, (4, 4) each."""
     c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LN_HEIGHT])
     t = relative_pose(a, b)
     by_b = np.eye(4)
@@ -146,7 +150,7 @@ def relative_pose_jacobians(a: _Array, b: _Array) -> tuple[_Array, _Array]:
 
 
 def edge_jacobian(a: _Array, b: _Array) -> _Array:
-    """Return how an edge's eight numbers change with both nodes, (8, 12)."""
+    """Return the derivatives of an edge's eight numbers by both nodes, (8, 14)."""
     out = np.zeros((8, 2 * NODE_SIZE))
     out[:4, :4], out[:4, NODE_SIZE : NODE_SIZE + 4] = relative_pose_jacobians(a, b)
     out[EDGE_TILT_A, TILT] = out[EDGE_TILT_B, NODE_SIZE + TILT.start : NODE_SIZE + TILT.stop] = np.eye(2)
@@ -159,13 +163,13 @@ def _wrap_angle(angle: float) -> float:
 
 @dataclass(frozen=True)
 class GraphSolution:
-    """A solved graph.
+    """Solution of a pose graph.
 
     Attributes
     ----------
     nodes : (n, 7) array
     edge_chi2 : (e,) array
-        Of each edge.
+        Chi-squared of each edge.
     """
 
     nodes: _Array
@@ -184,22 +188,22 @@ class GraphSolution:
 def solve_graph(
     nodes: _Array, edges: list[GraphEdge], known: KeyframePriors, start_sigma: tuple[float, float]
 ) -> GraphSolution:
-    """Solve a graph.
+    """Solve a pose graph.
 
     Parameters
     ----------
     nodes : (n, 7) array
-        To begin at; the first one's place and heading are held.
-    edges : list of Edge
-    known : Known
+        Initial nodes; the first place and heading are the start of the map.
+    edges : list of GraphEdge
+    known : KeyframePriors
     start_sigma : (2,) tuple
-        Of the first keyframe's place (m) and heading (rad): they are where the map begins, and may be exact.
+        Standard deviations of the first place (m) and heading (rad); zero is allowed.
     """
     x = np.array(nodes, dtype=np.float64)
     start, n = x[0].copy(), len(x)
     hold = np.array([*[max(start_sigma[0], 1e-5)] * 2, max(start_sigma[1], 1e-5)]) ** -2
     pairs = np.array([(e.first_index, e.second_index) for e in edges], dtype=np.int64).reshape(-1, 2)
-    # How errors of tilt and of height hang together with those of the keyframe before
+    # Correlation of tilt and height errors with those of the previous keyframe
     chain = np.zeros((n, 2, 3))
     for k in range(n):
         since = known.time_s[k] - known.time_s[k - 1] if k else math.inf
@@ -266,31 +270,32 @@ def solve_graph(
 def fuse_pose(
     a: _Array, known: _Array, b: _Array, tilts: _Array, seen: _Array, pull: _Array, log_height: float
 ) -> tuple[_Array, _Array]:  # fmt: skip
-    """Return where a picture is by all that is known, and its covariance: N, E, heading, ln h.
+    """Return the fused pose of a picture and its covariance: N, E, heading, ln h.
 
-    Unknown are what the keyframe's node and its tilt are off by, the picture's tilt and sonar, and its place: thirteen
-    numbers.
+    The thirteen unknowns are the errors of the keyframe's node and tilt, the picture's tilt and sonar errors, and its
+    place.
 
     Parameters
     ----------
     a : (4,) array
         Node of the keyframe.
     known : (9, 9) array
-        Covariance of that, of the error of its tilt, of the picture's, and of the picture's ln h by the sonar.
+        Covariance of that node, of its tilt error, of the picture's tilt error, and of its ln h by the sonar.
     b : (4,) array
-        Node of the picture as it was found.
+        Node of the picture as estimated from pixels.
     tilts : (4,) array
-        Errors of the picture's tilt and of the keyframe's as they were found, from what was expected.
+        Estimated tilt errors of the picture and the keyframe, relative to their expectation.
     seen, pull : (8, 8), (8,) arrays
-        What pixels say of N, E, height, heading, and of these tilts: :class:`mufly.slam.camera_pose.PoseEstimate`.
+        Information and gradient of the pixels on N, E, height, heading and these tilts:
+        :class:`mufly.slam.camera_pose.PoseEstimate`.
     log_height : float
-        What the sonar says of ln h, less the error that is expected of it.
+        Sonar measurement of ln h minus its expected error.
     """
     by_a, by_b = relative_pose_jacobians(a, b)
     to = np.zeros((EDGE_SIZE, 13))
-    # Of the unknowns: the keyframe's node and tilt, the picture's tilt, sonar and place
+    # Slices of the unknowns: the keyframe's node and tilt, the picture's tilt, sonar and place
     keyframe, picture, sonar, place = slice(4, 6), slice(6, 8), 8, slice(9, 13)
-    # The picture's own place as pixels know it: moved back by what the keyframe is off by.
+    # The pixels give the picture's place relative to the keyframe: add the keyframe's error.
     move = np.hstack([np.linalg.solve(by_b, by_a), np.eye(4)])[[0, 1, LN_HEIGHT, HEADING]]
     move[2] *= math.exp(b[LN_HEIGHT])
     to[:4, :4], to[:4, place] = np.split(move, 2, axis=1)
@@ -298,7 +303,7 @@ def fuse_pose(
     prior = np.zeros((13, 13))
     prior[:9, :9] = np.linalg.inv(known)
     begin = np.zeros(13)
-    begin[keyframe], begin[picture] = tilts[2:], tilts[:2]  # how far what was found is from what was expected
+    begin[keyframe], begin[picture] = tilts[2:], tilts[:2]  # estimated minus expected values
     m = prior + to.T @ seen @ to
     right = to.T @ pull - prior @ begin
     heights = [sonar, place.start + LN_HEIGHT]

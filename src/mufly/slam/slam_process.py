@@ -1,8 +1,8 @@
-"""SLAM in a process of its own: pictures go there, answers come back, each when it is asked for.
+"""SLAM in a separate process: pictures are sent there, and results are fetched on request.
 
-Whoever sends pictures goes on while they are looked at, and waits where it asks for an answer that is not there yet. So
-a simulation says by its own clock when an answer is known, and is the same however fast the machine is. With an answer
-comes the map as it is drawn; :class:`TrackedPicture` is all that a station shows of it.
+The sender continues while a picture is processed, and waits only for a result that is not ready. So a simulation
+decides by its own clock when a result is known, and does not depend on the machine's speed. Each result comes with a
+drawing of the map; :class:`TrackedPicture` is the data that a ground station shows.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from mufly.slam.slam_system import SlamSystem, TrackingResult
 
 @dataclass(frozen=True, eq=False)
 class MapView:
-    """A map as it is drawn.
+    """A map for display.
 
     Attributes
     ----------
     keyframe_poses : (n, 3) float array
         N, E (m) and heading (rad) of the camera.
     edge_indices : (m, 3) int array
-        Two keyframes, and whether that closes a loop (1) or follows the way (0).
+        Two keyframes, and 1 for a loop closure or 0 for an edge along the path.
     """
 
     keyframe_poses: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
@@ -46,17 +46,17 @@ class MapView:
 
 @dataclass(frozen=True, eq=False)
 class PictureCounts:
-    """What became of the pictures of a flight so far.
+    """Counts of a flight's pictures.
 
     Attributes
     ----------
     taken_count : int
     lost_count : int
-        By the radio.
+        Pictures lost by the radio.
     processed_count : int
-        That SLAM looked at.
+        Pictures processed by SLAM.
     trusted_count : int
-        Of these: those that gave a place.
+        Processed pictures with a trusted position.
     """
 
     taken_count: int = 0
@@ -67,27 +67,27 @@ class PictureCounts:
 
 @dataclass(frozen=True, eq=False)
 class TrackedPicture:
-    """A picture that was looked at, as a station shows it.
+    """A processed picture for display at a ground station.
 
     Attributes
     ----------
     jpeg : bytes
-    result : Answer or None
-        What was made of it; None of one that nobody looked at (the vehicle stands).
+    result : TrackingResult or None
+        Result; None for a picture that was not processed (the vehicle stands).
     feature_pixels : (n, 2) float array
-        Points that agree, in pixels of the picture.
+        Inliers, in pixels of the picture.
     latency_s : float
-        From the middle of its exposure until the vehicle knew the answer.
+        Time from the middle of the exposure until the result reached the vehicle.
     processing_time_s : float
-        Of it: what looking took.
+        Part of the latency spent on processing.
     warning : str
-        What is wrong at present, "" if nothing is.
-    counts : Counts
-    map_view : Sketch
+        Present warning, "" if there is none.
+    counts : PictureCounts
+    map_view : MapView
     path_m : (n, 2) float array
-        N, E (m) of the answers so far, thinned.
+        N, E (m) of the results so far, thinned.
     is_standing : bool
-        It is on the floor, where nobody asks for a position.
+        Whether the vehicle stands on the floor, where no position is needed.
     """
 
     time_s: float
@@ -104,19 +104,19 @@ class TrackedPicture:
 
 
 def make_map_view(floor_map: FloorMap) -> MapView:
-    """Return how a map is drawn."""
+    """Return a map for display."""
     ties = [(e.first_index, e.second_index, e.is_loop_closure) for e in floor_map.edges]
     return MapView(floor_map.nodes[:, :3].astype(np.float32), np.array(ties, dtype=np.int32).reshape(-1, 3))
 
 
 def locate_features(camera: Camera, answer: TrackingResult) -> NDArray[np.float32]:
-    """Return where the points that agree are (n, 2) in the picture as it was taken, distortion and all (pixels)."""
+    """Return the pixels (n, 2) of the inliers in the original, distorted picture."""
     focal, middle = pinhole_parameters(camera)
     return project_points(camera, (answer.inlier_pixels - middle) / focal).astype(np.float32)
 
 
 class SlamProcess:
-    """Looks at pictures elsewhere; made once the other process can, after a few seconds where nothing is compiled.
+    """SLAM in another process; the constructor returns when that process is ready, after a few seconds of compilation.
 
     Parameters
     ----------
@@ -124,24 +124,24 @@ class SlamProcess:
     start : (3,) tuple
         N, E (m), heading (rad) of the vehicle at the first picture.
     seed : int
-        Of the points drawn by chance.
+        Seed of the random point pairs.
 
     Attributes
     ----------
-    map_view : Sketch
-        The map as of the latest answer.
+    map_view : MapView
+        Map at the latest result.
     processing_time_s : float
-        How long that one took.
+        Processing time of the latest result.
 
     Raises
     ------
     MuflyError
-        If there is no OpenCV.
+        If OpenCV is not installed.
     """
 
     def __init__(self, camera: Camera, *, start: Any = (0.0, 0.0, 0.0), seed: int = 0) -> None:
         load_opencv()
-        # No child of multiprocessing: a vehicle may itself be one, and those have none.
+        # No child of multiprocessing: a vehicle may itself be one, and such a child cannot have children.
         self._process = subprocess.Popen(
             [sys.executable, "-c", "from mufly.slam.slam_process import worker_main; worker_main()"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -149,7 +149,7 @@ class SlamProcess:
         )  # fmt: skip
         self.map_view, self.processing_time_s = MapView(), 0.0
         self._write_message((camera, tuple(start), seed))
-        self._read_message()  # it can look now
+        self._read_message()  # the process is ready
 
     def _write_message(self, message: Any) -> None:
         assert self._process.stdin is not None
@@ -160,7 +160,7 @@ class SlamProcess:
             raise MuflyError(f"the process that looks at pictures has ended ({error})") from error
 
     def send_frame(self, frame: CameraFrame) -> None:
-        """Have a picture looked at.
+        """Send a picture for processing.
 
         Raises
         ------
@@ -170,7 +170,7 @@ class SlamProcess:
         self._write_message(frame)
 
     def receive_result(self) -> TrackingResult:
-        """Wait for the answer to the oldest picture that none has come to.
+        """Wait for the result of the oldest pending picture.
 
         Raises
         ------
@@ -190,11 +190,11 @@ class SlamProcess:
             raise MuflyError(f"the process that looks at pictures has ended ({error})") from error
 
     def close(self) -> None:
-        """End it."""
+        """Stop the process."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         with suppress(OSError):
-            self._process.stdin.close()  # nothing more to look at: it ends
+            self._process.stdin.close()  # the end of input stops the process
         try:
             self._process.wait(2.0)
         except subprocess.TimeoutExpired:
@@ -204,9 +204,9 @@ class SlamProcess:
 
 
 def worker_main() -> None:
-    """The other process: pictures come in on standard input, answers go out on standard output, both pickled."""
+    """Run the process: pictures come on standard input, results go to standard output, both pickled."""
     with suppress(ValueError):
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process stops this one
     pictures, answers = sys.stdin.buffer, sys.stdout.buffer
     sys.stdout = sys.stderr
     with suppress(EOFError, OSError):
@@ -228,7 +228,7 @@ def worker_main() -> None:
 
 
 def _warm_up(camera: Camera) -> None:
-    """Load and compile what looking takes, before anybody waits for an answer in flight."""
+    """Load and compile all functions before the first picture of a flight."""
     slam = SlamSystem(camera)
     rows, columns = camera.sensor.height, camera.sensor.width
     rough = np.random.default_rng(0).integers(0, 256, (rows // 4 + 2, columns // 4 + 2), dtype=np.uint8)

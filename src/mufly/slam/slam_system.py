@@ -1,18 +1,17 @@
-"""Where is it? Pictures in, places with covariance out: tracking against keyframes, closing loops, finding itself
-again.
+"""Visual SLAM: positions with covariance from pictures, by tracking of keyframes, loop closure and relocalisation.
 
-A picture is straightened, and where it should be from is reckoned by the last answer, velocity and turning. The
-keyframe that shares most floor with it is warped to there, its points are followed into the picture
-(:mod:`vision`), and where the camera is comes from them (:mod:`pose`). What fits moves the keyframe's points by
-what they were off: shaking and noise are averaged out of the map while it is looked at. When little floor is shared
-a new keyframe is made of the picture.
+A picture is undistorted, and its pose is predicted from the last result, velocity and rates. The keyframe with the
+largest overlap is warped to that pose, its points are tracked in the picture (:mod:`mufly.slam.image_tools`), and the
+camera's pose follows from them (:mod:`mufly.slam.camera_pose`). Residuals of inliers correct the keyframe's points,
+which averages vibration and noise out of the map. When the overlap is small, the picture becomes a new keyframe.
 
-Now and then a keyframe that is not tied to the present one, but should be in sight, is tried in the same way. It
-closes a loop if enough points agree, if what it says lies within the covariance of the map, and if no other place
-within reach looks alike: on a floor of tiles the covariance alone decides, and where it cannot, nothing does.
+At intervals the picture is matched to a keyframe without an edge to the present one that should be in view. A loop
+closes under three conditions: enough inliers, a result within the covariance of the map, and no other place within
+reach that looks the same. On a floor of tiles the covariance alone decides; if it is too large, no loop closes.
 
-Answers that are not trusted are not given; :class:`TrackingResult` says why. What it lost it seeks first around where
-it should be, later in all of the map by ORB (Rublee et al. 2011), and believes that when three pictures in a row agree.
+Results that are not trusted are not published; :class:`TrackingResult` gives the reason. After a loss the system
+searches around the predicted pose first, later in the whole map by ORB (Rublee et al. 2011). It accepts the latter
+when three results agree.
 """
 
 from __future__ import annotations
@@ -68,61 +67,63 @@ from mufly.slam.pose_graph import (
 
 _Array = NDArray[np.float64]
 MIN_CORRELATION = 0.5
-MIN_HEIGHT_M = 0.1  # height of the camera from which a map begins
+MIN_HEIGHT_M = 0.1  # least camera height for the start of a map
 TOO_NEAR_REASON = "too near to the floor"
-"""Why there is no answer before."""
-FEW_INLIERS = 30  # points that agree, below which a new keyframe may see more
-NEW_KEYFRAME_OVERLAP = 0.55  # share of floor that a keyframe has to see of the picture
+"""Reason of a missing result below that height."""
+FEW_INLIERS = 30  # below this number of inliers a new keyframe may help
+NEW_KEYFRAME_OVERLAP = 0.55  # least overlap of a keyframe and the picture
 LOOP_MIN_OVERLAP, LOOP_CHECK_INTERVAL = 0.4, 8
-LOOP_MAX_CHI2 = 28.0  # of eight numbers: one true closure in 2000 is turned away
-_LOOP_SEARCH_SIGMAS = 2.5  # deviations within which a keyframe is looked for
+LOOP_MAX_CHI2 = 28.0  # of eight numbers: rejects one true closure in 2000
+_LOOP_SEARCH_SIGMAS = 2.5  # standard deviations within which keyframes are searched
 VARIANCE_INFLATION = 3.0
-"""Of variances of all points together over those of each, as errors of neighbouring points hang together. Chosen on
+"""Ratio of the joint variance of all points to that of independent points, for correlated errors of neighbours.
 twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges against the truth, with true tilts given, ask for 3.9,
 answers for less."""
 _WHITE_LEVEL, _MAX_WHITE_SHARE = 248, 0.02
-"""Grey, and share of a picture that may be whiter for it to become a keyframe: a camera that was covered sees too
-bright for half a second, and what was white then has no corners."""
-_STRAY_PX = 5.0  # pixels that a point may be off for no reason
+"""Grey level, and largest share of brighter pixels in a keyframe: a camera that was covered overexposes for half a
+second, and white areas have no corners."""
+_STRAY_PX = 5.0  # maximum unexplained error of a point (pixels)
 _TILT_DRIFT_PER_HEIGHT = 0.005
 """Of the height: what tilts told wrong move a place by from picture to picture
 (docs/log/2026-11-24-slam-accuracy.md)."""
 _LOST_AFTER_S, _RELOCALIZE_INTERVAL = 0.7, 4
 _MIN_CONFIRMATIONS = 3
 _SHAKE_GAIN, _SHAKE_LEARNED_FRAMES, _SHAKE_REMAINING_SHARE = 0.02, 150, 0.3
-"""Of a picture in what is learnt of the shaking; after so many pictures so much is left of what is not known of it."""
+"""Learning of the vibration: weight of a picture, number of pictures, and remaining share of the uncertainty."""
 _BRIDGE_AFTER_S, _YOUNG_BRIDGE_AFTER_S, _YOUNG_MAP_KEYFRAMES, _TRIAL_FRAMES = 1.5, 0.1, 5, 25
-"""After how long it goes on from where it is believed to be (s); with a map of so few keyframes that nothing is found
-in it at once, else once so many pictures were seen so."""
+"""Time (s) after which a lost system continues from the vehicle's estimate; the shorter time for a young map.
+
+A map is young up to this number of keyframes, too few to relocalise. A new keyframe is on trial for this number of
+pictures."""
 
 
 @dataclass(frozen=True)
 class TrackingResult:
-    """What was made of a picture.
+    """Result of a picture.
 
     Attributes
     ----------
     time_s : float
-        Of the picture.
+        Time of the picture.
     trusted : bool
     reason : str
-        Why it is not.
+        Reason why the result is not trusted.
     position : (3,) array
-        N, E, D (m) of the vehicle's centre of gravity; NaN where nothing is known.
+        N, E, D (m) of the vehicle's centre of gravity; NaN if unknown.
     heading : float
-        rad.
+        Heading (rad).
     covariance : (4, 4) array
-        Of N, E, D, heading.
+        Covariance of N, E, D, heading.
     keyframe : int
-        Against which it was seen.
+        Number of the matched keyframe.
     tracked_count, inlier_count : int
-        Points that were found, that agree.
+        Tracked points, inliers.
     inlier_pixels : (n, 2) array
-        Where those are that agree, in the straight picture.
+        Inliers in the undistorted picture.
     residual_ratio : float
-        Of their residuals, over what was expected.
+        Ratio of the residuals to their expected size.
     is_new_keyframe, is_loop_closed : bool
-        Whether it became a keyframe, whether a loop was closed.
+        Whether the picture became a keyframe, whether a loop was closed.
     """
 
     time_s: float
@@ -142,16 +143,16 @@ class TrackingResult:
 
 @dataclass(frozen=True)
 class _KeyframeMatch:
-    """A picture seen against a keyframe."""
+    """A picture matched to a keyframe."""
 
     keyframe: int
     pose: PoseEstimate
-    inlier_indices: NDArray[np.intp]  # points that agree
-    inlier_pixels: _Array  # there, in the straight picture
+    inlier_indices: NDArray[np.intp]  # indices of the inliers
+    inlier_pixels: _Array  # inliers in the undistorted picture
     exposure_offsets_s: _Array
     pixel_sigmas: _Array
     tracked_count: int
-    shift_px: float  # pixels by which it was off before
+    shift_px: float  # difference to the prediction (pixels)
 
     @property
     def graph_node(self) -> _Array:
@@ -165,12 +166,12 @@ class SlamSystem:
     Parameters
     ----------
     camera : Camera
-    floor_map : Map, optional
-        To find itself in; by default a new one that begins at the first picture.
+    floor_map : FloorMap, optional
+        Map in which to localise; by default a new one that begins at the first picture.
     start : (3,) array_like
         N, E (m), heading (rad) of the vehicle at the first picture of a new map.
     seed : int
-        Of the points drawn by chance.
+        Seed of the random point pairs.
     """
 
     def __init__(
@@ -198,34 +199,34 @@ class SlamSystem:
         self._shake_amplitudes_px, self._shake_frame_count = (
             np.zeros(SHAKE_SIZE),
             0,
-        )  # amplitudes as learnt, from so many pictures
+        )  # learnt amplitudes, and the number of pictures
         self._shake_tilt_rad = 0.0
         self._reference_index = -1
-        self._last_node = np.zeros(4)  # where it was last
+        self._last_node = np.zeros(4)  # node of the last result
         self._velocity_m_s = np.zeros(2)
-        # What tilt and sonar are off by, and how that hangs together with the newest keyframe's
+        # Predicted errors of tilt and sonar, and their correlation with those of the newest keyframe
         self._predicted_errors, self._error_transition = np.zeros(3), [np.zeros(3), np.ones(3)]
-        self._odometry: Odometry | None = None  # since then
+        self._odometry: Odometry | None = None  # since the last result
         self._last_time_s = math.nan
-        self._position_sigma_m = 0.0  # of the place that is reckoned (m)
+        self._position_sigma_m = 0.0  # of the predicted position (m)
         self._frame_count = self._frames_since_loop_check = 0
         self._found_poses: list[tuple[float, _Array]] = []
-        # How often a loop to a keyframe was tried in vain, and how much floor it seemed to share at the last time
+        # For each keyframe, the number of failed loop closures and the overlap at the last one
         self._failed_closures: dict[int, tuple[int, float]] = {}
-        self._trial_frame_count = 0  # pictures seen against a keyframe that was begun anew; 0: there is none
+        self._trial_frame_count = 0  # pictures matched to a keyframe on trial; 0: there is none
         self.undistorted_picture: NDArray[np.uint8] | None = None
-        self.is_closing_loops = True  # whether loops are closed
+        self.is_closing_loops = True  # whether loop closure is active
         self.on_closure: Callable[[int, int], None] = lambda a, b: None
 
     # ------------------------------------------------------------------ one picture
 
     def process_frame(self, frame: CameraFrame) -> TrackingResult:
-        """Take a picture in.
+        """Process a picture and return its result.
 
         Raises
         ------
         InputError
-            If it is not of the camera's size.
+            If the picture does not have the camera's size.
         """
         check_picture_size(self.camera, frame.picture.shape, f"picture at {frame.time_s:g} s")
         if frame.time_s <= self._last_time_s:
@@ -254,7 +255,7 @@ class SlamSystem:
                 and frame.vehicle_estimate.place is not None
                 and not self._has_given_map
             ):
-                # Near the floor one picture shares little with the next: nothing hangs on a map of one.
+                # Near the floor pictures overlap little: restart a map of one keyframe.
                 self.floor_map = FloorMap(self.floor_map.start_pose)
                 return self._start_map(frame, view, picture)
             if self._should_bridge(frame, view, elapsed):
@@ -268,7 +269,7 @@ class SlamSystem:
 
     def _make_view(self, frame: CameraFrame) -> ViewPrior:
         told = frame.vehicle_estimate
-        # Where all rows are taken at once, shaking is a tilt like another one, and only its phase tells it apart.
+        # With a global shutter, vibration looks like any tilt; only its phase distinguishes it.
         modelled = bool(told.rotor_speed.any()) and (self._has_rolling_shutter or told.rotor_phase is not None)
         self._shake_tilt_rad = (
             0.0 if self._has_rolling_shutter or modelled else self._shake_rms_px / self._undistorter.focal_px
@@ -304,8 +305,11 @@ class SlamSystem:
         )
 
     def _predict_node(self, frame: CameraFrame, view: ViewPrior, way: Odometry) -> _Array:
-        """Where it should be, and in ``_position_sigma_m`` how well that is known (m): by the way since the last
-        answer, or after a while without one by what the vehicle believes, if it tells and that is known better."""
+        """Return the predicted node and set ``_position_sigma_m``, its standard deviation (m).
+
+        The prediction is the odometry since the last result, or after a time without one the vehicle's estimate, if
+        that is more accurate.
+        """
         moved, self._position_sigma_m = way.predict_displacement(self._velocity_m_s)
         believed = 0.05 + 2.0 * frame.vehicle_estimate.place_sigma[0]
         if (
@@ -319,7 +323,7 @@ class SlamSystem:
         return np.append(self._last_node[:LN_HEIGHT] + moved, math.log(view.height_m))
 
     def _select_reference_keyframes(self, node: _Array, lost: bool) -> list[int]:
-        """Keyframes to look at it from: that of before, if another is not much better; all, if it was lost."""
+        """Return keyframes to match: the last one, unless another is much better; all, if tracking is lost."""
         near = (
             range(len(self.floor_map.keyframes))
             if lost
@@ -338,7 +342,7 @@ class SlamSystem:
     def _match_keyframe(
         self, k: int, view: ViewPrior, picture: Any, node: _Array, coarse: bool = False
     ) -> _KeyframeMatch | None:
-        """See a picture against keyframe ``k`` from about ``graph_node``; None if it does not fit."""
+        """Match a picture to keyframe ``k`` from about ``node``; return None without a match."""
         straight, keyframe, at = self._undistorter, self.floor_map.keyframes[k], self.floor_map.nodes[k]
         shift = 0.0
         if coarse:
@@ -357,11 +361,11 @@ class SlamSystem:
         tilts = self.floor_map.predict_covariance(k, *self._error_transition)[4:8, 4:8][
             np.ix_([2, 3, 0, 1], [2, 3, 0, 1])
         ]
-        # Who was found further away than all that is unknown has found its like: on tiles the next one's
+        # A match further away than the total uncertainty is a false one, for example the next tile.
         unsure = 0.0 if coarse else self._position_sigma_m / view.height_m * view.focal_px
         tilted = view.focal_px * math.sqrt(tilts[0, 0] + tilts[2, 2])
         reach = _STRAY_PX + 4.0 * unsure + 3.0 * (self._shake_rms_px + tilted)
-        # A floor that repeats nothing is seen best by all that a picture holds.
+        # Without repeats, a search over the whole picture is best.
         looked = reach if len(self.floor_map.repeat_offsets(k, view.focal_px)) else math.inf
         seen, correlation, sigma = track_points(template, picture, there[use], straight.smoothing_sigma_px, looked)
         good = (correlation > MIN_CORRELATION) & (sigma < 1.5)
@@ -371,7 +375,7 @@ class SlamSystem:
         use, seen, sigma = use[good], seen[good], sigma[good]
         seconds, pixels = straight.exposure_offsets(seen), seen - straight.principal_point
         points = self.floor_map.locate_points(k)[use]
-        # In pixels of now
+        # In pixels of the present picture
         own = np.sqrt(keyframe.variance[use]) * math.exp(at[LN_HEIGHT]) / view.height_m * view.focal_px
         sigma = np.hypot(np.hypot(sigma, 0.08), own)
         rough = np.hypot(np.hypot(sigma, 0.5), self._shake_rms_px) / view.focal_px
@@ -401,7 +405,7 @@ class SlamSystem:
         return _KeyframeMatch(k, pose, use[keep], seen[keep], seconds[keep], sigma[keep], len(use), shift)
 
     def _floor_homography(self, k: int, view: ViewPrior, node: _Array) -> _Array:
-        """From the straight picture of a keyframe to the one that is seen from a node, over the floor."""
+        """Return the homography over the floor from a keyframe's undistorted picture to the view from a node."""
         keyframe, at = self.floor_map.keyframes[k], self.floor_map.nodes[k]
         c, s = math.cos(at[HEADING]), math.sin(at[HEADING])
         x, y = at[TILT] - keyframe.tilt
@@ -415,7 +419,7 @@ class SlamSystem:
         return m @ now.T @ plane @ then @ np.linalg.inv(m)
 
     def _align_coarsely(self, k: int, view: ViewPrior, picture: Any, node: _Array, reach: float) -> _Array | None:
-        """Where it is by the correlation of small pictures, within a reach (m); None if that is not told apart."""
+        """Return the node by correlation of small pictures within a reach (m); None if it is ambiguous."""
         seen = warp_picture(
             self.floor_map.keyframes[k].picture,
             self._floor_homography(k, view, node),
@@ -424,13 +428,12 @@ class SlamSystem:
         pixel = correlate_pictures(seen, picture, max(10.0, reach / view.height_m * view.focal_px))
         if pixel is None:
             return None
-        # What is seen at x now is where the warped keyframe has it shifted: the camera has moved by as much over
-        # the floor.
+        # The shift of the warped keyframe against the picture is the camera's displacement over the floor.
         d = attitude_matrix(view, None, node[HEADING]) @ self._body_from_camera @ np.append(pixel / view.focal_px, 0.0)
         return node + np.array([d[0] * view.height_m, d[1] * view.height_m, 0.0, 0.0])
 
     def _rejection_reason(self, match: _KeyframeMatch | None, view: ViewPrior, node: _Array) -> str:
-        """Why an answer is not to be trusted; "" if it is."""
+        """Return the reason not to trust a match; "" if it is trusted."""
         if match is None:
             return "too little of the floor is recognised"
         pose = match.pose
@@ -446,7 +449,7 @@ class SlamSystem:
         if off > 4.0 * (self._position_sigma_m + sigma) + 0.08 * view.height_m:
             return f"{off:.2f} m off from where it should be"
         if self._odometry is None or not self._odometry.has_all_velocities or self._odometry.last_info.place is None:
-            return ""  # nothing tells places apart that look alike, and nothing could be begun anew
+            return ""  # there is no ambiguity test for a map that cannot be restarted
         alike = self.floor_map.repeat_offsets(match.keyframe, view.focal_px)
         unsure = math.hypot(self._position_sigma_m, math.sqrt(2.0) * sigma, _TILT_DRIFT_PER_HEIGHT * view.height_m)
         if not is_unambiguous(way, alike, unsure):
@@ -487,10 +490,10 @@ class SlamSystem:
         return self._make_result(frame, view, match, made, closed)
 
     def _refine_keyframe(self, view: ViewPrior, match: _KeyframeMatch) -> None:
-        """Move the keyframe's points by what they were off, and learn how it shakes.
+        """Correct the keyframe's points by their residuals, and learn the vibration.
 
-        Turning at two turns a picture, a rotor shakes neighbouring pictures alike: a picture against the one before
-        tells little of it, and the floor would be bent by it for good. What is learnt slowly, at all phases, is.
+        A rotor at two revolutions a picture shakes consecutive pictures alike: their difference holds little of the
+        vibration, which would bend the floor permanently. Slow learning over all phases finds it.
         """
         if view.rotor_phases_rad.any():
             self._shake_frame_count += 1
@@ -504,11 +507,11 @@ class SlamSystem:
         c = complex(match.pose.state[0], match.pose.state[1])
         to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[LN_HEIGHT] + 1j * at[HEADING])
         ratio = match.pose.height_m / math.exp(at[LN_HEIGHT])
-        # Back to the tilt by which its slopes were reckoned
+        # Refer to the tilt error for which the slopes were computed
         tilt = self.floor_map.nodes[match.keyframe, TILT] + match.pose.keyframe_tilt_error_rad - keyframe.tilt
         move = d_rays_d_tilt(keyframe.slopes[match.inlier_indices]) @ tilt
         to_keyframe = to_keyframe - (move[:, 0] + 1j * move[:, 1])
-        # What tilt and sonar were told wrong by, and pose and tilts took no part of, is not the floor's shape.
+        # Residuals that pose and tilt errors can explain are not the floor's shape.
         own = keyframe.slopes[match.inlier_indices]
         to_keyframe = own + remove_pose_fit(to_keyframe - own, own, seen, 1.0 / match.pixel_sigmas)
         keyframe.refine_points(
@@ -521,7 +524,7 @@ class SlamSystem:
     def _level_rays(
         self, view: ViewPrior, pose: PoseEstimate, pixels: _Array, seconds: _Array
     ) -> NDArray[np.complex128]:
-        """Slopes with heading 0 of what is seen at pixels of the straight picture, as from its middle in time."""
+        """Return slopes with heading 0 of pixels of the undistorted picture, referred to the middle of its exposure."""
         turn = attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad)
         m = normalised_rays(view, pixels - self._undistorter.principal_point, seconds, turn, pose.shake_amplitudes_px)
         move = (view.velocity_m_s[0] + 1j * view.velocity_m_s[1]) * seconds
@@ -554,7 +557,7 @@ class SlamSystem:
         )
 
     def _start_map(self, frame: CameraFrame, view: ViewPrior, picture: Any) -> TrackingResult:
-        """The first keyframe: here the map begins."""
+        """Create the first keyframe of a map."""
         if view.height_m < MIN_HEIGHT_M:
             return TrackingResult(frame.time_s, False, TOO_NEAR_REASON)
         if frame.vehicle_estimate.place is not None:
@@ -575,11 +578,11 @@ class SlamSystem:
         answer = self._make_result(frame, view, match, True, False)
         if frame.vehicle_estimate.place is None:
             return answer
-        # What it would say is what it was told.
+        # The result only repeats the input.
         return replace(answer, trusted=False, reason="the map begins")
 
     def _should_bridge(self, frame: CameraFrame, view: ViewPrior, elapsed: float) -> bool:
-        """Whether to go on from where the vehicle believes to be, as nothing is recognised."""
+        """Return whether to continue from the vehicle's estimate, since no keyframe is recognised."""
         if frame.vehicle_estimate.place is None or view.height_m < MIN_HEIGHT_M or self._should_relocalize:
             return False
         return self._trial_frame_count > 0 or elapsed > (
@@ -588,20 +591,20 @@ class SlamSystem:
 
     @property
     def _should_relocalize(self) -> bool:
-        """Whether it is the turn of seeking in all of the map."""
+        """Return whether to search the whole map with this picture."""
         return not self._is_map_young and (bool(self._found_poses) or self._frame_count % _RELOCALIZE_INTERVAL == 0)
 
     @property
     def _is_map_young(self) -> bool:
-        """Whether the map is so small that it is not worth to be sought in."""
+        """Whether the map is too small for relocalisation."""
         return len(self.floor_map.keyframes) - (self._trial_frame_count > 0) <= _YOUNG_MAP_KEYFRAMES
 
     def _confirm_trial(
         self, frame: CameraFrame, view: ViewPrior, picture: Any, match: _KeyframeMatch
     ) -> TrackingResult | None:
-        """One more picture seen against the keyframe on trial; None if it is one to be trusted now.
+        """Match another picture to the keyframe on trial; return None once the keyframe is trusted.
 
-        Until then the rest of the map is sought in, too: who finds itself there need not believe.
+        Until then the rest of the map is searched, too: relocalisation there replaces the trial.
         """
         if self._should_relocalize and (found := self._find_in_map(frame, view, picture)) is not None:
             return self._accept_match(frame, view, picture, found)
@@ -614,7 +617,7 @@ class SlamSystem:
         return None
 
     def _bridge_gap(self, frame: CameraFrame, view: ViewPrior, picture: Any, why: str) -> TrackingResult:
-        """Begin a keyframe where the vehicle believes to be, tied to the last by what that is off by; on trial."""
+        """Create a keyframe on trial at the vehicle's estimate, with an edge to the last one by the odometry."""
         if self._trial_frame_count > 0:
             self.floor_map.drop_last_keyframe()
             self._reference_index = len(self.floor_map.keyframes) - 1
@@ -643,7 +646,7 @@ class SlamSystem:
         return TrackingResult(frame.time_s, False, why)
 
     def _pose_from_vehicle(self, view: ViewPrior, n: float, e: float, heading: float) -> PoseEstimate:
-        """The pose of a vehicle that stands at N, E (m) with a heading (rad), as far as that is known."""
+        """Return the pose of a vehicle at N, E (m) with a heading (rad), as far as it is known."""
         lever = attitude_matrix(view, None, heading) @ self._camera_position_m
         x = np.array([n + lever[0], e + lever[1], view.height_m, heading, *view.tilt_error_rad, 0.0, 0.0])
         nothing = np.zeros((POSE_SIZE, POSE_SIZE))
@@ -663,7 +666,7 @@ class SlamSystem:
         keyframe = self._create_keyframe(frame, view, picture, match.pose, 0.4)
         if keyframe is None:
             return False
-        # Others that see it too hold it better
+        # Edges to other keyframes that see it constrain it better
         others = sorted(
             self.floor_map.connected_keyframes(match.keyframe),
             key=lambda k: (
@@ -678,7 +681,7 @@ class SlamSystem:
             self._node_from_pose(match.pose),
             [self._make_edge(match, len(self.floor_map.keyframes))],
         )
-        # It is the newest now
+        # It is the newest keyframe from here on
         self._error_transition, view = (
             [np.ones(3), np.full(3, 1e-10)],
             view._replace(tilt_error_rad=self.floor_map.nodes[k, TILT].copy()),
@@ -692,18 +695,18 @@ class SlamSystem:
         return True
 
     def _node_from_pose(self, pose: PoseEstimate) -> _Array:
-        """The node of a pose: N, E, heading, ln h, errors of the tilt and of the sonar."""
+        """Return the node of a pose: N, E, heading, ln h, errors of the tilt and of the sonar."""
         height_error = self._predicted_errors[2]
         return np.array(
             [*pose.state[:2], pose.heading_rad, math.log(pose.height_m), *pose.tilt_error_rad, height_error]
         )
 
     def _make_edge(self, match: _KeyframeMatch, second: int, closes: bool = False) -> GraphEdge:
-        """What a picture that is node ``second`` says of the keyframe that it was seen against."""
+        """Return the edge between the matched keyframe and a picture that is node ``second``."""
         at, pose = self.floor_map.nodes[match.keyframe], match.pose
         tilt = at[TILT] + pose.keyframe_tilt_error_rad
         _, by_b = relative_pose_jacobians(at, match.graph_node)
-        # N, E, height, heading, tilt of the picture, of the keyframe of the edge's eight numbers
+        # Jacobian of N, E, height, heading, tilt of the picture, tilt of the keyframe by the edge's eight numbers
         change = np.zeros((POSE_SIZE, EDGE_SIZE))
         change[:4, :4] = np.linalg.inv(by_b)[[0, 1, LN_HEIGHT, HEADING]]
         change[PX_HEIGHT] *= pose.height_m
@@ -720,10 +723,10 @@ class SlamSystem:
     def _try_loop_closure(
         self, frame: CameraFrame, view: ViewPrior, picture: Any, match: _KeyframeMatch, made: bool
     ) -> tuple[bool, bool]:
-        """Try to see it against a keyframe that is not tied to the present one; return whether it is a keyframe now,
-        and whether a loop was closed.
+        """Try to close a loop to a keyframe without an edge to the present one.
 
-        Those are tried that may be in sight: as near as the map's covariance lets them be.
+        Returns whether the picture is a keyframe, and whether a loop was closed. Candidates are keyframes that the
+        map's covariance permits to be in view.
         """
         here = self._reference_index
         most = _LOOP_SEARCH_SIGMAS * math.sqrt(np.linalg.eigvalsh(self.floor_map.joint_covariance(here)[:2, :2])[-1])
@@ -747,7 +750,7 @@ class SlamSystem:
                 may.append((-round(share - before, 1), tries, -share, k, node, h * sigma))
         if not may:
             return made, False
-        # First what has come into sight most since it was tried
+        # Candidates with the largest gain of overlap since their last trial come first
         _, tries, share, k, node, sigma = min(may, key=lambda m: m[:3])
         self._failed_closures[k] = (tries + 1, -share)
         return self._close_loop(k, frame, view, picture, match, made, node, sigma)
@@ -763,10 +766,12 @@ class SlamSystem:
         node: _Array,
         sigma: float,
     ) -> tuple[bool, bool]:
-        """Close a loop to keyframe ``k`` if all gates let it pass; from ``graph_node`` it would see it,
-        ``pixel_sigmas`` (m) is what its place may be off by."""
+        """Close a loop to keyframe ``k`` if all tests pass.
+
+        ``node`` is the predicted pose, ``sigma`` (m) the standard deviation of its position.
+        """
         spread, self._position_sigma_m = self._position_sigma_m, 2.0 * sigma
-        # Always: whether another place within reach looks alike is asked there.
+        # Always coarse: this search includes the test for other places that look the same.
         other = self._match_keyframe(k, view, picture, node, coarse=True)
         self._position_sigma_m = spread
         if (
@@ -792,9 +797,9 @@ class SlamSystem:
     def _make_result(
         self, frame: CameraFrame, view: ViewPrior, match: _KeyframeMatch, made: bool, closed: bool
     ) -> TrackingResult:
-        """What is told: the place by all that the map, tilts, sonar and pixels say together."""
+        """Return the result: the pose fused from map, tilts, sonar and pixels."""
         pose, here = match.pose, self._reference_index
-        if made:  # it is in the map
+        if made:  # the picture is in the map
             node, known = self.floor_map.nodes[here, PLACE], self.floor_map.joint_covariance(here)[:4, :4]
         else:
             at = self.floor_map.nodes[here]
@@ -808,7 +813,7 @@ class SlamSystem:
         lever = attitude_matrix(view, pose.tilt_error_rad, node[HEADING]) @ self._camera_position_m
         h = math.exp(node[LN_HEIGHT])
         position = np.array([node[0] - lever[0], node[1] - lever[1], -h - lever[2]])
-        to = np.zeros((4, 4))  # N, E, D, heading of N, E, heading, ln h
+        to = np.zeros((4, 4))  # derivatives of N, E, D, heading by N, E, heading, ln h
         to[0, 0] = to[1, 1] = to[-1, HEADING] = 1.0
         to[2, LN_HEIGHT] = -h
         heading = (node[HEADING] + math.pi) % (2 * math.pi) - math.pi
@@ -820,7 +825,7 @@ class SlamSystem:
     # ------------------------------------------------------------------ lost
 
     def _relocalize(self, frame: CameraFrame, view: ViewPrior, picture: Any, why: str) -> TrackingResult:
-        """Look for it in all of the map, by ORB; believed when several in a row agree."""
+        """Search the whole map by ORB; accept the result when several in a row agree."""
         lost = TrackingResult(frame.time_s, False, why or "lost", keyframe=-1)
         if self._frame_count % _RELOCALIZE_INTERVAL and not self._found_poses:
             return lost
@@ -830,7 +835,7 @@ class SlamSystem:
         return replace(lost, reason="found, to be confirmed") if self._found_poses else lost
 
     def _find_in_map(self, frame: CameraFrame, view: ViewPrior, picture: Any) -> _KeyframeMatch | None:
-        """See it against any keyframe that is not on trial; None until several pictures in a row agree."""
+        """Match the picture to any keyframe not on trial; return None until several pictures in a row agree."""
         found, self._found_poses = self._found_poses, []
         known = len(self.floor_map.keyframes) - (self._trial_frame_count > 0)
         node = relocalize_by_orb(self.floor_map, known, view, picture, self._undistorter, self._shake_rms_px, self._rng)

@@ -1,4 +1,4 @@
-"""Answers as a trajectory: gathered, written as TUM's text, as a table for recordings, and drawn."""
+"""Trajectory of SLAM results: collected, written as TUM's text, as a table for recordings, and drawn."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from mufly.results import result
 
 _Array = NDArray[np.float64]
 _EPOCH_TIME_LIMIT_S = 1e6
-"""Times beyond count from 1970; they are drawn from the first on."""
+"""Limit (s) above which times count from 1970; plots show them relative to the first one."""
 
 
 @result(eq=False, picture="mufly.slam.slam_trajectory:plot_trajectory")
 class SlamTrajectory:
-    """What was answered.
+    """Trajectory of SLAM results.
 
     Attributes
     ----------
     time, heading : (n,) arrays
-        s, rad.
+        Times (s) and headings (rad).
     position : (n, 3) array
         N, E, D (m).
     covariance : (n, 4, 4) array
-        Of N, E, D, heading.
+        Covariances of N, E, D, heading.
     pictures : int
-        How many there were.
+        Number of pictures.
     reasons : dict
-        Why others were not answered, and how often.
+        Reasons for pictures without a result, and their counts.
     """
 
     time: _Array
@@ -51,7 +51,7 @@ class SlamTrajectory:
     reasons: dict[str, int]
 
     def to_dataset(self) -> xr.Dataset:
-        """As a table on its clock."""
+        """Return the trajectory as a table over its times."""
         sigma = np.sqrt(np.einsum("nii->ni", self.covariance)) if len(self.time) else np.zeros((0, 4))
         return xr.Dataset(
             {
@@ -64,13 +64,13 @@ class SlamTrajectory:
         )
 
     def write(self, file: Path) -> None:
-        """Write it as TUM's text, with covariance."""
+        """Write the trajectory as TUM's text, with covariance."""
         attitude = np.column_stack([np.zeros((len(self.time), 2)), self.heading])
         write_tum(file, self.time, self.position, attitude, "N-E-D, metres; heading alone", self.covariance)
 
 
 def collect_results(answers: Iterable[TrackingResult]) -> SlamTrajectory:
-    """Gather answers; those that are not trusted are counted."""
+    """Collect results; those that are not trusted are counted."""
     good: list[TrackingResult] = []
     reasons: dict[str, int] = {}
     count = 0
@@ -92,7 +92,7 @@ def run_slam(
     frames: Iterable[CameraFrame],
     on_answer: Callable[[int, TrackingResult], None] = lambda k, a: None,
 ) -> SlamTrajectory:
-    """Go through pictures."""
+    """Run SLAM over pictures and return the trajectory."""
 
     def process_frames() -> Iterable[TrackingResult]:
         for k, frame in enumerate(frames):
@@ -104,9 +104,9 @@ def run_slam(
 
 
 def read_trajectory(file: Path) -> SlamTrajectory:
-    """Read what :meth:`SlamTrajectory.write` wrote, or any trajectory (without covariance: NaN).
+    """Read a trajectory written by :meth:`SlamTrajectory.write`, or any other (without covariance: NaN).
 
-    Rows that are left out count as pictures without an answer. Errors are those of
+    Skipped rows count as pictures without a result. Errors are those of
     :func:`mufly.slam.trajectory_evaluation.read_poses`.
     """
     poses = read_poses(file)
@@ -134,7 +134,7 @@ def plot_trajectory(
     slam: SlamSystem | None = None,
     truth: tuple[_Array, _Array, _Array] | None = None,
 ) -> Figure:
-    """Draw the way from above with the keyframes and their ties, and errors with their deviations."""
+    """Draw the path from above with the keyframes and their edges, and errors with their standard deviations."""
     from matplotlib.figure import Figure
 
     t, x = trajectory.time, trajectory.position

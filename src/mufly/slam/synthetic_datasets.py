@@ -1,16 +1,15 @@
-"""Data sets: pictures rendered along a path, with what a vehicle would have told beside them, and what is true.
+"""Synthetic data sets: pictures rendered along a path, with simulated vehicle data and truth.
 
-Paths are rounds of a square with round corners, or those of a recorded flight. On a round the vehicle sways, and it
-tilts as its acceleration wants: pitch = -a_x / g, roll = a_y / g in the axes of its heading, with a trembling of
-0.4 degrees on top.
+Paths are laps of a square with round corners, or those of a recorded flight. On a lap the vehicle sways, and it tilts
+according to its acceleration: pitch = -a_x / g, roll = a_y / g in the axes of its heading, plus a random 0.4 degrees.
 
-What is told (telemetry): tilt with an error that wander (first-order Gauss-Markov, 2 s), height above the floor
-with one of 1 cm over 1 s, rates of turn with a bias and noise, rotor speeds. A folder holds
+The vehicle data (telemetry) are tilt with a first-order Gauss-Markov error (2 s), height above the floor with one of
+1 cm over 1 s, rates with bias and noise, and rotor speeds. A folder holds
 
     camera.toml, pictures/000000.jpg, pictures.csv (time, file), telemetry.csv, truth.txt (TUM: t x y z qx qy qz qw),
     imu.csv, sonar.csv
 
-in N-E-D; layouts "euroc" and "tum" have their own files besides (:mod:`mufly.slam.dataset_readers`).
+in N-E-D. The layouts "euroc" and "tum" also have their own files (:mod:`mufly.slam.dataset_readers`).
 """
 
 from __future__ import annotations
@@ -35,23 +34,23 @@ PATH_RATE_HZ = 200.0
 TILT_SIGMA_RAD, TILT_CORRELATION_TIME_S = math.radians(0.5), 2.0
 HEIGHT_SIGMA_M, HEIGHT_CORRELATION_TIME_S = 0.01, 1.0
 PHASE_SIGMA_RAD = 0.05
-"""Of the rotors' phases, as commutations tell them (rad)."""
+"""Standard deviation of the rotors' phases from commutation (rad)."""
 _GYRO_BIAS_RAD_S, _GYRO_NOISE_RAD_S = math.radians(0.3), 0.01
 _ROTOR_SPEEDS_RAD_S = 2 * math.pi * np.array([60.0, 70.0])
 
 
 @dataclass(frozen=True)
 class VehiclePath:
-    """A path of a vehicle on a fine clock, N-E-D.
+    """Path of a vehicle over a fine time grid, N-E-D.
 
     Attributes
     ----------
     time_s : (n,) array
-        s, rising.
+        Increasing times (s).
     position_m, velocity_m_s, attitude_rad, body_rates_rad_s : (n, 3) arrays
-        m, m/s, roll, pitch and continuous yaw (rad), p, q, r (rad/s).
+        Position (m), velocity (m/s), roll, pitch and continuous yaw (rad), p, q, r (rad/s).
     rotor_speeds_rad_s, rotor_phases_rad : (n, 2) arrays
-        rad/s, rad.
+        Upper, lower (rad/s, rad).
     """
 
     time_s: _Array
@@ -63,7 +62,7 @@ class VehiclePath:
     rotor_phases_rad: _Array
 
     def motion_at(self, time_s: float) -> VehicleMotion:
-        """How it moves at a time (s)."""
+        """Return the motion at a time (s)."""
         k = min(max(int(np.searchsorted(self.time_s, time_s)) - 1, 0), len(self.time_s) - 2)
         a = (time_s - self.time_s[k]) / (self.time_s[k + 1] - self.time_s[k])
         x, v, e, w, o, f = (
@@ -90,18 +89,18 @@ def make_square_path(
     turn: bool = False,
     seed: int = 0,
 ) -> VehiclePath:
-    """Return a path round a square with round corners, at an even speed.
+    """Return a path around a square with round corners, at a constant speed.
 
     Parameters
     ----------
     duration_s : float
     side_m : float
-        Of the square; 0 hovers.
+        Side of the square (m); 0 hovers.
     height_m : float
-        Above the floor; it changes by a tenth.
+        Mean height above the floor (m); it varies by a tenth.
     speed_m_s : float
     sway_m : float
-        Amplitude of the swaying.
+        Amplitude of the swaying (m).
     turn : bool
         Whether the nose follows the path.
     seed : int
@@ -139,7 +138,7 @@ def make_square_path(
 
 
 def _trace_square(way: _Array, side: float) -> tuple[_Array, _Array]:
-    """Points (n, 2) after so much way round a square, corners round, and the heading along it."""
+    """Return points (n, 2) and headings at distances along a square with round corners."""
     radius = 0.25 * side
     straight, arc = side - 2 * radius, 0.5 * math.pi * radius
     part = straight + arc
@@ -159,7 +158,7 @@ def _trace_square(way: _Array, side: float) -> tuple[_Array, _Array]:
 
 
 def _smooth_rows(a: _Array, n: int) -> _Array:
-    """Mean over n rows, twice; the ends go on as they end."""
+    """Return the moving average over n rows, applied twice; edge values are repeated."""
     kernel = np.ones(n) / n
     for _ in range(2):
         a = np.stack(
@@ -170,7 +169,7 @@ def _smooth_rows(a: _Array, n: int) -> _Array:
 
 
 def _compute_body_rates(t: _Array, attitude: _Array) -> _Array:
-    """Body rates of attitudes (thesis: eq. 4.3 inverted)."""
+    """Return the body rates of attitudes (thesis: eq. 4.3 inverted)."""
     d: _Array = np.gradient(attitude, t, axis=0)
     (roll, pitch, _), (dr, dp, dy) = attitude.T, d.T
     return np.stack(
@@ -206,7 +205,7 @@ def path_from_recording(recording: xr.Dataset, where: str = "recording") -> Vehi
 
 
 class FrameInfoSimulator:
-    """What a vehicle would tell with each picture, off by what a filter is off by."""
+    """Simulator of the vehicle's data for each picture, with errors like those of its filter."""
 
     def __init__(self, camera: Camera, seed: int = 0, *, tilt_sigma: float = TILT_SIGMA_RAD) -> None:
         self._camera, self._rng, self._tilt_sigma = camera, np.random.default_rng(seed), tilt_sigma
@@ -217,7 +216,7 @@ class FrameInfoSimulator:
         self._last_time_s = math.nan
 
     def simulate_info(self, motion: VehicleMotion) -> FrameInfo:
-        """What is told at the middle of a picture."""
+        """Return the data at the middle of a picture."""
         dt = 0.0 if math.isnan(self._last_time_s) else motion.time_s - self._last_time_s
         self._last_time_s = motion.time_s
         rng = self._rng
@@ -252,12 +251,12 @@ def render_frames(
     light: Callable[[float], float] = lambda t: 1.0,
     lose: bool = False,
 ) -> Iterator[tuple[CameraFrame, VehicleMotion]]:
-    """Yield pictures along a path, with what is told and what is true.
+    """Yield pictures along a path, with the vehicle's data and the true motion.
 
     Parameters
     ----------
     lose : bool
-        Leave out as many as the camera's radio loses.
+        Drop pictures at the camera's radio loss rate.
     light : callable
         Time (s) to the light of the room.
     """
@@ -276,7 +275,7 @@ def render_frames(
 
 
 def scatter_boxes(count: int, side_m: float, seed: int) -> World:
-    """Return a world with low boxes on the floor, drawn by the seed, in and around a square of this side."""
+    """Return a world with random low boxes on the floor, in and around a square of this side."""
     rng = np.random.default_rng([seed, 77])
     boxes = []
     for _ in range(count):

@@ -1,15 +1,15 @@
-"""A trajectory and the truth: both read from files by one rule, and compared: errors, drift, is its covariance true?
+"""Comparison of a trajectory with the truth, both read from files by the same rules: errors, drift, consistency.
 
-A row is ``t x y z qx qy qz qw`` (TUM), set apart by blanks, commas, semicolons or tabs. A line of names above the rows,
+A row is ``t x y z qx qy qz qw`` (TUM), separated by blanks, commas, semicolons or tabs. A header line above the rows,
 in a comment or not, may put ``qw`` first and the time in ns (EuRoC). Stamps are s, ms, us or ns since 1970 by their
 magnitude. Axes are N-E-D unless a comment names others, or the file is the ground truth of a data set of TUM or EuRoC
-(x north, y west, z up). Quaternions are brought to unit length; rows without numbers are left out and counted; rows
-out of order are sorted. Every repair is a :class:`mufly.logs.LogWarning`.
+(x north, y west, z up). Quaternions are normalised; rows without numbers are skipped and counted; unordered rows are
+sorted. Every repair is a :class:`mufly.logs.LogWarning`.
 
-ATE (Sturm et al. 2012) is the root mean square of position errors, here as they stand and after the best turn about the
-vertical and shift (Umeyama 1991; scale left alone). RPE is the error of the way made in a time, without how it was
-turned before. NEES is e^T P^-1 e over N, E, D and heading; over its four numbers it is one where P is true, and
-inside the 95 % ellipsoid are those below the chi-squared quantile 9.49.
+ATE (Sturm et al. 2012) is the root mean square of position errors, here without alignment and after the best rotation
+about the vertical and shift (Umeyama 1991; scale fixed). RPE is the error of the displacement over a time, in axes of
+the heading at its start. NEES is e^T P^-1 e over N, E, D and heading; divided by four its mean is one for a
+consistent P. The share inside the 95 % ellipsoid is that below the chi-squared quantile 9.49.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ _QUATERNION = slice(4, 8)
 """Columns of a pose, behind its time and place."""
 CHI2_95 = 9.4877
 _MIN_POSITION_SIGMA_M = 1e-4
-"""A place that is known better was not found but told: where a map begins (m). It has no share in NEES."""
+"""Positions with a smaller sigma (m) are given, not estimated, as at the start of a map; NEES omits them."""
 
 
 _MIN_ROWS = 3
 _MAX_GAP_S, _MAX_GAP_STEPS = 0.2, 5.0
-"""Between two rows of the truth further apart than both nothing is compared."""
+"""Larger gaps (s, and steps) between rows of the truth are excluded from the comparison."""
 _MIN_AXES_ERROR_M = 0.02
 _QUATERNION_NORM_TOLERANCE, _MIN_QUATERNION_NORM = 1e-3, 1e-6
 _TIMESTAMP_UNITS = (
     (1e17, 1e-9, "ns"),
     (1e14, 1e-6, "us"),
     (1e11, 1e-3, "ms"),
-)  # stamps since 1970 above so much
+)  # units of stamps since 1970 above these magnitudes
 _QUATERNION_W_PATTERN = re.compile(r"(?:q|quat|rot|orientation)?[a-z_.]*w")
 _AXIS_CONVENTIONS: dict[str, tuple[str, tuple[int, int, int], Callable[[_Array], _Array]]] = {
-    # Words in a comment, signed columns of N, E, D (from 1), and the heading of a yaw.
+    # Pattern in a comment, signed columns of N, E, D (from 1), and the heading as a function of yaw.
     "x north, y west, z up": (r"x north, y west, z up|\bNWU\b", (1, -2, -3), lambda yaw: -yaw),
     "x east, y north, z up": (r"x east, y north, z up|\bENU\b", (2, 1, -3), lambda yaw: math.pi / 2 - yaw),
     "N-E-D": (r"\bN-?E-?D\b", (1, 2, 3), lambda yaw: yaw),
@@ -65,11 +65,11 @@ class PoseTable(NamedTuple):
     Attributes
     ----------
     time_s, position, heading : (n,), (n, 3), (n,) arrays
-        s; N-E-D (m); rad.
+        Times (s), positions N-E-D (m), headings (rad).
     extra_cells : list of n lists of str
-        What stands behind each pose.
+        Further cells of each row.
     row_count : int
-        Poses that the file has, those left out too.
+        Number of poses in the file, including skipped ones.
     """
 
     time_s: _Array
@@ -85,7 +85,7 @@ def read_poses(file: Path) -> PoseTable:
     Raises
     ------
     InputError
-        If it cannot be read, or rows are no poses.
+            If the file cannot be read, or its rows are no poses.
     """
     where, remedy = str(file), "give a trajectory: t x y z qx qy qz qw"
     try:
@@ -111,7 +111,7 @@ def read_poses(file: Path) -> PoseTable:
     order, ns, named = _find_named_columns(comments, where)
     rows, keep = _drop_invalid_rows(rows[:, order], numbers, said)
     if not named and _is_upside_down(rows[:, _QUATERNION]):
-        if separator == "," and np.median(rows[:, 0]) > _TIMESTAMP_UNITS[0][0]:  # as EuRoC's, without the line of names
+        if separator == "," and np.median(rows[:, 0]) > _TIMESTAMP_UNITS[0][0]:  # EuRoC's format without a header
             rows[:, _QUATERNION] = np.roll(rows[:, _QUATERNION], -1, axis=1)
             said.append("its quaternions are taken to have w first, or it would fly upside down")
         else:
@@ -130,7 +130,7 @@ def read_poses(file: Path) -> PoseTable:
 
 
 def read_truth(place: Path) -> tuple[_Array, _Array, _Array] | None:
-    """Return times, positions N-E-D and headings of the truth, a file or in a folder; None if a folder has none."""
+    """Return times, positions N-E-D and headings of the truth in a file or folder; None if a folder has none."""
     inside = (
         "truth.txt",
         "groundtruth.txt",
@@ -158,7 +158,7 @@ def _is_number(cell: str) -> bool:
 def _parse_pose_rows(
     cells: list[tuple[int, list[str]]], where: str, said: list[str]
 ) -> tuple[_Array, list[list[str]], list[int]]:
-    """Eight numbers of each row, what stands behind them, and the rows' lines; a short last row is cut and left out."""
+    """Return eight numbers of each row, further cells, and line numbers; an incomplete last row is skipped."""
     if cells and len(cells[0][1]) == 12 and all(map(_is_number, cells[0][1])):
         raise InputError(where, f"line {cells[0][0]}", "has 12 numbers: KITTI's poses, which have no times",
                          "give TUM's text: t x y z qx qy qz qw")  # fmt: skip
@@ -179,7 +179,7 @@ def _parse_pose_rows(
 
 
 def _find_named_columns(comments: list[str], where: str) -> tuple[list[int], bool, bool]:
-    """Columns of t, x, y, z, w, x, y, z; whether a line of names says that stamps are in ns, and is there at all."""
+    """Return the columns of t, x, y, z, w, x, y, z, whether the header gives stamps in ns, and whether there is one."""
     for line in comments:
         names = [
             re.sub(r"[\[(].*?[\])]", "", n).strip().lower()
@@ -203,7 +203,7 @@ def _find_named_columns(comments: list[str], where: str) -> tuple[list[int], boo
 
 
 def _is_upside_down(q: _Array) -> bool:
-    """Whether quaternions read as x, y, z, w fly upside down, and as w, x, y, z do not (rows are w, x, y, z)."""
+    """Return whether quaternions read as x, y, z, w are upside down, but not as w, x, y, z (the order in rows)."""
     if not len(q):
         return False
     w_first = q[:, [1, 2, 3, 0]]
@@ -212,7 +212,7 @@ def _is_upside_down(q: _Array) -> bool:
 
 
 def _drop_invalid_rows(rows: _Array, numbers: list[int], said: list[str]) -> tuple[_Array, list[int]]:
-    """Rows of finite numbers, with unit quaternions; and which they are."""
+    """Return the rows of finite numbers, with unit quaternions, and their line numbers."""
     finite = np.isfinite(rows).all(axis=1)
     length = np.linalg.norm(rows[:, _QUATERNION], axis=1)
     turned = length > _MIN_QUATERNION_NORM
@@ -243,7 +243,7 @@ def _detect_axes(comments: list[str], file: Path) -> str:
 
 
 def _stamps_to_seconds(stamps: _Array, ns: bool) -> tuple[_Array, str]:
-    """Stamps in s, and their unit."""
+    """Return the stamps in s, and their unit."""
     largest = float(np.median(stamps)) if len(stamps) else 0.0
     for least, factor, unit in _TIMESTAMP_UNITS:
         if largest > least or (ns and unit == "ns"):
@@ -252,7 +252,7 @@ def _stamps_to_seconds(stamps: _Array, ns: bool) -> tuple[_Array, str]:
 
 
 def _sort_by_time(stamps: _Array, numbers: list[int], said: list[str]) -> tuple[NDArray[np.intp], int]:
-    """Rows in order of time, of those with one time the last; and how many others there are."""
+    """Return the order by time, with the last row of each time, and the number of duplicates."""
     late = np.flatnonzero(np.diff(stamps) < 0) + 1
     _note_lines(said, "earlier than the one before, sorted by time", late, numbers)
     order = np.argsort(stamps, kind="stable")
@@ -264,7 +264,7 @@ def _sort_by_time(stamps: _Array, numbers: list[int], said: list[str]) -> tuple[
 
 @result
 class TrajectoryEvaluation:
-    """Of one trajectory. Lengths in m, angles in rad."""
+    """Evaluation of one trajectory; lengths in m, angles in rad."""
 
     pictures: int = field(metadata={"unit": "1", "meaning": "pictures, of which so many were answered"})
     lost: float = field(metadata={"unit": "1", "meaning": "share without an answer"})
@@ -301,22 +301,23 @@ def evaluate_trajectory(
     time: _Array, position: _Array, heading: _Array, covariance: _Array | None, true_time: _Array, true_position:
     _Array, true_heading: _Array, pictures: int | None = None,
 ) -> TrajectoryEvaluation:  # fmt: skip
-    """Compare answers with the truth.
+    """Compare results with the truth.
 
     Parameters
     ----------
     time, position, heading : (n,), (n, 3), (n,) arrays
-        Answers (s, m N-E-D, rad).
+        Results (s, m N-E-D, rad).
     covariance : (n, 4, 4) array or None
-        Of N, E, D, heading.
+        Covariances of N, E, D, heading.
     true_time, true_position, true_heading : (m,), (m, 3), (m,) arrays
+        Truth (s, m N-E-D, rad).
     pictures : int, optional
-        How many there were; by default as many as answers.
+        Number of pictures; by default that of the results.
 
     Raises
     ------
     InputError
-        If answers and truth do not overlap in time.
+        If results and truth do not overlap in time.
     """
     inside = (time >= true_time[0] - 0.02) & (time <= true_time[-1] + 0.02)
     if inside.sum() < _MIN_ROWS:
@@ -355,7 +356,7 @@ def evaluate_trajectory(
 
 
 def _explain_no_overlap(time: _Array, true_time: _Array) -> tuple[str, str, str, str]:
-    """What is wrong with two clocks that do not meet, and what to do."""
+    """Return the problem of two clocks that do not overlap, and the remedy."""
     for who, stamps in (("trajectory", time), ("truth", true_time)):
         if len(stamps) < _MIN_ROWS:
             problem = f"the {who} has {len(stamps)} usable rows with a time of their own"
@@ -381,7 +382,7 @@ def _explain_no_overlap(time: _Array, true_time: _Array) -> tuple[str, str, str,
 
 
 def _is_in_gap(time: _Array, true_time: _Array) -> NDArray[np.bool_]:
-    """Which times lie between two rows of the truth that are too far apart."""
+    """Return the mask of times inside a gap of the truth."""
     if len(true_time) < 2:
         return np.zeros(len(time), dtype=bool)
     steps = np.diff(true_time)
@@ -391,13 +392,13 @@ def _is_in_gap(time: _Array, true_time: _Array) -> NDArray[np.bool_]:
 
 
 def detect_other_axes(time: _Array, position: _Array, true_time: _Array, true_position: _Array) -> str:
-    """Return by which other axes a trajectory fits the truth far better than as it is; ``""`` if by none."""
+    """Return the name of other axes that fit the truth far better than the given ones; ``""`` if there are none."""
     inside = (time >= true_time[0]) & (time <= true_time[-1])
     if inside.sum() < _MIN_ROWS:
         return ""
     x = position[inside]
     true = np.stack([np.interp(time[inside], true_time, c) for c in true_position.T], axis=1)
-    flipped = np.stack([x[:, 0], -x[:, 1], -x[:, 2]], axis=1)  # ENU is the same but for a turn
+    flipped = np.stack([x[:, 0], -x[:, 1], -x[:, 2]], axis=1)  # ENU is equal up to a rotation
     for name, fitted in (("ATE", _align_horizontally), ("position error", lambda p, _: p)):
         as_it_is, other = (_root_mean_square(np.linalg.norm(fitted(p, true) - true, axis=1)) for p in (x, flipped))
         if other < 0.2 * as_it_is and as_it_is > _MIN_AXES_ERROR_M:
